@@ -1,0 +1,1 @@
+"""vrcaps: a virtual environment for capsule endoscopy."""

@@ -1,0 +1,29 @@
+"""Errors a user can act on: what was given, what is allowed, what to do."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+
+class VrcapsError(Exception):
+    """Base of every error vrcaps raises on purpose; its text is one line."""
+
+
+class InputError(VrcapsError, ValueError):
+    """A value, file or combination that vrcaps cannot work with."""
+
+
+class UnknownNameError(VrcapsError, LookupError):
+    """A name that is in no registry."""
+
+    def __init__(self, noun: str, name: str, known: Iterable[str]) -> None:
+        super().__init__(f"No {noun} named {name!r}. Known: {', '.join(sorted(known))}.")
+
+
+class MissingExtraError(VrcapsError, ImportError):
+    """A feature whose optional dependency is not installed."""
+
+    def __init__(self, package: str, extra: str) -> None:
+        super().__init__(
+            f"{package} is not installed. Install it with: pip install 'vrcaps[{extra}]'"
+        )

@@ -1,0 +1,136 @@
+"""The gut wall as a surface: what every organ source makes and every later layer takes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Int, UInt8, UInt16
+
+
+@dataclass(frozen=True)
+class Centerline:
+    """A smooth curve down the middle of a lumen, from the oral to the anal end.
+
+    Attributes:
+        points: Samples along the curve [m], frame of the surface it belongs to.
+        arc_length: Distance along the curve from the oral end [m], strictly increasing from 0.
+        radius: Distance from each sample to the nearest wall [m].
+        frames: Rotation at each sample; columns are two transverse axes and the tangent
+            (towards the anal end). Parallel transport: no twist about the tangent.
+    """
+
+    points: Float[np.ndarray, " n 3"]
+    arc_length: Float[np.ndarray, " n"]
+    radius: Float[np.ndarray, " n"]
+    frames: Float[np.ndarray, " n 3 3"]
+
+    @property
+    def length(self) -> float:
+        """Length of the curve [m]."""
+        return float(self.arc_length[-1])
+
+
+@dataclass(frozen=True)
+class Appearance:
+    """How the wall reflects light, as textures over its texture coordinates.
+
+    The reflectance is the Disney principled model (Burley 2012) without metal or sheen:
+    a diffuse base under a rough dielectric, under a clear coat for the wet film.
+    Row 0 of a texture is v = 1 (top), as in image files; u and v wrap.
+
+    Attributes:
+        albedo: Base colour, sRGB-encoded.
+        roughness: Perceptual roughness α^½ of the base, 255 = 1.
+        height: Relief of the wall towards the lumen [m]; only its slope is used.
+        ior: Refractive index of the base's dielectric layer relative to the lumen's gas.
+        coat: Strength of the clear coat, 0 (dry) to 1 (wet).
+        coat_gloss: Gloss of the clear coat, 0 (satin) to 1 (mirror-like).
+    """
+
+    albedo: UInt8[np.ndarray, "h w 3"]
+    roughness: UInt8[np.ndarray, "h w"]
+    height: Float[np.ndarray, "h w"]
+    ior: float = 1.4
+    coat: float = 1.0
+    coat_gloss: float = 0.9
+
+
+@dataclass(frozen=True)
+class OrganSurface:
+    """A gut wall: a triangle surface whose normals point into the lumen.
+
+    Faces are counter-clockwise seen from the lumen. Positions are in the `patient` frame
+    (DICOM LPS, metres) for organs, in whatever frame a mesh file states otherwise.
+
+    Attributes:
+        name: What the organ is called in files and messages.
+        vertices: Positions [m].
+        faces: Vertex numbers of each triangle.
+        normals: Unit vertex normals, into the lumen.
+        uv: Texture coordinates of each corner of each face.
+        label: Segment or tissue class of each vertex, a number into `label_names`.
+        label_names: Class names; 0 is `background` (no surface).
+        instance: Lesion number of each vertex, 0 for plain wall.
+        arc_length: Gut coordinate of each vertex: distance along the centreline [m].
+        theta: Gut coordinate of each vertex: angle around the centreline [rad], −π to π.
+        radius: Distance of each vertex from the centreline [m].
+        centerline: The curve the gut coordinates refer to.
+        appearance: Reflectance; None draws a plain mucosa colour.
+        metadata: Where it came from: generator parameters or source file, seed, repairs.
+    """
+
+    name: str
+    vertices: Float[np.ndarray, "n 3"]
+    faces: Int[np.ndarray, "m 3"]
+    normals: Float[np.ndarray, "n 3"]
+    uv: Float[np.ndarray, "m 3 2"]
+    label: UInt8[np.ndarray, " n"]
+    label_names: tuple[str, ...]
+    instance: UInt16[np.ndarray, " n"]
+    arc_length: Float[np.ndarray, " n"]
+    theta: Float[np.ndarray, " n"]
+    radius: Float[np.ndarray, " n"]
+    centerline: Centerline
+    appearance: Appearance | None = None
+    metadata: dict = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """A bare triangle mesh as a file holds it, in metres.
+
+    Attributes:
+        vertices: Positions [m].
+        faces: Vertex numbers of each triangle.
+        uv: Texture coordinates of each corner of each face, or None.
+        label: Class of each vertex, or None.
+    """
+
+    vertices: Float[np.ndarray, "n 3"]
+    faces: Int[np.ndarray, "m 3"]
+    uv: Float[np.ndarray, "m 3 2"] | None = None
+    label: UInt8[np.ndarray, " n"] | None = None
+
+
+def face_label(label: Int[np.ndarray, " n"], faces: Int[np.ndarray, "m 3"]) -> np.ndarray:
+    """Label of each face: the median of its vertices' labels, so the majority where there is one."""
+    return np.median(label[faces], axis=1).astype(label.dtype)
+
+
+def vertex_normals(
+    vertices: Float[np.ndarray, "n 3"], faces: Int[np.ndarray, "m 3"]
+) -> Float[np.ndarray, "n 3"]:
+    """Unit vertex normals: the area-weighted mean of the normals of the faces around it."""
+    corners = vertices[faces]
+    area_normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals = np.zeros_like(vertices)
+    for axis in range(3):
+        normals[:, axis] = sum(
+            np.bincount(faces[:, corner], area_normals[:, axis], len(vertices)) for corner in range(3)
+        )
+    length = np.linalg.norm(normals, axis=1, keepdims=True)
+    return normals / np.where(length > 0.0, length, 1.0)

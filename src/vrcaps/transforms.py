@@ -1,0 +1,110 @@
+"""Rigid transforms as 4×4 matrices: ``T_a_b`` maps points from frame b to frame a.
+
+``p_a = transform_points(T_a_b, p_b)``; ``T_a_b`` is also the pose of b in a.
+Quaternions are ``wxyz``. All functions accept leading batch axes.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vrcaps.errors import InputError
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+
+def transform_from(
+    rotation: Float[np.ndarray, "*batch 3 3"], translation: Float[np.ndarray, "*batch 3"]
+) -> Float[np.ndarray, "*batch 4 4"]:
+    """``T_a_b`` from the rotation ``R_a_b`` and the origin of b in a [m]."""
+    rotation, translation = np.asarray(rotation, float), np.asarray(translation, float)
+    batch = np.broadcast_shapes(rotation.shape[:-2], translation.shape[:-1])
+    transform = np.zeros((*batch, 4, 4))
+    transform[..., :3, :3] = rotation
+    transform[..., :3, 3] = translation
+    transform[..., 3, 3] = 1.0
+    return transform
+
+
+def invert(transform: Float[np.ndarray, "*batch 4 4"]) -> Float[np.ndarray, "*batch 4 4"]:
+    """``T_b_a`` of a rigid ``T_a_b``."""
+    rotation = np.swapaxes(transform[..., :3, :3], -1, -2)
+    return transform_from(rotation, -(rotation @ transform[..., :3, 3:])[..., 0])
+
+
+def transform_points(
+    transform: Float[np.ndarray, "*batch 4 4"], points: Float[np.ndarray, "*batch n 3"]
+) -> Float[np.ndarray, "*batch n 3"]:
+    """Points of frame b in frame a, given ``T_a_b``."""
+    rotation, translation = transform[..., :3, :3], transform[..., None, :3, 3]
+    return points @ np.swapaxes(rotation, -1, -2) + translation
+
+
+def rotate_vectors(
+    transform: Float[np.ndarray, "*batch 4 4"], vectors: Float[np.ndarray, "*batch n 3"]
+) -> Float[np.ndarray, "*batch n 3"]:
+    """Directions of frame b in frame a, given ``T_a_b``."""
+    return vectors @ np.swapaxes(transform[..., :3, :3], -1, -2)
+
+
+def matrix_from_quaternion(
+    wxyz: Float[np.ndarray, "*batch 4"],
+) -> Float[np.ndarray, "*batch 3 3"]:
+    """Rotation matrix of a quaternion, which need not be of unit length.
+
+    Raises:
+        InputError: If a quaternion is zero or not finite.
+    """
+    wxyz = np.asarray(wxyz, float)
+    norm = np.linalg.norm(wxyz, axis=-1, keepdims=True)
+    if not np.all(np.isfinite(norm) & (norm > 0.0)):
+        raise InputError("A quaternion is zero or not finite. Allowed: any other wxyz.")
+    w, x, y, z = np.moveaxis(wxyz / norm, -1, 0)
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def quaternion_from_matrix(
+    rotation: Float[np.ndarray, "*batch 3 3"],
+) -> Float[np.ndarray, "*batch 4"]:
+    """Unit quaternion ``wxyz`` with w ≥ 0 of a rotation matrix (Shepperd's method, 1978)."""
+    rotation = np.asarray(rotation, float)
+    m00, m11, m22 = (rotation[..., i, i] for i in range(3))
+    squares = np.stack([m00 + m11 + m22, m00 - m11 - m22, m11 - m00 - m22, m22 - m00 - m11], -1)
+    # Four times the outer product q qᵀ: its row with the largest diagonal is well conditioned.
+    outer = np.zeros((*rotation.shape[:-2], 4, 4))
+    outer[..., range(4), range(4)] = 1.0 + squares
+    for i, j, k in ((1, 2, 3), (2, 3, 1), (3, 1, 2)):
+        row, column = k - 1, j - 1
+        outer[..., 0, i] = outer[..., i, 0] = rotation[..., row, column] - rotation[..., column, row]
+        outer[..., j, k] = outer[..., k, j] = rotation[..., row, column] + rotation[..., column, row]
+    best = np.argmax(squares, axis=-1)
+    wxyz = np.take_along_axis(outer, best[..., None, None], axis=-2)[..., 0, :]
+    wxyz = wxyz / np.linalg.norm(wxyz, axis=-1, keepdims=True)
+    return np.where(wxyz[..., :1] < 0.0, -wxyz, wxyz)
+
+
+def look_along(
+    forward: Float[np.ndarray, "*batch 3"], up: Float[np.ndarray, "*batch 3"]
+) -> Float[np.ndarray, "*batch 3 3"]:
+    """Rotation whose z axis is `forward` and whose y axis is as near to −`up` as can be.
+
+    This is a camera's rotation ``R_world_camera`` (x right, y down, z forward).
+
+    Raises:
+        InputError: If `forward` is zero or parallel to `up`.
+    """
+    z = np.asarray(forward, float)
+    x = np.cross(z, np.broadcast_to(up, z.shape))
+    lengths = [np.linalg.norm(v, axis=-1, keepdims=True) for v in (z, x)]
+    if not np.all((lengths[0] > 0.0) & (lengths[1] > 1e-9 * lengths[0])):
+        raise InputError("Viewing direction is zero or parallel to up. Give another up direction.")
+    z, x = z / lengths[0], x / lengths[1]
+    return np.stack([x, np.cross(z, x), z], axis=-1)

@@ -1,0 +1,88 @@
+"""What is fixed in a run (`Model`) and what changes from frame to frame (`State`)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vrcaps._core import Wall
+from vrcaps.capsule.device import Device
+from vrcaps.errors import UnknownNameError
+from vrcaps.organ.surface import OrganSurface
+from vrcaps.transforms import transform_from, transform_points
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+# Rows are the world axes (z up) in the patient frame (LPS: x left, y posterior, z superior).
+_POSTURES = {
+    "supine": ((1, 0, 0), (0, 0, 1), (0, -1, 0)),
+    "prone": ((-1, 0, 0), (0, 0, 1), (0, 1, 0)),
+    "left-lateral": ((0, -1, 0), (0, 0, 1), (-1, 0, 0)),
+    "right-lateral": ((0, 1, 0), (0, 0, 1), (1, 0, 0)),
+    "standing": ((1, 0, 0), (0, 1, 0), (0, 0, 1)),
+}
+
+
+def posture_transform(posture: str) -> Float[np.ndarray, "4 4"]:
+    """``T_world_patient`` of a named posture; gravity is world −z.
+
+    Args:
+        posture: `supine`, `prone`, `left-lateral` (lying on the left side), `right-lateral`
+            or `standing`.
+
+    Raises:
+        UnknownNameError: If there is no such posture.
+    """
+    if posture not in _POSTURES:
+        raise UnknownNameError("posture", posture, _POSTURES)
+    return transform_from(np.array(_POSTURES[posture], float), np.zeros(3))
+
+
+@dataclass(frozen=True)
+class Model:
+    """An organ in a posture and the capsule in it.
+
+    Attributes:
+        organ: The gut wall at rest, in the patient frame.
+        device: The capsule.
+        T_world_patient: Pose of the patient in the world, see `posture_transform`.
+    """
+
+    organ: OrganSurface
+    device: Device
+    T_world_patient: Float[np.ndarray, "4 4"] = field(
+        default_factory=lambda: posture_transform("supine")
+    )
+
+    @cached_property
+    def vertices_world(self) -> Float[np.ndarray, "n 3"]:
+        """Wall vertices at rest in the world frame [m]."""
+        return transform_points(self.T_world_patient, self.organ.vertices)
+
+    @cached_property
+    def wall(self) -> Wall:
+        """The wall at rest, ready for distance and ray queries in the world frame."""
+        return Wall(self.vertices_world, self.organ.faces)
+
+
+@dataclass(frozen=True)
+class State:
+    """The world at one instant.
+
+    Attributes:
+        time: Since the start of the run [s].
+        T_world_capsule: Pose of the capsule.
+        linear_velocity_world: Velocity of the capsule's origin [m/s].
+        angular_velocity_world: Angular velocity of the capsule [rad/s].
+        vertices_world: Wall vertices [m]; None where the wall is at rest.
+    """
+
+    time: float
+    T_world_capsule: Float[np.ndarray, "4 4"]
+    linear_velocity_world: Float[np.ndarray, " 3"] = field(default_factory=lambda: np.zeros(3))
+    angular_velocity_world: Float[np.ndarray, " 3"] = field(default_factory=lambda: np.zeros(3))
+    vertices_world: Float[np.ndarray, "n 3"] | None = None

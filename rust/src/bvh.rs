@@ -15,7 +15,7 @@ pub const WIDTH: usize = 8;
 const LEAF: u32 = 1 << 31;
 /// Larger than any coordinate [m]: bounds of an empty child exclude everything.
 const FAR: f32 = 1e30;
-const MAX_TRIANGLES_PER_LEAF: u32 = 3;
+const MAX_TRIANGLES_PER_LEAF: u32 = 2;
 
 /// A node: the boxes of its eight children, by component, so that all are tested at once.
 #[derive(Clone)]

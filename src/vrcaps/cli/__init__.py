@@ -43,9 +43,8 @@ def main(args: Sequence[str] | None = None) -> None:
     Args:
         args: Arguments after the program's name; None takes those of the process.
     """
-    command = _parse(sys.argv[1:] if args is None else args)
     try:
-        command.run()
+        _parse(sys.argv[1:] if args is None else args).run()
     except VrcapsError as error:
         _stop(str(error), EXIT_BAD_INPUT)
     except OSError as error:

@@ -34,14 +34,14 @@ def _machine() -> list[tuple[str, str]]:
 
     from vrcaps import _core
     from vrcaps.capsule.catalog import device_names
-    from vrcaps.organ.catalog import organ_names
+    from vrcaps.organ.catalog import ORGANS
 
     return [
         ("vrcaps", version("vrcaps")),
         ("Python", f"{platform.python_version()} on {platform.system()} {platform.machine()}"),
         ("CPU features in use", ", ".join(_core.cpu_features()) or "baseline"),
         ("threads", f"{_core.num_threads()} of {os.cpu_count()} (RAYON_NUM_THREADS changes it)"),
-        ("organs", ", ".join(organ_names())),
+        ("organs", ", ".join(sorted(ORGANS))),
         ("capsules", ", ".join(device_names())),
     ]
 

@@ -75,9 +75,6 @@ class Make:
 
     def run(self) -> None:
         """Generate and report."""
-        from dataclasses import replace
-
-        from vrcaps.organ.appearance import bake_appearance
         from vrcaps.organ.catalog import load_organ
         from vrcaps.organ.write import write_glb
 
@@ -86,8 +83,6 @@ class Make:
             raise InputError(f"--out is {out}. Allowed: a name that ends in .glb.")
         with console.status("generating"):
             organ = load_organ(self.name, seed=self.seed)
-            if organ.appearance is None:
-                organ = replace(organ, appearance=bake_appearance(organ, seed=self.seed))
             write_glb(out, organ)
         console.print(f"Wrote {out} (unit: m).")
         _report(organ, [], out.with_name(f"{out.stem}-overview.png"))

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
-from tyro.conf import OmitArgPrefixes
+from tyro.conf import OmitArgPrefixes, arg
 
 from vrcaps.cli.recording import run_recording
 from vrcaps.errors import InputError
+from vrcaps.render.frame import CHANNELS
 from vrcaps.render.settings import RenderSettings
 from vrcaps.units import LENGTH_UNITS
 from vrcaps.world.fly_through import FlyThrough
@@ -72,9 +73,10 @@ class Record:
     seed: int = 0
     """Seed of everything random: the motion's wandering, the patient, the mucosa."""
 
-    channels: tuple[str, ...] = ("rgb", "depth", "normal", "label", "instance")
-    """Of rgb, radiance, depth, ray_distance, normal, label, instance, albedo, arc_length,
-    position, flow_forward, flow_backward, occlusion."""
+    channels: Annotated[tuple[str, ...], arg(help=f"Of {', '.join(CHANNELS)}.")] = (
+        *("rgb", "depth", "normal", "label", "instance"),
+    )
+    """Image channels to write."""
 
     fly: OmitArgPrefixes[FlyThrough] = field(default_factory=FlyThrough)
     """Fly along the centreline (where no --path is given)."""

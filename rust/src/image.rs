@@ -93,10 +93,8 @@ fn os_error(path: &str, error: &io::Error) -> PyErr {
 /// `items` holds paths and arrays of uint8 or uint16, of shape (h, w) or (h, w, 3).
 #[pyfunction]
 pub fn write_pngs(py: Python<'_>, items: Vec<(String, Bound<'_, PyAny>)>) -> PyResult<()> {
-    let images: Vec<Image> = items
-        .into_iter()
-        .map(|(path, array)| Image::new(path, &array))
-        .collect::<PyResult<_>>()?;
+    let images: Vec<Image> =
+        items.into_iter().map(|(path, array)| Image::new(path, &array)).collect::<PyResult<_>>()?;
     py.detach(|| {
         images.par_iter().try_for_each(|image| image.write().map_err(|e| os_error(&image.path, &e)))
     })
@@ -112,7 +110,9 @@ pub fn read_png<'py>(py: Python<'py>, path: String) -> PyResult<Bound<'py, PyAny
     let shape = match info.color_type {
         ColorType::Grayscale => vec![height, width],
         ColorType::Rgb => vec![height, width, 3],
-        other => return Err(PyValueError::new_err(format!("{path}: unexpected colour type {other:?}."))),
+        other => {
+            return Err(PyValueError::new_err(format!("{path}: unexpected colour type {other:?}.")));
+        }
     };
     let mismatch = |_| PyValueError::new_err(format!("{path}: pixel data has the wrong size."));
     if info.bit_depth == BitDepth::Sixteen {

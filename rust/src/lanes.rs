@@ -43,11 +43,7 @@ pub fn dot(a: Vec3, b: Vec3) -> f32 {
 /// Vector product.
 #[inline(always)]
 pub fn cross(a: Vec3, b: Vec3) -> Vec3 {
-    [
-        a[1] * b[2] - a[2] * b[1],
-        a[2] * b[0] - a[0] * b[2],
-        a[0] * b[1] - a[1] * b[0],
-    ]
+    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 }
 
 /// `a` scaled to unit length; zero stays zero.
@@ -104,7 +100,8 @@ pub fn exp2(x: f32) -> f32 {
     let series = 1.0
         + f * (0.693_147_2
             + f * (0.240_226_5
-                + f * (0.055_504_11 + f * (0.009_618_129 + f * (0.001_333_355_8 + f * 0.000_154_035_3)))));
+                + f * (0.055_504_11
+                    + f * (0.009_618_129 + f * (0.001_333_355_8 + f * 0.000_154_035_3)))));
     f32::from_bits(((whole as i32 + 127) << 23) as u32) * series
 }
 

@@ -4,8 +4,7 @@ use crate::bvh::{Bvh, Child, Triangle, WIDTH};
 use crate::lanes::{Vec3, add, cross, dot, max, min, scale, sub};
 
 /// Directions for the inside test: no mesh is aligned with all of them.
-const PROBES: [Vec3; 3] =
-    [[0.391, 0.664, 0.637], [-0.772, 0.253, 0.583], [0.214, -0.869, -0.446]];
+const PROBES: [Vec3; 3] = [[0.391, 0.664, 0.637], [-0.772, 0.253, 0.583], [0.214, -0.869, -0.446]];
 
 /// The nearest point of the wall.
 #[derive(Clone, Copy)]
@@ -100,7 +99,8 @@ pub fn nearest(bvh: &Bvh, point: Vec3) -> Nearest {
                     let square = dot(offset, offset);
                     if square < best_square {
                         best_square = square;
-                        best = Nearest { point: place, distance: square.sqrt(), face: triangle.face };
+                        best =
+                            Nearest { point: place, distance: square.sqrt(), face: triangle.face };
                     }
                 }
             }

@@ -45,8 +45,9 @@ impl RayTable {
             return Err(PyValueError::new_err("Ray directions must be of shape (h, w, 3)."));
         }
         let (rows, columns) = (height.div_ceil(TILE), width.div_ceil(TILE));
-        let tiles =
-            (0..rows * columns).map(|t| cut(&rays, t / columns * TILE, t % columns * TILE)).collect();
+        let tiles = (0..rows * columns)
+            .map(|t| cut(&rays, t / columns * TILE, t % columns * TILE))
+            .collect();
         Ok(RayTable { width, height, tiles })
     }
 

@@ -77,7 +77,10 @@ struct Channels<'a> {
 impl<'a> Channels<'a> {
     /// Cuts the image into rows of tiles.
     fn bands(self, width: usize, count: usize) -> Vec<Channels<'a>> {
-        fn cut<T>(channel: Option<&mut [T]>, length: usize) -> impl Iterator<Item = Option<&mut [T]>> {
+        fn cut<T>(
+            channel: Option<&mut [T]>,
+            length: usize,
+        ) -> impl Iterator<Item = Option<&mut [T]>> {
             let mut rest = channel.map(|c| c.chunks_mut(length));
             std::iter::from_fn(move || Some(rest.as_mut().and_then(Iterator::next)))
         }
@@ -128,8 +131,11 @@ pub fn render(
     exposure: f32,
     shadows: bool,
 ) -> PyResult<()> {
-    if scene.data.uv.len() != wall.faces.len() || scene.data.arc_length.len() != wall.vertices.len() {
-        return Err(PyValueError::new_err("Scene and wall have different numbers of faces or vertices."));
+    if scene.data.uv.len() != wall.faces.len() || scene.data.arc_length.len() != wall.vertices.len()
+    {
+        return Err(PyValueError::new_err(
+            "Scene and wall have different numbers of faces or vertices.",
+        ));
     }
     let view = View::new(wall, pose, leds, exposure, shadows)?;
     let shape = (rays.height, rays.width);
@@ -235,8 +241,7 @@ fn render_tile(
     let found = attributes(wall, scene, view.origin, &rays.directions, &hits);
     if out.wants_color() {
         let surface = surface(scene, &found, &hits.distance, tile.pixel_angle);
-        let radiance =
-            light(wall, &scene.material, &view.leds, view.shadows, &surface, &found.hit);
+        let radiance = light(wall, &scene.material, &view.leds, view.shadows, &surface, &found.hit);
         place.write_color(&mut out.rgb, &radiance, view.exposure);
         place.write3(&mut out.radiance, &radiance, &found.hit, 0.0);
         place.write3(&mut out.albedo, &surface.albedo, &found.hit, f32::NAN);
@@ -285,9 +290,13 @@ fn write_geometry(
     place.write(&mut out.instance, &found.instance, hit, 0);
     place.write(&mut out.face, &found.face, hit, -1);
     let [first, second] = &found.weights;
-    place.write_each(&mut out.weights, 2, |i, k| {
-        if hit[i] { [first[i], second[i]][k] } else { f32::NAN }
-    });
+    place.write_each(
+        &mut out.weights,
+        2,
+        |i, k| {
+            if hit[i] { [first[i], second[i]][k] } else { f32::NAN }
+        },
+    );
 }
 
 /// Where a tile lies in its band.

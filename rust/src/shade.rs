@@ -52,9 +52,8 @@ impl Face {
         let of_b = scale(cross(ac, normal), 1.0 / square);
         let of_c = scale(cross(normal, ab), 1.0 / square);
         let [uv_a, uv_b, uv_c] = scene.uv[number];
-        let gradient = |k: usize| {
-            add(scale(of_b, uv_b[k] - uv_a[k]), scale(of_c, uv_c[k] - uv_a[k]))
-        };
+        let gradient =
+            |k: usize| add(scale(of_b, uv_b[k] - uv_a[k]), scale(of_c, uv_c[k] - uv_a[k]));
         Face { number, corners, gradients: [gradient(0), gradient(1)] }
     }
 }

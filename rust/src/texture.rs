@@ -49,8 +49,8 @@ const ALBEDO_STEPS: Vec3 = [2047.0, 2047.0, 1023.0];
 
 impl Sample {
     fn pack(self, slope_step: [f32; 2]) -> Texel {
-        let [r, g, b] =
-            [0, 1, 2].map(|k| (clamp(self.albedo[k], 0.0, 1.0).sqrt() * ALBEDO_STEPS[k]).round() as u32);
+        let [r, g, b] = [0, 1, 2]
+            .map(|k| (clamp(self.albedo[k], 0.0, 1.0).sqrt() * ALBEDO_STEPS[k]).round() as u32);
         let [su, sv] = [0, 1].map(|k| {
             let steps = (self.slope[k] / slope_step[k]).round();
             (clamp(steps, -SLOPE_STEPS, SLOPE_STEPS) + 2048.0) as u32
@@ -88,7 +88,8 @@ impl Texture {
         roughness: PyReadonlyArray2<'_, u8>,
         height: PyReadonlyArray2<'_, f32>,
     ) -> PyResult<Self> {
-        let (albedo, roughness, height) = (albedo.as_array(), roughness.as_array(), height.as_array());
+        let (albedo, roughness, height) =
+            (albedo.as_array(), roughness.as_array(), height.as_array());
         let (h, w, components) = albedo.dim();
         if components != 3 || h * w == 0 || roughness.dim() != (h, w) || height.dim() != (h, w) {
             return Err(PyValueError::new_err(
@@ -109,7 +110,8 @@ impl Texture {
             }
         };
         Ok(py.detach(|| {
-            let samples: Vec<Sample> = (0..h * w).into_par_iter().map(|i| sample(i / w, i % w)).collect();
+            let samples: Vec<Sample> =
+                (0..h * w).into_par_iter().map(|i| sample(i / w, i % w)).collect();
             Texture::from_samples(samples, w, h)
         }))
     }
@@ -157,21 +159,20 @@ impl Texture {
         let first = &self.levels[0];
         let texels = max(across * first.width as f32, along * first.height as f32);
         // The exponent of √2·x is log₂ x rounded to the nearest whole number.
-        let nearest = ((max(texels, 1.0) * std::f32::consts::SQRT_2).to_bits() >> 23) as usize - 127;
+        let nearest =
+            ((max(texels, 1.0) * std::f32::consts::SQRT_2).to_bits() >> 23) as usize - 127;
         &self.levels[nearest.min(self.levels.len() - 1)]
     }
 
     #[inline(always)]
     fn blend(&self, corners: &[[Texel; LANES]; 4], weights: &[Lane; 2]) -> Texels {
-        let mut out = Texels {
-            albedo: [[0.0; LANES]; 3],
-            roughness: [0.0; LANES],
-            slope: [[0.0; LANES]; 2],
-        };
+        let mut out =
+            Texels { albedo: [[0.0; LANES]; 3], roughness: [0.0; LANES], slope: [[0.0; LANES]; 2] };
         for (c, texels) in corners.iter().enumerate() {
             for i in 0..LANES {
                 let (x, y) = (weights[0][i], weights[1][i]);
-                let w = (if c & 1 == 0 { 1.0 - x } else { x }) * if c & 2 == 0 { 1.0 - y } else { y };
+                let w =
+                    (if c & 1 == 0 { 1.0 - x } else { x }) * if c & 2 == 0 { 1.0 - y } else { y };
                 let Texel(color, rest) = texels[i];
                 let r = (color & 0x7ff) as i32 as f32 * (1.0 / 2047.0);
                 let g = (color >> 11 & 0x7ff) as i32 as f32 * (1.0 / 2047.0);
@@ -180,7 +181,8 @@ impl Texture {
                 out.albedo[1][i] += w * (g * g);
                 out.albedo[2][i] += w * (b * b);
                 out.roughness[i] += w * ((rest & 0xff) as i32 as f32 * (1.0 / 255.0));
-                out.slope[0][i] += w * (((rest >> 8 & 0xfff) as i32 - 2048) as f32 * self.slope_step[0]);
+                out.slope[0][i] +=
+                    w * (((rest >> 8 & 0xfff) as i32 - 2048) as f32 * self.slope_step[0]);
                 out.slope[1][i] += w * (((rest >> 20) as i32 - 2048) as f32 * self.slope_step[1]);
             }
         }

@@ -210,12 +210,8 @@ fn push_children(
     mut top: usize,
 ) -> usize {
     let nearest = near.reach(node);
-    let reach = [
-        sides[0].reach(node),
-        sides[1].reach(node),
-        sides[2].reach(node),
-        sides[3].reach(node),
-    ];
+    let reach =
+        [sides[0].reach(node), sides[1].reach(node), sides[2].reach(node), sides[3].reach(node)];
     let mut touched = [0u8; WIDTH];
     for k in 0..WIDTH {
         let inside = min(min(reach[0][k], reach[1][k]), min(reach[2][k], reach[3][k]));

@@ -58,11 +58,6 @@ pub fn visible(wall: &Wall, origin: Vec3, points: &[Vec3]) -> Vec<bool> {
     "x86_64+avx2",
     "aarch64+neon"
 ))]
-fn visible_chunk(
-    wall: &Wall,
-    origin: Vec3,
-    points: &Lane3,
-    used: &[bool; LANES],
-) -> [bool; LANES] {
+fn visible_chunk(wall: &Wall, origin: Vec3, points: &Lane3, used: &[bool; LANES]) -> [bool; LANES] {
     visible_tile(wall, origin, points, used)
 }

@@ -111,7 +111,9 @@ pub fn read_png<'py>(py: Python<'py>, path: String) -> PyResult<Bound<'py, PyAny
         ColorType::Grayscale => vec![height, width],
         ColorType::Rgb => vec![height, width, 3],
         other => {
-            return Err(PyValueError::new_err(format!("{path}: unexpected colour type {other:?}.")));
+            return Err(PyValueError::new_err(format!(
+                "{path}: unexpected colour type {other:?}."
+            )));
         }
     };
     let mismatch = |_| PyValueError::new_err(format!("{path}: pixel data has the wrong size."));

@@ -87,7 +87,7 @@ pub fn log2(x: f32) -> f32 {
     let mantissa = f32::from_bits((bits & 0x007f_ffff) + 0x3f35_04f3);
     let s = (mantissa - 1.0) / (mantissa + 1.0);
     let s2 = s * s;
-    let series = 2.885_390_1 + s2 * (0.961_796_7 + s2 * (0.577_078 + s2 * 0.412_198_6));
+    let series = 2.885_39 + s2 * (0.961_796_7 + s2 * (0.577_078 + s2 * 0.412_198_6));
     exponent as f32 + s * series
 }
 
@@ -98,7 +98,7 @@ pub fn exp2(x: f32) -> f32 {
     let whole = (x + 12_582_912.0) - 12_582_912.0;
     let f = x - whole;
     let series = 1.0
-        + f * (0.693_147_2
+        + f * (std::f32::consts::LN_2
             + f * (0.240_226_5
                 + f * (0.055_504_11
                     + f * (0.009_618_129 + f * (0.001_333_355_8 + f * 0.000_154_035_3)))));

@@ -8,6 +8,9 @@ use numpy::{IntoPyArray, PyArray1, PyArray2, PyReadonlyArray2, ndarray::Array2};
 use pyo3::{exceptions::PyValueError, prelude::*};
 use rayon::prelude::*;
 
+/// Distance and face of each ray, as Python sees them.
+type DistanceAndFace<'py> = (Bound<'py, PyArray1<f32>>, Bound<'py, PyArray1<i64>>);
+
 /// A triangle surface with its bounding-volume hierarchy; normals point into the lumen.
 ///
 /// Positions are kept about the centre of the mesh, so that single precision does not depend on
@@ -172,7 +175,7 @@ impl Wall {
         py: Python<'py>,
         origins: PyReadonlyArray2<'_, f64>,
         directions: PyReadonlyArray2<'_, f64>,
-    ) -> PyResult<(Bound<'py, PyArray1<f32>>, Bound<'py, PyArray1<i64>>)> {
+    ) -> PyResult<DistanceAndFace<'py>> {
         let (origins, directions) = (origins.as_array(), directions.as_array());
         if origins.dim() != directions.dim() || origins.ncols() != 3 {
             return Err(PyValueError::new_err(

@@ -13,7 +13,7 @@ import trimesh
 from vrcaps.errors import InputError
 from vrcaps.organ.facts import triangle_quality
 from vrcaps.organ.read import read_mesh
-from vrcaps.organ.repair import Repair, RepairReport, repair
+from vrcaps.organ.repair import Repair, RepairReport, manifold, repair
 from vrcaps.organ.repair.edges import flip_faces, signed_volume
 from vrcaps.organ.surface import Mesh
 from vrcaps.organ.write import write_mesh
@@ -312,8 +312,7 @@ def test_sheets_that_touch_along_edges_are_parted(num_edges):
     assert repair(mended)[1].repairs == ()
 
 
-def test_sheets_joined_crosswise_get_a_middle_vertex():
-    """Two cubes of wall that share one edge and no face may only be joined along it."""
+def test_bags_that_touch_along_a_side_are_parted():
     box = trimesh.creation.box([0.02, 0.02, 0.02]).subdivide().subdivide()
     cubes = [
         Mesh(np.array(box.vertices) + c, np.array(box.faces)) for c in ([0, 0, 0], [0.02, 0.02, 0])
@@ -321,6 +320,26 @@ def test_sheets_joined_crosswise_get_a_middle_vertex():
     mended, report = repair(join(*cubes))
     assert report.count("non-manifold edge") == 4
     check_wall(mended)
+
+
+def test_pairs_of_faces_that_share_both_ends_of_an_edge_get_a_middle_vertex(monkeypatch):
+    """Joined crosswise, touching sheets hang together at both ends of the edge."""
+    best_pairs = manifold._best_pairs
+
+    def crosswise(mesh, halves, is_fin, fan):
+        pairs, num_shared = best_pairs(mesh, halves, is_fin, fan)
+        turned = np.array([[pairs[0, 1], pairs[1, 0]], [pairs[1, 1], pairs[0, 0]]])
+        return turned, num_shared
+
+    mesh = tube()
+    left, right = 22 * NUM_AROUND + np.array([[0, 1], [NUM_AROUND // 2 + 1, NUM_AROUND // 2]])
+    vertices = mesh.vertices.copy()
+    vertices[left] = vertices[right] = 0.5 * (vertices[left] + vertices[right])
+    monkeypatch.setattr(manifold, "_best_pairs", crosswise)
+    mended, _ = repair(replace(mesh, vertices=vertices))
+    judge = check_wall(mended)
+    assert judge.euler_number == 0  # the wall now joins itself through a slit: one handle
+    assert len(np.unique(mended.vertices, axis=0)) == len(mended.vertices)
 
 
 def test_bags_that_touch_at_a_vertex_are_parted():

@@ -61,6 +61,7 @@ def mesh_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     import trimesh
 
     mesh = trimesh.creation.capsule(height=0.2, radius=0.02, count=[24, 32])
+    mesh = mesh.subdivide_to_size(max_edge=0.012)
     path = tmp_path_factory.mktemp("organ") / "tube.ply"
     write_mesh(path, Mesh(np.asarray(mesh.vertices), np.asarray(mesh.faces)))
     return path

@@ -19,6 +19,7 @@ from vrcaps.organ.surface import OrganSurface
 from vrcaps.record.typed import from_plain, to_plain
 from vrcaps.render.frame import CHANNELS
 from vrcaps.render.settings import RenderSettings
+from vrcaps.units import parse_length
 from vrcaps.world.fly_through import FlyThrough, fly_through
 from vrcaps.world.model import Model, posture_transform
 from vrcaps.world.replay import Replay, replay
@@ -154,8 +155,10 @@ def resolve(scenario: Scenario) -> tuple[Scenario, Device]:
             raise InputError(f"{name} is {value}. Allowed: {allowed}.")
     organ, motion = scenario.organ, scenario.motion
     if isinstance(organ, OrganFile):
+        parse_length(organ.unit)
         organ = replace(organ, sha256=_checked_sha256(organ.path, organ.sha256))
     if isinstance(motion, Replay):
+        parse_length(motion.unit)
         motion = replace(motion, sha256=_checked_sha256(motion.path, motion.sha256))
     channels = tuple(channel for channel in CHANNELS if channel in scenario.channels)
     return replace(scenario, organ=organ, motion=motion, fps=fps, channels=channels), device

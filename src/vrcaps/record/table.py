@@ -88,8 +88,9 @@ def locate(
     never taken for it; within that stretch the nearest point of the centreline counts.
     """
     organ = model.organ
-    _, faces = model.wall.closest_point(positions_world)
-    rough = organ.arc_length[organ.faces[faces]].mean(axis=1)
+    nearest, faces = model.wall.closest_point(positions_world)
+    corners = model.vertices_world[organ.faces[faces]]
+    rough = (_barycentric(nearest, corners) * organ.arc_length[organ.faces[faces]]).sum(axis=1)
     reach = 2.0 * organ.radius[organ.faces[faces]].max(axis=1)
     line = transform_points(model.T_world_patient, organ.centerline.points)
     arc_length = np.empty(len(positions_world))
@@ -101,6 +102,17 @@ def locate(
         )
     label = face_label(organ.label, organ.faces)[faces]
     return arc_length, np.array(organ.label_names, object)[label]
+
+
+def _barycentric(
+    points: Float[np.ndarray, "n 3"], corners: Float[np.ndarray, "n 3 3"]
+) -> Float[np.ndarray, "n 3"]:
+    """Weights of the corners of triangles that points lie in: areas opposite the corners."""
+    to_corners = corners - points[:, None]
+    areas = np.linalg.norm(
+        np.cross(np.roll(to_corners, -1, axis=1), np.roll(to_corners, 1, axis=1)), axis=-1
+    )
+    return areas / np.maximum(areas.sum(axis=1, keepdims=True), 1e-30)
 
 
 def _project(

@@ -3,6 +3,7 @@
 trimesh is the independent judge of the result: watertight, consistently wound, volume.
 """
 
+import importlib
 import re
 from dataclasses import replace
 
@@ -430,6 +431,27 @@ def test_surface_with_one_side_is_an_error_that_says_where():
     mesh = Mesh(0.01 * points.reshape(-1, 3), faces)
     with pytest.raises(InputError, match=r"only one side .* near \(-?\d+\.\d, .*\) mm"):
         repair(mesh)
+
+
+def test_what_stays_open_is_an_error_that_says_where(monkeypatch):
+    module = importlib.import_module("vrcaps.organ.repair.repair")
+    monkeypatch.setattr(module, "close_loop", lambda mesh, loop: mesh)
+    with pytest.raises(InputError, match=r"72 edges are still open .* first at \(.*\) mm"):
+        repair(tube())
+
+
+def test_what_stays_crowded_is_an_error_that_says_where(monkeypatch):
+    module = importlib.import_module("vrcaps.organ.repair.repair")
+    whole = lambda mesh: (mesh, np.arange(len(mesh.vertices)), [])  # noqa: E731
+    monkeypatch.setattr(module, "split_nonmanifold", whole)
+    mesh = sphere()
+    fin = replace(
+        mesh,
+        vertices=np.vstack([mesh.vertices, [[0.0, 0.0, 0.0]]]),
+        faces=np.vstack([mesh.faces, [*mesh.faces[0, :2], len(mesh.vertices)]]),
+    )
+    with pytest.raises(InputError, match=r"^\d edges still join more .* first at \(.*\) mm"):
+        repair(fin)
 
 
 def test_unknown_treatment_of_open_ends():

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from vrcaps.organ.surface import Appearance
 
 _PLAIN_MUCOSA = (0.60, 0.22, 0.16, 1.0)  # linear; drawn where there is no appearance
-_REPEAT, _LINEAR, _LINEAR_MIPMAP = 10497, 9729, 9987
+_SAMPLER = {"magFilter": 9729, "minFilter": 9987, "wrapS": 10497, "wrapT": 10497}  # mipmaps, repeat
 _PNG_LEVEL = 1  # zlib level; higher ones take seconds for a 8192 × 1024 texture
 
 
@@ -89,38 +89,32 @@ def material_json(appearance: Appearance | None, views: list[int]) -> dict:
         surface = {"baseColorFactor": _PLAIN_MUCOSA, "metallicFactor": 0.0, "roughnessFactor": 0.5}
         material = {"name": "mucosa", "doubleSided": True, "pbrMetallicRoughness": surface}
         return {"materials": [material]}
-    base, roughness, normal = ({"index": texture} for texture in range(3))
     coat_alpha = 0.1 + appearance.coat_gloss * (0.001 - 0.1)
-    coat = {
-        "clearcoatFactor": 0.25 * appearance.coat,
-        "clearcoatRoughnessFactor": math.sqrt(coat_alpha),
+    extensions = {
+        "KHR_materials_clearcoat": {
+            "clearcoatFactor": 0.25 * appearance.coat,
+            "clearcoatRoughnessFactor": math.sqrt(coat_alpha),
+        },
+        "KHR_materials_ior": {"ior": appearance.ior},
+    }
+    surface = {
+        "baseColorTexture": {"index": 0},
+        "metallicRoughnessTexture": {"index": 1},
+        "metallicFactor": 0.0,
     }
     material = {
         "name": "mucosa",
         "doubleSided": True,
-        "pbrMetallicRoughness": {
-            "baseColorTexture": base,
-            "metallicRoughnessTexture": roughness,
-            "metallicFactor": 0.0,
-        },
-        "normalTexture": normal,
-        "extensions": {
-            "KHR_materials_clearcoat": coat,
-            "KHR_materials_ior": {"ior": appearance.ior},
-        },
-    }
-    sampler = {
-        "magFilter": _LINEAR,
-        "minFilter": _LINEAR_MIPMAP,
-        "wrapS": _REPEAT,
-        "wrapT": _REPEAT,
+        "pbrMetallicRoughness": surface,
+        "normalTexture": {"index": 2},
+        "extensions": extensions,
     }
     return {
-        "extensionsUsed": sorted(material["extensions"]),
+        "extensionsUsed": sorted(extensions),
         "materials": [material],
-        "textures": [{"sampler": 0, "source": image} for image in range(3)],
+        "textures": [{"sampler": 0, "source": image} for image in range(len(views))],
         "images": [{"bufferView": view, "mimeType": "image/png"} for view in views],
-        "samplers": [sampler],
+        "samplers": [_SAMPLER],
     }
 
 

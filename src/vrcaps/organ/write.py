@@ -41,25 +41,12 @@ def write_glb(
         T_world_patient: Pose of the patient in the world; None: they coincide.
     """
     pose = np.eye(4) if T_world_patient is None else T_world_patient
-    source, faces, uv = split_at_seams(organ.faces, organ.uv, len(organ.vertices))
-    positions = transform_points(pose, organ.vertices).astype(np.float32)[source]
-    normals = rotate_vectors(pose, organ.normals).astype(np.float32)[source]
-    flipped_uv = np.stack([uv[:, 0], 1.0 - uv[:, 1]], axis=1)  # glTF counts v from the top down
     glb = _Glb()
-    attributes = {
-        "POSITION": glb.add_vertices(positions, "VEC3", has_bounds=True),
-        "NORMAL": glb.add_vertices(normals, "VEC3"),
-        "TEXCOORD_0": glb.add_vertices(flipped_uv, "VEC2"),
-        "_LABEL": glb.add_vertices(organ.label[source], "SCALAR"),
-        "_INSTANCE": glb.add_vertices(organ.instance[source], "SCALAR"),
-        "_ARC_LENGTH": glb.add_vertices(organ.arc_length[source].astype(np.float32), "SCALAR"),
-    }
-    indices = glb.add_indices(faces)
+    primitive = {**_add_geometry(glb, organ, pose), "material": 0}
     images = []
     if organ.appearance is not None:
         scale = relief_scale(organ.vertices, organ.faces, organ.uv)
         images = [glb.add_image(png) for png in texture_images(organ.appearance, scale)]
-    primitive = {"attributes": attributes, "indices": indices, "material": 0}
     extras = {"label_names": list(organ.label_names)}
     document = {
         "asset": {"version": "2.0", "generator": "vrcaps"},
@@ -163,6 +150,23 @@ class _Glb:
     def _add_accessor(self, accessor: dict, view: int) -> int:
         self._accessors.append({"bufferView": view, **accessor})
         return len(self._accessors) - 1
+
+
+def _add_geometry(glb: _Glb, organ: OrganSurface, pose: Float[np.ndarray, "4 4"]) -> dict:
+    """Accessors of the vertex attributes and of the triangles, as a primitive holds them."""
+    source, faces, uv = split_at_seams(organ.faces, organ.uv, len(organ.vertices))
+    positions = transform_points(pose, organ.vertices).astype(np.float32)[source]
+    normals = rotate_vectors(pose, organ.normals).astype(np.float32)[source]
+    flipped_uv = np.stack([uv[:, 0], 1.0 - uv[:, 1]], axis=1)  # glTF counts v from the top down
+    attributes = {
+        "POSITION": glb.add_vertices(positions, "VEC3", has_bounds=True),
+        "NORMAL": glb.add_vertices(normals, "VEC3"),
+        "TEXCOORD_0": glb.add_vertices(flipped_uv, "VEC2"),
+        "_LABEL": glb.add_vertices(organ.label[source], "SCALAR"),
+        "_INSTANCE": glb.add_vertices(organ.instance[source], "SCALAR"),
+        "_ARC_LENGTH": glb.add_vertices(organ.arc_length[source].astype(np.float32), "SCALAR"),
+    }
+    return {"attributes": attributes, "indices": glb.add_indices(faces)}
 
 
 def _write_whole(path: Path, data: bytes) -> None:

@@ -26,7 +26,6 @@ from vrcaps.organ.surface import Mesh
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
 
-
 _FIN_AREA = 0.01  # of the whole; an open patch smaller than this is a fin, not wall
 _PART_AREA = 1e-3  # of the whole; below this a stray component is not worth its own mention
 _NUDGE = 1e-3  # of the way to a vertex's neighbours; parts sheets that were cut

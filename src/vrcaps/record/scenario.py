@@ -184,25 +184,22 @@ def make_trajectory(scenario: Scenario, model: Model) -> Trajectory:
 
 
 def _load_organ(scenario: Scenario) -> OrganSurface:
+    """The organ with its appearance."""
     from vrcaps.organ.appearance import bake_appearance
     from vrcaps.organ.catalog import load_organ
     from vrcaps.organ.from_file import organ_from_file
 
-    if isinstance(scenario.organ, OrganGenerated):
-        organ, seed = load_organ(scenario.organ.name, seed=scenario.organ.seed), scenario.organ.seed
-    else:
-        given = scenario.organ
-        organ = organ_from_file(
-            Path(given.path),
-            unit=given.unit,
-            open_ends=given.open_ends,
-            keep_uv=given.keep_uv,
-            reverse=given.reverse,
-        )
-        seed = scenario.seed
-    if organ.appearance is not None:
-        return organ
-    return replace(organ, appearance=bake_appearance(organ, seed=seed))
+    given = scenario.organ
+    if isinstance(given, OrganGenerated):
+        return load_organ(given.name, seed=given.seed)
+    organ = organ_from_file(
+        Path(given.path),
+        unit=given.unit,
+        open_ends=given.open_ends,
+        keep_uv=given.keep_uv,
+        reverse=given.reverse,
+    )
+    return replace(organ, appearance=bake_appearance(organ, seed=scenario.seed))
 
 
 def _checked_sha256(path: str, expected: str) -> str:

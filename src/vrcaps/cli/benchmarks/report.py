@@ -133,16 +133,16 @@ def check_out(out: Path | None) -> None:
 
 
 def show_report(report: Report, out: Path | None, console: Console) -> None:
-    """Print claims and tables, and write them where a file is given."""
+    """Print claims and tables, and write them with all remarks where a file is given."""
     from rich.table import Table as RichTable
 
     console.print(report.setting)
     for title, header, rows in _sections(_plain(report)):
         table = RichTable(title=title, title_justify="left")
-        for name in header:
+        for name in header[:-1]:
             table.add_column(name)
         for row in rows:
-            table.add_row(*row)
+            table.add_row(*row[:-1])
         console.print(table)
     for name, reason in report.skipped.items():
         console.print(f"Left out: {name}: {reason}.")

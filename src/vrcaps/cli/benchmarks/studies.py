@@ -163,16 +163,14 @@ def pixels(stage: Stage, extent: Extent, progress: Callable[[], None]) -> Study:
 
 
 def triangles(stage: Stage, extent: Extent, progress: Callable[[], None]) -> Study:
-    """A complete frame and a refit of ever finer meshes of the same wall."""
+    """A complete frame of ever finer meshes of the same wall."""
     organ = make_organ(extent.coarsest, seed=stage.model.organ.metadata["seed"])
-    subjects, num_triangles = [], []
+    subjects = []
     for level in range(extent.num_subdivisions + 1):
         organ = subdivide(organ) if level else organ
-        finer = make_stage(organ, num_views=extent.num_views)
-        name = f"{finer.num_triangles} triangles"
-        subjects += [Subject(name, drawn(finer), "the coarser wall, each triangle cut in four")]
-        num_triangles.append(finer.num_triangles)
-    subjects[0] = replace(subjects[0], note="")
+        view = make_stage(organ, num_views=extent.num_views)
+        note = "the one before, each triangle cut in four" if level else "as generated"
+        subjects.append(Subject(f"{view.num_triangles} triangles", drawn(view), note))
     times = _timed(subjects, extent, progress)
     least = times[subjects[0].name]
     rows = tuple(_row(s, times[s.name], ratio(times[s.name], least)) for s in subjects)

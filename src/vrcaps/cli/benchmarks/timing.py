@@ -85,7 +85,8 @@ def interleave(
     wall = np.empty((num_rounds + 1, len(subjects)))
     cpu = np.empty_like(wall)
     for turn in range(num_rounds + 1):
-        for k in np.roll(np.arange(len(subjects)), turn):
+        for place in range(len(subjects)):
+            k = (place + turn) % len(subjects)
             wall[turn, k], cpu[turn, k] = _turn(subjects[k], num_views)
         if progress is not None:
             progress()

@@ -32,7 +32,8 @@ import mitsuba as mi
 mi.set_variant({_VARIANT!r})
 from drjit.detail import llvm_version
 assert llvm_version()[0] >= {_OLDEST_LLVM}
-wall = {{"type": "sphere", "flip_normals": True, "bsdf": {{"type": "principled", "clearcoat": 1.0}}}}
+bsdf = {{"type": "principled", "clearcoat": 1.0}}
+wall = {{"type": "sphere", "flip_normals": True, "bsdf": bsdf}}
 parts = {{"wall": wall, "led": {{"type": "point"}}, "sensor": {{"type": "perspective"}}}}
 scene = mi.load_dict({{"type": "scene", **parts}})
 print(mi.render(scene, integrator=mi.load_dict({_BOTH!r}), spp=1).numpy().shape)
@@ -86,8 +87,8 @@ def _use_working_llvm() -> None:
             os.environ.update({} if library is None else {_LIBRARY: library})
             return
     raise PeerMissingError(
-        f"Mitsuba's LLVM variant does not run with the LLVM found; install LLVM {_OLDEST_LLVM} or newer, "
-        f"or name its libLLVM.so in {_LIBRARY}"
+        f"Mitsuba's LLVM variant does not run with the LLVM found; install LLVM {_OLDEST_LLVM} "
+        f"or newer, or name its libLLVM.so in {_LIBRARY}"
     )
 
 

@@ -1,0 +1,114 @@
+"""`vrcaps bench record`: how fast labelled frames reach the disk."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import tempfile
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from vrcaps.cli.benchmarks import claims
+from vrcaps.cli.benchmarks.report import Report, Row, Table, check_out, machine_facts, show_report
+from vrcaps.cli.benchmarks.timing import Spread
+from vrcaps.cli.console import console, progress_bar
+from vrcaps.errors import InputError
+
+CHANNELS = ("rgb", "depth", "normal", "label", "instance")
+
+
+def run(*, out: Path | None = None, quick: bool = False) -> Report:
+    """Measure, print, and write Markdown and JSON.
+
+    Args:
+        out: Markdown file to write; None writes nothing.
+        quick: Measure little; the figures mean nothing.
+
+    Raises:
+        InputError: If `out` is no Markdown file, or a recording fails.
+    """
+    check_out(out)
+    report = measure(num_frames=12 if quick else 300, num_runs=1 if quick else 5)
+    show_report(report, out, console)
+    return report
+
+
+def measure(*, num_frames: int, num_runs: int) -> Report:
+    """Record the same scenario some times, each in a process and a folder of its own."""
+    with progress_bar("recording") as advance:
+        runs = []
+        for number in range(num_runs):
+            advance(number, num_runs)
+            runs.append(_recorded(num_frames))
+    first = runs[0]
+    setting = (
+        f"{num_frames} frames of {first['camera']} in the generated colon of "
+        f"{first['num_triangles']} triangles: {', '.join(CHANNELS)}, preview included, "
+        f"{np.mean([r['bytes'] for r in runs]) / num_frames / 1e3:.0f} kB a frame. "
+        f"{num_runs} runs, each in a fresh process and a temporary folder; the rate is from the "
+        "first whole frame to the last. The stages below are then run one at a time over the "
+        "same frames; in the recording they overlap."
+    )
+    found = (
+        replace(claims.TO_DISK, measured=_spread(runs, "rate")),
+        replace(claims.MEMORY, measured=_spread(runs, "peak_gb"))
+        if first["peak_gb"] is not None
+        else replace(claims.MEMORY, reason="this system does not tell"),
+    )
+    return Report(
+        name="record",
+        command="vrcaps bench record",
+        setting=setting,
+        claims=found,
+        tables=(_stages(runs), _whole(runs)),
+        machine=machine_facts(),
+    )
+
+
+def _recorded(num_frames: int) -> dict[str, Any]:
+    """What one recording in a process of its own found.
+
+    Raises:
+        InputError: If it fails.
+    """
+    with tempfile.TemporaryDirectory(prefix="vrcaps-bench-") as folder:
+        module = "vrcaps.cli.benchmarks.recording_process"
+        command = [sys.executable, "-m", module, folder, str(num_frames)]
+        answer = subprocess.run(command, capture_output=True, text=True, check=False)
+    if answer.returncode:
+        last = (answer.stderr.strip() or "no message").splitlines()[-1]
+        raise InputError(f"The recording to be measured failed: {last}")
+    return json.loads(answer.stdout)
+
+
+def _spread(runs: list[dict[str, Any]], key: str) -> Spread:
+    return Spread.of(np.array([run[key] for run in runs]))
+
+
+def _stages(runs: list[dict[str, Any]]) -> Table:
+    rows = [
+        Row(
+            name,
+            tuple(
+                Spread.of(np.array([run["stages"][name][kind] for run in runs])).scaled(1e3)
+                for kind in ("wall", "cpu")
+            ),
+            first["note"],
+        )
+        for name, first in runs[0]["stages"].items()
+    ]
+    return Table("Where the time of a frame goes", ("ms", "ms of processors"), tuple(rows))
+
+
+def _whole(runs: list[dict[str, Any]]) -> Table:
+    notes = {
+        "set_up": "imports, organ from the cache or generated, motion, organ.glb",
+        "frames": "all images and the preview",
+        "finish": "contact sheet",
+    }
+    rows = tuple(Row(name.replace("_", " "), (_spread(runs, name),), notes[name]) for name in notes)
+    return Table("Where the time of a run goes", ("s",), rows)

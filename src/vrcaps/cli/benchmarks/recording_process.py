@@ -1,0 +1,134 @@
+"""The process that `vrcaps bench record` measures: records, then times each stage alone.
+
+    python -m vrcaps.cli.benchmarks.recording_process FOLDER FRAMES
+
+Prints JSON: times in seconds, memory in GB.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from vrcaps.cli.benchmarks.record import CHANNELS
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from vrcaps.record.scenario import Scenario
+    from vrcaps.render.frame import Frame
+
+_MAX_STAGE_FRAMES = 60
+
+
+def main(folder: Path, num_frames: int) -> dict[str, Any]:
+    """Record into a folder and say how it went.
+
+    Args:
+        folder: An empty folder.
+        num_frames: Frames to record.
+    """
+    started = time.perf_counter()
+    from vrcaps.record.recorder import record
+    from vrcaps.record.scenario import Scenario
+
+    scenario = Scenario(frames=num_frames, channels=CHANNELS)
+    done: list[tuple[int, float]] = []
+
+    def progress(num_done: int, total: int) -> None:
+        if num_done and (not done or num_done > done[-1][0]):
+            done.append((num_done, time.perf_counter()))
+
+    episode = record(scenario, folder / "episode", progress=progress)
+    ended = time.perf_counter()
+    (num_first, first), (num_last, last) = done[0], done[-1]
+    images = [path for path in episode.glob("*/*/*") if path.is_file()]
+    return {
+        "rate": (num_last - num_first) / (last - first),
+        "set_up": first - started,
+        "frames": last - first,
+        "finish": ended - last,
+        "peak_gb": peak_memory_gb(),
+        "bytes": sum(path.stat().st_size for path in images),
+        **_stages(scenario, folder),
+    }
+
+
+def peak_memory_gb() -> float | None:
+    """Most memory that this process has held [GB = 1e9 bytes], or None where nobody counts."""
+    try:
+        import resource
+    except ImportError:
+        return None
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak * (1.0 if sys.platform == "darwin" else 1024.0) / 1e9
+
+
+def _stages(scenario: Scenario, folder: Path) -> dict[str, Any]:
+    """Camera, wall, and the time of each stage of a frame of its own [s]."""
+    from vrcaps.record.channels import ENCODINGS
+    from vrcaps.record.files import write_bytes, write_images
+    from vrcaps.record.scenario import build, resolve
+    from vrcaps.render.renderer import Renderer
+
+    scenario, device = resolve(scenario)
+    model, trajectory = build(scenario, device)
+    camera, renderer = device.cameras[0], Renderer(model, scenario.render)
+    frames = range(min(scenario.frames, _MAX_STAGE_FRAMES))
+    rendered: dict[int, Frame] = {}
+    stored: dict[int, list[tuple[Path, NDArray]]] = {}
+    files: dict[Path, bytes] = {}
+    reused: list[Frame | None] = [None]
+
+    def render(i: int) -> None:
+        rendered[i] = renderer.render(trajectory.state(i), camera, channels=CHANNELS)
+
+    def render_again(i: int) -> None:
+        state = trajectory.state(i)
+        reused[0] = renderer.render(state, camera, channels=CHANNELS, out=reused[0])
+
+    def store(i: int) -> None:
+        stored[i] = [
+            (folder / f"{i}-{name}.png", ENCODINGS[name].encode(getattr(rendered[i], name)))
+            for name in CHANNELS
+        ]
+
+    def write(i: int) -> None:
+        write_images(stored[i])
+
+    def rewrite(i: int) -> None:
+        for path, _ in stored[i]:
+            write_bytes(path, files[path])
+
+    stages = {
+        "render": {**_timed(render, frames), "note": "into new arrays, as the recorder does"},
+        "render, arrays reused": {**_timed(render_again, frames), "note": "for comparison"},
+        "to stored numbers": {**_timed(store, frames), "note": "16-bit steps, NumPy"},
+        "PNG": {**_timed(write, frames), "note": "encoded and written, in the core"},
+    }
+    files.update((path, path.read_bytes()) for items in stored.values() for path, _ in items)
+    stages["of it, files"] = {**_timed(rewrite, frames), "note": "the same bytes written again"}
+    return {
+        "camera": f"{device.title} ({camera.width} × {camera.height})",
+        "num_triangles": len(model.organ.faces),
+        "stages": stages,
+    }
+
+
+def _timed(stage: Callable[[int], None], frames: range) -> dict[str, float]:
+    """Mean time of a stage on the clock and of all threads [s]."""
+    cpu, wall = time.process_time(), time.perf_counter()
+    for i in frames:
+        stage(i)
+    return {
+        "wall": (time.perf_counter() - wall) / len(frames),
+        "cpu": (time.process_time() - cpu) / len(frames),
+    }
+
+
+if __name__ == "__main__":
+    sys.stdout.write(json.dumps(main(Path(sys.argv[1]), int(sys.argv[2]))))

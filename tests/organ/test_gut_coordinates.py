@@ -16,7 +16,10 @@ def sweep(points, frames, radius, num_around=48):
     """Tube about a curve, faces counter-clockwise seen from inside; its true angle and sample."""
     n = len(points)
     angle = np.linspace(-np.pi, np.pi, num_around, endpoint=False) + 0.03
-    ring = np.cos(angle)[:, None] * frames[:, None, :, 0] + np.sin(angle)[:, None] * frames[:, None, :, 1]
+    ring = (
+        np.cos(angle)[:, None] * frames[:, None, :, 0]
+        + np.sin(angle)[:, None] * frames[:, None, :, 1]
+    )
     vertices = points[:, None] + radius * ring
     i, j = np.meshgrid(np.arange(n - 1), np.arange(num_around), indexing="ij")
     a, b = i * num_around + j, i * num_around + (j + 1) % num_around

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.sparse import coo_array, csr_array, diags_array
 from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import spsolve
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from vrcaps.organ.centerline.curve import interpolate
 from vrcaps.organ.surface import Centerline, vertex_normals
@@ -73,7 +73,7 @@ def _seeds(
 
     Where a connected piece of wall has no such vertex, all of it takes its nearest sample.
     """
-    distance, nearest = cKDTree(centerline.points).query(vertices)
+    distance, nearest = KDTree(centerline.points).query(vertices)
     towards = centerline.points[nearest] - vertices
     facing = (towards * vertex_normals(vertices, faces)).sum(axis=1) > _SEED_FACING * distance
     sure = facing & (distance < _SEED_DISTANCE * centerline.radius[nearest])
@@ -88,7 +88,10 @@ def _seeds(
 
 
 def _patches(
-    arc_length: Float[np.ndarray, " n"], graph: coo_array, member: Bool[np.ndarray, " n"], length: float
+    arc_length: Float[np.ndarray, " n"],
+    graph: coo_array,
+    member: Bool[np.ndarray, " n"],
+    length: float,
 ) -> Int[np.ndarray, " n"]:
     """Number of the patch of each vertex: members joined by edges along which feet agree."""
     row, column = graph.coords
@@ -123,7 +126,9 @@ def _spread(
         distance = np.linalg.norm(
             centerline.points[np.clip(candidates, 0, last)] - vertices[ids, None], axis=2
         )
-        distance[(np.abs(offsets) > reach[:, None]) | (candidates < 0) | (candidates > last)] = np.inf
+        distance[(np.abs(offsets) > reach[:, None]) | (candidates < 0) | (candidates > last)] = (
+            np.inf
+        )
         foot[ids] = candidates[np.arange(len(ids)), np.argmin(distance, axis=1)]
 
 

@@ -44,7 +44,9 @@ def texture_coordinates(
     vertices, faces = np.asarray(mesh.vertices, float), mesh.faces
     flat = np.flatnonzero(_face_areas(vertices[faces]) <= 0.0)
     if len(flat):
-        raise InputError(f"Face {flat[0]} and {len(flat) - 1} others have no area. Repair the mesh.")
+        raise InputError(
+            f"Face {flat[0]} and {len(flat) - 1} others have no area. Repair the mesh."
+        )
     tube = tube_coordinates(faces, arc_length, theta)
     span = np.array([2.0 * np.pi * np.median(radius), np.ptp(arc_length)])
     stretch = texture_stretch(vertices[faces], tube * span)
@@ -59,9 +61,9 @@ def tube_coordinates(
     arc_length: Float[np.ndarray, " n"],
     theta: Float[np.ndarray, " n"],
 ) -> Float[np.ndarray, "m 3 2"]:
-    """u = θ / 2π + ½ around the gut, v = share of the arc length; u ≥ 0, to 1.5 at the seam.
+    """Around the gut u = ½ − θ / 2π, along it v = share of arc length; u is 0 to 1.5.
 
-    The sense of u is that which a viewer in the lumen sees as unmirrored.
+    Only faces across ±π reach beyond u = 1. Seen from the lumen, textures are not mirrored.
     """
     u = 0.5 - theta[faces] / (2.0 * np.pi)
     u = u - np.rint(u - u[:, :1])
@@ -100,7 +102,7 @@ def atlas_coordinates(
     What lies double within a chart becomes a chart of its own, charts that come out mirrored
     are turned over, then all are packed once more.
     """
-    import xatlas  # noqa: PLC0415 - heavy
+    import xatlas
 
     scale = float(np.sqrt(_face_areas(vertices[faces]).sum()))
     scaled = (vertices - vertices.min(axis=0)) / scale
@@ -122,9 +124,9 @@ def atlas_coordinates(
     return (np.asarray(uv, float) * size / size.max())[index]
 
 
-def _pack_options():  # noqa: ANN202 - xatlas is loaded late
+def _pack_options():
     """Options of every packing: reproducible, no chart mirrored, room for filtering."""
-    import xatlas  # noqa: PLC0415 - heavy
+    import xatlas
 
     options = xatlas.PackOptions()
     options.resolution = _RESOLUTION
@@ -155,8 +157,8 @@ def _smaller_of_doubles(
     uv: Float[np.ndarray, "k 2"], index: Int[np.ndarray, "m 3"]
 ) -> list[Int[np.ndarray, " p"]]:
     """Faces of each patch to move so that no centre of 2×2 texels is covered twice."""
-    from scipy.sparse import coo_array  # noqa: PLC0415 - slow to load
-    from scipy.sparse.csgraph import connected_components  # noqa: PLC0415
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
 
     points = np.column_stack([0.5 * (uv - uv.min(axis=0)), np.zeros(len(uv))])
     width = int(points.max()) + 2
@@ -183,8 +185,8 @@ def _unmirrored(
     uv: Float[np.ndarray, "k 2"], index: Int[np.ndarray, "m 3"]
 ) -> Float[np.ndarray, "k 2"]:
     """Coordinates with mirrored charts turned over into u < 0, where nothing else is."""
-    from scipy.sparse import coo_array  # noqa: PLC0415 - slow to load
-    from scipy.sparse.csgraph import connected_components  # noqa: PLC0415
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
 
     n = len(uv)
     links = (index.ravel(), np.roll(index, -1, axis=1).ravel())

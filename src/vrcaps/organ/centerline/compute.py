@@ -9,7 +9,13 @@ import numpy as np
 
 from vrcaps.errors import InputError
 from vrcaps.organ.centerline.curve import centerline_from_points, transport_frames
-from vrcaps.organ.centerline.lumen import MAX_VOXELS, mean_radius, voxelise
+from vrcaps.organ.centerline.lumen import (
+    MAX_VOXELS,
+    close_ends,
+    mean_radius,
+    num_pieces,
+    voxelise,
+)
 from vrcaps.organ.centerline.path import find_path
 from vrcaps.organ.centerline.smooth import smooth_path
 from vrcaps.organ.surface import Centerline, Mesh
@@ -37,7 +43,8 @@ def compute_centerline(
     A minimum-cost path through the lumen's distance field, made central and smooth. Its two
     ends are those farthest apart inside the lumen. A mesh does not say which is the oral
     one: it is taken to be that of the wider third, which holds for a colon (caecum to
-    rectum) and for a stomach (fundus to pylorus). State `start`, `end` or `reverse` where it does not.
+    rectum) and for a stomach (fundus to pylorus). State `start`, `end` or `reverse` where it
+    does not.
 
     Args:
         mesh: The wall of one lumen [m]; its ends may be open.
@@ -84,6 +91,8 @@ def _trace(
         grid = voxelise(vertices, faces, size)
         is_last = level == len(voxels) - 1
         path = find_path(grid, start, end, cross_gaps=is_last)
+        if path is None and (pieces := num_pieces(close_ends(vertices, faces)[1])) > 1:
+            raise InputError(f"The wall is in {pieces} pieces. Give that of one lumen, repaired.")
         if path is None:
             _log.info("lumen is in parts at voxels of %.2g m", size)
             continue

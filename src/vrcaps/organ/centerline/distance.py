@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Int
@@ -25,7 +25,7 @@ def wall_distance(
     corners = vertices[faces]
     middle = 0.5 * (corners.min(axis=1) + corners.max(axis=1))
     reach = np.linalg.norm(corners - middle[:, None], axis=2).max(axis=1)
-    limit, _ = cKDTree(vertices[np.unique(faces)]).query(points)
+    limit, _ = KDTree(vertices[np.unique(faces)]).query(points)
     # Triangles by size, so that a few large ones do not widen the search among all others.
     bounds = np.quantile(reach, [0.0, 0.5, 0.9, 0.99, 1.0])
     bin_of = np.clip(np.searchsorted(bounds, reach, side="left") - 1, 0, 3)
@@ -34,14 +34,16 @@ def wall_distance(
         ids = np.flatnonzero(bin_of == bin_id)
         if not len(ids):
             continue
-        tree, widest = cKDTree(middle[ids]), reach[ids].max()
+        tree, widest = KDTree(middle[ids]), reach[ids].max()
         for first in range(0, len(points), _CHUNK):
             rows = slice(first, first + _CHUNK)
             near = tree.query_ball_point(points[rows], distance[rows] + widest)
             owner = np.repeat(np.arange(len(near)), [len(group) for group in near])
             face = ids[np.concatenate(near).astype(int)]
             chunk = points[rows][owner]
-            close = np.linalg.norm(chunk - middle[face], axis=1) < distance[rows][owner] + reach[face]
+            close = (
+                np.linalg.norm(chunk - middle[face], axis=1) < distance[rows][owner] + reach[face]
+            )
             owner, face = owner[close], face[close]
             found = triangle_distance(points[rows][owner], corners[face])
             np.minimum.at(distance, first + owner, found)

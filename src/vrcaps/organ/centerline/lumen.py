@@ -50,6 +50,8 @@ def voxelise(
 
     A voxel is inside where a line from its centre along z crosses the wall an odd number of
     times. Open ends are closed by `close_ends` first, so that this is defined everywhere.
+    Voxels on either side of a sheet of tissue thinner than a voxel are not inside, so that no
+    two neighbours are inside with the wall between them.
 
     Raises:
         InputError: If the grid would have more than `MAX_VOXELS` voxels.
@@ -63,22 +65,25 @@ def voxelise(
             f"A voxel of {voxel:.3g} m makes a grid of {shape.prod():.2g} voxels. "
             f"Allowed: {MAX_VOXELS:.0e}. Use a voxel of at least {1.1 * allowed:.2g} m."
         )
-    shape, origin = shape.astype(int), low - voxel
+    shape, origin = np.asarray(shape, int), low - voxel
     scaled = (vertices - origin) / voxel
-    wall = np.zeros(shape, bool)
+    wall, sheet = np.zeros(shape, bool), np.zeros(shape, bool)
     inside = np.zeros(shape, np.uint8)
-    for axes in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+    for axes in ((1, 2, 0), (2, 0, 1), (0, 1, 2)):
         columns, _, height = grid_crossings(scaled[:, axes], faces, shape[list(axes)])
-        cell = np.rint(height).astype(int)
-        ids = np.empty((len(columns), 3), int)
-        ids[:, axes[0]], ids[:, axes[1]], ids[:, axes[2]] = columns[:, 0], columns[:, 1], cell
-        wall[tuple(ids.T)] = True
+        # Views whose last axis is the lines' own.
+        wall.transpose(axes)[(*columns.T, np.rint(height).astype(int))] = True
+        above = np.ceil(height).astype(int)
+        line = np.ravel_multi_index((*columns.T, above), tuple(shape[list(axes)]))
+        line, count = np.unique(line, return_counts=True)
+        column_x, column_y, above = np.unravel_index(line, tuple(shape[list(axes)]))
         if axes == (0, 1, 2):
-            above = np.ceil(height).astype(int)
-            np.add.at(inside, (columns[:, 0], columns[:, 1], above), np.uint8(1))
-    inside &= 1
+            inside[column_x, column_y, above] = count & 1
+        thin = count > 1
+        for side in (above[thin], above[thin] - 1):
+            sheet.transpose(axes)[column_x[thin], column_y[thin], side] = True
     np.bitwise_xor.accumulate(inside, axis=2, out=inside)
-    inside = inside.astype(bool)
+    inside = inside.astype(bool) & ~sheet
     clearance = ndimage.distance_transform_edt(~wall).astype(np.float32)
     clearance = np.where(inside, np.maximum(clearance, 0.25), 0.0) * np.float32(voxel)
     return LumenGrid(inside, clearance, origin, voxel)
@@ -92,8 +97,8 @@ def close_ends(
     Edges with an odd number of faces form loops; each is joined to its centroid, after
     which every line crosses the surface an even number of times.
     """
-    from scipy.sparse import coo_array  # noqa: PLC0415 - scipy.sparse is slow to load
-    from scipy.sparse.csgraph import connected_components  # noqa: PLC0415
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
 
     vertices, inverse = np.unique(vertices, axis=0, return_inverse=True)
     faces = inverse.reshape(-1)[faces]
@@ -114,6 +119,17 @@ def close_ends(
     cones = np.column_stack([rim, n + which])
     assert len(loops) == len(middle)
     return np.concatenate([vertices, middle]), np.concatenate([faces, cones])
+
+
+def num_pieces(faces: Int[np.ndarray, "m 3"]) -> int:
+    """Number of pieces of a surface that share no vertex."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    links = (faces.ravel(), np.roll(faces, -1, axis=1).ravel())
+    n = int(faces.max()) + 1
+    _, piece = connected_components(coo_array((np.ones(faces.size), links), shape=(n, n)))
+    return len(np.unique(piece[faces]))
 
 
 def grid_crossings(

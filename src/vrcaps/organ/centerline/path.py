@@ -41,7 +41,7 @@ def find_path(
     Returns:
         The path, or None where parts of the lumen are cut off from each other.
     """
-    from skimage.graph import MCP_Geometric  # noqa: PLC0415 - heavy
+    from skimage.graph import MCP_Geometric
 
     clear = np.maximum(grid.clearance / grid.voxel, 0.25)
     outside = _GAP_COST if cross_gaps else -1.0
@@ -49,11 +49,9 @@ def find_path(
     first = _snap(grid, start, "start") if start is not None else None
     last = _snap(grid, end, "end") if end is not None else None
     if first is None:
-        seed = last
-        if seed is None:
-            seed = np.unravel_index(np.argmax(grid.clearance), grid.inside.shape)
-        first = _farthest(grid, walk, seed)
-    if last is None:
+        deepest = np.array(np.unravel_index(np.argmax(grid.clearance), grid.inside.shape))
+        first = _farthest(grid, walk, deepest if last is None else last)
+    if last is None and first is not None:
         last = _farthest(grid, walk, first)
     if first is None or last is None:
         return None
@@ -74,9 +72,10 @@ def _farthest(
     grid: LumenGrid, cost: Float[np.ndarray, "x y z"], seed: Int[np.ndarray, " 3"]
 ) -> Int[np.ndarray, " 3"] | None:
     """The lumen's voxel farthest from a seed; None if more than 1 % of it is out of reach."""
-    from skimage.graph import MCP_Geometric  # noqa: PLC0415 - heavy
+    from skimage.graph import MCP_Geometric
 
-    total, _ = MCP_Geometric(cost).find_costs([tuple(seed)])
+    # Steps across faces only: a diagonal one may slip through a thin wall.
+    total, _ = MCP_Geometric(cost, fully_connected=False).find_costs([tuple(seed)])
     reached = np.isfinite(total) & grid.inside
     if np.count_nonzero(reached) < 0.99 * np.count_nonzero(grid.inside):
         return None

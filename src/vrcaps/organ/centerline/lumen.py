@@ -84,7 +84,7 @@ def voxelise(
             sheet.transpose(axes)[column_x[thin], column_y[thin], side] = True
     np.bitwise_xor.accumulate(inside, axis=2, out=inside)
     inside = inside.astype(bool) & ~sheet
-    clearance = ndimage.distance_transform_edt(~wall).astype(np.float32)
+    clearance = np.asarray(ndimage.distance_transform_edt(~wall), np.float32)
     clearance = np.where(inside, np.maximum(clearance, 0.25), 0.0) * np.float32(voxel)
     return LumenGrid(inside, clearance, origin, voxel)
 

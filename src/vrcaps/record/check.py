@@ -173,7 +173,7 @@ def _load_wall(episode: Episode) -> tuple[_core.Wall | None, list[Problem]]:
 def _check_extras(episode: Episode) -> Iterator[Problem]:
     for name in (SHEET_PNG, PREVIEW_MP4):
         path = episode.path / name
-        if name == PREVIEW_MP4 and episode.channels[0] != "rgb" and not path.exists():
+        if name == PREVIEW_MP4 and "rgb" not in episode.channels:
             continue
         if not path.is_file() or path.stat().st_size == 0:
             yield Problem(name, "is missing or empty")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import errno
 from collections import deque
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -27,15 +27,13 @@ from vrcaps.record.layout import (
     make_head,
     read_head,
 )
-from vrcaps.record.pictures import contact_sheet, picture
+from vrcaps.record.pictures import contact_sheet
 from vrcaps.record.preview import Preview
 from vrcaps.record.scenario import Scenario, build, resolve, scenario_to_plain
 from vrcaps.record.table import make_table, write_table
 from vrcaps.render.renderer import Renderer
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from vrcaps.render.frame import Frame
     from vrcaps.world.model import Model
     from vrcaps.world.trajectory import Trajectory
@@ -171,14 +169,14 @@ def _write_frames(out: Path, run: _Run) -> None:
     """Write all images that are missing, and the preview; render and encode side by side."""
     total = run.scenario.frames
     renderer = Renderer(run.model, run.scenario.render)
-    preview = None if (out / PREVIEW_MP4).exists() else _new_preview(run)
+    preview = _new_preview(run)
     episode = read_episode(out, unfinished=True)
     pending: deque[Future[None]] = deque()
     pool = ThreadPoolExecutor(1, thread_name_prefix="vrcaps-encode")
     try:
         for frame in range(total):
             if run.is_there(frame):
-                task = pool.submit(_preview_from_files, preview, episode, run, frame)
+                task = pool.submit(_preview_from_files, preview, episode, frame)
             else:
                 images = _render(renderer, run, frame)
                 task = pool.submit(_write_frame, preview, run, frame, images)
@@ -217,23 +215,17 @@ def _write_frame(preview: Preview | None, run: _Run, frame: int, images: dict[st
     ]
     write_images(items)
     if preview is not None:
-        channel = run.scenario.channels[0]
-        preview.add([picture(channel, getattr(image, channel)) for image in images.values()])
+        preview.add([np.asarray(image.rgb) for image in images.values()])
 
 
-def _preview_from_files(preview: Preview | None, episode: Episode, run: _Run, frame: int) -> None:
+def _preview_from_files(preview: Preview | None, episode: Episode, frame: int) -> None:
     if preview is not None:
-        preview.add([picture(ch, v) for ch, v in _first_channel(episode, run, frame)])
-
-
-def _first_channel(episode: Episode, run: _Run, frame: int) -> Iterable[tuple[str, NDArray]]:
-    channel = run.scenario.channels[0]
-    return [(channel, episode.image(c.name, channel, frame)) for c in episode.cameras]
+        preview.add([episode.image(camera.name, "rgb", frame) for camera in episode.cameras])
 
 
 def _new_preview(run: _Run) -> Preview | None:
-    """The preview, if there is a channel that can be shown by itself."""
-    if run.scenario.channels[0] not in ("rgb", "label", "instance", "normal"):
+    """The preview, if colour images are recorded and it is not there yet."""
+    if "rgb" not in run.scenario.channels or (run.out / PREVIEW_MP4).exists():
         return None
     cameras, fps = run.model.device.cameras, run.scenario.fps
     assert fps is not None

@@ -147,34 +147,55 @@ def _fitted(
     Raises:
         InputError: If the capsule does not fit in, or leaves the lumen in between.
     """
-    length = model.organ.centerline.length
-    asked = np.sort(np.array([settings.start, settings.end])) * length
-    knots = _knots(*asked)
-    need = 0.25 * min(settings.margin, model.device.radius)
-    inside = np.flatnonzero(vital_clearance(model, carriage.poses(knots)) > need)
-    where = f"{model.device.name} in {model.organ.name}"
-    if len(inside) < 2:
-        raise InputError(
-            f"{where}: the capsule fits nowhere between start {settings.start:g} and end "
-            f"{settings.end:g}. Check the organ's unit, or take a smaller capsule."
-        )
-    knots = knots[inside[0] : inside[-1] + 1]
-    push = push_inside(model, carriage.poses(knots), need=need, blur=_PUSH_BLUR / _KNOT_SPACING)
+    knots, notes = _stretch(model, settings, carriage)
+    poses, need = carriage.poses(knots), _least_clearance(model, settings)
+    push = push_inside(model, poses, need=need, blur=_PUSH_BLUR / _KNOT_SPACING)
     carriage = replace(carriage, correction=_linear(knots, push))
     clearance = vital_clearance(model, carriage.poses(knots))
     blocked = np.flatnonzero(~(clearance > 0.0))
     if len(blocked):
+        share = knots[blocked[0]] / model.organ.centerline.length
         raise InputError(
-            f"{where}: a camera leaves the lumen {knots[blocked[0]] / length:.3f} of the way along "
-            f"(by {-clearance[blocked[0]] / MM:.1f} mm). Choose start and end on one side of it."
+            f"{model.device.name} in {model.organ.name}: a camera leaves the lumen {share:.3f} of "
+            f"the way along (by {-clearance[blocked[0]] / MM:.1f} mm). Choose start and end on "
+            "one side of it."
         )
+    return carriage, float(knots[0]), float(knots[-1]), notes
+
+
+def _stretch(
+    model: Model, settings: FlyThrough, carriage: Carriage
+) -> tuple[Float[np.ndarray, " k"], tuple[str, ...]]:
+    """Knots of the stretch asked for, its ends moved inwards to where the capsule fits.
+
+    Raises:
+        InputError: If it fits nowhere.
+    """
+    asked = np.sort(np.array([settings.start, settings.end])) * model.organ.centerline.length
+    knots = _knots(*asked)
+    clearance = vital_clearance(model, carriage.poses(knots))
+    inside = np.flatnonzero(clearance > settings.margin)
+    if len(inside) < 2:
+        inside = np.flatnonzero(clearance > _least_clearance(model, settings))
+    if len(inside) < 2:
+        raise InputError(
+            f"{model.device.name} in {model.organ.name}: the capsule fits nowhere between start "
+            f"{settings.start:g} and end {settings.end:g}. Check the organ's unit, or take a "
+            "smaller capsule."
+        )
+    knots = knots[inside[0] : inside[-1] + 1]
     notes = tuple(
         f"Moved the {end} end of the stretch inwards by {shift / MM:.1f} mm, to where the "
         "capsule fits."
         for end, shift in (("oral", knots[0] - asked[0]), ("anal", asked[1] - knots[-1]))
         if shift > 0.0
     )
-    return carriage, float(knots[0]), float(knots[-1]), notes
+    return knots, notes
+
+
+def _least_clearance(model: Model, settings: FlyThrough) -> float:
+    """Clearance [m] up to which the capsule is pushed off the wall."""
+    return 0.25 * min(settings.margin, model.device.radius)
 
 
 def _eased(

@@ -12,7 +12,7 @@ const CELL: f32 = 1.0;
 
 /// Absorption of whole blood in green light [1/mm], about 25 at 550 nm and less over a camera's
 /// broad band (Bosschaart et al., Lasers Med Sci 29:453, 2014).
-const BLOOD_ABSORPTION: f32 = 15.0;
+const BLOOD_ABSORPTION: f32 = 25.0;
 
 /// Share of green light that blood takes away, from arteries and from veins.
 #[derive(Clone, Copy, Default)]
@@ -89,7 +89,7 @@ fn cell_of(p: Vec3) -> [i32; 3] {
 /// scattering wall, and none is sharper than a texel.
 #[inline(always)]
 fn half_width(radius: f32, footprint: f32) -> f32 {
-    1.25 * radius + 0.03 + 0.9 * footprint
+    1.25 * radius + 0.02 + 0.75 * footprint
 }
 
 impl SegmentGrid {

@@ -54,7 +54,7 @@ const BILE: [f32; 3] = [0.04, 0.16, 1.0];
 const MESH: f32 = 0.9;
 
 /// Sizes of the bumps of the relief [mm], and the share of its slope that each takes.
-const BUMPS: [(f32, f32); 3] = [(7.0, 0.8), (2.4, 1.0), (0.9, 0.6)];
+const BUMPS: [(f32, f32); 3] = [(7.0, 0.7), (2.4, 1.0), (0.9, 0.3)];
 
 /// RMS slope of unit gradient noise times its spacing.
 const UNIT_SLOPE: f32 = 3.3;
@@ -184,7 +184,7 @@ impl Brush<'_> {
         Sample {
             albedo: tissue.color(redness, bile, blood),
             roughness: tissue.roughness(film, mottle, grain),
-            height: self.relief(p, fine) + 0.04 * (blood.artery + blood.vein),
+            height: self.relief(p, fine) + 0.015 * (blood.artery + blood.vein),
         }
     }
 

@@ -49,21 +49,21 @@ class Mucosa:
     """
 
     base_color: tuple[float, float, float]
-    redness_variation: float = 0.2
+    redness_variation: float = 0.25
     bile: float = 0.10
-    vessel_contrast: float = 0.8
-    vessel_spacing: float = 1.1 * MM
+    vessel_contrast: float = 0.85
+    vessel_spacing: float = 1.0 * MM
     trunk_spacing: float = 30.0 * MM
-    capillary_radius: float = 0.045 * MM
-    relief_slope: float = 0.05
+    capillary_radius: float = 0.04 * MM
+    relief_slope: float = 0.06
     pit_spacing: float = 0.6 * MM
-    pit_slope: float = 0.03
-    roughness: float = 0.5
-    coat_gloss: float = 0.85
+    pit_slope: float = 0.012
+    roughness: float = 0.65
+    coat_gloss: float = 0.93
 
 
 MUCOSAE: dict[str, Mucosa] = {
-    "colon": Mucosa(base_color=(0.66, 0.25, 0.155)),
+    "colon": Mucosa(base_color=(0.64, 0.23, 0.145)),
     "stomach": Mucosa(
         base_color=(0.62, 0.22, 0.12),
         bile=0.08,

@@ -1,4 +1,21 @@
-//! The compiled core of vrcaps.
+//! The compiled core of vrcaps: seeing and touching a wall of triangles, and writing what was seen.
+
+// Loops over lanes index several arrays at once; iterators would hide that from the vectoriser.
+#![allow(clippy::needless_range_loop)]
+
+mod bvh;
+mod cpu;
+mod lanes;
+mod material;
+mod query;
+mod rays;
+mod render;
+mod scene;
+mod shade;
+mod texture;
+mod tile;
+mod visibility;
+mod wall;
 
 mod mucosa;
 
@@ -8,5 +25,13 @@ use pyo3::prelude::*;
 fn _core(m: &Bound<'_, PyModule>) -> PyResult<()> {
     m.add("__version__", env!("CARGO_PKG_VERSION"))?;
     m.add_function(wrap_pyfunction!(mucosa::bake_mucosa, m)?)?;
+    m.add_class::<wall::Wall>()?;
+    m.add_class::<scene::Scene>()?;
+    m.add_class::<texture::Texture>()?;
+    m.add_class::<rays::RayTable>()?;
+    m.add_function(wrap_pyfunction!(render::render, m)?)?;
+    m.add_function(wrap_pyfunction!(render::encode_srgb, m)?)?;
+    m.add_function(wrap_pyfunction!(cpu::cpu_features, m)?)?;
+    m.add_function(wrap_pyfunction!(cpu::num_threads, m)?)?;
     Ok(())
 }

@@ -82,9 +82,9 @@ def quaternion_from_matrix(
     outer = np.zeros((*rotation.shape[:-2], 4, 4))
     outer[..., range(4), range(4)] = 1.0 + squares
     for i, j, k in ((1, 2, 3), (2, 3, 1), (3, 1, 2)):
-        row, column = k - 1, j - 1
-        outer[..., 0, i] = outer[..., i, 0] = rotation[..., row, column] - rotation[..., column, row]
-        outer[..., j, k] = outer[..., k, j] = rotation[..., row, column] + rotation[..., column, row]
+        below, above = rotation[..., k - 1, j - 1], rotation[..., j - 1, k - 1]
+        outer[..., 0, i] = outer[..., i, 0] = below - above
+        outer[..., j, k] = outer[..., k, j] = below + above
     best = np.argmax(squares, axis=-1)
     wxyz = np.take_along_axis(outer, best[..., None, None], axis=-2)[..., 0, :]
     wxyz = wxyz / np.linalg.norm(wxyz, axis=-1, keepdims=True)

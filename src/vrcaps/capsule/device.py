@@ -46,6 +46,7 @@ class Camera:
         leds: LEDs lit while this camera exposes.
         exposure: Factor from radiance [W/(sr·m²)] to linear image value, 1 = white.
         image_circle_px: Radius about the lens's centre beyond which the sensor is dark, or None.
+        nominal_field: Full angle of view that the maker states [rad], or None.
     """
 
     name: str
@@ -56,6 +57,7 @@ class Camera:
     leds: tuple[Led, ...]
     exposure: float
     image_circle_px: float | None = None
+    nominal_field: float | None = None
 
 
 @dataclass(frozen=True)
@@ -73,6 +75,7 @@ class Device:
         frame_rate: Frames per second of each camera.
         cameras: Its cameras.
         source: Where the figures come from.
+        metadata: Further plain facts, kept with the device and used by nothing.
     """
 
     name: str

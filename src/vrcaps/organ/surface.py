@@ -117,7 +117,7 @@ class Mesh:
 
 
 def face_label(label: Int[np.ndarray, " n"], faces: Int[np.ndarray, "m 3"]) -> np.ndarray:
-    """Label of each face: the median of its vertices' labels, so the majority where there is one."""
+    """Label of each face: the median of its corners' labels, so the majority if there is one."""
     return np.median(label[faces], axis=1).astype(label.dtype)
 
 
@@ -130,7 +130,8 @@ def vertex_normals(
     normals = np.zeros_like(vertices)
     for axis in range(3):
         normals[:, axis] = sum(
-            np.bincount(faces[:, corner], area_normals[:, axis], len(vertices)) for corner in range(3)
+            np.bincount(faces[:, corner], area_normals[:, axis], len(vertices))
+            for corner in range(3)
         )
     length = np.linalg.norm(normals, axis=1, keepdims=True)
     return normals / np.where(length > 0.0, length, 1.0)

@@ -1,0 +1,1 @@
+"""Runs written to disk as episodes, and read back."""

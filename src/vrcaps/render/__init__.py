@@ -1,0 +1,1 @@
+"""What a camera in the world sees, with exact labels."""

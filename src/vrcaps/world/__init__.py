@@ -1,0 +1,1 @@
+"""Organ and capsule together: what is fixed, what changes, how the capsule moves."""

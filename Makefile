@@ -1,0 +1,80 @@
+# `make demo` records a labelled run, `make test` passes every test; each sets up what it needs.
+# The environment is .venv in this checkout, so the command is .venv/bin/vrcaps.
+
+VENV := .venv
+BIN := $(VENV)/bin
+SOURCES := pyproject.toml rust/Cargo.toml rust/Cargo.lock $(shell find rust/src -name '*.rs')
+RUST_VERSION = $(shell sed -n 's/^rust-version = "\(.*\)"/\1/p' rust/Cargo.toml)
+PYTHON = $(shell for python in python3.11 python3.12 python3.13 python3.14 python3; do \
+	$$python -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null \
+	&& command -v $$python && break; done)
+INSTALL = VIRTUAL_ENV=$(CURDIR)/$(VENV) $(BIN)/python -m pip install --quiet --no-build-isolation
+
+export PATH := $(CURDIR)/$(BIN):$(PATH):$(HOME)/.cargo/bin
+export PIP_DISABLE_PIP_VERSION_CHECK := 1
+# Rust tests call no Python, so they need no libpython to link; these settings are maturin's own.
+export PYO3_PYTHON := $(CURDIR)/$(BIN)/python
+export PYO3_BUILD_EXTENSION_MODULE := 1
+
+.PHONY: help demo test check bench wheel clean
+.DELETE_ON_ERROR:
+
+help:
+	@echo "make demo   record a labelled run through a generated colon into runs/demo"
+	@echo "make test   run all tests"
+	@echo "make check  lint, format and type checks"
+	@echo "make bench  measure vrcaps and its peers, write the tables"
+	@echo "make wheel  build a wheel into dist and try it in a clean environment"
+	@echo "make clean  remove the environment and everything built"
+
+demo: $(VENV)/.stamp-run
+	$(BIN)/vrcaps demo
+
+test: $(VENV)/.stamp-dev
+	$(BIN)/python -m pytest -n 2
+	cargo test --quiet --manifest-path rust/Cargo.toml
+
+check: $(VENV)/.stamp-dev
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/pyright
+	cargo fmt --manifest-path rust/Cargo.toml --check
+	cargo clippy --quiet --manifest-path rust/Cargo.toml --all-targets -- -D warnings
+
+bench: $(VENV)/.stamp-dev
+	$(BIN)/vrcaps bench render
+	$(BIN)/vrcaps bench record
+
+wheel: $(VENV)/.stamp-dev
+	rm -f dist/*.whl
+	$(BIN)/maturin build --quiet --release --out dist
+	$(BIN)/python -m pytest tests/test_packaging.py -m wheel
+
+clean:
+	rm -rf $(VENV) dist rust/target src/vrcaps/_core*.so
+
+$(VENV)/.stamp-venv:
+	$(if $(PYTHON),,$(error Python 3.11 or newer is needed and was not found. On Debian: apt install python3.11 python3.11-venv))
+	@$(PYTHON) -c 'import ensurepip, venv' 2>/dev/null || { \
+		echo "$(PYTHON) has no venv module. On Debian: apt install $(notdir $(PYTHON))-venv" >&2; exit 1; }
+	@command -v cc >/dev/null || { \
+		echo "A C linker (cc) is needed and was not found. On Debian: apt install gcc" >&2; exit 1; }
+	@command -v cargo >/dev/null || { \
+		echo "cargo $(RUST_VERSION) or newer is needed and was not found. See https://rustup.rs" >&2; exit 1; }
+	@found=$$(cargo --version | cut -d' ' -f2); \
+	printf '%s\n' $(RUST_VERSION) $$found | sort --version-sort --check=quiet || { \
+		echo "cargo $(RUST_VERSION) or newer is needed, found $$found. See https://rustup.rs" >&2; exit 1; }
+	@echo "Setting up $(VENV) with $(PYTHON) (once, a few minutes)"
+	@$(PYTHON) -m venv --clear $(VENV)
+	@$(BIN)/python -m pip install --quiet 'maturin>=1.9,<2'
+	@touch $@
+
+$(VENV)/.stamp-run: $(VENV)/.stamp-venv $(SOURCES)
+	@echo "Building and installing vrcaps"
+	@$(INSTALL) --editable .
+	@touch $@
+
+$(VENV)/.stamp-dev: $(VENV)/.stamp-venv $(SOURCES)
+	@echo "Building and installing vrcaps with its development tools"
+	@$(INSTALL) --editable '.[dev]'
+	@touch $(VENV)/.stamp-run $@

@@ -1,0 +1,211 @@
+//! The bounding-volume hierarchy: eight children a node, built once, refitted when the wall moves.
+
+use crate::lanes::{Vec3, max, min};
+use obvhs::{
+    BvhBuildParams,
+    bvh2::{Bvh2, builder::build_bvh2_from_tris},
+    triangle::Triangle as BuildTriangle,
+};
+use rayon::prelude::*;
+use std::time::Duration;
+
+/// Children of a node.
+pub const WIDTH: usize = 8;
+/// Marks a child that is a leaf; the other bits are `first triangle · 4 + count`.
+const LEAF: u32 = 1 << 31;
+/// Larger than any coordinate [m]: bounds of an empty child exclude everything.
+const FAR: f32 = 1e30;
+const MAX_TRIANGLES_PER_LEAF: u32 = 3;
+
+/// A node: the boxes of its eight children, by component, so that all are tested at once.
+#[derive(Clone)]
+#[repr(C, align(64))]
+pub struct Node {
+    /// Lower bounds x, y, z, then upper bounds x, y, z [m].
+    pub bounds: [[f32; WIDTH]; 6],
+    /// What each child is, see `Child`.
+    pub children: [u32; WIDTH],
+}
+
+/// What a child of a node is.
+pub enum Child {
+    /// Another node, by number.
+    Node(usize),
+    /// A range of triangles in leaf order.
+    Leaf(std::ops::Range<usize>),
+}
+
+impl Child {
+    /// Decodes an entry of `Node::children`.
+    #[inline(always)]
+    pub fn of(code: u32) -> Self {
+        if code & LEAF == 0 {
+            return Child::Node(code as usize);
+        }
+        let first = ((code & !LEAF) >> 2) as usize;
+        Child::Leaf(first..first + (code & 3) as usize)
+    }
+}
+
+/// A triangle as the tracer reads it, with its place in the mesh.
+#[derive(Clone, Copy)]
+#[repr(C)]
+pub struct Triangle {
+    /// Corners [m].
+    pub corners: [Vec3; 3],
+    /// Number of the face in the mesh.
+    pub face: u32,
+}
+
+/// Eight-wide hierarchy over a triangle mesh.
+pub struct Bvh {
+    /// Nodes, parents before children; node 0 is the root.
+    pub nodes: Vec<Node>,
+    /// Triangles in leaf order.
+    pub triangles: Vec<Triangle>,
+}
+
+impl Bvh {
+    /// Builds the hierarchy (PLOC with reinsertion, then collapsed to eight children a node).
+    pub fn build(vertices: &[Vec3], faces: &[[u32; 3]]) -> Self {
+        let input: Vec<BuildTriangle> = faces
+            .iter()
+            .map(|f| {
+                let [a, b, c] = f.map(|v| vertices[v as usize].into());
+                BuildTriangle { v0: a, v1: b, v2: c }
+            })
+            .collect();
+        let params = BvhBuildParams {
+            max_prims_per_leaf: MAX_TRIANGLES_PER_LEAF,
+            ..BvhBuildParams::medium_build()
+        };
+        let binary = build_bvh2_from_tris(&input, params, &mut Duration::default());
+        let mut bvh = Collapse::run(&binary);
+        bvh.refit(vertices, faces);
+        bvh
+    }
+
+    /// Moves triangles and boxes to new vertex positions; the tree stays.
+    pub fn refit(&mut self, vertices: &[Vec3], faces: &[[u32; 3]]) {
+        self.triangles.par_chunks_mut(4096).for_each(|chunk| {
+            for triangle in chunk {
+                triangle.corners = faces[triangle.face as usize].map(|v| vertices[v as usize]);
+            }
+        });
+        // Boxes of leaves touch only their own triangles and are found in parallel; the rest of the
+        // tree is a small fraction and goes bottom-up, children first.
+        let triangles = &self.triangles;
+        self.nodes.par_chunks_mut(256).for_each(|chunk| {
+            for node in chunk {
+                for k in 0..WIDTH {
+                    if let Child::Leaf(range) = Child::of(node.children[k]) {
+                        node.set(k, bounds_of(&triangles[range]));
+                    }
+                }
+            }
+        });
+        for n in (0..self.nodes.len()).rev() {
+            for k in 0..WIDTH {
+                if let Child::Node(child) = Child::of(self.nodes[n].children[k]) {
+                    let bounds = self.nodes[child].union();
+                    self.nodes[n].set(k, bounds);
+                }
+            }
+        }
+    }
+}
+
+impl Node {
+    fn empty() -> Self {
+        let (low, high) = ([FAR; WIDTH], [-FAR; WIDTH]);
+        Node { bounds: [low, low, low, high, high, high], children: [LEAF; WIDTH] }
+    }
+
+    #[inline(always)]
+    fn set(&mut self, k: usize, bounds: [f32; 6]) {
+        for (row, value) in self.bounds.iter_mut().zip(bounds) {
+            row[k] = value;
+        }
+    }
+
+    #[inline(always)]
+    fn union(&self) -> [f32; 6] {
+        let mut result = [FAR, FAR, FAR, -FAR, -FAR, -FAR];
+        for axis in 0..3 {
+            for k in 0..WIDTH {
+                result[axis] = min(result[axis], self.bounds[axis][k]);
+                result[axis + 3] = max(result[axis + 3], self.bounds[axis + 3][k]);
+            }
+        }
+        result
+    }
+}
+
+fn bounds_of(triangles: &[Triangle]) -> [f32; 6] {
+    let mut result = [FAR, FAR, FAR, -FAR, -FAR, -FAR];
+    for corner in triangles.iter().flat_map(|t| t.corners) {
+        for axis in 0..3 {
+            result[axis] = min(result[axis], corner[axis]);
+            result[axis + 3] = max(result[axis + 3], corner[axis]);
+        }
+    }
+    result
+}
+
+/// Turns a binary hierarchy into an eight-wide one.
+struct Collapse<'a> {
+    binary: &'a Bvh2,
+    out: Bvh,
+}
+
+impl<'a> Collapse<'a> {
+    fn run(binary: &'a Bvh2) -> Bvh {
+        let mut this = Collapse { binary, out: Bvh { nodes: Vec::new(), triangles: Vec::new() } };
+        this.node(0);
+        this.out
+    }
+
+    /// Adds the node that stands for binary node `root`; returns its number.
+    fn node(&mut self, root: u32) -> u32 {
+        let number = self.out.nodes.len();
+        self.out.nodes.push(Node::empty());
+        for (k, child) in self.choose(root).into_iter().enumerate() {
+            let node = &self.binary.nodes[child as usize];
+            let code = if node.is_leaf() {
+                self.leaf(node.first_index, node.prim_count)
+            } else {
+                self.node(child)
+            };
+            self.out.nodes[number].children[k] = code;
+        }
+        number as u32
+    }
+
+    /// Up to eight descendants that cover `root`: the largest is opened first.
+    fn choose(&self, root: u32) -> Vec<u32> {
+        let nodes = &self.binary.nodes;
+        let mut open = vec![root];
+        while open.len() < WIDTH {
+            let largest = (0..open.len())
+                .filter(|&k| !nodes[open[k] as usize].is_leaf())
+                .max_by(|&a, &b| {
+                    let area = |k: usize| nodes[open[k] as usize].aabb().half_area();
+                    area(a).total_cmp(&area(b))
+                });
+            let Some(k) = largest else { break };
+            let first = nodes[open[k] as usize].first_index;
+            open[k] = first;
+            open.insert(k + 1, first + 1);
+        }
+        open
+    }
+
+    fn leaf(&mut self, first: u32, count: u32) -> u32 {
+        let start = self.out.triangles.len() as u32;
+        for k in first..first + count {
+            let face = self.binary.primitive_indices[k as usize];
+            self.out.triangles.push(Triangle { corners: [[0.0; 3]; 3], face });
+        }
+        LEAF | (start << 2) | count
+    }
+}

@@ -1,0 +1,181 @@
+//! Reflection of an LED's light by the wall: the Disney principled model (Burley 2012) with a
+//! diffuse base, a dielectric GGX lobe and a clear coat.
+
+use crate::lanes::*;
+use std::f32::consts::PI;
+
+/// Reflectance that is the same all over the wall.
+#[derive(Clone, Copy)]
+pub struct Material {
+    /// Refractive index of the base relative to the lumen.
+    pub ior: f32,
+    /// Strength of the clear coat, 0 to 1.
+    pub coat: f32,
+    /// Roughness α of the clear coat's GTR1 lobe.
+    pub coat_alpha: f32,
+}
+
+/// An LED in the frame of the wall.
+#[derive(Clone, Copy)]
+pub struct Led {
+    /// Place [m].
+    pub position: Vec3,
+    /// Unit direction of its axis.
+    pub direction: Vec3,
+    /// Radiant intensity on its axis [W/sr] for red, green, blue.
+    pub intensity: Vec3,
+    /// Exponent of its angular lobe.
+    pub exponent: f32,
+}
+
+/// What a tile's rays have hit, ready to be lit.
+pub struct Surface {
+    /// Points [m].
+    pub position: Lane3,
+    /// Unit normals with relief, on the viewer's side.
+    pub normal: Lane3,
+    /// Unit directions to the viewer.
+    pub view: Lane3,
+    /// Linear base colour.
+    pub albedo: Lane3,
+    /// Perceptual roughness.
+    pub roughness: Lane,
+}
+
+/// Adds the radiance [W/(sr·m²)] that an LED's light leaves towards the viewer.
+#[inline(always)]
+pub fn add_light(
+    surface: &Surface,
+    material: &Material,
+    led: &Led,
+    lit: &[bool; LANES],
+    radiance: &mut Lane3,
+) {
+    let lobe = lobe(surface, led);
+    let (diffuse, specular) = reflect(surface, material, led);
+    for i in 0..LANES {
+        let power = if lit[i] { lobe[i] } else { 0.0 };
+        for k in 0..3 {
+            radiance[k][i] +=
+                led.intensity[k] * power * (surface.albedo[k][i] * diffuse[i] + specular[i]);
+        }
+    }
+}
+
+/// Share of an LED's intensity that leaves towards each point.
+#[inline(always)]
+fn lobe(surface: &Surface, led: &Led) -> Lane {
+    let mut result = [1.0; LANES];
+    if led.exponent == 0.0 {
+        return result;
+    }
+    for i in 0..LANES {
+        let offset = sub(at(&surface.position, i), led.position);
+        let cosine = dot(offset, led.direction) / max(dot(offset, offset).sqrt(), 1e-9);
+        result[i] = clamp(cosine, 0.0, 1.0);
+    }
+    if led.exponent != 1.0 {
+        for i in 0..LANES {
+            result[i] = pow(result[i], led.exponent);
+        }
+    }
+    result
+}
+
+/// Reflected radiance per radiant intensity [1/m²]: the part coloured by the base, and the rest.
+///
+/// Both hold the cosine at the surface and the inverse square of the distance.
+#[inline(always)]
+fn reflect(surface: &Surface, material: &Material, led: &Led) -> (Lane, Lane) {
+    let (mut diffuse, mut specular) = ([0.0; LANES], [0.0; LANES]);
+    let coat = Coat::new(material);
+    for i in 0..LANES {
+        let (normal, view) = (at(&surface.normal, i), at(&surface.view, i));
+        let offset = sub(led.position, at(&surface.position, i));
+        let square = max(dot(offset, offset), 1e-12);
+        let light = scale(offset, 1.0 / square.sqrt());
+        let half = add(light, view);
+        let half = scale(half, 1.0 / max(dot(half, half), 1e-12).sqrt());
+        let cos_view = max(dot(normal, view), 1e-4);
+        let cos_light = dot(normal, light);
+        let cos_half = min(dot(normal, half), 1.0);
+        let cos_difference = min(dot(view, half), 1.0);
+
+        let retro = 2.0 * surface.roughness[i] * cos_difference * cos_difference;
+        let (fl, fv) = (schlick(cos_light), schlick(cos_view));
+        let base = (1.0 - 0.5 * fl) * (1.0 - 0.5 * fv) + retro * (fl + fv + fl * fv * (retro - 1.0));
+
+        let alpha = max(surface.roughness[i] * surface.roughness[i], 1e-3);
+        let gloss = fresnel(cos_difference, material.ior)
+            * ggx(cos_half, alpha)
+            * smith(cos_view, alpha)
+            * smith(cos_light, alpha)
+            / (4.0 * cos_view);
+        let film = coat.reflect(cos_half, cos_difference, cos_view, cos_light) * cos_light;
+
+        let falloff = if cos_light > 0.0 { 1.0 / square } else { 0.0 };
+        diffuse[i] = base * cos_light * (1.0 / PI) * falloff;
+        specular[i] = (gloss + film) * falloff;
+    }
+    (diffuse, specular)
+}
+
+/// Weight (1 − cos θ)⁵ of Schlick's Fresnel term (1994).
+#[inline(always)]
+fn schlick(cosine: f32) -> f32 {
+    let m = clamp(1.0 - cosine, 0.0, 1.0);
+    let square = m * m;
+    square * square * m
+}
+
+/// Reflectance of a smooth dielectric for unpolarised light (Fresnel).
+#[inline(always)]
+fn fresnel(cosine: f32, ior: f32) -> f32 {
+    let inside = max(1.0 - (1.0 - cosine * cosine) / (ior * ior), 0.0).sqrt();
+    let across = (cosine - ior * inside) / (cosine + ior * inside);
+    let along = (ior * cosine - inside) / (ior * cosine + inside);
+    0.5 * (across * across + along * along)
+}
+
+/// Density of micro-normals (Trowbridge and Reitz; Walter et al. 2007, eq. 33).
+#[inline(always)]
+fn ggx(cosine: f32, alpha: f32) -> f32 {
+    let square = cosine * cosine;
+    let spread = (1.0 - square) / (alpha * alpha) + square;
+    1.0 / (PI * alpha * alpha * spread * spread)
+}
+
+/// Share of micro-facets not masked from one direction (Walter et al. 2007, eq. 34).
+#[inline(always)]
+fn smith(cosine: f32, alpha: f32) -> f32 {
+    let square = max(cosine * cosine, 1e-8);
+    2.0 / (1.0 + (1.0 + alpha * alpha * (1.0 - square) / square).sqrt())
+}
+
+/// The wet film: a GTR1 lobe of index 1.5, a quarter as strong as a full layer (Burley 2012, 5.4).
+struct Coat {
+    strength: f32,
+    spread: f32,
+    scale: f32,
+}
+
+impl Coat {
+    #[inline(always)]
+    fn new(material: &Material) -> Self {
+        let square = material.coat_alpha * material.coat_alpha;
+        let logarithm = log2(square) * std::f32::consts::LN_2;
+        Coat {
+            strength: 0.25 * material.coat,
+            spread: square - 1.0,
+            scale: (square - 1.0) / (PI * logarithm),
+        }
+    }
+
+    #[inline(always)]
+    fn reflect(&self, cos_half: f32, cos_difference: f32, cos_view: f32, cos_light: f32) -> f32 {
+        const ALPHA: f32 = 0.25;
+        let density = self.scale / (1.0 + self.spread * cos_half * cos_half);
+        let fresnel = 0.04 + 0.96 * schlick(cos_difference);
+        self.strength * fresnel * density * smith(cos_view, ALPHA) * smith(cos_light, ALPHA)
+    }
+}

@@ -1,0 +1,378 @@
+//! One image: trace, shade and write every channel that was asked for.
+
+use crate::lanes::*;
+use crate::material::Led;
+use crate::rays::{RayTable, TileRays};
+use crate::scene::{Scene, SceneData};
+use crate::shade::{Attributes, attributes, light, surface};
+use crate::tile::{Hits, trace};
+use crate::wall::Wall;
+use numpy::{Element, PyArrayDyn, PyArrayMethods, PyReadonlyArray2, PyReadwriteArrayDyn};
+use pyo3::{exceptions::PyValueError, prelude::*, types::PyDict};
+use rayon::prelude::*;
+
+/// Farthest distance looked at [m].
+const REACH: f32 = 1e4;
+
+/// Everything about a view but its rays.
+struct View {
+    origin: Vec3,
+    /// Rows of the rotation from the camera to the world, and back.
+    to_world: [Vec3; 3],
+    to_camera: [Vec3; 3],
+    center: [f64; 3],
+    leds: Vec<Led>,
+    exposure: f32,
+    shadows: bool,
+}
+
+impl View {
+    fn new(
+        wall: &Wall,
+        pose: PyReadonlyArray2<'_, f64>,
+        leds: PyReadonlyArray2<'_, f64>,
+        exposure: f32,
+        shadows: bool,
+    ) -> PyResult<Self> {
+        let (pose, leds) = (pose.as_array(), leds.as_array());
+        if pose.dim() != (4, 4) || !pose.iter().all(|x| x.is_finite()) {
+            return Err(PyValueError::new_err("A camera pose must be a finite 4 x 4 matrix."));
+        }
+        if leds.ncols() != 10 {
+            return Err(PyValueError::new_err("LEDs must be of shape (k, 10)."));
+        }
+        let to_world = [0, 1, 2].map(|r| [0, 1, 2].map(|c| pose[[r, c]] as f32));
+        let to_camera = [0, 1, 2].map(|r| [0, 1, 2].map(|c| pose[[c, r]] as f32));
+        let leds = leds
+            .outer_iter()
+            .map(|row| Led {
+                position: wall.localize([row[0], row[1], row[2]]),
+                direction: [3, 4, 5].map(|k| row[k] as f32),
+                intensity: [6, 7, 8].map(|k| row[k] as f32),
+                exponent: row[9] as f32,
+            })
+            .collect();
+        let origin = wall.localize([pose[[0, 3]], pose[[1, 3]], pose[[2, 3]]]);
+        Ok(View { origin, to_world, to_camera, center: wall.center, leds, exposure, shadows })
+    }
+}
+
+/// Channels of an image, or of a row of its tiles; those not asked for are absent.
+#[derive(Default)]
+struct Channels<'a> {
+    rgb: Option<&'a mut [u8]>,
+    radiance: Option<&'a mut [f32]>,
+    depth: Option<&'a mut [f32]>,
+    ray_distance: Option<&'a mut [f32]>,
+    normal: Option<&'a mut [f32]>,
+    label: Option<&'a mut [u8]>,
+    instance: Option<&'a mut [u16]>,
+    albedo: Option<&'a mut [f32]>,
+    arc_length: Option<&'a mut [f32]>,
+    position: Option<&'a mut [f32]>,
+    face: Option<&'a mut [i32]>,
+    weights: Option<&'a mut [f32]>,
+}
+
+impl<'a> Channels<'a> {
+    /// Cuts the image into rows of tiles.
+    fn bands(self, width: usize, count: usize) -> Vec<Channels<'a>> {
+        fn cut<T>(channel: Option<&mut [T]>, length: usize) -> impl Iterator<Item = Option<&mut [T]>> {
+            let mut rest = channel.map(|c| c.chunks_mut(length));
+            std::iter::from_fn(move || Some(rest.as_mut().and_then(Iterator::next)))
+        }
+        let n = width * TILE;
+        let (mut rgb, mut radiance) = (cut(self.rgb, n * 3), cut(self.radiance, n * 3));
+        let (mut depth, mut ray_distance) = (cut(self.depth, n), cut(self.ray_distance, n));
+        let (mut normal, mut position) = (cut(self.normal, n * 3), cut(self.position, n * 3));
+        let (mut label, mut instance) = (cut(self.label, n), cut(self.instance, n));
+        let (mut albedo, mut arc_length) = (cut(self.albedo, n * 3), cut(self.arc_length, n));
+        let (mut face, mut weights) = (cut(self.face, n), cut(self.weights, n * 2));
+        (0..count)
+            .map(|_| Channels {
+                rgb: rgb.next().flatten(),
+                radiance: radiance.next().flatten(),
+                depth: depth.next().flatten(),
+                ray_distance: ray_distance.next().flatten(),
+                normal: normal.next().flatten(),
+                label: label.next().flatten(),
+                instance: instance.next().flatten(),
+                albedo: albedo.next().flatten(),
+                arc_length: arc_length.next().flatten(),
+                position: position.next().flatten(),
+                face: face.next().flatten(),
+                weights: weights.next().flatten(),
+            })
+            .collect()
+    }
+
+    fn wants_color(&self) -> bool {
+        self.rgb.is_some() || self.radiance.is_some() || self.albedo.is_some()
+    }
+}
+
+/// Renders the channels of `out`, a dictionary of C-contiguous arrays of the table's shape.
+///
+/// `leds` holds position [m], direction, intensity [W/sr] and lobe exponent of each in the world.
+#[pyfunction]
+#[pyo3(signature = (wall, scene, rays, pose, leds, out, *, exposure, shadows))]
+#[allow(clippy::too_many_arguments)] // the one door from Python
+pub fn render(
+    py: Python<'_>,
+    wall: &Wall,
+    scene: &Scene,
+    rays: &RayTable,
+    pose: PyReadonlyArray2<'_, f64>,
+    leds: PyReadonlyArray2<'_, f64>,
+    out: &Bound<'_, PyDict>,
+    exposure: f32,
+    shadows: bool,
+) -> PyResult<()> {
+    if scene.data.uv.len() != wall.faces.len() || scene.data.arc_length.len() != wall.vertices.len() {
+        return Err(PyValueError::new_err("Scene and wall have different numbers of faces or vertices."));
+    }
+    let view = View::new(wall, pose, leds, exposure, shadows)?;
+    let shape = (rays.height, rays.width);
+    let mut rgb = take::<u8>(out, "rgb", shape, 3)?;
+    let mut radiance = take::<f32>(out, "radiance", shape, 3)?;
+    let mut depth = take::<f32>(out, "depth", shape, 1)?;
+    let mut ray_distance = take::<f32>(out, "ray_distance", shape, 1)?;
+    let mut normal = take::<f32>(out, "normal", shape, 3)?;
+    let mut label = take::<u8>(out, "label", shape, 1)?;
+    let mut instance = take::<u16>(out, "instance", shape, 1)?;
+    let mut albedo = take::<f32>(out, "albedo", shape, 3)?;
+    let mut arc_length = take::<f32>(out, "arc_length", shape, 1)?;
+    let mut position = take::<f32>(out, "position", shape, 3)?;
+    let mut face = take::<i32>(out, "face", shape, 1)?;
+    let mut weights = take::<f32>(out, "weights", shape, 2)?;
+    let channels = Channels {
+        rgb: slice(&mut rgb)?,
+        radiance: slice(&mut radiance)?,
+        depth: slice(&mut depth)?,
+        ray_distance: slice(&mut ray_distance)?,
+        normal: slice(&mut normal)?,
+        label: slice(&mut label)?,
+        instance: slice(&mut instance)?,
+        albedo: slice(&mut albedo)?,
+        arc_length: slice(&mut arc_length)?,
+        position: slice(&mut position)?,
+        face: slice(&mut face)?,
+        weights: slice(&mut weights)?,
+    };
+    py.detach(|| {
+        let columns = rays.columns();
+        let bands = channels.bands(rays.width, rays.tiles.len() / columns);
+        bands.into_par_iter().enumerate().for_each(|(row, mut band)| {
+            let tiles = &rays.tiles[row * columns..(row + 1) * columns];
+            let height = (rays.height - row * TILE).min(TILE);
+            render_band(wall, &scene.data, &view, tiles, (rays.width, height), &mut band);
+        });
+    });
+    Ok(())
+}
+
+fn take<'py, T: Element>(
+    out: &Bound<'py, PyDict>,
+    name: &str,
+    (height, width): (usize, usize),
+    components: usize,
+) -> PyResult<Option<PyReadwriteArrayDyn<'py, T>>> {
+    let Some(value) = out.get_item(name)? else {
+        return Ok(None);
+    };
+    let array = value
+        .cast::<PyArrayDyn<T>>()
+        .map_err(|_| PyValueError::new_err(format!("Channel {name} has the wrong dtype.")))?;
+    let array = array.try_readwrite()?;
+    if array.as_array().len() != height * width * components {
+        return Err(PyValueError::new_err(format!("Channel {name} has the wrong shape.")));
+    }
+    Ok(Some(array))
+}
+
+fn slice<'a, T: Element>(
+    array: &'a mut Option<PyReadwriteArrayDyn<'_, T>>,
+) -> PyResult<Option<&'a mut [T]>> {
+    array.as_mut().map(|a| a.as_slice_mut().map_err(PyErr::from)).transpose()
+}
+
+#[multiversion::multiversion(targets(
+    "x86_64+avx512f+avx512bw+avx512cd+avx512dq+avx512vl",
+    "x86_64+avx2",
+    "aarch64+neon"
+))]
+fn render_band(
+    wall: &Wall,
+    scene: &SceneData,
+    view: &View,
+    tiles: &[TileRays],
+    size: (usize, usize),
+    out: &mut Channels<'_>,
+) {
+    for (column, tile) in tiles.iter().enumerate() {
+        render_tile(wall, scene, view, tile, Place { column: column * TILE, size }, out);
+    }
+}
+
+#[inline(always)]
+fn render_tile(
+    wall: &Wall,
+    scene: &SceneData,
+    view: &View,
+    tile: &TileRays,
+    place: Place,
+    out: &mut Channels<'_>,
+) {
+    let mut reach = [0.0; LANES];
+    for i in 0..LANES {
+        reach[i] = if tile.used[i] { REACH } else { 0.0 };
+    }
+    let mut hits = Hits::within(reach);
+    let rays = tile.pyramid.rotated(&view.to_world);
+    if tile.any {
+        trace::<false>(&wall.bvh, view.origin, &rays, wall.extent, &mut hits);
+    }
+    let found = attributes(wall, scene, view.origin, &rays.directions, &hits);
+    if out.wants_color() {
+        let surface = surface(scene, &found, &hits.distance, tile.pixel_angle);
+        let radiance =
+            light(wall, &scene.material, &view.leds, view.shadows, &surface, &found.hit);
+        place.write_color(&mut out.rgb, &radiance, view.exposure);
+        place.write3(&mut out.radiance, &radiance, &found.hit, 0.0);
+        place.write3(&mut out.albedo, &surface.albedo, &found.hit, f32::NAN);
+    }
+    write_geometry(view, tile, &hits, &found, place, out);
+}
+
+#[inline(always)]
+fn write_geometry(
+    view: &View,
+    tile: &TileRays,
+    hits: &Hits,
+    found: &Attributes,
+    place: Place,
+    out: &mut Channels<'_>,
+) {
+    let hit = &found.hit;
+    if out.depth.is_some() {
+        let mut depth = [0.0; LANES];
+        for i in 0..LANES {
+            depth[i] = hits.distance[i] * tile.pyramid.directions[2][i];
+        }
+        place.write(&mut out.depth, &depth, hit, f32::NAN);
+    }
+    if out.normal.is_some() {
+        let mut normal = [[0.0; LANES]; 3];
+        for k in 0..3 {
+            for i in 0..LANES {
+                normal[k][i] = dot(view.to_camera[k], at(&found.normal, i));
+            }
+        }
+        place.write3(&mut out.normal, &normal, hit, f32::NAN);
+    }
+    if out.position.is_some() {
+        let mut position = found.position;
+        for k in 0..3 {
+            for i in 0..LANES {
+                position[k][i] = (f64::from(position[k][i]) + view.center[k]) as f32;
+            }
+        }
+        place.write3(&mut out.position, &position, hit, f32::NAN);
+    }
+    place.write(&mut out.ray_distance, &hits.distance, hit, f32::NAN);
+    place.write(&mut out.arc_length, &found.arc_length, hit, f32::NAN);
+    place.write(&mut out.label, &found.label, hit, 0);
+    place.write(&mut out.instance, &found.instance, hit, 0);
+    place.write(&mut out.face, &found.face, hit, -1);
+    let [first, second] = &found.weights;
+    place.write_each(&mut out.weights, 2, |i, k| {
+        if hit[i] { [first[i], second[i]][k] } else { f32::NAN }
+    });
+}
+
+/// Where a tile lies in its band.
+#[derive(Clone, Copy)]
+struct Place {
+    column: usize,
+    /// Width and height of the band [pixels].
+    size: (usize, usize),
+}
+
+impl Place {
+    #[inline(always)]
+    fn write_each<T: Copy>(
+        self,
+        channel: &mut Option<&mut [T]>,
+        components: usize,
+        value: impl Fn(usize, usize) -> T,
+    ) {
+        let Some(pixels) = channel else { return };
+        let (width, height) = self.size;
+        let columns = (width - self.column).min(TILE);
+        for y in 0..height {
+            let start = (y * width + self.column) * components;
+            let row = &mut pixels[start..start + columns * components];
+            for (x, pixel) in row.chunks_exact_mut(components).enumerate() {
+                for (k, out) in pixel.iter_mut().enumerate() {
+                    *out = value(y * TILE + x, k);
+                }
+            }
+        }
+    }
+
+    #[inline(always)]
+    fn write<T: Copy>(
+        self,
+        channel: &mut Option<&mut [T]>,
+        values: &[T; LANES],
+        hit: &[bool; LANES],
+        miss: T,
+    ) {
+        self.write_each(channel, 1, |i, _| if hit[i] { values[i] } else { miss });
+    }
+
+    #[inline(always)]
+    fn write3(
+        self,
+        channel: &mut Option<&mut [f32]>,
+        values: &Lane3,
+        hit: &[bool; LANES],
+        miss: f32,
+    ) {
+        self.write_each(channel, 3, |i, k| if hit[i] { values[k][i] } else { miss });
+    }
+
+    #[inline(always)]
+    fn write_color(self, channel: &mut Option<&mut [u8]>, radiance: &Lane3, exposure: f32) {
+        if channel.is_none() {
+            return;
+        }
+        let mut encoded = [[0u8; LANES]; 3];
+        for k in 0..3 {
+            for i in 0..LANES {
+                encoded[k][i] = srgb(radiance[k][i] * exposure);
+            }
+        }
+        self.write_each(channel, 3, |i, k| encoded[k][i]);
+    }
+}
+
+/// 8-bit sRGB of a linear value (IEC 61966-2-1), rounded to nearest.
+#[inline(always)]
+fn srgb(linear: f32) -> u8 {
+    let x = clamp(linear, 0.0, 1.0);
+    let curve = 1.055 * pow(x, 1.0 / 2.4) - 0.055;
+    let encoded = if x <= 0.003_130_8 { 12.92 * x } else { curve };
+    (encoded * 255.0 + 0.5) as i32 as u8
+}
+
+/// 8-bit sRGB image [h w 3] of linear radiance [h w 3] times `exposure`.
+#[pyfunction]
+pub fn encode_srgb<'py>(
+    py: Python<'py>,
+    radiance: numpy::PyReadonlyArray3<'py, f32>,
+    exposure: f32,
+) -> Bound<'py, numpy::PyArray3<u8>> {
+    use numpy::ToPyArray;
+    radiance.as_array().mapv(|x| srgb(x * exposure)).to_pyarray(py)
+}

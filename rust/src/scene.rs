@@ -1,0 +1,90 @@
+//! A wall with everything that is drawn on it.
+
+use crate::lanes::Vec3;
+use crate::material::Material;
+use crate::texture::Texture;
+use numpy::{PyReadonlyArray1, PyReadonlyArray3};
+use pyo3::{exceptions::PyValueError, prelude::*};
+use std::ops::Deref;
+
+/// Attributes of a wall's faces and vertices.
+pub struct SceneData {
+    /// Texture coordinates of each corner of each face.
+    pub uv: Vec<[[f32; 2]; 3]>,
+    /// Class of each face.
+    pub label: Vec<u8>,
+    /// Lesion number of each face.
+    pub instance: Vec<u16>,
+    /// Distance along the centreline of each vertex [m].
+    pub arc_length: Vec<f32>,
+    /// Textures, or none for a plain wall.
+    pub texture: Option<TextureHandle>,
+    /// Linear base colour of a plain wall.
+    pub albedo: Vec3,
+    /// Roughness of a plain wall.
+    pub roughness: f32,
+    /// Reflectance that is the same all over.
+    pub material: Material,
+}
+
+/// A texture that Python also holds.
+pub struct TextureHandle(Py<Texture>);
+
+impl Deref for TextureHandle {
+    type Target = Texture;
+
+    fn deref(&self) -> &Texture {
+        self.0.get()
+    }
+}
+
+/// What is drawn on a wall: labels, gut coordinates, textures and reflectance.
+#[pyclass(frozen, module = "vrcaps._core")]
+pub struct Scene {
+    /// The attributes.
+    pub data: SceneData,
+}
+
+#[pymethods]
+impl Scene {
+    /// Takes uv [m 3 2], label [m] and instance [m] of faces, arc length [n] of vertices in metres,
+    /// `texture` or a plain linear `albedo` and `roughness`, and `reflectance` (refractive index,
+    /// coat strength, coat roughness α).
+    #[new]
+    #[pyo3(signature = (uv, label, instance, arc_length, *, texture, albedo, roughness, reflectance))]
+    #[allow(clippy::too_many_arguments)] // one keyword each, called in one place
+    fn new(
+        uv: PyReadonlyArray3<'_, f32>,
+        label: PyReadonlyArray1<'_, u8>,
+        instance: PyReadonlyArray1<'_, u16>,
+        arc_length: PyReadonlyArray1<'_, f32>,
+        texture: Option<Py<Texture>>,
+        albedo: Vec3,
+        roughness: f32,
+        reflectance: (f32, f32, f32),
+    ) -> PyResult<Self> {
+        let uv = uv.as_array();
+        let (faces, corners, components) = uv.dim();
+        let same = label.as_array().len() == faces && instance.as_array().len() == faces;
+        if (corners, components) != (3, 2) || !same {
+            return Err(PyValueError::new_err(
+                "Texture coordinates must be of shape (m, 3, 2), labels and instances of shape (m,).",
+            ));
+        }
+        let (ior, coat, coat_alpha) = reflectance;
+        let data = SceneData {
+            uv: uv
+                .outer_iter()
+                .map(|face| [0, 1, 2].map(|corner| [face[[corner, 0]], face[[corner, 1]]]))
+                .collect(),
+            label: label.as_array().to_vec(),
+            instance: instance.as_array().to_vec(),
+            arc_length: arc_length.as_array().to_vec(),
+            texture: texture.map(TextureHandle),
+            albedo,
+            roughness,
+            material: Material { ior, coat, coat_alpha },
+        };
+        Ok(Scene { data })
+    }
+}

@@ -1,0 +1,223 @@
+//! From hits to channels: attributes of the wall where each ray meets it, and the light it reflects.
+
+use crate::lanes::*;
+use crate::material::{Led, Material, Surface, add_light};
+use crate::scene::SceneData;
+use crate::tile::{Hits, MISS};
+use crate::visibility::visible_tile;
+use crate::wall::Wall;
+
+/// What the wall is where each ray of a tile meets it.
+pub struct Attributes {
+    /// Lanes that met the wall.
+    pub hit: [bool; LANES],
+    /// Face met, −1 for none.
+    pub face: [i32; LANES],
+    /// Weights of the face's first and second corner.
+    pub weights: [Lane; 2],
+    /// Point met [m].
+    pub position: Lane3,
+    /// Unit direction to the viewer.
+    pub view: Lane3,
+    /// Smooth unit normal on the viewer's side.
+    pub normal: Lane3,
+    /// Texture coordinates.
+    pub uv: [Lane; 2],
+    /// Surface gradients of the texture coordinates [1/m].
+    pub gradients: [Lane3; 2],
+    /// Distance along the centreline [m].
+    pub arc_length: Lane,
+    /// Segment or tissue class.
+    pub label: [u8; LANES],
+    /// Lesion number.
+    pub instance: [u16; LANES],
+}
+
+/// A face of the wall, fetched once for neighbouring rays that meet it.
+struct Face {
+    number: usize,
+    corners: [usize; 3],
+    normal: Vec3,
+    gradients: [Vec3; 2],
+}
+
+impl Face {
+    #[inline(always)]
+    fn fetch(wall: &Wall, scene: &SceneData, number: usize) -> Self {
+        let corners = wall.faces[number].map(|v| v as usize);
+        let [a, b, c] = corners.map(|v| wall.vertices[v]);
+        let (ab, ac) = (sub(b, a), sub(c, a));
+        let normal = cross(ab, ac);
+        let square = max(dot(normal, normal), 1e-30);
+        // Gradients of the weights of b and c over the face.
+        let of_b = scale(cross(ac, normal), 1.0 / square);
+        let of_c = scale(cross(normal, ab), 1.0 / square);
+        let [uv_a, uv_b, uv_c] = scene.uv[number];
+        let gradient = |k: usize| {
+            add(scale(of_b, uv_b[k] - uv_a[k]), scale(of_c, uv_c[k] - uv_a[k]))
+        };
+        Face { number, corners, normal, gradients: [gradient(0), gradient(1)] }
+    }
+}
+
+/// Looks up the wall's attributes for every hit.
+#[inline(always)]
+pub fn attributes(
+    wall: &Wall,
+    scene: &SceneData,
+    origin: Vec3,
+    directions: &Lane3,
+    hits: &Hits,
+) -> Attributes {
+    let mut out = Attributes {
+        hit: [false; LANES],
+        face: [-1; LANES],
+        weights: [[0.0; LANES]; 2],
+        position: [[0.0; LANES]; 3],
+        view: [[0.0; LANES]; 3],
+        normal: [[0.0; LANES]; 3],
+        uv: [[0.0; LANES]; 2],
+        gradients: [[[0.0; LANES]; 3]; 2],
+        arc_length: [0.0; LANES],
+        label: [0; LANES],
+        instance: [0; LANES],
+    };
+    for k in 0..3 {
+        for i in 0..LANES {
+            out.position[k][i] = origin[k] + hits.distance[i] * directions[k][i];
+            out.view[k][i] = -directions[k][i];
+        }
+    }
+    let mut last = (MISS, None);
+    for i in 0..LANES {
+        let triangle = hits.triangle[i];
+        if triangle == MISS {
+            continue;
+        }
+        if triangle != last.0 {
+            let number = wall.bvh.triangles[triangle as usize].face as usize;
+            last = (triangle, Some(Face::fetch(wall, scene, number)));
+        }
+        if let Some(face) = &last.1 {
+            let inverse = 1.0 / hits.edges[2][i];
+            let weights = [hits.edges[0][i] * inverse, hits.edges[1][i] * inverse];
+            fill_lane(&mut out, wall, scene, face, weights, i);
+        }
+    }
+    out
+}
+
+#[inline(always)]
+fn fill_lane(
+    out: &mut Attributes,
+    wall: &Wall,
+    scene: &SceneData,
+    face: &Face,
+    [wa, wb]: [f32; 2],
+    i: usize,
+) {
+    let wc = 1.0 - wa - wb;
+    let [a, b, c] = face.corners;
+    let view = at(&out.view, i);
+    let blend = |x: Vec3, y: Vec3, z: Vec3| add(add(scale(x, wa), scale(y, wb)), scale(z, wc));
+    let smooth = normalize(blend(wall.normals[a], wall.normals[b], wall.normals[c]));
+    // The viewer's side of the face decides the sign; a smooth normal that still points away, near
+    // an outline, is bent to the horizon.
+    let smooth = if dot(face.normal, view) < 0.0 { scale(smooth, -1.0) } else { smooth };
+    let behind = min(dot(smooth, view), 0.0);
+    let normal = normalize(sub(smooth, scale(view, behind)));
+    for k in 0..3 {
+        out.normal[k][i] = normal[k];
+        out.gradients[0][k][i] = face.gradients[0][k];
+        out.gradients[1][k][i] = face.gradients[1][k];
+    }
+    let [uv_a, uv_b, uv_c] = scene.uv[face.number];
+    for k in 0..2 {
+        out.uv[k][i] = uv_a[k] * wa + uv_b[k] * wb + uv_c[k] * wc;
+    }
+    let arc = &scene.arc_length;
+    out.arc_length[i] = arc[a] * wa + arc[b] * wb + arc[c] * wc;
+    out.label[i] = scene.label[face.number];
+    out.instance[i] = scene.instance[face.number];
+    out.weights[0][i] = wa;
+    out.weights[1][i] = wb;
+    out.face[i] = face.number as i32;
+    out.hit[i] = true;
+}
+
+/// Gives the hits their material: base colour, roughness and relief.
+#[inline(always)]
+pub fn surface(
+    scene: &SceneData,
+    attributes: &Attributes,
+    distance: &Lane,
+    pixel_angle: f32,
+) -> Surface {
+    let mut surface = Surface {
+        position: attributes.position,
+        normal: attributes.normal,
+        view: attributes.view,
+        albedo: [[0.0; LANES]; 3],
+        roughness: [scene.roughness; LANES],
+    };
+    let Some(texture) = &scene.texture else {
+        for k in 0..3 {
+            surface.albedo[k] = [scene.albedo[k]; LANES];
+        }
+        return surface;
+    };
+    let footprint = footprint(attributes, distance, pixel_angle);
+    let texels = texture.fetch(&attributes.uv, &footprint);
+    let [along_u, along_v] = &attributes.gradients;
+    for i in 0..LANES {
+        let rise = add(
+            scale(at(along_u, i), texels.slope[0][i]),
+            scale(at(along_v, i), texels.slope[1][i]),
+        );
+        let tilted = sub(at(&attributes.normal, i), rise);
+        let inverse = 1.0 / max(dot(tilted, tilted), 1e-12).sqrt();
+        for k in 0..3 {
+            surface.normal[k][i] = tilted[k] * inverse;
+        }
+    }
+    surface.albedo = texels.albedo;
+    surface.roughness = texels.roughness;
+    surface
+}
+
+/// Share of the texture's width and height that each pixel covers.
+#[inline(always)]
+fn footprint(attributes: &Attributes, distance: &Lane, pixel_angle: f32) -> [Lane; 2] {
+    let mut result = [[0.0; LANES]; 2];
+    for (k, share) in result.iter_mut().enumerate() {
+        for i in 0..LANES {
+            let cosine = max(dot(at(&attributes.normal, i), at(&attributes.view, i)), 0.05);
+            let gradient = at(&attributes.gradients[k], i);
+            let size = distance[i] * pixel_angle / cosine.sqrt();
+            share[i] = size * dot(gradient, gradient).sqrt();
+        }
+    }
+    result
+}
+
+/// Radiance towards the viewer [W/(sr·m²)]; zero where nothing was met.
+#[inline(always)]
+pub fn light(
+    wall: &Wall,
+    material: &Material,
+    leds: &[Led],
+    shadows: bool,
+    surface: &Surface,
+    hit: &[bool; LANES],
+) -> Lane3 {
+    let mut radiance = [[0.0; LANES]; 3];
+    for led in leds {
+        if shadows {
+            let lit = visible_tile(wall, led.position, &surface.position, hit);
+            add_light(surface, material, led, &lit, &mut radiance);
+        } else {
+            add_light(surface, material, led, hit, &mut radiance);
+        }
+    }
+    radiance
+}

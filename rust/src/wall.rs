@@ -1,0 +1,250 @@
+//! The wall: a moving triangle mesh that is seen and touched through one hierarchy.
+
+use crate::bvh::Bvh;
+use crate::lanes::{Vec3, add, cross, normalize, sub};
+use crate::query;
+use crate::visibility;
+use numpy::{IntoPyArray, PyArray1, PyArray2, PyReadonlyArray2, ndarray::Array2};
+use pyo3::{exceptions::PyValueError, prelude::*};
+use rayon::prelude::*;
+
+/// A triangle surface with its bounding-volume hierarchy; normals point into the lumen.
+///
+/// Positions are kept about the centre of the mesh, so that single precision does not depend on
+/// where in the world the mesh lies.
+#[pyclass(module = "vrcaps._core")]
+pub struct Wall {
+    /// Middle of the mesh's bounds when it was made; subtracted from every position [m].
+    pub center: [f64; 3],
+    /// Largest coordinate about the centre [m].
+    pub extent: f32,
+    /// Vertex positions about the centre [m].
+    pub vertices: Vec<Vec3>,
+    /// Vertex numbers of each face.
+    pub faces: Vec<[u32; 3]>,
+    /// Unit vertex normals.
+    pub normals: Vec<Vec3>,
+    /// The hierarchy.
+    pub bvh: Bvh,
+    /// Faces around each vertex: `around[start[v]..start[v + 1]]`.
+    start: Vec<u32>,
+    around: Vec<u32>,
+}
+
+impl Wall {
+    /// A point of the outside world about this wall's centre.
+    pub fn localize(&self, point: [f64; 3]) -> Vec3 {
+        [0, 1, 2].map(|k| (point[k] - self.center[k]) as f32)
+    }
+
+    /// A point about this wall's centre in the outside world.
+    pub fn globalize(&self, point: Vec3) -> [f64; 3] {
+        [0, 1, 2].map(|k| f64::from(point[k]) + self.center[k])
+    }
+
+    fn set_vertices(&mut self, vertices: PyReadonlyArray2<'_, f64>) {
+        let rows = vertices.as_array();
+        self.vertices =
+            rows.outer_iter().map(|row| self.localize([row[0], row[1], row[2]])).collect();
+        let largest = |m: f32, v: &Vec3| v.iter().fold(m, |m, x| m.max(x.abs()));
+        self.extent = self.vertices.iter().fold(0.0, largest);
+    }
+
+    /// Area-weighted vertex normals.
+    fn update_normals(&mut self) {
+        let (vertices, faces) = (&self.vertices, &self.faces);
+        let area_normals: Vec<Vec3> = faces
+            .par_iter()
+            .with_min_len(4096)
+            .map(|f| {
+                let [a, b, c] = f.map(|v| vertices[v as usize]);
+                cross(sub(b, a), sub(c, a))
+            })
+            .collect();
+        let (start, around) = (&self.start, &self.around);
+        self.normals.par_iter_mut().with_min_len(4096).enumerate().for_each(|(v, normal)| {
+            let faces = &around[start[v] as usize..start[v + 1] as usize];
+            *normal = normalize(faces.iter().fold([0.0; 3], |n, &f| add(n, area_normals[f as usize])));
+        });
+    }
+}
+
+fn faces_around(faces: &[[u32; 3]], num_vertices: usize) -> (Vec<u32>, Vec<u32>) {
+    let mut start = vec![0u32; num_vertices + 1];
+    for &v in faces.iter().flatten() {
+        start[v as usize + 1] += 1;
+    }
+    for v in 0..num_vertices {
+        start[v + 1] += start[v];
+    }
+    let mut next = start.clone();
+    let mut around = vec![0u32; faces.len() * 3];
+    for (f, face) in faces.iter().enumerate() {
+        for &v in face {
+            around[next[v as usize] as usize] = f as u32;
+            next[v as usize] += 1;
+        }
+    }
+    (start, around)
+}
+
+fn middle(vertices: &PyReadonlyArray2<'_, f64>) -> [f64; 3] {
+    let rows = vertices.as_array();
+    [0, 1, 2].map(|k| {
+        let column = rows.column(k);
+        let (low, high) = column.iter().fold((f64::MAX, f64::MIN), |(a, b), &x| (a.min(x), b.max(x)));
+        0.5 * (low + high)
+    })
+}
+
+fn check_vertices(vertices: &PyReadonlyArray2<'_, f64>) -> PyResult<()> {
+    let rows = vertices.as_array();
+    if rows.ncols() != 3 || rows.nrows() == 0 || !rows.iter().all(|x| x.is_finite()) {
+        return Err(PyValueError::new_err("Wall vertices must be finite numbers of shape (n, 3)."));
+    }
+    Ok(())
+}
+
+#[pymethods]
+impl Wall {
+    /// Builds the wall from vertices [n 3] in metres and faces [m 3].
+    #[new]
+    fn new(vertices: PyReadonlyArray2<'_, f64>, faces: PyReadonlyArray2<'_, i64>) -> PyResult<Self> {
+        check_vertices(&vertices)?;
+        let (rows, num_vertices) = (faces.as_array(), vertices.as_array().nrows());
+        let valid = |&v: &i64| v >= 0 && (v as usize) < num_vertices;
+        if rows.ncols() != 3 || rows.nrows() == 0 || !rows.iter().all(valid) {
+            return Err(PyValueError::new_err(format!(
+                "Wall faces must be of shape (m, 3) with vertex numbers below {num_vertices}."
+            )));
+        }
+        let faces: Vec<[u32; 3]> =
+            rows.outer_iter().map(|r| [r[0] as u32, r[1] as u32, r[2] as u32]).collect();
+        let (start, around) = faces_around(&faces, num_vertices);
+        let mut wall = Wall {
+            center: middle(&vertices),
+            extent: 0.0,
+            vertices: Vec::new(),
+            normals: vec![[0.0; 3]; num_vertices],
+            bvh: Bvh { nodes: Vec::new(), triangles: Vec::new() },
+            faces,
+            start,
+            around,
+        };
+        wall.set_vertices(vertices);
+        wall.bvh = Bvh::build(&wall.vertices, &wall.faces);
+        wall.update_normals();
+        Ok(wall)
+    }
+
+    /// Moves the wall to new vertex positions [n 3] in metres; the hierarchy is refitted.
+    fn refit(&mut self, py: Python<'_>, vertices: PyReadonlyArray2<'_, f64>) -> PyResult<()> {
+        check_vertices(&vertices)?;
+        if vertices.as_array().nrows() != self.vertices.len() {
+            return Err(PyValueError::new_err(format!(
+                "Refitting needs {} vertices, was given {}.",
+                self.vertices.len(),
+                vertices.as_array().nrows()
+            )));
+        }
+        self.set_vertices(vertices);
+        py.detach(|| {
+            self.update_normals();
+            let Wall { bvh, vertices, faces, .. } = self;
+            bvh.refit(vertices, faces);
+        });
+        Ok(())
+    }
+
+    /// Nearest hit of rays: distance in units of the direction's length (NaN for none), face (−1).
+    fn cast<'py>(
+        &self,
+        py: Python<'py>,
+        origins: PyReadonlyArray2<'_, f64>,
+        directions: PyReadonlyArray2<'_, f64>,
+    ) -> PyResult<(Bound<'py, PyArray1<f32>>, Bound<'py, PyArray1<i64>>)> {
+        let (origins, directions) = (origins.as_array(), directions.as_array());
+        if origins.dim() != directions.dim() || origins.ncols() != 3 {
+            return Err(PyValueError::new_err("Origins and directions must both be of shape (n, 3)."));
+        }
+        let rays: Vec<(Vec3, Vec3)> = origins
+            .outer_iter()
+            .zip(directions.outer_iter())
+            .map(|(o, d)| {
+                (self.localize([o[0], o[1], o[2]]), [d[0] as f32, d[1] as f32, d[2] as f32])
+            })
+            .collect();
+        let found: Vec<(f32, i64)> = py.detach(|| {
+            rays.par_iter()
+                .with_min_len(64)
+                .map(|&(o, d)| match query::cast(&self.bvh, o, d) {
+                    Some((t, face)) => (t, i64::from(face)),
+                    None => (f32::NAN, -1),
+                })
+                .collect()
+        });
+        let (distance, face): (Vec<f32>, Vec<i64>) = found.into_iter().unzip();
+        Ok((distance.into_pyarray(py), face.into_pyarray(py)))
+    }
+
+    /// Nearest point of the wall to each point [n 3], and its face.
+    fn closest_point<'py>(
+        &self,
+        py: Python<'py>,
+        points: PyReadonlyArray2<'_, f64>,
+    ) -> (Bound<'py, PyArray2<f64>>, Bound<'py, PyArray1<i64>>) {
+        let points = self.local_points(&points);
+        let nearest = py.detach(|| map(&points, |p| query::nearest(&self.bvh, p)));
+        let mut places = Array2::zeros((nearest.len(), 3));
+        for (mut row, found) in places.outer_iter_mut().zip(&nearest) {
+            row.iter_mut().zip(self.globalize(found.point)).for_each(|(x, value)| *x = value);
+        }
+        let faces: Vec<i64> = nearest.iter().map(|found| i64::from(found.face)).collect();
+        (places.into_pyarray(py), faces.into_pyarray(py))
+    }
+
+    /// Distance of each point [n 3] to the wall [m], positive inside the lumen.
+    fn signed_distance<'py>(
+        &self,
+        py: Python<'py>,
+        points: PyReadonlyArray2<'_, f64>,
+    ) -> Bound<'py, PyArray1<f32>> {
+        let points = self.local_points(&points);
+        let signed = |p: Vec3| {
+            let distance = query::nearest(&self.bvh, p).distance;
+            if query::is_inside(&self.bvh, p) { distance } else { -distance }
+        };
+        let distance = py.detach(|| map(&points, signed));
+        distance.into_pyarray(py)
+    }
+
+    /// Whether the straight way from `origin` to each point [n 3] of the wall is free.
+    fn visible<'py>(
+        &self,
+        py: Python<'py>,
+        origin: [f64; 3],
+        points: PyReadonlyArray2<'_, f64>,
+    ) -> Bound<'py, PyArray1<bool>> {
+        let points = self.local_points(&points);
+        let origin = self.localize(origin);
+        py.detach(|| visibility::visible(self, origin, &points)).into_pyarray(py)
+    }
+
+    /// Unit vertex normals [n 3], the area-weighted mean over the faces around each vertex.
+    fn vertex_normals<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray2<f32>> {
+        let flat: Vec<f32> = self.normals.iter().flatten().copied().collect();
+        Array2::from_shape_vec((self.normals.len(), 3), flat)
+            .expect("three numbers a vertex")
+            .into_pyarray(py)
+    }
+}
+
+impl Wall {
+    fn local_points(&self, points: &PyReadonlyArray2<'_, f64>) -> Vec<Vec3> {
+        points.as_array().outer_iter().map(|r| self.localize([r[0], r[1], r[2]])).collect()
+    }
+}
+
+fn map<T: Send>(points: &[Vec3], function: impl Fn(Vec3) -> T + Sync) -> Vec<T> {
+    points.par_iter().with_min_len(64).map(|&p| function(p)).collect()
+}

@@ -1,0 +1,265 @@
+"""A device as one small TOML file: read strictly, written so that it reads back equal.
+
+Each key carries its unit: `_mm`, `_g`, `_hz`, `_deg`, `_px`. See `devices/mirocam.toml`.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import tomllib
+from dataclasses import MISSING, fields
+from decimal import Decimal
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from vrcaps.capsule.device import Camera, Device, Led
+from vrcaps.capsule.lens import LENSES, Lens
+from vrcaps.capsule.rays import camera_rays
+from vrcaps.capsule.toml_table import (
+    DEGREE,
+    MILLI,
+    ONE,
+    TomlTable,
+    decimal_text,
+    plain,
+    toml_text,
+)
+from vrcaps.errors import InputError
+from vrcaps.transforms import transform_from
+
+_LENS_KEYS = {
+    **{name: (f"{name}_px", ONE) for name in ("fx", "fy", "cx", "cy", "focal", "skew", "a0")},
+    "max_angle": ("max_angle_deg", DEGREE),
+}
+"""Key and unit of the lens fields that have one; the other fields are coefficients."""
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]*")
+_ORTHONORMAL = 1e-6
+
+
+def read_device(path: Path) -> Device:
+    """Read a device from its TOML file; its name is the file's name.
+
+    Raises:
+        InputError: If the file cannot be read, is no TOML, lacks a key, has a key too many or of
+            the wrong type, or holds a lens, pose or size that cannot be.
+    """
+    try:
+        entries = tomllib.loads(path.read_text(encoding="utf-8"), parse_float=Decimal)
+    except OSError as error:
+        raise InputError(f"Cannot read the device file {path}: {error.strerror}.") from error
+    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise InputError(f"The device file {path} is not TOML: {error}.") from error
+    table = TomlTable(entries, path.name)
+    title, source = table.text("title"), table.text("source") if table.has("source") else ""
+    metadata = plain(table.table("metadata").entries) if table.has("metadata") else {}
+    length = table.number("length_mm", MILLI, above=0)
+    radius = table.number("radius_mm", MILLI, above=0)
+    mass = table.number("mass_g", MILLI, above=0)
+    frame_rate = table.number("frame_rate_hz", above=0)
+    cameras = tuple(_read_camera(camera) for camera in table.tables("cameras"))
+    table.finish()
+    device = Device(
+        path.stem,
+        title,
+        length,
+        radius,
+        mass,
+        frame_rate,
+        cameras,
+        source=source,
+        metadata=metadata,
+    )
+    _check_body(device, table.where)
+    return device
+
+
+def write_device(path: Path, device: Device) -> None:
+    """Write a device as TOML; `read_device` gives it back equal, under the file's name.
+
+    Raises:
+        InputError: If the file cannot be written.
+    """
+    lines = [
+        f"title = {toml_text(device.title)}",
+        f"source = {toml_text(device.source)}",
+        f"length_mm = {decimal_text(device.length, MILLI)}",
+        f"radius_mm = {decimal_text(device.radius, MILLI)}",
+        f"mass_g = {decimal_text(device.mass, MILLI)}",
+        f"frame_rate_hz = {decimal_text(device.frame_rate)}",
+    ]
+    if device.metadata:
+        lines += ["", "[metadata]"]
+        lines += [f"{toml_text(k)} = {toml_text(v)}" for k, v in device.metadata.items()]
+    for camera in device.cameras:
+        lines += ["", "[[cameras]]", *_camera_lines(camera)]
+    part = path.with_name(f"{path.name}.part")
+    try:
+        part.write_text("\n".join(lines) + "\n", encoding="utf-8")
+        os.replace(part, path)
+    except OSError as error:
+        raise InputError(f"Cannot write the device file {path}: {error.strerror}.") from error
+
+
+def _read_camera(table: TomlTable) -> Camera:
+    name = table.text("name")
+    if not _NAME.fullmatch(name):
+        table.fail("name", name, "letters, digits, - and _ (it names a folder)")
+    size = table.integer("width_px"), table.integer("height_px")
+    position = np.array(table.numbers("position_mm", 3, MILLI))
+    pose = transform_from(_read_rotation(table), position)
+    lens = _read_lens(table.table("lens"))
+    exposure = table.number("exposure_m2_sr_per_w", above=0)
+    circle = table.number("image_circle_px", above=0) if table.has("image_circle_px") else None
+    nominal = "nominal_field_deg"
+    field = table.number(nominal, DEGREE, above=0) if table.has(nominal) else None
+    leds: list[Led] = []
+    if table.has("leds"):
+        leds += [_read_led(led) for led in table.tables("leds")]
+    if table.has("led_rings"):
+        leds += [led for ring in table.tables("led_rings") for led in _read_ring(ring)]
+    table.finish()
+    camera = Camera(name, lens, *size, pose, tuple(leds), exposure, circle, field)
+    _check_image(camera, table.where)
+    return camera
+
+
+def _read_rotation(table: TomlTable) -> np.ndarray:
+    """Rotation ``R_capsule_camera``: its columns are the camera's x, y, z in the capsule frame."""
+    allowed = "three rows of three numbers, orthonormal and right-handed (R_capsule_camera)"
+    rows = table.take("rotation", allowed)
+    if not (isinstance(rows, list) and len(rows) == 3):
+        table.fail("rotation", rows, allowed)
+    rotation = np.array(
+        [TomlTable({"rotation": row}, table.where).numbers("rotation", 3) for row in rows]
+    )
+    error = np.abs(rotation @ rotation.T - np.eye(3)).max()
+    if error > _ORTHONORMAL or np.linalg.det(rotation) < 0.0:
+        table.fail("rotation", rows, allowed)
+    return rotation
+
+
+def _read_lens(table: TomlTable) -> Lens:
+    kind = table.text("kind")
+    if kind not in LENSES:
+        table.fail("kind", kind, ", ".join(sorted(LENSES)))
+    values: dict[str, float] = {}
+    for parameter in fields(LENSES[kind]):  # type: ignore[arg-type]
+        key, unit = _LENS_KEYS.get(parameter.name, (parameter.name, ONE))
+        if parameter.default is MISSING or table.has(key):
+            values[parameter.name] = table.number(key, unit)
+    table.finish()
+    try:
+        return LENSES[kind](**values)
+    except InputError as error:
+        raise InputError(f"{table.where}: {error}") from error
+
+
+def _read_light(table: TomlTable) -> dict[str, Any]:
+    lobe = table.number("lobe_exponent")
+    if lobe < 0.0:
+        table.fail("lobe_exponent", table.entries["lobe_exponent"], "0 or above")
+    intensity = table.numbers("intensity_mw_per_sr", 3, MILLI)
+    if min(intensity) < 0.0:
+        table.fail("intensity_mw_per_sr", table.entries["intensity_mw_per_sr"], "0 or above")
+    return {"intensity": intensity, "lobe_exponent": lobe}
+
+
+def _read_led(table: TomlTable) -> Led:
+    position = table.numbers("position_mm", 3, MILLI)
+    direction = np.array(table.numbers("direction", 3))
+    length = np.linalg.norm(direction)
+    if length == 0.0:
+        table.fail("direction", table.entries["direction"], "any direction but zero")
+    if abs(length - 1.0) > 1e-12:
+        direction = direction / length
+    light = _read_light(table)
+    table.finish()
+    return Led(position, tuple(direction.tolist()), **light)  # type: ignore[arg-type]
+
+
+def _read_ring(table: TomlTable) -> list[Led]:
+    """LEDs on a circle across the optical axis; angles run from camera x (right) to y (down)."""
+    centre = np.array(table.numbers("centre_mm", 3, MILLI))
+    radius = table.number("radius_mm", MILLI, above=0)
+    angles = np.array(table.numbers("angles_deg", None, DEGREE))
+    light = _read_light(table)
+    table.finish()
+    circle = np.stack([np.cos(angles), np.sin(angles), np.zeros_like(angles)], axis=-1)
+    return [Led(tuple(position), **light) for position in (centre + radius * circle).tolist()]
+
+
+def _check_image(camera: Camera, where: str) -> None:
+    lens = camera.lens
+    for axis, centre, size in (("cx", lens.cx, camera.width), ("cy", lens.cy, camera.height)):
+        if not -0.5 <= centre <= size - 0.5:
+            raise InputError(
+                f"{where}: lens centre {axis} = {centre:g} px is outside the image. "
+                f"Allowed: -0.5 to {size - 0.5:g}."
+            )
+    if not np.isfinite(camera_rays(camera)).any():
+        raise InputError(
+            f"{where}: no pixel of the image is in the lens's field. "
+            "Check its focal length, max_angle_deg and image_circle_px."
+        )
+
+
+def _check_body(device: Device, where: str) -> None:
+    straight = 0.5 * device.length - device.radius
+    if straight < 0.0:
+        raise InputError(
+            f"{where}: length_mm is below twice radius_mm. Allowed: a body with round ends."
+        )
+    names = [camera.name for camera in device.cameras]
+    if len(set(names)) < len(names):
+        raise InputError(f"{where}: two cameras share a name ({', '.join(names)}).")
+    for camera in device.cameras:
+        x, y, z = camera.T_capsule_camera[:3, 3]
+        if np.hypot(np.hypot(x, y), max(abs(z) - straight, 0.0)) > device.radius:
+            raise InputError(
+                f"{where}: camera {camera.name!r} is outside the body. "
+                "Allowed: position_mm inside it, from the centre of mass."
+            )
+
+
+def _camera_lines(camera: Camera) -> list[str]:
+    rows = (f"[{_joined(row)}]" for row in camera.T_capsule_camera[:3, :3])
+    lines = [
+        f"name = {toml_text(camera.name)}",
+        f"width_px = {camera.width}",
+        f"height_px = {camera.height}",
+        f"position_mm = [{_joined(camera.T_capsule_camera[:3, 3], MILLI)}]",
+        f"rotation = [{', '.join(rows)}]",
+        f"exposure_m2_sr_per_w = {decimal_text(camera.exposure)}",
+    ]
+    if camera.image_circle_px is not None:
+        lines.append(f"image_circle_px = {decimal_text(camera.image_circle_px)}")
+    if camera.nominal_field is not None:
+        lines.append(f"nominal_field_deg = {decimal_text(camera.nominal_field, DEGREE)}")
+    lines += ["", "[cameras.lens]", *_lens_lines(camera.lens)]
+    for led in camera.leds:
+        lines += [
+            "",
+            "[[cameras.leds]]",
+            f"position_mm = [{_joined(led.position_camera, MILLI)}]",
+            f"direction = [{_joined(led.direction_camera)}]",
+            f"intensity_mw_per_sr = [{_joined(led.intensity, MILLI)}]",
+            f"lobe_exponent = {decimal_text(led.lobe_exponent)}",
+        ]
+    return lines
+
+
+def _lens_lines(lens: Lens) -> list[str]:
+    lines = [f"kind = {toml_text(lens.kind)}"]
+    for parameter in fields(lens):  # type: ignore[arg-type]
+        key, unit = _LENS_KEYS.get(parameter.name, (parameter.name, ONE))
+        value = getattr(lens, parameter.name)
+        if value is not None:
+            lines.append(f"{key} = {decimal_text(value, unit)}")
+    return lines
+
+
+def _joined(values: Any, unit: Decimal = ONE) -> str:
+    return ", ".join(decimal_text(float(value), unit) for value in values)

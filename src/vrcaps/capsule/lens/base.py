@@ -1,0 +1,156 @@
+"""What every lens model offers, and the arithmetic they share.
+
+A lens model is a frozen dataclass of plain numbers. Pixels are (column, row), and pixel (0, 0) is
+the centre of the top-left pixel. The camera frame is x right, y down, z forward.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import fields
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol
+
+import numpy as np
+
+from vrcaps.errors import InputError
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float
+
+ANGLE_SLACK = 1e-9
+"""Rounding allowed at the edge of the field [rad]: a ray on the edge still projects."""
+
+
+class Lens(Protocol):
+    """A lens model; `LENSES` names them all.
+
+    Attributes:
+        kind: Its name in files.
+    """
+
+    kind: ClassVar[str]
+
+    @property
+    def cx(self) -> float:
+        """Column where the optical axis meets the image [px]."""
+        ...
+
+    @property
+    def cy(self) -> float:
+        """Row where the optical axis meets the image [px]."""
+        ...
+
+    @property
+    def max_angle(self) -> float | None:
+        """Half-field limit [rad], or None for all that the model can tell apart."""
+        ...
+
+    def project(
+        self, points_camera: Float[np.ndarray, "*batch 3"]
+    ) -> Float[np.ndarray, "*batch 2"]:
+        """Pixels of points in the camera frame (any length unit); NaN outside the field."""
+        ...
+
+    def unproject(self, pixels: Float[np.ndarray, "*batch 2"]) -> Float[np.ndarray, "*batch 3"]:
+        """Unit rays in the camera frame through pixels; NaN outside the field."""
+        ...
+
+
+def check_lens(lens: Any, positive: tuple[str, ...]) -> None:
+    """Check a lens dataclass when it is made.
+
+    Args:
+        lens: The lens.
+        positive: Fields that must be positive.
+
+    Raises:
+        InputError: If a parameter is no finite number, or one that must be positive is not, or
+            `max_angle` is outside (0, π].
+    """
+    for name in (f.name for f in fields(lens)):
+        value = getattr(lens, name)
+        if name == "max_angle" and value is None:
+            continue
+        if isinstance(value, bool) or not isinstance(value, (int, float, np.number)):
+            raise InputError(f"Lens {lens.kind}: {name} = {value!r}. Allowed: a finite number.")
+        if not math.isfinite(value):
+            raise InputError(f"Lens {lens.kind}: {name} = {value}. Allowed: a finite number.")
+        if name in positive and not value > 0.0:
+            raise InputError(f"Lens {lens.kind}: {name} = {value}. Allowed: above 0.")
+    if lens.max_angle is not None and not 0.0 < lens.max_angle <= math.pi:
+        raise InputError(f"Lens {lens.kind}: max_angle = {lens.max_angle}. Allowed: 0 to π rad.")
+
+
+def angles_to_axis(points: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch"]:
+    """Angle [rad] between points' directions and the optical axis; NaN for the origin itself."""
+    lateral = np.hypot(points[..., 0], points[..., 1])
+    angle = np.arctan2(lateral, points[..., 2])
+    return np.where((lateral == 0.0) & (points[..., 2] == 0.0), np.nan, angle)
+
+
+def rays_at_angles(
+    angle: Float[np.ndarray, "*batch"], direction: Float[np.ndarray, "*batch 2"]
+) -> Float[np.ndarray, "*batch 3"]:
+    """Unit rays at an angle [rad] to the optical axis, towards a lateral `direction` of any length.
+
+    Where the direction is zero the ray is the optical axis.
+    """
+    length = np.hypot(direction[..., 0], direction[..., 1])
+    scale = np.sin(angle) / np.where(length > 0.0, length, 1.0)
+    z = np.where(length > 0.0, np.cos(angle), np.where(np.isnan(angle), np.nan, 1.0))
+    return np.stack([direction[..., 0] * scale, direction[..., 1] * scale, z], axis=-1)
+
+
+def masked(
+    values: Float[np.ndarray, "*batch c"], valid: Bool[np.ndarray, "*batch"]
+) -> Float[np.ndarray, "*batch c"]:
+    """Values with NaN where they are not valid."""
+    return np.where(valid[..., None], values, np.nan)
+
+
+def first_positive_root(coefficients: tuple[float, ...]) -> float:
+    """Smallest positive real root of Σ cᵢ xⁱ, infinite where there is none.
+
+    A double root, where the polynomial touches zero and keeps its sign, does not count.
+    """
+    roots = np.polynomial.Polynomial(coefficients).trim().roots()
+    real = roots.real[(np.abs(roots.imag) <= 1e-9 * np.abs(roots)) & (roots.real > 0.0)]
+    return float(real.min()) if real.size else math.inf
+
+
+def invert_monotone(
+    function: Callable[[np.ndarray], np.ndarray],
+    derivative: Callable[[np.ndarray], np.ndarray],
+    values: Float[np.ndarray, "*batch"],
+    upper: float,
+) -> Float[np.ndarray, "*batch"]:
+    """Solve ``function(x) = value`` on [0, `upper`], where the function increases, to rounding.
+
+    Newton's method from a table, with bisection where a step leaves the bracket.
+
+    Args:
+        function: Vectorised and increasing, zero at 0.
+        derivative: Of the function.
+        values: To be reached; those beyond the range give the nearer end, NaN gives NaN.
+        upper: End of the interval.
+    """
+    grid = upper * np.linspace(0.0, 1.0, 257)
+    table = function(grid)
+    values = np.clip(values, 0.0, table[-1])
+    x = np.interp(values, table, grid)
+    low, high = np.zeros_like(values), np.full_like(values, upper)
+    for _ in range(100):
+        error = function(x) - values
+        low = np.where(error < 0.0, x, low)
+        high = np.where(error > 0.0, x, high)
+        slope = derivative(x)
+        step = error / np.where(slope > 0.0, slope, np.inf)
+        newton = x - step
+        inside = (newton >= low) & (newton <= high) & (slope > 0.0)
+        moved = np.where(error == 0.0, x, np.where(inside, newton, 0.5 * (low + high)))
+        settled = ~(np.abs(moved - x) > 2e-16 * upper)  # true for NaN too
+        x = moved
+        if np.all(settled):
+            break
+    return np.where(np.isnan(values), np.nan, x)

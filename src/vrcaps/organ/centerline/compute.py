@@ -1,0 +1,110 @@
+"""The centreline of a surface: voxels, path, smoothing, and which end is oral."""
+
+from __future__ import annotations
+
+import logging
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vrcaps.errors import InputError
+from vrcaps.organ.centerline.curve import centerline_from_points, transport_frames
+from vrcaps.organ.centerline.lumen import MAX_VOXELS, mean_radius, voxelise
+from vrcaps.organ.centerline.path import find_path
+from vrcaps.organ.centerline.smooth import smooth_path
+from vrcaps.organ.surface import Centerline, Mesh
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+_VOXELS_PER_RADIUS = 10.0
+_REFINEMENTS = 3
+_END_SHARE = 0.15  # of the length, over which the width of an end is measured
+
+_log = logging.getLogger(__name__)
+
+
+def compute_centerline(
+    mesh: Mesh,
+    *,
+    voxel: float | None = None,
+    start: Float[np.ndarray, " 3"] | None = None,
+    end: Float[np.ndarray, " 3"] | None = None,
+    reverse: bool = False,
+) -> Centerline:
+    """The smooth curve down the middle of a lumen, from end to end.
+
+    A minimum-cost path through the lumen's distance field, made central and smooth. Its two
+    ends are those farthest apart inside the lumen. A mesh does not say which is the oral
+    one: it is taken to be the wider, which holds for a colon (caecum to rectum) and for a
+    stomach (fundus to pylorus). State `start`, `end` or `reverse` where it does not.
+
+    Args:
+        mesh: The wall of one lumen [m]; its ends may be open.
+        voxel: Edge of the voxels [m]; by default 1/10 of the lumen's mean radius. It is
+            refined where a narrow place would be closed.
+        start: Oral end [m], a point inside the lumen.
+        end: Anal end [m], a point inside the lumen.
+        reverse: Whether the narrower end is the oral one; only without `start` and `end`.
+
+    Raises:
+        InputError: If there is no lumen, an end lies outside of it, or no curve keeps clear
+            of the wall.
+    """
+    vertices, faces = np.asarray(mesh.vertices, float), mesh.faces
+    if reverse and (start is not None or end is not None):
+        raise InputError("A centreline takes either start and end points or reverse, not both.")
+    if voxel is not None and not (np.isfinite(voxel) and voxel > 0.0):
+        raise InputError(f"The voxel is {voxel} m. Give a positive length in metres.")
+    radius = mean_radius(vertices, faces)
+    if voxel is None:
+        voxel = radius / _VOXELS_PER_RADIUS
+    centerline = _trace(mesh, voxel, start, end)
+    if start is None and end is None and _widens(centerline) != reverse:
+        return _reversed(centerline)
+    return centerline
+
+
+def _trace(
+    mesh: Mesh,
+    voxel: float,
+    start: Float[np.ndarray, " 3"] | None,
+    end: Float[np.ndarray, " 3"] | None,
+) -> Centerline:
+    """The curve on ever finer voxels; on the finest it may also cross closed places.
+
+    Raises:
+        InputError: If no curve keeps clear of the wall.
+    """
+    vertices, faces = np.asarray(mesh.vertices, float), mesh.faces
+    smallest = 1.1 * float(np.prod(np.ptp(vertices, axis=0)) / MAX_VOXELS) ** (1 / 3)
+    voxels = [voxel / 1.5**level for level in range(_REFINEMENTS + 1)]
+    voxels = voxels[:1] + [size for size in voxels[1:] if size > smallest]
+    for level, size in enumerate(voxels):
+        grid = voxelise(vertices, faces, size)
+        is_last = level == len(voxels) - 1
+        path = find_path(grid, start, end, cross_gaps=is_last)
+        if path is None:
+            _log.info("lumen is in parts at voxels of %.2g m", size)
+            continue
+        try:
+            curve = smooth_path(grid, path, (start is None, end is None))
+            return centerline_from_points(curve, vertices, faces)
+        except InputError:
+            if is_last:
+                raise
+    raise InputError("The lumen is in parts that no path connects. Repair the mesh first.")
+
+
+def _widens(centerline: Centerline) -> bool:
+    """Whether the lumen is wider near the last point than near the first."""
+    share = max(1, round(_END_SHARE * len(centerline.radius)))
+    return bool(centerline.radius[-share:].mean() > centerline.radius[:share].mean())
+
+
+def _reversed(centerline: Centerline) -> Centerline:
+    """The same curve from its other end."""
+    points, tangents = centerline.points[::-1], -centerline.frames[::-1, :, 2]
+    arc_length = centerline.length - centerline.arc_length[::-1]
+    radius = centerline.radius[::-1].copy()
+    return Centerline(points.copy(), arc_length, radius, transport_frames(points, tangents))

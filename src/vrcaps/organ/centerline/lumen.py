@@ -1,0 +1,173 @@
+"""A lumen as a grid of voxels: inside by ray parity, and its distance from the wall."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy import ndimage
+
+from vrcaps.errors import InputError
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Int
+
+MAX_VOXELS = 30_000_000
+_COARSE_VOXELS = 1_000_000  # of the first look, which measures volume and calibre
+
+
+@dataclass(frozen=True)
+class LumenGrid:
+    """Voxels of a lumen; voxel (i, j, k) is centred at ``origin + voxel * (i, j, k)``.
+
+    Attributes:
+        inside: Whether the centre of each voxel lies in the lumen.
+        clearance: Distance of each voxel's centre from the wall, to about half a voxel [m].
+        origin: Centre of voxel (0, 0, 0) [m].
+        voxel: Edge length [m].
+    """
+
+    inside: Bool[np.ndarray, "x y z"]
+    clearance: Float[np.ndarray, "x y z"]
+    origin: Float[np.ndarray, " 3"]
+    voxel: float
+
+    def points(self, ids: Int[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
+        """Centres of voxels [m]."""
+        return self.origin + self.voxel * np.asarray(ids, float)
+
+    def clearance_at(self, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n"]:
+        """Distance from the wall at points, interpolated; 0 outside the lumen [m]."""
+        ids = (points - self.origin) / self.voxel
+        return ndimage.map_coordinates(self.clearance, ids.T, order=1, mode="constant")
+
+
+def voxelise(
+    vertices: Float[np.ndarray, "n 3"], faces: Int[np.ndarray, "m 3"], voxel: float
+) -> LumenGrid:
+    """Voxels of the lumen that a surface encloses, whatever its winding.
+
+    A voxel is inside where a line from its centre along z crosses the wall an odd number of
+    times. Open ends are closed by `close_ends` first, so that this is defined everywhere.
+
+    Raises:
+        InputError: If the grid would have more than `MAX_VOXELS` voxels.
+    """
+    vertices, faces = close_ends(vertices, faces)
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    shape = np.ceil((high - low) / voxel) + 3.0
+    if shape.prod() > MAX_VOXELS:
+        allowed = (np.prod(high - low) / MAX_VOXELS) ** (1 / 3)
+        raise InputError(
+            f"A voxel of {voxel:.3g} m makes a grid of {shape.prod():.2g} voxels. "
+            f"Allowed: {MAX_VOXELS:.0e}. Use a voxel of at least {1.1 * allowed:.2g} m."
+        )
+    shape, origin = shape.astype(int), low - voxel
+    scaled = (vertices - origin) / voxel
+    wall = np.zeros(shape, bool)
+    inside = np.zeros(shape, np.uint8)
+    for axes in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+        columns, height = _crossings(scaled[:, axes], faces, shape[list(axes)])
+        cell = np.rint(height).astype(int)
+        ids = np.empty((len(columns), 3), int)
+        ids[:, axes[0]], ids[:, axes[1]], ids[:, axes[2]] = columns[:, 0], columns[:, 1], cell
+        wall[tuple(ids.T)] = True
+        if axes == (0, 1, 2):
+            above = np.ceil(height).astype(int)
+            np.add.at(inside, (columns[:, 0], columns[:, 1], above), np.uint8(1))
+    inside &= 1
+    np.bitwise_xor.accumulate(inside, axis=2, out=inside)
+    inside = inside.astype(bool)
+    clearance = ndimage.distance_transform_edt(~wall).astype(np.float32)
+    clearance = np.where(inside, np.maximum(clearance, 0.25), 0.0) * np.float32(voxel)
+    return LumenGrid(inside, clearance, origin, voxel)
+
+
+def close_ends(
+    vertices: Float[np.ndarray, "n 3"], faces: Int[np.ndarray, "m 3"]
+) -> tuple[Float[np.ndarray, "k 3"], Int[np.ndarray, "l 3"]]:
+    """The surface with vertices at one place merged and every open end closed by a cone.
+
+    Edges with an odd number of faces form loops; each is joined to its centroid, after
+    which every line crosses the surface an even number of times.
+    """
+    from scipy.sparse import coo_array  # noqa: PLC0415 - scipy.sparse is slow to load
+    from scipy.sparse.csgraph import connected_components  # noqa: PLC0415
+
+    vertices, inverse = np.unique(vertices, axis=0, return_inverse=True)
+    faces = inverse.reshape(-1)[faces]
+    edges = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    edges = edges[edges[:, 0] != edges[:, 1]]
+    edges, count = np.unique(edges, axis=0, return_counts=True)
+    rim = edges[count % 2 == 1]
+    if not len(rim):
+        return vertices, faces
+    n = len(vertices)
+    graph = coo_array((np.ones(len(rim)), (rim[:, 0], rim[:, 1])), shape=(n, n))
+    _, loop = connected_components(graph, directed=False)
+    loops, which = np.unique(loop[rim[:, 0]], return_inverse=True)
+    weight = np.bincount(which)
+    middle = np.stack(
+        [np.bincount(which, vertices[rim, axis].mean(axis=1)) / weight for axis in range(3)], axis=1
+    )
+    cones = np.column_stack([rim, n + which])
+    assert len(loops) == len(middle)
+    return np.concatenate([vertices, middle]), np.concatenate([faces, cones])
+
+
+def _crossings(
+    vertices: Float[np.ndarray, "n 3"], faces: Int[np.ndarray, "m 3"], shape: Int[np.ndarray, " 3"]
+) -> tuple[Int[np.ndarray, "k 2"], Float[np.ndarray, " k"]]:
+    """Grid lines along z that meet each triangle, and at what height.
+
+    The test (an odd number of the triangle's edges lies to the right of the line) takes each
+    edge by its lower vertex first, so that two triangles of one edge never both miss or both
+    hit a line through it.
+
+    Args:
+        vertices: In voxels, grid lines at whole x and y.
+        faces: Vertex numbers of each triangle.
+        shape: Of the grid.
+    """
+    corners = vertices[faces]
+    first = np.ceil(corners[..., :2].min(axis=1)).astype(int)
+    span = np.floor(corners[..., :2].max(axis=1)).astype(int) - first + 1
+    count = np.maximum(span, 0).prod(axis=1)
+    face = np.repeat(np.arange(len(faces)), count)
+    rank = np.arange(len(face)) - np.repeat(np.cumsum(count) - count, count)
+    columns = first[face] + np.stack([rank // span[face, 1], rank % span[face, 1]], axis=1)
+    hit = np.zeros(len(face), bool)
+    for edge in ((0, 1), (1, 2), (2, 0)):
+        pair = np.sort(faces[:, edge], axis=1)
+        start, stop = vertices[pair[face, 0], :2], vertices[pair[face, 1], :2]
+        spans = (start[:, 1] > columns[:, 1]) != (stop[:, 1] > columns[:, 1])
+        rise = np.where(spans, stop[:, 1] - start[:, 1], 1.0)
+        across = start[:, 0] + (columns[:, 1] - start[:, 1]) / rise * (stop[:, 0] - start[:, 0])
+        hit ^= spans & (columns[:, 0] < across)
+    columns, corner = columns[hit], corners[face[hit]]
+    normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    slope = np.where(normal[:, 2] != 0.0, normal[:, 2], 1.0)
+    offset = columns - corner[:, 0, :2]
+    height = corner[:, 0, 2] - (offset * normal[:, :2]).sum(axis=1) / slope
+    height = np.clip(height, corner[..., 2].min(axis=1), corner[..., 2].max(axis=1))
+    return columns, np.minimum(height, shape[2] - 1.0)
+
+
+def mean_radius(vertices: Float[np.ndarray, "n 3"], faces: Int[np.ndarray, "m 3"]) -> float:
+    """Twice the lumen's volume over its wall's area [m]: the radius, were it a long cylinder.
+
+    Raises:
+        InputError: If the surface encloses no lumen.
+    """
+    extent = np.ptp(vertices, axis=0)
+    if not (len(faces) and np.isfinite(extent).all() and extent.min() > 0.0):
+        raise InputError(f"The surface has extents {extent} m. Give one that encloses a lumen.")
+    grid = voxelise(vertices, faces, (extent.prod() / _COARSE_VOXELS) ** (1 / 3))
+    volume = np.count_nonzero(grid.inside) * grid.voxel**3
+    corners = vertices[faces]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    area = 0.5 * np.linalg.norm(normals, axis=1).sum()
+    if volume < 1e-3 * extent.prod() * 1e-3 or area <= 0.0:
+        raise InputError("The surface encloses no lumen. Give a closed tube or pouch.")
+    return 2.0 * volume / area

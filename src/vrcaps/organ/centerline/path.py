@@ -1,0 +1,103 @@
+"""The path through the middle of a lumen: its two ends and the cheapest way between them."""
+
+from __future__ import annotations
+
+import logging
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vrcaps.errors import InputError
+from vrcaps.organ.centerline.lumen import LumenGrid
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Int
+
+_WALL_COST = 30.0  # of a step beside the wall, in steps through free lumen, when seeking the ends
+_CENTRING = 3.0  # a step costs clearance^-3: short cuts near the wall never pay
+_GAP_COST = 1e4  # of a step outside the lumen, in steps beside the wall
+
+_log = logging.getLogger(__name__)
+
+
+def find_path(
+    grid: LumenGrid,
+    start: Float[np.ndarray, " 3"] | None,
+    end: Float[np.ndarray, " 3"] | None,
+    *,
+    cross_gaps: bool = False,
+) -> Float[np.ndarray, "k 3"] | None:
+    """Voxel centres along the middle of the lumen, from one end to the other [m].
+
+    The cost of a step falls with the cube of its distance from the wall. Ends not given are
+    the two points of the lumen that are farthest apart when walking inside it.
+
+    Args:
+        grid: The lumen.
+        start: Where to begin [m], or None.
+        end: Where to stop [m], or None.
+        cross_gaps: Whether the path may cross what the grid holds to be outside.
+
+    Returns:
+        The path, or None where parts of the lumen are cut off from each other.
+    """
+    from skimage.graph import MCP_Geometric  # noqa: PLC0415 - heavy
+
+    clear = np.maximum(grid.clearance / grid.voxel, 0.25)
+    outside = _GAP_COST if cross_gaps else -1.0
+    walk = np.where(grid.inside, np.where(clear < 1.0, _WALL_COST, 1.0), outside)
+    first = _snap(grid, start, "start") if start is not None else None
+    last = _snap(grid, end, "end") if end is not None else None
+    if first is None:
+        seed = last
+        if seed is None:
+            seed = np.unravel_index(np.argmax(grid.clearance), grid.inside.shape)
+        first = _farthest(grid, walk, seed)
+    if last is None:
+        last = _farthest(grid, walk, first)
+    if first is None or last is None:
+        return None
+    cost = np.where(grid.inside, clear**-_CENTRING, outside * 0.25**-_CENTRING)
+    costs = MCP_Geometric(cost)
+    total, _ = costs.find_costs([first], [last])
+    if not np.isfinite(total[tuple(last)]):
+        return None
+    ids = np.array(costs.traceback(tuple(last)))
+    gap = np.count_nonzero(~grid.inside[tuple(ids.T)])
+    if gap:
+        where = grid.points(ids[~grid.inside[tuple(ids.T)]][:1])[0]
+        _log.warning("centreline crosses a closed place of %.2g m at %s m", gap * grid.voxel, where)
+    return grid.points(ids)
+
+
+def _farthest(
+    grid: LumenGrid, cost: Float[np.ndarray, "x y z"], seed: Int[np.ndarray, " 3"]
+) -> Int[np.ndarray, " 3"] | None:
+    """The lumen's voxel farthest from a seed; None if more than 1 % of it is out of reach."""
+    from skimage.graph import MCP_Geometric  # noqa: PLC0415 - heavy
+
+    total, _ = MCP_Geometric(cost).find_costs([tuple(seed)])
+    reached = np.isfinite(total) & grid.inside
+    if np.count_nonzero(reached) < 0.99 * np.count_nonzero(grid.inside):
+        return None
+    return np.array(np.unravel_index(np.argmax(np.where(reached, total, -1.0)), total.shape))
+
+
+def _snap(grid: LumenGrid, point: Float[np.ndarray, " 3"], name: str) -> Int[np.ndarray, " 3"]:
+    """The voxel of the lumen nearest to a point.
+
+    Raises:
+        InputError: If the point is not finite or lies outside the lumen.
+    """
+    point = np.asarray(point, float)
+    if point.shape != (3,) or not np.isfinite(point).all():
+        raise InputError(f"The centreline's {name} is {point.tolist()}. Give x, y, z in metres.")
+    ids = np.argwhere(grid.inside)
+    away = np.linalg.norm(grid.points(ids) - point, axis=1)
+    nearest = int(np.argmin(away))
+    if away[nearest] > 2.0 * grid.voxel:
+        raise InputError(
+            f"The centreline's {name} {point.tolist()} m lies {away[nearest]:.3g} m outside the "
+            f"lumen. Give a point inside; the nearest is {grid.points(ids[nearest]).tolist()} m."
+        )
+    return ids[nearest]

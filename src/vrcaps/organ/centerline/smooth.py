@@ -1,0 +1,116 @@
+"""A voxel path made smooth and central, without leaving the lumen."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.linalg import solveh_banded
+
+from vrcaps.organ.centerline.lumen import LumenGrid
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+_SMOOTHING = 0.5  # length below which wiggles fade, in local radii
+_KEEP = 0.6  # of its clearance a point must keep when smoothed
+_ROUNDS = 30
+_CENTRING_ROUNDS = 12
+_END_WINDOW = 2  # voxels beyond its own clearance over which the clearance must not grow
+
+
+def smooth_path(
+    grid: LumenGrid, path: Float[np.ndarray, "k 3"], free: tuple[bool, bool] = (True, True)
+) -> Float[np.ndarray, "n 3"]:
+    """A smooth curve down the middle of the lumen, from wall to wall [m].
+
+    Free ends climb from the end wall to the middle: this part is replaced by a straight line
+    to the wall. The curve is drawn to where the clearance is largest and smoothed in turn.
+
+    Args:
+        grid: The lumen.
+        path: Voxel centres along it [m].
+        free: Whether the first and the last end may be moved.
+    """
+    path = resample(path, grid.voxel)
+    path = _trim(grid, path) if free[0] else path
+    path = _trim(grid, path[::-1])[::-1] if free[1] else path
+    for _ in range(_CENTRING_ROUNDS):
+        path = resample(_smooth(grid, _centre(grid, path)), grid.voxel)
+    head = _tail(grid, path[::-1])[::-1] if free[0] else path[:0]
+    tail = _tail(grid, path) if free[1] else path[:0]
+    return np.concatenate([head, path, tail])
+
+
+def resample(points: Float[np.ndarray, "k 3"], step: float) -> Float[np.ndarray, "n 3"]:
+    """Points at equal distances of about `step` along a polyline, its ends included."""
+    arc = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1)))
+    at = np.linspace(0.0, arc[-1], max(int(np.ceil(arc[-1] / step)), 4) + 1)
+    return np.stack([np.interp(at, arc, points[:, axis]) for axis in range(3)], axis=1)
+
+
+def _trim(grid: LumenGrid, path: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, "n 3"]:
+    """The path from where its clearance first stops to grow."""
+    clearance = grid.clearance_at(path)
+    for i in range(len(path) // 3):
+        ahead = clearance[i : i + _END_WINDOW + int(clearance[i] / grid.voxel)]
+        if clearance[i] >= max(grid.voxel, 0.9 * ahead.max()):
+            return path[i:]
+    return path[len(path) // 3 :]
+
+
+def _tail(grid: LumenGrid, path: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, "n 3"]:
+    """Points straight on from the path's last, until a voxel before the wall."""
+    reach = grid.clearance_at(path[-1:])[0]
+    back = min(len(path) - 1, max(2, int(reach / grid.voxel)))
+    direction = path[-1] - path[-1 - back]
+    direction /= np.linalg.norm(direction)
+    steps = np.arange(1, max(grid.inside.shape))
+    line = path[-1] + grid.voxel * steps[:, None] * direction
+    near = grid.clearance_at(line) < min(1.5 * grid.voxel, 0.5 * reach)
+    return line[: np.argmax(near)]
+
+
+def _centre(grid: LumenGrid, path: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
+    """Each point moved across the curve towards larger clearance, at most a voxel."""
+    tangent = np.gradient(path, axis=0)
+    tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
+    half = np.maximum(0.2 * grid.clearance_at(path), grid.voxel)[:, None]
+    slope = np.stack(
+        [
+            grid.clearance_at(path + half * axis) - grid.clearance_at(path - half * axis)
+            for axis in np.eye(3)
+        ],
+        axis=1,
+    ) / (2.0 * half)
+    slope -= (slope * tangent).sum(axis=1, keepdims=True) * tangent
+    return path + grid.voxel * slope
+
+
+def _smooth(grid: LumenGrid, path: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
+    """The curve x that minimises Σ w |x − path|² + Σ |x″|², w = (step / smoothing length)⁴.
+
+    Where x would come too near the wall, w is raised until it does not.
+    """
+    clearance = grid.clearance_at(path)
+    step = np.linalg.norm(path[1] - path[0])
+    weight = (step / (_SMOOTHING * np.maximum(clearance, grid.voxel))) ** 4
+    smooth = path
+    for _ in range(_ROUNDS):
+        smooth = solveh_banded(_bending(weight), weight[:, None] * path)
+        tight = grid.clearance_at(smooth) < _KEEP * clearance
+        if not tight.any():
+            break
+        weight = np.where(tight, 4.0 * weight, weight)
+    return smooth
+
+
+def _bending(weight: Float[np.ndarray, " n"]) -> Float[np.ndarray, "3 n"]:
+    """Upper bands of diag(weight) + D'D, D the second difference."""
+    n = len(weight)
+    bands = np.zeros((3, n))
+    for offset, row in ((0, (1.0, 4.0, 1.0)), (1, (-2.0, -2.0)), (2, (1.0,))):
+        for shift, value in enumerate(row):
+            bands[2 - offset, offset + shift : n - 2 + offset + shift] += value
+    bands[2] += weight
+    return bands

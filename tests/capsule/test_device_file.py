@@ -1,0 +1,244 @@
+"""A device file is read strictly and written so that it reads back equal."""
+
+import math
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from vrcaps.capsule.catalog import device_names, load_device
+from vrcaps.capsule.device import Device, Led
+from vrcaps.capsule.device_file import write_device
+from vrcaps.capsule.lens import LENSES, LensEquirectangular, LensKannalaBrandt, LensPinhole
+from vrcaps.errors import InputError
+
+DEVICE = """
+title = "Mine"
+length_mm = 26
+radius_mm = 5.5
+mass_g = 3.2
+frame_rate_hz = 4
+
+[[cameras]]
+name = "front"
+width_px = 64
+height_px = 48
+position_mm = [0, 0, 7.1]
+rotation = [[1, 0, 0], [0, 1, 0], [0, 0, 1]]
+exposure_m2_sr_per_w = 0.05
+
+[cameras.lens]
+kind = "kannala-brandt"
+fx_px = 30
+fy_px = 30
+cx_px = 31.5
+cy_px = 23.5
+max_angle_deg = 80
+
+[[cameras.led_rings]]
+centre_mm = [0, 0, -0.5]
+radius_mm = 3
+angles_deg = [0, 90, 180, 270]
+intensity_mw_per_sr = [2, 1.5, 1]
+lobe_exponent = 1
+"""
+
+
+def assert_same(a: Device, b: Device) -> None:
+    assert replace(a, cameras=()) == replace(b, cameras=())
+    for one, other in zip(a.cameras, b.cameras, strict=True):
+        np.testing.assert_array_equal(one.T_capsule_camera, other.T_capsule_camera)
+        pose = np.eye(4)
+        # The same array object in both: dataclass equality then compares the rest.
+        assert replace(one, T_capsule_camera=pose) == replace(other, T_capsule_camera=pose)
+
+
+def load_text(tmp_path, text: str) -> Device:
+    path = tmp_path / "mine.toml"
+    path.write_text(text, encoding="utf-8")
+    return load_device(path)
+
+
+def test_a_users_file_is_read_in_si_units(tmp_path):
+    device = load_text(tmp_path, DEVICE)
+    assert (device.name, device.title) == ("mine", "Mine")
+    assert (device.length, device.radius, device.mass) == (0.026, 0.0055, 0.0032)
+    camera = device.cameras[0]
+    assert (camera.width, camera.height) == (64, 48)
+    np.testing.assert_array_equal(camera.T_capsule_camera[:3, 3], [0.0, 0.0, 0.0071])
+    assert camera.lens == LensKannalaBrandt(30, 30, 31.5, 23.5, max_angle=math.radians(80))
+    assert camera.leds[0] == Led((0.003, 0.0, -0.0005), intensity=(2e-3, 1.5e-3, 1e-3))
+    np.testing.assert_allclose(camera.leds[1].position_camera, [0.0, 0.003, -0.0005], atol=1e-18)
+
+
+@pytest.mark.parametrize("name", device_names())
+def test_catalog_devices_are_written_and_read_back_equal(tmp_path, name):
+    device = load_device(name)
+    write_device(tmp_path / f"{name}.toml", device)
+    assert_same(load_device(tmp_path / f"{name}.toml"), device)
+    assert [path.name for path in tmp_path.iterdir()] == [f"{name}.toml"]
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_any_floats_are_written_and_read_back_equal(tmp_path, seed):
+    rng = np.random.default_rng(seed)
+    base = load_text(tmp_path, DEVICE)
+    rotation, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+    pose = np.eye(4)
+    pose[:3, :3] = rotation * np.sign(np.linalg.det(rotation))
+    pose[:3, 3] = rng.uniform(-1e-3, 1e-3, 3)
+    direction = rng.normal(size=3)
+    led = Led(
+        tuple(rng.uniform(-1e-3, 1e-3, 3).tolist()),
+        tuple((direction / np.linalg.norm(direction)).tolist()),
+        tuple(rng.uniform(0, 1e-3, 3).tolist()),
+        float(rng.uniform(0, 5)),
+    )
+    numbers = rng.uniform(20, 30, 4).tolist()
+    lenses = (
+        LensPinhole(*numbers, *rng.uniform(-1e-7, 1e-3, 6).tolist(), float(rng.uniform(0.1, 1))),
+        LensEquirectangular(*numbers, float(rng.uniform(1, 3))),
+    )
+    cameras = tuple(
+        replace(
+            base.cameras[0],
+            name=lens.kind,
+            lens=lens,
+            T_capsule_camera=pose,
+            leds=(led, led),
+            exposure=float(rng.uniform(1e-3, 1e3)),
+            image_circle_px=float(rng.uniform(10, 30)),
+            nominal_field=float(rng.uniform(1, 3)),
+        )
+        for lens in lenses
+    )
+    facts = {"lot": 'A "1" \\ µ\n', "seed": seed, "on": True, "gain": [1.5, {"r": 0.1}]}
+    device = replace(base, mass=float(rng.uniform(1e-3, 1e-2)), cameras=cameras, metadata=facts)
+    write_device(tmp_path / "mine.toml", device)
+    assert_same(load_device(tmp_path / "mine.toml"), device)
+
+
+def test_led_direction_may_have_any_length(tmp_path):
+    led = """
+[[cameras.leds]]
+position_mm = [1, 2, 3]
+direction = [0, 3, 4]
+intensity_mw_per_sr = [1, 1, 1]
+lobe_exponent = 0
+"""
+    (first, *_) = load_text(tmp_path, DEVICE + led).cameras[0].leds
+    np.testing.assert_allclose(first.direction_camera, [0.0, 0.6, 0.8])
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('title = "Mine"\n', "", "mine.toml: 'title' is missing (a string). Given: length_mm, "),
+        ('title = "Mine"', "title = 5", "mine.toml: title = 5. Allowed: a string."),
+        ("length_mm = 26", 'length_mm = "26"', 'length_mm = "26". Allowed: a number above 0.'),
+        ("length_mm = 26", "length_mm = true", "length_mm = true. Allowed: a number above 0."),
+        ("length_mm = 26", "length_mm = inf", "length_mm = inf. Allowed: a number above 0."),
+        ("length_mm = 26", "length_mm = 10", "length_mm is below twice radius_mm."),
+        ("mass_g = 3.2", "mass_g = -3", "mine.toml: mass_g = -3. Allowed: a number above 0."),
+        ("mass_g", "weight_g", "mine.toml: 'mass_g' is missing (a number above 0). Given: title"),
+        ("mass_g = 3.2", "mass_g = 3.2\ncolour = 1", "unknown key 'colour'. Allowed: title, "),
+        ("width_px = 64", "width_px = 64.5", "cameras 0: width_px = 64.5. Allowed: a whole number"),
+        ('"front"', '"a/b"', 'cameras 0: name = "a/b". Allowed: letters, digits'),
+        ("[0, 0, 7.1]", "[0, 7.1]", "position_mm = [0, 7.1]. Allowed: a list of 3 numbers."),
+        ("[0, 0, 7.1]", "[0, nan, 7.1]", "position_mm = [0, nan, 7.1]. Allowed: a list of 3"),
+        ("[0, 0, 7.1]", "[0, 0, 13.1]", "camera 'front' is outside the body."),
+        ("[0, 0, 1]]", "[0, 0, 1.1]]", "Allowed: three rows of three numbers, orthonormal"),
+        ("[0, 0, 1]]", "[0, 0, -1]]", "orthonormal and right-handed (R_capsule_camera)."),
+        ("[0, 0, 1]]", "[0, 0]]", "rotation = [0, 0]. Allowed: a list of 3 numbers."),
+        ("[0, 1, 0], [0, 0, 1]]", "[0, 1, 0]]", "Allowed: three rows of three numbers"),
+        ("kannala-brandt", "fisheye", 'lens: kind = "fisheye". Allowed: equidistant, equirect'),
+        ("fx_px = 30", "fx = 30", "lens: 'fx_px' is missing (a number). Given: kind, fx, "),
+        ("fx_px = 30", "fx_px = 0", "cameras 0, lens: Lens kannala-brandt: fx = 0.0. Allowed: abo"),
+        ("fx_px = 30", "fx_px = nan", "cameras 0, lens: fx_px = nan. Allowed: a number."),
+        ("cx_px = 31.5", "cx_px = 64", "lens centre cx = 64 px is outside the image. Allowed: -0."),
+        ("cy_px = 23.5", "cy_px = -1", "lens centre cy = -1 px is outside the image."),
+        ("max_angle_deg = 80", "k5 = 1", "lens: unknown key 'k5'. Allowed: kind, fx_px, fy_px"),
+        ("max_angle_deg = 80", "max_angle_deg = 200", "max_angle = 3.49"),
+        ("cx_px = 31.5", "cx_px = 31.45", "no pixel of the image is in the lens's field."),
+        ("[2, 1.5, 1]", "[2, -1, 1]", "intensity_mw_per_sr = [2, -1, 1]. Allowed: 0 or above."),
+        ("lobe_exponent = 1", "lobe_exponent = -1", "lobe_exponent = -1. Allowed: 0 or above."),
+        ("angles_deg = [0, 90, 180, 270]", "angles_deg = []", "a list of one or more numbers."),
+        ("[cameras.lens]", "[cameras.lens.more]", "lens: 'kind' is missing (a string)."),
+        ("[[cameras]]", "[cameras]", "Allowed: one or more [[cameras]] tables."),
+        ("[[cameras.led_rings]]", "[cameras.led_rings]", "one or more [[led_rings]] tables."),
+        ("length_mm = 26", "length_mm = ", "The device file "),
+    ],
+)
+def test_what_is_wrong_is_said_in_one_line(tmp_path, old, new, message):
+    assert old in DEVICE
+    text = DEVICE.replace(old, new)
+    if "no pixel" in message:
+        text = text.replace("exposure_m2", "image_circle_px = 0.01\nexposure_m2")
+    with pytest.raises(InputError, match=re.escape(message)) as caught:
+        load_text(tmp_path, text)
+    assert "\n" not in str(caught.value)
+
+
+def test_lens_must_be_a_table(tmp_path):
+    text = DEVICE.replace("[cameras.lens]", "[cameras.unused]").replace(
+        "exposure_m2", 'lens = "kannala-brandt"\nexposure_m2'
+    )
+    with pytest.raises(
+        InputError, match=r'cameras 0: lens = "kannala-brandt"\. Allowed: a table\.'
+    ):
+        load_text(tmp_path, text)
+
+
+def test_angle_that_increases_nowhere(tmp_path):
+    start, end = DEVICE.index("kind ="), DEVICE.index("[[cameras.led_rings]]")
+    lens = 'kind = "scaramuzza"\na0_px = -70\na2 = 0\na3 = 0\na4 = 0\ncx_px = 31\ncy_px = 23\n'
+    with pytest.raises(InputError, match=r"a0 = -70\.0: the angle increases .* nowhere"):
+        load_text(tmp_path, DEVICE[:start] + lens + DEVICE[end:])
+
+
+def test_zero_led_direction(tmp_path):
+    led = "\n[[cameras.leds]]\nposition_mm = [1, 2, 3]\ndirection = [0, 0, 0]\n"
+    with pytest.raises(InputError, match=r"direction = .*Allowed: any direction but zero"):
+        load_text(tmp_path, DEVICE + led)
+
+
+def test_cameras_must_have_different_names(tmp_path):
+    cameras = DEVICE[DEVICE.index("[[cameras]]") :]
+    with pytest.raises(InputError, match=r"two cameras share a name \(front, front\)"):
+        load_text(tmp_path, DEVICE + cameras)
+
+
+def test_file_that_is_no_text(tmp_path):
+    path = tmp_path / "mine.toml"
+    path.write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(InputError, match="is not TOML"):
+        load_device(path)
+
+
+def test_file_that_cannot_be_written(tmp_path):
+    device = load_text(tmp_path, DEVICE)
+    with pytest.raises(InputError, match=r"Cannot write the device file .*: No such file"):
+        write_device(tmp_path / "nowhere" / "mine.toml", device)
+
+
+def test_metadata_that_toml_cannot_hold(tmp_path):
+    device = replace(load_text(tmp_path, DEVICE), metadata={"shape": object()})
+    with pytest.raises(InputError, match=r"Cannot write <object .*> as TOML"):
+        write_device(tmp_path / "other.toml", device)
+
+
+def test_every_lens_kind_has_a_file_form(tmp_path):
+    """A lens is one class and one registry line; files follow from its fields."""
+    base = load_text(tmp_path, DEVICE)
+    lenses = {
+        "pinhole": (30.0, 30.0, 31.5, 23.5),
+        "kannala-brandt": (30.0, 30.0, 31.5, 23.5),
+        "scaramuzza": (30.0, 0.0, 0.0, 0.0, 31.5, 23.5),
+        "equidistant": (30.0, 31.5, 23.5),
+        "equirectangular": (30.0, 30.0, 31.5, 23.5),
+    }
+    for kind, make in LENSES.items():
+        camera = replace(base.cameras[0], lens=make(*lenses[kind]))
+        write_device(tmp_path / "mine.toml", replace(base, cameras=(camera,)))
+        assert load_device(tmp_path / "mine.toml").cameras[0].lens == camera.lens

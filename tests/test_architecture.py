@@ -1,0 +1,163 @@
+"""The shape of the package: imports point one way, stay light, and files stay small."""
+
+from __future__ import annotations
+
+import ast
+import subprocess
+import sys
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+import pytest
+
+import vrcaps
+
+LAYERS = (
+    ("_core",),
+    ("units", "errors", "transforms"),
+    ("organ",),
+    ("tissue",),
+    ("magnet",),
+    ("capsule",),
+    ("world",),
+    ("render",),
+    ("metrics",),
+    ("record",),
+    ("env",),
+    ("learn",),
+    ("cockpit",),
+    ("cli",),
+)
+RANK = {name: rank for rank, names in enumerate(LAYERS) for name in names}
+LEARN_MAY_IMPORT = {"_core", "units", "errors", "transforms", "metrics", "record", "learn"}
+HEAVY = {
+    *("SimpleITK", "av", "cv2", "gymnasium", "matplotlib", "PIL", "pyarrow"),
+    *("ray", "skimage", "torch", "trimesh", "viser", "xatlas"),
+}
+MAX_FILE_LINES = 400
+MAX_FUNCTION_LINES = 60
+MAX_IMPORT_SECONDS = 0.05
+
+PACKAGE = Path(vrcaps.__file__).parent
+FILES = sorted(PACKAGE.rglob("*.py"))
+
+
+def module_name(path: Path) -> str:
+    parts = path.relative_to(PACKAGE.parent).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+def imports_of(node: ast.AST, module: str, is_package: bool) -> set[str]:
+    """Dotted names that one import statement may load."""
+    if isinstance(node, ast.Import):
+        return {alias.name for alias in node.names}
+    if isinstance(node, ast.ImportFrom):
+        base = node.module or ""
+        if node.level:
+            parents = module.split(".")
+            parents = parents[: len(parents) - node.level + is_package]
+            base = ".".join([*parents, base]).rstrip(".")
+        return {base, *(f"{base}.{alias.name}" for alias in node.names)}
+    return set()
+
+
+def nodes_at_import(node: ast.AST) -> Iterator[ast.AST]:
+    """Nodes that run when the module is imported: not in functions or TYPE_CHECKING blocks."""
+    yield node
+    if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda):
+        return
+    children: Iterable[ast.AST] = ast.iter_child_nodes(node)
+    if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test):
+        children = node.orelse
+    for child in children:
+        yield from nodes_at_import(child)
+
+
+def layer(dotted: str) -> str | None:
+    """Top-level name inside the package of a dotted import, or None for other packages."""
+    parts = dotted.split(".")
+    return parts[1] if len(parts) > 1 and parts[0] == "vrcaps" else None
+
+
+@pytest.mark.parametrize("path", FILES, ids=module_name)
+def test_imports_point_one_way(path: Path) -> None:
+    module, is_package = module_name(path), path.name == "__init__.py"
+    own = layer(module)
+    if own is None:
+        pytest.skip("the package's own namespace re-exports from every layer")
+    assert own in RANK, f"{module} is in no layer; known: {', '.join(RANK)}"
+    for node in ast.walk(ast.parse(path.read_text())):
+        for dotted in imports_of(node, module, is_package):
+            other = layer(dotted)
+            if other not in RANK:
+                continue
+            assert RANK[other] <= RANK[own], f"{module} imports {dotted}, which is to its right"
+            if own == "learn":
+                assert other in LEARN_MAY_IMPORT, f"{module} imports {dotted}; learn may not"
+
+
+@pytest.mark.parametrize("path", FILES, ids=module_name)
+def test_heavy_packages_are_imported_inside_functions(path: Path) -> None:
+    module, is_package = module_name(path), path.name == "__init__.py"
+    for node in nodes_at_import(ast.parse(path.read_text())):
+        for dotted in imports_of(node, module, is_package):
+            assert dotted.split(".")[0] not in HEAVY, f"{module} imports {dotted} at module level"
+
+
+@pytest.mark.parametrize("path", FILES, ids=module_name)
+def test_files_and_functions_stay_small(path: Path) -> None:
+    text = path.read_text()
+    num_lines = text.count("\n")
+    assert num_lines <= MAX_FILE_LINES, f"{path.name} has {num_lines} lines"
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+            length = (node.end_lineno or node.lineno) - node.lineno + 1
+            assert length <= MAX_FUNCTION_LINES, f"{path.name}: {node.name} has {length} lines"
+
+
+def test_a_module_in_every_import_statement_form_is_seen() -> None:
+    """The walker itself: absolute, relative and aliased imports are all resolved."""
+    source = "import vrcaps.env as e\nfrom ..env import x\nfrom . import y\nfrom vrcaps import env"
+    found = [imports_of(node, "vrcaps.organ.mesh", False) for node in ast.parse(source).body]
+    assert found[0] == {"vrcaps.env"}
+    assert "vrcaps.env" in found[1]
+    assert "vrcaps.organ.y" in found[2]
+    assert "vrcaps.env" in found[3]
+
+
+def run_python(code: str) -> str:
+    result = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60
+    )
+    return result.stdout
+
+
+def test_importing_the_package_loads_nothing_heavy() -> None:
+    loaded = run_python("import sys, vrcaps; print(*sys.modules)").split()
+    assert not {name.split(".")[0] for name in loaded} & HEAVY
+
+
+def test_importing_the_package_is_fast() -> None:
+    """Beyond NumPy, `import vrcaps` costs less than 50 ms (best of five, against noise)."""
+    code = (
+        "import numpy, time; t = time.perf_counter(); import vrcaps; print(time.perf_counter()-t)"
+    )
+    assert min(float(run_python(code)) for _ in range(5)) < MAX_IMPORT_SECONDS
+
+
+def test_every_public_name_loads() -> None:
+    for name in dir(vrcaps):
+        getattr(vrcaps, name)
+
+
+def test_help_is_fast_and_loads_nothing_heavy() -> None:
+    code = (
+        "import sys, time; t = time.perf_counter()\n"
+        "import vrcaps.cli\n"
+        "try: vrcaps.cli.main(['--help'])\n"
+        "except SystemExit: pass\n"
+        "print('loaded', *sys.modules)\nprint(time.perf_counter() - t)"
+    )
+    *_, loaded, _seconds = run_python(code).splitlines()
+    assert not {name.split(".")[0] for name in loaded.split()} & HEAVY
+    assert min(float(run_python(code).splitlines()[-1]) for _ in range(3)) < 0.5

@@ -72,7 +72,11 @@ impl Bvh {
             .iter()
             .map(|f| {
                 let [a, b, c] = f.map(|v| vertices[v as usize].into());
-                BuildTriangle { v0: a, v1: b, v2: c }
+                BuildTriangle {
+                    v0: a,
+                    v1: b,
+                    v2: c,
+                }
             })
             .collect();
         let params = BvhBuildParams {
@@ -118,7 +122,10 @@ impl Bvh {
 impl Node {
     fn empty() -> Self {
         let (low, high) = ([FAR; WIDTH], [-FAR; WIDTH]);
-        Node { bounds: [low, low, low, high, high, high], children: [LEAF; WIDTH] }
+        Node {
+            bounds: [low, low, low, high, high, high],
+            children: [LEAF; WIDTH],
+        }
     }
 
     #[inline(always)]
@@ -160,7 +167,13 @@ struct Collapse<'a> {
 
 impl<'a> Collapse<'a> {
     fn run(binary: &'a Bvh2) -> Bvh {
-        let mut this = Collapse { binary, out: Bvh { nodes: Vec::new(), triangles: Vec::new() } };
+        let mut this = Collapse {
+            binary,
+            out: Bvh {
+                nodes: Vec::new(),
+                triangles: Vec::new(),
+            },
+        };
         this.node(0);
         this.out
     }
@@ -204,7 +217,10 @@ impl<'a> Collapse<'a> {
         let start = self.out.triangles.len() as u32;
         for k in first..first + count {
             let face = self.binary.primitive_indices[k as usize];
-            self.out.triangles.push(Triangle { corners: [[0.0; 3]; 3], face });
+            self.out.triangles.push(Triangle {
+                corners: [[0.0; 3]; 3],
+                face,
+            });
         }
         LEAF | (start << 2) | count
     }

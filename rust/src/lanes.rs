@@ -54,7 +54,14 @@ pub fn cross(a: Vec3, b: Vec3) -> Vec3 {
 #[inline(always)]
 pub fn normalize(a: Vec3) -> Vec3 {
     let square = dot(a, a);
-    scale(a, if square > 0.0 { 1.0 / square.sqrt() } else { 0.0 })
+    scale(
+        a,
+        if square > 0.0 {
+            1.0 / square.sqrt()
+        } else {
+            0.0
+        },
+    )
 }
 
 /// The smaller number; one instruction, unlike `f32::min`, which also minds NaN.
@@ -104,7 +111,8 @@ pub fn exp2(x: f32) -> f32 {
     let series = 1.0
         + f * (0.693_147_2
             + f * (0.240_226_5
-                + f * (0.055_504_11 + f * (0.009_618_129 + f * (0.001_333_355_8 + f * 0.000_154_035_3)))));
+                + f * (0.055_504_11
+                    + f * (0.009_618_129 + f * (0.001_333_355_8 + f * 0.000_154_035_3)))));
     f32::from_bits(((whole as i32 + 127) << 23) as u32) * series
 }
 

@@ -103,7 +103,8 @@ fn reflect(surface: &Surface, material: &Material, led: &Led) -> (Lane, Lane) {
 
         let retro = 2.0 * surface.roughness[i] * cos_difference * cos_difference;
         let (fl, fv) = (schlick(cos_light), schlick(cos_view));
-        let base = (1.0 - 0.5 * fl) * (1.0 - 0.5 * fv) + retro * (fl + fv + fl * fv * (retro - 1.0));
+        let base =
+            (1.0 - 0.5 * fl) * (1.0 - 0.5 * fv) + retro * (fl + fv + fl * fv * (retro - 1.0));
 
         let alpha = max(surface.roughness[i] * surface.roughness[i], 1e-3);
         let gloss = fresnel(cos_difference, material.ior)

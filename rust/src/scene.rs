@@ -83,7 +83,11 @@ impl Scene {
             texture: texture.map(TextureHandle),
             albedo,
             roughness,
-            material: Material { ior, coat, coat_alpha },
+            material: Material {
+                ior,
+                coat,
+                coat_alpha,
+            },
         };
         Ok(Scene { data })
     }

@@ -54,9 +54,17 @@ impl Face {
         let of_c = scale(cross(normal, ab), 1.0 / square);
         let [uv_a, uv_b, uv_c] = scene.uv[number];
         let gradient = |k: usize| {
-            add(scale(of_b, uv_b[k] - uv_a[k]), scale(of_c, uv_c[k] - uv_a[k]))
+            add(
+                scale(of_b, uv_b[k] - uv_a[k]),
+                scale(of_c, uv_c[k] - uv_a[k]),
+            )
         };
-        Face { number, corners, normal, gradients: [gradient(0), gradient(1)] }
+        Face {
+            number,
+            corners,
+            normal,
+            gradients: [gradient(0), gradient(1)],
+        }
     }
 }
 
@@ -123,7 +131,11 @@ fn fill_lane(
     let smooth = normalize(blend(wall.normals[a], wall.normals[b], wall.normals[c]));
     // The viewer's side of the face decides the sign; a smooth normal that still points away, near
     // an outline, is bent to the horizon.
-    let smooth = if dot(face.normal, view) < 0.0 { scale(smooth, -1.0) } else { smooth };
+    let smooth = if dot(face.normal, view) < 0.0 {
+        scale(smooth, -1.0)
+    } else {
+        smooth
+    };
     let behind = min(dot(smooth, view), 0.0);
     let normal = normalize(sub(smooth, scale(view, behind)));
     for k in 0..3 {
@@ -191,7 +203,10 @@ fn footprint(attributes: &Attributes, distance: &Lane, pixel_angle: f32) -> [Lan
     let mut result = [[0.0; LANES]; 2];
     for (k, share) in result.iter_mut().enumerate() {
         for i in 0..LANES {
-            let cosine = max(dot(at(&attributes.normal, i), at(&attributes.view, i)), 0.05);
+            let cosine = max(
+                dot(at(&attributes.normal, i), at(&attributes.view, i)),
+                0.05,
+            );
             let gradient = at(&attributes.gradients[k], i);
             let size = distance[i] * pixel_angle / cosine.sqrt();
             share[i] = size * dot(gradient, gradient).sqrt();

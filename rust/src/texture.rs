@@ -49,8 +49,8 @@ const ALBEDO_STEPS: Vec3 = [2047.0, 2047.0, 1023.0];
 
 impl Sample {
     fn pack(self, slope_step: [f32; 2]) -> Texel {
-        let [r, g, b] =
-            [0, 1, 2].map(|k| (clamp(self.albedo[k], 0.0, 1.0).sqrt() * ALBEDO_STEPS[k]).round() as u32);
+        let [r, g, b] = [0, 1, 2]
+            .map(|k| (clamp(self.albedo[k], 0.0, 1.0).sqrt() * ALBEDO_STEPS[k]).round() as u32);
         let [su, sv] = [0, 1].map(|k| {
             let steps = (self.slope[k] / slope_step[k]).round();
             (clamp(steps, -SLOPE_STEPS, SLOPE_STEPS) + 2048.0) as u32
@@ -75,7 +75,11 @@ impl Sample {
 /// Linear value of an 8-bit sRGB number (IEC 61966-2-1).
 fn linear(value: u8) -> f32 {
     let x = f32::from(value) / 255.0;
-    if x <= 0.04045 { x / 12.92 } else { pow((x + 0.055) / 1.055, 2.4) }
+    if x <= 0.04045 {
+        x / 12.92
+    } else {
+        pow((x + 0.055) / 1.055, 2.4)
+    }
 }
 
 #[pymethods]
@@ -88,7 +92,8 @@ impl Texture {
         roughness: PyReadonlyArray2<'_, u8>,
         height: PyReadonlyArray2<'_, f32>,
     ) -> PyResult<Self> {
-        let (albedo, roughness, height) = (albedo.as_array(), roughness.as_array(), height.as_array());
+        let (albedo, roughness, height) =
+            (albedo.as_array(), roughness.as_array(), height.as_array());
         let (h, w, components) = albedo.dim();
         if components != 3 || h * w == 0 || roughness.dim() != (h, w) || height.dim() != (h, w) {
             return Err(PyValueError::new_err(
@@ -96,7 +101,9 @@ impl Texture {
             ));
         }
         if !height.iter().all(|x| x.is_finite()) {
-            return Err(PyValueError::new_err("Texture heights must be finite numbers."));
+            return Err(PyValueError::new_err(
+                "Texture heights must be finite numbers.",
+            ));
         }
         let table: Vec<f32> = (0..=255).map(linear).collect();
         let sample = |y: usize, x: usize| {
@@ -109,7 +116,10 @@ impl Texture {
             }
         };
         Ok(py.detach(|| {
-            let samples: Vec<Sample> = (0..h * w).into_par_iter().map(|i| sample(i / w, i % w)).collect();
+            let samples: Vec<Sample> = (0..h * w)
+                .into_par_iter()
+                .map(|i| sample(i / w, i % w))
+                .collect();
             Texture::from_samples(samples, w, h)
         }))
     }
@@ -117,12 +127,20 @@ impl Texture {
 
 impl Texture {
     fn from_samples(mut samples: Vec<Sample>, mut width: usize, mut height: usize) -> Self {
-        let largest = |k: usize| samples.iter().fold(1e-12f32, |m, s| max(m, s.slope[k].abs()));
+        let largest = |k: usize| {
+            samples
+                .iter()
+                .fold(1e-12f32, |m, s| max(m, s.slope[k].abs()))
+        };
         let slope_step = [largest(0) / SLOPE_STEPS, largest(1) / SLOPE_STEPS];
         let mut levels = Vec::new();
         loop {
             let texels = samples.par_iter().map(|s| s.pack(slope_step)).collect();
-            levels.push(Level { width, height, texels });
+            levels.push(Level {
+                width,
+                height,
+                texels,
+            });
             if width == 1 && height == 1 {
                 return Texture { levels, slope_step };
             }
@@ -157,7 +175,8 @@ impl Texture {
         let first = &self.levels[0];
         let texels = max(across * first.width as f32, along * first.height as f32);
         // The exponent of √2·x is log₂ x rounded to the nearest whole number.
-        let nearest = ((max(texels, 1.0) * std::f32::consts::SQRT_2).to_bits() >> 23) as usize - 127;
+        let nearest =
+            ((max(texels, 1.0) * std::f32::consts::SQRT_2).to_bits() >> 23) as usize - 127;
         &self.levels[nearest.min(self.levels.len() - 1)]
     }
 
@@ -171,7 +190,8 @@ impl Texture {
         for (c, texels) in corners.iter().enumerate() {
             for i in 0..LANES {
                 let (x, y) = (weights[0][i], weights[1][i]);
-                let w = (if c & 1 == 0 { 1.0 - x } else { x }) * if c & 2 == 0 { 1.0 - y } else { y };
+                let w =
+                    (if c & 1 == 0 { 1.0 - x } else { x }) * if c & 2 == 0 { 1.0 - y } else { y };
                 let Texel(color, rest) = texels[i];
                 let r = (color & 0x7ff) as i32 as f32 * (1.0 / 2047.0);
                 let g = (color >> 11 & 0x7ff) as i32 as f32 * (1.0 / 2047.0);
@@ -180,7 +200,8 @@ impl Texture {
                 out.albedo[1][i] += w * (g * g);
                 out.albedo[2][i] += w * (b * b);
                 out.roughness[i] += w * ((rest & 0xff) as i32 as f32 * (1.0 / 255.0));
-                out.slope[0][i] += w * (((rest >> 8 & 0xfff) as i32 - 2048) as f32 * self.slope_step[0]);
+                out.slope[0][i] +=
+                    w * (((rest >> 8 & 0xfff) as i32 - 2048) as f32 * self.slope_step[0]);
                 out.slope[1][i] += w * (((rest >> 20) as i32 - 2048) as f32 * self.slope_step[1]);
             }
         }
@@ -195,7 +216,11 @@ fn neighbours(coordinate: f32, size: usize) -> (f32, usize, usize) {
     let place = wrapped * size as f32 + 0.5;
     let second = (place as usize).min(size);
     let first = if second == 0 { size - 1 } else { second - 1 };
-    (place - second as f32, first, if second == size { 0 } else { second })
+    (
+        place - second as f32,
+        first,
+        if second == size { 0 } else { second },
+    )
 }
 
 fn halve(samples: &[Sample], width: usize, height: usize) -> (Vec<Sample>, usize, usize) {

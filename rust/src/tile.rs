@@ -42,7 +42,11 @@ impl Hits {
     /// Nothing hit yet; each ray looks as far as `reach` (0 or less: not at all).
     #[inline(always)]
     pub fn within(reach: Lane) -> Self {
-        Hits { distance: reach, triangle: [MISS; LANES], edges: [[0.0; LANES]; 3] }
+        Hits {
+            distance: reach,
+            triangle: [MISS; LANES],
+            edges: [[0.0; LANES]; 3],
+        }
     }
 }
 
@@ -57,7 +61,11 @@ impl Pyramid {
             }
         }
         let axis = normalize(sum);
-        let least = if axis[0].abs() < 0.6 { [1.0, 0.0, 0.0] } else { [0.0, 1.0, 0.0] };
+        let least = if axis[0].abs() < 0.6 {
+            [1.0, 0.0, 0.0]
+        } else {
+            [0.0, 1.0, 0.0]
+        };
         let right = normalize(cross(axis, least));
         let down = cross(axis, right);
         let (mut low, mut high, mut nearest) = ([f32::MAX; 2], [f32::MIN; 2], f32::MAX);
@@ -82,7 +90,12 @@ impl Pyramid {
             side(down, low[1], 1.0),
             side(down, high[1], -1.0),
         ];
-        Pyramid { directions, sides, axis, closed: nearest > 0.05 }
+        Pyramid {
+            directions,
+            sides,
+            axis,
+            closed: nearest > 0.05,
+        }
     }
 
     /// The same pyramid after a rotation given by its rows.
@@ -116,8 +129,18 @@ struct Plane {
 impl Plane {
     #[inline(always)]
     fn new(normal: Vec3, origin: Vec3, margin: f32, far_corner: bool) -> Self {
-        let row = |axis: usize| axis + if (normal[axis] > 0.0) == far_corner { 3 } else { 0 };
-        Plane { normal, rows: [row(0), row(1), row(2)], offset: dot(normal, origin) - margin }
+        let row = |axis: usize| {
+            axis + if (normal[axis] > 0.0) == far_corner {
+                3
+            } else {
+                0
+            }
+        };
+        Plane {
+            normal,
+            rows: [row(0), row(1), row(2)],
+            offset: dot(normal, origin) - margin,
+        }
     }
 
     /// Signed distance of the chosen corner of each child [m], never underestimated for the far
@@ -146,7 +169,9 @@ pub fn trace<const ANY: bool>(
     hits: &mut Hits,
 ) {
     let margin = extent * 1e-6;
-    let sides = rays.sides.map(|normal| Plane::new(normal, origin, margin, true));
+    let sides = rays
+        .sides
+        .map(|normal| Plane::new(normal, origin, margin, true));
     let near = Plane::new(rays.axis, origin, -margin, false);
     let mut stack = [(0u32, 0.0f32); STACK];
     let mut top = 1;
@@ -264,7 +289,11 @@ fn intersect<const ANY: bool>(
         let inside = (min(u, min(v, w)) >= 0.0) | (max(u, max(v, w)) <= 0.0);
         let t = height / (normal[0] * dx[i] + normal[1] * dy[i] + normal[2] * dz[i]);
         let hit = inside & (t > 0.0) & (t < hits.distance[i]);
-        hits.distance[i] = if hit { if ANY { -1.0 } else { t } } else { hits.distance[i] };
+        hits.distance[i] = if hit {
+            if ANY { -1.0 } else { t }
+        } else {
+            hits.distance[i]
+        };
         hits.triangle[i] = if hit { number } else { hits.triangle[i] };
         if !ANY {
             hits.edges[0][i] = if hit { u } else { hits.edges[0][i] };

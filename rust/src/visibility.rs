@@ -40,16 +40,19 @@ pub fn visible_tile(
 /// Whether the way from `origin` to each point is free; points with NaN are not seen.
 pub fn visible(wall: &Wall, origin: Vec3, points: &[Vec3]) -> Vec<bool> {
     let mut result = vec![false; points.len()];
-    result.par_chunks_mut(LANES).zip(points.par_chunks(LANES)).for_each(|(out, chunk)| {
-        let (mut lanes, mut used) = ([[0.0; LANES]; 3], [false; LANES]);
-        for (i, point) in chunk.iter().enumerate() {
-            used[i] = point.iter().all(|x| x.is_finite());
-            for k in 0..3 {
-                lanes[k][i] = if used[i] { point[k] } else { origin[k] };
+    result
+        .par_chunks_mut(LANES)
+        .zip(points.par_chunks(LANES))
+        .for_each(|(out, chunk)| {
+            let (mut lanes, mut used) = ([[0.0; LANES]; 3], [false; LANES]);
+            for (i, point) in chunk.iter().enumerate() {
+                used[i] = point.iter().all(|x| x.is_finite());
+                for k in 0..3 {
+                    lanes[k][i] = if used[i] { point[k] } else { origin[k] };
+                }
             }
-        }
-        out.copy_from_slice(&visible_chunk(wall, origin, &lanes, &used)[..chunk.len()]);
-    });
+            out.copy_from_slice(&visible_chunk(wall, origin, &lanes, &used)[..chunk.len()]);
+        });
     result
 }
 
@@ -58,11 +61,6 @@ pub fn visible(wall: &Wall, origin: Vec3, points: &[Vec3]) -> Vec<bool> {
     "x86_64+avx2",
     "aarch64+neon"
 ))]
-fn visible_chunk(
-    wall: &Wall,
-    origin: Vec3,
-    points: &Lane3,
-    used: &[bool; LANES],
-) -> [bool; LANES] {
+fn visible_chunk(wall: &Wall, origin: Vec3, points: &Lane3, used: &[bool; LANES]) -> [bool; LANES] {
     visible_tile(wall, origin, points, used)
 }

@@ -44,8 +44,10 @@ impl Wall {
 
     fn set_vertices(&mut self, vertices: PyReadonlyArray2<'_, f64>) {
         let rows = vertices.as_array();
-        self.vertices =
-            rows.outer_iter().map(|row| self.localize([row[0], row[1], row[2]])).collect();
+        self.vertices = rows
+            .outer_iter()
+            .map(|row| self.localize([row[0], row[1], row[2]]))
+            .collect();
         let largest = |m: f32, v: &Vec3| v.iter().fold(m, |m, x| m.max(x.abs()));
         self.extent = self.vertices.iter().fold(0.0, largest);
     }
@@ -62,10 +64,18 @@ impl Wall {
             })
             .collect();
         let (start, around) = (&self.start, &self.around);
-        self.normals.par_iter_mut().with_min_len(4096).enumerate().for_each(|(v, normal)| {
-            let faces = &around[start[v] as usize..start[v + 1] as usize];
-            *normal = normalize(faces.iter().fold([0.0; 3], |n, &f| add(n, area_normals[f as usize])));
-        });
+        self.normals
+            .par_iter_mut()
+            .with_min_len(4096)
+            .enumerate()
+            .for_each(|(v, normal)| {
+                let faces = &around[start[v] as usize..start[v + 1] as usize];
+                *normal = normalize(
+                    faces
+                        .iter()
+                        .fold([0.0; 3], |n, &f| add(n, area_normals[f as usize])),
+                );
+            });
     }
 }
 
@@ -92,7 +102,9 @@ fn middle(vertices: &PyReadonlyArray2<'_, f64>) -> [f64; 3] {
     let rows = vertices.as_array();
     [0, 1, 2].map(|k| {
         let column = rows.column(k);
-        let (low, high) = column.iter().fold((f64::MAX, f64::MIN), |(a, b), &x| (a.min(x), b.max(x)));
+        let (low, high) = column
+            .iter()
+            .fold((f64::MAX, f64::MIN), |(a, b), &x| (a.min(x), b.max(x)));
         0.5 * (low + high)
     })
 }
@@ -100,7 +112,9 @@ fn middle(vertices: &PyReadonlyArray2<'_, f64>) -> [f64; 3] {
 fn check_vertices(vertices: &PyReadonlyArray2<'_, f64>) -> PyResult<()> {
     let rows = vertices.as_array();
     if rows.ncols() != 3 || rows.nrows() == 0 || !rows.iter().all(|x| x.is_finite()) {
-        return Err(PyValueError::new_err("Wall vertices must be finite numbers of shape (n, 3)."));
+        return Err(PyValueError::new_err(
+            "Wall vertices must be finite numbers of shape (n, 3).",
+        ));
     }
     Ok(())
 }
@@ -109,7 +123,10 @@ fn check_vertices(vertices: &PyReadonlyArray2<'_, f64>) -> PyResult<()> {
 impl Wall {
     /// Builds the wall from vertices [n 3] in metres and faces [m 3].
     #[new]
-    fn new(vertices: PyReadonlyArray2<'_, f64>, faces: PyReadonlyArray2<'_, i64>) -> PyResult<Self> {
+    fn new(
+        vertices: PyReadonlyArray2<'_, f64>,
+        faces: PyReadonlyArray2<'_, i64>,
+    ) -> PyResult<Self> {
         check_vertices(&vertices)?;
         let (rows, num_vertices) = (faces.as_array(), vertices.as_array().nrows());
         let valid = |&v: &i64| v >= 0 && (v as usize) < num_vertices;
@@ -118,15 +135,20 @@ impl Wall {
                 "Wall faces must be of shape (m, 3) with vertex numbers below {num_vertices}."
             )));
         }
-        let faces: Vec<[u32; 3]> =
-            rows.outer_iter().map(|r| [r[0] as u32, r[1] as u32, r[2] as u32]).collect();
+        let faces: Vec<[u32; 3]> = rows
+            .outer_iter()
+            .map(|r| [r[0] as u32, r[1] as u32, r[2] as u32])
+            .collect();
         let (start, around) = faces_around(&faces, num_vertices);
         let mut wall = Wall {
             center: middle(&vertices),
             extent: 0.0,
             vertices: Vec::new(),
             normals: vec![[0.0; 3]; num_vertices],
-            bvh: Bvh { nodes: Vec::new(), triangles: Vec::new() },
+            bvh: Bvh {
+                nodes: Vec::new(),
+                triangles: Vec::new(),
+            },
             faces,
             start,
             around,
@@ -150,7 +172,12 @@ impl Wall {
         self.set_vertices(vertices);
         py.detach(|| {
             self.update_normals();
-            let Wall { bvh, vertices, faces, .. } = self;
+            let Wall {
+                bvh,
+                vertices,
+                faces,
+                ..
+            } = self;
             bvh.refit(vertices, faces);
         });
         Ok(())
@@ -165,13 +192,18 @@ impl Wall {
     ) -> PyResult<(Bound<'py, PyArray1<f32>>, Bound<'py, PyArray1<i64>>)> {
         let (origins, directions) = (origins.as_array(), directions.as_array());
         if origins.dim() != directions.dim() || origins.ncols() != 3 {
-            return Err(PyValueError::new_err("Origins and directions must both be of shape (n, 3)."));
+            return Err(PyValueError::new_err(
+                "Origins and directions must both be of shape (n, 3).",
+            ));
         }
         let rays: Vec<(Vec3, Vec3)> = origins
             .outer_iter()
             .zip(directions.outer_iter())
             .map(|(o, d)| {
-                (self.localize([o[0], o[1], o[2]]), [d[0] as f32, d[1] as f32, d[2] as f32])
+                (
+                    self.localize([o[0], o[1], o[2]]),
+                    [d[0] as f32, d[1] as f32, d[2] as f32],
+                )
             })
             .collect();
         let found: Vec<(f32, i64)> = py.detach(|| {
@@ -197,7 +229,9 @@ impl Wall {
         let nearest = py.detach(|| map(&points, |p| query::nearest(&self.bvh, p)));
         let mut places = Array2::zeros((nearest.len(), 3));
         for (mut row, found) in places.outer_iter_mut().zip(&nearest) {
-            row.iter_mut().zip(self.globalize(found.point)).for_each(|(x, value)| *x = value);
+            row.iter_mut()
+                .zip(self.globalize(found.point))
+                .for_each(|(x, value)| *x = value);
         }
         let faces: Vec<i64> = nearest.iter().map(|found| i64::from(found.face)).collect();
         (places.into_pyarray(py), faces.into_pyarray(py))
@@ -212,7 +246,11 @@ impl Wall {
         let points = self.local_points(&points);
         let signed = |p: Vec3| {
             let distance = query::nearest(&self.bvh, p).distance;
-            if query::is_inside(&self.bvh, p) { distance } else { -distance }
+            if query::is_inside(&self.bvh, p) {
+                distance
+            } else {
+                -distance
+            }
         };
         let distance = py.detach(|| map(&points, signed));
         distance.into_pyarray(py)
@@ -227,7 +265,8 @@ impl Wall {
     ) -> Bound<'py, PyArray1<bool>> {
         let points = self.local_points(&points);
         let origin = self.localize(origin);
-        py.detach(|| visibility::visible(self, origin, &points)).into_pyarray(py)
+        py.detach(|| visibility::visible(self, origin, &points))
+            .into_pyarray(py)
     }
 
     /// Unit vertex normals [n 3], the area-weighted mean over the faces around each vertex.
@@ -241,10 +280,18 @@ impl Wall {
 
 impl Wall {
     fn local_points(&self, points: &PyReadonlyArray2<'_, f64>) -> Vec<Vec3> {
-        points.as_array().outer_iter().map(|r| self.localize([r[0], r[1], r[2]])).collect()
+        points
+            .as_array()
+            .outer_iter()
+            .map(|r| self.localize([r[0], r[1], r[2]]))
+            .collect()
     }
 }
 
 fn map<T: Send>(points: &[Vec3], function: impl Fn(Vec3) -> T + Sync) -> Vec<T> {
-    points.par_iter().with_min_len(64).map(|&p| function(p)).collect()
+    points
+        .par_iter()
+        .with_min_len(64)
+        .map(|&p| function(p))
+        .collect()
 }

@@ -18,3 +18,13 @@ class Wall:
         """Distance to the wall [m], positive inside the lumen."""
     def closest_point(self, points: NDArray) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
         """Nearest wall point [n 3] and its face."""
+
+def bake_mucosa(
+    wall: NDArray[np.float32],
+    faces: NDArray[np.uint32],
+    uv: NDArray[np.float64],
+    layout: tuple[int, int, float],
+    seed: int,
+    mucosa: object,
+) -> tuple[NDArray[np.uint8], NDArray[np.uint8], NDArray[np.float32]]:
+    """Flat sRGB albedo, roughness and height [m] of a mucosa (`vrcaps.organ.appearance`)."""

@@ -10,6 +10,9 @@ use std::ops::Range;
 /// Edge of a cell [mm].
 const CELL: f32 = 1.0;
 
+/// Width over which coarse texels still blur vessels [mm].
+const MAX_FOOTPRINT: f32 = 0.3;
+
 /// Absorption of whole blood in green light [1/mm], about 25 at 550 nm and less over a camera's
 /// broad band (Bosschaart et al., Lasers Med Sci 29:453, 2014).
 const BLOOD_ABSORPTION: f32 = 25.0;
@@ -93,8 +96,9 @@ fn half_width(radius: f32, footprint: f32) -> f32 {
 }
 
 impl SegmentGrid {
-    /// Sorts segments into cells, for texels `footprint` millimetres wide.
-    pub fn new(segments: &[Segment], footprint: f32) -> Self {
+    /// Sorts segments into cells, for texels `texel` millimetres wide.
+    pub fn new(segments: &[Segment], texel: f32) -> Self {
+        let footprint = texel.min(MAX_FOOTPRINT);
         let touched = |(number, s): (usize, &Segment)| {
             let margin = half_width(s.radii[0].max(s.radii[1]), footprint);
             let bound = |pick: fn(f32, f32) -> f32, margin: f32| {

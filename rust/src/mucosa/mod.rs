@@ -191,64 +191,64 @@ type TextureArrays<'py> = (
     Bound<'py, PyArray1<u8>>,
     Bound<'py, PyArray1<u8>>,
     Bound<'py, PyArray1<f32>>,
-    f64,
 );
 
-/// Bakes a mucosa into textures of `size` (height, width).
+/// Bakes a mucosa into textures of `layout`: height, width and the wall's length under a texel [mm].
 ///
 /// `wall` [n 8] holds each vertex's position [mm], normal, curvature [1/mm] and arc length [mm];
-/// `uv` [m 6] the texture coordinates of each face's corners. `texel` is the wall's length under
-/// one texel [mm]. Returns albedo, roughness and height, flat, and the share of texels covered.
+/// `uv` [m 6] the texture coordinates of each face's corners. Returns albedo, roughness and height, flat.
 #[pyfunction]
 pub fn bake_mucosa<'py>(
     py: Python<'py>,
     wall: PyReadonlyArray2<'py, f32>,
     faces: PyReadonlyArray2<'py, u32>,
     uv: PyReadonlyArray2<'py, f64>,
-    size: (usize, usize),
+    layout: (usize, usize, f32),
     seed: u32,
-    texel: f32,
     mucosa: Mucosa,
 ) -> PyResult<TextureArrays<'py>> {
-    let (faces, _) = faces.as_slice()?.as_chunks::<3>();
+    let faces: Vec<[u32; 3]> = faces
+        .as_slice()?
+        .chunks_exact(3)
+        .map(|f| [f[0], f[1], f[2]])
+        .collect();
     let wall = Wall {
         vertices: wall.as_slice()?,
-        faces,
+        faces: &faces,
         uv: uv.as_slice()?,
     };
     let size = Size {
-        height: size.0,
-        width: size.1,
+        height: layout.0,
+        width: layout.1,
     };
-    let (textures, covered) = py.detach(|| {
+    let texel = layout.2;
+    let textures = py.detach(|| {
         let (map, segments) = rayon::join(
             || face_map(wall.uv, size, PADDING),
             || grow_on(&wall, seed, &mucosa),
         );
         let tissue = Tissue::new(mucosa, seed, SegmentGrid::new(&segments, texel), texel);
-        let covered = map.par_iter().filter(|&&face| face != NO_FACE).count();
-        (
-            paint(&wall, &map, size, &tissue),
-            covered as f64 / map.len() as f64,
-        )
+        paint(&wall, &map, size, &tissue)
     });
     Ok((
         PyArray1::from_vec(py, textures.albedo),
         PyArray1::from_vec(py, textures.roughness),
         PyArray1::from_vec(py, textures.height),
-        covered,
     ))
 }
 
 fn grow_on(wall: &Wall, seed: u32, mucosa: &Mucosa) -> Vec<vessels::Segment> {
-    let (rows, _) = wall.vertices.as_chunks::<FIELDS>();
-    let points: Vec<Vec3> = rows.iter().map(|r| [r[0], r[1], r[2]]).collect();
-    let normals: Vec<Vec3> = rows.iter().map(|r| [r[3], r[4], r[5]]).collect();
+    let column = |k: usize| -> Vec<Vec3> {
+        wall.vertices
+            .chunks_exact(FIELDS)
+            .map(|r| [r[k], r[k + 1], r[k + 2]])
+            .collect()
+    };
     let growth = Growth {
         seed,
         spacing: mucosa.vessel_spacing * 1e3,
         trunk_spacing: mucosa.trunk_spacing * 1e3,
         tip_radius: mucosa.capillary_radius * 1e3,
     };
-    grow(&points, &normals, wall.faces, growth)
+    grow(&column(0), &column(3), wall.faces, growth)
 }

@@ -178,9 +178,11 @@ impl Brush<'_> {
             + 0.4 * mottle
             + 0.3 * grain
             + 1.1 * self.capillary_mesh(fine);
-        let redness = tissue.redness + tissue.mucosa.redness_variation * shade - 0.3 * crest;
+        let redness = tissue.redness + tissue.mucosa.redness_variation * shade - 0.18 * crest;
         let film = smoothstep(0.6, 2.2, self.film.gradient(p) + 0.5 * mottle);
-        let bile = tissue.mucosa.bile * (0.35 + 0.5 * smoothstep(-1.0, 1.5, region) + film);
+        let bile = tissue.mucosa.bile
+            * (0.35 + 0.5 * smoothstep(-1.0, 1.5, region) + film)
+            * (1.0 - 0.6 * crest);
         Sample {
             albedo: tissue.color(redness, bile, blood),
             roughness: tissue.roughness(film, mottle, grain),

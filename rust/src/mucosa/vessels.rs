@@ -283,7 +283,10 @@ pub fn grow(
     let forest = join(&sites, &roots, 2.0 * spacing, seed);
     let (flow, main) = flows(&forest);
     straighten(&mut sites, &forest, &main);
-    let radius = |site: u32| tip_radius * cube_root(flow[site as usize]);
+    // A trunk thins towards the depth it comes from.
+    let risen = |site: u32| smoothstep(0.0, 5.0, forest.way[site as usize]);
+    let radius =
+        |site: u32| tip_radius * cube_root(flow[site as usize]) * (0.5 + 0.5 * risen(site));
     let mut segments = Vec::with_capacity(sites.len());
     for &site in &forest.order {
         let parent = forest.parent[site as usize];
@@ -292,12 +295,11 @@ pub fn grow(
         }
         let tree = forest.root[site as usize];
         let is_main = main[parent as usize] == site;
-        let risen = smoothstep(0.0, 5.0, forest.way[site as usize]);
         segments.push(Segment {
             ends: [sites[parent as usize].point, sites[site as usize].point],
             radii: [radius(if is_main { parent } else { site }), radius(site)],
             normal: sites[site as usize].normal,
-            visibility: (0.3 + 0.7 * risen) * (0.6 + 0.4 * uniform(seed, tree, 1)),
+            visibility: (0.3 + 0.7 * risen(site)) * (0.6 + 0.4 * uniform(seed, tree, 1)),
             is_vein: uniform(seed, tree, 2) < 0.5,
         });
     }

@@ -54,7 +54,7 @@ class Mucosa:
     vessel_contrast: float = 0.85
     vessel_spacing: float = 1.0 * MM
     trunk_spacing: float = 30.0 * MM
-    capillary_radius: float = 0.04 * MM
+    capillary_radius: float = 0.038 * MM
     relief_slope: float = 0.06
     pit_spacing: float = 0.6 * MM
     pit_slope: float = 0.012
@@ -63,7 +63,7 @@ class Mucosa:
 
 
 MUCOSAE: dict[str, Mucosa] = {
-    "colon": Mucosa(base_color=(0.64, 0.23, 0.145)),
+    "colon": Mucosa(base_color=(0.64, 0.215, 0.14)),
     "stomach": Mucosa(
         base_color=(0.62, 0.22, 0.12),
         bile=0.08,
@@ -107,14 +107,13 @@ def bake_appearance(
     mucosa = _resolve(mucosa)
     pace = _pace(organ)
     height, width = _texture_size(pace, texels_per_mm, max_texels)
-    texel = max(pace[0] / width, pace[1] / height)
-    albedo, roughness, relief, _ = _core.bake_mucosa(
+    texel = (pace[0] / width * pace[1] / height) ** 0.5
+    albedo, roughness, relief = _core.bake_mucosa(
         _wall_fields(organ),
         np.ascontiguousarray(organ.faces, np.uint32),
         np.ascontiguousarray(organ.uv.reshape(-1, 6), np.float64),
-        (height, width),
+        (height, width, texel / MM),
         seed & 0xFFFFFFFF,
-        texel / MM,
         mucosa,
     )
     return Appearance(
@@ -150,6 +149,11 @@ def _pace(organ: OrganSurface) -> tuple[float, float]:
         raise InputError(
             f"Texture coordinates of {organ.name} give no area to most of its wall; "
             "make new ones for it."
+        )
+    if 0.5 * np.abs(determinant).sum() > 1.001:
+        raise InputError(
+            f"Texture coordinates of {organ.name} cover the unit square more than once: places "
+            "of the wall share texels; make new ones without overlap."
         )
     weight = area * is_charted / np.where(is_charted, determinant, 1.0)
     along_u = np.linalg.norm(edges[:, 0] * dv2[:, None] - edges[:, 1] * dv1[:, None], axis=1)

@@ -15,7 +15,7 @@ pub const WIDTH: usize = 8;
 const LEAF: u32 = 1 << 31;
 /// Larger than any coordinate [m]: bounds of an empty child exclude everything.
 const FAR: f32 = 1e30;
-const MAX_TRIANGLES_PER_LEAF: u32 = 3;
+const MAX_TRIANGLES_PER_LEAF: u32 = 2;
 
 /// A node: the boxes of its eight children, by component, so that all are tested at once.
 #[derive(Clone)]
@@ -63,20 +63,23 @@ pub struct Bvh {
     pub nodes: Vec<Node>,
     /// Triangles in leaf order.
     pub triangles: Vec<Triangle>,
+    /// Vertex numbers of the triangles, in the same order.
+    corners: Vec<[u32; 3]>,
 }
 
 impl Bvh {
+    /// A hierarchy over nothing.
+    pub fn empty() -> Self {
+        Bvh { nodes: Vec::new(), triangles: Vec::new(), corners: Vec::new() }
+    }
+
     /// Builds the hierarchy (PLOC with reinsertion, then collapsed to eight children a node).
     pub fn build(vertices: &[Vec3], faces: &[[u32; 3]]) -> Self {
         let input: Vec<BuildTriangle> = faces
             .iter()
             .map(|f| {
                 let [a, b, c] = f.map(|v| vertices[v as usize].into());
-                BuildTriangle {
-                    v0: a,
-                    v1: b,
-                    v2: c,
-                }
+                BuildTriangle { v0: a, v1: b, v2: c }
             })
             .collect();
         let params = BvhBuildParams {
@@ -85,16 +88,16 @@ impl Bvh {
         };
         let binary = build_bvh2_from_tris(&input, params, &mut Duration::default());
         let mut bvh = Collapse::run(&binary);
-        bvh.refit(vertices, faces);
+        bvh.corners = bvh.triangles.iter().map(|t| faces[t.face as usize]).collect();
+        bvh.refit(vertices);
         bvh
     }
 
     /// Moves triangles and boxes to new vertex positions; the tree stays.
-    pub fn refit(&mut self, vertices: &[Vec3], faces: &[[u32; 3]]) {
-        self.triangles.par_chunks_mut(4096).for_each(|chunk| {
-            for triangle in chunk {
-                triangle.corners = faces[triangle.face as usize].map(|v| vertices[v as usize]);
-            }
+    pub fn refit(&mut self, vertices: &[Vec3]) {
+        let corners = self.corners.par_iter();
+        self.triangles.par_iter_mut().zip(corners).with_min_len(4096).for_each(|(triangle, c)| {
+            triangle.corners = c.map(|v| vertices[v as usize]);
         });
         // Boxes of leaves touch only their own triangles and are found in parallel; the rest of the
         // tree is a small fraction and goes bottom-up, children first.
@@ -122,10 +125,7 @@ impl Bvh {
 impl Node {
     fn empty() -> Self {
         let (low, high) = ([FAR; WIDTH], [-FAR; WIDTH]);
-        Node {
-            bounds: [low, low, low, high, high, high],
-            children: [LEAF; WIDTH],
-        }
+        Node { bounds: [low, low, low, high, high, high], children: [LEAF; WIDTH] }
     }
 
     #[inline(always)]
@@ -137,26 +137,23 @@ impl Node {
 
     #[inline(always)]
     fn union(&self) -> [f32; 6] {
-        let mut result = [FAR, FAR, FAR, -FAR, -FAR, -FAR];
-        for axis in 0..3 {
-            for k in 0..WIDTH {
-                result[axis] = min(result[axis], self.bounds[axis][k]);
-                result[axis + 3] = max(result[axis + 3], self.bounds[axis + 3][k]);
-            }
-        }
-        result
+        let lowest = |row: &[f32; WIDTH]| row.iter().fold(FAR, |m, &x| min(m, x));
+        let highest = |row: &[f32; WIDTH]| row.iter().fold(-FAR, |m, &x| max(m, x));
+        let [x0, y0, z0, x1, y1, z1] = &self.bounds;
+        [lowest(x0), lowest(y0), lowest(z0), highest(x1), highest(y1), highest(z1)]
     }
 }
 
 fn bounds_of(triangles: &[Triangle]) -> [f32; 6] {
-    let mut result = [FAR, FAR, FAR, -FAR, -FAR, -FAR];
-    for corner in triangles.iter().flat_map(|t| t.corners) {
+    let (mut low, mut high) = ([FAR; 3], [-FAR; 3]);
+    for triangle in triangles {
+        let [a, b, c] = &triangle.corners;
         for axis in 0..3 {
-            result[axis] = min(result[axis], corner[axis]);
-            result[axis + 3] = max(result[axis + 3], corner[axis]);
+            low[axis] = min(low[axis], min(a[axis], min(b[axis], c[axis])));
+            high[axis] = max(high[axis], max(a[axis], max(b[axis], c[axis])));
         }
     }
-    result
+    [low[0], low[1], low[2], high[0], high[1], high[2]]
 }
 
 /// Turns a binary hierarchy into an eight-wide one.
@@ -167,13 +164,7 @@ struct Collapse<'a> {
 
 impl<'a> Collapse<'a> {
     fn run(binary: &'a Bvh2) -> Bvh {
-        let mut this = Collapse {
-            binary,
-            out: Bvh {
-                nodes: Vec::new(),
-                triangles: Vec::new(),
-            },
-        };
+        let mut this = Collapse { binary, out: Bvh::empty() };
         this.node(0);
         this.out
     }
@@ -199,9 +190,8 @@ impl<'a> Collapse<'a> {
         let nodes = &self.binary.nodes;
         let mut open = vec![root];
         while open.len() < WIDTH {
-            let largest = (0..open.len())
-                .filter(|&k| !nodes[open[k] as usize].is_leaf())
-                .max_by(|&a, &b| {
+            let largest =
+                (0..open.len()).filter(|&k| !nodes[open[k] as usize].is_leaf()).max_by(|&a, &b| {
                     let area = |k: usize| nodes[open[k] as usize].aabb().half_area();
                     area(a).total_cmp(&area(b))
                 });
@@ -217,10 +207,7 @@ impl<'a> Collapse<'a> {
         let start = self.out.triangles.len() as u32;
         for k in first..first + count {
             let face = self.binary.primitive_indices[k as usize];
-            self.out.triangles.push(Triangle {
-                corners: [[0.0; 3]; 3],
-                face,
-            });
+            self.out.triangles.push(Triangle { corners: [[0.0; 3]; 3], face });
         }
         LEAF | (start << 2) | count
     }

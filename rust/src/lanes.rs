@@ -43,25 +43,14 @@ pub fn dot(a: Vec3, b: Vec3) -> f32 {
 /// Vector product.
 #[inline(always)]
 pub fn cross(a: Vec3, b: Vec3) -> Vec3 {
-    [
-        a[1] * b[2] - a[2] * b[1],
-        a[2] * b[0] - a[0] * b[2],
-        a[0] * b[1] - a[1] * b[0],
-    ]
+    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 }
 
 /// `a` scaled to unit length; zero stays zero.
 #[inline(always)]
 pub fn normalize(a: Vec3) -> Vec3 {
     let square = dot(a, a);
-    scale(
-        a,
-        if square > 0.0 {
-            1.0 / square.sqrt()
-        } else {
-            0.0
-        },
-    )
+    scale(a, if square > 0.0 { 1.0 / square.sqrt() } else { 0.0 })
 }
 
 /// The smaller number; one instruction, unlike `f32::min`, which also minds NaN.
@@ -98,7 +87,7 @@ pub fn log2(x: f32) -> f32 {
     let mantissa = f32::from_bits((bits & 0x007f_ffff) + 0x3f35_04f3);
     let s = (mantissa - 1.0) / (mantissa + 1.0);
     let s2 = s * s;
-    let series = 2.885_390_1 + s2 * (0.961_796_7 + s2 * (0.577_078 + s2 * 0.412_198_6));
+    let series = 2.885_39 + s2 * (0.961_796_7 + s2 * (0.577_078 + s2 * 0.412_198_6));
     exponent as f32 + s * series
 }
 
@@ -109,7 +98,7 @@ pub fn exp2(x: f32) -> f32 {
     let whole = (x + 12_582_912.0) - 12_582_912.0;
     let f = x - whole;
     let series = 1.0
-        + f * (0.693_147_2
+        + f * (std::f32::consts::LN_2
             + f * (0.240_226_5
                 + f * (0.055_504_11
                     + f * (0.009_618_129 + f * (0.001_333_355_8 + f * 0.000_154_035_3)))));

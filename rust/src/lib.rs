@@ -5,8 +5,10 @@
 
 mod bvh;
 mod cpu;
+mod image;
 mod lanes;
 mod material;
+mod mucosa;
 mod query;
 mod rays;
 mod render;
@@ -16,8 +18,6 @@ mod texture;
 mod tile;
 mod visibility;
 mod wall;
-
-mod mucosa;
 
 use pyo3::prelude::*;
 
@@ -31,6 +31,8 @@ fn _core(m: &Bound<'_, PyModule>) -> PyResult<()> {
     m.add_class::<rays::RayTable>()?;
     m.add_function(wrap_pyfunction!(render::render, m)?)?;
     m.add_function(wrap_pyfunction!(render::encode_srgb, m)?)?;
+    m.add_function(wrap_pyfunction!(image::write_pngs, m)?)?;
+    m.add_function(wrap_pyfunction!(image::read_png, m)?)?;
     m.add_function(wrap_pyfunction!(cpu::cpu_features, m)?)?;
     m.add_function(wrap_pyfunction!(cpu::num_threads, m)?)?;
     Ok(())

@@ -4,11 +4,7 @@ use crate::bvh::{Bvh, Child, Triangle, WIDTH};
 use crate::lanes::{Vec3, add, cross, dot, max, min, scale, sub};
 
 /// Directions for the inside test: no mesh is aligned with all of them.
-const PROBES: [Vec3; 3] = [
-    [0.391, 0.664, 0.637],
-    [-0.772, 0.253, 0.583],
-    [0.214, -0.869, -0.446],
-];
+const PROBES: [Vec3; 3] = [[0.391, 0.664, 0.637], [-0.772, 0.253, 0.583], [0.214, -0.869, -0.446]];
 
 /// The nearest point of the wall.
 #[derive(Clone, Copy)]
@@ -38,13 +34,7 @@ pub fn is_inside(bvh: &Bvh, point: Vec3) -> bool {
 }
 
 fn hit(bvh: &Bvh, origin: Vec3, direction: Vec3) -> Option<(f32, &Triangle)> {
-    let inverse = direction.map(|d| {
-        1.0 / if d.abs() > 1e-20 {
-            d
-        } else {
-            1e-20f32.copysign(d)
-        }
-    });
+    let inverse = direction.map(|d| 1.0 / if d.abs() > 1e-20 { d } else { 1e-20f32.copysign(d) });
     let mut best = f32::INFINITY;
     let mut found = None;
     let mut stack = vec![(0u32, 0.0f32)];
@@ -84,11 +74,8 @@ fn hit(bvh: &Bvh, origin: Vec3, direction: Vec3) -> Option<(f32, &Triangle)> {
 
 fn intersect(triangle: &Triangle, origin: Vec3, direction: Vec3) -> Option<f32> {
     let [a, b, c] = triangle.corners.map(|corner| sub(corner, origin));
-    let edges = [
-        dot(cross(b, c), direction),
-        dot(cross(c, a), direction),
-        dot(cross(a, b), direction),
-    ];
+    let edges =
+        [dot(cross(b, c), direction), dot(cross(c, a), direction), dot(cross(a, b), direction)];
     let inside = edges.iter().all(|&e| e >= 0.0) || edges.iter().all(|&e| e <= 0.0);
     let normal = cross(sub(b, a), sub(c, a));
     let t = dot(normal, a) / dot(normal, direction);
@@ -97,11 +84,7 @@ fn intersect(triangle: &Triangle, origin: Vec3, direction: Vec3) -> Option<f32> 
 
 /// The nearest point of the wall to `point`.
 pub fn nearest(bvh: &Bvh, point: Vec3) -> Nearest {
-    let mut best = Nearest {
-        point,
-        distance: f32::INFINITY,
-        face: 0,
-    };
+    let mut best = Nearest { point, distance: f32::INFINITY, face: 0 };
     let mut best_square = f32::INFINITY;
     let mut stack = vec![(0u32, 0.0f32)];
     while let Some((code, square)) = stack.pop() {
@@ -116,11 +99,8 @@ pub fn nearest(bvh: &Bvh, point: Vec3) -> Nearest {
                     let square = dot(offset, offset);
                     if square < best_square {
                         best_square = square;
-                        best = Nearest {
-                            point: place,
-                            distance: square.sqrt(),
-                            face: triangle.face,
-                        };
+                        best =
+                            Nearest { point: place, distance: square.sqrt(), face: triangle.face };
                     }
                 }
             }
@@ -152,11 +132,7 @@ fn push_sorted(
     wanted: impl Fn(usize) -> bool,
 ) {
     let first = stack.len();
-    stack.extend(
-        (0..WIDTH)
-            .filter(|&k| wanted(k))
-            .map(|k| (children[k], key[k])),
-    );
+    stack.extend((0..WIDTH).filter(|&k| wanted(k)).map(|k| (children[k], key[k])));
     stack[first..].sort_by(|a, b| b.1.total_cmp(&a.1));
 }
 

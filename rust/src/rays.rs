@@ -42,19 +42,13 @@ impl RayTable {
         let rays = directions.as_array();
         let (height, width, components) = rays.dim();
         if components != 3 || height == 0 || width == 0 {
-            return Err(PyValueError::new_err(
-                "Ray directions must be of shape (h, w, 3).",
-            ));
+            return Err(PyValueError::new_err("Ray directions must be of shape (h, w, 3)."));
         }
         let (rows, columns) = (height.div_ceil(TILE), width.div_ceil(TILE));
         let tiles = (0..rows * columns)
             .map(|t| cut(&rays, t / columns * TILE, t % columns * TILE))
             .collect();
-        Ok(RayTable {
-            width,
-            height,
-            tiles,
-        })
+        Ok(RayTable { width, height, tiles })
     }
 
     /// Height and width in pixels.
@@ -84,12 +78,7 @@ fn cut(rays: &ArrayView3<'_, f32>, row: usize, column: usize) -> TileRays {
         }
     }
     let pixel_angle = pixel_angle(&pyramid.directions, &used);
-    TileRays {
-        any: used.contains(&true),
-        pyramid,
-        used,
-        pixel_angle,
-    }
+    TileRays { any: used.contains(&true), pyramid, used, pixel_angle }
 }
 
 /// Mean angle between horizontal neighbours that are both used.

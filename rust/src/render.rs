@@ -36,9 +36,7 @@ impl View {
     ) -> PyResult<Self> {
         let (pose, leds) = (pose.as_array(), leds.as_array());
         if pose.dim() != (4, 4) || !pose.iter().all(|x| x.is_finite()) {
-            return Err(PyValueError::new_err(
-                "A camera pose must be a finite 4 x 4 matrix.",
-            ));
+            return Err(PyValueError::new_err("A camera pose must be a finite 4 x 4 matrix."));
         }
         if leds.ncols() != 10 {
             return Err(PyValueError::new_err("LEDs must be of shape (k, 10)."));
@@ -55,15 +53,7 @@ impl View {
             })
             .collect();
         let origin = wall.localize([pose[[0, 3]], pose[[1, 3]], pose[[2, 3]]]);
-        Ok(View {
-            origin,
-            to_world,
-            to_camera,
-            center: wall.center,
-            leds,
-            exposure,
-            shadows,
-        })
+        Ok(View { origin, to_world, to_camera, center: wall.center, leds, exposure, shadows })
     }
 }
 
@@ -178,21 +168,11 @@ pub fn render(
     py.detach(|| {
         let columns = rays.columns();
         let bands = channels.bands(rays.width, rays.tiles.len() / columns);
-        bands
-            .into_par_iter()
-            .enumerate()
-            .for_each(|(row, mut band)| {
-                let tiles = &rays.tiles[row * columns..(row + 1) * columns];
-                let height = (rays.height - row * TILE).min(TILE);
-                render_band(
-                    wall,
-                    &scene.data,
-                    &view,
-                    tiles,
-                    (rays.width, height),
-                    &mut band,
-                );
-            });
+        bands.into_par_iter().enumerate().for_each(|(row, mut band)| {
+            let tiles = &rays.tiles[row * columns..(row + 1) * columns];
+            let height = (rays.height - row * TILE).min(TILE);
+            render_band(wall, &scene.data, &view, tiles, (rays.width, height), &mut band);
+        });
     });
     Ok(())
 }
@@ -211,9 +191,7 @@ fn take<'py, T: Element>(
         .map_err(|_| PyValueError::new_err(format!("Channel {name} has the wrong dtype.")))?;
     let array = array.try_readwrite()?;
     if array.as_array().len() != height * width * components {
-        return Err(PyValueError::new_err(format!(
-            "Channel {name} has the wrong shape."
-        )));
+        return Err(PyValueError::new_err(format!("Channel {name} has the wrong shape.")));
     }
     Ok(Some(array))
 }
@@ -221,10 +199,7 @@ fn take<'py, T: Element>(
 fn slice<'a, T: Element>(
     array: &'a mut Option<PyReadwriteArrayDyn<'_, T>>,
 ) -> PyResult<Option<&'a mut [T]>> {
-    array
-        .as_mut()
-        .map(|a| a.as_slice_mut().map_err(PyErr::from))
-        .transpose()
+    array.as_mut().map(|a| a.as_slice_mut().map_err(PyErr::from)).transpose()
 }
 
 #[multiversion::multiversion(targets(
@@ -241,17 +216,7 @@ fn render_band(
     out: &mut Channels<'_>,
 ) {
     for (column, tile) in tiles.iter().enumerate() {
-        render_tile(
-            wall,
-            scene,
-            view,
-            tile,
-            Place {
-                column: column * TILE,
-                size,
-            },
-            out,
-        );
+        render_tile(wall, scene, view, tile, Place { column: column * TILE, size }, out);
     }
 }
 
@@ -276,14 +241,7 @@ fn render_tile(
     let found = attributes(wall, scene, view.origin, &rays.directions, &hits);
     if out.wants_color() {
         let surface = surface(scene, &found, &hits.distance, tile.pixel_angle);
-        let radiance = light(
-            wall,
-            &scene.material,
-            &view.leds,
-            view.shadows,
-            &surface,
-            &found.hit,
-        );
+        let radiance = light(wall, &scene.material, &view.leds, view.shadows, &surface, &found.hit);
         place.write_color(&mut out.rgb, &radiance, view.exposure);
         place.write3(&mut out.radiance, &radiance, &found.hit, 0.0);
         place.write3(&mut out.albedo, &surface.albedo, &found.hit, f32::NAN);
@@ -332,13 +290,13 @@ fn write_geometry(
     place.write(&mut out.instance, &found.instance, hit, 0);
     place.write(&mut out.face, &found.face, hit, -1);
     let [first, second] = &found.weights;
-    place.write_each(&mut out.weights, 2, |i, k| {
-        if hit[i] {
-            [first[i], second[i]][k]
-        } else {
-            f32::NAN
-        }
-    });
+    place.write_each(
+        &mut out.weights,
+        2,
+        |i, k| {
+            if hit[i] { [first[i], second[i]][k] } else { f32::NAN }
+        },
+    );
 }
 
 /// Where a tile lies in its band.
@@ -425,8 +383,5 @@ pub fn encode_srgb<'py>(
     exposure: f32,
 ) -> Bound<'py, numpy::PyArray3<u8>> {
     use numpy::ToPyArray;
-    radiance
-        .as_array()
-        .mapv(|x| srgb(x * exposure))
-        .to_pyarray(py)
+    radiance.as_array().mapv(|x| srgb(x * exposure)).to_pyarray(py)
 }

@@ -83,11 +83,7 @@ impl Scene {
             texture: texture.map(TextureHandle),
             albedo,
             roughness,
-            material: Material {
-                ior,
-                coat,
-                coat_alpha,
-            },
+            material: Material { ior, coat, coat_alpha },
         };
         Ok(Scene { data })
     }

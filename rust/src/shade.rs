@@ -37,7 +37,6 @@ pub struct Attributes {
 struct Face {
     number: usize,
     corners: [usize; 3],
-    normal: Vec3,
     gradients: [Vec3; 2],
 }
 
@@ -53,18 +52,9 @@ impl Face {
         let of_b = scale(cross(ac, normal), 1.0 / square);
         let of_c = scale(cross(normal, ab), 1.0 / square);
         let [uv_a, uv_b, uv_c] = scene.uv[number];
-        let gradient = |k: usize| {
-            add(
-                scale(of_b, uv_b[k] - uv_a[k]),
-                scale(of_c, uv_c[k] - uv_a[k]),
-            )
-        };
-        Face {
-            number,
-            corners,
-            normal,
-            gradients: [gradient(0), gradient(1)],
-        }
+        let gradient =
+            |k: usize| add(scale(of_b, uv_b[k] - uv_a[k]), scale(of_c, uv_c[k] - uv_a[k]));
+        Face { number, corners, gradients: [gradient(0), gradient(1)] }
     }
 }
 
@@ -90,8 +80,12 @@ pub fn attributes(
         label: [0; LANES],
         instance: [0; LANES],
     };
-    for k in 0..3 {
-        for i in 0..LANES {
+    for i in 0..LANES {
+        let inverse = 1.0 / hits.edges[2][i];
+        out.hit[i] = hits.triangle[i] != MISS;
+        out.weights[0][i] = hits.edges[0][i] * inverse;
+        out.weights[1][i] = hits.edges[1][i] * inverse;
+        for k in 0..3 {
             out.position[k][i] = origin[k] + hits.distance[i] * directions[k][i];
             out.view[k][i] = -directions[k][i];
         }
@@ -107,39 +101,21 @@ pub fn attributes(
             last = (triangle, Some(Face::fetch(wall, scene, number)));
         }
         if let Some(face) = &last.1 {
-            let inverse = 1.0 / hits.edges[2][i];
-            let weights = [hits.edges[0][i] * inverse, hits.edges[1][i] * inverse];
-            fill_lane(&mut out, wall, scene, face, weights, i);
+            fill_lane(&mut out, wall, scene, face, i);
         }
     }
+    turn_to_viewer(&mut out, &hits.edges[2]);
     out
 }
 
 #[inline(always)]
-fn fill_lane(
-    out: &mut Attributes,
-    wall: &Wall,
-    scene: &SceneData,
-    face: &Face,
-    [wa, wb]: [f32; 2],
-    i: usize,
-) {
+fn fill_lane(out: &mut Attributes, wall: &Wall, scene: &SceneData, face: &Face, i: usize) {
+    let (wa, wb) = (out.weights[0][i], out.weights[1][i]);
     let wc = 1.0 - wa - wb;
     let [a, b, c] = face.corners;
-    let view = at(&out.view, i);
-    let blend = |x: Vec3, y: Vec3, z: Vec3| add(add(scale(x, wa), scale(y, wb)), scale(z, wc));
-    let smooth = normalize(blend(wall.normals[a], wall.normals[b], wall.normals[c]));
-    // The viewer's side of the face decides the sign; a smooth normal that still points away, near
-    // an outline, is bent to the horizon.
-    let smooth = if dot(face.normal, view) < 0.0 {
-        scale(smooth, -1.0)
-    } else {
-        smooth
-    };
-    let behind = min(dot(smooth, view), 0.0);
-    let normal = normalize(sub(smooth, scale(view, behind)));
+    let (na, nb, nc) = (wall.normals[a], wall.normals[b], wall.normals[c]);
     for k in 0..3 {
-        out.normal[k][i] = normal[k];
+        out.normal[k][i] = na[k] * wa + nb[k] * wb + nc[k] * wc;
         out.gradients[0][k][i] = face.gradients[0][k];
         out.gradients[1][k][i] = face.gradients[1][k];
     }
@@ -151,10 +127,25 @@ fn fill_lane(
     out.arc_length[i] = arc[a] * wa + arc[b] * wb + arc[c] * wc;
     out.label[i] = scene.label[face.number];
     out.instance[i] = scene.instance[face.number];
-    out.weights[0][i] = wa;
-    out.weights[1][i] = wb;
     out.face[i] = face.number as i32;
-    out.hit[i] = true;
+}
+
+/// Makes normals unit vectors on the viewer's side.
+///
+/// The side of the face decides the sign; a smooth normal that still points away, near an outline,
+/// is bent to the horizon.
+#[inline(always)]
+fn turn_to_viewer(out: &mut Attributes, leaving: &Lane) {
+    for i in 0..LANES {
+        let (normal, view) = (at(&out.normal, i), at(&out.view, i));
+        let sign = if leaving[i] > 0.0 { -1.0 } else { 1.0 };
+        let unit = scale(normal, sign / max(dot(normal, normal), 1e-30).sqrt());
+        let bent = sub(unit, scale(view, min(dot(unit, view), 0.0)));
+        let inverse = 1.0 / max(dot(bent, bent), 1e-30).sqrt();
+        for k in 0..3 {
+            out.normal[k][i] = bent[k] * inverse;
+        }
+    }
 }
 
 /// Gives the hits their material: base colour, roughness and relief.
@@ -203,10 +194,7 @@ fn footprint(attributes: &Attributes, distance: &Lane, pixel_angle: f32) -> [Lan
     let mut result = [[0.0; LANES]; 2];
     for (k, share) in result.iter_mut().enumerate() {
         for i in 0..LANES {
-            let cosine = max(
-                dot(at(&attributes.normal, i), at(&attributes.view, i)),
-                0.05,
-            );
+            let cosine = max(dot(at(&attributes.normal, i), at(&attributes.view, i)), 0.05);
             let gradient = at(&attributes.gradients[k], i);
             let size = distance[i] * pixel_angle / cosine.sqrt();
             share[i] = size * dot(gradient, gradient).sqrt();

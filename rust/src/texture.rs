@@ -75,11 +75,7 @@ impl Sample {
 /// Linear value of an 8-bit sRGB number (IEC 61966-2-1).
 fn linear(value: u8) -> f32 {
     let x = f32::from(value) / 255.0;
-    if x <= 0.04045 {
-        x / 12.92
-    } else {
-        pow((x + 0.055) / 1.055, 2.4)
-    }
+    if x <= 0.04045 { x / 12.92 } else { pow((x + 0.055) / 1.055, 2.4) }
 }
 
 #[pymethods]
@@ -101,9 +97,7 @@ impl Texture {
             ));
         }
         if !height.iter().all(|x| x.is_finite()) {
-            return Err(PyValueError::new_err(
-                "Texture heights must be finite numbers.",
-            ));
+            return Err(PyValueError::new_err("Texture heights must be finite numbers."));
         }
         let table: Vec<f32> = (0..=255).map(linear).collect();
         let sample = |y: usize, x: usize| {
@@ -116,10 +110,8 @@ impl Texture {
             }
         };
         Ok(py.detach(|| {
-            let samples: Vec<Sample> = (0..h * w)
-                .into_par_iter()
-                .map(|i| sample(i / w, i % w))
-                .collect();
+            let samples: Vec<Sample> =
+                (0..h * w).into_par_iter().map(|i| sample(i / w, i % w)).collect();
             Texture::from_samples(samples, w, h)
         }))
     }
@@ -127,20 +119,12 @@ impl Texture {
 
 impl Texture {
     fn from_samples(mut samples: Vec<Sample>, mut width: usize, mut height: usize) -> Self {
-        let largest = |k: usize| {
-            samples
-                .iter()
-                .fold(1e-12f32, |m, s| max(m, s.slope[k].abs()))
-        };
+        let largest = |k: usize| samples.iter().fold(1e-12f32, |m, s| max(m, s.slope[k].abs()));
         let slope_step = [largest(0) / SLOPE_STEPS, largest(1) / SLOPE_STEPS];
         let mut levels = Vec::new();
         loop {
             let texels = samples.par_iter().map(|s| s.pack(slope_step)).collect();
-            levels.push(Level {
-                width,
-                height,
-                texels,
-            });
+            levels.push(Level { width, height, texels });
             if width == 1 && height == 1 {
                 return Texture { levels, slope_step };
             }
@@ -182,11 +166,8 @@ impl Texture {
 
     #[inline(always)]
     fn blend(&self, corners: &[[Texel; LANES]; 4], weights: &[Lane; 2]) -> Texels {
-        let mut out = Texels {
-            albedo: [[0.0; LANES]; 3],
-            roughness: [0.0; LANES],
-            slope: [[0.0; LANES]; 2],
-        };
+        let mut out =
+            Texels { albedo: [[0.0; LANES]; 3], roughness: [0.0; LANES], slope: [[0.0; LANES]; 2] };
         for (c, texels) in corners.iter().enumerate() {
             for i in 0..LANES {
                 let (x, y) = (weights[0][i], weights[1][i]);
@@ -216,11 +197,7 @@ fn neighbours(coordinate: f32, size: usize) -> (f32, usize, usize) {
     let place = wrapped * size as f32 + 0.5;
     let second = (place as usize).min(size);
     let first = if second == 0 { size - 1 } else { second - 1 };
-    (
-        place - second as f32,
-        first,
-        if second == size { 0 } else { second },
-    )
+    (place - second as f32, first, if second == size { 0 } else { second })
 }
 
 fn halve(samples: &[Sample], width: usize, height: usize) -> (Vec<Sample>, usize, usize) {

@@ -31,7 +31,8 @@ pub struct Hits {
     pub distance: Lane,
     /// Triangle in leaf order, or `MISS`.
     pub triangle: [u32; LANES],
-    /// Edge functions opposite the first and second corner, and their sum over all three.
+    /// Edge functions opposite the first and second corner, and the sum of all three, which is
+    /// positive where the ray leaves through the back of the triangle.
     pub edges: Lane3,
 }
 
@@ -42,11 +43,7 @@ impl Hits {
     /// Nothing hit yet; each ray looks as far as `reach` (0 or less: not at all).
     #[inline(always)]
     pub fn within(reach: Lane) -> Self {
-        Hits {
-            distance: reach,
-            triangle: [MISS; LANES],
-            edges: [[0.0; LANES]; 3],
-        }
+        Hits { distance: reach, triangle: [MISS; LANES], edges: [[0.0; LANES]; 3] }
     }
 }
 
@@ -61,11 +58,7 @@ impl Pyramid {
             }
         }
         let axis = normalize(sum);
-        let least = if axis[0].abs() < 0.6 {
-            [1.0, 0.0, 0.0]
-        } else {
-            [0.0, 1.0, 0.0]
-        };
+        let least = if axis[0].abs() < 0.6 { [1.0, 0.0, 0.0] } else { [0.0, 1.0, 0.0] };
         let right = normalize(cross(axis, least));
         let down = cross(axis, right);
         let (mut low, mut high, mut nearest) = ([f32::MAX; 2], [f32::MIN; 2], f32::MAX);
@@ -90,12 +83,7 @@ impl Pyramid {
             side(down, low[1], 1.0),
             side(down, high[1], -1.0),
         ];
-        Pyramid {
-            directions,
-            sides,
-            axis,
-            closed: nearest > 0.05,
-        }
+        Pyramid { directions, sides, axis, closed: nearest > 0.05 }
     }
 
     /// The same pyramid after a rotation given by its rows.
@@ -129,22 +117,18 @@ struct Plane {
 impl Plane {
     #[inline(always)]
     fn new(normal: Vec3, origin: Vec3, margin: f32, far_corner: bool) -> Self {
-        let row = |axis: usize| {
-            axis + if (normal[axis] > 0.0) == far_corner {
-                3
-            } else {
-                0
-            }
-        };
-        Plane {
-            normal,
-            rows: [row(0), row(1), row(2)],
-            offset: dot(normal, origin) - margin,
-        }
+        let row = |axis: usize| axis + if (normal[axis] > 0.0) == far_corner { 3 } else { 0 };
+        Plane { normal, rows: [row(0), row(1), row(2)], offset: dot(normal, origin) - margin }
+    }
+
+    /// A plane that every box passes.
+    #[inline(always)]
+    fn everywhere() -> Self {
+        Plane { normal: [0.0; 3], rows: [0; 3], offset: 0.0 }
     }
 
     /// Signed distance of the chosen corner of each child [m], never underestimated for the far
-    /// corner and never overestimated for the near one.
+    /// corner and never overestimated for the near one. An empty child is far outside.
     #[inline(always)]
     fn reach(&self, node: &Node) -> [f32; WIDTH] {
         let [x, y, z] = self.rows.map(|row| &node.bounds[row]);
@@ -169,10 +153,12 @@ pub fn trace<const ANY: bool>(
     hits: &mut Hits,
 ) {
     let margin = extent * 1e-6;
-    let sides = rays
-        .sides
-        .map(|normal| Plane::new(normal, origin, margin, true));
-    let near = Plane::new(rays.axis, origin, -margin, false);
+    let (sides, near) = if rays.closed {
+        let sides = rays.sides.map(|normal| Plane::new(normal, origin, margin, true));
+        (sides, Plane::new(rays.axis, origin, -margin, false))
+    } else {
+        ([0; 4].map(|_| Plane::everywhere()), Plane::everywhere())
+    };
     let mut stack = [(0u32, 0.0f32); STACK];
     let mut top = 1;
     let mut farthest = farthest_of(&hits.distance);
@@ -185,7 +171,7 @@ pub fn trace<const ANY: bool>(
         match Child::of(code) {
             Child::Node(number) => {
                 let node = &bvh.nodes[number];
-                top = push_children(node, &sides, &near, rays.closed, farthest, &mut stack, top);
+                top = push_children(node, &sides, &near, farthest, &mut stack, top);
             }
             Child::Leaf(range) => {
                 let mut changed = false;
@@ -219,36 +205,30 @@ fn push_children(
     node: &Node,
     sides: &[Plane; 4],
     near: &Plane,
-    closed: bool,
     farthest: f32,
     stack: &mut [(u32, f32); STACK],
     mut top: usize,
 ) -> usize {
     let nearest = near.reach(node);
-    let reach = [
-        sides[0].reach(node),
-        sides[1].reach(node),
-        sides[2].reach(node),
-        sides[3].reach(node),
-    ];
-    let mut touched = 0u32;
+    let reach =
+        [sides[0].reach(node), sides[1].reach(node), sides[2].reach(node), sides[3].reach(node)];
+    let mut touched = [0u8; WIDTH];
     for k in 0..WIDTH {
         let inside = min(min(reach[0][k], reach[1][k]), min(reach[2][k], reach[3][k]));
-        // An open pyramid has no sides; an empty child lies far outside everything.
-        let within = (inside >= 0.0 || !closed) && node.bounds[0][k] <= node.bounds[3][k];
-        touched |= u32::from(within && (nearest[k] <= farthest || !closed)) << k;
+        touched[k] = u8::from((inside >= 0.0) & (nearest[k] <= farthest));
     }
+    // One bit set in each byte whose child is touched.
+    let mut touched = u64::from_le_bytes(touched);
     let first = top;
     while touched != 0 {
-        let k = touched.trailing_zeros() as usize;
+        let k = touched.trailing_zeros() as usize / 8;
         touched &= touched - 1;
-        let key = if closed { nearest[k] } else { 0.0 };
         let mut place = top;
-        while place > first && stack[place - 1].1 < key {
+        while place > first && stack[place - 1].1 < nearest[k] {
             stack[place] = stack[place - 1];
             place -= 1;
         }
-        stack[place] = (node.children[k], key);
+        stack[place] = (node.children[k], nearest[k]);
         top += 1;
     }
     top
@@ -289,11 +269,7 @@ fn intersect<const ANY: bool>(
         let inside = (min(u, min(v, w)) >= 0.0) | (max(u, max(v, w)) <= 0.0);
         let t = height / (normal[0] * dx[i] + normal[1] * dy[i] + normal[2] * dz[i]);
         let hit = inside & (t > 0.0) & (t < hits.distance[i]);
-        hits.distance[i] = if hit {
-            if ANY { -1.0 } else { t }
-        } else {
-            hits.distance[i]
-        };
+        hits.distance[i] = if hit { if ANY { -1.0 } else { t } } else { hits.distance[i] };
         hits.triangle[i] = if hit { number } else { hits.triangle[i] };
         if !ANY {
             hits.edges[0][i] = if hit { u } else { hits.edges[0][i] };

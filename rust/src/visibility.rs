@@ -40,19 +40,16 @@ pub fn visible_tile(
 /// Whether the way from `origin` to each point is free; points with NaN are not seen.
 pub fn visible(wall: &Wall, origin: Vec3, points: &[Vec3]) -> Vec<bool> {
     let mut result = vec![false; points.len()];
-    result
-        .par_chunks_mut(LANES)
-        .zip(points.par_chunks(LANES))
-        .for_each(|(out, chunk)| {
-            let (mut lanes, mut used) = ([[0.0; LANES]; 3], [false; LANES]);
-            for (i, point) in chunk.iter().enumerate() {
-                used[i] = point.iter().all(|x| x.is_finite());
-                for k in 0..3 {
-                    lanes[k][i] = if used[i] { point[k] } else { origin[k] };
-                }
+    result.par_chunks_mut(LANES).zip(points.par_chunks(LANES)).for_each(|(out, chunk)| {
+        let (mut lanes, mut used) = ([[0.0; LANES]; 3], [false; LANES]);
+        for (i, point) in chunk.iter().enumerate() {
+            used[i] = point.iter().all(|x| x.is_finite());
+            for k in 0..3 {
+                lanes[k][i] = if used[i] { point[k] } else { origin[k] };
             }
-            out.copy_from_slice(&visible_chunk(wall, origin, &lanes, &used)[..chunk.len()]);
-        });
+        }
+        out.copy_from_slice(&visible_chunk(wall, origin, &lanes, &used)[..chunk.len()]);
+    });
     result
 }
 

@@ -8,6 +8,9 @@ use numpy::{IntoPyArray, PyArray1, PyArray2, PyReadonlyArray2, ndarray::Array2};
 use pyo3::{exceptions::PyValueError, prelude::*};
 use rayon::prelude::*;
 
+/// Distance and face of each ray, as Python sees them.
+type DistanceAndFace<'py> = (Bound<'py, PyArray1<f32>>, Bound<'py, PyArray1<i64>>);
+
 /// A triangle surface with its bounding-volume hierarchy; normals point into the lumen.
 ///
 /// Positions are kept about the centre of the mesh, so that single precision does not depend on
@@ -42,14 +45,15 @@ impl Wall {
         [0, 1, 2].map(|k| f64::from(point[k]) + self.center[k])
     }
 
-    fn set_vertices(&mut self, vertices: PyReadonlyArray2<'_, f64>) {
-        let rows = vertices.as_array();
-        self.vertices = rows
-            .outer_iter()
-            .map(|row| self.localize([row[0], row[1], row[2]]))
-            .collect();
-        let largest = |m: f32, v: &Vec3| v.iter().fold(m, |m, x| m.max(x.abs()));
-        self.extent = self.vertices.iter().fold(0.0, largest);
+    fn set_vertices(&mut self, vertices: &[f64]) {
+        let center = self.center;
+        self.vertices.resize(vertices.len() / 3, [0.0; 3]);
+        let places = self.vertices.par_iter_mut().with_min_len(4096);
+        let largest = places.zip(vertices.par_chunks_exact(3)).map(|(place, vertex)| {
+            *place = [0, 1, 2].map(|k| (vertex[k] - center[k]) as f32);
+            place.iter().fold(0.0f32, |m, x| m.max(x.abs()))
+        });
+        self.extent = largest.reduce(|| 0.0, f32::max);
     }
 
     /// Area-weighted vertex normals.
@@ -64,18 +68,11 @@ impl Wall {
             })
             .collect();
         let (start, around) = (&self.start, &self.around);
-        self.normals
-            .par_iter_mut()
-            .with_min_len(4096)
-            .enumerate()
-            .for_each(|(v, normal)| {
-                let faces = &around[start[v] as usize..start[v + 1] as usize];
-                *normal = normalize(
-                    faces
-                        .iter()
-                        .fold([0.0; 3], |n, &f| add(n, area_normals[f as usize])),
-                );
-            });
+        self.normals.par_iter_mut().with_min_len(4096).enumerate().for_each(|(v, normal)| {
+            let faces = &around[start[v] as usize..start[v + 1] as usize];
+            *normal =
+                normalize(faces.iter().fold([0.0; 3], |n, &f| add(n, area_normals[f as usize])));
+        });
     }
 }
 
@@ -98,25 +95,25 @@ fn faces_around(faces: &[[u32; 3]], num_vertices: usize) -> (Vec<u32>, Vec<u32>)
     (start, around)
 }
 
-fn middle(vertices: &PyReadonlyArray2<'_, f64>) -> [f64; 3] {
-    let rows = vertices.as_array();
+fn middle(vertices: &[f64]) -> [f64; 3] {
     [0, 1, 2].map(|k| {
-        let column = rows.column(k);
-        let (low, high) = column
-            .iter()
-            .fold((f64::MAX, f64::MIN), |(a, b), &x| (a.min(x), b.max(x)));
+        let column = vertices.iter().skip(k).step_by(3);
+        let (low, high) = column.fold((f64::MAX, f64::MIN), |(a, b), &x| (a.min(x), b.max(x)));
         0.5 * (low + high)
     })
 }
 
-fn check_vertices(vertices: &PyReadonlyArray2<'_, f64>) -> PyResult<()> {
-    let rows = vertices.as_array();
-    if rows.ncols() != 3 || rows.nrows() == 0 || !rows.iter().all(|x| x.is_finite()) {
-        return Err(PyValueError::new_err(
-            "Wall vertices must be finite numbers of shape (n, 3).",
-        ));
-    }
-    Ok(())
+fn checked<'a>(vertices: &'a PyReadonlyArray2<'_, f64>) -> PyResult<&'a [f64]> {
+    let valid = |flat: &&[f64]| {
+        vertices.as_array().ncols() == 3
+            && !flat.is_empty()
+            && flat.par_chunks(8192).all(|chunk| chunk.iter().all(|x| x.is_finite()))
+    };
+    vertices.as_slice().ok().filter(valid).ok_or_else(|| {
+        PyValueError::new_err(
+            "Wall vertices must be finite numbers, C-contiguous, of shape (n, 3).",
+        )
+    })
 }
 
 #[pymethods]
@@ -127,28 +124,23 @@ impl Wall {
         vertices: PyReadonlyArray2<'_, f64>,
         faces: PyReadonlyArray2<'_, i64>,
     ) -> PyResult<Self> {
-        check_vertices(&vertices)?;
-        let (rows, num_vertices) = (faces.as_array(), vertices.as_array().nrows());
+        let vertices = checked(&vertices)?;
+        let (rows, num_vertices) = (faces.as_array(), vertices.len() / 3);
         let valid = |&v: &i64| v >= 0 && (v as usize) < num_vertices;
         if rows.ncols() != 3 || rows.nrows() == 0 || !rows.iter().all(valid) {
             return Err(PyValueError::new_err(format!(
                 "Wall faces must be of shape (m, 3) with vertex numbers below {num_vertices}."
             )));
         }
-        let faces: Vec<[u32; 3]> = rows
-            .outer_iter()
-            .map(|r| [r[0] as u32, r[1] as u32, r[2] as u32])
-            .collect();
+        let faces: Vec<[u32; 3]> =
+            rows.outer_iter().map(|r| [r[0] as u32, r[1] as u32, r[2] as u32]).collect();
         let (start, around) = faces_around(&faces, num_vertices);
         let mut wall = Wall {
-            center: middle(&vertices),
+            center: middle(vertices),
             extent: 0.0,
             vertices: Vec::new(),
             normals: vec![[0.0; 3]; num_vertices],
-            bvh: Bvh {
-                nodes: Vec::new(),
-                triangles: Vec::new(),
-            },
+            bvh: Bvh::empty(),
             faces,
             start,
             around,
@@ -161,24 +153,18 @@ impl Wall {
 
     /// Moves the wall to new vertex positions [n 3] in metres; the hierarchy is refitted.
     fn refit(&mut self, py: Python<'_>, vertices: PyReadonlyArray2<'_, f64>) -> PyResult<()> {
-        check_vertices(&vertices)?;
-        if vertices.as_array().nrows() != self.vertices.len() {
+        let vertices = checked(&vertices)?;
+        if vertices.len() != self.vertices.len() * 3 {
             return Err(PyValueError::new_err(format!(
                 "Refitting needs {} vertices, was given {}.",
                 self.vertices.len(),
-                vertices.as_array().nrows()
+                vertices.len() / 3
             )));
         }
-        self.set_vertices(vertices);
         py.detach(|| {
+            self.set_vertices(vertices);
             self.update_normals();
-            let Wall {
-                bvh,
-                vertices,
-                faces,
-                ..
-            } = self;
-            bvh.refit(vertices, faces);
+            self.bvh.refit(&self.vertices);
         });
         Ok(())
     }
@@ -189,7 +175,7 @@ impl Wall {
         py: Python<'py>,
         origins: PyReadonlyArray2<'_, f64>,
         directions: PyReadonlyArray2<'_, f64>,
-    ) -> PyResult<(Bound<'py, PyArray1<f32>>, Bound<'py, PyArray1<i64>>)> {
+    ) -> PyResult<DistanceAndFace<'py>> {
         let (origins, directions) = (origins.as_array(), directions.as_array());
         if origins.dim() != directions.dim() || origins.ncols() != 3 {
             return Err(PyValueError::new_err(
@@ -200,10 +186,7 @@ impl Wall {
             .outer_iter()
             .zip(directions.outer_iter())
             .map(|(o, d)| {
-                (
-                    self.localize([o[0], o[1], o[2]]),
-                    [d[0] as f32, d[1] as f32, d[2] as f32],
-                )
+                (self.localize([o[0], o[1], o[2]]), [d[0] as f32, d[1] as f32, d[2] as f32])
             })
             .collect();
         let found: Vec<(f32, i64)> = py.detach(|| {
@@ -229,9 +212,7 @@ impl Wall {
         let nearest = py.detach(|| map(&points, |p| query::nearest(&self.bvh, p)));
         let mut places = Array2::zeros((nearest.len(), 3));
         for (mut row, found) in places.outer_iter_mut().zip(&nearest) {
-            row.iter_mut()
-                .zip(self.globalize(found.point))
-                .for_each(|(x, value)| *x = value);
+            row.iter_mut().zip(self.globalize(found.point)).for_each(|(x, value)| *x = value);
         }
         let faces: Vec<i64> = nearest.iter().map(|found| i64::from(found.face)).collect();
         (places.into_pyarray(py), faces.into_pyarray(py))
@@ -246,11 +227,7 @@ impl Wall {
         let points = self.local_points(&points);
         let signed = |p: Vec3| {
             let distance = query::nearest(&self.bvh, p).distance;
-            if query::is_inside(&self.bvh, p) {
-                distance
-            } else {
-                -distance
-            }
+            if query::is_inside(&self.bvh, p) { distance } else { -distance }
         };
         let distance = py.detach(|| map(&points, signed));
         distance.into_pyarray(py)
@@ -265,8 +242,7 @@ impl Wall {
     ) -> Bound<'py, PyArray1<bool>> {
         let points = self.local_points(&points);
         let origin = self.localize(origin);
-        py.detach(|| visibility::visible(self, origin, &points))
-            .into_pyarray(py)
+        py.detach(|| visibility::visible(self, origin, &points)).into_pyarray(py)
     }
 
     /// Unit vertex normals [n 3], the area-weighted mean over the faces around each vertex.
@@ -280,18 +256,10 @@ impl Wall {
 
 impl Wall {
     fn local_points(&self, points: &PyReadonlyArray2<'_, f64>) -> Vec<Vec3> {
-        points
-            .as_array()
-            .outer_iter()
-            .map(|r| self.localize([r[0], r[1], r[2]]))
-            .collect()
+        points.as_array().outer_iter().map(|r| self.localize([r[0], r[1], r[2]])).collect()
     }
 }
 
 fn map<T: Send>(points: &[Vec3], function: impl Fn(Vec3) -> T + Sync) -> Vec<T> {
-    points
-        .par_iter()
-        .with_min_len(64)
-        .map(|&p| function(p))
-        .collect()
+    points.par_iter().with_min_len(64).map(|&p| function(p)).collect()
 }

@@ -1,5 +1,7 @@
 """Types of the compiled core (Rust, `rust/src`)."""
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -8,17 +10,65 @@ __version__: str
 class Wall:
     """A triangle surface with its bounding-volume hierarchy; normals point into the lumen."""
 
-    def __init__(self, vertices: NDArray, faces: NDArray) -> None: ...
-    def refit(self, vertices: NDArray) -> None: ...
+    def __init__(self, vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> None: ...
+    def refit(self, vertices: NDArray[np.float64]) -> None: ...
     def cast(
-        self, origins: NDArray, directions: NDArray
-    ) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
-        """Distance (in units of the direction's length; NaN for none) and face (−1) per ray."""
-    def signed_distance(self, points: NDArray) -> NDArray[np.float32]:
-        """Distance to the wall [m], positive inside the lumen."""
-    def closest_point(self, points: NDArray) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
-        """Nearest wall point [n 3] and its face."""
+        self, origins: NDArray[np.float64], directions: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float32], NDArray[np.int64]]: ...
+    def signed_distance(self, points: NDArray[np.float64]) -> NDArray[np.float32]: ...
+    def closest_point(
+        self, points: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.int64]]: ...
+    def visible(
+        self, origin: tuple[float, float, float], points: NDArray[np.float64]
+    ) -> NDArray[np.bool_]: ...
+    def vertex_normals(self) -> NDArray[np.float32]: ...
 
+class Texture:
+    """Packed albedo, roughness and relief with mip levels."""
+
+    def __init__(
+        self, albedo: NDArray[np.uint8], roughness: NDArray[np.uint8], height: NDArray[np.float32]
+    ) -> None: ...
+
+class Scene:
+    """What is drawn on a wall."""
+
+    def __init__(
+        self,
+        uv: NDArray[np.float32],
+        label: NDArray[np.uint8],
+        instance: NDArray[np.uint16],
+        arc_length: NDArray[np.float32],
+        *,
+        texture: Texture | None,
+        albedo: tuple[float, float, float],
+        roughness: float,
+        reflectance: tuple[float, float, float],
+    ) -> None: ...
+
+class RayTable:
+    """Unit ray directions of every pixel of a camera."""
+
+    shape: tuple[int, int]
+    def __init__(self, directions: NDArray[np.float32]) -> None: ...
+
+def render(
+    wall: Wall,
+    scene: Scene,
+    rays: RayTable,
+    pose: NDArray[np.float64],
+    leds: NDArray[np.float64],
+    out: dict[str, NDArray[Any]],
+    *,
+    exposure: float,
+    shadows: bool,
+) -> None: ...
+def encode_srgb(radiance: NDArray[np.float32], exposure: float) -> NDArray[np.uint8]: ...
+def write_pngs(items: list[tuple[str, NDArray[Any]]]) -> None: ...
+def read_png(path: str) -> NDArray[Any]: ...
+def cpu_features() -> list[str]: ...
+def num_threads() -> int: ...
 def bake_mucosa(
     wall: NDArray[np.float32],
     faces: NDArray[np.uint32],

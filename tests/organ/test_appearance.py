@@ -99,10 +99,10 @@ def baked(tube: OrganSurface) -> Appearance:
 
 def test_the_same_seed_gives_the_same_bytes_on_any_number_of_threads(tube):
     script = (
-        "import importlib.util as i; s = i.spec_from_file_location('t', r'{}');"
+        f"import importlib.util as i; s = i.spec_from_file_location('t', r'{__file__}');"
         "t = i.module_from_spec(s); s.loader.exec_module(t);"
         "print(t.digest(t.bake_appearance(t.make_tube(), seed=4, texels_per_mm=4.0)))"
-    ).format(__file__)
+    )
     here = digest(bake_appearance(tube, seed=4, texels_per_mm=4.0))
     for threads in ("1", "2"):
         environment = {**os.environ, "RAYON_NUM_THREADS": threads}
@@ -158,7 +158,7 @@ def test_colour_does_not_depend_on_where_the_texture_begins(tube, baked):
     moved = bake_appearance(make_tube(shift), seed=4)
     columns = baked.albedo.shape[1]
     middle = tube.uv.mean(axis=1)
-    difference = decode(sample(moved.albedo, middle + [shift, 0.0]) - 0.0)
+    difference = decode(sample(moved.albedo, middle + np.array([shift, 0.0])))
     difference -= decode(sample(baked.albedo, middle))
     assert columns == moved.albedo.shape[1]
     assert np.sqrt((difference**2).mean()) < 0.01
@@ -180,15 +180,13 @@ def test_no_seam_between_charts(tube, baked):
     is_border = np.abs(near - far).max(axis=(1, 2)) > 0.02
     assert is_border.sum() >= 3 * COLUMNS
     weights = np.linspace(0.0, 1.0, 9)[:, None, None]
-    for name, tolerance in (("albedo", 2.0), ("height", 4e-6)):
+    for name, tolerance in (("albedo", 1.5), ("height", 1e-6)):
         texture = getattr(appearance, name).astype(float)
         one, other = (
             sample(texture, e[is_border, 0] * (1 - weights) + e[is_border, 1] * weights)
             for e in (near, far)
         )
-        contrast = texture.std()
-        step = np.sqrt(((one - other) ** 2).mean())
-        assert step < max(0.12 * contrast, tolerance)
+        assert np.sqrt(((one - other) ** 2).mean()) < tolerance < 0.05 * texture.std()
 
 
 def test_charts_are_padded(tube):
@@ -243,7 +241,7 @@ def test_relief_has_the_slope_it_is_given(tube):
 
 
 def test_errors_say_what_is_wrong(tube):
-    with pytest.raises(UnknownNameError, match="No mucosa named 'colom'. Known: colon"):
+    with pytest.raises(UnknownNameError, match=r"No mucosa named 'colom'\. Known: colon"):
         bake_appearance(tube, seed=0, mucosa="colom")
     with pytest.raises(InputError, match="one pair for each corner"):
         bake_appearance(replace(tube, uv=tube.uv[:5]), seed=0)
@@ -257,7 +255,7 @@ def test_errors_say_what_is_wrong(tube):
         bake_appearance(tube, seed=0, texels_per_mm=-1.0)
     with pytest.raises(InputError, match="max_texels is 3"):
         bake_appearance(tube, seed=0, max_texels=3)
-    with pytest.raises(InputError, match="need a texture of .* Lower texels_per_mm"):
+    with pytest.raises(InputError, match=r"need a texture of .* Lower texels_per_mm"):
         bake_appearance(tube, seed=0, texels_per_mm=400.0)
 
 

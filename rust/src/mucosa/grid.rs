@@ -70,17 +70,13 @@ pub struct Cursor {
 impl Cursor {
     /// A cursor that has looked up nothing.
     pub fn new() -> Self {
-        Self {
-            key: u64::MAX,
-            members: 0..0,
-        }
+        Self { key: u64::MAX, members: 0..0 }
     }
 }
 
 #[inline(always)]
 fn pack(cell: [i32; 3]) -> u64 {
-    cell.iter()
-        .fold(0, |key, &c| (key << 21) | (c as u64 & 0x1f_ffff))
+    cell.iter().fold(0, |key, &c| (key << 21) | (c as u64 & 0x1f_ffff))
 }
 
 #[inline(always)]
@@ -115,11 +111,8 @@ impl SegmentGrid {
             }
             keys
         };
-        let mut pairs: Vec<(u64, u32)> = segments
-            .par_iter()
-            .enumerate()
-            .flat_map_iter(touched)
-            .collect();
+        let mut pairs: Vec<(u64, u32)> =
+            segments.par_iter().enumerate().flat_map_iter(touched).collect();
         pairs.par_sort_unstable();
         let mut cells: HashMap<u64, Range<u32>, _> = HashMap::default();
         for (at, &(key, _)) in pairs.iter().enumerate() {
@@ -128,12 +121,7 @@ impl SegmentGrid {
         }
         let pieces = segments.iter().map(Piece::new).collect();
         let members = pairs.into_iter().map(|(_, number)| number).collect();
-        Self {
-            pieces,
-            cells,
-            members,
-            footprint,
-        }
+        Self { pieces, cells, members, footprint }
     }
 
     /// Blood seen at `point`, a place `place` on the wall moved a little along it; the wall's
@@ -150,11 +138,7 @@ impl SegmentGrid {
         for &number in &self.members[range] {
             let piece = &self.pieces[number as usize];
             let loss = piece.loss(point, normal, self.footprint);
-            let slot = if piece.is_vein {
-                &mut blood.vein
-            } else {
-                &mut blood.artery
-            };
+            let slot = if piece.is_vein { &mut blood.vein } else { &mut blood.artery };
             *slot = slot.max(loss);
         }
         blood

@@ -74,17 +74,11 @@ impl FaceFields {
         let offset = |value: usize, axis: usize, period: usize| {
             let (value, period) = (value as f64, period as f64);
             let turns = (self.middle[axis] - value) / period;
-            let whole = if turns.abs() < 0.5 {
-                0.0
-            } else {
-                turns.round()
-            };
+            let whole = if turns.abs() < 0.5 { 0.0 } else { turns.round() };
             value + period * whole - self.origin[axis]
         };
         let (x, y) = (offset(x, 0, size.width), offset(y, 1, size.height));
-        let [s, t] = self
-            .slopes
-            .map(|slope| (x * slope[0] + y * slope[1]).clamp(-1.0, 2.0) as f32);
+        let [s, t] = self.slopes.map(|slope| (x * slope[0] + y * slope[1]).clamp(-1.0, 2.0) as f32);
         let [f, g, h] = &self.fields;
         let at = |k: usize| f[k] + s * (g[k] - f[k]) + t * (h[k] - f[k]);
         let normal: Vec3 = [at(3), at(4), at(5)];
@@ -108,11 +102,7 @@ impl Encoder {
         Self(std::array::from_fn(|step| {
             let root = step as f64 / Self::STEPS as f64;
             let x = root * root;
-            let code = if x <= 0.003_130_8 {
-                12.92 * x
-            } else {
-                1.055 * x.powf(1.0 / 2.4) - 0.055
-            };
+            let code = if x <= 0.003_130_8 { 12.92 * x } else { 1.055 * x.powf(1.0 / 2.4) - 0.055 };
             (code * 255.0).round() as u8
         }))
     }
@@ -137,20 +127,8 @@ fn paint(wall: &Wall, map: &[u32], size: Size, tissue: &Tissue) -> Textures {
         .zip(textures.height.par_chunks_exact_mut(size.width))
         .enumerate()
         .for_each(|(y, ((albedo, roughness), height))| {
-            let row = Row {
-                y,
-                albedo,
-                roughness,
-                height,
-            };
-            paint_row(
-                wall,
-                &map[y * size.width..][..size.width],
-                size,
-                tissue,
-                &encoder,
-                row,
-            );
+            let row = Row { y, albedo, roughness, height };
+            paint_row(wall, &map[y * size.width..][..size.width], size, tissue, &encoder, row);
         });
     textures
 }
@@ -187,11 +165,8 @@ fn paint_row(wall: &Wall, map: &[u32], size: Size, tissue: &Tissue, encoder: &En
     }
 }
 
-type TextureArrays<'py> = (
-    Bound<'py, PyArray1<u8>>,
-    Bound<'py, PyArray1<u8>>,
-    Bound<'py, PyArray1<f32>>,
-);
+type TextureArrays<'py> =
+    (Bound<'py, PyArray1<u8>>, Bound<'py, PyArray1<u8>>, Bound<'py, PyArray1<f32>>);
 
 /// Bakes a mucosa into textures of `layout`: height, width and the wall's length under a texel [mm].
 ///
@@ -207,26 +182,14 @@ pub fn bake_mucosa<'py>(
     seed: u32,
     mucosa: Mucosa,
 ) -> PyResult<TextureArrays<'py>> {
-    let faces: Vec<[u32; 3]> = faces
-        .as_slice()?
-        .chunks_exact(3)
-        .map(|f| [f[0], f[1], f[2]])
-        .collect();
-    let wall = Wall {
-        vertices: wall.as_slice()?,
-        faces: &faces,
-        uv: uv.as_slice()?,
-    };
-    let size = Size {
-        height: layout.0,
-        width: layout.1,
-    };
+    let faces: Vec<[u32; 3]> =
+        faces.as_slice()?.chunks_exact(3).map(|f| [f[0], f[1], f[2]]).collect();
+    let wall = Wall { vertices: wall.as_slice()?, faces: &faces, uv: uv.as_slice()? };
+    let size = Size { height: layout.0, width: layout.1 };
     let texel = layout.2;
     let textures = py.detach(|| {
-        let (map, segments) = rayon::join(
-            || face_map(wall.uv, size, PADDING),
-            || grow_on(&wall, seed, &mucosa),
-        );
+        let (map, segments) =
+            rayon::join(|| face_map(wall.uv, size, PADDING), || grow_on(&wall, seed, &mucosa));
         let tissue = Tissue::new(mucosa, seed, SegmentGrid::new(&segments, texel), texel);
         paint(&wall, &map, size, &tissue)
     });
@@ -239,10 +202,7 @@ pub fn bake_mucosa<'py>(
 
 fn grow_on(wall: &Wall, seed: u32, mucosa: &Mucosa) -> Vec<vessels::Segment> {
     let column = |k: usize| -> Vec<Vec3> {
-        wall.vertices
-            .chunks_exact(FIELDS)
-            .map(|r| [r[k], r[k + 1], r[k + 2]])
-            .collect()
+        wall.vertices.chunks_exact(FIELDS).map(|r| [r[k], r[k + 1], r[k + 2]]).collect()
     };
     let growth = Growth {
         seed,

@@ -70,12 +70,8 @@ const UNIT_DEVIATION: f32 = 3.98;
 impl Lattice {
     /// A lattice with points `size` apart.
     pub fn new(seed: u32, size: f32) -> Self {
-        let mut lattice = Self {
-            seed,
-            frequency: 1.0 / size,
-            cell: [0; 3],
-            corners: [[0.0; 8]; 3],
-        };
+        let mut lattice =
+            Self { seed, frequency: 1.0 / size, cell: [0; 3], corners: [[0.0; 8]; 3] };
         lattice.enter([0; 3]);
         lattice
     }

@@ -22,10 +22,7 @@ impl Size {
     /// Texel coordinates of texture coordinates.
     pub fn corners(self, uv: &[f64]) -> Corners {
         [0, 1, 2].map(|c| {
-            [
-                uv[2 * c] * self.width as f64 - 0.5,
-                (1.0 - uv[2 * c + 1]) * self.height as f64 - 0.5,
-            ]
+            [uv[2 * c] * self.width as f64 - 0.5, (1.0 - uv[2 * c + 1]) * self.height as f64 - 0.5]
         })
     }
 }
@@ -38,10 +35,8 @@ pub fn doubled_area(t: &Corners) -> f64 {
 /// Face number of every texel whose centre a face covers (the lowest where several do), and
 /// around the charts, up to `padding` texels away, that of the nearest covered texel.
 pub fn face_map(uv: &[f64], size: Size, padding: usize) -> Vec<u32> {
-    let map: Vec<AtomicU32> = (0..size.width * size.height)
-        .into_par_iter()
-        .map(|_| AtomicU32::new(NO_FACE))
-        .collect();
+    let map: Vec<AtomicU32> =
+        (0..size.width * size.height).into_par_iter().map(|_| AtomicU32::new(NO_FACE)).collect();
     uv.par_chunks_exact(6)
         .enumerate()
         .for_each(|(face, uv)| cover(&map, size, &size.corners(uv), face as u32));
@@ -121,11 +116,7 @@ fn row_offsets(offsets: &mut [i8], row: &[u32], padding: usize) {
     let mut sweep = |step: i64| {
         let mut gap = padding + 1;
         for turn in 0..width + padding {
-            let x = if step > 0 {
-                turn % width
-            } else {
-                width - 1 - turn % width
-            };
+            let x = if step > 0 { turn % width } else { width - 1 - turn % width };
             gap = if row[x] == NO_FACE { gap + 1 } else { 0 };
             if gap <= padding && (gap as i64) < i64::from(offsets[x]).abs() {
                 offsets[x] = (-step * gap as i64) as i8;
@@ -142,10 +133,7 @@ mod tests {
 
     #[test]
     fn padding_takes_the_nearest_covered_texel_across_the_border() {
-        let size = Size {
-            width: 16,
-            height: 12,
-        };
+        let size = Size { width: 16, height: 12 };
         let mut covered = vec![NO_FACE; 16 * 12];
         covered[5 * 16 + 1] = 3;
         covered[5 * 16 + 9] = 4;
@@ -169,13 +157,8 @@ mod tests {
 
     #[test]
     fn a_square_of_two_faces_is_covered_without_gaps() {
-        let size = Size {
-            width: 32,
-            height: 32,
-        };
-        let uv = [
-            0.75, 0.25, 1.25, 0.25, 1.25, 0.75, 0.75, 0.25, 1.25, 0.75, 0.75, 0.75,
-        ];
+        let size = Size { width: 32, height: 32 };
+        let uv = [0.75, 0.25, 1.25, 0.25, 1.25, 0.75, 0.75, 0.25, 1.25, 0.75, 0.75, 0.75];
         let map = face_map(&uv, size, 0);
         assert_eq!(map.iter().filter(|&&face| face != NO_FACE).count(), 256);
     }

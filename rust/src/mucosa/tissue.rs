@@ -113,11 +113,7 @@ impl Tissue {
     /// The mucosa without any detail.
     pub fn plain(&self) -> Sample {
         let albedo = self.color(self.redness, 0.5 * self.mucosa.bile, Blood::default());
-        Sample {
-            albedo,
-            roughness: self.mucosa.roughness,
-            height: 0.0,
-        }
+        Sample { albedo, roughness: self.mucosa.roughness, height: 0.0 }
     }
 
     #[inline(always)]
@@ -167,10 +163,7 @@ impl Brush<'_> {
         let clarity = 0.3 + 0.7 * smoothstep(-1.3, 0.7, patch);
         let seen = tissue.contrast * (1.0 - 0.85 * crest) * clarity;
         let blood = tissue.vessels.blood(&mut self.cursor, warp, place.normal);
-        let blood = Blood {
-            artery: seen * blood.artery,
-            vein: seen * blood.vein,
-        };
+        let blood = Blood { artery: seen * blood.artery, vein: seen * blood.vein };
 
         let segment = self.segment.gradient([place.arc_length, 40.7, 78.1]);
         let region = self.region.gradient(p);

@@ -53,11 +53,7 @@ pub(super) fn dot(a: Vec3, b: Vec3) -> f32 {
 }
 
 pub(super) fn cross(a: Vec3, b: Vec3) -> Vec3 {
-    [
-        a[1] * b[2] - a[2] * b[1],
-        a[2] * b[0] - a[0] * b[2],
-        a[0] * b[1] - a[1] * b[0],
-    ]
+    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 }
 
 /// Buckets of point numbers by hashed cell; different cells may share a bucket.
@@ -70,11 +66,7 @@ struct Buckets {
 impl Buckets {
     fn new(cell: f32, expected: usize) -> Self {
         let size = (2 * expected).next_power_of_two().max(1024);
-        Self {
-            head: vec![NONE; size],
-            next: Vec::with_capacity(expected),
-            per_length: 1.0 / cell,
-        }
+        Self { head: vec![NONE; size], next: Vec::with_capacity(expected), per_length: 1.0 / cell }
     }
 
     fn cell(&self, p: Vec3) -> [i32; 3] {
@@ -99,11 +91,7 @@ impl Buckets {
     fn around(&self, p: Vec3, mut visit: impl FnMut(u32) -> bool) -> bool {
         let c = self.cell(p);
         for index in 0..27 {
-            let near = [
-                c[0] + index % 3 - 1,
-                c[1] + index / 3 % 3 - 1,
-                c[2] + index / 9 - 1,
-            ];
+            let near = [c[0] + index % 3 - 1, c[1] + index / 3 % 3 - 1, c[2] + index / 9 - 1];
             let mut point = self.head[self.slot(near)];
             while point != NONE {
                 if !visit(point) {
@@ -147,10 +135,7 @@ fn scatter(
                 let [a, b, c] = f.map(|v| values[v as usize]);
                 [0, 1, 2].map(|k| a[k] + s * (b[k] - a[k]) + t * (c[k] - a[k]))
             };
-            let site = Site {
-                point: blend(vertices),
-                normal: blend(normals),
-            };
+            let site = Site { point: blend(vertices), normal: blend(normals) };
             let is_free = buckets.around(site.point, |other| {
                 let other = &sites[other as usize];
                 let d = sub(other.point, site.point);
@@ -179,10 +164,8 @@ fn join(sites: &[Site], roots: &[u32], reach: f32, seed: u32) -> Forest {
     sites.iter().for_each(|site| buckets.push(site.point));
     // Vessels run where the tissue lets them: a smooth random resistance makes trunks wind.
     let mut resistance = Lattice::new(seed ^ 0x6561_7365, 7.0);
-    let ease: Vec<f32> = sites
-        .iter()
-        .map(|site| exp(0.7 * resistance.gradient(site.point)))
-        .collect();
+    let ease: Vec<f32> =
+        sites.iter().map(|site| exp(0.7 * resistance.gradient(site.point))).collect();
     let mut forest = Forest {
         parent: vec![NONE; sites.len()],
         root: vec![NONE; sites.len()],
@@ -198,11 +181,7 @@ fn join(sites: &[Site], roots: &[u32], reach: f32, seed: u32) -> Forest {
             continue;
         }
         forest.parent[at] = parent;
-        forest.root[at] = if parent == NONE {
-            site
-        } else {
-            forest.root[parent as usize]
-        };
+        forest.root[at] = if parent == NONE { site } else { forest.root[parent as usize] };
         forest.order.push(site);
         let here = sites[at];
         if parent != NONE {
@@ -271,12 +250,7 @@ pub fn grow(
     faces: &[[u32; 3]],
     growth: Growth,
 ) -> Vec<Segment> {
-    let Growth {
-        seed,
-        spacing,
-        trunk_spacing,
-        tip_radius,
-    } = growth;
+    let Growth { seed, spacing, trunk_spacing, tip_radius } = growth;
     let mut sites = scatter(vertices, normals, faces, 0.8 * spacing, seed);
     let trunks = scatter(vertices, normals, faces, trunk_spacing, seed ^ 0x7275_6e6b);
     let roots = nearest(&sites, &trunks, 2.0 * spacing);

@@ -37,6 +37,7 @@ _LENS_KEYS = {
 """Key and unit of the lens fields that have one; the other fields are coefficients."""
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]*")
 _ORTHONORMAL = 1e-6
+_WIDEST = 16384
 
 
 def read_device(path: Path) -> Device:
@@ -50,7 +51,7 @@ def read_device(path: Path) -> Device:
         entries = tomllib.loads(path.read_text(encoding="utf-8"), parse_float=Decimal)
     except OSError as error:
         raise InputError(f"Cannot read the device file {path}: {error.strerror}.") from error
-    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+    except (UnicodeDecodeError, tomllib.TOMLDecodeError, ArithmeticError) as error:
         raise InputError(f"The device file {path} is not TOML: {error}.") from error
     table = TomlTable(entries, path.name)
     title, source = table.text("title"), table.text("source") if table.has("source") else ""
@@ -107,7 +108,7 @@ def _read_camera(table: TomlTable) -> Camera:
     name = table.text("name")
     if not _NAME.fullmatch(name):
         table.fail("name", name, "letters, digits, - and _ (it names a folder)")
-    size = table.integer("width_px"), table.integer("height_px")
+    size = table.integer("width_px", _WIDEST), table.integer("height_px", _WIDEST)
     position = np.array(table.numbers("position_mm", 3, MILLI))
     pose = transform_from(_read_rotation(table), position)
     lens = _read_lens(table.table("lens"))

@@ -19,6 +19,7 @@ DEGREE = Decimal("0.01745329251994329576923690768488612713")
 """π/180 to 37 digits."""
 
 _CONTEXT = Context(prec=40)
+_LARGEST = Decimal("1e300")
 
 
 @dataclass
@@ -52,11 +53,12 @@ class TomlTable:
         value = self.take(key, "a string")
         return value if isinstance(value, str) else self.fail(key, value, "a string")
 
-    def integer(self, key: str) -> int:
-        """A whole number above 0."""
-        value = self.take(key, "a whole number above 0")
-        whole = isinstance(value, int) and not isinstance(value, bool) and value > 0
-        return value if whole else self.fail(key, value, "a whole number above 0")
+    def integer(self, key: str, most: int) -> int:
+        """A whole number from 1 to `most`."""
+        allowed = f"a whole number from 1 to {most}"
+        value = self.take(key, allowed)
+        whole = isinstance(value, int) and not isinstance(value, bool) and 1 <= value <= most
+        return value if whole else self.fail(key, value, allowed)
 
     def number(self, key: str, unit: Decimal = ONE, *, above: float | None = None) -> float:
         """A finite number times `unit`, above a limit if one is given."""
@@ -159,7 +161,7 @@ def toml_text(value: Any) -> str:
 
 def _is_number(value: Any) -> bool:
     number = isinstance(value, (int, Decimal)) and not isinstance(value, bool)
-    return number and Decimal(value).is_finite()
+    return number and Decimal(value).is_finite() and abs(value) < _LARGEST
 
 
 def _shown(value: Any) -> str:

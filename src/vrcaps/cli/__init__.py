@@ -1,0 +1,84 @@
+"""The command line: one dataclass per verb, each in its own file."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from importlib import import_module
+from typing import Protocol
+
+from vrcaps.errors import VrcapsError
+
+EXIT_BAD_INPUT = 2
+EXIT_INTERRUPTED = 130
+
+_DESCRIPTION = """A virtual environment for capsule endoscopy: headless, exactly labelled, fast.
+
+Start with `vrcaps demo`. Every verb shows examples with --help."""
+
+
+_VERBS = {
+    "demo": ("vrcaps.cli.demo", "Demo", "Record a labelled run through a generated colon."),
+    "record": ("vrcaps.cli.record", "Record", "Record your own organ, capsule and motion."),
+    "check": ("vrcaps.cli.check", "Check", "Verify an episode."),
+    "organ inspect": ("vrcaps.cli.organ", "Inspect", "Measure and draw a mesh file."),
+    "organ make": ("vrcaps.cli.organ", "Make", "Generate an organ and write it as GLB."),
+    "doctor": ("vrcaps.cli.doctor", "Doctor", "Say what is installed and what can be used."),
+}
+"""Module, dataclass and summary of each verb."""
+
+_GROUPS = {"organ": "Generate an organ, measure and draw a mesh file."}
+
+
+class _Command(Protocol):
+    def run(self) -> None: ...
+
+
+def main(args: Sequence[str] | None = None) -> None:
+    """Run the command `vrcaps`.
+
+    A mistake of the user's ends in one line on stderr and exit status 2, Ctrl-C in one line
+    and status 130; no traceback for either.
+
+    Args:
+        args: Arguments after the program's name; None takes those of the process.
+    """
+    try:
+        _parse(sys.argv[1:] if args is None else args).run()
+    except VrcapsError as error:
+        _stop(str(error), EXIT_BAD_INPUT)
+    except OSError as error:
+        reason = error.strerror or str(error)
+        _stop(f"{error.filename}: {reason}." if error.filename else f"{reason}.", EXIT_BAD_INPUT)
+    except KeyboardInterrupt:
+        _stop("Interrupted. Files written so far are whole.", EXIT_INTERRUPTED)
+
+
+def _parse(args: Sequence[str]) -> _Command:
+    """The command asked for; only its own module is imported."""
+    from tyro.conf import DisallowNone, FlagCreatePairsOff
+    from tyro.extras import SubcommandApp
+
+    words = [arg for arg in args if not arg.startswith("-")]
+    app, groups = SubcommandApp(), {}
+    for path, (module, noun, summary) in _VERBS.items():
+        *group, verb = path.split()
+        parent = app
+        if group:
+            parent = groups.setdefault(group[0], SubcommandApp())
+            app.command(parent, name=group[0], help=_GROUPS[group[0]])
+        if path.split() == words[: len(group) + 1]:
+            parent.command(name=verb)(getattr(import_module(module), noun))
+        else:
+            parent.command(name=verb, help=summary)(_not_chosen)
+    markers = (DisallowNone, FlagCreatePairsOff)
+    return app.cli(prog="vrcaps", description=_DESCRIPTION, args=args, config=markers)
+
+
+def _not_chosen() -> None:
+    """Stands for a verb that another was chosen over."""
+
+
+def _stop(message: str, status: int) -> None:
+    sys.stderr.write(f"vrcaps: {message}\n")
+    raise SystemExit(status)

@@ -132,4 +132,4 @@ def _draw_calibre(graph: Axes, organ: OrganSurface) -> None:
     graph.scatter(s_cm, median, c=colours, s=14, zorder=2, label="median")
     graph.set(xlabel="distance from the oral end [cm]", ylabel="diameter [mm]", xlim=(0, s_cm[-1]))
     graph.set_ylim(bottom=0)
-    graph.legend(loc="upper right", frameon=False)
+    graph.legend(loc="lower right", frameon=False)

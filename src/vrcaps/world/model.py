@@ -66,7 +66,8 @@ class Model:
     @cached_property
     def wall(self) -> Wall:
         """The wall at rest, ready for distance and ray queries in the world frame."""
-        return Wall(self.vertices_world, self.organ.faces)
+        faces = np.ascontiguousarray(self.organ.faces, np.int64)
+        return Wall(np.ascontiguousarray(self.vertices_world), faces)
 
 
 @dataclass(frozen=True)

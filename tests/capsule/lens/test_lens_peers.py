@@ -1,10 +1,12 @@
 """Lens models against OpenCV, and against published calibrations of real capsules."""
 
 import json
+from dataclasses import astuple
 
 import numpy as np
 import pytest
 
+from vrcaps.capsule.catalog import load_device
 from vrcaps.capsule.lens import LensKannalaBrandt, LensPinhole, LensScaramuzza
 
 
@@ -80,6 +82,17 @@ def test_published_models_reproject_real_corners_as_published(
     errors = np.linalg.norm(pixels - corners, axis=-1)
     np.testing.assert_allclose(errors.mean(axis=1), fit["per_image_mean_error_px"], atol=1e-9)
     assert errors.mean() == pytest.approx(published, abs=5e-4)
+
+
+@pytest.mark.parametrize(
+    ("folder", "name"), [("MiroCam", "mirocam"), ("PillCam_Cam1", "pillcam-colon2")]
+)
+def test_catalog_holds_the_published_lens(shared_data, folder, name):
+    record = json.loads((shared_data / "calibration" / folder / "calibration.json").read_text())
+    lens = load_device(name).cameras[0].lens
+    assert isinstance(lens, LensScaramuzza)
+    published, ours = astuple(_lens(record["fisheye"])), astuple(lens)
+    np.testing.assert_allclose(ours[:-1], published[:-1], rtol=1e-14)
 
 
 def _brown_conrady(fit: dict, points: np.ndarray) -> np.ndarray:

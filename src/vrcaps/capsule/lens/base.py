@@ -149,7 +149,7 @@ def invert_monotone(
         newton = x - step
         inside = (newton >= low) & (newton <= high) & (slope > 0.0)
         moved = np.where(error == 0.0, x, np.where(inside, newton, 0.5 * (low + high)))
-        settled = ~(np.abs(moved - x) > 2e-16 * upper)  # true for NaN too
+        settled = ~(np.abs(moved - x) > 1e-14 * upper)  # true for NaN too
         x = moved
         if np.all(settled):
             break

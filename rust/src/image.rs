@@ -1,0 +1,136 @@
+//! PNG files: written in parallel and whole, read back exactly.
+
+use numpy::{
+    IntoPyArray, PyArrayDyn, PyArrayMethods, PyUntypedArrayMethods,
+    ndarray::{ArrayD, IxDyn},
+};
+use png::{BitDepth, ColorType};
+use pyo3::{
+    exceptions::{PyOSError, PyValueError},
+    prelude::*,
+};
+use rayon::prelude::*;
+use std::{fs, io, path::Path};
+
+/// An image as PNG stores it: 16-bit numbers with the high byte first.
+struct Image {
+    path: String,
+    width: u32,
+    height: u32,
+    color: ColorType,
+    depth: BitDepth,
+    bytes: Vec<u8>,
+}
+
+impl Image {
+    fn new(path: String, array: &Bound<'_, PyAny>) -> PyResult<Self> {
+        let (shape, bytes, depth) = if let Ok(a) = array.cast::<PyArrayDyn<u8>>() {
+            let bytes = a.try_readonly()?.as_array().iter().copied().collect();
+            (a.shape().to_vec(), bytes, BitDepth::Eight)
+        } else if let Ok(a) = array.cast::<PyArrayDyn<u16>>() {
+            let view = a.try_readonly()?;
+            let bytes = view.as_array().iter().flat_map(|x| x.to_be_bytes()).collect();
+            (a.shape().to_vec(), bytes, BitDepth::Sixteen)
+        } else {
+            return Err(PyValueError::new_err(format!("{path}: images must be uint8 or uint16.")));
+        };
+        let color = match shape[..] {
+            [_, _] => ColorType::Grayscale,
+            [_, _, 3] => ColorType::Rgb,
+            _ => {
+                let message = format!("{path}: images must be of shape (h, w) or (h, w, 3).");
+                return Err(PyValueError::new_err(message));
+            }
+        };
+        Ok(Image { path, width: shape[1] as u32, height: shape[0] as u32, color, depth, bytes })
+    }
+
+    fn encode(&self) -> Result<Vec<u8>, png::EncodingError> {
+        let mut file = Vec::with_capacity(self.bytes.len() / 2 + 1024);
+        let mut encoder = png::Encoder::new(&mut file, self.width, self.height);
+        encoder.set_color(self.color);
+        encoder.set_depth(self.depth);
+        encoder.set_compression(png::Compression::Fast);
+        let filter = match self.depth {
+            BitDepth::Sixteen => png::Filter::Sub,
+            _ => png::Filter::Up,
+        };
+        encoder.set_filter(filter);
+        let mut writer = encoder.write_header()?;
+        writer.write_image_data(&self.bytes)?;
+        writer.finish()?;
+        Ok(file)
+    }
+
+    /// Writes the file under a temporary name, then renames it: it is whole or not there.
+    fn write(&self) -> io::Result<()> {
+        let path = Path::new(&self.path);
+        let name = path.file_name().unwrap_or_default().to_string_lossy();
+        let temporary = path.with_file_name(format!(".{name}.tmp"));
+        let file = self.encode().map_err(io::Error::other)?;
+        let written = fs::write(&temporary, file).and_then(|()| fs::rename(&temporary, path));
+        if written.is_err() {
+            // The error that counts is the first one; a temporary file may not even exist.
+            let _ = fs::remove_file(&temporary);
+        }
+        written
+    }
+}
+
+fn os_error(path: &str, error: &io::Error) -> PyErr {
+    match error.raw_os_error() {
+        Some(number) => {
+            let text = error.to_string();
+            let text = text.split(" (os error").next().unwrap_or(&text).to_owned();
+            PyOSError::new_err((number, text, path.to_owned()))
+        }
+        None => PyOSError::new_err(format!("{path}: {error}")),
+    }
+}
+
+/// Writes PNG files in parallel, each whole or not at all.
+///
+/// `items` holds paths and arrays of uint8 or uint16, of shape (h, w) or (h, w, 3).
+#[pyfunction]
+pub fn write_pngs(py: Python<'_>, items: Vec<(String, Bound<'_, PyAny>)>) -> PyResult<()> {
+    let images: Vec<Image> =
+        items.into_iter().map(|(path, array)| Image::new(path, &array)).collect::<PyResult<_>>()?;
+    py.detach(|| {
+        images.par_iter().try_for_each(|image| image.write().map_err(|e| os_error(&image.path, &e)))
+    })
+}
+
+/// Reads a PNG file of 8 or 16 bits, grey or RGB, as it is stored.
+#[pyfunction]
+pub fn read_png<'py>(py: Python<'py>, path: String) -> PyResult<Bound<'py, PyAny>> {
+    let bytes = fs::read(&path).map_err(|e| os_error(&path, &e))?;
+    let unreadable = |e: png::DecodingError| PyValueError::new_err(format!("{path}: {e}"));
+    let (info, pixels) = py.detach(|| decode(&bytes)).map_err(unreadable)?;
+    let (height, width) = (info.height as usize, info.width as usize);
+    let shape = match info.color_type {
+        ColorType::Grayscale => vec![height, width],
+        ColorType::Rgb => vec![height, width, 3],
+        other => {
+            return Err(PyValueError::new_err(format!(
+                "{path}: unexpected colour type {other:?}."
+            )));
+        }
+    };
+    let mismatch = |_| PyValueError::new_err(format!("{path}: pixel data has the wrong size."));
+    if info.bit_depth == BitDepth::Sixteen {
+        let numbers = pixels.chunks_exact(2).map(|b| u16::from_be_bytes([b[0], b[1]])).collect();
+        let array = ArrayD::from_shape_vec(IxDyn(&shape), numbers).map_err(mismatch)?;
+        Ok(array.into_pyarray(py).into_any())
+    } else {
+        let array = ArrayD::from_shape_vec(IxDyn(&shape), pixels).map_err(mismatch)?;
+        Ok(array.into_pyarray(py).into_any())
+    }
+}
+
+fn decode(bytes: &[u8]) -> Result<(png::OutputInfo, Vec<u8>), png::DecodingError> {
+    let mut reader = png::Decoder::new(io::Cursor::new(bytes)).read_info()?;
+    let mut pixels = vec![0; reader.output_buffer_size().unwrap_or_default()];
+    let info = reader.next_frame(&mut pixels)?;
+    pixels.truncate(info.buffer_size());
+    Ok((info, pixels))
+}

@@ -1,0 +1,42 @@
+"""`vrcaps check`: verify an episode."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from tyro.conf import Positional
+
+from vrcaps.cli.console import console, progress_bar
+from vrcaps.errors import InputError
+
+EXIT_FAULTS = 1
+
+
+@dataclass(frozen=True)
+class Check:
+    """Verify an episode: every file there, whole, and consistent with poses, cameras and organ.
+
+    Prints one line a fault and exits with status 1 if there is any.
+
+    For example:
+      vrcaps check runs/demo
+    """
+
+    episode: Positional[Path]
+    """Folder of the episode."""
+
+    def run(self) -> None:
+        """Check and report."""
+        from vrcaps.record.check import check_episode
+
+        if not self.episode.is_dir():
+            raise InputError(f"No folder at {self.episode}. Give the folder of an episode.")
+        with progress_bar("checking") as progress:
+            problems = check_episode(self.episode, progress=progress)
+        for problem in problems:
+            console.print(str(problem), soft_wrap=True)
+        if problems:
+            console.print(f"{len(problems)} faults in {self.episode}.")
+            raise SystemExit(EXIT_FAULTS)
+        console.print(f"{self.episode} is whole and consistent.")

@@ -1,0 +1,132 @@
+"""`vrcaps organ`: generate an organ, look at an organ file."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+from tyro.conf import Positional
+
+from vrcaps.cli.console import console
+from vrcaps.errors import InputError
+from vrcaps.units import CM, MM
+
+if TYPE_CHECKING:
+    from vrcaps.organ.facts import OrganFacts
+    from vrcaps.organ.surface import OrganSurface
+
+
+@dataclass(frozen=True)
+class Inspect:
+    """Print size, volume, area, length, calibre and defects of a mesh file; draw a picture.
+
+    The mesh is repaired first, as a recording would, and every repair is listed.
+
+    For example:
+      vrcaps organ inspect colon.ply --unit mm
+      vrcaps organ inspect scan.stl --unit 5cm --picture scan.png
+    """
+
+    file: Positional[Path]
+    """Mesh file: PLY, OBJ, STL, GLB."""
+
+    unit: str
+    """Length unit of the file: m, dm, cm, mm, um, or e.g. 5cm. Never guessed."""
+
+    open_ends: Literal["cap", "keep"] = "cap"
+    """Whether the lumen's open ends are capped or kept."""
+
+    reverse: bool = False
+    """Whether the narrower end of the lumen is the oral one."""
+
+    picture: Path | None = None
+    """Picture to write; by default <name>-overview.png in the working directory."""
+
+    def run(self) -> None:
+        """Inspect and report."""
+        from vrcaps.organ.from_file import organ_from_file
+
+        with console.status("reading, repairing and measuring"):
+            organ = organ_from_file(
+                self.file, unit=self.unit, open_ends=self.open_ends, reverse=self.reverse
+            )
+        repairs = organ.metadata.get("repairs", [])
+        picture = self.picture or Path(f"{organ.name}-overview.png")
+        _report(organ, repairs, picture)
+
+
+@dataclass(frozen=True)
+class Make:
+    """Generate an organ and write it as a GLB file, textures included; draw a picture.
+
+    For example:
+      vrcaps organ make colon --seed 3 --out colon-3.glb
+    """
+
+    name: Positional[str]
+    """Which organ: colon."""
+
+    seed: int = 0
+    """A different patient for each."""
+
+    out: Path | None = None
+    """File to write; by default <name>-<seed>.glb in the working directory. In metres."""
+
+    def run(self) -> None:
+        """Generate and report."""
+        from vrcaps.organ.catalog import load_organ
+        from vrcaps.organ.write import write_glb
+
+        out = self.out or Path(f"{self.name}-{self.seed}.glb")
+        if out.suffix != ".glb":
+            raise InputError(f"--out is {out}. Allowed: a name that ends in .glb.")
+        with console.status("generating"):
+            organ = load_organ(self.name, seed=self.seed)
+            write_glb(out, organ)
+        console.print(f"Wrote {out} (unit: m).")
+        _report(organ, [], out.with_name(f"{out.stem}-overview.png"))
+
+
+def _report(organ: OrganSurface, repairs: list[str], picture: Path) -> None:
+    """Print the facts as a table and write the picture."""
+    from rich.table import Table
+
+    from vrcaps.organ.facts import organ_facts
+    from vrcaps.render.overview import write_overview
+
+    facts = organ_facts(organ)
+    table = Table(show_header=False, box=None, padding=(0, 2, 0, 0))
+    for name, value in _rows(facts):
+        table.add_row(name, value)
+    for title, lines in (("defects", facts.defects), ("repairs", repairs)):
+        for number, line in enumerate(lines or ("none",)):
+            table.add_row("" if number else title, line)
+    console.print(table)
+    write_overview(organ, picture)
+    console.print(f"Look at {picture}.")
+
+
+def _rows(facts: OrganFacts) -> list[tuple[str, str]]:
+    size = " × ".join(f"{side / CM:.1f}" for side in facts.size)
+    calibre = [
+        f"{c / MM:.1f}" for c in (facts.calibre_min, facts.calibre_median, facts.calibre_max)
+    ]
+    rows = [
+        ("organ", facts.name),
+        ("size", f"{size} cm"),
+        ("lumen volume", f"{facts.volume / CM**3:.0f} ml"),
+        ("wall area", f"{facts.area / CM**2:.0f} cm²"),
+        ("length", f"{facts.length / CM:.1f} cm along the centreline"),
+        ("calibre", f"{calibre[1]} mm (median), from {calibre[0]} to {calibre[2]} mm"),
+    ]
+    if len(facts.calibre_by_segment) > 1:
+        rows += [
+            (f"  {name}", f"{calibre / MM:.1f} mm")
+            for name, calibre in facts.calibre_by_segment.items()
+        ]
+    quality = f"mean quality {facts.quality_mean:.2f}, 5th percentile {facts.quality_p5:.2f}"
+    return [
+        *rows,
+        ("mesh", f"{facts.num_vertices} vertices, {facts.num_faces} triangles, {quality}"),
+    ]

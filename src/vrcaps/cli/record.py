@@ -1,0 +1,206 @@
+"""`vrcaps record`: a labelled run, written as an episode."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from tyro.conf import OmitArgPrefixes, arg
+
+from vrcaps.cli.recording import run_recording
+from vrcaps.errors import InputError
+from vrcaps.render.frame import CHANNELS
+from vrcaps.render.settings import RenderSettings
+from vrcaps.units import LENGTH_UNITS
+from vrcaps.world.fly_through import FlyThrough
+
+if TYPE_CHECKING:
+    from vrcaps.record.scenario import OrganFile, OrganGenerated, Scenario
+    from vrcaps.world.replay import Replay
+
+
+@dataclass(frozen=True)
+class Record:
+    """Fly a capsule through an organ and write what its cameras see, every pixel labelled.
+
+    The result is an episode: images by camera and channel, a table of poses, the organ as
+    GLB, a contact sheet and a preview. A run that was broken off goes on where it stopped.
+
+    For example:
+      vrcaps record --out runs/colon --organ colon --seed 3 --frames 300
+      vrcaps record --out runs/mine --organ colon.ply --unit mm --capsule pillcam-colon2
+      vrcaps record --out runs/path --path poses.txt --path-format tum --path-unit m
+      vrcaps record --out runs/again --scenario runs/mine/episode.json
+    """
+
+    out: Path
+    """Folder of the episode: new, empty, or a broken-off run of the same recording."""
+
+    scenario: Path | None = None
+    """Record just what this file says: JSON, TOML, or the episode.json of an episode."""
+
+    organ: str = "colon"
+    """Name of a generated organ, or a mesh file: PLY, OBJ, STL, GLB."""
+
+    unit: str | None = None
+    """Length unit of the mesh file: m, dm, cm, mm, um, or e.g. 5cm. Never guessed."""
+
+    open_ends: Literal["cap", "keep"] = "cap"
+    """Whether a mesh file's open ends of the lumen are capped or kept."""
+
+    keep_uv: bool = False
+    """Keep a mesh file's own texture coordinates."""
+
+    reverse: bool = False
+    """The narrower end of a mesh file's lumen is the oral one."""
+
+    patient: int | None = None
+    """Seed of a generated organ; by default --seed. Give it to fly many runs through one."""
+
+    posture: str = "supine"
+    """How the patient lies: supine, prone, left-lateral, right-lateral, standing."""
+
+    capsule: str = "mirocam"
+    """Name in the catalog (vrcaps doctor lists them), or your own device file (TOML)."""
+
+    frames: int = 100
+    """Number of frames of each camera."""
+
+    fps: float | None = None
+    """Frames per second; by default the capsule's own."""
+
+    seed: int = 0
+    """Seed of everything random: the motion's wandering, the patient, the mucosa."""
+
+    channels: Annotated[tuple[str, ...], arg(help=f"Of {', '.join(CHANNELS)}.")] = (
+        *("rgb", "depth", "normal", "label", "instance"),
+    )
+    """Image channels to write."""
+
+    fly: OmitArgPrefixes[FlyThrough] = field(default_factory=FlyThrough)
+    """Fly along the centreline (where no --path is given)."""
+
+    path: Path | None = None
+    """Follow this recorded path instead."""
+
+    path_format: Literal["tum", "unity-csv"] | None = None
+    """Of the recorded path: tum (right-handed, OpenCV axes) or unity-csv (y up)."""
+
+    path_unit: str | None = None
+    """Length unit of the recorded path, such as m, dm or 5cm."""
+
+    path_handedness: Literal["left", "right"] = "left"
+    """Of a unity-csv path: left as Unity has it, or right."""
+
+    path_pose: Literal["camera", "capsule"] = "camera"
+    """Whose poses the recorded path holds."""
+
+    path_frame: Literal["world", "patient"] = "world"
+    """Frame that the recorded path is in."""
+
+    path_start: float = 0.0
+    """Time in the recorded path of the first frame [s]."""
+
+    path_allow_outside: bool = False
+    """Accept poses whose camera is outside the lumen."""
+
+    render: OmitArgPrefixes[RenderSettings] = field(default_factory=RenderSettings)
+    """How the images are rendered."""
+
+    threads: int | None = None
+    """Threads to use; by default all cores. The files do not depend on it."""
+
+    def run(self) -> None:
+        """Record and report."""
+        run_recording(self.resolved(), self.out, threads=self.threads)
+
+    def resolved(self) -> Scenario:
+        """The scenario that the flags ask for.
+
+        Raises:
+            InputError: If flags contradict each other or one is missing.
+        """
+        from vrcaps.record.scenario import Scenario, read_scenario
+
+        if self.scenario is not None:
+            if self != Record(out=self.out, scenario=self.scenario, threads=self.threads):
+                raise InputError(
+                    "--scenario states the whole recording. Allowed beside it: --out, --threads. "
+                    "To change something, edit a copy of the file."
+                )
+            return read_scenario(self.scenario)
+        return Scenario(
+            organ=self._organ(),
+            capsule=self.capsule,
+            posture=self.posture,
+            motion=self.fly if self.path is None else self._replay(self.path),
+            frames=self.frames,
+            fps=self.fps,
+            seed=self.seed,
+            channels=self.channels,
+            render=self.render,
+        )
+
+    def _organ(self) -> OrganGenerated | OrganFile:
+        from vrcaps.record.scenario import OrganFile, OrganGenerated
+
+        mesh = OrganFile(
+            path=self.organ,
+            unit=self.unit or "",
+            open_ends=self.open_ends,
+            keep_uv=self.keep_uv,
+            reverse=self.reverse,
+        )
+        if is_mesh_file(self.organ):
+            if self.patient is not None:
+                raise InputError("--patient goes with a generated organ, not with a mesh file.")
+            return replace(mesh, unit=require_unit("--unit", self.unit, self.organ))
+        if mesh != OrganFile(path=self.organ, unit=""):
+            raise InputError(
+                f"--unit, --open-ends, --keep-uv and --reverse go with a mesh file, but "
+                f"{self.organ!r} is a name. Drop them, or give the path of a PLY, OBJ, STL or GLB."
+            )
+        patient = self.seed if self.patient is None else self.patient
+        return OrganGenerated(name=self.organ, seed=patient)
+
+    def _replay(self, path: Path) -> Replay:
+        from vrcaps.world.replay import Replay
+
+        if self.fly != FlyThrough():
+            raise InputError(
+                "--path follows a recording, so the flags of the fly-through (--start, --speed, "
+                "--drift, …) have no meaning beside it. Drop one or the other."
+            )
+        if self.path_format is None:
+            raise InputError("--path needs --path-format. Allowed: tum, unity-csv.")
+        return Replay(
+            path=str(path),
+            format=self.path_format,
+            unit=require_unit("--path-unit", self.path_unit, str(path)),
+            handedness=self.path_handedness,
+            pose=self.path_pose,
+            frame=self.path_frame,
+            start=self.path_start,
+            allow_outside=self.path_allow_outside,
+        )
+
+
+def is_mesh_file(organ: str) -> bool:
+    """Whether an organ is given as a path rather than a name."""
+    path = Path(organ)
+    return bool(path.suffix) or len(path.parts) > 1 or path.is_file()
+
+
+def require_unit(flag: str, unit: str | None, path: str) -> str:
+    """The stated unit of a file.
+
+    Raises:
+        InputError: If none was stated.
+    """
+    if unit is None:
+        raise InputError(
+            f"{flag} is missing: {path} does not say its unit. "
+            f"Allowed: {', '.join(LENGTH_UNITS)}, or e.g. 5cm."
+        )
+    return unit

@@ -1,0 +1,114 @@
+"""Organs on disk under the user's cache folder, so that each is generated only once."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+import tempfile
+import warnings
+import zipfile
+from collections.abc import Callable
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from vrcaps.organ.surface import Appearance, Centerline, OrganSurface
+
+_BROKEN = (OSError, EOFError, ValueError, KeyError, TypeError, zipfile.BadZipFile)
+"""What reading a truncated, overwritten or outdated file raises."""
+
+
+def cache_folder() -> Path:
+    """Where vrcaps keeps what it can make again.
+
+    ``VRCAPS_CACHE`` if set; else ``vrcaps`` in ``XDG_CACHE_HOME`` or the platform's own place:
+    ``~/.cache``, ``~/Library/Caches`` on macOS, ``%LOCALAPPDATA%`` on Windows.
+    """
+    if chosen := os.environ.get("VRCAPS_CACHE"):
+        return Path(chosen).expanduser()
+    if chosen := os.environ.get("XDG_CACHE_HOME"):
+        return Path(chosen) / "vrcaps"
+    if sys.platform == "darwin":
+        return Path.home() / "Library" / "Caches" / "vrcaps"
+    if sys.platform == "win32":
+        return Path(os.environ.get("LOCALAPPDATA", Path.home())) / "vrcaps" / "Cache"
+    return Path.home() / ".cache" / "vrcaps"
+
+
+def cached_organ(name: str, make: Callable[[], OrganSurface]) -> OrganSurface:
+    """The organ stored under a name, or else the made one, stored for the next time.
+
+    A file that cannot be read is made again. A folder that cannot be written to is a warning.
+
+    Args:
+        name: Names the organ, all its parameters and the code that makes it.
+        make: Makes the organ.
+    """
+    path = cache_folder() / "organs" / f"{name}.npz"
+    if path.is_file():
+        try:
+            return _read_organ(path)
+        except _BROKEN:
+            pass  # Made again and overwritten below.
+    organ = make()
+    try:
+        _write_organ(path, organ)
+    except OSError as error:
+        warnings.warn(
+            f"Cannot write to the cache folder {path.parent}: {error.strerror}. The organ is made "
+            "again each time; set VRCAPS_CACHE to a folder that can be written to.",
+            stacklevel=2,
+        )
+    return organ
+
+
+def _write_organ(path: Path, organ: OrganSurface) -> None:
+    """Write an organ under a temporary name, then rename it, so that no half file is ever seen."""
+    arrays, plain = _split(organ)
+    arrays["plain"] = np.array(json.dumps(plain))
+    path.parent.mkdir(parents=True, exist_ok=True)
+    handle, temporary = tempfile.mkstemp(dir=path.parent, suffix=".part")
+    try:
+        with os.fdopen(handle, "wb") as file:
+            np.savez(file, allow_pickle=False, **arrays)
+        os.replace(temporary, path)
+    finally:
+        Path(temporary).unlink(missing_ok=True)
+
+
+def _split(organ: OrganSurface) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+    """An organ's arrays and its plain values, each under ``field`` or ``part.field``."""
+    arrays: dict[str, np.ndarray] = {}
+    plain: dict[str, Any] = {}
+    for prefix, part in (
+        ("", organ),
+        ("centerline.", organ.centerline),
+        ("appearance.", organ.appearance),
+    ):
+        for field in fields(part) if part is not None else ():
+            value = getattr(part, field.name)
+            if isinstance(value, np.ndarray):
+                arrays[prefix + field.name] = value
+            elif field.name not in ("centerline", "appearance"):
+                plain[prefix + field.name] = value
+    return arrays, plain
+
+
+def _read_organ(path: Path) -> OrganSurface:
+    """Read an organ that `_write_organ` wrote."""
+    with np.load(path, allow_pickle=False) as stored:
+        values = {name: stored[name] for name in stored.files}
+    values |= json.loads(str(values.pop("plain")))
+    parts: dict[str, dict[str, Any]] = {"": {}, "centerline": {}, "appearance": {}}
+    for name, value in values.items():
+        part, _, field = name.rpartition(".")
+        parts[part][field] = value
+    organ = parts[""]
+    organ["label_names"] = tuple(organ["label_names"])
+    appearance = Appearance(**parts["appearance"]) if parts["appearance"] else None
+    return OrganSurface(
+        **organ, centerline=Centerline(**parts["centerline"]), appearance=appearance
+    )

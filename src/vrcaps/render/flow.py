@@ -1,0 +1,79 @@
+"""How the image moves: where surface points seen now appear in a neighbouring frame."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vrcaps._core import Wall
+from vrcaps.capsule.device import Camera
+from vrcaps.capsule.rays import pixel_grid, project_points
+from vrcaps.transforms import invert, transform_points
+from vrcaps.world.model import State
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Int
+
+
+@dataclass(frozen=True)
+class SurfacePoints:
+    """The wall point that each pixel sees, fixed to the wall.
+
+    Attributes:
+        position: Place now in the world frame [m]; NaN where there is none.
+        face: Face it lies on, −1 where there is none.
+        weights: Weights of the face's first and second corner.
+    """
+
+    position: Float[np.ndarray, "h w 3"]
+    face: Int[np.ndarray, "h w"]
+    weights: Float[np.ndarray, "h w 2"]
+
+    def moved(self, faces: Int[np.ndarray, "m 3"], state: State) -> Float[np.ndarray, "h w 3"]:
+        """The same points of the wall in another state, world frame [m]."""
+        if state.vertices_world is None:
+            return self.position.astype(np.float64)
+        corners = state.vertices_world[faces[self.face]]
+        first, second = self.weights[..., :1], self.weights[..., 1:]
+        return (
+            corners[..., 0, :] * first
+            + corners[..., 1, :] * second
+            + corners[..., 2, :] * (1.0 - first - second)
+        )
+
+
+def flow(
+    camera: Camera, points_world: Float[np.ndarray, "h w 3"], state: State
+) -> Float[np.ndarray, "h w 2"]:
+    """Motion of each pixel's surface point from now to a neighbouring frame [px].
+
+    Args:
+        camera: The camera that sees both frames.
+        points_world: The surface points in the neighbouring frame [m].
+        state: The neighbouring frame.
+
+    Returns:
+        Columns and rows, as float32; NaN where there is no surface or the point leaves the
+        lens's field.
+    """
+    T_camera_world = invert(state.T_world_capsule @ camera.T_capsule_camera)
+    pixels = project_points(camera, transform_points(T_camera_world, points_world))
+    return (pixels - pixel_grid(camera.width, camera.height)).astype(np.float32)
+
+
+def seen_from(
+    camera: Camera,
+    points_world: Float[np.ndarray, "h w 3"],
+    motion: Float[np.ndarray, "h w 2"],
+    state: State,
+    wall: Wall,
+) -> Bool[np.ndarray, "h w"]:
+    """Whether each surface point is seen in a neighbouring frame: in view and not hidden."""
+    target = motion + pixel_grid(camera.width, camera.height)
+    size = np.array([camera.width, camera.height])
+    in_view = np.all((target >= -0.5) & (target < size - 0.5), axis=-1)
+    eye = (state.T_world_capsule @ camera.T_capsule_camera)[:3, 3]
+    free = wall.visible(tuple(eye), points_world.reshape(-1, 3)).reshape(in_view.shape)
+    return in_view & free

@@ -1,0 +1,247 @@
+"""Images of a world: one pass of the compiled core fills every channel asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from vrcaps import _core
+from vrcaps.capsule.device import Camera
+from vrcaps.capsule.rays import camera_rays
+from vrcaps.errors import InputError, UnknownNameError
+from vrcaps.organ.surface import Appearance, OrganSurface, face_label
+from vrcaps.render.flow import SurfacePoints, flow, seen_from
+from vrcaps.render.frame import CHANNELS, Frame
+from vrcaps.render.settings import RenderSettings
+from vrcaps.transforms import rotate_vectors, transform_points
+from vrcaps.world.model import Model, State
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+    from numpy.typing import NDArray
+
+DEFAULT_CHANNELS = ("rgb", "depth", "ray_distance", "normal", "label", "instance", "arc_length")
+"""A complete labelled frame."""
+
+_PLAIN_ALBEDO = (0.52, 0.22, 0.16)
+_PLAIN_ROUGHNESS = 0.5
+_PLAIN = Appearance(np.zeros((1, 1, 3), np.uint8), np.zeros((1, 1), np.uint8), np.zeros((1, 1)))
+
+_ARRAYS: dict[str, tuple[type[np.generic], tuple[int, ...]]] = {
+    "rgb": (np.uint8, (3,)),
+    "radiance": (np.float32, (3,)),
+    "depth": (np.float32, ()),
+    "ray_distance": (np.float32, ()),
+    "normal": (np.float32, (3,)),
+    "label": (np.uint8, ()),
+    "instance": (np.uint16, ()),
+    "albedo": (np.float32, (3,)),
+    "arc_length": (np.float32, ()),
+    "position": (np.float32, (3,)),
+    "face": (np.int32, ()),
+    "weights": (np.float32, (2,)),
+}
+"""Arrays the core fills: dtype and what follows (height, width)."""
+
+_COLOR = {"rgb", "radiance"}
+_NEEDS_NEXT = {"flow_forward", "occlusion"}
+_NEEDS_PREVIOUS = {"flow_backward"}
+
+
+class Renderer:
+    """Renders one organ; holds its hierarchy, textures and the ray tables of cameras."""
+
+    def __init__(self, model: Model, settings: RenderSettings | None = None) -> None:
+        self.model = model
+        self.settings = settings or RenderSettings()
+        self._scene = _scene(model.organ)
+        self._walls: dict[str, _core.Wall] = {}
+        self._tables: dict[tuple[int, int], tuple[Camera, _core.RayTable]] = {}
+
+    def render(
+        self,
+        state: State,
+        camera: Camera,
+        *,
+        channels: Sequence[str] = DEFAULT_CHANNELS,
+        state_next: State | None = None,
+        state_previous: State | None = None,
+        out: Frame | None = None,
+    ) -> Frame:
+        """What a camera sees.
+
+        Args:
+            state: The world now.
+            camera: One of the device's cameras.
+            channels: Names of channels of `Frame`.
+            state_next: The world one frame later, for `flow_forward` and `occlusion`.
+            state_previous: The world one frame earlier, for `flow_backward`.
+            out: An earlier frame of the same camera whose arrays may be overwritten.
+
+        Raises:
+            UnknownNameError: If there is no such channel.
+            InputError: If a channel needs a state that was not given.
+        """
+        _check_channels(channels, state_next, state_previous)
+        arrays = self._arrays(channels, camera, out)
+        wall = self._wall(state, "now")
+        T_world_camera = state.T_world_capsule @ camera.T_capsule_camera
+        self._draw(wall, camera, T_world_camera, arrays)
+        motion = self._motion(camera, arrays, channels, state_next, state_previous)
+        wanted = {name: arrays[name] for name in channels if name in arrays}
+        return Frame(**wanted, **motion)
+
+    def _draw(
+        self,
+        wall: _core.Wall,
+        camera: Camera,
+        T_world_camera: Float[np.ndarray, "4 4"],
+        arrays: dict[str, NDArray[Any]],
+    ) -> None:
+        factor = self.settings.supersampling
+        leds = _leds_world(camera, T_world_camera)
+
+        def draw(into: dict[str, NDArray[Any]], supersampling: int) -> None:
+            _core.render(
+                wall,
+                self._scene,
+                self._table(camera, supersampling),
+                T_world_camera,
+                leds,
+                into,
+                exposure=camera.exposure,
+                shadows=self.settings.shadows,
+            )
+
+        if factor == 1 or not _COLOR & arrays.keys():
+            draw(arrays, 1)
+            return
+        draw({name: array for name, array in arrays.items() if name not in _COLOR}, 1)
+        size = (camera.height, factor, camera.width, factor, 3)
+        fine = np.empty((camera.height * factor, camera.width * factor, 3), np.float32)
+        draw({"radiance": fine}, factor)
+        radiance = fine.reshape(size).mean(axis=(1, 3))
+        if "radiance" in arrays:
+            arrays["radiance"][...] = radiance
+        if "rgb" in arrays:
+            arrays["rgb"][...] = _core.encode_srgb(radiance, camera.exposure)
+
+    def _motion(
+        self,
+        camera: Camera,
+        arrays: dict[str, NDArray[Any]],
+        channels: Sequence[str],
+        state_next: State | None,
+        state_previous: State | None,
+    ) -> dict[str, NDArray[Any]]:
+        """Channels that compare this frame with its neighbours."""
+        motion: dict[str, NDArray[Any]] = {}
+        if "position" not in arrays or not (_NEEDS_NEXT | _NEEDS_PREVIOUS) & set(channels):
+            return motion
+        points = SurfacePoints(arrays["position"], arrays["face"], arrays["weights"])
+        faces = self.model.organ.faces
+        if state_next is not None and _NEEDS_NEXT & set(channels):
+            moved = points.moved(faces, state_next)
+            forward = flow(camera, moved, state_next)
+            if "flow_forward" in channels:
+                motion["flow_forward"] = forward
+            if "occlusion" in channels:
+                wall = self._wall(state_next, "next")
+                motion["occlusion"] = ~seen_from(camera, moved, forward, state_next, wall)
+        if state_previous is not None and "flow_backward" in channels:
+            moved = points.moved(faces, state_previous)
+            motion["flow_backward"] = flow(camera, moved, state_previous)
+        return motion
+
+    def _arrays(
+        self, channels: Sequence[str], camera: Camera, out: Frame | None
+    ) -> dict[str, NDArray[Any]]:
+        names = [name for name in channels if name in _ARRAYS]
+        if (_NEEDS_NEXT | _NEEDS_PREVIOUS) & set(channels):
+            names += ["position", "face", "weights"]
+        arrays = {}
+        for name in names:
+            dtype, rest = _ARRAYS[name]
+            given = getattr(out, name, None)
+            shape = (camera.height, camera.width, *rest)
+            fits = given is not None and given.shape == shape and given.dtype == dtype
+            arrays[name] = given if fits else np.empty(shape, dtype)
+        return arrays
+
+    def _wall(self, state: State, slot: str) -> _core.Wall:
+        """The wall in a state: the one at rest, or this slot's own copy refitted."""
+        if state.vertices_world is None:
+            return self.model.wall
+        vertices = np.ascontiguousarray(state.vertices_world, np.float64)
+        wall = self._walls.get(slot)
+        if wall is None:
+            wall = self._walls[slot] = _core.Wall(vertices, _faces(self.model.organ))
+        else:
+            wall.refit(vertices)
+        return wall
+
+    def _table(self, camera: Camera, supersampling: int) -> _core.RayTable:
+        key = (id(camera), supersampling)
+        if key not in self._tables:
+            table = _core.RayTable(camera_rays(camera, supersampling))
+            self._tables[key] = (camera, table)  # holding the camera keeps its id its own
+        return self._tables[key][1]
+
+
+def _check_channels(
+    channels: Sequence[str], following: State | None, earlier: State | None
+) -> None:
+    for name in channels:
+        if name not in CHANNELS:
+            raise UnknownNameError("channel", name, CHANNELS)
+        if name in _NEEDS_NEXT and following is None:
+            raise InputError(f"Channel {name!r} needs the next state. Give state_next.")
+        if name in _NEEDS_PREVIOUS and earlier is None:
+            raise InputError(f"Channel {name!r} needs the previous state. Give state_previous.")
+
+
+def _faces(organ: OrganSurface) -> NDArray[np.int64]:
+    return np.ascontiguousarray(organ.faces, np.int64)
+
+
+def _scene(organ: OrganSurface) -> _core.Scene:
+    look = organ.appearance or _PLAIN
+    texture = None
+    if organ.appearance is not None:
+        height = np.ascontiguousarray(look.height, np.float32)
+        texture = _core.Texture(look.albedo, look.roughness, height)
+    return _core.Scene(
+        np.ascontiguousarray(organ.uv, np.float32),
+        face_label(organ.label, organ.faces),
+        face_label(organ.instance, organ.faces),
+        organ.arc_length.astype(np.float32),
+        texture=texture,
+        albedo=_PLAIN_ALBEDO,
+        roughness=_PLAIN_ROUGHNESS,
+        reflectance=(look.ior, look.coat, coat_alpha(look.coat_gloss)),
+    )
+
+
+def coat_alpha(gloss: float) -> float:
+    """Roughness α of the clear coat's lobe: 0.1 for gloss 0 to 0.001 for 1 (Burley 2012, 5.4)."""
+    return 0.1 + (0.001 - 0.1) * gloss
+
+
+def _leds_world(
+    camera: Camera, T_world_camera: Float[np.ndarray, "4 4"]
+) -> Float[np.ndarray, "k 10"]:
+    """Rows of position [m], direction, intensity [W/sr] and lobe exponent in the world."""
+    if not camera.leds:
+        return np.zeros((0, 10))
+    position = np.array([led.position_camera for led in camera.leds])
+    direction = np.array([led.direction_camera for led in camera.leds])
+    return np.column_stack(
+        [
+            transform_points(T_world_camera, position),
+            rotate_vectors(T_world_camera, direction),
+            np.array([led.intensity for led in camera.leds]),
+            np.array([led.lobe_exponent for led in camera.leds]),
+        ]
+    )

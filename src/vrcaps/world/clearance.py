@@ -1,0 +1,86 @@
+"""How far a capsule keeps from the wall, and how it is pushed back into the lumen."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vrcaps.transforms import transform_from, transform_points
+from vrcaps.units import MM
+from vrcaps.world.model import Model
+from vrcaps.world.trajectory import rotation_from_vector
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+_PROBE = 0.2 * MM
+_PUSH = 0.3 * MM
+_LEVER = 10.0 * MM  # a turn of 1 rad counts as much as a shift of this length
+_MAX_PUSHES = 80
+
+
+def capsule_clearance(model: Model, poses: Float[np.ndarray, "n 4 4"]) -> Float[np.ndarray, "n p"]:
+    """Distance to the wall [m] of the origin, each camera, then both ends of the body's axis."""
+    axis = model.device.length / 2.0 - model.device.radius
+    points = [np.zeros(3)]
+    points += [camera.T_capsule_camera[:3, 3] for camera in model.device.cameras]
+    points += [np.array([0.0, 0.0, axis]), np.array([0.0, 0.0, -axis])]
+    points_world = transform_points(poses, np.array(points)[None])
+    distance = model.wall.signed_distance(points_world.reshape(-1, 3))
+    return np.asarray(distance, float).reshape(points_world.shape[:2])
+
+
+def vital_clearance(model: Model, poses: Float[np.ndarray, "n 4 4"]) -> Float[np.ndarray, " n"]:
+    """Least distance to the wall [m] of the origin and the cameras, which must be positive."""
+    return capsule_clearance(model, poses)[:, : 1 + len(model.device.cameras)].min(axis=1)
+
+
+def corrected(
+    poses: Float[np.ndarray, "n 4 4"], correction: Float[np.ndarray, "n 6"]
+) -> Float[np.ndarray, "n 4 4"]:
+    """Poses shifted [m] and turned [rad] in their own frames."""
+    return poses @ transform_from(rotation_from_vector(correction[:, 3:]), correction[:, :3])
+
+
+def push_inside(
+    model: Model, poses: Float[np.ndarray, "n 4 4"], *, need: float, blur: float
+) -> Float[np.ndarray, "n 6"]:
+    """Smooth corrections of neighbouring poses that bring origin and cameras into the lumen.
+
+    Poses that are too near the wall climb the gradient of their clearance, and all corrections
+    are blurred along the path, in turns. It may fail where the lumen is too narrow.
+
+    Args:
+        model: The lumen and the capsule.
+        poses: Along a path, close to each other.
+        need: Clearance to reach [m].
+        blur: Standard deviation of the blur [poses].
+
+    Returns:
+        For each pose a shift [m] and a turn [rad], for `corrected`.
+    """
+    from scipy.ndimage import binary_dilation, gaussian_filter1d  # slow to load
+
+    correction = np.zeros((len(poses), 6))
+    unit = np.array([1.0] * 3 + [1.0 / _LEVER] * 3)
+    blocked = vital_clearance(model, poses) < need
+    if not blocked.any():
+        return correction
+    # A push acts on its neighbours through the blur only: look no further than that reaches.
+    window = np.flatnonzero(binary_dilation(blocked, iterations=int(10.0 * blur)))
+    for _ in range(_MAX_PUSHES):
+        clearance = vital_clearance(model, corrected(poses[window], correction[window]))
+        near, clearance = window[clearance < need], clearance[clearance < need]
+        if len(near) == 0:
+            break
+        gradient = np.empty((len(near), 6))
+        for axis in range(6):
+            probe = correction[near]
+            probe[:, axis] += _PROBE * unit[axis]
+            moved = vital_clearance(model, corrected(poses[near], probe))
+            gradient[:, axis] = moved - clearance
+        gradient /= np.maximum(np.linalg.norm(gradient, axis=1, keepdims=True), 1e-12)
+        correction[near] += _PUSH * gradient * unit
+        correction = gaussian_filter1d(correction, blur, axis=0, mode="constant")
+    return correction

@@ -1,0 +1,70 @@
+"""Examples run, the pages' programs and scenarios too, and links lead somewhere."""
+
+from __future__ import annotations
+
+import ast
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from vrcaps.record.scenario import OrganFile, read_scenario
+from vrcaps.world.fly_through import FlyThrough
+
+ROOT = Path(__file__).resolve().parents[1]
+EXAMPLES = sorted((ROOT / "examples").glob("[0-9]*.py"))
+
+
+@pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
+def test_example_runs(path: Path, tmp_path: Path) -> None:
+    command = [sys.executable, "-W", "error", str(path), "--smoke", "--out", str(tmp_path / "out")]
+    result = subprocess.run(
+        command, capture_output=True, text=True, timeout=300, cwd=tmp_path, check=False
+    )
+    assert result.returncode == 0, result.stderr
+    assert (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
+def test_example_explains_itself(path: Path) -> None:
+    assert ast.get_docstring(ast.parse(path.read_text()))
+
+
+def code_blocks(page: str, language: str) -> list[str]:
+    """Fenced blocks of a language on a page of the project."""
+    return re.findall(rf"```{language}\n(.*?)```", (ROOT / page).read_text(), re.DOTALL)
+
+
+def test_program_of_the_front_page_runs(tmp_path: Path) -> None:
+    (program,) = code_blocks("README.md", "python")
+    short = program.replace("frames=50", "frames=2")
+    assert short != program
+    result = subprocess.run(
+        [sys.executable, "-W", "error", "-c", short],
+        capture_output=True,
+        text=True,
+        timeout=300,
+        cwd=tmp_path,
+        check=False,
+    )
+    assert result.returncode == 0, result.stderr
+    assert len(result.stdout.splitlines()) == 2
+
+
+def test_scenario_of_the_quickstart_is_one(tmp_path: Path) -> None:
+    (text,) = code_blocks("docs/quickstart.md", "toml")
+    (tmp_path / "scenario.toml").write_text(text)
+    scenario = read_scenario(tmp_path / "scenario.toml")
+    assert scenario.organ == OrganFile("colon.ply", unit="mm")
+    assert scenario.motion == FlyThrough(start=0.1, end=0.5)
+
+
+@pytest.mark.parametrize("page", ["README.md", "docs/quickstart.md", "CONTRIBUTING.md"])
+def test_links_inside_the_project_lead_somewhere(page: str) -> None:
+    text = (ROOT / page).read_text()
+    targets = [t for t in re.findall(r"\]\(([^)#]+?)(?:#[^)]*)?\)", text) if "://" not in t]
+    assert targets
+    missing = [t for t in targets if not ((ROOT / page).parent / t).exists()]
+    assert not missing

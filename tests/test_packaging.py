@@ -1,0 +1,52 @@
+"""The installed package: its version, its extras, and a wheel that runs without a compiler."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import tomllib
+import venv
+from importlib.metadata import metadata, version
+from pathlib import Path
+
+import pytest
+
+import vrcaps
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+def test_one_version_everywhere() -> None:
+    crate = tomllib.loads((ROOT / "rust" / "Cargo.toml").read_text())["package"]["version"]
+    assert crate == version("vrcaps") == vrcaps.__version__
+
+
+def test_everything_heavy_is_behind_an_extra() -> None:
+    extras = set(metadata("vrcaps").get_all("Provides-Extra") or [])
+    assert {"ct", "env", "learn", "cockpit", "scale", "dev"} <= extras
+
+
+def without_compilers(path: str) -> str:
+    """The search path without the folders that hold cargo or rustc."""
+    folders = path.split(os.pathsep)
+    tools = ("cargo", "rustc")
+    return os.pathsep.join(f for f in folders if not any((Path(f) / t).exists() for t in tools))
+
+
+@pytest.mark.wheel
+def test_wheel_records_the_demo_in_a_clean_environment(tmp_path: Path) -> None:
+    (wheel,) = (ROOT / "dist").glob("vrcaps-*.whl")
+    assert "-abi3-" in wheel.name
+    venv.create(tmp_path / "venv", with_pip=True)
+    scripts = tmp_path / "venv" / ("Scripts" if os.name == "nt" else "bin")
+    environment = {k: v for k, v in os.environ.items() if not k.startswith(("PYTHON", "VIRTUAL"))}
+    environment["PATH"] = without_compilers(environment["PATH"])
+
+    def run(program: str, *args: str | Path) -> None:
+        command = [scripts / program, *args]
+        subprocess.run(command, cwd=tmp_path, env=environment, check=True, timeout=600)
+
+    run("python", "-m", "pip", "install", "--quiet", "--only-binary=:all:", wheel)
+    run("vrcaps", "demo", "--out", "demo")
+    run("vrcaps", "check", "demo")
+    assert (tmp_path / "demo" / "sheet.png").stat().st_size > 0

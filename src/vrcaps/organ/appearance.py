@@ -107,7 +107,7 @@ def bake_appearance(
     mucosa = _resolve(mucosa)
     pace = _pace(organ)
     height, width = _texture_size(pace, texels_per_mm, max_texels)
-    texel = (pace[0] / width * pace[1] / height) ** 0.5
+    texel = float(np.hypot(pace[0] / width, pace[1] / height)) / 2.0**0.5
     albedo, roughness, relief = _core.bake_mucosa(
         _wall_fields(organ),
         np.ascontiguousarray(organ.faces, np.uint32),

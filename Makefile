@@ -42,8 +42,9 @@ check: $(VENV)/.stamp-dev
 	cargo clippy --quiet --manifest-path rust/Cargo.toml --all-targets -- -D warnings
 
 bench: $(VENV)/.stamp-dev
-	$(BIN)/vrcaps bench render
-	$(BIN)/vrcaps bench record
+	mkdir -p benchmarks/results
+	$(BIN)/vrcaps bench render --out benchmarks/results/render.md
+	$(BIN)/vrcaps bench record --out benchmarks/results/record.md
 
 wheel: $(VENV)/.stamp-dev
 	rm -f dist/*.whl

@@ -1,7 +1,7 @@
 //! PNG files: written in parallel and whole, read back exactly.
 
 use numpy::{
-    IntoPyArray, PyArrayDyn, PyArrayMethods, PyUntypedArrayMethods,
+    IntoPyArray, PyArrayDyn, PyArrayMethods, PyReadonlyArrayDyn, PyUntypedArrayMethods,
     ndarray::{ArrayD, IxDyn},
 };
 use png::{BitDepth, ColorType};
@@ -86,6 +86,38 @@ fn os_error(path: &str, error: &io::Error) -> PyErr {
         }
         None => PyOSError::new_err(format!("{path}: {error}")),
     }
+}
+
+/// 16-bit steps of a float image: round((value − offset) / scale), 0 where any component of the
+/// pixel is NaN or outside 1 to 65535.
+///
+/// `values` is of shape (h, w) or (h, w, components) and C-contiguous.
+#[pyfunction]
+pub fn quantize<'py>(
+    py: Python<'py>,
+    values: PyReadonlyArrayDyn<'py, f32>,
+    scale: f32,
+    offset: f32,
+) -> PyResult<Bound<'py, PyArrayDyn<u16>>> {
+    let shape = values.shape().to_vec();
+    let components = shape.get(2).copied().unwrap_or(1).max(1);
+    let pixels = values.as_slice()?;
+    let mut steps = vec![0u16; pixels.len()];
+    let per_unit = 1.0 / scale;
+    let rows = shape.get(1).copied().unwrap_or(1).max(1) * components * 16;
+    py.detach(|| {
+        steps.par_chunks_mut(rows).zip(pixels.par_chunks(rows)).for_each(|(out, row)| {
+            for (step, &value) in out.iter_mut().zip(row) {
+                let x = ((value - offset) * per_unit).round_ties_even();
+                *step = if (1.0..=65535.0).contains(&x) { x as u16 } else { 0 };
+            }
+            for pixel in out.chunks_exact_mut(components).filter(|p| p.contains(&0)) {
+                pixel.fill(0);
+            }
+        });
+    });
+    let array = ArrayD::from_shape_vec(IxDyn(&shape), steps);
+    Ok(array.map_err(|e| PyValueError::new_err(e.to_string()))?.into_pyarray(py))
 }
 
 /// Writes PNG files in parallel, each whole or not at all.

@@ -9,6 +9,7 @@ import pytest
 
 from vrcaps import cli
 from vrcaps.cli.check import Check
+from vrcaps.cli.demo import _free_folder
 from vrcaps.cli.record import Record
 from vrcaps.errors import InputError
 from vrcaps.record.scenario import OrganFile, OrganGenerated, Scenario
@@ -157,3 +158,11 @@ def test_a_failing_system_call_ends_in_one_line(
 
     monkeypatch.setattr(Check, "run", fail)
     assert stop(["check", "."], capsys) == (2, "vrcaps: /secret: Permission denied.\n")
+
+
+def test_a_demo_never_writes_where_something_is(tmp_path: Path) -> None:
+    wanted = tmp_path / "demo"
+    assert _free_folder(wanted) == wanted
+    wanted.mkdir()
+    (tmp_path / "demo-2").mkdir()
+    assert _free_folder(wanted) == tmp_path / "demo-3"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -65,9 +66,10 @@ def test_the_oral_end_has_the_first_colour(tube: OrganSurface) -> None:
         np.testing.assert_allclose(image[row, 50], colour[:3], atol=0.03)
 
 
-def test_overview_is_an_image_file(tube: OrganSurface, tmp_path: Path) -> None:
+@pytest.mark.parametrize("dtype", [np.int32, np.int64])
+def test_overview_is_an_image_file(tube: OrganSurface, dtype: type, tmp_path: Path) -> None:
     from PIL import Image
 
-    write_overview(tube, tmp_path / "tube.png")
+    write_overview(replace(tube, faces=tube.faces.astype(dtype)), tmp_path / "tube.png")
     with Image.open(tmp_path / "tube.png") as image:
         assert image.size == (1200, 950)

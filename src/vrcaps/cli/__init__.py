@@ -23,11 +23,16 @@ _VERBS = {
     "check": ("vrcaps.cli.check", "Check", "Verify an episode."),
     "organ inspect": ("vrcaps.cli.organ", "Inspect", "Measure and draw a mesh file."),
     "organ make": ("vrcaps.cli.organ", "Make", "Generate an organ and write it as GLB."),
+    "bench render": ("vrcaps.cli.bench", "Render", "Measure rendering, beside its peers."),
+    "bench record": ("vrcaps.cli.bench", "Record", "Measure recording to disk."),
     "doctor": ("vrcaps.cli.doctor", "Doctor", "Say what is installed and what can be used."),
 }
 """Module, dataclass and summary of each verb."""
 
-_GROUPS = {"organ": "Generate an organ, measure and draw a mesh file."}
+_GROUPS = {
+    "organ": "Generate an organ, measure and draw a mesh file.",
+    "bench": "Measure speed on this machine.",
+}
 
 
 class _Command(Protocol):

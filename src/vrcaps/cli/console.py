@@ -12,7 +12,7 @@ console = Console(highlight=False, markup=False)
 
 @contextmanager
 def progress_bar(title: str) -> Iterator[Callable[[int, int], None]]:
-    """A progress bar on stderr, driven by a function of the number done and the total.
+    """A progress bar on stderr, driven by the number done and the total; none in a log file.
 
     Args:
         title: What is being done.
@@ -20,7 +20,10 @@ def progress_bar(title: str) -> Iterator[Callable[[int, int], None]]:
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
     from rich.progress import TimeRemainingColumn as Remaining
 
+    errors = Console(stderr=True)
     columns = (TextColumn(title), BarColumn(), MofNCompleteColumn(), Remaining())
-    with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
+    with Progress(
+        *columns, console=errors, transient=True, disable=not errors.is_terminal
+    ) as progress:
         task = progress.add_task(title, total=None)
         yield lambda num_done, total: progress.update(task, completed=num_done, total=total)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import chain, count
 from pathlib import Path
 
 from vrcaps.cli.recording import run_recording
@@ -16,12 +17,19 @@ class Demo:
       vrcaps demo
     """
 
-    out: Path = Path("runs/demo")
-    """Folder of the episode: new, empty, or an earlier demo."""
+    out: Path | None = None
+    """Folder of the episode; by default runs/demo, or the first of runs/demo-2, … that is free."""
 
     def run(self) -> None:
         """Record and report."""
         from vrcaps.record.scenario import Scenario
 
-        channels = ("rgb", "depth", "normal", "label", "instance", "arc_length")
-        run_recording(Scenario(frames=120, channels=channels), self.out)
+        channels = ("rgb", "depth", "normal", "label", "arc_length")
+        scenario = Scenario(frames=150, fps=10.0, channels=channels)
+        run_recording(scenario, self.out or _free_folder(Path("runs/demo")))
+
+
+def _free_folder(wanted: Path) -> Path:
+    """The folder itself, or with the first number behind it under which there is none."""
+    numbered = (wanted.with_name(f"{wanted.name}-{number}") for number in count(2))
+    return next(folder for folder in chain([wanted], numbered) if not folder.exists())

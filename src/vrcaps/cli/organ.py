@@ -51,9 +51,7 @@ class Inspect:
             organ = organ_from_file(
                 self.file, unit=self.unit, open_ends=self.open_ends, reverse=self.reverse
             )
-        repairs = organ.metadata.get("repairs", [])
-        picture = self.picture or Path(f"{organ.name}-overview.png")
-        _report(organ, repairs, picture)
+        _report(organ, self.picture or Path(f"{organ.name}-overview.png"))
 
 
 @dataclass(frozen=True)
@@ -85,11 +83,11 @@ class Make:
             organ = load_organ(self.name, seed=self.seed)
             write_glb(out, organ)
         console.print(f"Wrote {out} (unit: m).")
-        _report(organ, [], out.with_name(f"{out.stem}-overview.png"))
+        _report(organ, out.with_name(f"{out.stem}-overview.png"))
 
 
-def _report(organ: OrganSurface, repairs: list[str], picture: Path) -> None:
-    """Print the facts as a table and write the picture."""
+def _report(organ: OrganSurface, picture: Path) -> None:
+    """Print the facts as a table, and the repairs of a mesh file, and write the picture."""
     from rich.table import Table
 
     from vrcaps.organ.facts import organ_facts
@@ -99,7 +97,10 @@ def _report(organ: OrganSurface, repairs: list[str], picture: Path) -> None:
     table = Table(show_header=False, box=None, padding=(0, 2, 0, 0))
     for name, value in _rows(facts):
         table.add_row(name, value)
-    for title, lines in (("defects", facts.defects), ("repairs", repairs)):
+    lists = {"defects": facts.defects}
+    if "repairs" in organ.metadata:
+        lists["repairs"] = organ.metadata["repairs"]
+    for title, lines in lists.items():
         for number, line in enumerate(lines or ("none",)):
             table.add_row("" if number else title, line)
     console.print(table)

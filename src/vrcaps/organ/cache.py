@@ -99,7 +99,7 @@ def _split(organ: OrganSurface) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
 
 def _read_organ(path: Path) -> OrganSurface:
     """Read an organ that `_write_organ` wrote."""
-    with np.load(path, allow_pickle=False) as stored:
+    with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
         values = {name: stored[name] for name in stored.files}
     values |= json.loads(str(values.pop("plain")))
     parts: dict[str, dict[str, Any]] = {"": {}, "centerline": {}, "appearance": {}}

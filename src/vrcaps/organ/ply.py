@@ -12,6 +12,7 @@ from vrcaps.organ.surface import Mesh
 
 if TYPE_CHECKING:
     from pathlib import Path
+    from typing import BinaryIO
 
     from jaxtyping import Int
 
@@ -68,7 +69,7 @@ def read_ply(path: Path) -> Mesh:
     return Mesh(vertices, faces, uv, label)
 
 
-def write_ply(path: Path, mesh: Mesh) -> None:
+def write_ply(file: BinaryIO, mesh: Mesh) -> None:
     """Write a mesh as binary PLY in metres, double precision, with its wedges and labels."""
     columns = [(axis, "<f8") for axis in "xyz"]
     columns += [] if mesh.label is None else [("label", "u1")]
@@ -89,7 +90,7 @@ def write_ply(path: Path, mesh: Mesh) -> None:
     lines += [f"element face {len(face)}", "property list uchar int vertex_indices"]
     lines += [] if mesh.uv is None else ["property list uchar double texcoord"]
     header = "\n".join([*lines, "end_header", ""]).encode()
-    path.write_bytes(header + vertex.tobytes() + face.tobytes())
+    file.write(header + vertex.tobytes() + face.tobytes())
 
 
 def _read_elements(data: bytes) -> dict[str, dict]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import struct
 from dataclasses import replace
 from typing import TYPE_CHECKING
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
 # What the parsers raise on files that are cut short or are something else.
 _PARSE_ERRORS = (
     *(ValueError, LookupError, TypeError, AttributeError, OverflowError, AssertionError),
-    *(NotImplementedError, NameError, EOFError, struct.error),
+    *(NotImplementedError, NameError, EOFError, OSError, struct.error),
 )
 
 
@@ -52,6 +53,17 @@ def read_mesh(path: Path, *, unit: str) -> Mesh:
         raise InputError(f"Cannot read {path} as {extension.upper()}: {reason}.") from error
     _check_mesh(mesh, path)
     return replace(mesh, vertices=mesh.vertices * scale)
+
+
+def read_label_names(path: Path) -> tuple[str, ...]:
+    """Names of the labels in a GLB file that `write_glb` made; empty for any other mesh file."""
+    if path.suffix.lower() != ".glb":
+        return ()
+    with path.open("rb") as file:
+        header = struct.unpack("<4sIII4s", file.read(20))
+        document = json.loads(file.read(header[3]))
+    extras = document.get("meshes", [{}])[0].get("extras", {})
+    return tuple(extras.get("label_names", ()))
 
 
 def _check_mesh(mesh: Mesh, path: Path) -> None:
@@ -112,10 +124,17 @@ def _obj_index(word: str, count: int) -> int:
 
 def _read_stl(path: Path) -> Mesh:
     """STL, ASCII or binary: three vertices of its own for every triangle."""
-    import trimesh
-
-    mesh = trimesh.load_mesh(path, process=False)
-    return Mesh(np.array(mesh.vertices, float), np.array(mesh.faces, np.int64))
+    data = path.read_bytes()
+    if len(data) >= 84 and len(data) == 84 + 50 * int.from_bytes(data[80:84], "little"):
+        facet = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+        points = np.frombuffer(data, facet, offset=84)["corners"].reshape(-1, 3).astype(float)
+    elif data.lstrip()[:5].lower() == b"solid" and b"endsolid" in data:
+        lines = (line.split() for line in data.decode("ascii", "replace").splitlines())
+        rows = [[float(x) for x in words[1:4]] for words in lines if words[:1] == ["vertex"]]
+        points = np.array(rows).reshape(-1, 3)
+    else:
+        raise ValueError("neither ASCII nor binary STL, or cut short")
+    return Mesh(points, np.arange(len(points)).reshape(-1, 3))
 
 
 def _read_gltf(path: Path) -> Mesh:

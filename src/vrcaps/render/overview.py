@@ -40,7 +40,7 @@ def write_overview(organ: OrganSurface, path: Path) -> None:
     figure = Figure(figsize=(12, 9.5), layout="constrained")
     FigureCanvasAgg(figure)
     grid = figure.add_gridspec(2, 2, height_ratios=(2.6, 1.0))
-    wall = Wall(organ.vertices, organ.faces)
+    wall = Wall(organ.vertices, organ.faces.astype(np.int64))
     low, high = organ.vertices.min(axis=0), organ.vertices.max(axis=0)
     centre, half = (low + high) / 2.0, _MARGIN * (high - low).max() / 2.0
     for column, (direction, (right, up, along)) in enumerate(_VIEWS.items()):

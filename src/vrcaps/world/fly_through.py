@@ -25,7 +25,7 @@ from vrcaps.world.trajectory import Trajectory, require_inside, velocities_betwe
 if TYPE_CHECKING:
     from jaxtyping import Float
 
-_KNOT_SPACING = 0.5 * MM  # of the places where the path is checked against the wall
+_KNOT_SPACING = 1.0 * MM  # of the places where the path is checked against the wall
 _PUSH_BLUR = 3.0 * MM
 
 

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 _VOXELS_PER_RADIUS = 10.0
 _REFINEMENTS = 3
-_END_SHARE = 0.15  # of the length, over which the width of an end is measured
+_END_SHARE = 1 / 3  # of the length, over which the width of an end is measured
 
 _log = logging.getLogger(__name__)
 
@@ -36,8 +36,8 @@ def compute_centerline(
 
     A minimum-cost path through the lumen's distance field, made central and smooth. Its two
     ends are those farthest apart inside the lumen. A mesh does not say which is the oral
-    one: it is taken to be the wider, which holds for a colon (caecum to rectum) and for a
-    stomach (fundus to pylorus). State `start`, `end` or `reverse` where it does not.
+    one: it is taken to be that of the wider third, which holds for a colon (caecum to
+    rectum) and for a stomach (fundus to pylorus). State `start`, `end` or `reverse` where it does not.
 
     Args:
         mesh: The wall of one lumen [m]; its ends may be open.

@@ -68,7 +68,7 @@ def voxelise(
     wall = np.zeros(shape, bool)
     inside = np.zeros(shape, np.uint8)
     for axes in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
-        columns, height = _crossings(scaled[:, axes], faces, shape[list(axes)])
+        columns, _, height = grid_crossings(scaled[:, axes], faces, shape[list(axes)])
         cell = np.rint(height).astype(int)
         ids = np.empty((len(columns), 3), int)
         ids[:, axes[0]], ids[:, axes[1]], ids[:, axes[2]] = columns[:, 0], columns[:, 1], cell
@@ -116,10 +116,10 @@ def close_ends(
     return np.concatenate([vertices, middle]), np.concatenate([faces, cones])
 
 
-def _crossings(
+def grid_crossings(
     vertices: Float[np.ndarray, "n 3"], faces: Int[np.ndarray, "m 3"], shape: Int[np.ndarray, " 3"]
-) -> tuple[Int[np.ndarray, "k 2"], Float[np.ndarray, " k"]]:
-    """Grid lines along z that meet each triangle, and at what height.
+) -> tuple[Int[np.ndarray, "k 2"], Int[np.ndarray, " k"], Float[np.ndarray, " k"]]:
+    """Grid lines along z that meet triangles, the triangles, and at what height.
 
     The test (an odd number of the triangle's edges lies to the right of the line) takes each
     edge by its lower vertex first, so that two triangles of one edge never both miss or both
@@ -145,13 +145,14 @@ def _crossings(
         rise = np.where(spans, stop[:, 1] - start[:, 1], 1.0)
         across = start[:, 0] + (columns[:, 1] - start[:, 1]) / rise * (stop[:, 0] - start[:, 0])
         hit ^= spans & (columns[:, 0] < across)
-    columns, corner = columns[hit], corners[face[hit]]
+    columns, face = columns[hit], face[hit]
+    corner = corners[face]
     normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
     slope = np.where(normal[:, 2] != 0.0, normal[:, 2], 1.0)
     offset = columns - corner[:, 0, :2]
     height = corner[:, 0, 2] - (offset * normal[:, :2]).sum(axis=1) / slope
     height = np.clip(height, corner[..., 2].min(axis=1), corner[..., 2].max(axis=1))
-    return columns, np.minimum(height, shape[2] - 1.0)
+    return columns, face, np.minimum(height, shape[2] - 1.0)
 
 
 def mean_radius(vertices: Float[np.ndarray, "n 3"], faces: Int[np.ndarray, "m 3"]) -> float:

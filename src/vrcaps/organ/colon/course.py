@@ -15,6 +15,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from vrcaps.errors import InputError
+from vrcaps.organ.colon.parameters import SEGMENTS
 from vrcaps.units import CM, MM
 
 if TYPE_CHECKING:
@@ -28,7 +29,7 @@ FLEXURE_REACH = 5 * CM
 _SPACING = 12.5 * MM
 _GAP = 4 * MM
 _NUM_STEPS = 150
-_NUM_TRIES = 60
+_NUM_TRIES = 100
 
 # Waypoints of the segments in a mean body, patient frame [cm]: x left, y posterior, z up, the
 # origin in the middle of the abdomen at the height of the navel. A segment starts where the
@@ -54,6 +55,10 @@ _WAYPOINTS_CM = (
 _HOLD = (0.08, 0.02, 0.10, 0.002, 0.10, 0.015, 0.002, 0.15)
 _MOBILITY = (0.0, 0.5, 0.0, 1.0, 0.0, 0.7, 1.0, 0.0)
 _CAVITY_CM = np.array([[-14.5, -10.5, -26.0], [14.5, 7.5, 20.0]])
+# Lowest and highest place of each segment: the transverse colon hangs between the flexures,
+# all but the rectum stay above the pelvic floor.
+_LOWEST_CM = (-15.0, -15.0, -10.0, -9.0, 0.0, -12.0, -18.0, -26.0)
+_HIGHEST_CM = (0.0, 14.0, 14.0, 19.0, 20.0, 18.0, 3.0, -7.0)
 
 
 @dataclass(frozen=True)
@@ -108,7 +113,7 @@ def has_room(course: Course, parameters: ColonParameters) -> bool:
     needed = np.where(_is_apart(arc_length, radius), radius[:, None] + radius + 0.4 * _GAP, 0.0)
     velocity = np.gradient(points, arc_length, axis=0)
     curvature = np.linalg.norm(np.gradient(velocity, arc_length, axis=0), axis=1)
-    return bool(np.all(spread >= needed) and np.all(curvature[2:-2] * radius[2:-2] < 1.15))
+    return bool(np.all(spread >= needed) and np.all(curvature[2:-2] * radius[2:-2] < 1.2))
 
 
 def outer_radius(
@@ -162,6 +167,7 @@ def _relax(parameters: ColonParameters, bends: np.ndarray, rng: np.random.Genera
     segment = np.minimum(np.searchsorted(ends, arc_length), len(ends) - 1)
     anchors = _anchors(parameters, arc_length, segment)
     hold = np.array(_HOLD)[segment][:, None]
+    low, high = _cavity(parameters, segment)
     radius = outer_radius(parameters, arc_length)
     nodes = anchors + _meander(anchors, bends, arc_length, segment, rng)
     needed = np.where(_is_apart(arc_length, radius), radius[:, None] + radius + _GAP, 0.0)
@@ -171,7 +177,7 @@ def _relax(parameters: ColonParameters, bends: np.ndarray, rng: np.random.Genera
         spacing = start + growth * (arc_length[1] - start)
         nodes += (1.0 - 0.85 * growth) * hold * (anchors - nodes)
         nodes += _push_apart(nodes, needed)
-        nodes += _keep_inside(nodes, radius, parameters)
+        nodes += 0.3 * (np.clip(nodes, low, high) - nodes)
         for _ in range(3):
             nodes += _unbend(nodes, radius, spacing)
             nodes += _set_spacing(nodes, spacing)
@@ -182,7 +188,6 @@ def _anchors(
     parameters: ColonParameters, arc_length: np.ndarray, segment: np.ndarray
 ) -> np.ndarray:
     """Where each node lies in the textbook abdomen [m], scaled to the colon's length."""
-    size = np.clip(np.sqrt(parameters.length / 1.895), 0.85, 1.1)
     anchors = np.empty((len(arc_length), 3))
     end, start = 0.0, _WAYPOINTS_CM[0][0]
     for k, waypoints in enumerate(_WAYPOINTS_CM):
@@ -192,7 +197,7 @@ def _anchors(
         for axis in range(3):
             anchors[segment == k, axis] = np.interp(share * chord[-1], chord, path[:, axis])
         end, start = end + parameters.segments[k].length, waypoints[-1]
-    return size * CM * anchors
+    return _body_size(parameters) * CM * anchors
 
 
 def _meander(
@@ -235,11 +240,22 @@ def _push_apart(nodes: np.ndarray, needed: np.ndarray) -> np.ndarray:
     return 0.5 * push / count[:, None]
 
 
-def _keep_inside(nodes: np.ndarray, radius: np.ndarray, parameters: ColonParameters) -> np.ndarray:
-    """Displacement into the abdominal cavity [m]."""
-    size = np.clip(np.sqrt(parameters.length / 1.895), 0.85, 1.1)
-    low, high = size * CM * _CAVITY_CM
-    return 0.3 * (np.clip(nodes, low, high) - nodes)
+def _cavity(parameters: ColonParameters, segment: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Lowest and highest coordinates of each node in the abdomen [m]."""
+    low, high = (np.repeat(corner[None], len(segment), axis=0) for corner in _CAVITY_CM)
+    low[:, 2] = np.array(_LOWEST_CM)[segment]
+    high[:, 2] = np.array(_HIGHEST_CM)[segment]
+    # The ends of the transverse colon rise to the flexures.
+    inside = np.flatnonzero(segment == SEGMENTS.index("transverse"))
+    share = np.linspace(0.0, 1.0, len(inside))
+    high[inside, 2] = np.interp(share, [0.0, 0.15, 0.7, 1.0], [13.0, 9.0, 10.0, 19.0])
+    size = _body_size(parameters)
+    return size * CM * low, size * CM * high
+
+
+def _body_size(parameters: ColonParameters) -> float:
+    """Size of the abdomen relative to the mean: a longer colon lies in a larger body."""
+    return float(np.clip(np.sqrt(parameters.length / 1.895), 0.85, 1.1))
 
 
 def _unbend(nodes: np.ndarray, radius: np.ndarray, spacing: float) -> np.ndarray:
@@ -276,7 +292,7 @@ def _chord_length(nodes: np.ndarray) -> np.ndarray:
 
 def _smooth_course(nodes: np.ndarray, length: float) -> Course:
     """An evenly sampled smooth curve through the chain, of exactly the asked length."""
-    for _ in range(3):
+    for _ in range(4):
         nodes[1:-1] += 0.25 * (nodes[:-2] - 2.0 * nodes[1:-1] + nodes[2:])
     for _ in range(3):
         chord = _chord_length(nodes)

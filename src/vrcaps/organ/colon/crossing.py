@@ -23,8 +23,18 @@ def self_intersections(
     corners = vertices[faces]
     center = corners.mean(axis=1)
     reach = np.linalg.norm(corners - center[:, None], axis=2).max(axis=1)
+    # A few long triangles must not widen the search around all the others.
+    is_long = reach > 8.0 * np.median(reach)
     tree = KDTree(center)
-    pairs = tree.query_pairs(2.0 * reach.max(), output_type="ndarray")
+    pairs = tree.query_pairs(2.0 * reach[~is_long].max(initial=0.0), output_type="ndarray")
+    for number in np.flatnonzero(is_long):
+        other = np.flatnonzero(~is_long | (np.arange(len(faces)) > number))
+        is_near = (
+            np.linalg.norm(center[other] - center[number], axis=1) < reach[number] + reach[other]
+        )
+        other = other[is_near]
+        pairs = np.concatenate([pairs, np.stack([np.full(len(other), number), other], axis=1)])
+    pairs = np.unique(np.sort(pairs, axis=1), axis=0) if is_long.any() else pairs
     low, high = corners.min(axis=1), corners.max(axis=1)
     found = []
     for chunk in np.array_split(pairs, max(1, len(pairs) // 400_000)):

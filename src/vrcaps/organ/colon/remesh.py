@@ -13,6 +13,9 @@ if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
 
 
+_NUM_ROUNDS = 25
+
+
 def triangle_quality(
     vertices: Float[np.ndarray, "n 3"], faces: Int[np.ndarray, "m 3"]
 ) -> Float[np.ndarray, " m"]:
@@ -21,6 +24,16 @@ def triangle_quality(
     edges = corners - np.roll(corners, 1, axis=1)
     area = 0.5 * np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1)
     return 4.0 * np.sqrt(3.0) * area / np.maximum(np.sum(edges**2, axis=(1, 2)), 1e-30)
+
+
+def chart_area(
+    chart: Float[np.ndarray, "n 2"], faces: Int[np.ndarray, "m 3"]
+) -> Float[np.ndarray, " m"]:
+    """Area of each face in the chart (along [m], θ [rad]), positive if it is not turned over."""
+    one, two = (chart[faces[:, k]] - chart[faces[:, 0]] for k in (1, 2))
+    for offset in (one, two):
+        offset[:, 1] = np.mod(offset[:, 1] + np.pi, 2.0 * np.pi) - np.pi
+    return 0.5 * (one[:, 0] * two[:, 1] - one[:, 1] * two[:, 0])
 
 
 def directed_edges(faces: Int[np.ndarray, "m 3"]) -> Int[np.ndarray, "k 2"]:
@@ -39,6 +52,7 @@ def unique_edges(faces: Int[np.ndarray, "m 3"]) -> tuple[np.ndarray, np.ndarray]
 
 def collapse_short_edges(
     vertices: Float[np.ndarray, "n 3"],
+    chart: Float[np.ndarray, "n 2"],
     faces: Int[np.ndarray, "m 3"],
     pinned: Int[np.ndarray, " n"],
     shortest: float,
@@ -47,22 +61,26 @@ def collapse_short_edges(
 
     Args:
         vertices: Positions [m]; they stay as they are, some become unused.
+        chart: Tube coordinates (along [m], θ [rad]), in which no face may turn over.
         faces: Vertex numbers of each triangle of a closed surface.
         pinned: 0 for a free vertex, 1 for one that may only merge along edges between such,
             2 for one that stays.
         shortest: Edges under this length are collapsed [m].
     """
-    for _ in range(25):
+    rng = np.random.default_rng(0)
+    for _ in range(_NUM_ROUNDS):
         edges = directed_edges(faces)
         edges = edges[edges[:, 0] < edges[:, 1]]
         length = np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1)
-        edges = edges[(length < shortest)][np.argsort(length[length < shortest], kind="stable")]
+        edges, length = edges[length < shortest], length[length < shortest]
+        # Short edges first, but not always the same, lest one that cannot go blocks the rest.
+        edges = edges[np.argsort(length * rng.uniform(0.5, 1.0, len(length)), kind="stable")]
         swap = pinned[edges[:, 0]] > pinned[edges[:, 1]]
         edges[swap] = edges[swap][:, ::-1]
         lower, upper = pinned[edges[:, 0]], pinned[edges[:, 1]]
         edges = edges[(lower == 0) | ((lower == 1) & (upper >= 1))]
-        merged = _independent_merges(vertices, faces, edges, pinned == 2)
-        if len(merged) < 3:
+        merged = _independent_merges(vertices, chart, faces, edges, pinned == 2)
+        if not len(edges):
             break
         target = np.arange(len(vertices))
         target[merged[:, 0]] = merged[:, 1]
@@ -72,7 +90,11 @@ def collapse_short_edges(
 
 
 def _independent_merges(
-    vertices: np.ndarray, faces: np.ndarray, edges: np.ndarray, is_fixed: np.ndarray
+    vertices: np.ndarray,
+    chart: np.ndarray,
+    faces: np.ndarray,
+    edges: np.ndarray,
+    is_fixed: np.ndarray,
 ) -> Int[np.ndarray, "k 2"]:
     """Merges (from, into) that leave a sound surface and share no face with one another."""
     rank = np.full(len(vertices), len(edges))
@@ -96,6 +118,7 @@ def _independent_merges(
         np.linalg.norm(old, axis=1) * np.linalg.norm(new, axis=1) + 1e-30
     )
     is_bad = (cosine < 0.5) | (triangle_quality(vertices, moved[is_moved]) < 0.2)
+    is_bad |= (chart_area(chart, moved[is_moved]) <= 0.0) & ~is_fixed[moved[is_moved]].any(axis=1)
     source = faces[is_moved][moved[is_moved] != faces[is_moved]]
     rejected = np.zeros(len(vertices), bool)
     rejected[source[is_bad]] = True
@@ -116,13 +139,15 @@ def _breaks_link(faces: np.ndarray, target: np.ndarray) -> Bool[np.ndarray, " n"
 
 def flip_edges(
     vertices: Float[np.ndarray, "n 3"],
+    chart: Float[np.ndarray, "n 2"],
     faces: Int[np.ndarray, "m 3"],
-    is_seam: Bool[np.ndarray, " n"],
+    pinned: Int[np.ndarray, " n"],
     num_rounds: int = 3,
 ) -> Int[np.ndarray, "m 3"]:
     """Faces after edges are flipped that are not Delaunay, on nearly flat pairs only.
 
-    Edges between two seam vertices stay.
+    Edges between two seam vertices and the faces at the poles stay, and no face turns over in
+    the chart.
     """
     faces = faces.copy()
     for _ in range(num_rounds):
@@ -131,12 +156,14 @@ def flip_edges(
         is_on = (pairs[..., None] == edges[:, None, None, :]).any(axis=-1)
         apex = pairs[~is_on].reshape(-1, 2)
         a, b = vertices[edges[:, 0]], vertices[edges[:, 1]]
+        is_seam = pinned > 0
         one, other = (_cotangent(a, vertices[apex[:, k]], b) for k in range(2))
         excess = -(one + other)
         # The two opposite angles add up to more than π where their cotangents' sum is negative.
         want = (excess > 1e-3) & ~(is_seam[edges].all(axis=1))
         # Seam vertices on both sides would give an edge along or across the seam.
         want &= ~is_seam[apex].all(axis=1)
+        want &= (pinned[pairs] < 2).all(axis=(1, 2))
         normals = _area_normals(vertices, faces)
         normals /= np.linalg.norm(normals, axis=1, keepdims=True)
         want &= np.sum(normals[beside[:, 0]] * normals[beside[:, 1]], axis=1) > 0.7
@@ -144,7 +171,7 @@ def flip_edges(
         chosen = _independent_flips(np.flatnonzero(want), excess, beside, len(faces))
         if not len(chosen):
             break
-        _flip(vertices, faces, edges[chosen], beside[chosen], apex[chosen])
+        _flip(vertices, chart, faces, (edges[chosen], beside[chosen], apex[chosen]))
     return faces
 
 
@@ -159,9 +186,13 @@ def _independent_flips(
 
 
 def _flip(
-    vertices: np.ndarray, faces: np.ndarray, edges: np.ndarray, beside: np.ndarray, apex: np.ndarray
+    vertices: np.ndarray,
+    chart: np.ndarray,
+    faces: np.ndarray,
+    flips: tuple[np.ndarray, np.ndarray, np.ndarray],
 ) -> None:
     """Replace the two faces of each edge by those of the other diagonal, where sound."""
+    edges, beside, apex = flips
     first = faces[beside[:, 0]]
     # The direction in which the first face runs along the edge.
     is_forward = (np.roll(first, -1, axis=1) == edges[:, 1:]) & (first == edges[:, :1])
@@ -172,6 +203,7 @@ def _flip(
     before = _area_normals(vertices, first)
     is_sound = np.ones(len(edges), bool)
     for new in (one, two):
+        is_sound &= chart_area(chart, new) > 0.0
         is_sound &= np.sum(_area_normals(vertices, new) * before, axis=1) > 0.0
     faces[beside[is_sound, 0]] = one[is_sound]
     faces[beside[is_sound, 1]] = two[is_sound]

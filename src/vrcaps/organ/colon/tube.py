@@ -7,6 +7,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.interpolate import CubicSpline
+from scipy.ndimage import gaussian_filter1d
+
+from vrcaps.units import MM
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -22,11 +25,13 @@ class Tube:
         curve: Position [m] of an arc length [m], patient frame.
         arc_length: Samples of the frames [m].
         frames: Rotation at each sample; columns are two transverse axes and the tangent.
+        bend: Curvature vector at each sample, averaged over about 2 cm [1/m].
     """
 
     curve: CubicSpline
     arc_length: Float[np.ndarray, " n"]
     frames: Float[np.ndarray, "n 3 3"]
+    bend: Float[np.ndarray, "n 3"]
 
     def points(
         self,
@@ -40,8 +45,9 @@ class Tube:
     def curvature_towards(
         self, arc_length: Float[np.ndarray, " n"], theta: Float[np.ndarray, " n"]
     ) -> Float[np.ndarray, " n"]:
-        """Curvature of the curve [1/m], positive where it bends towards the angle θ."""
-        return np.einsum("ij,ij->i", self.curve(arc_length, 2), self._outward(arc_length, theta))
+        """Curvature [1/m] averaged over about 2 cm, positive where it bends towards the angle θ."""
+        bend = [np.interp(arc_length, self.arc_length, self.bend[:, k]) for k in range(3)]
+        return np.einsum("ji,ij->i", np.array(bend), self._outward(arc_length, theta))
 
     def angle_of(self, arc_length: float, direction: Float[np.ndarray, " 3"]) -> float:
         """The angle θ [rad] that faces nearest to a direction."""
@@ -78,4 +84,6 @@ def make_tube(course: Course) -> Tube:
         square = mirror @ mirror
         axes[i + 1] = axis - 2.0 * (mirror @ axis) / square * mirror if square > 0.0 else axis
     frames = np.stack([axes, np.cross(tangents, axes), tangents], axis=-1)
-    return Tube(curve, course.arc_length, frames)
+    spacing = course.arc_length[1]
+    bend = gaussian_filter1d(curve(course.arc_length, 2), 7 * MM / spacing, axis=0, mode="nearest")
+    return Tube(curve, course.arc_length, frames, bend)

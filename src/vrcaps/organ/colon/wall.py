@@ -125,7 +125,7 @@ def wall_radius(
     radius = envelope * (1.0 + fade * _waves(wall.calibre_waves, s, theta))
     radius = radius * (1.0 + fade * _sacculation(wall, s, from_taenia))
     stretch = 1.0 - radius * wall.tube.curvature_towards(s, theta)
-    inner = np.clip((stretch - 0.1) / 0.5, 0.25, 1.0)
+    inner = np.clip((stretch - 0.1) / 0.5, 0.25, 1.0) * _clear_of_valve(wall, s, theta, radius)
     relief = _taenia_relief(wall, s, from_taenia, radius) * fade
     for strip in (*wall.strips, wall.valves):
         relief = relief + fade * inner * _fold_relief(strip, s, from_taenia, plain)
@@ -147,8 +147,8 @@ def crest_line(
 
 
 def _within_bend(radius: np.ndarray, curvature: np.ndarray) -> np.ndarray:
-    """Smooth minimum of the radius and 0.85 of the bend radius, so that sections never cross."""
-    ratio = radius * np.clip(curvature, 0.0, None) / 0.85
+    """Smooth minimum of the radius and 0.72 of the bend radius, so that sections never cross."""
+    ratio = radius * np.clip(curvature, 0.0, None) / 0.72
     return radius * (1.0 + ratio**8) ** -0.125
 
 
@@ -219,6 +219,13 @@ def _ileocaecal_relief(
     return wall.parameters.ileocaecal_height * (lips - 0.45 * slit)
 
 
+def _clear_of_valve(wall: Wall, s: np.ndarray, theta: np.ndarray, radius: np.ndarray) -> np.ndarray:
+    """Factor that ends the folds before the ileocaecal valve, 0 at its middle."""
+    along = (s - wall.ileocaecal[0]) / (15 * MM)
+    across = radius * _wrap(theta - wall.ileocaecal[1]) / (20 * MM)
+    return 1.0 - np.exp(-((along**2 + across**2) ** 2))
+
+
 def _draw_strip(
     parameters: ColonParameters, angle: float, number: int, rng: np.random.Generator
 ) -> Folds:
@@ -227,7 +234,7 @@ def _draw_strip(
     spread = parameters.fold_irregularity
     spacings = [segment.haustra_spacing for segment in parameters.segments]
     heights = [segment.fold_height for segment in parameters.segments]
-    positions = [0.022 + number / 3.0 * spacings[0]]
+    positions = [3 * CM + number / 3.0 * spacings[0]]
     while True:
         spacing = float(blend(parameters, spacings, np.array(positions[-1])))
         step = spacing * np.clip(1.0 + spread * rng.standard_normal(), 0.6, 1.6)

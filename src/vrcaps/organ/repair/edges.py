@@ -66,6 +66,28 @@ def flip_faces(mesh: Mesh, is_flipped: Bool[np.ndarray, " m"]) -> Mesh:
     )
 
 
+def split_face(
+    mesh: Mesh, face: int, side: int, at: tuple[int, float]
+) -> tuple[Int[np.ndarray, "2 3"], Float[np.ndarray, "2 3 2"] | None]:
+    """Two faces from one, and their uv, by a vertex on its edge that leaves corner `side`.
+
+    Args:
+        mesh: The mesh.
+        face: Number of the face.
+        side: Corner that the split edge leaves.
+        at: The vertex, and how far along the edge it lies, 0 to 1.
+    """
+    vertex, share = at
+    turn = [side, (side + 1) % 3, (side + 2) % 3]
+    a, b, c = mesh.faces[face, turn]
+    faces = np.array([[a, vertex, c], [vertex, b, c]])
+    if mesh.uv is None:
+        return faces, None
+    uv_a, uv_b, uv_c = mesh.uv[face, turn]
+    uv = uv_a + share * (uv_b - uv_a)
+    return faces, np.array([[uv_a, uv, uv_c], [uv, uv_b, uv_c]])
+
+
 def take_vertices(mesh: Mesh, source: Int[np.ndarray, " k"], faces: Int[np.ndarray, "m 3"]) -> Mesh:
     """The mesh with vertices drawn from the old ones by number, and faces over the new ones."""
     label = None if mesh.label is None else mesh.label[source]

@@ -17,18 +17,19 @@ from vrcaps.organ.repair.edges import (
     find_edges,
     flip_faces,
     keep_faces,
+    split_face,
     take_vertices,
 )
 from vrcaps.organ.repair.report import Repair, format_place
+from vrcaps.organ.surface import Mesh
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
 
-    from vrcaps.organ.surface import Mesh
-
 _FIN_AREA = 0.01  # of the whole; an open patch smaller than this is a fin, not wall
 _PART_AREA = 1e-3  # of the whole; below this a stray component is not worth its own mention
 _NUDGE = 1e-3  # of the way to a vertex's neighbours; parts sheets that were cut
+_MAX_PASSES = 10
 
 
 def split_nonmanifold(mesh: Mesh) -> tuple[Mesh, Int[np.ndarray, " n"], list[Repair]]:
@@ -41,30 +42,86 @@ def split_nonmanifold(mesh: Mesh) -> tuple[Mesh, Int[np.ndarray, " n"], list[Rep
         The mesh, the old number of each of its vertices, and what was done.
     """
     edges = find_edges(mesh.faces)
-    crowded = edges.crowded()
-    joined = [edges.of_count(2)]
-    if crowded:
-        is_fin = _is_fin(mesh, edges)
-        joined += [_pair_faces(mesh, halves, is_fin) for halves in crowded]
-    corner_group = _join_corners(edges.ends, np.concatenate(joined), 3 * len(mesh.faces))
-    _, first, number = np.unique(corner_group, return_index=True, return_inverse=True)
-    origin = mesh.faces.reshape(-1)[first]
-    order = np.argsort(origin, kind="stable")
-    rank = np.empty(len(order), np.int64)
-    rank[order] = np.arange(len(order))
-    origin = origin[order]
-    cut = take_vertices(mesh, origin, rank[number.reshape(-1)].reshape(-1, 3))
+    on_edge = edges.ends[[int(halves[0]) for halves in edges.crowded()] or np.zeros(0, int)]
     repairs = []
-    if crowded:
-        middles = [mesh.vertices[edges.ends[halves[0]]].mean(axis=0) for halves in crowded]
-        repairs.append(Repair("non-manifold edge", len(crowded), "cut apart", np.array(middles)))
-    on_edge = np.unique([edges.ends[halves[0]] for halves in crowded])
+    if len(on_edge):
+        middles = mesh.vertices[on_edge].mean(axis=1)
+        repairs.append(Repair("non-manifold edge", len(on_edge), "cut apart", middles))
+    cut, origin, partner = _cut(mesh)
+    for _ in range(_MAX_PASSES):
+        double = find_edges(cut.faces).crowded()
+        if not double:
+            break
+        mesh = _bisect_double_edges(mesh, double, partner)
+        cut, origin, partner = _cut(mesh)
     values, counts = np.unique(origin, return_counts=True)
     lone = np.setdiff1d(values[counts > 1], on_edge)
     if len(lone):
         places = mesh.vertices[lone]
         repairs.append(Repair("non-manifold vertex", len(lone), "cut apart", places))
     return cut, origin, repairs
+
+
+def _cut(mesh: Mesh) -> tuple[Mesh, Int[np.ndarray, " n"], dict[int, int]]:
+    """Mesh with a vertex for each fan of joined faces, their old numbers, and joined halves."""
+    edges = find_edges(mesh.faces)
+    joined, partner = edges.of_count(2), {}
+    crowded = edges.crowded()
+    if crowded:
+        is_fin = _is_fin(mesh, edges)
+        fan = _join_corners(edges.ends, joined)
+        pairs = _pair_faces(mesh, crowded, is_fin, fan)
+        partner = {int(a): int(b) for a, b in np.concatenate([pairs, pairs[:, ::-1]])}
+        joined = np.concatenate([joined, pairs])
+    _, first, number = np.unique(
+        _join_corners(edges.ends, joined), return_index=True, return_inverse=True
+    )
+    origin = mesh.faces.reshape(-1)[first]
+    order = np.argsort(origin, kind="stable")
+    rank = np.empty(len(order), np.int64)
+    rank[order] = np.arange(len(order))
+    origin = origin[order]
+    return take_vertices(mesh, origin, rank[number].reshape(-1, 3)), origin, partner
+
+
+def _bisect_double_edges(
+    mesh: Mesh, double: list[Int[np.ndarray, " k"]], partner: dict[int, int]
+) -> Mesh:
+    """Give all but one of the pairs of faces that share both ends of an edge a middle vertex.
+
+    Pairs that touch a face already split wait for the next pass.
+    """
+    keep = np.ones(len(mesh.faces), bool)
+    vertices, sources, faces, uvs = [], [], [], []
+    for halves in double:
+        pairs = [(h, partner[h]) for h in halves.tolist() if h < partner.get(h, -1)]
+        for pair in pairs[1:]:
+            if not keep[[half // 3 for half in pair]].all():
+                continue
+            middle = len(mesh.vertices) + len(vertices)
+            ends = _edge_ends(mesh, pair[0])
+            apexes = [mesh.faces[half // 3, (half % 3 + 2) % 3] for half in pair]
+            inward = mesh.vertices[apexes].mean(axis=0) - ends.mean(axis=0)
+            vertices.append(ends.mean(axis=0) + _NUDGE * inward)
+            sources.append(mesh.faces[pair[0] // 3, pair[0] % 3])
+            for half in pair:
+                keep[half // 3] = False
+                new_faces, new_uvs = split_face(mesh, half // 3, half % 3, (middle, 0.5))
+                faces.append(new_faces)
+                uvs.append(new_uvs)
+    kept = keep_faces(mesh, keep)
+    return Mesh(
+        np.concatenate([mesh.vertices, np.array(vertices).reshape(-1, 3)]),
+        np.concatenate([kept.faces, *faces]),
+        None if kept.uv is None else np.concatenate([kept.uv, *uvs]),
+        None if mesh.label is None else np.append(mesh.label, mesh.label[sources]),
+    )
+
+
+def _edge_ends(mesh: Mesh, half: int) -> Float[np.ndarray, "2 3"]:
+    """Positions of the ends of a half-edge [m]."""
+    face, side = divmod(int(half), 3)
+    return mesh.vertices[mesh.faces[face, [side, (side + 1) % 3]]]
 
 
 def separate_copies(mesh: Mesh, origin: Int[np.ndarray, " n"]) -> Mesh:
@@ -165,28 +222,70 @@ def _is_fin(mesh: Mesh, edges: Edges) -> Bool[np.ndarray, " m"]:
 
 
 def _pair_faces(
-    mesh: Mesh, halves: Int[np.ndarray, " k"], is_fin: Bool[np.ndarray, " m"]
+    mesh: Mesh,
+    crowded: list[Int[np.ndarray, " k"]],
+    is_fin: Bool[np.ndarray, " m"],
+    fan: Int[np.ndarray, " h"],
 ) -> Int[np.ndarray, "j 2"]:
-    """Pairs of half-edges of one crowded edge that stay joined; fins only if need be.
+    """Pairs of half-edges of crowded edges that stay joined.
+
+    Where sheets touch along a run of edges, the pairs at its ends are known by the fans of
+    faces around them (`fan` of each corner); from there the choice spreads along the run.
+    """
+    fan, pairs, waiting, is_stuck = fan.copy(), [], crowded, False
+    while waiting:
+        later = []
+        for halves in waiting:
+            best, num_shared = _best_pairs(mesh, halves, is_fin, fan)
+            if num_shared == 0 and not is_stuck:
+                later.append(halves)
+                continue
+            is_stuck = False  # one choice without a fan to go by is enough to go on from
+            pairs.append(best)
+            for one, other in _end_corners(mesh, best).transpose(0, 2, 1).reshape(-1, 2):
+                fan[fan == fan[other]] = fan[one]
+        is_stuck = len(later) == len(waiting)
+        waiting = later
+    return np.concatenate(pairs)
+
+
+def _best_pairs(
+    mesh: Mesh,
+    halves: Int[np.ndarray, " k"],
+    is_fin: Bool[np.ndarray, " m"],
+    fan: Int[np.ndarray, " h"],
+) -> tuple[Int[np.ndarray, "j 2"], int]:
+    """Pairs of half-edges of one crowded edge, and how many ends of pairs share a fan.
 
     Sheets must not cross, so only neighbours in the order around the edge are joined; of
-    the ways to do so, the one that bends the sheets least.
+    the ways to do so, the one that joins most faces that hang together around an end of the
+    edge anyway, then the one that bends the sheets least. Fins are left out if that leaves
+    two faces.
     """
     wall = halves[~is_fin[halves // 3]]
     halves, angles = _sort_around_edge(mesh, wall if len(wall) >= 2 else halves)
+    fans = fan[_end_corners(mesh, halves)]
     ring = np.arange(len(halves))
     rings = [np.delete(ring, i) for i in ring] if len(ring) % 2 else [ring]
     matchings = [np.roll(ring, shift).reshape(-1, 2) for ring in rings for shift in (0, 1)]
+    shared = [int((fans[a] == fans[b]).sum()) for a, b in (pairs.T for pairs in matchings)]
     bends = [np.abs(np.pi - np.abs(np.diff(angles[pairs]))).sum() for pairs in matchings]
-    return halves[matchings[int(np.argmin(bends))]]
+    best = min(range(len(matchings)), key=lambda k: (-shared[k], bends[k]))
+    return halves[matchings[best]], shared[best]
+
+
+def _end_corners(mesh: Mesh, halves: Int[np.ndarray, "*k"]) -> Int[np.ndarray, "*k 2"]:
+    """Corners at the two ends of half-edges, the one at the lower vertex first."""
+    corners = np.stack([halves, halves + np.where(halves % 3 < 2, 1, -2)], axis=-1)
+    order = np.argsort(mesh.faces.reshape(-1)[corners], axis=-1)
+    return np.take_along_axis(corners, order, axis=-1)
 
 
 def _sort_around_edge(
     mesh: Mesh, halves: Int[np.ndarray, " k"]
 ) -> tuple[Int[np.ndarray, " k"], Float[np.ndarray, " k"]]:
     """Half-edges of one edge in the order of their faces around it, and the angles [rad]."""
-    face, side = divmod(int(halves[0]), 3)
-    start, end = mesh.vertices[mesh.faces[face, [side, (side + 1) % 3]]]
+    start, end = _edge_ends(mesh, halves[0])
     apex = mesh.vertices[mesh.faces[halves // 3, (halves % 3 + 2) % 3]]
     axis = (end - start) / np.linalg.norm(end - start)
     arm = apex - start
@@ -197,8 +296,8 @@ def _sort_around_edge(
 
 
 def _join_corners(
-    ends: Int[np.ndarray, "h 2"], pairs: Int[np.ndarray, "k 2"], size: int
-) -> Int[np.ndarray, " size"]:
+    ends: Int[np.ndarray, "h 2"], pairs: Int[np.ndarray, "k 2"]
+) -> Int[np.ndarray, " h"]:
     """Group number of each face corner, where faces joined along an edge share its ends."""
     following = pairs + np.where(pairs % 3 < 2, 1, -2)
     same = ends[pairs[:, 0], 0] == ends[pairs[:, 1], 0]
@@ -209,7 +308,7 @@ def _join_corners(
             np.where(same, following[:, 1], pairs[:, 1]),
         ]
     )
-    graph = coo_matrix((np.ones(len(rows), bool), (rows, columns)), (size, size))
+    graph = coo_matrix((np.ones(len(rows), bool), (rows, columns)), (len(ends), len(ends)))
     return connected_components(graph, directed=False)[1]
 
 

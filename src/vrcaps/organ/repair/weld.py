@@ -10,7 +10,13 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
-from vrcaps.organ.repair.edges import drop_unused_vertices, find_edges, keep_faces, take_vertices
+from vrcaps.organ.repair.edges import (
+    drop_unused_vertices,
+    find_edges,
+    keep_faces,
+    split_face,
+    take_vertices,
+)
 from vrcaps.organ.repair.report import Repair
 
 if TYPE_CHECKING:
@@ -143,7 +149,8 @@ def _split_neighbours(
         places.append(mesh.vertices[apex])
         for half in others:
             is_busy[half // 3], keep[half // 3] = True, False
-            faces, uvs = _split_face(mesh, half // 3, half % 3, apex)
+            share = _share_along(mesh, half, apex)
+            faces, uvs = split_face(mesh, half // 3, half % 3, (apex, share))
             new_faces.append(faces)
             new_uvs.append(uvs)
     kept = keep_faces(mesh, keep)
@@ -152,17 +159,9 @@ def _split_neighbours(
     return replace(kept, faces=faces, uv=uv), np.array(places)
 
 
-def _split_face(
-    mesh: Mesh, face: int, side: int, apex: int
-) -> tuple[Int[np.ndarray, "2 3"], Float[np.ndarray, "2 3 2"] | None]:
-    """Two faces from one by a new vertex on its edge `side`; its uv is interpolated."""
-    turn = [side, (side + 1) % 3, (side + 2) % 3]
-    a, b, c = mesh.faces[face, turn]
-    faces = np.array([[a, apex, c], [apex, b, c]])
-    if mesh.uv is None:
-        return faces, None
-    uv_a, uv_b, uv_c = mesh.uv[face, turn]
-    along = mesh.vertices[b] - mesh.vertices[a]
-    share = np.dot(mesh.vertices[apex] - mesh.vertices[a], along) / np.dot(along, along)
-    uv_apex = uv_a + np.clip(share, 0.0, 1.0) * (uv_b - uv_a)
-    return faces, np.array([[uv_a, uv_apex, uv_c], [uv_apex, uv_b, uv_c]])
+def _share_along(mesh: Mesh, half: int, vertex: int) -> float:
+    """How far along a half-edge a vertex lies, 0 to 1."""
+    face, side = divmod(int(half), 3)
+    start, end = mesh.vertices[mesh.faces[face, [side, (side + 1) % 3]]]
+    share = np.dot(mesh.vertices[vertex] - start, end - start) / np.dot(end - start, end - start)
+    return float(np.clip(share, 0.0, 1.0))

@@ -1,0 +1,56 @@
+"""`vrcaps bench`: measure speed on this machine, beside other renderers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+
+@dataclass(frozen=True)
+class Render:
+    """Measure how fast images are made, beside embreex, Mitsuba and MuJoCo where installed.
+
+    All take turns in one process, so that ratios hold on a busy machine too. Prints each
+    promise of the project with what was measured; some minutes.
+
+    For example:
+      vrcaps bench render
+      vrcaps bench render --only frame refit --out runs/benchmarks.md
+    """
+
+    out: Path | None = None
+    """Markdown file to write, with a folder of JSON beside it; by default only prints."""
+
+    only: tuple[str, ...] = ()
+    """Which comparisons: frame, pixels, triangles, refit, heads; by default all."""
+
+    quick: bool = False
+    """Only try whether everything runs; the figures mean nothing."""
+
+    def run(self) -> None:
+        """Measure and report."""
+        from vrcaps.cli.benchmarks import render
+
+        render.run(out=self.out, quick=self.quick, only=self.only)
+
+
+@dataclass(frozen=True)
+class Record:
+    """Measure how fast labelled frames reach the disk, in how much memory, and what takes time.
+
+    For example:
+      vrcaps bench record
+      vrcaps bench record --out runs/benchmarks.md
+    """
+
+    out: Path | None = None
+    """Markdown file to write, with a folder of JSON beside it; by default only prints."""
+
+    quick: bool = False
+    """Only try whether everything runs; the figures mean nothing."""
+
+    def run(self) -> None:
+        """Measure and report."""
+        from vrcaps.cli.benchmarks import record
+
+        record.run(out=self.out, quick=self.quick)

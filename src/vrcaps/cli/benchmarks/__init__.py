@@ -1,0 +1,1 @@
+"""What `vrcaps bench` measures: rendering against its peers, and recording to disk."""

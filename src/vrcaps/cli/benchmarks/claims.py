@@ -1,0 +1,80 @@
+"""What the project promises about speed, each with the figure the promise was made from.
+
+The reference figures were taken on 2 cores of an AMD EPYC with AVX-512, for one colon of 103,740
+triangles at 320 × 320 pixels with the camera inside.
+"""
+
+from __future__ import annotations
+
+from vrcaps.cli.benchmarks.report import Claim
+
+RATE = Claim(
+    text="complete labelled frames a second, one camera",
+    sense="≥",
+    limit=100.0,
+    unit="per second",
+    reference="6.0 ms: twice Embree 3's bare primary rays in packets of 16 on both cores, 3.0 ms",
+)
+EMBREE = Claim(
+    text="complete labelled frame over Embree's bare primary rays for the same pixels",
+    sense="≤",
+    limit=0.40,
+    unit="",
+    reference="embreex's own call, single rays",
+)
+MITSUBA = Claim(
+    text="Mitsuba's direct light + AOV (mi.render) over a complete labelled frame",
+    sense="≥",
+    limit=4.0,
+    unit="",
+    reference="Mitsuba 3.9 LLVM, 29.5 ms",
+)
+MITSUBA_BARE = Claim(
+    text="Mitsuba's fastest: no film, no sensor, frozen kernel, over a complete labelled frame",
+    sense="≥",
+    limit=4.0,
+    unit="",
+    reference="none; the promise for mi.render, held against more than its users run",
+)
+MUJOCO = Claim(
+    text="MuJoCo's rgb + depth + segmentation over a complete labelled frame",
+    sense="≥",
+    limit=6.0,
+    unit="",
+    reference="MuJoCo 4.0 EGL in software, 52 ms",
+)
+PIXELS = Claim(
+    text="cost per pixel of a larger image over that of 160 × 160, the worst size",
+    sense="≤",
+    limit=1.1,
+    unit="",
+    reference="flat: no dearer than a tenth, the scatter of timings",
+)
+REFIT = Claim(
+    text="refit of 100,000 triangles",
+    sense="≤",
+    limit=1.0,
+    unit="ms",
+    reference="prototype 0.4 ms; Embree 3 2.8 ms",
+)
+HEADS = Claim(
+    text="both heads of a capsule over the mean of one",
+    sense="≤",
+    limit=2.1,
+    unit="",
+    reference="twice, and a twentieth for the second camera's set-up",
+)
+TO_DISK = Claim(
+    text="labelled frames a second to disk (rgb, depth, normal, label, instance), one camera",
+    sense="≥",
+    limit=60.0,
+    unit="per second",
+    reference="twice a video's rate",
+)
+MEMORY = Claim(
+    text="peak memory of the recording process",
+    sense="≤",
+    limit=1.0,
+    unit="GB",
+    reference="a laptop beside other programs",
+)

@@ -1,0 +1,237 @@
+"""What a benchmark found, as a table for people, Markdown and JSON."""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+from dataclasses import asdict, dataclass, field
+from importlib.metadata import version
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from vrcaps.cli.benchmarks.timing import Spread
+from vrcaps.errors import InputError
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+
+@dataclass(frozen=True)
+class Row:
+    """One line of a table: a subject and what was measured, unit by column."""
+
+    name: str
+    values: tuple[Spread | None, ...]
+    note: str = ""
+
+
+@dataclass(frozen=True)
+class Table:
+    """One comparison.
+
+    Attributes:
+        title: What is compared.
+        columns: Names of the measured columns, with their units.
+        rows: Subjects in the order of measuring.
+    """
+
+    title: str
+    columns: tuple[str, ...]
+    rows: tuple[Row, ...]
+
+
+@dataclass(frozen=True)
+class Claim:
+    """A promise of the project and what came of it.
+
+    Attributes:
+        text: What is promised.
+        sense: Whether the measured value must be at most or at least the limit.
+        limit: The promised value.
+        unit: Of the value; empty for a ratio.
+        reference: Figure the promise was made from, and its source.
+        measured: The value, or None where it could not be measured.
+        reason: Why it could not be measured.
+    """
+
+    text: str
+    sense: Literal["≤", "≥"]
+    limit: float
+    unit: str
+    reference: str
+    measured: Spread | None = None
+    reason: str = ""
+
+    @property
+    def verdict(self) -> str:
+        """Whether the median keeps the promise."""
+        if self.measured is None:
+            return "not measured"
+        value = self.measured.median
+        kept = value <= self.limit if self.sense == "≤" else value >= self.limit
+        return "pass" if kept else "FAIL"
+
+
+@dataclass(frozen=True)
+class Report:
+    """All that one run of a benchmark found.
+
+    Attributes:
+        name: File name of its JSON.
+        command: What was run.
+        setting: What was measured on, in a sentence.
+        claims: Promises.
+        tables: Comparisons.
+        skipped: Subjects left out, and why.
+        machine: Facts of the machine and versions.
+    """
+
+    name: str
+    command: str
+    setting: str
+    claims: tuple[Claim, ...]
+    tables: tuple[Table, ...]
+    skipped: dict[str, str] = field(default_factory=dict)
+    machine: dict[str, str] = field(default_factory=dict)
+
+
+def machine_facts() -> dict[str, str]:
+    """Processor, threads, load and versions."""
+    from vrcaps import _core
+
+    facts = {
+        "processor": f"{_processor()}, {os.cpu_count()} cores",
+        "vrcaps": f"{version('vrcaps')}, {_core.num_threads()} threads, "
+        f"{', '.join(_core.cpu_features()) or 'baseline'}",
+        "python": f"{platform.python_version()}, NumPy {version('numpy')}",
+        "system": f"{platform.system()} {platform.release()} {platform.machine()}",
+    }
+    if hasattr(os, "getloadavg"):
+        facts["load"] = f"{os.getloadavg()[0]:.1f} (mean of the last minute at the end)"
+    return facts
+
+
+def _processor() -> str:
+    """Name of the processor, as Linux states it, or as Python knows it."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+    except OSError:
+        return platform.processor() or platform.machine()
+    names = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]
+    return names[0] if names else platform.machine()
+
+
+def check_out(out: Path | None) -> None:
+    """Check where a report is to be written.
+
+    Raises:
+        InputError: If it is no Markdown file.
+    """
+    if out is not None and out.suffix != ".md":
+        raise InputError(f"--out is {out}. Allowed: a file name that ends in .md.")
+
+
+def show_report(report: Report, out: Path | None, console: Console) -> None:
+    """Print claims and tables, and write them where a file is given."""
+    from rich.table import Table as RichTable
+
+    console.print(report.setting)
+    for title, header, rows in _sections(_plain(report)):
+        table = RichTable(title=title, title_justify="left")
+        for name in header:
+            table.add_column(name)
+        for row in rows:
+            table.add_row(*row)
+        console.print(table)
+    for name, reason in report.skipped.items():
+        console.print(f"Left out: {name}: {reason}.")
+    if out is not None:
+        write_report(report, out)
+        console.print(f"Wrote {out} and {out.with_suffix('') / report.name}.json.")
+
+
+def write_report(report: Report, out: Path) -> None:
+    """Write a report's JSON beside a Markdown page and make the page anew from all JSON there.
+
+    Args:
+        report: What was found.
+        out: The page, a `.md` file; the JSON goes into the folder of its name without `.md`.
+    """
+    folder = out.with_suffix("")
+    folder.mkdir(parents=True, exist_ok=True)
+    text = json.dumps(_plain(report), indent=2, ensure_ascii=False)
+    (folder / f"{report.name}.json").write_text(text + "\n", encoding="utf-8")
+    pages = [json.loads(path.read_text("utf-8")) for path in sorted(folder.glob("*.json"))]
+    out.write_text(to_markdown(pages), encoding="utf-8")
+
+
+def to_markdown(reports: list[dict[str, Any]]) -> str:
+    """The page that shows some reports, as their JSON holds them."""
+    lines = [
+        "# Benchmarks",
+        "",
+        "Written by `vrcaps bench`, not by hand. Every figure is a median, in brackets the 10th "
+        "and 90th percentile.",
+    ]
+    for report in reports:
+        lines += ["", f"## `{report['command']}`", "", report["setting"], ""]
+        lines += [f"- {name}: {fact}" for name, fact in report["machine"].items()]
+        for title, header, rows in _sections(report):
+            lines += ["", f"### {title}", "", _cells(header), _cells(["---"] * len(header))]
+            lines += [_cells(row) for row in rows]
+        lines += [""] if report["skipped"] else []
+        lines += [f"Left out: {name}: {why}." for name, why in report["skipped"].items()]
+    return "\n".join(lines) + "\n"
+
+
+def _plain(report: Report) -> dict[str, Any]:
+    """A report as JSON holds it, verdicts included."""
+    plain = asdict(report)
+    for claim, made in zip(plain["claims"], report.claims, strict=True):
+        claim["verdict"] = made.verdict
+    return plain
+
+
+def _sections(report: dict[str, Any]) -> list[tuple[str, list[str], list[list[str]]]]:
+    """Title, header and rows of each table of a report as its JSON holds it."""
+    header = ["claim", "promised", "measured", "", "made from"]
+    rows = [
+        [
+            claim["text"],
+            f"{claim['sense']} {claim['limit']:g} {claim['unit']}".strip(),
+            _shown(claim["measured"]) or claim["reason"],
+            claim["verdict"],
+            claim["reference"],
+        ]
+        for claim in report["claims"]
+    ]
+    sections = [("Claims", header, rows)]
+    for table in report["tables"]:
+        header = ["", *table["columns"], "note"]
+        rows = [
+            [row["name"], *(_shown(value) for value in row["values"]), row["note"]]
+            for row in table["rows"]
+        ]
+        sections.append((table["title"], header, rows))
+    return sections
+
+
+def _shown(spread: dict[str, float] | None) -> str:
+    """A median and its percentiles to three digits."""
+    if spread is None:
+        return ""
+    median, low, high = (_digits(spread[key]) for key in ("median", "p10", "p90"))
+    return median if low == median == high else f"{median} ({low}–{high})"
+
+
+def _digits(value: float) -> str:
+    """Three significant digits, without an exponent."""
+    if value == 0.0 or abs(value) >= 100.0:
+        return f"{value:.0f}"
+    decimals = 2 if abs(value) < 10.0 else 1
+    return f"{value:.{decimals}f}" if abs(value) >= 0.1 else f"{value:.3f}"
+
+
+def _cells(row: list[str]) -> str:
+    return "| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |"

@@ -1,0 +1,228 @@
+"""The comparisons of `vrcaps bench render`; each makes one table and judges its claims."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vrcaps.cli.benchmarks import claims
+from vrcaps.cli.benchmarks.peers import PACKAGES, embree, find_peers, mitsuba, mujoco
+from vrcaps.cli.benchmarks.report import Claim, Row, Table
+from vrcaps.cli.benchmarks.stage import (
+    Stage,
+    make_organ,
+    make_stage,
+    resized_camera,
+    subdivide,
+    with_moving_wall,
+)
+from vrcaps.cli.benchmarks.timing import Spread, Subject, Times, interleave, ratio
+from vrcaps.render.renderer import DEFAULT_CHANNELS, Renderer
+from vrcaps.render.settings import RenderSettings
+
+if TYPE_CHECKING:
+    from vrcaps.capsule.device import Camera
+    from vrcaps.cli.benchmarks.extent import Extent
+    from vrcaps.render.frame import Frame
+
+COMPLETE = "complete frame"
+_MS = 1e3
+_COLUMNS = ("ms", "ms of processors")
+
+
+@dataclass(frozen=True)
+class Study:
+    """What one comparison found.
+
+    Attributes:
+        table: All that was timed.
+        claims: Promises it can judge.
+        skipped: Peers left out, and why.
+    """
+
+    table: Table
+    claims: tuple[Claim, ...] = ()
+    skipped: dict[str, str] = field(default_factory=dict)
+
+
+def drawn(
+    stage: Stage,
+    *,
+    channels: Sequence[str] = DEFAULT_CHANNELS,
+    cameras: Sequence[Camera] = (),
+    settings: RenderSettings | None = None,
+) -> Callable[[int], object]:
+    """Renders a view into arrays that are used again, as a loop over frames would.
+
+    Args:
+        stage: What to look at.
+        channels: Channels to fill.
+        cameras: Cameras to render one after the other; the stage's own by default.
+        settings: How to render.
+    """
+    renderer = Renderer(stage.model, settings)
+    chosen = tuple(cameras) or (stage.camera,)
+    outs: list[Frame | None] = [None] * len(chosen)
+
+    def frame(view: int) -> object:
+        for k, camera in enumerate(chosen):
+            state = stage.states[view]
+            outs[k] = renderer.render(state, camera, channels=channels, out=outs[k])
+        return outs
+
+    return frame
+
+
+def _timed(
+    subjects: Sequence[Subject], extent: Extent, progress: Callable[[], None]
+) -> dict[str, Times]:
+    return interleave(
+        subjects, num_views=extent.num_views, num_rounds=extent.num_rounds, progress=progress
+    )
+
+
+def _row(subject: Subject, times: Times, *more: Spread) -> Row:
+    both = (Spread.of(times.wall).scaled(_MS), Spread.of(times.cpu).scaled(_MS))
+    return Row(subject.name, (*both, *more), subject.note)
+
+
+def frame(stage: Stage, extent: Extent, progress: Callable[[], None]) -> Study:
+    """A complete frame, parts of it and more than it, and what peers need for theirs."""
+    subjects = [
+        Subject(COMPLETE, drawn(stage), "colour and all labels"),
+        Subject("ray distance only", drawn(stage, channels=("ray_distance",)), "nothing shaded"),
+        Subject(
+            f"{COMPLETE}, shadows",
+            drawn(stage, settings=RenderSettings(shadows=True)),
+            "a shadow ray to each LED",
+        ),
+        Subject(
+            f"{COMPLETE}, moving wall",
+            drawn(with_moving_wall(stage)),
+            "all vertices new in each frame, refit included",
+        ),
+    ]
+    peers, skipped = (
+        find_peers(stage) if extent.peers else ([], dict.fromkeys(PACKAGES, "no peers"))
+    )
+    subjects += peers
+    times = _timed(subjects, extent, progress)
+    ours = times[COMPLETE]
+    rows = tuple(_row(s, times[s.name], ratio(times[s.name], ours)) for s in subjects)
+    table = Table("One frame", (*_COLUMNS, "times ours"), rows)
+
+    def against(claim: Claim, peer: str, package: str) -> Claim:
+        if peer not in times:
+            return replace(claim, reason=skipped.get(package, "not measured"))
+        is_share = claim.sense == "≤"
+        pair = (ours, times[peer]) if is_share else (times[peer], ours)
+        return replace(claim, measured=ratio(*pair))
+
+    found = (
+        replace(claims.RATE, measured=Spread.of(1.0 / ours.wall)),
+        against(claims.EMBREE, embree.PRIMARY_RAYS, "embree"),
+        against(claims.MITSUBA, mitsuba.RENDER, "mitsuba"),
+        against(claims.MITSUBA_BARE, mitsuba.BARE, "mitsuba"),
+        against(claims.MUJOCO, mujoco.ALL, "mujoco"),
+    )
+    return Study(table, found, skipped)
+
+
+def pixels(stage: Stage, extent: Extent, progress: Callable[[], None]) -> Study:
+    """A complete frame in images of different sizes, seen through the same ideal fisheye."""
+    subjects = [
+        Subject(
+            f"{size} × {size}",
+            drawn(stage, cameras=[resized_camera(stage.camera, size)]),
+            "equidistant, 170° across",
+        )
+        for size in extent.sizes
+    ]
+    times = _timed(subjects, extent, progress)
+    per_pixel = {
+        subject.name: Times(times[subject.name].wall / size**2, times[subject.name].cpu / size**2)
+        for subject, size in zip(subjects, extent.sizes, strict=True)
+    }
+    least = per_pixel[subjects[0].name]
+    rows = tuple(
+        _row(
+            s,
+            times[s.name],
+            Spread.of(per_pixel[s.name].wall).scaled(1e9),
+            ratio(per_pixel[s.name], least),
+        )
+        for s in subjects
+    )
+    table = Table("Image size", (*_COLUMNS, "ns per pixel", "against smallest"), rows)
+    costs = [ratio(per_pixel[s.name], least) for s in subjects[1:]]
+    worst = max(costs, key=lambda cost: cost.median)
+    return Study(table, (replace(claims.PIXELS, measured=worst),))
+
+
+def triangles(stage: Stage, extent: Extent, progress: Callable[[], None]) -> Study:
+    """A complete frame and a refit of ever finer meshes of the same wall."""
+    organ = make_organ(extent.coarsest, seed=stage.model.organ.metadata["seed"])
+    subjects, num_triangles = [], []
+    for level in range(extent.num_subdivisions + 1):
+        organ = subdivide(organ) if level else organ
+        finer = make_stage(organ, num_views=extent.num_views)
+        name = f"{finer.num_triangles} triangles"
+        subjects += [Subject(name, drawn(finer), "the coarser wall, each triangle cut in four")]
+        num_triangles.append(finer.num_triangles)
+    subjects[0] = replace(subjects[0], note="")
+    times = _timed(subjects, extent, progress)
+    least = times[subjects[0].name]
+    rows = tuple(_row(s, times[s.name], ratio(times[s.name], least)) for s in subjects)
+    return Study(Table("Triangles", (*_COLUMNS, "against fewest"), rows))
+
+
+def refit(stage: Stage, extent: Extent, progress: Callable[[], None]) -> Study:
+    """The hierarchy of a wall whose every vertex has moved, made fit again."""
+    from vrcaps._core import Wall
+
+    moving = with_moving_wall(stage)
+    vertices = [np.ascontiguousarray(state.vertices_world, np.float64) for state in moving.states]
+    faces = np.ascontiguousarray(stage.model.organ.faces, np.int64)
+    wall = Wall(vertices[0], faces)
+    subjects = [
+        Subject("refit", lambda view: wall.refit(vertices[view]), "with new vertex normals"),
+        Subject("build", lambda view: Wall(vertices[view], faces), "from nothing, for comparison"),
+    ]
+    times = _timed(subjects, extent, progress)
+    share = 1e5 / stage.num_triangles
+    rows = tuple(
+        _row(s, times[s.name], Spread.of(times[s.name].wall).scaled(_MS * share)) for s in subjects
+    )
+    table = Table("Moving the wall", (*_COLUMNS, "ms per 100,000 triangles"), rows)
+    measured = Spread.of(times["refit"].wall).scaled(_MS * share)
+    return Study(table, (replace(claims.REFIT, measured=measured),))
+
+
+def heads(stage: Stage, extent: Extent, progress: Callable[[], None]) -> Study:
+    """Both heads of a capsule against one."""
+    two = make_stage(stage.model.organ, "pillcam-colon2", num_views=extent.num_views)
+    front, back = two.model.device.cameras
+    subjects = [
+        Subject("front head", drawn(two, cameras=[front]), two.model.device.title),
+        Subject("back head", drawn(two, cameras=[back])),
+        Subject("both heads", drawn(two, cameras=[front, back])),
+    ]
+    times = _timed(subjects, extent, progress)
+    wall = 0.5 * (times["front head"].wall + times["back head"].wall)
+    one = Times(wall, 0.5 * (times["front head"].cpu + times["back head"].cpu))
+    rows = tuple(_row(s, times[s.name], ratio(times[s.name], one)) for s in subjects)
+    table = Table("Two heads", (*_COLUMNS, "against the mean head"), rows)
+    return Study(table, (replace(claims.HEADS, measured=ratio(times["both heads"], one)),))
+
+
+STUDIES: dict[str, Callable[[Stage, Extent, Callable[[], None]], Study]] = {
+    "frame": frame,
+    "pixels": pixels,
+    "triangles": triangles,
+    "refit": refit,
+    "heads": heads,
+}
+"""Comparisons by name, in the order of running."""

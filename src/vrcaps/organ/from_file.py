@@ -1,0 +1,87 @@
+"""A user's mesh file as an organ."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import replace
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from vrcaps.errors import InputError
+from vrcaps.organ.read import read_label_names, read_mesh
+from vrcaps.organ.surface import Mesh, OrganSurface, vertex_normals
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+
+def organ_from_file(
+    path: Path,
+    *,
+    unit: str,
+    name: str | None = None,
+    open_ends: Literal["cap", "keep"] = "cap",
+    keep_uv: bool = False,
+    reverse: bool = False,
+) -> OrganSurface:
+    """Organ from a mesh file: read, repaired, with centreline, gut and texture coordinates.
+
+    Args:
+        path: A .ply, .obj, .stl, .glb or .gltf file, in the patient frame.
+        unit: Length of one unit of the file, e.g. `mm` or `5cm`.
+        name: Name of the organ; by default the file's without extension.
+        open_ends: Whether lumen ends are capped or left open.
+        keep_uv: Whether the file's own texture coordinates stay; by default new ones are
+            made from the gut coordinates, to which `appearance` textures fit.
+        reverse: Whether the narrower end of the lumen is the oral one.
+
+    Raises:
+        InputError: If the file cannot be read or mended, or has no lumen (`read_mesh`,
+            `repair`, `compute_centerline`), or has no texture coordinates to keep.
+    """
+    from vrcaps.organ.centerline import compute_centerline
+    from vrcaps.organ.gut_coordinates import gut_coordinates
+    from vrcaps.organ.repair import repair
+    from vrcaps.organ.texture_coordinates import texture_coordinates
+
+    mesh = read_mesh(path, unit=unit)
+    if keep_uv and (mesh.uv is None or not np.isfinite(mesh.uv).all()):
+        raise InputError(f"{path} has no finite texture coordinates to keep. Leave keep_uv off.")
+    if not keep_uv:
+        mesh = replace(mesh, uv=None)
+    mesh, report = repair(mesh, open_ends=open_ends)
+    centerline = compute_centerline(mesh, reverse=reverse)
+    arc_length, theta, radius = gut_coordinates(mesh.vertices, mesh.faces, centerline)
+    uv = mesh.uv if mesh.uv is not None else texture_coordinates(mesh, arc_length, theta, radius)
+    label, label_names = _labels(mesh, path)
+    return OrganSurface(
+        name=path.stem if name is None else name,
+        vertices=mesh.vertices,
+        faces=mesh.faces,
+        normals=vertex_normals(mesh.vertices, mesh.faces),
+        uv=uv,
+        label=label,
+        label_names=label_names,
+        instance=np.zeros(len(mesh.vertices), np.uint16),
+        arc_length=arc_length,
+        theta=theta,
+        radius=radius,
+        centerline=centerline,
+        metadata={
+            "source": str(path),
+            "sha256": hashlib.sha256(path.read_bytes()).hexdigest(),
+            "unit": unit,
+            "repairs": report.lines(),
+        },
+    )
+
+
+def _labels(mesh: Mesh, path: Path) -> tuple[np.ndarray, tuple[str, ...]]:
+    """Label of each vertex and the label names; all `wall` where the file has no labels."""
+    if mesh.label is None:
+        return np.ones(len(mesh.vertices), np.uint8), ("background", "wall")
+    names = read_label_names(path)
+    for number in range(len(names), int(mesh.label.max()) + 1):
+        names += ("background" if number == 0 else f"label {number}",)
+    return mesh.label, names

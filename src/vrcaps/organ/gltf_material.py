@@ -1,0 +1,135 @@
+"""The look of an organ as a glTF material: textures and the coat and index extensions."""
+
+from __future__ import annotations
+
+import math
+from io import BytesIO
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Int, UInt8
+
+    from vrcaps.organ.surface import Appearance
+
+_PLAIN_MUCOSA = (0.60, 0.22, 0.16, 1.0)  # linear; drawn where there is no appearance
+_SAMPLER = {"magFilter": 9729, "minFilter": 9987, "wrapS": 10497, "wrapT": 10497}  # mipmaps, repeat
+_PNG_LEVEL = 1  # zlib level; higher ones take seconds for a 8192 × 1024 texture
+
+
+def relief_scale(
+    vertices: Float[np.ndarray, "n 3"],
+    faces: Int[np.ndarray, "m 3"],
+    uv: Float[np.ndarray, "m 3 2"],
+) -> tuple[float, float]:
+    """Length on the wall [m] of one unit of u and of v, the median over texture area."""
+    corners = vertices[faces]
+    edge_1, edge_2 = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    (du_1, dv_1), (du_2, dv_2) = (uv[:, 1] - uv[:, 0]).T, (uv[:, 2] - uv[:, 0]).T
+    area = du_1 * dv_2 - du_2 * dv_1
+    usable = np.abs(area) > 0.0
+    inverse = 1.0 / np.where(usable, area, 1.0)
+    along_u = (dv_2[:, None] * edge_1 - dv_1[:, None] * edge_2) * inverse[:, None]
+    along_v = (du_1[:, None] * edge_2 - du_2[:, None] * edge_1) * inverse[:, None]
+    weights = np.abs(area)[usable]
+    lengths = [np.linalg.norm(along, axis=1)[usable] for along in (along_u, along_v)]
+    along_u, along_v = (_weighted_median(length, weights) for length in lengths)
+    return along_u, along_v
+
+
+def texture_images(appearance: Appearance, scale: tuple[float, float]) -> list[bytes]:
+    """PNG files of base colour, roughness and normals, in the order of `material_json`.
+
+    Args:
+        appearance: The textures.
+        scale: Length on the wall of one unit of u and v [m], see `relief_scale`.
+    """
+    roughness = np.zeros((*appearance.roughness.shape, 3), np.uint8)
+    roughness[..., 1] = appearance.roughness  # glTF: G is roughness, B is metalness
+    normals = normal_texture(appearance.height, scale)
+    return [_encode_png(image) for image in (appearance.albedo, roughness, normals)]
+
+
+def normal_texture(
+    height: Float[np.ndarray, "h w"], scale: tuple[float, float]
+) -> UInt8[np.ndarray, "h w 3"]:
+    """Tangent-space normals of a relief (x along u, y along v, z out of the wall), 0–255.
+
+    n = (−∂h/∂u, −∂h/∂v, 1) / |·|, with central differences that wrap.
+
+    Args:
+        height: Relief towards the lumen [m]; row 0 is v = 1.
+        scale: Length on the wall of one unit of u and v [m].
+    """
+    height = np.asarray(height, np.float32)
+    num_rows, num_columns = height.shape
+    per_column = np.float32(0.5 * num_columns / scale[0])
+    per_row = np.float32(0.5 * num_rows / scale[1])
+    slope_u = (np.roll(height, -1, axis=1) - np.roll(height, 1, axis=1)) * per_column
+    slope_v = (np.roll(height, 1, axis=0) - np.roll(height, -1, axis=0)) * per_row
+    factor = np.float32(127.5) / np.sqrt(1.0 + slope_u * slope_u + slope_v * slope_v)
+    normals = np.empty((num_rows, num_columns, 3), np.uint8)
+    for channel, component in enumerate((-slope_u, -slope_v, np.float32(1.0))):
+        normals[..., channel] = np.rint(component * factor + np.float32(127.5))
+    return normals
+
+
+def material_json(appearance: Appearance | None, views: list[int]) -> dict:
+    """The glTF `materials`, and their textures, images and samplers.
+
+    The coat of the Disney model (Burley 2012) reflects a quarter of what a film of index
+    1.5 does, and its gloss runs the GTR roughness α from 0.1 to 0.001; a glTF roughness is √α.
+
+    Args:
+        appearance: Reflectance; None is a plain mucosa colour.
+        views: Buffer views of `texture_images`.
+    """
+    if appearance is None:
+        surface = {"baseColorFactor": _PLAIN_MUCOSA, "metallicFactor": 0.0, "roughnessFactor": 0.5}
+        material = {"name": "mucosa", "doubleSided": True, "pbrMetallicRoughness": surface}
+        return {"materials": [material]}
+    coat_alpha = 0.1 + appearance.coat_gloss * (0.001 - 0.1)
+    extensions = {
+        "KHR_materials_clearcoat": {
+            "clearcoatFactor": 0.25 * appearance.coat,
+            "clearcoatRoughnessFactor": math.sqrt(coat_alpha),
+        },
+        "KHR_materials_ior": {"ior": appearance.ior},
+    }
+    surface = {
+        "baseColorTexture": {"index": 0},
+        "metallicRoughnessTexture": {"index": 1},
+        "metallicFactor": 0.0,
+    }
+    material = {
+        "name": "mucosa",
+        "doubleSided": True,
+        "pbrMetallicRoughness": surface,
+        "normalTexture": {"index": 2},
+        "extensions": extensions,
+    }
+    return {
+        "extensionsUsed": sorted(extensions),
+        "materials": [material],
+        "textures": [{"sampler": 0, "source": image} for image in range(len(views))],
+        "images": [{"bufferView": view, "mimeType": "image/png"} for view in views],
+        "samplers": [_SAMPLER],
+    }
+
+
+def _weighted_median(values: Float[np.ndarray, " n"], weights: Float[np.ndarray, " n"]) -> float:
+    """Median by weight; 1 where there is nothing to weigh."""
+    if len(values) == 0:
+        return 1.0
+    order = np.argsort(values, kind="stable")
+    share = np.cumsum(weights[order])
+    return float(values[order[np.searchsorted(share, 0.5 * share[-1])]])
+
+
+def _encode_png(image: UInt8[np.ndarray, "h w 3"]) -> bytes:
+    from PIL import Image
+
+    buffer = BytesIO()
+    Image.fromarray(image).save(buffer, "png", compress_level=_PNG_LEVEL)
+    return buffer.getvalue()

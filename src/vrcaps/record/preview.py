@@ -1,0 +1,57 @@
+"""The preview video: what the cameras saw, side by side, to look at in any browser."""
+
+from __future__ import annotations
+
+import io
+from fractions import Fraction
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from jaxtyping import UInt8
+
+
+class Preview:
+    """A video being encoded in memory; the same pictures give the same bytes."""
+
+    def __init__(self, *, fps: float, width: int, height: int) -> None:
+        """Start a video of pictures of at most the given size [pixels]."""
+        import av
+
+        self._buffer = io.BytesIO()
+        self._size = (height + height % 2, width + width % 2)  # 4:2:0 needs even sizes
+        self._container = av.open(
+            self._buffer, "w", format="mp4", container_options={"fflags": "+bitexact"}
+        )
+        rate = Fraction(fps).limit_denominator(1000)
+        self._stream = self._container.add_stream("libvpx-vp9", rate=rate)
+        self._stream.height, self._stream.width = self._size
+        self._stream.pix_fmt = "yuv420p"
+        # One thread: with more, the bytes depend on how many there are.
+        self._stream.codec_context.thread_count = 1
+        self._stream.options = {
+            "deadline": "realtime",
+            "cpu-used": "8",
+            "crf": "24",
+            "b": "0",
+            "g": "60",
+            "flags": "+bitexact",
+        }
+
+    def add(self, pictures: list[UInt8[np.ndarray, "h w 3"]]) -> None:
+        """Add a frame: one picture of each camera, left to right."""
+        import av
+
+        canvas = np.zeros((*self._size, 3), np.uint8)
+        left = 0
+        for shown in pictures:
+            canvas[: shown.shape[0], left : left + shown.shape[1]] = shown
+            left += shown.shape[1]
+        self._container.mux(self._stream.encode(av.VideoFrame.from_ndarray(canvas, format="rgb24")))
+
+    def finish(self) -> bytes:
+        """The video file."""
+        self._container.mux(self._stream.encode(None))
+        self._container.close()
+        return self._buffer.getvalue()

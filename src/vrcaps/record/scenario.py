@@ -1,0 +1,216 @@
+"""What to record: one typed tree, read from a file and written into the episode it makes."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import tomllib
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, ClassVar, Literal
+
+import numpy as np
+
+from vrcaps.capsule.catalog import load_device
+from vrcaps.capsule.device import Device
+from vrcaps.errors import InputError, UnknownNameError
+from vrcaps.organ.surface import OrganSurface
+from vrcaps.record.typed import from_plain, to_plain
+from vrcaps.render.frame import CHANNELS
+from vrcaps.render.settings import RenderSettings
+from vrcaps.units import parse_length
+from vrcaps.world.fly_through import FlyThrough, fly_through
+from vrcaps.world.model import Model, posture_transform
+from vrcaps.world.replay import Replay, replay
+from vrcaps.world.trajectory import Trajectory
+
+DEFAULT_CHANNELS = ("rgb", "depth", "normal", "label", "instance")
+
+
+@dataclass(frozen=True)
+class OrganGenerated:
+    """An organ of the built-in generator.
+
+    Attributes:
+        name: Which, for example `colon`.
+        seed: A different patient for each.
+    """
+
+    name: str = "colon"
+    seed: int = 0
+
+    kind: ClassVar[str] = "generated"
+
+
+@dataclass(frozen=True)
+class OrganFile:
+    """An organ from a mesh file.
+
+    Attributes:
+        path: PLY, OBJ, STL or GLB in the patient frame, seen from the working directory.
+        unit: Length unit of the file, such as `mm` or `5cm`; a mesh file has none of its own.
+        open_ends: Whether open ends of the lumen are capped or left open.
+        keep_uv: Whether the file's own texture coordinates stay.
+        reverse: Whether the narrower end of the lumen is the oral one.
+        sha256: Checksum of the file; filled in when recorded, checked when given.
+    """
+
+    path: str
+    unit: str
+    open_ends: Literal["cap", "keep"] = "cap"
+    keep_uv: bool = False
+    reverse: bool = False
+    sha256: str = ""
+
+    kind: ClassVar[str] = "file"
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """A recording as asked for; with its files at hand it fixes every byte of the episode.
+
+    Attributes:
+        organ: The gut wall.
+        capsule: Name in the catalog, or path of a device file.
+        posture: How the patient lies, see `posture_transform`.
+        motion: How the capsule moves.
+        frames: Number of frames.
+        fps: Frames per second; None takes the capsule's own.
+        seed: Of the motion's wandering and the mucosa of an organ from a file.
+        channels: Image channels to write.
+        render: How to render.
+    """
+
+    organ: OrganGenerated | OrganFile = field(default_factory=OrganGenerated)
+    capsule: str = "mirocam"
+    posture: str = "supine"
+    motion: FlyThrough | Replay = field(default_factory=FlyThrough)
+    frames: int = 100
+    fps: float | None = None
+    seed: int = 0
+    channels: tuple[str, ...] = DEFAULT_CHANNELS
+    render: RenderSettings = field(default_factory=RenderSettings)
+
+
+def read_scenario(path: str | Path) -> Scenario:
+    """Read a scenario from a JSON or TOML file, or from the `episode.json` of an episode.
+
+    Raises:
+        InputError: If the file cannot be read, or a key is unknown or has a wrong value.
+    """
+    path = Path(path)
+    try:
+        text = path.read_text(encoding="utf-8")
+        plain = tomllib.loads(text) if path.suffix == ".toml" else json.loads(text)
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"Cannot read the scenario {path}: {error}.") from error
+    except (json.JSONDecodeError, tomllib.TOMLDecodeError) as error:
+        kind = "TOML" if path.suffix == ".toml" else "JSON"
+        raise InputError(f"{path} is no {kind}: {error}.") from error
+    if isinstance(plain, dict) and "format" in plain:
+        plain = plain.get("scenario")
+    return scenario_from_plain(plain)
+
+
+def scenario_to_plain(scenario: Scenario) -> dict[str, Any]:
+    """The scenario as JSON and TOML hold it."""
+    return to_plain(scenario, Scenario)
+
+
+def scenario_from_plain(plain: Any) -> Scenario:
+    """The scenario that `scenario_to_plain` wrote, or a user with fewer keys.
+
+    Raises:
+        InputError: If a key is unknown or has a wrong value; names it.
+    """
+    if not isinstance(plain, dict):
+        raise InputError(f"A scenario is a table of keys, not {type(plain).__name__}.")
+    return from_plain(Scenario, plain, at="scenario")
+
+
+def resolve(scenario: Scenario) -> tuple[Scenario, Device]:
+    """The scenario with nothing left open, and its capsule.
+
+    Fills in the frame rate and the checksums of files, and puts the channels in the order of
+    `Frame`.
+
+    Raises:
+        InputError: If a value is out of range or a file is not the one that a checksum names.
+        UnknownNameError: If a posture, capsule or channel is unknown.
+    """
+    device = load_device(scenario.capsule)
+    posture_transform(scenario.posture)
+    for channel in scenario.channels:
+        if channel not in CHANNELS:
+            raise UnknownNameError("channel", channel, CHANNELS)
+    fps = device.frame_rate if scenario.fps is None else scenario.fps
+    for name, value, valid, allowed in (
+        ("frames", scenario.frames, 1 <= scenario.frames <= 10**6, "1 to 1000000"),
+        ("fps", fps, 0.0 < fps < math.inf, "above 0"),
+        ("seed", scenario.seed, scenario.seed >= 0, "0 or more"),
+        ("channels", list(scenario.channels), len(scenario.channels) > 0, "at least one"),
+    ):
+        if not valid:
+            raise InputError(f"{name} is {value}. Allowed: {allowed}.")
+    organ, motion = scenario.organ, scenario.motion
+    if isinstance(organ, OrganFile):
+        parse_length(organ.unit)
+        organ = replace(organ, sha256=_checked_sha256(organ.path, organ.sha256))
+    if isinstance(motion, Replay):
+        parse_length(motion.unit)
+        motion = replace(motion, sha256=_checked_sha256(motion.path, motion.sha256))
+    channels = tuple(channel for channel in CHANNELS if channel in scenario.channels)
+    return replace(scenario, organ=organ, motion=motion, fps=fps, channels=channels), device
+
+
+def build(scenario: Scenario, device: Device) -> tuple[Model, Trajectory]:
+    """World and motion of a resolved scenario.
+
+    Raises:
+        InputError: If the organ cannot be made or the capsule cannot move in it as asked.
+    """
+    model = Model(_load_organ(scenario), device, posture_transform(scenario.posture))
+    return model, make_trajectory(scenario, model)
+
+
+def make_trajectory(scenario: Scenario, model: Model) -> Trajectory:
+    """Motion of a resolved scenario in its world."""
+    assert scenario.fps is not None
+    if isinstance(scenario.motion, Replay):
+        return replay(model, scenario.motion, frames=scenario.frames, fps=scenario.fps)
+    rng = np.random.default_rng(scenario.seed)
+    return fly_through(model, scenario.motion, frames=scenario.frames, fps=scenario.fps, rng=rng)
+
+
+def _load_organ(scenario: Scenario) -> OrganSurface:
+    """The organ with its appearance."""
+    from vrcaps.organ.appearance import bake_appearance
+    from vrcaps.organ.catalog import load_organ
+    from vrcaps.organ.from_file import organ_from_file
+
+    given = scenario.organ
+    if isinstance(given, OrganGenerated):
+        return load_organ(given.name, seed=given.seed)
+    organ = organ_from_file(
+        Path(given.path),
+        unit=given.unit,
+        open_ends=given.open_ends,
+        keep_uv=given.keep_uv,
+        reverse=given.reverse,
+    )
+    return replace(organ, appearance=bake_appearance(organ, seed=scenario.seed))
+
+
+def _checked_sha256(path: str, expected: str) -> str:
+    try:
+        with Path(path).open("rb") as file:
+            actual = hashlib.file_digest(file, "sha256").hexdigest()
+    except OSError as error:
+        raise InputError(f"Cannot read {path}: {error.strerror}.") from error
+    if expected and actual != expected:
+        raise InputError(
+            f"{path} has sha256 {actual[:12]}…, but the scenario was made with {expected[:12]}…. "
+            "Give the original file, or remove the sha256 from the scenario."
+        )
+    return actual

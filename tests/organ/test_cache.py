@@ -1,0 +1,126 @@
+"""Organs on disk: the same after a round trip, made again where the file is broken."""
+
+from __future__ import annotations
+
+import dataclasses
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from vrcaps.organ import cache
+from vrcaps.organ.cache import cache_folder, cached_organ
+from vrcaps.organ.surface import Appearance, Centerline, OrganSurface
+
+
+def make_organ(*, has_appearance: bool = True) -> OrganSurface:
+    rng = np.random.default_rng(0)
+    line = Centerline(rng.random((5, 3)), np.arange(5.0), np.ones(5), np.tile(np.eye(3), (5, 1, 1)))
+    pixels = rng.integers(0, 255, (4, 4, 3), dtype=np.uint8)
+    return OrganSurface(
+        name="tube",
+        vertices=rng.random((4, 3)),
+        faces=np.array([[0, 1, 2], [0, 2, 3]], np.int32),
+        normals=rng.random((4, 3)),
+        uv=rng.random((2, 3, 2)),
+        label=np.array([1, 1, 2, 2], np.uint8),
+        label_names=("background", "one", "two"),
+        instance=np.zeros(4, np.uint16),
+        arc_length=rng.random(4),
+        theta=rng.random(4),
+        radius=rng.random(4),
+        centerline=line,
+        appearance=Appearance(pixels, pixels[..., 0], rng.random((4, 4)), ior=1.33)
+        if has_appearance
+        else None,
+        metadata={"seed": 3, "parameters": {"length": 1.5}},
+    )
+
+
+def as_bytes(value: object) -> object:
+    """Nested fields with arrays as type, shape and bytes, so that == is exact."""
+    if isinstance(value, np.ndarray):
+        return value.dtype, value.shape, value.tobytes()
+    if dataclasses.is_dataclass(value):
+        return {f.name: as_bytes(getattr(value, f.name)) for f in dataclasses.fields(value)}
+    return value
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv("VRCAPS_CACHE", str(tmp_path))
+    return tmp_path
+
+
+@pytest.mark.parametrize("has_appearance", [True, False])
+def test_an_organ_is_made_once_and_read_back_exactly(folder: Path, has_appearance: bool):
+    organ = make_organ(has_appearance=has_appearance)
+    made = []
+    for _ in range(3):
+        got = cached_organ("tube", lambda: made.append(1) or organ)
+        assert as_bytes(got) == as_bytes(organ)
+    assert len(made) == 1
+    assert [path.name for path in (folder / "organs").iterdir()] == ["tube.npz"]
+
+
+@pytest.mark.parametrize("damage", ["empty", "truncated", "garbage", "flipped", "other arrays"])
+def test_a_broken_file_is_made_again(folder: Path, damage: str):
+    organ = make_organ()
+    cached_organ("tube", lambda: organ)
+    path = folder / "organs" / "tube.npz"
+    content = path.read_bytes()
+    if damage == "other arrays":
+        np.savez(path, vertices=np.zeros(3))
+    else:
+        middle = len(content) // 2
+        path.write_bytes(
+            {
+                "empty": b"",
+                "truncated": content[:middle],
+                "garbage": b"not a zip file" * 100,
+                "flipped": content[:400] + bytes([content[400] ^ 255]) + content[401:],
+            }[damage]
+        )
+    made = []
+    got = cached_organ("tube", lambda: made.append(1) or organ)
+    assert made == [1]
+    assert as_bytes(got) == as_bytes(organ)
+    assert path.read_bytes() == content
+
+
+def test_a_failed_write_leaves_nothing_and_warns(folder: Path, monkeypatch: pytest.MonkeyPatch):
+    def full_disk(*_: object, **__: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(cache.np, "savez", full_disk)
+    with pytest.warns(UserWarning, match="No space left on device.*set VRCAPS_CACHE"):
+        assert cached_organ("tube", make_organ).name == "tube"
+    assert list((folder / "organs").iterdir()) == []
+
+
+def test_an_error_of_the_maker_is_passed_on(folder: Path):
+    def fail() -> OrganSurface:
+        raise RuntimeError("no organ today")
+
+    with pytest.raises(RuntimeError, match="no organ today"):
+        cached_organ("tube", fail)
+    assert not (folder / "organs").exists()
+
+
+def test_the_folder_follows_the_platform(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
+    monkeypatch.delenv("VRCAPS_CACHE", raising=False)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "xdg"))
+    assert cache_folder() == tmp_path / "xdg" / "vrcaps"
+    monkeypatch.delenv("XDG_CACHE_HOME")
+    monkeypatch.setattr(Path, "home", lambda: tmp_path)
+    monkeypatch.setenv("LOCALAPPDATA", str(tmp_path / "local"))
+    for platform, expected in {
+        "linux": tmp_path / ".cache" / "vrcaps",
+        "darwin": tmp_path / "Library" / "Caches" / "vrcaps",
+        "win32": tmp_path / "local" / "vrcaps" / "Cache",
+    }.items():
+        monkeypatch.setattr(sys, "platform", platform)
+        assert cache_folder() == expected
+    monkeypatch.setenv("VRCAPS_CACHE", str(tmp_path / "own"))
+    assert cache_folder() == tmp_path / "own"

@@ -1,0 +1,107 @@
+"""A mesh file becomes an organ with every field in step."""
+
+import hashlib
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+
+from vrcaps.errors import InputError
+from vrcaps.organ.facts import organ_facts
+from vrcaps.organ.from_file import organ_from_file
+from vrcaps.organ.surface import Mesh, OrganSurface
+from vrcaps.organ.write import write_glb, write_mesh
+
+RADIUS, LENGTH = 0.02, 0.2
+
+
+def check_organ(organ: OrganSurface) -> None:
+    num_vertices, num_faces = len(organ.vertices), len(organ.faces)
+    judge = trimesh.Trimesh(organ.vertices, organ.faces, process=False)
+    assert judge.is_watertight
+    assert judge.volume < 0.0
+    assert np.allclose(np.linalg.norm(organ.normals, axis=1), 1.0)
+    for values in (organ.label, organ.instance, organ.arc_length, organ.theta, organ.radius):
+        assert values.shape == (num_vertices,)
+        assert np.isfinite(values).all()
+    assert organ.uv.shape == (num_faces, 3, 2)
+    assert np.isfinite(organ.uv).all()
+    assert organ.label.max() < len(organ.label_names)
+    assert organ.arc_length.min() >= 0.0
+    assert organ.arc_length.max() <= organ.centerline.length * (1 + 1e-9)
+
+
+@pytest.fixture(scope="module")
+def tube_path(tmp_path_factory):
+    """A closed tube in millimetres, normals outward, with labels and flat wedges."""
+    judge = trimesh.creation.capsule(LENGTH, RADIUS, count=[24, 24])
+    vertices, faces = np.array(judge.vertices) * 1e3, np.array(judge.faces)
+    uv = vertices[faces][..., :2] / 100
+    label = np.where(vertices[:, 2] > 100, 3, 1).astype(np.uint8)
+    path = tmp_path_factory.mktemp("organ") / "tube.ply"
+    write_mesh(path, Mesh(vertices, faces, uv, label))
+    return path
+
+
+@pytest.fixture(scope="module")
+def tube(tube_path) -> OrganSurface:
+    return organ_from_file(tube_path, unit="mm")
+
+
+def test_tube(tube, tube_path):
+    organ = tube
+    check_organ(organ)
+    assert organ.name == "tube"
+    assert organ.label_names == ("background", "label 1", "label 2", "label 3")
+    assert organ.metadata["source"] == str(tube_path)
+    assert organ.metadata["sha256"] == hashlib.sha256(tube_path.read_bytes()).hexdigest()
+    assert organ.metadata["unit"] == "mm"
+    assert organ.metadata["repairs"] == ["1 × outward surface: turned to face into the lumen"]
+    assert LENGTH < organ.centerline.length < LENGTH + 2 * RADIUS
+    facts = organ_facts(organ)
+    assert facts.calibre_median == pytest.approx(2 * RADIUS, rel=0.05)
+    assert facts.volume == pytest.approx(np.pi * RADIUS**2 * (LENGTH + 4 / 3 * RADIUS), rel=0.03)
+
+
+def test_own_texture_coordinates_stay_on_request(tube, tube_path):
+    organ = organ_from_file(tube_path, unit="mm", name="mine", keep_uv=True)
+    assert organ.name == "mine"
+    expected = organ.vertices[organ.faces][..., :2] * 1e3 / 100
+    assert np.allclose(organ.uv, expected, atol=1e-9)
+    assert not np.allclose(tube.uv, expected)
+
+
+def test_there_must_be_texture_coordinates_to_keep(tmp_path):
+    ball = trimesh.creation.icosphere(radius=RADIUS)
+    ball.export(tmp_path / "a.stl")
+    with pytest.raises(InputError, match="has no finite texture coordinates to keep"):
+        organ_from_file(tmp_path / "a.stl", unit="m", keep_uv=True)
+
+
+def test_written_organ_comes_back(tube, tmp_path):
+    organ = replace(
+        tube,
+        label=np.minimum(tube.label, 2).astype(np.uint8),
+        label_names=("background", "wall", "fundus"),
+    )
+    write_glb(tmp_path / "a.glb", organ)
+    back = organ_from_file(tmp_path / "a.glb", unit="m")
+    assert back.label_names == organ.label_names
+    assert np.array_equal(back.label, organ.label)
+    assert np.allclose(back.vertices, organ.vertices, atol=1e-7)
+
+
+@pytest.mark.parametrize(
+    ("name", "unit", "length_mm"),
+    [("colon_GI1_mm", "mm", (800, 2500)), ("stomach_new5_raw", "mm", (50, 200))],
+)
+def test_real_organs(shared_data, name, unit, length_mm):
+    organ = organ_from_file(shared_data / "organs" / f"{name}.ply", unit=unit)
+    check_organ(organ)
+    assert organ.label_names == ("background", "wall")
+    assert np.all(organ.label == 1)
+    assert length_mm[0] < organ.centerline.length * 1e3 < length_mm[1]
+    facts = organ_facts(organ)
+    assert 5.0 < facts.calibre_min * 1e3 < facts.calibre_median * 1e3 < facts.calibre_max * 1e3
+    assert list(facts.calibre_by_segment) == ["wall"]

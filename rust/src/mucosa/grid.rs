@@ -124,8 +124,8 @@ impl SegmentGrid {
         Self { pieces, cells, members, footprint }
     }
 
-    /// Blood seen at `point`, a place `place` on the wall moved a little along it; the wall's
-    /// normal there keeps vessels of the far side of a fold out.
+    /// Blood seen at a point of the wall; the normal there keeps out vessels of the far side of
+    /// a fold.
     #[inline(always)]
     pub fn blood(&self, cursor: &mut Cursor, point: Vec3, normal: Vec3) -> Blood {
         let key = pack(cell_of(point));

@@ -63,7 +63,7 @@ class Mucosa:
 
 
 MUCOSAE: dict[str, Mucosa] = {
-    "colon": Mucosa(base_color=(0.64, 0.215, 0.14)),
+    "colon": Mucosa(base_color=(0.64, 0.215, 0.125)),
     "stomach": Mucosa(
         base_color=(0.62, 0.22, 0.12),
         bile=0.08,
@@ -94,8 +94,9 @@ def bake_appearance(
 ) -> Appearance:
     """Bakes a mucosa into textures over an organ's texture coordinates.
 
-    The textures follow the coordinates' aspect. A texel takes 8 bytes in memory, and about
-    0.2 µs of two cores.
+    The textures follow the coordinates' aspect: sides of up to `MAX_SIDE` texels, so that a
+    long tube whose v runs its whole length gets fewer texels along it than around it. A texel
+    takes 8 bytes in memory. Where faces overlap in the coordinates, the first one is drawn.
 
     Args:
         organ: The wall; its appearance is not looked at.

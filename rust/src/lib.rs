@@ -8,6 +8,7 @@ mod cpu;
 mod image;
 mod lanes;
 mod material;
+mod mucosa;
 mod query;
 mod rays;
 mod render;
@@ -23,6 +24,7 @@ use pyo3::prelude::*;
 #[pymodule]
 fn _core(m: &Bound<'_, PyModule>) -> PyResult<()> {
     m.add("__version__", env!("CARGO_PKG_VERSION"))?;
+    m.add_function(wrap_pyfunction!(mucosa::bake_mucosa, m)?)?;
     m.add_class::<wall::Wall>()?;
     m.add_class::<scene::Scene>()?;
     m.add_class::<texture::Texture>()?;

@@ -1,0 +1,165 @@
+//! Which face each texel of a chart layout shows, with padding around the charts.
+
+use rayon::prelude::*;
+use std::sync::atomic::{AtomicU32, Ordering};
+
+/// A texel that no face reaches.
+pub const NO_FACE: u32 = u32::MAX;
+
+/// Texture size in texels.
+#[derive(Clone, Copy)]
+pub struct Size {
+    /// Columns, along u.
+    pub width: usize,
+    /// Rows, against v (row 0 is v = 1).
+    pub height: usize,
+}
+
+/// Corners of a face in texel coordinates: whole numbers are texel centres.
+pub type Corners = [[f64; 2]; 3];
+
+impl Size {
+    /// Texel coordinates of texture coordinates.
+    pub fn corners(self, uv: &[f64]) -> Corners {
+        [0, 1, 2].map(|c| {
+            [uv[2 * c] * self.width as f64 - 0.5, (1.0 - uv[2 * c + 1]) * self.height as f64 - 0.5]
+        })
+    }
+}
+
+/// Twice the signed area of a face in texels.
+pub fn doubled_area(t: &Corners) -> f64 {
+    (t[1][0] - t[0][0]) * (t[2][1] - t[0][1]) - (t[2][0] - t[0][0]) * (t[1][1] - t[0][1])
+}
+
+/// Face number of every texel whose centre a face covers (the lowest where several do), and
+/// around the charts, up to `padding` texels away, that of the nearest covered texel.
+pub fn face_map(uv: &[f64], size: Size, padding: usize) -> Vec<u32> {
+    let map: Vec<AtomicU32> =
+        (0..size.width * size.height).into_par_iter().map(|_| AtomicU32::new(NO_FACE)).collect();
+    uv.par_chunks_exact(6)
+        .enumerate()
+        .for_each(|(face, uv)| cover(&map, size, &size.corners(uv), face as u32));
+    let covered: Vec<u32> = map.into_par_iter().map(AtomicU32::into_inner).collect();
+    pad(&covered, size, padding)
+}
+
+fn cover(map: &[AtomicU32], size: Size, t: &Corners, face: u32) {
+    let area = doubled_area(t);
+    if area == 0.0 || !area.is_finite() {
+        return;
+    }
+    let bound = |axis: usize| {
+        let values = [t[0][axis], t[1][axis], t[2][axis]];
+        let low = values.iter().copied().fold(f64::INFINITY, f64::min);
+        let high = values.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+        (low.ceil() as i64, high.floor() as i64)
+    };
+    let ((x0, x1), (y0, y1)) = (bound(0), bound(1));
+    for y in y0..=y1 {
+        let row = y.rem_euclid(size.height as i64) as usize * size.width;
+        for x in x0..=x1 {
+            let p = [x as f64, y as f64];
+            let inside = (0..3).all(|c| {
+                let (a, b) = (t[c], t[(c + 1) % 3]);
+                let side = (b[0] - a[0]) * (p[1] - a[1]) - (p[0] - a[0]) * (b[1] - a[1]);
+                side * area.signum() >= -1e-9
+            });
+            if inside {
+                let column = x.rem_euclid(size.width as i64) as usize;
+                map[row + column].fetch_min(face, Ordering::Relaxed);
+            }
+        }
+    }
+}
+
+/// Offset along a row to the nearest covered texel, `FAR` where there is none near.
+const FAR: i8 = i8::MAX;
+
+/// Exact Euclidean dilation by rows, then columns (Saito and Toriwaki 1994), with wrap-around.
+fn pad(covered: &[u32], size: Size, padding: usize) -> Vec<u32> {
+    let Size { width, height } = size;
+    let mut along_row = vec![FAR; covered.len()];
+    along_row
+        .par_chunks_exact_mut(width)
+        .zip(covered.par_chunks_exact(width))
+        .for_each(|(offsets, row)| row_offsets(offsets, row, padding));
+    let reach = padding as i64;
+    (0..covered.len())
+        .into_par_iter()
+        .with_min_len(width)
+        .map(|index| {
+            if covered[index] != NO_FACE {
+                return covered[index];
+            }
+            let (y, x) = ((index / width) as i64, (index % width) as i64);
+            let mut best = (reach * reach + 1, NO_FACE);
+            for dy in -reach..=reach {
+                let row = (y + dy).rem_euclid(height as i64) as usize * width;
+                let dx = along_row[row + x as usize];
+                let distance = i64::from(dx) * i64::from(dx) + dy * dy;
+                if dx != FAR && distance < best.0 {
+                    let column = (x + i64::from(dx)).rem_euclid(width as i64) as usize;
+                    best = (distance, covered[row + column]);
+                }
+            }
+            best.1
+        })
+        .collect()
+}
+
+fn row_offsets(offsets: &mut [i8], row: &[u32], padding: usize) {
+    let width = row.len();
+    if row.iter().all(|&face| face == NO_FACE) {
+        return;
+    }
+    let mut sweep = |step: i64| {
+        let mut gap = padding + 1;
+        for turn in 0..width + padding {
+            let x = if step > 0 { turn % width } else { width - 1 - turn % width };
+            gap = if row[x] == NO_FACE { gap + 1 } else { 0 };
+            if gap <= padding && (gap as i64) < i64::from(offsets[x]).abs() {
+                offsets[x] = (-step * gap as i64) as i8;
+            }
+        }
+    };
+    sweep(1);
+    sweep(-1);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn padding_takes_the_nearest_covered_texel_across_the_border() {
+        let size = Size { width: 16, height: 12 };
+        let mut covered = vec![NO_FACE; 16 * 12];
+        covered[5 * 16 + 1] = 3;
+        covered[5 * 16 + 9] = 4;
+        let padded = pad(&covered, size, 4);
+        for y in 0..12i64 {
+            for x in 0..16i64 {
+                let wrapped = |to: i64| {
+                    let dx = (x - to).rem_euclid(16).min((to - x).rem_euclid(16));
+                    dx * dx + (y - 5) * (y - 5)
+                };
+                let (left, right) = (wrapped(1), wrapped(9));
+                let face = padded[(y * 16 + x) as usize];
+                if left.min(right) > 16 {
+                    assert_eq!(face, NO_FACE);
+                } else if left != right {
+                    assert_eq!(face, if left < right { 3 } else { 4 });
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn a_square_of_two_faces_is_covered_without_gaps() {
+        let size = Size { width: 32, height: 32 };
+        let uv = [0.75, 0.25, 1.25, 0.25, 1.25, 0.75, 0.75, 0.25, 1.25, 0.75, 0.75, 0.75];
+        let map = face_map(&uv, size, 0);
+        assert_eq!(map.iter().filter(|&&face| face != NO_FACE).count(), 256);
+    }
+}

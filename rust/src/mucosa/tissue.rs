@@ -1,0 +1,227 @@
+//! The mucosa as a solid function: colour, roughness and relief at a point of the wall.
+
+use super::grid::{Blood, Cursor, SegmentGrid};
+use super::noise::{Lattice, Vec3, exp, smoothstep, uniform};
+use super::vessels::dot;
+use pyo3::prelude::*;
+
+/// Character of a mucosa: `vrcaps.organ.appearance.Mucosa`, whose fields say what they mean.
+#[derive(Clone, Copy, FromPyObject)]
+pub struct Mucosa {
+    pub base_color: [f32; 3],
+    pub redness_variation: f32,
+    pub bile: f32,
+    pub vessel_contrast: f32,
+    pub vessel_spacing: f32,
+    pub trunk_spacing: f32,
+    pub capillary_radius: f32,
+    pub relief_slope: f32,
+    pub pit_spacing: f32,
+    pub pit_slope: f32,
+    pub roughness: f32,
+}
+
+/// A place on the wall. Lengths in millimetres.
+#[derive(Clone, Copy)]
+pub struct Place {
+    pub point: Vec3,
+    pub normal: Vec3,
+    /// Mean curvature [1/mm], positive where the wall bulges into the lumen.
+    pub curvature: f32,
+    pub arc_length: f32,
+}
+
+/// What the wall is like at a place.
+#[derive(Clone, Copy)]
+pub struct Sample {
+    /// Linear base colour.
+    pub albedo: [f32; 3],
+    pub roughness: f32,
+    /// Towards the lumen [mm].
+    pub height: f32,
+}
+
+/// Absorption of blood in red, green and blue relative to green, arterial and venous: haemoglobin
+/// takes green and blue alike and little red, less so without oxygen (S. Prahl's tables, averaged
+/// over a camera's bands).
+const ARTERIAL: [f32; 3] = [0.16, 1.0, 0.92];
+const VENOUS: [f32; 3] = [0.36, 1.0, 0.86];
+
+/// Optical density of bile-stained mucus in red, green and blue.
+const BILE: [f32; 3] = [0.04, 0.16, 1.0];
+
+/// Spacing of the finest network [mm].
+const MESH: f32 = 0.9;
+
+/// Sizes of the bumps of the relief [mm], and the share of its slope that each takes.
+const BUMPS: [(f32, f32); 3] = [(7.0, 0.7), (2.4, 1.0), (0.9, 0.3)];
+
+/// RMS slope of unit gradient noise times its spacing.
+const UNIT_SLOPE: f32 = 3.3;
+
+/// A mucosa grown over one patient's wall.
+pub struct Tissue {
+    mucosa: Mucosa,
+    seed: u32,
+    vessels: SegmentGrid,
+    texel: f32,
+    redness: f32,
+    contrast: f32,
+}
+
+impl Tissue {
+    /// A patient: the seed sets how red the wall is and how clearly its vessels show.
+    pub fn new(mucosa: Mucosa, seed: u32, vessels: SegmentGrid, texel: f32) -> Self {
+        let patient = |number: u32| 2.0 * uniform(seed, 0x7061_7469, number) - 1.0;
+        Self {
+            mucosa,
+            seed,
+            vessels,
+            texel,
+            redness: mucosa.redness_variation * patient(0),
+            contrast: mucosa.vessel_contrast * (1.0 + 0.2 * patient(1)),
+        }
+    }
+
+    /// A brush for one run of neighbouring texels.
+    pub fn brush(&self) -> Brush<'_> {
+        let noise = |stream: u32, size: f32| {
+            Lattice::new(self.seed.wrapping_mul(31).wrapping_add(stream), size)
+        };
+        Brush {
+            tissue: self,
+            cursor: Cursor::new(),
+            patch: noise(0, 16.0),
+            mottle: noise(1, 4.5),
+            grain: noise(2, 1.3),
+            segment: noise(3, 110.0),
+            region: noise(4, 55.0),
+            film: noise(5, 21.0),
+            mesh: noise(6, MESH),
+            warps: [noise(7, 3.1), noise(8, 1.1)],
+            bumps: BUMPS.map(|(size, _)| noise(9 + size as u32, size)),
+            pits: noise(20, self.mucosa.pit_spacing * 1e3),
+        }
+    }
+
+    /// 1 for features wide enough for the texels to hold, 0 for those that would alias.
+    #[inline(always)]
+    fn resolved(&self, size: f32) -> f32 {
+        smoothstep(2.0, 4.0, size / self.texel)
+    }
+
+    /// The mucosa without any detail.
+    pub fn plain(&self) -> Sample {
+        let albedo = self.color(self.redness, 0.5 * self.mucosa.bile, Blood::default());
+        Sample { albedo, roughness: self.mucosa.roughness, height: 0.0 }
+    }
+
+    #[inline(always)]
+    fn color(&self, redness: f32, bile: f32, blood: Blood) -> [f32; 3] {
+        [0, 1, 2].map(|c| {
+            let density = redness * ARTERIAL[c] + bile * BILE[c];
+            let vessels = (1.0 - blood.artery * ARTERIAL[c]) * (1.0 - blood.vein * VENOUS[c]);
+            (self.mucosa.base_color[c] * exp(-density) * vessels).clamp(0.01, 0.95)
+        })
+    }
+
+    #[inline(always)]
+    fn roughness(&self, film: f32, mottle: f32, grain: f32) -> f32 {
+        let dry = self.mucosa.roughness + 0.05 * mottle + 0.03 * grain;
+        (dry * (1.0 - 0.35 * film)).clamp(0.1, 1.0)
+    }
+}
+
+/// Evaluates a tissue along neighbouring texels: it keeps what they share.
+pub struct Brush<'a> {
+    tissue: &'a Tissue,
+    cursor: Cursor,
+    patch: Lattice,
+    mottle: Lattice,
+    grain: Lattice,
+    segment: Lattice,
+    region: Lattice,
+    film: Lattice,
+    mesh: Lattice,
+    warps: [Lattice; 2],
+    bumps: [Lattice; 3],
+    pits: Lattice,
+}
+
+impl Brush<'_> {
+    /// Evaluates the mucosa at a place.
+    #[inline(always)]
+    pub fn at(&mut self, place: &Place) -> Sample {
+        let tissue = self.tissue;
+        let p = turned(place.point);
+        let crest = smoothstep(0.02, 0.2, place.curvature);
+        let patch = self.patch.gradient(p);
+        let mottle = self.mottle.gradient(p);
+        let grain = self.grain.gradient(p);
+        let warp = self.warp(place);
+        let fine = turned(warp);
+        let clarity = 0.3 + 0.7 * smoothstep(-1.3, 0.7, patch);
+        let seen = tissue.contrast * (1.0 - 0.85 * crest) * clarity;
+        let blood = tissue.vessels.blood(&mut self.cursor, warp, place.normal);
+        let blood = Blood { artery: seen * blood.artery, vein: seen * blood.vein };
+
+        let segment = self.segment.gradient([place.arc_length, 40.7, 78.1]);
+        let region = self.region.gradient(p);
+        let shade = 0.5 * segment + 0.45 * region - 0.35 * patch
+            + 0.4 * mottle
+            + 0.3 * grain
+            + 1.1 * self.capillary_mesh(fine);
+        let redness = tissue.redness + tissue.mucosa.redness_variation * shade - 0.18 * crest;
+        let film = smoothstep(0.6, 2.2, self.film.gradient(p) + 0.5 * mottle);
+        let bile = tissue.mucosa.bile
+            * (0.35 + 0.5 * smoothstep(-1.0, 1.5, region) + film)
+            * (1.0 - 0.6 * crest);
+        Sample {
+            albedo: tissue.color(redness, bile, blood),
+            roughness: tissue.roughness(film, mottle, grain),
+            height: self.relief(p, fine) + 0.015 * (blood.artery + blood.vein),
+        }
+    }
+
+    /// The place moved along the wall, so that vessels wind.
+    #[inline(always)]
+    fn warp(&mut self, place: &Place) -> Vec3 {
+        let slow = self.warps[0].displacement(place.point);
+        let quick = self.warps[1].displacement(place.point);
+        let shift = [0, 1, 2].map(|k| 0.75 * slow[k] + 0.2 * quick[k]);
+        let lift = dot(shift, place.normal);
+        [0, 1, 2].map(|k| place.point[k] + shift[k] - lift * place.normal[k])
+    }
+
+    /// Network of the finest vessels, about zero mean: ridges of noise, where texels hold them.
+    #[inline(always)]
+    fn capillary_mesh(&mut self, p: Vec3) -> f32 {
+        let ridge = 1.0 - (0.9 * self.mesh.gradient(p)).abs().min(1.0);
+        ridge * ridge * self.tissue.resolved(0.6 * MESH) - 0.3
+    }
+
+    /// Relief [mm] from bumps of three sizes and the grooves around pits, each by its slope.
+    #[inline(always)]
+    fn relief(&mut self, p: Vec3, fine: Vec3) -> f32 {
+        let tissue = self.tissue;
+        let mut height = 0.0;
+        for (bump, (size, share)) in self.bumps.iter_mut().zip(BUMPS) {
+            height += bump.gradient(p) * share * size * tissue.resolved(size);
+        }
+        let pits = tissue.mucosa.pit_spacing * 1e3;
+        let groove = self.pits.gradient(fine).abs().min(1.0) - 0.6;
+        (height * tissue.mucosa.relief_slope
+            + groove * tissue.mucosa.pit_slope * pits * tissue.resolved(0.7 * pits))
+            / UNIT_SLOPE
+    }
+}
+
+/// A rotation by Pythagorean numbers, so that no wall lies along the noise's lattice by habit.
+#[inline(always)]
+fn turned(p: Vec3) -> Vec3 {
+    [
+        0.36 * p[0] + 0.48 * p[1] - 0.8 * p[2],
+        -0.8 * p[0] + 0.6 * p[1],
+        0.48 * p[0] + 0.64 * p[1] + 0.6 * p[2],
+    ]
+}

@@ -1,0 +1,213 @@
+"""The default mucosa: colour, vessels, wetness and relief of a gut wall, baked into textures.
+
+Colour is a function of the wall's points in space (and of the way along the gut), evaluated at
+each texel, so it shows neither the borders of texture charts nor any repetition. Vessels are
+trees grown over the wall itself.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vrcaps import _core
+from vrcaps.errors import InputError, UnknownNameError
+from vrcaps.organ.surface import Appearance, OrganSurface
+from vrcaps.units import MM
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Int
+
+MAX_SIDE = 8192
+"""Longest side of a texture [texels]: what every common viewer and GPU accepts."""
+
+DEFAULT_TEXELS_PER_MM = 8.0
+"""Texture density sought where the caller names none."""
+
+
+@dataclass(frozen=True)
+class Mucosa:
+    """Character of a mucosa. Colours are fitted by eye to endoscopic images under white light.
+
+    Attributes:
+        base_color: Linear reflectance of the wall between its vessels, red, green, blue.
+        redness_variation: Spread of the optical density of blood in the mucosa, over places
+            along the gut, patches and patients.
+        bile: Optical density of bile-stained mucus in blue light.
+        vessel_contrast: Share of green light that a wide, shallow vessel takes away, 0 to 1.
+        vessel_spacing: Distance between the ends of the finest visible branches [m].
+        trunk_spacing: Distance between the places where vessel trunks reach the mucosa [m].
+        capillary_radius: Radius of the finest visible branches [m]; wider ones follow from it
+            by Murray's law.
+        relief_slope: RMS slope of the millimetre-sized relief, which breaks up highlights.
+        pit_spacing: Distance between the grooves around groups of crypts [m].
+        pit_slope: RMS slope of those grooves.
+        roughness: Perceptual roughness of the wall under its wet film, 0 to 1.
+        coat_gloss: Gloss of the wet film, 0 (satin) to 1 (mirror-like).
+    """
+
+    base_color: tuple[float, float, float]
+    redness_variation: float = 0.25
+    bile: float = 0.10
+    vessel_contrast: float = 0.85
+    vessel_spacing: float = 1.0 * MM
+    trunk_spacing: float = 30.0 * MM
+    capillary_radius: float = 0.038 * MM
+    relief_slope: float = 0.06
+    pit_spacing: float = 0.6 * MM
+    pit_slope: float = 0.012
+    roughness: float = 0.65
+    coat_gloss: float = 0.93
+
+
+MUCOSAE: dict[str, Mucosa] = {
+    "colon": Mucosa(base_color=(0.64, 0.215, 0.125)),
+    "stomach": Mucosa(
+        base_color=(0.62, 0.22, 0.12),
+        bile=0.08,
+        vessel_contrast=0.25,
+        vessel_spacing=1.5 * MM,
+        pit_spacing=0.8 * MM,
+        pit_slope=0.10,
+    ),
+    "small_intestine": Mucosa(
+        base_color=(0.60, 0.29, 0.16),
+        bile=0.45,
+        vessel_contrast=0.35,
+        pit_spacing=0.5 * MM,
+        pit_slope=0.16,
+        roughness=0.55,
+    ),
+}
+"""Mucosae by organ."""
+
+
+def bake_appearance(
+    organ: OrganSurface,
+    *,
+    seed: int,
+    mucosa: str | Mucosa = "colon",
+    texels_per_mm: float | None = None,
+    max_texels: int = 24_000_000,
+) -> Appearance:
+    """Bakes a mucosa into textures over an organ's texture coordinates.
+
+    The textures follow the coordinates' aspect: sides of up to `MAX_SIDE` texels, so that a
+    long tube whose v runs its whole length gets fewer texels along it than around it. A texel
+    takes 8 bytes in memory. Where faces overlap in the coordinates, the first one is drawn.
+
+    Args:
+        organ: The wall; its appearance is not looked at.
+        seed: Chooses the patient: vessels, patches, shade. The same seed gives the same bytes.
+        mucosa: Name in `MUCOSAE`, or a mucosa.
+        texels_per_mm: Density to bake at; None takes 8, or less where the limits bind.
+        max_texels: Most texels a texture may have.
+    """
+    mucosa = _resolve(mucosa)
+    pace = _pace(organ)
+    height, width = _texture_size(pace, texels_per_mm, max_texels)
+    texel = float(np.hypot(pace[0] / width, pace[1] / height)) / 2.0**0.5
+    albedo, roughness, relief = _core.bake_mucosa(
+        _wall_fields(organ),
+        np.ascontiguousarray(organ.faces, np.uint32),
+        np.ascontiguousarray(organ.uv.reshape(-1, 6), np.float64),
+        (height, width, texel / MM),
+        seed & 0xFFFFFFFF,
+        mucosa,
+    )
+    return Appearance(
+        albedo=albedo.reshape(height, width, 3),
+        roughness=roughness.reshape(height, width),
+        height=relief.reshape(height, width),
+        coat_gloss=mucosa.coat_gloss,
+    )
+
+
+def _resolve(mucosa: str | Mucosa) -> Mucosa:
+    if isinstance(mucosa, Mucosa):
+        return mucosa
+    if mucosa not in MUCOSAE:
+        raise UnknownNameError("mucosa", mucosa, MUCOSAE)
+    return MUCOSAE[mucosa]
+
+
+def _pace(organ: OrganSurface) -> tuple[float, float]:
+    """Length of wall [m] per unit of u and of v: the mean over the wall's area."""
+    if organ.uv.shape != (len(organ.faces), 3, 2) or not np.isfinite(organ.uv).all():
+        raise InputError(
+            f"Texture coordinates of {organ.name} have shape {organ.uv.shape}; allowed: finite, "
+            f"({len(organ.faces)}, 3, 2), one pair for each corner of each face."
+        )
+    corners = organ.vertices[organ.faces]
+    edges = corners[:, 1:] - corners[:, :1]
+    area = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1)
+    (du1, dv1), (du2, dv2) = np.moveaxis(organ.uv[:, 1:] - organ.uv[:, :1], 0, -1)
+    determinant = du1 * dv2 - du2 * dv1
+    is_charted = (determinant != 0.0) & (area > 0.0)
+    if area[is_charted].sum() < 0.5 * area.sum() or not is_charted.any():
+        raise InputError(
+            f"Texture coordinates of {organ.name} give no area to most of its wall; "
+            "make new ones for it."
+        )
+    if 0.5 * np.abs(determinant).sum() > 1.001:
+        raise InputError(
+            f"Texture coordinates of {organ.name} cover the unit square more than once: places "
+            "of the wall share texels; make new ones without overlap."
+        )
+    weight = area * is_charted / np.where(is_charted, determinant, 1.0)
+    along_u = np.linalg.norm(edges[:, 0] * dv2[:, None] - edges[:, 1] * dv1[:, None], axis=1)
+    along_v = np.linalg.norm(edges[:, 1] * du1[:, None] - edges[:, 0] * du2[:, None], axis=1)
+    total = area[is_charted].sum()
+    return float(np.abs(weight) @ along_u / total), float(np.abs(weight) @ along_v / total)
+
+
+def _texture_size(
+    pace: tuple[float, float], texels_per_mm: float | None, max_texels: int
+) -> tuple[int, int]:
+    """Height and width [texels], multiples of 16 and at most `MAX_SIDE`."""
+    density = DEFAULT_TEXELS_PER_MM if texels_per_mm is None else texels_per_mm
+    if not (density > 0.0 and np.isfinite(density)):
+        raise InputError(f"texels_per_mm is {density}; allowed: a number above 0.")
+    if max_texels < 256:
+        raise InputError(f"max_texels is {max_texels}; allowed: at least 256.")
+    width, height = (length / MM * density for length in pace)
+    if texels_per_mm is not None and (max(width, height) > MAX_SIDE or width * height > max_texels):
+        raise InputError(
+            f"{density:g} texels per mm need a texture of {width:.0f} × {height:.0f} texels; "
+            f"allowed: sides up to {MAX_SIDE} and {max_texels} in all. Lower texels_per_mm."
+        )
+    width, height = min(width, MAX_SIDE), min(height, MAX_SIDE)
+    shrink = min(1.0, (max_texels / (width * height)) ** 0.5)
+    width, height = (max(16, int(side * shrink) // 16 * 16) for side in (width, height))
+    return height, width
+
+
+def _wall_fields(organ: OrganSurface) -> Float[np.ndarray, "n 8"]:
+    """Position [mm], normal, curvature [1/mm] and arc length [mm] of each vertex."""
+    curvature = _bulge(organ.vertices, organ.normals, organ.faces) * MM
+    columns = (organ.vertices / MM, organ.normals, curvature, organ.arc_length / MM)
+    return np.column_stack(columns).astype(np.float32)
+
+
+def _bulge(
+    vertices: Float[np.ndarray, "n 3"],
+    normals: Float[np.ndarray, "n 3"],
+    faces: Int[np.ndarray, "m 3"],
+) -> Float[np.ndarray, " n"]:
+    """Mean curvature [1/m], positive where the wall bulges into the lumen, smoothed.
+
+    Along an edge e the normal curvature is (Δn · e) / |e|²; a vertex takes the mean over its
+    edges.
+    """
+    a, b = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]).T
+    edge = vertices[b] - vertices[a]
+    squared = np.einsum("ij,ij->i", edge, edge)
+    turn = np.einsum("ij,ij->i", normals[b] - normals[a], edge)
+    curvature = turn / np.where(squared > 0.0, squared, 1.0)
+    count = np.maximum(np.bincount(a, minlength=len(vertices)), 1)
+    bulge = np.bincount(a, curvature, len(vertices)) / count
+    for _ in range(2):
+        bulge = 0.5 * bulge + 0.5 * np.bincount(a, bulge[b], len(vertices)) / count
+    return bulge

@@ -25,7 +25,10 @@ SMALL = 30_000
 
 @pytest.fixture(scope="module")
 def mean_colon() -> OrganSurface:
-    return generate_colon(ColonParameters(), seed=0)
+    start = time.process_time()
+    organ = generate_colon(ColonParameters(), seed=0)
+    assert time.process_time() - start < 10.0
+    return organ
 
 
 @pytest.fixture(scope="module", params=["mean", "drawn"])
@@ -228,19 +231,12 @@ def test_texture_coordinates_form_one_chart_without_overlap(colon: OrganSurface)
     assert np.percentile(density, 95) < 6.0 * np.percentile(density, 5)
 
 
-def test_same_seed_same_bytes_other_seed_other_patient():
+def test_same_seed_same_bytes_other_seed_other_course(mean_colon: OrganSurface):
     parameters = dataclasses.replace(ColonParameters(), triangles=SMALL)
-    one, again, other = (generate_colon(parameters, seed=seed) for seed in (1, 1, 2))
+    one, again = (generate_colon(parameters, seed=1) for _ in range(2))
     for name in ("vertices", "faces", "normals", "uv", "label", "arc_length", "theta", "radius"):
         assert getattr(one, name).tobytes() == getattr(again, name).tobytes()
-    assert one.vertices.tobytes() != other.vertices.tobytes()
-    assert np.abs(one.centerline.points - other.centerline.points).max() > 0.01
-
-
-def test_generation_is_quick():
-    start = time.process_time()
-    generate_colon(dataclasses.replace(ColonParameters(), triangles=SMALL), seed=5)
-    assert time.process_time() - start < 10.0
+    assert np.abs(one.centerline.points - mean_colon.centerline.points).max() > 0.01
 
 
 def test_cohort_reproduces_the_published_means():

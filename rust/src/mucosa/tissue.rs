@@ -56,7 +56,7 @@ const MESH: f32 = 0.9;
 /// Sizes of the bumps of the relief [mm], and the share of its slope that each takes.
 const BUMPS: [(f32, f32); 3] = [(7.0, 0.7), (2.4, 1.0), (0.9, 0.3)];
 
-/// RMS slope of unit gradient noise times its spacing.
+/// RMS slope of gradient noise times its spacing.
 const UNIT_SLOPE: f32 = 3.3;
 
 /// A mucosa grown over one patient's wall.

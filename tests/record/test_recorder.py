@@ -159,6 +159,16 @@ def test_empty_folder_and_single_channel(scenario, tmp_path):
     assert not (out / "preview.mp4").exists()
 
 
+def test_no_flow_beyond_the_ends_of_the_run(recorded):
+    episode = read_episode(recorded)
+    for camera in ("front", "rear"):
+        assert np.isnan(episode.image(camera, "flow_backward", 0)).all()
+        assert np.isnan(episode.image(camera, "flow_forward", 4)).all()
+        assert episode.image(camera, "occlusion", 4).all()
+        assert np.isfinite(episode.image(camera, "flow_forward", 0)).any()
+        assert np.isfinite(episode.image(camera, "flow_backward", 4)).any()
+
+
 RUN = """
 import pickle
 import sys

@@ -6,7 +6,7 @@ import errno
 from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -196,16 +196,28 @@ def _write_frames(out: Path, run: _Run) -> None:
 def _render(renderer: Renderer, run: _Run, frame: int) -> dict[str, Frame]:
     """Images of all cameras at one frame."""
     channels, last = run.scenario.channels, len(run.trajectory) - 1
-    # The run has no frame before the first or after the last: there the world stands still.
     state, after, before = (
         run.trajectory.state(min(max(index, 0), last)) for index in (frame, frame + 1, frame - 1)
     )
-    return {
+    images = {
         camera.name: renderer.render(
             state, camera, channels=channels, state_next=after, state_previous=before
         )
         for camera in run.model.device.cameras
     }
+    ends = (frame == 0, frame == last)
+    return {name: _without_neighbour(image, *ends) for name, image in images.items()}
+
+
+def _without_neighbour(image: Frame, is_first: bool, is_last: bool) -> Frame:
+    """The image with no flow to a frame that the run does not have, and nothing seen in it."""
+    if is_first and image.flow_backward is not None:
+        image = replace(image, flow_backward=np.full_like(image.flow_backward, np.nan))
+    if is_last and image.flow_forward is not None:
+        image = replace(image, flow_forward=np.full_like(image.flow_forward, np.nan))
+    if is_last and image.occlusion is not None:
+        image = replace(image, occlusion=np.ones_like(image.occlusion))
+    return image
 
 
 def _write_frame(preview: Preview | None, run: _Run, frame: int, images: dict[str, Frame]) -> None:

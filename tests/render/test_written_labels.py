@@ -1,0 +1,29 @@
+"""Labels are exact through the files that a recording writes: pose, camera and `organ.glb`."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+from shapes import tube
+
+from vrcaps.organ.surface import Mesh
+from vrcaps.organ.write import write_mesh
+from vrcaps.record.scenario import OrganFile
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks"))
+
+
+def test_recorded_labels_agree_with_embree(tmp_path: Path) -> None:
+    from validate_labels import STEP, measure
+
+    organ = tube(48, 120, length=0.12, folds=0.15, capped=True)
+    write_mesh(tmp_path / "tube.ply", Mesh(organ.vertices, organ.faces))
+    tally = measure(OrganFile(str(tmp_path / "tube.ply"), "m"), "mono", frames=3)
+    assert np.concatenate(tally.same_holes).mean() > 0.9999
+    assert np.mean(np.concatenate(tally.depth) <= STEP) > 0.999
+    assert np.mean(np.concatenate(tally.normal_deg) <= 0.1) > 0.999
+    assert np.concatenate(tally.label).mean() > 0.999
+    assert np.concatenate(tally.arc_length).mean() > 0.999
+    assert np.mean(np.concatenate(tally.flow_px) <= 0.05) > 0.999

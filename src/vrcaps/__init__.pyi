@@ -10,6 +10,7 @@ from .record.scenario import OrganFile as OrganFile
 from .record.scenario import OrganGenerated as OrganGenerated
 from .record.scenario import Scenario as Scenario
 from .record.scenario import read_scenario as read_scenario
+from .render.frame import Frame as Frame
 from .render.renderer import Renderer as Renderer
 from .render.settings import RenderSettings as RenderSettings
 from .world.fly_through import FlyThrough as FlyThrough

@@ -51,8 +51,8 @@ def main(path: Path) -> None:
     ]
     picture = Image.fromarray(np.concatenate(rows))
     picture = picture.resize((picture.width // 2, picture.height // 2), Image.Resampling.LANCZOS)
-    picture.quantize(192).save(path, optimize=True)
+    picture.save(path, quality=90)
 
 
 if __name__ == "__main__":
-    main(Path(__file__).with_suffix(".png"))
+    main(Path(__file__).with_suffix(".jpg"))

@@ -295,6 +295,32 @@ def test_shadows_only_darken(rng: np.random.Generator) -> None:
     np.testing.assert_array_equal(shaded[~dark], free[~dark])
 
 
+def test_harsh_input_gives_finite_light(rng: np.random.Generator) -> None:
+    """Cliffs for relief, faces without area or texture, lamps on the wall and at the lens."""
+    organ = tube(40, 80, folds=0.4, capped=True, appearance=patterned(rng, relief=5e-3))
+    vertices = np.concatenate([organ.vertices, [[0.0, 0.0, 9.0]]])  # one that no face uses
+    faces, uv = organ.faces.copy(), organ.uv.copy()
+    faces[::9, 1] = faces[::9, 0]
+    uv[::4] = 0.0
+    harsh = make_organ(vertices, faces, uv=uv, appearance=organ.appearance)
+    state = looking((0.004, -0.003, 0.05))
+    pose = state.T_world_capsule
+    on_wall = rotate_vectors(pose.T, organ.vertices[1200:1202] - pose[:3, 3])
+    leds = tuple(Led(tuple(place), lobe_exponent=2.0) for place in (*on_wall, np.zeros(3)))
+    camera = make_camera("equidistant", leds=leds)
+    for shadows in (False, True):
+        settings = RenderSettings(shadows=shadows)
+        frame = Renderer(make_model(harsh, camera), settings).render(
+            state, camera, channels=("radiance", "normal", "depth", "albedo")
+        )
+        seen = np.isfinite(frame.depth)
+        assert seen.mean() > 0.6
+        assert np.isfinite(frame.radiance).all()
+        assert (frame.radiance >= 0.0).all()
+        assert np.isfinite(frame.albedo[seen]).all()
+        np.testing.assert_allclose(np.linalg.norm(frame.normal[seen], axis=1), 1.0, atol=1e-5)
+
+
 def test_an_organ_without_textures_is_drawn_plain() -> None:
     camera = make_camera()
     model, state = make_model(sphere(3), camera), looking((0.004, -0.006, 0.003))

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import matplotlib
 import numpy as np
+from PIL import Image
 
 import vrcaps
 
@@ -47,7 +48,8 @@ def main(out: Path, seed: int) -> None:
         np.nan_to_num(0.5 - 0.5 * frame.normal),
         matplotlib.colormaps["tab10"](frame.label)[..., :3] * (frame.label > 0)[..., None],
     ]
-    matplotlib.image.imsave(out / "first_frame.png", np.concatenate(panels, axis=1))
+    picture = np.uint8(255.0 * np.nan_to_num(np.concatenate(panels, axis=1)) + 0.5)
+    Image.fromarray(picture).save(out / "first_frame.png")
     print(f"Look at {out / 'first_frame.png'}.")
 
 

@@ -17,6 +17,7 @@ import numpy as np
 import trimesh
 
 import vrcaps
+from vrcaps._core import Wall
 from vrcaps.record.recorder import record
 from vrcaps.transforms import transform_points
 
@@ -65,10 +66,8 @@ def main(organ: Path | None, unit: str, frames: int, out: Path) -> None:
     points_camera = rays * (depth[rows, columns] / rays[:, 2])[:, None]
     points_world = transform_points(episode.Ts_world_camera(camera.name)[-1], points_camera)
 
-    distance = trimesh.proximity.closest_point(
-        trimesh.Trimesh(episode.organ.vertices, episode.organ.faces, process=False),
-        points_world[:: max(len(points_world) // 500, 1)],
-    )[1]
+    wall = Wall(episode.organ.vertices, episode.organ.faces)
+    distance = np.abs(wall.signed_distance(points_world))
     print(f"{len(points_world)} points, {1e6 * np.median(distance):.1f} µm from the wall (median).")
     print(f"Look at {out / 'sheet.png'}.")
 

@@ -162,7 +162,7 @@ pub fn trace<const ANY: bool>(
     let mut stack = [(0u32, 0.0f32); STACK];
     let mut top = 1;
     let mut farthest = farthest_of(&hits.distance);
-    while top > 0 {
+    while top > 0 && farthest > 0.0 {
         top -= 1;
         let (code, nearest) = stack[top];
         if nearest > farthest {

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from vrcaps import _core
 from vrcaps.units import UM
 
 if TYPE_CHECKING:
@@ -55,20 +56,11 @@ class Encoding:
             return np.where(values, np.uint8(255), np.uint8(0))
         if self.scale is None:
             return np.ascontiguousarray(values, self.dtype)
-        steps = np.rint((values - np.float32(self.offset)) * np.float32(1.0 / self.scale))
-        # Written so that NaN fails too. Range: 1 to 65535, as 0 is the invalid number.
-        valid = (steps >= 1.0) & (steps <= 65535.0)
-        if self.components == 2:
-            return self._with_validity(steps, np.all(valid, axis=-1))
-        if self.components > 1:
-            valid = valid.all(axis=-1, keepdims=True)
-        return np.where(valid, steps, 0.0).astype(self.dtype)
-
-    def _with_validity(self, steps: NDArray, valid: NDArray) -> NDArray:
-        stored = np.zeros((*valid.shape, self.planes), self.dtype)
-        stored[..., : self.components] = np.where(valid[..., None], steps, 0.0)
-        stored[..., -1] = valid
-        return stored
+        steps = _core.quantize(np.ascontiguousarray(values), self.scale, self.offset)
+        if self.components != 2:
+            return steps
+        valid = (steps[..., :1] != 0).astype(steps.dtype)
+        return np.concatenate([steps, valid], axis=-1)
 
     def decode(self, stored: NDArray) -> NDArray:
         """Values of stored numbers: float32 with NaN where invalid, or as they are stored."""

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from vrcaps.cli.benchmarks.extent import FULL, QUICK, Extent
-from vrcaps.cli.benchmarks.peers import package_versions
+from vrcaps.cli.benchmarks.peers import PACKAGES, package_versions
 from vrcaps.cli.benchmarks.report import Report, check_out, machine_facts, show_report
 from vrcaps.cli.benchmarks.stage import make_organ, make_stage
 from vrcaps.cli.benchmarks.studies import STUDIES
@@ -21,23 +22,34 @@ if TYPE_CHECKING:
 _SEED = 0
 
 
-def run(*, out: Path | None = None, quick: bool = False, only: Sequence[str] = ()) -> Report:
+def run(
+    *,
+    out: Path | None = None,
+    quick: bool = False,
+    only: Sequence[str] = (),
+    peers: Sequence[str] | None = None,
+) -> Report:
     """Measure, print, and write Markdown and JSON.
 
     Args:
         out: Markdown file to write; None writes nothing.
         quick: Measure little; the figures mean nothing.
         only: Names of `STUDIES`; all by default.
+        peers: Other renderers of `PACKAGES` to measure beside ours; all by default.
 
     Raises:
-        UnknownNameError: If there is no such study.
+        UnknownNameError: If there is no such study or peer.
         InputError: If `out` is no Markdown file.
     """
-    for name in only:
-        if name not in STUDIES:
-            raise UnknownNameError("study", name, STUDIES)
+    for noun, names, known in (("study", only, STUDIES), ("peer", peers or (), PACKAGES)):
+        for name in names:
+            if name not in known:
+                raise UnknownNameError(noun, name, known)
     check_out(out)
-    report = measure(QUICK if quick else FULL, only=only or tuple(STUDIES))
+    extent = QUICK if quick else FULL
+    if peers is not None:
+        extent = replace(extent, peers=tuple(peers))
+    report = measure(extent, only=only or tuple(STUDIES))
     show_report(report, out, console)
     return report
 
@@ -51,9 +63,10 @@ def measure(extent: Extent, *, only: Sequence[str]) -> Report:
     for name in only:
         with progress_bar(name) as advance:
             found.append(STUDIES[name](stage, extent, _counter(advance, extent.num_rounds + 1)))
+    is_whole = tuple(only) == tuple(STUDIES)
     return Report(
-        name="render",
-        command="vrcaps bench render",
+        name="render" if is_whole else f"render-{'-'.join(only)}",
+        command="vrcaps bench render" + ("" if is_whole else f" --only {' '.join(only)}"),
         setting=_setting(stage, extent),
         claims=tuple(claim for study in found for claim in study.claims),
         tables=tuple(study.table for study in found),

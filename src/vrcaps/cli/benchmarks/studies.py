@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vrcaps.cli.benchmarks import claims
-from vrcaps.cli.benchmarks.peers import PACKAGES, embree, find_peers, mitsuba, mujoco
+from vrcaps.cli.benchmarks.peers import embree, find_peers, mitsuba, mujoco
 from vrcaps.cli.benchmarks.report import Claim, Row, Table
 from vrcaps.cli.benchmarks.stage import (
     Stage,
@@ -105,9 +105,7 @@ def frame(stage: Stage, extent: Extent, progress: Callable[[], None]) -> Study:
             "all vertices new in each frame, refit included",
         ),
     ]
-    peers, skipped = (
-        find_peers(stage) if extent.peers else ([], dict.fromkeys(PACKAGES, "no peers"))
-    )
+    peers, skipped = find_peers(stage, extent.peers)
     subjects += peers
     times = _timed(subjects, extent, progress)
     ours = times[COMPLETE]
@@ -116,7 +114,7 @@ def frame(stage: Stage, extent: Extent, progress: Callable[[], None]) -> Study:
 
     def against(claim: Claim, peer: str, package: str) -> Claim:
         if peer not in times:
-            return replace(claim, reason=skipped.get(package, "not measured"))
+            return replace(claim, reason=skipped.get(package, "not asked for"))
         is_share = claim.sense == "≤"
         pair = (ours, times[peer]) if is_share else (times[peer], ours)
         return replace(claim, measured=ratio(*pair))

@@ -6,6 +6,7 @@ package is not installed or does not work on this machine.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
@@ -76,11 +77,13 @@ def load_package(name: str) -> Any:
         ) from error
 
 
-def find_peers(stage: Stage) -> tuple[list[Subject], dict[str, str]]:
-    """Subjects of all peers that work here, and why the others are left out."""
+def find_peers(
+    stage: Stage, names: Sequence[str] = tuple(PACKAGES)
+) -> tuple[list[Subject], dict[str, str]]:
+    """Subjects of the peers that work here, and why the others are left out."""
     found: list[Subject] = []
     skipped: dict[str, str] = {}
-    for name in PACKAGES:
+    for name in names:
         module = import_module(f"{__name__}.{name}")
         try:
             found += module.subjects(stage)

@@ -12,7 +12,7 @@ from vrcaps.organ.surface import Mesh
 from vrcaps.organ.write import write_mesh
 from vrcaps.record.scenario import OrganFile
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks"))
+sys.path.append(str(Path(__file__).resolve().parents[2] / "benchmarks"))
 
 
 def test_recorded_labels_agree_with_embree(tmp_path: Path) -> None:

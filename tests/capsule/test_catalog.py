@@ -42,10 +42,10 @@ def test_lenses_and_leds_are_inside_the_body(name):
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_exposure_gives_a_matt_wall_at_15_mm_the_value_0_4(name):
+def test_exposure_gives_a_matt_wall_at_20_mm_the_value_0_4(name):
     """L = (ρ/π) Σ I cosᵐφ cosα / d², on the axis, with albedo ρ = 0.5."""
     for camera in load_device(name).cameras:
-        wall = np.array([0.0, 0.0, 15 * MM])
+        wall = np.array([0.0, 0.0, 20 * MM])
         irradiance = 0.0
         for led in camera.leds:
             offset = wall - led.position_camera

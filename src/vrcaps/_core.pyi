@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 __version__: str
+__file__: str
 
 class Wall:
     """A triangle surface with its bounding-volume hierarchy; normals point into the lumen."""

@@ -124,3 +124,14 @@ def test_the_folder_follows_the_platform(monkeypatch: pytest.MonkeyPatch, tmp_pa
         assert cache_folder() == expected
     monkeypatch.setenv("VRCAPS_CACHE", str(tmp_path / "own"))
     assert cache_folder() == tmp_path / "own"
+
+
+def test_changed_parameters_or_code_are_another_file(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+):
+    assert cache.fingerprint({"a": 1}) == cache.fingerprint({"a": 1})
+    assert cache.fingerprint({"a": 1}) != cache.fingerprint({"a": 2})
+    before = cache.fingerprint({"a": 1})
+    (tmp_path / "new.py").write_text("x = 1\n")
+    monkeypatch.setattr(cache, "__file__", str(tmp_path / "cache.py"))
+    assert cache.fingerprint({"a": 1}) != before

@@ -55,6 +55,9 @@ class Record:
     reverse: bool = False
     """The narrower end of a mesh file's lumen is the oral one."""
 
+    mucosa: str = "colon"
+    """Look of a mesh file's wall: colon, stomach or small_intestine."""
+
     patient: int | None = None
     """Seed of a generated organ; by default --seed. Give it to fly many runs through one."""
 
@@ -151,6 +154,7 @@ class Record:
             open_ends=self.open_ends,
             keep_uv=self.keep_uv,
             reverse=self.reverse,
+            mucosa=self.mucosa,
         )
         if is_mesh_file(self.organ):
             if self.patient is not None:
@@ -158,7 +162,7 @@ class Record:
             return replace(mesh, unit=require_unit("--unit", self.unit, self.organ))
         if mesh != OrganFile(path=self.organ, unit=""):
             raise InputError(
-                f"--unit, --open-ends, --keep-uv and --reverse go with a mesh file, but "
+                f"--unit, --open-ends, --keep-uv, --reverse and --mucosa go with a mesh file, but "
                 f"{self.organ!r} is a name. Drop them, or give the path of a PLY, OBJ, STL or GLB."
             )
         patient = self.seed if self.patient is None else self.patient

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import sys
@@ -15,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from vrcaps import _core
 from vrcaps.organ.surface import Appearance, Centerline, OrganSurface
 
 _BROKEN = (OSError, EOFError, ValueError, KeyError, TypeError, zipfile.BadZipFile)
@@ -63,6 +65,16 @@ def cached_organ(name: str, make: Callable[[], OrganSurface]) -> OrganSurface:
             stacklevel=2,
         )
     return organ
+
+
+def fingerprint(parameters: dict[str, Any]) -> str:
+    """Changes with the parameters and with the code, compiled or not, that makes organs."""
+    digest = hashlib.sha256(json.dumps(parameters, sort_keys=True).encode())
+    folder = Path(__file__).parent
+    for path in sorted(folder.rglob("*.py")):
+        digest.update(path.relative_to(folder).as_posix().encode() + path.read_bytes())
+    digest.update(Path(_core.__file__).read_bytes())
+    return digest.hexdigest()[:16]
 
 
 def _write_organ(path: Path, organ: OrganSurface) -> None:

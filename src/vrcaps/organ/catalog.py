@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 from collections.abc import Callable
 from dataclasses import asdict, replace
-from pathlib import Path
 
 import numpy as np
 
 from vrcaps.errors import InputError, UnknownNameError
-from vrcaps.organ.cache import cached_organ
+from vrcaps.organ.cache import cached_organ, fingerprint
 from vrcaps.organ.surface import OrganSurface
 
 
@@ -46,16 +43,7 @@ def _load_colon(seed: int) -> OrganSurface:
         organ = generate_colon(parameters, seed=seed)
         return replace(organ, appearance=bake_appearance(organ, seed=seed))
 
-    return cached_organ(f"colon-{seed}-{_fingerprint(asdict(parameters))}", make)
-
-
-def _fingerprint(parameters: dict) -> str:
-    """Changes with the parameters and with the code that makes organs."""
-    digest = hashlib.sha256(json.dumps(parameters, sort_keys=True).encode())
-    folder = Path(__file__).parent
-    for path in sorted(folder.rglob("*.py")):
-        digest.update(path.relative_to(folder).as_posix().encode() + path.read_bytes())
-    return digest.hexdigest()[:16]
+    return cached_organ(f"colon-{seed}-{fingerprint(asdict(parameters))}", make)
 
 
 ORGANS: dict[str, Callable[[int], OrganSurface]] = {"colon": _load_colon}

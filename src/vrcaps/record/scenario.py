@@ -6,7 +6,7 @@ import hashlib
 import json
 import math
 import tomllib
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
@@ -53,6 +53,7 @@ class OrganFile:
         open_ends: Whether open ends of the lumen are capped or left open.
         keep_uv: Whether the file's own texture coordinates stay.
         reverse: Whether the narrower end of the lumen is the oral one.
+        mucosa: Look of the wall, a name of `vrcaps.organ.appearance.MUCOSAE`.
         sha256: Checksum of the file; filled in when recorded, checked when given.
     """
 
@@ -61,6 +62,7 @@ class OrganFile:
     open_ends: Literal["cap", "keep"] = "cap"
     keep_uv: bool = False
     reverse: bool = False
+    mucosa: str = "colon"
     sha256: str = ""
 
     kind: ClassVar[str] = "file"
@@ -184,22 +186,29 @@ def make_trajectory(scenario: Scenario, model: Model) -> Trajectory:
 
 
 def _load_organ(scenario: Scenario) -> OrganSurface:
-    """The organ with its appearance."""
+    """The organ with its appearance, made once and then read from the user's cache folder."""
     from vrcaps.organ.appearance import bake_appearance
+    from vrcaps.organ.cache import cached_organ, fingerprint
     from vrcaps.organ.catalog import load_organ
     from vrcaps.organ.from_file import organ_from_file
 
     given = scenario.organ
     if isinstance(given, OrganGenerated):
         return load_organ(given.name, seed=given.seed)
-    organ = organ_from_file(
-        Path(given.path),
-        unit=given.unit,
-        open_ends=given.open_ends,
-        keep_uv=given.keep_uv,
-        reverse=given.reverse,
-    )
-    return replace(organ, appearance=bake_appearance(organ, seed=scenario.seed))
+
+    def make() -> OrganSurface:
+        organ = organ_from_file(
+            Path(given.path),
+            unit=given.unit,
+            open_ends=given.open_ends,
+            keep_uv=given.keep_uv,
+            reverse=given.reverse,
+        )
+        look = bake_appearance(organ, seed=scenario.seed, mucosa=given.mucosa)
+        return replace(organ, appearance=look)
+
+    key = fingerprint(asdict(given) | {"seed": scenario.seed})
+    return cached_organ(f"file-{key}", make)
 
 
 def _checked_sha256(path: str, expected: str) -> str:

@@ -107,7 +107,8 @@ HEAD = (
 
 
 def _percent(share: float) -> str:
-    return f"{100.0 * share:.3f} %"
+    """Rounded down, so that 100 % means all."""
+    return f"{np.floor(1e5 * share) / 1e3:.3f} %"
 
 
 def compare(episode: Episode, written: Written, tally: Tally) -> None:
@@ -198,11 +199,12 @@ def main() -> None:
             continue
         for capsule in CAPSULES:
             rows.append((name, capsule, *measure(organ, capsule, given.size).row()))
-            print(rows[-1], flush=True)
+            print(*rows[-1], sep=" | ", flush=True)
     text = (
         "## Labels\n\n`python benchmarks/validate_labels.py`: recorded episodes against Embree "
         "through the pose,\ncamera and `organ.glb` that were written; "
-        f"{given.size} frames each.\n\n"
+        f"{given.size - 1} frames\nthrough the whole organ and {given.size - 1} at 1 mm a frame, "
+        "flow from the latter.\n\n"
         + table(("organ", "capsule", *HEAD), rows)
         + "\n\nA smooth normal that points away from the camera, near an outline, is stored bent "
         "to the horizon;\nthese pixels are counted under *bent* and left out of the normals."

@@ -16,9 +16,7 @@ _TITLE = """# Validation of the renderer
 Each table below is written by the script named above it; nobody types results.
 """
 
-# The independent renderers that the tests use; and no script here may hide an installed package.
-sys.path.append(str(ROOT / "tests" / "render"))
-sys.path.sort(key=str(ROOT / "benchmarks").__eq__)
+sys.path.append(str(ROOT / "tests" / "render"))  # the independent renderers that the tests use
 
 
 def options(description: str, size: int) -> argparse.Namespace:

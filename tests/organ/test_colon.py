@@ -292,6 +292,18 @@ def sample(texture: np.ndarray, uv: np.ndarray) -> np.ndarray:
     return map_coordinates(texture, place, order=1)
 
 
+def test_rows_of_the_grid_stay_in_order():
+    """Rows in order stay where they are; others end up in order, no farther out than before."""
+    along = np.linspace(0.0, 1.0, 200)[:, None]
+    shift = np.random.default_rng(0).normal(0.0, 0.02, (200, 7))
+    rows = along + generate_module._in_order(along, shift)
+    least = generate_module._LEAST_GAP / 199
+    assert np.diff(rows, axis=0).min() > (1.0 - 1e-9) * least
+    assert np.abs(rows - along).max() <= np.abs(shift).max()
+    gentle = 0.08 * np.sin(2.0 * np.pi * (along + np.arange(7) / 7))
+    assert np.allclose(generate_module._in_order(along, gentle), gentle, atol=1e-12)
+
+
 def test_same_seed_same_bytes_other_seed_other_course(
     small_colon: OrganSurface, mean_colon: OrganSurface
 ):

@@ -64,7 +64,7 @@ pub struct Bvh {
     /// Triangles in leaf order.
     pub triangles: Vec<Triangle>,
     /// Vertex numbers of the triangles, in the same order.
-    corners: Vec<[u32; 3]>,
+    pub corners: Vec<[u32; 3]>,
 }
 
 impl Bvh {
@@ -95,22 +95,8 @@ impl Bvh {
 
     /// Moves triangles and boxes to new vertex positions; the tree stays.
     pub fn refit(&mut self, vertices: &[Vec3]) {
-        let corners = self.corners.par_iter();
-        self.triangles.par_iter_mut().zip(corners).with_min_len(4096).for_each(|(triangle, c)| {
-            triangle.corners = c.map(|v| vertices[v as usize]);
-        });
-        // Boxes of leaves touch only their own triangles and are found in parallel; the rest of the
-        // tree is a small fraction and goes bottom-up, children first.
-        let triangles = &self.triangles;
-        self.nodes.par_chunks_mut(256).for_each(|chunk| {
-            for node in chunk {
-                for k in 0..WIDTH {
-                    if let Child::Leaf(range) = Child::of(node.children[k]) {
-                        node.set(k, bounds_of(&triangles[range]));
-                    }
-                }
-            }
-        });
+        self.leaf_chunks().into_par_iter().for_each(|chunk| chunk.refit(vertices));
+        // The boxes of inner children are few and go bottom-up, children first.
         for n in (0..self.nodes.len()).rev() {
             for k in 0..WIDTH {
                 if let Child::Node(child) = Child::of(self.nodes[n].children[k]) {
@@ -120,12 +106,72 @@ impl Bvh {
             }
         }
     }
+
+    /// Cuts nodes and the triangles of their leaves into pieces that can be refitted in parallel.
+    fn leaf_chunks(&mut self) -> Vec<LeafChunk<'_>> {
+        let (mut triangles, mut corners) = (&mut self.triangles[..], &self.corners[..]);
+        let mut first = 0;
+        let mut chunks = Vec::new();
+        for nodes in self.nodes.chunks_mut(512) {
+            let count = nodes.iter().map(Node::num_leaf_triangles).sum();
+            let (head, tail) = triangles.split_at_mut(count);
+            let (head_corners, tail_corners) = corners.split_at(count);
+            chunks.push(LeafChunk { nodes, triangles: head, corners: head_corners, first });
+            (triangles, corners) = (tail, tail_corners);
+            first += count;
+        }
+        chunks
+    }
+}
+
+/// Nodes in a row and the triangles of their leaves, which lie in the same order.
+struct LeafChunk<'a> {
+    nodes: &'a mut [Node],
+    triangles: &'a mut [Triangle],
+    corners: &'a [[u32; 3]],
+    /// Number of the first triangle.
+    first: usize,
+}
+
+impl LeafChunk<'_> {
+    /// Moves the triangles and the boxes of leaves in one sweep.
+    fn refit(self, vertices: &[Vec3]) {
+        for node in self.nodes {
+            for k in 0..WIDTH {
+                if let Child::Leaf(range) = Child::of(node.children[k])
+                    && !range.is_empty()
+                {
+                    let range = range.start - self.first..range.end - self.first;
+                    let (mut low, mut high) = ([FAR; 3], [-FAR; 3]);
+                    let triangles = &mut self.triangles[range.clone()];
+                    for (triangle, corners) in triangles.iter_mut().zip(&self.corners[range]) {
+                        let [a, b, c] = corners.map(|v| vertices[v as usize]);
+                        for axis in 0..3 {
+                            low[axis] = min(low[axis], min(a[axis], min(b[axis], c[axis])));
+                            high[axis] = max(high[axis], max(a[axis], max(b[axis], c[axis])));
+                        }
+                        triangle.corners = [a, b, c];
+                    }
+                    node.set(k, [low[0], low[1], low[2], high[0], high[1], high[2]]);
+                }
+            }
+        }
+    }
 }
 
 impl Node {
+    /// A node without children.
     fn empty() -> Self {
         let (low, high) = ([FAR; WIDTH], [-FAR; WIDTH]);
         Node { bounds: [low, low, low, high, high, high], children: [LEAF; WIDTH] }
+    }
+
+    fn num_leaf_triangles(&self) -> usize {
+        let count = |&code: &u32| match Child::of(code) {
+            Child::Leaf(range) => range.len(),
+            Child::Node(_) => 0,
+        };
+        self.children.iter().map(count).sum()
     }
 
     #[inline(always)]
@@ -144,18 +190,6 @@ impl Node {
     }
 }
 
-fn bounds_of(triangles: &[Triangle]) -> [f32; 6] {
-    let (mut low, mut high) = ([FAR; 3], [-FAR; 3]);
-    for triangle in triangles {
-        let [a, b, c] = &triangle.corners;
-        for axis in 0..3 {
-            low[axis] = min(low[axis], min(a[axis], min(b[axis], c[axis])));
-            high[axis] = max(high[axis], max(a[axis], max(b[axis], c[axis])));
-        }
-    }
-    [low[0], low[1], low[2], high[0], high[1], high[2]]
-}
-
 /// Turns a binary hierarchy into an eight-wide one.
 struct Collapse<'a> {
     binary: &'a Bvh2,
@@ -170,17 +204,25 @@ impl<'a> Collapse<'a> {
     }
 
     /// Adds the node that stands for binary node `root`; returns its number.
+    ///
+    /// A node's own leaves come before those of its descendants, so that nodes in a row have
+    /// their triangles in a row.
     fn node(&mut self, root: u32) -> u32 {
         let number = self.out.nodes.len();
         self.out.nodes.push(Node::empty());
-        for (k, child) in self.choose(root).into_iter().enumerate() {
-            let node = &self.binary.nodes[child as usize];
-            let code = if node.is_leaf() {
-                self.leaf(node.first_index, node.prim_count)
-            } else {
-                self.node(child)
-            };
-            self.out.nodes[number].children[k] = code;
+        let chosen = self.choose(root);
+        for (k, &child) in chosen.iter().enumerate() {
+            let node = self.binary.nodes[child as usize];
+            if node.is_leaf() {
+                let code = self.leaf(node.first_index, node.prim_count);
+                self.out.nodes[number].children[k] = code;
+            }
+        }
+        for (k, &child) in chosen.iter().enumerate() {
+            if !self.binary.nodes[child as usize].is_leaf() {
+                let code = self.node(child);
+                self.out.nodes[number].children[k] = code;
+            }
         }
         number as u32
     }

@@ -131,7 +131,8 @@ pub fn render(
     exposure: f32,
     shadows: bool,
 ) -> PyResult<()> {
-    if scene.data.uv.len() != wall.faces.len() || scene.data.arc_length.len() != wall.vertices.len()
+    if scene.data.faces.len() != wall.faces.len()
+        || scene.data.arc_length.len() != wall.vertices.len()
     {
         return Err(PyValueError::new_err(
             "Scene and wall have different numbers of faces or vertices.",

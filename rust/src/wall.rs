@@ -32,6 +32,8 @@ pub struct Wall {
     /// Faces around each vertex: `around[start[v]..start[v + 1]]`.
     start: Vec<u32>,
     around: Vec<u32>,
+    /// Normals of faces, as long as twice their area; kept to be overwritten.
+    area_normals: Vec<Vec3>,
 }
 
 impl Wall {
@@ -59,14 +61,13 @@ impl Wall {
     /// Area-weighted vertex normals.
     fn update_normals(&mut self) {
         let (vertices, faces) = (&self.vertices, &self.faces);
-        let area_normals: Vec<Vec3> = faces
-            .par_iter()
-            .with_min_len(4096)
-            .map(|f| {
-                let [a, b, c] = f.map(|v| vertices[v as usize]);
-                cross(sub(b, a), sub(c, a))
-            })
-            .collect();
+        let area_normal = |f: &[u32; 3]| {
+            let [a, b, c] = f.map(|v| vertices[v as usize]);
+            cross(sub(b, a), sub(c, a))
+        };
+        let normals = faces.par_iter().with_min_len(4096).map(area_normal);
+        normals.collect_into_vec(&mut self.area_normals);
+        let area_normals = &self.area_normals;
         let (start, around) = (&self.start, &self.around);
         self.normals.par_iter_mut().with_min_len(4096).enumerate().for_each(|(v, normal)| {
             let faces = &around[start[v] as usize..start[v + 1] as usize];
@@ -144,6 +145,7 @@ impl Wall {
             faces,
             start,
             around,
+            area_normals: Vec::new(),
         };
         wall.set_vertices(vertices);
         wall.bvh = Bvh::build(&wall.vertices, &wall.faces);

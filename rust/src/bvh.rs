@@ -7,6 +7,7 @@ use obvhs::{
     triangle::Triangle as BuildTriangle,
 };
 use rayon::prelude::*;
+use std::ops::Range;
 use std::time::Duration;
 
 /// Children of a node.
@@ -15,6 +16,8 @@ pub const WIDTH: usize = 8;
 const LEAF: u32 = 1 << 31;
 /// Larger than any coordinate [m]: bounds of an empty child exclude everything.
 const FAR: f32 = 1e30;
+/// Levels above the branches that are refitted side by side: up to 64 branches.
+const BRANCH_DEPTH: usize = 2;
 const MAX_TRIANGLES_PER_LEAF: u32 = 2;
 
 /// A node: the boxes of its eight children, by component, so that all are tested at once.
@@ -32,7 +35,7 @@ pub enum Child {
     /// Another node, by number.
     Node(usize),
     /// A range of triangles in leaf order.
-    Leaf(std::ops::Range<usize>),
+    Leaf(Range<usize>),
 }
 
 impl Child {
@@ -65,12 +68,20 @@ pub struct Bvh {
     pub triangles: Vec<Triangle>,
     /// Vertex numbers of the triangles, in the same order.
     pub corners: Vec<[u32; 3]>,
+    /// Large branches, which share nothing and are refitted side by side, in node order.
+    branches: Vec<Branch>,
+}
+
+/// A node with all below it: nodes in a row, and the triangles of their leaves in a row.
+struct Branch {
+    nodes: Range<usize>,
+    triangles: Range<usize>,
 }
 
 impl Bvh {
     /// A hierarchy over nothing.
     pub fn empty() -> Self {
-        Bvh { nodes: Vec::new(), triangles: Vec::new(), corners: Vec::new() }
+        Bvh { nodes: Vec::new(), triangles: Vec::new(), corners: Vec::new(), branches: Vec::new() }
     }
 
     /// Builds the hierarchy (PLOC with reinsertion, then collapsed to eight children a node).
@@ -95,67 +106,101 @@ impl Bvh {
 
     /// Moves triangles and boxes to new vertex positions; the tree stays.
     pub fn refit(&mut self, vertices: &[Vec3]) {
-        self.leaf_chunks().into_par_iter().for_each(|chunk| chunk.refit(vertices));
-        // The boxes of inner children are few and go bottom-up, children first.
-        for n in (0..self.nodes.len()).rev() {
-            for k in 0..WIDTH {
-                if let Child::Node(child) = Child::of(self.nodes[n].children[k]) {
-                    let bounds = self.nodes[child].union();
-                    self.nodes[n].set(k, bounds);
-                }
-            }
+        let mut parts = Vec::with_capacity(self.branches.len());
+        let mut rest = Part {
+            nodes: &mut self.nodes,
+            first_node: 0,
+            triangles: &mut self.triangles,
+            first_triangle: 0,
+            corners: &self.corners,
+            vertices,
+        };
+        for branch in &self.branches {
+            let (before, after) = rest.split(branch.nodes.start, branch.triangles.start);
+            let (part, after) = after.split(branch.nodes.end, branch.triangles.end);
+            parts.extend([(false, before), (true, part)]);
+            rest = after;
         }
+        parts.push((false, rest));
+        parts.into_par_iter().filter(|(is_branch, _)| *is_branch).for_each(|(_, mut part)| {
+            for n in (0..part.nodes.len()).rev() {
+                part.refit_node(n);
+            }
+        });
+        self.refit_trunk(vertices);
     }
 
-    /// Cuts nodes and the triangles of their leaves into pieces that can be refitted in parallel.
-    fn leaf_chunks(&mut self) -> Vec<LeafChunk<'_>> {
-        let (mut triangles, mut corners) = (&mut self.triangles[..], &self.corners[..]);
-        let mut first = 0;
-        let mut chunks = Vec::new();
-        for nodes in self.nodes.chunks_mut(512) {
-            let count = nodes.iter().map(Node::num_leaf_triangles).sum();
-            let (head, tail) = triangles.split_at_mut(count);
-            let (head_corners, tail_corners) = corners.split_at(count);
-            chunks.push(LeafChunk { nodes, triangles: head, corners: head_corners, first });
-            (triangles, corners) = (tail, tail_corners);
-            first += count;
+    /// Refits the few nodes above the branches.
+    fn refit_trunk(&mut self, vertices: &[Vec3]) {
+        let mut whole = Part {
+            nodes: &mut self.nodes,
+            first_node: 0,
+            triangles: &mut self.triangles,
+            first_triangle: 0,
+            corners: &self.corners,
+            vertices,
+        };
+        let mut end = whole.nodes.len();
+        for branch in self.branches.iter().rev() {
+            (branch.nodes.end..end).rev().for_each(|n| whole.refit_node(n));
+            end = branch.nodes.start;
         }
-        chunks
+        (0..end).rev().for_each(|n| whole.refit_node(n));
     }
 }
 
-/// Nodes in a row and the triangles of their leaves, which lie in the same order.
-struct LeafChunk<'a> {
+/// Nodes in a row and the triangles of their leaves.
+struct Part<'a> {
     nodes: &'a mut [Node],
+    first_node: usize,
     triangles: &'a mut [Triangle],
+    first_triangle: usize,
     corners: &'a [[u32; 3]],
-    /// Number of the first triangle.
-    first: usize,
+    vertices: &'a [Vec3],
 }
 
-impl LeafChunk<'_> {
-    /// Moves the triangles and the boxes of leaves in one sweep.
-    fn refit(self, vertices: &[Vec3]) {
-        for node in self.nodes {
-            for k in 0..WIDTH {
-                if let Child::Leaf(range) = Child::of(node.children[k])
-                    && !range.is_empty()
-                {
-                    let range = range.start - self.first..range.end - self.first;
-                    let (mut low, mut high) = ([FAR; 3], [-FAR; 3]);
-                    let triangles = &mut self.triangles[range.clone()];
-                    for (triangle, corners) in triangles.iter_mut().zip(&self.corners[range]) {
-                        let [a, b, c] = corners.map(|v| vertices[v as usize]);
-                        for axis in 0..3 {
-                            low[axis] = min(low[axis], min(a[axis], min(b[axis], c[axis])));
-                            high[axis] = max(high[axis], max(a[axis], max(b[axis], c[axis])));
-                        }
-                        triangle.corners = [a, b, c];
-                    }
-                    node.set(k, [low[0], low[1], low[2], high[0], high[1], high[2]]);
-                }
-            }
+impl<'a> Part<'a> {
+    /// Cuts in front of a node and a triangle, given by their numbers in the whole tree.
+    fn split(self, node: usize, triangle: usize) -> (Part<'a>, Part<'a>) {
+        let (nodes, more_nodes) = self.nodes.split_at_mut(node - self.first_node);
+        let (triangles, more) = self.triangles.split_at_mut(triangle - self.first_triangle);
+        let head = Part { nodes, triangles, ..self };
+        let tail = Part {
+            nodes: more_nodes,
+            first_node: node,
+            triangles: more,
+            first_triangle: triangle,
+            ..head
+        };
+        (head, tail)
+    }
+
+    /// Moves the boxes of a node's children and the triangles of its leaves; children first.
+    #[inline(always)]
+    fn refit_node(&mut self, n: usize) {
+        for k in 0..WIDTH {
+            let bounds = match Child::of(self.nodes[n].children[k]) {
+                Child::Node(child) => self.nodes[child - self.first_node].union(),
+                Child::Leaf(range) if range.is_empty() => continue,
+                Child::Leaf(range) => self.refit_leaf(range),
+            };
+            self.nodes[n].set(k, bounds);
         }
+    }
+
+    /// Moves the triangles of a leaf; returns their bounds.
+    #[inline(always)]
+    fn refit_leaf(&mut self, range: Range<usize>) -> [f32; 6] {
+        let (mut low, mut high) = ([FAR; 3], [-FAR; 3]);
+        for number in range {
+            let [a, b, c] = self.corners[number].map(|v| self.vertices[v as usize]);
+            for axis in 0..3 {
+                low[axis] = min(low[axis], min(a[axis], min(b[axis], c[axis])));
+                high[axis] = max(high[axis], max(a[axis], max(b[axis], c[axis])));
+            }
+            self.triangles[number - self.first_triangle].corners = [a, b, c];
+        }
+        [low[0], low[1], low[2], high[0], high[1], high[2]]
     }
 }
 
@@ -164,14 +209,6 @@ impl Node {
     fn empty() -> Self {
         let (low, high) = ([FAR; WIDTH], [-FAR; WIDTH]);
         Node { bounds: [low, low, low, high, high, high], children: [LEAF; WIDTH] }
-    }
-
-    fn num_leaf_triangles(&self) -> usize {
-        let count = |&code: &u32| match Child::of(code) {
-            Child::Leaf(range) => range.len(),
-            Child::Node(_) => 0,
-        };
-        self.children.iter().map(count).sum()
     }
 
     #[inline(always)]
@@ -199,7 +236,7 @@ struct Collapse<'a> {
 impl<'a> Collapse<'a> {
     fn run(binary: &'a Bvh2) -> Bvh {
         let mut this = Collapse { binary, out: Bvh::empty() };
-        this.node(0);
+        this.node(0, 0);
         this.out
     }
 
@@ -207,8 +244,8 @@ impl<'a> Collapse<'a> {
     ///
     /// A node's own leaves come before those of its descendants, so that nodes in a row have
     /// their triangles in a row.
-    fn node(&mut self, root: u32) -> u32 {
-        let number = self.out.nodes.len();
+    fn node(&mut self, root: u32, depth: usize) -> u32 {
+        let (number, first_triangle) = (self.out.nodes.len(), self.out.triangles.len());
         self.out.nodes.push(Node::empty());
         let chosen = self.choose(root);
         for (k, &child) in chosen.iter().enumerate() {
@@ -220,9 +257,15 @@ impl<'a> Collapse<'a> {
         }
         for (k, &child) in chosen.iter().enumerate() {
             if !self.binary.nodes[child as usize].is_leaf() {
-                let code = self.node(child);
+                let code = self.node(child, depth + 1);
                 self.out.nodes[number].children[k] = code;
             }
+        }
+        if depth == BRANCH_DEPTH {
+            self.out.branches.push(Branch {
+                nodes: number..self.out.nodes.len(),
+                triangles: first_triangle..self.out.triangles.len(),
+            });
         }
         number as u32
     }

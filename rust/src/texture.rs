@@ -172,43 +172,54 @@ impl Texture {
     /// `footprint` is the share of the texture's width and height that a pixel covers.
     #[inline(always)]
     pub fn fetch(&self, uv: &[Lane; 2], footprint: &[Lane; 2]) -> Texels {
-        let mut corners = [[Texel::default(); LANES]; 4];
+        let numbers = self.level_numbers(footprint);
+        let (mut colors, mut rests) = ([[0u32; LANES]; 4], [[0u32; LANES]; 4]);
         let mut weights = [[0.0; LANES]; 2];
         for i in 0..LANES {
-            let level = self.level(footprint[0][i], footprint[1][i]);
+            let level = &self.levels[numbers[i] as usize];
             let (x, x0, x1) = neighbours(uv[0][i], level.width);
             let (y, y0, y1) = neighbours(1.0 - uv[1][i], level.height);
             let (row0, row1) = (y0 * level.width, y1 * level.width);
-            corners[0][i] = level.texels[row0 + x0];
-            corners[1][i] = level.texels[row0 + x1];
-            corners[2][i] = level.texels[row1 + x0];
-            corners[3][i] = level.texels[row1 + x1];
+            for (c, place) in [row0 + x0, row0 + x1, row1 + x0, row1 + x1].into_iter().enumerate() {
+                let Texel(color, rest) = level.texels[place];
+                colors[c][i] = color;
+                rests[c][i] = rest;
+            }
             weights[0][i] = x;
             weights[1][i] = y;
         }
-        self.blend(&corners, &weights)
+        self.blend(&colors, &rests, &weights)
     }
 
     #[inline(always)]
-    fn level(&self, across: f32, along: f32) -> &Level {
-        let first = &self.levels[0];
-        let texels = max(across * first.width as f32, along * first.height as f32);
-        // The exponent of √2·x is log₂ x rounded to the nearest whole number.
-        let nearest =
-            ((max(texels, 1.0) * std::f32::consts::SQRT_2).to_bits() >> 23) as usize - 127;
-        &self.levels[nearest.min(self.levels.len() - 1)]
+    fn level_numbers(&self, footprint: &[Lane; 2]) -> [u32; LANES] {
+        let (width, height) = (self.levels[0].width as f32, self.levels[0].height as f32);
+        let last = self.levels.len() as u32 - 1;
+        let mut numbers = [0u32; LANES];
+        for i in 0..LANES {
+            let texels = max(max(footprint[0][i] * width, footprint[1][i] * height), 1.0);
+            // The exponent of √2·x is log₂ x rounded to the nearest whole number.
+            let nearest = ((texels * std::f32::consts::SQRT_2).to_bits() >> 23) - 127;
+            numbers[i] = if nearest < last { nearest } else { last };
+        }
+        numbers
     }
 
     #[inline(always)]
-    fn blend(&self, corners: &[[Texel; LANES]; 4], weights: &[Lane; 2]) -> Texels {
+    fn blend(
+        &self,
+        colors: &[[u32; LANES]; 4],
+        rests: &[[u32; LANES]; 4],
+        weights: &[Lane; 2],
+    ) -> Texels {
         let mut out =
             Texels { albedo: [[0.0; LANES]; 3], roughness: [0.0; LANES], slope: [[0.0; LANES]; 2] };
-        for (c, texels) in corners.iter().enumerate() {
+        for c in 0..4 {
             for i in 0..LANES {
                 let (x, y) = (weights[0][i], weights[1][i]);
                 let w =
                     (if c & 1 == 0 { 1.0 - x } else { x }) * if c & 2 == 0 { 1.0 - y } else { y };
-                let sample = Sample::unpack(texels[i], self.slope_step);
+                let sample = Sample::unpack(Texel(colors[c][i], rests[c][i]), self.slope_step);
                 for k in 0..3 {
                     out.albedo[k][i] += w * sample.albedo[k];
                 }

@@ -62,7 +62,7 @@ impl Wall {
         let larger = |a: f32, b: f32| if a < b || b.is_nan() { b } else { a };
         let extent = sizes.map(|[x, y, z]| larger(larger(x, y), z)).reduce(|| 0.0, larger);
         if !extent.is_finite() {
-            return Err("Wall vertices must be finite numbers.");
+            return Err(BAD_VERTICES);
         }
         std::mem::swap(&mut self.vertices, &mut self.spare);
         self.extent = extent;
@@ -115,11 +115,12 @@ fn middle(vertices: &[f64]) -> [f64; 3] {
     })
 }
 
+const BAD_VERTICES: &str =
+    "Wall vertices must be finite numbers, C-contiguous and of shape (n, 3).";
+
 fn flat<'a>(vertices: &'a PyReadonlyArray2<'_, f64>) -> PyResult<&'a [f64]> {
     let shaped = |numbers: &&[f64]| vertices.as_array().ncols() == 3 && !numbers.is_empty();
-    vertices.as_slice().ok().filter(shaped).ok_or_else(|| {
-        PyValueError::new_err("Wall vertices must be C-contiguous and of shape (n, 3).")
-    })
+    vertices.as_slice().ok().filter(shaped).ok_or_else(|| PyValueError::new_err(BAD_VERTICES))
 }
 
 #[pymethods]

@@ -42,9 +42,8 @@ check: $(VENV)/.stamp-dev
 	cargo clippy --quiet --manifest-path rust/Cargo.toml --all-targets -- -D warnings
 
 bench: $(VENV)/.stamp-dev
-	mkdir -p benchmarks/results
-	$(BIN)/vrcaps bench render --out benchmarks/results/render.md
-	$(BIN)/vrcaps bench record --out benchmarks/results/record.md
+	$(BIN)/vrcaps bench render --out docs/benchmarks.md
+	$(BIN)/vrcaps bench record --out docs/benchmarks.md
 
 wheel: $(VENV)/.stamp-dev
 	rm -f dist/*.whl

@@ -107,14 +107,7 @@ impl Bvh {
     /// Moves triangles and boxes to new vertex positions; the tree stays.
     pub fn refit(&mut self, vertices: &[Vec3]) {
         let mut parts = Vec::with_capacity(self.branches.len());
-        let mut rest = Part {
-            nodes: &mut self.nodes,
-            first_node: 0,
-            triangles: &mut self.triangles,
-            first_triangle: 0,
-            corners: &self.corners,
-            vertices,
-        };
+        let mut rest = Part::whole(&mut self.nodes, &mut self.triangles, &self.corners, vertices);
         for branch in &self.branches {
             let (before, after) = rest.split(branch.nodes.start, branch.triangles.start);
             let (part, after) = after.split(branch.nodes.end, branch.triangles.end);
@@ -132,14 +125,7 @@ impl Bvh {
 
     /// Refits the few nodes above the branches.
     fn refit_trunk(&mut self, vertices: &[Vec3]) {
-        let mut whole = Part {
-            nodes: &mut self.nodes,
-            first_node: 0,
-            triangles: &mut self.triangles,
-            first_triangle: 0,
-            corners: &self.corners,
-            vertices,
-        };
+        let mut whole = Part::whole(&mut self.nodes, &mut self.triangles, &self.corners, vertices);
         let mut end = whole.nodes.len();
         for branch in self.branches.iter().rev() {
             (branch.nodes.end..end).rev().for_each(|n| whole.refit_node(n));
@@ -160,6 +146,15 @@ struct Part<'a> {
 }
 
 impl<'a> Part<'a> {
+    fn whole(
+        nodes: &'a mut [Node],
+        triangles: &'a mut [Triangle],
+        corners: &'a [[u32; 3]],
+        vertices: &'a [Vec3],
+    ) -> Self {
+        Part { nodes, first_node: 0, triangles, first_triangle: 0, corners, vertices }
+    }
+
     /// Cuts in front of a node and a triangle, given by their numbers in the whole tree.
     fn split(self, node: usize, triangle: usize) -> (Part<'a>, Part<'a>) {
         let (nodes, more_nodes) = self.nodes.split_at_mut(node - self.first_node);

@@ -1,0 +1,239 @@
+"""Put lesions into an organ, and keep its clean twin."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from vrcaps._core import Wall
+from vrcaps.errors import InputError, MissingExtraError
+from vrcaps.organ.lesion import paint
+from vrcaps.organ.lesion.base import Form, Lesion, Site, WallSamples
+from vrcaps.organ.lesion.placement import Placed, place_spot
+from vrcaps.organ.lesion.refine import Patch, refine, renewed_normals
+from vrcaps.organ.lesion.work import NUM_FIELDS, as_organ, cut, sew, whole_wall, within
+from vrcaps.organ.surface import OrganSurface
+from vrcaps.units import MM
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+_DOWN = (0.0, 1.0, 0.0)  # patient frame (LPS) of a supine patient
+_MAX_LESIONS = 65_535
+
+
+@dataclass(frozen=True)
+class Patient:
+    """An organ with lesions and the same without.
+
+    Both have the same faces, texture coordinates and gut coordinates; vertices and texels
+    differ only in the lesions' footprints.
+
+    Attributes:
+        organ: With the lesions; `instance` numbers them from 1, `metadata["lesions"]` lists them.
+        clean: The clean twin; `instance` is 0.
+    """
+
+    organ: OrganSurface
+    clean: OrganSurface
+
+
+def add_lesions(
+    organ: OrganSurface,
+    lesions: Sequence[Lesion],
+    rng: np.random.Generator,
+    *,
+    down: Sequence[float] | Float[np.ndarray, " 3"] = _DOWN,
+) -> Patient:
+    """Place, shape and paint lesions on an organ's wall.
+
+    Diffuse lesions are laid first, then the spots, so that a polyp may lie in colitis; spots
+    keep apart.
+
+    Args:
+        organ: Without lesions. Where it has an appearance, that is painted.
+        lesions: What to add; number k becomes instance k, counted from 1.
+        rng: Draws places left open and all irregularity.
+        down: Direction of gravity in the patient frame, for blood; supine by default.
+
+    Raises:
+        InputError: If a lesion fits nowhere or a place is not on the wall.
+        UnknownNameError: If the organ has no such segment.
+    """
+    if len(lesions) > _MAX_LESIONS:
+        raise InputError(f"{len(lesions)} lesions. Allowed: up to {_MAX_LESIONS}.")
+    work = _Work(organ, np.asarray(down, float) / np.linalg.norm(down))
+    order = {"band": 0, "stream": 1, "spot": 2}
+    seeds = rng.spawn(len(lesions))
+    for index in sorted(range(len(lesions)), key=lambda k: order[lesions[k].extent]):
+        lesion = lesions[index]
+        own = np.random.default_rng([int(seeds[index].integers(2**31)), lesion.variant])
+        work.add(lesion, index + 1, own)
+    return work.finished()
+
+
+class _Work:
+    """The wall and its textures as lesions are added."""
+
+    def __init__(self, organ: OrganSurface, down: Float[np.ndarray, " 3"]) -> None:
+        self.organ, self.down = organ, down
+        self.wall = whole_wall(organ)
+        look = organ.appearance
+        self.clean = self.sick = None if look is None else paint.smoothed(look)
+        self.charts: list[paint.Chart] = []
+        self.spots: list[Placed] = []
+        self.records: dict[int, dict[str, Any]] = {}
+
+    def now(self) -> OrganSurface:
+        """The organ as it stands."""
+        return as_organ(self.wall, self.organ, self.wall.moved)
+
+    def add(self, lesion: Lesion, instance: int, rng: np.random.Generator) -> None:
+        """Add one lesion."""
+        self._add_spot(lesion, instance, rng)
+
+    def _add_spot(self, lesion: Lesion, instance: int, rng: np.random.Generator) -> None:
+        organ = self.now()
+        core = Wall(organ.vertices, np.ascontiguousarray(organ.faces, np.int64))
+        placed = place_spot(organ, core, lesion, self.spots, rng)
+        self.spots.append(placed)
+        radius = lesion.footprint_radius * 1.3
+        near = within(self.wall, np.array([placed.vertex]), 1.5 * radius + 5.0 * MM)
+        piece = cut(self.wall, np.isfinite(near))
+        patch = _evenly_refined(piece.patch, placed.center, radius)
+        center = int(np.searchsorted(piece.vertices, placed.vertex))
+        xy, axes = log_map(patch, center, organ.centerline.frames, organ.arc_length[placed.vertex])
+        patch = replace(patch, fields=np.column_stack([patch.fields, xy]))
+        form = lesion.form(Site(placed.center, axes, self.down), rng)
+        patch, wall = self._shaped(patch, form)
+        patch = _charted(patch, wall, form, instance)
+        if self.clean is not None and self.sick is not None:
+            self.charts.append(
+                paint.paint_chart(self.clean, self.sick, patch, wall, form, instance)
+            )
+        self._finish(lesion, instance, piece, patch, wall, form)
+        self._record(lesion, instance, organ, placed.vertex)
+
+    def _shaped(self, patch: Patch, form: Form) -> tuple[Patch, WallSamples]:
+        """The piece refined for a form, and its samples; not moved yet."""
+        patch = _formed(patch, form)
+        return patch, _samples(patch)
+
+    def _finish(self, lesion, instance, piece, patch, wall, form) -> None:
+        inside = form.depth(wall) > 0.0
+        label = np.where(inside, instance, patch.instance).astype(np.uint16)
+        patch = renewed_normals(replace(patch, moved=form.moved(wall), instance=label))
+        self.wall = sew(self.wall, piece, patch)
+
+    def _record(self, lesion: Lesion, instance: int, organ: OrganSurface, vertex: int) -> None:
+        self.records[instance] = {
+            "instance": instance,
+            "kind": lesion.kind,
+            "grade": lesion.grade,
+            "segment": organ.label_names[organ.label[vertex]],
+            "arc_length_m": float(organ.arc_length[vertex]),
+            "theta_rad": float(organ.theta[vertex]),
+            "center_m": organ.vertices[vertex].tolist(),
+            "specification": {"kind": lesion.kind, **asdict(lesion)},
+        }
+
+    def finished(self) -> Patient:
+        """Both organs, textures enlarged by the charts."""
+        records = [self.records[k] for k in sorted(self.records)]
+        sick = as_organ(self.wall, self.organ, self.wall.moved)
+        clean = as_organ(self.wall, self.organ, self.wall.clean)
+        clean = replace(clean, instance=np.zeros_like(clean.instance))
+        metadata = self.organ.metadata
+        sick = replace(sick, metadata={**metadata, "lesions": records})
+        clean = replace(clean, metadata={**metadata, "lesions": [], "clean_twin": True})
+        if self.clean is None or self.sick is None:
+            return Patient(sick, clean)
+        base = self.clean.appearance
+        atlas = paint.pack(base, self.wall.uv[..., :2], self.charts)
+        uv = paint.final_uv(self.wall, base, self.charts, atlas)
+        return Patient(
+            replace(
+                sick,
+                uv=uv,
+                appearance=paint.assemble(self.sick.appearance, self.charts, atlas, sick=True),
+            ),
+            replace(
+                clean,
+                uv=uv,
+                appearance=paint.assemble(base, self.charts, atlas, sick=False),
+            ),
+        )
+
+
+def log_map(patch: Patch, center: int, frames, arc_length):
+    """Geodesic log map of a piece of wall about a vertex, and axes there.
+
+    By the vector heat method (Sharp, Soliman and Crane 2019, ACM Trans. Graph. 38:24).
+
+    Args:
+        patch: The piece.
+        center: Number of the vertex.
+
+    Returns:
+        Log map of every vertex [m]; columns x, y and normal, patient frame.
+
+    Raises:
+        MissingExtraError: If potpourri3d is not installed.
+    """
+    try:
+        import potpourri3d as pp3d
+    except ImportError as error:
+        raise MissingExtraError("potpourri3d", "lesions") from error
+
+    solver = pp3d.MeshVectorHeatSolver(patch.moved, patch.faces)
+    x, y, normal = (np.asarray(axis)[center] for axis in solver.get_tangent_frames())
+    xy = np.asarray(solver.compute_log_map(center))
+    return xy, np.stack([x, y, normal], axis=1)
+
+
+def _evenly_refined(patch: Patch, center, radius: float) -> Patch:
+    """The piece with edges around the centre short enough for the log map."""
+    longest = float(np.clip(radius / 9.0, 0.12 * MM, 1.0 * MM))
+
+    def is_long(patch: Patch, ends: np.ndarray) -> np.ndarray:
+        p = patch.moved[ends]
+        near = np.linalg.norm(p - center, axis=2).min(axis=1) < 1.15 * radius
+        return near & (np.linalg.norm(p[:, 0] - p[:, 1], axis=1) > longest)
+
+    return refine(patch, is_long, lambda patch: patch.moved)
+
+
+def _samples(patch: Patch) -> WallSamples:
+    return WallSamples(
+        xy=patch.fields[:, NUM_FIELDS : NUM_FIELDS + 2],
+        rest=patch.moved,
+        normal=patch.normals,
+        inward=patch.fields[:, 2:5],
+    )
+
+
+def _formed(patch: Patch, form: Form) -> Patch:
+    """The piece refined until it can show a form and its border."""
+
+    def is_long(patch: Patch, ends: np.ndarray) -> np.ndarray:
+        wall = _samples(patch)
+        inside = (form.depth(wall) > 0.0)[ends]
+        points = form.moved(wall)
+        length = np.linalg.norm(points[ends[:, 0]] - points[ends[:, 1]], axis=1)
+        border = inside[:, 0] != inside[:, 1]
+        return (inside.any(axis=1) & (length > form.edge_length)) | (
+            border & (length > form.border_length)
+        )
+
+    return refine(patch, is_long, lambda patch: form.moved(_samples(patch)))
+
+
+def _charted(patch: Patch, wall: WallSamples, form: Form, instance: int) -> Patch:
+    """The piece with the footprint's faces on a chart of their own."""
+    own = (form.depth(wall) > 0.0)[patch.faces].any(axis=1)
+    uv = patch.uv.copy()
+    uv[own, :, 2:] = form.chart(wall)[patch.faces[own]]
+    return replace(patch, uv=uv, chart_id=np.where(own, instance, patch.chart_id))

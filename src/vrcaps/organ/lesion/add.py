@@ -14,7 +14,7 @@ from vrcaps.organ.lesion import paint
 from vrcaps.organ.lesion.base import Form, Lesion, Site, WallSamples
 from vrcaps.organ.lesion.placement import Placed, place_spot
 from vrcaps.organ.lesion.refine import Patch, refine, renewed_normals
-from vrcaps.organ.lesion.work import NUM_FIELDS, as_organ, cut, sew, whole_wall, within
+from vrcaps.organ.lesion.work import NUM_FIELDS, Cut, as_organ, cut, sew, whole_wall, within
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.units import MM
 
@@ -81,6 +81,7 @@ class _Work:
     def __init__(self, organ: OrganSurface, down: Float[np.ndarray, " 3"]) -> None:
         self.organ, self.down = organ, down
         self.wall = whole_wall(organ)
+        self.num_vertices = len(organ.vertices)
         look = organ.appearance
         self.clean = self.sick = None if look is None else paint.smoothed(look)
         self.charts: list[paint.Chart] = []
@@ -98,35 +99,35 @@ class _Work:
     def _add_spot(self, lesion: Lesion, instance: int, rng: np.random.Generator) -> None:
         organ = self.now()
         core = Wall(organ.vertices, np.ascontiguousarray(organ.faces, np.int64))
-        placed = place_spot(organ, core, lesion, self.spots, rng)
+        placed = place_spot(
+            organ, core, lesion, self.spots, rng, num_vertices=self.num_vertices
+        )
         self.spots.append(placed)
         radius = lesion.footprint_radius * 1.3
         near = within(self.wall, np.array([placed.vertex]), 1.5 * radius + 5.0 * MM)
         piece = cut(self.wall, np.isfinite(near))
         patch = _evenly_refined(piece.patch, placed.center, radius)
         center = int(np.searchsorted(piece.vertices, placed.vertex))
-        xy, axes = log_map(patch, center, organ.centerline.frames, organ.arc_length[placed.vertex])
+        xy, axes = log_map(patch, center, _even_length(radius))
         patch = replace(patch, fields=np.column_stack([patch.fields, xy]))
-        form = lesion.form(Site(placed.center, axes, self.down), rng)
-        patch, wall = self._shaped(patch, form)
-        patch = _charted(patch, wall, form, instance)
+        site = Site(placed.center, axes, self.down)
+        form = lesion.form(site, rng)
+        patch = _formed(patch, form)
+        shown = _shown(patch, form, site)
+        patch = _charted(patch, shown, instance)
         if self.clean is not None and self.sick is not None:
-            self.charts.append(
-                paint.paint_chart(self.clean, self.sick, patch, wall, form, instance)
-            )
-        self._finish(lesion, instance, piece, patch, wall, form)
+            self.charts.append(paint.paint_chart(self.clean, self.sick, patch, shown, instance))
+        self._finish(instance, piece, patch, shown)
         self._record(lesion, instance, organ, placed.vertex)
 
-    def _shaped(self, patch: Patch, form: Form) -> tuple[Patch, WallSamples]:
-        """The piece refined for a form, and its samples; not moved yet."""
-        patch = _formed(patch, form)
-        return patch, _samples(patch)
-
-    def _finish(self, lesion, instance, piece, patch, wall, form) -> None:
-        inside = form.depth(wall) > 0.0
+    def _finish(self, instance: int, piece: Cut, patch: Patch, shown: paint.Shown) -> None:
+        """Move the vertices and sew the piece in."""
+        inside = shown.form.depth(shown.wall) > 0.0
         label = np.where(inside, instance, patch.instance).astype(np.uint16)
-        patch = renewed_normals(replace(patch, moved=form.moved(wall), instance=label))
-        self.wall = sew(self.wall, piece, patch)
+        moved = shown.form.moved(shown.wall)
+        self.wall = sew(
+            self.wall, piece, renewed_normals(replace(patch, moved=moved, instance=label))
+        )
 
     def _record(self, lesion: Lesion, instance: int, organ: OrganSurface, vertex: int) -> None:
         self.records[instance] = {
@@ -168,7 +169,9 @@ class _Work:
         )
 
 
-def log_map(patch: Patch, center: int, frames, arc_length):
+def log_map(
+    patch: Patch, center: int, edge_length: float
+) -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, "3 3"]]:
     """Geodesic log map of a piece of wall about a vertex, and axes there.
 
     By the vector heat method (Sharp, Soliman and Crane 2019, ACM Trans. Graph. 38:24).
@@ -176,6 +179,7 @@ def log_map(patch: Patch, center: int, frames, arc_length):
     Args:
         patch: The piece.
         center: Number of the vertex.
+        edge_length: Of the triangles around it [m].
 
     Returns:
         Log map of every vertex [m]; columns x, y and normal, patient frame.
@@ -188,15 +192,23 @@ def log_map(patch: Patch, center: int, frames, arc_length):
     except ImportError as error:
         raise MissingExtraError("potpourri3d", "lesions") from error
 
-    solver = pp3d.MeshVectorHeatSolver(patch.moved, patch.faces)
+    corners = patch.moved[patch.faces]
+    mean_edge = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).mean()
+    # Heat flows for t = coefficient · (mean edge)²; fine meshes of other lesions would stop it.
+    solver = pp3d.MeshVectorHeatSolver(patch.moved, patch.faces, (edge_length / mean_edge) ** 2)
     x, y, normal = (np.asarray(axis)[center] for axis in solver.get_tangent_frames())
     xy = np.asarray(solver.compute_log_map(center))
     return xy, np.stack([x, y, normal], axis=1)
 
 
+def _even_length(radius: float) -> float:
+    """Longest edge [m] on which the log map of a spot is true."""
+    return float(np.clip(radius / 9.0, 0.12 * MM, 1.0 * MM))
+
+
 def _evenly_refined(patch: Patch, center, radius: float) -> Patch:
     """The piece with edges around the centre short enough for the log map."""
-    longest = float(np.clip(radius / 9.0, 0.12 * MM, 1.0 * MM))
+    longest = _even_length(radius)
 
     def is_long(patch: Patch, ends: np.ndarray) -> np.ndarray:
         p = patch.moved[ends]
@@ -231,9 +243,14 @@ def _formed(patch: Patch, form: Form) -> Patch:
     return refine(patch, is_long, lambda patch: form.moved(_samples(patch)))
 
 
-def _charted(patch: Patch, wall: WallSamples, form: Form, instance: int) -> Patch:
+def _shown(patch: Patch, form: Form, site: Site) -> paint.Shown:
+    wall = _samples(patch)
+    return paint.Shown(form, wall, form.moved(wall) - site.center)
+
+
+def _charted(patch: Patch, shown: paint.Shown, instance: int) -> Patch:
     """The piece with the footprint's faces on a chart of their own."""
-    own = (form.depth(wall) > 0.0)[patch.faces].any(axis=1)
+    own = (shown.form.depth(shown.wall) > 0.0)[patch.faces].any(axis=1)
     uv = patch.uv.copy()
-    uv[own, :, 2:] = form.chart(wall)[patch.faces[own]]
+    uv[own, :, 2:] = shown.form.chart(shown.wall)[patch.faces[own]]
     return replace(patch, uv=uv, chart_id=np.where(own, instance, patch.chart_id))

@@ -24,6 +24,11 @@ def cloud(wavelength: float, rng: np.random.Generator) -> Field:
     return _field(wavelength, lambda k: np.where(k < 0.35, 0.0, 1.0 / (0.15 + k**3.2)), rng)
 
 
+def swell(wavelength: float, rng: np.random.Generator) -> Field:
+    """A smooth field of hills and hollows about `wavelength` [m] apart; variance 1."""
+    return _field(wavelength, lambda k: np.exp(-(((k - 0.8) / 0.4) ** 2)), rng)
+
+
 def grain(wavelength: float, rng: np.random.Generator) -> Field:
     """A field of one grain: its level sets are winding bands `wavelength` [m] apart; variance 1."""
     return _field(wavelength, lambda k: np.exp(-(((k - 1.0) / 0.18) ** 2)), rng)

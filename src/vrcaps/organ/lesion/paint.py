@@ -59,6 +59,21 @@ class Textures:
 
 
 @dataclass(frozen=True)
+class Shown:
+    """A form on the vertices of a piece of wall.
+
+    Attributes:
+        form: The lesion.
+        wall: The vertices at rest.
+        points: Positions with the lesion, relative to its centre [m].
+    """
+
+    form: Form
+    wall: WallSamples
+    points: Float[np.ndarray, "n 3"]
+
+
+@dataclass(frozen=True)
 class Chart:
     """A piece of texture of one lesion, before it has a place in the whole.
 
@@ -94,7 +109,7 @@ def smoothed(appearance: Appearance) -> Textures:
 
 
 def paint_in_place(
-    textures: Textures, patch: Patch, wall: WallSamples, form: Form, faces: Int[np.ndarray, " k"]
+    textures: Textures, patch: Patch, shown: Shown, faces: Int[np.ndarray, " k"]
 ) -> Textures:
     """Textures with a lesion painted on the texels of some faces of the wall's own chart."""
     look = textures.appearance
@@ -104,7 +119,7 @@ def paint_in_place(
     images = (look.albedo.copy(), look.roughness.copy(), look.height.copy())
     for first in range(0, len(texels), _CHUNK):
         part = texels.take(slice(first, first + _CHUNK))
-        painted = _painted(textures, patch, wall, form, faces, part)
+        painted = _painted(textures, patch, shown, faces, part)
         _store(images, painted, part.row % sides[1], part.column % sides[0])
     albedo, roughness, height = images
     return replace(
@@ -117,8 +132,7 @@ def paint_chart(
     clean: Textures,
     sick: Textures,
     patch: Patch,
-    wall: WallSamples,
-    form: Form,
+    shown: Shown,
     instance: int,
 ) -> Chart:
     """A lesion's own chart, from the textures that its surroundings have."""
@@ -132,7 +146,7 @@ def paint_chart(
     images = []
     for textures, is_sick in ((clean, False), (sick, True)):
         image = _blank(height, width)
-        painted = _painted(textures, patch, wall, form if is_sick else None, faces, texels)
+        painted = _painted(textures, patch, shown if is_sick else None, faces, texels)
         _store(image, painted, texels.row, texels.column)
         covered = np.zeros((height, width), bool)
         covered[texels.row, texels.column] = True
@@ -152,20 +166,19 @@ def _blank(height: int, width: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]
 def _painted(
     textures: Textures,
     patch: Patch,
-    wall: WallSamples,
-    form: Form | None,
+    shown: Shown | None,
     faces: Int[np.ndarray, " k"],
     texels: Texels,
 ) -> Look:
-    """Look of texels; without a form, of the wall as it is."""
+    """Look of texels; of the wall as it is where nothing is shown."""
     look = textures.look(texels.blend_corners(patch.uv[faces, :, :2]))
-    if form is None:
+    if shown is None:
         return look
-    corners = patch.faces[faces]
+    corners, wall = patch.faces[faces], shown.wall
     here = WallSamples(
         *(texels.blend(part, corners) for part in (wall.xy, wall.rest, wall.normal, wall.inward))
     )
-    return form.painted(here, texels.blend(patch.moved, corners), look)
+    return shown.form.painted(here, texels.blend(shown.points, corners), look)
 
 
 def _store(images, look: Look, row: np.ndarray, column: np.ndarray) -> None:

@@ -46,6 +46,8 @@ def place_spot(
     lesion: Lesion,
     others: list[Placed],
     rng: np.random.Generator,
+    *,
+    num_vertices: int,
 ) -> Placed:
     """Find the wall for a spot: where its place says, or anywhere that it fits.
 
@@ -55,13 +57,14 @@ def place_spot(
         lesion: What to place.
         others: Spots placed before, which it must not touch.
         rng: Draws what the place leaves open.
+        num_vertices: How many of the first vertices are evenly spread over the wall.
 
     Raises:
         InputError: If it does not fit there, or nowhere in so many tries.
         UnknownNameError: If the organ has no such segment.
     """
     reason = "no wall there"
-    for vertex in candidates(organ, lesion.place, rng):
+    for vertex in candidates(organ, lesion.place, rng, num_vertices):
         reason = _misfit(organ, wall, lesion, others, int(vertex))
         if not reason:
             return Placed(lesion, int(vertex), organ.vertices[vertex])
@@ -69,10 +72,11 @@ def place_spot(
 
 
 def candidates(
-    organ: OrganSurface, place: Place, rng: np.random.Generator
+    organ: OrganSurface, place: Place, rng: np.random.Generator, num_vertices: int
 ) -> Iterator[int]:
     """Vertices that a place allows: one where it is fully stated, else many, drawn."""
     allowed = _allowed(organ, place)
+    allowed = allowed[allowed < num_vertices]
     is_exact = place.arc_length is not None and place.theta is not None
     for _ in range(1 if is_exact else _NUM_TRIES):
         drawn = int(rng.choice(allowed))

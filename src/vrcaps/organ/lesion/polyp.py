@@ -2,22 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar, Literal
 
 import numpy as np
-from scipy.interpolate import BSpline
-
-from vrcaps.organ.lesion.base import (
-    Lesion,
-    Look,
-    Site,
-    WallSamples,
-    mix,
-    require_range,
-    smoothstep,
-)
-from vrcaps.organ.lesion.noise import around, cloud, grain
+from vrcaps.organ.lesion.base import Lesion, Look, Site, WallSamples, mix, require_range, smoothstep
+from vrcaps.organ.lesion.noise import cloud, grain
+from vrcaps.organ.lesion.spot import ProfileForm
 from vrcaps.units import MM
 
 if TYPE_CHECKING:
@@ -35,8 +26,8 @@ PATTERNS = ("tubular", "villous", "serrated", "hyperplastic", "inflammatory")
 # them: Is stands higher than a closed forceps (2.5 mm), IIa lower, IIc sinks into the wall.
 _PROFILES = {
     "Ip": (
-        *((0.62, 0.0), (0.46, 0.0), (0.36, 0.06), (0.32, 0.35), (0.31, 0.8), (0.33, 1.15)),
-        *((0.55, 1.12), (1.0, 1.12), (1.16, 1.75), (0.95, 2.45), (0.42, 2.62), (0.0, 2.62)),
+        *((0.66, 0.0), (0.48, 0.0), (0.36, 0.06), (0.33, 0.35), (0.33, 0.8), (0.34, 1.1)),
+        *((0.6, 0.98), (1.02, 1.0), (1.18, 1.75), (1.0, 2.55), (0.45, 2.85), (0.0, 2.85)),
     ),
     "Is": (
         *((1.05, 0.0), (0.93, 0.0), (0.88, 0.05), (0.9, 0.3), (1.1, 0.75)),
@@ -58,7 +49,8 @@ class Surface:
 
     Attributes:
         tint: Share of the surrounding mucosa's reflectance: red, green, blue.
-        lobes: Height of its lobes as a share of its size.
+        lobes: RMS height of its lobes as a share of its size.
+        lobe_spacing: Distance between lobes as a share of its size.
         wavelength: Distance between the crests of its surface pattern [m].
         relief: RMS height of that pattern [m].
         contrast: Change of brightness between crests and pits.
@@ -67,6 +59,7 @@ class Surface:
 
     tint: tuple[float, float, float]
     lobes: float
+    lobe_spacing: float
     wavelength: float
     relief: float
     contrast: float
@@ -76,11 +69,11 @@ class Surface:
 # Fitted by eye to endoscopic images under white light: adenomas redder and darker than their
 # surroundings, serrated and hyperplastic ones paler (NICE types 2 and 1), inflammatory ones red.
 SURFACES: dict[str, Surface] = {
-    "tubular": Surface((0.98, 0.78, 0.78), 0.05, 0.45 * MM, 0.02 * MM, 0.16),
-    "villous": Surface((1.04, 0.92, 0.95), 0.11, 0.95 * MM, 0.07 * MM, 0.24, 0.05),
-    "serrated": Surface((1.14, 1.32, 1.18), 0.06, 0.55 * MM, 0.02 * MM, 0.12, 0.12),
-    "hyperplastic": Surface((1.18, 1.42, 1.48), 0.02, 0.35 * MM, 0.008 * MM, 0.10),
-    "inflammatory": Surface((0.92, 0.42, 0.36), 0.07, 0.6 * MM, 0.03 * MM, 0.12, -0.1),
+    "tubular": Surface((0.98, 0.78, 0.78), 0.016, 0.6, 0.45 * MM, 0.012 * MM, 0.14),
+    "villous": Surface((1.04, 0.90, 0.92), 0.032, 0.36, 0.95 * MM, 0.045 * MM, 0.22, 0.05),
+    "serrated": Surface((1.10, 1.22, 1.12), 0.020, 0.45, 0.55 * MM, 0.012 * MM, 0.10, 0.12),
+    "hyperplastic": Surface((1.12, 1.28, 1.34), 0.008, 0.6, 0.35 * MM, 0.006 * MM, 0.08),
+    "inflammatory": Surface((0.88, 0.42, 0.36), 0.026, 0.5, 0.6 * MM, 0.02 * MM, 0.12, -0.1),
 }
 
 
@@ -116,96 +109,46 @@ class Polyp(Lesion):
     @property
     def reach_in(self) -> float:
         """Height over the wall [m]."""
-        return float(_profile(self.shape, self.size)[1].max())
+        return float(_control(self.shape, self.size)[:, 1].max())
 
     def form(self, site: Site, rng: np.random.Generator) -> PolypForm:
         """Draw its irregularities."""
         return PolypForm(self, site, rng)
 
 
-class PolypForm:
+class PolypForm(ProfileForm):
     """A polyp with its irregularities drawn."""
 
     def __init__(self, polyp: Polyp, site: Site, rng: np.random.Generator) -> None:
-        self.polyp, self.site = polyp, site
-        surface = SURFACES[polyp.pattern]
-        self.edge_length = float(np.clip(polyp.size / 22.0, 0.12 * MM, 0.7 * MM))
-        self.border_length = 0.025 * polyp.footprint_radius
-        self._r, self._z, way = _profile(polyp.shape, polyp.size)
-        self._share = way / way[-1]  # 1 at the rim, 0 at the top
-        self._length = float(way[-1])
-        self._outline = around(4, rng)
-        self._waviness = {"Ip": 0.05, "Is": 0.07}.get(polyp.shape, 0.14)
-        self._lobes = cloud(0.42 * polyp.size, rng)
-        self._lobe_height = surface.lobes * polyp.size * min(1.0, self._z.max() / (0.3 * polyp.size))
+        self.polyp, surface = polyp, SURFACES[polyp.pattern]
+        side = site.down - (site.down @ site.axes[:, 2]) * site.axes[:, 2]
+        lean = site.axes[:, :2] @ rng.normal(0.0, 0.12, 2) + 0.3 * side
+        flatness = min(1.0, polyp.reach_in / (0.3 * polyp.size))
+        super().__init__(
+            site,
+            _control(polyp.shape, polyp.size),
+            rng,
+            waviness={"Ip": 0.05, "Is": 0.07}.get(polyp.shape, 0.14),
+            upright=polyp.shape in ("Ip", "Is"),
+            lobes=(surface.lobes * polyp.size * flatness, surface.lobe_spacing * polyp.size),
+            lean=lean * float(polyp.shape == "Ip"),
+        )
         self._pattern = grain(surface.wavelength, rng)
         self._mottle = cloud(max(0.3 * polyp.size, 1.5 * MM), rng)
         self._vessels = grain(1.6 * MM, rng)
-        side = site.down - (site.down @ site.axes[:, 2]) * site.axes[:, 2]
-        lean = rng.normal(0.0, 0.12, 2)
-        self._lean = (site.axes[:, :2] @ lean + 0.3 * side) * float(polyp.shape == "Ip")
-
-    def _polar(self, wall: WallSamples):
-        """Way from the centre [m], unit direction in the chart, radius of the outline there."""
-        rho = np.linalg.norm(wall.xy, axis=1)
-        angle = np.arctan2(wall.xy[:, 1], wall.xy[:, 0])
-        stretch = 1.0 + self._waviness * self._outline(angle)
-        return rho, np.stack([np.cos(angle), np.sin(angle)], axis=1), stretch
-
-    def depth(self, wall: WallSamples) -> Float[np.ndarray, " n"]:
-        """Distance within the outline [m]."""
-        rho, _, stretch = self._polar(wall)
-        return stretch * self.polyp.footprint_radius - rho
-
-    def moved(self, wall: WallSamples) -> Float[np.ndarray, "n 3"]:
-        """Positions on the polyp [m]: its profile turned around the axis, with lobes."""
-        rho, direction, stretch = self._polar(wall)
-        share = rho / (stretch * self.polyp.footprint_radius)
-        share = np.minimum(share, 1.0)
-        r = np.interp(share, self._share, self._r) * stretch
-        z = np.interp(share, self._share, self._z)
-        outward = direction @ self.site.axes[:, :2].T
-        upright = smoothstep((1.0 - share) / 0.3) * (self.polyp.shape in ("Ip", "Is"))
-        plane = self.site.center + rho[:, None] * outward
-        base = mix(wall.rest, plane, upright)
-        axis = mix(wall.normal, np.broadcast_to(self.site.axes[:, 2], wall.normal.shape), upright)
-        axis /= np.linalg.norm(axis, axis=1, keepdims=True)
-        bend = (z / max(self._z.max(), 1e-9)) ** 2 * self._z.max()
-        points = base + (r - rho)[:, None] * outward + z[:, None] * axis
-        points += bend[:, None] * self._lean
-        slope_r = np.interp(share, self._share, np.gradient(self._r, self._share))
-        slope_z = np.interp(share, self._share, np.gradient(self._z, self._share))
-        norm = np.maximum(np.hypot(slope_r, slope_z), 1e-12)
-        facing = (-slope_z / norm)[:, None] * outward + (slope_r / norm)[:, None] * axis
-        lobes = self._lobes(points - self.site.center) * self._lobe_height
-        lobes = lobes * smoothstep((1.0 - share) / 0.35)
-        points = points + lobes[:, None] * facing
-        return np.where((share < 1.0)[:, None], points, wall.rest)
-
-    def chart(self, wall: WallSamples) -> Float[np.ndarray, "n 2"]:
-        """The surface flattened with true lengths away from the top [m]."""
-        rho, direction, stretch = self._polar(wall)
-        rim = stretch * self.polyp.footprint_radius
-        way = np.where(rho < rim, rho / rim * self._length, self._length + (rho - rim))
-        return way[:, None] * direction
 
     def painted(self, wall: WallSamples, points: Float[np.ndarray, "n 3"], clean: Look) -> Look:
         """The kind's colour, mottled, over the mucosa without its vessels; its pattern."""
         surface = SURFACES[self.polyp.pattern]
-        inside = smoothstep(self.depth(wall) / (0.06 * self.polyp.size))
-        color = mix(clean.color, clean.plain, np.full(len(inside), 0.85)) * surface.tint
+        color = mix(clean.color, clean.plain, np.full(len(points), 0.85)) * surface.tint
         pattern, mottle = self._pattern(points), self._mottle(points)
         crest = np.tanh(1.5 * pattern)
         color = color * np.exp(surface.contrast * (crest - 0.2))[:, None] ** (0.7, 1.25, 1.25)
         color = color * np.exp(0.12 * mottle)[:, None] ** (0.5, 1.3, 1.2)
         color, roughness = self._decorated(color, points, mottle, clean.roughness)
         height = clean.height * 0.5 + surface.relief * crest
-        return replace(
-            clean,
-            color=np.clip(mix(clean.color, color, inside), 0.0, 1.0),
-            roughness=clean.roughness + (roughness + surface.roughness - clean.roughness) * inside,
-            height=clean.height + (height - clean.height) * inside,
-        )
+        look = (color, roughness + surface.roughness, height)
+        return self.blended(wall, clean, look, softness=0.12)
 
     def _decorated(self, color, points, mottle, roughness):
         """Fine vessels, mucus and exudate, as the kind has them."""
@@ -225,14 +168,9 @@ class PolypForm:
         return color, roughness
 
 
-def _profile(
-    shape: str, size: float
-) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:
-    """Way from the axis, height, and way along the profile from the top [m], top first."""
-    control = np.array(_PROFILES[shape])[::-1] * (0.5 * size)
+def _control(shape: str, size: float) -> Float[np.ndarray, "k 2"]:
+    """Control points of the profile [m]."""
+    control = np.array(_PROFILES[shape]) * (0.5 * size)
     if shape in _HIGHEST:
         control[:, 1] *= min(1.0, _HIGHEST[shape] / np.abs(control[:, 1]).max())
-    knots = np.concatenate([[0.0] * 3, np.linspace(0.0, 1.0, len(control) - 2), [1.0] * 3])
-    r, z = BSpline(knots, control, 3)(np.linspace(0.0, 1.0, 400)).T
-    way = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(r), np.diff(z)))])
-    return r, z, way
+    return control

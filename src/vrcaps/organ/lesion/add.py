@@ -8,15 +8,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from vrcaps._core import Wall
-from vrcaps.errors import InputError, MissingExtraError
+from vrcaps.errors import InputError
 from vrcaps.organ.lesion import paint
-from vrcaps.organ.lesion.base import Form, Lesion, Site, WallSamples
-from vrcaps.organ.lesion.placement import Placed, place_spot
+from vrcaps.organ.lesion.base import Form, Lesion
+from vrcaps.organ.lesion.placement import Placed
 from vrcaps.organ.lesion.refine import Patch, refine, renewed_normals
-from vrcaps.organ.lesion.work import NUM_FIELDS, Cut, as_organ, cut, sew, whole_wall, within
+from vrcaps.organ.lesion.sites import SITES, Surroundings, samples
+from vrcaps.organ.lesion.work import Cut, as_organ, sew, whole_wall
 from vrcaps.organ.surface import OrganSurface
-from vrcaps.units import MM
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -88,37 +87,33 @@ class _Work:
         self.spots: list[Placed] = []
         self.records: dict[int, dict[str, Any]] = {}
 
-    def now(self) -> OrganSurface:
-        """The organ as it stands."""
-        return as_organ(self.wall, self.organ, self.wall.moved)
-
     def add(self, lesion: Lesion, instance: int, rng: np.random.Generator) -> None:
         """Add one lesion."""
-        self._add_spot(lesion, instance, rng)
-
-    def _add_spot(self, lesion: Lesion, instance: int, rng: np.random.Generator) -> None:
-        organ = self.now()
-        core = Wall(organ.vertices, np.ascontiguousarray(organ.faces, np.int64))
-        placed = place_spot(
-            organ, core, lesion, self.spots, rng, num_vertices=self.num_vertices
-        )
-        self.spots.append(placed)
-        radius = lesion.footprint_radius * 1.3
-        near = within(self.wall, np.array([placed.vertex]), 1.5 * radius + 5.0 * MM)
-        piece = cut(self.wall, np.isfinite(near))
-        patch = _evenly_refined(piece.patch, placed.center, radius)
-        center = int(np.searchsorted(piece.vertices, placed.vertex))
-        xy, axes = log_map(patch, center, _even_length(radius))
-        patch = replace(patch, fields=np.column_stack([patch.fields, xy]))
-        site = Site(placed.center, axes, self.down)
-        form = lesion.form(site, rng)
-        patch = _formed(patch, form)
-        shown = _shown(patch, form, site)
-        patch = _charted(patch, shown, instance)
+        organ = as_organ(self.wall, self.organ, self.wall.moved)
+        around = Surroundings(organ, self.wall, self.down, self.num_vertices, self.spots)
+        found = SITES[lesion.extent](lesion, around, rng)
+        form = lesion.form(found.site, rng)
+        patch = _formed(found.patch, form)
+        wall = samples(patch)
+        shown = paint.Shown(form, wall, form.moved(wall) - found.site.center)
+        if lesion.extent == "spot":
+            self.spots.append(Placed(lesion, found.vertex, found.site.center))
+            patch = _charted(patch, shown, instance)
         if self.clean is not None and self.sick is not None:
+            self._paint(lesion, instance, patch, shown)
+        self._finish(instance, found.piece, patch, shown)
+        self._record(lesion, instance, organ, found.vertex)
+
+    def _paint(self, lesion: Lesion, instance: int, patch: Patch, shown: paint.Shown) -> None:
+        """On a chart of its own, or in place."""
+        assert self.clean is not None and self.sick is not None
+        if lesion.extent == "spot":
             self.charts.append(paint.paint_chart(self.clean, self.sick, patch, shown, instance))
-        self._finish(instance, piece, patch, shown)
-        self._record(lesion, instance, organ, placed.vertex)
+            return
+        inside = shown.form.depth(shown.wall) > 0.0
+        faces = np.flatnonzero(inside[patch.faces].any(axis=1))
+        if len(faces):
+            self.sick = paint.paint_in_place(self.sick, patch, shown, faces)
 
     def _finish(self, instance: int, piece: Cut, patch: Patch, shown: paint.Shown) -> None:
         """Move the vertices and sew the piece in."""
@@ -169,69 +164,11 @@ class _Work:
         )
 
 
-def log_map(
-    patch: Patch, center: int, edge_length: float
-) -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, "3 3"]]:
-    """Geodesic log map of a piece of wall about a vertex, and axes there.
-
-    By the vector heat method (Sharp, Soliman and Crane 2019, ACM Trans. Graph. 38:24).
-
-    Args:
-        patch: The piece.
-        center: Number of the vertex.
-        edge_length: Of the triangles around it [m].
-
-    Returns:
-        Log map of every vertex [m]; columns x, y and normal, patient frame.
-
-    Raises:
-        MissingExtraError: If potpourri3d is not installed.
-    """
-    try:
-        import potpourri3d as pp3d
-    except ImportError as error:
-        raise MissingExtraError("potpourri3d", "lesions") from error
-
-    corners = patch.moved[patch.faces]
-    mean_edge = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).mean()
-    # Heat flows for t = coefficient · (mean edge)²; fine meshes of other lesions would stop it.
-    solver = pp3d.MeshVectorHeatSolver(patch.moved, patch.faces, (edge_length / mean_edge) ** 2)
-    x, y, normal = (np.asarray(axis)[center] for axis in solver.get_tangent_frames())
-    xy = np.asarray(solver.compute_log_map(center))
-    return xy, np.stack([x, y, normal], axis=1)
-
-
-def _even_length(radius: float) -> float:
-    """Longest edge [m] on which the log map of a spot is true."""
-    return float(np.clip(radius / 9.0, 0.12 * MM, 1.0 * MM))
-
-
-def _evenly_refined(patch: Patch, center, radius: float) -> Patch:
-    """The piece with edges around the centre short enough for the log map."""
-    longest = _even_length(radius)
-
-    def is_long(patch: Patch, ends: np.ndarray) -> np.ndarray:
-        p = patch.moved[ends]
-        near = np.linalg.norm(p - center, axis=2).min(axis=1) < 1.15 * radius
-        return near & (np.linalg.norm(p[:, 0] - p[:, 1], axis=1) > longest)
-
-    return refine(patch, is_long, lambda patch: patch.moved)
-
-
-def _samples(patch: Patch) -> WallSamples:
-    return WallSamples(
-        xy=patch.fields[:, NUM_FIELDS : NUM_FIELDS + 2],
-        rest=patch.moved,
-        normal=patch.normals,
-        inward=patch.fields[:, 2:5],
-    )
-
-
 def _formed(patch: Patch, form: Form) -> Patch:
     """The piece refined until it can show a form and its border."""
 
     def is_long(patch: Patch, ends: np.ndarray) -> np.ndarray:
-        wall = _samples(patch)
+        wall = samples(patch)
         inside = (form.depth(wall) > 0.0)[ends]
         points = form.moved(wall)
         length = np.linalg.norm(points[ends[:, 0]] - points[ends[:, 1]], axis=1)
@@ -240,12 +177,7 @@ def _formed(patch: Patch, form: Form) -> Patch:
             border & (length > form.border_length)
         )
 
-    return refine(patch, is_long, lambda patch: form.moved(_samples(patch)))
-
-
-def _shown(patch: Patch, form: Form, site: Site) -> paint.Shown:
-    wall = _samples(patch)
-    return paint.Shown(form, wall, form.moved(wall) - site.center)
+    return refine(patch, is_long, lambda patch: form.moved(samples(patch)))
 
 
 def _charted(patch: Patch, shown: paint.Shown, instance: int) -> Patch:

@@ -41,9 +41,8 @@ class WallSamples:
     """Points of the wall around a lesion.
 
     Attributes:
-        xy: Place in the wall [m]. Of a spot: geodesic log map about its centre, x towards the
-            anal end. Of a band: arc length from its middle, and angle times mean radius. Of a
-            stream: way along its path, and distance from the path.
+        xy: Place in the wall [m]. Of a spot: geodesic log map about its centre. Of a band: arc
+            length and 0. Of a stream: way along its path, and distance from the path.
         rest: Position without the lesion [m], patient frame.
         normal: Unit normal into the lumen there.
         inward: Offset to the centreline [m].
@@ -63,11 +62,17 @@ class Site:
         center: Of a spot: its middle; else any point of the footprint [m], patient frame.
         axes: Columns are x and y of the log map at the centre and the normal into the lumen.
         down: Unit vector of gravity, patient frame.
+        band: Of a band: first and last arc length [m].
+        bottom: Of a stream: where it ends [m], patient frame.
+        reach: Of a stream: how far from its bottom a pool may reach [m].
     """
 
     center: Float[np.ndarray, " 3"]
     axes: Float[np.ndarray, "3 3"]
     down: Float[np.ndarray, " 3"]
+    band: tuple[float, float] = (-np.inf, np.inf)
+    bottom: Float[np.ndarray, " 3"] | None = None
+    reach: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -136,8 +141,13 @@ class Lesion:
     variant: int = 0
 
     kind: ClassVar[str]
-    extent: ClassVar[Literal["spot", "band", "stream"]] = "spot"
-    common_in: ClassVar[tuple[str, ...]] = ()
+    grade_field: ClassVar[str] = ""
+    """Field that a name like `polyp-Ip` gives after its hyphen."""
+
+    @property
+    def extent(self) -> Literal["spot", "band", "stream"]:
+        """How it lies: about a centre, across the lumen, or where blood runs."""
+        return "spot"
 
     @property
     def grade(self) -> str:
@@ -158,8 +168,13 @@ class Lesion:
         """Draw its irregularities."""
         raise NotImplementedError
 
-    def band(self, organ: OrganSurface) -> tuple[float, float]:
-        """Of a band: first and last arc length [m]."""
+    def band(self, organ: OrganSurface, middle: float | None) -> tuple[float, float]:
+        """Of a band: first and last arc length [m].
+
+        Args:
+            organ: The organ.
+            middle: Arc length that its place says [m]; None where it says nothing.
+        """
         raise NotImplementedError
 
 

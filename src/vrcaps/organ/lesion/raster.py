@@ -21,7 +21,7 @@ class Texels:
         column: From the left; may lie outside the texture where coordinates wrap.
         row: From the top.
         face: Which face covers it.
-        weights: Barycentric coordinates in that face; slightly negative just outside it.
+        weights: Barycentric coordinates in that face, of its nearest edge just outside it.
     """
 
     column: Int[np.ndarray, " n"]
@@ -92,7 +92,8 @@ def _candidates(corners, low, size, faces, margin):
     sides = np.stack([_length(c - b), _length(a - c), _length(b - a)], axis=1)
     inside = (weights * np.sign(double)[:, None] / np.maximum(sides, 1e-12)).min(axis=1)
     near = (inside > -margin) & (double != 0.0)
-    weights = weights[near] / safe[near, None]
+    weights = np.clip(weights[near] / safe[near, None], 0.0, None)
+    weights /= weights.sum(axis=1, keepdims=True)
     return (
         *(column[near].astype(np.int32), row[near].astype(np.int32), face[near].astype(np.int32)),
         *(np.minimum(inside[near], 0.0).astype(np.float32), weights.astype(np.float32)),

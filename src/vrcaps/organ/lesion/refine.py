@@ -59,7 +59,7 @@ def refine(
     is_long: Callable[[Patch, Int[np.ndarray, "e 2"]], Bool[np.ndarray, " e"]],
     place: Callable[[Patch], Float[np.ndarray, "n 3"]],
 ) -> Patch:
-    """Bisect until no edge is too long; edges of the rim stay whole.
+    """Bisect until no edge away from the rim is too long; edges of the rim stay whole.
 
     Args:
         patch: To refine.
@@ -68,7 +68,7 @@ def refine(
     """
     for _ in range(_MAX_ROUNDS):
         ends, of_face = _edges(patch.faces)
-        marked = is_long(patch, ends) & ~patch.is_rim[ends].all(axis=1)
+        marked = is_long(patch, ends) & ~patch.is_rim[ends].any(axis=1)
         if not marked.any():
             break
         points = place(patch)
@@ -174,13 +174,15 @@ def _curved_middle(
     normals: Float[np.ndarray, "n 3"],
     ends: Int[np.ndarray, "k 2"],
 ) -> tuple[Float[np.ndarray, "k 3"], Float[np.ndarray, "k 3"]]:
-    """Middle of the cubic edge of a PN triangle, and its normal (Vlachos et al. 2001)."""
+    """Middle of the cubic edge of a PN triangle (Vlachos et al. 2001), and the mean normal.
+
+    Their quadratic normals, applied to halves of halves, would swing ever more.
+    """
     (p, q), (n, m) = (points[ends[:, k]] for k in (0, 1)), (normals[ends[:, k]] for k in (0, 1))
     d = q - p
     along_n, along_m = (d * n).sum(axis=1, keepdims=True), (d * m).sum(axis=1, keepdims=True)
     middle = 0.5 * (p + q) + (along_m * m - along_n * n) / 8.0
-    squared = np.maximum((d * d).sum(axis=1, keepdims=True), 1e-30)
-    normal = n + m - 2.0 * (along_n + along_m) / squared * d
+    normal = n + m
     return middle, normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-30)
 
 

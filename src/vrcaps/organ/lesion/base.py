@@ -115,9 +115,7 @@ class Form(Protocol):
         """Flat map [m] of the lesion's surface, true in scale near enough to paint on."""
         ...
 
-    def painted(
-        self, wall: WallSamples, points: Float[np.ndarray, "n 3"], clean: Look
-    ) -> Look:
+    def painted(self, wall: WallSamples, points: Float[np.ndarray, "n 3"], clean: Look) -> Look:
         """The look with the lesion.
 
         Args:
@@ -185,9 +183,7 @@ def require_range(what: str, value: float, low: float, high: float) -> None:
         InputError: If it is out of range.
     """
     if not low <= value <= high:
-        raise InputError(
-            f"{what} is {value / MM:g} mm. Allowed: {low / MM:g} to {high / MM:g} mm."
-        )
+        raise InputError(f"{what} is {value / MM:g} mm. Allowed: {low / MM:g} to {high / MM:g} mm.")
 
 
 def smoothstep(x: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:

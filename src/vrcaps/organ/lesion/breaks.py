@@ -137,7 +137,9 @@ class BreakForm(SpotForm):
         color = mix(clean.color, clean.plain, 0.8 * halo)
         color = color * (1.0 - halo[:, None] * (0.08, 0.62, 0.62))
         slough = smoothstep(0.5 + 0.5 * self._slough(points))
-        floor = mix(np.broadcast_to(FIBRIN, color.shape), np.array([0.52, 0.36, 0.13]), 0.5 * slough)
+        floor = mix(
+            np.broadcast_to(FIBRIN, color.shape), np.array([0.52, 0.36, 0.13]), 0.5 * slough
+        )
         color = mix(color, floor * np.exp(0.06 * fine)[:, None], 0.92 * base)
         if self._is_bloody:
             spot = smoothstep((self._slough(points[:, ::-1]) - 1.0) / 0.3) * base

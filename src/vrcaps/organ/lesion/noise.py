@@ -58,7 +58,7 @@ def _field(wavelength: float, spectrum: Callable, rng: np.random.Generator) -> F
     phase = rng.normal(size=k.shape) + 1j * rng.normal(size=k.shape)
     volume = np.asarray(irfftn(phase * np.sqrt(spectrum(k)), s=(_SIDE,) * 3))
     volume = ((volume - volume.mean()) / volume.std()).astype(np.float32)
-    turn = Rotation.random(random_state=rng).as_matrix() * (_PER_WAVE / wavelength)
+    turn = Rotation.from_quat(rng.normal(size=4)).as_matrix() * (_PER_WAVE / wavelength)
     offset = rng.uniform(0.0, _SIDE, 3)
 
     def field(points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n"]:

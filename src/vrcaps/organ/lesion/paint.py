@@ -22,7 +22,7 @@ from vrcaps.organ.surface import Appearance
 from vrcaps.units import MM
 
 if TYPE_CHECKING:
-    from jaxtyping import Float, Int
+    from jaxtyping import Bool, Float, Int
 
     from vrcaps.organ.lesion.refine import Patch
 
@@ -103,7 +103,7 @@ def smoothed(appearance: Appearance) -> Textures:
     total = np.maximum(weight.sum(axis=(1, 3)), 1)
     blocks = (color * weight).sum(axis=(1, 3)) / total
     overall = color.sum(axis=(0, 1, 2, 3)) / max(int(weight.sum()), 1)
-    blank = ~weight.any(axis=(1, 3))[..., 0]
+    blank = weight.sum(axis=(1, 3))[..., 0] == 0
     blocks[blank] = overall
     return Textures(appearance, blocks)
 
@@ -150,9 +150,16 @@ def paint_chart(
         _store(image, painted, texels.row, texels.column)
         covered = np.zeros((height, width), bool)
         covered[texels.row, texels.column] = True
-        nearest = distance_transform_edt(~covered, return_distances=False, return_indices=True)
-        images.append(tuple(part[tuple(nearest)] for part in image))
+        rows, columns = _nearest(covered)
+        images.append(tuple(part[rows, columns] for part in image))
     return Chart(instance, origin, density, images[0], images[1])
+
+
+def _nearest(covered: Bool[np.ndarray, "h w"]) -> tuple[np.ndarray, np.ndarray]:
+    """Row and column of the covered texel nearest to each."""
+    found = distance_transform_edt(~covered, return_distances=False, return_indices=True)
+    rows, columns = np.asarray(found)
+    return rows, columns
 
 
 def _blank(height: int, width: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -206,7 +213,7 @@ class Atlas:
 
 
 def pack(base: Appearance, uv: Float[np.ndarray, "m 3 2"], charts: list[Chart]) -> Atlas:
-    """Places for all charts in columns to the right of the wall's own texture.
+    """Places for all charts beside the wall's own texture: right of a tall one, above a wide one.
 
     Where the wall's coordinates run beyond 1 its texture is continued as far, for it can no
     longer wrap.
@@ -214,25 +221,34 @@ def pack(base: Appearance, uv: Float[np.ndarray, "m 3 2"], charts: list[Chart]) 
     Raises:
         InputError: If they do not fit.
     """
-    height, width = base.albedo.shape[:2]
-    over = np.ceil((uv.max(axis=(0, 1)) - 1.0).clip(0.0) * (width, height)).astype(int)
-    extra = tuple(int(k) + 4 * int(k > 0) for k in over)
-    rows = max([height + extra[1], *(chart.clean[1].shape[0] for chart in charts)])
-    right, x, y = width + extra[0], width + extra[0], 0
-    places: dict[int, tuple[int, int]] = {}
-    for index in sorted(range(len(charts)), key=lambda k: -charts[k].clean[1].shape[1]):
-        tall, wide = charts[index].clean[1].shape
-        if y + tall > rows:
-            x, y = right, 0
-        places[index] = (x, y)
-        right, y = max(right, x + wide), y + tall
-    size = (-(-right // 16) * 16, -(-rows // 16) * 16)
-    if max(size) > MAX_SIDE:
+    sides = np.array(base.albedo.shape[1::-1])
+    over = np.ceil((uv.max(axis=(0, 1)) - 1.0).clip(0.0) * sides).astype(int)
+    extra = over + 4 * (over > 0)
+    across = int(sides[0] > sides[1])  # 0: charts in columns to the right
+    along = 1 - across
+    shapes = np.array([chart.clean[1].shape[::-1] for chart in charts]).reshape(-1, 2)
+    longest = int(max([(sides + extra)[along], *shapes[:, along]]))
+    start = int((sides + extra)[across]) if across == 0 else 0
+    strip, end, filled = start, start, 0
+    places = np.zeros((len(charts), 2), int)
+    for index in np.argsort(-shapes[:, across], kind="stable"):
+        if filled + shapes[index, along] > longest:
+            strip, filled = end, 0
+        places[index, across], places[index, along] = strip, filled
+        end, filled = max(end, strip + int(shapes[index, across])), filled + shapes[index, along]
+    size = np.zeros(2, int)
+    size[along], size[across] = longest, end if across == 0 else end + (sides + extra)[1]
+    size = -(-size // 16) * 16
+    if size.max() > MAX_SIDE:
         raise InputError(
             f"{len(charts)} lesions need a texture of {size[0]} × {size[1]} texels; allowed: sides "
             f"up to {MAX_SIDE}. Make fewer or smaller lesions, or bake with fewer texels_per_mm."
         )
-    return Atlas(extra, size, [places[index] for index in range(len(charts))])
+    return Atlas(_pair(extra), _pair(size), [_pair(place) for place in places])
+
+
+def _pair(values: Int[np.ndarray, " 2"]) -> tuple[int, int]:
+    return int(values[0]), int(values[1])
 
 
 def assemble(base: Appearance, charts: list[Chart], atlas: Atlas, *, sick: bool) -> Appearance:

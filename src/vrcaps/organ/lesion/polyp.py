@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar, Literal
 
 import numpy as np
+
 from vrcaps.organ.lesion.base import Lesion, Look, Site, WallSamples, mix, require_range, smoothstep
 from vrcaps.organ.lesion.noise import cloud, grain
 from vrcaps.organ.lesion.spot import ProfileForm
@@ -92,6 +93,7 @@ class Polyp(Lesion):
     pattern: Literal["tubular", "villous", "serrated", "hyperplastic", "inflammatory"] = "tubular"
 
     kind: ClassVar[str] = "polyp"
+    grade_field: ClassVar[str] = "shape"
 
     def __post_init__(self) -> None:
         require_range("Size of a polyp", self.size, 2.0 * MM, 30.0 * MM)

@@ -1,8 +1,9 @@
-"""Between texture coordinates and texels: which texels a face covers, and texture values at places."""
+"""Which texels a face covers, and values of textures at texture coordinates."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -39,8 +40,8 @@ class Texels:
         )
 
     def blend(
-        self, values: Float[np.ndarray, "n *c"], faces: Int[np.ndarray, "m 3"]
-    ) -> Float[np.ndarray, "k *c"]:
+        self, values: Float[np.ndarray, "n ..."], faces: Int[np.ndarray, "m 3"]
+    ) -> Float[np.ndarray, "k ..."]:
         """Values of vertices at the texels."""
         return np.einsum("kc,kc...->k...", self.weights, values[faces[self.face]])
 
@@ -64,7 +65,7 @@ def covered_texels(corners: Float[np.ndarray, "m 3 2"], *, margin: float = 1.0) 
         np.cumsum(count), np.arange(0, int(count.sum()) + 1, _CHUNK), side="right"
     )
     bounds = np.unique(np.concatenate([[0], starts, [len(corners)]]))
-    for first, last in zip(bounds[:-1], bounds[1:], strict=True):
+    for first, last in pairwise(bounds):
         parts.append(_candidates(corners, low, size, np.arange(first, last), margin))
     column, row, face, inside, weights = (
         np.concatenate([part[k] for part in parts]) for k in range(5)

@@ -87,7 +87,7 @@ def _edges(
     """Ends of each edge, and the edges of each face: corner k to k + 1."""
     pairs = np.sort(np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1), axis=-1)
     key = pairs[..., 0].astype(np.int64) * (faces.max() + 1) + pairs[..., 1]
-    unique, first, inverse = np.unique(key, return_index=True, return_inverse=True)
+    _, first, inverse = np.unique(key, return_index=True, return_inverse=True)
     return pairs.reshape(-1, 2)[first], inverse.reshape(faces.shape)
 
 

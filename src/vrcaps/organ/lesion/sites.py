@@ -10,9 +10,10 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from vrcaps._core import Wall
-from vrcaps.errors import InputError, MissingExtraError
+from vrcaps.errors import InputError
 from vrcaps.organ.lesion.base import Lesion, Site, WallSamples
 from vrcaps.organ.lesion.haemorrhage import Haemorrhage
+from vrcaps.organ.lesion.log_map import log_map
 from vrcaps.organ.lesion.placement import Placed, candidates, place_spot
 from vrcaps.organ.lesion.refine import Patch, refine
 from vrcaps.organ.lesion.work import NUM_FIELDS, Cut, cut, within
@@ -85,7 +86,7 @@ def spot_site(lesion: Lesion, around: Surroundings, rng: np.random.Generator) ->
     piece = cut(around.wall, np.isfinite(near))
     patch = _evenly_refined(piece.patch, placed.center[None], radius, _even_length(radius))
     center = int(np.searchsorted(piece.vertices, placed.vertex))
-    xy, axes = log_map(patch, center, _even_length(radius))
+    xy, axes = log_map(patch, center, radius=radius, edge_length=_even_length(radius))
     site = Site(placed.center, axes, around.down)
     return Found(site, piece, _with_xy(patch, xy), placed.vertex)
 
@@ -142,7 +143,7 @@ def stream_site(lesion: Lesion, around: Surroundings, rng: np.random.Generator) 
     assert best is not None
     vertex, path = best
     reach = 8.0 * lesion.bleed.width + 2.0 * lesion.bleed.source
-    _, along = KDTree(organ.vertices).query(path)
+    along = np.asarray(KDTree(organ.vertices).query(path)[1])
     near = np.isfinite(within(around.wall, np.unique(along), reach + 6.0 * MM))
     if lesion.bleed.pool > 0.0:
         near |= np.isfinite(within(around.wall, along[-1:], 1.5 * _POOL_REACH))
@@ -194,51 +195,6 @@ SITES: dict[str, Callable[[Lesion, Surroundings, np.random.Generator], Found]] =
 """How each extent finds its wall."""
 
 
-def log_map(
-    patch: Patch, center: int, edge_length: float
-) -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, "3 3"]]:
-    """Geodesic log map of a piece of wall about a vertex, and axes there.
-
-    By the vector heat method (Sharp, Soliman and Crane 2019, ACM Trans. Graph. 38:24).
-
-    Args:
-        patch: The piece.
-        center: Number of the vertex.
-        edge_length: Of the triangles around it [m].
-
-    Returns:
-        Log map of every vertex [m]; columns x, y and normal, patient frame.
-
-    Raises:
-        MissingExtraError: If potpourri3d is not installed.
-    """
-    try:
-        import potpourri3d as pp3d
-    except ImportError as error:
-        raise MissingExtraError("potpourri3d", "lesions") from error
-
-    corners = patch.moved[patch.faces]
-    mean_edge = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).mean()
-    # Heat flows for t = coefficient · (mean edge)²; fine meshes of other lesions would stop it.
-    time = (edge_length / mean_edge) ** 2
-    for is_delaunay, factor in ((True, 1.0), (False, 1.0), (True, 6.0)):
-        try:
-            solver = pp3d.MeshVectorHeatSolver(patch.moved, patch.faces, factor * time, is_delaunay)
-            xy = np.asarray(solver.compute_log_map(center))
-        except RuntimeError:  # its matrix is singular where triangles are needles
-            continue
-        if np.isfinite(xy).all():
-            break
-    else:
-        x, y, z = patch.moved[center] / MM
-        raise InputError(
-            f"The wall at ({x:.1f}, {y:.1f}, {z:.1f}) mm has triangles too thin to lay a lesion "
-            "on. Choose another place, or remesh the organ."
-        )
-    x, y, normal = (np.asarray(axis)[center] for axis in solver.get_tangent_frames())
-    return xy, np.stack([x, y, normal], axis=1)
-
-
 def _even_length(radius: float) -> float:
     """Longest edge [m] on which the log map of a spot is true."""
     return float(np.clip(radius / 9.0, 0.12 * MM, 1.0 * MM))
@@ -270,5 +226,3 @@ def samples(patch: Patch) -> WallSamples:
         normal=patch.normals,
         inward=patch.fields[:, 2:5],
     )
-
-

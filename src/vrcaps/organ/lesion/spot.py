@@ -110,7 +110,7 @@ class ProfileForm(SpotForm):
         lean: How far its top stands aside, in heights, patient frame.
     """
 
-    def __init__(  # noqa: PLR0913  (all keyword-only but three)
+    def __init__(
         self,
         site: Site,
         control: Float[np.ndarray, "k 2"],

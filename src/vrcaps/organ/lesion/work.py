@@ -56,9 +56,7 @@ def edge_graph(wall: Patch) -> coo_array:
     return coo_array((np.tile(length, 2), (pairs[:, 0], pairs[:, 1])), shape=(n, n))
 
 
-def within(
-    wall: Patch, sources: Int[np.ndarray, " k"], reach: float
-) -> Float[np.ndarray, " n"]:
+def within(wall: Patch, sources: Int[np.ndarray, " k"], reach: float) -> Float[np.ndarray, " n"]:
     """Distance [m] along edges from the nearest source; infinite beyond `reach`."""
     graph = edge_graph(wall).tocsr()
     return dijkstra(graph, indices=sources, min_only=True, limit=reach)
@@ -81,7 +79,7 @@ class Cut:
 
 def cut(wall: Patch, near: Bool[np.ndarray, " n"]) -> Cut:
     """The faces that have a corner among the vertices `near`."""
-    chosen = near[wall.faces].any(axis=1)
+    chosen = np.asarray(near[wall.faces].any(axis=1))
     vertices, local = np.unique(wall.faces[chosen], return_inverse=True)
     faces = local.reshape(-1, 3)
     values = {name: getattr(wall, name)[vertices] for name in _PER_VERTEX}
@@ -93,9 +91,7 @@ def cut(wall: Patch, near: Bool[np.ndarray, " n"]) -> Cut:
 def sew(wall: Patch, piece: Cut, patch: Patch) -> Patch:
     """The wall with a refined piece in its place; vertices that were there keep their numbers."""
     old = len(piece.vertices)
-    number = np.concatenate(
-        [piece.vertices, len(wall.moved) + np.arange(len(patch.moved) - old)]
-    )
+    number = np.concatenate([piece.vertices, len(wall.moved) + np.arange(len(patch.moved) - old)])
     joined = {}
     for name in _PER_VERTEX:
         whole, part = getattr(wall, name).copy(), getattr(patch, name)

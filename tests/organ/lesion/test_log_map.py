@@ -13,7 +13,7 @@ from vrcaps.units import MM
 def piece_of(tube):
     wall = whole_wall(tube)
     vertex = int(np.argmin(np.abs(tube.arc_length - 80.0 * MM) + np.abs(tube.theta)))
-    piece = cut(wall, np.isfinite(within(wall, np.array([vertex]), 25.0 * MM)))
+    piece = cut(wall, within(wall, np.array([vertex]), 25.0 * MM))
     return piece.patch, int(np.searchsorted(piece.vertices, vertex))
 
 

@@ -15,7 +15,7 @@ def lengths(patch):
 def around(tube, reach=14.0 * MM):
     wall = whole_wall(tube)
     vertex = int(np.argmin(np.abs(tube.arc_length - 80.0 * MM) + np.abs(tube.theta)))
-    return wall, cut(wall, np.isfinite(within(wall, np.array([vertex]), reach))), vertex
+    return wall, cut(wall, within(wall, np.array([vertex]), reach)), vertex
 
 
 def refined(piece, center, longest=0.5 * MM, reach=8.0 * MM):

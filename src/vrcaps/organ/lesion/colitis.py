@@ -24,7 +24,7 @@ affected, or the length from the anal end where an organ has no such segment [m]
 BLOOD = np.array([0.22, 0.006, 0.006])
 """Linear reflectance of a thick layer of fresh blood."""
 
-FIBRIN = np.array([0.60, 0.46, 0.27])
+FIBRIN = np.array([0.72, 0.52, 0.31])
 """Linear reflectance of fibrin and slough on an ulcer."""
 
 
@@ -55,10 +55,10 @@ class Activity:
 
 ACTIVITIES = {
     1: Activity(0.75, (1.0, 0.74, 0.72), 0.7, 0.010 * MM, petechiae=3.4),
-    2: Activity(1.0, (0.98, 0.56, 0.52), 0.5, 0.022 * MM, petechiae=2.5, erosions=1.75),
+    2: Activity(1.0, (0.96, 0.50, 0.46), 0.5, 0.022 * MM, petechiae=2.5, erosions=1.75),
     3: Activity(
-        *(1.0, (0.92, 0.38, 0.34), 0.35, 0.030 * MM),
-        **{"petechiae": 2.0, "erosions": 1.5, "ulcers": 0.55, "blood": 1.0},
+        *(1.0, (0.88, 0.30, 0.27), 0.45, 0.030 * MM),
+        **{"petechiae": 2.0, "erosions": 1.5, "ulcers": 0.7, "blood": 0.9},
     ),
 }
 """By Mayo subscore: 1 erythema, decreased vascular pattern; 2 marked erythema, no vascular
@@ -185,7 +185,7 @@ class ColitisForm:
             level = field(points) - threshold + 0.06 * fine
             rim = np.exp(-((level / 0.22) ** 2))
             color = color * (1.0 - rim[:, None] * (0.10, 0.45, 0.45))
-            base = smoothstep(level / 0.16)
+            base = smoothstep(level / 0.3)
             slough = FIBRIN * np.exp(0.14 * fine + 0.12 * self._patches(points))[:, None]
             color = mix(color, slough, 0.78 * base)
             roughness = roughness + 0.12 * base

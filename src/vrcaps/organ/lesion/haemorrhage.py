@@ -123,9 +123,9 @@ class BleedForm:
     """Blood from a source along its way down, and the pool that it makes."""
 
     edge_length = 1.2 * MM
-    border_length = 0.22 * MM
 
     def __init__(self, bleed: Bleed, site: Site, rng: np.random.Generator) -> None:
+        self.border_length = 0.085 * bleed.width
         self.bleed, self.site = bleed, site
         self._edge, self._ripple = swell(7.0 * MM, rng), cloud(5.0 * MM, rng)
         self._clots, self._age = swell(4.0 * MM, rng), cloud(9.0 * MM, rng)

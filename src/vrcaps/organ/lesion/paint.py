@@ -30,6 +30,7 @@ _DENSITY = 14.0 / MM  # texels per metre on charts
 _LARGEST = 768  # texels on a chart's side
 _MARGIN = 6  # texels around a chart, for filtering and its mip levels
 _BLUR = 16  # texels over which vessels are smoothed away
+_SPILL = 3.0  # texels painted beyond the borders of charts, for filtering and mip levels
 _CHUNK = 500_000  # texels painted at once
 
 _BYTES = np.arange(256) / 255.0
@@ -115,7 +116,9 @@ def paint_in_place(
     look = textures.appearance
     sides = np.array([look.albedo.shape[1], look.albedo.shape[0]])
     uv = patch.uv[faces, :, :2]
-    texels = covered_texels(np.stack([uv[..., 0], 1.0 - uv[..., 1]], axis=-1) * sides - 0.5)
+    texels = covered_texels(
+        np.stack([uv[..., 0], 1.0 - uv[..., 1]], axis=-1) * sides - 0.5, margin=_SPILL
+    )
     images = (look.albedo.copy(), look.roughness.copy(), look.height.copy())
     for first in range(0, len(texels), _CHUNK):
         part = texels.take(slice(first, first + _CHUNK))

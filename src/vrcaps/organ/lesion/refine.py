@@ -14,11 +14,13 @@ import numpy as np
 
 from vrcaps.organ.repair.edges import find_edges
 from vrcaps.organ.surface import vertex_normals
+from vrcaps.units import MM
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
 
 _MAX_ROUNDS = 60
+_SHORTEST = 0.01 * MM  # of an edge that is still split
 
 
 @dataclass(frozen=True)
@@ -69,10 +71,11 @@ def refine(
     for _ in range(_MAX_ROUNDS):
         ends, of_face = _edges(patch.faces)
         marked = is_long(patch, ends) & ~patch.is_rim[ends].any(axis=1)
-        if not marked.any():
-            break
         points = place(patch)
         length = np.linalg.norm(points[ends[:, 0]] - points[ends[:, 1]], axis=1)
+        marked &= length > _SHORTEST
+        if not marked.any():
+            break
         length = length * (1.0 + 1e-9 * np.arange(len(length)) / len(length))
         length[patch.is_rim[ends].all(axis=1)] = 0.0
         longest = of_face[np.arange(len(of_face)), np.argmax(length[of_face], axis=1)]

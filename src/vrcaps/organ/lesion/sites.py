@@ -82,9 +82,9 @@ def spot_site(lesion: Lesion, around: Surroundings, rng: np.random.Generator) ->
         num_vertices=around.num_vertices,
     )
     radius = lesion.footprint_radius * _WAVY
-    near = within(around.wall, np.array([placed.vertex]), 1.5 * radius + 5.0 * MM)
-    piece = cut(around.wall, np.isfinite(near))
-    patch = _evenly_refined(piece.patch, placed.center[None], radius, _even_length(radius))
+    reach = 1.5 * radius + 5.0 * MM
+    piece = cut(around.wall, within(around.wall, np.array([placed.vertex]), reach))
+    patch = _evenly_refined(piece.patch, 1.3 * radius, _even_length(radius))
     center = int(np.searchsorted(piece.vertices, placed.vertex))
     xy, axes = log_map(patch, center, radius=radius, edge_length=_even_length(radius))
     site = Site(placed.center, axes, around.down)
@@ -100,7 +100,8 @@ def band_site(lesion: Lesion, around: Surroundings, rng: np.random.Generator) ->
     organ = around.organ
     low, high, vertex = _band(lesion, around, rng)
     arc_length = organ.arc_length
-    piece = cut(around.wall, (arc_length > low - 15.0 * MM) & (arc_length < high + 15.0 * MM))
+    outside = np.maximum(low - arc_length, arc_length - high)
+    piece = cut(around.wall, np.where(outside < 15.0 * MM, outside, np.inf))
     xy = np.stack([piece.patch.fields[:, 0], np.zeros(len(piece.vertices))], axis=1)
     site = Site(organ.vertices[vertex], np.eye(3), around.down, band=(low, high))
     return Found(site, piece, _with_xy(piece.patch, xy), vertex)
@@ -144,15 +145,17 @@ def stream_site(lesion: Lesion, around: Surroundings, rng: np.random.Generator) 
     vertex, path = best
     reach = 8.0 * lesion.bleed.width + 2.0 * lesion.bleed.source
     along = np.asarray(KDTree(organ.vertices).query(path)[1])
-    near = np.isfinite(within(around.wall, np.unique(along), reach + 6.0 * MM))
+    away = within(around.wall, np.unique(along), reach + 6.0 * MM)
     if lesion.bleed.pool > 0.0:
-        near |= np.isfinite(within(around.wall, along[-1:], 1.5 * _POOL_REACH))
-    piece = cut(around.wall, near)
+        pool = within(around.wall, along[-1:], 1.5 * _POOL_REACH)
+        away = np.where(np.isfinite(pool) & ~np.isfinite(away), reach, away)
+    piece = cut(around.wall, away)
     fine = min(0.8 * MM, 0.6 * lesion.bleed.width)
-    patch = _evenly_refined(piece.patch, path, 2.5 * lesion.bleed.width, fine)
+    patch = _evenly_refined(piece.patch, 3.0 * lesion.bleed.width, fine)
     dense = np.linspace(0.0, len(path) - 1.0, 8 * len(path))
     line = np.stack([np.interp(dense, np.arange(len(path)), p) for p in path.T], axis=1)
     away, nearest = KDTree(line).query(patch.moved)
+    away = np.where(patch.fields[:, NUM_FIELDS - 1] < 0.95 * reach, away, np.maximum(away, reach))
     site = Site(
         *(path[0], np.eye(3), around.down),
         **{"bottom": path[-1], "reach": _POOL_REACH},
@@ -204,15 +207,12 @@ def _with_xy(patch: Patch, xy: Float[np.ndarray, "n 2"]) -> Patch:
     return replace(patch, fields=np.column_stack([patch.fields, xy]))
 
 
-def _evenly_refined(
-    patch: Patch, centers: Float[np.ndarray, "k 3"], radius: float, longest: float
-) -> Patch:
-    """The piece with short edges within a distance of some points."""
-    tree = KDTree(centers)
+def _evenly_refined(patch: Patch, reach: float, longest: float) -> Patch:
+    """The piece with short edges as far from its middle, along the wall, as `reach`."""
 
     def is_long(patch: Patch, ends: np.ndarray) -> np.ndarray:
+        near = patch.fields[ends, NUM_FIELDS - 1].min(axis=1) < reach
         p = patch.moved[ends]
-        near = tree.query(p)[0].min(axis=1) < 1.15 * radius
         return near & (np.linalg.norm(p[:, 0] - p[:, 1], axis=1) > longest)
 
     return refine(patch, is_long, lambda patch: patch.moved)

@@ -16,8 +16,9 @@ from vrcaps.organ.surface import OrganSurface, vertex_normals
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
 
-NUM_FIELDS = 5
-"""Columns of `Patch.fields`: arc length, distance from the centreline, offset to it."""
+NUM_FIELDS = 6
+"""Columns of `Patch.fields`: arc length, distance from the centreline, offset to it, and of a piece
+its distance along the wall from the middle [m]."""
 
 _PER_VERTEX = (
     *("clean", "moved", "normals", "clean_normals", "theta", "fields", "label", "instance"),
@@ -36,7 +37,9 @@ def whole_wall(organ: OrganSurface) -> Patch:
         normals=normals,
         clean_normals=normals,
         theta=np.asarray(organ.theta, float),
-        fields=np.column_stack([organ.arc_length, organ.radius, points - vertices]),
+        fields=np.column_stack(
+            [organ.arc_length, organ.radius, points - vertices, np.zeros(len(vertices))]
+        ),
         label=organ.label,
         instance=np.zeros(len(vertices), np.uint16),
         faces=np.asarray(organ.faces),
@@ -77,12 +80,20 @@ class Cut:
     faces: Bool[np.ndarray, " m"]
 
 
-def cut(wall: Patch, near: Bool[np.ndarray, " n"]) -> Cut:
-    """The faces that have a corner among the vertices `near`."""
+def cut(wall: Patch, away: Float[np.ndarray, " n"]) -> Cut:
+    """The faces that have a corner within reach.
+
+    Args:
+        wall: The whole.
+        away: Distance of each vertex from the middle [m], infinite beyond reach.
+    """
+    near = np.isfinite(away)
     chosen = np.asarray(near[wall.faces].any(axis=1))
     vertices, local = np.unique(wall.faces[chosen], return_inverse=True)
     faces = local.reshape(-1, 3)
     values = {name: getattr(wall, name)[vertices] for name in _PER_VERTEX}
+    values["fields"] = values["fields"].copy()
+    values["fields"][:, -1] = np.where(near, away, away[near].max(initial=0.0))[vertices]
     values["is_rim"] = rim(faces, len(vertices)) & ~_is_end(wall)[vertices]
     patch = Patch(**values, faces=faces, uv=wall.uv[chosen], chart_id=wall.chart_id[chosen])
     return Cut(patch, vertices, chosen)

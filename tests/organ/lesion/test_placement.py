@@ -4,7 +4,16 @@ import numpy as np
 import pytest
 
 from vrcaps.errors import InputError, UnknownNameError
-from vrcaps.organ.lesion import Haemorrhage, Place, Polyp, Stricture, Tumour, Ulcer, add_lesions
+from vrcaps.organ.lesion import (
+    Diverticulum,
+    Haemorrhage,
+    Place,
+    Polyp,
+    Stricture,
+    Tumour,
+    Ulcer,
+    add_lesions,
+)
 from vrcaps.units import MM
 
 
@@ -35,6 +44,7 @@ def test_stated_segment(tube, segment):
         (Polyp(place=Place(arc_length=0.5)), "Allowed: 0.0 to 16.0 cm"),
         (Polyp(place=Place(segment="lower", arc_length=20 * MM)), "is not in lower"),
         (Stricture(place=Place(arc_length=4 * MM)), "beyond the organ's end"),
+        (Diverticulum(size=15 * MM, place=Place(arc_length=80 * MM)), "the wall is folded"),
         (Haemorrhage(level=3, place=Place(arc_length=9.0)), "is not in tube"),
     ],
 )

@@ -135,7 +135,7 @@ class BreakForm(SpotForm):
         fine = self._grain(points)
         halo = self.kind.halo * smoothstep((1.0 - share) / 0.3)
         color = mix(clean.color, clean.plain, 0.8 * halo)
-        color = color * (1.0 - halo[:, None] * (0.08, 0.62, 0.62))
+        color = color * (1.0 - halo[:, None] * (0.10, 0.75, 0.75))
         slough = smoothstep(0.5 + 0.5 * self._slough(points))
         floor = mix(
             np.broadcast_to(FIBRIN, color.shape), np.array([0.52, 0.36, 0.13]), 0.5 * slough

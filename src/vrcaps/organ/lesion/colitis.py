@@ -187,7 +187,7 @@ class ColitisForm:
             color = color * (1.0 - rim[:, None] * (0.10, 0.45, 0.45))
             base = smoothstep(level / 0.3)
             slough = FIBRIN * np.exp(0.14 * fine + 0.12 * self._patches(points))[:, None]
-            color = mix(color, slough, 0.78 * base)
+            color = mix(color, slough, 0.7 * base)
             roughness = roughness + 0.12 * base
             height = height + (0.4 * rim - base) * deep
         return color, roughness, height

@@ -23,6 +23,7 @@ _GAP = 2.0 * MM  # between the footprints of two lesions
 _ROOM = 0.8  # share of the free way across the lumen that a lesion may take
 _WIDEST = 1.3  # radius of a spot's footprint in radii of the lumen; the log map holds so far
 _BEHIND = 0.3 * MM
+_UNEVEN = 0.35  # height of the wall around a pouch, in radii of its footprint
 
 
 @dataclass(frozen=True)
@@ -136,11 +137,25 @@ def _misfit(
             f"it stands {abs(lesion.reach_in) / MM:.1f} mm high, but {side} at "
             f"{arc_length / CM:.1f} cm only {free / MM:.1f} mm are free"
         )
+    if lesion.reach_in < 0.0 and _unevenness(organ, center, normal, reach) > _UNEVEN * reach:
+        return f"at {arc_length / CM:.1f} cm the wall is folded, where no pouch forms"
     for number, other in enumerate(others, start=1):
         apart = float(np.linalg.norm(other.center - center))
         if apart < reach + other.lesion.footprint_radius + _GAP:
             return f"it overlaps lesion {number}, {describe(other.lesion)}"
     return ""
+
+
+def _unevenness(
+    organ: OrganSurface,
+    center: Float[np.ndarray, " 3"],
+    normal: Float[np.ndarray, " 3"],
+    reach: float,
+) -> float:
+    """Largest distance [m] of the wall around a place from the tangent plane there."""
+    offset = organ.vertices - center
+    near = np.linalg.norm(offset, axis=1) < 1.2 * reach
+    return float(np.abs(offset[near] @ normal).max())
 
 
 def _free_way(

@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 
 from vrcaps.errors import InputError, UnknownNameError
+from vrcaps.organ.lesion import Place, Polyp
 from vrcaps.record import scenario as module
 from vrcaps.record.scenario import (
     OrganFile,
     OrganGenerated,
     Scenario,
+    read_lesions,
     read_scenario,
     resolve,
     scenario_from_plain,
@@ -130,3 +132,34 @@ def test_plain_form_is_json(scenario):
     plain = scenario_to_plain(scenario)
     assert scenario_from_plain(json.loads(json.dumps(plain))) == scenario
     assert plain["organ"]["path"] == str(Path(plain["organ"]["path"]))
+
+
+LESIONS = 'lesions = [{kind = "polyp", shape = "Is", size = 0.006, place = {arc_length = 0.12}}]\n'
+
+
+def test_lesions_of_a_file(tmp_path):
+    path = tmp_path / "lesions.toml"
+    path.write_text(LESIONS)
+    expected = (Polyp(shape="Is", size=0.006, place=Place(arc_length=0.12)),)
+    assert read_lesions(path) == expected
+    assert scenario_from_plain(
+        {"lesions": scenario_to_plain(Scenario(lesions=expected))["lesions"]}
+    )
+    path.write_text(LESIONS + "frames = 3\n")
+    with pytest.raises(InputError, match=r"Allowed: tables \[\[lesions\]\]"):
+        read_lesions(path)
+    with pytest.raises(InputError, match="Cannot read the lesions"):
+        read_lesions(tmp_path / "none.toml")
+
+
+def test_clean_twin_has_the_same_motion(scenario, tmp_path, monkeypatch):
+    monkeypatch.setenv("VRCAPS_CACHE", str(tmp_path))
+    lesions = (Polyp(size=6e-3, place=Place(arc_length=0.12)),)
+    sick, device = resolve(replace(scenario, lesions=lesions))
+    model, trajectory = module.build(sick, device)
+    twin, same = module.build(replace(sick, clean_twin=True), device)
+    assert np.array_equal(trajectory.Ts_world_capsule, same.Ts_world_capsule)
+    assert np.array_equal(model.organ.faces, twin.organ.faces)
+    assert model.organ.instance.max() == 1
+    assert twin.organ.instance.max() == 0
+    assert model.organ.metadata["lesions"][0]["kind"] == "polyp"

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
-from tyro.conf import Positional
+from tyro.conf import Positional, UseAppendAction
 
 from vrcaps.cli.console import console
+from vrcaps.cli.lesions import chosen_lesions, lesion_lines
 from vrcaps.errors import InputError
 from vrcaps.units import CM, MM
 
@@ -60,6 +61,7 @@ class Make:
 
     For example:
       vrcaps organ make colon --seed 3 --out colon-3.glb
+      vrcaps organ make colon --lesion polyp-Ip:size=12mm,segment=sigmoid --lesion colitis-2
     """
 
     name: Positional[str]
@@ -71,9 +73,21 @@ class Make:
     out: Path | None = None
     """File to write; by default <name>-<seed>.glb in the working directory. In metres."""
 
+    lesion: Annotated[tuple[str, ...], UseAppendAction] = ()
+    """Put this into the organ; give it again for more. As in vrcaps record."""
+
+    lesions: str | None = None
+    """A file of lesions (TOML or JSON), or prevalence. As in vrcaps record."""
+
+    clean_twin: bool = False
+    """Write the clean twin too, as <out>-clean.glb."""
+
     def run(self) -> None:
         """Generate and report."""
+        import numpy as np
+
         from vrcaps.organ.catalog import load_organ
+        from vrcaps.organ.lesion import add_lesions
         from vrcaps.organ.write import write_glb
 
         out = self.out or Path(f"{self.name}-{self.seed}.glb")
@@ -81,8 +95,15 @@ class Make:
             raise InputError(f"--out is {out}. Allowed: a name that ends in .glb.")
         with console.status("generating"):
             organ = load_organ(self.name, seed=self.seed)
+            lesions = chosen_lesions(self.lesion, self.lesions, self.seed)
+            patient = add_lesions(organ, lesions, np.random.default_rng([self.seed, 3]))
+            organ = patient.organ if lesions else organ
             write_glb(out, organ)
+            if self.clean_twin:
+                write_glb(out.with_name(f"{out.stem}-clean.glb"), patient.clean)
         console.print(f"Wrote {out} (unit: m).")
+        for line in lesion_lines(organ.metadata.get("lesions", []), organ.centerline.length):
+            console.print(f"Lesion {line}.")
         _report(organ, out.with_name(f"{out.stem}-overview.png"))
 
 

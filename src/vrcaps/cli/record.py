@@ -6,8 +6,9 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
-from tyro.conf import OmitArgPrefixes, arg
+from tyro.conf import OmitArgPrefixes, UseAppendAction, arg
 
+from vrcaps.cli.lesions import chosen_lesions
 from vrcaps.cli.recording import run_recording
 from vrcaps.errors import InputError
 from vrcaps.render.frame import CHANNELS
@@ -30,6 +31,7 @@ class Record:
     For example:
       vrcaps record --out runs/colon --organ colon --seed 3 --frames 300
       vrcaps record --out runs/mine --organ colon.ply --unit mm --capsule pillcam-colon2
+      vrcaps record --out runs/polyp --lesion polyp-Ip:size=12mm,segment=sigmoid
       vrcaps record --out runs/path --path poses.txt --path-format tum --path-unit m
       vrcaps record --out runs/again --scenario runs/mine/episode.json
     """
@@ -60,6 +62,17 @@ class Record:
 
     patient: int | None = None
     """Seed of a generated organ; by default --seed. Give it to fly many runs through one."""
+
+    lesion: Annotated[tuple[str, ...], UseAppendAction] = ()
+    """Put this into the organ; give it again for more. A kind with its grade, then what differs:
+    polyp-Ip:size=12mm,segment=sigmoid, colitis-2:spread=E2, haemorrhage-3, or a name of the
+    library such as polyp-Is-villous or colitis-3-07."""
+
+    lesions: str | None = None
+    """A file of lesions (TOML or JSON), or prevalence: as many as such a patient has."""
+
+    clean_twin: bool = False
+    """Record the same flight through the same patient without the lesions."""
 
     posture: str = "supine"
     """How the patient lies: supine, prone, left-lateral, right-lateral, standing."""
@@ -143,7 +156,12 @@ class Record:
             seed=self.seed,
             channels=self.channels,
             render=self.render,
+            lesions=chosen_lesions(self.lesion, self.lesions, self._patient_seed()),
+            clean_twin=self.clean_twin,
         )
+
+    def _patient_seed(self) -> int:
+        return self.seed if self.patient is None else self.patient
 
     def _organ(self) -> OrganGenerated | OrganFile:
         from vrcaps.record.scenario import OrganFile, OrganGenerated
@@ -165,8 +183,7 @@ class Record:
                 f"--unit, --open-ends, --keep-uv, --reverse and --mucosa go with a mesh file, but "
                 f"{self.organ!r} is a name. Drop them, or give the path of a PLY, OBJ, STL or GLB."
             )
-        patient = self.seed if self.patient is None else self.patient
-        return OrganGenerated(name=self.organ, seed=patient)
+        return OrganGenerated(name=self.organ, seed=self._patient_seed())
 
     def _replay(self, path: Path) -> Replay:
         from vrcaps.world.replay import Replay

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from vrcaps.cli.console import console, progress_bar
+from vrcaps.cli.lesions import lesion_lines
 from vrcaps.errors import InputError
 
 if TYPE_CHECKING:
@@ -67,6 +68,9 @@ def _summarise(out: Path, times: list[float], seconds: float) -> None:
         console.print(f" ({rate:.0f} frames per second once set up)", end="")
     console.print(".")
     console.print(f"Channels: {', '.join(episode.channels)}.")
+    organ = episode.head["organ"]
+    for line in lesion_lines(organ.get("lesions", []), organ["centerline_length_m"]):
+        console.print(f"Lesion {line}.")
     for note in episode.head.get("motion_notes", []):
         console.print(f"Note: {note}")
     pictures = [out / name for name in ("sheet.png", "preview.mp4") if (out / name).exists()]

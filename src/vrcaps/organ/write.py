@@ -48,6 +48,8 @@ def write_glb(
         scale = relief_scale(organ.vertices, organ.faces, organ.uv)
         images = [glb.add_image(png) for png in texture_images(organ.appearance, scale)]
     extras = {"label_names": list(organ.label_names)}
+    if "lesions" in organ.metadata:
+        extras["lesions"] = organ.metadata["lesions"]
     document = {
         "asset": {"version": "2.0", "generator": "vrcaps"},
         "scene": 0,

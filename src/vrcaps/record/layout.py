@@ -48,7 +48,8 @@ def make_head(scenario: Scenario, model: Model, notes: tuple[str, ...]) -> dict[
             "num_vertices": len(organ.vertices),
             "num_faces": len(organ.faces),
             "centerline_length_m": organ.centerline.length,
-            "metadata": json_safe(organ.metadata),
+            "lesions": json_safe(organ.metadata.get("lesions", [])),
+            "metadata": json_safe({k: v for k, v in organ.metadata.items() if k != "lesions"}),
         },
         "T_world_patient": model.T_world_patient.tolist(),
         "capsule": {

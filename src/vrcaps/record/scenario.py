@@ -15,6 +15,7 @@ import numpy as np
 from vrcaps.capsule.catalog import load_device
 from vrcaps.capsule.device import Device
 from vrcaps.errors import InputError, UnknownNameError
+from vrcaps.organ.lesion import AnyLesion, add_lesions
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.record.typed import from_plain, to_plain
 from vrcaps.render.frame import CHANNELS
@@ -82,6 +83,8 @@ class Scenario:
         seed: Of the motion's wandering and the mucosa of an organ from a file.
         channels: Image channels to write.
         render: How to render.
+        lesions: What to put into the organ; number k becomes instance k, counted from 1.
+        clean_twin: Show the same patient without the lesions; the motion stays as it is with them.
     """
 
     organ: OrganGenerated | OrganFile = field(default_factory=OrganGenerated)
@@ -93,6 +96,8 @@ class Scenario:
     seed: int = 0
     channels: tuple[str, ...] = DEFAULT_CHANNELS
     render: RenderSettings = field(default_factory=RenderSettings)
+    lesions: tuple[AnyLesion, ...] = ()
+    clean_twin: bool = False
 
 
 def read_scenario(path: str | Path) -> Scenario:
@@ -101,18 +106,33 @@ def read_scenario(path: str | Path) -> Scenario:
     Raises:
         InputError: If the file cannot be read, or a key is unknown or has a wrong value.
     """
-    path = Path(path)
-    try:
-        text = path.read_text(encoding="utf-8")
-        plain = tomllib.loads(text) if path.suffix == ".toml" else json.loads(text)
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"Cannot read the scenario {path}: {error}.") from error
-    except (json.JSONDecodeError, tomllib.TOMLDecodeError) as error:
-        kind = "TOML" if path.suffix == ".toml" else "JSON"
-        raise InputError(f"{path} is no {kind}: {error}.") from error
+    plain = _read_plain(Path(path), "scenario")
     if isinstance(plain, dict) and "format" in plain:
         plain = plain.get("scenario")
     return scenario_from_plain(plain)
+
+
+def read_lesions(path: str | Path) -> tuple[AnyLesion, ...]:
+    """Read lesions from a JSON or TOML file: tables ``lesions``, as a scenario has them.
+
+    Raises:
+        InputError: If the file cannot be read, or a key is unknown or has a wrong value.
+    """
+    plain = _read_plain(Path(path), "lesions")
+    if not isinstance(plain, dict) or set(plain) != {"lesions"}:
+        raise InputError(f"{path} is no file of lesions. Allowed: tables [[lesions]], no more.")
+    return from_plain(tuple[AnyLesion, ...], plain["lesions"], at="lesions")
+
+
+def _read_plain(path: Path, what: str) -> Any:
+    try:
+        text = path.read_text(encoding="utf-8")
+        return tomllib.loads(text) if path.suffix == ".toml" else json.loads(text)
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"Cannot read the {what} {path}: {error}.") from error
+    except (json.JSONDecodeError, tomllib.TOMLDecodeError) as error:
+        kind = "TOML" if path.suffix == ".toml" else "JSON"
+        raise InputError(f"{path} is no {kind}: {error}.") from error
 
 
 def scenario_to_plain(scenario: Scenario) -> dict[str, Any]:
@@ -172,8 +192,13 @@ def build(scenario: Scenario, device: Device) -> tuple[Model, Trajectory]:
     Raises:
         InputError: If the organ cannot be made or the capsule cannot move in it as asked.
     """
-    model = Model(_load_organ(scenario), device, posture_transform(scenario.posture))
-    return model, make_trajectory(scenario, model)
+    T_world_patient = posture_transform(scenario.posture)
+    model = Model(_load_patient(scenario), device, T_world_patient)
+    trajectory = make_trajectory(scenario, model)
+    if scenario.clean_twin:
+        twin = _load_patient(scenario, clean=True)
+        model = Model(twin, device, T_world_patient)
+    return model, trajectory
 
 
 def make_trajectory(scenario: Scenario, model: Model) -> Trajectory:
@@ -183,6 +208,26 @@ def make_trajectory(scenario: Scenario, model: Model) -> Trajectory:
         return replay(model, scenario.motion, frames=scenario.frames, fps=scenario.fps)
     rng = np.random.default_rng(scenario.seed)
     return fly_through(model, scenario.motion, frames=scenario.frames, fps=scenario.fps, rng=rng)
+
+
+def _load_patient(scenario: Scenario, *, clean: bool = False) -> OrganSurface:
+    """The organ with its lesions, or its clean twin; made once like the organ itself."""
+    from vrcaps.organ.cache import cached_organ, fingerprint
+
+    if not scenario.lesions:
+        return _load_organ(scenario)
+    gravity_world = np.array([0.0, 0.0, -1.0])
+    down = posture_transform(scenario.posture)[:3, :3].T @ gravity_world
+    seed = getattr(scenario.organ, "seed", scenario.seed)
+
+    def make() -> OrganSurface:
+        rng = np.random.default_rng([seed, 3])
+        patient = add_lesions(_load_organ(scenario), scenario.lesions, rng, down=down)
+        return patient.clean if clean else patient.organ
+
+    plain = to_plain(scenario.lesions, tuple[AnyLesion, ...])
+    key = {"lesions": plain, "organ": asdict(scenario.organ), "down": down.tolist(), "seed": seed}
+    return cached_organ(f"lesions-{fingerprint({**key, 'clean': clean})}", make)
 
 
 def _load_organ(scenario: Scenario) -> OrganSurface:

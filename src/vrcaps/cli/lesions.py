@@ -1,0 +1,56 @@
+"""Lesions as the command line names them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from vrcaps.units import CM, MM
+
+if TYPE_CHECKING:
+    from vrcaps.organ.lesion import AnyLesion
+
+
+def chosen_lesions(texts: Sequence[str], source: str | None, seed: int) -> tuple[AnyLesion, ...]:
+    """Lesions of a file or of the prevalence table, then those given one by one.
+
+    Args:
+        texts: Each as `parse_lesion` reads it.
+        source: Path of a file, ``prevalence``, or None.
+        seed: The patient's, for the table.
+
+    Raises:
+        InputError: If a text or the file cannot be read.
+        UnknownNameError: If a lesion or a key is unknown.
+    """
+    import numpy as np
+
+    from vrcaps.organ.lesion import draw_lesions, parse_lesion
+    from vrcaps.record.scenario import read_lesions
+
+    if source == "prevalence":
+        first: tuple[Any, ...] = draw_lesions(None, np.random.default_rng([seed, 4]))
+    else:
+        first = () if source is None else read_lesions(Path(source))
+    return (*first, *(parse_lesion(text) for text in texts))  # type: ignore[return-value]
+
+
+def lesion_lines(records: Sequence[dict[str, Any]], length: float) -> list[str]:
+    """One line for each lesion of an organ.
+
+    Args:
+        records: Of `OrganSurface.metadata` or `episode.json`.
+        length: Of the centreline [m].
+    """
+    lines = []
+    for record in records:
+        share = record["arc_length_m"] / length
+        size = record["specification"].get("size")
+        words = [record["kind"], record["grade"], f"of {size / MM:.1f} mm" if size else ""]
+        lines.append(
+            f"{record['instance']}: {' '.join(word for word in words if word)}, "
+            f"{record['segment']}, {record['arc_length_m'] / CM:.1f} cm "
+            f"({share:.3f} of the centreline)"
+        )
+    return lines

@@ -1,0 +1,199 @@
+"""What every lesion offers: a specification makes a form, a form shapes and paints the wall.
+
+A specification (`Polyp`, `Colitis`, …) is plain data: class, grade, size, place. Its form is the
+specification with its irregularities drawn. A form works on samples of wall (`WallSamples`), be
+they vertices of the refined wall or texels, so that shape, mask and colour agree.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, ClassVar, Literal, Protocol
+
+import numpy as np
+
+from vrcaps.errors import InputError
+from vrcaps.units import MM
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+    from vrcaps.organ.surface import OrganSurface
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where on the wall a lesion is; what is not given is drawn at random.
+
+    Attributes:
+        segment: Name of a segment (label) of the organ.
+        arc_length: Along the centreline from the oral end [m].
+        theta: Angle around the centreline [rad], −π to π.
+    """
+
+    segment: str | None = None
+    arc_length: float | None = None
+    theta: float | None = None
+
+
+@dataclass(frozen=True)
+class WallSamples:
+    """Points of the wall around a lesion.
+
+    Attributes:
+        xy: Place in the wall [m]. Of a spot: geodesic log map about its centre. Of a band: arc
+            length and 0. Of a stream: way along its path, and distance from the path.
+        rest: Position without the lesion [m], patient frame.
+        normal: Unit normal into the lumen there.
+        inward: Offset to the centreline [m].
+    """
+
+    xy: Float[np.ndarray, "n 2"]
+    rest: Float[np.ndarray, "n 3"]
+    normal: Float[np.ndarray, "n 3"]
+    inward: Float[np.ndarray, "n 3"]
+
+
+@dataclass(frozen=True)
+class Site:
+    """The place that a lesion took, as its form needs to know it.
+
+    Attributes:
+        center: Of a spot: its middle; else any point of the footprint [m], patient frame.
+        axes: Columns are x and y of the log map at the centre and the normal into the lumen.
+        down: Unit vector of gravity, patient frame.
+        band: Of a band: first and last arc length [m].
+        bottom: Of a stream: where it ends [m], patient frame.
+        reach: Of a stream: how far from its bottom a pool may reach [m].
+    """
+
+    center: Float[np.ndarray, " 3"]
+    axes: Float[np.ndarray, "3 3"]
+    down: Float[np.ndarray, " 3"]
+    band: tuple[float, float] = (-np.inf, np.inf)
+    bottom: Float[np.ndarray, " 3"] | None = None
+    reach: float = 0.0
+
+
+@dataclass(frozen=True)
+class Look:
+    """Reflectance of texels, before or after a lesion is painted on them.
+
+    Attributes:
+        color: Linear reflectance, red, green, blue.
+        roughness: Perceptual roughness, 0 to 1.
+        height: Relief towards the lumen [m].
+        plain: Linear reflectance of the mucosa around, its vessels smoothed away.
+    """
+
+    color: Float[np.ndarray, "n 3"]
+    roughness: Float[np.ndarray, " n"]
+    height: Float[np.ndarray, " n"]
+    plain: Float[np.ndarray, "n 3"]
+
+
+class Form(Protocol):
+    """One lesion with its irregularities drawn.
+
+    Attributes:
+        edge_length: Of the triangles that draw its shape [m].
+        border_length: Of the triangles on the border of its footprint [m].
+    """
+
+    edge_length: float
+    border_length: float
+
+    def depth(self, wall: WallSamples) -> Float[np.ndarray, " n"]:
+        """Distance [m] within the footprint's border; negative outside, zero on it."""
+        ...
+
+    def moved(self, wall: WallSamples) -> Float[np.ndarray, "n 3"]:
+        """Positions with the lesion [m]; at rest outside the footprint."""
+        ...
+
+    def chart(self, wall: WallSamples) -> Float[np.ndarray, "n 2"]:
+        """Flat map [m] of the lesion's surface, true in scale near enough to paint on."""
+        ...
+
+    def painted(self, wall: WallSamples, points: Float[np.ndarray, "n 3"], clean: Look) -> Look:
+        """The look with the lesion.
+
+        Args:
+            wall: Samples within the footprint.
+            points: Their positions with the lesion, relative to the site's centre [m].
+            clean: Their look without it.
+        """
+        ...
+
+
+@dataclass(frozen=True, kw_only=True)
+class Lesion:
+    """What all specifications share.
+
+    Attributes:
+        place: Where it is; drawn at random where left open.
+        variant: Another lesion of the same specification for each number.
+    """
+
+    place: Place = field(default_factory=Place)
+    variant: int = 0
+
+    kind: ClassVar[str]
+    grade_field: ClassVar[str] = ""
+    """Field that a name like `polyp-Ip` gives after its hyphen."""
+
+    @property
+    def extent(self) -> Literal["spot", "band", "stream"]:
+        """How it lies: about a centre, across the lumen, or where blood runs."""
+        return "spot"
+
+    @property
+    def grade(self) -> str:
+        """Its grade, type or subtype in words; empty for classes without any."""
+        return ""
+
+    @property
+    def footprint_radius(self) -> float:
+        """Of a spot: radius of the wall that it takes [m]."""
+        raise NotImplementedError
+
+    @property
+    def reach_in(self) -> float:
+        """How far it stands into the lumen [m]; negative for a pouch out of it."""
+        return 0.0
+
+    def form(self, site: Site, rng: np.random.Generator) -> Form:
+        """Draw its irregularities."""
+        raise NotImplementedError
+
+    def band(self, organ: OrganSurface, middle: float | None) -> tuple[float, float]:
+        """Of a band: first and last arc length [m].
+
+        Args:
+            organ: The organ.
+            middle: Arc length that its place says [m]; None where it says nothing.
+        """
+        raise NotImplementedError
+
+
+def require_range(what: str, value: float, low: float, high: float) -> None:
+    """Check a length in a specification.
+
+    Raises:
+        InputError: If it is out of range.
+    """
+    if not low <= value <= high:
+        raise InputError(f"{what} is {value / MM:g} mm. Allowed: {low / MM:g} to {high / MM:g} mm.")
+
+
+def smoothstep(x: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+    """3x² − 2x³ between 0 and 1, constant beyond."""
+    x = np.clip(x, 0.0, 1.0)
+    return x * x * (3.0 - 2.0 * x)
+
+
+def mix(
+    a: Float[np.ndarray, "n 3"], b: Float[np.ndarray, "*n 3"], share: Float[np.ndarray, " n"]
+) -> Float[np.ndarray, "n 3"]:
+    """From `a` (share 0) to `b` (share 1)."""
+    return a + (b - a) * share[:, None]

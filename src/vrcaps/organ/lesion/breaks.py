@@ -1,0 +1,149 @@
+"""Breaks in the mucosa: erosions and ulcers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar, Literal
+
+import numpy as np
+
+from vrcaps.organ.lesion.base import Lesion, Look, Site, WallSamples, mix, require_range, smoothstep
+from vrcaps.organ.lesion.colitis import BLOOD, FIBRIN
+from vrcaps.organ.lesion.noise import cloud, grain
+from vrcaps.organ.lesion.spot import SpotForm
+from vrcaps.units import MM
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+
+@dataclass(frozen=True)
+class Break:
+    """How a kind of break looks.
+
+    Attributes:
+        base: Share of the radius that lies open.
+        deep: Depth [m].
+        rim: Height of its swollen rim [m].
+        halo: Redness around it.
+        waviness: Of its outline.
+        blood: Chance of a spot of blood on its base, 0 to 1.
+    """
+
+    base: float
+    deep: float
+    rim: float
+    halo: float
+    waviness: float
+    blood: float
+
+
+BREAKS = {
+    "erosion": Break(0.42, 0.15 * MM, 0.0, 0.6, 0.22, 0.3),
+    "aphthous": Break(0.42, 0.4 * MM, 0.25 * MM, 0.85, 0.06, 0.0),
+    "deep": Break(0.6, 2.2 * MM, 0.7 * MM, 0.6, 0.2, 0.6),
+}
+"""An aphthous ulcer is small, round, with a white base and a red halo; a deep one is wide,
+irregular and sloughy, with a raised edge. They reach into the submucosa, an erosion does not."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Erosion(Lesion):
+    """A superficial break of the mucosa.
+
+    Attributes:
+        size: Diameter with its red surroundings [m], 1 to 10 mm.
+    """
+
+    size: float = 4.0 * MM
+
+    kind: ClassVar[str] = "erosion"
+
+    def __post_init__(self) -> None:
+        require_range("Size of an erosion", self.size, 1.0 * MM, 10.0 * MM)
+
+    @property
+    def footprint_radius(self) -> float:
+        """Half the size [m]."""
+        return 0.5 * self.size
+
+    def form(self, site: Site, rng: np.random.Generator) -> BreakForm:
+        """Draw its irregularities."""
+        return BreakForm(BREAKS["erosion"], site, 0.5 * self.size, rng)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ulcer(Lesion):
+    """An ulcer.
+
+    Attributes:
+        type: Aphthous or deep.
+        size: Diameter with its red surroundings [m]: aphthous 2 to 10 mm, deep 5 to 40 mm.
+    """
+
+    type: Literal["aphthous", "deep"] = "deep"
+    size: float = 8.0 * MM
+
+    kind: ClassVar[str] = "ulcer"
+    grade_field: ClassVar[str] = "type"
+
+    def __post_init__(self) -> None:
+        low, high = (2.0 * MM, 10.0 * MM) if self.type == "aphthous" else (5.0 * MM, 40.0 * MM)
+        require_range(f"Size of an {self.type} ulcer", self.size, low, high)
+
+    @property
+    def grade(self) -> str:
+        """Aphthous or deep."""
+        return self.type
+
+    @property
+    def footprint_radius(self) -> float:
+        """Half the size [m]."""
+        return 0.5 * self.size
+
+    def form(self, site: Site, rng: np.random.Generator) -> BreakForm:
+        """Draw its irregularities."""
+        return BreakForm(BREAKS[self.type], site, 0.5 * self.size, rng)
+
+
+class BreakForm(SpotForm):
+    """A crater with a rim, fibrin on its base, redness around."""
+
+    def __init__(self, kind: Break, site: Site, radius: float, rng: np.random.Generator) -> None:
+        super().__init__(site, radius, rng, waviness=kind.waviness)
+        self.kind = kind
+        self._deep = min(kind.deep, 0.3 * radius)
+        self._rim = min(kind.rim, 0.12 * radius)
+        self._slough, self._grain = cloud(max(0.4 * radius, 0.8 * MM), rng), grain(0.7 * MM, rng)
+        self._is_bloody = rng.random() < kind.blood
+
+    def _open(self, wall: WallSamples, points: Float[np.ndarray, "n 3"]):
+        """From 0 outside the break to 1 on its base."""
+        ragged = self.share(wall) + 0.06 * self._slough(points)
+        return smoothstep((self.kind.base - ragged) / 0.14 + 0.5)
+
+    def lift(self, wall: WallSamples) -> Float[np.ndarray, " n"]:
+        """Sunk base, raised rim."""
+        share = self.share(wall)
+        base = smoothstep((self.kind.base - share) / 0.22 + 0.5)
+        rim = np.exp(-(((share - self.kind.base - 0.12) / 0.14) ** 2))
+        return self._rim * rim * smoothstep((1.0 - share) / 0.2) - self._deep * base
+
+    def painted(self, wall: WallSamples, points: Float[np.ndarray, "n 3"], clean: Look) -> Look:
+        """Fibrin, slough and blood on the base, a red halo around it."""
+        share, base = self.share(wall), self._open(wall, points)
+        fine = self._grain(points)
+        halo = self.kind.halo * smoothstep((1.0 - share) / 0.3)
+        color = mix(clean.color, clean.plain, 0.8 * halo)
+        color = color * (1.0 - halo[:, None] * (0.10, 0.75, 0.75))
+        slough = smoothstep(0.5 + 0.5 * self._slough(points))
+        floor = mix(
+            np.broadcast_to(FIBRIN, color.shape), np.array([0.52, 0.36, 0.13]), 0.5 * slough
+        )
+        color = mix(color, floor * np.exp(0.06 * fine)[:, None], 0.92 * base)
+        if self._is_bloody:
+            spot = smoothstep((self._slough(points[:, ::-1]) - 1.0) / 0.3) * base
+            color = mix(color, 0.7 * BLOOD, 0.9 * spot)
+        height = clean.height * (1.0 - base) + 0.02 * MM * fine * base
+        look = (color, clean.roughness + 0.12 * base, height)
+        return self.blended(wall, clean, look, softness=0.3)

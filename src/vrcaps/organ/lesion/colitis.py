@@ -1,0 +1,193 @@
+"""Ulcerative colitis: continuous inflammation upwards from the rectum."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, ClassVar, Literal
+
+import numpy as np
+
+from vrcaps.errors import InputError
+from vrcaps.organ.lesion.base import Lesion, Look, Site, WallSamples, mix, require_range, smoothstep
+from vrcaps.organ.lesion.noise import cloud, grain, swell
+from vrcaps.units import CM, MM
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+    from vrcaps.organ.surface import OrganSurface
+
+_EXTENTS = {"E1": ("rectum", 15 * CM), "E2": ("descending", 60 * CM), "E3": ("ascending", np.inf)}
+"""Montreal classes (Silverberg et al. 2005): proctitis, left-sided, extensive. The first segment
+affected, or the length from the anal end where an organ has no such segment [m]."""
+
+BLOOD = np.array([0.22, 0.006, 0.006])
+"""Linear reflectance of a thick layer of fresh blood."""
+
+FIBRIN = np.array([0.72, 0.52, 0.31])
+"""Linear reflectance of fibrin and slough on an ulcer."""
+
+
+@dataclass(frozen=True)
+class Activity:
+    """What a Mayo endoscopic subscore looks like (Schroeder, Tremaine and Ilstrup 1987).
+
+    Attributes:
+        obscured: How far the vessels have faded, 0 to 1.
+        tint: Reflectance of inflamed over that of plain mucosa: red, green, blue.
+        patchiness: Share of the redness that comes in patches.
+        granularity: RMS height of the granular relief [m].
+        petechiae: Threshold of the field that sets bleeding points, in deviations.
+        erosions: Threshold for small erosions.
+        ulcers: Threshold for wide ulcers.
+        blood: Threshold for films of blood.
+    """
+
+    obscured: float
+    tint: tuple[float, float, float]
+    patchiness: float
+    granularity: float
+    petechiae: float = np.inf
+    erosions: float = np.inf
+    ulcers: float = np.inf
+    blood: float = np.inf
+
+
+ACTIVITIES = {
+    1: Activity(0.75, (1.0, 0.74, 0.72), 0.7, 0.010 * MM, petechiae=3.4),
+    2: Activity(1.0, (0.96, 0.50, 0.46), 0.5, 0.022 * MM, petechiae=2.5, erosions=1.75),
+    3: Activity(
+        *(1.0, (0.88, 0.30, 0.27), 0.45, 0.030 * MM),
+        **{"petechiae": 2.0, "erosions": 1.5, "ulcers": 0.7, "blood": 0.9},
+    ),
+}
+"""By Mayo subscore: 1 erythema, decreased vascular pattern; 2 marked erythema, no vascular
+pattern, friability, erosions; 3 spontaneous bleeding, ulceration."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Colitis(Lesion):
+    """Ulcerative colitis.
+
+    Attributes:
+        mayo: Mayo endoscopic subscore.
+        spread: How far it goes up from the anal end: E1 (rectum), E2 (left colon), E3 (beyond),
+            or a length [m]. A length with a place lies about that place instead.
+    """
+
+    mayo: Literal[1, 2, 3] = 2
+    spread: Literal["E1", "E2", "E3"] | float = "E1"
+
+    kind: ClassVar[str] = "colitis"
+    grade_field: ClassVar[str] = "mayo"
+
+    def __post_init__(self) -> None:
+        if self.mayo not in ACTIVITIES:
+            raise InputError(f"Mayo subscore {self.mayo}. Allowed: 1, 2, 3.")
+        if isinstance(self.spread, str):
+            if self.spread not in _EXTENTS:
+                raise InputError(f"Spread {self.spread!r}. Allowed: E1, E2, E3, or a length.")
+        else:
+            require_range("Spread of colitis", self.spread, 1.0 * CM, 300.0 * CM)
+
+    @property
+    def extent(self) -> Literal["band"]:
+        """It goes all around the lumen."""
+        return "band"
+
+    @property
+    def grade(self) -> str:
+        """Mayo subscore."""
+        return f"Mayo {self.mayo}"
+
+    def band(self, organ: OrganSurface, middle: float | None) -> tuple[float, float]:
+        """First and last arc length [m]."""
+        length = organ.centerline.length
+        if isinstance(self.spread, str):
+            segment, reach = _EXTENTS[self.spread]
+            is_first = organ.label == (
+                organ.label_names.index(segment) if segment in organ.label_names else -1
+            )
+            low = organ.arc_length[is_first].min() if is_first.any() else length - reach
+            return max(float(low), -np.inf), np.inf
+        if middle is None:
+            return length - self.spread, np.inf
+        return middle - 0.5 * self.spread, middle + 0.5 * self.spread
+
+    def form(self, site: Site, rng: np.random.Generator) -> ColitisForm:
+        """Draw its irregularities."""
+        return ColitisForm(self, site, rng)
+
+
+class ColitisForm:
+    """Colitis with its irregularities drawn: a change of surface, not of shape."""
+
+    edge_length = np.inf
+    border_length = 0.35 * MM
+
+    def __init__(self, colitis: Colitis, site: Site, rng: np.random.Generator) -> None:
+        self.activity, self.site = ACTIVITIES[colitis.mayo], site
+        self._ragged, self._patches = swell(16.0 * MM, rng), cloud(14.0 * MM, rng)
+        self._granules, self._points = grain(0.9 * MM, rng), swell(1.1 * MM, rng)
+        self._erosions, self._ulcers = cloud(5.0 * MM, rng), cloud(18.0 * MM, rng)
+        self._blood = cloud(12.0 * MM, rng)
+
+    def depth(self, wall: WallSamples) -> Float[np.ndarray, " n"]:
+        """Distance within the ragged ends of the band [m]."""
+        low, high = self.site.band
+        ragged = 3.0 * MM * self._ragged(wall.rest)
+        return np.minimum(wall.xy[:, 0] - low, high - wall.xy[:, 0]) + ragged
+
+    def moved(self, wall: WallSamples) -> Float[np.ndarray, "n 3"]:
+        """Positions at rest."""
+        return wall.rest
+
+    def chart(self, wall: WallSamples) -> Float[np.ndarray, "n 2"]:
+        """Not used: it is painted in place."""
+        return wall.xy
+
+    def painted(self, wall: WallSamples, points: Float[np.ndarray, "n 3"], clean: Look) -> Look:
+        """Redness, granules, bleeding points, erosions, ulcers, blood."""
+        is_like, inside = self.activity, smoothstep(self.depth(wall) / (4.0 * MM))
+        patch = smoothstep(0.5 + 0.45 * self._patches(points))
+        redness = (1.0 - is_like.patchiness) + is_like.patchiness * patch
+        fade = np.full(len(points), is_like.obscured)
+        color = mix(clean.color, clean.plain, fade)
+        color = color * np.array(is_like.tint) ** redness[:, None]
+        granules = np.tanh(1.3 * self._granules(points))
+        color = color * np.exp(0.07 * granules)[:, None]
+        height = clean.height * (1.0 - 0.6 * is_like.obscured) + is_like.granularity * granules
+        roughness = clean.roughness + 0.0
+        color = self._bleeding_points(color, points)
+        color, roughness, height = self._ulcerated(color, roughness, height, points)
+        film = smoothstep((self._blood(points) - is_like.blood) / 0.25)
+        color = mix(color, BLOOD * np.exp(0.3 * granules)[:, None], 0.85 * film)
+        return replace(
+            clean,
+            color=np.clip(mix(clean.color, color, inside), 0.0, 1.0),
+            roughness=clean.roughness + (roughness - 0.25 * film - clean.roughness) * inside,
+            height=clean.height + (height * (1.0 - 0.6 * film) - clean.height) * inside,
+        )
+
+    def _bleeding_points(self, color, points) -> Float[np.ndarray, "n 3"]:
+        spot = smoothstep((self._points(points) - self.activity.petechiae) / 0.25)
+        return mix(color, np.array([0.30, 0.02, 0.018]), 0.85 * spot)
+
+    def _ulcerated(self, color, roughness, height, points):
+        """Fibrin in the breaks of the mucosa, a red rim around each."""
+        fine = self._granules(points)
+        for field, threshold, deep in (
+            (self._erosions, self.activity.erosions, 0.08 * MM),
+            (self._ulcers, self.activity.ulcers, 0.35 * MM),
+        ):
+            if not np.isfinite(threshold):
+                continue
+            level = field(points) - threshold + 0.06 * fine
+            rim = np.exp(-((level / 0.22) ** 2))
+            color = color * (1.0 - rim[:, None] * (0.10, 0.45, 0.45))
+            base = smoothstep(level / 0.3)
+            slough = FIBRIN * np.exp(0.14 * fine + 0.12 * self._patches(points))[:, None]
+            color = mix(color, slough, 0.7 * base)
+            roughness = roughness + 0.12 * base
+            height = height + (0.4 * rim - base) * deep
+        return color, roughness, height

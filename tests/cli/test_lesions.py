@@ -1,0 +1,32 @@
+import pytest
+
+from vrcaps.cli.lesions import chosen_lesions, lesion_lines
+from vrcaps.errors import InputError, UnknownNameError
+from vrcaps.organ.lesion import Colitis, Polyp
+
+
+def test_file_first_then_one_by_one(tmp_path):
+    path = tmp_path / "mine.toml"
+    path.write_text('[[lesions]]\nkind = "colitis"\nmayo = 3\n')
+    assert chosen_lesions(["polyp-Ip"], str(path), 0) == (Colitis(mayo=3), Polyp(shape="Ip"))
+
+
+def test_prevalence_goes_with_the_patient():
+    drawn = [chosen_lesions([], "prevalence", seed) for seed in (1, 1, 2)]
+    assert drawn[0] == drawn[1] != drawn[2]
+
+
+def test_errors():
+    with pytest.raises(UnknownNameError, match="No lesion named 'wart'"):
+        chosen_lesions(["wart"], None, 0)
+    with pytest.raises(InputError, match="Cannot read the lesions"):
+        chosen_lesions([], "absent.toml", 0)
+
+
+def test_lines():
+    record = {
+        **{"instance": 2, "kind": "polyp", "grade": "Is", "segment": "sigmoid"},
+        **{"arc_length_m": 1.5, "specification": {"size": 0.008}},
+    }
+    (line,) = lesion_lines([record], 2.0)
+    assert line == "2: polyp Is of 8.0 mm, sigmoid, 150.0 cm (0.750 of the centreline)"

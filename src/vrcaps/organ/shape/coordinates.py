@@ -8,12 +8,12 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from vrcaps.organ.centerline import interpolate
+from vrcaps.organ.surface import Centerline
 
 if TYPE_CHECKING:
     from jaxtyping import Float
 
     from vrcaps.organ.colon.tube import Tube
-    from vrcaps.organ.surface import Centerline
 
 
 def arc_length_of_sections(
@@ -46,3 +46,10 @@ def angle_and_radius(
     x, y = (np.einsum("ij,ij->i", offset, frames[:, :, k]) for k in range(2))
     theta = np.arctan2(y, x)
     return np.where(theta <= -np.pi, np.pi, theta), np.linalg.norm(offset, axis=1)
+
+
+def tube_centerline(tube: Tube, vertices: Float[np.ndarray, "n 3"]) -> Centerline:
+    """The course of a tube with the clearance to the nearest vertex of its wall."""
+    points = tube.curve(tube.arc_length)
+    clearance, _ = KDTree(vertices).query(points)
+    return Centerline(points, tube.arc_length, clearance, tube.frames)

@@ -60,13 +60,17 @@ class Make:
 
     For example:
       vrcaps organ make colon --seed 3 --out colon-3.glb
+      vrcaps organ make stomach --seed 3 --condition inflated
     """
 
     name: Positional[str]
-    """Which organ: colon."""
+    """Which organ: colon, stomach, small-bowel, or gi, all three as one wall."""
 
     seed: int = 0
     """A different patient for each."""
+
+    condition: Literal["inflated", "normal", "collapsed"] | None = None
+    """How full it is; by default the colon is inflated, all else normal."""
 
     out: Path | None = None
     """File to write; by default <name>-<seed>.glb in the working directory. In metres."""
@@ -80,7 +84,7 @@ class Make:
         if out.suffix != ".glb":
             raise InputError(f"--out is {out}. Allowed: a name that ends in .glb.")
         with console.status("generating"):
-            organ = load_organ(self.name, seed=self.seed)
+            organ = load_organ(self.name, seed=self.seed, condition=self.condition)
             write_glb(out, organ)
         console.print(f"Wrote {out} (unit: m).")
         _report(organ, out.with_name(f"{out.stem}-overview.png"))

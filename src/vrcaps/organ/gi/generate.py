@@ -7,9 +7,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from vrcaps.errors import InputError
 from vrcaps.organ.centerline import centerline_from_points
 from vrcaps.organ.colon import generate_colon
 from vrcaps.organ.colon.course import Course
+from vrcaps.organ.colon.crossing import self_intersections
 from vrcaps.organ.colon.parameters import SEGMENTS as COLON_SEGMENTS
 from vrcaps.organ.colon.strips import strip_coordinates
 from vrcaps.organ.colon.tube import make_tube
@@ -34,6 +36,7 @@ if TYPE_CHECKING:
     from vrcaps.organ.small_bowel.parameters import SmallBowelParameters
     from vrcaps.organ.stomach.parameters import StomachParameters
 
+_NUM_TRIES = 3
 _RIM = 1.3 * MM
 
 
@@ -82,13 +85,21 @@ def generate_gi(
         seed: Of everything drawn.
 
     Raises:
-        InputError: If the organs do not fit into the abdomen.
+        InputError: If the organs do not fit into the abdomen, or cut one another.
     """
     lower = generate_colon(colon, seed=seed)
     line = lower.centerline
     place = place_colon(colon, Course(line.points, line.arc_length))
-    upper = _mesh_upper(lay_upper_tract(stomach, bowel, place, seed))
-    return _join(upper, lower, place, seed)
+    rng = np.random.default_rng([seed, 4])
+    for _ in range(_NUM_TRIES):
+        upper = _mesh_upper(lay_upper_tract(stomach, bowel, place, rng))
+        organ = _join(upper, lower, place, seed)
+        if not len(self_intersections(organ.vertices, organ.faces)):
+            return organ
+    raise InputError(
+        f"Found no tract of seed {seed} that does not cut itself. Allowed: a shorter or narrower "
+        "small bowel, or another seed."
+    )
 
 
 def _mesh_upper(tract: UpperTract) -> _Upper:

@@ -13,7 +13,7 @@ from vrcaps.organ.colon.tube import Tube, make_tube
 from vrcaps.organ.gi.abdomen import ColonPlace, place_stomach, surroundings
 from vrcaps.organ.shape.skin import Skin
 from vrcaps.organ.shape.waves import smooth_step
-from vrcaps.organ.small_bowel.generate import lay_small_bowel, wanted_edge
+from vrcaps.organ.small_bowel.generate import lay_small_bowel, wanted_edge, with_local_bend
 from vrcaps.organ.small_bowel.shape import SmallBowelWall, small_bowel_radius
 from vrcaps.organ.stomach.shape import StomachWall, draw_stomach_wall, stomach_radius
 from vrcaps.units import MM
@@ -102,22 +102,25 @@ class UpperTract:
 
 
 def lay_upper_tract(
-    stomach: StomachParameters, bowel: SmallBowelParameters, colon: ColonPlace, seed: int
+    stomach: StomachParameters,
+    bowel: SmallBowelParameters,
+    colon: ColonPlace,
+    rng: np.random.Generator,
 ) -> UpperTract:
     """A patient's stomach and small bowel laid beside the colon.
 
     Raises:
         InputError: If there is no room for them.
     """
-    rng = np.random.default_rng([seed, 2])
     axis = place_stomach(stomach, colon, rng)
     around = surroundings(colon, stomach, axis)
-    bowel_wall, bowel_tube = lay_small_bowel(bowel, around, np.random.default_rng([seed, 3]))
+    bowel_wall, bowel_tube = lay_small_bowel(bowel, around, rng)
     upper = axis.points[axis.arc_length < stomach.length - 0.5 * MM]
     points = np.concatenate([upper, bowel_tube.curve(bowel_tube.arc_length)])
     chord = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1)))
     even = np.linspace(0.0, chord[-1], round(chord[-1] / MM) + 1)
-    tube = make_tube(Course(CubicSpline(chord, points)(even), even))
+    plain = make_tube(Course(CubicSpline(chord, points)(even), even))
+    tube = with_local_bend(plain, float(chord[len(upper)]))
     return UpperTract(
         stomach=draw_stomach_wall(stomach, tube, rng),
         bowel=bowel_wall,

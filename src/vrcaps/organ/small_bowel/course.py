@@ -40,7 +40,7 @@ _TOLERANCE = 0.015
 _LEAST_ROOM = -0.3 * MM  # of the outlines, which lie a tenth beyond the mean wall
 _NUM_FIXED = 3
 _APPROACH = 3.5 * CM
-_SHARPEST = 1.15
+_SHARPEST = 1.5
 
 # Waypoints of the duodenum in a mean body from the pylorus to the duodenojejunal flexure,
 # patient frame [cm]: x left, y posterior, z up, origin at the height of the navel.
@@ -119,7 +119,7 @@ def generate_course(
             room = least_room(course, fine, around.obstacles, _APPROACH)
             if (
                 abs(missing - 1.0) < _TOLERANCE
-                and room > _LEAST_ROOM
+                and room > _LEAST_ROOM * (1.0 + 0.25 * attempt)
                 and sharpest_bend(course, fine) < _SHARPEST
             ):
                 return course
@@ -209,9 +209,9 @@ def _sweeps(
 def _crossing(waypoints: Float[np.ndarray, "k 3"], obstacles: Balls) -> float:
     """How much of a polyline runs through obstacles: depth [m] summed over centimetres."""
     points = _along(waypoints, 30)
-    distance, nearest = obstacles.tree.query(points, 3)
-    depth = np.maximum(obstacles.radius[nearest] - distance, 0.0).max(axis=1)
-    return float(depth.sum())
+    distance, nearest = obstacles.tree.query(points, min(3, len(obstacles.radius)))
+    depth = np.maximum(obstacles.radius[nearest] - distance, 0.0).reshape(len(points), -1)
+    return float(depth.max(axis=1).sum())
 
 
 def _swing(num: int, rng: np.random.Generator) -> Float[np.ndarray, "n 3"]:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.ndimage import gaussian_filter1d
 
 from vrcaps.errors import InputError
 from vrcaps.organ.colon.crossing import self_intersections
@@ -73,7 +74,17 @@ def lay_small_bowel(
     """A drawn wall and the course it is laid along."""
     wall = draw_small_bowel_wall(parameters, rng)
     course = generate_course(parameters, outer_radius(wall, _NUM_SAMPLES), around, rng)
-    return wall, make_tube(course)
+    return wall, with_local_bend(make_tube(course))
+
+
+def with_local_bend(tube: Tube, start: float = 0.0) -> Tube:
+    """A tube whose bend is averaged over millimetres only, from an arc length on [m].
+
+    A narrow tube may turn within a few centimetres: an average over more misses that.
+    """
+    sigma = 2.5 * MM / tube.arc_length[1]
+    local = gaussian_filter1d(tube.curve(tube.arc_length, 2), sigma, axis=0, mode="nearest")
+    return replace(tube, bend=np.where((tube.arc_length < start)[:, None], tube.bend, local))
 
 
 def small_bowel_labels(

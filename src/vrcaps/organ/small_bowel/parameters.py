@@ -47,6 +47,7 @@ class SmallBowelParameters:
         contraction_spacing: Mean distance of narrowed places [m].
         contraction_depth: Share of the radius that a narrowed place takes away.
         star: Depth of the longitudinal folds of the slack wall, share of the radius.
+        least_radius: What folds and contractions leave open in the middle [m].
         roughness: Standard deviation of the smooth irregularity of the wall [m].
         edge: Mean length of the triangles' edges in a lumen of 24.5 mm, less in narrower ones [m].
     """
@@ -67,6 +68,7 @@ class SmallBowelParameters:
     contraction_spacing: float = 11 * CM
     contraction_depth: float = 0.42
     star: float = 0.05
+    least_radius: float = 4.6 * MM
     roughness: float = 0.22 * MM
     edge: float = 1.75 * MM
 
@@ -152,6 +154,7 @@ _LIMITS = {
     "contraction_spacing": (3 * CM, 2.0),
     "contraction_depth": (0.0, 0.6),
     "star": (0.0, 0.5),
+    "least_radius": (1 * MM, 8 * MM),
     "roughness": (0.0, 1 * MM),
     "edge": (0.8 * MM, 5 * MM),
 }
@@ -163,6 +166,7 @@ CONDITIONS: dict[str, dict[str, float]] = {
         "diameter": 0.68,
         "jejunum_fold_height": 0.75,
         "star": 7.0,
+        "least_radius": 0.6,
         "contraction_depth": 0.8,
     },
 }

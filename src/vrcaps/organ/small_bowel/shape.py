@@ -27,7 +27,6 @@ if TYPE_CHECKING:
 PYLORUS_RADIUS = 6.6 * MM
 _PAPILLA = 9 * CM
 """Arc length of the major papilla on the inner wall of the duodenum's second part [m]."""
-_LEAST = 3.2 * MM
 _CALIBRE_SPREAD = 0.035
 
 
@@ -172,7 +171,7 @@ def small_bowel_radius(
     relief = inner * _fold_relief(wall, s, theta, plain) * (1.0 - 0.5 * squeeze)
     relief = relief + radius * petals + sum_waves(wall.relief_waves, s, theta)
     relief = fade * relief + _papilla(wall, s, theta, radius)
-    least = np.minimum(_LEAST, 0.6 * plain)
+    least = np.minimum(p.least_radius, 0.6 * plain)
     room = radius - relief - least
     # A smooth maximum, so that folds that meet in the middle do not cut each other.
     radius = least + 0.5 * (room + np.sqrt(room**2 + (1.5 * MM) ** 2))

@@ -185,6 +185,19 @@ def curvatures(wall: StomachWall) -> tuple[float, float]:
     return _polyline_length(over), _polyline_length(_outline(wall, lower, np.pi))
 
 
+def stomach_volume(wall: StomachWall) -> float:
+    """Volume of the lumen down to the pyloric ring [m³].
+
+    Around a bent axis, ∫∫ (r²/2 − κ r³/3) dθ ds with κ the curvature towards θ.
+    """
+    s = np.linspace(0.0, wall.parameters.length, 400)
+    theta = np.linspace(-np.pi, np.pi, 90, endpoint=False)
+    places = np.repeat(s, len(theta)), np.tile(theta, len(s))
+    radius = stomach_radius(wall, *places)
+    section = radius**2 / 2.0 - wall.tube.curvature_towards(*places) * radius**3 / 3.0
+    return float(2.0 * np.pi * section.reshape(len(s), -1).mean(axis=1).sum() * s[1])
+
+
 def _outline(wall: StomachWall, s: np.ndarray, around: float) -> Float[np.ndarray, "n 3"]:
     """Points of the wall without folds at an angle from the greater curvature [m]."""
     theta = wall.greater(s) + around

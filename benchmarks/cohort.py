@@ -81,8 +81,8 @@ def measure(seed: int) -> dict[str, float]:
     for name, s in places.items():
         figures[f"{name} calibre mm"] = 2.0 * float(bowel.envelope(np.array([s]))[0]) / MM
     for name, low, high in (("jejunum", 40 * CM, 90 * CM), ("terminal ileum", -15 * CM, -3 * CM)):
-        low, high = (p.length + s if s < 0.0 else s for s in (low, high))
-        count = np.sum((folds > low) & (folds < high))
+        start = low if low > 0.0 else p.length + low
+        count = np.sum((folds > start) & (folds < start + high - low))
         figures[f"{name} folds per 2.5 cm"] = float(count / (high - low) * 2.5 * CM)
     return figures
 

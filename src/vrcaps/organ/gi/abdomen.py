@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.ndimage import maximum_filter1d
 
 from vrcaps.organ.colon.course import Course, generate_course, outer_radius
 from vrcaps.organ.colon.tube import make_tube
@@ -107,7 +106,9 @@ def stomach_balls(parameters: StomachParameters, course: Course) -> Balls:
     """Space the stomach takes, up to the pyloric canal."""
     step = max(1, round(_STEP / course.arc_length[1]))
     s = course.arc_length[::step]
-    radius = maximum_filter1d(stomach_envelope(parameters)(np.maximum(s, 2 * CM)), 1)
+    # A ball must not reach beyond the pyloric ring, where the small bowel begins.
+    reach = 0.95 * np.maximum(parameters.length - s, 0.0)
+    radius = np.minimum(stomach_envelope(parameters)(np.maximum(s, 2 * CM)), reach)
     inside = s < parameters.length - 12 * MM
     return Balls(course.points[::step][inside], 1.03 * radius[inside])
 

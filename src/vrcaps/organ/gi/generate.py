@@ -268,7 +268,13 @@ def _texture(
         ),
         lower.uv[kept[1]],
     ]
-    width = np.sqrt([area[in_stomach].sum(), area[bowel].sum(), face_areas(lower).sum()])
+    width = np.sqrt(
+        [
+            area[in_stomach].sum(),
+            area[bowel].sum(),
+            face_areas(Mesh(lower.vertices, lower.faces)).sum(),
+        ]
+    )
     parts = np.concatenate([[0.0], np.cumsum(width)]) / width.sum()
     low, span = parts[:-1], np.diff(parts)
     scaled = [

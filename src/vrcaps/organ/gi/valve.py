@@ -22,7 +22,7 @@ def without_vertices(
 
     The rim runs as its faces do; where the vertices leave several holes, it is the longest.
     """
-    is_kept = ~is_removed[faces].any(axis=1)
+    is_kept = np.logical_not(is_removed[faces].any(axis=1))
     halves = directed_edges(faces[is_kept])
     num = len(is_removed)
     is_single = ~np.isin(halves[:, 0] * num + halves[:, 1], halves[:, 1] * num + halves[:, 0])
@@ -37,7 +37,7 @@ def without_vertices(
             at = following.pop(at)
         if len(loop) > len(longest):
             longest = loop
-    return is_kept, np.array(longest)
+    return np.asarray(is_kept), np.array(longest)
 
 
 def stitch(

@@ -40,7 +40,7 @@ _TOLERANCE = 0.015
 _LEAST_ROOM = -0.3 * MM  # of the outlines, which lie a tenth beyond the mean wall
 _NUM_FIXED = 3
 _APPROACH = 3.5 * CM
-_SHARPEST = 1.5
+_SHARPEST = 1.9
 
 # Waypoints of the duodenum in a mean body from the pylorus to the duodenojejunal flexure,
 # patient frame [cm]: x left, y posterior, z up, origin at the height of the navel.
@@ -189,7 +189,7 @@ def _sweeps(
         level, order = divmod(i, len(_DEPTHS_CM))
         depth = _DEPTHS_CM[order if level % 2 == 0 else -1 - order]
         height = np.interp(level / last_level, [0.0, 1.0], _HEIGHTS_CM)
-        best = np.inf
+        best, chosen = np.inf, np.zeros((2, 3))
         for _ in range(_NUM_CANDIDATES):
             middle = np.array([0.0, depth, height]) + rng.normal(0.0, [0.0, 1.2, 1.0])
             # In the right lower part room is left for the way back up to the valve.

@@ -109,34 +109,6 @@ def test_self_intersections_finds_what_is_put_there(small_colon: OrganSurface):
     assert len(self_intersections(moved, small_colon.faces)) > 0
 
 
-def test_self_intersections_agrees_with_exact_volumes():
-    """Random pairs of triangles against signs of tetrahedron volumes."""
-    rng = np.random.default_rng(0)
-    vertices = rng.uniform(size=(180, 3))
-    faces = np.arange(180).reshape(-1, 3)
-    found = {tuple(sorted(pair)) for pair in self_intersections(vertices, faces)}
-
-    def volume(a, b, c, d):
-        return np.sign(np.dot(np.cross(b - a, c - a), d - a))
-
-    def pierces(edge, triangle):
-        a, b, c = triangle
-        if volume(a, b, c, edge[0]) == volume(a, b, c, edge[1]):
-            return False
-        sides = {volume(edge[0], edge[1], p, q) for p, q in ((a, b), (b, c), (c, a))}
-        return len(sides) == 1
-
-    expected = set()
-    for i in range(60):
-        for j in range(i + 1, 60):
-            one, other = vertices[faces[i]], vertices[faces[j]]
-            if any(
-                pierces(one[[k, k - 1]], other) or pierces(other[[k, k - 1]], one) for k in range(3)
-            ):
-                expected.add((i, j))
-    assert found == expected
-
-
 def test_gut_coordinates_reproduce_the_vertices(colon: OrganSurface):
     tube = make_tube(Course(colon.centerline.points, colon.centerline.arc_length))
     again = tube.points(colon.arc_length, colon.theta, colon.radius)
@@ -290,6 +262,18 @@ def sample(texture: np.ndarray, uv: np.ndarray) -> np.ndarray:
     height, width = texture.shape
     place = [(1.0 - uv[:, 1]) * height - 0.5, uv[:, 0] * width - 0.5]
     return map_coordinates(texture, place, order=1)
+
+
+def test_rows_of_the_grid_stay_in_order():
+    """Rows in order stay where they are; others end up in order, no farther out than before."""
+    along = np.linspace(0.0, 1.0, 200)[:, None]
+    shift = np.random.default_rng(0).normal(0.0, 0.02, (200, 7))
+    rows = along + generate_module._in_order(along, shift)
+    least = generate_module._LEAST_GAP / 199
+    assert np.diff(rows, axis=0).min() > (1.0 - 1e-9) * least
+    assert np.abs(rows - along).max() <= np.abs(shift).max()
+    gentle = 0.08 * np.sin(2.0 * np.pi * (along + np.arange(7) / 7))
+    assert np.allclose(generate_module._in_order(along, gentle), gentle, atol=1e-12)
 
 
 def test_same_seed_same_bytes_other_seed_other_course(

@@ -123,7 +123,6 @@ def frame(stage: Stage, extent: Extent, progress: Callable[[], None]) -> Study:
         replace(claims.RATE, measured=Spread.of(1.0 / ours.wall)),
         against(claims.EMBREE, embree.PRIMARY_RAYS, "embree"),
         against(claims.MITSUBA, mitsuba.RENDER, "mitsuba"),
-        against(claims.MITSUBA_BARE, mitsuba.BARE, "mitsuba"),
         against(claims.MUJOCO, mujoco.ALL, "mujoco"),
     )
     return Study(table, found, skipped)

@@ -74,7 +74,9 @@ def test_each_seed_is_another_patient(calls: list[int]):
 
 def test_unknown_names_and_negative_seeds_are_refused():
     assert "colon" in ORGANS
-    with pytest.raises(UnknownNameError, match=r"No organ named 'colom'\. Known: colon\."):
+    with pytest.raises(UnknownNameError, match=r"No organ named 'colom'\. Known: colon, gi"):
         load_organ("colom", seed=0)
+    with pytest.raises(InputError, match=r"Condition is 'full'\. Allowed: inflated, normal"):
+        load_organ("colon", seed=0, condition="full")
     with pytest.raises(InputError, match="Seed -1 is negative"):
         load_organ("colon", seed=-1)

@@ -62,13 +62,17 @@ class Make:
     For example:
       vrcaps organ make colon --seed 3 --out colon-3.glb
       vrcaps organ make colon --lesion polyp-Ip:size=12mm,segment=sigmoid --lesion colitis-2
+      vrcaps organ make stomach --seed 3 --condition inflated
     """
 
     name: Positional[str]
-    """Which organ: colon."""
+    """Which organ: colon, stomach, small-bowel, or gi, all three as one wall."""
 
     seed: int = 0
     """A different patient for each."""
+
+    condition: Literal["inflated", "normal", "collapsed"] | None = None
+    """How full it is; by default the colon is inflated, all else normal."""
 
     out: Path | None = None
     """File to write; by default <name>-<seed>.glb in the working directory. In metres."""
@@ -94,7 +98,7 @@ class Make:
         if out.suffix != ".glb":
             raise InputError(f"--out is {out}. Allowed: a name that ends in .glb.")
         with console.status("generating"):
-            organ = load_organ(self.name, seed=self.seed)
+            organ = load_organ(self.name, seed=self.seed, condition=self.condition)
             lesions = chosen_lesions(self.lesion, self.lesions, self.seed)
             patient = add_lesions(organ, lesions, np.random.default_rng([self.seed, 3]))
             organ = patient.organ if lesions else organ

@@ -5,39 +5,43 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import asdict, replace
 
-import numpy as np
-
 from vrcaps.errors import InputError, UnknownNameError
 from vrcaps.organ.cache import cached_organ, fingerprint
 from vrcaps.organ.surface import OrganSurface
 
+_GI_COLON_TRIANGLES = 150_000
+"""Of the colon in the joint tract, so that its edges are 2 mm long too."""
 
-def load_organ(name: str, *, seed: int) -> OrganSurface:
+
+def load_organ(name: str, *, seed: int, condition: str | None = None) -> OrganSurface:
     """A generated organ with its appearance, a different patient for each seed.
 
-    It is made once and then read from the user's cache folder (see `cache_folder`).
+    It is made once and then read from the user's cache folder (see `cache_folder`). One seed is
+    one patient: the stomach of seed 3 belongs to the colon of seed 3.
 
     Args:
         name: One of `ORGANS`.
         seed: Of the patient; not negative.
+        condition: How full it is: `inflated`, `normal` or `collapsed`; None is the usual, the
+            colon inflated, all else normal.
 
     Raises:
         UnknownNameError: If the catalog has no such organ.
-        InputError: If the seed is negative.
+        InputError: If the seed is negative, or there is no such condition.
     """
     if name not in ORGANS:
         raise UnknownNameError("organ", name, ORGANS)
     if seed < 0:
         raise InputError(f"Seed {seed} is negative. Allowed: 0, 1, 2, …")
-    return ORGANS[name](seed)
+    return ORGANS[name](seed, condition)
 
 
-def _load_colon(seed: int) -> OrganSurface:
-    """A patient drawn from the published distributions."""
+def _load_colon(seed: int, condition: str | None) -> OrganSurface:
     from vrcaps.organ.appearance import bake_appearance
-    from vrcaps.organ.colon import ColonParameters, generate_colon
+    from vrcaps.organ.colon import generate_colon
+    from vrcaps.organ.gi.patient import draw_patient
 
-    parameters = ColonParameters.draw(np.random.default_rng([seed, 1]))
+    parameters = draw_patient(seed, condition).colon
 
     def make() -> OrganSurface:
         organ = generate_colon(parameters, seed=seed)
@@ -46,5 +50,54 @@ def _load_colon(seed: int) -> OrganSurface:
     return cached_organ(f"colon-{seed}-{fingerprint(asdict(parameters))}", make)
 
 
-ORGANS: dict[str, Callable[[int], OrganSurface]] = {"colon": _load_colon}
-"""Generators by name; each takes a seed."""
+def _load_stomach(seed: int, condition: str | None) -> OrganSurface:
+    from vrcaps.organ.appearance import bake_appearance
+    from vrcaps.organ.gi.patient import draw_patient
+    from vrcaps.organ.stomach import generate_stomach
+
+    parameters = draw_patient(seed, condition).stomach
+
+    def make() -> OrganSurface:
+        organ = generate_stomach(parameters, seed=seed)
+        return replace(organ, appearance=bake_appearance(organ, seed=seed, mucosa="stomach"))
+
+    return cached_organ(f"stomach-{seed}-{fingerprint(asdict(parameters))}", make)
+
+
+def _load_small_bowel(seed: int, condition: str | None) -> OrganSurface:
+    from vrcaps.organ.appearance import bake_appearance
+    from vrcaps.organ.gi.patient import bowel_surroundings, draw_patient
+    from vrcaps.organ.small_bowel import generate_small_bowel
+
+    patient = draw_patient(seed, condition)
+
+    def make() -> OrganSurface:
+        organ = generate_small_bowel(patient.small_bowel, bowel_surroundings(patient), seed=seed)
+        appearance = bake_appearance(organ, seed=seed, mucosa="small_intestine")
+        return replace(organ, appearance=appearance)
+
+    return cached_organ(f"small-bowel-{seed}-{fingerprint(asdict(patient))}", make)
+
+
+def _load_gi(seed: int, condition: str | None) -> OrganSurface:
+    from vrcaps.organ.gi.appearance import with_appearance
+    from vrcaps.organ.gi.generate import generate_gi
+    from vrcaps.organ.gi.patient import draw_patient
+
+    patient = draw_patient(seed, condition)
+
+    def make() -> OrganSurface:
+        colon = replace(patient.colon, triangles=_GI_COLON_TRIANGLES)
+        organ = generate_gi(patient.stomach, patient.small_bowel, colon, seed=seed)
+        return with_appearance(organ, seed=seed)
+
+    return cached_organ(f"gi-{seed}-{fingerprint(asdict(patient))}", make)
+
+
+ORGANS: dict[str, Callable[[int, str | None], OrganSurface]] = {
+    "colon": _load_colon,
+    "stomach": _load_stomach,
+    "small-bowel": _load_small_bowel,
+    "gi": _load_gi,
+}
+"""Generators by name; each takes a seed and a condition."""

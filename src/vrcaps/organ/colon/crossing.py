@@ -23,18 +23,7 @@ def self_intersections(
     corners = vertices[faces]
     center = corners.mean(axis=1)
     reach = np.linalg.norm(corners - center[:, None], axis=2).max(axis=1)
-    # A few long triangles must not widen the search around all the others.
-    is_long = reach > 8.0 * np.median(reach)
-    tree = KDTree(center)
-    pairs = tree.query_pairs(2.0 * reach[~is_long].max(initial=0.0), output_type="ndarray")
-    for number in np.flatnonzero(is_long):
-        other = np.flatnonzero(~is_long | (np.arange(len(faces)) > number))
-        is_near = (
-            np.linalg.norm(center[other] - center[number], axis=1) < reach[number] + reach[other]
-        )
-        other = other[is_near]
-        pairs = np.concatenate([pairs, np.stack([np.full(len(other), number), other], axis=1)])
-    pairs = np.unique(np.sort(pairs, axis=1), axis=0) if is_long.any() else pairs
+    pairs = _near_pairs(center, reach)
     low, high = corners.min(axis=1), corners.max(axis=1)
     found = []
     for chunk in np.array_split(pairs, max(1, len(pairs) // 400_000)):
@@ -47,6 +36,25 @@ def self_intersections(
         is_crossing |= _any_edge_through(vertices, faces[j], faces[i])
         found.append(np.stack([i[is_crossing], j[is_crossing]], axis=1))
     return np.concatenate(found)
+
+
+def _near_pairs(
+    center: Float[np.ndarray, "n 3"], reach: Float[np.ndarray, " n"]
+) -> Int[np.ndarray, "k 2"]:
+    """Pairs of balls that may meet, searched size by size: a few large ones cost little."""
+    size = np.round(np.log2(reach / np.median(reach)) * 1.5).astype(int)
+    members = [np.flatnonzero(size == k) for k in np.unique(size)]
+    trees = [KDTree(center[member]) for member in members]
+    most = [reach[member].max() for member in members]
+    pairs = [np.zeros((0, 2), int)]
+    for i, member in enumerate(members):
+        pairs.append(member[trees[i].query_pairs(2.0 * most[i], output_type="ndarray")])
+        for j in range(i):
+            found = trees[i].sparse_distance_matrix(
+                trees[j], most[i] + most[j], output_type="ndarray"
+            )
+            pairs.append(np.stack([member[found["i"]], members[j][found["j"]]], axis=1))
+    return np.sort(np.concatenate(pairs), axis=1)
 
 
 def _any_edge_through(

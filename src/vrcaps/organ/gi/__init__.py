@@ -1,0 +1,1 @@
+"""The whole tract of one patient: stomach, small bowel and colon, apart or as one wall."""

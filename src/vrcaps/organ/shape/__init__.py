@@ -1,0 +1,1 @@
+"""Tools that build any tubular organ: relaxed courses, random waves, well-shaped meshes."""

@@ -1,0 +1,68 @@
+"""Random irregularity of a tube's wall: sums of plane waves over arc length and angle."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Int
+
+
+def draw_waves(
+    rng: np.random.Generator,
+    num_waves: int,
+    wavelengths: tuple[float, float],
+    deviation: float,
+    lobes: Int[np.ndarray, " k"],
+) -> Float[np.ndarray, "n 4"]:
+    """Random plane waves whose sum has a given standard deviation.
+
+    Args:
+        rng: Source of wavelengths, lobes and phases.
+        num_waves: How many.
+        wavelengths: Shortest and longest along the tube [m]; longer ones are stronger.
+        deviation: Standard deviation of the sum, any unit.
+        lobes: Numbers of periods around the tube to choose from.
+
+    Returns:
+        Amplitude, wavenumber [rad/m], lobes and phase [rad] of each wave.
+    """
+    wavelength = wavelengths[0] * (wavelengths[1] / wavelengths[0]) ** rng.uniform(size=num_waves)
+    amplitude = wavelength / np.sqrt(0.5 * np.sum(wavelength**2)) * deviation
+    phase = rng.uniform(0.0, 2.0 * np.pi, num_waves)
+    return np.stack(
+        [amplitude, 2.0 * np.pi / wavelength, rng.choice(lobes, num_waves), phase], axis=1
+    )
+
+
+def sum_waves(
+    waves: Float[np.ndarray, "n 4"],
+    arc_length: Float[np.ndarray, " m"],
+    theta: Float[np.ndarray, " m"],
+) -> Float[np.ndarray, " m"]:
+    """Sum of the waves at arc lengths [m] and angles [rad]."""
+    total = np.zeros(np.broadcast(arc_length, theta).shape)
+    for amplitude, wavenumber, lobes, phase in waves:
+        total += amplitude * np.sin(wavenumber * arc_length + lobes * theta + phase)
+    return total
+
+
+def wrap(angle: Float[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:
+    """Angles brought to −π to π [rad]."""
+    return np.mod(angle + np.pi, 2.0 * np.pi) - np.pi
+
+
+def smooth_step(share: Float[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:
+    """0 below 0, 1 above 1, a cubic with level ends between."""
+    share = np.clip(share, 0.0, 1.0)
+    return share * share * (3.0 - 2.0 * share)
+
+
+def within_bend(
+    radius: Float[np.ndarray, " n"], curvature: Float[np.ndarray, " n"]
+) -> Float[np.ndarray, " n"]:
+    """Smooth minimum of a radius [m] and 0.72 of the bend's, so that sections never cross."""
+    ratio = radius * np.clip(curvature, 0.0, None) / 0.72
+    return radius * (1.0 + ratio**8) ** -0.125

@@ -212,4 +212,5 @@ def _read_pixels(path: Path) -> np.ndarray:
         image = sitk.ReadImage(str(path), sitk.sitkInt16, "GDCMImageIO")
     except RuntimeError as error:
         raise InputError(f"Cannot read DICOM slice {path}: {itk_reason(error)}.") from error
-    return sitk.GetArrayViewFromImage(image).reshape(image.GetSize()[1::-1])
+    # A copy: the view would outlive the image whose memory it shows.
+    return sitk.GetArrayFromImage(image).reshape(image.GetSize()[1::-1])

@@ -28,7 +28,7 @@ def extract_wall(lumen: LumenFraction, *, blur: float, pass_band: float, edge: f
 
     Args:
         lumen: The lumen fraction.
-        blur: Standard deviation of a Gaussian over the fraction beforehand [voxels]; it turns a
+        blur: Standard deviation of a blur over the fraction beforehand [voxels]; it turns a
             mask into a field with a sub-voxel surface, and quietens noise.
         pass_band: Share of the mesh's spatial frequencies that smoothing keeps, see `smooth`.
         edge: Mean edge length of the triangles [m].
@@ -39,14 +39,23 @@ def extract_wall(lumen: LumenFraction, *, blur: float, pass_band: float, edge: f
     """
     from skimage.measure import marching_cubes
 
-    share = ndimage.gaussian_filter(lumen.share, blur, mode="nearest", truncate=3.0)
-    share, transform = _refined(share, lumen)
+    share, transform = _refined(_blurred(lumen.share, blur), lumen)
     if not share.min() < 0.5 < share.max():
         raise InputError("The lumen is too small for the scan's voxels. Give a larger one.")
     index, faces, _, _ = marching_cubes(share, 0.5, allow_degenerate=False)
     vertices = index.astype(float) @ transform[:3, :3].T + transform[:3, 3]
     vertices = smooth(vertices, faces, pass_band)
     return decimate(Mesh(vertices, faces.astype(np.int64)), edge)
+
+
+def _blurred(share: Float[np.ndarray, "k j i"], sigma: float) -> Float[np.ndarray, "k j i"]:
+    """Fraction under the kernel 2 G − G∗G of a Gaussian G.
+
+    Its second moment is zero, so that curved walls stay where they are: G alone would move a
+    sphere of radius r inwards by σ² / r.
+    """
+    once = ndimage.gaussian_filter(share, sigma, mode="nearest", truncate=3.0)
+    return 2.0 * once - ndimage.gaussian_filter(once, sigma, mode="nearest", truncate=3.0)
 
 
 def _refined(

@@ -141,8 +141,8 @@ def main() -> None:
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
     text = (
         "## CT\n\n`python benchmarks/validate_ct.py`: organs scanned at 0.7 × 0.7 × 1.0 mm, "
-        "oblique, with partial\nvolume, blur (0.5 mm) and noise (25 HU), in a body with fat, muscle, bone "
-        "and lungs, on a table, written\nas DICOM, read and made into an organ again.\n\n"
+        "oblique, with partial\nvolume, blur (0.5 mm) and noise (25 HU), in a body with fat, "
+        "muscle, bone and lungs,\non a table, written as DICOM, read and made into an organ.\n\n"
         + table(HEAD, rows)
         + "\n\nDistances: from 20,000 vertices of each wall to the other, both ways. Claimed: mean "
         f"≤ {MEAN / MM:g} mm,\n95 % ≤ {P95 / MM:g} mm, centreline length within {LENGTH:.0%}, each "

@@ -75,7 +75,7 @@ class FromCt:
     """Mean edge length of the triangles."""
 
     blur: float | None = None
-    """Blur of the scan beforehand [voxels]; by default 0.5 for gas, 0.8 for labels."""
+    """Blur of the scan beforehand [voxels]; by default 0.5 for gas, 0.7 for labels."""
 
     pass_band: float = 0.1
     """Smoothing of the wall: lower is smoother, 2 is none."""

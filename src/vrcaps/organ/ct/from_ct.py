@@ -31,7 +31,7 @@ class Wall:
     Attributes:
         edge: Mean edge length of the triangles [m].
         blur: Standard deviation of a Gaussian over the scan beforehand [voxels]; None takes 0.5
-            for gas, 0.8 for a mask.
+            for gas, 0.7 for a mask.
         pass_band: Share of the surface's spatial frequencies that smoothing keeps, up to 2;
             0.1 removes the voxels' steps and keeps a polyp.
         bridge: Widest collapsed stretch that is opened to a channel [m]; 0 opens none.
@@ -142,7 +142,7 @@ def organ_from_label(
         )
     parts = Volume(part, lumen.T_patient_index, labels.source)
     gaps, notes = _choose_gaps(parts, 1, wall.bridge, volumes)
-    blur = 0.8 if wall.blur is None else wall.blur
+    blur = 0.7 if wall.blur is None else wall.blur
     source = {"source": labels.source, "road": "label", "label": number}
     wall = replace(wall, blur=blur)
     return _organ(lumen, gaps, notes, wall, (name, label_name), source, report)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.polynomial import chebyshev
 from scipy import ndimage
 from scipy.sparse import coo_array, csr_array
 
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
     from jaxtyping import Float, Int
 
 _FINEST = 1.5 * MM  # voxels longer than this are divided before the surface is drawn
-_DEGREE = 20  # of the smoothing filter's polynomial
+_DEGREE = 16  # of the smoothing filter's polynomial, before it is levelled
 
 
 def extract_wall(lumen: LumenFraction, *, blur: float, pass_band: float, edge: float) -> Mesh:
@@ -49,7 +50,7 @@ def extract_wall(lumen: LumenFraction, *, blur: float, pass_band: float, edge: f
 
 
 def _blurred(share: Float[np.ndarray, "k j i"], sigma: float) -> Float[np.ndarray, "k j i"]:
-    """Fraction under the kernel 2 G − G∗G of a Gaussian G.
+    """Fraction under the kernel 2 G − G² of a Gaussian G.
 
     Its second moment is zero, so that curved walls stay where they are: G alone would move a
     sphere of radius r inwards by σ² / r.
@@ -79,9 +80,9 @@ def smooth(
     """Vertices low-pass filtered along the surface, without shrinking it.
 
     Positions are filtered by a windowed-sinc polynomial of the umbrella Laplacian K (Taubin,
-    Zhang and Golub 1996, Optimal surface smoothing as filter design, eqs. 5 to 9): it is 1 at
-    frequency 0, so that the mean shape stays, and falls to 0 beyond the pass band. Borders
-    stay where they are.
+    Zhang and Golub 1996, Optimal surface smoothing as filter design): it is 1 and level at
+    frequency 0, so that the shape stays, and falls to 0 beyond the pass band. Borders stay
+    where they are.
 
     Args:
         vertices: Positions, any unit.
@@ -118,16 +119,18 @@ def _average_matrix(faces: Int[np.ndarray, "m 3"], num: int) -> tuple[csr_array,
 
 
 def _filter_weights(pass_band: float) -> Float[np.ndarray, " n"]:
-    """Chebyshev coefficients of the low-pass filter, Hamming window, exactly 1 at frequency 0."""
+    """Chebyshev coefficients of the low-pass filter: 1 and level at frequency 0.
+
+    The windowed sinc f is 1 there but not level, which shrinks what is strongly curved;
+    2 f − f² is both.
+    """
     n = np.arange(_DEGREE + 1)
     window = 0.54 + 0.46 * np.cos(n * np.pi / (_DEGREE + 1))
     # f(θ) = 1 for θ below arccos(1 − k): its cosine series.
     edge = np.arccos(np.clip(1.0 - pass_band, -1.0, 1.0))
-    weights = np.empty(len(n))
-    weights[0] = edge / np.pi
-    weights[1:] = 2.0 * np.sin(n[1:] * edge) / (n[1:] * np.pi)
-    weights *= window
-    return weights / weights.sum()
+    weights = np.append(edge / np.pi, 2.0 * np.sin(n[1:] * edge) / (n[1:] * np.pi)) * window
+    weights /= weights.sum()
+    return chebyshev.chebsub(2.0 * weights, chebyshev.chebmul(weights, weights))
 
 
 def decimate(mesh: Mesh, edge: float) -> Mesh:

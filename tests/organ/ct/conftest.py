@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 import trimesh
 
-pytest.importorskip("SimpleITK", reason="the extra [ct] is not installed")
 sys.path.append(str(Path(__file__).parent))
 
 from phantom import Polyp, Scanner, scan_of, with_polyps

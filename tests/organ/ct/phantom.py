@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import locale
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -208,6 +209,7 @@ def write_dicom(
     first: int = 0,
 ) -> list[Path]:
     """Write each axial slice of a scan as a DICOM file, in a shuffled order of names."""
+    before = locale.setlocale(locale.LC_ALL)
     folder.mkdir(parents=True, exist_ok=True)
     transform = scan.T_patient_index
     spacing = scan.spacing * 1e3
@@ -246,4 +248,5 @@ def write_dicom(
         writer.SetFileName(str(path) + ".dcm")
         writer.Execute(image)
         paths.append(path.with_suffix(".dcm"))
+    locale.setlocale(locale.LC_ALL, before)  # GDCM's writer sets it to C
     return paths

@@ -1,5 +1,6 @@
 """DICOM folders and image files become the scan they were written from."""
 
+import locale
 import shutil
 import sys
 
@@ -32,12 +33,13 @@ def test_dicom_comes_back_with_its_values_and_place(tmp_path, tilt, compressor) 
     scan = small(tilt)
     write_dicom(tmp_path / "series", scan, compressor=compressor)
     (tmp_path / "series" / "notes.txt").write_text("not DICOM")
-    seen = []
+    seen, before = [], locale.setlocale(locale.LC_ALL)
     found = read_volume(tmp_path, progress=lambda done, total: seen.append((done, total)))
     assert np.array_equal(found.values, scan.values)
     assert found.values.dtype == np.int16
     assert np.allclose(found.T_patient_index, scan.T_patient_index, atol=1e-8)
     assert seen == [(n + 1, 6) for n in range(6)]
+    assert locale.setlocale(locale.LC_ALL) == before
 
 
 def test_a_series_is_chosen_by_number_or_uid(tmp_path) -> None:

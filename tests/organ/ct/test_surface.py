@@ -36,7 +36,7 @@ def test_a_ball_comes_back_from_partial_volume(radius) -> None:
 @pytest.mark.parametrize("spacing", [(1e-3, 0.7e-3, 0.7e-3), (3e-3, 3e-3, 3e-3)])
 def test_a_mask_comes_back_without_steps(spacing) -> None:
     """Volume within 2 %; no vertex farther off than about half a voxel."""
-    radius = 8 * max(spacing)
+    radius = 8.3 * max(spacing)
     lumen = ball(radius, spacing, binary=True)
     mesh = extract_wall(lumen, blur=0.7, pass_band=0.1, edge=1e-3)
     judge = trimesh.Trimesh(mesh.vertices, mesh.faces)

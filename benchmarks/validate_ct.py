@@ -30,7 +30,7 @@ from vrcaps.organ.ct.lumen import choose_gas
 from vrcaps.organ.ct.read import read_volume
 from vrcaps.organ.read import read_mesh
 from vrcaps.organ.repair import repair
-from vrcaps.organ.surface import Mesh, OrganSurface
+from vrcaps.organ.surface import Centerline, Mesh, OrganSurface
 from vrcaps.units import MM
 
 POLYPS = (6 * MM, 6 * MM, 7 * MM, 8 * MM, 10 * MM, 14 * MM)
@@ -58,6 +58,20 @@ def surface_distances(found: Mesh, truth: Mesh, rng: np.random.Generator) -> np.
         some = rng.choice(len(one.vertices), min(SAMPLES, len(one.vertices)), replace=False)
         distances.append(wall_distance(one.vertices[some], other.vertices, other.faces))
     return np.concatenate(distances)
+
+
+def length_between_ends(organ: OrganSurface, truth: Mesh, course: Centerline) -> float:
+    """Relative error of the centreline's length between two places in the true lumen's ends.
+
+    Which place of a wide pouch is the farthest, and so the end, changes with the last detail.
+    """
+    reach = [np.searchsorted(course.arc_length, s) for s in (0.02, course.length - 0.02)]
+    start, end = course.points[reach]
+    found, true = (
+        compute_centerline(Mesh(m.vertices, m.faces), start=start, end=end).length
+        for m in (organ, truth)
+    )
+    return found / true - 1.0
 
 
 def polyp_shares(organ: OrganSurface, truth: Mesh, polyps: list[Polyp]) -> np.ndarray:
@@ -89,7 +103,7 @@ def compare(name: str, wall: Mesh, scanner: Scanner, folder: Path) -> tuple[str,
     organ = organ_from_gas(scan, gas, piece, wall=Wall(), name="phantom", tagged_fluid=tagged)
     seconds = time.perf_counter() - start
     distances = surface_distances(Mesh(organ.vertices, organ.faces), truth, rng)
-    length = organ.centerline.length / compute_centerline(wall).length - 1.0
+    length = length_between_ends(organ, truth, compute_centerline(wall))
     shares = polyp_shares(organ, truth, polyps)
     mean, high = float(distances.mean()), float(np.quantile(distances, 0.95))
     good = mean <= MEAN and high <= P95 and abs(length) <= LENGTH and shares.min() >= PRESENT
@@ -145,7 +159,8 @@ def main() -> None:
         "muscle, bone and lungs,\non a table, written as DICOM, read and made into an organ.\n\n"
         + table(HEAD, rows)
         + "\n\nDistances: from 20,000 vertices of each wall to the other, both ways. Claimed: mean "
-        f"≤ {MEAN / MM:g} mm,\n95 % ≤ {P95 / MM:g} mm, centreline length within {LENGTH:.0%}, each "
+        f"≤ {MEAN / MM:g} mm,\n95 % ≤ {P95 / MM:g} mm, centreline length between two places in the ends "
+        f"within {LENGTH:.0%}, each "
         f"of the polyps (6 to 14 mm across,\nhalf as high) with {PRESENT:.0%} of its height or "
         f"more.\n\n{full} Peak memory,\nthe making of the scans included: {peak:.1f} GB."
     )

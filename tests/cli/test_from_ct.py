@@ -52,7 +52,7 @@ def files(scan: Volume, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def run(args: list[str]) -> None:
-    cli.main(["organ", "from-ct", *args])
+    cli.main(["organ", "from-ct", *args, "--edge-mm", "3"])
 
 
 def fail(args: list[str], capsys: pytest.CaptureFixture[str]) -> str:

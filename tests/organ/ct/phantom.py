@@ -156,7 +156,7 @@ class Polyp:
 def with_polyps(
     mesh: Mesh, diameters: tuple[float, ...], rng: np.random.Generator, *, apart: float = 0.04
 ) -> tuple[Mesh, list[Polyp]]:
-    """The wall, its triangles quartered, with hemispheres raised on it at random places.
+    """The wall, its triangles made finer, with hemispheres raised on it at random places.
 
     Args:
         mesh: Faces counter-clockwise seen from the lumen.
@@ -164,7 +164,9 @@ def with_polyps(
         rng: Chooses the places.
         apart: Least distance between two [m].
     """
-    vertices, faces = quartered(mesh.vertices, mesh.faces)
+    vertices, faces = mesh.vertices, mesh.faces
+    while np.linalg.norm(np.diff(vertices[faces[:, :2]], axis=1), axis=2).mean() > 1.1e-3:
+        vertices, faces = quartered(vertices, faces)
     normals = vertex_normals(vertices, faces)
     polyps: list[Polyp] = []
     while len(polyps) < len(diameters):

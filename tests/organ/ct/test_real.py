@@ -34,7 +34,7 @@ def test_visible_human_pelvis(shared_data: Path, tmp_path: Path) -> None:
 
 def test_colon_mask_keeps_its_volume(shared_data: Path) -> None:
     mask = read_volume(shared_data / "ct" / "colon_A_512x512x460.nii.gz")
-    wall = Wall(edge=4e-3, anatomy="colon", bridge=0.04)
+    wall = Wall(edge=5e-3, anatomy="colon", bridge=0.04)
     colon = organ_from_label(mask, 1, wall=wall, name="colon")
     facts = organ_facts(colon)
     assert facts.volume == pytest.approx(2104 * ML, rel=0.02)

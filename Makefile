@@ -42,9 +42,8 @@ check: $(VENV)/.stamp-dev
 	cargo clippy --quiet --manifest-path rust/Cargo.toml --all-targets -- -D warnings
 
 bench: $(VENV)/.stamp-dev
-	mkdir -p benchmarks/results
-	$(BIN)/vrcaps bench render --out benchmarks/results/render.md
-	$(BIN)/vrcaps bench record --out benchmarks/results/record.md
+	$(BIN)/vrcaps bench render --out docs/benchmarks.md
+	$(BIN)/vrcaps bench record --out docs/benchmarks.md
 
 wheel: $(VENV)/.stamp-dev
 	rm -f dist/*.whl
@@ -61,10 +60,10 @@ $(VENV)/.stamp-venv:
 	@command -v cc >/dev/null || { \
 		echo "A C linker (cc) is needed and was not found. On Debian: apt install gcc" >&2; exit 1; }
 	@command -v cargo >/dev/null || { \
-		echo "cargo $(RUST_VERSION) or newer is needed and was not found. See https://rustup.rs" >&2; exit 1; }
+		echo "cargo $(RUST_VERSION) or newer is needed and was not found. Install Rust with rustup" >&2; exit 1; }
 	@found=$$(cargo --version | cut -d' ' -f2); \
 	printf '%s\n' $(RUST_VERSION) $$found | sort --version-sort --check=quiet || { \
-		echo "cargo $(RUST_VERSION) or newer is needed, found $$found. See https://rustup.rs" >&2; exit 1; }
+		echo "cargo $(RUST_VERSION) or newer is needed, found $$found. Install Rust with rustup" >&2; exit 1; }
 	@echo "Setting up $(VENV) with $(PYTHON) (once, a few minutes)"
 	@$(PYTHON) -m venv --clear $(VENV)
 	@$(BIN)/python -m pip install --quiet 'maturin>=1.9,<2'

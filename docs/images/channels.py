@@ -39,7 +39,7 @@ def main(path: Path) -> None:
     model = vrcaps.Model(organ, device)
     rng = np.random.default_rng(0)
     flight = vrcaps.fly_through(model, vrcaps.FlyThrough(), frames=FRAMES, fps=3.0, rng=rng)
-    renderer = vrcaps.Renderer(model, vrcaps.RenderSettings(supersampling=3))
+    renderer = vrcaps.Renderer(model, vrcaps.RenderSettings(supersampling=3, shadows=True))
     frames = [
         renderer.render(flight.state(index), device.cameras[0], channels=CHANNELS)
         for index in SHOWN

@@ -7,6 +7,7 @@ use obvhs::{
     triangle::Triangle as BuildTriangle,
 };
 use rayon::prelude::*;
+use std::ops::Range;
 use std::time::Duration;
 
 /// Children of a node.
@@ -15,6 +16,8 @@ pub const WIDTH: usize = 8;
 const LEAF: u32 = 1 << 31;
 /// Larger than any coordinate [m]: bounds of an empty child exclude everything.
 const FAR: f32 = 1e30;
+/// Levels above the branches that are refitted side by side: up to 64 branches.
+const BRANCH_DEPTH: usize = 2;
 const MAX_TRIANGLES_PER_LEAF: u32 = 2;
 
 /// A node: the boxes of its eight children, by component, so that all are tested at once.
@@ -32,7 +35,7 @@ pub enum Child {
     /// Another node, by number.
     Node(usize),
     /// A range of triangles in leaf order.
-    Leaf(std::ops::Range<usize>),
+    Leaf(Range<usize>),
 }
 
 impl Child {
@@ -64,13 +67,21 @@ pub struct Bvh {
     /// Triangles in leaf order.
     pub triangles: Vec<Triangle>,
     /// Vertex numbers of the triangles, in the same order.
-    corners: Vec<[u32; 3]>,
+    pub corners: Vec<[u32; 3]>,
+    /// Large branches, which share nothing and are refitted side by side, in node order.
+    branches: Vec<Branch>,
+}
+
+/// A node with all below it: nodes in a row, and the triangles of their leaves in a row.
+struct Branch {
+    nodes: Range<usize>,
+    triangles: Range<usize>,
 }
 
 impl Bvh {
     /// A hierarchy over nothing.
     pub fn empty() -> Self {
-        Bvh { nodes: Vec::new(), triangles: Vec::new(), corners: Vec::new() }
+        Bvh { nodes: Vec::new(), triangles: Vec::new(), corners: Vec::new(), branches: Vec::new() }
     }
 
     /// Builds the hierarchy (PLOC with reinsertion, then collapsed to eight children a node).
@@ -95,34 +106,101 @@ impl Bvh {
 
     /// Moves triangles and boxes to new vertex positions; the tree stays.
     pub fn refit(&mut self, vertices: &[Vec3]) {
-        let corners = self.corners.par_iter();
-        self.triangles.par_iter_mut().zip(corners).with_min_len(4096).for_each(|(triangle, c)| {
-            triangle.corners = c.map(|v| vertices[v as usize]);
-        });
-        // Boxes of leaves touch only their own triangles and are found in parallel; the rest of the
-        // tree is a small fraction and goes bottom-up, children first.
-        let triangles = &self.triangles;
-        self.nodes.par_chunks_mut(256).for_each(|chunk| {
-            for node in chunk {
-                for k in 0..WIDTH {
-                    if let Child::Leaf(range) = Child::of(node.children[k]) {
-                        node.set(k, bounds_of(&triangles[range]));
-                    }
-                }
-            }
-        });
-        for n in (0..self.nodes.len()).rev() {
-            for k in 0..WIDTH {
-                if let Child::Node(child) = Child::of(self.nodes[n].children[k]) {
-                    let bounds = self.nodes[child].union();
-                    self.nodes[n].set(k, bounds);
-                }
-            }
+        let mut parts = Vec::with_capacity(self.branches.len());
+        let mut rest = Part::whole(&mut self.nodes, &mut self.triangles, &self.corners, vertices);
+        for branch in &self.branches {
+            let (before, after) = rest.split(branch.nodes.start, branch.triangles.start);
+            let (part, after) = after.split(branch.nodes.end, branch.triangles.end);
+            parts.extend([(false, before), (true, part)]);
+            rest = after;
         }
+        parts.push((false, rest));
+        parts.into_par_iter().filter(|(is_branch, _)| *is_branch).for_each(|(_, mut part)| {
+            for n in (0..part.nodes.len()).rev() {
+                part.refit_node(n);
+            }
+        });
+        self.refit_trunk(vertices);
+    }
+
+    /// Refits the few nodes above the branches.
+    fn refit_trunk(&mut self, vertices: &[Vec3]) {
+        let mut whole = Part::whole(&mut self.nodes, &mut self.triangles, &self.corners, vertices);
+        let mut end = whole.nodes.len();
+        for branch in self.branches.iter().rev() {
+            (branch.nodes.end..end).rev().for_each(|n| whole.refit_node(n));
+            end = branch.nodes.start;
+        }
+        (0..end).rev().for_each(|n| whole.refit_node(n));
+    }
+}
+
+/// Nodes in a row and the triangles of their leaves.
+struct Part<'a> {
+    nodes: &'a mut [Node],
+    first_node: usize,
+    triangles: &'a mut [Triangle],
+    first_triangle: usize,
+    corners: &'a [[u32; 3]],
+    vertices: &'a [Vec3],
+}
+
+impl<'a> Part<'a> {
+    fn whole(
+        nodes: &'a mut [Node],
+        triangles: &'a mut [Triangle],
+        corners: &'a [[u32; 3]],
+        vertices: &'a [Vec3],
+    ) -> Self {
+        Part { nodes, first_node: 0, triangles, first_triangle: 0, corners, vertices }
+    }
+
+    /// Cuts in front of a node and a triangle, given by their numbers in the whole tree.
+    fn split(self, node: usize, triangle: usize) -> (Part<'a>, Part<'a>) {
+        let (nodes, more_nodes) = self.nodes.split_at_mut(node - self.first_node);
+        let (triangles, more) = self.triangles.split_at_mut(triangle - self.first_triangle);
+        let head = Part { nodes, triangles, ..self };
+        let tail = Part {
+            nodes: more_nodes,
+            first_node: node,
+            triangles: more,
+            first_triangle: triangle,
+            ..head
+        };
+        (head, tail)
+    }
+
+    /// Moves the boxes of a node's children and the triangles of its leaves; children first.
+    #[inline(always)]
+    fn refit_node(&mut self, n: usize) {
+        for k in 0..WIDTH {
+            let bounds = match Child::of(self.nodes[n].children[k]) {
+                Child::Node(child) => self.nodes[child - self.first_node].union(),
+                Child::Leaf(range) if range.is_empty() => continue,
+                Child::Leaf(range) => self.refit_leaf(range),
+            };
+            self.nodes[n].set(k, bounds);
+        }
+    }
+
+    /// Moves the triangles of a leaf; returns their bounds.
+    #[inline(always)]
+    fn refit_leaf(&mut self, range: Range<usize>) -> [f32; 6] {
+        let (mut low, mut high) = ([FAR; 3], [-FAR; 3]);
+        for number in range {
+            let [a, b, c] = self.corners[number].map(|v| self.vertices[v as usize]);
+            for axis in 0..3 {
+                low[axis] = min(low[axis], min(a[axis], min(b[axis], c[axis])));
+                high[axis] = max(high[axis], max(a[axis], max(b[axis], c[axis])));
+            }
+            self.triangles[number - self.first_triangle].corners = [a, b, c];
+        }
+        [low[0], low[1], low[2], high[0], high[1], high[2]]
     }
 }
 
 impl Node {
+    /// A node without children.
     fn empty() -> Self {
         let (low, high) = ([FAR; WIDTH], [-FAR; WIDTH]);
         Node { bounds: [low, low, low, high, high, high], children: [LEAF; WIDTH] }
@@ -144,18 +222,6 @@ impl Node {
     }
 }
 
-fn bounds_of(triangles: &[Triangle]) -> [f32; 6] {
-    let (mut low, mut high) = ([FAR; 3], [-FAR; 3]);
-    for triangle in triangles {
-        let [a, b, c] = &triangle.corners;
-        for axis in 0..3 {
-            low[axis] = min(low[axis], min(a[axis], min(b[axis], c[axis])));
-            high[axis] = max(high[axis], max(a[axis], max(b[axis], c[axis])));
-        }
-    }
-    [low[0], low[1], low[2], high[0], high[1], high[2]]
-}
-
 /// Turns a binary hierarchy into an eight-wide one.
 struct Collapse<'a> {
     binary: &'a Bvh2,
@@ -165,22 +231,36 @@ struct Collapse<'a> {
 impl<'a> Collapse<'a> {
     fn run(binary: &'a Bvh2) -> Bvh {
         let mut this = Collapse { binary, out: Bvh::empty() };
-        this.node(0);
+        this.node(0, 0);
         this.out
     }
 
     /// Adds the node that stands for binary node `root`; returns its number.
-    fn node(&mut self, root: u32) -> u32 {
-        let number = self.out.nodes.len();
+    ///
+    /// A node's own leaves come before those of its descendants, so that nodes in a row have
+    /// their triangles in a row.
+    fn node(&mut self, root: u32, depth: usize) -> u32 {
+        let (number, first_triangle) = (self.out.nodes.len(), self.out.triangles.len());
         self.out.nodes.push(Node::empty());
-        for (k, child) in self.choose(root).into_iter().enumerate() {
-            let node = &self.binary.nodes[child as usize];
-            let code = if node.is_leaf() {
-                self.leaf(node.first_index, node.prim_count)
-            } else {
-                self.node(child)
-            };
-            self.out.nodes[number].children[k] = code;
+        let chosen = self.choose(root);
+        for (k, &child) in chosen.iter().enumerate() {
+            let node = self.binary.nodes[child as usize];
+            if node.is_leaf() {
+                let code = self.leaf(node.first_index, node.prim_count);
+                self.out.nodes[number].children[k] = code;
+            }
+        }
+        for (k, &child) in chosen.iter().enumerate() {
+            if !self.binary.nodes[child as usize].is_leaf() {
+                let code = self.node(child, depth + 1);
+                self.out.nodes[number].children[k] = code;
+            }
+        }
+        if depth == BRANCH_DEPTH {
+            self.out.branches.push(Branch {
+                nodes: number..self.out.nodes.len(),
+                triangles: first_triangle..self.out.triangles.len(),
+            });
         }
         number as u32
     }

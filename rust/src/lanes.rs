@@ -95,14 +95,15 @@ pub fn log2(x: f32) -> f32 {
 #[inline(always)]
 pub fn exp2(x: f32) -> f32 {
     let x = clamp(x, -126.0, 126.0);
-    let whole = (x + 12_582_912.0) - 12_582_912.0;
-    let f = x - whole;
+    // Adding 1.5 · 2²³ rounds to a whole number and leaves it in the low bits.
+    let shifted = x + 12_582_912.0;
+    let f = x - (shifted - 12_582_912.0);
     let series = 1.0
         + f * (std::f32::consts::LN_2
             + f * (0.240_226_5
                 + f * (0.055_504_11
                     + f * (0.009_618_129 + f * (0.001_333_355_8 + f * 0.000_154_035_3)))));
-    f32::from_bits(((whole as i32 + 127) << 23) as u32) * series
+    f32::from_bits((shifted.to_bits().wrapping_add(127)) << 23) * series
 }
 
 /// `x` to the power `y` for x ≥ 0 and y > 0.

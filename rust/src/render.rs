@@ -131,7 +131,8 @@ pub fn render(
     exposure: f32,
     shadows: bool,
 ) -> PyResult<()> {
-    if scene.data.uv.len() != wall.faces.len() || scene.data.arc_length.len() != wall.vertices.len()
+    if scene.data.faces.len() != wall.faces.len()
+        || scene.data.arc_length.len() != wall.vertices.len()
     {
         return Err(PyValueError::new_err(
             "Scene and wall have different numbers of faces or vertices.",
@@ -337,7 +338,17 @@ impl Place {
         hit: &[bool; LANES],
         miss: T,
     ) {
-        self.write_each(channel, 1, |i, _| if hit[i] { values[i] } else { miss });
+        let Some(pixels) = channel else { return };
+        let mut known = [miss; LANES];
+        for i in 0..LANES {
+            known[i] = if hit[i] { values[i] } else { miss };
+        }
+        let (width, height) = self.size;
+        let columns = (width - self.column).min(TILE);
+        for (y, row) in known.chunks_exact(TILE).take(height).enumerate() {
+            let start = y * width + self.column;
+            pixels[start..start + columns].copy_from_slice(&row[..columns]);
+        }
     }
 
     #[inline(always)]
@@ -348,7 +359,16 @@ impl Place {
         hit: &[bool; LANES],
         miss: f32,
     ) {
-        self.write_each(channel, 3, |i, k| if hit[i] { values[k][i] } else { miss });
+        if channel.is_none() {
+            return;
+        }
+        let mut known = [[miss; LANES]; 3];
+        for k in 0..3 {
+            for i in 0..LANES {
+                known[k][i] = if hit[i] { values[k][i] } else { miss };
+            }
+        }
+        self.write_each(channel, 3, |i, k| known[k][i]);
     }
 
     #[inline(always)]
@@ -372,7 +392,8 @@ fn srgb(linear: f32) -> u8 {
     let x = clamp(linear, 0.0, 1.0);
     let curve = 1.055 * pow(x, 1.0 / 2.4) - 0.055;
     let encoded = if x <= 0.003_130_8 { 12.92 * x } else { curve };
-    (encoded * 255.0 + 0.5) as i32 as u8
+    // Adding 2²³ rounds to a whole number and leaves it in the low bits.
+    (encoded * 255.0 + 8_388_608.0).to_bits() as u8
 }
 
 /// 8-bit sRGB image [h w 3] of linear radiance [h w 3] times `exposure`.

@@ -7,14 +7,21 @@ use numpy::{PyReadonlyArray1, PyReadonlyArray3};
 use pyo3::{exceptions::PyValueError, prelude::*};
 use std::ops::Deref;
 
+/// What is drawn on one face; kept together, as they are read together.
+#[derive(Clone, Copy)]
+pub struct FaceData {
+    /// Texture coordinates of each corner.
+    pub uv: [[f32; 2]; 3],
+    /// Class.
+    pub label: u8,
+    /// Lesion number.
+    pub instance: u16,
+}
+
 /// Attributes of a wall's faces and vertices.
 pub struct SceneData {
-    /// Texture coordinates of each corner of each face.
-    pub uv: Vec<[[f32; 2]; 3]>,
-    /// Class of each face.
-    pub label: Vec<u8>,
-    /// Lesion number of each face.
-    pub instance: Vec<u16>,
+    /// What is drawn on each face.
+    pub faces: Vec<FaceData>,
     /// Distance along the centreline of each vertex [m].
     pub arc_length: Vec<f32>,
     /// Textures, or none for a plain wall.
@@ -63,22 +70,22 @@ impl Scene {
         roughness: f32,
         reflectance: (f32, f32, f32),
     ) -> PyResult<Self> {
-        let uv = uv.as_array();
+        let (uv, label, instance) = (uv.as_array(), label.as_array(), instance.as_array());
         let (faces, corners, components) = uv.dim();
-        let same = label.as_array().len() == faces && instance.as_array().len() == faces;
+        let same = label.len() == faces && instance.len() == faces;
         if (corners, components) != (3, 2) || !same {
             return Err(PyValueError::new_err(
                 "Texture coordinates must be of shape (m, 3, 2), labels and instances of shape (m,).",
             ));
         }
         let (ior, coat, coat_alpha) = reflectance;
+        let face = |f: usize| FaceData {
+            uv: [0, 1, 2].map(|corner| [uv[[f, corner, 0]], uv[[f, corner, 1]]]),
+            label: label[f],
+            instance: instance[f],
+        };
         let data = SceneData {
-            uv: uv
-                .outer_iter()
-                .map(|face| [0, 1, 2].map(|corner| [face[[corner, 0]], face[[corner, 1]]]))
-                .collect(),
-            label: label.as_array().to_vec(),
-            instance: instance.as_array().to_vec(),
+            faces: (0..faces).map(face).collect(),
             arc_length: arc_length.as_array().to_vec(),
             texture: texture.map(TextureHandle),
             albedo,

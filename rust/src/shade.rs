@@ -1,8 +1,9 @@
 //! From hits to channels: attributes of the wall where each ray meets it, and the light it reflects.
 
+use crate::bvh::Triangle;
 use crate::lanes::*;
 use crate::material::{Led, Material, Surface, add_light};
-use crate::scene::SceneData;
+use crate::scene::{FaceData, SceneData};
 use crate::tile::{Hits, MISS};
 use crate::visibility::visible_tile;
 use crate::wall::Wall;
@@ -37,24 +38,31 @@ pub struct Attributes {
 struct Face {
     number: usize,
     corners: [usize; 3],
+    data: FaceData,
     gradients: [Vec3; 2],
 }
 
 impl Face {
+    /// The face of a triangle, whose corners are still at hand from tracing.
     #[inline(always)]
-    fn fetch(wall: &Wall, scene: &SceneData, number: usize) -> Self {
-        let corners = wall.faces[number].map(|v| v as usize);
-        let [a, b, c] = corners.map(|v| wall.vertices[v]);
+    fn fetch(wall: &Wall, scene: &SceneData, triangle: usize) -> Self {
+        let Triangle { corners: [a, b, c], face } = wall.bvh.triangles[triangle];
         let (ab, ac) = (sub(b, a), sub(c, a));
         let normal = cross(ab, ac);
-        let square = max(dot(normal, normal), 1e-30);
+        let inverse = 1.0 / max(dot(normal, normal), 1e-30);
         // Gradients of the weights of b and c over the face.
-        let of_b = scale(cross(ac, normal), 1.0 / square);
-        let of_c = scale(cross(normal, ab), 1.0 / square);
-        let [uv_a, uv_b, uv_c] = scene.uv[number];
+        let of_b = scale(cross(ac, normal), inverse);
+        let of_c = scale(cross(normal, ab), inverse);
+        let data = scene.faces[face as usize];
+        let [uv_a, uv_b, uv_c] = data.uv;
         let gradient =
             |k: usize| add(scale(of_b, uv_b[k] - uv_a[k]), scale(of_c, uv_c[k] - uv_a[k]));
-        Face { number, corners, gradients: [gradient(0), gradient(1)] }
+        Face {
+            number: face as usize,
+            corners: wall.bvh.corners[triangle].map(|v| v as usize),
+            data,
+            gradients: [gradient(0), gradient(1)],
+        }
     }
 }
 
@@ -97,8 +105,7 @@ pub fn attributes(
             continue;
         }
         if triangle != last.0 {
-            let number = wall.bvh.triangles[triangle as usize].face as usize;
-            last = (triangle, Some(Face::fetch(wall, scene, number)));
+            last = (triangle, Some(Face::fetch(wall, scene, triangle as usize)));
         }
         if let Some(face) = &last.1 {
             fill_lane(&mut out, wall, scene, face, i);
@@ -119,14 +126,14 @@ fn fill_lane(out: &mut Attributes, wall: &Wall, scene: &SceneData, face: &Face, 
         out.gradients[0][k][i] = face.gradients[0][k];
         out.gradients[1][k][i] = face.gradients[1][k];
     }
-    let [uv_a, uv_b, uv_c] = scene.uv[face.number];
+    let [uv_a, uv_b, uv_c] = face.data.uv;
     for k in 0..2 {
         out.uv[k][i] = uv_a[k] * wa + uv_b[k] * wb + uv_c[k] * wc;
     }
     let arc = &scene.arc_length;
     out.arc_length[i] = arc[a] * wa + arc[b] * wb + arc[c] * wc;
-    out.label[i] = scene.label[face.number];
-    out.instance[i] = scene.instance[face.number];
+    out.label[i] = face.data.label;
+    out.instance[i] = face.data.instance;
     out.face[i] = face.number as i32;
 }
 

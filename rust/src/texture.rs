@@ -26,6 +26,25 @@ struct Level {
     texels: Vec<Texel>,
 }
 
+impl Level {
+    /// The mean over two by two texels; none above a single texel.
+    fn halved(&self, slope_step: [f32; 2]) -> Option<Level> {
+        if self.texels.len() == 1 {
+            return None;
+        }
+        let (width, height) = ((self.width / 2).max(1), (self.height / 2).max(1));
+        let texel = |i: usize| {
+            let (x, y) = (i % width * 2, i / width * 2);
+            let (x1, y1) = ((x + 1).min(self.width - 1), (y + 1).min(self.height - 1));
+            let four = [(x, y), (x1, y), (x, y1), (x1, y1)];
+            let sample = |(x, y)| Sample::unpack(self.texels[y * self.width + x], slope_step);
+            Sample::mean(four.map(sample)).pack(slope_step)
+        };
+        let texels = (0..width * height).into_par_iter().map(texel).collect();
+        Some(Level { width, height, texels })
+    }
+}
+
 /// Textures over texture coordinates; row 0 is v = 1, and u and v wrap.
 #[pyclass(frozen, module = "vrcaps._core")]
 pub struct Texture {
@@ -57,6 +76,22 @@ impl Sample {
         });
         let roughness = (clamp(self.roughness, 0.0, 1.0) * 255.0).round() as u32;
         Texel(r | g << 11 | b << 22, roughness | su << 8 | sv << 20)
+    }
+
+    #[inline(always)]
+    fn unpack(Texel(color, rest): Texel, slope_step: [f32; 2]) -> Self {
+        let root = |bits: u32, steps: f32| bits as i32 as f32 * (1.0 / steps);
+        let roots = [
+            root(color & 0x7ff, ALBEDO_STEPS[0]),
+            root(color >> 11 & 0x7ff, ALBEDO_STEPS[1]),
+            root(color >> 22, ALBEDO_STEPS[2]),
+        ];
+        let slope = |bits: u32, step: f32| (bits as i32 - 2048) as f32 * step;
+        Sample {
+            albedo: roots.map(|x| x * x),
+            roughness: root(rest & 0xff, 255.0),
+            slope: [slope(rest >> 8 & 0xfff, slope_step[0]), slope(rest >> 20, slope_step[1])],
+        }
     }
 
     fn mean(samples: [Sample; 4]) -> Sample {
@@ -99,37 +134,37 @@ impl Texture {
         if !height.iter().all(|x| x.is_finite()) {
             return Err(PyValueError::new_err("Texture heights must be finite numbers."));
         }
-        let table: Vec<f32> = (0..=255).map(linear).collect();
-        let sample = |y: usize, x: usize| {
+        let slope = |y: usize, x: usize| {
             let across = height[[y, (x + 1) % w]] - height[[y, (x + w - 1) % w]];
             let along = height[[(y + h - 1) % h, x]] - height[[(y + 1) % h, x]];
-            Sample {
-                albedo: [0, 1, 2].map(|k| table[albedo[[y, x, k]] as usize]),
-                roughness: f32::from(roughness[[y, x]]) / 255.0,
-                slope: [across * 0.5 * w as f32, along * 0.5 * h as f32],
-            }
+            [across * 0.5 * w as f32, along * 0.5 * h as f32]
+        };
+        let table: Vec<f32> = (0..=255).map(linear).collect();
+        let sample = |y: usize, x: usize| Sample {
+            albedo: [0, 1, 2].map(|k| table[albedo[[y, x, k]] as usize]),
+            roughness: f32::from(roughness[[y, x]]) / 255.0,
+            slope: slope(y, x),
         };
         Ok(py.detach(|| {
-            let samples: Vec<Sample> =
-                (0..h * w).into_par_iter().map(|i| sample(i / w, i % w)).collect();
-            Texture::from_samples(samples, w, h)
+            let places = || (0..h * w).into_par_iter().map(|i| (i / w, i % w));
+            let steepest = places()
+                .map(|(y, x)| slope(y, x).map(f32::abs))
+                .reduce(|| [1e-12; 2], |a, b| [max(a[0], b[0]), max(a[1], b[1])]);
+            let step = steepest.map(|s| s / SLOPE_STEPS);
+            let texels = places().map(|(y, x)| sample(y, x).pack(step)).collect();
+            Texture::with_mips(Level { width: w, height: h, texels }, step)
         }))
     }
 }
 
 impl Texture {
-    fn from_samples(mut samples: Vec<Sample>, mut width: usize, mut height: usize) -> Self {
-        let largest = |k: usize| samples.iter().fold(1e-12f32, |m, s| max(m, s.slope[k].abs()));
-        let slope_step = [largest(0) / SLOPE_STEPS, largest(1) / SLOPE_STEPS];
-        let mut levels = Vec::new();
-        loop {
-            let texels = samples.par_iter().map(|s| s.pack(slope_step)).collect();
-            levels.push(Level { width, height, texels });
-            if width == 1 && height == 1 {
-                return Texture { levels, slope_step };
-            }
-            (samples, width, height) = halve(&samples, width, height);
+    /// Adds the levels above the finest, each half the size of the one before.
+    fn with_mips(finest: Level, slope_step: [f32; 2]) -> Self {
+        let mut levels = vec![finest];
+        while let Some(coarser) = levels.last().and_then(|level| level.halved(slope_step)) {
+            levels.push(coarser);
         }
+        Texture { levels, slope_step }
     }
 
     /// Texels of every lane: bilinear in the level whose texels are nearest the pixel's footprint.
@@ -137,53 +172,61 @@ impl Texture {
     /// `footprint` is the share of the texture's width and height that a pixel covers.
     #[inline(always)]
     pub fn fetch(&self, uv: &[Lane; 2], footprint: &[Lane; 2]) -> Texels {
-        let mut corners = [[Texel::default(); LANES]; 4];
+        let numbers = self.level_numbers(footprint);
+        let (mut colors, mut rests) = ([[0u32; LANES]; 4], [[0u32; LANES]; 4]);
         let mut weights = [[0.0; LANES]; 2];
         for i in 0..LANES {
-            let level = self.level(footprint[0][i], footprint[1][i]);
+            let level = &self.levels[numbers[i] as usize];
             let (x, x0, x1) = neighbours(uv[0][i], level.width);
             let (y, y0, y1) = neighbours(1.0 - uv[1][i], level.height);
             let (row0, row1) = (y0 * level.width, y1 * level.width);
-            corners[0][i] = level.texels[row0 + x0];
-            corners[1][i] = level.texels[row0 + x1];
-            corners[2][i] = level.texels[row1 + x0];
-            corners[3][i] = level.texels[row1 + x1];
+            for (c, place) in [row0 + x0, row0 + x1, row1 + x0, row1 + x1].into_iter().enumerate() {
+                let Texel(color, rest) = level.texels[place];
+                colors[c][i] = color;
+                rests[c][i] = rest;
+            }
             weights[0][i] = x;
             weights[1][i] = y;
         }
-        self.blend(&corners, &weights)
+        self.blend(&colors, &rests, &weights)
     }
 
     #[inline(always)]
-    fn level(&self, across: f32, along: f32) -> &Level {
-        let first = &self.levels[0];
-        let texels = max(across * first.width as f32, along * first.height as f32);
-        // The exponent of √2·x is log₂ x rounded to the nearest whole number.
-        let nearest =
-            ((max(texels, 1.0) * std::f32::consts::SQRT_2).to_bits() >> 23) as usize - 127;
-        &self.levels[nearest.min(self.levels.len() - 1)]
+    fn level_numbers(&self, footprint: &[Lane; 2]) -> [u32; LANES] {
+        let (width, height) = (self.levels[0].width as f32, self.levels[0].height as f32);
+        let last = self.levels.len() as u32 - 1;
+        let mut numbers = [0u32; LANES];
+        for i in 0..LANES {
+            let texels = max(max(footprint[0][i] * width, footprint[1][i] * height), 1.0);
+            // The exponent of √2·x is log₂ x rounded to the nearest whole number.
+            let nearest = ((texels * std::f32::consts::SQRT_2).to_bits() >> 23) - 127;
+            numbers[i] = if nearest < last { nearest } else { last };
+        }
+        numbers
     }
 
     #[inline(always)]
-    fn blend(&self, corners: &[[Texel; LANES]; 4], weights: &[Lane; 2]) -> Texels {
+    fn blend(
+        &self,
+        colors: &[[u32; LANES]; 4],
+        rests: &[[u32; LANES]; 4],
+        weights: &[Lane; 2],
+    ) -> Texels {
         let mut out =
             Texels { albedo: [[0.0; LANES]; 3], roughness: [0.0; LANES], slope: [[0.0; LANES]; 2] };
-        for (c, texels) in corners.iter().enumerate() {
+        for c in 0..4 {
             for i in 0..LANES {
                 let (x, y) = (weights[0][i], weights[1][i]);
                 let w =
                     (if c & 1 == 0 { 1.0 - x } else { x }) * if c & 2 == 0 { 1.0 - y } else { y };
-                let Texel(color, rest) = texels[i];
-                let r = (color & 0x7ff) as i32 as f32 * (1.0 / 2047.0);
-                let g = (color >> 11 & 0x7ff) as i32 as f32 * (1.0 / 2047.0);
-                let b = (color >> 22) as i32 as f32 * (1.0 / 1023.0);
-                out.albedo[0][i] += w * (r * r);
-                out.albedo[1][i] += w * (g * g);
-                out.albedo[2][i] += w * (b * b);
-                out.roughness[i] += w * ((rest & 0xff) as i32 as f32 * (1.0 / 255.0));
-                out.slope[0][i] +=
-                    w * (((rest >> 8 & 0xfff) as i32 - 2048) as f32 * self.slope_step[0]);
-                out.slope[1][i] += w * (((rest >> 20) as i32 - 2048) as f32 * self.slope_step[1]);
+                let sample = Sample::unpack(Texel(colors[c][i], rests[c][i]), self.slope_step);
+                for k in 0..3 {
+                    out.albedo[k][i] += w * sample.albedo[k];
+                }
+                out.roughness[i] += w * sample.roughness;
+                for k in 0..2 {
+                    out.slope[k][i] += w * sample.slope[k];
+                }
             }
         }
         out
@@ -198,14 +241,4 @@ fn neighbours(coordinate: f32, size: usize) -> (f32, usize, usize) {
     let second = (place as usize).min(size);
     let first = if second == 0 { size - 1 } else { second - 1 };
     (place - second as f32, first, if second == size { 0 } else { second })
-}
-
-fn halve(samples: &[Sample], width: usize, height: usize) -> (Vec<Sample>, usize, usize) {
-    let (w, h) = ((width / 2).max(1), (height / 2).max(1));
-    let sample = |i: usize| {
-        let (x, y) = (i % w * 2, i / w * 2);
-        let (x1, y1) = ((x + 1).min(width - 1), (y + 1).min(height - 1));
-        Sample::mean([(x, y), (x1, y), (x, y1), (x1, y1)].map(|(x, y)| samples[y * width + x]))
-    };
-    ((0..w * h).into_par_iter().map(sample).collect(), w, h)
 }

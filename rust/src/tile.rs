@@ -127,17 +127,17 @@ impl Plane {
         Plane { normal: [0.0; 3], rows: [0; 3], offset: 0.0 }
     }
 
-    /// Signed distance of the chosen corner of each child [m], never underestimated for the far
-    /// corner and never overestimated for the near one. An empty child is far outside.
+    /// The chosen corner of each child, by component.
     #[inline(always)]
-    fn reach(&self, node: &Node) -> [f32; WIDTH] {
-        let [x, y, z] = self.rows.map(|row| &node.bounds[row]);
-        let mut result = [0.0; WIDTH];
-        for k in 0..WIDTH {
-            result[k] =
-                self.normal[0] * x[k] + self.normal[1] * y[k] + self.normal[2] * z[k] - self.offset;
-        }
-        result
+    fn corners<'a>(&self, node: &'a Node) -> [&'a [f32; WIDTH]; 3] {
+        self.rows.map(|row| &node.bounds[row])
+    }
+
+    /// Signed distance of child `k`'s chosen corner [m], never underestimated for the far corner
+    /// and never overestimated for the near one. An empty child is far outside.
+    #[inline(always)]
+    fn reach(&self, [x, y, z]: [&[f32; WIDTH]; 3], k: usize) -> f32 {
+        self.normal[0] * x[k] + self.normal[1] * y[k] + self.normal[2] * z[k] - self.offset
     }
 }
 
@@ -209,13 +209,18 @@ fn push_children(
     stack: &mut [(u32, f32); STACK],
     mut top: usize,
 ) -> usize {
-    let nearest = near.reach(node);
-    let reach =
-        [sides[0].reach(node), sides[1].reach(node), sides[2].reach(node), sides[3].reach(node)];
+    let [left, right, top_side, bottom] = sides;
+    let corners =
+        [left.corners(node), right.corners(node), top_side.corners(node), bottom.corners(node)];
+    let near_corners = near.corners(node);
+    let mut nearest = [0.0f32; WIDTH];
     let mut touched = [0u8; WIDTH];
+    // One long loop: the compiler turns it into vectors as wide as a node.
     for k in 0..WIDTH {
-        let inside = min(min(reach[0][k], reach[1][k]), min(reach[2][k], reach[3][k]));
-        touched[k] = u8::from((inside >= 0.0) & (nearest[k] <= farthest));
+        let across = min(left.reach(corners[0], k), right.reach(corners[1], k));
+        let along = min(top_side.reach(corners[2], k), bottom.reach(corners[3], k));
+        nearest[k] = near.reach(near_corners, k);
+        touched[k] = u8::from((min(across, along) >= 0.0) & (nearest[k] <= farthest));
     }
     // One bit set in each byte whose child is touched.
     let mut touched = u64::from_le_bytes(touched);

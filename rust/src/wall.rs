@@ -32,6 +32,10 @@ pub struct Wall {
     /// Faces around each vertex: `around[start[v]..start[v + 1]]`.
     start: Vec<u32>,
     around: Vec<u32>,
+    /// Normals of faces, as long as twice their area; kept to be overwritten.
+    area_normals: Vec<Vec3>,
+    /// Vertices of another time; kept to be overwritten.
+    spare: Vec<Vec3>,
 }
 
 impl Wall {
@@ -45,28 +49,36 @@ impl Wall {
         [0, 1, 2].map(|k| f64::from(point[k]) + self.center[k])
     }
 
-    fn set_vertices(&mut self, vertices: &[f64]) {
+    /// Takes over vertices [n 3] if all are finite numbers; else nothing changes.
+    fn set_vertices(&mut self, vertices: &[f64]) -> Result<(), &'static str> {
         let center = self.center;
-        self.vertices.resize(vertices.len() / 3, [0.0; 3]);
-        let places = self.vertices.par_iter_mut().with_min_len(4096);
-        let largest = places.zip(vertices.par_chunks_exact(3)).map(|(place, vertex)| {
+        self.spare.resize(vertices.len() / 3, [0.0; 3]);
+        let places = self.spare.par_iter_mut().with_min_len(4096);
+        let sizes = places.zip(vertices.par_chunks_exact(3)).map(|(place, vertex)| {
             *place = [0, 1, 2].map(|k| (vertex[k] - center[k]) as f32);
-            place.iter().fold(0.0f32, |m, x| m.max(x.abs()))
+            place.map(f32::abs)
         });
-        self.extent = largest.reduce(|| 0.0, f32::max);
+        // Comparisons with NaN are false, so that a NaN stays the largest size.
+        let larger = |a: f32, b: f32| if a < b || b.is_nan() { b } else { a };
+        let extent = sizes.map(|[x, y, z]| larger(larger(x, y), z)).reduce(|| 0.0, larger);
+        if !extent.is_finite() {
+            return Err(BAD_VERTICES);
+        }
+        std::mem::swap(&mut self.vertices, &mut self.spare);
+        self.extent = extent;
+        Ok(())
     }
 
     /// Area-weighted vertex normals.
     fn update_normals(&mut self) {
         let (vertices, faces) = (&self.vertices, &self.faces);
-        let area_normals: Vec<Vec3> = faces
-            .par_iter()
-            .with_min_len(4096)
-            .map(|f| {
-                let [a, b, c] = f.map(|v| vertices[v as usize]);
-                cross(sub(b, a), sub(c, a))
-            })
-            .collect();
+        let area_normal = |f: &[u32; 3]| {
+            let [a, b, c] = f.map(|v| vertices[v as usize]);
+            cross(sub(b, a), sub(c, a))
+        };
+        let normals = faces.par_iter().with_min_len(4096).map(area_normal);
+        normals.collect_into_vec(&mut self.area_normals);
+        let area_normals = &self.area_normals;
         let (start, around) = (&self.start, &self.around);
         self.normals.par_iter_mut().with_min_len(4096).enumerate().for_each(|(v, normal)| {
             let faces = &around[start[v] as usize..start[v + 1] as usize];
@@ -103,17 +115,12 @@ fn middle(vertices: &[f64]) -> [f64; 3] {
     })
 }
 
-fn checked<'a>(vertices: &'a PyReadonlyArray2<'_, f64>) -> PyResult<&'a [f64]> {
-    let valid = |flat: &&[f64]| {
-        vertices.as_array().ncols() == 3
-            && !flat.is_empty()
-            && flat.par_chunks(8192).all(|chunk| chunk.iter().all(|x| x.is_finite()))
-    };
-    vertices.as_slice().ok().filter(valid).ok_or_else(|| {
-        PyValueError::new_err(
-            "Wall vertices must be finite numbers, C-contiguous, of shape (n, 3).",
-        )
-    })
+const BAD_VERTICES: &str =
+    "Wall vertices must be finite numbers, C-contiguous and of shape (n, 3).";
+
+fn flat<'a>(vertices: &'a PyReadonlyArray2<'_, f64>) -> PyResult<&'a [f64]> {
+    let shaped = |numbers: &&[f64]| vertices.as_array().ncols() == 3 && !numbers.is_empty();
+    vertices.as_slice().ok().filter(shaped).ok_or_else(|| PyValueError::new_err(BAD_VERTICES))
 }
 
 #[pymethods]
@@ -124,7 +131,7 @@ impl Wall {
         vertices: PyReadonlyArray2<'_, f64>,
         faces: PyReadonlyArray2<'_, i64>,
     ) -> PyResult<Self> {
-        let vertices = checked(&vertices)?;
+        let vertices = flat(&vertices)?;
         let (rows, num_vertices) = (faces.as_array(), vertices.len() / 3);
         let valid = |&v: &i64| v >= 0 && (v as usize) < num_vertices;
         if rows.ncols() != 3 || rows.nrows() == 0 || !rows.iter().all(valid) {
@@ -144,8 +151,10 @@ impl Wall {
             faces,
             start,
             around,
+            area_normals: Vec::new(),
+            spare: Vec::new(),
         };
-        wall.set_vertices(vertices);
+        wall.set_vertices(vertices).map_err(PyValueError::new_err)?;
         wall.bvh = Bvh::build(&wall.vertices, &wall.faces);
         wall.update_normals();
         Ok(wall)
@@ -153,7 +162,7 @@ impl Wall {
 
     /// Moves the wall to new vertex positions [n 3] in metres; the hierarchy is refitted.
     fn refit(&mut self, py: Python<'_>, vertices: PyReadonlyArray2<'_, f64>) -> PyResult<()> {
-        let vertices = checked(&vertices)?;
+        let vertices = flat(&vertices)?;
         if vertices.len() != self.vertices.len() * 3 {
             return Err(PyValueError::new_err(format!(
                 "Refitting needs {} vertices, was given {}.",
@@ -162,11 +171,12 @@ impl Wall {
             )));
         }
         py.detach(|| {
-            self.set_vertices(vertices);
+            self.set_vertices(vertices)?;
             self.update_normals();
             self.bvh.refit(&self.vertices);
-        });
-        Ok(())
+            Ok(())
+        })
+        .map_err(PyValueError::new_err::<&'static str>)
     }
 
     /// Nearest hit of rays: distance in units of the direction's length (NaN for none), face (−1).

@@ -86,7 +86,9 @@ def test_inspection_prints_the_phantom_s_own_measures(
 def test_interrupted_recording_ends_in_one_line_and_goes_on(phantom: Path, tmp_path: Path) -> None:
     out = tmp_path / "o"
     flags = f"record --organ {phantom} --unit mm --frames 2000 --out {out}".split()
-    script = [sys.executable, "-c", "from vrcaps.cli import main; main()", *flags]
+    # A shell's background job ignores Ctrl-C, and its children inherit that.
+    listen = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)"
+    script = [sys.executable, "-c", f"{listen}; from vrcaps.cli import main; main()", *flags]
     process = subprocess.Popen(script, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     deadline = time.monotonic() + 120.0
     while not list(out.glob("front/rgb/0000*.png")):

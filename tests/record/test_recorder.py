@@ -169,8 +169,10 @@ def test_no_flow_beyond_the_ends_of_the_run(recorded):
         assert np.isfinite(episode.image(camera, "flow_backward", 4)).any()
 
 
+# A shell's background job ignores Ctrl-C, and its children inherit that.
 RUN = """
 import pickle
+import signal
 import sys
 from pathlib import Path
 from vrcaps.errors import VrcapsError
@@ -178,6 +180,7 @@ from vrcaps.record import scenario as module
 from vrcaps.record.recorder import record
 from vrcaps.record.scenario import read_scenario
 {setup}
+signal.signal(signal.SIGINT, signal.default_int_handler)
 organ = pickle.loads(Path(sys.argv[3]).read_bytes())
 module._load_organ = lambda _: organ
 def progress(done, total):

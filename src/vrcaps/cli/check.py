@@ -35,7 +35,7 @@ class Check:
         with progress_bar("checking") as progress:
             problems = check_episode(self.episode, progress=progress)
         for problem in problems:
-            console.print(str(problem), soft_wrap=True)
+            console.print(str(problem))
         if problems:
             console.print(f"{len(problems)} faults in {self.episode}.")
             raise SystemExit(EXIT_FAULTS)

@@ -7,7 +7,8 @@ from contextlib import contextmanager
 
 from rich.console import Console
 
-console = Console(highlight=False, markup=False)
+# Wrapping is left to the terminal, so that a path can be copied whole; tables still fit its width.
+console = Console(highlight=False, markup=False, soft_wrap=True)
 
 
 @contextmanager

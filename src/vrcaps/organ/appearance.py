@@ -90,7 +90,7 @@ def bake_appearance(
     seed: int,
     mucosa: str | Mucosa = "colon",
     texels_per_mm: float | None = None,
-    max_texels: int = 24_000_000,
+    max_texels: int = 14_000_000,
 ) -> Appearance:
     """Bakes a mucosa into textures over an organ's texture coordinates.
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from concurrent.futures import ThreadPoolExecutor
 from io import BytesIO
 from typing import TYPE_CHECKING
 
@@ -15,6 +16,7 @@ if TYPE_CHECKING:
 
 _PLAIN_MUCOSA = (0.60, 0.22, 0.16, 1.0)  # linear; drawn where there is no appearance
 _SAMPLER = {"magFilter": 9729, "minFilter": 9987, "wrapS": 10497, "wrapT": 10497}  # mipmaps, repeat
+_BLOCK_ROWS = 256
 _PNG_LEVEL = 1  # zlib level; higher ones take seconds for a 8192 × 1024 texture
 
 
@@ -45,10 +47,22 @@ def texture_images(appearance: Appearance, scale: tuple[float, float]) -> list[b
         appearance: The textures.
         scale: Length on the wall of one unit of u and v [m], see `relief_scale`.
     """
-    roughness = np.zeros((*appearance.roughness.shape, 3), np.uint8)
-    roughness[..., 1] = appearance.roughness  # glTF: G is roughness, B is metalness
-    normals = normal_texture(appearance.height, scale)
-    return [_encode_png(image) for image in (appearance.albedo, roughness, normals)]
+
+    def albedo() -> bytes:
+        return _encode_png(appearance.albedo)
+
+    def roughness() -> bytes:
+        image = np.zeros((*appearance.roughness.shape, 3), np.uint8)
+        image[..., 1] = appearance.roughness  # glTF: G is roughness, B is metalness
+        return _encode_png(image)
+
+    def normals() -> bytes:
+        return _encode_png(normal_texture(appearance.height, scale))
+
+    with ThreadPoolExecutor() as pool:  # zlib works outside Python's lock
+        slowest_first = [pool.submit(make) for make in (normals, albedo, roughness)]
+    normal_png, albedo_png, roughness_png = (task.result() for task in slowest_first)
+    return [albedo_png, roughness_png, normal_png]
 
 
 def normal_texture(
@@ -62,16 +76,20 @@ def normal_texture(
         height: Relief towards the lumen [m]; row 0 is v = 1.
         scale: Length on the wall of one unit of u and v [m].
     """
-    height = np.asarray(height, np.float32)
     num_rows, num_columns = height.shape
     per_column = np.float32(0.5 * num_columns / scale[0])
     per_row = np.float32(0.5 * num_rows / scale[1])
-    slope_u = (np.roll(height, -1, axis=1) - np.roll(height, 1, axis=1)) * per_column
-    slope_v = (np.roll(height, 1, axis=0) - np.roll(height, -1, axis=0)) * per_row
-    factor = np.float32(127.5) / np.sqrt(1.0 + slope_u * slope_u + slope_v * slope_v)
     normals = np.empty((num_rows, num_columns, 3), np.uint8)
-    for channel, component in enumerate((-slope_u, -slope_v, np.float32(1.0))):
-        normals[..., channel] = np.rint(component * factor + np.float32(127.5))
+    for start in range(0, num_rows, _BLOCK_ROWS):  # few rows at a time need little memory
+        rows = np.arange(start - 1, min(start + _BLOCK_ROWS, num_rows) + 1) % num_rows
+        block = height[rows].astype(np.float32)
+        middle = block[1:-1]
+        slope_u = (np.roll(middle, -1, axis=1) - np.roll(middle, 1, axis=1)) * per_column
+        slope_v = (block[:-2] - block[2:]) * per_row
+        factor = np.float32(127.5) / np.sqrt(1.0 + slope_u * slope_u + slope_v * slope_v)
+        for channel, component in enumerate((-slope_u, -slope_v, np.float32(1.0))):
+            out = normals[start : start + len(middle), :, channel]
+            out[...] = np.rint(component * factor + np.float32(127.5))
     return normals
 
 

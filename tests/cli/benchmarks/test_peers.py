@@ -35,9 +35,8 @@ def test_embree_casts_the_rays_that_we_cast(stage: Stage) -> None:
 def test_a_missing_package_is_left_out_with_how_to_get_it(
     monkeypatch: pytest.MonkeyPatch, stage: Stage
 ) -> None:
-    monkeypatch.setattr(peers, "PACKAGES", {"embree": "embreex"})
     monkeypatch.setattr(embree, "load_package", lambda _: peers.load_package("no_such_package"))
-    found, skipped = find_peers(stage)
+    found, skipped = find_peers(stage, ["embree"])
     assert found == []
     assert "no_such_package" in skipped["embree"]
     assert "pip install 'vrcaps[dev]'" in skipped["embree"]

@@ -75,6 +75,17 @@ def test_a_cost_that_is_twice_is_reported_as_twice(studies: dict[str, Study]) ->
     assert both.median == pytest.approx(front.median + back.median, rel=0.5)
 
 
+def test_run_writes_what_it_found(
+    monkeypatch: pytest.MonkeyPatch, stage: Stage, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(render, "make_organ", lambda *_, **__: stage.model.organ)
+    report = render.run(out=tmp_path / "speed.md", quick=True, only=["refit"])
+    assert report.claims[0].measured is not None
+    page = (tmp_path / "speed.md").read_text("utf-8")
+    assert "vrcaps bench render --only refit" in page
+    assert "refit of 100,000 triangles" in page
+
+
 def test_unknown_study_is_named() -> None:
     with pytest.raises(UnknownNameError, match=r"No study named 'colom'. Known: frame, heads"):
         render.run(only=["colom"])

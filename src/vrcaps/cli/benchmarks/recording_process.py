@@ -107,7 +107,7 @@ def _stages(scenario: Scenario, folder: Path) -> dict[str, Any]:
     stages = {
         "render": {**_timed(render, frames), "note": "into new arrays, as the recorder does"},
         "render, arrays reused": {**_timed(render_again, frames), "note": "for comparison"},
-        "to stored numbers": {**_timed(store, frames), "note": "16-bit steps, NumPy"},
+        "to stored numbers": {**_timed(store, frames), "note": "16-bit steps, in the core"},
         "PNG": {**_timed(write, frames), "note": "encoded and written, in the core"},
     }
     files.update((path, path.read_bytes()) for items in stored.values() for path, _ in items)

@@ -123,7 +123,6 @@ def frame(stage: Stage, extent: Extent, progress: Callable[[], None]) -> Study:
         replace(claims.RATE, measured=Spread.of(1.0 / ours.wall)),
         against(claims.EMBREE, embree.PRIMARY_RAYS, "embree"),
         against(claims.MITSUBA, mitsuba.RENDER, "mitsuba"),
-        against(claims.MITSUBA_BARE, mitsuba.BARE, "mitsuba"),
         against(claims.MUJOCO, mujoco.ALL, "mujoco"),
     )
     return Study(table, found, skipped)
@@ -162,7 +161,9 @@ def pixels(stage: Stage, extent: Extent, progress: Callable[[], None]) -> Study:
 
 def triangles(stage: Stage, extent: Extent, progress: Callable[[], None]) -> Study:
     """A complete frame of ever finer meshes of the same wall."""
-    organ = make_organ(extent.coarsest, seed=stage.model.organ.metadata["seed"])
+    organ = stage.model.organ
+    if extent.coarsest != extent.num_triangles:
+        organ = make_organ(extent.coarsest, seed=organ.metadata["seed"])
     subjects = []
     for level in range(extent.num_subdivisions + 1):
         organ = subdivide(organ) if level else organ

@@ -113,7 +113,7 @@ def _independent_merges(
     moved = target[faces]
     is_kept = (moved != np.roll(moved, 1, axis=1)).all(axis=1)
     is_moved = is_kept & (moved != faces).any(axis=1)
-    old, new = (_area_normals(vertices, f[is_moved]) for f in (faces, moved))
+    old, new = (area_normals(vertices, f[is_moved]) for f in (faces, moved))
     cosine = np.sum(old * new, axis=1) / (
         np.linalg.norm(old, axis=1) * np.linalg.norm(new, axis=1) + 1e-30
     )
@@ -164,7 +164,7 @@ def flip_edges(
         # Seam vertices on both sides would give an edge along or across the seam.
         want &= ~is_seam[apex].all(axis=1)
         want &= (pinned[pairs] < 2).all(axis=(1, 2))
-        normals = _area_normals(vertices, faces)
+        normals = area_normals(vertices, faces)
         normals /= np.linalg.norm(normals, axis=1, keepdims=True)
         want &= np.sum(normals[beside[:, 0]] * normals[beside[:, 1]], axis=1) > 0.7
         want[want] = ~_is_in(np.sort(apex[want], axis=1), edges, len(vertices))
@@ -200,11 +200,11 @@ def _flip(
     end = edges.sum(axis=1) - start
     one = np.stack([start, apex[:, 1], apex[:, 0]], axis=1)
     two = np.stack([end, apex[:, 0], apex[:, 1]], axis=1)
-    before = _area_normals(vertices, first)
+    before = area_normals(vertices, first)
     is_sound = np.ones(len(edges), bool)
     for new in (one, two):
         is_sound &= chart_area(chart, new) > 0.0
-        is_sound &= np.sum(_area_normals(vertices, new) * before, axis=1) > 0.0
+        is_sound &= np.sum(area_normals(vertices, new) * before, axis=1) > 0.0
     faces[beside[is_sound, 0]] = one[is_sound]
     faces[beside[is_sound, 1]] = two[is_sound]
 
@@ -224,7 +224,7 @@ def _cotangent(a: np.ndarray, apex: np.ndarray, b: np.ndarray) -> np.ndarray:
     return dot / np.sqrt(np.maximum(square, 1e-30))
 
 
-def _area_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+def area_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """Normal of each face, as long as twice its area."""
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     return np.cross(b - a, c - a)

@@ -165,7 +165,7 @@ def _sacculation(wall: Wall, s: np.ndarray, from_taenia: np.ndarray) -> np.ndarr
         before = np.clip(np.searchsorted(strip.arc_length, s) - 1, 0, len(strip.height) - 2)
         start, end = strip.arc_length[before], strip.arc_length[before + 1]
         along = np.clip((s - start) / (end - start), 0.0, 1.0)
-        bulge += across * (depth * (4.0 * along * (1.0 - along)) ** 0.7 - triangle)
+        bulge += across * (depth * (1.0 - np.cos(np.pi * along) ** 6) - triangle)
     return bulge
 
 

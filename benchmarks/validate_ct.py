@@ -159,8 +159,8 @@ def main() -> None:
         "muscle, bone and lungs,\non a table, written as DICOM, read and made into an organ.\n\n"
         + table(HEAD, rows)
         + "\n\nDistances: from 20,000 vertices of each wall to the other, both ways. Claimed: mean "
-        f"≤ {MEAN / MM:g} mm,\n95 % ≤ {P95 / MM:g} mm, centreline length between two places in the ends "
-        f"within {LENGTH:.0%}, each "
+        f"≤ {MEAN / MM:g} mm,\n95 % ≤ {P95 / MM:g} mm, centreline length between two places in the "
+        f"ends within {LENGTH:.0%}, each "
         f"of the polyps (6 to 14 mm across,\nhalf as high) with {PRESENT:.0%} of its height or "
         f"more.\n\n{full} Peak memory,\nthe making of the scans included: {peak:.1f} GB."
     )

@@ -73,7 +73,7 @@ def test_gas_becomes_a_file_that_records(files, tmp_path, capsys) -> None:
     assert "lung" in text
     assert (tmp_path / "tube-overview.png").stat().st_size > 10_000
     organ = organ_from_file(out, unit="m")
-    assert organ.centerline.length == pytest.approx(0.08, rel=0.08)
+    assert organ.centerline.length == pytest.approx(0.08, rel=0.12)
     assert organ.label_names == ("background", "wall")
 
 

@@ -22,6 +22,7 @@ _VERBS = {
     "record": ("vrcaps.cli.record", "Record", "Record your own organ, capsule and motion."),
     "check": ("vrcaps.cli.check", "Check", "Verify an episode."),
     "organ inspect": ("vrcaps.cli.organ", "Inspect", "Measure and draw a mesh file."),
+    "organ from-ct": ("vrcaps.cli.from_ct", "FromCt", "Make organs from a CT scan or labels."),
     "organ make": ("vrcaps.cli.organ", "Make", "Generate an organ and write it as GLB."),
     "bench render": ("vrcaps.cli.bench", "Render", "Measure rendering, beside its peers."),
     "bench record": ("vrcaps.cli.bench", "Record", "Measure recording to disk."),
@@ -30,7 +31,7 @@ _VERBS = {
 """Module, dataclass and summary of each verb."""
 
 _GROUPS = {
-    "organ": "Generate an organ, measure and draw a mesh file.",
+    "organ": "Generate an organ, make one from CT, measure and draw a mesh file.",
     "bench": "Measure speed on this machine.",
 }
 

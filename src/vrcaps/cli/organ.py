@@ -52,7 +52,7 @@ class Inspect:
             organ = organ_from_file(
                 self.file, unit=self.unit, open_ends=self.open_ends, reverse=self.reverse
             )
-        _report(organ, self.picture or Path(f"{organ.name}-overview.png"))
+        report_organ(organ, self.picture or Path(f"{organ.name}-overview.png"))
 
 
 @dataclass(frozen=True)
@@ -108,10 +108,10 @@ class Make:
         console.print(f"Wrote {out} (unit: m).")
         for line in lesion_lines(organ.metadata.get("lesions", []), organ.centerline.length):
             console.print(f"Lesion {line}.")
-        _report(organ, out.with_name(f"{out.stem}-overview.png"))
+        report_organ(organ, out.with_name(f"{out.stem}-overview.png"))
 
 
-def _report(organ: OrganSurface, picture: Path) -> None:
+def report_organ(organ: OrganSurface, picture: Path) -> None:
     """Print the facts as a table, and the repairs of a mesh file, and write the picture."""
     from rich.table import Table
 

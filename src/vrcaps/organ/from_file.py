@@ -10,7 +10,7 @@ import numpy as np
 
 from vrcaps.errors import InputError
 from vrcaps.organ.read import read_label_names, read_mesh
-from vrcaps.organ.surface import Mesh, OrganSurface, vertex_normals
+from vrcaps.organ.surface import Centerline, Mesh, OrganSurface, vertex_normals
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -41,9 +41,7 @@ def organ_from_file(
             `repair`, `compute_centerline`), or has no texture coordinates to keep.
     """
     from vrcaps.organ.centerline import compute_centerline
-    from vrcaps.organ.gut_coordinates import gut_coordinates
     from vrcaps.organ.repair import repair
-    from vrcaps.organ.texture_coordinates import texture_coordinates
 
     mesh = read_mesh(path, unit=unit)
     if keep_uv and (mesh.uv is None or not np.isfinite(mesh.uv).all()):
@@ -52,28 +50,53 @@ def organ_from_file(
         mesh = replace(mesh, uv=None)
     mesh, report = repair(mesh, open_ends=open_ends)
     centerline = compute_centerline(mesh, reverse=reverse)
+    label, label_names = _labels(mesh, path)
+    metadata = {
+        "source": str(path),
+        "sha256": hashlib.sha256(path.read_bytes()).hexdigest(),
+        "unit": unit,
+        "repairs": report.lines(),
+    }
+    organ = organ_on_centerline(
+        replace(mesh, label=label),
+        centerline,
+        name=path.stem if name is None else name,
+        label_names=label_names,
+    )
+    return replace(organ, metadata=metadata)
+
+
+def organ_on_centerline(
+    mesh: Mesh, centerline: Centerline, *, name: str, label_names: tuple[str, ...]
+) -> OrganSurface:
+    """Organ of a repaired wall and its centreline: gut coordinates, texture coordinates.
+
+    Args:
+        mesh: The wall, faces counter-clockwise seen from the lumen, with a label for each
+            vertex; its own texture coordinates stay where it has any.
+        centerline: In the same frame.
+        name: Name of the organ.
+        label_names: Of the labels; 0 is `background`.
+    """
+    from vrcaps.organ.gut_coordinates import gut_coordinates
+    from vrcaps.organ.texture_coordinates import texture_coordinates
+
+    assert mesh.label is not None
     arc_length, theta, radius = gut_coordinates(mesh.vertices, mesh.faces, centerline)
     uv = mesh.uv if mesh.uv is not None else texture_coordinates(mesh, arc_length, theta, radius)
-    label, label_names = _labels(mesh, path)
     return OrganSurface(
-        name=path.stem if name is None else name,
+        name=name,
         vertices=mesh.vertices,
         faces=mesh.faces,
         normals=vertex_normals(mesh.vertices, mesh.faces),
         uv=uv,
-        label=label,
+        label=mesh.label,
         label_names=label_names,
         instance=np.zeros(len(mesh.vertices), np.uint16),
         arc_length=arc_length,
         theta=theta,
         radius=radius,
         centerline=centerline,
-        metadata={
-            "source": str(path),
-            "sha256": hashlib.sha256(path.read_bytes()).hexdigest(),
-            "unit": unit,
-            "repairs": report.lines(),
-        },
     )
 
 

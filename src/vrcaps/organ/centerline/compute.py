@@ -68,7 +68,7 @@ def compute_centerline(
         voxel = radius / _VOXELS_PER_RADIUS
     centerline = _trace(mesh, voxel, start, end)
     if start is None and end is None and _widens(centerline) != reverse:
-        return _reversed(centerline)
+        return reversed_centerline(centerline)
     return centerline
 
 
@@ -111,7 +111,7 @@ def _widens(centerline: Centerline) -> bool:
     return bool(centerline.radius[-share:].mean() > centerline.radius[:share].mean())
 
 
-def _reversed(centerline: Centerline) -> Centerline:
+def reversed_centerline(centerline: Centerline) -> Centerline:
     """The same curve from its other end."""
     points, tangents = centerline.points[::-1], -centerline.frames[::-1, :, 2]
     arc_length = centerline.length - centerline.arc_length[::-1]

@@ -1,0 +1,205 @@
+"""`vrcaps organ from-ct`: organs from a CT scan or a label map."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+from tyro.conf import Positional
+
+from vrcaps.cli.console import console, progress_bar
+from vrcaps.cli.organ import report_organ
+from vrcaps.errors import InputError
+from vrcaps.units import CM, MM
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from vrcaps.organ.ct.from_ct import Wall
+    from vrcaps.organ.ct.lumen import GasPiece
+    from vrcaps.organ.ct.volume import Volume
+    from vrcaps.organ.surface import OrganSurface
+
+
+@dataclass(frozen=True)
+class FromCt:
+    """Make organs from a CT scan: by the gas in the gut, or by a label map or mask.
+
+    Gas: the largest piece of gas that the body encloses, or the one at --seed-mm, or all of
+    them. Labels: those of --labels on the scan's grid, or of SCAN itself if it is a label map;
+    by number, or by TotalSegmentator's names (version 2: stomach, duodenum, small_bowel, colon).
+    Every organ is written as GLB in the patient frame (LPS, metres), with a picture.
+
+    For example:
+      vrcaps organ from-ct dicom/ --out colon.glb
+      vrcaps organ from-ct dicom/ --series 2 --seed-mm 43 -120 -310 --tagged-fluid supine
+      vrcaps organ from-ct ct.nii.gz --labels labels.nii.gz --label colon stomach
+      vrcaps organ from-ct colon-mask.nii.gz --label 1 --anatomy colon --bridge-mm 40
+    """
+
+    scan: Positional[Path]
+    """Folder of DICOM slices, or a NIfTI, NRRD or MetaImage file."""
+
+    out: Path = Path("organ.glb")
+    """File to write; with several organs, their names or numbers are added to it."""
+
+    series: str | None = None
+    """Which DICOM series of a folder that holds several: its number in the list, or its UID."""
+
+    labels: Path | None = None
+    """Label map or mask on the scan's grid."""
+
+    label: tuple[str, ...] = ()
+    """Labels to make organs of, by number or name; a mask's is 1."""
+
+    seed_mm: tuple[float, float, float] | None = None
+    """A point in the gas of the lumen: x, y, z in the patient frame (LPS) [mm]."""
+
+    all_pieces: bool = False
+    """Make an organ of every piece of gas, not of the largest only."""
+
+    threshold: int = -800
+    """Hounsfield units below which a voxel is all gas; lower it where loops leak together."""
+
+    tagged_fluid: Literal["supine", "prone", "left-lateral", "right-lateral"] | None = None
+    """Count tagged fluid as lumen (electronic cleansing), the patient having lain like this."""
+
+    bridge_mm: float = 0.0
+    """Widest collapsed stretch of gut to open to a channel; wider ones are only reported."""
+
+    edge_mm: float = 1.6
+    """Mean edge length of the triangles."""
+
+    blur: float | None = None
+    """Blur of the scan beforehand [voxels]; by default 0.5 for gas, 0.7 for labels."""
+
+    pass_band: float = 0.1
+    """Smoothing of the wall: lower is smoother, 2 is none."""
+
+    open_ends: Literal["cap", "keep"] = "cap"
+    """Whether the lumen is closed or left open where the scan cuts it."""
+
+    anatomy: Literal["any", "colon"] = "any"
+    """A whole colon gets its segments; its lower end is the anal one."""
+
+    reverse: bool = False
+    """Take the other end of the lumen for the oral one."""
+
+    def run(self) -> None:
+        """Read, make, write and report."""
+        if self.out.suffix != ".glb":
+            raise InputError(f"--out is {self.out}. Allowed: a name that ends in .glb.")
+        if self.labels is not None and not self.label:
+            raise InputError("--labels needs --label: which of them, e.g. --label colon.")
+        if self.label and (self.seed_mm or self.all_pieces or self.tagged_fluid):
+            raise InputError("--seed-mm, --all-pieces and --tagged-fluid are for gas, not labels.")
+        scan = _read(self.scan, self.series)
+        organs = self._from_labels(scan) if self.label else self._from_gas(scan)
+        for path, organ in organs:
+            _write(path, organ)
+
+    def _wall(self) -> Wall:
+        from vrcaps.organ.ct.from_ct import Wall
+
+        return Wall(
+            edge=self.edge_mm * MM,
+            blur=self.blur,
+            pass_band=self.pass_band,
+            bridge=self.bridge_mm * MM,
+            open_ends=self.open_ends,
+            reverse=self.reverse,
+            anatomy=self.anatomy,
+        )
+
+    def _from_gas(self, scan: Volume) -> Iterator[tuple[Path, OrganSurface]]:
+        from vrcaps.organ.ct.from_ct import find_lumens, organ_from_gas
+        from vrcaps.organ.ct.lumen import choose_gas
+
+        wall = self._wall()
+        with _steps("finding gas"):
+            gas = find_lumens(scan, threshold=self.threshold)
+        seed = None if self.seed_mm is None else np.array(self.seed_mm) * MM
+        pieces = choose_gas(gas, scan, seed=seed)
+        _list_pieces(gas.pieces)
+        pieces = pieces if self.all_pieces else pieces[:1]
+        for number, piece in enumerate(pieces, start=1):
+            path = self._path(f"{number}", len(pieces))
+            with _steps(path.stem) as report:
+                organ = organ_from_gas(
+                    scan,
+                    gas,
+                    piece,
+                    wall=wall,
+                    name=path.stem,
+                    tagged_fluid=self.tagged_fluid,
+                    report=report,
+                )
+            yield path, organ
+
+    def _from_labels(self, scan: Volume) -> Iterator[tuple[Path, OrganSurface]]:
+        from vrcaps.organ.ct.from_ct import organ_from_label
+        from vrcaps.organ.ct.labels import check_label, misplaced
+        from vrcaps.organ.ct.read import read_volume
+        from vrcaps.organ.ct.volume import common_part
+
+        wall, labels = self._wall(), scan
+        if self.labels is not None:
+            scan, labels = common_part(scan, read_volume(self.labels))
+        numbers = [check_label(labels, label) for label in self.label]
+        for label, number in zip(self.label, numbers, strict=True):
+            path = self._path(label, len(numbers))
+            name = label if not label.isdigit() else "wall"
+            with _steps(path.stem) as report:
+                organ = organ_from_label(
+                    labels, number, wall=wall, name=path.stem, label_name=name, report=report
+                )
+            if self.labels is not None and (warning := misplaced(scan, labels, number)):
+                organ.metadata["notes"].append(warning)
+            yield path, organ
+
+    def _path(self, which: str, num: int) -> Path:
+        """File of one organ of several."""
+        return self.out if num == 1 else self.out.with_name(f"{self.out.stem}-{which}.glb")
+
+
+def _read(path: Path, series: str | None) -> Volume:
+    from vrcaps.organ.ct.read import read_volume
+
+    with progress_bar("reading slices") as progress:
+        return read_volume(path, series=series, progress=progress)
+
+
+@contextmanager
+def _steps(title: str) -> Iterator[Callable[[str], None]]:
+    """A line on the terminal that says what is being done."""
+    with console.status(title) as status:
+        yield lambda step: status.update(f"{title}: {step}")
+
+
+def _list_pieces(pieces: tuple[GasPiece, ...]) -> None:
+    """Print the gas found, largest first."""
+    from rich.table import Table
+
+    table = Table("gas", "volume", "inside it (LPS, mm)", "HU", box=None, padding=(0, 2, 0, 0))
+    for piece in pieces:
+        place = " ".join(f"{x / MM:.1f}" for x in piece.center)
+        table.add_row(
+            piece.kind, f"{piece.volume / CM**3:.1f} ml", place, f"{piece.hounsfield:.0f}"
+        )
+    console.print(table)
+
+
+def _write(path: Path, organ: OrganSurface) -> None:
+    from vrcaps.organ.write import write_glb
+
+    write_glb(path, organ)
+    console.print(f"Wrote {path} (unit: m).")
+    report_organ(organ, path.with_name(f"{path.stem}-overview.png"))
+    for note in organ.metadata["notes"]:
+        console.print(f"Note: {note}.")
+    flag = " --reverse" if organ.metadata["backwards"] else ""
+    console.print(f"Record it: vrcaps record --organ {path} --unit m{flag} --out DIR")

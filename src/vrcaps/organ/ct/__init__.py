@@ -1,0 +1,1 @@
+"""A gut wall from a CT scan: reading, lumen, surface."""

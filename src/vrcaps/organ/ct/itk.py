@@ -1,0 +1,45 @@
+"""SimpleITK, where it is installed, and its messages and grids in our terms."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vrcaps.errors import MissingExtraError
+from vrcaps.units import MM
+
+if TYPE_CHECKING:
+    from types import ModuleType
+
+    import SimpleITK
+    from jaxtyping import Float
+
+
+def import_sitk() -> ModuleType:
+    """SimpleITK with its warnings off: what they warn of is checked here.
+
+    Raises:
+        MissingExtraError: If it is not installed.
+    """
+    try:
+        import SimpleITK as sitk
+    except ImportError as error:
+        raise MissingExtraError("SimpleITK", "ct") from error
+    sitk.ProcessObject.SetGlobalWarningDisplay(False)
+    return sitk
+
+
+def grid_transform(image: SimpleITK.Image) -> Float[np.ndarray, "4 4"]:
+    """`Volume.T_patient_index` of an image, whose own indices run (i, j, k), in millimetres."""
+    direction = np.array(image.GetDirection()).reshape(3, 3)
+    transform = np.eye(4)
+    transform[:3, :3] = (direction * image.GetSpacing())[:, ::-1] * MM
+    transform[:3, 3] = np.array(image.GetOrigin()) * MM
+    return transform
+
+
+def itk_reason(error: RuntimeError) -> str:
+    """The one line of an ITK exception that says what went wrong."""
+    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
+    return (lines[-1] if lines else type(error).__name__)[:160].rstrip(".")

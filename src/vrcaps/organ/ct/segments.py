@@ -1,0 +1,71 @@
+"""Segments of a colon from the course of its centreline in the patient."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vrcaps.organ.colon.parameters import SEGMENTS, ColonParameters
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, UInt8
+
+    from vrcaps.organ.surface import Centerline
+
+_HEPATIC_RANGE = (0.03, 0.45)  # of the colon's length from the caecum, where a flexure is sought
+_SPLENIC_RANGE = (0.40, 0.80)
+
+
+def runs_upwards(centerline: Centerline) -> bool:
+    """Whether a colon's centreline ends higher than it starts: the rectum is its lowest end."""
+    return bool(centerline.points[-1, 2] > centerline.points[0, 2])
+
+
+def colon_borders(centerline: Centerline) -> Float[np.ndarray, " 7"]:
+    """Arc lengths [m] at which the segments of a whole colon meet, from the caecum on.
+
+    The two flexures are the highest places of the course in the first half and around its
+    middle; each takes its published share of the length. What lies before, between and behind
+    them is divided in the published proportions (`ColonParameters`).
+
+    Args:
+        centerline: From the caecum to the rectum, patient frame.
+    """
+    mean = ColonParameters()
+    length = {name: getattr(mean, name).length / mean.length for name in SEGMENTS}
+    s, height = centerline.arc_length / centerline.length, centerline.points[:, 2]
+    splenic = _highest(s, height, _SPLENIC_RANGE)
+    hepatic = _highest(s, height, (_HEPATIC_RANGE[0], min(_HEPATIC_RANGE[1], splenic - 0.1)))
+    half_hepatic = min(length["hepatic_flexure"] / 2, 0.5 * hepatic)
+    half_splenic = length["splenic_flexure"] / 2
+    caecum, ascending = length["caecum"], length["ascending"]
+    left = {name: length[name] for name in ("descending", "sigmoid", "rectum")}
+    rest = (1.0 - splenic - half_splenic) / sum(left.values())
+    descending = splenic + half_splenic + rest * left["descending"]
+    borders = [
+        (hepatic - half_hepatic) * caecum / (caecum + ascending),
+        hepatic - half_hepatic,
+        hepatic + half_hepatic,
+        splenic - half_splenic,
+        splenic + half_splenic,
+        descending,
+        descending + rest * left["sigmoid"],
+    ]
+    return centerline.length * np.array(borders)
+
+
+def colon_labels(
+    centerline: Centerline, arc_length: Float[np.ndarray, " n"]
+) -> tuple[UInt8[np.ndarray, " n"], tuple[str, ...]]:
+    """Segment of each vertex of a colon by its arc length, and the segments' names."""
+    label = 1 + np.searchsorted(colon_borders(centerline), arc_length)
+    return label.astype(np.uint8), ("background", *SEGMENTS)
+
+
+def _highest(
+    s: Float[np.ndarray, " n"], height: Float[np.ndarray, " n"], between: tuple[float, float]
+) -> float:
+    """Where in a range of the course it is highest."""
+    inside = (s >= between[0]) & (s <= between[1])
+    return float(s[inside][np.argmax(height[inside])])

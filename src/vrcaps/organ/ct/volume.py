@@ -1,0 +1,126 @@
+"""A scan as a grid of numbers with its place in the patient."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vrcaps.errors import InputError
+from vrcaps.units import MM
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Int
+
+_SAME_GRID = 0.02  # of a voxel, by which the nodes of two aligned grids may differ
+
+
+@dataclass(frozen=True)
+class Volume:
+    """A scan on a parallelepiped grid; it may be oblique, and sheared by a tilted gantry.
+
+    The array's axes run nearest to the patient's superior, posterior and left, in this order
+    (`upright` sees to that), so ``values[k]`` is an axial slice, or nearly one.
+
+    Attributes:
+        values: Hounsfield units, or label numbers.
+        T_patient_index: Maps the array index (k, j, i) of a voxel to its centre in the patient
+            frame (DICOM LPS) [m].
+        source: File or folder it was read from.
+    """
+
+    values: Int[np.ndarray, "k j i"]
+    T_patient_index: Float[np.ndarray, "4 4"]
+    source: str
+
+    @property
+    def spacing(self) -> Float[np.ndarray, " 3"]:
+        """Distance of neighbouring voxels along k, j and i [m]."""
+        return np.linalg.norm(self.T_patient_index[:3, :3], axis=0)
+
+    @property
+    def voxel_volume(self) -> float:
+        """Volume of a voxel [m³]."""
+        return float(abs(np.linalg.det(self.T_patient_index[:3, :3])))
+
+    def points(self, index: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
+        """Positions [m] of array indices (k, j, i), whole or not."""
+        return index_to_patient(self.T_patient_index, index)
+
+    def index(self, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
+        """Array indices (k, j, i) of positions [m]."""
+        return index_to_patient(np.linalg.inv(self.T_patient_index), points)
+
+    def crop(self, box: tuple[slice, ...]) -> Volume:
+        """The part in a box of array indices; its values are a view."""
+        return replace(
+            self, values=self.values[box], T_patient_index=shifted(self.T_patient_index, box)
+        )
+
+
+def index_to_patient(
+    transform: Float[np.ndarray, "4 4"], points: Float[np.ndarray, "n 3"]
+) -> Float[np.ndarray, "n 3"]:
+    """Points under an affine map, such as a volume's `T_patient_index`."""
+    return points @ transform[:3, :3].T + transform[:3, 3]
+
+
+def shifted(transform: Float[np.ndarray, "4 4"], box: tuple[slice, ...]) -> np.ndarray:
+    """`T_patient_index` of the part of a grid in a box."""
+    moved = transform.copy()
+    moved[:3, 3] += transform[:3, :3] @ [part.start or 0 for part in box]
+    return moved
+
+
+def upright(volume: Volume) -> Volume:
+    """The same scan with its array axes swapped and turned to run superior, posterior, left."""
+    matrix = volume.T_patient_index[:3, :3] / volume.spacing
+    # Rows x, y, z of the patient; the axes of the array that follow z, y and x best.
+    order, free = [], [0, 1, 2]
+    for row in (2, 1, 0):
+        best = max(free, key=lambda axis: abs(matrix[row, axis]))
+        order.append(best)
+        free.remove(best)
+    values = volume.values.transpose(order)
+    transform = volume.T_patient_index[:, [*order, 3]].copy()
+    for axis, row in enumerate((2, 1, 0)):
+        if transform[row, axis] < 0.0:
+            transform[:3, 3] += transform[:3, axis] * (values.shape[axis] - 1)
+            transform[:3, axis] *= -1.0
+            values = np.flip(values, axis)
+    return replace(volume, values=np.ascontiguousarray(values), T_patient_index=transform)
+
+
+def common_part(scan: Volume, labels: Volume) -> tuple[Volume, Volume]:
+    """The parts of a scan and of a label map that cover each other, voxel for voxel.
+
+    Raises:
+        InputError: If the two are not on one grid, or nowhere overlap.
+    """
+    step = np.linalg.solve(scan.T_patient_index, labels.T_patient_index)
+    offset = np.rint(step[:3, 3]).astype(int)
+    reach = np.array([*labels.values.shape, 1.0])
+    drift = np.abs(step[:3] * reach - np.column_stack([np.eye(3), offset]) * reach).max()
+    if drift > _SAME_GRID * max(labels.values.shape):
+        raise InputError(
+            f"The label map {labels.source} {_grid_text(labels)} is on another grid than the scan "
+            f"{scan.source} {_grid_text(scan)}. Resample it to the scan's grid, nearest neighbour."
+        )
+    low = np.maximum(offset, 0)
+    high = np.minimum(offset + labels.values.shape, scan.values.shape)
+    if (high <= low).any():
+        raise InputError(
+            f"The label map {labels.source} and the scan {scan.source} nowhere overlap. "
+            "Give labels of the same patient and scan."
+        )
+    of_scan = tuple(slice(a, b) for a, b in zip(low, high, strict=True))
+    of_labels = tuple(slice(a, b) for a, b in zip(low - offset, high - offset, strict=True))
+    return scan.crop(of_scan), labels.crop(of_labels)
+
+
+def _grid_text(volume: Volume) -> str:
+    size = " × ".join(str(n) for n in volume.values.shape[::-1])
+    spacing = " × ".join(f"{d / MM:.3g}" for d in volume.spacing[::-1])
+    x, y, z = volume.T_patient_index[:3, 3] / MM
+    return f"({size} voxels of {spacing} mm from ({x:.1f}, {y:.1f}, {z:.1f}) mm)"

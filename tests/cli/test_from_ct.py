@@ -1,0 +1,110 @@
+"""`vrcaps organ from-ct`: what it writes, and how mistakes end."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import SimpleITK as sitk
+import trimesh
+
+from vrcaps import cli
+from vrcaps.organ.ct.volume import Volume
+from vrcaps.organ.from_file import organ_from_file
+from vrcaps.organ.surface import Mesh
+
+sys.path.append(str(Path(__file__).parents[1] / "organ" / "ct"))
+phantom = importlib.import_module("phantom")
+
+SPACING = (1.5e-3, 1e-3, 1e-3)
+
+
+@pytest.fixture(scope="module")
+def scan() -> Volume:
+    judge = trimesh.creation.capsule(0.05, 0.015, count=[30, 30])
+    mesh = Mesh(np.array(judge.vertices), np.array(judge.faces))
+    return phantom.scan_of(mesh, phantom.Scanner(spacing=SPACING), np.random.default_rng(0))
+
+
+@pytest.fixture(scope="module")
+def files(scan: Volume, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the scan as DICOM, and its gas as a label map (7)."""
+    folder = tmp_path_factory.mktemp("ct")
+    phantom.write_dicom(folder / "dicom", scan)
+    gas = (scan.values < -500).astype(np.uint8)
+    gas[:, :8] = gas[:, -8:] = gas[:, :, :8] = gas[:, :, -8:] = 0
+    inside = np.zeros_like(gas)
+    middle = np.array(gas.shape) // 2
+    box = tuple(slice(m - r, m + r) for m, r in zip(middle, (30, 24, 24), strict=True))
+    inside[box] = gas[box]
+    image = sitk.GetImageFromArray(7 * inside)
+    direction = scan.T_patient_index[:3, :3] / scan.spacing
+    image.SetSpacing((scan.spacing[::-1] * 1e3).tolist())
+    image.SetOrigin((scan.T_patient_index[:3, 3] * 1e3).tolist())
+    image.SetDirection(direction[:, ::-1].ravel().tolist())
+    sitk.WriteImage(image, str(folder / "labels.nii.gz"))
+    image.SetSpacing((2.0, 2.0, 2.0))
+    sitk.WriteImage(image, str(folder / "elsewhere.nii.gz"))
+    return folder
+
+
+def run(args: list[str]) -> None:
+    cli.main(["organ", "from-ct", *args, "--edge-mm", "3"])
+
+
+def fail(args: list[str], capsys: pytest.CaptureFixture[str]) -> str:
+    """The one line on stderr of a command that ends in status 2."""
+    with pytest.raises(SystemExit, match="2"):
+        run(args)
+    error = capsys.readouterr().err
+    assert error.startswith("vrcaps: ")
+    assert error.count("\n") == 1
+    return error
+
+
+def test_gas_becomes_a_file_that_records(files, tmp_path, capsys) -> None:
+    out = tmp_path / "tube.glb"
+    run([str(files / "dicom"), "--out", str(out)])
+    text = capsys.readouterr().out.replace("\n", "")
+    assert f"vrcaps record --organ {out} --unit m --out DIR" in text
+    assert "lung" in text
+    assert (tmp_path / "tube-overview.png").stat().st_size > 10_000
+    organ = organ_from_file(out, unit="m")
+    assert organ.centerline.length == pytest.approx(0.08, rel=0.12)
+    assert organ.label_names == ("background", "wall")
+
+
+def test_all_pieces_are_numbered(files, tmp_path, capsys) -> None:
+    run([str(files / "dicom"), "--all-pieces", "--out", str(tmp_path / "gas.glb")])
+    assert (tmp_path / "gas.glb").exists()  # there is one piece only
+
+
+def test_labels_become_files_with_their_names(files, tmp_path, capsys) -> None:
+    args = [str(files / "dicom"), "--labels", str(files / "labels.nii.gz"), "--label", "7"]
+    run([*args, "--anatomy", "colon", "--out", str(tmp_path / "a.glb")])
+    organ = organ_from_file(tmp_path / "a.glb", unit="m")
+    assert organ.label_names[1] == "caecum"
+    assert organ.label_names[-1] == "rectum"
+    run([str(files / "labels.nii.gz"), "--label", "7", "--out", str(tmp_path / "b.glb")])
+    other = organ_from_file(tmp_path / "b.glb", unit="m")
+    assert np.allclose(organ.vertices.mean(axis=0), other.vertices.mean(axis=0), atol=1e-3)
+
+
+def test_mistakes_end_in_one_line(files, tmp_path, capsys) -> None:
+    dicom, labels = str(files / "dicom"), str(files / "labels.nii.gz")
+    out = ["--out", str(tmp_path / "x.glb")]
+    assert "ends in .glb" in fail([dicom, "--out", "x.ply"], capsys)
+    assert "No DICOM slice" in fail([str(tmp_path), *out], capsys)
+    assert "No scan at" in fail([str(tmp_path / "none"), *out], capsys)
+    assert "--labels needs --label" in fail([dicom, "--labels", labels, *out], capsys)
+    assert "are for gas" in fail([labels, "--label", "7", "--all-pieces", *out], capsys)
+    assert "has label 3" in fail([labels, "--label", "3", *out], capsys).replace("(3)", "")
+    assert "it is no label map" in fail([dicom, "--label", "7", *out], capsys)
+    elsewhere = [dicom, "--labels", str(files / "elsewhere.nii.gz"), "--label", "7", *out]
+    assert "on another grid" in fail(elsewhere, capsys)
+    assert "outside the lumen" in fail([dicom, "--seed-mm", "0", "20", "0", *out], capsys)
+    assert "Allowed: -1000 to -300" in fail([dicom, "--threshold", "5", *out], capsys)
+    assert not list(tmp_path.iterdir())

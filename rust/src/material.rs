@@ -51,8 +51,12 @@ pub fn add_light(
     lit: &[bool; LANES],
     radiance: &mut Lane3,
 ) {
-    let lobe = lobe(surface, led);
-    let (diffuse, specular) = reflect(surface, material, led);
+    let Reflection { diffuse, specular, mut lobe } = reflect(surface, material, led);
+    if led.exponent != 1.0 {
+        for i in 0..LANES {
+            lobe[i] = if led.exponent == 0.0 { 1.0 } else { pow(lobe[i], led.exponent) };
+        }
+    }
     for i in 0..LANES {
         let power = if lit[i] { lobe[i] } else { 0.0 };
         for k in 0..3 {
@@ -62,32 +66,20 @@ pub fn add_light(
     }
 }
 
-/// Share of an LED's intensity that leaves towards each point.
-#[inline(always)]
-fn lobe(surface: &Surface, led: &Led) -> Lane {
-    let mut result = [1.0; LANES];
-    if led.exponent == 0.0 {
-        return result;
-    }
-    for i in 0..LANES {
-        let offset = sub(at(&surface.position, i), led.position);
-        let cosine = dot(offset, led.direction) / max(dot(offset, offset).sqrt(), 1e-9);
-        result[i] = clamp(cosine, 0.0, 1.0);
-    }
-    if led.exponent != 1.0 {
-        for i in 0..LANES {
-            result[i] = pow(result[i], led.exponent);
-        }
-    }
-    result
+/// What the wall makes of one LED's light.
+struct Reflection {
+    /// Reflected radiance per radiant intensity [1/m²], the part coloured by the base; holds the
+    /// cosine at the surface and the inverse square of the distance, as does the next.
+    diffuse: Lane,
+    /// The part that is not coloured.
+    specular: Lane,
+    /// Cosine of the angle at which the light leaves the LED, at least 0.
+    lobe: Lane,
 }
 
-/// Reflected radiance per radiant intensity [1/m²]: the part coloured by the base, and the rest.
-///
-/// Both hold the cosine at the surface and the inverse square of the distance.
 #[inline(always)]
-fn reflect(surface: &Surface, material: &Material, led: &Led) -> (Lane, Lane) {
-    let (mut diffuse, mut specular) = ([0.0; LANES], [0.0; LANES]);
+fn reflect(surface: &Surface, material: &Material, led: &Led) -> Reflection {
+    let (mut diffuse, mut specular, mut lobe) = ([0.0; LANES], [0.0; LANES], [0.0; LANES]);
     let coat = Coat::new(material);
     for i in 0..LANES {
         let (normal, view) = (at(&surface.normal, i), at(&surface.view, i));
@@ -117,8 +109,9 @@ fn reflect(surface: &Surface, material: &Material, led: &Led) -> (Lane, Lane) {
         let falloff = if cos_light > 0.0 { 1.0 / square } else { 0.0 };
         diffuse[i] = base * cos_light * (1.0 / PI) * falloff;
         specular[i] = (gloss + film) * falloff;
+        lobe[i] = clamp(-dot(light, led.direction), 0.0, 1.0);
     }
-    (diffuse, specular)
+    Reflection { diffuse, specular, lobe }
 }
 
 /// Weight (1 − cos θ)⁵ of Schlick's Fresnel term (1994).

@@ -25,9 +25,9 @@ from vrcaps.capsule.device import Led
 from vrcaps.capsule.lens import LensEquidistant
 from vrcaps.capsule.rays import camera_rays
 from vrcaps.errors import InputError, UnknownNameError
-from vrcaps.organ.surface import Appearance, OrganSurface
+from vrcaps.organ.surface import Appearance, OrganSurface, coat_alpha
 from vrcaps.render.frame import Frame
-from vrcaps.render.renderer import Renderer, coat_alpha
+from vrcaps.render.renderer import Renderer
 from vrcaps.render.settings import RenderSettings
 from vrcaps.transforms import rotate_vectors
 

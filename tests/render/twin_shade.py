@@ -10,8 +10,7 @@ from twin import dot, unit
 
 from vrcaps.capsule.device import Camera, Led
 from vrcaps.capsule.rays import camera_rays
-from vrcaps.organ.surface import Appearance, face_label
-from vrcaps.render.renderer import coat_alpha
+from vrcaps.organ.surface import Appearance, coat_alpha, face_label
 from vrcaps.transforms import invert, rotate_vectors, transform_points
 from vrcaps.world.model import Model, State
 

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from vrcaps.organ.surface import coat_alpha
+
 if TYPE_CHECKING:
     from jaxtyping import Float, Int, UInt8
 
@@ -107,11 +109,10 @@ def material_json(appearance: Appearance | None, views: list[int]) -> dict:
         surface = {"baseColorFactor": _PLAIN_MUCOSA, "metallicFactor": 0.0, "roughnessFactor": 0.5}
         material = {"name": "mucosa", "doubleSided": True, "pbrMetallicRoughness": surface}
         return {"materials": [material]}
-    coat_alpha = 0.1 + appearance.coat_gloss * (0.001 - 0.1)
     extensions = {
         "KHR_materials_clearcoat": {
             "clearcoatFactor": 0.25 * appearance.coat,
-            "clearcoatRoughnessFactor": math.sqrt(coat_alpha),
+            "clearcoatRoughnessFactor": math.sqrt(coat_alpha(appearance.coat_gloss)),
         },
         "KHR_materials_ior": {"ior": appearance.ior},
     }

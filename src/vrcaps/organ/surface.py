@@ -116,6 +116,11 @@ class Mesh:
     label: UInt8[np.ndarray, " n"] | None = None
 
 
+def coat_alpha(gloss: float) -> float:
+    """Roughness α of the clear coat's lobe: 0.1 for gloss 0 to 0.001 for 1 (Burley 2012, 5.4)."""
+    return 0.1 + (0.001 - 0.1) * gloss
+
+
 def face_label(label: Int[np.ndarray, " n"], faces: Int[np.ndarray, "m 3"]) -> np.ndarray:
     """Label of each face: the median of its corners' labels, so the majority if there is one."""
     return np.median(label[faces], axis=1).astype(label.dtype)

@@ -11,7 +11,7 @@ from vrcaps import _core
 from vrcaps.capsule.device import Camera
 from vrcaps.capsule.rays import camera_rays
 from vrcaps.errors import InputError, UnknownNameError
-from vrcaps.organ.surface import Appearance, OrganSurface, face_label
+from vrcaps.organ.surface import Appearance, OrganSurface, coat_alpha, face_label
 from vrcaps.render.flow import SurfacePoints, flow, seen_from
 from vrcaps.render.frame import CHANNELS, Frame
 from vrcaps.render.settings import RenderSettings
@@ -222,11 +222,6 @@ def _scene(organ: OrganSurface) -> _core.Scene:
         roughness=_PLAIN_ROUGHNESS,
         reflectance=(look.ior, look.coat, coat_alpha(look.coat_gloss)),
     )
-
-
-def coat_alpha(gloss: float) -> float:
-    """Roughness α of the clear coat's lobe: 0.1 for gloss 0 to 0.001 for 1 (Burley 2012, 5.4)."""
-    return 0.1 + (0.001 - 0.1) * gloss
 
 
 def _leds_world(

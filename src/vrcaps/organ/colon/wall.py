@@ -29,13 +29,13 @@ _VALVES_FROM_ANUS = (12 * CM, 9 * CM, 6.5 * CM)
 
 @dataclass(frozen=True)
 class Folds:
-    """Crescent folds, sorted by arc length.
+    """Folds across the lumen, sorted by arc length.
 
     Attributes:
         arc_length: Where the middle of each crest lies [m].
         angle: Middle of each crest around the lumen, from the first taenia [rad].
         height: Over the wall [m].
-        extent: Half the angle each crest spans [rad].
+        extent: Half the angle each crest spans [rad]; beyond π it is a full ring.
         thickness: Full width at half height [m].
         tilt: Slope of the crest against the circumference.
         bow: Curvature of the crest along the gut, per radius.

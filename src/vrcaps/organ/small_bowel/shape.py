@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
+from vrcaps.organ.colon.wall import Folds
 from vrcaps.organ.shape.waves import draw_waves, smooth_step, sum_waves, within_bend, wrap
 from vrcaps.organ.small_bowel.parameters import BULB_LENGTH
 from vrcaps.units import CM, MM
@@ -28,29 +29,6 @@ PYLORUS_RADIUS = 6.6 * MM
 _PAPILLA = 9 * CM
 """Arc length of the major papilla on the inner wall of the duodenum's second part [m]."""
 _CALIBRE_SPREAD = 0.035
-
-
-@dataclass(frozen=True)
-class CircularFolds:
-    """Folds across the lumen, sorted by arc length.
-
-    Attributes:
-        arc_length: Where the middle of each crest lies [m].
-        angle: Middle of each crest around the lumen [rad].
-        height: Over the wall [m].
-        extent: Half the angle each crest spans [rad]; beyond π it is a full ring.
-        thickness: Full width at half height [m].
-        tilt: Slope of the crest against the circumference.
-        bow: Curvature of the crest along the gut, per radius.
-    """
-
-    arc_length: Float[np.ndarray, " n"]
-    angle: Float[np.ndarray, " n"]
-    height: Float[np.ndarray, " n"]
-    extent: Float[np.ndarray, " n"]
-    thickness: Float[np.ndarray, " n"]
-    tilt: Float[np.ndarray, " n"]
-    bow: Float[np.ndarray, " n"]
 
 
 @dataclass(frozen=True)
@@ -90,7 +68,7 @@ class SmallBowelWall:
 
     parameters: SmallBowelParameters
     envelope: Callable[[np.ndarray], np.ndarray]
-    folds: CircularFolds
+    folds: Folds
     contractions: Contractions
     papilla_angle: float
     calibre_waves: Float[np.ndarray, "n 4"]
@@ -230,7 +208,7 @@ def _papilla(
     return 4.2 * MM * hill - 1.8 * MM * pore
 
 
-def _draw_folds(parameters: SmallBowelParameters, rng: np.random.Generator) -> CircularFolds:
+def _draw_folds(parameters: SmallBowelParameters, rng: np.random.Generator) -> Folds:
     """Circular folds from the second part of the duodenum to the ileocaecal valve."""
     p = parameters
     jejunum_end = p.duodenum_length + p.jejunum_share * (p.length - p.duodenum_length)
@@ -248,7 +226,7 @@ def _draw_folds(parameters: SmallBowelParameters, rng: np.random.Generator) -> C
     num = len(s)
     height = np.interp(s, knots, heights) * np.clip(1.0 + 0.22 * rng.standard_normal(num), 0.4, 1.5)
     ramp = smooth_step((s - BULB_LENGTH) / (4 * CM))
-    return CircularFolds(
+    return Folds(
         arc_length=s,
         angle=rng.uniform(-np.pi, np.pi, num),
         height=height * (0.35 + 0.65 * ramp),

@@ -18,6 +18,7 @@ type DistanceAndFace<'py> = (Bound<'py, PyArray1<f32>>, Bound<'py, PyArray1<i64>
 #[pyclass(module = "vrcaps._core")]
 pub struct Wall {
     /// Middle of the mesh's bounds when it was made; subtracted from every position [m].
+    #[pyo3(get)]
     pub center: [f64; 3],
     /// Largest coordinate about the centre [m].
     pub extent: f32,

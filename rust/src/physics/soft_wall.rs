@@ -136,6 +136,7 @@ impl SoftWall {
             let force = quick.attenuated(place, &self.pushes);
             let vertex = &mut self.yields[v as usize];
             if force == DVec3::ZERO && vertex.is_still() {
+                *vertex = Yield::default();
                 continue;
             }
             quick.advance(vertex, force, dt);
@@ -154,14 +155,7 @@ impl SoftWall {
         let radius = body.radius + 2.0 * MARGIN;
         self.near.find(wall, &body.axis(motion), radius, radius + reach);
         self.travel = 0.0;
-        let yields = &mut self.yields;
-        self.awake.retain(|&v| {
-            let vertex = &mut yields[v as usize];
-            if vertex.is_still() {
-                *vertex = Yield::default();
-            }
-            *vertex != Yield::default()
-        });
+        self.awake.retain(|&v| self.yields[v as usize] != Yield::default());
         if reach > 0.0 {
             self.awake.extend(&self.near.around);
             self.awake.sort_unstable();

@@ -1,7 +1,7 @@
 //! A capsule in a wall: what Python holds and steps.
 
 use super::body::{Body, Motion};
-use super::contact::Foundation;
+use super::contact::{Foundation, Indenter};
 use super::drag::{Drag, LogLaw};
 use super::quick::{Quick, Yield};
 use super::soft_wall::{Drive, MARGIN, Outcome, SoftWall};
@@ -14,34 +14,39 @@ use numpy::{IntoPyArray, PyArray2, PyReadonlyArray1, PyReadonlyArray2, ndarray, 
 use pyo3::{exceptions::PyValueError, prelude::*};
 use rayon::prelude::*;
 
-/// The body of a capsule as Python describes it.
+/// The body of a capsule: `vrcaps.capsule.body.Body`.
 #[derive(FromPyObject)]
-struct BodyParameters {
+struct BodyParameters<'py> {
     mass: f64,
-    inertia: [[f64; 3]; 3],
-    center: [f64; 3],
+    inertia: PyReadonlyArray2<'py, f64>,
+    center: PyReadonlyArray1<'py, f64>,
     half_axis: f64,
     radius: f64,
 }
 
-/// Laws between capsule and wall as Python describes them.
+/// The wall's pressure: `vrcaps.tissue.material.Material`.
 #[derive(FromPyObject)]
-struct LawParameters {
+struct MaterialParameters {
     stiffness: f64,
     stiffening_depth: f64,
     rate_gain: f64,
     rate: f64,
-    drag: String,
-    friction: f64,
-    viscosity: f64,
-    log_a: f64,
-    log_b: f64,
-    log_c: f64,
-    log_constant: f64,
-    log_threshold: f64,
 }
 
-/// The quick model as Python describes it.
+/// The wall's resistance: `vrcaps.tissue.drag.Drag`.
+#[derive(FromPyObject)]
+struct DragParameters {
+    law: String,
+    friction: f64,
+    viscosity: f64,
+    a: f64,
+    b: f64,
+    c: f64,
+    constant: f64,
+    threshold: f64,
+}
+
+/// The quick model: `vrcaps.tissue.quick.QuickDeformation`.
 #[derive(FromPyObject)]
 struct QuickParameters {
     length: f64,
@@ -63,7 +68,7 @@ struct Tally {
     friction_work: f64,
 }
 
-/// A capsule in a soft wall. All is in the wall's frame.
+/// A capsule in a soft wall. Positions are about the wall's centre, see `Wall.center`.
 #[pyclass(module = "vrcaps._core")]
 pub struct World {
     wall: Py<Wall>,
@@ -83,40 +88,40 @@ fn vector(a: [f64; 3]) -> DVec3 {
     DVec3::from_array(a)
 }
 
-impl From<LawParameters> for Laws {
-    fn from(p: LawParameters) -> Self {
-        let law = LogLaw {
-            a: p.log_a,
-            b: p.log_b,
-            c: p.log_c,
-            constant: p.log_constant,
-            threshold: p.log_threshold,
-        };
-        Laws {
-            foundation: Foundation {
-                stiffness: p.stiffness,
-                stiffening_depth: p.stiffening_depth,
-                rate_gain: p.rate_gain,
-                rate: p.rate,
-            },
-            drag: match p.drag.as_str() {
-                "printed" => Drag::Printed(law),
-                "continuous" => Drag::Continuous(law),
-                _ => Drag::Physical { friction: p.friction },
-            },
-            viscosity: p.viscosity,
-        }
+fn laws(material: MaterialParameters, drag: DragParameters) -> Laws {
+    let law = LogLaw {
+        a: drag.a,
+        b: drag.b,
+        c: drag.c,
+        constant: drag.constant,
+        threshold: drag.threshold,
+    };
+    Laws {
+        foundation: Foundation {
+            stiffness: material.stiffness,
+            stiffening_depth: material.stiffening_depth,
+            rate_gain: material.rate_gain,
+            rate: material.rate,
+        },
+        drag: match drag.law.as_str() {
+            "printed" => Drag::Printed(law),
+            "continuous" => Drag::Continuous(law),
+            _ => Drag::Physical { friction: drag.friction },
+        },
+        viscosity: drag.viscosity,
     }
 }
 
-impl From<BodyParameters> for Body {
+impl From<BodyParameters<'_>> for Body {
     fn from(p: BodyParameters) -> Self {
-        let (moments, axes) = principal_axes(DMat3::from_cols_array_2d(&p.inertia));
+        let (inertia, center) = (p.inertia.as_array(), p.center.as_array());
+        let column = |k: usize| DVec3::new(inertia[[0, k]], inertia[[1, k]], inertia[[2, k]]);
+        let (moments, axes) = principal_axes(DMat3::from_cols(column(0), column(1), column(2)));
         Body {
             mass: p.mass,
             moments,
             principal: DQuat::from_mat3(&axes),
-            center: vector(p.center),
+            center: DVec3::new(center[0], center[1], center[2]),
             half_axis: p.half_axis,
             radius: p.radius,
         }
@@ -238,8 +243,9 @@ impl World {
     fn new(
         py: Python<'_>,
         wall: Py<Wall>,
-        body: BodyParameters,
-        laws: LawParameters,
+        body: BodyParameters<'_>,
+        material: MaterialParameters,
+        drag: DragParameters,
         quick: Option<QuickParameters>,
         pose: Pose,
     ) -> Self {
@@ -257,7 +263,7 @@ impl World {
         let mut world = World {
             wall,
             body: body.into(),
-            laws: laws.into(),
+            laws: laws(material, drag),
             quick,
             motion: Motion::default(),
             center,
@@ -316,13 +322,13 @@ impl World {
         py.detach(|| self.soft.settle(wall)).map_err(PyValueError::new_err)
     }
 
-    /// Where the capsule is and how it moves.
+    /// Centre of mass [m], quaternion wxyz of unit length, velocity and angular velocity.
     #[getter]
     fn pose(&self) -> Pose {
         let m = &self.motion;
         let q = m.rotation;
         (
-            (m.position + self.center).to_array(),
+            m.position.to_array(),
             [q.w, q.x, q.y, q.z],
             m.velocity.to_array(),
             m.angular_velocity.to_array(),
@@ -333,8 +339,8 @@ impl World {
     fn set_pose(&mut self, pose: Pose) {
         let (position, [w, x, y, z], velocity, angular_velocity) = pose;
         self.motion = Motion {
-            position: vector(position) - self.center,
-            rotation: DQuat::from_xyzw(x, y, z, w).normalize(),
+            position: vector(position),
+            rotation: DQuat::from_xyzw(x, y, z, w),
             velocity: vector(velocity),
             angular_velocity: vector(angular_velocity),
         };
@@ -363,7 +369,7 @@ impl World {
                 velocity: DVec3::new(r[3], r[4], r[5]),
             })
             .collect();
-        let awake = (0..).zip(&self.soft.yields).filter(|(_, y)| !y.is_still());
+        let awake = (0..).zip(&self.soft.yields).filter(|(_, y)| **y != Yield::default());
         self.soft.awake = awake.map(|(v, _)| v).collect();
         (self.soft.travel, self.soft.wall_travel) = (f64::INFINITY, f64::INFINITY);
         Ok(())
@@ -372,7 +378,7 @@ impl World {
     /// Where the wall would be if nothing touched it [n 3].
     #[getter]
     fn driven<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray2<f64>> {
-        let flat = self.soft.driven.iter().flat_map(|&p| (p + self.center).to_array());
+        let flat = self.soft.driven.iter().flat_map(|p| p.to_array());
         table(py, flat.collect(), 3)
     }
 
@@ -382,13 +388,13 @@ impl World {
         if rows.dim() != (self.soft.driven.len(), 3) {
             return Err(PyValueError::new_err("A driven wall has a row for each vertex."));
         }
-        let place = |r: ndarray::ArrayView1<f64>| DVec3::new(r[0], r[1], r[2]) - self.center;
+        let place = |r: ndarray::ArrayView1<f64>| DVec3::new(r[0], r[1], r[2]);
         self.soft.driven = rows.outer_iter().map(place).collect();
         (self.soft.travel, self.soft.wall_travel) = (f64::INFINITY, f64::INFINITY);
         Ok(())
     }
 
-    /// Vertices of the wall now [n 3].
+    /// Vertices of the wall now, in the wall's own frame [n 3].
     fn vertices<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray2<f64>> {
         let places =
             (0..self.soft.driven.len() as u32).map(|v| self.soft.vertex(v).0 + self.center);
@@ -409,6 +415,22 @@ impl World {
             patch.area,
             patch.depth,
         )
+    }
+
+    /// Largest depth [m] to which the capsule presses in where it is now.
+    fn probe(&mut self, py: Python<'_>) -> PyResult<f64> {
+        let wall = self.wall.clone_ref(py);
+        let mut wall = wall.borrow_mut(py);
+        let reach = self.quick.map_or(0.0, |q| q.reach);
+        let found = self.soft.search(&mut wall, &self.body, &self.motion, reach);
+        found.map_err(PyValueError::new_err)?;
+        self.soft.update_facets();
+        let indenter = Indenter::new(&self.laws.foundation, &self.body, &self.motion);
+        self.soft.patch.clear();
+        for facet in &self.soft.facets {
+            indenter.press(facet, &mut self.soft.patch);
+        }
+        Ok(self.soft.patch.depth)
     }
 
     /// Kinetic energy of the capsule [J].

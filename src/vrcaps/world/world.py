@@ -1,0 +1,202 @@
+"""The moving world: a capsule in a soft wall, stepped by the compiled core."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from vrcaps import _core
+from vrcaps.capsule.body import Body, homogeneous_body
+from vrcaps.errors import InputError, require
+from vrcaps.tissue.tissue import Tissue
+from vrcaps.transforms import (
+    invert,
+    matrix_from_quaternion,
+    quaternion_from_matrix,
+    rotate_vectors,
+    transform_from,
+    transform_points,
+)
+from vrcaps.world.control import Control
+from vrcaps.world.model import Contact, Model, State
+from vrcaps.world.snapshot import Snapshot
+
+GRAVITY = 9.80665
+"""Standard acceleration of gravity [m/s²] (CGPM 1901)."""
+
+SUBSTEP = 5e-5
+"""Longest substep by default [s]."""
+
+_LONGEST_STEP = 1.0
+_LONGEST_SUBSTEP = 1e-3
+_STRONGEST_FORCE = 100.0
+_STRONGEST_TORQUE = 10.0
+
+
+class World:
+    """A capsule in a soft organ; holds the wall's hierarchy and all that moves.
+
+    The core works in the patient frame, where the wall is at home; states are in the world frame.
+    The same start and the same steps give the same bytes, on any number of threads.
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        tissue: Tissue,
+        start: State,
+        *,
+        body: Body | None = None,
+        substep: float = SUBSTEP,
+    ) -> None:
+        """Puts the capsule into the organ.
+
+        Args:
+            model: Organ, device and posture.
+            tissue: How the wall behaves.
+            start: Where the capsule is and how it moves; its wall is taken as at rest.
+            body: Mass properties; by default the device's mass, spread evenly.
+            substep: Longest substep [s].
+
+        Raises:
+            InputError: If the capsule is outside the lumen or does not fit, or the substep is too
+                long.
+        """
+        _check_substep(substep, tissue)
+        self.model, self.tissue, self.substep = model, tissue, substep
+        self.body = body or homogeneous_body(model.device)
+        organ = model.organ
+        vertices = np.ascontiguousarray(organ.vertices, float)
+        self._wall = _core.Wall(vertices, np.ascontiguousarray(organ.faces, np.int64))
+        self._center = np.array(self._wall.center)
+        self._time, self._T_world_patient = start.time, model.T_world_patient
+        pose = self._pose(start)
+        self._core = _core.World(
+            self._wall, self.body, tissue.material, tissue.drag, tissue.deformation, pose
+        )
+        self._core.set_drive(*_drive(organ))
+        self._calibre = np.ones(1)
+        self._moves = tissue.deformation is not None
+        self._check_start()
+
+    @property
+    def state(self) -> State:
+        """The world now, in the world frame."""
+        T = self._T_world_patient
+        position, wxyz, velocity, spin = self._core.pose
+        rotation = matrix_from_quaternion(np.array(wxyz))
+        pose = transform_from(rotation, np.array(position) + self._center)
+        force, torque, *rest = self._core.contact()
+        forces = rotate_vectors(T, np.array([force, torque, velocity, spin]))
+        moved = self._moves or T is not self.model.T_world_patient
+        return State(
+            time=self._time,
+            T_world_capsule=T @ pose,
+            linear_velocity_world=forces[2],
+            angular_velocity_world=forces[3],
+            vertices_world=transform_points(T, self._core.vertices()) if moved else None,
+            contact=Contact(forces[0], forces[1], *rest),
+        )
+
+    def step(self, control: Control, dt: float) -> None:
+        """Moves on by a time `dt` [s], in equal substeps.
+
+        Raises:
+            InputError: If the step is too large or the control out of bounds; the state stays as
+                it was.
+        """
+        require(0.0 < dt <= _LONGEST_STEP, "dt", dt, f"above 0 to {_LONGEST_STEP:g} s")
+        strength = np.linalg.norm([control.force_world, control.torque_world], axis=1)
+        for name, value, most in (
+            ("force_world", strength[0], _STRONGEST_FORCE),
+            ("torque_world", strength[1], _STRONGEST_TORQUE),
+        ):
+            require(bool(value <= most), f"Control's {name}", f"{value:g} strong", f"up to {most:g}")
+        T_world_patient = self._T_world_patient
+        if control.T_world_patient is not None:
+            T_world_patient = control.T_world_patient
+        to_patient = invert(T_world_patient)
+        acts = np.array([control.force_world, control.torque_world, (0.0, 0.0, -GRAVITY)], float)
+        force, torque, gravity = rotate_vectors(to_patient, acts)
+        count = max(1, math.ceil(dt / self.substep * (1.0 - 1e-9)))
+        calibre = self._next_calibre(self._time + dt, control.insufflation)
+        try:
+            self._core.step(dt / count, count, (*force, *torque), tuple(gravity), calibre)
+        except ValueError as error:
+            raise InputError(str(error)) from error
+        self._time, self._T_world_patient = self._time + dt, T_world_patient
+
+    def snapshot(self) -> Snapshot:
+        """All that changes, exactly: a world restored from it goes on to the same bytes."""
+        position, wxyz, velocity, spin = self._core.pose
+        return Snapshot(
+            time=self._time,
+            T_world_patient=self._T_world_patient,
+            capsule=np.concatenate([position, wxyz, velocity, spin]),
+            driven=self._core.driven,
+            yields=self._core.yields,
+        )
+
+    def restore(self, snapshot: Snapshot) -> None:
+        """Goes back to a snapshot of a world with the same model.
+
+        Raises:
+            InputError: If the snapshot is of another wall.
+        """
+        if snapshot.driven.shape != self.model.organ.vertices.shape:
+            raise InputError(
+                f"The snapshot has a wall of {len(snapshot.driven)} vertices, the model has "
+                f"{len(self.model.organ.vertices)}. Give a snapshot of the same organ."
+            )
+        p = snapshot.capsule
+        self._core.driven, self._core.yields = snapshot.driven, snapshot.yields
+        self._core.pose = (tuple(p[:3]), tuple(p[3:7]), tuple(p[7:10]), tuple(p[10:]))
+        self._time, self._T_world_patient = snapshot.time, snapshot.T_world_patient
+
+    def is_inside(self) -> bool:
+        """Whether the capsule's axis is in the lumen."""
+        self._core.settle()
+        return self._core.inside()
+
+    def _next_calibre(self, time: float, insufflation: float) -> Float[np.ndarray, " k"] | None:
+        """Factors on the lumen's radius at its stations, or None where nothing drives the wall."""
+        calibre = np.full(self._num_stations, insufflation)
+        if self.tissue.motility is not None:
+            calibre *= self.tissue.motility.calibre(time)
+        if np.array_equal(calibre, self._calibre):
+            return None
+        self._calibre = calibre
+        return calibre
+
+    def _pose(self, state: State) -> _core.Pose:
+        to_patient = invert(self._T_world_patient)
+        pose = to_patient @ state.T_world_capsule
+        velocity = np.array([state.linear_velocity_world, state.angular_velocity_world])
+        if not (np.isfinite(pose).all() and np.isfinite(velocity).all()):
+            raise InputError("The capsule's start is not finite. Allowed: finite numbers.")
+        wxyz = quaternion_from_matrix(pose[:3, :3])
+        linear, angular = rotate_vectors(to_patient, velocity)
+        return tuple(pose[:3, 3] - self._center), tuple(wxyz), tuple(linear), tuple(angular)
+
+    def _check_start(self) -> None:
+        if not self._core.inside():
+            raise InputError(
+                "T_world_capsule puts the capsule's axis outside the lumen. Allowed: inside it; "
+                "start on the centreline."
+            )
+        depth, radius = self._core.probe(), self.body.radius
+        if depth > 0.9 * radius:
+            narrow = 2.0 * (radius - depth)
+            raise InputError(
+                f"The capsule, {2e3 * radius:.1f} mm thick, does not fit: the lumen is "
+                f"{1e3 * narrow:.1f} mm wide where it starts. Start it elsewhere or inflate."
+            )
+
+
+def _check_substep(substep: float, tissue: Tissue) -> None:
+    longest = _LONGEST_SUBSTEP
+    if tissue.deformation is not None:
+        longest = min(longest, tissue.deformation.longest_step)
+    require(0.0 < substep <= longest, "substep", substep, f"above 0 to {longest:.3g} s")
+

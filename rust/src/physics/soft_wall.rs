@@ -6,6 +6,7 @@ use super::near::{Near, point};
 use super::quick::{Push, Quick, Yield};
 use crate::wall::Wall;
 use glam::DVec3;
+use rayon::prelude::*;
 
 /// How far capsule and wall may move before what is near is searched anew [m].
 pub const MARGIN: f64 = 1e-3;
@@ -40,6 +41,8 @@ impl Drive {
 pub struct SoftWall {
     /// Where the wall would be if nothing touched it [m], about its centre.
     pub driven: Vec<DVec3>,
+    /// Where it would be at the end of the step [m]; empty when it rests.
+    pub target: Vec<DVec3>,
     /// How that moves during the step [m/s]; empty when it rests.
     pub driven_velocity: Vec<DVec3>,
     /// How far each vertex gives way.
@@ -62,6 +65,7 @@ impl SoftWall {
     pub fn new(wall: &Wall) -> Self {
         SoftWall {
             driven: (0..wall.vertices.len() as u32).map(|v| point(wall, v)).collect(),
+            target: Vec::new(),
             driven_velocity: Vec::new(),
             yields: vec![Yield::default(); wall.vertices.len()],
             awake: Vec::new(),
@@ -95,11 +99,27 @@ impl SoftWall {
         Ok(())
     }
 
+    /// Sets the driven wall on its way to a calibre at the end of a step of `duration` [s].
+    pub fn aim(&mut self, drive: &Drive, calibre: &[f64], duration: f64) {
+        let numbers = (0..self.driven.len()).into_par_iter().with_min_len(4096);
+        numbers.map(|v| drive.place(v, calibre)).collect_into_vec(&mut self.target);
+        let ways = self.target.par_iter().zip(&self.driven).with_min_len(4096);
+        ways.map(|(&to, &from)| (to - from) / duration).collect_into_vec(&mut self.driven_velocity);
+    }
+
     /// Ends a step: the driven wall has arrived.
-    pub fn land(&mut self, duration: f64) {
-        for (place, velocity) in self.driven.iter_mut().zip(&self.driven_velocity) {
-            *place += duration * *velocity;
+    pub fn land(&mut self) {
+        if !self.target.is_empty() {
+            std::mem::swap(&mut self.driven, &mut self.target);
+            self.target.clear();
         }
+        self.driven_velocity.clear();
+        self.since = 0.0;
+    }
+
+    /// Gives up a step: the driven wall stays where it was.
+    pub fn stay(&mut self) {
+        self.target.clear();
         self.driven_velocity.clear();
         self.since = 0.0;
     }

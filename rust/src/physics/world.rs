@@ -12,7 +12,6 @@ use crate::wall::Wall;
 use glam::{DMat3, DQuat, DVec3};
 use numpy::{IntoPyArray, PyArray2, PyReadonlyArray1, PyReadonlyArray2, ndarray, ndarray::Array2};
 use pyo3::{exceptions::PyValueError, prelude::*};
-use rayon::prelude::*;
 
 /// The body of a capsule: `vrcaps.capsule.body.Body`.
 #[derive(FromPyObject)]
@@ -178,12 +177,12 @@ impl World {
         let result = self.substeps(wall, load, dt, count);
         let valid = self.motion.position.is_finite() && self.motion.velocity.is_finite();
         if result.is_ok() && valid {
-            self.soft.land(count as f64 * dt);
+            self.soft.land();
             return Ok(());
         }
         self.motion = backup.0;
         self.soft.restore_yields(backup.1);
-        self.soft.since = 0.0;
+        self.soft.stay();
         result.and(Err("The step is too large: the capsule's motion is no longer finite."))
     }
 
@@ -220,9 +219,7 @@ impl World {
         let drive = self.drive.as_ref().filter(|_| !calibre.is_empty()).ok_or_else(|| {
             PyValueError::new_err("A calibre needs samples, and a drive set before.")
         })?;
-        let driven = self.soft.driven.par_iter().with_min_len(4096).enumerate();
-        let velocity = driven.map(|(v, &now)| (drive.place(v, calibre) - now) / duration);
-        velocity.collect_into_vec(&mut self.soft.driven_velocity);
+        self.soft.aim(drive, calibre, duration);
         Ok(())
     }
 

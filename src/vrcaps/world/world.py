@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from vrcaps import _core
 from vrcaps.capsule.body import Body, homogeneous_body
 from vrcaps.errors import InputError, require
+from vrcaps.tissue.stations import stations
 from vrcaps.tissue.tissue import Tissue
 from vrcaps.transforms import (
     invert,
@@ -21,6 +23,11 @@ from vrcaps.transforms import (
 from vrcaps.world.control import Control
 from vrcaps.world.model import Contact, Model, State
 from vrcaps.world.snapshot import Snapshot
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+    from vrcaps.organ.surface import OrganSurface
 
 GRAVITY = 9.80665
 """Standard acceleration of gravity [m/s²] (CGPM 1901)."""
@@ -76,7 +83,8 @@ class World:
             self._wall, self.body, tissue.material, tissue.drag, tissue.deformation, pose
         )
         self._core.set_drive(*_drive(organ))
-        self._calibre = np.ones(1)
+        self._num_stations = len(stations(organ.centerline))
+        self._calibre: Float[np.ndarray, " k"] | None = np.ones(self._num_stations)
         self._moves = tissue.deformation is not None
         self._check_start()
 
@@ -153,6 +161,7 @@ class World:
         self._core.driven, self._core.yields = snapshot.driven, snapshot.yields
         self._core.pose = (tuple(p[:3]), tuple(p[3:7]), tuple(p[7:10]), tuple(p[10:]))
         self._time, self._T_world_patient = snapshot.time, snapshot.T_world_patient
+        self._calibre = None
 
     def is_inside(self) -> bool:
         """Whether the capsule's axis is in the lumen."""
@@ -162,9 +171,7 @@ class World:
     def _next_calibre(self, time: float, insufflation: float) -> Float[np.ndarray, " k"] | None:
         """Factors on the lumen's radius at its stations, or None where nothing drives the wall."""
         calibre = np.full(self._num_stations, insufflation)
-        if self.tissue.motility is not None:
-            calibre *= self.tissue.motility.calibre(time)
-        if np.array_equal(calibre, self._calibre):
+        if self._calibre is not None and np.array_equal(calibre, self._calibre):
             return None
         self._calibre = calibre
         return calibre
@@ -192,6 +199,16 @@ class World:
                 f"The capsule, {2e3 * radius:.1f} mm thick, does not fit: the lumen is "
                 f"{1e3 * narrow:.1f} mm wide where it starts. Start it elsewhere or inflate."
             )
+
+
+def _drive(organ: OrganSurface) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, " n"]]:
+    """From each vertex to the centreline [m], and its place along the stations."""
+    curve = organ.centerline
+    nearest = np.stack(
+        [np.interp(organ.arc_length, curve.arc_length, curve.points[:, k]) for k in range(3)], axis=1
+    )
+    station = organ.arc_length / stations(curve)[1]
+    return nearest - organ.vertices, np.ascontiguousarray(station, float)
 
 
 def _check_substep(substep: float, tissue: Tissue) -> None:

@@ -60,7 +60,9 @@ class Drag:
         for name in ("friction", "viscosity", "a", "b", "constant", "threshold"):
             value = getattr(self, name)
             require(0.0 <= value < math.inf, name, value, "0 or more")
-        require(1.0 <= self.c < math.inf, "c", self.c, "1 or more, so that the logarithm is not below 0")
+        require(
+            1.0 <= self.c < math.inf, "c", self.c, "1 or more, so that the logarithm is not below 0"
+        )
 
     def resistance(self, speed: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
         """Resistance [N] of `printed` and `continuous` at speeds [m/s]; 0 for `physical`."""

@@ -120,7 +120,9 @@ class World:
             ("force_world", strength[0], _STRONGEST_FORCE),
             ("torque_world", strength[1], _STRONGEST_TORQUE),
         ):
-            require(bool(value <= most), f"Control's {name}", f"{value:g} strong", f"up to {most:g}")
+            require(
+                bool(value <= most), f"Control's {name}", f"{value:g} strong", f"up to {most:g}"
+            )
         T_world_patient = self._T_world_patient
         if control.T_world_patient is not None:
             T_world_patient = control.T_world_patient
@@ -205,7 +207,8 @@ def _drive(organ: OrganSurface) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndar
     """From each vertex to the centreline [m], and its place along the stations."""
     curve = organ.centerline
     nearest = np.stack(
-        [np.interp(organ.arc_length, curve.arc_length, curve.points[:, k]) for k in range(3)], axis=1
+        [np.interp(organ.arc_length, curve.arc_length, curve.points[:, k]) for k in range(3)],
+        axis=1,
     )
     station = organ.arc_length / stations(curve)[1]
     return nearest - organ.vertices, np.ascontiguousarray(station, float)
@@ -216,4 +219,3 @@ def _check_substep(substep: float, tissue: Tissue) -> None:
     if tissue.deformation is not None:
         longest = min(longest, tissue.deformation.longest_step)
     require(0.0 < substep <= longest, "substep", substep, f"above 0 to {longest:.3g} s")
-

@@ -47,7 +47,7 @@ def write_glb(
     [m] carry the organ's own, the mesh's ``extras`` the label names and lesions.
 
     For `read_organ`, ``asset.extras`` names a buffer view for each array of the organ that glTF
-    would round, in the patient frame and in its own type (docs/conventions.md): what is read
+    would round, in the patient frame and in its own type (docs/episode-format.md): what is read
     back equals what was written, to the last bit. The same organ gives the same bytes.
 
     Args:

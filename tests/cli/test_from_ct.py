@@ -69,7 +69,7 @@ def test_gas_becomes_a_file_that_records(files, tmp_path, capsys) -> None:
     out = tmp_path / "tube.glb"
     run([str(files / "dicom"), "--out", str(out)])
     text = capsys.readouterr().out.replace("\n", "")
-    assert f"vrcaps record --organ {out} --unit m --out DIR" in text
+    assert f"vrcaps record --organ {out} --out DIR" in text
     assert "lung" in text
     assert (tmp_path / "tube-overview.png").stat().st_size > 10_000
     organ = organ_from_file(out, unit="m")

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from vrcaps.organ.facts import organ_facts, triangle_quality
+from vrcaps.organ.facts import organ_facts, segment_spans, triangle_quality
 from vrcaps.organ.surface import Centerline, Mesh, OrganSurface, vertex_normals
 
 RADIUS, LENGTH = 0.02, 0.2
@@ -99,3 +99,14 @@ def test_short_centreline_without_inner_samples_counts_whole():
     organ = make_organ(cylinder())
     wide = replace(organ.centerline, radius=np.full(101, LENGTH))
     assert organ_facts(replace(organ, centerline=wide)).calibre_min == 2 * LENGTH
+
+
+def test_segments_follow_each_other_along_the_way():
+    organ = make_organ(cylinder())
+    spans = segment_spans(organ)
+    assert [label for label, _, _ in spans] == [1, 2]
+    assert spans[0][1] == 0.0
+    assert spans[0][2] == spans[1][1] == pytest.approx(LENGTH / 2, abs=0.006)
+    assert spans[1][2] == pytest.approx(LENGTH)
+    one = replace(organ, label=np.ones_like(organ.label))
+    assert segment_spans(one) == [(1, 0.0, pytest.approx(LENGTH))]

@@ -21,7 +21,8 @@ _VERBS = {
     "demo": ("vrcaps.cli.demo", "Demo", "Record a labelled run through a generated colon."),
     "record": ("vrcaps.cli.record", "Record", "Record your own organ, capsule and motion."),
     "check": ("vrcaps.cli.check", "Check", "Verify an episode."),
-    "organ inspect": ("vrcaps.cli.organ", "Inspect", "Measure and draw a mesh file."),
+    "organ list": ("vrcaps.cli.organ_list", "List", "List organs, lesions, mucosae, capsules."),
+    "organ inspect": ("vrcaps.cli.organ", "Inspect", "Measure and draw an organ."),
     "organ from-ct": ("vrcaps.cli.from_ct", "FromCt", "Make organs from a CT scan or labels."),
     "organ make": ("vrcaps.cli.organ", "Make", "Generate an organ and write it as GLB."),
     "bench render": ("vrcaps.cli.bench", "Render", "Measure rendering, beside its peers."),
@@ -31,7 +32,7 @@ _VERBS = {
 """Module, dataclass and summary of each verb."""
 
 _GROUPS = {
-    "organ": "Generate an organ, make one from CT, measure and draw a mesh file.",
+    "organ": "List, generate, make from CT, measure and draw organs.",
     "bench": "Measure speed on this machine.",
 }
 

@@ -201,5 +201,4 @@ def _write(path: Path, organ: OrganSurface) -> None:
     report_organ(organ, path.with_name(f"{path.stem}-overview.png"))
     for note in organ.metadata["notes"]:
         console.print(f"Note: {note}.")
-    flag = " --reverse" if organ.metadata["backwards"] else ""
-    console.print(f"Record it: vrcaps record --organ {path} --unit m{flag} --out DIR")
+    console.print(f"Record it: vrcaps record --organ {path} --out DIR")

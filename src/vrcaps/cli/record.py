@@ -11,6 +11,7 @@ from tyro.conf import OmitArgPrefixes, UseAppendAction, arg
 from vrcaps.cli.lesions import chosen_lesions
 from vrcaps.cli.recording import run_recording
 from vrcaps.errors import InputError
+from vrcaps.organ.read_organ import is_organ_file
 from vrcaps.render.frame import CHANNELS
 from vrcaps.render.settings import RenderSettings
 from vrcaps.units import LENGTH_UNITS
@@ -31,6 +32,7 @@ class Record:
     For example:
       vrcaps record --out runs/colon --organ colon --seed 3 --frames 300
       vrcaps record --out runs/mine --organ colon.ply --unit mm --capsule pillcam-colon2
+      vrcaps record --out runs/patient --organ colon-3.glb
       vrcaps record --out runs/polyp --lesion polyp-Ip:size=12mm,segment=sigmoid
       vrcaps record --out runs/path --path poses.txt --path-format tum --path-unit m
       vrcaps record --out runs/again --scenario runs/mine/episode.json
@@ -43,10 +45,12 @@ class Record:
     """Record just what this file says: JSON, TOML, or the episode.json of an episode."""
 
     organ: str = "colon"
-    """Name of a generated organ, or a mesh file: PLY, OBJ, STL, GLB."""
+    """Name of a generated organ, a mesh file (PLY, OBJ, STL, GLB), or an organ file: a GLB that
+    vrcaps organ wrote, taken as it is with its labels, lesions and textures."""
 
     unit: str | None = None
-    """Length unit of the mesh file: m, dm, cm, mm, um, or e.g. 5cm. Never guessed."""
+    """Length unit of the mesh file: m, dm, cm, mm, um, or e.g. 5cm. Never guessed. An organ file
+    needs none."""
 
     open_ends: Literal["cap", "keep"] = "cap"
     """Whether a mesh file's open ends of the lumen are capped or kept."""
@@ -177,6 +181,8 @@ class Record:
         if is_mesh_file(self.organ):
             if self.patient is not None:
                 raise InputError("--patient goes with a generated organ, not with a mesh file.")
+            if is_organ_file(Path(self.organ)):
+                return mesh
             return replace(mesh, unit=require_unit("--unit", self.unit, self.organ))
         if mesh != OrganFile(path=self.organ, unit=""):
             raise InputError(

@@ -14,7 +14,7 @@ import numpy as np
 
 from vrcaps import _core
 from vrcaps.errors import InputError, UnknownNameError
-from vrcaps.organ.surface import Appearance, OrganSurface
+from vrcaps.organ.surface import Appearance, OrganSurface, round_height
 from vrcaps.units import MM
 
 if TYPE_CHECKING:
@@ -120,7 +120,7 @@ def bake_appearance(
     return Appearance(
         albedo=albedo.reshape(height, width, 3),
         roughness=roughness.reshape(height, width),
-        height=relief.reshape(height, width),
+        height=round_height(relief.reshape(height, width)),
         coat_gloss=mucosa.coat_gloss,
     )
 

@@ -101,3 +101,25 @@ ORGANS: dict[str, Callable[[int, str | None], OrganSurface]] = {
     "gi": _load_gi,
 }
 """Generators by name; each takes a seed and a condition."""
+
+CONDITIONS = ("inflated", "normal", "collapsed")
+"""How full a generated organ can be."""
+
+
+def organ_segments(name: str) -> tuple[str, ...]:
+    """Names of the segments of a generated organ, from its oral end.
+
+    Raises:
+        UnknownNameError: If the catalog has no such organ.
+    """
+    from vrcaps.organ.colon.parameters import SEGMENTS as COLON
+    from vrcaps.organ.small_bowel.parameters import SEGMENTS as SMALL_BOWEL
+    from vrcaps.organ.stomach.parameters import SEGMENTS as STOMACH
+
+    segments = {
+        **{"colon": COLON, "stomach": STOMACH, "small-bowel": SMALL_BOWEL},
+        "gi": (*STOMACH, *SMALL_BOWEL, *COLON),
+    }
+    if name not in segments:
+        raise UnknownNameError("organ", name, segments)
+    return segments[name]

@@ -82,6 +82,32 @@ def organ_facts(organ: OrganSurface) -> OrganFacts:
     )
 
 
+def way_bins(organ: OrganSurface) -> int:
+    """Number of parts of the centreline short against the lumen's width, with wall in each."""
+    step = 0.3 * float(np.median(organ.radius))
+    return int(np.clip(organ.centerline.length / max(step, 1e-9), 40, 800))
+
+
+def segment_spans(organ: OrganSurface) -> list[tuple[int, float, float]]:
+    """Label, first and last arc length [m] of each stretch, from the oral end.
+
+    A stretch has the label that most of its wall's vertices have; without wall, the nearest's.
+    """
+    bins, length = way_bins(organ), organ.centerline.length
+    part = np.clip(organ.arc_length / length * bins, 0, bins - 1).astype(int)
+    count = np.zeros((bins, len(organ.label_names)), int)
+    np.add.at(count, (part, organ.label), 1)
+    filled = np.flatnonzero(count.max(axis=1))
+    nearest = filled[np.abs(np.arange(bins)[:, None] - filled).argmin(axis=1)]
+    label = count.argmax(axis=1)[nearest]
+    starts = np.flatnonzero(np.diff(label, prepend=-1))
+    ends = np.append(starts[1:], bins)
+    edges = np.linspace(0.0, length, bins + 1)
+    return [
+        (int(label[a]), float(edges[a]), float(edges[b])) for a, b in zip(starts, ends, strict=True)
+    ]
+
+
 def triangle_quality(mesh: Mesh) -> Float[np.ndarray, " m"]:
     """4 √3 area / Σ edge² of each triangle (Bhatia and Lawrence 1990), 0 to 1."""
     corners = mesh.vertices[mesh.faces]

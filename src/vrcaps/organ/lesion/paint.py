@@ -18,7 +18,7 @@ from vrcaps.errors import InputError
 from vrcaps.organ.appearance import MAX_SIDE
 from vrcaps.organ.lesion.base import Form, Look, WallSamples
 from vrcaps.organ.lesion.raster import Texels, covered_texels, sample
-from vrcaps.organ.surface import Appearance
+from vrcaps.organ.surface import Appearance, round_height
 from vrcaps.units import MM
 
 if TYPE_CHECKING:
@@ -273,7 +273,7 @@ def assemble(base: Appearance, charts: list[Chart], atlas: Atlas, *, sick: bool)
             piece = (chart.sick if sick else chart.clean)[k]
             whole[y : y + piece.shape[0], x : x + piece.shape[1]] = piece
         parts.append(whole)
-    return replace(base, albedo=parts[0], roughness=parts[1], height=parts[2])
+    return replace(base, albedo=parts[0], roughness=parts[1], height=round_height(parts[2]))
 
 
 def final_uv(

@@ -9,13 +9,13 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
 from vrcaps.errors import InputError
-from vrcaps.organ.colon.crossing import self_intersections
-from vrcaps.organ.colon.strips import strip_coordinates
-from vrcaps.organ.colon.tube import make_tube
+from vrcaps.organ.crossing import self_intersections
 from vrcaps.organ.repair.edges import face_areas
 from vrcaps.organ.shape.coordinates import tube_centerline
 from vrcaps.organ.shape.rows import mesh_skin
 from vrcaps.organ.shape.skin import Skin, make_meridian, turns
+from vrcaps.organ.shape.strips import strip_coordinates
+from vrcaps.organ.shape.tube import make_tube
 from vrcaps.organ.shape.waves import wrap
 from vrcaps.organ.small_bowel.course import generate_course
 from vrcaps.organ.small_bowel.parameters import BULB_LENGTH, SEGMENTS
@@ -30,7 +30,7 @@ from vrcaps.units import MM
 if TYPE_CHECKING:
     from jaxtyping import Float, UInt8
 
-    from vrcaps.organ.colon.tube import Tube
+    from vrcaps.organ.shape.tube import Tube
     from vrcaps.organ.small_bowel.course import Surroundings
     from vrcaps.organ.small_bowel.parameters import SmallBowelParameters
     from vrcaps.organ.small_bowel.shape import SmallBowelWall

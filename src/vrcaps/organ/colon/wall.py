@@ -104,7 +104,8 @@ def wall_radius(
     from_taenia = theta - wall.taenia_angle[0] - wall.taenia_angle[1] * s
     radius = envelope * (1.0 + fade * sum_waves(wall.calibre_waves, s, theta))
     radius = radius * (1.0 + fade * _sacculation(wall, s, from_taenia))
-    stretch = 1.0 - radius * wall.tube.curvature_towards(s, theta)
+    curvature = wall.tube.curvature_towards(s, theta)
+    stretch = 1.0 - radius * curvature
     inner = np.clip((stretch - 0.1) / 0.5, 0.25, 1.0) * _clear_of_valve(wall, s, theta, radius)
     relief = _taenia_relief(wall, s, from_taenia, radius) * fade
     for strip in (*wall.strips, wall.valves):
@@ -112,7 +113,7 @@ def wall_radius(
     relief = relief + fade * _ileocaecal_relief(wall, s, theta, radius)
     relief = relief + fade * sum_waves(wall.relief_waves, s, theta)
     radius = np.maximum(radius - relief, 0.3 * envelope)
-    return within_bend(radius, wall.tube.curvature_towards(s, theta))
+    return within_bend(radius, curvature)
 
 
 def wall_crests(wall: Wall, angles: Float[np.ndarray, " k"]) -> Crests:

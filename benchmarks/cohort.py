@@ -15,12 +15,12 @@ import numpy as np
 
 from vrcaps.errors import InputError
 from vrcaps.organ.colon.course import count_flexures
-from vrcaps.organ.colon.crossing import self_intersections
-from vrcaps.organ.colon.tube import make_tube
+from vrcaps.organ.crossing import self_intersections
 from vrcaps.organ.facts import organ_facts
 from vrcaps.organ.gi.abdomen import draw_colon_place, place_stomach, surroundings
 from vrcaps.organ.gi.generate import generate_gi
 from vrcaps.organ.gi.patient import draw_patient
+from vrcaps.organ.shape.tube import make_tube
 from vrcaps.organ.small_bowel.generate import lay_small_bowel
 from vrcaps.organ.stomach.shape import curvatures, draw_stomach_wall, stomach_volume
 from vrcaps.units import CM, MM

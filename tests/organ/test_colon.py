@@ -15,12 +15,12 @@ from vrcaps.organ.colon import ColonParameters, generate_colon
 from vrcaps.organ.colon import course as course_module
 from vrcaps.organ.colon import generate as generate_module
 from vrcaps.organ.colon.course import Course, count_flexures, generate_course
-from vrcaps.organ.colon.crossing import self_intersections
 from vrcaps.organ.colon.parameters import SEGMENTS
-from vrcaps.organ.colon.remesh import triangle_quality
-from vrcaps.organ.colon.tube import make_tube
+from vrcaps.organ.crossing import self_intersections
+from vrcaps.organ.facts import triangle_quality
 from vrcaps.organ.gltf_material import relief_scale
-from vrcaps.organ.surface import OrganSurface
+from vrcaps.organ.shape.tube import make_tube
+from vrcaps.organ.surface import Mesh, OrganSurface
 from vrcaps.organ.texture_coordinates import texture_stretch
 from vrcaps.units import MM
 
@@ -80,7 +80,7 @@ def test_surface_is_a_closed_sphere_facing_the_lumen(colon: OrganSurface):
 
 def test_triangles_are_many_and_well_shaped(colon: OrganSurface):
     assert 110_000 <= len(colon.faces) <= 120_000
-    quality = triangle_quality(colon.vertices, colon.faces)
+    quality = triangle_quality(Mesh(colon.vertices, colon.faces))
     assert quality.mean() > 0.9
     assert np.percentile(quality, 5) > 0.7
     assert quality.min() > 0.02
@@ -262,18 +262,6 @@ def sample(texture: np.ndarray, uv: np.ndarray) -> np.ndarray:
     height, width = texture.shape
     place = [(1.0 - uv[:, 1]) * height - 0.5, uv[:, 0] * width - 0.5]
     return map_coordinates(texture, place, order=1)
-
-
-def test_rows_of_the_grid_stay_in_order():
-    """Rows in order stay where they are; others end up in order, no farther out than before."""
-    along = np.linspace(0.0, 1.0, 200)[:, None]
-    shift = np.random.default_rng(0).normal(0.0, 0.02, (200, 7))
-    rows = along + generate_module._in_order(along, shift)
-    least = generate_module._LEAST_GAP / 199
-    assert np.diff(rows, axis=0).min() > (1.0 - 1e-9) * least
-    assert np.abs(rows - along).max() <= np.abs(shift).max()
-    gentle = 0.08 * np.sin(2.0 * np.pi * (along + np.arange(7) / 7))
-    assert np.allclose(generate_module._in_order(along, gentle), gentle, atol=1e-12)
 
 
 def test_same_seed_same_bytes_other_seed_other_course(

@@ -1,5 +1,6 @@
 """Facts of organs whose figures are known in closed form."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -8,6 +9,7 @@ import trimesh
 
 from vrcaps.organ.facts import organ_facts, segment_spans, triangle_quality
 from vrcaps.organ.surface import Centerline, Mesh, OrganSurface, vertex_normals
+from vrcaps.units import MM
 
 RADIUS, LENGTH = 0.02, 0.2
 
@@ -85,6 +87,22 @@ def test_handles_are_counted():
 def test_thin_triangles_are_counted():
     organ = make_organ(trimesh.creation.cylinder(RADIUS, LENGTH, sections=400))
     assert any("thin triangles" in defect for defect in organ_facts(organ).defects)
+
+
+def test_places_where_the_wall_cuts_itself_are_counted_and_named():
+    organ = make_organ(cylinder())
+    outer = np.argmax(organ.vertices[:, 0] - np.abs(organ.vertices[:, 2]))
+    vertices = organ.vertices.copy()
+    vertices[outer, 0] -= 3 * RADIUS
+    defects = organ_facts(replace(organ, vertices=vertices)).defects
+    (cut,) = (defect for defect in defects if "cuts itself" in defect)
+    found = re.fullmatch(
+        r"1 places where the wall cuts itself \((\d+) pairs .*, at \((.*)\) mm", cut
+    )
+    assert found
+    assert 4 < int(found[1]) < 100
+    x, y, z = map(float, found[2].split(", "))
+    assert (x, y, z) == pytest.approx((-RADIUS / MM, 0.0, 0.0), abs=1.5)
 
 
 def test_open_ends_count_as_closed_for_the_volume():

@@ -9,7 +9,7 @@ import pytest
 
 from vrcaps.errors import InputError
 from vrcaps.organ.centerline import interpolate
-from vrcaps.organ.colon.crossing import self_intersections
+from vrcaps.organ.crossing import self_intersections
 from vrcaps.organ.facts import organ_facts
 from vrcaps.organ.gi import generate as generate_module
 from vrcaps.organ.gi.appearance import with_appearance

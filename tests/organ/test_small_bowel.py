@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 
 from vrcaps.errors import InputError
-from vrcaps.organ.colon.crossing import self_intersections
-from vrcaps.organ.colon.remesh import triangle_quality
-from vrcaps.organ.facts import organ_facts
+from vrcaps.organ.crossing import self_intersections
+from vrcaps.organ.facts import organ_facts, triangle_quality
 from vrcaps.organ.gi.patient import bowel_surroundings, draw_patient
 from vrcaps.organ.shape.crowd import Balls
 from vrcaps.organ.small_bowel import SmallBowelParameters, generate_small_bowel
@@ -19,7 +18,7 @@ from vrcaps.organ.small_bowel import course as course_module
 from vrcaps.organ.small_bowel import generate as generate_module
 from vrcaps.organ.small_bowel.course import Surroundings
 from vrcaps.organ.small_bowel.parameters import CONDITIONS, SEGMENTS
-from vrcaps.organ.surface import OrganSurface
+from vrcaps.organ.surface import Mesh, OrganSurface
 from vrcaps.units import CM, MM
 
 SEED = 8
@@ -48,7 +47,7 @@ def test_wall_is_closed_clean_and_cuts_nowhere(bowel: OrganSurface):
 
 
 def test_triangles_are_small_and_well_shaped(bowel: OrganSurface):
-    quality = triangle_quality(bowel.vertices, bowel.faces)
+    quality = triangle_quality(Mesh(bowel.vertices, bowel.faces))
     assert quality.mean() > 0.88
     assert np.percentile(quality, 5) > 0.65
     edges = np.linalg.norm(np.diff(bowel.vertices[bowel.faces[:, :2]], axis=1), axis=2)

@@ -8,8 +8,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.spatial import KDTree
 
+from vrcaps.organ.crossing import cut_places, self_intersections
 from vrcaps.organ.repair.cap import enclosed_volume, find_loops
 from vrcaps.organ.repair.edges import face_areas, find_edges
+from vrcaps.organ.repair.report import format_places
 from vrcaps.organ.surface import Mesh
 
 if TYPE_CHECKING:
@@ -142,11 +144,15 @@ def _find_defects(mesh: Mesh, quality: Float[np.ndarray, " m"]) -> list[str]:
     characteristic = len(np.unique(mesh.faces)) - len(edges.counts) + len(mesh.faces)
     num_handles = (2 - len(loops) - characteristic) // 2
     num_thin = int((quality < _THIN_QUALITY).sum())
+    cuts = self_intersections(mesh.vertices, mesh.faces)
+    places = cut_places(mesh.vertices, mesh.faces, cuts)
+    cut = f"places where the wall cuts itself ({len(cuts)} pairs of triangles)"
     defects = [
         (len(crowded), "edges of more than two triangles"),
         (num_wrong, "edges whose triangles are wound against each other"),
         (len(loops), "open ends or holes"),
         (0 if crowded else num_handles, "handles (the wall joins itself around a gap)"),
+        (len(places), f"{cut}, {format_places(places)}"),
         (num_thin, f"thin triangles (quality below {_THIN_QUALITY:g})"),
     ]
     return [f"{count} {text}" for count, text in defects if count > 0]

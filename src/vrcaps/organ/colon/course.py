@@ -8,7 +8,6 @@ based dynamics (Müller et al. 2007).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,6 +15,8 @@ from scipy.interpolate import CubicSpline
 
 from vrcaps.errors import InputError
 from vrcaps.organ.colon.parameters import SEGMENTS
+from vrcaps.organ.shape.tube import Course
+from vrcaps.organ.shape.waves import smooth_step
 from vrcaps.units import CM, MM
 
 if TYPE_CHECKING:
@@ -59,19 +60,6 @@ _CAVITY_CM = np.array([[-14.5, -10.5, -26.0], [14.5, 7.5, 20.0]])
 # all but the rectum stay above the pelvic floor.
 _LOWEST_CM = (-15.0, -15.0, -10.0, -9.0, 0.0, -12.0, -18.0, -26.0)
 _HIGHEST_CM = (0.0, 14.0, 14.0, 19.0, 20.0, 18.0, 3.0, -7.0)
-
-
-@dataclass(frozen=True)
-class Course:
-    """Where a colon runs.
-
-    Attributes:
-        points: Samples from the caecal pole to the anus [m], patient frame, evenly spaced.
-        arc_length: Of each sample [m].
-    """
-
-    points: Float[np.ndarray, "n 3"]
-    arc_length: Float[np.ndarray, " n"]
 
 
 def generate_course(parameters: ColonParameters, rng: np.random.Generator) -> Course:
@@ -137,8 +125,7 @@ def blend(
     blended = np.full(np.shape(arc_length), float(values[0]))
     ends = np.cumsum([segment.length for segment in parameters.segments])
     for end, before, after in zip(ends[:-1], values[:-1], values[1:], strict=True):
-        share = np.clip((arc_length - end) / (4 * CM) + 0.5, 0.0, 1.0)
-        blended += (after - before) * share * share * (3.0 - 2.0 * share)
+        blended += (after - before) * smooth_step((arc_length - end) / (4 * CM) + 0.5)
     return blended
 
 

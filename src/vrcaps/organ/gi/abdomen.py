@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vrcaps.organ.colon.course import Course, generate_course, outer_radius
-from vrcaps.organ.colon.tube import make_tube
 from vrcaps.organ.shape.crowd import Balls, Chain, relax_chain, smooth_course
+from vrcaps.organ.shape.tube import make_tube
 from vrcaps.organ.small_bowel.course import Surroundings
 from vrcaps.organ.stomach.shape import stomach_course, stomach_envelope
 from vrcaps.units import CM, MM

@@ -10,11 +10,8 @@ import numpy as np
 from vrcaps.errors import InputError
 from vrcaps.organ.centerline import centerline_from_points
 from vrcaps.organ.colon import generate_colon
-from vrcaps.organ.colon.course import Course
-from vrcaps.organ.colon.crossing import self_intersections
 from vrcaps.organ.colon.parameters import SEGMENTS as COLON_SEGMENTS
-from vrcaps.organ.colon.strips import strip_coordinates
-from vrcaps.organ.colon.tube import make_tube
+from vrcaps.organ.crossing import self_intersections
 from vrcaps.organ.gi.abdomen import ColonPlace, place_colon
 from vrcaps.organ.gi.tube import CAP, VALVE_ACROSS, VALVE_ALONG, UpperTract, lay_upper_tract
 from vrcaps.organ.gi.valve import soften, stitch, without_vertices
@@ -22,6 +19,8 @@ from vrcaps.organ.repair.edges import face_areas
 from vrcaps.organ.shape.coordinates import angle_and_radius, arc_length_of_sections
 from vrcaps.organ.shape.rows import mesh_skin
 from vrcaps.organ.shape.skin import make_meridian, turns
+from vrcaps.organ.shape.strips import strip_coordinates
+from vrcaps.organ.shape.tube import Course, make_tube
 from vrcaps.organ.small_bowel.generate import small_bowel_labels
 from vrcaps.organ.small_bowel.parameters import SEGMENTS as BOWEL_SEGMENTS
 from vrcaps.organ.stomach.generate import stomach_labels, stomach_path

@@ -8,10 +8,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from vrcaps.organ.colon.course import Course
-from vrcaps.organ.colon.tube import Tube, make_tube
 from vrcaps.organ.gi.abdomen import ColonPlace, place_stomach, surroundings
 from vrcaps.organ.shape.skin import Skin
+from vrcaps.organ.shape.tube import Course, Tube, make_tube
 from vrcaps.organ.shape.waves import smooth_step
 from vrcaps.organ.small_bowel.generate import lay_small_bowel, wanted_edge, with_local_bend
 from vrcaps.organ.small_bowel.shape import SmallBowelWall, small_bowel_radius

@@ -15,7 +15,7 @@ from scipy.interpolate import CubicSpline
 from scipy.ndimage import gaussian_filter1d
 from scipy.spatial import KDTree
 
-from vrcaps.organ.colon.course import Course
+from vrcaps.organ.shape.tube import Course
 from vrcaps.units import MM
 
 if TYPE_CHECKING:

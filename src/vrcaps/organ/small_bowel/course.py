@@ -25,7 +25,7 @@ from vrcaps.units import CM, MM
 if TYPE_CHECKING:
     from jaxtyping import Float
 
-    from vrcaps.organ.colon.course import Course
+    from vrcaps.organ.shape.tube import Course
     from vrcaps.organ.small_bowel.parameters import SmallBowelParameters
 
 _SPACING = 10 * MM

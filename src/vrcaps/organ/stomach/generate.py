@@ -9,13 +9,13 @@ import numpy as np
 
 from vrcaps.errors import InputError
 from vrcaps.organ.centerline import centerline_from_points
-from vrcaps.organ.colon.crossing import self_intersections
-from vrcaps.organ.colon.strips import strip_coordinates
-from vrcaps.organ.colon.tube import make_tube
+from vrcaps.organ.crossing import self_intersections
 from vrcaps.organ.repair.edges import face_areas
 from vrcaps.organ.shape.coordinates import angle_and_radius, arc_length_of_sections
 from vrcaps.organ.shape.rows import mesh_skin
 from vrcaps.organ.shape.skin import Grid, Skin, make_meridian, turns
+from vrcaps.organ.shape.strips import strip_coordinates
+from vrcaps.organ.shape.tube import make_tube
 from vrcaps.organ.shape.waves import wrap
 from vrcaps.organ.stomach.parameters import SEGMENTS
 from vrcaps.organ.stomach.shape import (

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline, PchipInterpolator
 from scipy.ndimage import gaussian_filter1d
 
-from vrcaps.organ.colon.course import Course
+from vrcaps.organ.shape.tube import Course
 from vrcaps.organ.shape.waves import draw_waves, smooth_step, sum_waves, within_bend, wrap
 from vrcaps.units import CM, MM
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     from jaxtyping import Float
 
-    from vrcaps.organ.colon.tube import Tube
+    from vrcaps.organ.shape.tube import Tube
     from vrcaps.organ.stomach.parameters import StomachParameters
 
 _AXIS_CM = np.array(

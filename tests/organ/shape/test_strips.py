@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from vrcaps.organ.colon.strips import GAP, strip_coordinates
+from vrcaps.organ.shape.strips import GAP, strip_coordinates
 
 COLUMNS = 24
 

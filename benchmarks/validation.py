@@ -11,7 +11,7 @@ PAGE = ROOT / "docs" / "validation.md"
 DATA = ROOT.parent / "shared" / "data" / "organs"
 """Optional organs from CT; rows that need them are left out where it is absent."""
 
-_TITLE = """# Validation of the renderer
+_TITLE = """# Validation
 
 Each table below is written by the script named above it; nobody types results.
 """

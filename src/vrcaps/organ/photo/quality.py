@@ -22,7 +22,7 @@ class TextureQuality:
     """A texture against the regions it was made from.
 
     Attributes:
-        seam_ratio: RMS step over the edges where the texture continues, over that inside.
+        seam_ratio: Mean step over the edges where the texture continues, over that inside.
         lab_mean_source: Mean L*, a*, b* of the regions.
         lab_mean_texture: Of the texture.
         lab_std_source: Standard deviation of L*, a*, b* of the regions.
@@ -73,13 +73,13 @@ def texture_quality(
 
 
 def seam_ratio(image: Float[np.ndarray, "n m c"]) -> float:
-    """RMS step across the two wrapped edges over the RMS step between inner neighbours."""
+    """Mean absolute step across the two wrapped edges over that between inner neighbours."""
     seams, inner = [], []
     for axis in (0, 1):
         step = np.diff(image, axis=axis, append=np.take(image, [0], axis=axis))
         seams.append(np.take(step, [-1], axis=axis).ravel())
         inner.append(np.delete(step, -1, axis=axis).ravel())
-    seam, inside = (float(np.sqrt(np.mean(np.concatenate(part) ** 2))) for part in (seams, inner))
+    seam, inside = (float(np.abs(np.concatenate(part)).mean()) for part in (seams, inner))
     return seam / inside if inside > 0.0 else 1.0
 
 

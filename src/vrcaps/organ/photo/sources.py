@@ -25,7 +25,7 @@ MAX_WIDTH = 1024
 
 _WORSE = 0.5  # a further photograph's region may be so much less even than the best
 _SMALLER = 0.7  # and its side so much shorter
-_BLEMISH = 4.5  # standard deviations from the mean that a rare mark has
+_BLEMISH = 4.0  # standard deviations from the mean that a rare mark has
 
 
 @dataclass(frozen=True)
@@ -220,8 +220,8 @@ def _grown(mask: np.ndarray) -> np.ndarray:
 
 def _blemishes(part: Float[np.ndarray, "s s 3"]) -> Bool[np.ndarray, "s s"]:
     """Marks so rare in a square that patches with one would be recognised again."""
-    smooth = ndimage.gaussian_filter(part.mean(axis=2), 1.2)
-    middle = np.median(smooth)
-    spread = 1.4826 * float(np.median(np.abs(smooth - middle)))
-    marks = np.abs(smooth - middle) > _BLEMISH * max(spread, 1e-6)
+    smooth = ndimage.gaussian_filter(part, (0.8, 0.8, 0.0))
+    off = np.abs(smooth - np.median(smooth, axis=(0, 1)))
+    spread = 1.4826 * np.median(off, axis=(0, 1))
+    marks = (off > _BLEMISH * np.maximum(spread, 1e-6)).any(axis=2)
     return ndimage.binary_dilation(marks, iterations=2)

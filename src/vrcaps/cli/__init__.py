@@ -24,6 +24,7 @@ _VERBS = {
     "organ inspect": ("vrcaps.cli.organ", "Inspect", "Measure and draw a mesh file."),
     "organ from-ct": ("vrcaps.cli.from_ct", "FromCt", "Make organs from a CT scan or labels."),
     "organ make": ("vrcaps.cli.organ", "Make", "Generate an organ and write it as GLB."),
+    "organ texture": ("vrcaps.cli.texture", "Texture", "Make a mucosa from photographs."),
     "bench render": ("vrcaps.cli.bench", "Render", "Measure rendering, beside its peers."),
     "bench record": ("vrcaps.cli.bench", "Record", "Measure recording to disk."),
     "doctor": ("vrcaps.cli.doctor", "Doctor", "Say what is installed and what can be used."),
@@ -31,7 +32,7 @@ _VERBS = {
 """Module, dataclass and summary of each verb."""
 
 _GROUPS = {
-    "organ": "Generate an organ, make one from CT, measure and draw a mesh file.",
+    "organ": "Generate an organ, make one from CT, its mucosa from photographs; measure, draw.",
     "bench": "Measure speed on this machine.",
 }
 

@@ -28,7 +28,7 @@ def log_linear(rgb: UInt8[np.ndarray, "*grid 3"]) -> Float[np.ndarray, "*grid 3"
 
 
 def from_log_linear(log_light: Float[np.ndarray, "*grid 3"]) -> UInt8[np.ndarray, "*grid 3"]:
-    """sRGB bytes of a logarithm of linear light, light above 1 cut off."""
+    """Bytes of sRGB of a logarithm of linear light, light above 1 cut off."""
     linear = np.exp(np.minimum(log_light, 0.0))
     return _ENCODED[np.minimum((linear * _STEPS).astype(np.int32), _STEPS - 1)]
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -48,7 +48,7 @@ class TextureRecipe:
     luminance: float = 0.30
     max_sources: int = 4
     vessels: bool = True
-    spread: VesselSpread = VesselSpread()
+    spread: VesselSpread = field(default_factory=VesselSpread)
     is_flat: bool = False
     box: tuple[int, int, int, int] | None = None
 

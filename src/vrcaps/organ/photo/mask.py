@@ -67,7 +67,7 @@ def field_of_view(rgb: UInt8[np.ndarray, "h w 3"]) -> FieldOfView:
     framed = filled.all()  # a picture without a border has no rim
     rim = 0 if framed else max(2, round(0.02 * width))
     field = filled & ~foreign
-    field = ndimage.distance_transform_edt(np.pad(field, 1)) [1:-1, 1:-1] > rim if rim else field
+    field = ndimage.distance_transform_edt(np.pad(field, 1))[1:-1, 1:-1] > rim if rim else field
     dark = ndimage.binary_opening(ndimage.uniform_filter(brightest, 5) < _DARK) & field
     return FieldOfView(field, highlights(rgb, field, width) & field, dark, width)
 
@@ -98,7 +98,9 @@ def highlights(
     local = _local_color(image, field & ~suspect, max(5, round(_WINDOW * width)))
     light, around = (np.maximum(part, 0.02) ** 2.2 for part in (image, local))
     growth = (light / around)[..., 1:].min(axis=2)
-    pales = light.min(axis=2) / light.max(axis=2) > _PALING * around.min(axis=2) / around.max(axis=2)
+    pales = light.min(axis=2) / light.max(axis=2) > _PALING * around.min(axis=2) / around.max(
+        axis=2
+    )
     found = (sure | ((growth > _GROWTH) & pales & (luma > 0.45))) & field
     return ndimage.binary_dilation(found, iterations=max(1, round(_GROW * width)))
 

@@ -213,9 +213,7 @@ def least_path(cost: Float[np.ndarray, "n w"]) -> Int[np.ndarray, " n"]:
     total[0, 1:-1] = cost[0]
     for row in range(1, height):
         above = total[row - 1]
-        total[row, 1:-1] = cost[row] + np.minimum(
-            np.minimum(above[:-2], above[1:-1]), above[2:]
-        )
+        total[row, 1:-1] = cost[row] + np.minimum(np.minimum(above[:-2], above[1:-1]), above[2:])
     path = np.empty(height, np.int64)
     path[-1] = np.argmin(total[-1])
     for row in range(height - 2, -1, -1):

@@ -49,9 +49,7 @@ def read_photos(paths: Sequence[Path], *, num_frames: int = 8) -> list[Photo]:
     """
     if num_frames < 1:
         raise InputError(f"The number of frames of a video is {num_frames}. Allowed: 1 or more.")
-    photos = [
-        photo for path in paths for file in _files(path) for photo in _read(file, num_frames)
-    ]
+    photos = [photo for path in paths for file in _files(path) for photo in _read(file, num_frames)]
     if not photos:
         raise InputError("No photograph was given. Give pictures, videos or folders of them.")
     return photos

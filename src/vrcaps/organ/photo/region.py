@@ -134,8 +134,10 @@ class _Maps:
             2.0 * (smooth[1] - smooth[2]),
             0.5 * energy / max(level, 1e-6),
         ]
-        maps = [np.where(usable, part - part[usable].mean() if usable.any() else part, 0.0)
-                for part in maps]
+        maps = [
+            np.where(usable, part - part[usable].mean() if usable.any() else part, 0.0)
+            for part in maps
+        ]
         return cls(
             [_integral(part) for part in maps],
             [_integral(part**2) for part in maps],

@@ -112,11 +112,11 @@ def bake_appearance(
     from vrcaps.organ.photo.texture import MucosaTexture
     from vrcaps.organ.photo.wear import wear
 
-    mucosa = _resolve(mucosa)
+    worn = _resolve(mucosa)
     pace = _pace(organ)
     height, width = _texture_size(pace, texels_per_mm, max_texels)
-    if isinstance(mucosa, MucosaTexture):
-        return wear(organ, mucosa, (height, width), seed=seed)
+    if isinstance(worn, MucosaTexture):
+        return wear(organ, worn, (height, width), seed=seed)
     texel = float(np.hypot(pace[0] / width, pace[1] / height)) / 2.0**0.5
     albedo, roughness, relief = _core.bake_mucosa(
         _wall_fields(organ),
@@ -124,13 +124,13 @@ def bake_appearance(
         np.ascontiguousarray(organ.uv.reshape(-1, 6), np.float64),
         (height, width, texel / MM),
         seed & 0xFFFFFFFF,
-        mucosa,
+        worn,
     )
     return Appearance(
         albedo=albedo.reshape(height, width, 3),
         roughness=roughness.reshape(height, width),
         height=relief.reshape(height, width),
-        coat_gloss=mucosa.coat_gloss,
+        coat_gloss=worn.coat_gloss,
     )
 
 

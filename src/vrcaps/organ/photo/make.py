@@ -181,7 +181,7 @@ def _scaled(source: Source, first: Source) -> list[VesselPiece]:
         return source.vessels.pieces
     return [
         VesselPiece(
-            np.maximum(ndimage.zoom(piece.density, zoom, order=1), 0.0),
+            np.maximum(np.asarray(ndimage.zoom(piece.density, zoom, order=1)), 0.0),
             piece.color,
             max(1, round(piece.length * zoom)),
             piece.radius * zoom,

@@ -50,14 +50,16 @@ def field_of_view(rgb: UInt8[np.ndarray, "h w 3"]) -> FieldOfView:
     less a rim of 2 % of its width, where lenses blur. Boxes laid over the picture by the device
     are found by colours that tissue does not have: more green or blue than red.
     """
+    from skimage.measure import label
+
     brightest = rgb.max(axis=2)
     bright = ndimage.binary_opening(brightest > _BORDER, iterations=2)
-    part, count = ndimage.label(bright)
-    if count == 0:
+    if not bright.any():
         nothing = np.zeros(rgb.shape[:2], bool)
         return FieldOfView(nothing, nothing, nothing, 0)
+    part = label(bright, connectivity=1)
     largest = part == 1 + np.argmax(np.bincount(part.ravel())[1:])
-    filled = ndimage.binary_fill_holes(largest)
+    filled = np.asarray(ndimage.binary_fill_holes(largest))
     columns = np.flatnonzero(filled.any(axis=0))
     width = int(columns[-1] - columns[0] + 1)
     red, green, blue = (rgb[..., channel].astype(np.int16) for channel in range(3))
@@ -67,7 +69,8 @@ def field_of_view(rgb: UInt8[np.ndarray, "h w 3"]) -> FieldOfView:
     framed = filled.all()  # a picture without a border has no rim
     rim = 0 if framed else max(2, round(0.02 * width))
     field = filled & ~foreign
-    field = ndimage.distance_transform_edt(np.pad(field, 1))[1:-1, 1:-1] > rim if rim else field
+    depth = np.asarray(ndimage.distance_transform_edt(np.pad(field, 1)))[1:-1, 1:-1]
+    field = depth > rim
     dark = ndimage.binary_opening(ndimage.uniform_filter(brightest, 5) < _DARK) & field
     return FieldOfView(field, highlights(rgb, field, width) & field, dark, width)
 
@@ -98,9 +101,8 @@ def highlights(
     local = _local_color(image, field & ~suspect, max(5, round(_WINDOW * width)))
     light, around = (np.maximum(part, 0.02) ** 2.2 for part in (image, local))
     growth = (light / around)[..., 1:].min(axis=2)
-    pales = light.min(axis=2) / light.max(axis=2) > _PALING * around.min(axis=2) / around.max(
-        axis=2
-    )
+    pale, pale_around = (part.min(axis=2) / part.max(axis=2) for part in (light, around))
+    pales = pale > _PALING * pale_around
     found = (sure | ((growth > _GROWTH) & pales & (luma > 0.45))) & field
     return ndimage.binary_dilation(found, iterations=max(1, round(_GROW * width)))
 
@@ -155,7 +157,8 @@ def fill(
     weight = np.pad(known.astype(np.float32), pad)
     value = np.pad(image * known[..., None], (*pad, (0, 0)))
     small_weight, small = (
-        sum(part[i::2, j::2] for i in (0, 1) for j in (0, 1)) for part in (weight, value)
+        part[::2, ::2] + part[::2, 1::2] + part[1::2, ::2] + part[1::2, 1::2]
+        for part in (weight, value)
     )
     seen = small_weight > 0.0
     small = small / np.where(seen, small_weight, 1.0)[..., None]

@@ -6,7 +6,6 @@ from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy import fft
 
 from vrcaps.organ.photo.color import lab
 from vrcaps.organ.photo.mask import highlights
@@ -88,10 +87,10 @@ def repetition(image: Float[np.ndarray, "n n"], *, reach: int) -> float:
 
     By the Wiener-Khinchin theorem, of the image that continues over its edges.
     """
-    power = np.abs(fft.rfft2(image - image.mean())) ** 2
+    power = np.abs(np.fft.rfft2(image - image.mean())) ** 2
     rows, columns = np.fft.fftfreq(len(image)), np.fft.rfftfreq(len(image))
     power[np.hypot(rows[:, None], columns[None]) < 0.5 / reach] = 0.0
-    correlation = fft.irfft2(power, image.shape)
+    correlation = np.fft.irfft2(power, image.shape)
     shift = np.abs(np.fft.fftfreq(len(image), 1.0 / len(image)))
     far = np.hypot(shift[:, None], shift[None]) > reach
     if not far.any() or correlation[0, 0] <= 0.0:

@@ -119,9 +119,9 @@ class _Search:
         side = self.sources.shape[1]
         self.shape = (fft.next_fast_len(side, real=True),) * 2
         self.places = side - patch + 1
-        spectrum = fft.rfft2(self.sources, self.shape, axes=(1, 2))
+        spectrum = np.asarray(fft.rfft2(self.sources, self.shape, axes=(1, 2)))
         self.spectrum = np.ascontiguousarray(np.moveaxis(spectrum, 3, 1))
-        self.energy = fft.rfft2((self.sources**2).sum(axis=3), self.shape)
+        self.energy = np.asarray(fft.rfft2((self.sources**2).sum(axis=3), self.shape))
         share = np.stack([_box_mean(mask, patch) for mask in doubtful])
         self.burden = (1.0 + _MASKED * share).astype(np.float32)
         self.used = np.zeros_like(self.burden)
@@ -145,15 +145,17 @@ class _Search:
 
     def _differences(self, there, overlaps, tried) -> Float[np.ndarray, "k n n"]:
         """Sum of squared differences at every place of the tried sources."""
-        wanted = fft.rfft2(there, self.shape, axes=(0, 1))
+        wanted = np.asarray(fft.rfft2(there, self.shape, axes=(0, 1)))
         product = np.einsum("kcij,ijc->kij", self.spectrum[tried], wanted.conj())
-        across = fft.irfft2(product, self.shape)[:, : self.places, : self.places]
+        across = np.asarray(fft.irfft2(product, self.shape))[:, : self.places, : self.places]
         total = self.energies(overlaps)[tried] - 2.0 * across + (there**2).sum()
         return np.maximum(total, 0.0)
 
     def _energies(self, overlaps) -> Float[np.ndarray, "k n n"]:
-        mask = fft.rfft2(_band(self.patch, overlaps).astype(np.float32), self.shape)
-        return fft.irfft2(self.energy * mask.conj(), self.shape)[:, : self.places, : self.places]
+        band = _band(self.patch, overlaps).astype(np.float32)
+        mask = np.asarray(fft.rfft2(band, self.shape))
+        sums = np.asarray(fft.irfft2(self.energy * mask.conj(), self.shape))
+        return sums[:, : self.places, : self.places]
 
     def _mark(self, source: int, row: int, column: int) -> None:
         """Count a place and those near it as used, in every turned form of the same square."""

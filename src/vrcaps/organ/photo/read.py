@@ -86,6 +86,7 @@ def _read(path: Path, num_frames: int) -> list[Photo]:
 
 def _read_video(path: Path, num_frames: int) -> list[Photo]:
     import av
+    from av.error import FFmpegError
 
     try:
         with av.open(str(path)) as container:
@@ -97,7 +98,7 @@ def _read_video(path: Path, num_frames: int) -> list[Photo]:
                 for index, frame in enumerate(container.decode(video=0))
                 if index in wanted
             ]
-    except (av.FFmpegError, IndexError) as error:
+    except (FFmpegError, IndexError) as error:
         raise InputError(f"Cannot read the video {path}: {error}.") from error
     if not frames:
         raise InputError(f"The video {path} has no frame. Give another.")

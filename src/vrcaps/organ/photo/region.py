@@ -59,7 +59,8 @@ def find_region(
     Unevenness of a square is the sum of: the spread of low-passed log brightness (folds, the
     lumen, fall-off), that of low-passed log red-to-green and green-to-blue (blood, bile, stool),
     the relative spread of the energy of detail (edges, bubbles), the share of unusable pixels,
-    and the darkness below a luminance of 0.1. A square of half the side must be better by a fixed amount.
+    and the darkness below a luminance of 0.1. A square of half the side must be better by a fixed
+    amount.
 
     Args:
         log_light: Logarithm of linear light, highlights filled in.

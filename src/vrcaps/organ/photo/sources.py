@@ -25,7 +25,7 @@ MAX_WIDTH = 1024
 
 _WORSE = 0.5  # a further photograph's region may be so much less even than the best
 _SMALLER = 0.7  # and its side so much shorter
-_BLEMISH = 4.0  # standard deviations from the mean that a rare mark has
+_BLEMISH = 3.7  # standard deviations from the mean that a rare mark has
 
 
 @dataclass(frozen=True)
@@ -185,8 +185,10 @@ def squares(
         part = fill(part, ~marks)
         zoom = source.mm_per_pixel / chosen[0].mm_per_pixel
         if abs(zoom - 1.0) > 0.02:
-            part = ndimage.zoom(part, (zoom, zoom, 1.0), order=1)
-            doubtful = ndimage.zoom((doubtful | marks).astype(np.float32), zoom, order=1) > 0.5
+            part = np.asarray(ndimage.zoom(part, (zoom, zoom, 1.0), order=1))
+            doubtful = (
+                np.asarray(ndimage.zoom((doubtful | marks).astype(float), zoom, order=1)) > 0.5
+            )
         else:
             doubtful = doubtful | marks
         parts.append(part - part.mean(axis=(0, 1)))
@@ -220,7 +222,8 @@ def _grown(mask: np.ndarray) -> np.ndarray:
 
 def _blemishes(part: Float[np.ndarray, "s s 3"]) -> Bool[np.ndarray, "s s"]:
     """Marks so rare in a square that patches with one would be recognised again."""
-    smooth = ndimage.gaussian_filter(part, (0.8, 0.8, 0.0))
+    tints = np.dstack([part, part[..., 0] - part[..., 1], part[..., 1] - part[..., 2]])
+    smooth = ndimage.gaussian_filter(tints, (0.7, 0.7, 0.0))
     off = np.abs(smooth - np.median(smooth, axis=(0, 1)))
     spread = 1.4826 * np.median(off, axis=(0, 1))
     marks = (off > _BLEMISH * np.maximum(spread, 1e-6)).any(axis=2)

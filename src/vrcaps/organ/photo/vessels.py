@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy import ndimage
@@ -67,6 +67,7 @@ def find_vessels(
     """
     from skimage.exposure import equalize_adapthist
     from skimage.filters import apply_hysteresis_threshold, sato
+    from skimage.measure import label
     from skimage.morphology import skeletonize
 
     density = ndimage.median_filter(-flat[..., 1], 3)
@@ -76,7 +77,7 @@ def find_vessels(
     low, high = np.percentile(density[inside], [1.0, 99.0])
     grey = np.clip((density - low) / max(float(high - low), 1e-6), 0.0, 1.0)
     grey = equalize_adapthist(grey, kernel_size=max(16, width // 8), clip_limit=0.01)
-    sigmas = [max(0.8, share * width) for share in _RADII]
+    sigmas: Any = [max(0.8, share * width) for share in _RADII]
     ridge, opposite = (
         sato(grey.astype(np.float32), sigmas=sigmas, black_ridges=is_dark, mode="reflect")
         for is_dark in (False, True)
@@ -84,9 +85,8 @@ def find_vessels(
     strong = float(np.percentile(opposite[inside], _NOISE))
     found = apply_hysteresis_threshold(ridge, _LOW * strong, strong) & inside
     skeleton = skeletonize(found)
-    part, _ = ndimage.label(skeleton, np.ones((3, 3)))
-    own = ndimage.distance_transform_edt(part == 0, return_distances=False, return_indices=True)
-    member = np.where(found, part[tuple(own)], 0)
+    part = label(skeleton, connectivity=2)
+    member = np.where(found, part[_nearest(part > 0)], 0)
     around = ndimage.gaussian_filter(flat, (0.02 * width, 0.02 * width, 0.0))
     extra = around - flat
     pieces, kept = [], np.zeros_like(found)
@@ -116,10 +116,10 @@ def _piece(member, part, extra, number: int, box) -> VesselPiece | None:
     if core[1] < _MIN_DENSITY or mean[1] <= 0.0 or mean[0] > _MAX_REDNESS * mean[1]:
         return None
     color = np.clip(mean / mean[1], [0.0, 1.0, 0.5], [_MAX_REDNESS, 1.0, 1.1])
-    half = ndimage.distance_transform_edt(np.pad(mask, 1))[1:-1, 1:-1]
-    distance, nearest = ndimage.distance_transform_edt(~line, return_indices=True)
-    radius = _along(np.maximum(half, 0.7), line, 4.0)[tuple(nearest)]
-    peak = _along(np.clip(depth[..., 1], 0.0, 1.2), line, 4.0)[tuple(nearest)]
+    half = _distance(~np.pad(mask, 1))[1:-1, 1:-1]
+    distance, nearest = _distance(line), _nearest(line)
+    radius = _along(np.maximum(half, 0.7), line, 4.0)[nearest]
+    peak = _along(np.clip(depth[..., 1], 0.0, 1.2), line, 4.0)[nearest]
     profile = np.exp(-0.5 * (distance / np.maximum(0.75 * radius, 0.6)) ** 2)
     density = peak * profile * _taper(line, float(radius[line].mean()))
     density = ndimage.gaussian_filter(np.pad(density, 2), 0.6).astype(np.float32)
@@ -138,4 +138,17 @@ def _taper(line, radius: float) -> Float[np.ndarray, "h w"]:
     ends = line & (neighbours == 2)
     if not ends.any():
         return np.ones(line.shape, np.float32)
-    return np.minimum(ndimage.distance_transform_edt(~ends) / (6.0 * radius), 1.0)
+    return np.minimum(_distance(ends) / (6.0 * radius), 1.0)
+
+
+def _distance(mask: Bool[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
+    """From each pixel to the nearest of a mask [px]."""
+    return np.asarray(ndimage.distance_transform_edt(~mask))
+
+
+def _nearest(mask: Bool[np.ndarray, "h w"]) -> tuple[np.ndarray, np.ndarray]:
+    """Row and column of the nearest pixel of a mask, for each pixel."""
+    rows, columns = np.asarray(
+        ndimage.distance_transform_edt(~mask, return_distances=False, return_indices=True)
+    )
+    return rows, columns

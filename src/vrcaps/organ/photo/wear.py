@@ -10,10 +10,11 @@ from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from vrcaps.organ.lesion.noise import cloud
 from vrcaps.organ.lesion.raster import covered_texels
@@ -112,7 +113,8 @@ class _Stack:
         stack = np.dstack([texture.albedo, texture.roughness, texture.relief]).astype(np.float32)
         factor = 1
         while factor * 2 * texture.texel <= 1.2 * texel and len(stack) % 2 == 0:
-            stack = 0.25 * sum(stack[i::2, j::2] for i in (0, 1) for j in (0, 1))
+            pairs = stack[::2] + stack[1::2]
+            stack = 0.25 * (pairs[:, ::2] + pairs[:, 1::2])
             factor *= 2
         mean = stack.mean(axis=(0, 1), dtype=np.float64).astype(np.float32)
         return cls(np.ascontiguousarray(stack - mean).reshape(-1, 5), mean, len(stack))
@@ -147,7 +149,7 @@ def _runs(point: Int[np.ndarray, " n"]) -> list[tuple[int, int]]:
     """Stretches in which no texel comes twice: entries are sorted slot by slot."""
     breaks = np.flatnonzero(np.diff(point) <= 0) + 1
     bounds = [0, *breaks.tolist(), len(point)]
-    return list(zip(bounds[:-1], bounds[1:], strict=True))
+    return list(pairwise(bounds))
 
 
 @dataclass(frozen=True)
@@ -169,7 +171,7 @@ class _Cover:
         centres = _centres(organ, rng)
         space = np.hstack([organ.vertices, organ.normals * (_TURN / 2.0**0.5)])
         count = min(_NEAREST + 1, len(centres))
-        distance, nearest = cKDTree(space[centres]).query(space, count)
+        distance, nearest = KDTree(space[centres]).query(space, count)
         distance, nearest = distance.reshape(len(space), -1), nearest.reshape(len(space), -1)
         if count > 1:
             closeness = 1.0 - distance / np.maximum(distance[:, -1:], 1e-12)
@@ -209,7 +211,7 @@ class _Cover:
 def _centres(organ: OrganSurface, rng: np.random.Generator) -> Int[np.ndarray, " c"]:
     """Vertices about `_SPACING` apart, by position and normal: random sequential addition."""
     space = np.hstack([organ.vertices, organ.normals * (_TURN / 2.0**0.5)])
-    tree = cKDTree(space)
+    tree = KDTree(space)
     is_free = np.ones(len(space), bool)
     centres = []
     for vertex in rng.permutation(len(space)):

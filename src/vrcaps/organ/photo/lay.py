@@ -88,7 +88,7 @@ def _turned(density, spread: VesselSpread, rng: np.random.Generator) -> Float[np
     shape = np.array(density.shape)
     size = np.ceil(np.abs(matrix) @ shape * scale).astype(int) + 2
     back = matrix.T / scale
-    rows, columns = np.indices(size) - 0.5 * (size - 1)[:, None, None]
+    rows, columns = np.indices((int(size[0]), int(size[1]))) - 0.5 * (size - 1)[:, None, None]
     middle = 0.5 * (shape - 1)
     places = [back[k, 0] * rows + back[k, 1] * columns + middle[k] for k in (0, 1)]
     turned = ndimage.map_coordinates(density, places, order=1, mode="constant")

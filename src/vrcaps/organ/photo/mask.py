@@ -57,7 +57,7 @@ def field_of_view(rgb: UInt8[np.ndarray, "h w 3"]) -> FieldOfView:
     if not bright.any():
         nothing = np.zeros(rgb.shape[:2], bool)
         return FieldOfView(nothing, nothing, nothing, 0)
-    part = label(bright, connectivity=1)
+    part = np.asarray(label(bright, connectivity=1))
     largest = part == 1 + np.argmax(np.bincount(part.ravel())[1:])
     filled = np.asarray(ndimage.binary_fill_holes(largest))
     columns = np.flatnonzero(filled.any(axis=0))
@@ -65,13 +65,13 @@ def field_of_view(rgb: UInt8[np.ndarray, "h w 3"]) -> FieldOfView:
     red, green, blue = (rgb[..., channel].astype(np.int16) for channel in range(3))
     foreign = (green > 1.15 * red + 8) | (blue > 1.1 * red + 8)
     foreign = ndimage.binary_opening(foreign & filled, iterations=max(2, width // 100))
-    foreign = ndimage.binary_dilation(foreign, iterations=max(3, width // 50))
+    foreign = np.asarray(ndimage.binary_dilation(foreign, iterations=max(3, width // 50)))
     framed = filled.all()  # a picture without a border has no rim
     rim = 0 if framed else max(2, round(0.02 * width))
     field = filled & ~foreign
     depth = np.asarray(ndimage.distance_transform_edt(np.pad(field, 1)))[1:-1, 1:-1]
     field = depth > rim
-    dark = ndimage.binary_opening(ndimage.uniform_filter(brightest, 5) < _DARK) & field
+    dark = np.asarray(ndimage.binary_opening(ndimage.uniform_filter(brightest, 5) < _DARK)) & field
     return FieldOfView(field, highlights(rgb, field, width) & field, dark, width)
 
 

@@ -32,7 +32,8 @@ def write_report(path: Path, work: TextureWork) -> None:
     rows = len(work.sources)
     figure = Figure(figsize=(13, 3.3 * rows + 7.0), layout="constrained")
     FigureCanvasAgg(figure)
-    upper, lower = np.ravel(figure.subfigures(2, 1, height_ratios=(3.3 * rows, 7.0)))
+    parts = figure.add_gridspec(2, 1, height_ratios=(3.3 * rows, 7.0))
+    upper, lower = figure.add_subfigure(parts[0]), figure.add_subfigure(parts[1])
     grid = upper.subplots(rows, 4, squeeze=False)
     for axes, source in zip(grid, work.sources, strict=True):
         _draw_source(axes, source)

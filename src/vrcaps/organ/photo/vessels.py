@@ -85,7 +85,7 @@ def find_vessels(
     strong = float(np.percentile(opposite[inside], _NOISE))
     found = apply_hysteresis_threshold(ridge, _LOW * strong, strong) & inside
     skeleton = skeletonize(found)
-    part = label(skeleton, connectivity=2)
+    part = np.asarray(label(skeleton, connectivity=2))
     member = np.where(found, part[_nearest(part > 0)], 0)
     around = ndimage.gaussian_filter(flat, (0.02 * width, 0.02 * width, 0.0))
     extra = around - flat

@@ -70,7 +70,7 @@ def field_of_view(rgb: UInt8[np.ndarray, "h w 3"]) -> FieldOfView:
     rim = 0 if framed else max(2, round(0.02 * width))
     field = filled & ~foreign
     depth = np.asarray(ndimage.distance_transform_edt(np.pad(field, 1)))[1:-1, 1:-1]
-    field = depth > rim
+    field = np.asarray(depth > rim, bool)
     dark = np.asarray(ndimage.binary_opening(ndimage.uniform_filter(brightest, 5) < _DARK)) & field
     return FieldOfView(field, highlights(rgb, field, width) & field, dark, width)
 

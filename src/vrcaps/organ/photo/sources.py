@@ -25,6 +25,7 @@ MAX_WIDTH = 1024
 
 _WORSE = 0.5  # a further photograph's region may be so much less even than the best
 _SMALLER = 0.7  # and its side so much shorter
+_SLOW = 0.85  # share of the slow variation that is taken out of a square
 _BLEMISH = 3.7  # standard deviations from the mean that a rare mark has
 
 
@@ -167,7 +168,8 @@ def squares(
     """Squares of one size, scale and colour to make a texture of, and their filled-in pixels.
 
     Highlights, rare marks (which would show as repetition) and, unless they are kept, vessels are
-    filled in. Each channel of each square gets the mean spread of all (Reinhard et al. 2001,
+    filled in, and variation slower than a patch, which patches would turn into a lattice, is
+    lessened. Each channel of each square gets the mean spread of all (Reinhard et al. 2001,
     Color transfer between images, in logarithms of light).
 
     Args:
@@ -191,7 +193,7 @@ def squares(
             )
         else:
             doubtful = doubtful | marks
-        parts.append(part - part.mean(axis=(0, 1)))
+        parts.append(_level(part - part.mean(axis=(0, 1))))
         masks.append(doubtful)
     side = min(len(part) for part in parts)
     spread = np.mean([part.std(axis=(0, 1)) for part in parts], axis=0)
@@ -200,6 +202,12 @@ def squares(
         for part in parts
     ]
     return [part.astype(np.float32) for part in even], [mask[:side, :side] for mask in masks]
+
+
+def _level(part: Float[np.ndarray, "s s 3"]) -> Float[np.ndarray, "s s 3"]:
+    """With most of the variation slower than an eighth of the side taken out."""
+    sigma = len(part) / 8.0
+    return part - _SLOW * ndimage.gaussian_filter(part, (sigma, sigma, 0.0), mode="reflect")
 
 
 def _shrunk(rgb: np.ndarray, factor: int) -> np.ndarray:

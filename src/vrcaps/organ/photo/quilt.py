@@ -20,7 +20,8 @@ if TYPE_CHECKING:
 _TOLERANCE = 0.15  # a patch may fit so much worse than the best one
 _TRIED = 4  # sources searched for each patch
 _REUSE = 0.6  # a place used once before counts as so much worse
-_MASKED = 4.0  # a patch wholly of filled-in pixels counts as so much worse
+_MOST_USED = 4.0  # uses counted
+_MASKED = 3.0  # median differences that a patch wholly of filled-in pixels costs more
 _FEATHER = 1.0  # standard deviation of the seam's blur [px]
 _SIDES = ("left", "top", "right", "bottom")
 
@@ -122,9 +123,8 @@ class _Search:
         spectrum = np.asarray(fft.rfft2(self.sources, self.shape, axes=(1, 2)))
         self.spectrum = np.ascontiguousarray(np.moveaxis(spectrum, 3, 1))
         self.energy = np.asarray(fft.rfft2((self.sources**2).sum(axis=3), self.shape))
-        share = np.stack([_box_mean(mask, patch) for mask in doubtful])
-        self.burden = (1.0 + _MASKED * share).astype(np.float32)
-        self.used = np.zeros_like(self.burden)
+        self.masked = np.stack([_box_mean(mask, patch) for mask in doubtful]).astype(np.float32)
+        self.used = np.zeros_like(self.masked)
         self.energies = lru_cache(maxsize=64)(self._energies)
 
     def choose(self, there, overlaps) -> Float[np.ndarray, "p p c"]:
@@ -135,8 +135,9 @@ class _Search:
             cost = np.ones((len(tried), self.places, self.places), np.float32)
         else:
             cost = self._differences(there * mask[..., None], overlaps, tried) / mask.sum()
-        floor = 1e-4 + 0.02 * float(np.median(cost))
-        cost = (cost + floor) * self.burden[tried] * (1.0 + _REUSE * self.used[tried])
+        middle = float(np.median(cost))
+        cost = cost + 1e-4 + middle * (0.02 + _MASKED * self.masked[tried])
+        cost *= 1.0 + _REUSE * np.minimum(self.used[tried], _MOST_USED)
         good = np.flatnonzero(cost.ravel() <= (1.0 + _TOLERANCE) * float(cost.min()))
         chosen = good[int(self.rng.integers(len(good)))]
         k, row, column = (int(n) for n in np.unravel_index(chosen, cost.shape))

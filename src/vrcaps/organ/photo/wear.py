@@ -59,6 +59,7 @@ def wear(
     albedo[:] = np.rint(mean[:3])
     roughness = np.full((height, width), np.rint(mean[3]), np.uint8)
     relief = np.zeros((height, width), np.float32)
+    settled = np.zeros((height, width), bool)
     corners = organ.uv * [width, -height] + [-0.5, height - 0.5]
     order = np.argsort(corners[:, 0, 1] // 64, kind="stable")
 
@@ -70,13 +71,18 @@ def wear(
         # sRGB is close to the power 1 / 2.2, so density acts on the code by that share.
         color = seen[:, :3] * np.exp(-slow[:, None] * (_PATIENT / 2.2))
         code = np.clip(np.rint(np.column_stack([color, seen[:, 3]])), 0.0, 255.0).astype(np.uint8)
-        return texels.row % height, texels.column % width, code, seen[:, 4]
+        is_inside = inside.min(axis=1) > 0.0
+        return texels.row % height, texels.column % width, is_inside, code, seen[:, 4]
 
     groups = [order[first : first + _FACES] for first in range(0, len(order), _FACES)]
     with ThreadPoolExecutor() as pool:  # results come in order, whatever the number of threads
-        for row, column, code, raised in pool.map(paint, groups):
-            albedo[row, column], roughness[row, column] = code[:, :3], code[:, 3]
-            relief[row, column] = raised
+        for row, column, is_inside, code, raised in pool.map(paint, groups):
+            # Texels just outside a face fill the gaps around charts and replace no inner ones.
+            for chosen in (~is_inside & ~settled[row, column], is_inside):
+                place = row[chosen], column[chosen]
+                albedo[place], roughness[place] = code[chosen, :3], code[chosen, 3]
+                relief[place] = raised[chosen]
+            settled[row[is_inside], column[is_inside]] = True
     return Appearance(
         albedo=albedo, roughness=roughness, height=relief, coat_gloss=texture.coat_gloss
     )

@@ -25,6 +25,7 @@ _VERBS = {
     "organ inspect": ("vrcaps.cli.organ", "Inspect", "Measure and draw an organ."),
     "organ from-ct": ("vrcaps.cli.from_ct", "FromCt", "Make organs from a CT scan or labels."),
     "organ make": ("vrcaps.cli.organ", "Make", "Generate an organ and write it as GLB."),
+    "organ texture": ("vrcaps.cli.texture", "Texture", "Make a mucosa from photographs."),
     "bench render": ("vrcaps.cli.bench", "Render", "Measure rendering, beside its peers."),
     "bench record": ("vrcaps.cli.bench", "Record", "Measure recording to disk."),
     "doctor": ("vrcaps.cli.doctor", "Doctor", "Say what is installed and what can be used."),
@@ -32,7 +33,7 @@ _VERBS = {
 """Module, dataclass and summary of each verb."""
 
 _GROUPS = {
-    "organ": "List, generate, make from CT, measure and draw organs.",
+    "organ": "Generate organs, make them from CT, dress them from photographs; measure, draw.",
     "bench": "Measure speed on this machine.",
 }
 

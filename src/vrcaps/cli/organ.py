@@ -120,6 +120,10 @@ class Make:
     condition: Literal["inflated", "normal", "collapsed"] | None = None
     """How full it is; by default the colon is inflated, all else normal."""
 
+    mucosa: str | None = None
+    """Look of the wall: colon, stomach or small_intestine, or the folder of a texture that
+    vrcaps organ texture wrote; by default the organ's own."""
+
     out: Path | None = None
     """File to write; by default <name>-<seed>.glb in the working directory. In metres."""
 
@@ -144,7 +148,9 @@ class Make:
         if out.suffix != ".glb":
             raise InputError(f"--out is {out}. Allowed: a name that ends in .glb.")
         with console.status("generating"):
-            organ = load_organ(self.name, seed=self.seed, condition=self.condition)
+            organ = load_organ(
+                self.name, seed=self.seed, condition=self.condition, mucosa=self.mucosa
+            )
             lesions = chosen_lesions(self.lesion, self.lesions, self.seed)
             patient = add_lesions(organ, lesions, np.random.default_rng([self.seed, 3]))
             organ = patient.organ if lesions else organ

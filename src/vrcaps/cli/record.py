@@ -34,6 +34,7 @@ class Record:
       vrcaps record --out runs/mine --organ colon.ply --unit mm --capsule pillcam-colon2
       vrcaps record --out runs/patient --organ colon-3.glb
       vrcaps record --out runs/polyp --lesion polyp-Ip:size=12mm,segment=sigmoid
+      vrcaps record --out runs/photo --organ colon --mucosa my-mucosa
       vrcaps record --out runs/path --path poses.txt --path-format tum --path-unit m
       vrcaps record --out runs/again --scenario runs/mine/episode.json
     """
@@ -61,8 +62,9 @@ class Record:
     reverse: bool = False
     """The narrower end of a mesh file's lumen is the oral one."""
 
-    mucosa: str = "colon"
-    """Look of a mesh file's wall: colon, stomach or small_intestine."""
+    mucosa: str | None = None
+    """Look of the wall: colon, stomach or small_intestine, or the folder of a texture that
+    vrcaps organ texture wrote; by default an organ's own, for a mesh file colon."""
 
     patient: int | None = None
     """Seed of a generated organ; by default --seed. Give it to fly many runs through one."""
@@ -176,7 +178,7 @@ class Record:
             open_ends=self.open_ends,
             keep_uv=self.keep_uv,
             reverse=self.reverse,
-            mucosa=self.mucosa,
+            mucosa=self.mucosa or "colon",
         )
         if is_mesh_file(self.organ):
             if self.patient is not None:
@@ -184,12 +186,12 @@ class Record:
             if is_organ_file(Path(self.organ)):
                 return mesh
             return replace(mesh, unit=require_unit("--unit", self.unit, self.organ))
-        if mesh != OrganFile(path=self.organ, unit=""):
+        if replace(mesh, mucosa="colon") != OrganFile(path=self.organ, unit=""):
             raise InputError(
-                f"--unit, --open-ends, --keep-uv, --reverse and --mucosa go with a mesh file, but "
+                f"--unit, --open-ends, --keep-uv and --reverse go with a mesh file, but "
                 f"{self.organ!r} is a name. Drop them, or give the path of a PLY, OBJ, STL or GLB."
             )
-        return OrganGenerated(name=self.organ, seed=self._patient_seed())
+        return OrganGenerated(name=self.organ, seed=self._patient_seed(), mucosa=self.mucosa)
 
     def _replay(self, path: Path) -> Replay:
         from vrcaps.world.replay import Replay

@@ -8,6 +8,7 @@ trees grown over the wall itself.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -19,6 +20,8 @@ from vrcaps.units import MM
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Int
+
+    from vrcaps.organ.photo.texture import MucosaTexture
 
 MAX_SIDE = 8192
 """Longest side of a texture [texels]: what every common viewer and GPU accepts."""
@@ -101,13 +104,19 @@ def bake_appearance(
     Args:
         organ: The wall; its appearance is not looked at.
         seed: Chooses the patient: vessels, patches, shade. The same seed gives the same bytes.
-        mucosa: Name in `MUCOSAE`, or a mucosa.
+        mucosa: Name in `MUCOSAE`, or a mucosa, or the path of a texture that
+            `vrcaps organ texture` wrote (`read_texture`).
         texels_per_mm: Density to bake at; None takes 8, or less where the limits bind.
         max_texels: Most texels a texture may have.
     """
-    mucosa = _resolve(mucosa)
+    from vrcaps.organ.photo.texture import MucosaTexture
+    from vrcaps.organ.photo.wear import wear
+
+    worn = _resolve(mucosa)
     pace = _pace(organ)
     height, width = _texture_size(pace, texels_per_mm, max_texels)
+    if isinstance(worn, MucosaTexture):
+        return wear(organ, worn, (height, width), seed=seed)
     texel = float(np.hypot(pace[0] / width, pace[1] / height)) / 2.0**0.5
     albedo, roughness, relief = _core.bake_mucosa(
         _wall_fields(organ),
@@ -115,22 +124,51 @@ def bake_appearance(
         np.ascontiguousarray(organ.uv.reshape(-1, 6), np.float64),
         (height, width, texel / MM),
         seed & 0xFFFFFFFF,
-        mucosa,
+        worn,
     )
     return Appearance(
         albedo=albedo.reshape(height, width, 3),
         roughness=roughness.reshape(height, width),
         height=round_height(relief.reshape(height, width)),
-        coat_gloss=mucosa.coat_gloss,
+        coat_gloss=worn.coat_gloss,
     )
 
 
-def _resolve(mucosa: str | Mucosa) -> Mucosa:
+def _resolve(mucosa: str | Mucosa) -> Mucosa | MucosaTexture:
+    from vrcaps.organ.photo.texture import read_texture
+
     if isinstance(mucosa, Mucosa):
         return mucosa
-    if mucosa not in MUCOSAE:
-        raise UnknownNameError("mucosa", mucosa, MUCOSAE)
+    if is_texture_path(mucosa):
+        return read_texture(mucosa)
     return MUCOSAE[mucosa]
+
+
+def is_texture_path(mucosa: str) -> bool:
+    """Whether a mucosa is given as the path of a texture rather than a name in `MUCOSAE`.
+
+    Raises:
+        UnknownNameError: If it is neither.
+    """
+    if mucosa in MUCOSAE:
+        return False
+    if len(Path(mucosa).parts) == 1 and not Path(mucosa).exists():
+        raise UnknownNameError("mucosa", mucosa, (*MUCOSAE, "the folder of a texture"))
+    return True
+
+
+def mucosa_fingerprint(mucosa: str | None) -> dict[str, str]:
+    """What a cached organ's name takes in of its mucosa: nothing of the organ's own.
+
+    Raises:
+        UnknownNameError: If there is no such mucosa.
+        InputError: If there is no texture at a path.
+    """
+    from vrcaps.organ.photo.texture import texture_sha256
+
+    if mucosa is None:
+        return {}
+    return {"mucosa": texture_sha256(mucosa) if is_texture_path(mucosa) else mucosa}
 
 
 def _pace(organ: OrganSurface) -> tuple[float, float]:

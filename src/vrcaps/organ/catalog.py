@@ -13,7 +13,9 @@ _GI_COLON_TRIANGLES = 150_000
 """Of the colon in the joint tract, so that its edges are 2 mm long too."""
 
 
-def load_organ(name: str, *, seed: int, condition: str | None = None) -> OrganSurface:
+def load_organ(
+    name: str, *, seed: int, condition: str | None = None, mucosa: str | None = None
+) -> OrganSurface:
     """A generated organ with its appearance, a different patient for each seed.
 
     It is made once and then read from the user's cache folder (see `cache_folder`). One seed is
@@ -24,16 +26,28 @@ def load_organ(name: str, *, seed: int, condition: str | None = None) -> OrganSu
         seed: Of the patient; not negative.
         condition: How full it is: `inflated`, `normal` or `collapsed`; None is the usual, the
             colon inflated, all else normal.
+        mucosa: Look of the wall, see `bake_appearance`; None is the organ's own.
 
     Raises:
-        UnknownNameError: If the catalog has no such organ.
-        InputError: If the seed is negative, or there is no such condition.
+        UnknownNameError: If the catalog has no such organ, or there is no such mucosa.
+        InputError: If the seed is negative, or there is no such condition or texture.
     """
     if name not in ORGANS:
         raise UnknownNameError("organ", name, ORGANS)
     if seed < 0:
         raise InputError(f"Seed {seed} is negative. Allowed: 0, 1, 2, …")
-    return ORGANS[name](seed, condition)
+    if mucosa is None:
+        return ORGANS[name](seed, condition)
+    from vrcaps.organ.appearance import bake_appearance, mucosa_fingerprint
+
+    chosen = mucosa
+
+    def make() -> OrganSurface:
+        organ = ORGANS[name](seed, condition)
+        return replace(organ, appearance=bake_appearance(organ, seed=seed, mucosa=chosen))
+
+    key = fingerprint({"condition": condition, **mucosa_fingerprint(mucosa)})
+    return cached_organ(f"{name}-{seed}-mucosa-{key}", make)
 
 
 def _load_colon(seed: int, condition: str | None) -> OrganSurface:

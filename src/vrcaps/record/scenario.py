@@ -15,7 +15,9 @@ import numpy as np
 from vrcaps.capsule.catalog import load_device
 from vrcaps.capsule.device import Device
 from vrcaps.errors import InputError, UnknownNameError
+from vrcaps.organ.appearance import is_texture_path
 from vrcaps.organ.lesion import AnyLesion, add_lesions
+from vrcaps.organ.photo.texture import texture_head
 from vrcaps.organ.read_organ import is_organ_file
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.record.typed import from_plain, to_plain
@@ -37,10 +39,15 @@ class OrganGenerated:
     Attributes:
         name: Which, for example `colon`.
         seed: A different patient for each.
+        mucosa: Look of the wall: a name of `vrcaps.organ.appearance.MUCOSAE`, or the folder of
+            a texture; None is the organ's own.
+        mucosa_sha256: Checksum of the texture; filled in when recorded, checked when given.
     """
 
     name: str = "colon"
     seed: int = 0
+    mucosa: str | None = None
+    mucosa_sha256: str = ""
 
     kind: ClassVar[str] = "generated"
 
@@ -58,7 +65,9 @@ class OrganFile:
         open_ends: Whether open ends of the lumen are capped or left open.
         keep_uv: Whether the file's own texture coordinates stay.
         reverse: Whether the narrower end of the lumen is the oral one.
-        mucosa: Look of the wall, a name of `vrcaps.organ.appearance.MUCOSAE`.
+        mucosa: Look of the wall: a name of `vrcaps.organ.appearance.MUCOSAE`, or the folder of
+            a texture.
+        mucosa_sha256: Checksum of the texture; filled in when recorded, checked when given.
         sha256: Checksum of the file; filled in when recorded, checked when given.
     """
 
@@ -68,6 +77,7 @@ class OrganFile:
     keep_uv: bool = False
     reverse: bool = False
     mucosa: str = "colon"
+    mucosa_sha256: str = ""
     sha256: str = ""
 
     kind: ClassVar[str] = "file"
@@ -184,6 +194,9 @@ def resolve(scenario: Scenario) -> tuple[Scenario, Device]:
         unit = organ.unit or ("m" if is_organ_file(Path(organ.path)) else "")
         parse_length(unit)
         organ = replace(organ, unit=unit, sha256=_checked_sha256(organ.path, organ.sha256))
+    if organ.mucosa is not None and is_texture_path(organ.mucosa):
+        head = str(texture_head(organ.mucosa))
+        organ = replace(organ, mucosa_sha256=_checked_sha256(head, organ.mucosa_sha256))
     if isinstance(motion, Replay):
         parse_length(motion.unit)
         motion = replace(motion, sha256=_checked_sha256(motion.path, motion.sha256))
@@ -252,7 +265,7 @@ def _load_organ(scenario: Scenario) -> OrganSurface:
 
     given = scenario.organ
     if isinstance(given, OrganGenerated):
-        return load_organ(given.name, seed=given.seed)
+        return load_organ(given.name, seed=given.seed, mucosa=given.mucosa)
 
     def read() -> OrganSurface:
         return organ_from_file(

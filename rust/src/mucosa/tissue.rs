@@ -70,7 +70,7 @@ const BUMPS: [(f32, f32); 3] = [(7.0, 0.7), (2.4, 1.0), (0.9, 0.3)];
 const UNIT_SLOPE: f32 = 3.3;
 
 /// RMS slope of the plateaus between the pits times their spacing.
-const PLATEAU_SLOPE: f32 = 1.9;
+const PLATEAU_SLOPE: f32 = 3.5;
 
 /// Mean height of the plateaus, and width of the gaps between them in spacings.
 const PLATEAU: f32 = 0.62;

@@ -15,16 +15,19 @@ import numpy as np
 from vrcaps import _core
 from vrcaps.errors import InputError, UnknownNameError
 from vrcaps.organ.surface import Appearance, OrganSurface
+from vrcaps.organ.texture_coordinates import texture_stretch
 from vrcaps.units import MM
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Int
 
-MAX_SIDE = 8192
-"""Longest side of a texture [texels]: what every common viewer and GPU accepts."""
+MAX_SIDE = 16384
+"""Longest side of a texture [texels]: what desktop GPUs and viewers accept."""
 
 DEFAULT_TEXELS_PER_MM = 8.0
-"""Texture density sought where the caller names none."""
+"""Least texture density sought on 95 % of the wall where the caller names none."""
+
+_MOST_STRETCH = 1.6  # of a texel beyond the mean that more texels make up for
 
 
 @dataclass(frozen=True)
@@ -46,7 +49,7 @@ class Mucosa:
         pit_slope: RMS slope of the gaps between them.
         pit_shade: Optical density of those gaps in green light; bile gathers there too.
         network: Weight of the finest network of vessels in the redness.
-        flecks: Share of places, one in 3.2 mm, that hold a fleck of mucus.
+        flecks: Share of cells, 3.2 mm wide, that hold a fleck of mucus, on the wall or off it.
         roughness: Perceptual roughness of the wall under its wet film, 0 to 1.
         coat: Strength of the wet film, 0 (dry, or broken up) to 1 (whole).
         coat_gloss: Gloss of the wet film, 0 (satin) to 1 (mirror-like).
@@ -61,10 +64,10 @@ class Mucosa:
     capillary_radius: float = 0.038 * MM
     relief_slope: float = 0.06
     pit_spacing: float = 0.6 * MM
-    pit_slope: float = 0.012
+    pit_slope: float = 0.03
     pit_shade: float = 0.05
     network: float = 1.1
-    flecks: float = 0.01
+    flecks: float = 0.1
     roughness: float = 0.65
     coat: float = 1.0
     coat_gloss: float = 0.93
@@ -78,21 +81,21 @@ MUCOSAE: dict[str, Mucosa] = {
         vessel_contrast=0.25,
         vessel_spacing=1.5 * MM,
         pit_spacing=2.2 * MM,
-        pit_slope=0.12,
-        pit_shade=0.12,
+        pit_slope=0.085,
+        pit_shade=0.10,
         network=0.35,
-        flecks=0.06,
+        flecks=0.6,
         coat=0.7,
     ),
     "small_intestine": Mucosa(
         base_color=(0.60, 0.29, 0.16),
         bile=0.45,
         vessel_contrast=0.35,
-        pit_spacing=0.45 * MM,
-        pit_slope=0.35,
+        pit_spacing=0.42 * MM,
+        pit_slope=0.42,
         pit_shade=0.5,
         network=0.2,
-        flecks=0.05,
+        flecks=0.5,
         roughness=0.7,
         coat=0.35,
     ),
@@ -124,7 +127,7 @@ def bake_appearance(
     seed: int,
     mucosa: str | Mucosa = "colon",
     texels_per_mm: float | None = None,
-    max_texels: int = 14_000_000,
+    max_texels: int = 48_000_000,
 ) -> Appearance:
     """Bakes a mucosa into textures over an organ's texture coordinates.
 
@@ -136,12 +139,14 @@ def bake_appearance(
         organ: The wall; its appearance is not looked at.
         seed: Chooses the patient: vessels, patches, shade. The same seed gives the same bytes.
         mucosa: Name in `MUCOSAE`, or a mucosa.
-        texels_per_mm: Density to bake at; None takes 8, or less where the limits bind.
+        texels_per_mm: Mean density to bake at; None takes as many as give 95 % of the wall
+            `DEFAULT_TEXELS_PER_MM` in every direction, or less where the limits bind.
         max_texels: Most texels a texture may have.
     """
     mucosa = _resolve(mucosa)
     pace = _pace(organ)
-    height, width = _texture_size(pace, texels_per_mm, max_texels)
+    sought = pace if texels_per_mm else tuple(_squeeze(organ, pace) * np.array(pace))
+    height, width = _texture_size(sought, texels_per_mm, max_texels)
     texel = float(np.hypot(pace[0] / width, pace[1] / height)) / 2.0**0.5
     albedo, roughness, relief = _core.bake_mucosa(
         _wall_fields(organ),
@@ -198,6 +203,22 @@ def _pace(organ: OrganSurface) -> tuple[float, float]:
     return float(np.abs(weight) @ along_u / total), float(np.abs(weight) @ along_v / total)
 
 
+def _squeeze(organ: OrganSurface, pace: tuple[float, float]) -> float:
+    """How much wider than the mean texels are, in their wider direction, on 5 % of the wall.
+
+    Not below 1, and not above `_MOST_STRETCH`: more texels do not mend bad coordinates.
+    """
+    corners = organ.vertices[organ.faces]
+    edges = corners[:, 1:] - corners[:, :1]
+    area = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1)
+    is_face = area > 0.0
+    stretch = np.abs(texture_stretch(corners[is_face], organ.uv[is_face] * np.array(pace))[:, 0])
+    order = np.argsort(stretch)
+    share = np.cumsum(area[is_face][order])
+    least = stretch[order][np.searchsorted(share, 0.05 * share[-1])]
+    return float(np.clip(1.0 / max(least, 1e-9), 1.0, _MOST_STRETCH))
+
+
 def _texture_size(
     pace: tuple[float, float], texels_per_mm: float | None, max_texels: int
 ) -> tuple[int, int]:
@@ -215,7 +236,9 @@ def _texture_size(
         )
     width, height = min(width, MAX_SIDE), min(height, MAX_SIDE)
     shrink = min(1.0, (max_texels / (width * height)) ** 0.5)
-    width, height = (max(16, int(side * shrink) // 16 * 16) for side in (width, height))
+    # Down where limits bind, up where the density does.
+    whole = np.floor if shrink < 1.0 or texels_per_mm is not None else np.ceil
+    width, height = (max(16, int(whole(side * shrink / 16.0)) * 16) for side in (width, height))
     return height, width
 
 

@@ -14,16 +14,15 @@ from vrcaps.organ.colon.course import generate_course
 from vrcaps.organ.colon.crossing import self_intersections
 from vrcaps.organ.colon.parameters import SEGMENTS, ColonParameters
 from vrcaps.organ.colon.remesh import (
-    area_normals,
     chart_area,
     collapse_short_edges,
     directed_edges,
     flip_edges,
 )
-from vrcaps.organ.colon.strips import strip_coordinates
 from vrcaps.organ.colon.tube import Tube, make_tube
 from vrcaps.organ.colon.wall import Folds, Wall, crest_line, draw_wall, envelope_radius, wall_radius
 from vrcaps.organ.surface import Centerline, OrganSurface, vertex_normals
+from vrcaps.organ.texture_charts import TubeChart, chart_coordinates
 from vrcaps.units import MM
 
 if TYPE_CHECKING:
@@ -309,14 +308,15 @@ def _as_organ(grid: _Grid, wall: Wall, meridian: _Meridian, seed: int) -> OrganS
     s = meridian.to_arc_length(grid.along)
     radius = wall_radius(wall, s, grid.theta)
     vertices = wall.tube.points(s, grid.theta, radius)
-    area = 0.5 * np.linalg.norm(area_normals(vertices, grid.faces), axis=1).sum()
     ends = np.cumsum([segment.length for segment in parameters.segments])[:-1]
     return OrganSurface(
         name="colon",
         vertices=vertices,
         faces=grid.faces.astype(np.int32),
         normals=vertex_normals(vertices, grid.faces),
-        uv=strip_coordinates(_turns(grid), grid.along[grid.faces], radius[grid.faces], area),
+        uv=chart_coordinates(
+            TubeChart(grid.faces, vertices[grid.faces], _turns(grid), grid.along[grid.faces])
+        ),
         label=(1 + np.searchsorted(ends, s, side="right")).astype(np.uint8),
         label_names=("background", *SEGMENTS),
         instance=np.zeros(len(vertices), np.uint16),

@@ -10,9 +10,7 @@ from scipy.ndimage import gaussian_filter1d
 
 from vrcaps.errors import InputError
 from vrcaps.organ.colon.crossing import self_intersections
-from vrcaps.organ.colon.strips import strip_coordinates
 from vrcaps.organ.colon.tube import make_tube
-from vrcaps.organ.repair.edges import face_areas
 from vrcaps.organ.shape.coordinates import tube_centerline
 from vrcaps.organ.shape.rows import mesh_skin
 from vrcaps.organ.shape.skin import Skin, make_meridian, turns
@@ -24,7 +22,8 @@ from vrcaps.organ.small_bowel.shape import (
     outer_radius,
     small_bowel_radius,
 )
-from vrcaps.organ.surface import Mesh, OrganSurface, vertex_normals
+from vrcaps.organ.surface import OrganSurface, vertex_normals
+from vrcaps.organ.texture_charts import TubeChart, chart_coordinates
 from vrcaps.units import MM
 
 if TYPE_CHECKING:
@@ -125,13 +124,12 @@ def _as_organ(wall: SmallBowelWall, tube: Tube, seed: int) -> OrganSurface:
     radius = skin.radius(s, grid.theta)
     vertices = tube.points(s, grid.theta, radius)
     faces = grid.faces.astype(np.int32)
-    area = float(face_areas(Mesh(vertices, faces)).sum())
     return OrganSurface(
         name="small-bowel",
         vertices=vertices,
         faces=faces,
         normals=vertex_normals(vertices, faces),
-        uv=strip_coordinates(turns(grid), grid.along[faces], radius[faces], area),
+        uv=chart_coordinates(TubeChart(faces, vertices[faces], turns(grid), grid.along[faces])),
         label=small_bowel_labels(wall.parameters, s),
         label_names=("background", *SEGMENTS),
         instance=np.zeros(len(vertices), np.uint16),

@@ -67,7 +67,7 @@ class Mucosa:
     pit_slope: float = 0.03
     pit_shade: float = 0.05
     network: float = 1.1
-    flecks: float = 0.1
+    flecks: float = 0.03
     roughness: float = 0.65
     coat: float = 1.0
     coat_gloss: float = 0.93
@@ -84,7 +84,7 @@ MUCOSAE: dict[str, Mucosa] = {
         pit_slope=0.085,
         pit_shade=0.10,
         network=0.35,
-        flecks=0.6,
+        flecks=0.4,
         coat=0.7,
     ),
     "small_intestine": Mucosa(
@@ -95,7 +95,7 @@ MUCOSAE: dict[str, Mucosa] = {
         pit_slope=0.42,
         pit_shade=0.5,
         network=0.2,
-        flecks=0.5,
+        flecks=0.25,
         roughness=0.7,
         coat=0.35,
     ),

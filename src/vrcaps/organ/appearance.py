@@ -16,6 +16,7 @@ import numpy as np
 from vrcaps import _core
 from vrcaps.errors import InputError, UnknownNameError
 from vrcaps.organ.surface import Appearance, OrganSurface, round_height
+from vrcaps.organ.texture_coordinates import texture_stretch
 from vrcaps.units import MM
 
 if TYPE_CHECKING:
@@ -23,11 +24,13 @@ if TYPE_CHECKING:
 
     from vrcaps.organ.photo.texture import MucosaTexture
 
-MAX_SIDE = 8192
-"""Longest side of a texture [texels]: what every common viewer and GPU accepts."""
+MAX_SIDE = 16384
+"""Longest side of a texture [texels]: what desktop GPUs and viewers accept."""
 
 DEFAULT_TEXELS_PER_MM = 8.0
-"""Texture density sought where the caller names none."""
+"""Least texture density sought on 95 % of the wall where the caller names none."""
+
+_MOST_STRETCH = 1.6  # of a texel beyond the mean that more texels make up for
 
 
 @dataclass(frozen=True)
@@ -45,9 +48,13 @@ class Mucosa:
         capillary_radius: Radius of the finest visible branches [m]; wider ones follow from it
             by Murray's law.
         relief_slope: RMS slope of the millimetre-sized relief, which breaks up highlights.
-        pit_spacing: Distance between the grooves around groups of crypts [m].
-        pit_slope: RMS slope of those grooves.
+        pit_spacing: Distance between villi, gastric areae or groups of crypts [m].
+        pit_slope: RMS slope of the gaps between them.
+        pit_shade: Optical density of those gaps in green light; bile gathers there too.
+        network: Weight of the finest network of vessels in the redness.
+        flecks: Share of cells, 3.2 mm wide, that hold a fleck of mucus, on the wall or off it.
         roughness: Perceptual roughness of the wall under its wet film, 0 to 1.
+        coat: Strength of the wet film, 0 (dry, or broken up) to 1 (whole).
         coat_gloss: Gloss of the wet film, 0 (satin) to 1 (mirror-like).
     """
 
@@ -60,8 +67,12 @@ class Mucosa:
     capillary_radius: float = 0.038 * MM
     relief_slope: float = 0.06
     pit_spacing: float = 0.6 * MM
-    pit_slope: float = 0.012
+    pit_slope: float = 0.03
+    pit_shade: float = 0.05
+    network: float = 1.1
+    flecks: float = 0.03
     roughness: float = 0.65
+    coat: float = 1.0
     coat_gloss: float = 0.93
 
 
@@ -72,19 +83,45 @@ MUCOSAE: dict[str, Mucosa] = {
         bile=0.08,
         vessel_contrast=0.25,
         vessel_spacing=1.5 * MM,
-        pit_spacing=0.8 * MM,
-        pit_slope=0.10,
+        pit_spacing=2.2 * MM,
+        pit_slope=0.085,
+        pit_shade=0.10,
+        network=0.35,
+        flecks=0.4,
+        coat=0.7,
     ),
     "small_intestine": Mucosa(
         base_color=(0.60, 0.29, 0.16),
         bile=0.45,
         vessel_contrast=0.35,
-        pit_spacing=0.5 * MM,
-        pit_slope=0.16,
-        roughness=0.55,
+        pit_spacing=0.42 * MM,
+        pit_slope=0.42,
+        pit_shade=0.5,
+        network=0.2,
+        flecks=0.25,
+        roughness=0.7,
+        coat=0.35,
     ),
 }
 """Mucosae by organ."""
+
+_SEGMENTS: dict[str, tuple[float, float, float]] = {
+    "fundus": (0.7, 1.0, 1.2),
+    "cardia": (0.5, 1.0, 1.2),
+    "body": (1.2, 0.9, 1.0),
+    "antrum": (0.6, 1.3, 0.6),
+    "pylorus": (0.4, 1.6, 0.4),
+    "duodenal_bulb": (0.6, 1.2, 0.8),
+    "duodenum": (1.0, 1.5, 0.3),
+    "jejunum": (1.1, 1.1, 0.4),
+    "ileum": (0.6, 0.7, 1.3),
+}
+"""Factors on the pits or villi, the bile and the vessels by segment; 1 elsewhere. Villi are tall
+and bile is strong in duodenum and jejunum; in the ileum villi are short and vessels shine through
+(Steinbrück et al., Atlas of Video Capsule Endoscopy, 2014, chapter 5)."""
+
+_BLUR = 0.03
+"""Standard deviation over which one segment passes into the next, as a share of the length."""
 
 
 def bake_appearance(
@@ -93,7 +130,7 @@ def bake_appearance(
     seed: int,
     mucosa: str | Mucosa = "colon",
     texels_per_mm: float | None = None,
-    max_texels: int = 14_000_000,
+    max_texels: int = 48_000_000,
 ) -> Appearance:
     """Bakes a mucosa into textures over an organ's texture coordinates.
 
@@ -106,7 +143,8 @@ def bake_appearance(
         seed: Chooses the patient: vessels, patches, shade. The same seed gives the same bytes.
         mucosa: Name in `MUCOSAE`, or a mucosa, or the path of a texture that
             `vrcaps organ texture` wrote (`read_texture`).
-        texels_per_mm: Density to bake at; None takes 8, or less where the limits bind.
+        texels_per_mm: Mean density to bake at; None takes as many as give 95 % of the wall
+            `DEFAULT_TEXELS_PER_MM` in every direction, or less where the limits bind.
         max_texels: Most texels a texture may have.
     """
     from vrcaps.organ.photo.texture import MucosaTexture
@@ -114,7 +152,8 @@ def bake_appearance(
 
     worn = _resolve(mucosa)
     pace = _pace(organ)
-    height, width = _texture_size(pace, texels_per_mm, max_texels)
+    sought = pace if texels_per_mm else tuple(_squeeze(organ, pace) * np.array(pace))
+    height, width = _texture_size(sought, texels_per_mm, max_texels)
     if isinstance(worn, MucosaTexture):
         return wear(organ, worn, (height, width), seed=seed)
     texel = float(np.hypot(pace[0] / width, pace[1] / height)) / 2.0**0.5
@@ -130,6 +169,7 @@ def bake_appearance(
         albedo=albedo.reshape(height, width, 3),
         roughness=roughness.reshape(height, width),
         height=round_height(relief.reshape(height, width)),
+        coat=worn.coat,
         coat_gloss=worn.coat_gloss,
     )
 
@@ -201,6 +241,22 @@ def _pace(organ: OrganSurface) -> tuple[float, float]:
     return float(np.abs(weight) @ along_u / total), float(np.abs(weight) @ along_v / total)
 
 
+def _squeeze(organ: OrganSurface, pace: tuple[float, float]) -> float:
+    """How much wider than the mean texels are, in their wider direction, on 5 % of the wall.
+
+    Not below 1, and not above `_MOST_STRETCH`: more texels do not mend bad coordinates.
+    """
+    corners = organ.vertices[organ.faces]
+    edges = corners[:, 1:] - corners[:, :1]
+    area = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1)
+    is_face = area > 0.0
+    stretch = np.abs(texture_stretch(corners[is_face], organ.uv[is_face] * np.array(pace))[:, 0])
+    order = np.argsort(stretch)
+    share = np.cumsum(area[is_face][order])
+    least = stretch[order][np.searchsorted(share, 0.05 * share[-1])]
+    return float(np.clip(1.0 / max(least, 1e-9), 1.0, _MOST_STRETCH))
+
+
 def _texture_size(
     pace: tuple[float, float], texels_per_mm: float | None, max_texels: int
 ) -> tuple[int, int]:
@@ -218,15 +274,41 @@ def _texture_size(
         )
     width, height = min(width, MAX_SIDE), min(height, MAX_SIDE)
     shrink = min(1.0, (max_texels / (width * height)) ** 0.5)
-    width, height = (max(16, int(side * shrink) // 16 * 16) for side in (width, height))
+    # Down where limits bind, up where the density does.
+    whole = np.floor if shrink < 1.0 or texels_per_mm is not None else np.ceil
+    width, height = (max(16, int(whole(side * shrink / 16.0)) * 16) for side in (width, height))
     return height, width
 
 
-def _wall_fields(organ: OrganSurface) -> Float[np.ndarray, "n 8"]:
-    """Position [mm], normal, curvature [1/mm] and arc length [mm] of each vertex."""
+def _wall_fields(organ: OrganSurface) -> Float[np.ndarray, "n 11"]:
+    """Position [mm], normal, curvature [1/mm], arc length [mm] and segment factors of vertices."""
     curvature = _bulge(organ.vertices, organ.normals, organ.faces) * MM
-    columns = (organ.vertices / MM, organ.normals, curvature, organ.arc_length / MM)
+    factors = _segment_factors(organ)
+    columns = (organ.vertices / MM, organ.normals, curvature, organ.arc_length / MM, factors)
     return np.column_stack(columns).astype(np.float32)
+
+
+def _segment_factors(organ: OrganSurface) -> Float[np.ndarray, "n 3"]:
+    """Factors on pits, bile and vessels at each vertex: one segment passes into the next."""
+    table = np.array([_SEGMENTS.get(name, (1.0, 1.0, 1.0)) for name in organ.label_names])
+    own = np.zeros(len(organ.vertices), bool)
+    own[organ.faces] = True
+    start, span = organ.arc_length[own].min(), max(float(np.ptp(organ.arc_length[own])), 1e-9)
+    num_bins = 400
+    place = np.clip((organ.arc_length - start) / span * num_bins, 0.0, num_bins - 1e-6)
+    bins = place.astype(int)[own]
+    factors = table[organ.label]
+    # A Gaussian over a wall that goes on as it ends.
+    offset = np.arange(-num_bins, num_bins + 1) / num_bins
+    kernel = np.exp(-0.5 * (offset / _BLUR) ** 2)
+    weight = np.convolve(np.bincount(bins, minlength=num_bins), kernel)[num_bins:-num_bins]
+    smooth = [
+        np.convolve(np.bincount(bins, factors[own, k], num_bins), kernel)[num_bins:-num_bins]
+        / weight
+        for k in range(3)
+    ]
+    middle = np.arange(num_bins) + 0.5
+    return np.stack([np.interp(place, middle, values) for values in smooth], axis=1)
 
 
 def _bulge(

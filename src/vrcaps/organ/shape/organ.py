@@ -6,12 +6,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps.organ.repair.edges import face_areas
 from vrcaps.organ.shape.coordinates import tube_centerline
 from vrcaps.organ.shape.rows import mesh_skin
 from vrcaps.organ.shape.skin import make_meridian, turns
-from vrcaps.organ.shape.strips import strip_coordinates
-from vrcaps.organ.surface import Mesh, OrganSurface, vertex_normals
+from vrcaps.organ.surface import OrganSurface, vertex_normals
+from vrcaps.organ.texture_charts import TubeChart, chart_coordinates
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -43,13 +42,12 @@ def skin_to_organ(
     radius = skin.radius(s, grid.theta)
     vertices = skin.tube.points(s, grid.theta, radius)
     faces = grid.faces.astype(np.int32)
-    area = float(face_areas(Mesh(vertices, faces)).sum())
     return OrganSurface(
         name=name,
         vertices=vertices,
         faces=faces,
         normals=vertex_normals(vertices, faces),
-        uv=strip_coordinates(turns(grid), grid.along[faces], radius[faces], area),
+        uv=chart_coordinates(TubeChart(faces, vertices[faces], turns(grid), grid.along[faces])),
         label=label(s, grid.theta),
         label_names=("background", *segments),
         instance=np.zeros(len(vertices), np.uint16),

@@ -10,11 +10,9 @@ import numpy as np
 from vrcaps.errors import InputError
 from vrcaps.organ.centerline import centerline_from_points
 from vrcaps.organ.crossing import self_intersections
-from vrcaps.organ.repair.edges import face_areas
 from vrcaps.organ.shape.coordinates import angle_and_radius, arc_length_of_sections
 from vrcaps.organ.shape.rows import mesh_skin
 from vrcaps.organ.shape.skin import Grid, Skin, make_meridian, turns
-from vrcaps.organ.shape.strips import strip_coordinates
 from vrcaps.organ.shape.tube import make_tube
 from vrcaps.organ.shape.waves import wrap
 from vrcaps.organ.stomach.parameters import SEGMENTS
@@ -27,7 +25,8 @@ from vrcaps.organ.stomach.shape import (
     stomach_course,
     stomach_radius,
 )
-from vrcaps.organ.surface import Mesh, OrganSurface, vertex_normals
+from vrcaps.organ.surface import OrganSurface, vertex_normals
+from vrcaps.organ.texture_charts import TubeChart, chart_coordinates
 from vrcaps.units import MM
 
 if TYPE_CHECKING:
@@ -120,13 +119,12 @@ def _as_organ(wall: StomachWall, seed: int) -> OrganSurface:
     centerline = centerline_from_points(stomach_path(wall), vertices, faces, step=1.5 * MM)
     arc_length = arc_length_of_sections(s, wall.tube, centerline)
     theta, distance = angle_and_radius(vertices, arc_length, centerline)
-    area = float(face_areas(Mesh(vertices, faces)).sum())
     return OrganSurface(
         name="stomach",
         vertices=vertices,
         faces=faces,
         normals=vertex_normals(vertices, faces),
-        uv=strip_coordinates(turns(grid), grid.along[faces], radius[faces], area),
+        uv=chart_coordinates(TubeChart(faces, vertices[faces], turns(grid), grid.along[faces])),
         label=stomach_labels(wall, s, grid.theta),
         label_names=("background", *SEGMENTS),
         instance=np.zeros(len(vertices), np.uint16),

@@ -15,7 +15,8 @@ Puts each kind and grade of lesion into a generated organ, and looks at it from 
 from __future__ import annotations
 
 import sys
-from dataclasses import replace
+from concurrent.futures import ProcessPoolExecutor
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -161,22 +162,33 @@ def cuts(patient: Patient) -> int:
     return int(own[faces].any(axis=1)[found].any(axis=1).sum())
 
 
+def row(case: tuple[str, str], step: int) -> tuple[str, ...]:
+    """Row of one case."""
+    name, text = case
+    organ = vrcaps.load_organ(name, seed=0)
+    return (name, text.replace(":", ", "), *measure(organ, text, step))
+
+
 def main() -> None:
-    """Measure, write the table."""
+    """Measure two at a time, write the table as it grows."""
     given = options(__doc__ or "", size=2)
+    cases = [(name, text) for name, texts in CASES.items() for text in texts]
     rows = []
-    for name, texts in CASES.items():
-        organ = vrcaps.load_organ(name, seed=0)
-        for text in texts:
-            rows.append((name, text.replace(":", ", "), *measure(organ, text, given.size)))
-            print(*rows[-1], sep=" | ", flush=True)
+    with ProcessPoolExecutor(2) as pool:
+        for found in pool.map(partial(row, step=given.size), cases):
+            rows.append(found)
+            write_section(given.out, Path(__file__).name, section(rows, given.size))
+
+
+def section(rows: list[tuple[str, ...]], step: int) -> str:
+    """The table and what it means."""
     head = (
         *("organ", "lesion", "pixels", "IoU", "≥ 0.98"),
         *("depth", "albedo", "light", "light and shadow", "cuts"),
     )
-    text = (
+    return (
         "## Lesions\n\n`python benchmarks/validate_lesions.py`: each lesion from "
-        f"{VIEWS} views by MiroCam. Masks (every\n{given.size}nd ray of a row and column) against "
+        f"{VIEWS} views by MiroCam. Masks (every\n{step}nd ray of a row and column) against "
         "Embree and the footprint measured anew on the wall without lesions.\n\n"
         + table(head, rows)
         + "\n\n*Depth*, *albedo*, *light*, *light and shadow*: share of the pixels outside the "
@@ -184,7 +196,6 @@ def main() -> None:
         "without shadows, and the same with shadows. *Cuts*: pairs of triangles of\nthe lesion "
         "that cut the wall or each other."
     )
-    write_section(given.out, Path(__file__).name, text)
 
 
 if __name__ == "__main__":

@@ -48,8 +48,9 @@ def write_glb(
         scale = relief_scale(organ.vertices, organ.faces, organ.uv)
         images = [glb.add_image(png) for png in texture_images(organ.appearance, scale)]
     extras = {"label_names": list(organ.label_names)}
-    if "lesions" in organ.metadata:
-        extras["lesions"] = organ.metadata["lesions"]
+    for key in ("lesions", "clean_twin_of"):
+        if key in organ.metadata:
+            extras[key] = organ.metadata[key]
     document = {
         "asset": {"version": "2.0", "generator": "vrcaps"},
         "scene": 0,

@@ -81,7 +81,7 @@ class Polar:
     """Way and direction from a spot's centre.
 
     The way is the shortest over faces through Steiner points on their edges (Lanthier, Maheshwari
-    and Sack 1997); the direction is the vector heat method's on the subdivided wall, not the refined one.
+    and Sack 1997); the direction is the vector heat method's on the wall subdivided evenly.
     """
 
     def __init__(self, organ, site: Site, radius: float) -> None:

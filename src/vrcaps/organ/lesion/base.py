@@ -182,6 +182,32 @@ class Lesion:
         raise NotImplementedError
 
 
+@dataclass(frozen=True, kw_only=True)
+class SizedLesion(Lesion):
+    """A lesion about a centre that has a diameter.
+
+    Attributes:
+        size: Diameter [m].
+    """
+
+    size: float
+
+    sizes: ClassVar[tuple[float, float]]
+    """Smallest and largest diameter [m]."""
+
+    def __post_init__(self) -> None:
+        require_range(f"Size of {self._phrase}", self.size, *self.sizes)
+
+    @property
+    def _phrase(self) -> str:
+        return f"{'an' if self.kind[0] in 'aeiou' else 'a'} {self.kind}"
+
+    @property
+    def footprint_radius(self) -> float:
+        """Half the size [m]."""
+        return 0.5 * self.size
+
+
 def require_range(what: str, value: float, low: float, high: float) -> None:
     """Check a length in a specification.
 

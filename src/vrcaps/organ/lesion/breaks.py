@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, ClassVar, Literal
 
 import numpy as np
 
-from vrcaps.organ.lesion.base import Lesion, Look, Site, WallSamples, mix, require_range, smoothstep
+from vrcaps.organ.lesion import base
+from vrcaps.organ.lesion.base import Look, Site, SizedLesion, WallSamples, mix, smoothstep
 from vrcaps.organ.lesion.blood import FIBRIN, under_blood
 from vrcaps.organ.lesion.noise import cloud, grain
 from vrcaps.organ.lesion.spot import SpotForm
@@ -48,7 +49,7 @@ irregular and sloughy, with a raised edge. They reach into the submucosa, an ero
 
 
 @dataclass(frozen=True, kw_only=True)
-class Erosion(Lesion):
+class Erosion(SizedLesion):
     """A superficial break of the mucosa.
 
     Attributes:
@@ -58,14 +59,7 @@ class Erosion(Lesion):
     size: float = 4.0 * MM
 
     kind: ClassVar[str] = "erosion"
-
-    def __post_init__(self) -> None:
-        require_range("Size of an erosion", self.size, 1.0 * MM, 10.0 * MM)
-
-    @property
-    def footprint_radius(self) -> float:
-        """Half the size [m]."""
-        return 0.5 * self.size
+    sizes: ClassVar[tuple[float, float]] = (1.0 * MM, 10.0 * MM)
 
     def form(self, site: Site, rng: np.random.Generator) -> BreakForm:
         """Draw its irregularities."""
@@ -73,7 +67,7 @@ class Erosion(Lesion):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Ulcer(Lesion):
+class Ulcer(SizedLesion):
     """An ulcer.
 
     Attributes:
@@ -85,21 +79,17 @@ class Ulcer(Lesion):
     size: float = 8.0 * MM
 
     kind: ClassVar[str] = "ulcer"
+    sizes: ClassVar[tuple[float, float]] = (5.0 * MM, 40.0 * MM)
     grade_field: ClassVar[str] = "type"
 
     def __post_init__(self) -> None:
-        low, high = (2.0 * MM, 10.0 * MM) if self.type == "aphthous" else (5.0 * MM, 40.0 * MM)
-        require_range(f"Size of an {self.type} ulcer", self.size, low, high)
+        low, high = (2.0 * MM, 10.0 * MM) if self.type == "aphthous" else self.sizes
+        base.require_range(f"Size of an {self.type} ulcer", self.size, low, high)
 
     @property
     def grade(self) -> str:
         """Aphthous or deep."""
         return self.type
-
-    @property
-    def footprint_radius(self) -> float:
-        """Half the size [m]."""
-        return 0.5 * self.size
 
     def form(self, site: Site, rng: np.random.Generator) -> BreakForm:
         """Draw its irregularities."""

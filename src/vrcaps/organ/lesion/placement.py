@@ -117,7 +117,6 @@ def _misfit(
     organ: OrganSurface, wall: Wall, lesion: Lesion, others: list[Placed], vertex: int
 ) -> str:
     """Why a spot does not fit at a vertex; empty if it does."""
-    center, normal = organ.vertices[vertex], organ.normals[vertex]
     arc_length, reach = float(organ.arc_length[vertex]), lesion.footprint_radius
     line = organ.centerline
     if not reach < arc_length < line.length - reach:
@@ -131,6 +130,20 @@ def _misfit(
             f"it is larger than the lumen, whose radius at {arc_length / CM:.1f} cm is "
             f"{radius / MM:.1f} mm"
         )
+    crowded = _no_room(organ, wall, lesion, vertex)
+    if crowded:
+        return crowded
+    for number, other in enumerate(others, start=1):
+        apart = float(np.linalg.norm(other.center - organ.vertices[vertex]))
+        if apart < reach + other.lesion.footprint_radius + _GAP:
+            return f"it overlaps lesion {number}, {describe(other.lesion)}"
+    return ""
+
+
+def _no_room(organ: OrganSurface, wall: Wall, lesion: Lesion, vertex: int) -> str:
+    """Why there is no room over the wall for a spot, or behind it; empty if there is."""
+    center, normal = organ.vertices[vertex], organ.normals[vertex]
+    arc_length, reach = float(organ.arc_length[vertex]), lesion.footprint_radius
     side = "in the lumen" if lesion.reach_in >= 0.0 else "behind the wall"
     direction = normal if lesion.reach_in >= 0.0 else -normal
     free = _free_way(wall, center, direction)
@@ -148,10 +161,6 @@ def _misfit(
         )
     if lesion.reach_in < 0.0 and _unevenness(organ, center, normal, reach) > _UNEVEN * reach:
         return f"at {arc_length / CM:.1f} cm the wall is folded, where no pouch forms"
-    for number, other in enumerate(others, start=1):
-        apart = float(np.linalg.norm(other.center - center))
-        if apart < reach + other.lesion.footprint_radius + _GAP:
-            return f"it overlaps lesion {number}, {describe(other.lesion)}"
     return ""
 
 

@@ -8,7 +8,16 @@ from typing import TYPE_CHECKING, ClassVar, Literal
 import numpy as np
 
 from vrcaps.errors import InputError
-from vrcaps.organ.lesion.base import Lesion, Look, Site, WallSamples, mix, require_range, smoothstep
+from vrcaps.organ.lesion.base import (
+    Lesion,
+    Look,
+    Site,
+    SizedLesion,
+    WallSamples,
+    mix,
+    require_range,
+    smoothstep,
+)
 from vrcaps.organ.lesion.blood import under_blood
 from vrcaps.organ.lesion.noise import cloud, grain, swell
 from vrcaps.organ.lesion.spot import ProfileForm
@@ -32,7 +41,7 @@ _POUCH = (
 
 
 @dataclass(frozen=True, kw_only=True)
-class Tumour(Lesion):
+class Tumour(SizedLesion):
     """An ulcerated mass with a rolled edge, as a cancer has (Borrmann type 2).
 
     Attributes:
@@ -42,14 +51,7 @@ class Tumour(Lesion):
     size: float = 25.0 * MM
 
     kind: ClassVar[str] = "tumour"
-
-    def __post_init__(self) -> None:
-        require_range("Size of a tumour", self.size, 10.0 * MM, 50.0 * MM)
-
-    @property
-    def footprint_radius(self) -> float:
-        """Half the size [m]."""
-        return 0.5 * self.size
+    sizes: ClassVar[tuple[float, float]] = (10.0 * MM, 50.0 * MM)
 
     @property
     def reach_in(self) -> float:
@@ -89,7 +91,7 @@ class TumourForm(ProfileForm):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Diverticulum(Lesion):
+class Diverticulum(SizedLesion):
     """A pouch out of the lumen through a gap in its muscle.
 
     Attributes:
@@ -99,9 +101,7 @@ class Diverticulum(Lesion):
     size: float = 6.0 * MM
 
     kind: ClassVar[str] = "diverticulum"
-
-    def __post_init__(self) -> None:
-        require_range("Size of a diverticulum", self.size, 2.0 * MM, 15.0 * MM)
+    sizes: ClassVar[tuple[float, float]] = (2.0 * MM, 15.0 * MM)
 
     @property
     def footprint_radius(self) -> float:

@@ -84,7 +84,7 @@ class Ulcer(SizedLesion):
 
     def __post_init__(self) -> None:
         low, high = (2.0 * MM, 10.0 * MM) if self.type == "aphthous" else self.sizes
-        base.require_range(f"Size of an {self.type} ulcer", self.size, low, high)
+        base.require_range(f"Size of the {self.type} ulcer", self.size, low, high)
 
     @property
     def grade(self) -> str:

@@ -111,7 +111,7 @@ class Measured:
         overlap = self.both / max(self.either, 1)
         return (
             *(f"{self.either:,}", f"{overlap:.4f}", "yes" if overlap >= 0.98 else "**no**"),
-            *(f"{100.0 * share / max(self.outside, 1):.3f} %" for share in shares),
+            *(f"{100.0 * n / self.outside:.3f} %" if self.outside else "–" for n in shares),
         )
 
 

@@ -100,7 +100,7 @@ class _Work:
         for _ in range(_NUM_TRIES):
             found = SITES[lesion.extent](lesion, around, rng)
             form = lesion.form(found.site, rng)
-            patch = _formed(found.patch, form)
+            patch = _formed(found.patch, form, is_spot=lesion.extent == "spot")
             wall = samples(patch)
             shown = paint.Shown(form, wall, form.moved(wall) - found.site.center)
             if lesion.extent == "spot":
@@ -171,7 +171,7 @@ class _Work:
         )
 
 
-def _formed(patch: Patch, form: Form) -> Patch:
+def _formed(patch: Patch, form: Form, *, is_spot: bool) -> Patch:
     """The piece refined until it can show a form and its border."""
 
     def is_long(patch: Patch, ends: np.ndarray) -> np.ndarray:
@@ -187,7 +187,7 @@ def _formed(patch: Patch, form: Form) -> Patch:
     def both(patch: Patch) -> np.ndarray:
         return np.hstack([form.moved(samples(patch)), patch.moved])
 
-    return refine(patch, is_long, both)
+    return refine(patch, is_long, both if is_spot else lambda patch: patch.moved)
 
 
 def _sewn(wall: Patch, piece: Cut, patch: Patch, shown: paint.Shown, instance: int) -> Patch:
@@ -200,16 +200,19 @@ def _sewn(wall: Patch, piece: Cut, patch: Patch, shown: paint.Shown, instance: i
 
 def _cuts_wall(wall: Patch, instance: int) -> bool:
     """Whether a lesion made the wall cut through itself."""
-    own = wall.instance == instance
+    own = (wall.instance == instance) & (wall.moved != wall.clean).any(axis=1)
     if not own.any():
         return False
     low, high = wall.moved[own].min(axis=0), wall.moved[own].max(axis=0)
     corners = wall.moved[wall.faces]
     near = ((corners.max(axis=1) >= low) & (corners.min(axis=1) <= high)).all(axis=1)
     faces = wall.faces[near]
+    is_own = own[faces].any(axis=1)
     found = self_intersections(wall.moved, faces)
-    is_own = own[faces].any(axis=1)[found].any(axis=1)
-    return is_own.sum() > len(self_intersections(wall.clean, faces[own[faces].any(axis=1)]))
+    if not is_own[found].any():
+        return False
+    before = self_intersections(wall.clean, faces)
+    return is_own[found].any(axis=1).sum() > is_own[before].any(axis=1).sum()
 
 
 def _charted(patch: Patch, shown: paint.Shown, instance: int) -> Patch:

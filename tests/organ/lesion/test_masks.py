@@ -1,4 +1,4 @@
-"""Masks of every kind of lesion against rays cast by Embree and footprints measured anew."""
+"""Masks of lesions against rays cast by Embree and footprints measured anew."""
 
 import sys
 from dataclasses import replace
@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from vrcaps.capsule.catalog import load_device
-from vrcaps.organ.lesion import LESIONS, Colitis, Haemorrhage, Place, Polyp, add_lesions
+from vrcaps.organ.lesion import Colitis, Haemorrhage, Place, Polyp, add_lesions
 from vrcaps.render.renderer import Renderer
 from vrcaps.transforms import look_along, transform_from
 from vrcaps.units import MM
@@ -21,18 +21,16 @@ sys.path.append(str(Path(__file__).parent))
 from oracle_footprint import Footprint, Witness  # noqa: E402
 
 PLACE = Place(arc_length=80.0 * MM, theta=0.3)
-EVERY_KIND = [
-    *(Polyp(shape=shape, place=PLACE) for shape in ("Ip", "Is", "IIa", "IIb", "IIc")),
-    *(Haemorrhage(level=level, place=PLACE) for level in (1, 2, 3, 4)),
+SOME = [
+    Polyp(shape="Ip", place=PLACE),
+    Polyp(shape="IIb", place=PLACE),
+    Haemorrhage(level=2, place=PLACE),
     Colitis(mayo=3, spread=30.0 * MM, place=PLACE),
-    *(
-        LESIONS[kind](place=PLACE)
-        for kind in sorted(set(LESIONS) - {"polyp", "haemorrhage", "colitis"})
-    ),
 ]
+"""All kinds: benchmarks/validate_lesions.py."""
 
 
-@pytest.mark.parametrize("lesion", EVERY_KIND, ids=lambda x: f"{x.kind} {x.grade}".strip())
+@pytest.mark.parametrize("lesion", SOME, ids=lambda x: f"{x.kind} {x.grade}".strip())
 def test_mask_is_the_footprint(tube, lesion):
     """Ten views: the mask covers what the outline covers, IoU ≥ 0.98 over all."""
     bare = replace(tube, appearance=None)

@@ -163,3 +163,5 @@ def test_clean_twin_has_the_same_motion(scenario, tmp_path, monkeypatch):
     assert model.organ.instance.max() == 1
     assert twin.organ.instance.max() == 0
     assert model.organ.metadata["lesions"][0]["kind"] == "polyp"
+    assert twin.organ.metadata["lesions"] == []
+    assert twin.organ.metadata["clean_twin_of"] == model.organ.metadata["lesions"]

@@ -64,8 +64,9 @@ def write_glb(
         scale = relief_scale(organ.vertices, organ.faces, organ.uv)
         images = [glb.add_bytes(png, {}) for png in texture_images(organ.appearance, scale)]
     extras = {"label_names": list(organ.label_names)}
-    if "lesions" in organ.metadata:
-        extras["lesions"] = json_safe(organ.metadata["lesions"])
+    for key in ("lesions", "clean_twin_of"):
+        if key in organ.metadata:
+            extras[key] = json_safe(organ.metadata[key])
     own = {"format": ORGAN_FORMAT, "T_world_patient": pose.tolist()}
     own |= _add_exact(glb, organ, source, uv)
     document = {

@@ -32,6 +32,10 @@ RECORDING, COMPLETE = "recording", "complete"
 _AnyLens = Union[tuple(LENSES.values())]  # type: ignore[valid-type]  # noqa: UP007
 
 
+_LESION_KEYS = ("lesions", "clean_twin_of")
+"""What the organ's lesions are; of a clean twin, which it is without."""
+
+
 def make_head(scenario: Scenario, model: Model, notes: tuple[str, ...]) -> dict[str, Any]:
     """Contents of `episode.json` for a resolved scenario, without its `status`."""
     organ, device = model.organ, model.device
@@ -49,8 +53,10 @@ def make_head(scenario: Scenario, model: Model, notes: tuple[str, ...]) -> dict[
             "num_vertices": len(organ.vertices),
             "num_faces": len(organ.faces),
             "centerline_length_m": organ.centerline.length,
-            "lesions": json_safe(organ.metadata.get("lesions", [])),
-            "metadata": json_safe({k: v for k, v in organ.metadata.items() if k != "lesions"}),
+            **{key: json_safe(organ.metadata.get(key, [])) for key in _LESION_KEYS},
+            "metadata": json_safe(
+                {k: v for k, v in organ.metadata.items() if k not in _LESION_KEYS}
+            ),
         },
         "T_world_patient": model.T_world_patient.tolist(),
         "capsule": {

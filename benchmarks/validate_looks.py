@@ -1,0 +1,197 @@
+"""Claim: frames look more like real ones than those of VR-Caps do.
+
+Sets our frames of each class beside the real frames of that class, and the synthetic frames
+published with VR-Caps beside the same: means, spreads and gradients in CIE L*a*b*.
+
+    python benchmarks/validate_looks.py
+    python benchmarks/validate_looks.py --only clean_colon --sheets /tmp/looks   # while tuning
+
+With `--sheets` it writes a picture for each class that mixes both, to look at.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+from looks_images import SIZE, disc, read_disc, valid_pixels
+from looks_scenes import exposed, shots
+from PIL import Image
+from validation import ROOT, table, write_section
+
+from vrcaps.metrics.color import CHANNELS, ImageColor, color_distance, image_color
+
+DATA = ROOT.parent / "shared" / "data"
+PAGE = ROOT / "docs" / "gallery.md"
+PATIENTS_AND_FRAMES = {
+    "clean_colon": (6, 12),
+    "capsule_non_bleeding": (5, 14),
+    "capsule_bleeding": (5, 4),
+    "polyp": (5, 6),
+    "colitis_grade_1": (4, 8),
+    "colitis_grade_2": (4, 8),
+    "colitis_grade_3": (4, 8),
+}
+MEAN_LUMINANCE = {True: 0.20, False: 0.15}
+"""Linear luminance that an automatic exposure aims at, of colonoscopes and of capsules: the mean
+of the real frames."""
+EXPOSURE_SPREAD = 0.25
+"""Deviation of its logarithm from frame to frame; 0.19 to 0.59 in the classes of real frames."""
+RESAMPLES = 1000
+STATISTICS = ("mean", "spread", "gradient")
+
+
+def is_colonoscopy(name: str) -> bool:
+    """Whether a class of real frames was taken by colonoscopes."""
+    return not name.startswith("capsule")
+
+
+def has_overlays(name: str) -> bool:
+    """Whether its frames come from HyperKvasir, whose recorders print text and boxes."""
+    return name.startswith(("polyp", "colitis"))
+
+
+def our_discs(name: str, patients: int, frames: int) -> list[np.ndarray]:
+    """Our frames of a class, as sRGB discs."""
+    rng = np.random.default_rng(11)
+    aim = MEAN_LUMINANCE[is_colonoscopy(name)]
+    return [
+        disc(exposed(shot.radiance, aim * np.exp(EXPOSURE_SPREAD * rng.normal())))
+        for shot in shots(name, patients, frames)
+    ]
+
+
+def read_folder(paths: list[Path]) -> list[np.ndarray]:
+    """Image files as discs, in the order of their names."""
+    return [read_disc(path) for path in sorted(paths)]
+
+
+def totals(ours: list[ImageColor], real: list[ImageColor]) -> np.ndarray:
+    """Distance in each statistic: the root of the sum of squares over L*, a*, b*."""
+    found = color_distance(ours, real)
+    return np.array([np.linalg.norm(getattr(found, name)) for name in STATISTICS])
+
+
+def bootstrap(
+    ours: list[ImageColor], theirs: list[ImageColor], real: list[ImageColor]
+) -> np.ndarray:
+    """Distances [resample, side, statistic] when the images of each set are drawn anew."""
+    rng = np.random.default_rng(3)
+
+    def drawn(images: list[ImageColor]) -> list[ImageColor]:
+        return [images[k] for k in rng.integers(len(images), size=len(images))]
+
+    found = []
+    for _ in range(RESAMPLES):
+        anew = drawn(real)
+        found.append([totals(drawn(ours), anew), totals(drawn(theirs), anew)])
+    return np.array(found)
+
+
+def compare(name: str, discs: dict[str, list[np.ndarray]]) -> tuple[list, list]:
+    """Rows of the main table and of the table by channel."""
+    valid = valid_pixels(has_overlays(name))
+    ours, theirs, real = (
+        [image_color(image, valid) for image in discs[side]] for side in ("ours", "VR-Caps", "real")
+    )
+    found = np.array([totals(ours, real), totals(theirs, real)])
+    held_out = np.array([totals(ours, real[1::2]), totals(theirs, real[1::2])])
+    drawn = bootstrap(ours, theirs, real)
+    low, high = np.quantile(drawn, (0.05, 0.95), axis=0)
+    wins = (drawn[:, 0] < drawn[:, 1]).mean(axis=0)
+    rows = []
+    for k, statistic in enumerate(STATISTICS):
+        cells = [
+            f"{found[side, k]:.2f} ({low[side, k]:.2f}–{high[side, k]:.2f})" for side in (0, 1)
+        ]
+        rows.append(
+            (
+                *(f"{name} ({len(real)})", statistic, *cells, f"{100 * wins[k]:.0f} %"),
+                f"{held_out[0, k]:.2f} / {held_out[1, k]:.2f}",
+                "yes" if found[0, k] < found[1, k] else "NO",
+            )
+        )
+    return rows, by_channel(name, ours, theirs, real)
+
+
+def by_channel(
+    name: str, ours: list[ImageColor], theirs: list[ImageColor], real: list[ImageColor]
+) -> list[tuple[str, ...]]:
+    """Plain values: mean, spread, mean gradient of each set, and distances, by channel."""
+    sides = {"real": real, "ours": ours, "VR-Caps": theirs}
+    rows = []
+    for side, images in sides.items():
+        steps = (np.arange(images[0].gradients.shape[1]) + 0.5) * 0.25
+        values = [
+            np.mean([image.mean for image in images], axis=0),
+            np.std([image.mean for image in images], axis=0),
+            np.mean([image.spread for image in images], axis=0),
+            np.mean([image.gradients @ steps for image in images], axis=0),
+        ]
+        cells = [" / ".join(f"{x:.1f}" for x in value) for value in values]
+        rows.append((name, side, str(len(images)), *cells))
+    return rows
+
+
+def write_sheet(path: Path, discs: dict[str, list[np.ndarray]]) -> None:
+    """Two rows of ours over one of real frames."""
+    inside = valid_pixels(False)[..., None]
+    ours, real = discs["ours"], discs["real"]
+    chosen = [ours[k] for k in np.linspace(0, len(ours) - 1, 24).astype(int)]
+    tiles = [*chosen, *real[:12], *[np.zeros((SIZE, SIZE, 3), np.uint8)] * (12 - len(real[:12]))]
+    rows = [np.hstack([tile * inside for tile in tiles[k : k + 12]]) for k in (0, 12, 24)]
+    path.parent.mkdir(parents=True, exist_ok=True)
+    Image.fromarray(np.vstack(rows)).save(path)
+
+
+def main() -> None:
+    """Render, compare, write the tables."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--only", nargs="*", default=list(PATIENTS_AND_FRAMES), help="classes")
+    parser.add_argument("--sheets", type=Path, help="folder for pictures that mix ours and real")
+    parser.add_argument("--out", type=Path, help="Markdown page to write into")
+    given = parser.parse_args()
+    theirs = read_folder(list((DATA / "reference_frames").glob("synthetic_*")))
+    rows, channels = [], []
+    for name in given.only:
+        discs = {
+            "ours": our_discs(name, *PATIENTS_AND_FRAMES[name]),
+            "VR-Caps": theirs,
+            "real": read_folder(list((DATA / "real_frames" / name).iterdir())),
+        }
+        if given.sheets:
+            write_sheet(given.sheets / f"{name}.png", discs)
+        new_rows, new_channels = compare(name, discs)
+        rows += new_rows
+        channels += new_channels
+        print(*new_rows, *new_channels, sep="\n", flush=True)
+    if given.out:
+        write_section(given.out, Path(__file__).name, report(rows, channels))
+
+
+HEAD = (
+    *("real class (frames)", "statistic", "ours → real", "VR-Caps → real"),
+    *("resamples in which ours is closer", "second half: ours / VR-Caps", "ours closer"),
+)
+HEAD_CHANNELS = (
+    *("class", "frames of", "number", "mean L / a / b", "deviation of means"),
+    *("spread within a frame", "mean gradient"),
+)
+
+
+def report(rows: list, channels: list) -> str:
+    """The section of the page."""
+    return f"""## Colour, beside real frames
+
+`python benchmarks/validate_looks.py --out docs/gallery.md`: our frames beside real ones, and the
+synthetic frames published with VR-Caps beside the same, in CIE {", ".join(CHANNELS)}.
+
+{table(HEAD, rows)}
+
+{table(HEAD_CHANNELS, channels)}
+"""
+
+
+if __name__ == "__main__":
+    main()

@@ -42,9 +42,13 @@ class Mucosa:
         capillary_radius: Radius of the finest visible branches [m]; wider ones follow from it
             by Murray's law.
         relief_slope: RMS slope of the millimetre-sized relief, which breaks up highlights.
-        pit_spacing: Distance between the grooves around groups of crypts [m].
-        pit_slope: RMS slope of those grooves.
+        pit_spacing: Distance between villi, gastric areae or groups of crypts [m].
+        pit_slope: RMS slope of the gaps between them.
+        pit_shade: Optical density of those gaps in green light; bile gathers there too.
+        network: Weight of the finest network of vessels in the redness.
+        flecks: Share of places, one in 3.2 mm, that hold a fleck of mucus.
         roughness: Perceptual roughness of the wall under its wet film, 0 to 1.
+        coat: Strength of the wet film, 0 (dry, or broken up) to 1 (whole).
         coat_gloss: Gloss of the wet film, 0 (satin) to 1 (mirror-like).
     """
 
@@ -58,7 +62,11 @@ class Mucosa:
     relief_slope: float = 0.06
     pit_spacing: float = 0.6 * MM
     pit_slope: float = 0.012
+    pit_shade: float = 0.05
+    network: float = 1.1
+    flecks: float = 0.01
     roughness: float = 0.65
+    coat: float = 1.0
     coat_gloss: float = 0.93
 
 
@@ -69,19 +77,45 @@ MUCOSAE: dict[str, Mucosa] = {
         bile=0.08,
         vessel_contrast=0.25,
         vessel_spacing=1.5 * MM,
-        pit_spacing=0.8 * MM,
-        pit_slope=0.10,
+        pit_spacing=2.2 * MM,
+        pit_slope=0.12,
+        pit_shade=0.12,
+        network=0.35,
+        flecks=0.06,
+        coat=0.7,
     ),
     "small_intestine": Mucosa(
         base_color=(0.60, 0.29, 0.16),
         bile=0.45,
         vessel_contrast=0.35,
-        pit_spacing=0.5 * MM,
-        pit_slope=0.16,
-        roughness=0.55,
+        pit_spacing=0.45 * MM,
+        pit_slope=0.35,
+        pit_shade=0.5,
+        network=0.2,
+        flecks=0.05,
+        roughness=0.7,
+        coat=0.35,
     ),
 }
 """Mucosae by organ."""
+
+_SEGMENTS: dict[str, tuple[float, float, float]] = {
+    "fundus": (0.7, 1.0, 1.2),
+    "cardia": (0.5, 1.0, 1.2),
+    "body": (1.2, 0.9, 1.0),
+    "antrum": (0.6, 1.3, 0.6),
+    "pylorus": (0.4, 1.6, 0.4),
+    "duodenal_bulb": (0.6, 1.2, 0.8),
+    "duodenum": (1.0, 1.5, 0.3),
+    "jejunum": (1.1, 1.1, 0.4),
+    "ileum": (0.6, 0.7, 1.3),
+}
+"""Factors on the pits or villi, the bile and the vessels by segment; 1 elsewhere. Villi are tall
+and bile is strong in duodenum and jejunum; in the ileum villi are short and vessels shine through
+(Steinbrück et al., Atlas of Video Capsule Endoscopy, 2014, chapter 5)."""
+
+_BLUR = 0.03
+"""Standard deviation over which one segment passes into the next, as a share of the length."""
 
 
 def bake_appearance(
@@ -121,6 +155,7 @@ def bake_appearance(
         albedo=albedo.reshape(height, width, 3),
         roughness=roughness.reshape(height, width),
         height=relief.reshape(height, width),
+        coat=mucosa.coat,
         coat_gloss=mucosa.coat_gloss,
     )
 
@@ -184,11 +219,35 @@ def _texture_size(
     return height, width
 
 
-def _wall_fields(organ: OrganSurface) -> Float[np.ndarray, "n 8"]:
-    """Position [mm], normal, curvature [1/mm] and arc length [mm] of each vertex."""
+def _wall_fields(organ: OrganSurface) -> Float[np.ndarray, "n 11"]:
+    """Position [mm], normal, curvature [1/mm], arc length [mm] and segment factors of vertices."""
     curvature = _bulge(organ.vertices, organ.normals, organ.faces) * MM
-    columns = (organ.vertices / MM, organ.normals, curvature, organ.arc_length / MM)
+    factors = _segment_factors(organ)
+    columns = (organ.vertices / MM, organ.normals, curvature, organ.arc_length / MM, factors)
     return np.column_stack(columns).astype(np.float32)
+
+
+def _segment_factors(organ: OrganSurface) -> Float[np.ndarray, "n 3"]:
+    """Factors on pits, bile and vessels at each vertex: one segment passes into the next."""
+    table = np.array([_SEGMENTS.get(name, (1.0, 1.0, 1.0)) for name in organ.label_names])
+    own = np.zeros(len(organ.vertices), bool)
+    own[organ.faces] = True
+    start, span = organ.arc_length[own].min(), max(float(np.ptp(organ.arc_length[own])), 1e-9)
+    num_bins = 400
+    place = np.clip((organ.arc_length - start) / span * num_bins, 0.0, num_bins - 1e-6)
+    bins = place.astype(int)[own]
+    factors = table[organ.label]
+    # A Gaussian over a wall that goes on as it ends.
+    offset = np.arange(-num_bins, num_bins + 1) / num_bins
+    kernel = np.exp(-0.5 * (offset / _BLUR) ** 2)
+    weight = np.convolve(np.bincount(bins, minlength=num_bins), kernel)[num_bins:-num_bins]
+    smooth = [
+        np.convolve(np.bincount(bins, factors[own, k], num_bins), kernel)[num_bins:-num_bins]
+        / weight
+        for k in range(3)
+    ]
+    middle = np.arange(num_bins) + 0.5
+    return np.stack([np.interp(place, middle, values) for values in smooth], axis=1)
 
 
 def _bulge(

@@ -33,20 +33,21 @@ COLITIS = {1: "ascending", 2: "transverse", 3: "descending"}
 BLEEDS = ("haemorrhage-1", "haemorrhage-2", "haemorrhage-3", "haemorrhage-4")
 
 
-def colonoscope() -> Device:
+def colonoscope(side_px: int = SIDE_PX) -> Device:
     """A video colonoscope's tip: 140° across, two light guides beside the lens.
 
     Field of view as makers state it for standard colonoscopes; the guides' places are assumed.
     """
+    half = 0.5 * side_px
     camera = Camera(
         name="front",
-        lens=LensEquidistant(0.5 * SIDE_PX / (70 * DEG), *(0.5 * (SIDE_PX - 1),) * 2, 70 * DEG),
-        width=SIDE_PX,
-        height=SIDE_PX,
+        lens=LensEquidistant(half / (70 * DEG), half - 0.5, half - 0.5, 70 * DEG),
+        width=side_px,
+        height=side_px,
         T_capsule_camera=np.eye(4),
         leds=tuple(Led((x * MM, -2 * MM, 0.0)) for x in (-3.5, 3.5)),
         exposure=1.0,
-        image_circle_px=0.5 * SIDE_PX,
+        image_circle_px=half,
     )
     return replace(vrcaps.load_device("mirocam"), name="colonoscope", cameras=(camera,))
 
@@ -82,7 +83,9 @@ def views(
     """Organs of one patient, and places to look from."""
     capsule, colonoscopy = vrcaps.load_device("pillcam-sb3"), colonoscope()
     if name == "clean_colon":
-        yield flight(vrcaps.load_organ("colon", seed=seed), colonoscopy, (0.03, 0.97), frames, rng)
+        yield flight(
+            vrcaps.load_organ("colon", seed=seed), colonoscope(360), (0.03, 0.97), frames, rng
+        )
     elif name == "capsule_non_bleeding":
         organ = vrcaps.load_organ("small-bowel", seed=seed)
         yield flight(organ, capsule, (0.02, 0.98), frames, rng)
@@ -109,7 +112,7 @@ def flight(
     """Evenly along a stretch of the lumen, now and then looking at the wall."""
     model = Model(organ, device)
     low, high = np.clip(stretch, 0.01, 0.99)
-    settings = vrcaps.FlyThrough(start=low, end=high, wobble=0.5, drift=0.5)
+    settings = vrcaps.FlyThrough(start=low, end=high, wobble=0.78, drift=0.6)
     path = vrcaps.fly_through(model, settings, frames=frames, fps=1.0, rng=rng)
     return model, [path.state(k) for k in range(frames)]
 

@@ -15,7 +15,7 @@ import argparse
 from pathlib import Path
 
 import numpy as np
-from looks_images import SIZE, disc, read_disc, valid_pixels
+from looks_images import SIZE, disc, read_disc, stored, valid_pixels
 from looks_scenes import exposed, shots
 from PIL import Image
 from validation import ROOT, table, write_section
@@ -25,7 +25,7 @@ from vrcaps.metrics.color import CHANNELS, ImageColor, color_distance, image_col
 DATA = ROOT.parent / "shared" / "data"
 PAGE = ROOT / "docs" / "gallery.md"
 PATIENTS_AND_FRAMES = {
-    "clean_colon": (6, 12),
+    "clean_colon": (6, 10),
     "capsule_non_bleeding": (5, 14),
     "capsule_bleeding": (5, 4),
     "polyp": (5, 6),
@@ -38,6 +38,8 @@ MEAN_LUMINANCE = {True: 0.20, False: 0.15}
 of the real frames."""
 EXPOSURE_SPREAD = 0.25
 """Deviation of its logarithm from frame to frame; 0.19 to 0.59 in the classes of real frames."""
+JPEG_QUALITY = {"clean_colon": 94, "polyp": 75, "colitis": 75}
+"""Of the real files, by how their class begins; capsule frames are PNG files."""
 RESAMPLES = 1000
 STATISTICS = ("mean", "spread", "gradient")
 
@@ -56,10 +58,12 @@ def our_discs(name: str, patients: int, frames: int) -> list[np.ndarray]:
     """Our frames of a class, as sRGB discs."""
     rng = np.random.default_rng(11)
     aim = MEAN_LUMINANCE[is_colonoscopy(name)]
-    return [
-        disc(exposed(shot.radiance, aim * np.exp(EXPOSURE_SPREAD * rng.normal())))
+    quality = JPEG_QUALITY.get(name.partition("_grade")[0])
+    images = (
+        exposed(shot.radiance, aim * np.exp(EXPOSURE_SPREAD * rng.normal()))
         for shot in shots(name, patients, frames)
-    ]
+    )
+    return [disc(stored(image, quality)) for image in images]
 
 
 def read_folder(paths: list[Path]) -> list[np.ndarray]:

@@ -7,7 +7,7 @@ trees grown over the wall itself.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -29,12 +29,17 @@ DEFAULT_TEXELS_PER_MM = 8.0
 
 @dataclass(frozen=True)
 class Mucosa:
-    """Character of a mucosa. Colours are fitted by eye to endoscopic images under white light.
+    """Character of a mucosa.
+
+    Colours are those that endoscopes show, which enhance them: their ratios and spread are
+    fitted to real frames (docs/gallery.md), shapes and sizes by eye.
 
     Attributes:
         base_color: Linear reflectance of the wall between its vessels, red, green, blue.
         redness_variation: Spread of the optical density of blood in the mucosa, over places
-            along the gut, patches and patients.
+            along the gut and patches.
+        patient_variation: Deviation over patients of the optical density of blood in green
+            light, and of bile in blue light.
         bile: Optical density of bile-stained mucus in blue light.
         vessel_contrast: Share of green light that a wide, shallow vessel takes away, 0 to 1.
         vessel_spacing: Distance between the ends of the finest visible branches [m].
@@ -53,9 +58,10 @@ class Mucosa:
     """
 
     base_color: tuple[float, float, float]
-    redness_variation: float = 0.25
-    bile: float = 0.10
-    vessel_contrast: float = 0.85
+    redness_variation: float = 0.35
+    patient_variation: tuple[float, float] = (0.20, 0.30)
+    bile: float = 0.35
+    vessel_contrast: float = 1.0
     vessel_spacing: float = 1.0 * MM
     trunk_spacing: float = 30.0 * MM
     capillary_radius: float = 0.038 * MM
@@ -71,10 +77,10 @@ class Mucosa:
 
 
 MUCOSAE: dict[str, Mucosa] = {
-    "colon": Mucosa(base_color=(0.64, 0.215, 0.125)),
+    "colon": Mucosa(base_color=(0.64, 0.160, 0.083)),
     "stomach": Mucosa(
-        base_color=(0.62, 0.22, 0.12),
-        bile=0.08,
+        base_color=(0.62, 0.170, 0.085),
+        bile=0.25,
         vessel_contrast=0.25,
         vessel_spacing=1.5 * MM,
         pit_spacing=2.2 * MM,
@@ -85,8 +91,9 @@ MUCOSAE: dict[str, Mucosa] = {
         coat=0.7,
     ),
     "small_intestine": Mucosa(
-        base_color=(0.60, 0.29, 0.16),
-        bile=0.45,
+        base_color=(0.60, 0.26, 0.115),
+        patient_variation=(0.20, 0.40),
+        bile=0.55,
         vessel_contrast=0.35,
         pit_spacing=0.45 * MM,
         pit_slope=0.35,
@@ -98,6 +105,10 @@ MUCOSAE: dict[str, Mucosa] = {
     ),
 }
 """Mucosae by organ."""
+
+_ABSORPTION = np.array([[0.16, 1.0, 0.92], [0.04, 0.16, 1.0]])
+"""Optical density in red, green and blue of blood, relative to green, and of bile, to blue: as in
+the compiled core (tissue.rs)."""
 
 _SEGMENTS: dict[str, tuple[float, float, float]] = {
     "fundus": (0.7, 1.0, 1.2),
@@ -139,7 +150,7 @@ def bake_appearance(
         texels_per_mm: Density to bake at; None takes 8, or less where the limits bind.
         max_texels: Most texels a texture may have.
     """
-    mucosa = _resolve(mucosa)
+    mucosa = _of_patient(_resolve(mucosa), seed)
     pace = _pace(organ)
     height, width = _texture_size(pace, texels_per_mm, max_texels)
     texel = float(np.hypot(pace[0] / width, pace[1] / height)) / 2.0**0.5
@@ -166,6 +177,14 @@ def _resolve(mucosa: str | Mucosa) -> Mucosa:
     if mucosa not in MUCOSAE:
         raise UnknownNameError("mucosa", mucosa, MUCOSAE)
     return MUCOSAE[mucosa]
+
+
+def _of_patient(mucosa: Mucosa, seed: int) -> Mucosa:
+    """One patient's mucosa: the same draw for every organ."""
+    spread = np.array(mucosa.patient_variation)
+    densities = spread * np.random.default_rng([seed, 0x70616C65]).standard_normal(2)
+    color = np.array(mucosa.base_color) * np.exp(-densities @ _ABSORPTION)
+    return replace(mucosa, base_color=tuple(np.clip(color, 0.01, 0.95).tolist()))
 
 
 def _pace(organ: OrganSurface) -> tuple[float, float]:

@@ -25,13 +25,13 @@ from vrcaps.metrics.color import CHANNELS, ImageColor, color_distance, image_col
 DATA = ROOT.parent / "shared" / "data"
 PAGE = ROOT / "docs" / "gallery.md"
 PATIENTS_AND_FRAMES = {
-    "clean_colon": (6, 10),
-    "capsule_non_bleeding": (5, 14),
-    "capsule_bleeding": (5, 4),
-    "polyp": (5, 6),
-    "colitis_grade_1": (4, 8),
-    "colitis_grade_2": (4, 8),
-    "colitis_grade_3": (4, 8),
+    "clean_colon": (5, 12),
+    "capsule_non_bleeding": (4, 15),
+    "capsule_bleeding": (4, 4),
+    "polyp": (4, 6),
+    "colitis_grade_1": (3, 10),
+    "colitis_grade_2": (3, 10),
+    "colitis_grade_3": (3, 10),
 }
 MEAN_LUMINANCE = {True: 0.20, False: 0.15}
 """Linear luminance that an automatic exposure aims at, of colonoscopes and of capsules: the mean

@@ -17,7 +17,7 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-from looks_scenes import SETTINGS, at_lesions
+from looks_scenes import SETTINGS, at_lesions, exposed
 from PIL import Image, ImageDraw
 from validation import ROOT
 
@@ -29,6 +29,8 @@ from vrcaps.world.model import Model, State
 PAGE = ROOT / "docs" / "gallery.md"
 IMAGES = ROOT / "docs" / "images"
 TILE_PX = 200
+LUMINANCE = 0.15
+"""Mean linear luminance of each frame; that of real capsule frames."""
 CAPTION_PX = 16
 COLUMNS = 6
 CONDITIONS = ("inflated", "normal", "collapsed")
@@ -58,11 +60,14 @@ class Sheet:
     columns: int = COLUMNS
 
 
-def frames(model: Model, states: list[State], camera: int = 0) -> list[vrcaps.Frame]:
-    """Colour and labels of each place."""
+def frames(model: Model, states: list[State]) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Colour, evenly exposed, and labels of each place."""
     renderer = vrcaps.Renderer(model, SETTINGS)
-    lens = model.device.cameras[camera]
-    return [renderer.render(state, lens, channels=("rgb", "label", "depth")) for state in states]
+    made = []
+    for state in states:
+        frame = renderer.render(state, model.device.cameras[0], channels=("radiance", "label"))
+        made.append((exposed(np.nan_to_num(frame.radiance), LUMINANCE), frame.label))
+    return made
 
 
 def flight(organ: OrganSurface, capsule: str, number: int, seed: int = 0) -> tuple[Model, list]:
@@ -81,12 +86,10 @@ def of_segments(name: str, capsule: str, each: int) -> list[Tile]:
     shares = np.array(
         [[np.mean(f.label == k) for k in range(len(organ.label_names))] for f in seen]
     )
-    arc_length = organ.centerline.arc_length
-    nearest = [
-        np.argmin(np.linalg.norm(organ.centerline.points - _in_patient(model, s), axis=1))
-        for s in states
-    ]
-    places = arc_length[nearest]
+    T_patient_world = np.linalg.inv(model.T_world_patient)
+    eyes = np.array([(T_patient_world @ state.T_world_capsule)[:3, 3] for state in states])
+    away = np.linalg.norm(organ.centerline.points - eyes[:, None], axis=-1)
+    places = organ.centerline.arc_length[away.argmin(axis=1)]
     tiles = []
     for k, segment in enumerate(organ.label_names):
         own = organ.arc_length[organ.label == k]
@@ -94,15 +97,11 @@ def of_segments(name: str, capsule: str, each: int) -> list[Tile]:
             continue
         borders = np.quantile(own, np.linspace(0.0, 1.0, each + 1))
         for low, high in pairwise(borders):
-            score = shares[:, k] - 2.0 * ((places < low) | (places > high))
-            best = int(np.argmax(score))
-            tiles.append((seen[best].rgb, segment.replace("_", " ")))
+            shares[(places < low) | (places > high), k] -= 1.0
+            best = int(np.argmax(shares[:, k]))
+            shares[best] -= 2.0  # shown once
+            tiles.append((seen[best][0], segment.replace("_", " ")))
     return tiles
-
-
-def _in_patient(model: Model, state: State) -> np.ndarray:
-    pose = np.linalg.inv(model.T_world_patient) @ state.T_world_capsule
-    return pose[:3, 3]
 
 
 def of_conditions() -> list[Tile]:
@@ -112,8 +111,8 @@ def of_conditions() -> list[Tile]:
         for condition in CONDITIONS:
             organ = vrcaps.load_organ(name, seed=0, condition=condition)
             model, states = flight(organ, "mirocam", 8)
-            for frame in frames(model, [states[2], states[5]]):
-                tiles.append((frame.rgb, f"{name}, {condition}"))
+            for image, _ in frames(model, [states[2], states[5]]):
+                tiles.append((image, f"{name}, {condition}"))
     return tiles
 
 
@@ -122,9 +121,9 @@ def of_tract() -> list[Tile]:
     organ = vrcaps.load_organ("gi", seed=1)
     model, states = flight(organ, "mirocam", 60)
     tiles = []
-    for frame in frames(model, states[1::5]):
-        shown = np.bincount(frame.label[frame.label > 0], minlength=2).argmax()
-        tiles.append((frame.rgb, organ.label_names[shown].replace("_", " ")))
+    for image, label in frames(model, states[1::5]):
+        shown = np.bincount(label[label > 0], minlength=2).argmax()
+        tiles.append((image, organ.label_names[shown].replace("_", " ")))
     return tiles
 
 
@@ -134,7 +133,7 @@ def of_patients() -> list[Tile]:
     for name, place in (("colon", 3), ("small-bowel", 4)):
         for seed in range(6):
             model, states = flight(vrcaps.load_organ(name, seed=seed), "mirocam", 9, seed)
-            tiles.append((frames(model, [states[place]])[0].rgb, f"{name}, patient {seed}"))
+            tiles.append((frames(model, [states[place]])[0][0], f"{name}, patient {seed}"))
     return tiles
 
 
@@ -144,7 +143,7 @@ def of_capsules() -> list[Tile]:
     organ = vrcaps.load_organ("colon", seed=1)
     for name in vrcaps.device_names():
         model, states = flight(organ, name, 9)
-        tiles.append((frames(model, [states[6]])[0].rgb, name))
+        tiles.append((frames(model, [states[6]])[0][0], name))
     return tiles
 
 
@@ -153,7 +152,7 @@ def of_lesions(organ: str, texts: tuple[str, ...], seed: int = 0) -> list[Tile]:
     rng = np.random.default_rng([seed, 5])
     model, states = at_lesions(organ, seed, texts, vrcaps.load_device("mirocam"), rng)
     names = [text.partition(":")[0] for text in texts]
-    return [(f.rgb, name) for f, name in zip(frames(model, states), names, strict=True)]
+    return [(image, name) for (image, _), name in zip(frames(model, states), names, strict=True)]
 
 
 def of_colitis() -> list[Tile]:
@@ -185,9 +184,9 @@ def _record(*arguments: str) -> tuple[str, ...]:
 
 SHEETS = (
     Sheet(
-        *("segments_stomach", "Stomach", "Two places of each segment of patient 0."),
+        *("segments_stomach", "Stomach", "Each segment of patient 0."),
         _record("--organ stomach --supersampling 2 --shadows"),
-        partial(of_segments, "stomach", "mirocam", 2),
+        partial(of_segments, "stomach", "mirocam", 1),
     ),
     Sheet(
         *("segments_small_bowel", "Small bowel", "Three places of each segment of patient 0."),
@@ -285,8 +284,9 @@ HEAD = """# Gallery
 
 What generated patients look like: every organ and segment, every kind and grade of lesion. One
 script with fixed seeds draws it all, `python benchmarks/gallery.py`: direct light of the capsules'
-own LEDs with shadows, their own lenses and fixed exposures, no picture chosen by hand. The commands
-below each sheet record such frames with all their labels.
+own LEDs with shadows and their own lenses; no picture is chosen by hand. The commands below each
+sheet record such frames with all their labels. Here each frame is exposed to the same mean
+luminance, as a capsule adapts its light; a recording keeps the exposure that its capsule states.
 
 """
 

@@ -39,7 +39,8 @@ of the real frames."""
 EXPOSURE_SPREAD = 0.25
 """Deviation of its logarithm from frame to frame; 0.19 to 0.59 in the classes of real frames."""
 JPEG_QUALITY = {"clean_colon": 94, "polyp": 75, "colitis": 75}
-"""Of the real files, by how their class begins; capsule frames are PNG files."""
+"""Of the real files, by how their class begins, all with colours at half resolution; capsule
+frames are PNG files."""
 RESAMPLES = 1000
 STATISTICS = ("mean", "spread", "gradient")
 

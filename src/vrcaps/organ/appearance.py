@@ -60,24 +60,24 @@ class Mucosa:
     base_color: tuple[float, float, float]
     redness_variation: float = 0.35
     patient_variation: tuple[float, float] = (0.20, 0.30)
-    bile: float = 0.35
+    bile: float = 0.45
     vessel_contrast: float = 1.0
     vessel_spacing: float = 1.0 * MM
     trunk_spacing: float = 30.0 * MM
-    capillary_radius: float = 0.038 * MM
+    capillary_radius: float = 0.046 * MM
     relief_slope: float = 0.06
     pit_spacing: float = 0.6 * MM
     pit_slope: float = 0.012
     pit_shade: float = 0.05
     network: float = 1.1
-    flecks: float = 0.01
+    flecks: float = 0.03
     roughness: float = 0.65
     coat: float = 1.0
     coat_gloss: float = 0.93
 
 
 MUCOSAE: dict[str, Mucosa] = {
-    "colon": Mucosa(base_color=(0.64, 0.160, 0.083)),
+    "colon": Mucosa(base_color=(0.64, 0.165, 0.088)),
     "stomach": Mucosa(
         base_color=(0.62, 0.170, 0.085),
         bile=0.25,

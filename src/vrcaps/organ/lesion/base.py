@@ -42,13 +42,14 @@ class WallSamples:
 
     Attributes:
         xy: Place in the wall [m]. Of a spot: geodesic log map about its centre. Of a band: arc
-            length and 0. Of a stream: way along its path, and distance from the path.
+            length and 0. Of a stream: way along its path, distance from the path, and way along
+            the wall from the pool's hollow.
         rest: Position without the lesion [m], patient frame.
         normal: Unit normal into the lumen there.
         inward: Offset to the centreline [m].
     """
 
-    xy: Float[np.ndarray, "n 2"]
+    xy: Float[np.ndarray, "n k"]
     rest: Float[np.ndarray, "n 3"]
     normal: Float[np.ndarray, "n 3"]
     inward: Float[np.ndarray, "n 3"]
@@ -156,6 +157,11 @@ class Lesion:
     def footprint_radius(self) -> float:
         """Of a spot: radius of the wall that it takes [m]."""
         raise NotImplementedError
+
+    @property
+    def head_radius(self) -> float:
+        """Of a spot: radius of what stands on the wall, or behind it [m]."""
+        return self.footprint_radius
 
     @property
     def reach_in(self) -> float:

@@ -109,6 +109,11 @@ class Polyp(Lesion):
         return 0.5 * self.size * _PROFILES[self.shape][0][0]
 
     @property
+    def head_radius(self) -> float:
+        """Half the size [m]."""
+        return 0.5 * self.size
+
+    @property
     def reach_in(self) -> float:
         """Height over the wall [m]."""
         return float(_control(self.shape, self.size)[:, 1].max())

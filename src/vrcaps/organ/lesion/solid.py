@@ -9,7 +9,7 @@ import numpy as np
 
 from vrcaps.errors import InputError
 from vrcaps.organ.lesion.base import Lesion, Look, Site, WallSamples, mix, require_range, smoothstep
-from vrcaps.organ.lesion.colitis import BLOOD
+from vrcaps.organ.lesion.blood import under_blood
 from vrcaps.organ.lesion.noise import cloud, grain, swell
 from vrcaps.organ.lesion.spot import ProfileForm
 from vrcaps.units import CM, MM
@@ -83,7 +83,7 @@ class TumourForm(ProfileForm):
         slough = np.array([0.56, 0.44, 0.24]) * np.exp(0.15 * fine)[:, None]
         color = mix(color, slough, 0.85 * dead)
         bleeding = smoothstep((self._blood(points) + 0.8 * crater - 1.3) / 0.3)
-        color = mix(color, BLOOD, 0.85 * bleeding)
+        color = under_blood(color, 0.8 * MM * bleeding, 0.3)
         look = (color, clean.roughness - 0.25 * bleeding + 0.08 * dead, 0.05 * MM * fine)
         return self.blended(wall, clean, look, softness=0.1)
 
@@ -107,6 +107,11 @@ class Diverticulum(Lesion):
     def footprint_radius(self) -> float:
         """Radius of the wall that turns into it [m]."""
         return 0.5 * self.size * _POUCH[0][0]
+
+    @property
+    def head_radius(self) -> float:
+        """Radius of the pouch [m]."""
+        return 0.5 * self.size * max(r for r, z in _POUCH if z < -0.5)
 
     @property
     def reach_in(self) -> float:

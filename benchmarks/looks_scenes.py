@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 from validation import ROOT
@@ -94,12 +95,19 @@ def views(
     elif name == "polyp":
         yield at_lesions("colon", seed, POLYPS, colonoscopy, rng)
     else:
-        mayo = int(name[-1])
-        organ = vrcaps.load_organ("colon", seed=seed)
-        text = f"colitis-{mayo}:spread=30cm,segment={COLITIS[mayo]}"
-        sick = add_lesions(organ, [parse_lesion(text)], rng).organ
-        middle = sick.metadata["lesions"][0]["arc_length_m"] / sick.centerline.length
+        sick = ill_colon(seed)
+        record = sick.metadata["lesions"][int(name[-1]) - 1]
+        middle = record["arc_length_m"] / sick.centerline.length
         yield flight(sick, colonoscopy, (middle - 0.06, middle + 0.06), frames, rng)
+
+
+@cache
+def ill_colon(seed: int) -> OrganSurface:
+    """A colon with a stretch of colitis of each grade, Mayo 1, 2, 3."""
+    texts = [f"colitis-{mayo}:spread=30cm,segment={at}" for mayo, at in COLITIS.items()]
+    organ = vrcaps.load_organ("colon", seed=seed)
+    lesions = [parse_lesion(text) for text in texts]
+    return add_lesions(organ, lesions, np.random.default_rng([seed, 78])).organ
 
 
 def flight(

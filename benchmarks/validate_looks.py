@@ -25,10 +25,10 @@ from vrcaps.metrics.color import CHANNELS, ImageColor, color_distance, image_col
 DATA = ROOT.parent / "shared" / "data"
 PAGE = ROOT / "docs" / "gallery.md"
 PATIENTS_AND_FRAMES = {
-    "clean_colon": (5, 12),
-    "capsule_non_bleeding": (4, 15),
-    "capsule_bleeding": (4, 4),
-    "polyp": (4, 6),
+    "clean_colon": (4, 15),
+    "capsule_non_bleeding": (3, 20),
+    "capsule_bleeding": (3, 4),
+    "polyp": (3, 6),
     "colitis_grade_1": (3, 10),
     "colitis_grade_2": (3, 10),
     "colitis_grade_3": (3, 10),
@@ -65,6 +65,17 @@ def our_discs(name: str, patients: int, frames: int) -> list[np.ndarray]:
         for shot in shots(name, patients, frames)
     )
     return [disc(stored(image, quality)) for image in images]
+
+
+def kept_discs(name: str, folder: Path | None) -> list[np.ndarray]:
+    """Our frames of a class, from a folder if an earlier run has kept them there."""
+    if folder is None:
+        return our_discs(name, *PATIENTS_AND_FRAMES[name])
+    path = folder / f"{name}.npy"
+    if not path.exists():
+        folder.mkdir(parents=True, exist_ok=True)
+        np.save(path, np.stack(our_discs(name, *PATIENTS_AND_FRAMES[name])))
+    return list(np.load(path))
 
 
 def read_folder(paths: list[Path]) -> list[np.ndarray]:
@@ -155,13 +166,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--only", nargs="*", default=list(PATIENTS_AND_FRAMES), help="classes")
     parser.add_argument("--sheets", type=Path, help="folder for pictures that mix ours and real")
+    parser.add_argument("--keep", type=Path, help="folder that keeps our frames between runs")
     parser.add_argument("--out", type=Path, help="Markdown page to write into")
     given = parser.parse_args()
     theirs = read_folder(list((DATA / "reference_frames").glob("synthetic_*")))
     rows, channels = [], []
     for name in given.only:
         discs = {
-            "ours": our_discs(name, *PATIENTS_AND_FRAMES[name]),
+            "ours": kept_discs(name, given.keep),
             "VR-Caps": theirs,
             "real": read_folder(list((DATA / "real_frames" / name).iterdir())),
         }

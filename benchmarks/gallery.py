@@ -27,7 +27,6 @@ from vrcaps.organ.surface import OrganSurface
 from vrcaps.world.model import Model, State
 
 PAGE = ROOT / "docs" / "gallery.md"
-IMAGES = ROOT / "docs" / "images"
 TILE_PX = 200
 LUMINANCE = 0.15
 """Mean linear luminance of each frame; that of real capsule frames."""
@@ -271,6 +270,11 @@ def contact_sheet(tiles: list[Tile], columns: int) -> Image.Image:
     return sheet
 
 
+def image_path(sheet: Sheet) -> Path:
+    """Where a sheet is written."""
+    return ROOT / "docs" / "images" / f"gallery_{sheet.name}.jpg"
+
+
 def section(sheet: Sheet) -> str:
     """Its part of the page."""
     commands = "\n".join(sheet.commands)
@@ -296,7 +300,8 @@ def write_page(page: Path) -> None:
     mark = "<!-- written by "
     before = page.read_text(encoding="utf-8") if page.exists() else ""
     kept = mark + before.partition(mark)[2] if mark in before else ""
-    text = HEAD + "\n".join(section(sheet) for sheet in SHEETS)
+    drawn = [sheet for sheet in SHEETS if image_path(sheet).exists()]
+    text = HEAD + "\n".join(section(sheet) for sheet in drawn)
     page.write_text(text + "\n" + kept if kept else text, encoding="utf-8")
 
 
@@ -308,7 +313,7 @@ def main() -> None:
     for sheet in SHEETS:
         if not sheet.name.startswith(tuple(given.only)):
             continue
-        path = IMAGES / f"gallery_{sheet.name}.jpg"
+        path = image_path(sheet)
         contact_sheet(sheet.tiles(), sheet.columns).save(path, quality=84)
         print(f"{path.relative_to(ROOT)}: {path.stat().st_size / 1e3:.0f} kB", flush=True)
     write_page(PAGE)

@@ -80,11 +80,10 @@ def flight(organ: OrganSurface, capsule: str, number: int, seed: int = 0) -> tup
 def of_segments(name: str, capsule: str, each: int) -> list[Tile]:
     """Of each segment the frames that show most of it from nearby, one of each part of it."""
     organ = vrcaps.load_organ(name, seed=0)
-    model, states = flight(organ, capsule, 90)
+    model, states = flight(organ, capsule, 60)
     seen = frames(model, states)
-    shares = np.array(
-        [[np.mean(f.label == k) for k in range(len(organ.label_names))] for f in seen]
-    )
+    numbers = range(len(organ.label_names))
+    shares = np.array([[np.mean(label == k) for k in numbers] for _, label in seen])
     T_patient_world = np.linalg.inv(model.T_world_patient)
     eyes = np.array([(T_patient_world @ state.T_world_capsule)[:3, 3] for state in states])
     away = np.linalg.norm(organ.centerline.points - eyes[:, None], axis=-1)

@@ -26,8 +26,8 @@ DATA = ROOT.parent / "shared" / "data"
 PAGE = ROOT / "docs" / "gallery.md"
 PATIENTS_AND_FRAMES = {
     "clean_colon": (4, 15),
-    "capsule_non_bleeding": (3, 20),
-    "capsule_bleeding": (3, 4),
+    "capsule_non_bleeding": (2, 30),
+    "capsule_bleeding": (2, 4),
     "polyp": (3, 6),
     "colitis_grade_1": (3, 10),
     "colitis_grade_2": (3, 10),

@@ -7,7 +7,7 @@ trees grown over the wall itself.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -35,12 +35,17 @@ _MOST_STRETCH = 1.6  # of a texel beyond the mean that more texels make up for
 
 @dataclass(frozen=True)
 class Mucosa:
-    """Character of a mucosa. Colours are fitted by eye to endoscopic images under white light.
+    """Character of a mucosa.
+
+    Colours are those that endoscopes show, which enhance them: their ratios and spread are
+    fitted to real frames (docs/gallery.md), shapes and sizes by eye.
 
     Attributes:
         base_color: Linear reflectance of the wall between its vessels, red, green, blue.
         redness_variation: Spread of the optical density of blood in the mucosa, over places
-            along the gut, patches and patients.
+            along the gut and patches.
+        patient_variation: Deviation over patients of the optical density of blood in green
+            light, and of bile in blue light.
         bile: Optical density of bile-stained mucus in blue light.
         vessel_contrast: Share of green light that a wide, shallow vessel takes away, 0 to 1.
         vessel_spacing: Distance between the ends of the finest visible branches [m].
@@ -59,12 +64,13 @@ class Mucosa:
     """
 
     base_color: tuple[float, float, float]
-    redness_variation: float = 0.25
-    bile: float = 0.10
-    vessel_contrast: float = 0.85
+    redness_variation: float = 0.35
+    patient_variation: tuple[float, float] = (0.20, 0.30)
+    bile: float = 0.45
+    vessel_contrast: float = 1.0
     vessel_spacing: float = 1.0 * MM
     trunk_spacing: float = 30.0 * MM
-    capillary_radius: float = 0.038 * MM
+    capillary_radius: float = 0.046 * MM
     relief_slope: float = 0.06
     pit_spacing: float = 0.6 * MM
     pit_slope: float = 0.03
@@ -77,10 +83,10 @@ class Mucosa:
 
 
 MUCOSAE: dict[str, Mucosa] = {
-    "colon": Mucosa(base_color=(0.64, 0.215, 0.125)),
+    "colon": Mucosa(base_color=(0.64, 0.165, 0.088)),
     "stomach": Mucosa(
-        base_color=(0.62, 0.22, 0.12),
-        bile=0.08,
+        base_color=(0.62, 0.170, 0.085),
+        bile=0.25,
         vessel_contrast=0.25,
         vessel_spacing=1.5 * MM,
         pit_spacing=2.2 * MM,
@@ -91,8 +97,9 @@ MUCOSAE: dict[str, Mucosa] = {
         coat=0.7,
     ),
     "small_intestine": Mucosa(
-        base_color=(0.60, 0.29, 0.16),
-        bile=0.45,
+        base_color=(0.60, 0.26, 0.115),
+        patient_variation=(0.20, 0.40),
+        bile=0.55,
         vessel_contrast=0.35,
         pit_spacing=0.42 * MM,
         pit_slope=0.42,
@@ -104,6 +111,10 @@ MUCOSAE: dict[str, Mucosa] = {
     ),
 }
 """Mucosae by organ."""
+
+_ABSORPTION = np.array([[0.16, 1.0, 0.92], [0.04, 0.16, 1.0]])
+"""Optical density in red, green and blue of blood, relative to green, and of bile, to blue: as in
+the compiled core (tissue.rs)."""
 
 _SEGMENTS: dict[str, tuple[float, float, float]] = {
     "fundus": (0.7, 1.0, 1.2),
@@ -156,6 +167,7 @@ def bake_appearance(
     height, width = _texture_size(sought, texels_per_mm, max_texels)
     if isinstance(worn, MucosaTexture):
         return wear(organ, worn, (height, width), seed=seed)
+    worn = _of_patient(worn, seed)
     texel = float(np.hypot(pace[0] / width, pace[1] / height)) / 2.0**0.5
     albedo, roughness, relief = _core.bake_mucosa(
         _wall_fields(organ),
@@ -209,6 +221,14 @@ def mucosa_fingerprint(mucosa: str | None) -> dict[str, str]:
     if mucosa is None:
         return {}
     return {"mucosa": texture_sha256(mucosa) if is_texture_path(mucosa) else mucosa}
+
+
+def _of_patient(mucosa: Mucosa, seed: int) -> Mucosa:
+    """One patient's mucosa: the same draw for every organ."""
+    spread = np.array(mucosa.patient_variation)
+    densities = spread * np.random.default_rng([seed, 0x70616C65]).standard_normal(2)
+    color = np.array(mucosa.base_color) * np.exp(-densities @ _ABSORPTION)
+    return replace(mucosa, base_color=tuple(np.clip(color, 0.01, 0.95).tolist()))
 
 
 def _pace(organ: OrganSurface) -> tuple[float, float]:

@@ -56,9 +56,9 @@ class Activity:
 
 ACTIVITIES = {
     1: Activity(0.8, (1.02, 0.66, 0.62), 0.75, 0.006 * MM, petechiae=3.2),
-    2: Activity(1.0, (1.0, 0.52, 0.48), 0.55, 0.011 * MM, petechiae=2.4, erosions=1.2),
+    2: Activity(1.0, (1.0, 0.70, 0.66), 0.55, 0.011 * MM, petechiae=2.4, erosions=1.2),
     3: Activity(
-        *(1.0, (0.95, 0.34, 0.30), 0.45, 0.016 * MM),
+        *(1.0, (0.95, 0.50, 0.46), 0.45, 0.016 * MM),
         **{"petechiae": 1.9, "erosions": 1.1, "ulcers": 0.5, "blood": 0.35},
     ),
 }

@@ -30,6 +30,7 @@ class Record:
 
     For example:
       vrcaps record --out runs/colon --organ colon --seed 3 --frames 300
+      vrcaps record --out runs/empty --organ small-bowel --condition collapsed
       vrcaps record --out runs/mine --organ colon.ply --unit mm --capsule pillcam-colon2
       vrcaps record --out runs/polyp --lesion polyp-Ip:size=12mm,segment=sigmoid
       vrcaps record --out runs/path --path poses.txt --path-format tum --path-unit m
@@ -62,6 +63,9 @@ class Record:
 
     patient: int | None = None
     """Seed of a generated organ; by default --seed. Give it to fly many runs through one."""
+
+    condition: Literal["inflated", "normal", "collapsed"] | None = None
+    """How full a generated organ is; by default the colon is inflated, all else normal."""
 
     lesion: Annotated[tuple[str, ...], UseAppendAction] = ()
     """Put this into the organ; give it again for more. A kind with its grade, then what differs:
@@ -175,15 +179,17 @@ class Record:
             mucosa=self.mucosa,
         )
         if is_mesh_file(self.organ):
-            if self.patient is not None:
-                raise InputError("--patient goes with a generated organ, not with a mesh file.")
+            if self.patient is not None or self.condition is not None:
+                raise InputError(
+                    "--patient and --condition go with a generated organ, not with a mesh file."
+                )
             return replace(mesh, unit=require_unit("--unit", self.unit, self.organ))
         if mesh != OrganFile(path=self.organ, unit=""):
             raise InputError(
                 f"--unit, --open-ends, --keep-uv, --reverse and --mucosa go with a mesh file, but "
                 f"{self.organ!r} is a name. Drop them, or give the path of a PLY, OBJ, STL or GLB."
             )
-        return OrganGenerated(name=self.organ, seed=self._patient_seed())
+        return OrganGenerated(self.organ, self._patient_seed(), self.condition)
 
     def _replay(self, path: Path) -> Replay:
         from vrcaps.world.replay import Replay

@@ -36,10 +36,12 @@ class OrganGenerated:
     Attributes:
         name: Which, for example `colon`.
         seed: A different patient for each.
+        condition: How full it is; None is the usual, the colon inflated, all else normal.
     """
 
     name: str = "colon"
     seed: int = 0
+    condition: Literal["inflated", "normal", "collapsed"] | None = None
 
     kind: ClassVar[str] = "generated"
 
@@ -239,7 +241,7 @@ def _load_organ(scenario: Scenario) -> OrganSurface:
 
     given = scenario.organ
     if isinstance(given, OrganGenerated):
-        return load_organ(given.name, seed=given.seed)
+        return load_organ(given.name, seed=given.seed, condition=given.condition)
 
     def make() -> OrganSurface:
         organ = organ_from_file(

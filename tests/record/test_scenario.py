@@ -54,7 +54,9 @@ def test_toml_with_few_keys(tmp_path):
         'frames = 7\n[organ]\nkind = "generated"\nseed = 4\ncondition = "collapsed"\n'
         '[motion]\nkind = "fly-through"\nspeed = 1e-2\n'
     )
-    expected = Scenario(OrganGenerated(seed=4, condition="collapsed"), frames=7, motion=FlyThrough(speed=0.01))
+    expected = Scenario(
+        OrganGenerated(seed=4, condition="collapsed"), frames=7, motion=FlyThrough(speed=0.01)
+    )
     assert read_scenario(path) == expected
 
 

@@ -9,7 +9,7 @@ from vrcaps.errors import InputError, UnknownNameError
 from vrcaps.organ.cache import cached_organ, fingerprint
 from vrcaps.organ.surface import OrganSurface
 
-_GI_COLON_TRIANGLES = 150_000
+GI_COLON_TRIANGLES = 150_000
 """Of the colon in the joint tract, so that its edges are 2 mm long too."""
 
 
@@ -87,7 +87,7 @@ def _load_gi(seed: int, condition: str | None) -> OrganSurface:
     patient = draw_patient(seed, condition)
 
     def make() -> OrganSurface:
-        colon = replace(patient.colon, triangles=_GI_COLON_TRIANGLES)
+        colon = replace(patient.colon, triangles=GI_COLON_TRIANGLES)
         organ = generate_gi(patient.stomach, patient.small_bowel, colon, seed=seed)
         return with_appearance(organ, seed=seed)
 

@@ -39,11 +39,12 @@ _NUM_REFINED = 80
 _SPREAD = 1.25
 _TOLERANCE = 0.015
 _LEAST_ROOM = -0.3 * MM  # of the outlines, which lie a tenth beyond the mean wall
+_HOPELESS = -3.5 * MM
 _NUM_FIXED = 3
 _APPROACH = 3.5 * CM
-_FILLING = 0.5
+_FILLING = 0.42
 """Share of the free space that the bowel can fill at most."""
-_BULGE = 6 * CM
+_BULGE = 8 * CM
 _SHARPEST = 1.9
 
 # Waypoints of the duodenum in a mean body from the pylorus to the duodenojejunal flexure,
@@ -130,6 +131,8 @@ def generate_course(
                 and sharpest_bend(course, fine) < _SHARPEST
             ):
                 return course
+            if room < _HOPELESS:
+                break
             spacing *= missing
             nodes = relax_chain(chain, nodes, spacing, around.obstacles, num_steps=_NUM_REFINED)
     raise InputError(
@@ -138,14 +141,12 @@ def generate_course(
     )
 
 
-def _abdomen(
-    length: float, radius: np.ndarray, around: Surroundings, attempt: int
-) -> Terrain:
+def _abdomen(length: float, radius: np.ndarray, around: Surroundings, attempt: int) -> Terrain:
     """The space for the bowel: a full belly bulges to the front, the more after each attempt."""
     low, high = around.size * CM * np.array([_LOW_CM, _HIGH_CM])
     room = float(radius.mean())
     needed = length * np.pi * float(np.mean(radius**2)) / _FILLING
-    bulge = 0.3 * CM * attempt
+    bulge = 0.5 * CM * attempt
     while True:
         terrain = survey(low - [0.0, bulge, 0.0], high, around.obstacles, room)
         if terrain.free_volume >= needed or bulge > _BULGE:

@@ -64,8 +64,12 @@ def survey(
     starts, ends = [], []
     for offset in itertools.product((-1, 0, 1), repeat=3):
         if offset > (0, 0, 0):
-            here = [slice(max(0, -d), size - max(0, d)) for d, size in zip(offset, shape, strict=True)]
-            there = [slice(max(0, d), size - max(0, -d)) for d, size in zip(offset, shape, strict=True)]
+            here = [
+                slice(max(0, -d), size - max(0, d)) for d, size in zip(offset, shape, strict=True)
+            ]
+            there = [
+                slice(max(0, d), size - max(0, -d)) for d, size in zip(offset, shape, strict=True)
+            ]
             starts.append(number[tuple(here)].ravel())
             ends.append(number[tuple(there)].ravel())
     start, end = np.concatenate(starts), np.concatenate(ends)
@@ -75,9 +79,7 @@ def survey(
     return Terrain(places, KDTree(places), graph, obstacles, room, low, high)
 
 
-def lead_around(
-    waypoints: Float[np.ndarray, "k 3"], terrain: Terrain
-) -> Float[np.ndarray, "m 3"]:
+def lead_around(waypoints: Float[np.ndarray, "k 3"], terrain: Terrain) -> Float[np.ndarray, "m 3"]:
     """A polyline whose legs through obstacles are replaced by ways around them.
 
     The first and the last waypoint stay; those in between are moved where they have room.

@@ -28,9 +28,10 @@ def self_intersections(
     found = []
     for chunk in np.array_split(pairs, max(1, len(pairs) // 400_000)):
         i, j = chunk.T
-        for k in range(3):
-            is_near = (low[i, k] <= high[j, k]) & (low[j, k] <= high[i, k])
-            i, j = i[is_near], j[is_near]
+        is_near = np.linalg.norm(center[i] - center[j], axis=1) < reach[i] + reach[j]
+        i, j = i[is_near], j[is_near]
+        is_near = ((low[i] <= high[j]) & (low[j] <= high[i])).all(axis=1)
+        i, j = i[is_near], j[is_near]
         is_crossing = _any_edge_through(vertices, faces[i], faces[j])
         is_crossing |= _any_edge_through(vertices, faces[j], faces[i])
         found.append(np.stack([i[is_crossing], j[is_crossing]], axis=1))
@@ -60,41 +61,23 @@ def _any_edge_through(
     vertices: np.ndarray, one: np.ndarray, other: np.ndarray
 ) -> Bool[np.ndarray, " n"]:
     """Whether an edge of the first triangle passes through the second, pair by pair."""
-    a = vertices[other[:, 0]]
-    u, v = (vertices[other[:, k]] - a for k in (1, 2))
-    normal = _cross(u, v)
-    height = [np.einsum("ij,ij->i", vertices[one[:, k]] - a, normal) for k in range(3)]
-    is_apart = [(one[:, k, None] != other).all(axis=1) for k in range(3)]
+    a, b, c = (vertices[other[:, k]] for k in range(3))
+    u, v = b - a, c - a
     is_through = np.zeros(len(one), bool)
     for k in range(3):
-        end = (k + 1) % 3
-        # Only an edge with its ends on both sides of the plane can pass through.
-        is_split = height[k] * height[end] <= 0.0
-        near = np.flatnonzero(is_apart[k] & is_apart[end] & is_split)
-        start = vertices[one[near, k]]
-        edge = vertices[one[near, end]] - start
-        is_through[near] |= _passes(start, edge, a[near], u[near], v[near])
+        ends = one[:, [k, (k + 1) % 3]]
+        is_apart = (ends[:, :, None] != other[:, None, :]).all(axis=(1, 2))
+        start = vertices[ends[:, 0]]
+        edge = vertices[ends[:, 1]] - start
+        normal = np.cross(edge, v)
+        scale = np.einsum("ij,ij->i", u, normal)
+        # Parallel edges give NaN or infinity, which no comparison below accepts.
+        with np.errstate(divide="ignore", invalid="ignore"):
+            offset = start - a
+            first = np.einsum("ij,ij->i", offset, normal) / scale
+            across = np.cross(offset, u)
+            second = np.einsum("ij,ij->i", edge, across) / scale
+            along = np.einsum("ij,ij->i", v, across) / scale
+            inside = (first >= 0.0) & (second >= 0.0) & (first + second <= 1.0)
+        is_through |= is_apart & inside & (along >= 0.0) & (along <= 1.0)
     return is_through
-
-
-def _passes(
-    start: np.ndarray, edge: np.ndarray, a: np.ndarray, u: np.ndarray, v: np.ndarray
-) -> Bool[np.ndarray, " n"]:
-    """Whether edges from their starts pass through triangles with corners a, a + u, a + v."""
-    normal = _cross(edge, v)
-    scale = np.einsum("ij,ij->i", u, normal)
-    offset = start - a
-    across = _cross(offset, u)
-    # Parallel edges give NaN or infinity, which no comparison below accepts.
-    with np.errstate(divide="ignore", invalid="ignore"):
-        first = np.einsum("ij,ij->i", offset, normal) / scale
-        second = np.einsum("ij,ij->i", edge, across) / scale
-        along = np.einsum("ij,ij->i", v, across) / scale
-        inside = (first >= 0.0) & (second >= 0.0) & (first + second <= 1.0)
-    return inside & (along >= 0.0) & (along <= 1.0)
-
-
-def _cross(one: np.ndarray, other: np.ndarray) -> Float[np.ndarray, "n 3"]:
-    """Cross products, faster than `np.cross` on long arrays."""
-    (x, y, z), (a, b, c) = one.T, other.T
-    return np.stack([y * c - z * b, z * a - x * c, x * b - y * a], axis=1)

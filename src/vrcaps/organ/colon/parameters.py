@@ -139,12 +139,12 @@ class ColonParameters:
 
         Total length 1.895 ± 0.263 m and 10.9 ± 2.4 acute flexures, normal (Khashab et al.
         2009), without the tails beyond 2.5 deviations. How the two go together is not published:
-        a correlation of 0.6 is assumed. The division and the calibres vary by 10 % and 6 %.
+        a correlation of 0.8 is assumed. The division and the calibres vary by 10 % and 6 %.
         """
         mean = cls()
         deviation = draw_deviation(rng, 2.3)
         length = 1.895 + 0.263 * deviation
-        flexures = 10.9 + 2.4 * (0.6 * deviation + 0.8 * draw_deviation(rng, 2.3))
+        flexures = 10.9 + 2.4 * (0.8 * deviation + 0.6 * draw_deviation(rng, 2.3))
         shares = {name: 1.0 + 0.10 * draw_deviation(rng, 2.3) for name in SEGMENTS}
         whole = sum(getattr(mean, name).length * shares[name] for name in SEGMENTS)
         calibre = 1.0 + 0.06 * draw_deviation(rng, 2.3)

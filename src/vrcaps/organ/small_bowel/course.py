@@ -34,7 +34,7 @@ _GAP = 3 * MM
 _MESENTERY = 16 * CM
 """Greatest distance from the root to the bowel (Gray's Anatomy: about 15 to 20 cm)."""
 _NUM_STEPS = 240
-_NUM_TRIES = 16
+_NUM_TRIES = 24
 _NUM_REFINED = 80
 _SPREAD = 1.25
 _TOLERANCE = 0.015
@@ -142,8 +142,8 @@ def generate_course(
 
 
 def _abdomen(length: float, radius: np.ndarray, around: Surroundings, attempt: int) -> Terrain:
-    """The space for the bowel: a full belly bulges to the front, the more after each attempt."""
-    low, high = around.size * CM * np.array([_LOW_CM, _HIGH_CM])
+    """The space for the bowel: a full belly bulges to the front, and widens with each attempt."""
+    low, high = (1.0 + 0.012 * attempt) * around.size * CM * np.array([_LOW_CM, _HIGH_CM])
     room = float(radius.mean())
     needed = length * np.pi * float(np.mean(radius**2)) / _FILLING
     bulge = 0.5 * CM * attempt

@@ -95,7 +95,7 @@ test of the mean, χ² test of the variance); a figure *agrees* where both are a
 
 {figures}
 
-The lengths of the small bowel are drawn as 3.5 ± 0.25 m, so that 95 % lie within the published range.
+The small bowel is drawn 3.5 ± 0.25 m long, so that 95 % lie within the published range.
 Resected stomachs are measured fixed and flat; in generated ones the greater curvature is longer
 and the lesser one shorter, as textbooks have it (Gray's Anatomy: four to five times as long).
 """

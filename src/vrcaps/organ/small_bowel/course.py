@@ -24,6 +24,8 @@ from vrcaps.organ.small_bowel.route import Terrain, lead_around, survey
 from vrcaps.units import CM, MM
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from jaxtyping import Float
 
     from vrcaps.organ.colon.course import Course
@@ -116,29 +118,34 @@ def generate_course(
     for attempt in range(_NUM_TRIES):
         terrain = _abdomen(parameters.length, radius, around, attempt)
         chain, nodes = _start(parameters, radius, around, terrain, attempt, rng)
-        spacing = parameters.length / (num - 1)
-        nodes = relax_chain(
-            chain, nodes, spacing, around.obstacles, num_steps=_NUM_STEPS, spread=_SPREAD
-        )
-        for _ in range(4):
-            course = smooth_course(nodes)
-            missing = parameters.length / course.arc_length[-1]
+        for course in _settling(parameters.length, chain, nodes, around.obstacles):
             fine = np.interp(course.arc_length / course.arc_length[-1], shares, radius_of)
             room = least_room(course, fine, around.obstacles, _APPROACH)
             if (
-                abs(missing - 1.0) < _TOLERANCE
+                abs(parameters.length / course.arc_length[-1] - 1.0) < _TOLERANCE
                 and room > _LEAST_ROOM * (1.0 + 0.25 * attempt)
                 and sharpest_bend(course, fine) < _SHARPEST
             ):
                 return course
             if room < _HOPELESS:
                 break
-            spacing *= missing
-            nodes = relax_chain(chain, nodes, spacing, around.obstacles, num_steps=_NUM_REFINED)
     raise InputError(
         f"Found no course for {parameters.length:.2f} m of small bowel in the abdomen. "
         "Allowed: a shorter one, smaller diameters, or another seed."
     )
+
+
+def _settling(
+    length: float, chain: Chain, nodes: Float[np.ndarray, "n 3"], obstacles: Balls
+) -> Iterator[Course]:
+    """Courses of a grown chain that come nearer and nearer to the asked length."""
+    spacing = length / (len(nodes) - 1)
+    nodes = relax_chain(chain, nodes, spacing, obstacles, num_steps=_NUM_STEPS, spread=_SPREAD)
+    for _ in range(4):
+        course = smooth_course(nodes)
+        yield course
+        spacing *= length / course.arc_length[-1]
+        nodes = relax_chain(chain, nodes, spacing, obstacles, num_steps=_NUM_REFINED)
 
 
 def _abdomen(length: float, radius: np.ndarray, around: Surroundings, attempt: int) -> Terrain:

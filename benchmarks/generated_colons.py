@@ -12,9 +12,10 @@ import time
 import numpy as np
 
 from vrcaps.organ.colon import ColonParameters, generate_colon
-from vrcaps.organ.colon.course import Course, count_flexures
+from vrcaps.organ.colon.course import count_flexures
 from vrcaps.organ.crossing import self_intersections
 from vrcaps.organ.facts import triangle_quality
+from vrcaps.organ.shape.tube import Course
 from vrcaps.organ.surface import Mesh
 
 

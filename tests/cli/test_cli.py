@@ -58,6 +58,10 @@ def test_flags_reach_the_scenario(capsys: pytest.CaptureFixture[str]) -> None:
 def test_a_patient_may_be_flown_through_many_times() -> None:
     scenario = Record(OUT, seed=4, patient=1).resolved()
     assert (scenario.organ, scenario.seed) == (OrganGenerated("colon", seed=1), 4)
+    args = "record --out o --organ stomach --seed 4 --condition collapsed"
+    command = cli._parse(args.split())
+    assert isinstance(command, Record)
+    assert command.resolved().organ == OrganGenerated("stomach", 4, "collapsed")
 
 
 def test_mesh_file_and_path_reach_the_scenario() -> None:
@@ -81,7 +85,8 @@ def test_mesh_file_and_path_reach_the_scenario() -> None:
         (Record(OUT, organ="x.ply"), "--unit is missing: x.ply does not say its unit"),
         (Record(OUT, organ="colon", unit="mm"), "go with a mesh file, but 'colon' is a name"),
         (Record(OUT, organ="colon", reverse=True), "go with a mesh file"),
-        (Record(OUT, organ="x.ply", unit="mm", patient=1), "--patient goes with a generated"),
+        (Record(OUT, organ="x.ply", unit="mm", patient=1), "--patient and --condition go with a"),
+        (Record(OUT, organ="x.ply", unit="mm", condition="normal"), "go with a generated organ"),
         (Record(OUT, path=Path("p")), "--path needs --path-format. Allowed: tum, unity-csv"),
         (Record(OUT, path=Path("p"), path_format="tum"), "--path-unit is missing"),
         (Record(OUT, path=Path("p"), fly=FlyThrough(drift=0.0)), "flags of the fly-through"),

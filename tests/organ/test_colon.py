@@ -14,12 +14,12 @@ from vrcaps.organ.appearance import bake_appearance
 from vrcaps.organ.colon import ColonParameters, generate_colon
 from vrcaps.organ.colon import course as course_module
 from vrcaps.organ.colon import generate as generate_module
-from vrcaps.organ.colon.course import Course, count_flexures, generate_course
+from vrcaps.organ.colon.course import count_flexures, generate_course
 from vrcaps.organ.colon.parameters import SEGMENTS
 from vrcaps.organ.crossing import self_intersections
 from vrcaps.organ.facts import triangle_quality
 from vrcaps.organ.gltf_material import relief_scale
-from vrcaps.organ.shape.tube import make_tube
+from vrcaps.organ.shape.tube import Course, make_tube
 from vrcaps.organ.surface import Mesh, OrganSurface
 from vrcaps.organ.texture_coordinates import texture_stretch
 from vrcaps.units import MM

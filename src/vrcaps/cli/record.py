@@ -31,6 +31,7 @@ class Record:
 
     For example:
       vrcaps record --out runs/colon --organ colon --seed 3 --frames 300
+      vrcaps record --out runs/empty --organ small-bowel --condition collapsed
       vrcaps record --out runs/mine --organ colon.ply --unit mm --capsule pillcam-colon2
       vrcaps record --out runs/patient --organ colon-3.glb
       vrcaps record --out runs/polyp --lesion polyp-Ip:size=12mm,segment=sigmoid
@@ -68,6 +69,9 @@ class Record:
 
     patient: int | None = None
     """Seed of a generated organ; by default --seed. Give it to fly many runs through one."""
+
+    condition: Literal["inflated", "normal", "collapsed"] | None = None
+    """How full a generated organ is; by default the colon is inflated, all else normal."""
 
     lesion: Annotated[tuple[str, ...], UseAppendAction] = ()
     """Put this into the organ; give it again for more. A kind with its grade, then what differs:
@@ -181,8 +185,10 @@ class Record:
             mucosa=self.mucosa or "colon",
         )
         if is_mesh_file(self.organ):
-            if self.patient is not None:
-                raise InputError("--patient goes with a generated organ, not with a mesh file.")
+            if self.patient is not None or self.condition is not None:
+                raise InputError(
+                    "--patient and --condition go with a generated organ, not with a mesh file."
+                )
             if is_organ_file(Path(self.organ)):
                 return mesh
             return replace(mesh, unit=require_unit("--unit", self.unit, self.organ))
@@ -191,7 +197,12 @@ class Record:
                 f"--unit, --open-ends, --keep-uv and --reverse go with a mesh file, but "
                 f"{self.organ!r} is a name. Drop them, or give the path of a PLY, OBJ, STL or GLB."
             )
-        return OrganGenerated(name=self.organ, seed=self._patient_seed(), mucosa=self.mucosa)
+        return OrganGenerated(
+            name=self.organ,
+            seed=self._patient_seed(),
+            condition=self.condition,
+            mucosa=self.mucosa,
+        )
 
     def _replay(self, path: Path) -> Replay:
         from vrcaps.world.replay import Replay

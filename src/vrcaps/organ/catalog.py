@@ -66,16 +66,16 @@ def _load_colon(seed: int, condition: str | None) -> OrganSurface:
 
 def _load_stomach(seed: int, condition: str | None) -> OrganSurface:
     from vrcaps.organ.appearance import bake_appearance
-    from vrcaps.organ.gi.patient import draw_patient
+    from vrcaps.organ.gi.patient import draw_patient, stomach_axis
     from vrcaps.organ.stomach import generate_stomach
 
-    parameters = draw_patient(seed, condition).stomach
+    patient = draw_patient(seed, condition)
 
     def make() -> OrganSurface:
-        organ = generate_stomach(parameters, seed=seed)
+        organ = generate_stomach(patient.stomach, seed=seed, course=stomach_axis(patient))
         return replace(organ, appearance=bake_appearance(organ, seed=seed, mucosa="stomach"))
 
-    return cached_organ(f"stomach-{seed}-{fingerprint(asdict(parameters))}", make)
+    return cached_organ(f"stomach-{seed}-{fingerprint(asdict(patient))}", make)
 
 
 def _load_small_bowel(seed: int, condition: str | None) -> OrganSurface:

@@ -87,9 +87,9 @@ def generate_gi(
     lower = generate_colon(colon, seed=seed)
     line = lower.centerline
     place = place_colon(colon, Course(line.points, line.arc_length))
-    rng = np.random.default_rng([seed, 4])
+    rng = np.random.default_rng([seed, 3])
     for _ in range(_NUM_TRIES):
-        upper = _mesh_upper(lay_upper_tract(stomach, bowel, place, rng))
+        upper = _mesh_upper(lay_upper_tract(stomach, bowel, place, seed=seed, rng=rng))
         organ = _join(upper, lower, place, seed)
         if not len(self_intersections(organ.vertices, organ.faces)):
             return organ

@@ -173,8 +173,11 @@ def _squeeze(
         squeeze = np.maximum(squeeze, c.depth[k] * near)
         cords = 0.5 + 0.5 * np.cos(c.lobes[k] * theta + c.phase[k] + 0.6 * swing)
         petals += 0.42 * near * cords**1.5
-    lobes = 0.5 + 0.5 * np.cos(5.0 * theta + swing)
-    return squeeze, petals + slack * lobes**1.5
+    # Five cords of unequal width and height: no star of a real gut is regular.
+    uneven = theta + 0.25 * np.sin(theta + 0.7 * swing)
+    lobes = 0.5 + 0.5 * np.cos(5.0 * uneven + swing)
+    height = 1.0 + 0.25 * np.cos(2.0 * theta - 1.3 * swing)
+    return squeeze, petals + slack * height * lobes**1.5
 
 
 def _fold_relief(

@@ -24,6 +24,7 @@ from vrcaps.organ.stomach.shape import (
     from_cardia,
     stomach_course,
     stomach_radius,
+    stomach_wall_rng,
 )
 from vrcaps.organ.surface import OrganSurface, vertex_normals
 from vrcaps.organ.texture_charts import TubeChart, chart_coordinates
@@ -32,13 +33,16 @@ from vrcaps.units import MM
 if TYPE_CHECKING:
     from jaxtyping import Float, UInt8
 
+    from vrcaps.organ.shape.tube import Course
     from vrcaps.organ.stomach.parameters import StomachParameters
 
 _NUM_TRIES = 5
 _BULB_DEPTH = 8 * MM
 
 
-def generate_stomach(parameters: StomachParameters, *, seed: int) -> OrganSurface:
+def generate_stomach(
+    parameters: StomachParameters, *, seed: int, course: Course | None = None
+) -> OrganSurface:
     """A stomach with the given dimensions, different for each seed.
 
     It is closed at the cardia and ends as a closed pouch just beyond the pyloric ring. Its
@@ -47,6 +51,7 @@ def generate_stomach(parameters: StomachParameters, *, seed: int) -> OrganSurfac
     Args:
         parameters: The patient's dimensions; `StomachParameters.draw` draws a patient.
         seed: Of the axis, folds and irregularities.
+        course: The axis, where it has made way for other organs; None is that of a lone stomach.
 
     Returns:
         A closed surface in the patient frame that nowhere cuts itself, without appearance.
@@ -54,9 +59,10 @@ def generate_stomach(parameters: StomachParameters, *, seed: int) -> OrganSurfac
     Raises:
         InputError: If the wall cuts itself however it is drawn.
     """
-    rng = np.random.default_rng([seed, 2])
+    course = course or stomach_course(parameters, np.random.default_rng([seed, 2]))
+    tube, rng = make_tube(course), stomach_wall_rng(seed)
     for _ in range(_NUM_TRIES):
-        wall = draw_stomach_wall(parameters, make_tube(stomach_course(parameters, rng)), rng)
+        wall = draw_stomach_wall(parameters, tube, rng)
         organ = _as_organ(wall, seed)
         if not len(self_intersections(organ.vertices, organ.faces)):
             return organ

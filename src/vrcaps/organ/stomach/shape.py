@@ -97,6 +97,11 @@ def _resample(points: Float[np.ndarray, "n 3"], num: int) -> Float[np.ndarray, "
     return np.stack([np.interp(even, chord, points[:, k]) for k in range(3)], axis=1)
 
 
+def stomach_wall_rng(seed: int) -> np.random.Generator:
+    """Source of the wall of a seed's stomach, alone or in the whole tract."""
+    return np.random.default_rng([seed, 5])
+
+
 def draw_stomach_wall(
     parameters: StomachParameters, tube: Tube, rng: np.random.Generator
 ) -> StomachWall:
@@ -227,8 +232,9 @@ def _greater_curvature(
     parameters: StomachParameters, tube: Tube
 ) -> Callable[[np.ndarray], np.ndarray]:
     """Angle of the outer side of the J at arc lengths, by the plane the axis lies in."""
-    points = tube.curve(tube.arc_length)
-    normal = np.linalg.svd(points - points.mean(axis=0))[2][2]
+    is_in = tube.arc_length <= parameters.length
+    points = tube.curve(tube.arc_length[is_in])
+    normal = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2][2]
     outward = np.cross(tube.frames[:, :, 2], normal)
     # At the lowest bend the outer side faces down.
     lowest = np.argmin(points[:, 2])

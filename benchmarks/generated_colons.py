@@ -12,9 +12,11 @@ import time
 import numpy as np
 
 from vrcaps.organ.colon import ColonParameters, generate_colon
-from vrcaps.organ.colon.course import Course, count_flexures
-from vrcaps.organ.colon.crossing import self_intersections
-from vrcaps.organ.colon.remesh import triangle_quality
+from vrcaps.organ.colon.course import count_flexures
+from vrcaps.organ.crossing import self_intersections
+from vrcaps.organ.facts import triangle_quality
+from vrcaps.organ.shape.tube import Course
+from vrcaps.organ.surface import Mesh
 
 
 def main(num_seeds: int) -> None:
@@ -27,7 +29,7 @@ def main(num_seeds: int) -> None:
         start = time.process_time()
         organ = generate_colon(parameters, seed=seed)
         seconds = time.process_time() - start
-        quality = triangle_quality(organ.vertices, organ.faces)
+        quality = triangle_quality(Mesh(organ.vertices, organ.faces))
         line = organ.centerline
         lengths.append(line.length)
         flexures.append(count_flexures(Course(line.points, line.arc_length)))

@@ -11,7 +11,7 @@ PAGE = ROOT / "docs" / "validation.md"
 DATA = ROOT.parent / "shared" / "data" / "organs"
 """Optional organs from CT; rows that need them are left out where it is absent."""
 
-_TITLE = """# Validation of the renderer
+_TITLE = """# Validation
 
 Each table below is written by the script named above it; nobody types results.
 """
@@ -33,10 +33,10 @@ def table(head: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:
     return "\n".join("| " + " | ".join(line) + " |" for line in lines)
 
 
-def write_section(page: Path, script: str, text: str) -> None:
+def write_section(page: Path, script: str, text: str, *, title: str = _TITLE) -> None:
     """Put the section of one script into the page, in place of what it wrote before."""
     mark = f"<!-- written by benchmarks/{script} -->\n"
-    before = page.read_text(encoding="utf-8") if page.exists() else _TITLE
+    before = page.read_text(encoding="utf-8") if page.exists() else title
     sections = before.split("<!-- written by ")
     name = f"benchmarks/{script} -->\n"
     kept = [part for part in sections[1:] if not part.startswith(name)]

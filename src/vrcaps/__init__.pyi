@@ -4,6 +4,8 @@ from .capsule.catalog import load_device as load_device
 from .errors import VrcapsError as VrcapsError
 from .organ.catalog import load_organ as load_organ
 from .organ.from_file import organ_from_file as organ_from_file
+from .organ.read_organ import read_organ as read_organ
+from .organ.write import write_glb as write_glb
 from .record.check import check_episode as check_episode
 from .record.episode import read_episode as read_episode
 from .record.scenario import OrganFile as OrganFile

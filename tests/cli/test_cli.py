@@ -58,6 +58,10 @@ def test_flags_reach_the_scenario(capsys: pytest.CaptureFixture[str]) -> None:
 def test_a_patient_may_be_flown_through_many_times() -> None:
     scenario = Record(OUT, seed=4, patient=1).resolved()
     assert (scenario.organ, scenario.seed) == (OrganGenerated("colon", seed=1), 4)
+    args = "record --out o --organ stomach --seed 4 --condition collapsed"
+    command = cli._parse(args.split())
+    assert isinstance(command, Record)
+    assert command.resolved().organ == OrganGenerated("stomach", 4, "collapsed")
 
 
 def test_mesh_file_and_path_reach_the_scenario() -> None:
@@ -81,7 +85,8 @@ def test_mesh_file_and_path_reach_the_scenario() -> None:
         (Record(OUT, organ="x.ply"), "--unit is missing: x.ply does not say its unit"),
         (Record(OUT, organ="colon", unit="mm"), "go with a mesh file, but 'colon' is a name"),
         (Record(OUT, organ="colon", reverse=True), "go with a mesh file"),
-        (Record(OUT, organ="x.ply", unit="mm", patient=1), "--patient goes with a generated"),
+        (Record(OUT, organ="x.ply", unit="mm", patient=1), "--patient and --condition go with a"),
+        (Record(OUT, organ="x.ply", unit="mm", condition="normal"), "go with a generated organ"),
         (Record(OUT, path=Path("p")), "--path needs --path-format. Allowed: tum, unity-csv"),
         (Record(OUT, path=Path("p"), path_format="tum"), "--path-unit is missing"),
         (Record(OUT, path=Path("p"), fly=FlyThrough(drift=0.0)), "flags of the fly-through"),
@@ -108,6 +113,13 @@ def test_contradicting_flags_are_an_error(command: Record, message: str) -> None
         ("record --out {tmp}/o --scenario {tmp}/none.json", "Cannot read the scenario"),
         ("record --out {tmp}/o --threads 0", "--threads is 0. Allowed: 1 or more"),
         ("organ inspect {tmp}/none.ply --unit mm", "No mesh file at"),
+        ("organ inspect {mesh}", "--unit is missing: "),
+        ("organ inspect {mesh} --unit mm --seed 3", "--seed and --condition go with a generated"),
+        ("organ inspect colon --unit mm", "go with a file, but 'colon' is a name"),
+        ("organ inspect colom", "No organ named 'colom'. Known: "),
+        ("organ inspect colon --seed -1", "Seed -1 is negative. Allowed: 0, 1, 2"),
+        ("organ inspect colon --picture {tmp}/a.txt", "Allowed: .png, .jpg, .pdf, .svg"),
+        ("record --out {tmp}/o --organ {tmp}/none.glb", "--unit is missing"),
         ("organ make liver", "No organ named 'liver'. Known: "),
         ("organ make colon --out {tmp}/colon.stl", "Allowed: a name that ends in .glb"),
         ("check {tmp}/none", "No folder at"),
@@ -166,3 +178,16 @@ def test_a_demo_never_writes_where_something_is(tmp_path: Path) -> None:
     wanted.mkdir()
     (tmp_path / "demo-2").mkdir()
     assert _free_folder(wanted) == tmp_path / "demo-3"
+
+
+def test_list_names_all_that_goes_by_name(capsys: pytest.CaptureFixture[str]) -> None:
+    from vrcaps.capsule.catalog import device_names
+    from vrcaps.organ.appearance import MUCOSAE
+    from vrcaps.organ.catalog import ORGANS
+    from vrcaps.organ.lesion import LESIONS
+
+    cli.main(["organ", "list"])
+    text = capsys.readouterr().out
+    for name in (*ORGANS, *LESIONS, *MUCOSAE, *device_names(), "collapsed", "splenic_flexure"):
+        assert name in text
+    assert "vrcaps organ make" in text

@@ -69,7 +69,7 @@ def test_gas_becomes_a_file_that_records(files, tmp_path, capsys) -> None:
     out = tmp_path / "tube.glb"
     run([str(files / "dicom"), "--out", str(out)])
     text = capsys.readouterr().out.replace("\n", "")
-    assert f"vrcaps record --organ {out} --unit m --out DIR" in text
+    assert f"vrcaps record --organ {out} --out DIR" in text
     assert "lung" in text
     assert (tmp_path / "tube-overview.png").stat().st_size > 10_000
     organ = organ_from_file(out, unit="m")
@@ -97,6 +97,8 @@ def test_mistakes_end_in_one_line(files, tmp_path, capsys) -> None:
     dicom, labels = str(files / "dicom"), str(files / "labels.nii.gz")
     out = ["--out", str(tmp_path / "x.glb")]
     assert "ends in .glb" in fail([dicom, "--out", "x.ply"], capsys)
+    nowhere = str(tmp_path / "none" / "x.glb")
+    assert "there is no folder" in fail([dicom, "--out", nowhere], capsys)
     assert "No DICOM slice" in fail([str(tmp_path), *out], capsys)
     assert "No scan at" in fail([str(tmp_path / "none"), *out], capsys)
     assert "--labels needs --label" in fail([dicom, "--labels", labels, *out], capsys)

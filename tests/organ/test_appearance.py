@@ -14,6 +14,7 @@ import pytest
 from vrcaps.errors import InputError, UnknownNameError
 from vrcaps.organ.appearance import MAX_SIDE, MUCOSAE, Mucosa, bake_appearance
 from vrcaps.organ.surface import Appearance, Centerline, OrganSurface, vertex_normals
+from vrcaps.organ.texture_coordinates import texture_stretch
 from vrcaps.units import MM
 
 RADIUS, LENGTH, COLUMNS, ROWS = 12.0 * MM, 60.0 * MM, 40, 32
@@ -87,6 +88,66 @@ def digest(appearance: Appearance) -> str:
     return hashlib.sha256(b"".join(part.tobytes() for part in parts)).hexdigest()
 
 
+def make_square(side: float, label_names: tuple[str, ...] = ("background", "wall")):
+    """A flat square of two faces in the middle of its texture; z is up, into the lumen."""
+    corners = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
+    vertices = np.column_stack([corners * side, np.zeros(4)])
+    faces = np.array([[0, 1, 2], [0, 2, 3]])
+    line = np.array([[0.0, 0.0, side], [side, 0.0, side]])
+    return OrganSurface(
+        name="square",
+        vertices=vertices,
+        faces=faces,
+        normals=np.tile([0.0, 0.0, 1.0], (4, 1)),
+        uv=0.2 + 0.6 * corners[faces],
+        label=np.ones(4, np.uint8),
+        label_names=label_names,
+        instance=np.zeros(4, np.uint16),
+        arc_length=vertices[:, 0],
+        theta=np.zeros(4),
+        radius=np.full(4, side),
+        centerline=Centerline(line, line[:, 0], np.full(2, side), np.tile(np.eye(3), (2, 1, 1))),
+    )
+
+
+def mix(h: np.ndarray) -> np.ndarray:
+    """The core's bit mixer, on uint32."""
+    h = h ^ (h >> 16)
+    h = h * np.uint32(0x7FEB352D)
+    h = h ^ (h >> 15)
+    h = h * np.uint32(0x846CA68B)
+    return h ^ (h >> 16)
+
+
+def triple(seed: int, cell: np.ndarray) -> np.ndarray:
+    """Three numbers in [−1, 1] of each lattice point."""
+    x, y, z = np.moveaxis(cell.astype(np.int32).view(np.uint32), -1, 0)
+    primes = [np.uint32(prime) for prime in (0x8DA6B343, 0xD8163841, 0xCB1AB31F)]
+    h = mix(np.uint32(seed) ^ (x * primes[0]) ^ (y * primes[1]) ^ (z * primes[2]))
+    return np.stack([(h >> shift) & 1023 for shift in (0, 10, 20)], axis=-1) * (2.0 / 1023.0) - 1.0
+
+
+def displacement(seed: int, size: float, p: np.ndarray) -> np.ndarray:
+    """Smooth random vectors over a lattice."""
+    cell = np.floor(p / size).astype(int)
+    t = p / size - cell
+    fade = t**3 * (t * (t * 6.0 - 15.0) + 10.0)
+    total = np.zeros_like(p)
+    for corner in np.ndindex(2, 2, 2):
+        weight = np.where(np.array(corner) == 1, fade, 1.0 - fade).prod(axis=-1)
+        total += weight[..., None] * triple(seed, cell + np.array(corner))
+    return total
+
+
+def cell_border(seed: int, size: float, p: np.ndarray) -> np.ndarray:
+    """Distance to the second nearest point of a jittered lattice less that to the nearest."""
+    cell = np.floor(p / size).astype(int)
+    near = np.array(list(np.ndindex(3, 3, 3))) - 1
+    points = [cell + step + 0.5 + 0.4 * triple(seed, cell + step) for step in near]
+    distance = np.sort([np.linalg.norm(point - p / size, axis=-1) for point in points], axis=0)
+    return distance[1] - distance[0]
+
+
 @pytest.fixture(scope="module")
 def tube() -> OrganSurface:
     return make_tube()
@@ -141,6 +202,20 @@ def test_the_size_follows_the_wall_and_the_density(baked):
     height, width = baked.albedo.shape[:2]
     assert width / (2.0 * np.pi * RADIUS / MM) == pytest.approx(8.0, rel=0.05)
     assert 0.9 * height / (LENGTH / MM) == pytest.approx(8.0, rel=0.05)
+
+
+def test_squeezed_faces_get_the_density_too(tube):
+    """Where u crowds a tenth of the wall, the whole gets more texels for its sake."""
+    u = tube.uv[..., 0]
+    crowded = np.where(u < 0.9, u * 0.93 / 0.9, 0.93 + (u - 0.9) * 0.7)
+    organ = replace(tube, uv=np.stack([crowded, tube.uv[..., 1]], axis=-1))
+    height, width = bake_appearance(organ, seed=0).height.shape
+    stretch = texture_stretch(organ.vertices[organ.faces], organ.uv * [width, height]) * MM
+    assert np.percentile(np.abs(stretch[:, 0]), 5.5) >= 8.0
+
+
+def test_all_textures_have_one_size(baked):
+    height, width = baked.albedo.shape[:2]
     assert baked.roughness.shape == baked.height.shape == (height, width)
 
 
@@ -214,7 +289,7 @@ def test_vessels_darken_green_more_than_red(tube, baked):
 
 
 def test_relief_scales_with_its_slope(tube):
-    plain = replace(MUCOSAE["colon"], vessel_contrast=0.0, pit_slope=0.0)
+    plain = replace(MUCOSAE["colon"], vessel_contrast=0.0, pit_slope=0.0, flecks=0.0)
     heights = [
         bake_appearance(tube, seed=1, mucosa=replace(plain, relief_slope=slope), texels_per_mm=4.0)
         for slope in (0.05, 0.10)
@@ -238,6 +313,96 @@ def test_relief_has_the_slope_it_is_given(tube):
     around = np.diff(appearance.height[rows], axis=1) / (2.0 * np.pi * RADIUS / width)
     slope = np.sqrt((along**2).mean() + (around**2).mean())
     assert slope == pytest.approx(0.1 * np.hypot(np.hypot(0.7, 1.0), 0.3), rel=0.25)
+
+
+def test_villi_agree_with_their_readable_twin():
+    """Height = depth · S((d₂ − d₁) / 0.38) with d to the cells' points, at the wound place."""
+    side, seed, spacing, slope = 6.0 * MM, 9, 0.5 * MM, 0.2
+    mucosa = Mucosa(
+        base_color=(0.5,) * 3,
+        vessel_contrast=0.0,
+        relief_slope=0.0,
+        flecks=0.0,
+        pit_spacing=spacing,
+        pit_slope=slope,
+    )
+    height = bake_appearance(make_square(side), seed=seed, mucosa=mucosa, texels_per_mm=16.0).height
+    rows, columns = height.shape
+    pixels = np.random.default_rng(1).integers(
+        [rows // 4, columns // 4], [rows * 3 // 4] * 2, (500, 2)
+    )
+    u, v = (pixels[:, 1] + 0.5) / columns, 1.0 - (pixels[:, 0] + 0.5) / rows
+    point = np.stack([u - 0.2, v - 0.2, 0.0 * u], axis=-1) / 0.6 * side / MM
+    wind = 0.75 * displacement(31 * seed + 7, 3.1, point)
+    wind += 0.2 * displacement(31 * seed + 8, 1.1, point)
+    turn = np.array([[0.36, 0.48, -0.8], [-0.8, 0.6, 0.0], [0.48, 0.64, 0.6]])
+    place = (point + wind * [1.0, 1.0, 0.0]) @ turn.T
+    t = np.clip(cell_border(seed ^ 0x70697473, spacing / MM, place) / 0.38, 0.0, 1.0)
+    expected = slope * spacing / 3.5 * t * t * (3.0 - 2.0 * t)
+    np.testing.assert_allclose(
+        height[pixels[:, 0], pixels[:, 1]], expected, rtol=0.0, atol=1e-3 * slope * spacing
+    )
+
+
+def test_villi_have_the_slope_they_are_given():
+    mucosa = Mucosa((0.5,) * 3, vessel_contrast=0.0, relief_slope=0.0, flecks=0.0, pit_slope=0.2)
+    height = bake_appearance(
+        make_square(12.0 * MM), seed=2, mucosa=mucosa, texels_per_mm=30.0
+    ).height
+    inner = height[tuple(slice(n // 4, -n // 4) for n in height.shape)]
+    texel = 12.0 * MM / 0.6 / len(height)
+    slope = np.sqrt(sum((np.diff(inner, axis=axis) ** 2).mean() for axis in (0, 1))) / texel
+    assert slope == pytest.approx(0.2, rel=0.15)
+
+
+def test_segments_differ_in_villi_bile_and_vessels():
+    """Ileum has shorter villi and less bile than jejunum of the same patient."""
+    jejunum, ileum, other = (
+        bake_appearance(
+            make_square(12.0 * MM, ("background", name)), seed=3, mucosa="small_intestine"
+        )
+        for name in ("jejunum", "ileum", "wall")
+    )
+    assert ileum.height.std() < other.height.std() < jejunum.height.std()
+    blue, red = (
+        [decode(look.albedo)[..., c].mean() for look in (jejunum, other, ileum)] for c in (2, 0)
+    )
+    assert blue[0] / red[0] < blue[1] / red[1] < blue[2] / red[2]
+
+
+def test_flecks_of_mucus_cover_their_share():
+    """Flecks are pale, small and apart; there are none without."""
+    bare, flecked = (
+        decode(
+            bake_appearance(
+                make_square(60.0 * MM),
+                seed=3,
+                mucosa=replace(MUCOSAE["stomach"], flecks=flecks),
+                texels_per_mm=6.0,
+            ).albedo
+        )
+        for flecks in (0.0, 1.0)
+    )
+    is_fleck = np.abs(flecked - bare).max(axis=-1) > 0.02
+    assert 0.0005 < is_fleck.mean() < 0.05
+    assert (flecked[is_fleck].mean(axis=-1) > bare[is_fleck].mean(axis=-1)).mean() > 0.95
+
+
+def test_the_wall_does_not_repeat():
+    """The wall's colour is correlated with itself at no distance beyond its largest patches."""
+    side, mucosa = 120.0 * MM, replace(MUCOSAE["colon"], vessel_contrast=0.0)
+    look = bake_appearance(make_square(side), seed=5, mucosa=mucosa, texels_per_mm=3.0)
+    green = decode(look.albedo)[..., 1]
+    fine = green[tuple(slice(n * 21 // 100, n * 79 // 100) for n in green.shape)]
+    # Only what is finer than 5 mm can show repetition; large patches are few in a square.
+    spectrum = np.fft.fft2(fine - fine.mean())
+    frequency = np.hypot(*np.meshgrid(*[np.fft.fftfreq(n, 1 / 3.0) for n in fine.shape[::-1]]))
+    power = np.abs(spectrum * (frequency > 0.2)) ** 2
+    correlation = np.fft.ifft2(power).real
+    correlation /= correlation[0, 0]
+    correlation[:30, :30] = correlation[-30:, :30] = 0.0
+    correlation[:30, -30:] = correlation[-30:, -30:] = 0.0
+    assert np.abs(correlation).max() < 0.05
 
 
 def test_errors_say_what_is_wrong(tube):

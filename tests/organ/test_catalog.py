@@ -11,8 +11,9 @@ import pytest
 
 from vrcaps.errors import InputError, UnknownNameError
 from vrcaps.organ import colon
-from vrcaps.organ.catalog import ORGANS, load_organ
+from vrcaps.organ.catalog import CONDITIONS, ORGANS, load_organ, organ_segments
 from vrcaps.organ.colon import ColonParameters
+from vrcaps.organ.gi.patient import draw_patient
 from vrcaps.organ.surface import Appearance, Centerline, OrganSurface
 
 
@@ -80,3 +81,12 @@ def test_unknown_names_and_negative_seeds_are_refused():
         load_organ("colon", seed=0, condition="full")
     with pytest.raises(InputError, match="Seed -1 is negative"):
         load_organ("colon", seed=-1)
+
+
+def test_every_organ_has_segments_and_every_condition_a_patient() -> None:
+    assert all(organ_segments(name) for name in ORGANS)
+    assert len(organ_segments("gi")) == 18
+    for condition in CONDITIONS:
+        draw_patient(0, condition)
+    with pytest.raises(UnknownNameError, match="No organ named 'liver'"):
+        organ_segments("liver")

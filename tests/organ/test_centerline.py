@@ -11,7 +11,7 @@ from vrcaps.organ.centerline.distance import triangle_distance, wall_distance
 from vrcaps.organ.centerline.lumen import grid_crossings, mean_radius, voxelise
 from vrcaps.organ.read import read_mesh
 from vrcaps.organ.repair import repair
-from vrcaps.organ.surface import Mesh
+from vrcaps.organ.surface import Mesh, vertex_normals
 from vrcaps.units import MM
 
 RADIUS = 10 * MM
@@ -116,6 +116,30 @@ def test_stated_ends():
     assert np.linalg.norm(line.points[-1] - axis[20]) < 2 * MM
     line = compute_centerline(tube(axis), start=axis[-10])
     assert np.linalg.norm(line.points[-1] - axis[0]) < RADIUS
+
+
+def pouched_tube():
+    """A tube with folds that ends in two wide pouches, one rounder than the other."""
+    t = np.linspace(0.0, 1.0, 240)
+    s = 0.4 * t
+    axis = np.stack([s, 30 * MM * np.sin(5 * t), 20 * MM * np.cos(4 * t)], -1)
+    radius = 9 * MM + 2 * MM * np.cos(2 * np.pi * s / (20 * MM))
+    for middle, half, wide in ((0.035, 0.035, 32 * MM), (0.37, 0.03, 26 * MM)):
+        radius = np.maximum(radius, wide * np.sqrt(np.clip(1.0 - ((s - middle) / half) ** 2, 0, 1)))
+    radius[[0, -1]] = 0.5 * MM
+    return tube(axis, radius=radius, num_around=48)
+
+
+@pytest.mark.parametrize("make", [pouched_tube, lambda: tube(arc())])
+def test_noise_on_the_wall_does_not_move_the_ends(make):
+    """Of 0.02 to 0.1 mm it moves the length by less than 0.5 %, in pouches and on flat ends."""
+    mesh = make()
+    normals = vertex_normals(mesh.vertices, mesh.faces)
+    length = compute_centerline(mesh).length
+    for seed, height in enumerate((0.02 * MM, 0.05 * MM, 0.1 * MM)):
+        noise = height * np.random.default_rng(seed).standard_normal((len(normals), 1))
+        line = compute_centerline(Mesh(mesh.vertices + noise * normals, mesh.faces))
+        assert line.length == pytest.approx(length, rel=5e-3)
 
 
 def test_mesh_scale_does_not_matter():

@@ -1,13 +1,15 @@
 """Facts of organs whose figures are known in closed form."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import trimesh
 
-from vrcaps.organ.facts import organ_facts, triangle_quality
+from vrcaps.organ.facts import organ_facts, segment_spans, triangle_quality
 from vrcaps.organ.surface import Centerline, Mesh, OrganSurface, vertex_normals
+from vrcaps.units import MM
 
 RADIUS, LENGTH = 0.02, 0.2
 
@@ -87,6 +89,22 @@ def test_thin_triangles_are_counted():
     assert any("thin triangles" in defect for defect in organ_facts(organ).defects)
 
 
+def test_places_where_the_wall_cuts_itself_are_counted_and_named():
+    organ = make_organ(cylinder())
+    outer = np.argmax(organ.vertices[:, 0] - np.abs(organ.vertices[:, 2]))
+    vertices = organ.vertices.copy()
+    vertices[outer, 0] -= 3 * RADIUS
+    defects = organ_facts(replace(organ, vertices=vertices)).defects
+    (cut,) = (defect for defect in defects if "cuts itself" in defect)
+    found = re.fullmatch(
+        r"1 places where the wall cuts itself \((\d+) pairs .*, at \((.*)\) mm", cut
+    )
+    assert found
+    assert 4 < int(found[1]) < 100
+    x, y, z = map(float, found[2].split(", "))
+    assert (x, y, z) == pytest.approx((-RADIUS / MM, 0.0, 0.0), abs=1.5)
+
+
 def test_open_ends_count_as_closed_for_the_volume():
     judge = cylinder()
     wall = judge.submesh([np.nonzero(np.abs(judge.face_normals[:, 2]) < 0.5)[0]], append=True)
@@ -99,3 +117,14 @@ def test_short_centreline_without_inner_samples_counts_whole():
     organ = make_organ(cylinder())
     wide = replace(organ.centerline, radius=np.full(101, LENGTH))
     assert organ_facts(replace(organ, centerline=wide)).calibre_min == 2 * LENGTH
+
+
+def test_segments_follow_each_other_along_the_way():
+    organ = make_organ(cylinder())
+    spans = segment_spans(organ)
+    assert [label for label, _, _ in spans] == [1, 2]
+    assert spans[0][1] == 0.0
+    assert spans[0][2] == spans[1][1] == pytest.approx(LENGTH / 2, abs=0.006)
+    assert spans[1][2] == pytest.approx(LENGTH)
+    one = replace(organ, label=np.ones_like(organ.label))
+    assert segment_spans(one) == [(1, 0.0, pytest.approx(LENGTH))]

@@ -9,15 +9,23 @@ import pytest
 
 from vrcaps.errors import InputError
 from vrcaps.organ.centerline import interpolate
-from vrcaps.organ.colon.crossing import self_intersections
+from vrcaps.organ.crossing import self_intersections
 from vrcaps.organ.facts import organ_facts
 from vrcaps.organ.gi import generate as generate_module
 from vrcaps.organ.gi.appearance import with_appearance
 from vrcaps.organ.gi.generate import generate_gi
-from vrcaps.organ.gi.patient import COLON_CALIBRES, colon_at, draw_patient
+from vrcaps.organ.gi.patient import (
+    COLON_CALIBRES,
+    bowel_surroundings,
+    colon_at,
+    draw_patient,
+    stomach_axis,
+)
 from vrcaps.organ.gi.valve import soften, stitch, without_vertices
 from vrcaps.organ.shape.crowd import Balls, smooth_course
+from vrcaps.organ.shape.population import draw_deviation
 from vrcaps.organ.shape.waves import draw_waves, smooth_step, sum_waves, within_bend, wrap
+from vrcaps.organ.small_bowel.generate import lay_small_bowel
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.units import CM, MM
 
@@ -149,6 +157,40 @@ def test_removed_vertices_leave_an_ordered_rim():
     fan = np.stack([np.full(8, 8), np.arange(8), np.roll(np.arange(8), -1)], axis=1)
     softened = soften(vertices, fan, np.array([8]))
     assert softened[8, 2] < vertices[8, 2]
+
+
+def test_organs_alone_are_those_of_the_tract(tract: OrganSurface):
+    patient = draw_patient(SEED)
+    around = bowel_surroundings(patient)
+    bowel = dataclasses.replace(patient.small_bowel, edge=3 * MM, jejunum_fold_height=1.5 * MM)
+    _, tube = lay_small_bowel(bowel, around, np.random.default_rng([SEED, 3]))
+    middle = tube.curve(np.array([0.2, 1.0, 2.0]))
+    distance = np.linalg.norm(tract.centerline.points[:, None] - middle, axis=2).min(axis=0)
+    assert distance.max() < 5 * MM
+    axis = stomach_axis(patient)
+    body = axis.points[np.abs(axis.arc_length - 0.5 * patient.stomach.length) < 1 * MM]
+    distance = np.linalg.norm(tract.centerline.points - body[0], axis=1).min()
+    assert distance < 10 * MM
+
+
+def test_deviations_are_bounded_with_mean_0_and_variance_1():
+    rng = np.random.default_rng(0)
+    for bound, most in ((1.0, 1.9), (2.0, 2.28), (3.0, 3.05)):
+        drawn = np.array([draw_deviation(rng, bound) for _ in range(20_000)])
+        assert abs(drawn.mean()) < 0.03
+        assert drawn.std() == pytest.approx(1.0, rel=0.02)
+        assert bound < np.abs(drawn).max() < most
+
+
+def test_summed_waves_are_their_sines():
+    rng = np.random.default_rng(1)
+    waves = draw_waves(rng, 30, (1 * CM, 4 * CM), 1.0, np.arange(-5, 6))
+    s, theta = rng.uniform(0.0, 1.0, 50_000), rng.uniform(-np.pi, np.pi, 50_000)
+    one_by_one = sum(a * np.sin(k * s + lobes * theta + phase) for a, k, lobes, phase in waves)
+    assert np.allclose(sum_waves(waves, s, theta), one_by_one, atol=0.01)
+    few = slice(0, 40)
+    assert np.allclose(sum_waves(waves, s[few], theta[few]), one_by_one[few])
+    assert sum_waves(waves, s[:0], theta[:0]).shape == (0,)
 
 
 def test_waves_have_the_asked_deviation_and_close_around_the_tube():

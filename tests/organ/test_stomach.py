@@ -8,15 +8,14 @@ import numpy as np
 import pytest
 
 from vrcaps.errors import InputError
-from vrcaps.organ.colon.crossing import self_intersections
-from vrcaps.organ.colon.remesh import triangle_quality
-from vrcaps.organ.colon.tube import make_tube
-from vrcaps.organ.facts import organ_facts
+from vrcaps.organ.crossing import self_intersections
+from vrcaps.organ.facts import organ_facts, triangle_quality
+from vrcaps.organ.shape.tube import make_tube
 from vrcaps.organ.stomach import StomachParameters, generate_stomach
 from vrcaps.organ.stomach import generate as generate_module
 from vrcaps.organ.stomach.parameters import CONDITIONS, SEGMENTS
 from vrcaps.organ.stomach.shape import curvatures, draw_stomach_wall, stomach_course
-from vrcaps.organ.surface import OrganSurface
+from vrcaps.organ.surface import Mesh, OrganSurface
 from vrcaps.units import CM, MM
 
 LITRE = 1e-3
@@ -39,7 +38,7 @@ def test_wall_is_closed_clean_and_faces_the_lumen(stomach: OrganSurface):
 
 
 def test_triangles_are_small_and_well_shaped(stomach: OrganSurface):
-    quality = triangle_quality(stomach.vertices, stomach.faces)
+    quality = triangle_quality(Mesh(stomach.vertices, stomach.faces))
     assert quality.mean() > 0.88
     assert np.percentile(quality, 5) > 0.7
     edges = np.linalg.norm(np.diff(stomach.vertices[stomach.faces[:, :2]], axis=1), axis=2)

@@ -89,11 +89,11 @@ def test_file_holds_world_positions_and_all_attributes(tmp_path, organ):
 
 
 def test_only_seams_are_split(tmp_path, organ):
-    source, faces, uv = split_at_seams(organ.faces, organ.uv, len(organ.vertices))
+    source, faces, uv = split_at_seams(organ.faces, organ.uv)
     assert np.all(np.diff(source) >= 0)
     assert np.array_equal(source[faces], organ.faces)
-    assert np.array_equal(uv[faces], organ.uv.astype(np.float32))
-    pairs = np.column_stack([organ.faces.reshape(-1), organ.uv.astype(np.float32).reshape(-1, 2)])
+    assert np.array_equal(uv[faces], organ.uv)
+    pairs = np.column_stack([organ.faces.reshape(-1), organ.uv.reshape(-1, 2)])
     assert len(source) == len(np.unique(pairs, axis=0))
 
 

@@ -51,10 +51,12 @@ def test_round_trip_through_json(tmp_path, scenario):
 def test_toml_with_few_keys(tmp_path):
     path = tmp_path / "scenario.toml"
     path.write_text(
-        'frames = 7\n[organ]\nkind = "generated"\nseed = 4\n'
+        'frames = 7\n[organ]\nkind = "generated"\nseed = 4\ncondition = "collapsed"\n'
         '[motion]\nkind = "fly-through"\nspeed = 1e-2\n'
     )
-    expected = Scenario(OrganGenerated(seed=4), frames=7, motion=FlyThrough(speed=0.01))
+    expected = Scenario(
+        OrganGenerated(seed=4, condition="collapsed"), frames=7, motion=FlyThrough(speed=0.01)
+    )
     assert read_scenario(path) == expected
 
 
@@ -67,6 +69,11 @@ def test_toml_with_few_keys(tmp_path):
         ("list.json", "[]", "A scenario is a table of keys, not list"),
         ("head.json", '{"format": "vrcaps-episode/1"}', "A scenario is a table of keys, not None"),
         ("key.json", '{"frame": 3}', r"Unknown key scenario\.frame\. Allowed: organ, capsule"),
+        (
+            "full.json",
+            '{"organ": {"kind": "generated", "condition": "full"}}',
+            r"scenario\.organ\.condition is 'full'\. Allowed: 'inflated', 'normal', 'collapsed'",
+        ),
         ("type.json", '{"frames": 2.5}', r"scenario\.frames is 2\.5\. Allowed: a whole number"),
     ],
 )
@@ -163,3 +170,5 @@ def test_clean_twin_has_the_same_motion(scenario, tmp_path, monkeypatch):
     assert model.organ.instance.max() == 1
     assert twin.organ.instance.max() == 0
     assert model.organ.metadata["lesions"][0]["kind"] == "polyp"
+    assert twin.organ.metadata["lesions"] == []
+    assert twin.organ.metadata["clean_twin_of"] == model.organ.metadata["lesions"]

@@ -8,23 +8,27 @@ mod vessels;
 
 use grid::SegmentGrid;
 use multiversion::multiversion;
-use noise::Vec3;
+use noise::{Lattice, Vec3};
 use numpy::{PyArray1, PyReadonlyArray2};
 use pyo3::prelude::*;
 use raster::{NO_FACE, Size, doubled_area, face_map};
 use rayon::prelude::*;
-use tissue::{Mucosa, Place, Tissue};
+use tissue::{Mucosa, Place, Tissue, turned};
 use vessels::{Growth, grow};
 
 /// Texels around each chart that continue it, so that filtering sees no background.
 const PADDING: usize = 8;
 
-/// Numbers a vertex carries: position [mm], normal, curvature [1/mm], arc length [mm].
-const FIELDS: usize = 8;
+/// Numbers a vertex brings: position [mm], normal, curvature [1/mm], arc length [mm], and the
+/// factors of its segment on pits, bile and vessels.
+const GIVEN: usize = 11;
+
+/// Numbers a vertex carries: those it brings, but for the arc length two slow variations.
+const FIELDS: usize = GIVEN + 1;
 
 /// The wall as the kernel reads it.
 struct Wall<'a> {
-    vertices: &'a [f32],
+    vertices: Vec<[f32; FIELDS]>,
     faces: &'a [[u32; 3]],
     uv: &'a [f64],
 }
@@ -49,10 +53,7 @@ struct FaceFields {
 impl FaceFields {
     fn new(wall: &Wall, size: Size, face: u32) -> Self {
         let at = face as usize;
-        let fields = wall.faces[at].map(|v| {
-            let start = v as usize * FIELDS;
-            std::array::from_fn(|k| wall.vertices[start + k])
-        });
+        let fields = wall.faces[at].map(|v| wall.vertices[v as usize]);
         let corners = size.corners(&wall.uv[6 * at..6 * at + 6]);
         let [a, b, c] = corners;
         let area = doubled_area(&corners);
@@ -87,7 +88,11 @@ impl FaceFields {
             point: [at(0), at(1), at(2)],
             normal: normal.map(|n| n / length),
             curvature: at(6),
-            arc_length: at(7),
+            shade: at(7),
+            region: at(8),
+            pits: at(9),
+            bile: at(10),
+            vessels: at(11),
         }
     }
 }
@@ -110,6 +115,20 @@ impl Encoder {
     fn encode(&self, linear: f32) -> u8 {
         self.0[(linear.clamp(0.0, 1.0).sqrt() * Self::STEPS as f32 + 0.5) as usize]
     }
+}
+
+/// Adds what varies so slowly that the wall's vertices hold it: redness and bile.
+fn with_slow_variation(given: &[f32], seed: u32) -> Vec<[f32; FIELDS]> {
+    let noise =
+        |stream: u32, size: f32| Lattice::new(seed.wrapping_mul(31).wrapping_add(stream), size);
+    let (mut segments, mut regions) = (noise(3, 110.0), noise(4, 55.0));
+    let fields = |v: &[f32]| {
+        let segment = segments.gradient([v[7], 40.7, 78.1]);
+        let region = regions.gradient(turned([v[0], v[1], v[2]]));
+        let shade = 0.5 * segment + 0.45 * region;
+        [v[0], v[1], v[2], v[3], v[4], v[5], v[6], shade, region, v[8], v[9], v[10]]
+    };
+    given.chunks_exact(GIVEN).map(fields).collect()
 }
 
 fn paint(wall: &Wall, map: &[u32], size: Size, tissue: &Tissue) -> Textures {
@@ -170,8 +189,8 @@ type TextureArrays<'py> =
 
 /// Bakes a mucosa into textures of `layout`: height, width and the wall's length under a texel [mm].
 ///
-/// `wall` [n 8] holds each vertex's position [mm], normal, curvature [1/mm] and arc length [mm];
-/// `uv` [m 6] the texture coordinates of each face's corners. Returns albedo, roughness and height, flat.
+/// `wall` [n 11] holds each vertex's position [mm], normal, curvature [1/mm], arc length [mm] and
+/// factors on pits, bile and vessels; `uv` [m 6] the texture coordinates of each face's corners. Returns albedo, roughness and height, flat.
 #[pyfunction]
 pub fn bake_mucosa<'py>(
     py: Python<'py>,
@@ -184,7 +203,8 @@ pub fn bake_mucosa<'py>(
 ) -> PyResult<TextureArrays<'py>> {
     let faces: Vec<[u32; 3]> =
         faces.as_slice()?.chunks_exact(3).map(|f| [f[0], f[1], f[2]]).collect();
-    let wall = Wall { vertices: wall.as_slice()?, faces: &faces, uv: uv.as_slice()? };
+    let vertices = with_slow_variation(wall.as_slice()?, seed);
+    let wall = Wall { vertices, faces: &faces, uv: uv.as_slice()? };
     let size = Size { height: layout.0, width: layout.1 };
     let texel = layout.2;
     let textures = py.detach(|| {
@@ -202,7 +222,7 @@ pub fn bake_mucosa<'py>(
 
 fn grow_on(wall: &Wall, seed: u32, mucosa: &Mucosa) -> Vec<vessels::Segment> {
     let column = |k: usize| -> Vec<Vec3> {
-        wall.vertices.chunks_exact(FIELDS).map(|r| [r[k], r[k + 1], r[k + 2]]).collect()
+        wall.vertices.iter().map(|r| [r[k], r[k + 1], r[k + 2]]).collect()
     };
     let growth = Growth {
         seed,

@@ -122,6 +122,84 @@ impl Lattice {
     }
 }
 
+/// Cellular noise (Worley, SIGGRAPH 1996): one point in each cell of a lattice; it remembers the
+/// points around the cell it was last in.
+pub struct Cells {
+    seed: u32,
+    frequency: f32,
+    cell: [i32; 3],
+    points: [[f32; Cells::POINTS]; 3],
+}
+
+impl Cells {
+    const LANES: usize = 8;
+    /// Points of 3 × 3 × 3 cells, filled up with some that are far away.
+    const POINTS: usize = 4 * Cells::LANES;
+
+    /// A lattice of cells `size` wide.
+    pub fn new(seed: u32, size: f32) -> Self {
+        let points = [[9.0; Cells::POINTS]; 3];
+        let mut cells = Self { seed, frequency: 1.0 / size, cell: [0; 3], points };
+        cells.enter([0; 3]);
+        cells
+    }
+
+    #[inline(always)]
+    fn enter(&mut self, cell: [i32; 3]) {
+        /// How far points stray from the middles of their cells, in cells.
+        const STRAY: f32 = 0.4;
+        self.cell = cell;
+        for index in 0..27 {
+            let step = [index % 3 - 1, index / 3 % 3 - 1, index / 9 - 1];
+            let at = [0, 1, 2].map(|k| cell[k] + step[k]);
+            let stray = triple(corner(self.seed, at[0], at[1], at[2]));
+            for axis in 0..3 {
+                self.points[axis][index as usize] = step[axis] as f32 + 0.5 + STRAY * stray[axis];
+            }
+        }
+    }
+
+    /// By how much the second nearest point is farther than the nearest, in cells: 0 on the
+    /// borders between points, up to about 1 at the points.
+    #[inline(always)]
+    pub fn border(&mut self, p: Vec3) -> f32 {
+        let p = p.map(|x| x * self.frequency);
+        let cell = p.map(floor);
+        if cell != self.cell {
+            self.enter(cell);
+        }
+        let t = [0, 1, 2].map(|k| p[k] - cell[k] as f32);
+        let (mut first, mut second) = ([99.0f32; Cells::LANES], [99.0f32; Cells::LANES]);
+        for start in (0..Cells::POINTS).step_by(Cells::LANES) {
+            for lane in 0..Cells::LANES {
+                let d: Vec3 = [0, 1, 2].map(|k| self.points[k][start + lane] - t[k]);
+                let square = d[0] * d[0] + d[1] * d[1] + d[2] * d[2];
+                second[lane] = second[lane].min(first[lane].max(square));
+                first[lane] = first[lane].min(square);
+            }
+        }
+        let mut nearest = [99.0f32; 2];
+        for lane in 0..Cells::LANES {
+            nearest[1] = nearest[1].min(second[lane]).min(nearest[0].max(first[lane]));
+            nearest[0] = nearest[0].min(first[lane]);
+        }
+        nearest[1].sqrt() - nearest[0].sqrt()
+    }
+
+    /// Offset [cells] from the point in the cell of `p`, and a number in [0, 1) of its own.
+    #[inline(always)]
+    pub fn own(&mut self, p: Vec3) -> (Vec3, f32) {
+        let p = p.map(|x| x * self.frequency);
+        let cell = p.map(floor);
+        if cell != self.cell {
+            self.enter(cell);
+        }
+        let offset = [0, 1, 2].map(|k| p[k] - cell[k] as f32 - self.points[k][13]);
+        let number = corner(self.seed ^ 0x666c_6563, cell[0], cell[1], cell[2]) >> 8;
+        (offset, number as f32 * (1.0 / 16_777_216.0))
+    }
+}
+
 /// Trilinear blend of a cell's corners (x fastest).
 #[inline(always)]
 fn blend(values: &[f32; 8], fade: Vec3) -> f32 {
@@ -175,6 +253,25 @@ mod tests {
         for i in 1..1000 {
             let x = i as f32 * 17.3;
             assert!((cube_root(x) / x.cbrt() - 1.0).abs() < 1e-6);
+        }
+    }
+
+    #[test]
+    fn borders_between_cells_agree_with_a_wide_search() {
+        let mut cells = Cells::new(5, 1.0);
+        for i in 0..2000 {
+            let p = [0, 1, 2].map(|axis| uniform(11, i, axis) * 40.0 - 20.0);
+            let cell = p.map(floor);
+            let mut distances = Vec::new();
+            for index in 0..125 {
+                let step = [index % 5 - 2, index / 5 % 5 - 2, index / 25 - 2];
+                let at = [0, 1, 2].map(|k| cell[k] + step[k]);
+                let stray = triple(corner(5, at[0], at[1], at[2]));
+                let d = [0, 1, 2].map(|k| at[k] as f32 + 0.5 + 0.4 * stray[k] - p[k]);
+                distances.push((d[0] * d[0] + d[1] * d[1] + d[2] * d[2]).sqrt());
+            }
+            distances.sort_by(f32::total_cmp);
+            assert!((cells.border(p) - (distances[1] - distances[0])).abs() < 1e-4);
         }
     }
 

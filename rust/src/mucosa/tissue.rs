@@ -1,7 +1,7 @@
 //! The mucosa as a solid function: colour, roughness and relief at a point of the wall.
 
 use super::grid::{Blood, Cursor, SegmentGrid};
-use super::noise::{Lattice, Vec3, exp, smoothstep, uniform};
+use super::noise::{Cells, Lattice, Vec3, exp, smoothstep, uniform};
 use super::vessels::dot;
 use pyo3::prelude::*;
 
@@ -18,6 +18,9 @@ pub struct Mucosa {
     pub relief_slope: f32,
     pub pit_spacing: f32,
     pub pit_slope: f32,
+    pub pit_shade: f32,
+    pub network: f32,
+    pub flecks: f32,
     pub roughness: f32,
 }
 
@@ -28,7 +31,14 @@ pub struct Place {
     pub normal: Vec3,
     /// Mean curvature [1/mm], positive where the wall bulges into the lumen.
     pub curvature: f32,
-    pub arc_length: f32,
+    /// Slow variation of the redness.
+    pub shade: f32,
+    /// Slow variation of the bile.
+    pub region: f32,
+    /// Factors of the segment on the pits, the bile and the vessels.
+    pub pits: f32,
+    pub bile: f32,
+    pub vessels: f32,
 }
 
 /// What the wall is like at a place.
@@ -58,6 +68,19 @@ const BUMPS: [(f32, f32); 3] = [(7.0, 0.7), (2.4, 1.0), (0.9, 0.3)];
 
 /// RMS slope of gradient noise times its spacing.
 const UNIT_SLOPE: f32 = 3.3;
+
+/// RMS slope of the plateaus between the pits times their spacing.
+const PLATEAU_SLOPE: f32 = 3.5;
+
+/// Mean height of the plateaus, and width of the gaps between them in spacings.
+const PLATEAU: f32 = 0.62;
+const GAP: f32 = 0.38;
+
+/// Spacing of the places where a fleck of mucus may lie [mm], the radii of flecks in spacings, and
+/// their colour.
+const FLECK_SPACING: f32 = 3.2;
+const FLECK_RADII: [f32; 2] = [0.03, 0.17];
+const FLECK: [f32; 3] = [0.74, 0.60, 0.34];
 
 /// A mucosa grown over one patient's wall.
 pub struct Tissue {
@@ -94,13 +117,12 @@ impl Tissue {
             patch: noise(0, 16.0),
             mottle: noise(1, 4.5),
             grain: noise(2, 1.3),
-            segment: noise(3, 110.0),
-            region: noise(4, 55.0),
             film: noise(5, 21.0),
             mesh: noise(6, MESH),
+            flecks: Cells::new(self.seed ^ 0x6d75_6375, FLECK_SPACING),
             warps: [noise(7, 3.1), noise(8, 1.1)],
             bumps: BUMPS.map(|(size, _)| noise(9 + size as u32, size)),
-            pits: noise(20, self.mucosa.pit_spacing * 1e3),
+            pits: Cells::new(self.seed ^ 0x7069_7473, self.mucosa.pit_spacing * 1e3),
         }
     }
 
@@ -108,6 +130,12 @@ impl Tissue {
     #[inline(always)]
     fn resolved(&self, size: f32) -> f32 {
         smoothstep(2.0, 4.0, size / self.texel)
+    }
+
+    /// Depth of the gaps between pits [mm] for the slope they shall have.
+    fn pit_height(&self) -> f32 {
+        let pits = self.mucosa.pit_spacing * 1e3;
+        self.mucosa.pit_slope * pits / PLATEAU_SLOPE * self.resolved(pits)
     }
 
     /// The mucosa without any detail.
@@ -139,13 +167,12 @@ pub struct Brush<'a> {
     patch: Lattice,
     mottle: Lattice,
     grain: Lattice,
-    segment: Lattice,
-    region: Lattice,
     film: Lattice,
     mesh: Lattice,
     warps: [Lattice; 2],
     bumps: [Lattice; 3],
-    pits: Lattice,
+    pits: Cells,
+    flecks: Cells,
 }
 
 impl Brush<'_> {
@@ -155,32 +182,62 @@ impl Brush<'_> {
         let tissue = self.tissue;
         let p = turned(place.point);
         let crest = smoothstep(0.02, 0.2, place.curvature);
+        let valley = smoothstep(0.02, 0.25, -place.curvature);
         let patch = self.patch.gradient(p);
         let mottle = self.mottle.gradient(p);
         let grain = self.grain.gradient(p);
         let warp = self.warp(place);
         let fine = turned(warp);
         let clarity = 0.3 + 0.7 * smoothstep(-1.3, 0.7, patch);
-        let seen = tissue.contrast * (1.0 - 0.85 * crest) * clarity;
+        let seen = tissue.contrast * (1.0 - 0.85 * crest) * clarity * place.vessels;
         let blood = tissue.vessels.blood(&mut self.cursor, warp, place.normal);
         let blood = Blood { artery: seen * blood.artery, vein: seen * blood.vein };
+        let plateau = self.plateau(fine);
+        let gap = (PLATEAU - plateau) * place.pits;
 
-        let segment = self.segment.gradient([place.arc_length, 40.7, 78.1]);
-        let region = self.region.gradient(p);
-        let shade = 0.5 * segment + 0.45 * region - 0.35 * patch
+        let shade = place.shade - 0.35 * patch
             + 0.4 * mottle
             + 0.3 * grain
-            + 1.1 * self.capillary_mesh(fine);
-        let redness = tissue.redness + tissue.mucosa.redness_variation * shade - 0.18 * crest;
+            + tissue.mucosa.network * self.capillary_mesh(fine);
+        let clumped = 0.35 + 0.65 * smoothstep(-1.4, 1.0, mottle + 0.6 * grain);
+        let redness = tissue.redness + tissue.mucosa.redness_variation * shade - 0.18 * crest
+            + tissue.mucosa.pit_shade * gap * clumped;
         let film = smoothstep(0.6, 2.2, self.film.gradient(p) + 0.5 * mottle);
-        let bile = tissue.mucosa.bile
-            * (0.35 + 0.5 * smoothstep(-1.0, 1.5, region) + film)
-            * (1.0 - 0.6 * crest);
-        Sample {
-            albedo: tissue.color(redness, bile, blood),
-            roughness: tissue.roughness(film, mottle, grain),
-            height: self.relief(p, fine) + 0.015 * (blood.artery + blood.vein),
+        let pool = 0.35 + 0.5 * smoothstep(-1.0, 1.5, place.region) + film + 1.2 * valley;
+        let stain = 1.0 + 4.0 * tissue.mucosa.pit_shade * gap * clumped;
+        let bile = tissue.mucosa.bile * place.bile * pool * (1.0 - 0.6 * crest) * stain;
+        let fleck = self.fleck(fine, grain);
+        let mut albedo = tissue.color(redness, bile, blood);
+        for c in 0..3 {
+            albedo[c] += fleck * (FLECK[c] - albedo[c]);
         }
+        let height = self.relief(p) + tissue.pit_height() * plateau * place.pits;
+        Sample {
+            albedo,
+            roughness: tissue.roughness(film, mottle, grain),
+            height: height + 0.015 * (blood.artery + blood.vein) + 0.05 * fleck,
+        }
+    }
+
+    /// Height of the plateaus between pits: 1 on villi or areae, 0 in the gaps between them.
+    #[inline(always)]
+    fn plateau(&mut self, p: Vec3) -> f32 {
+        smoothstep(0.0, GAP, self.pits.border(p))
+    }
+
+    /// Cover by a fleck of mucus, 0 to 1.
+    #[inline(always)]
+    fn fleck(&mut self, p: Vec3, grain: f32) -> f32 {
+        let (offset, number) = self.flecks.own(p);
+        let share = self.tissue.mucosa.flecks;
+        if number >= share {
+            return 0.0;
+        }
+        // Among the flecks that are there, few are large.
+        let size = number / share;
+        let radius = FLECK_RADII[0] + (FLECK_RADII[1] - FLECK_RADII[0]) * size * size * size;
+        let distance = dot(offset, offset).sqrt() * (1.0 + 0.25 * grain);
+        0.8 * (1.0 - smoothstep(0.7 * radius, radius, distance))
     }
 
     /// The place moved along the wall, so that vessels wind.
@@ -200,25 +257,21 @@ impl Brush<'_> {
         ridge * ridge * self.tissue.resolved(0.6 * MESH) - 0.3
     }
 
-    /// Relief [mm] from bumps of three sizes and the grooves around pits, each by its slope.
+    /// Relief [mm] from bumps of three sizes, each by its slope.
     #[inline(always)]
-    fn relief(&mut self, p: Vec3, fine: Vec3) -> f32 {
+    fn relief(&mut self, p: Vec3) -> f32 {
         let tissue = self.tissue;
         let mut height = 0.0;
         for (bump, (size, share)) in self.bumps.iter_mut().zip(BUMPS) {
             height += bump.gradient(p) * share * size * tissue.resolved(size);
         }
-        let pits = tissue.mucosa.pit_spacing * 1e3;
-        let groove = self.pits.gradient(fine).abs().min(1.0) - 0.6;
-        (height * tissue.mucosa.relief_slope
-            + groove * tissue.mucosa.pit_slope * pits * tissue.resolved(0.7 * pits))
-            / UNIT_SLOPE
+        height * tissue.mucosa.relief_slope / UNIT_SLOPE
     }
 }
 
 /// A rotation by Pythagorean numbers, so that no wall lies along the noise's lattice by habit.
 #[inline(always)]
-fn turned(p: Vec3) -> Vec3 {
+pub fn turned(p: Vec3) -> Vec3 {
     [
         0.36 * p[0] + 0.48 * p[1] - 0.8 * p[2],
         -0.8 * p[0] + 0.6 * p[1],

@@ -21,9 +21,11 @@ _VERBS = {
     "demo": ("vrcaps.cli.demo", "Demo", "Record a labelled run through a generated colon."),
     "record": ("vrcaps.cli.record", "Record", "Record your own organ, capsule and motion."),
     "check": ("vrcaps.cli.check", "Check", "Verify an episode."),
-    "organ inspect": ("vrcaps.cli.organ", "Inspect", "Measure and draw a mesh file."),
+    "organ list": ("vrcaps.cli.organ_list", "List", "List organs, lesions, mucosae, capsules."),
+    "organ inspect": ("vrcaps.cli.organ", "Inspect", "Measure and draw an organ."),
     "organ from-ct": ("vrcaps.cli.from_ct", "FromCt", "Make organs from a CT scan or labels."),
     "organ make": ("vrcaps.cli.organ", "Make", "Generate an organ and write it as GLB."),
+    "organ texture": ("vrcaps.cli.texture", "Texture", "Make a mucosa from photographs."),
     "bench render": ("vrcaps.cli.bench", "Render", "Measure rendering, beside its peers."),
     "bench record": ("vrcaps.cli.bench", "Record", "Measure recording to disk."),
     "doctor": ("vrcaps.cli.doctor", "Doctor", "Say what is installed and what can be used."),
@@ -31,7 +33,7 @@ _VERBS = {
 """Module, dataclass and summary of each verb."""
 
 _GROUPS = {
-    "organ": "Generate an organ, make one from CT, measure and draw a mesh file.",
+    "organ": "Generate organs, make them from CT, dress them from photographs; measure, draw.",
     "bench": "Measure speed on this machine.",
 }
 

@@ -93,6 +93,8 @@ class FromCt:
         """Read, make, write and report."""
         if self.out.suffix != ".glb":
             raise InputError(f"--out is {self.out}. Allowed: a name that ends in .glb.")
+        if not self.out.parent.is_dir():
+            raise InputError(f"--out is {self.out}, but there is no folder {self.out.parent}.")
         if self.labels is not None and not self.label:
             raise InputError("--labels needs --label: which of them, e.g. --label colon.")
         if self.label and (self.seed_mm or self.all_pieces or self.tagged_fluid):
@@ -201,5 +203,4 @@ def _write(path: Path, organ: OrganSurface) -> None:
     report_organ(organ, path.with_name(f"{path.stem}-overview.png"))
     for note in organ.metadata["notes"]:
         console.print(f"Note: {note}.")
-    flag = " --reverse" if organ.metadata["backwards"] else ""
-    console.print(f"Record it: vrcaps record --organ {path} --unit m{flag} --out DIR")
+    console.print(f"Record it: vrcaps record --organ {path} --out DIR")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -10,49 +10,95 @@ from tyro.conf import Positional, UseAppendAction
 
 from vrcaps.cli.console import console
 from vrcaps.cli.lesions import chosen_lesions, lesion_lines
+from vrcaps.cli.record import is_mesh_file, require_unit
 from vrcaps.errors import InputError
+from vrcaps.organ.read_organ import is_organ_file
 from vrcaps.units import CM, MM
 
 if TYPE_CHECKING:
     from vrcaps.organ.facts import OrganFacts
     from vrcaps.organ.surface import OrganSurface
 
+_PICTURES = (".png", ".jpg", ".pdf", ".svg")
+
 
 @dataclass(frozen=True)
 class Inspect:
-    """Print size, volume, area, length, calibre and defects of a mesh file; draw a picture.
+    """Measure an organ and draw it: outside, inside each segment, unrolled, calibre, lesions.
 
-    The mesh is repaired first, as a recording would, and every repair is listed.
+    Of a mesh file, which is repaired first as a recording would (every repair is listed), of an
+    organ file that vrcaps wrote, or of a generated organ.
 
     For example:
       vrcaps organ inspect colon.ply --unit mm
       vrcaps organ inspect scan.stl --unit 5cm --picture scan.png
+      vrcaps organ inspect colon-3.glb
+      vrcaps organ inspect stomach --seed 3 --condition collapsed
     """
 
-    file: Positional[Path]
-    """Mesh file: PLY, OBJ, STL, GLB."""
+    organ: Positional[str]
+    """Mesh file (PLY, OBJ, STL, GLB), organ file (GLB), or colon, stomach, small-bowel, gi."""
 
-    unit: str
-    """Length unit of the file: m, dm, cm, mm, um, or e.g. 5cm. Never guessed."""
+    unit: str | None = None
+    """Length unit of a mesh file: m, dm, cm, mm, um, or e.g. 5cm. Never guessed. An organ file
+    needs none."""
 
     open_ends: Literal["cap", "keep"] = "cap"
-    """Whether the lumen's open ends are capped or kept."""
+    """Whether a mesh file's open ends of the lumen are capped or kept."""
 
     reverse: bool = False
-    """Whether the narrower end of the lumen is the oral one."""
+    """The narrower end of a mesh file's lumen is the oral one."""
+
+    seed: int | None = None
+    """Patient of a generated organ; 0 by default."""
+
+    condition: Literal["inflated", "normal", "collapsed"] | None = None
+    """How full a generated organ is."""
+
+    mucosa: str | None = None
+    """Give a mesh file this look in the picture: colon, stomach or small_intestine."""
 
     picture: Path | None = None
     """Picture to write; by default <name>-overview.png in the working directory."""
 
     def run(self) -> None:
         """Inspect and report."""
+        picture = self.picture
+        if picture is not None and picture.suffix.lower() not in _PICTURES:
+            raise InputError(f"--picture is {picture}. Allowed: {', '.join(_PICTURES)}.")
+        with console.status("reading, repairing and measuring"):
+            organ = self._load()
+        for line in lesion_lines(organ.metadata.get("lesions", []), organ.centerline.length):
+            console.print(f"Lesion {line}.")
+        report_organ(organ, picture or Path(f"{organ.name}-overview.png"))
+
+    def _load(self) -> OrganSurface:
+        from vrcaps.organ.catalog import load_organ
+
+        if is_mesh_file(self.organ):
+            if self.seed is not None or self.condition is not None:
+                raise InputError("--seed and --condition go with a generated organ, not a file.")
+            return self._load_file(Path(self.organ))
+        if (self.unit, self.open_ends, self.reverse, self.mucosa) != (None, "cap", False, None):
+            raise InputError(
+                f"--unit, --open-ends, --reverse and --mucosa go with a file, but {self.organ!r} "
+                "is a name. Drop them, or give the path of a PLY, OBJ, STL or GLB."
+            )
+        return load_organ(self.organ, seed=self.seed or 0, condition=self.condition)
+
+    def _load_file(self, path: Path) -> OrganSurface:
+        from vrcaps.organ.appearance import bake_appearance
         from vrcaps.organ.from_file import organ_from_file
 
-        with console.status("reading, repairing and measuring"):
-            organ = organ_from_file(
-                self.file, unit=self.unit, open_ends=self.open_ends, reverse=self.reverse
-            )
-        report_organ(organ, self.picture or Path(f"{organ.name}-overview.png"))
+        unit = self.unit
+        if not is_organ_file(path) and path.is_file():
+            unit = require_unit("--unit", unit, str(path))
+        organ = organ_from_file(path, unit=unit, open_ends=self.open_ends, reverse=self.reverse)
+        if self.mucosa is None:
+            return organ
+        if organ.appearance is not None:
+            raise InputError(f"{path} has textures of its own. Drop --mucosa.")
+        return replace(organ, appearance=bake_appearance(organ, seed=0, mucosa=self.mucosa))
 
 
 @dataclass(frozen=True)
@@ -73,6 +119,10 @@ class Make:
 
     condition: Literal["inflated", "normal", "collapsed"] | None = None
     """How full it is; by default the colon is inflated, all else normal."""
+
+    mucosa: str | None = None
+    """Look of the wall: colon, stomach or small_intestine, or the folder of a texture that
+    vrcaps organ texture wrote; by default the organ's own."""
 
     out: Path | None = None
     """File to write; by default <name>-<seed>.glb in the working directory. In metres."""
@@ -98,7 +148,9 @@ class Make:
         if out.suffix != ".glb":
             raise InputError(f"--out is {out}. Allowed: a name that ends in .glb.")
         with console.status("generating"):
-            organ = load_organ(self.name, seed=self.seed, condition=self.condition)
+            organ = load_organ(
+                self.name, seed=self.seed, condition=self.condition, mucosa=self.mucosa
+            )
             lesions = chosen_lesions(self.lesion, self.lesions, self.seed)
             patient = add_lesions(organ, lesions, np.random.default_rng([self.seed, 3]))
             organ = patient.organ if lesions else organ
@@ -129,7 +181,8 @@ def report_organ(organ: OrganSurface, picture: Path) -> None:
         for number, line in enumerate(lines or ("none",)):
             table.add_row("" if number else title, line)
     console.print(table)
-    write_overview(organ, picture)
+    with console.status("drawing"):
+        write_overview(organ, picture, facts=facts)
     console.print(f"Look at {picture}.")
 
 

@@ -11,6 +11,7 @@ from tyro.conf import OmitArgPrefixes, UseAppendAction, arg
 from vrcaps.cli.lesions import chosen_lesions
 from vrcaps.cli.recording import run_recording
 from vrcaps.errors import InputError
+from vrcaps.organ.read_organ import is_organ_file
 from vrcaps.render.frame import CHANNELS
 from vrcaps.render.settings import RenderSettings
 from vrcaps.units import LENGTH_UNITS
@@ -30,8 +31,11 @@ class Record:
 
     For example:
       vrcaps record --out runs/colon --organ colon --seed 3 --frames 300
+      vrcaps record --out runs/empty --organ small-bowel --condition collapsed
       vrcaps record --out runs/mine --organ colon.ply --unit mm --capsule pillcam-colon2
+      vrcaps record --out runs/patient --organ colon-3.glb
       vrcaps record --out runs/polyp --lesion polyp-Ip:size=12mm,segment=sigmoid
+      vrcaps record --out runs/photo --organ colon --mucosa my-mucosa
       vrcaps record --out runs/path --path poses.txt --path-format tum --path-unit m
       vrcaps record --out runs/again --scenario runs/mine/episode.json
     """
@@ -43,10 +47,12 @@ class Record:
     """Record just what this file says: JSON, TOML, or the episode.json of an episode."""
 
     organ: str = "colon"
-    """Name of a generated organ, or a mesh file: PLY, OBJ, STL, GLB."""
+    """Name of a generated organ, a mesh file (PLY, OBJ, STL, GLB), or an organ file: a GLB that
+    vrcaps organ wrote, taken as it is with its labels, lesions and textures."""
 
     unit: str | None = None
-    """Length unit of the mesh file: m, dm, cm, mm, um, or e.g. 5cm. Never guessed."""
+    """Length unit of the mesh file: m, dm, cm, mm, um, or e.g. 5cm. Never guessed. An organ file
+    needs none."""
 
     open_ends: Literal["cap", "keep"] = "cap"
     """Whether a mesh file's open ends of the lumen are capped or kept."""
@@ -57,11 +63,15 @@ class Record:
     reverse: bool = False
     """The narrower end of a mesh file's lumen is the oral one."""
 
-    mucosa: str = "colon"
-    """Look of a mesh file's wall: colon, stomach or small_intestine."""
+    mucosa: str | None = None
+    """Look of the wall: colon, stomach or small_intestine, or the folder of a texture that
+    vrcaps organ texture wrote; by default an organ's own, for a mesh file colon."""
 
     patient: int | None = None
     """Seed of a generated organ; by default --seed. Give it to fly many runs through one."""
+
+    condition: Literal["inflated", "normal", "collapsed"] | None = None
+    """How full a generated organ is; by default the colon is inflated, all else normal."""
 
     lesion: Annotated[tuple[str, ...], UseAppendAction] = ()
     """Put this into the organ; give it again for more. A kind with its grade, then what differs:
@@ -172,18 +182,27 @@ class Record:
             open_ends=self.open_ends,
             keep_uv=self.keep_uv,
             reverse=self.reverse,
-            mucosa=self.mucosa,
+            mucosa=self.mucosa or "colon",
         )
         if is_mesh_file(self.organ):
-            if self.patient is not None:
-                raise InputError("--patient goes with a generated organ, not with a mesh file.")
+            if self.patient is not None or self.condition is not None:
+                raise InputError(
+                    "--patient and --condition go with a generated organ, not with a mesh file."
+                )
+            if is_organ_file(Path(self.organ)):
+                return mesh
             return replace(mesh, unit=require_unit("--unit", self.unit, self.organ))
-        if mesh != OrganFile(path=self.organ, unit=""):
+        if replace(mesh, mucosa="colon") != OrganFile(path=self.organ, unit=""):
             raise InputError(
-                f"--unit, --open-ends, --keep-uv, --reverse and --mucosa go with a mesh file, but "
+                f"--unit, --open-ends, --keep-uv and --reverse go with a mesh file, but "
                 f"{self.organ!r} is a name. Drop them, or give the path of a PLY, OBJ, STL or GLB."
             )
-        return OrganGenerated(name=self.organ, seed=self._patient_seed())
+        return OrganGenerated(
+            name=self.organ,
+            seed=self._patient_seed(),
+            condition=self.condition,
+            mucosa=self.mucosa,
+        )
 
     def _replay(self, path: Path) -> Replay:
         from vrcaps.world.replay import Replay

@@ -71,6 +71,8 @@ def _summarise(out: Path, times: list[float], seconds: float) -> None:
     organ = episode.head["organ"]
     for line in lesion_lines(organ.get("lesions", []), organ["centerline_length_m"]):
         console.print(f"Lesion {line}.")
+    for line in lesion_lines(organ.get("clean_twin_of", []), organ["centerline_length_m"]):
+        console.print(f"Without lesion {line}.")
     for note in episode.head.get("motion_notes", []):
         console.print(f"Note: {note}")
     pictures = [out / name for name in ("sheet.png", "preview.mp4") if (out / name).exists()]

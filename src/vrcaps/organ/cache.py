@@ -10,14 +10,14 @@ import tempfile
 import warnings
 import zipfile
 from collections.abc import Callable
-from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from vrcaps import _core
-from vrcaps.organ.surface import Appearance, Centerline, OrganSurface
+from vrcaps.organ.parts import organ_from_parts, organ_parts
+from vrcaps.organ.surface import OrganSurface
 
 _BROKEN = (OSError, EOFError, ValueError, KeyError, TypeError, zipfile.BadZipFile)
 """What reading a truncated, overwritten or outdated file raises."""
@@ -79,7 +79,7 @@ def fingerprint(parameters: dict[str, Any]) -> str:
 
 def _write_organ(path: Path, organ: OrganSurface) -> None:
     """Write an organ under a temporary name, then rename it, so that no half file is ever seen."""
-    arrays, plain = _split(organ)
+    arrays, plain = organ_parts(organ)
     arrays["plain"] = np.array(json.dumps(plain))
     path.parent.mkdir(parents=True, exist_ok=True)
     handle, temporary = tempfile.mkstemp(dir=path.parent, suffix=".part")
@@ -91,36 +91,9 @@ def _write_organ(path: Path, organ: OrganSurface) -> None:
         Path(temporary).unlink(missing_ok=True)
 
 
-def _split(organ: OrganSurface) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-    """An organ's arrays and its plain values, each under ``field`` or ``part.field``."""
-    arrays: dict[str, np.ndarray] = {}
-    plain: dict[str, Any] = {}
-    for prefix, part in (
-        ("", organ),
-        ("centerline.", organ.centerline),
-        ("appearance.", organ.appearance),
-    ):
-        for field in fields(part) if part is not None else ():
-            value = getattr(part, field.name)
-            if isinstance(value, np.ndarray):
-                arrays[prefix + field.name] = value
-            elif field.name not in ("centerline", "appearance"):
-                plain[prefix + field.name] = value
-    return arrays, plain
-
-
 def _read_organ(path: Path) -> OrganSurface:
     """Read an organ that `_write_organ` wrote."""
     with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
         values = {name: stored[name] for name in stored.files}
     values |= json.loads(str(values.pop("plain")))
-    parts: dict[str, dict[str, Any]] = {"": {}, "centerline": {}, "appearance": {}}
-    for name, value in values.items():
-        part, _, field = name.rpartition(".")
-        parts[part][field] = value
-    organ = parts[""]
-    organ["label_names"] = tuple(organ["label_names"])
-    appearance = Appearance(**parts["appearance"]) if parts["appearance"] else None
-    return OrganSurface(
-        **organ, centerline=Centerline(**parts["centerline"]), appearance=appearance
-    )
+    return organ_from_parts(values)

@@ -9,11 +9,13 @@ from vrcaps.errors import InputError, UnknownNameError
 from vrcaps.organ.cache import cached_organ, fingerprint
 from vrcaps.organ.surface import OrganSurface
 
-_GI_COLON_TRIANGLES = 150_000
+GI_COLON_TRIANGLES = 150_000
 """Of the colon in the joint tract, so that its edges are 2 mm long too."""
 
 
-def load_organ(name: str, *, seed: int, condition: str | None = None) -> OrganSurface:
+def load_organ(
+    name: str, *, seed: int, condition: str | None = None, mucosa: str | None = None
+) -> OrganSurface:
     """A generated organ with its appearance, a different patient for each seed.
 
     It is made once and then read from the user's cache folder (see `cache_folder`). One seed is
@@ -24,16 +26,28 @@ def load_organ(name: str, *, seed: int, condition: str | None = None) -> OrganSu
         seed: Of the patient; not negative.
         condition: How full it is: `inflated`, `normal` or `collapsed`; None is the usual, the
             colon inflated, all else normal.
+        mucosa: Look of the wall, see `bake_appearance`; None is the organ's own.
 
     Raises:
-        UnknownNameError: If the catalog has no such organ.
-        InputError: If the seed is negative, or there is no such condition.
+        UnknownNameError: If the catalog has no such organ, or there is no such mucosa.
+        InputError: If the seed is negative, or there is no such condition or texture.
     """
     if name not in ORGANS:
         raise UnknownNameError("organ", name, ORGANS)
     if seed < 0:
         raise InputError(f"Seed {seed} is negative. Allowed: 0, 1, 2, …")
-    return ORGANS[name](seed, condition)
+    if mucosa is None:
+        return ORGANS[name](seed, condition)
+    from vrcaps.organ.appearance import bake_appearance, mucosa_fingerprint
+
+    chosen = mucosa
+
+    def make() -> OrganSurface:
+        organ = ORGANS[name](seed, condition)
+        return replace(organ, appearance=bake_appearance(organ, seed=seed, mucosa=chosen))
+
+    key = fingerprint({"condition": condition, **mucosa_fingerprint(mucosa)})
+    return cached_organ(f"{name}-{seed}-mucosa-{key}", make)
 
 
 def _load_colon(seed: int, condition: str | None) -> OrganSurface:
@@ -52,16 +66,16 @@ def _load_colon(seed: int, condition: str | None) -> OrganSurface:
 
 def _load_stomach(seed: int, condition: str | None) -> OrganSurface:
     from vrcaps.organ.appearance import bake_appearance
-    from vrcaps.organ.gi.patient import draw_patient
+    from vrcaps.organ.gi.patient import draw_patient, stomach_axis
     from vrcaps.organ.stomach import generate_stomach
 
-    parameters = draw_patient(seed, condition).stomach
+    patient = draw_patient(seed, condition)
 
     def make() -> OrganSurface:
-        organ = generate_stomach(parameters, seed=seed)
+        organ = generate_stomach(patient.stomach, seed=seed, course=stomach_axis(patient))
         return replace(organ, appearance=bake_appearance(organ, seed=seed, mucosa="stomach"))
 
-    return cached_organ(f"stomach-{seed}-{fingerprint(asdict(parameters))}", make)
+    return cached_organ(f"stomach-{seed}-{fingerprint(asdict(patient))}", make)
 
 
 def _load_small_bowel(seed: int, condition: str | None) -> OrganSurface:
@@ -87,7 +101,7 @@ def _load_gi(seed: int, condition: str | None) -> OrganSurface:
     patient = draw_patient(seed, condition)
 
     def make() -> OrganSurface:
-        colon = replace(patient.colon, triangles=_GI_COLON_TRIANGLES)
+        colon = replace(patient.colon, triangles=GI_COLON_TRIANGLES)
         organ = generate_gi(patient.stomach, patient.small_bowel, colon, seed=seed)
         return with_appearance(organ, seed=seed)
 
@@ -101,3 +115,25 @@ ORGANS: dict[str, Callable[[int, str | None], OrganSurface]] = {
     "gi": _load_gi,
 }
 """Generators by name; each takes a seed and a condition."""
+
+CONDITIONS = ("inflated", "normal", "collapsed")
+"""How full a generated organ can be."""
+
+
+def organ_segments(name: str) -> tuple[str, ...]:
+    """Names of the segments of a generated organ, from its oral end.
+
+    Raises:
+        UnknownNameError: If the catalog has no such organ.
+    """
+    from vrcaps.organ.colon.parameters import SEGMENTS as COLON
+    from vrcaps.organ.small_bowel.parameters import SEGMENTS as SMALL_BOWEL
+    from vrcaps.organ.stomach.parameters import SEGMENTS as STOMACH
+
+    segments = {
+        **{"colon": COLON, "stomach": STOMACH, "small-bowel": SMALL_BOWEL},
+        "gi": (*STOMACH, *SMALL_BOWEL, *COLON),
+    }
+    if name not in segments:
+        raise UnknownNameError("organ", name, segments)
+    return segments[name]

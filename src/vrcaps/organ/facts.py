@@ -8,8 +8,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.spatial import KDTree
 
+from vrcaps.organ.crossing import cut_places, self_intersections
 from vrcaps.organ.repair.cap import enclosed_volume, find_loops
 from vrcaps.organ.repair.edges import face_areas, find_edges
+from vrcaps.organ.repair.report import format_places
 from vrcaps.organ.surface import Mesh
 
 if TYPE_CHECKING:
@@ -82,6 +84,32 @@ def organ_facts(organ: OrganSurface) -> OrganFacts:
     )
 
 
+def way_bins(organ: OrganSurface) -> int:
+    """Number of parts of the centreline short against the lumen's width, with wall in each."""
+    step = 0.3 * float(np.median(organ.radius))
+    return int(np.clip(organ.centerline.length / max(step, 1e-9), 40, 800))
+
+
+def segment_spans(organ: OrganSurface) -> list[tuple[int, float, float]]:
+    """Label, first and last arc length [m] of each stretch, from the oral end.
+
+    A stretch has the label that most of its wall's vertices have; without wall, the nearest's.
+    """
+    bins, length = way_bins(organ), organ.centerline.length
+    part = np.clip(organ.arc_length / length * bins, 0, bins - 1).astype(int)
+    count = np.zeros((bins, len(organ.label_names)), int)
+    np.add.at(count, (part, organ.label), 1)
+    filled = np.flatnonzero(count.max(axis=1))
+    nearest = filled[np.abs(np.arange(bins)[:, None] - filled).argmin(axis=1)]
+    label = count.argmax(axis=1)[nearest]
+    starts = np.flatnonzero(np.diff(label, prepend=-1))
+    ends = np.append(starts[1:], bins)
+    edges = np.linspace(0.0, length, bins + 1)
+    return [
+        (int(label[a]), float(edges[a]), float(edges[b])) for a, b in zip(starts, ends, strict=True)
+    ]
+
+
 def triangle_quality(mesh: Mesh) -> Float[np.ndarray, " m"]:
     """4 √3 area / Σ edge² of each triangle (Bhatia and Lawrence 1990), 0 to 1."""
     corners = mesh.vertices[mesh.faces]
@@ -116,11 +144,15 @@ def _find_defects(mesh: Mesh, quality: Float[np.ndarray, " m"]) -> list[str]:
     characteristic = len(np.unique(mesh.faces)) - len(edges.counts) + len(mesh.faces)
     num_handles = (2 - len(loops) - characteristic) // 2
     num_thin = int((quality < _THIN_QUALITY).sum())
+    cuts = self_intersections(mesh.vertices, mesh.faces)
+    places = cut_places(mesh.vertices, mesh.faces, cuts)
+    cut = f"places where the wall cuts itself ({len(cuts)} pairs of triangles)"
     defects = [
         (len(crowded), "edges of more than two triangles"),
         (num_wrong, "edges whose triangles are wound against each other"),
         (len(loops), "open ends or holes"),
         (0 if crowded else num_handles, "handles (the wall joins itself around a gap)"),
+        (len(places), f"{cut}, {format_places(places)}"),
         (num_thin, f"thin triangles (quality below {_THIN_QUALITY:g})"),
     ]
     return [f"{count} {text}" for count, text in defects if count > 0]

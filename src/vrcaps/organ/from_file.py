@@ -10,16 +10,20 @@ import numpy as np
 
 from vrcaps.errors import InputError
 from vrcaps.organ.read import read_label_names, read_mesh
+from vrcaps.organ.read_organ import is_organ_file, read_organ
 from vrcaps.organ.surface import Centerline, Mesh, OrganSurface, vertex_normals
+from vrcaps.units import LENGTH_UNITS, parse_length
 
 if TYPE_CHECKING:
     from pathlib import Path
+
+_AS_IT_IS = (1.0, None, "cap", False, False)
 
 
 def organ_from_file(
     path: Path,
     *,
-    unit: str,
+    unit: str | None = None,
     name: str | None = None,
     open_ends: Literal["cap", "keep"] = "cap",
     keep_uv: bool = False,
@@ -27,9 +31,11 @@ def organ_from_file(
 ) -> OrganSurface:
     """Organ from a mesh file: read, repaired, with centreline, gut and texture coordinates.
 
+    An organ file (`write_glb`) is in metres and comes back as it was, see `read_organ`.
+
     Args:
         path: A .ply, .obj, .stl, .glb or .gltf file, in the patient frame.
-        unit: Length of one unit of the file, e.g. `mm` or `5cm`.
+        unit: Length of one unit of the file, e.g. `mm` or `5cm`; an organ file needs none.
         name: Name of the organ; by default the file's without extension.
         open_ends: Whether lumen ends are capped or left open.
         keep_uv: Whether the file's own texture coordinates stay; by default new ones are
@@ -38,14 +44,24 @@ def organ_from_file(
 
     Raises:
         InputError: If the file cannot be read or mended, or has no lumen (`read_mesh`,
-            `repair`, `compute_centerline`), or has no texture coordinates to keep.
+            `repair`, `compute_centerline`), or has no texture coordinates to keep; if it states
+            no unit, or is an organ file and something is to be changed in it.
     """
+    if is_organ_file(path):
+        if (parse_length(unit or "m"), name, open_ends, keep_uv, reverse) != _AS_IT_IS:
+            raise InputError(
+                f"{path} is an organ file: in metres, and taken as it is. "
+                "Leave out the unit, open ends, texture coordinates and direction."
+            )
+        return read_organ(path)
+    if unit is None:
+        raise InputError(f"{path} does not say its unit. Allowed: {', '.join(LENGTH_UNITS)}.")
     from vrcaps.organ.centerline import compute_centerline
     from vrcaps.organ.repair import repair
 
     mesh = read_mesh(path, unit=unit)
     if keep_uv and (mesh.uv is None or not np.isfinite(mesh.uv).all()):
-        raise InputError(f"{path} has no finite texture coordinates to keep. Leave keep_uv off.")
+        raise InputError(f"{path} has no finite texture coordinates to keep. Leave --keep-uv off.")
     if not keep_uv:
         mesh = replace(mesh, uv=None)
     mesh, report = repair(mesh, open_ends=open_ends)

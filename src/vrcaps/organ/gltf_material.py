@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from concurrent.futures import ThreadPoolExecutor
-from io import BytesIO
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from vrcaps._core import write_pngs
 from vrcaps.organ.surface import coat_alpha
 
 if TYPE_CHECKING:
@@ -19,7 +20,6 @@ if TYPE_CHECKING:
 _PLAIN_MUCOSA = (0.60, 0.22, 0.16, 1.0)  # linear; drawn where there is no appearance
 _SAMPLER = {"magFilter": 9729, "minFilter": 9987, "wrapS": 10497, "wrapT": 10497}  # mipmaps, repeat
 _BLOCK_ROWS = 256
-_PNG_LEVEL = 1  # zlib level; higher ones take seconds for a 8192 × 1024 texture
 
 
 def relief_scale(
@@ -49,22 +49,20 @@ def texture_images(appearance: Appearance, scale: tuple[float, float]) -> list[b
         appearance: The textures.
         scale: Length on the wall of one unit of u and v [m], see `relief_scale`.
     """
+    roughness = np.zeros((*appearance.roughness.shape, 3), np.uint8)
+    roughness[..., 1] = appearance.roughness  # glTF: G is roughness, B is metalness
+    normals = normal_texture(appearance.height, scale)
+    return encode_pngs([appearance.albedo, roughness, normals])
 
-    def albedo() -> bytes:
-        return _encode_png(appearance.albedo)
 
-    def roughness() -> bytes:
-        image = np.zeros((*appearance.roughness.shape, 3), np.uint8)
-        image[..., 1] = appearance.roughness  # glTF: G is roughness, B is metalness
-        return _encode_png(image)
-
-    def normals() -> bytes:
-        return _encode_png(normal_texture(appearance.height, scale))
-
-    with ThreadPoolExecutor() as pool:  # zlib works outside Python's lock
-        slowest_first = [pool.submit(make) for make in (normals, albedo, roughness)]
-    normal_png, albedo_png, roughness_png = (task.result() for task in slowest_first)
-    return [albedo_png, roughness_png, normal_png]
+def encode_pngs(images: list[np.ndarray]) -> list[bytes]:
+    """PNG files of 8 or 16-bit images, encoded side by side."""
+    with TemporaryDirectory(prefix="vrcaps-") as folder:
+        paths = [Path(folder, f"{number}.png") for number in range(len(images))]
+        write_pngs(
+            [(str(path), np.ascontiguousarray(i)) for path, i in zip(paths, images, strict=True)]
+        )
+        return [path.read_bytes() for path in paths]
 
 
 def normal_texture(
@@ -144,11 +142,3 @@ def _weighted_median(values: Float[np.ndarray, " n"], weights: Float[np.ndarray,
     order = np.argsort(values, kind="stable")
     share = np.cumsum(weights[order])
     return float(values[order[np.searchsorted(share, 0.5 * share[-1])]])
-
-
-def _encode_png(image: UInt8[np.ndarray, "h w 3"]) -> bytes:
-    from PIL import Image
-
-    buffer = BytesIO()
-    Image.fromarray(image).save(buffer, "png", compress_level=_PNG_LEVEL)
-    return buffer.getvalue()

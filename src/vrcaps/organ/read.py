@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import struct
 from dataclasses import replace
 from typing import TYPE_CHECKING
@@ -10,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vrcaps.errors import InputError, UnknownNameError
+from vrcaps.organ.glb import read_document
 from vrcaps.organ.ply import read_ply
 from vrcaps.organ.polygons import triangulate_fans
 from vrcaps.organ.surface import Mesh
@@ -59,10 +59,7 @@ def read_label_names(path: Path) -> tuple[str, ...]:
     """Names of the labels in a GLB file that `write_glb` made; empty for any other mesh file."""
     if path.suffix.lower() != ".glb":
         return ()
-    with path.open("rb") as file:
-        header = struct.unpack("<4sIII4s", file.read(20))
-        document = json.loads(file.read(header[3]))
-    extras = document.get("meshes", [{}])[0].get("extras", {})
+    extras = read_document(path).get("meshes", [{}])[0].get("extras", {})
     return tuple(extras.get("label_names", ()))
 
 

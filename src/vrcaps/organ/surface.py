@@ -34,6 +34,10 @@ class Centerline:
         return float(self.arc_length[-1])
 
 
+HEIGHT_STEP = 2.0**-24
+"""Relief comes in multiples of this [m], 60 nm, so that files hold it exactly in 16 bits."""
+
+
 @dataclass(frozen=True)
 class Appearance:
     """How the wall reflects light, as textures over its texture coordinates.
@@ -45,7 +49,8 @@ class Appearance:
     Attributes:
         albedo: Base colour, sRGB-encoded.
         roughness: Perceptual roughness α^½ of the base, 255 = 1.
-        height: Relief of the wall towards the lumen [m]; only its slope is used.
+        height: Relief of the wall towards the lumen [m]; only its slope is used. Smallest in
+            files where it is in multiples of `HEIGHT_STEP` (`round_height`).
         ior: Refractive index of the base's dielectric layer relative to the lumen's gas.
         coat: Strength of the clear coat, 0 (dry) to 1 (wet).
         coat_gloss: Gloss of the clear coat, 0 (satin) to 1 (mirror-like).
@@ -114,6 +119,11 @@ class Mesh:
     faces: Int[np.ndarray, "m 3"]
     uv: Float[np.ndarray, "m 3 2"] | None = None
     label: UInt8[np.ndarray, " n"] | None = None
+
+
+def round_height(height: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
+    """Relief [m] to the nearest multiple of `HEIGHT_STEP`."""
+    return (np.rint(height / HEIGHT_STEP) * HEIGHT_STEP + 0.0).astype(np.float32)  # no −0
 
 
 def coat_alpha(gloss: float) -> float:

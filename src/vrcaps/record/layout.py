@@ -13,6 +13,7 @@ from vrcaps import _core
 from vrcaps.capsule.device import Camera, Led
 from vrcaps.capsule.lens import LENSES
 from vrcaps.errors import InputError
+from vrcaps.organ.parts import json_safe
 from vrcaps.record.channels import ENCODINGS
 from vrcaps.record.scenario import Scenario, scenario_to_plain
 from vrcaps.record.typed import from_plain, to_plain
@@ -29,6 +30,10 @@ PREVIEW_MP4 = "preview.mp4"
 RECORDING, COMPLETE = "recording", "complete"
 
 _AnyLens = Union[tuple(LENSES.values())]  # type: ignore[valid-type]  # noqa: UP007
+
+
+_LESION_KEYS = ("lesions", "clean_twin_of")
+"""What the organ's lesions are; of a clean twin, which it is without."""
 
 
 def make_head(scenario: Scenario, model: Model, notes: tuple[str, ...]) -> dict[str, Any]:
@@ -48,8 +53,10 @@ def make_head(scenario: Scenario, model: Model, notes: tuple[str, ...]) -> dict[
             "num_vertices": len(organ.vertices),
             "num_faces": len(organ.faces),
             "centerline_length_m": organ.centerline.length,
-            "lesions": json_safe(organ.metadata.get("lesions", [])),
-            "metadata": json_safe({k: v for k, v in organ.metadata.items() if k != "lesions"}),
+            **{key: json_safe(organ.metadata.get(key, [])) for key in _LESION_KEYS},
+            "metadata": json_safe(
+                {k: v for k, v in organ.metadata.items() if k not in _LESION_KEYS}
+            ),
         },
         "T_world_patient": model.T_world_patient.tolist(),
         "capsule": {
@@ -120,19 +127,6 @@ def channel_to_plain(channel: str) -> dict[str, Any]:
         "planes": encoding.planes,
         "path": f"{{camera}}/{channel}/{{frame:06d}}{suffix}",
     }
-
-
-def json_safe(value: Any) -> Any:
-    """A value as JSON can hold it: arrays as lists, other objects as text."""
-    if isinstance(value, dict):
-        return {str(k): json_safe(v) for k, v in value.items()}
-    if isinstance(value, list | tuple):
-        return [json_safe(v) for v in value]
-    if isinstance(value, np.ndarray | np.generic):
-        return json_safe(value.tolist())
-    if isinstance(value, float) and not np.isfinite(value):
-        return None
-    return value if isinstance(value, bool | int | float | str | None) else str(value)
 
 
 def read_head(folder: Path) -> dict[str, Any]:

@@ -15,7 +15,10 @@ import numpy as np
 from vrcaps.capsule.catalog import load_device
 from vrcaps.capsule.device import Device
 from vrcaps.errors import InputError, UnknownNameError
+from vrcaps.organ.appearance import is_texture_path
 from vrcaps.organ.lesion import AnyLesion, add_lesions
+from vrcaps.organ.photo.texture import texture_head
+from vrcaps.organ.read_organ import is_organ_file
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.record.typed import from_plain, to_plain
 from vrcaps.render.frame import CHANNELS
@@ -36,34 +39,47 @@ class OrganGenerated:
     Attributes:
         name: Which, for example `colon`.
         seed: A different patient for each.
+        condition: How full it is; None is the usual, the colon inflated, all else normal.
+        mucosa: Look of the wall: a name of `vrcaps.organ.appearance.MUCOSAE`, or the folder of
+            a texture; None is the organ's own.
+        mucosa_sha256: Checksum of the texture; filled in when recorded, checked when given.
     """
 
     name: str = "colon"
     seed: int = 0
+    condition: Literal["inflated", "normal", "collapsed"] | None = None
+    mucosa: str | None = None
+    mucosa_sha256: str = ""
 
     kind: ClassVar[str] = "generated"
 
 
 @dataclass(frozen=True)
 class OrganFile:
-    """An organ from a mesh file.
+    """An organ from a mesh file, or from an organ file that `vrcaps organ` wrote.
+
+    An organ file is taken as it is, with its labels, lesions and textures.
 
     Attributes:
         path: PLY, OBJ, STL or GLB in the patient frame, seen from the working directory.
-        unit: Length unit of the file, such as `mm` or `5cm`; a mesh file has none of its own.
+        unit: Length unit of the file, such as `mm` or `5cm`; a mesh file has none of its own,
+            an organ file is in metres.
         open_ends: Whether open ends of the lumen are capped or left open.
         keep_uv: Whether the file's own texture coordinates stay.
         reverse: Whether the narrower end of the lumen is the oral one.
-        mucosa: Look of the wall, a name of `vrcaps.organ.appearance.MUCOSAE`.
+        mucosa: Look of the wall: a name of `vrcaps.organ.appearance.MUCOSAE`, or the folder of
+            a texture.
+        mucosa_sha256: Checksum of the texture; filled in when recorded, checked when given.
         sha256: Checksum of the file; filled in when recorded, checked when given.
     """
 
     path: str
-    unit: str
+    unit: str = ""
     open_ends: Literal["cap", "keep"] = "cap"
     keep_uv: bool = False
     reverse: bool = False
     mucosa: str = "colon"
+    mucosa_sha256: str = ""
     sha256: str = ""
 
     kind: ClassVar[str] = "file"
@@ -177,8 +193,12 @@ def resolve(scenario: Scenario) -> tuple[Scenario, Device]:
             raise InputError(f"{name} is {value}. Allowed: {allowed}.")
     organ, motion = scenario.organ, scenario.motion
     if isinstance(organ, OrganFile):
-        parse_length(organ.unit)
-        organ = replace(organ, sha256=_checked_sha256(organ.path, organ.sha256))
+        unit = organ.unit or ("m" if is_organ_file(Path(organ.path)) else "")
+        parse_length(unit)
+        organ = replace(organ, unit=unit, sha256=_checked_sha256(organ.path, organ.sha256))
+    if organ.mucosa is not None and is_texture_path(organ.mucosa):
+        head = str(texture_head(organ.mucosa))
+        organ = replace(organ, mucosa_sha256=_checked_sha256(head, organ.mucosa_sha256))
     if isinstance(motion, Replay):
         parse_length(motion.unit)
         motion = replace(motion, sha256=_checked_sha256(motion.path, motion.sha256))
@@ -215,14 +235,22 @@ def _load_patient(scenario: Scenario, *, clean: bool = False) -> OrganSurface:
     from vrcaps.organ.cache import cached_organ, fingerprint
 
     if not scenario.lesions:
-        return _load_organ(scenario)
+        organ = _load_organ(scenario)
+        if clean and organ.metadata.get("lesions"):
+            raise InputError(
+                f"{organ.name} holds its lesions for good, so it has no clean twin. Give the file "
+                "of the clean twin, which `vrcaps organ make --clean-twin` writes."
+            )
+        return organ
     gravity_world = np.array([0.0, 0.0, -1.0])
     down = posture_transform(scenario.posture)[:3, :3].T @ gravity_world
     seed = getattr(scenario.organ, "seed", scenario.seed)
 
     def make() -> OrganSurface:
-        rng = np.random.default_rng([seed, 3])
-        patient = add_lesions(_load_organ(scenario), scenario.lesions, rng, down=down)
+        rng, organ = np.random.default_rng([seed, 3]), _load_organ(scenario)
+        if organ.metadata.get("lesions"):
+            raise InputError(f"{organ.name} has lesions already. Give none, or its clean twin.")
+        patient = add_lesions(organ, scenario.lesions, rng, down=down)
         return patient.clean if clean else patient.organ
 
     plain = to_plain(scenario.lesions, tuple[AnyLesion, ...])
@@ -239,19 +267,28 @@ def _load_organ(scenario: Scenario) -> OrganSurface:
 
     given = scenario.organ
     if isinstance(given, OrganGenerated):
-        return load_organ(given.name, seed=given.seed)
+        return load_organ(
+            given.name, seed=given.seed, condition=given.condition, mucosa=given.mucosa
+        )
 
-    def make() -> OrganSurface:
-        organ = organ_from_file(
+    def read() -> OrganSurface:
+        return organ_from_file(
             Path(given.path),
             unit=given.unit,
             open_ends=given.open_ends,
             keep_uv=given.keep_uv,
             reverse=given.reverse,
         )
+
+    def make() -> OrganSurface:
+        organ = read()
         look = bake_appearance(organ, seed=scenario.seed, mucosa=given.mucosa)
         return replace(organ, appearance=look)
 
+    if is_organ_file(Path(given.path)) and (organ := read()).appearance is not None:
+        if given.mucosa != OrganFile.mucosa:
+            raise InputError(f"{given.path} has textures of its own. Leave out the mucosa.")
+        return organ
     key = fingerprint(asdict(given) | {"seed": scenario.seed})
     return cached_organ(f"file-{key}", make)
 

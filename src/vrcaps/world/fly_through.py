@@ -252,5 +252,7 @@ def _require_valid(settings: FlyThrough) -> None:
     }
     for name, (valid, allowed) in ranges.items():
         if not valid:
-            given = getattr(settings, name)
-            raise InputError(f"Fly-through {name} is {given}. Allowed: {allowed}.")
+            flag = "--" + name.replace("_", "-")
+            raise InputError(
+                f"Fly-through {name} ({flag}) is {getattr(settings, name)}. Allowed: {allowed}."
+            )

@@ -7,7 +7,7 @@ import pytest
 import trimesh
 
 from vrcaps.errors import InputError, MissingExtraError
-from vrcaps.organ.ct.fraction import LumenFraction, bounding_box, drop_strays
+from vrcaps.organ.ct.fraction import LumenFraction, bounding_box, number_parts
 from vrcaps.organ.ct.surface import decimate, extract_wall, smooth
 from vrcaps.organ.surface import Mesh
 
@@ -103,15 +103,14 @@ def test_a_lumen_of_less_than_a_voxel() -> None:
         )
 
 
-def test_strays_are_dropped_and_parts_numbered_by_size() -> None:
+def test_parts_are_numbered_by_size_without_strays() -> None:
     share = np.zeros((20, 10, 10), np.float32)
     share[1:4, 1:4, 1:4] = 1.0
     share[8:18, 1:9, 1:9] = 1.0
     share[6, 6, 6] = 1.0
-    lumen, part, volumes = drop_strays(LumenFraction(share, np.eye(4)), 2.0)
+    part, volumes = number_parts(LumenFraction(share, np.eye(4)), 2.0)
     assert volumes == [640.0, 27.0]
     assert part[10, 5, 5] == 1
     assert part[2, 2, 2] == 2
     assert part[6, 6, 6] == 0
-    assert lumen.share[6, 6, 6] == 0.0
     assert bounding_box(part == 1) == (slice(8, 18), slice(1, 9), slice(1, 9))

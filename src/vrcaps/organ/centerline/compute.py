@@ -17,7 +17,7 @@ from vrcaps.organ.centerline.lumen import (
     voxelise,
 )
 from vrcaps.organ.centerline.path import find_path
-from vrcaps.organ.centerline.smooth import smooth_path
+from vrcaps.organ.centerline.smooth import smooth_path, to_wall
 from vrcaps.organ.surface import Centerline, Mesh
 
 if TYPE_CHECKING:
@@ -98,6 +98,10 @@ def _trace(
             continue
         try:
             curve = smooth_path(grid, path, (start is None, end is None))
+            if start is None:
+                curve = to_wall(grid, curve[::-1], *close_ends(vertices, faces))[::-1]
+            if end is None:
+                curve = to_wall(grid, curve, *close_ends(vertices, faces))
             return centerline_from_points(curve, vertices, faces)
         except InputError:
             if is_last:

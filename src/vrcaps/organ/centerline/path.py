@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vrcaps.errors import InputError
+from vrcaps.organ.centerline.ends import far_end, nearest_voxel
 from vrcaps.organ.centerline.lumen import LumenGrid
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Int
 
-_WALL_COST = 30.0  # of a step beside the wall, in steps through free lumen, when seeking the ends
 _CENTRING = 3.0  # a step costs clearance^-3: short cuts near the wall never pay
 _GAP_COST = 1e4  # of a step outside the lumen, in steps beside the wall
 
@@ -30,7 +30,7 @@ def find_path(
     """Voxel centres along the middle of the lumen, from one end to the other [m].
 
     The cost of a step falls with the cube of its distance from the wall. Ends not given are
-    the two points of the lumen that are farthest apart when walking inside it.
+    sought by `far_end`.
 
     Args:
         grid: The lumen.
@@ -45,41 +45,26 @@ def find_path(
 
     clear = np.maximum(grid.clearance / grid.voxel, 0.25)
     outside = _GAP_COST if cross_gaps else -1.0
-    walk = np.where(grid.inside, np.where(clear < 1.0, _WALL_COST, 1.0), outside)
     first = _snap(grid, start, "start") if start is not None else None
     last = _snap(grid, end, "end") if end is not None else None
     if first is None:
         deepest = np.array(np.unravel_index(np.argmax(grid.clearance), grid.inside.shape))
-        first = _farthest(grid, walk, deepest if last is None else last)
+        first = far_end(grid, deepest if last is None else last, outside)
     if last is None and first is not None:
-        last = _farthest(grid, walk, first)
+        last = far_end(grid, first, outside)
     if first is None or last is None:
         return None
     cost = np.where(grid.inside, clear**-_CENTRING, outside * 0.25**-_CENTRING)
     costs = MCP_Geometric(cost)
-    total, _ = costs.find_costs([first], [last])
-    if not np.isfinite(total[tuple(last)]):
+    total, _ = costs.find_costs([nearest_voxel(first)], [nearest_voxel(last)])
+    if not np.isfinite(total[nearest_voxel(last)]):
         return None
-    ids = np.array(costs.traceback(tuple(last)))
+    ids = np.array(costs.traceback(nearest_voxel(last)))
     gap = np.count_nonzero(~grid.inside[tuple(ids.T)])
     if gap:
         where = grid.points(ids[~grid.inside[tuple(ids.T)]][:1])[0]
         _log.warning("centreline crosses a closed place of %.2g m at %s m", gap * grid.voxel, where)
-    return grid.points(ids)
-
-
-def _farthest(
-    grid: LumenGrid, cost: Float[np.ndarray, "x y z"], seed: Int[np.ndarray, " 3"]
-) -> Int[np.ndarray, " 3"] | None:
-    """The lumen's voxel farthest from a seed; None if more than 1 % of it is out of reach."""
-    from skimage.graph import MCP_Geometric
-
-    # Steps across faces only: a diagonal one may slip through a thin wall.
-    total, _ = MCP_Geometric(cost, fully_connected=False).find_costs([tuple(seed)])
-    reached = np.isfinite(total) & grid.inside
-    if np.count_nonzero(reached) < 0.99 * np.count_nonzero(grid.inside):
-        return None
-    return np.array(np.unravel_index(np.argmax(np.where(reached, total, -1.0)), total.shape))
+    return grid.points(np.vstack([first, ids[1:-1], last]))
 
 
 def _snap(grid: LumenGrid, point: Float[np.ndarray, " 3"], name: str) -> Int[np.ndarray, " 3"]:

@@ -7,16 +7,18 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.linalg import solveh_banded
 
+from vrcaps.organ.centerline.distance import wall_distance
 from vrcaps.organ.centerline.lumen import LumenGrid
 
 if TYPE_CHECKING:
-    from jaxtyping import Float
+    from jaxtyping import Float, Int
 
 _SMOOTHING = 0.5  # length below which wiggles fade, in local radii
 _KEEP = 0.6  # of its clearance a point must keep when smoothed
 _ROUNDS = 30
 _CENTRING_ROUNDS = 12
-_END_WINDOW = 2  # voxels beyond its own clearance over which the clearance must not grow
+_END_WINDOW = 2  # voxels beyond its own clearance over which an end's clearance is compared
+_CENTRAL = 0.9  # of the largest clearance there, from which an end lies in the middle
 
 
 def smooth_path(
@@ -24,8 +26,8 @@ def smooth_path(
 ) -> Float[np.ndarray, "n 3"]:
     """A smooth curve down the middle of the lumen, from wall to wall [m].
 
-    Free ends climb from the end wall to the middle: this part is replaced by a straight line
-    to the wall. The curve is drawn to where the clearance is largest and smoothed in turn.
+    Free ends climb from beside the middle to it: this part is left out. The curve is drawn
+    to where the clearance is largest and smoothed in turn.
 
     Args:
         grid: The lumen.
@@ -37,9 +39,7 @@ def smooth_path(
     path = _trim(grid, path[::-1])[::-1] if free[1] else path
     for _ in range(_CENTRING_ROUNDS):
         path = resample(_smooth(grid, _centre(grid, path)), grid.voxel)
-    head = _tail(grid, path[::-1])[::-1] if free[0] else path[:0]
-    tail = _tail(grid, path) if free[1] else path[:0]
-    return np.concatenate([head, path, tail])
+    return path
 
 
 def resample(points: Float[np.ndarray, "k 3"], step: float) -> Float[np.ndarray, "n 3"]:
@@ -50,25 +50,44 @@ def resample(points: Float[np.ndarray, "k 3"], step: float) -> Float[np.ndarray,
 
 
 def _trim(grid: LumenGrid, path: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, "n 3"]:
-    """The path from where its clearance first stops to grow."""
+    """The path from where its clearance first is nearly the largest within reach."""
     clearance = grid.clearance_at(path)
     for i in range(len(path) // 3):
         ahead = clearance[i : i + _END_WINDOW + int(clearance[i] / grid.voxel)]
-        if clearance[i] >= max(grid.voxel, 0.9 * ahead.max()):
+        if clearance[i] >= max(grid.voxel, _CENTRAL * ahead.max()):
             return path[i:]
     return path[len(path) // 3 :]
 
 
-def _tail(grid: LumenGrid, path: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, "n 3"]:
-    """Points straight on from the path's last, until a voxel before the wall."""
-    reach = grid.clearance_at(path[-1:])[0]
-    back = min(len(path) - 1, max(2, int(reach / grid.voxel)))
+def to_wall(
+    grid: LumenGrid,
+    path: Float[np.ndarray, "n 3"],
+    vertices: Float[np.ndarray, "k 3"],
+    faces: Int[np.ndarray, "m 3"],
+) -> Float[np.ndarray, "l 3"]:
+    """The path, then points straight on from its last, until 1.5 voxels before the wall.
+
+    Where it stops is measured exactly: voxels would round it.
+
+    Args:
+        grid: The lumen.
+        path: Points down the middle of the lumen [m], a voxel apart.
+        vertices: Of the wall without open ends [m].
+        faces: Of the wall.
+    """
+    voxel, reach = grid.voxel, grid.clearance_at(path[-1:])[0]
+    back = min(len(path) - 1, max(2, int(reach / voxel)))
     direction = path[-1] - path[-1 - back]
     direction /= np.linalg.norm(direction)
-    steps = np.arange(1, max(grid.inside.shape))
-    line = path[-1] + grid.voxel * steps[:, None] * direction
-    near = grid.clearance_at(line) < min(1.5 * grid.voxel, 0.5 * reach)
-    return line[: np.argmax(near)]
+    margin = min(1.5 * voxel, 0.5 * reach)
+    away = voxel * np.arange(1.0, max(grid.inside.shape))
+    near = grid.clearance_at(path[-1] + away[:, None] * direction) < margin
+    about = away[np.argmax(near)]
+    fine = np.arange(max(about - 2.0 * voxel, 0.0), about + 2.0 * voxel, 0.1 * voxel)
+    room = wall_distance(path[-1] + fine[:, None] * direction, vertices, faces)
+    stop = fine[np.argmax(room < margin)] if (room < margin).any() else about
+    line = np.append(away[away < stop - 0.5 * voxel], stop)[:, None]
+    return np.concatenate([path, path[-1] + line * direction])
 
 
 def _centre(grid: LumenGrid, path: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:

@@ -13,41 +13,21 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vrcaps.organ.colon.course import blend, lumen_radius
+from vrcaps.organ.shape.folds import Folds
+from vrcaps.organ.shape.skin import Crests
+from vrcaps.organ.shape.waves import draw_waves, smooth_step, sum_waves, within_bend, wrap
 from vrcaps.units import CM, DEG, MM
 
 if TYPE_CHECKING:
     from jaxtyping import Float
 
     from vrcaps.organ.colon.parameters import ColonParameters
-    from vrcaps.organ.colon.tube import Tube
+    from vrcaps.organ.shape.tube import Tube
 
 _STRIP = 2.0 * np.pi / 3.0
 _ANAL_RADIUS = 9 * MM
 _VALVES_FROM_ANUS = (12 * CM, 9 * CM, 6.5 * CM)
 """The valves of Houston, upper, middle, lower (Gray's Anatomy: at 11 to 13, 8 to 9, 5 to 7 cm)."""
-
-
-@dataclass(frozen=True)
-class Folds:
-    """Folds across the lumen, sorted by arc length.
-
-    Attributes:
-        arc_length: Where the middle of each crest lies [m].
-        angle: Middle of each crest around the lumen, from the first taenia [rad].
-        height: Over the wall [m].
-        extent: Half the angle each crest spans [rad]; beyond π it is a full ring.
-        thickness: Full width at half height [m].
-        tilt: Slope of the crest against the circumference.
-        bow: Curvature of the crest along the gut, per radius.
-    """
-
-    arc_length: Float[np.ndarray, " n"]
-    angle: Float[np.ndarray, " n"]
-    height: Float[np.ndarray, " n"]
-    extent: Float[np.ndarray, " n"]
-    thickness: Float[np.ndarray, " n"]
-    tilt: Float[np.ndarray, " n"]
-    bow: Float[np.ndarray, " n"]
 
 
 @dataclass(frozen=True)
@@ -82,8 +62,8 @@ def draw_wall(parameters: ColonParameters, tube: Tube, rng: np.random.Generator)
     caecum = parameters.caecum.length
     # The ileum enters from the medial, slightly posterior side: patient +x for the right flank.
     ileocaecal = (caecum, tube.angle_of(caecum, np.array([1.0, 0.4, 0.0])))
-    calibre = _draw_waves(rng, 14, (9 * CM, 40 * CM), 0.05, np.array([0, 0, 1, 2, 2, 3]))
-    relief = _draw_waves(rng, 60, (12 * MM, 60 * MM), parameters.roughness, np.arange(-9, 10))
+    calibre = draw_waves(rng, 14, (9 * CM, 40 * CM), 0.05, np.array([0, 0, 1, 2, 2, 3]))
+    relief = draw_waves(rng, 60, (12 * MM, 60 * MM), parameters.roughness, np.arange(-9, 10))
     return Wall(
         parameters,
         tube,
@@ -102,8 +82,8 @@ def envelope_radius(
     """Radius of the plain tube: calibre, closed caecal dome, anal canal and its closed end [m]."""
     full = lumen_radius(parameters, arc_length)
     from_anus = parameters.length - arc_length
-    share = np.clip((from_anus - 2.2 * CM) / (3.5 * CM), 0.0, 1.0)
-    full = _ANAL_RADIUS + (full - _ANAL_RADIUS) * share * share * (3.0 - 2.0 * share)
+    share = smooth_step((from_anus - 2.2 * CM) / (3.5 * CM))
+    full = _ANAL_RADIUS + (full - _ANAL_RADIUS) * share
     for distance, depth in (
         (arc_length, 0.45 * parameters.caecum.diameter),
         (from_anus, _ANAL_RADIUS),
@@ -122,34 +102,32 @@ def wall_radius(
     plain = lumen_radius(parameters, s)
     fade = np.clip(envelope / plain, 0.0, 1.0) ** 2
     from_taenia = theta - wall.taenia_angle[0] - wall.taenia_angle[1] * s
-    radius = envelope * (1.0 + fade * _waves(wall.calibre_waves, s, theta))
+    radius = envelope * (1.0 + fade * sum_waves(wall.calibre_waves, s, theta))
     radius = radius * (1.0 + fade * _sacculation(wall, s, from_taenia))
-    stretch = 1.0 - radius * wall.tube.curvature_towards(s, theta)
+    curvature = wall.tube.curvature_towards(s, theta)
+    stretch = 1.0 - radius * curvature
     inner = np.clip((stretch - 0.1) / 0.5, 0.25, 1.0) * _clear_of_valve(wall, s, theta, radius)
     relief = _taenia_relief(wall, s, from_taenia, radius) * fade
     for strip in (*wall.strips, wall.valves):
         relief = relief + fade * inner * _fold_relief(strip, s, from_taenia, plain)
     relief = relief + fade * _ileocaecal_relief(wall, s, theta, radius)
-    relief = relief + fade * _waves(wall.relief_waves, s, theta)
+    relief = relief + fade * sum_waves(wall.relief_waves, s, theta)
     radius = np.maximum(radius - relief, 0.3 * envelope)
-    return _within_bend(radius, wall.tube.curvature_towards(s, theta))
+    return within_bend(radius, curvature)
 
 
-def crest_line(
-    folds: Folds, number: int, wall: Wall, theta: Float[np.ndarray, " n"]
-) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
-    """Arc length [m] of a fold's crest at angles, and their offset from its middle [rad]."""
-    s = folds.arc_length[number]
-    radius = lumen_radius(wall.parameters, np.full_like(theta, s))
-    from_taenia = theta - wall.taenia_angle[0] - wall.taenia_angle[1] * s
-    offset = _wrap(from_taenia - folds.angle[number])
-    return _crest(folds, np.full(len(theta), number), offset, radius), offset
-
-
-def _within_bend(radius: np.ndarray, curvature: np.ndarray) -> np.ndarray:
-    """Smooth minimum of the radius and 0.72 of the bend radius, so that sections never cross."""
-    ratio = radius * np.clip(curvature, 0.0, None) / 0.72
-    return radius * (1.0 + ratio**8) ** -0.125
+def wall_crests(wall: Wall, angles: Float[np.ndarray, " k"]) -> Crests:
+    """Crests of all folds at angles [rad]; they fade out towards the folds' ends."""
+    lines, weights = [], []
+    for folds in (*wall.strips, wall.valves):
+        s = folds.arc_length[:, None]
+        from_taenia = angles - wall.taenia_angle[0] - wall.taenia_angle[1] * s
+        offset = wrap(from_taenia - folds.angle[:, None])
+        number = np.arange(len(s))[:, None]
+        lines.append(folds.crest(number, offset, lumen_radius(wall.parameters, s)))
+        share = 1.3 * (1.0 - np.abs(offset) / folds.extent[:, None])
+        weights.append(np.clip(share, 0.0, 1.0) ** 0.5)
+    return Crests(np.concatenate(lines), np.concatenate(weights))
 
 
 def _sacculation(wall: Wall, s: np.ndarray, from_taenia: np.ndarray) -> np.ndarray:
@@ -160,7 +138,7 @@ def _sacculation(wall: Wall, s: np.ndarray, from_taenia: np.ndarray) -> np.ndarr
     depth = parameters.haustra_depth * np.clip(height / (7 * MM), 0.0, 1.0)
     bulge = np.zeros_like(s)
     for strip in wall.strips:
-        offset = _wrap(from_taenia - strip.angle[0])
+        offset = wrap(from_taenia - strip.angle[0])
         across = np.cos(np.clip(1.15 * offset, -0.5 * np.pi, 0.5 * np.pi)) ** 2
         before = np.clip(np.searchsorted(strip.arc_length, s) - 1, 0, len(strip.height) - 2)
         start, end = strip.arc_length[before], strip.arc_length[before + 1]
@@ -178,20 +156,14 @@ def _fold_relief(
     after = np.searchsorted(folds.arc_length, s)
     for i in (after - 1, after):
         k = np.clip(i, 0, last)
-        offset = _wrap(from_taenia - folds.angle[k])
-        crest = _crest(folds, k, offset, plain)
+        offset = wrap(from_taenia - folds.angle[k])
+        crest = folds.crest(k, offset, plain)
         chord = np.cos(folds.extent[k]) / np.maximum(np.cos(offset), 1e-3)
         across = np.clip((1.0 - chord) / (1.0 - np.cos(folds.extent[k])), 0.0, 1.0)
         across = np.where(np.abs(offset) < folds.extent[k], across**1.2, 0.0)
         along = np.exp2(-(np.abs(2.0 * (s - crest) / folds.thickness[k]) ** 1.8))
         relief += np.where((i >= 0) & (i <= last), folds.height[k] * across * along, 0.0)
     return relief
-
-
-def _crest(folds: Folds, k: np.ndarray, offset: np.ndarray, plain: np.ndarray) -> np.ndarray:
-    """Arc length of the crest of fold k at an angle from its middle [m]."""
-    slope = folds.tilt[k] * np.sin(offset) + folds.bow[k] * (1.0 - np.cos(offset))
-    return folds.arc_length[k] + plain * slope
 
 
 def _taenia_relief(
@@ -213,7 +185,7 @@ def _ileocaecal_relief(
 ) -> np.ndarray:
     """Height of the valve's two lips, closed to a slit around the circumference [m]."""
     along = (s - wall.ileocaecal[0]) / (9 * MM)
-    across = radius * _wrap(theta - wall.ileocaecal[1]) / (15 * MM)
+    across = radius * wrap(theta - wall.ileocaecal[1]) / (15 * MM)
     lips = np.exp(-((along**2 + across**2) ** 1.5))
     slit = np.exp(-((along / 0.28) ** 2) - (across / 0.75) ** 4)
     return wall.parameters.ileocaecal_height * (lips - 0.45 * slit)
@@ -222,7 +194,7 @@ def _ileocaecal_relief(
 def _clear_of_valve(wall: Wall, s: np.ndarray, theta: np.ndarray, radius: np.ndarray) -> np.ndarray:
     """Factor that ends the folds before the ileocaecal valve, 0 at its middle."""
     along = (s - wall.ileocaecal[0]) / (15 * MM)
-    across = radius * _wrap(theta - wall.ileocaecal[1]) / (20 * MM)
+    across = radius * wrap(theta - wall.ileocaecal[1]) / (20 * MM)
     return 1.0 - np.exp(-((along**2 + across**2) ** 2))
 
 
@@ -275,37 +247,3 @@ def _draw_valves(
         tilt=0.1 * rng.standard_normal(3),
         bow=0.1 * rng.standard_normal(3),
     )
-
-
-def _draw_waves(
-    rng: np.random.Generator,
-    num_waves: int,
-    wavelengths: tuple[float, float],
-    deviation: float,
-    lobes: np.ndarray,
-) -> Float[np.ndarray, "n 4"]:
-    """Random plane waves on the tube whose sum has the given standard deviation."""
-    wavelength = wavelengths[0] * (wavelengths[1] / wavelengths[0]) ** rng.uniform(size=num_waves)
-    amplitude = wavelength / np.sqrt(0.5 * np.sum(wavelength**2)) * deviation
-    return np.stack(
-        [
-            amplitude,
-            2.0 * np.pi / wavelength,
-            rng.choice(lobes, num_waves),
-            rng.uniform(0.0, 2.0 * np.pi, num_waves),
-        ],
-        axis=1,
-    )
-
-
-def _waves(waves: np.ndarray, s: np.ndarray, theta: np.ndarray) -> np.ndarray:
-    """Sum of plane waves on the tube."""
-    total = np.zeros_like(s)
-    for amplitude, wavenumber, lobes, phase in waves:
-        total += amplitude * np.sin(wavenumber * s + lobes * theta + phase)
-    return total
-
-
-def _wrap(angle: np.ndarray) -> np.ndarray:
-    """Angles brought to −π to π [rad]."""
-    return np.mod(angle + np.pi, 2.0 * np.pi) - np.pi

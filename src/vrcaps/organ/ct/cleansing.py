@@ -6,14 +6,13 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy import ndimage
 
 from vrcaps.errors import UnknownNameError
-from vrcaps.organ.ct.parts import connected_parts
+from vrcaps.organ.ct.parts import connected_parts, grown, renumbered, shrunk
 from vrcaps.units import MM
 
 if TYPE_CHECKING:
-    from jaxtyping import Bool, Float, Int
+    from jaxtyping import Bool, Float, Int, UInt16
 
     from vrcaps.organ.ct.lumen import Gas
     from vrcaps.organ.ct.volume import Volume
@@ -28,31 +27,46 @@ _SKIRT = 2  # voxels around fluid in which its partial volume with the wall is r
 
 
 @dataclass(frozen=True)
+class Level:
+    """Where a pool of fluid meets the gas above it.
+
+    Attributes:
+        piece: Number of the gas.
+        pool: Number of the fluid.
+        points: Array indices (k, j, i) half-way between the lowest voxel of gas and the
+            highest of fluid, one for each column.
+    """
+
+    piece: int
+    pool: int
+    points: Float[np.ndarray, "n 3"]
+
+
+@dataclass(frozen=True)
 class Fluid:
     """Tagged fluid that lies under gas.
 
     Attributes:
         label: Number of the pool that each voxel belongs to, 0 where there is none.
-        contacts: Pairs of a piece of gas (its number) and the pool under it.
+        levels: Where pools meet gas.
         hounsfield: Median of the fluid's inner voxels.
-        down: Array axis of gravity and the sense along it.
+        axis: Array axis of gravity.
     """
 
-    label: Int[np.ndarray, "k j i"]
-    contacts: tuple[tuple[int, int], ...]
+    label: UInt16[np.ndarray, "k j i"]
+    levels: tuple[Level, ...]
     hounsfield: float
-    down: tuple[int, int]
+    axis: int
 
     def reached(self, start: int) -> tuple[set[int], set[int]]:
         """Pieces of gas and pools that hang together with a piece of gas."""
         pieces, pools = {start}, set()
         while True:
-            more_pools = {pool for piece, pool in self.contacts if piece in pieces} - pools
-            more = {piece for piece, pool in self.contacts if pool in more_pools} - pieces
+            more_pools = {level.pool for level in self.levels if level.piece in pieces} - pools
             if not more_pools:
                 return pieces, pools
             pools |= more_pools
-            pieces |= more
+            pieces |= {level.piece for level in self.levels if level.pool in more_pools}
 
 
 def find_fluid(scan: Volume, gas: Gas, *, posture: str) -> Fluid:
@@ -72,103 +86,70 @@ def find_fluid(scan: Volume, gas: Gas, *, posture: str) -> Fluid:
         raise UnknownNameError("posture", posture, DOWN)
     axis, sense = DOWN[posture]
     label, num = connected_parts(scan.values > _TAGGED)
+    reach = max(1, round(_CONTACT / scan.spacing[axis]))
+    needed = _LEVEL_AREA / float(np.delete(scan.spacing, axis).prod())
+    levels = [one for one in _levels(gas, label, (axis, sense), reach) if len(one.points) >= needed]
+    old = sorted({level.pool for level in levels})
+    number = np.zeros(num + 1, int)
+    number[old] = np.arange(1, len(old) + 1)
+    kept = renumbered(label, number)
+    del label
+    inner = scan.values[shrunk(kept > 0)]
+    hounsfield = float(np.median(inner)) if len(inner) else float(_TAGGED * 2)
+    levels = [Level(one.piece, int(number[one.pool]), one.points) for one in levels]
+    return Fluid(kept, tuple(levels), hounsfield, axis)
+
+
+def _levels(
+    gas: Gas, pools: Int[np.ndarray, "k j i"], down: tuple[int, int], reach: int
+) -> list[Level]:
+    """Where gas that may be gut ends downwards and something bright begins within reach.
+
+    Args:
+        gas: All gas.
+        pools: Number of the bright part that each voxel belongs to.
+        down: Array axis of gravity and the sense along it.
+        reach: Voxels.
+    """
+    axis, sense = down
     is_gut = np.zeros(int(gas.label.max()) + 1, bool)
     is_gut[[piece.number for piece in gas.gut]] = True
-    columns = {}
-    for step in range(1, 1 + max(1, round(_CONTACT / scan.spacing[axis]))):
-        # Gas above, fluid `step` voxels below it.
-        upper, lower = _shifted_pair(axis, sense * step)
-        for above, below in zip(gas.label[upper], label[lower], strict=True):
-            both = (above > 0) & (below > 0)
-            pairs, counts = np.unique(
-                np.stack([above[both], below[both]]), axis=1, return_counts=True
-            )
-            for piece, pool, count in zip(*pairs.tolist(), counts.tolist(), strict=True):
-                if is_gut[piece]:
-                    columns[piece, pool] = columns.get((piece, pool), 0) + count
-    sides = np.delete(scan.spacing, axis)
-    needed = _LEVEL_AREA / float(sides.prod())
-    contacts = tuple(pair for pair, count in sorted(columns.items()) if count >= needed)
-    keep = np.zeros(num + 1, bool)
-    keep[[pool for _, pool in contacts]] = True
-    label[~keep[label]] = 0
-    inner = scan.values[ndimage.binary_erosion(label > 0)]
-    level = float(np.median(inner)) if len(inner) else float(_TAGGED * 2)
-    return Fluid(label, contacts, level, (axis, sense))
+    above, below = (np.moveaxis(label, axis, 0)[::sense] for label in (gas.label, pools))
+    depth, *column = np.nonzero(is_gut[above[:-1]] & (above[1:] == 0))
+    piece = above[(depth, *column)].astype(int)
+    pool, height = np.zeros(len(depth), int), depth.astype(float)
+    for step in range(1, reach + 1):
+        under = below[(np.minimum(depth + step, len(below) - 1), *column)]
+        new = (pool == 0) & (under > 0)
+        pool[new], height[new] = under[new], depth[new] + 0.5 * step
+    if sense < 0:
+        height = len(below) - 1 - height
+    points = np.insert(np.array(column, float).T, axis, height, axis=1)
+    pairs, which = np.unique(np.stack([piece, pool]), axis=1, return_inverse=True)
+    return [
+        Level(one, other, points[which.ravel() == number])
+        for number, (one, other) in enumerate(pairs.T.tolist())
+        if other > 0
+    ]
 
 
-def cleansed_share(
+def add_fluid(
     share: Float[np.ndarray, "k j i"],
     values: Int[np.ndarray, "k j i"],
     pools: Bool[np.ndarray, "k j i"],
-    core: Bool[np.ndarray, "k j i"],
-    levels: tuple[float, float],
-    down: tuple[int, int],
-) -> Float[np.ndarray, "k j i"]:
-    """The lumen fraction with pools of fluid in it.
+    hounsfield: tuple[float, float],
+) -> None:
+    """Raise the lumen fraction, in place, where there is fluid.
 
-    Around fluid the fraction is linear from the wall's Hounsfield units to the fluid's. The
-    layer between fluid and the gas above it passes through the wall's value without being
-    wall; there the fraction is interpolated straight from below it to above it.
+    In and around fluid the fraction is linear from the wall's Hounsfield units to the fluid's.
 
     Args:
         share: Lumen fraction of the gas.
         values: Hounsfield units of the same voxels.
         pools: Voxels of the fluid.
-        core: Voxels of the gas.
-        levels: Hounsfield units of the wall and of the fluid.
-        down: Array axis of gravity and the sense along it.
+        hounsfield: Of the wall and of the fluid.
     """
-    tissue, fluid = levels
-    near = ndimage.binary_dilation(pools, iterations=_SKIRT)
-    wet = np.clip((values - tissue) / (fluid - tissue), 0.0, 1.0)
-    share = np.where(near, np.maximum(share, wet), share).astype(np.float32)
-    axis, sense = down
-    flow = [np.moveaxis(a, axis, 0)[::sense] for a in (share, pools, core)]
-    layer = _level_layer(flow[1], flow[2])
-    _bridge_layer(flow[0], layer)
-    return share
-
-
-def _shifted_pair(axis: int, step: int) -> tuple[tuple[slice, ...], tuple[slice, ...]]:
-    """Slices of an array and of the same array `step` further along an axis."""
-    first, second = [slice(None)] * 3, [slice(None)] * 3
-    first[axis] = slice(None, -step) if step > 0 else slice(-step, None)
-    second[axis] = slice(step, None) if step > 0 else slice(None, step)
-    return tuple(first), tuple(second)
-
-
-def _level_layer(
-    pools: Bool[np.ndarray, "d a b"], core: Bool[np.ndarray, "d a b"]
-) -> Bool[np.ndarray, "d a b"]:
-    """Voxels between gas above and fluid below, axis 0 running down; and those beside them."""
-    reach = 4
-    above = np.zeros_like(core)
-    below = np.zeros_like(core)
-    for step in range(1, reach + 1):
-        above[step:] |= core[:-step]
-        below[:-step] |= pools[step:]
-    layer = above & below
-    # A voxel of gas or fluid on either side also belongs: the level's own blur reaches there.
-    layer = ndimage.binary_dilation(layer, np.ones((3, 1, 1), bool))
-    beside = ndimage.generate_binary_structure(3, 1)
-    beside[[0, 2]] = False
-    return ndimage.binary_dilation(layer, beside, iterations=2)
-
-
-def _bridge_layer(share: Float[np.ndarray, "d a b"], layer: Bool[np.ndarray, "d a b"]) -> None:
-    """Fill a layer in place, linearly along axis 0 between what is beyond it."""
-    depth = len(share)
-    rows = np.arange(depth)[:, None]
-    flat, marked = share.reshape(depth, -1), layer.reshape(depth, -1)
-    columns = np.flatnonzero(marked.any(axis=0))
-    marked, values = marked[:, columns], flat[:, columns]
-    last = np.maximum.accumulate(np.where(marked, -1, rows), axis=0)
-    following = np.minimum.accumulate(np.where(marked, depth, rows)[::-1], axis=0)[::-1]
-    last, following = np.clip(last, 0, None), np.clip(following, None, depth - 1)
-    weight = (rows - last) / np.maximum(following - last, 1)
-    each = np.arange(len(columns))
-    filled = (1.0 - weight) * values[last, each] + weight * values[following, each]
-    filled = np.where(marked, filled, values)
-    at = np.unravel_index(columns, share.shape[1:])
-    share[:, at[0], at[1]] = filled
+    tissue, fluid = hounsfield
+    near = grown(pools, _SKIRT)
+    wet = np.clip((values[near] - tissue) / (fluid - tissue), 0.0, 1.0)
+    share[near] = np.maximum(share[near], wet)

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy import ndimage
 
-from vrcaps.organ.ct.cleansing import cleansed_share
-from vrcaps.organ.ct.parts import connected_parts
+from vrcaps.organ.ct.cleansing import add_fluid
+from vrcaps.organ.ct.level import resolve_level
+from vrcaps.organ.ct.lumen import SPECKS
+from vrcaps.organ.ct.parts import connected_parts, grown, part_sizes, renumbered, shrunk
 from vrcaps.organ.ct.volume import index_to_patient, shifted
 from vrcaps.units import MM
 
 if TYPE_CHECKING:
-    from jaxtyping import Bool, Float, Int
+    from jaxtyping import Bool, Float, UInt16
 
     from vrcaps.organ.ct.cleansing import Fluid
     from vrcaps.organ.ct.lumen import Gas
@@ -75,35 +76,50 @@ def gas_fraction(
         scan: Hounsfield units.
         gas: All gas in it.
         numbers: Of the pieces.
-        fluid: Tagged fluid, where it belongs to the lumen (`cleansed_share`).
+        fluid: Tagged fluid, where it belongs to the lumen (`add_fluid`, `resolve_level`).
         pools: Numbers of the pools of fluid that do.
     """
-    chosen = np.zeros(gas.label.max() + 1, bool)
-    chosen[list(numbers)] = True
-    is_lumen = chosen[gas.label]
-    if fluid is not None:
-        is_lumen |= np.isin(fluid.label, pools)
-    box = margin_box(bounding_box(is_lumen), scan)
+    box = margin_box(_lumen_box(gas, numbers, fluid, pools), scan)
     label, part = gas.label[box], scan.crop(box)
-    own = chosen[label]
-    other = (label > 0) & ~own
-    inner = ndimage.binary_erosion(own, iterations=2)
-    level = float(np.median(part.values[inner])) if inner.sum() > 1000 else gas.hounsfield
-    level = min(level, gas.hounsfield + 50.0)
-    shell = ndimage.binary_dilation(own, iterations=_WALL) & (part.values > _TISSUE_RANGE[0])
-    near = part.values[shell & (part.values < _TISSUE_RANGE[1])]
+    own = np.isin(label, numbers)
+    inner = part.values[shrunk(own, 2)]
+    content = float(np.median(inner)) if len(inner) > 1000 else gas.hounsfield
+    content = min(content, gas.hounsfield + 50.0)
+    shell = grown(own, _WALL) & (part.values > _TISSUE_RANGE[0]) & (part.values < _TISSUE_RANGE[1])
+    near = part.values[shell]
     tissue = float(np.median(near)) if len(near) > 1000 else _TISSUE
-    share = (tissue - part.values).astype(np.float32)
-    share *= np.float32(1.0 / (tissue - level))
+    share = part.values.astype(np.float32)
+    share -= np.float32(tissue)
+    share *= np.float32(1.0 / (content - tissue))
     np.clip(share, 0.0, 1.0, out=share)
-    if other.any():
-        kept = ndimage.binary_dilation(own)
-        share[ndimage.binary_dilation(other, iterations=_NEIGHBOUR) & ~kept] = 0.0
     if fluid is not None and pools:
-        wet = np.isin(fluid.label[box], pools)
-        levels = (tissue, fluid.hounsfield)
-        share = cleansed_share(share, part.values, wet, own, levels, fluid.down)
+        hounsfield = (tissue, fluid.hounsfield)
+        add_fluid(share, part.values, np.isin(fluid.label[box], pools), hounsfield)
+        corner = [side.start for side in box]
+        for level in fluid.levels:
+            if level.pool in pools:
+                resolve_level(
+                    share,
+                    part.values,
+                    level.points - corner,
+                    axis=fluid.axis,
+                    spacing=float(scan.spacing[fluid.axis]),
+                    hounsfield=hounsfield,
+                )
+    other = (label > 0) & (label != SPECKS) & ~own
+    if other.any():
+        share[grown(other, _NEIGHBOUR) & ~grown(own)] = 0.0
     return LumenFraction(share, part.T_patient_index)
+
+
+def _lumen_box(
+    gas: Gas, numbers: tuple[int, ...], fluid: Fluid | None, pools: tuple[int, ...]
+) -> tuple[slice, slice, slice]:
+    """The smallest box around pieces of gas and pools of fluid."""
+    is_lumen = np.isin(gas.label, numbers)
+    if fluid is not None and pools:
+        is_lumen |= np.isin(fluid.label, pools)
+    return bounding_box(is_lumen)
 
 
 def mask_fraction(labels: Volume, numbers: tuple[int, ...]) -> LumenFraction | None:
@@ -115,30 +131,23 @@ def mask_fraction(labels: Volume, numbers: tuple[int, ...]) -> LumenFraction | N
     return LumenFraction(np.isin(part.values, numbers).astype(np.float32), part.T_patient_index)
 
 
-def drop_strays(
+def number_parts(
     lumen: LumenFraction, min_volume: float
-) -> tuple[LumenFraction, Int[np.ndarray, "k j i"], list[float]]:
-    """The lumen without connected parts (by faces) smaller than a volume.
-
-    Args:
-        lumen: The lumen fraction.
-        min_volume: Smallest part to keep [m³].
+) -> tuple[UInt16[np.ndarray, "k j i"], list[float]]:
+    """Connected parts (by faces) of a lumen, but for those smaller than a volume [m³].
 
     Returns:
-        The cleaned lumen, the number of the part of each voxel (1 for the largest, 0 for none),
-        and the parts' volumes [m³], largest first.
+        The number of the part of each voxel (1 for the largest, 0 for none), and the parts'
+        volumes [m³], largest first.
     """
     label, num = connected_parts(lumen.share > 0.5)
-    counts = np.bincount(label.ravel(), minlength=num + 1)
-    counts[0] = 0
-    order = [n for n in np.argsort(-counts) if counts[n] * lumen.voxel_volume >= min_volume]
-    number = np.full(num + 1, -1)
-    number[0] = 0
+    volumes = part_sizes(label, num) * lumen.voxel_volume
+    volumes[0] = 0.0
+    order = np.argsort(-volumes, kind="stable")
+    order = order[volumes[order] >= min_volume]
+    number = np.zeros(num + 1, int)
     number[order] = np.arange(1, len(order) + 1)
-    part = number.astype(np.int32)[label]
-    share = np.where(part < 0, np.float32(0.0), lumen.share)
-    volumes = [float(counts[n] * lumen.voxel_volume) for n in order]
-    return replace(lumen, share=share), np.maximum(part, 0), volumes
+    return renumbered(label, number), volumes[order].tolist()
 
 
 def bounding_box(mask: Bool[np.ndarray, "k j i"]) -> tuple[slice, slice, slice]:

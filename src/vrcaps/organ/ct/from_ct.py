@@ -9,8 +9,9 @@ import numpy as np
 
 from vrcaps.errors import InputError
 from vrcaps.organ.ct.bridge import CHANNEL_RADIUS, Gap, find_gaps, joined_parts, open_gaps
-from vrcaps.organ.ct.fraction import LumenFraction, drop_strays, gas_fraction, mask_fraction
-from vrcaps.organ.ct.lumen import GAS_THRESHOLD, GasPiece, find_gas
+from vrcaps.organ.ct.fraction import LumenFraction, gas_fraction, mask_fraction, number_parts
+from vrcaps.organ.ct.lumen import GAS_THRESHOLD, SPECKS, GasPiece, find_gas
+from vrcaps.organ.ct.parts import renumbered
 from vrcaps.organ.ct.volume import Volume
 from vrcaps.units import CM, MM
 
@@ -135,7 +136,7 @@ def organ_from_label(
     if lumen is None:
         raise InputError(f"No voxel of {labels.source} has label {number}.")
     report("looking for collapsed stretches")
-    lumen, part, volumes = drop_strays(lumen, _SPECK)
+    part, volumes = number_parts(lumen, _SPECK)
     if not volumes:
         raise InputError(
             f"Label {number} of {labels.source} has no part of 0.2 ml or more. Give another label."
@@ -163,11 +164,11 @@ def _gaps_of_gas(
     gas: Gas, scan: Volume, pieces: set[int], start: int, bridge: float
 ) -> tuple[list[Gap], list[str]]:
     """Gaps to open between the gut's pieces of gas, and lines about those left."""
-    number = np.zeros(int(gas.label.max()) + 1, np.int32)
+    number = np.zeros(SPECKS + 1 + len(gas.pieces), np.int32)
     gut = [piece for piece in gas.gut if piece.number == start or piece.number not in pieces]
     number[[piece.number for piece in gut]] = np.arange(1, len(gut) + 1)
     number[list(pieces)] = number[start]
-    parts = Volume(number[gas.label], scan.T_patient_index, scan.source)
+    parts = Volume(renumbered(gas.label, number), scan.T_patient_index, scan.source)
     gaps, notes = _choose_gaps(parts, int(number[start]), bridge, [piece.volume for piece in gut])
     back = {int(number[piece.number]): piece.number for piece in gut}
     return [replace(gap, parts=tuple(back[p] for p in gap.parts)) for gap in gaps], notes
@@ -217,10 +218,12 @@ def _organ(
     from vrcaps.organ.repair import repair
 
     lumen = open_gaps(lumen, gaps, CHANNEL_RADIUS) if gaps else lumen
-    lumen, part, volumes = drop_strays(lumen, _SPECK)
+    part, volumes = number_parts(lumen, _SPECK)
     if not volumes:
         raise InputError("The lumen has no part of 0.2 ml or more. Choose a larger one.")
-    lumen = replace(lumen, share=np.where(part > 1, np.float32(0.0), lumen.share))
+    lumen = replace(
+        lumen, share=np.where(lumen.share > 0.5, lumen.share * (part == 1), lumen.share)
+    )
     report("drawing the wall")
     assert wall.blur is not None
     mesh = extract_wall(lumen, blur=wall.blur, pass_band=wall.pass_band, edge=wall.edge)

@@ -9,17 +9,19 @@ import numpy as np
 from scipy import ndimage
 
 from vrcaps.errors import InputError
-from vrcaps.organ.ct.parts import connected_parts
+from vrcaps.organ.ct.parts import connected_parts, part_sizes, renumbered
 from vrcaps.units import CM, MM
 
 if TYPE_CHECKING:
-    from jaxtyping import Bool, Float, Int
+    from jaxtyping import Bool, Float, UInt16
 
     from vrcaps.organ.ct.volume import Volume
 
 GAS_THRESHOLD = -800
 """Hounsfield units below which a voxel is all gas: half-way surfaces of two loops that share
 a thin wall would join at the middle value, their cores do not."""
+
+OUTSIDE, SPECKS = 1, 2  # numbers of gas that is no piece
 
 _SPECK = 1 * CM**3  # gas smaller than this is no piece of gut
 _COARSE = 4 * MM  # grid of the body mask
@@ -40,7 +42,7 @@ class GasPiece:
         number: Of its voxels in `Gas.label`.
         kind: Gut, lung (denser than gas; large, or reaching the top slice), or outside the body.
         volume: Of its voxels [m³].
-        center: Its voxel nearest to their mean, patient frame [m].
+        center: A voxel of it near their mean, patient frame [m].
         hounsfield: Median of its voxels.
         box: Where it lies in the scan.
     """
@@ -58,17 +60,16 @@ class Gas:
     """All gas of a scan.
 
     Attributes:
-        label: Number of the piece that each voxel belongs to, 0 where there is no gas.
+        label: Number of the piece that each voxel belongs to, 0 where there is no gas, `OUTSIDE`
+            where it reaches the sides of the scan, `SPECKS` where there is less than 1 ml.
         pieces: Those of at least 1 ml, but for the outside air; the largest first.
-        outside: Numbers of what reaches the sides of the scan.
         hounsfield: Of the outside air, −1000 but for the scanner's calibration.
         leak: Volume [m³] and middle [m] of the largest part of the outside air that lies
             within the body.
     """
 
-    label: Int[np.ndarray, "k j i"]
+    label: UInt16[np.ndarray, "k j i"]
     pieces: tuple[GasPiece, ...]
-    outside: tuple[int, ...]
     hounsfield: float
     leak: tuple[float, Float[np.ndarray, " 3"]]
 
@@ -89,21 +90,30 @@ def find_gas(scan: Volume, *, threshold: int = GAS_THRESHOLD) -> Gas:
         threshold: Hounsfield units below which a voxel is gas.
     """
     body, stride = body_mask(scan)
-    label, num = connected_parts(scan.values < threshold)
-    counts = np.zeros(num + 1, np.int64)
-    for plane in label:
-        counts += np.bincount(plane.ravel(), minlength=num + 1)
-    sides = (label[:, 0], label[:, -1], label[:, :, 0], label[:, :, -1])
-    outside = np.setdiff1d(np.concatenate([np.unique(side) for side in sides]), [0])
-    big = np.setdiff1d(np.flatnonzero(counts * scan.voxel_volume >= _SPECK), [0, *outside])
-    air = scan.values[::4, ::4, ::4][np.isin(label[::4, ::4, ::4], outside)]
+    label = _numbered_gas(scan, threshold)
+    air = scan.values[::4, ::4, ::4][label[::4, ::4, ::4] == OUTSIDE]
     air = air[(air > -1100) & (air < -900)]
     level = float(np.median(air)) if len(air) > 100 else -1000.0
-    boxes = ndimage.find_objects(label)
-    pieces = [_judge(scan, label, int(n), boxes[n - 1], level, (body, stride)) for n in big]
-    pieces.sort(key=lambda piece: -piece.volume)
-    leak = _leak(scan, np.isin(label[tuple(slice(None, None, s) for s in stride)], outside), body)
-    return Gas(label, tuple(pieces), tuple(outside.tolist()), level, leak)
+    pieces = tuple(
+        _judge(scan, label, number, box, level, (body, stride))
+        for number, box in enumerate(ndimage.find_objects(label), start=1)
+        if number > SPECKS and box is not None
+    )
+    coarse = label[tuple(slice(None, None, s) for s in stride)]
+    return Gas(label, pieces, level, _leak(scan, coarse == OUTSIDE, body))
+
+
+def _numbered_gas(scan: Volume, threshold: int) -> UInt16[np.ndarray, "k j i"]:
+    """`Gas.label`; pieces from 3 on, the largest first."""
+    label, num = connected_parts(scan.values < threshold)
+    sizes = part_sizes(label, num)
+    sides = (label[:, 0], label[:, -1], label[:, :, 0], label[:, :, -1])
+    number = np.full(num + 1, SPECKS)
+    number[np.unique(np.concatenate([np.unique(side) for side in sides]))] = OUTSIDE
+    number[0] = 0
+    big = np.flatnonzero((number == SPECKS) & (sizes * scan.voxel_volume >= _SPECK))
+    number[big[np.argsort(-sizes[big], kind="stable")]] = SPECKS + 1 + np.arange(len(big))
+    return renumbered(label, number)
 
 
 def body_mask(scan: Volume) -> tuple[Bool[np.ndarray, "k j i"], tuple[int, int, int]]:
@@ -127,15 +137,17 @@ def body_mask(scan: Volume) -> tuple[Bool[np.ndarray, "k j i"], tuple[int, int, 
 
 def _judge(
     scan: Volume,
-    label: Int[np.ndarray, "k j i"],
+    label: UInt16[np.ndarray, "k j i"],
     number: int,
     box: tuple[slice, slice, slice],
     level: float,
     body: tuple[Bool[np.ndarray, "k j i"], tuple[int, int, int]],
 ) -> GasPiece:
     """What one piece of gas is."""
-    own = np.argwhere(label[box] == number) + [part.start for part in box]
-    at = own[:: max(1, len(own) // 20_000)]
+    part = label[box]
+    own = np.flatnonzero(part == number)
+    some = np.unravel_index(own[:: max(1, len(own) // 20_000)], part.shape)
+    at = np.stack(some, axis=1) + [side.start for side in box]
     median = float(np.median(scan.values[tuple(at.T)]))
     mask, stride = body
     coarse = np.minimum(np.rint(at / stride).astype(int), np.array(mask.shape) - 1)
@@ -145,7 +157,7 @@ def _judge(
         kind = "outside"
     elif median > level + _LUNG_EXCESS and (volume > _LUNG_VOLUME or at[:, 0].max() == top):
         kind = "lung"
-    middle = own[np.argmin(np.linalg.norm(own - own.mean(axis=0), axis=1))]
+    middle = at[np.argmin(np.linalg.norm(at - at.mean(axis=0), axis=1))]
     return GasPiece(number, kind, volume, scan.points(middle[None])[0], median, box)
 
 
@@ -206,7 +218,7 @@ def _at_seed(gas: Gas, scan: Volume, seed: Float[np.ndarray, " 3"]) -> GasPiece:
             f"{mm_text(low)} to {mm_text(high)} (LPS)."
         )
     number = int(gas.label[tuple(index)])
-    if number in gas.outside:
+    if number == OUTSIDE:
         raise InputError(
             f"The gas at the seed {mm_text(seed)} leaks to the air outside. Lower --threshold, "
             "give another seed, or a mask with --labels."

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -18,6 +19,8 @@ if TYPE_CHECKING:
     from jaxtyping import Float, Int
 
 _FINEST = 1.5 * MM  # voxels longer than this are divided before the surface is drawn
+_SLAB = 64  # slices that one thread blurs at a time
+_TRUNCATE = 3.0  # standard deviations at which a Gaussian is cut off
 _DEGREE = 16  # of the smoothing filter's polynomial, before it is levelled
 
 
@@ -55,8 +58,22 @@ def _blurred(share: Float[np.ndarray, "k j i"], sigma: float) -> Float[np.ndarra
     Its second moment is zero, so that curved walls stay where they are: G alone would move a
     sphere of radius r inwards by σ² / r.
     """
-    once = ndimage.gaussian_filter(share, sigma, mode="nearest", truncate=3.0)
-    return 2.0 * once - ndimage.gaussian_filter(once, sigma, mode="nearest", truncate=3.0)
+    reach = 2 * int(_TRUNCATE * sigma + 0.5)
+    blurred = np.empty_like(share)
+
+    def fill(first: int) -> None:
+        low = max(first - reach, 0)
+        once = ndimage.gaussian_filter(
+            share[low : first + _SLAB + reach], sigma, mode="nearest", truncate=_TRUNCATE
+        )
+        twice = ndimage.gaussian_filter(once, sigma, mode="nearest", truncate=_TRUNCATE)
+        once *= 2.0
+        once -= twice
+        blurred[first : first + _SLAB] = once[first - low : first - low + _SLAB]
+
+    with ThreadPoolExecutor() as pool:
+        list(pool.map(fill, range(0, len(share), _SLAB)))
+    return blurred
 
 
 def _refined(

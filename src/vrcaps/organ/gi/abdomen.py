@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps.organ.colon.course import Course, generate_course, outer_radius
-from vrcaps.organ.colon.tube import make_tube
+from vrcaps.organ.colon.course import generate_course, outer_radius
 from vrcaps.organ.shape.crowd import Balls, Chain, relax_chain, smooth_course
+from vrcaps.organ.shape.tube import Course, make_tube
 from vrcaps.organ.small_bowel.course import Surroundings
 from vrcaps.organ.stomach.shape import stomach_course, stomach_envelope
 from vrcaps.units import CM, MM
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
 _STEP = 8 * MM
 _NODE = 12 * MM
+_BULB, _BULB_RADIUS = 5 * CM, 23 * MM
 VALVE_DEPTH = 7 * MM
 """The small bowel ends this far inside the colon's outline, on the lips of the valve [m]."""
 
@@ -64,20 +65,22 @@ def place_colon(parameters: ColonParameters, course: Course) -> ColonPlace:
 
 def draw_colon_place(parameters: ColonParameters, seed: int) -> ColonPlace:
     """Where the colon of a seed lies, without making its wall."""
-    return place_colon(parameters, generate_course(parameters, np.random.default_rng(seed)))
+    tube = make_tube(generate_course(parameters, np.random.default_rng(seed)))
+    # The same points, to the last bit, as the centreline of the finished colon.
+    return place_colon(parameters, Course(tube.curve(tube.arc_length), tube.arc_length))
 
 
-def place_stomach(
-    parameters: StomachParameters, colon: ColonPlace, rng: np.random.Generator
-) -> Course:
-    """The axis of a stomach that has made way for the colon."""
-    plain = stomach_course(parameters, rng)
-    num = round(plain.arc_length[-1] / _NODE) + 1
-    s = np.linspace(0.0, plain.arc_length[-1], num)
+def place_stomach(parameters: StomachParameters, colon: ColonPlace, seed: int) -> Course:
+    """The axis of a seed's stomach and of the duodenal bulb, both clear of the colon."""
+    plain = stomach_course(parameters, np.random.default_rng([seed, 2]))
+    length = float(plain.arc_length[-1])
+    num = round((length + _BULB) / _NODE) + 1
+    s = np.linspace(0.0, length + _BULB, num)
     nodes = np.stack([np.interp(s, plain.arc_length, plain.points[:, k]) for k in range(3)], axis=1)
+    nodes += np.maximum(s - length, 0.0)[:, None] * _towards_duodenum(plain)
     radius = stomach_envelope(parameters)(np.clip(s, 0.3 * parameters.fundus_diameter, None))
     # The duodenum needs room where the stomach ends.
-    radius = np.maximum(1.04 * radius, 23 * MM)
+    radius = np.maximum(1.04 * radius, _BULB_RADIUS)
     chain = Chain(
         radius=radius,
         anchor=nodes,
@@ -91,9 +94,16 @@ def place_stomach(
     nodes = relax_chain(chain, nodes, s[1], colon_balls(colon), num_steps=200)
     course = smooth_course(nodes)
     # Its length is the patient's: what relaxation changed by a percent is scaled back.
-    scale = plain.arc_length[-1] / course.arc_length[-1]
+    scale = s[-1] / course.arc_length[-1]
     pivot = course.points[len(course.points) // 2]
     return Course(pivot + scale * (course.points - pivot), scale * course.arc_length)
+
+
+def _towards_duodenum(course: Course) -> Float[np.ndarray, " 3"]:
+    """Direction of the bulb [unit]: on from the pylorus, turning to the right, back and down."""
+    onward = course.points[-1] - course.points[-5]
+    direction = onward / np.linalg.norm(onward) + np.array([-0.2, 0.7, -0.4])
+    return direction / np.linalg.norm(direction)
 
 
 def colon_balls(colon: ColonPlace) -> Balls:
@@ -120,6 +130,7 @@ def surroundings(colon: ColonPlace, stomach: StomachParameters, stomach_at: Cour
     return Surroundings(
         pylorus=stomach_at.points[end],
         pylorus_direction=direction / np.linalg.norm(direction),
+        beyond=stomach_at.points[-1],
         valve=colon.valve + VALVE_DEPTH * colon.inward,
         valve_direction=colon.inward,
         obstacles=colon_balls(colon) + stomach_balls(stomach, stomach_at),

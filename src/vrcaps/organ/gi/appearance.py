@@ -10,7 +10,7 @@ from vrcaps.organ.appearance import bake_appearance
 from vrcaps.organ.surface import OrganSurface
 
 _MUCOSAE = ("stomach", "small_intestine", "colon")
-_MAX_TEXELS = 16_000_000
+_MAX_TEXELS = 90_000_000
 
 
 def with_appearance(
@@ -55,8 +55,10 @@ def with_appearance(
             axis=1,
         )
 
+    texels = sizes.prod(axis=1)
     appearance = replace(
         baked[1],
+        coat=float(np.average([part.coat for part in baked], weights=texels)),
         albedo=side_by_side("albedo"),
         roughness=side_by_side("roughness"),
         height=side_by_side("height"),

@@ -10,11 +10,8 @@ import numpy as np
 from vrcaps.errors import InputError
 from vrcaps.organ.centerline import centerline_from_points
 from vrcaps.organ.colon import generate_colon
-from vrcaps.organ.colon.course import Course
-from vrcaps.organ.colon.crossing import self_intersections
 from vrcaps.organ.colon.parameters import SEGMENTS as COLON_SEGMENTS
-from vrcaps.organ.colon.strips import strip_coordinates
-from vrcaps.organ.colon.tube import make_tube
+from vrcaps.organ.crossing import self_intersections
 from vrcaps.organ.gi.abdomen import ColonPlace, place_colon
 from vrcaps.organ.gi.tube import CAP, VALVE_ACROSS, VALVE_ALONG, UpperTract, lay_upper_tract
 from vrcaps.organ.gi.valve import soften, stitch, without_vertices
@@ -22,11 +19,13 @@ from vrcaps.organ.repair.edges import face_areas
 from vrcaps.organ.shape.coordinates import angle_and_radius, arc_length_of_sections
 from vrcaps.organ.shape.rows import mesh_skin
 from vrcaps.organ.shape.skin import make_meridian, turns
+from vrcaps.organ.shape.tube import Course, make_tube
 from vrcaps.organ.small_bowel.generate import small_bowel_labels
 from vrcaps.organ.small_bowel.parameters import SEGMENTS as BOWEL_SEGMENTS
 from vrcaps.organ.stomach.generate import stomach_labels, stomach_path
 from vrcaps.organ.stomach.parameters import SEGMENTS as STOMACH_SEGMENTS
 from vrcaps.organ.surface import Centerline, Mesh, OrganSurface, vertex_normals
+from vrcaps.organ.texture_charts import TubeChart, chart_coordinates
 from vrcaps.units import CM, MM
 
 if TYPE_CHECKING:
@@ -52,7 +51,6 @@ class _Upper:
         faces: Vertex numbers.
         turn: Way around from the seam at each corner, 0 to 1.
         along: Meridian length at each corner [m].
-        radius: Distance from the course at each corner [m].
     """
 
     tract: UpperTract
@@ -62,7 +60,6 @@ class _Upper:
     faces: Int[np.ndarray, "m 3"]
     turn: Float[np.ndarray, "m 3"]
     along: Float[np.ndarray, "m 3"]
-    radius: Float[np.ndarray, "m 3"]
 
 
 def generate_gi(
@@ -90,9 +87,9 @@ def generate_gi(
     lower = generate_colon(colon, seed=seed)
     line = lower.centerline
     place = place_colon(colon, Course(line.points, line.arc_length))
-    rng = np.random.default_rng([seed, 4])
+    rng = np.random.default_rng([seed, 3])
     for _ in range(_NUM_TRIES):
-        upper = _mesh_upper(lay_upper_tract(stomach, bowel, place, rng))
+        upper = _mesh_upper(lay_upper_tract(stomach, bowel, place, seed=seed, rng=rng))
         organ = _join(upper, lower, place, seed)
         if not len(self_intersections(organ.vertices, organ.faces)):
             return organ
@@ -109,9 +106,7 @@ def _mesh_upper(tract: UpperTract) -> _Upper:
     radius = skin.radius(s, grid.theta)
     vertices = tract.tube.points(s, grid.theta, radius)
     faces = grid.faces
-    return _Upper(
-        tract, s, grid.theta, vertices, faces, turns(grid), grid.along[faces], radius[faces]
-    )
+    return _Upper(tract, s, grid.theta, vertices, faces, turns(grid), grid.along[faces])
 
 
 def _join(upper: _Upper, lower: OrganSurface, place: ColonPlace, seed: int) -> OrganSurface:
@@ -123,7 +118,7 @@ def _join(upper: _Upper, lower: OrganSurface, place: ColonPlace, seed: int) -> O
     band = stitch(vertices, rim_upper, rim_lower + num)
     faces = np.concatenate([upper.faces[kept_upper], lower.faces[kept_lower] + num, band])
     vertices = soften(vertices, faces, np.concatenate([rim_upper, rim_lower + num]))
-    uv, parts = _texture(upper, lower, (kept_upper, kept_lower), band)
+    uv, parts = _texture(upper, lower, (kept_upper, kept_lower), band, vertices)
     used, faces = np.unique(faces, return_inverse=True)
     vertices, faces = vertices[used], faces.reshape(-1, 3).astype(np.int32)
     centerline = _centerline(tract, lower.centerline, place, vertices, faces)
@@ -235,6 +230,7 @@ def _texture(
     lower: OrganSurface,
     kept: tuple[np.ndarray, np.ndarray],
     band: Int[np.ndarray, "k 3"],
+    vertices: Float[np.ndarray, "n 3"],
 ) -> tuple[Float[np.ndarray, "m 3 2"], list[float]]:
     """Texture coordinates of stomach, small bowel and colon side by side, and where they part.
 
@@ -242,7 +238,6 @@ def _texture(
     """
     tract, num = upper.tract, len(upper.vertices)
     in_stomach = upper.s[upper.faces].mean(axis=1) < tract.pylorus
-    area = face_areas(Mesh(upper.vertices, upper.faces))
     # Corners on the colon's rim lie just beyond the tube's end, at the angle of the other corners.
     is_own = band < num
     own = np.minimum(band, num - 1)
@@ -253,28 +248,20 @@ def _texture(
     end = upper.along[kept[0] & ~in_stomach].max()
     along = np.where(is_own, end - 0.3 * MM, end + 1.0 * MM)
     bowel = kept[0] & ~in_stomach
-    charts = [
-        strip_coordinates(
-            upper.turn[in_stomach],
-            upper.along[in_stomach],
-            upper.radius[in_stomach],
-            float(area[in_stomach].sum()),
-        ),
-        strip_coordinates(
+    tubes = [
+        (upper.faces[in_stomach], upper.turn[in_stomach], upper.along[in_stomach]),
+        (
+            np.concatenate([upper.faces[bowel], band]),
             np.concatenate([upper.turn[bowel], turn]),
             np.concatenate([upper.along[bowel], along]) - upper.along[bowel].min(),
-            np.concatenate([upper.radius[bowel], np.full(band.shape, VALVE_ALONG)]),
-            float(area[bowel].sum()),
         ),
+    ]
+    charts = [
+        *(chart_coordinates(TubeChart(f, vertices[f], t, a)) for f, t, a in tubes),
         lower.uv[kept[1]],
     ]
-    width = np.sqrt(
-        [
-            area[in_stomach].sum(),
-            area[bowel].sum(),
-            face_areas(Mesh(lower.vertices, lower.faces)).sum(),
-        ]
-    )
+    areas = [face_areas(Mesh(vertices, f)).sum() for f, _, _ in tubes]
+    width = np.sqrt([*areas, face_areas(Mesh(lower.vertices, lower.faces)).sum()])
     parts = np.concatenate([[0.0], np.cumsum(width)]) / width.sum()
     low, span = parts[:-1], np.diff(parts)
     scaled = [

@@ -9,6 +9,7 @@ import numpy as np
 from vrcaps.errors import InputError
 from vrcaps.organ.colon.parameters import SEGMENTS, ColonParameters
 from vrcaps.organ.gi.abdomen import draw_colon_place, place_stomach, surroundings
+from vrcaps.organ.shape.tube import Course
 from vrcaps.organ.small_bowel.course import Surroundings
 from vrcaps.organ.small_bowel.parameters import SmallBowelParameters
 from vrcaps.organ.stomach.parameters import StomachParameters
@@ -72,8 +73,14 @@ def colon_at(parameters: ColonParameters, condition: str) -> ColonParameters:
     return replace(parameters, **segments)
 
 
+def stomach_axis(patient: Patient) -> Course:
+    """Where the patient's stomach lies, without making the colon's wall."""
+    return place_stomach(
+        patient.stomach, draw_colon_place(patient.colon, patient.seed), patient.seed
+    )
+
+
 def bowel_surroundings(patient: Patient) -> Surroundings:
     """What the patient's small bowel is laid between, without making the other organs' walls."""
     colon = draw_colon_place(patient.colon, patient.seed)
-    axis = place_stomach(patient.stomach, colon, np.random.default_rng([patient.seed, 2]))
-    return surroundings(colon, patient.stomach, axis)
+    return surroundings(colon, patient.stomach, place_stomach(patient.stomach, colon, patient.seed))

@@ -8,14 +8,18 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from vrcaps.organ.colon.course import Course
-from vrcaps.organ.colon.tube import Tube, make_tube
 from vrcaps.organ.gi.abdomen import ColonPlace, place_stomach, surroundings
 from vrcaps.organ.shape.skin import Skin
+from vrcaps.organ.shape.tube import Course, Tube, make_tube
 from vrcaps.organ.shape.waves import smooth_step
 from vrcaps.organ.small_bowel.generate import lay_small_bowel, wanted_edge, with_local_bend
 from vrcaps.organ.small_bowel.shape import SmallBowelWall, small_bowel_radius
-from vrcaps.organ.stomach.shape import StomachWall, draw_stomach_wall, stomach_radius
+from vrcaps.organ.stomach.shape import (
+    StomachWall,
+    draw_stomach_wall,
+    stomach_radius,
+    stomach_wall_rng,
+)
 from vrcaps.units import MM
 
 if TYPE_CHECKING:
@@ -105,14 +109,23 @@ def lay_upper_tract(
     stomach: StomachParameters,
     bowel: SmallBowelParameters,
     colon: ColonPlace,
+    *,
+    seed: int,
     rng: np.random.Generator,
 ) -> UpperTract:
     """A patient's stomach and small bowel laid beside the colon.
 
+    Args:
+        stomach: The patient's stomach.
+        bowel: The patient's small bowel.
+        colon: Where the colon lies.
+        seed: Of the stomach, as in `generate_stomach`.
+        rng: Source of the small bowel, as in `generate_small_bowel`.
+
     Raises:
         InputError: If there is no room for them.
     """
-    axis = place_stomach(stomach, colon, rng)
+    axis = place_stomach(stomach, colon, seed)
     around = surroundings(colon, stomach, axis)
     bowel_wall, bowel_tube = lay_small_bowel(bowel, around, rng)
     upper = axis.points[axis.arc_length < stomach.length - 0.5 * MM]
@@ -122,7 +135,7 @@ def lay_upper_tract(
     plain = make_tube(Course(CubicSpline(chord, points)(even), even))
     tube = with_local_bend(plain, float(chord[len(upper)]))
     return UpperTract(
-        stomach=draw_stomach_wall(stomach, tube, rng),
+        stomach=draw_stomach_wall(stomach, tube, stomach_wall_rng(seed)),
         bowel=bowel_wall,
         tube=tube,
         pylorus=float(chord[len(upper)]),

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps.organ.colon.remesh import directed_edges
+from vrcaps.organ.repair.edges import directed_edges
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int

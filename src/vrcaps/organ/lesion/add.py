@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from vrcaps.errors import InputError
+from vrcaps.organ.crossing import self_intersections
 from vrcaps.organ.lesion import paint
 from vrcaps.organ.lesion.base import Form, Lesion
-from vrcaps.organ.lesion.placement import Placed
+from vrcaps.organ.lesion.placement import Placed, describe
 from vrcaps.organ.lesion.refine import Patch, refine, renewed_normals
 from vrcaps.organ.lesion.sites import SITES, Surroundings, samples
 from vrcaps.organ.lesion.work import Cut, as_organ, sew, whole_wall
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
 
 _DOWN = (0.0, 1.0, 0.0)  # patient frame (LPS) of a supine patient
 _MAX_LESIONS = 65_535
+_NUM_TRIES = 12
 
 
 @dataclass(frozen=True)
@@ -88,20 +90,34 @@ class _Work:
         self.records: dict[int, dict[str, Any]] = {}
 
     def add(self, lesion: Lesion, instance: int, rng: np.random.Generator) -> None:
-        """Add one lesion."""
+        """Add one lesion, at another place or in another form if it cuts the wall.
+
+        Raises:
+            InputError: If it fits nowhere.
+        """
         organ = as_organ(self.wall, self.organ, self.wall.moved)
         around = Surroundings(organ, self.wall, self.down, self.num_vertices, self.spots)
-        found = SITES[lesion.extent](lesion, around, rng)
-        form = lesion.form(found.site, rng)
-        patch = _formed(found.patch, form)
-        wall = samples(patch)
-        shown = paint.Shown(form, wall, form.moved(wall) - found.site.center)
-        if lesion.extent == "spot":
-            self.spots.append(Placed(lesion, found.vertex, found.site.center))
-            patch = _charted(patch, shown, instance)
+        for _ in range(_NUM_TRIES):
+            found = SITES[lesion.extent](lesion, around, rng)
+            form = lesion.form(found.site, rng)
+            patch = _formed(found.patch, form, is_spot=lesion.extent == "spot")
+            wall = samples(patch)
+            shown = paint.Shown(form, wall, form.moved(wall) - found.site.center)
+            if lesion.extent == "spot":
+                patch = _charted(patch, shown, instance)
+            sewn = _sewn(self.wall, found.piece, patch, shown, instance)
+            if not _cuts_wall(sewn, instance):
+                break
+        else:
+            raise InputError(
+                f"No place for {describe(lesion)}: in {_NUM_TRIES} tries it cuts into the wall "
+                "beside it. Choose another place or a smaller one."
+            )
         if self.clean is not None and self.sick is not None:
             self._paint(lesion, instance, patch, shown)
-        self._finish(instance, found.piece, patch, shown)
+        if lesion.extent == "spot":
+            self.spots.append(Placed(lesion, found.vertex, found.site.center))
+        self.wall = sewn
         self._record(lesion, instance, organ, found.vertex)
 
     def _paint(self, lesion: Lesion, instance: int, patch: Patch, shown: paint.Shown) -> None:
@@ -114,15 +130,6 @@ class _Work:
         faces = np.flatnonzero(inside[patch.faces].any(axis=1))
         if len(faces):
             self.sick = paint.paint_in_place(self.sick, patch, shown, faces)
-
-    def _finish(self, instance: int, piece: Cut, patch: Patch, shown: paint.Shown) -> None:
-        """Move the vertices and sew the piece in."""
-        inside = shown.form.depth(shown.wall) > 0.0
-        label = np.where(inside, instance, patch.instance).astype(np.uint16)
-        moved = shown.form.moved(shown.wall)
-        self.wall = sew(
-            self.wall, piece, renewed_normals(replace(patch, moved=moved, instance=label))
-        )
 
     def _record(self, lesion: Lesion, instance: int, organ: OrganSurface, vertex: int) -> None:
         self.records[instance] = {
@@ -144,7 +151,7 @@ class _Work:
         clean = replace(clean, instance=np.zeros_like(clean.instance))
         metadata = self.organ.metadata
         sick = replace(sick, metadata={**metadata, "lesions": records})
-        clean = replace(clean, metadata={**metadata, "lesions": [], "clean_twin": True})
+        clean = replace(clean, metadata={**metadata, "lesions": [], "clean_twin_of": records})
         if self.clean is None or self.sick is None:
             return Patient(sick, clean)
         base = self.clean.appearance
@@ -164,7 +171,7 @@ class _Work:
         )
 
 
-def _formed(patch: Patch, form: Form) -> Patch:
+def _formed(patch: Patch, form: Form, *, is_spot: bool) -> Patch:
     """The piece refined until it can show a form and its border."""
 
     def is_long(patch: Patch, ends: np.ndarray) -> np.ndarray:
@@ -177,7 +184,35 @@ def _formed(patch: Patch, form: Form) -> Patch:
             border & (length > form.border_length)
         )
 
-    return refine(patch, is_long, lambda patch: form.moved(samples(patch)))
+    def both(patch: Patch) -> np.ndarray:
+        return np.hstack([form.moved(samples(patch)), patch.moved])
+
+    return refine(patch, is_long, both if is_spot else lambda patch: patch.moved)
+
+
+def _sewn(wall: Patch, piece: Cut, patch: Patch, shown: paint.Shown, instance: int) -> Patch:
+    """The wall with the piece sewn in, its vertices moved."""
+    inside = shown.form.depth(shown.wall) > 0.0
+    label = np.where(inside, instance, patch.instance).astype(np.uint16)
+    moved = shown.form.moved(shown.wall)
+    return sew(wall, piece, renewed_normals(replace(patch, moved=moved, instance=label)))
+
+
+def _cuts_wall(wall: Patch, instance: int) -> bool:
+    """Whether a lesion made the wall cut through itself."""
+    own = (wall.instance == instance) & (wall.moved != wall.clean).any(axis=1)
+    if not own.any():
+        return False
+    low, high = wall.moved[own].min(axis=0), wall.moved[own].max(axis=0)
+    corners = wall.moved[wall.faces]
+    near = ((corners.max(axis=1) >= low) & (corners.min(axis=1) <= high)).all(axis=1)
+    faces = wall.faces[near]
+    is_own = own[faces].any(axis=1)
+    found = self_intersections(wall.moved, faces)
+    if not is_own[found].any():
+        return False
+    before = self_intersections(wall.clean, faces)
+    return is_own[found].any(axis=1).sum() > is_own[before].any(axis=1).sum()
 
 
 def _charted(patch: Patch, shown: paint.Shown, instance: int) -> Patch:

@@ -42,13 +42,14 @@ class WallSamples:
 
     Attributes:
         xy: Place in the wall [m]. Of a spot: geodesic log map about its centre. Of a band: arc
-            length and 0. Of a stream: way along its path, and distance from the path.
+            length and 0. Of a stream: way along its path, distance from the path, and way along
+            the wall from the pool's hollow.
         rest: Position without the lesion [m], patient frame.
         normal: Unit normal into the lumen there.
         inward: Offset to the centreline [m].
     """
 
-    xy: Float[np.ndarray, "n 2"]
+    xy: Float[np.ndarray, "n k"]
     rest: Float[np.ndarray, "n 3"]
     normal: Float[np.ndarray, "n 3"]
     inward: Float[np.ndarray, "n 3"]
@@ -158,6 +159,11 @@ class Lesion:
         raise NotImplementedError
 
     @property
+    def head_radius(self) -> float:
+        """Of a spot: radius of what stands on the wall, or behind it [m]."""
+        return self.footprint_radius
+
+    @property
     def reach_in(self) -> float:
         """How far it stands into the lumen [m]; negative for a pouch out of it."""
         return 0.0
@@ -174,6 +180,32 @@ class Lesion:
             middle: Arc length that its place says [m]; None where it says nothing.
         """
         raise NotImplementedError
+
+
+@dataclass(frozen=True, kw_only=True)
+class SizedLesion(Lesion):
+    """A lesion about a centre that has a diameter.
+
+    Attributes:
+        size: Diameter [m].
+    """
+
+    size: float
+
+    sizes: ClassVar[tuple[float, float]]
+    """Smallest and largest diameter [m]."""
+
+    def __post_init__(self) -> None:
+        require_range(f"Size of {self._phrase}", self.size, *self.sizes)
+
+    @property
+    def _phrase(self) -> str:
+        return f"{'an' if self.kind[0] in 'aeiou' else 'a'} {self.kind}"
+
+    @property
+    def footprint_radius(self) -> float:
+        """Half the size [m]."""
+        return 0.5 * self.size
 
 
 def require_range(what: str, value: float, low: float, high: float) -> None:

@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, ClassVar, Literal
 
 import numpy as np
 
-from vrcaps.organ.lesion.base import Lesion, Look, Site, WallSamples, mix, require_range, smoothstep
-from vrcaps.organ.lesion.colitis import BLOOD, FIBRIN
+from vrcaps.organ.lesion import base
+from vrcaps.organ.lesion.base import Look, Site, SizedLesion, WallSamples, mix, smoothstep
+from vrcaps.organ.lesion.blood import FIBRIN, under_blood
 from vrcaps.organ.lesion.noise import cloud, grain
 from vrcaps.organ.lesion.spot import SpotForm
 from vrcaps.units import MM
@@ -39,8 +40,8 @@ class Break:
 
 
 BREAKS = {
-    "erosion": Break(0.42, 0.15 * MM, 0.0, 0.6, 0.22, 0.3),
-    "aphthous": Break(0.42, 0.4 * MM, 0.25 * MM, 0.85, 0.06, 0.0),
+    "erosion": Break(0.40, 0.15 * MM, 0.0, 0.9, 0.22, 0.3),
+    "aphthous": Break(0.42, 0.4 * MM, 0.25 * MM, 1.0, 0.06, 0.0),
     "deep": Break(0.6, 2.2 * MM, 0.7 * MM, 0.6, 0.2, 0.6),
 }
 """An aphthous ulcer is small, round, with a white base and a red halo; a deep one is wide,
@@ -48,7 +49,7 @@ irregular and sloughy, with a raised edge. They reach into the submucosa, an ero
 
 
 @dataclass(frozen=True, kw_only=True)
-class Erosion(Lesion):
+class Erosion(SizedLesion):
     """A superficial break of the mucosa.
 
     Attributes:
@@ -58,14 +59,7 @@ class Erosion(Lesion):
     size: float = 4.0 * MM
 
     kind: ClassVar[str] = "erosion"
-
-    def __post_init__(self) -> None:
-        require_range("Size of an erosion", self.size, 1.0 * MM, 10.0 * MM)
-
-    @property
-    def footprint_radius(self) -> float:
-        """Half the size [m]."""
-        return 0.5 * self.size
+    sizes: ClassVar[tuple[float, float]] = (1.0 * MM, 10.0 * MM)
 
     def form(self, site: Site, rng: np.random.Generator) -> BreakForm:
         """Draw its irregularities."""
@@ -73,7 +67,7 @@ class Erosion(Lesion):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Ulcer(Lesion):
+class Ulcer(SizedLesion):
     """An ulcer.
 
     Attributes:
@@ -85,21 +79,17 @@ class Ulcer(Lesion):
     size: float = 8.0 * MM
 
     kind: ClassVar[str] = "ulcer"
+    sizes: ClassVar[tuple[float, float]] = (5.0 * MM, 40.0 * MM)
     grade_field: ClassVar[str] = "type"
 
     def __post_init__(self) -> None:
-        low, high = (2.0 * MM, 10.0 * MM) if self.type == "aphthous" else (5.0 * MM, 40.0 * MM)
-        require_range(f"Size of an {self.type} ulcer", self.size, low, high)
+        low, high = (2.0 * MM, 10.0 * MM) if self.type == "aphthous" else self.sizes
+        base.require_range(f"Size of the {self.type} ulcer", self.size, low, high)
 
     @property
     def grade(self) -> str:
         """Aphthous or deep."""
         return self.type
-
-    @property
-    def footprint_radius(self) -> float:
-        """Half the size [m]."""
-        return 0.5 * self.size
 
     def form(self, site: Site, rng: np.random.Generator) -> BreakForm:
         """Draw its irregularities."""
@@ -133,7 +123,7 @@ class BreakForm(SpotForm):
         """Fibrin, slough and blood on the base, a red halo around it."""
         share, base = self.share(wall), self._open(wall, points)
         fine = self._grain(points)
-        halo = self.kind.halo * smoothstep((1.0 - share) / 0.3)
+        halo = self.kind.halo * smoothstep((1.0 - share) / 0.5)
         color = mix(clean.color, clean.plain, 0.8 * halo)
         color = color * (1.0 - halo[:, None] * (0.10, 0.75, 0.75))
         slough = smoothstep(0.5 + 0.5 * self._slough(points))
@@ -143,7 +133,7 @@ class BreakForm(SpotForm):
         color = mix(color, floor * np.exp(0.06 * fine)[:, None], 0.92 * base)
         if self._is_bloody:
             spot = smoothstep((self._slough(points[:, ::-1]) - 1.0) / 0.3) * base
-            color = mix(color, 0.7 * BLOOD, 0.9 * spot)
+            color = under_blood(color, 0.5 * MM * spot, 0.4)
         height = clean.height * (1.0 - base) + 0.02 * MM * fine * base
         look = (color, clean.roughness + 0.12 * base, height)
         return self.blended(wall, clean, look, softness=0.3)

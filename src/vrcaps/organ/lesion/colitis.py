@@ -9,6 +9,7 @@ import numpy as np
 
 from vrcaps.errors import InputError
 from vrcaps.organ.lesion.base import Lesion, Look, Site, WallSamples, mix, require_range, smoothstep
+from vrcaps.organ.lesion.blood import FIBRIN, under_blood
 from vrcaps.organ.lesion.noise import cloud, grain, swell
 from vrcaps.units import CM, MM
 
@@ -21,11 +22,11 @@ _EXTENTS = {"E1": ("rectum", 15 * CM), "E2": ("descending", 60 * CM), "E3": ("as
 """Montreal classes (Silverberg et al. 2005): proctitis, left-sided, extensive. The first segment
 affected, or the length from the anal end where an organ has no such segment [m]."""
 
-BLOOD = np.array([0.22, 0.006, 0.006])
-"""Linear reflectance of a thick layer of fresh blood."""
+_FADE = 12.0 * MM
+"""Way from healthy to fully inflamed at the ends."""
 
-FIBRIN = np.array([0.72, 0.52, 0.31])
-"""Linear reflectance of fibrin and slough on an ulcer."""
+_FILM = 0.35 * MM
+"""Thickness of blood where the field that spreads it exceeds its threshold by one deviation."""
 
 
 @dataclass(frozen=True)
@@ -54,11 +55,11 @@ class Activity:
 
 
 ACTIVITIES = {
-    1: Activity(0.75, (1.0, 0.74, 0.72), 0.7, 0.010 * MM, petechiae=3.4),
-    2: Activity(1.0, (0.96, 0.50, 0.46), 0.5, 0.022 * MM, petechiae=2.5, erosions=1.75),
+    1: Activity(0.8, (1.02, 0.66, 0.62), 0.75, 0.006 * MM, petechiae=3.2),
+    2: Activity(1.0, (1.0, 0.70, 0.66), 0.55, 0.011 * MM, petechiae=2.4, erosions=1.2),
     3: Activity(
-        *(1.0, (0.88, 0.30, 0.27), 0.45, 0.030 * MM),
-        **{"petechiae": 2.0, "erosions": 1.5, "ulcers": 0.7, "blood": 0.9},
+        *(1.0, (0.95, 0.50, 0.46), 0.45, 0.016 * MM),
+        **{"petechiae": 1.9, "erosions": 1.1, "ulcers": 0.5, "blood": 0.35},
     ),
 }
 """By Mayo subscore: 1 erythema, decreased vascular pattern; 2 marked erythema, no vascular
@@ -128,7 +129,8 @@ class ColitisForm:
     def __init__(self, colitis: Colitis, site: Site, rng: np.random.Generator) -> None:
         self.activity, self.site = ACTIVITIES[colitis.mayo], site
         self._ragged, self._patches = swell(16.0 * MM, rng), cloud(14.0 * MM, rng)
-        self._granules, self._points = grain(0.9 * MM, rng), swell(1.1 * MM, rng)
+        self._granules, self._points = grain(0.8 * MM, rng), swell(1.1 * MM, rng)
+        self._mottle = cloud(2.5 * MM, rng)
         self._erosions, self._ulcers = cloud(5.0 * MM, rng), cloud(18.0 * MM, rng)
         self._blood = cloud(12.0 * MM, rng)
 
@@ -148,46 +150,43 @@ class ColitisForm:
 
     def painted(self, wall: WallSamples, points: Float[np.ndarray, "n 3"], clean: Look) -> Look:
         """Redness, granules, bleeding points, erosions, ulcers, blood."""
-        is_like, inside = self.activity, smoothstep(self.depth(wall) / (4.0 * MM))
-        patch = smoothstep(0.5 + 0.45 * self._patches(points))
+        is_like, inside = self.activity, smoothstep(self.depth(wall) / _FADE)
+        mottle, granules = self._mottle(points), np.tanh(1.3 * self._granules(points))
+        patch = smoothstep(0.5 + 0.4 * self._patches(points) + 0.15 * mottle)
         redness = (1.0 - is_like.patchiness) + is_like.patchiness * patch
-        fade = np.full(len(points), is_like.obscured)
-        color = mix(clean.color, clean.plain, fade)
+        color = mix(clean.color, clean.plain, is_like.obscured * (0.6 + 0.4 * patch))
         color = color * np.array(is_like.tint) ** redness[:, None]
-        granules = np.tanh(1.3 * self._granules(points))
-        color = color * np.exp(0.07 * granules)[:, None]
+        color = color * np.exp(0.05 * granules + 0.06 * mottle)[:, None] ** (0.6, 1.2, 1.2)
+        spot = smoothstep((self._points(points) - is_like.petechiae) / 0.6)
+        color = mix(color, np.array([0.34, 0.03, 0.025]), 0.7 * spot)
         height = clean.height * (1.0 - 0.6 * is_like.obscured) + is_like.granularity * granules
-        roughness = clean.roughness + 0.0
-        color = self._bleeding_points(color, points)
-        color, roughness, height = self._ulcerated(color, roughness, height, points)
-        film = smoothstep((self._blood(points) - is_like.blood) / 0.25)
-        color = mix(color, BLOOD * np.exp(0.3 * granules)[:, None], 0.85 * film)
+        color, sloughy, height = self._ulcerated(color, height, points, mottle)
+        pooled = np.clip(self._blood(points) + 0.3 * mottle - is_like.blood, 0.0, 2.0)
+        color = under_blood(color, _FILM * pooled**1.5 * np.exp(0.25 * granules), 0.3 * pooled)
+        wet = smoothstep(pooled)
+        rough = clean.roughness + 0.10 * sloughy - 0.2 * wet
         return replace(
             clean,
             color=np.clip(mix(clean.color, color, inside), 0.0, 1.0),
-            roughness=clean.roughness + (roughness - 0.25 * film - clean.roughness) * inside,
-            height=clean.height + (height * (1.0 - 0.6 * film) - clean.height) * inside,
+            roughness=clean.roughness + (rough - clean.roughness) * inside,
+            height=clean.height + (height * (1.0 - 0.6 * wet) - clean.height) * inside,
         )
 
-    def _bleeding_points(self, color, points) -> Float[np.ndarray, "n 3"]:
-        spot = smoothstep((self._points(points) - self.activity.petechiae) / 0.25)
-        return mix(color, np.array([0.30, 0.02, 0.018]), 0.85 * spot)
-
-    def _ulcerated(self, color, roughness, height, points):
-        """Fibrin in the breaks of the mucosa, a red rim around each."""
-        fine = self._granules(points)
+    def _ulcerated(self, color, height, points, mottle):
+        """Fibrin in the breaks of the mucosa, their surroundings redder."""
+        sloughy = np.zeros(len(points))
         for field, threshold, deep in (
-            (self._erosions, self.activity.erosions, 0.08 * MM),
-            (self._ulcers, self.activity.ulcers, 0.35 * MM),
+            (self._erosions, self.activity.erosions, 0.04 * MM),
+            (self._ulcers, self.activity.ulcers, 0.20 * MM),
         ):
             if not np.isfinite(threshold):
                 continue
-            level = field(points) - threshold + 0.06 * fine
-            rim = np.exp(-((level / 0.22) ** 2))
-            color = color * (1.0 - rim[:, None] * (0.10, 0.45, 0.45))
-            base = smoothstep(level / 0.3)
-            slough = FIBRIN * np.exp(0.14 * fine + 0.12 * self._patches(points))[:, None]
-            color = mix(color, slough, 0.7 * base)
-            roughness = roughness + 0.12 * base
-            height = height + (0.4 * rim - base) * deep
-        return color, roughness, height
+            level = field(points) - threshold + 0.3 * mottle
+            rim = np.exp(-(((level + 0.1) / 0.4) ** 2))
+            color = color * (1.0 - rim[:, None] * (0.08, 0.35, 0.35))
+            base = smoothstep((level + 0.2) / 1.3)
+            slough = FIBRIN * np.exp(0.10 * mottle + 0.15 * self._patches(points))[:, None]
+            color = mix(color, slough, 0.75 * base)
+            height = height + (0.3 * rim - base) * deep
+            sloughy = np.maximum(sloughy, base)
+        return color, sloughy, height

@@ -9,7 +9,7 @@ import numpy as np
 
 from vrcaps.errors import InputError
 from vrcaps.organ.lesion.base import Form, Lesion, Look, Site, WallSamples, mix, smoothstep
-from vrcaps.organ.lesion.colitis import BLOOD
+from vrcaps.organ.lesion.blood import under_blood
 from vrcaps.organ.lesion.noise import cloud, swell
 from vrcaps.organ.lesion.spot import SpotForm
 from vrcaps.units import MM
@@ -17,12 +17,11 @@ from vrcaps.units import MM
 if TYPE_CHECKING:
     from jaxtyping import Float
 
-_EXTINCTION = np.array([0.5, 5.5, 5.0]) / MM
-"""Optical density per length of a film of whole blood, both ways: red, green, blue. Haemoglobin
-at 150 g/l absorbs green and blue about ten times as much as red (Prahl 1999, tabulated
-extinction); the scale is fitted by eye to thin films in endoscopic images."""
+_STAIN = 0.05 * MM
+"""Least thickness of blood within its outline."""
 
-_OLD_BLOOD = np.array([0.045, 0.004, 0.004])
+_SHORE = 2.0 * MM
+"""Way along the wall beyond the hollow's vertices in which the pool's edge lies [m]."""
 
 
 @dataclass(frozen=True)
@@ -131,12 +130,13 @@ class BleedForm:
         self._clots, self._age = swell(4.0 * MM, rng), cloud(9.0 * MM, rng)
 
     def _pool(self, wall: WallSamples) -> Float[np.ndarray, " n"]:
-        """Depth of the pool [m], negative above it or too far from its bottom."""
+        """Depth of the pool [m], negative above it, outside its hollow or far from its bottom."""
         if self.bleed.pool == 0.0 or self.site.bottom is None:
             return np.full(len(wall.xy), -1.0)
         under = (wall.rest - self.site.bottom) @ self.site.down + self.bleed.pool
         away = np.linalg.norm(wall.rest - self.site.bottom, axis=1)
-        return np.minimum(under, self.site.reach - away)
+        beyond = wall.xy[:, 2] - _SHORE
+        return np.minimum(np.minimum(under, self.site.reach - away), -beyond)
 
     def _dry(self, wall: WallSamples) -> Float[np.ndarray, " n"]:
         """Distance within the source's and the stream's outline [m]."""
@@ -157,33 +157,40 @@ class BleedForm:
         return np.sqrt(within) * (self.bleed.film + clots * (0.25 + 0.75 * near))
 
     def moved(self, wall: WallSamples) -> Float[np.ndarray, "n 3"]:
-        """Positions of the blood's surface [m]; the pool's is level."""
+        """Positions of the blood's surface [m].
+
+        The pool's is level: each place under it moves there towards the centreline, so that
+        walls that lean over it do not fold.
+        """
         film = self._film(wall)[:, None] * wall.normal
         pool = self._pool(wall)
         clots = np.clip(self._clots(wall.rest) - 0.9, 0.0, 1.5) * self.bleed.clots
-        rise = -(np.maximum(pool, 0.0) + clots * smoothstep(pool / (1.0 * MM)))
+        rise = np.maximum(pool, 0.0) + clots * smoothstep(pool / (1.0 * MM))
+        reach = np.maximum(np.linalg.norm(wall.inward, axis=1), 1e-9)
+        inward = wall.inward / reach[:, None]
+        way = np.minimum(rise / np.maximum(-inward @ self.site.down, 0.3), 0.8 * reach)
         dry = 1.0 - smoothstep(pool / (1.0 * MM))
-        return wall.rest + rise[:, None] * self.site.down + dry[:, None] * film
+        return wall.rest + way[:, None] * inward + dry[:, None] * film
 
     def chart(self, wall: WallSamples) -> Float[np.ndarray, "n 2"]:
         """Not used: it is painted in place."""
         return wall.xy
 
     def painted(self, wall: WallSamples, points: Float[np.ndarray, "n 3"], clean: Look) -> Look:
-        """Blood over the mucosa, by how much light its thickness lets through."""
+        """Blood over the mucosa: fresh at the source, darker and clotted farther down."""
         pool = np.maximum(self._pool(wall), 0.0)
-        dry = smoothstep(self._dry(wall) / (0.35 * MM))
-        film = self._film(wall) * (0.8 + 0.35 * np.tanh(self._ripple(points)))
-        thickness = np.maximum(film, 0.08 * MM * dry) + pool
-        through = np.exp(-thickness[:, None] * _EXTINCTION)
-        old = smoothstep(0.25 * self._age(points) + self.bleed.clots / (2.0 * MM) + 0.15 * dry)
-        body = mix(np.broadcast_to(BLOOD, points.shape), _OLD_BLOOD, 0.8 * old)
-        color = body + (clean.color - body) * through
-        wet = np.maximum(dry, smoothstep(pool / (0.4 * MM)))
+        within = np.clip(self._dry(wall) / (0.9 * self.bleed.width), 0.0, 1.0)
+        film = self._film(wall) * within * (0.8 + 0.35 * np.tanh(self._ripple(points)))
+        thickness = film + _STAIN * smoothstep(self._dry(wall) / (0.3 * MM)) + pool
+        farther = wall.xy[:, 0] / max(self.bleed.run, 1e-9)
+        clotted = self.bleed.clots / (2.0 * MM)
+        age = smoothstep(0.3 * self._age(points) + 0.6 * farther + clotted - 0.1)
+        color = under_blood(clean.color, thickness, 0.9 * age)
+        wet = np.maximum(smoothstep(within / 0.5), smoothstep(pool / (0.4 * MM)))
         ripple = 0.03 * MM * self._ripple(points)
         return replace(
             clean,
-            color=np.clip(mix(clean.color, color, wet), 0.0, 1.0),
+            color=np.clip(color, 0.0, 1.0),
             roughness=clean.roughness + (0.3 - clean.roughness) * wet,
             height=clean.height * (1.0 - wet) + ripple * wet,
         )

@@ -18,7 +18,7 @@ from vrcaps.errors import InputError
 from vrcaps.organ.appearance import MAX_SIDE
 from vrcaps.organ.lesion.base import Form, Look, WallSamples
 from vrcaps.organ.lesion.raster import Texels, covered_texels, sample
-from vrcaps.organ.surface import Appearance
+from vrcaps.organ.surface import Appearance, round_height
 from vrcaps.units import MM
 
 if TYPE_CHECKING:
@@ -122,7 +122,9 @@ def paint_in_place(
     images = (look.albedo.copy(), look.roughness.copy(), look.height.copy())
     for first in range(0, len(texels), _CHUNK):
         part = texels.take(slice(first, first + _CHUNK))
-        painted = _painted(textures, patch, shown, faces, part)
+        own = (np.stack([part.column, part.row], axis=1) + 0.5) / sides
+        before = textures.look(np.stack([own[:, 0], 1.0 - own[:, 1]], axis=1))
+        painted = _painted(before, patch, shown, faces, part)
         _store(images, painted, part.row % sides[1], part.column % sides[0])
     albedo, roughness, height = images
     return replace(
@@ -149,7 +151,8 @@ def paint_chart(
     images = []
     for textures, is_sick in ((clean, False), (sick, True)):
         image = _blank(height, width)
-        painted = _painted(textures, patch, shown if is_sick else None, faces, texels)
+        before = textures.look(texels.blend_corners(patch.uv[faces, :, :2]))
+        painted = _painted(before, patch, shown, faces, texels) if is_sick else before
         _store(image, painted, texels.row, texels.column)
         covered = np.zeros((height, width), bool)
         covered[texels.row, texels.column] = True
@@ -174,21 +177,14 @@ def _blank(height: int, width: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
 def _painted(
-    textures: Textures,
-    patch: Patch,
-    shown: Shown | None,
-    faces: Int[np.ndarray, " k"],
-    texels: Texels,
+    before: Look, patch: Patch, shown: Shown, faces: Int[np.ndarray, " k"], texels: Texels
 ) -> Look:
-    """Look of texels; of the wall as it is where nothing is shown."""
-    look = textures.look(texels.blend_corners(patch.uv[faces, :, :2]))
-    if shown is None:
-        return look
+    """Look of texels with a lesion."""
     corners, wall = patch.faces[faces], shown.wall
     here = WallSamples(
         *(texels.blend(part, corners) for part in (wall.xy, wall.rest, wall.normal, wall.inward))
     )
-    return shown.form.painted(here, texels.blend(shown.points, corners), look)
+    return shown.form.painted(here, texels.blend(shown.points, corners), before)
 
 
 def _store(images, look: Look, row: np.ndarray, column: np.ndarray) -> None:
@@ -273,7 +269,7 @@ def assemble(base: Appearance, charts: list[Chart], atlas: Atlas, *, sick: bool)
             piece = (chart.sick if sick else chart.clean)[k]
             whole[y : y + piece.shape[0], x : x + piece.shape[1]] = piece
         parts.append(whole)
-    return replace(base, albedo=parts[0], roughness=parts[1], height=parts[2])
+    return replace(base, albedo=parts[0], roughness=parts[1], height=round_height(parts[2]))
 
 
 def final_uv(

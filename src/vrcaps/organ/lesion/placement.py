@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 _NUM_TRIES = 60
 _GAP = 2.0 * MM  # between the footprints of two lesions
 _ROOM = 0.8  # share of the free way across the lumen that a lesion may take
+_BESIDE = 1.05  # free way beside what stands in the lumen, in its radii
 _WIDEST = 1.3  # radius of a spot's footprint in radii of the lumen; the log map holds so far
 _BEHIND = 0.3 * MM
 _UNEVEN = 0.35  # height of the wall around a pouch, in radii of its footprint
@@ -116,7 +117,6 @@ def _misfit(
     organ: OrganSurface, wall: Wall, lesion: Lesion, others: list[Placed], vertex: int
 ) -> str:
     """Why a spot does not fit at a vertex; empty if it does."""
-    center, normal = organ.vertices[vertex], organ.normals[vertex]
     arc_length, reach = float(organ.arc_length[vertex]), lesion.footprint_radius
     line = organ.centerline
     if not reach < arc_length < line.length - reach:
@@ -130,19 +130,37 @@ def _misfit(
             f"it is larger than the lumen, whose radius at {arc_length / CM:.1f} cm is "
             f"{radius / MM:.1f} mm"
         )
-    free = _free_way(wall, center, normal if lesion.reach_in >= 0.0 else -normal)
+    crowded = _no_room(organ, wall, lesion, vertex)
+    if crowded:
+        return crowded
+    for number, other in enumerate(others, start=1):
+        apart = float(np.linalg.norm(other.center - organ.vertices[vertex]))
+        if apart < reach + other.lesion.footprint_radius + _GAP:
+            return f"it overlaps lesion {number}, {describe(other.lesion)}"
+    return ""
+
+
+def _no_room(organ: OrganSurface, wall: Wall, lesion: Lesion, vertex: int) -> str:
+    """Why there is no room over the wall for a spot, or behind it; empty if there is."""
+    center, normal = organ.vertices[vertex], organ.normals[vertex]
+    arc_length, reach = float(organ.arc_length[vertex]), lesion.footprint_radius
+    side = "in the lumen" if lesion.reach_in >= 0.0 else "behind the wall"
+    direction = normal if lesion.reach_in >= 0.0 else -normal
+    free = _free_way(wall, center, direction)
     if abs(lesion.reach_in) > _ROOM * free:
-        side = "in the lumen" if lesion.reach_in >= 0.0 else "behind the wall"
         return (
             f"it stands {abs(lesion.reach_in) / MM:.1f} mm high, but {side} at "
             f"{arc_length / CM:.1f} cm only {free / MM:.1f} mm are free"
         )
+    is_high = abs(lesion.reach_in) > 0.5 * lesion.head_radius
+    beside = _free_beside(wall, center, abs(lesion.reach_in) * direction) if is_high else np.inf
+    if _BESIDE * lesion.head_radius > beside:
+        return (
+            f"it is {2.0 * lesion.head_radius / MM:.1f} mm wide, but {side} at "
+            f"{arc_length / CM:.1f} cm the wall beside is only {beside / MM:.1f} mm away"
+        )
     if lesion.reach_in < 0.0 and _unevenness(organ, center, normal, reach) > _UNEVEN * reach:
         return f"at {arc_length / CM:.1f} cm the wall is folded, where no pouch forms"
-    for number, other in enumerate(others, start=1):
-        apart = float(np.linalg.norm(other.center - center))
-        if apart < reach + other.lesion.footprint_radius + _GAP:
-            return f"it overlaps lesion {number}, {describe(other.lesion)}"
     return ""
 
 
@@ -162,15 +180,34 @@ def _free_way(
     wall: Wall, center: Float[np.ndarray, " 3"], direction: Float[np.ndarray, " 3"]
 ) -> float:
     """Distance [m] from the wall to the next wall, along the normal and 25° around it."""
-    side = np.cross(direction, np.eye(3)[np.argmin(np.abs(direction))])
-    side /= np.linalg.norm(side)
-    other = np.cross(direction, side)
+    side, other = _across(direction)
     turns = [0.0 * side] + [0.47 * d for d in (side, -side, other, -other)]
     rays = np.array([direction + turn for turn in turns])
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
     start = np.tile(center + _BEHIND * direction, (len(rays), 1))
     distance, _ = wall.cast(start, rays)
     return float(np.nan_to_num(distance, nan=np.inf).min()) + _BEHIND
+
+
+def _free_beside(
+    wall: Wall, center: Float[np.ndarray, " 3"], top: Float[np.ndarray, " 3"]
+) -> float:
+    """Distance [m] to the wall around the top of what stands at a place, `top` high."""
+    side, other = _across(top)
+    angle = np.linspace(0.0, 2.0 * np.pi, 12, endpoint=False)[:, None]
+    ring = np.cos(angle) * side + np.sin(angle) * other
+    start = center + np.repeat([0.75, 1.0], len(ring))[:, None] * top
+    distance, _ = wall.cast(start, np.tile(ring, (2, 1)))
+    return float(np.nan_to_num(distance, nan=np.inf).min())
+
+
+def _across(
+    direction: Float[np.ndarray, " 3"],
+) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, " 3"]]:
+    """Two unit vectors square to a direction and to each other."""
+    side = np.cross(direction, np.eye(3)[np.argmin(np.abs(direction))])
+    other = np.cross(direction, side)
+    return side / np.linalg.norm(side), other / np.linalg.norm(other)
 
 
 def describe(lesion: Lesion) -> str:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, ClassVar, Literal
 
 import numpy as np
 
-from vrcaps.organ.lesion.base import Lesion, Look, Site, WallSamples, mix, require_range, smoothstep
+from vrcaps.organ.lesion.base import Look, Site, SizedLesion, WallSamples, mix, smoothstep
 from vrcaps.organ.lesion.noise import cloud, grain
 from vrcaps.organ.lesion.spot import ProfileForm
 from vrcaps.units import MM
@@ -79,7 +79,7 @@ SURFACES: dict[str, Surface] = {
 
 
 @dataclass(frozen=True, kw_only=True)
-class Polyp(Lesion):
+class Polyp(SizedLesion):
     """A polyp.
 
     Attributes:
@@ -94,9 +94,7 @@ class Polyp(Lesion):
 
     kind: ClassVar[str] = "polyp"
     grade_field: ClassVar[str] = "shape"
-
-    def __post_init__(self) -> None:
-        require_range("Size of a polyp", self.size, 2.0 * MM, 30.0 * MM)
+    sizes: ClassVar[tuple[float, float]] = (2.0 * MM, 30.0 * MM)
 
     @property
     def grade(self) -> str:
@@ -107,6 +105,11 @@ class Polyp(Lesion):
     def footprint_radius(self) -> float:
         """Radius of the wall it takes [m]."""
         return 0.5 * self.size * _PROFILES[self.shape][0][0]
+
+    @property
+    def head_radius(self) -> float:
+        """Half the size [m]."""
+        return 0.5 * self.size
 
     @property
     def reach_in(self) -> float:

@@ -59,14 +59,16 @@ class Patch:
 def refine(
     patch: Patch,
     is_long: Callable[[Patch, Int[np.ndarray, "e 2"]], Bool[np.ndarray, " e"]],
-    place: Callable[[Patch], Float[np.ndarray, "n 3"]],
+    place: Callable[[Patch], Float[np.ndarray, "n k"]],
 ) -> Patch:
     """Bisect until no edge away from the rim is too long; edges of the rim stay whole.
 
     Args:
         patch: To refine.
         is_long: Which edges to split.
-        place: Positions by which edges are compared, the longest of a face being split first.
+        place: Positions by which edges are compared, the longest of a face being split first: at
+            rest, or at rest and with the lesion, for with it alone a short edge may span a bulge,
+            and its neighbours would be split for ever.
     """
     for _ in range(_MAX_ROUNDS):
         ends, of_face = _edges(patch.faces)

@@ -7,27 +7,29 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
 from vrcaps._core import Wall
 from vrcaps.errors import InputError
 from vrcaps.organ.lesion.base import Lesion, Site, WallSamples
-from vrcaps.organ.lesion.haemorrhage import Haemorrhage
+from vrcaps.organ.lesion.haemorrhage import Bleed, Haemorrhage
 from vrcaps.organ.lesion.log_map import log_map
 from vrcaps.organ.lesion.placement import Placed, candidates, place_spot
 from vrcaps.organ.lesion.refine import Patch, refine
-from vrcaps.organ.lesion.work import NUM_FIELDS, Cut, cut, within
+from vrcaps.organ.lesion.work import NUM_FIELDS, Cut, cut, edge_graph, within
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.units import MM
 
 if TYPE_CHECKING:
-    from jaxtyping import Float
+    from jaxtyping import Float, Int
 
 _NUM_TRIES = 60
 _WAVY = 1.3  # largest outline of a spot, in mean radii
 _STEP = 1.0 * MM  # along a stream
 _LEVEL = 0.10  # sine of the slope on which blood stops
 _POOL_REACH = 40.0 * MM
+_MARGIN = 6.0 * MM  # of wall around a stream and its pool
 
 
 @dataclass(frozen=True)
@@ -88,7 +90,7 @@ def spot_site(lesion: Lesion, around: Surroundings, rng: np.random.Generator) ->
     center = int(np.searchsorted(piece.vertices, placed.vertex))
     xy, axes = log_map(patch, center, radius=radius, edge_length=_even_length(radius))
     site = Site(placed.center, axes, around.down)
-    return Found(site, piece, _with_xy(patch, xy), placed.vertex)
+    return Found(site, piece, _with_columns(patch, xy), placed.vertex)
 
 
 def band_site(lesion: Lesion, around: Surroundings, rng: np.random.Generator) -> Found:
@@ -104,7 +106,7 @@ def band_site(lesion: Lesion, around: Surroundings, rng: np.random.Generator) ->
     piece = cut(around.wall, np.where(outside < 15.0 * MM, outside, np.inf))
     xy = np.stack([piece.patch.fields[:, 0], np.zeros(len(piece.vertices))], axis=1)
     site = Site(organ.vertices[vertex], np.eye(3), around.down, band=(low, high))
-    return Found(site, piece, _with_xy(piece.patch, xy), vertex)
+    return Found(site, piece, _with_columns(piece.patch, xy), vertex)
 
 
 def _band(
@@ -143,25 +145,48 @@ def stream_site(lesion: Lesion, around: Surroundings, rng: np.random.Generator) 
             break
     assert best is not None
     vertex, path = best
-    reach = 8.0 * lesion.bleed.width + 2.0 * lesion.bleed.source
+    return _along_path(lesion.bleed, around, vertex, path)
+
+
+def _along_path(
+    bleed: Bleed, around: Surroundings, vertex: int, path: Float[np.ndarray, "k 3"]
+) -> Found:
+    """Wall along a stream's path and in the hollow at its end."""
+    wall, organ = around.wall, around.organ
+    reach = 8.0 * bleed.width + 2.0 * bleed.source
     along = np.asarray(KDTree(organ.vertices).query(path)[1])
-    away = within(around.wall, np.unique(along), reach + 6.0 * MM)
-    if lesion.bleed.pool > 0.0:
-        pool = within(around.wall, along[-1:], 1.5 * _POOL_REACH)
-        away = np.where(np.isfinite(pool) & ~np.isfinite(away), reach, away)
-    piece = cut(around.wall, away)
-    fine = min(0.8 * MM, 0.6 * lesion.bleed.width)
-    patch = _evenly_refined(piece.patch, 3.0 * lesion.bleed.width, fine)
+    beside = within(wall, np.unique(along), reach + _MARGIN)
+    beyond = np.full(len(beside), np.inf)
+    if bleed.pool > 0.0:
+        beyond = within(wall, _hollow(around, along[-1], bleed.pool), _MARGIN)
+    is_pool = np.isfinite(beyond) & ~np.isfinite(beside)
+    piece = cut(wall, np.where(is_pool, reach, beside))
+    far = np.column_stack([beside, beyond])[piece.vertices]
+    patch = _with_columns(piece.patch, np.minimum(far, [reach + _MARGIN, _MARGIN]))
+    patch = _evenly_refined(patch, 3.0 * bleed.width, min(0.8 * MM, 0.6 * bleed.width))
     dense = np.linspace(0.0, len(path) - 1.0, 8 * len(path))
     line = np.stack([np.interp(dense, np.arange(len(path)), p) for p in path.T], axis=1)
     away, nearest = KDTree(line).query(patch.moved)
-    away = np.where(patch.fields[:, NUM_FIELDS - 1] < 0.95 * reach, away, np.maximum(away, reach))
+    beside, beyond = patch.fields[:, NUM_FIELDS:].T
+    away = np.where(beside < 0.95 * reach, away, np.maximum(away, reach))
+    xy = np.stack([nearest / 8.0 * _STEP, away, beyond], axis=1)
+    patch = _with_columns(replace(patch, fields=patch.fields[:, :NUM_FIELDS]), xy)
     site = Site(
         *(path[0], np.eye(3), around.down),
         **{"bottom": path[-1], "reach": _POOL_REACH},
     )
-    xy = np.stack([nearest / 8.0 * _STEP, away], axis=1)
-    return Found(site, piece, _with_xy(patch, xy), vertex)
+    return Found(site, piece, patch, vertex)
+
+
+def _hollow(around: Surroundings, bottom: int, deep: float) -> Int[np.ndarray, " k"]:
+    """Vertices under a pool's level that are joined to its bottom below that level."""
+    vertices = around.wall.moved
+    under = (vertices - vertices[bottom]) @ around.down > -deep
+    near = np.linalg.norm(vertices - vertices[bottom], axis=1) < _POOL_REACH
+    wet = np.flatnonzero(under & near)
+    graph = edge_graph(around.wall).tocsr()[wet][:, wet]
+    _, part = connected_components(graph, directed=False)
+    return wet[part == part[np.searchsorted(wet, bottom)]]
 
 
 def trace_down(
@@ -203,8 +228,8 @@ def _even_length(radius: float) -> float:
     return float(np.clip(radius / 9.0, 0.12 * MM, 1.0 * MM))
 
 
-def _with_xy(patch: Patch, xy: Float[np.ndarray, "n 2"]) -> Patch:
-    return replace(patch, fields=np.column_stack([patch.fields, xy]))
+def _with_columns(patch: Patch, columns: Float[np.ndarray, "n k"]) -> Patch:
+    return replace(patch, fields=np.column_stack([patch.fields, columns]))
 
 
 def _evenly_refined(patch: Patch, reach: float, longest: float) -> Patch:
@@ -221,7 +246,7 @@ def _evenly_refined(patch: Patch, reach: float, longest: float) -> Patch:
 def samples(patch: Patch) -> WallSamples:
     """The vertices of a piece that has coordinates."""
     return WallSamples(
-        xy=patch.fields[:, NUM_FIELDS : NUM_FIELDS + 2],
+        xy=patch.fields[:, NUM_FIELDS:],
         rest=patch.moved,
         normal=patch.normals,
         inward=patch.fields[:, 2:5],

@@ -8,8 +8,17 @@ from typing import TYPE_CHECKING, ClassVar, Literal
 import numpy as np
 
 from vrcaps.errors import InputError
-from vrcaps.organ.lesion.base import Lesion, Look, Site, WallSamples, mix, require_range, smoothstep
-from vrcaps.organ.lesion.colitis import BLOOD
+from vrcaps.organ.lesion.base import (
+    Lesion,
+    Look,
+    Site,
+    SizedLesion,
+    WallSamples,
+    mix,
+    require_range,
+    smoothstep,
+)
+from vrcaps.organ.lesion.blood import under_blood
 from vrcaps.organ.lesion.noise import cloud, grain, swell
 from vrcaps.organ.lesion.spot import ProfileForm
 from vrcaps.units import CM, MM
@@ -32,7 +41,7 @@ _POUCH = (
 
 
 @dataclass(frozen=True, kw_only=True)
-class Tumour(Lesion):
+class Tumour(SizedLesion):
     """An ulcerated mass with a rolled edge, as a cancer has (Borrmann type 2).
 
     Attributes:
@@ -42,14 +51,7 @@ class Tumour(Lesion):
     size: float = 25.0 * MM
 
     kind: ClassVar[str] = "tumour"
-
-    def __post_init__(self) -> None:
-        require_range("Size of a tumour", self.size, 10.0 * MM, 50.0 * MM)
-
-    @property
-    def footprint_radius(self) -> float:
-        """Half the size [m]."""
-        return 0.5 * self.size
+    sizes: ClassVar[tuple[float, float]] = (10.0 * MM, 50.0 * MM)
 
     @property
     def reach_in(self) -> float:
@@ -83,13 +85,13 @@ class TumourForm(ProfileForm):
         slough = np.array([0.56, 0.44, 0.24]) * np.exp(0.15 * fine)[:, None]
         color = mix(color, slough, 0.85 * dead)
         bleeding = smoothstep((self._blood(points) + 0.8 * crater - 1.3) / 0.3)
-        color = mix(color, BLOOD, 0.85 * bleeding)
+        color = under_blood(color, 0.8 * MM * bleeding, 0.3)
         look = (color, clean.roughness - 0.25 * bleeding + 0.08 * dead, 0.05 * MM * fine)
         return self.blended(wall, clean, look, softness=0.1)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Diverticulum(Lesion):
+class Diverticulum(SizedLesion):
     """A pouch out of the lumen through a gap in its muscle.
 
     Attributes:
@@ -99,14 +101,17 @@ class Diverticulum(Lesion):
     size: float = 6.0 * MM
 
     kind: ClassVar[str] = "diverticulum"
-
-    def __post_init__(self) -> None:
-        require_range("Size of a diverticulum", self.size, 2.0 * MM, 15.0 * MM)
+    sizes: ClassVar[tuple[float, float]] = (2.0 * MM, 15.0 * MM)
 
     @property
     def footprint_radius(self) -> float:
         """Radius of the wall that turns into it [m]."""
         return 0.5 * self.size * _POUCH[0][0]
+
+    @property
+    def head_radius(self) -> float:
+        """Radius of the pouch [m]."""
+        return 0.5 * self.size * max(r for r, z in _POUCH if z < -0.5)
 
     @property
     def reach_in(self) -> float:

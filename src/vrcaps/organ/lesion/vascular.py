@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from vrcaps.organ.lesion.base import Lesion, Look, Site, WallSamples, mix, require_range, smoothstep
+from vrcaps.organ.lesion.base import Look, Site, SizedLesion, WallSamples, mix, smoothstep
 from vrcaps.organ.lesion.noise import cloud, grain, swell
 from vrcaps.organ.lesion.spot import SpotForm
 from vrcaps.units import MM
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Angioectasia(Lesion):
+class Angioectasia(SizedLesion):
     """A flat, bright red knot of widened capillaries with fern-like edges.
 
     Attributes:
@@ -27,14 +27,7 @@ class Angioectasia(Lesion):
     size: float = 5.0 * MM
 
     kind: ClassVar[str] = "angioectasia"
-
-    def __post_init__(self) -> None:
-        require_range("Size of an angioectasia", self.size, 1.0 * MM, 15.0 * MM)
-
-    @property
-    def footprint_radius(self) -> float:
-        """Half the size [m]."""
-        return 0.5 * self.size
+    sizes: ClassVar[tuple[float, float]] = (1.0 * MM, 15.0 * MM)
 
     def form(self, site: Site, rng: np.random.Generator) -> AngioectasiaForm:
         """Draw its vessels."""
@@ -62,7 +55,7 @@ class AngioectasiaForm(SpotForm):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Lymphangiectasia(Lesion):
+class Lymphangiectasia(SizedLesion):
     """White to yellow tips over widened lymph vessels, in a cluster or scattered.
 
     Attributes:
@@ -72,14 +65,7 @@ class Lymphangiectasia(Lesion):
     size: float = 12.0 * MM
 
     kind: ClassVar[str] = "lymphangiectasia"
-
-    def __post_init__(self) -> None:
-        require_range("Size of a lymphangiectasia", self.size, 2.0 * MM, 30.0 * MM)
-
-    @property
-    def footprint_radius(self) -> float:
-        """Half the size [m]."""
-        return 0.5 * self.size
+    sizes: ClassVar[tuple[float, float]] = (2.0 * MM, 30.0 * MM)
 
     @property
     def reach_in(self) -> float:

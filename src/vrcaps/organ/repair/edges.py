@@ -40,13 +40,17 @@ class Edges:
         return [self.order[self.first[e] : self.first[e] + self.counts[e]] for e in many]
 
 
+def directed_edges(faces: Int[np.ndarray, "m 3"]) -> Int[np.ndarray, "h 2"]:
+    """First and last vertex of each half-edge; on a closed surface each edge comes twice."""
+    return faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2).astype(np.int64)
+
+
 def find_edges(faces: Int[np.ndarray, "m 3"]) -> Edges:
     """Half-edges of a mesh, grouped by edge."""
-    ends = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
-    order = np.lexsort((ends.max(axis=1), ends.min(axis=1)))
-    ordered = np.sort(ends[order], axis=1)
-    is_first = np.ones(len(order), bool)
-    is_first[1:] = np.any(ordered[1:] != ordered[:-1], axis=1)
+    ends = directed_edges(faces)
+    key = ends.min(axis=1) * (faces.max(initial=0) + 1) + ends.max(axis=1)
+    order = np.argsort(key, kind="stable")
+    is_first = np.diff(key[order], prepend=-1) > 0
     first = np.nonzero(is_first)[0]
     return Edges(ends, order, first, np.diff(np.append(first, len(order))))
 

@@ -34,10 +34,7 @@ class Repair:
     def line(self) -> str:
         """The repair in one line, with the first few places."""
         text = f"{self.count} × {self.kind}: {self.action}"
-        if len(self.places) == 0:
-            return text
-        places = ", ".join(format_place(place) for place in self.places[:_MAX_PLACES])
-        return f"{text}, at {places}" + (", …" if len(self.places) > _MAX_PLACES else "")
+        return text if len(self.places) == 0 else f"{text}, {format_places(self.places)}"
 
 
 @dataclass(frozen=True)
@@ -69,3 +66,9 @@ def format_place(point: Float[np.ndarray, " 3"]) -> str:
     """A position [m] for people: ``(1.2, -3.4, 5.6) mm``."""
     x, y, z = np.asarray(point) / MM
     return f"({x:.1f}, {y:.1f}, {z:.1f}) mm"
+
+
+def format_places(points: Float[np.ndarray, "k 3"]) -> str:
+    """The first few positions [m] for people: ``at (1.2, -3.4, 5.6) mm, …``."""
+    places = ", ".join(format_place(point) for point in points[:_MAX_PLACES])
+    return f"at {places}" + (", …" if len(points) > _MAX_PLACES else "")

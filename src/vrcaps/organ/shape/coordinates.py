@@ -13,7 +13,7 @@ from vrcaps.organ.surface import Centerline
 if TYPE_CHECKING:
     from jaxtyping import Float
 
-    from vrcaps.organ.colon.tube import Tube
+    from vrcaps.organ.shape.tube import Tube
 
 
 def arc_length_of_sections(

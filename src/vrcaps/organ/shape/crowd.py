@@ -15,13 +15,14 @@ from scipy.interpolate import CubicSpline
 from scipy.ndimage import gaussian_filter1d
 from scipy.spatial import KDTree
 
-from vrcaps.organ.colon.course import Course
+from vrcaps.organ.shape.tube import Course
 from vrcaps.units import MM
 
 if TYPE_CHECKING:
-    from jaxtyping import Bool, Float
+    from jaxtyping import Bool, Float, Int
 
 _NUM_NEAREST = 10
+_MARGIN = 4 * MM
 _BEND = 1.55
 """Least bend radius in radii of the tube."""
 
@@ -105,8 +106,9 @@ def relax_chain(
         lengths = start + growth * (spacing - start)
         nodes[free] += ((1.0 - 0.97 * growth) * hold * (chain.anchor - nodes))[free]
         share = float(np.interp(i / num_steps, [0.0, 0.3, 0.5, 0.7], girth))
+        near = _neighbours(nodes, chain, spacing, obstacles)
         for _ in range(2):
-            nodes[free] += _push_apart(nodes, chain, spacing, obstacles, share)[free]
+            nodes[free] += _push_apart(nodes, chain, obstacles, near, share)[free]
             nodes[free] = _within_reach(nodes, chain)[free]
             move = _unbend(nodes, chain.radius, lengths.mean()) + _set_spacing(nodes, lengths)
             nodes[free] += move[free]
@@ -169,35 +171,49 @@ def _blurred(points: Float[np.ndarray, "n 3"], sigma: float) -> Float[np.ndarray
     return gaussian_filter1d(np.concatenate([before, points, after]), sigma, axis=0)[num:-num]
 
 
+def _neighbours(
+    nodes: np.ndarray, chain: Chain, spacing: float, obstacles: Balls
+) -> tuple[Int[np.ndarray, " p"], Int[np.ndarray, " p"], Int[np.ndarray, "n k"]]:
+    """Pairs of nodes that may come to touch, and the obstacles nearest to each node."""
+    radius = chain.radius
+    reach = 2.0 * radius.max() + chain.gap + _MARGIN
+    i, j = KDTree(nodes).query_pairs(reach, output_type="ndarray").T
+    apart = (j - i) * spacing > 0.65 * np.pi * (radius[i] + radius[j])
+    num = min(_NUM_NEAREST, len(obstacles.radius))
+    nearest = np.zeros((len(nodes), 0), int)
+    if num:
+        nearest = obstacles.tree.query(nodes, num)[1].reshape(len(nodes), num)
+    return i[apart], j[apart], nearest
+
+
 def _push_apart(
-    nodes: np.ndarray, chain: Chain, spacing: float, obstacles: Balls, share: float
+    nodes: np.ndarray,
+    chain: Chain,
+    obstacles: Balls,
+    near: tuple[np.ndarray, np.ndarray, np.ndarray],
+    share: float,
 ) -> Float[np.ndarray, "n 3"]:
     """Displacement away from other parts of the tube and from obstacles [m].
 
     `share` scales the room that the tube takes from itself.
     """
     radius, gap = chain.radius, chain.gap
-    push, count = np.zeros_like(nodes), np.ones(len(nodes))
-    i, j = KDTree(nodes).query_pairs(2.0 * radius.max() + gap, output_type="ndarray").T
-    apart = (j - i) * spacing > 0.65 * np.pi * (radius[i] + radius[j])
-    i, j = i[apart], j[apart]
+    i, j, nearest = near
     offset = nodes[i] - nodes[j]
-    distance = np.linalg.norm(offset, axis=1) + 1e-9
+    distance = np.sqrt(np.einsum("ij,ij->i", offset, offset)) + 1e-9
     depth = share * (radius[i] + radius[j] + gap) - distance
-    near = depth > 0.0
-    i, j, step = i[near], j[near], (depth / distance)[near, None] * offset[near]
+    touch = depth > 0.0
+    i, j, step = i[touch], j[touch], (depth / distance)[touch, None] * offset[touch]
+    push, num = np.empty_like(nodes), len(nodes)
     for k in range(3):
-        push[:, k] = np.bincount(i, 0.5 * step[:, k], len(nodes))
-        push[:, k] -= np.bincount(j, 0.5 * step[:, k], len(nodes))
-    count += np.bincount(i, minlength=len(nodes)) + np.bincount(j, minlength=len(nodes))
-    if len(obstacles.radius):
-        near = obstacles.tree.query(nodes, min(_NUM_NEAREST, len(obstacles.radius)))[1]
-        offset = nodes[:, None] - obstacles.center[near]
-        distance = np.sqrt(np.einsum("ijk,ijk->ij", offset, offset)) + 1e-9
-        depth = np.maximum(radius[:, None] + obstacles.radius[near] + gap - distance, 0.0)
-        push += np.einsum("ij,ijk->ik", depth / distance, offset)
-        count += (depth > 0.0).sum(axis=1)
-    return 1.3 * push / np.maximum(count - 1.0, 1.0)[:, None] ** 0.7
+        push[:, k] = np.bincount(i, 0.5 * step[:, k], num) - np.bincount(j, 0.5 * step[:, k], num)
+    offset = nodes[:, None] - obstacles.center[nearest]
+    distance = np.sqrt(np.einsum("ijk,ijk->ij", offset, offset)) + 1e-9
+    depth = np.maximum(radius[:, None] + obstacles.radius[nearest] + gap - distance, 0.0)
+    push += np.einsum("ij,ijk->ik", depth / distance, offset)
+    count = np.bincount(i, minlength=num) + np.bincount(j, minlength=num)
+    count += (depth > 0.0).sum(axis=1)
+    return 1.3 * push / np.maximum(count, 1)[:, None] ** 0.7
 
 
 def _within_reach(nodes: np.ndarray, chain: Chain) -> Float[np.ndarray, "n 3"]:

@@ -7,8 +7,19 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 
-from vrcaps.organ.colon.remesh import chart_area, directed_edges, flip_edges
-from vrcaps.organ.shape.skin import FREE, POLE, SEAM, Grid, Meridian, Skin, make_meridian
+from vrcaps.organ.repair.edges import directed_edges
+from vrcaps.organ.shape.flips import chart_area, flip_edges
+from vrcaps.organ.shape.skin import (
+    FREE,
+    POLE,
+    SEAM,
+    Crests,
+    Grid,
+    Meridian,
+    Skin,
+    make_meridian,
+)
+from vrcaps.organ.shape.waves import wrap
 from vrcaps.units import MM
 
 if TYPE_CHECKING:
@@ -16,12 +27,19 @@ if TYPE_CHECKING:
 
 _NUM_ANGLES = 36
 _NUM_FINE_ANGLES = 240
-_STEP = 0.4 * MM
+_STEP, _COARSE_STEP = 0.4 * MM, 2 * MM
 _ROW_TO_COLUMN = 0.8
 """Spacing of the rows over that of the columns; √3/2 makes staggered triangles equilateral."""
 _LOCAL = 25 * MM
 _DRIFT = 70 * MM
 _FEWEST = 6
+_LEAST_GAP = 0.33
+"""Share of the rows' plain distance that equal steps over folds leave between them."""
+_STRAIGHT = 15
+"""Rows over which columns keep their direction."""
+_CREST_REACH = 12
+_CREST_FADE = 5.0
+"""Rows beside a crest that move along with it, and the distance where they do so by a third."""
 
 
 def mesh_skin(skin: Skin, *, num_smoothings: int = 2) -> Grid:
@@ -29,13 +47,25 @@ def mesh_skin(skin: Skin, *, num_smoothings: int = 2) -> Grid:
 
     Args:
         skin: The wall.
-        num_smoothings: Rounds of moving irregular vertices to the middle of their neighbours.
+        num_smoothings: Rounds of moving vertices to the middle of their neighbours.
     """
     meridian = make_meridian(skin)
     angles = np.linspace(-np.pi, np.pi, _NUM_ANGLES, endpoint=False)
     rows = _place_rows(skin, meridian, angles)
     grid = _join(*_place_columns(skin, meridian, rows, angles), meridian.along[-1])
     return _improve(grid, skin, meridian, num_smoothings)
+
+
+def count_triangles(skin: Skin) -> float:
+    """About how many triangles `mesh_skin` makes of a wall."""
+    meridian = make_meridian(skin)
+    end = meridian.along[-1]
+    along = np.linspace(0.0, end, round(end / _COARSE_STEP) + 1)
+    pace = _pace(skin, meridian, along, np.linspace(-np.pi, np.pi, _NUM_ANGLES, endpoint=False))
+    middle = meridian.to_arc_length(0.5 * (along[1:] + along[:-1]))
+    girth = _steps_around(skin, middle, np.linspace(-np.pi, np.pi, 2 * _NUM_ANGLES + 1)).sum(axis=1)
+    rows = pace.mean(axis=1) * np.diff(along) / (_ROW_TO_COLUMN * skin.edge(middle))
+    return float(np.sum(2.0 * rows * girth / skin.edge(middle)))
 
 
 def _place_rows(
@@ -60,11 +90,33 @@ def _place_rows(
         wanted = np.linspace(0.0, own[-1], num_rows + 2)[1:-1]
         shift[:, k] = np.interp(wanted, own, along) - base
     shift -= uniform_filter1d(shift, max(3, round(_DRIFT / end * num_rows)), axis=0)
-    for _ in range(2):
-        shift = 0.25 * (np.roll(shift, 1, axis=1) + 2.0 * shift + np.roll(shift, -1, axis=1))
+    shift = _smooth_around(_smooth_around(shift))
+    if skin.crests is not None:
+        shift = _smooth_around(
+            shift + _towards_crests(base[:, None] + shift, skin.crests(angles), meridian)
+        )
     from_end = np.minimum(np.arange(num_rows), np.arange(num_rows)[::-1])
     shift *= np.clip(from_end / 12.0, 0.0, 1.0)[:, None]
-    return _in_order(base[:, None] + shift)
+    return _in_order(base, shift)
+
+
+def _smooth_around(rows: Float[np.ndarray, "rows k"]) -> Float[np.ndarray, "rows k"]:
+    """Mean with both neighbours around the tube, weights 1, 2, 1."""
+    return 0.25 * (np.roll(rows, 1, axis=1) + 2.0 * rows + np.roll(rows, -1, axis=1))
+
+
+def _towards_crests(
+    rows: Float[np.ndarray, "rows k"], crests: Crests, meridian: Meridian
+) -> Float[np.ndarray, "rows k"]:
+    """Shift [m] that lays the nearest row along each crest and takes its neighbours along."""
+    shift = np.zeros_like(rows)
+    for along, weight in zip(meridian.to_along(crests.arc_length), crests.weight, strict=True):
+        middle = np.argmax(weight)
+        row = int(np.argmin(np.abs(rows[:, middle] + shift[:, middle] - along[middle])))
+        near = np.arange(max(row - _CREST_REACH, 0), min(row + _CREST_REACH + 1, len(rows)))
+        fade = np.exp(-(((near - row) / _CREST_FADE) ** 2))
+        shift[near] += fade[:, None] * weight * (along - rows[row] - shift[row])
+    return shift
 
 
 def _pace(
@@ -78,13 +130,18 @@ def _pace(
     return np.maximum(uniform_filter1d(pace, 3, axis=0), 0.05)
 
 
-def _in_order(rows: Float[np.ndarray, "rows k"]) -> Float[np.ndarray, "rows k"]:
-    """Rows pushed apart where they would come nearer than a third of their mean distance."""
-    least = 0.33 * np.diff(rows.mean(axis=1))
-    floor = np.concatenate([[0.0], np.cumsum(least)])[:, None]
-    forward = np.maximum.accumulate(rows - floor, axis=0) + floor
-    backward = np.minimum.accumulate((rows - floor)[::-1], axis=0)[::-1] + floor
-    return 0.5 * (forward + backward)
+def _in_order(
+    base: Float[np.ndarray, " rows"], shift: Float[np.ndarray, "rows k"]
+) -> Float[np.ndarray, "rows k"]:
+    """Shifted rows, kept `_LEAST_GAP` of their plain distance apart by the least largest change.
+
+    They lie midway between the least such rows above the shifted ones and the greatest below.
+    """
+    floor = _LEAST_GAP * base[:, None]
+    rest = base[:, None] + shift - floor
+    above = np.maximum.accumulate(rest, axis=0)
+    below = np.minimum.accumulate(rest[::-1], axis=0)[::-1]
+    return 0.5 * (above + below) + floor
 
 
 def _place_columns(
@@ -97,11 +154,10 @@ def _place_columns(
     """
     fine = np.linspace(-np.pi, np.pi, _NUM_FINE_ANGLES + 1)
     middle = rows.mean(axis=1)
-    s = np.repeat(meridian.to_arc_length(middle), len(fine))
-    radius = skin.radius(s, np.tile(fine, len(rows))).reshape(len(rows), -1)
-    step = np.hypot(np.diff(radius, axis=1), 0.5 * (radius[:, 1:] + radius[:, :-1]) * np.diff(fine))
+    step = _steps_around(skin, meridian.to_arc_length(middle), fine)
     girth = step.sum(axis=1)
-    share = uniform_filter1d(step / girth[:, None], 5, axis=0)
+    # Blurred over many rows, lest columns weave in and out of folds.
+    share = uniform_filter1d(step / girth[:, None], _STRAIGHT, axis=0)
     share = np.pad(np.cumsum(share, axis=1), ((0, 0), (1, 0)))
     plain = 2.0 * np.pi * np.maximum(skin.envelope(meridian.to_arc_length(middle)), 0.1 * MM)
     ratio = uniform_filter1d(np.clip(girth / plain, 0.5, 3.0), 25)
@@ -118,6 +174,16 @@ def _place_columns(
         all_along.append(np.interp(theta, ring, np.append(rows[i], rows[i, 0])))
     count = num_columns + np.arange(len(rows)) % 2
     return np.concatenate(all_along), np.concatenate(all_theta), count
+
+
+def _steps_around(
+    skin: Skin, arc_length: Float[np.ndarray, " n"], angles: Float[np.ndarray, " k"]
+) -> Float[np.ndarray, "n k-1"]:
+    """Distances [m] between places of the wall at successive angles, section by section."""
+    s = np.repeat(arc_length, len(angles))
+    radius = skin.radius(s, np.tile(angles, len(arc_length))).reshape(len(arc_length), -1)
+    across = 0.5 * (radius[:, 1:] + radius[:, :-1]) * np.diff(angles)
+    return np.hypot(np.diff(radius, axis=1), across)
 
 
 def _steady(wanted: Float[np.ndarray, " n"]) -> Int[np.ndarray, " n"]:
@@ -163,7 +229,7 @@ def _join(along: np.ndarray, theta: np.ndarray, count: np.ndarray, end: float) -
 
 
 def _improve(grid: Grid, skin: Skin, meridian: Meridian, num_smoothings: int) -> Grid:
-    """Flip edges to Delaunay and even out the vertices around irregular places."""
+    """Flip edges to Delaunay and even out the vertices."""
     along, theta, faces = grid.along, grid.theta, grid.faces
     for i in range(num_smoothings + 1):
         points = skin.points(meridian.to_arc_length(along), theta)
@@ -174,16 +240,14 @@ def _improve(grid: Grid, skin: Skin, meridian: Meridian, num_smoothings: int) ->
 
 
 def _even_out(grid: Grid) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
-    """Half a step of each irregular free vertex towards the mean of its neighbours' coordinates."""
+    """Half a step of each free vertex towards the mean of its neighbours' coordinates."""
     along, theta, faces = grid.along, grid.theta, grid.faces
     ends = directed_edges(faces)
-    turn = theta[ends[:, 1]] - theta[ends[:, 0]]
-    turn = np.mod(turn + np.pi, 2.0 * np.pi) - np.pi
+    turn = wrap(theta[ends[:, 1]] - theta[ends[:, 0]])
     count = np.bincount(ends[:, 0], minlength=len(along))
     shift = np.bincount(ends[:, 0], along[ends[:, 1]] - along[ends[:, 0]], len(along)) / count
     turn = np.bincount(ends[:, 0], turn, len(along)) / count
-    # Regular neighbourhoods stay: their rows follow the crests of the folds.
-    is_moved = (count != 6) & (grid.pinned == FREE)
+    is_moved = grid.pinned == FREE
     is_moved[ends[grid.pinned[ends[:, 1]] == POLE, 0]] = False
     weight = np.where(is_moved, 0.5, 0.0)
     for _ in range(4):

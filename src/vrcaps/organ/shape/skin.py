@@ -11,9 +11,22 @@ import numpy as np
 if TYPE_CHECKING:
     from jaxtyping import Float, Int
 
-    from vrcaps.organ.colon.tube import Tube
+    from vrcaps.organ.shape.tube import Tube
 
 FREE, SEAM, POLE = 0, 1, 2
+
+
+@dataclass(frozen=True)
+class Crests:
+    """Lines around the lumen, each given at the same angles.
+
+    Attributes:
+        arc_length: Of each line at each angle [m].
+        weight: How firmly a row follows it there, 0 to 1.
+    """
+
+    arc_length: Float[np.ndarray, "n k"]
+    weight: Float[np.ndarray, "n k"]
 
 
 @dataclass(frozen=True)
@@ -26,6 +39,7 @@ class Skin:
         envelope: Radius [m] of the plain tube at arc lengths [m]; 0 at both ends.
         radius: Distance of the wall from the course [m] at arc lengths [m] and angles [rad].
         edge: Length of edge wanted at arc lengths [m].
+        crests: Sharp folds at angles [rad], along which rows of vertices are laid.
     """
 
     tube: Tube
@@ -33,6 +47,7 @@ class Skin:
     envelope: Callable[[Float[np.ndarray, " n"]], Float[np.ndarray, " n"]]
     radius: Callable[[Float[np.ndarray, " n"], Float[np.ndarray, " n"]], Float[np.ndarray, " n"]]
     edge: Callable[[Float[np.ndarray, " n"]], Float[np.ndarray, " n"]]
+    crests: Callable[[Float[np.ndarray, " k"]], Crests] | None = None
 
     def points(
         self, arc_length: Float[np.ndarray, " n"], theta: Float[np.ndarray, " n"]
@@ -56,6 +71,10 @@ class Meridian:
     def to_arc_length(self, along: Float[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:
         """Arc length [m] of a meridian length [m]."""
         return np.interp(along, self.along, self.arc_length)
+
+    def to_along(self, arc_length: Float[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:
+        """Meridian length [m] of an arc length [m]."""
+        return np.interp(arc_length, self.arc_length, self.along)
 
 
 def make_meridian(skin: Skin) -> Meridian:

@@ -9,6 +9,9 @@ import numpy as np
 if TYPE_CHECKING:
     from jaxtyping import Float, Int
 
+_ROWS = 50
+"""Rows of a table of waves per shortest wavelength."""
+
 
 def draw_waves(
     rng: np.random.Generator,
@@ -42,10 +45,31 @@ def sum_waves(
     arc_length: Float[np.ndarray, " m"],
     theta: Float[np.ndarray, " m"],
 ) -> Float[np.ndarray, " m"]:
-    """Sum of the waves at arc lengths [m] and angles [rad]."""
-    total = np.zeros(np.broadcast(arc_length, theta).shape)
-    for amplitude, wavenumber, lobes, phase in waves:
-        total += amplitude * np.sin(wavenumber * arc_length + lobes * theta + phase)
+    """Sum of the waves at arc lengths [m] and angles [rad].
+
+    Where there are many places, waves with the same number of lobes are summed first, on a table
+    over the arc length: a sin(k s + φ + l θ) is the imaginary part of a exp(i(k s + φ)) exp(i l θ).
+    The table is linear between its rows, which changes no wave by more than 0.2 % of its height,
+    (2π / `_ROWS`)² / 8.
+    """
+    span = np.ptp(arc_length) if len(arc_length) else 0.0
+    step = 2.0 * np.pi / (_ROWS * waves[:, 1].max())
+    rows = np.arange(int(span / step) + 2)
+    if len(rows) > len(arc_length):
+        amplitude, wavenumber, lobes, phase = waves.T[:, :, None]
+        return (amplitude * np.sin(wavenumber * arc_length + lobes * theta + phase)).sum(axis=0)
+    row, between = np.divmod((arc_length - arc_length.min()) / step, 1.0)
+    row = row.astype(int)
+    once = np.cos(theta) + 1j * np.sin(theta)
+    total, turn = np.zeros(len(arc_length)), np.ones_like(once)
+    for count in range(int(np.abs(waves[:, 2]).max()) + 1):
+        table = np.zeros(len(rows), complex)
+        for amplitude, wavenumber, lobes, phase in waves[np.abs(waves[:, 2]) == count]:
+            angle = wavenumber * (arc_length.min() + step * rows) + phase
+            # −conj(exp(i x)) stands for the waves that wind the other way.
+            table += amplitude * (np.copysign(1.0, lobes) * np.cos(angle) + 1j * np.sin(angle))
+        total += ((table[row] + between * np.diff(table, append=0.0)[row]) * turn).imag
+        turn = turn * once
     return total
 
 

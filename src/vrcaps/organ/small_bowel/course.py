@@ -20,12 +20,15 @@ from vrcaps.organ.shape.crowd import (
     sharpest_bend,
     smooth_course,
 )
+from vrcaps.organ.small_bowel.route import Terrain, lead_around, survey
 from vrcaps.units import CM, MM
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from jaxtyping import Float
 
-    from vrcaps.organ.colon.course import Course
+    from vrcaps.organ.shape.tube import Course
     from vrcaps.organ.small_bowel.parameters import SmallBowelParameters
 
 _SPACING = 10 * MM
@@ -33,13 +36,17 @@ _GAP = 3 * MM
 _MESENTERY = 16 * CM
 """Greatest distance from the root to the bowel (Gray's Anatomy: about 15 to 20 cm)."""
 _NUM_STEPS = 240
-_NUM_TRIES = 16
+_NUM_TRIES = 24
 _NUM_REFINED = 80
 _SPREAD = 1.25
 _TOLERANCE = 0.015
 _LEAST_ROOM = -0.3 * MM  # of the outlines, which lie a tenth beyond the mean wall
+_HOPELESS = -3.5 * MM
 _NUM_FIXED = 3
 _APPROACH = 3.5 * CM
+_FILLING = 0.42
+"""Share of the free space that the bowel can fill at most."""
+_BULGE = 8 * CM
 _SHARPEST = 1.9
 
 # Waypoints of the duodenum in a mean body from the pylorus to the duodenojejunal flexure,
@@ -60,7 +67,7 @@ _DUODENUM_CM = np.array(
 _LOW_CM, _HIGH_CM = np.array([-13.0, -10.0, -20.0]), np.array([13.0, 6.0, 9.0])
 # Before they are relaxed, coils sweep from side to side at these depths and heights.
 _SWEEP_CM = 14.5
-_DEPTHS_CM = (-7.0, -3.2, 0.5)
+_BACK_CM, _NUM_LAYERS = 0.5, 3
 _HEIGHTS_CM = (2.0, -15.0)
 _NUM_CANDIDATES = 16
 
@@ -72,6 +79,7 @@ class Surroundings:
     Attributes:
         pylorus: Where it begins [m], patient frame.
         pylorus_direction: Unit direction in which it leaves the stomach.
+        beyond: Where it comes by after about 6 cm [m], clear of the other organs.
         valve: Where it ends [m]: the ileocaecal valve on the colon's wall.
         valve_direction: Unit direction in which it enters the colon.
         obstacles: Space the other organs take.
@@ -80,6 +88,7 @@ class Surroundings:
 
     pylorus: Float[np.ndarray, " 3"]
     pylorus_direction: Float[np.ndarray, " 3"]
+    beyond: Float[np.ndarray, " 3"]
     valve: Float[np.ndarray, " 3"]
     valve_direction: Float[np.ndarray, " 3"]
     obstacles: Balls
@@ -107,34 +116,56 @@ def generate_course(
     num = round(parameters.length / _SPACING) + 1
     radius = np.interp(np.linspace(0.0, 1.0, num), shares, radius_of)
     for attempt in range(_NUM_TRIES):
-        chain, nodes = _start(parameters, radius, around, attempt, rng)
-        spacing = parameters.length / (num - 1)
-        nodes = relax_chain(
-            chain, nodes, spacing, around.obstacles, num_steps=_NUM_STEPS, spread=_SPREAD
-        )
-        for _ in range(4):
-            course = smooth_course(nodes)
-            missing = parameters.length / course.arc_length[-1]
+        terrain = _abdomen(parameters.length, radius, around, attempt)
+        chain, nodes = _start(parameters, radius, around, terrain, attempt, rng)
+        for course in _settling(parameters.length, chain, nodes, around.obstacles):
             fine = np.interp(course.arc_length / course.arc_length[-1], shares, radius_of)
             room = least_room(course, fine, around.obstacles, _APPROACH)
             if (
-                abs(missing - 1.0) < _TOLERANCE
+                abs(parameters.length / course.arc_length[-1] - 1.0) < _TOLERANCE
                 and room > _LEAST_ROOM * (1.0 + 0.25 * attempt)
                 and sharpest_bend(course, fine) < _SHARPEST
             ):
                 return course
-            spacing *= missing
-            nodes = relax_chain(chain, nodes, spacing, around.obstacles, num_steps=_NUM_REFINED)
+            if room < _HOPELESS:
+                break
     raise InputError(
         f"Found no course for {parameters.length:.2f} m of small bowel in the abdomen. "
         "Allowed: a shorter one, smaller diameters, or another seed."
     )
 
 
+def _settling(
+    length: float, chain: Chain, nodes: Float[np.ndarray, "n 3"], obstacles: Balls
+) -> Iterator[Course]:
+    """Courses of a grown chain that come nearer and nearer to the asked length."""
+    spacing = length / (len(nodes) - 1)
+    nodes = relax_chain(chain, nodes, spacing, obstacles, num_steps=_NUM_STEPS, spread=_SPREAD)
+    for _ in range(4):
+        course = smooth_course(nodes)
+        yield course
+        spacing *= length / course.arc_length[-1]
+        nodes = relax_chain(chain, nodes, spacing, obstacles, num_steps=_NUM_REFINED)
+
+
+def _abdomen(length: float, radius: np.ndarray, around: Surroundings, attempt: int) -> Terrain:
+    """The space for the bowel: a full belly bulges to the front, and widens with each attempt."""
+    low, high = (1.0 + 0.012 * attempt) * around.size * CM * np.array([_LOW_CM, _HIGH_CM])
+    room = float(radius.mean())
+    needed = length * np.pi * float(np.mean(radius**2)) / _FILLING
+    bulge = 0.5 * CM * attempt
+    while True:
+        terrain = survey(low - [0.0, bulge, 0.0], high, around.obstacles, room)
+        if terrain.free_volume >= needed or bulge > _BULGE:
+            return terrain
+        bulge += 1 * CM
+
+
 def _start(
     parameters: SmallBowelParameters,
     radius: np.ndarray,
     around: Surroundings,
+    terrain: Terrain,
     attempt: int,
     rng: np.random.Generator,
 ) -> tuple[Chain, Float[np.ndarray, "n 3"]]:
@@ -147,14 +178,15 @@ def _start(
     waypoints = size * CM * (_DUODENUM_CM + rng.normal(0.0, 0.3, _DUODENUM_CM.shape))
     # Where the colon hangs in front of the duodenojejunal flexure, a lower one goes under it.
     waypoints[4:] += min(attempt, 6) * rng.uniform(0.0, 1.0) * CM * np.array([0.0, 0.0, -0.8])
-    duodenum = np.concatenate(
-        [exits, _along(np.concatenate([exits[-1:], waypoints]), num_duodenum - 2)[1:]]
-    )
+    waypoints[0] = around.beyond
+    way = lead_around(np.concatenate([exits[-1:], waypoints]), terrain)
+    duodenum = np.concatenate([exits, _along(way, num_duodenum - 2)[1:]])
     ending = around.valve - np.outer(np.arange(_NUM_FIXED)[::-1], around.valve_direction * spacing)
     num_free = num - num_duodenum - _NUM_FIXED
     root = np.linspace(duodenum[-1], ending[0], num_free + 2)[1:-1]
-    sweeps = _sweeps(0.93 * spacing * num_free, around, duodenum[-1], rng)
-    nodes = _along(np.concatenate([duodenum[-1:], sweeps, ending[:1]]), num_free + 2)[1:-1]
+    sweeps = _sweeps(0.93 * spacing * num_free, around, terrain, duodenum[-1], rng)
+    way = lead_around(np.concatenate([duodenum[-1:], sweeps, ending[:1]]), terrain)
+    nodes = _along(way, num_free + 2)[1:-1]
     nodes += 8 * MM * _swing(num_free, rng)
     chain = Chain(
         radius=radius,
@@ -164,8 +196,8 @@ def _start(
             [np.full(num_duodenum, 5 * CM), np.full(num_free + _NUM_FIXED, size * _MESENTERY)]
         ),
         is_fixed=np.isin(np.arange(num), [*range(_NUM_FIXED), *range(num - _NUM_FIXED, num)]),
-        low=size * CM * _LOW_CM,
-        high=size * CM * _HIGH_CM,
+        low=terrain.low,
+        high=terrain.high,
         gap=_GAP,
     )
     return chain, np.concatenate([duodenum, nodes, ending])
@@ -174,6 +206,7 @@ def _start(
 def _sweeps(
     length: float,
     around: Surroundings,
+    terrain: Terrain,
     start: Float[np.ndarray, " 3"],
     rng: np.random.Generator,
 ) -> Float[np.ndarray, "k 3"]:
@@ -183,11 +216,12 @@ def _sweeps(
     least: relaxation can push the bowel off an organ, not out of its loops.
     """
     num = max(8, round(length / (_SWEEP_CM * CM)))
-    last_level = max((num - 1) // len(_DEPTHS_CM), 1)
+    last_level = max((num - 1) // _NUM_LAYERS, 1)
     points = [start, around.size * CM * np.array([2.5, 1.5, 1.0])]
+    depths = np.linspace(terrain.low[1] / (around.size * CM) + 3.0, _BACK_CM, _NUM_LAYERS)
     for i in range(num):
-        level, order = divmod(i, len(_DEPTHS_CM))
-        depth = _DEPTHS_CM[order if level % 2 == 0 else -1 - order]
+        level, order = divmod(i, _NUM_LAYERS)
+        depth = depths[order if level % 2 == 0 else -1 - order]
         height = np.interp(level / last_level, [0.0, 1.0], _HEIGHTS_CM)
         best, chosen = np.inf, np.zeros((2, 3))
         for _ in range(_NUM_CANDIDATES):

@@ -9,14 +9,10 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
 from vrcaps.errors import InputError
-from vrcaps.organ.colon.crossing import self_intersections
-from vrcaps.organ.colon.strips import strip_coordinates
-from vrcaps.organ.colon.tube import make_tube
-from vrcaps.organ.repair.edges import face_areas
-from vrcaps.organ.shape.coordinates import tube_centerline
-from vrcaps.organ.shape.rows import mesh_skin
-from vrcaps.organ.shape.skin import Skin, make_meridian, turns
-from vrcaps.organ.shape.waves import wrap
+from vrcaps.organ.crossing import self_intersections
+from vrcaps.organ.shape.organ import skin_to_organ
+from vrcaps.organ.shape.skin import Skin
+from vrcaps.organ.shape.tube import make_tube
 from vrcaps.organ.small_bowel.course import generate_course
 from vrcaps.organ.small_bowel.parameters import BULB_LENGTH, SEGMENTS
 from vrcaps.organ.small_bowel.shape import (
@@ -24,13 +20,13 @@ from vrcaps.organ.small_bowel.shape import (
     outer_radius,
     small_bowel_radius,
 )
-from vrcaps.organ.surface import Mesh, OrganSurface, vertex_normals
+from vrcaps.organ.surface import OrganSurface
 from vrcaps.units import MM
 
 if TYPE_CHECKING:
     from jaxtyping import Float, UInt8
 
-    from vrcaps.organ.colon.tube import Tube
+    from vrcaps.organ.shape.tube import Tube
     from vrcaps.organ.small_bowel.course import Surroundings
     from vrcaps.organ.small_bowel.parameters import SmallBowelParameters
     from vrcaps.organ.small_bowel.shape import SmallBowelWall
@@ -120,24 +116,10 @@ def _as_organ(wall: SmallBowelWall, tube: Tube, seed: int) -> OrganSurface:
         lambda s, theta: small_bowel_radius(wall, tube, s, theta) * closed(s),
         lambda s: wanted_edge(wall, s),
     )
-    grid = mesh_skin(skin)
-    s = make_meridian(skin).to_arc_length(grid.along)
-    radius = skin.radius(s, grid.theta)
-    vertices = tube.points(s, grid.theta, radius)
-    faces = grid.faces.astype(np.int32)
-    area = float(face_areas(Mesh(vertices, faces)).sum())
-    return OrganSurface(
-        name="small-bowel",
-        vertices=vertices,
-        faces=faces,
-        normals=vertex_normals(vertices, faces),
-        uv=strip_coordinates(turns(grid), grid.along[faces], radius[faces], area),
-        label=small_bowel_labels(wall.parameters, s),
-        label_names=("background", *SEGMENTS),
-        instance=np.zeros(len(vertices), np.uint16),
-        arc_length=s,
-        theta=wrap(grid.theta),
-        radius=radius,
-        centerline=tube_centerline(tube, vertices),
+    return skin_to_organ(
+        skin,
+        "small-bowel",
+        segments=SEGMENTS,
+        label=lambda s, _: small_bowel_labels(wall.parameters, s),
         metadata={"generator": "small-bowel", "seed": seed, "parameters": asdict(wall.parameters)},
     )

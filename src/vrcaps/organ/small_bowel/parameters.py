@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from vrcaps.errors import InputError
+from vrcaps.organ.shape.population import draw_deviation
 from vrcaps.units import CM, MM
 
 if TYPE_CHECKING:
@@ -86,31 +87,22 @@ class SmallBowelParameters:
         """A small bowel from the population at MR enterography.
 
         Length 3.5 ± 0.25 m, so that 95 % have 3 to 4 m; calibres with the published deviations,
-        nine tenths of the variance shared by all parts of one patient. All truncated at two
-        deviations, folds varied by a tenth.
+        nine tenths of the variance shared by all parts of one patient; folds varied by a tenth.
         """
-
-        def normal() -> float:
-            while abs(value := float(rng.standard_normal())) > 2.0:
-                pass
-            return value
-
-        mean, whole = cls(), normal()
+        mean, whole = cls(), draw_deviation(rng)
         calibres = {
-            name: min(
-                max(getattr(mean, name) + sd * (0.95 * whole + 0.31 * normal()), 15 * MM), 34 * MM
-            )
+            name: getattr(mean, name) + sd * (0.9**0.5 * whole + 0.1**0.5 * draw_deviation(rng))
             for name, sd in _DEVIATIONS.items()
         }
         varied = {
-            name: getattr(mean, name) * (1.0 + 0.1 * normal())
+            name: getattr(mean, name) * (1.0 + 0.1 * draw_deviation(rng))
             for name in ("jejunum_folds", "jejunum_fold_height", "contraction_spacing")
         }
         # Folds are as high as the lumen has room for.
         varied["jejunum_fold_height"] *= calibres["jejunum_diameter"] / mean.jejunum_diameter
         return cls(
-            length=mean.length + 0.25 * normal(),
-            duodenum_length=mean.duodenum_length * (1.0 + 0.06 * normal()),
+            length=mean.length + 0.25 * draw_deviation(rng),
+            duodenum_length=mean.duodenum_length * (1.0 + 0.06 * draw_deviation(rng)),
             **calibres,
             **varied,
         )
@@ -125,11 +117,12 @@ class SmallBowelParameters:
         if factors is None:
             known = ", ".join(CONDITIONS)
             raise InputError(f"Condition is {condition!r}. Allowed: {known}.")
-        scaled = {
-            f.name: getattr(self, f.name) * factors.get(f.name, factors.get("diameter", 1.0))
-            for f in fields(self)
-            if f.name in factors or f.name.endswith("_diameter")
-        }
+        scaled = {f: getattr(self, f) * factor for f, factor in factors.items() if f != "diameter"}
+        for name in _DEVIATIONS:
+            diameter = getattr(self, name)
+            # What is narrow already collapses no further.
+            least = min(diameter, _COLLAPSED)
+            scaled[name] = max(diameter * factors.get("diameter", 1.0), least)
         return replace(self, **scaled)
 
 
@@ -141,11 +134,13 @@ _DEVIATIONS = {
     "terminal_ileum_diameter": 3.6 * MM,
 }
 
+_COLLAPSED = 10 * MM
+
 _LIMITS = {
     "length": (1.5, 5.0),
     "duodenum_length": (0.18, 0.35),
     "jejunum_share": (0.2, 0.6),
-    **dict.fromkeys(_DEVIATIONS, (8 * MM, 38 * MM)),
+    **dict.fromkeys(_DEVIATIONS, (6 * MM, 42 * MM)),
     "jejunum_folds": (20.0, 260.0),
     "terminal_folds": (10.0, 260.0),
     "jejunum_fold_height": (0.0, 8 * MM),

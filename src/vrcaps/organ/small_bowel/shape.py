@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
-from vrcaps.organ.colon.wall import Folds
+from vrcaps.organ.shape.folds import Folds
 from vrcaps.organ.shape.waves import draw_waves, smooth_step, sum_waves, within_bend, wrap
 from vrcaps.organ.small_bowel.parameters import BULB_LENGTH
 from vrcaps.units import CM, MM
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     from jaxtyping import Float
 
-    from vrcaps.organ.colon.tube import Tube
+    from vrcaps.organ.shape.tube import Tube
     from vrcaps.organ.small_bowel.parameters import SmallBowelParameters
 
 PYLORUS_RADIUS = 6.6 * MM
@@ -173,8 +173,11 @@ def _squeeze(
         squeeze = np.maximum(squeeze, c.depth[k] * near)
         cords = 0.5 + 0.5 * np.cos(c.lobes[k] * theta + c.phase[k] + 0.6 * swing)
         petals += 0.42 * near * cords**1.5
-    lobes = 0.5 + 0.5 * np.cos(5.0 * theta + swing)
-    return squeeze, petals + slack * lobes**1.5
+    # Five cords of unequal width and height: no star of a real gut is regular.
+    uneven = theta + 0.25 * np.sin(theta + 0.7 * swing)
+    lobes = 0.5 + 0.5 * np.cos(5.0 * uneven + swing)
+    height = 1.0 + 0.25 * np.cos(2.0 * theta - 1.3 * swing)
+    return squeeze, petals + slack * height * lobes**1.5
 
 
 def _fold_relief(
@@ -188,8 +191,7 @@ def _fold_relief(
     for i in range(-2, 2):
         k = np.clip(after + i, 0, last)
         offset = wrap(theta - folds.angle[k])
-        slope = folds.tilt[k] * np.sin(offset) + folds.bow[k] * (1.0 - np.cos(offset))
-        crest = folds.arc_length[k] + plain * slope
+        crest = folds.crest(k, offset, plain)
         end = np.clip((folds.extent[k] - np.abs(offset)) / 0.7, 0.0, 1.0)
         along = np.exp2(-(np.abs(2.0 * (s - crest) / folds.thickness[k]) ** 2.2))
         total += (folds.height[k] * smooth_step(end) * along) ** 4

@@ -9,13 +9,11 @@ import numpy as np
 
 from vrcaps.errors import InputError
 from vrcaps.organ.centerline import centerline_from_points
-from vrcaps.organ.colon.crossing import self_intersections
-from vrcaps.organ.colon.strips import strip_coordinates
-from vrcaps.organ.colon.tube import make_tube
-from vrcaps.organ.repair.edges import face_areas
+from vrcaps.organ.crossing import self_intersections
 from vrcaps.organ.shape.coordinates import angle_and_radius, arc_length_of_sections
 from vrcaps.organ.shape.rows import mesh_skin
 from vrcaps.organ.shape.skin import Grid, Skin, make_meridian, turns
+from vrcaps.organ.shape.tube import make_tube
 from vrcaps.organ.shape.waves import wrap
 from vrcaps.organ.stomach.parameters import SEGMENTS
 from vrcaps.organ.stomach.shape import (
@@ -26,20 +24,25 @@ from vrcaps.organ.stomach.shape import (
     from_cardia,
     stomach_course,
     stomach_radius,
+    stomach_wall_rng,
 )
-from vrcaps.organ.surface import Mesh, OrganSurface, vertex_normals
+from vrcaps.organ.surface import OrganSurface, vertex_normals
+from vrcaps.organ.texture_charts import TubeChart, chart_coordinates
 from vrcaps.units import MM
 
 if TYPE_CHECKING:
     from jaxtyping import Float, UInt8
 
+    from vrcaps.organ.shape.tube import Course
     from vrcaps.organ.stomach.parameters import StomachParameters
 
 _NUM_TRIES = 5
 _BULB_DEPTH = 8 * MM
 
 
-def generate_stomach(parameters: StomachParameters, *, seed: int) -> OrganSurface:
+def generate_stomach(
+    parameters: StomachParameters, *, seed: int, course: Course | None = None
+) -> OrganSurface:
     """A stomach with the given dimensions, different for each seed.
 
     It is closed at the cardia and ends as a closed pouch just beyond the pyloric ring. Its
@@ -48,6 +51,7 @@ def generate_stomach(parameters: StomachParameters, *, seed: int) -> OrganSurfac
     Args:
         parameters: The patient's dimensions; `StomachParameters.draw` draws a patient.
         seed: Of the axis, folds and irregularities.
+        course: The axis, where it has made way for other organs; None is that of a lone stomach.
 
     Returns:
         A closed surface in the patient frame that nowhere cuts itself, without appearance.
@@ -55,9 +59,10 @@ def generate_stomach(parameters: StomachParameters, *, seed: int) -> OrganSurfac
     Raises:
         InputError: If the wall cuts itself however it is drawn.
     """
-    rng = np.random.default_rng([seed, 2])
+    course = course or stomach_course(parameters, np.random.default_rng([seed, 2]))
+    tube, rng = make_tube(course), stomach_wall_rng(seed)
     for _ in range(_NUM_TRIES):
-        wall = draw_stomach_wall(parameters, make_tube(stomach_course(parameters, rng)), rng)
+        wall = draw_stomach_wall(parameters, tube, rng)
         organ = _as_organ(wall, seed)
         if not len(self_intersections(organ.vertices, organ.faces)):
             return organ
@@ -120,13 +125,12 @@ def _as_organ(wall: StomachWall, seed: int) -> OrganSurface:
     centerline = centerline_from_points(stomach_path(wall), vertices, faces, step=1.5 * MM)
     arc_length = arc_length_of_sections(s, wall.tube, centerline)
     theta, distance = angle_and_radius(vertices, arc_length, centerline)
-    area = float(face_areas(Mesh(vertices, faces)).sum())
     return OrganSurface(
         name="stomach",
         vertices=vertices,
         faces=faces,
         normals=vertex_normals(vertices, faces),
-        uv=strip_coordinates(turns(grid), grid.along[faces], radius[faces], area),
+        uv=chart_coordinates(TubeChart(faces, vertices[faces], turns(grid), grid.along[faces])),
         label=stomach_labels(wall, s, grid.theta),
         label_names=("background", *SEGMENTS),
         instance=np.zeros(len(vertices), np.uint16),

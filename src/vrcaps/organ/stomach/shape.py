@@ -13,7 +13,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline, PchipInterpolator
 from scipy.ndimage import gaussian_filter1d
 
-from vrcaps.organ.colon.course import Course
+from vrcaps.organ.shape.tube import Course
 from vrcaps.organ.shape.waves import draw_waves, smooth_step, sum_waves, within_bend, wrap
 from vrcaps.units import CM, MM
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     from jaxtyping import Float
 
-    from vrcaps.organ.colon.tube import Tube
+    from vrcaps.organ.shape.tube import Tube
     from vrcaps.organ.stomach.parameters import StomachParameters
 
 _AXIS_CM = np.array(
@@ -95,6 +95,11 @@ def _resample(points: Float[np.ndarray, "n 3"], num: int) -> Float[np.ndarray, "
     chord = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1)))
     even = np.linspace(0.0, chord[-1], num)
     return np.stack([np.interp(even, chord, points[:, k]) for k in range(3)], axis=1)
+
+
+def stomach_wall_rng(seed: int) -> np.random.Generator:
+    """Source of the wall of a seed's stomach, alone or in the whole tract."""
+    return np.random.default_rng([seed, 5])
 
 
 def draw_stomach_wall(
@@ -227,8 +232,9 @@ def _greater_curvature(
     parameters: StomachParameters, tube: Tube
 ) -> Callable[[np.ndarray], np.ndarray]:
     """Angle of the outer side of the J at arc lengths, by the plane the axis lies in."""
-    points = tube.curve(tube.arc_length)
-    normal = np.linalg.svd(points - points.mean(axis=0))[2][2]
+    is_in = tube.arc_length <= parameters.length
+    points = tube.curve(tube.arc_length[is_in])
+    normal = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2][2]
     outward = np.cross(tube.frames[:, :, 2], normal)
     # At the lowest bend the outer side faces down.
     lowest = np.argmin(points[:, 2])

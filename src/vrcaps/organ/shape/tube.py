@@ -14,7 +14,18 @@ from vrcaps.units import MM
 if TYPE_CHECKING:
     from jaxtyping import Float
 
-    from vrcaps.organ.colon.course import Course
+
+@dataclass(frozen=True)
+class Course:
+    """Where a tubular organ runs.
+
+    Attributes:
+        points: Samples from the oral to the anal end [m], patient frame, evenly spaced.
+        arc_length: Of each sample [m].
+    """
+
+    points: Float[np.ndarray, "n 3"]
+    arc_length: Float[np.ndarray, " n"]
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,60 @@
+"""Endoscopic images brought to one scale: the disc that an image shows, and what is valid in it."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+SIZE = 160
+"""Diameter of the disc in pixels, of every image compared."""
+
+_DARK = 24
+_DISC_SHARE = 0.90
+
+
+def read_disc(path: Path) -> np.ndarray:
+    """The disc of an image file, as `disc` gives it."""
+    return disc(np.asarray(Image.open(path).convert("RGB")))
+
+
+def stored(rgb: np.ndarray, quality: int | None) -> np.ndarray:
+    """What a JPEG file of a quality, with colours at half resolution, keeps of an image."""
+    if quality is None:
+        return rgb
+    file = io.BytesIO()
+    Image.fromarray(rgb).save(file, "JPEG", quality=quality, subsampling="4:2:0")
+    return np.asarray(Image.open(file).convert("RGB"))
+
+
+def disc(rgb: np.ndarray) -> np.ndarray:
+    """The middle of the field of view, `SIZE` pixels wide.
+
+    The view is the bounding box of rows and columns of which a fifth is brighter than 24 of 255
+    in a channel: this leaves out black borders and words printed on them. Of it, a square of
+    0.9 of its shorter side about its middle is taken and its pixels averaged.
+    """
+    bright = rgb.max(axis=2) > _DARK
+    rows = np.flatnonzero(bright.mean(axis=1) > 0.2)
+    columns = np.flatnonzero(bright.mean(axis=0) > 0.2)
+    top, bottom, left, right = rows[0], rows[-1] + 1, columns[0], columns[-1] + 1
+    half = 0.5 * _DISC_SHARE * min(bottom - top, right - left)
+    x, y = 0.5 * (left + right), 0.5 * (top + bottom)
+    picture = Image.fromarray(rgb)
+    box = (x - half, y - half, x + half, y + half)
+    return np.asarray(picture.resize((SIZE, SIZE), Image.Resampling.BOX, box=box))
+
+
+def valid_pixels(overlays: bool) -> np.ndarray:
+    """The disc; with `overlays`, less where HyperKvasir's recorders print text and boxes.
+
+    Those are its left sixth, and its left two fifths in the lowest third. One mask serves all
+    images of a comparison, whether they have text or not.
+    """
+    y, x = (np.mgrid[:SIZE, :SIZE] + 0.5) / SIZE
+    inside = np.hypot(x - 0.5, y - 0.5) < 0.5
+    if overlays:
+        inside &= (x > 0.17) & ~((x < 0.40) & (y > 0.62))
+    return inside

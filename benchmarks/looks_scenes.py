@@ -1,0 +1,164 @@
+"""Frames of ours for each class of real frames: organs, lesions, cameras, views."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import cache
+
+import numpy as np
+from validation import ROOT
+
+import vrcaps
+from vrcaps.capsule.device import Camera, Device, Led
+from vrcaps.capsule.lens.equidistant import LensEquidistant
+from vrcaps.metrics.color import luminance
+from vrcaps.organ.lesion import add_lesions, parse_lesion
+from vrcaps.organ.surface import OrganSurface
+from vrcaps.transforms import look_along, transform_from
+from vrcaps.units import DEG, MM
+from vrcaps.world.model import Model, State
+
+sys.path.append(str(ROOT / "docs" / "images"))  # the views that the pictures of lesions use
+
+SIDE_PX = 256
+SETTINGS = vrcaps.RenderSettings(supersampling=2, shadows=True)
+POLYPS = tuple(f"polyp-{shape}:pattern={pattern},size={size}mm"
+    for shape, pattern, size in (
+        *(("Ip", "tubular", 14), ("Is", "hyperplastic", 6), ("IIa", "serrated", 12)),
+        *(("Is", "villous", 16), ("IIb", "tubular", 10), ("IIc", "tubular", 12)),
+    )
+)  # fmt: skip
+COLITIS = {1: "ascending", 2: "transverse", 3: "descending"}
+BLEEDS = ("haemorrhage-1", "haemorrhage-2", "haemorrhage-3", "haemorrhage-4")
+
+
+def colonoscope(side_px: int = SIDE_PX) -> Device:
+    """A video colonoscope's tip: 140° across, two light guides beside the lens.
+
+    Field of view as makers state it for standard colonoscopes; the guides' places are assumed.
+    """
+    half = 0.5 * side_px
+    camera = Camera(
+        name="front",
+        lens=LensEquidistant(half / (70 * DEG), half - 0.5, half - 0.5, 70 * DEG),
+        width=side_px,
+        height=side_px,
+        T_capsule_camera=np.eye(4),
+        leds=tuple(Led((x * MM, -2 * MM, 0.0)) for x in (-3.5, 3.5)),
+        exposure=1.0,
+        image_circle_px=half,
+    )
+    return replace(vrcaps.load_device("mirocam"), name="colonoscope", cameras=(camera,))
+
+
+@dataclass(frozen=True)
+class Shot:
+    """A frame: which patient, linear radiance, and where the lens sees."""
+
+    patient: int
+    radiance: np.ndarray
+
+
+def shots(name: str, patients: int, frames: int) -> Iterator[Shot]:
+    """Frames that stand beside a class of real frames.
+
+    Args:
+        name: Folder of the real frames.
+        patients: Seeds 0, 1, …
+        frames: Of each patient, about.
+    """
+    for seed in range(patients):
+        rng = np.random.default_rng([seed, 77])
+        for model, states in views(name, seed, frames, rng):
+            renderer = vrcaps.Renderer(model, SETTINGS)
+            for state in states:
+                frame = renderer.render(state, model.device.cameras[0], channels=("radiance",))
+                yield Shot(seed, np.nan_to_num(frame.radiance))
+
+
+def views(
+    name: str, seed: int, frames: int, rng: np.random.Generator
+) -> Iterator[tuple[Model, list[State]]]:
+    """Organs of one patient, and places to look from."""
+    capsule, colonoscopy = vrcaps.load_device("pillcam-sb3"), colonoscope()
+    if name == "clean_colon":
+        yield flight(
+            vrcaps.load_organ("colon", seed=seed), colonoscope(360), (0.03, 0.97), frames, rng
+        )
+    elif name == "capsule_non_bleeding":
+        organ = vrcaps.load_organ("small-bowel", seed=seed)
+        yield flight(organ, capsule, (0.02, 0.98), frames, rng)
+    elif name == "capsule_bleeding":
+        yield at_lesions("small-bowel", seed, BLEEDS, capsule, rng)
+    elif name == "polyp":
+        yield at_lesions("colon", seed, POLYPS, colonoscopy, rng)
+    else:
+        sick = ill_colon(seed)
+        record = sick.metadata["lesions"][int(name[-1]) - 1]
+        middle = record["arc_length_m"] / sick.centerline.length
+        yield flight(sick, colonoscopy, (middle - 0.06, middle + 0.06), frames, rng)
+
+
+@cache
+def ill_colon(seed: int) -> OrganSurface:
+    """A colon with a stretch of colitis of each grade, Mayo 1, 2, 3."""
+    texts = [f"colitis-{mayo}:spread=30cm,segment={at}" for mayo, at in COLITIS.items()]
+    organ = vrcaps.load_organ("colon", seed=seed)
+    lesions = [parse_lesion(text) for text in texts]
+    return add_lesions(organ, lesions, np.random.default_rng([seed, 78])).organ
+
+
+def flight(
+    organ: OrganSurface,
+    device: Device,
+    stretch: tuple[float, float],
+    frames: int,
+    rng: np.random.Generator,
+) -> tuple[Model, list[State]]:
+    """Evenly along a stretch of the lumen, now and then looking at the wall."""
+    model = Model(organ, device)
+    low, high = np.clip(stretch, 0.01, 0.99)
+    settings = vrcaps.FlyThrough(start=low, end=high, wobble=0.78, drift=0.6)
+    path = vrcaps.fly_through(model, settings, frames=frames, fps=1.0, rng=rng)
+    return model, [path.state(k) for k in range(frames)]
+
+
+def at_lesions(
+    name: str, seed: int, texts: tuple[str, ...], device: Device, rng: np.random.Generator
+) -> tuple[Model, list[State]]:
+    """Each lesion of a patient from where it is seen best."""
+    from lesions import eye_of
+
+    lesions = [parse_lesion(text) for text in texts]
+    organ = add_lesions(vrcaps.load_organ(name, seed=seed), lesions, rng).organ
+    model = Model(organ, device)
+    plain = Model(organ, device, np.eye(4))
+    states = []
+    for record in organ.metadata["lesions"]:
+        own = organ.vertices[organ.instance == record["instance"]]
+        target = own[np.argmin(np.linalg.norm(own - own.mean(axis=0), axis=1))]
+        eye = eye_of(organ, plain.wall, record)
+        pose = transform_from(look_along(target - eye, rng.normal(size=3)), eye)
+        # Put the camera, not the capsule's middle, where the lesion is seen from.
+        pose = pose @ np.linalg.inv(device.cameras[0].T_capsule_camera)
+        states.append(State(0.0, model.T_world_patient @ pose))
+    return model, states
+
+
+def exposed(radiance: np.ndarray, mean_luminance: float) -> np.ndarray:
+    """SRGB with the exposure that an automatic control would choose.
+
+    The exposure is such that the mean luminance over the field of view, clipped at white, is
+    `mean_luminance`, as endoscopes and capsules adapt their light from frame to frame.
+    """
+    from vrcaps import _core
+
+    seen = radiance.any(axis=-1)
+    low, high = 0.0, 1e3 / max(float(radiance.mean()), 1e-12)
+    for _ in range(50):
+        exposure = 0.5 * (low + high)
+        value = luminance(np.minimum(radiance[seen] * exposure, 1.0)).mean()
+        low, high = (exposure, high) if value < mean_luminance else (low, exposure)
+    return _core.encode_srgb(np.ascontiguousarray(radiance, np.float32), exposure)

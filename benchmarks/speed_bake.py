@@ -1,0 +1,104 @@
+"""Claim: every generated wall has at least 8 texels per mm on 95 % of its area, baked in 30 s.
+
+Density is that in the direction in which a face's texels are widest; 8 bytes a texel are held by
+the organ, and 10.7 by a renderer with its mip levels. Writes the table into docs/mucosa.md:
+``python benchmarks/speed_bake.py``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import gc
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from validation import ROOT, table, write_section
+
+from vrcaps.organ.appearance import bake_appearance
+from vrcaps.organ.catalog import GI_COLON_TRIANGLES
+from vrcaps.organ.colon import generate_colon
+from vrcaps.organ.gi.appearance import with_appearance
+from vrcaps.organ.gi.generate import generate_gi
+from vrcaps.organ.gi.patient import bowel_surroundings, draw_patient
+from vrcaps.organ.repair.edges import face_areas
+from vrcaps.organ.small_bowel import generate_small_bowel
+from vrcaps.organ.stomach import generate_stomach
+from vrcaps.organ.surface import Mesh, OrganSurface
+from vrcaps.organ.texture_coordinates import texture_stretch
+from vrcaps.units import MM
+
+ORGANS = ("stomach", "small-bowel", "colon", "gi")
+HEAD = ("wall", "area", "texels", "texels per mm, 5 % / median", "stretch, median / 95 %")
+HEAD += ("bake", "organ + renderer")
+
+
+def generate(name: str, seed: int) -> OrganSurface:
+    """A patient's wall without textures."""
+    patient = draw_patient(seed)
+    if name == "stomach":
+        return generate_stomach(patient.stomach, seed=seed)
+    if name == "small-bowel":
+        surroundings = bowel_surroundings(patient)
+        return generate_small_bowel(patient.small_bowel, surroundings, seed=seed)
+    if name == "colon":
+        return generate_colon(patient.colon, seed=seed)
+    colon = replace(patient.colon, triangles=GI_COLON_TRIANGLES)
+    return generate_gi(patient.stomach, patient.small_bowel, colon, seed=seed)
+
+
+def bake(name: str, organ: OrganSurface, seed: int) -> OrganSurface:
+    """The wall with textures."""
+    if name == "gi":
+        return with_appearance(organ, seed=seed)
+    mucosa = {"small-bowel": "small_intestine"}.get(name, name)
+    return replace(organ, appearance=bake_appearance(organ, seed=seed, mucosa=mucosa))
+
+
+def quantiles(values: np.ndarray, area: np.ndarray, shares: tuple[float, ...]) -> list[float]:
+    """Values that these shares of the area stay below."""
+    order = np.argsort(values)
+    below = np.cumsum(area[order]) / area.sum()
+    return [float(values[order][np.searchsorted(below, share)]) for share in shares]
+
+
+def row(name: str, organ: OrganSurface, seconds: float) -> tuple[str, ...]:
+    """Measures of one baked wall."""
+    assert organ.appearance is not None
+    height, width = organ.appearance.roughness.shape
+    stretch = texture_stretch(organ.vertices[organ.faces], organ.uv * [width, height])
+    area = face_areas(Mesh(organ.vertices, organ.faces))
+    low, middle = quantiles(stretch[:, 0] * MM, area, (0.05, 0.5))
+    ratio, most = quantiles(stretch[:, 1] / stretch[:, 0], area, (0.5, 0.95))
+    return (
+        name,
+        f"{area.sum() * 1e4:.0f} cm²",
+        f"{width} × {height}",
+        f"{low:.1f} / {middle:.1f}",
+        f"{ratio:.2f} / {most:.2f}",
+        f"{seconds:.1f} s",
+        f"{8e-6 * width * height:.0f} + {8e-6 * 4.0 / 3.0 * width * height:.0f} MB",
+    )
+
+
+def main() -> None:
+    """Bake each wall of a patient and write the table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("organs", nargs="*", default=ORGANS, help=f"of {', '.join(ORGANS)}")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--out", type=Path, default=ROOT / "docs" / "mucosa.md")
+    arguments = parser.parse_args()
+    rows = []
+    for name in arguments.organs:
+        organ = generate(name, arguments.seed)
+        start = time.perf_counter()
+        baked = bake(name, organ, arguments.seed)
+        rows.append(row(name, baked, time.perf_counter() - start))
+        del organ, baked
+        gc.collect()
+    write_section(arguments.out, "speed_bake.py", f"## Density and time\n\n{table(HEAD, rows)}")
+
+
+if __name__ == "__main__":
+    main()

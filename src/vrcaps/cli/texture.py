@@ -1,0 +1,120 @@
+"""`vrcaps organ texture`: a mucosa from photographs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from tyro.conf import OmitArgPrefixes, Positional
+
+from vrcaps.cli.console import console, progress_bar
+from vrcaps.organ.photo.lay import VesselSpread
+from vrcaps.units import CM
+
+if TYPE_CHECKING:
+    from vrcaps.organ.photo.make import TextureWork
+
+
+@dataclass(frozen=True)
+class Texture:
+    """Make a mucosa that an organ can wear from endoscopic photographs or videos.
+
+    Border, highlights and darkness are masked, the light is evened out, the most uniform region
+    of each photograph is found, and the best regions are quilted into a large texture that
+    continues over its edges. Vessels are taken out and laid on anew. No photograph tells its
+    scale: give --mm-per-pixel or --field-width-mm.
+
+    For example:
+      vrcaps organ texture frames/ --field-width-mm 30 --out my-mucosa
+      vrcaps organ texture frame.jpg --mm-per-pixel 0.08 --box 90 60 120 120 --out my-mucosa
+      vrcaps organ texture scan.png --flat --mm-per-pixel 0.083 --out my-mucosa
+      vrcaps record --out runs/photo --organ colon --mucosa my-mucosa
+    """
+
+    photos: Positional[tuple[Path, ...]]
+    """Pictures (JPEG, PNG, BMP, TIFF, WebP), videos, or folders of them."""
+
+    out: Path
+    """Folder to write: albedo, roughness and height as PNG, mucosa.json, report.png."""
+
+    mm_per_pixel: float | None = None
+    """Size of a photograph's pixel on the wall [mm]."""
+
+    field_width_mm: float | None = None
+    """Or: the width of wall that the visible field shows [mm]; about 30 near the wall."""
+
+    size: int = 2048
+    """Side of the texture [texels]; a texel is as large as a pixel of the best photograph."""
+
+    flat: bool = False
+    """The pictures are even textures already: no border, highlights or shading to remove."""
+
+    box: tuple[int, int, int, int] | None = None
+    """Take the region from here: left, top, width, height [px]. With one photograph."""
+
+    max_photos: int = 4
+    """Most photographs whose regions are mixed; the most uniform ones are taken."""
+
+    video_frames: int = 8
+    """Frames to look at in each video."""
+
+    no_vessels: bool = False
+    """Leave vessels where they are in the photographs, and lay none on."""
+
+    vessels: OmitArgPrefixes[VesselSpread] = field(default_factory=VesselSpread)
+    """How vessels lie."""
+
+    luminance: float = 0.30
+    """Mean reflectance of the mucosa; a camera's automatic exposure hides it."""
+
+    seed: int = 0
+    """The same gives the same files."""
+
+    def run(self) -> None:
+        """Make, write and report."""
+        from vrcaps.organ.photo.make import TextureRecipe, make_texture
+        from vrcaps.organ.photo.read import read_photos
+        from vrcaps.organ.photo.report import write_report
+        from vrcaps.organ.photo.sources import Scale, check_scale
+        from vrcaps.organ.photo.texture import check_free, write_texture
+
+        scale = Scale(self.mm_per_pixel, self.field_width_mm)
+        check_scale(scale)
+        check_free(self.out)
+        recipe = TextureRecipe(
+            size=self.size,
+            luminance=self.luminance,
+            max_sources=self.max_photos,
+            vessels=not self.no_vessels,
+            spread=self.vessels,
+            is_flat=self.flat,
+            box=self.box,
+        )
+        photos = read_photos(self.photos, num_frames=self.video_frames)
+        with progress_bar("making the texture") as advance:
+            work = make_texture(photos, scale, recipe, seed=self.seed, progress=advance)
+        write_texture(self.out, work.texture)
+        write_report(self.out / "report.png", work)
+        self._report(work)
+
+    def _report(self, work: TextureWork) -> None:
+        texture, measures = work.texture, work.texture.metadata["measures"]
+        console.print(
+            f"Wrote {self.out}: {self.size} × {self.size} texels, {texture.side / CM:.1f} cm wide."
+        )
+        for source in work.texture.metadata["photographs"]:
+            left, top, side, _ = source["region_px"]
+            console.print(
+                f"From {source['name']}: {side} × {side} px at {left}, {top}; "
+                f"{source['vessel_pieces']} pieces of vessels."
+            )
+        if work.others:
+            console.print(f"Not used, less uniform or without a usable region: {len(work.others)}.")
+        console.print(
+            f"Step over the edge {measures['seam_ratio']:.2f} of that inside; highest "
+            f"autocorrelation {measures['repetition']:.2f}; mean Lab {measures['lab_mean_texture']}"
+            f", of the photographs' regions {measures['lab_mean_source']}."
+        )
+        console.print(f"Look at {self.out / 'report.png'}.")
+        console.print(f"Wear it with: vrcaps record --organ colon --mucosa {self.out} --out RUN")

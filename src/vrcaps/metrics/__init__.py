@@ -1,0 +1,1 @@
+"""Pure NumPy measures of images, depth, poses and shapes."""

@@ -1,0 +1,129 @@
+"""How alike two sets of images are in colour: means, spreads and gradients in CIE L*a*b*."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vrcaps.errors import InputError
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, UInt8
+
+CHANNELS = ("L", "a", "b")
+
+_XYZ_FROM_RGB = np.array(
+    [[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]]
+)
+"""Linear sRGB to CIE XYZ (IEC 61966-2-1)."""
+
+_KNEE = 6.0 / 29.0
+
+_GRADIENT_STEP, _GRADIENT_BINS = 0.25, 240
+"""Width of a histogram's bins [Lab units a pixel], and their number; the last is open."""
+
+
+def linear_from_srgb(rgb: UInt8[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch 3"]:
+    """Linear values, 0 to 1, of 8-bit sRGB (IEC 61966-2-1)."""
+    code = np.arange(256) / 255.0
+    linear = np.where(code <= 0.04045, code / 12.92, ((code + 0.055) / 1.055) ** 2.4)
+    return linear[rgb]
+
+
+def luminance(linear: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch"]:
+    """CIE Y, 0 to 1, of linear sRGB."""
+    return linear @ _XYZ_FROM_RGB[1]
+
+
+def lab_from_srgb(rgb: UInt8[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch 3"]:
+    """CIE 1976 L*a*b* of 8-bit sRGB; white is sRGB's own, (100, 0, 0)."""
+    xyz = linear_from_srgb(rgb) @ (_XYZ_FROM_RGB / _XYZ_FROM_RGB.sum(axis=1, keepdims=True)).T
+    # CIE 15:2004, 8.2.1.1: a cube root, a straight line below (6/29)³.
+    f = np.where(xyz > _KNEE**3, np.cbrt(xyz), xyz / (3.0 * _KNEE**2) + 4.0 / 29.0)
+    x, y, z = np.moveaxis(f, -1, 0)
+    return np.stack([116.0 * y - 16.0, 500.0 * (x - y), 200.0 * (y - z)], axis=-1)
+
+
+@dataclass(frozen=True)
+class ImageColor:
+    """Colour statistics of one image in L*, a*, b*.
+
+    Attributes:
+        mean: Over its valid pixels.
+        spread: Standard deviation over its valid pixels.
+        gradients: Histogram of the gradient's magnitude, in steps of 0.25 units a pixel; each
+            row adds up to 1.
+    """
+
+    mean: Float[np.ndarray, " 3"]
+    spread: Float[np.ndarray, " 3"]
+    gradients: Float[np.ndarray, "3 k"]
+
+
+def image_color(rgb: UInt8[np.ndarray, "h w 3"], valid: Bool[np.ndarray, "h w"]) -> ImageColor:
+    """Colour statistics of the valid pixels of an image.
+
+    The gradient is taken by central differences, where a pixel's four neighbours are valid too.
+
+    Raises:
+        InputError: If no pixel has four valid neighbours.
+    """
+    if valid.shape != rgb.shape[:2]:
+        raise InputError(f"The mask has shape {valid.shape}; allowed: {rgb.shape[:2]}.")
+    lab = lab_from_srgb(rgb)
+    across = 0.5 * (lab[1:-1, 2:] - lab[1:-1, :-2])
+    down = 0.5 * (lab[2:, 1:-1] - lab[:-2, 1:-1])
+    inner = valid[1:-1, 1:-1] & valid[1:-1, 2:] & valid[1:-1, :-2] & valid[2:, 1:-1]
+    inner &= valid[:-2, 1:-1]
+    if not inner.any():
+        raise InputError("No pixel has four valid neighbours. Give a larger mask.")
+    magnitude = np.hypot(across, down)[inner]
+    bins = np.minimum((magnitude / _GRADIENT_STEP).astype(int), _GRADIENT_BINS - 1)
+    counts = np.stack([np.bincount(channel, minlength=_GRADIENT_BINS) for channel in bins.T])
+    values = lab[valid]
+    return ImageColor(values.mean(axis=0), values.std(axis=0), counts / inner.sum())
+
+
+@dataclass(frozen=True)
+class ColorDistance:
+    """How far two sets of images are apart, for each of L*, a*, b* [Lab units].
+
+    Attributes:
+        mean: Wasserstein-1 distance between the images' means.
+        spread: Wasserstein-1 distance between the images' spreads.
+        gradient: Wasserstein-1 distance between the pooled histograms of gradients.
+    """
+
+    mean: Float[np.ndarray, " 3"]
+    spread: Float[np.ndarray, " 3"]
+    gradient: Float[np.ndarray, " 3"]
+
+
+def color_distance(a: Sequence[ImageColor], b: Sequence[ImageColor]) -> ColorDistance:
+    """Distance between two sets of images; each image of a set counts the same.
+
+    Raises:
+        InputError: If a set is empty.
+    """
+    if not a or not b:
+        raise InputError(f"Sets of {len(a)} and {len(b)} images. Allowed: at least 1 each.")
+
+    def apart(name: str) -> Float[np.ndarray, " 3"]:
+        values = [np.stack([getattr(image, name) for image in side]) for side in (a, b)]
+        return np.array([wasserstein(*(v[:, k] for v in values)) for k in range(3)])
+
+    pooled = [np.mean([image.gradients for image in side], axis=0) for side in (a, b)]
+    # In one dimension the distance is the area between the cumulative distributions.
+    between = np.abs(np.cumsum(pooled[0] - pooled[1], axis=1)).sum(axis=1)
+    return ColorDistance(apart("mean"), apart("spread"), between * _GRADIENT_STEP)
+
+
+def wasserstein(a: Float[np.ndarray, " n"], b: Float[np.ndarray, " m"]) -> float:
+    """Wasserstein-1 distance between two samples: ∫ |F_a − F_b| over the values."""
+    values = np.sort(np.concatenate([a, b]))
+    at = values[:-1]
+    shares = [np.searchsorted(np.sort(side), at, side="right") / len(side) for side in (a, b)]
+    return float(np.abs(shares[0] - shares[1]) @ np.diff(values))

@@ -1,0 +1,75 @@
+"""The ends of a lumen: the middles of the two pouches that are farthest apart inside it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy import ndimage
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Int
+
+    from vrcaps.organ.centerline.lumen import LumenGrid
+
+_WALL_COST = 2.0  # of a step beside the wall, in steps through free lumen
+_SLENDER = 3.0  # volume of an end pouch, in cubes of its depth
+_LEAST_DEPTH = 4.0  # of an end pouch [voxels]
+_CENTRAL = 4.0  # power of the distance from the wall by which a pouch's voxels count
+
+
+def far_end(
+    grid: LumenGrid, seed: Float[np.ndarray, " 3"], outside_cost: float
+) -> Float[np.ndarray, " 3"] | None:
+    """Middle [voxels] of the pouch farthest from a seed; None if over 1 % is out of reach.
+
+    Which voxel of a wide pouch is the farthest hangs on the last detail of its wall; the mean
+    of all that lie less than a depth w before it does not. w is the least depth at which
+    their volume is at most 3 w³ (in the end of a tube, its radius), so that a narrow end
+    is its own pouch. Voxels count by the fourth power of their distance from the wall.
+
+    Args:
+        grid: The lumen.
+        seed: Where to walk from [voxels].
+        outside_cost: Of a step outside the lumen, in steps inside; negative forbids it.
+    """
+    from skimage.graph import MCP_Geometric
+
+    free = grid.clearance >= grid.voxel
+    cost = np.where(grid.inside, np.where(free, 1.0, _WALL_COST), outside_cost)
+    # Steps across faces only: a diagonal one may slip through a thin wall.
+    walked, _ = MCP_Geometric(cost, fully_connected=False).find_costs([nearest_voxel(seed)])
+    reached = np.isfinite(walked) & grid.inside
+    if np.count_nonzero(reached) < 0.99 * np.count_nonzero(grid.inside):
+        return None
+    free &= reached
+    walked = np.where(free if free.any() else reached, walked, -1.0)
+    depth = float(walked.max()) - walked
+    pouch = _pouch(depth, _pouch_depth(depth[walked >= 0.0]))
+    weight = grid.clearance[tuple(pouch.T)] ** _CENTRAL
+    middle = weight @ pouch / weight.sum()
+    deepest = pouch[np.argmax(weight)]
+    is_central = grid.clearance[nearest_voxel(middle)] > 0.5 * grid.clearance[tuple(deepest)]
+    return middle if is_central else deepest.astype(float)
+
+
+def nearest_voxel(place: Float[np.ndarray, " 3"]) -> tuple[int, int, int]:
+    """Index of the voxel at a place [voxels]."""
+    x, y, z = np.rint(place).astype(int).tolist()
+    return x, y, z
+
+
+def _pouch_depth(depth: Float[np.ndarray, " n"]) -> float:
+    """The least depth [voxels] whose volume is at most that of so many cubes of it."""
+    depth = np.sort(depth)
+    slender = np.arange(1, len(depth) + 1) <= _SLENDER * depth**3
+    slender &= depth >= _LEAST_DEPTH
+    return float(depth[np.argmax(slender)]) if slender.any() else float(depth[-1])
+
+
+def _pouch(depth: Float[np.ndarray, "x y z"], limit: float) -> Int[np.ndarray, "n 3"]:
+    """Voxels up to a depth that hang together with the farthest, within twice this depth."""
+    wide = np.empty(depth.shape, np.int32)
+    ndimage.label(depth <= 2.0 * limit, output=wide)
+    farthest = np.unravel_index(np.argmin(depth), depth.shape)
+    return np.argwhere((wide == wide[farthest]) & (depth <= limit))

@@ -1,0 +1,122 @@
+"""The lumen fraction where gas, tagged fluid and wall meet: at the level of a fluid."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy import ndimage
+
+from vrcaps.units import MM
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Int
+
+_HALF_LAYER = 2 * MM  # above and below a level, where the scan's blur mixes gas and fluid
+_BESIDE = 3  # columns beside a level's own, where the wall's partial volume mixes with both
+_MANY = 30  # columns from which a level's tilt against the grid is measured
+_BIN = 0.5  # voxels, of the measured profile through a level
+_KNOWN = 0.35  # contrast of content to wall below which neighbours decide, of fluid to wall
+_NEAR = 0.7  # voxels, reach of these neighbours (standard deviation)
+
+
+def resolve_level(
+    share: Float[np.ndarray, "k j i"],
+    values: Int[np.ndarray, "k j i"],
+    points: Float[np.ndarray, "n 3"],
+    *,
+    axis: int,
+    spacing: float,
+    hounsfield: tuple[float, float],
+) -> None:
+    """Set the lumen fraction, in place, along the level of a fluid.
+
+    From gas to fluid the content C passes through the wall's Hounsfield units T without being
+    wall. A level is flat, so C is known as a function of the distance from it, measured where
+    no wall is near. A voxel with a share s of lumen has H = T + s (C − T). Where C is near T,
+    least squares over its neighbours decide: s = Σ (C − T)(H − T) / Σ (C − T)².
+
+    Args:
+        share: Lumen fraction.
+        values: Hounsfield units of the same voxels.
+        points: Array indices of the level, one for each column (`Level`).
+        axis: Array axis of gravity.
+        spacing: Of the voxels along it [m].
+        hounsfield: Of the wall and of the fluid.
+    """
+    share, values = np.moveaxis(share, axis, 0), np.moveaxis(values, axis, 0)
+    height, column = points[:, axis], np.delete(points, axis, axis=1).astype(int)
+    own = np.zeros(share.shape[1:], bool)
+    own[tuple(column.T)] = True
+    half = max(2.0, _HALF_LAYER / spacing)
+    square = np.ones((2 * _BESIDE + 1,) * 2, bool)
+    patch = np.empty(own.shape, np.int32)
+    ndimage.label(ndimage.binary_dilation(own, square), output=patch)
+    for number, box in enumerate(ndimage.find_objects(patch), start=1):
+        here = patch[tuple(column.T)] == number
+        corner = [side.start for side in box]
+        plane = _plane(column[here] - corner, height[here], patch[box].shape)
+        low, high = int(plane.min() - half - 2), int(plane.max() + half + 3)
+        slab = (slice(max(low, 0), high), *box)
+        offset = np.arange(slab[0].start, slab[0].start + len(share[slab]))[:, None, None] - plane
+        beside = patch[box] == number
+        found = _share(values[slab], offset, own[box] & beside, hounsfield)
+        layer = (np.abs(offset) <= half) & beside
+        share[slab][layer] = found[layer]
+
+
+def _plane(
+    column: Int[np.ndarray, "n 2"], height: Float[np.ndarray, " n"], shape: tuple[int, ...]
+) -> Float[np.ndarray, "a b"]:
+    """Height of a level in each column: a plane through it, level where it is small."""
+    rows, columns = np.indices(shape)
+    if len(column) < _MANY:
+        return np.full(shape, np.median(height))
+    terms = np.column_stack([column, np.ones(len(column))])
+    good = np.ones(len(column), bool)
+    fit = np.zeros(3)
+    for _ in range(3):
+        fit = np.linalg.lstsq(terms[good], height[good], rcond=None)[0]
+        away = np.abs(height - terms @ fit)
+        good = away <= max(1.0, 2.0 * float(np.median(away)))
+    return fit[0] * rows + fit[1] * columns + fit[2]
+
+
+def _share(
+    values: Int[np.ndarray, "d a b"],
+    offset: Float[np.ndarray, "d a b"],
+    own: Bool[np.ndarray, "a b"],
+    hounsfield: tuple[float, float],
+) -> Float[np.ndarray, "d a b"]:
+    """Lumen fraction of the voxels about a level.
+
+    Args:
+        values: Hounsfield units.
+        offset: Distance along gravity from the level [voxels].
+        own: Columns that have the level.
+        hounsfield: Of the wall and of the fluid.
+    """
+    tissue, fluid = hounsfield
+    contrast = _profile(values, offset, own) - tissue
+    both = contrast * (values - np.float32(tissue))
+    square = contrast**2
+    around = [ndimage.gaussian_filter(a, _NEAR, mode="nearest") for a in (both, square)]
+    floor = (_KNOWN * (fluid - tissue)) ** 2
+    near = around[0] / np.maximum(around[1], 1.0)
+    return np.clip((both + floor * near) / (square + floor), 0.0, 1.0)
+
+
+def _profile(
+    values: Int[np.ndarray, "d a b"],
+    offset: Float[np.ndarray, "d a b"],
+    own: Bool[np.ndarray, "a b"],
+) -> Float[np.ndarray, "d a b"]:
+    """Hounsfield units of the content by its distance from the level: medians of bins."""
+    inner = ndimage.binary_erosion(own, iterations=2)
+    inner = inner if np.count_nonzero(inner) >= _MANY else own
+    at = np.rint(offset[:, inner] / _BIN).astype(int).ravel()
+    hounsfield = values[:, inner].ravel()
+    order = np.argsort(at, kind="stable")
+    bins, first = np.unique(at[order], return_index=True)
+    medians = [np.median(part) for part in np.split(hounsfield[order], first[1:])]
+    return np.interp(offset, bins * _BIN, medians).astype(np.float32)

@@ -1,0 +1,131 @@
+"""The GLB container (binary glTF 2.0, Khronos 2021): one JSON document, one binary chunk."""
+
+from __future__ import annotations
+
+import json
+import struct
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from jaxtyping import Int
+
+_FLOAT, _UINT16, _UINT32 = 5126, 5123, 5125  # accessor component types
+_ARRAY_BUFFER, _ELEMENT_ARRAY_BUFFER = 34962, 34963
+_HEADER = struct.Struct("<4sII")
+_CHUNK = struct.Struct("<I4s")
+
+
+class Glb:
+    """Buffer views and accessors of one GLB file as they are added."""
+
+    def __init__(self) -> None:
+        self._chunks: list[bytes] = []
+        self._size = 0
+        self._views: list[dict] = []
+        self._accessors: list[dict] = []
+
+    def add_vertices(self, values: np.ndarray, kind: str, *, has_bounds: bool = False) -> int:
+        """Add a vertex attribute; integers become 16-bit, padded to the 4 bytes glTF asks for."""
+        view: dict = {"target": _ARRAY_BUFFER}
+        accessor = {"componentType": _FLOAT, "count": len(values), "type": kind}
+        if np.issubdtype(values.dtype, np.integer):
+            padded = np.zeros((len(values), 2), "<u2")
+            padded[:, 0] = values
+            view["byteStride"], accessor["componentType"] = 4, _UINT16
+            data = padded.tobytes()
+        else:
+            data = np.ascontiguousarray(values, "<f4").tobytes()
+        if has_bounds:
+            accessor["min"] = values.min(axis=0).astype(float).tolist()
+            accessor["max"] = values.max(axis=0).astype(float).tolist()
+        return self._add_accessor(accessor, self.add_bytes(data, view))
+
+    def add_indices(self, faces: Int[np.ndarray, "m 3"]) -> int:
+        """Add the triangles."""
+        data = np.ascontiguousarray(faces, "<u4").tobytes()
+        view = self.add_bytes(data, {"target": _ELEMENT_ARRAY_BUFFER})
+        accessor = {"componentType": _UINT32, "count": faces.size, "type": "SCALAR"}
+        return self._add_accessor(accessor, view)
+
+    def add_array(self, values: np.ndarray) -> dict[str, Any]:
+        """Add an array in its own type, which accessors may not have; `array_of` reads it."""
+        little = values.astype(values.dtype.newbyteorder("<"), copy=False)
+        view = self.add_bytes(little.tobytes(), {})
+        return {"bufferView": view, "dtype": little.dtype.str, "shape": list(values.shape)}
+
+    def add_bytes(self, data: bytes, view: dict) -> int:
+        """Add a buffer view, for example an encoded image; gives its number."""
+        self._views.append({"buffer": 0, "byteOffset": self._size, "byteLength": len(data), **view})
+        padded = data + b"\0" * (-len(data) % 4)
+        self._chunks.append(padded)
+        self._size += len(padded)
+        return len(self._views) - 1
+
+    def pack(self, document: dict) -> bytes:
+        """The whole file."""
+        binary = b"".join(self._chunks)
+        document = {
+            **document,
+            "buffers": [{"byteLength": len(binary)}],
+            "bufferViews": self._views,
+            "accessors": self._accessors,
+        }
+        text = json.dumps(document, separators=(",", ":"), allow_nan=False).encode()
+        text += b" " * (-len(text) % 4)
+        chunks = _CHUNK.pack(len(text), b"JSON") + text + _CHUNK.pack(len(binary), b"BIN\0")
+        return _HEADER.pack(b"glTF", 2, 12 + len(chunks) + len(binary)) + chunks + binary
+
+    def _add_accessor(self, accessor: dict, view: int) -> int:
+        self._accessors.append({"bufferView": view, **accessor})
+        return len(self._accessors) - 1
+
+
+def read_document(path: Path) -> dict[str, Any]:
+    """The JSON document of a GLB file.
+
+    Raises:
+        ValueError, struct.error: If the file is no GLB.
+    """
+    with path.open("rb") as file:
+        magic, version, _ = _HEADER.unpack(file.read(_HEADER.size))
+        size, kind = _CHUNK.unpack(file.read(_CHUNK.size))
+        if (magic, version, kind) != (b"glTF", 2, b"JSON"):
+            raise ValueError("no GLB of version 2")
+        document = json.loads(file.read(size))
+    if not isinstance(document, dict):
+        raise ValueError("its document is no object")
+    return document
+
+
+def read_glb(path: Path) -> tuple[dict[str, Any], memoryview]:
+    """The JSON document and the binary chunk of a GLB file.
+
+    Raises:
+        ValueError, struct.error: If the file is no GLB or is cut short.
+    """
+    document = read_document(path)
+    data = memoryview(path.read_bytes())
+    _, _, total = _HEADER.unpack_from(data)
+    if total != len(data):
+        raise ValueError(f"it has {len(data)} bytes of {total}")
+    start = _HEADER.size + _CHUNK.size + _CHUNK.unpack_from(data, _HEADER.size)[0]
+    size, kind = _CHUNK.unpack_from(data, start)
+    if kind != b"BIN\0" or start + _CHUNK.size + size > total:
+        raise ValueError("it has no whole binary chunk")
+    return document, data[start + _CHUNK.size :][:size]
+
+
+def view_of(document: dict[str, Any], binary: memoryview, view: int) -> memoryview:
+    """The bytes of a buffer view."""
+    entry = document["bufferViews"][view]
+    return binary[entry["byteOffset"] :][: entry["byteLength"]]
+
+
+def array_of(document: dict[str, Any], binary: memoryview, entry: dict[str, Any]) -> np.ndarray:
+    """An array that `Glb.add_array` wrote."""
+    values = np.frombuffer(view_of(document, binary, entry["bufferView"]), entry["dtype"])
+    return values.reshape(entry["shape"]).copy()  # of its own, aligned and writable

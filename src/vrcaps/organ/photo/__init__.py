@@ -1,0 +1,1 @@
+"""Mucosa from a user's own photographs: endoscopic frames to a texture that an organ wears."""

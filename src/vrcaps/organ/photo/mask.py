@@ -1,0 +1,177 @@
+"""What of a photograph is mucosa: not the black border, overlays, highlights or the dark."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy import ndimage
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, UInt8
+
+_BORDER = 24  # brightest channel of the border around an endoscope's field [of 255]
+_DARK = 45  # brightest channel of the dark lumen, where noise hides the wall
+_HIGHLIGHT = 245.0 / 255.0  # of the brightest 5 %: sure highlights (Arnold 2010: T1)
+_SUSPECT = 210.0 / 255.0  # highlights left out of the local colour
+_GROWTH = 2.2  # of green and blue light in a highlight over its surroundings
+_PALING = 1.35  # of the ratio of the least to the greatest channel
+_WINDOW = 0.1  # of the field: side of the median's window
+_GROW = 1 / 140  # of the field: the glow around highlights
+
+
+@dataclass(frozen=True)
+class FieldOfView:
+    """The parts of a photograph.
+
+    Attributes:
+        field: Inside the endoscope's field, without overlaid boxes.
+        highlight: Highlights and overlaid text, with their glow.
+        dark: Too dark to see the wall.
+        width: Of the field [px].
+    """
+
+    field: Bool[np.ndarray, "h w"]
+    highlight: Bool[np.ndarray, "h w"]
+    dark: Bool[np.ndarray, "h w"]
+    width: int
+
+    @property
+    def usable(self) -> Bool[np.ndarray, "h w"]:
+        """Where the wall is seen."""
+        return self.field & ~self.highlight & ~self.dark
+
+
+def field_of_view(rgb: UInt8[np.ndarray, "h w 3"]) -> FieldOfView:
+    """Find border, overlays, highlights and darkness.
+
+    The border is black and joined to the picture's edge; the field is the largest bright part,
+    less a rim of 2 % of its width, where lenses blur. Boxes laid over the picture by the device
+    are found by colours that tissue does not have: more green or blue than red.
+    """
+    from skimage.measure import label
+
+    brightest = rgb.max(axis=2)
+    bright = ndimage.binary_opening(brightest > _BORDER, iterations=2)
+    if not bright.any():
+        nothing = np.zeros(rgb.shape[:2], bool)
+        return FieldOfView(nothing, nothing, nothing, 0)
+    part = np.asarray(label(bright, connectivity=1))
+    largest = part == 1 + np.argmax(np.bincount(part.ravel())[1:])
+    filled = np.asarray(ndimage.binary_fill_holes(largest))
+    columns = np.flatnonzero(filled.any(axis=0))
+    width = int(columns[-1] - columns[0] + 1)
+    red, green, blue = (rgb[..., channel].astype(np.int16) for channel in range(3))
+    foreign = (green > 1.15 * red + 8) | (blue > 1.1 * red + 8)
+    foreign = ndimage.binary_opening(foreign & filled, iterations=max(2, width // 100))
+    foreign = np.asarray(ndimage.binary_dilation(foreign, iterations=max(3, width // 50)))
+    framed = filled.all()  # a picture without a border has no rim
+    rim = 0 if framed else max(2, round(0.02 * width))
+    field = filled & ~foreign
+    depth = np.asarray(ndimage.distance_transform_edt(np.pad(field, 1)))[1:-1, 1:-1]
+    field = np.asarray(depth > rim, bool)
+    dark = np.asarray(ndimage.binary_opening(ndimage.uniform_filter(brightest, 5) < _DARK)) & field
+    return FieldOfView(field, highlights(rgb, field, width) & field, dark, width)
+
+
+def highlights(
+    rgb: UInt8[np.ndarray, "h w 3"], field: Bool[np.ndarray, "h w"], width: int
+) -> Bool[np.ndarray, "h w"]:
+    """Specular highlights, by the two steps of Arnold et al. (2010), section 2.
+
+    First by brightness: luma, or green and blue scaled to luma by the ratio of their 95th
+    percentiles (tissue is poor in both, a reflection of the lamp is not). Then by contrast with
+    the median around, of what is no suspect: a highlight adds white light, so green and blue
+    light both double and the colour pales. Grown by the glow around them.
+
+    Arnold M., Ghosh A., Ameling S., Lacey G. Automatic segmentation and inpainting of specular
+    highlights for endoscopic imaging. EURASIP J. Image Video Process. 2010, 814319.
+
+    Args:
+        rgb: The photograph.
+        field: Where to look.
+        width: Of the field [px]; sizes follow it.
+    """
+    if not field.any():
+        return np.zeros_like(field)
+    image = rgb.astype(np.float32) / 255.0
+    luma = image @ np.array([0.299, 0.587, 0.114], np.float32)
+    sure, suspect = (_bright(image, luma, field, limit) for limit in (_HIGHLIGHT, _SUSPECT))
+    local = _local_color(image, field & ~suspect, max(5, round(_WINDOW * width)))
+    light, around = (np.maximum(part, 0.02) ** 2.2 for part in (image, local))
+    growth = (light / around)[..., 1:].min(axis=2)
+    pale, pale_around = (part.min(axis=2) / part.max(axis=2) for part in (light, around))
+    pales = pale > _PALING * pale_around
+    found = (sure | ((growth > _GROWTH) & pales & (luma > 0.45))) & field
+    return ndimage.binary_dilation(found, iterations=max(1, round(_GROW * width)))
+
+
+def _bright(image, luma, field, limit: float) -> Bool[np.ndarray, "h w"]:
+    """Luma, scaled green or scaled blue above a limit."""
+    high = float(np.percentile(luma[field], 95.0))
+    bright = luma > limit
+    for channel in (1, 2):
+        ratio = float(np.percentile(image[field, channel], 95.0)) / max(high, 1e-3)
+        bright |= image[..., channel] > max(ratio, 0.3) * limit
+    return bright
+
+
+def _local_color(image, known, window: int) -> Float[np.ndarray, "h w 3"]:
+    """Median colour of the known pixels around; at a quarter of the resolution where large."""
+    step = max(1, window // 12)
+    filled = fill(image, known)[::step, ::step]
+    size = max(3, window // step)
+    small = np.stack(
+        [ndimage.median_filter(filled[..., k], size, mode="nearest") for k in range(3)], axis=2
+    )
+    shape = image.shape[:2]
+    row, column = np.meshgrid(
+        np.arange(shape[0]) / step, np.arange(shape[1]) / step, indexing="ij", sparse=False
+    )
+    return np.stack(
+        [
+            ndimage.map_coordinates(small[..., k], [row, column], order=1, mode="nearest")
+            for k in range(3)
+        ],
+        axis=2,
+    )
+
+
+def fill(
+    image: Float[np.ndarray, "h w c"], known: Bool[np.ndarray, "h w"]
+) -> Float[np.ndarray, "h w c"]:
+    """The image with unknown pixels filled in smoothly from around them: pull and push.
+
+    Known pixels are averaged to half the size until none is unknown, and the averages pulled
+    back up into the gaps (Gortler et al. 1996, The Lumigraph, section 3.4). Known pixels stay.
+
+    Args:
+        image: Any values.
+        known: Which of them to trust; at least one.
+    """
+    if known.all():
+        return image
+    height, width = known.shape
+    pad = ((0, height % 2), (0, width % 2))
+    weight = np.pad(known.astype(np.float32), pad)
+    value = np.pad(image * known[..., None], (*pad, (0, 0)))
+    small_weight, small = (
+        part[::2, ::2] + part[::2, 1::2] + part[1::2, ::2] + part[1::2, 1::2]
+        for part in (weight, value)
+    )
+    seen = small_weight > 0.0
+    small = small / np.where(seen, small_weight, 1.0)[..., None]
+    if min(seen.shape) > 1 or not seen.all():
+        small = fill(small, seen)
+    rows = np.clip((np.arange(height) - 0.5) / 2.0, 0.0, seen.shape[0] - 1.0)
+    columns = np.clip((np.arange(width) - 0.5) / 2.0, 0.0, seen.shape[1] - 1.0)
+    grid = np.meshgrid(rows, columns, indexing="ij")
+    raised = np.stack(
+        [
+            ndimage.map_coordinates(small[..., k], grid, order=1, mode="nearest")
+            for k in range(image.shape[2])
+        ],
+        axis=2,
+    )
+    return np.where(known[..., None], image, raised).astype(image.dtype)

@@ -1,0 +1,225 @@
+"""Image quilting on a torus: a large texture without seams from small squares.
+
+Efros A. A., Freeman W. T. Image quilting for texture synthesis and transfer. SIGGRAPH 2001.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy import fft, ndimage
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from jaxtyping import Bool, Float, Int
+
+_TOLERANCE = 0.15  # a patch may fit so much worse than the best one
+_TRIED = 4  # sources searched for each patch
+_REUSE = 0.6  # a place used once before counts as so much worse
+_MOST_USED = 4.0  # uses counted
+_MASKED = 3.0  # median differences that a patch wholly of filled-in pixels costs more
+_FEATHER = 1.0  # standard deviation of the seam's blur [px]
+_SIDES = ("left", "top", "right", "bottom")
+
+
+@dataclass(frozen=True)
+class Quilt:
+    """How patches are laid.
+
+    Attributes:
+        patch: Side of a patch [px].
+        overlap: Of neighbouring patches, at least [px].
+    """
+
+    patch: int
+    overlap: int
+
+    @classmethod
+    def of_side(cls, side: int) -> Quilt:
+        """Patches of two fifths of a source's side, 16 to 128 px; a quarter of it overlaps."""
+        patch = int(np.clip(round(0.4 * side), 16, 128))
+        return cls(patch, patch // 4)
+
+
+def variants(squares: list[np.ndarray]) -> list[np.ndarray]:
+    """Each square turned by 0, 90, 180, 270° and mirrored: mucosa has no top."""
+    return [
+        turned
+        for square in squares
+        for turn in range(4)
+        for turned in (np.rot90(square, turn), np.rot90(square, turn)[:, ::-1])
+    ]
+
+
+def quilt(
+    sources: list[Float[np.ndarray, "s s c"]],
+    doubtful: list[Bool[np.ndarray, "s s"]],
+    size: int,
+    layout: Quilt,
+    rng: np.random.Generator,
+    *,
+    progress: Callable[[int, int], None] | None = None,
+) -> Float[np.ndarray, "size size c"]:
+    """A texture of size × size that continues from right to left and from bottom to top.
+
+    Patches are laid row by row. Each is chosen at random among the places in some sources whose
+    sum of squared differences over the overlap is close to the least; places used before and
+    filled-in pixels count as worse. It is joined along the path of least difference.
+
+    Args:
+        sources: Squares to take patches from, all of one side; see `variants`.
+        doubtful: Filled-in pixels of each.
+        size: [px]; at least two patches.
+        layout: Size of the patches.
+        rng: Chooses them.
+        progress: Called with the number of patches laid and their total.
+    """
+    starts = _starts(size, layout)
+    search = _Search(sources, doubtful, layout.patch, rng)
+    canvas = np.zeros((size, size, sources[0].shape[2]), np.float32)
+    total = len(starts) ** 2
+    for number in range(total):
+        i, j = divmod(number, len(starts))
+        rows, columns = (
+            (start + np.arange(layout.patch)) % size for start in (starts[i], starts[j])
+        )
+        overlaps = _overlaps(starts, i, j, size, layout.patch)
+        there = canvas[np.ix_(rows, columns)]
+        patch = search.choose(there, overlaps)
+        alpha = _join(there, patch, overlaps)[..., None]
+        canvas[np.ix_(rows, columns)] = there + alpha * (patch - there)
+        if progress is not None:
+            progress(number + 1, total)
+    return canvas
+
+
+def _starts(size: int, layout: Quilt) -> Int[np.ndarray, " n"]:
+    count = max(2, -(-size // (layout.patch - layout.overlap)))
+    return np.arange(count) * size // count
+
+
+def _overlaps(starts, i: int, j: int, size: int, patch: int) -> tuple[int, int, int, int]:
+    """Depth [px] of what is already laid at the left, top, right and bottom of patch i, j."""
+    last = len(starts) - 1
+    closing = int(starts[last]) + patch - size
+    left = int(starts[j - 1]) + patch - int(starts[j]) if j else 0
+    top = int(starts[i - 1]) + patch - int(starts[i]) if i else 0
+    return left, top, closing if j == last else 0, closing if i == last else 0
+
+
+class _Search:
+    """Finds patches in sources by correlation through the Fourier transform."""
+
+    def __init__(self, sources, doubtful, patch: int, rng: np.random.Generator) -> None:
+        self.sources = np.stack(sources).astype(np.float32)
+        self.patch, self.rng = patch, rng
+        side = self.sources.shape[1]
+        self.shape = (fft.next_fast_len(side, real=True),) * 2
+        self.places = side - patch + 1
+        spectrum = np.asarray(fft.rfft2(self.sources, self.shape, axes=(1, 2)))
+        self.spectrum = np.ascontiguousarray(np.moveaxis(spectrum, 3, 1))
+        self.energy = np.asarray(fft.rfft2((self.sources**2).sum(axis=3), self.shape))
+        self.masked = np.stack([_box_mean(mask, patch) for mask in doubtful]).astype(np.float32)
+        self.used = np.zeros_like(self.masked)
+        self.energies = lru_cache(maxsize=64)(self._energies)
+
+    def choose(self, there, overlaps) -> Float[np.ndarray, "p p c"]:
+        """A patch that fits what is there."""
+        tried = self.rng.permutation(len(self.sources))[:_TRIED]
+        mask = _band(self.patch, overlaps)
+        if not mask.any():
+            cost = np.ones((len(tried), self.places, self.places), np.float32)
+        else:
+            cost = self._differences(there * mask[..., None], overlaps, tried) / mask.sum()
+        middle = float(np.median(cost))
+        cost = cost + 1e-4 + middle * (0.02 + _MASKED * self.masked[tried])
+        cost *= 1.0 + _REUSE * np.minimum(self.used[tried], _MOST_USED)
+        good = np.flatnonzero(cost.ravel() <= (1.0 + _TOLERANCE) * float(cost.min()))
+        chosen = good[int(self.rng.integers(len(good)))]
+        k, row, column = (int(n) for n in np.unravel_index(chosen, cost.shape))
+        self._mark(int(tried[k]), row, column)
+        return self.sources[tried[k], row : row + self.patch, column : column + self.patch]
+
+    def _differences(self, there, overlaps, tried) -> Float[np.ndarray, "k n n"]:
+        """Sum of squared differences at every place of the tried sources."""
+        wanted = np.asarray(fft.rfft2(there, self.shape, axes=(0, 1)))
+        product = np.einsum("kcij,ijc->kij", self.spectrum[tried], wanted.conj())
+        across = np.asarray(fft.irfft2(product, self.shape))[:, : self.places, : self.places]
+        total = self.energies(overlaps)[tried] - 2.0 * across + (there**2).sum()
+        return np.maximum(total, 0.0)
+
+    def _energies(self, overlaps) -> Float[np.ndarray, "k n n"]:
+        band = _band(self.patch, overlaps).astype(np.float32)
+        mask = np.asarray(fft.rfft2(band, self.shape))
+        sums = np.asarray(fft.irfft2(self.energy * mask.conj(), self.shape))
+        return sums[:, : self.places, : self.places]
+
+    def _mark(self, source: int, row: int, column: int) -> None:
+        """Count a place and those near it as used, in every turned form of the same square."""
+        reach = max(2, self.patch // 4)
+        first = source // 8 * 8
+        family = np.arange(first, min(first + 8, len(self.sources)))
+        weight = np.full(len(family), 0.25, np.float32)
+        weight[source - first] = 1.0
+        window = np.s_[max(0, row - reach) : row + reach, max(0, column - reach) : column + reach]
+        for member, share in zip(family, weight, strict=True):
+            self.used[member][window] += share
+
+
+def _box_mean(mask: np.ndarray, side: int) -> Float[np.ndarray, "n n"]:
+    total = np.pad(mask.astype(np.float64), ((1, 0), (1, 0))).cumsum(axis=0).cumsum(axis=1)
+    box = total[side:, side:] - total[:-side, side:] - total[side:, :-side] + total[:-side, :-side]
+    return box / side**2
+
+
+@lru_cache(maxsize=64)
+def _band(patch: int, overlaps: tuple[int, int, int, int]) -> Bool[np.ndarray, "p p"]:
+    """Where a patch overlaps what is there."""
+    left, top, right, bottom = overlaps
+    band = np.zeros((patch, patch), bool)
+    band[:, :left] = band[:top] = band[:, patch - right :] = band[patch - bottom :] = True
+    return band
+
+
+def _join(there, patch, overlaps) -> Float[np.ndarray, "p p"]:
+    """Weight of the new patch: 0 beyond the seams, 1 inside them, blurred by about a pixel."""
+    difference = ((there - patch) ** 2).sum(axis=2)
+    alpha = np.ones(difference.shape, np.float32)
+    for turns, depth in enumerate(overlaps):
+        if depth:
+            # Turned so that the overlap lies left: top, right, bottom come there in order.
+            turned = np.rot90(difference, turns)[:, :depth]
+            keep = np.ones(difference.shape, np.float32)
+            keep[:, :depth] = np.arange(depth) > least_path(turned)[:, None]
+            alpha = np.minimum(alpha, np.rot90(keep, -turns))
+    soft = ndimage.gaussian_filter(alpha, _FEATHER, mode="nearest")
+    return np.where(_rim(alpha.shape[0], overlaps), alpha, soft)
+
+
+@lru_cache(maxsize=64)
+def _rim(patch: int, overlaps: tuple[int, int, int, int]) -> Bool[np.ndarray, "p p"]:
+    """The outermost pixels of the overlaps, which stay as they are."""
+    return _band(patch, tuple(min(depth, 2) for depth in overlaps))  # type: ignore[arg-type]
+
+
+def least_path(cost: Float[np.ndarray, "n w"]) -> Int[np.ndarray, " n"]:
+    """Column in each row of the path from top to bottom of least total cost.
+
+    The column changes by at most one from row to row (Efros & Freeman 2001, section 2.1).
+    """
+    height, width = cost.shape
+    total = np.full((height, width + 2), np.inf)
+    total[0, 1:-1] = cost[0]
+    for row in range(1, height):
+        above = total[row - 1]
+        total[row, 1:-1] = cost[row] + np.minimum(np.minimum(above[:-2], above[1:-1]), above[2:])
+    path = np.empty(height, np.int64)
+    path[-1] = np.argmin(total[-1])
+    for row in range(height - 2, -1, -1):
+        near = path[row + 1]
+        path[row] = near - 1 + np.argmin(total[row, near - 1 : near + 2])
+    return path - 1

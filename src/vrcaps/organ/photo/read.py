@@ -1,0 +1,111 @@
+"""Photographs from files, folders and videos."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vrcaps.errors import InputError
+
+if TYPE_CHECKING:
+    from jaxtyping import UInt8
+
+IMAGES = (".bmp", ".jpeg", ".jpg", ".png", ".tif", ".tiff", ".webp")
+"""File name ends of pictures."""
+
+VIDEOS = (".avi", ".m4v", ".mkv", ".mov", ".mp4", ".mpeg", ".mpg", ".webm")
+"""File name ends of videos."""
+
+
+@dataclass(frozen=True)
+class Photo:
+    """One endoscopic picture.
+
+    Attributes:
+        name: File name, with the number of the frame where it is of a video.
+        rgb: sRGB.
+        sha256: Checksum of the file.
+    """
+
+    name: str
+    rgb: UInt8[np.ndarray, "h w 3"]
+    sha256: str = ""
+
+
+def read_photos(paths: Sequence[Path], *, num_frames: int = 8) -> list[Photo]:
+    """Every picture of files and folders, sorted by name within a folder.
+
+    Args:
+        paths: Pictures, videos, or folders of them (without their subfolders).
+        num_frames: Frames to take of each video, evenly spaced.
+
+    Raises:
+        InputError: If a path is missing, holds no picture, or cannot be read as one.
+    """
+    if num_frames < 1:
+        raise InputError(f"The number of frames of a video is {num_frames}. Allowed: 1 or more.")
+    photos = [photo for path in paths for file in _files(path) for photo in _read(file, num_frames)]
+    if not photos:
+        raise InputError("No photograph was given. Give pictures, videos or folders of them.")
+    return photos
+
+
+def _files(path: Path) -> list[Path]:
+    if not path.is_dir():
+        return [path]
+    known = IMAGES + VIDEOS
+    files = sorted(file for file in path.iterdir() if file.suffix.lower() in known)
+    if not files:
+        raise InputError(f"Folder {path} holds no photograph. Allowed: {', '.join(known)}.")
+    return files
+
+
+def _read(path: Path, num_frames: int) -> list[Photo]:
+    if not path.is_file():
+        raise InputError(f"There is no file {path}. Give pictures, videos or folders of them.")
+    if path.suffix.lower() in VIDEOS:
+        return _read_video(path, num_frames)
+    from PIL import Image, ImageOps, UnidentifiedImageError
+
+    try:
+        with Image.open(path) as image:
+            rgb = np.asarray(ImageOps.exif_transpose(image).convert("RGB"))
+    except UnidentifiedImageError as error:
+        raise InputError(
+            f"{path} is not a picture. Allowed: {', '.join(IMAGES + VIDEOS)}."
+        ) from error
+    except (OSError, ValueError, Image.DecompressionBombError) as error:
+        raise InputError(f"Cannot read the picture {path}: {error}.") from error
+    return [Photo(path.name, rgb, _sha256(path))]
+
+
+def _read_video(path: Path, num_frames: int) -> list[Photo]:
+    import av
+    from av.error import FFmpegError
+
+    try:
+        with av.open(str(path)) as container:
+            total = sum(1 for _ in container.decode(video=0))
+        wanted = set(np.unique(np.linspace(0, total - 1, num_frames).astype(int)).tolist())
+        with av.open(str(path)) as container:
+            frames = [
+                (index, frame.to_ndarray(format="rgb24"))
+                for index, frame in enumerate(container.decode(video=0))
+                if index in wanted
+            ]
+    except (FFmpegError, IndexError) as error:
+        raise InputError(f"Cannot read the video {path}: {error}.") from error
+    if not frames:
+        raise InputError(f"The video {path} has no frame. Give another.")
+    digest = _sha256(path)
+    return [Photo(f"{path.name}, frame {index}", rgb, digest) for index, rgb in frames]
+
+
+def _sha256(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()

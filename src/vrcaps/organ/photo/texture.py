@@ -1,0 +1,162 @@
+"""A mucosa's texture on disk: a folder of pictures and what they mean."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vrcaps import _core
+from vrcaps.errors import InputError
+from vrcaps.units import MM
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, UInt8, UInt16
+
+FORMAT = "vrcaps-mucosa/1"
+HEAD = "mucosa.json"
+HEIGHT_STEP = 1e-8
+"""Of the relief in its 16-bit picture [m]; 32768 is 0."""
+
+_PICTURES = ("albedo", "roughness", "height")
+
+
+@dataclass(frozen=True)
+class MucosaTexture:
+    """A square of mucosa that continues over its edges.
+
+    Attributes:
+        albedo: Base colour, sRGB-encoded.
+        roughness: Perceptual roughness, 255 = 1.
+        height: Relief towards the lumen in steps of `HEIGHT_STEP`, 32768 = 0.
+        texel: Side of a texel [m].
+        coat_gloss: Gloss of the wet film, 0 (satin) to 1 (mirror-like).
+        metadata: Where it came from: photographs, regions, seed, measures.
+    """
+
+    albedo: UInt8[np.ndarray, "n n 3"]
+    roughness: UInt8[np.ndarray, "n n"]
+    height: UInt16[np.ndarray, "n n"]
+    texel: float
+    coat_gloss: float = 0.93
+    metadata: dict = field(default_factory=dict)
+
+    @property
+    def side(self) -> float:
+        """Length of the square's side [m]."""
+        return len(self.albedo) * self.texel
+
+    @property
+    def relief(self) -> Float[np.ndarray, "n n"]:
+        """Relief towards the lumen [m]."""
+        return (self.height.astype(np.float32) - 32768.0) * np.float32(HEIGHT_STEP)
+
+
+def write_texture(folder: Path, texture: MucosaTexture) -> None:
+    """Write a texture as a folder; one that is there already is replaced.
+
+    Raises:
+        InputError: If the folder holds anything but a texture.
+    """
+    check_free(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    written = {f"{name}.png": getattr(texture, name) for name in _PICTURES}
+    temporary = {folder / f".{name}": image for name, image in written.items()}
+    _core.write_pngs([(str(path), image) for path, image in temporary.items()])
+    head = {
+        "format": FORMAT,
+        "mm_per_texel": texture.texel / MM,
+        "height_step_m": HEIGHT_STEP,
+        "height_zero": 32768,
+        "coat_gloss": texture.coat_gloss,
+        "sha256": {path.name[1:]: _sha256(path) for path in temporary},
+        **texture.metadata,
+    }
+    text = json.dumps(head, indent=2, ensure_ascii=False, allow_nan=False)
+    (folder / f".{HEAD}").write_text(text + "\n", encoding="utf-8")
+    for name in (*written, HEAD):
+        os.replace(folder / f".{name}", folder / name)
+
+
+def check_free(folder: Path) -> None:
+    """Refuse a place where `write_texture` would mix with, or replace, something else.
+
+    Raises:
+        InputError: If it is a file, or a folder that holds anything but a texture.
+    """
+    if folder.is_dir():
+        if (folder / HEAD).is_file() or not any(folder.iterdir()):
+            return
+    elif not folder.exists():
+        return
+    raise InputError(f"{folder} exists and is no texture. Give a new or an empty folder.")
+
+
+def read_texture(path: str | Path) -> MucosaTexture:
+    """Read what `write_texture` wrote.
+
+    Args:
+        path: The folder, or its `mucosa.json`.
+
+    Raises:
+        InputError: If there is no texture, or a picture is not the one written with it.
+    """
+    head_path = texture_head(path)
+    try:
+        head = json.loads(head_path.read_text(encoding="utf-8"))
+        if head["format"] != FORMAT:
+            raise InputError(f"{head_path} has format {head['format']!r}. Allowed: {FORMAT!r}.")
+        expected, texel = head["sha256"], float(head["mm_per_texel"]) * MM
+        gloss, step = float(head["coat_gloss"]), float(head["height_step_m"])
+    except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
+        raise InputError(f"Cannot read the texture {head_path}: {error}.") from error
+    except (KeyError, TypeError, ValueError) as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError(f"{head_path} lacks {error}. Make the texture again.") from error
+    if step != HEIGHT_STEP or not (0.0 < texel < 1.0 and 0.0 <= gloss <= 1.0):
+        raise InputError(f"{head_path} has values out of range. Make the texture again.")
+    for name in _PICTURES:
+        file = head_path.with_name(f"{name}.png")
+        if not file.is_file() or _sha256(file) != expected.get(file.name):
+            raise InputError(
+                f"{file} is missing or not the picture that {HEAD} was written with. "
+                "Make the texture again."
+            )
+    images = {name: _core.read_png(str(head_path.with_name(f"{name}.png"))) for name in _PICTURES}
+    return MucosaTexture(**images, texel=texel, coat_gloss=gloss, metadata=head)
+
+
+def texture_head(path: str | Path) -> Path:
+    """The file `mucosa.json` of a texture given by its folder or by that file.
+
+    Raises:
+        InputError: If there is none.
+    """
+    path = Path(path)
+    head = path / HEAD if path.is_dir() else path
+    if head.name != HEAD or not head.is_file():
+        raise InputError(
+            f"{path} is no texture of a mucosa. Allowed: a folder that `vrcaps organ texture` "
+            f"wrote, or the {HEAD} in it."
+        )
+    return head
+
+
+def texture_sha256(path: str | Path) -> str:
+    """Checksum of a texture: of its `mucosa.json`, which holds those of its pictures.
+
+    Raises:
+        InputError: If there is no texture.
+    """
+    return _sha256(texture_head(path))
+
+
+def _sha256(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()

@@ -1,0 +1,93 @@
+"""Organ files: a GLB that `write_glb` made, read back without loss."""
+
+from __future__ import annotations
+
+import struct
+from io import BytesIO
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from vrcaps.errors import InputError
+from vrcaps.organ.glb import array_of, read_document, read_glb, view_of
+from vrcaps.organ.parts import organ_from_parts
+from vrcaps.organ.write import GENERATOR, ORGAN_FORMAT
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from vrcaps.organ.surface import OrganSurface
+
+_DAMAGED = (ValueError, LookupError, TypeError, OSError, SyntaxError, struct.error)
+"""What parsing a file that was cut short or changed raises."""
+
+
+def is_organ_file(path: Path) -> bool:
+    """Whether a file is an organ of `write_glb`, in metres, that nothing else has rewritten."""
+    return path.suffix.lower() == ".glb" and _format(path) is not None
+
+
+def read_organ(path: Path) -> OrganSurface:
+    """The organ that `write_glb` wrote, equal to the last bit, in the patient frame.
+
+    The pose that the file's positions have in the world is not applied: an episode's organ
+    comes back as it was before the patient was laid down.
+
+    Raises:
+        InputError: If the file is missing, is no organ file, or is damaged.
+    """
+    if not path.is_file():
+        raise InputError(f"No organ file at {path}. Give the path of an existing file.")
+    found = _format(path)
+    if found is None:
+        raise InputError(
+            f"{path} is no organ file. Allowed: a .glb as `vrcaps organ make` and `vrcaps organ "
+            "from-ct` write it; a mesh of your own has a unit to state (organ_from_file)."
+        )
+    if found != ORGAN_FORMAT:
+        raise InputError(
+            f"{path} has the format {found!r}. Allowed: {ORGAN_FORMAT!r}. "
+            "Read it with the version of vrcaps that wrote it."
+        )
+    try:
+        return _read(*read_glb(path))
+    except _DAMAGED as error:
+        reason = " ".join(str(error).split())[:120] or type(error).__name__
+        raise InputError(f"{path} is damaged: {reason}. Make or copy it anew.") from error
+
+
+def _format(path: Path) -> str | None:
+    """The format that an organ file states; None for any other file."""
+    try:
+        asset = read_document(path)["asset"]
+        return str(asset["extras"]["format"]) if asset["generator"] == GENERATOR else None
+    except _DAMAGED:
+        return None
+
+
+def _read(document: dict[str, Any], binary: memoryview) -> OrganSurface:
+    own = document["asset"]["extras"]
+    values: dict[str, Any] = {}
+    for name, entry in own["arrays"].items():
+        if "step" in entry:
+            stored = _decode(view_of(document, binary, entry["bufferView"]))
+            values[name] = (stored.astype(np.float32) - 32768) * np.float32(entry["step"])
+        else:
+            values[name] = array_of(document, binary, entry)
+    for name, place in own["images"].items():
+        view = document["images"][place["image"]]["bufferView"]
+        values[name] = _decode(view_of(document, binary, view), place.get("channel"))
+    primitive = document["meshes"][0]["primitives"][0]
+    view = document["accessors"][primitive["indices"]]["bufferView"]
+    index = np.frombuffer(view_of(document, binary, view), "<u4").reshape(-1, 3)
+    values["faces"], values["uv"] = values["faces"][index], values["uv"][index]
+    if values["faces"].min() < 0 or values["faces"].max() >= len(values["vertices"]):
+        raise ValueError("a triangle has a vertex that is not there")
+    return organ_from_parts(values | own["plain"])
+
+
+def _decode(png: memoryview, channel: int | None = None) -> np.ndarray:
+    from PIL import Image
+
+    with Image.open(BytesIO(png)) as image:
+        return np.array(image if channel is None else image.getchannel(channel))

@@ -1,0 +1,153 @@
+"""The wall of a gut unrolled (virtual dissection): arc length across, angle up.
+
+From each point of the centreline a ray goes out in the curve's normal plane; what it meets first
+is shown. It is the unfolding of virtual colonoscopy (Vilanova Bartrolí et al. 2001) in the gut
+coordinates of `OrganSurface`: a vertex that the centreline sees appears at its own coordinates.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vrcaps._core import Wall
+from vrcaps.organ.centerline import interpolate
+from vrcaps.organ.surface import OrganSurface, face_label
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Int, UInt16
+
+_PLAIN_COLOUR = (0.72, 0.46, 0.40)  # sRGB; drawn where there is no appearance
+_NOTHING = 0.93  # grey where a ray leaves through an open end
+_LIGHT = (0.75, 0.55, 0.35)  # towards the light: the axis, the oral end, greater angles
+_AMBIENT = 0.30
+_GAMMA = 2.2
+
+
+@dataclass(frozen=True)
+class Unrolled:
+    """What rays from the centreline meet.
+
+    Attributes:
+        arc_length: Of each column [m].
+        theta: Of each row [rad].
+        radius: Way from the centreline to the wall [m]; NaN where there is none.
+        face: Triangle met; −1 for none.
+        weights: Of the triangle's corners.
+        shade: Share of light that the wall there returns, 0 to 1.
+    """
+
+    arc_length: Float[np.ndarray, " w"]
+    theta: Float[np.ndarray, " h"]
+    radius: Float[np.ndarray, "h w"]
+    face: Int[np.ndarray, "h w"]
+    weights: Float[np.ndarray, "h w 3"]
+    shade: Float[np.ndarray, "h w"]
+
+
+def unroll(
+    organ: OrganSurface,
+    wall: Wall,
+    arc_length: Float[np.ndarray, " w"],
+    theta: Float[np.ndarray, " h"],
+) -> Unrolled:
+    """Cast a ray for each pair of arc length and angle.
+
+    Args:
+        organ: The organ.
+        wall: Its surface, in the organ's frame.
+        arc_length: Along the centreline [m].
+        theta: From the first to the second transverse axis of the centreline's frame [rad].
+    """
+    points, frames, _ = interpolate(organ.centerline, arc_length)
+    shape = (len(theta), len(arc_length), 3)
+    cos, sin = np.cos(theta)[:, None, None], np.sin(theta)[:, None, None]
+    outward = cos * frames[:, :, 0] + sin * frames[:, :, 1]
+    around = cos * frames[:, :, 1] - sin * frames[:, :, 0]
+    origins = np.broadcast_to(points, shape).reshape(-1, 3).copy()
+    distance, face = wall.cast(origins, outward.reshape(-1, 3))
+    hit = np.flatnonzero(face >= 0)
+    weights, shade = np.zeros((len(face), 3)), np.zeros(len(face))
+    met = origins[hit] + distance[hit, None] * outward.reshape(-1, 3)[hit]
+    corners = organ.faces[face[hit]]
+    weights[hit] = barycentric(met, organ.vertices[corners])
+    normals = np.einsum("nc,ncx->nx", weights[hit], organ.normals[corners])
+    light = -_LIGHT[0] * outward - _LIGHT[1] * frames[:, :, 2] + _LIGHT[2] * around
+    light = light.reshape(-1, 3)[hit] / np.linalg.norm(_LIGHT)
+    length = np.linalg.norm(normals, axis=1)
+    shade[hit] = np.einsum("nx,nx->n", normals, light) / np.where(length > 0.0, length, 1.0)
+    radius = np.where(face >= 0, distance, np.nan).reshape(shape[:2])
+    shade = _AMBIENT + (1.0 - _AMBIENT) * np.clip(shade, 0.0, 1.0).reshape(shape[:2])
+    return Unrolled(
+        arc_length, theta, radius, face.reshape(shape[:2]), weights.reshape(shape), shade
+    )
+
+
+def dissection(organ: OrganSurface, unrolled: Unrolled) -> Float[np.ndarray, "h w 3"]:
+    """Picture of an unrolled wall, sRGB 0 to 1: its own colour, folds lit from the oral side.
+
+    What stands into the lumen is lighter, pouches are darker: the depth that perspective would
+    show is in the shading.
+    """
+    seen = unrolled.face >= 0
+    linear = _colour(organ, unrolled, seen) ** _GAMMA
+    usual = np.nanmedian(unrolled.radius, axis=0) if seen.any() else np.ones(seen.shape[1])
+    usual = np.where(np.isfinite(usual), usual, 1.0)
+    depth = np.clip(usual / np.where(seen, unrolled.radius, usual), 0.4, 1.6) ** 0.5
+    linear *= 1.35 * (unrolled.shade * depth)[..., None]
+    return np.where(seen[..., None], np.clip(linear, 0.0, 1.0) ** (1.0 / _GAMMA), _NOTHING)
+
+
+def instances(organ: OrganSurface, unrolled: Unrolled) -> UInt16[np.ndarray, "h w"]:
+    """Lesion number of each place, 0 for plain wall or none."""
+    instance = face_label(organ.instance, organ.faces)
+    return np.where(unrolled.face >= 0, instance[unrolled.face], 0).astype(np.uint16)
+
+
+def barycentric(
+    points: Float[np.ndarray, "n 3"], corners: Float[np.ndarray, "n 3 3"]
+) -> Float[np.ndarray, "n 3"]:
+    """Weights of a triangle's corners at a point in its plane: ratios of signed areas."""
+    a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
+    area = np.cross(b - a, c - a)
+    square = np.einsum("nx,nx->n", area, area)
+    square = np.where(square > 0.0, square, 1.0)
+    of_b = np.einsum("nx,nx->n", np.cross(points - a, c - a), area) / square
+    of_c = np.einsum("nx,nx->n", np.cross(b - a, points - a), area) / square
+    return np.clip(np.stack([1.0 - of_b - of_c, of_b, of_c], axis=1), 0.0, 1.0)
+
+
+def _colour(organ: OrganSurface, unrolled: Unrolled, seen: np.ndarray) -> np.ndarray:
+    """Albedo where a ray met the wall, sRGB 0 to 1; from a smaller image if texels are finer."""
+    colour = np.ones((*seen.shape, 3))
+    if organ.appearance is None:
+        colour[seen] = _PLAIN_COLOUR
+        return colour
+    albedo = organ.appearance.albedo
+    face = unrolled.face[seen]
+    uv = np.einsum("nc,ncx->nx", unrolled.weights[seen], organ.uv[face])
+    step = _texels_per_step(organ, unrolled, albedo.shape)
+    rows, columns = (size // step for size in albedo.shape[:2])
+    column = np.floor(uv[:, 0] * columns).astype(np.int64) % columns
+    row = np.floor((1.0 - uv[:, 1]) * rows).astype(np.int64) % rows
+    block = albedo[: rows * step, : columns * step].reshape(rows, step, columns, step, 3)
+    total = np.zeros((len(face), 3))
+    for i in range(step):
+        for j in range(step):
+            total += block[row, i, column, j]
+    colour[seen] = total / (255.0 * step * step)
+    return colour
+
+
+def _texels_per_step(organ: OrganSurface, unrolled: Unrolled, shape: tuple[int, ...]) -> int:
+    """Side of the square of texels that is averaged for one pixel, 1 to 6."""
+    area = np.linalg.norm(_areas(organ.vertices[organ.faces]), axis=1).sum() / 2.0
+    texel = (area / (shape[0] * shape[1])) ** 0.5
+    pixel = float(np.median(np.diff(unrolled.arc_length))) if len(unrolled.arc_length) > 1 else 0.0
+    return int(np.clip(round(pixel / texel), 1, 6)) if texel > 0.0 else 1
+
+
+def _areas(corners: Float[np.ndarray, "m 3 3"]) -> Float[np.ndarray, "m 3"]:
+    return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])

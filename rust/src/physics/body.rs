@@ -45,6 +45,13 @@ pub struct Axis {
 }
 
 impl Axis {
+    /// Whether `p` lies beyond the ends of the axis, beside a round end.
+    #[inline(always)]
+    pub fn is_beyond(&self, p: DVec3) -> bool {
+        let along = (p - self.start).dot(self.span) * self.inverse_square;
+        !(along > 0.0 && along < 1.0)
+    }
+
     /// The point of the axis nearest to `p`.
     #[inline(always)]
     pub fn nearest(&self, p: DVec3) -> DVec3 {

@@ -8,8 +8,11 @@
 use super::body::{Axis, Body, Motion};
 use glam::DVec3;
 
-/// Sub-triangles are at most this share of the patch's radius.
-const FINENESS: f64 = 0.3;
+/// Sub-triangles at the edge of the patch are at most this share of its radius.
+const FINENESS: f64 = 0.5;
+/// Half the width of a uniform spread of the same variance as an equilateral triangle's, along any
+/// line, by its circumradius: √(3/8).
+const HALF_WIDTH: f64 = 0.612;
 /// No sub-triangle becomes smaller than this share of the capsule's radius.
 const FINEST: f64 = 1.0 / 40.0;
 /// Whole inside the patch, ρ² up to this times R·u is fine enough.
@@ -210,14 +213,24 @@ impl<'a> Indenter<'a> {
         }
         let normal = offset / distance;
         let facing = -normal.dot(triangle.normal);
-        let depth = self.radius - distance;
         if self.is_coarse(reach, distance, facing) {
             let [ab, bc, ca] = [0.5 * (a + b), 0.5 * (b + c), 0.5 * (c + a)];
             for quarter in [[a, ab, ca], [ab, b, bc], [ca, bc, c], [bc, ca, ab]] {
                 self.visit(triangle, quarter, 0.5 * reach, 0.25 * area, patch, sum);
             }
-        } else if depth > 0.0 && facing > 0.0 {
-            let area = area * (facing / GRAZING).min(1.0);
+            return;
+        }
+        // The mean depth is less than the middle's, as the capsule is round: by half the variance
+        // ρ²/8 of an equilateral triangle's points along a line times the curvature, in one
+        // direction at the cylinder and in two at the ends. At the edge of the patch depth falls
+        // evenly through the sub-triangle: only the pressed share counts, at its own mean depth.
+        let bend = if self.axis.is_beyond(center) { 2.0 } else { 1.0 };
+        let depth = self.radius - distance - bend * reach * reach / (16.0 * distance);
+        let spread = HALF_WIDTH * reach * (1.0 - facing * facing).max(0.0).sqrt();
+        let pressed = (0.5 * (depth + spread) / spread).min(1.0);
+        if depth + spread > 0.0 && facing > 0.0 {
+            let depth = if pressed < 1.0 { 0.5 * (depth + spread) } else { depth };
+            let area = area * pressed * (facing / GRAZING).min(1.0);
             self.sample(triangle, center, normal, depth, area, patch, sum);
         }
     }

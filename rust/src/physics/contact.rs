@@ -17,6 +17,8 @@ const HALF_WIDTH: f64 = 0.612;
 const FINEST: f64 = 1.0 / 40.0;
 /// Whole inside the patch, ρ² up to this times R·u is fine enough.
 const FLATNESS: f64 = 0.6;
+/// Share of the depth of an e-fold of stiffness that the depth may change within a sub-triangle.
+const STEEPNESS: f64 = 0.5;
 /// Cosine between the wall's normal and the capsule's below which a wall begins to face away.
 const GRAZING: f64 = 0.2;
 
@@ -158,12 +160,20 @@ pub struct Indenter<'a> {
     pub axis: Axis,
     /// Its motion.
     pub motion: &'a Motion,
+    /// Most that the depth may change within a sub-triangle [m].
+    steep: f64,
 }
 
 impl<'a> Indenter<'a> {
     /// The capsule `body` in motion `m`.
     pub fn new(foundation: &'a Foundation, body: &Body, motion: &'a Motion) -> Self {
-        Indenter { foundation, radius: body.radius, axis: body.axis(motion), motion }
+        Indenter {
+            foundation,
+            radius: body.radius,
+            axis: body.axis(motion),
+            motion,
+            steep: STEEPNESS * foundation.stiffening_depth,
+        }
     }
 
     /// Adds what one triangle carries to the patch.
@@ -231,6 +241,7 @@ impl<'a> Indenter<'a> {
         if depth + spread > 0.0 && facing > 0.0 {
             let depth = if pressed < 1.0 { 0.5 * (depth + spread) } else { depth };
             let area = area * pressed * (facing / GRAZING).min(1.0);
+            patch.depth = patch.depth.max(self.radius - distance);
             self.sample(triangle, center, normal, depth, area, patch, sum);
         }
     }
@@ -243,6 +254,9 @@ impl<'a> Indenter<'a> {
         }
         let sine_square = 1.0 - facing * facing;
         let edge = FINENESS * self.radius;
+        if reach * reach * sine_square > self.steep * self.steep {
+            return true;
+        }
         if reach * reach <= edge * edge * sine_square {
             return false;
         }
@@ -276,7 +290,6 @@ impl<'a> Indenter<'a> {
         });
         patch.energy += self.foundation.elastic(depth).2 * area;
         patch.area += area;
-        patch.depth = patch.depth.max(depth);
         sum.load += load;
         sum.moment += load * center;
         sum.normal += load * normal;

@@ -124,7 +124,7 @@ class BleedForm:
     edge_length = 1.2 * MM
 
     def __init__(self, bleed: Bleed, site: Site, rng: np.random.Generator) -> None:
-        self.border_length = 0.085 * bleed.width
+        self.border_length = 0.05 * bleed.width
         self.bleed, self.site = bleed, site
         self._edge, self._ripple = swell(7.0 * MM, rng), cloud(5.0 * MM, rng)
         self._clots, self._age = swell(4.0 * MM, rng), cloud(9.0 * MM, rng)
@@ -135,8 +135,8 @@ class BleedForm:
             return np.full(len(wall.xy), -1.0)
         under = (wall.rest - self.site.bottom) @ self.site.down + self.bleed.pool
         away = np.linalg.norm(wall.rest - self.site.bottom, axis=1)
-        beyond = wall.xy[:, 2] - _SHORE
-        return np.minimum(np.minimum(under, self.site.reach - away), -beyond)
+        shore = self.bleed.pool * (1.0 - wall.xy[:, 2] / _SHORE)
+        return np.minimum(np.minimum(under, self.site.reach - away), shore)
 
     def _dry(self, wall: WallSamples) -> Float[np.ndarray, " n"]:
         """Distance within the source's and the stream's outline [m]."""

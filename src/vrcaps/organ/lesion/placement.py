@@ -65,12 +65,13 @@ def place_spot(
         InputError: If it does not fit there, or nowhere in so many tries.
         UnknownNameError: If the organ has no such segment.
     """
-    reason = "no wall there"
-    for vertex in candidates(organ, lesion.place, rng, num_vertices):
-        reason = _misfit(organ, wall, lesion, others, int(vertex))
+    tries, reason = 0, "no wall there"
+    for tries, vertex in enumerate(candidates(organ, lesion.place, rng, num_vertices), start=1):
+        reason = _misfit(organ, wall, lesion, others, vertex)
         if not reason:
-            return Placed(lesion, int(vertex), organ.vertices[vertex])
-    raise InputError(f"No place for {describe(lesion)}: {reason}.")
+            return Placed(lesion, vertex, organ.vertices[vertex])
+    which = f"it fits at none of {tries} places drawn; at the last, " if tries > 1 else ""
+    raise InputError(f"No place for {describe(lesion)}: {which}{reason}.")
 
 
 def candidates(

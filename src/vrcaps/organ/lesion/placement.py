@@ -65,13 +65,14 @@ def place_spot(
         InputError: If it does not fit there, or nowhere in so many tries.
         UnknownNameError: If the organ has no such segment.
     """
-    tries, reason = 0, "no wall there"
-    for tries, vertex in enumerate(candidates(organ, lesion.place, rng, num_vertices), start=1):
-        reason = _misfit(organ, wall, lesion, others, vertex)
-        if not reason:
+    reasons: list[str] = []
+    for vertex in candidates(organ, lesion.place, rng, num_vertices):
+        reasons.append(_misfit(organ, wall, lesion, others, vertex))
+        if not reasons[-1]:
             return Placed(lesion, vertex, organ.vertices[vertex])
-    which = f"it fits at none of {tries} places drawn; at the last, " if tries > 1 else ""
-    raise InputError(f"No place for {describe(lesion)}: {which}{reason}.")
+    drawn = f"none of {len(reasons)} places drawn will do; at the last, "
+    which = drawn if len(reasons) > 1 else ""
+    raise InputError(f"No place for {describe(lesion)}: {which}{reasons[-1]}.")
 
 
 def candidates(

@@ -21,6 +21,7 @@ class Snapshot:
     Positions are in the patient frame about the wall's centre.
 
     Attributes:
+        seed: Of the world, see `World`.
         time: Since the start of the run [s].
         T_world_patient: How the patient lies.
         capsule: Position [m], quaternion wxyz, velocity [m/s], angular velocity [rad/s].
@@ -28,6 +29,7 @@ class Snapshot:
         yields: How far each vertex gives way [m] and at which velocity [m/s].
     """
 
+    seed: int
     time: float
     T_world_patient: Float[np.ndarray, "4 4"]
     capsule: Float[np.ndarray, " 13"]
@@ -53,4 +55,4 @@ def read_snapshot(path: Path) -> Snapshot:
             arrays = {field.name: file[field.name] for field in fields(Snapshot)}
     except (OSError, ValueError, KeyError) as error:
         raise InputError(f"{path} is no snapshot of a world: {error}.") from error
-    return Snapshot(**arrays | {"time": float(arrays["time"])})
+    return Snapshot(**arrays | {"seed": int(arrays["seed"]), "time": float(arrays["time"])})

@@ -10,6 +10,7 @@ import numpy as np
 from vrcaps import _core
 from vrcaps.capsule.body import Body, homogeneous_body
 from vrcaps.errors import InputError, require
+from vrcaps.tissue.motility.muscle import Muscle
 from vrcaps.tissue.stations import stations
 from vrcaps.tissue.tissue import Tissue
 from vrcaps.transforms import (
@@ -56,6 +57,7 @@ class World:
         *,
         body: Body | None = None,
         substep: float = SUBSTEP,
+        seed: int = 0,
     ) -> None:
         """Puts the capsule into the organ.
 
@@ -65,13 +67,16 @@ class World:
             start: Where the capsule is and how it moves; its wall is taken as at rest.
             body: Mass properties; by default the device's mass, spread evenly.
             substep: Longest substep [s].
+            seed: Of the patient's muscle, 0 or more.
 
         Raises:
-            InputError: If the capsule is outside the lumen or does not fit, or the substep is too
-                long.
+            InputError: If the capsule is outside the lumen or does not fit, the substep is too
+                long, or the seed negative.
+            UnknownNameError: If the tissue has no muscle for a segment of the wall.
         """
         _check_substep(substep, tissue)
-        self.model, self.tissue, self.substep = model, tissue, substep
+        require(seed >= 0, "seed", seed, "0, 1, 2, …")
+        self.model, self.tissue, self.substep, self.seed = model, tissue, substep, seed
         self.body = body or homogeneous_body(model.device)
         organ = model.organ
         vertices = np.ascontiguousarray(organ.vertices, float)
@@ -85,7 +90,10 @@ class World:
         self._core.set_drive(*_drive(organ))
         self._num_stations = len(stations(organ.centerline))
         self._calibre: Float[np.ndarray, " k"] | None = np.ones(self._num_stations)
-        self._moves = tissue.deformation is not None
+        self.muscle: Muscle | None = None
+        if tissue.motility is not None:
+            self.muscle = Muscle(organ, tissue.motility, np.random.default_rng(seed))
+        self._moves = tissue.deformation is not None or self.muscle is not None
         self._check_start()
 
     @property
@@ -141,6 +149,7 @@ class World:
         """All that changes, exactly: a world restored from it goes on to the same bytes."""
         position, wxyz, velocity, spin = self._core.pose
         return Snapshot(
+            seed=self.seed,
             time=self._time,
             T_world_patient=self._T_world_patient,
             capsule=np.concatenate([position, wxyz, velocity, spin]),
@@ -152,8 +161,9 @@ class World:
         """Goes back to a snapshot of a world with the same model.
 
         Raises:
-            InputError: If the snapshot is of another wall.
+            InputError: If the snapshot is of another wall or another seed.
         """
+        require(snapshot.seed == self.seed, "seed", snapshot.seed, f"this world's, {self.seed}")
         if snapshot.driven.shape != self.model.organ.vertices.shape:
             raise InputError(
                 f"The snapshot has a wall of {len(snapshot.driven)} vertices, the model has "
@@ -173,6 +183,8 @@ class World:
     def _next_calibre(self, time: float, insufflation: float) -> Float[np.ndarray, " k"] | None:
         """Factors on the lumen's radius at its stations, or None where nothing drives the wall."""
         calibre = np.full(self._num_stations, insufflation)
+        if self.muscle is not None:
+            calibre *= self.muscle.calibre(time)
         if self._calibre is not None and np.array_equal(calibre, self._calibre):
             return None
         self._calibre = calibre

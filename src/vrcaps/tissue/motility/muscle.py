@@ -30,7 +30,11 @@ _ACTIVITY = np.array(
     ]
 )
 """Share of slow waves that contract where there is no complex and in phases I to IV: how it changes
-through the phase, where it begins, and whether both are shares of the steady activity."""
+through the phase, where it begins, and whether both are shares of the steady activity. Contractions
+become more through phase II and die away in phase IV."""
+
+_STRENGTH = np.array([[0.0, 0.0, 0.5, 0.0, -1.0], [1.0, 0.0, 0.5, 1.0, 1.0]])
+"""How strong they are, likewise."""
 
 
 class Muscle:
@@ -59,7 +63,7 @@ class Muscle:
         Raises:
             UnknownNameError: If a segment of the wall has no known name.
         """
-        self.motility = motility
+        self.motility, self.centerline = motility, organ.centerline
         self.layout = lay_out(organ, motility)
         self._table: Table = make_table(self.layout, rng)
         self._key = int(rng.integers(2**63))
@@ -104,15 +108,34 @@ class Muscle:
             phase = np.where(cycles, self.clock.phase(arc_length, time)[0], 0)
         return phase
 
-    def activity(self, arc_length: Float[np.ndarray, "*n"], time: float) -> np.ndarray:
-        """Share of slow waves that lead to contractions at places [m]."""
+    def strength(self, arc_length: Float[np.ndarray, "*n"], time: float) -> np.ndarray:
+        """How strong contractions are at places [m], 0 in phase I to 1 in phase III."""
         arc_length = np.asarray(arc_length, float)
-        return self._activity(arc_length, np.full(arc_length.shape, time))[0]
+        return self._activity(arc_length, np.full(arc_length.shape, time))[1]
 
-    def speed(self, arc_length: float) -> float:
-        """Propagation of contractions at a place [m/s]; negative where most run back."""
-        _, speed, _, _, _, back, stand = self.layout.figures[:, self._nearest(arc_length)]
-        return float(speed * (1.0 - stand - 2.0 * back))
+    def propulsion(
+        self,
+        position: Float[np.ndarray, " 3"],
+        velocity: Float[np.ndarray, " 3"],
+        time: float,
+    ) -> Float[np.ndarray, " 3"]:
+        """Force of `Propulsion` [N] on a capsule, in the organ's frame.
+
+        Args:
+            position: Of the capsule [m].
+            velocity: Of the capsule [m/s].
+            time: Of the world [s].
+        """
+        law, line = self.motility.propulsion, self.centerline
+        if law is None:
+            return np.zeros(3)
+        nearest = np.argmin(np.square(line.points - position).sum(axis=1))
+        arc_length = line.arc_length[nearest]
+        alpha = law.alpha
+        if alpha is None:
+            alpha = self.layout.figures[1, self._nearest(arc_length)]
+        force = law.force(alpha * law.way(line, float(arc_length)), velocity)
+        return self.strength(arc_length, time) * force
 
     def _nearest(self, arc_length: Float[np.ndarray, "*n"] | float) -> np.ndarray:
         station = self.layout.station
@@ -173,11 +196,10 @@ class Muscle:
             return steady, np.ones_like(steady), np.ones_like(steady)
         phase, passed = self.clock.phase(arc_length, time)
         phase = np.where(self.layout.cycles[nearest], phase, 0)
-        # Contractions become more and stronger through phase II and die away in phase IV.
         slope, base, of_steady = _ACTIVITY[:, phase]
         activity = np.where(of_steady, steady, 1.0) * (base + slope * passed)
-        strength = np.where(phase == 2, 0.5 + 0.5 * passed, 1.0)
-        return activity, strength, (phase < 3) * 1.0
+        slope, base = _STRENGTH[:, phase]
+        return activity, base + slope * passed, (phase < 3) * 1.0
 
     def _add_giant(
         self, giant: GiantContractions, deepest: Float[np.ndarray, " k"], time: float, first: int

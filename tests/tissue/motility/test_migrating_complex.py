@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import replace
 
 import numpy as np
@@ -33,7 +34,7 @@ def test_phases_come_in_order_and_fill_the_cycle() -> None:
     time = np.arange(0.0, clock.starts[40], 5.0)
     phase, passed = clock.phase(np.full(time.shape, 0.3), time)
     assert ((passed >= 0.0) & (passed <= 1.0)).all()
-    steps = {(a, b) for a, b in zip(phase[:-1], phase[1:], strict=True) if a != b}
+    steps = {(a, b) for a, b in itertools.pairwise(phase) if a != b}
     assert steps <= {(1, 2), (2, 3), (3, 4), (4, 1), (3, 1), (4, 2), (1, 3), (3, 2)}
     assert {(1, 2), (2, 3), (4, 1)} <= steps
 

@@ -27,10 +27,10 @@ def test_giant_contractions_reject(field: str, value: float, match: str) -> None
 
 @pytest.mark.parametrize("least", [0.0, 1.5, float("nan")])
 def test_rejects_a_closed_lumen(least: float) -> None:
-    with pytest.raises(InputError, match="least_calibre is .* Allowed: above 0 to 1"):
+    with pytest.raises(InputError, match=r"least_calibre is .* Allowed: above 0 to 1"):
         Motility(least_calibre=least)
 
 
 def test_rejects_an_unknown_stand_in() -> None:
-    with pytest.raises(UnknownNameError, match="No segment named 'gut'. Known: antrum"):
+    with pytest.raises(UnknownNameError, match=r"No segment named 'gut'. Known: antrum"):
         Motility(otherwise="gut")

@@ -83,5 +83,5 @@ def test_rejects(field: str, value: float, match: str) -> None:
 
 
 def test_rejects_an_unknown_direction() -> None:
-    with pytest.raises(UnknownNameError, match="No direction named 'up'. Known: segment, tangent"):
+    with pytest.raises(UnknownNameError, match=r"No direction named 'up'. Known: segment, tangent"):
         Propulsion(direction="up")

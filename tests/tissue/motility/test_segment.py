@@ -58,5 +58,5 @@ def test_rejects_more_contractions_than_there_are() -> None:
 
 
 def test_rejects_an_unknown_zone() -> None:
-    with pytest.raises(UnknownNameError, match="No zone named 'colon'. Known: duodenum"):
+    with pytest.raises(UnknownNameError, match=r"No zone named 'colon'. Known: duodenum"):
         replace(SEGMENTS["duodenum"], zone="colon")

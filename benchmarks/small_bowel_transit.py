@@ -128,7 +128,7 @@ def shift(
 
 def main() -> None:
     """Measure, and write the table."""
-    args = options(__doc__ or "", size=16)
+    args = options(__doc__ or "", size=10)
     organ, places, radii = small_bowel()
     capsule = slider()
     minutes = []

@@ -34,3 +34,14 @@ def test_rejects_a_closed_lumen(least: float) -> None:
 def test_rejects_an_unknown_stand_in() -> None:
     with pytest.raises(UnknownNameError, match=r"No segment named 'gut'. Known: antrum"):
         Motility(otherwise="gut")
+
+
+@pytest.mark.parametrize("front", [-0.1, float("nan")])
+def test_rejects_a_front_nowhere(front: float) -> None:
+    with pytest.raises(InputError, match=r"front is .* Allowed: 0 m or more, with a complex"):
+        Motility(front=front)
+
+
+def test_rejects_a_front_without_the_complex() -> None:
+    with pytest.raises(InputError, match=r"front is 0.5. Allowed: 0 m or more, with a complex"):
+        Motility(front=0.5, complex=None)

@@ -61,6 +61,7 @@ class Muscle:
             rng: Source of the patient's clock and of all contractions.
 
         Raises:
+            InputError: If no front passes where one is to be.
             UnknownNameError: If a segment of the wall has no known name.
         """
         self.motility, self.centerline = motility, organ.centerline
@@ -70,6 +71,8 @@ class Muscle:
         self.clock = None
         if motility.complex is not None and self.layout.zones:
             self.clock = draw_complex(motility.complex, self.layout.zones, rng)
+            if motility.front is not None:
+                self.clock = self.clock.at_front(motility.front)
 
     def calibre(self, time: float, span: slice = slice(None)) -> Float[np.ndarray, " k"]:
         """Lumen's radius at the stations, as a share of that at rest.

@@ -88,7 +88,7 @@ def test_a_standing_contraction_squeezes_as_measured(gut: OrganSurface) -> None:
     """Phase III presses with 18 to 62 mmHg (Adv. Funct. Mater. 31:2009289, 2021, table 7)."""
     world = world_in(gut, replace(RINGS, standing=1.0), start=0.15)
     contacts = []
-    for _ in range(260):
+    for _ in range(200):
         world.step(Control(), 0.02)
         contacts.append(world.state.contact)
     tightest = max(contacts, key=lambda contact: contact.grip)
@@ -111,12 +111,12 @@ def test_restored_world_goes_on_to_the_same_bytes(
 ) -> None:
     segment = replace(RINGS, activity=0.6)
     world = world_in(gut, segment, propulsion=propulsion)
-    travel(world, 0.8)
+    travel(world, 0.4)
     write_snapshot(tmp_path / "world.npz", world.snapshot())
-    travel(world, 1.0)
+    travel(world, 0.5)
     twin = world_in(gut, segment, start=0.2, propulsion=propulsion)
     twin.restore(read_snapshot(tmp_path / "world.npz"))
-    travel(twin, 1.0)
+    travel(twin, 0.5)
     for name, value in vars(world.snapshot()).items():
         assert np.asarray(value).tobytes() == np.asarray(vars(twin.snapshot())[name]).tobytes()
 

@@ -12,6 +12,7 @@ from vrcaps.organ.surface import Centerline, OrganSurface, vertex_normals
 from vrcaps.world.model import Model
 
 sys.path.insert(0, str(Path(__file__).parent))  # the support modules beside the tests
+sys.path.insert(0, str(Path(__file__).parents[1] / "tissue"))  # straight guts
 
 TUBE_RADIUS = 0.018
 BEND_RADIUS = 0.045

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 from vrcaps.tissue.drag import Drag
 from vrcaps.tissue.material import Material
+from vrcaps.tissue.motility.motility import Motility
 from vrcaps.tissue.quick import QuickDeformation
 
 
@@ -17,8 +18,10 @@ class Tissue:
         material: Pressure against a capsule that presses in.
         drag: Resistance against a capsule that slides along.
         deformation: How the wall gives way; None holds it where it is.
+        motility: How the muscle contracts; None leaves the lumen at rest.
     """
 
     material: Material = field(default_factory=Material)
     drag: Drag = field(default_factory=Drag)
     deformation: QuickDeformation | None = field(default_factory=QuickDeformation)
+    motility: Motility | None = None

@@ -21,16 +21,22 @@ class Snapshot:
     Positions are in the patient frame about the wall's centre.
 
     Attributes:
+        seed: Of the world, see `World`.
         time: Since the start of the run [s].
+        began: Time of the world's first state [s]: its muscle wakes from there on.
         T_world_patient: How the patient lies.
         capsule: Position [m], quaternion wxyz, velocity [m/s], angular velocity [rad/s].
+        calibre: Lumen's radius at the stations, as a share of that at rest.
         driven: Wall vertices as muscle and gas alone would have them [m].
         yields: How far each vertex gives way [m] and at which velocity [m/s].
     """
 
+    seed: int
     time: float
+    began: float
     T_world_patient: Float[np.ndarray, "4 4"]
     capsule: Float[np.ndarray, " 13"]
+    calibre: Float[np.ndarray, " k"]
     driven: Float[np.ndarray, "n 3"]
     yields: Float[np.ndarray, "n 6"]
 
@@ -53,4 +59,5 @@ def read_snapshot(path: Path) -> Snapshot:
             arrays = {field.name: file[field.name] for field in fields(Snapshot)}
     except (OSError, ValueError, KeyError) as error:
         raise InputError(f"{path} is no snapshot of a world: {error}.") from error
-    return Snapshot(**arrays | {"time": float(arrays["time"])})
+    plain = {name: arrays[name].item() for name in ("seed", "time", "began")}
+    return Snapshot(**arrays | plain)

@@ -26,12 +26,13 @@ struct MatrixArrays<'py> {
     node_mass: PyReadonlyArray1<'py, f64>,
 }
 
-/// Its elements, for a wall that is not linear: `vrcaps.tissue.fem.assembly.Points`.
+/// Its elements, for a wall that is not linear: `vrcaps.tissue.fem.assembly.ElementPoints`.
 #[derive(FromPyObject)]
 struct ElementArrays<'py> {
     nodes: PyReadonlyArray2<'py, u32>,
     gradients: PyReadonlyArray4<'py, f64>,
     weights: PyReadonlyArray2<'py, f64>,
+    modes: PyReadonlyArray3<'py, f64>,
     shear: f64,
     lame: f64,
     stiffening: f64,
@@ -162,6 +163,7 @@ fn elements(given: ElementArrays) -> PyResult<Elements> {
         nodes: fixed(given.nodes.as_slice()?),
         gradients: gradients.chunks_exact(NODES).map(|g| std::array::from_fn(|k| g[k])).collect(),
         weights: given.weights.as_slice()?.to_vec(),
+        modes: fixed(given.modes.as_slice()?),
     })
 }
 

@@ -128,7 +128,12 @@ impl Elements {
     /// Energy of distortion of one element, and the forces at its nodes; `change` is how the
     /// logarithm of its prism's volume is made up of the modes.
     #[inline(always)]
-    fn force(&self, first: usize, points: &[Point], change: &[f64; MODES]) -> (f64, [DVec3; NODES]) {
+    fn force(
+        &self,
+        first: usize,
+        points: &[Point],
+        change: &[f64; MODES],
+    ) -> (f64, [DVec3; NODES]) {
         let (mut energy, mut force) = (0.0, [DVec3::ZERO; NODES]);
         for (p, point) in (first..).zip(points) {
             let (density, stress) = self.material.distort(point);

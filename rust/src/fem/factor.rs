@@ -1,8 +1,8 @@
 //! The Cholesky factor of a symmetric matrix over pairs of nodes.
 
 use super::sparse::Pattern;
-use faer::linalg::cholesky::llt::factor::LltRegularization;
 use faer::dyn_stack::{MemBuffer, MemStack};
+use faer::linalg::cholesky::llt::factor::LltRegularization;
 use faer::sparse::linalg::cholesky::{
     CholeskySymbolicParams, LltRef, SymbolicCholesky, SymmetricOrdering,
     factorize_symbolic_cholesky,

@@ -140,9 +140,7 @@ def test_first_modes_of_a_cantilever() -> None:
     """f = (βL)² / 2π · √(E I / ρ A L⁴) with βL = 1.8751, 4.6941 (Rao, Mechanical Vibrations)."""
     length, thick = 0.1, 2e-3
     layer = extrude(plate((16, 1), (length, 0.004)), thick, 1)
-    deformation = FemDeformation(
-        support=0.0, youngs_modulus=1e6, poisson_ratio=0.3, density=1000.0
-    )
+    deformation = FemDeformation(support=0.0, youngs_modulus=1e6, poisson_ratio=0.0, density=1000.0)
     _, stiffness, mass = whole_matrices(layer, deformation)
     free = clamped(layer)
     square, shape = eigsh(
@@ -154,7 +152,7 @@ def test_first_modes_of_a_cantilever() -> None:
     flat = moving[2] > 3.0 * moving[1]  # bending out of the plate; its neighbours bend within it
     found = np.sqrt(np.sort(square[flat])[:2]) / (2.0 * np.pi)
     unit = np.sqrt(1e6 * thick**2 / (12.0 * 1000.0 * length**4)) / (2.0 * np.pi)
-    np.testing.assert_allclose(found, unit * np.array([1.87510, 4.69409]) ** 2, rtol=0.012)
+    np.testing.assert_allclose(found, unit * np.array([1.87510, 4.69409]) ** 2, rtol=0.005)
 
 
 def inner_pressure(surface: CoarseSurface, pressure: float) -> np.ndarray:
@@ -189,7 +187,7 @@ def lame_error(fineness: int, nu: float) -> tuple[float, float]:
     u = u.reshape(-1, 3)
 
     def exact(r: np.ndarray) -> np.ndarray:
-        """Lamé's u(r) under inner pressure (Timoshenko, Goodier, Theory of Elasticity, 1970, 28)."""
+        """Lamé's u(r), inner pressure (Timoshenko, Goodier, Theory of Elasticity, 1970, 28)."""
         factor = pressure * inner**2 * (1.0 + nu) / (1e5 * (outer**2 - inner**2))
         return factor * ((1.0 - 2.0 * nu) * r + outer**2 / r)
 

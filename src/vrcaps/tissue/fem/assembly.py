@@ -141,7 +141,7 @@ def assemble(
     shell_key, shell_kept = _pairs(shell, num_free)
     keys = np.unique(np.concatenate([volume_key, body_key]))
 
-    def add(key: Int[np.ndarray, " k"], values: Float[np.ndarray, "k *c"]) -> np.ndarray:
+    def add(key: Int[np.ndarray, " k"], values: np.ndarray) -> Float[np.ndarray, "pairs c"]:
         columns = values.reshape(len(values), -1).T
         place = np.searchsorted(keys, key)
         return np.stack([np.bincount(place, column, len(keys)) for column in columns], axis=1)

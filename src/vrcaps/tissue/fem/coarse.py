@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy import sparse
 from scipy.sparse.csgraph import dijkstra
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from vrcaps import _core
 from vrcaps.errors import InputError
@@ -78,7 +78,8 @@ def coarsen(
         )
     bent, border = _bent(smooth, faces, seeds, triangles)
     surface = relaxed(bent, thickness).surface
-    return Coarsened(surface, smooth, cell, cKDTree(smooth).query(surface.nodes)[1], border)
+    nearest = np.asarray(KDTree(smooth).query(surface.nodes)[1])
+    return Coarsened(surface, smooth, cell, nearest, border)
 
 
 def _edge_graph(
@@ -121,10 +122,10 @@ def _cells(
 def _nearest_seed(
     graph: sparse.csr_matrix, seeds: Int[np.ndarray, " seeds"]
 ) -> Int[np.ndarray, " n"]:
-    _, _, source = dijkstra(graph, indices=seeds, min_only=True, return_predecessors=True)
+    found = dijkstra(graph, indices=seeds, min_only=True, return_predecessors=True)
     number = np.full(graph.shape[0] + 1, -1)
     number[seeds] = np.arange(len(seeds))
-    return number[source]
+    return number[found[2]]  # pyright: ignore[reportOptionalSubscript]
 
 
 def _centers(
@@ -197,6 +198,6 @@ def _bent(
     is_open = np.isin(pairs @ [size, 1], coarse_border @ [size, 1])
     if is_open.any():
         rim = smooth[np.unique(border_edges(faces))]
-        middle[is_open] = rim[cKDTree(rim).query(straight[is_open])[1]]
+        middle[is_open] = rim[KDTree(rim).query(straight[is_open])[1]]
     bent = BentTriangles(corners, pairs, bulges_towards(corners, pairs, middle), triangles)
     return bent, np.concatenate([np.unique(coarse_border), size + np.flatnonzero(is_open)])

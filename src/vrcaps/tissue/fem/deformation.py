@@ -97,7 +97,8 @@ class FemDeformation:
         """Coefficient b of the exponential, 0 for none.
 
         A strip that keeps its volume, pulled to the stretch s, has q = s² + 2/s − 3 and the stress
-        P = μ exp(b q) (s − 1/s²); its slope is μ exp(b q) (1 + 2/s³ + 2 b (s − 1/s²)²), at rest 3 μ.
+        P = μ exp(b q) (s − 1/s²), whose slope is
+        μ exp(b q) (1 + 2/s³ + 2 b (s − 1/s²)²), 3 μ at rest.
         """
         if self.stiffening_strain == math.inf:
             return 0.0

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from vrcaps.tissue.fem.layer import Layer
 
 _ROUNDS = 6
+_LARGEST_WEIGHT = 6.0
 
 
 @dataclass(frozen=True)
@@ -31,14 +32,13 @@ class Embedding:
     weights: Float[np.ndarray, "n 12"]
 
 
-def embed(
-    vertices: Float[np.ndarray, "n 3"], coarsened: Coarsened, layer: Layer
-) -> Embedding:
+def embed(vertices: Float[np.ndarray, "n 3"], coarsened: Coarsened, layer: Layer) -> Embedding:
     """Hangs fine vertices on a layer.
 
     Each smoothed vertex has its place (ξ, η, height) in the layer: on the triangle around its cell
     in which it lies deepest. From the nearest place that the layer covers to the vertex itself,
-    which may stand off on a fold, the layer's map is taken as linear.
+    which may stand off on a fold, the layer's map is taken as linear. Where that makes weights
+    large, far off and on a sharp bend, those of least change that are exact are taken instead.
     """
     inner = coarsened.surface.triangles
     outer = layer.outer_triangles
@@ -54,7 +54,27 @@ def embed(
     weights = np.concatenate(
         [moved * (1.0 - height) - values * way[:, 2:], moved * height + values * way[:, 2:]], axis=1
     )
+    steep = np.flatnonzero(np.abs(weights).max(axis=1) > _LARGEST_WEIGHT)
+    flat = np.concatenate([values * (1.0 - height), values * height], axis=1)[steep]
+    nodes = np.concatenate([low, high], axis=1)[steep]
+    weights[steep] = _least_change(flat, nodes, vertices[steep])
     return Embedding(np.concatenate([inner, outer], axis=1)[triangle], weights)
+
+
+def _least_change(
+    weights: Float[np.ndarray, "k 12"],
+    nodes: Float[np.ndarray, "k 12 3"],
+    points: Float[np.ndarray, "k 3"],
+) -> Float[np.ndarray, "k 12"]:
+    """The weights nearest to given ones that sum to 1 and give back the points."""
+    center = nodes.mean(axis=1, keepdims=True)
+    around = nodes - center
+    size = np.linalg.norm(around, axis=2).max(axis=1)[:, None, None]
+    rows = np.concatenate([np.ones((len(nodes), 12, 1)), around / size], axis=2)
+    wanted = np.concatenate([np.ones((len(nodes), 1, 1)), (points[:, None] - center) / size], 2)
+    missing = wanted[:, 0] - np.einsum("ka,kai->ki", weights, rows)
+    share = np.linalg.solve(rows.swapaxes(1, 2) @ rows, missing[..., None])
+    return weights + (rows @ share)[..., 0]
 
 
 def _covered(place: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
@@ -107,7 +127,9 @@ def _locate(
 
 
 def _invert(
-    points: Float[np.ndarray, "n 3"], low: Float[np.ndarray, "n 6 3"], high: Float[np.ndarray, "n 6 3"]
+    points: Float[np.ndarray, "n 3"],
+    low: Float[np.ndarray, "n 6 3"],
+    high: Float[np.ndarray, "n 6 3"],
 ) -> Float[np.ndarray, "n 3"]:
     """Newton's rounds for (ξ, η, height) of points, kept near the triangle."""
     place = np.tile([1.0 / 3.0, 1.0 / 3.0, 0.0], (len(points), 1))

@@ -106,9 +106,7 @@ def _prism_tetrahedra(triangles: Int[np.ndarray, "m 6"], count: int) -> Int[np.n
 
 
 def thinnest(surface: CoarseSurface, thickness: float) -> Float[np.ndarray, " m"]:
-    """Smallest volume of each triangle's layer at its nodes, as a share of the mean; below 0 where
-    it folds over itself.
-    """
+    """Smallest share of its mean volume each triangle's layer has at a node; below 0 it folds."""
     count = len(surface.nodes)
     heights = np.array([0.0, 0.5, 1.0]) * thickness
     nodes = (surface.nodes + heights[:, None, None] * surface.outward).reshape(-1, 3)
@@ -120,11 +118,12 @@ def thinnest(surface: CoarseSurface, thickness: float) -> Float[np.ndarray, " m"
 def _check_volumes(
     nodes: Float[np.ndarray, "n 3"], tetrahedra: Int[np.ndarray, "m 10"], thickness: float
 ) -> None:
-    inverted = (corner_volumes(nodes, tetrahedra) <= 0.0).any(axis=1)
-    inverted |= (integration_points(nodes, tetrahedra, 2).weights <= 0.0).any(axis=1)
+    points = integration_points(nodes, tetrahedra, 2)
+    volumes = np.concatenate([corner_volumes(nodes, tetrahedra), points.weights], axis=1)
+    inverted = volumes.min(axis=1) <= 0.0
     if not inverted.any():
         return
-    x, y, z = 1e3 * nodes[tetrahedra[np.argmax(inverted), 0]]
+    x, y, z = 1e3 * nodes[tetrahedra[inverted][0, 0]]
     raise InputError(
         f"The layer folds over itself at {inverted.sum()} of {len(inverted)} elements, one at "
         f"({x:.0f}, {y:.0f}, {z:.0f}) mm: thickness is {1e3 * thickness:g} mm, more than the "

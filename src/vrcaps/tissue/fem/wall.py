@@ -29,6 +29,13 @@ class FemWall:
 
     Positions and forces are in the frame of the organ. The same start and the same steps give the
     same bytes, on any number of threads.
+
+    Attributes:
+        deformation: Its parameters.
+        layer: Its elements.
+        number: Number of each node of the layer in the core; free nodes first, then held ones.
+        num_free: How many are free.
+        embedding: How the organ's vertices hang on the nodes, by these numbers.
     """
 
     def __init__(self, organ: OrganSurface, deformation: FemDeformation) -> None:
@@ -39,9 +46,7 @@ class FemWall:
                 nothing holds it.
         """
         self.deformation = deformation
-        coarsened = coarsen(
-            organ.vertices, organ.faces, deformation.edge, deformation.thickness
-        )
+        coarsened = coarsen(organ.vertices, organ.faces, deformation.edge, deformation.thickness)
         self.layer = extrude(coarsened.surface, deformation.thickness, deformation.layers)
         over = _held(organ, deformation, coarsened)
         _check_held(over, deformation)
@@ -49,6 +54,7 @@ class FemWall:
         self.num_free = int((~held).sum())
         number = np.empty(len(held), np.int64)
         number[np.argsort(held, kind="stable")] = np.arange(len(held))
+        self.number = number
         embedding = embed(organ.vertices, coarsened, self.layer)
         self.embedding = Embedding(
             np.ascontiguousarray(number[embedding.nodes], np.uint32),
@@ -112,9 +118,10 @@ class FemWall:
         for name, value in (("force_on_vertices", force), ("acceleration", acceleration)):
             if not np.isfinite(value).all():
                 raise InputError(f"{name} is not finite. Allowed: finite numbers.")
+        x, y, z = acceleration
         tolerance = _TOLERANCE * self.deformation.thickness
         try:
-            self._core.step(force, tuple(acceleration), dt, tolerance)
+            self._core.step(force, (x, y, z), dt, tolerance)
         except ValueError as error:
             raise InputError(str(error)) from error
         yields = self.yields

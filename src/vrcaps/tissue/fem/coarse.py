@@ -122,10 +122,10 @@ def _cells(
 def _nearest_seed(
     graph: sparse.csr_matrix, seeds: Int[np.ndarray, " seeds"]
 ) -> Int[np.ndarray, " n"]:
-    found = dijkstra(graph, indices=seeds, min_only=True, return_predecessors=True)
-    number = np.full(graph.shape[0] + 1, -1)
+    distance, _, source = dijkstra(graph, indices=seeds, min_only=True, return_predecessors=True)
+    number = np.full(len(distance) + 1, -1)
     number[seeds] = np.arange(len(seeds))
-    return number[found[2]]  # pyright: ignore[reportOptionalSubscript]
+    return number[source]
 
 
 def _centers(

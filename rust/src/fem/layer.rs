@@ -120,7 +120,7 @@ impl Body {
         match &self.elements {
             Some(elements) => {
                 self.pattern.add_product(&self.support, displacement, 1.0, &mut out);
-                stored += elements.add_force(displacement, 0.0, &mut vec![]);
+                stored += elements.add_force(displacement, 0.0, &mut []);
             }
             None => self.pattern.add_product(&self.stiffness, displacement, 1.0, &mut out),
         }

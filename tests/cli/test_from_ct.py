@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -40,15 +41,20 @@ def files(scan: Volume, tmp_path_factory: pytest.TempPathFactory) -> Path:
     middle = np.array(gas.shape) // 2
     box = tuple(slice(m - r, m + r) for m, r in zip(middle, (30, 24, 24), strict=True))
     inside[box] = gas[box]
-    image = sitk.GetImageFromArray(7 * inside)
-    direction = scan.T_patient_index[:3, :3] / scan.spacing
-    image.SetSpacing((scan.spacing[::-1] * 1e3).tolist())
-    image.SetOrigin((scan.T_patient_index[:3, 3] * 1e3).tolist())
-    image.SetDirection(direction[:, ::-1].ravel().tolist())
-    sitk.WriteImage(image, str(folder / "labels.nii.gz"))
+    image = write_nifti(folder / "labels.nii.gz", replace(scan, values=7 * inside))
     image.SetSpacing((2.0, 2.0, 2.0))
     sitk.WriteImage(image, str(folder / "elsewhere.nii.gz"))
     return folder
+
+
+def write_nifti(path: Path, volume: Volume) -> sitk.Image:
+    image = sitk.GetImageFromArray(volume.values)
+    direction = volume.T_patient_index[:3, :3] / volume.spacing
+    image.SetSpacing((volume.spacing[::-1] * 1e3).tolist())
+    image.SetOrigin((volume.T_patient_index[:3, 3] * 1e3).tolist())
+    image.SetDirection(direction[:, ::-1].ravel().tolist())
+    sitk.WriteImage(image, str(path))
+    return image
 
 
 def run(args: list[str]) -> None:
@@ -110,3 +116,25 @@ def test_mistakes_end_in_one_line(files, tmp_path, capsys) -> None:
     assert "outside the lumen" in fail([dicom, "--seed-mm", "0", "20", "0", *out], capsys)
     assert "Allowed: -1000 to -300" in fail([dicom, "--threshold", "5", *out], capsys)
     assert not list(tmp_path.iterdir())
+
+
+def test_a_folder_with_two_series_lists_them(scan, tmp_path, capsys) -> None:
+    part = scan.crop((slice(0, 4), slice(None), slice(None)))
+    for series, first in (("1", 0), ("2", 4)):
+        phantom.write_dicom(tmp_path / "mixed", part, series=series, first=first)
+    out = ["--out", str(tmp_path / "x.glb")]
+    error = fail([str(tmp_path / "mixed"), *out], capsys)
+    assert "holds 2 series. Choose one by number or UID with --series: 1: " in error
+    assert "; 2: " in error
+    assert "No one series '3'" in fail([str(tmp_path / "mixed"), "--series", "3", *out], capsys)
+
+
+def test_a_lumen_that_leaks_ends_in_one_line(scan, tmp_path, capsys) -> None:
+    values = scan.values.copy()
+    k, j, i = np.array(values.shape) // 2
+    values[k - 3 : k + 3, j - 3 : j + 3, :i] = -1000  # from the lumen to the air outside
+    write_nifti(tmp_path / "leak.nii.gz", replace(scan, values=values))
+    args = [str(tmp_path / "leak.nii.gz"), "--out", str(tmp_path / "x.glb")]
+    assert "leaks" in fail(args, capsys)
+    assert "leaks to the air outside" in fail([*args, "--seed-mm", "0", "0", "0"], capsys)
+    assert not (tmp_path / "x.glb").exists()

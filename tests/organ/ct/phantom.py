@@ -18,6 +18,7 @@ from vrcaps.organ.surface import Mesh, vertex_normals
 GAS, LUNG, FAT, WALL, BONE, FLUID = -1000.0, -860.0, -95.0, 40.0, 650.0, 480.0
 WALL_THICKNESS = 3e-3
 RIM = 18e-3  # subcutaneous fat
+FIELD, TABLE = 36e-3, 16e-3  # how far the scan reaches beside the organ, and more under it
 
 
 @dataclass(frozen=True)
@@ -90,19 +91,15 @@ def coverage(
 
 
 def _grid(mesh: Mesh, scanner: Scanner) -> tuple[np.ndarray, tuple[int, int, int]]:
-    """Oblique grid around the body."""
-    low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
-    middle, half = 0.5 * (low + high), _half_axes(mesh) + 4e-3
-    low = np.array([*(middle[:2] - half), low[2] - 5e-3])
-    high = np.array([*(middle[:2] + half), high[2] + scanner.lungs])
-    high[1] += 14e-3  # the table
-    corners = np.array(np.meshgrid(*np.stack([low, high], axis=1))).reshape(3, -1).T
-    along = corners @ scanner.orientation
+    """Oblique grid around the organ, with most of the body's skin and the table in it."""
+    along = mesh.vertices @ scanner.orientation
+    low = along.min(axis=0) - np.array([5e-3, FIELD, FIELD])
+    high = along.max(axis=0) + np.array([scanner.lungs, FIELD + TABLE, FIELD])
     spacing = np.array(scanner.spacing)
     transform = np.eye(4)
     transform[:3, :3] = scanner.orientation * spacing
-    transform[:3, 3] = scanner.orientation @ along.min(axis=0)
-    shape = np.ceil(np.ptp(along, axis=0) / spacing).astype(int) + 1
+    transform[:3, 3] = scanner.orientation @ low
+    shape = np.ceil((high - low) / spacing).astype(int) + 1
     return transform, tuple(shape.tolist())
 
 

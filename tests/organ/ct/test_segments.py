@@ -10,17 +10,20 @@ from vrcaps.organ.ct.segments import colon_borders, colon_labels, runs_upwards
 
 
 def test_a_generated_colon_is_divided_much_as_it_was_made() -> None:
-    """Borders within 10 % of the length; flexures, which have landmarks, within 6 %."""
+    """Borders within 5 % of the length; flexures, which have landmarks, within 3 %.
+
+    This colon's transverse part rises as high as its hepatic flexure.
+    """
     organ = load_organ("colon", seed=0)
     length = organ.centerline.length
     true = [organ.arc_length[organ.label == n + 1].max() for n in range(len(SEGMENTS) - 1)]
     away = np.abs(colon_borders(organ.centerline) - true) / length
-    assert away.max() < 0.10
-    assert away[1:5].max() < 0.06
+    assert away.max() < 0.05
+    assert away[1:5].max() < 0.03
     label, names = colon_labels(organ.centerline, organ.arc_length)
     assert names == ("background", *SEGMENTS)
     assert set(label) == set(range(1, 9))
-    assert np.mean(label == organ.label) > 0.7
+    assert np.mean(label == organ.label) > 0.9
 
 
 def test_the_rectum_is_the_lower_end() -> None:

@@ -16,12 +16,13 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components, dijkstra
 from scipy.spatial import KDTree
 
+from vrcaps._core import Wall
 from vrcaps.organ.lesion import LESIONS, sites
 from vrcaps.organ.lesion.base import Form, Site, WallSamples
 from vrcaps.units import MM
 
-_STEINER = 6
-"""Points on each edge that paths over faces may pass."""
+_STEINER = 12
+"""Points on each edge that paths over faces may pass: ways are too long by 0.2 % on a cylinder."""
 
 
 @dataclass
@@ -85,27 +86,33 @@ class Polar:
     """
 
     def __init__(self, organ, site: Site, radius: float) -> None:
-        self.reach = 1.6 * radius + 2.0 * MM
-        near = np.linalg.norm(organ.vertices - site.center, axis=1) < self.reach + 4.0 * MM
+        self.center, self.reach = site.center, 1.5 * radius + 3.0 * MM
+        near = self._is_near(organ.vertices)
         faces = organ.faces[near[organ.faces].all(axis=1)]
         kept, local = np.unique(faces, return_inverse=True)
         vertices, faces = organ.vertices[kept], local.reshape(-1, 3)
         faces = faces[_component(faces, len(vertices), vertices, site.center)]
-        vertices, faces = _subdivided(vertices, faces, 0.15 * radius)
-        nodes, self.way = steiner_ways(vertices, faces, site.center)
-        self._tree = KDTree(nodes)
+        self._wall = Wall(vertices, faces.astype(np.int64))
+        self._nodes, self._around, self._way = steiner_ways(vertices, faces, site.center)
         self._points, self._directions = _directions(vertices, faces, site, radius)
         self._near = KDTree(self._points)
 
+    def _is_near(self, points: np.ndarray) -> np.ndarray:
+        return np.linalg.norm(points - self.center, axis=1) < self.reach
+
     def __call__(self, points: np.ndarray) -> np.ndarray:
-        """Log map of points [m], in the site's axes."""
-        apart, node = self._tree.query(points, k=40)
-        rho = (apart + self.way[node]).min(axis=1)
-        apart, node = self._near.query(points, k=4)
+        """Log map of points [m], in the site's axes; (1, 0) far away."""
+        xy, near = np.tile([1.0, 0.0], (len(points), 1)), self._is_near(points)
+        nearest, face = self._wall.closest_point(points[near])
+        nodes = self._around[face]
+        straight = np.linalg.norm(self._nodes[nodes] - nearest[:, None], axis=2)
+        rho = (straight + self._way[nodes]).min(axis=1)
+        apart, node = self._near.query(points[near], k=4)
         weight = 1.0 / (apart + 1e-6) ** 2
         direction = (weight[..., None] * self._directions[node]).sum(axis=1)
         direction /= np.maximum(np.linalg.norm(direction, axis=1, keepdims=True), 1e-12)
-        return np.where(np.isfinite(rho), rho, 1.0)[:, None] * direction
+        xy[near] = np.where(np.isfinite(rho), rho, 1.0)[:, None] * direction
+        return xy
 
 
 def _component(faces, count, vertices, center) -> np.ndarray:
@@ -116,8 +123,8 @@ def _component(faces, count, vertices, center) -> np.ndarray:
     return part[faces[:, 0]] == part[np.argmin(np.linalg.norm(vertices - center, axis=1))]
 
 
-def steiner_ways(vertices, faces, center) -> tuple[np.ndarray, np.ndarray]:
-    """Points on a wall [k 3], and the shortest way over its faces to each [m]."""
+def steiner_ways(vertices, faces, center) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Points on a wall's edges, those of each face, and the shortest way to each point [m]."""
     pairs = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]], axis=-1)
     ends, edge = np.unique(pairs.reshape(-1, 2), axis=0, return_inverse=True)
     share = np.arange(1, _STEINER + 1)[:, None] / (_STEINER + 1)
@@ -126,11 +133,12 @@ def steiner_ways(vertices, faces, center) -> tuple[np.ndarray, np.ndarray]:
     number = len(vertices) + np.arange(len(ends) * _STEINER).reshape(len(ends), _STEINER)
     around = np.concatenate([faces, number[edge.reshape(-1, 3)].reshape(len(faces), -1)], axis=1)
     pick = np.array(list(combinations(range(around.shape[1]), 2)))
-    links = np.unique(np.sort(around[:, pick].reshape(-1, 2), axis=1), axis=0)
+    links = np.sort(around[:, pick].reshape(-1, 2), axis=1)
+    links = np.stack(np.divmod(np.unique(links @ [len(nodes), 1]), len(nodes)), axis=1)
     length = np.linalg.norm(nodes[links[:, 0]] - nodes[links[:, 1]], axis=1)
     graph = coo_array((length, links.T), shape=(len(nodes), len(nodes))).tocsr()
     start = int(np.argmin(np.linalg.norm(vertices - center, axis=1)))
-    return nodes, dijkstra(graph, directed=False, indices=start)
+    return nodes, around, dijkstra(graph, directed=False, indices=start)
 
 
 def _subdivided(vertices, faces, longest: float) -> tuple[np.ndarray, np.ndarray]:
@@ -161,8 +169,6 @@ class Along:
     """Arc length on the wall before the lesion."""
 
     def __init__(self, organ) -> None:
-        from vrcaps._core import Wall
-
         self.organ = organ
         self._wall = Wall(organ.vertices.copy(), organ.faces.astype(np.int64))
 

@@ -126,6 +126,15 @@ def test_blood_runs_down_and_its_pool_is_level(tube):
     assert level == pytest.approx(RADIUS - 2.5 * MM, abs=0.15 * MM)
 
 
+def test_a_pool_leaves_room_for_a_capsule(tube):
+    """In an upright tube the pool's level lies across the lumen, which it must not block."""
+    bleed = Haemorrhage(level=4, place=Place(arc_length=110 * MM, theta=0.0))
+    bare = replace(tube, appearance=None)
+    organ = add_lesions(bare, [bleed], np.random.default_rng(0), down=(0.0, 0.0, 1.0)).organ
+    calibre = np.hypot(*organ.vertices[organ.instance == 1, :2].T)
+    assert 6.0 * MM < calibre.min() < 12.0 * MM
+
+
 def test_instances_follow_the_order_given_and_spots_keep_apart(tube):
     lesions = [Polyp(size=6 * MM), Colitis(mayo=2, spread=60 * MM), *[Polyp(size=5 * MM)] * 4]
     bare = replace(tube, appearance=None)
@@ -139,9 +148,11 @@ def test_instances_follow_the_order_given_and_spots_keep_apart(tube):
 
 
 def test_same_seed_same_bytes(tube):
-    lesions = [Polyp(), Colitis(mayo=3, spread=40 * MM), Haemorrhage(level=2)]
+    lesions = [Polyp(), Colitis(mayo=3, spread=20 * MM), Haemorrhage(level=2)]
+    bare = replace(tube, appearance=None)
     one, two, other = (
-        add_lesions(tube, lesions, np.random.default_rng(seed)).organ for seed in (7, 7, 8)
+        add_lesions(organ, lesions, np.random.default_rng(seed)).organ
+        for organ, seed in ((tube, 7), (tube, 7), (bare, 8))
     )
     assert one.vertices.tobytes() == two.vertices.tobytes()
     assert one.appearance is not None

@@ -60,7 +60,7 @@ def test_wrapped_texture_is_continued():
 def test_too_large():
     base = Appearance(*images(8, 4096))
     with pytest.raises(InputError, match="Make fewer or smaller lesions"):
-        pack(base, np.zeros((1, 3, 2)), charts_of(*[(700, 4000)] * 24))
+        pack(base, np.zeros((1, 3, 2)), charts_of((700, 4000)) * 24)
 
 
 def test_plain_colour_leaves_blank_texels_out():

@@ -77,5 +77,5 @@ def misplaced(scan: Volume, labels: Volume, number: int) -> str | None:
     volume = share * np.count_nonzero(labels.values == number) * labels.voxel_volume
     return (
         f"{share:.0%} of the label ({volume / CM**3:.0f} ml) lies in the air outside the body: "
-        "is this the label map of this scan?"
+        "it may be the label map of another scan"
     )

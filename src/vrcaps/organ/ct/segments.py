@@ -25,18 +25,21 @@ def runs_upwards(centerline: Centerline) -> bool:
 def colon_borders(centerline: Centerline) -> Float[np.ndarray, " 7"]:
     """Arc lengths [m] at which the segments of a whole colon meet, from the caecum on.
 
-    The two flexures are the highest places of the course in the first half and around its
-    middle; each takes its published share of the length. What lies before, between and behind
-    them is divided in the published proportions (`ColonParameters`).
+    The hepatic flexure is the place farthest up and to the right in the first half of the
+    course, the splenic one that farthest up and to the left around its middle: loops of the
+    transverse colon may rise as high, but between the two. Each takes its published share of the
+    length. What lies before, between and behind is divided in the published proportions
+    (`ColonParameters`).
 
     Args:
         centerline: From the caecum to the rectum, patient frame.
     """
     mean = ColonParameters()
     length = {name: getattr(mean, name).length / mean.length for name in SEGMENTS}
-    s, height = centerline.arc_length / centerline.length, centerline.points[:, 2]
-    splenic = _highest(s, height, _SPLENIC_RANGE)
-    hepatic = _highest(s, height, (_HEPATIC_RANGE[0], min(_HEPATIC_RANGE[1], splenic - 0.1)))
+    s, (left_of, _, height) = centerline.arc_length / centerline.length, centerline.points.T
+    splenic = _farthest(s, height + left_of, _SPLENIC_RANGE)
+    before = (_HEPATIC_RANGE[0], min(_HEPATIC_RANGE[1], splenic - 0.1))
+    hepatic = _farthest(s, height - left_of, before)
     half_hepatic = min(length["hepatic_flexure"] / 2, 0.5 * hepatic)
     half_splenic = length["splenic_flexure"] / 2
     caecum, ascending = length["caecum"], length["ascending"]
@@ -63,9 +66,9 @@ def colon_labels(
     return label.astype(np.uint8), ("background", *SEGMENTS)
 
 
-def _highest(
-    s: Float[np.ndarray, " n"], height: Float[np.ndarray, " n"], between: tuple[float, float]
+def _farthest(
+    s: Float[np.ndarray, " n"], reach: Float[np.ndarray, " n"], between: tuple[float, float]
 ) -> float:
-    """Where in a range of the course it is highest."""
+    """Where in a range of the course it reaches farthest."""
     inside = (s >= between[0]) & (s <= between[1])
-    return float(s[inside][np.argmax(height[inside])])
+    return float(s[inside][np.argmax(reach[inside])])

@@ -203,8 +203,9 @@ def _cuts_wall(wall: Patch, instance: int) -> bool:
     own = (wall.instance == instance) & (wall.moved != wall.clean).any(axis=1)
     if not own.any():
         return False
-    low, high = wall.moved[own].min(axis=0), wall.moved[own].max(axis=0)
     corners = wall.moved[wall.faces]
+    of_own = corners[own[wall.faces].any(axis=1)]
+    low, high = of_own.min(axis=(0, 1)), of_own.max(axis=(0, 1))
     near = ((corners.max(axis=1) >= low) & (corners.min(axis=1) <= high)).all(axis=1)
     faces = wall.faces[near]
     is_own = own[faces].any(axis=1)

@@ -20,6 +20,9 @@ if TYPE_CHECKING:
 _STAIN = 0.05 * MM
 """Least thickness of blood within its outline."""
 
+_OPEN = 8.0 * MM
+"""Radius of the lumen that a pool leaves open, so that a capsule passes."""
+
 _SHORE = 2.0 * MM
 """Way along the wall beyond the hollow's vertices in which the pool's edge lies [m]."""
 
@@ -124,7 +127,7 @@ class BleedForm:
     edge_length = 1.2 * MM
 
     def __init__(self, bleed: Bleed, site: Site, rng: np.random.Generator) -> None:
-        self.border_length = 0.085 * bleed.width
+        self.border_length = 0.05 * bleed.width
         self.bleed, self.site = bleed, site
         self._edge, self._ripple = swell(7.0 * MM, rng), cloud(5.0 * MM, rng)
         self._clots, self._age = swell(4.0 * MM, rng), cloud(9.0 * MM, rng)
@@ -135,8 +138,8 @@ class BleedForm:
             return np.full(len(wall.xy), -1.0)
         under = (wall.rest - self.site.bottom) @ self.site.down + self.bleed.pool
         away = np.linalg.norm(wall.rest - self.site.bottom, axis=1)
-        beyond = wall.xy[:, 2] - _SHORE
-        return np.minimum(np.minimum(under, self.site.reach - away), -beyond)
+        shore = self.bleed.pool * (1.0 - wall.xy[:, 2] / _SHORE)
+        return np.minimum(np.minimum(under, self.site.reach - away), shore)
 
     def _dry(self, wall: WallSamples) -> Float[np.ndarray, " n"]:
         """Distance within the source's and the stream's outline [m]."""
@@ -160,17 +163,17 @@ class BleedForm:
         """Positions of the blood's surface [m].
 
         The pool's is level: each place under it moves there towards the centreline, so that
-        walls that lean over it do not fold.
+        walls that lean over it do not fold, but never as far as to block the lumen.
         """
-        film = self._film(wall)[:, None] * wall.normal
-        pool = self._pool(wall)
-        clots = np.clip(self._clots(wall.rest) - 0.9, 0.0, 1.5) * self.bleed.clots
-        rise = np.maximum(pool, 0.0) + clots * smoothstep(pool / (1.0 * MM))
+        film, pool = self._film(wall)[:, None] * wall.normal, self._pool(wall)
         reach = np.maximum(np.linalg.norm(wall.inward, axis=1), 1e-9)
         inward = wall.inward / reach[:, None]
-        way = np.minimum(rise / np.maximum(-inward @ self.site.down, 0.3), 0.8 * reach)
-        dry = 1.0 - smoothstep(pool / (1.0 * MM))
-        return wall.rest + way[:, None] * inward + dry[:, None] * film
+        steep = np.maximum(-inward @ self.site.down, 0.3)
+        room = np.maximum(reach - _OPEN, 0.0)
+        level = wall.rest + np.minimum(np.maximum(pool, 0.0) / steep, room)[:, None] * inward
+        wet = smoothstep(pool / (1.0 * MM))
+        clots = np.clip(self._clots(level) - 0.9, 0.0, 1.5) * self.bleed.clots * wet
+        return level + clots[:, None] * inward + (1.0 - wet)[:, None] * film
 
     def chart(self, wall: WallSamples) -> Float[np.ndarray, "n 2"]:
         """Not used: it is painted in place."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -39,6 +39,20 @@ def log_map(
         MissingExtraError: If potpourri3d is not installed.
         InputError: If the triangles there are needles.
     """
+    solver, xy = _vector_heat(patch, center, edge_length)
+    x, y, normal = (np.asarray(axis)[center] for axis in solver.get_tangent_frames())
+    rho = np.linalg.norm(xy, axis=1)
+    near = np.flatnonzero((rho < _BEYOND * radius) & (np.arange(len(rho)) != center) & (rho > 0.0))
+    exact = _path_lengths(patch, center, near)
+    xy[near] *= (exact / rho[near])[:, None]
+    xy[center] = 0.0
+    return xy, np.stack([x, y, normal], axis=1)
+
+
+def _vector_heat(
+    patch: Patch, center: int, edge_length: float
+) -> tuple[Any, Float[np.ndarray, "n 2"]]:
+    """Solver that has tangent frames, and log map of every vertex [m]."""
     try:
         import potpourri3d as pp3d
     except ImportError as error:
@@ -55,20 +69,12 @@ def log_map(
         except RuntimeError:  # its matrix is singular where triangles are needles
             continue
         if np.isfinite(xy).all():
-            break
-    else:
-        x, y, z = patch.moved[center] / MM
-        raise InputError(
-            f"The wall at ({x:.1f}, {y:.1f}, {z:.1f}) mm has triangles too thin to lay a lesion "
-            "on. Choose another place, or remesh the organ."
-        )
-    x, y, normal = (np.asarray(axis)[center] for axis in solver.get_tangent_frames())
-    rho = np.linalg.norm(xy, axis=1)
-    near = np.flatnonzero((rho < _BEYOND * radius) & (np.arange(len(rho)) != center) & (rho > 0.0))
-    exact = _path_lengths(patch, center, near)
-    xy[near] *= (exact / rho[near])[:, None]
-    xy[center] = 0.0
-    return xy, np.stack([x, y, normal], axis=1)
+            return solver, xy
+    x, y, z = patch.moved[center] / MM
+    raise InputError(
+        f"The wall at ({x:.1f}, {y:.1f}, {z:.1f}) mm has triangles too thin to lay a lesion on. "
+        "Choose another place, or remesh the organ."
+    )
 
 
 def _path_lengths(

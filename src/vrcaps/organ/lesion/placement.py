@@ -65,12 +65,14 @@ def place_spot(
         InputError: If it does not fit there, or nowhere in so many tries.
         UnknownNameError: If the organ has no such segment.
     """
-    reason = "no wall there"
+    reasons: list[str] = []
     for vertex in candidates(organ, lesion.place, rng, num_vertices):
-        reason = _misfit(organ, wall, lesion, others, int(vertex))
-        if not reason:
-            return Placed(lesion, int(vertex), organ.vertices[vertex])
-    raise InputError(f"No place for {describe(lesion)}: {reason}.")
+        reasons.append(_misfit(organ, wall, lesion, others, vertex))
+        if not reasons[-1]:
+            return Placed(lesion, vertex, organ.vertices[vertex])
+    drawn = f"none of {len(reasons)} places drawn will do; at the last, "
+    which = drawn if len(reasons) > 1 else ""
+    raise InputError(f"No place for {describe(lesion)}: {which}{reasons[-1]}.")
 
 
 def candidates(

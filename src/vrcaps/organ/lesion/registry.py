@@ -101,7 +101,8 @@ def _named(name: str) -> tuple[type[Lesion], dict[str, Any]]:
         return cls, {}
     if not cls.grade_field:
         raise InputError(f"Lesion {name!r}: {kind} has no grades. Write {kind!r}.")
-    return cls, {cls.grade_field: _value(name, grade, get_type_hints(cls)[cls.grade_field])}
+    key = cls.grade_field
+    return cls, {key: _value(key, grade, get_type_hints(cls)[key])}
 
 
 def _value(key: str, text: str, hint: Any) -> Any:
@@ -112,7 +113,10 @@ def _value(key: str, text: str, hint: Any) -> Any:
         if text == str(word):
             return word
     if key in _LENGTHS:
-        return parse_length(text)
+        try:
+            return parse_length(text)
+        except InputError:
+            words.append("a length such as 8mm")
     if words:
         raise InputError(f"{key} is {text!r}. Allowed: {', '.join(map(str, words))}.")
     if hint is str or str in get_args(hint):

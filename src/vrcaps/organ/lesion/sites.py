@@ -24,7 +24,6 @@ from vrcaps.units import MM
 if TYPE_CHECKING:
     from jaxtyping import Float, Int
 
-_NUM_TRIES = 60
 _WAVY = 1.3  # largest outline of a spot, in mean radii
 _STEP = 1.0 * MM  # along a stream
 _LEVEL = 0.10  # sine of the slope on which blood stops

@@ -15,9 +15,9 @@ from vrcaps.units import MM
 if TYPE_CHECKING:
     from jaxtyping import Float
 
-_BORDER_SHARE = 0.025
+_BORDER_SHARE = 0.0125
 """Edge of the triangles on the footprint's border, in its radii: the mask, which keeps to whole
-triangles, then covers what the footprint covers to 1 %."""
+triangles, then covers what the footprint covers to 0.5 %."""
 
 
 class SpotForm:

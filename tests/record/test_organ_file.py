@@ -13,6 +13,7 @@ from vrcaps.organ.lesion import parse_lesion
 from vrcaps.organ.read_organ import read_organ
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.organ.write import write_glb
+from vrcaps.record.episode import read_episode
 from vrcaps.record.recorder import record
 from vrcaps.record.scenario import OrganFile, Scenario, build, resolve
 from vrcaps.world.fly_through import FlyThrough
@@ -45,11 +46,11 @@ def test_the_organ_is_the_one_written(plan: Scenario, organ: OrganSurface, tmp_p
 
 
 def test_an_episodes_own_organ_records_the_same_again(plan: Scenario, tmp_path: Path) -> None:
-    first = record(plan, tmp_path / "first")
+    first = read_episode(record(plan, tmp_path / "first"))
     assert first.label_names == ("background", "upper", "lower")
     assert first.head["organ"]["lesions"] == [RECORD]
     again = replace(plan, organ=OrganFile(str(tmp_path / "first" / "organ.glb")))
-    second = record(again, tmp_path / "second")
+    second = read_episode(record(again, tmp_path / "second"))
     for camera in first.cameras:
         for channel in first.channels:
             for frame in range(len(first)):

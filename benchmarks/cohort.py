@@ -287,13 +287,13 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=PAGE, help="Markdown page to write into")
     given = parser.parse_args()
     jobs: list[tuple[str, int, str | None]] = [("measure", k, None) for k in range(given.patients)]
+    jobs += [("make", k, None) for k in range(given.tracts)]
     for condition in ("inflated", "collapsed"):
         jobs += [("make", k, condition) for k in range(given.fillings)]
-    jobs += [("make", k, None) for k in range(given.tracts)]
     run(jobs, given.store, given.processes)
     lines = [x for x in read(given.store) if (x["kind"], x["seed"], x["condition"]) in jobs]
     measured = [x for x in lines if x["kind"] == "measure"]
-    failed = [f"seed {x['seed']}: {x['error']}" for x in measured if "error" in x]
+    failed = [f"seed {x['seed']}: {x['error'].rstrip('.')}" for x in measured if "error" in x]
     text = _TEXT.format(
         patients=given.patients,
         tracts=given.tracts,

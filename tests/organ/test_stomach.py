@@ -111,7 +111,7 @@ def test_curvatures_are_those_of_a_j():
 
 
 def test_impossible_stomachs_are_refused(monkeypatch: pytest.MonkeyPatch):
-    with pytest.raises(InputError, match=r"Stomach length is 1\. Allowed: 0\.12 to 0\.35"):
+    with pytest.raises(InputError, match=r"Stomach length is 1\. Allowed: 0\.1 to 0\.35"):
         StomachParameters(length=1.0)
     with pytest.raises(InputError, match="is wider than its body"):
         StomachParameters(body_diameter=0.05)

@@ -124,11 +124,8 @@ def generate_course(
         for course in _settling(parameters.length, chain, nodes, around.obstacles):
             fine = np.interp(course.arc_length / course.arc_length[-1], shares, radius_of)
             room = least_room(course, fine, around.obstacles, _APPROACH)
-            if (
-                abs(parameters.length / course.arc_length[-1] - 1.0) < _TOLERANCE
-                and room > least_allowed
-                and sharpest_bend(course, fine) < _SHARPEST
-            ):
+            is_long = abs(parameters.length / course.arc_length[-1] - 1.0) < _TOLERANCE
+            if is_long and room > least_allowed and sharpest_bend(course, fine) < _SHARPEST:
                 return course
             if room < _HOPELESS:
                 break

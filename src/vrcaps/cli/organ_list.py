@@ -27,7 +27,8 @@ class List:
         _print("fillings", [("--condition", f"{', '.join(CONDITIONS)}; by default {usual}")])
         _print("lesions, in any of them", _lesions())
         _print("", [("by name", f"{len(LIBRARY)} of a library, such as {_examples(LIBRARY)}")])
-        _print("mucosae, for mesh files", [("--mucosa", ", ".join(MUCOSAE))])
+        photos = "or the folder of a texture from your photographs (vrcaps organ texture)"
+        _print("mucosae", [("--mucosa", f"{', '.join(MUCOSAE)}; {photos}")])
         devices = [load_device(name) for name in device_names()]
         _print("capsules", [(device.name, device.title) for device in devices])
         console.print("Next:")
@@ -71,7 +72,8 @@ def _lesions() -> list[tuple[str, str]]:
         grade = cls.grade_field
         grades = get_args(get_type_hints(cls)[grade]) if grade else ()
         name = f"{kind}-{'|'.join(map(str, grades))}" if grades else kind
-        settings = [f.name for f in fields(cls) if f.name not in ("place", grade)]
+        # Inherited settings come first; what is a kind's own matters more.
+        settings = [f.name for f in reversed(fields(cls)) if f.name not in ("place", grade)]
         rows.append((name, _words(tuple(settings))))
     return [*rows, ("place of each", "segment, arc_length, theta; drawn where left out")]
 

@@ -5,6 +5,7 @@ python docs/images/channels.py
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import matplotlib
@@ -15,6 +16,7 @@ import vrcaps
 
 CHANNELS = ("rgb", "depth", "normal", "label")
 FRAMES, SHOWN = 200, (12, 58, 92, 126, 171, 188)
+BRIGHTER = 1.6  # than the exposure that the capsule's file states
 GAP_PX = 6
 
 
@@ -36,14 +38,13 @@ def colours(frame: vrcaps.Frame, channel: str) -> np.ndarray:
 def main(path: Path) -> None:
     """Render the views and write the picture."""
     organ, device = vrcaps.load_organ("colon", seed=0), vrcaps.load_device("mirocam")
+    camera = device.cameras[0]
+    camera = replace(camera, exposure=BRIGHTER * camera.exposure)
     model = vrcaps.Model(organ, device)
     rng = np.random.default_rng(0)
     flight = vrcaps.fly_through(model, vrcaps.FlyThrough(), frames=FRAMES, fps=3.0, rng=rng)
     renderer = vrcaps.Renderer(model, vrcaps.RenderSettings(supersampling=3, shadows=True))
-    frames = [
-        renderer.render(flight.state(index), device.cameras[0], channels=CHANNELS)
-        for index in SHOWN
-    ]
+    frames = [renderer.render(flight.state(index), camera, channels=CHANNELS) for index in SHOWN]
     gap = ((GAP_PX, GAP_PX), (GAP_PX, GAP_PX), (0, 0))
     rows = [
         np.concatenate([np.pad(colours(frame, channel), gap) for frame in frames], axis=1)

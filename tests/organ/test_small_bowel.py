@@ -144,6 +144,25 @@ def test_ways_lead_around_obstacles():
     assert 0.0 < inside < 0.1
 
 
+def test_after_the_widest_abdomen_the_tries_begin_anew(
+    monkeypatch: pytest.MonkeyPatch, around: Surroundings
+):
+    widths, survey_abdomen = [], course_module._abdomen
+
+    def record(length: float, radius: np.ndarray, around: Surroundings, width: int):
+        widths.append(width)
+        return survey_abdomen(length, radius, around, width)
+
+    monkeypatch.setattr(course_module, "_abdomen", record)
+    monkeypatch.setattr(course_module, "least_room", lambda *_: -1.0)
+    monkeypatch.setattr(course_module, "_NUM_STEPS", 2)
+    monkeypatch.setattr(course_module, "_NUM_WIDTHS", 2)
+    monkeypatch.setattr(course_module, "_NUM_TRIES", 3)
+    with pytest.raises(InputError, match="Found no course"):
+        generate_small_bowel(SmallBowelParameters(length=2.0), around, seed=0)
+    assert widths == [0, 1, 0]
+
+
 def test_fillings_differ_in_calibre_and_slack():
     plain = SmallBowelParameters()
     inflated, collapsed = plain.at("inflated"), plain.at("collapsed")

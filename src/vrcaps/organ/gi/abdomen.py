@@ -99,6 +99,11 @@ def place_stomach(parameters: StomachParameters, colon: ColonPlace, seed: int) -
     return Course(pivot + scale * (course.points - pivot), scale * course.arc_length)
 
 
+def pylorus_sample(parameters: StomachParameters, axis: Course) -> int:
+    """Number of the axis's sample at the pyloric ring, where the small bowel begins."""
+    return int(np.argmin(np.abs(axis.arc_length - parameters.length)))
+
+
 def _towards_duodenum(course: Course) -> Float[np.ndarray, " 3"]:
     """Direction of the bulb [unit]: on from the pylorus, turning to the right, back and down."""
     onward = course.points[-1] - course.points[-5]
@@ -125,7 +130,7 @@ def stomach_balls(parameters: StomachParameters, course: Course) -> Balls:
 
 def surroundings(colon: ColonPlace, stomach: StomachParameters, stomach_at: Course) -> Surroundings:
     """What a patient's small bowel is laid between."""
-    end = int(np.argmin(np.abs(stomach_at.arc_length - stomach.length)))
+    end = pylorus_sample(stomach, stomach_at)
     direction = stomach_at.points[end] - stomach_at.points[end - 4]
     return Surroundings(
         pylorus=stomach_at.points[end],

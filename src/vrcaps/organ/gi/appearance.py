@@ -2,15 +2,38 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from vrcaps.organ.appearance import bake_appearance
 from vrcaps.organ.surface import OrganSurface
 
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from jaxtyping import Bool, Float
+
 _MUCOSAE = ("stomach", "small_intestine", "colon")
 _MAX_TEXELS = 90_000_000
+
+
+@dataclass(frozen=True)
+class _Part:
+    """One organ of a tract.
+
+    Attributes:
+        is_in: Which faces of the tract are its own.
+        uv: Texture coordinates of their corners in its own unit square.
+        share: Of all texels.
+        mucosa: Name of its mucosa.
+    """
+
+    is_in: Bool[np.ndarray, " m"]
+    uv: Float[np.ndarray, "k 3 2"]
+    share: float
+    mucosa: str
 
 
 def with_appearance(
@@ -23,44 +46,46 @@ def with_appearance(
         seed: Of the patient.
         max_texels: Most texels of all textures, about.
     """
-    borders = np.array(organ.metadata["texture_parts"])
-    width = np.diff(borders)
-    part = np.searchsorted(borders[1:-1], organ.uv[..., 0].mean(axis=1))
-    heights = width / width.max()
-    baked, coordinates = [], organ.uv.copy()
-    for k, mucosa in enumerate(_MUCOSAE):
-        is_in = part == k
-        uv = (organ.uv[is_in] - [borders[k], 0.0]) / [width[k], heights[k]]
-        own = replace(organ, faces=organ.faces[is_in], uv=uv)
-        share = width[k] * heights[k] / np.sum(width * heights)
-        baked.append(
-            bake_appearance(own, seed=seed, mucosa=mucosa, max_texels=int(share * max_texels))
+    parts = list(_parts(organ))
+    baked = [
+        bake_appearance(
+            replace(organ, faces=organ.faces[part.is_in], uv=part.uv),
+            seed=seed,
+            mucosa=part.mucosa,
+            max_texels=int(part.share * max_texels),
         )
-        coordinates[is_in] = uv
-    sizes = np.array([part.roughness.shape for part in baked])
+        for part in parts
+    ]
+    sizes = np.array([own.roughness.shape for own in baked])
     height, total = sizes[:, 0].max(), sizes[:, 1].sum()
     left = np.cumsum(sizes[:, 1]) - sizes[:, 1]
-    # Row 0 is v = 1: lower textures are filled up at the top.
-    coordinates *= (sizes[part] / np.array([height, total]))[:, None, ::-1]
-    coordinates[..., 0] += (left[part] / total)[:, None]
-
-    def side_by_side(name: str) -> np.ndarray:
-        images = [getattr(part, name) for part in baked]
-        padding = [(height - len(image), 0) for image in images]
-        return np.concatenate(
-            [
-                np.pad(image, [pad, *[(0, 0)] * (image.ndim - 1)], mode="edge")
-                for image, pad in zip(images, padding, strict=True)
-            ],
-            axis=1,
-        )
-
-    texels = sizes.prod(axis=1)
+    uv = np.empty_like(organ.uv)
+    for part, size, start in zip(parts, sizes, left, strict=True):
+        uv[part.is_in] = part.uv * (size / np.array([height, total]))[::-1] + [start / total, 0.0]
+    names = ("albedo", "roughness", "height")
     appearance = replace(
         baked[1],
-        coat=float(np.average([part.coat for part in baked], weights=texels)),
-        albedo=side_by_side("albedo"),
-        roughness=side_by_side("roughness"),
-        height=side_by_side("height"),
+        coat=float(np.average([own.coat for own in baked], weights=sizes.prod(axis=1))),
+        **{name: _side_by_side([getattr(own, name) for own in baked]) for name in names},
     )
-    return replace(organ, uv=coordinates, appearance=appearance)
+    return replace(organ, uv=uv, appearance=appearance)
+
+
+def _parts(organ: OrganSurface) -> Iterator[_Part]:
+    """Stomach, small bowel and colon of a tract."""
+    borders = np.array(organ.metadata["texture_parts"])
+    width = np.diff(borders)
+    heights = width / width.max()
+    number = np.searchsorted(borders[1:-1], organ.uv[..., 0].mean(axis=1))
+    for k, mucosa in enumerate(_MUCOSAE):
+        uv = (organ.uv[number == k] - [borders[k], 0.0]) / [width[k], heights[k]]
+        share = width[k] * heights[k] / np.sum(width * heights)
+        yield _Part(number == k, uv, float(share), mucosa)
+
+
+def _side_by_side(images: list[np.ndarray]) -> np.ndarray:
+    """Images next to each other; row 0 is v = 1, so that lower ones are filled up at the top."""
+    height = max(len(image) for image in images)
+    padding = [[(height - len(image), 0), *[(0, 0)] * (image.ndim - 1)] for image in images]
+    padded = [np.pad(i, p, mode="edge") for i, p in zip(images, padding, strict=True)]
+    return np.concatenate(padded, axis=1)

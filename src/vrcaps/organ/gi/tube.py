@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from vrcaps.organ.gi.abdomen import ColonPlace, place_stomach, surroundings
+from vrcaps.organ.gi.abdomen import ColonPlace, place_stomach, pylorus_sample, surroundings
 from vrcaps.organ.shape.skin import Skin
 from vrcaps.organ.shape.tube import Course, Tube, make_tube
 from vrcaps.organ.shape.waves import smooth_step
@@ -128,7 +128,7 @@ def lay_upper_tract(
     axis = place_stomach(stomach, colon, seed)
     around = surroundings(colon, stomach, axis)
     bowel_wall, bowel_tube = lay_small_bowel(bowel, around, rng)
-    upper = axis.points[axis.arc_length < stomach.length - 0.5 * MM]
+    upper = axis.points[: pylorus_sample(stomach, axis)]
     points = np.concatenate([upper, bowel_tube.curve(bowel_tube.arc_length)])
     chord = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1)))
     even = np.linspace(0.0, chord[-1], round(chord[-1] / MM) + 1)

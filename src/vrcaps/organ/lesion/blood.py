@@ -12,13 +12,13 @@ from vrcaps.units import MM
 if TYPE_CHECKING:
     from jaxtyping import Float
 
-FRESH = np.array([0.22, 0.006, 0.006])
+FRESH = np.array([0.12, 0.0085, 0.0068])
 """Linear reflectance of a thick layer of fresh blood."""
 
-OLD = np.array([0.045, 0.004, 0.004])
+OLD = np.array([0.035, 0.0055, 0.0042])
 """Of a thick layer of clotted blood."""
 
-FIBRIN = np.array([0.50, 0.37, 0.21])
+FIBRIN = np.array([0.52, 0.33, 0.20])
 """Of fibrin and slough on an ulcer."""
 
 _EXTINCTION = np.array([0.5, 5.5, 5.0]) / MM

@@ -55,11 +55,11 @@ class Activity:
 
 
 ACTIVITIES = {
-    1: Activity(0.8, (1.02, 0.66, 0.62), 0.75, 0.006 * MM, petechiae=3.2),
-    2: Activity(1.0, (1.0, 0.70, 0.66), 0.55, 0.011 * MM, petechiae=2.4, erosions=1.2),
+    1: Activity(0.85, (1.02, 0.66, 0.62), 0.6, 0.020 * MM, petechiae=3.2),
+    2: Activity(1.0, (0.98, 0.69, 0.71), 0.40, 0.026 * MM, petechiae=2.6, erosions=1.4),
     3: Activity(
-        *(1.0, (0.95, 0.50, 0.46), 0.45, 0.016 * MM),
-        **{"petechiae": 1.9, "erosions": 1.1, "ulcers": 0.5, "blood": 0.35},
+        *(1.0, (0.96, 0.56, 0.54), 0.35, 0.028 * MM),
+        **{"petechiae": 2.3, "erosions": 1.3, "ulcers": 0.6, "blood": 0.6},
     ),
 }
 """By Mayo subscore: 1 erythema, decreased vascular pattern; 2 marked erythema, no vascular
@@ -156,10 +156,10 @@ class ColitisForm:
         redness = (1.0 - is_like.patchiness) + is_like.patchiness * patch
         color = mix(clean.color, clean.plain, is_like.obscured * (0.6 + 0.4 * patch))
         color = color * np.array(is_like.tint) ** redness[:, None]
-        color = color * np.exp(0.05 * granules + 0.06 * mottle)[:, None] ** (0.6, 1.2, 1.2)
+        color = color * np.exp(0.08 * granules + 0.08 * mottle)[:, None] ** (0.9, 1.1, 1.1)
         spot = smoothstep((self._points(points) - is_like.petechiae) / 0.6)
-        color = mix(color, np.array([0.34, 0.03, 0.025]), 0.7 * spot)
-        height = clean.height * (1.0 - 0.6 * is_like.obscured) + is_like.granularity * granules
+        color = mix(color, np.array([0.36, 0.05, 0.04]), 0.6 * spot)
+        height = clean.height * (1.0 - 0.3 * is_like.obscured) + is_like.granularity * granules
         color, sloughy, height = self._ulcerated(color, height, points, mottle)
         pooled = np.clip(self._blood(points) + 0.3 * mottle - is_like.blood, 0.0, 2.0)
         color = under_blood(color, _FILM * pooled**1.5 * np.exp(0.25 * granules), 0.3 * pooled)
@@ -183,10 +183,10 @@ class ColitisForm:
                 continue
             level = field(points) - threshold + 0.3 * mottle
             rim = np.exp(-(((level + 0.1) / 0.4) ** 2))
-            color = color * (1.0 - rim[:, None] * (0.08, 0.35, 0.35))
+            color = color * (1.0 - rim[:, None] * (0.05, 0.22, 0.22))
             base = smoothstep((level + 0.2) / 1.3)
             slough = FIBRIN * np.exp(0.10 * mottle + 0.15 * self._patches(points))[:, None]
-            color = mix(color, slough, 0.75 * base)
+            color = mix(color, slough, 0.6 * base)
             height = height + (0.3 * rim - base) * deep
             sloughy = np.maximum(sloughy, base)
         return color, sloughy, height

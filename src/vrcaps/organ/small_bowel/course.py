@@ -36,7 +36,8 @@ _GAP = 3 * MM
 _MESENTERY = 16 * CM
 """Greatest distance from the root to the bowel (Gray's Anatomy: about 15 to 20 cm)."""
 _NUM_STEPS = 240
-_NUM_TRIES = 24
+_NUM_TRIES, _NUM_WIDTHS = 48, 24
+"""The abdomen widens over so many tries; then they begin anew, with the room left at the last."""
 _NUM_REFINED = 80
 _SPREAD = 1.25
 _TOLERANCE = 0.015
@@ -116,16 +117,15 @@ def generate_course(
     num = round(parameters.length / _SPACING) + 1
     radius = np.interp(np.linspace(0.0, 1.0, num), shares, radius_of)
     for attempt in range(_NUM_TRIES):
-        terrain = _abdomen(parameters.length, radius, around, attempt)
-        chain, nodes = _start(parameters, radius, around, terrain, attempt, rng)
+        width = attempt % _NUM_WIDTHS
+        least_allowed = _LEAST_ROOM * (1.0 + 0.25 * min(attempt, _NUM_WIDTHS - 1))
+        terrain = _abdomen(parameters.length, radius, around, width)
+        chain, nodes = _start(parameters, radius, around, terrain, width, rng)
         for course in _settling(parameters.length, chain, nodes, around.obstacles):
             fine = np.interp(course.arc_length / course.arc_length[-1], shares, radius_of)
             room = least_room(course, fine, around.obstacles, _APPROACH)
-            if (
-                abs(parameters.length / course.arc_length[-1] - 1.0) < _TOLERANCE
-                and room > _LEAST_ROOM * (1.0 + 0.25 * attempt)
-                and sharpest_bend(course, fine) < _SHARPEST
-            ):
+            is_long = abs(parameters.length / course.arc_length[-1] - 1.0) < _TOLERANCE
+            if is_long and room > least_allowed and sharpest_bend(course, fine) < _SHARPEST:
                 return course
             if room < _HOPELESS:
                 break

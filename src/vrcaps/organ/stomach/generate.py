@@ -8,11 +8,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vrcaps.errors import InputError
-from vrcaps.organ.centerline import centerline_from_points
 from vrcaps.organ.crossing import self_intersections
-from vrcaps.organ.shape.coordinates import angle_and_radius, arc_length_of_sections
-from vrcaps.organ.shape.rows import mesh_skin
-from vrcaps.organ.shape.skin import Grid, Skin, make_meridian, turns
+from vrcaps.organ.shape.organ import skin_to_organ
+from vrcaps.organ.shape.skin import Skin
 from vrcaps.organ.shape.tube import make_tube
 from vrcaps.organ.shape.waves import wrap
 from vrcaps.organ.stomach.parameters import SEGMENTS
@@ -26,8 +24,7 @@ from vrcaps.organ.stomach.shape import (
     stomach_radius,
     stomach_wall_rng,
 )
-from vrcaps.organ.surface import OrganSurface, vertex_normals
-from vrcaps.organ.texture_charts import TubeChart, chart_coordinates
+from vrcaps.organ.surface import OrganSurface
 from vrcaps.units import MM
 
 if TYPE_CHECKING:
@@ -115,28 +112,12 @@ def _skin(wall: StomachWall) -> Skin:
 
 
 def _as_organ(wall: StomachWall, seed: int) -> OrganSurface:
-    """The finished surface with labels, gut coordinates and centreline."""
-    skin = _skin(wall)
-    grid: Grid = mesh_skin(skin)
-    s = make_meridian(skin).to_arc_length(grid.along)
-    radius = skin.radius(s, grid.theta)
-    vertices = skin.tube.points(s, grid.theta, radius)
-    faces = grid.faces.astype(np.int32)
-    centerline = centerline_from_points(stomach_path(wall), vertices, faces, step=1.5 * MM)
-    arc_length = arc_length_of_sections(s, wall.tube, centerline)
-    theta, distance = angle_and_radius(vertices, arc_length, centerline)
-    return OrganSurface(
-        name="stomach",
-        vertices=vertices,
-        faces=faces,
-        normals=vertex_normals(vertices, faces),
-        uv=chart_coordinates(TubeChart(faces, vertices[faces], turns(grid), grid.along[faces])),
-        label=stomach_labels(wall, s, grid.theta),
-        label_names=("background", *SEGMENTS),
-        instance=np.zeros(len(vertices), np.uint16),
-        arc_length=arc_length,
-        theta=theta,
-        radius=distance,
-        centerline=centerline,
+    """The finished surface, whose centreline starts at the cardia."""
+    return skin_to_organ(
+        _skin(wall),
+        "stomach",
+        segments=SEGMENTS,
+        label=lambda s, theta: stomach_labels(wall, s, theta),
         metadata={"generator": "stomach", "seed": seed, "parameters": asdict(wall.parameters)},
+        path=stomach_path(wall),
     )

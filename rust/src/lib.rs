@@ -5,10 +5,12 @@
 
 mod bvh;
 mod cpu;
+mod fem;
 mod image;
 mod lanes;
 mod material;
 mod mucosa;
+mod physics;
 mod query;
 mod rays;
 mod render;
@@ -26,6 +28,8 @@ fn _core(m: &Bound<'_, PyModule>) -> PyResult<()> {
     m.add("__version__", env!("CARGO_PKG_VERSION"))?;
     m.add_function(wrap_pyfunction!(mucosa::bake_mucosa, m)?)?;
     m.add_class::<wall::Wall>()?;
+    m.add_class::<fem::layer::FemLayer>()?;
+    m.add_class::<physics::world::World>()?;
     m.add_class::<scene::Scene>()?;
     m.add_class::<texture::Texture>()?;
     m.add_class::<rays::RayTable>()?;

@@ -18,6 +18,7 @@ type DistanceAndFace<'py> = (Bound<'py, PyArray1<f32>>, Bound<'py, PyArray1<i64>
 #[pyclass(module = "vrcaps._core")]
 pub struct Wall {
     /// Middle of the mesh's bounds when it was made; subtracted from every position [m].
+    #[pyo3(get)]
     pub center: [f64; 3],
     /// Largest coordinate about the centre [m].
     pub extent: f32,
@@ -49,14 +50,25 @@ impl Wall {
         [0, 1, 2].map(|k| f64::from(point[k]) + self.center[k])
     }
 
-    /// Takes over vertices [n 3] if all are finite numbers; else nothing changes.
-    fn set_vertices(&mut self, vertices: &[f64]) -> Result<(), &'static str> {
-        let center = self.center;
-        self.spare.resize(vertices.len() / 3, [0.0; 3]);
-        let places = self.spare.par_iter_mut().with_min_len(4096);
-        let sizes = places.zip(vertices.par_chunks_exact(3)).map(|(place, vertex)| {
-            *place = [0, 1, 2].map(|k| (vertex[k] - center[k]) as f32);
-            place.map(f32::abs)
+    /// Moves the wall to new vertices about its centre and refits all that follows from them.
+    pub fn move_to(&mut self, place: impl Fn(usize) -> Vec3 + Sync) -> Result<(), &'static str> {
+        self.set_vertices(self.vertices.len(), place)?;
+        self.update_normals();
+        self.bvh.refit(&self.vertices);
+        Ok(())
+    }
+
+    /// Takes over vertices if all are finite numbers; else nothing changes.
+    fn set_vertices(
+        &mut self,
+        count: usize,
+        place: impl Fn(usize) -> Vec3 + Sync,
+    ) -> Result<(), &'static str> {
+        self.spare.resize(count, [0.0; 3]);
+        let places = self.spare.par_iter_mut().with_min_len(4096).enumerate();
+        let sizes = places.map(|(v, vertex)| {
+            *vertex = place(v);
+            vertex.map(f32::abs)
         });
         // Comparisons with NaN are false, so that a NaN stays the largest size.
         let larger = |a: f32, b: f32| if a < b || b.is_nan() { b } else { a };
@@ -115,6 +127,12 @@ fn middle(vertices: &[f64]) -> [f64; 3] {
     })
 }
 
+/// The first three numbers, about a centre, in single precision.
+#[inline(always)]
+fn about(center: [f64; 3], vertex: &[f64]) -> Vec3 {
+    [0, 1, 2].map(|k| (vertex[k] - center[k]) as f32)
+}
+
 const BAD_VERTICES: &str =
     "Wall vertices must be finite numbers, C-contiguous and of shape (n, 3).";
 
@@ -154,7 +172,9 @@ impl Wall {
             area_normals: Vec::new(),
             spare: Vec::new(),
         };
-        wall.set_vertices(vertices).map_err(PyValueError::new_err)?;
+        let center = wall.center;
+        wall.set_vertices(num_vertices, |v| about(center, &vertices[3 * v..]))
+            .map_err(PyValueError::new_err)?;
         wall.bvh = Bvh::build(&wall.vertices, &wall.faces);
         wall.update_normals();
         Ok(wall)
@@ -170,13 +190,9 @@ impl Wall {
                 vertices.len() / 3
             )));
         }
-        py.detach(|| {
-            self.set_vertices(vertices)?;
-            self.update_normals();
-            self.bvh.refit(&self.vertices);
-            Ok(())
-        })
-        .map_err(PyValueError::new_err::<&'static str>)
+        let center = self.center;
+        py.detach(|| self.move_to(|v| about(center, &vertices[3 * v..])))
+            .map_err(PyValueError::new_err)
     }
 
     /// Nearest hit of rays: distance in units of the direction's length (NaN for none), face (−1).

@@ -80,3 +80,22 @@ def bake_mucosa(
     mucosa: object,
 ) -> tuple[NDArray[np.uint8], NDArray[np.uint8], NDArray[np.float32]]:
     """Flat sRGB albedo, roughness and height [m] of a mucosa (`vrcaps.organ.appearance`)."""
+
+class FemLayer:
+    """A layer of finite elements that carries a surface (`vrcaps.tissue.fem`)."""
+
+    rounds: int
+    fill: int
+    nodes: NDArray[np.float64]
+    def __init__(
+        self, matrices: object, elements: object | None, embedding: object, damping: float
+    ) -> None: ...
+    def step(
+        self,
+        force: NDArray[np.float64],
+        acceleration: tuple[float, float, float],
+        dt: float,
+        tolerance: float,
+    ) -> None: ...
+    def yields(self) -> NDArray[np.float64]: ...
+    def energies(self) -> tuple[float, float]: ...

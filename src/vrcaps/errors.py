@@ -27,3 +27,13 @@ class MissingExtraError(VrcapsError, ImportError):
         super().__init__(
             f"{package} is not installed. Install it with: pip install 'vrcaps[{extra}]'"
         )
+
+
+def require(is_valid: bool, name: str, value: object, allowed: str) -> None:
+    """Check one value.
+
+    Raises:
+        InputError: If it is not valid; says what it is and what is allowed.
+    """
+    if not is_valid:
+        raise InputError(f"{name} is {value}. Allowed: {allowed}.")

@@ -1,5 +1,8 @@
 """A bent tube whose centreline and radius are known in closed form."""
 
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -7,6 +10,9 @@ from vrcaps.capsule.catalog import load_device
 from vrcaps.organ.centerline.curve import transport_frames
 from vrcaps.organ.surface import Centerline, OrganSurface, vertex_normals
 from vrcaps.world.model import Model
+
+sys.path.insert(0, str(Path(__file__).parent))  # the support modules beside the tests
+sys.path.insert(0, str(Path(__file__).parents[1] / "tissue"))  # straight guts
 
 TUBE_RADIUS = 0.018
 BEND_RADIUS = 0.045

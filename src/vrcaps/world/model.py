@@ -71,6 +71,29 @@ class Model:
 
 
 @dataclass(frozen=True)
+class Contact:
+    """What the wall did to the capsule: means over the last step, and its last instant.
+
+    Attributes:
+        force_world: Mean force of the wall on the capsule [N].
+        torque_world: Mean torque of the wall about the capsule's centre of mass [N·m].
+        grip: Mean sum of the sizes of all normal forces [N].
+        friction_work: Energy lost to friction and drag in the step [J].
+        energy: Energy stored in the pressed wall [J].
+        area: Touched area [m²].
+        depth: Largest indentation [m].
+    """
+
+    force_world: Float[np.ndarray, " 3"]
+    torque_world: Float[np.ndarray, " 3"]
+    grip: float
+    friction_work: float
+    energy: float
+    area: float
+    depth: float
+
+
+@dataclass(frozen=True)
 class State:
     """The world at one instant.
 
@@ -80,6 +103,7 @@ class State:
         linear_velocity_world: Velocity of the capsule's origin [m/s].
         angular_velocity_world: Angular velocity of the capsule [rad/s].
         vertices_world: Wall vertices [m]; None where the wall is at rest.
+        contact: What the wall did to the capsule; None where nothing was simulated.
     """
 
     time: float
@@ -87,3 +111,4 @@ class State:
     linear_velocity_world: Float[np.ndarray, " 3"] = field(default_factory=lambda: np.zeros(3))
     angular_velocity_world: Float[np.ndarray, " 3"] = field(default_factory=lambda: np.zeros(3))
     vertices_world: Float[np.ndarray, "n 3"] | None = None
+    contact: Contact | None = None

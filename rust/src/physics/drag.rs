@@ -1,0 +1,53 @@
+//! Resistance of the gut against a moving capsule, in three laws.
+
+/// Parameters of the logarithmic law as printed: `f = a ln(b v + c) + C`, in mN and mm/s
+/// (Incetan et al., Med. Image Anal. 70, 2021, fitted to Zhang et al., Tribol. Lett. 2012).
+#[derive(Clone, Copy)]
+pub struct LogLaw {
+    /// Factor a [N].
+    pub a: f64,
+    /// Factor b [s/m].
+    pub b: f64,
+    /// Offset c.
+    pub c: f64,
+    /// Resistance C at rest [N].
+    pub constant: f64,
+    /// Speed up to which the printed law stays at C [m/s].
+    pub threshold: f64,
+}
+
+/// Which law, with its parameters.
+#[derive(Clone, Copy)]
+pub enum Drag {
+    /// As printed: C up to the threshold, then the logarithm, with a jump between them.
+    Printed(LogLaw),
+    /// The logarithm at every speed: no jump.
+    Continuous(LogLaw),
+    /// Coulomb friction and viscous drag; what the stretched wall adds comes from the contact.
+    Physical {
+        /// Coefficient of friction μ.
+        friction: f64,
+    },
+}
+
+impl Drag {
+    /// Resistance [N] of the two logarithmic laws at a speed [m/s]; 0 for the physical law.
+    pub fn resistance(&self, speed: f64) -> f64 {
+        let logarithm = |law: &LogLaw| law.a * (law.b * speed + law.c).ln() + law.constant;
+        match self {
+            Drag::Printed(law) if speed <= law.threshold => law.constant,
+            Drag::Printed(law) | Drag::Continuous(law) => logarithm(law),
+            Drag::Physical { .. } => 0.0,
+        }
+    }
+
+    /// Whether the law is one of the two logarithmic ones.
+    pub fn is_logarithmic(&self) -> bool {
+        !matches!(self, Drag::Physical { .. })
+    }
+
+    /// Coefficient of Coulomb friction.
+    pub fn friction(&self) -> f64 {
+        if let Drag::Physical { friction } = self { *friction } else { 0.0 }
+    }
+}

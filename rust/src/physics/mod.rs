@@ -1,0 +1,14 @@
+//! How the capsule moves: a rigid body on a soft wall.
+//!
+//! Everything here is in double precision, in metres, kilograms and seconds, about the wall's
+//! centre. One thread steps one world, so that results do not depend on the number of threads.
+
+mod body;
+mod contact;
+mod drag;
+mod near;
+mod quick;
+mod soft_wall;
+mod solve;
+mod step;
+pub mod world;

@@ -1,0 +1,94 @@
+//! Symmetric systems of six equations: three of force, three of torque.
+
+use glam::DVec3;
+
+/// Force and torque, or velocity and angular velocity.
+#[derive(Clone, Copy, Default)]
+pub struct Twist {
+    /// Force [N] or velocity [m/s].
+    pub linear: DVec3,
+    /// Torque [N·m] or angular velocity [rad/s].
+    pub angular: DVec3,
+}
+
+impl Twist {
+    /// Component by component.
+    pub fn to_array(self) -> [f64; 6] {
+        let (l, a) = (self.linear, self.angular);
+        [l.x, l.y, l.z, a.x, a.y, a.z]
+    }
+
+    /// From its components.
+    pub fn from_array([a, b, c, d, e, f]: [f64; 6]) -> Self {
+        Twist { linear: DVec3::new(a, b, c), angular: DVec3::new(d, e, f) }
+    }
+}
+
+/// A symmetric 6 × 6 matrix; only the lower triangle is kept.
+#[derive(Clone, Copy, Default)]
+pub struct Symmetric6(pub [[f64; 6]; 6]);
+
+impl Symmetric6 {
+    /// Adds `weight · j jᵀ`.
+    #[inline(always)]
+    pub fn add_outer(&mut self, weight: f64, j: &[f64; 6]) {
+        for row in 0..6 {
+            let scaled = weight * j[row];
+            for column in 0..=row {
+                self.0[row][column] += scaled * j[column];
+            }
+        }
+    }
+
+    /// Solves `A x = b` for a positive definite `A` by its Cholesky factor.
+    pub fn solve(&self, b: [f64; 6]) -> [f64; 6] {
+        let mut l = self.0;
+        for k in 0..6 {
+            for j in 0..k {
+                l[k][k] -= l[k][j] * l[k][j];
+            }
+            l[k][k] = l[k][k].sqrt();
+            for i in k + 1..6 {
+                for j in 0..k {
+                    l[i][k] -= l[i][j] * l[k][j];
+                }
+                l[i][k] /= l[k][k];
+            }
+        }
+        let mut x = b;
+        for i in 0..6 {
+            for j in 0..i {
+                x[i] -= l[i][j] * x[j];
+            }
+            x[i] /= l[i][i];
+        }
+        for i in (0..6).rev() {
+            for j in i + 1..6 {
+                x[i] -= l[j][i] * x[j];
+            }
+            x[i] /= l[i][i];
+        }
+        x
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn solves_what_it_multiplies() {
+        let mut a = Symmetric6::default();
+        for k in 0..12 {
+            let j = [0, 1, 2, 3, 4, 5].map(|i| f64::from(1 + (i * 7 + k * 5) % 11) - 5.0);
+            a.add_outer(0.1 + f64::from(k), &j);
+        }
+        let x = [1.0, -2.0, 3.0, 0.5, -0.25, 4.0];
+        let full = |i: usize, j: usize| a.0[i.max(j)][i.min(j)];
+        let b = [0, 1, 2, 3, 4, 5].map(|i| (0..6).map(|j| full(i, j) * x[j]).sum::<f64>());
+        let solved = a.solve(b);
+        for i in 0..6 {
+            assert!((solved[i] - x[i]).abs() < 1e-9);
+        }
+    }
+}

@@ -1,0 +1,264 @@
+//! One substep: gather the patch, solve for the change of twist, move the capsule and the wall.
+
+use super::body::{Body, Motion};
+use super::contact::{Facet, Foundation, Grip, Indenter, Patch};
+use super::drag::Drag;
+use super::quick::Push;
+use super::solve::{Symmetric6, Twist};
+use glam::{DMat3, DVec3};
+
+/// Sliding slower than this counts as creep under friction that does not suffice to slide [m/s].
+const CREEP: f64 = 1e-5;
+/// Solutions for friction that depends on the velocity it leads to.
+const FRICTION_ROUNDS: usize = 4;
+/// Parts of the capsule's length and of its girth that push the wall as one.
+const PUSH_PARTS: (usize, usize) = (5, 8);
+
+/// What acts on the capsule besides the wall.
+#[derive(Clone, Copy)]
+pub struct Load {
+    /// Force at the centre of mass and torque, in the wall's frame.
+    pub wrench: Twist,
+    /// Gravity [m/s²].
+    pub gravity: DVec3,
+}
+
+/// What the wall did to the capsule in one substep.
+#[derive(Clone, Copy, Default)]
+pub struct Reaction {
+    /// Normal and tangential forces of the wall, and their torque about the centre of mass.
+    pub wrench: Twist,
+    /// Sum of normal forces' sizes [N].
+    pub grip: f64,
+    /// Energy lost to friction and drag [J].
+    pub friction_work: f64,
+}
+
+/// Laws that hold between capsule and wall.
+#[derive(Clone, Copy)]
+pub struct Laws {
+    /// Stiffness of the wall.
+    pub foundation: Foundation,
+    /// Law of resistance.
+    pub drag: Drag,
+    /// Viscous coefficient γ of the mucus [N·s/m].
+    pub viscosity: f64,
+}
+
+/// Linear system of one substep: `matrix · change = impulse`.
+struct System {
+    matrix: Symmetric6,
+    impulse: [f64; 6],
+}
+
+/// Moves the capsule on by `dt`; fills `patch` and returns what the wall did.
+pub fn substep(
+    body: &Body,
+    laws: &Laws,
+    load: &Load,
+    facets: &[Facet],
+    motion: &mut Motion,
+    patch: &mut Patch,
+    dt: f64,
+) -> Reaction {
+    patch.clear();
+    let indenter = Indenter::new(&laws.foundation, body, motion);
+    for facet in facets {
+        indenter.press(facet, patch);
+    }
+    let system = elastic_system(body, load, motion, patch, dt);
+    let (change, resistance) = solve_friction(&system, body, laws, motion, patch, dt);
+    let before = *motion;
+    body.drift(motion, change, dt);
+    reaction(body, load, &before, change, &resistance, patch, dt)
+}
+
+/// Elastic and viscoelastic loads by the implicit midpoint rule, linearised about the start.
+///
+/// With `P` the load of a piece, `j` its lever, `k` and `c` its slopes and `s` its speed:
+/// `(M + Σ (dt²/4 k + dt/2 c) j jᵀ) δ = dt (F − Σ j (P + dt/2 k s))`.
+fn elastic_system(body: &Body, load: &Load, m: &Motion, patch: &Patch, dt: f64) -> System {
+    let mut matrix = body.mass_matrix(m.rotation);
+    let weight = body.mass * load.gravity;
+    let outside = Twist { linear: load.wrench.linear + weight, angular: load.wrench.angular };
+    let mut impulse = outside.to_array().map(|f| f * dt);
+    for sample in &patch.samples {
+        let push = sample.load + 0.5 * dt * sample.stiffness * sample.speed;
+        if push <= 0.0 {
+            continue; // it lets go within this substep
+        }
+        matrix.add_outer(dt * (0.25 * dt * sample.stiffness + 0.5 * sample.damping), &sample.lever);
+        for (i, lever) in impulse.iter_mut().zip(sample.lever) {
+            *i -= dt * push * lever;
+        }
+    }
+    System { matrix, impulse }
+}
+
+/// Adds friction, implicit in the velocity it leads to: the backward rule neither slides back nor
+/// chatters, and at speed it has the full friction. Returns the change and the resistance at the
+/// centre of mass.
+fn solve_friction(
+    system: &System,
+    body: &Body,
+    laws: &Laws,
+    m: &Motion,
+    patch: &Patch,
+    dt: f64,
+) -> (Twist, Twist) {
+    let mut change = Twist::from_array(system.matrix.solve(system.impulse));
+    let friction = laws.drag.friction();
+    let touches = !patch.grips.is_empty();
+    if !touches || (friction == 0.0 && laws.viscosity == 0.0 && !laws.drag.is_logarithmic()) {
+        return (change, Twist::default());
+    }
+    let mut resistance = Twist::default();
+    for _ in 0..FRICTION_ROUNDS {
+        let guess = Twist {
+            linear: m.velocity + change.linear,
+            angular: m.angular_velocity + change.angular,
+        };
+        let mut terms = Resistance::new(m);
+        terms.add_drag(laws, body, &guess);
+        for grip in &patch.grips {
+            terms.add_grip(grip, friction, &guess);
+        }
+        let next = Twist::from_array(terms.solve(system, m, dt));
+        let moved = (next.linear - change.linear).length()
+            + body.radius * (next.angular - change.angular).length();
+        change = next;
+        resistance = terms.force(m, change);
+        if moved < 1e-3 * CREEP {
+            break;
+        }
+    }
+    (change, resistance)
+}
+
+/// Resistances that are linear in velocity for one guess: `−D (v − wall)`.
+struct Resistance {
+    position: DVec3,
+    /// D, both rows and columns linear, then angular.
+    linear: DMat3,
+    mixed: DMat3,
+    angular: DMat3,
+    /// D times the wall's velocity.
+    wall: Twist,
+}
+
+impl Resistance {
+    fn new(m: &Motion) -> Self {
+        let zero = DMat3::ZERO;
+        Resistance {
+            position: m.position,
+            linear: zero,
+            mixed: zero,
+            angular: zero,
+            wall: Twist::default(),
+        }
+    }
+
+    /// Drag on the capsule as a whole.
+    fn add_drag(&mut self, laws: &Laws, body: &Body, guess: &Twist) {
+        let speed = guess.linear.length();
+        let by_speed = laws.drag.resistance(speed) / speed.max(CREEP) + laws.viscosity;
+        self.linear += DMat3::from_diagonal(DVec3::splat(by_speed));
+        let turning = laws.viscosity * body.radius * body.radius;
+        self.angular += DMat3::from_diagonal(DVec3::splat(turning));
+    }
+
+    /// Coulomb friction of one triangle.
+    fn add_grip(&mut self, grip: &Grip, friction: f64, guess: &Twist) {
+        let arm = grip.center - self.position;
+        let slip = guess.linear + guess.angular.cross(arm) - grip.velocity;
+        let slip = slip - grip.normal * slip.dot(grip.normal);
+        let by_speed = friction * grip.load / slip.length().max(CREEP);
+        let n = grip.normal;
+        let across = DMat3::from_cols(n * n.x, n * n.y, n * n.z);
+        let block = (DMat3::IDENTITY - across) * by_speed;
+        let lever = skew(arm);
+        self.linear += block;
+        self.mixed += lever * block;
+        self.angular -= lever * block * lever;
+        let dragged = block * grip.velocity;
+        self.wall.linear += dragged;
+        self.wall.angular += arm.cross(dragged);
+    }
+
+    /// `(A + dt D) δ = b − dt D v + dt D wall`.
+    fn solve(&self, system: &System, m: &Motion, dt: f64) -> [f64; 6] {
+        let mut matrix = system.matrix;
+        for row in 0..3 {
+            for column in 0..3 {
+                if column <= row {
+                    matrix.0[row][column] += dt * self.linear.col(column)[row];
+                    matrix.0[3 + row][3 + column] += dt * self.angular.col(column)[row];
+                }
+                matrix.0[3 + row][column] += dt * self.mixed.col(column)[row];
+            }
+        }
+        let held = self.force(m, Twist::default()).to_array();
+        let mut impulse = system.impulse;
+        impulse.iter_mut().zip(held).for_each(|(i, f)| *i += dt * f);
+        matrix.solve(impulse)
+    }
+
+    /// Force and torque after a change of twist.
+    fn force(&self, m: &Motion, change: Twist) -> Twist {
+        let (v, w) = (m.velocity + change.linear, m.angular_velocity + change.angular);
+        Twist {
+            linear: self.wall.linear - self.linear * v - self.mixed.transpose() * w,
+            angular: self.wall.angular - self.mixed * v - self.angular * w,
+        }
+    }
+}
+
+fn skew(a: DVec3) -> DMat3 {
+    DMat3::from_cols(
+        DVec3::new(0.0, a.z, -a.y),
+        DVec3::new(-a.z, 0.0, a.x),
+        DVec3::new(a.y, -a.x, 0.0),
+    )
+}
+
+/// The wall's part in the change of momentum, and the work of friction over the way gone.
+fn reaction(
+    body: &Body,
+    load: &Load,
+    before: &Motion,
+    change: Twist,
+    resistance: &Twist,
+    patch: &Patch,
+    dt: f64,
+) -> Reaction {
+    let linear = body.mass * (change.linear / dt - load.gravity) - load.wrench.linear;
+    let angular = body.inertia(before.rotation) * change.angular / dt - load.wrench.angular;
+    let velocity = before.velocity + 0.5 * change.linear;
+    let spin = before.angular_velocity + 0.5 * change.angular;
+    Reaction {
+        wrench: Twist { linear, angular },
+        grip: patch.grips.iter().map(|g| g.load).sum(),
+        friction_work: -dt * (resistance.linear.dot(velocity) + resistance.angular.dot(spin)),
+    }
+}
+
+/// Collects the patch's loads on the wall into a few pushes, by part of the capsule's surface.
+pub fn pushes(body: &Body, m: &Motion, grips: &[Grip], out: &mut Vec<Push>) {
+    let (parts, around) = PUSH_PARTS;
+    let mut sums = [(0.0, DVec3::ZERO, DVec3::ZERO); PUSH_PARTS.0 * PUSH_PARTS.1];
+    let to_capsule = m.rotation.inverse();
+    let half = body.half_axis + body.radius;
+    for grip in grips {
+        let place = to_capsule * (grip.center - m.position) - body.center;
+        let along = ((place.z / half * 0.5 + 0.5) * parts as f64).clamp(0.0, parts as f64 - 0.5);
+        let turn = place.y.atan2(place.x) / std::f64::consts::TAU + 0.5;
+        let part = along as usize * around + (turn * around as f64) as usize % around;
+        let sum = &mut sums[part];
+        sum.0 += grip.load;
+        sum.1 += grip.load * grip.center;
+        sum.2 += grip.load * grip.normal;
+    }
+    out.clear();
+    let loaded = sums.iter().filter(|sum| sum.0 > 0.0);
+    out.extend(loaded.map(|(load, moment, force)| Push { center: *moment / *load, force: *force }));
+}

@@ -1,0 +1,452 @@
+//! A capsule in a wall: what Python holds and steps.
+
+use super::body::{Body, Motion};
+use super::contact::{Foundation, Indenter};
+use super::drag::{Drag, LogLaw};
+use super::quick::{Quick, Yield};
+use super::soft_wall::{Drive, MARGIN, Outcome, SoftWall};
+use super::solve::Twist;
+use super::step::{Laws, Load, Reaction, pushes, substep};
+use crate::query;
+use crate::wall::Wall;
+use glam::{DMat3, DQuat, DVec3};
+use numpy::{IntoPyArray, PyArray2, PyReadonlyArray1, PyReadonlyArray2, ndarray, ndarray::Array2};
+use pyo3::{exceptions::PyValueError, prelude::*};
+
+/// The body of a capsule: `vrcaps.capsule.body.Body`.
+#[derive(FromPyObject)]
+struct BodyParameters<'py> {
+    mass: f64,
+    inertia: PyReadonlyArray2<'py, f64>,
+    center: PyReadonlyArray1<'py, f64>,
+    half_axis: f64,
+    radius: f64,
+}
+
+/// The wall's pressure: `vrcaps.tissue.material.Material`.
+#[derive(FromPyObject)]
+struct MaterialParameters {
+    stiffness: f64,
+    stiffening_depth: f64,
+    rate_gain: f64,
+    rate: f64,
+}
+
+/// The wall's resistance: `vrcaps.tissue.drag.Drag`.
+#[derive(FromPyObject)]
+struct DragParameters {
+    law: String,
+    friction: f64,
+    viscosity: f64,
+    a: f64,
+    b: f64,
+    c: f64,
+    constant: f64,
+    threshold: f64,
+}
+
+/// The quick model: `vrcaps.tissue.quick.QuickDeformation`.
+#[derive(FromPyObject)]
+struct QuickParameters {
+    length: f64,
+    reach: f64,
+    mass: f64,
+    spring: f64,
+    damping: f64,
+}
+
+/// Position [m], quaternion wxyz, velocity [m/s] and angular velocity [rad/s] of the capsule.
+type Pose = ([f64; 3], [f64; 4], [f64; 3], [f64; 3]);
+
+/// Sums over the substeps of a step.
+#[derive(Default)]
+struct Tally {
+    force: DVec3,
+    torque: DVec3,
+    grip: f64,
+    friction_work: f64,
+}
+
+/// A capsule in a soft wall. Positions are about the wall's centre, see `Wall.center`.
+#[pyclass(module = "vrcaps._core")]
+pub struct World {
+    wall: Py<Wall>,
+    body: Body,
+    laws: Laws,
+    quick: Option<Quick>,
+    motion: Motion,
+    /// The wall's centre; subtracted from every position [m].
+    center: DVec3,
+    drive: Option<Drive>,
+    soft: SoftWall,
+    /// Means over the last step.
+    last: Tally,
+}
+
+fn vector(a: [f64; 3]) -> DVec3 {
+    DVec3::from_array(a)
+}
+
+fn laws(material: MaterialParameters, drag: DragParameters) -> Laws {
+    let law = LogLaw {
+        a: drag.a,
+        b: drag.b,
+        c: drag.c,
+        constant: drag.constant,
+        threshold: drag.threshold,
+    };
+    Laws {
+        foundation: Foundation {
+            stiffness: material.stiffness,
+            stiffening_depth: material.stiffening_depth,
+            rate_gain: material.rate_gain,
+            rate: material.rate,
+        },
+        drag: match drag.law.as_str() {
+            "printed" => Drag::Printed(law),
+            "continuous" => Drag::Continuous(law),
+            _ => Drag::Physical { friction: drag.friction },
+        },
+        viscosity: drag.viscosity,
+    }
+}
+
+impl From<BodyParameters<'_>> for Body {
+    fn from(p: BodyParameters) -> Self {
+        let (inertia, center) = (p.inertia.as_array(), p.center.as_array());
+        let column = |k: usize| DVec3::new(inertia[[0, k]], inertia[[1, k]], inertia[[2, k]]);
+        let (moments, axes) = principal_axes(DMat3::from_cols(column(0), column(1), column(2)));
+        Body {
+            mass: p.mass,
+            moments,
+            principal: DQuat::from_mat3(&axes),
+            center: DVec3::new(center[0], center[1], center[2]),
+            half_axis: p.half_axis,
+            radius: p.radius,
+        }
+    }
+}
+
+/// Eigenvalues and right-handed eigenvectors of a symmetric matrix, by Jacobi's rotations.
+fn principal_axes(mut a: DMat3) -> (DVec3, DMat3) {
+    let mut axes = DMat3::IDENTITY;
+    for _ in 0..32 {
+        for (p, q) in [(0, 1), (0, 2), (1, 2)] {
+            let off = a.col(q)[p];
+            if off == 0.0 {
+                continue;
+            }
+            let theta = 0.5 * (a.col(q)[q] - a.col(p)[p]) / off;
+            let t = theta.signum() / (theta.abs() + (theta * theta + 1.0).sqrt());
+            let c = 1.0 / (t * t + 1.0).sqrt();
+            let mut turn = DMat3::IDENTITY;
+            turn.col_mut(p)[p] = c;
+            turn.col_mut(q)[q] = c;
+            turn.col_mut(q)[p] = t * c;
+            turn.col_mut(p)[q] = -t * c;
+            a = turn.transpose() * a * turn;
+            axes *= turn;
+        }
+    }
+    (DVec3::new(a.x_axis.x, a.y_axis.y, a.z_axis.z), axes)
+}
+
+impl Tally {
+    fn add(&mut self, reaction: &Reaction, dt: f64) {
+        self.force += dt * reaction.wrench.linear;
+        self.torque += dt * reaction.wrench.angular;
+        self.grip += dt * reaction.grip;
+        self.friction_work += reaction.friction_work;
+    }
+
+    /// Impulses over a time `duration` as mean forces.
+    fn mean(self, duration: f64) -> Self {
+        Tally {
+            force: self.force / duration,
+            torque: self.torque / duration,
+            grip: self.grip / duration,
+            friction_work: self.friction_work,
+        }
+    }
+}
+
+impl World {
+    /// Steps `count` times by `dt`; on an error nothing but what is near has changed.
+    fn run(&mut self, wall: &mut Wall, load: &Load, dt: f64, count: usize) -> Outcome {
+        let backup = (self.motion, self.soft.awake_yields());
+        let result = self.substeps(wall, load, dt, count);
+        let valid = self.motion.position.is_finite() && self.motion.velocity.is_finite();
+        if result.is_ok() && valid {
+            self.soft.land();
+            return Ok(());
+        }
+        self.motion = backup.0;
+        self.soft.restore_yields(backup.1);
+        self.soft.stay();
+        result.and(Err("The step is too large: the capsule's motion is no longer finite."))
+    }
+
+    fn substeps(&mut self, wall: &mut Wall, load: &Load, dt: f64, count: usize) -> Outcome {
+        let (soft, reach) = (&mut self.soft, self.quick.map_or(0.0, |q| q.reach));
+        let fastest = soft.driven_velocity.iter().map(|v| v.length_squared()).fold(0.0, f64::max);
+        let drive = fastest.sqrt() * dt;
+        let mut tally = Tally::default();
+        for _ in 0..count {
+            if soft.travel > MARGIN {
+                soft.search(wall, &self.body, &self.motion, reach)?;
+            }
+            soft.update_facets();
+            let motion = &mut self.motion;
+            let reaction =
+                substep(&self.body, &self.laws, load, &soft.facets, motion, &mut soft.patch, dt);
+            tally.add(&reaction, dt);
+            soft.since += dt;
+            let turning =
+                motion.angular_velocity.length() * (self.body.half_axis + self.body.radius);
+            soft.wall_travel += drive;
+            soft.travel += drive + dt * (motion.velocity.length() + turning);
+            if let Some(quick) = &self.quick {
+                pushes(&self.body, motion, &soft.patch.grips, &mut soft.pushes);
+                soft.give_way(quick, dt);
+            }
+        }
+        self.last = tally.mean(count as f64 * dt);
+        Ok(())
+    }
+
+    /// Sets the driven wall on its way to a calibre at the end of a step.
+    fn aim(&mut self, calibre: &[f64], duration: f64) -> PyResult<()> {
+        let drive = self.drive.as_ref().filter(|_| !calibre.is_empty()).ok_or_else(|| {
+            PyValueError::new_err("A calibre needs samples, and a drive set before.")
+        })?;
+        self.soft.aim(drive, calibre, duration);
+        Ok(())
+    }
+
+    /// Whether the axis of the capsule is in the lumen.
+    fn is_inside(&self, wall: &Wall) -> bool {
+        let axis = self.body.axis(&self.motion);
+        [0.0, 0.5, 1.0].iter().all(|&share| {
+            let p = axis.start + share * axis.span;
+            query::is_inside(&wall.bvh, p.to_array().map(|x| x as f32))
+        })
+    }
+}
+
+#[pymethods]
+impl World {
+    /// A capsule in a wall at rest, at a pose.
+    #[new]
+    fn new(
+        py: Python<'_>,
+        wall: Py<Wall>,
+        body: BodyParameters<'_>,
+        material: MaterialParameters,
+        drag: DragParameters,
+        quick: Option<QuickParameters>,
+        pose: Pose,
+    ) -> Self {
+        let (soft, center) = {
+            let wall = wall.borrow(py);
+            (SoftWall::new(&wall), vector(wall.center))
+        };
+        let quick = quick.map(|q| Quick {
+            length: q.length,
+            reach: q.reach,
+            mass: q.mass,
+            spring: q.spring,
+            damping: q.damping,
+        });
+        let mut world = World {
+            wall,
+            body: body.into(),
+            laws: laws(material, drag),
+            quick,
+            motion: Motion::default(),
+            center,
+            drive: None,
+            soft,
+            last: Tally::default(),
+        };
+        world.set_pose(pose);
+        world
+    }
+
+    /// Moves on by `count` substeps of `dt`, with a wrench [N, N·m] and gravity [m/s²].
+    ///
+    /// `calibre` is how wide the lumen is to be at the end, see `set_drive`.
+    #[pyo3(signature = (dt, count, wrench, gravity, calibre=None))]
+    fn step(
+        &mut self,
+        py: Python<'_>,
+        dt: f64,
+        count: usize,
+        wrench: [f64; 6],
+        gravity: [f64; 3],
+        calibre: Option<Vec<f64>>,
+    ) -> PyResult<()> {
+        let load = Load { wrench: Twist::from_array(wrench), gravity: vector(gravity) };
+        if let Some(calibre) = calibre {
+            self.aim(&calibre, dt * count as f64)?;
+        }
+        let wall = self.wall.clone_ref(py);
+        let mut wall = wall.borrow_mut(py);
+        let wall: &mut Wall = &mut wall;
+        py.detach(|| self.run(wall, &load, dt, count)).map_err(PyValueError::new_err)
+    }
+
+    /// Lets the lumen narrow and widen: `inward` [n 3] from each vertex at rest to the centreline,
+    /// `station` [n] its place along the samples of the calibres that `step` takes.
+    fn set_drive(
+        &mut self,
+        inward: PyReadonlyArray2<'_, f64>,
+        station: PyReadonlyArray1<'_, f64>,
+    ) -> PyResult<()> {
+        let (rows, station) = (inward.as_array(), station.as_array().to_vec());
+        if rows.dim() != (self.soft.driven.len(), 3) || station.len() != self.soft.driven.len() {
+            return Err(PyValueError::new_err("A drive has a row for each vertex."));
+        }
+        let inward = rows.outer_iter().map(|r| DVec3::new(r[0], r[1], r[2])).collect();
+        self.drive = Some(Drive { rest: self.soft.driven.clone(), inward, station });
+        Ok(())
+    }
+
+    /// Brings the hierarchy to where the wall is now, for rendering and queries.
+    fn settle(&mut self, py: Python<'_>) -> PyResult<()> {
+        let wall = self.wall.clone_ref(py);
+        let mut wall = wall.borrow_mut(py);
+        let wall: &mut Wall = &mut wall;
+        py.detach(|| self.soft.settle(wall)).map_err(PyValueError::new_err)
+    }
+
+    /// Centre of mass [m], quaternion wxyz of unit length, velocity and angular velocity.
+    #[getter]
+    fn pose(&self) -> Pose {
+        let m = &self.motion;
+        let q = m.rotation;
+        (
+            m.position.to_array(),
+            [q.w, q.x, q.y, q.z],
+            m.velocity.to_array(),
+            m.angular_velocity.to_array(),
+        )
+    }
+
+    #[setter]
+    fn set_pose(&mut self, pose: Pose) {
+        let (position, [w, x, y, z], velocity, angular_velocity) = pose;
+        self.motion = Motion {
+            position: vector(position),
+            rotation: DQuat::from_xyzw(x, y, z, w),
+            velocity: vector(velocity),
+            angular_velocity: vector(angular_velocity),
+        };
+        self.soft.travel = f64::INFINITY;
+    }
+
+    /// Displacement [m] and velocity [m/s] of each vertex, [n 6].
+    #[getter]
+    fn yields<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray2<f64>> {
+        let rows = self.soft.yields.iter();
+        let flat =
+            rows.flat_map(|y| Twist { linear: y.displacement, angular: y.velocity }.to_array());
+        table(py, flat.collect(), 6)
+    }
+
+    #[setter]
+    fn set_yields(&mut self, yields: PyReadonlyArray2<'_, f64>) -> PyResult<()> {
+        let rows = yields.as_array();
+        if rows.dim() != (self.soft.yields.len(), 6) {
+            return Err(PyValueError::new_err("Yields are six numbers for each vertex."));
+        }
+        self.soft.yields = rows
+            .outer_iter()
+            .map(|r| Yield {
+                displacement: DVec3::new(r[0], r[1], r[2]),
+                velocity: DVec3::new(r[3], r[4], r[5]),
+            })
+            .collect();
+        let awake = (0..).zip(&self.soft.yields).filter(|(_, y)| **y != Yield::default());
+        self.soft.awake = awake.map(|(v, _)| v).collect();
+        (self.soft.travel, self.soft.wall_travel) = (f64::INFINITY, f64::INFINITY);
+        Ok(())
+    }
+
+    /// Where the wall would be if nothing touched it [n 3].
+    #[getter]
+    fn driven<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray2<f64>> {
+        let flat = self.soft.driven.iter().flat_map(|p| p.to_array());
+        table(py, flat.collect(), 3)
+    }
+
+    #[setter]
+    fn set_driven(&mut self, driven: PyReadonlyArray2<'_, f64>) -> PyResult<()> {
+        let rows = driven.as_array();
+        if rows.dim() != (self.soft.driven.len(), 3) {
+            return Err(PyValueError::new_err("A driven wall has a row for each vertex."));
+        }
+        let place = |r: ndarray::ArrayView1<f64>| DVec3::new(r[0], r[1], r[2]);
+        self.soft.driven = rows.outer_iter().map(place).collect();
+        (self.soft.travel, self.soft.wall_travel) = (f64::INFINITY, f64::INFINITY);
+        Ok(())
+    }
+
+    /// Vertices of the wall now, in the wall's own frame [n 3].
+    fn vertices<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray2<f64>> {
+        let places =
+            (0..self.soft.driven.len() as u32).map(|v| self.soft.vertex(v).0 + self.center);
+        table(py, places.flat_map(|p| p.to_array()).collect(), 3)
+    }
+
+    /// Mean force [N] and torque [N·m] of the wall on the capsule over the last step, mean sum of
+    /// normal forces [N], energy lost to friction [J]; then stored energy [J], touched area [m²]
+    /// and largest depth [m] of the last substep.
+    fn contact(&self) -> ([f64; 3], [f64; 3], f64, f64, f64, f64, f64) {
+        let (last, patch) = (&self.last, &self.soft.patch);
+        (
+            last.force.to_array(),
+            last.torque.to_array(),
+            last.grip,
+            last.friction_work,
+            patch.energy,
+            patch.area,
+            patch.depth,
+        )
+    }
+
+    /// Largest depth [m] to which the capsule presses in where it is now.
+    fn probe(&mut self, py: Python<'_>) -> PyResult<f64> {
+        let wall = self.wall.clone_ref(py);
+        let mut wall = wall.borrow_mut(py);
+        let reach = self.quick.map_or(0.0, |q| q.reach);
+        let found = self.soft.search(&mut wall, &self.body, &self.motion, reach);
+        found.map_err(PyValueError::new_err)?;
+        self.soft.update_facets();
+        let indenter = Indenter::new(&self.laws.foundation, &self.body, &self.motion);
+        self.soft.patch.clear();
+        for facet in &self.soft.facets {
+            indenter.press(facet, &mut self.soft.patch);
+        }
+        Ok(self.soft.patch.depth)
+    }
+
+    /// Kinetic energy of the capsule [J].
+    fn kinetic_energy(&self) -> f64 {
+        self.body.kinetic_energy(&self.motion)
+    }
+
+    /// Resistance [N] of the printed and continuous laws at a speed [m/s].
+    fn resistance(&self, speed: f64) -> f64 {
+        self.laws.drag.resistance(speed)
+    }
+
+    /// Whether the capsule's axis is in the lumen, by the hierarchy as last settled.
+    fn inside(&self, py: Python<'_>) -> bool {
+        self.is_inside(&self.wall.borrow(py))
+    }
+}
+
+fn table(py: Python<'_>, flat: Vec<f64>, columns: usize) -> Bound<'_, PyArray2<f64>> {
+    let rows = flat.len() / columns;
+    Array2::from_shape_vec((rows, columns), flat).expect("whole rows").into_pyarray(py)
+}

@@ -1,0 +1,1 @@
+"""How the wall moves and resists: material, drag, quick deformation, muscle."""

@@ -1,0 +1,74 @@
+"""How the gut resists a capsule that slides along it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from vrcaps.errors import UnknownNameError, require
+from vrcaps.units import MM
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+_MILLINEWTON = 1e-3
+_LAWS = ("printed", "continuous", "physical")
+
+
+@dataclass(frozen=True)
+class Drag:
+    """Resistance against the capsule's motion, in one of three laws.
+
+    `printed` and `continuous` act against the velocity of the centre of mass while the capsule
+    touches the wall (Incetan et al., Med. Image Anal. 70, 2021, Frictional Resistance):
+
+        f = C                     up to the threshold (`printed` only)
+        f = a ln(b v + c) + C     above it (`printed`), or at every speed (`continuous`)
+
+    The paper prints no units; its data (Zhang et al., Tribol. Lett. 2012) are in mN and mm/s.
+    `physical` adds up Coulomb friction of each piece of the touched wall, against its own sliding;
+    the resistance P(x) S sin θ of the wall that the capsule's front stretches open, which comes out
+    of the contact pressure itself, see `Material`; and −γ v. The viscous term belongs to all three.
+
+    Attributes:
+        law: `printed`, `continuous` or `physical`.
+        friction: Coefficient of friction of `physical`. Measured in pig small bowel: 0.0004 to
+            0.018 (Lyle, Luftig, Rentschler, Tribol. Int. 62:171-176, 2013).
+        viscosity: Coefficient γ of the mucus [N·s/m].
+        a: Factor of the logarithm [N].
+        b: Speed's factor in it [s/m].
+        c: Offset in it.
+        constant: Resistance C [N].
+        threshold: Speed up to which `printed` is constant [m/s].
+    """
+
+    law: Literal["printed", "continuous", "physical"] = "physical"
+    friction: float = 0.018
+    viscosity: float = 0.0
+    a: float = 55.04 * _MILLINEWTON
+    b: float = 0.23 / MM
+    c: float = 1.04
+    constant: float = 100.0 * _MILLINEWTON
+    threshold: float = 1.0 * MM
+
+    def __post_init__(self) -> None:
+        if self.law not in _LAWS:
+            raise UnknownNameError("drag law", self.law, _LAWS)
+        for name in ("friction", "viscosity", "a", "b", "constant", "threshold"):
+            value = getattr(self, name)
+            require(0.0 <= value < math.inf, name, value, "0 or more")
+        require(
+            1.0 <= self.c < math.inf, "c", self.c, "1 or more, so that the logarithm is not below 0"
+        )
+
+    def resistance(self, speed: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
+        """Resistance [N] of `printed` and `continuous` at speeds [m/s]; 0 for `physical`."""
+        if self.law == "physical":
+            return np.zeros_like(speed)
+        logarithm = self.a * np.log(self.b * speed + self.c) + self.constant
+        if self.law == "continuous":
+            return logarithm
+        return np.where(speed <= self.threshold, self.constant, logarithm)

@@ -1,0 +1,1 @@
+"""The wall as a layer of finite elements."""

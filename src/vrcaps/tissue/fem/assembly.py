@@ -1,0 +1,187 @@
+"""Mass, stiffness and support of a layer, over pairs of its free nodes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy import sparse
+
+from vrcaps.tissue.fem.elements import Points, integration_points, quadrature, shapes
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Int
+
+    from vrcaps.tissue.fem.deformation import FemDeformation
+    from vrcaps.tissue.fem.layer import Layer
+
+
+@dataclass(frozen=True)
+class Matrices:
+    """Lower triangles over pairs of free nodes, by rows; the diagonal ends each row.
+
+    Attributes:
+        starts: Where each row starts, and the end of the last.
+        columns: Column of each pair.
+        mass: Mass of each pair [kg], the same for x, y and z.
+        support: Support's stiffness of each pair [N/m], the same for x, y and z.
+        stiffness: Stiffness of each pair at rest, the support's included [N/m].
+        node_mass: Mass at each free node that a uniform acceleration moves [kg].
+    """
+
+    starts: Int[np.ndarray, " rows+1"]
+    columns: Int[np.ndarray, " pairs"]
+    mass: Float[np.ndarray, " pairs"]
+    support: Float[np.ndarray, " pairs"]
+    stiffness: Float[np.ndarray, "pairs 3 3"]
+    node_mass: Float[np.ndarray, " rows"]
+
+
+@dataclass(frozen=True)
+class ElementPoints:
+    """What the stress of a nonlinear wall is summed over.
+
+    Attributes:
+        nodes: Nodes of each element, free ones first.
+        gradients: Gradients of the shape functions at each point [1/m].
+        weights: Volume of each point [m³].
+        modes: Linear functions at the points of each prism of three elements, see `prism_modes`.
+        shear: Shear modulus μ [Pa].
+        lame: Lamé's first parameter λ [Pa].
+        stiffening: Coefficient b of the exponential.
+    """
+
+    nodes: Int[np.ndarray, "m 10"]
+    gradients: Float[np.ndarray, "m points 10 3"]
+    weights: Float[np.ndarray, "m points"]
+    modes: Float[np.ndarray, "prisms 3*points 4"]
+    shear: float
+    lame: float
+    stiffening: float
+
+
+def prism_modes(
+    points: Points, nodes: Float[np.ndarray, "n 3"], tetrahedra: Int[np.ndarray, "m 10"]
+) -> Float[np.ndarray, "prisms 3*points 4"]:
+    """Linear functions over each prism of three elements, orthonormal by volume [m^-3/2].
+
+    The change of volume is projected onto them, so that a nearly incompressible layer does not
+    lock: 4 demands to the 18 degrees of freedom of a prism, where the points would make 24. As
+    they are linear, bending and the patch test keep all their stress (mean dilatation: Hughes, The
+    Finite Element Method, 1987, 4.5, here of first order).
+    """
+    place = np.einsum("qa,eai->eqi", points.values, nodes[tetrahedra])
+    place = place.reshape(-1, 3 * len(points.values), 3)
+    weights = points.weights.reshape(len(place), -1, 1)
+    place = place - (weights * place).sum(1, keepdims=True) / weights.sum(1, keepdims=True)
+    size = np.sqrt((place**2).sum(axis=2).max(axis=1))[:, None, None]
+    linear = np.concatenate([np.ones_like(weights), place / size], axis=2)
+    orthogonal, _ = np.linalg.qr(np.sqrt(weights) * linear)
+    return orthogonal / np.sqrt(weights)
+
+
+def dilatation(
+    points: Points,
+    modes: Float[np.ndarray, "prisms 3*points 4"],
+    nodes: Int[np.ndarray, "m 10"],
+    num_nodes: int,
+) -> sparse.csr_matrix:
+    """Projected change of volume of displacements, four rows a prism, three columns a node."""
+    weighted = points.gradients * points.weights[..., None, None]
+    modes = modes.reshape(*points.weights.shape, 4)
+    values = np.einsum("eqm,eqai->emai", modes, weighted)
+    row = 4 * (np.arange(len(nodes)) // 3)[:, None] + np.arange(4)
+    column = 3 * nodes[:, :, None] + np.arange(3)
+    ends = np.broadcast_arrays(row[:, :, None, None], column[:, None])
+    shape = (4 * len(nodes) // 3, 3 * num_nodes)
+    return sparse.csr_matrix((values.ravel(), [end.ravel() for end in ends]), shape=shape)
+
+
+def shear_stiffness(points: Points, shear: float) -> Float[np.ndarray, "m 10 10 3 3"]:
+    """2 μ ε: Σ w μ (gᵦ gₐᵀ + gₐ·gᵦ I) between nodes a and b [N/m]."""
+    weighted = points.gradients * points.weights[..., None, None]
+    outer = np.einsum("eqai,eqbj->eabji", weighted, points.gradients, optimize=True)
+    inner = np.einsum("eabii->eab", outer)
+    return shear * (outer + inner[..., None, None] * np.eye(3))
+
+
+def element_mass(
+    nodes: Float[np.ndarray, "n 3"], tetrahedra: Int[np.ndarray, "m 10"], density: float
+) -> Float[np.ndarray, "m 10 10"]:
+    """Consistent mass ρ ∫ NₐNᵦ dV [kg]."""
+    points = integration_points(nodes, tetrahedra, 3)
+    return density * np.einsum("eq,qa,qb->eab", points.weights, points.values, points.values)
+
+
+def surface_mass(
+    nodes: Float[np.ndarray, "n 3"], triangles: Int[np.ndarray, "m 6"]
+) -> Float[np.ndarray, "m 6 6"]:
+    """∫ NₐNᵦ dA over curved triangles [m²]."""
+    places, shares = quadrature(2, 3)
+    values, slopes = shapes(places)
+    tangents = np.einsum("eai,qaj->eqji", nodes[triangles], slopes)
+    area = np.linalg.norm(np.cross(tangents[..., 0, :], tangents[..., 1, :]), axis=-1) * shares
+    return np.einsum("eq,qa,qb->eab", area, values, values)
+
+
+def assemble(
+    layer: Layer, deformation: FemDeformation, number: Int[np.ndarray, " nodes"], num_free: int
+) -> Matrices:
+    """Matrices of a layer; `number` numbers its nodes, the free ones first."""
+    points = integration_points(layer.nodes, layer.tetrahedra, 2)
+    body, shell = number[layer.tetrahedra], number[layer.outer_triangles]
+    modes = prism_modes(points, layer.nodes, layer.tetrahedra)
+    change = dilatation(points, modes, body, len(number))[:, : 3 * num_free]
+    volume = (deformation.lame * (change.T @ change)).tobsr((3, 3))
+    volume_row = np.repeat(np.arange(num_free), np.diff(volume.indptr))
+    lower = volume.indices <= volume_row
+    volume_key = volume_row[lower] * num_free + volume.indices[lower]
+    body_key, body_kept = _pairs(body, num_free)
+    shell_key, shell_kept = _pairs(shell, num_free)
+    keys = np.unique(np.concatenate([volume_key, body_key]))
+
+    def add(key: Int[np.ndarray, " k"], values: np.ndarray) -> Float[np.ndarray, "pairs c"]:
+        columns = values.reshape(len(values), -1).T
+        place = np.searchsorted(keys, key)
+        return np.stack([np.bincount(place, column, len(keys)) for column in columns], axis=1)
+
+    outer = surface_mass(layer.nodes, layer.outer_triangles) * deformation.support
+    support = add(shell_key, outer[shell_kept])
+    stiffness = add(volume_key, volume.data[lower]) + support * np.eye(3).ravel()
+    stiffness += add(body_key, shear_stiffness(points, deformation.shear)[body_kept])
+    mass = element_mass(layer.nodes, layer.tetrahedra, deformation.density)
+    node_mass = np.bincount(body.ravel(), mass.sum(axis=2).ravel(), len(number))
+    return Matrices(
+        starts=np.searchsorted(keys, np.arange(num_free + 1) * num_free).astype(np.int64),
+        columns=(keys % num_free).astype(np.uint32),
+        mass=add(body_key, mass[body_kept])[:, 0],
+        support=np.ascontiguousarray(support[:, 0]),
+        stiffness=np.ascontiguousarray(stiffness.reshape(-1, 3, 3)),
+        node_mass=node_mass[:num_free],
+    )
+
+
+def element_points(
+    layer: Layer, deformation: FemDeformation, number: Int[np.ndarray, " nodes"]
+) -> ElementPoints:
+    """Points of a layer's elements for `neo-hookean`."""
+    points = integration_points(layer.nodes, layer.tetrahedra, 2)
+    return ElementPoints(
+        nodes=np.ascontiguousarray(number[layer.tetrahedra], np.uint32),
+        gradients=np.ascontiguousarray(points.gradients),
+        weights=np.ascontiguousarray(points.weights),
+        modes=prism_modes(points, layer.nodes, layer.tetrahedra),
+        shear=deformation.shear,
+        lame=deformation.lame,
+        stiffening=deformation.stiffening,
+    )
+
+
+def _pairs(
+    nodes: Int[np.ndarray, "m a"], num_free: int
+) -> tuple[Int[np.ndarray, " k"], Bool[np.ndarray, "m a a"]]:
+    """Keys (row · number + column) of the elements' pairs in the lower triangle, and which."""
+    row, column = np.broadcast_arrays(nodes[:, :, None], nodes[:, None, :])
+    kept = (row >= column) & (row < num_free)
+    return row[kept] * num_free + column[kept], kept

@@ -1,0 +1,109 @@
+"""Triangles with bent edges, and how to bend them less where their layer would fold."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vrcaps.tissue.fem.elements import EDGES, shapes
+from vrcaps.tissue.fem.layer import CoarseSurface, thinnest
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Int
+
+# The middle of an edge bulges by at most this share of its length, as on an arc of 80 degrees.
+_LARGEST_BULGE = 0.18
+_ROUNDS = 60
+# So many rounds move the corners of bad triangles alone, then one ring more, and so on.
+_ROUNDS_BY_RING = 15
+# An element is bad whose volume somewhere shrinks to this share of its mean.
+_THIN = 0.1
+_SHARE = 0.25
+
+
+@dataclass(frozen=True)
+class BentTriangles:
+    """Corners, and edges whose middles stand off the straight line.
+
+    Attributes:
+        corners: Positions [m].
+        pairs: Corners of each edge.
+        bulges: From the middle of the straight edge to that of the bent one [m].
+        triangles: Corners of each triangle, then its edges 01, 12, 02.
+    """
+
+    corners: Float[np.ndarray, "c 3"]
+    pairs: Int[np.ndarray, "e 2"]
+    bulges: Float[np.ndarray, "e 3"]
+    triangles: Int[np.ndarray, "m 6"]
+
+    @property
+    def surface(self) -> CoarseSurface:
+        """The same with nodes at the middles of edges, and directions outwards."""
+        nodes = np.concatenate([self.corners, _middles(self.corners, self.pairs) + self.bulges])
+        number = self.triangles + len(self.corners) * (np.arange(6) >= 3)
+        return CoarseSurface(nodes, _outward(nodes, number), number)
+
+
+def edges_of(triangles: Int[np.ndarray, "m 3"]) -> tuple[np.ndarray, Int[np.ndarray, "m 6"]]:
+    """Corners of all edges, and the triangles with the numbers of their edges 01, 12, 02."""
+    sides = np.stack([np.sort(triangles[:, list(pair)], axis=1) for pair in EDGES[:3]], axis=1)
+    pairs, side = np.unique(sides.reshape(-1, 2), axis=0, return_inverse=True)
+    return pairs, np.concatenate([triangles, side.reshape(-1, 3)], axis=1)
+
+
+def bulges_towards(
+    corners: Float[np.ndarray, "c 3"],
+    pairs: Int[np.ndarray, "e 2"],
+    middle: Float[np.ndarray, "e 3"],
+) -> Float[np.ndarray, "e 3"]:
+    """Bulges, square to the edges, that bring their middles towards given points."""
+    chord = corners[pairs[:, 1]] - corners[pairs[:, 0]]
+    length = np.linalg.norm(chord, axis=1, keepdims=True)
+    bulge = middle - _middles(corners, pairs)
+    bulge -= (bulge * chord).sum(1, keepdims=True) / length**2 * chord
+    size = np.linalg.norm(bulge, axis=1, keepdims=True)
+    return bulge * np.minimum(1.0, _LARGEST_BULGE * length / np.maximum(size, 1e-12))
+
+
+def relaxed(bent: BentTriangles, thickness: float) -> BentTriangles:
+    """Straightens and evens out triangles whose layer would fold, as far as that helps."""
+    first, last = bent.pairs.T
+    degree = np.bincount(bent.pairs.ravel(), minlength=len(bent.corners))
+    for number in range(_ROUNDS):
+        bad = thinnest(bent.surface, thickness) < _THIN
+        if not bad.any():
+            break
+        for _ in range(number // _ROUNDS_BY_RING):
+            bad = np.isin(bent.triangles[:, :3], bent.triangles[bad, :3]).any(axis=1)
+        total = np.zeros_like(bent.corners)
+        np.add.at(total, first, bent.corners[last])
+        np.add.at(total, last, bent.corners[first])
+        corners, bulges = bent.corners.copy(), bent.bulges.copy()
+        move = np.unique(bent.triangles[bad, :3])
+        corners[move] += _SHARE * (total[move] / degree[move, None] - corners[move])
+        bulges[np.unique(bent.triangles[bad, 3:])] *= 1.0 - _SHARE
+        bent = replace(bent, corners=corners, bulges=bulges)
+    return bent
+
+
+def _middles(
+    corners: Float[np.ndarray, "c 3"], pairs: Int[np.ndarray, "e 2"]
+) -> Float[np.ndarray, "e 3"]:
+    return corners[pairs].mean(axis=1)
+
+
+def _outward(
+    nodes: Float[np.ndarray, "n 3"], triangles: Int[np.ndarray, "m 6"]
+) -> Float[np.ndarray, "n 3"]:
+    """Unit directions away from the lumen: means over the triangles around, by area."""
+    corners = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
+    places = np.concatenate([corners, [(corners[a] + corners[b]) / 2.0 for a, b in EDGES[:3]]])
+    tangents = np.einsum("eai,qaj->eqji", nodes[triangles], shapes(places)[1])
+    inward = np.cross(tangents[:, :, 0], tangents[:, :, 1])
+    total = np.stack(
+        [np.bincount(triangles.ravel(), inward[..., k].ravel(), len(nodes)) for k in range(3)], 1
+    )
+    return -total / np.linalg.norm(total, axis=1, keepdims=True)

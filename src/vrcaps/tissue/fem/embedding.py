@@ -1,0 +1,141 @@
+"""How the fine surface hangs on the coarse layer."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vrcaps.tissue.fem.elements import shapes
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Int
+
+    from vrcaps.tissue.fem.coarse import Coarsened
+    from vrcaps.tissue.fem.layer import Layer
+
+_ROUNDS = 6
+_LARGEST_WEIGHT = 6.0
+
+
+@dataclass(frozen=True)
+class Embedding:
+    """Fine vertices as weighted sums of nodes, exact for every field that is linear in space.
+
+    Attributes:
+        nodes: Six nodes of the inner surface, then the six above them outside.
+        weights: Their weights; each vertex's sum to 1, and give back where the vertex is.
+    """
+
+    nodes: Int[np.ndarray, "n 12"]
+    weights: Float[np.ndarray, "n 12"]
+
+
+def embed(vertices: Float[np.ndarray, "n 3"], coarsened: Coarsened, layer: Layer) -> Embedding:
+    """Hangs fine vertices on a layer.
+
+    Each smoothed vertex has its place (ξ, η, height) in the layer: on the triangle around its cell
+    in which it lies deepest. From the nearest place that the layer covers to the vertex itself,
+    which may stand off on a fold, the layer's map is taken as linear. Where that makes weights
+    large, far off and on a sharp bend, those of least change that are exact are taken instead.
+    """
+    inner = coarsened.surface.triangles
+    outer = layer.outer_triangles
+    triangle, place = _locate(coarsened, layer)
+    place = _covered(place)
+    values, slopes = shapes(place[:, :2])
+    low, high = layer.nodes[inner[triangle]], layer.nodes[outer[triangle]]
+    jacobian, there = _map(values, slopes, low, high, place[:, 2])
+    way = np.linalg.solve(jacobian, (vertices - there)[..., None])[..., 0]
+    height = place[:, 2:]
+    along = np.einsum("naj,nj->na", slopes, way[:, :2])
+    moved = values + along
+    weights = np.concatenate(
+        [moved * (1.0 - height) - values * way[:, 2:], moved * height + values * way[:, 2:]], axis=1
+    )
+    steep = np.flatnonzero(np.abs(weights).max(axis=1) > _LARGEST_WEIGHT)
+    flat = np.concatenate([values * (1.0 - height), values * height], axis=1)[steep]
+    nodes = np.concatenate([low, high], axis=1)[steep]
+    weights[steep] = _least_change(flat, nodes, vertices[steep])
+    return Embedding(np.concatenate([inner, outer], axis=1)[triangle], weights)
+
+
+def _least_change(
+    weights: Float[np.ndarray, "k 12"],
+    nodes: Float[np.ndarray, "k 12 3"],
+    points: Float[np.ndarray, "k 3"],
+) -> Float[np.ndarray, "k 12"]:
+    """The weights nearest to given ones that sum to 1 and give back the points."""
+    center = nodes.mean(axis=1, keepdims=True)
+    around = nodes - center
+    size = np.linalg.norm(around, axis=2).max(axis=1)[:, None, None]
+    rows = np.concatenate([np.ones((len(nodes), 12, 1)), around / size], axis=2)
+    wanted = np.concatenate([np.ones((len(nodes), 1, 1)), (points[:, None] - center) / size], 2)
+    missing = wanted[:, 0] - np.einsum("ka,kai->ki", weights, rows)
+    share = np.linalg.solve(rows.swapaxes(1, 2) @ rows, missing[..., None])
+    return weights + (rows @ share)[..., 0]
+
+
+def _covered(place: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
+    """The place in the prism that is near to another."""
+    corner = np.column_stack([1.0 - place[:, :2].sum(axis=1), place[:, :2]]).clip(0.0)
+    corner /= corner.sum(axis=1, keepdims=True)
+    return np.column_stack([corner[:, 1:], place[:, 2].clip(0.0, 1.0)])
+
+
+def _map(
+    values: Float[np.ndarray, "n 6"],
+    slopes: Float[np.ndarray, "n 6 2"],
+    low: Float[np.ndarray, "n 6 3"],
+    high: Float[np.ndarray, "n 6 3"],
+    height: Float[np.ndarray, " n"],
+) -> tuple[Float[np.ndarray, "n 3 3"], Float[np.ndarray, "n 3"]]:
+    """Jacobian and value of x = Σ N (low + height (high − low))."""
+    nodes = low + height[:, None, None] * (high - low)
+    across = np.einsum("na,nai->ni", values, high - low)
+    along = np.einsum("nai,naj->nij", nodes, slopes)
+    return np.concatenate([along, across[..., None]], axis=-1), np.einsum(
+        "na,nai->ni", values, nodes
+    )
+
+
+def _locate(
+    coarsened: Coarsened, layer: Layer
+) -> tuple[Int[np.ndarray, " n"], Float[np.ndarray, "n 3"]]:
+    """Triangle of each smoothed vertex and its place (ξ, η, height in thicknesses) there."""
+    inner, outer = coarsened.surface.triangles, layer.outer_triangles
+    order = np.argsort(inner[:, :3].ravel(), kind="stable")
+    corner = inner[:, :3].ravel()[order]
+    start = np.searchsorted(corner, np.arange(len(coarsened.surface.nodes) + 1))
+    first, count = start[coarsened.cell], np.diff(start)[coarsened.cell]
+    best = np.full(len(coarsened.cell), -np.inf)
+    triangle = np.zeros(len(best), int)
+    place = np.zeros((len(best), 3))
+    for k in range(int(count.max())):
+        rows = np.flatnonzero(count > k)
+        candidate = order[first[rows] + k] // 3
+        low, high = layer.nodes[inner[candidate]], layer.nodes[outer[candidate]]
+        found = _invert(coarsened.smooth[rows], low, high)
+        depth = np.minimum(found[:, :2].min(axis=1), 1.0 - found[:, :2].sum(axis=1))
+        # Far outside, the curved map may come back on another branch.
+        depth = np.where(np.abs(found).max(axis=1) < 10.0, depth, -1e9)
+        better = depth > best[rows]
+        rows = rows[better]
+        best[rows], triangle[rows], place[rows] = depth[better], candidate[better], found[better]
+    return triangle, place
+
+
+def _invert(
+    points: Float[np.ndarray, "n 3"],
+    low: Float[np.ndarray, "n 6 3"],
+    high: Float[np.ndarray, "n 6 3"],
+) -> Float[np.ndarray, "n 3"]:
+    """Newton's rounds for (ξ, η, height) of points, kept near the triangle."""
+    place = np.tile([1.0 / 3.0, 1.0 / 3.0, 0.0], (len(points), 1))
+    for _ in range(_ROUNDS):
+        values, slopes = shapes(place[:, :2])
+        jacobian, there = _map(values, slopes, low, high, place[:, 2])
+        way = np.linalg.solve(jacobian, (points - there)[..., None])[..., 0]
+        place = np.clip(place + way, -2.0, 3.0)
+    return place

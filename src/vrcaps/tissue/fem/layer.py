@@ -1,0 +1,131 @@
+"""A surface of curved triangles, made into a layer of tetrahedra."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vrcaps.errors import InputError
+from vrcaps.tissue.fem.elements import EDGES, corner_volumes, integration_points
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Int
+
+# Three tetrahedra of a prism whose corners are numbered by rising vertex; 3 to 5 are outside.
+# Every side is cut from its smaller vertex inside, so that neighbours agree.
+_CUTS = ((0, 1, 2, 5), (0, 1, 5, 4), (0, 4, 5, 3))
+
+
+@dataclass(frozen=True)
+class CoarseSurface:
+    """Curved triangles of six nodes, counter-clockwise seen from the lumen.
+
+    Attributes:
+        nodes: Positions [m].
+        outward: Unit directions away from the lumen.
+        triangles: Three corners of each, then the middles of its edges 01, 12, 02.
+    """
+
+    nodes: Float[np.ndarray, "n 3"]
+    outward: Float[np.ndarray, "n 3"]
+    triangles: Int[np.ndarray, "m 6"]
+
+
+@dataclass(frozen=True)
+class Layer:
+    """Tetrahedra of ten nodes between an inner and an outer surface.
+
+    Node `level · n + k` lies over node k of the surface; level 0 is inside.
+
+    Attributes:
+        surface: The inner surface.
+        nodes: Positions [m].
+        tetrahedra: Nodes of each, in the order of `elements`.
+        thickness: Of the layer [m].
+        num_levels: Levels of nodes, two for each element through the thickness and one more.
+    """
+
+    surface: CoarseSurface
+    nodes: Float[np.ndarray, "nodes 3"]
+    tetrahedra: Int[np.ndarray, "m 10"]
+    thickness: float
+    num_levels: int
+
+    @property
+    def outer_triangles(self) -> Int[np.ndarray, "m 6"]:
+        """Nodes of the outer surface's triangles."""
+        return self.surface.triangles + (self.num_levels - 1) * len(self.surface.nodes)
+
+
+def extrude(surface: CoarseSurface, thickness: float, layers: int) -> Layer:
+    """The layer from a surface outwards.
+
+    Raises:
+        InputError: If it folds over itself.
+    """
+    num_levels = 2 * layers + 1
+    heights = np.linspace(0.0, thickness, num_levels)
+    nodes = (surface.nodes + heights[:, None, None] * surface.outward).reshape(-1, 3)
+    count = len(surface.nodes)
+    bottom = _prism_tetrahedra(surface.triangles, count)
+    tetrahedra = np.concatenate([bottom + 2 * k * count for k in range(layers)])
+    _check_volumes(nodes, tetrahedra, thickness)
+    return Layer(surface, nodes, tetrahedra, thickness, num_levels)
+
+
+def _prism_tetrahedra(triangles: Int[np.ndarray, "m 6"], count: int) -> Int[np.ndarray, "k 10"]:
+    """Tetrahedra of prisms over triangles; nodes of three levels, `count` on each."""
+    order = np.argsort(triangles[:, :3], axis=1)
+    corner = np.take_along_axis(triangles[:, :3], order, axis=1)
+    # The middle between two corners of a triangle, by their places in it.
+    middle = np.full((len(triangles), 3, 3), -1)
+    for k, (a, b) in enumerate(EDGES[:3]):
+        middle[:, a, b] = middle[:, b, a] = triangles[:, 3 + k]
+    rows = np.arange(len(triangles))
+    found = []
+    for cut in _CUTS:
+        columns = [corner[:, c % 3] + 2 * (c // 3) * count for c in cut]
+        for a, b in EDGES:
+            p, q = cut[a], cut[b]
+            level = p // 3 + q // 3
+            flat = (
+                corner[:, p % 3]
+                if p % 3 == q % 3
+                else middle[rows, order[:, p % 3], order[:, q % 3]]
+            )
+            columns.append(flat + level * count)
+        found.append(np.stack(columns, axis=1))
+    # Sorting turned every other triangle over.
+    turned = np.linalg.det(np.eye(3)[order]) > 0.0
+    flip = [1, 0, 2, 3, 4, 6, 5, 8, 7, 9]
+    tetrahedra = np.stack(found, axis=1)
+    tetrahedra[turned] = tetrahedra[turned][:, :, flip]
+    return tetrahedra.reshape(-1, 10)
+
+
+def thinnest(surface: CoarseSurface, thickness: float) -> Float[np.ndarray, " m"]:
+    """Smallest share of its mean volume each triangle's layer has at a node; below 0 it folds."""
+    count = len(surface.nodes)
+    heights = np.array([0.0, 0.5, 1.0]) * thickness
+    nodes = (surface.nodes + heights[:, None, None] * surface.outward).reshape(-1, 3)
+    tetrahedra = _prism_tetrahedra(surface.triangles, count)
+    volumes = corner_volumes(nodes, tetrahedra).reshape(len(surface.triangles), -1)
+    return volumes.min(axis=1) / np.abs(volumes).mean(axis=1)
+
+
+def _check_volumes(
+    nodes: Float[np.ndarray, "n 3"], tetrahedra: Int[np.ndarray, "m 10"], thickness: float
+) -> None:
+    points = integration_points(nodes, tetrahedra, 2)
+    volumes = np.concatenate([corner_volumes(nodes, tetrahedra), points.weights], axis=1)
+    inverted = volumes.min(axis=1) <= 0.0
+    if not inverted.any():
+        return
+    x, y, z = 1e3 * nodes[tetrahedra[inverted][0, 0]]
+    raise InputError(
+        f"The layer folds over itself at {inverted.sum()} of {len(inverted)} elements, one at "
+        f"({x:.0f}, {y:.0f}, {z:.0f}) mm: thickness is {1e3 * thickness:g} mm, more than the "
+        "wall's radius of curvature there. Give a smaller thickness or a larger edge."
+    )

@@ -1,0 +1,170 @@
+"""A wall of finite elements that carries the surface of an organ."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vrcaps import _core
+from vrcaps.errors import InputError, require
+from vrcaps.tissue.fem.assembly import assemble, element_points
+from vrcaps.tissue.fem.coarse import Coarsened, coarsen
+from vrcaps.tissue.fem.deformation import FemDeformation
+from vrcaps.tissue.fem.embedding import Embedding, embed
+from vrcaps.tissue.fem.layer import extrude
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float
+
+    from vrcaps.organ.surface import OrganSurface
+
+_LONGEST_STEP = 1.0
+# Share of the thickness to which a step of a nonlinear wall is solved.
+_TOLERANCE = 1e-6
+
+
+class FemWall:
+    """The wall of an organ as an elastic layer; holds its matrices, their factor and its motion.
+
+    Positions and forces are in the frame of the organ. The same start and the same steps give the
+    same bytes, on any number of threads.
+
+    Attributes:
+        deformation: Its parameters.
+        layer: Its elements.
+        number: Number of each node of the layer in the core; free nodes first, then held ones.
+        num_free: How many are free.
+        embedding: How the organ's vertices hang on the nodes, by these numbers.
+    """
+
+    def __init__(self, organ: OrganSurface, deformation: FemDeformation) -> None:
+        """Builds the layer under an organ's surface and everything that is made once.
+
+        Raises:
+            InputError: If the layer folds over itself, its edges are too long for the organ, or
+                nothing holds it.
+        """
+        self.deformation = deformation
+        coarsened = coarsen(organ.vertices, organ.faces, deformation.edge, deformation.thickness)
+        self.layer = extrude(coarsened.surface, deformation.thickness, deformation.layers)
+        over = _held(organ, deformation, coarsened)
+        _check_held(over, deformation)
+        held = np.tile(over, self.layer.num_levels)
+        self.num_free = int((~held).sum())
+        number = np.empty(len(held), np.int64)
+        number[np.argsort(held, kind="stable")] = np.arange(len(held))
+        self.number = number
+        embedding = embed(organ.vertices, coarsened, self.layer)
+        self.embedding = Embedding(
+            np.ascontiguousarray(number[embedding.nodes], np.uint32),
+            np.ascontiguousarray(embedding.weights),
+        )
+        matrices = assemble(self.layer, deformation, number, self.num_free)
+        is_linear = deformation.model == "linear"
+        points = None if is_linear else element_points(self.layer, deformation, number)
+        self._core = _core.FemLayer(matrices, points, self.embedding, deformation.damping)
+
+    @property
+    def num_dof(self) -> int:
+        """Degrees of freedom: three for each free node."""
+        return 3 * self.num_free
+
+    @property
+    def rounds(self) -> int:
+        """Back-substitutions of the last step."""
+        return self._core.rounds
+
+    @property
+    def yields(self) -> Float[np.ndarray, "n 6"]:
+        """How far each vertex of the organ gives way [m] and at which velocity [m/s]."""
+        return self._core.yields()
+
+    @property
+    def energies(self) -> tuple[float, float]:
+        """Kinetic energy, then energy stored in wall and support [J]."""
+        return self._core.energies()
+
+    def step(
+        self,
+        force_on_vertices: Float[np.ndarray, "n 3"],
+        dt: float,
+        *,
+        acceleration: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]]:
+        """Moves on by a time `dt` [s], by implicit Euler.
+
+        A `dt` other than the last one's costs a new factor.
+
+        Args:
+            force_on_vertices: On each vertex of the organ [N].
+            dt: Time step [s].
+            acceleration: Body force b by mass, beyond what the wall at rest is in balance with
+                [m/s²].
+
+        Returns:
+            Displacement [m] and velocity [m/s] of each vertex of the organ.
+
+        Raises:
+            InputError: If the force or the step is out of bounds; the wall stays as it was.
+        """
+        require(0.0 < dt <= _LONGEST_STEP, "dt", dt, f"above 0 to {_LONGEST_STEP:g} s")
+        force = np.ascontiguousarray(force_on_vertices, float)
+        if force.shape != (len(self.embedding.weights), 3):
+            raise InputError(
+                f"force_on_vertices has the shape {force.shape}. Allowed: one row of 3 for each of "
+                f"the {len(self.embedding.weights)} vertices."
+            )
+        for name, value in (("force_on_vertices", force), ("acceleration", acceleration)):
+            if not np.isfinite(value).all():
+                raise InputError(f"{name} is not finite. Allowed: finite numbers.")
+        x, y, z = acceleration
+        tolerance = _TOLERANCE * self.deformation.thickness
+        try:
+            self._core.step(force, (x, y, z), dt, tolerance)
+        except ValueError as error:
+            raise InputError(str(error)) from error
+        yields = self.yields
+        return yields[:, :3], yields[:, 3:]
+
+    def snapshot(self) -> Float[np.ndarray, "nodes 6"]:
+        """Displacement [m] and velocity [m/s] of the free nodes: all that changes, exactly."""
+        return self._core.nodes
+
+    def restore(self, snapshot: Float[np.ndarray, "nodes 6"]) -> None:
+        """Goes back to a snapshot of a wall of the same organ and deformation.
+
+        Raises:
+            InputError: If the snapshot is of another wall, or not finite.
+        """
+        if snapshot.shape != (self.num_free, 6):
+            raise InputError(
+                f"The snapshot has the shape {snapshot.shape}, this wall's is "
+                f"({self.num_free}, 6). Give a snapshot of the same organ and deformation."
+            )
+        if not np.isfinite(snapshot).all():
+            raise InputError("The snapshot is not finite. Allowed: finite numbers.")
+        self._core.nodes = np.ascontiguousarray(snapshot, float)
+
+
+def _held(
+    organ: OrganSurface, deformation: FemDeformation, coarsened: Coarsened
+) -> Bool[np.ndarray, " nodes"]:
+    """Nodes of the coarse surface that are held."""
+    arc_length = organ.arc_length[coarsened.nearest]
+    held = np.zeros(len(arc_length), bool)
+    if deformation.fix_ends:
+        held[coarsened.border] = True
+    for start, end in deformation.fixed:
+        held |= (arc_length >= start) & (arc_length <= end)
+    return held
+
+
+def _check_held(held: Bool[np.ndarray, " nodes"], deformation: FemDeformation) -> None:
+    if held.all():
+        raise InputError("fixed holds the whole wall. Give shorter stretches.")
+    if deformation.support == 0.0 and held.sum() < 2:
+        raise InputError(
+            "Nothing holds the wall: support is 0 and no node is fixed. Give a support above 0, "
+            "stretches in fixed, or an organ with open ends and fix_ends."
+        )

@@ -1,0 +1,163 @@
+"""Which muscle is where: the segments' figures at each station along an organ."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vrcaps.errors import UnknownNameError
+from vrcaps.tissue.motility.segment import WHOLE, ZONES
+from vrcaps.tissue.stations import stations
+from vrcaps.units import CM
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from jaxtyping import Float, Int
+
+    from vrcaps.organ.surface import OrganSurface
+    from vrcaps.tissue.motility.motility import Motility
+
+_BLEND = 2.0 * CM
+_DRIFT = 0.5 / 60.0
+"""Change of the slow waves' rate [1/s] after which muscle keeps a pace of its own."""
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Figures of `SegmentMotility` at each station, blended where segments meet.
+
+    Slow waves of a pace come at one rate; the rate falls along the bowel in steps, as measured
+    (Diamant and Bortoff, Am. J. Physiol. 216:301, 1969).
+
+    Attributes:
+        station: Arc lengths [m].
+        name: Segment of each station, a number into `names`.
+        names: Names of the segments that the organ has.
+        pace: Number of the pace that each station keeps, rising.
+        rate: Slow waves of each pace [1/s].
+        figures: Amplitude, speed [m/s], duration [s], extent [m], activity, retrograde and
+            standing share, one row each.
+        cycles: Whether the migrating motor complex passes.
+        zones: Where each of its zones begins and ends [m].
+    """
+
+    station: Float[np.ndarray, " k"]
+    name: Int[np.ndarray, " k"]
+    names: tuple[str, ...]
+    pace: Int[np.ndarray, " k"]
+    rate: Float[np.ndarray, " p"]
+    figures: Float[np.ndarray, "7 k"]
+    cycles: Float[np.ndarray, " k"]
+    zones: dict[str, tuple[float, float]]
+
+
+def lay_out(organ: OrganSurface, motility: Motility) -> Layout:
+    """Finds the segments of an organ by the labels of its wall.
+
+    Raises:
+        UnknownNameError: If a segment has no known name, nor has the organ.
+    """
+    station = stations(organ.centerline)
+    names, name = _segments(organ, motility, station)
+    figures, rates = np.empty((7, len(station))), np.empty(len(station))
+    cycles = np.zeros(len(station), bool)
+    zones: dict[str, tuple[float, float]] = {}
+    for number, start, end in _runs(name):
+        segment = motility.segments[names[number]]
+        share = np.linspace(0.0, 1.0, end - start)
+        rates[start:end] = np.interp(share, [0.0, 1.0], segment.rates)
+        figures[0, start:end] = segment.amplitude
+        figures[1, start:end] = np.interp(share, [0.0, 1.0], segment.speeds)
+        figures[2:, start:end] = np.array(
+            [
+                segment.duration,
+                segment.extent,
+                segment.activity,
+                segment.retrograde,
+                segment.standing,
+            ]
+        )[:, None]
+        if segment.zone is not None:
+            cycles[start:end] = True
+            ends = station[[start, end - 1]]
+            begin = zones.get(segment.zone, ends)[0]
+            zones[segment.zone] = (float(begin), float(ends[1]))
+    pace = _paces(rates, cycles)
+    return Layout(
+        station=station,
+        name=name,
+        names=names,
+        pace=pace,
+        rate=np.bincount(pace, rates) / np.bincount(pace),
+        figures=_blended(figures, station[1]),
+        cycles=cycles,
+        zones={zone: zones[zone] for zone in ZONES if zone in zones},
+    )
+
+
+def _segments(
+    organ: OrganSurface, motility: Motility, station: Float[np.ndarray, " k"]
+) -> tuple[tuple[str, ...], Int[np.ndarray, " k"]]:
+    """Names of the segments, and the number of the one that most of the wall at each station is."""
+    label = _labels(organ, station)
+    known: list[str] = []
+    number = np.empty(len(station), int)
+    for value, start, end in _runs(label):
+        name = _known_name(organ, value, motility)
+        parts = ((name, 1.0),) if name in motility.segments else WHOLE[name]
+        ends = np.rint(start + (end - start) * np.cumsum([share for _, share in parts])).astype(int)
+        for (part, _), first, last in zip(parts, [start, *ends[:-1]], ends, strict=True):
+            if part not in known:
+                known.append(part)
+            number[first:last] = known.index(part)
+    return tuple(known), number
+
+
+def _known_name(organ: OrganSurface, label: int, motility: Motility) -> str:
+    names = (organ.label_names[label], organ.name)
+    for name in (names[0], names[0].replace("-", "_"), names[1].replace("-", "_")):
+        if name in motility.segments or name in WHOLE:
+            return name
+    if motility.otherwise is None:
+        raise UnknownNameError("segment with muscle", names[0], (*motility.segments, *WHOLE))
+    return motility.otherwise
+
+
+def _labels(organ: OrganSurface, station: Float[np.ndarray, " k"]) -> Int[np.ndarray, " k"]:
+    """Most frequent label of the wall at each station; where there is no vertex, the nearest."""
+    nearest = np.clip(np.rint(organ.arc_length / station[1]), 0, len(station) - 1).astype(int)
+    num = len(organ.label_names)
+    count = np.bincount(nearest * num + organ.label, minlength=len(station) * num)
+    count = count.reshape(len(station), num)
+    filled = np.flatnonzero(count.any(axis=1))
+    after = np.clip(np.searchsorted(filled, np.arange(len(station))), 0, len(filled) - 1)
+    return count[filled[after]].argmax(axis=1)
+
+
+def _runs(values: Int[np.ndarray, " k"]) -> Iterator[tuple[int, int, int]]:
+    """Value, first index and end of each stretch of equal values."""
+    cuts = np.flatnonzero(np.diff(values)) + 1
+    for start, end in zip([0, *cuts], [*cuts, len(values)], strict=True):
+        yield int(values[start]), int(start), int(end)
+
+
+def _paces(rates: Float[np.ndarray, " k"], cycles: Float[np.ndarray, " k"]) -> np.ndarray:
+    """Number of the pace at each station: a new one where the rate has changed enough."""
+    pace = np.empty(len(rates), int)
+    start = number = 0
+    for k in range(len(rates)):
+        if abs(rates[k] - rates[start]) > _DRIFT or cycles[k] != cycles[start]:
+            start, number = k, number + 1
+        pace[k] = number
+    return pace
+
+
+def _blended(figures: Float[np.ndarray, "7 k"], spacing: float) -> Float[np.ndarray, "7 k"]:
+    """Running means over a short length."""
+    half = max(1, round(0.5 * _BLEND / spacing))
+    wide = np.pad(figures, ((0, 0), (half + 1, half)), mode="edge")
+    total = np.cumsum(wide, axis=1)
+    return (total[:, 2 * half + 1 :] - total[:, : -2 * half - 1]) / (2 * half + 1)

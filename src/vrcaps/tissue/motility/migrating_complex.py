@@ -1,0 +1,310 @@
+"""The migrating motor complex: the fasting gut's clock, in real minutes."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+from types import MappingProxyType
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vrcaps.errors import InputError, require
+from vrcaps.tissue.motility.segment import ZONES
+from vrcaps.units import CM
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from jaxtyping import Float, Int
+
+MINUTE = 60.0
+_CM_PER_MINUTE = CM / MINUTE
+_CYCLES = 256
+_ORDER = np.array([3, 4, 1, 2])
+_TERMINAL = 0.3
+"""Length of the terminal ileum [m]."""
+
+_SPEEDS = MappingProxyType(
+    {
+        "stomach": (5.0 * _CM_PER_MINUTE, 0.0),
+        "duodenum": (8.7 * _CM_PER_MINUTE, 0.9 * _CM_PER_MINUTE),
+        "jejunum": (4.7 * _CM_PER_MINUTE, 1.8 * _CM_PER_MINUTE),
+        "ileum": (1.3 * _CM_PER_MINUTE, 0.4 * _CM_PER_MINUTE),
+        "terminal": (0.9 * _CM_PER_MINUTE, 0.2 * _CM_PER_MINUTE),
+    }
+)
+
+
+@dataclass(frozen=True)
+class ComplexStatistics:
+    """How the migrating motor complex varies between patients and from cycle to cycle.
+
+    Kerlin and Phillips, Gastroenterology 82:694, 1982 [1]; Dooley et al., Dig. Dis. Sci. 37:723,
+    1992 [2]; Ouyang et al., Dig. Dis. Sci. 34:528, 1989 [3]; Kellow et al., Gastroenterology
+    91:386, 1986 [4].
+
+    Attributes:
+        cycle_means: Least and largest mean cycle of a patient [s]; 113 to 230 min [2].
+        cycle_deviation: Standard deviation of a patient's single cycles [s]; 58 to 70 min [2].
+        shortest_cycle: Of single cycles [s]; 15 min [1]. They lie evenly about the mean, so the
+            longest is twice the mean less this: 195 min, as in [1], for a mean of 105 min.
+        origins: Shares of fronts that start in the antrum, the proximal and the distal duodenum
+            and the jejunum [2].
+        third_phase: Shortest and longest phase III [s]; grows from the pylorus to the end of the
+            ileum by half of that range [2].
+        fourth_phase: Shortest and longest phase IV [s]; assumed.
+        gastric_first_phase: Mean and standard deviation of phase I, share of the cycle [2].
+        second_phase: Least and largest mean share of phase II in the bowel [2].
+        second_phase_deviation: Of single cycles from that mean; assumed.
+        front_speeds: Mean and standard deviation between patients of the front's speed [m/s] in
+            each zone and the terminal ileum: [1], in the duodenum [3]; in the stomach assumed.
+            In each patient it falls from the duodenum on [1].
+        reaching: Shares of fronts that get to the middle and to the end of the small bowel: fewer
+            than half, less than 10 % [4]; in [1] all did.
+    """
+
+    cycle_means: tuple[float, float] = (113.0 * MINUTE, 230.0 * MINUTE)
+    cycle_deviation: float = 64.0 * MINUTE
+    shortest_cycle: float = 15.0 * MINUTE
+    origins: tuple[float, float, float, float] = (0.71, 0.18, 0.10, 0.01)
+    third_phase: tuple[float, float] = (5.0 * MINUTE, 10.0 * MINUTE)
+    fourth_phase: tuple[float, float] = (0.0, 5.0 * MINUTE)
+    gastric_first_phase: tuple[float, float] = (0.55, 0.23)
+    second_phase: tuple[float, float] = (0.7, 0.8)
+    second_phase_deviation: float = 0.1
+    front_speeds: Mapping[str, tuple[float, float]] = field(default_factory=lambda: dict(_SPEEDS))
+    reaching: tuple[float, float] = (0.45, 0.1)
+
+    def __post_init__(self) -> None:
+        for name in ("cycle_means", "third_phase", "fourth_phase"):
+            low, high = getattr(self, name)
+            require(0.0 <= low <= high < math.inf, name, (low, high), "two rising times [s]")
+        require(
+            0.0 < self.shortest_cycle < self.cycle_means[0],
+            "shortest_cycle",
+            self.shortest_cycle,
+            "above 0 s and below every mean cycle",
+        )
+        for name in ("cycle_deviation", "second_phase_deviation"):
+            value = getattr(self, name)
+            require(0.0 <= value < math.inf, name, value, "0 or more")
+        for name in ("gastric_first_phase", "second_phase", "reaching", "origins"):
+            shares = getattr(self, name)
+            require(all(0.0 <= share <= 1.0 for share in shares), name, shares, "shares, 0 to 1")
+        whole = math.fsum(self.origins)
+        require(abs(whole - 1.0) < 1e-9, "origins", self.origins, "four shares whose sum is 1")
+        self._check_speeds()
+
+    def _check_speeds(self) -> None:
+        names = (*ZONES, "terminal")
+        valid = set(self.front_speeds) == set(names) and all(
+            0.0 < mean < math.inf and 0.0 <= deviation < math.inf
+            for mean, deviation in self.front_speeds.values()
+        )
+        require(
+            valid,
+            "front_speeds",
+            dict(self.front_speeds),
+            f"mean above 0 and deviation [m/s] for each of {', '.join(names)}",
+        )
+
+
+@dataclass(frozen=True)
+class MigratingMotorComplex:
+    """A patient's clock: which phase each place of the gut is in at each time.
+
+    A cycle begins when its front starts in the antrum, or would; the front reaches each place
+    after the same delay, so fronts never meet. There it brings phase III, then come IV, I and II
+    up to the next front. Where a front does not pass, phase II goes on in place of III and IV.
+    After the last cycle the first comes again.
+
+    Attributes:
+        starts: When cycles begin [s], from 0; the last entry is when the first comes again.
+        places: Arc lengths [m], rising, of `delays`.
+        delays: When the front passes these places, after the cycle's start [s].
+        first: Arc length where each cycle's front starts [m].
+        last: Arc length where it dies out [m].
+        third: Duration of phase III at the pylorus and oral to it [s].
+        third_growth: Growth of that by length beyond the pylorus [s/m].
+        fourth: Duration of phase IV [s].
+        gastric_quiet: Duration of phase I in the stomach [s].
+        quiet: Duration of phase I in the bowel [s].
+        pylorus: Arc length of the pylorus [m].
+        offset: Time of this clock when the world's is 0 [s].
+    """
+
+    starts: Float[np.ndarray, " n+1"]
+    places: Float[np.ndarray, " p"]
+    delays: Float[np.ndarray, " p"]
+    first: Float[np.ndarray, " n"]
+    last: Float[np.ndarray, " n"]
+    third: Float[np.ndarray, " n"]
+    third_growth: float
+    fourth: Float[np.ndarray, " n"]
+    gastric_quiet: Float[np.ndarray, " n"]
+    quiet: Float[np.ndarray, " n"]
+    pylorus: float
+    offset: float = 0.0
+
+    def phase(
+        self, arc_length: Float[np.ndarray, "*n"], time: Float[np.ndarray, "*n"] | float
+    ) -> tuple[Int[np.ndarray, "*n"], Float[np.ndarray, "*n"]]:
+        """Phase 1 to 4 at places and times, and how much of it has passed, 0 to 1.
+
+        Args:
+            arc_length: Places along the centreline [m].
+            time: Of the world [s].
+        """
+        local = time + self.offset - np.interp(arc_length, self.places, self.delays)
+        local = np.mod(local, self.starts[-1])
+        cycle = np.searchsorted(self.starts, local, side="right") - 1
+        since = local - self.starts[cycle]
+        length = self.starts[cycle + 1] - self.starts[cycle]
+        beyond = arc_length - self.pylorus
+        passes = (arc_length >= self.first[cycle]) & (arc_length <= self.last[cycle])
+        third = self.third[cycle] + self.third_growth * np.maximum(beyond, 0.0)
+        third = np.where(passes, np.minimum(third, length), 0.0)
+        fourth = np.where(passes, np.minimum(third + self.fourth[cycle], length), 0.0)
+        quiet = np.where(beyond < 0.0, self.gastric_quiet[cycle], self.quiet[cycle])
+        first = np.minimum(fourth + quiet, length)
+        # Times since the cycle's start at which phases III, IV, I and II end, in this order.
+        ends = np.stack([third, fourth, first, length])
+        number = (since >= ends[:3]).sum(axis=0)
+        end = np.take_along_axis(ends, number[None], axis=0)[0]
+        begin = np.where(number > 0, np.take_along_axis(ends, number[None] - 1, axis=0)[0], 0.0)
+        return _ORDER[number], (since - begin) / np.maximum(end - begin, 1e-9)
+
+    def at_front(self, arc_length: float, ahead: float = 0.0) -> MigratingMotorComplex:
+        """The clock set so that at time 0 the first front to pass a place reaches it.
+
+        Args:
+            arc_length: The place [m].
+            ahead: Time until the front comes [s].
+
+        Raises:
+            InputError: If no front passes there.
+        """
+        passes = np.flatnonzero((self.first <= arc_length) & (self.last >= arc_length))
+        if len(passes) == 0:
+            raise InputError(
+                f"No front passes at {arc_length:g} m. Allowed: places in stomach and small bowel."
+            )
+        delay = float(np.interp(arc_length, self.places, self.delays))
+        return replace(self, offset=float(self.starts[passes[0]]) + delay - ahead)
+
+
+def draw_complex(
+    statistics: ComplexStatistics,
+    zones: Mapping[str, tuple[float, float]],
+    rng: np.random.Generator,
+) -> MigratingMotorComplex:
+    """A patient's clock.
+
+    Args:
+        statistics: How patients vary.
+        zones: Where each of `ZONES` that the organ has begins and ends [m].
+        rng: Source of the patient.
+
+    Raises:
+        InputError: If the organ has none of the zones.
+    """
+    if not zones:
+        raise InputError("The migrating motor complex needs a stomach or small bowel to pass.")
+    s, n = statistics, _CYCLES
+    mean = rng.uniform(*s.cycle_means)
+    low, high = s.shortest_cycle, 2.0 * mean - s.shortest_cycle
+    lengths = _truncated_normal(rng, (mean, s.cycle_deviation), (low, high), n)
+    places, delays = _delays(s, zones, rng)
+    base, growth = s.third_phase[0], 0.5 * (s.third_phase[1] - s.third_phase[0])
+    third = base + rng.uniform(0.0, growth, n)
+    fourth = rng.uniform(*s.fourth_phase, n)
+    share = rng.uniform(*s.second_phase)
+    second = _truncated_normal(rng, (share, s.second_phase_deviation), (0.0, 1.0), n)
+    gastric = _truncated_normal(rng, s.gastric_first_phase, (0.0, 1.0), n)
+    bowel = [ends for zone, ends in zones.items() if zone != "stomach"]
+    begin = bowel[0][0] if bowel else places[-1]
+    span = max(places[-1] - begin, 1e-6)
+    first, last = _reach(s, zones, (begin, span), rng)
+    shortened = third + 0.5 * growth + fourth
+    return MigratingMotorComplex(
+        starts=np.append(0.0, np.cumsum(lengths)),
+        places=places,
+        delays=delays,
+        first=first,
+        last=last,
+        third=third,
+        third_growth=growth / span,
+        fourth=fourth,
+        gastric_quiet=gastric * lengths,
+        quiet=np.maximum((1.0 - second) * lengths - shortened, 0.0),
+        pylorus=float(begin),
+        offset=float(rng.uniform(0.0, np.sum(lengths))),
+    )
+
+
+def _delays(
+    statistics: ComplexStatistics,
+    zones: Mapping[str, tuple[float, float]],
+    rng: np.random.Generator,
+) -> tuple[Float[np.ndarray, " p"], Float[np.ndarray, " p"]]:
+    """Places where the front's speed changes [m] and when it passes them [s]."""
+    speeds = _front_speeds(statistics, rng)
+    places, delays = [next(iter(zones.values()))[0]], [0.0]
+    for zone, (_, end) in zones.items():
+        parts = [(end, speeds[zone])]
+        if zone == "ileum":
+            parts = [(max(places[-1], end - _TERMINAL), speeds[zone]), (end, speeds["terminal"])]
+        for to, speed in parts:
+            delays.append(delays[-1] + (to - places[-1]) / speed)
+            places.append(to)
+    return np.array(places), np.array(delays)
+
+
+def _front_speeds(statistics: ComplexStatistics, rng: np.random.Generator) -> dict[str, float]:
+    """A patient's front speeds [m/s], falling from the duodenum on."""
+    speeds = {"stomach": statistics.front_speeds["stomach"][0]}
+    before = math.inf
+    for zone in ("duodenum", "jejunum", "ileum", "terminal"):
+        mean, deviation = statistics.front_speeds[zone]
+        bounds = (0.2 * mean, max(before, 0.2 * mean))
+        speeds[zone] = before = float(_truncated_normal(rng, (mean, deviation), bounds, 1)[0])
+    return speeds
+
+
+def _reach(
+    statistics: ComplexStatistics,
+    zones: Mapping[str, tuple[float, float]],
+    bowel: tuple[float, float],
+    rng: np.random.Generator,
+) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+    """Where the fronts start and die out [m]."""
+    begin, span = bowel
+    duodenum = zones.get("duodenum", (begin, begin))
+    middle = 0.5 * (duodenum[0] + duodenum[1])
+    starts = np.array([-np.inf, duodenum[0], middle, duodenum[1]])
+    first = starts[rng.choice(4, _CYCLES, p=statistics.origins)]
+    half, end = statistics.reaching
+    # Share of fronts that get further than a share of the bowel: falls from 1 piece by piece.
+    survivors = [1.0, max(half, 1e-9), min(end, half), 0.0]
+    place = np.interp(rng.uniform(size=_CYCLES), survivors[::-1], [2.0, 1.0, 0.5, 0.0])
+    return first, np.maximum(begin + span * place, np.where(np.isfinite(first), first, begin))
+
+
+def _truncated_normal(
+    rng: np.random.Generator,
+    law: tuple[float, float],
+    bounds: tuple[float, float],
+    count: int,
+) -> Float[np.ndarray, " n"]:
+    """Draws from a normal law, drawn again until they are within bounds."""
+    mean, deviation = law
+    if deviation == 0.0:
+        return np.clip(np.full(count, mean), *bounds)
+    values = rng.normal(mean, deviation, count)
+    for _ in range(1000):
+        outside = (values < bounds[0]) | (values > bounds[1])
+        if not outside.any():
+            return values
+        values[outside] = rng.normal(mean, deviation, int(outside.sum()))
+    return np.clip(values, *bounds)

@@ -1,0 +1,237 @@
+"""The muscle of one organ of one patient: how narrow the lumen is at each place and time."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vrcaps.tissue.motility.draws import uniform
+from vrcaps.tissue.motility.layout import lay_out
+from vrcaps.tissue.motility.migrating_complex import draw_complex
+from vrcaps.tissue.motility.rows import KINDS, Rows, Table, make_table
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Int
+
+    from vrcaps.organ.surface import OrganSurface
+    from vrcaps.tissue.motility.motility import GiantContractions, Motility
+
+_HOUR = 3600.0
+_GIANT_RAMP = 0.1
+"""Share of its extent over which a giant contraction grows, and fades."""
+
+_RATE_STEP = 1e-3
+_ACTIVITY = np.array(
+    [
+        [0.0, 0.0, 1.0, 0.0, -1.0],
+        [1.0, 0.0, 0.5, 1.0, 1.0],
+        [1.0, 1.0, 1.0, 0.0, 0.0],
+    ]
+)
+"""Share of slow waves that contract where there is no complex and in phases I to IV: how it changes
+through the phase, where it begins, and whether both are shares of the steady activity. Contractions
+become more through phase II and die away in phase IV."""
+
+_STRENGTH = np.array([[0.0, 0.0, 0.5, 0.0, -1.0], [1.0, 0.0, 0.5, 1.0, 1.0]])
+"""How strong they are, likewise."""
+
+
+class Muscle:
+    """Waves of contraction along an organ, as functions of time alone.
+
+    The n-th slow wave of a pace passes a place when φ = f t − k ∫ f ds / c − θ is n, with k = 1
+    for waves that run on, −1 for those that run back and 0 for those that stand. There it takes
+
+        amplitude · cos²(π (φ − n) / (f d)) · g
+
+    of the lumen's radius while |φ − n| < f d / 2; d is the contraction's duration and g how far
+    this wave leads to a contraction here. g changes smoothly between nodes that are `extent`
+    apart and differ from wave to wave; at each it is 0 or 1, by draws that depend on patient,
+    wave and node only. The largest contraction counts. So the calibre at a time does not depend
+    on how time was stepped through, and there is no state.
+    """
+
+    def __init__(self, organ: OrganSurface, motility: Motility, rng: np.random.Generator) -> None:
+        """A patient's muscle.
+
+        Args:
+            organ: The gut at rest.
+            motility: How its segments contract.
+            rng: Source of the patient's clock and of all contractions.
+
+        Raises:
+            InputError: If no front passes where one is to be.
+            UnknownNameError: If a segment of the wall has no known name.
+        """
+        self.motility, self.centerline = motility, organ.centerline
+        self.layout = lay_out(organ, motility)
+        self._table: Table = make_table(self.layout, rng)
+        self._key = int(rng.integers(2**63))
+        self.clock = None
+        if motility.complex is not None and self.layout.zones:
+            self.clock = draw_complex(motility.complex, self.layout.zones, rng)
+            if motility.front is not None:
+                self.clock = self.clock.at_front(motility.front)
+
+    def calibre(self, time: float, span: slice = slice(None)) -> Float[np.ndarray, " k"]:
+        """Lumen's radius at the stations, as a share of that at rest.
+
+        Args:
+            time: Of the world [s].
+            span: Stations wanted, in steps of 1; all by default.
+        """
+        first, last, _ = span.indices(len(self.layout.station))
+        rows = self._table.near(first, last)
+        turns = rows.rate * time - rows.lag
+        wave = np.rint(turns)
+        offset = turns - wave
+        at = np.flatnonzero(np.abs(offset) < 0.5 * rows.duty)
+        deepest = np.zeros(last - first)
+        if len(at):
+            at, share = self._shares(rows, wave, at)
+            pulse = np.cos(np.pi * offset[at] / rows.duty[at]) ** 2
+            depth = rows.amplitude[at] * pulse * share
+            np.maximum.at(deepest, rows.station[at] - first, depth)
+        if self.motility.giant is not None:
+            self._add_giant(self.motility.giant, deepest, time, first)
+        return np.maximum(1.0 - deepest, self.motility.least_calibre)
+
+    def rate(self, time: float) -> Float[np.ndarray, " k"]:
+        """How fast the calibre changes at the stations [1/s], by central differences."""
+        after, before = self.calibre(time + _RATE_STEP), self.calibre(time - _RATE_STEP)
+        return (after - before) / (2.0 * _RATE_STEP)
+
+    def phase(self, arc_length: Float[np.ndarray, "*n"], time: float) -> Int[np.ndarray, "*n"]:
+        """Phase 1 to 4 of the migrating motor complex at places [m]; 0 where it does not pass."""
+        arc_length = np.asarray(arc_length, float)
+        phase = np.zeros(arc_length.shape, int)
+        cycles = self.layout.cycles[self._nearest(arc_length)]
+        if self.clock is not None:
+            phase = np.where(cycles, self.clock.phase(arc_length, time)[0], 0)
+        return phase
+
+    def strength(self, arc_length: Float[np.ndarray, "*n"], time: float) -> np.ndarray:
+        """How strong contractions are at places [m], 0 in phase I to 1 in phase III."""
+        arc_length = np.asarray(arc_length, float)
+        return self._activity(arc_length, np.full(arc_length.shape, time))[1]
+
+    def propulsion(
+        self,
+        position: Float[np.ndarray, " 3"],
+        velocity: Float[np.ndarray, " 3"],
+        time: float,
+    ) -> Float[np.ndarray, " 3"]:
+        """Force of `Propulsion` [N] on a capsule, in the organ's frame.
+
+        Args:
+            position: Of the capsule [m].
+            velocity: Of the capsule [m/s].
+            time: Of the world [s].
+        """
+        law, line = self.motility.propulsion, self.centerline
+        if law is None:
+            return np.zeros(3)
+        nearest = np.argmin(np.square(line.points - position).sum(axis=1))
+        arc_length = line.arc_length[nearest]
+        alpha = law.alpha
+        if alpha is None:
+            alpha = self.layout.figures[1, self._nearest(arc_length)]
+        force = law.force(alpha * law.way(line, float(arc_length)), velocity)
+        return self.strength(arc_length, time) * force
+
+    def _nearest(self, arc_length: Float[np.ndarray, "*n"] | float) -> np.ndarray:
+        station = self.layout.station
+        number = np.rint(np.asarray(arc_length) / station[1]).astype(int)
+        return np.clip(number, 0, len(station) - 1)
+
+    def _shares(
+        self, rows: Rows, wave: Float[np.ndarray, " r"], at: Int[np.ndarray, " q"]
+    ) -> tuple[Int[np.ndarray, " p"], Float[np.ndarray, " p"]]:
+        """Of rows `at` those that may contract, and how far, 0 to 1, blended between nodes."""
+        run, starts = _runs(rows.group[at], wave[at])
+        head = at[starts]
+        drawn = uniform(self._key, 1, rows.pace[head], wave[head])
+        likely = ((drawn >= rows.low[head]) & (drawn <= rows.high[head]))[run]
+        at, run = at[likely], run[likely]
+        shift = uniform(self._key, 2, rows.pace[head], wave[head])
+        place = rows.place[at] + shift[run]
+        node = np.floor(place)
+        part, starts = _runs(run, node)
+        first, waves = at[starts], run[starts]
+        before, after = self._contracts(
+            rows.take(first),
+            wave[first],
+            drawn[waves],
+            node[starts] + [[0.0], [1.0]],
+            shift[waves],
+        )
+        between = place - node
+        smooth = between * between * (3.0 - 2.0 * between)
+        return at, before[part] + smooth * (after - before)[part]
+
+    def _contracts(
+        self,
+        rows: Rows,
+        wave: Float[np.ndarray, " r"],
+        drawn: Float[np.ndarray, " r"],
+        node: Float[np.ndarray, "2 r"],
+        shift: Float[np.ndarray, " r"],
+    ) -> Float[np.ndarray, "2 r"]:
+        """How far waves contract at nodes, 0 to 1."""
+        arc_length = np.interp(node - shift, self._table.place, self.layout.station)
+        nearest = self._nearest(arc_length)
+        when = wave / rows.rate + rows.start + rows.kind * self._table.delay[nearest]
+        activity, strength, stands = self._activity(arc_length, when)
+        back, stand = self.layout.figures[5:, nearest]
+        kind = np.where(drawn > 1.0 - stand * stands, KINDS[2], KINDS[0])
+        kind = np.where(drawn < back, KINDS[1], kind)
+        lot = uniform(self._key, 3, rows.pace, wave, node)
+        return strength * ((kind == rows.kind) & (lot < activity))
+
+    def _activity(
+        self, arc_length: Float[np.ndarray, " r"], time: Float[np.ndarray, " r"]
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Share of slow waves that contract, how strongly, and whether some of them stand."""
+        nearest = self._nearest(arc_length)
+        steady = self.layout.figures[4, nearest]
+        if self.clock is None:
+            return steady, np.ones_like(steady), np.ones_like(steady)
+        phase, passed = self.clock.phase(arc_length, time)
+        phase = np.where(self.layout.cycles[nearest], phase, 0)
+        slope, base, of_steady = _ACTIVITY[:, phase]
+        activity = np.where(of_steady, steady, 1.0) * (base + slope * passed)
+        slope, base = _STRENGTH[:, phase]
+        return activity, base + slope * passed, (phase < 3) * 1.0
+
+    def _add_giant(
+        self, giant: GiantContractions, deepest: Float[np.ndarray, " k"], time: float, first: int
+    ) -> None:
+        """Adds the giant contractions under way at a time, from station `first` on."""
+        layout = self.layout
+        colon = np.flatnonzero(~layout.cycles)
+        if len(colon) == 0:
+            return
+        begin, end = layout.station[colon[[0, -1]]]
+        hours = np.floor(time / _HOUR) + np.array([-1.0, 0.0])
+        lots, moments, origins = (uniform(self._key, 4 + k, hours) for k in range(3))
+        since = time - (hours + moments) * _HOUR
+        lasts = giant.duration + giant.extent / giant.speed
+        under_way = (lots < giant.rate * _HOUR) & (since >= 0.0) & (since < lasts)
+        here = slice(first, first + len(deepest))
+        for k in np.flatnonzero(under_way):
+            way = layout.station[here] - begin - origins[k] * giant.origin * (end - begin)
+            middle = (since[k] - way / giant.speed) / giant.duration - 0.5
+            pulse = np.cos(np.pi * np.clip(middle, -0.5, 0.5)) ** 2
+            whole = np.minimum(way, giant.extent - way) / (_GIANT_RAMP * giant.extent)
+            share = np.clip(whole, 0.0, 1.0) * ~layout.cycles[here]
+            np.maximum(deepest, giant.amplitude * pulse * share, out=deepest)
+
+
+def _runs(
+    one: Float[np.ndarray, " r"], other: Float[np.ndarray, " r"]
+) -> tuple[Int[np.ndarray, " r"], Int[np.ndarray, " s"]]:
+    """Stretches where both are equal: the number of each entry's, and where each begins."""
+    is_new = np.ones(len(one), bool)
+    is_new[1:] = (one[1:] != one[:-1]) | (other[1:] != other[:-1])
+    return np.cumsum(is_new) - 1, np.flatnonzero(is_new)

@@ -1,0 +1,149 @@
+"""The waves that may contract each station: a row for each kind, more where paces meet."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vrcaps.units import CM
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Int
+
+    from vrcaps.tissue.motility.layout import Layout
+
+KINDS = (1.0, -1.0, 0.0)
+"""Waves that run on, that run back and that stand."""
+
+_OVERLAP = 2.0 * CM
+_FADE = 1.0 * CM
+
+
+@dataclass(frozen=True)
+class Rows:
+    """All that does not change with time, sorted by pace, kind and station.
+
+    Attributes:
+        station: Number of the station.
+        group: Number that pace and kind share with no other.
+        pace: Number of the pace.
+        kind: A value of `KINDS`.
+        rate: Slow waves of the pace [1/s].
+        lag: Turns by which the slow wave is behind time.
+        start: When wave 0 is where the organ begins, or would be [s].
+        duty: Share of the slow wave's time that a contraction takes.
+        amplitude: Share of the radius that a full contraction takes.
+        place: Place in nodes of irregular contractions.
+        low: Least draw with which a wave is of this kind somewhere near.
+        high: Largest such draw.
+    """
+
+    station: Int[np.ndarray, " r"]
+    group: Float[np.ndarray, " r"]
+    pace: Float[np.ndarray, " r"]
+    kind: Float[np.ndarray, " r"]
+    rate: Float[np.ndarray, " r"]
+    lag: Float[np.ndarray, " r"]
+    start: Float[np.ndarray, " r"]
+    duty: Float[np.ndarray, " r"]
+    amplitude: Float[np.ndarray, " r"]
+    place: Float[np.ndarray, " r"]
+    low: Float[np.ndarray, " r"]
+    high: Float[np.ndarray, " r"]
+
+    def take(self, which: Int[np.ndarray, " q"] | slice) -> Rows:
+        """Some of the rows."""
+        return Rows(**{name: values[which] for name, values in vars(self).items()})
+
+
+@dataclass(frozen=True)
+class Table:
+    """Rows of an organ, and what its stations share.
+
+    Attributes:
+        rows: All rows.
+        order: Rows by station.
+        begin: First of each station in that order, and the number of rows.
+        delay: Time that waves take from the oral end to each station [s].
+        place: Place of each station in nodes of irregular contractions.
+    """
+
+    rows: Rows
+    order: Int[np.ndarray, " r"]
+    begin: Int[np.ndarray, " k+1"]
+    delay: Float[np.ndarray, " k"]
+    place: Float[np.ndarray, " k"]
+
+    def near(self, first: int, last: int) -> Rows:
+        """Rows of the stations from `first` to before `last`."""
+        if (first, last) == (0, len(self.delay)):
+            return self.rows
+        return self.rows.take(np.sort(self.order[self.begin[first] : self.begin[last]]))
+
+
+def make_table(layout: Layout, rng: np.random.Generator) -> Table:
+    """The rows of an organ; each pace's clock starts at a random turn."""
+    spacing = layout.station[1]
+    amplitude, speed, duration, extent, _, back, stand = layout.figures
+    delay, place = (
+        np.concatenate([[0.0], np.cumsum(0.5 * spacing * (1.0 / f[1:] + 1.0 / f[:-1]))])
+        for f in (speed, extent)
+    )
+    parts: dict[str, list[np.ndarray]] = {field.name: [] for field in fields(Rows)}
+    group = 0
+    for pace, rate in enumerate(layout.rate):
+        weight = _weight(layout, pace)
+        at = np.flatnonzero(weight * amplitude > 0.0)
+        near = np.flatnonzero(np.abs(layout.pace - pace) <= 1)
+        origin, turn = delay[np.searchsorted(layout.pace, pace)], rng.uniform()
+        for kind, low, high in (
+            (KINDS[0], back[near].min(), 1.0),
+            (KINDS[1], 0.0, back[near].max()),
+            (KINDS[2], 1.0 - stand[near].max(), 1.0),
+        ):
+            if low == high or len(at) == 0:
+                continue
+            values = {
+                "station": at,
+                "group": group,
+                "pace": pace,
+                "kind": kind,
+                "rate": rate,
+                "lag": rate * kind * (delay[at] - origin) + turn,
+                "start": turn / rate - kind * origin,
+                "duty": np.minimum(rate * duration[at], 1.0),
+                "amplitude": (weight * amplitude)[at],
+                "place": place[at],
+                "low": low,
+                "high": high,
+            }
+            for name, value in values.items():
+                parts[name].append(np.broadcast_to(value, at.shape))
+            group += 1
+    rows = Rows(**{name: np.concatenate([[], *values]) for name, values in parts.items()})
+    rows = replace(rows, station=rows.station.astype(int))
+    order = np.argsort(rows.station, kind="stable")
+    begin = np.searchsorted(rows.station[order], np.arange(len(layout.station) + 1))
+    return Table(rows, order, begin, delay, place)
+
+
+def _weight(layout: Layout, pace: int) -> Float[np.ndarray, " k"]:
+    """How much of a pace's waves is left at each station.
+
+    Where the next pace is nearly the same, waves run on into it and fade there; where it is not,
+    they fade before.
+    """
+    station = layout.station
+    own = np.flatnonzero(layout.pace == pace)
+    weight = np.ones(len(station))
+    for side, end in ((-1.0, station[own[0]]), (1.0, station[own[-1]])):
+        other = pace + int(side)
+        beyond = side * (station - end)
+        is_near = 0 <= other < len(layout.rate) and (
+            abs(layout.rate[other] - layout.rate[pace]) < 1.5 / 60.0
+        )
+        left = 1.0 - beyond / _OVERLAP if is_near else -beyond / _FADE
+        weight = np.minimum(weight, np.clip(left, 0.0, 1.0))
+    return weight

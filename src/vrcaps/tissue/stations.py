@@ -1,0 +1,21 @@
+"""Stations along the gut at which muscle and gas set the calibre."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vrcaps.organ.surface import Centerline
+from vrcaps.units import MM
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+_SPACING = 1.0 * MM
+
+
+def stations(centerline: Centerline) -> Float[np.ndarray, " k"]:
+    """Arc lengths [m] of the stations: equally far apart, from end to end, about 1 mm."""
+    return np.linspace(0.0, centerline.length, max(2, math.ceil(centerline.length / _SPACING) + 1))

@@ -1,0 +1,63 @@
+"""All that changes in a world, exactly, in memory and in a file."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vrcaps.errors import InputError
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """What a `World` needs to go on to the same bytes.
+
+    Positions are in the patient frame about the wall's centre.
+
+    Attributes:
+        seed: Of the world, see `World`.
+        time: Since the start of the run [s].
+        began: Time of the world's first state [s]: its muscle wakes from there on.
+        T_world_patient: How the patient lies.
+        capsule: Position [m], quaternion wxyz, velocity [m/s], angular velocity [rad/s].
+        calibre: Lumen's radius at the stations, as a share of that at rest.
+        driven: Wall vertices as muscle and gas alone would have them [m].
+        yields: How far each vertex gives way [m] and at which velocity [m/s].
+    """
+
+    seed: int
+    time: float
+    began: float
+    T_world_patient: Float[np.ndarray, "4 4"]
+    capsule: Float[np.ndarray, " 13"]
+    calibre: Float[np.ndarray, " k"]
+    driven: Float[np.ndarray, "n 3"]
+    yields: Float[np.ndarray, "n 6"]
+
+
+def write_snapshot(path: Path, snapshot: Snapshot) -> None:
+    """Write a snapshot as a NumPy archive (.npz)."""
+    arrays = {field.name: getattr(snapshot, field.name) for field in fields(Snapshot)}
+    with path.open("wb") as file:
+        np.savez_compressed(file, **arrays)
+
+
+def read_snapshot(path: Path) -> Snapshot:
+    """Read what `write_snapshot` wrote.
+
+    Raises:
+        InputError: If the file is not a snapshot.
+    """
+    try:
+        with np.load(path) as file:
+            arrays = {field.name: file[field.name] for field in fields(Snapshot)}
+    except (OSError, ValueError, KeyError) as error:
+        raise InputError(f"{path} is no snapshot of a world: {error}.") from error
+    plain = {name: arrays[name].item() for name in ("seed", "time", "began")}
+    return Snapshot(**arrays | plain)

@@ -1,0 +1,278 @@
+"""The moving world: a capsule in a soft wall, stepped by the compiled core."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from vrcaps import _core
+from vrcaps.capsule.body import Body, homogeneous_body
+from vrcaps.errors import InputError, require
+from vrcaps.tissue.motility.muscle import Muscle
+from vrcaps.tissue.stations import stations
+from vrcaps.tissue.tissue import Tissue
+from vrcaps.transforms import (
+    invert,
+    matrix_from_quaternion,
+    quaternion_from_matrix,
+    rotate_vectors,
+    transform_from,
+    transform_points,
+)
+from vrcaps.world.control import Control
+from vrcaps.world.model import Contact, Model, State
+from vrcaps.world.snapshot import Snapshot
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+    from vrcaps.organ.surface import OrganSurface
+
+GRAVITY = 9.80665
+"""Standard acceleration of gravity [m/s²] (CGPM 1901)."""
+
+SUBSTEP = 5e-5
+"""Longest substep by default [s]."""
+
+_WAKING = 1.0
+"""Time over which contractions grow when a world begins, whose wall is at rest [s]."""
+
+_LONGEST_STEP = 1.0
+_LONGEST_SUBSTEP = 1e-3
+_STRONGEST_FORCE = 100.0
+_STRONGEST_TORQUE = 10.0
+
+
+class World:
+    """A capsule in a soft organ; holds the wall's hierarchy and all that moves.
+
+    The core works in the patient frame, where the wall is at home; states are in the world frame.
+    The same start and the same steps give the same bytes, on any number of threads.
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        tissue: Tissue,
+        start: State,
+        *,
+        body: Body | None = None,
+        substep: float = SUBSTEP,
+        seed: int = 0,
+    ) -> None:
+        """Puts the capsule into the organ.
+
+        Args:
+            model: Organ, device and posture.
+            tissue: How the wall behaves.
+            start: Where the capsule is and how it moves; its wall is taken as at rest.
+            body: Mass properties; by default the device's mass, spread evenly.
+            substep: Longest substep [s].
+            seed: Of the patient's muscle, 0 or more.
+
+        Raises:
+            InputError: If the capsule is outside the lumen or does not fit, the substep is too
+                long, or the seed negative.
+            UnknownNameError: If the tissue has no muscle for a segment of the wall.
+        """
+        _check_substep(substep, tissue)
+        require(seed >= 0, "seed", seed, "0, 1, 2, …")
+        self.model, self.tissue, self.substep, self.seed = model, tissue, substep, seed
+        self.body = body or homogeneous_body(model.device)
+        organ = model.organ
+        vertices = np.ascontiguousarray(organ.vertices, float)
+        self._wall = _core.Wall(vertices, np.ascontiguousarray(organ.faces, np.int64))
+        self._center = np.array(self._wall.center)
+        self._time = self._began = start.time
+        self._T_world_patient = model.T_world_patient
+        pose = self._pose(start)
+        self._core = _core.World(
+            self._wall, self.body, tissue.material, tissue.drag, tissue.deformation, pose
+        )
+        self._core.set_drive(*_drive(organ))
+        self._num_stations = len(stations(organ.centerline))
+        self._calibre: Float[np.ndarray, " k"] = np.ones(self._num_stations)
+        self.muscle: Muscle | None = None
+        if tissue.motility is not None:
+            self.muscle = Muscle(organ, tissue.motility, np.random.default_rng(seed))
+        self._moves = tissue.deformation is not None or self.muscle is not None
+        self._check_start()
+        self._contact: tuple[Any, ...] = self._core.contact()
+
+    @property
+    def state(self) -> State:
+        """The world now, in the world frame."""
+        T = self._T_world_patient
+        position, wxyz, velocity, spin = self._core.pose
+        rotation = matrix_from_quaternion(np.array(wxyz))
+        pose = transform_from(rotation, np.array(position) + self._center)
+        force, torque, *rest = self._contact
+        forces = rotate_vectors(T, np.array([force, torque, velocity, spin]))
+        moved = self._moves or T is not self.model.T_world_patient
+        return State(
+            time=self._time,
+            T_world_capsule=T @ pose,
+            linear_velocity_world=forces[2],
+            angular_velocity_world=forces[3],
+            vertices_world=transform_points(T, self._core.vertices()) if moved else None,
+            contact=Contact(forces[0], forces[1], *rest),
+        )
+
+    def step(self, control: Control, dt: float) -> None:
+        """Moves on by a time `dt` [s], in equal substeps.
+
+        Raises:
+            InputError: If the step is too large or the control out of bounds; the state stays as
+                it was.
+        """
+        require(0.0 < dt <= _LONGEST_STEP, "dt", dt, f"above 0 to {_LONGEST_STEP:g} s")
+        strength = np.linalg.norm([control.force_world, control.torque_world], axis=1)
+        for name, value, most in (
+            ("force_world", strength[0], _STRONGEST_FORCE),
+            ("torque_world", strength[1], _STRONGEST_TORQUE),
+        ):
+            require(
+                bool(value <= most), f"Control's {name}", f"{value:g} strong", f"up to {most:g}"
+            )
+        T_world_patient = self._T_world_patient
+        if control.T_world_patient is not None:
+            T_world_patient = control.T_world_patient
+        to_patient = invert(T_world_patient)
+        acts = np.array([control.force_world, control.torque_world, (0.0, 0.0, -GRAVITY)], float)
+        force, torque, gravity = rotate_vectors(to_patient, acts)
+        self._advance(dt, (*force, *torque), tuple(gravity), control.insufflation)
+        self._T_world_patient = T_world_patient
+
+    def snapshot(self) -> Snapshot:
+        """All that changes, exactly: a world restored from it goes on to the same bytes."""
+        position, wxyz, velocity, spin = self._core.pose
+        return Snapshot(
+            seed=self.seed,
+            time=self._time,
+            began=self._began,
+            T_world_patient=self._T_world_patient,
+            capsule=np.concatenate([position, wxyz, velocity, spin]),
+            calibre=self._calibre,
+            driven=self._core.driven,
+            yields=self._core.yields,
+        )
+
+    def restore(self, snapshot: Snapshot) -> None:
+        """Goes back to a snapshot of a world with the same model.
+
+        Raises:
+            InputError: If the snapshot is of another wall or another seed.
+        """
+        require(snapshot.seed == self.seed, "seed", snapshot.seed, f"this world's, {self.seed}")
+        if snapshot.driven.shape != self.model.organ.vertices.shape:
+            raise InputError(
+                f"The snapshot has a wall of {len(snapshot.driven)} vertices, the model has "
+                f"{len(self.model.organ.vertices)}. Give a snapshot of the same organ."
+            )
+        p = snapshot.capsule
+        self._core.driven, self._core.yields = snapshot.driven, snapshot.yields
+        self._core.pose = (tuple(p[:3]), tuple(p[3:7]), tuple(p[7:10]), tuple(p[10:]))
+        self._time, self._began = snapshot.time, snapshot.began
+        self._T_world_patient, self._calibre = snapshot.T_world_patient, snapshot.calibre
+
+    def is_inside(self) -> bool:
+        """Whether the capsule's axis is in the lumen."""
+        self._core.settle()
+        return self._core.inside()
+
+    def _advance(
+        self, dt: float, wrench: tuple[float, ...], gravity: tuple[float, ...], insufflation: float
+    ) -> None:
+        """Moves on by `dt`: in one go, or where the muscle propels the capsule in short pieces."""
+        calibre = self._calibre_at(self._time + dt, insufflation)
+        pieces = self._num_pieces(dt)
+        start, before = self._calibre, self.snapshot() if pieces > 1 else None
+        moves = not np.array_equal(start, calibre)
+        count = max(1, math.ceil(dt / pieces / self.substep * (1.0 - 1e-9)))
+        reactions = []
+        try:
+            for piece in range(pieces):
+                aim = start + (calibre - start) * ((piece + 1) / pieces) if moves else None
+                force = self._propulsion(self._time + dt * piece / pieces)
+                self._core.step(
+                    dt / pieces / count, count, (*(wrench[:3] + force), *wrench[3:]), gravity, aim
+                )
+                reactions.append(self._core.contact())
+        except ValueError as error:
+            if before is not None:
+                self.restore(before)
+            raise InputError(str(error)) from error
+        self._time, self._calibre = self._time + dt, calibre
+        self._contact = _over_all(reactions)
+
+    def _calibre_at(self, time: float, insufflation: float) -> Float[np.ndarray, " k"]:
+        """Lumen's radius at its stations, as a share of that at rest."""
+        if self.muscle is None:
+            return np.full(self._num_stations, insufflation)
+        awake = min(1.0, (time - self._began) / _WAKING)
+        return insufflation * (1.0 - awake * (1.0 - self.muscle.calibre(time)))
+
+    def _num_pieces(self, dt: float) -> int:
+        """Pieces of a step, so short that the force F = β (v_p − u) does not overshoot."""
+        propulsion = None if self.muscle is None else self.muscle.motility.propulsion
+        return 1 if propulsion is None else max(1, math.ceil(propulsion.beta * dt / self.body.mass))
+
+    def _propulsion(self, time: float) -> Float[np.ndarray, " 3"]:
+        """Propulsive force of the muscle on the capsule at a time [N], in the patient frame."""
+        if self.muscle is None or self.muscle.motility.propulsion is None:
+            return np.zeros(3)
+        position, _, velocity, _ = self._core.pose
+        return self.muscle.propulsion(np.array(position) + self._center, np.array(velocity), time)
+
+    def _pose(self, state: State) -> _core.Pose:
+        to_patient = invert(self._T_world_patient)
+        pose = to_patient @ state.T_world_capsule
+        velocity = np.array([state.linear_velocity_world, state.angular_velocity_world])
+        if not (np.isfinite(pose).all() and np.isfinite(velocity).all()):
+            raise InputError("The capsule's start is not finite. Allowed: finite numbers.")
+        wxyz = quaternion_from_matrix(pose[:3, :3])
+        linear, angular = rotate_vectors(to_patient, velocity)
+        return tuple(pose[:3, 3] - self._center), tuple(wxyz), tuple(linear), tuple(angular)
+
+    def _check_start(self) -> None:
+        if not self._core.inside():
+            raise InputError(
+                "T_world_capsule puts the capsule's axis outside the lumen. Allowed: inside it; "
+                "start on the centreline."
+            )
+        depth, radius = self._core.probe(), self.body.radius
+        if depth > 0.9 * radius:
+            narrow = 2.0 * (radius - depth)
+            raise InputError(
+                f"The capsule, {2e3 * radius:.1f} mm thick, does not fit: the lumen is "
+                f"{1e3 * narrow:.1f} mm wide where it starts. Start it elsewhere or inflate."
+            )
+
+
+def _over_all(reactions: list[tuple[Any, ...]]) -> tuple[Any, ...]:
+    """The core's contact over equal pieces of a step: means of forces, sum of work, last patch."""
+    if len(reactions) == 1:
+        return reactions[0]
+    force, torque, grip, work, *_ = (np.array(values) for values in zip(*reactions, strict=True))
+    means = (force.mean(axis=0), torque.mean(axis=0), grip.mean(), work.sum())
+    return (*means, *reactions[-1][4:])
+
+
+def _drive(organ: OrganSurface) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, " n"]]:
+    """From each vertex to the centreline [m], and its place along the stations."""
+    curve = organ.centerline
+    nearest = np.stack(
+        [np.interp(organ.arc_length, curve.arc_length, curve.points[:, k]) for k in range(3)],
+        axis=1,
+    )
+    station = organ.arc_length / stations(curve)[1]
+    return nearest - organ.vertices, np.ascontiguousarray(station, float)
+
+
+def _check_substep(substep: float, tissue: Tissue) -> None:
+    longest = _LONGEST_SUBSTEP
+    if tissue.deformation is not None:
+        longest = min(longest, tissue.deformation.longest_step)
+    require(0.0 < substep <= longest, "substep", substep, f"above 0 to {longest:.3g} s")

@@ -1,0 +1,17 @@
+"""Support modules beside the tests, and a tube that is open at both ends."""
+
+import sys
+from pathlib import Path
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parent))
+
+from fem_shapes import straight_tube
+
+from vrcaps.organ.surface import OrganSurface
+
+
+@pytest.fixture(scope="session")
+def tube() -> OrganSurface:
+    return straight_tube(radius=0.02, length=0.12, edge=0.0025)

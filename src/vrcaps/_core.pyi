@@ -11,6 +11,7 @@ __file__: str
 class Wall:
     """A triangle surface with its bounding-volume hierarchy; normals point into the lumen."""
 
+    center: tuple[float, float, float]
     def __init__(self, vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> None: ...
     def refit(self, vertices: NDArray[np.float64]) -> None: ...
     def cast(
@@ -24,6 +25,42 @@ class Wall:
         self, origin: tuple[float, float, float], points: NDArray[np.float64]
     ) -> NDArray[np.bool_]: ...
     def vertex_normals(self) -> NDArray[np.float32]: ...
+
+Vector = tuple[float, float, float]
+Pose = tuple[Vector, tuple[float, float, float, float], Vector, Vector]
+
+class World:
+    """A capsule in a soft wall; positions are about `Wall.center`."""
+
+    pose: Pose
+    driven: NDArray[np.float64]
+    yields: NDArray[np.float64]
+
+    def __init__(
+        self,
+        wall: Wall,
+        body: Any,
+        material: Any,
+        drag: Any,
+        quick: Any | None,
+        pose: Pose,
+    ) -> None: ...
+    def set_drive(self, inward: NDArray[np.float64], station: NDArray[np.float64]) -> None: ...
+    def step(
+        self,
+        dt: float,
+        count: int,
+        wrench: tuple[float, ...],
+        gravity: tuple[float, ...],
+        calibre: NDArray[np.float64] | None = None,
+    ) -> None: ...
+    def settle(self) -> None: ...
+    def vertices(self) -> NDArray[np.float64]: ...
+    def contact(self) -> tuple[Vector, Vector, float, float, float, float, float]: ...
+    def probe(self) -> float: ...
+    def kinetic_energy(self) -> float: ...
+    def resistance(self, speed: float) -> float: ...
+    def inside(self) -> bool: ...
 
 class Texture:
     """Packed albedo, roughness and relief with mip levels."""

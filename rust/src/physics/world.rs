@@ -245,7 +245,7 @@ impl World {
         drag: DragParameters,
         quick: Option<QuickParameters>,
         pose: Pose,
-    ) -> Self {
+    ) -> PyResult<Self> {
         let (soft, center) = {
             let wall = wall.borrow(py);
             (SoftWall::new(&wall), vector(wall.center))
@@ -268,8 +268,8 @@ impl World {
             soft,
             last: Tally::default(),
         };
-        world.set_pose(pose);
-        world
+        world.set_pose(pose)?;
+        Ok(world)
     }
 
     /// Moves on by `count` substeps of `dt`, with a wrench [N, N·m] and gravity [m/s²].
@@ -333,8 +333,12 @@ impl World {
     }
 
     #[setter]
-    fn set_pose(&mut self, pose: Pose) {
+    fn set_pose(&mut self, pose: Pose) -> PyResult<()> {
         let (position, [w, x, y, z], velocity, angular_velocity) = pose;
+        let numbers = [&position[..], &[w, x, y, z], &velocity, &angular_velocity].concat();
+        if !numbers.iter().all(|number| number.is_finite()) {
+            return Err(PyValueError::new_err("A capsule's pose and motion must be finite."));
+        }
         self.motion = Motion {
             position: vector(position),
             rotation: DQuat::from_xyzw(x, y, z, w),
@@ -342,6 +346,7 @@ impl World {
             angular_velocity: vector(angular_velocity),
         };
         self.soft.travel = f64::INFINITY;
+        Ok(())
     }
 
     /// Displacement [m] and velocity [m/s] of each vertex, [n 6].

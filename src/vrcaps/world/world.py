@@ -128,7 +128,8 @@ class World:
                 it was.
         """
         require(0.0 < dt <= _LONGEST_STEP, "dt", dt, f"above 0 to {_LONGEST_STEP:g} s")
-        strength = np.linalg.norm([control.force_world, control.torque_world], axis=1)
+        commands = np.array([control.force_world, control.torque_world], float)
+        strength = np.linalg.norm(commands, axis=1)
         for name, value, most in (
             ("force_world", strength[0], _STRONGEST_FORCE),
             ("torque_world", strength[1], _STRONGEST_TORQUE),

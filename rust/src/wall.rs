@@ -127,9 +127,9 @@ fn middle(vertices: &[f64]) -> [f64; 3] {
     })
 }
 
-/// The first three numbers, about a centre, in single precision.
+/// A vertex about a centre, in single precision.
 #[inline(always)]
-fn about(center: [f64; 3], vertex: &[f64]) -> Vec3 {
+fn about(center: [f64; 3], vertex: &[f64; 3]) -> Vec3 {
     [0, 1, 2].map(|k| (vertex[k] - center[k]) as f32)
 }
 
@@ -172,8 +172,8 @@ impl Wall {
             area_normals: Vec::new(),
             spare: Vec::new(),
         };
-        let center = wall.center;
-        wall.set_vertices(num_vertices, |v| about(center, &vertices[3 * v..]))
+        let (center, (rows, _)) = (wall.center, vertices.as_chunks());
+        wall.set_vertices(num_vertices, |v| about(center, &rows[v]))
             .map_err(PyValueError::new_err)?;
         wall.bvh = Bvh::build(&wall.vertices, &wall.faces);
         wall.update_normals();
@@ -190,9 +190,8 @@ impl Wall {
                 vertices.len() / 3
             )));
         }
-        let center = self.center;
-        py.detach(|| self.move_to(|v| about(center, &vertices[3 * v..])))
-            .map_err(PyValueError::new_err)
+        let (center, (rows, _)) = (self.center, vertices.as_chunks());
+        py.detach(|| self.move_to(|v| about(center, &rows[v]))).map_err(PyValueError::new_err)
     }
 
     /// Nearest hit of rays: distance in units of the direction's length (NaN for none), face (−1).

@@ -168,7 +168,7 @@ POLYPS = tuple(
 BLEEDS = tuple(f"haemorrhage-{level}" for level in (1, 2, 3, 4))
 OTHERS_COLON = (
     *("erosion:size=6mm", "ulcer-aphthous:size=7mm", "ulcer-deep:size=18mm"),
-    *("tumour:size=30mm", "diverticulum:segment=sigmoid,size=7mm", "stricture"),
+    *("tumour:segment=ascending,size=24mm", "diverticulum:segment=sigmoid,size=7mm", "stricture"),
 )
 OTHERS_BOWEL = (
     *("angioectasia:size=5mm", "lymphangiectasia", "erosion:size=5mm"),

@@ -33,7 +33,7 @@ ROWS = {
     "others": (
         *("angioectasia:segment=ascending,size=6mm", "ulcer-aphthous:segment=transverse,size=7mm"),
         *("ulcer-deep:segment=sigmoid,size=16mm", "stricture:segment=descending"),
-        *("diverticulum:segment=sigmoid,size=7mm", "tumour:segment=transverse,size=28mm"),
+        *("diverticulum:segment=sigmoid,size=7mm", "tumour:segment=ascending,size=24mm"),
         *("lymphangiectasia:segment=ascending", "polyp-IIa-villous:segment=rectum,size=20mm"),
     ),
 }

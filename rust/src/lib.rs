@@ -30,6 +30,7 @@ fn _core(m: &Bound<'_, PyModule>) -> PyResult<()> {
     m.add_function(wrap_pyfunction!(mucosa::bake_mucosa, m)?)?;
     m.add_class::<wall::Wall>()?;
     m.add_class::<fem::layer::FemLayer>()?;
+    m.add_class::<magnet::arm::ArmChain>()?;
     m.add_class::<magnet::handle::FieldSources>()?;
     m.add_class::<physics::world::World>()?;
     m.add_class::<scene::Scene>()?;

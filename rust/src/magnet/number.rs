@@ -59,7 +59,7 @@ impl Add<f64> for Pair {
     type Output = Pair;
     #[inline(always)]
     fn add(self, other: f64) -> Pair {
-        Pair(self.0.map(|x| x + other))
+        Pair([self.0[0] + other, self.0[1] + other])
     }
 }
 
@@ -67,7 +67,7 @@ impl Mul<f64> for Pair {
     type Output = Pair;
     #[inline(always)]
     fn mul(self, other: f64) -> Pair {
-        Pair(self.0.map(|x| x * other))
+        Pair([self.0[0] * other, self.0[1] * other])
     }
 }
 
@@ -78,7 +78,7 @@ impl Number for Pair {
     }
     #[inline(always)]
     fn sqrt(self) -> Pair {
-        Pair(self.0.map(f64::sqrt))
+        Pair([self.0[0].sqrt(), self.0[1].sqrt()])
     }
     #[inline(always)]
     fn is_close(self, other: Pair, part: f64) -> bool {

@@ -3,7 +3,7 @@
 use super::capsules::{LinkCapsule, Obstacles};
 use super::chain::{Chain, Joint, Pose};
 use super::handle::{pose_of, rows};
-use super::inverse::{Angles, BRANCHES, Inverse, JOINTS};
+use super::inverse::{All, Angles, BRANCHES, Inverse, JOINTS};
 use glam::DVec3;
 use numpy::{IntoPyArray, PyArrayDyn, PyReadonlyArray2, PyReadonlyArray3, ndarray::ArrayD};
 use pyo3::{exceptions::PyValueError, prelude::*};
@@ -156,8 +156,9 @@ impl ArmChain {
         }
         let mut flat = Vec::with_capacity(targets.len() * BRANCHES * JOINTS);
         for (target, &q7) in targets.iter().zip(&last) {
-            let found = solver.solve(target, q7, &[0.0; JOINTS]);
-            found.iter().for_each(|a| flat.extend(a));
+            let mut found = All::default();
+            solver.solve(target, q7, &mut found);
+            found.angles[..found.count].iter().for_each(|a| flat.extend(a));
             flat.extend(std::iter::repeat_n(f64::NAN, (BRANCHES - found.count) * JOINTS));
         }
         array(py, &[targets.len(), BRANCHES, JOINTS], flat)

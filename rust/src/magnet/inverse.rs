@@ -25,7 +25,7 @@ const ROUNDING: f64 = 1e-13;
 /// A sine below this is no direction.
 const PARALLEL: f64 = 1e-9;
 /// Angles q7 of the first search, and of the finest.
-const SEARCH: (usize, usize) = (24, 768);
+const SEARCH: (usize, usize) = (48, 768);
 /// A solution this near to where the arm is counts as the nearest [rad, Euclidean].
 const NEIGHBOUR: f64 = 0.25;
 /// Steps along the self-motion towards the nearest solution.
@@ -46,25 +46,73 @@ pub struct Inverse {
     chain: Chain,
 }
 
-/// Branches found for one q7.
-#[derive(Clone, Copy)]
-pub struct Branches {
+/// What takes the branches that are found.
+pub trait Branches {
+    /// Angles they are compared with; q1 is taken from them where it is free.
+    fn near(&self) -> &Angles;
+    /// Squared distance from `near` at which a branch is not wanted.
+    fn bound2(&self) -> f64;
+    /// Takes one.
+    fn push(&mut self, angles: Angles);
+}
+
+/// All branches for one q7.
+#[derive(Default)]
+pub struct All {
     /// Joint angles.
     pub angles: [Angles; BRANCHES],
     /// How many are filled in.
     pub count: usize,
 }
 
-impl Branches {
+impl Branches for All {
+    fn near(&self) -> &Angles {
+        &[0.0; JOINTS]
+    }
+    fn bound2(&self) -> f64 {
+        f64::INFINITY
+    }
     fn push(&mut self, angles: Angles) {
         self.angles[self.count] = angles;
         self.count += 1;
     }
+}
 
-    /// The branches.
-    pub fn iter(&self) -> impl Iterator<Item = &Angles> {
-        self.angles[..self.count].iter()
+/// The branch nearest to some angles.
+#[derive(Clone, Copy)]
+struct Nearest<'a> {
+    near: &'a Angles,
+    best: Angles,
+    bound2: f64,
+}
+
+impl<'a> Nearest<'a> {
+    fn new(near: &'a Angles, bound2: f64) -> Self {
+        Nearest { near, best: [f64::NAN; JOINTS], bound2 }
     }
+
+    fn found(&self) -> Option<Angles> {
+        self.best[0].is_finite().then_some(self.best)
+    }
+}
+
+impl Branches for Nearest<'_> {
+    fn near(&self) -> &Angles {
+        self.near
+    }
+    fn bound2(&self) -> f64 {
+        self.bound2
+    }
+    fn push(&mut self, angles: Angles) {
+        let distance2 = distance2(&angles, self.near);
+        if distance2 < self.bound2 {
+            (self.best, self.bound2) = (angles, distance2);
+        }
+    }
+}
+
+fn square(x: f64) -> f64 {
+    x * x
 }
 
 fn distance2(a: &Angles, b: &Angles) -> f64 {
@@ -112,13 +160,12 @@ impl Inverse {
         (angle <= high + SLACK).then(|| angle.clamp(low, high))
     }
 
-    /// All branches within limits that put the flange at `target` (in the base) with the last
-    /// joint at `q7`. Where the shoulder is straight q1 is free: it is taken from `near`.
-    pub fn solve(&self, target: &Pose, q7: f64, near: &Angles) -> Branches {
-        let mut found = Branches { angles: [[0.0; JOINTS]; BRANCHES], count: 0 };
+    /// The branches within limits that put the flange at `target` (in the base) with the last
+    /// joint at `q7`, into `found`. Where the shoulder is straight q1 is free.
+    pub fn solve(&self, target: &Pose, q7: f64, found: &mut impl Branches) {
         let (low, high) = self.chain.joints[6].limits;
         if !(low..=high).contains(&q7) {
-            return found;
+            return;
         }
         let six = target.then(&self.flange_seven).then(&self.chain.joints[6].pose(q7).inverse());
         let to_shoulder = DVec3::new(0.0, 0.0, self.d1) - six.position;
@@ -127,15 +174,14 @@ impl Inverse {
         let fore2 = self.a5 * self.a5 + self.d5 * self.d5;
         let cosine = (upper2 + fore2 - r2) / (2.0 * (upper2 * fore2).sqrt());
         if cosine.abs() > 1.0 || reach == 0.0 {
-            return found;
+            return;
         }
         let opening = cosine.acos();
         for q4 in [opening + self.q4_offset, -opening + self.q4_offset] {
             if let Some(q4) = self.within(3, q4) {
-                self.solve_elbow(&six, to_shoulder / reach, q4, q7, near, &mut found);
+                self.solve_elbow(&six, to_shoulder / reach, [q4, q7], found);
             }
         }
-        found
     }
 
     /// Both directions of the forearm for one q4.
@@ -143,12 +189,13 @@ impl Inverse {
         &self,
         six: &Pose,
         to_shoulder: DVec3,
-        q4: f64,
-        q7: f64,
-        near: &Angles,
-        found: &mut Branches,
+        [q4, q7]: [f64; 2],
+        found: &mut impl Branches,
     ) {
         // Shoulder from the wrist, in the elbow's frame; there the forearm is the y axis.
+        if square(q4 - found.near()[3]) + square(q7 - found.near()[6]) >= found.bound2() {
+            return;
+        }
         let (s, c) = q4.sin_cos();
         let flat =
             DVec2::new(-c * self.a4 - s * self.d3 - self.a5, s * self.a4 - c * self.d3 - self.d5);
@@ -170,32 +217,29 @@ impl Inverse {
             let z5 = along * e1 + aside * e2;
             let x4 = ((to_shoulder - flat.y * z5) / flat.x).normalize();
             let elbow = DMat3::from_cols(x4, z5, x4.cross(z5));
-            self.solve_ends(six, &elbow, q4, q7, near, found);
+            self.solve_ends(six, &elbow, [q4, q7], found);
         }
     }
 
     /// q5, q6 and both shoulders, given the elbow's frame.
-    fn solve_ends(
-        &self,
-        six: &Pose,
-        elbow: &DMat3,
-        q4: f64,
-        q7: f64,
-        near: &Angles,
-        found: &mut Branches,
-    ) {
+    fn solve_ends(&self, six: &Pose, elbow: &DMat3, [q4, q7]: [f64; 2], found: &mut impl Branches) {
         let z6 = six.rotation.z_axis;
         let q5 = z6.dot(elbow.x_axis).atan2(z6.dot(elbow.z_axis));
         let z5 = elbow.y_axis;
         let q6 = z5.dot(six.rotation.x_axis).atan2(z5.dot(six.rotation.y_axis));
         let (Some(q5), Some(q6)) = (self.within(4, q5), self.within(5, q6)) else { return };
+        let wrist = [(q4, 3), (q5, 4), (q6, 5), (q7, 6)];
+        let so_far: f64 = wrist.iter().map(|&(q, i)| square(q - found.near()[i])).sum();
+        if so_far >= found.bound2() {
+            return;
+        }
         // The upper arm's frame: R_03 = R_04 (Rot_x(π/2) Rot_z(q4))ᵀ.
         let (s, c) = q4.sin_cos();
         let x3 = elbow.x_axis * c - elbow.y_axis * s;
         let z3 = elbow.x_axis * s + elbow.y_axis * c;
         let level = z3.x.hypot(z3.y);
         let tilt = level.atan2(z3.z);
-        let turn = if level > PARALLEL { z3.y.atan2(z3.x) } else { near[0] };
+        let turn = if level > PARALLEL { z3.y.atan2(z3.x) } else { found.near()[0] };
         for (q1, q2) in [(turn, tilt), (turn + PI, -tilt)] {
             let (Some(q1), Some(q2)) = (self.within(0, q1), self.within(1, q2)) else { continue };
             let ((s1, c1), (s2, c2)) = (q1.sin_cos(), q2.sin_cos());
@@ -208,64 +252,57 @@ impl Inverse {
         }
     }
 
-    fn nearest_branch(&self, target: &Pose, q7: f64, near: &Angles) -> Option<Angles> {
-        let branches = self.solve(target, q7, near);
-        let ordered = |a: &&Angles, b: &&Angles| distance2(a, near).total_cmp(&distance2(b, near));
-        branches.iter().min_by(ordered).copied()
-    }
-
     /// The solution nearest to `near` (Euclidean in the joint angles) over all branches and all q7.
     ///
-    /// First with q7 as it is in `near`, then on a grid of q7 made finer until one is found; then by
-    /// steps along the arm's self-motion. One within `NEIGHBOUR` of `near` ends the search.
+    /// First with q7 as it is in `near`: a solution within `NEIGHBOUR` of `near` ends the search.
+    /// Then on a grid of q7, outwards from that of `near`, made finer until one is found. At last by
+    /// steps along the arm's self-motion.
     pub fn nearest(&self, target: &Pose, near: &Angles) -> Option<Angles> {
         let (low, high) = self.chain.joints[6].limits;
-        let first = self.nearest_branch(target, near[6].clamp(low, high), near);
-        let mut best = first.map(|start| self.refine(target, start, near));
-        if best.is_some_and(|b| distance2(&b, near) < NEIGHBOUR * NEIGHBOUR) {
-            return best;
+        let start = near[6].clamp(low, high);
+        let mut search = Nearest::new(near, f64::INFINITY);
+        self.solve(target, start, &mut search);
+        if search.bound2 < square(NEIGHBOUR) {
+            return Some(self.refine(target, search.best, near));
         }
-        let better = |best: Option<Angles>, found: Angles| match best {
-            Some(b) if distance2(&b, near) <= distance2(&found, near) => Some(b),
-            _ => Some(found),
-        };
         let mut count = SEARCH.0;
         loop {
-            // Odd multiples of half a step: no angle of a coarser grid comes again.
-            for k in 0..count {
-                let q7 = low + (high - low) * (k as f64 + 0.5) / count as f64;
-                if let Some(found) = self.nearest_branch(target, q7, near) {
-                    best = better(best, found);
+            let step = (high - low) / count as f64;
+            for k in 1..=count {
+                let way = k as f64 * step;
+                if square(way) >= search.bound2 {
+                    break;
                 }
+                self.solve(target, start + way, &mut search);
+                self.solve(target, start - way, &mut search);
             }
-            if best.is_some() || count >= SEARCH.1 {
+            if search.found().is_some() || count >= SEARCH.1 {
                 break;
             }
-            count *= 2;
+            count *= 4;
         }
-        best.map(|start| self.refine(target, start, near))
+        search.found().map(|best| self.refine(target, best, near))
     }
 
     /// Newton's steps of q7 along the self-motion towards the point nearest to `near`.
     fn refine(&self, target: &Pose, start: Angles, near: &Angles) -> Angles {
         let (low, high) = self.chain.joints[6].limits;
-        let mut best = start;
-        let mut step = self.self_motion_step(&best, near);
+        let mut best = Nearest { near, best: start, bound2: distance2(&start, near) };
+        let mut step = self.self_motion_step(&start, near);
         for _ in 0..REFINE {
             if step.abs() < 1e-9 {
                 break;
             }
-            let q7 = (best[6] + step).clamp(low, high);
-            let found = self.nearest_branch(target, q7, &best);
-            match found.filter(|f| distance2(f, near) < distance2(&best, near)) {
-                Some(found) => {
-                    best = found;
-                    step = self.self_motion_step(&best, near);
-                }
-                None => step *= 0.25,
+            let mut next = best;
+            self.solve(target, (best.best[6] + step).clamp(low, high), &mut next);
+            if next.bound2 < best.bound2 {
+                best = next;
+                step = self.self_motion_step(&best.best, near);
+            } else {
+                step *= 0.25;
             }
         }
-        best
+        best.best
     }
 
     /// Change of q7 to the point of the tangent of the self-motion that is nearest to `near`.

@@ -56,6 +56,9 @@ impl FieldSources {
 /// Flux density, gradient and what is to be said about each place.
 type Fields<'py> = (Bound<'py, PyArray2<f64>>, Bound<'py, PyArray3<f64>>, Bound<'py, PyArray1<u8>>);
 
+/// Force and torque, and what is to be said about each place.
+type Wrenches<'py> = (Bound<'py, PyArray2<f64>>, Bound<'py, PyArray1<u8>>);
+
 #[pymethods]
 impl FieldSources {
     #[new]
@@ -162,7 +165,7 @@ impl FieldSources {
         py: Python<'py>,
         magnets: PyReadonlyArray2<'py, f64>,
         poses: PyReadonlyArray2<'py, f64>,
-    ) -> PyResult<(Bound<'py, PyArray2<f64>>, Bound<'py, PyArray1<u8>>)> {
+    ) -> PyResult<Wrenches<'py>> {
         rows(&magnets, 6)?;
         let magnets: Vec<InternalMagnet> = magnets
             .as_array()

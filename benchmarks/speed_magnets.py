@@ -75,8 +75,8 @@ def main() -> None:
             spread = f"{low:.2f} to {high:.2f} µs"
             rows.append((name, f"{1e3 * distance:.0f} mm", f"{median:.2f} µs", spread, said))
     text = (
-        "## Speed of magnets\n\n`python benchmarks/speed_magnets.py`: field, gradient and wrench of "
-        "eight sources, 100 mm across, on a\ncapsule with one magnet; CPU time on one core.\n\n"
+        "## Speed of magnets\n\n`python benchmarks/speed_magnets.py`: field, gradient and wrench "
+        "of eight sources, 100 mm across, on\na capsule with one magnet; CPU time on one core.\n\n"
         + table(HEAD, rows)
     )
     write_section(given.out, Path(__file__).name, text)

@@ -10,7 +10,24 @@ pub struct FieldMap {
     /// Points along x, y, z, before padding.
     shape: [usize; 3],
     /// Values [T], one more layer on every side, z fastest.
-    values: Vec<DVec3>,
+    values: Vec<Lanes>,
+}
+
+/// A vector and a spare lane, so that the compiler uses whole registers.
+type Lanes = [f64; 4];
+
+/// `sum + weight · v`.
+#[inline(always)]
+fn add(sum: &mut Lanes, weight: f64, v: &Lanes) {
+    sum[0] += weight * v[0];
+    sum[1] += weight * v[1];
+    sum[2] += weight * v[2];
+    sum[3] += weight * v[3];
+}
+
+#[inline(always)]
+fn vector(v: Lanes) -> DVec3 {
+    DVec3::new(v[0], v[1], v[2])
 }
 
 /// Weights of four neighbours at the fraction `t`, and their derivatives.
@@ -40,13 +57,14 @@ impl FieldMap {
             origin,
             inverse: spacing.recip(),
             shape,
-            values: vec![DVec3::ZERO; padded.iter().product()],
+            values: vec![[0.0; 4]; padded.iter().product()],
         };
         for i in 0..shape[0] {
             for j in 0..shape[1] {
                 for k in 0..shape[2] {
                     let place = map.index([i + 1, j + 1, k + 1]);
-                    map.values[place] = values[(i * shape[1] + j) * shape[2] + k];
+                    let v = values[(i * shape[1] + j) * shape[2] + k];
+                    map.values[place] = [v.x, v.y, v.z, 0.0];
                 }
             }
         }
@@ -70,8 +88,11 @@ impl FieldMap {
                     map.index(place)
                 };
                 for (to, way) in [(0usize, 1isize), (last, -1)] {
-                    let from = |n: isize| self.values[at(self, (to as isize + way * n) as usize)];
-                    let value = 4.0 * from(1) - 6.0 * from(2) + 4.0 * from(3) - from(4);
+                    let mut value = [0.0; 4];
+                    for (n, weight) in [(1, 4.0), (2, -6.0), (3, 4.0), (4, -1.0)] {
+                        let from = at(self, (to as isize + way * n) as usize);
+                        add(&mut value, weight, &self.values[from]);
+                    }
                     let place = at(self, to);
                     self.values[place] = value;
                 }
@@ -91,23 +112,31 @@ impl FieldMap {
         let cell = |axis: usize| (inside[axis] as usize).min(self.shape[axis] - 2);
         let start = [cell(0), cell(1), cell(2)];
         let [x, y, z] = [0, 1, 2].map(|axis| weights(inside[axis] - start[axis] as f64));
-        let mut flux = DVec3::ZERO;
-        let mut slopes = [DVec3::ZERO; 3];
+        let (mut flux, mut slopes) = ([0.0; 4], [[0.0; 4]; 3]);
         for i in 0..4 {
+            let (mut value, mut slope_y, mut slope_z) = ([0.0; 4], [0.0; 4], [0.0; 4]);
             for j in 0..4 {
-                let row = &self.values[self.index([start[0] + i, start[1] + j, start[2]])..][..4];
-                let value = row.iter().zip(z.0).fold(DVec3::ZERO, |s, (v, w)| s + *v * w);
-                let slope = row.iter().zip(z.1).fold(DVec3::ZERO, |s, (v, w)| s + *v * w);
-                flux += x.0[i] * y.0[j] * value;
-                slopes[0] += x.1[i] * y.0[j] * value;
-                slopes[1] += x.0[i] * y.1[j] * value;
-                slopes[2] += x.0[i] * y.0[j] * slope;
+                let first = self.index([start[0] + i, start[1] + j, start[2]]);
+                let row = &self.values[first..first + 4];
+                let (mut here, mut slope) = ([0.0; 4], [0.0; 4]);
+                for k in 0..4 {
+                    add(&mut here, z.0[k], &row[k]);
+                    add(&mut slope, z.1[k], &row[k]);
+                }
+                add(&mut value, y.0[j], &here);
+                add(&mut slope_y, y.1[j], &here);
+                add(&mut slope_z, y.0[j], &slope);
             }
+            add(&mut flux, x.0[i], &value);
+            add(&mut slopes[0], x.1[i], &value);
+            add(&mut slopes[1], x.0[i], &slope_y);
+            add(&mut slopes[2], x.0[i], &slope_z);
         }
+        let flux = vector(flux);
         if !is_in {
             return (flux, DMat3::ZERO, false);
         }
-        let [dx, dy, dz] = slopes;
+        let [dx, dy, dz] = slopes.map(vector);
         let gradient = DMat3::from_cols(dx, dy, dz)
             * DMat3::from_diagonal(DVec3::new(self.inverse.x, self.inverse.y, self.inverse.z));
         (flux, gradient, true)

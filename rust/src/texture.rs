@@ -40,8 +40,7 @@ impl Level {
             for (x, texel) in out.iter_mut().enumerate() {
                 let (x0, x1) = (2 * x, (2 * x + 1).min(self.width - 1));
                 let four = [upper[x0], upper[x1], lower[x0], lower[x1]];
-                *texel =
-                    Sample::mean(four.map(|t| Sample::unpack(t, slope_step))).pack(slope_step);
+                *texel = Sample::mean(four.map(|t| Sample::unpack(t, slope_step))).pack(slope_step);
             }
         });
         Some(Level { width, height, texels })

@@ -128,12 +128,12 @@ class TableRows:
         """The wall in a state, ready for queries."""
         if state.vertices_world is None:
             return self.model.wall
-        vertices = np.ascontiguousarray(state.vertices_world)
         if self._moving is None:
-            faces = np.ascontiguousarray(self.model.organ.faces, np.int64)
-            self._moving = Wall(vertices, faces)
-        else:
-            self._moving.refit(vertices)
+            # Built at rest: which of several equally near triangles counts must not depend on
+            # which frame came first.
+            rest = np.ascontiguousarray(self.model.vertices_world)
+            self._moving = Wall(rest, np.ascontiguousarray(self.model.organ.faces, np.int64))
+        self._moving.refit(np.ascontiguousarray(state.vertices_world))
         return self._moving
 
 

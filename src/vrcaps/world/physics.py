@@ -49,7 +49,8 @@ class Physics:
         material: Pressure of the wall against a capsule that presses in.
         drag: Resistance of the wall against a capsule that slides along.
         motility: What the muscle does: `none`; `fasting`, the migrating motor complex by chance;
-            `phase-three`, its strongest phase, whose front is at the capsule in the first frame;
+            `phase-three`, its strongest phase, whose front has passed the capsule by 5 cm in the
+            first frame;
             `steady`, every segment contracts evenly.
         otherwise: Segment whose muscle the wall has where its own segment's name is unknown, such
             as `jejunum`; None makes that an error.
@@ -122,7 +123,7 @@ def tissue_of(settings: Physics, *, front: float) -> Tissue:
 
     Args:
         settings: What is asked for.
-        front: Arc length of the capsule in the first frame [m], for `phase-three`.
+        front: Arc length that the front of `phase-three` has reached in the first frame [m].
     """
     motility = None
     if settings.motility != "none":

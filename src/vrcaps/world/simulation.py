@@ -32,6 +32,10 @@ _SPACING = 2.0 * MM
 _FREE = 0.5
 """Share of the capsule's radius that its axis keeps from the wall where it is set."""
 
+_PASSED = 5.0 * CM
+"""How far the front of phase III is beyond the capsule in the first frame: less than the 9 cm that
+phase III covers where its front is slowest, the terminal ileum, at 0.9 cm/min for 10 min."""
+
 _NEARBY = 3.0 * CM
 """How far along the gut the capsule's place is sought from where it was a step before."""
 
@@ -74,7 +78,7 @@ class Simulation:
         pose, arc_length, self.notes = _start(model, settings)
         self.world = World(
             model,
-            tissue_of(settings, front=arc_length),
+            tissue_of(settings, front=min(arc_length + _PASSED, self._line.length)),
             State(-settings.settle, pose),
             substep=settings.substep,
             seed=seed,
@@ -196,10 +200,10 @@ class Simulation:
         muscle = self.world.muscle
         if self.settings.motility != "phase-three" or muscle is None:
             return
-        if muscle.phase(np.array(arc_length), 0.0) == 0:
+        if muscle.phase(np.array(arc_length), 0.0) != 3:
             raise InputError(
-                f"motility is phase-three, but the migrating motor complex does not pass where the "
-                f"capsule is set in {self.model.organ.name}. Choose fasting, steady or none."
+                f"motility is phase-three, but the migrating motor complex does not pass where "
+                f"the capsule is set in {self.model.organ.name}. Choose fasting, steady or none."
             )
 
     def _require_time(self) -> None:

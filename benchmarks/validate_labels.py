@@ -58,7 +58,8 @@ class Written:
         self.label, self.instance = (
             face_label(attributes[key].astype(int), self.faces) for key in ("_LABEL", "_INSTANCE")
         )
-        self.caster = EmbreeCaster(np.asarray(mesh.vertices, float), self.faces)
+        self.vertices = np.asarray(mesh.vertices, float)
+        self.caster = EmbreeCaster(self.vertices, self.faces)
 
 
 _PER_VERTEX = ("_LABEL", "_INSTANCE", "_ARC_LENGTH")
@@ -117,18 +118,19 @@ def compare(episode: Episode, written: Written, tally: Tally) -> None:
         poses = episode.Ts_world_camera(camera.name)
         for index in range(len(episode) - 1):
             pair = (poses[index], poses[index + 1])
-            compare_frame(episode, written, camera, index, pair, tally)
+            compare_frame(episode, (written, written), camera, index, pair, tally)
 
 
 def compare_frame(
     episode: Episode,
-    written: Written,
+    walls: tuple[Written, Written],
     camera: Camera,
     index: int,
     poses: tuple[np.ndarray, np.ndarray],
     tally: Tally,
 ) -> None:
-    """One image against Embree's hits of the same rays."""
+    """One image against Embree's hits of the same rays on the walls of this frame and the next."""
+    written = walls[0]
     rays = camera_rays(camera).reshape(-1, 3).astype(float)
     rays_world = rotate_vectors(poses[0], rays)
     origin = np.broadcast_to(poses[0][:3, 3], rays.shape)
@@ -156,21 +158,30 @@ def compare_frame(
     free = both[~image["occlusion"][both, 0] & np.isfinite(image["flow_forward"][both, 0])]
     pixels = pixel_grid(camera.width, camera.height).reshape(-1, 2)[free]
     targets = pixels + image["flow_forward"][free]
-    tally.flow_px.append(flow_error(written, camera, poses, pixels, targets))
+    tally.flow_px.append(flow_error(walls, camera, poses, pixels, targets))
 
 
 def flow_error(
-    written: Written,
+    walls: tuple[Written, Written],
     camera: Camera,
     poses: tuple[np.ndarray, np.ndarray],
     pixels: np.ndarray,
     targets: np.ndarray,
 ) -> np.ndarray:
-    """Pixels [px] between each pixel and where the wall point at its flow's target is now."""
+    """Pixels [px] between each pixel and where the wall point at its flow's target is now.
+
+    Args:
+        walls: Of this frame and of the one that the flow leads to.
+        camera: Of both images.
+        poses: ``Ts_world_camera`` of both.
+        pixels: In this frame [px].
+        targets: Where the flow leads to [px].
+    """
     rays = rotate_vectors(poses[1], unproject_pixels(camera, targets))
     origin = np.broadcast_to(poses[1][:3, 3], rays.shape)
-    distance, _, _ = written.caster.cast(origin, rays)
-    landed = origin + distance[:, None] * rays
+    _, face, weights = walls[1].caster.cast(origin, rays)
+    landed = np.einsum("nc,ncx->nx", weights, walls[0].vertices[walls[0].faces[face]])
+    landed[face < 0] = np.nan
     back = project_points(camera, transform_points(invert(poses[0]), landed))
     error = np.linalg.norm(back - pixels, axis=1)
     return np.where(np.isfinite(error), error, np.inf)

@@ -39,13 +39,13 @@ SCENES = {
         capsule="mirocam",
         motion=Physics(start=0.3, motility="phase-three", substep=2e-4),
     ),
-    "colon that contracts, a pull along it": Scenario(
-        organ=OrganGenerated("colon", condition="normal"),
+    "collapsed colon that contracts, a pull": Scenario(
+        organ=OrganGenerated("colon", condition="collapsed"),
         capsule="pillcam-colon2",
         motion=Physics(
             start=0.5,
             motility="steady",
-            wrenches=(Wrench(force=(0.0, 0.0, 0.1)),),
+            wrenches=(Wrench(force=(0.0, 0.0, 0.05)),),
             wrench_frame="gut",
             substep=2e-4,
         ),

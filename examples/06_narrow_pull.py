@@ -2,9 +2,9 @@
 
     python examples/06_narrow_pull.py
 
-A collapsed colon is narrower than the capsule at its folds. A thread along the gut pulls the
-capsule at 1 cm/s, as in a measurement with a force gauge. This drives a `World` step by step:
-what a controller of your own does as well. Prints force against distance, and writes it as a
+A collapsed colon from which the gas is let out grips the capsule all round. An elastic rod along
+the gut moves it on at 1 cm/s, as in a measurement with a force gauge. This drives a `World` step
+by step, as a controller of your own would. Prints force against distance, and writes it as a
 table (`pull.csv`) and a picture (`pull.png`) with views from the capsule on the way.
 """
 
@@ -27,13 +27,14 @@ from vrcaps.world.world import World
 matplotlib.use("Agg")
 
 SPEED = 10.0 * MM  # of the hand that pulls [m/s]
-THREAD = 40.0  # stiffness of the thread [N/m]
-STEP = 0.02  # between two commands [s]
+STIFFNESS, DAMPING = 50.0, 1.0  # of the rod [N/m], [N·s/m]
+STEP = 2e-3  # between two commands [s]; shorter than mass / damping, 3.3 ms
+DEFLATED, LET_OUT = 0.5, 1.0  # share of the lumen's width that is left; how long that takes [s]
 
 
 def main(out: Path, distance: float, start: float, substep: float) -> None:
     """Pull, print, draw."""
-    organ = vrcaps.load_organ("colon", condition="collapsed")
+    organ = vrcaps.load_organ("colon", seed=0, condition="collapsed")
     model = vrcaps.Model(organ, vrcaps.load_device("mirocam"))
     line = organ.centerline
     points = transform_points(model.T_world_patient, line.points)
@@ -45,21 +46,28 @@ def main(out: Path, distance: float, start: float, substep: float) -> None:
     state = State(0.0, model.T_world_patient @ pose)
     world = World(model, Tissue(), state, substep=substep)
 
-    # The capsule is sought on the centreline near where it was, never on a neighbouring loop.
-    here, hand, rows, views = first, line.arc_length[first], [], []
-    while hand < line.arc_length[first] + distance:
-        hand += SPEED * STEP
-        pull = max(0.0, THREAD * (hand - line.arc_length[here]))
-        world.step(Control(force_world=pull * tangents[here]), STEP)
-        state = world.state
+    # The gas is let out while the rod holds the capsule; then the hand moves on.
+    rows, views, here, hand = [], [], first, line.arc_length[first]
+    count = round(distance / SPEED / STEP)
+    for step in range(-round(LET_OUT / STEP), count):
+        state, speed = world.state, SPEED if step >= 0 else 0.0
+        # The capsule is sought on the centreline near where it was, never on another loop.
         window = slice(max(0, here - 15), here + 16)
-        gap = np.linalg.norm(points[window] - state.T_world_capsule[:3, 3], axis=1)
-        here = window.start + int(np.argmin(gap))
-        rows.append((line.arc_length[here] - line.arc_length[first], pull, state.contact.grip))
-        if len(rows) % max(1, round(distance / SPEED / STEP / 6)) == 0:
-            views.append((rows[-1][0], state))
+        offset = state.T_world_capsule[:3, 3] - points[window]
+        nearest = int(np.argmin(np.linalg.norm(offset, axis=1)))
+        here, along = window.start + nearest, tangents[window.start + nearest]
+        place = line.arc_length[here] + offset[nearest] @ along
+        hand += speed * STEP
+        pull = STIFFNESS * (hand - place) + DAMPING * (speed - state.linear_velocity_world @ along)
+        width = 1.0 + (DEFLATED - 1.0) * min(1.0, 1.0 + step * STEP / LET_OUT)
+        world.step(Control(force_world=pull * along, insufflation=width), STEP)
+        if step >= 0:
+            rows.append((place, pull, world.state.contact.grip))
+        if step >= 0 and step % max(1, count // 6) == 0:
+            views.append((place - rows[0][0], state))
 
     table = np.array(rows)
+    table[:, 0] -= table[0, 0]
     out.mkdir(parents=True, exist_ok=True)
     header = "distance_m,force_n,grip_n"
     np.savetxt(out / "pull.csv", table, "%.6f", ",", header=header, comments="")
@@ -96,11 +104,11 @@ def draw(
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--out", type=Path, default=Path("runs/pull"))
-    parser.add_argument("--cm", type=float, default=8.0, help="how far to pull")
-    parser.add_argument("--start", type=float, default=0.5, help="share of the centreline")
-    parser.add_argument("--smoke", action="store_true", help="pull half a centimetre, coarsely")
+    parser.add_argument("--cm", type=float, default=6.0, help="how far to pull")
+    parser.add_argument("--start", type=float, default=0.67, help="share of the centreline")
+    parser.add_argument("--smoke", action="store_true", help="pull a millimetre, coarsely")
     args = parser.parse_args()
     if args.smoke:
-        main(args.out, 0.5 * CM, args.start, 1e-3)
+        main(args.out, 0.1 * CM, args.start, 1e-3)
     else:
         main(args.out, args.cm * CM, args.start, 2e-4)

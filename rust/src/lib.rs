@@ -39,6 +39,8 @@ fn _core(m: &Bound<'_, PyModule>) -> PyResult<()> {
     m.add_function(wrap_pyfunction!(render::render, m)?)?;
     m.add_function(wrap_pyfunction!(render::encode_srgb, m)?)?;
     m.add_function(wrap_pyfunction!(image::write_pngs, m)?)?;
+    m.add_function(wrap_pyfunction!(image::encode_pngs, m)?)?;
+    m.add_function(wrap_pyfunction!(image::decode_pngs, m)?)?;
     m.add_function(wrap_pyfunction!(image::quantize, m)?)?;
     m.add_function(wrap_pyfunction!(image::read_png, m)?)?;
     m.add_function(wrap_pyfunction!(cpu::cpu_features, m)?)?;

@@ -128,17 +128,15 @@ def analyse(
     if usable.sum() < MIN_SIDE**2:
         return None
     filled = fill(log_linear(rgb), usable)
+    region = find_region(filled, usable, view.width) if box is None else None
     if box is not None:
         region = box_region(tuple(n // shrink for n in box), usable.shape)  # type: ignore[arg-type]
-    else:
-        region = find_region(filled, usable, view.width)
     if region is None:
         return None
     flat = filled if is_flat else flatten(filled, usable, view.width)
     flat = flat - np.median(flat[region.window], axis=(0, 1))
     near = _around(region, usable.shape)
     vessels = _placed(find_vessels(flat[near], usable[near], view.width), near, usable.shape)
-    per_pixel = scale.of_field(view.width, shrink)
     return Source(
         photo=type(photo)(photo.name, rgb, photo.sha256),
         shrink=shrink,
@@ -147,7 +145,7 @@ def analyse(
         flat=flat,
         region=region,
         vessels=vessels,
-        mm_per_pixel=per_pixel,
+        mm_per_pixel=scale.of_field(view.width, shrink),
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -138,29 +139,40 @@ class Make:
 
     def run(self) -> None:
         """Generate and report."""
-        import numpy as np
-
-        from vrcaps.organ.catalog import load_organ
-        from vrcaps.organ.lesion import add_lesions
         from vrcaps.organ.write import write_glb
 
         out = self.out or Path(f"{self.name}-{self.seed}.glb")
         if out.suffix != ".glb":
             raise InputError(f"--out is {out}. Allowed: a name that ends in .glb.")
+        if not out.parent.is_dir():
+            raise InputError(f"--out is {out}. Allowed: a file in a folder that there is.")
         with console.status("generating"):
-            organ = load_organ(
-                self.name, seed=self.seed, condition=self.condition, mucosa=self.mucosa
-            )
-            lesions = chosen_lesions(self.lesion, self.lesions, self.seed)
-            patient = add_lesions(organ, lesions, np.random.default_rng([self.seed, 3]))
-            organ = patient.organ if lesions else organ
-            write_glb(out, organ)
-            if self.clean_twin:
-                write_glb(out.with_name(f"{out.stem}-clean.glb"), patient.clean)
-        console.print(f"Wrote {out} (unit: m).")
+            organ, clean = self._patient()
         for line in lesion_lines(organ.metadata.get("lesions", []), organ.centerline.length):
             console.print(f"Lesion {line}.")
-        report_organ(organ, out.with_name(f"{out.stem}-overview.png"))
+        files = {out: organ}
+        if clean is not None:
+            files[out.with_name(f"{out.stem}-clean.glb")] = clean
+        with ThreadPoolExecutor(1) as beside:  # the files are written while the picture is drawn
+            written = {path: beside.submit(write_glb, path, own) for path, own in files.items()}
+            report_organ(organ, out.with_name(f"{out.stem}-overview.png"))
+            for path, done in written.items():
+                done.result()
+                console.print(f"Wrote {path} (unit: m).")
+
+    def _patient(self) -> tuple[OrganSurface, OrganSurface | None]:
+        """The organ, with its lesions if there are any, and the clean twin if that is wanted."""
+        import numpy as np
+
+        from vrcaps.organ.catalog import load_organ
+        from vrcaps.organ.lesion import add_lesions
+
+        organ = load_organ(self.name, seed=self.seed, condition=self.condition, mucosa=self.mucosa)
+        lesions = chosen_lesions(self.lesion, self.lesions, self.seed)
+        if not lesions and not self.clean_twin:
+            return organ, None
+        patient = add_lesions(organ, lesions, np.random.default_rng([self.seed, 3]))
+        return patient.organ if lesions else organ, patient.clean if self.clean_twin else None
 
 
 def report_organ(organ: OrganSurface, picture: Path) -> None:

@@ -7,12 +7,13 @@ coordinates of `OrganSurface`: a vertex that the centreline sees appears at its 
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps._core import Wall
+from vrcaps._core import Wall, num_threads
 from vrcaps.organ.centerline import interpolate
 from vrcaps.organ.surface import OrganSurface, face_label
 
@@ -24,6 +25,7 @@ _NOTHING = 0.93  # grey where a ray leaves through an open end
 _LIGHT = (0.75, 0.55, 0.35)  # towards the light: the axis, the oral end, greater angles
 _AMBIENT = 0.30
 _GAMMA = 2.2
+_FINER = 2  # rays for each pixel of `dissection_rows`, along each axis
 
 
 @dataclass(frozen=True)
@@ -98,6 +100,33 @@ def dissection(organ: OrganSurface, unrolled: Unrolled) -> Float[np.ndarray, "h 
     depth = np.clip(usual / np.where(seen, unrolled.radius, usual), 0.4, 1.6) ** 0.5
     linear *= 1.35 * (unrolled.shade * depth)[..., None]
     return np.where(seen[..., None], np.clip(linear, 0.0, 1.0) ** (1.0 / _GAMMA), _NOTHING)
+
+
+def dissection_rows(
+    organ: OrganSurface, wall: Wall, rows: int, size: tuple[int, int]
+) -> list[tuple[Float[np.ndarray, "h w 3"], UInt16[np.ndarray, "h2 w2"]]]:
+    """A whole wall unrolled in rows of equal length, greater angles up.
+
+    Args:
+        organ: The organ.
+        wall: Its surface, in the organ's frame.
+        rows: Number of them.
+        size: Height and width of each [pixels].
+
+    Returns:
+        Of each row its picture (`dissection`) and the lesion numbers of twice as many rays.
+    """
+    (tall, wide), span = size, organ.centerline.length / rows
+    theta = np.pi * (1.0 - 2.0 * (np.arange(_FINER * tall) + 0.5) / (_FINER * tall))
+
+    def draw(row: int) -> tuple[np.ndarray, np.ndarray]:
+        s = span * (row + (np.arange(_FINER * wide) + 0.5) / (_FINER * wide))
+        rolled = unroll(organ, wall, s, theta)
+        image = dissection(organ, rolled).reshape(tall, _FINER, wide, _FINER, 3)
+        return image.mean(axis=(1, 3)), instances(organ, rolled)
+
+    with ThreadPoolExecutor(num_threads()) as threads:
+        return list(threads.map(draw, range(rows)))
 
 
 def instances(organ: OrganSurface, unrolled: Unrolled) -> UInt16[np.ndarray, "h w"]:

@@ -24,12 +24,14 @@ const SLACK: f64 = 1e-12;
 const ROUNDING: f64 = 1e-13;
 /// A sine below this is no direction.
 const PARALLEL: f64 = 1e-9;
-/// Angles q7 of the first search, and of the finest.
-const SEARCH: (usize, usize) = (48, 768);
+/// Angles q7 to either side in the first search, and in the finest; closer where they are near.
+const SEARCH: (usize, usize) = (32, 512);
 /// A solution this near to where the arm is counts as the nearest [rad, Euclidean].
 const NEIGHBOUR: f64 = 0.25;
 /// Steps along the self-motion towards the nearest solution.
-const REFINE: usize = 8;
+const REFINE: usize = 40;
+/// A step that shortens the squared distance by less than this part of it is the last.
+const CONVERGED: f64 = 1e-6;
 
 /// Lengths of an arm of this build.
 #[derive(Clone, Debug)]
@@ -262,14 +264,16 @@ impl Inverse {
         let start = near[6].clamp(low, high);
         let mut search = Nearest::new(near, f64::INFINITY);
         self.solve(target, start, &mut search);
-        if search.bound2 < square(NEIGHBOUR) {
-            return Some(self.refine(target, search.best, near));
+        if let Some(found) = search.found() {
+            search.push(self.refine(target, found, near));
+            if search.bound2 < square(NEIGHBOUR) {
+                return search.found();
+            }
         }
         let mut count = SEARCH.0;
         loop {
-            let step = (high - low) / count as f64;
             for k in 1..=count {
-                let way = k as f64 * step;
+                let way = (high - low) * square(k as f64 / count as f64);
                 if square(way) >= search.bound2 {
                     break;
                 }
@@ -296,7 +300,11 @@ impl Inverse {
             let mut next = best;
             self.solve(target, (best.best[6] + step).clamp(low, high), &mut next);
             if next.bound2 < best.bound2 {
+                let gain = best.bound2 - next.bound2;
                 best = next;
+                if gain < CONVERGED * best.bound2 {
+                    break;
+                }
                 step = self.self_motion_step(&best.best, near);
             } else {
                 step *= 0.25;

@@ -149,8 +149,15 @@ def of_lesions(organ: str, texts: tuple[str, ...], seed: int = 0) -> list[Tile]:
     """Each lesion from where it is seen best."""
     rng = np.random.default_rng([seed, 5])
     model, states = at_lesions(organ, seed, texts, vrcaps.load_device("mirocam"), rng)
-    names = [text.partition(":")[0] for text in texts]
-    return [(image, name) for (image, _), name in zip(frames(model, states), names, strict=True)]
+    shown = frames(model, states)
+    return [(image, caption(text)) for (image, _), text in zip(shown, texts, strict=True)]
+
+
+def caption(text: str) -> str:
+    """Name of a lesion and, of a polyp, its surface."""
+    name, _, settings = text.partition(":")
+    pattern = [item.removeprefix("pattern=") for item in settings.split(",") if "pattern" in item]
+    return " ".join((name, *pattern))
 
 
 def of_colitis() -> list[Tile]:

@@ -8,8 +8,7 @@ second view at its border.
   Claimed: intersection over union ≥ 0.98 over the ten views.
 - *Clean twin*: the same views without the lesion. Claimed: outside the mask depth and albedo are
   the same; light differs only by the lesion's shadow and the slope of the wall beside it.
-- *Cuts*: pairs of triangles of the lesion that cut the wall. Claimed: none, in those that are
-  looked at as in the largest that each kind allows.
+- *Cuts*: pairs of triangles of the lesion that cut the wall. Claimed: none.
 
     python benchmarks/validate_lesions.py
 """
@@ -18,7 +17,6 @@ from __future__ import annotations
 
 import sys
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -49,25 +47,6 @@ CASES = {
     "small-bowel": ("angioectasia", "lymphangiectasia", "ulcer-aphthous:size=5mm", "polyp-Is"),
     "stomach": ("polyp-Is", "ulcer-deep:size=12mm", "haemorrhage-2"),
 }
-LARGEST = {
-    "colon": (
-        *(f"polyp-{shape}:size=30mm" for shape in ("Ip", "Is", "IIa", "IIb", "IIc")),
-        *("angioectasia:size=15mm", "lymphangiectasia:size=30mm", "erosion:size=10mm"),
-        *("ulcer-aphthous:size=10mm", "ulcer-deep:size=40mm", "tumour:size=50mm"),
-        *("diverticulum:size=15mm", "stricture:length=10cm,narrowing=0.85"),
-        *("stricture:length=5mm,narrowing=0.85", "colitis-3:spread=E3"),
-        *(f"haemorrhage-4:variant={number}" for number in (1, 2, 3)),
-    ),
-    "small-bowel": (
-        *("polyp-Ip:size=12mm", "tumour:size=15mm", "ulcer-deep:size=20mm", "haemorrhage-4"),
-        *("diverticulum:size=10mm", "stricture:length=10cm,narrowing=0.85"),
-    ),
-    "stomach": (
-        *("polyp-Ip:size=30mm", "tumour:size=50mm", "ulcer-deep:size=40mm"),
-        *("diverticulum:size=15mm", "haemorrhage-4"),
-    ),
-}
-"""The largest that their kinds allow; in the small bowel, of those that its lumen has room for."""
 VIEWS = 10
 CHANNELS = ("rgb", "depth", "albedo", "instance")
 SAME_DEPTH = 20e-6
@@ -196,35 +175,19 @@ def row(case: tuple[str, str], step: int) -> tuple[str, ...]:
     return (name, text.replace(":", ", "), *measure(organ, text, step))
 
 
-def large_row(case: tuple[str, str]) -> tuple[str, ...]:
-    """Row of one of the largest: how many triangles it takes, and its cuts."""
-    name, text = case
-    organ = replace(vrcaps.load_organ(name, seed=0), appearance=None)
-    patient = add_lesions(organ, [parse_lesion(text)], np.random.default_rng(0))
-    own = (patient.organ.instance == 1)[patient.organ.faces].any(axis=1)
-    return (name, text.replace(":", ", "), f"{own.sum():,}", str(cuts(patient)))
-
-
-def cases(lesions: dict[str, tuple[str, ...]]) -> list[tuple[str, str]]:
-    """Organ and lesion of each."""
-    return [(name, text) for name, texts in lesions.items() for text in texts]
-
-
 def main() -> None:
-    """Measure two at a time, write the tables as they grow."""
+    """Measure two at a time, write the table as it grows."""
     given = options(__doc__ or "", size=2)
-    rows, large = [], []
+    cases = [(name, text) for name, texts in CASES.items() for text in texts]
+    rows = []
     with ProcessPoolExecutor(2) as pool:
-        for found in pool.map(partial(row, step=given.size), cases(CASES)):
+        for found in pool.map(partial(row, step=given.size), cases):
             rows.append(found)
-            write_section(given.out, Path(__file__).name, section(rows, large, given.size))
-        for found in pool.map(large_row, cases(LARGEST)):
-            large.append(found)
-            write_section(given.out, Path(__file__).name, section(rows, large, given.size))
+            write_section(given.out, Path(__file__).name, section(rows, given.size))
 
 
-def section(rows: list[tuple[str, ...]], large: list[tuple[str, ...]], step: int) -> str:
-    """The tables and what they mean."""
+def section(rows: list[tuple[str, ...]], step: int) -> str:
+    """The table and what it means."""
     head = (
         *("organ", "lesion", "pixels", "IoU", "≥ 0.98", "outside"),
         *("depth", "albedo", "light", "light and shadow", "cuts"),
@@ -238,9 +201,7 @@ def section(rows: list[tuple[str, ...]], large: list[tuple[str, ...]], step: int
         + "\n\n*Outside*: pixels outside the mask. *Depth*, *albedo*, *light*, *light and shadow*: "
         "share of them that differ from the\nclean twin by more than 20 µm, 2/255, two levels of "
         "255 without shadows, and the same with shadows. *Cuts*: pairs of\ntriangles of the "
-        "lesion that cut the wall or each other.\n\n"
-        "The largest that each kind allows (in the small bowel, of those that fit):\n\n"
-        + table(("organ", "lesion", "triangles of it", "cuts"), large)
+        "lesion that cut the wall or each other."
     )
 
 

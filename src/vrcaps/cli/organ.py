@@ -153,11 +153,11 @@ class Make:
             raise InputError(f"--out is {out}. Allowed: a name that ends in .glb.")
         if not out.parent.is_dir():
             raise InputError(f"--out is {out}, but there is no folder {out.parent}. Make it first.")
+        lesions = chosen_lesions(self.lesion, self.lesions, self.seed, self.name)
         with console.status("generating"):
             organ = load_organ(
                 self.name, seed=self.seed, condition=self.condition, mucosa=self.mucosa
             )
-            lesions = chosen_lesions(self.lesion, self.lesions, self.seed)
             patient = add_lesions(organ, lesions, np.random.default_rng([self.seed, 3]))
             organ = patient.organ if lesions else organ
             write_glb(out, organ)

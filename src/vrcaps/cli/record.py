@@ -166,7 +166,7 @@ class Record:
             seed=self.seed,
             channels=self.channels,
             render=self.render,
-            lesions=chosen_lesions(self.lesion, self.lesions, self._patient_seed()),
+            lesions=chosen_lesions(self.lesion, self.lesions, self._patient_seed(), self.organ),
             clean_twin=self.clean_twin,
         )
 

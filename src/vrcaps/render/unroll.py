@@ -64,7 +64,7 @@ def unroll(
         theta: From the first to the second transverse axis of the centreline's frame [rad].
     """
     points, frames, radii = interpolate(organ.centerline, arc_length)
-    points = _in_lumen(points, frames, radii, wall)
+    points = _in_lumen(organ, wall, points, frames, radii)
     shape = (len(theta), len(arc_length), 3)
     cos, sin = np.cos(theta)[:, None, None], np.sin(theta)[:, None, None]
     outward = cos * frames[:, :, 0] + sin * frames[:, :, 1]
@@ -89,13 +89,18 @@ def unroll(
 
 
 def _in_lumen(
+    organ: OrganSurface,
+    wall: Wall,
     points: Float[np.ndarray, "w 3"],
     frames: Float[np.ndarray, "w 3 3"],
     radii: Float[np.ndarray, " w"],
-    wall: Wall,
 ) -> Float[np.ndarray, "w 3"]:
     """The points; those inside a lesion that stands on the centreline are moved aside."""
-    inside = np.flatnonzero(wall.signed_distance(points) <= 0.0)
+    if not organ.instance.any():
+        return points
+    _, nearest = wall.closest_point(points)
+    is_lesion = (organ.instance > 0)[organ.faces[nearest]].all(axis=1)
+    inside = np.flatnonzero(is_lesion & (wall.signed_distance(points) <= 0.0))
     if not len(inside):
         return points
     angle = np.linspace(0.0, 2.0 * np.pi, 16, endpoint=False)

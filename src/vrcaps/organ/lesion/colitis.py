@@ -55,8 +55,8 @@ class Activity:
 
 
 ACTIVITIES = {
-    1: Activity(0.85, (1.02, 0.66, 0.62), 0.6, 0.008 * MM, petechiae=3.2),
-    2: Activity(1.0, (0.98, 0.69, 0.71), 0.40, 0.012 * MM, petechiae=2.6, erosions=1.4),
+    1: Activity(0.92, (1.02, 0.66, 0.62), 0.6, 0.014 * MM, petechiae=3.2),
+    2: Activity(1.0, (0.98, 0.69, 0.71), 0.40, 0.017 * MM, petechiae=2.6, erosions=1.4),
     3: Activity(
         *(1.0, (0.96, 0.56, 0.54), 0.35, 0.020 * MM),
         **{"petechiae": 2.3, "erosions": 1.3, "ulcers": 0.6, "blood": 0.6},
@@ -156,7 +156,7 @@ class ColitisForm:
         redness = (1.0 - is_like.patchiness) + is_like.patchiness * patch
         color = mix(clean.color, clean.plain, is_like.obscured * (0.8 + 0.2 * patch))
         color = color * np.array(is_like.tint) ** redness[:, None]
-        color = color * np.exp(0.04 * granules + 0.08 * mottle)[:, None] ** (0.9, 1.1, 1.1)
+        color = color * np.exp(0.07 * granules + 0.06 * mottle)[:, None]
         spot = smoothstep((self._points(points) - is_like.petechiae) / 0.6)
         color = mix(color, np.array([0.36, 0.05, 0.04]), 0.6 * spot)
         height = clean.height * (1.0 - 0.5 * is_like.obscured) + is_like.granularity * granules

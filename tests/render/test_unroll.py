@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from shapes import with_ball
 
 from vrcaps._core import Wall
 from vrcaps.organ.surface import Appearance, Centerline, OrganSurface, vertex_normals
@@ -107,23 +108,11 @@ def test_a_lesion_lies_at_its_arc_length_and_angle(
 
 def test_a_lesion_on_the_centreline_hides_no_whole_ring(tube: OrganSurface) -> None:
     """A ball about the axis, as a polyp's head may hang there: the wall beside it is seen too."""
-    import trimesh
-
-    ball = trimesh.creation.icosphere(3, 0.5 * RADIUS)
-    count, middle = len(ball.vertices), np.array([0.0, 0.0, 0.5 * LENGTH])
-    names = ("label", "arc_length", "theta", "radius")
-    organ = replace(
-        tube,
-        vertices=np.vstack([tube.vertices, ball.vertices + middle]),
-        faces=np.vstack([tube.faces, ball.faces + len(tube.vertices)]),
-        normals=np.vstack([tube.normals, ball.vertex_normals]),
-        uv=np.concatenate([tube.uv, np.zeros((len(ball.faces), 3, 2))]),
-        instance=np.repeat([0, 1], [len(tube.vertices), count]).astype(np.uint16),
-        **{name: np.pad(getattr(tube, name), (0, count)) for name in names},
-    )
+    middle = 0.5 * LENGTH
+    organ = with_ball(tube, np.array([0.0, 0.0, middle]), 0.5 * RADIUS)
     s, theta = grid()
     rolled = unroll(organ, Wall(organ.vertices, organ.faces), s, theta)
-    ring = instances(organ, rolled)[:, np.abs(s - middle[2]) < 0.4 * RADIUS]
+    ring = instances(organ, rolled)[:, np.abs(s - middle) < 0.4 * RADIUS]
     assert ring.shape[1] > 2
     assert (ring == 1).any(axis=0).all()
     assert (ring == 0).any(axis=0).all()

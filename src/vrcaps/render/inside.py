@@ -44,7 +44,7 @@ def inside_views(
         Model(organ, device, np.eye(4)), RenderSettings(supersampling=2, shadows=True)
     )
     wall = renderer.model.wall
-    places = np.array([_clear_place(organ, wall, float(at)) for at in arc_length])
+    places = np.array([clear_place(organ, wall, float(at)) for at in arc_length])
     points, frames, _ = interpolate(organ.centerline, places)
     T_camera_capsule = invert(camera.T_capsule_camera)
     images = []
@@ -58,7 +58,7 @@ def inside_views(
     return images
 
 
-def _clear_place(organ: OrganSurface, wall: Wall, arc_length: float) -> float:
+def clear_place(organ: OrganSurface, wall: Wall, arc_length: float) -> float:
     """The arc length [m] nearest to one from which most of the way ahead is free for a diameter.
 
     Where none is found, the one asked for.

@@ -232,7 +232,7 @@ SHEETS = (
         "Polyps",
         "Rows: Paris Ip, Is, IIa, IIb, IIc. Columns: "
         + ", ".join(PATTERNS)
-        + " surface. 10 to 14 mm, each at a place drawn at random.",
+        + " surface. 10 to 14 mm, each at a place drawn at random; IIb are flat and hard to see.",
         _record("--lesion polyp-Ip:pattern=villous,size=14mm", "--lesion polyp-IIa-serrated"),
         partial(of_lesions, "colon", POLYPS),
         5,
@@ -294,9 +294,11 @@ HEAD = """# Gallery
 
 What generated patients look like: every organ and segment, every kind and grade of lesion. One
 script with fixed seeds draws it all, `python benchmarks/gallery.py`: direct light of the capsules'
-own LEDs with shadows and their own lenses; no picture is chosen by hand. The commands below each
-sheet record such frames with all their labels. Here each frame is exposed to the same mean
-luminance, as a capsule adapts its light; a recording keeps the exposure that its capsule states.
+own LEDs with shadows and their own lenses; no picture is chosen by hand. Lesions are seen from the
+place, of 300 drawn in the lumen, where most of them is seen and they take a sixth of the view. The
+commands below each sheet record such frames with all their labels. Here each frame is exposed to
+the same mean luminance, as a capsule adapts its light; a recording keeps the exposure that its
+capsule states.
 
 """
 

@@ -24,7 +24,10 @@ def main(out: Path, frames: int, fps: float, substep: float) -> None:
     """Record the transit and print it as a table."""
     motion = vrcaps.Physics(start=0.3, motility="phase-three", substep=substep)
     scenario = vrcaps.Scenario(
-        organ=vrcaps.OrganGenerated("small-bowel"), motion=motion, frames=frames, fps=fps
+        organ=vrcaps.OrganGenerated("small-bowel", condition="collapsed"),
+        motion=motion,
+        frames=frames,
+        fps=fps,
     )
     record(scenario, out)
 

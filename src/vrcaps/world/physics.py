@@ -85,7 +85,7 @@ class Physics:
     turns: tuple[Turn, ...] = ()
     fillings: tuple[Filling, ...] = ()
     settle: float = 1.0
-    step: float = 0.02
+    step: float = 0.05
     substep: float = SUBSTEP
     wrench_sha256: str = ""
 

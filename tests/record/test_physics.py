@@ -32,7 +32,7 @@ from vrcaps.record.table import SIMULATED_COLUMNS
 from vrcaps.tissue.drag import Drag
 from vrcaps.tissue.material import Material
 from vrcaps.world.physics import Physics
-from vrcaps.world.schedule import Filling, Turn, Wrench
+from vrcaps.world.schedule import Insufflation, Turn, Wrench
 
 MOTION = Physics(
     start=0.3,
@@ -41,7 +41,7 @@ MOTION = Physics(
     wrenches=(Wrench(force=(0.0, 0.0, 0.05)),),
     wrench_frame="gut",
     turns=(Turn("left-lateral", at=0.2, over=0.5),),
-    fillings=(Filling(factor=0.7),),
+    insufflation=(Insufflation(factor=0.7),),
     settle=0.2,
     substep=1e-3,
 )

@@ -6,7 +6,10 @@
 mod body;
 mod contact;
 mod drag;
+mod foundation;
+mod lane;
 mod near;
+mod patch;
 mod quick;
 mod soft_wall;
 mod solve;

@@ -1,8 +1,11 @@
 //! One substep: gather the patch, solve for the change of twist, move the capsule and the wall.
 
 use super::body::{Body, Motion};
-use super::contact::{Facet, Foundation, Grip, Indenter, Patch};
+use super::contact::{Facet, Indenter};
 use super::drag::Drag;
+use super::foundation::Foundation;
+use super::lane::{LANES, Lane, sum};
+use super::patch::{Grip, Patch, Samples};
 use super::quick::Push;
 use super::solve::{Symmetric6, Twist};
 use glam::{DMat3, DVec3};
@@ -61,11 +64,7 @@ pub fn substep(
     patch: &mut Patch,
     dt: f64,
 ) -> Reaction {
-    patch.clear();
-    let indenter = Indenter::new(&laws.foundation, body, motion);
-    for facet in facets {
-        indenter.press(facet, patch);
-    }
+    Indenter::new(&laws.foundation, body, motion).press(facets, patch);
     let system = elastic_system(body, load, motion, patch, dt);
     let (change, resistance) = solve_friction(&system, body, laws, motion, patch, dt);
     let before = *motion;
@@ -82,17 +81,51 @@ fn elastic_system(body: &Body, load: &Load, m: &Motion, patch: &Patch, dt: f64) 
     let weight = body.mass * load.gravity;
     let outside = Twist { linear: load.wrench.linear + weight, angular: load.wrench.angular };
     let mut impulse = outside.to_array().map(|f| f * dt);
-    for sample in &patch.samples {
-        let push = sample.load + 0.5 * dt * sample.stiffness * sample.speed;
-        if push <= 0.0 {
-            continue; // it lets go within this substep
+    let mut sums = Sums::default();
+    add_samples(&mut sums, &patch.samples, dt);
+    for row in 0..6 {
+        for column in 0..=row {
+            matrix.0[row][column] += sum(&sums.matrix[row][column]);
         }
-        matrix.add_outer(dt * (0.25 * dt * sample.stiffness + 0.5 * sample.damping), &sample.lever);
-        for (i, lever) in impulse.iter_mut().zip(sample.lever) {
-            *i -= dt * push * lever;
-        }
+        impulse[row] -= sum(&sums.impulse[row]);
     }
     System { matrix, impulse }
+}
+
+/// Sums over samples, lane by lane.
+#[derive(Default)]
+struct Sums {
+    matrix: [[Lane; 6]; 6],
+    impulse: [Lane; 6],
+}
+
+#[multiversion::multiversion(targets(
+    "x86_64+avx512f+avx512bw+avx512cd+avx512dq+avx512vl",
+    "x86_64+avx2",
+    "aarch64+neon"
+))]
+fn add_samples(sums: &mut Sums, samples: &[Samples], dt: f64) {
+    for s in samples {
+        let (mut weight, mut push) = ([0.0; LANES], [0.0; LANES]);
+        for i in 0..LANES {
+            let pushed = s.load[i] + 0.5 * dt * s.stiffness[i] * s.speed[i];
+            // Otherwise it lets go within this substep.
+            let holds = pushed > 0.0;
+            let slope = dt * (0.25 * dt * s.stiffness[i] + 0.5 * s.damping[i]);
+            weight[i] = if holds { slope } else { 0.0 };
+            push[i] = if holds { dt * pushed } else { 0.0 };
+        }
+        for row in 0..6 {
+            for column in 0..=row {
+                for i in 0..LANES {
+                    sums.matrix[row][column][i] += weight[i] * s.lever[row][i] * s.lever[column][i];
+                }
+            }
+            for i in 0..LANES {
+                sums.impulse[row][i] += push[i] * s.lever[row][i];
+            }
+        }
+    }
 }
 
 /// Adds friction, implicit in the velocity it leads to: the backward rule neither slides back nor

@@ -1,8 +1,9 @@
 //! A capsule in a wall: what Python holds and steps.
 
 use super::body::{Body, Motion};
-use super::contact::{Foundation, Indenter};
+use super::contact::Indenter;
 use super::drag::{Drag, LogLaw};
+use super::foundation::Foundation;
 use super::quick::{Quick, Yield};
 use super::soft_wall::{Drive, MARGIN, Outcome, SoftWall};
 use super::solve::Twist;
@@ -195,7 +196,7 @@ impl World {
             if soft.travel > MARGIN {
                 soft.search(wall, &self.body, &self.motion, reach)?;
             }
-            soft.update_facets();
+            soft.update_facets(&self.body.axis(&self.motion), self.body.radius);
             let motion = &mut self.motion;
             let reaction =
                 substep(&self.body, &self.laws, load, &soft.facets, motion, &mut soft.patch, dt);
@@ -426,15 +427,13 @@ impl World {
         let reach = self.quick.map_or(0.0, |q| q.reach);
         let found = self.soft.search(&mut wall, &self.body, &self.motion, reach);
         found.map_err(PyValueError::new_err)?;
-        self.soft.update_facets();
-        let indenter = Indenter::new(&self.laws.foundation, &self.body, &self.motion);
-        self.soft.patch.clear();
-        for facet in &self.soft.facets {
-            indenter.press(facet, &mut self.soft.patch);
-        }
+        self.soft.update_facets(&self.body.axis(&self.motion), self.body.radius);
+        let mut indenter = Indenter::new(&self.laws.foundation, &self.body, &self.motion);
+        indenter.press(&self.soft.facets, &mut self.soft.patch);
         Ok(self.soft.patch.depth)
     }
 
+    fn stats(&self)->Vec<f64>{super::contact::N.iter().map(|n|n.swap(0,std::sync::atomic::Ordering::Relaxed) as f64/400.).collect()}
     /// Kinetic energy of the capsule [J].
     fn kinetic_energy(&self) -> f64 {
         self.body.kinetic_energy(&self.motion)

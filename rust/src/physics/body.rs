@@ -117,7 +117,8 @@ impl Body {
         let mut momentum = frame.inverse() * (0.5 * (before + after));
         for (axis, share) in [(0, 0.5), (1, 0.5), (2, 1.0), (1, 0.5), (0, 0.5)] {
             let angle = share * dt * momentum[axis] / self.moments[axis];
-            let turn = DQuat::from_axis_angle(DVec3::AXES[axis], angle);
+            let (sine, cosine) = libm::sincos(0.5 * angle);
+            let turn = DQuat::from_vec4((DVec3::AXES[axis] * sine).extend(cosine));
             frame *= turn;
             momentum = turn.inverse() * momentum;
         }

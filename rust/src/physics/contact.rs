@@ -12,8 +12,6 @@ use super::lane::{max, put};
 use super::patch::{Patch, Pressing};
 use glam::DVec3;
 
-pub static N: [std::sync::atomic::AtomicUsize; 6] = [const { std::sync::atomic::AtomicUsize::new(0) }; 6];
-pub fn cnt(i: usize, n: usize) { N[i].fetch_add(n, std::sync::atomic::Ordering::Relaxed); }
 /// Where the edge of the patch crosses it, a piece is at most this share of the patch's radius.
 const FINENESS: f64 = 0.6;
 /// Near the patch's middle, ρ² up to this times R·u is fine enough.
@@ -104,12 +102,12 @@ impl Indenter {
                 self.divide(&cut, facet.corners, facet.reach, 0.5 * twice_area, patch);
             }
         }
-        cnt(2,facets.len());patch.press(&self.pressing);cnt(3,patch.grips.len());
+        patch.press(&self.pressing);
     }
 
     /// Adds a piece to the patch if the capsule may touch it, in four where it is too coarse.
     fn divide(&self, cut: &Cut, corners: [DVec3; 3], reach: f64, area: f64, patch: &mut Patch) {
-        cnt(0,1);let [a, b, c] = corners;
+        let [a, b, c] = corners;
         let axis: &Axis = &self.pressing.axis;
         let center = (a + b + c) / 3.0;
         let offset = center - axis.nearest(center);
@@ -127,7 +125,7 @@ impl Indenter {
             }
             return;
         }
-        cnt(1,1);let (pieces, lane) = patch.piece(cut.facet.place);
+        let (pieces, lane) = patch.piece(cut.facet.place);
         for (k, corner) in corners.into_iter().enumerate() {
             put(&mut pieces.corners[k], lane, corner);
         }

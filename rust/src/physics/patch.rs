@@ -264,11 +264,7 @@ fn scale(a: Three, s: f64) -> Three {
 #[inline(always)]
 fn blend(weights: Three, a: Three, b: Three, c: Three) -> Three {
     let [u, v, w] = weights;
-    [
-        u * a[0] + v * b[0] + w * c[0],
-        u * a[1] + v * b[1] + w * c[1],
-        u * a[2] + v * b[2] + w * c[2],
-    ]
+    [u * a[0] + v * b[0] + w * c[0], u * a[1] + v * b[1] + w * c[1], u * a[2] + v * b[2] + w * c[2]]
 }
 
 #[inline(always)]
@@ -295,7 +291,8 @@ fn press_one(pressing: &Pressing, pieces: &Pieces, out: &mut Samples, i: usize) 
     let part = cut(ua + raise, ub + raise, uc + raise);
     let [covered, depths, squares] = part.moments;
     let touches = (depths > 0.0) & (covered > 0.0);
-    let (by_area, by_depth) = (1.0 / select(touches, covered, 1.0), 1.0 / select(touches, depths, 1.0));
+    let (by_area, by_depth) =
+        (1.0 / select(touches, covered, 1.0), 1.0 / select(touches, depths, 1.0));
     let mean = depths * by_area;
     let spread = max(squares * by_area - mean * mean, 0.0);
     let weights = scale(part.shares, by_depth);

@@ -84,6 +84,13 @@ pub struct World {
     last: Tally,
 }
 
+/// Bound on the speed of every point of the capsule between two motions [m/s].
+fn fastest_point(body: &Body, before: &Motion, after: &Motion) -> f64 {
+    let arm = body.center.length() + body.half_axis + body.radius;
+    let speed = |m: &Motion| m.velocity.length() + m.angular_velocity.length() * arm;
+    speed(before).max(speed(after))
+}
+
 fn vector(a: [f64; 3]) -> DVec3 {
     DVec3::from_array(a)
 }
@@ -197,15 +204,13 @@ impl World {
                 soft.search(wall, &self.body, &self.motion, reach)?;
             }
             soft.update_facets(&self.body.axis(&self.motion), self.body.radius);
-            let motion = &mut self.motion;
+            let (before, motion) = (self.motion, &mut self.motion);
             let reaction =
                 substep(&self.body, &self.laws, load, &soft.facets, motion, &mut soft.patch, dt);
             tally.add(&reaction, dt);
             soft.since += dt;
-            let turning =
-                motion.angular_velocity.length() * (self.body.half_axis + self.body.radius);
             soft.wall_travel += drive;
-            soft.travel += drive + dt * (motion.velocity.length() + turning);
+            soft.travel += drive + dt * fastest_point(&self.body, &before, motion);
             if let Some(quick) = &self.quick {
                 pushes(&self.body, motion, &soft.patch.grips, &mut soft.pushes);
                 soft.give_way(quick, dt);
@@ -433,7 +438,6 @@ impl World {
         Ok(self.soft.patch.depth)
     }
 
-    fn stats(&self)->Vec<f64>{super::contact::N.iter().map(|n|n.swap(0,std::sync::atomic::Ordering::Relaxed) as f64/400.).collect()}
     /// Kinetic energy of the capsule [J].
     fn kinetic_energy(&self) -> f64 {
         self.body.kinetic_energy(&self.motion)

@@ -449,6 +449,13 @@ impl World {
         )
     }
 
+    /// Where [m] and how [N] the capsule pushes the wall in the quick model, [n 6].
+    fn pushes<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray2<f64>> {
+        let rows = self.soft.pushes.iter();
+        let flat = rows.flat_map(|p| Twist { linear: p.center, angular: p.force }.to_array());
+        table(py, flat.collect(), 6)
+    }
+
     /// Largest depth [m] to which the capsule presses in where it is now.
     fn probe(&mut self, py: Python<'_>) -> PyResult<f64> {
         let wall = self.wall.clone_ref(py);

@@ -62,7 +62,7 @@ type Pose = ([f64; 3], [f64; 4], [f64; 3], [f64; 3]);
 /// Farthest that any point of the capsule goes in one substep [m].
 const LONGEST_WAY: f64 = 1e-4;
 /// A capsule this many times as far from the wall's middle as the wall reaches has run away.
-const FAR: f64 = 10.0;
+const FAR: f64 = 1000.0;
 /// Most parts of a substep.
 const MOST_PARTS: f64 = 64.0;
 

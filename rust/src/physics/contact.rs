@@ -90,6 +90,8 @@ pub struct Facet {
     pub corners: [DVec3; 3],
     /// Mean velocity of the corners [m/s].
     pub velocity: DVec3,
+    /// Its place among what is near.
+    pub place: u32,
 }
 
 /// A small piece of the patch.
@@ -104,6 +106,8 @@ pub struct Sample {
     pub stiffness: f64,
     /// Its slope by speed [N·s/m].
     pub damping: f64,
+    /// Place of its triangle among what is near.
+    pub place: u32,
 }
 
 /// What one triangle of the wall carries.
@@ -116,6 +120,11 @@ pub struct Grip {
     pub load: f64,
     /// Velocity of the wall there [m/s].
     pub velocity: DVec3,
+    /// How much faster the wall there moves for each newton within a substep [m/s per N]; 0 where
+    /// it does not.
+    pub mobility: f64,
+    /// Its place among what is near.
+    pub place: u32,
 }
 
 /// The patch of one instant.
@@ -200,6 +209,8 @@ impl<'a> Indenter<'a> {
                 normal: sum.normal.normalize_or_zero(),
                 load: sum.load,
                 velocity: facet.velocity,
+                mobility: 0.0,
+                place: facet.place,
             });
         }
     }
@@ -287,6 +298,7 @@ impl<'a> Indenter<'a> {
             load,
             stiffness: pressure.by_depth * area,
             damping: pressure.by_speed * area,
+            place: triangle.facet.place,
         });
         patch.energy += self.foundation.elastic(depth).2 * area;
         patch.area += area;

@@ -6,7 +6,9 @@
 mod body;
 mod contact;
 mod drag;
+mod exchange;
 mod near;
+mod near_layer;
 mod quick;
 mod soft_wall;
 mod solve;

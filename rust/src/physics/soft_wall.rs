@@ -142,9 +142,9 @@ impl SoftWall {
         let mut places = Vec::with_capacity(self.near.vertices.len());
         places.extend(self.near.vertices.iter().map(|&v| self.vertex(v)));
         self.facets.clear();
-        self.facets.extend(self.near.corners.iter().map(|corners| {
+        self.facets.extend((0..).zip(&self.near.corners).map(|(place, corners)| {
             let [a, b, c] = corners.map(|k| places[k as usize]);
-            Facet { corners: [a.0, b.0, c.0], velocity: (a.1 + b.1 + c.1) / 3.0 }
+            Facet { corners: [a.0, b.0, c.0], velocity: (a.1 + b.1 + c.1) / 3.0, place }
         }));
     }
 

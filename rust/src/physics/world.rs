@@ -1,12 +1,14 @@
 //! A capsule in a wall: what Python holds and steps.
 
 use super::body::{Body, Motion};
-use super::contact::{Foundation, Indenter};
+use super::contact::Foundation;
 use super::drag::{Drag, LogLaw};
+use super::exchange::{Exchange, Held, Stride};
 use super::quick::{Quick, Yield};
 use super::soft_wall::{Drive, MARGIN, Outcome, SoftWall};
 use super::solve::Twist;
-use super::step::{Laws, Load, Reaction, pushes, substep};
+use super::step::{Laws, Load, Reaction, press, pushes, substep};
+use crate::fem::layer::FemLayer;
 use crate::query;
 use crate::wall::Wall;
 use glam::{DMat3, DQuat, DVec3};
@@ -58,6 +60,9 @@ struct QuickParameters {
 /// Position [m], quaternion wxyz, velocity [m/s] and angular velocity [rad/s] of the capsule.
 type Pose = ([f64; 3], [f64; 4], [f64; 3], [f64; 3]);
 
+/// Two tables of numbers.
+type Tables<'py> = (Bound<'py, PyArray2<f64>>, Bound<'py, PyArray2<f64>>);
+
 /// Sums over the substeps of a step.
 #[derive(Default)]
 struct Tally {
@@ -74,6 +79,8 @@ pub struct World {
     body: Body,
     laws: Laws,
     quick: Option<Quick>,
+    /// The layer of finite elements under the wall, and the exchange with it.
+    layer: Option<(Py<FemLayer>, Exchange)>,
     motion: Motion,
     /// The wall's centre; subtracted from every position [m].
     center: DVec3,
@@ -171,10 +178,19 @@ impl Tally {
 }
 
 impl World {
-    /// Steps `count` times by `dt`; on an error nothing but what is near has changed.
-    fn run(&mut self, wall: &mut Wall, load: &Load, dt: f64, count: usize) -> Outcome {
+    /// Steps `strides.0` times by `dt`, in `strides.1` steps of the layer; on an error nothing but
+    /// what is near has changed.
+    fn run(
+        &mut self,
+        wall: &mut Wall,
+        mut layer: Option<&mut FemLayer>,
+        load: &Load,
+        dt: f64,
+        strides: (usize, usize),
+    ) -> Outcome {
         let backup = (self.motion, self.soft.awake_yields());
-        let result = self.substeps(wall, load, dt, count);
+        let elastic = layer.as_deref().zip(self.layer.as_ref()).map(|(l, (_, x))| x.backup(l));
+        let result = self.substeps(wall, layer.as_deref_mut(), load, dt, strides);
         let valid = self.motion.position.is_finite() && self.motion.velocity.is_finite();
         if result.is_ok() && valid {
             self.soft.land();
@@ -182,24 +198,52 @@ impl World {
         }
         self.motion = backup.0;
         self.soft.restore_yields(backup.1);
+        if let (Some(layer), Some((_, exchange)), Some(elastic)) =
+            (layer, self.layer.as_mut(), elastic)
+        {
+            exchange.restore(layer, elastic, &mut self.soft);
+        }
         self.soft.stay();
         result.and(Err("The step is too large: the capsule's motion is no longer finite."))
     }
 
-    fn substeps(&mut self, wall: &mut Wall, load: &Load, dt: f64, count: usize) -> Outcome {
+    fn substeps(
+        &mut self,
+        wall: &mut Wall,
+        layer: Option<&mut FemLayer>,
+        load: &Load,
+        dt: f64,
+        (count, outer): (usize, usize),
+    ) -> Outcome {
         let (soft, reach) = (&mut self.soft, self.quick.map_or(0.0, |q| q.reach));
         let fastest = soft.driven_velocity.iter().map(|v| v.length_squared()).fold(0.0, f64::max);
         let drive = fastest.sqrt() * dt;
+        let friction = self.laws.drag.friction();
+        let mut elastic = layer.zip(self.layer.as_mut().map(|(_, exchange)| exchange));
         let mut tally = Tally::default();
-        for _ in 0..count {
+        for number in 0..count {
+            if let Some((layer, exchange)) = &mut elastic {
+                exchange.keep_up(layer, soft, dt, (number, count / outer))?;
+            }
             if soft.travel > MARGIN {
                 soft.search(wall, &self.body, &self.motion, reach)?;
+                if let Some((layer, exchange)) = &mut elastic {
+                    exchange.find(layer, soft)?;
+                }
             }
             soft.update_facets();
-            let motion = &mut self.motion;
-            let reaction =
-                substep(&self.body, &self.laws, load, &soft.facets, motion, &mut soft.patch, dt);
+            let (before, motion) = (self.motion, &mut self.motion);
+            press(&self.body, &self.laws, &soft.facets, motion, &mut soft.patch);
+            if let Some((_, exchange)) = &mut elastic {
+                exchange.soften(soft, dt);
+            }
+            let reaction = substep(&self.body, &self.laws, load, motion, &soft.patch, dt);
             tally.add(&reaction, dt);
+            if let Some((_, exchange)) = &mut elastic {
+                let (body, after, before) = (&self.body, &*motion, &before);
+                let reaction = &reaction;
+                exchange.push(soft, &Stride { body, before, after, reaction, friction, dt });
+            }
             soft.since += dt;
             let turning =
                 motion.angular_velocity.length() * (self.body.half_axis + self.body.radius);
@@ -209,6 +253,10 @@ impl World {
                 pushes(&self.body, motion, &soft.patch.grips, &mut soft.pushes);
                 soft.give_way(quick, dt);
             }
+        }
+        if let Some((layer, exchange)) = &mut elastic {
+            exchange.end(layer)?;
+            exchange.settle(layer, soft);
         }
         self.last = tally.mean(count as f64 * dt);
         Ok(())
@@ -262,6 +310,7 @@ impl World {
             body: body.into(),
             laws: laws(material, drag),
             quick,
+            layer: None,
             motion: Motion::default(),
             center,
             drive: None,
@@ -275,7 +324,9 @@ impl World {
     /// Moves on by `count` substeps of `dt`, with a wrench [N, N·m] and gravity [m/s²].
     ///
     /// `calibre` is how wide the lumen is to be at the end, see `set_drive`.
-    #[pyo3(signature = (dt, count, wrench, gravity, calibre=None))]
+    /// A layer makes `outer` steps meanwhile, of which `count` is a multiple.
+    #[pyo3(signature = (dt, count, wrench, gravity, calibre=None, outer=1))]
+    #[allow(clippy::too_many_arguments)]
     fn step(
         &mut self,
         py: Python<'_>,
@@ -284,7 +335,11 @@ impl World {
         wrench: [f64; 6],
         gravity: [f64; 3],
         calibre: Option<Vec<f64>>,
+        outer: usize,
     ) -> PyResult<()> {
+        if outer == 0 || !count.is_multiple_of(outer) {
+            return Err(PyValueError::new_err("The count must be a multiple of outer."));
+        }
         let load = Load { wrench: Twist::from_array(wrench), gravity: vector(gravity) };
         if let Some(calibre) = calibre {
             self.aim(&calibre, dt * count as f64)?;
@@ -292,7 +347,38 @@ impl World {
         let wall = self.wall.clone_ref(py);
         let mut wall = wall.borrow_mut(py);
         let wall: &mut Wall = &mut wall;
-        py.detach(|| self.run(wall, &load, dt, count)).map_err(PyValueError::new_err)
+        let layer = self.layer.as_ref().map(|(layer, _)| layer.clone_ref(py));
+        let mut layer = layer.as_ref().map(|layer| layer.borrow_mut(py));
+        let layer: Option<&mut FemLayer> = layer.as_deref_mut();
+        py.detach(|| self.run(wall, layer, &load, dt, (count, outer)))
+            .map_err(PyValueError::new_err)
+    }
+
+    /// Puts a layer of finite elements under the wall, solved to `tolerance` [m].
+    fn set_layer(&mut self, py: Python<'_>, layer: Py<FemLayer>, tolerance: f64) {
+        let exchange = Exchange::new(&layer.borrow(py), tolerance);
+        self.layer = Some((layer, exchange));
+    }
+
+    /// What lasts of the exchange with the layer: force [N] on each node and how far the felt wall
+    /// is off it [m], [nodes 6]; number, normal force [N] and friction [N] of touched triangles,
+    /// [k 5]. None without a layer.
+    #[getter]
+    fn exchange<'py>(&self, py: Python<'py>) -> Option<Tables<'py>> {
+        let (_, exchange) = self.layer.as_ref()?;
+        let (nodes, touched) = exchange.held.to_rows();
+        Some((table(py, nodes, 6), table(py, touched, 5)))
+    }
+
+    #[setter]
+    fn set_exchange(
+        &mut self,
+        rows: Option<(PyReadonlyArray2<'_, f64>, PyReadonlyArray2<'_, f64>)>,
+    ) -> PyResult<()> {
+        if let (Some((_, exchange)), Some((nodes, touched))) = (self.layer.as_mut(), rows) {
+            exchange.held = Held::from_rows(nodes.as_slice()?, touched.as_slice()?);
+        }
+        Ok(())
     }
 
     /// Lets the lumen narrow and widen: `inward` [n 3] from each vertex at rest to the centreline,
@@ -372,7 +458,8 @@ impl World {
             })
             .collect();
         let awake = (0..).zip(&self.soft.yields).filter(|(_, y)| **y != Yield::default());
-        self.soft.awake = awake.map(|(v, _)| v).collect();
+        let is_quick = self.quick.is_some();
+        self.soft.awake = awake.filter(|_| is_quick).map(|(v, _)| v).collect();
         (self.soft.travel, self.soft.wall_travel) = (f64::INFINITY, f64::INFINITY);
         Ok(())
     }
@@ -427,11 +514,8 @@ impl World {
         let found = self.soft.search(&mut wall, &self.body, &self.motion, reach);
         found.map_err(PyValueError::new_err)?;
         self.soft.update_facets();
-        let indenter = Indenter::new(&self.laws.foundation, &self.body, &self.motion);
-        self.soft.patch.clear();
-        for facet in &self.soft.facets {
-            indenter.press(facet, &mut self.soft.patch);
-        }
+        let soft = &mut self.soft;
+        press(&self.body, &self.laws, &soft.facets, &self.motion, &mut soft.patch);
         Ok(self.soft.patch.depth)
     }
 

@@ -24,6 +24,10 @@ use crate::fem::layer::FemLayer;
 use crate::fem::outer::Outcome;
 use glam::DVec3;
 
+/// The wall is broken through where it comes nearer to the capsule's axis than to its skin by far:
+/// this share of the radius deep.
+const DEEPEST: f64 = 0.95;
+
 /// Force on one triangle of the wall in the last substep.
 #[derive(Clone, Copy, Default)]
 pub struct Touch {
@@ -298,7 +302,12 @@ impl Exchange {
     }
 
     /// Loads the layer with what the capsule has felt, and moves what is near.
-    pub fn push(&mut self, soft: &mut SoftWall, stride: &Stride) {
+    pub fn push(&mut self, soft: &mut SoftWall, stride: &Stride) -> Outcome<()> {
+        if soft.patch.depth > DEEPEST * stride.body.radius {
+            return Err("The capsule breaks through the elastic wall. Allowed: a smaller \
+                        force_world, or a deformation that holds more: neo-hookean with a \
+                        stiffening_strain, a larger youngs_modulus or support.");
+        }
         let mut forces = self.forces(soft, stride);
         spread_rest(soft, stride, &mut forces);
         let count = self.near.nodes.len();
@@ -321,6 +330,7 @@ impl Exchange {
         let fastest = self.write(soft).max(self.fastest);
         soft.travel += stride.dt * fastest;
         soft.wall_travel += stride.dt * fastest;
+        Ok(())
     }
 
     /// Forces on near vertices: normal ones and friction, triangle by triangle.

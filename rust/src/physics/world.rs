@@ -242,7 +242,7 @@ impl World {
             if let Some((_, exchange)) = &mut elastic {
                 let (body, after, before) = (&self.body, &*motion, &before);
                 let reaction = &reaction;
-                exchange.push(soft, &Stride { body, before, after, reaction, friction, dt });
+                exchange.push(soft, &Stride { body, before, after, reaction, friction, dt })?;
             }
             soft.since += dt;
             let turning =

@@ -247,10 +247,7 @@ impl FemLayer {
     }
 }
 
-fn rows_of_six<'py>(
-    py: Python<'py>,
-    rows: &[(DVec3, DVec3)],
-) -> Bound<'py, PyArray2<f64>> {
+fn rows_of_six<'py>(py: Python<'py>, rows: &[(DVec3, DVec3)]) -> Bound<'py, PyArray2<f64>> {
     let shape = (rows.len(), 6);
     let numbers = rows.iter().flat_map(|(u, v)| [u.x, u.y, u.z, v.x, v.y, v.z]).collect();
     Array2::from_shape_vec(shape, numbers).expect("six numbers a row").into_pyarray(py)

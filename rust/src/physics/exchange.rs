@@ -14,19 +14,23 @@
 //! rounds of this, one a substep, converge whatever the stiffness.
 
 use super::body::{Body, Motion};
-use super::contact::{Grip, Sample};
+use super::lane::LANES;
 use super::near_layer::{NearLayer, largest_weights, rise};
+use super::patch::{Grip, Samples};
 use super::quick::Yield;
 use super::soft_wall::{MARGIN, SoftWall};
 use super::solve::{Symmetric6, Twist};
 use super::step::{CREEP, Reaction};
 use crate::fem::layer::FemLayer;
 use crate::fem::outer::Outcome;
-use glam::DVec3;
+use glam::{DMat3, DVec3};
 
 /// The wall is broken through where it comes nearer to the capsule's axis than to its skin by far:
 /// this share of the radius deep.
 const DEEPEST: f64 = 0.95;
+
+/// Added to a system that could be singular, relative to its size.
+const SINGULAR: f64 = 1e-9;
 
 /// Force on one triangle of the wall in the last substep.
 #[derive(Clone, Copy, Default)]
@@ -55,7 +59,8 @@ impl Held {
     /// Rows of six for each node, and of five for each touched triangle.
     pub fn to_rows(&self) -> (Vec<f64>, Vec<f64>) {
         let node = |(f, o): (&DVec3, &DVec3)| [f.x, f.y, f.z, o.x, o.y, o.z];
-        let touch = |t: &Touch| [f64::from(t.face), t.normal, t.tangent.x, t.tangent.y, t.tangent.z];
+        let touch =
+            |t: &Touch| [f64::from(t.face), t.normal, t.tangent.x, t.tangent.y, t.tangent.z];
         let nodes = self.force.iter().zip(&self.offset).flat_map(node).collect();
         (nodes, self.touched.iter().flat_map(touch).collect())
     }
@@ -266,10 +271,10 @@ impl Exchange {
     /// With A the slope of a triangle's force by the wall's velocity and θ = 1/(1 + A b), the
     /// solution of `F = F(w) − A b (F − F₀)`, w and F₀ of the last substep, is `θ F(w) + (1 − θ) F₀`.
     pub fn soften(&mut self, soft: &mut SoftWall, dt: f64) {
-        let slope = |s: &Sample| 0.5 * dt * s.stiffness + s.damping;
+        let slope = |s: &Samples, i: usize| 0.5 * dt * s.stiffness[i] + s.damping[i];
         let mut slopes = vec![0.0; soft.near.corners.len()];
-        for sample in &soft.patch.samples {
-            slopes[sample.place as usize] += slope(sample);
+        for (places, s) in soft.patch.lanes() {
+            (0..LANES).for_each(|i| slopes[places[i] as usize] += slope(s, i));
         }
         let mut by_vertex = vec![0.0; soft.near.vertices.len()];
         for grip in &soft.patch.grips {
@@ -293,11 +298,13 @@ impl Exchange {
             grip.velocity -= grip.mobility * last.tangent;
         }
         soft.patch.grips = grips;
-        for sample in &mut soft.patch.samples {
-            let (theta, kept) = blends[sample.place as usize];
-            sample.load = theta * sample.load + kept * slope(sample);
-            sample.stiffness *= theta;
-            sample.damping *= theta;
+        for (places, s) in soft.patch.lanes() {
+            for i in 0..LANES {
+                let (theta, kept) = blends[places[i] as usize];
+                s.load[i] = theta * s.load[i] + kept * slope(s, i);
+                s.stiffness[i] *= theta;
+                s.damping[i] *= theta;
+            }
         }
     }
 
@@ -334,7 +341,7 @@ impl Exchange {
     }
 
     /// Forces on near vertices: normal ones and friction, triangle by triangle.
-    fn forces(&mut self, soft: &SoftWall, stride: &Stride) -> Vec<DVec3> {
+    fn forces(&mut self, soft: &mut SoftWall, stride: &Stride) -> Vec<DVec3> {
         let (before, after, dt) = (stride.before, stride.after, stride.dt);
         let change = Twist {
             linear: after.velocity - before.velocity,
@@ -342,11 +349,13 @@ impl Exchange {
         };
         let change = change.to_array();
         let mut normals = vec![(0.0, DVec3::ZERO); soft.near.corners.len()];
-        for sample in &soft.patch.samples {
-            let (force, [x, y, z, ..]) = (push(sample, &change, dt), sample.lever);
-            let sum = &mut normals[sample.place as usize];
-            sum.0 += force;
-            sum.1 += force * DVec3::new(x, y, z);
+        for (places, s) in soft.patch.lanes() {
+            for i in 0..LANES {
+                let (force, [x, y, z, ..]) = (push(s, i, &change, dt), &s.lever);
+                let sum = &mut normals[places[i] as usize];
+                sum.0 += force;
+                sum.1 += force * DVec3::new(x[i], y[i], z[i]);
+            }
         }
         let mut forces = vec![DVec3::ZERO; soft.near.vertices.len()];
         self.held.touched.clear();
@@ -415,13 +424,13 @@ impl Exchange {
 }
 
 /// Force of a sample over a substep in which the capsule's twist changes, as `step` has it [N].
-fn push(sample: &Sample, change: &[f64; 6], dt: f64) -> f64 {
-    let push = sample.load + 0.5 * dt * sample.stiffness * sample.speed;
+fn push(s: &Samples, i: usize, change: &[f64; 6], dt: f64) -> f64 {
+    let push = s.load[i] + 0.5 * dt * s.stiffness[i] * s.speed[i];
     if push <= 0.0 {
         return 0.0;
     }
-    let more: f64 = sample.lever.iter().zip(change).map(|(j, d)| j * d).sum();
-    push + (0.25 * dt * sample.stiffness + 0.5 * sample.damping) * more
+    let more: f64 = s.lever.iter().zip(change).map(|(j, d)| j[i] * d).sum();
+    push + (0.25 * dt * s.stiffness[i] + 0.5 * s.damping[i]) * more
 }
 
 /// Corners of a touched triangle, and their shares in the middle of its pressure.
@@ -451,40 +460,49 @@ fn friction_on_wall(grip: &Grip, stride: &Stride) -> DVec3 {
 /// capsule turned round (drag on the capsule as a whole, and the last friction round's residue),
 /// as a rigid pattern: force and torque are so exactly opposite.
 fn spread_rest(soft: &SoftWall, stride: &Stride, forces: &mut [DVec3]) {
-    let wrench = stride.reaction.wrench;
-    let size = stride.body.radius;
-    let mut rest = Twist { linear: -wrench.linear, angular: -wrench.angular };
     let mut weights = vec![0.0; forces.len()];
-    let mut matrix = Symmetric6::default();
-    let mut total = 0.0;
-    for grip in &soft.patch.grips {
-        let corners = soft.near.corners[grip.place as usize];
-        for &v in &corners {
-            weights[v as usize] += grip.load / 3.0;
-        }
-        total += grip.load;
-    }
-    if total == 0.0 {
+    let load: f64 = soft.patch.grips.iter().map(|grip| grip.load).sum();
+    if load <= 0.0 {
         return;
     }
-    let arm = |v: usize| soft.vertex(soft.near.vertices[v]).0 - stride.before.position;
-    for (v, weight) in weights.iter().enumerate().filter(|(_, weight)| **weight > 0.0) {
+    for grip in &soft.patch.grips {
+        for v in soft.near.corners[grip.place as usize] {
+            weights[v as usize] += grip.load / (3.0 * load);
+        }
+    }
+    let (wrench, size) = (stride.reaction.wrench, stride.body.radius);
+    let mut rest = Twist { linear: -wrench.linear, angular: -wrench.angular / size };
+    let (mut first, mut second) = (DVec3::ZERO, DMat3::ZERO);
+    let arm = |v: usize| (soft.vertex(soft.near.vertices[v]).0 - stride.before.position) / size;
+    let loaded = || weights.iter().enumerate().filter(|(_, weight)| **weight > 0.0);
+    for (v, weight) in loaded() {
         let r = arm(v);
         rest.linear -= forces[v];
         rest.angular -= r.cross(forces[v]);
-        for axis in DVec3::AXES {
-            let turn = r.cross(axis) / size;
-            let lever = Twist { linear: axis, angular: turn }.to_array();
-            matrix.add_outer(weight / total, &lever);
+        first += *weight * r;
+        second += DMat3::from_cols(r * r.x, r * r.y, r * r.z) * *weight;
+    }
+    let pattern = Twist::from_array(rigid_pattern(first, second).solve(rest.to_array()));
+    for (v, weight) in loaded() {
+        forces[v] += *weight * (pattern.linear + pattern.angular.cross(arm(v)));
+    }
+}
+
+/// From forces `a + ω × r` by weights to their resultant, for first and second moments of r.
+fn rigid_pattern(first: DVec3, second: DMat3) -> Symmetric6 {
+    let mut matrix = Symmetric6::default();
+    let trace = second.x_axis.x + second.y_axis.y + second.z_axis.z;
+    let turning = DMat3::from_diagonal(DVec3::splat(trace)) - second;
+    for (column, axis) in DVec3::AXES.into_iter().enumerate() {
+        let moment = first.cross(axis);
+        for row in 0..3 {
+            matrix.0[3 + row][column] = moment[row];
+            if column <= row {
+                matrix.0[3 + row][3 + column] = turning.col(column)[row];
+            }
         }
+        matrix.0[column][column] = 1.0 + SINGULAR;
+        matrix.0[3 + column][3 + column] += SINGULAR;
     }
-    for k in 0..6 {
-        matrix.0[k][k] += 1e-9;
-    }
-    rest.angular /= size;
-    let pattern = Twist::from_array(matrix.solve(rest.to_array()));
-    for (v, weight) in weights.iter().enumerate().filter(|(_, weight)| **weight > 0.0) {
-        let turn = pattern.angular.cross(arm(v)) / size;
-        forces[v] += weight / total * (pattern.linear + turn);
-    }
+    matrix
 }

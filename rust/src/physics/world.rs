@@ -1,9 +1,9 @@
 //! A capsule in a wall: what Python holds and steps.
 
 use super::body::{Body, Motion};
-use super::contact::Foundation;
 use super::drag::{Drag, LogLaw};
 use super::exchange::{Exchange, Held, Stride};
+use super::foundation::Foundation;
 use super::quick::{Quick, Yield};
 use super::soft_wall::{Drive, MARGIN, Outcome, SoftWall};
 use super::solve::Twist;
@@ -88,6 +88,13 @@ pub struct World {
     soft: SoftWall,
     /// Means over the last step.
     last: Tally,
+}
+
+/// Bound on the speed of every point of the capsule between two motions [m/s].
+fn fastest_point(body: &Body, before: &Motion, after: &Motion) -> f64 {
+    let arm = body.center.length() + body.half_axis + body.radius;
+    let speed = |m: &Motion| m.velocity.length() + m.angular_velocity.length() * arm;
+    speed(before).max(speed(after))
 }
 
 fn vector(a: [f64; 3]) -> DVec3 {
@@ -231,7 +238,7 @@ impl World {
                     exchange.find(layer, soft)?;
                 }
             }
-            soft.update_facets();
+            soft.update_facets(&self.body.axis(&self.motion), self.body.radius);
             let (before, motion) = (self.motion, &mut self.motion);
             press(&self.body, &self.laws, &soft.facets, motion, &mut soft.patch);
             if let Some((_, exchange)) = &mut elastic {
@@ -245,10 +252,8 @@ impl World {
                 exchange.push(soft, &Stride { body, before, after, reaction, friction, dt })?;
             }
             soft.since += dt;
-            let turning =
-                motion.angular_velocity.length() * (self.body.half_axis + self.body.radius);
             soft.wall_travel += drive;
-            soft.travel += drive + dt * (motion.velocity.length() + turning);
+            soft.travel += drive + dt * fastest_point(&self.body, &before, motion);
             if let Some(quick) = &self.quick {
                 pushes(&self.body, motion, &soft.patch.grips, &mut soft.pushes);
                 soft.give_way(quick, dt);
@@ -513,7 +518,7 @@ impl World {
         let reach = self.quick.map_or(0.0, |q| q.reach);
         let found = self.soft.search(&mut wall, &self.body, &self.motion, reach);
         found.map_err(PyValueError::new_err)?;
-        self.soft.update_facets();
+        self.soft.update_facets(&self.body.axis(&self.motion), self.body.radius);
         let soft = &mut self.soft;
         press(&self.body, &self.laws, &soft.facets, &self.motion, &mut soft.patch);
         Ok(self.soft.patch.depth)

@@ -13,92 +13,26 @@
 //! |B|, weighted by the triangles' stiffness) that by the theorem of Collatz and Wielandt the
 //! rounds of this, one a substep, converge whatever the stiffness.
 
-use super::body::{Body, Motion};
+use super::held::Held;
 use super::lane::LANES;
 use super::near_layer::{NearLayer, largest_weights, rise};
-use super::patch::{Grip, Samples};
+use super::patch::Samples;
 use super::quick::Yield;
 use super::soft_wall::{MARGIN, SoftWall};
-use super::solve::{Symmetric6, Twist};
-use super::step::{CREEP, Reaction};
+use super::wall_load::{Stride, forces, shares};
 use crate::fem::layer::FemLayer;
 use crate::fem::outer::Outcome;
-use glam::{DMat3, DVec3};
+use glam::DVec3;
 
-/// The wall is broken through where it comes nearer to the capsule's axis than to its skin by far:
-/// this share of the radius deep.
-const DEEPEST: f64 = 0.95;
-
-/// Added to a system that could be singular, relative to its size.
-const SINGULAR: f64 = 1e-9;
-
-/// Force on one triangle of the wall in the last substep.
-#[derive(Clone, Copy, Default)]
-pub struct Touch {
-    /// Its number.
-    pub face: u32,
-    /// Normal force [N].
-    pub normal: f64,
-    /// Friction on the wall [N].
-    pub tangent: DVec3,
-}
-
-/// What of the exchange lasts from step to step, besides the layer's own motion.
-#[derive(Clone, Default)]
-pub struct Held {
-    /// Forces on the layer's nodes in the last substep [N].
-    pub force: Vec<DVec3>,
-    /// How far the wall that the capsule felt was from the layer at the end of the last step [m];
-    /// zero for a linear layer.
-    pub offset: Vec<DVec3>,
-    /// Forces in the last substep, by rising number of the triangle.
-    pub touched: Vec<Touch>,
-}
-
-impl Held {
-    /// Rows of six for each node, and of five for each touched triangle.
-    pub fn to_rows(&self) -> (Vec<f64>, Vec<f64>) {
-        let node = |(f, o): (&DVec3, &DVec3)| [f.x, f.y, f.z, o.x, o.y, o.z];
-        let touch =
-            |t: &Touch| [f64::from(t.face), t.normal, t.tangent.x, t.tangent.y, t.tangent.z];
-        let nodes = self.force.iter().zip(&self.offset).flat_map(node).collect();
-        (nodes, self.touched.iter().flat_map(touch).collect())
-    }
-
-    /// From such rows.
-    pub fn from_rows(nodes: &[f64], touched: &[f64]) -> Self {
-        let vectors = |skip: usize| {
-            nodes.chunks_exact(6).map(|row| DVec3::from_slice(&row[skip..])).collect()
-        };
-        let touch = |row: &[f64]| Touch {
-            face: row[0] as u32,
-            normal: row[1],
-            tangent: DVec3::from_slice(&row[2..]),
-        };
-        Held {
-            force: vectors(0),
-            offset: vectors(3),
-            touched: touched.chunks_exact(5).map(touch).collect(),
-        }
-    }
-}
+/// Momentum that makes no node faster than this is given to the layer in its next step [m/s]: over
+/// a step it is less than a nanometre, and spares a solution where the capsule rests.
+const SLIGHT: f64 = 1e-7;
 
 /// All that an exchange and its layer go on from.
 pub struct Backup {
     held: Held,
     displacement: Vec<DVec3>,
     velocity: Vec<DVec3>,
-}
-
-/// One substep as the exchange sees it.
-pub struct Stride<'a> {
-    pub body: &'a Body,
-    pub before: &'a Motion,
-    pub after: &'a Motion,
-    pub reaction: &'a Reaction,
-    /// Coefficient of friction.
-    pub friction: f64,
-    pub dt: f64,
 }
 
 /// The exchange of one world; vectors over nodes near the capsule end with a zero for held ones.
@@ -141,7 +75,7 @@ impl Exchange {
     pub fn new(layer: &FemLayer, tolerance: f64) -> Self {
         let zero = vec![DVec3::ZERO; layer.displacement.len()];
         Exchange {
-            held: Held { force: zero.clone(), offset: zero.clone(), touched: Vec::new() },
+            held: Held::at_rest(layer.displacement.len()),
             tolerance,
             step: 0.0,
             since: 0.0,
@@ -183,8 +117,8 @@ impl Exchange {
         dt: f64,
         (number, each): (usize, usize),
     ) -> Outcome<()> {
-        if number == 0 && soft.wall_travel > 0.0 {
-            (soft.travel, soft.wall_travel) = (f64::INFINITY, f64::INFINITY);
+        if number == 0 {
+            soft.travel = f64::INFINITY;
         }
         if number > 0 && number.is_multiple_of(each) {
             self.end(layer)?;
@@ -206,7 +140,9 @@ impl Exchange {
         }
         (self.step, self.since) = (dt, 0.0);
         self.reference.clone_from(&self.held.force);
-        self.predicted = layer.predict(&self.reference, dt, self.tolerance)?;
+        let owed = self.reference.iter().zip(&self.held.owed);
+        let load: Vec<DVec3> = owed.map(|(f, p)| *f + *p / dt).collect();
+        self.predicted = layer.predict(&load, dt, self.tolerance)?;
         let offset = &self.held.offset;
         let moved = layer.displacement.iter().zip(offset);
         self.start = moved.map(|(u, o)| *u + *o).collect();
@@ -225,6 +161,12 @@ impl Exchange {
         let mean: Vec<DVec3> =
             self.reference.iter().zip(&gained).map(|(f, p)| *f + *p / step).collect();
         let predicted = std::mem::take(&mut self.predicted);
+        if layer.is_linear() && self.fastest_change() < SLIGHT {
+            self.held.owed = gained;
+            layer.advance(predicted, step);
+            return Ok(());
+        }
+        self.held.owed.fill(DVec3::ZERO);
         let before = (!layer.is_linear()).then(|| predicted.clone());
         let velocity = layer.correct(predicted, &mean, gained, step, self.tolerance)?;
         if let Some(before) = before {
@@ -238,6 +180,14 @@ impl Exchange {
         }
         layer.advance(velocity, step);
         Ok(())
+    }
+
+    /// How much faster the fastest near node goes for the momentum gained [m/s].
+    fn fastest_change(&mut self) -> f64 {
+        let momenta: Vec<DVec3> = self.local(&self.gained).iter().map(|p| *p / self.step).collect();
+        let mut answer = vec![DVec3::ZERO; momenta.len()];
+        self.near.answer(&momenta, &mut answer);
+        answer.iter().map(|v| v.length()).fold(0.0, f64::max)
     }
 
     /// Takes the nodes around what has become near.
@@ -309,14 +259,8 @@ impl Exchange {
     }
 
     /// Loads the layer with what the capsule has felt, and moves what is near.
-    pub fn push(&mut self, soft: &mut SoftWall, stride: &Stride) -> Outcome<()> {
-        if soft.patch.depth > DEEPEST * stride.body.radius {
-            return Err("The capsule breaks through the elastic wall. Allowed: a smaller \
-                        force_world, or a deformation that holds more: neo-hookean with a \
-                        stiffening_strain, a larger youngs_modulus or support.");
-        }
-        let mut forces = self.forces(soft, stride);
-        spread_rest(soft, stride, &mut forces);
+    pub fn push(&mut self, soft: &mut SoftWall, stride: &Stride) {
+        let forces = forces(soft, stride, &mut self.held.touched);
         let count = self.near.nodes.len();
         let mut nodal = vec![DVec3::ZERO; count + 1];
         for (v, force) in forces.iter().enumerate() {
@@ -337,38 +281,6 @@ impl Exchange {
         let fastest = self.write(soft).max(self.fastest);
         soft.travel += stride.dt * fastest;
         soft.wall_travel += stride.dt * fastest;
-        Ok(())
-    }
-
-    /// Forces on near vertices: normal ones and friction, triangle by triangle.
-    fn forces(&mut self, soft: &mut SoftWall, stride: &Stride) -> Vec<DVec3> {
-        let (before, after, dt) = (stride.before, stride.after, stride.dt);
-        let change = Twist {
-            linear: after.velocity - before.velocity,
-            angular: after.angular_velocity - before.angular_velocity,
-        };
-        let change = change.to_array();
-        let mut normals = vec![(0.0, DVec3::ZERO); soft.near.corners.len()];
-        for (places, s) in soft.patch.lanes() {
-            for i in 0..LANES {
-                let (force, [x, y, z, ..]) = (push(s, i, &change, dt), &s.lever);
-                let sum = &mut normals[places[i] as usize];
-                sum.0 += force;
-                sum.1 += force * DVec3::new(x[i], y[i], z[i]);
-            }
-        }
-        let mut forces = vec![DVec3::ZERO; soft.near.vertices.len()];
-        self.held.touched.clear();
-        for grip in &soft.patch.grips {
-            let (normal, force) = normals[grip.place as usize];
-            let (normal, tangent) = (f64::max(normal, 0.0), friction_on_wall(grip, stride));
-            let face = soft.near.faces[grip.place as usize];
-            self.held.touched.push(Touch { face, normal, tangent });
-            for (v, share) in shares(soft, grip) {
-                forces[v] += share * (force + tangent);
-            }
-        }
-        forces
     }
 
     /// Displacement and velocity of what is near, from the whole layer's.
@@ -421,88 +333,4 @@ impl Exchange {
         );
         self.weights.0 * f64::sqrt(middle) + self.weights.1 * f64::sqrt(span)
     }
-}
-
-/// Force of a sample over a substep in which the capsule's twist changes, as `step` has it [N].
-fn push(s: &Samples, i: usize, change: &[f64; 6], dt: f64) -> f64 {
-    let push = s.load[i] + 0.5 * dt * s.stiffness[i] * s.speed[i];
-    if push <= 0.0 {
-        return 0.0;
-    }
-    let more: f64 = s.lever.iter().zip(change).map(|(j, d)| j[i] * d).sum();
-    push + (0.25 * dt * s.stiffness[i] + 0.5 * s.damping[i]) * more
-}
-
-/// Corners of a touched triangle, and their shares in the middle of its pressure.
-fn shares(soft: &SoftWall, grip: &Grip) -> impl Iterator<Item = (usize, f64)> {
-    let corners = soft.near.corners[grip.place as usize].map(|v| v as usize);
-    let [a, b, c] = corners.map(|v| soft.vertex(soft.near.vertices[v]).0);
-    let normal = (b - a).cross(c - a);
-    let part = |q: DVec3, r: DVec3| {
-        (q - grip.center).cross(r - grip.center).dot(normal) / normal.length_squared()
-    };
-    corners.into_iter().zip([part(b, c), part(c, a), part(a, b)])
-}
-
-/// Coulomb friction of one triangle on the wall, as the capsule's equations have it [N].
-fn friction_on_wall(grip: &Grip, stride: &Stride) -> DVec3 {
-    if stride.friction == 0.0 {
-        return DVec3::ZERO;
-    }
-    let (m, arm) = (stride.after, grip.center - stride.before.position);
-    let slip = m.velocity + m.angular_velocity.cross(arm) - grip.velocity;
-    let slip = slip - grip.normal * slip.dot(grip.normal);
-    let most = stride.friction * grip.load;
-    slip * (most / slip.length().max(CREEP + grip.mobility * most))
-}
-
-/// Spreads over the touched corners what the triangles' forces lack of the wall's wrench on the
-/// capsule turned round (drag on the capsule as a whole, and the last friction round's residue),
-/// as a rigid pattern: force and torque are so exactly opposite.
-fn spread_rest(soft: &SoftWall, stride: &Stride, forces: &mut [DVec3]) {
-    let mut weights = vec![0.0; forces.len()];
-    let load: f64 = soft.patch.grips.iter().map(|grip| grip.load).sum();
-    if load <= 0.0 {
-        return;
-    }
-    for grip in &soft.patch.grips {
-        for v in soft.near.corners[grip.place as usize] {
-            weights[v as usize] += grip.load / (3.0 * load);
-        }
-    }
-    let (wrench, size) = (stride.reaction.wrench, stride.body.radius);
-    let mut rest = Twist { linear: -wrench.linear, angular: -wrench.angular / size };
-    let (mut first, mut second) = (DVec3::ZERO, DMat3::ZERO);
-    let arm = |v: usize| (soft.vertex(soft.near.vertices[v]).0 - stride.before.position) / size;
-    let loaded = || weights.iter().enumerate().filter(|(_, weight)| **weight > 0.0);
-    for (v, weight) in loaded() {
-        let r = arm(v);
-        rest.linear -= forces[v];
-        rest.angular -= r.cross(forces[v]);
-        first += *weight * r;
-        second += DMat3::from_cols(r * r.x, r * r.y, r * r.z) * *weight;
-    }
-    let pattern = Twist::from_array(rigid_pattern(first, second).solve(rest.to_array()));
-    for (v, weight) in loaded() {
-        forces[v] += *weight * (pattern.linear + pattern.angular.cross(arm(v)));
-    }
-}
-
-/// From forces `a + ω × r` by weights to their resultant, for first and second moments of r.
-fn rigid_pattern(first: DVec3, second: DMat3) -> Symmetric6 {
-    let mut matrix = Symmetric6::default();
-    let trace = second.x_axis.x + second.y_axis.y + second.z_axis.z;
-    let turning = DMat3::from_diagonal(DVec3::splat(trace)) - second;
-    for (column, axis) in DVec3::AXES.into_iter().enumerate() {
-        let moment = first.cross(axis);
-        for row in 0..3 {
-            matrix.0[3 + row][column] = moment[row];
-            if column <= row {
-                matrix.0[3 + row][3 + column] = turning.col(column)[row];
-            }
-        }
-        matrix.0[column][column] = 1.0 + SINGULAR;
-        matrix.0[3 + column][3 + column] += SINGULAR;
-    }
-    matrix
 }

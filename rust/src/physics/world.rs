@@ -2,12 +2,14 @@
 
 use super::body::{Body, Motion};
 use super::drag::{Drag, LogLaw};
-use super::exchange::{Exchange, Held, Stride};
+use super::exchange::Exchange;
 use super::foundation::Foundation;
+use super::held::Held;
 use super::quick::{Quick, Yield};
 use super::soft_wall::{Drive, MARGIN, Outcome, SoftWall};
 use super::solve::Twist;
 use super::step::{Laws, Load, Reaction, press, pushes, substep};
+use super::wall_load::Stride;
 use crate::fem::layer::FemLayer;
 use crate::query;
 use crate::wall::Wall;
@@ -198,8 +200,8 @@ impl World {
         let backup = (self.motion, self.soft.awake_yields());
         let elastic = layer.as_deref().zip(self.layer.as_ref()).map(|(l, (_, x))| x.backup(l));
         let result = self.substeps(wall, layer.as_deref_mut(), load, dt, strides);
-        let valid = self.motion.position.is_finite() && self.motion.velocity.is_finite();
-        if result.is_ok() && valid {
+        let result = result.and_then(|()| self.check(wall));
+        if result.is_ok() {
             self.soft.land();
             return Ok(());
         }
@@ -211,7 +213,24 @@ impl World {
             exchange.restore(layer, elastic, &mut self.soft);
         }
         self.soft.stay();
-        result.and(Err("The step is too large: the capsule's motion is no longer finite."))
+        result
+    }
+
+    /// Whether a step has come to a good end: the motion is finite, and the capsule has not broken
+    /// through a layer of finite elements.
+    fn check(&mut self, wall: &mut Wall) -> Outcome {
+        if !(self.motion.position.is_finite() && self.motion.velocity.is_finite()) {
+            return Err("The step is too large: the capsule's motion is no longer finite.");
+        }
+        if self.layer.is_some() {
+            self.soft.settle(wall)?;
+            if !self.is_inside(wall) {
+                return Err("The capsule breaks through the elastic wall. Allowed: a smaller \
+                            force_world, or a deformation that holds more: neo-hookean with a \
+                            stiffening_strain, a larger youngs_modulus or support.");
+            }
+        }
+        Ok(())
     }
 
     fn substeps(
@@ -249,7 +268,7 @@ impl World {
             if let Some((_, exchange)) = &mut elastic {
                 let (body, after, before) = (&self.body, &*motion, &before);
                 let reaction = &reaction;
-                exchange.push(soft, &Stride { body, before, after, reaction, friction, dt })?;
+                exchange.push(soft, &Stride { body, before, after, reaction, friction, dt });
             }
             soft.since += dt;
             soft.wall_travel += drive;
@@ -365,14 +384,14 @@ impl World {
         self.layer = Some((layer, exchange));
     }
 
-    /// What lasts of the exchange with the layer: force [N] on each node and how far the felt wall
-    /// is off it [m], [nodes 6]; number, normal force [N] and friction [N] of touched triangles,
+    /// What lasts of the exchange with the layer: force [N] on each node, how far the felt wall is
+    /// off it [m] and the momentum it is owed [N·s], [nodes 9]; number, normal force [N] and friction [N] of touched triangles,
     /// [k 5]. None without a layer.
     #[getter]
     fn exchange<'py>(&self, py: Python<'py>) -> Option<Tables<'py>> {
         let (_, exchange) = self.layer.as_ref()?;
         let (nodes, touched) = exchange.held.to_rows();
-        Some((table(py, nodes, 6), table(py, touched, 5)))
+        Some((table(py, nodes, 9), table(py, touched, 5)))
     }
 
     #[setter]

@@ -153,7 +153,7 @@ class World:
     def snapshot(self) -> Snapshot:
         """All that changes, exactly: a world restored from it goes on to the same bytes."""
         position, wxyz, velocity, spin = self._core.pose
-        layer, touched = np.zeros((0, 12)), np.zeros((0, 5))
+        layer, touched = np.zeros((0, 15)), np.zeros((0, 5))
         if self.layer is not None and self._core.exchange is not None:
             nodes, touched = self._core.exchange
             layer = np.hstack([self.layer.snapshot(), nodes])
@@ -183,8 +183,9 @@ class World:
                 f"{len(self.model.organ.vertices)}. Give a snapshot of the same organ."
             )
         if self.layer is not None:
-            nodes, self._core.exchange = _exchange(self.layer, snapshot)
-            self.layer.restore(nodes)
+            motion, exchange = _exchange(self.layer, snapshot)
+            self.layer.restore(motion)
+            self._core.exchange = exchange
         p = snapshot.capsule
         self._core.driven, self._core.yields = snapshot.driven, snapshot.yields
         self._core.pose = (tuple(p[:3]), tuple(p[3:7]), tuple(p[7:10]), tuple(p[10:]))
@@ -276,14 +277,16 @@ def _layer(organ: OrganSurface, tissue: Tissue) -> FemWall | None:
 
 def _exchange(
     layer: FemWall, snapshot: Snapshot
-) -> tuple[Float[np.ndarray, "nodes 6"], tuple[Float[np.ndarray, "nodes 6"], np.ndarray]]:
+) -> tuple[Float[np.ndarray, "nodes 6"], tuple[Float[np.ndarray, "nodes 9"], np.ndarray]]:
     """Motion of the layer, and what lasts of its exchange with the capsule."""
-    if snapshot.layer.shape != (layer.num_free, 12):
+    if snapshot.layer.shape != (layer.num_free, 15):
         raise InputError(
             f"The snapshot has a layer of {len(snapshot.layer)} nodes, the world's has "
             f"{layer.num_free}. Give a snapshot of a world with the same deformation."
         )
-    motion, forces = np.hsplit(snapshot.layer, 2)
+    if not (np.isfinite(snapshot.layer).all() and np.isfinite(snapshot.touched).all()):
+        raise InputError("The snapshot is not finite. Allowed: finite numbers.")
+    motion, forces = np.hsplit(snapshot.layer, [6])
     return motion, (np.ascontiguousarray(forces), np.ascontiguousarray(snapshot.touched, float))
 
 

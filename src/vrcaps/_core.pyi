@@ -35,6 +35,7 @@ class World:
     pose: Pose
     driven: NDArray[np.float64]
     yields: NDArray[np.float64]
+    exchange: tuple[NDArray[np.float64], NDArray[np.float64]] | None
 
     def __init__(
         self,
@@ -53,7 +54,9 @@ class World:
         wrench: tuple[float, ...],
         gravity: tuple[float, ...],
         calibre: NDArray[np.float64] | None = None,
+        outer: int = 1,
     ) -> None: ...
+    def set_layer(self, layer: FemLayer, tolerance: float) -> None: ...
     def settle(self) -> None: ...
     def vertices(self) -> NDArray[np.float64]: ...
     def contact(self) -> tuple[Vector, Vector, float, float, float, float, float]: ...

@@ -65,7 +65,7 @@ def test_static_depth() -> None:
     assert -pushes[:, 5].sum() == pytest.approx(3e-3 * 9.81, rel=5e-3)
     expected = attenuated(world.driven + at_rest, pushes, QUICK) / QUICK.spring
     deepest = np.abs(expected).max()
-    np.testing.assert_allclose(at_rest, expected, atol=0.01 * deepest)
+    np.testing.assert_allclose(at_rest, expected, atol=0.02 * deepest)
 
 
 def test_recovery() -> None:

@@ -34,6 +34,8 @@ pub struct Pieces {
     pub velocity: Lane3,
     /// Place among the patch's triangles.
     triangle: [u32; LANES],
+    /// Place of the triangle among what is near.
+    place: [u32; LANES],
 }
 
 /// What eight pieces do.
@@ -66,6 +68,7 @@ const NO_PIECES: Pieces = Pieces {
     normal: [NOTHING; 3],
     velocity: [NOTHING; 3],
     triangle: [0; LANES],
+    place: [0; LANES],
 };
 const NO_SAMPLES: Samples = Samples {
     lever: [NOTHING; 6],
@@ -92,6 +95,9 @@ pub struct Grip {
     pub load: f64,
     /// Velocity of the wall there [m/s].
     pub velocity: DVec3,
+    /// How much faster the wall there moves for each newton within a substep [m/s per N]; 0 where
+    /// it does not.
+    pub mobility: f64,
 }
 
 /// The patch of one instant.
@@ -133,7 +139,14 @@ impl Patch {
         self.num_pieces += 1;
         let pieces = self.pieces.last_mut().expect("just pushed");
         pieces.triangle[lane] = self.grips.len() as u32 - 1;
+        pieces.place[lane] = place;
         (pieces, lane)
+    }
+
+    /// What the pieces do, with the places of their triangles among what is near; unused lanes do
+    /// nothing.
+    pub fn lanes(&mut self) -> impl Iterator<Item = (&[u32; LANES], &mut Samples)> {
+        self.pieces.iter().map(|pieces| &pieces.place).zip(&mut self.samples)
     }
 
     /// Presses into all pieces.

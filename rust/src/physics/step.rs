@@ -11,7 +11,7 @@ use super::solve::{Symmetric6, Twist};
 use glam::{DMat3, DVec3};
 
 /// Sliding slower than this counts as creep under friction that does not suffice to slide [m/s].
-const CREEP: f64 = 1e-5;
+pub const CREEP: f64 = 1e-5;
 /// Solutions for friction that depends on the velocity it leads to.
 const FRICTION_ROUNDS: usize = 4;
 /// Parts of the capsule's length that push the wall as one, each by eighths of its girth.
@@ -55,17 +55,20 @@ struct System {
     impulse: [f64; 6],
 }
 
-/// Moves the capsule on by `dt`; fills `patch` and returns what the wall did.
+/// Fills `patch` with what the wall is pressed by.
+pub fn press(body: &Body, laws: &Laws, facets: &[Facet], motion: &Motion, patch: &mut Patch) {
+    Indenter::new(&laws.foundation, body, motion).press(facets, patch);
+}
+
+/// Moves the capsule on by `dt` under the forces of `patch`; returns what the wall did.
 pub fn substep(
     body: &Body,
     laws: &Laws,
     load: &Load,
-    facets: &[Facet],
     motion: &mut Motion,
-    patch: &mut Patch,
+    patch: &Patch,
     dt: f64,
 ) -> Reaction {
-    Indenter::new(&laws.foundation, body, motion).press(facets, patch);
     let system = elastic_system(body, load, motion, patch, dt);
     let (change, resistance) = solve_friction(&system, body, laws, motion, patch, dt);
     let before = *motion;
@@ -206,7 +209,8 @@ impl Resistance {
         let arm = grip.center - self.position;
         let slip = guess.linear + guess.angular.cross(arm) - grip.velocity;
         let slip = slip - grip.normal * slip.dot(grip.normal);
-        let by_speed = friction * grip.load / slip.length().max(CREEP);
+        let most = friction * grip.load;
+        let by_speed = most / slip.length().max(CREEP + grip.mobility * most);
         let n = grip.normal;
         let across = DMat3::from_cols(n * n.x, n * n.y, n * n.z);
         let block = (DMat3::IDENTITY - across) * by_speed;

@@ -24,12 +24,14 @@ const SLACK: f64 = 1e-12;
 const ROUNDING: f64 = 1e-13;
 /// A sine below this is no direction.
 const PARALLEL: f64 = 1e-9;
-/// Angles q7 of the first search, and of the finest.
-const SEARCH: (usize, usize) = (48, 768);
+/// Angles q7 to either side in the first search, and in the finest; closer where they are near.
+const SEARCH: (usize, usize) = (32, 512);
 /// A solution this near to where the arm is counts as the nearest [rad, Euclidean].
 const NEIGHBOUR: f64 = 0.25;
 /// Steps along the self-motion towards the nearest solution.
-const REFINE: usize = 8;
+const REFINE: usize = 40;
+/// A step that shortens the squared distance by less than this part of it is the last.
+const CONVERGED: f64 = 1e-6;
 
 /// Lengths of an arm of this build.
 #[derive(Clone, Debug)]
@@ -224,22 +226,27 @@ impl Inverse {
     /// q5, q6 and both shoulders, given the elbow's frame.
     fn solve_ends(&self, six: &Pose, elbow: &DMat3, [q4, q7]: [f64; 2], found: &mut impl Branches) {
         let z6 = six.rotation.z_axis;
+        let near = *found.near();
+        let so_far = square(q4 - near[3]) + square(q7 - near[6]);
         let q5 = z6.dot(elbow.x_axis).atan2(z6.dot(elbow.z_axis));
+        let Some(q5) = self.within(4, q5) else { return };
+        let so_far = so_far + square(q5 - near[4]);
+        if so_far >= found.bound2() {
+            return;
+        }
         let z5 = elbow.y_axis;
         let q6 = z5.dot(six.rotation.x_axis).atan2(z5.dot(six.rotation.y_axis));
-        let (Some(q5), Some(q6)) = (self.within(4, q5), self.within(5, q6)) else { return };
-        let wrist = [(q4, 3), (q5, 4), (q6, 5), (q7, 6)];
-        let so_far: f64 = wrist.iter().map(|&(q, i)| square(q - found.near()[i])).sum();
-        if so_far >= found.bound2() {
+        let Some(q6) = self.within(5, q6) else { return };
+        if so_far + square(q6 - near[5]) >= found.bound2() {
             return;
         }
         // The upper arm's frame: R_03 = R_04 (Rot_x(π/2) Rot_z(q4))ᵀ.
         let (s, c) = q4.sin_cos();
         let x3 = elbow.x_axis * c - elbow.y_axis * s;
         let z3 = elbow.x_axis * s + elbow.y_axis * c;
-        let level = z3.x.hypot(z3.y);
+        let level = (z3.x * z3.x + z3.y * z3.y).sqrt();
         let tilt = level.atan2(z3.z);
-        let turn = if level > PARALLEL { z3.y.atan2(z3.x) } else { found.near()[0] };
+        let turn = if level > PARALLEL { z3.y.atan2(z3.x) } else { near[0] };
         for (q1, q2) in [(turn, tilt), (turn + PI, -tilt)] {
             let (Some(q1), Some(q2)) = (self.within(0, q1), self.within(1, q2)) else { continue };
             let ((s1, c1), (s2, c2)) = (q1.sin_cos(), q2.sin_cos());
@@ -262,14 +269,16 @@ impl Inverse {
         let start = near[6].clamp(low, high);
         let mut search = Nearest::new(near, f64::INFINITY);
         self.solve(target, start, &mut search);
-        if search.bound2 < square(NEIGHBOUR) {
-            return Some(self.refine(target, search.best, near));
+        if let Some(found) = search.found() {
+            search.push(self.refine(target, found, near));
+            if search.bound2 < square(NEIGHBOUR) {
+                return search.found();
+            }
         }
         let mut count = SEARCH.0;
         loop {
-            let step = (high - low) / count as f64;
             for k in 1..=count {
-                let way = k as f64 * step;
+                let way = (high - low) * square(k as f64 / count as f64);
                 if square(way) >= search.bound2 {
                     break;
                 }
@@ -296,7 +305,11 @@ impl Inverse {
             let mut next = best;
             self.solve(target, (best.best[6] + step).clamp(low, high), &mut next);
             if next.bound2 < best.bound2 {
+                let gain = best.bound2 - next.bound2;
                 best = next;
+                if gain < CONVERGED * best.bound2 {
+                    break;
+                }
                 step = self.self_motion_step(&best.best, near);
             } else {
                 step *= 0.25;

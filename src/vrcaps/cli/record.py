@@ -182,7 +182,7 @@ class Record:
             channels=self.channels,
             render=self.render,
             wall=self.wall,
-            lesions=chosen_lesions(self.lesion, self.lesions, self._patient_seed()),
+            lesions=chosen_lesions(self.lesion, self.lesions, self._patient_seed(), self.organ),
             clean_twin=self.clean_twin,
         )
 

@@ -150,7 +150,8 @@ def _read_plain(path: Path, what: str) -> Any:
         text = path.read_text(encoding="utf-8")
         return tomllib.loads(text) if path.suffix == ".toml" else json.loads(text)
     except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"Cannot read the {what} {path}: {error}.") from error
+        reason = error.strerror if isinstance(error, OSError) else error
+        raise InputError(f"Cannot read the {what} {path}: {reason}.") from error
     except (json.JSONDecodeError, tomllib.TOMLDecodeError) as error:
         kind = "TOML" if path.suffix == ".toml" else "JSON"
         raise InputError(f"{path} is no {kind}: {error}.") from error

@@ -338,9 +338,11 @@ def _draw_lesions(
             view.contour(
                 mask, [0.5], colors="white", linewidths=1.0, extent=box, origin="upper", alpha=0.9
             )
-        at = lesion.arc_length / CM
+            across, up = np.flip(np.median(np.argwhere(mask), axis=0) / mask.shape)
+            at, angle = box[0] + (box[1] - box[0]) * across, 180.0 - 360.0 * up
+        else:
+            at, angle = lesion.arc_length / CM, np.degrees(lesion.theta)
         if box[0] <= at <= box[1]:
-            angle = np.degrees(lesion.theta)
             aside = 34.0 if angle < 120.0 else -34.0
             _draw_number(view, at, angle + aside, lesion.number)
 

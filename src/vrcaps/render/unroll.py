@@ -57,13 +57,16 @@ def unroll(
 ) -> Unrolled:
     """Cast a ray for each pair of arc length and angle.
 
+    Where a lesion stands on the centreline the rays start beside it.
+
     Args:
         organ: The organ.
         wall: Its surface, in the organ's frame.
         arc_length: Along the centreline [m].
         theta: From the first to the second transverse axis of the centreline's frame [rad].
     """
-    points, frames, _ = interpolate(organ.centerline, arc_length)
+    points, frames, radii = interpolate(organ.centerline, arc_length)
+    points = _in_lumen(organ, wall, points, frames, radii)
     shape = (len(theta), len(arc_length), 3)
     cos, sin = np.cos(theta)[:, None, None], np.sin(theta)[:, None, None]
     outward = cos * frames[:, :, 0] + sin * frames[:, :, 1]
@@ -85,6 +88,32 @@ def unroll(
     return Unrolled(
         arc_length, theta, radius, face.reshape(shape[:2]), weights.reshape(shape), shade
     )
+
+
+def _in_lumen(
+    organ: OrganSurface,
+    wall: Wall,
+    points: Float[np.ndarray, "w 3"],
+    frames: Float[np.ndarray, "w 3 3"],
+    radii: Float[np.ndarray, " w"],
+) -> Float[np.ndarray, "w 3"]:
+    """The points; those inside a lesion that stands on the centreline are moved aside."""
+    if not organ.instance.any():
+        return points
+    _, nearest = wall.closest_point(points)
+    is_lesion = (organ.instance > 0)[organ.faces[nearest]].all(axis=1)
+    inside = np.flatnonzero(is_lesion & (wall.signed_distance(points) <= 0.0))
+    if not len(inside):
+        return points
+    angle = np.linspace(0.0, 2.0 * np.pi, 16, endpoint=False)
+    across = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    rings = np.concatenate([share * across for share in (0.3, 0.6, 0.9)])
+    aside = np.einsum("nxk,rk->nrx", frames[inside, :, :2], rings) * radii[inside, None, None]
+    tried = points[inside, None] + aside
+    room = wall.signed_distance(tried.reshape(-1, 3)).reshape(tried.shape[:2])
+    moved = points.copy()
+    moved[inside] = tried[np.arange(len(inside)), room.argmax(axis=1)]
+    return moved
 
 
 def dissection(organ: OrganSurface, unrolled: Unrolled) -> Float[np.ndarray, "h w 3"]:

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scenes import random_poses
+from scipy.spatial.transform import Rotation
 
 from vrcaps.errors import InputError
 from vrcaps.magnet.arm.arm import Arm
@@ -157,6 +158,38 @@ def test_a_path_is_followed_without_a_jump(panda):
     steps = np.abs(np.diff(angles, axis=0))
     assert steps.max() < 0.012
     assert np.abs(np.diff(angles, n=2, axis=0)).max() < 5e-4
+
+
+def test_the_arm_goes_through_a_straight_shoulder(panda):
+    """Where q2 passes 0, q1 and q3 are free and would swing: q7 gives way instead."""
+    start = np.array([0.186, -0.004, 0.139, -2.229, 0.247, 2.273, 0.17])
+    poses = np.tile(forward(panda, start), (100, 1, 1))
+    poses[:, 1, 3] += np.linspace(0, 0.02, 100)
+    angles = panda.core.follow(poses, start)
+    assert angles[0, 1] < 0 < angles[-1, 1]
+    assert np.abs(np.diff(angles, axis=0)).max() < 0.01
+
+
+def test_no_jump_that_any_other_branch_would_avoid(panda):
+    """Random ways, also along the edge of reach: each step is nearly the least there is."""
+    rng = np.random.default_rng(9)
+    middle, half = 0.5 * (panda.lower + panda.upper), 0.1 * (panda.upper - panda.lower)
+    grid = np.linspace(panda.lower[6], panda.upper[6], 20001)
+    s = np.linspace(0, 1, 300)[:, None]
+    for start in rng.uniform(middle - half, middle + half, (40, 7)):
+        way, spin = rng.normal(size=(2, 3))
+        poses = np.tile(forward(panda, start), (300, 1, 1))
+        poses[:, :3, 3] += 0.25 * s * way / np.linalg.norm(way)
+        turns = Rotation.from_rotvec(0.8 * s * spin / np.linalg.norm(spin)).as_matrix()
+        poses[:, :3, :3] = turns @ poses[:, :3, :3]
+        angles = panda.core.follow(poses, start)
+        angles = angles[~np.isnan(angles[:, 0])]
+        steps = np.abs(np.diff(angles, axis=0)).max(axis=1, initial=0)
+        if steps.max(initial=0) > 0.2:
+            k = steps.argmax()
+            targets = np.tile(poses[k + 1], (len(grid), 1, 1))
+            others = panda.core.inverse(targets, list(grid)).reshape(-1, 7)
+            assert steps[k] < 1.1 * np.nanmin(np.abs(others - angles[k]).max(axis=1)) + 0.02
 
 
 def test_any_other_arm_is_solved_step_by_step(six_joints):

@@ -176,7 +176,7 @@ def measure(scenario: Scenario) -> MovingTally:
 
 def main() -> None:
     """Record, compare, write the table."""
-    given = options(__doc__ or "", size=8)
+    given = options(__doc__ or "", size=6)
     rows = []
     for name, scene in SCENES.items():
         scenario = Scenario(

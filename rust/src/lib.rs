@@ -4,6 +4,7 @@
 #![allow(clippy::needless_range_loop)]
 
 mod bvh;
+mod contents;
 mod cpu;
 mod fem;
 mod image;
@@ -30,6 +31,7 @@ fn _core(m: &Bound<'_, PyModule>) -> PyResult<()> {
     m.add_class::<wall::Wall>()?;
     m.add_class::<fem::layer::FemLayer>()?;
     m.add_class::<physics::world::World>()?;
+    m.add_class::<contents::Contents>()?;
     m.add_class::<scene::Scene>()?;
     m.add_class::<texture::Texture>()?;
     m.add_class::<rays::RayTable>()?;

@@ -1,11 +1,13 @@
 //! One image: trace, shade and write every channel that was asked for.
 
+use crate::contents::Contents;
+use crate::contents::tile::{Filled, Room};
 use crate::lanes::*;
 use crate::material::Led;
 use crate::rays::{RayTable, TileRays};
 use crate::scene::{Scene, SceneData};
 use crate::shade::{Attributes, attributes, light, surface};
-use crate::tile::{Hits, trace};
+use crate::tile::{Hits, Pyramid, trace};
 use crate::wall::Wall;
 use numpy::{Element, PyArrayDyn, PyArrayMethods, PyReadonlyArray2, PyReadwriteArrayDyn};
 use pyo3::{exceptions::PyValueError, prelude::*, types::PyDict};
@@ -15,15 +17,19 @@ use rayon::prelude::*;
 const REACH: f32 = 1e4;
 
 /// Everything about a view but its rays.
-struct View {
-    origin: Vec3,
+pub struct View {
+    /// Where the camera is, about the wall's centre [m].
+    pub origin: Vec3,
     /// Rows of the rotation from the camera to the world, and back.
     to_world: [Vec3; 3],
     to_camera: [Vec3; 3],
     center: [f64; 3],
-    leds: Vec<Led>,
-    exposure: f32,
-    shadows: bool,
+    /// LEDs about the wall's centre.
+    pub leds: Vec<Led>,
+    /// Factor from radiance to linear image value.
+    pub exposure: f32,
+    /// Whether things cast shadows.
+    pub shadows: bool,
 }
 
 impl View {
@@ -59,19 +65,22 @@ impl View {
 
 /// Channels of an image, or of a row of its tiles; those not asked for are absent.
 #[derive(Default)]
-struct Channels<'a> {
-    rgb: Option<&'a mut [u8]>,
-    radiance: Option<&'a mut [f32]>,
+pub struct Channels<'a> {
+    pub rgb: Option<&'a mut [u8]>,
+    pub radiance: Option<&'a mut [f32]>,
     depth: Option<&'a mut [f32]>,
     ray_distance: Option<&'a mut [f32]>,
     normal: Option<&'a mut [f32]>,
     label: Option<&'a mut [u8]>,
     instance: Option<&'a mut [u16]>,
-    albedo: Option<&'a mut [f32]>,
+    pub albedo: Option<&'a mut [f32]>,
     arc_length: Option<&'a mut [f32]>,
     position: Option<&'a mut [f32]>,
     face: Option<&'a mut [i32]>,
     weights: Option<&'a mut [f32]>,
+    pub front_label: Option<&'a mut [u8]>,
+    pub front_instance: Option<&'a mut [u16]>,
+    pub front_depth: Option<&'a mut [f32]>,
 }
 
 impl<'a> Channels<'a> {
@@ -91,6 +100,9 @@ impl<'a> Channels<'a> {
         let (mut label, mut instance) = (cut(self.label, n), cut(self.instance, n));
         let (mut albedo, mut arc_length) = (cut(self.albedo, n * 3), cut(self.arc_length, n));
         let (mut face, mut weights) = (cut(self.face, n), cut(self.weights, n * 2));
+        let (mut front_label, mut front_depth) =
+            (cut(self.front_label, n), cut(self.front_depth, n));
+        let mut front_instance = cut(self.front_instance, n);
         (0..count)
             .map(|_| Channels {
                 rgb: rgb.next().flatten(),
@@ -105,11 +117,15 @@ impl<'a> Channels<'a> {
                 position: position.next().flatten(),
                 face: face.next().flatten(),
                 weights: weights.next().flatten(),
+                front_label: front_label.next().flatten(),
+                front_instance: front_instance.next().flatten(),
+                front_depth: front_depth.next().flatten(),
             })
             .collect()
     }
 
-    fn wants_color(&self) -> bool {
+    /// Whether light is to be computed.
+    pub fn wants_color(&self) -> bool {
         self.rgb.is_some() || self.radiance.is_some() || self.albedo.is_some()
     }
 }
@@ -118,7 +134,7 @@ impl<'a> Channels<'a> {
 ///
 /// `leds` holds position [m], direction, intensity [W/sr] and lobe exponent of each in the world.
 #[pyfunction]
-#[pyo3(signature = (wall, scene, rays, pose, leds, out, *, exposure, shadows))]
+#[pyo3(signature = (wall, scene, rays, pose, leds, out, *, exposure, shadows, contents=None))]
 #[allow(clippy::too_many_arguments)] // the one door from Python
 pub fn render(
     py: Python<'_>,
@@ -130,6 +146,7 @@ pub fn render(
     out: &Bound<'_, PyDict>,
     exposure: f32,
     shadows: bool,
+    contents: Option<&Contents>,
 ) -> PyResult<()> {
     if scene.data.faces.len() != wall.faces.len()
         || scene.data.arc_length.len() != wall.vertices.len()
@@ -152,6 +169,9 @@ pub fn render(
     let mut position = take::<f32>(out, "position", shape, 3)?;
     let mut face = take::<i32>(out, "face", shape, 1)?;
     let mut weights = take::<f32>(out, "weights", shape, 2)?;
+    let mut front_label = take::<u8>(out, "front_label", shape, 1)?;
+    let mut front_instance = take::<u16>(out, "front_instance", shape, 1)?;
+    let mut front_depth = take::<f32>(out, "front_depth", shape, 1)?;
     let channels = Channels {
         rgb: slice(&mut rgb)?,
         radiance: slice(&mut radiance)?,
@@ -165,14 +185,22 @@ pub fn render(
         position: slice(&mut position)?,
         face: slice(&mut face)?,
         weights: slice(&mut weights)?,
+        front_label: slice(&mut front_label)?,
+        front_instance: slice(&mut front_instance)?,
+        front_depth: slice(&mut front_depth)?,
     };
     py.detach(|| {
         let columns = rays.columns();
+        let filled = contents.map(|c| Filled::new(wall, &scene.data, c, &view));
         let bands = channels.bands(rays.width, rays.tiles.len() / columns);
         bands.into_par_iter().enumerate().for_each(|(row, mut band)| {
             let tiles = &rays.tiles[row * columns..(row + 1) * columns];
             let height = (rays.height - row * TILE).min(TILE);
-            render_band(wall, &scene.data, &view, tiles, (rays.width, height), &mut band);
+            let size = (rays.width, height);
+            match &filled {
+                Some(filled) => render_filled_band(filled, tiles, size, &mut band),
+                None => render_band(wall, &scene.data, &view, tiles, size, &mut band),
+            }
         });
     });
     Ok(())
@@ -221,15 +249,26 @@ fn render_band(
     }
 }
 
-#[inline(always)]
-fn render_tile(
-    wall: &Wall,
-    scene: &SceneData,
-    view: &View,
-    tile: &TileRays,
-    place: Place,
+#[multiversion::multiversion(targets(
+    "x86_64+avx512f+avx512bw+avx512cd+avx512dq+avx512vl",
+    "x86_64+avx2",
+    "aarch64+neon"
+))]
+fn render_filled_band(
+    filled: &Filled<'_>,
+    tiles: &[TileRays],
+    size: (usize, usize),
     out: &mut Channels<'_>,
 ) {
+    let mut room = Room::default();
+    for (column, tile) in tiles.iter().enumerate() {
+        filled.render_tile(tile, Place { column: column * TILE, size }, &mut room, out);
+    }
+}
+
+/// The rays of a tile in the world, and where they meet the wall.
+#[inline(always)]
+pub fn primary(wall: &Wall, view: &View, tile: &TileRays) -> (Pyramid, Hits) {
     let mut reach = [0.0; LANES];
     for i in 0..LANES {
         reach[i] = if tile.used[i] { REACH } else { 0.0 };
@@ -239,6 +278,19 @@ fn render_tile(
     if tile.any {
         trace::<false>(&wall.bvh, view.origin, &rays, wall.extent, &mut hits);
     }
+    (rays, hits)
+}
+
+#[inline(always)]
+fn render_tile(
+    wall: &Wall,
+    scene: &SceneData,
+    view: &View,
+    tile: &TileRays,
+    place: Place,
+    out: &mut Channels<'_>,
+) {
+    let (rays, hits) = primary(wall, view, tile);
     let found = attributes(wall, scene, view.origin, &rays.directions, &hits);
     if out.wants_color() {
         let surface = surface(scene, &found, &hits.distance, tile.pixel_angle);
@@ -250,8 +302,9 @@ fn render_tile(
     write_geometry(view, tile, &hits, &found, place, out);
 }
 
+/// Writes the channels of the surfaces met.
 #[inline(always)]
-fn write_geometry(
+pub fn write_geometry(
     view: &View,
     tile: &TileRays,
     hits: &Hits,
@@ -302,7 +355,7 @@ fn write_geometry(
 
 /// Where a tile lies in its band.
 #[derive(Clone, Copy)]
-struct Place {
+pub struct Place {
     column: usize,
     /// Width and height of the band [pixels].
     size: (usize, usize),
@@ -331,7 +384,7 @@ impl Place {
     }
 
     #[inline(always)]
-    fn write<T: Copy>(
+    pub fn write<T: Copy>(
         self,
         channel: &mut Option<&mut [T]>,
         values: &[T; LANES],
@@ -352,7 +405,7 @@ impl Place {
     }
 
     #[inline(always)]
-    fn write3(
+    pub fn write3(
         self,
         channel: &mut Option<&mut [f32]>,
         values: &Lane3,
@@ -372,7 +425,7 @@ impl Place {
     }
 
     #[inline(always)]
-    fn write_color(self, channel: &mut Option<&mut [u8]>, radiance: &Lane3, exposure: f32) {
+    pub fn write_color(self, channel: &mut Option<&mut [u8]>, radiance: &Lane3, exposure: f32) {
         if channel.is_none() {
             return;
         }

@@ -91,6 +91,16 @@ class RayTable:
     shape: tuple[int, int]
     def __init__(self, directions: NDArray[np.float32]) -> None: ...
 
+class Contents:
+    """What floats in a lumen at one instant, ready to be seen."""
+
+    def __init__(
+        self, wall: Wall, spheres: Any, film: Any, pools: tuple[Any, Any] | None, label: int
+    ) -> None: ...
+    def free(
+        self, wall: Wall, origin: tuple[float, float, float], points: NDArray[np.float64]
+    ) -> NDArray[np.bool_]: ...
+
 def render(
     wall: Wall,
     scene: Scene,
@@ -101,6 +111,7 @@ def render(
     *,
     exposure: float,
     shadows: bool,
+    contents: Contents | None = None,
 ) -> None: ...
 def encode_srgb(radiance: NDArray[np.float32], exposure: float) -> NDArray[np.uint8]: ...
 def quantize(values: NDArray[np.float32], scale: float, offset: float) -> NDArray[np.uint16]: ...

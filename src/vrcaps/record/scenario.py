@@ -23,6 +23,7 @@ from vrcaps.organ.surface import OrganSurface
 from vrcaps.record.typed import from_plain, to_plain
 from vrcaps.render.frame import CHANNELS
 from vrcaps.render.settings import RenderSettings
+from vrcaps.tissue.contents.contents import Contents
 from vrcaps.units import parse_length
 from vrcaps.world.fly_through import FlyThrough, fly_through
 from vrcaps.world.model import Model, posture_transform
@@ -101,6 +102,7 @@ class Scenario:
         render: How to render.
         lesions: What to put into the organ; number k becomes instance k, counted from 1.
         clean_twin: Show the same patient without the lesions; the motion stays as it is with them.
+        contents: What floats in the lumen.
     """
 
     organ: OrganGenerated | OrganFile = field(default_factory=OrganGenerated)
@@ -114,6 +116,7 @@ class Scenario:
     render: RenderSettings = field(default_factory=RenderSettings)
     lesions: tuple[AnyLesion, ...] = ()
     clean_twin: bool = False
+    contents: Contents = field(default_factory=Contents)
 
 
 def read_scenario(path: str | Path) -> Scenario:
@@ -213,11 +216,11 @@ def build(scenario: Scenario, device: Device) -> tuple[Model, Trajectory]:
         InputError: If the organ cannot be made or the capsule cannot move in it as asked.
     """
     T_world_patient = posture_transform(scenario.posture)
-    model = Model(_load_patient(scenario), device, T_world_patient)
+    model = Model(_load_patient(scenario), device, T_world_patient, scenario.contents)
     trajectory = make_trajectory(scenario, model)
     if scenario.clean_twin:
         twin = _load_patient(scenario, clean=True)
-        model = Model(twin, device, T_world_patient)
+        model = Model(twin, device, T_world_patient, scenario.contents)
     return model, trajectory
 
 

@@ -118,7 +118,7 @@ impl Optics {
         &self,
         origin: Vec3,
         directions: &Lane3,
-        leds: &[Led],
+        (leds, distance): (&[Led], &Lane),
         wet: &Wet,
         radiance: &mut Lane3,
     ) {
@@ -129,7 +129,7 @@ impl Optics {
             let mut color = [0, 1, 2]
                 .map(|k| radiance[k][i] * exp2(-LOG2_E * self.extinction(k) * length) + glow[k]);
             if wet.under[i] != wet.sunk[i] {
-                color = self.through_surface(origin, direction, leds, wet, (i, color));
+                color = self.through_surface(origin, direction, leds, wet, (i, distance[i], color));
             }
             for k in 0..3 {
                 radiance[k][i] = color[k];
@@ -175,7 +175,7 @@ impl Optics {
         direction: Vec3,
         leds: &[Led],
         wet: &Wet,
-        (i, color): (usize, Vec3),
+        (i, far, color): (usize, f32, Vec3),
     ) -> Vec3 {
         let under = wet.under[i];
         let crossing = if under { wet.end[i] } else { wet.start[i] };
@@ -199,8 +199,17 @@ impl Optics {
                 0.0
             };
             for k in 0..3 {
-                let around = share * self.color[k] / (PI * square);
-                mirrored[k] += led.intensity[k] * lobe * (image + around);
+                mirrored[k] += led.intensity[k] * lobe * image;
+            }
+        }
+        // What the surface mirrors is as far off as what lies behind it.
+        let behind = add(origin, scale(direction, far));
+        for led in leds {
+            let offset = sub(led.position, behind);
+            let square = max(dot(offset, offset), 1e-8);
+            let power = share * led_lobe(led, normalize(offset)) / (PI * square);
+            for k in 0..3 {
+                mirrored[k] += led.intensity[k] * power * self.color[k];
             }
         }
         if under {

@@ -97,7 +97,8 @@ impl<'a> Filled<'a> {
             radiance = self.light(&surface, &found.hit, wet.as_ref(), room);
             place.write3(&mut out.albedo, &surface.albedo, &found.hit, f32::NAN);
             if let (Some(wet), Some(optics)) = (&wet, self.optics()) {
-                optics.cover(view.origin, &rays.directions, &view.leds, wet, &mut radiance);
+                let lit = (&view.leds[..], &hits.distance);
+                optics.cover(view.origin, &rays.directions, lit, wet, &mut radiance);
             }
         }
         let eye = Eye { origin: view.origin, rays: &rays, pixel_angle: tile.pixel_angle };
@@ -173,8 +174,11 @@ impl<'a> Filled<'a> {
             let own = sub(at(&surface.position, i), sphere.center);
             let lump = Lattice::new(sphere.number, size).displacement(own);
             let grain = Lattice::new(!sphere.number, 0.5 * size).displacement(own);
-            let normal = [0, 1, 2].map(|k| surface.normal[k][i] + 0.5 * lump[k] + 0.3 * grain[k]);
-            let normal = normalize(normal);
+            let smooth = at(&surface.normal, i);
+            let rough = [0, 1, 2].map(|k| smooth[k] + 0.4 * lump[k] + 0.25 * grain[k]);
+            // Lumps that turn away from the viewer are not seen.
+            let away = min(dot(rough, at(&surface.view, i)) - 0.05, 0.0);
+            let normal = normalize(sub(rough, scale(at(&surface.view, i), away)));
             let shade = 1.0 + 0.25 * lump[0] + 0.2 * grain[1];
             for k in 0..3 {
                 surface.normal[k][i] = normal[k];

@@ -37,15 +37,15 @@ class Bubbles:
 
     per_area: float = 0.8 / CM2
     raft_size: float = 6.0
-    radius: float = 0.9 * MM
+    radius: float = 0.65 * MM
     spread: float = 0.5
     smallest: float = 0.2 * MM
     largest: float = 4.0 * MM
     rising: float = 0.4
     burst_rate: float = 0.02
     ior: float = 1.333
-    border: float = 0.09
-    gleam: float = 0.45
+    border: float = 0.08
+    gleam: float = 0.3
     stain: tuple[float, float, float] = (0.5, 0.65, 1.0)
     roughness: float = 0.03
     color: tuple[float, float, float] = (0.62, 0.5, 0.34)
@@ -83,6 +83,6 @@ BUBBLE_GRADES: tuple[Bubbles, ...] = (
     Bubbles(per_area=0.25 / CM2, raft_size=3.0),
     Bubbles(per_area=1.0 / CM2, raft_size=7.0),
     Bubbles(per_area=4.0 / CM2, raft_size=14.0),
-    Bubbles(per_area=16.0 / CM2, raft_size=40.0, radius=0.8 * MM, spread=0.6),
+    Bubbles(per_area=16.0 / CM2, raft_size=40.0, radius=0.55 * MM, spread=0.6),
 )
 """Bubbles by grade, 0 (none) to 4 (foam)."""

@@ -32,15 +32,15 @@ class Chyme:
 
     per_area: float = 1.0 / CM2
     clump_size: float = 8.0
-    radius: float = 0.5 * MM
+    radius: float = 0.35 * MM
     spread: float = 0.45
     smallest: float = 0.1 * MM
-    largest: float = 3.0 * MM
+    largest: float = 1.5 * MM
     settled: float = 0.5
     white: float = 0.35
     density: float = 1050.0
-    yellow_color: tuple[float, float, float] = (0.58, 0.42, 0.08)
-    white_color: tuple[float, float, float] = (0.75, 0.7, 0.55)
+    yellow_color: tuple[float, float, float] = (0.3, 0.22, 0.05)
+    white_color: tuple[float, float, float] = (0.34, 0.31, 0.24)
 
     def __post_init__(self) -> None:
         for name in ("per_area", "spread"):
@@ -56,9 +56,9 @@ class Chyme:
 
 CHYME_GRADES: tuple[Chyme, ...] = (
     Chyme(per_area=0.0),
-    Chyme(per_area=0.4 / CM2, clump_size=4.0),
-    Chyme(per_area=2.0 / CM2, clump_size=8.0),
-    Chyme(per_area=8.0 / CM2, clump_size=16.0),
-    Chyme(per_area=24.0 / CM2, clump_size=40.0, radius=0.6 * MM),
+    Chyme(per_area=0.6 / CM2, clump_size=5.0),
+    Chyme(per_area=3.0 / CM2, clump_size=12.0),
+    Chyme(per_area=12.0 / CM2, clump_size=25.0),
+    Chyme(per_area=40.0 / CM2, clump_size=60.0, radius=0.45 * MM),
 )
 """Chyme by grade, 0 (none) to 4 (much of the wall hidden)."""

@@ -11,7 +11,7 @@ from vrcaps._core import Wall
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.tissue.contents.contents import Contents
 from vrcaps.tissue.contents.place import place_bubbles, place_chyme
-from vrcaps.tissue.contents.pools import Pools, find_pools
+from vrcaps.tissue.contents.pools import Pools, cut_sections, find_pools
 from vrcaps.tissue.contents.spheres import Spheres, joined, parted
 from vrcaps.transforms import transform_points
 
@@ -74,5 +74,7 @@ def fill(
         place_chyme(organ, wall, chyme, up, rngs[1]),
     )
     centers = transform_points(T_world_patient, spheres.centers)
-    pools = find_pools(organ, liquid, T_world_patient) if liquid.fill > 0.0 else None
+    pools = None
+    if liquid.fill > 0.0:
+        pools = find_pools(organ, cut_sections(organ), liquid, T_world_patient)
     return Filling(contents, replace(spheres, centers=centers), pools)

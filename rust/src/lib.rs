@@ -32,6 +32,8 @@ fn _core(m: &Bound<'_, PyModule>) -> PyResult<()> {
     m.add_class::<fem::layer::FemLayer>()?;
     m.add_class::<physics::world::World>()?;
     m.add_class::<contents::Contents>()?;
+    m.add_class::<contents::swarm::Swarm>()?;
+    m.add_function(wrap_pyfunction!(contents::swarm::terminal_speed, m)?)?;
     m.add_class::<scene::Scene>()?;
     m.add_class::<texture::Texture>()?;
     m.add_class::<rays::RayTable>()?;

@@ -91,6 +91,26 @@ class RayTable:
     shape: tuple[int, int]
     def __init__(self, directions: NDArray[np.float32]) -> None: ...
 
+class Swarm:
+    """Bubbles and particles that move; positions are about `Wall.center`."""
+
+    floats: NDArray[np.float64]
+    count: int
+    def __init__(
+        self,
+        wall: Wall,
+        spheres: Any,
+        laws: Any,
+        tangents: NDArray[np.float64],
+        spacing: float,
+    ) -> None: ...
+    def step(self, wall: Wall, around: Any, dt: float) -> tuple[Vector, Vector]: ...
+    def masses(self) -> list[float]: ...
+
+def terminal_speed(
+    radius: float, density: float, liquid_density: float, viscosity: float, gravity: float
+) -> float: ...
+
 class Contents:
     """What floats in a lumen at one instant, ready to be seen."""
 

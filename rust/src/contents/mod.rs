@@ -1,8 +1,10 @@
 //! What floats in the lumen: bubbles, particles and pools of liquid.
 
 pub mod bubble;
+mod drag;
 pub mod liquid;
 pub mod spheres;
+pub mod swarm;
 pub mod tile;
 
 use crate::lanes::Vec3;

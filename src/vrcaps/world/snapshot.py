@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -29,6 +29,7 @@ class Snapshot:
         calibre: Lumen's radius at the stations, as a share of that at rest.
         driven: Wall vertices as muscle and gas alone would have them [m].
         yields: How far each vertex gives way [m] and at which velocity [m/s].
+        afloat: What floats in the lumen; empty where nothing does.
     """
 
     seed: int
@@ -39,11 +40,12 @@ class Snapshot:
     calibre: Float[np.ndarray, " k"]
     driven: Float[np.ndarray, "n 3"]
     yields: Float[np.ndarray, "n 6"]
+    afloat: Float[np.ndarray, " q"] = field(default_factory=lambda: np.zeros(0))
 
 
 def write_snapshot(path: Path, snapshot: Snapshot) -> None:
     """Write a snapshot as a NumPy archive (.npz)."""
-    arrays = {field.name: getattr(snapshot, field.name) for field in fields(Snapshot)}
+    arrays = {f.name: getattr(snapshot, f.name) for f in fields(Snapshot)}
     with path.open("wb") as file:
         np.savez_compressed(file, **arrays)
 
@@ -56,7 +58,7 @@ def read_snapshot(path: Path) -> Snapshot:
     """
     try:
         with np.load(path) as file:
-            arrays = {field.name: file[field.name] for field in fields(Snapshot)}
+            arrays = {f.name: file[f.name] for f in fields(Snapshot)}
     except (OSError, ValueError, KeyError) as error:
         raise InputError(f"{path} is no snapshot of a world: {error}.") from error
     plain = {name: arrays[name].item() for name in ("seed", "time", "began")}

@@ -57,7 +57,7 @@ struct PoolArrays<'py> {
 }
 
 /// What floats in a lumen at one instant, ready to be seen.
-#[pyclass(frozen, module = "vrcaps._core")]
+#[pyclass(module = "vrcaps._core")]
 pub struct Contents {
     /// Bubbles.
     pub bubbles: Spheres,
@@ -99,6 +99,19 @@ impl Contents {
         };
         let (bubbles, chyme) = (Spheres::build(bubbles), Spheres::build(chyme));
         Ok(Contents { bubbles, chyme, film, pools, label })
+    }
+
+    /// Moves all spheres to new centres [n 3] in the wall's outside world.
+    fn move_to(&mut self, wall: &Wall, centers: PyReadonlyArray2<'_, f64>) -> PyResult<()> {
+        let rows = centers.as_array();
+        let count = self.bubbles.all.len() + self.chyme.all.len();
+        if rows.dim() != (count, 3) || !rows.iter().all(|x| x.is_finite()) {
+            return Err(PyValueError::new_err("Spheres move to as many finite centres."));
+        }
+        let place = |k: usize| wall.localize([0, 1, 2].map(|axis| rows[[k, axis]]));
+        self.bubbles.move_to(place);
+        self.chyme.move_to(place);
+        Ok(())
     }
 
     /// Whether particles leave the straight way from `origin` to each point free [n].

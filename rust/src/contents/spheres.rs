@@ -51,6 +51,23 @@ impl Spheres {
         Spheres { nodes, all }
     }
 
+    /// Moves the spheres to new centres, by their numbers; the tree stays.
+    pub fn move_to(&mut self, center: impl Fn(usize) -> Vec3) {
+        for sphere in &mut self.all {
+            sphere.center = center(sphere.number as usize);
+        }
+        for n in (0..self.nodes.len()).rev() {
+            for k in 0..WIDTH {
+                let bounds = match Child::of(self.nodes[n].children[k]) {
+                    Child::Node(child) => self.nodes[child].union(),
+                    Child::Leaf(range) if range.is_empty() => continue,
+                    Child::Leaf(range) => bounds(&self.all[range]),
+                };
+                self.nodes[n].set(k, bounds);
+            }
+        }
+    }
+
     /// The spheres that rays may meet nearer than `farthest`, in no particular order.
     #[inline(always)]
     pub fn gather(
@@ -70,10 +87,11 @@ impl Spheres {
                 if rays.closed && rays.sides.iter().any(|side| dot(*side, offset) < reach) {
                     continue;
                 }
-                let power = dot(offset, offset) - sphere.radius * sphere.radius;
-                if power > farthest * farthest {
+                let square = dot(offset, offset);
+                if square.sqrt() - 1.0001 * sphere.radius > farthest {
                     continue;
                 }
+                let power = square - sphere.radius * sphere.radius;
                 found.push(Near { power, index: index as u32 });
             }
         });

@@ -212,14 +212,18 @@ class Renderer:
         return rest.around_capsule(state.T_world_capsule, device.length, device.radius)
 
     def _core_contents(self, filling: Filling, wall: _core.Wall, slot: str) -> _core.Contents:
-        """The filling ready to be traced; kept as long as neither it nor the wall is another."""
+        """The filling ready to be traced; where only its spheres have moved, their tree is kept."""
         kept = self._contents.get(slot)
-        if kept is None or kept[0] is not filling or kept[1] is not wall:
+        if kept is not None and kept[1] is wall and _differ_in_place(kept[0], filling):
+            if kept[0] is not filling:
+                kept[2].move_to(wall, np.ascontiguousarray(filling.spheres.centers))
+        else:
             bubbles, _, liquid = filling.contents.resolved
             pools = None if filling.pools is None else (filling.pools, liquid)
             label = len(self.model.organ.label_names)
             made = _core.Contents(wall, filling.spheres, bubbles, pools, label)
-            kept = self._contents[slot] = (filling, wall, made)
+            kept = (filling, wall, made)
+        self._contents[slot] = (filling, *kept[1:])
         return kept[2]
 
     def _table(self, camera: Camera, supersampling: int) -> _core.RayTable:
@@ -228,6 +232,11 @@ class Renderer:
             table = _core.RayTable(camera_rays(camera, supersampling))
             self._tables[key] = (camera, table)  # holding the camera keeps its id its own
         return self._tables[key][1]
+
+
+def _differ_in_place(one: Filling, other: Filling) -> bool:
+    """Whether two fillings are of the same spheres and pools."""
+    return one.spheres.radius is other.spheres.radius and one.pools is other.pools
 
 
 def _check_channels(

@@ -11,7 +11,7 @@ from vrcaps import _core
 from vrcaps.capsule.body import Body
 from vrcaps.errors import InputError
 from vrcaps.tissue.contents.filling import Filling
-from vrcaps.tissue.contents.pools import Pools, Sections, cut_sections, find_pools, submerged
+from vrcaps.tissue.contents.pools import Sections, cut_sections, find_pools, submerged
 from vrcaps.tissue.stations import stations
 from vrcaps.transforms import invert, matrix_from_quaternion, transform_points
 from vrcaps.world.model import Model

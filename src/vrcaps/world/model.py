@@ -73,7 +73,6 @@ class Model:
         faces = np.ascontiguousarray(self.organ.faces, np.int64)
         return Wall(np.ascontiguousarray(self.vertices_world), faces)
 
-
     @cached_property
     def filling(self) -> Filling | None:
         """The contents at rest; None where there are none."""

@@ -195,7 +195,11 @@ class World:
         return self._core.inside()
 
     def _advance(
-        self, dt: float, wrench: Float[np.ndarray, " 6"], gravity: tuple[float, ...], insufflation: float
+        self,
+        dt: float,
+        wrench: Float[np.ndarray, " 6"],
+        gravity: tuple[float, ...],
+        insufflation: float,
     ) -> None:
         """Moves on by `dt`: in one go, or where the muscle propels the capsule in short pieces."""
         calibre = self._calibre_at(self._time + dt, insufflation)

@@ -40,7 +40,7 @@ class Chyme:
     white: float = 0.35
     density: float = 1050.0
     yellow_color: tuple[float, float, float] = (0.3, 0.22, 0.05)
-    white_color: tuple[float, float, float] = (0.34, 0.31, 0.24)
+    white_color: tuple[float, float, float] = (0.42, 0.36, 0.24)
 
     def __post_init__(self) -> None:
         for name in ("per_area", "spread"):

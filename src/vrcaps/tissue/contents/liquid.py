@@ -30,7 +30,7 @@ class Liquid:
     absorption: tuple[float, float, float] = (35.0, 55.0, 190.0)
     scattering: tuple[float, float, float] = (14.0, 13.0, 6.0)
     roughness: float = 0.02
-    color: tuple[float, float, float] = (0.55, 0.42, 0.28)
+    color: tuple[float, float, float] = (0.3, 0.2, 0.12)
 
     def __post_init__(self) -> None:
         require(0.0 <= self.fill < 1.0, "Liquid's fill", self.fill, "0 to below 1")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -67,8 +68,9 @@ def cut_sections(organ: OrganSurface) -> Sections:
     radius = _radii(organ, edges)
     centers, frames, _ = interpolate(organ.centerline, middle)
     angle = 2.0 * np.pi * (np.arange(_AROUND) + 0.5) / _AROUND - np.pi
-    way = np.cos(angle)[:, None] * frames[:, None, :, 0] + np.sin(angle)[:, None] * (
-        frames[:, None, :, 1]
+    way = (
+        np.cos(angle)[:, None] * frames[:, None, :, 0]
+        + np.sin(angle)[:, None] * (frames[:, None, :, 1])
     )
     # Rings of equal area, sampled at the middle of each.
     share = np.sqrt((np.arange(_RINGS) + 0.5) / _RINGS)
@@ -160,7 +162,7 @@ def _dips(floor: Float[np.ndarray, " k"]) -> list[tuple[int, int]]:
     inner = np.arange(1, len(floor) - 1)
     is_crest = (floor[inner] >= floor[inner - 1]) & (floor[inner] > floor[inner + 1])
     ends = [0, *inner[is_crest].tolist(), len(floor) - 1]
-    return list(zip(ends[:-1], ends[1:], strict=True))
+    return list(pairwise(ends))
 
 
 def _level(

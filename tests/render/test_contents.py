@@ -71,7 +71,9 @@ def test_a_particle_is_a_surface_in_every_channel(organ: OrganSurface, lens: str
     center = T[:3, :3].T @ (np.array(BALL) - T[:3, 3])
     radius = 2.0 * MM
     seen = renderer.render(
-        filled(state, balls(BALL, radius, WHITE)), camera, channels=(*GEOMETRY, "arc_length", *FRONT)
+        filled(state, balls(BALL, radius, WHITE)),
+        camera,
+        channels=(*GEOMETRY, "arc_length", *FRONT),
     )
     empty = renderer.render(state, camera, channels=GEOMETRY)
     rays = camera_rays(camera).astype(float)
@@ -128,13 +130,13 @@ def test_the_nearest_of_many_spheres_wins(organ: OrganSurface, rng: np.random.Ge
     way = rng.standard_normal((300, 3))
     centers = way / np.linalg.norm(way, axis=1, keepdims=True) * rng.uniform(5, 19, (300, 1)) * MM
     radius = rng.uniform(0.05, 1.5, 300) * MM
-    seen = renderer.render(
-        filled(state, balls(centers, radius, YELLOW)), camera, channels=GEOMETRY
-    )
+    seen = renderer.render(filled(state, balls(centers, radius, YELLOW)), camera, channels=GEOMETRY)
     bare = renderer.render(state, camera, channels=("ray_distance",)).ray_distance
     T = state.T_world_capsule @ camera.T_capsule_camera
     rays = camera_rays(camera).astype(float)
-    ways = np.stack([crossing(rays, T[:3, :3].T @ c, r) for c, r in zip(centers, radius, strict=True)])
+    ways = np.stack(
+        [crossing(rays, T[:3, :3].T @ c, r) for c, r in zip(centers, radius, strict=True)]
+    )
     first = np.where(np.isfinite(ways), ways, np.inf)
     nearest = np.minimum(first.min(axis=0), bare)
     known = np.isfinite(rays[..., 0])

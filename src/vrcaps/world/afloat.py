@@ -119,7 +119,7 @@ class Afloat:
             return force, torque
         up = self._up()
         lift = self._liquid.density * gravity * volume * up
-        middle = transform_points(invert(self._posture), place) - self._center
+        middle = transform_points(invert(self._posture), place[None])[0] - self._center
         velocity = np.array(pose[2])
         whole = submerged((ends[0], ends[1]), self._body.radius, np.inf)[0]
         area = np.pi * self._body.radius**2 * volume / whole

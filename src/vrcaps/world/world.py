@@ -145,13 +145,18 @@ class World:
         T_world_patient = self._T_world_patient
         if control.T_world_patient is not None:
             T_world_patient = control.T_world_patient
-        if self._afloat is not None:
-            self._afloat.turn(T_world_patient)
         to_patient = invert(T_world_patient)
         acts = np.array([control.force_world, control.torque_world, (0.0, 0.0, -GRAVITY)], float)
         force, torque, gravity = rotate_vectors(to_patient, acts)
         wrench = np.array([*force, *torque])
-        self._advance(dt, wrench, tuple(gravity), control.insufflation)
+        if self._afloat is not None:
+            self._afloat.turn(T_world_patient)
+        try:
+            self._advance(dt, wrench, tuple(gravity), control.insufflation)
+        except InputError:
+            if self._afloat is not None:
+                self._afloat.turn(self._T_world_patient)
+            raise
         self._T_world_patient = T_world_patient
 
     def snapshot(self) -> Snapshot:

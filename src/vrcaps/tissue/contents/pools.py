@@ -177,8 +177,9 @@ def _level(
     inside = slice(first, last + 1)
     heights, weights = height[inside].ravel(), volumes[inside].ravel()
     order = np.argsort(heights)
-    below = np.cumsum(weights[order])
-    wanted = float(np.interp(fill * below[-1], below, heights[order]))
+    below = np.append(0.0, np.cumsum(weights[order]))
+    steps = np.append(floor[inside].min(), heights[order])
+    wanted = float(np.interp(fill * below[-1], below, steps))
     left = np.inf if first == 0 else floor[first]
     right = np.inf if last == len(floor) - 1 else floor[last]
     return min(wanted, float(left), float(right))

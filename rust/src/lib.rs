@@ -4,6 +4,7 @@
 #![allow(clippy::needless_range_loop)]
 
 mod bvh;
+mod channels;
 mod contents;
 mod cpu;
 mod fem;
@@ -38,7 +39,7 @@ fn _core(m: &Bound<'_, PyModule>) -> PyResult<()> {
     m.add_class::<texture::Texture>()?;
     m.add_class::<rays::RayTable>()?;
     m.add_function(wrap_pyfunction!(render::render, m)?)?;
-    m.add_function(wrap_pyfunction!(render::encode_srgb, m)?)?;
+    m.add_function(wrap_pyfunction!(channels::encode_srgb, m)?)?;
     m.add_function(wrap_pyfunction!(image::write_pngs, m)?)?;
     m.add_function(wrap_pyfunction!(image::quantize, m)?)?;
     m.add_function(wrap_pyfunction!(image::read_png, m)?)?;

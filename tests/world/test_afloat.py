@@ -11,8 +11,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-sys.path[:0] = [str(Path(__file__).parent), str(Path(__file__).parents[1] / "tissue")]
-
 from guts import straight_gut
 
 from vrcaps import _core
@@ -237,7 +235,7 @@ def test_a_heavy_capsule_rests_on_the_floor_lighter_by_its_liquid(gut: OrganSurf
 def run(threads: str) -> str:
     here = Path(__file__)
     code = (
-        f"import sys; sys.path[:0] = [{str(here.parent)!r}]\n"
+        f"import sys; sys.path[:0] = [{str(here.parent)!r}, {str(here.parents[1] / 'tissue')!r}]\n"
         f"import {here.stem} as test\nprint(test.digest())"
     )
     done = subprocess.run(

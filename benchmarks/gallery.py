@@ -149,8 +149,15 @@ def of_lesions(organ: str, texts: tuple[str, ...], seed: int = 0) -> list[Tile]:
     """Each lesion from where it is seen best."""
     rng = np.random.default_rng([seed, 5])
     model, states = at_lesions(organ, seed, texts, vrcaps.load_device("mirocam"), rng)
-    names = [text.partition(":")[0] for text in texts]
-    return [(image, name) for (image, _), name in zip(frames(model, states), names, strict=True)]
+    shown = frames(model, states)
+    return [(image, caption(text)) for (image, _), text in zip(shown, texts, strict=True)]
+
+
+def caption(text: str) -> str:
+    """Name of a lesion and, of a polyp, its surface."""
+    name, _, settings = text.partition(":")
+    pattern = [item.removeprefix("pattern=") for item in settings.split(",") if "pattern" in item]
+    return " ".join((name, *pattern))
 
 
 def of_colitis() -> list[Tile]:
@@ -225,7 +232,7 @@ SHEETS = (
         "Polyps",
         "Rows: Paris Ip, Is, IIa, IIb, IIc. Columns: "
         + ", ".join(PATTERNS)
-        + " surface. 10 to 14 mm, each at a place drawn at random.",
+        + " surface. 10 to 14 mm, each at a place drawn at random; IIb are flat and hard to see.",
         _record("--lesion polyp-Ip:pattern=villous,size=14mm", "--lesion polyp-IIa-serrated"),
         partial(of_lesions, "colon", POLYPS),
         5,
@@ -287,9 +294,11 @@ HEAD = """# Gallery
 
 What generated patients look like: every organ and segment, every kind and grade of lesion. One
 script with fixed seeds draws it all, `python benchmarks/gallery.py`: direct light of the capsules'
-own LEDs with shadows and their own lenses; no picture is chosen by hand. The commands below each
-sheet record such frames with all their labels. Here each frame is exposed to the same mean
-luminance, as a capsule adapts its light; a recording keeps the exposure that its capsule states.
+own LEDs with shadows and their own lenses; no picture is chosen by hand. Lesions are seen from the
+place, of 300 drawn in the lumen, where most of them is seen and they take a sixth of the view. The
+commands below each sheet record such frames with all their labels. Here each frame is exposed to
+the same mean luminance, as a capsule adapts its light; a recording keeps the exposure that its
+capsule states.
 
 """
 

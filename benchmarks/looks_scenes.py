@@ -11,16 +11,17 @@ import numpy as np
 from validation import ROOT
 
 import vrcaps
+from vrcaps import _core
 from vrcaps.capsule.device import Camera, Device, Led
 from vrcaps.capsule.lens.equidistant import LensEquidistant
-from vrcaps.metrics.color import luminance
 from vrcaps.organ.lesion import add_lesions, parse_lesion
 from vrcaps.organ.surface import OrganSurface
-from vrcaps.transforms import look_along, transform_from
+from vrcaps.transforms import invert, look_along, transform_from
 from vrcaps.units import DEG, MM
 from vrcaps.world.model import Model, State
 
 sys.path.append(str(ROOT / "docs" / "images"))  # the views that the pictures of lesions use
+from lesions import best_view, even_exposure
 
 SIDE_PX = 256
 SETTINGS = vrcaps.RenderSettings(supersampling=2, shadows=True)
@@ -129,36 +130,20 @@ def at_lesions(
     name: str, seed: int, texts: tuple[str, ...], device: Device, rng: np.random.Generator
 ) -> tuple[Model, list[State]]:
     """Each lesion of a patient from where it is seen best."""
-    from lesions import eye_of
-
     lesions = [parse_lesion(text) for text in texts]
     organ = add_lesions(vrcaps.load_organ(name, seed=seed), lesions, rng).organ
-    model = Model(organ, device)
-    plain = Model(organ, device, np.eye(4))
+    model, camera = Model(organ, device), device.cameras[0]
+    wall = Model(organ, device, np.eye(4)).wall
     states = []
     for record in organ.metadata["lesions"]:
-        own = organ.vertices[organ.instance == record["instance"]]
-        target = own[np.argmin(np.linalg.norm(own - own.mean(axis=0), axis=1))]
-        eye = eye_of(organ, plain.wall, record)
+        eye, target = best_view(organ, wall, record["instance"], camera)
         pose = transform_from(look_along(target - eye, rng.normal(size=3)), eye)
-        # Put the camera, not the capsule's middle, where the lesion is seen from.
-        pose = pose @ np.linalg.inv(device.cameras[0].T_capsule_camera)
-        states.append(State(0.0, model.T_world_patient @ pose))
+        # The camera, not the capsule's middle, is where the lesion is seen from.
+        states.append(State(0.0, model.T_world_patient @ pose @ invert(camera.T_capsule_camera)))
     return model, states
 
 
 def exposed(radiance: np.ndarray, mean_luminance: float) -> np.ndarray:
-    """SRGB with the exposure that an automatic control would choose.
-
-    The exposure is such that the mean luminance over the field of view, clipped at white, is
-    `mean_luminance`, as endoscopes and capsules adapt their light from frame to frame.
-    """
-    from vrcaps import _core
-
-    seen = radiance.any(axis=-1)
-    low, high = 0.0, 1e3 / max(float(radiance.mean()), 1e-12)
-    for _ in range(50):
-        exposure = 0.5 * (low + high)
-        value = luminance(np.minimum(radiance[seen] * exposure, 1.0)).mean()
-        low, high = (exposure, high) if value < mean_luminance else (low, exposure)
+    """SRGB with the exposure that an automatic control would choose, see `even_exposure`."""
+    exposure = even_exposure(radiance, mean_luminance)
     return _core.encode_srgb(np.ascontiguousarray(radiance, np.float32), exposure)

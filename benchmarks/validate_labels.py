@@ -26,10 +26,8 @@ from vrcaps.record.scenario import OrganFile, OrganGenerated, Scenario
 from vrcaps.transforms import invert, rotate_vectors, transform_points
 from vrcaps.world.fly_through import FlyThrough
 
-CHANNELS = (
-    "depth", "ray_distance", "normal", "label", "instance", "arc_length", "flow_forward",
-    "occlusion",
-)  # fmt: skip
+STILL_CHANNELS = ("depth", "ray_distance", "normal", "label", "instance", "arc_length")
+CHANNELS = (*STILL_CHANNELS, "flow_forward", "occlusion")
 MOTIONS = (FlyThrough(), FlyThrough(start=0.4, speed=0.01))
 """Through the whole organ; and slowly, for flow."""
 CAPSULES = ("mirocam", "pillcam-colon2", "panoramic")
@@ -58,7 +56,8 @@ class Written:
         self.label, self.instance = (
             face_label(attributes[key].astype(int), self.faces) for key in ("_LABEL", "_INSTANCE")
         )
-        self.caster = EmbreeCaster(np.asarray(mesh.vertices, float), self.faces)
+        self.vertices = np.asarray(mesh.vertices, float)
+        self.caster = EmbreeCaster(self.vertices, self.faces)
 
 
 _PER_VERTEX = ("_LABEL", "_INSTANCE", "_ARC_LENGTH")
@@ -117,7 +116,8 @@ def compare(episode: Episode, written: Written, tally: Tally) -> None:
         poses = episode.Ts_world_camera(camera.name)
         for index in range(len(episode) - 1):
             pair = (poses[index], poses[index + 1])
-            compare_frame(episode, written, camera, index, pair, tally)
+            compare_frame(episode, written, camera, index, pair[0], tally)
+            compare_flow(episode, written, camera, index, pair, tally)
 
 
 def compare_frame(
@@ -125,16 +125,16 @@ def compare_frame(
     written: Written,
     camera: Camera,
     index: int,
-    poses: tuple[np.ndarray, np.ndarray],
+    T_world_camera: np.ndarray,
     tally: Tally,
 ) -> None:
     """One image against Embree's hits of the same rays."""
     rays = camera_rays(camera).reshape(-1, 3).astype(float)
-    rays_world = rotate_vectors(poses[0], rays)
-    origin = np.broadcast_to(poses[0][:3, 3], rays.shape)
+    rays_world = rotate_vectors(T_world_camera, rays)
+    origin = np.broadcast_to(T_world_camera[:3, 3], rays.shape)
     distance, face, weights = written.caster.cast(origin, rays_world)
     frame = episode.frame(index, camera.name)
-    image = {name: getattr(frame, name).reshape(len(rays), -1) for name in CHANNELS}
+    image = {name: getattr(frame, name).reshape(len(rays), -1) for name in STILL_CHANNELS}
     seen = np.isfinite(image["depth"][:, 0])
     # Behind a camera that sees more than half a sphere z is no distance and is stored as invalid.
     expected_seen = (face >= 0) & (distance * rays[:, 2] >= 0.5 * STEP)
@@ -143,7 +143,7 @@ def compare_frame(
     tally.depth.append(np.abs(image["depth"][both, 0] - (distance * rays[:, 2])[both]))
     corners = written.faces[face[both]]
     normals = np.einsum("nc,ncx->nx", weights[both], written.normals[corners])
-    normals = rotate_vectors(invert(poses[0]), normals)
+    normals = rotate_vectors(invert(T_world_camera), normals)
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     towards = np.einsum("nx,nx->n", normals, rays[both]) < 0.0
     chord = np.linalg.norm(normals - image["normal"][both], axis=1)[towards]
@@ -153,10 +153,21 @@ def compare_frame(
     tally.label.append(same & (image["instance"][both, 0] == written.instance[face[both]]))
     arc = np.einsum("nc,nc->n", weights[both], written.arc_length[corners])
     tally.arc_length.append(np.abs(arc - image["arc_length"][both, 0]) <= 0.2e-3)
-    free = both[~image["occlusion"][both, 0] & np.isfinite(image["flow_forward"][both, 0])]
-    pixels = pixel_grid(camera.width, camera.height).reshape(-1, 2)[free]
-    targets = pixels + image["flow_forward"][free]
-    tally.flow_px.append(flow_error(written, camera, poses, pixels, targets))
+
+
+def compare_flow(
+    episode: Episode,
+    written: Written,
+    camera: Camera,
+    index: int,
+    poses: tuple[np.ndarray, np.ndarray],
+    tally: Tally,
+) -> None:
+    """`flow_forward` of one image, where the point is seen in the next."""
+    flow = episode.image(camera.name, "flow_forward", index)
+    free = np.isfinite(flow).all(axis=-1) & ~episode.image(camera.name, "occlusion", index)
+    pixels = pixel_grid(camera.width, camera.height)[free]
+    tally.flow_px.append(flow_error(written, camera, poses, pixels, pixels + flow[free]))
 
 
 def flow_error(

@@ -21,7 +21,8 @@ from looks_scenes import exposed, shots
 from PIL import Image
 from validation import ROOT, table, write_section
 
-from vrcaps.metrics.color import ImageColor, color_distance, image_color
+from vrcaps import _core
+from vrcaps.metrics.color import ImageColor, color_distance, image_color, linear_from_srgb
 
 DATA = ROOT.parent / "shared" / "data"
 PAGE = ROOT / "docs" / "gallery.md"
@@ -129,29 +130,49 @@ def bootstrap(
 
 
 def compare(name: str, discs: dict[str, list[np.ndarray]]) -> tuple[list, list]:
-    """Rows of the main table and of the table by channel."""
+    """Rows of the main table and of the table by channel.
+
+    The tuning half is the even real frames, held out are the odd ones.
+    """
     valid = valid_pixels(has_overlays(name))
-    ours, theirs, real = (
-        [image_color(image, valid) for image in discs[side]] for side in ("ours", "VR-Caps", "real")
-    )
+    colors = {
+        side: [image_color(image, valid) for image in images] for side, images in discs.items()
+    }
+    ours, theirs, real = (colors[side] for side in ("ours", "VR-Caps", "real"))
+    blind = [image_color(image, valid) for image in refitted(discs["ours"], discs["real"], valid)]
     found = np.array([totals(ours, real), totals(theirs, real)])
-    held_out = np.array([totals(ours, real[1::2]), totals(theirs, real[1::2])])
-    drawn = bootstrap(ours, theirs, real)
+    held_out = np.array([totals(blind, real[1::2]), totals(theirs, real[1::2])])
+    drawn = bootstrap(blind, theirs, real[1::2])
     low, high = np.quantile(drawn, (0.05, 0.95), axis=0)
     wins = (drawn[:, 0] < drawn[:, 1]).mean(axis=0)
     rows = []
     for k, statistic in enumerate(STATISTICS):
         cells = [
-            f"{found[side, k]:.2f} ({low[side, k]:.2f}–{high[side, k]:.2f})" for side in (0, 1)
+            f"{held_out[side, k]:.2f} ({low[side, k]:.2f}–{high[side, k]:.2f})" for side in (0, 1)
         ]
+        closer = ["yes" if x[0, k] < x[1, k] else "**no**" for x in (found, held_out)]
         rows.append(
             (
-                *(f"{name} ({len(real)})", statistic, *cells, f"{100 * wins[k]:.0f} %"),
-                f"{held_out[0, k]:.2f} / {held_out[1, k]:.2f}",
-                "yes" if found[0, k] < found[1, k] else "NO",
+                *(f"{name} ({len(real[::2])} + {len(real[1::2])})", statistic),
+                *(f"{found[0, k]:.2f} / {found[1, k]:.2f}", *cells, f"{100 * wins[k]:.0f} %"),
+                " / ".join(closer),
             )
         )
     return rows, by_channel(name, ours, theirs, real)
+
+
+def refitted(ours: list[np.ndarray], real: list[np.ndarray], valid: np.ndarray) -> list[np.ndarray]:
+    """Our frames as if palettes had been fitted to the tuning half of the real ones alone.
+
+    Palettes were fitted to the geometric means of red to green and green to blue over all real
+    frames of a class; the gains are what those means change by when half of the frames is left
+    out.
+    """
+    logs = np.log([linear_from_srgb(image)[valid].mean(axis=0) for image in real])
+    ratios = logs[:, [0, 2]] - logs[:, [1]]
+    red, blue = np.exp(ratios[::2].mean(axis=0) - ratios.mean(axis=0))
+    gains = np.array([red, 1.0, blue])
+    return [_core.encode_srgb(np.float32(linear_from_srgb(image) * gains), 1.0) for image in ours]
 
 
 def by_channel(
@@ -211,8 +232,9 @@ def main() -> None:
 
 
 HEAD = (
-    *("real class (frames)", "statistic", "ours → real", "VR-Caps → real"),
-    *("resamples in which ours is closer", "second half: ours / VR-Caps", "ours closer"),
+    *("real class (tuning + held out)", "statistic", "all: ours / VR-Caps"),
+    *("held out: ours", "held out: VR-Caps", "resamples of it in which ours is closer"),
+    "ours closer: all / held out",
 )
 HEAD_CHANNELS = (
     *("class", "frames of", "number", "mean L / a / b", "deviation of means"),
@@ -230,13 +252,16 @@ its units, root of the sum of squares over the three channels; smaller is more a
 - *mean*, *spread*: Wasserstein-1 distance between the frames' means, and between their standard
   deviations. *gradient*: the same distance between the pooled histograms of the gradient's
   magnitude. A set of frames that are all alike is therefore far from a varied one.
+- *Held out*: every second real frame, by name. What saw which half:
+  - Palettes were fitted to class means of R/G and G/B over all frames; for the held-out columns
+    our frames get the gains that leaving its half out of those means makes, by 1 to 16 %.
+  - The spread of white balance and the colour of blood were fitted to the tuning half.
+  - Granules, vessels and relief of colitis were chosen by gradients of the tuning half; bile,
+    contrasts, pits and glare by distances from all frames. Tables of all frames were in sight
+    throughout, and every picture was looked at: held out is not unseen.
 - In brackets, 5th and 95th percentile of 1,000 resamples of the frames of all sets; next, in how
   many of them ours is closer. Sets are small, so the resampled distances are larger than the
   measured ones.
-- Nothing here is held out. Palettes were fitted to class means of R/G and G/B over all real frames;
-  white balance and blood to every other frame; bile, granules, contrasts and glare were chosen with
-  these distances, of both halves, in sight. *Second half* measures on every other frame, to show
-  how much depends on which.
 - One scale: each frame becomes a disc {size} pixels wide, 0.9 of the shorter side of its field of
   view, so black borders and what is printed on them do not count. Where recorders print text and
   boxes into the view (HyperKvasir), the left sixth, and two fifths of the lowest third, are left

@@ -14,7 +14,7 @@ import vrcaps
 
 LAYERS = (
     ("_core",),
-    ("units", "errors", "transforms"),
+    ("units", "errors", "transforms", "toml_table"),
     ("organ",),
     ("tissue",),
     ("magnet",),

@@ -11,9 +11,14 @@ import numpy as np
 from PIL import Image, ImageDraw
 
 import vrcaps
+from vrcaps import _core
+from vrcaps._core import Wall
+from vrcaps.capsule.device import Camera
+from vrcaps.capsule.rays import camera_rays
+from vrcaps.metrics.color import luminance
 from vrcaps.organ.centerline import interpolate
 from vrcaps.organ.lesion import Patient, add_lesions, parse_lesion
-from vrcaps.transforms import look_along, transform_from
+from vrcaps.transforms import invert, look_along, transform_from
 from vrcaps.units import MM
 from vrcaps.world.model import State
 
@@ -38,44 +43,91 @@ ROWS = {
     ),
 }
 SIDE_PX = 220
-CHANNELS = ("rgb", "instance")
+VIEWS, RAY_STEP = 300, 8  # places tried for each lesion, and every which ray of them is cast
+SHARE = 0.16  # of the view that a lesion shall take
+CLEAR = 4.0 * MM  # least way from the wall to a camera
+UP = np.array([0.1, 0.2, 1.0])  # in pictures, patient frame
+LUMINANCE = 0.15  # mean linear luminance of each frame; that of real capsule frames
 
 
-def eye_of(organ: vrcaps.OrganSurface, wall, record: dict) -> np.ndarray:
-    """Of many places on and beside the centreline the one that sees most of a lesion best."""
-    own = organ.vertices[organ.instance == record["instance"]]
-    center = own[np.argmin(np.linalg.norm(own - own.mean(axis=0), axis=1))]
-    size = record["specification"].get("size", 20.0 * MM)
-    wanted = np.clip(2.6 * size, 14.0 * MM, 45.0 * MM)
+def best_view(
+    organ: vrcaps.OrganSurface, wall: Wall, number: int, camera: Camera
+) -> tuple[np.ndarray, np.ndarray]:
+    """Of many places in the lumen the one from which a camera sees a lesion best.
+
+    That is: it takes `SHARE` of the view, more counted in the middle, all of it is seen, and
+    little stands nearer than it does.
+
+    Args:
+        organ: With lesions.
+        wall: Its surface, in the patient frame.
+        number: The lesion's instance.
+        camera: Which sees it.
+
+    Returns:
+        Where the camera is, and what it looks at [m], patient frame.
+    """
+    own = np.flatnonzero(organ.instance == number)
+    is_own = (organ.instance == number)[organ.faces].any(axis=1)
+    rays = camera_rays(camera)[::RAY_STEP, ::RAY_STEP].reshape(-1, 3)
+    rays = rays[np.isfinite(rays).all(axis=1)].astype(float)
+    weight = rays[:, 2] ** 2 / (rays[:, 2] ** 2).sum()
     rng = np.random.default_rng(0)
-    best, best_score = center, -np.inf
-    for offset in np.linspace(-45.0, 45.0, 37) * MM:
-        at = np.clip(record["arc_length_m"] + offset, 8 * MM, organ.centerline.length - 8 * MM)
-        point, frame, radius = interpolate(organ.centerline, np.array([at]))
-        aside = 0.6 * radius[0] * rng.uniform(-1.0, 1.0, 2)
-        for eye in (point[0], point[0] + frame[0, :, :2] @ aside):
-            if wall.signed_distance(eye[None])[0] < 4.0 * MM:
-                continue
-            some = own[rng.integers(len(own), size=40)]
-            seen = wall.visible(tuple(eye), eye + 0.995 * (some - eye)).mean()
-            score = seen - abs(np.linalg.norm(eye - center) - wanted) / (20.0 * MM)
-            if score > best_score:
-                best, best_score = eye, score
+    best, best_score = (organ.vertices[own[0]], organ.vertices[own[0]]), -np.inf
+    for _ in range(VIEWS):
+        vertex = rng.choice(own)
+        target = organ.vertices[vertex]
+        eye = _in_lumen(organ, float(organ.arc_length[vertex]), rng)
+        if wall.signed_distance(eye[None])[0] < CLEAR:
+            continue
+        turn = look_along(target - eye, UP)
+        distance, face = wall.cast(np.tile(eye, (len(rays), 1)), rays @ turn.T)
+        seen = (face >= 0) & is_own[face]
+        if not seen.any():
+            continue
+        some = organ.vertices[rng.choice(own, 60)]
+        whole = wall.visible(tuple(eye), eye + 0.98 * (some - eye)).mean()
+        share = weight[seen].sum()
+        before = weight[~seen & (distance < 0.6 * np.median(distance[seen]))].sum()
+        score = min(share / SHARE, 1.0) - max(share - 2.5 * SHARE, 0.0) + whole - before
+        if score > best_score:
+            best, best_score = (eye, target), score
     return best
+
+
+def _in_lumen(organ: vrcaps.OrganSurface, near: float, rng: np.random.Generator) -> np.ndarray:
+    """A place on or beside the centreline, not far from an arc length."""
+    at = np.clip(near + rng.uniform(-45.0, 45.0) * MM, 4 * MM, organ.centerline.length - 4 * MM)
+    point, frame, radius = interpolate(organ.centerline, np.array([at]))
+    return point[0] + frame[0, :, :2] @ (0.75 * radius[0] * rng.uniform(-1.0, 1.0, 2))
 
 
 def view(renderers, model: vrcaps.Model, record: dict) -> tuple[np.ndarray, np.ndarray]:
     """The same frame with the lesion and without."""
-    organ = renderers[0].model.organ
-    own = organ.vertices[organ.instance == record["instance"]]
-    plain = vrcaps.Model(organ, model.device, np.eye(4))
-    eye = eye_of(organ, plain.wall, record)
-    target = own[np.argmin(np.linalg.norm(own - own.mean(axis=0), axis=1))]
-    pose = transform_from(look_along(target - eye, np.array([0.1, 0.2, 1.0])), eye)
+    organ, camera = renderers[0].model.organ, model.device.cameras[0]
+    wall = vrcaps.Model(organ, model.device, np.eye(4)).wall
+    eye, target = best_view(organ, wall, record["instance"], camera)
+    pose = transform_from(look_along(target - eye, UP), eye) @ invert(camera.T_capsule_camera)
     state = State(0.0, model.T_world_patient @ pose)
-    camera = model.device.cameras[0]
-    frames = [renderer.render(state, camera, channels=CHANNELS) for renderer in renderers]
-    return np.asarray(frames[0].rgb), np.asarray(frames[1].rgb)
+    frames = [renderer.render(state, camera, channels=("radiance",)) for renderer in renderers]
+    exposure = even_exposure(np.nan_to_num(frames[0].radiance))
+    sick, clean = (_core.encode_srgb(np.nan_to_num(f.radiance), exposure) for f in frames)
+    return sick, clean
+
+
+def even_exposure(radiance: np.ndarray, mean_luminance: float = LUMINANCE) -> float:
+    """The exposure that an automatic control would choose, for linear radiance.
+
+    The mean luminance over the field of view, clipped at white, becomes `mean_luminance`, as
+    endoscopes and capsules adapt their light from frame to frame.
+    """
+    seen = radiance.any(axis=-1)
+    low, high = 0.0, 1e3 / max(float(radiance.mean()), 1e-12)
+    for _ in range(50):
+        exposure = 0.5 * (low + high)
+        value = luminance(np.minimum(radiance[seen] * exposure, 1.0)).mean()
+        low, high = (exposure, high) if value < mean_luminance else (low, exposure)
+    return exposure
 
 
 def tile(image: np.ndarray, text: str) -> np.ndarray:

@@ -1,20 +1,21 @@
 //! PNG files: written in parallel and whole, read back exactly.
 
 use numpy::{
-    IntoPyArray, PyArrayDyn, PyArrayMethods, PyReadonlyArrayDyn, PyUntypedArrayMethods,
+    IntoPyArray, PyArrayDyn, PyArrayMethods, PyReadonlyArray1, PyReadonlyArrayDyn,
+    PyUntypedArrayMethods,
     ndarray::{ArrayD, IxDyn},
 };
 use png::{BitDepth, ColorType};
 use pyo3::{
     exceptions::{PyOSError, PyValueError},
     prelude::*,
+    types::PyBytes,
 };
 use rayon::prelude::*;
 use std::{fs, io, path::Path};
 
 /// An image as PNG stores it: 16-bit numbers with the high byte first.
 struct Image {
-    path: String,
     width: u32,
     height: u32,
     color: ColorType,
@@ -23,7 +24,7 @@ struct Image {
 }
 
 impl Image {
-    fn new(path: String, array: &Bound<'_, PyAny>) -> PyResult<Self> {
+    fn new(array: &Bound<'_, PyAny>) -> PyResult<Self> {
         let (shape, bytes, depth) = if let Ok(a) = array.cast::<PyArrayDyn<u8>>() {
             let bytes = a.try_readonly()?.as_array().iter().copied().collect();
             (a.shape().to_vec(), bytes, BitDepth::Eight)
@@ -32,17 +33,16 @@ impl Image {
             let bytes = view.as_array().iter().flat_map(|x| x.to_be_bytes()).collect();
             (a.shape().to_vec(), bytes, BitDepth::Sixteen)
         } else {
-            return Err(PyValueError::new_err(format!("{path}: images must be uint8 or uint16.")));
+            return Err(PyValueError::new_err("Images must be uint8 or uint16."));
         };
         let color = match shape[..] {
             [_, _] => ColorType::Grayscale,
             [_, _, 3] => ColorType::Rgb,
             _ => {
-                let message = format!("{path}: images must be of shape (h, w) or (h, w, 3).");
-                return Err(PyValueError::new_err(message));
+                return Err(PyValueError::new_err("Images must be of shape (h, w) or (h, w, 3)."));
             }
         };
-        Ok(Image { path, width: shape[1] as u32, height: shape[0] as u32, color, depth, bytes })
+        Ok(Image { width: shape[1] as u32, height: shape[0] as u32, color, depth, bytes })
     }
 
     fn encode(&self) -> Result<Vec<u8>, png::EncodingError> {
@@ -63,8 +63,7 @@ impl Image {
     }
 
     /// Writes the file under a temporary name, then renames it: it is whole or not there.
-    fn write(&self) -> io::Result<()> {
-        let path = Path::new(&self.path);
+    fn write(&self, path: &Path) -> io::Result<()> {
         let name = path.file_name().unwrap_or_default().to_string_lossy();
         let temporary = path.with_file_name(format!(".{name}.tmp"));
         let file = self.encode().map_err(io::Error::other)?;
@@ -125,41 +124,85 @@ pub fn quantize<'py>(
 /// `items` holds paths and arrays of uint8 or uint16, of shape (h, w) or (h, w, 3).
 #[pyfunction]
 pub fn write_pngs(py: Python<'_>, items: Vec<(String, Bound<'_, PyAny>)>) -> PyResult<()> {
-    let images: Vec<Image> =
-        items.into_iter().map(|(path, array)| Image::new(path, &array)).collect::<PyResult<_>>()?;
+    let image = |(path, array): (String, Bound<'_, PyAny>)| match Image::new(&array) {
+        Ok(image) => Ok((path, image)),
+        Err(e) => Err(PyValueError::new_err(format!("{path}: {}", e.value(py)))),
+    };
+    let images: Vec<(String, Image)> = items.into_iter().map(image).collect::<PyResult<_>>()?;
     py.detach(|| {
-        images.par_iter().try_for_each(|image| image.write().map_err(|e| os_error(&image.path, &e)))
+        let write = |(path, image): &(String, Image)| {
+            image.write(Path::new(path)).map_err(|e| os_error(path, &e))
+        };
+        images.par_iter().try_for_each(write)
     })
+}
+
+/// PNG files of arrays of uint8 or uint16, of shape (h, w) or (h, w, 3), encoded in parallel.
+#[pyfunction]
+pub fn encode_pngs<'py>(
+    py: Python<'py>,
+    arrays: Vec<Bound<'py, PyAny>>,
+) -> PyResult<Vec<Bound<'py, PyBytes>>> {
+    let images: Vec<Image> = arrays.iter().map(Image::new).collect::<PyResult<_>>()?;
+    let files = py.detach(|| images.par_iter().map(Image::encode).collect::<Result<Vec<_>, _>>());
+    let files = files.map_err(|e| PyValueError::new_err(e.to_string()))?;
+    Ok(files.iter().map(|file| PyBytes::new(py, file)).collect())
 }
 
 /// Reads a PNG file of 8 or 16 bits, grey or RGB, as it is stored.
 #[pyfunction]
 pub fn read_png<'py>(py: Python<'py>, path: String) -> PyResult<Bound<'py, PyAny>> {
     let bytes = fs::read(&path).map_err(|e| os_error(&path, &e))?;
-    let unreadable = |e: png::DecodingError| PyValueError::new_err(format!("{path}: {e}"));
-    let (info, pixels) = py.detach(|| decode(&bytes)).map_err(unreadable)?;
+    let array = py.detach(|| decode(&bytes)).and_then(|pixels| pixels.into_array(py));
+    array.map_err(|e| PyValueError::new_err(format!("{path}: {e}")))
+}
+
+/// Arrays of PNG files of 8 or 16 bits, grey or RGB, each given as uint8; decoded in parallel.
+#[pyfunction]
+pub fn decode_pngs<'py>(
+    py: Python<'py>,
+    files: Vec<PyReadonlyArray1<'py, u8>>,
+) -> PyResult<Vec<Bound<'py, PyAny>>> {
+    let files: Vec<&[u8]> = files.iter().map(|file| file.as_slice()).collect::<Result<_, _>>()?;
+    let images = py.detach(|| files.par_iter().map(|file| decode(file)).collect::<Vec<_>>());
+    let arrays = images.into_iter().map(|image| image?.into_array(py));
+    arrays.collect::<Result<_, _>>().map_err(PyValueError::new_err::<String>)
+}
+
+/// Numbers of an image and its shape.
+struct Pixels {
+    shape: Vec<usize>,
+    is_wide: bool,
+    bytes: Vec<u8>,
+}
+
+impl Pixels {
+    fn into_array(self, py: Python<'_>) -> Result<Bound<'_, PyAny>, String> {
+        let shape = IxDyn(&self.shape);
+        if self.is_wide {
+            let wide = |b: &[u8; 2]| u16::from_be_bytes(*b);
+            let numbers = self.bytes.as_chunks().0.iter().map(wide).collect();
+            let array = ArrayD::from_shape_vec(shape, numbers);
+            Ok(array.map_err(|e| e.to_string())?.into_pyarray(py).into_any())
+        } else {
+            let array = ArrayD::from_shape_vec(shape, self.bytes);
+            Ok(array.map_err(|e| e.to_string())?.into_pyarray(py).into_any())
+        }
+    }
+}
+
+fn decode(bytes: &[u8]) -> Result<Pixels, String> {
+    let (info, bytes) = unpack(bytes).map_err(|e| e.to_string())?;
     let (height, width) = (info.height as usize, info.width as usize);
     let shape = match info.color_type {
         ColorType::Grayscale => vec![height, width],
         ColorType::Rgb => vec![height, width, 3],
-        other => {
-            return Err(PyValueError::new_err(format!(
-                "{path}: unexpected colour type {other:?}."
-            )));
-        }
+        other => return Err(format!("unexpected colour type {other:?}.")),
     };
-    let mismatch = |_| PyValueError::new_err(format!("{path}: pixel data has the wrong size."));
-    if info.bit_depth == BitDepth::Sixteen {
-        let numbers = pixels.chunks_exact(2).map(|b| u16::from_be_bytes([b[0], b[1]])).collect();
-        let array = ArrayD::from_shape_vec(IxDyn(&shape), numbers).map_err(mismatch)?;
-        Ok(array.into_pyarray(py).into_any())
-    } else {
-        let array = ArrayD::from_shape_vec(IxDyn(&shape), pixels).map_err(mismatch)?;
-        Ok(array.into_pyarray(py).into_any())
-    }
+    Ok(Pixels { shape, is_wide: info.bit_depth == BitDepth::Sixteen, bytes })
 }
 
-fn decode(bytes: &[u8]) -> Result<(png::OutputInfo, Vec<u8>), png::DecodingError> {
+fn unpack(bytes: &[u8]) -> Result<(png::OutputInfo, Vec<u8>), png::DecodingError> {
     let mut reader = png::Decoder::new(io::Cursor::new(bytes)).read_info()?;
     let mut pixels = vec![0; reader.output_buffer_size().unwrap_or_default()];
     let info = reader.next_frame(&mut pixels)?;

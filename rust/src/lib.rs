@@ -10,6 +10,7 @@ mod cpu;
 mod fem;
 mod image;
 mod lanes;
+mod magnet;
 mod material;
 mod mucosa;
 mod physics;
@@ -31,6 +32,8 @@ fn _core(m: &Bound<'_, PyModule>) -> PyResult<()> {
     m.add_function(wrap_pyfunction!(mucosa::bake_mucosa, m)?)?;
     m.add_class::<wall::Wall>()?;
     m.add_class::<fem::layer::FemLayer>()?;
+    m.add_class::<magnet::arm::ArmChain>()?;
+    m.add_class::<magnet::handle::FieldSources>()?;
     m.add_class::<physics::world::World>()?;
     m.add_class::<contents::Contents>()?;
     m.add_class::<contents::swarm::Swarm>()?;
@@ -41,6 +44,8 @@ fn _core(m: &Bound<'_, PyModule>) -> PyResult<()> {
     m.add_function(wrap_pyfunction!(render::render, m)?)?;
     m.add_function(wrap_pyfunction!(channels::encode_srgb, m)?)?;
     m.add_function(wrap_pyfunction!(image::write_pngs, m)?)?;
+    m.add_function(wrap_pyfunction!(image::encode_pngs, m)?)?;
+    m.add_function(wrap_pyfunction!(image::decode_pngs, m)?)?;
     m.add_function(wrap_pyfunction!(image::quantize, m)?)?;
     m.add_function(wrap_pyfunction!(image::read_png, m)?)?;
     m.add_function(wrap_pyfunction!(cpu::cpu_features, m)?)?;

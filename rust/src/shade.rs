@@ -22,6 +22,8 @@ pub struct Attributes {
     pub view: Lane3,
     /// Smooth unit normal on the viewer's side.
     pub normal: Lane3,
+    /// Least cosine between a shading normal and the way to the viewer, see `Face::least_facing`.
+    pub least_facing: Lane,
     /// Texture coordinates.
     pub uv: [Lane; 2],
     /// Surface gradients of the texture coordinates [1/m].
@@ -40,6 +42,13 @@ struct Face {
     corners: [usize; 3],
     data: FaceData,
     gradients: [Vec3; 2],
+    /// A quarter of the sine of the angle by which the wall turns from the face's middle to its
+    /// corners.
+    ///
+    /// A piece of wall that turns by that angle up to an outline has half of it as its mean cosine;
+    /// one facet for all of it would be black wherever its smooth normal is edge-on. A quarter takes
+    /// the black away and changes the rest of an image least.
+    least_facing: f32,
 }
 
 impl Face {
@@ -57,11 +66,15 @@ impl Face {
         let [uv_a, uv_b, uv_c] = data.uv;
         let gradient =
             |k: usize| add(scale(of_b, uv_b[k] - uv_a[k]), scale(of_c, uv_c[k] - uv_a[k]));
+        let corners = wall.bvh.corners[triangle].map(|v| v as usize);
+        let [na, nb, nc] = corners.map(|v| wall.normals[v]);
+        let turn = dot(add(add(na, nb), nc), normal) * inverse.sqrt() * (1.0 / 3.0);
         Face {
             number: face as usize,
-            corners: wall.bvh.corners[triangle].map(|v| v as usize),
+            corners,
             data,
             gradients: [gradient(0), gradient(1)],
+            least_facing: 0.25 * max(1.0 - turn * turn, 0.0).sqrt(),
         }
     }
 }
@@ -82,6 +95,7 @@ pub fn attributes(
         position: [[0.0; LANES]; 3],
         view: [[0.0; LANES]; 3],
         normal: [[0.0; LANES]; 3],
+        least_facing: [0.0; LANES],
         uv: [[0.0; LANES]; 2],
         gradients: [[[0.0; LANES]; 3]; 2],
         arc_length: [0.0; LANES],
@@ -126,6 +140,7 @@ fn fill_lane(out: &mut Attributes, wall: &Wall, scene: &SceneData, face: &Face, 
         out.gradients[0][k][i] = face.gradients[0][k];
         out.gradients[1][k][i] = face.gradients[1][k];
     }
+    out.least_facing[i] = face.least_facing;
     let [uv_a, uv_b, uv_c] = face.data.uv;
     for k in 0..2 {
         out.uv[k][i] = uv_a[k] * wa + uv_b[k] * wb + uv_c[k] * wc;
@@ -155,6 +170,15 @@ fn turn_to_viewer(out: &mut Attributes, leaving: &Lane) {
     }
 }
 
+/// A shading normal, of any length, made a unit vector that faces the viewer at least so far.
+#[inline(always)]
+fn face_viewer(normal: Vec3, view: Vec3, least: f32) -> Vec3 {
+    let (square, towards) = (dot(normal, normal), dot(normal, view));
+    let lacking = max(least * square.sqrt() - towards, 0.0);
+    let square = max(square + lacking * (2.0 * towards + lacking), 1e-12);
+    scale(add(normal, scale(view, lacking)), 1.0 / square.sqrt())
+}
+
 /// Gives the hits their material: base colour, roughness and relief.
 #[inline(always)]
 pub fn surface(
@@ -174,6 +198,13 @@ pub fn surface(
         for k in 0..3 {
             surface.albedo[k] = [scene.albedo[k]; LANES];
         }
+        for i in 0..LANES {
+            let view = at(&attributes.view, i);
+            let normal = face_viewer(at(&attributes.normal, i), view, attributes.least_facing[i]);
+            for k in 0..3 {
+                surface.normal[k][i] = normal[k];
+            }
+        }
         return surface;
     };
     let footprint = footprint(attributes, distance, pixel_angle);
@@ -185,9 +216,9 @@ pub fn surface(
             scale(at(along_v, i), texels.slope[1][i]),
         );
         let tilted = sub(at(&attributes.normal, i), rise);
-        let inverse = 1.0 / max(dot(tilted, tilted), 1e-12).sqrt();
+        let normal = face_viewer(tilted, at(&attributes.view, i), attributes.least_facing[i]);
         for k in 0..3 {
-            surface.normal[k][i] = tilted[k] * inverse;
+            surface.normal[k][i] = normal[k];
         }
     }
     surface.albedo = texels.albedo;

@@ -1,7 +1,7 @@
 //! Wall textures: base colour, roughness and the slope of the relief, with mip levels.
 
 use crate::lanes::*;
-use numpy::{PyReadonlyArray2, PyReadonlyArray3};
+use numpy::{PyReadonlyArray2, PyReadonlyArray3, PyUntypedArrayMethods};
 use pyo3::{exceptions::PyValueError, prelude::*};
 use rayon::prelude::*;
 
@@ -33,14 +33,16 @@ impl Level {
             return None;
         }
         let (width, height) = ((self.width / 2).max(1), (self.height / 2).max(1));
-        let texel = |i: usize| {
-            let (x, y) = (i % width * 2, i / width * 2);
-            let (x1, y1) = ((x + 1).min(self.width - 1), (y + 1).min(self.height - 1));
-            let four = [(x, y), (x1, y), (x, y1), (x1, y1)];
-            let sample = |(x, y)| Sample::unpack(self.texels[y * self.width + x], slope_step);
-            Sample::mean(four.map(sample)).pack(slope_step)
-        };
-        let texels = (0..width * height).into_par_iter().map(texel).collect();
+        let mut texels = vec![Texel::default(); width * height];
+        texels.par_chunks_exact_mut(width).enumerate().for_each(|(y, out)| {
+            let row = |y: usize| &self.texels[y.min(self.height - 1) * self.width..][..self.width];
+            let (upper, lower) = (row(2 * y), row(2 * y + 1));
+            for (x, texel) in out.iter_mut().enumerate() {
+                let (x0, x1) = (2 * x, (2 * x + 1).min(self.width - 1));
+                let four = [upper[x0], upper[x1], lower[x0], lower[x1]];
+                *texel = Sample::mean(four.map(|t| Sample::unpack(t, slope_step))).pack(slope_step);
+            }
+        });
         Some(Level { width, height, texels })
     }
 }
@@ -67,15 +69,12 @@ const SLOPE_STEPS: f32 = 2047.0;
 const ALBEDO_STEPS: Vec3 = [2047.0, 2047.0, 1023.0];
 
 impl Sample {
+    #[inline(always)]
     fn pack(self, slope_step: [f32; 2]) -> Texel {
-        let [r, g, b] = [0, 1, 2]
-            .map(|k| (clamp(self.albedo[k], 0.0, 1.0).sqrt() * ALBEDO_STEPS[k]).round() as u32);
-        let [su, sv] = [0, 1].map(|k| {
-            let steps = (self.slope[k] / slope_step[k]).round();
-            (clamp(steps, -SLOPE_STEPS, SLOPE_STEPS) + 2048.0) as u32
-        });
-        let roughness = (clamp(self.roughness, 0.0, 1.0) * 255.0).round() as u32;
-        Texel(r | g << 11 | b << 22, roughness | su << 8 | sv << 20)
+        let [r, g, b] = [0, 1, 2].map(|k| color_bits(self.albedo[k], k));
+        let roughness = nearest(clamp(self.roughness, 0.0, 1.0) * 255.0);
+        let [su, sv] = [0, 1].map(|k| slope_bits(self.slope[k] / slope_step[k]));
+        Texel(r | g | b, roughness | su << 8 | sv << 20)
     }
 
     #[inline(always)]
@@ -107,6 +106,86 @@ impl Sample {
     }
 }
 
+/// The nearest whole number of 0 to 2²²; adding 2²³ leaves it in the low bits.
+#[inline(always)]
+fn nearest(x: f32) -> u32 {
+    (x + 8_388_608.0).to_bits() & 0x7f_ffff
+}
+
+/// A linear value of channel `k` as a texel holds it, in its place.
+#[inline(always)]
+fn color_bits(linear: f32, k: usize) -> u32 {
+    nearest(clamp(linear, 0.0, 1.0).sqrt() * ALBEDO_STEPS[k]) << (11 * k)
+}
+
+/// A slope in steps as a texel holds it.
+#[inline(always)]
+fn slope_bits(steps: f32) -> u32 {
+    nearest(clamp(steps, -SLOPE_STEPS, SLOPE_STEPS) + 2048.0)
+}
+
+/// Images of equal size, row by row, from which texels are packed.
+struct Images<'a> {
+    width: usize,
+    height: usize,
+    albedo: &'a [u8],
+    roughness: &'a [u8],
+    relief: &'a [f32],
+}
+
+impl Images<'_> {
+    /// Calls `texel(x, slopes)` along row `y`, with the slopes along u and v by central differences
+    /// that wrap [m per unit of u and v].
+    #[inline(always)]
+    fn slopes(&self, y: usize, mut texel: impl FnMut(usize, [f32; 2])) {
+        let (w, h) = (self.width, self.height);
+        let row = |y: usize| &self.relief[y % h * w..][..w];
+        let (own, above, below) = (row(y), row(y + h - 1), row(y + 1));
+        let (per_u, per_v) = (w as f32, h as f32);
+        let mut at = |x: usize, left: f32, right: f32| {
+            texel(x, [(right - left) * 0.5 * per_u, (above[x] - below[x]) * 0.5 * per_v]);
+        };
+        at(0, own[w - 1], own[1 % w]);
+        for x in 1..w - 1 {
+            at(x, own[x - 1], own[x + 1]);
+        }
+        if w > 1 {
+            at(w - 1, own[w - 2], own[0]);
+        }
+    }
+
+    /// Steepest slopes anywhere.
+    fn steepest(&self) -> [f32; 2] {
+        let of_row = |y| {
+            let mut most = [1e-12f32; 2];
+            self.slopes(y, |_, s| most = [0, 1].map(|k| max(most[k], s[k].abs())));
+            most
+        };
+        let rows = (0..self.height).into_par_iter().map(of_row);
+        rows.reduce(|| [1e-12; 2], |a, b| [max(a[0], b[0]), max(a[1], b[1])])
+    }
+
+    fn pack(&self, slope_step: [f32; 2]) -> Vec<Texel> {
+        let table = [0, 1, 2].map(|k| {
+            let bits = |value: usize| color_bits(linear(value as u8), k);
+            std::array::from_fn::<u32, 256, _>(bits)
+        });
+        let per_step = slope_step.map(|step| 1.0 / step);
+        let mut texels = vec![Texel::default(); self.width * self.height];
+        texels.par_chunks_exact_mut(self.width).enumerate().for_each(|(y, out)| {
+            let start = y * self.width;
+            let roughness = &self.roughness[start..][..self.width];
+            let (albedo, _) = self.albedo[3 * start..][..3 * self.width].as_chunks::<3>();
+            self.slopes(y, |x, slope| {
+                let [su, sv] = [0, 1].map(|k| slope_bits(slope[k] * per_step[k]));
+                let [r, g, b] = [0, 1, 2].map(|k| table[k][usize::from(albedo[x][k])]);
+                out[x] = Texel(r | g | b, u32::from(roughness[x]) | su << 8 | sv << 20);
+            });
+        });
+        texels
+    }
+}
+
 /// Linear value of an 8-bit sRGB number (IEC 61966-2-1).
 fn linear(value: u8) -> f32 {
     let x = f32::from(value) / 255.0;
@@ -115,7 +194,7 @@ fn linear(value: u8) -> f32 {
 
 #[pymethods]
 impl Texture {
-    /// Packs albedo [h w 3] (sRGB), roughness [h w] and height [h w] in metres.
+    /// Packs albedo [h w 3] (sRGB), roughness [h w] and height [h w] in metres, all C-contiguous.
     #[new]
     fn new(
         py: Python<'_>,
@@ -123,37 +202,27 @@ impl Texture {
         roughness: PyReadonlyArray2<'_, u8>,
         height: PyReadonlyArray2<'_, f32>,
     ) -> PyResult<Self> {
-        let (albedo, roughness, height) =
-            (albedo.as_array(), roughness.as_array(), height.as_array());
-        let (h, w, components) = albedo.dim();
-        if components != 3 || h * w == 0 || roughness.dim() != (h, w) || height.dim() != (h, w) {
+        let (h, w) = (height.shape()[0], height.shape()[1]);
+        if albedo.shape() != [h, w, 3] || roughness.shape() != [h, w] || h * w == 0 {
             return Err(PyValueError::new_err(
                 "Albedo must be of shape (h, w, 3), roughness and height of shape (h, w).",
             ));
         }
-        if !height.iter().all(|x| x.is_finite()) {
-            return Err(PyValueError::new_err("Texture heights must be finite numbers."));
-        }
-        let slope = |y: usize, x: usize| {
-            let across = height[[y, (x + 1) % w]] - height[[y, (x + w - 1) % w]];
-            let along = height[[(y + h - 1) % h, x]] - height[[(y + 1) % h, x]];
-            [across * 0.5 * w as f32, along * 0.5 * h as f32]
+        let images = Images {
+            width: w,
+            height: h,
+            albedo: albedo.as_slice()?,
+            roughness: roughness.as_slice()?,
+            relief: height.as_slice()?,
         };
-        let table: Vec<f32> = (0..=255).map(linear).collect();
-        let sample = |y: usize, x: usize| Sample {
-            albedo: [0, 1, 2].map(|k| table[albedo[[y, x, k]] as usize]),
-            roughness: f32::from(roughness[[y, x]]) / 255.0,
-            slope: slope(y, x),
-        };
-        Ok(py.detach(|| {
-            let places = || (0..h * w).into_par_iter().map(|i| (i / w, i % w));
-            let steepest = places()
-                .map(|(y, x)| slope(y, x).map(f32::abs))
-                .reduce(|| [1e-12; 2], |a, b| [max(a[0], b[0]), max(a[1], b[1])]);
-            let step = steepest.map(|s| s / SLOPE_STEPS);
-            let texels = places().map(|(y, x)| sample(y, x).pack(step)).collect();
-            Texture::with_mips(Level { width: w, height: h, texels }, step)
-        }))
+        let texture = py.detach(|| {
+            let is_finite = |row: &[f32]| row.iter().all(|x| x.is_finite());
+            images.relief.par_chunks(w).all(is_finite).then(|| {
+                let step = images.steepest().map(|s| s / SLOPE_STEPS);
+                Texture::with_mips(Level { width: w, height: h, texels: images.pack(step) }, step)
+            })
+        });
+        texture.ok_or_else(|| PyValueError::new_err("Texture heights must be finite numbers."))
     }
 }
 

@@ -18,5 +18,6 @@ from .render.settings import RenderSettings as RenderSettings
 from .world.fly_through import FlyThrough as FlyThrough
 from .world.fly_through import fly_through as fly_through
 from .world.model import Model as Model
+from .world.physics import Physics as Physics
 from .world.replay import Replay as Replay
 from .world.replay import replay as replay

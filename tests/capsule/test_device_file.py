@@ -12,6 +12,8 @@ from vrcaps.capsule.device import Device, Led
 from vrcaps.capsule.device_file import write_device
 from vrcaps.capsule.lens import LENSES, LensEquirectangular, LensKannalaBrandt, LensPinhole
 from vrcaps.errors import InputError
+from vrcaps.magnet.internal import InternalMagnet
+from vrcaps.magnet.presets import load_magnet
 
 DEVICE = """
 title = "Mine"
@@ -70,6 +72,46 @@ def test_a_users_file_is_read_in_si_units(tmp_path):
     assert camera.lens == LensKannalaBrandt(30, 30, 31.5, 23.5, max_angle=math.radians(80))
     assert camera.leds[0] == Led((0.003, 0.0, -0.0005), intensity=(2e-3, 1.5e-3, 1e-3))
     np.testing.assert_allclose(camera.leds[1].position_camera, [0.0, 0.003, -0.0005], atol=1e-18)
+
+
+MAGNETS = """
+[[magnets]]
+position_mm = [0, 0.5, -3]
+moment_a_m2 = [0.1, 0, -1.12]
+
+[[magnets]]
+position_mm = [0, 0, 2]
+preset = "capsule-6x6"
+direction = [0, 3, 4]
+"""
+
+
+def test_magnets_are_read_by_moment_or_by_name(tmp_path):
+    device = load_text(tmp_path, DEVICE + MAGNETS)
+    one, other = device.magnets
+    assert one == InternalMagnet((0.0, 0.0005, -0.003), (0.1, 0.0, -1.12))
+    moment = load_magnet("capsule-6x6").moment
+    np.testing.assert_allclose(other.moment_capsule, [0.0, 0.6 * moment, 0.8 * moment])
+    write_device(tmp_path / "mine.toml", device)
+    assert_same(load_device(tmp_path / "mine.toml"), device)
+    assert load_text(tmp_path, DEVICE).magnets == ()
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("[0, 0.5, -3]", "[0, 0.5, -30]", "magnet 0 is outside the body. Allowed: position_mm"),
+        ("[0.1, 0, -1.12]", "[0, 0, 0]", "moment_a_m2 = [0, 0, 0]. Allowed: any moment but zero."),
+        ("[0, 3, 4]", "[0, 0, 0]", "direction = [0, 0, 0]. Allowed: any direction but zero."),
+        ("capsule-6x6", "huge", 'preset = "huge". Allowed: capsule-11x10, capsule-6x6, cylinder'),
+        ("moment_a_m2", "moment", "magnets 0: 'moment_a_m2' is missing (a list of 3 numbers)."),
+        ("direction", "way", "magnets 1: 'direction' is missing (a list of 3 numbers)."),
+    ],
+)
+def test_impossible_magnets(tmp_path, old, new, message):
+    assert old in MAGNETS
+    with pytest.raises(InputError, match=re.escape(message)):
+        load_text(tmp_path, DEVICE + MAGNETS.replace(old, new))
 
 
 @pytest.mark.parametrize("name", device_names())

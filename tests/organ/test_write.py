@@ -10,7 +10,7 @@ import pytest
 import trimesh
 from PIL import Image
 
-from vrcaps.organ.gltf_material import normal_texture, relief_scale
+from vrcaps.organ.gltf_material import normal_texture, relief_scale, texture_images
 from vrcaps.organ.read import read_label_names, read_mesh
 from vrcaps.organ.repair import repair
 from vrcaps.organ.surface import Appearance, Centerline, OrganSurface, vertex_normals
@@ -134,8 +134,8 @@ def test_textures_are_exact(tmp_path, organ):
         images.append(np.array(Image.open(BytesIO(data))))
     albedo, roughness, normal = images
     assert np.array_equal(albedo, organ.appearance.albedo)
-    assert np.array_equal(roughness[..., 1], organ.appearance.roughness)
-    assert not roughness[..., [0, 2]].any()
+    assert np.array_equal(roughness, organ.appearance.roughness)
+    assert document["materials"][0]["pbrMetallicRoughness"]["metallicFactor"] == 0.0
     assert normal.shape == albedo.shape
 
 
@@ -150,6 +150,21 @@ def test_normals_are_the_slope_of_the_relief():
     expected /= np.linalg.norm(expected, axis=-1, keepdims=True)
     found = normal_texture(height, scale) / 127.5 - 1.0
     assert np.abs(found - expected).max() < 1.01 / 255
+
+
+def test_a_fine_relief_is_averaged_for_viewers(organ, monkeypatch):
+    """Of a plane's relief, four texels have the mean of their middle: the slope stays."""
+    from vrcaps.organ import gltf_material
+
+    look = replace(organ.appearance, height=np.add.outer(np.arange(32.0), 2 * np.arange(64.0)))
+    full = texture_images(look, (64.0, 32.0))[2]
+    monkeypatch.setattr(gltf_material, "_MAX_NORMALS", 32 * 64 - 1)
+    albedo, roughness, half = texture_images(look, (64.0, 32.0))
+    assert albedo.shape == (32, 64, 3) and roughness.shape == (32, 64)
+    assert half.shape == (16, 32, 3)
+    assert np.array_equal(half[1:-1, 1:-1], full[2:-2:2, 2:-2:2])
+    odd = replace(look, height=look.height[:31])
+    assert texture_images(odd, (64.0, 32.0))[2].shape == (31, 64, 3)
 
 
 def test_relief_scale_of_a_cylinder(organ):
@@ -182,10 +197,10 @@ def test_failed_write_leaves_the_old_file(tmp_path, organ, monkeypatch):
     write_glb(path, organ)
     before = path.read_bytes()
 
-    def fail(self, data):
+    def fail(self, target):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(type(path), "write_bytes", fail)
+    monkeypatch.setattr(type(path), "replace", fail)
     with pytest.raises(OSError, match="No space left"):
         write_glb(path, organ)
     assert path.read_bytes() == before

@@ -86,7 +86,9 @@ def organ(mesh_file: Path) -> OrganSurface:
     )
 
 
-def _scenario(mesh_file: Path, device_file: Path) -> Scenario:
+@pytest.fixture(scope="session")
+def base_scenario(mesh_file: Path, device_file: Path) -> Scenario:
+    """All channels of a short flight."""
     return Scenario(
         organ=OrganFile(str(mesh_file), "m"),
         capsule=str(device_file),
@@ -99,22 +101,19 @@ def _scenario(mesh_file: Path, device_file: Path) -> Scenario:
 
 @pytest.fixture
 def scenario(
-    mesh_file: Path, device_file: Path, organ: OrganSurface, monkeypatch: pytest.MonkeyPatch
+    base_scenario: Scenario, organ: OrganSurface, monkeypatch: pytest.MonkeyPatch
 ) -> Scenario:
-    """All channels of a short flight; the organ is made once for all tests."""
+    """The short flight; the organ is made once for all tests."""
     monkeypatch.setattr(scenario_module, "_load_organ", lambda _: organ)
-    return _scenario(mesh_file, device_file)
+    return base_scenario
 
 
 @pytest.fixture(scope="session")
 def recorded(
-    tmp_path_factory: pytest.TempPathFactory,
-    mesh_file: Path,
-    device_file: Path,
-    organ: OrganSurface,
+    tmp_path_factory: pytest.TempPathFactory, base_scenario: Scenario, organ: OrganSurface
 ) -> Path:
     """A whole episode of the scenario; tests that change it work on a copy."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(scenario_module, "_load_organ", lambda _: organ)
         out = tmp_path_factory.mktemp("recorded") / "episode"
-        return record(_scenario(mesh_file, device_file), out)
+        return record(base_scenario, out)

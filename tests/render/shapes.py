@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from vrcaps.capsule.device import Camera, Device, Led
@@ -118,6 +120,24 @@ def tube(
         flat = vertices[np.concatenate(lids)][..., :2] / (6.0 * RADIUS)
         uv = np.concatenate([uv, flat])
     return make_organ(vertices, faces, uv=uv, appearance=appearance)
+
+
+def with_ball(organ: OrganSurface, center: np.ndarray, radius: float) -> OrganSurface:
+    """An organ with a closed ball in its lumen, instance 1, its normals outward."""
+    import trimesh
+
+    ball = trimesh.creation.icosphere(3, radius)
+    sizes = (len(organ.vertices), len(ball.vertices))
+    names = ("label", "arc_length", "theta", "radius")
+    return replace(
+        organ,
+        vertices=np.vstack([organ.vertices, ball.vertices + center]),
+        faces=np.vstack([organ.faces, ball.faces + sizes[0]]),
+        normals=np.vstack([organ.normals, ball.vertex_normals]),
+        uv=np.concatenate([organ.uv, np.zeros((len(ball.faces), 3, 2))]),
+        instance=np.repeat([0, 1], sizes).astype(np.uint16),
+        **{name: np.pad(getattr(organ, name), (0, sizes[1])) for name in names},
+    )
 
 
 def patterned(

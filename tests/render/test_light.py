@@ -361,3 +361,16 @@ def test_wrong_settings_and_names() -> None:
         UnknownNameError, match=r"No channel named 'dpeth'\. Known: albedo, arc_length"
     ):
         renderer.render(looking((0.0, 0.0, 0.0)), camera, channels=("dpeth",))
+
+
+def test_no_face_that_is_seen_and_lit_is_black() -> None:
+    """Folds of few faces, the lamp at the eye: where smooth normals are edge-on, faces are not."""
+    look = _plain()
+    organ = tube(10, 24, length=0.1, folds=0.35, capped=True, appearance=look)
+    camera = make_camera(pinhole(64, 1.8), leds=(Led((0, 0, 0), (0, 0, 1), (1e-3,) * 3, 0.0),))
+    model, state = make_model(organ, camera), looking((0.004, -0.003, 0.02))
+    frame = Renderer(model).render(state, camera, channels=("radiance", "ray_distance"))
+    met = np.isfinite(frame.ray_distance)
+    light = frame.radiance[met][:, 0] * frame.ray_distance[met] ** 2  # without the fall-off
+    assert met.sum() > 1000
+    assert light.min() > 0.05 * light.max()

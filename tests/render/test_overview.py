@@ -7,10 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from shapes import with_ball
 
 from vrcaps._core import Wall
 from vrcaps.organ.surface import Centerline, OrganSurface, vertex_normals
-from vrcaps.render.inside import inside_views
+from vrcaps.render.inside import clear_place, inside_views
 from vrcaps.render.outside import VIEWS, outside_view, project
 from vrcaps.render.overview import marked_lesions, write_overview
 
@@ -121,3 +122,13 @@ def test_inside_views_look_down_the_lumen(tube: OrganSurface) -> None:
     ring = image[height // 2, width // 5]
     assert ring[0] > 60
     assert ring[0] > ring[2]
+
+
+def test_a_view_is_taken_where_no_lesion_blocks_it(tube: OrganSurface) -> None:
+    """Inside a ball and shortly before it there is nothing to see."""
+    wall = Wall(tube.vertices, tube.faces)
+    assert clear_place(tube, wall, 0.1) == 0.1
+    organ = with_ball(tube, np.array([0.0, 0.0, 0.1]), 0.012)
+    wall = Wall(organ.vertices, organ.faces)
+    assert 0.11 < clear_place(organ, wall, 0.1) <= 0.13
+    assert clear_place(organ, wall, 0.095) > 0.11

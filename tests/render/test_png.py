@@ -44,6 +44,21 @@ def test_reads_files_of_others(rng: np.random.Generator, tmp_path: Path, dtype: 
     np.testing.assert_array_equal(_core.read_png(path), image)
 
 
+def test_encoded_and_decoded_in_memory(rng: np.random.Generator) -> None:
+    images = [_image(rng, dtype, shape) for dtype in (np.uint8, np.uint16) for shape in SHAPES]
+    files = _core.encode_pngs(images)
+    back = _core.decode_pngs([np.frombuffer(file, np.uint8) for file in files])
+    for image, found in zip(images, back, strict=True):
+        assert found.dtype == image.dtype
+        np.testing.assert_array_equal(found, image)
+    with pytest.raises(ValueError, match="uint8 or uint16"):
+        _core.encode_pngs([np.zeros((4, 4))])
+    with pytest.raises(ValueError, match="shape"):
+        _core.encode_pngs([np.zeros((4, 4, 2), np.uint8)])
+    with pytest.raises(ValueError, match=r"(?i)end|eof|format|signature"):
+        _core.decode_pngs([np.frombuffer(files[-1][:20], np.uint8)])
+
+
 def test_arrays_need_not_be_contiguous(rng: np.random.Generator, tmp_path: Path) -> None:
     image, path = _image(rng, np.uint16, (20, 30, 3)), str(tmp_path / "image.png")
     _core.write_pngs([(path, image[::-2, 3::4])])

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from shapes import with_ball
 
 from vrcaps._core import Wall
 from vrcaps.organ.surface import Appearance, Centerline, OrganSurface, vertex_normals
@@ -103,6 +104,18 @@ def test_a_lesion_lies_at_its_arc_length_and_angle(
     assert mean == pytest.approx(0.0, abs=0.03)
     area = found.sum() * (LENGTH / 200) * (2 * np.pi * RADIUS / 120)
     assert area == pytest.approx(np.pi * size**2, rel=0.15)
+
+
+def test_a_lesion_on_the_centreline_hides_no_whole_ring(tube: OrganSurface) -> None:
+    """A ball about the axis, as a polyp's head may hang there: the wall beside it is seen too."""
+    middle = 0.5 * LENGTH
+    organ = with_ball(tube, np.array([0.0, 0.0, middle]), 0.5 * RADIUS)
+    s, theta = grid()
+    rolled = unroll(organ, Wall(organ.vertices, organ.faces), s, theta)
+    ring = instances(organ, rolled)[:, np.abs(s - middle) < 0.4 * RADIUS]
+    assert ring.shape[1] > 2
+    assert (ring == 1).any(axis=0).all()
+    assert (ring == 0).any(axis=0).all()
 
 
 def test_rays_that_leave_are_nothing(tube: OrganSurface) -> None:

@@ -24,6 +24,7 @@ class _Points:
     position: np.ndarray
     view: np.ndarray
     normal: np.ndarray
+    least_facing: np.ndarray
     uv: np.ndarray
     gradients: np.ndarray
     footprint: np.ndarray
@@ -52,10 +53,12 @@ def render(
     pixel_angle = _pixel_angles(rays_camera).reshape(-1)[hit]
     gradients = _uv_gradients(vertices[faces[face]], organ.uv[face])
     size = distance * pixel_angle / np.sqrt(np.maximum(dot(smooth, view), 0.05))
+    turn = np.einsum("ncx,nx->n", normals, geometric) / 3.0
     points = _Points(
         position,
         view,
         smooth,
+        0.25 * np.sqrt(np.maximum(1.0 - turn**2, 0.0)),
         np.einsum("nc,nck->nk", weights, organ.uv[face]),
         gradients,
         size[:, None] * np.linalg.norm(gradients, axis=2),
@@ -149,6 +152,8 @@ def _shade(
     texels = _textures(look)
     albedo, roughness, slope = (_fetch(texels, points.uv, np.rint(level), k) for k in range(3))
     normal = unit(points.normal - np.einsum("nk,nkx->nx", slope, points.gradients))
+    lacking = np.maximum(points.least_facing - dot(normal, points.view), 0.0)
+    normal = unit(normal + lacking[:, None] * points.view)
     radiance = np.zeros_like(albedo)
     for led, free in zip(camera.leds, lit, strict=True):
         offset = _place(led, T_world_camera) - points.position

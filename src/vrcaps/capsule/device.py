@@ -1,4 +1,4 @@
-"""A capsule endoscope as data: body, cameras with their lenses, LEDs."""
+"""A capsule endoscope as data: body, cameras with their lenses, LEDs, magnets."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vrcaps.capsule.lens import Lens
+from vrcaps.magnet.internal import InternalMagnet
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -74,6 +75,7 @@ class Device:
         mass: Mass [kg].
         frame_rate: Frames per second of each camera.
         cameras: Its cameras.
+        magnets: Magnets in it.
         source: Where the figures come from.
         metadata: Further plain facts, kept with the device and used by nothing.
     """
@@ -85,5 +87,6 @@ class Device:
     mass: float
     frame_rate: float
     cameras: tuple[Camera, ...]
+    magnets: tuple[InternalMagnet, ...] = ()
     source: str = ""
     metadata: dict = field(default_factory=dict)

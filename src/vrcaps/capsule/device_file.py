@@ -18,7 +18,10 @@ import numpy as np
 from vrcaps.capsule.device import Camera, Device, Led
 from vrcaps.capsule.lens import LENSES, Lens
 from vrcaps.capsule.rays import camera_rays
-from vrcaps.capsule.toml_table import (
+from vrcaps.errors import InputError
+from vrcaps.magnet.internal import InternalMagnet
+from vrcaps.magnet.presets import MAGNETS, load_magnet, magnet_names
+from vrcaps.toml_table import (
     DEGREE,
     MILLI,
     ONE,
@@ -27,7 +30,6 @@ from vrcaps.capsule.toml_table import (
     plain,
     toml_text,
 )
-from vrcaps.errors import InputError
 from vrcaps.transforms import transform_from
 
 _LENS_KEYS = {
@@ -61,6 +63,7 @@ def read_device(path: Path) -> Device:
     mass = table.number("mass_g", MILLI, above=0)
     frame_rate = table.number("frame_rate_hz", above=0)
     cameras = tuple(_read_camera(camera) for camera in table.tables("cameras"))
+    magnets = tuple(map(_read_magnet, table.tables("magnets"))) if table.has("magnets") else ()
     table.finish()
     device = Device(
         path.stem,
@@ -70,6 +73,7 @@ def read_device(path: Path) -> Device:
         mass,
         frame_rate,
         cameras,
+        magnets,
         source=source,
         metadata=metadata,
     )
@@ -96,12 +100,38 @@ def write_device(path: Path, device: Device) -> None:
         lines += [f"{toml_text(k)} = {toml_text(v)}" for k, v in device.metadata.items()]
     for camera in device.cameras:
         lines += ["", "[[cameras]]", *_camera_lines(camera)]
+    for magnet in device.magnets:
+        lines += [
+            "",
+            "[[magnets]]",
+            f"position_mm = [{_joined(magnet.position_capsule, MILLI)}]",
+            f"moment_a_m2 = [{_joined(magnet.moment_capsule)}]",
+        ]
     part = path.with_name(f"{path.name}.part")
     try:
         part.write_text("\n".join(lines) + "\n", encoding="utf-8")
         os.replace(part, path)
     except OSError as error:
         raise InputError(f"Cannot write the device file {path}: {error.strerror}.") from error
+
+
+def _read_magnet(table: TomlTable) -> InternalMagnet:
+    """A magnet by its moment, or by its name in `vrcaps.magnet.presets` and its direction."""
+    x, y, z = table.numbers("position_mm", 3, MILLI)
+    if table.has("preset"):
+        name, direction = table.text("preset"), np.array(table.numbers("direction", 3))
+        if name not in MAGNETS:
+            table.fail("preset", name, ", ".join(magnet_names()))
+        length = np.linalg.norm(direction)
+        if length == 0.0:
+            table.fail("direction", table.entries["direction"], "any direction but zero")
+        moment = tuple((load_magnet(name).moment * direction / length).tolist())
+    else:
+        moment = table.numbers("moment_a_m2", 3)
+        if not any(moment):
+            table.fail("moment_a_m2", table.entries["moment_a_m2"], "any moment but zero")
+    table.finish()
+    return InternalMagnet((x, y, z), (moment[0], moment[1], moment[2]))
 
 
 def _read_camera(table: TomlTable) -> Camera:
@@ -216,11 +246,12 @@ def _check_body(device: Device, where: str) -> None:
     names = [camera.name for camera in device.cameras]
     if len(set(names)) < len(names):
         raise InputError(f"{where}: two cameras share a name ({', '.join(names)}).")
-    for camera in device.cameras:
-        x, y, z = camera.T_capsule_camera[:3, 3]
+    places = {f"camera {c.name!r}": c.T_capsule_camera[:3, 3] for c in device.cameras}
+    places |= {f"magnet {k}": m.position_capsule for k, m in enumerate(device.magnets)}
+    for what, (x, y, z) in places.items():
         if np.hypot(np.hypot(x, y), max(abs(z) - straight, 0.0)) > device.radius:
             raise InputError(
-                f"{where}: camera {camera.name!r} is outside the body. "
+                f"{where}: {what} is outside the body. "
                 "Allowed: position_mm inside it, from the centre of mass."
             )
 

@@ -6,30 +6,40 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from vrcaps.errors import InputError
 from vrcaps.units import CM, MM
 
 if TYPE_CHECKING:
     from vrcaps.organ.lesion import AnyLesion
 
 
-def chosen_lesions(texts: Sequence[str], source: str | None, seed: int) -> tuple[AnyLesion, ...]:
+def chosen_lesions(
+    texts: Sequence[str], source: str | None, seed: int, organ: str
+) -> tuple[AnyLesion, ...]:
     """Lesions of a file or of the prevalence table, then those given one by one.
 
     Args:
         texts: Each as `parse_lesion` reads it.
         source: Path of a file, ``prevalence``, or None.
         seed: The patient's, for the table.
+        organ: Name or file that they go into; the table is of the colon.
 
     Raises:
-        InputError: If a text or the file cannot be read.
+        InputError: If a text or the file cannot be read, or the table is of another organ.
         UnknownNameError: If a lesion or a key is unknown.
     """
     import numpy as np
 
+    from vrcaps.organ.catalog import ORGANS, organ_segments
     from vrcaps.organ.lesion import draw_lesions, parse_lesion
     from vrcaps.record.scenario import read_lesions
 
     if source == "prevalence":
+        if organ in ORGANS and "sigmoid" not in organ_segments(organ):
+            raise InputError(
+                f"--lesions prevalence is a table of the colon, but the organ is {organ}. Allowed "
+                "with it: colon, gi. Give single ones with --lesion, or your own as a file."
+            )
         first: tuple[Any, ...] = draw_lesions(None, np.random.default_rng([seed, 4]))
     else:
         first = () if source is None else read_lesions(Path(source))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -90,8 +91,10 @@ class Inspect:
         from vrcaps.organ.appearance import bake_appearance
         from vrcaps.organ.from_file import organ_from_file
 
+        if not path.is_file():
+            raise InputError(f"No file at {path}. Give the path of a PLY, OBJ, STL or GLB.")
         unit = self.unit
-        if not is_organ_file(path) and path.is_file():
+        if not is_organ_file(path):
             unit = require_unit("--unit", unit, str(path))
         organ = organ_from_file(path, unit=unit, open_ends=self.open_ends, reverse=self.reverse)
         if self.mucosa is None:
@@ -108,6 +111,7 @@ class Make:
     For example:
       vrcaps organ make colon --seed 3 --out colon-3.glb
       vrcaps organ make colon --lesion polyp-Ip:size=12mm,segment=sigmoid --lesion colitis-2
+      vrcaps organ make colon --seed 7 --lesions prevalence --clean-twin
       vrcaps organ make stomach --seed 3 --condition inflated
     """
 
@@ -128,39 +132,51 @@ class Make:
     """File to write; by default <name>-<seed>.glb in the working directory. In metres."""
 
     lesion: Annotated[tuple[str, ...], UseAppendAction] = ()
-    """Put this into the organ; give it again for more. As in vrcaps record."""
+    """Put this into the organ; give it again for more: a name and what differs from its defaults,
+    such as haemorrhage-3:segment=jejunum or polyp-IIa-serrated. vrcaps organ list has them all."""
 
     lesions: str | None = None
-    """A file of lesions (TOML or JSON), or prevalence. As in vrcaps record."""
+    """A file of lesions (TOML or JSON), or prevalence: as many as a patient of a screening has."""
 
     clean_twin: bool = False
     """Write the clean twin too, as <out>-clean.glb."""
 
     def run(self) -> None:
         """Generate and report."""
-        import numpy as np
-
-        from vrcaps.organ.catalog import load_organ
-        from vrcaps.organ.lesion import add_lesions
         from vrcaps.organ.write import write_glb
 
         out = self.out or Path(f"{self.name}-{self.seed}.glb")
         if out.suffix != ".glb":
             raise InputError(f"--out is {out}. Allowed: a name that ends in .glb.")
+        if not out.parent.is_dir():
+            raise InputError(f"--out is {out}, but there is no folder {out.parent}. Make it first.")
         with console.status("generating"):
-            organ = load_organ(
-                self.name, seed=self.seed, condition=self.condition, mucosa=self.mucosa
-            )
-            lesions = chosen_lesions(self.lesion, self.lesions, self.seed)
-            patient = add_lesions(organ, lesions, np.random.default_rng([self.seed, 3]))
-            organ = patient.organ if lesions else organ
-            write_glb(out, organ)
-            if self.clean_twin:
-                write_glb(out.with_name(f"{out.stem}-clean.glb"), patient.clean)
-        console.print(f"Wrote {out} (unit: m).")
+            organ, clean = self._patient()
         for line in lesion_lines(organ.metadata.get("lesions", []), organ.centerline.length):
             console.print(f"Lesion {line}.")
-        report_organ(organ, out.with_name(f"{out.stem}-overview.png"))
+        files = {out: organ}
+        if clean is not None:
+            files[out.with_name(f"{out.stem}-clean.glb")] = clean
+        with ThreadPoolExecutor(1) as beside:  # the files are written while the picture is drawn
+            written = {path: beside.submit(write_glb, path, own) for path, own in files.items()}
+            report_organ(organ, out.with_name(f"{out.stem}-overview.png"))
+            for path, done in written.items():
+                done.result()
+                console.print(f"Wrote {path} (unit: m).")
+
+    def _patient(self) -> tuple[OrganSurface, OrganSurface | None]:
+        """The organ, with its lesions if there are any, and the clean twin if that is wanted."""
+        import numpy as np
+
+        from vrcaps.organ.catalog import load_organ
+        from vrcaps.organ.lesion import add_lesions
+
+        organ = load_organ(self.name, seed=self.seed, condition=self.condition, mucosa=self.mucosa)
+        lesions = chosen_lesions(self.lesion, self.lesions, self.seed, self.name)
+        if not lesions and not self.clean_twin:
+            return organ, None
+        patient = add_lesions(organ, lesions, np.random.default_rng([self.seed, 3]))
+        return patient.organ if lesions else organ, patient.clean if self.clean_twin else None
 
 
 def report_organ(organ: OrganSurface, picture: Path) -> None:

@@ -3,8 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from vrcaps.cli.console import console
+from vrcaps.units import MM
+
+if TYPE_CHECKING:
+    from vrcaps.organ.lesion import Lesion
 
 
 @dataclass(frozen=True)
@@ -26,7 +31,7 @@ class List:
         _print("organs", [(name, _words(organ_segments(name))) for name in ORGANS])
         _print("fillings", [("--condition", f"{', '.join(CONDITIONS)}; by default {usual}")])
         _print("lesions, in any of them", _lesions())
-        _print("", [("by name", f"{len(LIBRARY)} of a library, such as {_examples(LIBRARY)}")])
+        _print(f"library of {len(LIBRARY)} lesions by name", _library())
         photos = "or the folder of a texture from your photographs (vrcaps organ texture)"
         _print("mucosae", [("--mucosa", f"{', '.join(MUCOSAE)}; {photos}")])
         devices = [load_device(name) for name in device_names()]
@@ -74,10 +79,30 @@ def _lesions() -> list[tuple[str, str]]:
         name = f"{kind}-{'|'.join(map(str, grades))}" if grades else kind
         # Inherited settings come first; what is a kind's own matters more.
         settings = [f.name for f in reversed(fields(cls)) if f.name not in ("place", grade)]
-        rows.append((name, _words(tuple(settings))))
+        rows.append((name, "; ".join(_setting(cls, key) for key in settings)))
     return [*rows, ("place of each", "segment, arc_length, theta; drawn where left out")]
 
 
-def _examples(library: dict) -> str:
-    names = list(library)
-    return ", ".join((names[0], names[len(names) // 2], names[-1]))
+def _setting(cls: type[Lesion], key: str) -> str:
+    """A setting with what it may be, where that is a list of words or a range of sizes."""
+    from typing import Literal, get_args, get_origin, get_type_hints
+
+    hint = get_type_hints(cls)[key]
+    parts = [part for part in (hint, *get_args(hint)) if get_origin(part) is Literal]
+    words = [str(word) for part in parts for word in get_args(part)]
+    sizes = getattr(cls, "sizes", None) if key == "size" else None
+    if sizes is not None:
+        return f"size {sizes[0] / MM:g} to {sizes[1] / MM:g} mm"
+    if float in get_args(hint):
+        words.append("a length")
+    return f"{key} {', '.join(words)}" if words else key
+
+
+def _library() -> list[tuple[str, str]]:
+    """The library's names by kind: as many as there are, from first to last."""
+    from vrcaps.organ.lesion import LIBRARY
+
+    names: dict[str, list[str]] = {}
+    for name in LIBRARY:
+        names.setdefault(name.partition("-")[0], []).append(name)
+    return [(f"{len(own)} {kind}", f"{own[0]} to {own[-1]}") for kind, own in names.items()]

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from tyro.conf import OmitArgPrefixes, UseAppendAction, arg
 
 from vrcaps.cli.lesions import chosen_lesions
+from vrcaps.cli.record_physics import PhysicsFlags, physics_motion
 from vrcaps.cli.recording import run_recording
 from vrcaps.errors import InputError
 from vrcaps.organ.read_organ import is_organ_file
@@ -20,6 +21,7 @@ from vrcaps.world.fly_through import FlyThrough
 
 if TYPE_CHECKING:
     from vrcaps.record.scenario import OrganFile, OrganGenerated, Scenario
+    from vrcaps.world.physics import Physics
     from vrcaps.world.replay import Replay
 
 
@@ -38,6 +40,8 @@ class Record:
       vrcaps record --out runs/polyp --lesion polyp-Ip:size=12mm,segment=sigmoid
       vrcaps record --out runs/foam --organ small-bowel --bubbles 3 --chyme 1 --liquid 2
       vrcaps record --out runs/photo --organ colon --mucosa my-mucosa
+      vrcaps record --out runs/soft --organ small-bowel --motion physics --motility phase-three
+      vrcaps record --out runs/roll --organ stomach --motion physics --turn left-lateral:at=4
       vrcaps record --out runs/path --path poses.txt --path-format tum --path-unit m
       vrcaps record --out runs/again --scenario runs/mine/episode.json
     """
@@ -108,15 +112,26 @@ class Record:
     """Frames per second; by default the capsule's own."""
 
     seed: int = 0
-    """Seed of everything random: the motion's wandering, the patient, the mucosa."""
+    """Seed of everything random: the motion's wandering, the patient, the muscle, the mucosa."""
 
     channels: Annotated[tuple[str, ...], arg(help=f"Of {', '.join(CHANNELS)}.")] = (
         *("rgb", "depth", "normal", "label", "instance"),
     )
     """Image channels to write."""
 
+    wall: bool = False
+    """Store where every vertex of the wall is in each frame (12 bytes a vertex)."""
+
+    motion: Literal["fly-through", "physics"] = "fly-through"
+    """How the capsule moves: flown along the centreline, or left to gravity, wall and muscle."""
+
     fly: OmitArgPrefixes[FlyThrough] = field(default_factory=FlyThrough)
     """Fly along the centreline (where no --path is given)."""
+
+    physics: OmitArgPrefixes[PhysicsFlags] = field(default_factory=PhysicsFlags)
+    """With --motion physics the capsule is set on the centreline at --start and left to gravity,
+    the wall, the muscle and these commands; time 0 is the first frame. A scenario file sets every
+    figure of the wall (docs/episode-format.md)."""
 
     path: Path | None = None
     """Follow this recorded path instead."""
@@ -171,13 +186,14 @@ class Record:
             organ=self._organ(),
             capsule=self.capsule,
             posture=self.posture,
-            motion=self.fly if self.path is None else self._replay(self.path),
+            motion=self._motion(),
             frames=self.frames,
             fps=self.fps,
             seed=self.seed,
             channels=self.channels,
             render=self.render,
-            lesions=chosen_lesions(self.lesion, self.lesions, self._patient_seed()),
+            wall=self.wall,
+            lesions=chosen_lesions(self.lesion, self.lesions, self._patient_seed(), self.organ),
             clean_twin=self.clean_twin,
             contents=Contents(self.bubbles, self.chyme, self.liquid, seed=self._patient_seed()),
         )
@@ -215,6 +231,18 @@ class Record:
             condition=self.condition,
             mucosa=self.mucosa,
         )
+
+    def _motion(self) -> FlyThrough | Replay | Physics:
+        if self.motion == "physics":
+            if self.path is not None:
+                raise InputError("--path and --motion physics exclude each other. Drop one.")
+            return physics_motion(self.fly, self.physics)
+        if self.physics != PhysicsFlags():
+            raise InputError(
+                "--force, --motility, --turn and the other flags of physics go with "
+                "--motion physics. Add it, or drop them."
+            )
+        return self.fly if self.path is None else self._replay(self.path)
 
     def _replay(self, path: Path) -> Replay:
         from vrcaps.world.replay import Replay

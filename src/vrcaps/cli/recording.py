@@ -7,7 +7,7 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from vrcaps.cli.console import console, progress_bar
+from vrcaps.cli.console import console, progress_bars
 from vrcaps.cli.lesions import lesion_lines
 from vrcaps.errors import InputError
 
@@ -31,13 +31,13 @@ def run_recording(scenario: Scenario, out: Path, *, threads: int | None = None) 
 
     started = time.perf_counter()
     times: list[float] = []
-    with progress_bar("recording") as advance:
+    with progress_bars("recording", "simulating") as (advance, simulated):
 
         def progress(num_done: int, total: int) -> None:
             times.append(time.perf_counter())
             advance(num_done, total)
 
-        record(scenario, out, progress=progress)
+        record(scenario, out, progress=progress, simulated=simulated)
     _summarise(out, times, time.perf_counter() - started)
 
 

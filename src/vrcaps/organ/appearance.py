@@ -104,11 +104,11 @@ MUCOSAE: dict[str, Mucosa] = {
         vessel_contrast=0.35,
         pit_spacing=0.42 * MM,
         pit_slope=0.48,
-        pit_shade=0.2,
+        pit_shade=0.28,
         network=0.2,
         flecks=0.15,
-        roughness=0.7,
-        coat=0.35,
+        roughness=0.85,
+        coat=0.16,
     ),
 }
 """Mucosae by organ."""

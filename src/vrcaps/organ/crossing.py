@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from typing import TYPE_CHECKING
 
 import numpy as np
+
+from vrcaps import _core
+from vrcaps.organ.repair.edges import cross_products
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
 
 _FLAT = 1e-12
 """Heights over a plane below this share of the mesh's size are rounding."""
-_CHUNK = 500_000
+_CHUNK = 200_000
+"""Pairs that a thread tests at once."""
 
 
 def self_intersections(
@@ -33,14 +38,17 @@ def self_intersections(
     faces = _same_places(vertices)[faces]
     size = float(np.linalg.norm(np.ptp(vertices[faces], axis=(0, 1))))
     corners = vertices[faces]
-    normals = _cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals = cross_products(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), np.finfo(float).tiny)
     pairs = _touching_boxes(corners.min(axis=1).T, corners.max(axis=1).T)
-    pairs = pairs[_num_shared(faces, pairs) < 2]
-    found = [
-        chunk[_is_cut(corners, normals, chunk, _FLAT * size)]
-        for chunk in np.array_split(pairs, len(pairs) // _CHUNK + 1)
-    ]
+
+    def cut(chunk: Int[np.ndarray, "k 2"]) -> Int[np.ndarray, "l 2"]:
+        shared = _num_shared(faces, chunk)
+        chunk, shared = chunk[shared < 2], shared[shared < 2]
+        return chunk[_is_cut(corners, normals, chunk, shared, _FLAT * size)]
+
+    with ThreadPoolExecutor(_core.num_threads()) as threads:
+        found = list(threads.map(cut, np.array_split(pairs, len(pairs) // _CHUNK + 1)))
     pairs = np.concatenate(found)
     return pairs[np.lexsort(pairs.T[::-1])]
 
@@ -136,14 +144,18 @@ def _is_cut(
     corners: Float[np.ndarray, "m 3 3"],
     normals: Float[np.ndarray, "m 3"],
     pairs: Int[np.ndarray, "k 2"],
+    shared: Int[np.ndarray, " k"],
     tolerance: float,
 ) -> Bool[np.ndarray, " k"]:
-    """Which pairs of triangles cut each other; heights within the tolerance [m] are none."""
+    """Which pairs of triangles cut each other; heights within the tolerance [m] are none.
+
+    Triangles that share a vertex, and no more of which lies on the other's plane, are apart.
+    """
     kept, sides = np.arange(len(pairs)), np.zeros((2, len(pairs), 3), np.int8)
     for k in range(2):
         one, other = pairs[kept, k], pairs[kept, 1 - k]
         sides[k, kept] = _sides(corners[one], corners[other, :1], normals[other], tolerance)
-        kept = kept[np.abs(sides[k, kept].sum(axis=1)) < 3]
+        kept = kept[np.abs(sides[k, kept].sum(axis=1)) < 3 - shared[kept]]
     one, other = corners[pairs[kept]].swapaxes(0, 1)
     is_cut = np.zeros(len(pairs), bool)
     is_cut[kept] = _any_edge_through(one, other, sides[0, kept])
@@ -181,7 +193,7 @@ def _any_edge_through(
         edge = one[split, k - 1] - start
         a, b, c = (other[split, corner] - start for corner in range(3))
         volumes = np.stack(
-            [np.einsum("ij,ij->i", edge, _cross(u, v)) for u, v in ((a, b), (b, c), (c, a))]
+            [np.einsum("ij,ij->i", edge, cross_products(u, v)) for u, v in ((a, b), (b, c), (c, a))]
         )
         is_through[split] |= (volumes >= 0.0).all(axis=0) | (volumes <= 0.0).all(axis=0)
     return is_through
@@ -197,15 +209,9 @@ def _overlap(
     is_apart = np.zeros(len(one), bool)
     for triangle in (one, other):
         for k in range(3):
-            across = _cross(triangle[:, k] - triangle[:, k - 1], normal)
+            across = cross_products(triangle[:, k] - triangle[:, k - 1], normal)
             across /= np.maximum(np.linalg.norm(across, axis=1, keepdims=True), tolerance)
             first, second = (np.einsum("nij,nj->ni", t, across) for t in (one, other))
             is_apart |= first.max(axis=1) <= second.min(axis=1) + tolerance
             is_apart |= second.max(axis=1) <= first.min(axis=1) + tolerance
     return ~is_apart
-
-
-def _cross(one: Float[np.ndarray, "n 3"], other: Float[np.ndarray, "n 3"]) -> np.ndarray:
-    """Cross products; `np.cross` takes three times as long."""
-    (x, y, z), (a, b, c) = one.T, other.T
-    return np.stack([y * c - z * b, z * a - x * c, x * b - y * a], axis=1)

@@ -60,24 +60,24 @@ class Glb:
     def add_bytes(self, data: bytes, view: dict) -> int:
         """Add a buffer view, for example an encoded image; gives its number."""
         self._views.append({"buffer": 0, "byteOffset": self._size, "byteLength": len(data), **view})
-        padded = data + b"\0" * (-len(data) % 4)
-        self._chunks.append(padded)
-        self._size += len(padded)
+        padding = b"\0" * (-len(data) % 4)
+        self._chunks += [data, padding]
+        self._size += len(data) + len(padding)
         return len(self._views) - 1
 
-    def pack(self, document: dict) -> bytes:
-        """The whole file."""
-        binary = b"".join(self._chunks)
+    def pack(self, document: dict) -> list[bytes]:
+        """The whole file, in pieces."""
         document = {
             **document,
-            "buffers": [{"byteLength": len(binary)}],
+            "buffers": [{"byteLength": self._size}],
             "bufferViews": self._views,
             "accessors": self._accessors,
         }
         text = json.dumps(document, separators=(",", ":"), allow_nan=False).encode()
         text += b" " * (-len(text) % 4)
-        chunks = _CHUNK.pack(len(text), b"JSON") + text + _CHUNK.pack(len(binary), b"BIN\0")
-        return _HEADER.pack(b"glTF", 2, 12 + len(chunks) + len(binary)) + chunks + binary
+        chunks = _CHUNK.pack(len(text), b"JSON") + text + _CHUNK.pack(self._size, b"BIN\0")
+        header = _HEADER.pack(b"glTF", 2, _HEADER.size + len(chunks) + self._size)
+        return [header, chunks, *self._chunks]
 
     def _add_accessor(self, accessor: dict, view: int) -> int:
         self._accessors.append({"bufferView": view, **accessor})

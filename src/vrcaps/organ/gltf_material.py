@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps._core import write_pngs
 from vrcaps.organ.surface import coat_alpha
 
 if TYPE_CHECKING:
@@ -20,6 +17,8 @@ if TYPE_CHECKING:
 _PLAIN_MUCOSA = (0.60, 0.22, 0.16, 1.0)  # linear; drawn where there is no appearance
 _SAMPLER = {"magFilter": 9729, "minFilter": 9987, "wrapS": 10497, "wrapT": 10497}  # mipmaps, repeat
 _BLOCK_ROWS = 256
+_MAX_NORMALS = 1 << 25
+"""Most texels of a normal texture; a finer relief is averaged over 2 by 2 texels until it fits."""
 
 
 def relief_scale(
@@ -42,27 +41,28 @@ def relief_scale(
     return along_u, along_v
 
 
-def texture_images(appearance: Appearance, scale: tuple[float, float]) -> list[bytes]:
-    """PNG files of base colour, roughness and normals, in the order of `material_json`.
+def texture_images(appearance: Appearance, scale: tuple[float, float]) -> list[np.ndarray]:
+    """Images of base colour, roughness and normals, in the order of `material_json`.
+
+    Roughness is grey: glTF reads it from green, and metalness from blue, times a factor of 0.
 
     Args:
         appearance: The textures.
         scale: Length on the wall of one unit of u and v [m], see `relief_scale`.
     """
-    roughness = np.zeros((*appearance.roughness.shape, 3), np.uint8)
-    roughness[..., 1] = appearance.roughness  # glTF: G is roughness, B is metalness
-    normals = normal_texture(appearance.height, scale)
-    return encode_pngs([appearance.albedo, roughness, normals])
+    relief = appearance.height
+    while relief.size > _MAX_NORMALS and not any(size % 2 for size in relief.shape):
+        relief = _halved(relief)
+    return [appearance.albedo, appearance.roughness, normal_texture(relief, scale)]
 
 
-def encode_pngs(images: list[np.ndarray]) -> list[bytes]:
-    """PNG files of 8 or 16-bit images, encoded side by side."""
-    with TemporaryDirectory(prefix="vrcaps-") as folder:
-        paths = [Path(folder, f"{number}.png") for number in range(len(images))]
-        write_pngs(
-            [(str(path), np.ascontiguousarray(i)) for path, i in zip(paths, images, strict=True)]
-        )
-        return [path.read_bytes() for path in paths]
+def _halved(height: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h/2 w/2"]:
+    """Mean over 2 by 2 texels [m]."""
+    total = height[::2, ::2] + height[1::2, ::2]
+    total += height[::2, 1::2]
+    total += height[1::2, 1::2]
+    total *= np.float32(0.25)
+    return total
 
 
 def normal_texture(

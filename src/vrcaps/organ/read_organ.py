@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import struct
-from io import BytesIO
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from vrcaps import _core
 from vrcaps.errors import InputError
 from vrcaps.organ.glb import array_of, read_document, read_glb, view_of
 from vrcaps.organ.parts import organ_from_parts
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from vrcaps.organ.surface import OrganSurface
 
-_DAMAGED = (ValueError, LookupError, TypeError, OSError, SyntaxError, struct.error)
+_DAMAGED = (ValueError, LookupError, TypeError, OSError, struct.error)
 """What parsing a file that was cut short or changed raises."""
 
 
@@ -67,16 +67,15 @@ def _format(path: Path) -> str | None:
 
 def _read(document: dict[str, Any], binary: memoryview) -> OrganSurface:
     own = document["asset"]["extras"]
-    values: dict[str, Any] = {}
+    values = _decoded(document, binary)
     for name, entry in own["arrays"].items():
         if "step" in entry:
-            stored = _decode(view_of(document, binary, entry["bufferView"]))
-            values[name] = (stored.astype(np.float32) - 32768) * np.float32(entry["step"])
+            height = values[name].astype(np.float32)
+            height -= 32768
+            height *= np.float32(entry["step"])
+            values[name] = height
         else:
             values[name] = array_of(document, binary, entry)
-    for name, place in own["images"].items():
-        view = document["images"][place["image"]]["bufferView"]
-        values[name] = _decode(view_of(document, binary, view), place.get("channel"))
     primitive = document["meshes"][0]["primitives"][0]
     view = document["accessors"][primitive["indices"]]["bufferView"]
     index = np.frombuffer(view_of(document, binary, view), "<u4").reshape(-1, 3)
@@ -86,8 +85,15 @@ def _read(document: dict[str, Any], binary: memoryview) -> OrganSurface:
     return organ_from_parts(values | own["plain"])
 
 
-def _decode(png: memoryview, channel: int | None = None) -> np.ndarray:
-    from PIL import Image
-
-    with Image.open(BytesIO(png)) as image:
-        return np.array(image if channel is None else image.getchannel(channel))
+def _decoded(document: dict[str, Any], binary: memoryview) -> dict[str, np.ndarray]:
+    """The arrays that are images, decoded side by side."""
+    own = document["asset"]["extras"]
+    steps = {k: entry["bufferView"] for k, entry in own["arrays"].items() if "step" in entry}
+    places = own["images"].items()
+    views = steps | {k: document["images"][place["image"]]["bufferView"] for k, place in places}
+    files = [np.frombuffer(view_of(document, binary, view), np.uint8) for view in views.values()]
+    images = dict(zip(views, _core.decode_pngs(files), strict=True))
+    for name, place in places:
+        if "channel" in place:
+            images[name] = images[name][..., place["channel"]].copy()
+    return images

@@ -123,7 +123,11 @@ class Mesh:
 
 def round_height(height: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
     """Relief [m] to the nearest multiple of `HEIGHT_STEP`."""
-    return (np.rint(height / HEIGHT_STEP) * HEIGHT_STEP + 0.0).astype(np.float32)  # no −0
+    steps = height / HEIGHT_STEP
+    np.rint(steps, out=steps)
+    steps *= HEIGHT_STEP
+    steps += 0.0  # no −0
+    return steps.astype(np.float32, copy=False)
 
 
 def coat_alpha(gloss: float) -> float:

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from vrcaps._core import encode_pngs
 from vrcaps.organ.glb import Glb
-from vrcaps.organ.gltf_material import encode_pngs, material_json, relief_scale, texture_images
+from vrcaps.organ.gltf_material import material_json, relief_scale, texture_images
 from vrcaps.organ.parts import json_safe, organ_parts
 from vrcaps.organ.ply import write_ply
 from vrcaps.organ.surface import HEIGHT_STEP
@@ -29,10 +30,11 @@ GENERATOR = "vrcaps"
 
 _TEXTURES = {
     "appearance.albedo": {"image": 0},
-    "appearance.roughness": {"image": 1, "channel": 1},
+    "appearance.roughness": {"image": 1},
 }
 """Arrays that the file's images hold exactly."""
 
+_NUM_IMAGES = 3  # of the material; the relief follows where it is in steps
 _ZERO = 32768  # stored for a height of 0
 
 
@@ -59,23 +61,20 @@ def write_glb(
     glb = Glb()
     source, faces, uv = split_at_seams(organ.faces, organ.uv)
     primitive = {**_add_geometry(glb, organ, pose, (source, faces, uv)), "material": 0}
-    images = []
-    if organ.appearance is not None:
-        scale = relief_scale(organ.vertices, organ.faces, organ.uv)
-        images = [glb.add_bytes(png, {}) for png in texture_images(organ.appearance, scale)]
+    images = _add_images(glb, organ)
     extras = {"label_names": list(organ.label_names)}
     for key in ("lesions", "clean_twin_of"):
         if key in organ.metadata:
             extras[key] = json_safe(organ.metadata[key])
     own = {"format": ORGAN_FORMAT, "T_world_patient": pose.tolist()}
-    own |= _add_exact(glb, organ, source, uv)
+    own |= _add_exact(glb, organ, source, uv, images)
     document = {
         "asset": {"version": "2.0", "generator": GENERATOR, "extras": own},
         "scene": 0,
         "scenes": [{"nodes": [0]}],
         "nodes": [{"mesh": 0, "name": organ.name}],
         "meshes": [{"name": organ.name, "primitives": [primitive], "extras": extras}],
-        **material_json(organ.appearance, images),
+        **material_json(organ.appearance, images[:_NUM_IMAGES]),
     }
     _write_whole(path, glb.pack(document))
 
@@ -84,7 +83,7 @@ def write_mesh(path: Path, mesh: Mesh) -> None:
     """Write a bare mesh as PLY, in metres; `read_mesh` with unit `m` gives it back."""
     buffer = BytesIO()
     write_ply(buffer, mesh)
-    _write_whole(path, buffer.getvalue())
+    _write_whole(path, [buffer.getvalue()])
 
 
 def split_at_seams(
@@ -129,8 +128,22 @@ def _add_geometry(
     return {"attributes": attributes, "indices": glb.add_indices(faces)}
 
 
+def _add_images(glb: Glb, organ: OrganSurface) -> list[int]:
+    """Views of the material's images and, where it is in steps, of the relief as steps."""
+    if organ.appearance is None:
+        return []
+    scale = relief_scale(organ.vertices, organ.faces, organ.uv)
+    images = texture_images(organ.appearance, scale)
+    images += _height_steps(organ.appearance.height)
+    return [glb.add_bytes(png, {}) for png in encode_pngs(images)]
+
+
 def _add_exact(
-    glb: Glb, organ: OrganSurface, source: Int[np.ndarray, " k"], uv: Float[np.ndarray, "k 2"]
+    glb: Glb,
+    organ: OrganSurface,
+    source: Int[np.ndarray, " k"],
+    uv: Float[np.ndarray, "k 2"],
+    views: list[int],
 ) -> dict[str, Any]:
     """What `read_organ` reads: plain values, exact arrays, and which images hold arrays.
 
@@ -140,28 +153,31 @@ def _add_exact(
     arrays, plain = organ_parts(organ)
     arrays |= {"faces": source.astype(organ.faces.dtype), "uv": uv}
     images = {name: place for name, place in _TEXTURES.items() if name in arrays}
-    exact = {
-        name: _add_height(glb, a) if name == "appearance.height" else glb.add_array(a)
-        for name, a in sorted(arrays.items())
-        if name not in images
-    }
+    steps = {}
+    if len(views) > _NUM_IMAGES:
+        steps["appearance.height"] = {"bufferView": views[_NUM_IMAGES], "step": HEIGHT_STEP}
+        del arrays["appearance.height"]
+    exact = {name: glb.add_array(a) for name, a in sorted(arrays.items()) if name not in images}
+    exact |= steps
     return {"plain": json_safe(plain), "arrays": exact, "images": images}
 
 
-def _add_height(glb: Glb, height: Float[np.ndarray, "h w"]) -> dict[str, Any]:
-    """Relief as a 16-bit PNG of its steps where it is in steps (`HEIGHT_STEP`), else as it is."""
-    steps = height / HEIGHT_STEP + _ZERO
+def _height_steps(height: Float[np.ndarray, "h w"]) -> list[np.ndarray]:
+    """Relief as a 16-bit image of its steps (`HEIGHT_STEP`); none where that would not be exact."""
+    if height.dtype != np.float32:
+        return []
+    steps = height * np.float32(1.0 / HEIGHT_STEP)
+    steps += np.float32(_ZERO)
     image = np.clip(steps, 0, 2 * _ZERO - 1).astype(np.uint16)
-    if height.dtype != np.float32 or not np.array_equal(image, steps):
-        return glb.add_array(height)
-    return {"bufferView": glb.add_bytes(encode_pngs([image])[0], {}), "step": HEIGHT_STEP}
+    return [image] if np.array_equal(image, steps) else []
 
 
-def _write_whole(path: Path, data: bytes) -> None:
+def _write_whole(path: Path, pieces: list[bytes]) -> None:
     """Write under a temporary name, then rename."""
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:
-        temporary.write_bytes(data)
+        with temporary.open("wb") as file:
+            file.writelines(pieces)
         temporary.replace(path)
     finally:
         temporary.unlink(missing_ok=True)

@@ -13,6 +13,7 @@ from vrcaps import _core
 from vrcaps.capsule.device import Camera
 from vrcaps.capsule.rays import camera_rays
 from vrcaps.errors import VrcapsError
+from vrcaps.organ.surface import Mesh
 from vrcaps.record.channels import ENCODINGS
 from vrcaps.record.episode import Episode, read_episode
 from vrcaps.record.files import read_image
@@ -26,9 +27,11 @@ from vrcaps.record.layout import (
     channel_to_plain,
 )
 from vrcaps.record.table import POSE_COLUMNS, column_names
+from vrcaps.record.walls import read_wall, wall_path
 from vrcaps.tissue.contents.filling import CHYME
 from vrcaps.transforms import rotate_vectors
 from vrcaps.units import UM
+from vrcaps.world.physics import Physics
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -73,20 +76,36 @@ def check_episode(
     if (scenario.frames, scenario.channels) != (len(episode), episode.channels):
         problems.append(Problem(EPISODE_JSON, "scenario has other frames or channels than head"))
     problems += _check_table(episode)
-    wall, organ_problems = _load_wall(episode)
+    organ, organ_problems = _load_organ(episode)
     problems += [*organ_problems, *_check_extras(episode)]
+    stored = "wall" in episode.head
+    # A wall that moved and was not stored is not known.
+    known = organ is not None and not stored and not isinstance(scenario.motion, Physics)
+    at_rest = _core.Wall(organ.vertices, organ.faces) if organ is not None and known else None
     cast_frames = np.linspace(0, len(episode) - 1, _CAST_FRAMES).round().astype(int)
     poses_known = not any(problem.where.startswith(FRAMES_PARQUET) for problem in problems)
     rays = {camera.name: camera_rays(camera) for camera in episode.cameras}
     for frame in range(len(episode)):
+        wall = at_rest
+        if stored:
+            wall, wall_problems = _stored_wall(episode, organ, frame)
+            problems += wall_problems
+        wall = wall if poses_known and frame in cast_frames else None
         for camera in episode.cameras:
-            images, unreadable = _read_images(episode, camera, frame)
-            problems += unreadable
-            problems += _check_images(episode, camera, frame, images, rays[camera.name])
-            if wall is not None and poses_known and frame in cast_frames:
-                problems += _check_cast(episode, camera, frame, images, wall)
+            problems += _check_frame(episode, camera, frame, rays[camera.name], wall)
         if progress is not None:
             progress(frame + 1, len(episode))
+    return problems
+
+
+def _check_frame(
+    episode: Episode, camera: Camera, frame: int, rays: NDArray, wall: _core.Wall | None
+) -> list[Problem]:
+    """Faults of the images of one camera at one frame; cast against the wall if it is given."""
+    images, problems = _read_images(episode, camera, frame)
+    problems += _check_images(episode, camera, frame, images, rays)
+    if wall is not None:
+        problems += _check_cast(episode, camera, frame, images, wall)
     return problems
 
 
@@ -112,7 +131,9 @@ def _check_table(episode: Episode) -> Iterator[Problem]:
         yield Problem(FRAMES_PARQUET, f"cannot be read ({error})")
         return
     columns = table.columns
-    missing = set(column_names(tuple(c.name for c in episode.cameras))) - set(columns)
+    cameras = tuple(camera.name for camera in episode.cameras)
+    simulated = isinstance(episode.scenario.motion, Physics)
+    missing = set(column_names(cameras, simulated=simulated)) - set(columns)
     if missing:
         yield Problem(FRAMES_PARQUET, f"lacks the columns {', '.join(sorted(missing))}")
         return
@@ -158,7 +179,8 @@ def _is_rigid(Ts: NDArray) -> NDArray:
     return (error < 1e-6) & (np.linalg.det(rotation) > 0.0) & (Ts[:, 3] == [0, 0, 0, 1]).all(axis=1)
 
 
-def _load_wall(episode: Episode) -> tuple[_core.Wall | None, list[Problem]]:
+def _load_organ(episode: Episode) -> tuple[Mesh | None, list[Problem]]:
+    """The wall at rest, if it is whole."""
     try:
         mesh = episode.organ
     except VrcapsError as error:
@@ -168,7 +190,28 @@ def _load_wall(episode: Episode) -> tuple[_core.Wall | None, list[Problem]]:
         return None, [Problem(ORGAN_GLB, f"has {len(mesh.faces)} triangles, not {expected}")]
     if not np.isfinite(mesh.vertices).all():
         return None, [Problem(ORGAN_GLB, "holds vertices that are not finite")]
-    return _core.Wall(mesh.vertices, mesh.faces), []
+    return mesh, []
+
+
+def _stored_wall(
+    episode: Episode, organ: Mesh | None, frame: int
+) -> tuple[_core.Wall | None, list[Problem]]:
+    """The wall of a frame, ready for rays, if it is whole."""
+    path, where = episode.wall_path(frame), wall_path(frame)
+    try:
+        vertices = read_wall(path)
+    except (OSError, ValueError) as error:
+        what = "is missing" if not path.exists() else f"cannot be read ({error})"
+        return None, [Problem(where, what)]
+    expected = (episode.head["wall"].get("num_vertices"), 3)
+    if vertices.shape != expected or vertices.dtype != np.float32:
+        found = f"holds {vertices.dtype} {vertices.shape}, not float32 {expected}"
+        return None, [Problem(where, found)]
+    if not np.isfinite(vertices).all():
+        return None, [Problem(where, "holds vertices that are not finite")]
+    if organ is None or len(organ.vertices) != len(vertices):
+        return None, []
+    return _core.Wall(vertices.astype(float), organ.faces), []
 
 
 def _check_extras(episode: Episode) -> Iterator[Problem]:
@@ -276,8 +319,9 @@ def _check_cast(
         near |= stored < expected  # a particle may hide the wall
     if near.mean() < _CAST_SHARE:
         where = episode.image_path(camera.name, channel, frame).relative_to(episode.path)
+        against = wall_path(frame) if "wall" in episode.head else ORGAN_GLB
         yield Problem(
             str(where),
-            f"agrees with {ORGAN_GLB} within {_STEP / UM:.0f} um at only {near.mean():.1%} of "
+            f"agrees with {against} within {_STEP / UM:.0f} um at only {near.mean():.1%} of "
             f"{len(near)} sampled pixels",
         )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -26,6 +26,7 @@ from vrcaps.record.layout import (
 )
 from vrcaps.record.scenario import Scenario, scenario_from_plain
 from vrcaps.record.table import FrameTable, read_table
+from vrcaps.record.walls import read_wall, wall_path
 from vrcaps.render.frame import Frame
 
 if TYPE_CHECKING:
@@ -102,8 +103,7 @@ class Episode:
         self.camera(camera)
         if channel not in self.channels:
             raise UnknownNameError("channel", channel, self.channels)
-        if not 0 <= frame < len(self):
-            raise InputError(f"No frame {frame} in {self.path}. Allowed: 0 to {len(self) - 1}.")
+        self._require_frame(frame)
         return self.path / ENCODINGS[channel].path(camera, channel, frame)
 
     def image(self, camera: str, channel: str, frame: int) -> NDArray:
@@ -134,6 +134,41 @@ class Episode:
     def organ(self) -> Mesh:
         """The wall at rest in the world frame [m]."""
         return read_mesh(self.path / ORGAN_GLB, unit="m")
+
+    def wall(self, index: int) -> Mesh:
+        """The wall of a frame in the world frame [m], as `organ` but where it is then.
+
+        Raises:
+            InputError: If walls were not recorded, there is no such frame or its file is damaged.
+        """
+        path = self.wall_path(index)
+        try:
+            vertices = read_wall(path)
+        except (OSError, ValueError) as error:
+            raise InputError(
+                f"Cannot read {path} ({error}). `vrcaps check {self.path}` lists all faults."
+            ) from error
+        if vertices.shape != self.organ.vertices.shape:
+            raise InputError(
+                f"{path} has the shape {vertices.shape}, not {self.organ.vertices.shape} as "
+                f"{ORGAN_GLB}. `vrcaps check {self.path}` lists all faults."
+            )
+        return replace(self.organ, vertices=vertices.astype(float))
+
+    def wall_path(self, frame: int) -> Path:
+        """Where the wall of a frame is stored.
+
+        Raises:
+            InputError: If walls were not recorded or there is no such frame.
+        """
+        if "wall" not in self.head:
+            raise InputError(f"{self.path} holds no walls. Record with --wall to store them.")
+        self._require_frame(frame)
+        return self.path / wall_path(frame)
+
+    def _require_frame(self, frame: int) -> None:
+        if not 0 <= frame < len(self):
+            raise InputError(f"No frame {frame} in {self.path}. Allowed: 0 to {len(self) - 1}.")
 
 
 def read_episode(path: str | Path, *, unfinished: bool = False) -> Episode:

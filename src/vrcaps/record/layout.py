@@ -17,6 +17,7 @@ from vrcaps.organ.parts import json_safe
 from vrcaps.record.channels import ENCODINGS
 from vrcaps.record.scenario import Scenario, scenario_to_plain
 from vrcaps.record.typed import from_plain, to_plain
+from vrcaps.record.walls import wall_to_plain
 from vrcaps.render.frame import Frame
 from vrcaps.world.model import Model
 
@@ -69,6 +70,7 @@ def make_head(scenario: Scenario, model: Model, notes: tuple[str, ...]) -> dict[
         },
         "cameras": [camera_to_plain(camera) for camera in device.cameras],
         "channels": {channel: channel_to_plain(channel) for channel in scenario.channels},
+        **({"wall": wall_to_plain(organ)} if scenario.wall else {}),
         "motion_notes": list(notes),
     }
 

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import errno
+import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,6 +16,12 @@ import numpy as np
 
 from vrcaps.errors import InputError
 from vrcaps.record.channels import ENCODINGS
+from vrcaps.record.checkpoint import (
+    Checkpoint,
+    read_checkpoint,
+    remove_checkpoint,
+    write_checkpoint,
+)
 from vrcaps.record.episode import Episode, read_episode
 from vrcaps.record.files import TEMPORARY, write_bytes, write_images, write_json
 from vrcaps.record.layout import (
@@ -30,20 +38,28 @@ from vrcaps.record.layout import (
 from vrcaps.record.pictures import contact_sheet
 from vrcaps.record.preview import Preview
 from vrcaps.record.scenario import Scenario, build, resolve, scenario_to_plain
-from vrcaps.record.table import make_table, write_table
+from vrcaps.record.table import TableRows, write_table
+from vrcaps.record.walls import file_vertices, stored_wall, wall_path
 from vrcaps.render.renderer import Renderer
+from vrcaps.world.simulation import Simulation
 
 if TYPE_CHECKING:
     from vrcaps.render.frame import Frame
     from vrcaps.world.model import Model
-    from vrcaps.world.trajectory import Trajectory
+    from vrcaps.world.run import Instant, Run
+    from vrcaps.world.snapshot import Snapshot
 
+_CHECKPOINT_SECONDS = 10.0  # between snapshots of a simulation, from which it can go on
 _QUEUED_FRAMES = 3  # being encoded or waiting for it while the next ones are rendered
 _FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 
 
 def record(
-    scenario: Scenario, out: str | Path, *, progress: Callable[[int, int], None] | None = None
+    scenario: Scenario,
+    out: str | Path,
+    *,
+    progress: Callable[[int, int], None] | None = None,
+    simulated: Callable[[float, float], None] | None = None,
 ) -> Path:
     """Record a scenario into a folder; the same scenario gives the same bytes.
 
@@ -54,6 +70,7 @@ def record(
         scenario: What to record.
         out: Folder of the episode: new, empty, or this scenario's own from before.
         progress: Called with the number of whole frames and of all frames.
+        simulated: Called by a motion of physics with the time simulated so far and the whole [s].
 
     Returns:
         The folder.
@@ -65,12 +82,15 @@ def record(
     out = Path(out)
     scenario, device = resolve(scenario)
     _require_free(out, scenario)
-    model, trajectory = build(scenario, device)
-    head = make_head(scenario, model, trajectory.notes)
+    model, motion = build(scenario, device)
+    if isinstance(motion, Simulation) and simulated is not None:
+        motion.on_step = simulated
+    head = make_head(scenario, model, motion.notes)
     try:
         _begin(out, head)
-        _write_fixed(out, model, trajectory)
-        _write_frames(out, _Run(out, scenario, model, trajectory, progress or _silent))
+        if not (out / ORGAN_GLB).exists():
+            _write_organ(out, model)
+        _write_frames(out, _Recording(out, scenario, model, motion, progress or _silent))
         _finish(out, head)
     except OSError as error:
         raise _explained(out, error) from error
@@ -78,20 +98,22 @@ def record(
 
 
 @dataclass(frozen=True)
-class _Run:
+class _Recording:
     """A recording under way."""
 
     out: Path
     scenario: Scenario
     model: Model
-    trajectory: Trajectory
+    motion: Run
     progress: Callable[[int, int], None]
     present: set[Path] = field(init=False)
+    wall_vertices: np.ndarray = field(init=False)
 
     def __post_init__(self) -> None:
-        folders = {path.parent for path in self.paths(0).values()}
+        folders = {path.parent for path in self.files(0)}
         present = {path for folder in folders for path in folder.iterdir()}
         object.__setattr__(self, "present", present)
+        object.__setattr__(self, "wall_vertices", file_vertices(self.model.organ))
 
     def paths(self, frame: int) -> dict[tuple[str, str], Path]:
         """Image files of a frame by camera and channel."""
@@ -101,8 +123,46 @@ class _Run:
             for channel in self.scenario.channels
         }
 
+    def files(self, frame: int) -> list[Path]:
+        """All files of a frame."""
+        walls = [self.out / wall_path(frame)] if self.scenario.wall else []
+        return [*self.paths(frame).values(), *walls]
+
     def is_there(self, frame: int) -> bool:
-        return self.present.issuperset(self.paths(frame).values())
+        return self.present.issuperset(self.files(frame))
+
+    def is_whole(self) -> bool:
+        """Whether nothing that comes from the motion is missing."""
+        table = (self.out / FRAMES_PARQUET).exists()
+        return table and all(self.is_there(frame) for frame in range(self.scenario.frames))
+
+    def checkpoint(self) -> Checkpoint | None:
+        """Where a simulation may go on; None where it must begin anew."""
+        if not isinstance(self.motion, Simulation):
+            return None
+        found = read_checkpoint(self.out)
+        if found is None or not all(self.is_there(frame) for frame in range(found.frame + 1)):
+            return None
+        return found
+
+
+@dataclass(frozen=True)
+class _Step:
+    """A frame to be written, between its neighbours.
+
+    Attributes:
+        frame: Its number.
+        now: The world.
+        before: One frame earlier; None for the first.
+        after: One frame later; None for the last.
+        taken: Of `Simulation.snapshot` at this frame, where one is due.
+    """
+
+    frame: int
+    now: Instant
+    before: Instant | None
+    after: Instant | None
+    taken: tuple[float, Snapshot] | None
 
 
 def _silent(done: int, total: int) -> None:
@@ -153,37 +213,63 @@ def _begin(out: Path, head: dict[str, Any]) -> None:
     for channel in head["channels"]:
         for camera in head["cameras"]:
             (out / camera["name"] / channel).mkdir(parents=True, exist_ok=True)
+    if "wall" in head:
+        (out / wall_path(0)).parent.mkdir(exist_ok=True)
 
 
-def _write_fixed(out: Path, model: Model, trajectory: Trajectory) -> None:
-    """Write what does not depend on the images."""
+def _write_organ(out: Path, model: Model) -> None:
     from vrcaps.organ.write import write_glb
 
-    if not (out / ORGAN_GLB).exists():
-        write_glb(out / ORGAN_GLB, model.organ, T_world_patient=model.T_world_patient)
-    if not (out / FRAMES_PARQUET).exists():
-        write_table(out / FRAMES_PARQUET, make_table(model, trajectory))
+    write_glb(out / ORGAN_GLB, model.organ, T_world_patient=model.T_world_patient)
 
 
-def _write_frames(out: Path, run: _Run) -> None:
-    """Write all images that are missing, and the preview; render and encode side by side."""
+def _steps(motion: Run, start: Checkpoint | None) -> Iterator[_Step]:
+    """Frames of a motion with their neighbours, from the one after a checkpoint on."""
+    simulation = motion if isinstance(motion, Simulation) else None
+    last = time.monotonic()
+
+    def taken() -> tuple[float, Snapshot] | None:
+        nonlocal last
+        if simulation is None or time.monotonic() - last < _CHECKPOINT_SECONDS:
+            return None
+        last = time.monotonic()
+        return simulation.snapshot()
+
+    if start is None or simulation is None:
+        instants, frame = motion.instants(), 0
+        before, now = None, next(instants)
+    else:
+        instants = simulation.instants(start.frame, (start.arc_length, start.snapshot))
+        frame = start.frame + 1
+        before, now = next(instants), next(instants)
+    due = taken()
+    for after in instants:
+        following = taken()
+        yield _Step(frame, now, before, after, due)
+        before, now, due, frame = now, after, following, frame + 1
+    yield _Step(frame, now, before, None, None)
+
+
+def _write_frames(out: Path, run: _Recording) -> None:
+    """Write all images that are missing, table and preview; render and encode side by side."""
     total = run.scenario.frames
-    renderer = Renderer(run.model, run.scenario.render)
     preview = _new_preview(run)
     episode = read_episode(out, unfinished=True)
     pending: deque[Future[None]] = deque()
     pool = ThreadPoolExecutor(1, thread_name_prefix="vrcaps-encode")
+
+    def submit(frame: int, task: Callable[[], None]) -> None:
+        pending.append(pool.submit(task))
+        while len(pending) > _QUEUED_FRAMES:
+            pending.popleft().result()
+        run.progress(frame + 1 - len(pending), total)
+
     try:
-        for frame in range(total):
-            if run.is_there(frame):
-                task = pool.submit(_preview_from_files, preview, episode, frame)
-            else:
-                images = _render(renderer, run, frame)
-                task = pool.submit(_write_frame, preview, run, frame, images)
-            pending.append(task)
-            while len(pending) > _QUEUED_FRAMES:
-                pending.popleft().result()
-            run.progress(frame + 1 - len(pending), total)
+        if run.is_whole():
+            for frame in range(total):
+                submit(frame, partial(_preview_from_files, preview, episode, frame))
+        else:
+            _write_steps(run, preview, episode, submit)
         for left in range(len(pending) - 1, -1, -1):
             pending.popleft().result()
             run.progress(total - left, total)
@@ -193,19 +279,52 @@ def _write_frames(out: Path, run: _Run) -> None:
         write_bytes(out / PREVIEW_MP4, preview.finish())
 
 
-def _render(renderer: Renderer, run: _Run, frame: int) -> dict[str, Frame]:
+def _write_steps(
+    run: _Recording,
+    preview: Preview | None,
+    episode: Episode,
+    submit: Callable[[int, Callable[[], None]], None],
+) -> None:
+    """Walk through the motion, hand out what is to be written, write the table."""
+    start = run.checkpoint()
+    renderer = Renderer(run.model, run.scenario.render)
+    rows = TableRows(run.model, None if start is None else start.table)
+    for frame in range(len(rows)):
+        submit(frame, partial(_preview_from_files, preview, episode, frame))
+    for step in _steps(run.motion, start):
+        rows.add(step.now)
+        if run.is_there(step.frame):
+            submit(step.frame, partial(_preview_from_files, preview, episode, step.frame))
+            continue
+        images = _render(renderer, run, step)
+        wall = None
+        if run.scenario.wall:
+            wall = stored_wall(run.model, step.now.state, run.wall_vertices)
+        checkpoint = None
+        if step.taken is not None:
+            checkpoint = Checkpoint(step.frame, *step.taken, rows.table())
+        submit(
+            step.frame,
+            partial(_write_frame, preview, run, step.frame, images, wall, checkpoint),
+        )
+    if not (run.out / FRAMES_PARQUET).exists():
+        write_table(run.out / FRAMES_PARQUET, rows.table())
+
+
+def _render(renderer: Renderer, run: _Recording, step: _Step) -> dict[str, Frame]:
     """Images of all cameras at one frame."""
-    channels, last = run.scenario.channels, len(run.trajectory) - 1
-    state, after, before = (
-        run.trajectory.state(min(max(index, 0), last)) for index in (frame, frame + 1, frame - 1)
-    )
+    after, before = step.after or step.now, step.before or step.now
     images = {
         camera.name: renderer.render(
-            state, camera, channels=channels, state_next=after, state_previous=before
+            step.now.state,
+            camera,
+            channels=run.scenario.channels,
+            state_next=after.state,
+            state_previous=before.state,
         )
         for camera in run.model.device.cameras
     }
-    ends = (frame == 0, frame == last)
+    ends = (step.before is None, step.after is None)
     return {name: _without_neighbour(image, *ends) for name, image in images.items()}
 
 
@@ -220,14 +339,26 @@ def _without_neighbour(image: Frame, is_first: bool, is_last: bool) -> Frame:
     return image
 
 
-def _write_frame(preview: Preview | None, run: _Run, frame: int, images: dict[str, Frame]) -> None:
+def _write_frame(
+    preview: Preview | None,
+    run: _Recording,
+    frame: int,
+    images: dict[str, Frame],
+    wall: np.ndarray | None,
+    checkpoint: Checkpoint | None,
+) -> None:
+    """Write the files of a frame, then the checkpoint that says so."""
     items = [
         (path, ENCODINGS[channel].encode(getattr(images[camera], channel)))
         for (camera, channel), path in run.paths(frame).items()
     ]
+    if wall is not None:
+        items.append((run.out / wall_path(frame), wall))
     write_images(items)
     if preview is not None:
         preview.add([np.asarray(image.rgb) for image in images.values()])
+    if checkpoint is not None:
+        write_checkpoint(run.out, checkpoint)
 
 
 def _preview_from_files(preview: Preview | None, episode: Episode, frame: int) -> None:
@@ -235,7 +366,7 @@ def _preview_from_files(preview: Preview | None, episode: Episode, frame: int) -
         preview.add([episode.image(camera.name, "rgb", frame) for camera in episode.cameras])
 
 
-def _new_preview(run: _Run) -> Preview | None:
+def _new_preview(run: _Recording) -> Preview | None:
     """The preview, if colour images are recorded and it is not there yet."""
     if "rgb" not in run.scenario.channels or (run.out / PREVIEW_MP4).exists():
         return None
@@ -251,6 +382,7 @@ def _finish(out: Path, head: dict[str, Any]) -> None:
     if not (out / SHEET_PNG).exists():
         sheet = contact_sheet(read_episode(out, unfinished=True))
         write_images([(out / SHEET_PNG, np.ascontiguousarray(sheet))])
+    remove_checkpoint(out)
     for leftover in out.rglob(f".*{TEMPORARY}"):  # of a run that was killed
         leftover.unlink()
     write_json(out / EPISODE_JSON, {"status": COMPLETE, **head})

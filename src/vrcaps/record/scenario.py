@@ -27,7 +27,10 @@ from vrcaps.tissue.contents.contents import Contents
 from vrcaps.units import parse_length
 from vrcaps.world.fly_through import FlyThrough, fly_through
 from vrcaps.world.model import Model, posture_transform
+from vrcaps.world.physics import Physics
 from vrcaps.world.replay import Replay, replay
+from vrcaps.world.run import Run
+from vrcaps.world.simulation import Simulation
 from vrcaps.world.trajectory import Trajectory
 
 DEFAULT_CHANNELS = ("rgb", "depth", "normal", "label", "instance")
@@ -100,6 +103,7 @@ class Scenario:
         seed: Of the motion's wandering and the mucosa of an organ from a file.
         channels: Image channels to write.
         render: How to render.
+        wall: Store where every vertex of the wall is in each frame.
         lesions: What to put into the organ; number k becomes instance k, counted from 1.
         clean_twin: Show the same patient without the lesions; the motion stays as it is with them.
         contents: What floats in the lumen.
@@ -108,12 +112,13 @@ class Scenario:
     organ: OrganGenerated | OrganFile = field(default_factory=OrganGenerated)
     capsule: str = "mirocam"
     posture: str = "supine"
-    motion: FlyThrough | Replay = field(default_factory=FlyThrough)
+    motion: FlyThrough | Replay | Physics = field(default_factory=FlyThrough)
     frames: int = 100
     fps: float | None = None
     seed: int = 0
     channels: tuple[str, ...] = DEFAULT_CHANNELS
     render: RenderSettings = field(default_factory=RenderSettings)
+    wall: bool = False
     lesions: tuple[AnyLesion, ...] = ()
     clean_twin: bool = False
     contents: Contents = field(default_factory=Contents)
@@ -148,7 +153,8 @@ def _read_plain(path: Path, what: str) -> Any:
         text = path.read_text(encoding="utf-8")
         return tomllib.loads(text) if path.suffix == ".toml" else json.loads(text)
     except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"Cannot read the {what} {path}: {error}.") from error
+        reason = error.strerror if isinstance(error, OSError) else error
+        raise InputError(f"Cannot read the {what} {path}: {reason}.") from error
     except (json.JSONDecodeError, tomllib.TOMLDecodeError) as error:
         kind = "TOML" if path.suffix == ".toml" else "JSON"
         raise InputError(f"{path} is no {kind}: {error}.") from error
@@ -205,30 +211,45 @@ def resolve(scenario: Scenario) -> tuple[Scenario, Device]:
     if isinstance(motion, Replay):
         parse_length(motion.unit)
         motion = replace(motion, sha256=_checked_sha256(motion.path, motion.sha256))
+    if isinstance(motion, Physics) and motion.wrench_file:
+        checksum = _checked_sha256(motion.wrench_file, motion.wrench_sha256)
+        motion = replace(motion, wrench_sha256=checksum)
     channels = tuple(channel for channel in CHANNELS if channel in scenario.channels)
     return replace(scenario, organ=organ, motion=motion, fps=fps, channels=channels), device
 
 
-def build(scenario: Scenario, device: Device) -> tuple[Model, Trajectory]:
+def build(scenario: Scenario, device: Device) -> tuple[Model, Run]:
     """World and motion of a resolved scenario.
 
     Raises:
         InputError: If the organ cannot be made or the capsule cannot move in it as asked.
     """
     T_world_patient = posture_transform(scenario.posture)
-    model = Model(_load_patient(scenario), device, T_world_patient, scenario.contents)
-    trajectory = make_trajectory(scenario, model)
+    contents = scenario.contents
+    shown = model = Model(_load_patient(scenario), device, T_world_patient, contents)
     if scenario.clean_twin:
         twin = _load_patient(scenario, clean=True)
-        model = Model(twin, device, T_world_patient, scenario.contents)
-    return model, trajectory
+        shown = Model(twin, device, T_world_patient, contents)
+    if not isinstance(scenario.motion, Physics):
+        return shown, make_trajectory(scenario, model)
+    assert scenario.fps is not None
+    simulation = Simulation(
+        model,
+        scenario.motion,
+        frames=scenario.frames,
+        fps=scenario.fps,
+        seed=scenario.seed,
+        shown=shown.organ if scenario.clean_twin else None,
+    )
+    return shown, simulation
 
 
 def make_trajectory(scenario: Scenario, model: Model) -> Trajectory:
-    """Motion of a resolved scenario in its world."""
+    """Motion of a resolved scenario in its world, where it is known beforehand."""
     assert scenario.fps is not None
     if isinstance(scenario.motion, Replay):
         return replay(model, scenario.motion, frames=scenario.frames, fps=scenario.fps)
+    assert isinstance(scenario.motion, FlyThrough)
     rng = np.random.default_rng(scenario.seed)
     return fly_through(model, scenario.motion, frames=scenario.frames, fps=scenario.fps, rng=rng)
 

@@ -4,20 +4,22 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from vrcaps._core import Wall
 from vrcaps.organ.surface import face_label
 from vrcaps.record.files import write_bytes
 from vrcaps.transforms import (
     matrix_from_quaternion,
     quaternion_from_matrix,
+    rotate_vectors,
     transform_from,
     transform_points,
 )
-from vrcaps.world.model import Model
-from vrcaps.world.trajectory import Trajectory, camera_clearance, camera_poses
+from vrcaps.world.model import Model, State
+from vrcaps.world.run import Conditions, Instant, Run
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -25,6 +27,20 @@ if TYPE_CHECKING:
 POSE_COLUMNS = ("x_m", "y_m", "z_m", "qw", "qx", "qy", "qz")
 _LINEAR = tuple(f"capsule_v{axis}_m_per_s" for axis in "xyz")
 _ANGULAR = tuple(f"capsule_w{axis}_rad_per_s" for axis in "xyz")
+
+
+SIMULATED_COLUMNS = (
+    "capsule_along_gut_m_per_s",
+    *(f"contact_force_{axis}_n" for axis in "xyz"),
+    *(f"contact_torque_{axis}_nm" for axis in "xyz"),
+    *("grip_n", "friction_work_j", "contact_area_m2", "contact_depth_m"),
+    *(f"commanded_force_{axis}_n" for axis in "xyz"),
+    *(f"commanded_torque_{axis}_nm" for axis in "xyz"),
+    "insufflation",
+    *(f"patient_{name}" for name in POSE_COLUMNS),
+    "mmc_phase",
+)
+"""Columns of a run by physics, beside those of every run."""
 
 
 @dataclass(frozen=True)
@@ -47,52 +63,140 @@ class FrameTable:
         return transform_from(rotations, np.stack([x, y, z], axis=-1))
 
 
-def column_names(cameras: tuple[str, ...]) -> tuple[str, ...]:
-    """Names of all columns, in order, for cameras of the given names."""
+def column_names(cameras: tuple[str, ...], *, simulated: bool = False) -> tuple[str, ...]:
+    """Names of all columns, in order.
+
+    Args:
+        cameras: Names of the capsule's cameras.
+        simulated: Whether the capsule moved by physics.
+    """
     poses = [f"{body}_{name}" for body in ("capsule", *cameras) for name in POSE_COLUMNS]
     clearances = [f"{body}_clearance_m" for body in ("capsule", *cameras)]
-    return ("frame", "time_s", *poses, *_LINEAR, *_ANGULAR, "arc_length_m", "segment", *clearances)
+    columns = ("frame", "time_s", *poses, *_LINEAR, *_ANGULAR, "arc_length_m", "segment")
+    return (*columns, *clearances, *(SIMULATED_COLUMNS if simulated else ()))
 
 
-def make_table(model: Model, trajectory: Trajectory) -> FrameTable:
-    """Columns of a run: poses, velocities, where in the gut, how far from the wall."""
-    cameras = model.device.cameras
-    columns: dict[str, np.ndarray] = {
-        "frame": np.arange(len(trajectory)),
-        "time_s": trajectory.times,
-    }
-    poses = {"capsule": trajectory.Ts_world_capsule}
-    for camera in cameras:
-        poses[camera.name] = camera_poses(trajectory.Ts_world_capsule, camera.T_capsule_camera)
-    for body, Ts_world_body in poses.items():
-        values = [*Ts_world_body[:, :3, 3].T, *quaternion_from_matrix(Ts_world_body[:, :3, :3]).T]
-        columns |= {f"{body}_{n}": v for n, v in zip(POSE_COLUMNS, values, strict=True)}
-    columns |= dict(zip(_LINEAR, trajectory.linear_velocities_world.T, strict=True))
-    columns |= dict(zip(_ANGULAR, trajectory.angular_velocities_world.T, strict=True))
-    positions = trajectory.Ts_world_capsule[:, :3, 3]
-    columns["arc_length_m"], columns["segment"] = locate(model, positions)
-    columns["capsule_clearance_m"] = np.asarray(model.wall.signed_distance(positions), float)
-    for camera, clearance in zip(cameras, camera_clearance(model, trajectory).T, strict=True):
-        columns[f"{camera.name}_clearance_m"] = np.asarray(clearance, float)
-    return FrameTable(
-        {name: columns[name] for name in column_names(tuple(c.name for c in cameras))}
+class TableRows:
+    """Rows of a run, gathered frame by frame."""
+
+    def __init__(self, model: Model, before: FrameTable | None = None) -> None:
+        """Begins a table, or goes on with the rows of an earlier one."""
+        self.model = model
+        self._rows: list[dict[str, Any]] = []
+        self._moving: Wall | None = None
+        if before is not None:
+            columns = before.columns
+            self._rows = [{k: v[i] for k, v in columns.items()} for i in range(len(before))]
+
+    def __len__(self) -> int:
+        return len(self._rows)
+
+    def add(self, instant: Instant) -> None:
+        """Adds a frame: pose, velocity, where in the gut, how far from the wall as it is then."""
+        state, cameras = instant.state, self.model.device.cameras
+        poses = {"capsule": state.T_world_capsule}
+        for camera in cameras:
+            poses[camera.name] = state.T_world_capsule @ camera.T_capsule_camera
+        row: dict[str, Any] = {"frame": len(self._rows), "time_s": state.time}
+        for body, T_world_body in poses.items():
+            wxyz = quaternion_from_matrix(T_world_body[:3, :3])
+            values = zip(POSE_COLUMNS, (*T_world_body[:3, 3], *wxyz), strict=True)
+            row |= {f"{body}_{name}": value for name, value in values}
+        row |= dict(zip(_LINEAR, state.linear_velocity_world, strict=True))
+        row |= dict(zip(_ANGULAR, state.angular_velocity_world, strict=True))
+        wall = self._wall(state)
+        arc_length, segment = locate(
+            self.model, state.T_world_capsule[None, :3, 3], instant=instant, wall=wall
+        )
+        row |= {"arc_length_m": arc_length[0], "segment": segment[0]}
+        places = np.array([T_world_body[:3, 3] for T_world_body in poses.values()])
+        clearances = np.asarray(wall.signed_distance(places), float)
+        row |= {f"{body}_clearance_m": d for body, d in zip(poses, clearances, strict=True)}
+        if instant.conditions is not None:
+            row |= _simulated(self.model, state, instant.conditions, float(arc_length[0]))
+        self._rows.append(row)
+
+    def table(self) -> FrameTable:
+        """All rows so far."""
+        cameras = tuple(camera.name for camera in self.model.device.cameras)
+        simulated = bool(self._rows) and SIMULATED_COLUMNS[0] in self._rows[0]
+        names = column_names(cameras, simulated=simulated)
+        columns = {name: np.array([row[name] for row in self._rows]) for name in names}
+        return FrameTable(columns | {"segment": columns["segment"].astype(object)})
+
+    def _wall(self, state: State) -> Wall:
+        """The wall in a state, ready for queries."""
+        if state.vertices_world is None:
+            return self.model.wall
+        if self._moving is None:
+            # Built at rest: which of several equally near triangles counts must not depend on
+            # which frame came first.
+            rest = np.ascontiguousarray(self.model.vertices_world)
+            self._moving = Wall(rest, np.ascontiguousarray(self.model.organ.faces, np.int64))
+        self._moving.refit(np.ascontiguousarray(state.vertices_world))
+        return self._moving
+
+
+def make_table(model: Model, run: Run) -> FrameTable:
+    """Columns of a whole run."""
+    rows = TableRows(model)
+    for instant in run.instants():
+        rows.add(instant)
+    return rows.table()
+
+
+def _simulated(
+    model: Model, state: State, conditions: Conditions, arc_length: float
+) -> dict[str, Any]:
+    """Columns of a frame that was simulated."""
+    contact = state.contact
+    assert contact is not None
+    line, pose = model.organ.centerline, conditions.T_world_patient
+    tangent = np.array([np.interp(arc_length, line.arc_length, t) for t in line.frames[:, :, 2].T])
+    along = rotate_vectors(pose, tangent) / np.linalg.norm(tangent)
+    values = (
+        float(along @ state.linear_velocity_world),
+        *contact.force_world,
+        *contact.torque_world,
+        *(contact.grip, contact.friction_work, contact.area, contact.depth),
+        *conditions.force_world,
+        *conditions.torque_world,
+        conditions.insufflation,
+        *pose[:3, 3],
+        *quaternion_from_matrix(pose[:3, :3]),
+        conditions.phase,
     )
+    return dict(zip(SIMULATED_COLUMNS, values, strict=True))
 
 
 def locate(
-    model: Model, positions_world: Float[np.ndarray, "n 3"]
+    model: Model,
+    positions_world: Float[np.ndarray, "n 3"],
+    *,
+    instant: Instant | None = None,
+    wall: Wall | None = None,
 ) -> tuple[Float[np.ndarray, " n"], np.ndarray]:
     """Arc length [m] and segment name of points in the lumen.
 
     The nearest wall says which stretch of the gut a point is in, so that a neighbouring loop is
     never taken for it; within that stretch the nearest point of the centreline counts.
+
+    Args:
+        model: The lumen.
+        positions_world: The points.
+        instant: How wall and patient lie; None: at rest, as in the model.
+        wall: The wall then; None: at rest.
     """
-    organ = model.organ
-    nearest, faces = model.wall.closest_point(positions_world)
-    corners = model.vertices_world[organ.faces[faces]]
-    rough = (_barycentric(nearest, corners) * organ.arc_length[organ.faces[faces]]).sum(axis=1)
+    organ, pose, vertices = model.organ, model.T_world_patient, model.vertices_world
+    if instant is not None and instant.conditions is not None:
+        pose = instant.conditions.T_world_patient
+    if instant is not None and instant.state.vertices_world is not None:
+        vertices = instant.state.vertices_world
+    nearest, faces = (wall or model.wall).closest_point(positions_world)
+    weights = _barycentric(nearest, vertices[organ.faces[faces]])
+    rough = (weights * organ.arc_length[organ.faces[faces]]).sum(axis=1)
     reach = 2.0 * organ.radius[organ.faces[faces]].max(axis=1)
-    line = transform_points(model.T_world_patient, organ.centerline.points)
+    line = transform_points(pose, organ.centerline.points)
     arc_length = np.empty(len(positions_world))
     for index, (position, s, span) in enumerate(zip(positions_world, rough, reach, strict=True)):
         low, high = np.searchsorted(organ.centerline.arc_length, [s - span, s + span])
@@ -100,7 +204,7 @@ def locate(
         arc_length[index] = _project(
             position, line[low:high], organ.centerline.arc_length[low:high]
         )
-    label = face_label(organ.label, organ.faces)[faces]
+    label = face_label(organ.label, organ.faces[faces])
     return arc_length, np.array(organ.label_names, object)[label]
 
 

@@ -1,12 +1,14 @@
 """Frozen dataclass trees to and from plain values, as JSON and TOML hold them.
 
 A field's type is the schema: ``bool``, ``int``, ``float``, ``str``, ``None``, ``Literal``,
-tuples, other dataclasses and unions of these. Where a union has several dataclasses the plain
-form names the class under the key ``kind``, the text that the class itself has as `kind`.
+tuples, other dataclasses and unions of these; an infinite number is the text ``inf``. Where a
+union has several dataclasses the plain form names the class under the key ``kind``, the text that
+the class itself has as `kind`.
 """
 
 from __future__ import annotations
 
+import math
 import types
 from collections.abc import Mapping
 from dataclasses import MISSING, Field, fields, is_dataclass
@@ -14,6 +16,7 @@ from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
 from vrcaps.errors import InputError
 
+_INFINITE = "inf"
 _WORDS = {bool: "true or false", int: "a whole number", float: "a number", str: "a text"}
 
 
@@ -33,7 +36,7 @@ def to_plain(value: Any, declared: Any) -> Any:
         items = get_args(_member(declared, tuple)) or (Any, ...)
         types_ = [items[0]] * len(value) if items[-1] is ... else items
         return [to_plain(item, item_type) for item, item_type in zip(value, types_, strict=True)]
-    return value
+    return _INFINITE if isinstance(value, float) and value == math.inf else value
 
 
 def from_plain(declared: Any, plain: Any, *, at: str) -> Any:
@@ -99,6 +102,8 @@ def _is_required(f: Field) -> bool:
 def _fits(member: Any, plain: Any) -> bool:
     if member in (bool, int, float, str):
         allowed = (int, float) if member is float else (member,)
+        if member is float and plain == _INFINITE:
+            return True
         return isinstance(plain, allowed) and (member is bool or not isinstance(plain, bool))
     if member in (None, types.NoneType):
         return plain is None

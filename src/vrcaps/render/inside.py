@@ -14,12 +14,17 @@ from vrcaps.organ.surface import OrganSurface
 from vrcaps.render.renderer import Renderer
 from vrcaps.render.settings import RenderSettings
 from vrcaps.transforms import invert, transform_from
+from vrcaps.units import MM
 from vrcaps.world.model import Model, State
 
 if TYPE_CHECKING:
     from jaxtyping import UInt8
 
+    from vrcaps._core import Wall
+
 _BRIGHT = 0.6  # linear value that the 90th percentile of an image is brought to
+_ASIDE = 30.0 * MM  # how far a view may lie from where it is asked for
+_CONE = 0.45  # tangent of the half angle ahead that nothing shall block
 _GAIN = (0.25, 12.0)  # of the capsule's own exposure; capsules regulate theirs likewise
 
 
@@ -30,7 +35,7 @@ def inside_views(
 
     Args:
         organ: The organ.
-        arc_length: Where [m].
+        arc_length: Where [m]; up to `_ASIDE` from there where a lesion stands in the way.
         capsule: Whose front camera; its exposure is regulated in each view.
     """
     device = load_device(capsule)
@@ -38,7 +43,9 @@ def inside_views(
     renderer = Renderer(
         Model(organ, device, np.eye(4)), RenderSettings(supersampling=2, shadows=True)
     )
-    points, frames, _ = interpolate(organ.centerline, np.asarray(arc_length, float))
+    wall = renderer.model.wall
+    places = np.array([clear_place(organ, wall, float(at)) for at in arc_length])
+    points, frames, _ = interpolate(organ.centerline, places)
     T_camera_capsule = invert(camera.T_capsule_camera)
     images = []
     for point, frame in zip(points, frames, strict=True):
@@ -49,3 +56,22 @@ def inside_views(
         gain = _BRIGHT / (np.percentile(lit, 90) * camera.exposure)
         images.append(_core.encode_srgb(radiance, camera.exposure * float(np.clip(gain, *_GAIN))))
     return images
+
+
+def clear_place(organ: OrganSurface, wall: Wall, arc_length: float) -> float:
+    """The arc length [m] nearest to one from which most of the way ahead is free for a diameter.
+
+    Where none is found, the one asked for.
+    """
+    angle = np.linspace(0.0, 2.0 * np.pi, 12, endpoint=False)
+    across = _CONE * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    cone = np.column_stack([np.vstack([across, 0.5 * across]), np.ones(2 * len(angle))])
+    for offset in sorted(np.linspace(-_ASIDE, _ASIDE, 13), key=abs):
+        place = float(np.clip(arc_length + offset, 0.0, organ.centerline.length))
+        point, frame, radius = interpolate(organ.centerline, np.array([place]))
+        if wall.signed_distance(point)[0] < 0.25 * radius[0]:
+            continue
+        ahead, face = wall.cast(np.tile(point, (len(cone), 1)), cone @ frame[0].T)
+        if np.mean((face < 0) | (ahead > 2.0 * radius[0])) > 0.5:
+            return place
+    return arc_length

@@ -14,7 +14,7 @@ from vrcaps.organ.facts import OrganFacts, organ_facts, segment_spans, way_bins
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.render.inside import inside_views
 from vrcaps.render.outside import VIEWS, outside_view, project
-from vrcaps.render.unroll import dissection, instances, unroll
+from vrcaps.render.unroll import dissection_rows
 from vrcaps.units import CM, MM
 
 if TYPE_CHECKING:
@@ -30,7 +30,6 @@ _DPI = 110
 _INK, _PALE = "#222222", "#777777"
 _NUM_VIEWS = 6  # inside views where there are fewer segments than these
 _VIEWS_PER_ROW = 9
-_PIXELS = 2  # rays for each pixel of unrolled wall, along each axis
 
 
 @dataclass(frozen=True)
@@ -304,7 +303,7 @@ def _draw_inside(
 
 def _draw_unrolled(part: SubFigure, picture: _Picture) -> None:
     """The unrolled wall in as many rows as it takes."""
-    organ, length = picture.organ, picture.organ.centerline.length
+    length = picture.organ.centerline.length
     high = picture.rows * (picture.row_height + 0.5) + 0.35
     left, right = (0.10, 0.97) if picture.is_short else (0.05, 0.98)
     grid = part.add_gridspec(
@@ -316,17 +315,13 @@ def _draw_unrolled(part: SubFigure, picture: _Picture) -> None:
     part.text(left, 1.0 - 0.08 / high, title, size=10, color=_INK, va="top")
     span = length / picture.rows
     wide = int(_STRIP * _DPI) // (2 if picture.is_short else 1)
-    tall = int(picture.row_height * _DPI)
-    theta = np.pi * (1.0 - 2.0 * (np.arange(_PIXELS * tall) + 0.5) / (_PIXELS * tall))
-    for row in range(picture.rows):
-        s = span * (row + (np.arange(_PIXELS * wide) + 0.5) / (_PIXELS * wide))
-        rolled = unroll(organ, picture.wall, s, theta)
-        image = dissection(organ, rolled)
-        image = image.reshape(tall, _PIXELS, wide, _PIXELS, 3).mean(axis=(1, 3))
+    size = (int(picture.row_height * _DPI), wide)
+    rows = dissection_rows(picture.organ, picture.wall, picture.rows, size)
+    for row, (image, instance) in enumerate(rows):
         view = part.add_subplot(grid[row, 0])
         box = (span * row / CM, span * (row + 1) / CM, -180.0, 180.0)
         view.imshow(image, extent=box, aspect="auto", interpolation="none")
-        _draw_lesions(view, picture, instances(organ, rolled), box)
+        _draw_lesions(view, picture, instance, box)
         _draw_bar(view, picture, 194.0, 214.0)
         view.set(xlim=box[:2], ylim=(-180, 214), yticks=[-180, -90, 0, 90, 180])
         view.set_yticklabels([f"{angle}°" for angle in (-180, -90, 0, 90, 180)])
@@ -343,9 +338,11 @@ def _draw_lesions(
             view.contour(
                 mask, [0.5], colors="white", linewidths=1.0, extent=box, origin="upper", alpha=0.9
             )
-        at = lesion.arc_length / CM
+            across, up = np.flip(np.median(np.argwhere(mask), axis=0) / mask.shape)
+            at, angle = box[0] + (box[1] - box[0]) * across, 180.0 - 360.0 * up
+        else:
+            at, angle = lesion.arc_length / CM, np.degrees(lesion.theta)
         if box[0] <= at <= box[1]:
-            angle = np.degrees(lesion.theta)
             aside = 34.0 if angle < 120.0 else -34.0
             _draw_number(view, at, angle + aside, lesion.number)
 

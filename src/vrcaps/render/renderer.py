@@ -198,9 +198,10 @@ class Renderer:
         vertices = np.ascontiguousarray(state.vertices_world, np.float64)
         wall = self._walls.get(slot)
         if wall is None:
-            wall = self._walls[slot] = _core.Wall(vertices, _faces(self.model.organ))
-        else:
-            wall.refit(vertices)
+            # Built at rest, so that the hierarchy does not depend on which frame came first.
+            rest = np.ascontiguousarray(self.model.vertices_world)
+            wall = self._walls[slot] = _core.Wall(rest, _faces(self.model.organ))
+        wall.refit(vertices)
         return wall
 
     def _filling(self, state: State) -> Filling | None:

@@ -7,12 +7,13 @@ coordinates of `OrganSurface`: a vertex that the centreline sees appears at its 
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps._core import Wall
+from vrcaps._core import Wall, num_threads
 from vrcaps.organ.centerline import interpolate
 from vrcaps.organ.surface import OrganSurface, face_label
 
@@ -24,6 +25,7 @@ _NOTHING = 0.93  # grey where a ray leaves through an open end
 _LIGHT = (0.75, 0.55, 0.35)  # towards the light: the axis, the oral end, greater angles
 _AMBIENT = 0.30
 _GAMMA = 2.2
+_FINER = 2  # rays for each pixel of `dissection_rows`, along each axis
 
 
 @dataclass(frozen=True)
@@ -55,13 +57,16 @@ def unroll(
 ) -> Unrolled:
     """Cast a ray for each pair of arc length and angle.
 
+    Where a lesion stands on the centreline the rays start beside it.
+
     Args:
         organ: The organ.
         wall: Its surface, in the organ's frame.
         arc_length: Along the centreline [m].
         theta: From the first to the second transverse axis of the centreline's frame [rad].
     """
-    points, frames, _ = interpolate(organ.centerline, arc_length)
+    points, frames, radii = interpolate(organ.centerline, arc_length)
+    points = _in_lumen(organ, wall, points, frames, radii)
     shape = (len(theta), len(arc_length), 3)
     cos, sin = np.cos(theta)[:, None, None], np.sin(theta)[:, None, None]
     outward = cos * frames[:, :, 0] + sin * frames[:, :, 1]
@@ -85,6 +90,32 @@ def unroll(
     )
 
 
+def _in_lumen(
+    organ: OrganSurface,
+    wall: Wall,
+    points: Float[np.ndarray, "w 3"],
+    frames: Float[np.ndarray, "w 3 3"],
+    radii: Float[np.ndarray, " w"],
+) -> Float[np.ndarray, "w 3"]:
+    """The points; those inside a lesion that stands on the centreline are moved aside."""
+    if not organ.instance.any():
+        return points
+    _, nearest = wall.closest_point(points)
+    is_lesion = (organ.instance > 0)[organ.faces[nearest]].all(axis=1)
+    inside = np.flatnonzero(is_lesion & (wall.signed_distance(points) <= 0.0))
+    if not len(inside):
+        return points
+    angle = np.linspace(0.0, 2.0 * np.pi, 16, endpoint=False)
+    across = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    rings = np.concatenate([share * across for share in (0.3, 0.6, 0.9)])
+    aside = np.einsum("nxk,rk->nrx", frames[inside, :, :2], rings) * radii[inside, None, None]
+    tried = points[inside, None] + aside
+    room = wall.signed_distance(tried.reshape(-1, 3)).reshape(tried.shape[:2])
+    moved = points.copy()
+    moved[inside] = tried[np.arange(len(inside)), room.argmax(axis=1)]
+    return moved
+
+
 def dissection(organ: OrganSurface, unrolled: Unrolled) -> Float[np.ndarray, "h w 3"]:
     """Picture of an unrolled wall, sRGB 0 to 1: its own colour, folds lit from the oral side.
 
@@ -98,6 +129,33 @@ def dissection(organ: OrganSurface, unrolled: Unrolled) -> Float[np.ndarray, "h 
     depth = np.clip(usual / np.where(seen, unrolled.radius, usual), 0.4, 1.6) ** 0.5
     linear *= 1.35 * (unrolled.shade * depth)[..., None]
     return np.where(seen[..., None], np.clip(linear, 0.0, 1.0) ** (1.0 / _GAMMA), _NOTHING)
+
+
+def dissection_rows(
+    organ: OrganSurface, wall: Wall, rows: int, size: tuple[int, int]
+) -> list[tuple[Float[np.ndarray, "h w 3"], UInt16[np.ndarray, "h2 w2"]]]:
+    """A whole wall unrolled in rows of equal length, greater angles up.
+
+    Args:
+        organ: The organ.
+        wall: Its surface, in the organ's frame.
+        rows: Number of them.
+        size: Height and width of each [pixels].
+
+    Returns:
+        Of each row its picture (`dissection`) and the lesion numbers of twice as many rays.
+    """
+    (tall, wide), span = size, organ.centerline.length / rows
+    theta = np.pi * (1.0 - 2.0 * (np.arange(_FINER * tall) + 0.5) / (_FINER * tall))
+
+    def draw(row: int) -> tuple[np.ndarray, np.ndarray]:
+        s = span * (row + (np.arange(_FINER * wide) + 0.5) / (_FINER * wide))
+        rolled = unroll(organ, wall, s, theta)
+        image = dissection(organ, rolled).reshape(tall, _FINER, wide, _FINER, 3)
+        return image.mean(axis=(1, 3)), instances(organ, rolled)
+
+    with ThreadPoolExecutor(num_threads()) as threads:
+        return list(threads.map(draw, range(rows)))
 
 
 def instances(organ: OrganSurface, unrolled: Unrolled) -> UInt16[np.ndarray, "h w"]:

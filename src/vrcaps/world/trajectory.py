@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -11,6 +12,7 @@ from vrcaps.errors import InputError
 from vrcaps.transforms import invert, matrix_from_quaternion, quaternion_from_matrix, transform_from
 from vrcaps.units import MM
 from vrcaps.world.model import Model, State
+from vrcaps.world.run import Instant
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -18,7 +20,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Trajectory:
-    """Where the capsule is and how it moves, at n instants.
+    """Where the capsule is and how it moves, at n instants: a `Run` known beforehand.
 
     Attributes:
         times: Instants [s], strictly increasing.
@@ -45,6 +47,10 @@ class Trajectory:
             linear_velocity_world=self.linear_velocities_world[index],
             angular_velocity_world=self.angular_velocities_world[index],
         )
+
+    def instants(self) -> Iterator[Instant]:
+        """All instants, in time."""
+        return (Instant(self.state(index)) for index in range(len(self)))
 
 
 def rotation_vector(

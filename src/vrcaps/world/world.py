@@ -114,7 +114,7 @@ class World:
         pose = transform_from(rotation, np.array(position) + self._center)
         force, torque, *rest = self._contact
         forces = rotate_vectors(T, np.array([force, torque, velocity, spin]))
-        moved = self._moves or T is not self.model.T_world_patient
+        moved = self._moves or T is not self.model.T_world_patient or (self._calibre != 1.0).any()
         return State(
             time=self._time,
             T_world_capsule=T @ pose,

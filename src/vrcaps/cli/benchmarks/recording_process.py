@@ -76,7 +76,8 @@ def _stages(scenario: Scenario, folder: Path) -> dict[str, Any]:
     from vrcaps.render.renderer import Renderer
 
     scenario, device = resolve(scenario)
-    model, trajectory = build(scenario, device)
+    model, motion = build(scenario, device)
+    states = [instant.state for instant in motion.instants()]
     camera, renderer = device.cameras[0], Renderer(model, scenario.render)
     frames = range(min(scenario.frames, _MAX_STAGE_FRAMES))
     rendered: dict[int, Frame] = {}
@@ -85,10 +86,10 @@ def _stages(scenario: Scenario, folder: Path) -> dict[str, Any]:
     reused: list[Frame | None] = [None]
 
     def render(i: int) -> None:
-        rendered[i] = renderer.render(trajectory.state(i), camera, channels=CHANNELS)
+        rendered[i] = renderer.render(states[i], camera, channels=CHANNELS)
 
     def render_again(i: int) -> None:
-        state = trajectory.state(i)
+        state = states[i]
         reused[0] = renderer.render(state, camera, channels=CHANNELS, out=reused[0])
 
     def store(i: int) -> None:

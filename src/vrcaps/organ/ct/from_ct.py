@@ -201,6 +201,19 @@ def _choose_gaps(
     return opened, notes
 
 
+def _largest_part(lumen: LumenFraction) -> LumenFraction:
+    """A lumen without its smaller parts.
+
+    Raises:
+        InputError: If all are too small.
+    """
+    part, volumes = number_parts(lumen, _SPECK)
+    if not volumes:
+        raise InputError("The lumen has no part of 0.2 ml or more. Choose a larger one.")
+    share = np.where(lumen.share > 0.5, lumen.share * (part == 1), lumen.share)
+    return replace(lumen, share=share)
+
+
 def _organ(
     lumen: LumenFraction,
     gaps: list[Gap],
@@ -217,13 +230,7 @@ def _organ(
     from vrcaps.organ.from_file import organ_on_centerline
     from vrcaps.organ.repair import repair
 
-    lumen = open_gaps(lumen, gaps, CHANNEL_RADIUS) if gaps else lumen
-    part, volumes = number_parts(lumen, _SPECK)
-    if not volumes:
-        raise InputError("The lumen has no part of 0.2 ml or more. Choose a larger one.")
-    lumen = replace(
-        lumen, share=np.where(lumen.share > 0.5, lumen.share * (part == 1), lumen.share)
-    )
+    lumen = _largest_part(open_gaps(lumen, gaps, CHANNEL_RADIUS) if gaps else lumen)
     report("drawing the wall")
     assert wall.blur is not None
     mesh = extract_wall(lumen, blur=wall.blur, pass_band=wall.pass_band, edge=wall.edge)

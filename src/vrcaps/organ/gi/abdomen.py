@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 _STEP = 8 * MM
 _NODE = 12 * MM
 _BULB, _BULB_RADIUS = 5 * CM, 23 * MM
+GAP = 4 * MM
+"""Room between the mean outlines of stomach and colon [m]."""
 VALVE_DEPTH = 7 * MM
 """The small bowel ends this far inside the colon's outline, on the lips of the valve [m]."""
 
@@ -70,8 +72,10 @@ def draw_colon_place(parameters: ColonParameters, seed: int) -> ColonPlace:
     return place_colon(parameters, Course(tube.curve(tube.arc_length), tube.arc_length))
 
 
-def place_stomach(parameters: StomachParameters, colon: ColonPlace, seed: int) -> Course:
-    """The axis of a seed's stomach and of the duodenal bulb, both clear of the colon."""
+def place_stomach(
+    parameters: StomachParameters, colon: ColonPlace, seed: int, *, gap: float = GAP
+) -> Course:
+    """The axis of a seed's stomach and of the duodenal bulb, a gap [m] clear of the colon."""
     plain = stomach_course(parameters, np.random.default_rng([seed, 2]))
     length = float(plain.arc_length[-1])
     num = round((length + _BULB) / _NODE) + 1
@@ -89,7 +93,7 @@ def place_stomach(parameters: StomachParameters, colon: ColonPlace, seed: int) -
         is_fixed=np.zeros(num, bool),
         low=np.array([-12.0, -9.0, 4.0]) * CM,
         high=np.array([10.0, 7.0, 27.0]) * CM,
-        gap=4 * MM,
+        gap=gap,
     )
     nodes = relax_chain(chain, nodes, s[1], colon_balls(colon), num_steps=200)
     course = smooth_course(nodes)

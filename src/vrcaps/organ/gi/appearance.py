@@ -85,7 +85,12 @@ def _parts(organ: OrganSurface) -> Iterator[_Part]:
 
 def _side_by_side(images: list[np.ndarray]) -> np.ndarray:
     """Images next to each other; row 0 is v = 1, so that lower ones are filled up at the top."""
-    height = max(len(image) for image in images)
-    padding = [[(height - len(image), 0), *[(0, 0)] * (image.ndim - 1)] for image in images]
-    padded = [np.pad(i, p, mode="edge") for i, p in zip(images, padding, strict=True)]
-    return np.concatenate(padded, axis=1)
+    height, width = max(len(image) for image in images), sum(image.shape[1] for image in images)
+    joint = np.empty((height, width, *images[0].shape[2:]), images[0].dtype)
+    left = 0
+    for image in images:
+        column = joint[:, left : left + image.shape[1]]
+        above = height - len(image)
+        column[:above], column[above:] = image[0], image
+        left += image.shape[1]
+    return joint

@@ -12,7 +12,7 @@ from vrcaps.organ.centerline import centerline_from_points
 from vrcaps.organ.colon import generate_colon
 from vrcaps.organ.colon.parameters import SEGMENTS as COLON_SEGMENTS
 from vrcaps.organ.crossing import self_intersections
-from vrcaps.organ.gi.abdomen import ColonPlace, place_colon
+from vrcaps.organ.gi.abdomen import GAP, ColonPlace, place_colon
 from vrcaps.organ.gi.charts import JoinedFaces, tract_coordinates
 from vrcaps.organ.gi.tube import CAP, VALVE_ACROSS, VALVE_ALONG, UpperTract, lay_upper_tract
 from vrcaps.organ.gi.valve import soften, stitch, without_vertices
@@ -34,7 +34,8 @@ if TYPE_CHECKING:
     from vrcaps.organ.small_bowel.parameters import SmallBowelParameters
     from vrcaps.organ.stomach.parameters import StomachParameters
 
-_NUM_TRIES = 3
+_NUM_TRIES = 6
+_MORE_ROOM = 6 * MM
 _RIM = 1.3 * MM
 
 
@@ -64,8 +65,10 @@ def generate_gi(
     line = lower.centerline
     place = place_colon(colon, Course(line.points, line.arc_length))
     rng = np.random.default_rng([seed, 3])
-    for _ in range(_NUM_TRIES):
-        tract = lay_upper_tract(stomach, bowel, place, seed=seed, rng=rng)
+    for attempt in range(_NUM_TRIES):
+        # A fundus that bulges to one side can reach beyond its mean outline into the colon.
+        gap = GAP + attempt * _MORE_ROOM
+        tract = lay_upper_tract(stomach, bowel, place, seed=seed, rng=rng, gap=gap)
         organ = _join(tract, lower, place, seed)
         if not len(self_intersections(organ.vertices, organ.faces)):
             return organ

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from vrcaps.organ.gi.abdomen import ColonPlace, place_stomach, pylorus_sample, surroundings
+from vrcaps.organ.gi.abdomen import GAP, ColonPlace, place_stomach, pylorus_sample, surroundings
 from vrcaps.organ.shape.skin import Skin
 from vrcaps.organ.shape.tube import Course, Tube, make_tube
 from vrcaps.organ.shape.waves import smooth_step
@@ -112,6 +112,7 @@ def lay_upper_tract(
     *,
     seed: int,
     rng: np.random.Generator,
+    gap: float = GAP,
 ) -> UpperTract:
     """A patient's stomach and small bowel laid beside the colon.
 
@@ -121,11 +122,12 @@ def lay_upper_tract(
         colon: Where the colon lies.
         seed: Of the stomach, as in `generate_stomach`.
         rng: Source of the small bowel, as in `generate_small_bowel`.
+        gap: Room between stomach and colon [m].
 
     Raises:
         InputError: If there is no room for them.
     """
-    axis = place_stomach(stomach, colon, seed)
+    axis = place_stomach(stomach, colon, seed, gap=gap)
     around = surroundings(colon, stomach, axis)
     bowel_wall, bowel_tube = lay_small_bowel(bowel, around, rng)
     upper = axis.points[: pylorus_sample(stomach, axis)]

@@ -21,7 +21,7 @@ OLD = np.array([0.035, 0.0055, 0.0042])
 FIBRIN = np.array([0.52, 0.33, 0.20])
 """Of fibrin and slough on an ulcer."""
 
-_EXTINCTION = np.array([0.5, 5.5, 5.0]) / MM
+_EXTINCTION = np.array([0.8, 9.0, 8.5]) / MM
 """Optical density per length of a film of whole blood, both ways: red, green, blue. Haemoglobin
 at 150 g/l absorbs green and blue about ten times as much as red (Prahl 1999, tabulated
 extinction); the scale is fitted by eye to thin films in endoscopic images."""

@@ -38,6 +38,7 @@ class Activity:
         tint: Reflectance of inflamed over that of plain mucosa: red, green, blue.
         patchiness: Share of the redness that comes in patches.
         granularity: RMS height of the granular relief [m].
+        stipple: Spread of the optical density of granules, alike in all colours.
         petechiae: Threshold of the field that sets bleeding points, in deviations.
         erosions: Threshold for small erosions.
         ulcers: Threshold for wide ulcers.
@@ -48,6 +49,7 @@ class Activity:
     tint: tuple[float, float, float]
     patchiness: float
     granularity: float
+    stipple: float = 0.07
     petechiae: float = np.inf
     erosions: float = np.inf
     ulcers: float = np.inf
@@ -55,10 +57,10 @@ class Activity:
 
 
 ACTIVITIES = {
-    1: Activity(0.85, (1.02, 0.66, 0.62), 0.6, 0.020 * MM, petechiae=3.2),
-    2: Activity(1.0, (0.98, 0.69, 0.71), 0.40, 0.026 * MM, petechiae=2.6, erosions=1.4),
+    1: Activity(0.92, (1.02, 0.66, 0.62), 0.6, 0.014 * MM, stipple=0.14, petechiae=3.2),
+    2: Activity(1.0, (0.98, 0.69, 0.71), 0.40, 0.017 * MM, petechiae=2.6, erosions=1.4),
     3: Activity(
-        *(1.0, (0.96, 0.56, 0.54), 0.35, 0.028 * MM),
+        *(1.0, (0.96, 0.56, 0.54), 0.35, 0.020 * MM),
         **{"petechiae": 2.3, "erosions": 1.3, "ulcers": 0.6, "blood": 0.6},
     ),
 }
@@ -154,12 +156,12 @@ class ColitisForm:
         mottle, granules = self._mottle(points), np.tanh(1.3 * self._granules(points))
         patch = smoothstep(0.5 + 0.4 * self._patches(points) + 0.15 * mottle)
         redness = (1.0 - is_like.patchiness) + is_like.patchiness * patch
-        color = mix(clean.color, clean.plain, is_like.obscured * (0.6 + 0.4 * patch))
+        color = mix(clean.color, clean.plain, is_like.obscured * (0.8 + 0.2 * patch))
         color = color * np.array(is_like.tint) ** redness[:, None]
-        color = color * np.exp(0.08 * granules + 0.08 * mottle)[:, None] ** (0.9, 1.1, 1.1)
+        color = color * np.exp(is_like.stipple * granules + 0.06 * mottle)[:, None]
         spot = smoothstep((self._points(points) - is_like.petechiae) / 0.6)
         color = mix(color, np.array([0.36, 0.05, 0.04]), 0.6 * spot)
-        height = clean.height * (1.0 - 0.3 * is_like.obscured) + is_like.granularity * granules
+        height = clean.height * (1.0 - 0.5 * is_like.obscured) + is_like.granularity * granules
         color, sloughy, height = self._ulcerated(color, height, points, mottle)
         pooled = np.clip(self._blood(points) + 0.3 * mottle - is_like.blood, 0.0, 2.0)
         color = under_blood(color, _FILM * pooled**1.5 * np.exp(0.25 * granules), 0.3 * pooled)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, ClassVar, Literal
 import numpy as np
 
 from vrcaps.organ.lesion.base import Look, Site, SizedLesion, WallSamples, mix, smoothstep
+from vrcaps.organ.lesion.blood import FIBRIN, under_blood
 from vrcaps.organ.lesion.noise import cloud, grain
 from vrcaps.organ.lesion.spot import ProfileForm
 from vrcaps.units import MM
@@ -162,14 +163,14 @@ class PolypForm(ProfileForm):
             vessel = np.exp(-((self._vessels(points) / 0.10) ** 2)) * 0.35
             color = color * (1.0 - vessel[:, None] * (0.15, 0.8, 0.8))
         if kind == "serrated":
-            mucus = smoothstep((mottle - 0.5) / 0.8)
-            color = mix(color, np.array([0.62, 0.42, 0.14]), 0.65 * mucus)
+            mucus = smoothstep((mottle - 0.2) / 1.6)
+            color = mix(color, np.array([0.60, 0.36, 0.13]), 0.55 * mucus)
             roughness = roughness + 0.15 * mucus
         if kind == "inflammatory":
-            slough = smoothstep((mottle - 0.9) / 0.3)
-            color = mix(color, np.array([0.72, 0.56, 0.34]), 0.85 * slough)
-            blood = smoothstep((-mottle - 1.1) / 0.25)
-            color = mix(color, np.array([0.24, 0.012, 0.01]), 0.9 * blood)
+            slough = smoothstep((mottle - 0.8) / 0.9)
+            color = mix(color, FIBRIN, 0.75 * slough)
+            blood = np.clip(-mottle - 1.0, 0.0, 1.0)
+            color = under_blood(color, 0.25 * MM * blood)
         return color, roughness
 
 

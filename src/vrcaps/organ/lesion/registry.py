@@ -102,7 +102,17 @@ def _named(name: str) -> tuple[type[Lesion], dict[str, Any]]:
     if not cls.grade_field:
         raise InputError(f"Lesion {name!r}: {kind} has no grades. Write {kind!r}.")
     key = cls.grade_field
+    words = [str(word) for word in get_args(get_type_hints(cls)[key])]
+    if grade not in words:
+        known = [f"{kind}-{word}" for word in words]
+        raise UnknownNameError("lesion", name, [*known, *_library_range(kind)])
     return cls, {key: _value(key, grade, get_type_hints(cls)[key])}
+
+
+def _library_range(kind: str) -> list[str]:
+    """First to last name of a kind in the library."""
+    names = [name for name in LIBRARY if name.startswith(f"{kind}-")]
+    return [f"{names[0]} to {names[-1]}"] if names else []
 
 
 def _value(key: str, text: str, hint: Any) -> Any:

@@ -96,6 +96,31 @@ def make_texture(
     check_scale(scale)
     _check(recipe, photos, seed)
     tell = progress or (lambda done, total: None)
+    chosen, others = _chosen(photos, scale, recipe, tell)
+    rng = np.random.default_rng(seed)
+    parts, doubtful = squares(chosen, keep_vessels=not recipe.vessels)
+    layout = Quilt.of_side(len(parts[0]))
+    if recipe.size < 2 * layout.patch:
+        raise InputError(f"The size is {recipe.size}. Allowed: {2 * layout.patch} or more.")
+    ground = quilt(
+        variants(parts),
+        variants(doubtful),
+        recipe.size,
+        layout,
+        rng,
+        progress=lambda done, total: tell(total // 2 + done, total // 2 + total),
+    )
+    return _finish(ground, parts, chosen, others, recipe, rng=rng, seed=seed)
+
+
+def _chosen(
+    photos: list[Photo], scale: Scale, recipe: TextureRecipe, tell: Callable[[int, int], None]
+) -> tuple[list[Source], list[str]]:
+    """The photographs to use, analysed, best first, and the names of the others.
+
+    Raises:
+        InputError: If none has a usable region.
+    """
     found = []
     for number, photo in enumerate(photos):
         found.append(analyse(photo, scale, is_flat=recipe.is_flat, box=recipe.box))
@@ -113,20 +138,7 @@ def make_texture(
         for photo, source in zip(photos, found, strict=True)
         if source is None or id(source) not in used
     ]
-    rng = np.random.default_rng(seed)
-    parts, doubtful = squares(chosen, keep_vessels=not recipe.vessels)
-    layout = Quilt.of_side(len(parts[0]))
-    if recipe.size < 2 * layout.patch:
-        raise InputError(f"The size is {recipe.size}. Allowed: {2 * layout.patch} or more.")
-    ground = quilt(
-        variants(parts),
-        variants(doubtful),
-        recipe.size,
-        layout,
-        rng,
-        progress=lambda done, total: tell(total // 2 + done, total // 2 + total),
-    )
-    return _finish(ground, parts, chosen, others, recipe, rng=rng, seed=seed)
+    return chosen, others
 
 
 def _finish(ground, parts, chosen, others, recipe: TextureRecipe, *, rng, seed) -> TextureWork:

@@ -68,7 +68,7 @@ def field_of_view(rgb: UInt8[np.ndarray, "h w 3"]) -> FieldOfView:
     foreign = np.asarray(ndimage.binary_dilation(foreign, iterations=max(3, width // 50)))
     framed = filled.all()  # a picture without a border has no rim
     rim = 0 if framed else max(2, round(0.02 * width))
-    field = filled & ~foreign
+    field = filled & np.logical_not(foreign)
     depth = np.asarray(ndimage.distance_transform_edt(np.pad(field, 1)))[1:-1, 1:-1]
     field = np.asarray(depth > rim, bool)
     dark = np.asarray(ndimage.binary_opening(ndimage.uniform_filter(brightest, 5) < _DARK)) & field

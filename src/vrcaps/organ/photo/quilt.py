@@ -94,7 +94,8 @@ def quilt(
         canvas[np.ix_(rows, columns)] = there + alpha * (patch - there)
         if progress is not None:
             progress(number + 1, total)
-    return canvas
+    # The edges then run through the middle of patches, and no path of a join along them.
+    return np.roll(canvas, -(layout.patch // 2), axis=(0, 1))
 
 
 def _starts(size: int, layout: Quilt) -> Int[np.ndarray, " n"]:

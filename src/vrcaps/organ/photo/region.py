@@ -20,6 +20,9 @@ MIN_SIDE = 48
 MAX_SIDE = 512
 """Longest side of a region [px]."""
 
+_SEARCH_WIDTH = 1024
+"""Widest field [px] that is searched as it is; wider ones are searched in means over blocks."""
+
 _SHARES = (0.64, 0.56, 0.48, 0.40, 0.34, 0.28, 0.24, 0.20, 0.17)  # of the field's width
 _MAX_UNUSABLE = 0.15  # share of a region's pixels that show no wall
 _WELL_LIT = 0.1  # luminance below which noise shows
@@ -67,17 +70,19 @@ def find_region(
         usable: Which pixels show the wall.
         width: Of the field [px].
     """
-    maps = _Maps.of(log_light, usable, width)
+    factor = -(-width // _SEARCH_WIDTH)
+    maps = _Maps.of(_coarse(log_light, factor), _coarse(usable, factor) == 1.0, width // factor)
     best = None
     for share in _SHARES:
         side = min(round(share * width), MAX_SIDE, *usable.shape)
         if side < MIN_SIDE:
             break
-        scores = maps.unevenness(side) + _SMALLNESS * np.log2(_SHARES[0] * width / side)
+        step = side // factor
+        scores = maps.unevenness(step) + _SMALLNESS * np.log2(_SHARES[0] * width / side)
         row, column = np.unravel_index(np.argmin(scores), scores.shape)
         score = float(scores[row, column])
         if np.isfinite(score) and (best is None or score < best.unevenness):
-            best = Region(int(row), int(column), side, score)
+            best = Region(factor * int(row), factor * int(column), factor * step, score)
     return best
 
 
@@ -155,6 +160,15 @@ class _Maps:
             mean = _boxes(first, side) / count
             total = total + np.sqrt(np.maximum(_boxes(second, side) / count - mean**2, 0.0))
         return np.where(blocked > _MAX_UNUSABLE, np.inf, total)
+
+
+def _coarse(part: np.ndarray, factor: int) -> np.ndarray:
+    """Means over square blocks of pixels."""
+    if factor == 1:
+        return part
+    rows, columns = (size // factor for size in part.shape[:2])
+    blocks = part[: rows * factor, : columns * factor]
+    return blocks.reshape(rows, factor, columns, factor, *part.shape[2:]).mean(axis=(1, 3))
 
 
 def _smooth(part, usable, sigma: float) -> Float[np.ndarray, "h w"]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 MAX_WIDTH = 1024
 """Photographs wider than this are halved, or more, first [px]."""
 
+_VESSEL_REACH = 1024  # side of the square in which vessels are sought [px]
 _WORSE = 0.5  # a further photograph's region may be so much less even than the best
 _SMALLER = 0.7  # and its side so much shorter
 _SLOW = 0.85  # share of the slow variation that is taken out of a square
@@ -127,16 +128,15 @@ def analyse(
     if usable.sum() < MIN_SIDE**2:
         return None
     filled = fill(log_linear(rgb), usable)
+    region = find_region(filled, usable, view.width) if box is None else None
     if box is not None:
         region = box_region(tuple(n // shrink for n in box), usable.shape)  # type: ignore[arg-type]
-    else:
-        region = find_region(filled, usable, view.width)
     if region is None:
         return None
     flat = filled if is_flat else flatten(filled, usable, view.width)
     flat = flat - np.median(flat[region.window], axis=(0, 1))
-    vessels = find_vessels(flat, usable, view.width)
-    per_pixel = scale.of_field(view.width, shrink)
+    near = _around(region, usable.shape)
+    vessels = _placed(find_vessels(flat[near], usable[near], view.width), near, usable.shape)
     return Source(
         photo=type(photo)(photo.name, rgb, photo.sha256),
         shrink=shrink,
@@ -145,8 +145,24 @@ def analyse(
         flat=flat,
         region=region,
         vessels=vessels,
-        mm_per_pixel=per_pixel,
+        mm_per_pixel=scale.of_field(view.width, shrink),
     )
+
+
+def _around(region: Region, shape: tuple[int, ...]) -> tuple[slice, ...]:
+    """Rows and columns about a region's middle, where its vessels are sought."""
+    starts = [
+        int(np.clip(at + (region.side - _VESSEL_REACH) // 2, 0, max(0, size - _VESSEL_REACH)))
+        for at, size in zip((region.row, region.column), shape, strict=True)
+    ]
+    return tuple(slice(start, start + _VESSEL_REACH) for start in starts)
+
+
+def _placed(vessels: Vessels, near: tuple[slice, ...], shape: tuple[int, ...]) -> Vessels:
+    """Vessels of a part of a picture, their mask in the whole of it."""
+    mask = np.zeros(shape, bool)
+    mask[near] = vessels.mask
+    return replace(vessels, mask=mask)
 
 
 def choose(sources: list[Source], max_sources: int) -> list[Source]:

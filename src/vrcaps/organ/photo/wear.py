@@ -22,7 +22,7 @@ from vrcaps.organ.surface import Appearance
 from vrcaps.units import MM
 
 if TYPE_CHECKING:
-    from jaxtyping import Float, Int
+    from jaxtyping import Bool, Float, Int, UInt8
 
     from vrcaps.organ.photo.texture import MucosaTexture
     from vrcaps.organ.surface import OrganSurface
@@ -54,16 +54,9 @@ def wear(
     cover = _Cover.of(organ, texture.side, rng)
     swing = cloud(_GRAIN, rng)(organ.vertices).astype(np.float32)
     height, width = shape
-    mean = np.append(stack.mean, 0.0).astype(np.float32)
-    albedo = np.empty((height, width, 3), np.uint8)
-    albedo[:] = np.rint(mean[:3])
-    roughness = np.full((height, width), np.rint(mean[3]), np.uint8)
-    relief = np.zeros((height, width), np.float32)
-    settled = np.zeros((height, width), bool)
     corners = organ.uv * [width, -height] + [-0.5, height - 0.5]
-    order = np.argsort(corners[:, 0, 1] // 64, kind="stable")
 
-    def paint(faces: np.ndarray) -> tuple[np.ndarray, ...]:
+    def paint(faces: Int[np.ndarray, " k"]) -> _Painted:
         texels = covered_texels(corners[faces])
         inside = texels.weights.astype(np.float32)
         seen = stack.blend(*cover.at(faces[texels.face], inside))
@@ -71,21 +64,59 @@ def wear(
         # sRGB is close to the power 1 / 2.2, so density acts on the code by that share.
         color = seen[:, :3] * np.exp(-slow[:, None] * (_PATIENT / 2.2))
         code = np.clip(np.rint(np.column_stack([color, seen[:, 3]])), 0.0, 255.0).astype(np.uint8)
-        is_inside = inside.min(axis=1) > 0.0
-        return texels.row % height, texels.column % width, is_inside, code, seen[:, 4]
+        place = texels.row % height, texels.column % width
+        return _Painted(place, inside.min(axis=1) > 0.0, code, seen[:, 4])
 
+    canvas = _Canvas(shape, stack.mean)
+    order = np.argsort(corners[:, 0, 1] // 64, kind="stable")
     groups = [order[first : first + _FACES] for first in range(0, len(order), _FACES)]
     with ThreadPoolExecutor() as pool:  # results come in order, whatever the number of threads
-        for row, column, is_inside, code, raised in pool.map(paint, groups):
-            # Texels just outside a face fill the gaps around charts and replace no inner ones.
-            for chosen in (~is_inside & ~settled[row, column], is_inside):
-                place = row[chosen], column[chosen]
-                albedo[place], roughness[place] = code[chosen, :3], code[chosen, 3]
-                relief[place] = raised[chosen]
-            settled[row[is_inside], column[is_inside]] = True
+        for painted in pool.map(paint, groups):
+            canvas.lay(painted)
     return Appearance(
-        albedo=albedo, roughness=roughness, height=relief, coat_gloss=texture.coat_gloss
+        albedo=canvas.albedo,
+        roughness=canvas.roughness,
+        height=canvas.relief,
+        coat_gloss=texture.coat_gloss,
     )
+
+
+@dataclass(frozen=True)
+class _Painted:
+    """Texels that some faces cover.
+
+    Attributes:
+        place: Rows and columns.
+        is_inside: Which lie inside their face, not just beside it.
+        code: sRGB colour and roughness.
+        raised: Relief [m].
+    """
+
+    place: tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]]
+    is_inside: Bool[np.ndarray, " n"]
+    code: UInt8[np.ndarray, "n 4"]
+    raised: Float[np.ndarray, " n"]
+
+
+class _Canvas:
+    """Baked textures as they are filled, the texture's mean where no face is."""
+
+    def __init__(self, shape: tuple[int, int], mean: Float[np.ndarray, " 5"]) -> None:
+        self.albedo = np.empty((*shape, 3), np.uint8)
+        self.albedo[:] = np.rint(mean[:3])
+        self.roughness = np.full(shape, np.rint(mean[3]), np.uint8)
+        self.relief = np.zeros(shape, np.float32)
+        self.settled = np.zeros(shape, bool)
+
+    def lay(self, painted: _Painted) -> None:
+        """Texels just outside a face fill the gaps around charts and replace no inner ones."""
+        (row, column), is_inside = painted.place, painted.is_inside
+        for chosen in (~is_inside & ~self.settled[row, column], is_inside):
+            place = row[chosen], column[chosen]
+            self.albedo[place] = painted.code[chosen, :3]
+            self.roughness[place] = painted.code[chosen, 3]
+            self.relief[place] = painted.raised[chosen]
+        self.settled[row[is_inside], column[is_inside]] = True
 
 
 def _texel(organ: OrganSurface, shape: tuple[int, int]) -> float:

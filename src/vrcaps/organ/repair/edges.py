@@ -48,7 +48,8 @@ def directed_edges(faces: Int[np.ndarray, "m 3"]) -> Int[np.ndarray, "h 2"]:
 def find_edges(faces: Int[np.ndarray, "m 3"]) -> Edges:
     """Half-edges of a mesh, grouped by edge."""
     ends = directed_edges(faces)
-    key = ends.min(axis=1) * (faces.max(initial=0) + 1) + ends.max(axis=1)
+    one, other = ends.T
+    key = np.minimum(one, other) * (faces.max(initial=0) + 1) + np.maximum(one, other)
     order = np.argsort(key, kind="stable")
     is_first = np.diff(key[order], prepend=-1) > 0
     first = np.nonzero(is_first)[0]
@@ -110,8 +111,16 @@ def drop_unused_vertices(mesh: Mesh) -> Mesh:
 
 def area_vectors(mesh: Mesh) -> Float[np.ndarray, "m 3"]:
     """Area of each face times its unit normal [m²]."""
-    a, b, c = np.moveaxis(mesh.vertices[mesh.faces], 1, 0)
-    return 0.5 * np.cross(b - a, c - a)
+    a, b, c = (mesh.vertices[corner] for corner in mesh.faces.T)
+    return 0.5 * cross_products(b - a, c - a)
+
+
+def cross_products(
+    one: Float[np.ndarray, "n 3"], other: Float[np.ndarray, "n 3"]
+) -> Float[np.ndarray, "n 3"]:
+    """Cross products of rows; `np.cross` takes three times as long."""
+    (x, y, z), (a, b, c) = one.T, other.T
+    return np.stack([y * c - z * b, z * a - x * c, x * b - y * a], axis=1)
 
 
 def face_areas(mesh: Mesh) -> Float[np.ndarray, " m"]:

@@ -44,21 +44,21 @@ def flip_edges(
         halves = find_edges(faces)
         pair = halves.of_count(2)
         edges, beside = np.sort(halves.ends[pair[:, 0]], axis=1), pair // 3
-        pairs = faces[beside]
-        is_on = (pairs[..., None] == edges[:, None, None, :]).any(axis=-1)
-        apex = pairs[~is_on].reshape(-1, 2)
+        apex = faces.ravel()[3 * beside + (pair + 2) % 3]
         a, b = vertices[edges[:, 0]], vertices[edges[:, 1]]
-        is_seam = pinned > 0
+        is_seam, is_pole = pinned > 0, pinned > 1
         one, other = (_cotangent(a, vertices[apex[:, k]], b) for k in range(2))
         excess = -(one + other)
         # The two opposite angles add up to more than π where their cotangents' sum is negative.
-        want = (excess > 1e-3) & ~(is_seam[edges].all(axis=1))
+        want = (excess > 1e-3) & ~(is_seam[edges[:, 0]] & is_seam[edges[:, 1]])
         # Seam vertices on both sides would give an edge along or across the seam.
-        want &= ~is_seam[apex].all(axis=1)
-        want &= (pinned[pairs] < 2).all(axis=(1, 2))
+        want &= ~(is_seam[apex[:, 0]] & is_seam[apex[:, 1]])
+        for end in (*edges.T, *apex.T):
+            want &= ~is_pole[end]
         normals = area_vectors(Mesh(vertices, faces))
         normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-        want &= np.sum(normals[beside[:, 0]] * normals[beside[:, 1]], axis=1) > 0.7
+        one, other = normals[beside[want].T]
+        want[want] = np.sum(one * other, axis=1) > 0.7
         want[want] = ~_is_in(np.sort(apex[want], axis=1), edges, len(vertices))
         chosen = _independent_flips(np.flatnonzero(want), excess, beside, len(faces))
         if not len(chosen):

@@ -7,8 +7,8 @@ from decimal import Decimal
 import numpy as np
 import pytest
 
-from vrcaps.capsule.toml_table import DEGREE, MILLI, decimal_text, plain, to_float, toml_text
 from vrcaps.errors import InputError
+from vrcaps.toml_table import DEGREE, MILLI, decimal_text, plain, to_float, toml_text
 
 
 @pytest.mark.parametrize(

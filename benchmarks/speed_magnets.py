@@ -1,0 +1,86 @@
+"""Claim: field, gradient and wrench of 8 sources take at most 2 µs a substep on one core.
+
+CPU time of this process for many poses of a capsule with one magnet in it, one thread, the median
+of batches with p10 and p90. The sources are 2 to 4 sizes from the capsule, where the closed forms
+of cylinders and coils cost most, and farther away, where their series take over.
+
+    python benchmarks/speed_magnets.py [--size POSES]
+"""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import numpy as np
+from validation import options, table, write_section
+
+from vrcaps.magnet.field import SourceSet
+from vrcaps.magnet.internal import InternalMagnet
+from vrcaps.magnet.sources import Coil, Cylinder, Dipole, FieldMap, Solenoid, Source, magnet_pose
+
+BATCHES = 31
+LIMIT = 2.0
+COUNT = 8
+HEAD = ("8 sources", "distance", "a wrench, median", "p10 to p90", "claimed")
+
+
+def kinds() -> dict[str, Source]:
+    """One of each kind, 100 mm across."""
+    return {
+        "dipoles": Dipole(100.0),
+        "cylinders": Cylinder(0.1, 0.1, 1.48),
+        "coils": Coil(0.05, 10.0, 100),
+        "solenoids": Solenoid(0.05, 0.1, 10.0, 100),
+        "sampled maps": FieldMap((-1, -1, -1), (0.1,) * 3, np.ones((21, 21, 21, 3))),
+    }
+
+
+def around(source: Source, distance: float) -> list[Source]:
+    """Eight of them around the origin, each turned its own way."""
+    rng = np.random.default_rng(0)
+    values = {k: v for k, v in source.__dict__.items() if k != "T_world_magnet"}
+    places = rng.normal(size=(COUNT, 3))
+    places *= distance / np.linalg.norm(places, axis=1, keepdims=True)
+    axes = rng.normal(size=(COUNT, 3))
+    poses = [magnet_pose(p, a) for p, a in zip(places, axes, strict=True)]
+    return [type(source)(**values, T_world_magnet=pose) for pose in poses]
+
+
+def measure(sources: list[Source], count: int) -> np.ndarray:
+    """µs of CPU time for a wrench: p10, median, p90 over batches."""
+    core = SourceSet(sources).core
+    rng = np.random.default_rng(1)
+    magnet = InternalMagnet((0, 0, 0.003), (0.3, 0, 1.0))
+    magnets = np.array([[*magnet.position_capsule, *magnet.moment_capsule]])
+    poses = np.concatenate([rng.uniform(-0.01, 0.01, (count, 3)), rng.normal(size=(count, 4))], 1)
+    poses[:, 3:] /= np.linalg.norm(poses[:, 3:], axis=1, keepdims=True)
+    core.wrench(magnets, poses)
+    taken = []
+    for _ in range(BATCHES):
+        begin = time.process_time()
+        core.wrench(magnets, poses)
+        taken.append(1e6 * (time.process_time() - begin) / count)
+    return np.quantile(taken, [0.1, 0.5, 0.9])
+
+
+def main() -> None:
+    """Measure, write the table."""
+    given = options(__doc__ or "", size=10_000)
+    rows = []
+    for name, source in kinds().items():
+        for distance in (0.1, 0.15, 0.3):
+            low, median, high = measure(around(source, distance), given.size)
+            said = f"≤ {LIMIT:g} µs: {'yes' if median <= LIMIT else 'NO'}"
+            spread = f"{low:.2f} to {high:.2f} µs"
+            rows.append((name, f"{1e3 * distance:.0f} mm", f"{median:.2f} µs", spread, said))
+    text = (
+        "## Speed of magnets\n\n`python benchmarks/speed_magnets.py`: field, gradient and wrench "
+        "of eight sources, 100 mm across, on\na capsule with one magnet; CPU time on one core.\n\n"
+        + table(HEAD, rows)
+    )
+    write_section(given.out, Path(__file__).name, text)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,91 @@
+"""Claim: the largest lesions do not cut the wall either.
+
+Puts the largest lesion that each kind allows into a generated organ, or the largest that has room
+there, each tenth smaller than the one refused, and counts the pairs of triangles of it that cut
+the wall or each other. Claimed: none.
+
+    python benchmarks/validate_lesion_sizes.py
+"""
+
+from __future__ import annotations
+
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from validate_lesions import cuts
+from validation import options, table, write_section
+
+import vrcaps
+from vrcaps.errors import InputError
+from vrcaps.organ.lesion import Patient, add_lesions, parse_lesion
+from vrcaps.organ.lesion.base import Lesion, SizedLesion
+from vrcaps.organ.surface import OrganSurface
+from vrcaps.units import MM
+
+CASES = {
+    "colon": (
+        *(f"polyp-{shape}:size=30mm" for shape in ("Ip", "Is", "IIa", "IIb", "IIc")),
+        *("angioectasia:size=15mm", "lymphangiectasia:size=30mm", "erosion:size=10mm"),
+        *("ulcer-aphthous:size=10mm", "ulcer-deep:size=40mm", "tumour:size=50mm"),
+        *("diverticulum:size=15mm", "stricture:length=10cm,narrowing=0.85"),
+        *("stricture:length=5mm,narrowing=0.85", "colitis-3:spread=E3"),
+        *(f"haemorrhage-4:variant={number}" for number in (1, 2, 3)),
+    ),
+    "small-bowel": (
+        *("polyp-Ip:size=30mm", "polyp-Is:size=30mm", "tumour:size=50mm", "ulcer-deep:size=40mm"),
+        *("diverticulum:size=15mm", "stricture:length=10cm,narrowing=0.85", "haemorrhage-4"),
+    ),
+    "stomach": (
+        *("polyp-Ip:size=30mm", "tumour:size=50mm", "ulcer-deep:size=40mm"),
+        *("diverticulum:size=15mm", "haemorrhage-4"),
+    ),
+}
+
+
+def largest(organ: OrganSurface, lesion: Lesion) -> tuple[Lesion, Patient]:
+    """A lesion as large as it was asked for or as finds room, and the organ with it."""
+    while True:
+        try:
+            return lesion, add_lesions(organ, [lesion], np.random.default_rng(0))
+        except InputError:
+            if not isinstance(lesion, SizedLesion) or 0.9 * lesion.size < lesion.sizes[0]:
+                raise
+            lesion = replace(lesion, size=round(0.9 * lesion.size / MM) * MM)
+
+
+def row(case: tuple[str, str]) -> tuple[str, ...]:
+    """Row of one case."""
+    name, text = case
+    organ = replace(vrcaps.load_organ(name, seed=0), appearance=None)
+    lesion, patient = largest(organ, parse_lesion(text))
+    own = (patient.organ.instance == 1)[patient.organ.faces].any(axis=1)
+    size = f"{lesion.size / MM:g} mm" if isinstance(lesion, SizedLesion) else "–"
+    return (name, text.replace(":", ", "), size, f"{own.sum():,}", str(cuts(patient)))
+
+
+def main() -> None:
+    """Measure two at a time, write the table as it grows."""
+    given = options(__doc__ or "", size=1)
+    cases = [(name, text) for name, texts in CASES.items() for text in texts]
+    rows = []
+    with ProcessPoolExecutor(2) as pool:
+        for found in pool.map(row, cases):
+            rows.append(found)
+            write_section(given.out, Path(__file__).name, section(rows))
+
+
+def section(rows: list[tuple[str, ...]]) -> str:
+    """The table and what it means."""
+    return (
+        "## The largest lesions\n\n`python benchmarks/validate_lesion_sizes.py`: the largest that "
+        "each kind allows or, where an organ has\nno room for it, the largest that it has room "
+        "for, by tenths.\n\n"
+        + table(("organ", "asked for", "size", "triangles of it", "cuts"), rows)
+        + "\n\n*Cuts*: pairs of triangles of the lesion that cut the wall or each other."
+    )
+
+
+if __name__ == "__main__":
+    main()

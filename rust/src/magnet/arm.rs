@@ -1,0 +1,230 @@
+//! What Python holds of an arm: `vrcaps.magnet.arm`.
+
+use super::capsules::{LinkCapsule, Obstacles};
+use super::chain::{Chain, Joint, Pose};
+use super::handle::{pose_of, rows};
+use super::inverse::{All, Angles, BRANCHES, Inverse, JOINTS};
+use glam::DVec3;
+use numpy::{IntoPyArray, PyArrayDyn, PyReadonlyArray2, PyReadonlyArray3, ndarray::ArrayD};
+use pyo3::{exceptions::PyValueError, prelude::*};
+use rayon::prelude::*;
+
+/// Poses that one thread takes at a time.
+const CHUNK: usize = 64;
+
+/// A chain of turning joints with its limits and the capsules around its links.
+#[pyclass(module = "vrcaps._core")]
+pub struct ArmChain {
+    chain: Chain,
+    inverse: Option<Inverse>,
+    obstacles: Obstacles,
+}
+
+fn array<'py>(
+    py: Python<'py>,
+    shape: &[usize],
+    flat: Vec<f64>,
+) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
+    let shaped = ArrayD::from_shape_vec(shape, flat);
+    Ok(shaped.map_err(|error| PyValueError::new_err(error.to_string()))?.into_pyarray(py))
+}
+
+fn matrix(pose: &Pose) -> [f64; 16] {
+    let (r, p) = (&pose.rotation, pose.position);
+    let [x, y, z] = [r.x_axis, r.y_axis, r.z_axis];
+    [x.x, y.x, z.x, p.x, x.y, y.y, z.y, p.y, x.z, y.z, z.z, p.z, 0.0, 0.0, 0.0, 1.0]
+}
+
+fn pose(m: &[f64]) -> Pose {
+    let (rotation, position) = pose_of(m);
+    Pose { rotation, position }
+}
+
+fn poses(array: &PyReadonlyArray3<'_, f64>) -> PyResult<Vec<Pose>> {
+    let view = array.as_array();
+    if view.shape()[1..] != [4, 4] {
+        return Err(PyValueError::new_err("Poses are 4 by 4."));
+    }
+    let flat: Vec<f64> = view.iter().copied().collect();
+    Ok(flat.chunks_exact(16).map(pose).collect())
+}
+
+fn angles(row: &[f64]) -> Angles {
+    std::array::from_fn(|i| row[i])
+}
+
+impl ArmChain {
+    fn count(&self) -> usize {
+        self.chain.joints.len()
+    }
+
+    fn closed_form(&self) -> PyResult<&Inverse> {
+        let inverse = self.inverse.as_ref();
+        inverse.ok_or_else(|| PyValueError::new_err("This arm has no closed-form inverse."))
+    }
+}
+
+#[pymethods]
+impl ArmChain {
+    /// Joints as rows of a, d, α, θ, least and largest angle; the flange's pose in the last; links
+    /// as rows of frame, both ends and radius; pairs of them to compare.
+    #[new]
+    fn new(
+        joints: PyReadonlyArray2<'_, f64>,
+        flange: PyReadonlyArray2<'_, f64>,
+        links: PyReadonlyArray2<'_, f64>,
+        pairs: Vec<(usize, usize)>,
+    ) -> PyResult<Self> {
+        let joints = rows(&joints, 6)?;
+        let joint = |j: &[f64]| Joint::new(j[0], j[1], j[2], j[3], (j[4], j[5]));
+        let chain = Chain {
+            joints: joints.chunks_exact(6).map(joint).collect(),
+            flange: pose(&rows(&flange, 4)?),
+        };
+        let links = rows(&links, 8)?;
+        let vector = |l: &[f64]| DVec3::new(l[0], l[1], l[2]);
+        let link = |l: &[f64]| LinkCapsule {
+            frame: l[0] as usize,
+            ends: [vector(&l[1..4]), vector(&l[4..7])],
+            radius: l[7],
+        };
+        let capsules: Vec<_> = links.chunks_exact(8).map(link).collect();
+        let most = chain.joints.len() + 1;
+        if capsules.iter().any(|c| c.frame > most)
+            || pairs.iter().any(|&(i, j)| i.max(j) >= capsules.len())
+        {
+            return Err(PyValueError::new_err("A link or pair names what is not there."));
+        }
+        let obstacles = Obstacles { capsules, pairs, table: None };
+        Ok(ArmChain { inverse: Inverse::new(&chain), chain, obstacles })
+    }
+
+    /// Whether the arm is built so that its inverse has a closed form here.
+    #[getter]
+    fn has_closed_form(&self) -> bool {
+        self.inverse.is_some()
+    }
+
+    /// Poses [k n+1 4 4] of the joints' frames and of the flange in the base, for angles [k n].
+    fn frames<'py>(
+        &self,
+        py: Python<'py>,
+        angles: PyReadonlyArray2<'py, f64>,
+    ) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
+        let n = self.count();
+        let angles = rows(&angles, n)?;
+        let flat: Vec<f64> = py.detach(|| {
+            let one = |q: &[f64]| {
+                let mut frames = Vec::with_capacity(n + 1);
+                self.chain.frames(q, &mut frames);
+                frames.iter().flat_map(matrix).collect::<Vec<f64>>()
+            };
+            angles.par_chunks_exact(n).with_min_len(CHUNK).flat_map_iter(one).collect()
+        });
+        array(py, &[angles.len() / n, n + 1, 4, 4], flat)
+    }
+
+    /// Jacobian [k 6 n]: velocity of the flange's origin, then angular velocity, in the base.
+    fn jacobian<'py>(
+        &self,
+        py: Python<'py>,
+        angles: PyReadonlyArray2<'py, f64>,
+    ) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
+        let n = self.count();
+        let angles = rows(&angles, n)?;
+        let (mut frames, mut columns) = (Vec::new(), Vec::new());
+        let mut flat = Vec::with_capacity(6 * angles.len());
+        for q in angles.chunks_exact(n) {
+            self.chain.frames(q, &mut frames);
+            self.chain.jacobian(&frames, &mut columns);
+            flat.extend((0..6).flat_map(|row| columns.iter().map(move |column| column[row])));
+        }
+        array(py, &[angles.len() / n, 6, n], flat)
+    }
+
+    /// All branches [k 8 7] within limits for targets [k 4 4] and last angles [k]; the rest is NaN.
+    fn inverse<'py>(
+        &self,
+        py: Python<'py>,
+        targets: PyReadonlyArray3<'py, f64>,
+        last: Vec<f64>,
+    ) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
+        let solver = self.closed_form()?;
+        let targets = poses(&targets)?;
+        if targets.len() != last.len() {
+            return Err(PyValueError::new_err("One last angle a target is needed."));
+        }
+        let mut flat = Vec::with_capacity(targets.len() * BRANCHES * JOINTS);
+        for (target, &q7) in targets.iter().zip(&last) {
+            let mut found = All::default();
+            solver.solve(target, q7, &mut found);
+            found.angles[..found.count].iter().for_each(|a| flat.extend(a));
+            flat.extend(std::iter::repeat_n(f64::NAN, (BRANCHES - found.count) * JOINTS));
+        }
+        array(py, &[targets.len(), BRANCHES, JOINTS], flat)
+    }
+
+    /// The solution [k 7] nearest to `near` [k 7] for each target [k 4 4]; NaN where there is none.
+    fn nearest<'py>(
+        &self,
+        py: Python<'py>,
+        targets: PyReadonlyArray3<'py, f64>,
+        near: PyReadonlyArray2<'py, f64>,
+    ) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
+        let solver = self.closed_form()?;
+        let (targets, near) = (poses(&targets)?, rows(&near, JOINTS)?);
+        if targets.len() * JOINTS != near.len() {
+            return Err(PyValueError::new_err("One start a target is needed."));
+        }
+        let solve = |(target, near): (&Pose, &[f64])| {
+            solver.nearest(target, &angles(near)).unwrap_or([f64::NAN; JOINTS])
+        };
+        let flat = py.detach(|| {
+            let starts = near.par_chunks_exact(JOINTS);
+            let each = targets.par_iter().zip(starts).with_min_len(CHUNK).map(solve);
+            each.collect::<Vec<_>>().concat()
+        });
+        array(py, &[targets.len(), JOINTS], flat)
+    }
+
+    /// Solutions [k 7] along a path of targets [k 4 4]: each the nearest to the one before; from the
+    /// first pose without a solution on NaN.
+    fn follow<'py>(
+        &self,
+        py: Python<'py>,
+        targets: PyReadonlyArray3<'py, f64>,
+        start: [f64; JOINTS],
+    ) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
+        let solver = self.closed_form()?;
+        let targets = poses(&targets)?;
+        let mut at = Some(start);
+        let mut flat = Vec::with_capacity(targets.len() * JOINTS);
+        for target in &targets {
+            at = at.and_then(|near| solver.nearest(target, &near));
+            flat.extend(at.unwrap_or([f64::NAN; JOINTS]));
+        }
+        array(py, &[targets.len(), JOINTS], flat)
+    }
+
+    /// Least distances [k 2] between its own links and to a table (a point of it and the normal out
+    /// of it, in the base), for angles [k n].
+    #[pyo3(signature = (angles, table=None))]
+    fn clearance<'py>(
+        &self,
+        py: Python<'py>,
+        angles: PyReadonlyArray2<'py, f64>,
+        table: Option<([f64; 3], [f64; 3])>,
+    ) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
+        let n = self.count();
+        let angles = rows(&angles, n)?;
+        let table = table.map(|(p, normal)| (DVec3::from(p), DVec3::from(normal)));
+        let obstacles = Obstacles { table, ..self.obstacles.clone() };
+        let mut frames = Vec::new();
+        let mut flat = Vec::with_capacity(2 * angles.len() / n);
+        for q in angles.chunks_exact(n) {
+            self.chain.frames(q, &mut frames);
+            flat.extend(<[f64; 2]>::from(obstacles.clearance(&frames)));
+        }
+        array(py, &[angles.len() / n, 2], flat)
+    }
+}

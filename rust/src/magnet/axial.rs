@@ -1,0 +1,177 @@
+//! Fields with an axis of symmetry in closed form: a current loop, and a thin shell of current,
+//! which is also a cylinder magnetised along its axis.
+
+use super::elliptic::{Complete, complete, complete_with_third};
+use super::multipole::{FAR, Multipole};
+use super::number::{Dual, Number, Pair};
+use glam::{DMat3, DVec3};
+use std::f64::consts::PI;
+
+/// A wire or rim nearer than this part of the distance to its far side counts as touched.
+const TOUCH: f64 = 1e-9;
+/// Below this squared complementary modulus the form for places near the wire is used.
+const NEAR_WIRE: f64 = 0.1;
+
+/// Field in cylinder coordinates (ρ, z).
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Axial {
+    /// B_z [T].
+    pub along: f64,
+    /// ∂B_z/∂z [T/m].
+    pub along_slope: f64,
+    /// B_ρ/ρ [T/m].
+    pub radial: f64,
+    /// ∂(B_ρ/ρ)/∂z [T/m²].
+    pub radial_slope: f64,
+}
+
+impl Axial {
+    /// Flux density [T] and gradient `∂B_i/∂x_j` [T/m] at `p`, in the source's frame.
+    ///
+    /// With `h = −2 B_ρ/ρ − ∂B_z/∂z = ρ ∂(B_ρ/ρ)/∂ρ`, which is div B = 0.
+    #[inline(always)]
+    pub fn at(&self, p: DVec3, rho2: f64) -> (DVec3, DMat3) {
+        let over = if rho2 > f64::MIN_POSITIVE { 1.0 / rho2 } else { 0.0 };
+        let h = (-2.0 * self.radial - self.along_slope) * over;
+        let (xx, yy) = (self.radial + h * p.x * p.x, self.radial + h * p.y * p.y);
+        let (xy, xz, yz) = (h * p.x * p.y, p.x * self.radial_slope, p.y * self.radial_slope);
+        let gradient = DMat3::from_cols_array(&[xx, xy, xz, xy, yy, yz, xz, yz, self.along_slope]);
+        (DVec3::new(p.x * self.radial, p.y * self.radial, self.along), gradient)
+    }
+}
+
+/// Squared distances to the near and the far side of a ring, and the modulus.
+struct Modulus<N> {
+    far: N,
+    kc2: N,
+    m: N,
+}
+
+#[inline(always)]
+fn modulus<N: Number>(a: f64, rho: f64, z: N) -> Modulus<N> {
+    let (sum, gap) = (a + rho, a - rho);
+    let far = z * z + sum * sum;
+    let kc2 = ((z * z + gap * gap) / far).at_least(TOUCH * TOUCH);
+    Modulus { far, kc2, m: N::constant(4.0 * a * rho) / far }
+}
+
+/// `B_z` and `B_ρ/ρ` of a loop of radius `a` per μ₀ I, `z` above its plane.
+///
+/// Biot and Savart's law in terms of K, T (see `elliptic`); in two forms, of which one keeps its
+/// digits near the axis and far away, the other near the wire.
+#[inline(always)]
+fn ring<N: Number>(a: f64, rho: f64, z: N, u: &Modulus<N>, e: Complete<N>) -> (N, N) {
+    let one = N::constant(1.0);
+    let scale = one / (u.far * u.far.sqrt() * u.kc2) * (1.0 / PI);
+    let mt = u.m * e.t;
+    let half = (one - u.m * 0.5) * 0.5;
+    let bend = e.t * (2.0 * rho) - (mt + 1.0) * (a + rho);
+    let along = scale * e.k * (bend / u.far * (2.0 * rho) + 1.0) * (a * a);
+    let radial = scale * z * e.k / u.far * (N::constant(0.25) - half * e.t) * (8.0 * a * a);
+    // Near the wire: E and D in place of K.
+    let d = e.k * (mt + 1.0) * 0.5;
+    let second = e.k - u.m * d;
+    let near = u.far * u.kc2 * u.m * d + second * (2.0 * a * (a - rho));
+    let rest = second * half * 2.0 - u.kc2 * e.k;
+    let away = if rho > 0.0 { 0.5 / (rho * rho) } else { 0.0 };
+    (
+        N::choose(u.kc2, NEAR_WIRE, scale * near * 0.5, along),
+        N::choose(u.kc2, NEAR_WIRE, scale * z * u.far * rest * away, radial),
+    )
+}
+
+#[inline(always)]
+fn is_near(x: f64, y: f64, limit: f64) -> bool {
+    x * x + y * y <= limit * limit
+}
+
+/// A current loop: one filament.
+#[derive(Clone)]
+pub struct Ring {
+    radius: f64,
+    /// μ₀ × current × turns [T·m].
+    strength: f64,
+    far: Multipole,
+}
+
+/// A thin shell of current around a cylinder; a magnet of remanence `sheet` has the same B.
+#[derive(Clone)]
+pub struct Shell {
+    radius: f64,
+    half_length: f64,
+    /// μ₀ × current per length [T].
+    sheet: f64,
+    far: Multipole,
+}
+
+impl Ring {
+    /// A loop of `radius` [m] with μ₀ × current × turns [T·m].
+    pub fn new(radius: f64, strength: f64) -> Self {
+        Ring { radius, strength, far: Multipole::ring(radius, strength) }
+    }
+
+    /// Field at distance `rho` from the axis and height `z`.
+    #[inline]
+    pub fn field(&self, rho: f64, z: f64) -> Axial {
+        let limit = FAR * self.far.size;
+        if rho * rho + z * z > limit * limit {
+            return self.far.field(rho, z);
+        }
+        let z = Dual { value: z, slope: 1.0 };
+        let u = modulus(self.radius, rho, z);
+        let (along, radial) = ring(self.radius, rho, z, &u, complete(u.kc2.sqrt(), u.m));
+        Axial {
+            along: self.strength * along.value,
+            along_slope: self.strength * along.slope,
+            radial: self.strength * radial.value,
+            radial_slope: self.strength * radial.slope,
+        }
+    }
+
+    /// Whether a place is on the wire.
+    pub fn is_touched(&self, rho: f64, z: f64) -> bool {
+        is_near(rho - self.radius, z, TOUCH * self.radius)
+    }
+}
+
+impl Shell {
+    /// A shell of `radius` and `half_length` [m] with μ₀ × current per length [T].
+    pub fn new(radius: f64, half_length: f64, sheet: f64) -> Self {
+        let far = Multipole::shell(radius, half_length, sheet);
+        Shell { radius, half_length, sheet, far }
+    }
+
+    /// Field at distance `rho` from the axis and height `z` above the middle.
+    ///
+    /// B_z: Derby and Olbert, Am. J. Phys. 78:229 (2010), eq. 1 to 4. The shell is a stack of loops,
+    /// so that ∂B/∂z is the difference of the loops at its ends, and B_ρ the difference of their
+    /// vector potentials `4 a² C(m)/(π s³) ρ`. On the shell itself B_z is the mean of both sides.
+    #[inline]
+    pub fn field(&self, rho: f64, z: f64) -> Axial {
+        let limit = FAR * self.far.size;
+        if rho * rho + z * z > limit * limit {
+            return self.far.field(rho, z);
+        }
+        let a = self.radius;
+        let ends = Pair([z + self.half_length, z - self.half_length]);
+        let u = modulus(a, rho, ends);
+        let gamma = (a - rho) / (a + rho);
+        let (e, third) = complete_with_third(u.kc2.sqrt(), u.m, gamma);
+        let root = u.far.sqrt();
+        let along = ends / root * third * (a / (PI * (a + rho)));
+        let potential = e.k * e.t / (u.far * root) * (4.0 * a * a / PI);
+        let (along_slope, radial_slope) = ring(a, rho, ends, &u, e);
+        let difference = |p: Pair| self.sheet * (p.0[0] - p.0[1]);
+        Axial {
+            along: difference(along),
+            along_slope: difference(along_slope),
+            radial: -difference(potential),
+            radial_slope: difference(radial_slope),
+        }
+    }
+
+    /// Whether a place is on a rim, where the field has no limit.
+    pub fn is_touched(&self, rho: f64, z: f64) -> bool {
+        is_near(rho - self.radius, z.abs() - self.half_length, TOUCH * self.radius)
+    }
+}

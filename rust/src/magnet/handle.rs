@@ -1,0 +1,198 @@
+//! What Python holds of a set of sources: `vrcaps.magnet.field`.
+
+use super::axial::{Ring, Shell};
+use super::map::FieldMap;
+use super::sources::{InternalMagnet, Kind, MAGNETIC_CONSTANT, Source, field, wrench};
+use glam::{DMat3, DQuat, DVec3};
+use numpy::{
+    IntoPyArray, PyArray1, PyArray2, PyArray3, PyReadonlyArray2, PyReadonlyArray4,
+    ndarray::{Array1, Array2, Array3, ArrayView1},
+};
+use pyo3::{exceptions::PyValueError, prelude::*};
+use rayon::prelude::*;
+use std::sync::Arc;
+
+/// Points that one thread takes at a time.
+const CHUNK: usize = 256;
+
+/// Sources of a magnetic field in the world.
+#[pyclass(module = "vrcaps._core")]
+#[derive(Default)]
+pub struct FieldSources {
+    /// The sources, in the order they were added.
+    pub sources: Vec<Source>,
+}
+
+pub(super) fn rows(array: &PyReadonlyArray2<'_, f64>, columns: usize) -> PyResult<Vec<f64>> {
+    let view = array.as_array();
+    if view.ncols() != columns {
+        return Err(PyValueError::new_err(format!("Rows of {columns} numbers are needed.")));
+    }
+    Ok(view.iter().copied().collect())
+}
+
+fn vector(v: &[f64]) -> DVec3 {
+    DVec3::new(v[0], v[1], v[2])
+}
+
+fn row_vector(v: ArrayView1<'_, f64>) -> DVec3 {
+    DVec3::new(v[0], v[1], v[2])
+}
+
+/// Rotation and place of a pose of four rows.
+pub(super) fn pose_of(m: &[f64]) -> (DMat3, DVec3) {
+    let column = |k: usize| DVec3::new(m[k], m[4 + k], m[8 + k]);
+    (DMat3::from_cols(column(0), column(1), column(2)), column(3))
+}
+
+impl FieldSources {
+    fn add(&mut self, pose: &PyReadonlyArray2<'_, f64>, kind: Kind) -> PyResult<()> {
+        let (rotation, position) = pose_of(&rows(pose, 4)?);
+        self.sources.push(Source { kind, rotation, position });
+        Ok(())
+    }
+}
+
+/// Flux density, gradient and what is to be said about each place.
+type Fields<'py> = (Bound<'py, PyArray2<f64>>, Bound<'py, PyArray3<f64>>, Bound<'py, PyArray1<u8>>);
+
+/// Force and torque, and what is to be said about each place.
+type Wrenches<'py> = (Bound<'py, PyArray2<f64>>, Bound<'py, PyArray1<u8>>);
+
+#[pymethods]
+impl FieldSources {
+    #[new]
+    fn new() -> Self {
+        Self::default()
+    }
+
+    fn __len__(&self) -> usize {
+        self.sources.len()
+    }
+
+    /// A point dipole of a moment [A·m²].
+    fn add_dipole(&mut self, pose: PyReadonlyArray2<'_, f64>, moment: f64) -> PyResult<()> {
+        self.add(&pose, Kind::Dipole(moment))
+    }
+
+    /// A shell of radius and length [m] with μ₀ × current per length [T], or a magnet of remanence.
+    fn add_shell(
+        &mut self,
+        pose: PyReadonlyArray2<'_, f64>,
+        radius: f64,
+        length: f64,
+        sheet: f64,
+    ) -> PyResult<()> {
+        self.add(&pose, Kind::Shell(Shell::new(radius, 0.5 * length, sheet)))
+    }
+
+    /// A loop of a radius [m] with current × turns [A].
+    fn add_ring(
+        &mut self,
+        pose: PyReadonlyArray2<'_, f64>,
+        radius: f64,
+        current: f64,
+    ) -> PyResult<()> {
+        self.add(&pose, Kind::Ring(Ring::new(radius, MAGNETIC_CONSTANT * current)))
+    }
+
+    /// The same flux density [T] everywhere.
+    fn add_uniform(&mut self, pose: PyReadonlyArray2<'_, f64>, flux: f64) -> PyResult<()> {
+        self.add(&pose, Kind::Uniform(flux))
+    }
+
+    /// Values [nx ny nz 3] in T on a grid with an origin and a spacing [m], times a factor.
+    fn add_map(
+        &mut self,
+        pose: PyReadonlyArray2<'_, f64>,
+        origin: [f64; 3],
+        spacing: [f64; 3],
+        values: PyReadonlyArray4<'_, f64>,
+        factor: f64,
+    ) -> PyResult<()> {
+        let view = values.as_array();
+        let (nx, ny, nz, three) = view.dim();
+        if three != 3 || nx.min(ny).min(nz) < 4 {
+            return Err(PyValueError::new_err("A map needs 4 points an axis, 3 numbers each."));
+        }
+        let flat: Vec<f64> = view.iter().copied().collect();
+        let values: Vec<DVec3> = flat.chunks_exact(3).map(vector).collect();
+        let map = FieldMap::new(DVec3::from(origin), DVec3::from(spacing), [nx, ny, nz], &values);
+        self.add(&pose, Kind::Map(Arc::new(map), factor))
+    }
+
+    /// Moves a source.
+    fn set_pose(&mut self, index: usize, pose: PyReadonlyArray2<'_, f64>) -> PyResult<()> {
+        let (rotation, position) = pose_of(&rows(&pose, 4)?);
+        let count = self.sources.len();
+        let source = self.sources.get_mut(index).ok_or_else(|| {
+            PyValueError::new_err(format!("No source {index}: there are {count}."))
+        })?;
+        (source.rotation, source.position) = (rotation, position);
+        Ok(())
+    }
+
+    /// Flux density [n 3], gradient [n 3 3] and place [n] at points [n 3].
+    fn field<'py>(
+        &self,
+        py: Python<'py>,
+        points: PyReadonlyArray2<'py, f64>,
+    ) -> PyResult<Fields<'py>> {
+        let points = rows(&points, 3)?;
+        let fields = py.detach(|| {
+            let one = |p: &[f64]| field(&self.sources, vector(p));
+            if points.len() <= 3 * CHUNK {
+                points.chunks_exact(3).map(one).collect::<Vec<_>>()
+            } else {
+                points.par_chunks_exact(3).with_min_len(CHUNK).map(one).collect()
+            }
+        });
+        let n = fields.len();
+        let flux = fields.iter().flat_map(|f| f.flux.to_array()).collect();
+        let gradient = fields.iter().flat_map(|f| f.gradient.transpose().to_cols_array()).collect();
+        let place = fields.iter().map(|f| f.place as u8).collect();
+        Ok((
+            shaped(Array2::from_shape_vec((n, 3), flux))?.into_pyarray(py),
+            shaped(Array3::from_shape_vec((n, 3, 3), gradient))?.into_pyarray(py),
+            Array1::<u8>::from_vec(place).into_pyarray(py),
+        ))
+    }
+
+    /// Force and torque [n 6] on a body with magnets [k 6] (place, moment) at poses [n 7] (place,
+    /// quaternion wxyz), and place [n].
+    fn wrench<'py>(
+        &self,
+        py: Python<'py>,
+        magnets: PyReadonlyArray2<'py, f64>,
+        poses: PyReadonlyArray2<'py, f64>,
+    ) -> PyResult<Wrenches<'py>> {
+        rows(&magnets, 6)?;
+        let magnets: Vec<InternalMagnet> = magnets
+            .as_array()
+            .outer_iter()
+            .map(|m| InternalMagnet {
+                position: row_vector(m),
+                moment: DVec3::new(m[3], m[4], m[5]),
+            })
+            .collect();
+        let poses = rows(&poses, 7)?;
+        let wrenches: Vec<_> = py.detach(|| {
+            let one = |p: &[f64]| {
+                let rotation = DQuat::from_xyzw(p[4], p[5], p[6], p[3]);
+                wrench(&self.sources, &magnets, vector(p), rotation)
+            };
+            poses.chunks_exact(7).map(one).collect()
+        });
+        let flat = wrenches.iter().flat_map(|w| [w.force.to_array(), w.torque.to_array()]);
+        let flat = flat.flatten().collect();
+        let place = wrenches.iter().map(|w| w.place as u8).collect();
+        Ok((
+            shaped(Array2::from_shape_vec((wrenches.len(), 6), flat))?.into_pyarray(py),
+            Array1::<u8>::from_vec(place).into_pyarray(py),
+        ))
+    }
+}
+
+fn shaped<T>(result: Result<T, numpy::ndarray::ShapeError>) -> PyResult<T> {
+    result.map_err(|error| PyValueError::new_err(error.to_string()))
+}

@@ -1,0 +1,16 @@
+//! Magnetic fields and wrenches, and the kinematics of the arm that carries a magnet.
+//!
+//! Everything here is in double precision and in SI. Sums run in a fixed order, so that results do
+//! not depend on the number of threads.
+
+pub mod arm;
+mod axial;
+mod capsules;
+mod chain;
+mod elliptic;
+pub mod handle;
+mod inverse;
+mod map;
+mod multipole;
+mod number;
+pub mod sources;

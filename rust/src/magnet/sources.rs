@@ -1,0 +1,166 @@
+//! Sources of a magnetic field, mixed in any number, and the wrench on a body with magnets in it.
+
+use super::axial::{Ring, Shell};
+use super::map::FieldMap;
+use glam::{DMat3, DQuat, DVec3};
+use std::f64::consts::PI;
+use std::sync::Arc;
+
+/// Magnetic constant μ₀ [N/A²] (CODATA 2022).
+pub const MAGNETIC_CONSTANT: f64 = 1.256_637_061_27e-6;
+/// A point nearer to a dipole than this is in it [m].
+const DIPOLE_SIZE: f64 = 1e-6;
+
+/// What a source is, in its own frame: +z along its moment.
+#[derive(Clone)]
+pub enum Kind {
+    /// A point dipole of a moment [A·m²].
+    Dipole(f64),
+    /// A cylinder magnetised along its axis, or a thin solenoid.
+    Shell(Shell),
+    /// A current loop.
+    Ring(Ring),
+    /// The same flux density [T] everywhere.
+    Uniform(f64),
+    /// A sampled field, times a factor.
+    Map(Arc<FieldMap>, f64),
+}
+
+/// A source and where it is.
+#[derive(Clone)]
+pub struct Source {
+    /// What it is.
+    pub kind: Kind,
+    /// Rotation from its frame to the world.
+    pub rotation: DMat3,
+    /// Its place in the world [m].
+    pub position: DVec3,
+}
+
+/// What is to be said about a place.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Place {
+    /// The field is exact there.
+    #[default]
+    Regular,
+    /// Outside a field map: the value at its edge is used.
+    OutsideMap,
+    /// In a dipole, on a wire or on the rim of a magnet, where there is no field to give: a dipole
+    /// adds nothing, a wire or rim its field at 1e-9 of its size.
+    Singular,
+}
+
+/// The field at a point.
+#[derive(Clone, Copy, Debug)]
+pub struct Field {
+    /// Flux density [T].
+    pub flux: DVec3,
+    /// `∂B_i/∂x_j` [T/m], row i, column j.
+    pub gradient: DMat3,
+    /// Whether it is exact.
+    pub place: Place,
+}
+
+/// A magnet fixed in a body, taken as a dipole.
+#[derive(Clone, Copy)]
+pub struct InternalMagnet {
+    /// Its place in the body's frame [m].
+    pub position: DVec3,
+    /// Its moment in the body's frame [A·m²].
+    pub moment: DVec3,
+}
+
+/// Force and torque on a body, and the field there.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Wrench {
+    /// Force [N], in the world.
+    pub force: DVec3,
+    /// Torque about the body's origin [N·m], in the world.
+    pub torque: DVec3,
+    /// The worst place of its magnets.
+    pub place: Place,
+}
+
+/// A dipole's field: `B = μ₀/4π (3 (m·r̂) r̂ − m)/r³` and its gradient
+/// `3μ₀/4πr⁴ (m r̂ᵀ + r̂ mᵀ + (m·r̂)(1 − 5 r̂ r̂ᵀ))` (Jackson 1999, eq. 5.56).
+fn dipole(moment: f64, p: DVec3) -> (DVec3, DMat3, Place) {
+    let r2 = p.length_squared();
+    if r2 < DIPOLE_SIZE * DIPOLE_SIZE {
+        return (DVec3::ZERO, DMat3::ZERO, Place::Singular);
+    }
+    let over = 1.0 / r2.sqrt();
+    let n = p * over;
+    let cube = MAGNETIC_CONSTANT / (4.0 * PI) * moment * over * over * over;
+    let flux = cube * (3.0 * n.z * n - DVec3::Z);
+    let outer = DMat3::from_cols(n * n.x, n * n.y, n * n.z);
+    let along = DMat3::from_cols(DVec3::ZERO, DVec3::ZERO, n);
+    let bend = n.z * (DMat3::IDENTITY - 5.0 * outer);
+    (flux, 3.0 * cube * over * (along + along.transpose() + bend), Place::Regular)
+}
+
+impl Source {
+    /// The field of this source at a point of the world.
+    #[inline]
+    pub fn field(&self, point: DVec3) -> Field {
+        let p = self.rotation.transpose() * (point - self.position);
+        let rho2 = p.x * p.x + p.y * p.y;
+        let rho = rho2.sqrt();
+        let singular = |touched: bool| if touched { Place::Singular } else { Place::Regular };
+        let (flux, gradient, place) = match &self.kind {
+            Kind::Dipole(moment) => dipole(*moment, p),
+            Kind::Shell(shell) => {
+                let (flux, gradient) = shell.field(rho, p.z).at(p, rho2);
+                (flux, gradient, singular(shell.is_touched(rho, p.z)))
+            }
+            Kind::Ring(ring) => {
+                let (flux, gradient) = ring.field(rho, p.z).at(p, rho2);
+                (flux, gradient, singular(ring.is_touched(rho, p.z)))
+            }
+            Kind::Uniform(flux) => (*flux * DVec3::Z, DMat3::ZERO, Place::Regular),
+            Kind::Map(map, factor) => {
+                let (flux, gradient, is_in) = map.field(p);
+                let place = if is_in { Place::Regular } else { Place::OutsideMap };
+                (*factor * flux, *factor * gradient, place)
+            }
+        };
+        Field {
+            flux: self.rotation * flux,
+            gradient: self.rotation * gradient * self.rotation.transpose(),
+            place,
+        }
+    }
+}
+
+/// Field of all sources at a point, summed in their order.
+#[inline]
+pub fn field(sources: &[Source], point: DVec3) -> Field {
+    let mut sum = Field { flux: DVec3::ZERO, gradient: DMat3::ZERO, place: Place::Regular };
+    for source in sources {
+        let one = source.field(point);
+        sum.flux += one.flux;
+        sum.gradient += one.gradient;
+        sum.place = sum.place.max(one.place);
+    }
+    sum
+}
+
+/// Wrench of the sources on a body at a pose: `F = ∇(m·B) = Gᵀ m` and `N = m × B + arm × F`, summed
+/// over its magnets, each at its own place. Nothing is allocated.
+#[inline]
+pub fn wrench(
+    sources: &[Source],
+    magnets: &[InternalMagnet],
+    position: DVec3,
+    rotation: DQuat,
+) -> Wrench {
+    let mut sum = Wrench::default();
+    for magnet in magnets {
+        let (arm, moment) = (rotation * magnet.position, rotation * magnet.moment);
+        let at = field(sources, position + arm);
+        let force = at.gradient.transpose() * moment;
+        sum.force += force;
+        sum.torque += moment.cross(at.flux) + arm.cross(force);
+        sum.place = sum.place.max(at.place);
+    }
+    sum
+}

@@ -1,0 +1,232 @@
+"""An arm that stands beside the patient and carries a magnet at its flange."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vrcaps.errors import InputError
+from vrcaps.magnet.arm.arm import Arm, Link
+from vrcaps.magnet.arm.kinematics import forward, nearest
+from vrcaps.magnet.sources import Cylinder, check_pose
+from vrcaps.transforms import invert
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+HOLDER = 0.03
+"""Default gap between flange and magnet [m]."""
+
+
+@dataclass(frozen=True)
+class Carrier:
+    """An arm with a magnet.
+
+    Attributes:
+        arm: The arm.
+        magnet: The magnet; its pose is set by the arm.
+        T_world_base: Pose of the arm's base.
+        T_flange_magnet: Pose of the magnet's centre in the flange; by default along the flange's z,
+            behind a holder of 30 mm.
+        table_height: Height in the world [m] under which neither the arm's links from the second
+            joint on nor the magnet may be; None is no table.
+    """
+
+    arm: Arm
+    magnet: Cylinder
+    T_world_base: Float[np.ndarray, "4 4"] = field(default_factory=lambda: np.eye(4))
+    T_flange_magnet: Float[np.ndarray, "4 4"] | None = None
+    table_height: float | None = None
+
+    def __post_init__(self) -> None:
+        check_pose("T_world_base", self.T_world_base)
+        if self.T_flange_magnet is not None:
+            check_pose("T_flange_magnet", self.T_flange_magnet)
+
+    @cached_property
+    def mount(self) -> Float[np.ndarray, "4 4"]:
+        """``T_flange_magnet``, the default filled in."""
+        if self.T_flange_magnet is not None:
+            return np.asarray(self.T_flange_magnet, float)
+        mount = np.eye(4)
+        mount[2, 3] = HOLDER + 0.5 * self.magnet.length
+        return mount
+
+    @cached_property
+    def loaded_arm(self) -> Arm:
+        """The arm with a capsule that holds the magnet at its flange."""
+        half = 0.5 * self.magnet.length * self.mount[:3, 2]
+        start, end = (tuple((self.mount[:3, 3] + way).tolist()) for way in (-half, half))
+        link = Link(self.arm.num_joints + 1, start, end, 0.5 * self.magnet.diameter)
+        return replace(self.arm, links=(*self.arm.links, link))
+
+
+def magnet_at(carrier: Carrier, angles: Float[np.ndarray, "*n j"]) -> Float[np.ndarray, "*n 4 4"]:
+    """Pose ``T_world_magnet`` for joint angles [rad].
+
+    Raises:
+        InputError: If there is not one finite angle a joint.
+    """
+    return carrier.T_world_base @ forward(carrier.arm, angles) @ carrier.mount
+
+
+def flange_at(
+    carrier: Carrier, Ts_world_magnet: Float[np.ndarray, "*n 4 4"]
+) -> Float[np.ndarray, "*n 4 4"]:
+    """Pose ``T_base_flange`` that puts the magnet there."""
+    return invert(carrier.T_world_base) @ Ts_world_magnet @ invert(carrier.mount)
+
+
+def source_at(carrier: Carrier, angles: Float[np.ndarray, " j"]) -> Cylinder:
+    """The magnet where the arm holds it.
+
+    Raises:
+        InputError: If there is not one finite angle a joint.
+    """
+    return replace(carrier.magnet, T_world_magnet=magnet_at(carrier, angles))
+
+
+def clearances(carrier: Carrier, angles: Float[np.ndarray, "n j"]) -> Float[np.ndarray, "n 2"]:
+    """Least distances [m] of the arm's links and its magnet to each other, and to the table.
+
+    Below 0 they cut. Links are capsules, and so is the magnet against links; against the table it
+    is its exact cylinder. Without a table the second is infinite.
+    """
+    if carrier.table_height is None:
+        return carrier.loaded_arm.core.clearance(angles)
+    T_base_world = invert(carrier.T_world_base)
+    point = T_base_world[:3, :3] @ [0.0, 0.0, carrier.table_height] + T_base_world[:3, 3]
+    table = (tuple(point), tuple(T_base_world[:3, 2]))
+    links = carrier.arm.core.clearance(angles, table)[:, 1]
+    own = carrier.loaded_arm.core.clearance(angles)[:, 0]
+    lowest = _lowest(carrier.magnet, magnet_at(carrier, angles))
+    return np.stack([own, np.minimum(links, lowest - carrier.table_height)], axis=1)
+
+
+def _lowest(magnet: Cylinder, Ts_world_magnet: np.ndarray) -> np.ndarray:
+    """Height [m] of a cylinder's lowest point."""
+    upright = np.abs(Ts_world_magnet[..., 2, 2])
+    flat = np.sqrt(np.clip(1.0 - upright**2, 0.0, None))
+    below = 0.5 * magnet.length * upright + 0.5 * magnet.diameter * flat
+    return Ts_world_magnet[..., 2, 3] - below
+
+
+def reach(
+    carrier: Carrier,
+    T_world_magnet: Float[np.ndarray, "4 4"],
+    near: Float[np.ndarray, " j"] | None = None,
+) -> Float[np.ndarray, " j"]:
+    """Joint angles [rad] that hold the magnet there, nearest to `near` (the arm's home).
+
+    Raises:
+        InputError: If the pose is not rigid, the magnet would be in the table, the arm does not
+            reach there within its limits, or it would touch itself or the table.
+    """
+    check_pose("T_world_magnet", T_world_magnet)
+    table = carrier.table_height
+    height = float(_lowest(carrier.magnet, np.asarray(T_world_magnet)))
+    if table is not None and height < table:
+        raise InputError(
+            f"The magnet would be {(table - height) * 1e3:.1f} mm in the table. "
+            f"Allowed: its lowest point at a height of {table:g} m or more."
+        )
+    home = np.array(carrier.arm.home if near is None else near)
+    angles = nearest(carrier.arm, flange_at(carrier, T_world_magnet), home)
+    if np.isnan(angles).any():
+        raise InputError(
+            f"Arm {carrier.arm.name} does not reach a magnet at {T_world_magnet[:3, 3]} m with its "
+            f"moment along {T_world_magnet[:3, 2]}. Bring it nearer to the base or turn it."
+        )
+    _check_clear(carrier, angles[None])
+    return angles
+
+
+def _check_clear(carrier: Carrier, angles: np.ndarray) -> None:
+    clear = clearances(carrier, angles)
+    if clear.min() < 0.0:
+        row, kind = np.unravel_index(np.argmin(clear), clear.shape)
+        what = ("itself", "the table")[int(kind)]
+        raise InputError(
+            f"Pose {row}: arm {carrier.arm.name} touches {what}, {-1e3 * clear.min():.1f} mm deep. "
+            "Choose another pose, or start from other angles."
+        )
+
+
+def follow(
+    carrier: Carrier,
+    Ts_world_magnet: Float[np.ndarray, "n 4 4"],
+    start: Float[np.ndarray, " j"],
+    dt: float,
+) -> Float[np.ndarray, "n j"]:
+    """Joint angles [n j] that lead the magnet along a path, each nearest to those before.
+
+    Args:
+        carrier: The arm and its magnet.
+        Ts_world_magnet: Poses of the magnet, `dt` apart; the arm is at the first after `dt`.
+        start: Angles before the first pose [rad].
+        dt: Time between poses [s].
+
+    Raises:
+        InputError: If a pose is out of reach, the arm would touch itself or the table, or a joint
+            would turn faster than its limit.
+    """
+    targets = flange_at(carrier, np.asarray(Ts_world_magnet, float))
+    if carrier.arm.core.has_closed_form:
+        angles = carrier.arm.core.follow(targets, np.asarray(start, float))
+    else:
+        angles = np.empty((len(targets), carrier.arm.num_joints))
+        at = np.asarray(start, float)
+        for k, target in enumerate(targets):
+            at = angles[k] = nearest(carrier.arm, target, at)
+            if np.isnan(at).any():
+                angles[k:] = np.nan
+                break
+    lost = np.isnan(angles).any(axis=1)
+    if lost.any():
+        raise InputError(
+            f"Pose {int(np.argmax(lost))} of {len(targets)} is out of reach of arm "
+            f"{carrier.arm.name}. Bring the path nearer to the base or turn the magnet."
+        )
+    check_speed(carrier.arm, np.vstack([np.asarray(start, float)[None], angles]), dt)
+    _check_clear(carrier, angles)
+    return angles
+
+
+def check_speed(arm: Arm, angles: Float[np.ndarray, "n j"], dt: float) -> None:
+    """Check that joints turn no faster than they may between angles `dt` apart.
+
+    Raises:
+        InputError: If one does; says which, how fast, and what would do.
+    """
+    limit = np.array([joint.velocity for joint in arm.joints])
+    if not (np.isfinite(dt) and dt > 0.0):
+        raise InputError(f"dt is {dt}. Allowed: above 0 s.")
+    part = np.abs(np.diff(angles, axis=0)) / dt / limit
+    if part.size and part.max() > 1.0:
+        step, joint = np.unravel_index(np.argmax(part), part.shape)
+        raise InputError(
+            f"Step {step}: joint {joint + 1} of arm {arm.name} would turn at "
+            f"{part.max() * limit[joint]:.3g} rad/s. Allowed: {limit[joint]:g}; "
+            f"take {part.max():.2f} times as long."
+        )
+
+
+def reachability(
+    carrier: Carrier, Ts_world_magnet: Float[np.ndarray, "*n 4 4"]
+) -> Float[np.ndarray, "*n"]:
+    """Whether the arm holds its magnet at each pose: 1 within limits and clear, else 0.
+
+    A map is its mean over the orientations of a grid of places. Solutions are those nearest to the
+    arm's home; a pose that only another solution reaches without a touch counts as 0.
+    """
+    poses = np.asarray(Ts_world_magnet, float)
+    flat = flange_at(carrier, poses).reshape(-1, 4, 4)
+    angles = nearest(carrier.arm, flat, np.array(carrier.arm.home))
+    found = ~np.isnan(angles).any(axis=1)
+    clear = np.zeros(len(flat))
+    if found.any():
+        clear[found] = clearances(carrier, angles[found]).min(axis=1) >= 0.0
+    return clear.reshape(poses.shape[:-2])

@@ -1,0 +1,103 @@
+"""Arms by name, one TOML file each in `arms/`, and a user's own files."""
+
+from __future__ import annotations
+
+import tomllib
+from decimal import Decimal
+from pathlib import Path
+
+from vrcaps.errors import InputError, UnknownNameError
+from vrcaps.magnet.arm.arm import Arm, Joint, Link
+from vrcaps.toml_table import DEGREE, MILLI, TomlTable
+
+_ARMS = Path(__file__).parent / "arms"
+
+
+def arm_names() -> tuple[str, ...]:
+    """Names of the catalog's arms, sorted."""
+    return tuple(sorted(path.stem for path in _ARMS.glob("*.toml")))
+
+
+def load_arm(name_or_path: str | Path) -> Arm:
+    """An arm of the catalog by its name, or a user's own by the path of its TOML file.
+
+    Raises:
+        UnknownNameError: If the catalog has no arm of that name.
+        InputError: If there is no such file, or it describes no possible arm.
+    """
+    path = Path(name_or_path)
+    if path.suffix == ".toml" or len(path.parts) > 1:
+        if not path.is_file():
+            known = ", ".join(arm_names())
+            raise InputError(f"No arm file at {path}. Give a TOML file, or one of: {known}.")
+        return read_arm(path)
+    if str(name_or_path) not in arm_names():
+        raise UnknownNameError("arm", str(name_or_path), arm_names())
+    return read_arm(_ARMS / f"{name_or_path}.toml")
+
+
+def read_arm(path: Path) -> Arm:
+    """Read an arm from its TOML file (see `arms/panda.toml`); its name is the file's name.
+
+    Raises:
+        InputError: If the file cannot be read, is no TOML, lacks a key, has a key too many or of
+            the wrong type, or describes no possible arm.
+    """
+    try:
+        entries = tomllib.loads(path.read_text(encoding="utf-8"), parse_float=Decimal)
+    except OSError as error:
+        raise InputError(f"Cannot read the arm file {path}: {error.strerror}.") from error
+    except (UnicodeDecodeError, tomllib.TOMLDecodeError, ArithmeticError) as error:
+        raise InputError(f"The arm file {path} is not TOML: {error}.") from error
+    table = TomlTable(entries, path.name)
+    title = table.text("title")
+    source = table.text("source") if table.has("source") else ""
+    offset = _place(table, "flange_offset_mm")
+    home = table.numbers("home_deg", None, DEGREE)
+    joints = tuple(_read_joint(joint) for joint in table.tables("joints"))
+    links = tuple(map(_read_link, table.tables("links"))) if table.has("links") else ()
+    apart = _read_pairs(table) if table.has("apart") else ()
+    table.finish()
+    return Arm(path.stem, title, joints, offset, home, links, apart, source)
+
+
+def _read_joint(table: TomlTable) -> Joint:
+    joint = Joint(
+        a=table.number("a_mm", MILLI),
+        d=table.number("d_mm", MILLI),
+        alpha=table.number("alpha_deg", DEGREE),
+        theta=table.number("theta_deg", DEGREE),
+        lower=table.number("lower_rad"),
+        upper=table.number("upper_rad"),
+        velocity=table.number("velocity_rad_per_s"),
+        acceleration=table.number("acceleration_rad_per_s2"),
+        jerk=table.number("jerk_rad_per_s3"),
+        torque=table.number("torque_nm"),
+    )
+    table.finish()
+    return joint
+
+
+def _read_link(table: TomlTable) -> Link:
+    link = Link(
+        frame=int(table.number("frame")),
+        start=_place(table, "start_mm"),
+        end=_place(table, "end_mm"),
+        radius=table.number("radius_mm", MILLI, above=0),
+    )
+    table.finish()
+    return link
+
+
+def _place(table: TomlTable, key: str) -> tuple[float, float, float]:
+    x, y, z = table.numbers(key, 3, MILLI)
+    return x, y, z
+
+
+def _read_pairs(table: TomlTable) -> tuple[tuple[int, int], ...]:
+    allowed = "a list of pairs of frame numbers"
+    pairs = table.take("apart", allowed)
+    are_pairs = isinstance(pairs, list) and all(
+        isinstance(p, list) and len(p) == 2 and all(isinstance(f, int) for f in p) for p in pairs
+    )
+    return tuple((i, j) for i, j in pairs) if are_pairs else table.fail("apart", pairs, allowed)

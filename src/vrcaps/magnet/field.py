@@ -1,0 +1,126 @@
+"""Field of many sources at many places, and the wrench on a capsule in it.
+
+    field(sources, points) -> (flux_density, flux_gradient)
+
+`flux_gradient[n, i, j]` is ∂B_i/∂x_j. Sums run in the order of the sources, whatever the number of
+threads.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vrcaps import _core
+from vrcaps.errors import InputError
+from vrcaps.magnet.internal import InternalMagnet
+from vrcaps.magnet.sources import Source, check_pose
+from vrcaps.transforms import quaternion_from_matrix
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+_PLACES = {
+    1: "is outside a field map. Give a map that covers it",
+    2: "is in a dipole, on a wire or on the rim of a magnet. Move it away",
+}
+
+
+class SourceSet:
+    """Sources held by the compiled core, to be moved and asked many times.
+
+    Attributes:
+        sources: As they were given; `move` does not change them.
+        core: The core's own, which a physics step can ask.
+    """
+
+    def __init__(self, sources: Sequence[Source]) -> None:
+        self.sources = tuple(sources)
+        self.core = _core.FieldSources()
+        counts = [source.add_to(self.core) for source in self.sources]
+        self._first = np.concatenate([[0], np.cumsum(counts)]).astype(int)
+
+    def move(self, index: int, T_world_magnet: Float[np.ndarray, "4 4"]) -> None:
+        """Put one source at another pose.
+
+        Raises:
+            InputError: If there is no such source, or the pose is not rigid.
+        """
+        if not 0 <= index < len(self.sources):
+            raise InputError(f"No source {index}. Allowed: 0 to {len(self.sources) - 1}.")
+        check_pose("T_world_magnet", T_world_magnet)
+        for k in range(self._first[index], self._first[index + 1]):
+            self.core.set_pose(k, np.asarray(T_world_magnet, float))
+
+    def field(
+        self, points: Float[np.ndarray, "n 3"]
+    ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3 3"]]:
+        """Flux density [T] and its gradient [T/m] at points of the world [m].
+
+        Raises:
+            InputError: If a point is not finite, in a dipole, on a wire or on the rim of a magnet,
+                or outside a field map.
+        """
+        points = np.ascontiguousarray(points, float)
+        if points.ndim != 2 or points.shape[1] != 3 or not np.isfinite(points).all():
+            raise InputError(
+                f"Points of shape {points.shape}. Allowed: n rows of 3 finite numbers."
+            )
+        flux, gradient, place = self.core.field(points)
+        _check_places(place, points)
+        return flux, gradient
+
+    def wrench(
+        self, magnets: Sequence[InternalMagnet], Ts_world_capsule: Float[np.ndarray, "*n 4 4"]
+    ) -> tuple[Float[np.ndarray, "*n 3"], Float[np.ndarray, "*n 3"]]:
+        """Force [N] and torque about the capsule's origin [N·m], in the world.
+
+        F = ∇(m·B) and N = m × B + arm × F (Jackson 1999, eq. 5.69, 5.71), summed over the capsule's
+        magnets, each at its own place. Forces between magnets of one capsule, which cancel, and of
+        steel are left out.
+
+        Raises:
+            InputError: As `field`, for the place of a magnet; or if a pose is not finite.
+        """
+        poses = np.asarray(Ts_world_capsule, float)
+        if poses.shape[-2:] != (4, 4) or not np.isfinite(poses).all():
+            raise InputError(f"Poses of shape {poses.shape}. Allowed: finite 4 x 4 matrices.")
+        batch = poses.shape[:-2]
+        poses = poses.reshape(-1, 4, 4)
+        rows = np.array([[*m.position_capsule, *m.moment_capsule] for m in magnets])
+        places = np.concatenate([poses[:, :3, 3], quaternion_from_matrix(poses[:, :3, :3])], axis=1)
+        wrench, place = self.core.wrench(rows.reshape(-1, 6), places)
+        _check_places(place, poses[:, :3, 3])
+        return wrench[:, :3].reshape(*batch, 3), wrench[:, 3:].reshape(*batch, 3)
+
+
+def field(
+    sources: Sequence[Source], points: Float[np.ndarray, "n 3"]
+) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3 3"]]:
+    """Flux density [T] and its gradient ∂B_i/∂x_j [T/m] at points of the world [m].
+
+    Raises:
+        InputError: See `SourceSet.field`.
+    """
+    return SourceSet(sources).field(points)
+
+
+def wrench(
+    sources: Sequence[Source],
+    magnets: Sequence[InternalMagnet],
+    T_world_capsule: Float[np.ndarray, "*n 4 4"],
+) -> tuple[Float[np.ndarray, "*n 3"], Float[np.ndarray, "*n 3"]]:
+    """Force [N] and torque [N·m] on a capsule, see `SourceSet.wrench`.
+
+    Raises:
+        InputError: See `SourceSet.wrench`.
+    """
+    return SourceSet(sources).wrench(magnets, T_world_capsule)
+
+
+def _check_places(place: np.ndarray, points: np.ndarray) -> None:
+    if place.any():
+        worst = int(np.argmax(place))
+        raise InputError(f"Point {worst} at {points[worst]} m {_PLACES[int(place[worst])]}.")

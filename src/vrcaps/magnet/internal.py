@@ -1,0 +1,30 @@
+"""Magnets inside a capsule."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from vrcaps.errors import InputError
+
+
+@dataclass(frozen=True)
+class InternalMagnet:
+    """A magnet fixed in a capsule, felt as a dipole at its centre.
+
+    Attributes:
+        position_capsule: Its centre in the capsule frame [m].
+        moment_capsule: Its moment in the capsule frame [A·m²], not zero.
+    """
+
+    position_capsule: tuple[float, float, float]
+    moment_capsule: tuple[float, float, float]
+
+    def __post_init__(self) -> None:
+        numbers = np.array([*self.position_capsule, *self.moment_capsule], float)
+        if numbers.shape != (6,) or not np.isfinite(numbers).all() or not numbers[3:].any():
+            raise InputError(
+                f"An internal magnet at {self.position_capsule} with the moment "
+                f"{self.moment_capsule}. Allowed: three finite numbers each, the moment not zero."
+            )

@@ -1,0 +1,120 @@
+"""Permanent magnets by name, and what grade has which remanence."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vrcaps.errors import UnknownNameError, require
+from vrcaps.magnet.field import field
+from vrcaps.magnet.sources import Cylinder, Dipole
+from vrcaps.units import MM
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+GRADES = {
+    "N35": (1.17, 1.22),
+    "N38": (1.22, 1.25),
+    "N40": (1.25, 1.28),
+    "N42": (1.28, 1.32),
+    "N45": (1.32, 1.38),
+    "N48": (1.38, 1.42),
+    "N50": (1.40, 1.45),
+    "N52": (1.43, 1.48),
+    "N55": (1.47, 1.52),
+}
+"""Least and largest remanence [T] of sintered NdFeB at 20 °C: data sheets of Magnet Expert (N35 to
+N52) and Vormag (N55). It falls by 0.12 % a kelvin."""
+
+
+@dataclass(frozen=True)
+class MagnetPreset:
+    """A magnet that can be bought.
+
+    Attributes:
+        title: What it is for.
+        diameter: Diameter [m].
+        length: Length [m].
+        grade: Grade of its material, a key of `GRADES`.
+        remanence: Remanence [T], within its grade.
+    """
+
+    title: str
+    diameter: float
+    length: float
+    grade: str
+    remanence: float
+
+
+MAGNETS = {
+    "cylinder-101.6": MagnetPreset(
+        "On an arm: 4 inch cylinder, 970.1 A·m²", 101.6 * MM, 101.6 * MM, "N52", 1.48
+    ),
+    "cylinder-50.8": MagnetPreset(
+        "On a small arm: 2 inch cylinder, 121 A·m²", 50.8 * MM, 50.8 * MM, "N52", 1.48
+    ),
+    "capsule-11x10": MagnetPreset(
+        "In a wide capsule: 11 mm across, 10 mm long, 1.12 A·m²", 11 * MM, 10 * MM, "N52", 1.48
+    ),
+    "capsule-6x6": MagnetPreset(
+        "In a usual capsule beside its electronics: 6 mm, 0.2 A·m²", 6 * MM, 6 * MM, "N52", 1.48
+    ),
+}
+"""Magnets by name. The first and the third are those of the published estimates of force."""
+
+
+def magnet_names() -> tuple[str, ...]:
+    """Names of the magnets, sorted."""
+    return tuple(sorted(MAGNETS))
+
+
+def remanence_of(grade: str, *, part: float = 0.5) -> float:
+    """Remanence [T] of a grade: its least (`part` 0), its middle (0.5), its largest (1).
+
+    Raises:
+        UnknownNameError: If the grade is not in the table.
+        InputError: If the part is not from 0 to 1.
+    """
+    if grade not in GRADES:
+        raise UnknownNameError("grade", grade, GRADES)
+    require(0.0 <= part <= 1.0, "part", part, "0 to 1")
+    low, high = GRADES[grade]
+    return low + part * (high - low)
+
+
+def load_magnet(name: str, T_world_magnet: Float[np.ndarray, "4 4"] | None = None) -> Cylinder:
+    """A magnet by its name, at a pose (the world's frame if none is given).
+
+    Raises:
+        UnknownNameError: If there is no magnet of that name.
+    """
+    if name not in MAGNETS:
+        raise UnknownNameError("magnet", name, MAGNETS)
+    preset = MAGNETS[name]
+    pose = np.eye(4) if T_world_magnet is None else T_world_magnet
+    return Cylinder(preset.diameter, preset.length, preset.remanence, pose)
+
+
+def dipole_distance(magnet: Cylinder, *, error: float = 0.05) -> float:
+    """Distance from the centre [m] beyond which a dipole is wrong by `error` or less everywhere.
+
+    The error is |B_cylinder − B_dipole|/|B_cylinder|, the worst over all directions; it falls with
+    the square of the distance in the end, but need not fall all the way.
+
+    Raises:
+        InputError: If the error is not from 1e-6 to below 1.
+    """
+    require(1e-6 <= error < 1.0, "error", error, "1e-6 to below 1")
+    size = np.hypot(0.5 * magnet.diameter, 0.5 * magnet.length)
+    angles = np.linspace(0.0, 0.5 * np.pi, 91)
+    directions = np.stack([np.sin(angles), np.zeros_like(angles), np.cos(angles)], axis=-1)
+    distances = 1.001 * size * np.geomspace(1.0, 2.0 / np.sqrt(error), 2001)
+    points = (distances[:, None, None] * directions).reshape(-1, 3)
+    exact = field([Cylinder(magnet.diameter, magnet.length, magnet.remanence)], points)[0]
+    approximate = field([Dipole(magnet.moment)], points)[0]
+    wrong = np.linalg.norm(exact - approximate, axis=1) / np.linalg.norm(exact, axis=1)
+    too_near = np.nonzero(wrong.reshape(len(distances), -1).max(axis=1) > error)[0]
+    return float(distances[too_near[-1] + 1]) if too_near.size else float(size)

@@ -1,0 +1,133 @@
+"""The inertial unit and the magnetometer in a capsule."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vrcaps.errors import require
+from vrcaps.units import DEG
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+_STANDARD_GRAVITY = 9.80665
+
+
+@dataclass(frozen=True)
+class Motion:
+    """How a capsule moves, about its origin, in the world.
+
+    Attributes:
+        R_world_capsule: Rotation.
+        acceleration: Of the origin [m/s²].
+        angular_velocity: Angular velocity [rad/s].
+        angular_acceleration: Angular acceleration [rad/s²].
+        gravity: Gravity [m/s²].
+    """
+
+    R_world_capsule: Float[np.ndarray, "3 3"]
+    acceleration: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    angular_velocity: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    angular_acceleration: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    gravity: tuple[float, float, float] = (0.0, 0.0, -_STANDARD_GRAVITY)
+
+
+@dataclass(frozen=True)
+class Inertial:
+    """An accelerometer and gyroscope; white noise and a bias that walks (IEEE Std 952-1997).
+
+    The defaults are those of a small MEMS unit: noise from the data sheet of Bosch's BMI270, the
+    bias's walk assumed.
+
+    Attributes:
+        position_capsule: Place in the capsule [m]; its axes are the capsule's.
+        rate: Readings a second [Hz].
+        accelerometer_noise: Noise density [m/s²/√Hz].
+        gyroscope_noise: Noise density [rad/s/√Hz].
+        accelerometer_walk: Walk of the bias [m/s²/√s].
+        gyroscope_walk: Walk of the bias [rad/s/√s].
+        accelerometer_range: Largest reading [m/s²]; more is cut off.
+        gyroscope_range: Largest reading [rad/s]; more is cut off.
+    """
+
+    position_capsule: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    rate: float = 100.0
+    accelerometer_noise: float = 160e-6 * _STANDARD_GRAVITY
+    gyroscope_noise: float = 0.007 * DEG
+    accelerometer_walk: float = 2e-4
+    gyroscope_walk: float = 2e-5
+    accelerometer_range: float = 16.0 * _STANDARD_GRAVITY
+    gyroscope_range: float = 2000.0 * DEG
+
+    def __post_init__(self) -> None:
+        require(0.0 < self.rate < np.inf, "Inertial rate", self.rate, "above 0 Hz")
+        for name in ("accelerometer_noise", "gyroscope_noise"):
+            value = getattr(self, name)
+            require(0.0 <= value < np.inf, f"Inertial {name}", value, "0 or more")
+
+
+def read_inertial(
+    unit: Inertial, motion: Motion, bias: Float[np.ndarray, " 6"], rng: np.random.Generator
+) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, " 3"], Float[np.ndarray, " 6"]]:
+    """Specific force [m/s²] and angular velocity [rad/s] in the capsule frame, and the next bias.
+
+    f = Rᵀ (a + α × r + ω × (ω × r) − g) at the unit's place r (Titterton and Weston 2004, 3.2): at
+    rest it reads 1 g upwards.
+
+    Args:
+        unit: The unit.
+        motion: How the capsule moves.
+        bias: Bias of accelerometer and gyroscope; zeros to begin with.
+        rng: Draws noise and the bias's next step, 1/`rate` later.
+    """
+    rotation = np.asarray(motion.R_world_capsule, float)
+    spin, arm = np.array(motion.angular_velocity), rotation @ unit.position_capsule
+    swing = np.cross(motion.angular_acceleration, arm) + np.cross(spin, np.cross(spin, arm))
+    force = rotation.T @ (np.array(motion.acceleration) + swing - motion.gravity)
+    # White noise of density n, sampled at a rate f, has the standard deviation n √f.
+    noise = np.sqrt(unit.rate) * rng.normal(size=6)
+    force = force + bias[:3] + unit.accelerometer_noise * noise[:3]
+    turn = rotation.T @ spin + bias[3:] + unit.gyroscope_noise * noise[3:]
+    walk = np.repeat([unit.accelerometer_walk, unit.gyroscope_walk], 3) / np.sqrt(unit.rate)
+    return (
+        np.clip(force, -unit.accelerometer_range, unit.accelerometer_range),
+        np.clip(turn, -unit.gyroscope_range, unit.gyroscope_range),
+        bias + walk * rng.normal(size=6),
+    )
+
+
+@dataclass(frozen=True)
+class Magnetometer:
+    """A magnetometer in a capsule.
+
+    The defaults are those of a small unit; a strong magnet near by drives it to its range.
+
+    Attributes:
+        position_capsule: Place in the capsule [m]; its axes are the capsule's.
+        noise: Standard deviation of a reading [T].
+        offset: What it reads without a field [T], such as from the capsule's own magnet.
+        range: Largest reading of a component [T]; more is cut off.
+    """
+
+    position_capsule: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    noise: float = 0.5e-6
+    offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    range: float = 2.5e-3
+
+    def __post_init__(self) -> None:
+        require(0.0 <= self.noise < np.inf, "Magnetometer noise", self.noise, "0 or more")
+        require(self.range > 0.0, "Magnetometer range", self.range, "above 0")
+
+
+def read_magnetometer(
+    unit: Magnetometer,
+    flux_density: Float[np.ndarray, " 3"],
+    R_world_capsule: Float[np.ndarray, "3 3"],
+    rng: np.random.Generator,
+) -> Float[np.ndarray, " 3"]:
+    """Reading [T] in the capsule frame of the flux density in the world at the unit's place."""
+    reading = np.asarray(R_world_capsule).T @ flux_density + unit.offset
+    return np.clip(reading + unit.noise * rng.normal(size=3), -unit.range, unit.range)

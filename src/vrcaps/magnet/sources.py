@@ -1,0 +1,302 @@
+"""Sources of a magnetic field, each at its own pose: +z of frame `magnet` is along the moment.
+
+Laws and limits are in `docs/magnets.md`. Currents turn right-handed about +z.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vrcaps.errors import InputError, require
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+    from vrcaps._core import FieldSources
+
+MAGNETIC_CONSTANT = 1.25663706127e-6
+"""μ₀ [N/A²] (CODATA 2022), as in the compiled core."""
+_ORTHONORMAL = 1e-6
+_LARGEST_LAYERS = 100
+_LEAST_POINTS = 4
+
+
+def _identity() -> np.ndarray:
+    return np.eye(4)
+
+
+def magnet_pose(
+    position: Float[np.ndarray, " 3"], direction: Float[np.ndarray, " 3"]
+) -> Float[np.ndarray, "4 4"]:
+    """``T_world_magnet`` of a source at `position` [m] whose moment is along `direction`.
+
+    The turn about that axis, which changes no axial field, is the shortest from the world's z.
+
+    Raises:
+        InputError: If the direction is zero or a number is not finite.
+    """
+    position, z = np.asarray(position, float), np.asarray(direction, float)
+    length = np.linalg.norm(z)
+    if not (np.isfinite(length) and length > 0.0 and np.isfinite(position).all()):
+        raise InputError(
+            f"A magnet at {position} along {z} has no pose. Give finite numbers, no zero direction."
+        )
+    z = z / length
+    pose = np.eye(4)
+    pose[:3, 3] = position
+    if z[2] < 0.0:  # turned half about x first, so that nothing is divided by zero
+        flip = np.diag([1.0, -1.0, -1.0])
+        pose[:3, :3] = _shortest(flip @ z)
+        pose[:3, :3] = flip @ pose[:3, :3]
+    else:
+        pose[:3, :3] = _shortest(z)
+    return pose
+
+
+def _shortest(z: np.ndarray) -> np.ndarray:
+    """Rotation that takes the z axis to `z`, z·e_z ≥ 0, by the shortest way."""
+    x, y, c = z
+    k = 1.0 / (1.0 + c)
+    return np.array(
+        [[1.0 - k * x * x, -k * x * y, x], [-k * x * y, 1.0 - k * y * y, y], [-x, -y, c]]
+    )
+
+
+def check_pose(name: str, pose: np.ndarray) -> None:
+    """Check that a pose is rigid.
+
+    Raises:
+        InputError: If it is not a finite 4×4 matrix of a rotation and a place.
+    """
+    pose = np.asarray(pose)
+    is_rigid = (
+        pose.shape == (4, 4)
+        and np.isfinite(pose).all()
+        and np.abs(pose[:3, :3] @ pose[:3, :3].T - np.eye(3)).max() < _ORTHONORMAL
+        and np.linalg.det(pose[:3, :3]) > 0.0
+        and np.array_equal(pose[3], [0.0, 0.0, 0.0, 1.0])
+    )
+    if not is_rigid:
+        raise InputError(f"{name} is no rigid pose. Allowed: 4 x 4, a rotation and a place [m].")
+
+
+def _pose(source: Source) -> np.ndarray:
+    return np.asarray(source.T_world_magnet, float)
+
+
+def _above_zero(source: object, *names: str) -> None:
+    for name in names:
+        value = getattr(source, name)
+        label = f"{type(source).__name__} {name}"
+        require(0.0 < value < math.inf, label, value, "above 0")
+
+
+def _finite(source: object, *names: str) -> None:
+    for name in names:
+        value = getattr(source, name)
+        require(math.isfinite(value), f"{type(source).__name__} {name}", value, "a finite number")
+
+
+@dataclass(frozen=True)
+class Dipole:
+    """A point dipole.
+
+    Attributes:
+        moment: Magnetic moment along +z [A·m²], above 0.
+        T_world_magnet: Its pose.
+    """
+
+    moment: float
+    T_world_magnet: Float[np.ndarray, "4 4"] = field(default_factory=_identity)
+
+    def __post_init__(self) -> None:
+        _above_zero(self, "moment")
+        check_pose("T_world_magnet", self.T_world_magnet)
+
+    def add_to(self, core: FieldSources) -> int:
+        """Add this source to the core's; returns how many of the core's it takes."""
+        core.add_dipole(_pose(self), self.moment)
+        return 1
+
+
+@dataclass(frozen=True)
+class Cylinder:
+    """A permanent magnet: a cylinder, evenly magnetised along its axis +z.
+
+    Its permeability counts as μ₀, as that of rare-earth magnets nearly is (1.05). B is given inside
+    too, where H is B/μ₀ minus the magnetisation.
+
+    Attributes:
+        diameter: Diameter [m].
+        length: Length along the axis [m].
+        remanence: Remanence B_r [T]; magnetisation times μ₀.
+        T_world_magnet: Pose of its centre.
+    """
+
+    diameter: float
+    length: float
+    remanence: float
+    T_world_magnet: Float[np.ndarray, "4 4"] = field(default_factory=_identity)
+
+    def __post_init__(self) -> None:
+        _above_zero(self, "diameter", "length", "remanence")
+        check_pose("T_world_magnet", self.T_world_magnet)
+
+    @property
+    def moment(self) -> float:
+        """Magnetic moment B_r V/μ₀ [A·m²]."""
+        volume = 0.25 * math.pi * self.diameter**2 * self.length
+        return self.remanence * volume / MAGNETIC_CONSTANT
+
+    def add_to(self, core: FieldSources) -> int:
+        """Add this source to the core's; returns how many of the core's it takes."""
+        core.add_shell(_pose(self), 0.5 * self.diameter, self.length, self.remanence)
+        return 1
+
+
+@dataclass(frozen=True)
+class Coil:
+    """A flat coil: `turns` windings on one circle, as one thin wire.
+
+    Attributes:
+        radius: Radius of the circle [m].
+        current: Current [A]; 0 is a coil that is off, below 0 turns the field round.
+        turns: Windings, 1 or more.
+        T_world_magnet: Pose of its centre.
+    """
+
+    radius: float
+    current: float
+    turns: int = 1
+    T_world_magnet: Float[np.ndarray, "4 4"] = field(default_factory=_identity)
+
+    def __post_init__(self) -> None:
+        _above_zero(self, "radius")
+        _finite(self, "current")
+        require(self.turns >= 1, "Coil turns", self.turns, "1 or more")
+        check_pose("T_world_magnet", self.T_world_magnet)
+
+    def add_to(self, core: FieldSources) -> int:
+        """Add this source to the core's; returns how many of the core's it takes."""
+        core.add_ring(_pose(self), self.radius, self.current * self.turns)
+        return 1
+
+
+@dataclass(frozen=True)
+class Solenoid:
+    """A wound coil of some length: `layers` thin shells of evenly spread current.
+
+    The pitch of the winding is left out. With one layer the shell is at `radius`; with more they
+    divide the thickness of the winding evenly, each in the middle of its part.
+
+    Attributes:
+        radius: Mean radius of the winding [m].
+        length: Length of the winding [m].
+        current: Current [A]; 0 is a solenoid that is off.
+        turns: Windings of all layers together, 1 or more.
+        thickness: Outer minus inner radius of the winding [m], below 2 `radius`.
+        layers: Shells that stand for the thickness, 1 to 100.
+        T_world_magnet: Pose of its centre.
+    """
+
+    radius: float
+    length: float
+    current: float
+    turns: int
+    thickness: float = 0.0
+    layers: int = 1
+    T_world_magnet: Float[np.ndarray, "4 4"] = field(default_factory=_identity)
+
+    def __post_init__(self) -> None:
+        _above_zero(self, "radius", "length")
+        _finite(self, "current")
+        require(self.turns >= 1, "Solenoid turns", self.turns, "1 or more")
+        is_thin = 0.0 <= self.thickness < 2.0 * self.radius
+        require(is_thin, "Solenoid thickness", self.thickness, "0 to below twice the radius")
+        is_count = 1 <= self.layers <= _LARGEST_LAYERS
+        require(is_count, "Solenoid layers", self.layers, f"1 to {_LARGEST_LAYERS}")
+        check_pose("T_world_magnet", self.T_world_magnet)
+
+    def add_to(self, core: FieldSources) -> int:
+        """Add this source to the core's; returns how many of the core's it takes."""
+        sheet = MAGNETIC_CONSTANT * self.current * self.turns / (self.layers * self.length)
+        for k in range(self.layers):
+            radius = self.radius + self.thickness * ((k + 0.5) / self.layers - 0.5)
+            core.add_shell(_pose(self), radius, self.length, sheet)
+        return self.layers
+
+
+@dataclass(frozen=True)
+class Uniform:
+    """The same field everywhere.
+
+    Attributes:
+        flux_density: Flux density along +z [T]; may be 0 or below.
+        T_world_magnet: Gives the direction of +z; its place does not matter.
+    """
+
+    flux_density: float
+    T_world_magnet: Float[np.ndarray, "4 4"] = field(default_factory=_identity)
+
+    def __post_init__(self) -> None:
+        _finite(self, "flux_density")
+        check_pose("T_world_magnet", self.T_world_magnet)
+
+    def add_to(self, core: FieldSources) -> int:
+        """Add this source to the core's; returns how many of the core's it takes."""
+        core.add_uniform(_pose(self), self.flux_density)
+        return 1
+
+
+@dataclass(frozen=True)
+class FieldMap:
+    """A field that was measured or computed elsewhere, on a regular grid.
+
+    Between the points it is a tricubic spline (Catmull and Rom 1974): continuous with its gradient,
+    exact for quadratic fields. The gradient is that of the spline, so F = ∇(m·B) stays a gradient,
+    but div B and curl B are zero only as nearly as the grid is fine.
+
+    Attributes:
+        origin: Place of the first point [m].
+        spacing: Distance between points along x, y, z [m].
+        flux_density: Values [T] in frame `magnet`, four or more points along each axis.
+        factor: Times this, such as the current of a map per ampere.
+        T_world_magnet: Pose of the map.
+    """
+
+    origin: tuple[float, float, float]
+    spacing: tuple[float, float, float]
+    flux_density: Float[np.ndarray, "nx ny nz 3"]
+    factor: float = 1.0
+    T_world_magnet: Float[np.ndarray, "4 4"] = field(default_factory=_identity)
+
+    def __post_init__(self) -> None:
+        shape = np.shape(self.flux_density)
+        if len(shape) != 4 or shape[3] != 3 or min(shape[:3]) < _LEAST_POINTS:
+            raise InputError(
+                f"A field map of shape {shape}. Allowed: nx ny nz 3, {_LEAST_POINTS} or more "
+                "points along each axis."
+            )
+        if not np.isfinite(self.flux_density).all():
+            raise InputError("A field map holds values that are not finite. Fill them in first.")
+        if not (np.isfinite(self.origin).all() and min(self.spacing) > 0.0):
+            raise InputError(
+                f"A field map with origin {self.origin} and spacing {self.spacing}. "
+                "Allowed: finite numbers, spacing above 0."
+            )
+        _finite(self, "factor")
+        check_pose("T_world_magnet", self.T_world_magnet)
+
+    def add_to(self, core: FieldSources) -> int:
+        """Add this source to the core's; returns how many of the core's it takes."""
+        values = np.ascontiguousarray(self.flux_density, float)
+        core.add_map(_pose(self), self.origin, self.spacing, values, self.factor)
+        return 1
+
+
+Source = Dipole | Cylinder | Coil | Solenoid | Uniform | FieldMap
+"""Any source; an array of electromagnets is a list of them."""

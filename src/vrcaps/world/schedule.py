@@ -1,0 +1,196 @@
+"""What is commanded in time: a wrench, how the patient lies, how full the gut is."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vrcaps.errors import InputError
+from vrcaps.transforms import rotate_vectors, transform_from
+from vrcaps.world.model import posture_transform
+from vrcaps.world.trajectory import rotation_from_vector, rotation_vector
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+WRENCH_COLUMNS = ("time_s", "fx_n", "fy_n", "fz_n", "tx_nm", "ty_nm", "tz_nm")
+"""Header of a table of wrenches."""
+
+
+@dataclass(frozen=True)
+class Wrench:
+    """Force and torque on the capsule's centre of mass from a time on.
+
+    Attributes:
+        time: Since the first frame [s].
+        force: [N], along x, y, z.
+        torque: [N·m], about x, y, z.
+    """
+
+    time: float = 0.0
+    force: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    torque: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class Turn:
+    """The patient turns over.
+
+    Attributes:
+        posture: How the patient lies afterwards, see `posture_transform`.
+        at: When the turn begins, since the first frame [s].
+        over: How long it takes [s].
+    """
+
+    posture: str
+    at: float = 0.0
+    over: float = 5.0
+
+
+@dataclass(frozen=True)
+class Filling:
+    """How full the gut is at a time.
+
+    Attributes:
+        time: Since the first frame [s].
+        factor: On the lumen's radius, 1 = as modelled.
+    """
+
+    time: float = 0.0
+    factor: float = 1.0
+
+
+def wrench_at(wrenches: tuple[Wrench, ...], time: float) -> Float[np.ndarray, "2 3"]:
+    """Force [N] and torque [N·m] at a time: linear between entries, constant beyond them."""
+    if not wrenches:
+        return np.zeros((2, 3))
+    times = [wrench.time for wrench in wrenches]
+    rows = np.array([(*wrench.force, *wrench.torque) for wrench in wrenches])
+    return np.array([np.interp(time, times, column) for column in rows.T]).reshape(2, 3)
+
+
+def filling_at(fillings: tuple[Filling, ...], time: float) -> float:
+    """Factor on the lumen's radius at a time: linear between entries, constant beyond them."""
+    if not fillings:
+        return 1.0
+    factors = [filling.factor for filling in fillings]
+    return float(np.interp(time, [filling.time for filling in fillings], factors))
+
+
+def patient_at(
+    first: Float[np.ndarray, "4 4"], turns: tuple[Turn, ...], time: float
+) -> Float[np.ndarray, "4 4"]:
+    """``T_world_patient`` at a time, from the first posture on.
+
+    A turn is the shortest rotation from one posture to the next, s(t) = x² (3 − 2x) of it after
+    the share x of its time, so that it begins and ends at rest.
+    """
+    rotation = first[:3, :3]
+    for turn in turns:
+        share = np.clip((time - turn.at) / turn.over, 0.0, 1.0)
+        after = posture_transform(turn.posture)[:3, :3]
+        if share < 1.0:
+            vector = share**2 * (3.0 - 2.0 * share) * rotation_vector(rotation, after)
+            after = rotation_from_vector(vector) @ rotation
+        rotation = after
+    return transform_from(rotation, first[:3, 3])
+
+
+def in_world(
+    wrench: Float[np.ndarray, "2 3"], T_world_frame: Float[np.ndarray, "4 4"]
+) -> Float[np.ndarray, "2 3"]:
+    """Force and torque along the axes of a frame, in the world."""
+    return rotate_vectors(T_world_frame, wrench)
+
+
+def read_wrenches(path: str | Path) -> tuple[Wrench, ...]:
+    """Read a table of wrenches: CSV with the header ``time_s,fx_n,fy_n,fz_n,tx_nm,ty_nm,tz_nm``.
+
+    Raises:
+        InputError: If the file cannot be read, its header is another or a line is wrong.
+    """
+    try:
+        lines = Path(path).read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"Cannot read the wrenches {path}: {error}.") from error
+    header = [cell.strip() for cell in lines[0].split(",")] if lines else []
+    if header != list(WRENCH_COLUMNS):
+        raise InputError(
+            f"{path} starts with {','.join(header)!r}, not the header {','.join(WRENCH_COLUMNS)}."
+        )
+    wrenches = []
+    for number, line in enumerate(lines[1:], start=2):
+        if not line.strip():
+            continue
+        try:
+            time, fx, fy, fz, tx, ty, tz = (float(cell) for cell in line.split(","))
+        except ValueError as error:
+            raise InputError(f"{path} line {number} is no row of 7 numbers: {error}.") from error
+        wrenches.append(Wrench(time, (fx, fy, fz), (tx, ty, tz)))
+    check_wrenches(tuple(wrenches), str(path))
+    if not wrenches:
+        raise InputError(f"{path} holds no wrench. Give at least one row.")
+    return tuple(wrenches)
+
+
+def check_wrenches(wrenches: tuple[Wrench, ...], where: str) -> None:
+    """Check that all numbers are finite and times rise.
+
+    Raises:
+        InputError: If not; names the entry.
+    """
+    for index, wrench in enumerate(wrenches):
+        if not np.isfinite((wrench.time, *wrench.force, *wrench.torque)).all():
+            raise InputError(f"{where}: entry {index} is not finite. Allowed: finite numbers.")
+    require_rising([wrench.time for wrench in wrenches], where)
+
+
+def check_fillings(fillings: tuple[Filling, ...], where: str) -> None:
+    """Check that factors are possible and times rise.
+
+    Raises:
+        InputError: If not; names the entry.
+    """
+    for index, filling in enumerate(fillings):
+        if not (np.isfinite(filling.time) and 0.2 <= filling.factor <= 2.0):
+            raise InputError(
+                f"{where}: entry {index} is {filling.factor} at {filling.time} s. Allowed: "
+                "factors of 0.2 to 2 at finite times."
+            )
+    require_rising([filling.time for filling in fillings], where)
+
+
+def check_turns(turns: tuple[Turn, ...], where: str) -> None:
+    """Check that postures are known and turns follow each other.
+
+    Raises:
+        InputError: If a turn begins before the one before has ended, or its times are impossible.
+        UnknownNameError: If there is no such posture.
+    """
+    for turn in turns:
+        posture_transform(turn.posture)
+        if not (np.isfinite(turn.at) and turn.at >= 0.0):
+            raise InputError(f"{where}: a turn begins at {turn.at} s. Allowed: 0 s or later.")
+        if not (np.isfinite(turn.over) and turn.over > 0.0):
+            raise InputError(f"{where}: a turn takes {turn.over} s. Allowed: above 0 s.")
+    for before, after in itertools.pairwise(turns):
+        if after.at < before.at + before.over:
+            raise InputError(
+                f"{where}: the turn to {after.posture} begins at {after.at:g} s, before the one to "
+                f"{before.posture} ends at {before.at + before.over:g} s. Give them in order."
+            )
+
+
+def require_rising(times: list[float], where: str) -> None:
+    """Check that times rise.
+
+    Raises:
+        InputError: If one does not come after the one before.
+    """
+    for before, after in itertools.pairwise(times):
+        if not after > before:
+            raise InputError(f"{where}: time {after:g} s does not come after {before:g} s.")

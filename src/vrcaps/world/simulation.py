@@ -1,0 +1,278 @@
+"""A run that is simulated: the world is stepped from frame to frame, one state at a time."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vrcaps.errors import InputError
+from vrcaps.organ.surface import OrganSurface
+from vrcaps.transforms import invert, rotate_vectors, transform_from, transform_points
+from vrcaps.units import CM, MM
+from vrcaps.world.clearance import capsule_clearance
+from vrcaps.world.control import Control
+from vrcaps.world.model import Contact, Model, State
+from vrcaps.world.physics import Physics, tissue_of
+from vrcaps.world.run import Conditions, Instant
+from vrcaps.world.schedule import filling_at, in_world, patient_at, read_wrenches, wrench_at
+from vrcaps.world.snapshot import Snapshot
+from vrcaps.world.trajectory import rotation_from_vector
+from vrcaps.world.world import World
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+_SPACING = 2.0 * MM
+"""Of the places where a capsule is tried that does not fit at the start."""
+
+_FREE = 0.5
+"""Share of the capsule's radius that its axis keeps from the wall where it is set."""
+
+_PASSED = 5.0 * CM
+"""How far the front of phase III is beyond the capsule in the first frame: less than the 9 cm that
+phase III covers where its front is slowest, the terminal ileum, at 0.9 cm/min for 10 min."""
+
+_NEARBY = 3.0 * CM
+"""How far along the gut the capsule's place is sought from where it was a step before."""
+
+
+class Simulation:
+    """A run of a `World`. Its frames are made anew, to the same bytes, at every walk through."""
+
+    def __init__(
+        self,
+        model: Model,
+        settings: Physics,
+        *,
+        frames: int,
+        fps: float,
+        seed: int,
+        shown: OrganSurface | None = None,
+    ) -> None:
+        """Sets the capsule into the organ.
+
+        Args:
+            model: The lumen and the capsule.
+            settings: How it moves.
+            frames: Number of frames, at least 1.
+            fps: Frames per second.
+            seed: Of the patient's muscle, 0 or more.
+            shown: Another organ with the same triangles, such as the clean twin: its wall is
+                moved like the model's and is what states hold.
+
+        Raises:
+            InputError: If the capsule fits nowhere, a setting is impossible, or the other organ
+                has other triangles.
+            UnknownNameError: If the tissue has no muscle for a segment of the wall.
+        """
+        self.model, self.settings = model, settings
+        self.frames, self.fps = frames, fps
+        file = settings.wrench_file
+        self._wrenches = read_wrenches(file) if file else settings.wrenches
+        self._line = model.organ.centerline
+        self._offset = None if shown is None else _offset(model.organ, shown)
+        pose, arc_length, self.notes = _start(model, settings)
+        self.world = World(
+            model,
+            tissue_of(settings, front=min(arc_length + _PASSED, self._line.length)),
+            State(-settings.settle, pose),
+            substep=settings.substep,
+            seed=seed,
+        )
+        self._require_phase(arc_length)
+        self._require_time()
+        self._arc_length = arc_length
+        self._begin = (arc_length, self.world.snapshot())
+        self.on_step: Callable[[float, float], None] = _silent
+
+    def __len__(self) -> int:
+        return self.frames
+
+    @property
+    def duration(self) -> float:
+        """Simulated time, with settling [s]."""
+        return self.settings.settle + (self.frames - 1) / self.fps
+
+    def snapshot(self) -> tuple[float, Snapshot]:
+        """What `instants` needs to go on from the frame it gave last."""
+        return self._arc_length, self.world.snapshot()
+
+    def instants(
+        self, frame: int = 0, snapshot: tuple[float, Snapshot] | None = None
+    ) -> Iterator[Instant]:
+        """Frames from one on.
+
+        Args:
+            frame: The first to give.
+            snapshot: Taken when that frame was given; None, for frame 0 only, begins anew.
+
+        Raises:
+            InputError: If the world cannot be stepped; says at which time.
+        """
+        self._arc_length, start = snapshot or self._begin
+        self.world.restore(start)
+        if snapshot is None:
+            yield self._advanced(-self.settings.settle, 0.0)
+        else:
+            conditions = self._conditions(frame / self.fps, np.zeros((2, 3)))
+            yield self._instant(self.world.state, frame / self.fps, conditions)
+        for index in range(frame + 1, self.frames):
+            yield self._advanced((index - 1) / self.fps, index / self.fps)
+
+    def _advanced(self, begin: float, end: float) -> Instant:
+        """The world after steps from one time to another [s]."""
+        count = math.ceil((end - begin) / self.settings.step * (1.0 - 1e-9))
+        contacts, wrenches = [], np.zeros((max(count, 1), 2, 3))
+        state = self.world.state
+        for index in range(count):
+            times = [begin + (end - begin) * (index + k) / count for k in (0, 1)]
+            wrenches[index] = self._wrench(times[0], state) if begin >= 0.0 else 0.0
+            control = Control(
+                force_world=wrenches[index, 0],
+                torque_world=wrenches[index, 1],
+                T_world_patient=self._patient(times[1]),
+                insufflation=self._filling(times[1]),
+            )
+            try:
+                self.world.step(control, times[1] - times[0])
+            except InputError as error:
+                raise InputError(f"At {times[0]:.3f} s of the simulation: {error}") from error
+            state = self.world.state
+            contacts.append(state.contact)
+            self._follow(state)
+            self.on_step(times[1] + self.settings.settle, self.duration)
+        if contacts:
+            state = replace(state, contact=over_all(contacts))
+        return self._instant(state, end, self._conditions(end, wrenches.mean(axis=0)))
+
+    def _instant(self, state: State, time: float, conditions: Conditions) -> Instant:
+        """A frame's instant, at exactly its time, with the wall that is shown."""
+        vertices = state.vertices_world
+        if vertices is not None and self._offset is not None:
+            vertices = vertices + rotate_vectors(conditions.T_world_patient, self._offset)
+        return Instant(replace(state, time=time, vertices_world=vertices), conditions)
+
+    def _wrench(self, time: float, state: State) -> Float[np.ndarray, "2 3"]:
+        """Commanded force [N] and torque [N·m] in the world at a time."""
+        wrench = wrench_at(self._wrenches, time)
+        if self.settings.wrench_frame == "capsule":
+            return in_world(wrench, state.T_world_capsule)
+        if self.settings.wrench_frame == "gut":
+            nearest = int(np.argmin(np.abs(self._line.arc_length - self._arc_length)))
+            frame = transform_from(self._line.frames[nearest], np.zeros(3))
+            return in_world(wrench, self._patient(time) @ frame)
+        return wrench
+
+    def _patient(self, time: float) -> Float[np.ndarray, "4 4"]:
+        """How the patient lies; the model's own matrix where nobody turns."""
+        if not self.settings.turns:
+            return self.model.T_world_patient
+        return patient_at(self.model.T_world_patient, self.settings.turns, time)
+
+    def _filling(self, time: float) -> float:
+        """Factor on the lumen's radius; before the first frame on the way to its first value."""
+        if time >= 0.0 or not self.settings.settle:
+            return filling_at(self.settings.fillings, max(time, 0.0))
+        share = 1.0 + time / self.settings.settle
+        first = filling_at(self.settings.fillings, 0.0)
+        return 1.0 + (first - 1.0) * share**2 * (3.0 - 2.0 * share)
+
+    def _follow(self, state: State) -> None:
+        """Brings the capsule's place along the gut up to date, near where it was."""
+        position = transform_points(invert(self._patient(state.time)), state.T_world_capsule[:3, 3])
+        s = self._line.arc_length
+        low, high = np.searchsorted(s, [self._arc_length - _NEARBY, self._arc_length + _NEARBY])
+        near = self._line.points[low:high]
+        if len(near):
+            self._arc_length = float(s[low + np.argmin(((near - position) ** 2).sum(axis=1))])
+
+    def _conditions(self, time: float, wrench: Float[np.ndarray, "2 3"]) -> Conditions:
+        muscle = self.world.muscle
+        phase = 0 if muscle is None else int(muscle.phase(np.array(self._arc_length), time))
+        filling = self._filling(time)
+        return Conditions(wrench[0], wrench[1], filling, self._patient(time), phase)
+
+    def _require_phase(self, arc_length: float) -> None:
+        muscle = self.world.muscle
+        if self.settings.motility != "phase-three" or muscle is None:
+            return
+        if muscle.phase(np.array(arc_length), 0.0) != 3:
+            raise InputError(
+                f"motility is phase-three, but the migrating motor complex does not pass where "
+                f"the capsule is set in {self.model.organ.name}. Choose fasting, steady or none."
+            )
+
+    def _require_time(self) -> None:
+        if not self.settings.settle and filling_at(self.settings.fillings, 0.0) != 1.0:
+            raise InputError(
+                "settle is 0 s, but the gut needs time to take on its first filling. Allowed: "
+                "above 0 s, or a first filling of 1."
+            )
+
+
+def _offset(organ: OrganSurface, shown: OrganSurface) -> Float[np.ndarray, "n 3"]:
+    """From each vertex of an organ to that of another with the same triangles [m].
+
+    Raises:
+        InputError: If the triangles differ.
+    """
+    if not np.array_equal(organ.faces, shown.faces):
+        raise InputError(
+            f"{organ.name} and its clean twin have different triangles, so the one's moving wall "
+            "cannot be shown on the other. Record the twin with another motion."
+        )
+    return shown.vertices - organ.vertices
+
+
+def _silent(time: float, duration: float) -> None:
+    """Report nothing."""
+
+
+def over_all(contacts: list[Contact]) -> Contact:
+    """Contact over equal steps: means of forces, sum of work, the last step's patch."""
+
+    def mean(name: str) -> Float[np.ndarray, "*n"]:
+        return np.mean([getattr(contact, name) for contact in contacts], axis=0)
+
+    return replace(
+        contacts[-1],
+        force_world=mean("force_world"),
+        torque_world=mean("torque_world"),
+        grip=float(mean("grip")),
+        friction_work=float(np.sum([contact.friction_work for contact in contacts])),
+    )
+
+
+def _start(
+    model: Model, settings: Physics
+) -> tuple[Float[np.ndarray, "4 4"], float, tuple[str, ...]]:
+    """Pose of the capsule at rest where it fits, its arc length [m], and what was changed.
+
+    Raises:
+        InputError: If it fits nowhere.
+    """
+    line = model.organ.centerline
+    asked = settings.start * line.length
+    # Towards the far end: a capsule that does not fit at an end fits further in.
+    end = line.length if settings.start <= 0.5 else 0.0
+    places = np.linspace(asked, end, max(2, math.ceil(abs(end - asked) / _SPACING) + 1))
+    nearest = np.abs(line.arc_length[:, None] - places).argmin(axis=0)
+    points = np.stack([np.interp(places, line.arc_length, axis) for axis in line.points.T], -1)
+    tilt = rotation_from_vector(np.array([settings.angle, 0.0, 0.0]))
+    poses = model.T_world_patient @ transform_from(line.frames[nearest] @ tilt, points)
+    free = capsule_clearance(model, poses).min(axis=1)
+    fitting = np.flatnonzero(free > _FREE * model.device.radius)
+    if len(fitting) == 0:
+        raise InputError(
+            f"{model.device.name} in {model.organ.name}: the capsule fits nowhere from start "
+            f"{settings.start:g} on. Check the organ's unit, start elsewhere, inflate the gut, or "
+            "take a smaller capsule."
+        )
+    place = float(places[fitting[0]])
+    moved = abs(place - asked)
+    note = f"Set the capsule {moved / MM:.1f} mm further along, where it fits."
+    return poses[fitting[0]], place, (note,) if moved > 0.0 else ()

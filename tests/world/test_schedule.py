@@ -1,0 +1,119 @@
+"""Commands in time: closed forms of what is between the entries, and every wrong entry."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from vrcaps.errors import InputError, UnknownNameError
+from vrcaps.world.model import posture_transform
+from vrcaps.world.schedule import (
+    WRENCH_COLUMNS,
+    Filling,
+    Turn,
+    Wrench,
+    check_fillings,
+    check_turns,
+    check_wrenches,
+    filling_at,
+    in_world,
+    patient_at,
+    read_wrenches,
+    wrench_at,
+)
+from vrcaps.world.trajectory import rotation_vector
+
+RAMP = (Wrench(1.0, (1.0, 0.0, -2.0)), Wrench(3.0, (3.0, 4.0, 0.0), (0.0, 0.0, 1e-3)))
+
+
+def test_wrenches_are_linear_between_and_constant_beyond() -> None:
+    np.testing.assert_allclose(wrench_at(RAMP, 0.0), [[1.0, 0.0, -2.0], [0.0, 0.0, 0.0]])
+    np.testing.assert_allclose(wrench_at(RAMP, 2.0), [[2.0, 2.0, -1.0], [0.0, 0.0, 5e-4]])
+    np.testing.assert_allclose(wrench_at(RAMP, 9.0), [[3.0, 4.0, 0.0], [0.0, 0.0, 1e-3]])
+    np.testing.assert_array_equal(wrench_at((), 1.0), np.zeros((2, 3)))
+
+
+def test_fillings_are_linear_between_and_constant_beyond() -> None:
+    fillings = (Filling(1.0, 0.8), Filling(3.0, 1.2))
+    assert [filling_at(fillings, t) for t in (0.0, 2.0, 5.0)] == pytest.approx([0.8, 1.0, 1.2])
+    assert filling_at((), 1.0) == 1.0
+
+
+def test_a_turn_takes_the_shortest_way_and_begins_and_ends_at_rest() -> None:
+    first = posture_transform("supine")
+    turns = (Turn("left-lateral", at=1.0, over=2.0), Turn("prone", at=4.0, over=1.0))
+    left, prone = (posture_transform(name) for name in ("left-lateral", "prone"))
+    np.testing.assert_array_equal(patient_at(first, turns, 0.5), first)
+    np.testing.assert_allclose(patient_at(first, turns, 3.5), left, atol=1e-15)
+    np.testing.assert_allclose(patient_at(first, turns, 9.0), prone, atol=1e-15)
+    whole = rotation_vector(first[:3, :3], left[:3, :3])
+    half = rotation_vector(first[:3, :3], patient_at(first, turns, 2.0)[:3, :3])
+    np.testing.assert_allclose(half, 0.5 * whole, atol=1e-12)
+    step = 1e-4
+    for time, speed in ((1.0, 0.0), (3.0, 0.0), (2.0, 1.5 / 2.0)):  # x²(3 − 2x) has slope 1.5
+        poses = [patient_at(first, turns, time + d)[:3, :3] for d in (-step, step)]
+        rate = np.linalg.norm(rotation_vector(*poses)) / (2.0 * step)
+        assert rate == pytest.approx(speed * np.linalg.norm(whole), abs=1e-3)
+
+
+def test_a_wrench_in_another_frame(rng: np.random.Generator) -> None:
+    """Along the axes of a frame that stands on its side."""
+    pose = np.eye(4)
+    pose[:3, :3] = [[0, 0, 1], [1, 0, 0], [0, 1, 0]]
+    pose[:3, 3] = rng.normal(size=3)
+    expected = [[3.0, 1.0, 2.0], [6.0, 4.0, 5.0]]
+    np.testing.assert_allclose(in_world(np.arange(1.0, 7.0).reshape(2, 3), pose), expected)
+
+
+def test_a_table_of_wrenches_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "pull.csv"
+    rows = [(w.time, *w.force, *w.torque) for w in RAMP]
+    np.savetxt(path, rows, "%.6g", ",", header=",".join(WRENCH_COLUMNS), comments="")
+    assert read_wrenches(path) == RAMP
+
+
+HEAD = ",".join(WRENCH_COLUMNS)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "starts with '', not the header time_s,fx_n"),
+        ("time,fx\n", "starts with 'time,fx', not the header"),
+        (HEAD + "\n", "holds no wrench"),
+        (HEAD + "\n0,1,2,3\n", "line 2 is no row of 7 numbers"),
+        (HEAD + "\n0,1,2,3,a,5,6\n", "line 2 is no row of 7 numbers"),
+        (HEAD + "\n0,1,2,3,nan,5,6\n", "entry 0 is not finite"),
+        (HEAD + "\n1,1,2,3,4,5,6\n1,1,2,3,4,5,6\n", "time 1 s does not come after 1 s"),
+    ],
+)
+def test_wrong_tables(text: str, message: str, tmp_path: Path) -> None:
+    path = tmp_path / "pull.csv"
+    path.write_text(text)
+    with pytest.raises(InputError, match=re.escape(message)):
+        read_wrenches(path)
+
+
+def test_a_table_that_is_not_there(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="Cannot read the wrenches"):
+        read_wrenches(tmp_path / "none.csv")
+
+
+def test_wrong_entries() -> None:
+    with pytest.raises(InputError, match="wrenches: entry 1 is not finite"):
+        check_wrenches((Wrench(), Wrench(1.0, (np.inf, 0.0, 0.0))), "wrenches")
+    with pytest.raises(InputError, match=r"fillings: entry 0 is 3.0 at 0.0 s. Allowed: factors"):
+        check_fillings((Filling(0.0, 3.0),), "fillings")
+    with pytest.raises(InputError, match=r"time 1 s does not come after 2 s"):
+        check_fillings((Filling(2.0), Filling(1.0)), "fillings")
+    with pytest.raises(UnknownNameError, match="No posture named 'upside'"):
+        check_turns((Turn("upside"),), "turns")
+    with pytest.raises(InputError, match=r"begins at -1.0 s. Allowed: 0 s or later"):
+        check_turns((Turn("prone", at=-1.0),), "turns")
+    with pytest.raises(InputError, match=r"takes 0.0 s. Allowed: above 0 s"):
+        check_turns((Turn("prone", over=0.0),), "turns")
+    with pytest.raises(InputError, match=r"turn to supine begins at 2 s, before the one to prone"):
+        check_turns((Turn("prone", at=0.0, over=5.0), Turn("supine", at=2.0)), "turns")

@@ -10,7 +10,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-
 from guts import straight_gut
 
 from vrcaps import _core

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -53,7 +54,7 @@ def test_counts_follow_the_table(gut: OrganSurface, wall: _core.Wall, grade: int
 @pytest.mark.parametrize("grades", [BUBBLE_GRADES, CHYME_GRADES])
 def test_grades_rise(grades: tuple[Bubbles, ...] | tuple[Chyme, ...]) -> None:
     assert len(grades) == 5 and grades[0].per_area == 0.0
-    assert all(a.per_area < b.per_area for a, b in zip(grades, grades[1:], strict=False))
+    assert all(a.per_area < b.per_area for a, b in pairwise(grades))
     fills = [liquid.fill for liquid in LIQUID_GRADES]
     assert fills[0] == 0.0 and fills == sorted(set(fills))
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from guts import straight_gut
@@ -54,7 +56,7 @@ def wave(crests: tuple[float, ...]) -> OrganSurface:
     x = np.linspace(0.0, 1.0, 60)
     heights = [60.0 * MM, *(h for crest in crests for h in (0.0, crest)), 0.0, 60.0 * MM]
     ease = 0.5 - 0.5 * np.cos(np.pi * x)
-    z = np.concatenate([a + (b - a) * ease for a, b in zip(heights, heights[1:], strict=False)])
+    z = np.concatenate([a + (b - a) * ease for a, b in pairwise(heights)])
     return sheet(np.stack([np.linspace(0, 0.06 * (len(heights) - 1), len(z)), 0 * z, z], 1))
 
 

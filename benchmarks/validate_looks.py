@@ -172,7 +172,10 @@ def refitted(ours: list[np.ndarray], real: list[np.ndarray], valid: np.ndarray) 
     ratios = logs[:, [0, 2]] - logs[:, [1]]
     red, blue = np.exp(ratios[::2].mean(axis=0) - ratios.mean(axis=0))
     gains = np.array([red, 1.0, blue])
-    return [_core.encode_srgb(np.float32(linear_from_srgb(image) * gains), 1.0) for image in ours]
+    return [
+        _core.encode_srgb((linear_from_srgb(image) * gains).astype(np.float32), 1.0)
+        for image in ours
+    ]
 
 
 def by_channel(

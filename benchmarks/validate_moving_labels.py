@@ -30,7 +30,7 @@ from vrcaps.record.scenario import OrganGenerated, Scenario
 from vrcaps.transforms import invert, rotate_vectors, transform_points
 from vrcaps.units import UM
 from vrcaps.world.physics import Physics
-from vrcaps.world.schedule import Filling, Turn, Wrench
+from vrcaps.world.schedule import Insufflation, Turn, Wrench
 
 ALL_CHANNELS = (*CHANNELS, "flow_backward")
 SCENES = {
@@ -56,7 +56,7 @@ SCENES = {
         motion=Physics(
             start=0.4,
             turns=(Turn("left-lateral", at=0.0, over=2.0),),
-            fillings=(Filling(0.0, 0.9), Filling(2.0, 1.1)),
+            insufflation=(Insufflation(0.0, 0.9), Insufflation(2.0, 1.1)),
             substep=2e-4,
         ),
     ),

@@ -3,8 +3,9 @@
     python examples/04_small_bowel_phase_three.py
 
 Phase III of the fasting gut: every slow wave contracts, the rings run on at 1 to 2 cm/s and take
-the capsule with them through contact alone. Prints how far it got, how hard the wall held it and
-what friction cost, and records what the camera saw. The same from the shell:
+the capsule with them through contact alone; mucus damps it. It slides back where a ring has passed
+and the gut rises. Prints how far it got, how hard the wall held it and what friction cost, and
+records what the camera saw. Without the mucus, from the shell:
 
     vrcaps record --organ small-bowel --motion physics --motility phase-three --start 0.3 \
         --frames 120 --fps 6 --out runs/phase-three
@@ -17,14 +18,16 @@ from pathlib import Path
 
 import vrcaps
 from vrcaps.record.recorder import record
+from vrcaps.tissue.drag import Drag
 from vrcaps.units import CM, MM
 
 
 def main(out: Path, frames: int, fps: float, substep: float) -> None:
     """Record the transit and print it as a table."""
-    motion = vrcaps.Physics(start=0.3, motility="phase-three", substep=substep)
+    mucus = Drag(viscosity=1.0)  # N·s/m
+    motion = vrcaps.Physics(start=0.3, motility="phase-three", drag=mucus, substep=substep)
     scenario = vrcaps.Scenario(
-        organ=vrcaps.OrganGenerated("small-bowel", condition="collapsed"),
+        organ=vrcaps.OrganGenerated("small-bowel"),
         motion=motion,
         frames=frames,
         fps=fps,

@@ -12,6 +12,7 @@ import pytest
 
 from vrcaps.record.scenario import OrganFile, read_scenario
 from vrcaps.world.fly_through import FlyThrough
+from vrcaps.world.physics import Physics
 
 ROOT = Path(__file__).resolve().parents[1]
 EXAMPLES = sorted((ROOT / "examples").glob("[0-9]*.py"))
@@ -59,6 +60,15 @@ def test_scenario_of_the_quickstart_is_one(tmp_path: Path) -> None:
     scenario = read_scenario(tmp_path / "scenario.toml")
     assert scenario.organ == OrganFile("colon.ply", unit="mm")
     assert scenario.motion == FlyThrough(start=0.1, end=0.5)
+
+
+def test_scenarios_of_the_format_are_some(tmp_path: Path) -> None:
+    motions = []
+    for number, text in enumerate(code_blocks("docs/episode-format.md", "toml")):
+        path = tmp_path / f"{number}.toml"
+        path.write_text(text)
+        motions.append(read_scenario(path).motion)
+    assert [type(motion) for motion in motions] == [FlyThrough, Physics]
 
 
 @pytest.mark.parametrize("page", ["README.md", "docs/quickstart.md", "CONTRIBUTING.md"])

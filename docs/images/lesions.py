@@ -18,6 +18,7 @@ from vrcaps.capsule.rays import camera_rays
 from vrcaps.metrics.color import luminance
 from vrcaps.organ.centerline import interpolate
 from vrcaps.organ.lesion import Patient, add_lesions, parse_lesion
+from vrcaps.organ.surface import OrganSurface
 from vrcaps.transforms import invert, look_along, transform_from
 from vrcaps.units import MM
 from vrcaps.world.model import State
@@ -51,7 +52,7 @@ LUMINANCE = 0.15  # mean linear luminance of each frame; that of real capsule fr
 
 
 def best_view(
-    organ: vrcaps.OrganSurface, wall: Wall, number: int, camera: Camera
+    organ: OrganSurface, wall: Wall, number: int, camera: Camera
 ) -> tuple[np.ndarray, np.ndarray]:
     """Of many places in the lumen the one from which a camera sees a lesion best.
 
@@ -95,7 +96,7 @@ def best_view(
     return best
 
 
-def _in_lumen(organ: vrcaps.OrganSurface, near: float, rng: np.random.Generator) -> np.ndarray:
+def _in_lumen(organ: OrganSurface, near: float, rng: np.random.Generator) -> np.ndarray:
     """A place on or beside the centreline, not far from an arc length."""
     at = np.clip(near + rng.uniform(-45.0, 45.0) * MM, 4 * MM, organ.centerline.length - 4 * MM)
     point, frame, radius = interpolate(organ.centerline, np.array([at]))
@@ -122,7 +123,7 @@ def even_exposure(radiance: np.ndarray, mean_luminance: float = LUMINANCE) -> fl
     endoscopes and capsules adapt their light from frame to frame.
     """
     seen = radiance.any(axis=-1)
-    low, high = 0.0, 1e3 / max(float(radiance.mean()), 1e-12)
+    low, high, exposure = 0.0, 1e3 / max(float(radiance.mean()), 1e-12), 0.0
     for _ in range(50):
         exposure = 0.5 * (low + high)
         value = luminance(np.minimum(radiance[seen] * exposure, 1.0)).mean()

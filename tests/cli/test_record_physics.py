@@ -12,7 +12,7 @@ from vrcaps.cli.record_physics import PhysicsFlags
 from vrcaps.tissue.drag import Drag
 from vrcaps.tissue.motility.propulsion import Propulsion
 from vrcaps.world.physics import Physics
-from vrcaps.world.schedule import Filling, Turn, Wrench
+from vrcaps.world.schedule import Insufflation, Turn, Wrench
 
 OUT = Path("out")
 
@@ -48,7 +48,7 @@ def test_flags_of_physics_reach_the_scenario() -> None:
         wrenches=(Wrench(0.0, (0.0, 0.0, -0.05), (1e-4, 0.0, 0.0)),),
         wrench_frame="gut",
         turns=(Turn("prone", 2.0, 3.0), Turn("supine", 9.0)),
-        fillings=(Filling(0.0, 1.0), Filling(4.0, 1.3)),
+        insufflation=(Insufflation(0.0, 1.0), Insufflation(4.0, 1.3)),
         settle=0.5,
         step=0.01,
         substep=2e-4,
@@ -56,7 +56,7 @@ def test_flags_of_physics_reach_the_scenario() -> None:
     assert Record(OUT, motion="physics").resolved().motion == Physics()
     flags = PhysicsFlags(insufflation="1.2", wrench=Path("pull.csv"), friction=0.1)
     assert Record(OUT, motion="physics", physics=flags).resolved().motion == Physics(
-        drag=Drag(friction=0.1), wrench_file="pull.csv", fillings=(Filling(0.0, 1.2),)
+        drag=Drag(friction=0.1), wrench_file="pull.csv", insufflation=(Insufflation(0.0, 1.2),)
     )
 
 

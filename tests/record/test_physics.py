@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -31,7 +32,7 @@ from vrcaps.record.table import SIMULATED_COLUMNS
 from vrcaps.tissue.drag import Drag
 from vrcaps.tissue.material import Material
 from vrcaps.world.physics import Physics
-from vrcaps.world.schedule import Filling, Turn, Wrench
+from vrcaps.world.schedule import Insufflation, Turn, Wrench
 
 MOTION = Physics(
     start=0.3,
@@ -40,7 +41,7 @@ MOTION = Physics(
     wrenches=(Wrench(force=(0.0, 0.0, 0.05)),),
     wrench_frame="gut",
     turns=(Turn("left-lateral", at=0.2, over=0.5),),
-    fillings=(Filling(factor=0.7),),
+    insufflation=(Insufflation(factor=0.7),),
     settle=0.2,
     substep=1e-3,
 )
@@ -123,6 +124,25 @@ def test_stored_wall_is_what_was_rendered(whole):
     assert np.abs(episode.wall(5).vertices - episode.wall(0).vertices).max() > 1e-3
     rest = episode.organ.vertices
     assert episode.wall(0).vertices.shape == rest.shape
+
+
+def test_labels_are_exact_on_the_moving_wall(whole):
+    """Against Embree and triangles that carry its hits, as in docs/validation.md."""
+    sys.path.append(str(Path(__file__).parents[2] / "benchmarks"))
+    from validate_moving_labels import (  # pyright: ignore[reportMissingImports]
+        MovingTally,
+        compare,
+    )
+
+    tally = MovingTally()
+    compare(read_episode(whole), tally)
+    assert max(tally.moved) > 1e-3
+    for name, most in (("depth", 10e-6), ("normal_deg", 0.1), ("flow_px", 0.05), ("back_px", 0.05)):
+        errors = np.concatenate(getattr(tally, name))
+        assert len(errors) > 1000
+        assert np.mean(errors <= most) > 0.999
+    for name in ("same_holes", "label", "arc_length", "occlusion"):
+        assert np.concatenate(getattr(tally, name)).mean() > 0.999
 
 
 def test_walls_of_a_fly_through_are_at_rest(scenario, tmp_path):

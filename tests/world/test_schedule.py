@@ -12,14 +12,14 @@ from vrcaps.errors import InputError, UnknownNameError
 from vrcaps.world.model import posture_transform
 from vrcaps.world.schedule import (
     WRENCH_COLUMNS,
-    Filling,
+    Insufflation,
     Turn,
     Wrench,
-    check_fillings,
+    check_insufflation,
     check_turns,
     check_wrenches,
-    filling_at,
     in_world,
+    insufflation_at,
     patient_at,
     read_wrenches,
     wrench_at,
@@ -37,9 +37,11 @@ def test_wrenches_are_linear_between_and_constant_beyond() -> None:
 
 
 def test_fillings_are_linear_between_and_constant_beyond() -> None:
-    fillings = (Filling(1.0, 0.8), Filling(3.0, 1.2))
-    assert [filling_at(fillings, t) for t in (0.0, 2.0, 5.0)] == pytest.approx([0.8, 1.0, 1.2])
-    assert filling_at((), 1.0) == 1.0
+    insufflation = (Insufflation(1.0, 0.8), Insufflation(3.0, 1.2))
+    assert [insufflation_at(insufflation, t) for t in (0.0, 2.0, 5.0)] == pytest.approx(
+        [0.8, 1.0, 1.2]
+    )
+    assert insufflation_at((), 1.0) == 1.0
 
 
 def test_a_turn_takes_the_shortest_way_and_begins_and_ends_at_rest() -> None:
@@ -105,10 +107,12 @@ def test_a_table_that_is_not_there(tmp_path: Path) -> None:
 def test_wrong_entries() -> None:
     with pytest.raises(InputError, match="wrenches: entry 1 is not finite"):
         check_wrenches((Wrench(), Wrench(1.0, (np.inf, 0.0, 0.0))), "wrenches")
-    with pytest.raises(InputError, match=r"fillings: entry 0 is 3.0 at 0.0 s. Allowed: factors"):
-        check_fillings((Filling(0.0, 3.0),), "fillings")
+    with pytest.raises(
+        InputError, match=r"insufflation: entry 0 is 3.0 at 0.0 s. Allowed: factors"
+    ):
+        check_insufflation((Insufflation(0.0, 3.0),), "insufflation")
     with pytest.raises(InputError, match=r"time 1 s does not come after 2 s"):
-        check_fillings((Filling(2.0), Filling(1.0)), "fillings")
+        check_insufflation((Insufflation(2.0), Insufflation(1.0)), "insufflation")
     with pytest.raises(UnknownNameError, match="No posture named 'upside'"):
         check_turns((Turn("upside"),), "turns")
     with pytest.raises(InputError, match=r"begins at -1.0 s. Allowed: 0 s or later"):

@@ -18,7 +18,7 @@ from vrcaps.units import CM, MM
 from vrcaps.world.model import Contact, Model, posture_transform
 from vrcaps.world.physics import Physics, tissue_of
 from vrcaps.world.run import Instant
-from vrcaps.world.schedule import Filling, Turn, Wrench
+from vrcaps.world.schedule import Insufflation, Turn, Wrench
 from vrcaps.world.simulation import Simulation, over_all
 
 G = 9.80665
@@ -102,7 +102,9 @@ def test_it_rolls_to_the_lowest_place_as_the_patient_turns(lying: Model) -> None
 
 
 def test_the_gut_is_filled_when_the_first_frame_is_taken(lying: Model) -> None:
-    settings = replace(RIGID, fillings=(Filling(0.0, 0.8), Filling(0.2, 1.1)), settle=0.3)
+    settings = replace(
+        RIGID, insufflation=(Insufflation(0.0, 0.8), Insufflation(0.2, 1.1)), settle=0.3
+    )
     for instant, factor in zip(run(lying, settings, frames=3), (0.8, 0.95, 1.1), strict=True):
         vertices = instant.state.vertices_world
         assert vertices is not None
@@ -180,7 +182,7 @@ def test_rejects_phase_three_where_no_complex_passes() -> None:
 
 
 def test_rejects_filling_without_time_to_settle(lying: Model) -> None:
-    settings = replace(RIGID, settle=0.0, fillings=(Filling(0.0, 1.2),))
+    settings = replace(RIGID, settle=0.0, insufflation=(Insufflation(0.0, 1.2),))
     with pytest.raises(InputError, match=r"settle is 0 s, but the gut needs time"):
         Simulation(lying, settings, frames=1, fps=1.0, seed=0)
 
@@ -204,7 +206,7 @@ def test_rejects_a_twin_with_other_triangles(lying: Model) -> None:
             "wrenches and wrench_file are both given",
         ),
         ({"turns": (Turn("prone", at=-1.0),)}, "a turn begins at -1.0 s"),
-        ({"fillings": (Filling(0.0, 9.0),)}, r"fillings: entry 0 is 9.0 at 0.0 s"),
+        ({"insufflation": (Insufflation(0.0, 9.0),)}, r"insufflation: entry 0 is 9.0 at 0.0 s"),
         ({"wrenches": (Wrench(np.nan),)}, "wrenches: entry 0 is not finite"),
     ],
 )

@@ -15,8 +15,8 @@ pub struct Embedding {
 }
 
 impl Embedding {
-    /// What the vertices have where the free nodes have `a` and `b`, three numbers after three.
-    pub fn carry(&self, a: &[DVec3], b: &[DVec3], out: &mut [[f64; 6]]) {
+    /// What the vertices have where the free nodes have `a` and `b`.
+    pub fn carry<T: From<(DVec3, DVec3)> + Send>(&self, a: &[DVec3], b: &[DVec3], out: &mut [T]) {
         let vertices = self.nodes.par_iter().zip(&self.weights).zip(out).with_min_len(4096);
         vertices.for_each(|((nodes, weights), out)| {
             let (mut first, mut second) = (DVec3::ZERO, DVec3::ZERO);
@@ -27,7 +27,7 @@ impl Embedding {
                     second += *weight * b[n];
                 }
             }
-            *out = [first.x, first.y, first.z, second.x, second.y, second.z];
+            *out = T::from((first, second));
         });
     }
 

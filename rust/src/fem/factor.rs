@@ -56,7 +56,7 @@ impl Symbolic {
         mass: &[f64],
         stiffness: &[DMat3],
         weight: f64,
-    ) -> Result<Factor, String> {
+    ) -> Result<Factor, &'static str> {
         let mut entries = Vec::with_capacity(self.matrix.row_idx().len());
         for node in 0..pattern.len() {
             let (start, diagonal) = (pattern.starts[node], pattern.starts[node + 1] - 1);
@@ -86,7 +86,7 @@ impl Symbolic {
                 stack,
                 Default::default(),
             )
-            .map_err(|_| "The layer's stiffness is not positive definite.".to_owned())?;
+            .map_err(|_| "The layer's stiffness is not positive definite.")?;
         let room = MemBuffer::new(self.factor.solve_in_place_scratch::<f64>(1, Par::Seq));
         Ok(Factor { values, room, right: vec![0.0; 3 * pattern.len()] })
     }
@@ -101,6 +101,19 @@ impl Symbolic {
         let llt = LltRef::<u32, f64>::new(&self.factor, &factor.values);
         llt.solve_in_place_with_conj(Conj::No, right, Par::Seq, MemStack::new(&mut factor.room));
         for (to, from) in b.iter_mut().zip(factor.right.chunks_exact(3)) {
+            *to = DVec3::from_slice(from);
+        }
+    }
+
+    /// Replaces each b by the solution of `A x = b`.
+    pub fn solve_three(&self, factor: &Factor, b: &mut [Vec<DVec3>; 3]) {
+        let size = factor.right.len();
+        let mut right: Vec<f64> = b.iter().flatten().flat_map(|b| b.to_array()).collect();
+        let mut room = MemBuffer::new(self.factor.solve_in_place_scratch::<f64>(3, Par::Seq));
+        let llt = LltRef::<u32, f64>::new(&self.factor, &factor.values);
+        let columns = MatMut::from_column_major_slice_mut(&mut right, size, 3);
+        llt.solve_in_place_with_conj(Conj::No, columns, Par::Seq, MemStack::new(&mut room));
+        for (to, from) in b.iter_mut().flatten().zip(right.chunks_exact(3)) {
             *to = DVec3::from_slice(from);
         }
     }

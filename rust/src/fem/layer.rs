@@ -4,6 +4,7 @@ use super::elements::{Elements, Hyperelastic, NODES};
 use super::embedding::{CARRIERS, Embedding};
 use super::factor::{Factor, Symbolic};
 use super::minimize::{Objective, minimize};
+use super::outer::Outcome;
 use super::sparse::{Pattern, add_scaled, dot};
 use glam::{DMat3, DVec3};
 use numpy::{
@@ -46,7 +47,7 @@ struct EmbeddingArrays<'py> {
 }
 
 /// `ρ dv/dt = ρ b + div σ` on the layer, with all its matrices.
-struct Body {
+pub(super) struct Body {
     pattern: Pattern,
     /// Mass between nodes [kg].
     mass: Vec<f64>,
@@ -59,7 +60,7 @@ struct Body {
     /// Time of the viscous stress: that of the rest stiffness times the strain's speed [s].
     damping: f64,
     /// None for a linear wall.
-    elements: Option<Elements>,
+    pub(super) elements: Option<Elements>,
 }
 
 /// A factor and the step it is for.
@@ -132,12 +133,15 @@ impl Body {
 /// The wall as a layer: its matrices, their factor and its motion.
 #[pyclass(module = "vrcaps._core")]
 pub struct FemLayer {
-    body: Body,
-    embedding: Embedding,
+    pub(super) body: Body,
+    /// How the surface's vertices hang on the nodes.
+    pub embedding: Embedding,
     symbolic: Symbolic,
     prepared: Option<Prepared>,
-    displacement: Vec<DVec3>,
-    velocity: Vec<DVec3>,
+    /// Of the free nodes [m].
+    pub displacement: Vec<DVec3>,
+    /// Of the free nodes [m/s].
+    pub velocity: Vec<DVec3>,
     /// Back-substitutions of the last step.
     #[pyo3(get)]
     rounds: usize,
@@ -169,13 +173,12 @@ fn elements(given: ElementArrays) -> PyResult<Elements> {
 
 impl FemLayer {
     /// Makes the factor for steps of `dt` [s], unless it is there.
-    fn prepare(&mut self, dt: f64) -> PyResult<()> {
+    pub(super) fn prepare(&mut self, dt: f64) -> Outcome<()> {
         if self.prepared.as_ref().is_some_and(|prepared| prepared.dt == dt) {
             return Ok(());
         }
         let (body, weight) = (&self.body, dt * (dt + self.body.damping));
-        let factor = self.symbolic.factorize(&body.pattern, &body.mass, &body.stiffness, weight);
-        let factor = factor.map_err(PyValueError::new_err)?;
+        let factor = self.symbolic.factorize(&body.pattern, &body.mass, &body.stiffness, weight)?;
         self.prepared = Some(Prepared { dt, factor });
         Ok(())
     }
@@ -183,23 +186,47 @@ impl FemLayer {
     /// Velocities after a step of a linear wall: one back-substitution.
     ///
     /// `(M + dt (dt + c) K) w = M v + dt (f − K u)`.
-    fn linear_step(&mut self, force: &[DVec3], dt: f64) -> Vec<DVec3> {
+    pub(super) fn linear_step(&mut self, force: &[DVec3], dt: f64) -> Vec<DVec3> {
         let body = &self.body;
         let mut right = vec![DVec3::ZERO; force.len()];
         body.pattern.add_product(&body.mass, &self.velocity, 1.0, &mut right);
         body.pattern.add_product(&body.stiffness, &self.displacement, -dt, &mut right);
         add_scaled(force, dt, &mut right);
-        if let Some(prepared) = &mut self.prepared {
-            self.symbolic.solve(&mut prepared.factor, &mut right);
-        }
+        self.solve(&mut right);
         self.rounds = 1;
         right
     }
 
-    /// Velocities after a step of a wall of any stress, to `tolerance` [m].
-    fn nonlinear_step(&mut self, force: &[DVec3], dt: f64, tolerance: f64) -> PyResult<Vec<DVec3>> {
+    /// Whether its stress is Hooke's.
+    pub fn is_linear(&self) -> bool {
+        self.body.elements.is_none()
+    }
+
+    /// Replaces b by the solution of `(M + dt (dt + c) K) x = b` for the step last prepared.
+    pub(super) fn solve(&mut self, b: &mut [DVec3]) {
+        if let Some(prepared) = &mut self.prepared {
+            self.symbolic.solve(&mut prepared.factor, b);
+        }
+    }
+
+    /// The same for three at once.
+    pub(super) fn solve_three(&self, mut b: [Vec<DVec3>; 3]) -> [Vec<DVec3>; 3] {
+        if let Some(prepared) = &self.prepared {
+            self.symbolic.solve_three(&prepared.factor, &mut b);
+        }
+        b
+    }
+
+    /// Velocities after a step of a wall of any stress, to `tolerance` [m], sought from a guess.
+    pub(super) fn nonlinear_step(
+        &mut self,
+        force: &[DVec3],
+        mut velocity: Vec<DVec3>,
+        dt: f64,
+        tolerance: f64,
+    ) -> Outcome<Vec<DVec3>> {
         let (Some(elements), Some(prepared)) = (&self.body.elements, &mut self.prepared) else {
-            return Err(PyValueError::new_err("The layer has no elements."));
+            return Err("The layer has no elements.");
         };
         let mut step = Step {
             body: &self.body,
@@ -211,16 +238,19 @@ impl FemLayer {
             velocity: &self.velocity,
             force,
         };
-        let mut velocity = self.velocity.clone();
         let rounds = minimize(&mut step, &mut velocity, tolerance / dt, MOST_ROUNDS);
-        self.rounds = rounds.ok_or_else(|| {
-            PyValueError::new_err(
-                "The wall's step did not converge: the force crushes it. Allowed: a shorter dt or \
-                 a smaller force_on_vertices.",
-            )
-        })?;
+        self.rounds = rounds.ok_or(
+            "The wall's step did not converge: the force crushes it. Allowed: a shorter dt or a \
+             smaller force.",
+        )?;
         Ok(velocity)
     }
+}
+
+fn rows_of_six<'py>(py: Python<'py>, rows: &[(DVec3, DVec3)]) -> Bound<'py, PyArray2<f64>> {
+    let shape = (rows.len(), 6);
+    let numbers = rows.iter().flat_map(|(u, v)| [u.x, u.y, u.z, v.x, v.y, v.z]).collect();
+    Array2::from_shape_vec(shape, numbers).expect("six numbers a row").into_pyarray(py)
 }
 
 #[pymethods]
@@ -277,35 +307,29 @@ impl FemLayer {
         }
         let (force, acceleration) = (force.as_slice()?, DVec3::from_array(acceleration));
         py.detach(|| {
-            self.prepare(dt)?;
             let push = |mass: &f64| *mass * acceleration;
             let mut nodal: Vec<DVec3> = self.body.node_mass.iter().map(push).collect();
             self.embedding.gather(|v| DVec3::from_slice(&force[3 * v..]), &mut nodal);
-            self.velocity = match self.body.elements {
-                Some(_) => self.nonlinear_step(&nodal, dt, tolerance)?,
-                None => self.linear_step(&nodal, dt),
-            };
-            add_scaled(&self.velocity, dt, &mut self.displacement);
+            let velocity = self.predict(&nodal, dt, tolerance)?;
+            self.advance(velocity, dt);
             Ok(())
         })
+        .map_err(|error: &str| PyValueError::new_err(error))
     }
 
     /// Displacement [m] and velocity [m/s] of the surface's vertices.
     fn yields<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray2<f64>> {
-        let mut rows = vec![[0.0; 6]; self.embedding.nodes.len()];
+        let mut rows = vec![(DVec3::ZERO, DVec3::ZERO); self.embedding.nodes.len()];
         py.detach(|| self.embedding.carry(&self.displacement, &self.velocity, &mut rows));
-        let shape = (rows.len(), 6);
-        let table = Array2::from_shape_vec(shape, rows.into_flattened());
-        table.expect("six numbers a row").into_pyarray(py)
+        rows_of_six(py, &rows)
     }
 
     /// Displacement [m] and velocity [m/s] of the free nodes.
     #[getter]
     fn nodes<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray2<f64>> {
-        let row = |(u, v): (&DVec3, &DVec3)| [u.x, u.y, u.z, v.x, v.y, v.z];
-        let numbers = self.displacement.iter().zip(&self.velocity).flat_map(row).collect();
-        let table = Array2::from_shape_vec((self.displacement.len(), 6), numbers);
-        table.expect("six numbers a row").into_pyarray(py)
+        let rows: Vec<_> =
+            self.displacement.iter().copied().zip(self.velocity.iter().copied()).collect();
+        rows_of_six(py, &rows)
     }
 
     #[setter]

@@ -5,8 +5,9 @@
 //! the number of threads.
 
 mod elements;
-mod embedding;
+pub mod embedding;
 mod factor;
 pub mod layer;
 mod minimize;
+pub mod outer;
 mod sparse;

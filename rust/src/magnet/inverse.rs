@@ -226,22 +226,27 @@ impl Inverse {
     /// q5, q6 and both shoulders, given the elbow's frame.
     fn solve_ends(&self, six: &Pose, elbow: &DMat3, [q4, q7]: [f64; 2], found: &mut impl Branches) {
         let z6 = six.rotation.z_axis;
+        let near = *found.near();
+        let so_far = square(q4 - near[3]) + square(q7 - near[6]);
         let q5 = z6.dot(elbow.x_axis).atan2(z6.dot(elbow.z_axis));
+        let Some(q5) = self.within(4, q5) else { return };
+        let so_far = so_far + square(q5 - near[4]);
+        if so_far >= found.bound2() {
+            return;
+        }
         let z5 = elbow.y_axis;
         let q6 = z5.dot(six.rotation.x_axis).atan2(z5.dot(six.rotation.y_axis));
-        let (Some(q5), Some(q6)) = (self.within(4, q5), self.within(5, q6)) else { return };
-        let wrist = [(q4, 3), (q5, 4), (q6, 5), (q7, 6)];
-        let so_far: f64 = wrist.iter().map(|&(q, i)| square(q - found.near()[i])).sum();
-        if so_far >= found.bound2() {
+        let Some(q6) = self.within(5, q6) else { return };
+        if so_far + square(q6 - near[5]) >= found.bound2() {
             return;
         }
         // The upper arm's frame: R_03 = R_04 (Rot_x(π/2) Rot_z(q4))ᵀ.
         let (s, c) = q4.sin_cos();
         let x3 = elbow.x_axis * c - elbow.y_axis * s;
         let z3 = elbow.x_axis * s + elbow.y_axis * c;
-        let level = z3.x.hypot(z3.y);
+        let level = (z3.x * z3.x + z3.y * z3.y).sqrt();
         let tilt = level.atan2(z3.z);
-        let turn = if level > PARALLEL { z3.y.atan2(z3.x) } else { found.near()[0] };
+        let turn = if level > PARALLEL { z3.y.atan2(z3.x) } else { near[0] };
         for (q1, q2) in [(turn, tilt), (turn + PI, -tilt)] {
             let (Some(q1), Some(q2)) = (self.within(0, q1), self.within(1, q2)) else { continue };
             let ((s1, c1), (s2, c2)) = (q1.sin_cos(), q2.sin_cos());

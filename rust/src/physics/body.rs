@@ -1,5 +1,6 @@
 //! The capsule as a rigid body: a cylinder with round ends, of any mass, inertia and balance.
 
+use super::lane::{max, min};
 use super::solve::{Symmetric6, Twist};
 use glam::{DMat3, DQuat, DVec3};
 
@@ -33,6 +34,17 @@ pub struct Motion {
     pub angular_velocity: DVec3,
 }
 
+impl Motion {
+    /// Whether all of it are numbers.
+    pub fn is_finite(&self) -> bool {
+        let (linear, angular) = (self.velocity, self.angular_velocity);
+        self.position.is_finite()
+            && self.rotation.is_finite()
+            && linear.is_finite()
+            && angular.is_finite()
+    }
+}
+
 /// The straight line between the centres of the round ends.
 #[derive(Clone, Copy)]
 pub struct Axis {
@@ -45,11 +57,14 @@ pub struct Axis {
 }
 
 impl Axis {
-    /// Whether `p` lies beyond the ends of the axis, beside a round end.
+    /// From the nearest point of the axis to `p`.
     #[inline(always)]
-    pub fn is_beyond(&self, p: DVec3) -> bool {
-        let along = (p - self.start).dot(self.span) * self.inverse_square;
-        !(along > 0.0 && along < 1.0)
+    pub fn offset(&self, p: [f64; 3]) -> [f64; 3] {
+        let (start, span) = (self.start.to_array(), self.span.to_array());
+        let q = [p[0] - start[0], p[1] - start[1], p[2] - start[2]];
+        let along = (q[0] * span[0] + q[1] * span[1] + q[2] * span[2]) * self.inverse_square;
+        let along = min(max(along, 0.0), 1.0);
+        [q[0] - along * span[0], q[1] - along * span[1], q[2] - along * span[2]]
     }
 
     /// The point of the axis nearest to `p`.
@@ -113,7 +128,8 @@ impl Body {
         let mut momentum = frame.inverse() * (0.5 * (before + after));
         for (axis, share) in [(0, 0.5), (1, 0.5), (2, 1.0), (1, 0.5), (0, 0.5)] {
             let angle = share * dt * momentum[axis] / self.moments[axis];
-            let turn = DQuat::from_axis_angle(DVec3::AXES[axis], angle);
+            let (sine, cosine) = libm::sincos(0.5 * angle);
+            let turn = DQuat::from_vec4((DVec3::AXES[axis] * sine).extend(cosine));
             frame *= turn;
             momentum = turn.inverse() * momentum;
         }

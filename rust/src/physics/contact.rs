@@ -1,87 +1,29 @@
-//! Contact with a soft wall: an elastic foundation, integrated over the touched patch.
+//! Contact with a soft wall: which pieces of it the capsule presses.
 //!
 //! The wall is a layer on a rigid ground, a bed of independent springs (Johnson, Contact Mechanics,
 //! 1985, 4.3). A point of the wall at distance s from the capsule's axis is pressed in by
 //! `u = R − s`; its pressure acts along the capsule's normal there. The force is so the gradient
 //! of an energy `∫ψ(u) dA`, and a capsule that comes and goes slowly gets all of it back.
+//! Triangles are divided until depth changes evenly within a piece; `patch` adds the pieces up.
 
 use super::body::{Axis, Body, Motion};
+use super::foundation::Foundation;
+use super::lane::{max, put};
+use super::patch::{Patch, Pressing};
 use glam::DVec3;
 
-/// Sub-triangles at the edge of the patch are at most this share of its radius.
-const FINENESS: f64 = 0.5;
-/// Half the width of a uniform spread of the same variance as an equilateral triangle's, along any
-/// line, by its circumradius: √(3/8).
-const HALF_WIDTH: f64 = 0.612;
-/// No sub-triangle becomes smaller than this share of the capsule's radius.
-const FINEST: f64 = 1.0 / 40.0;
-/// Whole inside the patch, ρ² up to this times R·u is fine enough.
+/// Where the edge of the patch crosses it, a piece is at most this share of the patch's radius.
+const FINENESS: f64 = 0.6;
+/// Near the patch's middle, ρ² up to this times R·u is fine enough.
 const FLATNESS: f64 = 0.6;
-/// Share of the depth of an e-fold of stiffness that the depth may change within a sub-triangle.
-const STEEPNESS: f64 = 0.5;
-/// Cosine between the wall's normal and the capsule's below which a wall begins to face away.
-const GRAZING: f64 = 0.2;
-
-/// Pressure of the wall's thickness against indentation.
-#[derive(Clone, Copy)]
-pub struct Foundation {
-    /// Pressure by depth of a slight indentation [Pa/m].
-    pub stiffness: f64,
-    /// Growth of stiffness: e-fold for each such depth [m]; infinite for a linear wall.
-    pub stiffening_depth: f64,
-    /// Growth of pressure with the logarithm of the speed of indentation.
-    pub rate_gain: f64,
-    /// Speed of indentation at which that growth begins [m/s].
-    pub rate: f64,
-}
-
-/// Pressure [Pa] and its slopes.
-struct Pressure {
-    value: f64,
-    by_depth: f64,
-    by_speed: f64,
-}
-
-/// Beyond this many e-folds the wall stiffens no more, so that numbers stay finite.
-const MOST_FOLDS: f64 = 25.0;
-
-impl Foundation {
-    /// Elastic pressure φ [Pa], its slope [Pa/m] and its integral [J/m²], with l the depth of an
-    /// e-fold: `φ = K l (exp(u/l) − 1)`, exponential as soft tissue is (Fung, Biomechanics, 1993).
-    #[inline(always)]
-    fn elastic(&self, depth: f64) -> (f64, f64, f64) {
-        let (k, l) = (self.stiffness, self.stiffening_depth);
-        if !l.is_finite() {
-            return (k * depth, k, 0.5 * k * depth * depth);
-        }
-        let folds = (depth / l).min(MOST_FOLDS);
-        let (over, growth) = (depth - folds * l, folds.exp_m1());
-        let (pressure, slope) = (k * l * growth, k * (1.0 + growth));
-        let energy = k * l * l * (growth - folds);
-        (pressure + slope * over, slope, energy + (pressure + 0.5 * slope * over) * over)
-    }
-
-    /// `p = φ(u) (1 + g asinh(u̇/u̇₀))`, never below 0.
-    #[inline(always)]
-    fn pressure(&self, depth: f64, speed: f64) -> Pressure {
-        let (elastic, slope, _) = self.elastic(depth);
-        if self.rate_gain == 0.0 {
-            return Pressure { value: elastic, by_depth: slope, by_speed: 0.0 };
-        }
-        let x = speed / self.rate;
-        let root = (1.0 + x * x).sqrt();
-        // asinh without care for tiny x, whose error only matters beside 1.
-        let factor = 1.0 + self.rate_gain * (x.abs() + root).ln().copysign(x);
-        if factor <= 0.0 {
-            return Pressure { value: 0.0, by_depth: 0.0, by_speed: 0.0 };
-        }
-        Pressure {
-            value: elastic * factor,
-            by_depth: slope * factor,
-            by_speed: elastic * self.rate_gain / (self.rate * root),
-        }
-    }
-}
+/// No piece becomes smaller than this share of the radius of the whole patch, wherever it lies.
+const FINER: f64 = 0.4;
+/// No piece becomes smaller than this share of the capsule's radius.
+const FINEST: f64 = 1.0 / 40.0;
+/// No piece stays larger than this share of it: the capsule's normal turns within a piece.
+const COARSEST: f64 = 0.3;
+/// Share of the depth of an e-fold of stiffness that the depth may change within a piece.
+const STEEPNESS: f64 = 1.0;
 
 /// A triangle of the wall as the capsule meets it.
 #[derive(Clone, Copy)]
@@ -90,214 +32,121 @@ pub struct Facet {
     pub corners: [DVec3; 3],
     /// Mean velocity of the corners [m/s].
     pub velocity: DVec3,
+    /// Distance of the farthest corner from the middle [m].
+    pub reach: f64,
+    /// Distance of the middle from the capsule's axis [m].
+    pub distance: f64,
+    /// Its place among what is near.
+    pub place: u32,
 }
 
-/// A small piece of the patch.
-pub struct Sample {
-    /// The capsule's normal, and its moment about the centre of mass: turns twists into speeds.
-    pub lever: [f64; 6],
-    /// Speed of indentation [m/s].
-    pub speed: f64,
-    /// Force along the normal [N].
-    pub load: f64,
-    /// Its slope by depth [N/m].
-    pub stiffness: f64,
-    /// Its slope by speed [N·s/m].
-    pub damping: f64,
-}
-
-/// What one triangle of the wall carries.
-pub struct Grip {
-    /// Middle of its pressure [m].
-    pub center: DVec3,
-    /// Unit normal of the capsule there.
-    pub normal: DVec3,
-    /// Normal force [N].
-    pub load: f64,
-    /// Velocity of the wall there [m/s].
-    pub velocity: DVec3,
-}
-
-/// The patch of one instant.
-#[derive(Default)]
-pub struct Patch {
-    /// Pieces, in order of triangles.
-    pub samples: Vec<Sample>,
-    /// Triangles that touch.
-    pub grips: Vec<Grip>,
-    /// Stored energy [J].
-    pub energy: f64,
-    /// Touched area [m²].
-    pub area: f64,
-    /// Largest depth [m].
-    pub depth: f64,
-}
-
-impl Patch {
-    /// Empties the patch; its memory stays.
-    pub fn clear(&mut self) {
-        self.samples.clear();
-        self.grips.clear();
-        (self.energy, self.area, self.depth) = (0.0, 0.0, 0.0);
+impl Facet {
+    /// A triangle with corners that move, as a capsule about `axis` meets it.
+    #[inline(always)]
+    pub fn new(place: u32, [a, b, c]: [(DVec3, DVec3); 3], axis: &Axis) -> Self {
+        let center = (a.0 + b.0 + c.0) / 3.0;
+        let square = |corner: DVec3| (corner - center).length_squared();
+        Facet {
+            corners: [a.0, b.0, c.0],
+            velocity: (a.1 + b.1 + c.1) / 3.0,
+            reach: max(square(a.0), max(square(b.0), square(c.0))).sqrt(),
+            distance: (center - axis.nearest(center)).length(),
+            place,
+        }
     }
-}
-
-/// Sums over the pieces of one triangle.
-#[derive(Default)]
-struct Sum {
-    load: f64,
-    moment: DVec3,
-    normal: DVec3,
 }
 
 /// One capsule at one instant, pressing into triangles.
-pub struct Indenter<'a> {
-    /// The wall's stiffness.
-    pub foundation: &'a Foundation,
-    /// The capsule's radius [m].
-    pub radius: f64,
-    /// Its axis.
-    pub axis: Axis,
-    /// Its motion.
-    pub motion: &'a Motion,
-    /// Most that the depth may change within a sub-triangle [m].
+pub struct Indenter {
+    pressing: Pressing,
+    /// Most that the depth may change within a piece [m].
     steep: f64,
+    /// No piece becomes smaller than this [m].
+    finest: f64,
 }
 
-impl<'a> Indenter<'a> {
+/// A triangle that is being divided.
+struct Cut<'a> {
+    facet: &'a Facet,
+    /// Into the lumen.
+    normal: DVec3,
+}
+
+impl Indenter {
     /// The capsule `body` in motion `m`.
-    pub fn new(foundation: &'a Foundation, body: &Body, motion: &'a Motion) -> Self {
+    pub fn new(foundation: &Foundation, body: &Body, motion: &Motion) -> Self {
         Indenter {
-            foundation,
-            radius: body.radius,
-            axis: body.axis(motion),
-            motion,
+            pressing: Pressing {
+                foundation: *foundation,
+                radius: body.radius,
+                axis: body.axis(motion),
+                motion: *motion,
+            },
             steep: STEEPNESS * foundation.stiffening_depth,
+            finest: FINEST * body.radius,
         }
     }
 
-    /// Adds what one triangle carries to the patch.
-    pub fn press(&self, facet: &Facet, patch: &mut Patch) {
-        let [a, b, c] = facet.corners;
-        let center = (a + b + c) / 3.0;
-        let reach = facet.corners.map(|p| (p - center).length_squared());
-        let reach = reach[0].max(reach[1]).max(reach[2]).sqrt();
-        let offset = center - self.axis.nearest(center);
-        if offset.length_squared() >= (self.radius + reach) * (self.radius + reach) {
-            return;
+    /// Fills the patch with what the triangles carry.
+    pub fn press(&mut self, facets: &[Facet], patch: &mut Patch) {
+        patch.clear();
+        let radius = self.pressing.radius;
+        let deepest = facets.iter().fold(0.0, |depth, facet| max(depth, radius - facet.distance));
+        self.finest = max(FINEST * radius, FINER * (2.0 * radius * deepest).sqrt());
+        for facet in facets {
+            let [a, b, c] = facet.corners;
+            let cross = (b - a).cross(c - a);
+            let twice_area = cross.length();
+            if twice_area > 0.0 {
+                let cut = Cut { facet, normal: cross / twice_area };
+                self.divide(&cut, facet.corners, facet.reach, 0.5 * twice_area, patch);
+            }
         }
-        let cross = (b - a).cross(c - a);
-        let twice_area = cross.length();
-        if twice_area == 0.0 {
-            return;
-        }
-        let triangle = Triangle { facet, normal: cross / twice_area };
-        let mut sum = Sum::default();
-        self.visit(&triangle, facet.corners, reach, 0.5 * twice_area, patch, &mut sum);
-        if sum.load > 0.0 {
-            patch.grips.push(Grip {
-                center: sum.moment / sum.load,
-                normal: sum.normal.normalize_or_zero(),
-                load: sum.load,
-                velocity: facet.velocity,
-            });
-        }
+        patch.press(&self.pressing);
     }
 
-    /// Integrates over a sub-triangle, in four where it is too coarse.
-    fn visit(
-        &self,
-        triangle: &Triangle,
-        corners: [DVec3; 3],
-        reach: f64,
-        area: f64,
-        patch: &mut Patch,
-        sum: &mut Sum,
-    ) {
+    /// Adds a piece to the patch if the capsule may touch it, in four where it is too coarse.
+    fn divide(&self, cut: &Cut, corners: [DVec3; 3], reach: f64, area: f64, patch: &mut Patch) {
         let [a, b, c] = corners;
+        let axis: &Axis = &self.pressing.axis;
         let center = (a + b + c) / 3.0;
-        let offset = center - self.axis.nearest(center);
+        let offset = center - axis.nearest(center);
         let distance = offset.length();
-        if distance - reach >= self.radius || distance == 0.0 {
+        let facing = -offset.dot(cut.normal) / distance.max(f64::MIN_POSITIVE);
+        let sine = (1.0 - facing * facing).max(0.0).sqrt();
+        // Distance is convex: nowhere in the piece is it less than this.
+        if distance - reach * sine >= self.pressing.radius {
             return;
         }
-        let normal = offset / distance;
-        let facing = -normal.dot(triangle.normal);
-        if self.is_coarse(reach, distance, facing) {
+        if self.is_coarse(reach, distance, sine) {
             let [ab, bc, ca] = [0.5 * (a + b), 0.5 * (b + c), 0.5 * (c + a)];
             for quarter in [[a, ab, ca], [ab, b, bc], [ca, bc, c], [bc, ca, ab]] {
-                self.visit(triangle, quarter, 0.5 * reach, 0.25 * area, patch, sum);
+                self.divide(cut, quarter, 0.5 * reach, 0.25 * area, patch);
             }
             return;
         }
-        // The mean depth is less than the middle's, as the capsule is round: by half the variance
-        // ρ²/8 of an equilateral triangle's points along a line times the curvature, in one
-        // direction at the cylinder and in two at the ends. At the edge of the patch depth falls
-        // evenly through the sub-triangle: only the pressed share counts, at its own mean depth.
-        let bend = if self.axis.is_beyond(center) { 2.0 } else { 1.0 };
-        let depth = self.radius - distance - bend * reach * reach / (16.0 * distance);
-        let spread = HALF_WIDTH * reach * (1.0 - facing * facing).max(0.0).sqrt();
-        let pressed = (0.5 * (depth + spread) / spread).min(1.0);
-        if depth + spread > 0.0 && facing > 0.0 {
-            let depth = if pressed < 1.0 { 0.5 * (depth + spread) } else { depth };
-            let area = area * pressed * (facing / GRAZING).min(1.0);
-            patch.depth = patch.depth.max(self.radius - distance);
-            self.sample(triangle, center, normal, depth, area, patch, sum);
+        let (pieces, lane) = patch.piece(cut.facet.place);
+        for (k, corner) in corners.into_iter().enumerate() {
+            put(&mut pieces.corners[k], lane, corner);
         }
+        put(&mut pieces.normal, lane, cut.normal);
+        put(&mut pieces.velocity, lane, cut.facet.velocity);
+        pieces.area[lane] = area;
     }
 
-    /// Whether a sub-triangle must be divided: against the radius of the patch, which for a flat
-    /// wall is R sin θ at its edge, and against how fast the depth changes inside.
-    fn is_coarse(&self, reach: f64, distance: f64, facing: f64) -> bool {
-        if reach <= FINEST * self.radius {
+    /// Whether a piece must be divided: against the radius of the patch, which for a flat wall is
+    /// R sin θ at its edge, and against how fast the depth changes inside.
+    fn is_coarse(&self, reach: f64, distance: f64, sine: f64) -> bool {
+        let radius = self.pressing.radius;
+        if reach <= self.finest {
             return false;
         }
-        let sine_square = 1.0 - facing * facing;
-        let edge = FINENESS * self.radius;
-        if reach * reach * sine_square > self.steep * self.steep {
+        let change = reach * sine;
+        if reach > COARSEST * radius || change > self.steep {
             return true;
         }
-        if reach * reach <= edge * edge * sine_square {
-            return false;
-        }
-        let whole = distance + reach < self.radius;
-        !whole || reach * reach > FLATNESS * self.radius * (self.radius - distance)
+        let depth = radius - distance;
+        let is_whole = depth >= change + reach * reach / (2.0 * radius);
+        !is_whole && reach > FINENESS * radius * sine && reach * reach > FLATNESS * radius * depth
     }
-
-    #[allow(clippy::too_many_arguments)]
-    fn sample(
-        &self,
-        triangle: &Triangle,
-        center: DVec3,
-        normal: DVec3,
-        depth: f64,
-        area: f64,
-        patch: &mut Patch,
-        sum: &mut Sum,
-    ) {
-        let arm = center - self.motion.position;
-        let moment = arm.cross(normal);
-        let speed = normal.dot(self.motion.velocity - triangle.facet.velocity)
-            + moment.dot(self.motion.angular_velocity);
-        let pressure = self.foundation.pressure(depth, speed);
-        let load = pressure.value * area;
-        patch.samples.push(Sample {
-            lever: [normal.x, normal.y, normal.z, moment.x, moment.y, moment.z],
-            speed,
-            load,
-            stiffness: pressure.by_depth * area,
-            damping: pressure.by_speed * area,
-        });
-        patch.energy += self.foundation.elastic(depth).2 * area;
-        patch.area += area;
-        sum.load += load;
-        sum.moment += load * center;
-        sum.normal += load * normal;
-    }
-}
-
-/// A triangle with its normal into the lumen.
-struct Triangle<'a> {
-    facet: &'a Facet,
-    normal: DVec3,
 }

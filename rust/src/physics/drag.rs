@@ -1,5 +1,7 @@
 //! Resistance of the gut against a moving capsule, in three laws.
 
+use super::lane::ln;
+
 /// Parameters of the logarithmic law as printed: `f = a ln(b v + c) + C`, in mN and mm/s
 /// (Incetan et al., Med. Image Anal. 70, 2021, fitted to Zhang et al., Tribol. Lett. 2012).
 #[derive(Clone, Copy)]
@@ -33,7 +35,7 @@ pub enum Drag {
 impl Drag {
     /// Resistance [N] of the two logarithmic laws at a speed [m/s]; 0 for the physical law.
     pub fn resistance(&self, speed: f64) -> f64 {
-        let logarithm = |law: &LogLaw| law.a * (law.b * speed + law.c).ln() + law.constant;
+        let logarithm = |law: &LogLaw| law.a * ln(law.b * speed + law.c) + law.constant;
         match self {
             Drag::Printed(law) if speed <= law.threshold => law.constant,
             Drag::Printed(law) | Drag::Continuous(law) => logarithm(law),

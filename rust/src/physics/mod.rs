@@ -6,9 +6,16 @@
 pub mod body;
 mod contact;
 mod drag;
+mod exchange;
+mod foundation;
+mod held;
+mod lane;
 mod near;
+mod near_layer;
+mod patch;
 mod quick;
 mod soft_wall;
 mod solve;
 mod step;
+mod wall_load;
 pub mod world;

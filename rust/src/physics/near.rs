@@ -8,7 +8,9 @@ use glam::DVec3;
 /// Triangles that may touch before the next search, and the vertices around.
 #[derive(Default)]
 pub struct Near {
-    /// Faces, by rising number, as places of their corners in `vertices`.
+    /// Numbers of the faces, rising.
+    pub faces: Vec<u32>,
+    /// The faces as places of their corners in `vertices`.
     pub corners: Vec<[u32; 3]>,
     /// Vertices of these faces, by rising number.
     pub vertices: Vec<u32>,
@@ -45,6 +47,7 @@ impl Near {
         self.vertices.dedup();
         let place = |v: u32| self.vertices.binary_search(&v).expect("a corner of the face") as u32;
         self.corners = faces.iter().map(|&f| wall.faces[f as usize].map(place)).collect();
+        self.faces = faces;
     }
 }
 

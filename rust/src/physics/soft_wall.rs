@@ -1,8 +1,9 @@
 //! The wall of one world: where it is driven, how far it gives way, what of it is near.
 
-use super::body::{Body, Motion};
-use super::contact::{Facet, Patch};
+use super::body::{Axis, Body, Motion};
+use super::contact::Facet;
 use super::near::{Near, point};
+use super::patch::Patch;
 use super::quick::{Push, Quick, Yield};
 use crate::wall::Wall;
 use glam::DVec3;
@@ -10,6 +11,9 @@ use rayon::prelude::*;
 
 /// How far capsule and wall may move before what is near is searched anew [m].
 pub const MARGIN: f64 = 1e-3;
+
+/// Rounding in what is known of distances [m].
+const CLOSE: f64 = 1e-9;
 
 /// What went wrong, in words for the user.
 pub type Outcome = Result<(), &'static str>;
@@ -50,6 +54,8 @@ pub struct SoftWall {
     /// Vertices that may give way or are not back yet, by rising number.
     pub awake: Vec<u32>,
     pub near: Near,
+    /// How far capsule and wall must have travelled before each near triangle can touch [m].
+    clear: Vec<f64>,
     pub facets: Vec<Facet>,
     pub patch: Patch,
     pub pushes: Vec<Push>,
@@ -70,6 +76,7 @@ impl SoftWall {
             yields: vec![Yield::default(); wall.vertices.len()],
             awake: Vec::new(),
             near: Near::default(),
+            clear: Vec::new(),
             facets: Vec::new(),
             patch: Patch::default(),
             pushes: Vec::new(),
@@ -137,15 +144,22 @@ impl SoftWall {
         (self.travel, self.wall_travel) = (f64::INFINITY, f64::INFINITY);
     }
 
-    /// Triangles near the capsule as they are now.
-    pub fn update_facets(&mut self) {
-        let mut places = Vec::with_capacity(self.near.vertices.len());
-        places.extend(self.near.vertices.iter().map(|&v| self.vertex(v)));
+    /// Triangles that may touch the capsule, as they are now; those too far to have come close
+    /// since they were last looked at are left out.
+    pub fn update_facets(&mut self, axis: &Axis, radius: f64) {
         self.facets.clear();
-        self.facets.extend(self.near.corners.iter().map(|corners| {
-            let [a, b, c] = corners.map(|k| places[k as usize]);
-            Facet { corners: [a.0, b.0, c.0], velocity: (a.1 + b.1 + c.1) / 3.0 }
-        }));
+        for (place, corners) in self.near.corners.iter().enumerate() {
+            if self.travel < self.clear[place] {
+                continue;
+            }
+            let moving = corners.map(|k| self.vertex(self.near.vertices[k as usize]));
+            let facet = Facet::new(place as u32, moving, axis);
+            let gap = facet.distance - facet.reach - radius;
+            self.clear[place] = self.travel + gap - CLOSE;
+            if gap < 0.0 {
+                self.facets.push(facet);
+            }
+        }
     }
 
     /// One substep of the quick model.
@@ -175,6 +189,8 @@ impl SoftWall {
         let radius = body.radius + 2.0 * MARGIN;
         self.near.find(wall, &body.axis(motion), radius, radius + reach);
         self.travel = 0.0;
+        self.clear.clear();
+        self.clear.resize(self.near.corners.len(), 0.0);
         self.awake.retain(|&v| self.yields[v as usize] != Yield::default());
         if reach > 0.0 {
             self.awake.extend(&self.near.around);

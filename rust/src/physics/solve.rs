@@ -29,17 +29,6 @@ impl Twist {
 pub struct Symmetric6(pub [[f64; 6]; 6]);
 
 impl Symmetric6 {
-    /// Adds `weight · j jᵀ`.
-    #[inline(always)]
-    pub fn add_outer(&mut self, weight: f64, j: &[f64; 6]) {
-        for row in 0..6 {
-            let scaled = weight * j[row];
-            for column in 0..=row {
-                self.0[row][column] += scaled * j[column];
-            }
-        }
-    }
-
     /// Solves `A x = b` for a positive definite `A` by its Cholesky factor.
     pub fn solve(&self, b: [f64; 6]) -> [f64; 6] {
         let mut l = self.0;
@@ -81,7 +70,9 @@ mod tests {
         let mut a = Symmetric6::default();
         for k in 0..12 {
             let j = [0, 1, 2, 3, 4, 5].map(|i| f64::from(1 + (i * 7 + k * 5) % 11) - 5.0);
-            a.add_outer(0.1 + f64::from(k), &j);
+            for (row, column) in (0..6).flat_map(|r| (0..=r).map(move |c| (r, c))) {
+                a.0[row][column] += (0.1 + f64::from(k)) * j[row] * j[column];
+            }
         }
         let x = [1.0, -2.0, 3.0, 0.5, -0.25, 4.0];
         let full = |i: usize, j: usize| a.0[i.max(j)][i.min(j)];

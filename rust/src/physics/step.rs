@@ -1,18 +1,22 @@
 //! One substep: gather the patch, solve for the change of twist, move the capsule and the wall.
 
 use super::body::{Body, Motion};
-use super::contact::{Facet, Foundation, Grip, Indenter, Patch};
+use super::contact::{Facet, Indenter};
 use super::drag::Drag;
+use super::foundation::Foundation;
+use super::lane::{LANES, Lane, sum};
+use super::patch::{Grip, Patch, Samples};
 use super::quick::Push;
 use super::solve::{Symmetric6, Twist};
 use glam::{DMat3, DVec3};
 
 /// Sliding slower than this counts as creep under friction that does not suffice to slide [m/s].
-const CREEP: f64 = 1e-5;
+pub const CREEP: f64 = 1e-5;
 /// Solutions for friction that depends on the velocity it leads to.
 const FRICTION_ROUNDS: usize = 4;
-/// Parts of the capsule's length and of its girth that push the wall as one.
-const PUSH_PARTS: (usize, usize) = (5, 8);
+/// Parts of the capsule's length that push the wall as one, each by eighths of its girth.
+const PUSH_PARTS: usize = 5;
+const EIGHTHS: usize = 8;
 
 /// What acts on the capsule besides the wall.
 #[derive(Clone, Copy)]
@@ -51,21 +55,20 @@ struct System {
     impulse: [f64; 6],
 }
 
-/// Moves the capsule on by `dt`; fills `patch` and returns what the wall did.
+/// Fills `patch` with what the wall is pressed by.
+pub fn press(body: &Body, laws: &Laws, facets: &[Facet], motion: &Motion, patch: &mut Patch) {
+    Indenter::new(&laws.foundation, body, motion).press(facets, patch);
+}
+
+/// Moves the capsule on by `dt` under the forces of `patch`; returns what the wall did.
 pub fn substep(
     body: &Body,
     laws: &Laws,
     load: &Load,
-    facets: &[Facet],
     motion: &mut Motion,
-    patch: &mut Patch,
+    patch: &Patch,
     dt: f64,
 ) -> Reaction {
-    patch.clear();
-    let indenter = Indenter::new(&laws.foundation, body, motion);
-    for facet in facets {
-        indenter.press(facet, patch);
-    }
     let system = elastic_system(body, load, motion, patch, dt);
     let (change, resistance) = solve_friction(&system, body, laws, motion, patch, dt);
     let before = *motion;
@@ -82,17 +85,51 @@ fn elastic_system(body: &Body, load: &Load, m: &Motion, patch: &Patch, dt: f64) 
     let weight = body.mass * load.gravity;
     let outside = Twist { linear: load.wrench.linear + weight, angular: load.wrench.angular };
     let mut impulse = outside.to_array().map(|f| f * dt);
-    for sample in &patch.samples {
-        let push = sample.load + 0.5 * dt * sample.stiffness * sample.speed;
-        if push <= 0.0 {
-            continue; // it lets go within this substep
+    let mut sums = Sums::default();
+    add_samples(&mut sums, &patch.samples, dt);
+    for row in 0..6 {
+        for column in 0..=row {
+            matrix.0[row][column] += sum(&sums.matrix[row][column]);
         }
-        matrix.add_outer(dt * (0.25 * dt * sample.stiffness + 0.5 * sample.damping), &sample.lever);
-        for (i, lever) in impulse.iter_mut().zip(sample.lever) {
-            *i -= dt * push * lever;
-        }
+        impulse[row] -= sum(&sums.impulse[row]);
     }
     System { matrix, impulse }
+}
+
+/// Sums over samples, lane by lane.
+#[derive(Default)]
+struct Sums {
+    matrix: [[Lane; 6]; 6],
+    impulse: [Lane; 6],
+}
+
+#[multiversion::multiversion(targets(
+    "x86_64+avx512f+avx512bw+avx512cd+avx512dq+avx512vl",
+    "x86_64+avx2",
+    "aarch64+neon"
+))]
+fn add_samples(sums: &mut Sums, samples: &[Samples], dt: f64) {
+    for s in samples {
+        let (mut weight, mut push) = ([0.0; LANES], [0.0; LANES]);
+        for i in 0..LANES {
+            let pushed = s.load[i] + 0.5 * dt * s.stiffness[i] * s.speed[i];
+            // Otherwise it lets go within this substep.
+            let holds = pushed > 0.0;
+            let slope = dt * (0.25 * dt * s.stiffness[i] + 0.5 * s.damping[i]);
+            weight[i] = if holds { slope } else { 0.0 };
+            push[i] = if holds { dt * pushed } else { 0.0 };
+        }
+        for row in 0..6 {
+            for column in 0..=row {
+                for i in 0..LANES {
+                    sums.matrix[row][column][i] += weight[i] * s.lever[row][i] * s.lever[column][i];
+                }
+            }
+            for i in 0..LANES {
+                sums.impulse[row][i] += push[i] * s.lever[row][i];
+            }
+        }
+    }
 }
 
 /// Adds friction, implicit in the velocity it leads to: the backward rule neither slides back nor
@@ -172,7 +209,8 @@ impl Resistance {
         let arm = grip.center - self.position;
         let slip = guess.linear + guess.angular.cross(arm) - grip.velocity;
         let slip = slip - grip.normal * slip.dot(grip.normal);
-        let by_speed = friction * grip.load / slip.length().max(CREEP);
+        let most = friction * grip.load;
+        let by_speed = most / slip.length().max(CREEP + grip.mobility * most);
         let n = grip.normal;
         let across = DMat3::from_cols(n * n.x, n * n.y, n * n.z);
         let block = (DMat3::IDENTITY - across) * by_speed;
@@ -244,15 +282,14 @@ fn reaction(
 
 /// Collects the patch's loads on the wall into a few pushes, by part of the capsule's surface.
 pub fn pushes(body: &Body, m: &Motion, grips: &[Grip], out: &mut Vec<Push>) {
-    let (parts, around) = PUSH_PARTS;
-    let mut sums = [(0.0, DVec3::ZERO, DVec3::ZERO); PUSH_PARTS.0 * PUSH_PARTS.1];
+    let mut sums = [(0.0, DVec3::ZERO, DVec3::ZERO); PUSH_PARTS * EIGHTHS];
     let to_capsule = m.rotation.inverse();
     let half = body.half_axis + body.radius;
     for grip in grips {
         let place = to_capsule * (grip.center - m.position) - body.center;
-        let along = ((place.z / half * 0.5 + 0.5) * parts as f64).clamp(0.0, parts as f64 - 0.5);
-        let turn = place.y.atan2(place.x) / std::f64::consts::TAU + 0.5;
-        let part = along as usize * around + (turn * around as f64) as usize % around;
+        let along =
+            ((place.z / half * 0.5 + 0.5) * PUSH_PARTS as f64).clamp(0.0, PUSH_PARTS as f64 - 0.5);
+        let part = along as usize * EIGHTHS + eighth(place.x, place.y);
         let sum = &mut sums[part];
         sum.0 += grip.load;
         sum.1 += grip.load * grip.center;
@@ -261,4 +298,9 @@ pub fn pushes(body: &Body, m: &Motion, grips: &[Grip], out: &mut Vec<Push>) {
     out.clear();
     let loaded = sums.iter().filter(|sum| sum.0 > 0.0);
     out.extend(loaded.map(|(load, moment, force)| Push { center: *moment / *load, force: *force }));
+}
+
+/// Which eighth of a turn a direction lies in; by comparisons, the same on every processor.
+fn eighth(x: f64, y: f64) -> usize {
+    usize::from(x < 0.0) + 2 * usize::from(y < 0.0) + 4 * usize::from(y.abs() > x.abs())
 }

@@ -1,12 +1,16 @@
 //! A capsule in a wall: what Python holds and steps.
 
 use super::body::{Body, Motion};
-use super::contact::{Foundation, Indenter};
 use super::drag::{Drag, LogLaw};
+use super::exchange::Exchange;
+use super::foundation::Foundation;
+use super::held::Held;
 use super::quick::{Quick, Yield};
 use super::soft_wall::{Drive, MARGIN, Outcome, SoftWall};
 use super::solve::Twist;
-use super::step::{Laws, Load, Reaction, pushes, substep};
+use super::step::{Laws, Load, Reaction, press, pushes, substep};
+use super::wall_load::Stride;
+use crate::fem::layer::FemLayer;
 use crate::query;
 use crate::wall::Wall;
 use glam::{DMat3, DQuat, DVec3};
@@ -58,6 +62,20 @@ struct QuickParameters {
 /// Position [m], quaternion wxyz, velocity [m/s] and angular velocity [rad/s] of the capsule.
 type Pose = ([f64; 3], [f64; 4], [f64; 3], [f64; 3]);
 
+/// Two tables of numbers.
+type Tables<'py> = (Bound<'py, PyArray2<f64>>, Bound<'py, PyArray2<f64>>);
+
+/// Farthest that any point of the capsule goes in one substep [m].
+const LONGEST_WAY: f64 = 1e-4;
+/// A capsule this many times as far from the wall's middle as the wall reaches has run away.
+const FAR: f64 = 1000.0;
+/// What is said then.
+const TOO_LARGE: &str = "The step is too large: the capsule's motion runs away.";
+/// Most parts of a substep.
+const MOST_PARTS: f64 = 64.0;
+/// A layer of finite elements under the wall, and the exchange with it.
+type Elastic<'a> = Option<(&'a mut FemLayer, &'a mut Exchange)>;
+
 /// Sums over the substeps of a step.
 #[derive(Default)]
 struct Tally {
@@ -74,6 +92,8 @@ pub struct World {
     body: Body,
     laws: Laws,
     quick: Option<Quick>,
+    /// The layer of finite elements under the wall, and the exchange with it.
+    layer: Option<(Py<FemLayer>, Exchange)>,
     motion: Motion,
     /// The wall's centre; subtracted from every position [m].
     center: DVec3,
@@ -83,11 +103,18 @@ pub struct World {
     last: Tally,
 }
 
+/// Bound on the speed of every point of the capsule between two motions [m/s].
+fn fastest_point(body: &Body, before: &Motion, after: &Motion) -> f64 {
+    let arm = body.center.length() + body.half_axis + body.radius;
+    let speed = |m: &Motion| m.velocity.length() + m.angular_velocity.length() * arm;
+    speed(before).max(speed(after))
+}
+
 fn vector(a: [f64; 3]) -> DVec3 {
     DVec3::from_array(a)
 }
 
-fn laws(material: MaterialParameters, drag: DragParameters) -> Laws {
+fn laws(material: MaterialParameters, drag: DragParameters, radius: f64) -> Laws {
     let law = LogLaw {
         a: drag.a,
         b: drag.b,
@@ -96,12 +123,10 @@ fn laws(material: MaterialParameters, drag: DragParameters) -> Laws {
         threshold: drag.threshold,
     };
     Laws {
-        foundation: Foundation {
-            stiffness: material.stiffness,
-            stiffening_depth: material.stiffening_depth,
-            rate_gain: material.rate_gain,
-            rate: material.rate,
-        },
+        foundation: Foundation::new(
+            [material.stiffness, material.stiffening_depth, material.rate_gain, material.rate],
+            radius,
+        ),
         drag: match drag.law.as_str() {
             "printed" => Drag::Printed(law),
             "continuous" => Drag::Continuous(law),
@@ -171,46 +196,136 @@ impl Tally {
 }
 
 impl World {
-    /// Steps `count` times by `dt`; on an error nothing but what is near has changed.
-    fn run(&mut self, wall: &mut Wall, load: &Load, dt: f64, count: usize) -> Outcome {
+    /// Steps `strides.0` times by `dt`, in `strides.1` steps of the layer; on an error nothing but
+    /// what is near has changed.
+    fn run(
+        &mut self,
+        wall: &mut Wall,
+        mut layer: Option<&mut FemLayer>,
+        load: &Load,
+        dt: f64,
+        strides: (usize, usize),
+    ) -> Outcome {
         let backup = (self.motion, self.soft.awake_yields());
-        let result = self.substeps(wall, load, dt, count);
-        let valid = self.motion.position.is_finite() && self.motion.velocity.is_finite();
-        if result.is_ok() && valid {
+        let elastic = layer.as_deref().zip(self.layer.as_ref()).map(|(l, (_, x))| x.backup(l));
+        let result = self.substeps(wall, layer.as_deref_mut(), load, dt, strides);
+        let result = result.and_then(|()| self.check(wall));
+        if result.is_ok() {
             self.soft.land();
             return Ok(());
         }
         self.motion = backup.0;
         self.soft.restore_yields(backup.1);
+        if let (Some(layer), Some((_, exchange)), Some(elastic)) =
+            (layer, self.layer.as_mut(), elastic)
+        {
+            exchange.restore(layer, elastic, &mut self.soft);
+        }
         self.soft.stay();
-        result.and(Err("The step is too large: the capsule's motion is no longer finite."))
+        result
     }
 
-    fn substeps(&mut self, wall: &mut Wall, load: &Load, dt: f64, count: usize) -> Outcome {
-        let (soft, reach) = (&mut self.soft, self.quick.map_or(0.0, |q| q.reach));
-        let fastest = soft.driven_velocity.iter().map(|v| v.length_squared()).fold(0.0, f64::max);
-        let drive = fastest.sqrt() * dt;
-        let mut tally = Tally::default();
-        for _ in 0..count {
-            if soft.travel > MARGIN {
-                soft.search(wall, &self.body, &self.motion, reach)?;
-            }
-            soft.update_facets();
-            let motion = &mut self.motion;
-            let reaction =
-                substep(&self.body, &self.laws, load, &soft.facets, motion, &mut soft.patch, dt);
-            tally.add(&reaction, dt);
-            soft.since += dt;
-            let turning =
-                motion.angular_velocity.length() * (self.body.half_axis + self.body.radius);
-            soft.wall_travel += drive;
-            soft.travel += drive + dt * (motion.velocity.length() + turning);
-            if let Some(quick) = &self.quick {
-                pushes(&self.body, motion, &soft.patch.grips, &mut soft.pushes);
-                soft.give_way(quick, dt);
+    /// Whether a step has come to a good end: the motion is finite, and the capsule has not broken
+    /// through a layer of finite elements.
+    fn check(&mut self, wall: &mut Wall) -> Outcome {
+        if !self.motion.is_finite() {
+            return Err(TOO_LARGE);
+        }
+        if self.layer.is_some() {
+            self.soft.settle(wall)?;
+            if !self.is_inside(wall) {
+                return Err("The capsule breaks through the elastic wall. Allowed: a smaller \
+                            force_world, or a deformation that holds more: neo-hookean with a \
+                            stiffening_strain, a larger youngs_modulus or support.");
             }
         }
+        let is_near = self.motion.position.length() < FAR * f64::from(wall.extent);
+        if is_near { Ok(()) } else { Err(TOO_LARGE) }
+    }
+
+    fn substeps(
+        &mut self,
+        wall: &mut Wall,
+        layer: Option<&mut FemLayer>,
+        load: &Load,
+        dt: f64,
+        strides: (usize, usize),
+    ) -> Outcome {
+        let mut own = self.layer.take();
+        let mut elastic = layer.zip(own.as_mut().map(|(_, exchange)| exchange));
+        let result = self.march(wall, &mut elastic, load, dt, strides);
+        self.layer = own;
+        result
+    }
+
+    fn march(
+        &mut self,
+        wall: &mut Wall,
+        elastic: &mut Elastic,
+        load: &Load,
+        dt: f64,
+        (count, outer): (usize, usize),
+    ) -> Outcome {
+        let driven = self.soft.driven_velocity.iter().map(|v| v.length_squared());
+        let drive = driven.fold(0.0, f64::max).sqrt();
+        let mut tally = Tally::default();
+        for number in 0..count {
+            if let Some((layer, exchange)) = elastic {
+                exchange.keep_up(layer, &mut self.soft, dt, (number, count / outer))?;
+            }
+            // A capsule as fast as a blow takes shorter substeps: none goes far into the wall.
+            let way = dt * fastest_point(&self.body, &self.motion, &self.motion);
+            let parts = (way / LONGEST_WAY).ceil().clamp(1.0, MOST_PARTS);
+            let parts = if elastic.is_some() { 1.0 } else { parts };
+            for _ in 0..parts as usize {
+                self.substep(wall, elastic, load, dt / parts, drive, &mut tally)?;
+            }
+        }
+        if let Some((layer, exchange)) = elastic {
+            exchange.end(layer)?;
+            exchange.settle(layer, &mut self.soft);
+        }
         self.last = tally.mean(count as f64 * dt);
+        Ok(())
+    }
+
+    /// One substep of capsule and wall, whose fastest vertex is driven at a speed [m/s].
+    fn substep(
+        &mut self,
+        wall: &mut Wall,
+        elastic: &mut Elastic,
+        load: &Load,
+        dt: f64,
+        drive: f64,
+        tally: &mut Tally,
+    ) -> Outcome {
+        let (body, motion, soft) = (&self.body, &mut self.motion, &mut self.soft);
+        if soft.travel > MARGIN {
+            soft.search(wall, body, motion, self.quick.map_or(0.0, |q| q.reach))?;
+            if let Some((layer, exchange)) = elastic {
+                exchange.find(layer, soft)?;
+            }
+        }
+        soft.update_facets(&body.axis(motion), body.radius);
+        press(body, &self.laws, &soft.facets, motion, &mut soft.patch);
+        if let Some((_, exchange)) = elastic {
+            exchange.soften(soft, dt);
+        }
+        let before = *motion;
+        let reaction = substep(body, &self.laws, load, motion, &soft.patch, dt);
+        tally.add(&reaction, dt);
+        if let Some((_, exchange)) = elastic {
+            let (after, friction) = (&*motion, self.laws.drag.friction());
+            let stride = Stride { body, before: &before, after, reaction: &reaction, friction, dt };
+            exchange.push(soft, &stride);
+        }
+        soft.since += dt;
+        soft.wall_travel += drive * dt;
+        soft.travel += dt * (drive + fastest_point(body, &before, motion));
+        if let Some(quick) = &self.quick {
+            pushes(body, motion, &soft.patch.grips, &mut soft.pushes);
+            soft.give_way(quick, dt);
+        }
         Ok(())
     }
 
@@ -257,11 +372,14 @@ impl World {
             spring: q.spring,
             damping: q.damping,
         });
+        let body: Body = body.into();
+        let laws = laws(material, drag, body.radius);
         let mut world = World {
             wall,
-            body: body.into(),
-            laws: laws(material, drag),
+            body,
+            laws,
             quick,
+            layer: None,
             motion: Motion::default(),
             center,
             drive: None,
@@ -275,7 +393,9 @@ impl World {
     /// Moves on by `count` substeps of `dt`, with a wrench [N, N·m] and gravity [m/s²].
     ///
     /// `calibre` is how wide the lumen is to be at the end, see `set_drive`.
-    #[pyo3(signature = (dt, count, wrench, gravity, calibre=None))]
+    /// A layer makes `outer` steps meanwhile, of which `count` is a multiple.
+    #[pyo3(signature = (dt, count, wrench, gravity, calibre=None, outer=1))]
+    #[allow(clippy::too_many_arguments)]
     fn step(
         &mut self,
         py: Python<'_>,
@@ -284,7 +404,11 @@ impl World {
         wrench: [f64; 6],
         gravity: [f64; 3],
         calibre: Option<Vec<f64>>,
+        outer: usize,
     ) -> PyResult<()> {
+        if outer == 0 || !count.is_multiple_of(outer) {
+            return Err(PyValueError::new_err("The count must be a multiple of outer."));
+        }
         let load = Load { wrench: Twist::from_array(wrench), gravity: vector(gravity) };
         if let Some(calibre) = calibre {
             self.aim(&calibre, dt * count as f64)?;
@@ -292,7 +416,38 @@ impl World {
         let wall = self.wall.clone_ref(py);
         let mut wall = wall.borrow_mut(py);
         let wall: &mut Wall = &mut wall;
-        py.detach(|| self.run(wall, &load, dt, count)).map_err(PyValueError::new_err)
+        let layer = self.layer.as_ref().map(|(layer, _)| layer.clone_ref(py));
+        let mut layer = layer.as_ref().map(|layer| layer.borrow_mut(py));
+        let layer: Option<&mut FemLayer> = layer.as_deref_mut();
+        py.detach(|| self.run(wall, layer, &load, dt, (count, outer)))
+            .map_err(PyValueError::new_err)
+    }
+
+    /// Puts a layer of finite elements under the wall, solved to `tolerance` [m].
+    fn set_layer(&mut self, py: Python<'_>, layer: Py<FemLayer>, tolerance: f64) {
+        let exchange = Exchange::new(&layer.borrow(py), tolerance);
+        self.layer = Some((layer, exchange));
+    }
+
+    /// What lasts of the exchange with the layer: force [N] on each node, how far the felt wall is
+    /// off it [m] and the momentum it is owed [N·s], [nodes 9]; number, normal force [N] and friction [N] of touched triangles,
+    /// [k 5]. None without a layer.
+    #[getter]
+    fn exchange<'py>(&self, py: Python<'py>) -> Option<Tables<'py>> {
+        let (_, exchange) = self.layer.as_ref()?;
+        let (nodes, touched) = exchange.held.to_rows();
+        Some((table(py, nodes, 9), table(py, touched, 5)))
+    }
+
+    #[setter]
+    fn set_exchange(
+        &mut self,
+        rows: Option<(PyReadonlyArray2<'_, f64>, PyReadonlyArray2<'_, f64>)>,
+    ) -> PyResult<()> {
+        if let (Some((_, exchange)), Some((nodes, touched))) = (self.layer.as_mut(), rows) {
+            exchange.held = Held::from_rows(nodes.as_slice()?, touched.as_slice()?);
+        }
+        Ok(())
     }
 
     /// Lets the lumen narrow and widen: `inward` [n 3] from each vertex at rest to the centreline,
@@ -372,7 +527,8 @@ impl World {
             })
             .collect();
         let awake = (0..).zip(&self.soft.yields).filter(|(_, y)| **y != Yield::default());
-        self.soft.awake = awake.map(|(v, _)| v).collect();
+        let is_quick = self.quick.is_some();
+        self.soft.awake = awake.filter(|_| is_quick).map(|(v, _)| v).collect();
         (self.soft.travel, self.soft.wall_travel) = (f64::INFINITY, f64::INFINITY);
         Ok(())
     }
@@ -419,6 +575,13 @@ impl World {
         )
     }
 
+    /// Where [m] and how [N] the capsule pushes the wall in the quick model, [n 6].
+    fn pushes<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray2<f64>> {
+        let rows = self.soft.pushes.iter();
+        let flat = rows.flat_map(|p| Twist { linear: p.center, angular: p.force }.to_array());
+        table(py, flat.collect(), 6)
+    }
+
     /// Largest depth [m] to which the capsule presses in where it is now.
     fn probe(&mut self, py: Python<'_>) -> PyResult<f64> {
         let wall = self.wall.clone_ref(py);
@@ -426,12 +589,9 @@ impl World {
         let reach = self.quick.map_or(0.0, |q| q.reach);
         let found = self.soft.search(&mut wall, &self.body, &self.motion, reach);
         found.map_err(PyValueError::new_err)?;
-        self.soft.update_facets();
-        let indenter = Indenter::new(&self.laws.foundation, &self.body, &self.motion);
-        self.soft.patch.clear();
-        for facet in &self.soft.facets {
-            indenter.press(facet, &mut self.soft.patch);
-        }
+        self.soft.update_facets(&self.body.axis(&self.motion), self.body.radius);
+        let soft = &mut self.soft;
+        press(&self.body, &self.laws, &soft.facets, &self.motion, &mut soft.patch);
         Ok(self.soft.patch.depth)
     }
 

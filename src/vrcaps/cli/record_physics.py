@@ -13,7 +13,7 @@ from vrcaps.tissue.drag import Drag
 from vrcaps.tissue.motility.propulsion import Propulsion
 from vrcaps.world.fly_through import FlyThrough
 from vrcaps.world.physics import Physics
-from vrcaps.world.schedule import Filling, Turn, Wrench
+from vrcaps.world.schedule import Insufflation, Turn, Wrench
 
 _ZERO = (0.0, 0.0, 0.0)
 
@@ -100,7 +100,7 @@ class PhysicsFlags:
             wrench_file="" if self.wrench is None else str(self.wrench),
             wrench_frame=self.wrench_frame,
             turns=tuple(parse_turn(text) for text in self.turn),
-            fillings=parse_fillings(self.insufflation),
+            insufflation=parse_insufflation(self.insufflation),
             settle=self.settle,
             step=self.step,
             substep=self.substep,
@@ -139,7 +139,7 @@ def parse_turn(text: str) -> Turn:
     return turn
 
 
-def parse_fillings(text: str) -> tuple[Filling, ...]:
+def parse_insufflation(text: str) -> tuple[Insufflation, ...]:
     """A factor such as ``1.2``, or pairs of time and factor such as ``0:1,10:1.3``.
 
     Raises:
@@ -148,12 +148,12 @@ def parse_fillings(text: str) -> tuple[Filling, ...]:
     flag = f"--insufflation {text}"
     if ":" not in text:
         factor = _number(text, flag)
-        return () if factor == 1.0 else (Filling(0.0, factor),)
-    fillings = []
+        return () if factor == 1.0 else (Insufflation(0.0, factor),)
+    insufflation = []
     for part in text.split(","):
         time, _, factor = part.partition(":")
-        fillings.append(Filling(_number(time, flag), _number(factor, flag)))
-    return tuple(fillings)
+        insufflation.append(Insufflation(_number(time, flag), _number(factor, flag)))
+    return tuple(insufflation)
 
 
 def _number(text: str, where: str) -> float:

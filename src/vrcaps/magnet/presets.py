@@ -51,10 +51,13 @@ class MagnetPreset:
 
 MAGNETS = {
     "cylinder-101.6": MagnetPreset(
-        "On an arm: 4 inch cylinder, 970.1 A·m²", 101.6 * MM, 101.6 * MM, "N52", 1.48
+        "On a strong arm: 4 inch cylinder, 970.1 A·m², 6.2 kg", 101.6 * MM, 101.6 * MM, "N52", 1.48
+    ),
+    "cylinder-76.2": MagnetPreset(
+        "On an arm for 3 kg: 3 inch cylinder, 409 A·m², 2.6 kg", 76.2 * MM, 76.2 * MM, "N52", 1.48
     ),
     "cylinder-50.8": MagnetPreset(
-        "On a small arm: 2 inch cylinder, 121 A·m²", 50.8 * MM, 50.8 * MM, "N52", 1.48
+        "On a small arm: 2 inch cylinder, 121 A·m², 0.8 kg", 50.8 * MM, 50.8 * MM, "N52", 1.48
     ),
     "capsule-11x10": MagnetPreset(
         "In a wide capsule: 11 mm across, 10 mm long, 1.12 A·m²", 11 * MM, 10 * MM, "N52", 1.48
@@ -63,7 +66,7 @@ MAGNETS = {
         "In a usual capsule beside its electronics: 6 mm, 0.2 A·m²", 6 * MM, 6 * MM, "N52", 1.48
     ),
 }
-"""Magnets by name. The first and the third are those of the published estimates of force."""
+"""Magnets by name. Force estimates are published for `cylinder-101.6` and `capsule-11x10`."""
 
 
 def magnet_names() -> tuple[str, ...]:

@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 
     from vrcaps._core import FieldSources
 
+NEODYMIUM_DENSITY = 7500.0
+"""Density of sintered NdFeB [kg/m³] (makers' data sheets)."""
 MAGNETIC_CONSTANT = 1.25663706127e-6
 """μ₀ [N/A²] (CODATA 2022), as in the compiled core."""
 _ORTHONORMAL = 1e-6
@@ -149,8 +151,17 @@ class Cylinder:
     @property
     def moment(self) -> float:
         """Magnetic moment B_r V/μ₀ [A·m²]."""
-        volume = 0.25 * math.pi * self.diameter**2 * self.length
-        return self.remanence * volume / MAGNETIC_CONSTANT
+        return self.remanence * self.volume / MAGNETIC_CONSTANT
+
+    @property
+    def volume(self) -> float:
+        """Volume [m³]."""
+        return 0.25 * math.pi * self.diameter**2 * self.length
+
+    @property
+    def mass(self) -> float:
+        """Mass [kg] if it is of NdFeB."""
+        return NEODYMIUM_DENSITY * self.volume
 
     def add_to(self, core: FieldSources) -> int:
         """Add this source to the core's; returns how many of the core's it takes."""

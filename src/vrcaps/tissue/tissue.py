@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from vrcaps.tissue.drag import Drag
+from vrcaps.tissue.fem.deformation import FemDeformation
 from vrcaps.tissue.material import Material
 from vrcaps.tissue.motility.motility import Motility
 from vrcaps.tissue.quick import QuickDeformation
@@ -17,11 +18,12 @@ class Tissue:
     Attributes:
         material: Pressure against a capsule that presses in.
         drag: Resistance against a capsule that slides along.
-        deformation: How the wall gives way; None holds it where it is.
+        deformation: How the wall gives way, vertex by vertex or as an elastic layer; None holds it
+            where it is.
         motility: How the muscle contracts; None leaves the lumen at rest.
     """
 
     material: Material = field(default_factory=Material)
     drag: Drag = field(default_factory=Drag)
-    deformation: QuickDeformation | None = field(default_factory=QuickDeformation)
+    deformation: QuickDeformation | FemDeformation | None = field(default_factory=QuickDeformation)
     motility: Motility | None = None

@@ -9,7 +9,6 @@ import numpy as np
 
 from vrcaps import _core
 from vrcaps.capsule.body import Body
-from vrcaps.errors import InputError
 from vrcaps.tissue.contents.filling import Filling
 from vrcaps.tissue.contents.pools import Sections, cut_sections, find_pools, submerged
 from vrcaps.tissue.stations import stations
@@ -152,17 +151,8 @@ class Afloat:
         return np.concatenate([self._swarm.floats.ravel(), [self._swarm.count], self._push])
 
     def restore(self, array: Float[np.ndarray, " q"], T_world_patient: np.ndarray) -> None:
-        """Goes back to what `to_array` gave.
-
-        Raises:
-            InputError: If it is of another filling.
-        """
+        """Goes back to what `to_array` gave."""
         count = 7 * len(self._rest.spheres)
-        if array.shape != (count + 7,):
-            raise InputError(
-                f"afloat of the snapshot has {array.size} numbers, this world's contents need "
-                f"{count + 7}. Give a snapshot of the same contents."
-            )
         self._swarm.floats = array[:count].reshape(-1, 7)
         self._swarm.count, self._push = int(array[count]), array[count + 1 :].copy()
         self.turn(T_world_patient)

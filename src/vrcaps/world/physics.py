@@ -16,10 +16,10 @@ from vrcaps.tissue.quick import QuickDeformation
 from vrcaps.tissue.tissue import Tissue
 from vrcaps.world.fly_through import FlyThrough
 from vrcaps.world.schedule import (
-    Filling,
+    Insufflation,
     Turn,
     Wrench,
-    check_fillings,
+    check_insufflation,
     check_turns,
     check_wrenches,
 )
@@ -61,9 +61,9 @@ class Physics:
         wrench_frame: Axes of commanded forces and torques: `world`, the `capsule`'s own, or the
             `gut`'s at the capsule: z along the centreline towards the anal end.
         turns: When the patient turns over.
-        fillings: How full the gut is in time; empty: as modelled.
+        insufflation: How full the gut is in time; empty: as modelled.
         settle: Time that passes before the first frame, without commands [s]. The gut takes on
-            its first filling, and the muscle wakes within 1 s.
+            its first insufflation, and the muscle wakes within 1 s.
         step: Longest time between updates of muscle and commands [s].
         substep: Longest substep of the dynamics [s]. Gentle forces bear four times the default.
         wrench_sha256: Checksum of the file; filled in when recorded, checked when given.
@@ -83,9 +83,9 @@ class Physics:
     wrench_file: str = ""
     wrench_frame: Literal["world", "capsule", "gut"] = "world"
     turns: tuple[Turn, ...] = ()
-    fillings: tuple[Filling, ...] = ()
+    insufflation: tuple[Insufflation, ...] = ()
     settle: float = 1.0
-    step: float = 0.02
+    step: float = 0.05
     substep: float = SUBSTEP
     wrench_sha256: str = ""
 
@@ -115,7 +115,7 @@ class Physics:
             raise InputError("wrenches and wrench_file are both given. Give one of them.")
         check_wrenches(self.wrenches, "wrenches")
         check_turns(self.turns, "turns")
-        check_fillings(self.fillings, "fillings")
+        check_insufflation(self.insufflation, "insufflation")
 
 
 def tissue_of(settings: Physics, *, front: float) -> Tissue:

@@ -52,7 +52,7 @@ class Turn:
 
 
 @dataclass(frozen=True)
-class Filling:
+class Insufflation:
     """How full the gut is at a time.
 
     Attributes:
@@ -73,12 +73,12 @@ def wrench_at(wrenches: tuple[Wrench, ...], time: float) -> Float[np.ndarray, "2
     return np.array([np.interp(time, times, column) for column in rows.T]).reshape(2, 3)
 
 
-def filling_at(fillings: tuple[Filling, ...], time: float) -> float:
+def insufflation_at(insufflation: tuple[Insufflation, ...], time: float) -> float:
     """Factor on the lumen's radius at a time: linear between entries, constant beyond them."""
-    if not fillings:
+    if not insufflation:
         return 1.0
-    factors = [filling.factor for filling in fillings]
-    return float(np.interp(time, [filling.time for filling in fillings], factors))
+    factors = [entry.factor for entry in insufflation]
+    return float(np.interp(time, [entry.time for entry in insufflation], factors))
 
 
 def patient_at(
@@ -149,19 +149,19 @@ def check_wrenches(wrenches: tuple[Wrench, ...], where: str) -> None:
     require_rising([wrench.time for wrench in wrenches], where)
 
 
-def check_fillings(fillings: tuple[Filling, ...], where: str) -> None:
+def check_insufflation(insufflation: tuple[Insufflation, ...], where: str) -> None:
     """Check that factors are possible and times rise.
 
     Raises:
         InputError: If not; names the entry.
     """
-    for index, filling in enumerate(fillings):
-        if not (np.isfinite(filling.time) and 0.2 <= filling.factor <= 2.0):
+    for index, entry in enumerate(insufflation):
+        if not (np.isfinite(entry.time) and 0.2 <= entry.factor <= 2.0):
             raise InputError(
-                f"{where}: entry {index} is {filling.factor} at {filling.time} s. Allowed: "
+                f"{where}: entry {index} is {entry.factor} at {entry.time} s. Allowed: "
                 "factors of 0.2 to 2 at finite times."
             )
-    require_rising([filling.time for filling in fillings], where)
+    require_rising([entry.time for entry in insufflation], where)
 
 
 def check_turns(turns: tuple[Turn, ...], where: str) -> None:

@@ -18,7 +18,7 @@ from vrcaps.world.control import Control
 from vrcaps.world.model import Contact, Model, State
 from vrcaps.world.physics import Physics, tissue_of
 from vrcaps.world.run import Conditions, Instant
-from vrcaps.world.schedule import filling_at, in_world, patient_at, read_wrenches, wrench_at
+from vrcaps.world.schedule import in_world, insufflation_at, patient_at, read_wrenches, wrench_at
 from vrcaps.world.snapshot import Snapshot
 from vrcaps.world.trajectory import rotation_from_vector
 from vrcaps.world.world import World
@@ -135,7 +135,7 @@ class Simulation:
                 force_world=wrenches[index, 0],
                 torque_world=wrenches[index, 1],
                 T_world_patient=self._patient(times[1]),
-                insufflation=self._filling(times[1]),
+                insufflation=self._insufflation(times[1]),
             )
             try:
                 self.world.step(control, times[1] - times[0])
@@ -173,12 +173,12 @@ class Simulation:
             return self.model.T_world_patient
         return patient_at(self.model.T_world_patient, self.settings.turns, time)
 
-    def _filling(self, time: float) -> float:
+    def _insufflation(self, time: float) -> float:
         """Factor on the lumen's radius; before the first frame on the way to its first value."""
         if time >= 0.0 or not self.settings.settle:
-            return filling_at(self.settings.fillings, max(time, 0.0))
+            return insufflation_at(self.settings.insufflation, max(time, 0.0))
         share = 1.0 + time / self.settings.settle
-        first = filling_at(self.settings.fillings, 0.0)
+        first = insufflation_at(self.settings.insufflation, 0.0)
         return 1.0 + (first - 1.0) * share**2 * (3.0 - 2.0 * share)
 
     def _follow(self, state: State) -> None:
@@ -193,8 +193,8 @@ class Simulation:
     def _conditions(self, time: float, wrench: Float[np.ndarray, "2 3"]) -> Conditions:
         muscle = self.world.muscle
         phase = 0 if muscle is None else int(muscle.phase(np.array(self._arc_length), time))
-        filling = self._filling(time)
-        return Conditions(wrench[0], wrench[1], filling, self._patient(time), phase)
+        inflated = self._insufflation(time)
+        return Conditions(wrench[0], wrench[1], inflated, self._patient(time), phase)
 
     def _require_phase(self, arc_length: float) -> None:
         muscle = self.world.muscle
@@ -207,10 +207,10 @@ class Simulation:
             )
 
     def _require_time(self) -> None:
-        if not self.settings.settle and filling_at(self.settings.fillings, 0.0) != 1.0:
+        if not self.settings.settle and insufflation_at(self.settings.insufflation, 0.0) != 1.0:
             raise InputError(
-                "settle is 0 s, but the gut needs time to take on its first filling. Allowed: "
-                "above 0 s, or a first filling of 1."
+                "settle is 0 s, but the gut needs time to take on its first insufflation. Allowed: "
+                "above 0 s, or a first factor of 1."
             )
 
 

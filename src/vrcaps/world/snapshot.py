@@ -29,6 +29,10 @@ class Snapshot:
         calibre: Lumen's radius at the stations, as a share of that at rest.
         driven: Wall vertices as muscle and gas alone would have them [m].
         yields: How far each vertex gives way [m] and at which velocity [m/s].
+        layer: Of each free node of an elastic layer: displacement [m], velocity [m/s], force [N],
+            how far the wall that the capsule felt is off it [m], and momentum it is still to be
+            given [N·s]; empty where there is none.
+        touched: Of each triangle that loads the layer: number, normal force and friction [N].
         afloat: What floats in the lumen; empty where nothing does.
     """
 
@@ -40,6 +44,8 @@ class Snapshot:
     calibre: Float[np.ndarray, " k"]
     driven: Float[np.ndarray, "n 3"]
     yields: Float[np.ndarray, "n 6"]
+    layer: Float[np.ndarray, "nodes 15"]
+    touched: Float[np.ndarray, "k 5"]
     afloat: Float[np.ndarray, " q"] = field(default_factory=lambda: np.zeros(0))
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from vrcaps import _core
 from vrcaps.capsule.body import Body, homogeneous_body
 from vrcaps.errors import InputError, require
+from vrcaps.tissue.fem.deformation import FemDeformation
 from vrcaps.tissue.motility.muscle import Muscle
 from vrcaps.tissue.stations import stations
 from vrcaps.tissue.tissue import Tissue
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
     from vrcaps.organ.surface import OrganSurface
+    from vrcaps.tissue.fem.wall import FemWall
 
 GRAVITY = 9.80665
 """Standard acceleration of gravity [m/s²] (CGPM 1901)."""
@@ -75,7 +77,7 @@ class World:
 
         Raises:
             InputError: If the capsule is outside the lumen or does not fit, the substep is too
-                long, or the seed negative.
+                long, the seed negative, or an elastic layer folds or nothing holds it.
             UnknownNameError: If the tissue has no muscle for a segment of the wall.
         """
         _check_substep(substep, tissue)
@@ -89,9 +91,11 @@ class World:
         self._time = self._began = start.time
         self._T_world_patient = model.T_world_patient
         pose = self._pose(start)
-        self._core = _core.World(
-            self._wall, self.body, tissue.material, tissue.drag, tissue.deformation, pose
-        )
+        self.layer = _layer(organ, tissue)
+        quick = tissue.deformation if self.layer is None else None
+        self._core = _core.World(self._wall, self.body, tissue.material, tissue.drag, quick, pose)
+        if self.layer is not None:
+            self.layer.carry(self._core)
         self._core.set_drive(*_drive(organ))
         self._num_stations = len(stations(organ.centerline))
         self._calibre: Float[np.ndarray, " k"] = np.ones(self._num_stations)
@@ -162,6 +166,10 @@ class World:
     def snapshot(self) -> Snapshot:
         """All that changes, exactly: a world restored from it goes on to the same bytes."""
         position, wxyz, velocity, spin = self._core.pose
+        layer, touched = np.zeros((0, 15)), np.zeros((0, 5))
+        if self.layer is not None and self._core.exchange is not None:
+            nodes, touched = self._core.exchange
+            layer = np.hstack([self.layer.snapshot(), nodes])
         return Snapshot(
             seed=self.seed,
             time=self._time,
@@ -171,6 +179,8 @@ class World:
             calibre=self._calibre,
             driven=self._core.driven,
             yields=self._core.yields,
+            layer=layer,
+            touched=touched,
             afloat=np.zeros(0) if self._afloat is None else self._afloat.to_array(),
         )
 
@@ -178,14 +188,14 @@ class World:
         """Goes back to a snapshot of a world with the same model.
 
         Raises:
-            InputError: If the snapshot is of another wall or another seed.
+            InputError: If the snapshot is of another wall or another seed, or not finite; the state
+                stays as it was.
         """
-        require(snapshot.seed == self.seed, "seed", snapshot.seed, f"this world's, {self.seed}")
-        if snapshot.driven.shape != self.model.organ.vertices.shape:
-            raise InputError(
-                f"The snapshot has a wall of {len(snapshot.driven)} vertices, the model has "
-                f"{len(self.model.organ.vertices)}. Give a snapshot of the same organ."
-            )
+        _check_snapshot(snapshot, self.snapshot())
+        if self.layer is not None:
+            motion, exchange = _exchange(self.layer, snapshot)
+            self.layer.restore(motion)
+            self._core.exchange = exchange
         if self._afloat is not None:
             self._afloat.restore(snapshot.afloat, snapshot.T_world_patient)
         p = snapshot.capsule
@@ -209,16 +219,17 @@ class World:
         """Moves on by `dt`: in one go, or where the muscle propels the capsule in short pieces."""
         calibre = self._calibre_at(self._time + dt, insufflation)
         pieces = self._num_pieces(dt)
+        outer = 1 if self.layer is None else self.layer.num_steps(dt / pieces)
         start, before = self._calibre, self.snapshot() if pieces > 1 else None
         moves = not np.array_equal(start, calibre)
-        count = max(1, math.ceil(dt / pieces / self.substep * (1.0 - 1e-9)))
+        count = outer * max(1, math.ceil(dt / pieces / outer / self.substep * (1.0 - 1e-9)))
         reactions = []
         try:
             for piece in range(pieces):
                 aim = start + (calibre - start) * ((piece + 1) / pieces) if moves else None
                 force = self._propulsion(self._time + dt * piece / pieces)
-                extra = self._bear(dt / pieces, force)
-                self._core.step(dt / pieces / count, count, tuple(wrench + extra), gravity, aim)
+                total = tuple(wrench + self._bear(dt / pieces, force))
+                self._core.step(dt / pieces / count, count, total, gravity, aim, outer)
                 reactions.append(self._core.contact())
                 self._float_on(dt / pieces)
         except ValueError as error:
@@ -266,8 +277,9 @@ class World:
         to_patient = invert(self._T_world_patient)
         pose = to_patient @ state.T_world_capsule
         velocity = np.array([state.linear_velocity_world, state.angular_velocity_world])
-        if not (np.isfinite(pose).all() and np.isfinite(velocity).all()):
-            raise InputError("The capsule's start is not finite. Allowed: finite numbers.")
+        for name in ("T_world_capsule", "linear_velocity_world", "angular_velocity_world"):
+            if not np.isfinite(getattr(state, name)).all():
+                raise InputError(f"The start's {name} is not finite. Allowed: finite numbers.")
         wxyz = quaternion_from_matrix(pose[:3, :3])
         linear, angular = rotate_vectors(to_patient, velocity)
         return tuple(pose[:3, 3] - self._center), tuple(wxyz), tuple(linear), tuple(angular)
@@ -285,6 +297,30 @@ class World:
                 f"The capsule, {2e3 * radius:.1f} mm thick, does not fit: the lumen is "
                 f"{1e3 * narrow:.1f} mm wide where it starts. Start it elsewhere or inflate."
             )
+
+
+def _layer(organ: OrganSurface, tissue: Tissue) -> FemWall | None:
+    """The elastic layer under an organ's surface, where the tissue has one."""
+    if not isinstance(tissue.deformation, FemDeformation):
+        return None
+    from vrcaps.tissue.fem.wall import FemWall
+
+    return FemWall(organ, tissue.deformation)
+
+
+def _exchange(
+    layer: FemWall, snapshot: Snapshot
+) -> tuple[Float[np.ndarray, "nodes 6"], tuple[Float[np.ndarray, "nodes 9"], np.ndarray]]:
+    """Motion of the layer, and what lasts of its exchange with the capsule."""
+    if snapshot.layer.shape != (layer.num_free, 15):
+        raise InputError(
+            f"The snapshot has a layer of {len(snapshot.layer)} nodes, the world's has "
+            f"{layer.num_free}. Give a snapshot of a world with the same deformation."
+        )
+    if not (np.isfinite(snapshot.layer).all() and np.isfinite(snapshot.touched).all()):
+        raise InputError("The snapshot is not finite. Allowed: finite numbers.")
+    motion, forces = np.hsplit(snapshot.layer, [6])
+    return motion, (np.ascontiguousarray(forces), np.ascontiguousarray(snapshot.touched, float))
 
 
 def _over_all(reactions: list[tuple[Any, ...]]) -> tuple[Any, ...]:
@@ -305,6 +341,27 @@ def _drive(organ: OrganSurface) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndar
     )
     station = organ.arc_length / stations(curve)[1]
     return nearest - organ.vertices, np.ascontiguousarray(station, float)
+
+
+def _check_snapshot(snapshot: Snapshot, own: Snapshot) -> None:
+    """Whether a snapshot fits a world that has a snapshot of its own."""
+    require(snapshot.seed == own.seed, "seed", snapshot.seed, f"this world's, {own.seed}")
+    if snapshot.driven.shape != own.driven.shape:
+        raise InputError(
+            f"The snapshot has a wall of {len(snapshot.driven)} vertices, the model has "
+            f"{len(own.driven)}. Give a snapshot of the same organ."
+        )
+    for name, mine in vars(own).items():
+        if name in ("layer", "touched"):
+            continue  # see `_exchange`
+        given = getattr(snapshot, name)
+        if np.shape(given) != np.shape(mine):
+            raise InputError(
+                f"The snapshot's {name} has the shape {np.shape(given)}. "
+                f"Allowed: {np.shape(mine)}, as in this world."
+            )
+        if not np.isfinite(given).all():
+            raise InputError(f"The snapshot's {name} is not finite. Allowed: finite numbers.")
 
 
 def _check_substep(substep: float, tissue: Tissue) -> None:

@@ -15,6 +15,7 @@ sys.path.append(str(Path(__file__).parents[1]))
 SIX_JOINTS = """
 title = "An arm of six joints"
 flange_offset_mm = [0, 0, 99.6]
+payload_kg = 5
 home_deg = [0, -90, 90, -90, -90, 0]
 """
 JOINT = """

@@ -17,6 +17,7 @@ from vrcaps.magnet.arm.carrier import (
     flange_at,
     follow,
     magnet_at,
+    parts_of_limits,
     reach,
     reachability,
     source_at,
@@ -205,6 +206,26 @@ def test_speed_needs_a_time(panda):
     with pytest.raises(InputError, match=r"dt is 0\. Allowed: above 0 s\."):
         check_speed(panda, np.zeros((2, 7)), 0)
     check_speed(panda, np.zeros((1, 7)), 1.0)
+
+
+def test_parts_of_limits_are_those_of_the_motion(panda):
+    """q = A sin ωt: speed A ω, acceleration A ω², jerk A ω³."""
+    t = np.arange(0, 2.5, 1e-3)[:, None]
+    size, omega = 0.1 * np.arange(1, 8), 3.0
+    parts = parts_of_limits(panda, size * np.sin(omega * t), 1e-3)
+    for n, name in enumerate(("velocity", "acceleration", "jerk")):
+        limits = np.array([getattr(joint, name) for joint in panda.joints])
+        np.testing.assert_allclose(parts[n], size * omega ** (n + 1) / limits, rtol=1e-4)
+    with pytest.raises(InputError, match=r"3 angles have no jerk\. Allowed: 4 or more"):
+        parts_of_limits(panda, np.zeros((3, 7)), 0.1)
+    with pytest.raises(InputError, match=r"dt is -1\. Allowed: above 0 s\."):
+        parts_of_limits(panda, np.zeros((4, 7)), -1)
+
+
+def test_load_is_the_magnets_weight(panda):
+    """The 4 inch cylinder is twice what a Panda may carry, the 3 inch one is within it."""
+    np.testing.assert_allclose(Carrier(panda, load_magnet("cylinder-101.6")).load, 2.06, atol=0.01)
+    assert Carrier(panda, load_magnet("cylinder-76.2")).load < 0.9
 
 
 def test_reachability_map(carrier):

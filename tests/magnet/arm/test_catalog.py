@@ -35,6 +35,7 @@ LINK = "\n[[links]]\nframe = {}\nstart_mm = [0, 0, 0]\nend_mm = [0, 0, 100]\nrad
     ("old", "new", "message"),
     [
         ("a_mm = -425", "a_mm = true", "six.toml, joints 2: a_mm = true. Allowed: a number."),
+        ("payload_kg = 5", "payload_kg = 0", "payload_kg = 0. Allowed: a number above 0."),
         ("title =", "name =", "'title' is missing (a string)."),
         ("upper_rad = 6.2", "upper_rad = -7", "joint 1: angles -6.2 to -7 rad"),
         ("torque_nm = 150", "torque_nm = 0", "others above 0."),

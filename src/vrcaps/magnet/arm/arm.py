@@ -69,6 +69,7 @@ class Arm:
         joints: Joints from the base on.
         flange_offset: Origin of the flange in the last joint's frame [m]; the axes are the same.
         home: Angles of rest [rad].
+        payload: Largest mass that it may carry [kg].
         links: Capsules around its links.
         apart: Pairs of frames whose links must not touch.
         source: Where the figures come from.
@@ -79,6 +80,7 @@ class Arm:
     joints: tuple[Joint, ...]
     flange_offset: tuple[float, float, float]
     home: tuple[float, ...]
+    payload: float
     links: tuple[Link, ...] = ()
     apart: tuple[tuple[int, int], ...] = ()
     source: str = field(default="", compare=False)

@@ -55,6 +55,11 @@ class Carrier:
         mount[2, 3] = HOLDER + 0.5 * self.magnet.length
         return mount
 
+    @property
+    def load(self) -> float:
+        """The magnet's mass as a part of what the arm may carry, without a holder."""
+        return self.magnet.mass / self.arm.payload
+
     @cached_property
     def loaded_arm(self) -> Arm:
         """The arm with a capsule that holds the magnet at its flange."""
@@ -202,8 +207,7 @@ def check_speed(arm: Arm, angles: Float[np.ndarray, "n j"], dt: float) -> None:
         InputError: If one does; says which, how fast, and what would do.
     """
     limit = np.array([joint.velocity for joint in arm.joints])
-    if not (np.isfinite(dt) and dt > 0.0):
-        raise InputError(f"dt is {dt}. Allowed: above 0 s.")
+    _require_time(dt)
     part = np.abs(np.diff(angles, axis=0)) / dt / limit
     if part.size and part.max() > 1.0:
         step, joint = np.unravel_index(np.argmax(part), part.shape)
@@ -212,6 +216,30 @@ def check_speed(arm: Arm, angles: Float[np.ndarray, "n j"], dt: float) -> None:
             f"{part.max() * limit[joint]:.3g} rad/s. Allowed: {limit[joint]:g}; "
             f"take {part.max():.2f} times as long."
         )
+
+
+def parts_of_limits(
+    arm: Arm, angles: Float[np.ndarray, "n j"], dt: float
+) -> Float[np.ndarray, "3 j"]:
+    """Largest speed, acceleration and jerk of each joint as parts of its limits.
+
+    By differences of angles `dt` apart, as a controller of that rate sees them; more than 1 is too
+    much. Four angles or more; a motion that begins at once, not from rest, begins within them.
+
+    Raises:
+        InputError: If `dt` is not above 0, or there are fewer than four angles.
+    """
+    _require_time(dt)
+    if len(angles) < 4:
+        raise InputError(f"{len(angles)} angles have no jerk. Allowed: 4 or more.")
+    limits = np.array([[j.velocity, j.acceleration, j.jerk] for j in arm.joints]).T
+    peaks = [np.abs(np.diff(angles, n=n, axis=0)).max(axis=0) / dt**n for n in (1, 2, 3)]
+    return np.array(peaks) / limits
+
+
+def _require_time(dt: float) -> None:
+    if not (np.isfinite(dt) and dt > 0.0):
+        raise InputError(f"dt is {dt}. Allowed: above 0 s.")
 
 
 def reachability(

@@ -54,11 +54,12 @@ def read_arm(path: Path) -> Arm:
     source = table.text("source") if table.has("source") else ""
     offset = _place(table, "flange_offset_mm")
     home = table.numbers("home_deg", None, DEGREE)
+    payload = table.number("payload_kg", above=0)
     joints = tuple(_read_joint(joint) for joint in table.tables("joints"))
     links = tuple(map(_read_link, table.tables("links"))) if table.has("links") else ()
     apart = _read_pairs(table) if table.has("apart") else ()
     table.finish()
-    return Arm(path.stem, title, joints, offset, home, links, apart, source)
+    return Arm(path.stem, title, joints, offset, home, payload, links, apart, source)
 
 
 def _read_joint(table: TomlTable) -> Joint:

@@ -43,6 +43,7 @@ class FemDeformation:
         fixed: Stretches of arc length, from and to [m], where the wall is held.
         edge: Length of the elements' edges along the wall [m]; nodes are half as far apart.
         layers: Elements through the thickness.
+        step: Longest time step of the layer in a `World` [s]; the capsule's own are shorter.
     """
 
     thickness: float = 2.0 * MM
@@ -57,11 +58,12 @@ class FemDeformation:
     fixed: tuple[tuple[float, float], ...] = ()
     edge: float = 16.0 * MM
     layers: int = 1
+    step: float = 5e-3
 
     def __post_init__(self) -> None:
         if self.model not in _MODELS:
             raise UnknownNameError("model", self.model, _MODELS)
-        for name in ("thickness", "density", "youngs_modulus", "edge"):
+        for name in ("thickness", "density", "youngs_modulus", "edge", "step"):
             value = getattr(self, name)
             require(0.0 < value < math.inf, name, value, "above 0")
         for name in ("support", "damping"):
@@ -80,6 +82,11 @@ class FemDeformation:
                 span,
                 "pairs of arc lengths in metres, from and to",
             )
+
+    @property
+    def longest_step(self) -> float:
+        """Longest substep of a capsule on the layer [s]."""
+        return self.step
 
     @property
     def shear(self) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -126,6 +127,14 @@ class FemWall:
             raise InputError(str(error)) from error
         yields = self.yields
         return yields[:, :3], yields[:, 3:]
+
+    def carry(self, world: _core.World) -> None:
+        """Puts the layer under a world's wall: what touches the one loads the other."""
+        world.set_layer(self._core, _TOLERANCE * self.deformation.thickness)
+
+    def num_steps(self, dt: float) -> int:
+        """Steps of the layer in a time `dt` [s], none longer than its deformation's `step`."""
+        return max(1, math.ceil(dt / self.deformation.step * (1.0 - 1e-9)))
 
     def snapshot(self) -> Float[np.ndarray, "nodes 6"]:
         """Displacement [m] and velocity [m/s] of the free nodes: all that changes, exactly."""

@@ -8,7 +8,6 @@ from vrcaps.record.pictures import contact_sheet, limits_of, picture
 from vrcaps.record.preview import Preview
 from vrcaps.render.frame import CHANNELS
 
-
 FRONT = ("front_label", "front_instance", "front_depth")
 
 

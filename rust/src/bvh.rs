@@ -14,6 +14,8 @@ use std::time::Duration;
 pub const WIDTH: usize = 8;
 /// Marks a child that is a leaf; the other bits are `first triangle · 4 + count`.
 const LEAF: u32 = 1 << 31;
+/// Most primitives of a leaf.
+pub const MAX_PER_LEAF: usize = 3;
 /// Larger than any coordinate [m]: bounds of an empty child exclude everything.
 const FAR: f32 = 1e30;
 /// Levels above the branches that are refitted side by side: up to 64 branches.
@@ -39,6 +41,11 @@ pub enum Child {
 }
 
 impl Child {
+    /// The entry of `Node::children` for a leaf of up to `MAX_PER_LEAF` primitives.
+    pub fn leaf(first: usize, count: usize) -> u32 {
+        LEAF | ((first as u32) << 2) | count as u32
+    }
+
     /// Decodes an entry of `Node::children`.
     #[inline(always)]
     pub fn of(code: u32) -> Self {
@@ -201,20 +208,22 @@ impl<'a> Part<'a> {
 
 impl Node {
     /// A node without children.
-    fn empty() -> Self {
+    pub fn empty() -> Self {
         let (low, high) = ([FAR; WIDTH], [-FAR; WIDTH]);
         Node { bounds: [low, low, low, high, high, high], children: [LEAF; WIDTH] }
     }
 
+    /// Sets the bounds of child `k`: lower x, y, z, then upper x, y, z [m].
     #[inline(always)]
-    fn set(&mut self, k: usize, bounds: [f32; 6]) {
+    pub fn set(&mut self, k: usize, bounds: [f32; 6]) {
         for (row, value) in self.bounds.iter_mut().zip(bounds) {
             row[k] = value;
         }
     }
 
+    /// Bounds of all children.
     #[inline(always)]
-    fn union(&self) -> [f32; 6] {
+    pub fn union(&self) -> [f32; 6] {
         let lowest = |row: &[f32; WIDTH]| row.iter().fold(FAR, |m, &x| min(m, x));
         let highest = |row: &[f32; WIDTH]| row.iter().fold(-FAR, |m, &x| max(m, x));
         let [x0, y0, z0, x1, y1, z1] = &self.bounds;
@@ -289,6 +298,6 @@ impl<'a> Collapse<'a> {
             let face = self.binary.primitive_indices[k as usize];
             self.out.triangles.push(Triangle { corners: [[0.0; 3]; 3], face });
         }
-        LEAF | (start << 2) | count
+        Child::leaf(start as usize, count as usize)
     }
 }

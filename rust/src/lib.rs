@@ -4,6 +4,8 @@
 #![allow(clippy::needless_range_loop)]
 
 mod bvh;
+mod channels;
+mod contents;
 mod cpu;
 mod fem;
 mod image;
@@ -33,11 +35,14 @@ fn _core(m: &Bound<'_, PyModule>) -> PyResult<()> {
     m.add_class::<magnet::arm::ArmChain>()?;
     m.add_class::<magnet::handle::FieldSources>()?;
     m.add_class::<physics::world::World>()?;
+    m.add_class::<contents::Contents>()?;
+    m.add_class::<contents::swarm::Swarm>()?;
+    m.add_function(wrap_pyfunction!(contents::swarm::terminal_speed, m)?)?;
     m.add_class::<scene::Scene>()?;
     m.add_class::<texture::Texture>()?;
     m.add_class::<rays::RayTable>()?;
     m.add_function(wrap_pyfunction!(render::render, m)?)?;
-    m.add_function(wrap_pyfunction!(render::encode_srgb, m)?)?;
+    m.add_function(wrap_pyfunction!(channels::encode_srgb, m)?)?;
     m.add_function(wrap_pyfunction!(image::write_pngs, m)?)?;
     m.add_function(wrap_pyfunction!(image::encode_pngs, m)?)?;
     m.add_function(wrap_pyfunction!(image::decode_pngs, m)?)?;

@@ -124,7 +124,7 @@ fn schlick(cosine: f32) -> f32 {
 
 /// Reflectance of a smooth dielectric for unpolarised light (Fresnel).
 #[inline(always)]
-fn fresnel(cosine: f32, ior: f32) -> f32 {
+pub fn fresnel(cosine: f32, ior: f32) -> f32 {
     let inside = max(1.0 - (1.0 - cosine * cosine) / (ior * ior), 0.0).sqrt();
     let across = (cosine - ior * inside) / (cosine + ior * inside);
     let along = (ior * cosine - inside) / (ior * cosine + inside);

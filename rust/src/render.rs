@@ -1,13 +1,16 @@
 //! One image: trace, shade and write every channel that was asked for.
 
+use crate::channels::{Channels, Place, slice, take};
+use crate::contents::Contents;
+use crate::contents::tile::{Filled, Room};
 use crate::lanes::*;
 use crate::material::Led;
 use crate::rays::{RayTable, TileRays};
 use crate::scene::{Scene, SceneData};
 use crate::shade::{Attributes, attributes, light, surface};
-use crate::tile::{Hits, trace};
+use crate::tile::{Hits, Pyramid, trace};
 use crate::wall::Wall;
-use numpy::{Element, PyArrayDyn, PyArrayMethods, PyReadonlyArray2, PyReadwriteArrayDyn};
+use numpy::PyReadonlyArray2;
 use pyo3::{exceptions::PyValueError, prelude::*, types::PyDict};
 use rayon::prelude::*;
 
@@ -15,15 +18,19 @@ use rayon::prelude::*;
 const REACH: f32 = 1e4;
 
 /// Everything about a view but its rays.
-struct View {
-    origin: Vec3,
+pub struct View {
+    /// Where the camera is, about the wall's centre [m].
+    pub origin: Vec3,
     /// Rows of the rotation from the camera to the world, and back.
     to_world: [Vec3; 3],
     to_camera: [Vec3; 3],
     center: [f64; 3],
-    leds: Vec<Led>,
-    exposure: f32,
-    shadows: bool,
+    /// LEDs about the wall's centre.
+    pub leds: Vec<Led>,
+    /// Factor from radiance to linear image value.
+    pub exposure: f32,
+    /// Whether things cast shadows.
+    pub shadows: bool,
 }
 
 impl View {
@@ -57,68 +64,11 @@ impl View {
     }
 }
 
-/// Channels of an image, or of a row of its tiles; those not asked for are absent.
-#[derive(Default)]
-struct Channels<'a> {
-    rgb: Option<&'a mut [u8]>,
-    radiance: Option<&'a mut [f32]>,
-    depth: Option<&'a mut [f32]>,
-    ray_distance: Option<&'a mut [f32]>,
-    normal: Option<&'a mut [f32]>,
-    label: Option<&'a mut [u8]>,
-    instance: Option<&'a mut [u16]>,
-    albedo: Option<&'a mut [f32]>,
-    arc_length: Option<&'a mut [f32]>,
-    position: Option<&'a mut [f32]>,
-    face: Option<&'a mut [i32]>,
-    weights: Option<&'a mut [f32]>,
-}
-
-impl<'a> Channels<'a> {
-    /// Cuts the image into rows of tiles.
-    fn bands(self, width: usize, count: usize) -> Vec<Channels<'a>> {
-        fn cut<T>(
-            channel: Option<&mut [T]>,
-            length: usize,
-        ) -> impl Iterator<Item = Option<&mut [T]>> {
-            let mut rest = channel.map(|c| c.chunks_mut(length));
-            std::iter::from_fn(move || Some(rest.as_mut().and_then(Iterator::next)))
-        }
-        let n = width * TILE;
-        let (mut rgb, mut radiance) = (cut(self.rgb, n * 3), cut(self.radiance, n * 3));
-        let (mut depth, mut ray_distance) = (cut(self.depth, n), cut(self.ray_distance, n));
-        let (mut normal, mut position) = (cut(self.normal, n * 3), cut(self.position, n * 3));
-        let (mut label, mut instance) = (cut(self.label, n), cut(self.instance, n));
-        let (mut albedo, mut arc_length) = (cut(self.albedo, n * 3), cut(self.arc_length, n));
-        let (mut face, mut weights) = (cut(self.face, n), cut(self.weights, n * 2));
-        (0..count)
-            .map(|_| Channels {
-                rgb: rgb.next().flatten(),
-                radiance: radiance.next().flatten(),
-                depth: depth.next().flatten(),
-                ray_distance: ray_distance.next().flatten(),
-                normal: normal.next().flatten(),
-                label: label.next().flatten(),
-                instance: instance.next().flatten(),
-                albedo: albedo.next().flatten(),
-                arc_length: arc_length.next().flatten(),
-                position: position.next().flatten(),
-                face: face.next().flatten(),
-                weights: weights.next().flatten(),
-            })
-            .collect()
-    }
-
-    fn wants_color(&self) -> bool {
-        self.rgb.is_some() || self.radiance.is_some() || self.albedo.is_some()
-    }
-}
-
 /// Renders the channels of `out`, a dictionary of C-contiguous arrays of the table's shape.
 ///
 /// `leds` holds position [m], direction, intensity [W/sr] and lobe exponent of each in the world.
 #[pyfunction]
-#[pyo3(signature = (wall, scene, rays, pose, leds, out, *, exposure, shadows))]
+#[pyo3(signature = (wall, scene, rays, pose, leds, out, *, exposure, shadows, contents=None))]
 #[allow(clippy::too_many_arguments)] // the one door from Python
 pub fn render(
     py: Python<'_>,
@@ -130,6 +80,7 @@ pub fn render(
     out: &Bound<'_, PyDict>,
     exposure: f32,
     shadows: bool,
+    contents: Option<&Contents>,
 ) -> PyResult<()> {
     if scene.data.faces.len() != wall.faces.len()
         || scene.data.arc_length.len() != wall.vertices.len()
@@ -152,6 +103,9 @@ pub fn render(
     let mut position = take::<f32>(out, "position", shape, 3)?;
     let mut face = take::<i32>(out, "face", shape, 1)?;
     let mut weights = take::<f32>(out, "weights", shape, 2)?;
+    let mut front_label = take::<u8>(out, "front_label", shape, 1)?;
+    let mut front_instance = take::<u16>(out, "front_instance", shape, 1)?;
+    let mut front_depth = take::<f32>(out, "front_depth", shape, 1)?;
     let channels = Channels {
         rgb: slice(&mut rgb)?,
         radiance: slice(&mut radiance)?,
@@ -165,42 +119,25 @@ pub fn render(
         position: slice(&mut position)?,
         face: slice(&mut face)?,
         weights: slice(&mut weights)?,
+        front_label: slice(&mut front_label)?,
+        front_instance: slice(&mut front_instance)?,
+        front_depth: slice(&mut front_depth)?,
     };
     py.detach(|| {
         let columns = rays.columns();
+        let filled = contents.map(|c| Filled::new(wall, &scene.data, c, &view));
         let bands = channels.bands(rays.width, rays.tiles.len() / columns);
         bands.into_par_iter().enumerate().for_each(|(row, mut band)| {
             let tiles = &rays.tiles[row * columns..(row + 1) * columns];
             let height = (rays.height - row * TILE).min(TILE);
-            render_band(wall, &scene.data, &view, tiles, (rays.width, height), &mut band);
+            let size = (rays.width, height);
+            match &filled {
+                Some(filled) => render_filled_band(filled, tiles, size, &mut band),
+                None => render_band(wall, &scene.data, &view, tiles, size, &mut band),
+            }
         });
     });
     Ok(())
-}
-
-fn take<'py, T: Element>(
-    out: &Bound<'py, PyDict>,
-    name: &str,
-    (height, width): (usize, usize),
-    components: usize,
-) -> PyResult<Option<PyReadwriteArrayDyn<'py, T>>> {
-    let Some(value) = out.get_item(name)? else {
-        return Ok(None);
-    };
-    let array = value
-        .cast::<PyArrayDyn<T>>()
-        .map_err(|_| PyValueError::new_err(format!("Channel {name} has the wrong dtype.")))?;
-    let array = array.try_readwrite()?;
-    if array.as_array().len() != height * width * components {
-        return Err(PyValueError::new_err(format!("Channel {name} has the wrong shape.")));
-    }
-    Ok(Some(array))
-}
-
-fn slice<'a, T: Element>(
-    array: &'a mut Option<PyReadwriteArrayDyn<'_, T>>,
-) -> PyResult<Option<&'a mut [T]>> {
-    array.as_mut().map(|a| a.as_slice_mut().map_err(PyErr::from)).transpose()
 }
 
 #[multiversion::multiversion(targets(
@@ -221,15 +158,26 @@ fn render_band(
     }
 }
 
-#[inline(always)]
-fn render_tile(
-    wall: &Wall,
-    scene: &SceneData,
-    view: &View,
-    tile: &TileRays,
-    place: Place,
+#[multiversion::multiversion(targets(
+    "x86_64+avx512f+avx512bw+avx512cd+avx512dq+avx512vl",
+    "x86_64+avx2",
+    "aarch64+neon"
+))]
+fn render_filled_band(
+    filled: &Filled<'_>,
+    tiles: &[TileRays],
+    size: (usize, usize),
     out: &mut Channels<'_>,
 ) {
+    let mut room = Room::default();
+    for (column, tile) in tiles.iter().enumerate() {
+        filled.render_tile(tile, Place { column: column * TILE, size }, &mut room, out);
+    }
+}
+
+/// The rays of a tile in the world, and where they meet the wall.
+#[inline(always)]
+pub fn primary(wall: &Wall, view: &View, tile: &TileRays) -> (Pyramid, Hits) {
     let mut reach = [0.0; LANES];
     for i in 0..LANES {
         reach[i] = if tile.used[i] { REACH } else { 0.0 };
@@ -239,6 +187,19 @@ fn render_tile(
     if tile.any {
         trace::<false>(&wall.bvh, view.origin, &rays, wall.extent, &mut hits);
     }
+    (rays, hits)
+}
+
+#[inline(always)]
+fn render_tile(
+    wall: &Wall,
+    scene: &SceneData,
+    view: &View,
+    tile: &TileRays,
+    place: Place,
+    out: &mut Channels<'_>,
+) {
+    let (rays, hits) = primary(wall, view, tile);
     let found = attributes(wall, scene, view.origin, &rays.directions, &hits);
     if out.wants_color() {
         let surface = surface(scene, &found, &hits.distance, tile.pixel_angle);
@@ -250,8 +211,9 @@ fn render_tile(
     write_geometry(view, tile, &hits, &found, place, out);
 }
 
+/// Writes the channels of the surfaces met.
 #[inline(always)]
-fn write_geometry(
+pub fn write_geometry(
     view: &View,
     tile: &TileRays,
     hits: &Hits,
@@ -298,111 +260,4 @@ fn write_geometry(
             if hit[i] { [first[i], second[i]][k] } else { f32::NAN }
         },
     );
-}
-
-/// Where a tile lies in its band.
-#[derive(Clone, Copy)]
-struct Place {
-    column: usize,
-    /// Width and height of the band [pixels].
-    size: (usize, usize),
-}
-
-impl Place {
-    #[inline(always)]
-    fn write_each<T: Copy>(
-        self,
-        channel: &mut Option<&mut [T]>,
-        components: usize,
-        value: impl Fn(usize, usize) -> T,
-    ) {
-        let Some(pixels) = channel else { return };
-        let (width, height) = self.size;
-        let columns = (width - self.column).min(TILE);
-        for y in 0..height {
-            let start = (y * width + self.column) * components;
-            let row = &mut pixels[start..start + columns * components];
-            for (x, pixel) in row.chunks_exact_mut(components).enumerate() {
-                for (k, out) in pixel.iter_mut().enumerate() {
-                    *out = value(y * TILE + x, k);
-                }
-            }
-        }
-    }
-
-    #[inline(always)]
-    fn write<T: Copy>(
-        self,
-        channel: &mut Option<&mut [T]>,
-        values: &[T; LANES],
-        hit: &[bool; LANES],
-        miss: T,
-    ) {
-        let Some(pixels) = channel else { return };
-        let mut known = [miss; LANES];
-        for i in 0..LANES {
-            known[i] = if hit[i] { values[i] } else { miss };
-        }
-        let (width, height) = self.size;
-        let columns = (width - self.column).min(TILE);
-        for (y, row) in known.chunks_exact(TILE).take(height).enumerate() {
-            let start = y * width + self.column;
-            pixels[start..start + columns].copy_from_slice(&row[..columns]);
-        }
-    }
-
-    #[inline(always)]
-    fn write3(
-        self,
-        channel: &mut Option<&mut [f32]>,
-        values: &Lane3,
-        hit: &[bool; LANES],
-        miss: f32,
-    ) {
-        if channel.is_none() {
-            return;
-        }
-        let mut known = [[miss; LANES]; 3];
-        for k in 0..3 {
-            for i in 0..LANES {
-                known[k][i] = if hit[i] { values[k][i] } else { miss };
-            }
-        }
-        self.write_each(channel, 3, |i, k| known[k][i]);
-    }
-
-    #[inline(always)]
-    fn write_color(self, channel: &mut Option<&mut [u8]>, radiance: &Lane3, exposure: f32) {
-        if channel.is_none() {
-            return;
-        }
-        let mut encoded = [[0u8; LANES]; 3];
-        for k in 0..3 {
-            for i in 0..LANES {
-                encoded[k][i] = srgb(radiance[k][i] * exposure);
-            }
-        }
-        self.write_each(channel, 3, |i, k| encoded[k][i]);
-    }
-}
-
-/// 8-bit sRGB of a linear value (IEC 61966-2-1), rounded to nearest.
-#[inline(always)]
-fn srgb(linear: f32) -> u8 {
-    let x = clamp(linear, 0.0, 1.0);
-    let curve = 1.055 * pow(x, 1.0 / 2.4) - 0.055;
-    let encoded = if x <= 0.003_130_8 { 12.92 * x } else { curve };
-    // Adding 2²³ rounds to a whole number and leaves it in the low bits.
-    (encoded * 255.0 + 8_388_608.0).to_bits() as u8
-}
-
-/// 8-bit sRGB image [h w 3] of linear radiance [h w 3] times `exposure`.
-#[pyfunction]
-pub fn encode_srgb<'py>(
-    py: Python<'py>,
-    radiance: numpy::PyReadonlyArray3<'py, f32>,
-    exposure: f32,
-) -> Bound<'py, numpy::PyArray3<u8>> {
-    use numpy::ToPyArray;
-    radiance.as_array().mapv(|x| srgb(x * exposure)).to_pyarray(py)
 }

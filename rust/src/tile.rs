@@ -7,6 +7,7 @@
 
 use crate::bvh::{Bvh, Child, Node, Triangle, WIDTH};
 use crate::lanes::*;
+use std::ops::Range;
 
 /// Deepest pile of nodes waiting to be visited: 7 per level of a tree of depth 32.
 const STACK: usize = 7 * 32 + 8;
@@ -152,13 +153,7 @@ pub fn trace<const ANY: bool>(
     extent: f32,
     hits: &mut Hits,
 ) {
-    let margin = extent * 1e-6;
-    let (sides, near) = if rays.closed {
-        let sides = rays.sides.map(|normal| Plane::new(normal, origin, margin, true));
-        (sides, Plane::new(rays.axis, origin, -margin, false))
-    } else {
-        ([0; 4].map(|_| Plane::everywhere()), Plane::everywhere())
-    };
+    let (sides, near) = planes(origin, rays, extent);
     let mut stack = [(0u32, 0.0f32); STACK];
     let mut top = 1;
     let mut farthest = farthest_of(&hits.distance);
@@ -187,8 +182,44 @@ pub fn trace<const ANY: bool>(
     }
 }
 
+/// The sides of the pyramid and the plane from which distance is counted.
 #[inline(always)]
-fn farthest_of(distance: &Lane) -> f32 {
+fn planes(origin: Vec3, rays: &Pyramid, extent: f32) -> ([Plane; 4], Plane) {
+    let margin = extent * 1e-6;
+    if !rays.closed {
+        return ([0; 4].map(|_| Plane::everywhere()), Plane::everywhere());
+    }
+    let sides = rays.sides.map(|normal| Plane::new(normal, origin, margin, true));
+    (sides, Plane::new(rays.axis, origin, -margin, false))
+}
+
+/// Visits the leaves of any hierarchy that the rays may touch nearer than `farthest` [m].
+#[inline(always)]
+pub fn leaves(
+    nodes: &[Node],
+    origin: Vec3,
+    rays: &Pyramid,
+    extent: f32,
+    farthest: f32,
+    mut visit: impl FnMut(Range<usize>),
+) {
+    let (sides, near) = planes(origin, rays, extent);
+    let mut stack = [(0u32, 0.0f32); STACK];
+    let mut top = usize::from(!nodes.is_empty());
+    while top > 0 {
+        top -= 1;
+        match Child::of(stack[top].0) {
+            Child::Node(number) => {
+                top = push_children(&nodes[number], &sides, &near, farthest, &mut stack, top);
+            }
+            Child::Leaf(range) => visit(range),
+        }
+    }
+}
+
+/// The largest of a tile's distances.
+#[inline(always)]
+pub fn farthest_of(distance: &Lane) -> f32 {
     // Sixteen partial maxima keep the loop a vector loop.
     let mut partial = [0.0f32; 16];
     for row in distance.chunks_exact(16) {

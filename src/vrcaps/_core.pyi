@@ -144,6 +144,37 @@ class RayTable:
     shape: tuple[int, int]
     def __init__(self, directions: NDArray[np.float32]) -> None: ...
 
+class Swarm:
+    """Bubbles and particles that move; positions are about `Wall.center`."""
+
+    floats: NDArray[np.float64]
+    count: int
+    def __init__(
+        self,
+        wall: Wall,
+        spheres: Any,
+        laws: Any,
+        tangents: NDArray[np.float64],
+        spacing: float,
+    ) -> None: ...
+    def step(self, wall: Wall, around: Any, dt: float) -> tuple[Vector, Vector]: ...
+    def masses(self) -> list[float]: ...
+
+def terminal_speed(
+    radius: float, density: float, liquid_density: float, viscosity: float, gravity: float
+) -> float: ...
+
+class Contents:
+    """What floats in a lumen at one instant, ready to be seen."""
+
+    def __init__(
+        self, wall: Wall, spheres: Any, film: Any, pools: tuple[Any, Any] | None, label: int
+    ) -> None: ...
+    def move_to(self, wall: Wall, centers: NDArray[np.float64]) -> None: ...
+    def free(
+        self, wall: Wall, origin: tuple[float, float, float], points: NDArray[np.float64]
+    ) -> NDArray[np.bool_]: ...
+
 def render(
     wall: Wall,
     scene: Scene,
@@ -154,6 +185,7 @@ def render(
     *,
     exposure: float,
     shadows: bool,
+    contents: Contents | None = None,
 ) -> None: ...
 def encode_srgb(radiance: NDArray[np.float32], exposure: float) -> NDArray[np.uint8]: ...
 def quantize(values: NDArray[np.float32], scale: float, offset: float) -> NDArray[np.uint16]: ...

@@ -1,7 +1,7 @@
 //! The default mucosa: a solid function of the wall's points, baked into its textures.
 
 mod grid;
-mod noise;
+pub(crate) mod noise;
 mod raster;
 mod tissue;
 mod vessels;

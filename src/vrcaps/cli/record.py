@@ -15,6 +15,7 @@ from vrcaps.errors import InputError
 from vrcaps.organ.read_organ import is_organ_file
 from vrcaps.render.frame import CHANNELS
 from vrcaps.render.settings import RenderSettings
+from vrcaps.tissue.contents.contents import Contents
 from vrcaps.units import LENGTH_UNITS
 from vrcaps.world.fly_through import FlyThrough
 
@@ -37,6 +38,7 @@ class Record:
       vrcaps record --out runs/mine --organ colon.ply --unit mm --capsule pillcam-colon2
       vrcaps record --out runs/patient --organ colon-3.glb
       vrcaps record --out runs/polyp --lesion polyp-Ip:size=12mm,segment=sigmoid
+      vrcaps record --out runs/foam --organ small-bowel --bubbles 3 --chyme 1 --liquid 2
       vrcaps record --out runs/photo --organ colon --mucosa my-mucosa
       vrcaps record --out runs/soft --organ small-bowel --motion physics --motility phase-three
       vrcaps record --out runs/roll --organ stomach --motion physics --turn left-lateral:at=4
@@ -87,6 +89,15 @@ class Record:
 
     clean_twin: bool = False
     """Record the same flight through the same patient without the lesions."""
+
+    bubbles: int = 0
+    """Bubbles in the lumen, by grade: 0 none, 1 a few, 2 rings, 3 rafts, 4 foam."""
+
+    chyme: int = 0
+    """Yellow and white particles of food, by grade: 0 none, 1 specks, … 4 much of the wall."""
+
+    liquid: int = 0
+    """Liquid in the lumen's dips, by grade: 0 none, 1 puddles, … 4 a third full."""
 
     posture: str = "supine"
     """How the patient lies: supine, prone, left-lateral, right-lateral, standing."""
@@ -184,6 +195,7 @@ class Record:
             wall=self.wall,
             lesions=chosen_lesions(self.lesion, self.lesions, self._patient_seed(), self.organ),
             clean_twin=self.clean_twin,
+            contents=Contents(self.bubbles, self.chyme, self.liquid, seed=self._patient_seed()),
         )
 
     def _patient_seed(self) -> int:

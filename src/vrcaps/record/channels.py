@@ -104,5 +104,8 @@ ENCODINGS: dict[str, Encoding] = {
     "flow_forward": _flow(),
     "flow_backward": _flow(),
     "occlusion": Encoding("1", "uint8", 1, is_mask=True),
+    "front_label": Encoding("class", "uint8", 1),
+    "front_instance": Encoding("number", "uint16", 1),
+    "front_depth": _distance(),
 }
 """Encoding of every channel of `Frame`."""

@@ -50,7 +50,7 @@ def make_head(scenario: Scenario, model: Model, notes: tuple[str, ...]) -> dict[
         "organ": {
             "name": organ.name,
             "path": ORGAN_GLB,
-            "label_names": list(organ.label_names),
+            "label_names": list(model.label_names),
             "num_vertices": len(organ.vertices),
             "num_faces": len(organ.faces),
             "centerline_length_m": organ.centerline.length,

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from vrcaps.tissue.contents.filling import FRONT_NAMES
 from vrcaps.units import MM
 
 if TYPE_CHECKING:
@@ -13,6 +14,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from vrcaps.record.episode import Episode
+
+CLASSES = ("label", "instance", "front_label", "front_instance")
+"""Channels of numbers that stand for things."""
 
 _BACKGROUND = np.array([24, 24, 28], np.uint8)
 _TEXT = (230, 230, 230)
@@ -33,7 +37,7 @@ def picture(
     """
     if channel == "rgb":
         return values
-    if channel in ("label", "instance"):
+    if channel in CLASSES:
         return _class_colors()[values.astype(int) % 256]
     if channel == "occlusion":
         return np.repeat(np.where(values, np.uint8(255), np.uint8(64))[..., None], 3, axis=-1)
@@ -56,7 +60,7 @@ def limits_of(channel: str, images: list[NDArray]) -> tuple[float, float]:
     """Ends of the colour map that suit some images of a channel."""
     if channel == "normal":
         return -1.0, 1.0
-    if channel in ("rgb", "albedo", "label", "instance", "occlusion"):
+    if channel in ("rgb", "albedo", "occlusion", *CLASSES):
         return 0.0, 1.0
     values = np.concatenate([image[np.isfinite(image)].ravel() for image in images])
     if values.size == 0:
@@ -89,7 +93,7 @@ def contact_sheet(episode: Episode) -> UInt8[np.ndarray, "h w 3"]:
         tile = (round(camera.width * _TILE_HEIGHT / camera.height), _TILE_HEIGHT)
         for column, image in enumerate(images):
             shown = Image.fromarray(np.ascontiguousarray(picture(channel, image, limits)))
-            is_class = channel in ("label", "instance", "occlusion")
+            is_class = channel in ("occlusion", *CLASSES)
             method = Image.Resampling.NEAREST if is_class else Image.Resampling.BOX
             left = _MARGIN + column * (max(widths) + _MARGIN)
             sheet.paste(shown.resize(tile, method), (left, top + _LINE))
@@ -107,14 +111,16 @@ def _legend(
     episode: Episode, channel: str, images: list[NDArray], limits: tuple[float, float]
 ) -> str:
     low, high = limits
-    if channel in ("depth", "ray_distance", "arc_length"):
+    if channel in ("depth", "ray_distance", "arc_length", "front_depth"):
         return f", {low / MM:.0f} to {high / MM:.0f} mm (blue to red)"
     if channel.startswith("flow"):
         return f", hue is direction, up to {high:.1f} px"
     if channel == "label":
         seen = np.unique(np.concatenate([np.unique(image) for image in images]))
         return f": {', '.join(episode.label_names[i] for i in seen if i > 0)}"
-    if channel == "instance":
+    if channel == "front_label":
+        return f": {', '.join(FRONT_NAMES[1:])}"
+    if channel in ("instance", "front_instance"):
         seen = np.unique(np.concatenate([np.unique(image) for image in images]))
         return f": {', '.join(str(i) for i in seen if i > 0) or 'none'}"
     return ""

@@ -23,6 +23,7 @@ from vrcaps.organ.surface import OrganSurface
 from vrcaps.record.typed import from_plain, to_plain
 from vrcaps.render.frame import CHANNELS
 from vrcaps.render.settings import RenderSettings
+from vrcaps.tissue.contents.contents import Contents
 from vrcaps.units import parse_length
 from vrcaps.world.fly_through import FlyThrough, fly_through
 from vrcaps.world.model import Model, posture_transform
@@ -105,6 +106,7 @@ class Scenario:
         wall: Store where every vertex of the wall is in each frame.
         lesions: What to put into the organ; number k becomes instance k, counted from 1.
         clean_twin: Show the same patient without the lesions; the motion stays as it is with them.
+        contents: What floats in the lumen.
     """
 
     organ: OrganGenerated | OrganFile = field(default_factory=OrganGenerated)
@@ -119,6 +121,7 @@ class Scenario:
     wall: bool = False
     lesions: tuple[AnyLesion, ...] = ()
     clean_twin: bool = False
+    contents: Contents = field(default_factory=Contents)
 
 
 def read_scenario(path: str | Path) -> Scenario:
@@ -222,9 +225,11 @@ def build(scenario: Scenario, device: Device) -> tuple[Model, Run]:
         InputError: If the organ cannot be made or the capsule cannot move in it as asked.
     """
     T_world_patient = posture_transform(scenario.posture)
-    shown = model = Model(_load_patient(scenario), device, T_world_patient)
+    contents = scenario.contents
+    shown = model = Model(_load_patient(scenario), device, T_world_patient, contents)
     if scenario.clean_twin:
-        shown = Model(_load_patient(scenario, clean=True), device, T_world_patient)
+        twin = _load_patient(scenario, clean=True)
+        shown = Model(twin, device, T_world_patient, contents)
     if not isinstance(scenario.motion, Physics):
         return shown, make_trajectory(scenario, model)
     assert scenario.fps is not None

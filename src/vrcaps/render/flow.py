@@ -10,6 +10,7 @@ import numpy as np
 from vrcaps._core import Wall
 from vrcaps.capsule.device import Camera
 from vrcaps.capsule.rays import pixel_grid, project_points
+from vrcaps.tissue.contents.filling import Filling
 from vrcaps.transforms import invert, transform_points
 from vrcaps.world.model import State
 
@@ -23,7 +24,7 @@ class SurfacePoints:
 
     Attributes:
         position: Place now in the world frame [m]; NaN where there is none.
-        face: Face it lies on, −1 where there is none.
+        face: Face it lies on, −1 where there is none, −2 − k on sphere k of the filling.
         weights: Weights of the face's first and second corner.
     """
 
@@ -31,8 +32,33 @@ class SurfacePoints:
     face: Int[np.ndarray, "h w"]
     weights: Float[np.ndarray, "h w 2"]
 
-    def moved(self, faces: Int[np.ndarray, "m 3"], state: State) -> Float[np.ndarray, "h w 3"]:
-        """The same points of the wall in another state, world frame [m]."""
+    def moved(
+        self,
+        faces: Int[np.ndarray, "m 3"],
+        state: State,
+        now: Filling | None = None,
+        then: Filling | None = None,
+    ) -> Float[np.ndarray, "h w 3"]:
+        """The same points of the wall and of spheres in another state, world frame [m].
+
+        Args:
+            faces: Of the wall.
+            state: The other state.
+            now: What is in the lumen now.
+            then: What is in it in the other state.
+        """
+        points = self._moved_wall(faces, state)
+        afloat = self.face < -1
+        if now is None or then is None or not afloat.any():
+            return points
+        sphere = -2 - self.face[afloat]
+        shift = then.spheres.centers[sphere] - now.spheres.centers[sphere]
+        points[afloat] = self.position[afloat] + shift
+        return points
+
+    def _moved_wall(
+        self, faces: Int[np.ndarray, "m 3"], state: State
+    ) -> Float[np.ndarray, "h w 3"]:
         if state.vertices_world is None:
             return self.position.astype(np.float64)
         corners = state.vertices_world[faces[self.face]]

@@ -46,6 +46,15 @@ class Frame:
     occlusion: Bool[np.ndarray, "h w"] | None = _channel(
         "1", "surface point is not seen in the next frame (hidden or out of view)"
     )
+    front_label: UInt8[np.ndarray, "h w"] | None = _channel(
+        "class", "nearest thing that the pixel looks through: 0 nothing, 1 bubble, 2 liquid"
+    )
+    front_instance: UInt16[np.ndarray, "h w"] | None = _channel(
+        "number", "bubble or pool that the pixel looks through"
+    )
+    front_depth: Float[np.ndarray, "h w"] | None = _channel(
+        "m", "z in the camera frame where the thing in front begins"
+    )
 
 
 CHANNELS: tuple[str, ...] = tuple(f.name for f in fields(Frame))

@@ -15,6 +15,7 @@ from vrcaps.organ.surface import Appearance, OrganSurface, coat_alpha, face_labe
 from vrcaps.render.flow import SurfacePoints, flow, seen_from
 from vrcaps.render.frame import CHANNELS, Frame
 from vrcaps.render.settings import RenderSettings
+from vrcaps.tissue.contents.filling import Filling
 from vrcaps.transforms import rotate_vectors, transform_points
 from vrcaps.world.model import Model, State
 
@@ -42,9 +43,13 @@ _ARRAYS: dict[str, tuple[type[np.generic], tuple[int, ...]]] = {
     "position": (np.float32, (3,)),
     "face": (np.int32, ()),
     "weights": (np.float32, (2,)),
+    "front_label": (np.uint8, ()),
+    "front_instance": (np.uint16, ()),
+    "front_depth": (np.float32, ()),
 }
 """Arrays the core fills: dtype and what follows (height, width)."""
 
+_NO_FRONT = {"front_label": 0, "front_instance": 0, "front_depth": np.nan}
 _COLOR = {"rgb", "radiance"}
 _NEEDS_NEXT = {"flow_forward", "occlusion"}
 _NEEDS_PREVIOUS = {"flow_backward"}
@@ -58,6 +63,7 @@ class Renderer:
         self.settings = settings or RenderSettings()
         self._scene = _scene(model.organ)
         self._walls: dict[str, _core.Wall] = {}
+        self._contents: dict[str, tuple[Filling, _core.Wall, _core.Contents]] = {}
         self._tables: dict[tuple[int, int], tuple[Camera, _core.RayTable]] = {}
 
     def render(
@@ -87,9 +93,11 @@ class Renderer:
         _check_channels(channels, state_next, state_previous)
         arrays = self._arrays(channels, camera, out)
         wall = self._wall(state, "now")
+        filling = self._filling(state)
         T_world_camera = state.T_world_capsule @ camera.T_capsule_camera
-        self._draw(wall, camera, T_world_camera, arrays)
-        motion = self._motion(camera, arrays, channels, state_next, state_previous)
+        contents = None if filling is None else self._core_contents(filling, wall, "now")
+        self._draw(wall, camera, T_world_camera, arrays, contents)
+        motion = self._motion(camera, arrays, channels, (state_previous, state, state_next))
         wanted = {name: arrays[name] for name in channels if name in arrays}
         return Frame(**wanted, **motion)
 
@@ -99,7 +107,12 @@ class Renderer:
         camera: Camera,
         T_world_camera: Float[np.ndarray, "4 4"],
         arrays: dict[str, NDArray[Any]],
+        contents: _core.Contents | None,
     ) -> None:
+        if contents is None:
+            for name, nothing in _NO_FRONT.items():
+                if name in arrays:
+                    arrays[name].fill(nothing)
         factor = self.settings.supersampling
         leds = _leds_world(camera, T_world_camera)
 
@@ -113,6 +126,7 @@ class Renderer:
                 into,
                 exposure=camera.exposure,
                 shadows=self.settings.shadows,
+                contents=contents,
             )
 
         if factor == 1 or not _COLOR & arrays.keys():
@@ -133,25 +147,32 @@ class Renderer:
         camera: Camera,
         arrays: dict[str, NDArray[Any]],
         channels: Sequence[str],
-        state_next: State | None,
-        state_previous: State | None,
+        states: tuple[State | None, State, State | None],
     ) -> dict[str, NDArray[Any]]:
-        """Channels that compare this frame with its neighbours."""
+        """Channels that compare this frame with its neighbours, of states before, now, after."""
+        state_previous, state, state_next = states
         motion: dict[str, NDArray[Any]] = {}
         if "position" not in arrays or not (_NEEDS_NEXT | _NEEDS_PREVIOUS) & set(channels):
             return motion
         points = SurfacePoints(arrays["position"], arrays["face"], arrays["weights"])
-        faces = self.model.organ.faces
+        faces, now = self.model.organ.faces, self._filling(state)
         if state_next is not None and _NEEDS_NEXT & set(channels):
-            moved = points.moved(faces, state_next)
+            filling = self._filling(state_next)
+            moved = points.moved(faces, state_next, now, filling)
             forward = flow(camera, moved, state_next)
             if "flow_forward" in channels:
                 motion["flow_forward"] = forward
             if "occlusion" in channels:
                 wall = self._wall(state_next, "next")
-                motion["occlusion"] = ~seen_from(camera, moved, forward, state_next, wall)
+                seen = seen_from(camera, moved, forward, state_next, wall)
+                if filling is not None:
+                    eye = (state_next.T_world_capsule @ camera.T_capsule_camera)[:3, 3]
+                    contents = self._core_contents(filling, wall, "next")
+                    free = contents.free(wall, tuple(eye), moved.reshape(-1, 3))
+                    seen &= free.reshape(seen.shape)
+                motion["occlusion"] = ~seen
         if state_previous is not None and "flow_backward" in channels:
-            moved = points.moved(faces, state_previous)
+            moved = points.moved(faces, state_previous, now, self._filling(state_previous))
             motion["flow_backward"] = flow(camera, moved, state_previous)
         return motion
 
@@ -183,12 +204,40 @@ class Renderer:
         wall.refit(vertices)
         return wall
 
+    def _filling(self, state: State) -> Filling | None:
+        """What is in the lumen in a state."""
+        rest = self.model.filling
+        if state.filling is not None or rest is None:
+            return state.filling
+        device = self.model.device
+        return rest.around_capsule(state.T_world_capsule, device.length, device.radius)
+
+    def _core_contents(self, filling: Filling, wall: _core.Wall, slot: str) -> _core.Contents:
+        """The filling ready to be traced; where only its spheres have moved, their tree is kept."""
+        kept = self._contents.get(slot)
+        if kept is not None and kept[1] is wall and _differ_in_place(kept[0], filling):
+            if kept[0] is not filling:
+                kept[2].move_to(wall, np.ascontiguousarray(filling.spheres.centers))
+        else:
+            bubbles, _, liquid = filling.contents.resolved
+            pools = None if filling.pools is None else (filling.pools, liquid)
+            label = len(self.model.organ.label_names)
+            made = _core.Contents(wall, filling.spheres, bubbles, pools, label)
+            kept = (filling, wall, made)
+        self._contents[slot] = (filling, *kept[1:])
+        return kept[2]
+
     def _table(self, camera: Camera, supersampling: int) -> _core.RayTable:
         key = (id(camera), supersampling)
         if key not in self._tables:
             table = _core.RayTable(camera_rays(camera, supersampling))
             self._tables[key] = (camera, table)  # holding the camera keeps its id its own
         return self._tables[key][1]
+
+
+def _differ_in_place(one: Filling, other: Filling) -> bool:
+    """Whether two fillings are of the same spheres and pools."""
+    return one.spheres.radius is other.spheres.radius and one.pools is other.pools
 
 
 def _check_channels(

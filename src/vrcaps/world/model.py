@@ -12,6 +12,8 @@ from vrcaps._core import Wall
 from vrcaps.capsule.device import Device
 from vrcaps.errors import UnknownNameError
 from vrcaps.organ.surface import OrganSurface
+from vrcaps.tissue.contents.contents import Contents
+from vrcaps.tissue.contents.filling import CHYME, Filling, fill
 from vrcaps.transforms import transform_from, transform_points
 
 if TYPE_CHECKING:
@@ -50,6 +52,7 @@ class Model:
         organ: The gut wall at rest, in the patient frame.
         device: The capsule.
         T_world_patient: Pose of the patient in the world, see `posture_transform`.
+        contents: What floats in the lumen.
     """
 
     organ: OrganSurface
@@ -57,6 +60,7 @@ class Model:
     T_world_patient: Float[np.ndarray, "4 4"] = field(
         default_factory=lambda: posture_transform("supine")
     )
+    contents: Contents = field(default_factory=Contents)
 
     @cached_property
     def vertices_world(self) -> Float[np.ndarray, "n 3"]:
@@ -68,6 +72,19 @@ class Model:
         """The wall at rest, ready for distance and ray queries in the world frame."""
         faces = np.ascontiguousarray(self.organ.faces, np.int64)
         return Wall(np.ascontiguousarray(self.vertices_world), faces)
+
+    @cached_property
+    def filling(self) -> Filling | None:
+        """The contents at rest; None where there are none."""
+        if self.contents.is_empty:
+            return None
+        return fill(self.organ, self.contents, self.T_world_patient)
+
+    @property
+    def label_names(self) -> tuple[str, ...]:
+        """Names of all classes that an image of this model may hold."""
+        names = self.organ.label_names
+        return names if self.contents.is_empty else (*names, CHYME)
 
 
 @dataclass(frozen=True)
@@ -104,6 +121,8 @@ class State:
         angular_velocity_world: Angular velocity of the capsule [rad/s].
         vertices_world: Wall vertices [m]; None where the wall is at rest.
         contact: What the wall did to the capsule; None where nothing was simulated.
+        filling: What is in the lumen; None takes the model's contents at rest, with what is in
+            the capsule's way pushed aside.
     """
 
     time: float
@@ -112,3 +131,4 @@ class State:
     angular_velocity_world: Float[np.ndarray, " 3"] = field(default_factory=lambda: np.zeros(3))
     vertices_world: Float[np.ndarray, "n 3"] | None = None
     contact: Contact | None = None
+    filling: Filling | None = None

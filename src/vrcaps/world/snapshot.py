@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -33,6 +33,7 @@ class Snapshot:
             how far the wall that the capsule felt is off it [m], and momentum it is still to be
             given [N·s]; empty where there is none.
         touched: Of each triangle that loads the layer: number, normal force and friction [N].
+        afloat: What floats in the lumen; empty where nothing does.
     """
 
     seed: int
@@ -45,11 +46,12 @@ class Snapshot:
     yields: Float[np.ndarray, "n 6"]
     layer: Float[np.ndarray, "nodes 15"]
     touched: Float[np.ndarray, "k 5"]
+    afloat: Float[np.ndarray, " q"] = field(default_factory=lambda: np.zeros(0))
 
 
 def write_snapshot(path: Path, snapshot: Snapshot) -> None:
     """Write a snapshot as a NumPy archive (.npz)."""
-    arrays = {field.name: getattr(snapshot, field.name) for field in fields(Snapshot)}
+    arrays = {f.name: getattr(snapshot, f.name) for f in fields(Snapshot)}
     with path.open("wb") as file:
         np.savez_compressed(file, **arrays)
 
@@ -62,7 +64,7 @@ def read_snapshot(path: Path) -> Snapshot:
     """
     try:
         with np.load(path) as file:
-            arrays = {field.name: file[field.name] for field in fields(Snapshot)}
+            arrays = {f.name: file[f.name] for f in fields(Snapshot)}
     except (OSError, ValueError, KeyError) as error:
         raise InputError(f"{path} is no snapshot of a world: {error}.") from error
     plain = {name: arrays[name].item() for name in ("seed", "time", "began")}

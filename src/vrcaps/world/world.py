@@ -22,6 +22,7 @@ from vrcaps.transforms import (
     transform_from,
     transform_points,
 )
+from vrcaps.world.afloat import PIECE, Afloat
 from vrcaps.world.control import Control
 from vrcaps.world.model import Contact, Model, State
 from vrcaps.world.snapshot import Snapshot
@@ -103,6 +104,9 @@ class World:
             self.muscle = Muscle(organ, tissue.motility, np.random.default_rng(seed))
         self._moves = tissue.deformation is not None or self.muscle is not None
         self._check_start()
+        self._afloat = None
+        if model.filling is not None:
+            self._afloat = Afloat(model, self._wall, self.body)
         self._contact: tuple[Any, ...] = self._core.contact()
 
     @property
@@ -122,6 +126,7 @@ class World:
             angular_velocity_world=forces[3],
             vertices_world=transform_points(T, self._core.vertices()) if moved else None,
             contact=Contact(forces[0], forces[1], *rest),
+            filling=None if self._afloat is None else self._afloat.filling(T),
         )
 
     def step(self, control: Control, dt: float) -> None:
@@ -147,7 +152,15 @@ class World:
         to_patient = invert(T_world_patient)
         acts = np.array([control.force_world, control.torque_world, (0.0, 0.0, -GRAVITY)], float)
         force, torque, gravity = rotate_vectors(to_patient, acts)
-        self._advance(dt, (*force, *torque), tuple(gravity), control.insufflation)
+        wrench = np.array([*force, *torque])
+        if self._afloat is not None:
+            self._afloat.turn(T_world_patient)
+        try:
+            self._advance(dt, wrench, tuple(gravity), control.insufflation)
+        except InputError:
+            if self._afloat is not None:
+                self._afloat.turn(self._T_world_patient)
+            raise
         self._T_world_patient = T_world_patient
 
     def snapshot(self) -> Snapshot:
@@ -168,6 +181,7 @@ class World:
             yields=self._core.yields,
             layer=layer,
             touched=touched,
+            afloat=np.zeros(0) if self._afloat is None else self._afloat.to_array(),
         )
 
     def restore(self, snapshot: Snapshot) -> None:
@@ -182,6 +196,8 @@ class World:
             motion, exchange = _exchange(self.layer, snapshot)
             self.layer.restore(motion)
             self._core.exchange = exchange
+        if self._afloat is not None:
+            self._afloat.restore(snapshot.afloat, snapshot.T_world_patient)
         p = snapshot.capsule
         self._core.driven, self._core.yields = snapshot.driven, snapshot.yields
         self._core.pose = (tuple(p[:3]), tuple(p[3:7]), tuple(p[7:10]), tuple(p[10:]))
@@ -194,7 +210,11 @@ class World:
         return self._core.inside()
 
     def _advance(
-        self, dt: float, wrench: tuple[float, ...], gravity: tuple[float, ...], insufflation: float
+        self,
+        dt: float,
+        wrench: Float[np.ndarray, " 6"],
+        gravity: tuple[float, ...],
+        insufflation: float,
     ) -> None:
         """Moves on by `dt`: in one go, or where the muscle propels the capsule in short pieces."""
         calibre = self._calibre_at(self._time + dt, insufflation)
@@ -208,9 +228,10 @@ class World:
             for piece in range(pieces):
                 aim = start + (calibre - start) * ((piece + 1) / pieces) if moves else None
                 force = self._propulsion(self._time + dt * piece / pieces)
-                total = (*(wrench[:3] + force), *wrench[3:])
+                total = tuple(wrench + self._bear(dt / pieces, force))
                 self._core.step(dt / pieces / count, count, total, gravity, aim, outer)
                 reactions.append(self._core.contact())
+                self._float_on(dt / pieces)
         except ValueError as error:
             if before is not None:
                 self.restore(before)
@@ -228,7 +249,22 @@ class World:
     def _num_pieces(self, dt: float) -> int:
         """Pieces of a step, so short that the force F = β (v_p − u) does not overshoot."""
         propulsion = None if self.muscle is None else self.muscle.motility.propulsion
-        return 1 if propulsion is None else max(1, math.ceil(propulsion.beta * dt / self.body.mass))
+        least = 1 if self._afloat is None else math.ceil(dt / PIECE * (1.0 - 1e-9))
+        if propulsion is None:
+            return least
+        return max(least, math.ceil(propulsion.beta * dt / self.body.mass))
+
+    def _bear(self, dt: float, force: Float[np.ndarray, " 3"]) -> Float[np.ndarray, " 6"]:
+        """Wrench of the muscle's force and of what floats in the lumen, in the patient frame."""
+        if self._afloat is None:
+            return np.array([*force, 0.0, 0.0, 0.0])
+        push, torque = self._afloat.wrench(self._core.pose, dt, GRAVITY)
+        return np.array([*(force + push), *torque])
+
+    def _float_on(self, dt: float) -> None:
+        if self._afloat is not None:
+            self._core.settle()
+            self._afloat.step(self._core.pose, dt, GRAVITY)
 
     def _propulsion(self, time: float) -> Float[np.ndarray, " 3"]:
         """Propulsive force of the muscle on the capsule at a time [N], in the patient frame."""

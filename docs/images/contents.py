@@ -1,0 +1,109 @@
+"""Draw what floats in the lumen, every grade in three organs, and write the table of grades.
+
+python docs/images/contents.py
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from PIL import Image, ImageDraw
+
+from vrcaps.capsule.catalog import load_device
+from vrcaps.metrics.color import luminance
+from vrcaps.organ.catalog import load_organ
+from vrcaps.organ.centerline import interpolate
+from vrcaps.render.renderer import Renderer
+from vrcaps.render.settings import RenderSettings
+from vrcaps.tissue.contents.bubbles import BUBBLE_GRADES, CM2
+from vrcaps.tissue.contents.chyme import CHYME_GRADES
+from vrcaps.tissue.contents.contents import Contents
+from vrcaps.tissue.contents.liquid import LIQUID_GRADES
+from vrcaps.transforms import look_along, transform_from, transform_points
+from vrcaps.units import MM
+from vrcaps.world.model import Model, State
+
+ORGANS = {"small-bowel": (0.31, 0.62), "stomach": (0.55, 0.75), "colon": (0.3, 0.7)}
+"""Where along each organ its pictures are taken, as shares of the centreline."""
+
+GRADES = ((0, 0, 0), (1, 1, 1), (2, 2, 2), (3, 3, 2), (4, 4, 3))
+"""Bubbles, chyme and liquid of each column."""
+
+AHEAD = 15.0 * MM
+SIDE_PX = 200
+LUMINANCE = 0.15  # mean linear luminance of each frame; that of real capsule frames
+GIRTH = 2.0 * np.pi * 1.2  # of a small bowel 24 mm wide [cm]
+DOCS = Path(__file__).resolve().parents[1]
+START, STOP = "<!-- grades -->", "<!-- end of grades -->"
+
+
+def view(model: Model, share: float) -> State:
+    """A capsule on the centreline, looking a little further along it."""
+    curve = model.organ.centerline
+    at = share * curve.length + np.array([0.0, AHEAD])
+    points = transform_points(model.T_world_patient, interpolate(curve, at)[0])
+    rotation = look_along(points[1] - points[0], np.array([0.1, 0.2, 1.0]))
+    return State(0.0, transform_from(rotation, points[0]))
+
+
+def picture(model: Model, state: State) -> Image.Image:
+    """A frame exposed to a fixed mean luminance, as a capsule's automatic exposure does."""
+    camera = model.device.cameras[0]
+    renderer = Renderer(model, RenderSettings(supersampling=2, shadows=True))
+    radiance = renderer.render(state, camera, channels=("radiance",)).radiance
+    exposure = camera.exposure
+    for _ in range(8):
+        bright = luminance(np.clip(np.asarray(radiance) * exposure, 0.0, 1.0))
+        exposure *= LUMINANCE / float(bright[bright > 0.0].mean())
+    exposed = replace(camera, exposure=exposure)
+    rgb = renderer.render(state, exposed, channels=("rgb",)).rgb
+    return Image.fromarray(np.asarray(rgb)).resize((SIDE_PX, SIDE_PX), Image.Resampling.LANCZOS)
+
+
+def draw_sheet(path: Path) -> None:
+    """One row for each organ and place, one column for each grade."""
+    rows = sum(len(shares) for shares in ORGANS.values())
+    sheet = Image.new("RGB", (len(GRADES) * SIDE_PX, rows * SIDE_PX + 16), (24, 24, 28))
+    pen, row = ImageDraw.Draw(sheet), 0
+    for column, grades in enumerate(GRADES):
+        text = "bubbles {}, chyme {}, liquid {}".format(*grades)
+        pen.text((column * SIDE_PX + 6, 2), text, fill=(230, 230, 230))
+    for name, shares in ORGANS.items():
+        organ, device = load_organ(name, seed=0), load_device("mirocam")
+        for column, grades in enumerate(GRADES):
+            model = Model(organ, device, contents=Contents(*grades))
+            for k, share in enumerate(shares):
+                tile = picture(model, view(model, share))
+                sheet.paste(tile, (column * SIDE_PX, 16 + (row + k) * SIDE_PX))
+        row += len(shares)
+    sheet.save(path, quality=88)
+
+
+def table() -> str:
+    """The grades as a Markdown table."""
+    lines = [
+        "| grade | bubbles per cm² | per cm of a 24 mm wide gut | in a raft | radius [mm] "
+        "| particles per cm² | per cm | in a clump | radius [mm] | liquid, share of the lumen |",
+        "|---|---|---|---|---|---|---|---|---|---|",
+    ]
+    for grade, (bubbles, chyme, liquid) in enumerate(
+        zip(BUBBLE_GRADES, CHYME_GRADES, LIQUID_GRADES, strict=True)
+    ):
+        cells = [f"{grade}"]
+        for kind, size in ((bubbles, bubbles.raft_size), (chyme, chyme.clump_size)):
+            per_cm2 = kind.per_area * CM2
+            cells += [f"{per_cm2:g}", f"{per_cm2 * GIRTH:.1f}"]
+            some = f"{size:g}", f"{kind.radius / MM:g} (σ of the logarithm {kind.spread:g})"
+            cells += some if per_cm2 else ("–", "–")
+        lines.append(f"| {' | '.join([*cells, f'{liquid.fill:g}'])} |")
+    return "\n".join(lines)
+
+
+if __name__ == "__main__":
+    draw_sheet(DOCS / "images" / "contents.jpg")
+    page = DOCS / "contents.md"
+    text = page.read_text()
+    before, after = text.split(START)[0], text.split(STOP)[1]
+    page.write_text(f"{before}{START}\n{table()}\n{STOP}{after}")

@@ -1,0 +1,206 @@
+//! The arrays of an image that tiles write into.
+
+use crate::lanes::*;
+use numpy::{Element, PyArrayDyn, PyArrayMethods, PyReadwriteArrayDyn};
+use pyo3::{exceptions::PyValueError, prelude::*, types::PyDict};
+
+/// Channels of an image, or of a row of its tiles; those not asked for are absent.
+#[derive(Default)]
+pub struct Channels<'a> {
+    pub rgb: Option<&'a mut [u8]>,
+    pub radiance: Option<&'a mut [f32]>,
+    pub depth: Option<&'a mut [f32]>,
+    pub ray_distance: Option<&'a mut [f32]>,
+    pub normal: Option<&'a mut [f32]>,
+    pub label: Option<&'a mut [u8]>,
+    pub instance: Option<&'a mut [u16]>,
+    pub albedo: Option<&'a mut [f32]>,
+    pub arc_length: Option<&'a mut [f32]>,
+    pub position: Option<&'a mut [f32]>,
+    pub face: Option<&'a mut [i32]>,
+    pub weights: Option<&'a mut [f32]>,
+    pub front_label: Option<&'a mut [u8]>,
+    pub front_instance: Option<&'a mut [u16]>,
+    pub front_depth: Option<&'a mut [f32]>,
+}
+
+impl<'a> Channels<'a> {
+    /// Cuts the image into rows of tiles.
+    pub fn bands(self, width: usize, count: usize) -> Vec<Channels<'a>> {
+        fn cut<T>(
+            channel: Option<&mut [T]>,
+            length: usize,
+        ) -> impl Iterator<Item = Option<&mut [T]>> {
+            let mut rest = channel.map(|c| c.chunks_mut(length));
+            std::iter::from_fn(move || Some(rest.as_mut().and_then(Iterator::next)))
+        }
+        let n = width * TILE;
+        let (mut rgb, mut radiance) = (cut(self.rgb, n * 3), cut(self.radiance, n * 3));
+        let (mut depth, mut ray_distance) = (cut(self.depth, n), cut(self.ray_distance, n));
+        let (mut normal, mut position) = (cut(self.normal, n * 3), cut(self.position, n * 3));
+        let (mut label, mut instance) = (cut(self.label, n), cut(self.instance, n));
+        let (mut albedo, mut arc_length) = (cut(self.albedo, n * 3), cut(self.arc_length, n));
+        let (mut face, mut weights) = (cut(self.face, n), cut(self.weights, n * 2));
+        let (mut front_label, mut front_depth) =
+            (cut(self.front_label, n), cut(self.front_depth, n));
+        let mut front_instance = cut(self.front_instance, n);
+        (0..count)
+            .map(|_| Channels {
+                rgb: rgb.next().flatten(),
+                radiance: radiance.next().flatten(),
+                depth: depth.next().flatten(),
+                ray_distance: ray_distance.next().flatten(),
+                normal: normal.next().flatten(),
+                label: label.next().flatten(),
+                instance: instance.next().flatten(),
+                albedo: albedo.next().flatten(),
+                arc_length: arc_length.next().flatten(),
+                position: position.next().flatten(),
+                face: face.next().flatten(),
+                weights: weights.next().flatten(),
+                front_label: front_label.next().flatten(),
+                front_instance: front_instance.next().flatten(),
+                front_depth: front_depth.next().flatten(),
+            })
+            .collect()
+    }
+
+    /// Whether light is to be computed.
+    pub fn wants_color(&self) -> bool {
+        self.rgb.is_some() || self.radiance.is_some() || self.albedo.is_some()
+    }
+}
+
+/// A channel of a dictionary, if it is there.
+pub fn take<'py, T: Element>(
+    out: &Bound<'py, PyDict>,
+    name: &str,
+    (height, width): (usize, usize),
+    components: usize,
+) -> PyResult<Option<PyReadwriteArrayDyn<'py, T>>> {
+    let Some(value) = out.get_item(name)? else {
+        return Ok(None);
+    };
+    let array = value
+        .cast::<PyArrayDyn<T>>()
+        .map_err(|_| PyValueError::new_err(format!("Channel {name} has the wrong dtype.")))?;
+    let array = array.try_readwrite()?;
+    if array.as_array().len() != height * width * components {
+        return Err(PyValueError::new_err(format!("Channel {name} has the wrong shape.")));
+    }
+    Ok(Some(array))
+}
+
+/// Its numbers.
+pub fn slice<'a, T: Element>(
+    array: &'a mut Option<PyReadwriteArrayDyn<'_, T>>,
+) -> PyResult<Option<&'a mut [T]>> {
+    array.as_mut().map(|a| a.as_slice_mut().map_err(PyErr::from)).transpose()
+}
+
+/// Where a tile lies in its band.
+#[derive(Clone, Copy)]
+pub struct Place {
+    pub column: usize,
+    /// Width and height of the band [pixels].
+    pub size: (usize, usize),
+}
+
+impl Place {
+    #[inline(always)]
+    pub fn write_each<T: Copy>(
+        self,
+        channel: &mut Option<&mut [T]>,
+        components: usize,
+        value: impl Fn(usize, usize) -> T,
+    ) {
+        let Some(pixels) = channel else { return };
+        let (width, height) = self.size;
+        let columns = (width - self.column).min(TILE);
+        for y in 0..height {
+            let start = (y * width + self.column) * components;
+            let row = &mut pixels[start..start + columns * components];
+            for (x, pixel) in row.chunks_exact_mut(components).enumerate() {
+                for (k, out) in pixel.iter_mut().enumerate() {
+                    *out = value(y * TILE + x, k);
+                }
+            }
+        }
+    }
+
+    #[inline(always)]
+    pub fn write<T: Copy>(
+        self,
+        channel: &mut Option<&mut [T]>,
+        values: &[T; LANES],
+        hit: &[bool; LANES],
+        miss: T,
+    ) {
+        let Some(pixels) = channel else { return };
+        let mut known = [miss; LANES];
+        for i in 0..LANES {
+            known[i] = if hit[i] { values[i] } else { miss };
+        }
+        let (width, height) = self.size;
+        let columns = (width - self.column).min(TILE);
+        for (y, row) in known.chunks_exact(TILE).take(height).enumerate() {
+            let start = y * width + self.column;
+            pixels[start..start + columns].copy_from_slice(&row[..columns]);
+        }
+    }
+
+    #[inline(always)]
+    pub fn write3(
+        self,
+        channel: &mut Option<&mut [f32]>,
+        values: &Lane3,
+        hit: &[bool; LANES],
+        miss: f32,
+    ) {
+        if channel.is_none() {
+            return;
+        }
+        let mut known = [[miss; LANES]; 3];
+        for k in 0..3 {
+            for i in 0..LANES {
+                known[k][i] = if hit[i] { values[k][i] } else { miss };
+            }
+        }
+        self.write_each(channel, 3, |i, k| known[k][i]);
+    }
+
+    #[inline(always)]
+    pub fn write_color(self, channel: &mut Option<&mut [u8]>, radiance: &Lane3, exposure: f32) {
+        if channel.is_none() {
+            return;
+        }
+        let mut encoded = [[0u8; LANES]; 3];
+        for k in 0..3 {
+            for i in 0..LANES {
+                encoded[k][i] = srgb(radiance[k][i] * exposure);
+            }
+        }
+        self.write_each(channel, 3, |i, k| encoded[k][i]);
+    }
+}
+
+/// 8-bit sRGB of a linear value (IEC 61966-2-1), rounded to nearest.
+#[inline(always)]
+fn srgb(linear: f32) -> u8 {
+    let x = clamp(linear, 0.0, 1.0);
+    let curve = 1.055 * pow(x, 1.0 / 2.4) - 0.055;
+    let encoded = if x <= 0.003_130_8 { 12.92 * x } else { curve };
+    // Adding 2²³ rounds to a whole number and leaves it in the low bits.
+    (encoded * 255.0 + 8_388_608.0).to_bits() as u8
+}
+
+/// 8-bit sRGB image [h w 3] of linear radiance [h w 3] times `exposure`.
+#[pyfunction]
+pub fn encode_srgb<'py>(
+    py: Python<'py>,
+    radiance: numpy::PyReadonlyArray3<'py, f32>,
+    exposure: f32,
+) -> Bound<'py, numpy::PyArray3<u8>> {
+    use numpy::ToPyArray;
+    radiance.as_array().mapv(|x| srgb(x * exposure)).to_pyarray(py)
+}

@@ -1,0 +1,1 @@
+"""What floats in the lumen: bubbles, chyme and liquid."""

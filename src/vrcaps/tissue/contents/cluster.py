@@ -1,0 +1,75 @@
+"""Spheres that stick together: flat rafts and round clumps, many at once."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Int
+
+_TRIES = 12
+
+
+def sizes(total: int, mean: float, rng: np.random.Generator) -> Int[np.ndarray, " k"]:
+    """Sizes of clusters that hold `total` spheres together: geometric, at most four times `mean`.
+
+    Args:
+        total: Number of spheres.
+        mean: Mean size before the last one is cut to fit, 1 or more.
+        rng: Source of randomness.
+    """
+    drawn = np.minimum(rng.geometric(1.0 / mean, total), max(1, round(4.0 * mean)))
+    ends = np.cumsum(drawn)
+    count = int(np.searchsorted(ends, total)) + 1 if total else 0
+    chosen = drawn[:count]
+    if count:
+        chosen[-1] -= ends[count - 1] - total
+    return chosen
+
+
+def pack(
+    number: Int[np.ndarray, " k"],
+    radius: Float[np.ndarray, " n"],
+    rng: np.random.Generator,
+    *,
+    dimensions: int,
+    touch: float,
+) -> Float[np.ndarray, "n 3"]:
+    """Places spheres side by side, cluster by cluster, each touching an earlier one of its own.
+
+    Of a few random places beside earlier spheres each takes the one nearest to the cluster's
+    first that overlaps none, or else the one that overlaps least.
+
+    Args:
+        number: Spheres in each cluster.
+        radius: Of all spheres, cluster after cluster [m].
+        rng: Source of randomness.
+        dimensions: 2 for rafts in the plane z = 0, 3 for clumps on it.
+        touch: Distance of neighbours as a share of the sum of their radii.
+
+    Returns:
+        Places relative to each cluster's first sphere [m].
+    """
+    place = np.zeros((len(radius), 3))
+    first = np.concatenate([[0], np.cumsum(number)])[:-1].astype(int)
+    for member in range(1, int(number.max(initial=0))):
+        start = first[number > member]
+        shape = (len(start), _TRIES)
+        beside = start[:, None] + rng.integers(0, member, shape)
+        way = rng.standard_normal((*shape, 3))
+        way[..., 2] = np.abs(way[..., 2]) if dimensions == 3 else 0.0
+        way /= np.linalg.norm(way, axis=-1, keepdims=True)
+        own = radius[start + member]
+        reach = touch * (radius[beside] + own[:, None])
+        tried = place[beside] + reach[..., None] * way
+        others = start[:, None] + np.arange(member)
+        apart = np.linalg.norm(tried[:, :, None] - place[others][:, None], axis=-1)
+        gap = apart - touch * (radius[others][:, None] + own[:, None, None])
+        least = gap.min(axis=-1)
+        far = np.linalg.norm(tried, axis=-1)
+        is_free = least > -0.02 * own[:, None]
+        best = np.argmax(np.where(is_free, 1.0 - far, least - 10.0), axis=1)
+        place[start + member] = tried[np.arange(len(start)), best]
+    return place

@@ -1,0 +1,80 @@
+"""What is in the lumen at one instant."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vrcaps._core import Wall
+from vrcaps.organ.surface import OrganSurface
+from vrcaps.tissue.contents.contents import Contents
+from vrcaps.tissue.contents.place import place_bubbles, place_chyme
+from vrcaps.tissue.contents.pools import Pools, cut_sections, find_pools
+from vrcaps.tissue.contents.spheres import Spheres, joined, parted
+from vrcaps.transforms import transform_points
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+CHYME = "chyme"
+"""Name of the class of particles; its number follows those of the organ."""
+
+FRONT_NAMES = ("nothing", "bubble", "liquid")
+"""Classes of what a pixel looks through: numbers of the channel `front_label`."""
+
+
+@dataclass(frozen=True)
+class Filling:
+    """Bubbles, chyme and liquid in the world frame.
+
+    Attributes:
+        contents: Their figures.
+        spheres: Bubbles and chyme.
+        pools: Liquid; None where there is none.
+    """
+
+    contents: Contents
+    spheres: Spheres
+    pools: Pools | None = None
+
+    def around_capsule(
+        self, T_world_capsule: Float[np.ndarray, "4 4"], length: float, radius: float
+    ) -> Filling:
+        """The filling with what is in a capsule's way pushed aside.
+
+        Args:
+            T_world_capsule: Pose of the capsule, whose middle is taken as its origin.
+            length: Its overall length [m].
+            radius: Its radius [m].
+        """
+        half = length / 2.0 - radius
+        ends = transform_points(T_world_capsule, np.array([[0.0, 0.0, -half], [0.0, 0.0, half]]))
+        moved = parted(self.spheres, (ends[0], ends[1]), radius)
+        return self if moved is self.spheres else replace(self, spheres=moved)
+
+
+def fill(
+    organ: OrganSurface, contents: Contents, T_world_patient: Float[np.ndarray, "4 4"]
+) -> Filling:
+    """Fills an organ whose wall is at rest.
+
+    Args:
+        organ: The wall, in the patient frame.
+        contents: What is to be in it.
+        T_world_patient: How the patient lies; gravity is world −z.
+    """
+    bubbles, chyme, liquid = contents.resolved
+    wall = Wall(np.ascontiguousarray(organ.vertices, float), organ.faces.astype(np.int64))
+    up = T_world_patient[:3, :3].T @ np.array([0.0, 0.0, 1.0])
+    rngs = [np.random.default_rng([contents.seed, number]) for number in (1, 2)]
+    spheres = joined(
+        place_bubbles(organ, wall, bubbles, up, rngs[0]),
+        place_chyme(organ, wall, chyme, up, rngs[1]),
+    )
+    centers = transform_points(T_world_patient, spheres.centers)
+    pools = None
+    if liquid.fill > 0.0:
+        pools = find_pools(organ, cut_sections(organ), liquid, T_world_patient)
+    return Filling(contents, replace(spheres, centers=centers), pools)

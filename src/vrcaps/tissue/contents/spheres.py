@@ -1,0 +1,85 @@
+"""Bubbles and particles as arrays of spheres."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, UInt8, UInt16
+
+BUBBLE, YELLOW, WHITE = 0, 1, 2
+"""Kinds of spheres."""
+
+FIRST_CLUMP = 1000
+"""Instance of the first clump of chyme; lesions have smaller numbers."""
+
+
+@dataclass(frozen=True)
+class Spheres:
+    """Everything round that floats in a lumen.
+
+    Attributes:
+        centers: [m], in the frame that the owner says.
+        radius: [m].
+        kind: `BUBBLE`, `YELLOW` or `WHITE` chyme.
+        instance: Bubbles count from 1, clumps of chyme from `FIRST_CLUMP`; beyond 65535 numbers
+            come again.
+        color: Linear base colour of chyme, of what a bubble's surroundings reflect.
+        arc_length: Gut coordinate of the centre [m].
+    """
+
+    centers: Float[np.ndarray, "n 3"]
+    radius: Float[np.ndarray, " n"]
+    kind: UInt8[np.ndarray, " n"]
+    instance: UInt16[np.ndarray, " n"]
+    color: Float[np.ndarray, "n 3"]
+    arc_length: Float[np.ndarray, " n"]
+
+    def __len__(self) -> int:
+        return len(self.radius)
+
+
+def no_spheres() -> Spheres:
+    """None."""
+    none = np.zeros(0)
+    rows = np.zeros((0, 3))
+    return Spheres(rows, none, none.astype(np.uint8), none.astype(np.uint16), rows, none)
+
+
+def joined(*parts: Spheres) -> Spheres:
+    """Several sets as one."""
+    names = ("centers", "radius", "kind", "instance", "color", "arc_length")
+    return Spheres(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
+
+
+def parted(
+    spheres: Spheres,
+    axis: tuple[Float[np.ndarray, " 3"], Float[np.ndarray, " 3"]],
+    radius: float,
+) -> Spheres:
+    """The spheres where a capsule has pushed aside those in its way, straight off its axis.
+
+    Args:
+        spheres: In the capsule's frame of reference.
+        axis: Ends of the capsule's axis [m].
+        radius: Of the capsule [m].
+
+    Returns:
+        The very same object where nothing is in the way.
+    """
+    start, span = axis[0], axis[1] - axis[0]
+    offset = spheres.centers - start
+    along = np.clip(offset @ span / max(span @ span, 1e-30), 0.0, 1.0)
+    away = offset - along[:, None] * span
+    distance = np.linalg.norm(away, axis=1)
+    near = np.flatnonzero(distance < radius + spheres.radius)
+    if len(near) == 0:
+        return spheres
+    centers = spheres.centers.copy()
+    need = radius + spheres.radius[near]
+    unit = away[near] / np.maximum(distance[near], 1e-12)[:, None]
+    centers[near] += (need - distance[near])[:, None] * unit
+    return replace(spheres, centers=centers)

@@ -112,7 +112,7 @@ def test_contradicting_flags_are_an_error(command: Record, message: str) -> None
         ("record --out {tmp}/full", "holds something else"),
         ("record --out {tmp}/o --scenario {tmp}/none.json", "Cannot read the scenario"),
         ("record --out {tmp}/o --threads 0", "--threads is 0. Allowed: 1 or more"),
-        ("organ inspect {tmp}/none.ply --unit mm", "No mesh file at"),
+        ("organ inspect {tmp}/none.ply --unit mm", "No file at"),
         ("organ inspect {mesh}", "--unit is missing: "),
         ("organ inspect {mesh} --unit mm --seed 3", "--seed and --condition go with a generated"),
         ("organ inspect colon --unit mm", "go with a file, but 'colon' is a name"),

@@ -38,6 +38,7 @@ MOTION = Physics(
     start=0.3,
     motility="steady",
     otherwise="jejunum",
+    drag=Drag(viscosity=1.0),
     wrenches=(Wrench(force=(0.0, 0.0, 0.05)),),
     wrench_frame="gut",
     turns=(Turn("left-lateral", at=0.2, over=0.5),),

@@ -211,8 +211,8 @@ SHEETS = (
     Sheet(
         *("conditions", "Inflated, normal, collapsed", "Patient 0; two places each."),
         (
-            "vrcaps organ make small-bowel --condition inflated --out bowel.glb",
-            *_record("--organ bowel.glb --unit m --mucosa small_intestine"),
+            *_record("--organ small-bowel --condition inflated"),
+            "vrcaps organ make colon --condition collapsed --out collapsed.glb",
         ),
         of_conditions,
     ),

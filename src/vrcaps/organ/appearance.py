@@ -113,12 +113,11 @@ MUCOSAE: dict[str, Mucosa] = {
 }
 """Mucosae by organ."""
 
-_MUCOSA_OF = dict.fromkeys(
-    ("stomach", "fundus", "cardia", "body", "antrum", "pylorus"), "stomach"
-) | dict.fromkeys(
-    ("small_bowel", "small_intestine", "duodenal_bulb", "duodenum", "jejunum", "ileum"),
-    "small_intestine",
-)
+_MUCOSA_OF: dict[str, str] = {
+    **dict.fromkeys(("stomach", "fundus", "cardia", "body", "antrum", "pylorus"), "stomach"),
+    **dict.fromkeys(("small_bowel", "small_intestine", "duodenal_bulb"), "small_intestine"),
+    **dict.fromkeys(("duodenum", "jejunum", "ileum"), "small_intestine"),
+}
 """By name of an organ or segment, ours or TotalSegmentator's; all others have the colon's."""
 
 _ABSORPTION = np.array([[0.16, 1.0, 0.92], [0.04, 0.16, 1.0]])

@@ -69,13 +69,11 @@ def frames(model: Model, states: list[State]) -> list[tuple[np.ndarray, np.ndarr
     return made
 
 
-def flight(
-    organ: OrganSurface, capsule: str, number: int, seed: int = 0, start: float = 0.03
-) -> tuple[Model, list]:
-    """A flight along the organ from a share of its length on."""
+def flight(organ: OrganSurface, capsule: str, number: int, seed: int = 0) -> tuple[Model, list]:
+    """A flight along the whole organ."""
     model = Model(organ, vrcaps.load_device(capsule))
     rng = np.random.default_rng(seed)
-    path = vrcaps.fly_through(model, vrcaps.FlyThrough(start), frames=number, fps=1.0, rng=rng)
+    path = vrcaps.fly_through(model, vrcaps.FlyThrough(), frames=number, fps=1.0, rng=rng)
     return model, [path.state(k) for k in range(number)]
 
 
@@ -117,12 +115,11 @@ def of_conditions() -> list[Tile]:
 
 
 def of_tract() -> list[Tile]:
-    """From the stomach, 4 % of the way, to the rectum."""
+    """From the duodenum to the rectum, evenly."""
     organ = vrcaps.load_organ("gi", seed=1)
-    model, states = flight(organ, "mirocam", 100, start=0.01)
-    chosen = (0, 2, *np.linspace(6, 98, 10).astype(int))
+    model, states = flight(organ, "mirocam", 60)
     tiles = []
-    for image, label in frames(model, [states[k] for k in chosen]):
+    for image, label in frames(model, states[1::5]):
         shown = np.bincount(label[label > 0], minlength=2).argmax()
         tiles.append((image, organ.label_names[shown].replace("_", " ")))
     return tiles
@@ -207,7 +204,7 @@ SHEETS = (
         partial(of_segments, "colon", "mirocam", 2),
     ),
     Sheet(
-        *("gi", "From stomach to rectum", "One wall, twelve places on the way; patient 1."),
+        *("gi", "From duodenum to rectum", "The whole tract, one wall; patient 1."),
         _record("--organ gi --patient 1 --frames 600"),
         of_tract,
     ),

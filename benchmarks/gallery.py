@@ -115,7 +115,7 @@ def of_conditions() -> list[Tile]:
 
 
 def of_tract() -> list[Tile]:
-    """From the stomach to the rectum."""
+    """From the duodenum to the rectum, evenly."""
     organ = vrcaps.load_organ("gi", seed=1)
     model, states = flight(organ, "mirocam", 60)
     tiles = []
@@ -204,15 +204,15 @@ SHEETS = (
         partial(of_segments, "colon", "mirocam", 2),
     ),
     Sheet(
-        *("gi", "From stomach to rectum", "One wall, twelve places on the way; patient 1."),
+        *("gi", "From duodenum to rectum", "The whole tract, one wall; patient 1."),
         _record("--organ gi --patient 1 --frames 600"),
         of_tract,
     ),
     Sheet(
         *("conditions", "Inflated, normal, collapsed", "Patient 0; two places each."),
         (
-            "vrcaps organ make small-bowel --condition inflated --out bowel.glb",
-            *_record("--organ bowel.glb --unit m --mucosa small_intestine"),
+            *_record("--organ small-bowel --condition inflated"),
+            "vrcaps organ make colon --condition collapsed --out collapsed.glb",
         ),
         of_conditions,
     ),

@@ -46,6 +46,7 @@ ROWS = {
 SIDE_PX = 220
 VIEWS, RAY_STEP = 300, 8  # places tried for each lesion, and every which ray of them is cast
 SHARE = 0.16  # of the view that a lesion shall take
+RINGS = ("stricture",)  # kinds seen along the lumen
 CLEAR = 4.0 * MM  # least way from the wall to a camera
 UP = np.array([0.1, 0.2, 1.0])  # in pictures, patient frame
 LUMINANCE = 0.15  # mean linear luminance of each frame; that of real capsule frames
@@ -57,7 +58,7 @@ def best_view(
     """Of many places in the lumen the one from which a camera sees a lesion best.
 
     That is: it takes `SHARE` of the view, more counted in the middle, all of it is seen, and
-    little stands nearer than it does.
+    little stands nearer than it does. What narrows the lumen is looked at along it.
 
     Args:
         organ: With lesions.
@@ -74,10 +75,11 @@ def best_view(
     rays = rays[np.isfinite(rays).all(axis=1)].astype(float)
     weight = rays[:, 2] ** 2 / (rays[:, 2] ** 2).sum()
     rng = np.random.default_rng(0)
+    is_ring = organ.metadata["lesions"][number - 1]["kind"] in RINGS
     best, best_score = (organ.vertices[own[0]], organ.vertices[own[0]]), -np.inf
     for _ in range(VIEWS):
         vertex = rng.choice(own)
-        target = organ.vertices[vertex]
+        target = _on_axis(organ, own) if is_ring else organ.vertices[vertex]
         eye = _in_lumen(organ, float(organ.arc_length[vertex]), rng)
         if wall.signed_distance(eye[None])[0] < CLEAR:
             continue
@@ -94,6 +96,11 @@ def best_view(
         if score > best_score:
             best, best_score = (eye, target), score
     return best
+
+
+def _on_axis(organ: OrganSurface, own: np.ndarray) -> np.ndarray:
+    """The middle of the lumen where a lesion is that goes around it."""
+    return interpolate(organ.centerline, np.array([organ.arc_length[own].mean()]))[0][0]
 
 
 def _in_lumen(organ: OrganSurface, near: float, rng: np.random.Generator) -> np.ndarray:

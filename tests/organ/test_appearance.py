@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from vrcaps.errors import InputError, UnknownNameError
-from vrcaps.organ.appearance import MAX_SIDE, MUCOSAE, Mucosa, bake_appearance
+from vrcaps.organ.appearance import MAX_SIDE, MUCOSAE, Mucosa, bake_appearance, own_mucosa
 from vrcaps.organ.surface import HEIGHT_STEP, Appearance, Centerline, OrganSurface, vertex_normals
 from vrcaps.organ.texture_coordinates import texture_stretch
 from vrcaps.units import MM
@@ -430,3 +430,25 @@ def test_a_users_own_mucosa(tube):
     )
     assert decode(pale.albedo).mean() > 0.5
     assert pale.coat_gloss == Mucosa(base_color=(0, 0, 0)).coat_gloss
+
+
+@pytest.mark.parametrize(
+    ("names", "name", "mucosa"),
+    [
+        (("small_bowel",), "sm", "small_intestine"),  # TotalSegmentator's
+        (("duodenum",), "1", "small_intestine"),
+        (("stomach",), "colon", "stomach"),  # the label before the name
+        (("wall",), "stomach", "stomach"),
+        (("wall",), "small-bowel", "small_intestine"),
+        (("wall",), "a", "colon"),
+        (("caecum",), "stomach", "colon"),
+        (("antrum", "caecum"), "gi", "colon"),  # most of the wall
+        (("duodenum", "ileum"), "gi", "small_intestine"),
+    ],
+)
+def test_labels_choose_the_mucosa(names: tuple[str, ...], name: str, mucosa: str) -> None:
+    tube = make_tube()
+    label = np.full(len(tube.vertices), len(names), np.uint8)
+    label[: len(label) // 3] = 1
+    organ = replace(tube, name=name, label=label, label_names=("background", *names))
+    assert own_mucosa(organ) == mucosa

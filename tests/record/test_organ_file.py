@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from vrcaps.errors import InputError
+from vrcaps.organ.appearance import bake_appearance
 from vrcaps.organ.lesion import parse_lesion
 from vrcaps.organ.read_organ import read_organ
 from vrcaps.organ.surface import OrganSurface
@@ -73,6 +74,18 @@ def test_what_an_organ_file_cannot_do(plan: Scenario, change: dict, message: str
     resolved, device = resolve(replace(plan, **change))
     with pytest.raises(InputError, match=message):
         build(resolved, device)
+
+
+def test_without_textures_it_wears_the_mucosa_of_its_label(
+    plan: Scenario, organ: OrganSurface, tmp_path: Path
+) -> None:
+    names = ("background", "small_bowel", "duodenum")
+    write_glb(tmp_path / "mine.glb", replace(organ, label_names=names, appearance=None))
+    model, _ = build(*resolve(plan))
+    found = model.organ.appearance
+    expected = bake_appearance(model.organ, seed=plan.seed, mucosa="small_intestine")
+    assert found is not None
+    assert np.array_equal(found.albedo, expected.albedo)
 
 
 def test_its_textures_stay(plan: Scenario) -> None:

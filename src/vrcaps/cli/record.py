@@ -71,7 +71,7 @@ class Record:
 
     mucosa: str | None = None
     """Look of the wall: colon, stomach or small_intestine, or the folder of a texture that
-    vrcaps organ texture wrote; by default an organ's own, for a mesh file colon."""
+    vrcaps organ texture wrote; by default the organ's own, see docs/mucosa.md."""
 
     patient: int | None = None
     """Seed of a generated organ; by default --seed. Give it to fly many runs through one."""
@@ -210,7 +210,7 @@ class Record:
             open_ends=self.open_ends,
             keep_uv=self.keep_uv,
             reverse=self.reverse,
-            mucosa=self.mucosa or "colon",
+            mucosa=self.mucosa,
         )
         if is_mesh_file(self.organ):
             if self.patient is not None or self.condition is not None:
@@ -220,7 +220,7 @@ class Record:
             if is_organ_file(Path(self.organ)):
                 return mesh
             return replace(mesh, unit=require_unit("--unit", self.unit, self.organ))
-        if replace(mesh, mucosa="colon") != OrganFile(path=self.organ, unit=""):
+        if replace(mesh, mucosa=None) != OrganFile(path=self.organ, unit=""):
             raise InputError(
                 f"--unit, --open-ends, --keep-uv and --reverse go with a mesh file, but "
                 f"{self.organ!r} is a name. Drop them, or give the path of a PLY, OBJ, STL or GLB."

@@ -113,6 +113,13 @@ MUCOSAE: dict[str, Mucosa] = {
 }
 """Mucosae by organ."""
 
+_MUCOSA_OF: dict[str, str] = {
+    **dict.fromkeys(("stomach", "fundus", "cardia", "body", "antrum", "pylorus"), "stomach"),
+    **dict.fromkeys(("small_bowel", "small_intestine", "duodenal_bulb"), "small_intestine"),
+    **dict.fromkeys(("duodenum", "jejunum", "ileum"), "small_intestine"),
+}
+"""By name of an organ or segment, ours or TotalSegmentator's; all others have the colon's."""
+
 _ABSORPTION = np.array([[0.16, 1.0, 0.92], [0.04, 0.16, 1.0]])
 """Optical density in red, green and blue of blood, relative to green, and of bile, to blue: as in
 the compiled core (tissue.rs)."""
@@ -195,6 +202,17 @@ def _resolve(mucosa: str | Mucosa) -> Mucosa | MucosaTexture:
     if is_texture_path(mucosa):
         return read_texture(mucosa)
     return MUCOSAE[mucosa]
+
+
+def own_mucosa(organ: OrganSurface) -> str:
+    """Name in `MUCOSAE` of the mucosa that an organ's own labels call for.
+
+    The label of most of its wall decides, or the organ's name where that label says nothing; the
+    colon's where neither names a stomach or small bowel.
+    """
+    label = organ.label_names[int(np.bincount(organ.label).argmax())]
+    name = organ.name if label == "wall" else label
+    return _MUCOSA_OF.get(name.replace("-", "_"), "colon")
 
 
 def is_texture_path(mucosa: str) -> bool:

@@ -72,7 +72,8 @@ class OrganFile:
         keep_uv: Whether the file's own texture coordinates stay.
         reverse: Whether the narrower end of the lumen is the oral one.
         mucosa: Look of the wall: a name of `vrcaps.organ.appearance.MUCOSAE`, or the folder of
-            a texture.
+            a texture; None is the organ's own textures or, where it has none, the mucosa that
+            its labels call for, see `own_mucosa`.
         mucosa_sha256: Checksum of the texture; filled in when recorded, checked when given.
         sha256: Checksum of the file; filled in when recorded, checked when given.
     """
@@ -82,7 +83,7 @@ class OrganFile:
     open_ends: Literal["cap", "keep"] = "cap"
     keep_uv: bool = False
     reverse: bool = False
-    mucosa: str = "colon"
+    mucosa: str | None = None
     mucosa_sha256: str = ""
     sha256: str = ""
 
@@ -284,7 +285,7 @@ def _load_patient(scenario: Scenario, *, clean: bool = False) -> OrganSurface:
 
 def _load_organ(scenario: Scenario) -> OrganSurface:
     """The organ with its appearance, made once and then read from the user's cache folder."""
-    from vrcaps.organ.appearance import bake_appearance
+    from vrcaps.organ.appearance import bake_appearance, own_mucosa
     from vrcaps.organ.cache import cached_organ, fingerprint
     from vrcaps.organ.catalog import load_organ
     from vrcaps.organ.from_file import organ_from_file
@@ -306,11 +307,12 @@ def _load_organ(scenario: Scenario) -> OrganSurface:
 
     def make() -> OrganSurface:
         organ = read()
-        look = bake_appearance(organ, seed=scenario.seed, mucosa=given.mucosa)
+        mucosa = given.mucosa or own_mucosa(organ)
+        look = bake_appearance(organ, seed=scenario.seed, mucosa=mucosa)
         return replace(organ, appearance=look)
 
     if is_organ_file(Path(given.path)) and (organ := read()).appearance is not None:
-        if given.mucosa != OrganFile.mucosa:
+        if given.mucosa is not None:
             raise InputError(f"{given.path} has textures of its own. Leave out the mucosa.")
         return organ
     key = fingerprint(asdict(given) | {"seed": scenario.seed})

@@ -47,6 +47,12 @@ BREAKS = {
 """An aphthous ulcer is small, round, with a white base and a red halo; a deep one is wide,
 irregular and sloughy, with a raised edge. They reach into the submucosa, an erosion does not."""
 
+_SLOUGH = np.array([0.50, 0.27, 0.07])
+"""Linear reflectance of necrotic slough, yellow with bile."""
+
+_GRANULATION = np.array([0.50, 0.13, 0.07])
+"""Of granulation tissue, where the slough has come off."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Erosion(SizedLesion):
@@ -106,6 +112,8 @@ class BreakForm(SpotForm):
         self._rim = min(kind.rim, 0.12 * radius)
         self._slough, self._grain = cloud(max(0.4 * radius, 0.8 * MM), rng), grain(0.7 * MM, rng)
         self._is_bloody = rng.random() < kind.blood
+        self._granulation = cloud(max(0.25 * radius, 0.6 * MM), rng)
+        self._uneven = 0.03 * self._deep  # RMS height of its base
 
     def _open(self, wall: WallSamples, points: Float[np.ndarray, "n 3"]):
         """From 0 outside the break to 1 on its base."""
@@ -120,20 +128,20 @@ class BreakForm(SpotForm):
         return self._rim * rim * smoothstep((1.0 - share) / 0.2) - self._deep * base
 
     def painted(self, wall: WallSamples, points: Float[np.ndarray, "n 3"], clean: Look) -> Look:
-        """Fibrin, slough and blood on the base, a red halo around it."""
+        """Fibrin, slough, granulation and blood on the base, a red halo around it."""
         share, base = self.share(wall), self._open(wall, points)
         fine = self._grain(points)
         halo = self.kind.halo * smoothstep((1.0 - share) / 0.5)
         color = mix(clean.color, clean.plain, 0.8 * halo)
         color = color * (1.0 - halo[:, None] * (0.10, 0.75, 0.75))
         slough = smoothstep(0.5 + 0.5 * self._slough(points))
-        floor = mix(
-            np.broadcast_to(FIBRIN, color.shape), np.array([0.52, 0.36, 0.13]), 0.5 * slough
-        )
+        floor = mix(1.15 * np.broadcast_to(FIBRIN, color.shape), _SLOUGH, slough)
+        bare = smoothstep((self._granulation(points) + 0.8 * share / self.kind.base - 1.1) / 0.9)
+        floor = mix(floor, _GRANULATION, 0.75 * bare)
         color = mix(color, floor * np.exp(0.06 * fine)[:, None], 0.92 * base)
         if self._is_bloody:
             spot = smoothstep((self._slough(points[:, ::-1]) - 1.0) / 0.3) * base
             color = under_blood(color, 0.5 * MM * spot, 0.4)
-        height = clean.height * (1.0 - base) + 0.02 * MM * fine * base
-        look = (color, clean.roughness + 0.12 * base, height)
+        uneven = 0.02 * MM * fine + self._uneven * self._granulation(points)
+        look = (color, clean.roughness, clean.height * (1.0 - base) + uneven * base)
         return self.blended(wall, clean, look, softness=0.3)

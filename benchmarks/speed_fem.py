@@ -94,7 +94,7 @@ def measure_world(organ: OrganSurface, deformation: FemDeformation, steps: int) 
     firm, soft = taken
     print(
         f"{deformation.model}, world of {world.layer.num_dof:,} degrees of freedom: a step of the "
-        f"layer with its exchange {1e3 * (soft - firm):.2f} ms, {1.0 / (soft - firm):.0f} a second; "
+        f"layer with its exchange {1e3 * (soft - firm):.2f} ms, {1.0 / (soft - firm):.0f} Hz; "
         f"with its capsule's {1e3 * soft:.2f} ms"
     )
 

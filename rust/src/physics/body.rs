@@ -34,6 +34,17 @@ pub struct Motion {
     pub angular_velocity: DVec3,
 }
 
+impl Motion {
+    /// Whether all of it are numbers.
+    pub fn is_finite(&self) -> bool {
+        let (linear, angular) = (self.velocity, self.angular_velocity);
+        self.position.is_finite()
+            && self.rotation.is_finite()
+            && linear.is_finite()
+            && angular.is_finite()
+    }
+}
+
 /// The straight line between the centres of the round ends.
 #[derive(Clone, Copy)]
 pub struct Axis {

@@ -13,6 +13,10 @@ pub struct Foundation {
     pub rate_gain: f64,
     /// Speed of indentation at which that growth begins [m/s].
     pub rate: f64,
+    /// From this depth on a guard stiffens the wall [m].
+    guard: f64,
+    /// Its stiffness there [Pa/m].
+    guard_stiffness: f64,
 }
 
 /// Means over a piece of wall.
@@ -30,8 +34,44 @@ pub struct Pressure {
 
 /// Beyond this many e-folds the wall stiffens no more, so that numbers stay finite.
 const MOST_FOLDS: f64 = 25.0;
+/// Depth at which the guard begins, as a share of the capsule's radius.
+const GUARD: f64 = 0.5;
+/// Depth over which the guard grows e-fold, as a share of where it begins.
+const GUARD_FOLD: f64 = 0.066;
 
 impl Foundation {
+    /// A wall of stiffness, stiffening depth, rate gain and rate, with a guard against a capsule of a
+    /// radius [m] that would go through it: deeper than half of that it stiffens far faster.
+    pub fn new(wall: [f64; 4], radius: f64) -> Self {
+        let [stiffness, stiffening_depth, rate_gain, rate] = wall;
+        let guard = GUARD * radius;
+        let mut made = Foundation {
+            stiffness,
+            stiffening_depth,
+            rate_gain,
+            rate,
+            guard,
+            guard_stiffness: 0.0,
+        };
+        made.guard_stiffness = made.elastic(guard, 0.0).by_depth;
+        made
+    }
+
+    /// What the guard adds: nothing above it, then `S d (exp(x) − 1 − x)`, d its fold, x the way
+    /// into it in folds.
+    #[inline(always)]
+    fn guard(&self, depth: f64) -> Pressure {
+        let fold = GUARD_FOLD * self.guard;
+        let x = min(max((depth - self.guard) / fold, 0.0), MOST_FOLDS);
+        let growth = exp_m1(x);
+        Pressure {
+            value: self.guard_stiffness * fold * (growth - x),
+            by_depth: self.guard_stiffness * growth,
+            by_speed: 0.0,
+            energy: self.guard_stiffness * fold * fold * (growth - x - 0.5 * x * x),
+        }
+    }
+
     /// Elastic pressure φ, its slope and its integral: `φ = K l (exp(u/l) − 1)`, exponential as
     /// soft tissue is (Fung, Biomechanics, 1993). Means over depths with mean u and variance V, to
     /// its first order: `φ + φ″ V/2`.
@@ -58,7 +98,13 @@ impl Foundation {
     /// `p = φ(u) (1 + g asinh(u̇/u̇₀))`, never below 0.
     #[inline(always)]
     pub fn pressure(&self, depth: f64, variance: f64, speed: f64) -> Pressure {
-        let elastic = self.elastic(depth, variance);
+        let (soft, guard) = (self.elastic(depth, variance), self.guard(depth));
+        let elastic = Pressure {
+            value: soft.value + guard.value,
+            by_depth: soft.by_depth + guard.by_depth,
+            by_speed: 0.0,
+            energy: soft.energy + guard.energy,
+        };
         let x = speed / self.rate;
         let root = (1.0 + x * x).sqrt();
         // asinh without care for tiny x, whose error only matters beside 1.

@@ -65,6 +65,17 @@ type Pose = ([f64; 3], [f64; 4], [f64; 3], [f64; 3]);
 /// Two tables of numbers.
 type Tables<'py> = (Bound<'py, PyArray2<f64>>, Bound<'py, PyArray2<f64>>);
 
+/// Farthest that any point of the capsule goes in one substep [m].
+const LONGEST_WAY: f64 = 1e-4;
+/// A capsule this many times as far from the wall's middle as the wall reaches has run away.
+const FAR: f64 = 1000.0;
+/// What is said then.
+const TOO_LARGE: &str = "The step is too large: the capsule's motion runs away.";
+/// Most parts of a substep.
+const MOST_PARTS: f64 = 64.0;
+/// A layer of finite elements under the wall, and the exchange with it.
+type Elastic<'a> = Option<(&'a mut FemLayer, &'a mut Exchange)>;
+
 /// Sums over the substeps of a step.
 #[derive(Default)]
 struct Tally {
@@ -103,7 +114,7 @@ fn vector(a: [f64; 3]) -> DVec3 {
     DVec3::from_array(a)
 }
 
-fn laws(material: MaterialParameters, drag: DragParameters) -> Laws {
+fn laws(material: MaterialParameters, drag: DragParameters, radius: f64) -> Laws {
     let law = LogLaw {
         a: drag.a,
         b: drag.b,
@@ -112,12 +123,10 @@ fn laws(material: MaterialParameters, drag: DragParameters) -> Laws {
         threshold: drag.threshold,
     };
     Laws {
-        foundation: Foundation {
-            stiffness: material.stiffness,
-            stiffening_depth: material.stiffening_depth,
-            rate_gain: material.rate_gain,
-            rate: material.rate,
-        },
+        foundation: Foundation::new(
+            [material.stiffness, material.stiffening_depth, material.rate_gain, material.rate],
+            radius,
+        ),
         drag: match drag.law.as_str() {
             "printed" => Drag::Printed(law),
             "continuous" => Drag::Continuous(law),
@@ -219,8 +228,8 @@ impl World {
     /// Whether a step has come to a good end: the motion is finite, and the capsule has not broken
     /// through a layer of finite elements.
     fn check(&mut self, wall: &mut Wall) -> Outcome {
-        if !(self.motion.position.is_finite() && self.motion.velocity.is_finite()) {
-            return Err("The step is too large: the capsule's motion is no longer finite.");
+        if !self.motion.is_finite() {
+            return Err(TOO_LARGE);
         }
         if self.layer.is_some() {
             self.soft.settle(wall)?;
@@ -230,7 +239,8 @@ impl World {
                             stiffening_strain, a larger youngs_modulus or support.");
             }
         }
-        Ok(())
+        let is_near = self.motion.position.length() < FAR * f64::from(wall.extent);
+        if is_near { Ok(()) } else { Err(TOO_LARGE) }
     }
 
     fn substeps(
@@ -239,50 +249,83 @@ impl World {
         layer: Option<&mut FemLayer>,
         load: &Load,
         dt: f64,
+        strides: (usize, usize),
+    ) -> Outcome {
+        let mut own = self.layer.take();
+        let mut elastic = layer.zip(own.as_mut().map(|(_, exchange)| exchange));
+        let result = self.march(wall, &mut elastic, load, dt, strides);
+        self.layer = own;
+        result
+    }
+
+    fn march(
+        &mut self,
+        wall: &mut Wall,
+        elastic: &mut Elastic,
+        load: &Load,
+        dt: f64,
         (count, outer): (usize, usize),
     ) -> Outcome {
-        let (soft, reach) = (&mut self.soft, self.quick.map_or(0.0, |q| q.reach));
-        let fastest = soft.driven_velocity.iter().map(|v| v.length_squared()).fold(0.0, f64::max);
-        let drive = fastest.sqrt() * dt;
-        let friction = self.laws.drag.friction();
-        let mut elastic = layer.zip(self.layer.as_mut().map(|(_, exchange)| exchange));
+        let driven = self.soft.driven_velocity.iter().map(|v| v.length_squared());
+        let drive = driven.fold(0.0, f64::max).sqrt();
         let mut tally = Tally::default();
         for number in 0..count {
-            if let Some((layer, exchange)) = &mut elastic {
-                exchange.keep_up(layer, soft, dt, (number, count / outer))?;
+            if let Some((layer, exchange)) = elastic {
+                exchange.keep_up(layer, &mut self.soft, dt, (number, count / outer))?;
             }
-            if soft.travel > MARGIN {
-                soft.search(wall, &self.body, &self.motion, reach)?;
-                if let Some((layer, exchange)) = &mut elastic {
-                    exchange.find(layer, soft)?;
-                }
-            }
-            soft.update_facets(&self.body.axis(&self.motion), self.body.radius);
-            let (before, motion) = (self.motion, &mut self.motion);
-            press(&self.body, &self.laws, &soft.facets, motion, &mut soft.patch);
-            if let Some((_, exchange)) = &mut elastic {
-                exchange.soften(soft, dt);
-            }
-            let reaction = substep(&self.body, &self.laws, load, motion, &soft.patch, dt);
-            tally.add(&reaction, dt);
-            if let Some((_, exchange)) = &mut elastic {
-                let (body, after, before) = (&self.body, &*motion, &before);
-                let reaction = &reaction;
-                exchange.push(soft, &Stride { body, before, after, reaction, friction, dt });
-            }
-            soft.since += dt;
-            soft.wall_travel += drive;
-            soft.travel += drive + dt * fastest_point(&self.body, &before, motion);
-            if let Some(quick) = &self.quick {
-                pushes(&self.body, motion, &soft.patch.grips, &mut soft.pushes);
-                soft.give_way(quick, dt);
+            // A capsule as fast as a blow takes shorter substeps: none goes far into the wall.
+            let way = dt * fastest_point(&self.body, &self.motion, &self.motion);
+            let parts = (way / LONGEST_WAY).ceil().clamp(1.0, MOST_PARTS);
+            let parts = if elastic.is_some() { 1.0 } else { parts };
+            for _ in 0..parts as usize {
+                self.substep(wall, elastic, load, dt / parts, drive, &mut tally)?;
             }
         }
-        if let Some((layer, exchange)) = &mut elastic {
+        if let Some((layer, exchange)) = elastic {
             exchange.end(layer)?;
-            exchange.settle(layer, soft);
+            exchange.settle(layer, &mut self.soft);
         }
         self.last = tally.mean(count as f64 * dt);
+        Ok(())
+    }
+
+    /// One substep of capsule and wall, whose fastest vertex is driven at a speed [m/s].
+    fn substep(
+        &mut self,
+        wall: &mut Wall,
+        elastic: &mut Elastic,
+        load: &Load,
+        dt: f64,
+        drive: f64,
+        tally: &mut Tally,
+    ) -> Outcome {
+        let (body, motion, soft) = (&self.body, &mut self.motion, &mut self.soft);
+        if soft.travel > MARGIN {
+            soft.search(wall, body, motion, self.quick.map_or(0.0, |q| q.reach))?;
+            if let Some((layer, exchange)) = elastic {
+                exchange.find(layer, soft)?;
+            }
+        }
+        soft.update_facets(&body.axis(motion), body.radius);
+        press(body, &self.laws, &soft.facets, motion, &mut soft.patch);
+        if let Some((_, exchange)) = elastic {
+            exchange.soften(soft, dt);
+        }
+        let before = *motion;
+        let reaction = substep(body, &self.laws, load, motion, &soft.patch, dt);
+        tally.add(&reaction, dt);
+        if let Some((_, exchange)) = elastic {
+            let (after, friction) = (&*motion, self.laws.drag.friction());
+            let stride = Stride { body, before: &before, after, reaction: &reaction, friction, dt };
+            exchange.push(soft, &stride);
+        }
+        soft.since += dt;
+        soft.wall_travel += drive * dt;
+        soft.travel += dt * (drive + fastest_point(body, &before, motion));
+        if let Some(quick) = &self.quick {
+            pushes(body, motion, &soft.patch.grips, &mut soft.pushes);
+            soft.give_way(quick, dt);
+        }
         Ok(())
     }
 
@@ -329,10 +372,12 @@ impl World {
             spring: q.spring,
             damping: q.damping,
         });
+        let body: Body = body.into();
+        let laws = laws(material, drag, body.radius);
         let mut world = World {
             wall,
-            body: body.into(),
-            laws: laws(material, drag),
+            body,
+            laws,
             quick,
             layer: None,
             motion: Motion::default(),
@@ -528,6 +573,13 @@ impl World {
             patch.area,
             patch.depth,
         )
+    }
+
+    /// Where [m] and how [N] the capsule pushes the wall in the quick model, [n 6].
+    fn pushes<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray2<f64>> {
+        let rows = self.soft.pushes.iter();
+        let flat = rows.flat_map(|p| Twist { linear: p.center, angular: p.force }.to_array());
+        table(py, flat.collect(), 6)
     }
 
     /// Largest depth [m] to which the capsule presses in where it is now.

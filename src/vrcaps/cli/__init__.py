@@ -28,6 +28,7 @@ _VERBS = {
     "organ texture": ("vrcaps.cli.texture", "Texture", "Make a mucosa from photographs."),
     "bench render": ("vrcaps.cli.bench", "Render", "Measure rendering, beside its peers."),
     "bench record": ("vrcaps.cli.bench", "Record", "Measure recording to disk."),
+    "bench world": ("vrcaps.cli.bench", "World", "Measure the physics."),
     "doctor": ("vrcaps.cli.doctor", "Doctor", "Say what is installed and what can be used."),
 }
 """Module, dataclass and summary of each verb."""

@@ -54,3 +54,25 @@ class Record:
         from vrcaps.cli.benchmarks import record
 
         record.run(out=self.out, quick=self.quick)
+
+
+@dataclass(frozen=True)
+class World:
+    """Measure how fast the physics steps: contact, the muscle's wave, whole frames, elements.
+
+    For example:
+      vrcaps bench world
+      vrcaps bench world --out runs/benchmarks.md
+    """
+
+    out: Path | None = None
+    """Markdown file to write, with a folder of JSON beside it; by default only prints."""
+
+    quick: bool = False
+    """Only try whether everything runs; the figures mean nothing."""
+
+    def run(self) -> None:
+        """Measure and report."""
+        from vrcaps.cli.benchmarks import world
+
+        world.run(out=self.out, quick=self.quick)

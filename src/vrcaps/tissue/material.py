@@ -25,6 +25,9 @@ class Material:
     factor is the slow, nearly logarithmic growth of stress with strain rate that makes the wall
     press harder in front of a moving capsule than behind it.
 
+    Deeper than half the capsule's radius a guard stiffens the wall e-fold over each further
+    thirtieth of the radius, so that no capsule goes through.
+
     The defaults are fitted: a capsule 11 mm thick in a tube 8.4 mm wide is gripped with 2.2 N per
     cm (measured on a live pig: 1.9 ± 1.0 N per cm; Terry, Schoen, Rentschler, J. Robotic Surg.
     7:53-57, 2013), and with the friction of `Drag` it is dragged at 1 to 60 mm/s as in the

@@ -33,9 +33,22 @@ class Control:
     insufflation: float = 1.0
 
     def __post_init__(self) -> None:
-        for name in ("force_world", "torque_world", "T_world_patient", "insufflation"):
+        shapes = {"force_world": (3,), "torque_world": (3,), "T_world_patient": (4, 4)}
+        for name in (*shapes, "insufflation"):
             value = getattr(self, name)
-            if value is not None and not np.isfinite(value).all():
-                raise InputError(f"Control's {name} is {value}. Allowed: finite numbers.")
+            if value is None:
+                continue
+            if np.shape(value) != shapes.get(name, ()):
+                raise InputError(
+                    f"Control's {name} has the shape {np.shape(value)}. "
+                    f"Allowed: {shapes.get(name, ())}."
+                )
+            if not np.isfinite(value).all():
+                shown = " ".join(str(value).split())
+                raise InputError(f"Control's {name} is {shown}. Allowed: finite numbers.")
         if not 0.2 <= self.insufflation <= 2.0:
             raise InputError(f"Control's insufflation is {self.insufflation}. Allowed: 0.2 to 2.")
+        if self.T_world_patient is not None:
+            turn = np.asarray(self.T_world_patient)[:3, :3]
+            if not np.allclose(turn.T @ turn, np.eye(3), atol=1e-6) or np.linalg.det(turn) < 0.0:
+                raise InputError("Control's T_world_patient stretches or mirrors. Allowed: a pose.")

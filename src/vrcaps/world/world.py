@@ -174,14 +174,10 @@ class World:
         """Goes back to a snapshot of a world with the same model.
 
         Raises:
-            InputError: If the snapshot is of another wall or another seed.
+            InputError: If the snapshot is of another wall or another seed, or not finite; the state
+                stays as it was.
         """
-        require(snapshot.seed == self.seed, "seed", snapshot.seed, f"this world's, {self.seed}")
-        if snapshot.driven.shape != self.model.organ.vertices.shape:
-            raise InputError(
-                f"The snapshot has a wall of {len(snapshot.driven)} vertices, the model has "
-                f"{len(self.model.organ.vertices)}. Give a snapshot of the same organ."
-            )
+        _check_snapshot(snapshot, self.snapshot())
         if self.layer is not None:
             motion, exchange = _exchange(self.layer, snapshot)
             self.layer.restore(motion)
@@ -245,8 +241,9 @@ class World:
         to_patient = invert(self._T_world_patient)
         pose = to_patient @ state.T_world_capsule
         velocity = np.array([state.linear_velocity_world, state.angular_velocity_world])
-        if not (np.isfinite(pose).all() and np.isfinite(velocity).all()):
-            raise InputError("The capsule's start is not finite. Allowed: finite numbers.")
+        for name in ("T_world_capsule", "linear_velocity_world", "angular_velocity_world"):
+            if not np.isfinite(getattr(state, name)).all():
+                raise InputError(f"The start's {name} is not finite. Allowed: finite numbers.")
         wxyz = quaternion_from_matrix(pose[:3, :3])
         linear, angular = rotate_vectors(to_patient, velocity)
         return tuple(pose[:3, 3] - self._center), tuple(wxyz), tuple(linear), tuple(angular)
@@ -308,6 +305,27 @@ def _drive(organ: OrganSurface) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndar
     )
     station = organ.arc_length / stations(curve)[1]
     return nearest - organ.vertices, np.ascontiguousarray(station, float)
+
+
+def _check_snapshot(snapshot: Snapshot, own: Snapshot) -> None:
+    """Whether a snapshot fits a world that has a snapshot of its own."""
+    require(snapshot.seed == own.seed, "seed", snapshot.seed, f"this world's, {own.seed}")
+    if snapshot.driven.shape != own.driven.shape:
+        raise InputError(
+            f"The snapshot has a wall of {len(snapshot.driven)} vertices, the model has "
+            f"{len(own.driven)}. Give a snapshot of the same organ."
+        )
+    for name, mine in vars(own).items():
+        if name in ("layer", "touched"):
+            continue  # see `_exchange`
+        given = getattr(snapshot, name)
+        if np.shape(given) != np.shape(mine):
+            raise InputError(
+                f"The snapshot's {name} has the shape {np.shape(given)}. "
+                f"Allowed: {np.shape(mine)}, as in this world."
+            )
+        if not np.isfinite(given).all():
+            raise InputError(f"The snapshot's {name} is not finite. Allowed: finite numbers.")
 
 
 def _check_substep(substep: float, tissue: Tissue) -> None:

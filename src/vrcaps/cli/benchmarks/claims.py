@@ -71,3 +71,31 @@ MEMORY = Claim(
     unit="GB",
     reference="a laptop beside other programs",
 )
+SUBSTEPS = Claim(
+    text="substeps a second per core, a capsule resting on a soft wall, the slowest place",
+    sense="≥",
+    limit=20_000.0,
+    unit="per second",
+    reference="real time at the default substep of 50 µs",
+)
+WAVE = Claim(
+    text="wave of the muscle, wall and refit",
+    sense="≤",
+    limit=2.5,
+    unit="ms",
+    reference="a sixth of a frame at 60 per second",
+)
+LIVING_FRAMES = Claim(
+    text="rendered and labelled steps of 1/60 s a second, muscle at work, substeps of 200 µs",
+    sense="≥",
+    limit=60.0,
+    unit="per second",
+    reference="real time",
+)
+FINITE_ELEMENTS = Claim(
+    text="steps a second of a wall of 20,000 degrees of freedom",
+    sense="≥",
+    limit=100.0,
+    unit="per second",
+    reference="the quick model's rate of frames, with room",
+)

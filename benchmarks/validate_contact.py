@@ -1,0 +1,255 @@
+"""Claim: contact is right, loses only what friction takes, and holds the capsule in every organ.
+
+Presses spheres and capsules into walls of several meshes beside the closed form, lets a capsule
+fly, slide and be pulled through a tube, and pushes capsules about in five organs with random forces
+of up to 5 N in random posture. Organs from CT are left out where they are absent.
+
+    python benchmarks/validate_contact.py [--steps 1000000]
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from scipy.integrate import quad
+from validation import DATA, PAGE, ROOT, table, write_section
+
+sys.path.append(str(ROOT / "tests" / "world"))  # the walls of simple shape that the tests use
+
+from walls import HALF_AXIS, LINEAR, RADIUS, capsule, floor, tube, world_on
+
+from vrcaps.capsule.catalog import load_device
+from vrcaps.errors import InputError
+from vrcaps.organ.catalog import load_organ
+from vrcaps.organ.from_file import organ_from_file
+from vrcaps.organ.surface import OrganSurface
+from vrcaps.tissue.drag import Drag
+from vrcaps.tissue.material import Material
+from vrcaps.tissue.motility.motility import Motility
+from vrcaps.tissue.tissue import Tissue
+from vrcaps.units import MM
+from vrcaps.world.control import Control
+from vrcaps.world.model import Model, State, posture_transform
+from vrcaps.world.world import SUBSTEP, World
+
+FREE, STILL, DOWN = (0.0,) * 6, (0.0,) * 3, (0.0, 0.0, -9.81)
+EDGES = (4.0, 2.0, 1.0, 0.5)
+DEPTHS = (0.02, 0.1, 0.5, 1.0, 2.0)
+STRONGEST = 5.0
+BLOCK = 400
+"""Substeps with one force."""
+POSTURES = ("supine", "prone", "left-lateral", "right-lateral", "standing")
+HEAD = ("quantity", "measured", "promised")
+
+
+def main() -> None:
+    """Measure, and write the tables."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--steps", type=int, default=1_000_000, help="substeps in all organs")
+    parser.add_argument("--out", type=Path, default=PAGE, help="Markdown page to write into")
+    args = parser.parse_args()
+    rows = [*closed_form_rows(), flight_row(), friction_row(), *pull_rows()]
+    organs = list(organ_makers())
+    walks = [walk(name, make(), args.steps // len(organs)) for name, make in organs]
+    text = f"""## Contact
+
+Force and patch of a capsule {2e3 * RADIUS:.0f} mm thick on flat walls of triangles with edges of
+{", ".join(f"{edge:g}" for edge in EDGES)} mm, {", ".join(f"{depth:g}" for depth in DEPTHS)} mm
+deep, at three places each: the largest error.
+
+{table(HEAD, rows)}
+
+Random forces of up to {STRONGEST:g} N, new every {1e3 * BLOCK * SUBSTEP:.0f} ms, in postures that
+change: {args.steps:,} substeps of {1e6 * SUBSTEP:.0f} µs in all. "Escaped" counts instants, one
+after each force, at which the capsule's axis was not in the lumen.
+
+{table(WALK_HEAD, [found.row() for found in walks])}
+
+By `python benchmarks/validate_contact.py --steps {args.steps}`.
+"""
+    write_section(args.out, "validate_contact.py", text)
+
+
+def closed_form_rows() -> Iterator[tuple[str, str, str]]:
+    """With u = R − s, by integration over the flat wall."""
+    for name, material in (("linear", LINEAR), ("stiffening", Material(rate_gain=0.0))):
+        for shape, half_axis in (("sphere", 0.0), ("capsule", HALF_AXIS)):
+            errors = [
+                _press(half_axis, material, depth * MM, edge * MM, place)
+                for depth in DEPTHS
+                for edge in EDGES
+                for place in ((0.3, 0.1), (0.9, -0.7), (-1.3, 0.4))
+            ]
+            force, radius = 100.0 * np.abs(errors).max(axis=0)
+            yield f"{shape}, {name} wall: force", f"{force:.1f} %", "3 %"
+            yield f"{shape}, {name} wall: radius of the patch", f"{radius:.1f} %", "3 %"
+
+
+def _press(
+    half_axis: float, material: Material, depth: float, edge: float, place: tuple[float, float]
+) -> tuple[float, float]:
+    """Relative errors of force and of the root of the area."""
+    fold, nearest = material.stiffening_depth, RADIUS - depth
+
+    def pressure(s: float) -> float:
+        u = RADIUS - s
+        return material.stiffness * (fold * np.expm1(u / fold) if np.isfinite(fold) else u)
+
+    edge_of_patch = np.sqrt(2.0 * RADIUS * depth - depth**2)
+    ends = 2.0 * np.pi * nearest * quad(pressure, nearest, RADIUS)[0]
+    across = quad(lambda y: pressure(np.hypot(y, nearest)) / np.hypot(y, nearest), 0, edge_of_patch)
+    force = ends + 4.0 * half_axis * nearest * across[0]
+    area = np.pi * edge_of_patch**2 + 4.0 * half_axis * edge_of_patch
+    world = world_on(
+        floor(edge, 50.0 * MM),
+        position=(place[0] * MM, place[1] * MM, nearest),
+        body=capsule(half_axis),
+        material=material,
+    )
+    world.step(1e-9, 1, FREE, STILL)
+    found = world.contact()
+    return found[0][2] / force - 1.0, np.sqrt(found[5] / area) - 1.0
+
+
+def flight_row() -> tuple[str, str, str]:
+    """A tumbling capsule that touches nothing for a second."""
+    world = world_on(floor(8 * MM), position=(0, 0, 1.0), velocity=(0.1, 0, 5), spin=(3, -8, 5))
+    weight = 3e-3 * 9.81
+    before = world.kinetic_energy() + weight * world.pose[0][2]
+    world.step(SUBSTEP, 20_000, FREE, DOWN)
+    error = (world.kinetic_energy() + weight * world.pose[0][2]) / before - 1.0
+    return "free flight of 1 s: change of energy", f"{abs(error):.0e}", "1e-6"
+
+
+def friction_row() -> tuple[str, str, str]:
+    """Energy lost by a capsule that slides, against the work of friction over its way."""
+    friction, weight = 0.1, 3e-3 * 9.81
+    stiff = Material(youngs_modulus=3e5, stiffening_strain=np.inf)
+    world = world_on(
+        floor(2 * MM),
+        position=(-30 * MM, 0.0, RADIUS - 0.1 * MM),
+        wxyz=(np.sqrt(0.5), 0.0, np.sqrt(0.5), 0.0),
+        material=stiff,
+        drag=Drag(friction=friction),
+    )
+    world.step(1e-4, 2_000, FREE, DOWN)  # settles
+    world.pose = (*world.pose[:2], (0.2, 0.0, 0.0), STILL)
+    world.step(SUBSTEP, 1, FREE, DOWN)
+
+    def energy() -> float:
+        return world.kinetic_energy() + weight * world.pose[0][2] + world.contact()[4]
+
+    before, start = energy(), world.pose[0][0]
+    world.step(SUBSTEP, 2_000, FREE, DOWN)
+    work = friction * weight * (world.pose[0][0] - start)
+    error = 100.0 * abs((before - energy()) / work - 1.0)
+    return "sliding 17 mm: energy lost over the work of friction", f"{error:.1f} % off", "2 %"
+
+
+def pull_rows() -> Iterator[tuple[str, str, str]]:
+    """The physical law in a narrow tube, against Zhang et al. and Terry et al., see `Drag`."""
+    wall, law = tube(4.2 * MM, 120.0 * MM, 1.0 * MM), Drag(law="continuous")
+    errors, squeeze = [], []
+    for speed in (1.0, 2.0, 5.0, 10.0, 20.0, 40.0, 60.0):
+        world = world_on(
+            wall,
+            position=(0, 0, 50 * MM),
+            wxyz=(1, 0, 0, 0),
+            velocity=(0, 0, speed * MM),
+            body=capsule(mass=1e6),
+            material=Material(),
+            drag=Drag(),
+        )
+        world.step(1e-5, 100, FREE, STILL)
+        errors.append(-world.contact()[0][2] / law.resistance(np.array(speed * MM)) - 1.0)
+        squeeze.append(world.contact()[2] / 2.6)
+    worst = 100.0 * np.abs(errors).max()
+    yield (
+        "drag in a tube 8.4 mm wide, 1 to 60 mm/s, from the measured curve",
+        f"{worst:.1f} %",
+        "10 %",
+    )
+    shown = f"{min(squeeze):.1f} to {max(squeeze):.1f} N/cm"
+    yield "squeeze in that tube", shown, "1.9 ± 1.0 N/cm"
+
+
+WALK_HEAD = ("organ", "triangles", "substeps", "escaped", "not a number", "deepest", "fastest")
+
+
+@dataclass
+class Walk:
+    """What happened in one organ."""
+
+    name: str
+    triangles: int
+    substeps: int = 0
+    escaped: int = 0
+    broken: int = 0
+    depths: list[float] = field(default_factory=list)
+    speeds: list[float] = field(default_factory=list)
+
+    def row(self) -> tuple[str, ...]:
+        """A line of the table."""
+        return (
+            self.name,
+            f"{self.triangles:,}",
+            f"{self.substeps:,}",
+            str(self.escaped),
+            str(self.broken),
+            f"{1e3 * max(self.depths):.1f} mm",
+            f"{max(self.speeds):.1f} m/s",
+        )
+
+
+def organ_makers() -> Iterator[tuple[str, Callable[[], OrganSurface]]]:
+    """Five organs: three generated, with muscle at work, and two from CT."""
+    for name in ("colon", "stomach", "small-bowel"):
+        yield f"{name}, muscle at work", lambda name=name: load_organ(name, seed=0)
+    for name in ("colon_GI1_mm", "stomach_A_mm"):
+        path = DATA / f"{name}.ply"
+        if path.exists():
+            yield f"{name}, from CT", lambda path=path: organ_from_file(path, unit="mm")
+
+
+def walk(name: str, organ: OrganSurface, num_steps: int) -> Walk:
+    """Pushes a capsule about; one that has escaped starts anew."""
+    rng = np.random.default_rng(len(organ.faces))
+    tissue = Tissue(motility=Motility() if "muscle" in name else None)
+    found, world = Walk(name, len(organ.faces)), _start(organ, tissue)
+    for block in range(num_steps // BLOCK):
+        push = rng.normal(size=3)
+        control = Control(
+            force_world=push * (rng.uniform(0.0, STRONGEST) / np.linalg.norm(push)),
+            T_world_patient=posture_transform(rng.choice(POSTURES)) if block % 10 == 0 else None,
+        )
+        found.substeps += BLOCK
+        try:
+            world.step(control, BLOCK * SUBSTEP)
+        except InputError:
+            found.broken += 1
+            world = _start(organ, tissue)
+            continue
+        contact = world.state.contact
+        found.depths.append(0.0 if contact is None else contact.depth)
+        found.speeds.append(float(np.linalg.norm(world.state.linear_velocity_world)))
+        if not world.is_inside():
+            found.escaped += 1
+            world = _start(organ, tissue)
+    return found
+
+
+def _start(organ: OrganSurface, tissue: Tissue) -> World:
+    """Where the lumen is widest."""
+    model, line = Model(organ, load_device("mirocam")), organ.centerline
+    widest, pose = int(np.argmax(line.radius)), np.eye(4)
+    pose[:3, :3], pose[:3, 3] = line.frames[widest], line.points[widest]
+    return World(model, tissue, State(0.0, model.T_world_patient @ pose))
+
+
+if __name__ == "__main__":
+    main()

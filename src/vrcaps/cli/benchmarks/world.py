@@ -1,0 +1,180 @@
+"""`vrcaps bench world`: how fast the physics steps."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vrcaps.cli.benchmarks import claims
+from vrcaps.cli.benchmarks.extent import FULL, QUICK
+from vrcaps.cli.benchmarks.report import (
+    Claim,
+    Report,
+    Row,
+    Table,
+    check_out,
+    machine_facts,
+    show_report,
+)
+from vrcaps.cli.benchmarks.stage import Stage, make_organ, make_stage
+from vrcaps.cli.benchmarks.timing import Spread
+from vrcaps.cli.console import console
+from vrcaps.tissue.fem.deformation import FemDeformation
+from vrcaps.tissue.fem.wall import FemWall
+from vrcaps.tissue.motility.motility import Motility
+from vrcaps.tissue.tissue import Tissue
+from vrcaps.units import MM
+from vrcaps.world.control import Control
+from vrcaps.world.world import SUBSTEP, World
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+_SEED = 0
+_PLACES = (2, 4, 6)
+_REST = 1.0
+_FRAME = 1.0 / 60.0
+_COARSER = 2e-4
+_FEM_STEP = 5e-3
+
+
+@dataclass(frozen=True)
+class Timed:
+    """Times of one call, in all its repetitions [s]."""
+
+    wall: Float[np.ndarray, " n"]
+    cpu: Float[np.ndarray, " n"]
+
+    def row(self, name: str, note: str, scale: float) -> Row:
+        """Both times in another unit."""
+        return Row(name, tuple(Spread.of(t).scaled(scale) for t in (self.wall, self.cpu)), note)
+
+
+def run(*, out: Path | None = None, quick: bool = False) -> Report:
+    """Measure, print, and write Markdown and JSON.
+
+    Args:
+        out: Markdown file to write; None writes nothing.
+        quick: Measure little; the figures mean nothing.
+
+    Raises:
+        InputError: If `out` is no Markdown file.
+    """
+    check_out(out)
+    report = measure(QUICK.num_triangles if quick else FULL.num_triangles, 3 if quick else 40)
+    show_report(report, out, console)
+    return report
+
+
+def measure(num_triangles: int, num_rounds: int) -> Report:
+    """Time substeps, the muscle's wave, whole frames and finite elements, one after the other."""
+    with console.status("generating the colon"):
+        stage = make_stage(make_organ(num_triangles, seed=_SEED), num_views=8)
+    parts = (_substeps, _wave, _frames, _finite_elements)
+    found = []
+    for part in parts:
+        with console.status(part.__name__.strip("_").replace("_", " ")):
+            found.append(part(stage, num_rounds))
+    return Report(
+        name="world",
+        command="vrcaps bench world",
+        setting=(
+            f"A generated colon of {stage.num_triangles} triangles, default tissue with quick "
+            f"deformation, default substep of {1e6 * SUBSTEP:.0f} µs; {stage.model.device.name} "
+            f"let fall at three places and left for {_REST:g} s. {num_rounds} repetitions. Times "
+            "are on the clock, and in processor time of all threads together."
+        ),
+        claims=tuple(claim for claim, _ in found),
+        tables=tuple(table for _, table in found),
+        machine=machine_facts(),
+    )
+
+
+def _timed(call: Callable[[], object], num_rounds: int) -> Timed:
+    call()
+    wall, cpu = np.empty(num_rounds), np.empty(num_rounds)
+    for k in range(num_rounds):
+        started = time.process_time(), time.perf_counter()
+        call()
+        cpu[k], wall[k] = time.process_time() - started[0], time.perf_counter() - started[1]
+    return Timed(wall, cpu)
+
+
+def _world(stage: Stage, place: int, tissue: Tissue, substep: float = SUBSTEP) -> World:
+    """A capsule that has come to rest."""
+    start = replace(stage.states[place], vertices_world=None)
+    world = World(stage.model, tissue, start, substep=substep)
+    for _ in range(10):
+        world.step(Control(), _REST / 10)
+    return world
+
+
+def _substeps(stage: Stage, num_rounds: int) -> tuple[Claim, Table]:
+    count, rows, slowest = 200, [], None
+    for place in _PLACES:
+        world = _world(stage, place, Tissue())
+        times = _timed(lambda world=world: world.step(Control(), count * SUBSTEP), num_rounds)
+        contact = world.state.contact
+        assert contact is not None
+        note = f"{1e6 * contact.area:.0f} mm² touched, {1e3 * contact.depth:.2f} mm deep"
+        rows.append(times.row(f"place {place}", note, 1e6 / count))
+        if slowest is None or np.median(times.cpu) > np.median(slowest):
+            slowest = times.cpu
+    assert slowest is not None
+    claim = replace(claims.SUBSTEPS, measured=Spread.of(count / slowest))
+    table = Table("A substep in resting contact", ("µs", "µs of processors"), tuple(rows))
+    return claim, table
+
+
+def _wave(stage: Stage, num_rounds: int) -> tuple[Claim, Table]:
+    world = _world(stage, _PLACES[0], Tissue(motility=Motility()))
+
+    def wave() -> None:
+        world.step(Control(), SUBSTEP)
+        world.is_inside()
+
+    times = _timed(wave, num_rounds)
+    note = "calibres, all vertices, one substep, hierarchy and normals refitted, one query"
+    table = Table(
+        "The muscle's wave",
+        ("ms", "ms of processors"),
+        (times.row("wave, wall and refit", note, 1e3),),
+    )
+    return replace(claims.WAVE, measured=Spread.of(1e3 * times.wall)), table
+
+
+def _frames(stage: Stage, num_rounds: int) -> tuple[Claim, Table]:
+    from vrcaps.render.renderer import Renderer
+
+    renderer, rows, rates = Renderer(stage.model), [], []
+    for substep in (_COARSER, SUBSTEP):
+        world = _world(stage, _PLACES[0], Tissue(motility=Motility()), substep)
+        frame = renderer.render(world.state, stage.camera)
+
+        def step(world: World = world, frame: object = frame) -> None:
+            world.step(Control(), _FRAME)
+            renderer.render(world.state, stage.camera, out=frame)  # pyright: ignore[reportArgumentType]
+
+        times = _timed(step, num_rounds)
+        note = f"a step of 1/60 s in substeps of {1e6 * substep:.0f} µs, state, complete frame"
+        rows.append(times.row(f"{1e6 * substep:.0f} µs", note, 1e3))
+        rates.append(Spread.of(1.0 / times.wall))
+    table = Table("A rendered and labelled step", ("ms", "ms of processors"), tuple(rows))
+    return replace(claims.LIVING_FRAMES, measured=rates[0]), table
+
+
+def _finite_elements(stage: Stage, num_rounds: int) -> tuple[Claim, Table]:
+    organ = stage.model.organ
+    wall = FemWall(organ, FemDeformation(edge=24.0 * MM))
+    middle = organ.vertices[np.argmin(np.abs(organ.arc_length - 0.5))]
+    near = np.linalg.norm(organ.vertices - middle, axis=1) < 5.0 * MM
+    force = np.where(near[:, None], -organ.normals * (0.5 / near.sum()), 0.0)
+    times = _timed(lambda: wall.step(force, _FEM_STEP), num_rounds)
+    note = f"{wall.num_dof} degrees of freedom, linear, a step of {1e3 * _FEM_STEP:g} ms"
+    table = Table("Finite elements", ("ms", "ms of processors"), (times.row("step", note, 1e3),))
+    return replace(claims.FINITE_ELEMENTS, measured=Spread.of(1.0 / times.cpu)), table

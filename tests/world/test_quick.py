@@ -1,0 +1,104 @@
+"""The quick model against a twin in NumPy and against the closed forms of its spring and damper."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from walls import RADIUS, floor, world_on
+
+from vrcaps import _core
+from vrcaps.tissue.drag import Drag
+from vrcaps.tissue.material import Material
+from vrcaps.tissue.quick import QuickDeformation
+from vrcaps.units import MM
+
+QUICK = QuickDeformation()
+DOWN, FREE, STILL = (0.0, 0.0, -9.81), (0.0,) * 6, (0.0,) * 3
+DT = 5e-5
+
+
+def attenuated(places: np.ndarray, pushes: np.ndarray, quick: QuickDeformation) -> np.ndarray:
+    """F_v = Σ F / (1 + (d/d₀)²) over all pushes within reach."""
+    distance = np.linalg.norm(places[:, None] - pushes[None, :, :3], axis=2)
+    weight = np.where(distance < quick.reach, 1.0 / (1.0 + (distance / quick.length) ** 2), 0.0)
+    return weight @ pushes[:, 3:]
+
+
+def twin(before: np.ndarray, force: np.ndarray, quick: QuickDeformation, dt: float) -> np.ndarray:
+    """The paper's update: Δv = (F_v − k x) Δt / m, v ← v (1 − μ Δt), Δx = v Δt."""
+    place, velocity = before[:, :3], before[:, 3:]
+    velocity = velocity + (force - quick.spring * place) * dt / quick.mass
+    velocity = velocity * (1.0 - quick.damping * dt)
+    return np.hstack([place + velocity * dt, velocity])
+
+
+def pressed(size: float = 80.0 * MM, quick: QuickDeformation = QUICK) -> _core.World:
+    return world_on(
+        floor(2.0 * MM, size),
+        position=(1.0 * MM, 0.0, 0.95 * RADIUS),
+        material=Material(),
+        drag=Drag(),
+        quick=quick,
+    )
+
+
+@pytest.mark.parametrize(
+    "quick", [QUICK, QuickDeformation(length=9 * MM, reach=30 * MM, spring=40.0, damping=0.0)]
+)
+def test_term_by_term(quick: QuickDeformation) -> None:
+    world = pressed(quick=quick)
+    for _ in range(40):
+        before = world.yields
+        world.step(DT, 1, (0.3, 0.0, -1.0, 0.0, 1e-3, 0.0), DOWN)
+        pushes = world.pushes()
+        force = attenuated(world.driven + before[:, :3], pushes, quick)
+        np.testing.assert_allclose(world.yields, twin(before, force, quick, DT), atol=1e-15)
+        np.testing.assert_allclose(-pushes[:, 5].sum(), world.contact()[2], rtol=0.05)
+    assert np.abs(world.yields[:, :3]).max() > 1e-6
+
+
+def test_static_depth() -> None:
+    """At rest each vertex stands back by F_v / k."""
+    world = pressed()
+    world.step(1e-4, 12_000, FREE, DOWN)
+    pushes, at_rest = world.pushes(), world.yields[:, :3]
+    assert -pushes[:, 5].sum() == pytest.approx(3e-3 * 9.81, rel=5e-3)
+    expected = attenuated(world.driven + at_rest, pushes, QUICK) / QUICK.spring
+    deepest = np.abs(expected).max()
+    np.testing.assert_allclose(at_rest, expected, atol=0.02 * deepest)
+
+
+def test_recovery() -> None:
+    """Let go, x(t) = x₀ e^(−μt/2) (cos ωt + μ/(2ω) sin ωt), ω² = k/m − μ²/4."""
+    world = pressed()
+    world.step(1e-4, 12_000, FREE, DOWN)
+    away = (0.0, 0.0, 60.0 * MM)
+    world.pose = (away, (1.0, 0.0, 0.0, 0.0), STILL, STILL)
+    start = world.yields
+    start[:, 3:] = 0.0
+    world.yields = start
+    half = 0.5 * QUICK.damping
+    omega = np.sqrt(QUICK.spring / QUICK.mass - half**2)
+    for number in range(1, 9):
+        world.step(DT, 200, FREE, STILL)
+        t = number * 200 * DT
+        share = np.exp(-half * t) * (np.cos(omega * t) + half / omega * np.sin(omega * t))
+        error = world.yields[:, :3] - share * start[:, :3]
+        assert np.abs(error).max() < 0.01 * np.abs(start[:, :3]).max()
+    world.step(1e-4, 10_000, FREE, STILL)
+    assert not world.yields.any()  # back at rest to the bit
+
+
+def test_cost_is_local() -> None:
+    """Sixteen times the wall, the same vertices move, none beyond the reach."""
+
+    def moved(world: _core.World) -> np.ndarray:
+        world.step(DT, 100, (0.0, 0.0, -1.0, 0.0, 0.0, 0.0), DOWN)
+        return world.driven[np.any(world.yields != 0.0, axis=1)]
+
+    small, large = moved(pressed(size=80.0 * MM)), moved(pressed(size=320.0 * MM))
+    assert len(large) == pytest.approx(len(small), rel=0.1)
+    # The capsule lies along y: its axis ends 7.5 mm from its middle.
+    beyond = np.maximum(np.abs(large[:, 1]) - 7.5 * MM, 0.0)
+    across = np.hypot(large[:, 0] - 1.0 * MM, beyond)
+    assert across.max() < RADIUS + QUICK.reach + 2.0 * MM

@@ -3,7 +3,7 @@
 Reference: the promise of `docs/tissue.md`. CPU time of this process, so that other work on the
 machine counts little; single-threaded but for carrying the organ's vertices.
 
-With `--world` a capsule rests on the wall, and a step of the layer with the exchange of forces is
+With `--world` a capsule lies on the wall, and a step of the layer with the exchange of forces is
 what a world on it takes beyond one whose wall does not move.
 
     python benchmarks/speed_fem.py [--edge-mm 24] [--model neo-hookean] [--world]
@@ -46,7 +46,7 @@ def main(
         edge_mm: Length of the elements' edges [mm].
         model: Law of the wall.
         steps: How many to measure.
-        world: Measure a world with a capsule that rests.
+        world: Measure a world with a capsule on the wall.
     """
     organ = load_organ("colon", seed=1)
     if world:
@@ -77,12 +77,12 @@ def main(
 
 
 def measure_world(organ: OrganSurface, deformation: FemDeformation, steps: int) -> None:
-    """Print what the layer and the exchange take of a world in which a capsule rests."""
+    """Print what the layer and the exchange take of a world in which a capsule lies on the wall."""
     model = Model(organ, load_device("mirocam"))
     line = organ.centerline
     place = int(np.argmin(np.abs(line.arc_length - 0.7)))
     start = transform_from(line.frames[place], line.points[place])
-    taken = []
+    taken, num_dof = [], 0
     for wall in (None, deformation):
         world = World(model, Tissue(deformation=wall), State(0.0, model.T_world_patient @ start))
         for _ in range(16):
@@ -91,9 +91,10 @@ def measure_world(organ: OrganSurface, deformation: FemDeformation, steps: int) 
         for _ in range(max(1, steps // 10)):
             world.step(Control(), 10 * _DT)
         taken.append((time.process_time() - begin) / (10 * max(1, steps // 10)))
+        num_dof = 0 if world.layer is None else world.layer.num_dof
     firm, soft = taken
     print(
-        f"{deformation.model}, world of {world.layer.num_dof:,} degrees of freedom: a step of the "
+        f"{deformation.model}, world of {num_dof:,} degrees of freedom: a step of the "
         f"layer with its exchange {1e3 * (soft - firm):.2f} ms, {1.0 / (soft - firm):.0f} Hz; "
         f"with its capsule's {1e3 * soft:.2f} ms"
     )

@@ -12,8 +12,10 @@ from vrcaps.capsule.catalog import load_device
 from vrcaps.errors import InputError, UnknownNameError
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.tissue.drag import Drag
+from vrcaps.tissue.fem.deformation import FemDeformation
 from vrcaps.tissue.motility.propulsion import Propulsion
 from vrcaps.tissue.quick import QuickDeformation
+from vrcaps.transforms import transform_points
 from vrcaps.units import CM, MM
 from vrcaps.world.model import Contact, Model, posture_transform
 from vrcaps.world.physics import Physics, tissue_of
@@ -55,6 +57,31 @@ def test_the_first_frame_is_at_rest_on_the_wall(lying: Model) -> None:
     assert first.state.T_world_capsule[2, 3] == pytest.approx(
         floor[2] - 11.0 * MM + lying.device.radius, abs=0.8 * MM
     )
+
+
+def test_a_layer_of_elements_carries_the_weight(lying: Model) -> None:
+    """The wall that is shown sinks under the capsule, and by as much as the layer does."""
+    layer = FemDeformation(edge=10.0 * MM, support=1e5)
+    soft = replace(RIGID, deformation="fem", fem=layer)
+    simulation = Simulation(lying, soft, frames=2, fps=20.0, seed=0)
+    state = list(simulation.instants())[-1].state
+    assert state.contact is not None
+    assert state.vertices_world is not None
+    assert state.contact.force_world[2] == pytest.approx(lying.device.mass * G, rel=0.01)
+    assert simulation.world.layer is not None
+    still = transform_points(lying.T_world_patient, lying.organ.vertices)
+    sunk = np.linalg.norm(state.vertices_world - still, axis=1)
+    given = np.linalg.norm(simulation.world.layer.yields[:, :3], axis=1)
+    np.testing.assert_allclose(sunk, given, rtol=0, atol=1e-8)
+    assert sunk.max() > 0.01 * MM
+
+
+@pytest.mark.parametrize(
+    ("name", "kind"), [("quick", QuickDeformation), ("fem", FemDeformation), ("rigid", type(None))]
+)
+def test_each_deformation_has_its_tissue(name: str, kind: type) -> None:
+    tissue = tissue_of(replace(RIGID, deformation=name), front=0.0)
+    assert isinstance(tissue.deformation, kind)
 
 
 def test_it_looks_back_at_an_angle_of_pi(lying: Model) -> None:

@@ -351,7 +351,7 @@ impl FemLayer {
 
     /// Number of entries of the factor.
     #[getter]
-    fn fill(&self) -> usize {
+    pub fn fill(&self) -> usize {
         self.symbolic.fill()
     }
 }

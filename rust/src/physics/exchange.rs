@@ -18,7 +18,7 @@ use super::lane::LANES;
 use super::near_layer::{NearLayer, largest_weights, rise};
 use super::patch::Samples;
 use super::quick::Yield;
-use super::soft_wall::{MARGIN, SoftWall};
+use super::soft_wall::SoftWall;
 use super::wall_load::{Stride, forces, shares};
 use crate::fem::layer::FemLayer;
 use crate::fem::outer::Outcome;
@@ -62,6 +62,8 @@ pub struct Exchange {
     rise: u32,
     /// Fastest vertex under the last forces, at most [m/s].
     fastest: f64,
+    /// Whether vertices beyond the near are not where the layer is.
+    is_stale: bool,
 }
 
 impl From<(DVec3, DVec3)> for Yield {
@@ -90,6 +92,7 @@ impl Exchange {
             weights: largest_weights(&layer.embedding),
             rise: rise(layer),
             fastest: 0.0,
+            is_stale: false,
         }
     }
 
@@ -106,10 +109,10 @@ impl Exchange {
         self.settle(layer, soft);
     }
 
-    /// Before a substep of `dt` [s]: begins an outer step when its number is a multiple of `each`,
-    /// and brings the vertices to where they are when what is near must be searched anew.
+    /// Before a substep of `dt` [s]: begins an outer step when its number is a multiple of `each`.
     ///
-    /// Every step of the world begins with a search, so that a restored world makes the same ones.
+    /// Every step of the world begins with a search. Others come when they must: no byte depends on
+    /// when.
     pub fn keep_up(
         &mut self,
         layer: &mut FemLayer,
@@ -125,9 +128,6 @@ impl Exchange {
         }
         if number.is_multiple_of(each) {
             self.begin(layer, soft, each as f64 * dt)?;
-        }
-        if number > 0 && soft.travel > MARGIN {
-            self.carry(layer, soft);
         }
         Ok(())
     }
@@ -168,7 +168,11 @@ impl Exchange {
         }
         self.held.owed.fill(DVec3::ZERO);
         let before = (!layer.is_linear()).then(|| predicted.clone());
-        let velocity = layer.correct(predicted, &mean, gained, step, self.tolerance)?;
+        let velocity = if layer.is_linear() && self.near.knows(&gained, layer) {
+            self.near.correct(predicted, &gained, step)
+        } else {
+            layer.correct(predicted, &mean, gained, step, self.tolerance)?
+        };
         if let Some(before) = before {
             let (mut answer, gained) = (self.local(&before), self.local(&self.gained));
             let momenta: Vec<DVec3> = gained.iter().map(|p| *p / step).collect();
@@ -202,14 +206,20 @@ impl Exchange {
         Ok(())
     }
 
-    /// Brings all vertices to where the layer is now, but for the latest forces beyond the near.
-    fn carry(&self, layer: &FemLayer, soft: &mut SoftWall) {
-        let now = self.start.iter().zip(&self.drift).map(|(u, v)| *u + self.since * *v);
-        layer.embedding.carry(&now.collect::<Vec<_>>(), &self.drift, &mut soft.yields);
+    /// Brings all vertices to where the layer is now, but for the latest forces beyond the near:
+    /// before every search.
+    pub fn carry(&mut self, layer: &FemLayer, soft: &mut SoftWall) {
+        if self.is_stale {
+            let now = self.start.iter().zip(&self.drift).map(|(u, v)| *u + self.since * *v);
+            layer.embedding.carry(&now.collect::<Vec<_>>(), &self.drift, &mut soft.yields);
+            self.write(soft);
+            self.is_stale = false;
+        }
     }
 
     /// Brings all vertices to where the layer is between outer steps.
-    pub fn settle(&self, layer: &FemLayer, soft: &mut SoftWall) {
+    pub fn settle(&mut self, layer: &FemLayer, soft: &mut SoftWall) {
+        self.is_stale = false;
         let now: Vec<DVec3> =
             layer.displacement.iter().zip(&self.held.offset).map(|(u, o)| *u + *o).collect();
         layer.embedding.carry(&now, &layer.velocity, &mut soft.yields);
@@ -274,17 +284,15 @@ impl Exchange {
             self.gained[n] += stride.dt * (*force - self.reference[n]);
         }
         self.since += stride.dt;
-        self.accelerate();
-        for (u, w) in self.displacement.iter_mut().zip(&self.velocity) {
-            *u += stride.dt * *w;
-        }
-        let fastest = self.write(soft).max(self.fastest);
+        self.is_stale = true;
+        let fastest = self.place(soft).max(self.fastest);
         soft.travel += stride.dt * fastest;
         soft.wall_travel += stride.dt * fastest;
     }
 
-    /// Displacement and velocity of what is near, from the whole layer's.
-    fn place(&mut self, soft: &mut SoftWall) {
+    /// Displacement and velocity of what is near, from the whole layer's; returns the speed of the
+    /// fastest vertex [m/s].
+    fn place(&mut self, soft: &mut SoftWall) -> f64 {
         self.displacement = self.local(&self.start);
         let drift = self.local(&self.drift);
         for (u, v) in self.displacement.iter_mut().zip(drift) {
@@ -293,7 +301,7 @@ impl Exchange {
         let gained = self.local(&self.gained);
         self.near.answer(&gained, &mut self.displacement);
         self.accelerate();
-        self.write(soft);
+        self.write(soft)
     }
 
     /// Velocities of near nodes under the forces of now.

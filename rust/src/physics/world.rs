@@ -276,7 +276,6 @@ impl World {
             // A capsule as fast as a blow takes shorter substeps: none goes far into the wall.
             let way = dt * fastest_point(&self.body, &self.motion, &self.motion);
             let parts = (way / LONGEST_WAY).ceil().clamp(1.0, MOST_PARTS);
-            let parts = if elastic.is_some() { 1.0 } else { parts };
             for _ in 0..parts as usize {
                 self.substep(wall, elastic, load, dt / parts, drive, &mut tally)?;
             }
@@ -301,6 +300,9 @@ impl World {
     ) -> Outcome {
         let (body, motion, soft) = (&self.body, &mut self.motion, &mut self.soft);
         if soft.travel > MARGIN {
+            if let Some((layer, exchange)) = elastic {
+                exchange.carry(layer, soft);
+            }
             soft.search(wall, body, motion, self.quick.map_or(0.0, |q| q.reach))?;
             if let Some((layer, exchange)) = elastic {
                 exchange.find(layer, soft)?;

@@ -132,11 +132,14 @@ def tissue_of(settings: Physics, *, front: float) -> Tissue:
         motility = replace(motility, front=front)
     elif settings.motility == "steady" and motility is not None:
         motility = replace(motility, complex=None)
-    layer = settings.fem or FemDeformation()
-    deformation = {"quick": settings.quick, "fem": layer, "rigid": None}[settings.deformation]
+    deformations: dict[str, QuickDeformation | FemDeformation | None] = {
+        "quick": settings.quick,
+        "fem": settings.fem or FemDeformation(),
+        "rigid": None,
+    }
     return Tissue(
         material=settings.material,
         drag=settings.drag,
-        deformation=deformation,  # type: ignore[arg-type]
+        deformation=deformations[settings.deformation],
         motility=motility,
     )

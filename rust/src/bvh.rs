@@ -215,8 +215,14 @@ impl Node {
 
     #[inline(always)]
     fn union(&self) -> [f32; 6] {
-        let lowest = |row: &[f32; WIDTH]| row.iter().fold(FAR, |m, &x| min(m, x));
-        let highest = |row: &[f32; WIDTH]| row.iter().fold(-FAR, |m, &x| max(m, x));
+        // In halves, which processors do side by side.
+        let halve = |row: &[f32; WIDTH], of: fn(f32, f32) -> f32| {
+            let [a, b, c, d, e, f, g, h] = *row;
+            let [a, b, c, d] = [of(a, e), of(b, f), of(c, g), of(d, h)];
+            of(of(a, c), of(b, d))
+        };
+        let lowest = |row: &[f32; WIDTH]| halve(row, min);
+        let highest = |row: &[f32; WIDTH]| halve(row, max);
         let [x0, y0, z0, x1, y1, z1] = &self.bounds;
         [lowest(x0), lowest(y0), lowest(z0), highest(x1), highest(y1), highest(z1)]
     }

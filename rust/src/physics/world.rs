@@ -16,6 +16,7 @@ use crate::wall::Wall;
 use glam::{DMat3, DQuat, DVec3};
 use numpy::{IntoPyArray, PyArray2, PyReadonlyArray1, PyReadonlyArray2, ndarray, ndarray::Array2};
 use pyo3::{exceptions::PyValueError, prelude::*};
+use rayon::prelude::*;
 
 /// The body of a capsule: `vrcaps.capsule.body.Body`.
 #[derive(FromPyObject)]
@@ -266,8 +267,7 @@ impl World {
         dt: f64,
         (count, outer): (usize, usize),
     ) -> Outcome {
-        let driven = self.soft.driven_velocity.iter().map(|v| v.length_squared());
-        let drive = driven.fold(0.0, f64::max).sqrt();
+        let drive = self.soft.driven_speed;
         let mut tally = Tally::default();
         for number in 0..count {
             if let Some((layer, exchange)) = elastic {
@@ -403,7 +403,7 @@ impl World {
         count: usize,
         wrench: [f64; 6],
         gravity: [f64; 3],
-        calibre: Option<Vec<f64>>,
+        calibre: Option<PyReadonlyArray1<'_, f64>>,
         outer: usize,
     ) -> PyResult<()> {
         if outer == 0 || !count.is_multiple_of(outer) {
@@ -411,7 +411,7 @@ impl World {
         }
         let load = Load { wrench: Twist::from_array(wrench), gravity: vector(gravity) };
         if let Some(calibre) = calibre {
-            self.aim(&calibre, dt * count as f64)?;
+            self.aim(calibre.as_slice()?, dt * count as f64)?;
         }
         let wall = self.wall.clone_ref(py);
         let mut wall = wall.borrow_mut(py);
@@ -552,11 +552,26 @@ impl World {
         Ok(())
     }
 
-    /// Vertices of the wall now, in the wall's own frame [n 3].
-    fn vertices<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray2<f64>> {
-        let places =
-            (0..self.soft.driven.len() as u32).map(|v| self.soft.vertex(v).0 + self.center);
-        table(py, places.flat_map(|p| p.to_array()).collect(), 3)
+    /// Vertices of the wall now [n 3], in the frame to which `transform` [4 4] brings the wall's.
+    fn vertices<'py>(
+        &self,
+        py: Python<'py>,
+        transform: PyReadonlyArray2<'_, f64>,
+    ) -> PyResult<Bound<'py, PyArray2<f64>>> {
+        let t = transform.as_array();
+        if t.dim() != (4, 4) {
+            return Err(PyValueError::new_err("A transform has four rows and four columns."));
+        }
+        let [x, y, z, origin] = [0, 1, 2, 3].map(|k| DVec3::new(t[[0, k]], t[[1, k]], t[[2, k]]));
+        let mut flat = vec![0.0; 3 * self.soft.driven.len()];
+        py.detach(|| {
+            let rows = flat.par_chunks_exact_mut(3).with_min_len(4096).enumerate();
+            rows.for_each(|(v, row)| {
+                let p = self.soft.vertex(v as u32).0 + self.center;
+                (x * p.x + y * p.y + z * p.z + origin).write_to_slice(row);
+            });
+        });
+        Ok(table(py, flat, 3))
     }
 
     /// Mean force [N] and torque [N·m] of the wall on the capsule over the last step, mean sum of

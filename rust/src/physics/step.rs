@@ -211,13 +211,13 @@ impl Resistance {
         let slip = slip - grip.normal * slip.dot(grip.normal);
         let most = friction * grip.load;
         let by_speed = most / slip.length().max(CREEP + grip.mobility * most);
-        // With B = s (1 − n nᵀ) and L the cross product by the arm a: B, L B and −L B L.
-        let (n, moment) = (grip.normal, arm.cross(grip.normal));
-        let around = DMat3::from_diagonal(DVec3::splat(arm.length_squared()));
-        let block = (DMat3::IDENTITY - outer(n, n)) * by_speed;
+        let n = grip.normal;
+        let across = DMat3::from_cols(n * n.x, n * n.y, n * n.z);
+        let block = (DMat3::IDENTITY - across) * by_speed;
+        let lever = skew(arm);
         self.linear += block;
-        self.mixed += (skew(arm) - outer(moment, n)) * by_speed;
-        self.angular += (around - outer(arm, arm) - outer(moment, moment)) * by_speed;
+        self.mixed += lever * block;
+        self.angular -= lever * block * lever;
         let dragged = block * grip.velocity;
         self.wall.linear += dragged;
         self.wall.angular += arm.cross(dragged);
@@ -249,11 +249,6 @@ impl Resistance {
             angular: self.wall.angular - self.mixed * v - self.angular * w,
         }
     }
-}
-
-/// `a bᵀ`.
-fn outer(a: DVec3, b: DVec3) -> DMat3 {
-    DMat3::from_cols(a * b.x, a * b.y, a * b.z)
 }
 
 fn skew(a: DVec3) -> DMat3 {

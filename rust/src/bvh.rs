@@ -1,6 +1,7 @@
 //! The bounding-volume hierarchy: eight children a node, built once, refitted when the wall moves.
 
-use crate::lanes::{Vec3, max, min};
+use crate::lanes::Vec3;
+use glam::{Vec3A, Vec4};
 use obvhs::{
     BvhBuildParams,
     bvh2::{Bvh2, builder::build_bvh2_from_tris},
@@ -193,16 +194,15 @@ impl<'a> Part<'a> {
     /// Moves the triangles of a leaf; returns their bounds.
     #[inline(always)]
     fn refit_leaf(&mut self, range: Range<usize>) -> [f32; 6] {
-        let (mut low, mut high) = ([FAR; 3], [-FAR; 3]);
+        let (mut low, mut high) = (Vec3A::splat(FAR), Vec3A::splat(-FAR));
         for number in range {
-            let [a, b, c] = self.corners[number].map(|v| self.vertices[v as usize]);
-            for axis in 0..3 {
-                low[axis] = min(low[axis], min(a[axis], min(b[axis], c[axis])));
-                high[axis] = max(high[axis], max(a[axis], max(b[axis], c[axis])));
-            }
-            self.triangles[number - self.first_triangle].corners = [a, b, c];
+            let corners = self.corners[number].map(|v| self.vertices[v as usize]);
+            let [a, b, c] = corners.map(Vec3A::from_array);
+            low = low.min(a.min(b).min(c));
+            high = high.max(a.max(b).max(c));
+            self.triangles[number - self.first_triangle].corners = corners;
         }
-        [low[0], low[1], low[2], high[0], high[1], high[2]]
+        [low.x, low.y, low.z, high.x, high.y, high.z]
     }
 }
 
@@ -224,8 +224,15 @@ impl Node {
     /// Bounds of all children.
     #[inline(always)]
     pub fn union(&self) -> [f32; 6] {
-        let lowest = |row: &[f32; WIDTH]| row.iter().fold(FAR, |m, &x| min(m, x));
-        let highest = |row: &[f32; WIDTH]| row.iter().fold(-FAR, |m, &x| max(m, x));
+        let halves = |row: &[f32; WIDTH]| (Vec4::from_slice(row), Vec4::from_slice(&row[4..]));
+        let lowest = |row| {
+            let (a, b) = halves(row);
+            a.min(b).min_element()
+        };
+        let highest = |row| {
+            let (a, b) = halves(row);
+            a.max(b).max_element()
+        };
         let [x0, y0, z0, x1, y1, z1] = &self.bounds;
         [lowest(x0), lowest(y0), lowest(z0), highest(x1), highest(y1), highest(z1)]
     }

@@ -112,6 +112,9 @@ impl Indenter {
         let center = (a + b + c) / 3.0;
         let offset = center - axis.nearest(center);
         let distance = offset.length();
+        if distance - reach >= self.pressing.radius {
+            return;
+        }
         let facing = -offset.dot(cut.normal) / distance.max(f64::MIN_POSITIVE);
         let sine = (1.0 - facing * facing).max(0.0).sqrt();
         // Distance is convex: nowhere in the piece is it less than this.

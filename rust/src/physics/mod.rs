@@ -12,6 +12,7 @@ mod held;
 mod lane;
 mod near;
 mod near_layer;
+mod parameters;
 mod patch;
 mod quick;
 mod soft_wall;

@@ -1,6 +1,7 @@
 //! Quick deformation: vertices near a contact are pushed, sprung back and damped
 //! (Incetan et al., Med. Image Anal. 70, 2021, Deformation).
 
+use super::lane::{LANES, Lane3};
 use glam::DVec3;
 
 /// Parameters of the quick model.
@@ -40,19 +41,6 @@ pub struct Yield {
 const STILL: (f64, f64) = (1e-8, 1e-7);
 
 impl Quick {
-    /// Force on a vertex: each push, attenuated as `F / (1 + (d/d₀)²)`.
-    #[inline(always)]
-    pub fn attenuated(&self, place: DVec3, pushes: &[Push]) -> DVec3 {
-        let (scale, reach) = (1.0 / (self.length * self.length), self.reach * self.reach);
-        let mut force = DVec3::ZERO;
-        for push in pushes {
-            let square = (place - push.center).length_squared();
-            let weight = if square < reach { 1.0 / (1.0 + square * scale) } else { 0.0 };
-            force += weight * push.force;
-        }
-        force
-    }
-
     /// One step of a vertex: push, spring back, damp, move.
     #[inline(always)]
     pub fn advance(&self, vertex: &mut Yield, force: DVec3, dt: f64) {
@@ -60,6 +48,33 @@ impl Quick {
         vertex.velocity += (force - spring) * (dt / self.mass);
         vertex.velocity *= 1.0 - self.damping * dt;
         vertex.displacement += vertex.velocity * dt;
+    }
+}
+
+/// Force on eight vertices at each of `places`: of each push, `F / (1 + (d/d₀)²)`.
+#[multiversion::multiversion(targets(
+    "x86_64+avx512f+avx512bw+avx512cd+avx512dq+avx512vl",
+    "x86_64+avx2",
+    "aarch64+neon"
+))]
+pub fn attenuate(quick: &Quick, places: &[Lane3], pushes: &[Push], forces: &mut Vec<Lane3>) {
+    let (scale, reach) = (1.0 / (quick.length * quick.length), quick.reach * quick.reach);
+    forces.clear();
+    for place in places {
+        let mut force = [[0.0; LANES]; 3];
+        for push in pushes {
+            let (c, f) = (push.center.to_array(), push.force.to_array());
+            for i in 0..LANES {
+                let way = [place[0][i] - c[0], place[1][i] - c[1], place[2][i] - c[2]];
+                let square = way[0] * way[0] + way[1] * way[1] + way[2] * way[2];
+                let share = 1.0 / (1.0 + square * scale);
+                let share = if square < reach { share } else { 0.0 };
+                for d in 0..3 {
+                    force[d][i] += share * f[d];
+                }
+            }
+        }
+        forces.push(force);
     }
 }
 

@@ -2,9 +2,10 @@
 
 use super::body::{Axis, Body, Motion};
 use super::contact::Facet;
+use super::lane::{LANES, Lane3, at, put};
 use super::near::{Near, point};
 use super::patch::Patch;
-use super::quick::{Push, Quick, Yield};
+use super::quick::{Push, Quick, Yield, attenuate};
 use crate::wall::Wall;
 use glam::DVec3;
 use rayon::prelude::*;
@@ -49,6 +50,8 @@ pub struct SoftWall {
     pub target: Vec<DVec3>,
     /// How that moves during the step [m/s]; empty when it rests.
     pub driven_velocity: Vec<DVec3>,
+    /// Largest speed of these [m/s].
+    pub driven_speed: f64,
     /// How far each vertex gives way.
     pub yields: Vec<Yield>,
     /// Vertices that may give way or are not back yet, by rising number.
@@ -59,6 +62,9 @@ pub struct SoftWall {
     pub facets: Vec<Facet>,
     pub patch: Patch,
     pub pushes: Vec<Push>,
+    /// Places of awake vertices [m] and the forces on them [N]; kept to be overwritten.
+    places: Vec<Lane3>,
+    forces: Vec<Lane3>,
     /// Time since the step began [s].
     pub since: f64,
     /// How far capsule and wall may have come towards each other since the last search [m].
@@ -73,6 +79,7 @@ impl SoftWall {
             driven: (0..wall.vertices.len() as u32).map(|v| point(wall, v)).collect(),
             target: Vec::new(),
             driven_velocity: Vec::new(),
+            driven_speed: 0.0,
             yields: vec![Yield::default(); wall.vertices.len()],
             awake: Vec::new(),
             near: Near::default(),
@@ -80,6 +87,8 @@ impl SoftWall {
             facets: Vec::new(),
             patch: Patch::default(),
             pushes: Vec::new(),
+            places: Vec::new(),
+            forces: Vec::new(),
             since: 0.0,
             travel: f64::INFINITY,
             wall_travel: 0.0,
@@ -108,27 +117,29 @@ impl SoftWall {
 
     /// Sets the driven wall on its way to a calibre at the end of a step of `duration` [s].
     pub fn aim(&mut self, drive: &Drive, calibre: &[f64], duration: f64) {
-        let numbers = (0..self.driven.len()).into_par_iter().with_min_len(4096);
-        numbers.map(|v| drive.place(v, calibre)).collect_into_vec(&mut self.target);
-        let ways = self.target.par_iter().zip(&self.driven).with_min_len(4096);
-        ways.map(|(&to, &from)| (to - from) / duration).collect_into_vec(&mut self.driven_velocity);
+        let ways = self.driven.par_iter().with_min_len(4096).enumerate().map(|(v, &from)| {
+            let to = drive.place(v, calibre);
+            (to, (to - from) / duration)
+        });
+        ways.unzip_into_vecs(&mut self.target, &mut self.driven_velocity);
+        let squares = self.driven_velocity.par_iter().with_min_len(4096);
+        let fastest = squares.map(|v| v.length_squared()).reduce(|| 0.0, f64::max);
+        self.driven_speed = fastest.sqrt();
     }
 
     /// Ends a step: the driven wall has arrived.
     pub fn land(&mut self) {
         if !self.target.is_empty() {
             std::mem::swap(&mut self.driven, &mut self.target);
-            self.target.clear();
         }
-        self.driven_velocity.clear();
-        self.since = 0.0;
+        self.stay();
     }
 
     /// Gives up a step: the driven wall stays where it was.
     pub fn stay(&mut self) {
         self.target.clear();
         self.driven_velocity.clear();
-        self.since = 0.0;
+        (self.driven_speed, self.since) = (0.0, 0.0);
     }
 
     pub fn awake_yields(&self) -> Vec<(u32, Yield)> {
@@ -164,10 +175,20 @@ impl SoftWall {
 
     /// One substep of the quick model.
     pub fn give_way(&mut self, quick: &Quick, dt: f64) {
+        let mut places = std::mem::take(&mut self.places);
+        places.clear();
+        for eight in self.awake.chunks(LANES) {
+            let mut place = [[0.0; LANES]; 3];
+            for (i, &v) in eight.iter().enumerate() {
+                put(&mut place, i, self.vertex(v).0);
+            }
+            places.push(place);
+        }
+        attenuate(quick, &places, &self.pushes, &mut self.forces);
+        self.places = places;
         let mut fastest = 0.0f64;
-        for &v in &self.awake {
-            let place = self.vertex(v).0;
-            let force = quick.attenuated(place, &self.pushes);
+        for (k, &v) in self.awake.iter().enumerate() {
+            let force = at(&self.forces[k / LANES], k % LANES);
             let vertex = &mut self.yields[v as usize];
             if force == DVec3::ZERO && vertex.is_still() {
                 *vertex = Yield::default();

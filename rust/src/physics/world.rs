@@ -1,10 +1,11 @@
 //! A capsule in a wall: what Python holds and steps.
 
 use super::body::{Body, Motion};
-use super::drag::{Drag, LogLaw};
 use super::exchange::Exchange;
-use super::foundation::Foundation;
 use super::held::Held;
+use super::parameters::{
+    BodyParameters, DragParameters, MaterialParameters, QuickParameters, laws,
+};
 use super::quick::{Quick, Yield};
 use super::soft_wall::{Drive, MARGIN, Outcome, SoftWall};
 use super::solve::Twist;
@@ -13,51 +14,10 @@ use super::wall_load::Stride;
 use crate::fem::layer::FemLayer;
 use crate::query;
 use crate::wall::Wall;
-use glam::{DMat3, DQuat, DVec3};
+use glam::{DQuat, DVec3};
 use numpy::{IntoPyArray, PyArray2, PyReadonlyArray1, PyReadonlyArray2, ndarray, ndarray::Array2};
 use pyo3::{exceptions::PyValueError, prelude::*};
-
-/// The body of a capsule: `vrcaps.capsule.body.Body`.
-#[derive(FromPyObject)]
-struct BodyParameters<'py> {
-    mass: f64,
-    inertia: PyReadonlyArray2<'py, f64>,
-    center: PyReadonlyArray1<'py, f64>,
-    half_axis: f64,
-    radius: f64,
-}
-
-/// The wall's pressure: `vrcaps.tissue.material.Material`.
-#[derive(FromPyObject)]
-struct MaterialParameters {
-    stiffness: f64,
-    stiffening_depth: f64,
-    rate_gain: f64,
-    rate: f64,
-}
-
-/// The wall's resistance: `vrcaps.tissue.drag.Drag`.
-#[derive(FromPyObject)]
-struct DragParameters {
-    law: String,
-    friction: f64,
-    viscosity: f64,
-    a: f64,
-    b: f64,
-    c: f64,
-    constant: f64,
-    threshold: f64,
-}
-
-/// The quick model: `vrcaps.tissue.quick.QuickDeformation`.
-#[derive(FromPyObject)]
-struct QuickParameters {
-    length: f64,
-    reach: f64,
-    mass: f64,
-    spring: f64,
-    damping: f64,
-}
+use rayon::prelude::*;
 
 /// Position [m], quaternion wxyz, velocity [m/s] and angular velocity [rad/s] of the capsule.
 type Pose = ([f64; 3], [f64; 4], [f64; 3], [f64; 3]);
@@ -112,68 +72,6 @@ fn fastest_point(body: &Body, before: &Motion, after: &Motion) -> f64 {
 
 fn vector(a: [f64; 3]) -> DVec3 {
     DVec3::from_array(a)
-}
-
-fn laws(material: MaterialParameters, drag: DragParameters, radius: f64) -> Laws {
-    let law = LogLaw {
-        a: drag.a,
-        b: drag.b,
-        c: drag.c,
-        constant: drag.constant,
-        threshold: drag.threshold,
-    };
-    Laws {
-        foundation: Foundation::new(
-            [material.stiffness, material.stiffening_depth, material.rate_gain, material.rate],
-            radius,
-        ),
-        drag: match drag.law.as_str() {
-            "printed" => Drag::Printed(law),
-            "continuous" => Drag::Continuous(law),
-            _ => Drag::Physical { friction: drag.friction },
-        },
-        viscosity: drag.viscosity,
-    }
-}
-
-impl From<BodyParameters<'_>> for Body {
-    fn from(p: BodyParameters) -> Self {
-        let (inertia, center) = (p.inertia.as_array(), p.center.as_array());
-        let column = |k: usize| DVec3::new(inertia[[0, k]], inertia[[1, k]], inertia[[2, k]]);
-        let (moments, axes) = principal_axes(DMat3::from_cols(column(0), column(1), column(2)));
-        Body {
-            mass: p.mass,
-            moments,
-            principal: DQuat::from_mat3(&axes),
-            center: DVec3::new(center[0], center[1], center[2]),
-            half_axis: p.half_axis,
-            radius: p.radius,
-        }
-    }
-}
-
-/// Eigenvalues and right-handed eigenvectors of a symmetric matrix, by Jacobi's rotations.
-fn principal_axes(mut a: DMat3) -> (DVec3, DMat3) {
-    let mut axes = DMat3::IDENTITY;
-    for _ in 0..32 {
-        for (p, q) in [(0, 1), (0, 2), (1, 2)] {
-            let off = a.col(q)[p];
-            if off == 0.0 {
-                continue;
-            }
-            let theta = 0.5 * (a.col(q)[q] - a.col(p)[p]) / off;
-            let t = theta.signum() / (theta.abs() + (theta * theta + 1.0).sqrt());
-            let c = 1.0 / (t * t + 1.0).sqrt();
-            let mut turn = DMat3::IDENTITY;
-            turn.col_mut(p)[p] = c;
-            turn.col_mut(q)[q] = c;
-            turn.col_mut(q)[p] = t * c;
-            turn.col_mut(p)[q] = -t * c;
-            a = turn.transpose() * a * turn;
-            axes *= turn;
-        }
-    }
-    (DVec3::new(a.x_axis.x, a.y_axis.y, a.z_axis.z), axes)
 }
 
 impl Tally {
@@ -266,8 +164,7 @@ impl World {
         dt: f64,
         (count, outer): (usize, usize),
     ) -> Outcome {
-        let driven = self.soft.driven_velocity.iter().map(|v| v.length_squared());
-        let drive = driven.fold(0.0, f64::max).sqrt();
+        let drive = self.soft.driven_speed;
         let mut tally = Tally::default();
         for number in 0..count {
             if let Some((layer, exchange)) = elastic {
@@ -367,13 +264,7 @@ impl World {
             let wall = wall.borrow(py);
             (SoftWall::new(&wall), vector(wall.center))
         };
-        let quick = quick.map(|q| Quick {
-            length: q.length,
-            reach: q.reach,
-            mass: q.mass,
-            spring: q.spring,
-            damping: q.damping,
-        });
+        let quick = quick.map(Quick::from);
         let body: Body = body.into();
         let laws = laws(material, drag, body.radius);
         let mut world = World {
@@ -405,7 +296,7 @@ impl World {
         count: usize,
         wrench: [f64; 6],
         gravity: [f64; 3],
-        calibre: Option<Vec<f64>>,
+        calibre: Option<PyReadonlyArray1<'_, f64>>,
         outer: usize,
     ) -> PyResult<()> {
         if outer == 0 || !count.is_multiple_of(outer) {
@@ -413,7 +304,7 @@ impl World {
         }
         let load = Load { wrench: Twist::from_array(wrench), gravity: vector(gravity) };
         if let Some(calibre) = calibre {
-            self.aim(&calibre, dt * count as f64)?;
+            self.aim(calibre.as_slice()?, dt * count as f64)?;
         }
         let wall = self.wall.clone_ref(py);
         let mut wall = wall.borrow_mut(py);
@@ -554,11 +445,26 @@ impl World {
         Ok(())
     }
 
-    /// Vertices of the wall now, in the wall's own frame [n 3].
-    fn vertices<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray2<f64>> {
-        let places =
-            (0..self.soft.driven.len() as u32).map(|v| self.soft.vertex(v).0 + self.center);
-        table(py, places.flat_map(|p| p.to_array()).collect(), 3)
+    /// Vertices of the wall now [n 3], in the frame to which `transform` [4 4] brings the wall's.
+    fn vertices<'py>(
+        &self,
+        py: Python<'py>,
+        transform: PyReadonlyArray2<'_, f64>,
+    ) -> PyResult<Bound<'py, PyArray2<f64>>> {
+        let t = transform.as_array();
+        if t.dim() != (4, 4) {
+            return Err(PyValueError::new_err("A transform has four rows and four columns."));
+        }
+        let [x, y, z, origin] = [0, 1, 2, 3].map(|k| DVec3::new(t[[0, k]], t[[1, k]], t[[2, k]]));
+        let mut flat = vec![0.0; 3 * self.soft.driven.len()];
+        py.detach(|| {
+            let rows = flat.par_chunks_exact_mut(3).with_min_len(4096).enumerate();
+            rows.for_each(|(v, row)| {
+                let p = self.soft.vertex(v as u32).0 + self.center;
+                (x * p.x + y * p.y + z * p.z + origin).write_to_slice(row);
+            });
+        });
+        Ok(table(py, flat, 3))
     }
 
     /// Mean force [N] and torque [N·m] of the wall on the capsule over the last step, mean sum of

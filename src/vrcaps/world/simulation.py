@@ -127,10 +127,9 @@ class Simulation:
         """The world after steps from one time to another [s]."""
         count = math.ceil((end - begin) / self.settings.step * (1.0 - 1e-9))
         contacts, wrenches = [], np.zeros((max(count, 1), 2, 3))
-        state = self.world.state
         for index in range(count):
             times = [begin + (end - begin) * (index + k) / count for k in (0, 1)]
-            wrenches[index] = self._wrench(times[0], state) if begin >= 0.0 else 0.0
+            wrenches[index] = self._wrench(times[0]) if begin >= 0.0 else 0.0
             control = Control(
                 force_world=wrenches[index, 0],
                 torque_world=wrenches[index, 1],
@@ -141,10 +140,10 @@ class Simulation:
                 self.world.step(control, times[1] - times[0])
             except InputError as error:
                 raise InputError(f"At {times[0]:.3f} s of the simulation: {error}") from error
-            state = self.world.state
-            contacts.append(state.contact)
-            self._follow(state)
+            contacts.append(self.world.contact)
+            self._follow()
             self.on_step(times[1] + self.settings.settle, self.duration)
+        state = self.world.state
         if contacts:
             state = replace(state, contact=over_all(contacts))
         return self._instant(state, end, self._conditions(end, wrenches.mean(axis=0)))
@@ -156,11 +155,11 @@ class Simulation:
             vertices = vertices + rotate_vectors(conditions.T_world_patient, self._offset)
         return Instant(replace(state, time=time, vertices_world=vertices), conditions)
 
-    def _wrench(self, time: float, state: State) -> Float[np.ndarray, "2 3"]:
+    def _wrench(self, time: float) -> Float[np.ndarray, "2 3"]:
         """Commanded force [N] and torque [N·m] in the world at a time."""
         wrench = wrench_at(self._wrenches, time)
         if self.settings.wrench_frame == "capsule":
-            return in_world(wrench, state.T_world_capsule)
+            return in_world(wrench, self.world.T_world_capsule)
         if self.settings.wrench_frame == "gut":
             nearest = int(np.argmin(np.abs(self._line.arc_length - self._arc_length)))
             frame = transform_from(self._line.frames[nearest], np.zeros(3))
@@ -181,9 +180,10 @@ class Simulation:
         first = insufflation_at(self.settings.insufflation, 0.0)
         return 1.0 + (first - 1.0) * share**2 * (3.0 - 2.0 * share)
 
-    def _follow(self, state: State) -> None:
+    def _follow(self) -> None:
         """Brings the capsule's place along the gut up to date, near where it was."""
-        position = transform_points(invert(self._patient(state.time)), state.T_world_capsule[:3, 3])
+        to_patient = invert(self._patient(self.world.time))
+        position = transform_points(to_patient, self.world.T_world_capsule[:3, 3])
         s = self._line.arc_length
         low, high = np.searchsorted(s, [self._arc_length - _NEARBY, self._arc_length + _NEARBY])
         near = self._line.points[low:high]

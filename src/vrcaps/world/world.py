@@ -20,7 +20,6 @@ from vrcaps.transforms import (
     quaternion_from_matrix,
     rotate_vectors,
     transform_from,
-    transform_points,
 )
 from vrcaps.world.afloat import PIECE, Afloat
 from vrcaps.world.control import Control
@@ -110,22 +109,38 @@ class World:
         self._contact: tuple[Any, ...] = self._core.contact()
 
     @property
-    def state(self) -> State:
-        """The world now, in the world frame."""
-        T = self._T_world_patient
-        position, wxyz, velocity, spin = self._core.pose
+    def time(self) -> float:
+        """Time now [s]."""
+        return self._time
+
+    @property
+    def T_world_capsule(self) -> Float[np.ndarray, "4 4"]:
+        """Pose of the capsule now."""
+        position, wxyz, *_ = self._core.pose
         rotation = matrix_from_quaternion(np.array(wxyz))
-        pose = transform_from(rotation, np.array(position) + self._center)
+        return self._T_world_patient @ transform_from(rotation, np.array(position) + self._center)
+
+    @property
+    def contact(self) -> Contact:
+        """What the wall did to the capsule in the last step."""
         force, torque, *rest = self._contact
-        forces = rotate_vectors(T, np.array([force, torque, velocity, spin]))
+        force, torque = rotate_vectors(self._T_world_patient, np.array([force, torque]))
+        return Contact(force, torque, *rest)
+
+    @property
+    def state(self) -> State:
+        """All of the world now, in the world frame, with every vertex of a wall that moves."""
+        T = self._T_world_patient
+        _, _, *velocities = self._core.pose
+        linear, angular = rotate_vectors(T, np.array(velocities))
         moved = self._moves or T is not self.model.T_world_patient or (self._calibre != 1.0).any()
         return State(
-            time=self._time,
-            T_world_capsule=T @ pose,
-            linear_velocity_world=forces[2],
-            angular_velocity_world=forces[3],
-            vertices_world=transform_points(T, self._core.vertices()) if moved else None,
-            contact=Contact(forces[0], forces[1], *rest),
+            time=self.time,
+            T_world_capsule=self.T_world_capsule,
+            linear_velocity_world=linear,
+            angular_velocity_world=angular,
+            vertices_world=self._core.vertices(np.asarray(T, float)) if moved else None,
+            contact=self.contact,
             filling=None if self._afloat is None else self._afloat.filling(T),
         )
 

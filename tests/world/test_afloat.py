@@ -38,6 +38,8 @@ class Laws:
     viscosity: float = VISCOSITY
     chyme_density: float = 1050.0
     burst_rate: float = 0.0
+    landing_rate: float = 0.0
+    release_rate: float = 0.0
     drift: float = 0.0
     reach: float = 1.0
     seed: int = 0
@@ -53,6 +55,7 @@ class Around:
     radius: float = 5.0 * MM
     mass: float = 4e-3
     center: tuple[float, ...] = (0.0, 0.0, -0.9)
+    wxyz: tuple[float, ...] = (1.0, 0.0, 0.0, 0.0)
     velocity: tuple[float, ...] = (0.0, 0.0, 0.0)
     spin: tuple[float, ...] = (0.0, 0.0, 0.0)
 

@@ -14,19 +14,22 @@ from vrcaps.tissue.contents.spheres import BUBBLE, Spheres
 if TYPE_CHECKING:
     from jaxtyping import Float
 
-_WIDEST = np.deg2rad(70.0)
+_WIDEST = np.deg2rad(45.0)
 """Greatest angle of a seat from the capsule's axis."""
 
 _TRIES = 12
 
 
-def place_homes(organ: OrganSurface, bubbles: Bubbles, rng: np.random.Generator) -> Spheres:
+def place_homes(
+    organ: OrganSurface, bubbles: Bubbles, rng: np.random.Generator, *, before: int
+) -> Spheres:
     """Bubbles for both ends of a capsule, where others form when they burst: on the wall.
 
     Args:
         organ: The wall at rest, in whose frame they are.
         bubbles: How many and how large.
         rng: Source of randomness.
+        before: Number of bubbles whose instances come first.
     """
     count = 2 * bubbles.on_dome
     radius = cut_log_normal(bubbles, count, rng)
@@ -36,7 +39,7 @@ def place_homes(organ: OrganSurface, bubbles: Bubbles, rng: np.random.Generator)
         centers=organ.vertices[vertex] + lift,
         radius=radius,
         kind=np.full(count, BUBBLE, np.uint8),
-        instance=np.arange(65535, 65535 - count, -1).astype(np.uint16),
+        instance=(1 + (before + np.arange(count)) % 65535).astype(np.uint16),
         color=np.tile(bubbles.color, (count, 1)),
         arc_length=organ.arc_length[vertex],
     )

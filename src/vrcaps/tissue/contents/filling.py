@@ -89,10 +89,11 @@ def fill(
     wall = Wall(np.ascontiguousarray(organ.vertices, float), organ.faces.astype(np.int64))
     up = T_world_patient[:3, :3].T @ np.array([0.0, 0.0, 1.0])
     rngs = [np.random.default_rng([contents.seed, number]) for number in (1, 2, 3)]
+    clinging = place_bubbles(organ, wall, bubbles, up, rngs[0])
     spheres = joined(
-        place_bubbles(organ, wall, bubbles, up, rngs[0]),
+        clinging,
         place_chyme(organ, wall, chyme, up, rngs[1]),
-        place_homes(organ, bubbles, rngs[2]),
+        place_homes(organ, bubbles, rngs[2], before=len(clinging)),
     )
     centers = transform_points(T_world_patient, spheres.centers)
     pools = None

@@ -100,3 +100,49 @@ impl Capsule {
         self.moment -= (place - self.center).cross(impulse);
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const MASS: f64 = 1e-6;
+
+    fn capsule() -> Capsule {
+        Capsule {
+            ends: [DVec3::new(-4e-3, 0.0, 0.0), DVec3::new(4e-3, 0.0, 0.0)],
+            radius: 5e-3,
+            mass: 3e-3,
+            center: DVec3::new(1e-3, 0.0, 0.0),
+            rotation: DQuat::from_rotation_z(0.3),
+            velocity: DVec3::new(0.05, 0.0, 0.0),
+            spin: DVec3::new(0.0, 1.0, 2.0),
+            impulse: DVec3::ZERO,
+            moment: DVec3::ZERO,
+        }
+    }
+
+    fn bubble(position: DVec3) -> (Kind, Float) {
+        let kind = Kind::new(1e-3, true, position);
+        let float = Float::at_home(&kind);
+        (kind, float)
+    }
+
+    #[test]
+    fn a_bubble_settles_on_an_end_only_and_momentum_is_kept() {
+        for (place, settles) in
+            [(DVec3::new(9.5e-3, 1e-3, 0.0), true), (DVec3::new(0.0, 5.5e-3, 0.0), false)]
+        {
+            let (mut capsule, (kind, mut float)) = (capsule(), bubble(place));
+            assert_eq!(capsule.meet(&kind, &mut float, MASS, || true), settles);
+            let sum = capsule.impulse + MASS * float.velocity;
+            assert!(sum.length() <= 1e-15 * capsule.impulse.length().max(1.0));
+            assert!((capsule.offset(float.position).length() - 6e-3).abs() < 1e-15);
+        }
+    }
+
+    #[test]
+    fn a_seat_is_where_it_was_taken() {
+        let (capsule, p) = (capsule(), DVec3::new(9e-3, 2e-3, -1e-3));
+        assert!((capsule.place(capsule.seat(p)) - p).length() < 1e-17);
+    }
+}

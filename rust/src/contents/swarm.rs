@@ -226,8 +226,16 @@ impl Swarm {
     }
 }
 
+#[cfg(test)]
+impl Kind {
+    /// A sphere at a place.
+    pub fn new(radius: f64, is_bubble: bool, home: DVec3) -> Self {
+        Kind { radius, is_bubble, home, home_arc: 0.0, height: radius }
+    }
+}
+
 impl Float {
-    fn at_home(kind: &Kind) -> Self {
+    pub fn at_home(kind: &Kind) -> Self {
         let (velocity, seat) = (DVec3::ZERO, DVec3::ZERO);
         Float { position: kind.home, velocity, arc_length: kind.home_arc, seat }
     }

@@ -76,6 +76,9 @@ const MOST_PARTS: f64 = 64.0;
 /// A layer of finite elements under the wall, and the exchange with it.
 type Elastic<'a> = Option<(&'a mut FemLayer, &'a mut Exchange)>;
 
+/// Motion, the vertices that give way, the driven wall [m].
+type Saved = (Motion, Vec<(u32, Yield)>, Vec<DVec3>);
+
 /// Sums over the substeps of a step.
 #[derive(Default)]
 struct Tally {
@@ -101,8 +104,8 @@ pub struct World {
     soft: SoftWall,
     /// Means over the last step.
     last: Tally,
-    /// What `undo` goes back to: motion, the vertices that give way, the driven wall [m].
-    saved: Option<(Motion, Vec<(u32, Yield)>, Vec<DVec3>)>,
+    /// What `undo` goes back to.
+    saved: Option<Saved>,
 }
 
 /// Bound on the speed of every point of the capsule between two motions [m/s].

@@ -266,6 +266,32 @@ def test_what_is_in_the_capsules_way_is_pushed_aside() -> None:
     assert moved.around_capsule(np.eye(4), 24.0 * MM, 4.9 * MM) is moved
 
 
+@pytest.mark.parametrize("ball", [(0.3, 0.2, 0.5), (0.5, 0.4, 2.1)])
+def test_a_bubble_at_the_eye(organ: OrganSurface, ball: tuple[float, ...]) -> None:
+    """Around the eye it covers every pixel, its far side counts; beside it, its near side."""
+    camera = make_camera("pinhole")
+    rays = camera_rays(camera).astype(float)
+    center, radius = np.array(ball) * MM, 1.2 * MM
+    state = looking((0.0, 0.0, 0.0))
+    T = state.T_world_capsule @ camera.T_capsule_camera
+    placed = filled(state, balls(T[:3, :3] @ center + T[:3, 3], radius, BUBBLE))
+    frame = Renderer(make_model(organ, camera)).render(
+        placed, camera, channels=("radiance", *FRONT)
+    )
+    along = rays @ center
+    square = along**2 - center @ center + radius**2
+    root = np.where(square > 0.0, np.sqrt(np.maximum(square, 0.0)), np.nan)
+    is_inside = np.linalg.norm(center) < radius
+    way = along + root if is_inside else along - root
+    known = np.isfinite(way) & (way > 0.0)
+    if is_inside:
+        assert known.all()
+    np.testing.assert_array_equal(frame.front_label == 1, known)
+    expected = (way * rays[..., 2])[known]
+    np.testing.assert_allclose(frame.front_depth[known], expected, rtol=1e-4)
+    assert np.isfinite(frame.radiance).all()
+
+
 def test_nothing_in_front_without_contents(organ: OrganSurface) -> None:
     camera = make_camera("pinhole")
     frame = Renderer(make_model(organ, camera)).render(

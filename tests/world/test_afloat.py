@@ -38,6 +38,8 @@ class Laws:
     viscosity: float = VISCOSITY
     chyme_density: float = 1050.0
     burst_rate: float = 0.0
+    landing_rate: float = 0.0
+    release_rate: float = 0.0
     drift: float = 0.0
     reach: float = 1.0
     seed: int = 0
@@ -53,6 +55,7 @@ class Around:
     radius: float = 5.0 * MM
     mass: float = 4e-3
     center: tuple[float, ...] = (0.0, 0.0, -0.9)
+    wxyz: tuple[float, ...] = (1.0, 0.0, 0.0, 0.0)
     velocity: tuple[float, ...] = (0.0, 0.0, 0.0)
     spin: tuple[float, ...] = (0.0, 0.0, 0.0)
 
@@ -187,6 +190,94 @@ def test_bubbles_burst_at_their_rate(gut: OrganSurface) -> None:
     assert np.isfinite(swarm.floats).all() and len(home) == 400
 
 
+AHEAD = replace(
+    FULL,
+    axis=((-8.0 * MM, 0.0, 0.0), (0.0, 0.0, 0.0)),
+    center=(-4.0 * MM, 0.0, 0.0),
+    velocity=(0.05, 0.01, 0.0),
+    spin=(0.0, 2.0, 1.0),
+)
+"""A capsule whose round end, at the middle of the gut, goes along it and turns."""
+
+
+def test_a_bubble_that_lands_rides_with_the_capsule(gut: OrganSurface) -> None:
+    """Momentum is kept in landing; then the bubble is where the capsule's frame puts it."""
+    swarm, wall = swarm_of(gut, (5.5 * MM, 0.5 * MM, 0.2 * MM), 0.7 * MM, BUBBLE, landing_rate=1e9)
+    around, mass = replace(AHEAD, gravity=0.0), swarm.masses()[0]
+    impulse, _ = swarm.step(wall, around, 1e-9)
+    np.testing.assert_allclose(impulse[0], -0.05 * mass, rtol=1e-2)
+    seat = swarm.floats[0, 7:]
+    assert np.linalg.norm(seat - [4.0 * MM, 0.0, 0.0]) == pytest.approx(5.7 * MM, rel=1e-6)
+    turn = 0.3
+    rotation = np.array(
+        [[np.cos(turn), -np.sin(turn), 0.0], [np.sin(turn), np.cos(turn), 0.0], [0.0, 0.0, 1.0]]
+    )
+    center = np.array([10.0 * MM, 3.0 * MM, 0.0])
+    ends = center + np.array([[-4.0 * MM, 0.0, 0.0], [4.0 * MM, 0.0, 0.0]]) @ rotation.T
+    wxyz = (float(np.cos(turn / 2)), 0.0, 0.0, float(np.sin(turn / 2)))
+    moved = replace(around, axis=tuple(map(tuple, ends)), center=tuple(center), wxyz=wxyz)
+    swarm.step(wall, moved, 2.5e-3)
+    np.testing.assert_allclose(swarm.floats[0, :3], center + rotation @ seat, atol=1e-15)
+    np.testing.assert_array_equal(swarm.floats[0, 7:], seat)
+    lever = rotation @ seat
+    expected = np.array(around.velocity) + np.cross(around.spin, lever)
+    np.testing.assert_allclose(swarm.floats[0, 3:6], expected, atol=1e-12)
+
+
+def test_particles_and_the_capsules_side_hold_no_bubble(gut: OrganSurface) -> None:
+    side = (-4.0 * MM, 5.5 * MM, 0.0)
+    for kind, place in ((WHITE, (5.5 * MM, 0.0, 0.0)), (BUBBLE, side)):
+        swarm, wall = swarm_of(gut, place, 0.7 * MM, kind, landing_rate=1e9)
+        swarm.step(wall, AHEAD, 1e-3)
+        assert (swarm.floats[0, 7:] == 0.0).all()
+
+
+def test_riding_bubbles_let_go_at_their_rate_and_burst_at_theirs(gut: OrganSurface) -> None:
+    """Of n that ride, n (1 − rate dt)^k are left; in the dry none lets go."""
+    way = np.random.default_rng(2).standard_normal((600, 3))
+    way[:, 0] = np.abs(way[:, 0]) + 0.1
+    places = 5.6 * MM * way / np.linalg.norm(way, axis=1, keepdims=True)
+    still = replace(FULL, axis=AHEAD.axis, center=AHEAD.center, gravity=0.0)
+    for around, rates, left in (
+        (still, {"release_rate": 4.0}, 600 * 0.98**20),
+        (still, {"burst_rate": 4.0}, 600 * 0.98**20),
+        (replace(DRY, axis=AHEAD.axis, center=AHEAD.center), {"release_rate": 4.0}, 600),
+    ):
+        swarm, wall = swarm_of(gut, places, 0.7 * MM, BUBBLE, **rates)
+        floats = swarm.floats
+        floats[:, 7:] = floats[:, :3] - around.center
+        swarm.floats = floats
+        for _ in range(20):
+            swarm.step(wall, around, 5e-3)
+        rides = (swarm.floats[:, 7:] != 0.0).any(axis=1).sum()
+        assert abs(rides - left) <= 5.0 * np.sqrt(left * (1.0 - left / 600))
+
+
+def test_the_wall_wipes_a_bubble_off(gut: OrganSurface) -> None:
+    swarm, wall = swarm_of(gut, (5.6 * MM, 0.0, 0.0), 0.7 * MM, BUBBLE)
+    floats = swarm.floats
+    floats[:, 7:] = (0.0, 0.0, -5.6 * MM)
+    swarm.floats = floats
+    low = (0.0, 0.0, -RADIUS + 5.0 * MM)
+    swarm.step(wall, replace(DRY, axis=(low, low), center=low), 2.5e-3)
+    assert (swarm.floats[0, 7:] == 0.0).all() and swarm.floats[0, 2] > -RADIUS
+
+
+def test_a_sweep_moves_what_is_far_as_single_steps_do(gut: OrganSurface) -> None:
+    """Drift is the same to rounding; what is beside the capsule moves in every piece."""
+    places = [(30.0 * MM, 0.0, LEVEL), (0.0, 6.0 * MM, LEVEL)]
+    around = replace(FULL, axis=AHEAD.axis, gravity=0.0)
+    laws = {"drift": 1.0 * MM}
+    (single, wall), (swept, _) = (swarm_of(gut, places, 0.5 * MM, BUBBLE, **laws) for _ in "12")
+    for piece in range(8):
+        single.step(wall, around, 2.5e-3)
+        before = swept.floats
+        swept.step(wall, around, 2.5e-3, 20e-3 if piece == 7 else 0.0)
+        moved = swept.floats[:, 0] - before[:, 0]
+        assert (moved[0] > 0.0) == (piece == 7)
+    np.testing.assert_allclose(swept.floats[:, :3], single.floats[:, :3], atol=20e-3 * 1.0 * MM)
+
+
 def world_in(gut: OrganSurface, contents: Contents, z: float = 0.0, **device: float) -> World:
     mirocam = replace(load_device("mirocam"), **device)
     pose = np.eye(4)
@@ -277,6 +368,31 @@ def test_restored_world_goes_on_to_the_same_bytes(gut: OrganSurface) -> None:
         np.testing.assert_array_equal(value, vars(end)[name])
     filling = world.state.filling
     assert filling is not None and np.isfinite(filling.spheres.centers).all()
+
+
+def test_bubbles_on_the_domes_ride_in_a_world_and_are_restored(gut: OrganSurface) -> None:
+    def begin() -> World:
+        bubbles = Bubbles(per_area=1e4, on_dome=5, burst_rate=0.0, landing_rate=50.0)
+        return world_in(gut, Contents(bubbles=bubbles, liquid=3, seed=2), 0.0)
+
+    world, control = begin(), Control(force_world=(0.01, 0.0, 0.0))
+    seats = world.model.filling.seats
+    assert len(seats) == 10
+    middle = world.snapshot()
+    for count in range(3):
+        state = world.state
+        centers = state.filling.spheres.centers[-10:]
+        local = (centers - state.T_world_capsule[:3, 3]) @ state.T_world_capsule[:3, :3]
+        np.testing.assert_allclose(local, seats, atol=1e-12)
+        if count == 1:
+            middle = world.snapshot()
+        world.step(control, 0.03)
+    other = begin()
+    other.restore(middle)
+    for _ in range(2):
+        other.step(control, 0.03)
+    for name, value in vars(other.snapshot()).items():
+        np.testing.assert_array_equal(value, vars(world.snapshot())[name])
 
 
 def test_rejects_a_snapshot_of_other_contents(gut: OrganSurface) -> None:

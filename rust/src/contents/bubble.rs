@@ -61,13 +61,14 @@ impl Film {
         // Half a pixel, as a share of the radius.
         let blur = 0.5 * eye.pixel_angle * distance / sphere.radius;
         let shell = self.shell(ways, blur);
+        let dimmed = dimmed(distance, behind.distance);
         for front in [false, true] {
             let ways = if front { &ways.near } else { &ways.far };
             for i in 0..LANES {
                 let seen = (ways[i] > 0.0) & (ways[i] < behind.distance[i]);
                 for k in 0..3 {
                     let through = if seen { shell.through[k][i] } else { 1.0 };
-                    let mirrored = if seen { shell.mirrored[i] } else { 0.0 };
+                    let mirrored = if seen { shell.mirrored[i] * dimmed[i] } else { 0.0 };
                     let old = behind.radiance[k][i];
                     behind.radiance[k][i] = old * through + around[k] * mirrored;
                 }
@@ -115,12 +116,10 @@ impl Film {
         (blur, front): (f32, bool),
         behind: &mut Behind<'_>,
     ) {
+        let (mirror, light, view) = mirror_place(sphere, eye.origin, led, front);
+        let half = if front { mirror } else { scale(mirror, -1.0) };
         let offset = sub(led.position, sphere.center);
-        let square = max(dot(offset, offset), 1e-12);
-        let light = scale(offset, 1.0 / square.sqrt());
-        let view = normalize(sub(eye.origin, sphere.center));
-        let half = normalize(add(light, view));
-        let mirror = if front { half } else { scale(half, -1.0) };
+        let square = max(dot(offset, offset), sphere.radius * sphere.radius);
         let spread = self.roughness * self.roughness + blur * blur;
         let cosine = max(dot(half, view), 0.05);
         let surface = fresnel(cosine, self.ior);
@@ -144,6 +143,40 @@ impl Film {
         }
     }
 }
+
+/// Nearest that a wall is taken to be which a bubble mirrors, where none nearer is behind it [m]:
+/// the space a bubble on the lens has before it.
+const AIRY: f32 = 0.01;
+
+/// Share of the `surroundings` of a bubble at a distance from the eye that it mirrors, by what is
+/// behind it: light of a wall that is farther away than the bubble is dimmer.
+#[inline(always)]
+fn dimmed(distance: f32, behind: &Lane) -> Lane {
+    behind.map(|d| {
+        let wall = max(distance, min(d, AIRY));
+        if wall > 0.0 { (distance / wall) * (distance / wall) } else { 1.0 }
+    })
+}
+
+/// Where a shell mirrors an LED: the direction from its centre, and from there to the LED and to
+/// the eye. Found step by step from where it would be for both far away.
+#[inline(always)]
+fn mirror_place(sphere: &Sphere, eye: Vec3, led: &Led, front: bool) -> (Vec3, Vec3, Vec3) {
+    let sign = if front { 1.0 } else { -1.0 };
+    let mut place = sphere.center;
+    let (mut mirror, mut light, mut view) = ([0.0; 3], [0.0; 3], [0.0; 3]);
+    for _ in 0..MIRROR_STEPS {
+        light = normalize(sub(led.position, place));
+        view = normalize(sub(eye, place));
+        mirror = scale(normalize(add(light, view)), sign);
+        place = add(sphere.center, scale(mirror, sphere.radius));
+    }
+    (mirror, light, view)
+}
+
+/// Steps towards the mirroring place; each brings it nearer by the share of the radius in the
+/// distance of LED and eye.
+const MIRROR_STEPS: usize = 4;
 
 /// Standard deviations beyond which nothing of a mirror image is left to see.
 const FADED: f32 = 3.5;

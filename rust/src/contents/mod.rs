@@ -1,6 +1,8 @@
 //! What floats in the lumen: bubbles, particles and pools of liquid.
 
+mod around;
 pub mod bubble;
+mod capsule;
 mod drag;
 pub mod liquid;
 pub mod spheres;

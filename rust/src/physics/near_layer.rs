@@ -116,8 +116,8 @@ impl NearLayer {
     /// Condenses the mobility onto the nodes.
     fn condense(&mut self, layer: &mut FemLayer, dt: f64) -> Outcome<()> {
         for &node in &self.nodes {
-            if !self.columns.contains_key(&node) {
-                self.columns.insert(node, layer.mobility(node, dt)?);
+            if let Entry::Vacant(column) = self.columns.entry(node) {
+                column.insert(layer.mobility(node, dt)?);
             }
         }
         if self.columns.len() > 2 * self.nodes.len() {

@@ -36,6 +36,9 @@ const MOST_PARTS: f64 = 64.0;
 /// A layer of finite elements under the wall, and the exchange with it.
 type Elastic<'a> = Option<(&'a mut FemLayer, &'a mut Exchange)>;
 
+/// Motion, the vertices that give way, the driven wall [m].
+type Saved = (Motion, Vec<(u32, Yield)>, Vec<DVec3>);
+
 /// Sums over the substeps of a step.
 #[derive(Default)]
 struct Tally {
@@ -61,6 +64,8 @@ pub struct World {
     soft: SoftWall,
     /// Means over the last step.
     last: Tally,
+    /// What `undo` goes back to.
+    saved: Option<Saved>,
 }
 
 /// Bound on the speed of every point of the capsule between two motions [m/s].
@@ -278,6 +283,7 @@ impl World {
             drive: None,
             soft,
             last: Tally::default(),
+            saved: None,
         };
         world.set_pose(pose)?;
         Ok(world)
@@ -359,8 +365,30 @@ impl World {
         Ok(())
     }
 
-    /// Brings the hierarchy to where the wall is now, for rendering and queries.
-    fn settle(&mut self, py: Python<'_>) -> PyResult<()> {
+    /// Keeps all that changes but a layer and its exchange, for `undo`.
+    fn save(&mut self) {
+        let mut driven = self.saved.take().map_or_else(Vec::new, |(_, _, driven)| driven);
+        driven.clone_from(&self.soft.driven);
+        self.saved = Some((self.motion, self.soft.awake_yields(), driven));
+    }
+
+    /// Goes back to what was last saved.
+    fn undo(&mut self) {
+        if let Some((motion, yields, driven)) = self.saved.take() {
+            self.motion = motion;
+            self.soft.restore_yields(yields);
+            self.soft.driven = driven;
+            self.soft.stay();
+        }
+    }
+
+    /// Brings the hierarchy to where the wall is now, for rendering and queries, if it may be off
+    /// by more than a tolerance [m].
+    #[pyo3(signature = (tolerance=0.0))]
+    fn settle(&mut self, py: Python<'_>, tolerance: f64) -> PyResult<()> {
+        if self.soft.wall_travel <= tolerance {
+            return Ok(());
+        }
         let wall = self.wall.clone_ref(py);
         let mut wall = wall.borrow_mut(py);
         let wall: &mut Wall = &mut wall;

@@ -21,6 +21,10 @@ if TYPE_CHECKING:
 PIECE = 2.5e-3
 """Longest time over which buoyancy and drag of the liquid are held [s]."""
 
+SWEEP = 8
+"""Most pieces of a step after which all spheres have moved; those beside the capsule move in
+each."""
+
 _DRAG = 0.5
 """Drag coefficient of a capsule in liquid, by its frontal area (a long body with round ends:
 Hoerner, Fluid-Dynamic Drag, 1965, 3-12, tumbling included)."""
@@ -38,6 +42,7 @@ class _Surroundings:
     radius: float
     mass: float
     center: tuple[float, float, float]
+    wxyz: tuple[float, float, float, float]
     velocity: tuple[float, float, float]
     spin: tuple[float, float, float]
 
@@ -50,6 +55,8 @@ class _Laws:
     viscosity: float
     chyme_density: float
     burst_rate: float
+    landing_rate: float
+    release_rate: float
     drift: float
     reach: float
     seed: int
@@ -58,7 +65,7 @@ class _Laws:
 class Afloat:
     """Spheres and pools of a `World`, in the frame of its core: the patient's, about a centre."""
 
-    def __init__(self, model: Model, wall: _core.Wall, body: Body) -> None:
+    def __init__(self, model: Model, wall: _core.Wall, body: Body, pose: _core.Pose) -> None:
         assert model.filling is not None
         self._model, self._body, self._rest = model, body, model.filling
         self._center = np.array(wall.center)
@@ -77,6 +84,8 @@ class Afloat:
             viscosity=self._liquid.viscosity,
             chyme_density=chyme.density,
             burst_rate=bubbles.burst_rate,
+            landing_rate=bubbles.landing_rate,
+            release_rate=bubbles.release_rate,
             drift=model.contents.drift,
             reach=model.contents.reach,
             seed=model.contents.seed,
@@ -84,6 +93,7 @@ class Afloat:
         at_rest = replace(self._rest.spheres, centers=centers)
         self._swarm = _core.Swarm(wall, at_rest, laws, tangents, float(places[1]))
         self._push = np.zeros(6)
+        self._seat(pose)
 
     def filling(self, T_world_patient: Float[np.ndarray, "4 4"]) -> Filling:
         """What is in the lumen now, in the world frame."""
@@ -91,6 +101,16 @@ class Afloat:
         centers = transform_points(T_world_patient, floats[:, :3] + self._center)
         spheres = replace(self._rest.spheres, centers=centers, arc_length=floats[:, 6])
         return Filling(self._rest.contents, spheres, self._pools)
+
+    def _seat(self, pose: _core.Pose) -> None:
+        """Sets the bubbles that sit on the capsule from the beginning on it."""
+        seats = self._rest.seats + self._body.center
+        floats = self._swarm.floats
+        first = len(floats) - len(seats)
+        rotation = matrix_from_quaternion(np.array(pose[1]))
+        floats[first:, :3] = np.array(pose[0]) + seats @ rotation.T
+        floats[first:, 7:] = seats
+        self._swarm.floats = floats
 
     def turn(self, T_world_patient: Float[np.ndarray, "4 4"]) -> None:
         """Lets the liquid find its level in another posture; it does so at once."""
@@ -125,8 +145,16 @@ class Afloat:
         drag = -0.5 * _DRAG * self._liquid.density * area * np.linalg.norm(velocity) * velocity
         return force + lift + drag, torque + np.cross(middle - center, lift)
 
-    def step(self, pose: _core.Pose, dt: float, gravity: float) -> None:
-        """Moves the spheres on by `dt` beside the capsule, which has arrived at `pose`."""
+    def step(self, pose: _core.Pose, dt: float, gravity: float, sweep: float) -> None:
+        """Moves the spheres on by `dt` beside the capsule, which has arrived at `pose`.
+
+        Args:
+            pose: The capsule's, in the core's frame.
+            dt: Length of this piece of a sweep [s].
+            gravity: [m/s²].
+            sweep: 0, or where this piece ends a sweep, how long all of it was [s]: spheres that
+                are not beside the capsule move once a sweep.
+        """
         center, axis = self._capsule(pose, 0.0)
         pools = self._pools
         up = self._up()
@@ -140,10 +168,11 @@ class Afloat:
             radius=self._body.radius,
             mass=self._body.mass,
             center=tuple(center),
+            wxyz=pose[1],
             velocity=pose[2],
             spin=pose[3],
         )
-        impulse, moment = self._swarm.step(self._wall, around, dt)
+        impulse, moment = self._swarm.step(self._wall, around, dt, sweep)
         self._push = np.array([*impulse, *moment])
 
     def to_array(self) -> Float[np.ndarray, " q"]:
@@ -152,8 +181,8 @@ class Afloat:
 
     def restore(self, array: Float[np.ndarray, " q"], T_world_patient: np.ndarray) -> None:
         """Goes back to what `to_array` gave."""
-        count = 7 * len(self._rest.spheres)
-        self._swarm.floats = array[:count].reshape(-1, 7)
+        count = 10 * len(self._rest.spheres)
+        self._swarm.floats = array[:count].reshape(-1, 10)
         self._swarm.count, self._push = int(array[count]), array[count + 1 :].copy()
         self.turn(T_world_patient)
 

@@ -78,7 +78,8 @@ class Model:
         """The contents at rest; None where there are none."""
         if self.contents.is_empty:
             return None
-        return fill(self.organ, self.contents, self.T_world_patient)
+        filling = fill(self.organ, self.contents, self.T_world_patient)
+        return filling.with_capsule(self.device.length, self.device.radius)
 
     @property
     def label_names(self) -> tuple[str, ...]:

@@ -21,7 +21,7 @@ from vrcaps.transforms import (
     rotate_vectors,
     transform_from,
 )
-from vrcaps.world.afloat import PIECE, Afloat
+from vrcaps.world.afloat import PIECE, SWEEP, Afloat
 from vrcaps.world.control import Control
 from vrcaps.world.model import Contact, Model, State
 from vrcaps.world.snapshot import Snapshot
@@ -40,6 +40,9 @@ SUBSTEP = 5e-5
 
 _WAKING = 1.0
 """Time over which contractions grow when a world begins, whose wall is at rest [s]."""
+
+_STALE = 2e-4
+"""How far the hierarchy may be off the wall within a step while spheres move beside it [m]."""
 
 _LONGEST_STEP = 1.0
 _LONGEST_SUBSTEP = 1e-3
@@ -105,7 +108,7 @@ class World:
         self._check_start()
         self._afloat = None
         if model.filling is not None:
-            self._afloat = Afloat(model, self._wall, self.body)
+            self._afloat = Afloat(model, self._wall, self.body, self._core.pose)
         self._contact: tuple[Any, ...] = self._core.contact()
 
     @property
@@ -235,8 +238,10 @@ class World:
         calibre = self._calibre_at(self._time + dt, insufflation)
         pieces = self._num_pieces(dt)
         outer = 1 if self.layer is None else self.layer.num_steps(dt / pieces)
-        start, before = self._calibre, self.snapshot() if pieces > 1 else None
+        start, before = self._calibre, self._save() if pieces > 1 else None
         moves = not np.array_equal(start, calibre)
+        if self._afloat is not None:
+            self._core.settle()  # nothing to do but after `restore`
         count = outer * max(1, math.ceil(dt / pieces / outer / self.substep * (1.0 - 1e-9)))
         reactions = []
         try:
@@ -246,10 +251,10 @@ class World:
                 total = tuple(wrench + self._bear(dt / pieces, force))
                 self._core.step(dt / pieces / count, count, total, gravity, aim, outer)
                 reactions.append(self._core.contact())
-                self._float_on(dt / pieces)
+                self._float_on(dt / pieces, piece, pieces)
         except ValueError as error:
             if before is not None:
-                self.restore(before)
+                self._undo(before)
             raise InputError(str(error)) from error
         self._time, self._calibre = self._time + dt, calibre
         self._contact = _over_all(reactions)
@@ -276,10 +281,30 @@ class World:
         push, torque = self._afloat.wrench(self._core.pose, dt, GRAVITY)
         return np.array([*(force + push), *torque])
 
-    def _float_on(self, dt: float) -> None:
+    def _float_on(self, dt: float, piece: int, pieces: int) -> None:
+        """Moves what floats on by a piece of a step; at its end the hierarchy is exact."""
         if self._afloat is not None:
-            self._core.settle()
-            self._afloat.step(self._core.pose, dt, GRAVITY)
+            is_last = piece + 1 == pieces
+            self._core.settle(0.0 if is_last else _STALE)
+            since = piece % SWEEP + 1
+            sweep = since * dt if is_last or since == SWEEP else 0.0
+            self._afloat.step(self._core.pose, dt, GRAVITY, sweep)
+
+    def _save(self) -> Snapshot | Float[np.ndarray, " q"]:
+        """What `_undo` needs: the core keeps its own part, but for an elastic layer's."""
+        if self.layer is not None:
+            return self.snapshot()
+        self._core.save()
+        return np.zeros(0) if self._afloat is None else self._afloat.to_array()
+
+    def _undo(self, before: Snapshot | Float[np.ndarray, " q"]) -> None:
+        """Goes back to the beginning of a step that failed."""
+        if isinstance(before, Snapshot):
+            self.restore(before)
+            return
+        self._core.undo()
+        if self._afloat is not None:
+            self._afloat.restore(before, self._T_world_patient)
 
     def _propulsion(self, time: float) -> Float[np.ndarray, " 3"]:
         """Propulsive force of the muscle on the capsule at a time [N], in the patient frame."""

@@ -27,6 +27,9 @@ class Bubbles:
         largest: Greatest radius [m].
         rising: Share of rafts that gather where the lumen is highest; the others cling anywhere.
         burst_rate: Bursts per bubble and second; another takes its place upstream [1/s].
+        on_dome: Bubbles that sit on each round end of the capsule from the beginning.
+        landing_rate: How readily a bubble that a round end touches settles there [1/s of touch].
+        release_rate: How readily one that sits there in liquid lets go [1/s].
         ior: Refractive index of the film (water: 1.333).
         border: Width of the thick rim where the film curves away, as a share of the radius.
         gleam: Share of light that the rim throws from the surroundings towards the viewer.
@@ -43,6 +46,9 @@ class Bubbles:
     largest: float = 4.0 * MM
     rising: float = 0.4
     burst_rate: float = 0.02
+    on_dome: int = 0
+    landing_rate: float = 2.0
+    release_rate: float = 0.05
     ior: float = 1.333
     border: float = 0.08
     gleam: float = 0.3
@@ -51,13 +57,14 @@ class Bubbles:
     color: tuple[float, float, float] = (0.62, 0.5, 0.34)
 
     def __post_init__(self) -> None:
-        for name in ("per_area", "spread", "burst_rate"):
+        for name in ("per_area", "spread", "burst_rate", "landing_rate", "release_rate"):
             value = getattr(self, name)
             require(0.0 <= value < math.inf, f"Bubbles' {name}", value, "0 or more")
         for name in ("rising", "gleam"):
             value = getattr(self, name)
             require(0.0 <= value <= 1.0, f"Bubbles' {name}", value, "0 to 1")
         require(1.0 <= self.raft_size < 1e3, "Bubbles' raft_size", self.raft_size, "1 to 1000")
+        require(0 <= self.on_dome <= 1000, "Bubbles' on_dome", self.on_dome, "0 to 1000")
         require(1.0 < self.ior < 3.0, "Bubbles' ior", self.ior, "above 1 to 3")
         require(0.0 < self.border < 1.0, "Bubbles' border", self.border, "above 0 to below 1")
         require(0.0 < self.roughness <= 1.0, "Bubbles' roughness", self.roughness, "above 0 to 1")
@@ -80,9 +87,9 @@ def require_sizes(whose: str, smallest: float, radius: float, largest: float) ->
 
 BUBBLE_GRADES: tuple[Bubbles, ...] = (
     Bubbles(per_area=0.0),
-    Bubbles(per_area=0.25 / CM2, raft_size=3.0),
-    Bubbles(per_area=1.0 / CM2, raft_size=7.0),
-    Bubbles(per_area=4.0 / CM2, raft_size=14.0),
-    Bubbles(per_area=16.0 / CM2, raft_size=40.0, radius=0.55 * MM, spread=0.6),
+    Bubbles(per_area=0.25 / CM2, raft_size=3.0, on_dome=1),
+    Bubbles(per_area=1.0 / CM2, raft_size=7.0, on_dome=2),
+    Bubbles(per_area=4.0 / CM2, raft_size=14.0, on_dome=4),
+    Bubbles(per_area=16.0 / CM2, raft_size=40.0, radius=0.55 * MM, spread=0.6, on_dome=9),
 )
 """Bubbles by grade, 0 (none) to 4 (foam)."""

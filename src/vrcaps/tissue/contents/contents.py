@@ -59,7 +59,7 @@ class Contents:
     def is_empty(self) -> bool:
         """Whether there is nothing in the lumen."""
         bubbles, chyme, liquid = self.resolved
-        return bubbles.per_area == chyme.per_area == liquid.fill == 0.0
+        return bubbles.per_area == bubbles.on_dome == chyme.per_area == liquid.fill == 0.0
 
 
 def _figures(given: int | _Kind, grades: Sequence[_Kind]) -> _Kind:

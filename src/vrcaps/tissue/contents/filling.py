@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -10,6 +10,7 @@ import numpy as np
 from vrcaps._core import Wall
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.tissue.contents.contents import Contents
+from vrcaps.tissue.contents.dome import place_homes, seats
 from vrcaps.tissue.contents.place import place_bubbles, place_chyme
 from vrcaps.tissue.contents.pools import Pools, cut_sections, find_pools
 from vrcaps.tissue.contents.spheres import Spheres, joined, parted
@@ -33,16 +34,31 @@ class Filling:
         contents: Their figures.
         spheres: Bubbles and chyme.
         pools: Liquid; None where there is none.
+        seats: Where the last of the spheres sit on the capsule, in its frame about its middle [m];
+            their centres are where others form when they burst.
     """
 
     contents: Contents
     spheres: Spheres
     pools: Pools | None = None
+    seats: Float[np.ndarray, "k 3"] = field(default_factory=lambda: np.zeros((0, 3)))
+
+    def with_capsule(self, length: float, radius: float) -> Filling:
+        """The filling with seats on the round ends of a capsule.
+
+        Args:
+            length: Its overall length [m].
+            radius: Its radius [m].
+        """
+        bubbles, _, _ = self.contents.resolved
+        rng = np.random.default_rng([self.contents.seed, 4])
+        own = self.spheres.radius[len(self.spheres) - 2 * bubbles.on_dome :]
+        return replace(self, seats=seats(own, length, radius, rng))
 
     def around_capsule(
         self, T_world_capsule: Float[np.ndarray, "4 4"], length: float, radius: float
     ) -> Filling:
-        """The filling with what is in a capsule's way pushed aside.
+        """The filling with what is in a capsule's way pushed aside, and what sits on it there.
 
         Args:
             T_world_capsule: Pose of the capsule, whose middle is taken as its origin.
@@ -52,7 +68,11 @@ class Filling:
         half = length / 2.0 - radius
         ends = transform_points(T_world_capsule, np.array([[0.0, 0.0, -half], [0.0, 0.0, half]]))
         moved = parted(self.spheres, (ends[0], ends[1]), radius)
-        return self if moved is self.spheres else replace(self, spheres=moved)
+        if len(self.seats):
+            centers = moved.centers.copy()
+            centers[-len(self.seats) :] = transform_points(T_world_capsule, self.seats)
+            moved = replace(moved, centers=centers)
+        return self if moved is self.spheres else Filling(self.contents, moved, self.pools)
 
 
 def fill(
@@ -68,10 +88,12 @@ def fill(
     bubbles, chyme, liquid = contents.resolved
     wall = Wall(np.ascontiguousarray(organ.vertices, float), organ.faces.astype(np.int64))
     up = T_world_patient[:3, :3].T @ np.array([0.0, 0.0, 1.0])
-    rngs = [np.random.default_rng([contents.seed, number]) for number in (1, 2)]
+    rngs = [np.random.default_rng([contents.seed, number]) for number in (1, 2, 3)]
+    clinging = place_bubbles(organ, wall, bubbles, up, rngs[0])
     spheres = joined(
-        place_bubbles(organ, wall, bubbles, up, rngs[0]),
+        clinging,
         place_chyme(organ, wall, chyme, up, rngs[1]),
+        place_homes(organ, bubbles, rngs[2], before=len(clinging)),
     )
     centers = transform_points(T_world_patient, spheres.centers)
     pools = None

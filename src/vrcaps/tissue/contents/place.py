@@ -25,7 +25,8 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
 _SPACING = 2.0 * MM
-_LIFT_BUBBLE = 0.85
+LIFT_BUBBLE = 0.85
+"""Height of a bubble's centre over the wall it clings to, as a share of its radius."""
 _LIFT_CHYME = 0.4
 _SCATTER = 0.7
 """How far directions stray from up or down; 1 is as long as the way itself."""
@@ -41,6 +42,14 @@ def smooth_area(organ: OrganSurface) -> tuple[Float[np.ndarray, " k"], Float[np.
     known = count > 0
     radius = np.interp(middle, middle[known], total[known] / count[known])
     return edges, np.append(0.0, np.cumsum(2.0 * np.pi * radius * np.diff(edges)))
+
+
+def cut_log_normal(
+    kind: Bubbles | Chyme, count: int, rng: np.random.Generator
+) -> Float[np.ndarray, " n"]:
+    """Radii [m] by the log-normal law of a kind, cut at both ends."""
+    drawn = kind.radius * np.exp(kind.spread * rng.standard_normal(count))
+    return np.clip(drawn, kind.smallest, kind.largest)
 
 
 def place_bubbles(
@@ -65,7 +74,7 @@ def place_bubbles(
     rafts.settle(up, bubbles.rising)
     radius = rafts.radii(bubbles)
     place = rafts.spread(radius, dimensions=2, touch=1.0)
-    centers = _on_wall(organ, wall, place, _LIFT_BUBBLE * radius)
+    centers = _on_wall(organ, wall, place, LIFT_BUBBLE * radius)
     number = 1 + np.arange(len(radius)) % 65535
     return Spheres(
         centers=centers,
@@ -147,9 +156,8 @@ class _Seeds:
 
     def radii(self, kind: Bubbles | Chyme) -> Float[np.ndarray, " n"]:
         """Radii [m] by the cut log-normal law; none is wider than half the way to the wall."""
-        drawn = kind.radius * np.exp(kind.spread * self.rng.standard_normal(self.total))
         room = np.maximum(0.5 * self.room[self.owner], kind.smallest)
-        return np.minimum(np.clip(drawn, kind.smallest, kind.largest), room)
+        return np.minimum(cut_log_normal(kind, self.total, self.rng), room)
 
     def spread(
         self, radius: Float[np.ndarray, " n"], *, dimensions: int, touch: float

@@ -9,7 +9,7 @@ use crate::fem::embedding::{CARRIERS, Embedding};
 use crate::fem::layer::FemLayer;
 use crate::fem::outer::Outcome;
 use glam::{DMat3, DVec3};
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::{BTreeMap, BTreeSet, btree_map::Entry};
 
 /// Nodes of a vertex inside, and as many above them outside.
 const PAIRS: usize = CARRIERS / 2;

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps.errors import InputError
+from vrcaps.errors import InputError, require
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -69,3 +69,28 @@ def read_snapshot(path: Path) -> Snapshot:
         raise InputError(f"{path} is no snapshot of a world: {error}.") from error
     plain = {name: arrays[name].item() for name in ("seed", "time", "began")}
     return Snapshot(**arrays | plain)
+
+
+def check_snapshot(snapshot: Snapshot, own: Snapshot) -> None:
+    """Check that a snapshot fits a world that has a snapshot of its own.
+
+    Raises:
+        InputError: If it is of another seed or wall, or not finite.
+    """
+    require(snapshot.seed == own.seed, "seed", snapshot.seed, f"this world's, {own.seed}")
+    if snapshot.driven.shape != own.driven.shape:
+        raise InputError(
+            f"The snapshot has a wall of {len(snapshot.driven)} vertices, the model has "
+            f"{len(own.driven)}. Give a snapshot of the same organ."
+        )
+    for name, mine in vars(own).items():
+        if name in ("layer", "touched"):
+            continue  # what a layer needs is checked where it is taken apart
+        given = getattr(snapshot, name)
+        if np.shape(given) != np.shape(mine):
+            raise InputError(
+                f"The snapshot's {name} has the shape {np.shape(given)}. "
+                f"Allowed: {np.shape(mine)}, as in this world."
+            )
+        if not np.isfinite(given).all():
+            raise InputError(f"The snapshot's {name} is not finite. Allowed: finite numbers.")

@@ -24,7 +24,7 @@ from vrcaps.transforms import (
 from vrcaps.world.afloat import PIECE, SWEEP, Afloat
 from vrcaps.world.control import Control
 from vrcaps.world.model import Contact, Model, State
-from vrcaps.world.snapshot import Snapshot
+from vrcaps.world.snapshot import Snapshot, check_snapshot
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -209,7 +209,7 @@ class World:
             InputError: If the snapshot is of another wall or another seed, or not finite; the state
                 stays as it was.
         """
-        _check_snapshot(snapshot, self.snapshot())
+        check_snapshot(snapshot, self.snapshot())
         if self.layer is not None:
             motion, exchange = _exchange(self.layer, snapshot)
             self.layer.restore(motion)
@@ -381,27 +381,6 @@ def _drive(organ: OrganSurface) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndar
     )
     station = organ.arc_length / stations(curve)[1]
     return nearest - organ.vertices, np.ascontiguousarray(station, float)
-
-
-def _check_snapshot(snapshot: Snapshot, own: Snapshot) -> None:
-    """Whether a snapshot fits a world that has a snapshot of its own."""
-    require(snapshot.seed == own.seed, "seed", snapshot.seed, f"this world's, {own.seed}")
-    if snapshot.driven.shape != own.driven.shape:
-        raise InputError(
-            f"The snapshot has a wall of {len(snapshot.driven)} vertices, the model has "
-            f"{len(own.driven)}. Give a snapshot of the same organ."
-        )
-    for name, mine in vars(own).items():
-        if name in ("layer", "touched"):
-            continue  # see `_exchange`
-        given = getattr(snapshot, name)
-        if np.shape(given) != np.shape(mine):
-            raise InputError(
-                f"The snapshot's {name} has the shape {np.shape(given)}. "
-                f"Allowed: {np.shape(mine)}, as in this world."
-            )
-        if not np.isfinite(given).all():
-            raise InputError(f"The snapshot's {name} is not finite. Allowed: finite numbers.")
 
 
 def _check_substep(substep: float, tissue: Tissue) -> None:

@@ -37,6 +37,7 @@ if TYPE_CHECKING:
 _NUM_TRIES = 6
 _MORE_ROOM = 6 * MM
 _RIM = 1.3 * MM
+_VALVE_REACH = 4 * CM
 
 
 def generate_gi(
@@ -111,7 +112,7 @@ def _stitched(
     """Vertices [m] and faces of both walls joined at the valve, and which face is whose."""
     num = len(upper.vertices)
     kept_upper, rim_upper = without_vertices(upper.faces, upper.arc_length > tract.end - 1.05 * CAP)
-    kept_lower, rim_lower = without_vertices(lower.faces, _is_in_valve(lower.vertices, place))
+    kept_lower, rim_lower = without_vertices(lower.faces, _is_in_valve(lower, place))
     vertices = np.concatenate([upper.vertices, lower.vertices])
     band = stitch(vertices, rim_upper, rim_lower + num)
     faces = np.concatenate([upper.faces[kept_upper], lower.faces[kept_lower] + num, band])
@@ -141,13 +142,15 @@ def _metadata(tract: UpperTract, lower: OrganSurface, seed: int) -> dict:
     }
 
 
-def _is_in_valve(vertices: np.ndarray, place: ColonPlace) -> np.ndarray:
+def _is_in_valve(colon: OrganSurface, place: ColonPlace) -> np.ndarray:
     """Vertices of the colon within the opening between the valve's lips."""
-    offset = vertices - place.valve
+    offset = colon.vertices - place.valve
     along = offset @ place.along / (VALVE_ALONG + _RIM)
     across = offset @ np.cross(place.inward, place.along) / (VALVE_ACROSS + _RIM)
     depth = np.abs(offset @ place.inward)
-    return (along**2 + across**2 < 1.0) & (depth < 20 * MM)
+    # Another loop of the colon can lie against the valve from outside.
+    is_near = np.abs(colon.arc_length - _valve_place(colon.centerline, place)) < _VALVE_REACH
+    return is_near & (along**2 + across**2 < 1.0) & (depth < 20 * MM)
 
 
 def _labels(tract: UpperTract, upper: TubeMesh, lower: OrganSurface) -> np.ndarray:

@@ -14,7 +14,7 @@ import vrcaps
 
 LAYERS = (
     ("_core",),
-    ("units", "errors", "transforms", "toml_table"),
+    ("units", "errors", "transforms", "toml_table", "catalog_folder"),
     ("organ",),
     ("tissue",),
     ("magnet",),

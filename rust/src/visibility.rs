@@ -6,18 +6,13 @@ use crate::wall::Wall;
 use rayon::prelude::*;
 
 /// Share of the way that must be free: the point itself lies on the wall.
-pub const FREE_WAY: f32 = 1.0 - 1e-4;
+const FREE_WAY: f32 = 1.0 - 1e-4;
 
-/// Whether the way from `origin` to each of a tile's points is free; lanes not `used` are false.
+/// Unit directions from `origin` to each of a tile's points, and how far along them the way must
+/// be free [m]: 0 in lanes not `used`.
 #[inline(always)]
-pub fn visible_tile(
-    wall: &Wall,
-    origin: Vec3,
-    points: &Lane3,
-    used: &[bool; LANES],
-) -> [bool; LANES] {
-    let mut directions = [[0.0; LANES]; 3];
-    let mut reach = [0.0; LANES];
+pub fn ways(origin: Vec3, points: &Lane3, used: &[bool; LANES]) -> (Lane3, Lane) {
+    let (mut directions, mut reach) = ([[0.0; LANES]; 3], [0.0; LANES]);
     for i in 0..LANES {
         let offset = sub(at(points, i), origin);
         let distance = dot(offset, offset).sqrt();
@@ -27,6 +22,18 @@ pub fn visible_tile(
         }
         reach[i] = if used[i] { distance * FREE_WAY } else { 0.0 };
     }
+    (directions, reach)
+}
+
+/// Whether the way from `origin` to each of a tile's points is free; lanes not `used` are false.
+#[inline(always)]
+pub fn visible_tile(
+    wall: &Wall,
+    origin: Vec3,
+    points: &Lane3,
+    used: &[bool; LANES],
+) -> [bool; LANES] {
+    let (directions, reach) = ways(origin, points, used);
     let pyramid = Pyramid::around(directions, used);
     let mut hits = Hits::within(reach);
     trace::<true>(&wall.bvh, origin, &pyramid, wall.extent, &mut hits);

@@ -117,5 +117,5 @@ def test_unknown_name():
 
 
 def test_missing_file(tmp_path):
-    with pytest.raises(InputError, match=r"No device file at .*mine\.toml.* or one of: dual"):
+    with pytest.raises(InputError, match=r"No capsule file at .*mine\.toml.* or one of: dual"):
         load_device(tmp_path / "mine.toml")

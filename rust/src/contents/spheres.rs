@@ -3,6 +3,7 @@
 use crate::bvh::{Child, MAX_PER_LEAF, Node, WIDTH};
 use crate::lanes::*;
 use crate::tile::{Pyramid, farthest_of, leaves};
+use crate::visibility;
 use rayon::prelude::*;
 
 /// One sphere.
@@ -124,17 +125,7 @@ impl Spheres {
         near: &mut Vec<Near>,
         lit: &mut [bool; LANES],
     ) {
-        const FREE_WAY: f32 = crate::visibility::FREE_WAY;
-        let (mut directions, mut reach) = ([[0.0; LANES]; 3], [0.0; LANES]);
-        for i in 0..LANES {
-            let offset = sub(at(points, i), origin);
-            let distance = dot(offset, offset).sqrt();
-            let inverse = if distance > 0.0 { 1.0 / distance } else { 0.0 };
-            for k in 0..3 {
-                directions[k][i] = offset[k] * inverse;
-            }
-            reach[i] = if lit[i] { distance * FREE_WAY } else { 0.0 };
-        }
+        let (directions, reach) = visibility::ways(origin, points, lit);
         let rays = Pyramid::around(directions, lit);
         self.gather(origin, &rays, extent, farthest_of(&reach), near);
         for found in near.iter() {

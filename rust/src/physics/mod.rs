@@ -10,6 +10,7 @@ mod exchange;
 mod foundation;
 mod held;
 mod lane;
+mod march;
 mod near;
 mod near_layer;
 mod parameters;

@@ -3,16 +3,15 @@
 use super::body::{Body, Motion};
 use super::exchange::Exchange;
 use super::held::Held;
+use super::march::Tally;
 use super::parameters::{
     BodyParameters, DragParameters, MaterialParameters, QuickParameters, laws,
 };
 use super::quick::{Quick, Yield};
-use super::soft_wall::{Drive, MARGIN, Outcome, SoftWall};
+use super::soft_wall::{Drive, SoftWall};
 use super::solve::Twist;
-use super::step::{Laws, Load, Reaction, press, pushes, substep};
-use super::wall_load::Stride;
+use super::step::{Laws, Load, press};
 use crate::fem::layer::FemLayer;
-use crate::query;
 use crate::wall::Wall;
 use glam::{DQuat, DVec3};
 use numpy::{IntoPyArray, PyArray2, PyReadonlyArray1, PyReadonlyArray2, ndarray, ndarray::Array2};
@@ -25,231 +24,31 @@ type Pose = ([f64; 3], [f64; 4], [f64; 3], [f64; 3]);
 /// Two tables of numbers.
 type Tables<'py> = (Bound<'py, PyArray2<f64>>, Bound<'py, PyArray2<f64>>);
 
-/// Farthest that any point of the capsule goes in one substep [m].
-const LONGEST_WAY: f64 = 1e-4;
-/// A capsule this many times as far from the wall's middle as the wall reaches has run away.
-const FAR: f64 = 1000.0;
-/// What is said then.
-const TOO_LARGE: &str = "The step is too large: the capsule's motion runs away.";
-/// Most parts of a substep.
-const MOST_PARTS: f64 = 64.0;
-/// A layer of finite elements under the wall, and the exchange with it.
-type Elastic<'a> = Option<(&'a mut FemLayer, &'a mut Exchange)>;
-
 /// Motion, the vertices that give way, the driven wall [m].
 type Saved = (Motion, Vec<(u32, Yield)>, Vec<DVec3>);
-
-/// Sums over the substeps of a step.
-#[derive(Default)]
-struct Tally {
-    force: DVec3,
-    torque: DVec3,
-    grip: f64,
-    friction_work: f64,
-}
 
 /// A capsule in a soft wall. Positions are about the wall's centre, see `Wall.center`.
 #[pyclass(module = "vrcaps._core")]
 pub struct World {
-    wall: Py<Wall>,
-    body: Body,
-    laws: Laws,
-    quick: Option<Quick>,
+    pub(super) wall: Py<Wall>,
+    pub(super) body: Body,
+    pub(super) laws: Laws,
+    pub(super) quick: Option<Quick>,
     /// The layer of finite elements under the wall, and the exchange with it.
-    layer: Option<(Py<FemLayer>, Exchange)>,
-    motion: Motion,
+    pub(super) layer: Option<(Py<FemLayer>, Exchange)>,
+    pub(super) motion: Motion,
     /// The wall's centre; subtracted from every position [m].
-    center: DVec3,
-    drive: Option<Drive>,
-    soft: SoftWall,
+    pub(super) center: DVec3,
+    pub(super) drive: Option<Drive>,
+    pub(super) soft: SoftWall,
     /// Means over the last step.
-    last: Tally,
+    pub(super) last: Tally,
     /// What `undo` goes back to.
-    saved: Option<Saved>,
-}
-
-/// Bound on the speed of every point of the capsule between two motions [m/s].
-fn fastest_point(body: &Body, before: &Motion, after: &Motion) -> f64 {
-    let arm = body.center.length() + body.half_axis + body.radius;
-    let speed = |m: &Motion| m.velocity.length() + m.angular_velocity.length() * arm;
-    speed(before).max(speed(after))
+    pub(super) saved: Option<Saved>,
 }
 
 fn vector(a: [f64; 3]) -> DVec3 {
     DVec3::from_array(a)
-}
-
-impl Tally {
-    fn add(&mut self, reaction: &Reaction, dt: f64) {
-        self.force += dt * reaction.wrench.linear;
-        self.torque += dt * reaction.wrench.angular;
-        self.grip += dt * reaction.grip;
-        self.friction_work += reaction.friction_work;
-    }
-
-    /// Impulses over a time `duration` as mean forces.
-    fn mean(self, duration: f64) -> Self {
-        Tally {
-            force: self.force / duration,
-            torque: self.torque / duration,
-            grip: self.grip / duration,
-            friction_work: self.friction_work,
-        }
-    }
-}
-
-impl World {
-    /// Steps `strides.0` times by `dt`, in `strides.1` steps of the layer; on an error nothing but
-    /// what is near has changed.
-    fn run(
-        &mut self,
-        wall: &mut Wall,
-        mut layer: Option<&mut FemLayer>,
-        load: &Load,
-        dt: f64,
-        strides: (usize, usize),
-    ) -> Outcome {
-        let backup = (self.motion, self.soft.awake_yields());
-        let elastic = layer.as_deref().zip(self.layer.as_ref()).map(|(l, (_, x))| x.backup(l));
-        let result = self.substeps(wall, layer.as_deref_mut(), load, dt, strides);
-        let result = result.and_then(|()| self.check(wall));
-        if result.is_ok() {
-            self.soft.land();
-            return Ok(());
-        }
-        self.motion = backup.0;
-        self.soft.restore_yields(backup.1);
-        if let (Some(layer), Some((_, exchange)), Some(elastic)) =
-            (layer, self.layer.as_mut(), elastic)
-        {
-            exchange.restore(layer, elastic, &mut self.soft);
-        }
-        self.soft.stay();
-        result
-    }
-
-    /// Whether a step has come to a good end: the motion is finite, and the capsule has not broken
-    /// through a layer of finite elements.
-    fn check(&mut self, wall: &mut Wall) -> Outcome {
-        if !self.motion.is_finite() {
-            return Err(TOO_LARGE);
-        }
-        if self.layer.is_some() {
-            self.soft.settle(wall)?;
-            if !self.is_inside(wall) {
-                return Err("The capsule breaks through the elastic wall. Allowed: a smaller \
-                            force_world, or a deformation that holds more: neo-hookean with a \
-                            stiffening_strain, a larger youngs_modulus or support.");
-            }
-        }
-        let is_near = self.motion.position.length() < FAR * f64::from(wall.extent);
-        if is_near { Ok(()) } else { Err(TOO_LARGE) }
-    }
-
-    fn substeps(
-        &mut self,
-        wall: &mut Wall,
-        layer: Option<&mut FemLayer>,
-        load: &Load,
-        dt: f64,
-        strides: (usize, usize),
-    ) -> Outcome {
-        let mut own = self.layer.take();
-        let mut elastic = layer.zip(own.as_mut().map(|(_, exchange)| exchange));
-        let result = self.march(wall, &mut elastic, load, dt, strides);
-        self.layer = own;
-        result
-    }
-
-    fn march(
-        &mut self,
-        wall: &mut Wall,
-        elastic: &mut Elastic,
-        load: &Load,
-        dt: f64,
-        (count, outer): (usize, usize),
-    ) -> Outcome {
-        let drive = self.soft.driven_speed;
-        let mut tally = Tally::default();
-        for number in 0..count {
-            if let Some((layer, exchange)) = elastic {
-                exchange.keep_up(layer, &mut self.soft, dt, (number, count / outer))?;
-            }
-            // A capsule as fast as a blow takes shorter substeps: none goes far into the wall.
-            let way = dt * fastest_point(&self.body, &self.motion, &self.motion);
-            let parts = (way / LONGEST_WAY).ceil().clamp(1.0, MOST_PARTS);
-            for _ in 0..parts as usize {
-                self.substep(wall, elastic, load, dt / parts, drive, &mut tally)?;
-            }
-        }
-        if let Some((layer, exchange)) = elastic {
-            exchange.end(layer)?;
-            exchange.settle(layer, &mut self.soft);
-        }
-        self.last = tally.mean(count as f64 * dt);
-        Ok(())
-    }
-
-    /// One substep of capsule and wall, whose fastest vertex is driven at a speed [m/s].
-    fn substep(
-        &mut self,
-        wall: &mut Wall,
-        elastic: &mut Elastic,
-        load: &Load,
-        dt: f64,
-        drive: f64,
-        tally: &mut Tally,
-    ) -> Outcome {
-        let (body, motion, soft) = (&self.body, &mut self.motion, &mut self.soft);
-        if soft.travel > MARGIN {
-            if let Some((layer, exchange)) = elastic {
-                exchange.carry(layer, soft);
-            }
-            soft.search(wall, body, motion, self.quick.map_or(0.0, |q| q.reach))?;
-            if let Some((layer, exchange)) = elastic {
-                exchange.find(layer, soft)?;
-            }
-        }
-        soft.update_facets(&body.axis(motion), body.radius);
-        press(body, &self.laws, &soft.facets, motion, &mut soft.patch);
-        if let Some((_, exchange)) = elastic {
-            exchange.soften(soft, dt);
-        }
-        let before = *motion;
-        let reaction = substep(body, &self.laws, load, motion, &soft.patch, dt);
-        tally.add(&reaction, dt);
-        if let Some((_, exchange)) = elastic {
-            let (after, friction) = (&*motion, self.laws.drag.friction());
-            let stride = Stride { body, before: &before, after, reaction: &reaction, friction, dt };
-            exchange.push(soft, &stride);
-        }
-        soft.since += dt;
-        soft.wall_travel += drive * dt;
-        soft.travel += dt * (drive + fastest_point(body, &before, motion));
-        if let Some(quick) = &self.quick {
-            pushes(body, motion, &soft.patch.grips, &mut soft.pushes);
-            soft.give_way(quick, dt);
-        }
-        Ok(())
-    }
-
-    /// Sets the driven wall on its way to a calibre at the end of a step.
-    fn aim(&mut self, calibre: &[f64], duration: f64) -> PyResult<()> {
-        let drive = self.drive.as_ref().filter(|_| !calibre.is_empty()).ok_or_else(|| {
-            PyValueError::new_err("A calibre needs samples, and a drive set before.")
-        })?;
-        self.soft.aim(drive, calibre, duration);
-        Ok(())
-    }
-
-    /// Whether the axis of the capsule is in the lumen.
-    fn is_inside(&self, wall: &Wall) -> bool {
-        let axis = self.body.axis(&self.motion);
-        [0.0, 0.5, 1.0].iter().all(|&share| {
-            let p = axis.start + share * axis.span;
-            query::is_inside(&wall.bvh, p.to_array().map(|x| x as f32))
-        })
-    }
 }
 
 #[pymethods]

@@ -6,16 +6,17 @@ import tomllib
 from decimal import Decimal
 from pathlib import Path
 
-from vrcaps.errors import InputError, UnknownNameError
+from vrcaps.catalog_folder import CatalogFolder
+from vrcaps.errors import InputError
 from vrcaps.magnet.arm.arm import Arm, Joint, Link
 from vrcaps.toml_table import DEGREE, MILLI, TomlTable
 
-_ARMS = Path(__file__).parent / "arms"
+_ARMS = CatalogFolder(Path(__file__).parent / "arms", "arm")
 
 
 def arm_names() -> tuple[str, ...]:
     """Names of the catalog's arms, sorted."""
-    return tuple(sorted(path.stem for path in _ARMS.glob("*.toml")))
+    return _ARMS.names()
 
 
 def load_arm(name_or_path: str | Path) -> Arm:
@@ -25,15 +26,7 @@ def load_arm(name_or_path: str | Path) -> Arm:
         UnknownNameError: If the catalog has no arm of that name.
         InputError: If there is no such file, or it describes no possible arm.
     """
-    path = Path(name_or_path)
-    if path.suffix == ".toml" or len(path.parts) > 1:
-        if not path.is_file():
-            known = ", ".join(arm_names())
-            raise InputError(f"No arm file at {path}. Give a TOML file, or one of: {known}.")
-        return read_arm(path)
-    if str(name_or_path) not in arm_names():
-        raise UnknownNameError("arm", str(name_or_path), arm_names())
-    return read_arm(_ARMS / f"{name_or_path}.toml")
+    return read_arm(_ARMS.find(name_or_path))
 
 
 def read_arm(path: Path) -> Arm:

@@ -1,0 +1,217 @@
+//! One step of a world: substeps of capsule, wall and layer, and the way back where it fails.
+
+use super::body::{Body, Motion};
+use super::exchange::Exchange;
+use super::soft_wall::{MARGIN, Outcome};
+use super::step::{Load, Reaction, press, pushes, substep};
+use super::wall_load::Stride;
+use super::world::World;
+use crate::fem::layer::FemLayer;
+use crate::query;
+use crate::wall::Wall;
+use glam::DVec3;
+use pyo3::{exceptions::PyValueError, prelude::*};
+
+/// Farthest that any point of the capsule goes in one substep [m].
+const LONGEST_WAY: f64 = 1e-4;
+/// A capsule this many times as far from the wall's middle as the wall reaches has run away.
+const FAR: f64 = 1000.0;
+/// What is said then.
+const TOO_LARGE: &str = "The step is too large: the capsule's motion runs away.";
+/// Most parts of a substep.
+const MOST_PARTS: f64 = 64.0;
+/// A layer of finite elements under the wall, and the exchange with it.
+type Elastic<'a> = Option<(&'a mut FemLayer, &'a mut Exchange)>;
+
+/// Sums over the substeps of a step.
+#[derive(Default)]
+pub struct Tally {
+    /// Impulse of the wall on the capsule, or its mean force.
+    pub force: DVec3,
+    /// Likewise, about the centre of mass.
+    pub torque: DVec3,
+    /// Sum of the sizes of normal forces, likewise.
+    pub grip: f64,
+    /// Energy lost to friction [J].
+    pub friction_work: f64,
+}
+
+/// Bound on the speed of every point of the capsule between two motions [m/s].
+fn fastest_point(body: &Body, before: &Motion, after: &Motion) -> f64 {
+    let arm = body.center.length() + body.half_axis + body.radius;
+    let speed = |m: &Motion| m.velocity.length() + m.angular_velocity.length() * arm;
+    speed(before).max(speed(after))
+}
+
+impl Tally {
+    fn add(&mut self, reaction: &Reaction, dt: f64) {
+        self.force += dt * reaction.wrench.linear;
+        self.torque += dt * reaction.wrench.angular;
+        self.grip += dt * reaction.grip;
+        self.friction_work += reaction.friction_work;
+    }
+
+    /// Impulses over a time `duration` as mean forces.
+    fn mean(self, duration: f64) -> Self {
+        Tally {
+            force: self.force / duration,
+            torque: self.torque / duration,
+            grip: self.grip / duration,
+            friction_work: self.friction_work,
+        }
+    }
+}
+
+impl World {
+    /// Steps `strides.0` times by `dt`, in `strides.1` steps of the layer; on an error nothing but
+    /// what is near has changed.
+    pub(super) fn run(
+        &mut self,
+        wall: &mut Wall,
+        mut layer: Option<&mut FemLayer>,
+        load: &Load,
+        dt: f64,
+        strides: (usize, usize),
+    ) -> Outcome {
+        let backup = (self.motion, self.soft.awake_yields());
+        let elastic = layer.as_deref().zip(self.layer.as_ref()).map(|(l, (_, x))| x.backup(l));
+        let result = self.substeps(wall, layer.as_deref_mut(), load, dt, strides);
+        let result = result.and_then(|()| self.check(wall));
+        if result.is_ok() {
+            self.soft.land();
+            return Ok(());
+        }
+        self.motion = backup.0;
+        self.soft.restore_yields(backup.1);
+        if let (Some(layer), Some((_, exchange)), Some(elastic)) =
+            (layer, self.layer.as_mut(), elastic)
+        {
+            exchange.restore(layer, elastic, &mut self.soft);
+        }
+        self.soft.stay();
+        result
+    }
+
+    /// Whether a step has come to a good end: the motion is finite, and the capsule has not broken
+    /// through a layer of finite elements.
+    fn check(&mut self, wall: &mut Wall) -> Outcome {
+        if !self.motion.is_finite() {
+            return Err(TOO_LARGE);
+        }
+        if self.layer.is_some() {
+            self.soft.settle(wall)?;
+            if !self.is_inside(wall) {
+                return Err("The capsule breaks through the elastic wall. Allowed: a smaller \
+                            force_world, or a deformation that holds more: neo-hookean with a \
+                            stiffening_strain, a larger youngs_modulus or support.");
+            }
+        }
+        let is_near = self.motion.position.length() < FAR * f64::from(wall.extent);
+        if is_near { Ok(()) } else { Err(TOO_LARGE) }
+    }
+
+    fn substeps(
+        &mut self,
+        wall: &mut Wall,
+        layer: Option<&mut FemLayer>,
+        load: &Load,
+        dt: f64,
+        strides: (usize, usize),
+    ) -> Outcome {
+        let mut own = self.layer.take();
+        let mut elastic = layer.zip(own.as_mut().map(|(_, exchange)| exchange));
+        let result = self.march(wall, &mut elastic, load, dt, strides);
+        self.layer = own;
+        result
+    }
+
+    fn march(
+        &mut self,
+        wall: &mut Wall,
+        elastic: &mut Elastic,
+        load: &Load,
+        dt: f64,
+        (count, outer): (usize, usize),
+    ) -> Outcome {
+        let drive = self.soft.driven_speed;
+        let mut tally = Tally::default();
+        for number in 0..count {
+            if let Some((layer, exchange)) = elastic {
+                exchange.keep_up(layer, &mut self.soft, dt, (number, count / outer))?;
+            }
+            // A capsule as fast as a blow takes shorter substeps: none goes far into the wall.
+            let way = dt * fastest_point(&self.body, &self.motion, &self.motion);
+            let parts = (way / LONGEST_WAY).ceil().clamp(1.0, MOST_PARTS);
+            for _ in 0..parts as usize {
+                self.substep(wall, elastic, load, dt / parts, drive, &mut tally)?;
+            }
+        }
+        if let Some((layer, exchange)) = elastic {
+            exchange.end(layer)?;
+            exchange.settle(layer, &mut self.soft);
+        }
+        self.last = tally.mean(count as f64 * dt);
+        Ok(())
+    }
+
+    /// One substep of capsule and wall, whose fastest vertex is driven at a speed [m/s].
+    fn substep(
+        &mut self,
+        wall: &mut Wall,
+        elastic: &mut Elastic,
+        load: &Load,
+        dt: f64,
+        drive: f64,
+        tally: &mut Tally,
+    ) -> Outcome {
+        let (body, motion, soft) = (&self.body, &mut self.motion, &mut self.soft);
+        if soft.travel > MARGIN {
+            if let Some((layer, exchange)) = elastic {
+                exchange.carry(layer, soft);
+            }
+            soft.search(wall, body, motion, self.quick.map_or(0.0, |q| q.reach))?;
+            if let Some((layer, exchange)) = elastic {
+                exchange.find(layer, soft)?;
+            }
+        }
+        soft.update_facets(&body.axis(motion), body.radius);
+        press(body, &self.laws, &soft.facets, motion, &mut soft.patch);
+        if let Some((_, exchange)) = elastic {
+            exchange.soften(soft, dt);
+        }
+        let before = *motion;
+        let reaction = substep(body, &self.laws, load, motion, &soft.patch, dt);
+        tally.add(&reaction, dt);
+        if let Some((_, exchange)) = elastic {
+            let (after, friction) = (&*motion, self.laws.drag.friction());
+            let stride = Stride { body, before: &before, after, reaction: &reaction, friction, dt };
+            exchange.push(soft, &stride);
+        }
+        soft.since += dt;
+        soft.wall_travel += drive * dt;
+        soft.travel += dt * (drive + fastest_point(body, &before, motion));
+        if let Some(quick) = &self.quick {
+            pushes(body, motion, &soft.patch.grips, &mut soft.pushes);
+            soft.give_way(quick, dt);
+        }
+        Ok(())
+    }
+
+    /// Sets the driven wall on its way to a calibre at the end of a step.
+    pub(super) fn aim(&mut self, calibre: &[f64], duration: f64) -> PyResult<()> {
+        let drive = self.drive.as_ref().filter(|_| !calibre.is_empty()).ok_or_else(|| {
+            PyValueError::new_err("A calibre needs samples, and a drive set before.")
+        })?;
+        self.soft.aim(drive, calibre, duration);
+        Ok(())
+    }
+
+    /// Whether the axis of the capsule is in the lumen.
+    pub(super) fn is_inside(&self, wall: &Wall) -> bool {
+        let axis = self.body.axis(&self.motion);
+        [0.0, 0.5, 1.0].iter().all(|&share| {
+            let p = axis.start + share * axis.span;
+            query::is_inside(&wall.bvh, p.to_array().map(|x| x as f32))
+        })
+    }
+}

@@ -9,7 +9,7 @@ from vrcaps.errors import InputError, UnknownNameError
 from vrcaps.transforms import invert, rotate_vectors, transform_points
 from vrcaps.units import MM
 
-NAMES = ("dual", "mirocam", "mono", "panoramic", "pillcam-colon2", "pillcam-sb3", "stereo")
+NAMES = ("dual", "magnetic", "mirocam", "mono", "panoramic", "pillcam-colon2", "pillcam-sb3", "stereo")
 
 
 def test_catalog_names():

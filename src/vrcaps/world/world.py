@@ -130,6 +130,11 @@ class World:
         return self._T_world_patient @ transform_from(rotation, np.array(position) + self._center)
 
     @property
+    def velocity_world(self) -> Float[np.ndarray, "2 3"]:
+        """Velocity of the capsule's origin [m/s] and angular velocity [rad/s] now."""
+        return rotate_vectors(self._T_world_patient, np.array(self._core.pose[2:]))
+
+    @property
     def contact(self) -> Contact:
         """What the wall did to the capsule in the last step."""
         force, torque, *rest = self._contact
@@ -145,8 +150,7 @@ class World:
     def state(self) -> State:
         """All of the world now, in the world frame, with every vertex of a wall that moves."""
         T = self._T_world_patient
-        _, _, *velocities = self._core.pose
-        linear, angular = rotate_vectors(T, np.array(velocities))
+        linear, angular = self.velocity_world
         moved = self._moves or T is not self.model.T_world_patient or (self._calibre != 1.0).any()
         return State(
             time=self.time,

@@ -34,6 +34,8 @@ class Snapshot:
             given [N·s]; empty where there is none.
         touched: Of each triangle that loads the layer: number, normal force and friction [N].
         afloat: What floats in the lumen; empty where nothing does.
+        contact: What the wall did in the last step: force, torque, and the other numbers of
+            `Contact` in their order.
         sources: Place [m], quaternion wxyz and strength of each source in the world.
     """
 
@@ -48,6 +50,7 @@ class Snapshot:
     layer: Float[np.ndarray, "nodes 15"]
     touched: Float[np.ndarray, "k 5"]
     afloat: Float[np.ndarray, " q"] = field(default_factory=lambda: np.zeros(0))
+    contact: Float[np.ndarray, " 11"] = field(default_factory=lambda: np.zeros(11))
     sources: Float[np.ndarray, "s 8"] = field(default_factory=lambda: np.zeros((0, 8)))
 
 

@@ -93,8 +93,9 @@ class Steered:
         needed: Force that the capsule needs [N], in the world.
         offered: Force of the magnet asked for on a capsule where it should be [N].
         lost: Why the magnet has lost the capsule: nothing; `turned`: the moment is far off the
-            field; `weak`: the magnet cannot be where its force would be enough; `stuck`: the
-            capsule does not follow.
+            field; `fallen`: the capsule lies on another wall than it is to be pressed against;
+            `weak`: the magnet cannot be where its force would be enough; `stuck`: the capsule does
+            not follow.
     """
 
     held: Held
@@ -189,7 +190,8 @@ class Pilot:
         held = self.holder.move(self.steered.held, self._wanted, dt)
         short = free @ (needed - aimed.force)
         steered = Steered(held, error, angle, needed, aimed.force)
-        self.steered = replace(steered, lost=self._lost(world, short))
+        fallen = world.contact.force_world @ np.asarray(goal.press, float) > _TOUCH
+        self.steered = replace(steered, lost=self._lost(world, short, fallen=bool(fallen)))
         return self._command(held)
 
     def drive(
@@ -323,10 +325,12 @@ class Pilot:
             led[:3, :3] = turned(axis * (angle / sine), T[:3, :3])
         return led
 
-    def _lost(self, world: World, short: Float[np.ndarray, " 3"]) -> str:
+    def _lost(self, world: World, short: Float[np.ndarray, " 3"], *, fallen: bool = False) -> str:
         coupling = world.coupling
         if coupling is not None and coupling.angle > _LOST_ANGLE:
             return "turned"
+        if fallen:
+            return "fallen"
         needed = self.steered.needed
         if length(short) > 0.01 + 0.25 * length(needed):
             return "weak"

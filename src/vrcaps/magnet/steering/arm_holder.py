@@ -13,13 +13,16 @@ from vrcaps.magnet.arm.carrier import Carrier, clearances, flange_at, magnet_at,
 from vrcaps.magnet.arm.kinematics import nearest
 from vrcaps.magnet.steering.aim import Room
 from vrcaps.magnet.steering.holder import Held
-from vrcaps.magnet.steering.turn import cross, length, turned
+from vrcaps.magnet.steering.turn import at_most, cross, length, rotation_vector, turned
 
 if TYPE_CHECKING:
     from jaxtyping import Float
 
 _UPRIGHT = 0.2
 """Sine of an angle below which a direction along the magnet's axis says nothing about its turn."""
+
+_FARTHEST, _MOST_TURN = 0.03, 0.3
+"""How far ahead on its way the arm looks [m, rad]."""
 
 _JUMP = 0.5
 """A pose whose joint angles are farther than this from those of now [rad] is on another branch."""
@@ -65,7 +68,7 @@ class ArmHolder:
         at = held.angles
         goal = self.room.admit(T_world_magnet)
         limit = "" if (goal[:3, 3] == T_world_magnet[:3, 3]).all() else "room"
-        goal = self._rolled(goal)
+        goal = _part_way(held.T_world_magnet, self._rolled(goal))
         wanted = nearest(self.carrier.arm, flange_at(self.carrier, goal), at)
         if np.isnan(wanted[0]) or np.abs(wanted - at).max() > _JUMP:
             wanted, limit = at, "reach"
@@ -111,3 +114,15 @@ class ArmHolder:
 
     def _held(self, angles: np.ndarray, velocity: np.ndarray, limit: str) -> Held:
         return Held(magnet_at(self.carrier, angles), velocity, angles, limit)
+
+
+def _part_way(
+    start: Float[np.ndarray, "4 4"], goal: Float[np.ndarray, "4 4"]
+) -> Float[np.ndarray, "4 4"]:
+    """The goal, or where the way there begins if it is far."""
+    part = goal.copy()
+    part[:3, 3] = start[:3, 3] + at_most(goal[:3, 3] - start[:3, 3], _FARTHEST)
+    turn = rotation_vector(goal[:3, :3] @ start[:3, :3].T)
+    if length(turn) > _MOST_TURN:
+        part[:3, :3] = turned(at_most(turn, _MOST_TURN), start[:3, :3])
+    return part

@@ -5,6 +5,7 @@ use crate::contents::Contents;
 use crate::contents::tile::{Filled, Room};
 use crate::lanes::*;
 use crate::material::Led;
+use crate::path::{First, Settings, wave};
 use crate::rays::{RayTable, TileRays};
 use crate::scene::{Scene, SceneData};
 use crate::shade::{Attributes, attributes, light, surface};
@@ -15,7 +16,7 @@ use pyo3::{exceptions::PyValueError, prelude::*, types::PyDict};
 use rayon::prelude::*;
 
 /// Farthest distance looked at [m].
-const REACH: f32 = 1e4;
+pub const REACH: f32 = 1e4;
 
 /// Everything about a view but its rays.
 pub struct View {
@@ -31,6 +32,8 @@ pub struct View {
     pub exposure: f32,
     /// Whether things cast shadows.
     pub shadows: bool,
+    /// How light that is reflected more than once is found; None for direct light alone.
+    pub paths: Option<Settings>,
 }
 
 impl View {
@@ -60,15 +63,19 @@ impl View {
             })
             .collect();
         let origin = wall.localize([pose[[0, 3]], pose[[1, 3]], pose[[2, 3]]]);
-        Ok(View { origin, to_world, to_camera, center: wall.center, leds, exposure, shadows })
+        let (center, paths) = (wall.center, None);
+        Ok(View { origin, to_world, to_camera, center, leds, exposure, shadows, paths })
     }
 }
 
 /// Renders the channels of `out`, a dictionary of C-contiguous arrays of the table's shape.
 ///
-/// `leds` holds position [m], direction, intensity [W/sr] and lobe exponent of each in the world.
+/// `leds` holds position [m], direction, intensity [W/sr] and lobe exponent of each in the world;
+/// `paths` how many paths a ray has, their most reflections, and their seed.
 #[pyfunction]
-#[pyo3(signature = (wall, scene, rays, pose, leds, out, *, exposure, shadows, contents=None))]
+#[pyo3(signature = (
+    wall, scene, rays, pose, leds, out, *, exposure, shadows, contents=None, paths=None
+))]
 #[allow(clippy::too_many_arguments)] // the one door from Python
 pub fn render(
     py: Python<'_>,
@@ -81,6 +88,7 @@ pub fn render(
     exposure: f32,
     shadows: bool,
     contents: Option<&Contents>,
+    paths: Option<(u32, u32, u64)>,
 ) -> PyResult<()> {
     if scene.data.faces.len() != wall.faces.len()
         || scene.data.arc_length.len() != wall.vertices.len()
@@ -89,7 +97,8 @@ pub fn render(
             "Scene and wall have different numbers of faces or vertices.",
         ));
     }
-    let view = View::new(wall, pose, leds, exposure, shadows)?;
+    let mut view = View::new(wall, pose, leds, exposure, shadows)?;
+    view.paths = paths.map(|(samples, depth, seed)| Settings { samples, depth, seed });
     let shape = (rays.height, rays.width);
     let mut rgb = take::<u8>(out, "rgb", shape, 3)?;
     let mut radiance = take::<f32>(out, "radiance", shape, 3)?;
@@ -130,14 +139,51 @@ pub fn render(
         bands.into_par_iter().enumerate().for_each(|(row, mut band)| {
             let tiles = &rays.tiles[row * columns..(row + 1) * columns];
             let height = (rays.height - row * TILE).min(TILE);
-            let size = (rays.width, height);
+            let area = Area { row: row * TILE, size: (rays.width, height) };
             match &filled {
-                Some(filled) => render_filled_band(filled, tiles, size, &mut band),
-                None => render_band(wall, &scene.data, &view, tiles, size, &mut band),
+                Some(filled) => render_filled_band(filled, tiles, area, &mut band),
+                None => render_band(wall, &scene.data, &view, tiles, area, &mut band),
             }
         });
     });
     Ok(())
+}
+
+/// Where a band of tiles lies in the image.
+#[derive(Clone, Copy)]
+struct Area {
+    /// First row of pixels.
+    row: usize,
+    /// Width and height [pixels].
+    size: (usize, usize),
+}
+
+impl Area {
+    fn place(self, column: usize) -> Place {
+        Place { column: column * TILE, size: self.size }
+    }
+
+    /// Number of each pixel of a tile in the image.
+    fn pixels(self, column: usize) -> [u32; LANES] {
+        let first = self.row * self.size.0 + column * TILE;
+        std::array::from_fn(|i| (first + i / TILE * self.size.0 + i % TILE) as u32)
+    }
+}
+
+/// Light beyond direct light that the surfaces met by each tile send to the viewer.
+#[inline(always)]
+fn glow(
+    wall: &Wall,
+    scene: &SceneData,
+    view: &View,
+    tiles: &[TileRays],
+    first: impl FnMut((usize, &TileRays)) -> First,
+) -> Option<Vec<Lane3>> {
+    let settings = view.paths?;
+    let pixel_angle = tiles.iter().fold(0.0, |angle, tile| max(angle, tile.pixel_angle));
+    let tracer = wave::Tracer { wall, scene, leds: &view.leds, pixel_angle, settings };
+    let firsts: Vec<First> = tiles.iter().enumerate().map(first).collect();
+    Some(wave::indirect(&tracer, &firsts))
 }
 
 #[multiversion::multiversion(targets(
@@ -150,11 +196,20 @@ fn render_band(
     scene: &SceneData,
     view: &View,
     tiles: &[TileRays],
-    size: (usize, usize),
+    area: Area,
     out: &mut Channels<'_>,
 ) {
+    let first = |(column, tile): (usize, &TileRays)| {
+        let (rays, hits) = primary(wall, view, tile);
+        let found = attributes(wall, scene, view.origin, &rays.directions, &hits);
+        let surface = surface(scene, &found, &hits.distance, tile.pixel_angle);
+        let pixel = area.pixels(column);
+        First { surface, hit: found.hit, triangle: hits.triangle, pixel }
+    };
+    let glow = if out.wants_light() { glow(wall, scene, view, tiles, first) } else { None };
     for (column, tile) in tiles.iter().enumerate() {
-        render_tile(wall, scene, view, tile, Place { column: column * TILE, size }, out);
+        let glow = glow.as_ref().map(|tiles| &tiles[column]);
+        render_tile(wall, scene, view, tile, area.place(column), glow, out);
     }
 }
 
@@ -163,15 +218,15 @@ fn render_band(
     "x86_64+avx2",
     "aarch64+neon"
 ))]
-fn render_filled_band(
-    filled: &Filled<'_>,
-    tiles: &[TileRays],
-    size: (usize, usize),
-    out: &mut Channels<'_>,
-) {
+fn render_filled_band(filled: &Filled<'_>, tiles: &[TileRays], area: Area, out: &mut Channels<'_>) {
     let mut room = Room::default();
+    let Filled { wall, scene, view, .. } = *filled;
+    let first =
+        |(column, tile): (usize, &TileRays)| filled.first(tile, area.pixels(column), &mut room);
+    let glow = if out.wants_light() { glow(wall, scene, view, tiles, first) } else { None };
     for (column, tile) in tiles.iter().enumerate() {
-        filled.render_tile(tile, Place { column: column * TILE, size }, &mut room, out);
+        let glow = glow.as_ref().map(|tiles| &tiles[column]);
+        filled.render_tile(tile, area.place(column), glow, &mut room, out);
     }
 }
 
@@ -197,18 +252,32 @@ fn render_tile(
     view: &View,
     tile: &TileRays,
     place: Place,
+    glow: Option<&Lane3>,
     out: &mut Channels<'_>,
 ) {
     let (rays, hits) = primary(wall, view, tile);
     let found = attributes(wall, scene, view.origin, &rays.directions, &hits);
     if out.wants_color() {
         let surface = surface(scene, &found, &hits.distance, tile.pixel_angle);
-        let radiance = light(wall, &scene.material, &view.leds, view.shadows, &surface, &found.hit);
+        let mut radiance =
+            light(wall, &scene.material, &view.leds, view.shadows, &surface, &found.hit);
+        add_glow(glow, &mut radiance);
         place.write_color(&mut out.rgb, &radiance, view.exposure);
         place.write3(&mut out.radiance, &radiance, &found.hit, 0.0);
         place.write3(&mut out.albedo, &surface.albedo, &found.hit, f32::NAN);
     }
     write_geometry(view, tile, &hits, &found, place, out);
+}
+
+/// Adds light beyond direct light, if there is any.
+#[inline(always)]
+pub fn add_glow(glow: Option<&Lane3>, radiance: &mut Lane3) {
+    let Some(glow) = glow else { return };
+    for k in 0..3 {
+        for i in 0..LANES {
+            radiance[k][i] += glow[k][i];
+        }
+    }
 }
 
 /// Writes the channels of the surfaces met.

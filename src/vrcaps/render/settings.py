@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 from vrcaps.errors import InputError
 
@@ -15,10 +16,12 @@ class RenderSettings:
         supersampling: Colour of a pixel is the mean over this many by this many rays. All other
             channels hold the value at the pixel's centre.
         shadows: Whether folds cast shadows from each LED.
+        imaging: White light, or narrow bands about 415 and 540 nm, in which vessels stand out.
     """
 
     supersampling: int = 1
     shadows: bool = False
+    imaging: Literal["white-light", "narrow-band"] = "white-light"
 
     def __post_init__(self) -> None:
         if self.supersampling < 1:

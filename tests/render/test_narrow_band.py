@@ -129,7 +129,7 @@ def test_a_wall_looks_like_its_colour_by_the_light_of_the_bands():
     np.testing.assert_allclose(
         narrow.albedo, narrow_band_reflectance(white.albedo.astype(float)), rtol=0.03
     )
-    np.testing.assert_allclose(narrow.radiance[..., 1], narrow.radiance[..., 2], rtol=1e-4)
+    np.testing.assert_allclose(narrow.radiance[..., 1], narrow.radiance[..., 2], rtol=5e-3)
 
 
 def test_liquid_of_bile_and_blood():

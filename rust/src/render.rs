@@ -3,6 +3,7 @@
 use crate::channels::{Channels, Place, slice, take};
 use crate::contents::Contents;
 use crate::contents::tile::{Filled, Room};
+use crate::indirect::{Irradiance, QuickLight};
 use crate::lanes::*;
 use crate::material::Led;
 use crate::rays::{RayTable, TileRays};
@@ -68,7 +69,7 @@ impl View {
 ///
 /// `leds` holds position [m], direction, intensity [W/sr] and lobe exponent of each in the world.
 #[pyfunction]
-#[pyo3(signature = (wall, scene, rays, pose, leds, out, *, exposure, shadows, contents=None))]
+#[pyo3(signature = (wall, scene, rays, pose, leds, out, *, exposure, shadows, contents=None, quick=None))]
 #[allow(clippy::too_many_arguments)] // the one door from Python
 pub fn render(
     py: Python<'_>,
@@ -81,6 +82,7 @@ pub fn render(
     exposure: f32,
     shadows: bool,
     contents: Option<&Contents>,
+    quick: Option<&QuickLight>,
 ) -> PyResult<()> {
     if scene.data.faces.len() != wall.faces.len()
         || scene.data.arc_length.len() != wall.vertices.len()
@@ -123,7 +125,12 @@ pub fn render(
         front_instance: slice(&mut front_instance)?,
         front_depth: slice(&mut front_depth)?,
     };
+    let rest = quick.map(|light| light.rest(py));
+    let quick = quick.zip(rest.as_deref());
+    let quick = quick.filter(|_| channels.wants_color());
     py.detach(|| {
+        let bounced = quick.map(|(light, rest)| light.solve(rest, wall, &view.leds));
+        let bounced = bounced.as_ref();
         let columns = rays.columns();
         let filled = contents.map(|c| Filled::new(wall, &scene.data, c, &view));
         let bands = channels.bands(rays.width, rays.tiles.len() / columns);
@@ -133,7 +140,7 @@ pub fn render(
             let size = (rays.width, height);
             match &filled {
                 Some(filled) => render_filled_band(filled, tiles, size, &mut band),
-                None => render_band(wall, &scene.data, &view, tiles, size, &mut band),
+                None => render_band(wall, &scene.data, (&view, bounced), tiles, size, &mut band),
             }
         });
     });
@@ -148,7 +155,7 @@ pub fn render(
 fn render_band(
     wall: &Wall,
     scene: &SceneData,
-    view: &View,
+    view: (&View, Option<&Irradiance<'_>>),
     tiles: &[TileRays],
     size: (usize, usize),
     out: &mut Channels<'_>,
@@ -194,7 +201,7 @@ pub fn primary(wall: &Wall, view: &View, tile: &TileRays) -> (Pyramid, Hits) {
 fn render_tile(
     wall: &Wall,
     scene: &SceneData,
-    view: &View,
+    (view, bounced): (&View, Option<&Irradiance<'_>>),
     tile: &TileRays,
     place: Place,
     out: &mut Channels<'_>,
@@ -203,7 +210,11 @@ fn render_tile(
     let found = attributes(wall, scene, view.origin, &rays.directions, &hits);
     if out.wants_color() {
         let surface = surface(scene, &found, &hits.distance, tile.pixel_angle);
-        let radiance = light(wall, &scene.material, &view.leds, view.shadows, &surface, &found.hit);
+        let mut radiance =
+            light(wall, &scene.material, &view.leds, view.shadows, &surface, &found.hit);
+        if let Some(bounced) = bounced {
+            bounced.add(wall, &surface, &hits, &mut radiance);
+        }
         place.write_color(&mut out.rgb, &radiance, view.exposure);
         place.write3(&mut out.radiance, &radiance, &found.hit, 0.0);
         place.write3(&mut out.albedo, &surface.albedo, &found.hit, f32::NAN);

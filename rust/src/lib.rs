@@ -14,6 +14,7 @@ mod lanes;
 mod magnet;
 mod material;
 mod mucosa;
+mod path;
 mod physics;
 mod query;
 mod rays;

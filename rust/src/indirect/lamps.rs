@@ -1,6 +1,7 @@
 //! Light from the LEDs to the sites: each LED sends rays of equal power.
 
 use super::QuickLight;
+use super::sites::nearest_corner;
 use crate::lanes::*;
 use crate::material::Led;
 use crate::tile::{Hits, MISS, Pyramid, trace};
@@ -87,25 +88,9 @@ fn send(light: &QuickLight, wall: &Wall, origin: Vec3, directions: Lane3) -> [En
         if hits.triangle[i] == MISS || hits.edges[2][i] > 0.0 {
             continue;
         }
-        let vertex = nearest_corner(wall, &hits, i);
+        let vertex = nearest_corner(wall, hits.triangle[i], at(&hits.edges, i));
         let cosine = max(-dot(at(&rays.directions, i), wall.normals[vertex]), 0.0);
         ends[i] = (light.sites.of_vertex[vertex], cosine);
     }
     ends
-}
-
-/// The vertex with the largest weight where lane `i` has met the wall.
-#[inline(always)]
-pub fn nearest_corner(wall: &Wall, hits: &Hits, i: usize) -> usize {
-    let [a, b, c] = wall.bvh.corners[hits.triangle[i] as usize];
-    let inverse = 1.0 / hits.edges[2][i];
-    let (wa, wb) = (hits.edges[0][i] * inverse, hits.edges[1][i] * inverse);
-    let wc = 1.0 - wa - wb;
-    (if wa >= wb && wa >= wc {
-        a
-    } else if wb >= wc {
-        b
-    } else {
-        c
-    }) as usize
 }

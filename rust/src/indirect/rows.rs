@@ -1,16 +1,15 @@
 //! Rows of light transport: what a site sees of the wall.
 
-use super::lamps::nearest_corner;
-use super::sites::Sites;
+use super::sites::{Sites, nearest_corner};
 use crate::lanes::*;
-use crate::tile::{Hits, MISS, Pyramid, trace};
+use crate::path::ray;
 use crate::wall::Wall;
-use std::f32::consts::{FRAC_PI_2, TAU};
+use std::f32::consts::TAU;
 
-/// Rays of a row: a tile for each quarter of the hemisphere.
-const QUARTERS: usize = 4;
+/// Rays of a row are a square of so many by so many; even.
+const SIDE: usize = 16;
 /// Share of a row that one ray carries.
-const RAY: f32 = 1.0 / (QUARTERS * LANES) as f32;
+const RAY: f32 = 1.0 / (SIDE * SIDE) as f32;
 /// How far in front of the wall rays start, in spacings of sites.
 const LIFT: f32 = 0.02;
 
@@ -33,13 +32,7 @@ pub struct Row {
 
 /// Traces the row of a site at rest: stratified rays, weighted by the cosine.
 pub fn trace_row(wall: &Wall, sites: &Sites, site: usize) -> Row {
-    let vertex = sites.vertex[site] as usize;
-    let normal = wall.normals[vertex];
-    let origin = add(wall.vertices[vertex], scale(normal, LIFT * sites.spacing));
-    let mut seen = Vec::with_capacity(QUARTERS * LANES);
-    for quarter in 0..QUARTERS {
-        look(wall, sites, origin, hemisphere_quarter(normal, site, quarter), &mut seen);
-    }
+    let mut seen = look(wall, sites, site);
     seen.sort_unstable();
     let runs = || seen.chunk_by(|a, b| a.0 == b.0);
     let link = |from: u32, count: usize, ray: f32| Link { from, share: count as f32 * ray };
@@ -53,48 +46,38 @@ pub fn trace_row(wall: &Wall, sites: &Sites, site: usize) -> Row {
     }
 }
 
-/// Whether a ray is one of every fourth: one in each block of two by two cells.
-fn is_coarse(i: usize) -> bool {
-    let (x, y) = (i % TILE, i / TILE);
-    // Corners of the block by turns, so that no direction is preferred.
-    (x % 2, y % 2) == (x / 2 % 2, (x / 2 + y / 2) % 2)
-}
-
-/// A quarter of a site's hemisphere, in cells of equal cosine-weighted size.
-fn hemisphere_quarter(normal: Vec3, site: usize, quarter: usize) -> Lane3 {
-    let least = if normal[0].abs() < 0.6 { [1.0, 0.0, 0.0] } else { [0.0, 1.0, 0.0] };
-    let right = normalize(cross(normal, least));
-    let down = cross(normal, right);
-    // Neighbours turn by the golden ratio, so that their errors differ.
-    let turn = TAU * (site as f32 * 0.618_034).fract();
-    let mut directions = [[0.0; LANES]; 3];
-    for i in 0..LANES {
-        let square = ((i / TILE) as f32 + 0.5) / TILE as f32;
-        let share = ((i % TILE) as f32 + 0.5) / TILE as f32;
-        let angle = turn + FRAC_PI_2 * (quarter as f32 + share);
-        let (across, up) = (square.sqrt(), (1.0 - square).sqrt());
-        let [x, y] = [across * angle.cos(), across * angle.sin()];
-        for k in 0..3 {
-            directions[k][i] = x * right[k] + y * down[k] + up * normal[k];
-        }
-    }
-    directions
-}
-
+/// The site that each ray meets, and whether the ray is one of every fourth.
 #[multiversion::multiversion(targets(
     "x86_64+avx512f+avx512bw+avx512cd+avx512dq+avx512vl",
     "x86_64+avx2",
     "aarch64+neon"
 ))]
-fn look(wall: &Wall, sites: &Sites, origin: Vec3, directions: Lane3, seen: &mut Vec<(u32, bool)>) {
-    let rays = Pyramid::around(directions, &[true; LANES]);
-    let mut hits = Hits::within([f32::MAX; LANES]);
-    trace::<false>(&wall.bvh, origin, &rays, wall.extent, &mut hits);
-    for i in 0..LANES {
+fn look(wall: &Wall, sites: &Sites, site: usize) -> Vec<(u32, bool)> {
+    let vertex = sites.vertex[site] as usize;
+    let normal = wall.normals[vertex];
+    let origin = add(wall.vertices[vertex], scale(normal, LIFT * sites.spacing));
+    let least = if normal[0].abs() < 0.6 { [1.0, 0.0, 0.0] } else { [0.0, 1.0, 0.0] };
+    let right = normalize(cross(normal, least));
+    let down = cross(normal, right);
+    // Neighbours turn by the golden ratio, so that their errors differ.
+    let turn = TAU * (site as f32 * 0.618_034).fract();
+    let mut seen = Vec::with_capacity(SIDE * SIDE);
+    for (row, column) in (0..SIDE * SIDE).map(|i| (i / SIDE, i % SIDE)) {
+        // Cells of equal cosine-weighted size (Malley's method).
+        let square = (row as f32 + 0.5) / SIDE as f32;
+        let angle = turn + TAU * (column as f32 + 0.5) / SIDE as f32;
+        let (across, up) = (square.sqrt(), (1.0 - square).sqrt());
+        let (x, y) = (across * angle.cos(), across * angle.sin());
+        let direction = [0, 1, 2].map(|k| x * right[k] + y * down[k] + up * normal[k]);
+        let hit = ray::cast::<false>(&wall.bvh, origin, direction, f32::MAX, u32::MAX);
         // The back of a wall is dark.
-        if hits.triangle[i] == MISS || hits.edges[2][i] > 0.0 {
-            continue;
+        if let Some(hit) = hit.filter(|hit| hit.edges[2] < 0.0) {
+            let vertex = nearest_corner(wall, hit.triangle, hit.edges);
+            // Corners of blocks of two by two by turns, so that no direction is preferred.
+            let (x, y) = (column / 2, row / 2);
+            let is_fourth = (column % 2, row % 2) == (y % 2, (x + y) % 2);
+            seen.push((sites.of_vertex[vertex], is_fourth));
         }
-        seen.push((sites.of_vertex[nearest_corner(wall, &hits, i)], is_coarse(i)));
     }
+    seen
 }

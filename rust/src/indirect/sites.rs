@@ -84,6 +84,22 @@ impl Sites {
     }
 }
 
+/// The vertex nearest to where a ray meets a triangle, given as in `tile::Hits`.
+#[inline(always)]
+pub fn nearest_corner(wall: &Wall, triangle: u32, edges: Vec3) -> usize {
+    let [a, b, c] = wall.bvh.corners[triangle as usize];
+    let inverse = 1.0 / edges[2];
+    let (wa, wb) = (edges[0] * inverse, edges[1] * inverse);
+    let wc = 1.0 - wa - wb;
+    (if wa >= wb && wa >= wc {
+        a
+    } else if wb >= wc {
+        b
+    } else {
+        c
+    }) as usize
+}
+
 /// Median way from the wall along its normal to the other side [m].
 fn lumen_width(wall: &Wall) -> f32 {
     let corners = &wall.bvh.corners;

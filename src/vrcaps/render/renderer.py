@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from hashlib import blake2b
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -62,6 +63,9 @@ class Renderer:
         self.model = model
         self.settings = settings or RenderSettings()
         self._scene = _scene(model.organ)
+        self._quick = None
+        if self.settings.light == "quick":
+            self._quick = _core.QuickLight(model.wall, self._scene)
         self._walls: dict[str, _core.Wall] = {}
         self._contents: dict[str, tuple[Filling, _core.Wall, _core.Contents]] = {}
         self._tables: dict[tuple[int, int], tuple[Camera, _core.RayTable]] = {}
@@ -94,9 +98,8 @@ class Renderer:
         arrays = self._arrays(channels, camera, out)
         wall = self._wall(state, "now")
         filling = self._filling(state)
-        T_world_camera = state.T_world_capsule @ camera.T_capsule_camera
         contents = None if filling is None else self._core_contents(filling, wall, "now")
-        self._draw(wall, camera, T_world_camera, arrays, contents)
+        self._draw(wall, camera, state, arrays, contents)
         motion = self._motion(camera, arrays, channels, (state_previous, state, state_next))
         wanted = {name: arrays[name] for name in channels if name in arrays}
         return Frame(**wanted, **motion)
@@ -105,7 +108,7 @@ class Renderer:
         self,
         wall: _core.Wall,
         camera: Camera,
-        T_world_camera: Float[np.ndarray, "4 4"],
+        state: State,
         arrays: dict[str, NDArray[Any]],
         contents: _core.Contents | None,
     ) -> None:
@@ -114,7 +117,9 @@ class Renderer:
                 if name in arrays:
                     arrays[name].fill(nothing)
         factor = self.settings.supersampling
+        T_world_camera = state.T_world_capsule @ camera.T_capsule_camera
         leds = _leds_world(camera, T_world_camera)
+        paths = _paths(self.settings, state.time, T_world_camera)
 
         def draw(into: dict[str, NDArray[Any]], supersampling: int) -> None:
             _core.render(
@@ -125,8 +130,10 @@ class Renderer:
                 leds,
                 into,
                 exposure=camera.exposure,
-                shadows=self.settings.shadows,
+                shadows=self.settings.shadows or paths is not None,
                 contents=contents,
+                paths=paths,
+                quick=self._quick,
             )
 
         if factor == 1 or not _COLOR & arrays.keys():
@@ -272,6 +279,20 @@ def _scene(organ: OrganSurface) -> _core.Scene:
         roughness=_PLAIN_ROUGHNESS,
         reflectance=(look.ior, look.coat, coat_alpha(look.coat_gloss)),
     )
+
+
+def _paths(
+    settings: RenderSettings, time: float, T_world_camera: Float[np.ndarray, "4 4"]
+) -> tuple[int, int, int] | None:
+    """Paths of a ray, their most reflections, and a seed of this instant's own.
+
+    Frames differ in time or view, so that noise does not stand still before a moving scene.
+    """
+    if settings.light != "path":
+        return None
+    instant = np.append(T_world_camera.ravel(), time).astype("<f8").tobytes()
+    seed = blake2b(instant, digest_size=8, key=str(settings.light_seed).encode()).digest()
+    return settings.samples, settings.depth, int.from_bytes(seed, "little")
 
 
 def _leds_world(

@@ -134,24 +134,30 @@ impl Irradiance<'_> {
     /// Adds the radiance that bounced light leaves towards the viewer [W/(sr·m²)].
     #[inline(always)]
     pub fn add(&self, wall: &Wall, surface: &Surface, hits: &Hits, radiance: &mut Lane3) {
+        let mut light = [[0.0; LANES]; 3];
         let mut last = (MISS, [[0.0; 3]; 3]);
         for i in 0..LANES {
-            if hits.triangle[i] == MISS {
+            let triangle = hits.triangle[i];
+            if triangle == MISS {
                 continue;
             }
-            if hits.triangle[i] != last.0 {
-                let corners = wall.bvh.corners[hits.triangle[i] as usize];
-                last = (hits.triangle[i], corners.map(|v| self.vertex(v as usize)));
+            if triangle != last.0 {
+                let corners = wall.bvh.corners[triangle as usize];
+                last = (triangle, corners.map(|v| self.vertex(v as usize)));
             }
             let [a, b, c] = last.1;
             let inverse = 1.0 / hits.edges[2][i];
             let (wa, wb) = (hits.edges[0][i] * inverse, hits.edges[1][i] * inverse);
-            let wc = 1.0 - wa - wb;
+            for k in 0..3 {
+                light[k][i] = c[k] + wa * (a[k] - c[k]) + wb * (b[k] - c[k]);
+            }
+        }
+        for i in 0..LANES {
             let cosine = dot(at(&surface.normal, i), at(&surface.view, i));
             let [base, gloss] = self.light.reflectance.at(cosine);
             for k in 0..3 {
-                let light = wa * a[k] + wb * b[k] + wc * c[k];
-                radiance[k][i] += light * (1.0 / PI) * (base * surface.albedo[k][i] + gloss);
+                let share = base * surface.albedo[k][i] + gloss;
+                radiance[k][i] += light[k][i] * (1.0 / PI) * share;
             }
         }
     }

@@ -9,6 +9,7 @@
 
 mod bounce;
 mod lamps;
+mod lobe;
 mod reflectance;
 mod rows;
 mod sites;
@@ -57,12 +58,6 @@ impl QuickLight {
     #[getter]
     fn num_sites(&self) -> usize {
         self.sites.vertex.len()
-    }
-
-    /// Width of the lumen at rest [m].
-    #[getter]
-    fn lumen_width(&self) -> f32 {
-        self.sites.lumen
     }
 }
 

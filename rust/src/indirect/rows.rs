@@ -1,10 +1,10 @@
 //! Rows of light transport: what a site sees of the wall.
 
+use super::lobe::Lobe;
 use super::sites::{Sites, nearest_corner};
 use crate::lanes::*;
 use crate::path::ray;
 use crate::wall::Wall;
-use std::f32::consts::TAU;
 
 /// Rays of a row are a square of so many by so many; even.
 const SIDE: usize = 16;
@@ -55,20 +55,11 @@ pub fn trace_row(wall: &Wall, sites: &Sites, site: usize) -> Row {
 fn look(wall: &Wall, sites: &Sites, site: usize) -> Vec<(u32, bool)> {
     let vertex = sites.vertex[site] as usize;
     let normal = wall.normals[vertex];
-    let origin = add(wall.vertices[vertex], scale(normal, LIFT * sites.spacing));
-    let least = if normal[0].abs() < 0.6 { [1.0, 0.0, 0.0] } else { [0.0, 1.0, 0.0] };
-    let right = normalize(cross(normal, least));
-    let down = cross(normal, right);
-    // Neighbours turn by the golden ratio, so that their errors differ.
-    let turn = TAU * (site as f32 * 0.618_034).fract();
+    let origin = add(wall.vertices[vertex], scale(normal, LIFT * sites.spacing[site]));
+    let lobe = Lobe::turned(normal, 1.0, SIDE, site);
     let mut seen = Vec::with_capacity(SIDE * SIDE);
-    for (row, column) in (0..SIDE * SIDE).map(|i| (i / SIDE, i % SIDE)) {
-        // Cells of equal cosine-weighted size (Malley's method).
-        let square = (row as f32 + 0.5) / SIDE as f32;
-        let angle = turn + TAU * (column as f32 + 0.5) / SIDE as f32;
-        let (across, up) = (square.sqrt(), (1.0 - square).sqrt());
-        let (x, y) = (across * angle.cos(), across * angle.sin());
-        let direction = [0, 1, 2].map(|k| x * right[k] + y * down[k] + up * normal[k]);
+    for (i, direction) in lobe.directions().enumerate() {
+        let (row, column) = (i / SIDE, i % SIDE);
         let hit = ray::cast::<false>(&wall.bvh, origin, direction, f32::MAX, u32::MAX);
         // The back of a wall is dark.
         if let Some(hit) = hit.filter(|hit| hit.edges[2] < 0.0) {

@@ -1,16 +1,22 @@
 //! Sites: the points of the wall where bounced light is reckoned, and how it is spread from them.
 
+use super::lobe::Lobe;
 use crate::lanes::*;
 use crate::mucosa::grid::{CellHasher, pack};
-use crate::query;
+use crate::path::ray;
 use crate::wall::Wall;
 use rayon::prelude::*;
 use std::collections::HashMap;
 use std::hash::BuildHasherDefault;
 
-/// Least distance between sites, as a share of the lumen's width.
-const SPACING: f32 = 0.1;
-/// How far a site is heard, in spacings.
+/// Distance between sites, as a share of the harmonic mean distance of what is seen from there
+/// (Ward et al. 1988); in a tube that mean is about its radius.
+const SPACING: f32 = 0.2;
+/// Least and most of a site's spacing, as shares of the median spacing.
+const SPACINGS: [f32; 2] = [0.25, 1.5];
+/// Rays from which the distance is found are a square of so many by so many.
+const SIDE: usize = 4;
+/// How far a site is heard, in its spacings.
 const HEARING: f32 = 1.5;
 /// Least cosine between the normals of a vertex and of the site that stands for it.
 const SAME_SIDE: f32 = 0.7;
@@ -18,69 +24,57 @@ const SAME_SIDE: f32 = 0.7;
 const OTHER_SIDE: f32 = 0.3;
 /// Sites that a vertex hears at most.
 pub const HEARD: usize = 8;
-/// Vertices from which the lumen's width is measured.
-const PROBES: usize = 512;
-/// A site that is none.
-const NONE: u32 = u32::MAX;
 
 /// Points of a wall, chosen among its vertices at rest.
 pub struct Sites {
     /// Vertex of each site; neighbours in the hierarchy are neighbours here.
     pub vertex: Vec<u32>,
-    /// Width of the lumen at rest [m]: the median way across it.
-    pub lumen: f32,
-    /// Distance between sites at rest [m].
-    pub spacing: f32,
+    /// Distance between sites around each at rest [m].
+    pub spacing: Vec<f32>,
     /// The site that stands for each vertex.
     pub of_vertex: Vec<u32>,
     /// Sites heard by each vertex and their weights, which sum to 1; unused ones weigh 0.
     pub heard: Vec<[(u32, f32); HEARD]>,
-    /// Vertices that each site stands for: `members[start[s]..start[s + 1]]`.
-    start: Vec<u32>,
-    members: Vec<u32>,
 }
 
 impl Sites {
     /// Chooses sites on a wall at rest.
     pub fn choose(wall: &Wall) -> Self {
-        let lumen = lumen_width(wall);
-        let spacing = SPACING * lumen;
-        let mut grid = Grid::new(HEARING * spacing);
-        let mut vertex: Vec<u32> = Vec::new();
+        let spacings = spacings(wall);
+        let widest = spacings.iter().fold(0.0, |a, &b| max(a, b));
+        let mut grid = Grid::new(HEARING * widest);
+        let (mut vertex, mut spacing): (Vec<u32>, Vec<f32>) = (Vec::new(), Vec::new());
         let mut seen = vec![false; wall.vertices.len()];
         for &v in wall.bvh.corners.iter().flatten() {
             if std::mem::replace(&mut seen[v as usize], true) {
                 continue;
             }
             let (place, normal) = (wall.vertices[v as usize], wall.normals[v as usize]);
+            let own = spacings[v as usize];
             let mut is_covered = false;
             grid.near(place, |site| {
                 let other = vertex[site as usize] as usize;
                 let offset = sub(place, wall.vertices[other]);
-                is_covered |= dot(offset, offset) < spacing * spacing
+                let reach = min(own, spacing[site as usize]);
+                is_covered |= dot(offset, offset) < reach * reach
                     && dot(normal, wall.normals[other]) > SAME_SIDE;
             });
             if !is_covered {
                 grid.put(place, vertex.len() as u32);
                 vertex.push(v);
+                spacing.push(own);
             }
         }
+        let near = |v: usize| hear(wall, (&vertex, &spacing), &grid, v, spacings[v]);
         let heard: Vec<_> = (0..wall.vertices.len())
             .into_par_iter()
-            .map(|v| if seen[v] { hear(wall, &vertex, &grid, v) } else { [(0, 0.0); HEARD] })
+            .map(|v| if seen[v] { near(v) } else { [(0, 0.0); HEARD] })
             .collect();
-        let mut of_vertex: Vec<u32> =
-            heard.iter().map(|h| if h[0].1 > 0.0 { h[0].0 } else { NONE }).collect();
+        let mut of_vertex: Vec<u32> = heard.iter().map(|h| h[0].0).collect();
         for (s, &v) in vertex.iter().enumerate() {
             of_vertex[v as usize] = s as u32;
         }
-        let (start, members) = members(&of_vertex, vertex.len());
-        Sites { vertex, lumen, spacing, of_vertex, heard, start, members }
-    }
-
-    /// Vertices that site `s` stands for.
-    pub fn members(&self, s: usize) -> &[u32] {
-        &self.members[self.start[s] as usize..self.start[s + 1] as usize]
+        Sites { vertex, spacing, of_vertex, heard }
     }
 }
 
@@ -100,29 +94,50 @@ pub fn nearest_corner(wall: &Wall, triangle: u32, edges: Vec3) -> usize {
     }) as usize
 }
 
-/// Median way from the wall along its normal to the other side [m].
-fn lumen_width(wall: &Wall) -> f32 {
-    let corners = &wall.bvh.corners;
-    let step = (corners.len() / PROBES).max(1);
-    let across = |corner: &[u32; 3]| {
-        let v = corner[0] as usize;
-        let origin = add(wall.vertices[v], scale(wall.normals[v], 1e-5 * wall.extent));
-        query::cast(&wall.bvh, origin, wall.normals[v]).map(|(distance, _)| distance)
-    };
-    let mut ways: Vec<f32> = corners.iter().step_by(step).filter_map(across).collect();
-    ways.sort_unstable_by(f32::total_cmp);
-    ways.get(ways.len() / 2).copied().unwrap_or(wall.extent)
+/// Distance that sites should have around each vertex [m].
+fn spacings(wall: &Wall) -> Vec<f32> {
+    let count = wall.vertices.len();
+    let found: Vec<f32> = (0..count).into_par_iter().map(|v| SPACING * openness(wall, v)).collect();
+    let mut sorted = found.clone();
+    sorted.sort_unstable_by(f32::total_cmp);
+    let [least, most] = SPACINGS.map(|share| share * sorted[count / 2]);
+    found.into_iter().map(|x| clamp(x, least, most)).collect()
 }
 
-/// The sites that vertex `v` hears, the loudest first.
-fn hear(wall: &Wall, vertex: &[u32], grid: &Grid, v: usize) -> [(u32, f32); HEARD] {
+/// Harmonic mean distance of what a vertex sees [m]; rays that meet nothing go as far as the wall
+/// is large.
+#[multiversion::multiversion(targets(
+    "x86_64+avx512f+avx512bw+avx512cd+avx512dq+avx512vl",
+    "x86_64+avx2",
+    "aarch64+neon"
+))]
+fn openness(wall: &Wall, v: usize) -> f32 {
+    let normal = wall.normals[v];
+    let origin = add(wall.vertices[v], scale(normal, 1e-4 * wall.extent));
+    let lobe = Lobe::turned(normal, 1.0, SIDE, v);
+    let mut sum = 0.0;
+    for direction in lobe.directions() {
+        let hit = ray::cast::<false>(&wall.bvh, origin, direction, wall.extent, u32::MAX);
+        sum += 1.0 / hit.map_or(wall.extent, |hit| max(hit.distance, 1e-4 * wall.extent));
+    }
+    (SIDE * SIDE) as f32 / sum
+}
+
+/// The sites that vertex `v` hears, the loudest first; `own` is the spacing around it.
+fn hear(
+    wall: &Wall,
+    (vertex, spacing): (&[u32], &[f32]),
+    grid: &Grid,
+    v: usize,
+    own: f32,
+) -> [(u32, f32); HEARD] {
     let (place, normal) = (wall.vertices[v], wall.normals[v]);
-    let reach = grid.edge * grid.edge;
     let mut found: Vec<(u32, f32)> = Vec::new();
     grid.near(place, |site| {
         let other = vertex[site as usize] as usize;
         let offset = sub(place, wall.vertices[other]);
-        let near = max(1.0 - dot(offset, offset) / reach, 0.0);
+        let reach = HEARING * min(own, spacing[site as usize]);
+        let near = max(1.0 - dot(offset, offset) / (reach * reach), 0.0);
         let facing = max(dot(normal, wall.normals[other]) - OTHER_SIDE, 0.0);
         let weight = near * near * facing * facing;
         if weight > 0.0 {
@@ -133,21 +148,6 @@ fn hear(wall: &Wall, vertex: &[u32], grid: &Grid, v: usize) -> [(u32, f32); HEAR
     found.truncate(HEARD);
     let sum: f32 = found.iter().map(|h| h.1).sum();
     std::array::from_fn(|k| found.get(k).map_or((0, 0.0), |h| (h.0, h.1 / sum)))
-}
-
-/// Vertices sorted by their site.
-fn members(of_vertex: &[u32], num_sites: usize) -> (Vec<u32>, Vec<u32>) {
-    let mut order: Vec<u32> =
-        (0..of_vertex.len() as u32).filter(|&v| of_vertex[v as usize] != NONE).collect();
-    order.sort_by_key(|&v| of_vertex[v as usize]);
-    let mut start = vec![0u32; num_sites + 1];
-    for &v in &order {
-        start[of_vertex[v as usize] as usize + 1] += 1;
-    }
-    for s in 0..num_sites {
-        start[s + 1] += start[s];
-    }
-    (start, order)
 }
 
 /// Sites by the cells of space they lie in.

@@ -9,6 +9,7 @@ mod contents;
 mod cpu;
 mod fem;
 mod image;
+mod indirect;
 mod lanes;
 mod magnet;
 mod material;
@@ -42,6 +43,7 @@ fn _core(m: &Bound<'_, PyModule>) -> PyResult<()> {
     m.add_class::<scene::Scene>()?;
     m.add_class::<texture::Texture>()?;
     m.add_class::<rays::RayTable>()?;
+    m.add_class::<indirect::QuickLight>()?;
     m.add_function(wrap_pyfunction!(render::render, m)?)?;
     m.add_function(wrap_pyfunction!(channels::encode_srgb, m)?)?;
     m.add_function(wrap_pyfunction!(image::write_pngs, m)?)?;

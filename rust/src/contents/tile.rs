@@ -41,7 +41,7 @@ pub struct Filled<'a> {
     /// What is in it.
     pub contents: &'a Contents,
     /// The view.
-    pub view: &'a View,
+    pub view: &'a View<'a>,
     /// Pool in whose stretch the eye is.
     pub of_eye: u16,
 }
@@ -66,7 +66,7 @@ impl<'a> Filled<'a> {
         wall: &'a Wall,
         scene: &'a SceneData,
         contents: &'a Contents,
-        view: &'a View,
+        view: &'a View<'a>,
     ) -> Self {
         let of_eye = contents.pools.as_ref().map_or(DRY, |(pools, _)| {
             let nearest = query::nearest(&wall.bvh, view.origin);

@@ -149,6 +149,22 @@ def test_no_fold_cuts_through_the_axis(quick: QuickDeformation | None) -> None:
             assert world.inside()
 
 
+@pytest.mark.parametrize("material", [LINEAR, Material()])
+@pytest.mark.parametrize("speed", [3.0, 20.0])
+def test_blows_make_no_energy(material: Material, speed: float) -> None:
+    """Kinetic and stored energy never exceed what was thrown in."""
+    rng = np.random.default_rng(0)
+    wall = creased(40.0 * MM, 15.0 * MM)
+    for _ in range(3):
+        way = rng.normal(size=3)
+        way *= speed / np.linalg.norm(way)
+        world = world_on(wall, position=(0, 0, 0), velocity=tuple(way), material=material)
+        thrown = world.kinetic_energy()
+        for _ in range(60):
+            world.step(5e-5, 20, FREE, (0.0,) * 3)
+            assert world.kinetic_energy() + world.contact()[4] < 1.001 * thrown
+
+
 def test_resistance_follows_the_measurements() -> None:
     """The physical law in a straight tube against 55.04 ln(0.23 v + 1.04) + 100 mN, 1 to 60 mm/s,
     with the squeeze measured on a live pig, 1.9 ± 1.0 N per cm."""

@@ -141,7 +141,8 @@ impl World {
             }
             // A capsule as fast as a blow takes shorter substeps: none goes far into the wall.
             let way = dt * fastest_point(&self.body, &self.motion, &self.motion);
-            let parts = (way / LONGEST_WAY).ceil().clamp(1.0, MOST_PARTS);
+            let swing = self.magnets.as_ref().map_or(1.0, |magnets| magnets.parts(&self.body, dt));
+            let parts = (way / LONGEST_WAY).ceil().max(swing).clamp(1.0, MOST_PARTS);
             for _ in 0..parts as usize {
                 self.substep(wall, elastic, load, dt / parts, drive, &mut tally)?;
             }
@@ -179,10 +180,14 @@ impl World {
         if let Some((_, exchange)) = elastic {
             exchange.soften(soft, dt);
         }
+        let mut load = *load;
+        if let Some(magnets) = &mut self.magnets {
+            load.wrench += magnets.pull(body, motion, dt)?;
+        }
         let before = *motion;
         // A capsule that breaks through a layer is an error, see `check`.
         let barred: &[_] = if elastic.is_none() { &soft.facets } else { &[] };
-        let reaction = substep(body, &self.laws, load, motion, &mut soft.patch, barred, dt);
+        let reaction = substep(body, &self.laws, &load, motion, &mut soft.patch, barred, dt);
         tally.add(&reaction, dt);
         if let Some((_, exchange)) = elastic {
             let (after, friction) = (&*motion, self.laws.drag.friction());

@@ -20,6 +20,7 @@ mod query;
 mod rays;
 mod render;
 mod scene;
+mod sensor;
 mod shade;
 mod texture;
 mod tile;
@@ -52,6 +53,7 @@ fn _core(m: &Bound<'_, PyModule>) -> PyResult<()> {
     m.add_function(wrap_pyfunction!(image::decode_pngs, m)?)?;
     m.add_function(wrap_pyfunction!(image::quantize, m)?)?;
     m.add_function(wrap_pyfunction!(image::read_png, m)?)?;
+    sensor::register(m)?;
     m.add_function(wrap_pyfunction!(cpu::cpu_features, m)?)?;
     m.add_function(wrap_pyfunction!(cpu::num_threads, m)?)?;
     Ok(())

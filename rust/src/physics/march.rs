@@ -19,7 +19,7 @@ const FAR: f64 = 1000.0;
 /// What is said then.
 const TOO_LARGE: &str = "The step is too large: the capsule's motion runs away.";
 /// Most parts of a substep.
-const MOST_PARTS: f64 = 64.0;
+const MOST_PARTS: f64 = 512.0;
 /// A layer of finite elements under the wall, and the exchange with it.
 type Elastic<'a> = Option<(&'a mut FemLayer, &'a mut Exchange)>;
 
@@ -185,7 +185,9 @@ impl World {
             load.wrench += magnets.pull(body, motion, dt)?;
         }
         let before = *motion;
-        let reaction = substep(body, &self.laws, &load, motion, &soft.patch, dt);
+        // A capsule that breaks through a layer is an error, see `check`.
+        let barred: &[_] = if elastic.is_none() { &soft.facets } else { &[] };
+        let reaction = substep(body, &self.laws, &load, motion, &mut soft.patch, barred, dt);
         tally.add(&reaction, dt);
         if let Some((_, exchange)) = elastic {
             let (after, friction) = (&*motion, self.laws.drag.friction());

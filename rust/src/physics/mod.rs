@@ -3,6 +3,7 @@
 //! Everything here is in double precision, in metres, kilograms and seconds, about the wall's
 //! centre. One thread steps one world, so that results do not depend on the number of threads.
 
+mod barrier;
 pub mod body;
 mod contact;
 mod drag;

@@ -39,6 +39,7 @@ class Record:
       vrcaps record --out runs/patient --organ colon-3.glb
       vrcaps record --out runs/polyp --lesion polyp-Ip:size=12mm,segment=sigmoid
       vrcaps record --out runs/foam --organ small-bowel --bubbles 3 --chyme 1 --liquid 2
+      vrcaps record --out runs/cheap --effects dof=1,noise=2,motion_blur=1,jpeg=2
       vrcaps record --out runs/photo --organ colon --mucosa my-mucosa
       vrcaps record --out runs/soft --organ small-bowel --motion physics --motility phase-three
       vrcaps record --out runs/roll --organ stomach --motion physics --turn left-lateral:at=4
@@ -98,6 +99,12 @@ class Record:
 
     liquid: int = 0
     """Liquid in the lumen's dips, by grade: 0 none, 1 puddles, … 4 a third full."""
+
+    effects: str = ""
+    """Lens and sensor by grade 0 to 4, such as specular=3,dof=1,noise=1..3 (a range: drawn from the
+    seed), all=2, random, or mosaic=rggb: specular, bubbles (on the lens), field_of_view,
+    distortion, resolution, motion_blur, rolling_shutter, depth_of_field, chromatic, vignette,
+    bloom, exposure, noise, white_balance, jpeg; see docs/effects.md."""
 
     posture: str = "supine"
     """How the patient lies: supine, prone, left-lateral, right-lateral, standing."""
@@ -174,6 +181,8 @@ class Record:
             InputError: If flags contradict each other or one is missing.
         """
         from vrcaps.record.scenario import Scenario, read_scenario
+        from vrcaps.render.camera_effects.effects import Effects
+        from vrcaps.render.camera_effects.parse import parse_effects
 
         if self.scenario is not None:
             if self != Record(out=self.out, scenario=self.scenario, threads=self.threads):
@@ -196,6 +205,7 @@ class Record:
             lesions=chosen_lesions(self.lesion, self.lesions, self._patient_seed(), self.organ),
             clean_twin=self.clean_twin,
             contents=Contents(self.bubbles, self.chyme, self.liquid, seed=self._patient_seed()),
+            effects=parse_effects(self.effects) if self.effects else Effects(),
         )
 
     def _patient_seed(self) -> int:

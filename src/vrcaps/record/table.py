@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -91,8 +92,13 @@ class TableRows:
     def __len__(self) -> int:
         return len(self._rows)
 
-    def add(self, instant: Instant) -> None:
-        """Adds a frame: pose, velocity, where in the gut, how far from the wall as it is then."""
+    def add(self, instant: Instant, more: Mapping[str, float] | None = None) -> None:
+        """Adds a frame: pose, velocity, where in the gut, how far from the wall as it is then.
+
+        Args:
+            instant: The frame.
+            more: Further columns, the same in each row.
+        """
         state, cameras = instant.state, self.model.device.cameras
         poses = {"capsule": state.T_world_capsule}
         for camera in cameras:
@@ -114,14 +120,15 @@ class TableRows:
         row |= {f"{body}_clearance_m": d for body, d in zip(poses, clearances, strict=True)}
         if instant.conditions is not None:
             row |= _simulated(self.model, state, instant.conditions, float(arc_length[0]))
-        self._rows.append(row)
+        self._rows.append(row | dict(more or {}))
 
     def table(self) -> FrameTable:
         """All rows so far."""
         cameras = tuple(camera.name for camera in self.model.device.cameras)
         simulated = bool(self._rows) and SIMULATED_COLUMNS[0] in self._rows[0]
         names = column_names(cameras, simulated=simulated)
-        columns = {name: np.array([row[name] for row in self._rows]) for name in names}
+        more = [name for name in self._rows[0] if name not in names] if self._rows else []
+        columns = {name: np.array([row[name] for row in self._rows]) for name in (*names, *more)}
         return FrameTable(columns | {"segment": columns["segment"].astype(object)})
 
     def _wall(self, state: State) -> Wall:

@@ -111,9 +111,12 @@ def _table(match: CameraMatch, *, has_reference: bool):
         found = match.circle
         circle = f"radius {found.radius:.1f} px, centre {found.cx:.1f}, {found.cy:.1f}"
     table.add_row("image circle", circle)
-    k1, k2 = match.vignetting
-    share = f"1 {k1:+.3f} ρ² {k2:+.3f} ρ⁴, ρ in halves of the shorter side"
-    table.add_row("vignetting", share if (k1 or k2) else "none: no darker towards the edge")
+    fall = match.falloff
+    share = f"1 {fall.k1:+.3f} ρ² {fall.k2:+.3f} ρ⁴, ρ in halves of the shorter side"
+    rim = f"{fall.rim:.2f} ± {fall.deviation:.2f} of the light at the rim"
+    table.add_row(
+        "vignetting", f"{share}; {rim}" if fall.is_clear else f"none that is clear; {rim}"
+    )
     color = match.color
     words = "nothing is bright and well exposed"
     if color is not None:

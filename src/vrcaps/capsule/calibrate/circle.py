@@ -14,8 +14,11 @@ if TYPE_CHECKING:
     from jaxtyping import Float, UInt8
 
 _NUM_DIRECTIONS = 360
+_DARK_QUANTILE, _DARK_MOST = 0.01, 0.3
+"""The sensor behind the circle is as dark as this quantile, and no brighter than this share of the
+median code value, some 7 % of the light."""
 _DARK_SHARE = 0.08
-"""Of the median brightness along all directions: a sensor behind the circle is darker."""
+"""Of the way from there to the median: what is brighter is lit."""
 _NOISE = 10.0
 """Brightest channel that a dark sensor may show [of 255]: noise and coding."""
 _STEP, _RIM = 0.25, 4.0
@@ -52,7 +55,7 @@ def image_circle(images: Sequence[UInt8[np.ndarray, "h w 3"]]) -> ImageCircle | 
 
     Each pixel's brightest channel is taken where it is high in a tenth of the pictures, so that
     what is dark in some does not count. Along each direction from the middle the last place
-    brighter than 8 % of the median is found; the edge is where half of what is 4 px inside of it
+    brighter than the dark sensor is found; the edge is where half of what is 4 px inside of it
     is left. Directions that leave the picture bright tell nothing.
     The circle minimises Huber's function of the distances.
     """
@@ -67,7 +70,10 @@ def image_circle(images: Sequence[UInt8[np.ndarray, "h w 3"]]) -> ImageCircle | 
     steps = np.arange(0.0, reach.max(), _STEP)
     at = middle + steps[:, None, None] * direction
     profile = ndimage.map_coordinates(bright, np.moveaxis(at, -1, 0)[::-1], order=1, cval=np.nan)
-    limit = max(_NOISE, _DARK_SHARE * float(np.nanmedian(profile)))
+    median, dark = float(np.nanmedian(profile)), float(np.quantile(bright, _DARK_QUANTILE))
+    if dark > _DARK_MOST * median:
+        return None
+    limit = max(_NOISE, dark + _DARK_SHARE * (median - dark))
     lit = profile > limit  # NaN beyond the picture is not
     inside = np.maximum(_last(lit) - round(_RIM / _STEP), 0)
     rim = profile[inside, np.arange(_NUM_DIRECTIONS)]

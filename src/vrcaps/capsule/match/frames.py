@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 
 MIN_FRAMES = 3
 """Fewest frames: what is on one is not the camera's."""
+_MASK_SIDE = 112
+"""Shorter side that masks are found at, at least [px]: finer ones take longer and tell no more."""
 _SATURATED, _DARKEST = 250, 5
 """Code values beyond which light is cut off or lost [of 255]."""
 
@@ -49,6 +51,10 @@ class Frames:
         """Width and height [px]."""
         return self.rgb.shape[2], self.rgb.shape[1]
 
+    def part(self, keep: Bool[np.ndarray, " n"]) -> Frames:
+        """Some of the frames."""
+        return Frames(self.rgb[keep], self.linear[keep], self.field[keep], self.exposed[keep])
+
 
 def make_frames(
     photos: Sequence[Photo], progress: Callable[[int, int], None] | None = None
@@ -63,7 +69,7 @@ def make_frames(
         InputError: If frames are fewer than `MIN_FRAMES`, differ in size, or none shows a wall.
     """
     if len(photos) < MIN_FRAMES:
-        raise InputError(f"{len(photos)} frames were given. Allowed: {MIN_FRAMES} or more.")
+        raise InputError(f"Frames given: {len(photos)}. Allowed: {MIN_FRAMES} or more.")
     first = photos[0]
     field = []
     for k, photo in enumerate(photos):
@@ -73,8 +79,7 @@ def make_frames(
                 f"{photo.name} has {sizes[0]} px, {first.name} {sizes[1]}. "
                 "Allowed: frames of one camera, all of one size."
             )
-        view = field_of_view(photo.rgb)
-        field.append(view.field & ~view.highlight)
+        field.append(_field(photo.rgb))
         if progress is not None:
             progress(k + 1, len(photos))
     rgb, seen = np.stack([photo.rgb for photo in photos]), np.stack(field)
@@ -82,3 +87,12 @@ def make_frames(
         raise InputError("The frames are black. Give frames in which the wall is seen.")
     exposed = seen & (rgb.max(axis=3) <= _SATURATED) & (rgb.min(axis=3) >= _DARKEST)
     return Frames(rgb, np.exp(log_linear(rgb)), seen, exposed)
+
+
+def _field(rgb: UInt8[np.ndarray, "h w 3"]) -> Bool[np.ndarray, "h w"]:
+    """Where a frame shows wall without highlights or overlays."""
+    height, width = rgb.shape[:2]
+    step = max(1, min(height, width) // _MASK_SIDE)
+    view = field_of_view(rgb[::step, ::step])
+    seen = view.field & ~view.highlight
+    return np.repeat(np.repeat(seen, step, axis=0), step, axis=1)[:height, :width]

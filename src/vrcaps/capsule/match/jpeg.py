@@ -50,9 +50,7 @@ def jpeg_quality(paths: Sequence[Path]) -> int | None:
     return round(float(np.median(found))) if found else None
 
 
-def blockiness(
-    luminance: Float[np.ndarray, "n h w"], field: Bool[np.ndarray, "n h w"]
-) -> float:
+def blockiness(luminance: Float[np.ndarray, "n h w"], field: Bool[np.ndarray, "n h w"]) -> float:
     """Step over the borders of a grid of 8 px over the step elsewhere; 1 where there is no grid.
 
     The grid may begin at any pixel: the larger ratio of columns and rows, each at its best offset.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -16,8 +17,9 @@ if TYPE_CHECKING:
 NUM_RINGS = 24
 ENVELOPE = 0.9
 """Share of a ring's pixels below its brightness: the lumen's dark middle does not count."""
-_INNER = 0.3
-"""Radius of the disc that a frame's brightness is measured in, of half the shorter side."""
+_NUM_PARTS = 8
+_MOST_RISE = 0.3
+"""Largest k1 of a falloff: with more, light would rise from the middle, as no lens makes it."""
 _FEWEST = 200
 """Pixels of all frames that a ring must have."""
 _BRIGHT = (0.5, 0.95)
@@ -40,7 +42,7 @@ class RadialProfile:
 
 
 def radial_profile(frames: Frames, centre: tuple[float, float]) -> RadialProfile:
-    """The envelope of luminance over rings, each frame divided by its own mean in the middle.
+    """The envelope of luminance over rings, each frame divided by its own mean.
 
     Args:
         frames: Of one camera.
@@ -51,10 +53,8 @@ def radial_profile(frames: Frames, centre: tuple[float, float]) -> RadialProfile
     rows, columns = np.indices((height, width))
     radius = np.hypot(columns - centre[0], rows - centre[1]) / half
     own = np.where(frames.field, frames.luminance, np.nan)
-    inner = np.broadcast_to(radius <= _INNER, own.shape)
-    means = [np.nanmean(image[part]) if np.isfinite(image[part]).any() else np.nan
-             for image, part in zip(own, inner, strict=True)]  # fmt: skip
-    relative = own / np.array(means)[:, None, None]
+    own = own[frames.field.any(axis=(1, 2))]
+    relative = own / np.nanmean(own, axis=(1, 2), keepdims=True)
     edges = np.linspace(0.0, radius.max(), NUM_RINGS + 1)
     ring = np.clip(np.searchsorted(edges, radius, side="right") - 1, 0, NUM_RINGS - 1)
     found = []
@@ -67,25 +67,57 @@ def radial_profile(frames: Frames, centre: tuple[float, float]) -> RadialProfile
     return RadialProfile(*np.array(found).reshape(-1, 3).T)
 
 
-def fit_vignetting(
-    profile: RadialProfile, reference: RadialProfile | None = None
-) -> tuple[float, float]:
-    """k1, k2 of ``1 + k1 ρ² + k2 ρ⁴``, ρ in halves of the image's shorter side.
+@dataclass(frozen=True)
+class Falloff:
+    """``1 + k1 ρ² + k2 ρ⁴`` of the light, ρ in halves of the image's shorter side.
+
+    Attributes:
+        k1: Coefficient of ρ².
+        k2: Coefficient of ρ⁴.
+        rim: Share of the light at the outermost ring.
+        deviation: Standard deviation of `rim`, from leaving out parts of the frames.
+    """
+
+    k1: float
+    k2: float
+    rim: float
+    deviation: float
+
+    @property
+    def is_clear(self) -> bool:
+        """Whether the frames darken towards the edge, and by more than chance."""
+        return self.k1 <= _MOST_RISE and 1.0 - self.rim > 2.0 * self.deviation
+
+
+def find_falloff(
+    frames: Frames,
+    centre: tuple[float, float],
+    reference: tuple[Frames, tuple[float, float]] | None = None,
+) -> Falloff:
+    """Vignetting of a camera, with its deviation by a jackknife over eight parts of the frames.
 
     Args:
-        profile: Of the camera's frames.
-        reference: Of frames without vignetting, such as rendered ones; None takes an even light,
-            and then the wall's own shading counts as the lens's.
-
-    Returns:
-        Zeros if the frames do not darken towards the edge.
+        frames: Of the camera.
+        centre: Column and row of its optical axis [px].
+        reference: Frames without vignetting, such as rendered ones, and their centre. Without them
+            the light is taken for even, and the wall's own shading counts as the lens's.
     """
+    profile = radial_profile(frames, centre)
+    aim = None if reference is None else radial_profile(*reference)
+    k1, k2, rim = _fitted(profile, aim)
+    left_out = [_fitted(part, aim)[2] for part in _parts(frames, centre)]
+    variance = _jackknife(left_out)
+    if reference is not None:
+        variance += _jackknife([_fitted(profile, part)[2] for part in _parts(*reference)])
+    return Falloff(k1, k2, rim, float(np.sqrt(variance)))
+
+
+def _fitted(profile: RadialProfile, reference: RadialProfile | None) -> tuple[float, float, float]:
+    """k1, k2 and the share of light at the outermost ring."""
     radius, brightness = profile.radius, profile.brightness
     if reference is not None:
-        known = (radius >= reference.radius[0]) & (radius <= reference.radius[-1])
-        radius, brightness = radius[known], brightness[known]
         brightness = brightness / np.interp(radius, reference.radius, reference.brightness)
-    weight = np.sqrt(np.interp(radius, profile.radius, profile.count / profile.count.max()))
+    weight = np.sqrt(profile.count / profile.count.max())
     square = radius**2
 
     def residuals(x: np.ndarray) -> np.ndarray:
@@ -93,9 +125,19 @@ def fit_vignetting(
 
     start = [float(brightness.mean()), -0.1, 0.0]
     _, k1, k2 = map(float, least_squares(residuals, start, loss="huber", f_scale=0.05).x)
-    share = 1.0 + k1 * square + k2 * square**2
-    rises = share.max() > 1.05 or share[-1] > 0.99
-    return (0.0, 0.0) if rises else (k1, k2)
+    return k1, k2, float(1.0 + k1 * square[-1] + k2 * square[-1] ** 2)
+
+
+def _parts(frames: Frames, centre: tuple[float, float]) -> Iterator[RadialProfile]:
+    """Profiles of the frames with every eighth left out, beginning at each of the first eight."""
+    count = len(frames.rgb)
+    for k in range(min(_NUM_PARTS, count)):
+        yield radial_profile(frames.part(np.arange(count) % _NUM_PARTS != k), centre)
+
+
+def _jackknife(values: list[float]) -> float:
+    """Variance of an estimate from its values with each part left out (Quenouille and Tukey)."""
+    return (len(values) - 1) * float(np.var(values))
 
 
 @dataclass(frozen=True)

@@ -12,9 +12,10 @@ from vrcaps.capsule.device_file import write_lines
 from vrcaps.capsule.match.frames import Frames
 from vrcaps.capsule.match.jpeg import blockiness
 from vrcaps.capsule.match.light import (
+    Falloff,
     RadialProfile,
     WallColor,
-    fit_vignetting,
+    find_falloff,
     radial_profile,
     wall_color,
 )
@@ -33,7 +34,7 @@ class CameraMatch:
     Attributes:
         size: Width and height of the frames [px].
         circle: Image circle in the frames, or None where no dark rim is seen.
-        vignetting: k1, k2 of ``1 + k1 ρ² + k2 ρ⁴``, ρ in halves of the image's shorter side.
+        falloff: How the light falls towards the edge.
         profile: Radial brightness of the frames.
         reference_profile: That of reference frames, if any.
         color: Of the wall, or None where nothing is well exposed.
@@ -46,7 +47,7 @@ class CameraMatch:
 
     size: tuple[int, int]
     circle: ImageCircle | None
-    vignetting: tuple[float, float]
+    falloff: Falloff
     profile: RadialProfile
     reference_profile: RadialProfile | None
     color: WallColor | None
@@ -77,7 +78,8 @@ def match_camera(
         InputError: If frames have another shape than the camera's images.
     """
     profile = radial_profile(frames, _centre(frames, camera))
-    shaded = None if reference is None else radial_profile(reference, _centre(reference, camera))
+    aim_frames = None if reference is None else (reference, _centre(reference, camera))
+    shaded = None if aim_frames is None else radial_profile(*aim_frames)
     color = wall_color(frames)
     aim = None if reference is None else wall_color(reference)
     gains, brightness = (1.0, 1.0, 1.0), 1.0
@@ -87,7 +89,7 @@ def match_camera(
     return CameraMatch(
         size=frames.size,
         circle=image_circle(list(frames.rgb)),
-        vignetting=fit_vignetting(profile, shaded),
+        falloff=find_falloff(frames, _centre(frames, camera), aim_frames),
         profile=profile,
         reference_profile=shaded,
         color=color,
@@ -113,9 +115,7 @@ def matched_device(pattern: Device, match: CameraMatch, *, camera: str | None = 
     if match.circle is not None:
         circle = match.circle.radius * old.width / match.size[0]
     leds = tuple(_tinted(led, match.gains) for led in old.leds)
-    new = replace(
-        old, image_circle_px=circle, leds=leds, exposure=old.exposure * match.brightness
-    )
+    new = replace(old, image_circle_px=circle, leds=leds, exposure=old.exposure * match.brightness)
     source = (
         f"Image circle, colour of the LEDs and exposure of camera {old.name}: matched to frames. "
         f"All else as in {pattern.name}: {pattern.source.strip()}"
@@ -138,8 +138,8 @@ def write_effects(path: Path, match: CameraMatch, capsule: Path) -> None:
         InputError: If the file cannot be written.
     """
     lines = [f"capsule = {toml_text(str(capsule))}"]
-    if any(match.vignetting):
-        coefficients = [float(f"{k:.5g}") for k in (*match.vignetting, 0.0)]
+    if match.falloff.is_clear:
+        coefficients = [float(f"{k:.5g}") for k in (match.falloff.k1, match.falloff.k2, 0.0)]
         lines += ["", "[effects.vignette]", f"coefficients = {toml_text(coefficients)}"]
     if match.noise is not None:
         lines += ["", "[effects.noise]", f"full_well = {match.noise.full_well:.5g}"]

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.optimize import nnls
+from scipy.optimize import least_squares
 from scipy.stats import chi2
 
 from vrcaps.capsule.match.frames import Frames
@@ -20,12 +20,14 @@ _FLATTEST = 0.1
 """Share of the blocks of a brightness that are taken for flat: texture adds variance."""
 _CORRELATION = (1.0 + 2.0 * (4.0 / 6.0) ** 2 + 2.0 * (1.0 / 6.0) ** 2) ** 2
 """Sum of the squared autocorrelation of white noise after the filter [1 -2 1] both ways."""
+MOST_ELECTRONS = 1e6
+"""Full well beyond which a sensor has no noise to speak of."""
 _NUM_LEVELS, _FEWEST_LEVELS, _FEWEST_BLOCKS = 12, 3, 30
 
 
 @dataclass(frozen=True)
 class NoiseLine:
-    """``variance = brightness / full_well + (read_noise / full_well)²``, in linear light, 1 = white.
+    """``variance = brightness / full_well + (read_noise / full_well)²``; linear, 1 = white.
 
     Attributes:
         full_well: Electrons of white.
@@ -47,22 +49,29 @@ def fit_noise(frames: Frames) -> NoiseLine | None:
     white noise as it is and takes away shading (Immerkær, CVIU 64(2), 1996). Blocks of 16 px are
     sorted by brightness; at each the variance of the flattest tenth, divided by what that quantile
     is of equal noise (chi-squared), is the noise's. The line is photon transfer's (Janesick 2007).
-    Rounding to 8 bits is taken off. Demosaicing, resizing and JPEG smooth noise away: the figures
-    say what noise is in the frames, not what the sensor had.
+    Rounding to 8 bits is taken off; noise below that of rounding is not told. Demosaicing, resizing
+    and JPEG smooth noise away: the figures say what is in the frames, not what the sensor had.
     """
     levels = _levels(*_blocks(frames))
     if len(levels) < _FEWEST_LEVELS:
         return None
-    brightness, variance = levels.T
-    terms = np.column_stack([brightness, np.ones_like(brightness)])
-    (slope, offset), _ = nnls(terms / variance[:, None], np.ones_like(variance))
-    if slope <= 0.0:
+    brightness, variance, rounding = levels.T
+
+    def residuals(x: np.ndarray) -> np.ndarray:
+        slope, offset = np.exp(x)
+        return np.log((slope * brightness + offset) / variance)
+
+    # Variances scatter in proportion to themselves, hence the logarithm.
+    start = np.log([np.median(variance / brightness), 0.3 * variance.min()])
+    fit = least_squares(residuals, start, bounds=(-60.0, 0.0), loss="huber", f_scale=0.1)
+    slope, offset = np.exp(fit.x).tolist()
+    if np.median((slope * brightness + offset) / rounding) < 1.0 or slope < 1.0 / MOST_ELECTRONS:
         return None
     return NoiseLine(1.0 / slope, float(np.sqrt(offset)) / slope, brightness, variance)
 
 
-def _blocks(frames: Frames) -> tuple[Float[np.ndarray, " m"], Float[np.ndarray, " m"]]:
-    """Brightness and variance of all blocks that are exposed throughout."""
+def _blocks(frames: Frames) -> tuple[Float[np.ndarray, " m"], ...]:
+    """Brightness, variance and variance of rounding of all blocks that are exposed throughout."""
     green = frames.linear[..., 1].astype(float)
     across = green[:, :, :-2] - 2.0 * green[:, :, 1:-1] + green[:, :, 2:]
     residual = (across[:, :-2] - 2.0 * across[:, 1:-1] + across[:, 2:]) / 6.0
@@ -73,13 +82,15 @@ def _blocks(frames: Frames) -> tuple[Float[np.ndarray, " m"], Float[np.ndarray, 
     code = frames.rgb[..., 1][inner].astype(float)
     step = np.gradient(_CODE_TO_LINEAR)[code.astype(int)]
     rounding = _sums(step**2 / 12.0)[exposed] / BLOCK**2
-    return mean, square - rounding
+    return mean, square - rounding, rounding
 
 
-def _levels(mean: np.ndarray, variance: np.ndarray) -> Float[np.ndarray, "k 2"]:
-    """Brightness and noise's variance at levels with blocks enough."""
+def _levels(
+    mean: np.ndarray, variance: np.ndarray, rounding: np.ndarray
+) -> Float[np.ndarray, "k 3"]:
+    """Brightness, noise's variance and that of rounding at levels with blocks enough."""
     if len(mean) < _NUM_LEVELS:
-        return np.zeros((0, 2))
+        return np.zeros((0, 3))
     freedom = BLOCK**2 / _CORRELATION
     quantile = float(chi2.ppf(_FLATTEST, freedom)) / freedom
     edges = np.quantile(mean, np.linspace(0.0, 1.0, _NUM_LEVELS + 1))
@@ -91,8 +102,8 @@ def _levels(mean: np.ndarray, variance: np.ndarray) -> Float[np.ndarray, "k 2"]:
             continue
         noise = float(np.quantile(variance[own], _FLATTEST)) / quantile
         if noise > 0.0:
-            found.append((float(mean[own].mean()), noise))
-    return np.array(found).reshape(-1, 2)
+            found.append((float(mean[own].mean()), noise, float(rounding[own].mean())))
+    return np.array(found).reshape(-1, 3)
 
 
 def _sums(images: Float[np.ndarray, "n h w"]) -> Float[np.ndarray, "n r c"]:

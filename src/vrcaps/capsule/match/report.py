@@ -45,7 +45,8 @@ def _draw_circle(axis, match: CameraMatch, frames: Frames) -> None:
     if match.circle is not None:
         found = match.circle
         axis.plot(*found.edge.T, ".", ms=2, color="lime")
-        outline = Circle((found.cx, found.cy), found.radius, fill=False, color="cyan", clip_on=True)
+        axis.set(xlim=axis.get_xlim(), ylim=axis.get_ylim())
+        outline = Circle((found.cx, found.cy), found.radius, fill=False, color="cyan")
         axis.add_patch(outline)
         axis.set_title(f"mean frame: circle of {found.radius:.1f} px at {found.cx:.1f}, "
                        f"{found.cy:.1f}")  # fmt: skip
@@ -57,7 +58,7 @@ def _draw_vignetting(axis, match: CameraMatch) -> None:
         reference = match.reference_profile
         axis.plot(reference.radius, reference.brightness, "s-", ms=3, label="reference")
     radius = np.linspace(0.0, match.profile.radius[-1], 100)
-    k1, k2 = match.vignetting
+    k1, k2 = match.falloff.k1, match.falloff.k2
     share = 1.0 + k1 * radius**2 + k2 * radius**4
     axis.plot(radius, share, "k-", label=f"1 {k1:+.3f} ρ² {k2:+.3f} ρ⁴")
     axis.set(xlabel="distance from the axis, halves of the shorter side", ylim=(0.0, None))

@@ -175,6 +175,7 @@ class CameraChain:
                 planes = _core.demosaic(planes, self._colors)
         red, green, blue = balance.gains
         rgb = _core.develop(planes, (final * red, final * green, final * blue))
+        rgb[~self._lit] = 0  # where nothing is seen the capsule's viewer draws black
         jpeg = self._stages["jpeg"]
         return rgb if jpeg is None else jpeg.apply(rgb)
 

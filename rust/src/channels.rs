@@ -65,9 +65,14 @@ impl<'a> Channels<'a> {
             .collect()
     }
 
-    /// Whether light is to be computed.
+    /// Whether an image is to be made.
+    pub fn wants_light(&self) -> bool {
+        self.rgb.is_some() || self.radiance.is_some()
+    }
+
+    /// Whether surfaces are to be known that an image needs.
     pub fn wants_color(&self) -> bool {
-        self.rgb.is_some() || self.radiance.is_some() || self.albedo.is_some()
+        self.wants_light() || self.albedo.is_some()
     }
 }
 

@@ -82,36 +82,67 @@ fn reflect(surface: &Surface, material: &Material, led: &Led) -> Reflection {
     let (mut diffuse, mut specular, mut lobe) = ([0.0; LANES], [0.0; LANES], [0.0; LANES]);
     let coat = Coat::new(material);
     for i in 0..LANES {
-        let (normal, view) = (at(&surface.normal, i), at(&surface.view, i));
         let offset = sub(led.position, at(&surface.position, i));
         let square = max(dot(offset, offset), 1e-12);
         let light = scale(offset, 1.0 / square.sqrt());
-        let half = add(light, view);
-        let half = scale(half, 1.0 / max(dot(half, half), 1e-12).sqrt());
-        let cos_view = max(dot(normal, view), 1e-4);
-        let cos_light = dot(normal, light);
-        let cos_half = min(dot(normal, half), 1.0);
-        let cos_difference = min(dot(view, half), 1.0);
-
-        let retro = 2.0 * surface.roughness[i] * cos_difference * cos_difference;
-        let (fl, fv) = (schlick(cos_light), schlick(cos_view));
-        let base =
-            (1.0 - 0.5 * fl) * (1.0 - 0.5 * fv) + retro * (fl + fv + fl * fv * (retro - 1.0));
-
-        let alpha = max(surface.roughness[i] * surface.roughness[i], 1e-3);
-        let gloss = fresnel(cos_difference, material.ior)
-            * ggx(cos_half, alpha)
-            * smith(cos_view, alpha)
-            * smith(cos_light, alpha)
-            / (4.0 * cos_view);
-        let film = coat.reflect(cos_half, cos_difference, cos_view, cos_light) * cos_light;
-
-        let falloff = if cos_light > 0.0 { 1.0 / square } else { 0.0 };
-        diffuse[i] = base * cos_light * (1.0 / PI) * falloff;
-        specular[i] = (gloss + film) * falloff;
+        let angles = Angles::new(at(&surface.normal, i), at(&surface.view, i), light);
+        let (base, rest) = scatter(&angles, surface.roughness[i], material, &coat);
+        let falloff = if angles.light > 0.0 { 1.0 / square } else { 0.0 };
+        diffuse[i] = base * falloff;
+        specular[i] = rest * falloff;
         lobe[i] = clamp(-dot(light, led.direction), 0.0, 1.0);
     }
     Reflection { diffuse, specular, lobe }
+}
+
+/// Cosines between the directions of one reflection; the half vector lies between view and light.
+pub struct Angles {
+    /// Normal and view, at least a trifle.
+    pub view: f32,
+    /// Normal and light.
+    pub light: f32,
+    /// Normal and half vector.
+    pub half: f32,
+    /// View and half vector.
+    pub difference: f32,
+}
+
+impl Angles {
+    /// Of unit vectors.
+    #[inline(always)]
+    pub fn new(normal: Vec3, view: Vec3, light: Vec3) -> Self {
+        let half = add(light, view);
+        let half = scale(half, 1.0 / max(dot(half, half), 1e-12).sqrt());
+        Angles {
+            view: max(dot(normal, view), 1e-4),
+            light: dot(normal, light),
+            half: min(dot(normal, half), 1.0),
+            difference: min(dot(view, half), 1.0),
+        }
+    }
+}
+
+/// Roughness α of the base's GGX lobe.
+#[inline(always)]
+pub fn gloss_alpha(roughness: f32) -> f32 {
+    max(roughness * roughness, 1e-3)
+}
+
+/// Reflectance times the cosine at the surface [1/sr]: the part that is coloured by the base, and
+/// the part that is not. Only where the light is above the surface.
+#[inline(always)]
+pub fn scatter(angles: &Angles, roughness: f32, material: &Material, coat: &Coat) -> (f32, f32) {
+    let retro = 2.0 * roughness * angles.difference * angles.difference;
+    let (fl, fv) = (schlick(angles.light), schlick(angles.view));
+    let base = (1.0 - 0.5 * fl) * (1.0 - 0.5 * fv) + retro * (fl + fv + fl * fv * (retro - 1.0));
+    let alpha = gloss_alpha(roughness);
+    let gloss = fresnel(angles.difference, material.ior)
+        * ggx(angles.half, alpha)
+        * smith(angles.view, alpha)
+        * smith(angles.light, alpha)
+        / (4.0 * angles.view);
+    let film = coat.reflect(angles) * angles.light;
+    (base * angles.light * (1.0 / PI), gloss + film)
 }
 
 /// Weight (1 − cos θ)⁵ of Schlick's Fresnel term (1994).
@@ -133,7 +164,7 @@ pub fn fresnel(cosine: f32, ior: f32) -> f32 {
 
 /// Density of micro-normals (Trowbridge and Reitz; Walter et al. 2007, eq. 33).
 #[inline(always)]
-fn ggx(cosine: f32, alpha: f32) -> f32 {
+pub fn ggx(cosine: f32, alpha: f32) -> f32 {
     let square = cosine * cosine;
     let spread = (1.0 - square) / (alpha * alpha) + square;
     1.0 / (PI * alpha * alpha * spread * spread)
@@ -141,21 +172,22 @@ fn ggx(cosine: f32, alpha: f32) -> f32 {
 
 /// Share of micro-facets not masked from one direction (Walter et al. 2007, eq. 34).
 #[inline(always)]
-fn smith(cosine: f32, alpha: f32) -> f32 {
+pub fn smith(cosine: f32, alpha: f32) -> f32 {
     let square = max(cosine * cosine, 1e-8);
     2.0 / (1.0 + (1.0 + alpha * alpha * (1.0 - square) / square).sqrt())
 }
 
 /// The wet film: a GTR1 lobe of index 1.5, a quarter as strong as a full layer (Burley 2012, 5.4).
-struct Coat {
+pub struct Coat {
     strength: f32,
     spread: f32,
     scale: f32,
 }
 
 impl Coat {
+    /// The film of a material.
     #[inline(always)]
-    fn new(material: &Material) -> Self {
+    pub fn new(material: &Material) -> Self {
         let square = material.coat_alpha * material.coat_alpha;
         let logarithm = log2(square) * std::f32::consts::LN_2;
         Coat {
@@ -166,10 +198,24 @@ impl Coat {
     }
 
     #[inline(always)]
-    fn reflect(&self, cos_half: f32, cos_difference: f32, cos_view: f32, cos_light: f32) -> f32 {
+    fn reflect(&self, angles: &Angles) -> f32 {
         const ALPHA: f32 = 0.25;
-        let density = self.scale / (1.0 + self.spread * cos_half * cos_half);
-        let fresnel = 0.04 + 0.96 * schlick(cos_difference);
-        self.strength * fresnel * density * smith(cos_view, ALPHA) * smith(cos_light, ALPHA)
+        self.strength
+            * coat_fresnel(angles.difference)
+            * self.density(angles.half)
+            * smith(angles.view, ALPHA)
+            * smith(angles.light, ALPHA)
     }
+
+    /// Density of its micro-normals (GTR1).
+    #[inline(always)]
+    pub fn density(&self, cos_half: f32) -> f32 {
+        self.scale / (1.0 + self.spread * cos_half * cos_half)
+    }
+}
+
+/// Reflectance of the film's surface (Schlick 1994).
+#[inline(always)]
+pub fn coat_fresnel(cosine: f32) -> f32 {
+    0.04 + 0.96 * schlick(cosine)
 }

@@ -3,8 +3,10 @@
 use crate::channels::{Channels, Place, slice, take};
 use crate::contents::Contents;
 use crate::contents::tile::{Filled, Room};
+use crate::indirect::{Irradiance, QuickLight};
 use crate::lanes::*;
 use crate::material::Led;
+use crate::path::{First, Settings, wave};
 use crate::rays::{RayTable, TileRays};
 use crate::scene::{Scene, SceneData};
 use crate::shade::{Attributes, attributes, light, surface};
@@ -15,10 +17,10 @@ use pyo3::{exceptions::PyValueError, prelude::*, types::PyDict};
 use rayon::prelude::*;
 
 /// Farthest distance looked at [m].
-const REACH: f32 = 1e4;
+pub const REACH: f32 = 1e4;
 
 /// Everything about a view but its rays.
-pub struct View {
+pub struct View<'a> {
     /// Where the camera is, about the wall's centre [m].
     pub origin: Vec3,
     /// Rows of the rotation from the camera to the world, and back.
@@ -31,9 +33,13 @@ pub struct View {
     pub exposure: f32,
     /// Whether things cast shadows.
     pub shadows: bool,
+    /// How light that is reflected more than once is found; None for direct light alone.
+    pub paths: Option<Settings>,
+    /// Irradiance by light that has bounced, if it is found as radiosity.
+    pub bounced: Option<Irradiance<'a>>,
 }
 
-impl View {
+impl View<'_> {
     fn new(
         wall: &Wall,
         pose: PyReadonlyArray2<'_, f64>,
@@ -60,15 +66,20 @@ impl View {
             })
             .collect();
         let origin = wall.localize([pose[[0, 3]], pose[[1, 3]], pose[[2, 3]]]);
-        Ok(View { origin, to_world, to_camera, center: wall.center, leds, exposure, shadows })
+        let (center, paths, bounced) = (wall.center, None, None);
+        Ok(View { origin, to_world, to_camera, center, leds, exposure, shadows, paths, bounced })
     }
 }
 
 /// Renders the channels of `out`, a dictionary of C-contiguous arrays of the table's shape.
 ///
-/// `leds` holds position [m], direction, intensity [W/sr] and lobe exponent of each in the world.
+/// `leds` holds position [m], direction, intensity [W/sr] and lobe exponent of each in the world;
+/// `paths` how many paths a ray has, their most reflections, and their seed; `quick` light that
+/// bounces as radiosity.
 #[pyfunction]
-#[pyo3(signature = (wall, scene, rays, pose, leds, out, *, exposure, shadows, contents=None))]
+#[pyo3(signature = (
+    wall, scene, rays, pose, leds, out, *, exposure, shadows, contents=None, paths=None, quick=None
+))]
 #[allow(clippy::too_many_arguments)] // the one door from Python
 pub fn render(
     py: Python<'_>,
@@ -81,6 +92,8 @@ pub fn render(
     exposure: f32,
     shadows: bool,
     contents: Option<&Contents>,
+    paths: Option<(u32, u32, u64)>,
+    quick: Option<&QuickLight>,
 ) -> PyResult<()> {
     if scene.data.faces.len() != wall.faces.len()
         || scene.data.arc_length.len() != wall.vertices.len()
@@ -89,7 +102,8 @@ pub fn render(
             "Scene and wall have different numbers of faces or vertices.",
         ));
     }
-    let view = View::new(wall, pose, leds, exposure, shadows)?;
+    let mut view = View::new(wall, pose, leds, exposure, shadows)?;
+    view.paths = paths.map(|(samples, depth, seed)| Settings { samples, depth, seed });
     let shape = (rays.height, rays.width);
     let mut rgb = take::<u8>(out, "rgb", shape, 3)?;
     let mut radiance = take::<f32>(out, "radiance", shape, 3)?;
@@ -123,21 +137,61 @@ pub fn render(
         front_instance: slice(&mut front_instance)?,
         front_depth: slice(&mut front_depth)?,
     };
+    let rest = quick.map(|light| light.rest(py));
+    let quick = quick.zip(rest.as_deref()).filter(|_| channels.wants_light());
     py.detach(|| {
+        view.bounced = quick.map(|(light, rest)| light.solve(rest, wall, &view.leds));
         let columns = rays.columns();
         let filled = contents.map(|c| Filled::new(wall, &scene.data, c, &view));
         let bands = channels.bands(rays.width, rays.tiles.len() / columns);
         bands.into_par_iter().enumerate().for_each(|(row, mut band)| {
             let tiles = &rays.tiles[row * columns..(row + 1) * columns];
             let height = (rays.height - row * TILE).min(TILE);
-            let size = (rays.width, height);
+            let area = Area { row: row * TILE, size: (rays.width, height) };
             match &filled {
-                Some(filled) => render_filled_band(filled, tiles, size, &mut band),
-                None => render_band(wall, &scene.data, &view, tiles, size, &mut band),
+                Some(filled) => render_filled_band(filled, tiles, area, &mut band),
+                None => render_band(wall, &scene.data, &view, tiles, area, &mut band),
             }
         });
     });
     Ok(())
+}
+
+/// Where a band of tiles lies in the image.
+#[derive(Clone, Copy)]
+struct Area {
+    /// First row of pixels.
+    row: usize,
+    /// Width and height [pixels].
+    size: (usize, usize),
+}
+
+impl Area {
+    fn place(self, column: usize) -> Place {
+        Place { column: column * TILE, size: self.size }
+    }
+
+    /// Number of each pixel of a tile in the image.
+    fn pixels(self, column: usize) -> [u32; LANES] {
+        let first = self.row * self.size.0 + column * TILE;
+        std::array::from_fn(|i| (first + i / TILE * self.size.0 + i % TILE) as u32)
+    }
+}
+
+/// Light beyond direct light that the surfaces met by each tile send to the viewer.
+#[inline(always)]
+fn glow(
+    wall: &Wall,
+    scene: &SceneData,
+    view: &View<'_>,
+    tiles: &[TileRays],
+    first: impl FnMut((usize, &TileRays)) -> First,
+) -> Option<Vec<Lane3>> {
+    let settings = view.paths?;
+    let pixel_angle = tiles.iter().fold(0.0, |angle, tile| max(angle, tile.pixel_angle));
+    let tracer = wave::Tracer { wall, scene, leds: &view.leds, pixel_angle, settings };
+    let firsts: Vec<First> = tiles.iter().enumerate().map(first).collect();
+    Some(wave::indirect(&tracer, &firsts))
 }
 
 #[multiversion::multiversion(targets(
@@ -148,13 +202,22 @@ pub fn render(
 fn render_band(
     wall: &Wall,
     scene: &SceneData,
-    view: &View,
+    view: &View<'_>,
     tiles: &[TileRays],
-    size: (usize, usize),
+    area: Area,
     out: &mut Channels<'_>,
 ) {
+    let first = |(column, tile): (usize, &TileRays)| {
+        let (rays, hits) = primary(wall, view, tile);
+        let found = attributes(wall, scene, view.origin, &rays.directions, &hits);
+        let surface = surface(scene, &found, &hits.distance, tile.pixel_angle);
+        let pixel = area.pixels(column);
+        First { surface, hit: found.hit, triangle: hits.triangle, pixel }
+    };
+    let glow = if out.wants_light() { glow(wall, scene, view, tiles, first) } else { None };
     for (column, tile) in tiles.iter().enumerate() {
-        render_tile(wall, scene, view, tile, Place { column: column * TILE, size }, out);
+        let glow = glow.as_ref().map(|tiles| &tiles[column]);
+        render_tile(wall, scene, view, tile, area.place(column), glow, out);
     }
 }
 
@@ -163,21 +226,21 @@ fn render_band(
     "x86_64+avx2",
     "aarch64+neon"
 ))]
-fn render_filled_band(
-    filled: &Filled<'_>,
-    tiles: &[TileRays],
-    size: (usize, usize),
-    out: &mut Channels<'_>,
-) {
+fn render_filled_band(filled: &Filled<'_>, tiles: &[TileRays], area: Area, out: &mut Channels<'_>) {
     let mut room = Room::default();
+    let Filled { wall, scene, view, .. } = *filled;
+    let first =
+        |(column, tile): (usize, &TileRays)| filled.first(tile, area.pixels(column), &mut room);
+    let glow = if out.wants_light() { glow(wall, scene, view, tiles, first) } else { None };
     for (column, tile) in tiles.iter().enumerate() {
-        filled.render_tile(tile, Place { column: column * TILE, size }, &mut room, out);
+        let glow = glow.as_ref().map(|tiles| &tiles[column]);
+        filled.render_tile(tile, area.place(column), glow, &mut room, out);
     }
 }
 
 /// The rays of a tile in the world, and where they meet the wall.
 #[inline(always)]
-pub fn primary(wall: &Wall, view: &View, tile: &TileRays) -> (Pyramid, Hits) {
+pub fn primary(wall: &Wall, view: &View<'_>, tile: &TileRays) -> (Pyramid, Hits) {
     let mut reach = [0.0; LANES];
     for i in 0..LANES {
         reach[i] = if tile.used[i] { REACH } else { 0.0 };
@@ -194,16 +257,22 @@ pub fn primary(wall: &Wall, view: &View, tile: &TileRays) -> (Pyramid, Hits) {
 fn render_tile(
     wall: &Wall,
     scene: &SceneData,
-    view: &View,
+    view: &View<'_>,
     tile: &TileRays,
     place: Place,
+    glow: Option<&Lane3>,
     out: &mut Channels<'_>,
 ) {
     let (rays, hits) = primary(wall, view, tile);
     let found = attributes(wall, scene, view.origin, &rays.directions, &hits);
     if out.wants_color() {
         let surface = surface(scene, &found, &hits.distance, tile.pixel_angle);
-        let radiance = light(wall, &scene.material, &view.leds, view.shadows, &surface, &found.hit);
+        let mut radiance =
+            light(wall, &scene.material, &view.leds, view.shadows, &surface, &found.hit);
+        if let Some(bounced) = &view.bounced {
+            bounced.add(wall, &surface, &hits, &mut radiance);
+        }
+        add_glow(glow, &mut radiance);
         place.write_color(&mut out.rgb, &radiance, view.exposure);
         place.write3(&mut out.radiance, &radiance, &found.hit, 0.0);
         place.write3(&mut out.albedo, &surface.albedo, &found.hit, f32::NAN);
@@ -211,10 +280,21 @@ fn render_tile(
     write_geometry(view, tile, &hits, &found, place, out);
 }
 
+/// Adds light beyond direct light, if there is any.
+#[inline(always)]
+pub fn add_glow(glow: Option<&Lane3>, radiance: &mut Lane3) {
+    let Some(glow) = glow else { return };
+    for k in 0..3 {
+        for i in 0..LANES {
+            radiance[k][i] += glow[k][i];
+        }
+    }
+}
+
 /// Writes the channels of the surfaces met.
 #[inline(always)]
 pub fn write_geometry(
-    view: &View,
+    view: &View<'_>,
     tile: &TileRays,
     hits: &Hits,
     found: &Attributes,

@@ -88,12 +88,31 @@ pub fn attributes(
     directions: &Lane3,
     hits: &Hits,
 ) -> Attributes {
+    let (mut position, mut view) = ([[0.0; LANES]; 3], [[0.0; LANES]; 3]);
+    for i in 0..LANES {
+        for k in 0..3 {
+            position[k][i] = origin[k] + hits.distance[i] * directions[k][i];
+            view[k][i] = -directions[k][i];
+        }
+    }
+    attributes_at(wall, scene, position, view, hits)
+}
+
+/// The same for points met by rays from anywhere; `view` holds unit directions back along them.
+#[inline(always)]
+pub fn attributes_at(
+    wall: &Wall,
+    scene: &SceneData,
+    position: Lane3,
+    view: Lane3,
+    hits: &Hits,
+) -> Attributes {
     let mut out = Attributes {
         hit: [false; LANES],
         face: [-1; LANES],
         weights: [[0.0; LANES]; 2],
-        position: [[0.0; LANES]; 3],
-        view: [[0.0; LANES]; 3],
+        position,
+        view,
         normal: [[0.0; LANES]; 3],
         least_facing: [0.0; LANES],
         uv: [[0.0; LANES]; 2],
@@ -107,10 +126,6 @@ pub fn attributes(
         out.hit[i] = hits.triangle[i] != MISS;
         out.weights[0][i] = hits.edges[0][i] * inverse;
         out.weights[1][i] = hits.edges[1][i] * inverse;
-        for k in 0..3 {
-            out.position[k][i] = origin[k] + hits.distance[i] * directions[k][i];
-            out.view[k][i] = -directions[k][i];
-        }
     }
     let mut last = (MISS, None);
     for i in 0..LANES {

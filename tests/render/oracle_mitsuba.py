@@ -1,4 +1,4 @@
-"""Mitsuba 3 as an independent renderer of direct light: same mesh, texture, lights and rays."""
+"""Mitsuba 3 as an independent renderer: same mesh, texture, lights and rays."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from vrcaps.world.model import Model, State
 
 _SCALE = 1e3
 """Mitsuba's units per metre: its shadow rays start (1 + |p|) 9e-5 units off the surface."""
+_DIRECT = {"type": "direct", "emitter_samples": 1, "bsdf_samples": 0, "hide_emitters": True}
 _LED_RADIUS = 2e-6 * _SCALE
 """Radius of the disk that stands for a Lambertian LED."""
 
@@ -35,8 +36,28 @@ def direct_light(model: Model, camera: Camera, state: State) -> np.ndarray:
     radiance = np.zeros((len(rays), 3))
     for led in camera.leds:
         scene = mi.load_dict({"type": "scene", "wall": mesh, "led": _led(led, T_world_camera)})
-        radiance[seen] += _trace(scene, rays[seen])
+        radiance[seen] += _trace(scene, rays[seen], _DIRECT)
     return radiance.reshape(camera.height, camera.width, 3)
+
+
+def path_light(
+    model: Model, camera: Camera, state: State, *, depth: int, samples: int
+) -> np.ndarray:
+    """Linear radiance [samples h w 3] of so many paths of up to `depth` reflections a pixel.
+
+    LEDs have lobes of exponent 0.
+    """
+    import mitsuba as mi
+
+    mi.set_variant("scalar_rgb")
+    T_world_camera = state.T_world_capsule @ camera.T_capsule_camera
+    rays = rotate_vectors(T_world_camera, camera_rays(camera).astype(float)).reshape(-1, 3)
+    leds = {f"led{k}": _led(led, T_world_camera) for k, led in enumerate(camera.leds)}
+    wall = _mesh(model, state, T_world_camera[:3, 3])
+    scene = mi.load_dict({"type": "scene", "wall": wall, **leds})
+    settings = {"type": "path", "max_depth": depth + 1, "rr_depth": depth + 1}
+    radiance = np.stack([_trace(scene, rays, settings, seed=k) for k in range(samples)])
+    return radiance.reshape(samples, camera.height, camera.width, 3)
 
 
 def _to_local(points_world: np.ndarray, eye: np.ndarray) -> np.ndarray:
@@ -44,12 +65,11 @@ def _to_local(points_world: np.ndarray, eye: np.ndarray) -> np.ndarray:
     return (points_world - eye) * _SCALE
 
 
-def _trace(scene: Any, rays: np.ndarray) -> np.ndarray:
+def _trace(scene: Any, rays: np.ndarray, settings: dict[str, Any], seed: int = 0) -> np.ndarray:
     import mitsuba as mi
 
-    settings = {"type": "direct", "emitter_samples": 1, "bsdf_samples": 0, "hide_emitters": True}
     integrator, sampler = mi.load_dict(settings), mi.load_dict({"type": "independent"})
-    sampler.seed(0, 1)
+    sampler.seed(seed, 1)
     start = mi.Point3f(0.0, 0.0, 0.0)
     result = np.empty((len(rays), 3))
     for number, ray in enumerate(rays.tolist()):

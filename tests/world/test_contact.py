@@ -5,12 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy.integrate import quad
-from walls import HALF_AXIS, LINEAR, RADIUS, capsule, floor, tube, world_on
+from walls import HALF_AXIS, LINEAR, RADIUS, capsule, creased, floor, tube, world_on
 
 from vrcaps.capsule.body import homogeneous_body
 from vrcaps.capsule.catalog import load_device
 from vrcaps.tissue.drag import Drag
 from vrcaps.tissue.material import Material
+from vrcaps.tissue.quick import QuickDeformation
 from vrcaps.units import MM
 
 DOWN = (0.0, 0.0, -9.81)
@@ -130,6 +131,38 @@ def test_does_not_tunnel(force: float) -> None:
         world.step(5e-5, 200, (0.0, 0.0, -force, 0.0, 0.0, 0.0), DOWN)
         assert world.pose[0][2] > 0.0
     assert world.contact()[0][2] == pytest.approx(force + 3e-3 * 9.81, rel=0.05)
+
+
+@pytest.mark.parametrize("quick", [None, QuickDeformation()])
+def test_no_fold_cuts_through_the_axis(quick: QuickDeformation | None) -> None:
+    """Thrown about at up to 20 m/s among folds with crests sharper than any pressed area."""
+    rng = np.random.default_rng(3)
+    wall = creased(40.0 * MM, 15.0 * MM)
+    world = world_on(wall, position=(0, 0, 0), material=Material(), drag=Drag(), quick=quick)
+    assert world.inside()
+    for _ in range(60):
+        push = rng.normal(size=3)
+        force = push * (5.0 / np.linalg.norm(push))
+        for _ in range(10):
+            world.step(5e-5, 40, (*force, 0.0, 0.0, 0.0), DOWN)
+            world.settle()
+            assert world.inside()
+
+
+@pytest.mark.parametrize("material", [LINEAR, Material()])
+@pytest.mark.parametrize("speed", [3.0, 20.0])
+def test_blows_make_no_energy(material: Material, speed: float) -> None:
+    """Kinetic and stored energy never exceed what was thrown in."""
+    rng = np.random.default_rng(0)
+    wall = creased(40.0 * MM, 15.0 * MM)
+    for _ in range(3):
+        way = rng.normal(size=3)
+        way *= speed / np.linalg.norm(way)
+        world = world_on(wall, position=(0, 0, 0), velocity=tuple(way), material=material)
+        thrown = world.kinetic_energy()
+        for _ in range(60):
+            world.step(5e-5, 20, FREE, (0.0,) * 3)
+            assert world.kinetic_energy() + world.contact()[4] < 1.001 * thrown
 
 
 def test_resistance_follows_the_measurements() -> None:

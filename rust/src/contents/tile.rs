@@ -11,9 +11,10 @@ use crate::channels::{Channels, Place};
 use crate::lanes::*;
 use crate::material::{Surface, add_light};
 use crate::mucosa::noise::Lattice;
+use crate::path::First;
 use crate::query;
 use crate::rays::TileRays;
-use crate::render::{View, primary, write_geometry};
+use crate::render::{View, add_glow, primary, write_geometry};
 use crate::scene::SceneData;
 use crate::shade::{Attributes, attributes, surface};
 use crate::tile::{Hits, MISS, Pyramid, farthest_of};
@@ -40,7 +41,7 @@ pub struct Filled<'a> {
     /// What is in it.
     pub contents: &'a Contents,
     /// The view.
-    pub view: &'a View,
+    pub view: &'a View<'a>,
     /// Pool in whose stretch the eye is.
     pub of_eye: u16,
 }
@@ -65,7 +66,7 @@ impl<'a> Filled<'a> {
         wall: &'a Wall,
         scene: &'a SceneData,
         contents: &'a Contents,
-        view: &'a View,
+        view: &'a View<'a>,
     ) -> Self {
         let of_eye = contents.pools.as_ref().map_or(DRY, |(pools, _)| {
             let nearest = query::nearest(&wall.bvh, view.origin);
@@ -74,12 +75,28 @@ impl<'a> Filled<'a> {
         Filled { wall, scene, contents, view, of_eye }
     }
 
-    /// Renders one tile.
+    /// The surfaces of wall and particles that paths set out from.
+    #[inline(always)]
+    pub fn first(&self, tile: &TileRays, pixel: [u32; LANES], room: &mut Room) -> First {
+        let (rays, mut hits) = primary(self.wall, self.view, tile);
+        let mut found =
+            attributes(self.wall, self.scene, self.view.origin, &rays.directions, &hits);
+        let owner = self.meet_particles(tile, &rays, &mut hits, &mut found, room);
+        let mut surface = surface(self.scene, &found, &hits.distance, tile.pixel_angle);
+        self.paint_particles(&owner, &mut surface);
+        for i in 0..LANES {
+            hits.triangle[i] = if owner[i] == MISS { hits.triangle[i] } else { MISS };
+        }
+        First { surface, hit: found.hit, triangle: hits.triangle, pixel }
+    }
+
+    /// Renders one tile; `glow` is light beyond direct light.
     #[inline(always)]
     pub fn render_tile(
         &self,
         tile: &TileRays,
         place: Place,
+        glow: Option<&Lane3>,
         room: &mut Room,
         out: &mut Channels<'_>,
     ) {
@@ -96,6 +113,7 @@ impl<'a> Filled<'a> {
             let mut surface = surface(self.scene, &found, &hits.distance, tile.pixel_angle);
             self.paint_particles(&owner, &mut surface);
             radiance = self.light(&surface, &found.hit, wet.as_ref(), room);
+            add_glow(glow, &mut radiance);
             place.write3(&mut out.albedo, &surface.albedo, &found.hit, f32::NAN);
             if let (Some(wet), Some(optics)) = (&wet, self.optics()) {
                 let lit = (&view.leds[..], &hits.distance);

@@ -239,7 +239,7 @@ def build(scenario: Scenario, device: Device) -> tuple[Model, Run]:
         twin = _load_patient(scenario, clean=True)
         shown = Model(twin, device, T_world_patient, contents)
     if not isinstance(scenario.motion, Physics):
-        return shown, make_trajectory(scenario, model)
+        return shown, make_trajectory(scenario, model, shown)
     assert scenario.fps is not None
     simulation = Simulation(
         model,
@@ -252,14 +252,21 @@ def build(scenario: Scenario, device: Device) -> tuple[Model, Run]:
     return shown, simulation
 
 
-def make_trajectory(scenario: Scenario, model: Model) -> Trajectory:
-    """Motion of a resolved scenario in its world, where it is known beforehand."""
+def make_trajectory(scenario: Scenario, model: Model, shown: Model) -> Trajectory:
+    """Motion of a resolved scenario in its world, where it is known beforehand.
+
+    Args:
+        scenario: What to record.
+        model: Where the capsule moves.
+        shown: What is seen: the model, or its clean twin.
+    """
     assert scenario.fps is not None
     if isinstance(scenario.motion, Replay):
         return replay(model, scenario.motion, frames=scenario.frames, fps=scenario.fps)
     assert isinstance(scenario.motion, FlyThrough)
     rng = np.random.default_rng(scenario.seed)
-    return fly_through(model, scenario.motion, frames=scenario.frames, fps=scenario.fps, rng=rng)
+    path = fly_through(model, scenario.motion, frames=scenario.frames, fps=scenario.fps, rng=rng)
+    return replace(path, make_way=path.make_way and replace(path.make_way, shown=shown))
 
 
 def _load_patient(scenario: Scenario, *, clean: bool = False) -> OrganSurface:

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal, get_args
 
-from vrcaps.errors import InputError
+from vrcaps.errors import InputError, UnknownNameError
+
+Light = Literal["direct", "quick", "path"]
 
 
 @dataclass(frozen=True)
@@ -14,12 +17,32 @@ class RenderSettings:
     Attributes:
         supersampling: Colour of a pixel is the mean over this many by this many rays. All other
             channels hold the value at the pixel's centre.
-        shadows: Whether folds cast shadows from each LED.
+        shadows: Whether folds cast shadows from each LED; path tracing always has them.
+        light: Light that reaches the wall straight from an LED (direct), or also after other
+            places of the wall have reflected it (path: path tracing; quick: radiosity on points of
+            the wall, for real time).
+        samples: Paths that path tracing follows for each ray; noise falls with their square root.
+        depth: Most reflections of a path, 1 to 100; 1 is direct light with shadows.
+        light_seed: Chooses the paths.
+        imaging: White light, or narrow bands about 415 and 540 nm, in which vessels stand out.
     """
 
     supersampling: int = 1
     shadows: bool = False
+    light: Light = "direct"
+    samples: int = 16
+    depth: int = 4
+    light_seed: int = 0
+    imaging: Literal["white-light", "narrow-band"] = "white-light"
 
     def __post_init__(self) -> None:
-        if self.supersampling < 1:
-            raise InputError(f"Supersampling is {self.supersampling}. Allowed: 1, 2, 3, …")
+        if self.light not in get_args(Light):
+            raise UnknownNameError("light", self.light, get_args(Light))
+        for name, value, valid, allowed in (
+            ("Supersampling", self.supersampling, self.supersampling >= 1, "1, 2, 3, …"),
+            ("Samples", self.samples, 1 <= self.samples <= 2**31, "1 to 2147483648"),
+            ("Depth", self.depth, 1 <= self.depth <= 100, "1 to 100"),
+            ("Light seed", self.light_seed, 0 <= self.light_seed < 2**64, "0 to 2^64 − 1"),
+        ):
+            if not valid:
+                raise InputError(f"{name} is {value}. Allowed: {allowed}.")

@@ -34,6 +34,7 @@ class Snapshot:
             given [N·s]; empty where there is none.
         touched: Of each triangle that loads the layer: number, normal force and friction [N].
         afloat: What floats in the lumen; empty where nothing does.
+        sources: Place [m], quaternion wxyz and strength of each source in the world.
     """
 
     seed: int
@@ -47,6 +48,7 @@ class Snapshot:
     layer: Float[np.ndarray, "nodes 15"]
     touched: Float[np.ndarray, "k 5"]
     afloat: Float[np.ndarray, " q"] = field(default_factory=lambda: np.zeros(0))
+    sources: Float[np.ndarray, "s 8"] = field(default_factory=lambda: np.zeros((0, 8)))
 
 
 def write_snapshot(path: Path, snapshot: Snapshot) -> None:

@@ -64,14 +64,6 @@ def test_barrel_follows_the_division_model(name: str, inward: float) -> None:
         assert np.isfinite(camera_rays(bent)).any()
 
 
-def test_barrel_radius_is_the_division_model() -> None:
-    """With q = (1 − D) r′ / R: r / R = q / (1 − λ q²), λ = D / (1 − D)², and R stays."""
-    radius, inward = np.linspace(0.0, 300.0, 50), 0.3
-    share = 0.7 * barrel_radius(radius, inward, 100.0) / 100.0
-    assert share / (1.0 - 0.3 / 0.49 * share**2) == pytest.approx(radius / 100.0, rel=1e-12)
-    assert barrel_radius(np.array(100.0), inward, 100.0) == pytest.approx(100.0)
-
-
 def test_film_is_what_the_wall_mirrors(rng) -> None:
     look = Appearance(
         np.full((8, 8, 3), 120, np.uint8), np.full((8, 8), 128, np.uint8), np.zeros((8, 8))

@@ -9,6 +9,7 @@ use numpy::{
 };
 use pyo3::{exceptions::PyValueError, prelude::*};
 use rayon::prelude::*;
+use std::cell::Cell;
 
 /// Most places a pixel is averaged over.
 const MOST_SAMPLES: f32 = 64.0;
@@ -111,9 +112,15 @@ pub fn blur_motion<'py>(
             let late = readout * ((y as f32 + 0.5) / height as f32 - 0.5);
             blur_row(&still, y, &motion, (shutter, late), row);
         });
+        ROOM.set(still.pixels);
     });
     let shape = (height, width, 3);
     Ok(Array3::from_shape_vec(shape, out).expect("every pixel was filled").into_pyarray(py))
+}
+
+thread_local! {
+    /// Pixels of an earlier call, whose memory is used again.
+    static ROOM: Cell<Vec<Vec4>> = const { Cell::new(Vec::new()) };
 }
 
 /// The image at its instant. A pixel is red, green, blue and 1 where it is lit, all 0 elsewhere; its
@@ -125,7 +132,9 @@ struct Still {
 
 impl Still {
     fn new(image: &[f32], lit: &[bool], (height, width): (usize, usize)) -> Self {
-        let mut pixels = vec![Vec4::ZERO; (height + 1) * (width + 1)];
+        let mut pixels = ROOM.take();
+        pixels.clear();
+        pixels.resize((height + 1) * (width + 1), Vec4::ZERO);
         pixels.par_chunks_mut(width + 1).enumerate().for_each(|(y, row)| {
             let start = y.min(height - 1) * width;
             for x in 0..=width {

@@ -187,7 +187,10 @@ def speed() -> list[tuple[str, ...]]:
         chain = CameraChain(effects, camera, number=0, fps=3.0, seed=0)
         channels = chain.channels(DEFAULT_CHANNELS)
         frame = renderer.render(moment.state, camera, channels=channels)
-        return cpu_ms(lambda: chain.apply(frame, renderer, moment))
+        # A state of its own each time, or the chain would know its motion from the call before.
+        return cpu_ms(
+            lambda: chain.apply(frame, renderer, replace(moment, state=replace(moment.state)))
+        )
 
     none = of(Effects())
     rows = [("sRGB alone", f"{none:.2f}")]

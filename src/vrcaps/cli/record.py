@@ -102,9 +102,10 @@ class Record:
 
     effects: str = ""
     """Lens and sensor by grade 0 to 4, such as specular=3,dof=1,noise=1..3 (a range: drawn from the
-    seed), all=2, random, or mosaic=rggb: specular, bubbles (on the lens), field_of_view,
-    distortion, resolution, motion_blur, rolling_shutter, depth_of_field, chromatic, vignette,
-    bloom, exposure, noise, white_balance, jpeg; see docs/effects.md."""
+    seed), all=2, random, mosaic=rggb, frame_rate=4..35 (which frames are taken): specular, bubbles
+    (on the lens), field_of_view, distortion, resolution, motion_blur, rolling_shutter,
+    depth_of_field, chromatic, vignette, bloom, exposure, noise, white_balance, jpeg; see
+    docs/effects.md."""
 
     posture: str = "supine"
     """How the patient lies: supine, prone, left-lateral, right-lateral, standing."""

@@ -89,6 +89,11 @@ pub fn render(
             "Scene and wall have different numbers of faces or vertices.",
         ));
     }
+    if !wall.has_normals {
+        return Err(PyValueError::new_err(
+            "The wall has moved under a world: refit it to draw it.",
+        ));
+    }
     let view = View::new(wall, pose, leds, exposure, shadows)?;
     let shape = (rays.height, rays.width);
     let mut rgb = take::<u8>(out, "rgb", shape, 3)?;

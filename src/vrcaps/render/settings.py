@@ -20,7 +20,8 @@ class RenderSettings:
         shadows: Whether folds cast shadows from each LED; path tracing always has them.
         light: Light that reaches the wall straight from an LED (direct), or also after other
             places of the wall have reflected it (path: path tracing).
-        samples: Paths that path tracing follows for each ray; noise falls with their square root.
+        samples: Paths that path tracing follows for each ray; noise falls with the root of their
+            number.
         depth: Most reflections of a path, 1 to 100; 1 is direct light with shadows.
         light_seed: Chooses the paths.
         imaging: White light, or narrow bands about 415 and 540 nm, in which vessels stand out.

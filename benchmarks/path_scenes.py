@@ -13,6 +13,7 @@ from vrcaps.capsule.device import Camera
 from vrcaps.capsule.lens import LensPinhole
 from vrcaps.cli.benchmarks.peers.mitsuba import VARIANT, use_working_llvm
 from vrcaps.organ.catalog import load_organ
+from vrcaps.organ.surface import OrganSurface
 from vrcaps.render.renderer import Renderer
 from vrcaps.render.settings import RenderSettings
 from vrcaps.world.fly_through import FlyThrough, fly_through
@@ -66,7 +67,7 @@ class Scene:
 
 
 def scenes(size: int) -> Iterator[Scene]:
-    """A tube with ring folds, and a generated colon."""
+    """A tube with ring folds, a generated colon, and that colon made smooth."""
     from shapes import looking, patterned, pinhole, tube
 
     use_working_llvm()
@@ -84,5 +85,21 @@ def scenes(size: int) -> Iterator[Scene]:
     colon = replace(load_organ("colon", seed=0), appearance=look)
     model = Model(colon, device)
     rng = np.random.default_rng(0)
-    run = fly_through(model, FlyThrough(), frames=3, fps=1.0, rng=rng)
-    yield Scene("generated colon", model, camera, run.state(1))
+    state = fly_through(model, FlyThrough(), frames=3, fps=1.0, rng=rng).state(1)
+    yield Scene("generated colon", model, camera, state)
+    yield Scene("the same, smooth", Model(_smooth(colon), device), camera, state)
+
+
+def _smooth(organ: OrganSurface) -> OrganSurface:
+    """The shape with 16 triangles for each, after Loop, so that normals and faces agree.
+
+    Where a smooth normal faces away from a ray, Mitsuba loses the light and we bend the normal.
+    """
+    import trimesh
+    from shapes import make_organ
+
+    vertices, faces = trimesh.remesh.subdivide_loop(organ.vertices, organ.faces, iterations=2)
+    along_uv = np.array([[15.0, 0.0, 5.0], [0.0, 15.0, -10.0]])  # turns per metre
+    return make_organ(
+        vertices, faces, uv=(vertices @ along_uv.T)[faces], appearance=organ.appearance
+    )

@@ -18,7 +18,7 @@ from validation import options, table, write_section
 
 BLOCK = 16
 """Width of the blocks of pixels whose means are compared."""
-IMAGES = 12
+IMAGES = 8
 """Images of each renderer, each of its own seed; their scatter is the noise."""
 SAMPLES = 32
 DEPTHS = (2, 4)
@@ -58,7 +58,7 @@ def compare(scene: Scene, depth: int) -> tuple[str, ...]:
     means = ours.mean(axis=(1, 2, 3)), theirs.mean(axis=(1, 2, 3))
     ratio = means[0].mean() / means[1].mean()
     error = ratio * np.hypot(*(m.std(ddof=1) / m.mean() / np.sqrt(IMAGES) for m in means))
-    is_right = abs(ratio - 1.0) < 5e-3 and chance > 1e-3
+    is_even, is_noise = abs(ratio - 1.0) < 5e-3, chance > 1e-3
     return (
         scene.name,
         str(depth),
@@ -71,7 +71,7 @@ def compare(scene: Scene, depth: int) -> tuple[str, ...]:
         f"{expected:.2f}",
         f"{100 * np.mean(np.abs(z) > 3.0):.1f} %",
         f"{chance:.3f}",
-        f"≤ 0.5 %, noise: {'yes' if is_right else 'NO'}",
+        f"≤ 0.5 %: {'yes' if is_even else 'NO'}; noise: {'yes' if is_noise else 'NO'}",
     )
 
 
@@ -101,7 +101,9 @@ def main() -> None:
         + f"\n\nz: difference of the means of a block of {BLOCK} × {BLOCK} pixels in one colour, "
         "over its standard error from the\nscatter of the images. *Expected*: mean z² of nothing "
         "but noise (Student); p: chance that noise has so large\na mean z². Mitsuba's `max_depth` "
-        "is one more than our reflections, as it counts the way to the eye."
+        "is one more than our reflections, as it counts the way to the eye. Where\na smooth "
+        "normal faces away from a path, Mitsuba loses the light, while here the normal is bent "
+        "(docs/rendering.md):\non the colon's own triangles this is more than noise."
     )
     write_section(given.out, Path(__file__).name, text)
 

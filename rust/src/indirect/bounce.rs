@@ -1,8 +1,7 @@
 //! One frame of bounced light.
 
-use super::QuickLight;
 use super::lamps::first_reflection;
-use super::rows::Link;
+use super::{Color, QuickLight};
 use crate::lanes::*;
 use crate::material::{Led, Surface};
 use crate::tile::{Hits, MISS};
@@ -16,37 +15,37 @@ const BOUNCES: usize = 2;
 /// Sites that one thread takes at a time.
 const CHUNK: usize = 64;
 
-/// A colour with a fourth number, so that it is one vector.
-type Color = [f32; 4];
-
 /// Irradiance by bounced light in one frame.
 pub struct Irradiance<'a> {
     light: &'a QuickLight,
     rest: &'a Wall,
     /// Radiosity of each site [W/m²].
     leaving: Vec<Color>,
-    /// Irradiance of each site and vertex [W/m²], gathered when first needed.
+    /// Light at each site and vertex, gathered when first needed.
     of_site: Vec<Lazy>,
     of_vertex: Vec<Lazy>,
 }
 
-/// A colour above 0 that is reckoned when first needed.
+/// Red, green and blue light vectors [W/m²]: their parts along a normal are its irradiance.
+type Vectors = [f32; 9];
+
+/// Light vectors that are reckoned when first needed; zero is not yet known.
 ///
-/// Threads that need it at once all reckon it; their results are the same, so it matters neither
-/// who writes last nor whether a reader finds the parts of one or of the other.
+/// Threads that need them at once all reckon them; their results are the same, so it matters
+/// neither who writes last nor whether a reader finds parts of one and of the other.
 #[derive(Default)]
-struct Lazy([AtomicU32; 3]);
+struct Lazy([AtomicU32; 9]);
 
 impl Lazy {
     #[inline(always)]
-    fn get(&self, reckon: impl FnOnce() -> Vec3) -> Vec3 {
-        let known = [0, 1, 2].map(|k| f32::from_bits(self.0[k].load(Relaxed)));
-        if known[0] > 0.0 && known[1] > 0.0 && known[2] > 0.0 {
-            return known;
+    fn get(&self, reckon: impl FnOnce() -> Vectors) -> Vectors {
+        let known: [u32; 9] = std::array::from_fn(|k| self.0[k].load(Relaxed));
+        if known.iter().all(|&bits| bits != 0) {
+            return known.map(f32::from_bits);
         }
-        let found = reckon().map(|x| max(x, 1e-30));
-        for k in 0..3 {
-            self.0[k].store(found[k].to_bits(), Relaxed);
+        let found = reckon().map(|x| if x == 0.0 { f32::MIN_POSITIVE } else { x });
+        for (slot, x) in self.0.iter().zip(found) {
+            slot.store(x.to_bits(), Relaxed);
         }
         found
     }
@@ -55,14 +54,8 @@ impl Lazy {
 impl QuickLight {
     /// Irradiance by bounced light.
     pub fn solve<'a>(&'a self, rest: &'a Wall, wall: &Wall, leds: &[Led]) -> Irradiance<'a> {
-        let lit = first_reflection(self, wall, leds);
-        let mut last = vec![[0.0; 4]; self.albedo.len()];
-        for &(s, power) in &lit {
-            let inverse = 1.0 / max(self.area[s as usize], 1e-30);
-            let [r, g, b] = scale(power, inverse);
-            last[s as usize] = [r, g, b, 0.0];
-        }
-        let reached = self.reached(rest, lit.iter().map(|l| l.0));
+        let mut last = first_reflection(self, wall, leds);
+        let reached = self.reached(rest, &last);
         let mut leaving = last.clone();
         let mut before = [0.0; 3];
         for bounce in 0..BOUNCES {
@@ -83,15 +76,15 @@ impl QuickLight {
     }
 
     /// Sites that are lit or see one that is, in order.
-    fn reached(&self, rest: &Wall, lit: impl Iterator<Item = u32>) -> Vec<u32> {
-        let mut is_reached = vec![false; self.albedo.len()];
-        let lit: Vec<u32> = lit.collect();
+    fn reached(&self, rest: &Wall, leaving: &[Color]) -> Vec<u32> {
+        let mut is_reached = vec![false; leaving.len()];
+        let lit: Vec<usize> = (0..leaving.len()).filter(|&s| leaving[s] != [0.0; 4]).collect();
         lit.par_iter().with_min_len(CHUNK).for_each(|&s| {
-            self.row(rest, s as usize);
+            self.row(rest, s);
         });
         for s in lit {
-            is_reached[s as usize] = true;
-            for link in &self.row(rest, s as usize).coarse {
+            is_reached[s] = true;
+            for link in &self.row(rest, s).coarse {
                 is_reached[link.from as usize] = true;
             }
         }
@@ -100,29 +93,19 @@ impl QuickLight {
 
     /// Radiosity of sites by what leaves all others.
     fn reflect(&self, rest: &Wall, sites: &[u32], leaving: &[Color]) -> Vec<Color> {
-        let [base, gloss] = self.reflectance.mean;
         let of_site = |&s: &u32| {
-            let mut light = gather(&self.row(rest, s as usize).coarse, leaving);
-            for k in 0..3 {
-                light[k] *= base * self.albedo[s as usize][k] + gloss;
+            let mut light = [0.0; 4];
+            for link in &self.row(rest, s as usize).coarse {
+                let from = &leaving[link.from as usize];
+                for k in 0..4 {
+                    light[k] += link.share * from[k];
+                }
             }
-            light
+            let [r, g, b] = self.reflected(s as usize, self.reflectance.mean);
+            [light[0] * r, light[1] * g, light[2] * b, 0.0]
         };
         sites.par_iter().with_min_len(CHUNK).map(of_site).collect()
     }
-}
-
-/// Irradiance by what leaves the sites that are seen [W/m²].
-#[inline(always)]
-fn gather(links: &[Link], leaving: &[Color]) -> Color {
-    let mut total = [0.0; 4];
-    for link in links {
-        let from = &leaving[link.from as usize];
-        for k in 0..4 {
-            total[k] += link.share * from[k];
-        }
-    }
-    total
 }
 
 /// What a geometric series adds up to from its last known term on, over that term.
@@ -134,8 +117,8 @@ impl Irradiance<'_> {
     /// Adds the radiance that bounced light leaves towards the viewer [W/(sr·m²)].
     #[inline(always)]
     pub fn add(&self, wall: &Wall, surface: &Surface, hits: &Hits, radiance: &mut Lane3) {
-        let mut light = [[0.0; LANES]; 3];
-        let mut last = (MISS, [[0.0; 3]; 3]);
+        let mut light = [[0.0; LANES]; 9];
+        let mut last = (MISS, [[0.0; 9]; 3]);
         for i in 0..LANES {
             let triangle = hits.triangle[i];
             if triangle == MISS {
@@ -145,36 +128,49 @@ impl Irradiance<'_> {
                 let corners = wall.bvh.corners[triangle as usize];
                 last = (triangle, corners.map(|v| self.vertex(v as usize)));
             }
-            let [a, b, c] = last.1;
+            let [a, b, c] = &last.1;
             let inverse = 1.0 / hits.edges[2][i];
             let (wa, wb) = (hits.edges[0][i] * inverse, hits.edges[1][i] * inverse);
-            for k in 0..3 {
+            for k in 0..9 {
                 light[k][i] = c[k] + wa * (a[k] - c[k]) + wb * (b[k] - c[k]);
             }
         }
         for i in 0..LANES {
-            let cosine = dot(at(&surface.normal, i), at(&surface.view, i));
-            let [base, gloss] = self.light.reflectance.at(cosine);
+            let normal = at(&surface.normal, i);
+            let [base, gloss] = self.light.reflectance.at(dot(normal, at(&surface.view, i)));
             for k in 0..3 {
+                let vector = [light[3 * k][i], light[3 * k + 1][i], light[3 * k + 2][i]];
+                let irradiance = max(dot(normal, vector), 0.0);
                 let share = base * surface.albedo[k][i] + gloss;
-                radiance[k][i] += light[k][i] * (1.0 / PI) * share;
+                radiance[k][i] += irradiance * (1.0 / PI) * share;
             }
         }
     }
 
     #[inline(always)]
-    fn vertex(&self, v: usize) -> Vec3 {
+    fn vertex(&self, v: usize) -> Vectors {
         self.of_vertex[v].get(|| {
-            let heard = self.light.sites.heard[v].iter();
-            let loud = heard.filter(|h| h.1 > 0.0);
-            loud.fold([0.0; 3], |sum, &(s, weight)| add(sum, scale(self.site(s as usize), weight)))
+            let mut sum = [0.0; 9];
+            for &(s, weight) in self.light.sites.heard[v].iter().filter(|heard| heard.1 > 0.0) {
+                let light = self.site(s as usize);
+                for k in 0..9 {
+                    sum[k] += weight * light[k];
+                }
+            }
+            sum
         })
     }
 
-    fn site(&self, s: usize) -> Vec3 {
+    fn site(&self, s: usize) -> Vectors {
         self.of_site[s].get(|| {
-            let [r, g, b, _] = gather(&self.light.row(self.rest, s).fine, &self.leaving);
-            [r, g, b]
+            let mut sum = [0.0; 9];
+            for beam in &self.light.row(self.rest, s).fine {
+                let from = &self.leaving[beam.from as usize];
+                for k in 0..9 {
+                    sum[k] += from[k / 3] * beam.way[k % 3];
+                }
+            }
+            sum
         })
     }
 }

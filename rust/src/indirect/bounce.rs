@@ -114,9 +114,19 @@ fn tail(term: Vec3, before: Vec3) -> Vec3 {
 }
 
 impl Irradiance<'_> {
-    /// Adds the radiance that bounced light leaves towards the viewer [W/(sr·m²)].
+    /// Adds the radiance that bounced light leaves towards the viewer [W/(sr·m²)]; `smooth` are
+    /// the wall's normals without relief.
+    ///
+    /// Relief that tilts by τ looks past the wall's own plane with a part of its hemisphere. Of
+    /// even light it gets (1 + cos τ)/2; the light vector alone would give cos τ.
     #[inline(always)]
-    pub fn add(&self, wall: &Wall, surface: &Surface, hits: &Hits, radiance: &mut Lane3) {
+    pub fn add(
+        &self,
+        wall: &Wall,
+        (surface, smooth): (&Surface, &Lane3),
+        hits: &Hits,
+        radiance: &mut Lane3,
+    ) {
         let mut light = [[0.0; LANES]; 9];
         let mut last = (MISS, [[0.0; 9]; 3]);
         for i in 0..LANES {
@@ -136,11 +146,12 @@ impl Irradiance<'_> {
             }
         }
         for i in 0..LANES {
-            let normal = at(&surface.normal, i);
+            let (normal, flat) = (at(&surface.normal, i), at(smooth, i));
             let [base, gloss] = self.light.reflectance.at(dot(normal, at(&surface.view, i)));
             for k in 0..3 {
                 let vector = [light[3 * k][i], light[3 * k + 1][i], light[3 * k + 2][i]];
-                let irradiance = max(dot(normal, vector), 0.0);
+                let bowl = 0.5 * (1.0 - dot(normal, flat)) * dot(flat, vector);
+                let irradiance = max(dot(normal, vector) + bowl, 0.0);
                 let share = base * surface.albedo[k][i] + gloss;
                 radiance[k][i] += irradiance * (1.0 / PI) * share;
             }

@@ -13,9 +13,6 @@ pub struct Look {
     pub per_area: Vec<f32>,
     /// Roughness of the wall.
     pub roughness: f32,
-    /// Share of reflected light that relief does not send into the wall: (1 + cos τ)/2 where it is
-    /// tilted by τ, the free part of a matt surface's hemisphere.
-    pub free: f32,
 }
 
 /// A tile's worth of faces.
@@ -24,20 +21,18 @@ struct Faces {
     roughness: Lane,
     /// [m²]
     area: Lane,
-    free: Lane,
 }
 
 impl Look {
     /// Averages what is drawn on a wall.
     pub fn mean(wall: &Wall, scene: &SceneData, sites: &Sites) -> Self {
         let mut sums = vec![([0.0f32; 3], 0.0f32); sites.vertex.len()];
-        let (mut roughness, mut free, mut total) = (0.0f64, 0.0f64, 0.0f64);
+        let (mut roughness, mut total) = (0.0f64, 0.0f64);
         for first in (0..wall.bvh.triangles.len()).step_by(LANES) {
             let faces = Faces::fetch(wall, scene, first);
             for i in 0..LANES.min(wall.bvh.triangles.len() - first) {
                 let area = faces.area[i];
                 roughness += f64::from(faces.roughness[i] * area);
-                free += f64::from(faces.free[i] * area);
                 total += f64::from(area);
                 for (s, weight) in
                     wall.bvh.corners[first + i].iter().flat_map(|&v| sites.heard[v as usize])
@@ -51,8 +46,7 @@ impl Look {
         }
         let per_area: Vec<f32> = sums.iter().map(|sum| 1.0 / max(sum.1, 1e-30)).collect();
         let albedo = sums.iter().zip(&per_area).map(|(sum, &one)| scale(sum.0, one)).collect();
-        let [roughness, free] = [roughness, free].map(|sum| (sum / total.max(1e-30)) as f32);
-        Look { albedo, per_area, roughness, free }
+        Look { albedo, per_area, roughness: (roughness / total.max(1e-30)) as f32 }
     }
 }
 
@@ -60,44 +54,28 @@ impl Faces {
     /// Faces in the order of the hierarchy, from number `first` on.
     fn fetch(wall: &Wall, scene: &SceneData, first: usize) -> Self {
         let zero = [0.0; LANES];
-        let (mut uv, mut footprint, mut along) = ([zero; 2], [zero; 2], [[zero; 3]; 2]);
+        let (mut uv, mut footprint) = ([zero; 2], [zero; 2]);
         let mut faces = Faces {
             albedo: scene.albedo.map(|x| [x; LANES]),
             roughness: [scene.roughness; LANES],
             area: zero,
-            free: [1.0; LANES],
         };
         for (i, triangle) in wall.bvh.triangles[first..].iter().take(LANES).enumerate() {
             let [a, b, c] = triangle.corners;
-            let (ab, ac) = (sub(b, a), sub(c, a));
-            let normal = cross(ab, ac);
-            let square = dot(normal, normal);
-            faces.area[i] = 0.5 * square.sqrt();
-            let inverse = 1.0 / max(square, 1e-30);
-            let of_b = scale(cross(ac, normal), inverse);
-            let of_c = scale(cross(normal, ab), inverse);
+            let normal = cross(sub(b, a), sub(c, a));
+            faces.area[i] = 0.5 * dot(normal, normal).sqrt();
             let [at_a, at_b, at_c] = scene.faces[triangle.face as usize].uv;
             for k in 0..2 {
                 uv[k][i] = (at_a[k] + at_b[k] + at_c[k]) / 3.0;
                 let low = min(at_a[k], min(at_b[k], at_c[k]));
                 let high = max(at_a[k], max(at_b[k], at_c[k]));
                 footprint[k][i] = 0.5 * (high - low);
-                let slope = add(scale(of_b, at_b[k] - at_a[k]), scale(of_c, at_c[k] - at_a[k]));
-                for axis in 0..3 {
-                    along[k][axis][i] = slope[axis];
-                }
             }
         }
         if let Some(texture) = &scene.texture {
             let texels = texture.fetch(&uv, &footprint);
             faces.albedo = texels.albedo;
             faces.roughness = texels.roughness;
-            let slope = texture.fetch(&uv, &[zero; 2]).slope;
-            for i in 0..LANES {
-                let rise =
-                    add(scale(at(&along[0], i), slope[0][i]), scale(at(&along[1], i), slope[1][i]));
-                faces.free[i] = 0.5 + 0.5 / (1.0 + dot(rise, rise)).sqrt();
-            }
         }
         faces
     }

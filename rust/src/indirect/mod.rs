@@ -16,6 +16,7 @@ mod rows;
 mod sites;
 
 pub use bounce::Irradiance;
+use look::Look;
 use reflectance::Reflectance;
 use rows::{Row, trace_row};
 use sites::Sites;
@@ -38,8 +39,6 @@ pub struct QuickLight {
     albedo: Vec<Vec3>,
     /// One over the area of the wall that each site stands for at rest [1/m²].
     per_area: Vec<f32>,
-    /// Share of reflected light that relief does not send into the wall.
-    free: f32,
     reflectance: Reflectance,
     rows: Vec<OnceLock<Row>>,
 }
@@ -54,11 +53,11 @@ impl QuickLight {
         let own = rest.clone_ref(py);
         py.detach(move || {
             let sites = Sites::choose(wall);
-            let look = look::Look::mean(wall, scene, &sites);
+            let look = Look::mean(wall, scene, &sites);
             let reflectance = Reflectance::integrate(&scene.material, look.roughness);
             let rows = sites.vertex.iter().map(|_| OnceLock::new()).collect();
-            let look::Look { albedo, per_area, free, .. } = look;
-            QuickLight { rest: own, sites, albedo, per_area, free, reflectance, rows }
+            let Look { albedo, per_area, .. } = look;
+            QuickLight { rest: own, sites, albedo, per_area, reflectance, rows }
         })
     }
 
@@ -83,6 +82,6 @@ impl QuickLight {
     /// reflect so much for an albedo of 1.
     #[inline(always)]
     fn reflected(&self, site: usize, [base, gloss]: [f32; 2]) -> Vec3 {
-        self.albedo[site].map(|albedo| self.free * (base * albedo + gloss))
+        self.albedo[site].map(|albedo| base * albedo + gloss)
     }
 }

@@ -11,7 +11,7 @@ use rayon::prelude::*;
 use std::f32::consts::TAU;
 
 /// Rays of all LEDs together, about.
-const RAYS: usize = 3072;
+const RAYS: usize = 2560;
 /// Fewest rays of an LED are the square of this.
 const LEAST_SIDE: usize = 8;
 
@@ -25,9 +25,8 @@ pub fn first_reflection(light: &QuickLight, wall: &Wall, leds: &[Led]) -> Vec<Co
         .into_par_iter()
         .map(|k| {
             let (number, ring) = (k / side, k % side);
-            // LEDs are close together: their patterns are turned against each other.
             let led = &leds[number];
-            let lobe = Lobe::turned(led.direction, led.exponent, side, number);
+            let lobe = Lobe::shifted(led.direction, led.exponent, side, number);
             send(wall, led.position, &lobe, ring, side)
         })
         .collect();
@@ -36,12 +35,10 @@ pub fn first_reflection(light: &QuickLight, wall: &Wall, leds: &[Led]) -> Vec<Co
         let solid_angle = if led.exponent == 0.0 { 2.0 * TAU } else { TAU / (led.exponent + 1.0) };
         let ray = scale(led.intensity, solid_angle / (side * side) as f32);
         for &(vertex, cosine) in ends.iter().flatten() {
-            for (site, weight) in light.sites.heard[vertex] {
-                let share = light.reflected(site as usize, light.reflectance.at(cosine));
-                let weight = weight * light.per_area[site as usize];
-                for k in 0..3 {
-                    leaving[site as usize][k] += weight * ray[k] * share[k];
-                }
+            let site = light.sites.of_vertex[vertex] as usize;
+            let share = light.reflected(site, light.reflectance.at(cosine));
+            for k in 0..3 {
+                leaving[site][k] += light.per_area[site] * ray[k] * share[k];
             }
         }
     }

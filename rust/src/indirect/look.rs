@@ -34,13 +34,10 @@ impl Look {
                 let area = faces.area[i];
                 roughness += f64::from(faces.roughness[i] * area);
                 total += f64::from(area);
-                for (s, weight) in
-                    wall.bvh.corners[first + i].iter().flat_map(|&v| sites.heard[v as usize])
-                {
-                    let share = weight * area / 3.0;
-                    let sum = &mut sums[s as usize];
-                    sum.0 = add(sum.0, scale(at(&faces.albedo, i), share));
-                    sum.1 += share;
+                for v in wall.bvh.corners[first + i] {
+                    let sum = &mut sums[sites.of_vertex[v as usize] as usize];
+                    sum.0 = add(sum.0, scale(at(&faces.albedo, i), area / 3.0));
+                    sum.1 += area / 3.0;
                 }
             }
         }

@@ -29,7 +29,8 @@ pub struct Irradiance<'a> {
 /// Red, green and blue light vectors [W/m²]: their parts along a normal are its irradiance.
 type Vectors = [f32; 9];
 
-/// Light vectors that are reckoned when first needed; zero is not yet known.
+/// Light vectors that are reckoned when first needed; all bits zero is not yet known, a zero that
+/// is known is negative.
 ///
 /// Threads that need them at once all reckon them; their results are the same, so it matters
 /// neither who writes last nor whether a reader finds parts of one and of the other.
@@ -43,7 +44,7 @@ impl Lazy {
         if known.iter().all(|&bits| bits != 0) {
             return known.map(f32::from_bits);
         }
-        let found = reckon().map(|x| if x == 0.0 { f32::MIN_POSITIVE } else { x });
+        let found = reckon().map(|x| if x == 0.0 { -0.0 } else { x });
         for (slot, x) in self.0.iter().zip(found) {
             slot.store(x.to_bits(), Relaxed);
         }

@@ -1,7 +1,7 @@
 //! The wall: a moving triangle mesh that is seen and touched through one hierarchy.
 
 use crate::bvh::Bvh;
-use crate::lanes::{Vec3, add, cross, normalize, sub};
+use crate::lanes::{Vec3, add, cross, dot, normalize, sub};
 use crate::query;
 use crate::visibility;
 use numpy::{IntoPyArray, PyArray1, PyArray2, PyReadonlyArray2, ndarray::Array2};
@@ -48,6 +48,18 @@ impl Wall {
     /// A point about this wall's centre in the outside world.
     pub fn globalize(&self, point: Vec3) -> [f64; 3] {
         [0, 1, 2].map(|k| f64::from(point[k]) + self.center[k])
+    }
+
+    /// Faces that a vertex is a corner of.
+    pub fn faces_around(&self, vertex: usize) -> &[u32] {
+        &self.around[self.start[vertex] as usize..self.start[vertex + 1] as usize]
+    }
+
+    /// Area of the faces that a vertex is a corner of [m²].
+    pub fn area_around(&self, vertex: usize) -> f32 {
+        let length =
+            |&f: &u32| dot(self.area_normals[f as usize], self.area_normals[f as usize]).sqrt();
+        0.5 * self.faces_around(vertex).iter().map(length).sum::<f32>()
     }
 
     /// Moves the wall to new vertices about its centre and refits all that follows from them.

@@ -115,7 +115,7 @@ impl<'a> Filled<'a> {
             radiance = self.light(&surface, &found.hit, wet.as_ref(), room);
             if let Some(bounced) = &view.bounced {
                 let mut light = [[0.0; LANES]; 3];
-                bounced.add(wall, (&surface, &found.normal), &hits, &mut light);
+                bounced.add((&surface, &found.normal), &hits, &mut light);
                 if let (Some(wet), Some(optics)) = (&wet, self.optics()) {
                     optics.dim_even(&surface.position, wet, &mut light);
                 }

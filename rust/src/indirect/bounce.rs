@@ -1,12 +1,15 @@
 //! One frame of bounced light.
 
 use super::lamps::first_reflection;
+use super::moved::Moved;
+use super::rows::{Beam, Link};
 use super::{Color, QuickLight};
 use crate::lanes::*;
 use crate::material::{Led, Surface};
 use crate::tile::{Hits, MISS};
 use crate::wall::Wall;
 use rayon::prelude::*;
+use std::borrow::Cow;
 use std::f32::consts::PI;
 use std::sync::atomic::{AtomicU32, Ordering::Relaxed};
 
@@ -19,6 +22,9 @@ const CHUNK: usize = 64;
 pub struct Irradiance<'a> {
     light: &'a QuickLight,
     rest: &'a Wall,
+    wall: &'a Wall,
+    /// How the wall differs from itself at rest, if it does.
+    moved: Option<Moved<'a>>,
     /// Radiosity of each site [W/m²].
     leaving: Vec<Color>,
     /// Light at each site and vertex, gathered when first needed.
@@ -54,13 +60,25 @@ impl Lazy {
 
 impl QuickLight {
     /// Irradiance by bounced light.
-    pub fn solve<'a>(&'a self, rest: &'a Wall, wall: &Wall, leds: &[Led]) -> Irradiance<'a> {
+    pub fn solve<'a>(&'a self, rest: &'a Wall, wall: &'a Wall, leds: &[Led]) -> Irradiance<'a> {
+        let moved = (!std::ptr::eq(rest, wall)).then(|| Moved::new(self, rest, wall));
         let mut last = first_reflection(self, wall, leds);
         let reached = self.reached(rest, &last);
+        if let Some(moved) = &moved {
+            for &s in &reached {
+                let thinner = 1.0 / max(moved.stretch(s as usize), 1e-3);
+                last[s as usize] = last[s as usize].map(|x| x * thinner);
+            }
+        }
+        let rows: Vec<Cow<'_, [Link]>> = reached
+            .par_iter()
+            .with_min_len(CHUNK)
+            .map(|&s| self.coarse_row(rest, moved.as_ref(), s as usize))
+            .collect();
         let mut leaving = last.clone();
         let mut before = [0.0; 3];
         for bounce in 0..BOUNCES {
-            let next = self.reflect(rest, &reached, &last);
+            let next = self.reflect(&reached, &rows, &last);
             let total = next.iter().fold([0.0; 3], |s, c| add(s, [c[0], c[1], c[2]]));
             let rest_of_series = if bounce + 1 < BOUNCES { [1.0; 3] } else { tail(total, before) };
             before = total;
@@ -73,7 +91,7 @@ impl QuickLight {
         }
         let lazy = |n: usize| (0..n).map(|_| Lazy::default()).collect();
         let (of_site, of_vertex) = (lazy(self.albedo.len()), lazy(wall.vertices.len()));
-        Irradiance { light: self, rest, leaving, of_site, of_vertex }
+        Irradiance { light: self, rest, wall, moved, leaving, of_site, of_vertex }
     }
 
     /// Sites that are lit or see one that is, in order.
@@ -92,11 +110,25 @@ impl QuickLight {
         (0..is_reached.len() as u32).filter(|&s| is_reached[s as usize]).collect()
     }
 
+    /// A site's coarse row on the wall as it is.
+    fn coarse_row<'a>(
+        &'a self,
+        rest: &Wall,
+        moved: Option<&Moved<'_>>,
+        site: usize,
+    ) -> Cow<'a, [Link]> {
+        let row = &self.row(rest, site).coarse;
+        let Some(moved) = moved else { return Cow::Borrowed(row) };
+        let factors = moved.factors(site, row.iter().map(|l| (l.from, l.share, l.exchange)));
+        let bent = |(link, factor): (&Link, f32)| Link { share: link.share * factor, ..*link };
+        row.iter().zip(factors).map(bent).collect()
+    }
+
     /// Radiosity of sites by what leaves all others.
-    fn reflect(&self, rest: &Wall, sites: &[u32], leaving: &[Color]) -> Vec<Color> {
-        let of_site = |&s: &u32| {
+    fn reflect(&self, sites: &[u32], rows: &[Cow<'_, [Link]>], leaving: &[Color]) -> Vec<Color> {
+        let of_site = |(&s, row): (&u32, &Cow<'_, [Link]>)| {
             let mut light = [0.0; 4];
-            for link in &self.row(rest, s as usize).coarse {
+            for link in row.iter() {
                 let from = &leaving[link.from as usize];
                 for k in 0..4 {
                     light[k] += link.share * from[k];
@@ -105,7 +137,7 @@ impl QuickLight {
             let [r, g, b] = self.reflected(s as usize, self.reflectance.mean);
             [light[0] * r, light[1] * g, light[2] * b, 0.0]
         };
-        sites.par_iter().with_min_len(CHUNK).map(of_site).collect()
+        sites.par_iter().zip(rows).with_min_len(CHUNK).map(of_site).collect()
     }
 }
 
@@ -121,13 +153,7 @@ impl Irradiance<'_> {
     /// Relief that tilts by τ looks past the wall's own plane with a part of its hemisphere. Of
     /// even light it gets (1 + cos τ)/2; the light vector alone would give cos τ.
     #[inline(always)]
-    pub fn add(
-        &self,
-        wall: &Wall,
-        (surface, smooth): (&Surface, &Lane3),
-        hits: &Hits,
-        radiance: &mut Lane3,
-    ) {
+    pub fn add(&self, (surface, smooth): (&Surface, &Lane3), hits: &Hits, radiance: &mut Lane3) {
         let mut light = [[0.0; LANES]; 9];
         let mut last = (MISS, [[0.0; 9]; 3]);
         for i in 0..LANES {
@@ -136,7 +162,7 @@ impl Irradiance<'_> {
                 continue;
             }
             if triangle != last.0 {
-                let corners = wall.bvh.corners[triangle as usize];
+                let corners = self.wall.bvh.corners[triangle as usize];
                 last = (triangle, corners.map(|v| self.vertex(v as usize)));
             }
             let [a, b, c] = &last.1;
@@ -175,14 +201,28 @@ impl Irradiance<'_> {
 
     fn site(&self, s: usize) -> Vectors {
         self.of_site[s].get(|| {
-            let mut sum = [0.0; 9];
-            for beam in &self.light.row(self.rest, s).fine {
-                let from = &self.leaving[beam.from as usize];
-                for k in 0..9 {
-                    sum[k] += from[k / 3] * beam.way[k % 3];
-                }
-            }
+            let beams = &self.light.row(self.rest, s).fine;
+            let Some(moved) = &self.moved else {
+                return self.gather(beams.iter().map(|b| (b, 1.0)));
+            };
+            let normal = self.rest.normals[self.light.sites.vertex[s] as usize];
+            let links = beams.iter().map(|b| (b.from, dot(b.way, normal), b.exchange));
+            let mut sum = self.gather(beams.iter().zip(moved.factors(s, links)));
+            moved.turn(self.wall, s, &mut sum);
             sum
         })
+    }
+
+    /// Light vectors by what leaves the sites of a row, whose shares are multiplied by factors.
+    #[inline(always)]
+    fn gather<'b>(&self, row: impl Iterator<Item = (&'b Beam, f32)>) -> Vectors {
+        let mut sum = [0.0; 9];
+        for (beam, factor) in row {
+            let from = &self.leaving[beam.from as usize];
+            for k in 0..9 {
+                sum[k] += from[k / 3] * (factor * beam.way[k % 3]);
+            }
+        }
+        sum
     }
 }

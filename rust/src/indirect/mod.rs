@@ -5,12 +5,14 @@
 //! camera, the light bounces between them, and each vertex takes the mean of the sites around it.
 //! A pixel has its irradiance from the corners of its face. Gloss bounces as if it were diffuse.
 //!
-//! Nothing depends on earlier frames: rows are traced when first needed, from the wall at rest.
+//! Nothing depends on earlier frames: rows are traced when first needed, from the wall at rest, and
+//! bent in each frame to the wall as it is.
 
 mod bounce;
 mod lamps;
 mod lobe;
 mod look;
+mod moved;
 mod reflectance;
 mod rows;
 mod sites;

@@ -1,6 +1,7 @@
 //! Rows of light transport: what a site sees of the wall.
 
 use super::lobe::Lobe;
+use super::moved::Place;
 use super::sites::{Sites, nearest_corner};
 use crate::lanes::*;
 use crate::path::ray;
@@ -20,6 +21,8 @@ pub struct Link {
     pub from: u32,
     /// Share of the cosine-weighted hemisphere that it fills.
     pub share: f32,
+    /// `Place::exchange` at rest.
+    pub exchange: f32,
 }
 
 /// The same with the direction, for surfaces whose normal is not that of the site.
@@ -29,6 +32,8 @@ pub struct Beam {
     pub from: u32,
     /// Sum of the directions to it; its part along a normal is the share for that normal.
     pub way: Vec3,
+    /// `Place::exchange` at rest.
+    pub exchange: f32,
 }
 
 /// What a site sees of the others.
@@ -47,13 +52,20 @@ pub fn trace_row(wall: &Wall, sites: &Sites, site: usize) -> Row {
     let mut seen = look(wall, sites, site);
     seen.sort_unstable_by_key(|&(from, number, _)| (from, number));
     let runs = || seen.chunk_by(|a, b| a.0 == b.0);
+    let own = Place::of(wall, sites, site);
+    let exchange = |from: u32| {
+        let other = Place::of(wall, sites, from as usize);
+        own.exchange(&other, sites.spacing[from as usize])
+    };
     let beam = |run: &[Ray]| Beam {
         from: run[0].0,
         way: scale(run.iter().fold([0.0; 3], |sum, ray| add(sum, ray.2)), RAY),
+        exchange: exchange(run[0].0),
     };
     let coarse = |run: &[Ray]| {
         let count = run.iter().filter(|ray| is_fourth(ray.1)).count();
-        (count > 0).then(|| Link { from: run[0].0, share: 4.0 * RAY * count as f32 })
+        let (from, share) = (run[0].0, 4.0 * RAY * count as f32);
+        (count > 0).then(|| Link { from, share, exchange: exchange(from) })
     };
     Row { fine: runs().map(beam).collect(), coarse: runs().filter_map(coarse).collect() }
 }

@@ -275,7 +275,7 @@ fn render_tile(
         let mut radiance =
             light(wall, &scene.material, &view.leds, view.shadows, &surface, &found.hit);
         if let Some(bounced) = &view.bounced {
-            bounced.add(wall, &surface, &hits, &mut radiance);
+            bounced.add((&surface, &found.normal), &hits, &mut radiance);
         }
         add_glow(glow, &mut radiance);
         place.write_color(&mut out.rgb, &radiance, view.exposure);

@@ -56,6 +56,17 @@ impl Wall {
         [0, 1, 2].map(|k| f64::from(point[k]) + self.center[k])
     }
 
+    /// Faces that a vertex is a corner of.
+    pub fn faces_around(&self, vertex: usize) -> &[u32] {
+        &self.around[self.start[vertex] as usize..self.start[vertex + 1] as usize]
+    }
+
+    /// Area of the faces that a vertex is a corner of [m²].
+    pub fn area_around(&self, vertex: usize) -> f32 {
+        let length = |&f: &u32| self.area_normals[f as usize].length();
+        0.5 * self.faces_around(vertex).iter().map(length).sum::<f32>()
+    }
+
     /// Moves the wall to new vertices about its centre and refits all that follows from them.
     fn move_to(&mut self, place: impl Fn(usize) -> Vec3 + Sync) -> Result<(), &'static str> {
         among_threads(|| {
@@ -83,8 +94,7 @@ impl Wall {
     /// Unit normal of a vertex, also where vertex normals are not kept.
     pub fn normal(&self, vertex: u32) -> Vec3 {
         let v = vertex as usize;
-        let around = &self.around[self.start[v] as usize..self.start[v + 1] as usize];
-        let sum = around.iter().fold([0.0; 3], |sum, &face| {
+        let sum = self.faces_around(v).iter().fold([0.0; 3], |sum, &face| {
             let [a, b, c] = self.faces[face as usize].map(|v| self.vertices[v as usize]);
             add(sum, cross(sub(b, a), sub(c, a)))
         });

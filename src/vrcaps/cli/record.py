@@ -41,6 +41,7 @@ class Record:
       vrcaps record --out runs/polyp --lesion polyp-Ip:size=12mm,segment=sigmoid
       vrcaps record --out runs/foam --organ small-bowel --bubbles 3 --chyme 1 --liquid 2
       vrcaps record --out runs/cheap --effects dof=1,noise=2,motion_blur=1,jpeg=2
+      vrcaps record --out runs/glow --frames 20 --light path --samples 64
       vrcaps record --out runs/photo --organ colon --mucosa my-mucosa
       vrcaps record --out runs/soft --organ small-bowel --motion physics --motility phase-three
       vrcaps record --out runs/roll --organ stomach --motion physics --turn left-lateral:at=4
@@ -104,9 +105,10 @@ class Record:
 
     effects: str = ""
     """Lens and sensor by grade 0 to 4, such as specular=3,dof=1,noise=1..3 (a range: drawn from the
-    seed), all=2, random, or mosaic=rggb: specular, bubbles (on the lens), field_of_view,
-    distortion, resolution, motion_blur, rolling_shutter, depth_of_field, chromatic, vignette,
-    bloom, exposure, noise, white_balance, jpeg; see docs/effects.md."""
+    seed), all=2, random, mosaic=rggb, frame_rate=4..35 (which frames are taken): specular, bubbles
+    (on the lens), field_of_view, distortion, resolution, motion_blur, rolling_shutter,
+    depth_of_field, chromatic, vignette, bloom, exposure, noise, white_balance, jpeg; see
+    docs/effects.md."""
 
     posture: str = "supine"
     """How the patient lies: supine, prone, left-lateral, right-lateral, standing."""

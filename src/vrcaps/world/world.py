@@ -271,7 +271,8 @@ class World:
         reactions = []
         try:
             for piece in range(pieces):
-                aim = start + (calibre - start) * ((piece + 1) / pieces) if moves else None
+                shares = np.array([[piece], [piece + 1]]) / pieces
+                aim = start + (calibre - start) * shares if moves else None
                 force = self._propulsion(self._time + dt * piece / pieces)
                 total = tuple(wrench + self._bear(dt / pieces, force))
                 self._core.step(dt / pieces / count, count, total, gravity, aim, outer)

@@ -194,7 +194,8 @@ class Pilot:
         short = free @ (needed - aimed.force)
         steered = Steered(held, error, angle, needed, aimed.force)
         fallen = world.contact.force_world @ np.asarray(goal.press, float) > _TOUCH
-        self.steered = replace(steered, lost=self._lost(world, short, fallen=bool(fallen)))
+        lost = self._lost(world.field_angle(T), needed, short, fallen=bool(fallen))
+        self.steered = replace(steered, lost=lost)
         return self._command(held)
 
     def drive(
@@ -235,7 +236,8 @@ class Pilot:
 
     def judge(self, world: World) -> None:
         """Says after a step whether a capsule that is driven by hand is lost."""
-        self.steered = replace(self.steered, lost=self._lost(world, np.zeros(3)))
+        angle = world.field_angle(world.T_world_capsule)
+        self.steered = replace(self.steered, lost=self._lost(angle, np.zeros(3), np.zeros(3)))
 
     def to_array(self) -> Float[np.ndarray, " q"]:
         """All that changes, for `restore`."""
@@ -331,13 +333,18 @@ class Pilot:
             led[:3, :3] = turned(axis * (angle / sine), T[:3, :3])
         return led
 
-    def _lost(self, world: World, short: Float[np.ndarray, " 3"], *, fallen: bool = False) -> str:
-        coupling = world.coupling
-        if coupling is not None and coupling.angle > _LOST_ANGLE:
+    def _lost(
+        self,
+        angle: float,
+        needed: Float[np.ndarray, " 3"],
+        short: Float[np.ndarray, " 3"],
+        *,
+        fallen: bool = False,
+    ) -> str:
+        if angle > _LOST_ANGLE:
             return "turned"
         if fallen:
             return "other-wall"
-        needed = self.steered.needed
         if length(short) > 0.01 + 0.25 * length(needed):
             return "weak"
         return "stuck" if self._late > self.steering.patience else ""

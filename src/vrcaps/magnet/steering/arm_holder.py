@@ -84,13 +84,15 @@ class ArmHolder:
         angles = at + dt * velocity
         _, acceleration, _ = self._allowed(dt)
         stop = angles + 0.5 * velocity * np.abs(velocity) / acceleration
-        blocked = self._blocked(np.array([angles, stop]), held)
+        pair = np.array([angles, stop])
+        poses = magnet_at(self.carrier, pair)
+        blocked = self._blocked(pair, poses, held)
         if blocked:
-            velocity, limit = self._velocity(np.zeros_like(at), held.velocity, dt), blocked
-            angles = at + dt * velocity
+            velocity = self._velocity(np.zeros_like(at), held.velocity, dt)
+            return self._held(at + dt * velocity, velocity, blocked)
         if not limit and np.abs(wanted - angles).max() > 1e-3:
             limit = "speed"
-        return self._held(angles, velocity, limit)
+        return Held(poses[0], velocity, angles, limit)
 
     def _rolled(
         self, T_world_magnet: Float[np.ndarray, "4 4"], now: Float[np.ndarray, "4 4"]
@@ -112,14 +114,17 @@ class ArmHolder:
         rolled[:3, :3] = turned(angle * axis, T_world_magnet[:3, :3])
         return rolled
 
-    def _blocked(self, angles: Float[np.ndarray, "2 j"], held: Held) -> str:
+    def _blocked(
+        self, angles: Float[np.ndarray, "2 j"], poses: Float[np.ndarray, "2 4 4"], held: Held
+    ) -> str:
         """What is in the way of the next angles and of those at which the arm could stop."""
         if clearances(self.carrier, angles).min() < 0.0:
             return "touch"
         # On the way from one pose in the room to another the joints may lead the magnet out of it.
-        places = magnet_at(self.carrier, angles)[:, :3, 3]
-        out = [self._outside(place) for place in (held.T_world_magnet[:3, 3], *places)]
-        return "room" if max(out[1:]) > max(_SLACK, out[0]) else ""
+        out = max(self._outside(place) for place in poses[:, :3, 3])
+        if out > _SLACK and out > self._outside(held.T_world_magnet[:3, 3]):
+            return "room"
+        return ""
 
     def _share(self, held: Held, goal: Float[np.ndarray, "4 4"]) -> float:
         """Largest part of the way a second that keeps the magnet's own speeds [1/s]."""
@@ -130,7 +135,8 @@ class ArmHolder:
 
     def _outside(self, place: Float[np.ndarray, " 3"]) -> float:
         """How far a place is out of the room [m]."""
-        return length(place - np.clip(place, self.room.low, self.room.high))
+        bounds = zip(place.tolist(), self.room.low, self.room.high, strict=True)
+        return math.hypot(*(max(low - x, x - high, 0.0) for x, low, high in bounds))
 
     def _allowed(self, dt: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Speeds, and accelerations that may turn round within a step, for their jerk's sake."""

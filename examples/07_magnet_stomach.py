@@ -1,4 +1,4 @@
-"""A magnet on an arm leads a capsule through an inflated stomach, from the inlet to the pylorus.
+"""A magnet on an arm leads a capsule through an inflated stomach, from the body to the pylorus.
 
     python examples/07_magnet_stomach.py
 
@@ -7,7 +7,7 @@ along the wall and turns it the way it goes. Prints where capsule and magnet are
 the capsule saw. The same from the shell:
 
     vrcaps record --organ stomach --condition inflated --capsule magnetic --motion magnet \
-        --arm panda --start 0.3 --frames 60 --fps 2 --out runs/magnet
+        --arm panda --start 0.3 --frames 21 --fps 2 --out runs/magnet
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ def main(out: Path, frames: int, fps: float, substep: float) -> None:
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--out", type=Path, default=Path("runs/magnet"))
-    parser.add_argument("--frames", type=int, default=60)
+    parser.add_argument("--frames", type=int, default=21)
     parser.add_argument("--fps", type=float, default=2.0)
     parser.add_argument("--smoke", action="store_true", help="record three frames only, coarsely")
     args = parser.parse_args()

@@ -18,6 +18,7 @@ from vrcaps.render.camera_effects.scene import scaled_camera
 from vrcaps.render.camera_effects.sensor import Noise
 from vrcaps.render.frame import Frame
 from vrcaps.render.renderer import Renderer
+from vrcaps.tissue.contents.contents import Contents
 from vrcaps.transforms import transform_from
 from vrcaps.world.model import State
 
@@ -106,6 +107,23 @@ def test_blur_is_the_flow_times_the_share_of_the_exposure(renderer: Renderer) ->
     last = chain.motion(renderer, replace(moment, state=once, state_next=None))
     assert np.nanmedian(np.linalg.norm(last - motion, axis=-1)) < 1.0
     assert chain.motion(renderer, Moment(0, replace(NOW, time=2.0))) is None
+
+
+def test_bubbles_on_the_capsule_stay_where_they_are(renderer: Renderer) -> None:
+    """The chain's motion is 0 where a bubble sits on the lens, and the wall's elsewhere."""
+    camera = replace(CAMERA, T_capsule_camera=transform_from(np.eye(3), (0.0, 0.0, 0.0056)))
+    organ = renderer.model.organ
+    model = replace(
+        make_model(organ, camera), contents=Effects(bubbles=4).contents(Contents(seed=2))
+    )
+    chain = CameraChain(Effects(motion_blur=2), camera, number=0, fps=4.0, seed=0)
+    moment = around()
+    motion = chain.motion(Renderer(model), moment)
+    front = Renderer(model).render(NOW, chain._coarse, channels=("front_label",)).front_label
+    speed = np.linalg.norm(motion, axis=-1)
+    assert (np.asarray(front) == 1).sum() > 5
+    assert (speed[np.asarray(front) == 1] == 0.0).all()
+    assert np.nanmedian(speed[np.asarray(front) == 0]) > 1.0
 
 
 def test_shutter_is_open_no_longer_than_a_frame(renderer: Renderer) -> None:

@@ -93,7 +93,8 @@ class CameraChain:
         """Channels to render for those asked for: colour is made here."""
         if "rgb" not in asked:
             return tuple(asked)
-        needed = ("radiance", *(("ray_distance",) if self._stages["depth_of_field"] else ()))
+        distances = ("ray_distance", "front_label", "front_depth")
+        needed = ("radiance", *(distances if self._stages["depth_of_field"] else ()))
         rest = (name for name in asked if name != "rgb" and name not in needed)
         return (*needed, *rest)
 
@@ -108,7 +109,7 @@ class CameraChain:
         assert frame.radiance is not None
         light = np.ascontiguousarray(self._moved(frame.radiance, renderer, moment))
         planes = _core.to_planes(light, self.camera.exposure)
-        planes = self._through_lens(planes, frame.ray_distance)
+        planes = self._through_lens(planes, frame)
         return replace(frame, rgb=self._sensed(planes, moment))
 
     def meter(self, renderer: Renderer, moment: Moment) -> float:
@@ -165,17 +166,25 @@ class CameraChain:
         return motion
 
     def _through_lens(
-        self, planes: Float[np.ndarray, "3 h w"], distance: Float[np.ndarray, "h w"] | None
+        self, planes: Float[np.ndarray, "3 h w"], frame: Frame
     ) -> Float[np.ndarray, "3 h w"]:
         defocus, bloom = self._stages["depth_of_field"], self._stages["bloom"]
         if defocus is not None:
-            assert distance is not None
-            planes = defocus.apply(self.camera, planes, np.ascontiguousarray(distance))
+            planes = defocus.apply(self.camera, planes, self._distance(frame))
         if self._stages["chromatic"] is not None:
             planes = self._stages["chromatic"].apply(self.camera, planes)
         if self._shade is not None:
             planes = _core.shade_planes(planes, self._shade)
         return planes if bloom is None else bloom.apply(self.camera, planes)
+
+    def _distance(self, frame: Frame) -> Float[np.ndarray, "h w"]:
+        """Distance along the ray of the bubble or else the wall that a pixel sees [m]."""
+        distance = np.ascontiguousarray(frame.ray_distance)
+        is_bubble = np.asarray(frame.front_label) == BUBBLE
+        if not is_bubble.any():
+            return distance
+        along = np.asarray(frame.front_depth) / camera_rays(self.camera)[..., 2]
+        return np.where(is_bubble & (along > 0.0), along, distance).astype(np.float32)
 
     def _sensed(
         self, planes: Float[np.ndarray, "3 h w"], moment: Moment

@@ -62,7 +62,7 @@ impl Motion {
 
     /// Of each cell the motion of what is there when its row is read, `readout` after the first of
     /// `height` rows at the last: with v of an instant, `from + v(from) late = here`.
-    fn as_read(self, readout: f32, height: usize) -> Self {
+    fn when_read(self, readout: f32, height: usize) -> Self {
         if readout == 0.0 {
             return self;
         }
@@ -145,7 +145,7 @@ pub fn blur_motion<'py>(
         return Err(PyValueError::new_err("Motion and lit must fit the image."));
     }
     let (source, lit) = (image.as_slice()?, lit.as_slice()?);
-    let motion = Motion::new(motion.as_slice()?, (rows, columns), cell).as_read(readout, height);
+    let motion = Motion::new(motion.as_slice()?, (rows, columns), cell).when_read(readout, height);
     let mut out = vec![0.0; source.len()];
     py.detach(|| {
         let still = Still::new(source, lit, (height, width));

@@ -15,7 +15,7 @@ from vrcaps.capsule.calibrate.circle import image_circle
 from vrcaps.capsule.calibrate.corners import BoardView, find_views
 from vrcaps.capsule.calibrate.device import calibrated_device
 from vrcaps.capsule.calibrate.family import FAMILIES
-from vrcaps.capsule.calibrate.fit import Calibration, calibrate, sees_image
+from vrcaps.capsule.calibrate.fit import Calibration, _Problem, calibrate, sees_image
 from vrcaps.capsule.calibrate.report import write_report
 from vrcaps.capsule.calibrate.start import plane_pose
 from vrcaps.capsule.catalog import load_device
@@ -128,12 +128,16 @@ def test_fewer_terms_fit_fewer_fields() -> None:
 
 def test_what_fixes_no_lens_is_an_error() -> None:
     views = seen("pinhole", 0, 0.1)
-    with pytest.raises(InputError, match=r"seen in 2 photographs\. Allowed: 3 or more"):
+    with pytest.raises(InputError, match=r"boards seen is 2\. Allowed: 3 or more"):
         calibrate(views[:2], BOARD, SIZE, "pinhole")
     with pytest.raises(InputError, match=r"terms of pinhole is 4\. Allowed: 0 to 3"):
         calibrate(views, BOARD, SIZE, "pinhole", num_terms=4)
     with pytest.raises(UnknownNameError, match="No lens model to calibrate named 'equidistant'"):
         calibrate(views, BOARD, SIZE, "equidistant")
+    problem = _Problem(FAMILIES["pinhole"], BOARD, SIZE, np.stack([v.pixels for v in views]))
+    behind = np.tile(np.diag([1.0, -1.0, -1.0, 1.0]), (len(views), 1, 1))
+    with pytest.raises(InputError, match=r"No pinhole lens reaches all corners\. Allowed: another"):
+        problem.deviations(LENSES["pinhole"], behind, 3)
     flat = [BoardView(str(k), 20.0 * BOARD.points[:, :2] / 2e-3 + 90.0 + 9 * k) for k in range(3)]
     with pytest.raises(InputError, match="fix no lens: the board is always at the same tilt"):
         calibrate(flat, BOARD, SIZE, "pinhole", num_terms=0)

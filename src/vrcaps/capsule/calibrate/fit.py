@@ -82,9 +82,8 @@ def calibrate(
 ) -> Calibration:
     """Fit a lens model and the boards' poses to the corners found.
 
-    The sum of Huber's function of the residuals is minimised (Levenberg-Marquardt within a trust
-    region), starting from the best simple lens. The residuals' scale is 1.4826 times their median,
-    so that a badly found board does little harm.
+    Minimises Huber's function of the residuals, their scale 1.4826 times their median, so that a
+    badly found board does little harm.
 
     Args:
         views: Boards found in photographs of one camera.
@@ -92,9 +91,8 @@ def calibrate(
         size: Width and height of the photographs [px].
         kind: Of lens model: ``kannala-brandt``, ``pinhole`` or ``scaramuzza``.
         num_terms: Distortion coefficients to fit, from the lowest order; all by default.
-        circle_px: Radius about the lens's centre beyond which the image is dark. A polynomial may
-            turn back where no corner was: the fit is held to lenses with a ray for every pixel of
-            the image up to here. None asks for rays where corners are, no farther.
+        circle_px: Radius beyond which the image is dark. A polynomial may turn back where no
+            corner was: the fit is held to lenses with a ray for every pixel up to here, if given.
 
     Raises:
         UnknownNameError: If there is no such lens model.
@@ -104,10 +102,8 @@ def calibrate(
     most = len(family.terms)
     terms = most if num_terms is None else num_terms
     require(0 <= terms <= most, f"The number of terms of {kind}", terms, f"0 to {most}")
-    if len(views) < MIN_VIEWS:
-        raise InputError(
-            f"The board is seen in {len(views)} photographs. Allowed: {MIN_VIEWS} or more."
-        )
+    many = f"{MIN_VIEWS} or more"
+    require(len(views) >= MIN_VIEWS, "The number of boards seen", len(views), many)
     problem = _Problem(family, board, size, np.stack([view.pixels for view in views]))
     lens, poses = start_lens(family, size, board.points, problem.pixels)
     for count in sorted({min(1, terms), terms}):
@@ -117,10 +113,6 @@ def calibrate(
         problem = replace(problem, rim_px=_RIM_MARGIN * _farthest(lens, size, circle_px))
         lens, poses = _robust(problem, lens, poses, terms)
     residuals = problem.residuals(lens, poses)
-    if np.abs(residuals).max() >= problem.unseen:
-        raise InputError(
-            f"A {kind} lens does not reach all corners. Allowed: another --lens, fewer --terms."
-        )
     names, deviations = problem.deviations(lens, poses, terms)
     return Calibration(lens, names, deviations, tuple(views), board, size, poses, residuals)
 
@@ -218,8 +210,13 @@ class _Problem:
         """Fields fitted and their deviations, of an M-estimate (Huber 1981, eq. 7.6.5).
 
         Raises:
-            InputError: If the views fix no lens.
+            InputError: If the views fix no lens, or the lens does not see all corners.
         """
+        residuals = self.residuals(lens, poses).ravel()
+        if np.abs(residuals).max() >= self.unseen:
+            raise InputError(
+                f"No {lens.kind} lens reaches all corners. Allowed: another --lens, fewer --terms."
+            )
         names = self.family.names(num_terms)
         jacobian = self._jacobian(self._packed(lens, poses, names), lens, names)[:-1]
         column = np.linalg.norm(jacobian, axis=0)
@@ -229,7 +226,6 @@ class _Problem:
                 "The photographs fix no lens: the board is always at the same tilt. "
                 "Allowed: some tilted by 20° to 45° to different sides."
             )
-        residuals = self.residuals(lens, poses).ravel()
         knee = HUBER * 1.4826 * np.median(np.abs(residuals))
         inside = float(np.mean(np.abs(residuals) <= knee))
         spare = residuals.size - jacobian.shape[1]

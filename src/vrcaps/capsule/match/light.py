@@ -48,10 +48,7 @@ def radial_profile(frames: Frames, centre: tuple[float, float]) -> RadialProfile
         frames: Of one camera.
         centre: Column and row of the optical axis [px].
     """
-    width, height = frames.size
-    half = 0.5 * min(width, height)
-    rows, columns = np.indices((height, width))
-    radius = np.hypot(columns - centre[0], rows - centre[1]) / half
+    radius = _radius(frames, centre)
     own = np.where(frames.field, frames.luminance, np.nan)
     own = own[frames.field.any(axis=(1, 2))]
     relative = own / np.nanmean(own, axis=(1, 2), keepdims=True)
@@ -65,6 +62,13 @@ def radial_profile(frames: Frames, centre: tuple[float, float]) -> RadialProfile
             middle = 0.5 * (edges[k] + edges[k + 1])
             found.append((middle, float(np.quantile(values, ENVELOPE)), float(values.size)))
     return RadialProfile(*np.array(found).reshape(-1, 3).T)
+
+
+def _radius(frames: Frames, centre: tuple[float, float]) -> Float[np.ndarray, "h w"]:
+    """Distance of each pixel from the axis, in halves of the image's shorter side."""
+    width, height = frames.size
+    rows, columns = np.indices((height, width))
+    return np.hypot(columns - centre[0], rows - centre[1]) / (0.5 * min(width, height))
 
 
 @dataclass(frozen=True)
@@ -87,6 +91,15 @@ class Falloff:
     def is_clear(self) -> bool:
         """Whether the frames darken towards the edge, and by more than chance."""
         return self.k1 <= _MOST_RISE and 1.0 - self.rim > 2.0 * self.deviation
+
+
+def mean_share(falloff: Falloff, frames: Frames, centre: tuple[float, float]) -> float:
+    """Share of the light that a falloff leaves over the field; 1 where none is clear."""
+    if not falloff.is_clear:
+        return 1.0
+    square = _radius(frames, centre) ** 2
+    share = np.maximum(1.0 + falloff.k1 * square + falloff.k2 * square**2, 0.0)
+    return float(np.average(share, weights=frames.field.mean(axis=0)))
 
 
 def find_falloff(

@@ -29,12 +29,12 @@ PLAIN = Figures(light=0.4)
 
 @pytest.fixture(scope="module")
 def frames():
-    return make_frames(photos(TRUE, 16, seed=1))
+    return make_frames(photos(TRUE, 12, seed=1))
 
 
 @pytest.fixture(scope="module")
 def match(frames):
-    return match_camera(frames, CAMERA, reference=make_frames(photos(PLAIN, 16, seed=2)))
+    return match_camera(frames, CAMERA, reference=make_frames(photos(PLAIN, 12, seed=2)))
 
 
 def test_circle(match) -> None:

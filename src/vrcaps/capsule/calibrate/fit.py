@@ -43,7 +43,7 @@ class Calibration:
     Attributes:
         lens: The lens.
         names: Fields of it that were fitted.
-        deviations: Standard deviation of each of them, from the scatter of the corners.
+        covariance: Of their errors, from the scatter of the corners.
         views: The photographs used.
         board: What they show.
         size: Width and height of the photographs [px].
@@ -53,12 +53,17 @@ class Calibration:
 
     lens: Lens
     names: tuple[str, ...]
-    deviations: Float[np.ndarray, " p"]
+    covariance: Float[np.ndarray, "p p"]
     views: tuple[BoardView, ...]
     board: Board
     size: Size
     Ts_camera_board: Float[np.ndarray, "v 4 4"]
     residuals: Float[np.ndarray, "v n 2"]
+
+    @property
+    def deviations(self) -> Float[np.ndarray, " p"]:
+        """Standard deviation of each parameter."""
+        return np.sqrt(np.diag(self.covariance))
 
     @property
     def errors(self) -> Float[np.ndarray, "v n"]:
@@ -113,8 +118,8 @@ def calibrate(
         problem = replace(problem, rim_px=_RIM_MARGIN * _farthest(lens, size, circle_px))
         lens, poses = _robust(problem, lens, poses, terms)
     residuals = problem.residuals(lens, poses)
-    names, deviations = problem.deviations(lens, poses, terms)
-    return Calibration(lens, names, deviations, tuple(views), board, size, poses, residuals)
+    names, covariance = problem.covariance(lens, poses, terms)
+    return Calibration(lens, names, covariance, tuple(views), board, size, poses, residuals)
 
 
 def sees_image(lens: Lens, size: Size, circle_px: float | None = None) -> bool:
@@ -204,10 +209,10 @@ class _Problem:
         )
         return self._unpacked(found.x, lens, names)
 
-    def deviations(
+    def covariance(
         self, lens: Lens, poses: np.ndarray, num_terms: int
     ) -> tuple[tuple[str, ...], np.ndarray]:
-        """Fields fitted and their deviations, of an M-estimate (Huber 1981, eq. 7.6.5).
+        """Fields fitted and the covariance of their errors (M-estimate; Huber 1981, eq. 7.6.5).
 
         Raises:
             InputError: If the views fix no lens, or the lens does not see all corners.
@@ -230,8 +235,9 @@ class _Problem:
         inside = float(np.mean(np.abs(residuals) <= knee))
         spare = residuals.size - jacobian.shape[1]
         variance = float(np.sum(np.clip(residuals, -knee, knee) ** 2)) / spare / inside**2
-        spread = np.sqrt(variance * np.sum((rotation / values[:, None]) ** 2, axis=0)) / column
-        return names, spread[: len(names)] * self.family.scales(names, self.size)
+        spread = (rotation / values[:, None] / column)[:, : len(names)]
+        spread = spread * self.family.scales(names, self.size)
+        return names, variance * spread.T @ spread
 
     def _packed(self, lens: Lens, poses: np.ndarray, names: tuple[str, ...]) -> np.ndarray:
         turns = Rotation.from_matrix(poses[:, :3, :3]).as_rotvec()

@@ -27,6 +27,7 @@ from vrcaps.world.model import Model, State
 
 SIDE_PX = 200
 MARGIN_PX = 130
+LOOK = RenderSettings(supersampling=2, shadows=True)
 FRAMES = 3
 FPS = 3.0
 DARK = 0.12
@@ -44,13 +45,9 @@ def states(organ: OrganSurface, device: Device) -> list[State]:
     return [run.state(k) for k in range(FRAMES)]
 
 
-def picture(organ: OrganSurface, device: Device, effects: Effects, run: list[State]) -> Image.Image:
+def picture(renderer: Renderer, device: Device, effects: Effects, run: list[State]) -> Image.Image:
     """The middle frame of a flight, through these effects."""
-    model = Model(
-        effects.organ(organ), effects.device(device), contents=effects.contents(Contents(seed=5))
-    )
-    camera = model.device.cameras[0]
-    renderer = Renderer(model, RenderSettings(supersampling=2, shadows=True))
+    camera = effects.device(device).cameras[0]
     chain = CameraChain(effects, camera, number=0, fps=FPS, seed=1)
     moment = Moment(1, run[1], run[2], run[0])
     automatic = effects.figures("exposure")
@@ -69,7 +66,7 @@ def picture(organ: OrganSurface, device: Device, effects: Effects, run: list[Sta
 def draw_sheet(path: Path) -> None:
     """One row for each effect, one column for each grade."""
     organ, device = load_organ("colon", seed=0), load_device("mirocam")
-    run = states(organ, device)
+    run, plain = states(organ, device), Renderer(Model(organ, device), LOOK)
     size = (MARGIN_PX + (HIGHEST + 1) * SIDE_PX, len(GRADES) * SIDE_PX + 16)
     sheet = Image.new("RGB", size, (24, 24, 28))
     pen = ImageDraw.Draw(sheet)
@@ -79,7 +76,11 @@ def draw_sheet(path: Path) -> None:
         top = 16 + row * SIDE_PX
         pen.text((6, top + SIDE_PX // 2), name, fill=(230, 230, 230))
         for grade in range(HIGHEST + 1):
-            tile = picture(organ, device, Effects(**{name: grade}), run)
+            effects, in_use = Effects(**{name: grade}), plain
+            if name in ("specular", "bubbles"):
+                contents = effects.contents(Contents(seed=5))
+                in_use = Renderer(Model(effects.organ(organ), device, contents=contents), LOOK)
+            tile = picture(in_use, device, effects, run)
             sheet.paste(tile, (MARGIN_PX + grade * SIDE_PX, top))
     sheet.save(path, quality=88)
 

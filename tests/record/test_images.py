@@ -11,7 +11,9 @@ from vrcaps.record.recorder import record
 from vrcaps.record.scenario import Scenario, read_scenario
 from vrcaps.render.camera_effects.effects import Effects
 from vrcaps.render.camera_effects.exposure import AutoExposure
+from vrcaps.render.camera_effects.frame_rate import AdaptiveRate
 from vrcaps.render.camera_effects.grades import GRADES
+from vrcaps.world.fly_through import FlyThrough
 
 CHANNELS = ("rgb", "depth", "label")
 
@@ -95,3 +97,24 @@ def test_grades_drawn_are_in_the_episode(scenario: Scenario, tmp_path: Path) -> 
     assert drawn.effects == effects.drawn(asked.seed)
     record(drawn, tmp_path / "again")
     assert images(tmp_path / "out") == images(tmp_path / "again")
+
+
+def test_adaptive_rate_takes_more_frames_of_a_faster_image(
+    scenario: Scenario, tmp_path: Path
+) -> None:
+    speeds = []
+    for name, share in (("slow", 0.2), ("fast", 0.85)):
+        motion = FlyThrough(start=0.15, end=share, speed_variation=0.0, wobble=0.0, drift=0.0)
+        effects = Effects(frame_rate=AdaptiveRate(1.0, 8.0, still=0.0, quick=0.5))
+        asked = replace(scenario, motion=motion, effects=effects, fps=8.0, frames=16)
+        record(replace(asked, channels=("depth",)), tmp_path / name)
+        columns = read_episode(tmp_path / name).table.columns
+        taken, speed = columns["taken"], columns["image_speed_half_sides_per_s"]
+        assert taken[0] == 1
+        last = 0
+        for k in range(1, 16):
+            assert taken[k] == effects.frame_rate.is_due(speed[k], k - last, 8.0)
+            last = k if taken[k] else last
+        speeds.append((speed.mean(), taken.sum()))
+    assert speeds[1][0] > speeds[0][0]
+    assert speeds[1][1] > speeds[0][1]

@@ -186,6 +186,22 @@ def test_resistance_follows_the_measurements() -> None:
         assert 0.9 < world.contact()[2] / 2.6 < 2.9
 
 
+def test_the_quick_wall_grips_as_measured() -> None:
+    """A tube 8.4 mm wide that gives way still squeezes with 1.9 ± 1.0 N per cm."""
+    world = world_on(
+        tube(4.2 * MM, 80.0 * MM, 1.0 * MM),
+        position=(0, 0, 40 * MM),
+        wxyz=(1, 0, 0, 0),
+        body=capsule(mass=1e6),
+        material=Material(),
+        drag=Drag(),
+        quick=QuickDeformation(),
+    )
+    world.step(2e-4, 2_000, FREE, (0.0,) * 3)
+    assert 0.9 < world.contact()[2] / 2.6 < 2.9
+    assert np.abs(world.yields[:, :3]).max() > 0.4 * MM
+
+
 @pytest.mark.parametrize("law", ["printed", "continuous"])
 def test_logarithmic_laws(law: str) -> None:
     """A capsule lying on the floor is slowed by the law's force."""

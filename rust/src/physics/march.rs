@@ -204,12 +204,14 @@ impl World {
         Ok(())
     }
 
-    /// Sets the driven wall on its way to a calibre at the end of a step.
-    pub(super) fn aim(&mut self, calibre: &[f64], duration: f64) -> PyResult<()> {
-        let drive = self.drive.as_ref().filter(|_| !calibre.is_empty()).ok_or_else(|| {
-            PyValueError::new_err("A calibre needs samples, and a drive set before.")
-        })?;
-        self.soft.aim(drive, calibre, duration);
+    /// Sets the driven wall on its way between calibres, the step's first and then its last.
+    pub(super) fn aim(&mut self, calibres: &[f64], duration: f64) -> PyResult<()> {
+        let (from, to) = calibres.split_at(calibres.len() / 2);
+        if self.soft.drive.is_none() || from.is_empty() || from.len() != to.len() {
+            let what = "Calibres need samples, two of each, and a drive set before.";
+            return Err(PyValueError::new_err(what));
+        }
+        self.soft.aim(from, to, duration);
         Ok(())
     }
 

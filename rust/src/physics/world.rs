@@ -43,7 +43,6 @@ pub struct World {
     pub(super) motion: Motion,
     /// The wall's centre; subtracted from every position [m].
     pub(super) center: DVec3,
-    pub(super) drive: Option<Drive>,
     pub(super) soft: SoftWall,
     /// Means over the last step.
     pub(super) last: Tally,
@@ -70,7 +69,7 @@ impl World {
     ) -> PyResult<Self> {
         let (soft, center) = {
             let wall = wall.borrow(py);
-            (SoftWall::new(&wall), vector(wall.center))
+            (SoftWall::new(&wall, quick.is_some()), vector(wall.center))
         };
         let quick = quick.map(Quick::from);
         let body: Body = body.into();
@@ -84,7 +83,6 @@ impl World {
             magnets: None,
             motion: Motion::default(),
             center,
-            drive: None,
             soft,
             last: Tally::default(),
             saved: None,
@@ -95,7 +93,7 @@ impl World {
 
     /// Moves on by `count` substeps of `dt`, with a wrench [N, N·m] and gravity [m/s²].
     ///
-    /// `calibre` is how wide the lumen is to be at the end, see `set_drive`.
+    /// `calibre` [2 k] is how wide the lumen is and how wide it is to be at the end, see `set_drive`.
     /// A layer makes `outer` steps meanwhile, of which `count` is a multiple.
     #[pyo3(signature = (dt, count, wrench, gravity, calibre=None, outer=1))]
     #[allow(clippy::too_many_arguments)]
@@ -106,7 +104,7 @@ impl World {
         count: usize,
         wrench: [f64; 6],
         gravity: [f64; 3],
-        calibre: Option<PyReadonlyArray1<'_, f64>>,
+        calibre: Option<PyReadonlyArray2<'_, f64>>,
         outer: usize,
     ) -> PyResult<()> {
         if outer == 0 || !count.is_multiple_of(outer) {
@@ -197,12 +195,12 @@ impl World {
         inward: PyReadonlyArray2<'_, f64>,
         station: PyReadonlyArray1<'_, f64>,
     ) -> PyResult<()> {
-        let (rows, station) = (inward.as_array(), station.as_array().to_vec());
+        let (rows, station) = (inward.as_array(), station.as_slice()?);
         if rows.dim() != (self.soft.driven.len(), 3) || station.len() != self.soft.driven.len() {
             return Err(PyValueError::new_err("A drive has a row for each vertex."));
         }
         let inward = rows.outer_iter().map(|r| DVec3::new(r[0], r[1], r[2])).collect();
-        self.drive = Some(Drive { rest: self.soft.driven.clone(), inward, station });
+        self.soft.drive = Some(Drive::new(self.soft.driven.clone(), inward, station));
         Ok(())
     }
 

@@ -5,6 +5,7 @@ use crate::lanes::{clamp, max};
 use numpy::{PyArray3, PyReadonlyArray2, PyReadonlyArray3, PyUntypedArrayMethods};
 use pyo3::{exceptions::PyValueError, prelude::*};
 use rayon::prelude::*;
+use std::cell::Cell;
 
 /// Largest radius of the circle of confusion [px]; one beyond it is taken as this.
 const WIDEST: f32 = 15.0;
@@ -13,6 +14,11 @@ const WIDEST: f32 = 15.0;
 const BLOCK: usize = 16;
 /// Margin around the image in which there is nothing.
 const MARGIN: usize = 16;
+
+thread_local! {
+    /// Planes of an earlier call, whose memory is used again.
+    static ROOM: Cell<[Vec<f32>; 5]> = const { Cell::new([const { Vec::new() }; 5]) };
+}
 
 /// Red, green, blue, signed radius and one over its square, with a margin; the radius of what is
 /// not seen is NaN.
@@ -61,6 +67,7 @@ pub fn defocus<'py>(
                 .collect();
             spread_row(&padded, y, &near, row);
         });
+        ROOM.set(padded.planes);
     });
     Ok(planes_array(py, out, (height, width)))
 }
@@ -74,9 +81,11 @@ impl Padded {
         focus: f32,
     ) -> Self {
         let stride = width.div_ceil(BLOCK) * BLOCK + 2 * MARGIN;
-        let planes = [0, 1, 2, 3, 4].map(|k| {
+        let mut planes = ROOM.take();
+        for (k, plane) in planes.iter_mut().enumerate() {
+            plane.clear();
             let nothing = if k == 3 { f32::NAN } else { 0.0 };
-            let mut plane = vec![nothing; stride * (height + 2 * MARGIN)];
+            plane.resize(stride * (height + 2 * MARGIN), nothing);
             let rows = plane.par_chunks_mut(stride).skip(MARGIN).take(height);
             rows.enumerate().for_each(|(y, row)| {
                 let row = &mut row[MARGIN..MARGIN + width];
@@ -86,8 +95,7 @@ impl Padded {
                     radii(&distance[y * width..][..width], reach, focus, k == 4, row);
                 }
             });
-            plane
-        });
+        }
         Padded { planes, width: stride }
     }
 

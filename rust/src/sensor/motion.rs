@@ -2,12 +2,14 @@
 
 use super::planes::size_of_image;
 use crate::lanes::{clamp, max};
+use glam::Vec4;
 use numpy::{
     IntoPyArray, PyArray3, PyReadonlyArray2, PyReadonlyArray3, PyUntypedArrayMethods,
     ndarray::Array3,
 };
 use pyo3::{exceptions::PyValueError, prelude::*};
 use rayon::prelude::*;
+use std::cell::Cell;
 
 /// Most places a pixel is averaged over.
 const MOST_SAMPLES: f32 = 64.0;
@@ -110,27 +112,36 @@ pub fn blur_motion<'py>(
             let late = readout * ((y as f32 + 0.5) / height as f32 - 0.5);
             blur_row(&still, y, &motion, (shutter, late), row);
         });
+        ROOM.set(still.pixels);
     });
     let shape = (height, width, 3);
     Ok(Array3::from_shape_vec(shape, out).expect("every pixel was filled").into_pyarray(py))
 }
 
+thread_local! {
+    /// Pixels of an earlier call, whose memory is used again.
+    static ROOM: Cell<Vec<Vec4>> = const { Cell::new(Vec::new()) };
+}
+
 /// The image at its instant. A pixel is red, green, blue and 1 where it is lit, all 0 elsewhere; its
 /// last column and row are there twice, so that every place lies between four pixels.
 struct Still {
-    pixels: Vec<[f32; 4]>,
+    pixels: Vec<Vec4>,
     size: (usize, usize),
 }
 
 impl Still {
     fn new(image: &[f32], lit: &[bool], (height, width): (usize, usize)) -> Self {
-        let mut pixels = vec![[0.0f32; 4]; (height + 1) * (width + 1)];
+        let mut pixels = ROOM.take();
+        pixels.clear();
+        pixels.resize((height + 1) * (width + 1), Vec4::ZERO);
         pixels.par_chunks_mut(width + 1).enumerate().for_each(|(y, row)| {
             let start = y.min(height - 1) * width;
             for x in 0..=width {
                 let from = start + x.min(width - 1);
                 if lit[from] {
-                    row[x] = [image[3 * from], image[3 * from + 1], image[3 * from + 2], 1.0];
+                    row[x] =
+                        Vec4::new(image[3 * from], image[3 * from + 1], image[3 * from + 2], 1.0);
                 }
             }
         });
@@ -139,22 +150,16 @@ impl Still {
 
     /// Bilinear between four pixels; the image goes on as at its edge.
     #[inline(always)]
-    fn at(&self, x: f32, y: f32) -> [f32; 4] {
+    fn at(&self, x: f32, y: f32) -> Vec4 {
         let (height, width) = self.size;
         let (x0, s) = whole(clamp(x, 0.0, width as f32 - 1.0));
         let (y0, t) = whole(clamp(y, 0.0, height as f32 - 1.0));
         let first = y0 * (width + 1) + x0;
-        let (top, bottom) =
-            (&self.pixels[first..first + 2], &self.pixels[first + width + 1..][..2]);
-        let weights = [(1.0 - s) * (1.0 - t), s * (1.0 - t), (1.0 - s) * t, s * t];
-        let mut value = [0.0; 4];
-        for k in 0..4 {
-            value[k] = top[0][k] * weights[0]
-                + top[1][k] * weights[1]
-                + bottom[0][k] * weights[2]
-                + bottom[1][k] * weights[3];
-        }
-        value
+        let top = &self.pixels[first..first + 2];
+        let bottom = &self.pixels[first + width + 1..first + width + 3];
+        let (above, below) =
+            (top[0] + (top[1] - top[0]) * s, bottom[0] + (bottom[1] - bottom[0]) * s);
+        above + (below - above) * t
     }
 }
 
@@ -181,30 +186,25 @@ fn blur_row(
     let row = motion.row(y);
     let own = &still.pixels[y * (still.size.1 + 1)..];
     for (x, pixel) in out.chunks_exact_mut(3).enumerate() {
-        if own[x][3] == 0.0 {
+        if own[x].w == 0.0 {
             continue;
         }
         let (first, t) = between(x, motion.scale, row.len());
         let v = mix(&row[first], &row[(first + 1).min(row.len() - 1)], t);
         let speed = max(v[0].abs(), v[1].abs());
         if speed * (late.abs() + 0.5 * shutter) < STILL {
-            pixel.copy_from_slice(&own[x][..3]);
+            pixel.copy_from_slice(&own[x].to_array()[..3]);
             continue;
         }
         let count = clamp((speed * shutter).ceil(), 1.0, MOST_SAMPLES);
         let step = shutter / count;
         let mut time = late - 0.5 * (shutter - step);
-        let mut sum = [0.0f32; 4];
+        let mut sum = Vec4::ZERO;
         for _ in 0..count as u32 {
-            let value = still.at(x as f32 - v[0] * time, y as f32 - v[1] * time);
-            for c in 0..4 {
-                sum[c] += value[c];
-            }
+            sum += still.at(x as f32 - v[0] * time, y as f32 - v[1] * time);
             time += step;
         }
-        let share = 1.0 / max(sum[3], 1e-6);
-        for c in 0..3 {
-            pixel[c] = if sum[3] > 0.0 { sum[c] * share } else { own[x][c] };
-        }
+        let mean = if sum.w > 0.0 { sum * (1.0 / sum.w) } else { own[x] };
+        pixel.copy_from_slice(&mean.to_array()[..3]);
     }
 }

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vrcaps.render.camera_effects.chain import CameraChain, Moment
+from vrcaps.render.camera_effects.frame_rate import image_speed
+from vrcaps.render.camera_effects.scene import half_side_px
 from vrcaps.render.renderer import Renderer
 
 if TYPE_CHECKING:
@@ -53,8 +55,10 @@ class Images:
         self._model, self._channels, self._fps = model, scenario.channels, scenario.fps
         self._renderer = Renderer(model, scenario.render)
         self._automatic = scenario.effects.figures("exposure")
+        self._rate = scenario.effects.frame_rate
         self._chains: dict[str, CameraChain] = {}
-        if not scenario.effects.is_ideal and "rgb" in scenario.channels:
+        self._degrades = "rgb" in scenario.channels and not scenario.effects.is_ideal
+        if self._rate is not None or self._degrades:
             self._chains = {
                 camera.name: CameraChain(
                     scenario.effects, camera, number=k, fps=scenario.fps, seed=scenario.seed
@@ -62,32 +66,55 @@ class Images:
                 for k, camera in enumerate(model.device.cameras)
             }
         self._exposures = dict.fromkeys(self._chains, 1.0)
-        if self._automatic is not None and before is not None and len(before):
+        self._taken: int | None = None
+        if before is not None and len(before):
+            self._go_on(before)
+        self._current = dict(self._exposures)
+
+    def _go_on(self, before: FrameTable) -> None:
+        """Takes over exposures, and the last frame taken, from the rows of earlier frames."""
+        if self._automatic is not None:
             for name in self._chains:
                 last = (float(before.columns[column][-1]) for column in exposure_columns(name))
                 self._exposures[name] = self._automatic.following(*last, 1.0 / self._fps)
-        self._current = dict(self._exposures)
+        if self._rate is not None:
+            self._taken = int(np.flatnonzero(before.columns[TAKEN])[-1])
 
     def expose(self, step: Step) -> dict[str, float]:
         """Sets the exposure of a frame, to be called for each in turn; its columns in the table."""
         self._current = dict(self._exposures)
-        if self._automatic is None:
-            return {}
         columns: dict[str, float] = {}
-        for name, chain in self._chains.items():
-            exposure = self._exposures[name]
-            metered = chain.meter(self._renderer, self._moment(step, name))
-            columns |= dict(zip(exposure_columns(name), (exposure, metered), strict=True))
-            following = self._automatic.following(exposure, metered, 1.0 / self._fps)
-            self._exposures[name] = following
-        return columns
+        if self._automatic is not None:
+            for name, chain in self._chains.items():
+                exposure = self._exposures[name]
+                metered = chain.meter(self._renderer, self._moment(step, name))
+                columns |= dict(zip(exposure_columns(name), (exposure, metered), strict=True))
+                following = self._automatic.following(exposure, metered, 1.0 / self._fps)
+                self._exposures[name] = following
+        return columns | self._timing(step)
+
+    def _timing(self, step: Step) -> dict[str, float]:
+        """Columns of the adaptive frame rate: speed of the fastest image, and if it is taken."""
+        if self._rate is None:
+            return {}
+        speeds = []
+        for camera in self._model.device.cameras:
+            motion = self._chains[camera.name].motion(
+                self._renderer, self._moment(step, camera.name)
+            )
+            speeds.append(image_speed(motion, half_side_px(camera), self._fps))
+        speed, last = max(speeds), self._taken
+        is_taken = last is None or self._rate.is_due(speed, step.frame - last, self._fps)
+        if is_taken:
+            self._taken = step.frame
+        return {SPEED: speed, TAKEN: int(is_taken)}
 
     def render(self, step: Step) -> dict[str, Frame]:
         """Images of all cameras at the frame that was exposed last."""
         after, before = step.after or step.now, step.before or step.now
         images = {}
         for camera in self._model.device.cameras:
-            chain = self._chains.get(camera.name)
+            chain = self._chains[camera.name] if self._degrades else None
             image = self._renderer.render(
                 step.now.state,
                 camera,
@@ -110,6 +137,10 @@ class Images:
             state_previous=None if step.before is None else step.before.state,
             exposure=self._current[camera],
         )
+
+
+SPEED, TAKEN = "image_speed_half_sides_per_s", "taken"
+"""Columns of the adaptive frame rate."""
 
 
 def exposure_columns(camera: str) -> tuple[str, str]:

@@ -19,8 +19,9 @@ from vrcaps.transforms import (
     transform_from,
     transform_points,
 )
-from vrcaps.world.model import Model, State
+from vrcaps.world.model import Coupling, Model, State
 from vrcaps.world.run import Conditions, Instant, Run
+from vrcaps.world.steering import Steered
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -43,6 +44,19 @@ SIMULATED_COLUMNS = (
 )
 """Columns of a run by physics, beside those of every run."""
 
+STEERED_COLUMNS = (
+    *(f"magnet_{name}" for name in POSE_COLUMNS),
+    *(f"flux_density_{axis}_t" for axis in "xyz"),
+    *(f"magnetic_force_{axis}_n" for axis in "xyz"),
+    *(f"magnetic_torque_{axis}_nm" for axis in "xyz"),
+    *(f"needed_force_{axis}_n" for axis in "xyz"),
+    *("coupling_angle_rad", "coupling_distance_m", "goal_distance_m", "goal_angle_rad"),
+    *("magnet_limit", "coupling_lost"),
+)
+"""Columns of a run that a magnet steers; those of an arm's joints come after them."""
+
+_TEXTS = ("segment", "magnet_limit", "coupling_lost")
+
 
 @dataclass(frozen=True)
 class FrameTable:
@@ -64,17 +78,21 @@ class FrameTable:
         return transform_from(rotations, np.stack([x, y, z], axis=-1))
 
 
-def column_names(cameras: tuple[str, ...], *, simulated: bool = False) -> tuple[str, ...]:
+def column_names(
+    cameras: tuple[str, ...], *, simulated: bool = False, steered: bool = False
+) -> tuple[str, ...]:
     """Names of all columns, in order.
 
     Args:
         cameras: Names of the capsule's cameras.
         simulated: Whether the capsule moved by physics.
+        steered: Whether a magnet steered it.
     """
     poses = [f"{body}_{name}" for body in ("capsule", *cameras) for name in POSE_COLUMNS]
     clearances = [f"{body}_clearance_m" for body in ("capsule", *cameras)]
     columns = ("frame", "time_s", *poses, *_LINEAR, *_ANGULAR, "arc_length_m", "segment")
-    return (*columns, *clearances, *(SIMULATED_COLUMNS if simulated else ()))
+    physics = SIMULATED_COLUMNS if simulated else ()
+    return (*columns, *clearances, *physics, *(STEERED_COLUMNS if steered else ()))
 
 
 class TableRows:
@@ -129,7 +147,8 @@ class TableRows:
         names = column_names(cameras, simulated=simulated)
         more = [name for name in self._rows[0] if name not in names] if self._rows else []
         columns = {name: np.array([row[name] for row in self._rows]) for name in (*names, *more)}
-        return FrameTable(columns | {"segment": columns["segment"].astype(object)})
+        texts = {name: columns[name].astype(object) for name in _TEXTS if name in columns}
+        return FrameTable(columns | texts)
 
     def _wall(self, state: State) -> Wall:
         """The wall in a state, ready for queries."""
@@ -173,7 +192,28 @@ def _simulated(
         *quaternion_from_matrix(pose[:3, :3]),
         conditions.phase,
     )
-    return dict(zip(SIMULATED_COLUMNS, values, strict=True))
+    row = dict(zip(SIMULATED_COLUMNS, values, strict=True))
+    if conditions.steered is None or state.coupling is None:
+        return row
+    return row | _steered(state.coupling, conditions.steered)
+
+
+def _steered(coupling: Coupling, steered: Steered) -> dict[str, Any]:
+    """Columns of a frame in which a magnet steered."""
+    held = steered.held
+    values = (
+        *held.T_world_magnet[:3, 3],
+        *quaternion_from_matrix(held.T_world_magnet[:3, :3]),
+        *coupling.flux_density_world,
+        *coupling.force_world,
+        *coupling.torque_world,
+        *steered.needed,
+        *(coupling.angle, coupling.distance),
+        *(float(np.linalg.norm(steered.error)), steered.angle),
+        *(held.limit, steered.lost),
+    )
+    row = dict(zip(STEERED_COLUMNS, values, strict=True))
+    return row | {f"joint_{k}_rad": angle for k, angle in enumerate(held.angles, start=1)}
 
 
 def locate(

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -65,6 +65,7 @@ def gut_goal(
     backwards: bool = False,
     yaw: float = 0.0,
     pitch: float = 0.0,
+    side: Literal["up", "down"] = "up",
 ) -> Goal:
     """A place along the gut, where the capsule looks along it or aside.
 
@@ -75,6 +76,7 @@ def gut_goal(
         backwards: Look towards the oral end.
         yaw: Turn of the look about the frame's second transverse axis [rad].
         pitch: About its first [rad].
+        side: The wall that the capsule is pressed against: the upper or the lower.
 
     Raises:
         InputError: If the arc length is not on the centreline.
@@ -90,7 +92,8 @@ def gut_goal(
     look = np.cos(yaw) * np.cos(pitch) * (-ahead if backwards else ahead)
     look = look + np.sin(yaw) * np.cos(pitch) * first - np.sin(pitch) * second
     look, tangent = rotate_vectors(T_world_patient, np.array([look / np.linalg.norm(look), ahead]))
-    up = np.array(_UP) - tangent * tangent[2]
+    above = np.array(_UP) if side == "up" else -np.array(_UP)
+    up = above - tangent * (above @ tangent)
     # In an upright stretch nothing is above: across the gut, towards the frame's first axis.
     if np.linalg.norm(up) < 0.3:
         up = rotate_vectors(T_world_patient, first[None])[0]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
@@ -12,11 +13,11 @@ from vrcaps.errors import InputError, require
 from vrcaps.magnet.field import SourceSet
 from vrcaps.magnet.internal import InternalMagnet, magnet_rows
 from vrcaps.magnet.sources import Source, Uniform
+from vrcaps.magnet.steering.turn import cross, length
 from vrcaps.transforms import (
     matrix_from_quaternion,
     quaternion_from_matrix,
     transform_from,
-    transform_points,
 )
 from vrcaps.world.control import Control
 from vrcaps.world.model import Coupling
@@ -94,21 +95,21 @@ class Pull:
 
     def coupling(self, T_world_capsule: Float[np.ndarray, "4 4"]) -> Coupling | None:
         """What the sources did in the last step; None without sources."""
-        point = transform_points(T_world_capsule, self._middle[None])[0]
+        point = T_world_capsule[:3, :3] @ self._middle + T_world_capsule[:3, 3]
         pulled = self._core.pulled(tuple(point))
         if pulled is None:
             return None
         force, torque, flux, gradient, place = pulled
         moment = T_world_capsule[:3, :3] @ self._moment
-        across = np.linalg.norm(np.cross(moment, flux))
-        away = np.linalg.norm(self.rows[self._has_place, :3] - point, axis=1)
+        across = length(cross(moment, np.array(flux)))
+        away = [math.dist(row[:3], point) for row in self.rows[self._has_place]]
         return Coupling(
             force_world=np.array(force),
             torque_world=np.array(torque),
             flux_density_world=np.array(flux),
             flux_gradient_world=np.array(gradient).reshape(3, 3),
-            angle=float(np.arctan2(across, moment @ np.array(flux))),
-            distance=float(away.min(initial=np.inf)),
+            angle=math.atan2(across, float(moment @ np.array(flux))),
+            distance=min(away, default=math.inf),
             Ts_world_magnet=transform_from(
                 matrix_from_quaternion(self.rows[:, 3:7]), self.rows[:, :3]
             ),

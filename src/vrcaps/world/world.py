@@ -217,6 +217,7 @@ class World:
             layer=layer,
             touched=touched,
             afloat=np.zeros(0) if self._afloat is None else self._afloat.to_array(),
+            contact=np.concatenate([np.ravel(part) for part in self._contact]),
             sources=self._pull.rows,
         )
 
@@ -239,6 +240,11 @@ class World:
         self._core.pose = (tuple(p[:3]), tuple(p[3:7]), tuple(p[7:10]), tuple(p[10:]))
         self._time, self._began = snapshot.time, snapshot.began
         self._T_world_patient, self._calibre = snapshot.T_world_patient, snapshot.calibre
+        self._contact = (
+            snapshot.contact[:3],
+            snapshot.contact[3:6],
+            *snapshot.contact[6:].tolist(),
+        )
         self._pull.restore(snapshot.sources, snapshot.T_world_patient)
 
     def is_inside(self) -> bool:
@@ -265,7 +271,8 @@ class World:
         reactions = []
         try:
             for piece in range(pieces):
-                aim = start + (calibre - start) * ((piece + 1) / pieces) if moves else None
+                shares = np.array([[piece], [piece + 1]]) / pieces
+                aim = start + (calibre - start) * shares if moves else None
                 force = self._propulsion(self._time + dt * piece / pieces)
                 total = tuple(wrench + self._bear(dt / pieces, force))
                 self._core.step(dt / pieces / count, count, total, gravity, aim, outer)

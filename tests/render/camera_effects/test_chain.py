@@ -102,9 +102,10 @@ def test_blur_is_the_flow_times_the_share_of_the_exposure(renderer: Renderer) ->
     cells = full.reshape(20, 4, 20, 4, 2).mean(axis=(1, 3))
     error = np.linalg.norm(motion - cells, axis=-1)
     assert np.nanmedian(error) < 0.05 * np.nanmedian(np.linalg.norm(cells, axis=-1))
-    last = chain.motion(renderer, replace(moment, state_next=None))
+    once = replace(NOW, time=1.0)
+    last = chain.motion(renderer, replace(moment, state=once, state_next=None))
     assert np.nanmedian(np.linalg.norm(last - motion, axis=-1)) < 1.0
-    assert chain.motion(renderer, Moment(0, NOW)) is None
+    assert chain.motion(renderer, Moment(0, replace(NOW, time=2.0))) is None
 
 
 def test_shutter_is_open_no_longer_than_a_frame(renderer: Renderer) -> None:

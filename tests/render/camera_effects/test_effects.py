@@ -5,6 +5,7 @@ from vrcaps.capsule.catalog import load_device
 from vrcaps.errors import InputError, UnknownNameError
 from vrcaps.record.typed import from_plain, to_plain
 from vrcaps.render.camera_effects.effects import Effects
+from vrcaps.render.camera_effects.frame_rate import AdaptiveRate
 from vrcaps.render.camera_effects.grades import GRADES, HIGHEST
 from vrcaps.render.camera_effects.optics import Defocus
 from vrcaps.render.camera_effects.parse import parse_effects
@@ -19,6 +20,7 @@ def test_effects_as_a_user_writes_them() -> None:
         **dict.fromkeys(GRADES, (0, HIGHEST)) | {"jpeg": 0}
     )
     assert parse_effects("all=2").bloom == 2
+    assert parse_effects("frame_rate=2..6").frame_rate == AdaptiveRate(2.0, 6.0)
 
 
 @pytest.mark.parametrize(
@@ -31,6 +33,8 @@ def test_effects_as_a_user_writes_them() -> None:
         ("dof=much", InputError, "has no grade. Allowed: NAME=0"),
         ("dof", InputError, "has no grade"),
         ("random=2", UnknownNameError, "No effect named 'random'"),
+        ("frame_rate=6..2", InputError, "slow, fast is"),
+        ("frame_rate=often", InputError, "has no rates. Allowed: frame_rate=SLOW..FAST"),
         ("mosaic=rgb", InputError, "mosaic is 'rgb'. Allowed: none, rggb"),
     ],
 )

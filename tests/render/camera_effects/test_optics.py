@@ -69,7 +69,7 @@ def test_what_is_in_focus_stays_sharp_before_a_blurred_wall(rng: np.random.Gener
     planes = rng.random((3, 121, 121), np.float32)
     distance = np.full((121, 121), 0.08, np.float32)
     distance[:, :60] = 0.015
-    seen = Defocus(0.8 * MM).apply(CAMERA, planes, distance)
+    seen = Defocus(0.8 * MM, 15.0 * MM).apply(CAMERA, planes, distance)
     assert np.array_equal(seen[:, :, :60], planes[:, :, :60])
     assert seen[:, :, 80:].std() < 0.5 * planes.std()
 

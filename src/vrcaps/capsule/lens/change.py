@@ -48,16 +48,17 @@ def focal_length_px(lens: Lens) -> float:
 
 
 def barrel_lens(lens: Lens, inward: float, radius_px: float) -> LensKannalaBrandt:
-    """A lens whose image is drawn in towards the edge, its scale in the middle kept.
+    """A lens whose image is smaller towards the edge than in the middle.
 
-    Image radius r becomes r′ with ``r = r′ / (1 − λ r′²)``, the division model (Fitzgibbon, CVPR
-    2001). The result is the fisheye lens of Kannala and Brandt that fits this best over the
-    angles that the image shows; it is a lens as any other, exact in itself.
+    Image radius r becomes r′ by the division model (Fitzgibbon, CVPR 2001), ``q = (1 − D) r′ / R``,
+    ``r / R = q / (1 − λ q²)``, ``λ = D / (1 − D)²``, with D = `inward` and R = `radius_px`. The
+    result is the fisheye lens of Kannala and Brandt that fits this best over the angles that the
+    image shows; it is a lens as any other, exact in itself.
 
     Args:
         lens: Any lens model but `equirectangular`.
-        inward: Share by which the image radius `radius_px` shrinks, 0 to below 0.5.
-        radius_px: An image radius, such as that of the image's edge [px].
+        inward: Share by which `radius_px` is smaller than the scale in the middle has it.
+        radius_px: The image radius that stays, such as that of the image's edge [px].
 
     Raises:
         InputError: If the lens has no image radius to shrink.
@@ -67,13 +68,19 @@ def barrel_lens(lens: Lens, inward: float, radius_px: float) -> LensKannalaBrand
             "Barrel distortion is of lenses with one image: equirectangular has none. "
             "Give another capsule, or no distortion."
         )
-    angle, radius = _profile(lens, radius_px / (1.0 - inward))
-    strength = inward / (1.0 - inward) ** 2
-    share = radius / radius_px
-    drawn = 2.0 * radius / (1.0 + np.sqrt(1.0 + 4.0 * strength * share**2))
-    focal = focal_length_px(lens)
-    k = _rising_fit(angle, drawn / focal)
+    angle, radius = _profile(lens, 2.0 * radius_px)
+    focal = focal_length_px(lens) / (1.0 - inward)
+    k = _rising_fit(angle, barrel_radius(radius, inward, radius_px) / focal)
     return LensKannalaBrandt(focal, focal, lens.cx, lens.cy, *k, max_angle=float(angle[-1]))
+
+
+def barrel_radius(
+    radius: Float[np.ndarray, "*n"], inward: float, radius_px: float
+) -> Float[np.ndarray, "*n"]:
+    """Image radius r′ [px] that the division model of `barrel_lens` makes of a radius r [px]."""
+    share = np.asarray(radius) / radius_px
+    root = np.sqrt(1.0 + 4.0 * inward / (1.0 - inward) ** 2 * share**2)
+    return 2.0 * share * radius_px / ((1.0 - inward) * (1.0 + root))
 
 
 def _rising_fit(
@@ -109,7 +116,7 @@ def _rising_fit(
 def _profile(
     lens: Lens, radius_px: float
 ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
-    """Angles to the axis [rad] and mean image radii [px], as far as the field or a radius goes."""
+    """Angles to the axis [rad] and mean image radii [px], as far as the field and a radius go."""
     angle = np.linspace(0.0, lens.max_angle or math.pi, _FIT_POINTS)[1:]
     turn = np.arange(8) * (math.pi / 4.0)
     rays = np.stack(
@@ -122,6 +129,5 @@ def _profile(
     )
     offset = lens.project(rays) - (lens.cx, lens.cy)
     radius = np.hypot(offset[..., 0], offset[..., 1]).mean(axis=1)
-    # Twice the radius in question reaches the corners of the image.
-    seen = np.isfinite(radius) & (radius <= 2.0 * radius_px)
+    seen = np.isfinite(radius) & (radius <= radius_px)
     return angle[seen], radius[seen]

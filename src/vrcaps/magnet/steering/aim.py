@@ -64,9 +64,7 @@ class Wish:
 
     force: Sequence[float]
     torque: Sequence[float] = (0.0, 0.0, 0.0)
-    force_weight: Sequence[Sequence[float]] = field(
-        default_factory=(100.0 * np.eye(3)).tolist
-    )
+    force_weight: Sequence[Sequence[float]] = field(default_factory=(100.0 * np.eye(3)).tolist)
     torque_weight: float = 1000.0
     stay: float = 1e-3
 

@@ -11,7 +11,7 @@ import numpy as np
 from vrcaps.errors import require
 from vrcaps.magnet.sources import check_pose
 from vrcaps.magnet.steering.aim import Room
-from vrcaps.transforms import matrix_from_quaternion, quaternion_from_matrix
+from vrcaps.magnet.steering.turn import at_most, length, rotation_vector, turned
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -93,13 +93,13 @@ class FreeHolder:
         at, goal = held.T_world_magnet, self.room.admit(T_world_magnet)
         limit = "" if (goal[:3, 3] == T_world_magnet[:3, 3]).all() else "room"
         way = goal[:3, 3] - at[:3, 3]
-        turn = _rotation_vector(goal[:3, :3] @ at[:3, :3].T)
+        turn = rotation_vector(goal[:3, :3] @ at[:3, :3].T)
         linear = _approach(way, held.velocity[:3], self.speed, self.acceleration, dt)
         angular = _approach(turn, held.velocity[3:], self.turn_speed, self.turn_acceleration, dt)
         pose = np.eye(4)
         pose[:3, 3] = np.clip(at[:3, 3] + dt * linear, self.room.low, self.room.high)
         pose[:3, :3] = turned(dt * angular, at[:3, :3])
-        left = math.dist(pose[:3, 3], goal[:3, 3]) + float(np.linalg.norm(turn - dt * angular))
+        left = math.dist(pose[:3, 3], goal[:3, 3]) + length(turn - dt * angular)
         if not limit and left > 1e-3:
             limit = "speed"
         return Held(pose, np.concatenate([linear, angular]), limit=limit)
@@ -122,30 +122,8 @@ def _approach(
     dt: float,
 ) -> Float[np.ndarray, " 3"]:
     """Velocity of the next step towards the end of a way, with limits on both its sizes."""
-    length = math.sqrt(way @ way)
+    far = length(way)
     aim = np.zeros(3)
-    if length > 0.0:
-        aim = way * (min(speed, length / dt, stopping_speed(length, acceleration, dt)) / length)
-    change = aim - velocity
-    size = math.sqrt(change @ change)
-    most = acceleration * dt
-    return aim if size <= most else velocity + change * (most / size)
-
-
-def turned(
-    vector: Float[np.ndarray, " 3"], rotation: Float[np.ndarray, "3 3"]
-) -> Float[np.ndarray, "3 3"]:
-    """A rotation, turned further by a rotation vector [rad] in the world; kept orthonormal."""
-    angle = math.sqrt(vector @ vector)
-    if angle == 0.0:
-        return rotation.copy()
-    axis = vector * (math.sin(0.5 * angle) / angle)
-    product = matrix_from_quaternion(np.array([math.cos(0.5 * angle), *axis])) @ rotation
-    return 1.5 * product - 0.5 * product @ product.T @ product  # a step of Newton's iteration
-
-
-def _rotation_vector(rotation: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, " 3"]:
-    w, *xyz = quaternion_from_matrix(rotation)
-    axis = np.array(xyz)
-    sine = math.sqrt(axis @ axis)
-    return axis * (2.0 * math.atan2(sine, w) / sine if sine > 0.0 else 2.0)
+    if far > 0.0:
+        aim = way * (min(speed, far / dt, stopping_speed(far, acceleration, dt)) / far)
+    return velocity + at_most(aim - velocity, acceleration * dt)

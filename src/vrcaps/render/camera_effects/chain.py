@@ -76,6 +76,7 @@ class CameraChain:
         if self._stages["vignette"] is not None:
             self._shade = self._stages["vignette"].profile(camera)
         self._coarse = _coarse(camera)
+        self._last_motion: tuple[State, Any] | None = None
         self._coarse_lit = _lit(self._coarse)
         sites = (camera.height * (1 if self._colors else 3), camera.width)
         self._pattern = (self._stages["noise"] or _QUIET).fixed_pattern(sites, number)
@@ -130,6 +131,15 @@ class CameraChain:
 
         None where there is no neighbouring frame.
         """
+        if self._last_motion is not None and self._last_motion[0] is moment.state:
+            return self._last_motion[1]
+        motion = self._new_motion(renderer, moment)
+        self._last_motion = (moment.state, motion)
+        return motion
+
+    def _new_motion(
+        self, renderer: Renderer, moment: Moment
+    ) -> Float[np.ndarray, "hc wc 2"] | None:
         forward, backward = moment.state_next, moment.state_previous
         if forward is None and backward is None:
             return None
@@ -175,6 +185,7 @@ class CameraChain:
                 planes = _core.demosaic(planes, self._colors)
         red, green, blue = balance.gains
         rgb = _core.develop(planes, (final * red, final * green, final * blue))
+        rgb[~self._lit] = 0  # where nothing is seen the capsule's viewer draws black
         jpeg = self._stages["jpeg"]
         return rgb if jpeg is None else jpeg.apply(rgb)
 

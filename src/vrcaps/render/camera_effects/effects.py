@@ -9,6 +9,7 @@ import numpy as np
 
 from vrcaps.errors import InputError
 from vrcaps.render.camera_effects.exposure import AutoExposure
+from vrcaps.render.camera_effects.frame_rate import AdaptiveRate
 from vrcaps.render.camera_effects.grades import GRADES, HIGHEST
 from vrcaps.render.camera_effects.optics import (
     Bloom,
@@ -57,6 +58,7 @@ class Effects:
         mosaic: Colour filter of the sensor, demosaiced; `none` is a sensor of three colours.
         white_balance: Response of the colours, and a cast that is left.
         jpeg: Compression.
+        frame_rate: Says of each frame whether the capsule takes it; None takes all.
     """
 
     specular: Grade | Film | None = None
@@ -75,6 +77,7 @@ class Effects:
     mosaic: Mosaic = "none"
     white_balance: Grade | WhiteBalance = 0
     jpeg: Grade | Jpeg = 0
+    frame_rate: AdaptiveRate | None = None
 
     def __post_init__(self) -> None:
         for name in GRADES:
@@ -119,8 +122,8 @@ class Effects:
     @property
     def is_ideal(self) -> bool:
         """Whether the image is as a perfect camera takes it; its geometry may still differ."""
-        before = {f.name for f in fields(self)} - _IN_SCENE
-        return all(getattr(self, name) in (0, "none") for name in before)
+        stages = {f.name for f in fields(self)} - _IN_SCENE
+        return all(getattr(self, name) in (0, "none") for name in stages)
 
     def device(self, device: Device) -> Device:
         """The capsule with cameras of this field of view, distortion and resolution."""
@@ -145,5 +148,7 @@ class Effects:
         return replace(contents, bubbles=replace(bubbles, on_dome=count))
 
 
-_IN_SCENE = {"specular", "bubbles", "field_of_view", "distortion", "resolution"}
-"""Effects on what is seen; the others are stages of the image."""
+_IN_SCENE = {
+    *("specular", "bubbles", "field_of_view", "distortion", "resolution", "frame_rate"),
+}
+"""Effects on what is seen and when; the others are stages of the image."""

@@ -66,7 +66,7 @@ class Defocus:
     """
 
     aperture: float
-    focus_distance: float = 0.015
+    focus_distance: float = 0.012
 
     def __post_init__(self) -> None:
         aperture, focus = self.aperture, self.focus_distance

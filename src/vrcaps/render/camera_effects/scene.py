@@ -5,7 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from vrcaps.capsule.lens.change import barrel_lens, scaled_lens
+import numpy as np
+
+from vrcaps.capsule.lens.change import barrel_lens, barrel_radius, scaled_lens
 from vrcaps.errors import InputError, require
 
 if TYPE_CHECKING:
@@ -48,10 +50,11 @@ class Film:
 
 @dataclass(frozen=True)
 class Distortion:
-    """Barrel distortion beyond that of the camera's own lens.
+    """Barrel distortion beyond that of the camera's own lens: the middle bulges, the edge stays.
 
     Attributes:
-        inward: Share by which the image radius at the image's nearest edge shrinks.
+        inward: Share by which the image radius at the image's nearest edge is smaller than the
+            scale in the middle would have it.
     """
 
     inward: float
@@ -65,8 +68,7 @@ class Distortion:
         lens = barrel_lens(camera.lens, self.inward, edge)
         circle = camera.image_circle_px
         if circle is not None:
-            strength = self.inward / (1.0 - self.inward) ** 2 / edge**2
-            circle = 2.0 * circle / (1.0 + (1.0 + 4.0 * strength * circle**2) ** 0.5)
+            circle = float(barrel_radius(np.array(circle), self.inward, edge))
         return replace(camera, lens=lens, image_circle_px=circle)
 
 

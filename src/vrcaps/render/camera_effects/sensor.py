@@ -53,7 +53,7 @@ class Noise:
     prnu: float = 0.0
     dsnu: float = 0.0
     bits: int = 10
-    black: int = 16
+    black: int = 64
     sensor: int = 0
 
     def __post_init__(self) -> None:

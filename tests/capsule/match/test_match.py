@@ -15,6 +15,7 @@ from vrcaps.capsule.catalog import load_device
 from vrcaps.capsule.device_file import read_device, write_device
 from vrcaps.capsule.match.frames import make_frames
 from vrcaps.capsule.match.jpeg import blockiness, jpeg_quality, quality_tables
+from vrcaps.capsule.match.light import RadialProfile, _fitted
 from vrcaps.capsule.match.match import match_camera, matched_device, write_effects
 from vrcaps.capsule.match.report import write_report
 from vrcaps.errors import InputError
@@ -53,6 +54,17 @@ def test_vignetting_against_a_reference(match) -> None:
     edge = match.profile.radius[-1]
     rim = 1.0 + TRUE.vignetting[0] * edge**2 + TRUE.vignetting[1] * edge**4
     assert abs(match.falloff.rim - rim) < 3.0 * match.falloff.deviation < 0.3
+
+
+def test_falloff_does_not_rise_at_the_rim() -> None:
+    """Whatever the rings say: dark at two thirds of the radius, brighter outside."""
+    radius = np.linspace(0.05, 1.1, 20)
+    dip = 1.0 - 0.5 * np.exp(-(((radius - 0.7) / 0.3) ** 2))
+    k1, k2, rim = _fitted(RadialProfile(radius, dip, np.full(20, 1e4)), None)
+    edge = radius[-1]
+    assert k1 < 0.0
+    assert 2.0 * k1 * edge + 4.0 * k2 * edge**3 <= 1e-9
+    assert rim == pytest.approx(1.0 + k1 * edge**2 + k2 * edge**4)
 
 
 def test_without_falloff_there_is_no_vignetting() -> None:

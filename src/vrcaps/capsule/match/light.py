@@ -126,18 +126,25 @@ def find_falloff(
 
 
 def _fitted(profile: RadialProfile, reference: RadialProfile | None) -> tuple[float, float, float]:
-    """k1, k2 and the share of light at the outermost ring."""
+    """k1, k2 and the share of light at the outermost ring; the light does not rise there."""
     radius, brightness = profile.radius, profile.brightness
     if reference is not None:
         brightness = brightness / np.interp(radius, reference.radius, reference.brightness)
     weight = np.sqrt(profile.count / profile.count.max())
     square = radius**2
 
-    def residuals(x: np.ndarray) -> np.ndarray:
-        return weight * (x[0] * (1.0 + x[1] * square + x[2] * square**2) - brightness)
+    def solve(terms: Float[np.ndarray, "k n"]) -> Float[np.ndarray, " n"]:
+        def residuals(x: np.ndarray) -> np.ndarray:
+            return weight * (x[0] * (1.0 + terms @ x[1:]) - brightness)
 
-    start = [float(brightness.mean()), -0.1, 0.0]
-    _, k1, k2 = map(float, least_squares(residuals, start, loss="huber", f_scale=0.05).x)
+        start = [float(brightness.mean()), -0.1, *[0.0] * (terms.shape[1] - 1)]
+        return least_squares(residuals, start, loss="huber", f_scale=0.05).x[1:]
+
+    k1, k2 = map(float, solve(np.column_stack([square, square**2])))
+    if k1 < 0.0 and k1 + 2.0 * k2 * square[-1] > 0.0:
+        # Level at the rim: d/dρ (k1 ρ² + k2 ρ⁴) = 0.
+        k1 = float(solve((square - 0.5 * square**2 / square[-1])[:, None])[0])
+        k2 = -0.5 * k1 / square[-1]
     return k1, k2, float(1.0 + k1 * square[-1] + k2 * square[-1] ** 2)
 
 
@@ -160,7 +167,7 @@ class WallColor:
     Attributes:
         red: Linear red over green of bright mucosa, the median of frames.
         blue: Linear blue over green.
-        green: Mean linear green within the field, the median of frames; 1 = white.
+        green: Median linear green within the field, the median of frames; 1 = white.
     """
 
     red: float
@@ -182,6 +189,8 @@ def wall_color(frames: Frames) -> WallColor | None:
     if not logs:
         return None
     ratios = np.median([log[[0, 2]] - log[1] for log in logs], axis=0)
-    lit = [g[f].mean() for g, f in zip(frames.linear[..., 1], frames.field, strict=True) if f.any()]
+    lit = [
+        np.median(g[f]) for g, f in zip(frames.linear[..., 1], frames.field, strict=True) if f.any()
+    ]
     red, blue = np.exp(ratios).tolist()
     return WallColor(red, blue, float(np.median(lit)))

@@ -187,6 +187,21 @@ def test_rays_within_a_pixel_share_its_paths(folded: tuple[Model, Camera, State]
     np.testing.assert_allclose(four.mean(), one.mean(), rtol=0.03)
 
 
+def test_harsh_input_gives_finite_light(rng: np.random.Generator) -> None:
+    """Cliffs for relief, faces without area or texture, lamps on the wall and at the lens."""
+    organ = tube(40, 80, folds=0.4, capped=True, appearance=patterned(rng, relief=5e-3))
+    organ.faces[::9, 1] = organ.faces[::9, 0]
+    organ.uv[::4] = 0.0
+    state = looking((0.004, -0.003, 0.05))
+    pose = state.T_world_capsule
+    on_wall = rotate_vectors(pose.T, organ.vertices[1200:1202] - pose[:3, 3])
+    leds = tuple(Led(tuple(place), lobe_exponent=2.0) for place in (*on_wall, np.zeros(3)))
+    camera = make_camera("equidistant", leds=leds)
+    radiance = _radiance(make_model(organ, camera), camera, state, samples=8, depth=9)
+    assert np.isfinite(radiance).all()
+    assert (radiance >= 0.0).all()
+
+
 def test_wrong_settings() -> None:
     with pytest.raises(UnknownNameError, match=r"No light named 'sun'\. Known: direct, path"):
         RenderSettings(light="sun")  # type: ignore[arg-type]

@@ -182,9 +182,7 @@ mod tests {
     #[test]
     fn mean_weight_is_the_integral_of_the_reflectance() {
         for material in &MATERIALS {
-            for (cos_view, roughness) in
-                [(1.0, 0.5), (0.8, 0.35), (0.5, 0.9), (0.15, 0.5)]
-            {
+            for (cos_view, roughness) in [(1.0, 0.5), (0.8, 0.35), (0.5, 0.9), (0.15, 0.5)] {
                 let surface = slanted(cos_view, roughness);
                 let drawn = mean_weight(&surface, material);
                 let [r, g, b] = integral(&surface, material);

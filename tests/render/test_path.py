@@ -175,8 +175,8 @@ def test_noise_falls_with_samples(folded: tuple[Model, Camera, State]) -> None:
     """At least as 1/√n; even sampling makes it fall faster."""
     model, _, state = folded
     small = make_camera(pinhole(32, 1.8))
-    exact = _radiance(model, small, state, samples=4096, light_seed=9)
-    images = [_radiance(model, small, state, samples=n) for n in (4, 16, 64, 256)]
+    exact = _radiance(model, small, state, samples=1024, light_seed=9)
+    images = [_radiance(model, small, state, samples=n) for n in (4, 16, 64)]
     errors = [np.sqrt(np.mean((image - exact) ** 2)) for image in images]
     assert all(later < 0.6 * earlier for earlier, later in pairwise(errors))
 

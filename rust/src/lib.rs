@@ -9,6 +9,7 @@ mod contents;
 mod cpu;
 mod fem;
 mod image;
+mod indirect;
 mod lanes;
 mod magnet;
 mod material;
@@ -19,6 +20,7 @@ mod query;
 mod rays;
 mod render;
 mod scene;
+mod sensor;
 mod shade;
 mod texture;
 mod tile;
@@ -35,6 +37,7 @@ fn _core(m: &Bound<'_, PyModule>) -> PyResult<()> {
     m.add_class::<fem::layer::FemLayer>()?;
     m.add_class::<magnet::arm::ArmChain>()?;
     m.add_class::<magnet::handle::FieldSources>()?;
+    m.add_function(wrap_pyfunction!(magnet::aim::aim_magnet, m)?)?;
     m.add_class::<physics::world::World>()?;
     m.add_class::<contents::Contents>()?;
     m.add_class::<contents::swarm::Swarm>()?;
@@ -42,6 +45,7 @@ fn _core(m: &Bound<'_, PyModule>) -> PyResult<()> {
     m.add_class::<scene::Scene>()?;
     m.add_class::<texture::Texture>()?;
     m.add_class::<rays::RayTable>()?;
+    m.add_class::<indirect::QuickLight>()?;
     m.add_function(wrap_pyfunction!(render::render, m)?)?;
     m.add_function(wrap_pyfunction!(channels::encode_srgb, m)?)?;
     m.add_function(wrap_pyfunction!(image::write_pngs, m)?)?;
@@ -49,6 +53,7 @@ fn _core(m: &Bound<'_, PyModule>) -> PyResult<()> {
     m.add_function(wrap_pyfunction!(image::decode_pngs, m)?)?;
     m.add_function(wrap_pyfunction!(image::quantize, m)?)?;
     m.add_function(wrap_pyfunction!(image::read_png, m)?)?;
+    sensor::register(m)?;
     m.add_function(wrap_pyfunction!(cpu::cpu_features, m)?)?;
     m.add_function(wrap_pyfunction!(cpu::num_threads, m)?)?;
     Ok(())

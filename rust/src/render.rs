@@ -3,6 +3,7 @@
 use crate::channels::{Channels, Place, slice, take};
 use crate::contents::Contents;
 use crate::contents::tile::{Filled, Room};
+use crate::indirect::{Irradiance, QuickLight};
 use crate::lanes::*;
 use crate::material::Led;
 use crate::path::{First, Settings, wave};
@@ -19,7 +20,7 @@ use rayon::prelude::*;
 pub const REACH: f32 = 1e4;
 
 /// Everything about a view but its rays.
-pub struct View {
+pub struct View<'a> {
     /// Where the camera is, about the wall's centre [m].
     pub origin: Vec3,
     /// Rows of the rotation from the camera to the world, and back.
@@ -34,9 +35,11 @@ pub struct View {
     pub shadows: bool,
     /// How light that is reflected more than once is found; None for direct light alone.
     pub paths: Option<Settings>,
+    /// Irradiance by light that has bounced, if it is found as radiosity.
+    pub bounced: Option<Irradiance<'a>>,
 }
 
-impl View {
+impl View<'_> {
     fn new(
         wall: &Wall,
         pose: PyReadonlyArray2<'_, f64>,
@@ -63,18 +66,19 @@ impl View {
             })
             .collect();
         let origin = wall.localize([pose[[0, 3]], pose[[1, 3]], pose[[2, 3]]]);
-        let (center, paths) = (wall.center, None);
-        Ok(View { origin, to_world, to_camera, center, leds, exposure, shadows, paths })
+        let (center, paths, bounced) = (wall.center, None, None);
+        Ok(View { origin, to_world, to_camera, center, leds, exposure, shadows, paths, bounced })
     }
 }
 
 /// Renders the channels of `out`, a dictionary of C-contiguous arrays of the table's shape.
 ///
 /// `leds` holds position [m], direction, intensity [W/sr] and lobe exponent of each in the world;
-/// `paths` how many paths a ray has, their most reflections, and their seed.
+/// `paths` how many paths a ray has, their most reflections, and their seed; `quick` light that
+/// bounces as radiosity.
 #[pyfunction]
 #[pyo3(signature = (
-    wall, scene, rays, pose, leds, out, *, exposure, shadows, contents=None, paths=None
+    wall, scene, rays, pose, leds, out, *, exposure, shadows, contents=None, paths=None, quick=None
 ))]
 #[allow(clippy::too_many_arguments)] // the one door from Python
 pub fn render(
@@ -89,12 +93,18 @@ pub fn render(
     shadows: bool,
     contents: Option<&Contents>,
     paths: Option<(u32, u32, u64)>,
+    quick: Option<&QuickLight>,
 ) -> PyResult<()> {
     if scene.data.faces.len() != wall.faces.len()
         || scene.data.arc_length.len() != wall.vertices.len()
     {
         return Err(PyValueError::new_err(
             "Scene and wall have different numbers of faces or vertices.",
+        ));
+    }
+    if !wall.has_normals {
+        return Err(PyValueError::new_err(
+            "The wall has moved under a world: refit it to draw it.",
         ));
     }
     let mut view = View::new(wall, pose, leds, exposure, shadows)?;
@@ -132,7 +142,10 @@ pub fn render(
         front_instance: slice(&mut front_instance)?,
         front_depth: slice(&mut front_depth)?,
     };
+    let rest = quick.map(|light| light.rest(py));
+    let quick = quick.zip(rest.as_deref()).filter(|_| channels.wants_light());
     py.detach(|| {
+        view.bounced = quick.map(|(light, rest)| light.solve(rest, wall, &view.leds));
         let columns = rays.columns();
         let filled = contents.map(|c| Filled::new(wall, &scene.data, c, &view));
         let bands = channels.bands(rays.width, rays.tiles.len() / columns);
@@ -175,7 +188,7 @@ impl Area {
 fn glow(
     wall: &Wall,
     scene: &SceneData,
-    view: &View,
+    view: &View<'_>,
     tiles: &[TileRays],
     first: impl FnMut((usize, &TileRays)) -> First,
 ) -> Option<Vec<Lane3>> {
@@ -194,7 +207,7 @@ fn glow(
 fn render_band(
     wall: &Wall,
     scene: &SceneData,
-    view: &View,
+    view: &View<'_>,
     tiles: &[TileRays],
     area: Area,
     out: &mut Channels<'_>,
@@ -232,7 +245,7 @@ fn render_filled_band(filled: &Filled<'_>, tiles: &[TileRays], area: Area, out: 
 
 /// The rays of a tile in the world, and where they meet the wall.
 #[inline(always)]
-pub fn primary(wall: &Wall, view: &View, tile: &TileRays) -> (Pyramid, Hits) {
+pub fn primary(wall: &Wall, view: &View<'_>, tile: &TileRays) -> (Pyramid, Hits) {
     let mut reach = [0.0; LANES];
     for i in 0..LANES {
         reach[i] = if tile.used[i] { REACH } else { 0.0 };
@@ -249,7 +262,7 @@ pub fn primary(wall: &Wall, view: &View, tile: &TileRays) -> (Pyramid, Hits) {
 fn render_tile(
     wall: &Wall,
     scene: &SceneData,
-    view: &View,
+    view: &View<'_>,
     tile: &TileRays,
     place: Place,
     glow: Option<&Lane3>,
@@ -261,6 +274,9 @@ fn render_tile(
         let surface = surface(scene, &found, &hits.distance, tile.pixel_angle);
         let mut radiance =
             light(wall, &scene.material, &view.leds, view.shadows, &surface, &found.hit);
+        if let Some(bounced) = &view.bounced {
+            bounced.add((&surface, &found.normal), &hits, &mut radiance);
+        }
         add_glow(glow, &mut radiance);
         place.write_color(&mut out.rgb, &radiance, view.exposure);
         place.write3(&mut out.radiance, &radiance, &found.hit, 0.0);
@@ -283,7 +299,7 @@ pub fn add_glow(glow: Option<&Lane3>, radiance: &mut Lane3) {
 /// Writes the channels of the surfaces met.
 #[inline(always)]
 pub fn write_geometry(
-    view: &View,
+    view: &View<'_>,
     tile: &TileRays,
     hits: &Hits,
     found: &Attributes,

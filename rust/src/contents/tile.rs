@@ -41,7 +41,7 @@ pub struct Filled<'a> {
     /// What is in it.
     pub contents: &'a Contents,
     /// The view.
-    pub view: &'a View,
+    pub view: &'a View<'a>,
     /// Pool in whose stretch the eye is.
     pub of_eye: u16,
 }
@@ -66,7 +66,7 @@ impl<'a> Filled<'a> {
         wall: &'a Wall,
         scene: &'a SceneData,
         contents: &'a Contents,
-        view: &'a View,
+        view: &'a View<'a>,
     ) -> Self {
         let of_eye = contents.pools.as_ref().map_or(DRY, |(pools, _)| {
             let nearest = query::nearest(&wall.bvh, view.origin);
@@ -113,6 +113,14 @@ impl<'a> Filled<'a> {
             let mut surface = surface(self.scene, &found, &hits.distance, tile.pixel_angle);
             self.paint_particles(&owner, &mut surface);
             radiance = self.light(&surface, &found.hit, wet.as_ref(), room);
+            if let Some(bounced) = &view.bounced {
+                let mut light = [[0.0; LANES]; 3];
+                bounced.add((&surface, &found.normal), &hits, &mut light);
+                if let (Some(wet), Some(optics)) = (&wet, self.optics()) {
+                    optics.dim_even(&surface.position, wet, &mut light);
+                }
+                add_glow(Some(&light), &mut radiance);
+            }
             add_glow(glow, &mut radiance);
             place.write3(&mut out.albedo, &surface.albedo, &found.hit, f32::NAN);
             if let (Some(wet), Some(optics)) = (&wet, self.optics()) {

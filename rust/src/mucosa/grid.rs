@@ -28,7 +28,7 @@ pub struct Blood {
 
 /// Hashes a packed cell by one multiplication.
 #[derive(Default)]
-struct CellHasher(u64);
+pub struct CellHasher(u64);
 
 impl Hasher for CellHasher {
     fn finish(&self) -> u64 {
@@ -74,8 +74,9 @@ impl Cursor {
     }
 }
 
+/// A cell's three numbers, each modulo 2²¹, as one.
 #[inline(always)]
-fn pack(cell: [i32; 3]) -> u64 {
+pub fn pack(cell: [i32; 3]) -> u64 {
     cell.iter().fold(0, |key, &c| (key << 21) | (c as u64 & 0x1f_ffff))
 }
 

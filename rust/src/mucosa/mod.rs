@@ -1,6 +1,6 @@
 //! The default mucosa: a solid function of the wall's points, baked into its textures.
 
-mod grid;
+pub mod grid;
 pub(crate) mod noise;
 mod raster;
 mod tissue;

@@ -9,7 +9,7 @@
 
 mod lobes;
 mod random;
-mod ray;
+pub mod ray;
 mod shadow;
 pub mod wave;
 

@@ -72,6 +72,9 @@ class Renderer:
         self.settings = settings or RenderSettings()
         self._is_narrow = self.settings.imaging == "narrow-band"
         self._scene = _scene(model.organ, narrow=self._is_narrow)
+        self._quick = None
+        if self.settings.light == "quick":
+            self._quick = _core.QuickLight(model.wall, self._scene)
         self._walls: dict[str, _core.Wall] = {}
         self._contents: dict[str, tuple[Filling, _core.Wall, _core.Contents]] = {}
         self._tables: dict[tuple[int, int], tuple[Camera, _core.RayTable]] = {}
@@ -141,6 +144,7 @@ class Renderer:
                 shadows=self.settings.shadows or paths is not None,
                 contents=contents,
                 paths=paths,
+                quick=self._quick,
             )
 
         if factor == 1 or not _COLOR & arrays.keys():
@@ -300,7 +304,7 @@ def _paths(
 
     Frames differ in time or view, so that noise does not stand still before a moving scene.
     """
-    if settings.light == "direct":
+    if settings.light != "path":
         return None
     instant = np.append(T_world_camera.ravel(), time).astype("<f8").tobytes()
     seed = blake2b(instant, digest_size=8, key=str(settings.light_seed).encode()).digest()

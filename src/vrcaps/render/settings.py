@@ -7,7 +7,7 @@ from typing import Literal, get_args
 
 from vrcaps.errors import InputError, UnknownNameError
 
-Light = Literal["direct", "path"]
+Light = Literal["direct", "quick", "path"]
 
 
 @dataclass(frozen=True)
@@ -19,9 +19,9 @@ class RenderSettings:
             channels hold the value at the pixel's centre.
         shadows: Whether folds cast shadows from each LED; path tracing always has them.
         light: Light that reaches the wall straight from an LED (direct), or also after other
-            places of the wall have reflected it (path: path tracing).
-        samples: Paths that path tracing follows for each ray; noise falls with the root of their
-            number.
+            places of the wall have reflected it (path: path tracing; quick: radiosity on points of
+            the wall, for real time).
+        samples: Paths that path tracing follows for each ray; noise falls with their square root.
         depth: Most reflections of a path, 1 to 100; 1 is direct light with shadows.
         light_seed: Chooses the paths.
         imaging: White light, or narrow bands about 415 and 540 nm, in which vessels stand out.

@@ -1,0 +1,228 @@
+//! One frame of bounced light.
+
+use super::lamps::first_reflection;
+use super::moved::Moved;
+use super::rows::{Beam, Link};
+use super::{Color, QuickLight};
+use crate::lanes::*;
+use crate::material::{Led, Surface};
+use crate::tile::{Hits, MISS};
+use crate::wall::Wall;
+use rayon::prelude::*;
+use std::borrow::Cow;
+use std::f32::consts::PI;
+use std::sync::atomic::{AtomicU32, Ordering::Relaxed};
+
+/// Reflections that are followed after the first; the rest is the tail of a geometric series.
+const BOUNCES: usize = 2;
+/// Sites that one thread takes at a time.
+const CHUNK: usize = 64;
+
+/// Irradiance by bounced light in one frame.
+pub struct Irradiance<'a> {
+    light: &'a QuickLight,
+    rest: &'a Wall,
+    wall: &'a Wall,
+    /// How the wall differs from itself at rest, if it does.
+    moved: Option<Moved<'a>>,
+    /// Radiosity of each site [W/m²].
+    leaving: Vec<Color>,
+    /// Light at each site and vertex, gathered when first needed.
+    of_site: Vec<Lazy>,
+    of_vertex: Vec<Lazy>,
+}
+
+/// Red, green and blue light vectors [W/m²]: their parts along a normal are its irradiance.
+type Vectors = [f32; 9];
+
+/// Light vectors that are reckoned when first needed; all bits zero is not yet known, a zero that
+/// is known is negative.
+///
+/// Threads that need them at once all reckon them; their results are the same, so it matters
+/// neither who writes last nor whether a reader finds parts of one and of the other.
+#[derive(Default)]
+struct Lazy([AtomicU32; 9]);
+
+impl Lazy {
+    #[inline(always)]
+    fn get(&self, reckon: impl FnOnce() -> Vectors) -> Vectors {
+        let known: [u32; 9] = std::array::from_fn(|k| self.0[k].load(Relaxed));
+        if known.iter().all(|&bits| bits != 0) {
+            return known.map(f32::from_bits);
+        }
+        let found = reckon().map(|x| if x == 0.0 { -0.0 } else { x });
+        for (slot, x) in self.0.iter().zip(found) {
+            slot.store(x.to_bits(), Relaxed);
+        }
+        found
+    }
+}
+
+impl QuickLight {
+    /// Irradiance by bounced light.
+    pub fn solve<'a>(&'a self, rest: &'a Wall, wall: &'a Wall, leds: &[Led]) -> Irradiance<'a> {
+        let moved = (!std::ptr::eq(rest, wall)).then(|| Moved::new(self, rest, wall));
+        let mut last = first_reflection(self, wall, leds);
+        let reached = self.reached(rest, &last);
+        if let Some(moved) = &moved {
+            for &s in &reached {
+                let thinner = 1.0 / max(moved.stretch(s as usize), 1e-3);
+                last[s as usize] = last[s as usize].map(|x| x * thinner);
+            }
+        }
+        let rows: Vec<Cow<'_, [Link]>> = reached
+            .par_iter()
+            .with_min_len(CHUNK)
+            .map(|&s| self.coarse_row(rest, moved.as_ref(), s as usize))
+            .collect();
+        let mut leaving = last.clone();
+        let mut before = [0.0; 3];
+        for bounce in 0..BOUNCES {
+            let next = self.reflect(&reached, &rows, &last);
+            let total = next.iter().fold([0.0; 3], |s, c| add(s, [c[0], c[1], c[2]]));
+            let rest_of_series = if bounce + 1 < BOUNCES { [1.0; 3] } else { tail(total, before) };
+            before = total;
+            for (&s, light) in reached.iter().zip(next) {
+                for k in 0..3 {
+                    leaving[s as usize][k] += light[k] * rest_of_series[k];
+                }
+                last[s as usize] = light;
+            }
+        }
+        let lazy = |n: usize| (0..n).map(|_| Lazy::default()).collect();
+        let (of_site, of_vertex) = (lazy(self.albedo.len()), lazy(wall.vertices.len()));
+        Irradiance { light: self, rest, wall, moved, leaving, of_site, of_vertex }
+    }
+
+    /// Sites that are lit or see one that is, in order.
+    fn reached(&self, rest: &Wall, leaving: &[Color]) -> Vec<u32> {
+        let mut is_reached = vec![false; leaving.len()];
+        let lit: Vec<usize> = (0..leaving.len()).filter(|&s| leaving[s] != [0.0; 4]).collect();
+        lit.par_iter().with_min_len(CHUNK).for_each(|&s| {
+            self.row(rest, s);
+        });
+        for s in lit {
+            is_reached[s] = true;
+            for link in &self.row(rest, s).coarse {
+                is_reached[link.from as usize] = true;
+            }
+        }
+        (0..is_reached.len() as u32).filter(|&s| is_reached[s as usize]).collect()
+    }
+
+    /// A site's coarse row on the wall as it is.
+    fn coarse_row<'a>(
+        &'a self,
+        rest: &Wall,
+        moved: Option<&Moved<'_>>,
+        site: usize,
+    ) -> Cow<'a, [Link]> {
+        let row = &self.row(rest, site).coarse;
+        let Some(moved) = moved else { return Cow::Borrowed(row) };
+        let factors = moved.factors(site, row.iter().map(|l| (l.from, l.share, l.exchange)));
+        let bent = |(link, factor): (&Link, f32)| Link { share: link.share * factor, ..*link };
+        row.iter().zip(factors).map(bent).collect()
+    }
+
+    /// Radiosity of sites by what leaves all others.
+    fn reflect(&self, sites: &[u32], rows: &[Cow<'_, [Link]>], leaving: &[Color]) -> Vec<Color> {
+        let of_site = |(&s, row): (&u32, &Cow<'_, [Link]>)| {
+            let mut light = [0.0; 4];
+            for link in row.iter() {
+                let from = &leaving[link.from as usize];
+                for k in 0..4 {
+                    light[k] += link.share * from[k];
+                }
+            }
+            let [r, g, b] = self.reflected(s as usize, self.reflectance.mean);
+            [light[0] * r, light[1] * g, light[2] * b, 0.0]
+        };
+        sites.par_iter().zip(rows).with_min_len(CHUNK).map(of_site).collect()
+    }
+}
+
+/// What a geometric series adds up to from its last known term on, over that term.
+fn tail(term: Vec3, before: Vec3) -> Vec3 {
+    [0, 1, 2].map(|k| 1.0 / (1.0 - clamp(term[k] / max(before[k], 1e-30), 0.0, 0.95)))
+}
+
+impl Irradiance<'_> {
+    /// Adds the radiance that bounced light leaves towards the viewer [W/(sr·m²)]; `smooth` are
+    /// the wall's normals without relief.
+    ///
+    /// Relief that tilts by τ looks past the wall's own plane with a part of its hemisphere. Of
+    /// even light it gets (1 + cos τ)/2; the light vector alone would give cos τ.
+    #[inline(always)]
+    pub fn add(&self, (surface, smooth): (&Surface, &Lane3), hits: &Hits, radiance: &mut Lane3) {
+        let mut light = [[0.0; LANES]; 9];
+        let mut last = (MISS, [[0.0; 9]; 3]);
+        for i in 0..LANES {
+            let triangle = hits.triangle[i];
+            if triangle == MISS {
+                continue;
+            }
+            if triangle != last.0 {
+                let corners = self.wall.bvh.corners[triangle as usize];
+                last = (triangle, corners.map(|v| self.vertex(v as usize)));
+            }
+            let [a, b, c] = &last.1;
+            let inverse = 1.0 / hits.edges[2][i];
+            let (wa, wb) = (hits.edges[0][i] * inverse, hits.edges[1][i] * inverse);
+            for k in 0..9 {
+                light[k][i] = c[k] + wa * (a[k] - c[k]) + wb * (b[k] - c[k]);
+            }
+        }
+        for i in 0..LANES {
+            let (normal, flat) = (at(&surface.normal, i), at(smooth, i));
+            let [base, gloss] = self.light.reflectance.at(dot(normal, at(&surface.view, i)));
+            for k in 0..3 {
+                let vector = [light[3 * k][i], light[3 * k + 1][i], light[3 * k + 2][i]];
+                let bowl = 0.5 * (1.0 - dot(normal, flat)) * dot(flat, vector);
+                let irradiance = max(dot(normal, vector) + bowl, 0.0);
+                let share = base * surface.albedo[k][i] + gloss;
+                radiance[k][i] += irradiance * (1.0 / PI) * share;
+            }
+        }
+    }
+
+    #[inline(always)]
+    fn vertex(&self, v: usize) -> Vectors {
+        self.of_vertex[v].get(|| {
+            let mut sum = [0.0; 9];
+            for &(s, weight) in self.light.sites.heard[v].iter().filter(|heard| heard.1 > 0.0) {
+                let light = self.site(s as usize);
+                for k in 0..9 {
+                    sum[k] += weight * light[k];
+                }
+            }
+            sum
+        })
+    }
+
+    fn site(&self, s: usize) -> Vectors {
+        self.of_site[s].get(|| {
+            let beams = &self.light.row(self.rest, s).fine;
+            let Some(moved) = &self.moved else {
+                return self.gather(beams.iter().map(|b| (b, 1.0)));
+            };
+            let normal = self.rest.normals[self.light.sites.vertex[s] as usize];
+            let links = beams.iter().map(|b| (b.from, dot(b.way, normal), b.exchange));
+            let mut sum = self.gather(beams.iter().zip(moved.factors(s, links)));
+            moved.turn(self.wall, s, &mut sum);
+            sum
+        })
+    }
+
+    /// Light vectors by what leaves the sites of a row, whose shares are multiplied by factors.
+    #[inline(always)]
+    fn gather<'b>(&self, row: impl Iterator<Item = (&'b Beam, f32)>) -> Vectors {
+        let mut sum = [0.0; 9];
+        for (beam, factor) in row {
+            let from = &self.leaving[beam.from as usize];
+            for k in 0..9 {
+                sum[k] += from[k / 3] * (factor * beam.way[k % 3]);
+            }
+        }
+        sum
+    }
+}

@@ -1,0 +1,67 @@
+//! Light from the LEDs to the sites: each LED sends rays of equal power.
+
+use super::lobe::Lobe;
+use super::sites::nearest_corner;
+use super::{Color, QuickLight};
+use crate::lanes::*;
+use crate::material::Led;
+use crate::path::ray;
+use crate::wall::Wall;
+use rayon::prelude::*;
+use std::f32::consts::TAU;
+
+/// Rays of all LEDs together, about.
+const RAYS: usize = 2560;
+/// Fewest rays of an LED are the square of this.
+const LEAST_SIDE: usize = 8;
+
+/// Where a ray ends: a vertex, and the cosine at which the light comes there.
+type End = (usize, f32);
+
+/// Radiosity of each site by its first reflection of the LEDs' light [W/m²].
+pub fn first_reflection(light: &QuickLight, wall: &Wall, leds: &[Led]) -> Vec<Color> {
+    let side = ((RAYS as f32 / leds.len().max(1) as f32).sqrt() as usize).max(LEAST_SIDE);
+    let rings: Vec<Vec<End>> = (0..leds.len() * side)
+        .into_par_iter()
+        .map(|k| {
+            let (number, ring) = (k / side, k % side);
+            let led = &leds[number];
+            let lobe = Lobe::shifted(led.direction, led.exponent, side, number);
+            send(wall, led.position, &lobe, ring, side)
+        })
+        .collect();
+    let mut leaving = vec![[0.0; 4]; light.albedo.len()];
+    for (led, ends) in leds.iter().zip(rings.chunks(side)) {
+        let solid_angle = if led.exponent == 0.0 { 2.0 * TAU } else { TAU / (led.exponent + 1.0) };
+        let ray = scale(led.intensity, solid_angle / (side * side) as f32);
+        for &(vertex, cosine) in ends.iter().flatten() {
+            let site = light.sites.of_vertex[vertex] as usize;
+            let share = light.reflected(site, light.reflectance.at(cosine));
+            for k in 0..3 {
+                leaving[site][k] += light.per_area[site] * ray[k] * share[k];
+            }
+        }
+    }
+    leaving
+}
+
+/// Where the rays of one ring of a lobe end.
+#[multiversion::multiversion(targets(
+    "x86_64+avx512f+avx512bw+avx512cd+avx512dq+avx512vl",
+    "x86_64+avx2",
+    "aarch64+neon"
+))]
+fn send(wall: &Wall, origin: Vec3, lobe: &Lobe, ring: usize, side: usize) -> Vec<End> {
+    let mut ends = Vec::with_capacity(side);
+    for column in 0..side {
+        let direction = lobe.direction(ring, column);
+        let hit = ray::cast::<false>(&wall.bvh, origin, direction, f32::MAX, u32::MAX);
+        // The back of a wall is dark.
+        if let Some(hit) = hit.filter(|hit| hit.edges[2] < 0.0) {
+            let vertex = nearest_corner(wall, hit.triangle, hit.edges);
+            let cosine = max(-dot(direction, wall.normals[vertex]), 0.0);
+            ends.push((vertex, cosine));
+        }
+    }
+    ends
+}

@@ -1,0 +1,89 @@
+//! Light that bounces between the walls, in real time.
+//!
+//! The wall's radiosity (Goral et al. 1984) on sites of about a tenth of the lumen's width: what a
+//! site sees of the others is traced once, at rest; in each frame the LEDs light the sites near the
+//! camera, the light bounces between them, and each vertex takes the mean of the sites around it.
+//! A pixel has its irradiance from the corners of its face. Gloss bounces as if it were diffuse.
+//!
+//! Nothing depends on earlier frames: rows are traced when first needed, from the wall at rest, and
+//! bent in each frame to the wall as it is.
+
+mod bounce;
+mod lamps;
+mod lobe;
+mod look;
+mod moved;
+mod reflectance;
+mod rows;
+mod sites;
+
+pub use bounce::Irradiance;
+use look::Look;
+use reflectance::Reflectance;
+use rows::{Row, trace_row};
+use sites::Sites;
+
+use crate::lanes::*;
+use crate::scene::{Scene, SceneData};
+use crate::wall::Wall;
+use pyo3::prelude::*;
+use std::sync::OnceLock;
+
+/// A colour with a fourth number, so that it is one vector.
+type Color = [f32; 4];
+
+/// Bounced light of a wall: sites, what they reflect and what they see of each other.
+#[pyclass(frozen, module = "vrcaps._core")]
+pub struct QuickLight {
+    rest: Py<Wall>,
+    sites: Sites,
+    /// Mean base colour of what each site stands for.
+    albedo: Vec<Vec3>,
+    /// One over the area of the wall that each site stands for at rest [1/m²].
+    per_area: Vec<f32>,
+    reflectance: Reflectance,
+    rows: Vec<OnceLock<Row>>,
+}
+
+#[pymethods]
+impl QuickLight {
+    /// Takes a wall at rest, which must not be moved afterwards, and what is drawn on it.
+    #[new]
+    fn new(py: Python<'_>, rest: Py<Wall>, scene: &Scene) -> Self {
+        let wall = rest.borrow(py);
+        let (wall, scene): (&Wall, &SceneData) = (&wall, &scene.data);
+        let own = rest.clone_ref(py);
+        py.detach(move || {
+            let sites = Sites::choose(wall);
+            let look = Look::mean(wall, scene, &sites);
+            let reflectance = Reflectance::integrate(&scene.material, look.roughness);
+            let rows = sites.vertex.iter().map(|_| OnceLock::new()).collect();
+            let Look { albedo, per_area, .. } = look;
+            QuickLight { rest: own, sites, albedo, per_area, reflectance, rows }
+        })
+    }
+
+    /// Number of sites.
+    #[getter]
+    fn num_sites(&self) -> usize {
+        self.sites.vertex.len()
+    }
+}
+
+impl QuickLight {
+    /// The wall at rest.
+    pub fn rest<'py>(&'py self, py: Python<'py>) -> PyRef<'py, Wall> {
+        self.rest.borrow(py)
+    }
+
+    fn row(&self, rest: &Wall, site: usize) -> &Row {
+        self.rows[site].get_or_init(|| trace_row(rest, &self.sites, site))
+    }
+
+    /// Share of red, green and blue light that a site reflects, where its base and its gloss
+    /// reflect so much for an albedo of 1.
+    #[inline(always)]
+    fn reflected(&self, site: usize, [base, gloss]: [f32; 2]) -> Vec3 {
+        self.albedo[site].map(|albedo| base * albedo + gloss)
+    }
+}

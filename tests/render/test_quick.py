@@ -1,0 +1,171 @@
+"""Bounced light as radiosity: the integrating sphere, path tracing beside folds, same bytes."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from shapes import looking, make_camera, make_model, patterned, pinhole, sphere, tube
+
+from vrcaps.capsule.device import Camera, Led
+from vrcaps.capsule.lens import LensEquidistant
+from vrcaps.organ.surface import Appearance
+from vrcaps.render.renderer import Renderer
+from vrcaps.render.settings import RenderSettings
+from vrcaps.world.model import Model, State
+
+PLACE = (0.004, -0.003, 0.04)
+
+
+def _radiance(model: Model, camera: Camera, state: State, **settings: object) -> np.ndarray:
+    renderer = Renderer(model, RenderSettings(**settings))  # type: ignore[arg-type]
+    radiance = renderer.render(state, camera, channels=("radiance",)).radiance
+    assert radiance is not None
+    return radiance.astype(float)
+
+
+def _matt(albedo: int) -> Appearance:
+    """A wall without gloss; at this roughness Burley's base is within 2 % of Lambert's."""
+    color, rough = np.full((1, 1, 3), albedo, np.uint8), np.full((1, 1), 128, np.uint8)
+    return Appearance(color, rough, np.zeros((1, 1)), ior=1.0, coat=0.0)
+
+
+def _folds(rng: np.random.Generator) -> tuple[Model, Camera]:
+    look = patterned(rng, relief=2e-4)
+    bright = (120 + look.albedo // 2).astype(np.uint8)
+    look = replace(look, albedo=bright, coat_gloss=0.5)
+    organ = tube(80, 200, length=0.15, folds=0.35, capped=True, appearance=look)
+    leds = tuple(Led((0.003 * np.cos(a), 0.003 * np.sin(a), -0.001)) for a in (0.0, 2.0, 4.0))
+    camera = make_camera(pinhole(48, 1.8), leds=leds)
+    return make_model(organ, camera), camera
+
+
+@pytest.mark.parametrize("albedo", [90, 150, 188, 220])
+def test_integrating_sphere(albedo: int) -> None:
+    """A hollow sphere lit from its middle is brighter than its direct light by 1/(1 − ρ)."""
+    camera = make_camera(
+        (LensEquidistant(12.0, 19.5, 19.5), 40, 40),
+        leds=(Led((0.0, 0.0, 0.0), lobe_exponent=0.0, intensity=(1e-3,) * 3),),
+    )
+    model, state = make_model(sphere(4, appearance=_matt(albedo)), camera), looking((0.0, 0.0, 0.0))
+    direct, all_light = (_radiance(model, camera, state, light=x) for x in ("direct", "quick"))
+    share = ((albedo / 255 + 0.055) / 1.055) ** 2.4
+    ratio = all_light / direct
+    assert abs(ratio.mean() * (1.0 - share) - 1.0) < 0.03
+    assert ratio.std() < 0.02 * ratio.mean()
+
+
+def test_bounced_light_agrees_with_path_tracing(rng: np.random.Generator) -> None:
+    """Beside folds, wet and patterned, with relief: two renderings cancel path tracing's noise."""
+    model, camera = _folds(rng)
+    state = looking(PLACE)
+    ours = _radiance(model, camera, state, light="quick", shadows=True)
+    one, two = (
+        _radiance(model, camera, state, light="path", samples=128, depth=12, light_seed=seed)
+        for seed in (0, 1)
+    )
+    square = np.mean((ours - one) * (ours - two))
+    assert np.sqrt(max(square, 0.0)) < 0.06 * one.mean()
+    direct = _radiance(model, camera, state, shadows=True)
+    assert direct.mean() < 0.9 * ours.mean()
+    np.testing.assert_allclose((ours - direct).mean(), (one - direct).mean(), rtol=0.06)
+
+
+def test_bounced_light_only_adds_and_scales_with_the_leds(rng: np.random.Generator) -> None:
+    model, camera = _folds(rng)
+    state = looking(PLACE)
+    direct, quick = (_radiance(model, camera, state, light=x) for x in ("direct", "quick"))
+    assert (quick >= direct).all()
+    brighter = replace(
+        camera,
+        leds=tuple(
+            replace(led, intensity=(2.0 * r, 2.0 * g, 2.0 * b))
+            for led in camera.leds
+            for r, g, b in [led.intensity]
+        ),
+    )
+    np.testing.assert_allclose(
+        _radiance(model, brighter, state, light="quick"), 2.0 * quick, rtol=1e-5
+    )
+    dark = _radiance(model, replace(camera, leds=()), state, light="quick")
+    assert not dark.any()
+
+
+def test_a_white_wall_stays_finite() -> None:
+    """Where nothing is absorbed the sum of all reflections has no end; it is cut."""
+    camera = make_camera()
+    model = make_model(sphere(3, appearance=_matt(255)), camera)
+    found = _radiance(model, camera, looking((0.004, -0.006, 0.003)), light="quick")
+    assert np.isfinite(found).all()
+
+
+def test_a_moved_wall_is_lit_as_it_is(rng: np.random.Generator) -> None:
+    """A wall that is carried along with the capsule looks the same; a widened one does not."""
+    model, camera = _folds(rng)
+    rest = model.organ.vertices
+    offset = np.array([0.01, -0.02, 0.015])
+    still = _radiance(model, camera, looking(PLACE), light="quick")
+    moved = looking(tuple(np.array(PLACE) + offset), vertices_world=rest + offset)
+    carried = _radiance(model, camera, moved, light="quick")
+    assert np.mean(np.abs(carried - still)) < 2e-3 * still.mean()
+
+
+def _digest() -> str:
+    """Checksum of two frames, the second of a wall that has moved, and of the first again."""
+    model, camera = _folds(np.random.default_rng(3))
+    renderer = Renderer(model, RenderSettings(light="quick"))
+    wide = model.organ.vertices * np.array([1.02, 1.02, 1.0])
+    states = (looking(PLACE), looking((0.0, 0.002, 0.08), vertices_world=wide), looking(PLACE))
+    total = hashlib.sha256()
+    for state in states:
+        frame = renderer.render(state, camera, channels=("rgb", "radiance"))
+        assert frame.rgb is not None and frame.radiance is not None
+        total.update(frame.rgb.tobytes() + frame.radiance.tobytes())
+    return total.hexdigest()
+
+
+def test_same_bytes_for_any_number_of_threads() -> None:
+    here = Path(__file__)
+    code = (
+        f"import sys; sys.path[:0] = [{str(here.parent)!r}]\n"
+        f"import {here.stem} as test\n"
+        "from vrcaps import _core\n"
+        "print(_core.num_threads(), test._digest())"
+    )
+    results = [
+        subprocess.run(
+            [sys.executable, "-c", code],
+            env={**os.environ, "RAYON_NUM_THREADS": str(threads)},
+            capture_output=True,
+            text=True,
+            check=True,
+        ).stdout.split()
+        for threads in (1, 2)
+    ]
+    assert [count for count, _ in results] == ["1", "2"]
+    assert {checksum for _, checksum in results} == {_digest()}
+
+
+def test_a_frame_does_not_depend_on_what_was_rendered_before(rng: np.random.Generator) -> None:
+    model, camera = _folds(rng)
+    state = looking(PLACE)
+    fresh = _radiance(model, camera, state, light="quick")
+    used = Renderer(model, RenderSettings(light="quick"))
+    for z in (0.1, 0.02, 0.07):
+        used.render(looking((0.001, 0.002, z)), camera)
+    again = used.render(state, camera, channels=("radiance",)).radiance
+    np.testing.assert_array_equal(fresh, again)
+
+
+def test_supersampling_has_bounced_light(rng: np.random.Generator) -> None:
+    model, camera = _folds(rng)
+    once, fine = (
+        _radiance(model, camera, looking(PLACE), light="quick", supersampling=n) for n in (1, 2)
+    )
+    assert abs(fine.mean() / once.mean() - 1.0) < 0.02

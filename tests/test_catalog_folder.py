@@ -35,7 +35,7 @@ def test_a_path_is_a_users_own_file(shells: CatalogFolder, tmp_path: Path) -> No
 
 
 def test_unknown_name(shells: CatalogFolder) -> None:
-    with pytest.raises(UnknownNameError, match="No shell named 'ovel'. Known: oval, round"):
+    with pytest.raises(UnknownNameError, match=r"No shell named 'ovel'\. Known: oval, round"):
         shells.find("ovel")
 
 

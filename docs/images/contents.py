@@ -85,8 +85,9 @@ def table() -> str:
     """The grades as a Markdown table."""
     lines = [
         "| grade | bubbles per cm² | per cm of a 24 mm wide gut | in a raft | radius [mm] "
-        "| particles per cm² | per cm | in a clump | radius [mm] | liquid, share of the lumen |",
-        "|---|---|---|---|---|---|---|---|---|---|",
+        "| on each end of the capsule | particles per cm² | per cm | in a clump | radius [mm] "
+        "| liquid, share of the lumen |",
+        "|---|---|---|---|---|---|---|---|---|---|---|",
     ]
     for grade, (bubbles, chyme, liquid) in enumerate(
         zip(BUBBLE_GRADES, CHYME_GRADES, LIQUID_GRADES, strict=True)
@@ -97,6 +98,8 @@ def table() -> str:
             cells += [f"{per_cm2:g}", f"{per_cm2 * GIRTH:.1f}"]
             some = f"{size:g}", f"{kind.radius / MM:g} (σ of the logarithm {kind.spread:g})"
             cells += some if per_cm2 else ("–", "–")
+            if kind is bubbles:
+                cells.append(f"{bubbles.on_dome}")
         lines.append(f"| {' | '.join([*cells, f'{liquid.fill:g}'])} |")
     return "\n".join(lines)
 

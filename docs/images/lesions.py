@@ -57,8 +57,8 @@ def best_view(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Of many places in the lumen the one from which a camera sees a lesion best.
 
-    That is: it takes `SHARE` of the view, more counted in the middle, all of it is seen, and
-    little stands nearer than it does. What narrows the lumen is looked at along it.
+    That is: it takes `SHARE` of the view, more counted in the middle, all of it is seen, no other
+    lesion is, and little stands nearer than it does. What narrows the lumen is looked at along it.
 
     Args:
         organ: With lesions.
@@ -71,6 +71,7 @@ def best_view(
     """
     own = np.flatnonzero(organ.instance == number)
     is_own = (organ.instance == number)[organ.faces].any(axis=1)
+    is_other = (organ.instance > 0)[organ.faces].any(axis=1) & ~is_own
     rays = camera_rays(camera)[::RAY_STEP, ::RAY_STEP].reshape(-1, 3)
     rays = rays[np.isfinite(rays).all(axis=1)].astype(float)
     weight = rays[:, 2] ** 2 / (rays[:, 2] ** 2).sum()
@@ -92,7 +93,8 @@ def best_view(
         whole = wall.visible(tuple(eye), eye + 0.98 * (some - eye)).mean()
         share = weight[seen].sum()
         before = weight[~seen & (distance < 0.6 * np.median(distance[seen]))].sum()
-        score = min(share / SHARE, 1.0) - max(share - 2.5 * SHARE, 0.0) + whole - before
+        aside = before + weight[(face >= 0) & is_other[face]].sum()
+        score = min(share / SHARE, 1.0) - max(share - 2.5 * SHARE, 0.0) + whole - aside
         if score > best_score:
             best, best_score = (eye, target), score
     return best

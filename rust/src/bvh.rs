@@ -150,7 +150,8 @@ struct Part<'a> {
     triangles: &'a mut [Triangle],
     first_triangle: usize,
     corners: &'a [[u32; 3]],
-    vertices: &'a [Vec3],
+    /// Coordinates of the vertices in a row [m].
+    vertices: &'a [f32],
 }
 
 impl<'a> Part<'a> {
@@ -160,6 +161,7 @@ impl<'a> Part<'a> {
         corners: &'a [[u32; 3]],
         vertices: &'a [Vec3],
     ) -> Self {
+        let vertices = vertices.as_flattened();
         Part { nodes, first_node: 0, triangles, first_triangle: 0, corners, vertices }
     }
 
@@ -194,15 +196,25 @@ impl<'a> Part<'a> {
     /// Moves the triangles of a leaf; returns their bounds.
     #[inline(always)]
     fn refit_leaf(&mut self, range: Range<usize>) -> [f32; 6] {
-        let (mut low, mut high) = (Vec3A::splat(FAR), Vec3A::splat(-FAR));
+        let (mut low, mut high) = (Vec4::splat(FAR), Vec4::splat(-FAR));
         for number in range {
-            let corners = self.corners[number].map(|v| self.vertices[v as usize]);
-            let [a, b, c] = corners.map(Vec3A::from_array);
+            let [a, b, c] = self.corners[number].map(|v| vertex(self.vertices, v));
             low = low.min(a.min(b).min(c));
             high = high.max(a.max(b).max(c));
+            let corners = [a, b, c].map(|corner| corner.truncate().to_array());
             self.triangles[number - self.first_triangle].corners = corners;
         }
         [low.x, low.y, low.z, high.x, high.y, high.z]
+    }
+}
+
+/// A vertex among coordinates in a row, and whatever comes after it: one load.
+#[inline(always)]
+pub fn vertex(coordinates: &[f32], v: u32) -> Vec4 {
+    let first = 3 * v as usize;
+    match coordinates.get(first..first + 4) {
+        Some(four) => Vec4::from_slice(four),
+        None => Vec3A::from_slice(&coordinates[first..]).extend(0.0),
     }
 }
 

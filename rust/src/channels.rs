@@ -191,7 +191,7 @@ impl Place {
 
 /// 8-bit sRGB of a linear value (IEC 61966-2-1), rounded to nearest.
 #[inline(always)]
-fn srgb(linear: f32) -> u8 {
+pub fn srgb(linear: f32) -> u8 {
     let x = clamp(linear, 0.0, 1.0);
     let curve = 1.055 * pow(x, 1.0 / 2.4) - 0.055;
     let encoded = if x <= 0.003_130_8 { 12.92 * x } else { curve };

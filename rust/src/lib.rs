@@ -20,6 +20,7 @@ mod query;
 mod rays;
 mod render;
 mod scene;
+mod sensor;
 mod shade;
 mod texture;
 mod tile;
@@ -36,6 +37,7 @@ fn _core(m: &Bound<'_, PyModule>) -> PyResult<()> {
     m.add_class::<fem::layer::FemLayer>()?;
     m.add_class::<magnet::arm::ArmChain>()?;
     m.add_class::<magnet::handle::FieldSources>()?;
+    m.add_function(wrap_pyfunction!(magnet::aim::aim_magnet, m)?)?;
     m.add_class::<physics::world::World>()?;
     m.add_class::<contents::Contents>()?;
     m.add_class::<contents::swarm::Swarm>()?;
@@ -51,6 +53,7 @@ fn _core(m: &Bound<'_, PyModule>) -> PyResult<()> {
     m.add_function(wrap_pyfunction!(image::decode_pngs, m)?)?;
     m.add_function(wrap_pyfunction!(image::quantize, m)?)?;
     m.add_function(wrap_pyfunction!(image::read_png, m)?)?;
+    sensor::register(m)?;
     m.add_function(wrap_pyfunction!(cpu::cpu_features, m)?)?;
     m.add_function(wrap_pyfunction!(cpu::num_threads, m)?)?;
     Ok(())

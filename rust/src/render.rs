@@ -102,6 +102,11 @@ pub fn render(
             "Scene and wall have different numbers of faces or vertices.",
         ));
     }
+    if !wall.has_normals {
+        return Err(PyValueError::new_err(
+            "The wall has moved under a world: refit it to draw it.",
+        ));
+    }
     let mut view = View::new(wall, pose, leds, exposure, shadows)?;
     view.paths = paths.map(|(samples, depth, seed)| Settings { samples, depth, seed });
     let shape = (rays.height, rays.width);

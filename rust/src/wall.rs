@@ -1,12 +1,16 @@
 //! The wall: a moving triangle mesh that is seen and touched through one hierarchy.
 
-use crate::bvh::Bvh;
-use crate::lanes::{Vec3, add, cross, dot, normalize, sub};
+use crate::bvh::{Bvh, vertex};
+use crate::lanes::{Vec3, add, cross, normalize, sub};
 use crate::query;
 use crate::visibility;
+use glam::Vec3A;
 use numpy::{IntoPyArray, PyArray1, PyArray2, PyReadonlyArray2, ndarray::Array2};
 use pyo3::{exceptions::PyValueError, prelude::*};
 use rayon::prelude::*;
+
+/// Vertices whose normals are made unit length side by side.
+const EIGHT: usize = 8;
 
 /// Distance and face of each ray, as Python sees them.
 type DistanceAndFace<'py> = (Bound<'py, PyArray1<f32>>, Bound<'py, PyArray1<i64>>);
@@ -30,11 +34,13 @@ pub struct Wall {
     pub normals: Vec<Vec3>,
     /// The hierarchy.
     pub bvh: Bvh,
+    /// Whether these are of the vertices as they are now.
+    pub has_normals: bool,
     /// Faces around each vertex: `around[start[v]..start[v + 1]]`.
     start: Vec<u32>,
     around: Vec<u32>,
     /// Normals of faces, as long as twice their area; kept to be overwritten.
-    area_normals: Vec<Vec3>,
+    area_normals: Vec<Vec3A>,
     /// Vertices of another time; kept to be overwritten.
     spare: Vec<Vec3>,
 }
@@ -57,24 +63,50 @@ impl Wall {
 
     /// Area of the faces that a vertex is a corner of [m²].
     pub fn area_around(&self, vertex: usize) -> f32 {
-        let length =
-            |&f: &u32| dot(self.area_normals[f as usize], self.area_normals[f as usize]).sqrt();
+        let length = |&f: &u32| self.area_normals[f as usize].length();
         0.5 * self.faces_around(vertex).iter().map(length).sum::<f32>()
     }
 
     /// Moves the wall to new vertices about its centre and refits all that follows from them.
-    pub fn move_to(&mut self, place: impl Fn(usize) -> Vec3 + Sync) -> Result<(), &'static str> {
-        self.set_vertices(self.vertices.len(), place)?;
-        self.update_normals();
-        self.bvh.refit(&self.vertices);
-        Ok(())
+    fn move_to(&mut self, place: impl Fn(usize) -> Vec3 + Sync) -> Result<(), &'static str> {
+        among_threads(|| {
+            self.set_vertices(self.vertices.len(), &place, &[])?;
+            self.refit_all();
+            Ok(())
+        })
+    }
+
+    /// Moves the wall but for its vertex normals, which only a renderer asks for: to `place`, except
+    /// `others` that come with places of their own.
+    pub fn follow(
+        &mut self,
+        place: impl Fn(usize) -> Vec3 + Sync,
+        others: &[(u32, Vec3)],
+    ) -> Result<(), &'static str> {
+        among_threads(|| {
+            self.set_vertices(self.vertices.len(), &place, others)?;
+            self.bvh.refit(&self.vertices);
+            self.has_normals = false;
+            Ok(())
+        })
+    }
+
+    /// Unit normal of a vertex, also where vertex normals are not kept.
+    pub fn normal(&self, vertex: u32) -> Vec3 {
+        let v = vertex as usize;
+        let sum = self.faces_around(v).iter().fold([0.0; 3], |sum, &face| {
+            let [a, b, c] = self.faces[face as usize].map(|v| self.vertices[v as usize]);
+            add(sum, cross(sub(b, a), sub(c, a)))
+        });
+        normalize(sum)
     }
 
     /// Takes over vertices if all are finite numbers; else nothing changes.
     fn set_vertices(
         &mut self,
         count: usize,
-        place: impl Fn(usize) -> Vec3 + Sync,
+        place: &(impl Fn(usize) -> Vec3 + Sync),
+        others: &[(u32, Vec3)],
     ) -> Result<(), &'static str> {
         self.spare.resize(count, [0.0; 3]);
         let places = self.spare.par_iter_mut().with_min_len(4096).enumerate();
@@ -84,7 +116,12 @@ impl Wall {
         });
         // Comparisons with NaN are false, so that a NaN stays the largest size.
         let larger = |a: f32, b: f32| if a < b || b.is_nan() { b } else { a };
-        let extent = sizes.map(|[x, y, z]| larger(larger(x, y), z)).reduce(|| 0.0, larger);
+        let largest = |[x, y, z]: Vec3| larger(larger(x, y), z);
+        let mut extent = sizes.map(largest).reduce(|| 0.0, larger);
+        for &(v, other) in others {
+            self.spare[v as usize] = other;
+            extent = larger(extent, largest(other.map(f32::abs)));
+        }
         if !extent.is_finite() {
             return Err(BAD_VERTICES);
         }
@@ -93,23 +130,50 @@ impl Wall {
         Ok(())
     }
 
-    /// Area-weighted vertex normals.
+    /// Refits hierarchy and vertex normals.
+    fn refit_all(&mut self) {
+        let (bvh, vertices, faces) = (&mut self.bvh, &self.vertices, &self.faces);
+        let area_normals = &mut self.area_normals;
+        rayon::join(|| bvh.refit(vertices), || find_area_normals(vertices, faces, area_normals));
+        self.update_normals();
+        self.has_normals = true;
+    }
+
+    /// Area-weighted vertex normals, from those of the faces.
     fn update_normals(&mut self) {
-        let (vertices, faces) = (&self.vertices, &self.faces);
-        let area_normal = |f: &[u32; 3]| {
-            let [a, b, c] = f.map(|v| vertices[v as usize]);
-            cross(sub(b, a), sub(c, a))
-        };
-        let normals = faces.par_iter().with_min_len(4096).map(area_normal);
-        normals.collect_into_vec(&mut self.area_normals);
-        let area_normals = &self.area_normals;
-        let (start, around) = (&self.start, &self.around);
-        self.normals.par_iter_mut().with_min_len(4096).enumerate().for_each(|(v, normal)| {
-            let faces = &around[start[v] as usize..start[v + 1] as usize];
-            *normal =
-                normalize(faces.iter().fold([0.0; 3], |n, &f| add(n, area_normals[f as usize])));
+        let (start, around, area_normals) = (&self.start, &self.around, &self.area_normals);
+        let eights = self.normals.par_chunks_mut(EIGHT).with_min_len(512).enumerate();
+        eights.for_each(|(number, normals)| {
+            let first = EIGHT * number;
+            let (mut x, mut y, mut z) = ([0.0; EIGHT], [0.0; EIGHT], [0.0; EIGHT]);
+            for i in 0..normals.len() {
+                let faces = &around[start[first + i] as usize..start[first + i + 1] as usize];
+                let sum = faces.iter().fold(Vec3A::ZERO, |sum, &f| sum + area_normals[f as usize]);
+                [x[i], y[i], z[i]] = sum.to_array();
+            }
+            for i in 0..EIGHT {
+                [x[i], y[i], z[i]] = normalize([x[i], y[i], z[i]]);
+            }
+            for (i, normal) in normals.iter_mut().enumerate() {
+                *normal = [x[i], y[i], z[i]];
+            }
         });
     }
+}
+
+/// Normals of faces, as long as twice their area.
+fn find_area_normals(vertices: &[Vec3], faces: &[[u32; 3]], normals: &mut [Vec3A]) {
+    let numbers = vertices.as_flattened();
+    let places = normals.par_iter_mut().zip(faces).with_min_len(4096);
+    places.for_each(|(normal, face)| {
+        let [a, b, c] = face.map(|v| Vec3A::from_vec4(vertex(numbers, v)));
+        *normal = (b - a).cross(c - a);
+    });
+}
+
+/// Works from within the pool of threads, so that its parts in parallel need not wake it each time.
+fn among_threads<R: Send>(work: impl FnOnce() -> R + Send) -> R {
+    rayon::scope(|_| work())
 }
 
 fn faces_around(faces: &[[u32; 3]], num_vertices: usize) -> (Vec<u32>, Vec<u32>) {
@@ -178,17 +242,18 @@ impl Wall {
             vertices: Vec::new(),
             normals: vec![[0.0; 3]; num_vertices],
             bvh: Bvh::empty(),
-            faces,
+            has_normals: false,
             start,
             around,
-            area_normals: Vec::new(),
+            area_normals: vec![Vec3A::ZERO; faces.len()],
+            faces,
             spare: Vec::new(),
         };
         let (center, (rows, _)) = (wall.center, vertices.as_chunks());
-        wall.set_vertices(num_vertices, |v| about(center, &rows[v]))
+        wall.set_vertices(num_vertices, &|v| about(center, &rows[v]), &[])
             .map_err(PyValueError::new_err)?;
         wall.bvh = Bvh::build(&wall.vertices, &wall.faces);
-        wall.update_normals();
+        wall.refit_all();
         Ok(wall)
     }
 
@@ -283,7 +348,10 @@ impl Wall {
     }
 
     /// Unit vertex normals [n 3], the area-weighted mean over the faces around each vertex.
-    fn vertex_normals<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray2<f32>> {
+    fn vertex_normals<'py>(&mut self, py: Python<'py>) -> Bound<'py, PyArray2<f32>> {
+        if !self.has_normals {
+            self.refit_all();
+        }
         let flat: Vec<f32> = self.normals.iter().flatten().copied().collect();
         Array2::from_shape_vec((self.normals.len(), 3), flat)
             .expect("three numbers a vertex")

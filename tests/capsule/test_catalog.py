@@ -9,7 +9,10 @@ from vrcaps.errors import InputError, UnknownNameError
 from vrcaps.transforms import invert, rotate_vectors, transform_points
 from vrcaps.units import MM
 
-NAMES = ("dual", "mirocam", "mono", "panoramic", "pillcam-colon2", "pillcam-sb3", "stereo")
+NAMES = (
+    *("dual", "magnetic", "mirocam", "mono"),
+    *("panoramic", "pillcam-colon2", "pillcam-sb3", "stereo"),
+)
 
 
 def test_catalog_names():
@@ -25,7 +28,8 @@ def test_device_is_plausible(name):
     assert 5 * MM < device.radius < 6.5 * MM
     assert 1e-3 < device.mass < 10e-3
     volume = np.pi * device.radius**2 * (device.length - 2.0 / 3.0 * device.radius)
-    assert 900 < device.mass / volume < 2000  # about as dense as water [kg/m³]
+    most = 4000 if device.magnets else 2000
+    assert 900 < device.mass / volume < most  # about as dense as water but for a magnet [kg/m³]
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -111,7 +115,7 @@ def test_field_across_the_middle_row(name, share, across):
 
 def test_unknown_name():
     with pytest.raises(
-        UnknownNameError, match=r"No capsule named 'mirocan'\. Known: dual, mirocam"
+        UnknownNameError, match=r"No capsule named 'mirocan'\. Known: dual, magnetic, mirocam"
     ):
         load_device("mirocan")
 

@@ -19,6 +19,7 @@ from vrcaps.record import scenario as scenario_module
 from vrcaps.record.check import check_episode
 from vrcaps.record.checkpoint import read_checkpoint
 from vrcaps.record.episode import read_episode
+from vrcaps.record.images import Images
 from vrcaps.record.recorder import record
 from vrcaps.record.scenario import (
     Scenario,
@@ -160,15 +161,15 @@ def test_a_broken_off_simulation_goes_on_from_its_checkpoint(
     """The same bytes; and only what comes after the checkpoint is simulated again."""
     out, rendered = tmp_path / "episode", []
     monkeypatch.setattr(recorder, "_CHECKPOINT_SECONDS", 0.0)
-    render = recorder._render
+    render = Images.render
 
-    def stopped(renderer, run, step):
+    def stopped(images, step):
         if step.frame == 4:
             raise KeyboardInterrupt
-        return render(renderer, run, step)
+        return render(images, step)
 
     with monkeypatch.context() as patch:
-        patch.setattr(recorder, "_render", stopped)
+        patch.setattr(Images, "render", stopped)
         with pytest.raises(KeyboardInterrupt):
             record(simulated, out)
     found = read_checkpoint(out)
@@ -178,11 +179,11 @@ def test_a_broken_off_simulation_goes_on_from_its_checkpoint(
         (out / f"wall/{missing:06d}.npy").unlink()
     times = []
 
-    def counted(renderer, run, step):
+    def counted(images, step):
         rendered.append(step.frame)
-        return render(renderer, run, step)
+        return render(images, step)
 
-    monkeypatch.setattr(recorder, "_render", counted)
+    monkeypatch.setattr(Images, "render", counted)
     record(simulated, out, simulated=lambda time, whole: times.append((time, whole)))
     assert digests(out) == digests(whole)
     first = found.frame / 5.0 + 0.2

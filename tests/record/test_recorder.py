@@ -15,9 +15,9 @@ import pytest
 
 from vrcaps import _core
 from vrcaps.errors import InputError
-from vrcaps.record import recorder
 from vrcaps.record.check import check_episode
 from vrcaps.record.episode import read_episode
+from vrcaps.record.images import Images
 from vrcaps.record.recorder import record
 from vrcaps.record.scenario import read_scenario, scenario_to_plain
 
@@ -250,14 +250,14 @@ def test_speed_of_the_writer_is_bounded_by_the_queue(scenario, tmp_path, monkeyp
         write(items)
         written.append(items)
 
-    render = recorder._render
+    render = Images.render
 
     def counted(*args):
         ahead.append(len(ahead) - len(written))
         return render(*args)
 
     monkeypatch.setattr(_core, "write_pngs", slow)
-    monkeypatch.setattr(recorder, "_render", counted)
+    monkeypatch.setattr(Images, "render", counted)
     record(replace(scenario, frames=20, channels=("rgb",)), tmp_path / "episode")
     assert max(ahead) <= 6
     assert np.mean(ahead) > 1.0

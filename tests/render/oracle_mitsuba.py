@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -50,14 +51,55 @@ def path_light(
     import mitsuba as mi
 
     mi.set_variant("scalar_rgb")
+    scene, rays = _lit(model, camera, state)
+    images = [_trace(scene, rays, _paths(depth), seed=k) for k in range(samples)]
+    return np.stack(images).reshape(samples, camera.height, camera.width, 3)
+
+
+def compiled_path_light(
+    model: Model, camera: Camera, state: State, *, depth: int, samples: int
+) -> Callable[[int], np.ndarray]:
+    """The same by the variant that is set, of `llvm_…`: makes images [h w 3] of a seed.
+
+    No film and no sensor: the integrator on our ray table. Every lens ray must be one.
+    """
+    import drjit as dr
+    import mitsuba as mi
+
+    scene, rays = _lit(model, camera, state)
+    integrator, sampler = mi.load_dict(_paths(depth)), mi.load_dict({"type": "independent"})
+    repeated = np.repeat(rays, samples, axis=0).astype(np.float32)
+    directions = mi.Vector3f(np.ascontiguousarray(repeated.T))
+    pixel = dr.arange(mi.UInt32, len(repeated)) // samples
+
+    def image(seed: int) -> np.ndarray:
+        sampler.seed(seed, len(repeated))
+        ray = mi.RayDifferential3f(mi.Ray3f(mi.Point3f(0.0), directions))
+        radiance = integrator.sample(scene, sampler, ray)[0]
+        sums = [dr.zeros(mi.Float, len(rays)) for _ in range(3)]
+        for total, channel in zip(sums, radiance, strict=True):
+            dr.scatter_reduce(dr.ReduceOp.Add, total, channel, pixel)
+        dr.eval(sums)
+        dr.sync_thread()
+        mean = np.stack([np.array(total) for total in sums], axis=1) / samples
+        return mean.reshape(camera.height, camera.width, 3)
+
+    return image
+
+
+def _paths(depth: int) -> dict[str, Any]:
+    return {"type": "path", "max_depth": depth + 1, "rr_depth": depth + 1}
+
+
+def _lit(model: Model, camera: Camera, state: State) -> tuple[Any, np.ndarray]:
+    """The scene about the camera with all LEDs, and ray directions [h·w 3]."""
+    import mitsuba as mi
+
     T_world_camera = state.T_world_capsule @ camera.T_capsule_camera
     rays = rotate_vectors(T_world_camera, camera_rays(camera).astype(float)).reshape(-1, 3)
     leds = {f"led{k}": _led(led, T_world_camera) for k, led in enumerate(camera.leds)}
     wall = _mesh(model, state, T_world_camera[:3, 3])
-    scene = mi.load_dict({"type": "scene", "wall": wall, **leds})
-    settings = {"type": "path", "max_depth": depth + 1, "rr_depth": depth + 1}
-    radiance = np.stack([_trace(scene, rays, settings, seed=k) for k in range(samples)])
-    return radiance.reshape(samples, camera.height, camera.width, 3)
+    return mi.load_dict({"type": "scene", "wall": wall, **leds}), rays
 
 
 def _to_local(points_world: np.ndarray, eye: np.ndarray) -> np.ndarray:

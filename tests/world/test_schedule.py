@@ -85,7 +85,7 @@ HEAD = ",".join(WRENCH_COLUMNS)
     [
         ("", "starts with '', not the header time_s,fx_n"),
         ("time,fx\n", "starts with 'time,fx', not the header"),
-        (HEAD + "\n", "holds no wrench"),
+        (HEAD + "\n", "holds no row of wrenches"),
         (HEAD + "\n0,1,2,3\n", "line 2 is no row of 7 numbers"),
         (HEAD + "\n0,1,2,3,a,5,6\n", "line 2 is no row of 7 numbers"),
         (HEAD + "\n0,1,2,3,nan,5,6\n", "entry 0 is not finite"),

@@ -37,6 +37,25 @@ def tube(radius: float, length: float, edge: float) -> _core.Wall:
     return _core.Wall(points.reshape(-1, 3), _grid_faces(np.column_stack([number, number[:, 0]])))
 
 
+def creased(radius: float, crest: float, rings: int = 25, around: int = 40) -> _core.Wall:
+    """A closed room, round about z, with a sharp fold of height `crest` at every fourth ring."""
+    polar = np.pi * np.arange(1, rings) / rings
+    reach = radius - np.where(np.arange(1, rings) % 4 == 0, crest, 0.0)
+    angle, polar = np.meshgrid(2.0 * np.pi * np.arange(around) / around, polar)
+    ring = reach[:, None] * np.sin(polar)
+    points = np.stack([ring * np.cos(angle), ring * np.sin(angle), reach[:, None] * np.cos(polar)])
+    poles = [[0.0, 0.0, radius], [0.0, 0.0, -radius]]
+    vertices = np.concatenate([points.reshape(3, -1).T, poles])
+    number = np.arange((rings - 1) * around).reshape(rings - 1, around)
+    closed, last = np.column_stack([number, number[:, 0]]), np.full(around, len(vertices) - 1)
+    faces = [
+        _grid_faces(closed)[:, ::-1],
+        np.stack([last - 1, closed[0, 1:], closed[0, :-1]], -1),
+        np.stack([last, closed[-1, :-1], closed[-1, 1:]], -1),
+    ]
+    return _core.Wall(vertices, np.concatenate(faces))
+
+
 def _grid_faces(number: np.ndarray) -> np.ndarray:
     a, b, c, d = number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]
     faces = [np.stack([a, b, c], -1), np.stack([a, c, d], -1)]

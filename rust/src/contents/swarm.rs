@@ -328,8 +328,7 @@ impl Step<'_> {
         let nearest = query::nearest(&self.wall.bvh, position.to_array().map(|x| x as f32));
         let point = vector(nearest.point.map(f64::from));
         let corners = self.wall.faces[nearest.face as usize];
-        let sum: DVec3 =
-            corners.iter().map(|&v| vector(self.wall.normals[v as usize].map(f64::from))).sum();
+        let sum: DVec3 = corners.iter().map(|&v| vector(self.wall.normal(v).map(f64::from))).sum();
         let inward = sum.normalize_or_zero();
         (point, inward, (position - point).dot(inward))
     }

@@ -6,7 +6,7 @@ use super::sources::{InternalMagnet, Kind, MAGNETIC_CONSTANT, Source, field, wre
 use glam::{DMat3, DQuat, DVec3};
 use numpy::{
     IntoPyArray, PyArray1, PyArray2, PyArray3, PyReadonlyArray2, PyReadonlyArray4,
-    ndarray::{Array1, Array2, Array3, ArrayView1},
+    ndarray::{Array1, Array2, Array3},
 };
 use pyo3::{exceptions::PyValueError, prelude::*};
 use rayon::prelude::*;
@@ -23,7 +23,7 @@ pub struct FieldSources {
     pub sources: Vec<Source>,
 }
 
-pub(super) fn rows(array: &PyReadonlyArray2<'_, f64>, columns: usize) -> PyResult<Vec<f64>> {
+pub(crate) fn rows(array: &PyReadonlyArray2<'_, f64>, columns: usize) -> PyResult<Vec<f64>> {
     let view = array.as_array();
     if view.ncols() != columns {
         return Err(PyValueError::new_err(format!("Rows of {columns} numbers are needed.")));
@@ -35,20 +35,30 @@ fn vector(v: &[f64]) -> DVec3 {
     DVec3::new(v[0], v[1], v[2])
 }
 
-fn row_vector(v: ArrayView1<'_, f64>) -> DVec3 {
-    DVec3::new(v[0], v[1], v[2])
+/// Magnets of a body from rows of place and moment.
+pub fn internal_magnets(magnets: &PyReadonlyArray2<'_, f64>) -> PyResult<Vec<InternalMagnet>> {
+    let rows = rows(magnets, 6)?;
+    let magnet = |m: &[f64]| InternalMagnet { position: vector(m), moment: vector(&m[3..]) };
+    Ok(rows.chunks_exact(6).map(magnet).collect())
 }
 
 /// Rotation and place of a pose of four rows.
-pub(super) fn pose_of(m: &[f64]) -> (DMat3, DVec3) {
+pub(crate) fn pose_of(m: &[f64]) -> (DMat3, DVec3) {
     let column = |k: usize| DVec3::new(m[k], m[4 + k], m[8 + k]);
     (DMat3::from_cols(column(0), column(1), column(2)), column(3))
 }
 
 impl FieldSources {
+    fn source(&mut self, index: usize) -> PyResult<&mut Source> {
+        let count = self.sources.len();
+        self.sources
+            .get_mut(index)
+            .ok_or_else(|| PyValueError::new_err(format!("No source {index}: there are {count}.")))
+    }
+
     fn add(&mut self, pose: &PyReadonlyArray2<'_, f64>, kind: Kind) -> PyResult<()> {
         let (rotation, position) = pose_of(&rows(pose, 4)?);
-        self.sources.push(Source { kind, rotation, position });
+        self.sources.push(Source { kind, rotation, position, strength: 1.0, solid: None });
         Ok(())
     }
 }
@@ -75,15 +85,22 @@ impl FieldSources {
         self.add(&pose, Kind::Dipole(moment))
     }
 
-    /// A shell of radius and length [m] with μ₀ × current per length [T], or a magnet of remanence.
+    /// A shell of radius and length [m] with μ₀ × current per length [T], or a solid magnet of that
+    /// remanence.
+    #[pyo3(signature = (pose, radius, length, sheet, is_solid=false))]
     fn add_shell(
         &mut self,
         pose: PyReadonlyArray2<'_, f64>,
         radius: f64,
         length: f64,
         sheet: f64,
+        is_solid: bool,
     ) -> PyResult<()> {
-        self.add(&pose, Kind::Shell(Shell::new(radius, 0.5 * length, sheet)))
+        self.add(&pose, Kind::Shell(Shell::new(radius, 0.5 * length, sheet)))?;
+        if let Some(source) = self.sources.last_mut().filter(|_| is_solid) {
+            source.solid = Some((radius, 0.5 * length));
+        }
+        Ok(())
     }
 
     /// A loop of a radius [m] with current × turns [A].
@@ -123,12 +140,15 @@ impl FieldSources {
 
     /// Moves a source.
     fn set_pose(&mut self, index: usize, pose: PyReadonlyArray2<'_, f64>) -> PyResult<()> {
-        let (rotation, position) = pose_of(&rows(&pose, 4)?);
-        let count = self.sources.len();
-        let source = self.sources.get_mut(index).ok_or_else(|| {
-            PyValueError::new_err(format!("No source {index}: there are {count}."))
-        })?;
-        (source.rotation, source.position) = (rotation, position);
+        let pose = pose_of(&rows(&pose, 4)?);
+        let source = self.source(index)?;
+        (source.rotation, source.position) = pose;
+        Ok(())
+    }
+
+    /// Makes a source's field this many times that of its kind.
+    fn set_strength(&mut self, index: usize, strength: f64) -> PyResult<()> {
+        self.source(index)?.strength = strength;
         Ok(())
     }
 
@@ -166,15 +186,7 @@ impl FieldSources {
         magnets: PyReadonlyArray2<'py, f64>,
         poses: PyReadonlyArray2<'py, f64>,
     ) -> PyResult<Wrenches<'py>> {
-        rows(&magnets, 6)?;
-        let magnets: Vec<InternalMagnet> = magnets
-            .as_array()
-            .outer_iter()
-            .map(|m| InternalMagnet {
-                position: row_vector(m),
-                moment: DVec3::new(m[3], m[4], m[5]),
-            })
-            .collect();
+        let magnets = internal_magnets(&magnets)?;
         let poses = rows(&poses, 7)?;
         let wrenches: Vec<_> = py.detach(|| {
             let one = |p: &[f64]| {

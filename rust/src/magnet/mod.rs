@@ -3,6 +3,7 @@
 //! Everything here is in double precision and in SI. Sums run in a fixed order, so that results do
 //! not depend on the number of threads.
 
+pub mod aim;
 pub mod arm;
 mod axial;
 mod capsules;

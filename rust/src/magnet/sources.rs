@@ -35,6 +35,10 @@ pub struct Source {
     pub rotation: DMat3,
     /// Its place in the world [m].
     pub position: DVec3,
+    /// Its field is this many times that of its kind.
+    pub strength: f64,
+    /// Radius and half the length of a solid magnet [m]; nothing else can be where it is.
+    pub solid: Option<(f64, f64)>,
 }
 
 /// What is to be said about a place.
@@ -79,6 +83,8 @@ pub struct Wrench {
     pub torque: DVec3,
     /// The worst place of its magnets.
     pub place: Place,
+    /// The largest torque [N·m] that the field there has for them, the sum of |m| |B|.
+    pub hold: f64,
 }
 
 /// A dipole's field: `B = μ₀/4π (3 (m·r̂) r̂ − m)/r³` and its gradient
@@ -123,11 +129,18 @@ impl Source {
                 (*factor * flux, *factor * gradient, place)
             }
         };
-        Field {
-            flux: self.rotation * flux,
-            gradient: self.rotation * gradient * self.rotation.transpose(),
-            place,
-        }
+        let turn = self.strength * self.rotation;
+        Field { flux: turn * flux, gradient: turn * gradient * self.rotation.transpose(), place }
+    }
+
+    /// Whether a ball about a point of the world cuts the magnet.
+    pub fn cuts(&self, point: DVec3, radius: f64) -> bool {
+        self.solid.is_some_and(|(around, half)| {
+            let p = self.rotation.transpose() * (point - self.position);
+            let rho = (p.x * p.x + p.y * p.y).sqrt();
+            let (beside, beyond) = ((rho - around).max(0.0), (p.z.abs() - half).max(0.0));
+            beside * beside + beyond * beyond < radius * radius
+        })
     }
 }
 
@@ -161,6 +174,7 @@ pub fn wrench(
         sum.force += force;
         sum.torque += moment.cross(at.flux) + arm.cross(force);
         sum.place = sum.place.max(at.place);
+        sum.hold += moment.length() * at.flux.length();
     }
     sum
 }

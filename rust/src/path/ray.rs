@@ -2,6 +2,7 @@
 
 use crate::bvh::{Bvh, Child, Node, Triangle, WIDTH};
 use crate::lanes::*;
+use glam::Vec4;
 
 /// Deepest pile of nodes waiting to be visited: 7 per level of a tree of depth 32.
 const STACK: usize = 7 * 32 + 8;
@@ -19,58 +20,82 @@ pub struct Hit {
     pub edges: Vec3,
 }
 
-/// A ray, ready to be tested against boxes.
-struct Slabs {
+/// A ray, ready to be tested against boxes and triangles.
+struct Ray {
     origin: Vec3,
     inverse: Vec3,
     /// Rows of `Node::bounds` where the ray enters a box; it leaves by the others.
     enter: [usize; 3],
     leave: [usize; 3],
+    /// Axes, the one last along which the direction is largest.
+    axes: [usize; 3],
+    /// How the ray drifts along the first two axes per unit of the last, and its length per unit.
+    shear: Vec3,
 }
 
-impl Slabs {
+/// Boxes of a node's children that a ray meets.
+struct Touched {
+    nearest: [f32; WIDTH],
+    /// One bit for each child.
+    mask: u32,
+}
+
+impl Ray {
     #[inline(always)]
     fn new(origin: Vec3, direction: Vec3) -> Self {
         let tiny = |d: f32| if d.abs() > 1e-20 { d } else { 1e-20f32.copysign(d) };
         let inverse = direction.map(|d| 1.0 / tiny(d));
         let row = |axis: usize, far: bool| axis + if (inverse[axis] > 0.0) == far { 3 } else { 0 };
         let rows = |far| [row(0, far), row(1, far), row(2, far)];
-        Slabs { origin, inverse, enter: rows(false), leave: rows(true) }
+        let [x, y, z] = direction.map(f32::abs);
+        let last = if z >= x && z >= y { 2 } else { usize::from(y >= x) };
+        let axes = [(last + 1) % 3, (last + 2) % 3, last];
+        let per_unit = inverse[last];
+        let shear = [direction[axes[0]] * per_unit, direction[axes[1]] * per_unit, per_unit];
+        Ray { origin, inverse, enter: rows(false), leave: rows(true), axes, shear }
     }
 
-    /// Pushes the children whose boxes the ray meets nearer than `farthest`, the nearest last.
+    /// The children whose boxes the ray meets nearer than `farthest`.
     #[inline(always)]
-    fn push(
-        &self,
-        node: &Node,
-        farthest: f32,
-        stack: &mut [(u32, f32); STACK],
-        mut top: usize,
-    ) -> usize {
-        let [ex, ey, ez] = self.enter.map(|row| &node.bounds[row]);
-        let [lx, ly, lz] = self.leave.map(|row| &node.bounds[row]);
-        let ([ox, oy, oz], [ix, iy, iz]) = (self.origin, self.inverse);
-        let (mut nearest, mut touched) = ([0.0f32; WIDTH], [0u8; WIDTH]);
-        for k in 0..WIDTH {
-            let enter = max(max((ex[k] - ox) * ix, (ey[k] - oy) * iy), (ez[k] - oz) * iz);
-            let leave = min(min((lx[k] - ox) * ix, (ly[k] - oy) * iy), (lz[k] - oz) * iz);
-            nearest[k] = max(enter, 0.0);
-            touched[k] = u8::from(nearest[k] <= min(leave * WIDER, farthest));
+    fn touched(&self, node: &Node, farthest: f32) -> Touched {
+        let mut out = Touched { nearest: [0.0; WIDTH], mask: 0 };
+        let (origin, inverse) = (self.origin.map(Vec4::splat), self.inverse.map(Vec4::splat));
+        for half in [0, 4] {
+            let at = |rows: [usize; 3]| {
+                let way = |k: usize| {
+                    let bound = Vec4::from_slice(&node.bounds[rows[k]][half..half + 4]);
+                    (bound - origin[k]) * inverse[k]
+                };
+                [way(0), way(1), way(2)]
+            };
+            let ([ex, ey, ez], [lx, ly, lz]) = (at(self.enter), at(self.leave));
+            let nearest = ex.max(ey).max(ez).max(Vec4::ZERO);
+            let leave = lx.min(ly).min(lz) * Vec4::splat(WIDER);
+            let meets = nearest.cmple(leave.min(Vec4::splat(farthest)));
+            nearest.write_to_slice(&mut out.nearest[half..half + 4]);
+            out.mask |= meets.bitmask() << half;
         }
-        let mut touched = u64::from_le_bytes(touched);
-        let first = top;
-        while touched != 0 {
-            let k = touched.trailing_zeros() as usize / 8;
-            touched &= touched - 1;
-            let mut place = top;
-            while place > first && stack[place - 1].1 < nearest[k] {
-                stack[place] = stack[place - 1];
-                place -= 1;
-            }
-            stack[place] = (node.children[k], nearest[k]);
-            top += 1;
+        out
+    }
+
+    /// Distance and edge functions, if the ray meets the triangle nearer than `farthest`
+    /// (Woop, Benthin and Wald 2013: watertight, as neighbours share the numbers of their edge).
+    #[inline(always)]
+    fn meet(&self, triangle: &Triangle, farthest: f32) -> Option<(f32, Vec3)> {
+        let [kx, ky, kz] = self.axes;
+        let [sx, sy, sz] = self.shear;
+        let o = self.origin;
+        let [(ax, ay, az), (bx, by, bz), (cx, cy, cz)] = triangle.corners.map(|corner| {
+            let along = corner[kz] - o[kz];
+            (corner[kx] - o[kx] - sx * along, corner[ky] - o[ky] - sy * along, along)
+        });
+        let (u, v, w) = (bx * cy - by * cx, cx * ay - cy * ax, ax * by - ay * bx);
+        if (min(u, min(v, w)) < 0.0) & (max(u, max(v, w)) > 0.0) {
+            return None;
         }
-        top
+        let sum = u + v + w;
+        let t = (u * az + v * bz + w * cz) * sz / sum;
+        ((t > 0.0) & (t < farthest)).then_some((t, [u, v, sum].map(|e| e * sz)))
     }
 }
 
@@ -85,25 +110,24 @@ pub fn cast<const ANY: bool>(
     reach: f32,
     from: u32,
 ) -> Option<Hit> {
-    let slabs = Slabs::new(origin, direction);
+    let ray = Ray::new(origin, direction);
     let mut stack = [(0u32, 0.0f32); STACK];
-    let mut top = 1;
+    let (mut top, mut code) = (0, 0u32);
     let mut farthest = reach;
     let mut found = None;
-    while top > 0 {
-        top -= 1;
-        let (code, nearest) = stack[top];
-        if nearest > farthest {
-            continue;
-        }
+    loop {
         match Child::of(code) {
             Child::Node(number) => {
-                top = slabs.push(&bvh.nodes[number], farthest, &mut stack, top);
+                let node = &bvh.nodes[number];
+                let touched = ray.touched(node, farthest);
+                if touched.mask != 0 {
+                    (code, top) = choose(node, &touched, &mut stack, top);
+                    continue;
+                }
             }
             Child::Leaf(range) => {
                 for number in range.filter(|&n| n as u32 != from) {
-                    let triangle = &bvh.triangles[number];
-                    if let Some((distance, edges)) = meet(triangle, origin, direction, farthest) {
+                    if let Some((distance, edges)) = ray.meet(&bvh.triangles[number], farthest) {
                         farthest = distance;
                         found = Some(Hit { distance, triangle: number as u32, edges });
                         if ANY {
@@ -113,22 +137,49 @@ pub fn cast<const ANY: bool>(
                 }
             }
         }
+        // The nearest of what waits; what lies beyond the hit is dropped.
+        loop {
+            if top == 0 {
+                return found;
+            }
+            top -= 1;
+            if stack[top].1 <= farthest {
+                break;
+            }
+        }
+        code = stack[top].0;
     }
-    found
 }
 
-/// Distance and edge functions, if the ray meets the triangle nearer than `farthest`.
+/// The nearest child touched; the others are pushed, the nearest last.
 #[inline(always)]
-fn meet(triangle: &Triangle, origin: Vec3, direction: Vec3, farthest: f32) -> Option<(f32, Vec3)> {
-    let [a, b, c] = triangle.corners.map(|corner| sub(corner, origin));
-    let u = dot(cross(b, c), direction);
-    let v = dot(cross(c, a), direction);
-    let w = dot(cross(a, b), direction);
-    let inside = (min(u, min(v, w)) >= 0.0) | (max(u, max(v, w)) <= 0.0);
-    if !inside {
-        return None;
+fn choose(
+    node: &Node,
+    touched: &Touched,
+    stack: &mut [(u32, f32); STACK],
+    mut top: usize,
+) -> (u32, usize) {
+    let mut mask = touched.mask;
+    let mut next = || {
+        let k = mask.trailing_zeros() as usize % WIDTH;
+        mask &= mask - 1;
+        ((node.children[k], touched.nearest[k]), mask)
+    };
+    let (mut best, mut rest) = next();
+    let first = top;
+    while rest != 0 {
+        let other;
+        (other, rest) = next();
+        let is_nearer = other.1 < best.1;
+        let later = if is_nearer { best } else { other };
+        best = if is_nearer { other } else { best };
+        let mut place = top;
+        while place > first && stack[place - 1].1 < later.1 {
+            stack[place] = stack[place - 1];
+            place -= 1;
+        }
+        stack[place] = later;
+        top += 1;
     }
-    let normal = cross(sub(b, a), sub(c, a));
-    let t = dot(normal, a) / dot(normal, direction);
-    ((t > 0.0) & (t < farthest)).then_some((t, [u, v, u + v + w]))
+    (best.0, top)
 }

@@ -19,7 +19,7 @@ const FAR: f64 = 1000.0;
 /// What is said then.
 const TOO_LARGE: &str = "The step is too large: the capsule's motion runs away.";
 /// Most parts of a substep.
-const MOST_PARTS: f64 = 64.0;
+const MOST_PARTS: f64 = 512.0;
 /// A layer of finite elements under the wall, and the exchange with it.
 type Elastic<'a> = Option<(&'a mut FemLayer, &'a mut Exchange)>;
 
@@ -141,7 +141,8 @@ impl World {
             }
             // A capsule as fast as a blow takes shorter substeps: none goes far into the wall.
             let way = dt * fastest_point(&self.body, &self.motion, &self.motion);
-            let parts = (way / LONGEST_WAY).ceil().clamp(1.0, MOST_PARTS);
+            let swing = self.magnets.as_ref().map_or(1.0, |magnets| magnets.parts(&self.body, dt));
+            let parts = (way / LONGEST_WAY).ceil().max(swing).clamp(1.0, MOST_PARTS);
             for _ in 0..parts as usize {
                 self.substep(wall, elastic, load, dt / parts, drive, &mut tally)?;
             }
@@ -179,8 +180,14 @@ impl World {
         if let Some((_, exchange)) = elastic {
             exchange.soften(soft, dt);
         }
+        let mut load = *load;
+        if let Some(magnets) = &mut self.magnets {
+            load.wrench += magnets.pull(body, motion, dt)?;
+        }
         let before = *motion;
-        let reaction = substep(body, &self.laws, load, motion, &soft.patch, dt);
+        // A capsule that breaks through a layer is an error, see `check`.
+        let barred: &[_] = if elastic.is_none() { &soft.facets } else { &[] };
+        let reaction = substep(body, &self.laws, &load, motion, &mut soft.patch, barred, dt);
         tally.add(&reaction, dt);
         if let Some((_, exchange)) = elastic {
             let (after, friction) = (&*motion, self.laws.drag.friction());
@@ -197,12 +204,14 @@ impl World {
         Ok(())
     }
 
-    /// Sets the driven wall on its way to a calibre at the end of a step.
-    pub(super) fn aim(&mut self, calibre: &[f64], duration: f64) -> PyResult<()> {
-        let drive = self.drive.as_ref().filter(|_| !calibre.is_empty()).ok_or_else(|| {
-            PyValueError::new_err("A calibre needs samples, and a drive set before.")
-        })?;
-        self.soft.aim(drive, calibre, duration);
+    /// Sets the driven wall on its way between calibres, the step's first and then its last.
+    pub(super) fn aim(&mut self, calibres: &[f64], duration: f64) -> PyResult<()> {
+        let (from, to) = calibres.split_at(calibres.len() / 2);
+        if self.soft.drive.is_none() || from.is_empty() || from.len() != to.len() {
+            let what = "Calibres need samples, two of each, and a drive set before.";
+            return Err(PyValueError::new_err(what));
+        }
+        self.soft.aim(from, to, duration);
         Ok(())
     }
 

@@ -3,6 +3,7 @@
 //! Everything here is in double precision, in metres, kilograms and seconds, about the wall's
 //! centre. One thread steps one world, so that results do not depend on the number of threads.
 
+mod barrier;
 pub mod body;
 mod contact;
 mod drag;
@@ -10,6 +11,7 @@ mod exchange;
 mod foundation;
 mod held;
 mod lane;
+mod magnets;
 mod march;
 mod near;
 mod near_layer;
@@ -17,7 +19,7 @@ mod parameters;
 mod patch;
 mod quick;
 mod soft_wall;
-mod solve;
+pub mod solve;
 mod step;
 mod wall_load;
 pub mod world;

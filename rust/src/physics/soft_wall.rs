@@ -2,7 +2,7 @@
 
 use super::body::{Axis, Body, Motion};
 use super::contact::Facet;
-use super::lane::{LANES, Lane3, at, put};
+use super::lane::{LANES, Lane3, at, min, put};
 use super::near::{Near, point};
 use super::patch::Patch;
 use super::quick::{Push, Quick, Yield, attenuate};
@@ -22,23 +22,58 @@ pub type Outcome = Result<(), &'static str>;
 /// How the lumen narrows and widens: vertices go towards the centreline.
 pub struct Drive {
     /// Vertices at rest [m], about the wall's centre.
-    pub rest: Vec<DVec3>,
+    rest: Vec<DVec3>,
     /// From each vertex to the centreline [m].
-    pub inward: Vec<DVec3>,
-    /// Place of each vertex along the calibre's samples, 0 to one less than their number.
-    pub station: Vec<f64>,
+    inward: Vec<DVec3>,
+    /// Place of each vertex along the calibre's samples, 0 or more.
+    station: Vec<f64>,
+    /// Longest way to the centreline between two samples [m].
+    longest: Vec<f64>,
+}
+
+/// Where a step drives the wall.
+struct Way {
+    /// Share of the lumen's radius at rest that its end has at each sample.
+    calibre: Vec<f64>,
+    /// How fast that shrinks [1/s].
+    shrinking: Vec<f64>,
 }
 
 impl Drive {
+    pub fn new(rest: Vec<DVec3>, inward: Vec<DVec3>, station: &[f64]) -> Self {
+        let station: Vec<f64> = station.iter().map(|s| s.max(0.0)).collect();
+        let mut longest = Vec::new();
+        for (way, station) in inward.iter().zip(&station) {
+            let sample = *station as usize;
+            longest.resize(longest.len().max(sample + 1), 0.0);
+            longest[sample] = f64::max(longest[sample], way.length());
+        }
+        Drive { rest, inward, station, longest }
+    }
+
+    /// What a vertex has of values given at the samples.
+    #[inline(always)]
+    fn share(&self, v: usize, samples: &[f64]) -> f64 {
+        let last = samples.len() - 1;
+        let station = min(self.station[v], last as f64);
+        let first = station as usize;
+        let (here, next) = (samples[first], samples[(first + 1).min(last)]);
+        here + (station - first as f64) * (next - here)
+    }
+
     /// Where a vertex is for calibres given as factors of the lumen's radius at rest.
     #[inline(always)]
-    pub fn place(&self, v: usize, calibre: &[f64]) -> DVec3 {
-        let last = calibre.len() - 1;
-        let station = self.station[v].clamp(0.0, last as f64);
-        let first = (station as usize).min(last.saturating_sub(1));
-        let share = station - first as f64;
-        let factor = calibre[first] + share * (calibre[(first + 1).min(last)] - calibre[first]);
-        self.rest[v] + self.inward[v] * (1.0 - factor)
+    fn place(&self, v: usize, calibre: &[f64]) -> DVec3 {
+        self.rest[v] + self.inward[v] * (1.0 - self.share(v, calibre))
+    }
+
+    /// How fast the fastest vertex goes, at most [m/s].
+    fn fastest(&self, shrinking: &[f64]) -> f64 {
+        let last = shrinking.len() - 1;
+        let larger =
+            |k: usize| shrinking[k.min(last)].abs().max(shrinking[(k + 1).min(last)].abs());
+        let speeds = self.longest.iter().enumerate().map(|(k, longest)| longest * larger(k));
+        speeds.fold(0.0, f64::max)
     }
 }
 
@@ -46,16 +81,18 @@ impl Drive {
 pub struct SoftWall {
     /// Where the wall would be if nothing touched it [m], about its centre.
     pub driven: Vec<DVec3>,
-    /// Where it would be at the end of the step [m]; empty when it rests.
-    pub target: Vec<DVec3>,
-    /// How that moves during the step [m/s]; empty when it rests.
-    pub driven_velocity: Vec<DVec3>,
-    /// Largest speed of these [m/s].
+    /// How it can be driven.
+    pub drive: Option<Drive>,
+    /// Where this step drives it; None when it rests.
+    way: Option<Way>,
+    /// Bound on how fast that is [m/s].
     pub driven_speed: f64,
     /// How far each vertex gives way.
     pub yields: Vec<Yield>,
     /// Vertices that may give way or are not back yet, by rising number.
     pub awake: Vec<u32>,
+    /// Whether only those give way.
+    is_quick: bool,
     pub near: Near,
     /// How far capsule and wall must have travelled before each near triangle can touch [m].
     clear: Vec<f64>,
@@ -74,14 +111,15 @@ pub struct SoftWall {
 }
 
 impl SoftWall {
-    pub fn new(wall: &Wall) -> Self {
+    pub fn new(wall: &Wall, is_quick: bool) -> Self {
         SoftWall {
             driven: (0..wall.vertices.len() as u32).map(|v| point(wall, v)).collect(),
-            target: Vec::new(),
-            driven_velocity: Vec::new(),
+            drive: None,
+            way: None,
             driven_speed: 0.0,
             yields: vec![Yield::default(); wall.vertices.len()],
             awake: Vec::new(),
+            is_quick,
             near: Near::default(),
             clear: Vec::new(),
             facets: Vec::new(),
@@ -98,47 +136,57 @@ impl SoftWall {
     /// Position and velocity of a vertex now.
     #[inline(always)]
     pub fn vertex(&self, v: u32) -> (DVec3, DVec3) {
-        let (v, yielded) = (v as usize, &self.yields[v as usize]);
-        let place = self.driven[v] + yielded.displacement;
-        match self.driven_velocity.get(v) {
-            Some(&velocity) => (place + self.since * velocity, velocity + yielded.velocity),
-            None => (place, yielded.velocity),
-        }
+        let yielded = &self.yields[v as usize];
+        let (place, velocity) = self.driven_vertex(v as usize);
+        (place + yielded.displacement, velocity + yielded.velocity)
+    }
+
+    /// Where a vertex would be now if nothing touched it, and its velocity there.
+    #[inline(always)]
+    fn driven_vertex(&self, v: usize) -> (DVec3, DVec3) {
+        let place = self.driven[v];
+        let Some((drive, way)) = self.drive.as_ref().zip(self.way.as_ref()) else {
+            return (place, DVec3::ZERO);
+        };
+        let velocity = drive.inward[v] * drive.share(v, &way.shrinking);
+        (place + self.since * velocity, velocity)
     }
 
     /// Writes all vertices into the wall and refits its hierarchy.
     pub fn settle(&mut self, wall: &mut Wall) -> Outcome {
         if self.wall_travel > 0.0 {
-            wall.move_to(|v| self.vertex(v as u32).0.to_array().map(|x| x as f32))?;
+            let seen = |place: DVec3| place.to_array().map(|x| x as f32);
+            if self.is_quick {
+                let awake = self.awake.iter().map(|&v| (v, seen(self.vertex(v).0)));
+                let awake: Vec<_> = awake.collect();
+                wall.follow(|v| seen(self.driven_vertex(v).0), &awake)?;
+            } else {
+                wall.follow(|v| seen(self.vertex(v as u32).0), &[])?;
+            }
             self.wall_travel = 0.0;
         }
         Ok(())
     }
 
-    /// Sets the driven wall on its way to a calibre at the end of a step of `duration` [s].
-    pub fn aim(&mut self, drive: &Drive, calibre: &[f64], duration: f64) {
-        let ways = self.driven.par_iter().with_min_len(4096).enumerate().map(|(v, &from)| {
-            let to = drive.place(v, calibre);
-            (to, (to - from) / duration)
-        });
-        ways.unzip_into_vecs(&mut self.target, &mut self.driven_velocity);
-        let squares = self.driven_velocity.par_iter().with_min_len(4096);
-        let fastest = squares.map(|v| v.length_squared()).reduce(|| 0.0, f64::max);
-        self.driven_speed = fastest.sqrt();
+    /// Sets the driven wall on its way from one calibre to another in a step of `duration` [s].
+    pub fn aim(&mut self, from: &[f64], to: &[f64], duration: f64) {
+        let shrinking: Vec<f64> = from.iter().zip(to).map(|(a, b)| (a - b) / duration).collect();
+        self.driven_speed = self.drive.as_ref().map_or(0.0, |drive| drive.fastest(&shrinking));
+        self.way = Some(Way { calibre: to.to_vec(), shrinking });
     }
 
     /// Ends a step: the driven wall has arrived.
     pub fn land(&mut self) {
-        if !self.target.is_empty() {
-            std::mem::swap(&mut self.driven, &mut self.target);
+        if let Some((drive, way)) = self.drive.as_ref().zip(self.way.as_ref()) {
+            let places = self.driven.par_iter_mut().with_min_len(4096).enumerate();
+            places.for_each(|(v, place)| *place = drive.place(v, &way.calibre));
         }
         self.stay();
     }
 
     /// Gives up a step: the driven wall stays where it was.
     pub fn stay(&mut self) {
-        self.target.clear();
-        self.driven_velocity.clear();
+        self.way = None;
         (self.driven_speed, self.since) = (0.0, 0.0);
     }
 

@@ -24,6 +24,13 @@ impl Twist {
     }
 }
 
+impl std::ops::AddAssign for Twist {
+    fn add_assign(&mut self, other: Self) {
+        self.linear += other.linear;
+        self.angular += other.angular;
+    }
+}
+
 /// A symmetric 6 × 6 matrix; only the lower triangle is kept.
 #[derive(Clone, Copy, Default)]
 pub struct Symmetric6(pub [[f64; 6]; 6]);

@@ -1,5 +1,6 @@
 //! One substep: gather the patch, solve for the change of twist, move the capsule and the wall.
 
+use super::barrier::keep_out;
 use super::body::{Body, Motion};
 use super::contact::{Facet, Indenter};
 use super::drag::Drag;
@@ -60,17 +61,21 @@ pub fn press(body: &Body, laws: &Laws, facets: &[Facet], motion: &Motion, patch:
     Indenter::new(&laws.foundation, body, motion).press(facets, patch);
 }
 
-/// Moves the capsule on by `dt` under the forces of `patch`; returns what the wall did.
+/// Moves the capsule on by `dt` under the forces of `patch`, and keeps `barred` triangles off its
+/// axis; returns what the wall did.
 pub fn substep(
     body: &Body,
     laws: &Laws,
     load: &Load,
     motion: &mut Motion,
-    patch: &Patch,
+    patch: &mut Patch,
+    barred: &[Facet],
     dt: f64,
 ) -> Reaction {
     let system = elastic_system(body, load, motion, patch, dt);
     let (change, resistance) = solve_friction(&system, body, laws, motion, patch, dt);
+    let (moving, grips) = ((body, &*motion), &mut patch.grips);
+    let change = keep_out(moving, barred, &system.matrix, change, grips, dt);
     let before = *motion;
     body.drift(motion, change, dt);
     reaction(body, load, &before, change, &resistance, patch, dt)

@@ -3,6 +3,7 @@
 use super::body::{Body, Motion};
 use super::exchange::Exchange;
 use super::held::Held;
+use super::magnets::{Magnets, Report, SOURCE_ROW};
 use super::march::Tally;
 use super::parameters::{
     BodyParameters, DragParameters, MaterialParameters, QuickParameters, laws,
@@ -12,6 +13,7 @@ use super::soft_wall::{Drive, SoftWall};
 use super::solve::Twist;
 use super::step::{Laws, Load, press};
 use crate::fem::layer::FemLayer;
+use crate::magnet::handle::{FieldSources, internal_magnets, pose_of, rows};
 use crate::wall::Wall;
 use glam::{DQuat, DVec3};
 use numpy::{IntoPyArray, PyArray2, PyReadonlyArray1, PyReadonlyArray2, ndarray, ndarray::Array2};
@@ -36,10 +38,11 @@ pub struct World {
     pub(super) quick: Option<Quick>,
     /// The layer of finite elements under the wall, and the exchange with it.
     pub(super) layer: Option<(Py<FemLayer>, Exchange)>,
+    /// Sources outside, and the magnets in the capsule.
+    pub(super) magnets: Option<Magnets>,
     pub(super) motion: Motion,
     /// The wall's centre; subtracted from every position [m].
     pub(super) center: DVec3,
-    pub(super) drive: Option<Drive>,
     pub(super) soft: SoftWall,
     /// Means over the last step.
     pub(super) last: Tally,
@@ -66,7 +69,7 @@ impl World {
     ) -> PyResult<Self> {
         let (soft, center) = {
             let wall = wall.borrow(py);
-            (SoftWall::new(&wall), vector(wall.center))
+            (SoftWall::new(&wall, quick.is_some()), vector(wall.center))
         };
         let quick = quick.map(Quick::from);
         let body: Body = body.into();
@@ -77,9 +80,9 @@ impl World {
             laws,
             quick,
             layer: None,
+            magnets: None,
             motion: Motion::default(),
             center,
-            drive: None,
             soft,
             last: Tally::default(),
             saved: None,
@@ -90,7 +93,7 @@ impl World {
 
     /// Moves on by `count` substeps of `dt`, with a wrench [N, N·m] and gravity [m/s²].
     ///
-    /// `calibre` is how wide the lumen is to be at the end, see `set_drive`.
+    /// `calibre` [2 k] is how wide the lumen is and how wide it is to be at the end, see `set_drive`.
     /// A layer makes `outer` steps meanwhile, of which `count` is a multiple.
     #[pyo3(signature = (dt, count, wrench, gravity, calibre=None, outer=1))]
     #[allow(clippy::too_many_arguments)]
@@ -101,7 +104,7 @@ impl World {
         count: usize,
         wrench: [f64; 6],
         gravity: [f64; 3],
-        calibre: Option<PyReadonlyArray1<'_, f64>>,
+        calibre: Option<PyReadonlyArray2<'_, f64>>,
         outer: usize,
     ) -> PyResult<()> {
         if outer == 0 || !count.is_multiple_of(outer) {
@@ -125,6 +128,43 @@ impl World {
     fn set_layer(&mut self, py: Python<'_>, layer: Py<FemLayer>, tolerance: f64) {
         let exchange = Exchange::new(&layer.borrow(py), tolerance);
         self.layer = Some((layer, exchange));
+    }
+
+    /// Lets sources act on magnets [k 6] (place, moment) in the capsule; `aim_sources` comes next.
+    fn set_magnets(
+        &mut self,
+        sources: PyRef<'_, FieldSources>,
+        magnets: PyReadonlyArray2<'_, f64>,
+    ) -> PyResult<()> {
+        self.magnets = Some(Magnets::new(sources.sources.clone(), internal_magnets(&magnets)?));
+        Ok(())
+    }
+
+    /// Moves the sources in the steps of the next `duration` [s] from rows [k 8] to rows: place,
+    /// quaternion wxyz, strength, in the world, where the wall is at a pose [4 4].
+    fn aim_sources(
+        &mut self,
+        begin: PyReadonlyArray2<'_, f64>,
+        end: PyReadonlyArray2<'_, f64>,
+        duration: f64,
+        pose: PyReadonlyArray2<'_, f64>,
+    ) -> PyResult<()> {
+        let (begin, end) = (rows(&begin, SOURCE_ROW)?, rows(&end, SOURCE_ROW)?);
+        let (rotation, position) = pose_of(&rows(&pose, 4)?);
+        let magnets = self.magnets.as_mut().filter(|magnets| {
+            begin.len() == end.len() && begin.len() == SOURCE_ROW * magnets.count()
+        });
+        let magnets = magnets.ok_or_else(|| PyValueError::new_err("A row for each source."))?;
+        let pose = (rotation, position + rotation * self.center);
+        magnets.aim((&begin, &end), duration, pose, &self.motion);
+        Ok(())
+    }
+
+    /// What the sources did since `aim_sources`, and their field at a point of the world.
+    fn pulled(&mut self, point: [f64; 3]) -> Option<Report> {
+        let magnets = self.magnets.as_mut()?;
+        magnets.finish();
+        Some(magnets.report(vector(point)))
     }
 
     /// What lasts of the exchange with the layer: force [N] on each node, how far the felt wall is
@@ -155,12 +195,12 @@ impl World {
         inward: PyReadonlyArray2<'_, f64>,
         station: PyReadonlyArray1<'_, f64>,
     ) -> PyResult<()> {
-        let (rows, station) = (inward.as_array(), station.as_array().to_vec());
+        let (rows, station) = (inward.as_array(), station.as_slice()?);
         if rows.dim() != (self.soft.driven.len(), 3) || station.len() != self.soft.driven.len() {
             return Err(PyValueError::new_err("A drive has a row for each vertex."));
         }
         let inward = rows.outer_iter().map(|r| DVec3::new(r[0], r[1], r[2])).collect();
-        self.drive = Some(Drive { rest: self.soft.driven.clone(), inward, station });
+        self.soft.drive = Some(Drive::new(self.soft.driven.clone(), inward, station));
         Ok(())
     }
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 import os
 import re
 import tomllib
+from collections.abc import Iterable
 from dataclasses import MISSING, fields
 from decimal import Decimal
 from pathlib import Path
@@ -107,6 +108,15 @@ def write_device(path: Path, device: Device) -> None:
             f"position_mm = [{_joined(magnet.position_capsule, MILLI)}]",
             f"moment_a_m2 = [{_joined(magnet.moment_capsule)}]",
         ]
+    write_lines(path, lines)
+
+
+def write_lines(path: Path, lines: Iterable[str]) -> None:
+    """Write a text file whole or not at all.
+
+    Raises:
+        InputError: If the file cannot be written.
+    """
     part = path.with_name(f"{path.name}.part")
     try:
         part.write_text("\n".join(lines) + "\n", encoding="utf-8")

@@ -26,6 +26,8 @@ _VERBS = {
     "organ from-ct": ("vrcaps.cli.from_ct", "FromCt", "Make organs from a CT scan or labels."),
     "organ make": ("vrcaps.cli.organ", "Make", "Generate an organ and write it as GLB."),
     "organ texture": ("vrcaps.cli.texture", "Texture", "Make a mucosa from photographs."),
+    "calibrate": ("vrcaps.cli.calibrate", "Calibrate", "Fit a lens to photographs of a board."),
+    "match": ("vrcaps.cli.match", "Match", "Estimate a camera from its frames."),
     "bench render": ("vrcaps.cli.bench", "Render", "Measure rendering, beside its peers."),
     "bench record": ("vrcaps.cli.bench", "Record", "Measure recording to disk."),
     "bench world": ("vrcaps.cli.bench", "World", "Measure the physics."),

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from tyro.conf import OmitArgPrefixes, UseAppendAction, arg
 
 from vrcaps.cli.lesions import chosen_lesions
+from vrcaps.cli.record_magnet import MagnetFlags
 from vrcaps.cli.record_physics import PhysicsFlags, physics_motion
 from vrcaps.cli.recording import run_recording
 from vrcaps.errors import InputError
@@ -39,9 +40,12 @@ class Record:
       vrcaps record --out runs/patient --organ colon-3.glb
       vrcaps record --out runs/polyp --lesion polyp-Ip:size=12mm,segment=sigmoid
       vrcaps record --out runs/foam --organ small-bowel --bubbles 3 --chyme 1 --liquid 2
+      vrcaps record --out runs/cheap --effects dof=1,noise=2,motion_blur=1,jpeg=2
+      vrcaps record --out runs/glow --frames 20 --light path --samples 64
       vrcaps record --out runs/photo --organ colon --mucosa my-mucosa
       vrcaps record --out runs/soft --organ small-bowel --motion physics --motility phase-three
       vrcaps record --out runs/roll --organ stomach --motion physics --turn left-lateral:at=4
+      vrcaps record --out runs/led --organ stomach --capsule magnetic --motion magnet --arm panda
       vrcaps record --out runs/path --path poses.txt --path-format tum --path-unit m
       vrcaps record --out runs/again --scenario runs/mine/episode.json
     """
@@ -99,6 +103,13 @@ class Record:
     liquid: int = 0
     """Liquid in the lumen's dips, by grade: 0 none, 1 puddles, … 4 a third full."""
 
+    effects: str = ""
+    """Lens and sensor by grade 0 to 4, such as specular=3,dof=1,noise=1..3 (a range: drawn from the
+    seed), all=2, random, mosaic=rggb, frame_rate=4..35 (which frames are taken): specular, bubbles
+    (on the lens), field_of_view, distortion, resolution, motion_blur, rolling_shutter,
+    depth_of_field, chromatic, vignette, bloom, exposure, noise, white_balance, jpeg; see
+    docs/effects.md."""
+
     posture: str = "supine"
     """How the patient lies: supine, prone, left-lateral, right-lateral, standing."""
 
@@ -122,8 +133,9 @@ class Record:
     wall: bool = False
     """Store where every vertex of the wall is in each frame (12 bytes a vertex)."""
 
-    motion: Literal["fly-through", "physics"] = "fly-through"
-    """How the capsule moves: flown along the centreline, or left to gravity, wall and muscle."""
+    motion: Literal["fly-through", "physics", "magnet"] = "fly-through"
+    """How the capsule moves: flown along the centreline, left to gravity, wall and muscle, or
+    steered by a magnet beside these."""
 
     fly: OmitArgPrefixes[FlyThrough] = field(default_factory=FlyThrough)
     """Fly along the centreline (where no --path is given)."""
@@ -132,6 +144,10 @@ class Record:
     """With --motion physics the capsule is set on the centreline at --start and left to gravity,
     the wall, the muscle and these commands; time 0 is the first frame. A scenario file sets every
     figure of the wall (docs/episode-format.md)."""
+
+    magnet: OmitArgPrefixes[MagnetFlags] = field(default_factory=MagnetFlags)
+    """With --motion magnet a magnet outside steers a capsule that holds one, such as --capsule
+    magnetic, along the gut from --start on, or as --steer says."""
 
     path: Path | None = None
     """Follow this recorded path instead."""
@@ -174,6 +190,8 @@ class Record:
             InputError: If flags contradict each other or one is missing.
         """
         from vrcaps.record.scenario import Scenario, read_scenario
+        from vrcaps.render.camera_effects.effects import Effects
+        from vrcaps.render.camera_effects.parse import parse_effects
 
         if self.scenario is not None:
             if self != Record(out=self.out, scenario=self.scenario, threads=self.threads):
@@ -196,6 +214,7 @@ class Record:
             lesions=chosen_lesions(self.lesion, self.lesions, self._patient_seed(), self.organ),
             clean_twin=self.clean_twin,
             contents=Contents(self.bubbles, self.chyme, self.liquid, seed=self._patient_seed()),
+            effects=parse_effects(self.effects) if self.effects else Effects(),
         )
 
     def _patient_seed(self) -> int:
@@ -233,14 +252,21 @@ class Record:
         )
 
     def _motion(self) -> FlyThrough | Replay | Physics:
-        if self.motion == "physics":
+        if self.motion != "magnet" and self.magnet != MagnetFlags():
+            raise InputError(
+                "--magnet, --arm, --steer and the other flags of steering go with --motion magnet. "
+                "Add it, or drop them."
+            )
+        if self.motion != "fly-through":
             if self.path is not None:
-                raise InputError("--path and --motion physics exclude each other. Drop one.")
-            return physics_motion(self.fly, self.physics)
+                raise InputError(f"--path and --motion {self.motion} exclude each other. Drop one.")
+            motion = physics_motion(self.fly, self.physics, motion=self.motion)
+            is_steered = self.motion == "magnet"
+            return replace(motion, magnet=self.magnet.steering()) if is_steered else motion
         if self.physics != PhysicsFlags():
             raise InputError(
                 "--force, --motility, --turn and the other flags of physics go with "
-                "--motion physics. Add it, or drop them."
+                "--motion physics or magnet. Add it, or drop them."
             )
         return self.fly if self.path is None else self._replay(self.path)
 

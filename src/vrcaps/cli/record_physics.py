@@ -107,16 +107,16 @@ class PhysicsFlags:
         )
 
 
-def physics_motion(fly: FlyThrough, flags: PhysicsFlags) -> Physics:
-    """The motion of `--motion physics`.
+def physics_motion(fly: FlyThrough, flags: PhysicsFlags, *, motion: str = "physics") -> Physics:
+    """The motion of `--motion physics`, or of another that moves the capsule by physics.
 
     Raises:
         InputError: If flags of a fly-through are given beside it, or as `PhysicsFlags.motion`.
     """
     if replace(fly, start=FlyThrough.start) != FlyThrough():
         raise InputError(
-            "--motion physics lets the capsule move by itself, so --end, --speed, --drift and the "
-            "other flags of the fly-through have no meaning beside it. Allowed: --start."
+            f"--motion {motion} lets the capsule move by itself, so --end, --speed, --drift and "
+            "the other flags of the fly-through have no meaning beside it. Allowed: --start."
         )
     return flags.motion(fly.start)
 

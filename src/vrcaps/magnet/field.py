@@ -15,7 +15,7 @@ import numpy as np
 
 from vrcaps import _core
 from vrcaps.errors import InputError
-from vrcaps.magnet.internal import InternalMagnet
+from vrcaps.magnet.internal import InternalMagnet, magnet_rows
 from vrcaps.magnet.sources import Source, check_pose
 from vrcaps.transforms import quaternion_from_matrix
 
@@ -54,6 +54,10 @@ class SourceSet:
         for k in range(self._first[index], self._first[index + 1]):
             self.core.set_pose(k, np.asarray(T_world_magnet, float))
 
+    def spread(self, rows: Float[np.ndarray, "k c"]) -> Float[np.ndarray, "p c"]:
+        """A row for each part that a source takes in the core, from a row for each source."""
+        return np.repeat(rows, np.diff(self._first), axis=0)
+
     def field(
         self, points: Float[np.ndarray, "n 3"]
     ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3 3"]]:
@@ -89,9 +93,8 @@ class SourceSet:
             raise InputError(f"Poses of shape {poses.shape}. Allowed: finite 4 x 4 matrices.")
         batch = poses.shape[:-2]
         poses = poses.reshape(-1, 4, 4)
-        rows = np.array([[*m.position_capsule, *m.moment_capsule] for m in magnets])
         places = np.concatenate([poses[:, :3, 3], quaternion_from_matrix(poses[:, :3, :3])], axis=1)
-        wrench, place = self.core.wrench(rows.reshape(-1, 6), places)
+        wrench, place = self.core.wrench(magnet_rows(magnets), places)
         _check_places(place, poses[:, :3, 3])
         return wrench[:, :3].reshape(*batch, 3), wrench[:, 3:].reshape(*batch, 3)
 

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from vrcaps.errors import InputError
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 
 @dataclass(frozen=True)
@@ -28,3 +33,9 @@ class InternalMagnet:
                 f"An internal magnet at {self.position_capsule} with the moment "
                 f"{self.moment_capsule}. Allowed: three finite numbers each, the moment not zero."
             )
+
+
+def magnet_rows(magnets: Sequence[InternalMagnet]) -> Float[np.ndarray, "k 6"]:
+    """Place [m] and moment [A·m²] of each in the capsule frame, as the core takes them."""
+    rows = [[*magnet.position_capsule, *magnet.moment_capsule] for magnet in magnets]
+    return np.array(rows, float).reshape(-1, 6)

@@ -165,7 +165,7 @@ class Cylinder:
 
     def add_to(self, core: FieldSources) -> int:
         """Add this source to the core's; returns how many of the core's it takes."""
-        core.add_shell(_pose(self), 0.5 * self.diameter, self.length, self.remanence)
+        core.add_shell(_pose(self), 0.5 * self.diameter, self.length, self.remanence, True)
         return 1
 
 

@@ -120,7 +120,7 @@ _MUCOSA_OF: dict[str, str] = {
 }
 """By name of an organ or segment, ours or TotalSegmentator's; all others have the colon's."""
 
-_ABSORPTION = np.array([[0.16, 1.0, 0.92], [0.04, 0.16, 1.0]])
+ABSORPTION = np.array([[0.16, 1.0, 0.92], [0.04, 0.16, 1.0]])
 """Optical density in red, green and blue of blood, relative to green, and of bile, to blue: as in
 the compiled core (tissue.rs)."""
 
@@ -246,7 +246,7 @@ def _of_patient(mucosa: Mucosa, seed: int) -> Mucosa:
     """One patient's mucosa: the same draw for every organ."""
     spread = np.array(mucosa.patient_variation)
     densities = spread * np.random.default_rng([seed, 0x70616C65]).standard_normal(2)
-    color = np.array(mucosa.base_color) * np.exp(-densities @ _ABSORPTION)
+    color = np.array(mucosa.base_color) * np.exp(-densities @ ABSORPTION)
     return replace(mucosa, base_color=tuple(np.clip(color, 0.01, 0.95).tolist()))
 
 

@@ -132,8 +132,10 @@ def _check_table(episode: Episode) -> Iterator[Problem]:
         return
     columns = table.columns
     cameras = tuple(camera.name for camera in episode.cameras)
-    simulated = isinstance(episode.scenario.motion, Physics)
-    missing = set(column_names(cameras, simulated=simulated)) - set(columns)
+    motion = episode.scenario.motion
+    simulated = isinstance(motion, Physics)
+    steered = isinstance(motion, Physics) and motion.magnet is not None
+    missing = set(column_names(cameras, simulated=simulated, steered=steered)) - set(columns)
     if missing:
         yield Problem(FRAMES_PARQUET, f"lacks the columns {', '.join(sorted(missing))}")
         return

@@ -7,7 +7,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -24,6 +24,7 @@ from vrcaps.record.checkpoint import (
 )
 from vrcaps.record.episode import Episode, read_episode
 from vrcaps.record.files import TEMPORARY, write_bytes, write_images, write_json
+from vrcaps.record.images import Images, Step
 from vrcaps.record.layout import (
     COMPLETE,
     EPISODE_JSON,
@@ -40,13 +41,12 @@ from vrcaps.record.preview import Preview
 from vrcaps.record.scenario import Scenario, build, resolve, scenario_to_plain
 from vrcaps.record.table import TableRows, write_table
 from vrcaps.record.walls import file_vertices, stored_wall, wall_path
-from vrcaps.render.renderer import Renderer
 from vrcaps.world.simulation import Simulation
 
 if TYPE_CHECKING:
     from vrcaps.render.frame import Frame
     from vrcaps.world.model import Model
-    from vrcaps.world.run import Instant, Run
+    from vrcaps.world.run import Run
     from vrcaps.world.snapshot import Snapshot
 
 _CHECKPOINT_SECONDS = 10.0  # between snapshots of a simulation, from which it can go on
@@ -146,25 +146,6 @@ class _Recording:
         return found
 
 
-@dataclass(frozen=True)
-class _Step:
-    """A frame to be written, between its neighbours.
-
-    Attributes:
-        frame: Its number.
-        now: The world.
-        before: One frame earlier; None for the first.
-        after: One frame later; None for the last.
-        taken: Of `Simulation.snapshot` at this frame, where one is due.
-    """
-
-    frame: int
-    now: Instant
-    before: Instant | None
-    after: Instant | None
-    taken: tuple[float, Snapshot] | None
-
-
 def _silent(done: int, total: int) -> None:
     """Report nothing."""
 
@@ -223,7 +204,7 @@ def _write_organ(out: Path, model: Model) -> None:
     write_glb(out / ORGAN_GLB, model.organ, T_world_patient=model.T_world_patient)
 
 
-def _steps(motion: Run, start: Checkpoint | None) -> Iterator[_Step]:
+def _steps(motion: Run, start: Checkpoint | None) -> Iterator[Step]:
     """Frames of a motion with their neighbours, from the one after a checkpoint on."""
     simulation = motion if isinstance(motion, Simulation) else None
     last = time.monotonic()
@@ -245,9 +226,9 @@ def _steps(motion: Run, start: Checkpoint | None) -> Iterator[_Step]:
     due = taken()
     for after in instants:
         following = taken()
-        yield _Step(frame, now, before, after, due)
+        yield Step(frame, now, before, after, due)
         before, now, due, frame = now, after, following, frame + 1
-    yield _Step(frame, now, before, None, None)
+    yield Step(frame, now, before, None, None)
 
 
 def _write_frames(out: Path, run: _Recording) -> None:
@@ -287,17 +268,16 @@ def _write_steps(
 ) -> None:
     """Walk through the motion, hand out what is to be written, write the table."""
     start = run.checkpoint()
-    renderer = Renderer(run.model, run.scenario.render)
-    rows = TableRows(run.model, None if start is None else start.table)
+    table = None if start is None else start.table
+    images, rows = Images(run.model, run.scenario, table), TableRows(run.model, table)
     for frame in range(len(rows)):
         submit(frame, partial(_preview_from_files, preview, episode, frame))
     for step in _steps(run.motion, start):
-        rows.add(step.now)
+        rows.add(step.now, images.expose(step))
         if run.is_there(step.frame):
             submit(step.frame, partial(_preview_from_files, preview, episode, step.frame))
             continue
-        images = _render(renderer, run, step)
-        wall = None
+        made, wall = images.render(step), None
         if run.scenario.wall:
             wall = stored_wall(run.model, step.now.state, run.wall_vertices)
         checkpoint = None
@@ -305,38 +285,10 @@ def _write_steps(
             checkpoint = Checkpoint(step.frame, *step.taken, rows.table())
         submit(
             step.frame,
-            partial(_write_frame, preview, run, step.frame, images, wall, checkpoint),
+            partial(_write_frame, preview, run, step.frame, made, wall, checkpoint),
         )
     if not (run.out / FRAMES_PARQUET).exists():
         write_table(run.out / FRAMES_PARQUET, rows.table())
-
-
-def _render(renderer: Renderer, run: _Recording, step: _Step) -> dict[str, Frame]:
-    """Images of all cameras at one frame."""
-    after, before = step.after or step.now, step.before or step.now
-    images = {
-        camera.name: renderer.render(
-            step.now.state,
-            camera,
-            channels=run.scenario.channels,
-            state_next=after.state,
-            state_previous=before.state,
-        )
-        for camera in run.model.device.cameras
-    }
-    ends = (step.before is None, step.after is None)
-    return {name: _without_neighbour(image, *ends) for name, image in images.items()}
-
-
-def _without_neighbour(image: Frame, is_first: bool, is_last: bool) -> Frame:
-    """The image with no flow to a frame that the run does not have, and nothing seen in it."""
-    if is_first and image.flow_backward is not None:
-        image = replace(image, flow_backward=np.full_like(image.flow_backward, np.nan))
-    if is_last and image.flow_forward is not None:
-        image = replace(image, flow_forward=np.full_like(image.flow_forward, np.nan))
-    if is_last and image.occlusion is not None:
-        image = replace(image, occlusion=np.ones_like(image.occlusion))
-    return image
 
 
 def _write_frame(

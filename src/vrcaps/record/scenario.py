@@ -21,6 +21,7 @@ from vrcaps.organ.photo.texture import texture_head
 from vrcaps.organ.read_organ import is_organ_file
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.record.typed import from_plain, to_plain
+from vrcaps.render.camera_effects.effects import Effects
 from vrcaps.render.frame import CHANNELS
 from vrcaps.render.settings import RenderSettings
 from vrcaps.tissue.contents.contents import Contents
@@ -108,6 +109,7 @@ class Scenario:
         lesions: What to put into the organ; number k becomes instance k, counted from 1.
         clean_twin: Show the same patient without the lesions; the motion stays as it is with them.
         contents: What floats in the lumen.
+        effects: What the cameras' lens and sensor do; a range of grades is drawn from the seed.
     """
 
     organ: OrganGenerated | OrganFile = field(default_factory=OrganGenerated)
@@ -123,6 +125,7 @@ class Scenario:
     lesions: tuple[AnyLesion, ...] = ()
     clean_twin: bool = False
     contents: Contents = field(default_factory=Contents)
+    effects: Effects = field(default_factory=Effects)
 
 
 def read_scenario(path: str | Path) -> Scenario:
@@ -180,8 +183,8 @@ def scenario_from_plain(plain: Any) -> Scenario:
 def resolve(scenario: Scenario) -> tuple[Scenario, Device]:
     """The scenario with nothing left open, and its capsule.
 
-    Fills in the frame rate and the checksums of files, and puts the channels in the order of
-    `Frame`.
+    Fills in the frame rate and the checksums of files, draws the grades of effects, and puts the
+    channels in the order of `Frame`. The capsule's cameras are as the effects have changed them.
 
     Raises:
         InputError: If a value is out of range or a file is not the one that a checksum names.
@@ -215,8 +218,15 @@ def resolve(scenario: Scenario) -> tuple[Scenario, Device]:
     if isinstance(motion, Physics) and motion.wrench_file:
         checksum = _checked_sha256(motion.wrench_file, motion.wrench_sha256)
         motion = replace(motion, wrench_sha256=checksum)
+    if isinstance(motion, Physics) and motion.magnet is not None and motion.magnet.file:
+        checksum = _checked_sha256(motion.magnet.file, motion.magnet.file_sha256)
+        motion = replace(motion, magnet=replace(motion.magnet, file_sha256=checksum))
     channels = tuple(channel for channel in CHANNELS if channel in scenario.channels)
-    return replace(scenario, organ=organ, motion=motion, fps=fps, channels=channels), device
+    effects = scenario.effects.drawn(scenario.seed)
+    resolved = replace(
+        scenario, organ=organ, motion=motion, fps=fps, channels=channels, effects=effects
+    )
+    return resolved, effects.device(device)
 
 
 def build(scenario: Scenario, device: Device) -> tuple[Model, Run]:
@@ -226,13 +236,13 @@ def build(scenario: Scenario, device: Device) -> tuple[Model, Run]:
         InputError: If the organ cannot be made or the capsule cannot move in it as asked.
     """
     T_world_patient = posture_transform(scenario.posture)
-    contents = scenario.contents
+    contents = scenario.effects.contents(scenario.contents)
     shown = model = Model(_load_patient(scenario), device, T_world_patient, contents)
     if scenario.clean_twin:
         twin = _load_patient(scenario, clean=True)
         shown = Model(twin, device, T_world_patient, contents)
     if not isinstance(scenario.motion, Physics):
-        return shown, make_trajectory(scenario, model)
+        return shown, make_trajectory(scenario, model, shown)
     assert scenario.fps is not None
     simulation = Simulation(
         model,
@@ -245,17 +255,29 @@ def build(scenario: Scenario, device: Device) -> tuple[Model, Run]:
     return shown, simulation
 
 
-def make_trajectory(scenario: Scenario, model: Model) -> Trajectory:
-    """Motion of a resolved scenario in its world, where it is known beforehand."""
+def make_trajectory(scenario: Scenario, model: Model, shown: Model) -> Trajectory:
+    """Motion of a resolved scenario in its world, where it is known beforehand.
+
+    Args:
+        scenario: What to record.
+        model: Where the capsule moves.
+        shown: What is seen: the model, or its clean twin.
+    """
     assert scenario.fps is not None
     if isinstance(scenario.motion, Replay):
         return replay(model, scenario.motion, frames=scenario.frames, fps=scenario.fps)
     assert isinstance(scenario.motion, FlyThrough)
     rng = np.random.default_rng(scenario.seed)
-    return fly_through(model, scenario.motion, frames=scenario.frames, fps=scenario.fps, rng=rng)
+    path = fly_through(model, scenario.motion, frames=scenario.frames, fps=scenario.fps, rng=rng)
+    return replace(path, make_way=path.make_way and replace(path.make_way, shown=shown))
 
 
 def _load_patient(scenario: Scenario, *, clean: bool = False) -> OrganSurface:
+    """The organ with its lesions, or its clean twin, as wet as the effects have it."""
+    return scenario.effects.organ(_with_lesions(scenario, clean=clean))
+
+
+def _with_lesions(scenario: Scenario, *, clean: bool) -> OrganSurface:
     """The organ with its lesions, or its clean twin; made once like the organ itself."""
     from vrcaps.organ.cache import cached_organ, fingerprint
 

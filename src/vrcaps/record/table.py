@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,8 +19,9 @@ from vrcaps.transforms import (
     transform_from,
     transform_points,
 )
-from vrcaps.world.model import Model, State
+from vrcaps.world.model import Coupling, Model, State
 from vrcaps.world.run import Conditions, Instant, Run
+from vrcaps.world.steering import Steered
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -42,6 +44,19 @@ SIMULATED_COLUMNS = (
 )
 """Columns of a run by physics, beside those of every run."""
 
+STEERED_COLUMNS = (
+    *(f"magnet_{name}" for name in POSE_COLUMNS),
+    *(f"flux_density_{axis}_t" for axis in "xyz"),
+    *(f"magnetic_force_{axis}_n" for axis in "xyz"),
+    *(f"magnetic_torque_{axis}_nm" for axis in "xyz"),
+    *(f"needed_force_{axis}_n" for axis in "xyz"),
+    *("coupling_angle_rad", "coupling_distance_m", "goal_distance_m", "goal_angle_rad"),
+    *("magnet_limit", "coupling_lost"),
+)
+"""Columns of a run that a magnet steers; those of an arm's joints come after them."""
+
+_TEXTS = ("segment", "magnet_limit", "coupling_lost")
+
 
 @dataclass(frozen=True)
 class FrameTable:
@@ -63,17 +78,21 @@ class FrameTable:
         return transform_from(rotations, np.stack([x, y, z], axis=-1))
 
 
-def column_names(cameras: tuple[str, ...], *, simulated: bool = False) -> tuple[str, ...]:
+def column_names(
+    cameras: tuple[str, ...], *, simulated: bool = False, steered: bool = False
+) -> tuple[str, ...]:
     """Names of all columns, in order.
 
     Args:
         cameras: Names of the capsule's cameras.
         simulated: Whether the capsule moved by physics.
+        steered: Whether a magnet steered it.
     """
     poses = [f"{body}_{name}" for body in ("capsule", *cameras) for name in POSE_COLUMNS]
     clearances = [f"{body}_clearance_m" for body in ("capsule", *cameras)]
     columns = ("frame", "time_s", *poses, *_LINEAR, *_ANGULAR, "arc_length_m", "segment")
-    return (*columns, *clearances, *(SIMULATED_COLUMNS if simulated else ()))
+    physics = SIMULATED_COLUMNS if simulated else ()
+    return (*columns, *clearances, *physics, *(STEERED_COLUMNS if steered else ()))
 
 
 class TableRows:
@@ -91,8 +110,13 @@ class TableRows:
     def __len__(self) -> int:
         return len(self._rows)
 
-    def add(self, instant: Instant) -> None:
-        """Adds a frame: pose, velocity, where in the gut, how far from the wall as it is then."""
+    def add(self, instant: Instant, more: Mapping[str, float] | None = None) -> None:
+        """Adds a frame: pose, velocity, where in the gut, how far from the wall as it is then.
+
+        Args:
+            instant: The frame.
+            more: Further columns, the same in each row.
+        """
         state, cameras = instant.state, self.model.device.cameras
         poses = {"capsule": state.T_world_capsule}
         for camera in cameras:
@@ -114,15 +138,17 @@ class TableRows:
         row |= {f"{body}_clearance_m": d for body, d in zip(poses, clearances, strict=True)}
         if instant.conditions is not None:
             row |= _simulated(self.model, state, instant.conditions, float(arc_length[0]))
-        self._rows.append(row)
+        self._rows.append(row | dict(more or {}))
 
     def table(self) -> FrameTable:
         """All rows so far."""
         cameras = tuple(camera.name for camera in self.model.device.cameras)
         simulated = bool(self._rows) and SIMULATED_COLUMNS[0] in self._rows[0]
         names = column_names(cameras, simulated=simulated)
-        columns = {name: np.array([row[name] for row in self._rows]) for name in names}
-        return FrameTable(columns | {"segment": columns["segment"].astype(object)})
+        more = [name for name in self._rows[0] if name not in names] if self._rows else []
+        columns = {name: np.array([row[name] for row in self._rows]) for name in (*names, *more)}
+        texts = {name: columns[name].astype(object) for name in _TEXTS if name in columns}
+        return FrameTable(columns | texts)
 
     def _wall(self, state: State) -> Wall:
         """The wall in a state, ready for queries."""
@@ -166,7 +192,28 @@ def _simulated(
         *quaternion_from_matrix(pose[:3, :3]),
         conditions.phase,
     )
-    return dict(zip(SIMULATED_COLUMNS, values, strict=True))
+    row = dict(zip(SIMULATED_COLUMNS, values, strict=True))
+    if conditions.steered is None or state.coupling is None:
+        return row
+    return row | _steered(state.coupling, conditions.steered)
+
+
+def _steered(coupling: Coupling, steered: Steered) -> dict[str, Any]:
+    """Columns of a frame in which a magnet steered."""
+    held = steered.held
+    values = (
+        *held.T_world_magnet[:3, 3],
+        *quaternion_from_matrix(held.T_world_magnet[:3, :3]),
+        *coupling.flux_density_world,
+        *coupling.force_world,
+        *coupling.torque_world,
+        *steered.needed,
+        *(coupling.angle, coupling.distance),
+        *(float(np.linalg.norm(steered.error)), steered.angle),
+        *(held.limit, steered.lost),
+    )
+    row = dict(zip(STEERED_COLUMNS, values, strict=True))
+    return row | {f"joint_{k}_rad": angle for k, angle in enumerate(held.angles, start=1)}
 
 
 def locate(

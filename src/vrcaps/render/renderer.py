@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from hashlib import blake2b
 from typing import TYPE_CHECKING, Any
 
@@ -15,6 +16,13 @@ from vrcaps.errors import InputError, UnknownNameError
 from vrcaps.organ.surface import Appearance, OrganSurface, coat_alpha, face_label
 from vrcaps.render.flow import SurfacePoints, flow, seen_from
 from vrcaps.render.frame import CHANNELS, Frame
+from vrcaps.render.narrow_band import (
+    led_gains,
+    narrow_band_appearance,
+    narrow_band_bubbles,
+    narrow_band_liquid,
+    narrow_band_reflectance,
+)
 from vrcaps.render.settings import RenderSettings
 from vrcaps.tissue.contents.filling import Filling
 from vrcaps.transforms import rotate_vectors, transform_points
@@ -62,7 +70,8 @@ class Renderer:
     def __init__(self, model: Model, settings: RenderSettings | None = None) -> None:
         self.model = model
         self.settings = settings or RenderSettings()
-        self._scene = _scene(model.organ)
+        self._is_narrow = self.settings.imaging == "narrow-band"
+        self._scene = _scene(model.organ, narrow=self._is_narrow)
         self._quick = None
         if self.settings.light == "quick":
             self._quick = _core.QuickLight(model.wall, self._scene)
@@ -119,6 +128,8 @@ class Renderer:
         factor = self.settings.supersampling
         T_world_camera = state.T_world_capsule @ camera.T_capsule_camera
         leds = _leds_world(camera, T_world_camera)
+        if self._is_narrow:
+            leds[:, 6:9] *= led_gains()
         paths = _paths(self.settings, state.time, T_world_camera)
 
         def draw(into: dict[str, NDArray[Any]], supersampling: int) -> None:
@@ -227,9 +238,13 @@ class Renderer:
                 kept[2].move_to(wall, np.ascontiguousarray(filling.spheres.centers))
         else:
             bubbles, _, liquid = filling.contents.resolved
+            spheres = filling.spheres
+            if self._is_narrow:
+                bubbles, liquid = narrow_band_bubbles(bubbles), narrow_band_liquid(liquid)
+                spheres = replace(spheres, color=narrow_band_reflectance(spheres.color))
             pools = None if filling.pools is None else (filling.pools, liquid)
             label = len(self.model.organ.label_names)
-            made = _core.Contents(wall, filling.spheres, bubbles, pools, label)
+            made = _core.Contents(wall, spheres, bubbles, pools, label)
             kept = (filling, wall, made)
         self._contents[slot] = (filling, *kept[1:])
         return kept[2]
@@ -263,9 +278,10 @@ def _faces(organ: OrganSurface) -> NDArray[np.int64]:
     return np.ascontiguousarray(organ.faces, np.int64)
 
 
-def _scene(organ: OrganSurface) -> _core.Scene:
-    look = organ.appearance or _PLAIN
-    texture = None
+def _scene(organ: OrganSurface, *, narrow: bool) -> _core.Scene:
+    look, albedo, texture = organ.appearance or _PLAIN, np.array(_PLAIN_ALBEDO), None
+    if narrow:
+        look, albedo = narrow_band_appearance(look), narrow_band_reflectance(albedo)
     if organ.appearance is not None:
         height = np.ascontiguousarray(look.height, np.float32)
         texture = _core.Texture(look.albedo, look.roughness, height)
@@ -275,7 +291,7 @@ def _scene(organ: OrganSurface) -> _core.Scene:
         face_label(organ.instance, organ.faces),
         organ.arc_length.astype(np.float32),
         texture=texture,
-        albedo=_PLAIN_ALBEDO,
+        albedo=tuple(albedo),
         roughness=_PLAIN_ROUGHNESS,
         reflectance=(look.ior, look.coat, coat_alpha(look.coat_gloss)),
     )

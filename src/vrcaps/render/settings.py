@@ -24,6 +24,7 @@ class RenderSettings:
         samples: Paths that path tracing follows for each ray; noise falls with their square root.
         depth: Most reflections of a path, 1 to 100; 1 is direct light with shadows.
         light_seed: Chooses the paths.
+        imaging: White light, or narrow bands about 415 and 540 nm, in which vessels stand out.
     """
 
     supersampling: int = 1
@@ -32,6 +33,7 @@ class RenderSettings:
     samples: int = 16
     depth: int = 4
     light_seed: int = 0
+    imaging: Literal["white-light", "narrow-band"] = "white-light"
 
     def __post_init__(self) -> None:
         if self.light not in get_args(Light):

@@ -29,8 +29,8 @@ class QuickDeformation:
     length: float = 4.0 * MM
     reach: float = 16.0 * MM
     mass: float = 0.05
-    spring: float = 150.0
-    damping: float = 60.0
+    spring: float = 300.0
+    damping: float = 85.0
 
     def __post_init__(self) -> None:
         for name in ("length", "reach", "mass", "spring"):

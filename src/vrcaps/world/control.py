@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vrcaps.errors import InputError
+from vrcaps.magnet.sources import check_pose
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -23,14 +24,20 @@ class Control:
         force_world: Force on the capsule's centre of mass [N].
         torque_world: Torque on the capsule [N·m].
         T_world_patient: How the patient lies at the end of the step; None leaves it as it is.
-            Only gravity's direction follows: patients turn slowly.
+            Only the directions of gravity and of sources follow: patients turn slowly.
         insufflation: Factor on the lumen's radius at the end of the step, 1 = as modelled.
+        Ts_world_magnet: Poses of the world's sources at the end of the step, which they approach
+            evenly: straight on, and by the shortest turn. None leaves them where they are.
+        strengths: How many times its own field each source has at the end of the step, such as the
+            current of a coil as a share of the stated one; None leaves them as they are.
     """
 
     force_world: tuple[float, float, float] | Float[np.ndarray, " 3"] = _ZERO
     torque_world: tuple[float, float, float] | Float[np.ndarray, " 3"] = _ZERO
     T_world_patient: Float[np.ndarray, "4 4"] | None = None
     insufflation: float = 1.0
+    Ts_world_magnet: Float[np.ndarray, "k 4 4"] | None = None
+    strengths: Float[np.ndarray, " k"] | None = None
 
     def __post_init__(self) -> None:
         shapes = {"force_world": (3,), "torque_world": (3,), "T_world_patient": (4, 4)}
@@ -48,7 +55,19 @@ class Control:
                 raise InputError(f"Control's {name} is {shown}. Allowed: finite numbers.")
         if not 0.2 <= self.insufflation <= 2.0:
             raise InputError(f"Control's insufflation is {self.insufflation}. Allowed: 0.2 to 2.")
+        self._check_sources()
         if self.T_world_patient is not None:
             turn = np.asarray(self.T_world_patient)[:3, :3]
             if not np.allclose(turn.T @ turn, np.eye(3), atol=1e-6) or np.linalg.det(turn) < 0.0:
                 raise InputError("Control's T_world_patient stretches or mirrors. Allowed: a pose.")
+
+    def _check_sources(self) -> None:
+        if self.Ts_world_magnet is not None:
+            for T_world_magnet in self.Ts_world_magnet:
+                check_pose("Control's Ts_world_magnet", T_world_magnet)
+        if self.strengths is not None and not (
+            np.ndim(self.strengths) == 1 and np.isfinite(self.strengths).all()
+        ):
+            raise InputError(
+                f"Control's strengths are {self.strengths}. Allowed: a finite number a source."
+            )

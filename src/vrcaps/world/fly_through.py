@@ -18,6 +18,7 @@ from vrcaps.errors import InputError
 from vrcaps.transforms import transform_points
 from vrcaps.units import MM
 from vrcaps.world.clearance import capsule_clearance, push_inside, vital_clearance
+from vrcaps.world.make_way import MakeWay
 from vrcaps.world.model import Model
 from vrcaps.world.rail import Carriage, Waves, make_waves, wheelbase
 from vrcaps.world.trajectory import Trajectory, require_inside, velocities_between
@@ -46,9 +47,10 @@ class FlyThrough:
         roll: Largest angle about the capsule's axis [rad].
         smoothness: Shortest wavelength of all these along the path [m].
         margin: Distance that cameras and body axis keep from the wall where the lumen is wide
-            enough [m]; where it is not, half of what they have on the centreline. The wall is
-            rigid: in a lumen narrower than the capsule its shell may reach into the wall, its
-            centre and its cameras never do.
+            enough [m]; where it is not, half of what they have on the centreline.
+        rigid_wall: Whether the wall stays as it is where the lumen is narrower than the capsule, so
+            that the shell reaches into it; its centre and its cameras never do. Otherwise the
+            wall makes way for the shell.
     """
 
     start: float = 0.03
@@ -60,6 +62,7 @@ class FlyThrough:
     roll: float = 0.6
     smoothness: float = 0.06
     margin: float = 2.0 * MM
+    rigid_wall: bool = False
 
     kind: ClassVar[str] = "fly-through"
 
@@ -102,7 +105,8 @@ def fly_through(
     times = np.arange(frames) / fps
     step = 1e-3 / fps
     velocities = velocities_between(pose_at(times - step), pose_at(times + step), 2.0 * step)
-    trajectory = Trajectory(times, pose_at(times), *velocities, notes)
+    make_way = None if settings.rigid_wall else MakeWay(model, model)
+    trajectory = Trajectory(times, pose_at(times), *velocities, notes, make_way)
     require_inside(model, trajectory)
     return trajectory
 

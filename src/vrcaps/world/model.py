@@ -112,6 +112,33 @@ class Contact:
 
 
 @dataclass(frozen=True)
+class Coupling:
+    """What sources outside do to the capsule's magnets: means over the last step, and its end.
+
+    Attributes:
+        force_world: Mean force on the capsule [N].
+        torque_world: Mean torque about the capsule's centre of mass [N·m].
+        flux_density_world: Flux density at the middle of its magnets [T].
+        flux_gradient_world: ∂B_i/∂x_j there [T/m].
+        angle: Between the capsule's moment and the flux density [rad]; more than π/2 pushes away.
+        distance: From there to the nearest source's centre [m]; infinite if none has a place.
+        Ts_world_magnet: Poses of the sources.
+        strengths: How many times its own field each source has.
+        is_exact: False where a magnet was outside a sampled field, whose value at its edge counted.
+    """
+
+    force_world: Float[np.ndarray, " 3"]
+    torque_world: Float[np.ndarray, " 3"]
+    flux_density_world: Float[np.ndarray, " 3"]
+    flux_gradient_world: Float[np.ndarray, "3 3"]
+    angle: float
+    distance: float
+    Ts_world_magnet: Float[np.ndarray, "k 4 4"]
+    strengths: Float[np.ndarray, " k"]
+    is_exact: bool
+
+
+@dataclass(frozen=True)
 class State:
     """The world at one instant.
 
@@ -124,6 +151,7 @@ class State:
         contact: What the wall did to the capsule; None where nothing was simulated.
         filling: What is in the lumen; None takes the model's contents at rest, with what is in
             the capsule's way pushed aside.
+        coupling: What sources outside do to the capsule; None where there are none.
     """
 
     time: float
@@ -133,3 +161,4 @@ class State:
     vertices_world: Float[np.ndarray, "n 3"] | None = None
     contact: Contact | None = None
     filling: Filling | None = None
+    coupling: Coupling | None = None

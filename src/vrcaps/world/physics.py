@@ -15,6 +15,7 @@ from vrcaps.tissue.motility.propulsion import Propulsion
 from vrcaps.tissue.quick import QuickDeformation
 from vrcaps.tissue.tissue import Tissue
 from vrcaps.world.fly_through import FlyThrough
+from vrcaps.world.magnet_motion import MagnetSteering
 from vrcaps.world.schedule import (
     Insufflation,
     Turn,
@@ -62,6 +63,7 @@ class Physics:
             `gut`'s at the capsule: z along the centreline towards the anal end.
         turns: When the patient turns over.
         insufflation: How full the gut is in time; empty: as modelled.
+        magnet: A magnet outside that steers the capsule; None is without.
         settle: Time that passes before the first frame, without commands [s]. The gut takes on
             its first insufflation, and the muscle wakes within 1 s.
         step: Longest time between updates of muscle and commands [s].
@@ -84,6 +86,7 @@ class Physics:
     wrench_frame: Literal["world", "capsule", "gut"] = "world"
     turns: tuple[Turn, ...] = ()
     insufflation: tuple[Insufflation, ...] = ()
+    magnet: MagnetSteering | None = None
     settle: float = 1.0
     step: float = 0.05
     substep: float = SUBSTEP

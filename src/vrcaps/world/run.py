@@ -12,6 +12,8 @@ if TYPE_CHECKING:
     import numpy as np
     from jaxtyping import Float
 
+    from vrcaps.world.steering import Steered
+
 
 @dataclass(frozen=True)
 class Conditions:
@@ -22,6 +24,7 @@ class Conditions:
         torque_world: Mean commanded torque since the frame before [N·m].
         insufflation: Factor on the lumen's radius now.
         T_world_patient: How the patient lies now.
+        steered: How a magnet steers the capsule; None where none does.
         phase: Phase 1 to 4 of the migrating motor complex at the capsule; 0 where there is none.
     """
 
@@ -30,6 +33,7 @@ class Conditions:
     insufflation: float
     T_world_patient: Float[np.ndarray, "4 4"]
     phase: int
+    steered: Steered | None = None
 
 
 @dataclass(frozen=True)

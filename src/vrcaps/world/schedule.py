@@ -113,28 +113,45 @@ def read_wrenches(path: str | Path) -> tuple[Wrench, ...]:
     Raises:
         InputError: If the file cannot be read, its header is another or a line is wrong.
     """
+    _, rows = read_numbers(path, (WRENCH_COLUMNS,), "wrenches")
+    wrenches = [Wrench(t, (fx, fy, fz), (tx, ty, tz)) for t, fx, fy, fz, tx, ty, tz in rows]
+    check_wrenches(tuple(wrenches), str(path))
+    return tuple(wrenches)
+
+
+def read_numbers(
+    path: str | Path, headers: tuple[tuple[str, ...], ...], what: str
+) -> tuple[tuple[str, ...], list[list[float]]]:
+    """Read a CSV of numbers with one of some headers: which, and its rows.
+
+    Raises:
+        InputError: If the file cannot be read, its header is none of them, a line is wrong or there
+            is none.
+    """
     try:
         lines = Path(path).read_text(encoding="utf-8").splitlines()
     except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"Cannot read the wrenches {path}: {error}.") from error
-    header = [cell.strip() for cell in lines[0].split(",")] if lines else []
-    if header != list(WRENCH_COLUMNS):
-        raise InputError(
-            f"{path} starts with {','.join(header)!r}, not the header {','.join(WRENCH_COLUMNS)}."
-        )
-    wrenches = []
+        raise InputError(f"Cannot read the {what} {path}: {error}.") from error
+    header = tuple(cell.strip() for cell in lines[0].split(",")) if lines else ()
+    if header not in headers:
+        known = " or ".join(",".join(names) for names in headers)
+        raise InputError(f"{path} starts with {','.join(header)!r}, not the header {known}.")
+    rows = []
     for number, line in enumerate(lines[1:], start=2):
+        cells = line.split(",")
         if not line.strip():
             continue
         try:
-            time, fx, fy, fz, tx, ty, tz = (float(cell) for cell in line.split(","))
+            rows.append([float(cell) for cell in cells])
         except ValueError as error:
-            raise InputError(f"{path} line {number} is no row of 7 numbers: {error}.") from error
-        wrenches.append(Wrench(time, (fx, fy, fz), (tx, ty, tz)))
-    check_wrenches(tuple(wrenches), str(path))
-    if not wrenches:
-        raise InputError(f"{path} holds no wrench. Give at least one row.")
-    return tuple(wrenches)
+            raise InputError(
+                f"{path} line {number} is no row of {len(header)} numbers: {error}."
+            ) from error
+        if len(cells) != len(header):
+            raise InputError(f"{path} line {number} is no row of {len(header)} numbers: {line!r}.")
+    if not rows:
+        raise InputError(f"{path} holds no row of {what}. Give at least one.")
+    return header, rows
 
 
 def check_wrenches(wrenches: tuple[Wrench, ...], where: str) -> None:

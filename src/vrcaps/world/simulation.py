@@ -15,7 +15,8 @@ from vrcaps.transforms import invert, rotate_vectors, transform_from, transform_
 from vrcaps.units import CM, MM
 from vrcaps.world.clearance import capsule_clearance
 from vrcaps.world.control import Control
-from vrcaps.world.model import Contact, Model, State
+from vrcaps.world.magnet_motion import Commander
+from vrcaps.world.model import Contact, Coupling, Model, State
 from vrcaps.world.physics import Physics, tissue_of
 from vrcaps.world.run import Conditions, Instant
 from vrcaps.world.schedule import in_world, insufflation_at, patient_at, read_wrenches, wrench_at
@@ -76,17 +77,21 @@ class Simulation:
         self._line = model.organ.centerline
         self._offset = None if shown is None else _offset(model.organ, shown)
         pose, arc_length, self.notes = _start(model, settings)
+        self._magnet = None
+        if settings.magnet is not None:
+            self._magnet = Commander(model, settings.magnet, pose, arc_length)
         self.world = World(
             model,
             tissue_of(settings, front=min(arc_length + _PASSED, self._line.length)),
             State(-settings.settle, pose),
             substep=settings.substep,
             seed=seed,
+            sources=() if self._magnet is None else self._magnet.pilot.sources,
         )
         self._require_phase(arc_length)
         self._require_time()
         self._arc_length = arc_length
-        self._begin = (arc_length, self.world.snapshot())
+        self._begin = self.snapshot()
         self.on_step: Callable[[float, float], None] = _silent
 
     def __len__(self) -> int:
@@ -99,7 +104,8 @@ class Simulation:
 
     def snapshot(self) -> tuple[float, Snapshot]:
         """What `instants` needs to go on from the frame it gave last."""
-        return self._arc_length, self.world.snapshot()
+        pilot = np.zeros(0) if self._magnet is None else self._magnet.pilot.to_array()
+        return self._arc_length, replace(self.world.snapshot(), pilot=pilot)
 
     def instants(
         self, frame: int = 0, snapshot: tuple[float, Snapshot] | None = None
@@ -115,6 +121,8 @@ class Simulation:
         """
         self._arc_length, start = snapshot or self._begin
         self.world.restore(start)
+        if self._magnet is not None:
+            self._magnet.pilot.restore(start.pilot)
         if snapshot is None:
             yield self._advanced(-self.settings.settle, 0.0)
         else:
@@ -125,12 +133,15 @@ class Simulation:
 
     def _advanced(self, begin: float, end: float) -> Instant:
         """The world after steps from one time to another [s]."""
-        count = math.ceil((end - begin) / self.settings.step * (1.0 - 1e-9))
-        contacts, wrenches = [], np.zeros((max(count, 1), 2, 3))
+        magnet = self.settings.magnet
+        step = self.settings.step if magnet is None else min(self.settings.step, magnet.period)
+        count = math.ceil((end - begin) / step * (1.0 - 1e-9))
+        contacts, couplings, wrenches = [], [], np.zeros((max(count, 1), 2, 3))
         for index in range(count):
             times = [begin + (end - begin) * (index + k) / count for k in (0, 1)]
             wrenches[index] = self._wrench(times[0]) if begin >= 0.0 else 0.0
-            control = Control(
+            control = replace(
+                self._steered(times),
                 force_world=wrenches[index, 0],
                 torque_world=wrenches[index, 1],
                 T_world_patient=self._patient(times[1]),
@@ -141,12 +152,21 @@ class Simulation:
             except InputError as error:
                 raise InputError(f"At {times[0]:.3f} s of the simulation: {error}") from error
             contacts.append(self.world.contact)
+            couplings.append(self.world.coupling)
             self._follow()
             self.on_step(times[1] + self.settings.settle, self.duration)
         state = self.world.state
         if contacts:
-            state = replace(state, contact=over_all(contacts))
+            coupling = mean_coupling(couplings)
+            state = replace(state, contact=over_all(contacts), coupling=coupling)
         return self._instant(state, end, self._conditions(end, wrenches.mean(axis=0)))
+
+    def _steered(self, times: list[float]) -> Control:
+        """Command of the magnet between two times."""
+        if self._magnet is None:
+            return Control()
+        begin, end = times
+        return self._magnet.control(self.world, begin, end - begin, self._patient(end))
 
     def _instant(self, state: State, time: float, conditions: Conditions) -> Instant:
         """A frame's instant, at exactly its time, with the wall that is shown."""
@@ -194,7 +214,8 @@ class Simulation:
         muscle = self.world.muscle
         phase = 0 if muscle is None else int(muscle.phase(np.array(self._arc_length), time))
         inflated = self._insufflation(time)
-        return Conditions(wrench[0], wrench[1], inflated, self._patient(time), phase)
+        steered = None if self._magnet is None else self._magnet.pilot.steered
+        return Conditions(wrench[0], wrench[1], inflated, self._patient(time), phase, steered)
 
     def _require_phase(self, arc_length: float) -> None:
         muscle = self.world.muscle
@@ -245,6 +266,17 @@ def over_all(contacts: list[Contact]) -> Contact:
         grip=float(mean("grip")),
         friction_work=float(np.sum([contact.friction_work for contact in contacts])),
     )
+
+
+def mean_coupling(couplings: list[Coupling | None]) -> Coupling | None:
+    """Coupling over equal steps: mean force and torque, the rest of the last step."""
+    last, known = couplings[-1], [c for c in couplings if c is not None]
+    if last is None:
+        return None
+    force = np.mean([coupling.force_world for coupling in known], axis=0)
+    torque = np.mean([coupling.torque_world for coupling in known], axis=0)
+    is_exact = all(coupling.is_exact for coupling in known)
+    return replace(last, force_world=force, torque_world=torque, is_exact=is_exact)
 
 
 def _start(

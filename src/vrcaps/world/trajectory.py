@@ -11,6 +11,7 @@ import numpy as np
 from vrcaps.errors import InputError
 from vrcaps.transforms import invert, matrix_from_quaternion, quaternion_from_matrix, transform_from
 from vrcaps.units import MM
+from vrcaps.world.make_way import MakeWay
 from vrcaps.world.model import Model, State
 from vrcaps.world.run import Instant
 
@@ -28,6 +29,8 @@ class Trajectory:
         linear_velocities_world: Velocities of the capsule's origin [m/s].
         angular_velocities_world: Angular velocities of the capsule [rad/s].
         notes: What was skipped or changed to make it, one line each.
+        make_way: How the wall gives way to the shell where the lumen is narrower; None keeps it
+            at rest.
     """
 
     times: Float[np.ndarray, " n"]
@@ -35,17 +38,20 @@ class Trajectory:
     linear_velocities_world: Float[np.ndarray, "n 3"]
     angular_velocities_world: Float[np.ndarray, "n 3"]
     notes: tuple[str, ...] = ()
+    make_way: MakeWay | None = None
 
     def __len__(self) -> int:
         return len(self.times)
 
     def state(self, index: int) -> State:
-        """The world with a wall at rest at one of the instants."""
+        """The world at one of the instants."""
+        pose = self.Ts_world_capsule[index]
         return State(
             time=float(self.times[index]),
-            T_world_capsule=self.Ts_world_capsule[index],
+            T_world_capsule=pose,
             linear_velocity_world=self.linear_velocities_world[index],
             angular_velocity_world=self.angular_velocities_world[index],
+            vertices_world=self.make_way.vertices_world(pose) if self.make_way else None,
         )
 
     def instants(self) -> Iterator[Instant]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -10,7 +11,7 @@ import numpy as np
 from vrcaps import _core
 from vrcaps.capsule.body import Body, homogeneous_body
 from vrcaps.errors import InputError, require
-from vrcaps.tissue.fem.deformation import FemDeformation
+from vrcaps.magnet.sources import Source
 from vrcaps.tissue.motility.muscle import Muscle
 from vrcaps.tissue.stations import stations
 from vrcaps.tissue.tissue import Tissue
@@ -23,14 +24,15 @@ from vrcaps.transforms import (
 )
 from vrcaps.world.afloat import PIECE, SWEEP, Afloat
 from vrcaps.world.control import Control
-from vrcaps.world.model import Contact, Model, State
+from vrcaps.world.layer import exchange_rows, layer_under
+from vrcaps.world.model import Contact, Coupling, Model, State
+from vrcaps.world.pull import Pull
 from vrcaps.world.snapshot import Snapshot, check_snapshot
 
 if TYPE_CHECKING:
     from jaxtyping import Float
 
     from vrcaps.organ.surface import OrganSurface
-    from vrcaps.tissue.fem.wall import FemWall
 
 GRAVITY = 9.80665
 """Standard acceleration of gravity [m/s²] (CGPM 1901)."""
@@ -66,6 +68,7 @@ class World:
         body: Body | None = None,
         substep: float = SUBSTEP,
         seed: int = 0,
+        sources: Sequence[Source] = (),
     ) -> None:
         """Puts the capsule into the organ.
 
@@ -76,10 +79,12 @@ class World:
             body: Mass properties; by default the device's mass, spread evenly.
             substep: Longest substep [s].
             seed: Of the patient's muscle, 0 or more.
+            sources: Magnets outside, which act on those of the device.
 
         Raises:
             InputError: If the capsule is outside the lumen or does not fit, the substep is too
-                long, the seed negative, or an elastic layer folds or nothing holds it.
+                long, the seed negative, an elastic layer folds or nothing holds it, or sources
+                find no magnet in the device.
             UnknownNameError: If the tissue has no muscle for a segment of the wall.
         """
         _check_substep(substep, tissue)
@@ -93,12 +98,13 @@ class World:
         self._time = self._began = start.time
         self._T_world_patient = model.T_world_patient
         pose = self._pose(start)
-        self.layer = _layer(organ, tissue)
+        self.layer = layer_under(organ, tissue)
         quick = tissue.deformation if self.layer is None else None
         self._core = _core.World(self._wall, self.body, tissue.material, tissue.drag, quick, pose)
         if self.layer is not None:
             self.layer.carry(self._core)
         self._core.set_drive(*_drive(organ))
+        self._pull = Pull(self._core, model.device.magnets, sources)
         self._num_stations = len(stations(organ.centerline))
         self._calibre: Float[np.ndarray, " k"] = np.ones(self._num_stations)
         self.muscle: Muscle | None = None
@@ -124,6 +130,11 @@ class World:
         return self._T_world_patient @ transform_from(rotation, np.array(position) + self._center)
 
     @property
+    def velocity_world(self) -> Float[np.ndarray, "2 3"]:
+        """Velocity of the capsule's origin [m/s] and angular velocity [rad/s] now."""
+        return rotate_vectors(self._T_world_patient, np.array(self._core.pose[2:]))
+
+    @property
     def contact(self) -> Contact:
         """What the wall did to the capsule in the last step."""
         force, torque, *rest = self._contact
@@ -131,11 +142,15 @@ class World:
         return Contact(force, torque, *rest)
 
     @property
+    def coupling(self) -> Coupling | None:
+        """What the sources did to the capsule in the last step; None without sources."""
+        return self._pull.coupling(self.T_world_capsule)
+
+    @property
     def state(self) -> State:
         """All of the world now, in the world frame, with every vertex of a wall that moves."""
         T = self._T_world_patient
-        _, _, *velocities = self._core.pose
-        linear, angular = rotate_vectors(T, np.array(velocities))
+        linear, angular = self.velocity_world
         moved = self._moves or T is not self.model.T_world_patient or (self._calibre != 1.0).any()
         return State(
             time=self.time,
@@ -145,14 +160,15 @@ class World:
             vertices_world=self._core.vertices(np.asarray(T, float)) if moved else None,
             contact=self.contact,
             filling=None if self._afloat is None else self._afloat.filling(T),
+            coupling=self.coupling,
         )
 
     def step(self, control: Control, dt: float) -> None:
         """Moves on by a time `dt` [s], in equal substeps.
 
         Raises:
-            InputError: If the step is too large or the control out of bounds; the state stays as
-                it was.
+            InputError: If the step is too large, the control out of bounds, or the capsule would
+                be in a source; the state stays as it was.
         """
         require(0.0 < dt <= _LONGEST_STEP, "dt", dt, f"above 0 to {_LONGEST_STEP:g} s")
         commands = np.array([control.force_world, control.torque_world], float)
@@ -171,6 +187,7 @@ class World:
         acts = np.array([control.force_world, control.torque_world, (0.0, 0.0, -GRAVITY)], float)
         force, torque, gravity = rotate_vectors(to_patient, acts)
         wrench = np.array([*force, *torque])
+        moved = self._pull.aim(control, dt, T_world_patient)
         if self._afloat is not None:
             self._afloat.turn(T_world_patient)
         try:
@@ -179,7 +196,7 @@ class World:
             if self._afloat is not None:
                 self._afloat.turn(self._T_world_patient)
             raise
-        self._T_world_patient = T_world_patient
+        self._T_world_patient, self._pull.rows = T_world_patient, moved
 
     def snapshot(self) -> Snapshot:
         """All that changes, exactly: a world restored from it goes on to the same bytes."""
@@ -200,6 +217,8 @@ class World:
             layer=layer,
             touched=touched,
             afloat=np.zeros(0) if self._afloat is None else self._afloat.to_array(),
+            contact=np.concatenate([np.ravel(part) for part in self._contact]),
+            sources=self._pull.rows,
         )
 
     def restore(self, snapshot: Snapshot) -> None:
@@ -211,7 +230,7 @@ class World:
         """
         check_snapshot(snapshot, self.snapshot())
         if self.layer is not None:
-            motion, exchange = _exchange(self.layer, snapshot)
+            motion, exchange = exchange_rows(self.layer, snapshot)
             self.layer.restore(motion)
             self._core.exchange = exchange
         if self._afloat is not None:
@@ -221,6 +240,12 @@ class World:
         self._core.pose = (tuple(p[:3]), tuple(p[3:7]), tuple(p[7:10]), tuple(p[10:]))
         self._time, self._began = snapshot.time, snapshot.began
         self._T_world_patient, self._calibre = snapshot.T_world_patient, snapshot.calibre
+        self._contact = (
+            snapshot.contact[:3],
+            snapshot.contact[3:6],
+            *snapshot.contact[6:].tolist(),
+        )
+        self._pull.restore(snapshot.sources, snapshot.T_world_patient)
 
     def is_inside(self) -> bool:
         """Whether the capsule's axis is in the lumen."""
@@ -246,7 +271,8 @@ class World:
         reactions = []
         try:
             for piece in range(pieces):
-                aim = start + (calibre - start) * ((piece + 1) / pieces) if moves else None
+                shares = np.array([[piece], [piece + 1]]) / pieces
+                aim = start + (calibre - start) * shares if moves else None
                 force = self._propulsion(self._time + dt * piece / pieces)
                 total = tuple(wrench + self._bear(dt / pieces, force))
                 self._core.step(dt / pieces / count, count, total, gravity, aim, outer)
@@ -337,30 +363,6 @@ class World:
                 f"The capsule, {2e3 * radius:.1f} mm thick, does not fit: the lumen is "
                 f"{1e3 * narrow:.1f} mm wide where it starts. Start it elsewhere or inflate."
             )
-
-
-def _layer(organ: OrganSurface, tissue: Tissue) -> FemWall | None:
-    """The elastic layer under an organ's surface, where the tissue has one."""
-    if not isinstance(tissue.deformation, FemDeformation):
-        return None
-    from vrcaps.tissue.fem.wall import FemWall
-
-    return FemWall(organ, tissue.deformation)
-
-
-def _exchange(
-    layer: FemWall, snapshot: Snapshot
-) -> tuple[Float[np.ndarray, "nodes 6"], tuple[Float[np.ndarray, "nodes 9"], np.ndarray]]:
-    """Motion of the layer, and what lasts of its exchange with the capsule."""
-    if snapshot.layer.shape != (layer.num_free, 15):
-        raise InputError(
-            f"The snapshot has a layer of {len(snapshot.layer)} nodes, the world's has "
-            f"{layer.num_free}. Give a snapshot of a world with the same deformation."
-        )
-    if not (np.isfinite(snapshot.layer).all() and np.isfinite(snapshot.touched).all()):
-        raise InputError("The snapshot is not finite. Allowed: finite numbers.")
-    motion, forces = np.hsplit(snapshot.layer, [6])
-    return motion, (np.ascontiguousarray(forces), np.ascontiguousarray(snapshot.touched, float))
 
 
 def _over_all(reactions: list[tuple[Any, ...]]) -> tuple[Any, ...]:

@@ -55,6 +55,11 @@ class Carrier:
         mount[2, 3] = HOLDER + 0.5 * self.magnet.length
         return mount
 
+    @cached_property
+    def T_magnet_flange(self) -> Float[np.ndarray, "4 4"]:
+        """Pose of the flange in the magnet."""
+        return invert(self.mount)
+
     @property
     def load(self) -> float:
         """The magnet's mass as a part of what the arm may carry, without a holder."""
@@ -67,6 +72,16 @@ class Carrier:
         start, end = (tuple((self.mount[:3, 3] + way).tolist()) for way in (-half, half))
         link = Link(self.arm.num_joints + 1, start, end, 0.5 * self.magnet.diameter)
         return replace(self.arm, links=(*self.arm.links, link))
+
+
+def across_mount(magnet: Cylinder) -> Float[np.ndarray, "4 4"]:
+    """``T_flange_magnet`` of a magnet whose moment is along the flange's x, across its axis.
+
+    With the flange pointing down the moment is level, as it must be above a capsule that lies.
+    """
+    mount = np.array([[0, 0, 1, 0], [0, 1, 0, 0], [-1, 0, 0, 0], [0, 0, 0, 1]], float)
+    mount[2, 3] = HOLDER + 0.5 * magnet.diameter
+    return mount
 
 
 def magnet_at(carrier: Carrier, angles: Float[np.ndarray, "*n j"]) -> Float[np.ndarray, "*n 4 4"]:

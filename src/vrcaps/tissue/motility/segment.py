@@ -115,7 +115,7 @@ def _bowel(
     Duration and extent: assumed.
     """
     return SegmentMotility(
-        amplitude=0.75,
+        amplitude=0.70,
         rates=(rates[0] * PER_MINUTE, rates[1] * PER_MINUTE),
         speeds=(speeds[0] * CM, speeds[1] * CM),
         duration=2.5,

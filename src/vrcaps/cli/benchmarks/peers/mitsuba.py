@@ -19,7 +19,7 @@ from vrcaps.cli.benchmarks.timing import Subject
 RENDER = "Mitsuba, direct + AOV"
 BARE = "Mitsuba, direct + AOV, no film, frozen"
 
-_VARIANT = "llvm_ad_rgb"
+VARIANT = "llvm_ad_rgb"
 _LIBRARY = "DRJIT_LIBLLVM_PATH"
 _FIELD_DEG = 100.0
 _OLDEST_LLVM = 16
@@ -29,7 +29,7 @@ _DIRECT = {"type": "direct", "emitter_samples": 1, "bsdf_samples": 0}
 _BOTH = {"type": "aov", "aovs": "z:depth,n:sh_normal,p:position,t:uv", "image": _DIRECT}
 _PROBE = f"""
 import mitsuba as mi
-mi.set_variant({_VARIANT!r})
+mi.set_variant({VARIANT!r})
 from drjit.detail import llvm_version
 assert llvm_version()[0] >= {_OLDEST_LLVM}
 bsdf = {{"type": "principled", "clearcoat": 1.0}}
@@ -46,9 +46,9 @@ def subjects(stage: Stage) -> list[Subject]:
     Raises:
         PeerMissingError: If Mitsuba is not installed or finds no LLVM that works.
     """
-    _use_working_llvm()
+    use_working_llvm()
     mi = load_package("mitsuba")
-    mi.set_variant(_VARIANT)
+    mi.set_variant(VARIANT)
     scene = _scene(mi, stage)
     light = "one sample of one of the 6 LEDs a pixel; no relief; depth, normal, position, uv"
     return [
@@ -65,7 +65,7 @@ def subjects(stage: Stage) -> list[Subject]:
     ]
 
 
-def _use_working_llvm() -> None:
+def use_working_llvm() -> None:
     """Choose an LLVM library that can compile for this CPU; one that cannot ends the process.
 
     Raises:

@@ -1,0 +1,248 @@
+//! Where to hold a magnet so that it gives a capsule a wanted wrench.
+
+use super::handle::{FieldSources, internal_magnets, pose_of, rows};
+use super::sources::{InternalMagnet, Source, Wrench, wrench};
+use crate::physics::solve::Symmetric6;
+use glam::{DMat3, DQuat, DVec3};
+use numpy::{IntoPyArray, PyArray2, PyReadonlyArray2, ndarray::Array2};
+use pyo3::{exceptions::PyValueError, prelude::*};
+
+/// Step of the central differences, in distances and radians.
+const DIFFERENCE: f64 = 1e-5;
+/// Longest step, in distances and radians.
+const LONGEST: f64 = 0.25;
+/// Ends when a step is shorter, in distances and radians.
+const SHORTEST: f64 = 1e-7;
+/// Damping at first, and its bounds.
+const DAMPING: f64 = 1e-3;
+const LEAST_DAMPING: f64 = 1e-9;
+const MOST_DAMPING: f64 = 1e6;
+/// Residuals: force, torque, and what the pose has changed.
+const RESIDUALS: usize = 12;
+
+/// What is wanted of the magnet.
+#[derive(FromPyObject)]
+pub struct Wanted {
+    /// Force [N] in the world.
+    force: [f64; 3],
+    /// Torque [N·m] in the world.
+    torque: [f64; 3],
+    /// What a newton too much or too little counts, by direction [1/N].
+    force_weight: [[f64; 3]; 3],
+    /// What a newton metre counts [1/(N·m)].
+    torque_weight: f64,
+    /// What counts a change by the distance to the capsule, or by a radian.
+    stay: f64,
+    /// Corners of the box for the magnet's centre [m].
+    low: [f64; 3],
+    high: [f64; 3],
+    /// Least distance from the capsule [m].
+    apart: f64,
+}
+
+/// A problem to solve: the magnet that moves, all that stays.
+struct Problem<'a> {
+    wanted: &'a Wanted,
+    weight: DMat3,
+    magnets: &'a [InternalMagnet],
+    position: DVec3,
+    rotation: DQuat,
+    /// Wrench of the other sources.
+    others: Wrench,
+    start: (DVec3, DMat3),
+    /// Distance by which changes of place are measured [m].
+    scale: f64,
+}
+
+/// Force, torque, and the residuals of a pose.
+struct Tried {
+    wrench: Wrench,
+    residuals: [f64; RESIDUALS],
+    cost: f64,
+}
+
+fn moved(pose: (DVec3, DMat3), change: &[f64; 6], scale: f64) -> (DVec3, DMat3) {
+    let turn = DVec3::new(change[3], change[4], change[5]);
+    let angle = turn.length();
+    let rotation = if angle > 0.0 {
+        let (sine, cosine) = libm::sincos(0.5 * angle);
+        let turn = DQuat::from_vec4((turn / angle * sine).extend(cosine));
+        pose.1 * DMat3::from_quat(turn)
+    } else {
+        pose.1
+    };
+    (pose.0 + scale * DVec3::new(change[0], change[1], change[2]), rotation)
+}
+
+impl Problem<'_> {
+    fn wrench(&self, source: &mut Source, pose: (DVec3, DMat3)) -> Wrench {
+        (source.position, source.rotation) = pose;
+        let mut sum =
+            wrench(std::slice::from_ref(source), self.magnets, self.position, self.rotation);
+        sum.force += self.others.force;
+        sum.torque += self.others.torque;
+        sum
+    }
+
+    fn try_out(&self, source: &mut Source, pose: (DVec3, DMat3)) -> Tried {
+        let wrench = self.wrench(source, pose);
+        let force = self.weight * (wrench.force - DVec3::from(self.wanted.force));
+        let torque = self.wanted.torque_weight * (wrench.torque - DVec3::from(self.wanted.torque));
+        let way = self.wanted.stay / self.scale * (pose.0 - self.start.0);
+        let bend = self.wanted.stay * (pose.1.z_axis - self.start.1.z_axis);
+        let mut residuals = [0.0; RESIDUALS];
+        for (k, part) in [force, torque, way, bend].iter().enumerate() {
+            part.write_to_slice(&mut residuals[3 * k..]);
+        }
+        Tried { wrench, residuals, cost: residuals.iter().map(|r| r * r).sum() }
+    }
+
+    /// Into the box, and away from the capsule.
+    fn admitted(&self, (position, rotation): (DVec3, DMat3)) -> (DVec3, DMat3) {
+        let (low, high) = (DVec3::from(self.wanted.low), DVec3::from(self.wanted.high));
+        let mut place = position.clamp(low, high);
+        let away = place - self.position;
+        let distance = away.length();
+        if distance > 0.0 && distance < self.wanted.apart {
+            place = (self.position + self.wanted.apart / distance * away).clamp(low, high);
+        }
+        (place, rotation)
+    }
+
+    /// Slopes of the residuals by place and by turns about the magnet's x and y; the turn about its
+    /// axis changes nothing.
+    fn slopes(&self, source: &mut Source, pose: (DVec3, DMat3)) -> [[f64; RESIDUALS]; 6] {
+        let mut slopes = [[0.0; RESIDUALS]; 6];
+        for (k, slope) in slopes.iter_mut().enumerate().take(5) {
+            let mut side = |sign: f64| {
+                let mut change = [0.0; 6];
+                change[k] = sign * DIFFERENCE;
+                self.try_out(source, moved(pose, &change, self.scale)).residuals
+            };
+            let (after, before) = (side(1.0), side(-1.0));
+            for i in 0..RESIDUALS {
+                slope[i] = (after[i] - before[i]) / (2.0 * DIFFERENCE);
+            }
+        }
+        slopes
+    }
+
+    /// Levenberg and Marquardt's method within the box; a coordinate at its bound that would leave
+    /// is held there.
+    fn solve(&self, source: &mut Source, rounds: usize) -> ((DVec3, DMat3), Tried) {
+        let mut pose = self.admitted(self.start);
+        let mut best = self.try_out(source, pose);
+        let mut damping = DAMPING;
+        for _ in 0..rounds {
+            let slopes = self.held(self.slopes(source, pose), &best, pose.0);
+            let mut found = false;
+            while !found && damping < MOST_DAMPING {
+                let change = step(&slopes, &best.residuals, damping);
+                let next = self.admitted(moved(pose, &change, self.scale));
+                let tried = self.try_out(source, next);
+                found = tried.cost < best.cost;
+                if found {
+                    let way = (next.0 - pose.0).length() / self.scale;
+                    let bend = (next.1.z_axis - pose.1.z_axis).length();
+                    (pose, best) = (next, tried);
+                    damping = (0.1 * damping).max(LEAST_DAMPING);
+                    if way + bend < SHORTEST {
+                        return (pose, best);
+                    }
+                } else {
+                    damping *= 10.0;
+                }
+            }
+            if !found {
+                break;
+            }
+        }
+        (pose, best)
+    }
+
+    fn held(
+        &self,
+        mut slopes: [[f64; RESIDUALS]; 6],
+        at: &Tried,
+        place: DVec3,
+    ) -> [[f64; RESIDUALS]; 6] {
+        for k in 0..3 {
+            let rise: f64 = (0..RESIDUALS).map(|i| slopes[k][i] * at.residuals[i]).sum();
+            let leaves = (place[k] <= self.wanted.low[k] && rise > 0.0)
+                || (place[k] >= self.wanted.high[k] && rise < 0.0);
+            if leaves {
+                slopes[k] = [0.0; RESIDUALS];
+            }
+        }
+        slopes
+    }
+}
+
+/// Change of pose that the slopes and a damping give, no longer than `LONGEST`.
+fn step(slopes: &[[f64; RESIDUALS]; 6], residuals: &[f64; RESIDUALS], damping: f64) -> [f64; 6] {
+    let dot = |a: &[f64; RESIDUALS], b: &[f64; RESIDUALS]| -> f64 {
+        a.iter().zip(b).map(|(a, b)| a * b).sum()
+    };
+    let mut square = Symmetric6::default();
+    let mut fall = [0.0; 6];
+    for row in 0..6 {
+        for column in 0..=row {
+            square.0[row][column] = dot(&slopes[row], &slopes[column]);
+        }
+        fall[row] = -dot(&slopes[row], residuals);
+    }
+    let largest = (0..6).map(|k| square.0[k][k]).fold(1e-30, f64::max);
+    (0..6).for_each(|k| square.0[k][k] += damping * largest);
+    let change = square.solve(fall);
+    let length = dot6(&change).sqrt();
+    let part = if length > LONGEST { LONGEST / length } else { 1.0 };
+    change.map(|c| part * c)
+}
+
+fn dot6(a: &[f64; 6]) -> f64 {
+    a.iter().map(|a| a * a).sum()
+}
+
+/// Pose [4 4] of a source, force [N], torque [N·m], largest torque that the field has [N·m].
+type Aimed<'py> = (Bound<'py, PyArray2<f64>>, [f64; 3], [f64; 3], f64);
+
+/// Pose of source `index`, near where it is, with which all sources give a body at a pose [4 4] with
+/// magnets [k 6] the wanted wrench as nearly as they can.
+#[pyfunction]
+pub fn aim_magnet<'py>(
+    py: Python<'py>,
+    sources: PyRef<'py, FieldSources>,
+    index: usize,
+    magnets: PyReadonlyArray2<'py, f64>,
+    pose: PyReadonlyArray2<'py, f64>,
+    start: PyReadonlyArray2<'py, f64>,
+    wanted: Wanted,
+    rounds: usize,
+) -> PyResult<Aimed<'py>> {
+    let magnets = internal_magnets(&magnets)?;
+    let (turn, position) = pose_of(&rows(&pose, 4)?);
+    let start = pose_of(&rows(&start, 4)?);
+    let rotation = DQuat::from_mat3(&turn);
+    let mut others = sources.sources.clone();
+    if index >= others.len() {
+        return Err(PyValueError::new_err(format!("No source {index}: {}.", others.len())));
+    }
+    let mut source = others.remove(index);
+    let problem = Problem {
+        wanted: &wanted,
+        weight: DMat3::from_cols_array_2d(&wanted.force_weight).transpose(),
+        magnets: &magnets,
+        position,
+        rotation,
+        others: wrench(&others, &magnets, position, rotation),
+        start: (start.1, start.0),
+        scale: (start.1 - position).length().max(wanted.apart),
+    };
+    let ((place, turned), best) = problem.solve(&mut source, rounds);
+    let [x, y, z] = [turned.x_axis, turned.y_axis, turned.z_axis];
+    let rows = (0..3).flat_map(|k| [x[k], y[k], z[k], place[k]]).chain([0.0, 0.0, 0.0, 1.0]);
+    let rows = Array2::from_shape_vec((4, 4), rows.collect());
+    let rows = rows.map_err(|error| PyValueError::new_err(error.to_string()))?;
+    let (force, torque) = (best.wrench.force.to_array(), best.wrench.torque.to_array());
+    Ok((rows.into_pyarray(py), force, torque, best.wrench.hold))
+}

@@ -1,0 +1,393 @@
+//! What JPEG (ITU-T T.81, baseline, colour at half the resolution) leaves of an image, and how many
+//! bytes it takes. The file itself is not made: Huffman coding loses nothing, so only its length
+//! counts, to 2 %: bytes 255, which a file follows with a 0, are not counted twice.
+
+use super::huffman::{AC_BITS_CHROMINANCE, AC_BITS_LUMINANCE, DC_BITS};
+use crate::lanes::clamp;
+use numpy::{IntoPyArray, PyArray3, PyReadonlyArray3, PyUntypedArrayMethods, ndarray::Array3};
+use pyo3::{exceptions::PyValueError, prelude::*};
+use rayon::prelude::*;
+
+/// Bytes of all that is not the image: markers and tables of a colour file.
+const HEADER: usize = 623;
+
+/// Steps of quality 50 (table K.1 and K.2), row by row.
+const STEPS: [[u8; 64]; 2] = [
+    [
+        16, 11, 10, 16, 24, 40, 51, 61, 12, 12, 14, 19, 26, 58, 60, 55, 14, 13, 16, 24, 40, 57, 69,
+        56, 14, 17, 22, 29, 51, 87, 80, 62, 18, 22, 37, 56, 68, 109, 103, 77, 24, 35, 55, 64, 81,
+        104, 113, 92, 49, 64, 78, 87, 103, 121, 120, 101, 72, 92, 95, 98, 112, 100, 103, 99,
+    ],
+    [
+        17, 18, 24, 47, 99, 99, 99, 99, 18, 21, 26, 66, 99, 99, 99, 99, 24, 26, 56, 99, 99, 99, 99,
+        99, 47, 66, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99,
+        99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99,
+    ],
+];
+
+/// The order in which the coefficients of a block are coded.
+const ZIGZAG: [u8; 64] = [
+    0, 1, 8, 16, 9, 2, 3, 10, 17, 24, 32, 25, 18, 11, 4, 5, 12, 19, 26, 33, 40, 48, 41, 34, 27, 20,
+    13, 6, 7, 14, 21, 28, 35, 42, 49, 56, 57, 50, 43, 36, 29, 22, 15, 23, 30, 37, 44, 51, 58, 59,
+    52, 45, 38, 31, 39, 46, 53, 60, 61, 54, 47, 55, 62, 63,
+];
+
+type Block = [f32; 64];
+type Basis = [[f32; 8]; 8];
+
+/// The image [h w 3] as read back from its JPEG.
+#[pyfunction]
+pub fn jpeg<'py>(
+    py: Python<'py>,
+    image: PyReadonlyArray3<'py, u8>,
+    quality: u32,
+) -> PyResult<Bound<'py, PyArray3<u8>>> {
+    let (source, size) = checked(&image, quality)?;
+    let pixels = py.detach(|| Spectrum::new(source, size).decoded(&both_steps(quality)));
+    let shape = (size.0, size.1, 3);
+    Ok(Array3::from_shape_vec(shape, pixels).expect("every pixel was filled").into_pyarray(py))
+}
+
+/// Size of the JPEG of an image [h w 3] as a file [bytes].
+#[pyfunction]
+pub fn jpeg_bytes(
+    py: Python<'_>,
+    image: PyReadonlyArray3<'_, u8>,
+    quality: u32,
+) -> PyResult<usize> {
+    let (source, size) = checked(&image, quality)?;
+    Ok(py.detach(|| Spectrum::new(source, size).bytes(&both_steps(quality))))
+}
+
+/// The highest quality up to `quality` at which the JPEG has no more bytes than given, 1 where there
+/// is none.
+#[pyfunction]
+pub fn jpeg_quality(
+    py: Python<'_>,
+    image: PyReadonlyArray3<'_, u8>,
+    quality: u32,
+    most_bytes: usize,
+) -> PyResult<u32> {
+    let (source, size) = checked(&image, quality)?;
+    Ok(py.detach(|| Spectrum::new(source, size).best_quality(quality, most_bytes)))
+}
+
+/// Pixels, height and width of an image.
+fn checked<'a>(
+    image: &'a PyReadonlyArray3<'_, u8>,
+    quality: u32,
+) -> PyResult<(&'a [u8], (usize, usize))> {
+    let [height, width, 3] = image.shape()[..] else {
+        return Err(PyValueError::new_err("An image must be of shape (h, w, 3)."));
+    };
+    if height * width == 0 || !(1..=100).contains(&quality) {
+        return Err(PyValueError::new_err("JPEG is of an image, with a quality from 1 to 100."));
+    }
+    Ok((image.as_slice()?, (height, width)))
+}
+
+/// Steps of both tables.
+fn both_steps(quality: u32) -> [Block; 2] {
+    [0, 1].map(|table| steps(table, quality))
+}
+
+/// Steps of a table at a quality, as the Independent JPEG Group's library scales them.
+fn steps(table: usize, quality: u32) -> Block {
+    let percent = if quality < 50 { 5000 / quality } else { 200 - 2 * quality };
+    STEPS[table].map(|s| ((u32::from(s) * percent + 50) / 100).clamp(1, 255) as f32)
+}
+
+/// Rows are the orthonormal cosines of the transform of 8 numbers.
+fn basis() -> Basis {
+    let mut rows = [[0.0; 8]; 8];
+    for (k, row) in rows.iter_mut().enumerate() {
+        let scale = if k == 0 { 0.125f64.sqrt() } else { 0.5 };
+        for (x, value) in row.iter_mut().enumerate() {
+            let angle = (2 * x + 1) as f64 * k as f64 * std::f64::consts::PI / 16.0;
+            *value = (scale * libm::cos(angle)) as f32;
+        }
+    }
+    rows
+}
+
+/// `M B Mᵀ`, given M and Mᵀ.
+#[inline(always)]
+fn both_ways(m: &Basis, transposed: &Basis, block: &Block) -> Block {
+    let (mut half, mut out) = ([[0.0; 8]; 8], [0.0; 64]);
+    for k in 0..8 {
+        for y in 0..8 {
+            for x in 0..8 {
+                half[k][x] += m[k][y] * block[y * 8 + x];
+            }
+        }
+    }
+    for y in 0..8 {
+        for x in 0..8 {
+            for k in 0..8 {
+                out[y * 8 + k] += half[y][x] * transposed[x][k];
+            }
+        }
+    }
+    out
+}
+
+fn transposed(m: &Basis) -> Basis {
+    let mut out = [[0.0; 8]; 8];
+    for y in 0..8 {
+        for x in 0..8 {
+            out[y][x] = m[x][y];
+        }
+    }
+    out
+}
+
+/// Nearest whole number.
+#[inline(always)]
+fn nearest(x: f32) -> f32 {
+    (x + 12_582_912.0) - 12_582_912.0
+}
+
+/// Coefficients of the three components, in bands of 16 rows of pixels.
+struct Spectrum {
+    size: (usize, usize),
+    /// For each band: blocks of luminance, four to a square of 16 pixels, then of both colours.
+    bands: Vec<Band>,
+}
+
+struct Band {
+    luminance: Vec<Block>,
+    colors: [Vec<Block>; 2],
+}
+
+impl Spectrum {
+    fn new(pixels: &[u8], size: (usize, usize)) -> Self {
+        let basis = basis();
+        let both = [basis, transposed(&basis)];
+        let bands = (0..size.0.div_ceil(16)).into_par_iter();
+        Spectrum { size, bands: bands.map(|b| analysed(pixels, size, b, &both)).collect() }
+    }
+
+    /// Size of the file [bytes].
+    fn bytes(&self, steps: &[Block; 2]) -> usize {
+        let numbers = |block: &Block, table: usize| quantised(block, &steps[table]);
+        let mut bits = 0;
+        let mut last = [0i32; 3];
+        for band in &self.bands {
+            for (square, four) in band.luminance.chunks_exact(4).enumerate() {
+                for block in four {
+                    bits += block_bits(&numbers(block, 0), 0, &mut last[0]);
+                }
+                for (k, color) in band.colors.iter().enumerate() {
+                    bits += block_bits(&numbers(&color[square], 1), 1, &mut last[k + 1]);
+                }
+            }
+        }
+        HEADER + bits.div_ceil(8)
+    }
+
+    fn best_quality(&self, highest: u32, most_bytes: usize) -> u32 {
+        let (mut good, mut bad) = (1, highest + 1);
+        while bad - good > 1 {
+            let middle = (good + bad) / 2;
+            let fits = self.bytes(&both_steps(middle)) <= most_bytes;
+            if fits { good = middle } else { bad = middle }
+        }
+        good
+    }
+
+    /// The image that the file holds.
+    fn decoded(&self, steps: &[Block; 2]) -> Vec<u8> {
+        let (height, width) = self.size;
+        let basis = basis();
+        let back = [transposed(&basis), basis];
+        let squares = width.div_ceil(16);
+        let planes: Vec<[Vec<f32>; 3]> =
+            self.bands.par_iter().map(|band| synthesised(band, steps, &back, squares)).collect();
+        let mut out = vec![0u8; height * width * 3];
+        out.par_chunks_mut(16 * width * 3).enumerate().for_each(|(band, rows)| {
+            for (line, row) in rows.chunks_exact_mut(width * 3).enumerate() {
+                let y = band * 16 + line;
+                let light = &planes[band][0][line * squares * 16..][..width];
+                let colors = [1, 2].map(|k| finer(&planes, k, y, height, squares * 8, width));
+                write_row(light, &colors, row);
+            }
+        });
+        out
+    }
+}
+
+/// Coefficients of one band of 16 rows; beyond the image its last pixels go on.
+#[multiversion::multiversion(targets(
+    "x86_64+avx512f+avx512bw+avx512cd+avx512dq+avx512vl",
+    "x86_64+avx2",
+    "aarch64+neon"
+))]
+fn analysed(
+    pixels: &[u8],
+    (height, width): (usize, usize),
+    band: usize,
+    basis: &[Basis; 2],
+) -> Band {
+    let stride = width.div_ceil(16) * 16;
+    let [mut light, mut blue, mut red] = [0; 3].map(|_| vec![0.0f32; 16 * stride]);
+    for line in 0..16 {
+        let row = &pixels[(band * 16 + line).min(height - 1) * width * 3..][..width * 3];
+        for x in 0..stride {
+            let at = x.min(width - 1) * 3;
+            let [r, g, b] = [0, 1, 2].map(|k| f32::from(row[at + k]));
+            let k = line * stride + x;
+            light[k] = nearest(0.299 * r + 0.587 * g + 0.114 * b) - 128.0;
+            blue[k] = nearest(-0.168_735_9 * r - 0.331_264_1 * g + 0.5 * b);
+            red[k] = nearest(0.5 * r - 0.418_687_6 * g - 0.081_312_4 * b);
+        }
+    }
+    let block = |plane: &[f32], stride: usize, y: usize, x: usize| {
+        let mut values = [0.0; 64];
+        for k in 0..8 {
+            values[k * 8..k * 8 + 8].copy_from_slice(&plane[(y + k) * stride + x..][..8]);
+        }
+        both_ways(&basis[0], &basis[1], &values)
+    };
+    let mut luminance = Vec::with_capacity(stride / 4);
+    for x in (0..stride).step_by(16) {
+        luminance
+            .extend([(0, 0), (0, 8), (8, 0), (8, 8)].map(|(v, u)| block(&light, stride, v, x + u)));
+    }
+    let colors = [blue, red].map(|plane| {
+        let half = halved(&plane, stride);
+        (0..stride / 2).step_by(8).map(|x| block(&half, stride / 2, 0, x)).collect()
+    });
+    Band { luminance, colors }
+}
+
+/// Means of 2 by 2 pixels of 16 rows, rounded up and down by turns.
+#[inline(always)]
+fn halved(plane: &[f32], stride: usize) -> Vec<f32> {
+    let mut out = vec![0.0; 8 * stride / 2];
+    for (y, row) in out.chunks_exact_mut(stride / 2).enumerate() {
+        let (top, bottom) = (&plane[2 * y * stride..], &plane[(2 * y + 1) * stride..]);
+        for (x, value) in row.iter_mut().enumerate() {
+            let sum = top[2 * x] + top[2 * x + 1] + bottom[2 * x] + bottom[2 * x + 1];
+            *value = (0.25 * (sum + (1 + x % 2) as f32)).floor();
+        }
+    }
+    out
+}
+
+#[inline(always)]
+fn quantised(block: &Block, steps: &Block) -> Block {
+    let mut numbers = [0.0; 64];
+    for k in 0..64 {
+        numbers[k] = nearest(block[k] / steps[k]);
+    }
+    numbers
+}
+
+/// Bits of a block's numbers; `last` is the constant term of the block before.
+fn block_bits(numbers: &Block, table: usize, last: &mut i32) -> usize {
+    let size = |number: i32| (32 - number.unsigned_abs().leading_zeros()) as usize;
+    let constant = numbers[0] as i32;
+    let change = size(constant - *last);
+    *last = constant;
+    let mut bits = usize::from(DC_BITS[table][change.min(11)]) + change;
+    let codes = if table == 0 { &AC_BITS_LUMINANCE } else { &AC_BITS_CHROMINANCE };
+    let mut run = 0;
+    for &place in &ZIGZAG[1..] {
+        let number = numbers[place as usize] as i32;
+        if number == 0 {
+            run += 1;
+            continue;
+        }
+        bits += run / 16 * usize::from(codes[15][0]);
+        let length = size(number).min(10);
+        bits += usize::from(codes[run % 16][length]) + length;
+        run = 0;
+    }
+    if run > 0 { bits + usize::from(codes[0][0]) } else { bits }
+}
+
+/// Planes of a band: 16 rows of luminance, 8 of each colour.
+#[multiversion::multiversion(targets(
+    "x86_64+avx512f+avx512bw+avx512cd+avx512dq+avx512vl",
+    "x86_64+avx2",
+    "aarch64+neon"
+))]
+fn synthesised(
+    band: &Band,
+    steps: &[Block; 2],
+    back: &[Basis; 2],
+    squares: usize,
+) -> [Vec<f32>; 3] {
+    let (wide, narrow) = (squares * 16, squares * 8);
+    let mut planes = [vec![0.0; 16 * wide], vec![0.0; 8 * narrow], vec![0.0; 8 * narrow]];
+    let restored = |block: &Block, table: usize| {
+        let mut numbers = quantised(block, &steps[table]);
+        for k in 0..64 {
+            numbers[k] *= steps[table][k];
+        }
+        // A decoder has whole numbers of 8 bits.
+        both_ways(&back[0], &back[1], &numbers).map(|x| nearest(clamp(x, -128.0, 127.0)))
+    };
+    for (square, four) in band.luminance.chunks_exact(4).enumerate() {
+        for (k, block) in four.iter().enumerate() {
+            let values = restored(block, 0);
+            let place = (k / 2 * 8) * wide + square * 16 + k % 2 * 8;
+            for (y, row) in values.chunks_exact(8).enumerate() {
+                planes[0][place + y * wide..][..8].copy_from_slice(row);
+            }
+        }
+    }
+    for (k, color) in band.colors.iter().enumerate() {
+        for (square, block) in color.iter().enumerate() {
+            for (y, row) in restored(block, 1).chunks_exact(8).enumerate() {
+                planes[k + 1][y * narrow + square * 8..][..8].copy_from_slice(row);
+            }
+        }
+    }
+    planes
+}
+
+/// One row of a colour at full resolution: linear, 3 to 1, between neighbours.
+fn finer(
+    planes: &[[Vec<f32>; 3]],
+    plane: usize,
+    y: usize,
+    height: usize,
+    stride: usize,
+    width: usize,
+) -> Vec<f32> {
+    let last = height.div_ceil(2) - 1;
+    let near = y / 2;
+    let far = if y % 2 == 0 { near.saturating_sub(1) } else { (near + 1).min(last) };
+    let line = |row: usize| &planes[row / 8][plane][row % 8 * stride..][..stride];
+    let (near, far) = (line(near), line(far));
+    let columns = width.div_ceil(2);
+    let mixed: Vec<f32> = (0..columns).map(|x| 0.75 * near[x] + 0.25 * far[x]).collect();
+    let mut out = vec![0.0; columns * 2];
+    for x in 0..columns {
+        let (left, right) = (mixed[x.saturating_sub(1)], mixed[(x + 1).min(columns - 1)]);
+        out[2 * x] = 0.75 * mixed[x] + 0.25 * left;
+        out[2 * x + 1] = 0.75 * mixed[x] + 0.25 * right;
+    }
+    out
+}
+
+#[multiversion::multiversion(targets(
+    "x86_64+avx512f+avx512bw+avx512cd+avx512dq+avx512vl",
+    "x86_64+avx2",
+    "aarch64+neon"
+))]
+fn write_row(light: &[f32], colors: &[Vec<f32>; 2], out: &mut [u8]) {
+    let (blue, red) = (&colors[0][..light.len()], &colors[1][..light.len()]);
+    for (x, pixel) in out.chunks_exact_mut(3).enumerate() {
+        let y = light[x] + 128.0;
+        let values = [
+            y + 1.402 * red[x],
+            y - 0.344_136_3 * blue[x] - 0.714_136_3 * red[x],
+            y + 1.772 * blue[x],
+        ];
+        for k in 0..3 {
+            pixel[k] = nearest(clamp(values[k], 0.0, 255.0)) as u8;
+        }
+    }
+}

@@ -1,0 +1,34 @@
+//! What lens and sensor make of an image: each stage a function of arrays, in `vrcaps` put in order.
+//!
+//! Images are linear, and from `to_planes` on three planes [3 h w], so that loops over a row become
+//! vector code. Every stage works row by row, and no row depends on another's result: the same bytes
+//! on any number of threads.
+
+mod bayer;
+mod bloom;
+mod defocus;
+mod huffman;
+mod jpeg;
+mod motion;
+mod noise;
+mod planes;
+
+use pyo3::prelude::*;
+
+/// Adds the stages to the module.
+pub fn register(m: &Bound<'_, PyModule>) -> PyResult<()> {
+    m.add_function(wrap_pyfunction!(motion::blur_motion, m)?)?;
+    m.add_function(wrap_pyfunction!(planes::to_planes, m)?)?;
+    m.add_function(wrap_pyfunction!(planes::scale_planes, m)?)?;
+    m.add_function(wrap_pyfunction!(planes::shade_planes, m)?)?;
+    m.add_function(wrap_pyfunction!(planes::develop, m)?)?;
+    m.add_function(wrap_pyfunction!(defocus::defocus, m)?)?;
+    m.add_function(wrap_pyfunction!(bloom::bloom, m)?)?;
+    m.add_function(wrap_pyfunction!(noise::normals, m)?)?;
+    m.add_function(wrap_pyfunction!(noise::read_sensor, m)?)?;
+    m.add_function(wrap_pyfunction!(bayer::demosaic, m)?)?;
+    m.add_function(wrap_pyfunction!(jpeg::jpeg, m)?)?;
+    m.add_function(wrap_pyfunction!(jpeg::jpeg_bytes, m)?)?;
+    m.add_function(wrap_pyfunction!(jpeg::jpeg_quality, m)?)?;
+    Ok(())
+}

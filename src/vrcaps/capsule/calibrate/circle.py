@@ -1,0 +1,103 @@
+"""The image circle: the bright disc that a lens throws on its sensor."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy import ndimage
+from scipy.optimize import least_squares
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, UInt8
+
+_NUM_DIRECTIONS = 360
+_DARK_QUANTILE, _DARK_MOST = 0.01, 0.3
+"""The sensor behind the circle is as dark as this quantile, and no brighter than this share of the
+median code value, some 7 % of the light."""
+_DARK_SHARE = 0.08
+"""Of the way from there to the median: what is brighter is lit."""
+_NOISE = 10.0
+"""Brightest channel that a dark sensor may show [of 255]: noise and coding."""
+_STEP, _RIM = 0.25, 4.0
+"""Between samples along a direction, and from the dark to what counts as lit beside it [px]."""
+_MIN_SHARE = 0.1
+"""Of the directions that must show the edge for a circle to be fitted."""
+_MAX_SCATTER = 0.03
+"""Median distance of the edge from the circle, of its radius: above it is no circle."""
+
+
+@dataclass(frozen=True)
+class ImageCircle:
+    """The edge of the lit part of a picture.
+
+    Attributes:
+        cx: Column of its centre [px].
+        cy: Row of its centre [px].
+        radius: [px].
+        edge: Where the edge was seen (column, row) [px].
+    """
+
+    cx: float
+    cy: float
+    radius: float
+    edge: Float[np.ndarray, "n 2"]
+
+    def radius_about(self, cx: float, cy: float) -> float:
+        """Median distance of the edge from another centre [px]."""
+        return float(np.median(np.linalg.norm(self.edge - (cx, cy), axis=1)))
+
+
+def image_circle(images: Sequence[UInt8[np.ndarray, "h w 3"]]) -> ImageCircle | None:
+    """The image circle of pictures of one camera; None where no dark rim of that shape is seen.
+
+    Each pixel's brightest channel is taken where it is high in a tenth of the pictures, so that
+    what is dark in some does not count. Along each direction from the middle the last place
+    brighter than the dark sensor is found; the edge is where half of what is 4 px inside of it
+    is left. Directions that leave the picture bright tell nothing.
+    The circle minimises Huber's function of the distances.
+    """
+    height, width = images[0].shape[:2]
+    bright = np.quantile([image.max(axis=2) for image in images], 0.9, axis=0)
+    bright = ndimage.gaussian_filter(np.asarray(bright, float), 1.0)
+    middle = np.array([0.5 * (width - 1), 0.5 * (height - 1)])
+    angle = 2.0 * np.pi * np.arange(_NUM_DIRECTIONS) / _NUM_DIRECTIONS
+    direction = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    with np.errstate(divide="ignore"):
+        reach = np.min(middle / np.abs(direction), axis=1)
+    steps = np.arange(0.0, reach.max(), _STEP)
+    at = middle + steps[:, None, None] * direction
+    profile = ndimage.map_coordinates(bright, np.moveaxis(at, -1, 0)[::-1], order=1, cval=np.nan)
+    median, dark = float(np.nanmedian(profile)), float(np.quantile(bright, _DARK_QUANTILE))
+    if dark > _DARK_MOST * median:
+        return None
+    limit = max(_NOISE, dark + _DARK_SHARE * (median - dark))
+    lit = profile > limit  # NaN beyond the picture is not
+    inside = np.maximum(_last(lit) - round(_RIM / _STEP), 0)
+    rim = profile[inside, np.arange(_NUM_DIRECTIONS)]
+    last = _last(profile > np.maximum(limit, 0.5 * rim))
+    seen = lit.any(axis=0) & (steps[last] < reach - 2.0)
+    if seen.mean() < _MIN_SHARE:
+        return None
+    return _fitted((middle + steps[last][:, None] * direction)[seen], middle)
+
+
+def _last(true: np.ndarray) -> np.ndarray:
+    """Index of the last true value in each column."""
+    return len(true) - 1 - np.argmax(true[::-1], axis=0)
+
+
+def _fitted(edge: np.ndarray, middle: np.ndarray) -> ImageCircle | None:
+    """Circle through edge points; None if they lie on none."""
+    radius = float(np.median(np.linalg.norm(edge - middle, axis=1)))
+
+    def distance(x: np.ndarray) -> np.ndarray:
+        return np.linalg.norm(edge - x[:2], axis=1) - x[2]
+
+    found = least_squares(distance, [*middle, radius], loss="huber", f_scale=0.5)
+    cx, cy, radius = map(float, found.x)
+    if np.median(np.abs(distance(found.x))) > _MAX_SCATTER * radius:
+        return None
+    return ImageCircle(cx, cy, radius, edge)

@@ -1,0 +1,1 @@
+"""A camera from its frames: circle, vignetting, colour, noise, compression."""

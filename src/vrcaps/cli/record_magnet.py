@@ -1,0 +1,62 @@
+"""Flags of `vrcaps record --motion magnet`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from vrcaps.units import MM
+from vrcaps.world.magnet_motion import MagnetSteering
+from vrcaps.world.steering import Steering
+
+
+@dataclass(frozen=True)
+class MagnetFlags:
+    """Flags beside `--motion magnet`."""
+
+    magnet: str = MagnetSteering.magnet
+    """The magnet outside: cylinder-101.6, cylinder-76.2 or cylinder-50.8."""
+
+    arm: str | None = None
+    """Arm that carries it: panda, or an arm file (TOML); by default a hand without limits of
+    reach."""
+
+    arm_base: tuple[float, float, float] | None = None
+    """Place of the arm's base in the world [m]; by default 60 cm beside the organ."""
+
+    skin_mm: float = MagnetSteering.skin / MM
+    """Least gap between the organ's highest point and the magnet [mm]."""
+
+    side: Literal["up", "down"] = MagnetSteering.side
+    """Wall that the capsule glides along: the lower, lightened, or the upper, pulled against it."""
+
+    press: float | None = None
+    """Force between capsule and that wall [N]; by default 0.05 on the lower, 0.3 on the upper."""
+
+    along_mm_per_s: float = MagnetSteering.speed / MM
+    """Speed along the gut where no --steer is given [mm/s]."""
+
+    steer: Path | None = None
+    """Where to be when, a CSV with the header time_s,arc_length_m,yaw_deg,pitch_deg; or a joystick
+    of the magnet, time_s,move_x,move_y,move_z,turn_x,turn_y,turn_z with axes of -1 to 1."""
+
+    def steering(self) -> MagnetSteering:
+        """What the flags ask for.
+
+        Raises:
+            InputError: If a flag is impossible.
+        """
+        gains = Steering()
+        if self.press is not None:
+            gains = Steering(press=self.press, rest=self.press)
+        return MagnetSteering(
+            magnet=self.magnet,
+            arm=self.arm,
+            base=self.arm_base,
+            skin=self.skin_mm * MM,
+            side=self.side,
+            speed=self.along_mm_per_s * MM,
+            steering=gains,
+            file="" if self.steer is None else str(self.steer),
+        )

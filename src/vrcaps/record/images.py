@@ -1,0 +1,159 @@
+"""The images of a recording: rendered, then as its cameras' lens and sensor make them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vrcaps.render.camera_effects.chain import CameraChain, Moment
+from vrcaps.render.camera_effects.frame_rate import image_speed
+from vrcaps.render.camera_effects.scene import half_side_px
+from vrcaps.render.renderer import Renderer
+
+if TYPE_CHECKING:
+    from vrcaps.record.scenario import Scenario
+    from vrcaps.record.table import FrameTable
+    from vrcaps.render.frame import Frame
+    from vrcaps.world.model import Model
+    from vrcaps.world.run import Instant
+    from vrcaps.world.snapshot import Snapshot
+
+
+@dataclass(frozen=True)
+class Step:
+    """A frame to be written, between its neighbours.
+
+    Attributes:
+        frame: Its number.
+        now: The world.
+        before: One frame earlier; None for the first.
+        after: One frame later; None for the last.
+        taken: Of `Simulation.snapshot` at this frame, where one is due.
+    """
+
+    frame: int
+    now: Instant
+    before: Instant | None
+    after: Instant | None
+    taken: tuple[float, Snapshot] | None
+
+
+class Images:
+    """Images of the frames of a recording, in their order."""
+
+    def __init__(self, model: Model, scenario: Scenario, before: FrameTable | None = None) -> None:
+        """Begins a recording, or goes on after the rows of an earlier one.
+
+        Args:
+            model: What is recorded.
+            scenario: Resolved.
+            before: Rows of the frames before; they hold the state of the automatic exposure.
+        """
+        assert scenario.fps is not None
+        self._model, self._channels, self._fps = model, scenario.channels, scenario.fps
+        self._renderer = Renderer(model, scenario.render)
+        self._automatic = scenario.effects.figures("exposure")
+        self._rate = scenario.effects.frame_rate
+        self._chains: dict[str, CameraChain] = {}
+        self._degrades = "rgb" in scenario.channels and not scenario.effects.is_ideal
+        if self._rate is not None or self._degrades:
+            self._chains = {
+                camera.name: CameraChain(
+                    scenario.effects, camera, number=k, fps=scenario.fps, seed=scenario.seed
+                )
+                for k, camera in enumerate(model.device.cameras)
+            }
+        self._exposures = dict.fromkeys(self._chains, 1.0)
+        self._taken: int | None = None
+        if before is not None and len(before):
+            self._go_on(before)
+        self._current = dict(self._exposures)
+
+    def _go_on(self, before: FrameTable) -> None:
+        """Takes over exposures, and the last frame taken, from the rows of earlier frames."""
+        if self._automatic is not None:
+            for name in self._chains:
+                last = (float(before.columns[column][-1]) for column in exposure_columns(name))
+                self._exposures[name] = self._automatic.following(*last, 1.0 / self._fps)
+        if self._rate is not None:
+            self._taken = int(np.flatnonzero(before.columns[TAKEN])[-1])
+
+    def expose(self, step: Step) -> dict[str, float]:
+        """Sets the exposure of a frame, to be called for each in turn; its columns in the table."""
+        self._current = dict(self._exposures)
+        columns: dict[str, float] = {}
+        if self._automatic is not None:
+            for name, chain in self._chains.items():
+                exposure = self._exposures[name]
+                metered = chain.meter(self._renderer, self._moment(step, name))
+                columns |= dict(zip(exposure_columns(name), (exposure, metered), strict=True))
+                following = self._automatic.following(exposure, metered, 1.0 / self._fps)
+                self._exposures[name] = following
+        return columns | self._timing(step)
+
+    def _timing(self, step: Step) -> dict[str, float]:
+        """Columns of the adaptive frame rate: speed of the fastest image, and if it is taken."""
+        if self._rate is None:
+            return {}
+        speeds = []
+        for camera in self._model.device.cameras:
+            motion = self._chains[camera.name].motion(
+                self._renderer, self._moment(step, camera.name)
+            )
+            speeds.append(image_speed(motion, half_side_px(camera), self._fps))
+        speed, last = max(speeds), self._taken
+        is_taken = last is None or self._rate.is_due(speed, step.frame - last, self._fps)
+        if is_taken:
+            self._taken = step.frame
+        return {SPEED: speed, TAKEN: int(is_taken)}
+
+    def render(self, step: Step) -> dict[str, Frame]:
+        """Images of all cameras at the frame that was exposed last."""
+        after, before = step.after or step.now, step.before or step.now
+        images = {}
+        for camera in self._model.device.cameras:
+            chain = self._chains[camera.name] if self._degrades else None
+            image = self._renderer.render(
+                step.now.state,
+                camera,
+                channels=self._channels if chain is None else chain.channels(self._channels),
+                state_next=after.state,
+                state_previous=before.state,
+            )
+            if chain is not None:
+                moment = self._moment(step, camera.name)
+                image = chain.apply(image, self._renderer, moment)
+            images[camera.name] = image
+        ends = (step.before is None, step.after is None)
+        return {name: _without_neighbour(image, *ends) for name, image in images.items()}
+
+    def _moment(self, step: Step, camera: str) -> Moment:
+        return Moment(
+            step.frame,
+            step.now.state,
+            state_next=None if step.after is None else step.after.state,
+            state_previous=None if step.before is None else step.before.state,
+            exposure=self._current[camera],
+        )
+
+
+SPEED, TAKEN = "image_speed_half_sides_per_s", "taken"
+"""Columns of the adaptive frame rate."""
+
+
+def exposure_columns(camera: str) -> tuple[str, str]:
+    """Columns of a frame's exposure, relative to the device's own, and its metered luminance."""
+    return f"{camera}_exposure", f"{camera}_luminance"
+
+
+def _without_neighbour(image: Frame, is_first: bool, is_last: bool) -> Frame:
+    """The image with no flow to a frame that the run does not have, and nothing seen in it."""
+    if is_first and image.flow_backward is not None:
+        image = replace(image, flow_backward=np.full_like(image.flow_backward, np.nan))
+    if is_last and image.flow_forward is not None:
+        image = replace(image, flow_forward=np.full_like(image.flow_forward, np.nan))
+    if is_last and image.occlusion is not None:
+        image = replace(image, occlusion=np.ones_like(image.occlusion))
+    return image

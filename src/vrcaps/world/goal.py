@@ -1,0 +1,127 @@
+"""Where a capsule is to be and look."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from vrcaps.errors import InputError, require
+from vrcaps.organ.surface import Centerline
+from vrcaps.transforms import rotate_vectors, transform_points
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+    from vrcaps.world.model import Model
+
+_UP = (0.0, 0.0, 1.0)
+
+
+@dataclass(frozen=True)
+class Goal:
+    """A place and a direction in the world.
+
+    Attributes:
+        position: Where the capsule's origin is to be [m].
+        direction: Unit vector along which the front camera is to look; None leaves it.
+        along: Unit vector of the only direction in which the place counts, such as the gut's; None:
+            in all directions but that of `press`.
+        press: Unit vector in which the magnet presses the capsule against the wall.
+    """
+
+    position: Sequence[float] | Float[np.ndarray, " 3"]
+    direction: Sequence[float] | Float[np.ndarray, " 3"] | None = None
+    along: Sequence[float] | Float[np.ndarray, " 3"] | None = None
+    press: Sequence[float] | Float[np.ndarray, " 3"] = _UP
+
+    def __post_init__(self) -> None:
+        for name in ("position", "direction", "along", "press"):
+            value = getattr(self, name)
+            if value is None:
+                continue
+            vector = np.asarray(value, float)
+            is_unit = name == "position" or abs(np.linalg.norm(vector) - 1.0) < 1e-6
+            if vector.shape != (3,) or not np.isfinite(vector).all() or not is_unit:
+                allowed = "a place [m]" if name == "position" else "a unit vector"
+                raise InputError(f"Goal's {name} is {value}. Allowed: {allowed}.")
+
+    @cached_property
+    def controlled(self) -> Float[np.ndarray, "3 3"]:
+        """Projects on the directions in which the place counts."""
+        if self.along is not None:
+            return np.outer(self.along, self.along)
+        return np.eye(3) - np.outer(self.press, self.press)
+
+
+def gut_goal(
+    line: Centerline,
+    T_world_patient: Float[np.ndarray, "4 4"],
+    arc_length: float,
+    *,
+    backwards: bool = False,
+    yaw: float = 0.0,
+    pitch: float = 0.0,
+    side: Literal["up", "down"] = "up",
+) -> Goal:
+    """A place along the gut, where the capsule looks along it or aside.
+
+    Args:
+        line: The gut's centreline.
+        T_world_patient: How the patient lies.
+        arc_length: Where [m].
+        backwards: Look towards the oral end.
+        yaw: Turn of the look about the frame's second transverse axis [rad].
+        pitch: About its first [rad].
+        side: The wall that the capsule is pressed against: the upper or the lower.
+
+    Raises:
+        InputError: If the arc length is not on the centreline.
+    """
+    allowed = f"0 to {line.length:g} m"
+    require(0.0 <= arc_length <= line.length, "arc_length", arc_length, allowed)
+    s = line.arc_length
+    point = np.array([np.interp(arc_length, s, axis) for axis in line.points.T])
+    k = int(np.clip(np.searchsorted(s, arc_length) - 1, 0, len(s) - 2))
+    share = (arc_length - s[k]) / max(s[k + 1] - s[k], 1e-12)
+    axes = (1.0 - share) * line.frames[k] + share * line.frames[k + 1]
+    first, second, ahead = (axis / np.linalg.norm(axis) for axis in axes.T)
+    look = np.cos(yaw) * np.cos(pitch) * (-ahead if backwards else ahead)
+    look = look + np.sin(yaw) * np.cos(pitch) * first - np.sin(pitch) * second
+    look, tangent = rotate_vectors(T_world_patient, np.array([look / np.linalg.norm(look), ahead]))
+    above = np.array(_UP) if side == "up" else -np.array(_UP)
+    up = above - tangent * (above @ tangent)
+    # In an upright stretch nothing is above: across the gut, towards the frame's first axis.
+    if np.linalg.norm(up) < 0.3:
+        up = rotate_vectors(T_world_patient, first[None])[0]
+        up = up - tangent * (up @ tangent)
+    place = transform_points(T_world_patient, point[None])[0]
+    return Goal(place, look, tangent, up / np.linalg.norm(up))
+
+
+def wall_goal(
+    model: Model, point: Float[np.ndarray, " 3"], direction: Float[np.ndarray, " 3"]
+) -> Goal:
+    """The capsule lying on the wall nearest to a point, looking as nearly along a direction.
+
+    Args:
+        model: Organ, device and posture, at rest.
+        point: In the lumen, in the world [m].
+        direction: In the world; made level with the wall.
+
+    Raises:
+        InputError: If the direction is at right angles to the wall.
+    """
+    nearest, faces = model.wall.closest_point(np.asarray(point, float)[None])
+    corners = model.vertices_world[model.organ.faces[faces[0]]]
+    inwards = np.cross(corners[1] - corners[0], corners[2] - corners[0])
+    inwards /= np.linalg.norm(inwards)
+    look = np.asarray(direction, float) - inwards * (inwards @ np.asarray(direction, float))
+    length = np.linalg.norm(look)
+    if length < 1e-6:
+        raise InputError(f"Direction {direction} is at right angles to the wall. Choose another.")
+    place = nearest[0] + model.device.radius * inwards
+    return Goal(place, look / length, None, -inwards)

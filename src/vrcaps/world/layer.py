@@ -1,0 +1,46 @@
+"""The elastic layer of a world: under which organs there is one, and its part of a snapshot."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vrcaps.errors import InputError
+from vrcaps.tissue.fem.deformation import FemDeformation
+from vrcaps.tissue.tissue import Tissue
+from vrcaps.world.snapshot import Snapshot
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+    from vrcaps.organ.surface import OrganSurface
+    from vrcaps.tissue.fem.wall import FemWall
+
+
+def layer_under(organ: OrganSurface, tissue: Tissue) -> FemWall | None:
+    """The elastic layer under an organ's surface, where the tissue has one."""
+    if not isinstance(tissue.deformation, FemDeformation):
+        return None
+    from vrcaps.tissue.fem.wall import FemWall
+
+    return FemWall(organ, tissue.deformation)
+
+
+def exchange_rows(
+    layer: FemWall, snapshot: Snapshot
+) -> tuple[Float[np.ndarray, "nodes 6"], tuple[Float[np.ndarray, "nodes 9"], np.ndarray]]:
+    """Motion of the layer in a snapshot, and what lasts of its exchange with the capsule.
+
+    Raises:
+        InputError: If the snapshot is of another layer or not finite.
+    """
+    if snapshot.layer.shape != (layer.num_free, 15):
+        raise InputError(
+            f"The snapshot has a layer of {len(snapshot.layer)} nodes, the world's has "
+            f"{layer.num_free}. Give a snapshot of a world with the same deformation."
+        )
+    if not (np.isfinite(snapshot.layer).all() and np.isfinite(snapshot.touched).all()):
+        raise InputError("The snapshot is not finite. Allowed: finite numbers.")
+    motion, forces = np.hsplit(snapshot.layer, [6])
+    return motion, (np.ascontiguousarray(forces), np.ascontiguousarray(snapshot.touched, float))

@@ -1,0 +1,251 @@
+"""A run whose capsule is steered by a magnet: what is asked for, and who carries it out."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from vrcaps.errors import InputError, UnknownNameError, require
+from vrcaps.magnet.arm.carrier import Carrier, across_mount
+from vrcaps.magnet.arm.catalog import load_arm
+from vrcaps.magnet.presets import load_magnet
+from vrcaps.magnet.steering.aim import Room
+from vrcaps.magnet.steering.arm_holder import ArmHolder
+from vrcaps.magnet.steering.holder import FreeHolder, Holder
+from vrcaps.units import CM, DEG, MM
+from vrcaps.world.control import Control
+from vrcaps.world.goal import Goal, gut_goal
+from vrcaps.world.model import Model
+from vrcaps.world.schedule import read_numbers, require_rising
+from vrcaps.world.steering import Pilot, Steering
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+    from vrcaps.world.world import World
+
+WAYPOINT_COLUMNS = ("time_s", "arc_length_m", "yaw_deg", "pitch_deg")
+AXES_COLUMNS = ("time_s", "move_x", "move_y", "move_z", "turn_x", "turn_y", "turn_z")
+SIDES = ("up", "down")
+_BESIDE, _BELOW = 60.0 * CM, 15.0 * CM
+
+
+@dataclass(frozen=True)
+class Waypoint:
+    """Where the capsule is to be at a time, and how it looks aside there.
+
+    Attributes:
+        time: Since the first frame [s].
+        arc_length: Along the gut [m].
+        yaw: Look aside about the second transverse axis of the gut's frame [rad].
+        pitch: About the first [rad].
+    """
+
+    time: float
+    arc_length: float
+    yaw: float = 0.0
+    pitch: float = 0.0
+
+
+@dataclass(frozen=True)
+class Axes:
+    """A joystick from a time on.
+
+    Attributes:
+        time: Since the first frame [s].
+        move: Axes −1 to 1 that move the magnet along the world's x, y, z.
+        turn: Axes −1 to 1 that turn it about them.
+    """
+
+    time: float
+    move: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    turn: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class MagnetSteering:
+    """How a magnet outside steers the capsule.
+
+    Without waypoints and axes it leads the capsule on along the gut from where it starts.
+
+    Attributes:
+        magnet: Name of the magnet, see `vrcaps.magnet.presets.magnet_names`.
+        arm: Name or file of the arm that carries it, its moment across the flange; None holds it
+            freely.
+        base: Place of the arm's base in the world [m]; None is 60 cm beside the organ towards −x,
+            15 cm below its highest point.
+        skin: Least gap between the organ's highest point and the magnet: the wall of the belly and
+            the air above it [m].
+        side: Wall that the capsule is pressed against: the lower, on which the magnet lightens it,
+            or the upper, to which it is pulled.
+        speed: Along the gut without waypoints [m/s].
+        steering: Gains of the loop.
+        waypoints: Where to be when; linear in time between them.
+        axes: A joystick instead, each entry until the next.
+        file: CSV of either instead, see `read_commands`.
+        joystick_speed: Speed of a full axis [m/s].
+        joystick_rate: Angular speed of a full axis [rad/s].
+        period: Time between updates of the loop [s].
+        file_sha256: Checksum of the file; filled in when recorded, checked when given.
+    """
+
+    magnet: str = "cylinder-101.6"
+    arm: str | None = None
+    base: tuple[float, float, float] | None = None
+    skin: float = 4.0 * CM
+    side: Literal["up", "down"] = "down"
+    speed: float = 5.0 * MM
+    steering: Steering = field(default_factory=Steering)
+    waypoints: tuple[Waypoint, ...] = ()
+    axes: tuple[Axes, ...] = ()
+    file: str = ""
+    joystick_speed: float = 5.0 * CM
+    joystick_rate: float = 0.5
+    period: float = 0.01
+    file_sha256: str = ""
+
+    def __post_init__(self) -> None:
+        if self.side not in SIDES:
+            raise UnknownNameError("side", self.side, SIDES)
+        if sum(map(bool, (self.waypoints, self.axes, self.file))) > 1:
+            raise InputError("Of waypoints, axes and file several are given. Give one of them.")
+        for name, most in (("skin", 1.0), ("speed", 1.0), ("period", 0.05)):
+            value = getattr(self, name)
+            require(0.0 < value <= most, f"Steering's {name}", value, f"above 0 to {most:g}")
+        for name in ("joystick_speed", "joystick_rate"):
+            value = getattr(self, name)
+            require(0.0 < value < math.inf, f"Steering's {name}", value, "above 0")
+        check_waypoints(self.waypoints, "waypoints")
+        check_axes(self.axes, "axes")
+
+
+def read_commands(path: str | Path) -> tuple[tuple[Waypoint, ...], tuple[Axes, ...]]:
+    """Read waypoints or a joystick from a CSV; its header says which.
+
+    Waypoints have the header ``time_s,arc_length_m,yaw_deg,pitch_deg``, a joystick
+    ``time_s,move_x,move_y,move_z,turn_x,turn_y,turn_z``.
+
+    Raises:
+        InputError: If the file cannot be read, its header is another or a line is wrong.
+    """
+    header, rows = read_numbers(path, (WAYPOINT_COLUMNS, AXES_COLUMNS), "commands")
+    if header == WAYPOINT_COLUMNS:
+        waypoints = tuple(Waypoint(t, s, yaw * DEG, pitch * DEG) for t, s, yaw, pitch in rows)
+        check_waypoints(waypoints, str(path))
+        return waypoints, ()
+    axes = tuple(Axes(t, (x, y, z), (a, b, c)) for t, x, y, z, a, b, c in rows)
+    check_axes(axes, str(path))
+    return (), axes
+
+
+def check_waypoints(waypoints: tuple[Waypoint, ...], where: str) -> None:
+    """Check that all numbers are finite and times rise.
+
+    Raises:
+        InputError: If not; names the entry.
+    """
+    for index, point in enumerate(waypoints):
+        if not np.isfinite((point.time, point.arc_length, point.yaw, point.pitch)).all():
+            raise InputError(f"{where}: entry {index} is not finite. Allowed: finite numbers.")
+    require_rising([point.time for point in waypoints], where)
+
+
+def check_axes(axes: tuple[Axes, ...], where: str) -> None:
+    """Check that axes are from −1 to 1 and times rise.
+
+    Raises:
+        InputError: If not; names the entry.
+    """
+    for index, entry in enumerate(axes):
+        numbers = np.abs((*entry.move, *entry.turn))
+        if not (np.isfinite(entry.time) and (numbers <= 1.0).all()):
+            raise InputError(
+                f"{where}: entry {index} is {entry.move}, {entry.turn} at {entry.time} s. "
+                "Allowed: axes of -1 to 1 at finite times."
+            )
+    require_rising([entry.time for entry in axes], where)
+
+
+class Commander:
+    """Carries out what is asked of a magnet while a world is stepped."""
+
+    def __init__(
+        self,
+        model: Model,
+        settings: MagnetSteering,
+        T_world_capsule: Float[np.ndarray, "4 4"],
+        arc_length: float,
+    ) -> None:
+        """Takes the magnet to the capsule.
+
+        Raises:
+            InputError: If the device holds no magnet, the magnet cannot be held where it begins, or
+                a waypoint is not on the centreline.
+            UnknownNameError: If there is no such magnet or arm.
+        """
+        self.settings, self._line, self._start = settings, model.organ.centerline, arc_length
+        self._waypoints, self._axes = settings.waypoints, settings.axes
+        if settings.file:
+            self._waypoints, self._axes = read_commands(settings.file)
+        for point in self._waypoints:
+            allowed = f"0 to {self._line.length:g} m"
+            on = 0.0 <= point.arc_length <= self._line.length
+            require(on, "A waypoint's arc_length", point.arc_length, allowed)
+        goal = self._goal(0.0, model.T_world_patient)
+        self.pilot = Pilot(
+            model,
+            load_magnet(settings.magnet),
+            _holder(model, settings),
+            T_world_capsule,
+            goal,
+            steering=settings.steering,
+        )
+
+    def control(
+        self, world: World, time: float, dt: float, T_world_patient: Float[np.ndarray, "4 4"]
+    ) -> Control:
+        """Command for the next `dt` [s]."""
+        s = self.settings
+        if not self._axes:
+            return self.pilot.hold(world, self._goal(time, T_world_patient), dt)
+        now = [entry for entry in self._axes if entry.time <= time]
+        held = now[-1] if now else Axes(0.0)
+        rates = {"speed": s.joystick_speed, "rate": s.joystick_rate}
+        control = self.pilot.drive(held.move, held.turn, dt, **rates)
+        self.pilot.judge(world)
+        return control
+
+    def _goal(self, time: float, T_world_patient: Float[np.ndarray, "4 4"]) -> Goal:
+        s, points = self.settings, self._waypoints
+        place, yaw, pitch = self._start + s.speed * max(time, 0.0), 0.0, 0.0
+        if points:
+            times = [point.time for point in points]
+            rows = np.array([[point.arc_length, point.yaw, point.pitch] for point in points])
+            place, yaw, pitch = (float(np.interp(time, times, column)) for column in rows.T)
+        return gut_goal(
+            self._line,
+            T_world_patient,
+            min(place, self._line.length),
+            yaw=yaw,
+            pitch=pitch,
+            side=s.side,
+        )
+
+
+def _holder(model: Model, settings: MagnetSteering) -> Holder:
+    magnet = load_magnet(settings.magnet)
+    low, high = model.vertices_world.min(axis=0), model.vertices_world.max(axis=0)
+    lowest = float(high[2]) + settings.skin + 0.5 * magnet.diameter
+    room = Room(low=(-math.inf, -math.inf, lowest), apart=0.5 * magnet.diameter + 3.0 * CM)
+    if settings.arm is None:
+        return FreeHolder(room)
+    base = np.eye(4)
+    middle = 0.5 * (low + high)
+    beside = (low[0] - _BESIDE + 0.5 * (high[0] - low[0]), middle[1], high[2] - _BELOW)
+    base[:3, 3] = beside if settings.base is None else settings.base
+    carrier = Carrier(load_arm(settings.arm), magnet, base, across_mount(magnet))
+    return ArmHolder(carrier, room)

@@ -1,0 +1,125 @@
+"""Sources outside the patient, and what they do to the capsule's magnets in a `World`."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vrcaps import _core
+from vrcaps.errors import InputError, require
+from vrcaps.magnet.field import SourceSet
+from vrcaps.magnet.internal import InternalMagnet, magnet_rows
+from vrcaps.magnet.sources import Source, Uniform
+from vrcaps.magnet.steering.turn import cross, length
+from vrcaps.transforms import (
+    matrix_from_quaternion,
+    quaternion_from_matrix,
+    transform_from,
+)
+from vrcaps.world.control import Control
+from vrcaps.world.model import Coupling
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+
+class Pull:
+    """The sources of a world, where they are, and the core's wrench of them."""
+
+    def __init__(
+        self, core: _core.World, magnets: Sequence[InternalMagnet], sources: Sequence[Source]
+    ) -> None:
+        """Lets sources act on the magnets of a capsule.
+
+        Raises:
+            InputError: If there are sources but no magnets.
+        """
+        if sources and not magnets:
+            raise InputError(
+                "The capsule holds no magnet, so no source can move it. Give a device with "
+                "[[magnets]], such as magnetic, or no sources."
+            )
+        self._core, self._set = core, SourceSet(sources)
+        poses = [np.asarray(source.T_world_magnet, float) for source in self._set.sources]
+        self.rows: Float[np.ndarray, "k 8"] = _rows(np.array(poses).reshape(-1, 4, 4))
+        self._has_place = np.array([not isinstance(s, Uniform) for s in self._set.sources], bool)
+        inside = magnet_rows(magnets)
+        strength = np.linalg.norm(inside[:, 3:], axis=1, keepdims=True)
+        total = max(float(strength.sum()), 1e-300)
+        self._middle = (strength * inside[:, :3]).sum(axis=0) / total
+        self._moment = inside[:, 3:].sum(axis=0)
+        if sources:
+            core.set_magnets(self._set.core, inside)
+
+    def aim(
+        self, control: Control, dt: float, T_world_patient: Float[np.ndarray, "4 4"]
+    ) -> Float[np.ndarray, "k 8"]:
+        """Sets the sources on their way to where a control has them after `dt` [s].
+
+        Returns:
+            Where they will be, for `rows` once the step is done.
+
+        Raises:
+            InputError: If the control has another number of poses or strengths than sources.
+        """
+        end = self.rows.copy()
+        for name, given in (
+            ("Ts_world_magnet", control.Ts_world_magnet),
+            ("strengths", control.strengths),
+        ):
+            count = len(end) if given is None else len(given)
+            require(count == len(end), f"Number of the control's {name}", count, f"{len(end)}")
+        if control.Ts_world_magnet is not None:
+            end[:, :7] = _rows(np.asarray(control.Ts_world_magnet, float))[:, :7]
+        if control.strengths is not None:
+            end[:, 7] = control.strengths
+        self._send(end, dt, T_world_patient)
+        return end
+
+    def restore(
+        self, rows: Float[np.ndarray, "k 8"], T_world_patient: Float[np.ndarray, "4 4"]
+    ) -> None:
+        """Puts the sources where they were."""
+        self.rows = rows
+        self._send(rows, 1.0, T_world_patient)
+
+    def _send(
+        self, end: Float[np.ndarray, "k 8"], dt: float, T_world_patient: Float[np.ndarray, "4 4"]
+    ) -> None:
+        if len(end):
+            parts = (self._set.spread(self.rows), self._set.spread(end))
+            self._core.aim_sources(*parts, dt, np.asarray(T_world_patient, float))
+
+    def coupling(self, T_world_capsule: Float[np.ndarray, "4 4"]) -> Coupling | None:
+        """What the sources did in the last step; None without sources."""
+        point = T_world_capsule[:3, :3] @ self._middle + T_world_capsule[:3, 3]
+        pulled = self._core.pulled(tuple(point))
+        if pulled is None:
+            return None
+        force, torque, flux, gradient, place = pulled
+        moment = T_world_capsule[:3, :3] @ self._moment
+        across = length(cross(moment, np.array(flux)))
+        away = [math.dist(row[:3], point) for row in self.rows[self._has_place]]
+        return Coupling(
+            force_world=np.array(force),
+            torque_world=np.array(torque),
+            flux_density_world=np.array(flux),
+            flux_gradient_world=np.array(gradient).reshape(3, 3),
+            angle=math.atan2(across, float(moment @ np.array(flux))),
+            distance=min(away, default=math.inf),
+            Ts_world_magnet=transform_from(
+                matrix_from_quaternion(self.rows[:, 3:7]), self.rows[:, :3]
+            ),
+            strengths=self.rows[:, 7].copy(),
+            is_exact=place == 0,
+        )
+
+
+def _rows(Ts_world_magnet: Float[np.ndarray, "k 4 4"]) -> Float[np.ndarray, "k 8"]:
+    """Place, quaternion wxyz and a strength of 1 of each source."""
+    turned = quaternion_from_matrix(Ts_world_magnet[:, :3, :3])
+    ones = np.ones((len(Ts_world_magnet), 1))
+    return np.concatenate([Ts_world_magnet[:, :3, 3], turned, ones], axis=1)

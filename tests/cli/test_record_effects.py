@@ -1,0 +1,68 @@
+"""Effects on the command line, and what a user may get wrong about them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from vrcaps import cli
+from vrcaps.cli.record import Record
+from vrcaps.render.camera_effects.effects import Effects
+
+BASE = "record --out o --organ colon --frames 2"
+
+
+def resolved(text: str) -> Effects:
+    command = cli._parse([*BASE.split(), "--effects", text])
+    assert isinstance(command, Record)
+    return command.resolved().effects
+
+
+def test_effects_reach_the_scenario() -> None:
+    assert resolved("specular=3,dof=1") == Effects(specular=3, depth_of_field=1)
+    assert resolved("noise=1..3,mosaic=bggr") == Effects(noise=(1, 3), mosaic="bggr")
+    assert Record(Path("o")).resolved().effects == Effects()
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("glow=3", "No effect named 'glow'. Known: all, bloom"),
+        ("bloom=7", "Effect bloom has the grade 7. Allowed: 0 to 4"),
+        ("bloom", "Effect 'bloom' has no grade. Allowed: NAME=0 to NAME=4"),
+        ("mosaic=bayer", "The effect mosaic is 'bayer'. Allowed: none, rggb"),
+    ],
+)
+def test_mistakes_end_in_one_line_and_status_2(
+    text: str, words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as exit_info:
+        cli.main([*BASE.split(), "--effects", text])
+    error = capsys.readouterr().err
+    assert exit_info.value.code == 2
+    assert error.count("\n") == 1
+    assert words in error
+
+
+@pytest.mark.parametrize(
+    ("table", "words"),
+    [
+        ("noise = { full_well = 1000, read_noise = -2 }", "Noise's read_noise is -2.0"),
+        ("depth_of_field = { aperture = 0 }", "Defocus' aperture is 0.0. Allowed: above 0"),
+        ("specular = { coat = 0.5, ior = 0.8 }", "Film's ior is 0.8. Allowed: 1 to below 3"),
+        ("noise = { full_wel = 1000 }", "Unknown key scenario.effects.noise.full_wel"),
+        ("bloom = 'much'", "scenario.effects.bloom is 'much'"),
+    ],
+)
+def test_mistakes_in_a_scenario_file(
+    table: str, words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "scenario.toml"
+    path.write_text(f"[effects]\n{table}\n")
+    with pytest.raises(SystemExit) as exit_info:
+        cli.main(["record", "--out", str(tmp_path / "o"), "--scenario", str(path)])
+    error = capsys.readouterr().err
+    assert exit_info.value.code == 2
+    assert error.count("\n") == 1
+    assert words in error

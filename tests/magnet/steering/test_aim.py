@@ -1,0 +1,71 @@
+"""Poses of a magnet for a wanted wrench, against the field's own wrench."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from vrcaps.errors import InputError
+from vrcaps.magnet.field import SourceSet, wrench
+from vrcaps.magnet.internal import InternalMagnet
+from vrcaps.magnet.presets import load_magnet
+from vrcaps.magnet.sources import Dipole, Uniform, magnet_pose
+from vrcaps.magnet.steering.aim import Aim, Room, Wish
+
+MAGNETS = (InternalMagnet((0, 0, -4e-3), (0, 0, 1.12)),)
+
+
+@pytest.mark.parametrize("source", [Dipole(970.0), load_magnet("cylinder-101.6")])
+def test_any_force_and_heading_can_be_had(source):
+    """Five wishes, five freedoms: force, and no torque for the heading."""
+    rng = np.random.default_rng(0)
+    aim = Aim(SourceSet([source]), MAGNETS, Room(apart=0.05))
+    missed = []
+    for _ in range(60):
+        capsule = magnet_pose(rng.uniform(-0.1, 0.1, 3), rng.normal(size=3))
+        away, force = rng.normal(size=3), rng.normal(size=3)
+        force *= 0.3 / np.linalg.norm(force)
+        start = aim.guess(capsule, away, 0.3)
+        aimed = aim.solve(Wish(force.tolist(), stay=0.0), capsule, start, rounds=200)
+        got = wrench([type(source)(**vars(source) | {"T_world_magnet": aimed.T_world_magnet})],
+                     MAGNETS, capsule)  # fmt: skip
+        np.testing.assert_allclose(np.array(got), [aimed.force, aimed.torque], atol=1e-12)
+        missed.append(np.linalg.norm(aimed.force - force))
+        place = aimed.T_world_magnet[:3, :3]
+        np.testing.assert_allclose(place @ place.T, np.eye(3), atol=1e-9)
+    assert np.mean(np.array(missed) < 1e-4) > 0.9
+
+
+def test_room_is_kept():
+    """A wish that only a nearer magnet could fulfil ends at the bound, and says what it gives."""
+    room = Room(low=(-0.05, -0.05, 0.2), high=(0.05, 0.05, 0.5))
+    aim = Aim(SourceSet([Dipole(100.0), Uniform(50e-6)]), MAGNETS, room)
+    capsule = magnet_pose((0, 0, 0), (1, 0, 0))
+    start = aim.guess(capsule, np.array([0, 0, 1]), 1.0)
+    aimed = aim.solve(Wish((0, 0, 1.0)), capsule, start, rounds=100)
+    place = aimed.T_world_magnet[:3, 3]
+    assert np.all(place >= room.low) and np.all(place <= room.high)
+    assert place[2] == 0.2
+    assert 0.0 < aimed.force[2] < 0.2
+
+
+def test_guess_points_the_field_along_the_moment():
+    rng = np.random.default_rng(1)
+    sources = SourceSet([Dipole(500.0)])
+    aim = Aim(sources, (InternalMagnet((0, 0, 0), (0, 0, 0.2)),), Room())
+    for _ in range(20):
+        capsule = magnet_pose(rng.normal(size=3), rng.normal(size=3))
+        sources.move(0, aim.guess(capsule, rng.normal(size=3), 0.1))
+        flux = sources.field(capsule[None, :3, 3])[0][0]
+        np.testing.assert_allclose(flux / np.linalg.norm(flux), capsule[:3, 2], atol=1e-9)
+
+
+def test_what_cannot_be():
+    with pytest.raises(InputError, match="holds no magnet"):
+        Aim(SourceSet([Dipole(1.0)]), (), Room())
+    with pytest.raises(InputError, match=r"index is 1\. Allowed: 0 to 0"):
+        Aim(SourceSet([Dipole(1.0)]), MAGNETS, Room(), index=1)
+    with pytest.raises(InputError, match="low up to high"):
+        Room(low=(1, 0, 0), high=(0, 0, 0))
+    with pytest.raises(InputError, match="Room's apart is 0"):
+        Room(apart=0.0)

@@ -1,0 +1,142 @@
+"""Narrow-band imaging: diffusion, colours taken apart, and vessels that stand out."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from shapes import looking, make_camera, make_model, sphere
+
+from vrcaps.capsule.device import Led
+from vrcaps.organ.appearance import ABSORPTION
+from vrcaps.organ.photo.color import from_log_linear, log_linear
+from vrcaps.organ.surface import Appearance
+from vrcaps.render.narrow_band import (
+    blood_density,
+    diffuse_reflectance,
+    led_gains,
+    narrow_band_appearance,
+    narrow_band_color,
+    narrow_band_liquid,
+    narrow_band_reflectance,
+)
+from vrcaps.render.renderer import Renderer
+from vrcaps.render.settings import RenderSettings
+from vrcaps.tissue.contents.liquid import Liquid
+
+
+def mucosa(base: float, blood: float, bile: float) -> np.ndarray:
+    """Linear colour of a tissue of known densities."""
+    return np.exp(-base - np.array([blood, bile]) @ ABSORPTION)
+
+
+def test_reflectance_of_the_limits():
+    """Nothing absorbed, all comes back; much absorbed, nothing does."""
+    assert diffuse_reflectance(np.array(0.0)) == pytest.approx(1.0)
+    assert diffuse_reflectance(np.array(1e6)) < 1e-6
+
+
+def test_reflectance_against_random_walks(rng):
+    """Diffusion beside a Monte-Carlo walk in a half-space of index 1.4, isotropic scattering."""
+    for absorption in (0.02, 0.1):
+        walked = _walk(absorption, 20_000, rng)
+        assert diffuse_reflectance(np.array(absorption)) == pytest.approx(walked, rel=0.12)
+
+
+def _walk(absorption: float, photons: int, rng: np.random.Generator) -> float:
+    """Share of light entering head-on that leaves again; lengths in scattering lengths."""
+    albedo = 1.0 / (1.0 + absorption)
+    depth, cosine = np.zeros(photons), np.ones(photons)
+    weight, back = np.ones(photons), 0.0
+    for _ in range(3000):
+        depth = depth + cosine * rng.exponential(1.0 / (1.0 + absorption), len(depth))
+        out = depth < 0.0
+        mirrored = rng.random(len(depth)) < _fresnel(np.abs(cosine))
+        back += weight[out & ~mirrored].sum()
+        depth = np.where(out, -depth, depth)
+        keep = ~(out & ~mirrored)
+        depth, weight = depth[keep], weight[keep] * albedo
+        if len(depth) == 0 or weight.max() < 1e-4:
+            break
+        cosine = rng.uniform(-1.0, 1.0, len(depth))
+    return back / photons
+
+
+def _fresnel(cosine: np.ndarray, index: float = 1.4) -> np.ndarray:
+    """Share of unpolarised light that a surface mirrors back inwards."""
+    sine = index * np.sqrt(1.0 - cosine**2)
+    outer = np.sqrt(np.maximum(1.0 - sine**2, 0.0))
+    s = (index * cosine - outer) / (index * cosine + outer)
+    p = (cosine - index * outer) / (cosine + index * outer)
+    return np.where(sine >= 1.0, 1.0, 0.5 * (s**2 + p**2))
+
+
+def test_a_colour_is_taken_apart(rng):
+    """Known base, blood and bile give what their absorption at both bands says."""
+    for base, blood, bile in rng.uniform([0.1, 0.0, 0.0], [0.6, 2.5, 0.8], (20, 3)):
+        green, violet, blue = narrow_band_reflectance(mucosa(base, blood, bile))
+        for value, band, stain in ((green, 540, 0.08), (violet, 415, 0.88)):
+            dense = blood_density(np.array(blood), band)
+            assert value == pytest.approx(np.exp(-base - dense - stain * bile), rel=5e-3)
+        assert blue == violet
+
+
+def test_a_colour_that_is_no_tissue_stays_a_reflectance(rng):
+    """Grey, green and blue hold no blood; nothing reflects more than its red does."""
+    colors = rng.uniform(0.01, 1.0, (500, 3))
+    seen = narrow_band_reflectance(colors)
+    assert np.isfinite(seen).all() and (seen > 0.0).all()
+    assert (seen <= colors[:, :1] * (1.0 + 1e-9)).all()
+    np.testing.assert_allclose(narrow_band_reflectance(np.full(3, 0.4)), 0.4)
+
+
+def test_vessels_stand_out():
+    """A vessel's contrast at 415 nm is 1.7 times that in white light or more."""
+    around, vessel = mucosa(0.4, 0.8, 0.2), mucosa(0.4, 1.3, 0.2)
+    white = np.log(around / vessel)
+    narrow = np.log(narrow_band_reflectance(around) / narrow_band_reflectance(vessel))
+    assert narrow[0] > white[1] > white[0]
+    assert narrow[1] > 1.7 * white[1]
+
+
+def test_pale_mucosa_is_neutral():
+    color = narrow_band_reflectance(mucosa(0.0, 0.6, 0.0)) * led_gains()
+    np.testing.assert_allclose(color, color[0], rtol=1e-3)
+
+
+def test_textures_are_worked_on_in_pieces(rng):
+    """Textures of any number of rows come out as their texels do one by one."""
+    rows = rng.integers(0, 256, (300, 5, 3), np.uint8)
+    look = Appearance(rows, np.zeros((300, 5), np.uint8), np.zeros((300, 5)))
+    seen = narrow_band_appearance(look).albedo
+    np.testing.assert_array_equal(seen, from_log_linear(narrow_band_color(log_linear(rows))))
+
+
+def test_a_wall_looks_like_its_colour_by_the_light_of_the_bands():
+    """An even wall, dull and dry: its image is that of white light times reflectance and gain."""
+    albedo = np.rint(255.0 * np.array([0.75, 0.5, 0.42])).astype(np.uint8)
+    look = Appearance(np.tile(albedo, (4, 4, 1)), np.full((4, 4), 255, np.uint8), np.zeros((4, 4)))
+    organ = replace(sphere(3), appearance=replace(look, coat=0.0))
+    camera = make_camera(leds=(Led((0.0, 0.0, 0.0)),))
+    model, channels = make_model(organ, camera), ("radiance", "albedo")
+    white, narrow = (
+        Renderer(model, RenderSettings(imaging=imaging)).render(
+            looking((0.0, 0.0, 0.0)), camera, channels=channels
+        )
+        for imaging in ("white-light", "narrow-band")
+    )
+    np.testing.assert_allclose(
+        narrow.albedo, narrow_band_reflectance(white.albedo.astype(float)), rtol=0.03
+    )
+    np.testing.assert_allclose(narrow.radiance[..., 1], narrow.radiance[..., 2], rtol=5e-3)
+
+
+def test_liquid_of_bile_and_blood():
+    """Absorption at the bands is that of what the liquid holds."""
+    blood, bile = 20.0, 150.0
+    given = 5.0 + np.array([blood, bile]) @ ABSORPTION
+    liquid = narrow_band_liquid(Liquid(absorption=tuple(given)))
+    expected = 5.0 + blood * 394.0 / 34.7 + 0.88 * bile
+    assert liquid.absorption[1] == liquid.absorption[2] == pytest.approx(expected)
+    assert liquid.absorption[0] == pytest.approx(5.0 + blood * 46.5 / 34.7 + 0.08 * bile)

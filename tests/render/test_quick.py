@@ -51,7 +51,7 @@ def test_integrating_sphere(albedo: int) -> None:
     """A hollow sphere lit from its middle is brighter than its direct light by 1/(1 − ρ)."""
     camera = make_camera(
         (LensEquidistant(12.0, 19.5, 19.5), 40, 40),
-        leds=(Led((0.0, 0.0, 0.0), lobe_exponent=0.0, intensity=(1e-3,) * 3),),
+        leds=(Led((0.0, 0.0, 0.0), (0.0, 0.0, 1.0), (1e-3, 1e-3, 1e-3), 0.0),),
     )
     model, state = make_model(sphere(4, appearance=_matt(albedo)), camera), looking((0.0, 0.0, 0.0))
     direct, all_light = (_radiance(model, camera, state, light=x) for x in ("direct", "quick"))

@@ -8,6 +8,7 @@ import sys
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 import trimesh
 
@@ -68,6 +69,20 @@ def test_the_episode_s_own_scenario_makes_the_same_files(episode: Path, tmp_path
     assert names == sorted(p.relative_to(out) for p in out.rglob("*") if p.is_file())
     for name in names:
         assert (out / name).read_bytes() == (episode / name).read_bytes(), name
+
+
+def test_bounced_light_is_recorded(phantom: Path, episode: Path, tmp_path: Path) -> None:
+    out = tmp_path / "quick"
+    cli.main(f"record --organ {phantom} --out {out} {FLAGS} --light quick".split())
+    glowing, plain = read_episode(out), read_episode(episode)
+    assert glowing.scenario.render.light == "quick"
+    for channel in ("depth", "label"):
+        np.testing.assert_array_equal(
+            glowing.image("front", channel, 1), plain.image("front", channel, 1)
+        )
+    bright, dim = (e.image("front", "rgb", 1).astype(int) for e in (glowing, plain))
+    assert (bright >= dim).all()
+    assert bright.mean() > 1.05 * dim.mean()
 
 
 def test_inspection_prints_the_phantom_s_own_measures(

@@ -18,6 +18,11 @@ from vrcaps.capsule.lens import LensEquidistant
 from vrcaps.organ.surface import Appearance
 from vrcaps.render.renderer import Renderer
 from vrcaps.render.settings import RenderSettings
+from vrcaps.tissue.contents.contents import Contents
+from vrcaps.tissue.contents.filling import Filling
+from vrcaps.tissue.contents.liquid import Liquid
+from vrcaps.tissue.contents.pools import Pools
+from vrcaps.tissue.contents.spheres import WHITE, Spheres
 from vrcaps.world.model import Model, State
 
 PLACE = (0.004, -0.003, 0.04)
@@ -51,7 +56,7 @@ def test_integrating_sphere(albedo: int) -> None:
     """A hollow sphere lit from its middle is brighter than its direct light by 1/(1 − ρ)."""
     camera = make_camera(
         (LensEquidistant(12.0, 19.5, 19.5), 40, 40),
-        leds=(Led((0.0, 0.0, 0.0), lobe_exponent=0.0, intensity=(1e-3,) * 3),),
+        leds=(Led((0.0, 0.0, 0.0), (0.0, 0.0, 1.0), (1e-3, 1e-3, 1e-3), 0.0),),
     )
     model, state = make_model(sphere(4, appearance=_matt(albedo)), camera), looking((0.0, 0.0, 0.0))
     direct, all_light = (_radiance(model, camera, state, light=x) for x in ("direct", "quick"))
@@ -169,3 +174,32 @@ def test_supersampling_has_bounced_light(rng: np.random.Generator) -> None:
         _radiance(model, camera, looking(PLACE), light="quick", supersampling=n) for n in (1, 2)
     )
     assert abs(fine.mean() / once.mean() - 1.0) < 0.02
+
+
+def test_contents_take_bounced_light(rng: np.random.Generator) -> None:
+    """A pool's bed and a particle glow as the wall does; liquid dims the bed's bounced light."""
+    model, camera = _folds(rng)
+    organ, place = model.organ, np.array([0.0, 0.0, 0.06])
+    one = np.ones(1)
+    particle = Spheres(
+        place[None], 2e-3 * one, np.array([WHITE], np.uint8), np.array([9], np.uint16),
+        np.full((1, 3), 0.5), 0.1 * one,
+    )  # fmt: skip
+    pools = Pools(
+        np.array([0.2]), np.ones(len(organ.vertices), np.uint16), np.array([[0.0, 1.0]]), one
+    )
+    clear = Liquid(absorption=(5.0, 10.0, 15.0), scattering=(0.0, 0.0, 0.0))
+    dry = Filling(Contents(1), particle)
+    wet = Filling(Contents(liquid=clear), particle, pools)
+    bounced = []
+    for filling in (dry, wet):
+        state = replace(looking(PLACE, (0.0, 0.1, 1.0)), filling=filling)
+        direct, quick = (_radiance(model, camera, state, light=x) for x in ("direct", "quick"))
+        assert (quick >= direct).all()
+        bounced.append(quick - direct)
+    state = replace(looking(PLACE, (0.0, 0.1, 1.0)), filling=dry)
+    instance = Renderer(model).render(state, camera, channels=("instance",)).instance
+    assert instance is not None
+    assert (instance == 9).any()
+    assert (bounced[0][instance == 9] > 0.0).all()
+    assert (bounced[1] < bounced[0]).all()

@@ -32,21 +32,22 @@ pub struct Irradiance<'a> {
     of_vertex: Vec<Lazy>,
 }
 
-/// Red, green and blue light vectors [W/m²]: their parts along a normal are its irradiance.
-type Vectors = [f32; 9];
+/// For red, green and blue: irradiance, and how it grows as the normal tilts along x, y and z
+/// [W/m²]. The latter is the tangential part of the light vector.
+type Light = [f32; 12];
 
-/// Light vectors that are reckoned when first needed; all bits zero is not yet known, a zero that
+/// Light that is reckoned when first needed; all bits zero is not yet known, a zero that
 /// is known is negative.
 ///
-/// Threads that need them at once all reckon them; their results are the same, so it matters
+/// Threads that need it at once all reckon it; their results are the same, so it matters
 /// neither who writes last nor whether a reader finds parts of one and of the other.
 #[derive(Default)]
-struct Lazy([AtomicU32; 9]);
+struct Lazy([AtomicU32; 12]);
 
 impl Lazy {
     #[inline(always)]
-    fn get(&self, reckon: impl FnOnce() -> Vectors) -> Vectors {
-        let known: [u32; 9] = std::array::from_fn(|k| self.0[k].load(Relaxed));
+    fn get(&self, reckon: impl FnOnce() -> Light) -> Light {
+        let known: [u32; 12] = std::array::from_fn(|k| self.0[k].load(Relaxed));
         if known.iter().all(|&bits| bits != 0) {
             return known.map(f32::from_bits);
         }
@@ -61,9 +62,9 @@ impl Lazy {
 impl QuickLight {
     /// Irradiance by bounced light.
     pub fn solve<'a>(&'a self, rest: &'a Wall, wall: &'a Wall, leds: &[Led]) -> Irradiance<'a> {
-        let moved = (!std::ptr::eq(rest, wall)).then(|| Moved::new(self, rest, wall));
         let mut last = first_reflection(self, wall, leds);
         let reached = self.reached(rest, &last);
+        let moved = (!std::ptr::eq(rest, wall)).then(|| Moved::new(self, rest, wall, &reached));
         if let Some(moved) = &moved {
             for &s in &reached {
                 let thinner = 1.0 / max(moved.stretch(s as usize), 1e-3);
@@ -150,12 +151,12 @@ impl Irradiance<'_> {
     /// Adds the radiance that bounced light leaves towards the viewer [W/(sr·m²)]; `smooth` are
     /// the wall's normals without relief.
     ///
-    /// Relief that tilts by τ looks past the wall's own plane with a part of its hemisphere. Of
-    /// even light it gets (1 + cos τ)/2; the light vector alone would give cos τ.
+    /// Relief that tilts by τ looks into the wall with a part of its hemisphere: of even light it
+    /// gets (1 + cos τ)/2.
     #[inline(always)]
     pub fn add(&self, (surface, smooth): (&Surface, &Lane3), hits: &Hits, radiance: &mut Lane3) {
-        let mut light = [[0.0; LANES]; 9];
-        let mut last = (MISS, [[0.0; 9]; 3]);
+        let mut light = [[0.0; LANES]; 12];
+        let mut last = (MISS, [[0.0; 12]; 3]);
         for i in 0..LANES {
             let triangle = hits.triangle[i];
             if triangle == MISS {
@@ -168,30 +169,31 @@ impl Irradiance<'_> {
             let [a, b, c] = &last.1;
             let inverse = 1.0 / hits.edges[2][i];
             let (wa, wb) = (hits.edges[0][i] * inverse, hits.edges[1][i] * inverse);
-            for k in 0..9 {
+            for k in 0..12 {
                 light[k][i] = c[k] + wa * (a[k] - c[k]) + wb * (b[k] - c[k]);
             }
         }
         for i in 0..LANES {
             let (normal, flat) = (at(&surface.normal, i), at(smooth, i));
             let [base, gloss] = self.light.reflectance.at(dot(normal, at(&surface.view, i)));
+            let level = dot(normal, flat);
+            let tilt = sub(normal, scale(flat, level));
             for k in 0..3 {
-                let vector = [light[3 * k][i], light[3 * k + 1][i], light[3 * k + 2][i]];
-                let bowl = 0.5 * (1.0 - dot(normal, flat)) * dot(flat, vector);
-                let irradiance = max(dot(normal, vector) + bowl, 0.0);
+                let [even, x, y, z] = [0, 1, 2, 3].map(|part| light[4 * k + part][i]);
+                let irradiance = 0.5 * (1.0 + level) * even + dot(tilt, [x, y, z]);
                 let share = base * surface.albedo[k][i] + gloss;
-                radiance[k][i] += irradiance * (1.0 / PI) * share;
+                radiance[k][i] += max(irradiance, 0.0) * (1.0 / PI) * share;
             }
         }
     }
 
     #[inline(always)]
-    fn vertex(&self, v: usize) -> Vectors {
+    fn vertex(&self, v: usize) -> Light {
         self.of_vertex[v].get(|| {
-            let mut sum = [0.0; 9];
+            let mut sum = [0.0; 12];
             for &(s, weight) in self.light.sites.heard[v].iter().filter(|heard| heard.1 > 0.0) {
                 let light = self.site(s as usize);
-                for k in 0..9 {
+                for k in 0..12 {
                     sum[k] += weight * light[k];
                 }
             }
@@ -199,28 +201,39 @@ impl Irradiance<'_> {
         })
     }
 
-    fn site(&self, s: usize) -> Vectors {
+    fn site(&self, s: usize) -> Light {
         self.of_site[s].get(|| {
+            let vertex = self.light.sites.vertex[s] as usize;
             let beams = &self.light.row(self.rest, s).fine;
-            let Some(moved) = &self.moved else {
-                return self.gather(beams.iter().map(|b| (b, 1.0)));
+            let mut vectors = match &self.moved {
+                None => self.gather(beams.iter().map(|beam| (beam, 1.0))),
+                Some(moved) => {
+                    let normal = self.rest.normals[vertex];
+                    let links = beams.iter().map(|b| (b.from, dot(b.way, normal), b.exchange));
+                    self.gather(beams.iter().zip(moved.factors(s, links)))
+                }
             };
-            let normal = self.rest.normals[self.light.sites.vertex[s] as usize];
-            let links = beams.iter().map(|b| (b.from, dot(b.way, normal), b.exchange));
-            let mut sum = self.gather(beams.iter().zip(moved.factors(s, links)));
-            moved.turn(self.wall, s, &mut sum);
-            sum
+            if let Some(moved) = &self.moved {
+                vectors = vectors.map(|vector| moved.turn(self.wall, vertex, vector));
+            }
+            let normal = self.wall.normals[vertex];
+            std::array::from_fn(|k| {
+                let vector = vectors[k / 4];
+                let even = dot(vector, normal);
+                if k % 4 == 0 { even } else { vector[k % 4 - 1] - even * normal[k % 4 - 1] }
+            })
         })
     }
 
-    /// Light vectors by what leaves the sites of a row, whose shares are multiplied by factors.
+    /// Red, green and blue light vectors by what leaves the sites of a row, whose shares are
+    /// multiplied by factors.
     #[inline(always)]
-    fn gather<'b>(&self, row: impl Iterator<Item = (&'b Beam, f32)>) -> Vectors {
-        let mut sum = [0.0; 9];
+    fn gather<'b>(&self, row: impl Iterator<Item = (&'b Beam, f32)>) -> [Vec3; 3] {
+        let mut sum = [[0.0; 3]; 3];
         for (beam, factor) in row {
             let from = &self.leaving[beam.from as usize];
             for k in 0..9 {
-                sum[k] += from[k / 3] * (factor * beam.way[k % 3]);
+                sum[k / 3][k % 3] += from[k / 3] * (factor * beam.way[k % 3]);
             }
         }
         sum

@@ -45,20 +45,22 @@ impl Place {
 pub struct Moved<'a> {
     light: &'a QuickLight,
     rest: &'a Wall,
-    /// Where each site is now, and how much larger its area is.
+    /// Where each site is now, and how much larger its area is if it gives light.
     now: Vec<(Place, f32)>,
 }
 
 impl<'a> Moved<'a> {
-    /// Compares a wall with itself at rest.
-    pub fn new(light: &'a QuickLight, rest: &'a Wall, wall: &Wall) -> Self {
-        let of_site = |s: usize| {
-            let vertex = light.sites.vertex[s] as usize;
-            let stretch = wall.area_around(vertex) / max(rest.area_around(vertex), 1e-30);
-            (Place::of(wall, &light.sites, s), stretch)
-        };
-        let now = (0..light.sites.vertex.len()).into_par_iter().with_min_len(512).map(of_site);
-        Moved { light, rest, now: now.collect() }
+    /// Compares a wall with itself at rest; only sites of a list give light.
+    pub fn new(light: &'a QuickLight, rest: &'a Wall, wall: &Wall, giving: &[u32]) -> Self {
+        let count = light.sites.vertex.len();
+        let places = (0..count).into_par_iter().with_min_len(512);
+        let mut now: Vec<(Place, f32)> =
+            places.map(|s| (Place::of(wall, &light.sites, s), 1.0)).collect();
+        for &s in giving {
+            let vertex = light.sites.vertex[s as usize] as usize;
+            now[s as usize].1 = wall.area_around(vertex) / max(rest.area_around(vertex), 1e-30);
+        }
+        Moved { light, rest, now }
     }
 
     /// How much larger the area of a site is than at rest.
@@ -89,15 +91,12 @@ impl<'a> Moved<'a> {
         factors.into_iter().map(move |factor| factor * whole)
     }
 
-    /// Turns vectors at a site as the wall has turned there.
+    /// Turns a vector at a vertex as the wall has turned there.
     #[inline(always)]
-    pub fn turn(&self, wall: &Wall, site: usize, vectors: &mut [f32; 9]) {
-        let vertex = self.light.sites.vertex[site] as usize;
-        let (from, to) = (axes(self.rest, vertex), axes(wall, vertex));
-        for vector in vectors.as_chunks_mut::<3>().0 {
-            let parts = from.map(|axis| dot(axis, *vector));
-            *vector = [0, 1, 2].map(|k| (0..3).map(|a| parts[a] * to[a][k]).sum());
-        }
+    pub fn turn(&self, wall: &Wall, vertex: usize, vector: Vec3) -> Vec3 {
+        let parts = axes(self.rest, vertex).map(|axis| dot(axis, vector));
+        let to = axes(wall, vertex);
+        [0, 1, 2].map(|k| parts[0] * to[0][k] + parts[1] * to[1][k] + parts[2] * to[2][k])
     }
 }
 

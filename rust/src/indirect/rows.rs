@@ -8,7 +8,7 @@ use crate::path::ray;
 use crate::wall::Wall;
 
 /// Rays of a row are a square of so many by so many; even.
-const SIDE: usize = 16;
+const SIDE: usize = 12;
 /// Share of a row that one ray carries.
 const RAY: f32 = 1.0 / (SIDE * SIDE) as f32;
 /// How far in front of the wall rays start, in spacings of sites.

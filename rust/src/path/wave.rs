@@ -150,26 +150,13 @@ impl Tracer<'_> {
         let own: [Path; LANES] =
             std::array::from_fn(|i| paths[block[i.min(block.len() - 1)].0 as usize]);
         let surface = self.met(block, &own);
-        let keys = own.map(|path| path.key);
-        let samples = own.map(|path| path.sample);
-        let choice = keys.map(|key| dimension(key, 4 * reflection + 2));
-        let light =
-            self.one_led(&surface, &own, &std::array::from_fn(|i| point(choice[i], samples[i])[0]));
-        for i in (0..block.len()).filter(|&i| light.weight[i] > 0.0) {
-            let factor = light.total[i] / light.weight[i];
-            let radiance = at(&light.radiance, i);
-            requests.open.push(Request {
-                point: at(&surface.position, i),
-                light: [0, 1, 2].map(|k| own[i].throughput[k] * radiance[k] * factor),
-                pixel: own[i].pixel,
-                led: light.led[i],
-            });
-        }
+        self.ask(reflection, &surface, &own[..block.len()], requests);
         if reflection == self.settings.depth {
             return;
         }
         let triangles = std::array::from_fn(|i| block.get(i).map_or(MISS, |met| met.1.triangle));
         let facets = self.facets(&triangles, &surface);
+        let (keys, samples) = (own.map(|path| path.key), own.map(|path| path.sample));
         let out = self.scattered(&surface, &keys, &samples, reflection);
         for i in 0..block.len() {
             let weight = at(&out.weight, i);
@@ -183,6 +170,30 @@ impl Tracer<'_> {
             if self.survives(reflection, &mut path) {
                 self.go_on(path, at(&facets, i), next);
             }
+        }
+    }
+
+    /// Asks for the light of one LED on each of the surfaces that `paths` met.
+    #[inline(always)]
+    fn ask(&self, reflection: u32, surface: &Surface, paths: &[Path], requests: &mut Requests) {
+        let mut throughput = [[0.0; LANES]; 3];
+        let mut number = [0.0; LANES];
+        for (i, path) in paths.iter().enumerate() {
+            number[i] = point(dimension(path.key, 4 * reflection + 2), path.sample)[0];
+            for k in 0..3 {
+                throughput[k][i] = path.throughput[k];
+            }
+        }
+        let light = self.one_led(surface, &throughput, number);
+        for (i, path) in paths.iter().enumerate().filter(|&(i, _)| light.weight[i] > 0.0) {
+            let factor = light.total[i] / light.weight[i];
+            let radiance = at(&light.radiance, i);
+            requests.open.push(Request {
+                point: at(&surface.position, i),
+                light: [0, 1, 2].map(|k| path.throughput[k] * radiance[k] * factor),
+                pixel: path.pixel,
+                led: light.led[i],
+            });
         }
     }
 
@@ -263,19 +274,18 @@ impl Tracer<'_> {
 
     /// Chooses one LED for each lane in proportion to what it would add to the pixel unshadowed.
     #[inline(always)]
-    fn one_led(&self, surface: &Surface, paths: &[Path; LANES], number: &Lane) -> OneLed {
+    fn one_led(&self, surface: &Surface, throughput: &Lane3, mut number: Lane) -> OneLed {
         let mut out = OneLed {
             led: [0; LANES],
             radiance: [[0.0; LANES]; 3],
             weight: [0.0; LANES],
             total: [0.0; LANES],
         };
-        let mut number = *number;
         for (led_number, led) in self.leds.iter().enumerate() {
             let mut radiance = [[0.0; LANES]; 3];
             add_light(surface, &self.scene.material, led, &[true; LANES], &mut radiance);
             for i in 0..LANES {
-                let [r, g, b] = paths[i].throughput;
+                let [r, g, b] = at(throughput, i);
                 let weight = r * radiance[0][i] + g * radiance[1][i] + b * radiance[2][i];
                 let total = out.total[i] + weight;
                 let share = if total > 0.0 { weight / total } else { 0.0 };

@@ -117,7 +117,7 @@ def test_mistakes_in_physics_end_in_one_line(
 def test_flags_of_physics_without_it(capsys: pytest.CaptureFixture[str]) -> None:
     status, error = stop(["record", "--out", "o", "--force", "0", "0", "1"], capsys)
     assert status == 2
-    assert "go with --motion physics. Add it, or drop them" in error
+    assert "go with --motion physics or magnet. Add it, or drop" in error
 
 
 @pytest.fixture(scope="module")

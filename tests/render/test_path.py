@@ -175,8 +175,8 @@ def test_noise_falls_with_samples(folded: tuple[Model, Camera, State]) -> None:
     """At least as 1/√n; even sampling makes it fall faster."""
     model, _, state = folded
     small = make_camera(pinhole(32, 1.8))
-    exact = _radiance(model, small, state, samples=4096, light_seed=9)
-    images = [_radiance(model, small, state, samples=n) for n in (4, 16, 64, 256)]
+    exact = _radiance(model, small, state, samples=1024, light_seed=9)
+    images = [_radiance(model, small, state, samples=n) for n in (4, 16, 64)]
     errors = [np.sqrt(np.mean((image - exact) ** 2)) for image in images]
     assert all(later < 0.6 * earlier for earlier, later in pairwise(errors))
 
@@ -185,6 +185,21 @@ def test_rays_within_a_pixel_share_its_paths(folded: tuple[Model, Camera, State]
     one = _radiance(*folded, samples=64)
     four = _radiance(*folded, samples=16, supersampling=2)
     np.testing.assert_allclose(four.mean(), one.mean(), rtol=0.03)
+
+
+def test_harsh_input_gives_finite_light(rng: np.random.Generator) -> None:
+    """Cliffs for relief, faces without area or texture, lamps on the wall and at the lens."""
+    organ = tube(40, 80, folds=0.4, capped=True, appearance=patterned(rng, relief=5e-3))
+    organ.faces[::9, 1] = organ.faces[::9, 0]
+    organ.uv[::4] = 0.0
+    state = looking((0.004, -0.003, 0.05))
+    pose = state.T_world_capsule
+    on_wall = rotate_vectors(pose.T, organ.vertices[1200:1202] - pose[:3, 3])
+    leds = tuple(Led(tuple(place), lobe_exponent=2.0) for place in (*on_wall, np.zeros(3)))
+    camera = make_camera("equidistant", leds=leds)
+    radiance = _radiance(make_model(organ, camera), camera, state, samples=8, depth=9)
+    assert np.isfinite(radiance).all()
+    assert (radiance >= 0.0).all()
 
 
 def test_wrong_settings() -> None:

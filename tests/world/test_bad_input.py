@@ -9,8 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from vrcaps import _core
 from vrcaps.capsule.body import Body
 from vrcaps.errors import InputError, UnknownNameError
+from vrcaps.render.renderer import Renderer
 from vrcaps.tissue.drag import Drag
 from vrcaps.tissue.material import Material
 from vrcaps.tissue.motility.motility import Motility
@@ -225,3 +227,19 @@ def test_never_tunnels_or_explodes(model: Model, rng: np.random.Generator) -> No
             assert np.isfinite(world.snapshot().yields).all()
             assert speed < limit
         assert world.is_inside()
+
+
+def test_a_wall_under_a_world(world: World) -> None:
+    """It keeps no vertex normals: they are made when asked for, and it is not drawn by mistake."""
+    model = world.model
+    assert world.is_inside()
+    camera, renderer = model.device.cameras[0], Renderer(model)
+    arrays = {"depth": np.empty((camera.height, camera.width), np.float32)}
+    with pytest.raises(ValueError, match="wall has moved under a world: refit it to draw it"):
+        renderer._draw(world._wall, camera, np.eye(4), arrays, None)
+    vertices = world._core.vertices(np.eye(4))
+    fresh = _core.Wall(vertices, model.organ.faces.astype(np.int64))
+    normals = world._wall.vertex_normals()
+    np.testing.assert_allclose(normals, fresh.vertex_normals(), atol=1e-5)
+    assert np.abs(normals - model.wall.vertex_normals()).max() > 1e-3
+    renderer._draw(world._wall, camera, np.eye(4), arrays, None)

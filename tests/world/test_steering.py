@@ -121,7 +121,7 @@ def test_says_why_the_capsule_is_lost(gut_model):
     high = FreeHolder(Room(low=(-1, -1, 0.6), high=(1, 1, 1)))
     pilot, world, goal = begin(gut_model, holder=high)
     run(pilot, world, goal, 0.4)
-    assert pilot.steered.lost == "fallen"
+    assert pilot.steered.lost == "other-wall"
     assert np.linalg.norm(pilot.steered.offered) < np.linalg.norm(pilot.steered.needed)
     quick = FreeHolder(turn_speed=1e3, turn_acceleration=1e6)
     pilot, world, goal = begin(gut_model, holder=quick)

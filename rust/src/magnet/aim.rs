@@ -209,6 +209,7 @@ type Aimed<'py> = (Bound<'py, PyArray2<f64>>, [f64; 3], [f64; 3], f64);
 /// Pose of source `index`, near where it is, with which all sources give a body at a pose [4 4] with
 /// magnets [k 6] the wanted wrench as nearly as they can.
 #[pyfunction]
+#[allow(clippy::too_many_arguments)]
 pub fn aim_magnet<'py>(
     py: Python<'py>,
     sources: PyRef<'py, FieldSources>,

@@ -14,7 +14,7 @@ use crate::tile::{Hits, MISS};
 use crate::wall::Wall;
 
 /// Paths of one wave, about: enough that ways to an LED have neighbours, few enough for a cache.
-const WAVE: usize = 32_768;
+const WAVE: usize = 65_536;
 /// Reflections that every path takes; after them a path may end early (Russian roulette).
 const FIRM: u32 = 2;
 /// How far a path starts from the wall, as a share of the largest coordinate: beyond rounding.

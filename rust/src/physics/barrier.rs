@@ -73,16 +73,22 @@ pub fn keep_out(
         block.excess += product(&block.lever, &after.to_array()) - block.normal.dot(block.velocity);
     }
     let more = settle(&mut blocks);
-    let pressed = blocks.iter().filter(|block| block.impulse > 0.0);
-    grips.extend(pressed.map(|block| Grip {
-        place: block.place,
-        center: block.center,
-        normal: block.normal,
-        load: block.impulse / dt,
-        velocity: block.velocity,
-        mobility: 0.0,
-    }));
+    grips.extend(blocks.iter().filter(|block| block.impulse > 0.0).map(|block| block.grip(dt)));
     Twist { linear: change.linear + more.linear, angular: change.angular + more.angular }
+}
+
+impl Block {
+    /// What it carries over a substep of `dt`.
+    fn grip(&self, dt: f64) -> Grip {
+        Grip {
+            place: self.place,
+            center: self.center,
+            normal: self.normal,
+            load: self.impulse / dt,
+            velocity: self.velocity,
+            mobility: 0.0,
+        }
+    }
 }
 
 /// A triangle as it meets the barrier, if it does.

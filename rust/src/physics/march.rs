@@ -2,7 +2,7 @@
 
 use super::body::{Body, Motion};
 use super::exchange::Exchange;
-use super::soft_wall::{MARGIN, Outcome};
+use super::soft_wall::{MARGIN, Outcome, SoftWall};
 use super::step::{Load, Reaction, press, pushes, substep};
 use super::wall_load::Stride;
 use super::world::World;
@@ -41,6 +41,27 @@ fn fastest_point(body: &Body, before: &Motion, after: &Motion) -> f64 {
     let arm = body.center.length() + body.half_axis + body.radius;
     let speed = |m: &Motion| m.velocity.length() + m.angular_velocity.length() * arm;
     speed(before).max(speed(after))
+}
+
+/// Finds what is near the capsule, if it may have moved too far since it was last looked for.
+fn look_around(
+    soft: &mut SoftWall,
+    wall: &mut Wall,
+    elastic: &mut Elastic,
+    (body, motion): (&Body, &Motion),
+    reach: f64,
+) -> Outcome {
+    if soft.travel <= MARGIN {
+        return Ok(());
+    }
+    if let Some((layer, exchange)) = elastic {
+        exchange.carry(layer, soft);
+    }
+    soft.search(wall, body, motion, reach)?;
+    if let Some((layer, exchange)) = elastic {
+        exchange.find(layer, soft)?;
+    }
+    Ok(())
 }
 
 impl Tally {
@@ -166,15 +187,8 @@ impl World {
         tally: &mut Tally,
     ) -> Outcome {
         let (body, motion, soft) = (&self.body, &mut self.motion, &mut self.soft);
-        if soft.travel > MARGIN {
-            if let Some((layer, exchange)) = elastic {
-                exchange.carry(layer, soft);
-            }
-            soft.search(wall, body, motion, self.quick.map_or(0.0, |q| q.reach))?;
-            if let Some((layer, exchange)) = elastic {
-                exchange.find(layer, soft)?;
-            }
-        }
+        let reach = self.quick.map_or(0.0, |q| q.reach);
+        look_around(soft, wall, elastic, (body, motion), reach)?;
         soft.update_facets(&body.axis(motion), body.radius);
         press(body, &self.laws, &soft.facets, motion, &mut soft.patch);
         if let Some((_, exchange)) = elastic {
@@ -185,14 +199,13 @@ impl World {
             load.wrench += magnets.pull(body, motion, dt)?;
         }
         let before = *motion;
-        // A capsule that breaks through a layer is an error, see `check`.
-        let barred: &[_] = if elastic.is_none() { &soft.facets } else { &[] };
+        // No barrier on a layer: to break through it is an error, see `check`.
+        let barred = if elastic.is_some() { &[] } else { &soft.facets[..] };
         let reaction = substep(body, &self.laws, &load, motion, &mut soft.patch, barred, dt);
         tally.add(&reaction, dt);
         if let Some((_, exchange)) = elastic {
-            let (after, friction) = (&*motion, self.laws.drag.friction());
-            let stride = Stride { body, before: &before, after, reaction: &reaction, friction, dt };
-            exchange.push(soft, &stride);
+            let (after, friction, reaction) = (&*motion, self.laws.drag.friction(), &reaction);
+            exchange.push(soft, &Stride { body, before: &before, after, reaction, friction, dt });
         }
         soft.since += dt;
         soft.wall_travel += drive * dt;

@@ -358,7 +358,7 @@ fn finer(
 ) -> Vec<f32> {
     let last = height.div_ceil(2) - 1;
     let near = y / 2;
-    let far = if y % 2 == 0 { near.saturating_sub(1) } else { (near + 1).min(last) };
+    let far = if y.is_multiple_of(2) { near.saturating_sub(1) } else { (near + 1).min(last) };
     let line = |row: usize| &planes[row / 8][plane][row % 8 * stride..][..stride];
     let (near, far) = (line(near), line(far));
     let columns = width.div_ceil(2);

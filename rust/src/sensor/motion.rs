@@ -16,6 +16,9 @@ const MOST_SAMPLES: f32 = 64.0;
 /// Shift that is not worth interpolating [px].
 const STILL: f32 = 1e-3;
 
+/// Steps in which the place that a late row sees is found.
+const FIXED_POINT_STEPS: usize = 4;
+
 /// A field of motion on a coarse grid [px per frame], with no place unknown.
 struct Motion {
     vectors: Vec<[f32; 2]>,
@@ -57,21 +60,59 @@ impl Motion {
         Motion { vectors, size, scale: 1.0 / cell }
     }
 
+    /// Of each cell the motion of what is there when its row is read, `readout` after the first of
+    /// `height` rows at the last: with v of an instant, `from + v(from) late = here`.
+    fn when_read(self, readout: f32, height: usize) -> Self {
+        if readout == 0.0 {
+            return self;
+        }
+        let columns = self.size.1;
+        let vectors = (0..self.vectors.len())
+            .map(|k| {
+                let middle = |cell: usize| (cell as f32 + 0.5) / self.scale - 0.5;
+                let (x, y) = (middle(k % columns), middle(k / columns));
+                let late = lateness(readout, y, height);
+                let mut v = self.vectors[k];
+                for _ in 0..FIXED_POINT_STEPS {
+                    v = self.at(x - v[0] * late, y - v[1] * late);
+                }
+                v
+            })
+            .collect();
+        Motion { vectors, ..self }
+    }
+
+    /// The vector at a place of the image [px].
+    fn at(&self, x: f32, y: f32) -> [f32; 2] {
+        let (rows, columns) = self.size;
+        let (row, t) = between(y, self.scale, rows);
+        let (column, s) = between(x, self.scale, columns);
+        let right = (column + 1).min(columns - 1);
+        let line = |r: usize| {
+            let line = &self.vectors[r * columns..(r + 1) * columns];
+            mix(&line[column], &line[right], s)
+        };
+        mix(&line(row), &line((row + 1).min(rows - 1)), t)
+    }
+
     /// The vectors of one row of the image's height, still coarse along it.
     fn row(&self, y: usize) -> Vec<[f32; 2]> {
         let (rows, columns) = self.size;
-        let (first, t) = between(y, self.scale, rows);
+        let (first, t) = between(y as f32, self.scale, rows);
         let line = |r: usize| &self.vectors[r * columns..(r + 1) * columns];
         line(first).iter().zip(line((first + 1).min(rows - 1))).map(|(a, b)| mix(a, b, t)).collect()
     }
 }
 
-/// The coarse cell below a pixel's centre, and how far the centre is towards the next.
+/// How late a row is, after the row in the middle.
+fn lateness(readout: f32, row: f32, height: usize) -> f32 {
+    readout * ((row + 0.5) / height as f32 - 0.5)
+}
+
+/// The cell whose middle is before a place [px], and how far the place is towards the next.
 #[inline(always)]
-fn between(fine: usize, scale: f32, cells: usize) -> (usize, f32) {
-    let at = (fine as f32 + 0.5) * scale - 0.5;
-    let at = clamp(at, 0.0, cells as f32 - 1.0);
-    whole(at)
+fn between(place: f32, scale: f32, cells: usize) -> (usize, f32) {
+    whole(clamp((place + 0.5) * scale - 0.5, 0.0, cells as f32 - 1.0))
 }
 
 #[inline(always)]
@@ -104,12 +145,12 @@ pub fn blur_motion<'py>(
         return Err(PyValueError::new_err("Motion and lit must fit the image."));
     }
     let (source, lit) = (image.as_slice()?, lit.as_slice()?);
-    let motion = Motion::new(motion.as_slice()?, (rows, columns), cell);
+    let motion = Motion::new(motion.as_slice()?, (rows, columns), cell).when_read(readout, height);
     let mut out = vec![0.0; source.len()];
     py.detach(|| {
         let still = Still::new(source, lit, (height, width));
         out.par_chunks_mut(width * 3).enumerate().for_each(|(y, row)| {
-            let late = readout * ((y as f32 + 0.5) / height as f32 - 0.5);
+            let late = lateness(readout, y as f32, height);
             blur_row(&still, y, &motion, (shutter, late), row);
         });
         ROOM.set(still.pixels);
@@ -189,7 +230,7 @@ fn blur_row(
         if own[x].w == 0.0 {
             continue;
         }
-        let (first, t) = between(x, motion.scale, row.len());
+        let (first, t) = between(x as f32, motion.scale, row.len());
         let v = mix(&row[first], &row[(first + 1).min(row.len() - 1)], t);
         let speed = max(v[0].abs(), v[1].abs());
         if speed * (late.abs() + 0.5 * shutter) < STILL {

@@ -23,9 +23,9 @@ if TYPE_CHECKING:
 class Calibrate:
     """Fit a lens model to photographs of a chessboard, and write a capsule that record takes.
 
-    Take 8 or more photographs through the capsule's own dome: the board near, tilted by 20° to
-    45° to different sides, and in every part of the image up to its rim. The board must be flat
-    and seen whole. A board seen mirrored is found too: its corners form the same grid.
+    Take 8 or more photographs through the capsule's own dome: the board near, tilted to different
+    sides by 20° to 45°, and in every part of the image up to its rim. The board must be flat and
+    seen whole. A board seen mirrored is found too: its corners form the same grid.
 
     For example:
       vrcaps calibrate photos/ --board 7x8 --square 2mm --out my-capsule.toml
@@ -134,9 +134,10 @@ def check_out(path: Path, *, overwrite: bool) -> None:
 
 def _view_table(fit: Calibration):
     import numpy as np
-    from rich.table import Table
+    from rich.table import Column, Table
 
-    table = Table("photograph", "found", "mean [px]", "max [px]", "tilt [°]", "distance [mm]")
+    name = Column("photograph", overflow="fold")
+    table = Table(name, "found", "mean [px]", "max [px]", "tilt [°]", "distance [mm]")
     for view, error, pose in zip(fit.views, fit.errors, fit.Ts_camera_board, strict=True):
         tilt = np.arccos(np.clip(abs(pose[2, 2]), 0.0, 1.0)) / DEG
         middle = pose @ [*fit.board.points.mean(axis=0), 1.0]

@@ -61,6 +61,7 @@ class Match:
     def run(self) -> None:
         """Estimate, report and write."""
         from vrcaps.capsule.calibrate.device import find_camera
+        from vrcaps.capsule.calibrate.fit import sees_image
         from vrcaps.capsule.catalog import load_device
         from vrcaps.capsule.device_file import write_device
         from vrcaps.capsule.match.frames import make_frames
@@ -83,10 +84,17 @@ class Match:
                 reference = make_frames(read_photos(self.reference), advance)
         quality = jpeg_quality(self.frames)
         match = match_camera(frames, camera, reference=reference, jpeg_quality=quality)
-        write_device(self.out, matched_device(pattern, match, camera=self.camera))
+        device = matched_device(pattern, match, camera=self.camera)
+        write_device(self.out, device)
         write_effects(effects, match, self.out)
         write_report(self.out.with_suffix(".png"), match, frames)
         self._report(match, len(photos), effects)
+        circle = find_camera(device, self.camera).image_circle_px
+        if not sees_image(camera.lens, (camera.width, camera.height), circle):
+            console.print(
+                f"The lens of {self.capsule} has no ray for the rim of this circle: the image will "
+                "end before. Calibrate the lens, or choose another --capsule."
+            )
 
     def _report(self, match: CameraMatch, num_frames: int, effects: Path) -> None:
         width, height = match.size

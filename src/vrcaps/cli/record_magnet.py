@@ -23,7 +23,7 @@ class MagnetFlags:
     reach."""
 
     arm_base: tuple[float, float, float] | None = None
-    """Place of the arm's base in the world [m]; by default 60 cm beside the organ."""
+    """Place of the arm's base in the world [m]; by default 45 cm beside the organ's middle."""
 
     skin_mm: float = MagnetSteering.skin / MM
     """Least gap between the organ's highest point and the magnet [mm]."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Literal
 
@@ -11,7 +11,7 @@ import numpy as np
 
 from vrcaps.errors import InputError, require
 from vrcaps.organ.surface import Centerline
-from vrcaps.transforms import rotate_vectors, transform_points
+from vrcaps.transforms import invert, rotate_vectors, transform_points
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -31,12 +31,14 @@ class Goal:
         along: Unit vector of the only direction in which the place counts, such as the gut's; None:
             in all directions but that of `press`.
         press: Unit vector in which the magnet presses the capsule against the wall.
+        level: Make the direction level with the wall that the capsule lies on.
     """
 
     position: Sequence[float] | Float[np.ndarray, " 3"]
     direction: Sequence[float] | Float[np.ndarray, " 3"] | None = None
     along: Sequence[float] | Float[np.ndarray, " 3"] | None = None
     press: Sequence[float] | Float[np.ndarray, " 3"] = _UP
+    level: bool = False
 
     def __post_init__(self) -> None:
         for name in ("position", "direction", "along", "press"):
@@ -67,7 +69,7 @@ def gut_goal(
     pitch: float = 0.0,
     side: Literal["up", "down"] = "up",
 ) -> Goal:
-    """A place along the gut, where the capsule looks along it or aside.
+    """A place along the gut, where the capsule looks along it, level with the wall, or aside.
 
     Args:
         line: The gut's centreline.
@@ -99,7 +101,23 @@ def gut_goal(
         up = rotate_vectors(T_world_patient, first[None])[0]
         up = up - tangent * (up @ tangent)
     place = transform_points(T_world_patient, point[None])[0]
-    return Goal(place, look, tangent, up / np.linalg.norm(up))
+    return Goal(place, look, tangent, up / np.linalg.norm(up), level=pitch == 0.0)
+
+
+def onto_wall(model: Model, T_world_patient: Float[np.ndarray, "4 4"], goal: Goal) -> Goal:
+    """A goal in the lumen, moved to where the capsule lies on the wall at its side.
+
+    There its place counts across the gut too. The wall is that at rest; where none is met the goal
+    stays as it is.
+    """
+    T_rest_now = model.T_world_patient @ invert(T_world_patient)
+    place = transform_points(T_rest_now, np.asarray(goal.position, float)[None])
+    way = rotate_vectors(T_rest_now, np.asarray(goal.press, float)[None])
+    distance = float(model.wall.cast(place, way)[0][0])
+    if not np.isfinite(distance):
+        return goal
+    moved = np.asarray(goal.press, float) * max(distance - model.device.radius, 0.0)
+    return replace(goal, position=np.asarray(goal.position, float) + moved, along=None)
 
 
 def wall_goal(

@@ -18,7 +18,7 @@ from vrcaps.magnet.steering.arm_holder import ArmHolder
 from vrcaps.magnet.steering.holder import FreeHolder, Holder
 from vrcaps.units import CM, DEG, MM
 from vrcaps.world.control import Control
-from vrcaps.world.goal import Goal, gut_goal
+from vrcaps.world.goal import Goal, gut_goal, onto_wall
 from vrcaps.world.model import Model
 from vrcaps.world.schedule import read_numbers, require_rising
 from vrcaps.world.steering import Pilot, Steering
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 WAYPOINT_COLUMNS = ("time_s", "arc_length_m", "yaw_deg", "pitch_deg")
 AXES_COLUMNS = ("time_s", "move_x", "move_y", "move_z", "turn_x", "turn_y", "turn_z")
 SIDES = ("up", "down")
-_BESIDE, _BELOW = 60.0 * CM, 15.0 * CM
+_BESIDE, _BELOW = 45.0 * CM, 15.0 * CM
 
 
 @dataclass(frozen=True)
@@ -76,8 +76,8 @@ class MagnetSteering:
         magnet: Name of the magnet, see `vrcaps.magnet.presets.magnet_names`.
         arm: Name or file of the arm that carries it, its moment across the flange; None holds it
             freely.
-        base: Place of the arm's base in the world [m]; None is 60 cm beside the organ towards −x,
-            15 cm below its highest point.
+        base: Place of the arm's base in the world [m]; None is 45 cm beside the organ's middle,
+            towards −x, and 15 cm below its highest point.
         skin: Least gap between the organ's highest point and the magnet: the wall of the belly and
             the air above it [m].
         side: Wall that the capsule is pressed against: the lower, on which the magnet lightens it,
@@ -187,7 +187,8 @@ class Commander:
                 a waypoint is not on the centreline.
             UnknownNameError: If there is no such magnet or arm.
         """
-        self.settings, self._line, self._start = settings, model.organ.centerline, arc_length
+        self._model, self._line = model, model.organ.centerline
+        self.settings, self._start = settings, arc_length
         self._waypoints, self._axes = settings.waypoints, settings.axes
         if settings.file:
             self._waypoints, self._axes = read_commands(settings.file)
@@ -226,14 +227,9 @@ class Commander:
             times = [point.time for point in points]
             rows = np.array([[point.arc_length, point.yaw, point.pitch] for point in points])
             place, yaw, pitch = (float(np.interp(time, times, column)) for column in rows.T)
-        return gut_goal(
-            self._line,
-            T_world_patient,
-            min(place, self._line.length),
-            yaw=yaw,
-            pitch=pitch,
-            side=s.side,
-        )
+        place = min(place, self._line.length)
+        goal = gut_goal(self._line, T_world_patient, place, yaw=yaw, pitch=pitch, side=s.side)
+        return onto_wall(self._model, T_world_patient, goal)
 
 
 def _holder(model: Model, settings: MagnetSteering) -> Holder:
@@ -245,7 +241,7 @@ def _holder(model: Model, settings: MagnetSteering) -> Holder:
         return FreeHolder(room)
     base = np.eye(4)
     middle = 0.5 * (low + high)
-    beside = (low[0] - _BESIDE + 0.5 * (high[0] - low[0]), middle[1], high[2] - _BELOW)
+    beside = (middle[0] - _BESIDE, middle[1], high[2] - _BELOW)
     base[:3, 3] = beside if settings.base is None else settings.base
     carrier = Carrier(load_arm(settings.arm), magnet, base, across_mount(magnet))
     return ArmHolder(carrier, room)

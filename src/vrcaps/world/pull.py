@@ -93,6 +93,16 @@ class Pull:
             parts = (self._set.spread(self.rows), self._set.spread(end))
             self._core.aim_sources(*parts, dt, np.asarray(T_world_patient, float))
 
+    def angle(self, T_world_capsule: Float[np.ndarray, "4 4"]) -> float:
+        """Between the capsule's moment and the flux density [rad]; 0 without sources."""
+        rotation = T_world_capsule[:3, :3]
+        pulled = self._core.pulled(tuple(rotation @ self._middle + T_world_capsule[:3, 3]))
+        return 0.0 if pulled is None else self._between(rotation, pulled[2])
+
+    def _between(self, rotation: Float[np.ndarray, "3 3"], flux: tuple[float, ...]) -> float:
+        moment, field = rotation @ self._moment, np.array(flux)
+        return math.atan2(length(cross(moment, field)), float(moment @ field))
+
     def coupling(self, T_world_capsule: Float[np.ndarray, "4 4"]) -> Coupling | None:
         """What the sources did in the last step; None without sources."""
         point = T_world_capsule[:3, :3] @ self._middle + T_world_capsule[:3, 3]
@@ -100,15 +110,13 @@ class Pull:
         if pulled is None:
             return None
         force, torque, flux, gradient, place = pulled
-        moment = T_world_capsule[:3, :3] @ self._moment
-        across = length(cross(moment, np.array(flux)))
         away = [math.dist(row[:3], point) for row in self.rows[self._has_place]]
         return Coupling(
             force_world=np.array(force),
             torque_world=np.array(torque),
             flux_density_world=np.array(flux),
             flux_gradient_world=np.array(gradient).reshape(3, 3),
-            angle=math.atan2(across, float(moment @ np.array(flux))),
+            angle=self._between(T_world_capsule[:3, :3], flux),
             distance=min(away, default=math.inf),
             Ts_world_magnet=transform_from(
                 matrix_from_quaternion(self.rows[:, 3:7]), self.rows[:, :3]

@@ -77,16 +77,16 @@ class Simulation:
         self._line = model.organ.centerline
         self._offset = None if shown is None else _offset(model.organ, shown)
         pose, arc_length, self.notes = _start(model, settings)
-        self._magnet = None
+        self.commander = None
         if settings.magnet is not None:
-            self._magnet = Commander(model, settings.magnet, pose, arc_length)
+            self.commander = Commander(model, settings.magnet, pose, arc_length)
         self.world = World(
             model,
             tissue_of(settings, front=min(arc_length + _PASSED, self._line.length)),
             State(-settings.settle, pose),
             substep=settings.substep,
             seed=seed,
-            sources=() if self._magnet is None else self._magnet.pilot.sources,
+            sources=() if self.commander is None else self.commander.pilot.sources,
         )
         self._require_phase(arc_length)
         self._require_time()
@@ -104,7 +104,7 @@ class Simulation:
 
     def snapshot(self) -> tuple[float, Snapshot]:
         """What `instants` needs to go on from the frame it gave last."""
-        pilot = np.zeros(0) if self._magnet is None else self._magnet.pilot.to_array()
+        pilot = np.zeros(0) if self.commander is None else self.commander.pilot.to_array()
         return self._arc_length, replace(self.world.snapshot(), pilot=pilot)
 
     def instants(
@@ -121,8 +121,8 @@ class Simulation:
         """
         self._arc_length, start = snapshot or self._begin
         self.world.restore(start)
-        if self._magnet is not None:
-            self._magnet.pilot.restore(start.pilot)
+        if self.commander is not None:
+            self.commander.pilot.restore(start.pilot)
         if snapshot is None:
             yield self._advanced(-self.settings.settle, 0.0)
         else:
@@ -163,10 +163,10 @@ class Simulation:
 
     def _steered(self, times: list[float]) -> Control:
         """Command of the magnet between two times."""
-        if self._magnet is None:
+        if self.commander is None:
             return Control()
         begin, end = times
-        return self._magnet.control(self.world, begin, end - begin, self._patient(end))
+        return self.commander.control(self.world, begin, end - begin, self._patient(end))
 
     def _instant(self, state: State, time: float, conditions: Conditions) -> Instant:
         """A frame's instant, at exactly its time, with the wall that is shown."""
@@ -214,7 +214,7 @@ class Simulation:
         muscle = self.world.muscle
         phase = 0 if muscle is None else int(muscle.phase(np.array(self._arc_length), time))
         inflated = self._insufflation(time)
-        steered = None if self._magnet is None else self._magnet.pilot.steered
+        steered = None if self.commander is None else self.commander.pilot.steered
         return Conditions(wrench[0], wrench[1], inflated, self._patient(time), phase, steered)
 
     def _require_phase(self, arc_length: float) -> None:

@@ -33,6 +33,8 @@ _TORQUE = 4000.0
 _LOST_ANGLE = 60.0 * DEG
 _AFTER = 0.5
 """Time in which the leading point comes after the capsule where it is not controlled [s]."""
+_STEEP = 0.1
+"""Sine of an angle below which a direction along the wall's normal cannot be made level."""
 _TOUCH = 0.01
 """Force of the wall that counts as a touch [N]."""
 _FIRST_ROUNDS, _ROUNDS = 60, 8
@@ -93,7 +95,7 @@ class Steered:
         needed: Force that the capsule needs [N], in the world.
         offered: Force of the magnet asked for on a capsule where it should be [N].
         lost: Why the magnet has lost the capsule: nothing; `turned`: the moment is far off the
-            field; `fallen`: the capsule lies on another wall than it is to be pressed against;
+            field; `other-wall`: the capsule lies on another wall than it is to be pressed against;
             `weak`: the magnet cannot be where its force would be enough; `stuck`: the capsule does
             not follow.
     """
@@ -182,7 +184,8 @@ class Pilot:
         force, torque = self._learn(pull, self._hold * bend, dt)
         damping = 2.0 * s.damping * math.sqrt(soft * self.model.device.mass)
         pushed = s.stiffening * pull - damping * (free @ world.velocity_world[0])
-        needed = at_most(pushed + force, s.most_force) + borne
+        # More than it bears the magnet could do only by going far to and fro.
+        needed = at_most(pushed + force, min(s.most_force, length(borne))) + borne
         weights = _OTHER * np.eye(3) + (_CONTROLLED - _OTHER) * free
         wish = Wish(needed.tolist(), torque.tolist(), weights.tolist(), _TORQUE)
         aimed = self._aim.solve(wish, self._led(T), self._wanted, rounds=_ROUNDS)
@@ -191,7 +194,8 @@ class Pilot:
         short = free @ (needed - aimed.force)
         steered = Steered(held, error, angle, needed, aimed.force)
         fallen = world.contact.force_world @ np.asarray(goal.press, float) > _TOUCH
-        self.steered = replace(steered, lost=self._lost(world, short, fallen=bool(fallen)))
+        lost = self._lost(world.field_angle(T), needed, short, fallen=bool(fallen))
+        self.steered = replace(steered, lost=lost)
         return self._command(held)
 
     def drive(
@@ -232,7 +236,8 @@ class Pilot:
 
     def judge(self, world: World) -> None:
         """Says after a step whether a capsule that is driven by hand is lost."""
-        self.steered = replace(self.steered, lost=self._lost(world, np.zeros(3)))
+        angle = world.field_angle(world.T_world_capsule)
+        self.steered = replace(self.steered, lost=self._lost(angle, np.zeros(3), np.zeros(3)))
 
     def to_array(self) -> Float[np.ndarray, " q"]:
         """All that changes, for `restore`."""
@@ -301,6 +306,9 @@ class Pilot:
         way = free @ (np.asarray(goal.position, float) - place)
         self._lead[0] = place + at_most(way, s.speed * dt)
         ahead = T[:3, 2] if goal.direction is None else np.asarray(goal.direction, float)
+        if goal.level:
+            flat = ahead - self._side * float(self._side @ ahead)
+            ahead = flat / length(flat) if length(flat) > _STEEP else ahead
         about = np.asarray(goal.press, float)
         led = towards(T[:3, 2], self._lead[1], s.turn_lead, about)
         self._lead[1] = towards(led, ahead, s.turn_speed * dt, about)
@@ -325,13 +333,18 @@ class Pilot:
             led[:3, :3] = turned(axis * (angle / sine), T[:3, :3])
         return led
 
-    def _lost(self, world: World, short: Float[np.ndarray, " 3"], *, fallen: bool = False) -> str:
-        coupling = world.coupling
-        if coupling is not None and coupling.angle > _LOST_ANGLE:
+    def _lost(
+        self,
+        angle: float,
+        needed: Float[np.ndarray, " 3"],
+        short: Float[np.ndarray, " 3"],
+        *,
+        fallen: bool = False,
+    ) -> str:
+        if angle > _LOST_ANGLE:
             return "turned"
         if fallen:
-            return "fallen"
-        needed = self.steered.needed
+            return "other-wall"
         if length(short) > 0.01 + 0.25 * length(needed):
             return "weak"
         return "stuck" if self._late > self.steering.patience else ""

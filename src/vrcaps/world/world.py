@@ -141,6 +141,10 @@ class World:
         force, torque = rotate_vectors(self._T_world_patient, np.array([force, torque]))
         return Contact(force, torque, *rest)
 
+    def field_angle(self, T_world_capsule: Float[np.ndarray, "4 4"]) -> float:
+        """Between the moment of a capsule at a pose and the sources' field there [rad]."""
+        return self._pull.angle(T_world_capsule)
+
     @property
     def coupling(self) -> Coupling | None:
         """What the sources did to the capsule in the last step; None without sources."""

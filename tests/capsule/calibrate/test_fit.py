@@ -9,14 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 from boards import corners, held
+from scipy.stats import chi2
 
 from vrcaps.capsule.calibrate.board import Board
 from vrcaps.capsule.calibrate.circle import image_circle
 from vrcaps.capsule.calibrate.corners import BoardView, find_views
 from vrcaps.capsule.calibrate.device import calibrated_device
 from vrcaps.capsule.calibrate.family import FAMILIES
-from vrcaps.capsule.calibrate.fit import Calibration, calibrate, sees_image
-from vrcaps.capsule.calibrate.report import write_report
+from vrcaps.capsule.calibrate.fit import Calibration, _Problem, calibrate, sees_image
 from vrcaps.capsule.calibrate.start import plane_pose
 from vrcaps.capsule.catalog import load_device
 from vrcaps.capsule.device_file import read_device, write_device
@@ -69,15 +69,19 @@ def test_exact_corners_give_the_lens_and_the_poses_back(kind: str) -> None:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_noisy_corners_give_parameters_within_their_stated_deviations(kind: str) -> None:
-    """Over draws, errors in deviations are normal: their mean square is 1 and few exceed 2."""
-    fits = [calibrate(seen(kind, seed, 0.15), BOARD, SIZE, kind) for seed in range(4)]
-    values = np.array([scores(fit, kind) for fit in fits])
-    assert np.abs(values).max() < 4.0
-    assert 0.3 < np.mean(values**2) < 2.2
+    """``eᵀ C⁻¹ e`` of errors e with covariance C, summed over draws, is chi-squared."""
+    fits = [calibrate(seen(kind, seed, 0.15, 6), BOARD, SIZE, kind) for seed in range(3)]
+    total, freedom = 0.0, 0
+    for fit in fits:
+        error = scores(fit, kind) * fit.deviations
+        total += float(error @ np.linalg.solve(fit.covariance, error))
+        freedom += error.size
+    low, high = chi2.ppf([0.001, 0.999], freedom)
+    assert low < total < high
     rms = np.sqrt(np.mean([fit.residuals**2 for fit in fits]))
     # Each view's pose and the lens take up some of the noise.
-    share = 1.0 - (8 * 6 + len(fits[0].names)) / (8 * 42 * 2)
-    assert rms == pytest.approx(0.15 * np.sqrt(share), rel=0.03)
+    share = 1.0 - (6 * 6 + len(fits[0].names)) / (6 * 42 * 2)
+    assert rms == pytest.approx(0.15 * np.sqrt(share), rel=0.06)
 
 
 def test_badly_found_corners_do_little_harm() -> None:
@@ -128,12 +132,16 @@ def test_fewer_terms_fit_fewer_fields() -> None:
 
 def test_what_fixes_no_lens_is_an_error() -> None:
     views = seen("pinhole", 0, 0.1)
-    with pytest.raises(InputError, match=r"seen in 2 photographs\. Allowed: 3 or more"):
+    with pytest.raises(InputError, match=r"boards seen is 2\. Allowed: 3 or more"):
         calibrate(views[:2], BOARD, SIZE, "pinhole")
     with pytest.raises(InputError, match=r"terms of pinhole is 4\. Allowed: 0 to 3"):
         calibrate(views, BOARD, SIZE, "pinhole", num_terms=4)
     with pytest.raises(UnknownNameError, match="No lens model to calibrate named 'equidistant'"):
         calibrate(views, BOARD, SIZE, "equidistant")
+    problem = _Problem(FAMILIES["pinhole"], BOARD, SIZE, np.stack([v.pixels for v in views]))
+    behind = np.tile(np.diag([1.0, -1.0, -1.0, 1.0]), (len(views), 1, 1))
+    with pytest.raises(InputError, match=r"No pinhole lens reaches all corners\. Allowed: another"):
+        problem.covariance(LENSES["pinhole"], behind, 3)
     flat = [BoardView(str(k), 20.0 * BOARD.points[:, :2] / 2e-3 + 90.0 + 9 * k) for k in range(3)]
     with pytest.raises(InputError, match="fix no lens: the board is always at the same tilt"):
         calibrate(flat, BOARD, SIZE, "pinhole", num_terms=0)
@@ -172,5 +180,3 @@ def test_photographs_fit_no_worse_than_published(shared_data: Path, tmp_path, ca
         write_device(tmp_path / "mine.toml", device)
         assert read_device(tmp_path / "mine.toml").cameras[0].lens == fit.lens
         assert sees_image(fit.lens, fit.size, edge)
-    write_report(tmp_path / "report.png", fit, photos, circle)
-    assert (tmp_path / "report.png").stat().st_size > 100_000

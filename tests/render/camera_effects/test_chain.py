@@ -13,11 +13,12 @@ from vrcaps.capsule.device import Camera
 from vrcaps.render.camera_effects.chain import CameraChain, Moment
 from vrcaps.render.camera_effects.effects import Effects
 from vrcaps.render.camera_effects.grades import GRADES
-from vrcaps.render.camera_effects.optics import MotionBlur, RollingShutter
+from vrcaps.render.camera_effects.optics import Defocus, MotionBlur, RollingShutter
 from vrcaps.render.camera_effects.scene import scaled_camera
 from vrcaps.render.camera_effects.sensor import Noise
 from vrcaps.render.frame import Frame
 from vrcaps.render.renderer import Renderer
+from vrcaps.tissue.contents.contents import Contents
 from vrcaps.transforms import transform_from
 from vrcaps.world.model import State
 
@@ -106,6 +107,43 @@ def test_blur_is_the_flow_times_the_share_of_the_exposure(renderer: Renderer) ->
     last = chain.motion(renderer, replace(moment, state=once, state_next=None))
     assert np.nanmedian(np.linalg.norm(last - motion, axis=-1)) < 1.0
     assert chain.motion(renderer, Moment(0, replace(NOW, time=2.0))) is None
+
+
+def test_bubbles_on_the_capsule_stay_where_they_are(renderer: Renderer) -> None:
+    """The chain's motion is 0 where a bubble sits on the lens, and the wall's elsewhere."""
+    camera = replace(CAMERA, T_capsule_camera=transform_from(np.eye(3), (0.0, 0.0, 0.0056)))
+    organ = renderer.model.organ
+    model = replace(
+        make_model(organ, camera), contents=Effects(bubbles=4).contents(Contents(seed=2))
+    )
+    chain = CameraChain(Effects(motion_blur=2), camera, number=0, fps=4.0, seed=0)
+    moment = around()
+    motion = chain.motion(Renderer(model), moment)
+    front = Renderer(model).render(NOW, chain._coarse, channels=("front_label",)).front_label
+    speed = np.linalg.norm(motion, axis=-1)
+    assert (np.asarray(front) == 1).sum() > 5
+    assert (speed[np.asarray(front) == 1] == 0.0).all()
+    assert np.nanmedian(speed[np.asarray(front) == 0]) > 1.0
+
+
+def test_a_bubble_is_out_of_focus_by_its_own_distance(renderer: Renderer) -> None:
+    """With the wall's distance in focus alone, only where bubbles are does the image change."""
+    camera = replace(
+        CAMERA, T_capsule_camera=transform_from(np.eye(3), (0.0, 0.0, 0.0056)), exposure=1.0
+    )
+    camera = scaled_camera(camera, 3.0)
+    model = replace(
+        make_model(renderer.model.organ, camera),
+        contents=Effects(bubbles=4).contents(Contents(seed=2)),
+    )
+    through = Renderer(model)
+    front = np.asarray(through.render(NOW, camera, channels=("front_label",)).front_label)
+    near = [
+        np.asarray(taken(through, effects, Moment(0, NOW), camera=camera).rgb, float)
+        for effects in (Effects(), Effects(depth_of_field=Defocus(0.0005, 0.025)))
+    ]
+    change = np.abs(near[1] - near[0]).mean(axis=-1)
+    assert change[front == 1].mean() > 3.0 * change[front == 0].mean()
 
 
 def test_shutter_is_open_no_longer_than_a_frame(renderer: Renderer) -> None:

@@ -146,6 +146,20 @@ def test_rows_of_a_rolling_shutter_are_late_in_order() -> None:
     assert np.abs(middle - expected).max() < 1e-3
 
 
+def test_a_late_row_sees_what_has_moved_there() -> None:
+    """In a zoom v = a (x − c) what is at x a time τ later was at c + (x − c) / (1 + a τ)."""
+    place = np.arange(120, dtype=np.float32)
+    image = np.broadcast_to(place[None, :, None], (120, 120, 3)).copy()
+    middle = np.arange(30) * 4.0 + 1.5
+    motion = np.zeros((30, 30, 2), np.float32)
+    motion[..., 0] = 0.4 * (middle - 59.5)
+    seen = _core.blur_motion(image, np.ones((120, 120), bool), motion, 4, 0.0, 0.9)
+    time = 0.9 * ((np.arange(120) + 0.5) / 120.0 - 0.5)
+    expected = 59.5 + (place - 59.5) / (1.0 + 0.4 * time[:, None])
+    inside = (expected > 2.0) & (expected < 117.0)
+    assert np.abs(seen[..., 0] - expected)[inside].max() < 0.25  # of shifts up to 10 px
+
+
 def test_motion_agrees_with_its_twin(rng: np.random.Generator) -> None:
     image = rng.random((24, 28, 3), np.float32)
     lit = rng.random((24, 28)) < 0.9

@@ -48,7 +48,8 @@ def find_views(
         progress: Called with the number done and the total.
 
     Raises:
-        InputError: If photographs differ in size, or fewer than `MIN_VIEWS` show the board.
+        InputError: If photographs differ in size, fewer than `MIN_VIEWS` show the board, or what
+            was found is part of a larger board.
         MissingExtraError: If OpenCV is not installed.
     """
     _check_sizes(photos)
@@ -58,11 +59,17 @@ def find_views(
         if found is None:
             missed.append(photo.name)
         else:
+            if not views:
+                _check_whole(photo, board)
             views.append(BoardView(photo.name, *found))
         if progress is not None:
             progress(k + 1, len(photos))
     if len(views) < MIN_VIEWS:
-        raise InputError(_too_few(photos, board, len(views)))
+        raise InputError(
+            f"The board of {board.columns}x{board.rows} squares is seen in {len(views)} of "
+            f"{len(photos)} photographs. Allowed: {MIN_VIEWS} or more that show it whole. "
+            "--board counts squares, not inner corners."
+        )
     return views, missed
 
 
@@ -120,18 +127,19 @@ def _check_sizes(photos: Sequence[Photo]) -> None:
             )
 
 
-def _too_few(photos: Sequence[Photo], board: Board, num_found: int) -> str:
-    """Why too few boards were found: the commonest cause is corners counted for squares."""
-    size = f"{board.columns}x{board.rows}"
-    text = (
-        f"The board of {size} squares is seen in {num_found} of {len(photos)} photographs. "
-        f"Allowed: {MIN_VIEWS} or more that show it whole."
-    )
-    if max(board.columns, board.rows) < MAX_SQUARES:
-        larger = Board(board.columns + 1, board.rows + 1, board.square)
-        if any(find_corners(photo.rgb, larger) for photo in photos[:MIN_VIEWS]):
-            return f"{text} There is one of {larger.columns}x{larger.rows}: count squares."
-    return f"{text} --board counts squares, not inner corners."
+def _check_whole(photo: Photo, board: Board) -> None:
+    """Check that a board found is none within a larger one: inner corners given for squares."""
+    if max(board.columns, board.rows) == MAX_SQUARES:
+        return
+    cv2 = _opencv()
+    larger = Board(board.columns + 1, board.rows + 1, board.square)
+    gray = cv2.cvtColor(photo.rgb, cv2.COLOR_RGB2GRAY)
+    if cv2.findChessboardCornersSB(gray, larger.grid)[0]:
+        raise InputError(
+            f"The board in {photo.name} is larger than {board.columns}x{board.rows} squares. "
+            f"Allowed: all its squares, here {larger.columns}x{larger.rows} or more; count "
+            "squares, not inner corners."
+        )
 
 
 def _opencv() -> Any:

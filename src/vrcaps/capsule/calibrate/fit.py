@@ -43,7 +43,7 @@ class Calibration:
     Attributes:
         lens: The lens.
         names: Fields of it that were fitted.
-        deviations: Standard deviation of each of them, from the scatter of the corners.
+        covariance: Of their errors, from the scatter of the corners.
         views: The photographs used.
         board: What they show.
         size: Width and height of the photographs [px].
@@ -53,12 +53,17 @@ class Calibration:
 
     lens: Lens
     names: tuple[str, ...]
-    deviations: Float[np.ndarray, " p"]
+    covariance: Float[np.ndarray, "p p"]
     views: tuple[BoardView, ...]
     board: Board
     size: Size
     Ts_camera_board: Float[np.ndarray, "v 4 4"]
     residuals: Float[np.ndarray, "v n 2"]
+
+    @property
+    def deviations(self) -> Float[np.ndarray, " p"]:
+        """Standard deviation of each parameter."""
+        return np.sqrt(np.diag(self.covariance))
 
     @property
     def errors(self) -> Float[np.ndarray, "v n"]:
@@ -82,9 +87,8 @@ def calibrate(
 ) -> Calibration:
     """Fit a lens model and the boards' poses to the corners found.
 
-    The sum of Huber's function of the residuals is minimised (Levenberg-Marquardt within a trust
-    region), starting from the best simple lens. The residuals' scale is 1.4826 times their median,
-    so that a badly found board does little harm.
+    Minimises Huber's function of the residuals, their scale 1.4826 times their median, so that a
+    badly found board does little harm.
 
     Args:
         views: Boards found in photographs of one camera.
@@ -92,9 +96,8 @@ def calibrate(
         size: Width and height of the photographs [px].
         kind: Of lens model: ``kannala-brandt``, ``pinhole`` or ``scaramuzza``.
         num_terms: Distortion coefficients to fit, from the lowest order; all by default.
-        circle_px: Radius about the lens's centre beyond which the image is dark. A polynomial may
-            turn back where no corner was: the fit is held to lenses with a ray for every pixel of
-            the image up to here. None asks for rays where corners are, no farther.
+        circle_px: Radius beyond which the image is dark. A polynomial may turn back where no
+            corner was: the fit is held to lenses with a ray for every pixel up to here, if given.
 
     Raises:
         UnknownNameError: If there is no such lens model.
@@ -104,10 +107,8 @@ def calibrate(
     most = len(family.terms)
     terms = most if num_terms is None else num_terms
     require(0 <= terms <= most, f"The number of terms of {kind}", terms, f"0 to {most}")
-    if len(views) < MIN_VIEWS:
-        raise InputError(
-            f"The board is seen in {len(views)} photographs. Allowed: {MIN_VIEWS} or more."
-        )
+    many = f"{MIN_VIEWS} or more"
+    require(len(views) >= MIN_VIEWS, "The number of boards seen", len(views), many)
     problem = _Problem(family, board, size, np.stack([view.pixels for view in views]))
     lens, poses = start_lens(family, size, board.points, problem.pixels)
     for count in sorted({min(1, terms), terms}):
@@ -117,12 +118,8 @@ def calibrate(
         problem = replace(problem, rim_px=_RIM_MARGIN * _farthest(lens, size, circle_px))
         lens, poses = _robust(problem, lens, poses, terms)
     residuals = problem.residuals(lens, poses)
-    if np.abs(residuals).max() >= problem.unseen:
-        raise InputError(
-            f"A {kind} lens does not reach all corners. Allowed: another --lens, fewer --terms."
-        )
-    names, deviations = problem.deviations(lens, poses, terms)
-    return Calibration(lens, names, deviations, tuple(views), board, size, poses, residuals)
+    names, covariance = problem.covariance(lens, poses, terms)
+    return Calibration(lens, names, covariance, tuple(views), board, size, poses, residuals)
 
 
 def sees_image(lens: Lens, size: Size, circle_px: float | None = None) -> bool:
@@ -212,14 +209,19 @@ class _Problem:
         )
         return self._unpacked(found.x, lens, names)
 
-    def deviations(
+    def covariance(
         self, lens: Lens, poses: np.ndarray, num_terms: int
     ) -> tuple[tuple[str, ...], np.ndarray]:
-        """Fields fitted and their deviations, of an M-estimate (Huber 1981, eq. 7.6.5).
+        """Fields fitted and the covariance of their errors (M-estimate; Huber 1981, eq. 7.6.5).
 
         Raises:
-            InputError: If the views fix no lens.
+            InputError: If the views fix no lens, or the lens does not see all corners.
         """
+        residuals = self.residuals(lens, poses).ravel()
+        if np.abs(residuals).max() >= self.unseen:
+            raise InputError(
+                f"No {lens.kind} lens reaches all corners. Allowed: another --lens, fewer --terms."
+            )
         names = self.family.names(num_terms)
         jacobian = self._jacobian(self._packed(lens, poses, names), lens, names)[:-1]
         column = np.linalg.norm(jacobian, axis=0)
@@ -229,13 +231,13 @@ class _Problem:
                 "The photographs fix no lens: the board is always at the same tilt. "
                 "Allowed: some tilted by 20° to 45° to different sides."
             )
-        residuals = self.residuals(lens, poses).ravel()
         knee = HUBER * 1.4826 * np.median(np.abs(residuals))
         inside = float(np.mean(np.abs(residuals) <= knee))
         spare = residuals.size - jacobian.shape[1]
         variance = float(np.sum(np.clip(residuals, -knee, knee) ** 2)) / spare / inside**2
-        spread = np.sqrt(variance * np.sum((rotation / values[:, None]) ** 2, axis=0)) / column
-        return names, spread[: len(names)] * self.family.scales(names, self.size)
+        spread = (rotation / values[:, None] / column)[:, : len(names)]
+        spread = spread * self.family.scales(names, self.size)
+        return names, variance * spread.T @ spread
 
     def _packed(self, lens: Lens, poses: np.ndarray, names: tuple[str, ...]) -> np.ndarray:
         turns = Rotation.from_matrix(poses[:, :3, :3]).as_rotvec()

@@ -17,6 +17,9 @@ if TYPE_CHECKING:
 FOCALS = np.geomspace(0.12, 3.0, 25)
 """Focal lengths tried, in widths of the image: fields of 19° to 180° and more across."""
 
+_NUM_TRIED = 4
+"""Photographs that focal lengths are tried on, at most."""
+
 
 def start_lens(
     family: Family,
@@ -36,16 +39,18 @@ def start_lens(
         The lens with its axis in the middle of the image, and ``Ts_camera_board``.
     """
     centre = (0.5 * (size[0] - 1), 0.5 * (size[1] - 1))
-    best = (np.inf, None, None)
-    for focal, shape in product(FOCALS * size[0], family.shapes):
-        lens = family.start(float(focal), shape, *centre)
-        poses = np.array([plane_pose(lens, points, view) for view in pixels])
-        error = np.median(np.nan_to_num(errors(lens, poses, points, pixels), nan=sum(size)))
-        if error < best[0]:
-            best = (error, lens, poses)
-    _, lens, poses = best
-    assert lens is not None and poses is not None
-    return lens, poses
+    tried = [
+        family.start(float(focal), shape, *centre)
+        for focal, shape in product(FOCALS * size[0], family.shapes)
+    ]
+    some = pixels[:: -(-len(pixels) // _NUM_TRIED)]
+
+    def error(lens: Lens) -> float:
+        poses = np.array([plane_pose(lens, points, view) for view in some])
+        return float(np.median(np.nan_to_num(errors(lens, poses, points, some), nan=sum(size))))
+
+    best = min(tried, key=error)
+    return best, np.array([plane_pose(best, points, view) for view in pixels])
 
 
 def errors(

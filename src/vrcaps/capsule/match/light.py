@@ -48,10 +48,7 @@ def radial_profile(frames: Frames, centre: tuple[float, float]) -> RadialProfile
         frames: Of one camera.
         centre: Column and row of the optical axis [px].
     """
-    width, height = frames.size
-    half = 0.5 * min(width, height)
-    rows, columns = np.indices((height, width))
-    radius = np.hypot(columns - centre[0], rows - centre[1]) / half
+    radius = _radius(frames, centre)
     own = np.where(frames.field, frames.luminance, np.nan)
     own = own[frames.field.any(axis=(1, 2))]
     relative = own / np.nanmean(own, axis=(1, 2), keepdims=True)
@@ -65,6 +62,13 @@ def radial_profile(frames: Frames, centre: tuple[float, float]) -> RadialProfile
             middle = 0.5 * (edges[k] + edges[k + 1])
             found.append((middle, float(np.quantile(values, ENVELOPE)), float(values.size)))
     return RadialProfile(*np.array(found).reshape(-1, 3).T)
+
+
+def _radius(frames: Frames, centre: tuple[float, float]) -> Float[np.ndarray, "h w"]:
+    """Distance of each pixel from the axis, in halves of the image's shorter side."""
+    width, height = frames.size
+    rows, columns = np.indices((height, width))
+    return np.hypot(columns - centre[0], rows - centre[1]) / (0.5 * min(width, height))
 
 
 @dataclass(frozen=True)
@@ -87,6 +91,15 @@ class Falloff:
     def is_clear(self) -> bool:
         """Whether the frames darken towards the edge, and by more than chance."""
         return self.k1 <= _MOST_RISE and 1.0 - self.rim > 2.0 * self.deviation
+
+
+def mean_share(falloff: Falloff, frames: Frames, centre: tuple[float, float]) -> float:
+    """Share of the light that a falloff leaves over the field; 1 where none is clear."""
+    if not falloff.is_clear:
+        return 1.0
+    square = _radius(frames, centre) ** 2
+    share = np.maximum(1.0 + falloff.k1 * square + falloff.k2 * square**2, 0.0)
+    return float(np.average(share, weights=frames.field.mean(axis=0)))
 
 
 def find_falloff(
@@ -113,18 +126,25 @@ def find_falloff(
 
 
 def _fitted(profile: RadialProfile, reference: RadialProfile | None) -> tuple[float, float, float]:
-    """k1, k2 and the share of light at the outermost ring."""
+    """k1, k2 and the share of light at the outermost ring; the light does not rise there."""
     radius, brightness = profile.radius, profile.brightness
     if reference is not None:
         brightness = brightness / np.interp(radius, reference.radius, reference.brightness)
     weight = np.sqrt(profile.count / profile.count.max())
     square = radius**2
 
-    def residuals(x: np.ndarray) -> np.ndarray:
-        return weight * (x[0] * (1.0 + x[1] * square + x[2] * square**2) - brightness)
+    def solve(terms: Float[np.ndarray, "k n"]) -> Float[np.ndarray, " n"]:
+        def residuals(x: np.ndarray) -> np.ndarray:
+            return weight * (x[0] * (1.0 + terms @ x[1:]) - brightness)
 
-    start = [float(brightness.mean()), -0.1, 0.0]
-    _, k1, k2 = map(float, least_squares(residuals, start, loss="huber", f_scale=0.05).x)
+        start = [float(brightness.mean()), -0.1, *[0.0] * (terms.shape[1] - 1)]
+        return least_squares(residuals, start, loss="huber", f_scale=0.05).x[1:]
+
+    k1, k2 = map(float, solve(np.column_stack([square, square**2])))
+    if k1 < 0.0 and k1 + 2.0 * k2 * square[-1] > 0.0:
+        # Level at the rim: d/dρ (k1 ρ² + k2 ρ⁴) = 0.
+        k1 = float(solve((square - 0.5 * square**2 / square[-1])[:, None])[0])
+        k2 = -0.5 * k1 / square[-1]
     return k1, k2, float(1.0 + k1 * square[-1] + k2 * square[-1] ** 2)
 
 
@@ -147,7 +167,7 @@ class WallColor:
     Attributes:
         red: Linear red over green of bright mucosa, the median of frames.
         blue: Linear blue over green.
-        green: Mean linear green within the field, the median of frames; 1 = white.
+        green: Median linear green within the field, the median of frames; 1 = white.
     """
 
     red: float
@@ -169,6 +189,8 @@ def wall_color(frames: Frames) -> WallColor | None:
     if not logs:
         return None
     ratios = np.median([log[[0, 2]] - log[1] for log in logs], axis=0)
-    lit = [g[f].mean() for g, f in zip(frames.linear[..., 1], frames.field, strict=True) if f.any()]
+    lit = [
+        np.median(g[f]) for g, f in zip(frames.linear[..., 1], frames.field, strict=True) if f.any()
+    ]
     red, blue = np.exp(ratios).tolist()
     return WallColor(red, blue, float(np.median(lit)))

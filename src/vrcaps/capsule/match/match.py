@@ -16,6 +16,7 @@ from vrcaps.capsule.match.light import (
     RadialProfile,
     WallColor,
     find_falloff,
+    mean_share,
     radial_profile,
     wall_color,
 )
@@ -39,7 +40,7 @@ class CameraMatch:
         reference_profile: That of reference frames, if any.
         color: Of the wall, or None where nothing is well exposed.
         gains: Red, green and blue relative to the reference's; 1 without one.
-        brightness: Green light relative to the reference's; 1 without one.
+        brightness: Green light on the axis relative to the reference's; 1 without one.
         noise: Gain and read noise, or None where coding hides them.
         jpeg_quality: Of JPEG files, or None.
         blockiness: Step over the borders of 8 px over the step elsewhere.
@@ -65,31 +66,32 @@ def match_camera(
     reference: Frames | None = None,
     jpeg_quality: int | None = None,
 ) -> CameraMatch:
-    """Estimate a camera's figures.
+    """Figures of the camera that took frames.
 
     Args:
         frames: Real ones.
-        camera: A model of it; only its size and its lens's centre are used.
-        reference: Frames rendered with `camera`, without effects: colour, brightness and
-            vignetting are the differences from them.
+        camera: Gives its size and its lens's centre.
+        reference: Frames rendered with `camera` without effects, that all is compared with.
         jpeg_quality: Of the files.
 
     Raises:
         InputError: If frames have another shape than the camera's images.
     """
-    profile = radial_profile(frames, _centre(frames, camera))
+    centre = _centre(frames, camera)
+    profile = radial_profile(frames, centre)
     aim_frames = None if reference is None else (reference, _centre(reference, camera))
     shaded = None if aim_frames is None else radial_profile(*aim_frames)
+    falloff = find_falloff(frames, centre, aim_frames)
     color = wall_color(frames)
     aim = None if reference is None else wall_color(reference)
     gains, brightness = (1.0, 1.0, 1.0), 1.0
     if color is not None and aim is not None:
         gains = (color.red / aim.red, 1.0, color.blue / aim.blue)
-        brightness = color.green / aim.green
+        brightness = color.green / aim.green / mean_share(falloff, frames, centre)
     return CameraMatch(
         size=frames.size,
         circle=image_circle(list(frames.rgb)),
-        falloff=find_falloff(frames, _centre(frames, camera), aim_frames),
+        falloff=falloff,
         profile=profile,
         reference_profile=shaded,
         color=color,

@@ -56,6 +56,11 @@ class Carrier:
         return mount
 
     @cached_property
+    def T_base_world(self) -> Float[np.ndarray, "4 4"]:
+        """Pose of the world in the arm's base."""
+        return invert(self.T_world_base)
+
+    @cached_property
     def T_magnet_flange(self) -> Float[np.ndarray, "4 4"]:
         """Pose of the flange in the magnet."""
         return invert(self.mount)
@@ -97,7 +102,7 @@ def flange_at(
     carrier: Carrier, Ts_world_magnet: Float[np.ndarray, "*n 4 4"]
 ) -> Float[np.ndarray, "*n 4 4"]:
     """Pose ``T_base_flange`` that puts the magnet there."""
-    return invert(carrier.T_world_base) @ Ts_world_magnet @ invert(carrier.mount)
+    return carrier.T_base_world @ Ts_world_magnet @ carrier.T_magnet_flange
 
 
 def source_at(carrier: Carrier, angles: Float[np.ndarray, " j"]) -> Cylinder:

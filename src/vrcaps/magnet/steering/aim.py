@@ -98,7 +98,9 @@ class Aim:
             InputError: If the capsule has no magnet or there is no such source.
         """
         if not magnets:
-            raise InputError("The capsule holds no magnet. Give a device with [[magnets]].")
+            raise InputError(
+                "The capsule holds no magnet. Give a device with [[magnets]], such as magnetic."
+            )
         count = len(sources.sources)
         require(0 <= index < count, "index", index, f"0 to {count - 1}")
         self.sources, self.room, self._index = sources, room, index

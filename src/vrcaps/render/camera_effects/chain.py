@@ -13,11 +13,13 @@ from vrcaps.capsule.rays import camera_rays
 from vrcaps.render.camera_effects.effects import Effects
 from vrcaps.render.camera_effects.scene import scaled_camera
 from vrcaps.render.camera_effects.sensor import Noise, WhiteBalance, mosaic_colors
+from vrcaps.transforms import transform_points
+from vrcaps.units import MM
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, UInt8
 
-    from vrcaps.capsule.device import Camera
+    from vrcaps.capsule.device import Camera, Device
     from vrcaps.render.frame import Frame
     from vrcaps.render.renderer import Renderer
     from vrcaps.world.model import State
@@ -27,6 +29,12 @@ CELL = 4
 
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 """Of linear red, green and blue (IEC 61966-2-1)."""
+
+BUBBLE = 1
+"""Front label of a bubble."""
+
+_TOUCHING = 1.0 * MM
+"""Gap to the capsule up to which a bubble's near side is taken to sit on it."""
 
 _NEUTRAL = WhiteBalance(response=(1.0, 1.0, 1.0))
 _QUIET = Noise(1e6, 0.0, bits=16, black=0)
@@ -85,7 +93,8 @@ class CameraChain:
         """Channels to render for those asked for: colour is made here."""
         if "rgb" not in asked:
             return tuple(asked)
-        needed = ("radiance", *(("ray_distance",) if self._stages["depth_of_field"] else ()))
+        distances = ("ray_distance", "front_label", "front_depth")
+        needed = ("radiance", *(distances if self._stages["depth_of_field"] else ()))
         rest = (name for name in asked if name != "rgb" and name not in needed)
         return (*needed, *rest)
 
@@ -100,7 +109,7 @@ class CameraChain:
         assert frame.radiance is not None
         light = np.ascontiguousarray(self._moved(frame.radiance, renderer, moment))
         planes = _core.to_planes(light, self.camera.exposure)
-        planes = self._through_lens(planes, frame.ray_distance)
+        planes = self._through_lens(planes, frame)
         return replace(frame, rgb=self._sensed(planes, moment))
 
     def meter(self, renderer: Renderer, moment: Moment) -> float:
@@ -147,25 +156,35 @@ class CameraChain:
         frame = renderer.render(
             moment.state,
             self._coarse,
-            channels=(name,),
+            channels=(name, "front_label", "front_depth"),
             state_next=forward,
             state_previous=backward,
         )
         sign = -CELL if forward is None else CELL
-        return np.ascontiguousarray(getattr(frame, name) * np.float32(sign))
+        motion = np.ascontiguousarray(getattr(frame, name) * np.float32(sign))
+        motion[_on_capsule(frame, self._coarse, renderer.model.device)] = 0.0
+        return motion
 
     def _through_lens(
-        self, planes: Float[np.ndarray, "3 h w"], distance: Float[np.ndarray, "h w"] | None
+        self, planes: Float[np.ndarray, "3 h w"], frame: Frame
     ) -> Float[np.ndarray, "3 h w"]:
         defocus, bloom = self._stages["depth_of_field"], self._stages["bloom"]
         if defocus is not None:
-            assert distance is not None
-            planes = defocus.apply(self.camera, planes, np.ascontiguousarray(distance))
+            planes = defocus.apply(self.camera, planes, self._distance(frame))
         if self._stages["chromatic"] is not None:
             planes = self._stages["chromatic"].apply(self.camera, planes)
         if self._shade is not None:
             planes = _core.shade_planes(planes, self._shade)
         return planes if bloom is None else bloom.apply(self.camera, planes)
+
+    def _distance(self, frame: Frame) -> Float[np.ndarray, "h w"]:
+        """Distance along the ray of the bubble or else the wall that a pixel sees [m]."""
+        distance = np.ascontiguousarray(frame.ray_distance)
+        is_bubble = np.asarray(frame.front_label) == BUBBLE
+        if not is_bubble.any():
+            return distance
+        along = np.asarray(frame.front_depth) / camera_rays(self.camera)[..., 2]
+        return np.where(is_bubble & (along > 0.0), along, distance).astype(np.float32)
 
     def _sensed(
         self, planes: Float[np.ndarray, "3 h w"], moment: Moment
@@ -199,6 +218,21 @@ _STAGES = (
 def _lit(camera: Camera) -> Bool[np.ndarray, "h w"]:
     """Pixels that see anything."""
     return np.asarray(np.isfinite(camera_rays(camera)).all(axis=-1))
+
+
+def _on_capsule(frame: Frame, camera: Camera, device: Device) -> Bool[np.ndarray, "h w"]:
+    """Pixels that look through a bubble that sits on the capsule, and so stays where it is."""
+    is_bubble = np.asarray(frame.front_label) == BUBBLE
+    if not is_bubble.any():
+        return is_bubble
+    rays = camera_rays(camera)[is_bubble].astype(float)
+    distance = np.asarray(frame.front_depth, float)[is_bubble] / rays[:, 2]
+    points = transform_points(camera.T_capsule_camera, rays * distance[:, None])
+    straight = 0.5 * device.length - device.radius
+    along = np.maximum(np.abs(points[:, 2]) - straight, 0.0)
+    outward = np.sqrt(points[:, 0] ** 2 + points[:, 1] ** 2 + along**2) - device.radius
+    is_bubble[is_bubble] = outward < _TOUCHING
+    return is_bubble
 
 
 def _coarse(camera: Camera) -> Camera:

@@ -1,0 +1,51 @@
+"""The flags of `vrcaps record --motion magnet`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+import tyro
+
+from vrcaps import cli
+from vrcaps.cli.record import Record
+from vrcaps.record.scenario import scenario_from_plain, scenario_to_plain
+from vrcaps.units import MM
+from vrcaps.world.physics import Physics
+
+
+def test_flags_reach_the_scenario_and_the_file(tmp_path: Path):
+    flags = (
+        "--out o --organ stomach --capsule magnetic --motion magnet --arm panda --side up "
+        "--press 0.2 --magnet cylinder-76.2 --skin-mm 30 --along-mm-per-s 8 --arm-base 0 0.5 0 "
+        "--turn prone:at=1"
+    )
+    scenario = tyro.cli(Record, args=flags.split()).resolved()
+    assert isinstance(scenario.motion, Physics)
+    magnet = scenario.motion.magnet
+    assert magnet is not None
+    assert (magnet.magnet, magnet.arm, magnet.side) == ("cylinder-76.2", "panda", "up")
+    assert magnet.steering.press == magnet.steering.rest == 0.2
+    assert magnet.skin == pytest.approx(30 * MM)
+    assert magnet.speed == pytest.approx(8 * MM)
+    assert magnet.base == (0.0, 0.5, 0.0)
+    assert len(scenario.motion.turns) == 1
+    assert scenario_from_plain(scenario_to_plain(scenario)) == scenario
+
+
+@pytest.mark.parametrize(
+    ("flags", "message"),
+    [
+        ("--arm panda", "go with --motion magnet. Add it, or drop them"),
+        ("--motion magnet --path x.txt", "--path and --motion magnet exclude each other"),
+        ("--motion magnet --skin-mm 0", "Steering's skin is 0.0"),
+        ("--motion magnet --speed 1", "--motion magnet lets the capsule move by itself"),
+    ],
+)
+def test_mistakes_end_in_one_line(flags, message, tmp_path, capsys):
+    with pytest.raises(SystemExit) as stopped:
+        cli.main(f"record --out {tmp_path}/o {flags}".split())
+    assert stopped.value.code == 2
+    error = capsys.readouterr().err
+    assert message in error
+    assert error.count("\n") == 1

@@ -84,7 +84,7 @@ def figures(images: np.ndarray) -> tuple[str, ...]:
 
     Relative RMSE is the root of the mean squared difference from path tracing over its mean. The
     square is the product of the differences from two renderings of independent noise, whose mean
-    holds no noise of theirs. Views count by their own brightness.
+    holds no noise of theirs. Each view is taken relative to its own mean.
     """
     direct, quick, free, one, two = np.moveaxis(images, 1, 0)
     path = 0.5 * (one + two)

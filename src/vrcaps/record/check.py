@@ -79,18 +79,16 @@ def check_episode(
     organ, organ_problems = _load_organ(episode)
     problems += [*organ_problems, *_check_extras(episode)]
     stored = "wall" in episode.head
-    # A wall that moved and was not stored is not known.
-    known = organ is not None and not stored and not isinstance(scenario.motion, Physics)
-    at_rest = _core.Wall(organ.vertices, organ.faces) if organ is not None and known else None
-    cast_frames = np.linspace(0, len(episode) - 1, _CAST_FRAMES).round().astype(int)
-    poses_known = not any(problem.where.startswith(FRAMES_PARQUET) for problem in problems)
+    at_rest = _core.Wall(organ.vertices, organ.faces) if organ is not None and not stored else None
+    table_whole = not any(problem.where.startswith(FRAMES_PARQUET) for problem in problems)
+    cast_frames = _cast_frames(episode) if table_whole else np.zeros(0, int)
     rays = {camera.name: camera_rays(camera) for camera in episode.cameras}
     for frame in range(len(episode)):
         wall = at_rest
         if stored:
             wall, wall_problems = _stored_wall(episode, organ, frame)
             problems += wall_problems
-        wall = wall if poses_known and frame in cast_frames else None
+        wall = wall if frame in cast_frames else None
         for camera in episode.cameras:
             problems += _check_frame(episode, camera, frame, rays[camera.name], wall)
         if progress is not None:
@@ -193,6 +191,15 @@ def _load_organ(episode: Episode) -> tuple[Mesh | None, list[Problem]]:
     if not np.isfinite(mesh.vertices).all():
         return None, [Problem(ORGAN_GLB, "holds vertices that are not finite")]
     return mesh, []
+
+
+def _cast_frames(episode: Episode) -> NDArray:
+    """Frames whose wall is known: stored, or at rest; some of them, spread evenly."""
+    known = np.arange(len(episode))
+    if "wall" not in episode.head:
+        known = np.flatnonzero(episode.table.columns["wall_at_rest"])
+    chosen = np.linspace(0, len(known) - 1, min(_CAST_FRAMES, len(known)))
+    return known[chosen.round().astype(int)]
 
 
 def _stored_wall(

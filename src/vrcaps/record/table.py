@@ -92,7 +92,7 @@ def column_names(
     clearances = [f"{body}_clearance_m" for body in ("capsule", *cameras)]
     columns = ("frame", "time_s", *poses, *_LINEAR, *_ANGULAR, "arc_length_m", "segment")
     physics = SIMULATED_COLUMNS if simulated else ()
-    return (*columns, *clearances, *physics, *(STEERED_COLUMNS if steered else ()))
+    return (*columns, *clearances, "wall_at_rest", *physics, *(STEERED_COLUMNS if steered else ()))
 
 
 class TableRows:
@@ -136,6 +136,7 @@ class TableRows:
         places = np.array([T_world_body[:3, 3] for T_world_body in poses.values()])
         clearances = np.asarray(wall.signed_distance(places), float)
         row |= {f"{body}_clearance_m": d for body, d in zip(poses, clearances, strict=True)}
+        row["wall_at_rest"] = state.vertices_world is None
         if instant.conditions is not None:
             row |= _simulated(self.model, state, instant.conditions, float(arc_length[0]))
         self._rows.append(row | dict(more or {}))

@@ -79,13 +79,15 @@ class CameraChain:
         self._stages = {name: effects.figures(name) for name in _STAGES}
         self._interval, self._seed, self._number = 1.0 / fps, seed, number
         self._colors = mosaic_colors(effects.mosaic)
-        self._lit = _lit(camera)
+        self._rays = camera_rays(camera)
+        self._lit = _lit(self._rays)
         self._shade = None
         if self._stages["vignette"] is not None:
             self._shade = self._stages["vignette"].profile(camera)
         self._coarse = _coarse(camera)
         self._last_motion: tuple[State, Any] | None = None
-        self._coarse_lit = _lit(self._coarse)
+        self._coarse_rays = camera_rays(self._coarse)
+        self._coarse_lit = _lit(self._coarse_rays)
         sites = (camera.height * (1 if self._colors else 3), camera.width)
         self._pattern = (self._stages["noise"] or _QUIET).fixed_pattern(sites, number)
 
@@ -162,7 +164,8 @@ class CameraChain:
         )
         sign = -CELL if forward is None else CELL
         motion = np.ascontiguousarray(getattr(frame, name) * np.float32(sign))
-        motion[_on_capsule(frame, self._coarse, renderer.model.device)] = 0.0
+        still = _on_capsule(frame, self._coarse, self._coarse_rays, renderer.model.device)
+        motion[still] = 0.0
         return motion
 
     def _through_lens(
@@ -183,7 +186,7 @@ class CameraChain:
         is_bubble = np.asarray(frame.front_label) == BUBBLE
         if not is_bubble.any():
             return distance
-        along = np.asarray(frame.front_depth) / camera_rays(self.camera)[..., 2]
+        along = np.asarray(frame.front_depth) / self._rays[..., 2]
         return np.where(is_bubble & (along > 0.0), along, distance).astype(np.float32)
 
     def _sensed(
@@ -215,19 +218,21 @@ _STAGES = (
 )
 
 
-def _lit(camera: Camera) -> Bool[np.ndarray, "h w"]:
+def _lit(rays: Float[np.ndarray, "h w 3"]) -> Bool[np.ndarray, "h w"]:
     """Pixels that see anything."""
-    return np.asarray(np.isfinite(camera_rays(camera)).all(axis=-1))
+    return np.asarray(np.isfinite(rays).all(axis=-1))
 
 
-def _on_capsule(frame: Frame, camera: Camera, device: Device) -> Bool[np.ndarray, "h w"]:
+def _on_capsule(
+    frame: Frame, camera: Camera, rays: Float[np.ndarray, "h w 3"], device: Device
+) -> Bool[np.ndarray, "h w"]:
     """Pixels that look through a bubble that sits on the capsule, and so stays where it is."""
     is_bubble = np.asarray(frame.front_label) == BUBBLE
     if not is_bubble.any():
         return is_bubble
-    rays = camera_rays(camera)[is_bubble].astype(float)
-    distance = np.asarray(frame.front_depth, float)[is_bubble] / rays[:, 2]
-    points = transform_points(camera.T_capsule_camera, rays * distance[:, None])
+    seen = rays[is_bubble].astype(float)
+    distance = np.asarray(frame.front_depth, float)[is_bubble] / seen[:, 2]
+    points = transform_points(camera.T_capsule_camera, seen * distance[:, None])
     straight = 0.5 * device.length - device.radius
     along = np.maximum(np.abs(points[:, 2]) - straight, 0.0)
     outward = np.sqrt(points[:, 0] ** 2 + points[:, 1] ** 2 + along**2) - device.radius

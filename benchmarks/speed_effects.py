@@ -1,0 +1,114 @@
+"""Claim: frames with every effect at grade 2 and bounced light come at 45 a second or more.
+
+A flight at 2 cm/s through a generated colon, 320 x 320 pixels, colour and four labels: the plain
+frame, with quick bounced light, with lens and sensor, and with both. No sensor of fewer pixels, so
+that all have the same size. Images only; nothing is written.
+
+    python benchmarks/speed_effects.py
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from validation import PAGE, table, write_section
+
+import vrcaps
+from vrcaps.record.images import Images, Step
+from vrcaps.record.scenario import build, resolve
+from vrcaps.render.camera_effects.parse import parse_effects
+
+FRAMES = 60
+ROUNDS = 5
+EFFECTS = "all=2,resolution=0"
+HEAD = ("frame", "time [ms]", "frames a second", "processor time [ms]", "times plain", "claimed")
+
+
+def main() -> None:
+    """Measure all four in turns, and write the table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--out", type=Path, default=PAGE, help="Markdown page to write into")
+    args = parser.parse_args()
+    subjects = {
+        "plain": _subject("", "direct"),
+        "quick bounced light": _subject("", "quick"),
+        "every effect at grade 2": _subject(EFFECTS, "direct"),
+        "every effect at grade 2, quick bounced light": _subject(EFFECTS, "quick"),
+    }
+    times = {name: np.zeros((ROUNDS, 2)) for name in subjects}
+    for index in range(-1, ROUNDS):  # the first round is not counted
+        for name, (images, steps) in subjects.items():
+            seconds = _round(images, steps)
+            if index >= 0:
+                times[name][index] = seconds
+    rows = list(_rows({name: np.median(values, axis=0) for name, values in times.items()}))
+    text = f"""## Speed of lens and sensor
+
+{FRAMES} frames of a flight at 2 cm/s through a generated colon, 30 a second, 320 × 320 pixels,
+colour, depth, normal, label and instance; effects `{EFFECTS}`; median of {ROUNDS} rounds in turns.
+
+{table(HEAD, rows)}
+
+By `python benchmarks/speed_effects.py`.
+"""
+    write_section(args.out, "speed_effects.py", text)
+
+
+def _subject(effects: str, light: Literal["direct", "quick"]) -> tuple[Images, list[Step]]:
+    """What makes the images of a scenario, and its frames."""
+    scenario = vrcaps.Scenario(
+        motion=vrcaps.FlyThrough(start=0.4, speed=0.02),
+        frames=FRAMES,
+        fps=30.0,
+        render=vrcaps.RenderSettings(light=light),
+    )
+    if effects:
+        scenario = replace(scenario, effects=parse_effects(effects))
+    scenario, device = resolve(scenario)
+    model, motion = build(scenario, device)
+    instants = [None, *motion.instants(), None]
+    neighbours = zip(pairwise(instants), instants[2:], strict=False)
+    steps = [
+        Step(frame, now, before, after, None)
+        for frame, ((before, now), after) in enumerate(neighbours)
+        if now is not None
+    ]
+    return Images(model, scenario), steps
+
+
+def _round(images: Images, steps: list[Step]) -> tuple[float, float]:
+    """Seconds a frame on the clock, and of processors."""
+    begin = time.perf_counter(), time.process_time()
+    for step in steps:
+        images.expose(step)
+        images.render(step)
+    return (
+        (time.perf_counter() - begin[0]) / len(steps),
+        (time.process_time() - begin[1]) / len(steps),
+    )
+
+
+def _rows(times: dict[str, np.ndarray]) -> Iterator[tuple[str, ...]]:
+    plain = times["plain"][0]
+    for name, (wall, processors) in times.items():
+        claims = ""
+        if name == list(times)[-1]:
+            fast, lean = 1.0 / wall >= 45.0, wall <= 2.0 * plain
+            claims = f"≥ 45: {_word(fast)}; ≤ 2 times plain: {_word(lean)}"
+        cells = (f"{1e3 * wall:.1f}", f"{1.0 / wall:.0f}", f"{1e3 * processors:.1f}")
+        yield (name, *cells, f"{wall / plain:.1f}", claims)
+
+
+def _word(holds: bool) -> str:
+    return "yes" if holds else "NO"
+
+
+if __name__ == "__main__":
+    main()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import os
 import sys
 from pathlib import Path
 
@@ -135,3 +136,19 @@ def test_changed_parameters_or_code_are_another_file(
     (tmp_path / "new.py").write_text("x = 1\n")
     monkeypatch.setattr(cache, "__file__", str(tmp_path / "cache.py"))
     assert cache.fingerprint({"a": 1}) != before
+
+
+def test_organs_used_longest_ago_make_room(folder: Path, monkeypatch: pytest.MonkeyPatch):
+    """Beyond the limit the oldest go; reading an organ makes it young; the newest always stays."""
+    for age, name in enumerate("abc"):
+        cached_organ(name, make_organ)
+        path = folder / "organs" / f"{name}.npz"
+        os.utime(path, (age, age))
+    size = path.stat().st_size
+    cached_organ("a", make_organ)
+    monkeypatch.setattr(cache, "_MOST_BYTES", 2.5 * size)
+    cached_organ("d", make_organ)
+    assert {path.stem for path in (folder / "organs").iterdir()} == {"a", "d"}
+    monkeypatch.setattr(cache, "_MOST_BYTES", 0)
+    cached_organ("e", make_organ)
+    assert {path.stem for path in (folder / "organs").iterdir()} == {"e"}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
 import os
@@ -21,6 +22,9 @@ from vrcaps.organ.surface import OrganSurface
 
 _BROKEN = (OSError, EOFError, ValueError, KeyError, TypeError, zipfile.BadZipFile)
 """What reading a truncated, overwritten or outdated file raises."""
+
+_MOST_BYTES = 20 * 10**9
+"""Size of the kept organs beyond which those that were not used for longest are removed."""
 
 
 def cache_folder() -> Path:
@@ -43,7 +47,8 @@ def cache_folder() -> Path:
 def cached_organ(name: str, make: Callable[[], OrganSurface]) -> OrganSurface:
     """The organ stored under a name, or else the made one, stored for the next time.
 
-    A file that cannot be read is made again. A folder that cannot be written to is a warning.
+    A file that cannot be read is made again. A folder that cannot be written to is a warning. The
+    organs used last are kept, up to 20 GB of them.
 
     Args:
         name: Names the organ, all its parameters and the code that makes it.
@@ -52,12 +57,15 @@ def cached_organ(name: str, make: Callable[[], OrganSurface]) -> OrganSurface:
     path = cache_folder() / "organs" / f"{name}.npz"
     if path.is_file():
         try:
-            return _read_organ(path)
+            organ = _read_organ(path)
+            _mark_used(path)
+            return organ
         except _BROKEN:
             pass  # Made again and overwritten below.
     organ = make()
     try:
         _write_organ(path, organ)
+        _forget_unused(path.parent)
     except OSError as error:
         warnings.warn(
             f"Cannot write to the cache folder {path.parent}: {error.strerror}. The organ is made "
@@ -89,6 +97,27 @@ def _write_organ(path: Path, organ: OrganSurface) -> None:
         os.replace(temporary, path)
     finally:
         Path(temporary).unlink(missing_ok=True)
+
+
+def _mark_used(path: Path) -> None:
+    """Set a file's time to now."""
+    with contextlib.suppress(OSError):  # a folder that is only read needs no order
+        os.utime(path)
+
+
+def _forget_unused(folder: Path) -> None:
+    """Remove the organs used longest ago where all of them take too much room."""
+    found = []
+    for path in folder.glob("*.npz"):
+        with contextlib.suppress(OSError):  # removed by another process meanwhile
+            stat = path.stat()
+            found.append((stat.st_mtime_ns, stat.st_size, path))
+    total = 0
+    for rank, (_, size, path) in enumerate(sorted(found, reverse=True)):
+        total += size
+        if rank > 0 and total > _MOST_BYTES:
+            with contextlib.suppress(OSError):  # open in another process, on Windows
+                path.unlink()
 
 
 def _read_organ(path: Path) -> OrganSurface:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from failing import fail
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
@@ -44,16 +45,6 @@ def arguments(photos: Path, out: Path, **changes: str) -> list[str]:
     flags = {"board": "5x6", "square": "2mm", "lens": "pinhole", **changes}
     words = [word for name, value in flags.items() for word in (f"--{name}", value)]
     return ["calibrate", str(photos), *words, "--out", str(out)]
-
-
-def fail(args: list[str], capsys: pytest.CaptureFixture[str]) -> str:
-    """The one line on stderr of a command that ends in status 2."""
-    with pytest.raises(SystemExit, match="2"):
-        cli.main(args)
-    error = capsys.readouterr().err
-    assert error.startswith("vrcaps: ")
-    assert error.count("\n") == 1
-    return error
 
 
 def test_photographs_become_a_capsule_with_a_picture_of_residuals(photos, tmp_path, capsys) -> None:

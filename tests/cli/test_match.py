@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from failing import fail
 from PIL import Image
 from scipy import ndimage
 
@@ -34,16 +35,6 @@ def folders(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     root = tmp_path_factory.mktemp("frames")
     real = write_frames(root / "real", 6, (1.4, 0.9, 0.7))
     return real, write_frames(root / "plain", 6, (1.3, 0.9, 0.6))
-
-
-def fail(args: list[str], capsys: pytest.CaptureFixture[str]) -> str:
-    """The one line on stderr of a command that ends in status 2."""
-    with pytest.raises(SystemExit, match="2"):
-        cli.main(args)
-    error = capsys.readouterr().err
-    assert error.startswith("vrcaps: ")
-    assert error.count("\n") == 1
-    return error
 
 
 def test_frames_become_a_capsule_and_a_scenario(folders, tmp_path, capsys) -> None:

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from shapes import RADIUS, looking, make_camera, make_model, patterned, sphere, tube
+from threads import digests_by_threads
 
 from vrcaps.capsule.device import Led
 from vrcaps.capsule.rays import camera_rays
@@ -324,22 +322,9 @@ def digest() -> str:
 
 
 def test_same_bytes_for_any_number_of_threads() -> None:
-    here = Path(__file__)
-    code = (
-        f"import sys; sys.path[:0] = [{str(here.parent)!r}]\n"
-        f"import {here.stem} as test\nprint(test.digest())"
-    )
-    results = {
-        subprocess.run(
-            [sys.executable, "-c", code],
-            env={**os.environ, "RAYON_NUM_THREADS": threads},
-            capture_output=True,
-            text=True,
-            check=True,
-        ).stdout
-        for threads in ("1", "2")
-    }
-    assert len(results) == 1
+    counts, digests = digests_by_threads(Path(__file__), (1, 2))
+    assert counts == [1, 2]
+    assert len(digests) == 1
 
 
 def test_refuses_spheres_that_are_none(organ: OrganSurface) -> None:

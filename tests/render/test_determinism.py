@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import hashlib
-import os
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 import twin_shade
 from shapes import looking, make_camera, make_model, patterned, sphere, tube
+from threads import digests_by_threads
 
 from vrcaps.capsule.lens import LensEquidistant, LensEquirectangular, LensPinhole
 from vrcaps.render.renderer import Renderer
@@ -48,25 +46,9 @@ def digest() -> str:
 
 
 def test_same_bytes_for_any_number_of_threads() -> None:
-    here = Path(__file__)
-    code = (
-        f"import sys; sys.path[:0] = [{str(here.parent)!r}]\n"
-        f"import {here.stem} as test\n"
-        "from vrcaps import _core\n"
-        "print(_core.num_threads(), test.digest())"
-    )
-    results = [
-        subprocess.run(
-            [sys.executable, "-c", code],
-            env={**os.environ, "RAYON_NUM_THREADS": str(threads)},
-            capture_output=True,
-            text=True,
-            check=True,
-        ).stdout.split()
-        for threads in (1, 2, 3)
-    ]
-    assert [count for count, _ in results] == ["1", "2", "3"]
-    assert {checksum for _, checksum in results} == {digest()}
+    counts, digests = digests_by_threads(Path(__file__), (1, 2, 3))
+    assert counts == [1, 2, 3]
+    assert digests == {digest()}
 
 
 def test_a_frame_does_not_depend_on_what_was_rendered_before() -> None:

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import hashlib
-import os
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from shapes import looking, make_camera, make_model, patterned, pinhole, sphere, tube
+from threads import digests_by_threads
 
 from vrcaps.capsule.device import Camera, Led
 from vrcaps.capsule.lens import LensEquidistant
@@ -121,7 +119,7 @@ def test_a_moved_wall_is_lit_as_it_is(rng: np.random.Generator) -> None:
     assert np.mean(np.abs(carried - still)) < 2e-3 * still.mean()
 
 
-def _digest() -> str:
+def digest() -> str:
     """Checksum of two frames, the second of a wall that has moved, and of the first again."""
     model, camera = _folds(np.random.default_rng(3))
     renderer = Renderer(model, RenderSettings(light="quick"))
@@ -136,25 +134,9 @@ def _digest() -> str:
 
 
 def test_same_bytes_for_any_number_of_threads() -> None:
-    here = Path(__file__)
-    code = (
-        f"import sys; sys.path[:0] = [{str(here.parent)!r}]\n"
-        f"import {here.stem} as test\n"
-        "from vrcaps import _core\n"
-        "print(_core.num_threads(), test._digest())"
-    )
-    results = [
-        subprocess.run(
-            [sys.executable, "-c", code],
-            env={**os.environ, "RAYON_NUM_THREADS": str(threads)},
-            capture_output=True,
-            text=True,
-            check=True,
-        ).stdout.split()
-        for threads in (1, 2)
-    ]
-    assert [count for count, _ in results] == ["1", "2"]
-    assert {checksum for _, checksum in results} == {_digest()}
+    counts, digests = digests_by_threads(Path(__file__), (1, 2))
+    assert counts == [1, 2]
+    assert digests == {digest()}
 
 
 def test_a_frame_does_not_depend_on_what_was_rendered_before(rng: np.random.Generator) -> None:

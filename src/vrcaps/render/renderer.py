@@ -71,6 +71,7 @@ class Renderer:
         self.model = model
         self.settings = settings or RenderSettings()
         self._is_narrow = self.settings.imaging == "narrow-band"
+        self._led_gains = led_gains() if self._is_narrow else np.ones(3)
         self._scene = _scene(model.organ, narrow=self._is_narrow)
         self._quick = None
         if self.settings.light == "quick":
@@ -128,8 +129,7 @@ class Renderer:
         factor = self.settings.supersampling
         T_world_camera = state.T_world_capsule @ camera.T_capsule_camera
         leds = _leds_world(camera, T_world_camera)
-        if self._is_narrow:
-            leds[:, 6:9] *= led_gains()
+        leds[:, 6:9] *= self._led_gains
         paths = _paths(self.settings, state.time, T_world_camera)
 
         def draw(into: dict[str, NDArray[Any]], supersampling: int) -> None:

@@ -40,12 +40,14 @@ class Scene:
     camera: Camera
     state: State
 
-    def ours(self, *, depth: int, samples: int) -> Callable[[int], np.ndarray]:
+    def ours(
+        self, *, depth: int, samples: int, denoise: bool = False
+    ) -> Callable[[int], np.ndarray]:
         """Makes linear radiance [h w 3] of a seed."""
 
         def image(seed: int) -> np.ndarray:
             settings = RenderSettings(
-                light="path", samples=samples, depth=depth, light_seed=seed, shadows=True
+                light="path", samples=samples, depth=depth, light_seed=seed, denoise=denoise
             )
             renderer.settings = settings
             radiance = renderer.render(self.state, self.camera, channels=("radiance",)).radiance

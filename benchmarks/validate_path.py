@@ -112,10 +112,12 @@ def main() -> None:
         + table(HEAD, rows)
         + f"\n\nz: difference of the means of a block of {BLOCK} × {BLOCK} pixels in one colour, "
         "over its standard error from the\nscatter of the images. *Expected*: mean z² of nothing "
-        "but noise, drawn with the images' own\ncovariance of colours; p: chance that noise has so large a mean z². Mitsuba's `max_depth` "
-        "is one more than our reflections, as it counts the way to the eye. Where\na smooth "
-        "normal faces away from a path, Mitsuba loses the light, while here the normal is bent "
-        "(docs/rendering.md):\non the colon's own triangles this is more than noise."
+        "but noise, drawn with the covariance that a block's colours\nhave in the images; p: "
+        "chance that noise has so large a mean z². Mitsuba's `max_depth` is one more than our\n"
+        "reflections, as it counts the way to the eye. Where a smooth normal faces away from a "
+        "path, Mitsuba loses the light,\nwhile here the normal is bent (docs/rendering.md): on "
+        "the colon's own triangles with smooth normals this is more\nthan noise. With flat faces "
+        "both integrate the same on just these triangles."
     )
     write_section(given.out, Path(__file__).name, text)
 

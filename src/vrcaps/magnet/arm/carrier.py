@@ -78,8 +78,8 @@ class Carrier:
             return ""
         return (
             f"The magnet weighs {self.magnet.mass:.1f} kg, but arm {self.arm.name} may carry "
-            f"{self.arm.payload:g} kg: it moves as if it could. Take a lighter magnet or a stronger "
-            "arm to build it."
+            f"{self.arm.payload:g} kg: it moves as if it could. To build this, take a lighter "
+            "magnet or a stronger arm."
         )
 
     @cached_property

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from hashlib import blake2b
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from vrcaps.capsule.device import Camera
 from vrcaps.capsule.rays import camera_rays
 from vrcaps.errors import InputError, UnknownNameError
 from vrcaps.organ.surface import Appearance, OrganSurface, coat_alpha, face_label
+from vrcaps.render.denoise import denoise, load_denoiser
 from vrcaps.render.flow import SurfacePoints, flow, seen_from
 from vrcaps.render.frame import CHANNELS, Frame
 from vrcaps.render.narrow_band import (
@@ -38,6 +39,9 @@ DEFAULT_CHANNELS = ("rgb", "depth", "ray_distance", "normal", "label", "instance
 _PLAIN_ALBEDO = (0.52, 0.22, 0.16)
 _PLAIN_ROUGHNESS = 0.5
 _PLAIN = Appearance(np.zeros((1, 1, 3), np.uint8), np.zeros((1, 1), np.uint8), np.zeros((1, 1)))
+
+_Paths: TypeAlias = tuple[int, int, int] | None
+"""Paths of a ray, their most reflections, and their seed; None without path tracing."""
 
 _ARRAYS: dict[str, tuple[type[np.generic], tuple[int, ...]]] = {
     "rgb": (np.uint8, (3,)),
@@ -70,6 +74,8 @@ class Renderer:
     def __init__(self, model: Model, settings: RenderSettings | None = None) -> None:
         self.model = model
         self.settings = settings or RenderSettings()
+        if self.settings.denoise:
+            load_denoiser()  # before much is made that would be in vain
         self._is_narrow = self.settings.imaging == "narrow-band"
         self._led_gains = led_gains() if self._is_narrow else np.ones(3)
         self._scene = _scene(model.organ, narrow=self._is_narrow)
@@ -126,13 +132,12 @@ class Renderer:
             for name, nothing in _NO_FRONT.items():
                 if name in arrays:
                     arrays[name].fill(nothing)
-        factor = self.settings.supersampling
         T_world_camera = state.T_world_capsule @ camera.T_capsule_camera
         leds = _leds_world(camera, T_world_camera)
         leds[:, 6:9] *= self._led_gains
         paths = _paths(self.settings, state.time, T_world_camera)
 
-        def draw(into: dict[str, NDArray[Any]], supersampling: int) -> None:
+        def draw(into: dict[str, NDArray[Any]], supersampling: int, paths: _Paths = paths) -> None:
             _core.render(
                 wall,
                 self._scene,
@@ -147,14 +152,13 @@ class Renderer:
                 quick=self._quick,
             )
 
-        if factor == 1 or not _COLOR & arrays.keys():
+        settings = self.settings
+        is_plain = settings.supersampling == 1 and not settings.denoise
+        if is_plain or not _COLOR & arrays.keys():
             draw(arrays, 1)
             return
         draw({name: array for name, array in arrays.items() if name not in _COLOR}, 1)
-        size = (camera.height, factor, camera.width, factor, 3)
-        fine = np.empty((camera.height * factor, camera.width * factor, 3), np.float32)
-        draw({"radiance": fine}, factor)
-        radiance = fine.reshape(size).mean(axis=(1, 3))
+        radiance = _color(draw, camera, settings)
         if "radiance" in arrays:
             arrays["radiance"][...] = radiance
         if "rgb" in arrays:
@@ -257,6 +261,25 @@ class Renderer:
         return self._tables[key][1]
 
 
+def _color(
+    draw: Callable[..., None], camera: Camera, settings: RenderSettings
+) -> Float[np.ndarray, "h w 3"]:
+    """Radiance [W/(sr·m²)] as the mean over each pixel's rays, denoised where that is asked for."""
+    factor = settings.supersampling
+
+    def means(*names: str, **kwargs: _Paths) -> list[NDArray[np.float32]]:
+        size = (camera.height, factor, camera.width, factor, 3)
+        fine = {name: np.empty((size[0] * factor, size[2] * factor, 3), "f4") for name in names}
+        draw(fine, factor, **kwargs)
+        return [array.reshape(size).mean(axis=(1, 3)) for array in fine.values()]
+
+    if not settings.denoise:
+        return means("radiance")[0]
+    radiance, albedo, normal = means("radiance", "albedo", "normal")
+    (first,) = means("radiance", paths=(1, 1, 0))
+    return denoise(radiance, first, albedo, normal)
+
+
 def _differ_in_place(one: Filling, other: Filling) -> bool:
     """Whether two fillings are of the same spheres and pools."""
     return one.spheres.radius is other.spheres.radius and one.pools is other.pools
@@ -299,8 +322,8 @@ def _scene(organ: OrganSurface, *, narrow: bool) -> _core.Scene:
 
 def _paths(
     settings: RenderSettings, time: float, T_world_camera: Float[np.ndarray, "4 4"]
-) -> tuple[int, int, int] | None:
-    """Paths of a ray, their most reflections, and a seed of this instant's own.
+) -> _Paths:
+    """How light is traced, with a seed of this instant's own.
 
     Frames differ in time or view, so that noise does not stand still before a moving scene.
     """

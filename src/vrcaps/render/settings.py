@@ -46,3 +46,7 @@ class RenderSettings:
         ):
             if not valid:
                 raise InputError(f"{name} is {value}. Allowed: {allowed}.")
+
+
+RECORDED = RenderSettings(light="quick")
+"""How recordings are rendered unless told otherwise."""

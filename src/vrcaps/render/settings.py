@@ -54,3 +54,7 @@ class RenderSettings:
                 f"Light {self.light!r} has no noise to take away. "
                 "Drop denoise, or ask for light 'path'."
             )
+
+
+RECORDED = RenderSettings(light="quick")
+"""How recordings are rendered unless told otherwise."""

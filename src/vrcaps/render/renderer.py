@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from hashlib import blake2b
@@ -83,6 +84,7 @@ class Renderer:
         if self.settings.light == "quick":
             self._quick = _core.QuickLight(model.wall, self._scene)
         self._walls: dict[str, _core.Wall] = {}
+        self._fillings: deque[tuple[State, Filling]] = deque(maxlen=3)
         self._contents: dict[str, tuple[Filling, _core.Wall, _core.Contents]] = {}
         self._tables: dict[tuple[int, int], tuple[Camera, _core.RayTable]] = {}
 
@@ -95,6 +97,7 @@ class Renderer:
         state_next: State | None = None,
         state_previous: State | None = None,
         out: Frame | None = None,
+        points: SurfacePoints | None = None,
     ) -> Frame:
         """What a camera sees.
 
@@ -105,6 +108,7 @@ class Renderer:
             state_next: The world one frame later, for `flow_forward` and `occlusion`.
             state_previous: The world one frame earlier, for `flow_backward`.
             out: An earlier frame of the same camera whose arrays may be overwritten.
+            points: Room for the surface points that `thinned` pixels see.
 
         Raises:
             UnknownNameError: If there is no such channel.
@@ -112,8 +116,10 @@ class Renderer:
         """
         _check_channels(channels, state_next, state_previous)
         arrays = self._arrays(channels, camera, out)
+        if points is not None:
+            arrays |= {f"sparse_{name}": array for name, array in vars(points).items()}
         wall = self._wall(state, "now")
-        filling = self._filling(state)
+        filling = self.filling(state)
         contents = None if filling is None else self._core_contents(filling, wall, "now")
         self._draw(wall, camera, state, arrays, contents)
         motion = self._motion(camera, arrays, channels, (state_previous, state, state_next))
@@ -177,9 +183,9 @@ class Renderer:
         if "position" not in arrays or not (_NEEDS_NEXT | _NEEDS_PREVIOUS) & set(channels):
             return motion
         points = SurfacePoints(arrays["position"], arrays["face"], arrays["weights"])
-        faces, now = self.model.organ.faces, self._filling(state)
+        faces, now = self.model.organ.faces, self.filling(state)
         if state_next is not None and _NEEDS_NEXT & set(channels):
-            filling = self._filling(state_next)
+            filling = self.filling(state_next)
             moved = points.moved(faces, state_next, now, filling)
             forward = flow(camera, moved, state_next)
             if "flow_forward" in channels:
@@ -194,7 +200,7 @@ class Renderer:
                     seen &= free.reshape(seen.shape)
                 motion["occlusion"] = ~seen
         if state_previous is not None and "flow_backward" in channels:
-            moved = points.moved(faces, state_previous, now, self._filling(state_previous))
+            moved = points.moved(faces, state_previous, now, self.filling(state_previous))
             motion["flow_backward"] = flow(camera, moved, state_previous)
         return motion
 
@@ -226,13 +232,18 @@ class Renderer:
         wall.refit(vertices)
         return wall
 
-    def _filling(self, state: State) -> Filling | None:
+    def filling(self, state: State) -> Filling | None:
         """What is in the lumen in a state."""
         rest = self.model.filling
         if state.filling is not None or rest is None:
             return state.filling
+        for known, filling in self._fillings:
+            if known is state:
+                return filling
         device = self.model.device
-        return rest.around_capsule(state.T_world_capsule, device.length, device.radius)
+        filling = rest.around_capsule(state.T_world_capsule, device.length, device.radius)
+        self._fillings.append((state, filling))
+        return filling
 
     def _core_contents(self, filling: Filling, wall: _core.Wall, slot: str) -> _core.Contents:
         """The filling ready to be traced; where only its spheres have moved, their tree is kept."""

@@ -22,6 +22,7 @@ pub struct Channels<'a> {
     pub front_label: Option<&'a mut [u8]>,
     pub front_instance: Option<&'a mut [u16]>,
     pub front_depth: Option<&'a mut [f32]>,
+    pub bend_label: Option<&'a mut [u8]>,
 }
 
 impl<'a> Channels<'a> {
@@ -44,6 +45,7 @@ impl<'a> Channels<'a> {
         let (mut front_label, mut front_depth) =
             (cut(self.front_label, n), cut(self.front_depth, n));
         let mut front_instance = cut(self.front_instance, n);
+        let mut bend_label = cut(self.bend_label, n);
         (0..count)
             .map(|_| Channels {
                 rgb: rgb.next().flatten(),
@@ -61,6 +63,7 @@ impl<'a> Channels<'a> {
                 front_label: front_label.next().flatten(),
                 front_instance: front_instance.next().flatten(),
                 front_depth: front_depth.next().flatten(),
+                bend_label: bend_label.next().flatten(),
             })
             .collect()
     }

@@ -125,6 +125,7 @@ pub fn render(
     let mut front_label = take::<u8>(out, "front_label", shape, 1)?;
     let mut front_instance = take::<u16>(out, "front_instance", shape, 1)?;
     let mut front_depth = take::<f32>(out, "front_depth", shape, 1)?;
+    let mut bend_label = take::<u8>(out, "bend_label", shape, 1)?;
     let channels = Channels {
         rgb: slice(&mut rgb)?,
         radiance: slice(&mut radiance)?,
@@ -141,6 +142,7 @@ pub fn render(
         front_label: slice(&mut front_label)?,
         front_instance: slice(&mut front_instance)?,
         front_depth: slice(&mut front_depth)?,
+        bend_label: slice(&mut bend_label)?,
     };
     let rest = quick.map(|light| light.rest(py));
     let quick = quick.zip(rest.as_deref()).filter(|_| channels.wants_light());

@@ -205,6 +205,9 @@ class Contents:
     def free(
         self, wall: Wall, origin: tuple[float, float, float], points: NDArray[np.float64]
     ) -> NDArray[np.bool_]: ...
+    def free_ways(
+        self, wall: Wall, starts: NDArray[np.float64], points: NDArray[np.float64]
+    ) -> NDArray[np.bool_]: ...
 
 class QuickLight:
     def __init__(self, rest: Wall, scene: Scene) -> None: ...

@@ -15,7 +15,7 @@ from vrcaps.transforms import invert, transform_points
 from vrcaps.world.model import State
 
 if TYPE_CHECKING:
-    from jaxtyping import Bool, Float, Int
+    from jaxtyping import Bool, Float, Int, UInt8
 
 
 @dataclass(frozen=True)
@@ -26,11 +26,13 @@ class SurfacePoints:
         position: Place now in the world frame [m]; NaN where there is none.
         face: Face it lies on, −1 where there is none, −2 − k on sphere k of the filling.
         weights: Weights of the face's first and second corner.
+        bend: How a liquid's surface turns the way to it, as in the channel `bend_label`.
     """
 
     position: Float[np.ndarray, "h w 3"]
     face: Int[np.ndarray, "h w"]
     weights: Float[np.ndarray, "h w 2"]
+    bend: UInt8[np.ndarray, "h w"]
 
     def moved(
         self,
@@ -77,7 +79,7 @@ def flow(
 
     Args:
         camera: The camera that sees both frames.
-        points_world: The surface points in the neighbouring frame [m].
+        points_world: Where the surface points appear in the neighbouring frame [m].
         state: The neighbouring frame.
 
     Returns:
@@ -96,7 +98,15 @@ def seen_from(
     state: State,
     wall: Wall,
 ) -> Bool[np.ndarray, "h w"]:
-    """Whether each surface point is seen in a neighbouring frame: in view and not hidden."""
+    """Whether each surface point is seen in a neighbouring frame: in view and not hidden.
+
+    Args:
+        camera: The camera that sees both frames.
+        points_world: Where the straight ways from the camera to the surface points end [m].
+        motion: Of their images [px].
+        state: The neighbouring frame.
+        wall: In that frame.
+    """
     target = motion + pixel_grid(camera.width, camera.height)
     size = np.array([camera.width, camera.height])
     in_view = np.all((target >= -0.5) & (target < size - 0.5), axis=-1)

@@ -14,6 +14,7 @@ from vrcaps.capsule.device import Camera
 from vrcaps.capsule.rays import camera_rays
 from vrcaps.errors import InputError, UnknownNameError
 from vrcaps.organ.surface import Appearance, OrganSurface, coat_alpha, face_label
+from vrcaps.render.bend import MIRRORED, Bends, bend_ways, levels_met
 from vrcaps.render.flow import SurfacePoints, flow, seen_from
 from vrcaps.render.frame import CHANNELS, Frame
 from vrcaps.render.narrow_band import (
@@ -29,7 +30,7 @@ from vrcaps.transforms import rotate_vectors, transform_points
 from vrcaps.world.model import Model, State
 
 if TYPE_CHECKING:
-    from jaxtyping import Float
+    from jaxtyping import Bool, Float
     from numpy.typing import NDArray
 
 DEFAULT_CHANNELS = ("rgb", "depth", "ray_distance", "normal", "label", "instance", "arc_length")
@@ -55,10 +56,11 @@ _ARRAYS: dict[str, tuple[type[np.generic], tuple[int, ...]]] = {
     "front_label": (np.uint8, ()),
     "front_instance": (np.uint16, ()),
     "front_depth": (np.float32, ()),
+    "bend_label": (np.uint8, ()),
 }
 """Arrays the core fills: dtype and what follows (height, width)."""
 
-_NO_FRONT = {"front_label": 0, "front_instance": 0, "front_depth": np.nan}
+_NO_FRONT = {"front_label": 0, "front_instance": 0, "front_depth": np.nan, "bend_label": 0}
 _COLOR = {"rgb", "radiance"}
 _NEEDS_NEXT = {"flow_forward", "occlusion"}
 _NEEDS_PREVIOUS = {"flow_backward"}
@@ -172,34 +174,71 @@ class Renderer:
         motion: dict[str, NDArray[Any]] = {}
         if "position" not in arrays or not (_NEEDS_NEXT | _NEEDS_PREVIOUS) & set(channels):
             return motion
-        points = SurfacePoints(arrays["position"], arrays["face"], arrays["weights"])
+        names = ("position", "face", "weights", "bend_label")
+        points = SurfacePoints(*(arrays[name] for name in names))
         faces, now = self.model.organ.faces, self._filling(state)
         if state_next is not None and _NEEDS_NEXT & set(channels):
-            filling = self._filling(state_next)
-            moved = points.moved(faces, state_next, now, filling)
-            forward = flow(camera, moved, state_next)
+            moved = points.moved(faces, state_next, now, self._filling(state_next))
+            bends = self._bends(camera, points, moved, state_next, "next")
+            forward = flow(camera, bends.apparent, state_next)
             if "flow_forward" in channels:
                 motion["flow_forward"] = forward
             if "occlusion" in channels:
-                wall = self._wall(state_next, "next")
-                seen = seen_from(camera, moved, forward, state_next, wall)
-                if filling is not None:
-                    eye = (state_next.T_world_capsule @ camera.T_capsule_camera)[:3, 3]
-                    contents = self._core_contents(filling, wall, "next")
-                    free = contents.free(wall, tuple(eye), moved.reshape(-1, 3))
-                    seen &= free.reshape(seen.shape)
-                motion["occlusion"] = ~seen
+                motion["occlusion"] = ~self._seen(camera, moved, bends, forward, state_next)
         if state_previous is not None and "flow_backward" in channels:
             moved = points.moved(faces, state_previous, now, self._filling(state_previous))
-            motion["flow_backward"] = flow(camera, moved, state_previous)
+            bends = self._bends(camera, points, moved, state_previous, "previous")
+            motion["flow_backward"] = flow(camera, bends.apparent, state_previous)
         return motion
+
+    def _bends(
+        self,
+        camera: Camera,
+        points: SurfacePoints,
+        moved: Float[np.ndarray, "h w 3"],
+        state: State,
+        slot: str,
+    ) -> Bends:
+        """How liquid bends the ways to surface points that have moved to another state."""
+        filling = self._filling(state)
+        if filling is None or filling.pools is None:
+            return Bends(moved, None)
+        eye = (state.T_world_capsule @ camera.T_capsule_camera)[:3, 3]
+        wall, faces = self._wall(state, slot), self.model.organ.faces
+        levels = levels_met(filling, eye, wall, faces, points.face)
+        ior = filling.contents.resolved[2].ior
+        return bend_ways(eye, moved, levels, points.bend == MIRRORED, ior)
+
+    def _seen(
+        self,
+        camera: Camera,
+        points: Float[np.ndarray, "h w 3"],
+        bends: Bends,
+        motion: Float[np.ndarray, "h w 2"],
+        state: State,
+    ) -> Bool[np.ndarray, "h w"]:
+        """Whether surface points are seen in the next state, which they and all else are in."""
+        wall, filling = self._wall(state, "next"), self._filling(state)
+        is_bent = np.zeros(motion.shape[:2], bool)
+        ends = points
+        if bends.turn is not None:
+            is_bent = np.isfinite(bends.turn[..., 0])
+            ends = np.where(is_bent[..., None], bends.turn, points)
+        seen = seen_from(camera, ends, motion, state, wall)
+        if filling is not None:
+            eye = (state.T_world_capsule @ camera.T_capsule_camera)[:3, 3]
+            contents = self._core_contents(filling, wall, "next")
+            seen &= contents.free(wall, tuple(eye), ends.reshape(-1, 3)).reshape(seen.shape)
+            if is_bent.any():
+                seen[is_bent] &= contents.free_ways(wall, ends[is_bent], points[is_bent])
+        return seen
 
     def _arrays(
         self, channels: Sequence[str], camera: Camera, out: Frame | None
     ) -> dict[str, NDArray[Any]]:
         names = [name for name in channels if name in _ARRAYS]
         if (_NEEDS_NEXT | _NEEDS_PREVIOUS) & set(channels):
-            names += ["position", "face", "weights"]
+            names += ["position", "face", "weights", "bend_label"]
         arrays = {}
         for name in names:
             dtype, rest = _ARRAYS[name]

@@ -198,7 +198,7 @@ struct Shell {
 
 /// Share of an LED's intensity in the direction that its light travels, `-light`.
 #[inline(always)]
-pub fn led_lobe(led: &Led, light: Vec3) -> f32 {
+fn led_lobe(led: &Led, light: Vec3) -> f32 {
     let cosine = clamp(-dot(light, led.direction), 0.0, 1.0);
     if led.exponent == 0.0 {
         1.0

@@ -96,19 +96,17 @@ impl Leg<'_> {
         (lanes, goal, reached): (&[bool; LANES], &Lane, &mut Lane),
         radiance: &mut Lane3,
     ) {
-        for i in (0..LANES).filter(|&i| lanes[i] & self.soaked[i]) {
+        let (mut length, mut starts) = ([0.0; LANES], *self.starts);
+        for i in 0..LANES {
             let goal = max(goal[i], self.from[i]);
-            let length = reached[i] - goal;
-            if length <= 0.0 {
-                continue;
-            }
-            let direction = at(&self.rays.directions, i);
-            let start = add(at(self.starts, i), scale(direction, goal));
-            let color = optics.carry(at(radiance, i), (start, direction, length), leds, wet, i);
+            let is_due = lanes[i] & self.soaked[i] & (goal < reached[i]);
+            length[i] = if is_due { reached[i] - goal } else { 0.0 };
+            reached[i] = if is_due { goal } else { reached[i] };
             for k in 0..3 {
-                radiance[k][i] = color[k];
+                let way = if is_due { goal } else { 0.0 };
+                starts[k][i] += way * self.rays.directions[k][i];
             }
-            reached[i] = goal;
         }
+        optics.carry((&starts, &self.rays.directions, &length), leds, wet, radiance);
     }
 }

@@ -4,7 +4,6 @@
 //! gut. The surface mirrors and lets through by Fresnel's law; the liquid absorbs, and scatters
 //! once, the same to all sides. Light from the LEDs takes the straight way into it.
 
-use super::bubble::led_lobe;
 use super::turn::Turn;
 use crate::lanes::*;
 use crate::material::Led;
@@ -141,50 +140,59 @@ impl Optics {
         leds.iter().map(dim).collect()
     }
 
-    /// Radiance of lane `i` after a piece of liquid, which begins on the eye's side at a point and
-    /// goes on along a unit direction.
+    /// Takes radiance through pieces of liquid, which begin on the eye's side at `starts` and go on
+    /// along unit `directions`; those of length 0 do nothing.
     #[inline(always)]
     pub fn carry(
         &self,
-        color: Vec3,
-        (start, direction, length): (Vec3, Vec3, f32),
+        (starts, directions, length): (&Lane3, &Lane3, &Lane),
         leds: &[Led],
         wet: &Wet,
-        i: usize,
-    ) -> Vec3 {
-        let glow = self.glow((start, direction, length), leds, wet, i);
-        [0, 1, 2].map(|k| color[k] * exp2(-LOG2_E * self.extinction(k) * length) + glow[k])
+        radiance: &mut Lane3,
+    ) {
+        let glow = self.glow((starts, directions, length), leds, wet);
+        for k in 0..3 {
+            let steepness = -LOG2_E * self.extinction(k);
+            for i in 0..LANES {
+                radiance[k][i] = radiance[k][i] * exp2(steepness * length[i]) + glow[k][i];
+            }
+        }
     }
 
     /// Light scattered once, by the midpoint rule over the way through the liquid.
     #[inline(always)]
     fn glow(
         &self,
-        (start, direction, length): (Vec3, Vec3, f32),
+        (starts, directions, length): (&Lane3, &Lane3, &Lane),
         leds: &[Led],
         wet: &Wet,
-        i: usize,
-    ) -> Vec3 {
+    ) -> Lane3 {
         const PARTS: usize = 4;
         /// Nearest that a point of the liquid counts to an LED [m].
         const NEAREST: f32 = 1e-3;
-        let mut sum = [0.0; 3];
+        let mut sum = [[0.0; LANES]; 3];
         for part in 0..PARTS {
             // Parts grow with the square of their number: most light comes back from nearby.
             let [from, to] = [part, part + 1].map(|p| (p * p) as f32 / (PARTS * PARTS) as f32);
-            let way = 0.5 * (from + to) * length;
-            let point = add(start, scale(direction, way));
             for led in leds {
-                let offset = sub(led.position, point);
-                let square = max(dot(offset, offset), NEAREST * NEAREST);
-                let power =
-                    led_lobe(led, normalize(offset)) * (to - from) * length / (4.0 * PI * square);
-                let total = way + wet.way(led.position, point, i);
+                let (mut power, mut total, mut lobe) = ([0.0; LANES], [0.0; LANES], [0.0; LANES]);
+                for i in 0..LANES {
+                    let way = 0.5 * (from + to) * length[i];
+                    let point = add(at(starts, i), scale(at(directions, i), way));
+                    let offset = sub(led.position, point);
+                    let square = max(dot(offset, offset), NEAREST * NEAREST);
+                    power[i] = (to - from) * length[i] / (4.0 * PI * square);
+                    lobe[i] = clamp(-dot(normalize(offset), led.direction), 0.0, 1.0);
+                    total[i] = way + wet.way(led.position, point, i);
+                }
+                shape(&mut lobe, led.exponent);
                 for k in 0..3 {
-                    sum[k] += led.intensity[k]
-                        * power
-                        * self.scattering[k]
-                        * exp2(-LOG2_E * self.extinction(k) * total);
+                    let strength = led.intensity[k] * self.scattering[k];
+                    let steepness = -LOG2_E * self.extinction(k);
+                    for i in 0..LANES {
+                        let light = strength * power[i] * lobe[i];
+                        sum[k][i] += light * exp2(steepness * total[i]);
+                    }
                 }
             }
         }
@@ -202,43 +210,58 @@ impl Optics {
         mirrored: &Lane3,
         radiance: &mut Lane3,
     ) {
+        let mut images = [[0.0; LANES]; 3];
+        for led in leds {
+            self.add_image(directions, led, wet, &mut images);
+        }
         let (lanes, refracted) = (wet.turn.lanes(), wet.turn.refracted());
-        for i in (0..LANES).filter(|&i| lanes[i]) {
-            let images = self.images(at(directions, i), leds, wet, i);
-            let share = if refracted[i] { wet.turn.share[i] } else { 0.0 };
-            for k in 0..3 {
-                let through = (1.0 - share) * radiance[k][i];
-                radiance[k][i] = through + share * mirrored[k][i] + images[k];
+        for k in 0..3 {
+            for i in 0..LANES {
+                let share = if refracted[i] { wet.turn.share[i] } else { 0.0 };
+                let image = if lanes[i] { images[k][i] } else { 0.0 };
+                radiance[k][i] = (1.0 - share) * radiance[k][i] + share * mirrored[k][i] + image;
             }
         }
     }
 
-    /// Mirror images of the LEDs in the surface, which is rough by a Gaussian of slopes.
+    /// Adds mirror images of an LED in the surface, which is rough by a Gaussian of slopes.
     #[inline(always)]
-    fn images(&self, direction: Vec3, leds: &[Led], wet: &Wet, i: usize) -> Vec3 {
-        let place = at(&wet.turn.place, i);
-        let (cosine, square_roughness) = (direction[2].abs(), self.roughness * self.roughness);
-        let mut sum = [0.0; 3];
-        for led in leds {
-            let offset = sub(led.position, place);
+    fn add_image(&self, directions: &Lane3, led: &Led, wet: &Wet, sum: &mut Lane3) {
+        let square_roughness = self.roughness * self.roughness;
+        let (mut image, mut way, mut lobe) = ([0.0; LANES], [0.0; LANES], [0.0; LANES]);
+        for i in 0..LANES {
+            let direction = at(directions, i);
+            let offset = sub(led.position, at(&wet.turn.place, i));
             let square = max(dot(offset, offset), 1e-8);
             let light = scale(offset, 1.0 / square.sqrt());
             let half = normalize(sub(light, direction));
             // The eye is on the side that the ray comes from.
             let normal = half[2] * -1f32.copysign(direction[2]);
-            if normal <= 0.0 {
-                continue;
-            }
             let tilt = 2.0 * max(1.0 - normal, 0.0) / square_roughness;
             let density = exp2(-LOG2_E * tilt) / (PI * square_roughness);
-            let lobe = led_lobe(led, light) * wet.turn.share[i] * density;
-            let image = lobe / (4.0 * max(cosine, 0.05) * square);
-            let way = if wet.under[i] { -LOG2_E * square.sqrt() } else { 0.0 };
-            for k in 0..3 {
-                sum[k] += led.intensity[k] * image * exp2(way * self.extinction(k));
+            let peak = wet.turn.share[i] * density / (4.0 * max(direction[2].abs(), 0.05) * square);
+            image[i] = if normal > 0.0 { peak } else { 0.0 };
+            lobe[i] = clamp(-dot(light, led.direction), 0.0, 1.0);
+            way[i] = if wet.under[i] { square.sqrt() } else { 0.0 };
+        }
+        shape(&mut lobe, led.exponent);
+        for k in 0..3 {
+            let steepness = -LOG2_E * self.extinction(k);
+            for i in 0..LANES {
+                sum[k][i] += led.intensity[k] * image[i] * lobe[i] * exp2(steepness * way[i]);
             }
         }
-        sum
+    }
+}
+
+/// Turns cosines into shares of an LED's intensity.
+#[inline(always)]
+fn shape(lobe: &mut Lane, exponent: f32) {
+    if exponent == 1.0 {
+        return;
+    }
+    for share in lobe {
+        *share = if exponent == 0.0 { 1.0 } else { pow(*share, exponent) };
     }
 }
 
@@ -254,17 +277,11 @@ impl Wet {
     /// LEDs are where the eye is: in its pool, or in none.
     #[inline(always)]
     fn way(&self, led: Vec3, point: Vec3, i: usize) -> f32 {
-        if !self.is_wet[i] {
-            return 0.0;
-        }
         let offset = sub(led, point);
-        let length = dot(offset, offset).sqrt();
         let (below, led_below) = (self.level[i] - point[2], self.level[i] - led[2]);
-        match (below > 0.0, led_below > 0.0) {
-            (true, true) => length,
-            (true, false) => length * below / max(below - led_below, 1e-9),
-            (false, true) => length * led_below / max(led_below - below, 1e-9),
-            (false, false) => 0.0,
-        }
+        let sunk = max(below, 0.0) + max(led_below, 0.0);
+        let share = sunk / max(below.abs() + led_below.abs(), 1e-9);
+        let way = dot(offset, offset).sqrt() * share;
+        if self.is_wet[i] { way } else { 0.0 }
     }
 }

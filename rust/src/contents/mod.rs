@@ -17,7 +17,7 @@ use crate::lanes::Vec3;
 use crate::wall::Wall;
 use bubble::Film;
 use liquid::{Optics, Pools};
-use numpy::{IntoPyArray, ndarray::ArrayView1, PyArray1, PyReadonlyArray1, PyReadonlyArray2};
+use numpy::{IntoPyArray, PyArray1, PyReadonlyArray1, PyReadonlyArray2, ndarray::ArrayView1};
 use pyo3::{exceptions::PyValueError, prelude::*};
 use spheres::{Sphere, Spheres};
 
@@ -148,8 +148,11 @@ impl Contents {
             return Err(PyValueError::new_err("Ways need as many starts as points."));
         }
         let place = |row: ArrayView1<'_, f64>| wall.localize([row[0], row[1], row[2]]);
-        let ways: Vec<[Vec3; 2]> =
-            starts.outer_iter().zip(points.outer_iter()).map(|(a, b)| [place(a), place(b)]).collect();
+        let ways: Vec<[Vec3; 2]> = starts
+            .outer_iter()
+            .zip(points.outer_iter())
+            .map(|(a, b)| [place(a), place(b)])
+            .collect();
         Ok(py.detach(|| particles::free_ways(&self.chyme, wall, &ways)).into_pyarray(py))
     }
 }

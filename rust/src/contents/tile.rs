@@ -304,7 +304,11 @@ impl<'a> Filled<'a> {
         let mut found = attributes_at(self.wall, self.scene, position, view, &hits);
         self.put_particles(&owner, &mut found);
         let surface = self.surface(&found, &hits, &owner, pixel_angle);
-        let mut radiance = self.light(&surface, &found, &hits, Some(wet), room);
+        let in_liquid = wet.under.contains(&true);
+        let mut radiance = self.light(&surface, &found, &hits, in_liquid.then_some(wet), room);
+        if !in_liquid {
+            return radiance;
+        }
         let (starts, origin, _) = unfolded(turn, &heading, &position, &lanes);
         let leg = Leg {
             rays: &Pyramid { directions: heading, ..Pyramid::open() },

@@ -114,6 +114,7 @@ impl<'a> Filled<'a> {
         front.write(tile, place, out);
         let kind = wet.as_ref().map_or([STRAIGHT; LANES], |wet| wet.turn.kind);
         place.write(&mut out.bend_label, &kind, &found.hit, STRAIGHT);
+        place.write_sparsely(&mut out.sparse_bend, 1, |i, _| kind[i]);
         write_geometry(view, tile, hits, found, place, out);
     }
 

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections import deque
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from hashlib import blake2b
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
@@ -15,6 +16,7 @@ from vrcaps.capsule.rays import camera_rays
 from vrcaps.errors import InputError, UnknownNameError
 from vrcaps.organ.surface import Appearance, OrganSurface, coat_alpha, face_label
 from vrcaps.render.bend import MIRRORED, Bends, bend_ways, levels_met
+from vrcaps.render.denoise import denoise, load_denoiser
 from vrcaps.render.flow import SurfacePoints, flow, seen_from
 from vrcaps.render.frame import CHANNELS, Frame
 from vrcaps.render.narrow_band import (
@@ -40,6 +42,9 @@ _PLAIN_ALBEDO = (0.52, 0.22, 0.16)
 _PLAIN_ROUGHNESS = 0.5
 _PLAIN = Appearance(np.zeros((1, 1, 3), np.uint8), np.zeros((1, 1), np.uint8), np.zeros((1, 1)))
 
+_Paths: TypeAlias = tuple[int, int, int] | None
+"""Paths of a ray, their most reflections, and their seed; None without path tracing."""
+
 _ARRAYS: dict[str, tuple[type[np.generic], tuple[int, ...]]] = {
     "rgb": (np.uint8, (3,)),
     "radiance": (np.float32, (3,)),
@@ -60,7 +65,10 @@ _ARRAYS: dict[str, tuple[type[np.generic], tuple[int, ...]]] = {
 }
 """Arrays the core fills: dtype and what follows (height, width)."""
 
-_NO_FRONT = {"front_label": 0, "front_instance": 0, "front_depth": np.nan, "bend_label": 0}
+_NO_CONTENTS = {
+    **{"front_label": 0, "front_instance": 0, "front_depth": np.nan},
+    **{"bend_label": 0, "sparse_bend": 0},
+}
 _COLOR = {"rgb", "radiance"}
 _NEEDS_NEXT = {"flow_forward", "occlusion"}
 _NEEDS_PREVIOUS = {"flow_backward"}
@@ -72,6 +80,8 @@ class Renderer:
     def __init__(self, model: Model, settings: RenderSettings | None = None) -> None:
         self.model = model
         self.settings = settings or RenderSettings()
+        if self.settings.denoise:
+            load_denoiser()  # before much is made that would be in vain
         self._is_narrow = self.settings.imaging == "narrow-band"
         self._led_gains = led_gains() if self._is_narrow else np.ones(3)
         self._scene = _scene(model.organ, narrow=self._is_narrow)
@@ -79,6 +89,7 @@ class Renderer:
         if self.settings.light == "quick":
             self._quick = _core.QuickLight(model.wall, self._scene)
         self._walls: dict[str, _core.Wall] = {}
+        self._fillings: deque[tuple[State, Filling]] = deque(maxlen=3)
         self._contents: dict[str, tuple[Filling, _core.Wall, _core.Contents]] = {}
         self._tables: dict[tuple[int, int], tuple[Camera, _core.RayTable]] = {}
 
@@ -91,6 +102,7 @@ class Renderer:
         state_next: State | None = None,
         state_previous: State | None = None,
         out: Frame | None = None,
+        points: SurfacePoints | None = None,
     ) -> Frame:
         """What a camera sees.
 
@@ -101,6 +113,7 @@ class Renderer:
             state_next: The world one frame later, for `flow_forward` and `occlusion`.
             state_previous: The world one frame earlier, for `flow_backward`.
             out: An earlier frame of the same camera whose arrays may be overwritten.
+            points: Room for the surface points that `thinned` pixels see.
 
         Raises:
             UnknownNameError: If there is no such channel.
@@ -108,8 +121,10 @@ class Renderer:
         """
         _check_channels(channels, state_next, state_previous)
         arrays = self._arrays(channels, camera, out)
+        if points is not None:
+            arrays |= {f"sparse_{name}": array for name, array in vars(points).items()}
         wall = self._wall(state, "now")
-        filling = self._filling(state)
+        filling = self.filling(state)
         contents = None if filling is None else self._core_contents(filling, wall, "now")
         self._draw(wall, camera, state, arrays, contents)
         motion = self._motion(camera, arrays, channels, (state_previous, state, state_next))
@@ -125,16 +140,15 @@ class Renderer:
         contents: _core.Contents | None,
     ) -> None:
         if contents is None:
-            for name, nothing in _NO_FRONT.items():
+            for name, nothing in _NO_CONTENTS.items():
                 if name in arrays:
                     arrays[name].fill(nothing)
-        factor = self.settings.supersampling
         T_world_camera = state.T_world_capsule @ camera.T_capsule_camera
         leds = _leds_world(camera, T_world_camera)
         leds[:, 6:9] *= self._led_gains
         paths = _paths(self.settings, state.time, T_world_camera)
 
-        def draw(into: dict[str, NDArray[Any]], supersampling: int) -> None:
+        def draw(into: dict[str, NDArray[Any]], supersampling: int, paths: _Paths = paths) -> None:
             _core.render(
                 wall,
                 self._scene,
@@ -149,14 +163,13 @@ class Renderer:
                 quick=self._quick,
             )
 
-        if factor == 1 or not _COLOR & arrays.keys():
+        settings = self.settings
+        is_plain = settings.supersampling == 1 and not settings.denoise
+        if is_plain or not _COLOR & arrays.keys():
             draw(arrays, 1)
             return
         draw({name: array for name, array in arrays.items() if name not in _COLOR}, 1)
-        size = (camera.height, factor, camera.width, factor, 3)
-        fine = np.empty((camera.height * factor, camera.width * factor, 3), np.float32)
-        draw({"radiance": fine}, factor)
-        radiance = fine.reshape(size).mean(axis=(1, 3))
+        radiance = _color(draw, camera, settings)
         if "radiance" in arrays:
             arrays["radiance"][...] = radiance
         if "rgb" in arrays:
@@ -176,22 +189,22 @@ class Renderer:
             return motion
         names = ("position", "face", "weights", "bend_label")
         points = SurfacePoints(*(arrays[name] for name in names))
-        faces, now = self.model.organ.faces, self._filling(state)
+        faces, now = self.model.organ.faces, self.filling(state)
         if state_next is not None and _NEEDS_NEXT & set(channels):
-            moved = points.moved(faces, state_next, now, self._filling(state_next))
-            bends = self._bends(camera, points, moved, state_next, "next")
+            moved = points.moved(faces, state_next, now, self.filling(state_next))
+            bends = self.bends(camera, points, moved, state_next, "next")
             forward = flow(camera, bends.apparent, state_next)
             if "flow_forward" in channels:
                 motion["flow_forward"] = forward
             if "occlusion" in channels:
                 motion["occlusion"] = ~self._seen(camera, moved, bends, forward, state_next)
         if state_previous is not None and "flow_backward" in channels:
-            moved = points.moved(faces, state_previous, now, self._filling(state_previous))
-            bends = self._bends(camera, points, moved, state_previous, "previous")
+            moved = points.moved(faces, state_previous, now, self.filling(state_previous))
+            bends = self.bends(camera, points, moved, state_previous, "previous")
             motion["flow_backward"] = flow(camera, bends.apparent, state_previous)
         return motion
 
-    def _bends(
+    def bends(
         self,
         camera: Camera,
         points: SurfacePoints,
@@ -199,8 +212,11 @@ class Renderer:
         state: State,
         slot: str,
     ) -> Bends:
-        """How liquid bends the ways to surface points that have moved to another state."""
-        filling = self._filling(state)
+        """How liquid bends the ways to surface points that have `moved` to another state.
+
+        The slot is `next` or `previous`: which neighbour the state is.
+        """
+        filling = self.filling(state)
         if filling is None or filling.pools is None:
             return Bends(moved, None)
         eye = (state.T_world_capsule @ camera.T_capsule_camera)[:3, 3]
@@ -218,7 +234,7 @@ class Renderer:
         state: State,
     ) -> Bool[np.ndarray, "h w"]:
         """Whether surface points are seen in the next state, which they and all else are in."""
-        wall, filling = self._wall(state, "next"), self._filling(state)
+        wall, filling = self._wall(state, "next"), self.filling(state)
         is_bent = np.zeros(motion.shape[:2], bool)
         ends = points
         if bends.turn is not None:
@@ -261,13 +277,18 @@ class Renderer:
         wall.refit(vertices)
         return wall
 
-    def _filling(self, state: State) -> Filling | None:
+    def filling(self, state: State) -> Filling | None:
         """What is in the lumen in a state."""
         rest = self.model.filling
         if state.filling is not None or rest is None:
             return state.filling
+        for known, filling in self._fillings:
+            if known is state:
+                return filling
         device = self.model.device
-        return rest.around_capsule(state.T_world_capsule, device.length, device.radius)
+        filling = rest.around_capsule(state.T_world_capsule, device.length, device.radius)
+        self._fillings.append((state, filling))
+        return filling
 
     def _core_contents(self, filling: Filling, wall: _core.Wall, slot: str) -> _core.Contents:
         """The filling ready to be traced; where only its spheres have moved, their tree is kept."""
@@ -294,6 +315,25 @@ class Renderer:
             table = _core.RayTable(camera_rays(camera, supersampling))
             self._tables[key] = (camera, table)  # holding the camera keeps its id its own
         return self._tables[key][1]
+
+
+def _color(
+    draw: Callable[..., None], camera: Camera, settings: RenderSettings
+) -> Float[np.ndarray, "h w 3"]:
+    """Radiance [W/(sr·m²)] as the mean over each pixel's rays, denoised where that is asked for."""
+    factor = settings.supersampling
+
+    def means(*names: str, **kwargs: _Paths) -> list[NDArray[np.float32]]:
+        size = (camera.height, factor, camera.width, factor, 3)
+        fine = {name: np.empty((size[0] * factor, size[2] * factor, 3), "f4") for name in names}
+        draw(fine, factor, **kwargs)
+        return [array.reshape(size).mean(axis=(1, 3)) for array in fine.values()]
+
+    if not settings.denoise:
+        return means("radiance")[0]
+    radiance, albedo, normal = means("radiance", "albedo", "normal")
+    (first,) = means("radiance", paths=(1, 1, 0))
+    return denoise(radiance, first, albedo, normal)
 
 
 def _differ_in_place(one: Filling, other: Filling) -> bool:
@@ -338,8 +378,8 @@ def _scene(organ: OrganSurface, *, narrow: bool) -> _core.Scene:
 
 def _paths(
     settings: RenderSettings, time: float, T_world_camera: Float[np.ndarray, "4 4"]
-) -> tuple[int, int, int] | None:
-    """Paths of a ray, their most reflections, and a seed of this instant's own.
+) -> _Paths:
+    """How light is traced, with a seed of this instant's own.
 
     Frames differ in time or view, so that noise does not stand still before a moving scene.
     """

@@ -24,6 +24,8 @@ class RenderSettings:
         samples: Paths that path tracing follows for each ray; noise falls with their square root.
         depth: Most reflections of a path, 1 to 100; 1 is direct light with shadows.
         light_seed: Chooses the paths.
+        denoise: Whether Open Image Denoise filters light beyond the first reflection; only with
+            path tracing. Needs `pip install 'vrcaps[denoise]'`.
         imaging: White light, or narrow bands about 415 and 540 nm, in which vessels stand out.
     """
 
@@ -33,6 +35,7 @@ class RenderSettings:
     samples: int = 16
     depth: int = 4
     light_seed: int = 0
+    denoise: bool = False
     imaging: Literal["white-light", "narrow-band"] = "white-light"
 
     def __post_init__(self) -> None:
@@ -46,3 +49,12 @@ class RenderSettings:
         ):
             if not valid:
                 raise InputError(f"{name} is {value}. Allowed: {allowed}.")
+        if self.denoise and self.light != "path":
+            raise InputError(
+                f"Light {self.light!r} has no noise to take away. "
+                "Drop denoise, or ask for light 'path'."
+            )
+
+
+RECORDED = RenderSettings(light="quick")
+"""How recordings are rendered unless told otherwise."""

@@ -108,5 +108,6 @@ ENCODINGS: dict[str, Encoding] = {
     "front_instance": Encoding("number", "uint16", 1),
     "front_depth": _distance(),
     "bend_label": Encoding("class", "uint8", 1),
+    "dome_label": Encoding("class", "uint8", 1),
 }
 """Encoding of every channel of `Frame`."""

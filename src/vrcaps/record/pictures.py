@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from vrcaps.render.camera_effects.dome import DOME_NAMES
 from vrcaps.tissue.contents.filling import BEND_NAMES, FRONT_NAMES
 from vrcaps.units import MM
 
@@ -15,10 +16,10 @@ if TYPE_CHECKING:
 
     from vrcaps.record.episode import Episode
 
-CLASSES = ("label", "instance", "front_label", "front_instance", "bend_label")
+CLASSES = ("label", "instance", "front_label", "front_instance", "bend_label", "dome_label")
 """Channels of numbers that stand for things."""
 
-NAMES = {"front_label": FRONT_NAMES, "bend_label": BEND_NAMES}
+NAMES = {"front_label": FRONT_NAMES, "bend_label": BEND_NAMES, "dome_label": DOME_NAMES}
 """Names of the classes of channels whose classes are the same everywhere."""
 
 _BACKGROUND = np.array([24, 24, 28], np.uint8)

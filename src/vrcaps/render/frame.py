@@ -58,6 +58,9 @@ class Frame:
     bend_label: UInt8[np.ndarray, "h w"] | None = _channel(
         "class", "how a liquid's surface turns the ray: 0 straight, 1 refracted, 2 mirrored"
     )
+    dome_label: UInt8[np.ndarray, "h w"] | None = _channel(
+        "class", "what lies on the dome there: 0 nothing, 1 drop, 2 smear"
+    )
 
 
 CHANNELS: tuple[str, ...] = tuple(f.name for f in fields(Frame))

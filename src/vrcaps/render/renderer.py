@@ -32,7 +32,7 @@ from vrcaps.transforms import rotate_vectors, transform_points
 from vrcaps.world.model import Model, State
 
 if TYPE_CHECKING:
-    from jaxtyping import Bool, Float
+    from jaxtyping import Float
     from numpy.typing import NDArray
 
 DEFAULT_CHANNELS = ("rgb", "depth", "ray_distance", "normal", "label", "instance", "arc_length")
@@ -62,6 +62,7 @@ _ARRAYS: dict[str, tuple[type[np.generic], tuple[int, ...]]] = {
     "front_instance": (np.uint16, ()),
     "front_depth": (np.float32, ()),
     "bend_label": (np.uint8, ()),
+    "dome_label": (np.uint8, ()),
 }
 """Arrays the core fills: dtype and what follows (height, width)."""
 
@@ -197,7 +198,12 @@ class Renderer:
             if "flow_forward" in channels:
                 motion["flow_forward"] = forward
             if "occlusion" in channels:
-                motion["occlusion"] = ~self._seen(camera, moved, bends, forward, state_next)
+                wall, filling = self._wall(state_next, "next"), self.filling(state_next)
+                then = None
+                if filling is not None:
+                    then = self._core_contents(filling, wall, "next")
+                seen = seen_from(camera, bends, moved, forward, state_next, wall, then)
+                motion["occlusion"] = ~seen
         if state_previous is not None and "flow_backward" in channels:
             moved = points.moved(faces, state_previous, now, self.filling(state_previous))
             bends = self.bends(camera, points, moved, state_previous, "previous")
@@ -225,30 +231,6 @@ class Renderer:
         ior = filling.contents.resolved[2].ior
         return bend_ways(eye, moved, levels, points.bend == MIRRORED, ior)
 
-    def _seen(
-        self,
-        camera: Camera,
-        points: Float[np.ndarray, "h w 3"],
-        bends: Bends,
-        motion: Float[np.ndarray, "h w 2"],
-        state: State,
-    ) -> Bool[np.ndarray, "h w"]:
-        """Whether surface points are seen in the next state, which they and all else are in."""
-        wall, filling = self._wall(state, "next"), self.filling(state)
-        is_bent = np.zeros(motion.shape[:2], bool)
-        ends = points
-        if bends.turn is not None:
-            is_bent = np.isfinite(bends.turn[..., 0])
-            ends = np.where(is_bent[..., None], bends.turn, points)
-        seen = seen_from(camera, ends, motion, state, wall)
-        if filling is not None:
-            eye = (state.T_world_capsule @ camera.T_capsule_camera)[:3, 3]
-            contents = self._core_contents(filling, wall, "next")
-            seen &= contents.free(wall, tuple(eye), ends.reshape(-1, 3)).reshape(seen.shape)
-            if is_bent.any():
-                seen[is_bent] &= contents.free_ways(wall, ends[is_bent], points[is_bent])
-        return seen
-
     def _arrays(
         self, channels: Sequence[str], camera: Camera, out: Frame | None
     ) -> dict[str, NDArray[Any]]:
@@ -262,6 +244,8 @@ class Renderer:
             shape = (camera.height, camera.width, *rest)
             fits = given is not None and given.shape == shape and given.dtype == dtype
             arrays[name] = given if fits else np.empty(shape, dtype)
+        if "dome_label" in arrays:
+            arrays["dome_label"].fill(0)  # the lens and sensor know more
         return arrays
 
     def _wall(self, state: State, slot: str) -> _core.Wall:

@@ -126,9 +126,11 @@ pub fn render(
     let mut sparse_position = take::<f32>(out, "sparse_position", few, 3)?;
     let mut sparse_face = take::<i32>(out, "sparse_face", few, 1)?;
     let mut sparse_weights = take::<f32>(out, "sparse_weights", few, 2)?;
+    let mut sparse_bend = take::<u8>(out, "sparse_bend", few, 1)?;
     let mut front_label = take::<u8>(out, "front_label", shape, 1)?;
     let mut front_instance = take::<u16>(out, "front_instance", shape, 1)?;
     let mut front_depth = take::<f32>(out, "front_depth", shape, 1)?;
+    let mut bend_label = take::<u8>(out, "bend_label", shape, 1)?;
     let channels = Channels {
         rgb: slice(&mut rgb)?,
         radiance: slice(&mut radiance)?,
@@ -145,9 +147,11 @@ pub fn render(
         sparse_position: slice(&mut sparse_position)?,
         sparse_face: slice(&mut sparse_face)?,
         sparse_weights: slice(&mut sparse_weights)?,
+        sparse_bend: slice(&mut sparse_bend)?,
         front_label: slice(&mut front_label)?,
         front_instance: slice(&mut front_instance)?,
         front_depth: slice(&mut front_depth)?,
+        bend_label: slice(&mut bend_label)?,
     };
     let rest = quick.map(|light| light.rest(py));
     let quick = quick.zip(rest.as_deref()).filter(|_| channels.wants_light());

@@ -98,6 +98,29 @@ impl Spheres {
         });
     }
 
+    /// The spheres whose bounds touch the box from `low` to `high`; `power` is about `origin`.
+    pub fn within(&self, (low, high): (Vec3, Vec3), origin: Vec3, found: &mut Vec<Near>) {
+        found.clear();
+        let mut waiting = if self.nodes.is_empty() { Vec::new() } else { vec![0] };
+        while let Some(number) = waiting.pop() {
+            let node: &Node = &self.nodes[number];
+            for k in 0..WIDTH {
+                let apart =
+                    (0..3).any(|x| node.bounds[x][k] > high[x] || node.bounds[x + 3][k] < low[x]);
+                match Child::of(node.children[k]) {
+                    _ if apart => {}
+                    Child::Node(child) => waiting.push(child),
+                    Child::Leaf(range) => found.extend(range.map(|index| {
+                        let sphere = &self.all[index];
+                        let offset = sub(sphere.center, origin);
+                        let power = dot(offset, offset) - sphere.radius * sphere.radius;
+                        Near { power, index: index as u32 }
+                    })),
+                }
+            }
+        }
+    }
+
     /// Whether the way from `origin` to each point is free; points with NaN are not.
     pub fn free(&self, origin: Vec3, points: &[Vec3], extent: f32) -> Vec<bool> {
         let mut result = vec![false; points.len()];
@@ -152,11 +175,17 @@ impl Sphere {
     /// Crossings of unit rays from one origin.
     #[inline(always)]
     pub fn crossings(&self, origin: Vec3, directions: &Lane3) -> Crossings {
-        let offset = sub(self.center, origin);
+        self.crossings_from(|_| origin, directions)
+    }
+
+    /// Crossings of unit rays that each start elsewhere.
+    #[inline(always)]
+    pub fn crossings_from(&self, start: impl Fn(usize) -> Vec3, directions: &Lane3) -> Crossings {
         let (square, inverse) = (self.radius * self.radius, 1.0 / (self.radius * self.radius));
         let mut out = Crossings { near: [0.0; LANES], far: [0.0; LANES], miss: [0.0; LANES] };
         for i in 0..LANES {
             let direction = at(directions, i);
+            let offset = sub(self.center, start(i));
             let along = dot(offset, direction);
             // The foot of the perpendicular: exact also for a small sphere far away.
             let foot = sub(offset, scale(direction, along));

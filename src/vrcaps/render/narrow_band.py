@@ -127,7 +127,6 @@ def narrow_band_liquid(liquid: Liquid) -> Liquid:
         liquid,
         absorption=(float(green), float(violet), float(violet)),
         scattering=(green_scattering, blue_scattering, blue_scattering),
-        color=_plain(liquid.color),
     )
 
 

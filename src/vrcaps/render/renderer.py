@@ -15,6 +15,7 @@ from vrcaps.capsule.device import Camera
 from vrcaps.capsule.rays import camera_rays
 from vrcaps.errors import InputError, UnknownNameError
 from vrcaps.organ.surface import Appearance, OrganSurface, coat_alpha, face_label
+from vrcaps.render.bend import MIRRORED, Bends, bend_ways, levels_met
 from vrcaps.render.denoise import denoise, load_denoiser
 from vrcaps.render.flow import SurfacePoints, flow, seen_from
 from vrcaps.render.frame import CHANNELS, Frame
@@ -60,10 +61,15 @@ _ARRAYS: dict[str, tuple[type[np.generic], tuple[int, ...]]] = {
     "front_label": (np.uint8, ()),
     "front_instance": (np.uint16, ()),
     "front_depth": (np.float32, ()),
+    "bend_label": (np.uint8, ()),
+    "dome_label": (np.uint8, ()),
 }
 """Arrays the core fills: dtype and what follows (height, width)."""
 
-_NO_FRONT = {"front_label": 0, "front_instance": 0, "front_depth": np.nan}
+_NO_CONTENTS = {
+    **{"front_label": 0, "front_instance": 0, "front_depth": np.nan},
+    **{"bend_label": 0, "sparse_bend": 0},
+}
 _COLOR = {"rgb", "radiance"}
 _NEEDS_NEXT = {"flow_forward", "occlusion"}
 _NEEDS_PREVIOUS = {"flow_backward"}
@@ -135,7 +141,7 @@ class Renderer:
         contents: _core.Contents | None,
     ) -> None:
         if contents is None:
-            for name, nothing in _NO_FRONT.items():
+            for name, nothing in _NO_CONTENTS.items():
                 if name in arrays:
                     arrays[name].fill(nothing)
         T_world_camera = state.T_world_capsule @ camera.T_capsule_camera
@@ -182,34 +188,55 @@ class Renderer:
         motion: dict[str, NDArray[Any]] = {}
         if "position" not in arrays or not (_NEEDS_NEXT | _NEEDS_PREVIOUS) & set(channels):
             return motion
-        points = SurfacePoints(arrays["position"], arrays["face"], arrays["weights"])
+        names = ("position", "face", "weights", "bend_label")
+        points = SurfacePoints(*(arrays[name] for name in names))
         faces, now = self.model.organ.faces, self.filling(state)
         if state_next is not None and _NEEDS_NEXT & set(channels):
-            filling = self.filling(state_next)
-            moved = points.moved(faces, state_next, now, filling)
-            forward = flow(camera, moved, state_next)
+            moved = points.moved(faces, state_next, now, self.filling(state_next))
+            bends = self.bends(camera, points, moved, state_next, "next")
+            forward = flow(camera, bends.apparent, state_next)
             if "flow_forward" in channels:
                 motion["flow_forward"] = forward
             if "occlusion" in channels:
-                wall = self._wall(state_next, "next")
-                seen = seen_from(camera, moved, forward, state_next, wall)
+                wall, filling = self._wall(state_next, "next"), self.filling(state_next)
+                then = None
                 if filling is not None:
-                    eye = (state_next.T_world_capsule @ camera.T_capsule_camera)[:3, 3]
-                    contents = self._core_contents(filling, wall, "next")
-                    free = contents.free(wall, tuple(eye), moved.reshape(-1, 3))
-                    seen &= free.reshape(seen.shape)
+                    then = self._core_contents(filling, wall, "next")
+                seen = seen_from(camera, bends, moved, forward, state_next, wall, then)
                 motion["occlusion"] = ~seen
         if state_previous is not None and "flow_backward" in channels:
             moved = points.moved(faces, state_previous, now, self.filling(state_previous))
-            motion["flow_backward"] = flow(camera, moved, state_previous)
+            bends = self.bends(camera, points, moved, state_previous, "previous")
+            motion["flow_backward"] = flow(camera, bends.apparent, state_previous)
         return motion
+
+    def bends(
+        self,
+        camera: Camera,
+        points: SurfacePoints,
+        moved: Float[np.ndarray, "h w 3"],
+        state: State,
+        slot: str,
+    ) -> Bends:
+        """How liquid bends the ways to surface points that have `moved` to another state.
+
+        The slot is `next` or `previous`: which neighbour the state is.
+        """
+        filling = self.filling(state)
+        if filling is None or filling.pools is None:
+            return Bends(moved, None)
+        eye = (state.T_world_capsule @ camera.T_capsule_camera)[:3, 3]
+        wall, faces = self._wall(state, slot), self.model.organ.faces
+        levels = levels_met(filling, eye, wall, faces, points.face)
+        ior = filling.contents.resolved[2].ior
+        return bend_ways(eye, moved, levels, points.bend == MIRRORED, ior)
 
     def _arrays(
         self, channels: Sequence[str], camera: Camera, out: Frame | None
     ) -> dict[str, NDArray[Any]]:
         names = [name for name in channels if name in _ARRAYS]
         if (_NEEDS_NEXT | _NEEDS_PREVIOUS) & set(channels):
-            names += ["position", "face", "weights"]
+            names += ["position", "face", "weights", "bend_label"]
         arrays = {}
         for name in names:
             dtype, rest = _ARRAYS[name]
@@ -217,6 +244,8 @@ class Renderer:
             shape = (camera.height, camera.width, *rest)
             fits = given is not None and given.shape == shape and given.dtype == dtype
             arrays[name] = given if fits else np.empty(shape, dtype)
+        if "dome_label" in arrays:
+            arrays["dome_label"].fill(0)  # the lens and sensor know more
         return arrays
 
     def _wall(self, state: State, slot: str) -> _core.Wall:

@@ -10,6 +10,7 @@ import numpy as np
 
 from vrcaps import _core
 from vrcaps.capsule.rays import camera_rays, pixel_grid
+from vrcaps.render.camera_effects.dome import Dome
 from vrcaps.render.camera_effects.effects import Effects
 from vrcaps.render.camera_effects.sensor import Noise, WhiteBalance, mosaic_colors
 from vrcaps.render.flow import STEP, SurfacePoints, flow, thinned
@@ -32,6 +33,9 @@ BUBBLE = 1
 
 _TOUCHING = 1.0 * MM
 """Gap to the capsule up to which a bubble's near side is taken to sit on it."""
+
+_DOME = 7
+"""Stream of the random numbers that lay what is on the dome, beside the scenario's others."""
 
 _NEUTRAL = WhiteBalance(response=(1.0, 1.0, 1.0))
 _QUIET = Noise(1e6, 0.0, bits=16, black=0)
@@ -94,6 +98,11 @@ class CameraChain:
         self._shade = None
         if self._stages["vignette"] is not None:
             self._shade = self._stages["vignette"].profile(camera)
+        drops, smears = self._stages["droplets"], self._stages["smears"]
+        self._dome = None
+        if drops is not None or smears is not None:
+            lens = self._stages["depth_of_field"]
+            self._dome = Dome(camera, drops, smears, lens=lens, seed=(seed, _DOME, number))
         self._pixels = thinned(pixel_grid(camera.width, camera.height))
         self._last_motion: tuple[State, Any] | None = None
         moving = self._stages["motion_blur"] or self._stages["rolling_shutter"]
@@ -140,8 +149,13 @@ class CameraChain:
             return seen.frame
         light = np.ascontiguousarray(self._moved(seen, renderer, moment))
         planes = _core.to_planes(light, self.camera.exposure)
-        planes = self._through_lens(planes, seen.frame)
-        return replace(seen.frame, rgb=self._sensed(planes, moment))
+        time = moment.state.time
+        frame = replace(
+            seen.frame, rgb=self._sensed(self._through_lens(planes, seen, time), moment)
+        )
+        if frame.dome_label is None or self._dome is None:
+            return frame
+        return replace(frame, dome_label=self._dome.labels(time))
 
     def meter(self, seen: Seen, moment: Moment) -> float:
         """Mean linear luminance of the lit image at an exposure, each pixel cut at white."""
@@ -184,18 +198,22 @@ class CameraChain:
         assert seen.points is not None
         fillings = renderer.filling(moment.state), renderer.filling(neighbour)
         points = seen.points.moved(renderer.model.organ.faces, neighbour, *fillings)
-        motion = flow(self.camera, points, neighbour, self._pixels)
+        slot = "previous" if moment.state_next is None else "next"
+        bends = renderer.bends(self.camera, seen.points, points, neighbour, slot)
+        motion = flow(self.camera, bends.apparent, neighbour, self._pixels)
         if moment.state_next is None:
             motion = -motion
         motion[_on_capsule(seen.frame, self.camera, self._rays, renderer.model.device)] = 0.0
         return motion
 
     def _through_lens(
-        self, planes: Float[np.ndarray, "3 h w"], frame: Frame
+        self, planes: Float[np.ndarray, "3 h w"], seen: Seen, time: float
     ) -> Float[np.ndarray, "3 h w"]:
         defocus, bloom = self._stages["depth_of_field"], self._stages["bloom"]
         if defocus is not None:
-            planes = defocus.apply(self.camera, planes, self._distance(frame))
+            planes = defocus.apply(self.camera, planes, self._distance(seen.frame))
+        if self._dome is not None:
+            planes = self._dome.apply(planes, time)
         if self._stages["chromatic"] is not None:
             planes = self._stages["chromatic"].apply(self.camera, planes)
         if self._shade is not None:
@@ -235,8 +253,8 @@ class CameraChain:
 
 
 _STAGES = (
-    *("motion_blur", "rolling_shutter", "depth_of_field", "chromatic", "vignette", "bloom"),
-    *("exposure", "noise", "white_balance", "jpeg"),
+    *("motion_blur", "rolling_shutter", "depth_of_field", "droplets", "smears", "chromatic"),
+    *("vignette", "bloom", "exposure", "noise", "white_balance", "jpeg"),
 )
 
 

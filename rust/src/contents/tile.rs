@@ -53,6 +53,12 @@ pub struct Room {
     blocking: Vec<Near>,
 }
 
+/// Triangles met, `MISS` where a particle hides them.
+#[inline(always)]
+fn of_wall(triangles: &[u32; LANES], owner: &[u32; LANES]) -> [u32; LANES] {
+    std::array::from_fn(|i| if owner[i] == MISS { triangles[i] } else { MISS })
+}
+
 /// The nearest see-through thing in front of each surface.
 struct Front {
     label: [u8; LANES],
@@ -84,10 +90,8 @@ impl<'a> Filled<'a> {
         let owner = self.meet_particles(tile, &rays, &mut hits, &mut found, room);
         let mut surface = surface(self.scene, &found, &hits.distance, tile.pixel_angle);
         self.paint_particles(&owner, &mut surface);
-        for i in 0..LANES {
-            hits.triangle[i] = if owner[i] == MISS { hits.triangle[i] } else { MISS };
-        }
-        First { surface, hit: found.hit, triangle: hits.triangle, pixel }
+        let triangle = of_wall(&hits.triangle, &owner);
+        First { surface, hit: found.hit, triangle, pixel }
     }
 
     /// Renders one tile; `glow` is light beyond direct light.
@@ -112,7 +116,9 @@ impl<'a> Filled<'a> {
         if colored {
             let mut surface = surface(self.scene, &found, &hits.distance, tile.pixel_angle);
             self.paint_particles(&owner, &mut surface);
-            radiance = self.light(&surface, &found.hit, wet.as_ref(), room);
+            let bare = view.bare(self.scene, &surface, &of_wall(&hits.triangle, &owner));
+            let lit = bare.as_ref().unwrap_or(&surface);
+            radiance = self.light(lit, &found.hit, wet.as_ref(), room);
             if let Some(bounced) = &view.bounced {
                 let mut light = [[0.0; LANES]; 3];
                 bounced.add((&surface, &found.normal), &hits, &mut light);

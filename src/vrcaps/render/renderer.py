@@ -23,6 +23,7 @@ from vrcaps.render.narrow_band import (
     narrow_band_liquid,
     narrow_band_reflectance,
 )
+from vrcaps.render.scattering import tissue_figures
 from vrcaps.render.settings import RenderSettings
 from vrcaps.tissue.contents.filling import Filling
 from vrcaps.transforms import rotate_vectors, transform_points
@@ -72,7 +73,7 @@ class Renderer:
         self.settings = settings or RenderSettings()
         self._is_narrow = self.settings.imaging == "narrow-band"
         self._led_gains = led_gains() if self._is_narrow else np.ones(3)
-        self._scene = _scene(model.organ, narrow=self._is_narrow)
+        self._scene = _scene(model.organ, self.settings)
         self._quick = None
         if self.settings.light == "quick":
             self._quick = _core.QuickLight(model.wall, self._scene)
@@ -278,9 +279,9 @@ def _faces(organ: OrganSurface) -> NDArray[np.int64]:
     return np.ascontiguousarray(organ.faces, np.int64)
 
 
-def _scene(organ: OrganSurface, *, narrow: bool) -> _core.Scene:
+def _scene(organ: OrganSurface, settings: RenderSettings) -> _core.Scene:
     look, albedo, texture = organ.appearance or _PLAIN, np.array(_PLAIN_ALBEDO), None
-    if narrow:
+    if settings.imaging == "narrow-band":
         look, albedo = narrow_band_appearance(look), narrow_band_reflectance(albedo)
     if organ.appearance is not None:
         height = np.ascontiguousarray(look.height, np.float32)
@@ -294,6 +295,7 @@ def _scene(organ: OrganSurface, *, narrow: bool) -> _core.Scene:
         albedo=tuple(albedo),
         roughness=_PLAIN_ROUGHNESS,
         reflectance=(look.ior, look.coat, coat_alpha(look.coat_gloss)),
+        tissue=tissue_figures(settings.imaging) if settings.scattering else None,
     )
 
 

@@ -24,6 +24,8 @@ class RenderSettings:
         samples: Paths that path tracing follows for each ray; noise falls with their square root.
         depth: Most reflections of a path, 1 to 100; 1 is direct light with shadows.
         light_seed: Chooses the paths.
+        scattering: Whether light goes through the tissue behind the wall, by random walks: shadows
+            and relief are softened by a millimetre, thin folds shine through. With path alone.
         imaging: White light, or narrow bands about 415 and 540 nm, in which vessels stand out.
     """
 
@@ -33,11 +35,14 @@ class RenderSettings:
     samples: int = 16
     depth: int = 4
     light_seed: int = 0
+    scattering: bool = False
     imaging: Literal["white-light", "narrow-band"] = "white-light"
 
     def __post_init__(self) -> None:
         if self.light not in get_args(Light):
             raise UnknownNameError("light", self.light, get_args(Light))
+        if self.scattering and self.light != "path":
+            raise InputError(f"Scattering goes with light path, not {self.light}. Drop one.")
         for name, value, valid, allowed in (
             ("Supersampling", self.supersampling, self.supersampling >= 1, "1, 2, 3, …"),
             ("Samples", self.samples, 1 <= self.samples <= 2**31, "1 to 2147483648"),

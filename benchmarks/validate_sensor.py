@@ -185,11 +185,10 @@ def speed() -> list[tuple[str, ...]]:
 
     def of(effects: Effects) -> float:
         chain = CameraChain(effects, camera, number=0, fps=3.0, seed=0)
-        channels = chain.channels(DEFAULT_CHANNELS)
-        frame = renderer.render(moment.state, camera, channels=channels)
+        seen = chain.see(renderer, moment, DEFAULT_CHANNELS)
         # A state of its own each time, or the chain would know its motion from the call before.
         return cpu_ms(
-            lambda: chain.apply(frame, renderer, replace(moment, state=replace(moment.state)))
+            lambda: chain.apply(seen, renderer, replace(moment, state=replace(moment.state)))
         )
 
     none = of(Effects())
@@ -197,7 +196,8 @@ def speed() -> list[tuple[str, ...]]:
     rows += [(f"`{name}`", f"{of(Effects(**{name: 2})) - none:+.2f}") for name in STAGES]
     rows.append(("`mosaic`", f"{of(Effects(mosaic='rggb')) - none:+.2f}"))
     chain = CameraChain(Effects(exposure=2), camera, number=0, fps=3.0, seed=0)
-    meter = cpu_ms(lambda: chain.meter(renderer, moment))
+    seen = chain.see(renderer, moment, DEFAULT_CHANNELS)
+    meter = cpu_ms(lambda: chain.meter(seen, moment))
     rows.append(("`exposure`", f"{meter:+.2f}"))
     together = of(Effects(**dict.fromkeys(STAGES, 2), mosaic="rggb")) + meter
     rows.append(("all of these", f"{together:.2f}"))

@@ -1,6 +1,6 @@
 //! One image: trace, shade and write every channel that was asked for.
 
-use crate::channels::{Channels, Place, slice, take};
+use crate::channels::{Channels, Place, slice, sparse, take};
 use crate::contents::Contents;
 use crate::contents::tile::{Filled, Room};
 use crate::indirect::{Irradiance, QuickLight};
@@ -134,6 +134,10 @@ pub fn render(
     let mut position = take::<f32>(out, "position", shape, 3)?;
     let mut face = take::<i32>(out, "face", shape, 1)?;
     let mut weights = take::<f32>(out, "weights", shape, 2)?;
+    let few = (sparse(shape.0), sparse(shape.1));
+    let mut sparse_position = take::<f32>(out, "sparse_position", few, 3)?;
+    let mut sparse_face = take::<i32>(out, "sparse_face", few, 1)?;
+    let mut sparse_weights = take::<f32>(out, "sparse_weights", few, 2)?;
     let mut front_label = take::<u8>(out, "front_label", shape, 1)?;
     let mut front_instance = take::<u16>(out, "front_instance", shape, 1)?;
     let mut front_depth = take::<f32>(out, "front_depth", shape, 1)?;
@@ -150,6 +154,9 @@ pub fn render(
         position: slice(&mut position)?,
         face: slice(&mut face)?,
         weights: slice(&mut weights)?,
+        sparse_position: slice(&mut sparse_position)?,
+        sparse_face: slice(&mut sparse_face)?,
+        sparse_weights: slice(&mut sparse_weights)?,
         front_label: slice(&mut front_label)?,
         front_instance: slice(&mut front_instance)?,
         front_depth: slice(&mut front_depth)?,
@@ -336,26 +343,19 @@ pub fn write_geometry(
         }
         place.write3(&mut out.normal, &normal, hit, f32::NAN);
     }
-    if out.position.is_some() {
-        let mut position = found.position;
-        for k in 0..3 {
-            for i in 0..LANES {
-                position[k][i] = (f64::from(position[k][i]) + view.center[k]) as f32;
-            }
-        }
-        place.write3(&mut out.position, &position, hit, f32::NAN);
-    }
+    let position = |i: usize, k: usize| {
+        if hit[i] { (f64::from(found.position[k][i]) + view.center[k]) as f32 } else { f32::NAN }
+    };
+    let face = |i: usize| if hit[i] { found.face[i] } else { -1 };
+    let weight = |i: usize, k: usize| if hit[i] { found.weights[k][i] } else { f32::NAN };
+    place.write_each(&mut out.position, 3, position);
+    place.write_sparsely(&mut out.sparse_position, 3, position);
+    place.write_sparsely(&mut out.sparse_face, 1, |i, _| face(i));
+    place.write_sparsely(&mut out.sparse_weights, 2, weight);
     place.write(&mut out.ray_distance, &hits.distance, hit, f32::NAN);
     place.write(&mut out.arc_length, &found.arc_length, hit, f32::NAN);
     place.write(&mut out.label, &found.label, hit, 0);
     place.write(&mut out.instance, &found.instance, hit, 0);
-    place.write(&mut out.face, &found.face, hit, -1);
-    let [first, second] = &found.weights;
-    place.write_each(
-        &mut out.weights,
-        2,
-        |i, k| {
-            if hit[i] { [first[i], second[i]][k] } else { f32::NAN }
-        },
-    );
+    place.write_each(&mut out.face, 1, |i, _| face(i));
+    place.write_each(&mut out.weights, 2, weight);
 }

@@ -122,6 +122,9 @@ def aim_magnet(
     rounds: int,
 ) -> tuple[NDArray[np.float64], Vector, Vector, float]: ...
 
+def turned(vector: Any, matrix: NDArray[np.float64]) -> NDArray[np.float64]: ...
+def rotation_vector(matrix: NDArray[np.float64]) -> NDArray[np.float64]: ...
+
 class ArmChain:
     """An arm of turning joints (`vrcaps.magnet.arm`)."""
 
@@ -137,12 +140,53 @@ class ArmChain:
     def jacobian(self, angles: NDArray[np.float64]) -> NDArray[np.float64]: ...
     def inverse(self, targets: NDArray[np.float64], last: Any) -> NDArray[np.float64]: ...
     def nearest(
-        self, targets: NDArray[np.float64], near: NDArray[np.float64]
+        self,
+        targets: NDArray[np.float64],
+        near: NDArray[np.float64],
+        others: NDArray[np.float64] | None = None,
     ) -> NDArray[np.float64]: ...
-    def follow(self, targets: NDArray[np.float64], start: Any) -> NDArray[np.float64]: ...
+    def follow(
+        self, targets: NDArray[np.float64], start: Any, others: NDArray[np.float64] | None = None
+    ) -> NDArray[np.float64]: ...
     def clearance(
         self, angles: NDArray[np.float64], table: tuple[Any, Any] | None = None
     ) -> NDArray[np.float64]: ...
+
+class ArmCarrier:
+    """An arm with a magnet (`vrcaps.magnet.arm.carrier`)."""
+
+    def __init__(
+        self,
+        arm: ArmChain,
+        loaded: ArmChain,
+        base: NDArray[np.float64],
+        mount: NDArray[np.float64],
+        size: tuple[float, float],
+        table: float | None,
+    ) -> None: ...
+    def clearance(self, angles: NDArray[np.float64]) -> NDArray[np.float64]: ...
+    def lowest(self, magnet: NDArray[np.float64]) -> float: ...
+
+class ArmHolder:
+    """An arm that leads its magnet (`vrcaps.magnet.steering.arm_holder`)."""
+
+    def __init__(
+        self,
+        carrier: ArmCarrier,
+        joints: NDArray[np.float64],
+        room: tuple[Vector, Vector],
+        along: Vector,
+        speeds: tuple[float, float],
+    ) -> None: ...
+    def rolled(self, goal: NDArray[np.float64]) -> NDArray[np.float64]: ...
+    def move_on(
+        self,
+        magnet: NDArray[np.float64],
+        velocity: NDArray[np.float64],
+        angles: NDArray[np.float64],
+        goal: NDArray[np.float64],
+        dt: float,
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], str]: ...
 
 class Texture:
     """Packed albedo, roughness and relief with mip levels."""

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
-from shapes import looking, make_camera, make_model, make_organ, sphere
+from shapes import looking, make_camera, make_model, make_organ, pinhole, sphere, tube
 
 from vrcaps import _core
-from vrcaps.capsule.device import Led
-from vrcaps.capsule.lens import LensEquidistant, LensPinhole
+from vrcaps.capsule.device import Camera, Led
 from vrcaps.errors import InputError
 from vrcaps.organ.surface import Appearance
 from vrcaps.render.renderer import Renderer
@@ -20,6 +21,7 @@ from vrcaps.render.scattering import (
     albedo_roots,
     diffuse_reflectance,
     diffusion_profile,
+    dipole_profile,
     entering_share,
     fresnel,
     half_space_color,
@@ -28,7 +30,7 @@ from vrcaps.render.scattering import (
     reduced_scattering,
 )
 from vrcaps.render.settings import RenderSettings
-from vrcaps.world.model import Model
+from vrcaps.world.model import Model, State
 
 SIZE = 0.2
 JUST_INSIDE = (0.0, 0.0, -3e-7)
@@ -40,7 +42,8 @@ def _plane(height: float = 0.0, *, up: bool = True) -> tuple[np.ndarray, np.ndar
     """Vertices and faces of a large square at a height, whose normals point up or down."""
     corners = SIZE * np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], float)
     faces = np.array([[0, 1, 2], [0, 2, 3]])
-    return corners + [0.0, 0.0, height], faces if up else faces[:, ::-1]
+    corners[:, 2] = height
+    return corners, faces if up else faces[:, ::-1]
 
 
 def _slab(thickness: float) -> tuple[np.ndarray, np.ndarray]:
@@ -58,7 +61,7 @@ def _walks(mesh: tuple, albedo: tuple, extinction: tuple, ior: float, count: int
 
 
 def test_border_in_closed_form():
-    """Head-on ((n − 1)/(n + 1))²; Brewster's angle; total reflection; the same from both sides."""
+    """Head-on ((n − 1)/(n + 1))²; total reflection; the same from both sides."""
     for ior in (1.33, 1.4, 1.5):
         assert fresnel(np.array(1.0), ior) == pytest.approx(((ior - 1.0) / (ior + 1.0)) ** 2)
         outside = np.linspace(0.05, 1.0, 50)
@@ -163,6 +166,41 @@ def test_nothing_is_lost_in_white_tissue():
     np.testing.assert_allclose(np.where(sides > -1e-3, sides, sides + 2e-3), 0.0, atol=1e-7)
 
 
+def test_profile_far_from_the_beam_is_that_of_diffusion():
+    """Where light has forgotten its way: more than six free ways off."""
+    count, edges = 120_000, np.array([6e-3, 9e-3, 14e-3])
+    for ior in (1.0, TISSUE_IOR):
+        place, share = _walks(_plane(), (0.995,) * 3, (1000.0,) * 3, ior, count)
+        radius = np.hypot(place[:, 0], place[:, 1])
+        found = _binned(radius, share[:, 0], edges)
+        medium = Medium(5.0, 995.0, ior)
+        expected = np.array([_ring(diffusion_profile, medium, *e) for e in pairwise(edges)])
+        assert (np.abs(found[0] - expected) < 0.03 * expected + 3.0 * found[1]).all()
+
+
+def test_profiles_hold_all_that_comes_back():
+    """Integrals over the surface: of the dipole a(1 + e^(−4ks/3))e^(−s)/2 (Farrell, eq. 15)."""
+    medium = Medium(20.0, 980.0)
+    internal = internal_reflection(medium.ior)
+    k, s = (1.0 + internal) / (1.0 - internal), np.sqrt(3.0 * 0.02)
+    expected = 0.98 / 2.0 * (1.0 + np.exp(-4.0 / 3.0 * k * s)) * np.exp(-s)
+    assert _ring(dipole_profile, medium, 0.0, 0.1) == pytest.approx(expected, rel=1e-3)
+    exact = half_space_reflectance(np.array([0.98]), medium.ior)[0] / (
+        1.0 - fresnel(np.array(1.0), 1.4)
+    )
+    assert _ring(diffusion_profile, medium, 0.0, 0.1) == pytest.approx(exact, rel=0.06)
+
+
+def _ring(profile: Callable, medium: Medium, inner: float, outer: float) -> float:
+    """Share of the light that comes back between two distances from the beam."""
+    x, w = np.polynomial.legendre.leggauss(400)
+    # Finer towards the beam.
+    part = 0.25 * (x + 1.0) ** 2
+    radius = inner + (outer - inner) * part
+    step = (outer - inner) * 0.5 * (x + 1.0) * w
+    return float(np.sum(profile(medium, radius) * 2.0 * np.pi * radius * step))
+
+
 @pytest.mark.parametrize("ior", [1.0, TISSUE_IOR])
 def test_walks_agree_with_another_walk(ior: float, rng: np.random.Generator):
     """Through a slab, and how far from the beam: beside walks in NumPy that know planes only."""
@@ -207,7 +245,10 @@ def _walked_slab(
         out_place[alive[leaves]], out_weight[alive[leaves]] = place[leaves], weight[leaves]
         way[meets & back, 2] *= -1.0
         turns = ~meets
-        cosine, turn = rng.uniform(-1.0, 1.0, turns.sum()), rng.uniform(0.0, 2.0 * np.pi, turns.sum())
+        cosine, turn = (
+            rng.uniform(-1.0, 1.0, turns.sum()),
+            rng.uniform(0.0, 2.0 * np.pi, turns.sum()),
+        )
         sine = np.sqrt(1.0 - cosine**2)
         way[turns] = np.stack([sine * np.cos(turn), sine * np.sin(turn), cosine], axis=1)
         left[turns] = rng.exponential(size=turns.sum())
@@ -215,3 +256,82 @@ def _walked_slab(
         keep = ~(leaves | ends)
         place, way, weight, left, alive = (a[keep] for a in (place, way, weight, left, alive))
     return out_place, out_weight
+
+
+def _matt(color: int) -> Appearance:
+    """A look that mirrors nothing, so that all light goes through tissue."""
+    flat = np.full((1, 1, 3), color, np.uint8)
+    return Appearance(flat, np.full((1, 1), 128, np.uint8), np.zeros((1, 1)), ior=1.0, coat=0.0)
+
+
+def _albedo(color: int) -> np.ndarray:
+    """Single-scattering albedo [1] of tissue behind such a look."""
+    linear = ((color / 255 + 0.055) / 1.055) ** 2.4
+    roots = albedo_roots()
+    return 1.0 - np.interp([linear], np.linspace(0.0, 1.0, len(roots)), roots) ** 2
+
+
+def _radiance(model: Model, camera: Camera, state: State, **settings: int | bool) -> np.ndarray:
+    chosen = RenderSettings(light="path", **{"scattering": True, **settings})
+    radiance = Renderer(model, chosen).render(state, camera, channels=("radiance",)).radiance
+    assert radiance is not None
+    return radiance.astype(float)
+
+
+@pytest.mark.parametrize("color", [90, 190, 240])
+def test_wall_of_a_large_sphere(color: int):
+    """Seen and lit head-on from its middle: exact transport of the half-space."""
+    led = Led((0.0, 0.0, 0.0), lobe_exponent=0.0, intensity=(1e-3,) * 3)
+    camera = make_camera(pinhole(24), leds=(led,))
+    model = make_model(sphere(5, radius=0.5, appearance=_matt(color)), camera)
+    found = _radiance(model, camera, looking((0.0, 0.0, 0.0)), samples=128, depth=1)
+    back = half_space_reflectance(_albedo(color), TISSUE_IOR)[0]
+    head_on = 1.0 - fresnel(np.array(1.0), TISSUE_IOR)
+    expected = 1e-3 / 0.5**2 / np.pi * back * head_on / entering_share(TISSUE_IOR) ** 2
+    np.testing.assert_allclose(found.mean(), expected, rtol=0.015)
+
+
+def test_a_thin_sheet_shines_through(rng: np.random.Generator):
+    """Lit from behind, as bright as walks in NumPy say; without scattering it is black."""
+    thickness, color, away = 1e-3, 190, 0.03
+    vertices, faces = _slab(thickness)
+    led = Led((0.0, 0.0, 2.0 * away), lobe_exponent=0.0, intensity=(1e-3,) * 3)
+    camera = make_camera(pinhole(16, 0.3), leds=(led,))
+    model = make_model(make_organ(vertices, faces, appearance=_matt(color)), camera)
+    state = looking((0.0, 0.0, away), (0.0, 0.0, -1.0))
+    found = _radiance(model, camera, state, samples=256, depth=1)[..., 1]
+    assert not _radiance(model, camera, state, samples=1, depth=3, scattering=False).any()
+    albedo = _albedo(color)[0]
+    free = albedo / reduced_scattering(545.0)
+    place, weight = _walked_slab(albedo, thickness / free, TISSUE_IOR, 60_000, rng)
+    through = np.mean(weight * (place[:, 2] < -0.5 * thickness / free))
+    passes = (1.0 - fresnel(np.array(1.0), TISSUE_IOR)) / entering_share(TISSUE_IOR)
+    expected = through * passes**2 / np.pi * 1e-3 / (away - thickness) ** 2
+    np.testing.assert_allclose(found.mean(), expected, rtol=0.04)
+
+
+def test_more_reflections_are_brighter_and_labels_stay():
+    look = replace(_matt(190), ior=1.4, coat=0.7)
+    organ = tube(40, 80, folds=0.35, capped=True, appearance=look)
+    camera = make_camera("scaramuzza")
+    model, state = make_model(organ, camera), looking((0.004, -0.003, 0.05))
+    images = [_radiance(model, camera, state, samples=16, depth=d) for d in (1, 2, 4)]
+    means = [image.mean() for image in images]
+    assert means[0] < means[1] < means[2] < 2.5 * means[0]
+    np.testing.assert_array_equal(images[0], _radiance(model, camera, state, samples=16, depth=1))
+    names = ("depth", "normal", "label", "instance", "albedo", "position")
+    frames = [
+        Renderer(model, RenderSettings(light="path", samples=1, scattering=on)).render(
+            state, camera, channels=(*names, "rgb")
+        )
+        for on in (False, True)
+    ]
+    for name in names:
+        np.testing.assert_array_equal(*(getattr(frame, name) for frame in frames))
+
+
+def test_wrong_input():
+    with pytest.raises(InputError, match=r"Scattering goes with light path, not quick\. Drop one"):
+        RenderSettings(light="quick", scattering=True)
+    with pytest.raises(ValueError, match="albedo of 0 to 1, extinction above 0 and an index of 1"):
+        _walks(_plane(), (1.2,) * 3, (1000.0,) * 3, 1.4, 1)

@@ -73,7 +73,7 @@ pub fn indirect(tracer: &Tracer<'_>, firsts: &[First]) -> Vec<Lane3> {
     let leds: Vec<Vec3> = tracer.leds.iter().map(|led| led.position).collect();
     let mut wave = Wave::default();
     let count = (WAVE / (firsts.len() * LANES).max(1)).max(1) as u32;
-    let is_needed = depth > 1 || tracer.scene.tissue.is_some();
+    let is_needed = depth > 1 || depth == 1 && tracer.scene.tissue.is_some();
     let mut done = if is_needed && !leds.is_empty() { 0 } else { samples };
     while done < samples {
         let after = samples.min(done.saturating_add(count));

@@ -17,6 +17,9 @@ from vrcaps.world.model import State
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
 
+STEP = 4
+"""Pixels between those that stand for all, the first in the middle of a square; as in the core."""
+
 
 @dataclass(frozen=True)
 class SurfacePoints:
@@ -31,6 +34,13 @@ class SurfacePoints:
     position: Float[np.ndarray, "h w 3"]
     face: Int[np.ndarray, "h w"]
     weights: Float[np.ndarray, "h w 2"]
+
+    @staticmethod
+    def sparse(camera: Camera) -> SurfacePoints:
+        """Room for the points that `thinned` pixels of a camera see."""
+        shape = thinned(np.empty((camera.height, camera.width))).shape
+        position, weights = np.empty((*shape, 3), np.float32), np.empty((*shape, 2), np.float32)
+        return SurfacePoints(position, np.empty(shape, np.int32), weights)
 
     def moved(
         self,
@@ -70,8 +80,16 @@ class SurfacePoints:
         )
 
 
+def thinned(image: np.ndarray) -> np.ndarray:
+    """One pixel of every `STEP` by `STEP`."""
+    return image[STEP // 2 :: STEP, STEP // 2 :: STEP]
+
+
 def flow(
-    camera: Camera, points_world: Float[np.ndarray, "h w 3"], state: State
+    camera: Camera,
+    points_world: Float[np.ndarray, "h w 3"],
+    state: State,
+    pixels: Float[np.ndarray, "h w 2"] | None = None,
 ) -> Float[np.ndarray, "h w 2"]:
     """Motion of each pixel's surface point from now to a neighbouring frame [px].
 
@@ -79,14 +97,16 @@ def flow(
         camera: The camera that sees both frames.
         points_world: The surface points in the neighbouring frame [m].
         state: The neighbouring frame.
+        pixels: That see the points now; None: all of the camera.
 
     Returns:
         Columns and rows, as float32; NaN where there is no surface or the point leaves the
         lens's field.
     """
     T_camera_world = invert(state.T_world_capsule @ camera.T_capsule_camera)
-    pixels = project_points(camera, transform_points(T_camera_world, points_world))
-    return (pixels - pixel_grid(camera.width, camera.height)).astype(np.float32)
+    then = project_points(camera, transform_points(T_camera_world, points_world))
+    now = pixel_grid(camera.width, camera.height) if pixels is None else pixels
+    return (then - now).astype(np.float32)
 
 
 def seen_from(

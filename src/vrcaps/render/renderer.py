@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections import deque
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from hashlib import blake2b
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
@@ -14,6 +15,7 @@ from vrcaps.capsule.device import Camera
 from vrcaps.capsule.rays import camera_rays
 from vrcaps.errors import InputError, UnknownNameError
 from vrcaps.organ.surface import Appearance, OrganSurface, coat_alpha, face_label
+from vrcaps.render.denoise import denoise, load_denoiser
 from vrcaps.render.flow import SurfacePoints, flow, seen_from
 from vrcaps.render.frame import CHANNELS, Frame
 from vrcaps.render.narrow_band import (
@@ -39,6 +41,9 @@ DEFAULT_CHANNELS = ("rgb", "depth", "ray_distance", "normal", "label", "instance
 _PLAIN_ALBEDO = (0.52, 0.22, 0.16)
 _PLAIN_ROUGHNESS = 0.5
 _PLAIN = Appearance(np.zeros((1, 1, 3), np.uint8), np.zeros((1, 1), np.uint8), np.zeros((1, 1)))
+
+_Paths: TypeAlias = tuple[int, int, int] | None
+"""Paths of a ray, their most reflections, and their seed; None without path tracing."""
 
 _ARRAYS: dict[str, tuple[type[np.generic], tuple[int, ...]]] = {
     "rgb": (np.uint8, (3,)),
@@ -71,6 +76,8 @@ class Renderer:
     def __init__(self, model: Model, settings: RenderSettings | None = None) -> None:
         self.model = model
         self.settings = settings or RenderSettings()
+        if self.settings.denoise:
+            load_denoiser()  # before much is made that would be in vain
         self._is_narrow = self.settings.imaging == "narrow-band"
         self._led_gains = led_gains() if self._is_narrow else np.ones(3)
         self._scene = _scene(model.organ, self.settings)
@@ -78,6 +85,7 @@ class Renderer:
         if self.settings.light == "quick":
             self._quick = _core.QuickLight(model.wall, self._scene)
         self._walls: dict[str, _core.Wall] = {}
+        self._fillings: deque[tuple[State, Filling]] = deque(maxlen=3)
         self._contents: dict[str, tuple[Filling, _core.Wall, _core.Contents]] = {}
         self._tables: dict[tuple[int, int], tuple[Camera, _core.RayTable]] = {}
 
@@ -90,6 +98,7 @@ class Renderer:
         state_next: State | None = None,
         state_previous: State | None = None,
         out: Frame | None = None,
+        points: SurfacePoints | None = None,
     ) -> Frame:
         """What a camera sees.
 
@@ -100,6 +109,7 @@ class Renderer:
             state_next: The world one frame later, for `flow_forward` and `occlusion`.
             state_previous: The world one frame earlier, for `flow_backward`.
             out: An earlier frame of the same camera whose arrays may be overwritten.
+            points: Room for the surface points that `thinned` pixels see.
 
         Raises:
             UnknownNameError: If there is no such channel.
@@ -107,8 +117,10 @@ class Renderer:
         """
         _check_channels(channels, state_next, state_previous)
         arrays = self._arrays(channels, camera, out)
+        if points is not None:
+            arrays |= {f"sparse_{name}": array for name, array in vars(points).items()}
         wall = self._wall(state, "now")
-        filling = self._filling(state)
+        filling = self.filling(state)
         contents = None if filling is None else self._core_contents(filling, wall, "now")
         self._draw(wall, camera, state, arrays, contents)
         motion = self._motion(camera, arrays, channels, (state_previous, state, state_next))
@@ -127,13 +139,12 @@ class Renderer:
             for name, nothing in _NO_FRONT.items():
                 if name in arrays:
                     arrays[name].fill(nothing)
-        factor = self.settings.supersampling
         T_world_camera = state.T_world_capsule @ camera.T_capsule_camera
         leds = _leds_world(camera, T_world_camera)
         leds[:, 6:9] *= self._led_gains
         paths = _paths(self.settings, state.time, T_world_camera)
 
-        def draw(into: dict[str, NDArray[Any]], supersampling: int) -> None:
+        def draw(into: dict[str, NDArray[Any]], supersampling: int, paths: _Paths = paths) -> None:
             _core.render(
                 wall,
                 self._scene,
@@ -148,14 +159,13 @@ class Renderer:
                 quick=self._quick,
             )
 
-        if factor == 1 or not _COLOR & arrays.keys():
+        settings = self.settings
+        is_plain = settings.supersampling == 1 and not settings.denoise
+        if is_plain or not _COLOR & arrays.keys():
             draw(arrays, 1)
             return
         draw({name: array for name, array in arrays.items() if name not in _COLOR}, 1)
-        size = (camera.height, factor, camera.width, factor, 3)
-        fine = np.empty((camera.height * factor, camera.width * factor, 3), np.float32)
-        draw({"radiance": fine}, factor)
-        radiance = fine.reshape(size).mean(axis=(1, 3))
+        radiance = _color(draw, camera, settings)
         if "radiance" in arrays:
             arrays["radiance"][...] = radiance
         if "rgb" in arrays:
@@ -174,9 +184,9 @@ class Renderer:
         if "position" not in arrays or not (_NEEDS_NEXT | _NEEDS_PREVIOUS) & set(channels):
             return motion
         points = SurfacePoints(arrays["position"], arrays["face"], arrays["weights"])
-        faces, now = self.model.organ.faces, self._filling(state)
+        faces, now = self.model.organ.faces, self.filling(state)
         if state_next is not None and _NEEDS_NEXT & set(channels):
-            filling = self._filling(state_next)
+            filling = self.filling(state_next)
             moved = points.moved(faces, state_next, now, filling)
             forward = flow(camera, moved, state_next)
             if "flow_forward" in channels:
@@ -191,7 +201,7 @@ class Renderer:
                     seen &= free.reshape(seen.shape)
                 motion["occlusion"] = ~seen
         if state_previous is not None and "flow_backward" in channels:
-            moved = points.moved(faces, state_previous, now, self._filling(state_previous))
+            moved = points.moved(faces, state_previous, now, self.filling(state_previous))
             motion["flow_backward"] = flow(camera, moved, state_previous)
         return motion
 
@@ -223,13 +233,18 @@ class Renderer:
         wall.refit(vertices)
         return wall
 
-    def _filling(self, state: State) -> Filling | None:
+    def filling(self, state: State) -> Filling | None:
         """What is in the lumen in a state."""
         rest = self.model.filling
         if state.filling is not None or rest is None:
             return state.filling
+        for known, filling in self._fillings:
+            if known is state:
+                return filling
         device = self.model.device
-        return rest.around_capsule(state.T_world_capsule, device.length, device.radius)
+        filling = rest.around_capsule(state.T_world_capsule, device.length, device.radius)
+        self._fillings.append((state, filling))
+        return filling
 
     def _core_contents(self, filling: Filling, wall: _core.Wall, slot: str) -> _core.Contents:
         """The filling ready to be traced; where only its spheres have moved, their tree is kept."""
@@ -256,6 +271,26 @@ class Renderer:
             table = _core.RayTable(camera_rays(camera, supersampling))
             self._tables[key] = (camera, table)  # holding the camera keeps its id its own
         return self._tables[key][1]
+
+
+def _color(
+    draw: Callable[..., None], camera: Camera, settings: RenderSettings
+) -> Float[np.ndarray, "h w 3"]:
+    """Radiance [W/(sr·m²)] as the mean over each pixel's rays, denoised where that is asked for."""
+    factor = settings.supersampling
+
+    def means(*names: str, **kwargs: _Paths) -> list[NDArray[np.float32]]:
+        size = (camera.height, factor, camera.width, factor, 3)
+        fine = {name: np.empty((size[0] * factor, size[2] * factor, 3), "f4") for name in names}
+        draw(fine, factor, **kwargs)
+        return [array.reshape(size).mean(axis=(1, 3)) for array in fine.values()]
+
+    if not settings.denoise:
+        return means("radiance")[0]
+    radiance, albedo, normal = means("radiance", "albedo", "normal")
+    # Light through tissue is noisy from the first reflection on.
+    (first,) = means("radiance", paths=(1, 0 if settings.scattering else 1, 0))
+    return denoise(radiance, first, albedo, normal)
 
 
 def _differ_in_place(one: Filling, other: Filling) -> bool:
@@ -301,8 +336,8 @@ def _scene(organ: OrganSurface, settings: RenderSettings) -> _core.Scene:
 
 def _paths(
     settings: RenderSettings, time: float, T_world_camera: Float[np.ndarray, "4 4"]
-) -> tuple[int, int, int] | None:
-    """Paths of a ray, their most reflections, and a seed of this instant's own.
+) -> _Paths:
+    """How light is traced, with a seed of this instant's own.
 
     Frames differ in time or view, so that noise does not stand still before a moving scene.
     """

@@ -52,9 +52,10 @@ def fresnel(cosine: Float[np.ndarray, "*n"], ior: float) -> Float[np.ndarray, "*
         ior: Refractive index beyond the border over that before it; below 1 there is an angle from
             which on all is reflected.
     """
+    cosine = np.maximum(cosine, 1e-9)  # along the border nothing passes
     beyond = np.sqrt(np.maximum(1.0 - (1.0 - cosine**2) / ior**2, 0.0))
-    across = (cosine - ior * beyond) / np.maximum(cosine + ior * beyond, 1e-30)
-    along = (ior * cosine - beyond) / np.maximum(ior * cosine + beyond, 1e-30)
+    across = (cosine - ior * beyond) / (cosine + ior * beyond)
+    along = (ior * cosine - beyond) / (ior * cosine + beyond)
     return 0.5 * (across**2 + along**2)
 
 
@@ -85,7 +86,9 @@ def _directions(ior: float) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, 
 
 
 def _h_function(
-    albedo: Float[np.ndarray, " k"], cosine: Float[np.ndarray, " n"], weight: Float[np.ndarray, " n"]
+    albedo: Float[np.ndarray, " k"],
+    cosine: Float[np.ndarray, " n"],
+    weight: Float[np.ndarray, " n"],
 ) -> Float[np.ndarray, "k n"]:
     """Chandrasekhar's H for even scattering (*Radiative Transfer*, 1960, chapter V, eq. 14)."""
     root = np.sqrt(1.0 - albedo)[:, None]
@@ -116,9 +119,7 @@ def half_space_color(albedo: Float[np.ndarray, " k"], ior: float) -> Float[np.nd
     return leaving / entering_share(ior)
 
 
-def half_space_reflectance(
-    albedo: Float[np.ndarray, " k"], ior: float
-) -> Float[np.ndarray, " k"]:
+def half_space_reflectance(albedo: Float[np.ndarray, " k"], ior: float) -> Float[np.ndarray, " k"]:
     """Share of a beam along the normal that tissue gives back diffusely: exact transport.
 
     By reciprocity it is the radiance seen along the normal under even light.
@@ -187,25 +188,59 @@ class Medium:
 def dipole_profile(medium: Medium, radius: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
     """Diffuse reflectance [1/m²] of a half-space at a distance from a thin beam along the normal.
 
-    A source one mean free path deep and its image above the extrapolated border (Farrell et al.,
-    Med. Phys. 19(4), 1992, eq. 14).
+    The flux from a source one mean free path deep and its image above the extrapolated border
+    (Farrell et al., Med. Phys. 19(4), 1992, eq. 14).
 
     Args:
         medium: The tissue.
-        radius: Distance from the beam [m].
+        radius: Distance from the beam inside it [m].
+    """
+    albedo = medium.scattering / (medium.absorption + medium.scattering)
+    internal = internal_reflection(medium.ior)
+    _, flux = _dipole(medium, radius, depth=1.0, border=(1.0 + internal) / (1.0 - internal))
+    return albedo * flux
+
+
+def diffusion_profile(medium: Medium, radius: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
+    """The same, with sources all along the beam and what passes the border of fluence and flux.
+
+    R = ∫ (1 − r(µ)) (φ + 3 J µ)/(4π) µ dω (Kienle and Patterson, J. Opt. Soc. Am. A 14(1), 1997,
+    eq. 8), the border extrapolated by the flux that it reflects (Aronson, ibid. 12(11), 1995).
+    """
+    cosine, weight = _directions(medium.ior)
+    back = fresnel(cosine, 1.0 / medium.ior)
+    once, twice = (float(np.sum(weight * back * cosine**power)) for power in (1, 2))
+    border = (1.0 + 3.0 * twice) / (1.0 - 2.0 * once)
+    depths, shares = np.polynomial.laguerre.laggauss(24)
+    parts = [_dipole(medium, radius, depth=z, border=border) for z in depths]
+    fluence, flux = (
+        sum(s * part[k] for s, part in zip(shares, parts, strict=True)) for k in (0, 1)
+    )
+    albedo = medium.scattering / (medium.absorption + medium.scattering)
+    return albedo * ((0.25 - 0.5 * once) * fluence + (0.5 - 1.5 * twice) * flux)
+
+
+def _dipole(
+    medium: Medium, radius: Float[np.ndarray, "*n"], *, depth: float, border: float
+) -> tuple[Float[np.ndarray, "*n"], Float[np.ndarray, "*n"]]:
+    """Fluence and flux out of the surface [1/m²] of a source at a depth in mean free paths.
+
+    Args:
+        medium: The tissue.
+        radius: Distance along the surface [m].
+        depth: Of the source in mean free paths.
+        border: Height of the border at which fluence is nothing, in units of 2/3 free paths.
     """
     total = medium.absorption + medium.scattering
-    albedo = medium.scattering / total
     effective = np.sqrt(3.0 * medium.absorption * total)
-    internal = internal_reflection(medium.ior)
-    deep = 1.0 / total
-    border = 2.0 * (1.0 + internal) / (1.0 - internal) / (3.0 * total)
-
-    def source(depth: float) -> Float[np.ndarray, "*n"]:
-        way = np.hypot(depth, radius)
-        return depth * (effective + 1.0 / way) * np.exp(-effective * way) / way**2
-
-    return albedo / (4.0 * np.pi) * (source(deep) + source(deep + 2.0 * border))
+    near, far = depth / total, (depth + 4.0 / 3.0 * border) / total
+    fluence, flux = np.zeros_like(radius), np.zeros_like(radius)
+    for place, sign in ((near, 1.0), (far, -1.0)):
+        way = np.hypot(place, radius)
+        lasts = np.exp(-effective * way) / way
+        fluence = fluence + sign * 3.0 * total * lasts / (4.0 * np.pi)
+        flux = flux + place * (effective + 1.0 / way) * lasts / way / (4.0 * np.pi)
+    return fluence, flux
 
 
 @functools.cache
@@ -223,8 +258,12 @@ def albedo_roots(ior: float = TISSUE_IOR) -> Float[np.ndarray, " n"]:
 def tissue_figures(
     imaging: str,
 ) -> tuple[tuple[float, float, float], float, float, Float[np.ndarray, " n"]]:
-    """What the core walks in: µs′ of red, green and blue [1/m], refractive index, share of even
-    light that enters, and `albedo_roots`."""
+    """What the core walks in.
+
+    Returns:
+        µs′ of red, green and blue [1/m], refractive index, share of even light that enters, and
+        `albedo_roots`.
+    """
     red, green, blue = (reduced_scattering(band) for band in BANDS_NM[imaging])
     roots = albedo_roots(TISSUE_IOR).astype(np.float32)
     return (red, green, blue), TISSUE_IOR, entering_share(TISSUE_IOR), roots

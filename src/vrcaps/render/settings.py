@@ -26,6 +26,8 @@ class RenderSettings:
         light_seed: Chooses the paths.
         scattering: Whether light goes through the tissue behind the wall, by random walks: shadows
             and relief are softened by a millimetre, thin folds shine through. With path alone.
+        denoise: Whether Open Image Denoise filters light beyond the first reflection; only with
+            path tracing. Needs `pip install 'vrcaps[denoise]'`.
         imaging: White light, or narrow bands about 415 and 540 nm, in which vessels stand out.
     """
 
@@ -36,6 +38,7 @@ class RenderSettings:
     depth: int = 4
     light_seed: int = 0
     scattering: bool = False
+    denoise: bool = False
     imaging: Literal["white-light", "narrow-band"] = "white-light"
 
     def __post_init__(self) -> None:
@@ -51,3 +54,12 @@ class RenderSettings:
         ):
             if not valid:
                 raise InputError(f"{name} is {value}. Allowed: {allowed}.")
+        if self.denoise and self.light != "path":
+            raise InputError(
+                f"Light {self.light!r} has no noise to take away. "
+                "Drop denoise, or ask for light 'path'."
+            )
+
+
+RECORDED = RenderSettings(light="quick")
+"""How recordings are rendered unless told otherwise."""

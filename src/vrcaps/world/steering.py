@@ -175,7 +175,8 @@ class Pilot:
         error = free @ (self._lead[0] - T[:3, 3])
         bend = cross(T[:3, 2], self._lead[1])
         angle = math.atan2(length(bend), float(T[:3, 2] @ self._lead[1]))
-        borne = self._borne(world, goal, dt)
+        contact = world.contact.force_world
+        borne = self._borne(contact, goal, dt)
         soft = max(length(borne), 0.05) / math.dist(T[:3, 3], self._wanted[:3, 3])
         ahead = float(error @ T[:3, 2]) * T[:3, 2]
         pull = soft * (error + 2.0 * ahead)
@@ -193,7 +194,7 @@ class Pilot:
         held = self.holder.move(self.steered.held, self._wanted, dt)
         short = free @ (needed - aimed.force)
         steered = Steered(held, error, angle, needed, aimed.force)
-        fallen = world.contact.force_world @ np.asarray(goal.press, float) > _TOUCH
+        fallen = contact @ np.asarray(goal.press, float) > _TOUCH
         lost = self._lost(world.field_angle(T), needed, short, fallen=bool(fallen))
         self.steered = replace(steered, lost=lost)
         return self._command(held)
@@ -283,12 +284,13 @@ class Pilot:
         """Force between capsule and wall [N], on the wall at a side."""
         return self.steering.press if side[2] >= 0.0 else self.steering.rest
 
-    def _borne(self, world: World, goal: Goal, dt: float) -> Float[np.ndarray, " 3"]:
+    def _borne(
+        self, contact: Float[np.ndarray, " 3"], goal: Goal, dt: float
+    ) -> Float[np.ndarray, " 3"]:
         """Force that bears the weight and presses the capsule square against the wall it lies on.
 
-        Where that wall is, the last contact says; without one it is where the goal has it.
+        Where that wall is, the last contact's force says; without one it is where the goal has it.
         """
-        contact = world.contact.force_world
         size = length(contact)
         touched = contact / -size if size > _TOUCH else np.asarray(goal.press, float)
         side = self._side + (touched - self._side) * min(1.0, dt / _AFTER)

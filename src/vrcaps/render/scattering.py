@@ -212,12 +212,11 @@ def diffusion_profile(medium: Medium, radius: Float[np.ndarray, "*n"]) -> Float[
     once, twice = (float(np.sum(weight * back * cosine**power)) for power in (1, 2))
     border = (1.0 + 3.0 * twice) / (1.0 - 2.0 * once)
     depths, shares = np.polynomial.laguerre.laggauss(24)
-    parts = [_dipole(medium, radius, depth=z, border=border) for z in depths]
-    fluence, flux = (
-        sum(s * part[k] for s, part in zip(shares, parts, strict=True)) for k in (0, 1)
-    )
-    albedo = medium.scattering / (medium.absorption + medium.scattering)
-    return albedo * ((0.25 - 0.5 * once) * fluence + (0.5 - 1.5 * twice) * flux)
+    beam = np.zeros_like(radius)
+    for depth, share in zip(depths, shares, strict=True):
+        fluence, flux = _dipole(medium, radius, depth=depth, border=border)
+        beam += share * ((0.25 - 0.5 * once) * fluence + (0.5 - 1.5 * twice) * flux)
+    return medium.scattering / (medium.absorption + medium.scattering) * beam
 
 
 def _dipole(

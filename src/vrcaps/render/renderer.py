@@ -16,6 +16,7 @@ from vrcaps.capsule.rays import camera_rays
 from vrcaps.errors import InputError, UnknownNameError
 from vrcaps.organ.surface import Appearance, OrganSurface, coat_alpha, face_label
 from vrcaps.render.denoise import denoise, load_denoiser
+from vrcaps.render.film import wet_organ
 from vrcaps.render.flow import SurfacePoints, flow, seen_from
 from vrcaps.render.frame import CHANNELS, Frame
 from vrcaps.render.narrow_band import (
@@ -315,6 +316,8 @@ def _faces(organ: OrganSurface) -> NDArray[np.int64]:
 
 
 def _scene(organ: OrganSurface, settings: RenderSettings) -> _core.Scene:
+    if settings.film_um is not None:
+        organ = wet_organ(organ, 1e-6 * settings.film_um)
     look, albedo, texture = organ.appearance or _PLAIN, np.array(_PLAIN_ALBEDO), None
     if settings.imaging == "narrow-band":
         look, albedo = narrow_band_appearance(look), narrow_band_reflectance(albedo)

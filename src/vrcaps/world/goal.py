@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from vrcaps.errors import InputError, require
-from vrcaps.magnet.steering.turn import length
+from vrcaps.magnet.steering import turn
 from vrcaps.organ.surface import Centerline
 from vrcaps.transforms import invert, rotate_vectors, transform_points
 
@@ -93,18 +93,18 @@ def gut_goal(
     k = min(max(int(np.searchsorted(s, arc_length)) - 1, 0), len(s) - 2)
     share = (arc_length - s[k]) / max(s[k + 1] - s[k], 1e-12)
     axes = (1.0 - share) * line.frames[k] + share * line.frames[k + 1]
-    first, second, ahead = (axis / length(axis) for axis in axes.T)
+    first, second, ahead = (axis / turn.length(axis) for axis in axes.T)
     look = math.cos(yaw) * math.cos(pitch) * (-ahead if backwards else ahead)
     look = look + math.sin(yaw) * math.cos(pitch) * first - math.sin(pitch) * second
-    look, tangent = rotate_vectors(T_world_patient, np.array([look / length(look), ahead]))
+    look, tangent = rotate_vectors(T_world_patient, np.array([look / turn.length(look), ahead]))
     above = np.array(_UP) if side == "up" else -np.array(_UP)
     up = above - tangent * (above @ tangent)
     # In an upright stretch nothing is above: across the gut, towards the frame's first axis.
-    if length(up) < 0.3:
+    if turn.length(up) < 0.3:
         up = rotate_vectors(T_world_patient, first[None])[0]
         up = up - tangent * (up @ tangent)
     place = transform_points(T_world_patient, point[None])[0]
-    return Goal(place, look, tangent, up / length(up), level=pitch == 0.0)
+    return Goal(place, look, tangent, up / turn.length(up), level=pitch == 0.0)
 
 
 def onto_wall(model: Model, T_world_patient: Float[np.ndarray, "4 4"], goal: Goal) -> Goal:
@@ -141,8 +141,8 @@ def wall_goal(
     inwards = np.cross(corners[1] - corners[0], corners[2] - corners[0])
     inwards /= np.linalg.norm(inwards)
     look = np.asarray(direction, float) - inwards * (inwards @ np.asarray(direction, float))
-    size = length(look)
-    if size < 1e-6:
+    length = np.linalg.norm(look)
+    if length < 1e-6:
         raise InputError(f"Direction {direction} is at right angles to the wall. Choose another.")
     place = nearest[0] + model.device.radius * inwards
-    return Goal(place, look / size, None, -inwards)
+    return Goal(place, look / length, None, -inwards)

@@ -46,7 +46,6 @@ from vrcaps.world.world import GRAVITY, World
 DT, SUBSTEP = 0.01, 2e-4
 PUSH, RISE, STAY = 0.1, 2.0, 2.0
 SETTLE = 3.0
-TUBE_MAGNET = "cylinder-76.2"
 STEEPEST = 45.0 * DEG
 NEAREST, FARTHEST = 2.0 * CM, 4.0 * CM
 HOLD_HEAD = (
@@ -74,7 +73,10 @@ class Tube:
 def main() -> None:
     """Measure, write the tables."""
     given = options(__doc__ or "", size=50)
-    tubes = all_tubes()
+    tubes = (
+        Tube("straight, 28 mm wide", straight_gut({"jejunum": 0.2}, radius=0.014), 0.1),
+        Tube("bent by 45 mm, sloping 22°, 36 mm wide", make_tube(), 0.16),
+    )
     held = [hold(tube, arm, 0.5) for tube in tubes for arm in (False, True)]
     held += [hold(tube, True, 1.0) for tube in tubes]
     rows, control = place(given.size)
@@ -82,7 +84,7 @@ def main() -> None:
     text = f"""## Steering by a magnet
 
 `python benchmarks/validate_steering.py`: capsule `magnetic`, wet walls with `physical` drag. In
-tubes: magnet `{TUBE_MAGNET}`, a push of {PUSH:g} N along the tube that rises within {RISE:g} s,
+tubes: magnet `cylinder-76.2`, a push of {PUSH:g} N along the tube that rises within {RISE:g} s,
 stays, turns round within {2 * RISE:g} s and stays. By hand: {hand.speed:g} m/s and
 {hand.acceleration:g} m/s² at most; by arm: within the Panda's limits of joint speed, acceleration
 and jerk. *Once settled* is the largest error in the last second of each push.
@@ -101,31 +103,17 @@ there.
     write_section(given.out, Path(__file__).name, text)
 
 
-def all_tubes() -> tuple[Tube, Tube]:
-    """A straight tube and a bent one."""
-    return (
-        Tube("straight, 28 mm wide", straight_gut({"jejunum": 0.2}, radius=0.014), 0.1),
-        Tube("bent by 45 mm, sloping 22°, 36 mm wide", make_tube(), 0.16),
-    )
-
-
-def begin_tube(tube: Tube, by_arm: bool, press: float) -> tuple[Pilot, World, Goal]:
-    """The capsule where it is to be held, with the magnet above it."""
+def hold(tube: Tube, by_arm: bool, press: float) -> tuple[str, ...]:
+    """A row of the table of tubes."""
     model = Model(tube.organ, load_device("magnetic"), np.eye(4))
     line = tube.organ.centerline
     goal = gut_goal(line, np.eye(4), tube.arc_length)
     nearest = int(np.argmin(np.abs(line.arc_length - tube.arc_length)))
     pose = transform_from(line.frames[nearest], line.points[nearest])
-    magnet = load_magnet(TUBE_MAGNET)
+    magnet = load_magnet("cylinder-76.2")
     holder = panda(magnet, pose[:3, 3] + [-0.5, 0.0, -0.15], Room()) if by_arm else FreeHolder()
     pilot = Pilot(model, magnet, holder, pose, goal, steering=Steering(press=press))
     world = World(model, Tissue(), State(0.0, pose), sources=pilot.sources, substep=SUBSTEP)
-    return pilot, world, goal
-
-
-def hold(tube: Tube, by_arm: bool, press: float) -> tuple[str, ...]:
-    """A row of the table of tubes."""
-    pilot, world, goal = begin_tube(tube, by_arm, press)
     lead(world, pilot, goal, 3.0)
     along, errors = np.asarray(goal.along), []
     ends = np.cumsum([0.0, RISE, STAY, 2.0 * RISE, STAY])
@@ -248,10 +236,10 @@ def lead(world: World, pilot: Pilot, goal: Goal, seconds: float) -> list[float]:
 
 
 def timed_step(world: World, pilot: Pilot, goal: Goal) -> tuple[Control, float]:
-    """A control step and its CPU time [s], without that of a world's threads coming to rest."""
-    start = time.thread_time()
+    """A control step and its CPU time [s]."""
+    start = time.process_time()
     control = pilot.hold(world, goal, DT)
-    return control, time.thread_time() - start
+    return control, time.process_time() - start
 
 
 def error_of(world: World, goal: Goal, counted: np.ndarray) -> tuple[float, float]:

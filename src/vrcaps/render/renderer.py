@@ -28,6 +28,7 @@ from vrcaps.render.settings import RenderSettings
 from vrcaps.tissue.contents.filling import Filling
 from vrcaps.transforms import rotate_vectors, transform_points
 from vrcaps.world.model import Model, State
+from vrcaps.world.moving_wall import MovingWall
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -68,7 +69,19 @@ _NEEDS_PREVIOUS = {"flow_backward"}
 class Renderer:
     """Renders one organ; holds its hierarchy, textures and the ray tables of cameras."""
 
-    def __init__(self, model: Model, settings: RenderSettings | None = None) -> None:
+    def __init__(
+        self,
+        model: Model,
+        settings: RenderSettings | None = None,
+        wall: MovingWall | None = None,
+    ) -> None:
+        """Prepares to render.
+
+        Args:
+            model: What is rendered.
+            settings: How; None: as by default.
+            wall: The model's wall, shared with others who need it in the same states.
+        """
         self.model = model
         self.settings = settings or RenderSettings()
         self._is_narrow = self.settings.imaging == "narrow-band"
@@ -77,7 +90,7 @@ class Renderer:
         self._quick = None
         if self.settings.light == "quick":
             self._quick = _core.QuickLight(model.wall, self._scene)
-        self._walls: dict[str, _core.Wall] = {}
+        self._wall, self._wall_next = wall or MovingWall(model), MovingWall(model)
         self._fillings: deque[tuple[State, Filling]] = deque(maxlen=3)
         self._contents: dict[str, tuple[Filling, _core.Wall, _core.Contents]] = {}
         self._tables: dict[tuple[int, int], tuple[Camera, _core.RayTable]] = {}
@@ -112,7 +125,7 @@ class Renderer:
         arrays = self._arrays(channels, camera, out)
         if points is not None:
             arrays |= {f"sparse_{name}": array for name, array in vars(points).items()}
-        wall = self._wall(state, "now")
+        wall = self._wall.at(state)
         filling = self.filling(state)
         contents = None if filling is None else self._core_contents(filling, wall, "now")
         self._draw(wall, camera, state, arrays, contents)
@@ -187,7 +200,7 @@ class Renderer:
             if "flow_forward" in channels:
                 motion["flow_forward"] = forward
             if "occlusion" in channels:
-                wall = self._wall(state_next, "next")
+                wall = self._wall_next.at(state_next)
                 seen = seen_from(camera, moved, forward, state_next, wall)
                 if filling is not None:
                     eye = (state_next.T_world_capsule @ camera.T_capsule_camera)[:3, 3]
@@ -214,19 +227,6 @@ class Renderer:
             fits = given is not None and given.shape == shape and given.dtype == dtype
             arrays[name] = given if fits else np.empty(shape, dtype)
         return arrays
-
-    def _wall(self, state: State, slot: str) -> _core.Wall:
-        """The wall in a state: the one at rest, or this slot's own copy refitted."""
-        if state.vertices_world is None:
-            return self.model.wall
-        vertices = np.ascontiguousarray(state.vertices_world, np.float64)
-        wall = self._walls.get(slot)
-        if wall is None:
-            # Built at rest, so that the hierarchy does not depend on which frame came first.
-            rest = np.ascontiguousarray(self.model.vertices_world)
-            wall = self._walls[slot] = _core.Wall(rest, _faces(self.model.organ))
-        wall.refit(vertices)
-        return wall
 
     def filling(self, state: State) -> Filling | None:
         """What is in the lumen in a state."""
@@ -283,10 +283,6 @@ def _check_channels(
             raise InputError(f"Channel {name!r} needs the next state. Give state_next.")
         if name in _NEEDS_PREVIOUS and earlier is None:
             raise InputError(f"Channel {name!r} needs the previous state. Give state_previous.")
-
-
-def _faces(organ: OrganSurface) -> NDArray[np.int64]:
-    return np.ascontiguousarray(organ.faces, np.int64)
 
 
 def _scene(organ: OrganSurface, *, narrow: bool) -> _core.Scene:

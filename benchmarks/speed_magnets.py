@@ -1,6 +1,6 @@
 """Claim: 8 sources take at most 2 µs a substep, arm and controller 200 µs a control step.
 
-CPU time of this process on one core. Field, gradient and wrench: for many poses of a capsule with
+CPU time on one core. Field, gradient and wrench: for many poses of a capsule with
 one magnet in it, the median of batches with p10 and p90. The sources are 2 to 4 sizes from the
 capsule, where the closed forms of cylinders and coils cost most, and farther away, where their
 series take over. A control step: a capsule led along a tube by a magnet, in a loop of its own and

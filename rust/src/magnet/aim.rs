@@ -1,8 +1,7 @@
 //! Where to hold a magnet so that it gives a capsule a wanted wrench.
 
-use super::arm::{array, matrix};
-use super::chain::Pose;
-use super::handle::{FieldSources, internal_magnets, pose_of, rows};
+use super::arm::array;
+use super::handle::{FieldSources, internal_magnets, pose_of, pose_rows, rows};
 use super::sources::{InternalMagnet, Source, Wrench, wrench};
 use crate::physics::solve::Symmetric6;
 use glam::{DMat3, DQuat, DVec3};
@@ -242,7 +241,7 @@ pub fn aim_magnet<'py>(
         scale: (start.1 - position).length().max(wanted.apart),
     };
     let ((place, turned), best) = problem.solve(&mut source, rounds);
-    let rows = array(py, &[4, 4], matrix(&Pose { rotation: turned, position: place }).to_vec())?;
+    let rows = array(py, &[4, 4], pose_rows(&turned, place).to_vec())?;
     let (force, torque) = (best.wrench.force.to_array(), best.wrench.torque.to_array());
     Ok((rows, force, torque, best.wrench.hold))
 }

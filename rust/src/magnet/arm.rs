@@ -34,13 +34,6 @@ pub(super) fn array<'py>(
     Ok(shaped.map_err(|error| PyValueError::new_err(error.to_string()))?.into_pyarray(py))
 }
 
-/// Four rows of a pose.
-pub(super) fn matrix(pose: &Pose) -> [f64; 16] {
-    let (r, p) = (&pose.rotation, pose.position);
-    let [x, y, z] = [r.x_axis, r.y_axis, r.z_axis];
-    [x.x, y.x, z.x, p.x, x.y, y.y, z.y, p.y, x.z, y.z, z.z, p.z, 0.0, 0.0, 0.0, 1.0]
-}
-
 /// The pose of four rows.
 pub(super) fn pose(m: &[f64]) -> Pose {
     let (rotation, position) = pose_of(m);
@@ -139,7 +132,7 @@ impl ArmChain {
             let one = |q: &[f64]| {
                 let mut frames = Vec::with_capacity(n + 1);
                 self.chain.frames(q, &mut frames);
-                frames.iter().flat_map(matrix).collect::<Vec<f64>>()
+                frames.iter().flat_map(Pose::rows).collect::<Vec<f64>>()
             };
             angles.par_chunks_exact(n).with_min_len(CHUNK).flat_map_iter(one).collect()
         });

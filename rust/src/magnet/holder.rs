@@ -1,7 +1,7 @@
 //! An arm that leads its magnet to a pose within the limits of its joints:
 //! `vrcaps.magnet.steering.arm_holder`.
 
-use super::arm::{array, matrix, pose};
+use super::arm::{array, pose};
 use super::carrier::ArmCarrier;
 use super::chain::Pose;
 use super::handle::rows;
@@ -200,7 +200,7 @@ impl ArmHolder {
         goal: PyReadonlyArray2<'py, f64>,
     ) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
         let goal = pose(&rows(&goal, 4)?);
-        array(py, &[4, 4], matrix(&self.roll(&goal, &goal)).to_vec())
+        array(py, &[4, 4], self.roll(&goal, &goal).rows().to_vec())
     }
 
     /// The magnet a time `dt` [s] later, on its way from a pose [4 4] to another.
@@ -220,7 +220,7 @@ impl ArmHolder {
         let (next, limit) = self.step(&held, &pose(&rows(&goal, 4)?), dt);
         let n = next.angles.len();
         Ok((
-            array(py, &[4, 4], matrix(&next.magnet).to_vec())?,
+            array(py, &[4, 4], next.magnet.rows().to_vec())?,
             array(py, &[n], next.velocity)?,
             array(py, &[n], next.angles)?,
             limit,

@@ -51,22 +51,29 @@ fn between(fine: usize, count: usize) -> (usize, usize, f32) {
 }
 
 /// Light by cells, as a mean: each pixel's goes to the nearest cells, so that its place is kept.
+#[multiversion::multiversion(targets(
+    "x86_64+avx512f+avx512bw+avx512cd+avx512dq+avx512vl",
+    "x86_64+avx2",
+    "aarch64+neon"
+))]
 fn gathered(plane: &[f32], width: usize, (rows, columns): (usize, usize)) -> Vec<f32> {
-    let across: Vec<_> = (0..width).map(|x| between(x, columns)).collect();
-    let mut cells = vec![0.0; rows * columns];
-    let mut line = vec![0.0; columns];
+    // Down first, whole rows at a time, then along what few rows are left.
+    let mut tall = vec![0.0f32; rows * width];
     for (y, row) in plane.chunks_exact(width).enumerate() {
-        line.fill(0.0);
-        for (&value, &(left, right, s)) in row.iter().zip(&across) {
-            line[left] += value * (1.0 - s);
-            line[right] += value * s;
-        }
         let (top, bottom, t) = between(y, rows);
         for (into, share) in [(top, 1.0 - t), (bottom, t)] {
             let share = share / (CELL * CELL) as f32;
-            for (cell, value) in cells[into * columns..][..columns].iter_mut().zip(&line) {
-                *cell += share * value;
+            for (sum, value) in tall[into * width..][..width].iter_mut().zip(row) {
+                *sum += share * value;
             }
+        }
+    }
+    let across: Vec<_> = (0..width).map(|x| between(x, columns)).collect();
+    let mut cells = vec![0.0f32; rows * columns];
+    for (line, row) in cells.chunks_exact_mut(columns).zip(tall.chunks_exact(width)) {
+        for (&value, &(left, right, s)) in row.iter().zip(&across) {
+            line[left] += value * (1.0 - s);
+            line[right] += value * s;
         }
     }
     cells
@@ -125,18 +132,20 @@ fn mix_in(
     width: usize,
     out: &mut [f32],
 ) {
+    // Along first, in the few rows of cells, then down, whole rows at a time.
     let across: Vec<_> = (0..width).map(|x| between(x, columns)).collect();
-    let mut line = vec![0.0; columns];
+    let mut wide = vec![0.0f32; rows * width];
+    for (row, line) in wide.chunks_exact_mut(width).zip(cells.chunks_exact(columns)) {
+        for (value, &(left, right, s)) in row.iter_mut().zip(&across) {
+            *value = share * (line[left] * (1.0 - s) + line[right] * s);
+        }
+    }
     for (y, (into, from)) in out.chunks_exact_mut(width).zip(plane.chunks_exact(width)).enumerate()
     {
         let (top, bottom, t) = between(y, rows);
-        for x in 0..columns {
-            line[x] = cells[top * columns + x] * (1.0 - t) + cells[bottom * columns + x] * t;
-        }
+        let (top, bottom) = (&wide[top * width..][..width], &wide[bottom * width..][..width]);
         for x in 0..width {
-            let (left, right, s) = across[x];
-            let scattered = line[left] * (1.0 - s) + line[right] * s;
-            into[x] = (1.0 - share) * from[x] + share * scattered;
+            into[x] = (1.0 - share) * from[x] + (top[x] + (bottom[x] - top[x]) * t);
         }
     }
 }

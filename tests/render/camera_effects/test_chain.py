@@ -193,7 +193,7 @@ image = rng.random((61, 83, 3), np.float32)
 lit = np.ones((61, 83), bool)
 motion = rng.normal(0, 9, (16, 21, 2)).astype(np.float32)
 distance = rng.uniform(0.005, 0.08, (61, 83)).astype(np.float32)
-planes = _core.to_planes(_core.blur_motion(image, lit, motion, 4, 0.3, 0.2), 1.0)
+planes = _core.blur_motion(image, lit, (motion, 4), (0.3, 0.2), 1.0)
 planes = _core.defocus(planes, distance, 0.03, 0.015)
 planes = _core.scale_planes(planes, (41.0, 30.0), (1.01, 1.0, 0.99))
 planes = _core.bloom(_core.shade_planes(planes, distance * 10), 0.1, 5.0)
@@ -219,12 +219,16 @@ def test_stages_are_the_same_bytes_on_any_number_of_threads() -> None:
     assert digest("1") == digest("2") == digest("5")
 
 
+def blur(f, lit: tuple[int, ...], motion: tuple[int, ...]):
+    return _core.blur_motion(f(4, 4, 3), f(*lit) > 0, (f(*motion), 4), (0.1, 0.1), 1.0)
+
+
 @pytest.mark.parametrize(
     ("call", "match"),
     [
         (lambda f: _core.to_planes(f(4, 4, 2), 1.0), "image must be"),
-        (lambda f: _core.blur_motion(f(4, 4, 3), f(4, 5) > 0, f(1, 1, 2), 4, 0.1, 0.1), "fit"),
-        (lambda f: _core.blur_motion(f(4, 4, 3), f(4, 4) > 0, f(1, 1, 3), 4, 0.1, 0.1), "Motion"),
+        (lambda f: blur(f, (4, 5), (1, 1, 2)), "fit"),
+        (lambda f: blur(f, (4, 4), (1, 1, 3)), "Motion"),
         (lambda f: _core.defocus(f(3, 4, 4), f(4, 5), 1.0, 1.0), "Distances"),
         (lambda f: _core.defocus(f(2, 4, 4), f(4, 4), 1.0, 1.0), "Planes must"),
         (lambda f: _core.shade_planes(f(3, 4, 4), f(4, 5)), "A map"),

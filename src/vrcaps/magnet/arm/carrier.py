@@ -71,6 +71,17 @@ class Carrier:
         """The magnet's mass as a part of what the arm may carry, without a holder."""
         return self.magnet.mass / self.arm.payload
 
+    @property
+    def overload(self) -> str:
+        """What is to be said if the magnet is heavier than the arm may carry; else nothing."""
+        if self.load <= 1.0:
+            return ""
+        return (
+            f"The magnet weighs {self.magnet.mass:.1f} kg, but arm {self.arm.name} may carry "
+            f"{self.arm.payload:g} kg: it moves as if it could. To build this, take a lighter "
+            "magnet or a stronger arm."
+        )
+
     @cached_property
     def loaded_arm(self) -> Arm:
         """The arm with a capsule that holds the magnet at its flange."""

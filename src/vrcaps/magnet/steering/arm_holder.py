@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vrcaps import _core
+from vrcaps.errors import InputError
 from vrcaps.magnet.arm.carrier import Carrier, magnet_at, reach
 from vrcaps.magnet.steering.aim import Room
 from vrcaps.magnet.steering.holder import Held
@@ -67,6 +68,16 @@ class ArmHolder:
         return Held(magnet_at(self.carrier, angles), np.zeros_like(angles), angles)
 
     def move(self, held: Held, T_world_magnet: Float[np.ndarray, "4 4"], dt: float) -> Held:
-        """The magnet a time `dt` [s] later, on its way to a pose."""
+        """The magnet a time `dt` [s] later, on its way to a pose.
+
+        Raises:
+            InputError: If the magnet is not held by an arm of as many joints.
+        """
+        count = self.carrier.arm.num_joints
+        if not len(held.angles) == len(held.velocity) == count:
+            raise InputError(
+                f"A magnet held by {len(held.angles)} joints for arm {self.carrier.arm.name}. "
+                f"Allowed: {count}, as `start` gives it."
+            )
         goal = np.asarray(T_world_magnet, float)
         return Held(*self._core.move_on(held.T_world_magnet, held.velocity, held.angles, goal, dt))

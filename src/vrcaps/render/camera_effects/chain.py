@@ -147,12 +147,9 @@ class CameraChain:
         """
         if self.effects.is_ideal:
             return seen.frame
-        light = np.ascontiguousarray(self._moved(seen, renderer, moment))
-        planes = _core.to_planes(light, self.camera.exposure)
-        time = moment.state.time
-        frame = replace(
-            seen.frame, rgb=self._sensed(self._through_lens(planes, seen, time), moment)
-        )
+        planes, time = self._moved(seen, renderer, moment), moment.state.time
+        planes = self._through_lens(planes, seen, time)
+        frame = replace(seen.frame, rgb=self._sensed(planes, moment))
         if frame.dome_label is None or self._dome is None:
             return frame
         return replace(frame, dome_label=self._dome.labels(time))
@@ -166,17 +163,18 @@ class CameraChain:
         lit = thinned(self._lit)
         return float(np.minimum(luminance[lit], 1.0).mean()) if lit.any() else 0.0
 
-    def _moved(self, seen: Seen, renderer: Renderer, moment: Moment) -> Float[np.ndarray, "h w 3"]:
+    def _moved(self, seen: Seen, renderer: Renderer, moment: Moment) -> Float[np.ndarray, "3 h w"]:
         blur, rolling = self._stages["motion_blur"], self._stages["rolling_shutter"]
-        radiance = np.asarray(seen.frame.radiance)
-        if blur is None and rolling is None:
-            return radiance
+        radiance, factor = np.ascontiguousarray(seen.frame.radiance), self.camera.exposure
+        motion = None
+        if blur is not None or rolling is not None:
+            motion = self.motion(seen, renderer, moment)
+        if motion is None:
+            return _core.to_planes(radiance, factor)
         shutter = 0.0 if blur is None else min(blur.exposure_time / self._interval, 1.0)
         readout = 0.0 if rolling is None else min(rolling.readout_time / self._interval, 1.0)
-        motion = self.motion(seen, renderer, moment)
-        if motion is None:
-            return radiance
-        return _core.blur_motion(radiance, self._lit, motion, STEP, shutter, readout)
+        moving = (np.ascontiguousarray(motion), STEP)
+        return _core.blur_motion(radiance, self._lit, moving, (shutter, readout), factor)
 
     def motion(
         self, seen: Seen, renderer: Renderer, moment: Moment
@@ -223,11 +221,12 @@ class CameraChain:
     def _distance(self, frame: Frame) -> Float[np.ndarray, "h w"]:
         """Distance along the ray of the bubble or else the wall that a pixel sees [m]."""
         distance = np.ascontiguousarray(frame.ray_distance)
-        is_bubble = np.asarray(frame.front_label) == BUBBLE
-        if not is_bubble.any():
-            return distance
-        along = np.asarray(frame.front_depth) / self._rays[..., 2]
-        return np.where(is_bubble & (along > 0.0), along, distance).astype(np.float32)
+        bubbles = np.nonzero(np.asarray(frame.front_label) == BUBBLE)
+        if bubbles[0].size:
+            along = np.asarray(frame.front_depth)[bubbles] / self._rays[bubbles][:, 2]
+            distance = distance.copy()
+            distance[bubbles] = np.where(along > 0.0, along, distance[bubbles])
+        return distance
 
     def _sensed(
         self, planes: Float[np.ndarray, "3 h w"], moment: Moment

@@ -51,6 +51,7 @@ fn _core(m: &Bound<'_, PyModule>) -> PyResult<()> {
     m.add_class::<rays::RayTable>()?;
     m.add_class::<indirect::QuickLight>()?;
     m.add_function(wrap_pyfunction!(render::render, m)?)?;
+    m.add_function(wrap_pyfunction!(path::walk::walk_tissue, m)?)?;
     m.add_function(wrap_pyfunction!(channels::encode_srgb, m)?)?;
     m.add_function(wrap_pyfunction!(image::write_pngs, m)?)?;
     m.add_function(wrap_pyfunction!(image::encode_pngs, m)?)?;

@@ -5,7 +5,7 @@ use crate::contents::Contents;
 use crate::contents::tile::{Filled, Room};
 use crate::indirect::{Irradiance, QuickLight};
 use crate::lanes::*;
-use crate::material::Led;
+use crate::material::{Led, Surface};
 use crate::path::{First, Settings, wave};
 use crate::rays::{RayTable, TileRays};
 use crate::scene::{Scene, SceneData};
@@ -68,6 +68,18 @@ impl View<'_> {
         let origin = wall.localize([pose[[0, 3]], pose[[1, 3]], pose[[2, 3]]]);
         let (center, paths, bounced) = (wall.center, None, None);
         Ok(View { origin, to_world, to_camera, center, leds, exposure, shadows, paths, bounced })
+    }
+
+    /// What LEDs light directly of surfaces behind which light goes on through tissue, if it does;
+    /// `triangles` are `MISS` where there is no wall.
+    #[inline(always)]
+    pub fn bare(
+        &self,
+        scene: &SceneData,
+        surface: &Surface,
+        triangles: &[u32; LANES],
+    ) -> Option<Surface> {
+        self.paths.and(scene.tissue.as_ref()).map(|_| surface.bare(triangles))
     }
 }
 
@@ -283,8 +295,9 @@ fn render_tile(
     let found = attributes(wall, scene, view.origin, &rays.directions, &hits);
     if out.wants_color() {
         let surface = surface(scene, &found, &hits.distance, tile.pixel_angle);
-        let mut radiance =
-            light(wall, &scene.material, &view.leds, view.shadows, &surface, &found.hit);
+        let bare = view.bare(scene, &surface, &hits.triangle);
+        let lit = bare.as_ref().unwrap_or(&surface);
+        let mut radiance = light(wall, &scene.material, &view.leds, view.shadows, lit, &found.hit);
         if let Some(bounced) = &view.bounced {
             bounced.add((&surface, &found.normal), &hits, &mut radiance);
         }

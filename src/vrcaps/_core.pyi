@@ -209,6 +209,7 @@ class Scene:
         albedo: tuple[float, float, float],
         roughness: float,
         reflectance: tuple[float, float, float],
+        tissue: tuple[tuple[float, float, float], float, float, NDArray[np.float32]] | None = None,
     ) -> None: ...
 
 class RayTable:
@@ -274,6 +275,17 @@ def render(
     paths: tuple[int, int, int] | None = None,
     quick: QuickLight | None = None,
 ) -> None: ...
+def walk_tissue(
+    wall: Wall,
+    origin: tuple[float, float, float],
+    direction: tuple[float, float, float],
+    *,
+    albedo: tuple[float, float, float],
+    extinction: tuple[float, float, float],
+    ior: float,
+    count: int,
+    seed: int,
+) -> tuple[NDArray[np.float64], NDArray[np.float32]]: ...
 def encode_srgb(radiance: NDArray[np.float32], exposure: float) -> NDArray[np.uint8]: ...
 def blur_motion(
     image: NDArray[np.float32],

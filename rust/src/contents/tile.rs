@@ -44,6 +44,12 @@ pub struct Room {
     blocking: Vec<Near>,
 }
 
+/// Triangles met, `MISS` where a particle hides them.
+#[inline(always)]
+fn of_wall(triangles: &[u32; LANES], owner: &Owner) -> [u32; LANES] {
+    std::array::from_fn(|i| if owner[i] == MISS { triangles[i] } else { MISS })
+}
+
 /// What the rays of a tile see in the end.
 struct Seen {
     rays: Pyramid,
@@ -73,12 +79,10 @@ impl<'a> Filled<'a> {
     /// The surfaces of wall and particles that paths set out from.
     #[inline(always)]
     pub fn first(&self, tile: &TileRays, pixel: [u32; LANES], room: &mut Room) -> First {
-        let Seen { mut hits, owner, found, .. } = self.look(tile, room);
+        let Seen { hits, owner, found, .. } = self.look(tile, room);
         let surface = self.surface(&found, &hits, &owner, tile.pixel_angle);
-        for i in 0..LANES {
-            hits.triangle[i] = if owner[i] == MISS { hits.triangle[i] } else { MISS };
-        }
-        First { surface, hit: found.hit, triangle: hits.triangle, pixel }
+        let triangle = of_wall(&hits.triangle, &owner);
+        First { surface, hit: found.hit, triangle, pixel }
     }
 
     /// Renders one tile; `glow` is light beyond direct light.
@@ -98,7 +102,9 @@ impl<'a> Filled<'a> {
         if out.wants_color() {
             let surface = self.surface(found, hits, owner, tile.pixel_angle);
             place.write3(&mut out.albedo, &surface.albedo, &found.hit, f32::NAN);
-            let mut radiance = self.light(&surface, found, hits, wet.as_ref(), room);
+            let bare = view.bare(self.scene, &surface, &of_wall(&hits.triangle, owner));
+            let lit = bare.as_ref().unwrap_or(&surface);
+            let mut radiance = self.light(lit, found, hits, wet.as_ref(), room);
             add_glow(glow, &mut radiance);
             self.carry(&seen, &bubbles, tile.pixel_angle, room, &mut radiance);
             place.write_color(&mut out.rgb, &radiance, view.exposure);

@@ -11,6 +11,8 @@ mod lobes;
 mod random;
 pub mod ray;
 mod shadow;
+mod through;
+pub mod walk;
 pub mod wave;
 
 use crate::lanes::*;

@@ -17,6 +17,7 @@ from vrcaps.errors import InputError, UnknownNameError
 from vrcaps.organ.surface import Appearance, OrganSurface, coat_alpha, face_label
 from vrcaps.render.bend import MIRRORED, Bends, bend_ways, levels_met
 from vrcaps.render.denoise import denoise, load_denoiser
+from vrcaps.render.film import wet_organ
 from vrcaps.render.flow import SurfacePoints, flow, seen_from
 from vrcaps.render.frame import CHANNELS, Frame
 from vrcaps.render.narrow_band import (
@@ -26,6 +27,7 @@ from vrcaps.render.narrow_band import (
     narrow_band_liquid,
     narrow_band_reflectance,
 )
+from vrcaps.render.scattering import tissue_figures
 from vrcaps.render.settings import RenderSettings
 from vrcaps.tissue.contents.filling import Filling
 from vrcaps.transforms import rotate_vectors, transform_points
@@ -85,7 +87,7 @@ class Renderer:
             load_denoiser()  # before much is made that would be in vain
         self._is_narrow = self.settings.imaging == "narrow-band"
         self._led_gains = led_gains() if self._is_narrow else np.ones(3)
-        self._scene = _scene(model.organ, narrow=self._is_narrow)
+        self._scene = _scene(model.organ, self.settings)
         self._quick = None
         if self.settings.light == "quick":
             self._quick = _core.QuickLight(model.wall, self._scene)
@@ -316,7 +318,8 @@ def _color(
     if not settings.denoise:
         return means("radiance")[0]
     radiance, albedo, normal = means("radiance", "albedo", "normal")
-    (first,) = means("radiance", paths=(1, 1, 0))
+    # Light through tissue is noisy from the first reflection on.
+    (first,) = means("radiance", paths=(1, 0 if settings.scattering else 1, 0))
     return denoise(radiance, first, albedo, normal)
 
 
@@ -341,9 +344,11 @@ def _faces(organ: OrganSurface) -> NDArray[np.int64]:
     return np.ascontiguousarray(organ.faces, np.int64)
 
 
-def _scene(organ: OrganSurface, *, narrow: bool) -> _core.Scene:
+def _scene(organ: OrganSurface, settings: RenderSettings) -> _core.Scene:
+    if settings.film_um is not None:
+        organ = wet_organ(organ, 1e-6 * settings.film_um)
     look, albedo, texture = organ.appearance or _PLAIN, np.array(_PLAIN_ALBEDO), None
-    if narrow:
+    if settings.imaging == "narrow-band":
         look, albedo = narrow_band_appearance(look), narrow_band_reflectance(albedo)
     if organ.appearance is not None:
         height = np.ascontiguousarray(look.height, np.float32)
@@ -357,6 +362,7 @@ def _scene(organ: OrganSurface, *, narrow: bool) -> _core.Scene:
         albedo=tuple(albedo),
         roughness=_PLAIN_ROUGHNESS,
         reflectance=(look.ior, look.coat, coat_alpha(look.coat_gloss)),
+        tissue=tissue_figures(settings.imaging) if settings.scattering else None,
     )
 
 

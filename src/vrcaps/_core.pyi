@@ -290,10 +290,9 @@ def encode_srgb(radiance: NDArray[np.float32], exposure: float) -> NDArray[np.ui
 def blur_motion(
     image: NDArray[np.float32],
     lit: NDArray[np.bool_],
-    motion: NDArray[np.float32],
-    cell: float,
-    shutter: float,
-    readout: float,
+    motion: tuple[NDArray[np.float32], int],
+    open: tuple[float, float],
+    factor: float,
 ) -> NDArray[np.float32]: ...
 def to_planes(image: NDArray[np.float32], factor: float) -> NDArray[np.float32]: ...
 def defocus(

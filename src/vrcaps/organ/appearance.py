@@ -84,7 +84,13 @@ class Mucosa:
 
 
 MUCOSAE: dict[str, Mucosa] = {
-    "colon": Mucosa(base_color=(0.444, 0.151, 0.106)),
+    "colon": Mucosa(
+        base_color=(0.444, 0.151, 0.106),
+        redness_variation=0.45,
+        network=1.4,
+        roughness=0.75,
+        coat=0.6,
+    ),
     "stomach": Mucosa(
         base_color=(0.430, 0.156, 0.102),
         bile=0.25,

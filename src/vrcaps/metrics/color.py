@@ -111,8 +111,9 @@ def highlights(
             f"{rgb.shape[:2]} and some."
         )
     is_highlight = (linear_from_srgb(rgb).min(axis=-1) >= _HIGHLIGHT) & valid
-    _, count = ndimage.label(is_highlight, np.ones((3, 3)))
-    return float(is_highlight.sum() / valid.sum()), int(count)
+    numbers = np.zeros(valid.shape, np.int32)
+    ndimage.label(is_highlight, np.ones((3, 3)), output=numbers)
+    return float(is_highlight.sum() / valid.sum()), int(numbers.max())
 
 
 @dataclass(frozen=True)

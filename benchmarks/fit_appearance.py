@@ -38,7 +38,7 @@ from vrcaps.world.model import Model
 
 CLASSES = {
     "colon": {"clean_colon": 8, "polyp": 6},
-    "small_intestine": {"capsule_non_bleeding": 8},
+    "small_intestine": {"capsule_non_bleeding": 6},
     "colitis 1": {"colitis_grade_1": 4},
     "colitis 2": {"colitis_grade_2": 4},
     "colitis 3": {"colitis_grade_3": 4},

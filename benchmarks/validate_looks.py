@@ -191,9 +191,10 @@ are in its units, root of the sum of squares over the three channels; smaller is
   out in all three sets.
 - Where the real frames are JPEG files, ours are stored at their size, quality and colour resolution
   first. Those of VR-Caps are crops of published figures, taken as they are.
-- Capsule classes are seen by the catalog's PillCam SB3 in small bowels, every second frame with
-  bubbles, chyme and liquid; the others by a colonoscope's tip with a field of 140° and two light
-  guides in colons. Flights are even along the lumen and sway by up to 45°; lesions are looked at.
+- Capsule classes are seen by the catalog's PillCam SB3 in small bowels: those without bleeding in
+  collapsed ones, every second frame with bubbles, chyme and liquid. The others are seen by a
+  colonoscope's tip with a field of 140° and two light guides in colons. Flights are even along the
+  lumen and sway by up to 45°; lesions are looked at.
 - Lens and sensor are the stages of [effects](effects.md), their grades drawn for each frame
   (`benchmarks/looks_camera.py`): vignette, bloom, lateral colour, noise; defocus and mosaic in
   capsules. Exposure follows the mean luminance of the real frames, as automatic exposure does, with

@@ -104,7 +104,7 @@ MUCOSAE: dict[str, Mucosa] = {
         coat=0.7,
     ),
     "small_intestine": Mucosa(
-        base_color=(0.424, 0.217, 0.144),
+        base_color=(0.406, 0.214, 0.149),
         redness_variation=0.22,
         patient_variation=(0.20, 0.40),
         bile=0.40,

@@ -86,6 +86,12 @@ class Follower:
         """Whether the goal is at the way's end."""
         return self.along >= self.path.length
 
+    @property
+    def share(self) -> float:
+        """How much of the way the goal has gone, by the number of places on it."""
+        passed = np.interp(self.along, self.path.arc_length, np.arange(len(self.path.places)))
+        return float(passed) / (len(self.path.places) - 1)
+
     def goal(self, T_world_capsule: Float[np.ndarray, "4 4"], dt: float) -> Goal:
         """The goal for the next `dt` [s]."""
         now = self.path.goal(self.along)

@@ -14,6 +14,7 @@ from vrcaps.errors import InputError, require
 from vrcaps.magnet.steering import turn
 from vrcaps.organ.surface import Centerline
 from vrcaps.transforms import invert, rotate_vectors, transform_points
+from vrcaps.units import MM
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -21,6 +22,8 @@ if TYPE_CHECKING:
     from vrcaps.world.model import Model
 
 _UP = (0.0, 0.0, 1.0)
+_PATCH = 12.0 * MM
+"""Radius of the patch of wall whose mean normal counts: the capsule's half length."""
 
 
 @dataclass(frozen=True)
@@ -34,6 +37,8 @@ class Goal:
             in all directions but that of `press`.
         press: Unit vector in which the magnet presses the capsule against the wall.
         level: Make the direction level with the wall that the capsule lies on.
+        mapped: The place is on the wall and `press` square to it: the magnet goes by them and not
+            by what the capsule touches.
     """
 
     position: Sequence[float] | Float[np.ndarray, " 3"]
@@ -41,6 +46,7 @@ class Goal:
     along: Sequence[float] | Float[np.ndarray, " 3"] | None = None
     press: Sequence[float] | Float[np.ndarray, " 3"] = _UP
     level: bool = False
+    mapped: bool = False
 
     def __post_init__(self) -> None:
         for name in ("position", "direction", "along", "press"):
@@ -128,6 +134,8 @@ def wall_goal(
 ) -> Goal:
     """The capsule lying on the wall nearest to a point, looking as nearly along a direction.
 
+    The wall's slope is that of a patch as large as the capsule, without its folds.
+
     Args:
         model: Organ, device and posture, at rest.
         point: In the lumen, in the world [m].
@@ -139,10 +147,33 @@ def wall_goal(
     nearest, faces = model.wall.closest_point(np.asarray(point, float)[None])
     corners = model.vertices_world[model.organ.faces[faces[0]]]
     inwards = np.cross(corners[1] - corners[0], corners[2] - corners[0])
-    inwards /= np.linalg.norm(inwards)
+    inwards = -wall_presses(model, nearest, -inwards[None] / np.linalg.norm(inwards))[0]
     look = np.asarray(direction, float) - inwards * (inwards @ np.asarray(direction, float))
     length = np.linalg.norm(look)
     if length < 1e-6:
         raise InputError(f"Direction {direction} is at right angles to the wall. Choose another.")
     place = nearest[0] + model.device.radius * inwards
     return Goal(place, look / length, None, -inwards)
+
+
+def wall_presses(
+    model: Model, points: Float[np.ndarray, "n 3"], toward: Float[np.ndarray, "n 3"]
+) -> Float[np.ndarray, "n 3"]:
+    """Unit vectors out of the lumen, square to the wall about points on it, without its folds.
+
+    Args:
+        model: Organ, device and posture, at rest.
+        points: On the wall, in the world [m].
+        toward: Unit vectors, roughly out of the lumen; what they are where there is no wall.
+    """
+    from scipy.spatial import KDTree  # slow to load
+
+    outwards = -rotate_vectors(model.T_world_patient, model.organ.normals)
+    patches = KDTree(model.vertices_world).query_ball_point(points, _PATCH)
+    presses = np.array(toward, float)
+    for press, patch in zip(presses, patches, strict=True):
+        facing = outwards[patch]
+        total = facing[facing @ press > 0.0].sum(axis=0)
+        if total.any():
+            press[:] = total / np.linalg.norm(total)
+    return presses

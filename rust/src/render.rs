@@ -3,6 +3,7 @@
 use crate::channels::{Channels, Place, slice, sparse, take};
 use crate::contents::Contents;
 use crate::contents::tile::{Filled, Room};
+use crate::cpu::on_pool;
 use crate::indirect::{Irradiance, QuickLight};
 use crate::lanes::*;
 use crate::material::{Led, Surface};
@@ -120,6 +121,7 @@ pub fn render(
             "The wall has moved under a world: refit it to draw it.",
         ));
     }
+    let rest = quick.map(|light| light.rest(py));
     let mut view = View::new(wall, pose, leds, exposure, shadows)?;
     view.paths = paths.map(|(samples, depth, seed)| Settings { samples, depth, seed });
     let shape = (rays.height, rays.width);
@@ -166,9 +168,8 @@ pub fn render(
         front_depth: slice(&mut front_depth)?,
         bend_label: slice(&mut bend_label)?,
     };
-    let rest = quick.map(|light| light.rest(py));
     let quick = quick.zip(rest.as_deref()).filter(|_| channels.wants_light());
-    py.detach(|| {
+    on_pool(py, || {
         view.bounced = quick.map(|(light, rest)| light.solve(rest, wall, &view.leds));
         let columns = rays.columns();
         let filled = contents.map(|c| Filled::new(wall, &scene.data, c, &view));

@@ -41,6 +41,7 @@ pub struct Filled<'a> {
 /// Room for a tile's spheres; kept from tile to tile.
 #[derive(Default)]
 pub struct Room {
+    /// Spheres near some rays.
     pub near: Vec<Near>,
     blocking: Vec<Near>,
 }

@@ -58,7 +58,7 @@ impl Requests {
             let lit = self.lit(tracer.wall, origin, chunk);
             for (&number, _) in chunk.iter().zip(lit).filter(|&(_, lit)| lit) {
                 let Request { point, light, pixel, .. } = self.open[number as usize];
-                let left = tracer.afloat.as_ref().map(|a| a.from_led(origin, point));
+                let left = tracer.afloat.as_ref().map(|a| a.led_left(origin, point));
                 let left = left.unwrap_or([1.0; 3]);
                 for k in 0..3 {
                     sums[pixel as usize][k] += f64::from(light[k] * left[k]);

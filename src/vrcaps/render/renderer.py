@@ -15,7 +15,7 @@ from vrcaps.capsule.device import Camera
 from vrcaps.capsule.rays import camera_rays
 from vrcaps.errors import InputError, UnknownNameError
 from vrcaps.organ.surface import Appearance, OrganSurface, coat_alpha, face_label
-from vrcaps.render.flow import SurfacePoints, flow, seen_from
+from vrcaps.render.flow import STEP, SurfacePoints, flow, seen_from
 from vrcaps.render.frame import CHANNELS, Frame
 from vrcaps.render.narrow_band import (
     led_gains,
@@ -26,7 +26,7 @@ from vrcaps.render.narrow_band import (
 )
 from vrcaps.render.settings import RenderSettings
 from vrcaps.tissue.contents.filling import Filling
-from vrcaps.transforms import rotate_vectors, transform_points
+from vrcaps.transforms import invert, rotate_vectors, transform_points
 from vrcaps.world.model import Model, State
 from vrcaps.world.moving_wall import MovingWall
 
@@ -212,6 +212,22 @@ class Renderer:
             moved = points.moved(faces, state_previous, now, self.filling(state_previous))
             motion["flow_backward"] = flow(camera, moved, state_previous)
         return motion
+
+    def sparse_flow(
+        self, points: SurfacePoints, camera: Camera, state: State, neighbour: State
+    ) -> Float[np.ndarray, "hc wc 2"]:
+        """Motion of `thinned` pixels' surface points to a neighbouring frame [px]; NaN for none.
+
+        Args:
+            points: What `render` filled.
+            camera: That saw them.
+            state: The world then.
+            neighbour: The world one frame later or earlier.
+        """
+        now, then = self.filling(state), self.filling(neighbour)
+        moved = points.moved(self.model.organ.faces, neighbour, now, then)
+        pose = invert(neighbour.T_world_capsule @ camera.T_capsule_camera)
+        return _core.flow_by_rays(self._table(camera, 1), moved, pose, STEP)
 
     def _arrays(
         self, channels: Sequence[str], camera: Camera, out: Frame | None

@@ -31,7 +31,8 @@ pub fn jpeg<'py>(
     quality: u32,
 ) -> PyResult<Bound<'py, PyArray3<u8>>> {
     let (source, size) = checked(&image, quality)?;
-    let pixels = on_pool(py, || Spectrum::new(source, size).decoded(&both_steps(quality)));
+    let mut pixels = vec![0; source.len()];
+    on_pool(py, || read_back(source, size, &both_steps(quality), &mut pixels));
     let shape = (size.0, size.1, 3);
     Ok(Array3::from_shape_vec(shape, pixels).expect("every pixel was filled").into_pyarray(py))
 }
@@ -135,9 +136,15 @@ fn nearest(x: f32) -> f32 {
     (x + 12_582_912.0) - 12_582_912.0
 }
 
+/// The cosine transform and its inverse, as `both_ways` takes them.
+fn bases() -> ([Basis; 2], [Basis; 2]) {
+    let basis = basis();
+    let back = transposed(&basis);
+    ([basis, back], [back, basis])
+}
+
 /// Coefficients of the three components, in bands of 16 rows of pixels.
 struct Spectrum {
-    size: (usize, usize),
     /// For each band: blocks of luminance, four to a square of 16 pixels, then of both colours.
     bands: Vec<Band>,
 }
@@ -149,10 +156,9 @@ struct Band {
 
 impl Spectrum {
     fn new(pixels: &[u8], size: (usize, usize)) -> Self {
-        let basis = basis();
-        let both = [basis, transposed(&basis)];
+        let forth = bases().0;
         let bands = (0..size.0.div_ceil(16)).into_par_iter();
-        Spectrum { size, bands: bands.map(|b| analysed(pixels, size, b, &both)).collect() }
+        Spectrum { bands: bands.map(|b| analysed(pixels, size, b, &forth)).collect() }
     }
 
     /// Size of the file [bytes].
@@ -182,26 +188,26 @@ impl Spectrum {
         }
         good
     }
+}
 
-    /// The image that the file holds.
-    fn decoded(&self, steps: &[Block; 2]) -> Vec<u8> {
-        let (height, width) = self.size;
-        let basis = basis();
-        let back = [transposed(&basis), basis];
-        let squares = width.div_ceil(16);
-        let planes: Vec<[Vec<f32>; 3]> =
-            self.bands.par_iter().map(|band| synthesised(band, steps, &back, squares)).collect();
-        let mut out = vec![0u8; height * width * 3];
-        out.par_chunks_mut(16 * width * 3).enumerate().for_each(|(band, rows)| {
-            for (line, row) in rows.chunks_exact_mut(width * 3).enumerate() {
-                let y = band * 16 + line;
-                let light = &planes[band][0][line * squares * 16..][..width];
-                let colors = [1, 2].map(|k| finer(&planes, k, y, height, squares * 8, width));
-                write_row(light, &colors, row);
-            }
-        });
-        out
-    }
+/// The image that the file holds, band by band.
+fn read_back(pixels: &[u8], size: (usize, usize), steps: &[Block; 2], out: &mut [u8]) {
+    let (height, width) = size;
+    let (forth, back) = bases();
+    let squares = width.div_ceil(16);
+    let band = |number: usize| {
+        let band = analysed(pixels, size, number, &forth);
+        synthesised(&band, steps, &back, squares)
+    };
+    let planes: Vec<[Vec<f32>; 3]> = (0..height.div_ceil(16)).into_par_iter().map(band).collect();
+    out.par_chunks_mut(16 * width * 3).enumerate().for_each(|(band, rows)| {
+        for (line, row) in rows.chunks_exact_mut(width * 3).enumerate() {
+            let y = band * 16 + line;
+            let light = &planes[band][0][line * squares * 16..][..width];
+            let colors = [1, 2].map(|k| finer(&planes, k, y, height, squares * 8, width));
+            write_row(light, &colors, row);
+        }
+    });
 }
 
 /// Coefficients of one band of 16 rows; beyond the image its last pixels go on.

@@ -7,6 +7,7 @@
 mod bayer;
 mod bloom;
 mod defocus;
+mod field;
 mod flow;
 mod jpeg;
 mod motion;

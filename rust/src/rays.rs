@@ -26,12 +26,20 @@ pub struct RayTable {
     pub height: usize,
     /// Tiles, row by row.
     pub tiles: Vec<TileRays>,
+    /// Direction of each pixel, and 1 if it is inside the lens's field.
+    pixels: Vec<[f32; 4]>,
 }
 
 impl RayTable {
     /// Tiles in a row of tiles.
     pub fn columns(&self) -> usize {
         self.width.div_ceil(TILE)
+    }
+
+    /// Unit direction of a pixel; None where the lens sees nothing.
+    pub fn direction(&self, x: usize, y: usize) -> Option<Vec3> {
+        let [a, b, c, used] = self.pixels[y * self.width + x];
+        (used > 0.0).then_some([a, b, c])
     }
 }
 
@@ -45,10 +53,17 @@ impl RayTable {
             return Err(PyValueError::new_err("Ray directions must be of shape (h, w, 3)."));
         }
         let (rows, columns) = (height.div_ceil(TILE), width.div_ceil(TILE));
-        let tiles = (0..rows * columns)
+        let tiles: Vec<TileRays> = (0..rows * columns)
             .map(|t| cut(&rays, t / columns * TILE, t % columns * TILE))
             .collect();
-        Ok(RayTable { width, height, tiles })
+        let pixel = |k: usize| {
+            let (y, x) = (k / width, k % width);
+            let (tile, lane) = (&tiles[y / TILE * columns + x / TILE], y % TILE * TILE + x % TILE);
+            let [a, b, c] = at(&tile.pyramid.directions, lane);
+            [a, b, c, f32::from(u8::from(tile.used[lane]))]
+        };
+        let pixels = (0..height * width).map(pixel).collect();
+        Ok(RayTable { width, height, tiles, pixels })
     }
 
     /// Height and width in pixels.

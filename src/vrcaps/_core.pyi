@@ -295,6 +295,9 @@ def blur_motion(
     open: tuple[float, float],
     factor: float,
 ) -> NDArray[np.float32]: ...
+def flow_by_rays(
+    rays: RayTable, points: NDArray[np.float64], pose: NDArray[np.float64], step: int
+) -> NDArray[np.float32]: ...
 def to_planes(image: NDArray[np.float32], factor: float) -> NDArray[np.float32]: ...
 def defocus(
     planes: NDArray[np.float32], distance: NDArray[np.float32], reach: float, focus: float

@@ -8,8 +8,6 @@ use rayon::prelude::*;
 
 /// Pixels to a side that the scattered light is gathered from: it varies slowly.
 const CELL: usize = 4;
-/// Numbers summed up together.
-const CHUNK: usize = 16;
 /// Width of the veil, relative to the halo.
 const VEIL: f32 = 4.0;
 
@@ -117,26 +115,32 @@ fn blurred(cells: &[f32], (rows, columns): (usize, usize), sigma: f32) -> Vec<f3
 /// Sums of numbers that are `step` apart, weighted by a kernel.
 #[inline(always)]
 fn convolve(source: &[f32], kernel: &[f32], step: usize, out: &mut [f32]) {
-    for (number, into) in out.chunks_mut(CHUNK).enumerate() {
-        let mut sum = [0.0f32; CHUNK];
-        if into.len() == CHUNK {
-            for (k, weight) in kernel.iter().enumerate() {
-                let from = &source[number * CHUNK + k * step..][..CHUNK];
-                for i in 0..CHUNK {
-                    sum[i] += weight * from[i];
-                }
-            }
-        } else {
-            for (k, weight) in kernel.iter().enumerate() {
-                let from = &source[number * CHUNK + k * step..][..into.len()];
-                for (sum, value) in sum.iter_mut().zip(from) {
-                    *sum += weight * value;
-                }
+    let begin = sums::<64>(source, kernel, step, 0, out);
+    let begin = sums::<16>(source, kernel, step, begin, out);
+    sums::<1>(source, kernel, step, begin, out);
+}
+
+/// The same from one sum on, N at a time, as many as there are whole; returns the next.
+#[inline(always)]
+fn sums<const N: usize>(
+    source: &[f32],
+    kernel: &[f32],
+    step: usize,
+    mut begin: usize,
+    out: &mut [f32],
+) -> usize {
+    while begin + N <= out.len() {
+        let mut sum = [0.0f32; N];
+        for (k, weight) in kernel.iter().enumerate() {
+            let from = &source[begin + k * step..][..N];
+            for i in 0..N {
+                sum[i] += weight * from[i];
             }
         }
-        let count = into.len();
-        into.copy_from_slice(&sum[..count]);
+        out[begin..begin + N].copy_from_slice(&sum);
+        begin += N;
     }
+    begin
 }
 
 /// Direct light and scattered light, the latter linear between the middles of cells.

@@ -63,7 +63,7 @@ pub fn defocus<'py>(
         let mut lines = rows(&mut out, (height, width));
         lines.par_chunks_mut(ROWS).enumerate().for_each(|(group, lines)| {
             for block in 0..blocks {
-                let radius = around(&widest, blocks, group * ROWS / BLOCK, block);
+                let radius = around(&widest, blocks, group * ROWS, block);
                 let mixed = spread_block(&padded, (group * ROWS, block * BLOCK), radius);
                 let columns = block * BLOCK..((block + 1) * BLOCK).min(width);
                 for (line, values) in lines.iter_mut().zip(&mixed) {
@@ -154,13 +154,17 @@ fn radii(distance: &[f32], reach: f32, focus: f32, radius: &mut [f32], share: &m
     }
 }
 
-/// Widest radius in a block and those next to it.
-fn around(widest: &[f32], blocks: usize, row: usize, column: usize) -> f32 {
-    let rows = widest.len() / blocks;
+/// Widest radius in a block and those next to it; of those above and below, if it reaches the rows
+/// from `top` on.
+fn around(widest: &[f32], blocks: usize, top: usize, column: usize) -> f32 {
+    let (rows, own) = (widest.len() / blocks, top / BLOCK);
     let mut most = 0.0;
-    for r in row.saturating_sub(1)..(row + 2).min(rows) {
+    for r in own.saturating_sub(1)..(own + 2).min(rows) {
+        let above = top.saturating_sub(r * BLOCK + BLOCK - 1);
+        let gap = above.max((r * BLOCK).saturating_sub(top + ROWS - 1));
         for c in column.saturating_sub(1)..(column + 2).min(blocks) {
-            most = max(widest[r * blocks + c], most);
+            let radius = widest[r * blocks + c];
+            most = if radius + 0.5 > gap as f32 { max(radius, most) } else { most };
         }
     }
     most

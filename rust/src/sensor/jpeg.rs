@@ -2,7 +2,8 @@
 //! bytes it takes. The file itself is not made: Huffman coding loses nothing, so only its length
 //! counts, to 2 %: bytes 255, which a file follows with a 0, are not counted twice.
 
-use super::huffman::{AC_BITS_CHROMINANCE, AC_BITS_LUMINANCE, DC_BITS};
+use super::planes::interleave;
+use super::tables::{AC_BITS_CHROMINANCE, AC_BITS_LUMINANCE, DC_BITS, STEPS};
 use crate::cpu::on_pool;
 use crate::lanes::clamp;
 use numpy::{IntoPyArray, PyArray3, PyReadonlyArray3, PyUntypedArrayMethods, ndarray::Array3};
@@ -11,20 +12,6 @@ use rayon::prelude::*;
 
 /// Bytes of all that is not the image: markers and tables of a colour file.
 const HEADER: usize = 623;
-
-/// Steps of quality 50 (table K.1 and K.2), row by row.
-const STEPS: [[u8; 64]; 2] = [
-    [
-        16, 11, 10, 16, 24, 40, 51, 61, 12, 12, 14, 19, 26, 58, 60, 55, 14, 13, 16, 24, 40, 57, 69,
-        56, 14, 17, 22, 29, 51, 87, 80, 62, 18, 22, 37, 56, 68, 109, 103, 77, 24, 35, 55, 64, 81,
-        104, 113, 92, 49, 64, 78, 87, 103, 121, 120, 101, 72, 92, 95, 98, 112, 100, 103, 99,
-    ],
-    [
-        17, 18, 24, 47, 99, 99, 99, 99, 18, 21, 26, 66, 99, 99, 99, 99, 24, 26, 56, 99, 99, 99, 99,
-        99, 47, 66, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99,
-        99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99, 99,
-    ],
-];
 
 /// The order in which the coefficients of a block are coded.
 const ZIGZAG: [u8; 64] = [
@@ -44,7 +31,8 @@ pub fn jpeg<'py>(
     quality: u32,
 ) -> PyResult<Bound<'py, PyArray3<u8>>> {
     let (source, size) = checked(&image, quality)?;
-    let pixels = on_pool(py, || Spectrum::new(source, size).decoded(&both_steps(quality)));
+    let mut pixels = vec![0; source.len()];
+    on_pool(py, || read_back(source, size, &both_steps(quality), &mut pixels));
     let shape = (size.0, size.1, 3);
     Ok(Array3::from_shape_vec(shape, pixels).expect("every pixel was filled").into_pyarray(py))
 }
@@ -148,9 +136,15 @@ fn nearest(x: f32) -> f32 {
     (x + 12_582_912.0) - 12_582_912.0
 }
 
+/// The cosine transform and its inverse, as `both_ways` takes them.
+fn bases() -> ([Basis; 2], [Basis; 2]) {
+    let basis = basis();
+    let back = transposed(&basis);
+    ([basis, back], [back, basis])
+}
+
 /// Coefficients of the three components, in bands of 16 rows of pixels.
 struct Spectrum {
-    size: (usize, usize),
     /// For each band: blocks of luminance, four to a square of 16 pixels, then of both colours.
     bands: Vec<Band>,
 }
@@ -162,10 +156,9 @@ struct Band {
 
 impl Spectrum {
     fn new(pixels: &[u8], size: (usize, usize)) -> Self {
-        let basis = basis();
-        let both = [basis, transposed(&basis)];
+        let forth = bases().0;
         let bands = (0..size.0.div_ceil(16)).into_par_iter();
-        Spectrum { size, bands: bands.map(|b| analysed(pixels, size, b, &both)).collect() }
+        Spectrum { bands: bands.map(|b| analysed(pixels, size, b, &forth)).collect() }
     }
 
     /// Size of the file [bytes].
@@ -195,26 +188,26 @@ impl Spectrum {
         }
         good
     }
+}
 
-    /// The image that the file holds.
-    fn decoded(&self, steps: &[Block; 2]) -> Vec<u8> {
-        let (height, width) = self.size;
-        let basis = basis();
-        let back = [transposed(&basis), basis];
-        let squares = width.div_ceil(16);
-        let planes: Vec<[Vec<f32>; 3]> =
-            self.bands.par_iter().map(|band| synthesised(band, steps, &back, squares)).collect();
-        let mut out = vec![0u8; height * width * 3];
-        out.par_chunks_mut(16 * width * 3).enumerate().for_each(|(band, rows)| {
-            for (line, row) in rows.chunks_exact_mut(width * 3).enumerate() {
-                let y = band * 16 + line;
-                let light = &planes[band][0][line * squares * 16..][..width];
-                let colors = [1, 2].map(|k| finer(&planes, k, y, height, squares * 8, width));
-                write_row(light, &colors, row);
-            }
-        });
-        out
-    }
+/// The image that the file holds, band by band.
+fn read_back(pixels: &[u8], size: (usize, usize), steps: &[Block; 2], out: &mut [u8]) {
+    let (height, width) = size;
+    let (forth, back) = bases();
+    let squares = width.div_ceil(16);
+    let band = |number: usize| {
+        let band = analysed(pixels, size, number, &forth);
+        synthesised(&band, steps, &back, squares)
+    };
+    let planes: Vec<[Vec<f32>; 3]> = (0..height.div_ceil(16)).into_par_iter().map(band).collect();
+    out.par_chunks_mut(16 * width * 3).enumerate().for_each(|(band, rows)| {
+        for (line, row) in rows.chunks_exact_mut(width * 3).enumerate() {
+            let y = band * 16 + line;
+            let light = &planes[band][0][line * squares * 16..][..width];
+            let colors = [1, 2].map(|k| finer(&planes, k, y, height, squares * 8, width));
+            write_row(light, &colors, row);
+        }
+    });
 }
 
 /// Coefficients of one band of 16 rows; beyond the image its last pixels go on.
@@ -231,15 +224,25 @@ fn analysed(
 ) -> Band {
     let stride = width.div_ceil(16) * 16;
     let [mut light, mut blue, mut red] = [0; 3].map(|_| vec![0.0f32; 16 * stride]);
+    let mut colors = [0; 3].map(|_| vec![0.0f32; stride]);
     for line in 0..16 {
         let row = &pixels[(band * 16 + line).min(height - 1) * width * 3..][..width * 3];
+        let [r, g, b] = &mut colors;
+        for (x, pixel) in row.chunks_exact(3).enumerate() {
+            (r[x], g[x], b[x]) = (f32::from(pixel[0]), f32::from(pixel[1]), f32::from(pixel[2]));
+        }
+        for color in &mut colors {
+            let last = color[width - 1];
+            color[width..].fill(last);
+        }
+        let [r, g, b] = &colors;
+        let inside = line * stride..(line + 1) * stride;
+        let (light, blue, red) =
+            (&mut light[inside.clone()], &mut blue[inside.clone()], &mut red[inside]);
         for x in 0..stride {
-            let at = x.min(width - 1) * 3;
-            let [r, g, b] = [0, 1, 2].map(|k| f32::from(row[at + k]));
-            let k = line * stride + x;
-            light[k] = nearest(0.299 * r + 0.587 * g + 0.114 * b) - 128.0;
-            blue[k] = nearest(-0.168_735_9 * r - 0.331_264_1 * g + 0.5 * b);
-            red[k] = nearest(0.5 * r - 0.418_687_6 * g - 0.081_312_4 * b);
+            light[x] = nearest(0.299 * r[x] + 0.587 * g[x] + 0.114 * b[x]) - 128.0;
+            blue[x] = nearest(-0.168_735_9 * r[x] - 0.331_264_1 * g[x] + 0.5 * b[x]);
+            red[x] = nearest(0.5 * r[x] - 0.418_687_6 * g[x] - 0.081_312_4 * b[x]);
         }
     }
     let block = |plane: &[f32], stride: usize, y: usize, x: usize| {
@@ -379,16 +382,16 @@ fn finer(
     "aarch64+neon"
 ))]
 fn write_row(light: &[f32], colors: &[Vec<f32>; 2], out: &mut [u8]) {
-    let (blue, red) = (&colors[0][..light.len()], &colors[1][..light.len()]);
-    for (x, pixel) in out.chunks_exact_mut(3).enumerate() {
+    let count = light.len();
+    let (blue, red) = (&colors[0][..count], &colors[1][..count]);
+    let [mut r, mut g, mut b] = [0; 3].map(|_| vec![0u8; count]);
+    // Adding 2²³ rounds to a whole number and leaves it in the low bits.
+    let byte = |value: f32| (clamp(value, 0.0, 255.0) + 8_388_608.0).to_bits() as u8;
+    for x in 0..count {
         let y = light[x] + 128.0;
-        let values = [
-            y + 1.402 * red[x],
-            y - 0.344_136_3 * blue[x] - 0.714_136_3 * red[x],
-            y + 1.772 * blue[x],
-        ];
-        for k in 0..3 {
-            pixel[k] = nearest(clamp(values[k], 0.0, 255.0)) as u8;
-        }
+        r[x] = byte(y + 1.402 * red[x]);
+        g[x] = byte(y - 0.344_136_3 * blue[x] - 0.714_136_3 * red[x]);
+        b[x] = byte(y + 1.772 * blue[x]);
     }
+    interleave([&r, &g, &b], out);
 }

@@ -8,17 +8,20 @@ mod bayer;
 mod bloom;
 mod defocus;
 mod dome;
-mod huffman;
+mod field;
+mod flow;
 mod jpeg;
 mod motion;
 mod noise;
 mod planes;
+mod tables;
 
 use pyo3::prelude::*;
 
 /// Adds the stages to the module.
 pub fn register(m: &Bound<'_, PyModule>) -> PyResult<()> {
     m.add_function(wrap_pyfunction!(motion::blur_motion, m)?)?;
+    m.add_function(wrap_pyfunction!(flow::flow_by_rays, m)?)?;
     m.add_function(wrap_pyfunction!(planes::to_planes, m)?)?;
     m.add_function(wrap_pyfunction!(planes::scale_planes, m)?)?;
     m.add_function(wrap_pyfunction!(planes::shade_planes, m)?)?;

@@ -1,5 +1,6 @@
 //! Motion while the shutter is open, and rows that are read one after another.
 
+use super::field::{Field, lateness, whole};
 use super::planes::{planes_array, rows, size_of_image};
 use crate::cpu::on_pool;
 use crate::lanes::{clamp, max, min};
@@ -12,129 +13,6 @@ use std::cell::Cell;
 const MOST_SAMPLES: f32 = 64.0;
 /// Shift that is not worth interpolating [px].
 const STILL: f32 = 1e-3;
-
-/// Most steps in which the place that a late row sees is found, and the change of its motion at
-/// which it is [px per frame].
-const FIXED_POINT_STEPS: usize = 4;
-const SETTLED: f32 = 1e-2;
-
-/// A field of motion at some pixels [px per frame], with no place unknown.
-struct Motion {
-    vectors: Vec<[f32; 2]>,
-    size: (usize, usize),
-    /// Pixels from one to the next; the first is in the middle of a square of so many.
-    step: usize,
-}
-
-impl Motion {
-    /// Fills unknown places (NaN) next to known ones with their mean, up to three cells away;
-    /// elsewhere nothing moves.
-    fn new(given: &[f32], size: (usize, usize), step: usize) -> Self {
-        let (height, width) = size;
-        let mut vectors: Vec<[f32; 2]> = given.chunks_exact(2).map(|v| [v[0], v[1]]).collect();
-        let known = |v: &[f32; 2]| v[0].is_finite() && v[1].is_finite();
-        for _ in 0..3 {
-            let before = vectors.clone();
-            for (k, vector) in vectors.iter_mut().enumerate().filter(|(_, v)| !known(v)) {
-                let (y, x) = (k / width, k % width);
-                let (mut sum, mut count) = ([0.0f32; 2], 0.0f32);
-                for row in y.saturating_sub(1)..(y + 2).min(height) {
-                    for near in &before[row * width..][x.saturating_sub(1)..(x + 2).min(width)] {
-                        if known(near) {
-                            sum = [sum[0] + near[0], sum[1] + near[1]];
-                            count += 1.0;
-                        }
-                    }
-                }
-                if count > 0.0 {
-                    *vector = [sum[0] / count, sum[1] / count];
-                }
-            }
-        }
-        for vector in &mut vectors {
-            if !known(vector) {
-                *vector = [0.0; 2];
-            }
-        }
-        Motion { vectors, size, step }
-    }
-
-    /// Of each place the motion of what is there when its row is read, `readout` after the first of
-    /// `height` rows at the last: with v of an instant, `from + v(from) late = here`.
-    fn when_read(self, readout: f32, height: usize) -> Self {
-        if readout == 0.0 {
-            return self;
-        }
-        let place = |number: usize| (number * self.step + self.step / 2) as f32;
-        let read = |k: usize| {
-            let (x, y) = (place(k % self.size.1), place(k / self.size.1));
-            let late = lateness(readout, y, height);
-            let mut v = self.vectors[k];
-            for _ in 0..FIXED_POINT_STEPS {
-                let before = v;
-                v = self.at(x - v[0] * late, y - v[1] * late);
-                if max((v[0] - before[0]).abs(), (v[1] - before[1]).abs()) < SETTLED {
-                    break;
-                }
-            }
-            v
-        };
-        let all = (0..self.vectors.len()).into_par_iter().with_min_len(512);
-        Motion { vectors: all.map(read).collect(), ..self }
-    }
-
-    /// The vector at a place of the image [px].
-    fn at(&self, x: f32, y: f32) -> [f32; 2] {
-        let (rows, columns) = self.size;
-        let (row, t) = self.between(y, rows);
-        let (column, s) = self.between(x, columns);
-        let right = (column + 1).min(columns - 1);
-        let line = |r: usize| {
-            let line = &self.vectors[r * columns..(r + 1) * columns];
-            mix(&line[column], &line[right], s)
-        };
-        mix(&line(row), &line((row + 1).min(rows - 1)), t)
-    }
-
-    /// The vectors of all pixels of one row: columns, then rows.
-    fn row(&self, y: usize, width: usize) -> [Vec<f32>; 2] {
-        let (rows, columns) = self.size;
-        let (first, t) = self.between(y as f32, rows);
-        let line = |r: usize| &self.vectors[r * columns..(r + 1) * columns];
-        let (above, below) = (line(first), line((first + 1).min(rows - 1)));
-        [0, 1].map(|k| {
-            let known = |c: usize| above[c][k] + (below[c][k] - above[c][k]) * t;
-            let mut last = known(0);
-            let mut all = Vec::with_capacity(width + self.step);
-            all.resize(self.step / 2, last);
-            for column in 1..columns {
-                let next = known(column);
-                let slope = (next - last) / self.step as f32;
-                all.extend((0..self.step).map(|i| last + slope * i as f32));
-                last = next;
-            }
-            all.resize(all.len().max(width), last);
-            all
-        })
-    }
-
-    /// The number of the known place before a place [px], and how far it is towards the next.
-    #[inline(always)]
-    fn between(&self, place: f32, count: usize) -> (usize, f32) {
-        let number = (place - (self.step / 2) as f32) / self.step as f32;
-        whole(clamp(number, 0.0, count as f32 - 1.0))
-    }
-}
-
-/// How late a row is, after the row in the middle.
-fn lateness(readout: f32, row: f32, height: usize) -> f32 {
-    readout * ((row + 0.5) / height as f32 - 0.5)
-}
-
-#[inline(always)]
-fn mix(a: &[f32; 2], b: &[f32; 2], t: f32) -> [f32; 2] {
-    [a[0] + (b[0] - a[0]) * t, a[1] + (b[1] - a[1]) * t]
-}
 
 /// Planes [3 h w] of the image [h w 3], times a factor, as a camera takes it that moves while it
 /// exposes.
@@ -165,7 +43,7 @@ pub fn blur_motion<'py>(
     let ((vectors, step), (shutter, readout)) = ((motion.0.as_slice()?, motion.1), open);
     let mut out = vec![0.0; source.len()];
     on_pool(py, || {
-        let motion = Motion::new(vectors, (rows_known, columns), step).when_read(readout, height);
+        let motion = Field::new(vectors, (rows_known, columns), step).when_read(readout, height);
         let mut still = ROOM.take().of_size((height, width));
         still.fill(source, lit, factor);
         rows(&mut out, (height, width)).into_par_iter().enumerate().for_each(|(y, row)| {
@@ -263,14 +141,6 @@ impl Still {
     }
 }
 
-/// A number from 0 to 2²² as a whole one and the rest, 0 to 1.
-#[inline(always)]
-fn whole(x: f32) -> (usize, f32) {
-    // Adding 1.5 · 2²³ rounds to a whole number and leaves it in the low bits.
-    let shifted = (x - 0.5) + 12_582_912.0;
-    ((shifted.to_bits() & 0x003f_ffff) as usize, x - (shifted - 12_582_912.0))
-}
-
 #[multiversion::multiversion(targets(
     "x86_64+avx512f+avx512bw+avx512cd+avx512dq+avx512vl",
     "x86_64+avx2",
@@ -296,11 +166,12 @@ fn blur_row(
                 near[k][i] = motion[k][(x + i).min(width - 1)];
             }
         }
-        let speed = near.as_flattened().iter().fold(0.0, |most, v: &f32| max(v.abs(), most));
+        let ends = [ends(&near[0]), ends(&near[1])];
+        let speed = ends.as_flattened().iter().fold(0.0, |most, v: &f32| max(v.abs(), most));
         let mut mean = own;
         if speed * (late.abs() + 0.5 * shutter) >= STILL {
             let count = clamp((speed * shutter).ceil(), 1.0, MOST_SAMPLES);
-            let sum = streak(still, (x, y), &near, (shutter, late), count);
+            let sum = streak(still, (x, y), (&near, ends), (shutter, late), count);
             for i in 0..RUN {
                 let known = if sum[3][i] > 0.0 { own[3][i] } else { 0.0 };
                 let share = known / max(sum[3][i], 1e-30);
@@ -317,18 +188,29 @@ fn blur_row(
     }
 }
 
-/// Sum over the exposure of what moves past a run of pixels.
+/// Least and most of a run, by halves.
+#[inline(always)]
+fn ends(run: &Run) -> [f32; 2] {
+    let (mut low, mut high) = (*run, *run);
+    for half in [8, 4, 2, 1] {
+        for i in 0..half {
+            low[i] = min(low[i], low[i + half]);
+            high[i] = max(high[i], high[i + half]);
+        }
+    }
+    [low[0], high[0]]
+}
+
+/// Sum over the exposure of what moves past a run of pixels; `ends` are the least and most of its
+/// motion along and down.
 #[inline(always)]
 fn streak(
     still: &Still,
     (x, y): (usize, usize),
-    motion: &[Run; 2],
+    (motion, ends): (&[Run; 2], [[f32; 2]; 2]),
     (shutter, late): (f32, f32),
     count: f32,
 ) -> [Run; 4] {
-    let ends = motion.map(|v| {
-        v.iter().fold([f32::MAX, f32::MIN], |ends, &v| [min(v, ends[0]), max(v, ends[1])])
-    });
     let step = shutter / count;
     let mut time = late - 0.5 * (shutter - step);
     let mut sum = [[0.0f32; RUN]; 4];

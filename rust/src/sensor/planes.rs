@@ -241,13 +241,20 @@ pub fn develop<'py>(
     "aarch64+neon"
 ))]
 fn develop_row(planes: [&[f32]; 3], gains: [f32; 3], lit: &[bool], out: &mut [u8]) {
-    let mut encoded = vec![0u8; lit.len()];
+    let mut encoded = [0; 3].map(|_| vec![0u8; lit.len()]);
     for (k, plane) in planes.into_iter().enumerate() {
-        for ((code, &value), &lit) in encoded.iter_mut().zip(plane).zip(lit) {
+        for ((code, &value), &lit) in encoded[k].iter_mut().zip(plane).zip(lit) {
             *code = srgb(value * gains[k]) & u8::from(lit).wrapping_neg();
         }
-        for (pixel, &code) in out.chunks_exact_mut(3).zip(&encoded) {
-            pixel[k] = code;
-        }
+    }
+    interleave([&encoded[0], &encoded[1], &encoded[2]], out);
+}
+
+/// Pixels of three colours.
+#[inline(always)]
+pub fn interleave(planes: [&[u8]; 3], out: &mut [u8]) {
+    let [red, green, blue] = planes.map(|plane| &plane[..out.len() / 3]);
+    for (x, pixel) in out.chunks_exact_mut(3).enumerate() {
+        (pixel[0], pixel[1], pixel[2]) = (red[x], green[x], blue[x]);
     }
 }

@@ -90,10 +90,7 @@ def thinned(image: np.ndarray) -> np.ndarray:
 
 
 def flow(
-    camera: Camera,
-    points_world: Float[np.ndarray, "h w 3"],
-    state: State,
-    pixels: Float[np.ndarray, "h w 2"] | None = None,
+    camera: Camera, points_world: Float[np.ndarray, "h w 3"], state: State
 ) -> Float[np.ndarray, "h w 2"]:
     """Motion of each pixel's surface point from now to a neighbouring frame [px].
 
@@ -101,16 +98,14 @@ def flow(
         camera: The camera that sees both frames.
         points_world: Where the surface points appear in the neighbouring frame [m].
         state: The neighbouring frame.
-        pixels: That see the points now; None: all of the camera.
 
     Returns:
         Columns and rows, as float32; NaN where there is no surface or the point leaves the
         lens's field.
     """
     T_camera_world = invert(state.T_world_capsule @ camera.T_capsule_camera)
-    then = project_points(camera, transform_points(T_camera_world, points_world))
-    now = pixel_grid(camera.width, camera.height) if pixels is None else pixels
-    return (then - now).astype(np.float32)
+    pixels = project_points(camera, transform_points(T_camera_world, points_world))
+    return (pixels - pixel_grid(camera.width, camera.height)).astype(np.float32)
 
 
 def seen_from(

@@ -103,7 +103,9 @@ def test_blur_is_the_flow_times_the_share_of_the_exposure(renderer: Renderer) ->
     motion = moving(chain, renderer, moment)
     frame = renderer.render(NOW, CAMERA, channels=("flow_forward",), state_next=moment.state_next)
     assert np.isfinite(motion).mean() > 0.5
-    assert np.array_equal(motion, np.asarray(frame.flow_forward)[2::4, 2::4], equal_nan=True)
+    error = np.abs(motion - np.asarray(frame.flow_forward)[2::4, 2::4])
+    assert np.nanpercentile(error, 95) < 0.01
+    assert np.nanmax(error) < 0.2  # at the very rim of the field
     once = replace(NOW, time=1.0)
     last = moving(chain, renderer, replace(moment, state=once, state_next=None))
     assert np.nanmedian(np.linalg.norm(last - motion, axis=-1)) < 1.0
@@ -223,6 +225,10 @@ def blur(f, lit: tuple[int, ...], motion: tuple[int, ...]):
     return _core.blur_motion(f(4, 4, 3), f(*lit) > 0, (f(*motion), 4), (0.1, 0.1), 1.0)
 
 
+def table(f) -> _core.RayTable:
+    return _core.RayTable(f(4, 4, 3))
+
+
 @pytest.mark.parametrize(
     ("call", "match"),
     [
@@ -232,6 +238,8 @@ def blur(f, lit: tuple[int, ...], motion: tuple[int, ...]):
         (lambda f: _core.defocus(f(3, 4, 4), f(4, 5), 1.0, 1.0), "Distances"),
         (lambda f: _core.defocus(f(2, 4, 4), f(4, 4), 1.0, 1.0), "Planes must"),
         (lambda f: _core.shade_planes(f(3, 4, 4), f(4, 5)), "A map"),
+        (lambda f: _core.flow_by_rays(table(f), f(1, 1, 2).astype(float), np.eye(4), 4), "shape"),
+        (lambda f: _core.flow_by_rays(table(f), f(2, 2, 3).astype(float), np.eye(4), 4), "fit"),
         (lambda f: _core.develop(f(3, 4, 4), (1.0, 1.0, 1.0), f(4, 5) > 0), "What is lit"),
         (lambda f: _core.demosaic(f(1, 2, 4), (0, 1, 1, 2)), "3 by 3"),
         (lambda f: _core.demosaic(f(3, 4, 4), (0, 1, 1, 2)), "A mosaic must"),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import fields, replace
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -40,6 +41,7 @@ def scaled_lens(lens: Lens, scale: float, center: tuple[float, float]) -> Any:
     return replace(lens, **values, cx=cx, cy=cy)  # type: ignore[type-var]
 
 
+@lru_cache(maxsize=256)
 def focal_length_px(lens: Lens) -> float:
     """Focal length on the axis: how far a small angle moves the image [px/rad]."""
     steps = np.array([[_NEAR, 0.0, 1.0], [0.0, _NEAR, 1.0], [-_NEAR, 0.0, 1.0], [0.0, -_NEAR, 1.0]])

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from vrcaps import _core
-from vrcaps.capsule.rays import camera_rays, pixel_grid
+from vrcaps.capsule.rays import camera_rays
 from vrcaps.render.camera_effects.dome import Dome
 from vrcaps.render.camera_effects.effects import Effects
 from vrcaps.render.camera_effects.sensor import Noise, WhiteBalance, mosaic_colors
-from vrcaps.render.flow import STEP, SurfacePoints, flow, thinned
+from vrcaps.render.flow import STEP, SurfacePoints, thinned
 from vrcaps.transforms import transform_points
 from vrcaps.units import MM
 
@@ -103,7 +103,7 @@ class CameraChain:
         if drops is not None or smears is not None:
             lens = self._stages["depth_of_field"]
             self._dome = Dome(camera, drops, smears, lens=lens, seed=(seed, _DOME, number))
-        self._pixels = thinned(pixel_grid(camera.width, camera.height))
+        self._metered = thinned(self._lit)
         self._last_motion: tuple[State, Any] | None = None
         moving = self._stages["motion_blur"] or self._stages["rolling_shutter"]
         self._needs_motion = moving is not None or effects.frame_rate is not None
@@ -156,12 +156,14 @@ class CameraChain:
 
     def meter(self, seen: Seen, moment: Moment) -> float:
         """Mean linear luminance of the lit image at an exposure, each pixel cut at white."""
-        factor = self.camera.exposure * moment.exposure
-        luminance = thinned(np.asarray(seen.frame.radiance)).astype(float) @ (LUMINANCE * factor)
+        if not self._metered.any():
+            return 0.0
+        red, green, blue = LUMINANCE * (self.camera.exposure * moment.exposure)
+        light = thinned(np.asarray(seen.frame.radiance))
+        luminance = red * light[..., 0] + green * light[..., 1] + blue * light[..., 2]
         if self._shade is not None:
             luminance *= thinned(self._shade)
-        lit = thinned(self._lit)
-        return float(np.minimum(luminance[lit], 1.0).mean()) if lit.any() else 0.0
+        return float(np.minimum(luminance, 1.0)[self._metered].mean(dtype=float))
 
     def _moved(self, seen: Seen, renderer: Renderer, moment: Moment) -> Float[np.ndarray, "3 h w"]:
         blur, rolling = self._stages["motion_blur"], self._stages["rolling_shutter"]
@@ -194,11 +196,8 @@ class CameraChain:
         if neighbour is None:
             return None
         assert seen.points is not None
-        fillings = renderer.filling(moment.state), renderer.filling(neighbour)
-        points = seen.points.moved(renderer.model.organ.faces, neighbour, *fillings)
         slot = "previous" if moment.state_next is None else "next"
-        bends = renderer.bends(self.camera, seen.points, points, neighbour, slot)
-        motion = flow(self.camera, bends.apparent, neighbour, self._pixels)
+        motion = renderer.sparse_flow(seen.points, self.camera, moment.state, neighbour, slot)
         if moment.state_next is None:
             motion = -motion
         motion[_on_capsule(seen.frame, self.camera, self._rays, renderer.model.device)] = 0.0
@@ -221,11 +220,13 @@ class CameraChain:
     def _distance(self, frame: Frame) -> Float[np.ndarray, "h w"]:
         """Distance along the ray of the bubble or else the wall that a pixel sees [m]."""
         distance = np.ascontiguousarray(frame.ray_distance)
-        bubbles = np.nonzero(np.asarray(frame.front_label) == BUBBLE)
-        if bubbles[0].size:
-            along = np.asarray(frame.front_depth)[bubbles] / self._rays[bubbles][:, 2]
+        bubbles = np.flatnonzero(np.asarray(frame.front_label) == BUBBLE)
+        if bubbles.size:
+            cosine = self._rays.reshape(-1, 3)[bubbles, 2]
+            along = np.asarray(frame.front_depth).ravel()[bubbles] / cosine
             distance = distance.copy()
-            distance[bubbles] = np.where(along > 0.0, along, distance[bubbles])
+            wall = distance.ravel()[bubbles]
+            np.put(distance, bubbles, np.where(along > 0.0, along, wall))
         return distance
 
     def _sensed(

@@ -1,0 +1,137 @@
+//! How the image moves, known at some of its pixels.
+
+use crate::lanes::{clamp, max};
+use rayon::prelude::*;
+
+/// Most steps in which the place that a late row sees is found, and the change of its motion at
+/// which it is [px per frame].
+const FIXED_POINT_STEPS: usize = 4;
+const SETTLED: f32 = 1e-2;
+
+/// A field of motion at some pixels [px per frame], with no place unknown.
+pub struct Field {
+    vectors: Vec<[f32; 2]>,
+    size: (usize, usize),
+    /// Pixels from one to the next; the first is in the middle of a square of so many.
+    step: usize,
+}
+
+impl Field {
+    /// Fills unknown places (NaN) next to known ones with their mean, up to three cells away;
+    /// elsewhere nothing moves.
+    pub fn new(given: &[f32], size: (usize, usize), step: usize) -> Self {
+        let (height, width) = size;
+        let mut vectors: Vec<[f32; 2]> = given.chunks_exact(2).map(|v| [v[0], v[1]]).collect();
+        let known = |v: &[f32; 2]| v[0].is_finite() && v[1].is_finite();
+        for _ in 0..3 {
+            let before = vectors.clone();
+            for (k, vector) in vectors.iter_mut().enumerate().filter(|(_, v)| !known(v)) {
+                let (y, x) = (k / width, k % width);
+                let (mut sum, mut count) = ([0.0f32; 2], 0.0f32);
+                for row in y.saturating_sub(1)..(y + 2).min(height) {
+                    for near in &before[row * width..][x.saturating_sub(1)..(x + 2).min(width)] {
+                        if known(near) {
+                            sum = [sum[0] + near[0], sum[1] + near[1]];
+                            count += 1.0;
+                        }
+                    }
+                }
+                if count > 0.0 {
+                    *vector = [sum[0] / count, sum[1] / count];
+                }
+            }
+        }
+        for vector in &mut vectors {
+            if !known(vector) {
+                *vector = [0.0; 2];
+            }
+        }
+        Field { vectors, size, step }
+    }
+
+    /// Of each place the motion of what is there when its row is read, `readout` after the first of
+    /// `height` rows at the last: with v of an instant, `from + v(from) late = here`.
+    pub fn when_read(self, readout: f32, height: usize) -> Self {
+        if readout == 0.0 {
+            return self;
+        }
+        let place = |number: usize| (number * self.step + self.step / 2) as f32;
+        let read = |k: usize| {
+            let (x, y) = (place(k % self.size.1), place(k / self.size.1));
+            let late = lateness(readout, y, height);
+            let mut v = self.vectors[k];
+            for _ in 0..FIXED_POINT_STEPS {
+                let before = v;
+                v = self.at(x - v[0] * late, y - v[1] * late);
+                if max((v[0] - before[0]).abs(), (v[1] - before[1]).abs()) < SETTLED {
+                    break;
+                }
+            }
+            v
+        };
+        let all = (0..self.vectors.len()).into_par_iter().with_min_len(512);
+        Field { vectors: all.map(read).collect(), ..self }
+    }
+
+    /// The vector at a place of the image [px].
+    fn at(&self, x: f32, y: f32) -> [f32; 2] {
+        let (rows, columns) = self.size;
+        let (row, t) = self.between(y, rows);
+        let (column, s) = self.between(x, columns);
+        let right = (column + 1).min(columns - 1);
+        let line = |r: usize| {
+            let line = &self.vectors[r * columns..(r + 1) * columns];
+            mix(&line[column], &line[right], s)
+        };
+        mix(&line(row), &line((row + 1).min(rows - 1)), t)
+    }
+
+    /// The vectors of all pixels of one row: columns, then rows.
+    pub fn row(&self, y: usize, width: usize) -> [Vec<f32>; 2] {
+        let (rows, columns) = self.size;
+        let (first, t) = self.between(y as f32, rows);
+        let line = |r: usize| &self.vectors[r * columns..(r + 1) * columns];
+        let (above, below) = (line(first), line((first + 1).min(rows - 1)));
+        [0, 1].map(|k| {
+            let known = |c: usize| above[c][k] + (below[c][k] - above[c][k]) * t;
+            let mut last = known(0);
+            let mut all = vec![last; self.step / 2 + columns * self.step];
+            let squares = all[self.step / 2..].chunks_exact_mut(self.step);
+            for (column, square) in squares.enumerate() {
+                let next = known((column + 1).min(columns - 1));
+                let slope = (next - last) / self.step as f32;
+                for (i, value) in square.iter_mut().enumerate() {
+                    *value = last + slope * i as f32;
+                }
+                last = next;
+            }
+            all.resize(all.len().max(width), last);
+            all
+        })
+    }
+
+    /// The number of the known place before a place [px], and how far it is towards the next.
+    #[inline(always)]
+    fn between(&self, place: f32, count: usize) -> (usize, f32) {
+        let number = (place - (self.step / 2) as f32) / self.step as f32;
+        whole(clamp(number, 0.0, count as f32 - 1.0))
+    }
+}
+
+/// How late a row is, after the row in the middle.
+pub fn lateness(readout: f32, row: f32, height: usize) -> f32 {
+    readout * ((row + 0.5) / height as f32 - 0.5)
+}
+
+#[inline(always)]
+fn mix(a: &[f32; 2], b: &[f32; 2], t: f32) -> [f32; 2] {
+    [a[0] + (b[0] - a[0]) * t, a[1] + (b[1] - a[1]) * t]
+}
+
+/// A number from 0 to 2²² as a whole one and the rest, 0 to 1.
+#[inline(always)]
+pub fn whole(x: f32) -> (usize, f32) {
+    // Adding 1.5 · 2²³ rounds to a whole number and leaves it in the low bits.
+    let shifted = (x - 0.5) + 12_582_912.0;
+    ((shifted.to_bits() & 0x003f_ffff) as usize, x - (shifted - 12_582_912.0))
+}

@@ -40,6 +40,12 @@ pub struct Hits {
 /// `Hits::triangle` of a ray that hits nothing.
 pub const MISS: u32 = u32::MAX;
 
+/// Triangles met, `MISS` where something else that has an owner hides them.
+#[inline(always)]
+pub fn of_wall(triangles: &[u32; LANES], owner: &[u32; LANES]) -> [u32; LANES] {
+    std::array::from_fn(|i| if owner[i] == MISS { triangles[i] } else { MISS })
+}
+
 impl Hits {
     /// Nothing hit yet; each ray looks as far as `reach` (0 or less: not at all).
     #[inline(always)]

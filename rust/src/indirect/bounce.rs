@@ -3,6 +3,7 @@
 use super::lamps::first_reflection;
 use super::moved::Moved;
 use super::rows::{Beam, Link};
+use super::through::Lamps;
 use super::{Color, QuickLight};
 use crate::lanes::*;
 use crate::material::{Led, Surface};
@@ -27,9 +28,11 @@ pub struct Irradiance<'a> {
     moved: Option<Moved<'a>>,
     /// Radiosity of each site [W/m²].
     leaving: Vec<Color>,
+    /// LEDs, and whether things cast shadows, if light goes through tissue.
+    through: Option<Lamps<'a>>,
     /// Light at each site and vertex, gathered when first needed.
-    of_site: Vec<Lazy>,
-    of_vertex: Vec<Lazy>,
+    of_site: Vec<Lazy<12>>,
+    of_vertex: Vec<Lazy<12>>,
 }
 
 /// For red, green and blue: irradiance, and how it grows as the normal tilts along x, y and z
@@ -41,13 +44,17 @@ type Light = [f32; 12];
 ///
 /// Threads that need it at once all reckon it; their results are the same, so it matters
 /// neither who writes last nor whether a reader finds parts of one and of the other.
-#[derive(Default)]
-struct Lazy([AtomicU32; 12]);
+pub(super) struct Lazy<const N: usize>([AtomicU32; N]);
 
-impl Lazy {
+impl<const N: usize> Lazy<N> {
+    /// So many that are not yet known.
+    pub(super) fn none_of(count: usize) -> Vec<Self> {
+        (0..count).map(|_| Lazy(std::array::from_fn(|_| AtomicU32::new(0)))).collect()
+    }
+
     #[inline(always)]
-    fn get(&self, reckon: impl FnOnce() -> Light) -> Light {
-        let known: [u32; 12] = std::array::from_fn(|k| self.0[k].load(Relaxed));
+    pub(super) fn get(&self, reckon: impl FnOnce() -> [f32; N]) -> [f32; N] {
+        let known: [u32; N] = std::array::from_fn(|k| self.0[k].load(Relaxed));
         if known.iter().all(|&bits| bits != 0) {
             return known.map(f32::from_bits);
         }
@@ -61,7 +68,13 @@ impl Lazy {
 
 impl QuickLight {
     /// Irradiance by bounced light.
-    pub fn solve<'a>(&'a self, rest: &'a Wall, wall: &'a Wall, leds: &[Led]) -> Irradiance<'a> {
+    pub fn solve<'a>(
+        &'a self,
+        rest: &'a Wall,
+        wall: &'a Wall,
+        leds: &[Led],
+        shadows: bool,
+    ) -> Irradiance<'a> {
         let mut last = first_reflection(self, wall, leds);
         let reached = self.reached(rest, &last);
         let moved = (!std::ptr::eq(rest, wall)).then(|| Moved::new(self, rest, wall, &reached));
@@ -90,9 +103,10 @@ impl QuickLight {
                 last[s as usize] = light;
             }
         }
-        let lazy = |n: usize| (0..n).map(|_| Lazy::default()).collect();
-        let (of_site, of_vertex) = (lazy(self.albedo.len()), lazy(wall.vertices.len()));
-        Irradiance { light: self, rest, wall, moved, leaving, of_site, of_vertex }
+        let of_site = Lazy::none_of(self.albedo.len());
+        let of_vertex = Lazy::none_of(wall.vertices.len());
+        let through = self.through.as_ref().map(|through| through.lit(wall, leds, shadows));
+        Irradiance { light: self, rest, wall, moved, leaving, through, of_site, of_vertex }
     }
 
     /// Sites that are lit or see one that is, in order.
@@ -217,10 +231,21 @@ impl Irradiance<'_> {
                 vectors = vectors.map(|vector| moved.turn(self.wall, vertex, vector));
             }
             let normal = self.wall.normals[vertex];
+            let through = self.through.as_ref().map_or([0.0; 3], |lamps| {
+                let albedo = self.light.albedo[s];
+                let gained = lamps.gained(self.rest, &self.light.sites, (s, albedo));
+                // A pixel gives of it what it gives of all irradiance, gloss too: less that.
+                let [base, gloss] = self.light.reflectance.mean;
+                [0, 1, 2].map(|k| gained[k] * base * albedo[k] / max(base * albedo[k] + gloss, 1e-6))
+            });
             std::array::from_fn(|k| {
                 let vector = vectors[k / 4];
                 let even = dot(vector, normal);
-                if k % 4 == 0 { even } else { vector[k % 4 - 1] - even * normal[k % 4 - 1] }
+                if k % 4 == 0 {
+                    even + through[k / 4]
+                } else {
+                    vector[k % 4 - 1] - even * normal[k % 4 - 1]
+                }
             })
         })
     }

@@ -16,12 +16,14 @@ mod moved;
 mod reflectance;
 mod rows;
 mod sites;
+mod through;
 
 pub use bounce::Irradiance;
 use look::Look;
 use reflectance::Reflectance;
 use rows::{Row, trace_row};
 use sites::Sites;
+use through::Through;
 
 use crate::lanes::*;
 use crate::scene::{Scene, SceneData};
@@ -43,6 +45,8 @@ pub struct QuickLight {
     per_area: Vec<f32>,
     reflectance: Reflectance,
     rows: Vec<OnceLock<Row>>,
+    /// Light through the tissue, if there is any.
+    through: Option<Through>,
 }
 
 #[pymethods]
@@ -59,7 +63,8 @@ impl QuickLight {
             let reflectance = Reflectance::integrate(&scene.material, look.roughness);
             let rows = sites.vertex.iter().map(|_| OnceLock::new()).collect();
             let Look { albedo, per_area, .. } = look;
-            QuickLight { rest: own, sites, albedo, per_area, reflectance, rows }
+            let through = scene.tissue.as_ref().map(|tissue| Through::new(tissue, albedo.len()));
+            QuickLight { rest: own, sites, albedo, per_area, reflectance, rows, through }
         })
     }
 

@@ -8,7 +8,7 @@
 //! runs over lanes and ways to an LED are traced as packets.
 
 mod lobes;
-mod random;
+pub mod random;
 pub mod ray;
 mod shadow;
 mod through;

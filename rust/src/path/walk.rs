@@ -9,7 +9,7 @@
 use crate::lanes::*;
 use crate::material::fresnel;
 use crate::path::lobes::{circle, on_circle};
-use crate::path::random::{hash, unit};
+use crate::path::random::{hash, point, unit};
 use crate::path::ray::{self, Hit};
 use crate::tile::MISS;
 use crate::wall::Wall;
@@ -66,6 +66,13 @@ impl Tissue {
         Medium { albedo, extinction, ior: self.ior }
     }
 
+    /// What a viewer at an angle of this cosine sees of a base colour, over the mean over all angles:
+    /// the border, and 0.93 to 1 from dark to white of head-on light (`scattering.py`).
+    #[inline(always)]
+    pub fn seen(&self, cosine: f32, color: f32) -> f32 {
+        self.passes(cosine) * (0.93 + 0.07 * color)
+    }
+
     /// What passes the border at an angle of this cosine outside, over the mean over even light.
     #[inline(always)]
     pub fn passes(&self, cosine: f32) -> f32 {
@@ -96,22 +103,29 @@ pub struct Exit {
     pub share: Vec3,
 }
 
-/// Random numbers of one walk.
+/// Random numbers of one walk: the first spread evenly over the walks of a key.
 pub struct Stream {
     key: u32,
     count: u32,
+    first: [f32; 4],
 }
 
 impl Stream {
-    /// The numbers that belong to a key.
-    pub fn new(key: u32) -> Self {
-        Stream { key, count: 0 }
+    /// The numbers of one of a key's walks.
+    #[inline(always)]
+    pub fn new(key: u32, walk: u32) -> Self {
+        let [free, height] = point(key, walk);
+        let [choice, turn] = point(hash(key), walk);
+        Stream { key: key ^ hash(walk), count: 0, first: [choice, free, height, turn] }
     }
 
     #[inline(always)]
     fn next(&mut self) -> f32 {
-        self.count = self.count.wrapping_add(0x9e37_79b9);
-        unit(hash(hash(self.count) ^ self.key))
+        self.count += 1;
+        match self.first.get(self.count as usize - 1) {
+            Some(&number) => number,
+            None => unit(hash(hash(self.count) ^ self.key)),
+        }
     }
 }
 
@@ -129,19 +143,44 @@ pub fn refracted(view: Vec3, normal: Vec3, ior: f32) -> Vec3 {
     sub(scale(normal, cosine * inverse - inside), scale(view, inverse))
 }
 
-/// Follows light until it leaves the tissue; None if it is absorbed.
+/// Where ways through tissue meet the triangles of a wall, and the face's unit normal beyond.
 #[inline(always)]
-pub fn walk(wall: &Wall, medium: &Medium, mut way: Way, stream: &mut Stream) -> Option<Exit> {
+pub fn border(wall: &Wall) -> impl Fn(Way, f32) -> Option<(Hit, Vec3)> {
+    |Way { origin, direction, from }, reach| {
+        let hit = ray::cast::<false>(&wall.bvh, origin, direction, reach, from)?;
+        Some((hit, outward(wall, &hit, direction)))
+    }
+}
+
+/// Where ways through tissue meet a plane through a point, given its unit normal beyond.
+#[inline(always)]
+pub fn plane(point: Vec3, normal: Vec3) -> impl Fn(Way, f32) -> Option<(Hit, Vec3)> {
+    move |Way { origin, direction, .. }, reach| {
+        let distance = dot(sub(point, origin), normal) / max(dot(direction, normal), 1e-20);
+        let hit = Hit { distance, triangle: MISS, edges: [0.0; 3] };
+        (distance < reach).then_some((hit, normal))
+    }
+}
+
+/// Follows light until it leaves the tissue; None if it is absorbed.
+///
+/// `border` says where a way within a reach meets the border; ways start `offset` behind it [m].
+#[inline(always)]
+pub fn walk(
+    border: impl Fn(Way, f32) -> Option<(Hit, Vec3)>,
+    offset: f32,
+    medium: &Medium,
+    mut way: Way,
+    stream: &mut Stream,
+) -> Option<Exit> {
     let mut share = [1.0f32; 3];
-    let offset = offset(wall);
     for _ in 0..MOST {
         let chances = chances(share, medium);
         let choice = stream.next();
         let color =
             usize::from(choice >= chances[0]) + usize::from(choice >= chances[0] + chances[1]);
         let free = -log2(1.0 - stream.next()) * std::f32::consts::LN_2 / medium.extinction[color];
-        let Way { origin, direction, from } = way;
-        let Some(hit) = ray::cast::<false>(&wall.bvh, origin, direction, free, from) else {
+        let Some((hit, facet)) = border(way, free) else {
             way = scattered(way, free, stream);
             let density = medium.density(chances, free, true);
             share = [0, 1, 2].map(|k| share[k] * medium.albedo[k] * density[k]);
@@ -154,7 +193,7 @@ pub fn walk(wall: &Wall, medium: &Medium, mut way: Way, stream: &mut Stream) -> 
         };
         let density = medium.density(chances, hit.distance, false);
         share = [0, 1, 2].map(|k| share[k] * density[k]);
-        let facet = outward(wall, &hit, direction);
+        let Way { origin, direction, .. } = way;
         let point = add(origin, scale(direction, hit.distance));
         let cosine = dot(direction, facet);
         if stream.next() >= fresnel_within(cosine, medium.ior) {
@@ -242,8 +281,13 @@ pub fn walk_tissue<'py>(
     let way = Way { origin: wall.localize(origin), direction: normalize(direction), from: MISS };
     let key = hash(seed);
     let ends: Vec<([f64; 3], Vec3)> = py.detach(|| {
-        let one = |number: u32| match walk(wall, &medium, way, &mut Stream::new(key ^ hash(number)))
-        {
+        let one = |number: u32| match walk(
+            border(wall),
+            offset(wall),
+            &medium,
+            way,
+            &mut Stream::new(key, number),
+        ) {
             Some(exit) => (wall.globalize(exit.point), exit.share),
             None => ([f64::NAN; 3], [0.0; 3]),
         };

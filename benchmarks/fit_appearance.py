@@ -11,7 +11,7 @@ colours that go into `vrcaps.organ.appearance` and `vrcaps.organ.lesion.colitis`
 
 The base colour scales the baked texture, so no organ is made anew. Exposure follows the mean, so
 the level of the reflectance shows only in how much light bounces, and with it in the spread of L*;
-it stays within `RED`.
+it stays within `validate_looks.RED`.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from looks_camera import our_discs
 from looks_images import valid_pixels
 from looks_scenes import SETTINGS, scenes, shots
 from looks_statistics import by_channel, measured
-from validate_looks import DATA, HEAD_CHANNELS, has_overlays, read_folder
+from validate_looks import DATA, HEAD_CHANNELS, RED, has_overlays, read_folder
 
 from vrcaps import _core
 from vrcaps.metrics.color import image_color, linear_from_srgb
@@ -38,7 +38,7 @@ from vrcaps.world.model import Model
 
 CLASSES = {
     "colon": {"clean_colon": 8, "polyp": 6},
-    "small_intestine": {"capsule_non_bleeding": 8},
+    "small_intestine": {"capsule_non_bleeding": 6},
     "colitis 1": {"colitis_grade_1": 4},
     "colitis 2": {"colitis_grade_2": 4},
     "colitis 3": {"colitis_grade_3": 4},
@@ -47,11 +47,6 @@ CLASSES = {
 PATIENTS = 2
 IMAGE_SCALE = 0.5
 """Of the images, against those compared: means and spreads hardly change."""
-RED = (0.25, 0.55)
-"""Allowed reflectance in red. A deep tissue with the scattering of colon (Marchesini et al. 1994)
-and 0.5 to 5 % of blood (150 g/l; Prahl's table) gives back 0.40 to 0.25 at 620 nm by diffusion
-(`vrcaps.render.narrow_band.diffuse_reflectance`); above it for light collected from other places of
-the wall and the gains of endoscopes' red."""
 STEP = 0.25
 """Change of the logarithm of the level by which its slope is probed."""
 LEVEL_WEIGHT = 0.3

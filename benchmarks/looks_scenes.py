@@ -106,7 +106,8 @@ def views(name: str, seed: int, frames: int, rng: np.random.Generator) -> Iterat
             vrcaps.load_organ("colon", seed=seed), colonoscope(360), (0.03, 0.97), frames, rng
         )
     elif name == "capsule_non_bleeding":
-        organ = vrcaps.load_organ("small-bowel", seed=seed)
+        # Around a capsule the small bowel is not inflated.
+        organ = vrcaps.load_organ("small-bowel", seed=seed, condition="collapsed")
         model, states = flight(organ, capsule, (0.02, 0.98), frames, rng)
         for k, contents in enumerate(CONTENTS):
             yield replace(model, contents=contents), states[k :: len(CONTENTS)]

@@ -1,12 +1,14 @@
 """Claim: frames look more like real ones than those of VR-Caps do.
 
 Sets our frames of each class beside the real frames of that class, and the synthetic frames
-published with VR-Caps beside the same: means, spreads and gradients in CIE L*a*b*.
+published with VR-Caps beside the same: means, spreads and gradients in CIE L*a*b*, and highlights.
 
     python benchmarks/validate_looks.py
     python benchmarks/validate_looks.py --only clean_colon --sheets /tmp/looks   # while tuning
+    python benchmarks/validate_looks.py --mixed /tmp/mixed.png                   # which is which?
 
-With `--sheets` it writes a picture for each class that mixes both, to look at.
+With `--sheets` it writes a picture for each class that shows both, with `--mixed` one of ours and
+real ones shuffled, with the key beside it.
 """
 
 from __future__ import annotations
@@ -34,6 +36,11 @@ PATIENTS_AND_FRAMES = {
     "colitis_grade_3": (2, 12),
 }
 
+RED = (0.25, 0.55)
+"""Allowed reflectance in red. A deep tissue with the scattering of colon (Marchesini et al. 1994)
+and 0.5 to 5 % of blood (150 g/l; Prahl's table) gives back 0.40 to 0.25 at 620 nm by diffusion
+(`vrcaps.render.narrow_band.diffuse_reflectance`); above it for light collected from other places of
+the wall and the gains of endoscopes' red."""
 MIXED = 24
 """Frames of ours in the mixed picture, about, and as many real ones."""
 
@@ -148,25 +155,33 @@ HEAD_CHANNELS = (
 )
 
 
-TEXT = r"""## Colour, beside real frames
+TEXT = r"""## Colour, gradients and highlights, beside real frames
 
 `python benchmarks/validate_looks.py --out docs/gallery.md`: our frames beside real ones of seven
 classes (human capsule frames of WCEBleedGen, colonoscopies of EndoAngel and HyperKvasir), and the
-three synthetic frames published with VR-Caps beside the same, in CIE L\*a\*b\*. Distances are in
-its units, root of the sum of squares over the three channels; smaller is more alike.
+three synthetic frames published with VR-Caps beside the same. Colour is CIE L\*a\*b\*: distances
+are in its units, root of the sum of squares over the three channels; smaller is more alike.
 
 - *mean*, *spread*: Wasserstein-1 distance between the frames' means, and between their standard
   deviations. *gradient*: the same distance between the pooled histograms of the gradient's
-  magnitude. A set of frames that are all alike is therefore far from a varied one.
+  magnitude. *highlights*: the same between the shares of the view that are highlights, in percent
+  (`vrcaps.metrics.color.highlights`). A set of frames that are all alike is therefore far from a
+  varied one.
+- *before*: direct light, a palette fitted to it, and a veil and white balance in place of lens and
+  sensor: frames that commit c4bc116 kept with `--keep FOLDER`, given here by `--before FOLDER`.
+- *Ours*: quick bounced light with shadows; palettes by `python benchmarks/fit_appearance.py`,
+  which finds the base colours at which the frames' mean a\*, mean b\* and spread of L\* are those
+  of the real ones. Red stays within {red_low} and {red_high}: a deep tissue with the scattering of
+  colon and 0.5 to 5 % of blood gives back 0.40 to 0.25 of it by diffusion.
 - *Held out*: every second real frame, by name. What saw which half:
-  - Palettes were fitted to class means of R/G and G/B over all frames; for the held-out columns
-    our frames get the gains that leaving its half out of those means makes, by
-    {least:.0f} to {most:.0f} % in red or blue, whichever is more, over the classes.
+  - Palettes were fitted to class means over all frames; for the held-out columns our frames get
+    the gains that leaving its half out of those means makes, by {least:.0f} to {most:.0f} % in red
+    or blue, whichever is more, over the classes.
   - The spread of white balance and the colour of blood were fitted to the tuning half.
   - Granules, vessels and relief of colitis were chosen by gradients of the tuning half: three
-    settings of grade 1 were tried and the best kept, and two of grade 2. Bile, contrasts, pits
-    and glare were chosen by distances from all frames. Tables of all frames were in sight
-    throughout, and every picture was looked at: held out is not unseen.
+    settings of grade 1 were tried and the best kept, and two of grade 2. Bile, contrasts, pits,
+    the colon's coat and grades of noise were chosen by distances from all frames. Tables of all
+    frames were in sight throughout, and every picture was looked at: held out is not unseen.
 - In brackets, 5th and 95th percentile of 1,000 resamples of the frames of all sets; next, in how
   many of them ours is closer. Sets are small, so the resampled distances are larger than the
   measured ones.
@@ -174,25 +189,28 @@ its units, root of the sum of squares over the three channels; smaller is more a
   view, so black borders and what is printed on them do not count. Where recorders print text and
   boxes into the view (HyperKvasir), the left sixth, and two fifths of the lowest third, are left
   out in all three sets.
-- One way of storing: where the real frames are JPEG files, ours are stored at their size, quality
-  and colour resolution first. Those of VR-Caps are crops of published figures, taken as they are.
-- Ours: capsule classes by the catalog's PillCam SB3 in small bowels; the others by a colonoscope's
-  tip with a field of 140° and two light guides in colons. Flights are even along the lumen and
-  sway by up to 45°; lesions are looked at. Exposure follows the mean luminance of the real frames,
-  as automatic exposure does, with a deviation of 0.25 in its logarithm. Red and blue gain deviate
-  by {red:.2f} and {blue:.2f} in theirs, since real frames come from many cameras; the lens scatters
-  {glare:.0%} of the light over the view.
+- Where the real frames are JPEG files, ours are stored at their size, quality and colour resolution
+  first. Those of VR-Caps are crops of published figures, taken as they are.
+- Capsule classes are seen by the catalog's PillCam SB3 in small bowels: those without bleeding in
+  collapsed ones, every second frame with bubbles, chyme and liquid. The others are seen by a
+  colonoscope's tip with a field of 140° and two light guides in colons. Flights are even along the
+  lumen and sway by up to 45°; lesions are looked at.
+- Lens and sensor are the stages of [effects](effects.md), their grades drawn for each frame
+  (`benchmarks/looks_camera.py`): vignette, bloom, lateral colour, noise; defocus and mosaic in
+  capsules. Exposure follows the mean luminance of the real frames, as automatic exposure does, with
+  a deviation of 0.25 in its logarithm; red and blue gain deviate by {red:.2f} and {blue:.2f} in
+  theirs, since real frames come from many cameras.
 
-What is not in ours: bubbles, stool, instruments, sensor noise, and light that the wall throws back
-on itself.
+What is not in ours: stool, instruments, the sharpening of a video processor, and light that spreads
+inside the wall.
 """
 
 
 def report(rows: list, channels: list, changes: list[float]) -> str:
     """The section of the page; `changes` of palettes by the tuning half alone, by class [%]."""
     text = TEXT.format(
-        **{"size": SIZE, "red": WHITE_SPREAD[0], "blue": WHITE_SPREAD[2], "glare": GLARE},
-        **{"least": min(changes), "most": max(changes)},
+        **{"size": SIZE, "red": WHITE_SPREAD[0], "blue": WHITE_SPREAD[2]},
+        **{"least": min(changes), "most": max(changes), "red_low": RED[0], "red_high": RED[1]},
     )
     return f"{text}\n{table(HEAD, rows)}\n\nBehind it:\n\n{table(HEAD_CHANNELS, channels)}\n"
 

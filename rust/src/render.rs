@@ -3,9 +3,11 @@
 use crate::channels::{Channels, Place, slice, sparse, take};
 use crate::contents::Contents;
 use crate::contents::tile::{Filled, Room};
+use crate::cpu::on_pool;
 use crate::indirect::{Irradiance, QuickLight};
 use crate::lanes::*;
 use crate::material::{Led, Surface};
+use crate::path::afloat::Afloat;
 use crate::path::{First, Settings, wave};
 use crate::rays::{RayTable, TileRays};
 use crate::scene::{Scene, SceneData};
@@ -123,6 +125,7 @@ pub fn render(
             "The wall has moved under a world: refit it to draw it.",
         ));
     }
+    let rest = quick.map(|light| light.rest(py));
     let mut view = View::new(wall, pose, leds, exposure, shadows)?;
     view.paths = paths.map(|(samples, depth, seed)| Settings { samples, depth, seed });
     let shape = (rays.height, rays.width);
@@ -169,9 +172,8 @@ pub fn render(
         front_depth: slice(&mut front_depth)?,
         bend_label: slice(&mut bend_label)?,
     };
-    let rest = quick.map(|light| light.rest(py));
     let quick = quick.zip(rest.as_deref()).filter(|_| channels.wants_light());
-    py.detach(|| {
+    on_pool(py, || {
         view.bounced = quick.map(|(light, rest)| light.solve(rest, wall, &view.leds, shadows));
         let columns = rays.columns();
         let filled = contents.map(|c| Filled::new(wall, &scene.data, c, &view));
@@ -217,11 +219,12 @@ fn glow(
     scene: &SceneData,
     view: &View<'_>,
     tiles: &[TileRays],
+    afloat: Option<Afloat<'_>>,
     first: impl FnMut((usize, &TileRays)) -> First,
 ) -> Option<Vec<Lane3>> {
     let settings = view.paths?;
     let pixel_angle = tiles.iter().fold(0.0, |angle, tile| max(angle, tile.pixel_angle));
-    let tracer = wave::Tracer { wall, scene, leds: &view.leds, pixel_angle, settings };
+    let tracer = wave::Tracer { wall, scene, leds: &view.leds, pixel_angle, settings, afloat };
     let firsts: Vec<First> = tiles.iter().enumerate().map(first).collect();
     Some(wave::indirect(&tracer, &firsts))
 }
@@ -246,7 +249,7 @@ fn render_band(
         let pixel = area.pixels(column);
         First { surface, hit: found.hit, triangle: hits.triangle, pixel }
     };
-    let glow = if out.wants_light() { glow(wall, scene, view, tiles, first) } else { None };
+    let glow = if out.wants_light() { glow(wall, scene, view, tiles, None, first) } else { None };
     for (column, tile) in tiles.iter().enumerate() {
         let glow = glow.as_ref().map(|tiles| &tiles[column]);
         render_tile(wall, scene, view, tile, area.place(column), glow, out);
@@ -263,7 +266,8 @@ fn render_filled_band(filled: &Filled<'_>, tiles: &[TileRays], area: Area, out: 
     let Filled { wall, scene, view, .. } = *filled;
     let first =
         |(column, tile): (usize, &TileRays)| filled.first(tile, area.pixels(column), &mut room);
-    let glow = if out.wants_light() { glow(wall, scene, view, tiles, first) } else { None };
+    let afloat = Some(filled.afloat());
+    let glow = if out.wants_light() { glow(wall, scene, view, tiles, afloat, first) } else { None };
     for (column, tile) in tiles.iter().enumerate() {
         let glow = glow.as_ref().map(|tiles| &tiles[column]);
         filled.render_tile(tile, area.place(column), glow, &mut room, out);

@@ -310,6 +310,15 @@ def test_a_thin_sheet_shines_through(rng: np.random.Generator):
     np.testing.assert_allclose(found.mean(), expected, rtol=0.04)
 
 
+def test_head_on_look_of_a_color():
+    """The core's straight line, 0.93 to 1 from dark to white, is exact transport to 1 %."""
+    roots = albedo_roots()
+    colors = np.linspace(0.0, 1.0, len(roots))[8:-8]
+    passes = 1.0 - fresnel(np.array(1.0), TISSUE_IOR)
+    head_on = half_space_reflectance(1.0 - roots[8:-8] ** 2, TISSUE_IOR) / passes
+    np.testing.assert_allclose(head_on / colors, 0.93 + 0.07 * colors, rtol=1e-2)
+
+
 @pytest.mark.parametrize("radius", [0.02, 0.5])
 def test_quick_light_in_a_sphere(radius: float):
     """Lit from its middle it is as bright as by walks, closely curved or not, to 2.5 %."""

@@ -81,6 +81,13 @@ impl Film {
         }
     }
 
+    /// Share of light that one crossing of the shell lets through, by the squared distance of the
+    /// ray from the centre as a share of the radius' square.
+    pub fn passes(&self, miss: f32) -> f32 {
+        let surface = fresnel(max(1.0 - miss, 0.0).sqrt(), self.ior);
+        1.0 - 2.0 * surface / (1.0 + surface)
+    }
+
     /// Transmission and reflection of one crossing of the shell.
     #[inline(always)]
     fn shell(&self, ways: &Crossings, blur: f32) -> Shell {

@@ -3,9 +3,10 @@
 use super::bubble::{Behind, Eye, Film};
 use super::liquid::{Optics, Wet};
 use super::spheres::{Near, Spheres};
+use super::turn::Turn;
 use crate::lanes::*;
 use crate::material::Led;
-use crate::tile::Pyramid;
+use crate::tile::{Hits, Pyramid};
 
 /// Straight pieces of rays; distances count along the whole way from the eye.
 pub struct Leg<'a> {
@@ -109,4 +110,34 @@ impl Leg<'_> {
         }
         optics.carry((&starts, &self.rays.directions, &length), leds, wet, radiance);
     }
+}
+
+/// Where the straight ways from the eye end [m].
+#[inline(always)]
+pub fn first_leg(wet: Option<&Wet>, hits: &Hits) -> Lane {
+    let Some(wet) = wet else { return hits.distance };
+    std::array::from_fn(|i| min(wet.turn.way[i], hits.distance[i]))
+}
+
+/// Where rays that go on along `heading` after a turn would start if all of their way were
+/// straight, the mean of these places, and the box around the ways on to their `ends`.
+#[inline(always)]
+pub fn unfolded(
+    turn: &Turn,
+    heading: &Lane3,
+    ends: &Lane3,
+    lanes: &[bool; LANES],
+) -> (Lane3, Vec3, (Vec3, Vec3)) {
+    let (mut low, mut high, mut sum, mut count) = ([f32::MAX; 3], [f32::MIN; 3], [0.0; 3], 0.0);
+    let mut starts = turn.place;
+    for i in (0..LANES).filter(|&i| lanes[i]) {
+        for k in 0..3 {
+            starts[k][i] -= turn.way[i] * heading[k][i];
+            sum[k] += starts[k][i];
+            low[k] = min(low[k], min(turn.place[k][i], ends[k][i]));
+            high[k] = max(high[k], max(turn.place[k][i], ends[k][i]));
+        }
+        count += 1.0;
+    }
+    (starts, scale(sum, 1.0 / max(count, 1.0)), (low, high))
 }

@@ -126,7 +126,9 @@ impl Optics {
         }
     }
 
-    fn extinction(&self, k: usize) -> f32 {
+    /// Extinction coefficient of a colour [1/m].
+    #[inline(always)]
+    pub fn extinction(&self, k: usize) -> f32 {
         self.absorption[k] + self.scattering[k]
     }
 

@@ -7,7 +7,7 @@ mod drag;
 mod front;
 mod leg;
 pub mod liquid;
-mod particles;
+pub mod particles;
 pub mod spheres;
 pub mod swarm;
 pub mod tile;

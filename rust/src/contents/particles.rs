@@ -92,28 +92,28 @@ impl Filled<'_> {
             found.instance[i] = sphere.instance;
         }
     }
+}
 
-    /// Gives particles their colour and their lumps.
-    #[inline(always)]
-    pub fn paint_particles(&self, owner: &Owner, surface: &mut Surface) {
-        for i in (0..LANES).filter(|&i| owner[i] != MISS) {
-            let sphere = &self.contents.chyme.all[owner[i] as usize];
-            let size = LUMPS * sphere.radius;
-            let own = sub(at(&surface.position, i), sphere.center);
-            let lump = Lattice::new(sphere.number, size).displacement(own);
-            let grain = Lattice::new(!sphere.number, 0.5 * size).displacement(own);
-            let smooth = at(&surface.normal, i);
-            let rough = [0, 1, 2].map(|k| smooth[k] + 0.4 * lump[k] + 0.25 * grain[k]);
-            // Lumps that turn away from the viewer are not seen.
-            let away = min(dot(rough, at(&surface.view, i)) - 0.05, 0.0);
-            let normal = normalize(sub(rough, scale(at(&surface.view, i), away)));
-            let shade = 1.0 + 0.25 * lump[0] + 0.2 * grain[1];
-            for k in 0..3 {
-                surface.normal[k][i] = normal[k];
-                surface.albedo[k][i] = clamp(sphere.color[k] * shade, 0.0, 0.95);
-            }
-            surface.roughness[i] = CHYME_ROUGHNESS;
+/// Gives particles their colour and their lumps.
+#[inline(always)]
+pub fn paint(chyme: &Spheres, owner: &Owner, surface: &mut Surface) {
+    for i in (0..LANES).filter(|&i| owner[i] != MISS) {
+        let sphere = &chyme.all[owner[i] as usize];
+        let size = LUMPS * sphere.radius;
+        let own = sub(at(&surface.position, i), sphere.center);
+        let lump = Lattice::new(sphere.number, size).displacement(own);
+        let grain = Lattice::new(!sphere.number, 0.5 * size).displacement(own);
+        let smooth = at(&surface.normal, i);
+        let rough = [0, 1, 2].map(|k| smooth[k] + 0.4 * lump[k] + 0.25 * grain[k]);
+        // Lumps that turn away from the viewer are not seen.
+        let away = min(dot(rough, at(&surface.view, i)) - 0.05, 0.0);
+        let normal = normalize(sub(rough, scale(at(&surface.view, i), away)));
+        let shade = 1.0 + 0.25 * lump[0] + 0.2 * grain[1];
+        for k in 0..3 {
+            surface.normal[k][i] = normal[k];
+            surface.albedo[k][i] = clamp(sphere.color[k] * shade, 0.0, 0.95);
         }
+        surface.roughness[i] = CHYME_ROUGHNESS;
     }
 }
 

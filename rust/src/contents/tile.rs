@@ -5,15 +5,16 @@
 
 use super::Contents;
 use super::front::Front;
-use super::leg::{Bubbles, Leg};
-use super::liquid::{DRY, Optics, Wet};
-use super::particles::Owner;
+use super::leg::{Bubbles, Leg, first_leg, unfolded};
+use super::liquid::{DRY, Optics, Pools, Wet};
+use super::particles::{Owner, paint};
 use super::spheres::Near;
-use super::turn::{REFRACTED, STRAIGHT, Turn};
+use super::turn::{REFRACTED, STRAIGHT};
 use crate::channels::{Channels, Place};
 use crate::lanes::*;
 use crate::material::{Surface, add_light};
 use crate::path::First;
+use crate::path::afloat::Afloat;
 use crate::query;
 use crate::rays::TileRays;
 use crate::render::{View, add_glow, primary, write_geometry};
@@ -68,6 +69,16 @@ impl<'a> Filled<'a> {
             pools.of_face(wall.faces[nearest.face as usize])
         });
         Filled { wall, scene, contents, view, of_eye }
+    }
+
+    /// The contents as paths meet them.
+    pub fn afloat(&self) -> Afloat<'_> {
+        let is_under = |(pools, _): &&(Pools, Optics)| {
+            self.of_eye != DRY && self.view.origin[2] < pools.level(self.of_eye)
+        };
+        let under = self.contents.pools.as_ref().filter(is_under);
+        let of_leds = if under.is_some() { self.of_eye } else { DRY };
+        Afloat { wall: self.wall, contents: self.contents, of_leds }
     }
 
     /// The surfaces of wall and particles that paths set out from.
@@ -162,7 +173,7 @@ impl<'a> Filled<'a> {
     #[inline(always)]
     fn surface(&self, found: &Attributes, hits: &Hits, owner: &Owner, pixel_angle: f32) -> Surface {
         let mut surface = surface(self.scene, found, &hits.distance, pixel_angle);
-        self.paint_particles(owner, &mut surface);
+        paint(&self.contents.chyme, owner, &mut surface);
         surface
     }
 
@@ -366,34 +377,4 @@ impl<'a> Filled<'a> {
         }
         radiance
     }
-}
-
-/// Where the straight ways from the eye end [m].
-#[inline(always)]
-fn first_leg(wet: Option<&Wet>, hits: &Hits) -> Lane {
-    let Some(wet) = wet else { return hits.distance };
-    std::array::from_fn(|i| min(wet.turn.way[i], hits.distance[i]))
-}
-
-/// Where rays that go on along `heading` after a turn would start if all of their way were
-/// straight, the mean of these places, and the box around the ways on to their `ends`.
-#[inline(always)]
-fn unfolded(
-    turn: &Turn,
-    heading: &Lane3,
-    ends: &Lane3,
-    lanes: &[bool; LANES],
-) -> (Lane3, Vec3, (Vec3, Vec3)) {
-    let (mut low, mut high, mut sum, mut count) = ([f32::MAX; 3], [f32::MIN; 3], [0.0; 3], 0.0);
-    let mut starts = turn.place;
-    for i in (0..LANES).filter(|&i| lanes[i]) {
-        for k in 0..3 {
-            starts[k][i] -= turn.way[i] * heading[k][i];
-            sum[k] += starts[k][i];
-            low[k] = min(low[k], min(turn.place[k][i], ends[k][i]));
-            high[k] = max(high[k], max(turn.place[k][i], ends[k][i]));
-        }
-        count += 1.0;
-    }
-    (starts, scale(sum, 1.0 / max(count, 1.0)), (low, high))
 }

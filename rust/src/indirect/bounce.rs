@@ -1,5 +1,6 @@
 //! One frame of bounced light.
 
+use super::known::{Light, Lights};
 use super::lamps::first_reflection;
 use super::moved::Moved;
 use super::rows::{Beam, Link};
@@ -9,10 +10,10 @@ use crate::lanes::*;
 use crate::material::{Led, Surface};
 use crate::tile::{Hits, MISS};
 use crate::wall::Wall;
+use glam::Vec4;
 use rayon::prelude::*;
 use std::borrow::Cow;
 use std::f32::consts::PI;
-use std::sync::atomic::{AtomicU32, Ordering::Relaxed};
 
 /// Reflections that are followed after the first; the rest is the tail of a geometric series.
 const BOUNCES: usize = 2;
@@ -31,40 +32,14 @@ pub struct Irradiance<'a> {
     /// LEDs, and whether things cast shadows, if light goes through tissue.
     through: Option<Lamps<'a>>,
     /// Light at each site and vertex, gathered when first needed.
-    of_site: Vec<Lazy<12>>,
-    of_vertex: Vec<Lazy<12>>,
+    known: Lights<'a>,
 }
 
-/// For red, green and blue: irradiance, and how it grows as the normal tilts along x, y and z
-/// [W/m²]. The latter is the tangential part of the light vector.
-type Light = [f32; 12];
+/// What the corners of one face get: at the third, and how much more at the first two.
+type Corners = (u32, [Light; 3]);
 
-/// Light that is reckoned when first needed; all bits zero is not yet known, a zero that
-/// is known is negative.
-///
-/// Threads that need it at once all reckon it; their results are the same, so it matters
-/// neither who writes last nor whether a reader finds parts of one and of the other.
-pub(super) struct Lazy<const N: usize>([AtomicU32; N]);
-
-impl<const N: usize> Lazy<N> {
-    /// So many that are not yet known.
-    pub(super) fn none_of(count: usize) -> Vec<Self> {
-        (0..count).map(|_| Lazy(std::array::from_fn(|_| AtomicU32::new(0)))).collect()
-    }
-
-    #[inline(always)]
-    pub(super) fn get(&self, reckon: impl FnOnce() -> [f32; N]) -> [f32; N] {
-        let known: [u32; N] = std::array::from_fn(|k| self.0[k].load(Relaxed));
-        if known.iter().all(|&bits| bits != 0) {
-            return known.map(f32::from_bits);
-        }
-        let found = reckon().map(|x| if x == 0.0 { -0.0 } else { x });
-        for (slot, x) in self.0.iter().zip(found) {
-            slot.store(x.to_bits(), Relaxed);
-        }
-        found
-    }
-}
+/// Faces that a tile keeps at hand.
+const AT_HAND: usize = 8;
 
 impl QuickLight {
     /// Irradiance by bounced light.
@@ -103,10 +78,8 @@ impl QuickLight {
                 last[s as usize] = light;
             }
         }
-        let of_site = Lazy::none_of(self.albedo.len());
-        let of_vertex = Lazy::none_of(wall.vertices.len());
         let through = self.through.as_ref().map(|through| through.lit(wall, leds, shadows));
-        Irradiance { light: self, rest, wall, moved, leaving, through, of_site, of_vertex }
+        Irradiance { light: self, rest, wall, moved, leaving, through, known: self.room.lend() }
     }
 
     /// Sites that are lit or see one that is, in order.
@@ -169,46 +142,63 @@ impl Irradiance<'_> {
     /// gets (1 + cos τ)/2.
     #[inline(always)]
     pub fn add(&self, (surface, smooth): (&Surface, &Lane3), hits: &Hits, radiance: &mut Lane3) {
-        let mut light = [[0.0; LANES]; 12];
-        let mut last = (MISS, [[0.0; 12]; 3]);
+        let mut shares = [[0.0; LANES]; 4];
+        let mut reflected = [[0.0; LANES]; 2];
+        for i in 0..LANES {
+            let (normal, flat) = (at(&surface.normal, i), at(smooth, i));
+            let [base, gloss] = self.light.reflectance.at(dot(normal, at(&surface.view, i)));
+            (reflected[0][i], reflected[1][i]) = (base, gloss);
+            let level = dot(normal, flat);
+            shares[0][i] = 0.5 * (1.0 + level);
+            for k in 0..3 {
+                shares[k + 1][i] = normal[k] - flat[k] * level;
+            }
+        }
+        let mut irradiance = [[0.0; LANES]; 3];
+        let mut at_hand: [Corners; AT_HAND] = [(MISS, [[Vec4::ZERO; 4]; 3]); AT_HAND];
         for i in 0..LANES {
             let triangle = hits.triangle[i];
             if triangle == MISS {
                 continue;
             }
-            if triangle != last.0 {
-                let corners = self.wall.bvh.corners[triangle as usize];
-                last = (triangle, corners.map(|v| self.vertex(v as usize)));
+            let corners = &mut at_hand[triangle as usize % AT_HAND];
+            if corners.0 != triangle {
+                *corners = (triangle, self.corners(triangle));
             }
-            let [a, b, c] = &last.1;
+            let [first, second, third] = &corners.1;
             let inverse = 1.0 / hits.edges[2][i];
             let (wa, wb) = (hits.edges[0][i] * inverse, hits.edges[1][i] * inverse);
-            for k in 0..12 {
-                light[k][i] = c[k] + wa * (a[k] - c[k]) + wb * (b[k] - c[k]);
+            let mut sum = Vec4::ZERO;
+            for part in 0..4 {
+                let light = third[part] + first[part] * wa + second[part] * wb;
+                sum += light * shares[part][i];
+            }
+            for k in 0..3 {
+                irradiance[k][i] = sum[k];
             }
         }
-        for i in 0..LANES {
-            let (normal, flat) = (at(&surface.normal, i), at(smooth, i));
-            let [base, gloss] = self.light.reflectance.at(dot(normal, at(&surface.view, i)));
-            let level = dot(normal, flat);
-            let tilt = sub(normal, scale(flat, level));
-            for k in 0..3 {
-                let [even, x, y, z] = [0, 1, 2, 3].map(|part| light[4 * k + part][i]);
-                let irradiance = 0.5 * (1.0 + level) * even + dot(tilt, [x, y, z]);
-                let share = base * surface.albedo[k][i] + gloss;
-                radiance[k][i] += max(irradiance, 0.0) * (1.0 / PI) * share;
+        for k in 0..3 {
+            for i in 0..LANES {
+                let share = reflected[0][i] * surface.albedo[k][i] + reflected[1][i];
+                radiance[k][i] += max(irradiance[k][i], 0.0) * (1.0 / PI) * share;
             }
         }
     }
 
-    #[inline(always)]
+    fn corners(&self, triangle: u32) -> [Light; 3] {
+        let corners = self.wall.bvh.corners[triangle as usize];
+        let [a, b, c] = corners.map(|v| self.vertex(v as usize));
+        let more = |light: Light| std::array::from_fn(|part| light[part] - c[part]);
+        [more(a), more(b), c]
+    }
+
     fn vertex(&self, v: usize) -> Light {
-        self.of_vertex[v].get(|| {
-            let mut sum = [0.0; 12];
+        self.known.vertex(v, || {
+            let mut sum = [Vec4::ZERO; 4];
             for &(s, weight) in self.light.sites.heard[v].iter().filter(|heard| heard.1 > 0.0) {
                 let light = self.site(s as usize);
-                for k in 0..12 {
-                    sum[k] += weight * light[k];
+                for part in 0..4 {
+                    sum[part] += weight * light[part];
                 }
             }
             sum
@@ -216,7 +206,7 @@ impl Irradiance<'_> {
     }
 
     fn site(&self, s: usize) -> Light {
-        self.of_site[s].get(|| {
+        self.known.site(s, || {
             let vertex = self.light.sites.vertex[s] as usize;
             let beams = &self.light.row(self.rest, s).fine;
             let mut vectors = match &self.moved {
@@ -231,23 +221,24 @@ impl Irradiance<'_> {
                 vectors = vectors.map(|vector| moved.turn(self.wall, vertex, vector));
             }
             let normal = self.wall.normals[vertex];
-            let through = self.through.as_ref().map_or([0.0; 3], |lamps| {
-                let albedo = self.light.albedo[s];
-                let gained = lamps.gained(self.rest, &self.light.sites, (s, albedo));
-                // A pixel gives of it what it gives of all irradiance, gloss too: less that.
-                let [base, gloss] = self.light.reflectance.mean;
-                [0, 1, 2].map(|k| gained[k] * base * albedo[k] / max(base * albedo[k] + gloss, 1e-6))
-            });
-            std::array::from_fn(|k| {
-                let vector = vectors[k / 4];
-                let even = dot(vector, normal);
-                if k % 4 == 0 {
-                    even + through[k / 4]
-                } else {
-                    vector[k % 4 - 1] - even * normal[k % 4 - 1]
-                }
-            })
+            let mut even = vectors.map(|vector| dot(vector, normal));
+            let along =
+                |k: usize| [0, 1, 2].map(|color| vectors[color][k] - even[color] * normal[k]);
+            let parts = [along(0), along(1), along(2)];
+            if let Some(lamps) = &self.through {
+                even = add(even, self.gained(lamps, s));
+            }
+            [even, parts[0], parts[1], parts[2]].map(|[r, g, b]| Vec4::new(r, g, b, 0.0))
         })
+    }
+
+    /// Irradiance that a site gains by light through the tissue, in the share that the base gives
+    /// back: a pixel gives of all irradiance what base and gloss do.
+    fn gained(&self, lamps: &Lamps<'_>, s: usize) -> Vec3 {
+        let albedo = self.light.albedo[s];
+        let gained = lamps.gained(self.rest, &self.light.sites, (s, albedo));
+        let [base, gloss] = self.light.reflectance.mean;
+        [0, 1, 2].map(|k| gained[k] * base * albedo[k] / max(base * albedo[k] + gloss, 1e-6))
     }
 
     /// Red, green and blue light vectors by what leaves the sites of a row, whose shares are

@@ -9,6 +9,7 @@
 //! bent in each frame to the wall as it is.
 
 mod bounce;
+mod known;
 mod lamps;
 mod lobe;
 mod look;
@@ -19,6 +20,7 @@ mod sites;
 mod through;
 
 pub use bounce::Irradiance;
+use known::Rooms;
 use look::Look;
 use reflectance::Reflectance;
 use rows::{Row, trace_row};
@@ -47,6 +49,7 @@ pub struct QuickLight {
     rows: Vec<OnceLock<Row>>,
     /// Light through the tissue, if there is any.
     through: Option<Through>,
+    room: Rooms,
 }
 
 #[pymethods]
@@ -64,7 +67,8 @@ impl QuickLight {
             let rows = sites.vertex.iter().map(|_| OnceLock::new()).collect();
             let Look { albedo, per_area, .. } = look;
             let through = scene.tissue.as_ref().map(|tissue| Through::new(tissue, albedo.len()));
-            QuickLight { rest: own, sites, albedo, per_area, reflectance, rows, through }
+            let room = Rooms::new((sites.vertex.len(), wall.vertices.len()));
+            QuickLight { rest: own, sites, albedo, per_area, reflectance, rows, through, room }
         })
     }
 

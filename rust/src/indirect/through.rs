@@ -4,7 +4,6 @@
 //! light is summed over those places; what it is more or less than the light at the site itself is
 //! added to the irradiance there. Detail finer than sites, such as relief, stays as it is.
 
-use super::bounce::Lazy;
 use super::lobe::Lobe;
 use super::sites::{Sites, nearest_corner};
 use crate::lanes::*;
@@ -14,6 +13,7 @@ use crate::path::ray;
 use crate::path::walk::{Exit, Stream, Tissue, Way, border, offset, plane, refracted, walk};
 use crate::wall::Wall;
 use std::sync::OnceLock;
+use std::sync::atomic::{AtomicU32, Ordering::Relaxed};
 
 /// Walks of a site are a square of so many by so many.
 const SIDE: usize = 12;
@@ -50,7 +50,27 @@ pub struct Lamps<'a> {
     /// Their mean place, from which shadows fall, if things cast any.
     middle: Option<Vec3>,
     /// Irradiance of vertices that passes the border.
-    entering: Vec<Lazy<3>>,
+    entering: Vec<Entering>,
+}
+
+/// Irradiance of a vertex, reckoned when first needed: a number whose bits are all zero is not yet
+/// known, a zero that is known is negative. Threads that need it at once all reckon the same.
+#[derive(Default)]
+struct Entering([AtomicU32; 3]);
+
+impl Entering {
+    #[inline(always)]
+    fn get(&self, reckon: impl FnOnce() -> Vec3) -> Vec3 {
+        let known = [0, 1, 2].map(|k: usize| self.0[k].load(Relaxed));
+        if known.iter().all(|&bits| bits != 0) {
+            return known.map(f32::from_bits);
+        }
+        let found = reckon().map(|x| if x == 0.0 { -0.0 } else { x });
+        for (slot, x) in self.0.iter().zip(found) {
+            slot.store(x.to_bits(), Relaxed);
+        }
+        found
+    }
 }
 
 impl Through {
@@ -64,7 +84,7 @@ impl Through {
     pub fn lit<'a>(&'a self, wall: &'a Wall, leds: &[Led], shadows: bool) -> Lamps<'a> {
         let sum = leds.iter().fold([0.0; 3], |sum, led| add(sum, led.position));
         let middle = shadows.then(|| scale(sum, 1.0 / leds.len().max(1) as f32));
-        let entering = Lazy::none_of(wall.vertices.len());
+        let entering = (0..wall.vertices.len()).map(|_| Entering::default()).collect();
         Lamps { through: self, wall, leds: leds.to_vec(), middle, entering }
     }
 }

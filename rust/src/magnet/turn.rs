@@ -7,6 +7,8 @@ use pyo3::prelude::*;
 
 /// Cosine beyond which a turn is so near to half a turn that its sine says no axis.
 const NEAR_HALF: f64 = -0.99;
+/// A sine below this says no axis.
+const PARALLEL: f64 = 1e-9;
 
 /// A rotation, turned further by a rotation vector [rad] in the same frame.
 ///
@@ -36,6 +38,17 @@ pub fn rotation_vector(rotation: DMat3) -> DVec3 {
     across * if sine > 0.0 { 0.5 * angle / sine } else { 0.5 }
 }
 
+/// A direction turned towards another by `most` [rad]; about an axis where they are opposite.
+fn towards(start: DVec3, end: DVec3, most: f64, about: DVec3) -> DVec3 {
+    let axis = start.cross(end);
+    let sine = axis.length();
+    if sine.atan2(start.dot(end)) <= most {
+        return end;
+    }
+    let unit = if sine > PARALLEL { axis / sine } else { about };
+    (DMat3::from_axis_angle(unit, most) * start).normalize()
+}
+
 fn rotation(rows_of: &PyReadonlyArray2<'_, f64>) -> PyResult<DMat3> {
     let flat = rows(rows_of, 3)?;
     Ok(DMat3::from_cols_slice(&flat).transpose())
@@ -62,4 +75,18 @@ pub fn vector_of<'py>(
 ) -> PyResult<Bound<'py, PyArray1<f64>>> {
     let vector = rotation_vector(rotation(&matrix)?).to_array();
     Ok(PyArray1::from_slice(py, &vector))
+}
+
+/// See `towards`: directions [3], an angle [rad], an axis [3].
+#[pyfunction]
+#[pyo3(name = "towards")]
+pub fn towards_of<'py>(
+    py: Python<'py>,
+    start: [f64; 3],
+    end: [f64; 3],
+    most: f64,
+    about: [f64; 3],
+) -> Bound<'py, PyArray1<f64>> {
+    let led = towards(start.into(), end.into(), most, about.into());
+    PyArray1::from_slice(py, &led.to_array())
 }

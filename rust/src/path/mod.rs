@@ -7,6 +7,7 @@
 //! Paths go in waves, not one by one: all of a band of tiles take a step together, so that shading
 //! runs over lanes and ways to an LED are traced as packets.
 
+pub mod afloat;
 mod lobes;
 pub mod random;
 pub mod ray;

@@ -67,7 +67,7 @@ impl Tissue {
     }
 
     /// What a viewer at an angle of this cosine sees of a base colour, over the mean over all angles:
-    /// the border, and 0.93 to 1 from dark to white of head-on light (`scattering.py`).
+    /// the border, and 0.93 to 1 from dark to white, exact for head-on light to 1 %.
     #[inline(always)]
     pub fn seen(&self, cosine: f32, color: f32) -> f32 {
         self.passes(cosine) * (0.93 + 0.07 * color)
@@ -157,7 +157,7 @@ pub fn border(wall: &Wall) -> impl Fn(Way, f32) -> Option<(Hit, Vec3)> {
 pub fn plane(point: Vec3, normal: Vec3) -> impl Fn(Way, f32) -> Option<(Hit, Vec3)> {
     move |Way { origin, direction, .. }, reach| {
         let distance = dot(sub(point, origin), normal) / max(dot(direction, normal), 1e-20);
-        let hit = Hit { distance, triangle: MISS, edges: [0.0; 3] };
+        let hit = Hit { distance, triangle: MISS, edges: [0.0; 3], particle: MISS };
         (distance < reach).then_some((hit, normal))
     }
 }

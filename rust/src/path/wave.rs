@@ -2,6 +2,7 @@
 
 use crate::lanes::*;
 use crate::material::{Led, Surface, add_light};
+use crate::path::afloat::Afloat;
 use crate::path::lobes::{Bounce, Draw, bounce};
 use crate::path::random::{dimension, hash, point, unit};
 use crate::path::ray::{self, Hit};
@@ -32,6 +33,8 @@ pub struct Tracer<'a> {
     pub pixel_angle: f32,
     /// How paths are traced.
     pub settings: Settings,
+    /// What floats in the lumen, if anything does.
+    pub afloat: Option<Afloat<'a>>,
 }
 
 /// A path on its way from one surface to the next.
@@ -83,7 +86,7 @@ pub fn indirect(tracer: &Tracer<'_>, firsts: &[First]) -> Vec<Lane3> {
                 tracer.step(reflection, &mut wave);
             }
             tracer.walk(reflection, &mut wave);
-            wave.requests.settle(tracer.wall, &leds, &mut sums);
+            wave.requests.settle(tracer, &leds, &mut sums);
             if wave.paths.is_empty() {
                 break;
             }
@@ -129,10 +132,16 @@ impl Tracer<'_> {
     fn step(&self, reflection: u32, wave: &mut Wave) {
         let Wave { paths, next, met, entries, requests, .. } = wave;
         met.clear();
-        for (number, path) in paths.iter().enumerate() {
-            let hit =
-                ray::cast::<false>(&self.wall.bvh, path.origin, path.direction, REACH, path.from);
-            met.extend(hit.map(|hit| (number as u32, hit)));
+        for (number, path) in paths.iter_mut().enumerate() {
+            let Path { origin, direction, from, .. } = *path;
+            let hit = ray::cast::<false>(&self.wall.bvh, origin, direction, REACH, from);
+            let Some(mut hit) = hit else { continue };
+            if let Some(afloat) = &self.afloat {
+                let left;
+                (hit, left) = afloat.meet(origin, direction, from, hit);
+                path.throughput = [0, 1, 2].map(|k| path.throughput[k] * left[k]);
+            }
+            met.push((number as u32, hit));
         }
         next.clear();
         for block in met.chunks(LANES) {
@@ -293,7 +302,11 @@ impl Tracer<'_> {
             }
         }
         let found = attributes_at(self.wall, self.scene, position, view, &hits);
-        surface(self.scene, &found, &hits.distance, self.pixel_angle)
+        let mut surface = surface(self.scene, &found, &hits.distance, self.pixel_angle);
+        if let Some(afloat) = &self.afloat {
+            afloat.show(block, &mut surface);
+        }
+        surface
     }
 
     /// Unit normals of the faces on the viewer's side; the surface's own where there is no face.

@@ -1,6 +1,7 @@
 //! Blur of what is out of focus, by the circle of confusion of a thin lens.
 
 use super::planes::{planes_array, rows, size};
+use crate::cpu::on_pool;
 use crate::lanes::{clamp, max, min};
 use numpy::{PyArray3, PyReadonlyArray2, PyReadonlyArray3, PyUntypedArrayMethods};
 use pyo3::{exceptions::PyValueError, prelude::*};
@@ -54,7 +55,7 @@ pub fn defocus<'py>(
     }
     let (source, distance) = (planes.as_slice()?, distance.as_slice()?);
     let mut out = vec![0.0; source.len()];
-    py.detach(|| {
+    on_pool(py, || {
         let mut padded = ROOM.take().of_size((height, width));
         padded.fill(source, distance, reach, focus);
         let blocks = width.div_ceil(BLOCK);

@@ -1,6 +1,7 @@
 //! Motion while the shutter is open, and rows that are read one after another.
 
 use super::planes::{planes_array, rows, size_of_image};
+use crate::cpu::on_pool;
 use crate::lanes::{clamp, max, min};
 use numpy::{PyArray3, PyReadonlyArray2, PyReadonlyArray3, PyUntypedArrayMethods};
 use pyo3::{exceptions::PyValueError, prelude::*};
@@ -12,8 +13,10 @@ const MOST_SAMPLES: f32 = 64.0;
 /// Shift that is not worth interpolating [px].
 const STILL: f32 = 1e-3;
 
-/// Steps in which the place that a late row sees is found.
+/// Most steps in which the place that a late row sees is found, and the change of its motion at
+/// which it is [px per frame].
 const FIXED_POINT_STEPS: usize = 4;
+const SETTLED: f32 = 1e-2;
 
 /// A field of motion at some pixels [px per frame], with no place unknown.
 struct Motion {
@@ -68,7 +71,11 @@ impl Motion {
             let late = lateness(readout, y, height);
             let mut v = self.vectors[k];
             for _ in 0..FIXED_POINT_STEPS {
+                let before = v;
                 v = self.at(x - v[0] * late, y - v[1] * late);
+                if max((v[0] - before[0]).abs(), (v[1] - before[1]).abs()) < SETTLED {
+                    break;
+                }
             }
             v
         };
@@ -157,7 +164,7 @@ pub fn blur_motion<'py>(
     let (source, lit) = (image.as_slice()?, lit.as_slice()?);
     let ((vectors, step), (shutter, readout)) = ((motion.0.as_slice()?, motion.1), open);
     let mut out = vec![0.0; source.len()];
-    py.detach(|| {
+    on_pool(py, || {
         let motion = Motion::new(vectors, (rows_known, columns), step).when_read(readout, height);
         let mut still = ROOM.take().of_size((height, width));
         still.fill(source, lit, factor);
@@ -278,9 +285,17 @@ fn blur_row(
 ) {
     let width = still.size.1;
     for x in (0..width).step_by(RUN) {
-        let own = [0, 1, 2, 3].map(|plane| still.run(plane, y, x as isize));
-        // Beyond the row its last vector goes on.
-        let near = [0, 1].map(|k| std::array::from_fn(|i| motion[k][(x + i).min(width - 1)]));
+        let mut own = [[0.0; RUN]; 4];
+        for plane in 0..4 {
+            own[plane] = still.run(plane, y, x as isize);
+        }
+        let mut near = [[0.0; RUN]; 2];
+        for k in 0..2 {
+            // Beyond the row its last vector goes on.
+            for i in 0..RUN {
+                near[k][i] = motion[k][(x + i).min(width - 1)];
+            }
+        }
         let speed = near.as_flattened().iter().fold(0.0, |most, v: &f32| max(v.abs(), most));
         let mut mean = own;
         if speed * (late.abs() + 0.5 * shutter) >= STILL {
@@ -326,7 +341,12 @@ fn streak(
         let taps = [along[1].ceil() - first[0], down[1].ceil() - first[1]];
         if still.holds((x, y), along, down) && max(taps[0], taps[1]) < MOST_TAPS as f32 {
             let start = (y.wrapping_add_signed(first[1] as isize), x as isize + first[0] as isize);
-            let rest = [0, 1].map(|k| motion[k].map(|v| -v * time - first[k]));
+            let mut rest = [[0.0; RUN]; 2];
+            for k in 0..2 {
+                for i in 0..RUN {
+                    rest[k][i] = -motion[k][i] * time - first[k];
+                }
+            }
             add_shifted(still, start, taps.map(|count| count as usize), &rest, &mut sum);
         } else {
             for i in 0..RUN {
@@ -355,12 +375,15 @@ fn add_shifted(
     for row in 0..=taps[1] {
         for column in 0..=taps[0] {
             let place = (start.0 + row, start.1 + column as isize);
-            let values = [0, 1, 2, 3].map(|plane| still.run(plane, place.0, place.1));
+            let mut share = [0.0f32; RUN];
             for i in 0..RUN {
                 let across = max(1.0 - (rest[0][i] - column as f32).abs(), 0.0);
-                let share = across * max(1.0 - (rest[1][i] - row as f32).abs(), 0.0);
-                for k in 0..4 {
-                    sum[k][i] += share * values[k][i];
+                share[i] = across * max(1.0 - (rest[1][i] - row as f32).abs(), 0.0);
+            }
+            for plane in 0..4 {
+                let values = still.run(plane, place.0, place.1);
+                for i in 0..RUN {
+                    sum[plane][i] += share[i] * values[i];
                 }
             }
         }

@@ -3,6 +3,7 @@
 //! Random numbers are hashes of (key, site), so that they depend on nothing else.
 
 use super::planes::size;
+use crate::cpu::on_pool;
 use crate::lanes::{clamp, exp2, log2, max};
 use numpy::{
     IntoPyArray, PyArray2, PyArrayDyn, PyReadonlyArray2, PyReadonlyArray3, PyUntypedArrayMethods,
@@ -142,7 +143,8 @@ pub struct Readout {
     full_well: f32,
     /// Standard deviation of a reading [electrons].
     read_noise: f32,
-    /// Amplification before the converter.
+    /// Light relative to that which made the image, and amplification before the converter.
+    light: f32,
     gain: f32,
     /// Largest number of the converter, and its number for no light.
     white: f32,
@@ -153,7 +155,7 @@ pub struct Readout {
 
 /// The image as the sensor's converter gives it, scaled back to image values.
 ///
-/// Of each site the light is `value · response · full_well · pattern[0]` electrons on average; their
+/// Of each site the light is `value · light · response · full_well · pattern[0]` electrons on average; their
 /// number is a Poisson variable. To it come the site's offset `pattern[1]` and read noise
 /// [electrons]; amplified, rounded to whole numbers and cut to the converter's range it is the
 /// reading. With a `mosaic`, the colours of 2 by 2 sites, there is one site a pixel and the result
@@ -179,7 +181,7 @@ pub fn read_sensor<'py>(
     let (factor, offset) = (pattern[0].as_slice()?, pattern[1].as_slice()?);
     let streams = [0, 1].map(|k| Stream::new(key.0, key.1.wrapping_mul(2).wrapping_add(k)));
     let mut out = vec![0.0; count * width];
-    py.detach(|| {
+    on_pool(py, || {
         out.par_chunks_mut(width).enumerate().for_each(|(row, values)| {
             let colors = mosaic.map_or([row / height; 2], |c| [c[row % 2 * 2], c[row % 2 * 2 + 1]]);
             let line = |color: usize| &source[(color * height + row % height) * width..][..width];
@@ -212,7 +214,7 @@ fn read_row(
     let width = out.len();
     let (light, pattern) =
         (light.map(|row| &row[..width]), (&pattern.0[..width], &pattern.1[..width]));
-    let electrons = colors.map(|c| readout.response[c] * readout.full_well);
+    let electrons = colors.map(|c| readout.response[c] * readout.full_well * readout.light);
     let range = readout.white - readout.black;
     let step = readout.gain * range / readout.full_well;
     let back = colors.map(|c| 1.0 / (readout.response[c] * range));

@@ -1,6 +1,7 @@
 //! An image as three planes, and what acts on each plane by itself.
 
 use crate::channels::srgb;
+use crate::cpu::on_pool;
 use crate::lanes::max;
 use numpy::{
     IntoPyArray, PyArray3, PyReadonlyArray2, PyReadonlyArray3, PyUntypedArrayMethods,
@@ -63,7 +64,7 @@ pub fn to_planes<'py>(
     let (height, width) = size_of_image(&image)?;
     let source = image.as_slice()?;
     let mut out = vec![0.0; 3 * height * width];
-    py.detach(|| {
+    on_pool(py, || {
         rows(&mut out, (height, width)).into_par_iter().enumerate().for_each(|(y, [r, g, b])| {
             let row = &source[y * width * 3..(y + 1) * width * 3];
             for (x, pixel) in row.chunks_exact(3).enumerate() {
@@ -87,7 +88,7 @@ pub fn shade_planes<'py>(
     }
     let (source, map) = (planes.as_slice()?, map.as_slice()?);
     let mut out = vec![0.0; source.len()];
-    py.detach(|| {
+    on_pool(py, || {
         out.par_chunks_mut(width).enumerate().for_each(|(k, row)| {
             let values = &source[k * width..(k + 1) * width];
             let factors = &map[k % height * width..(k % height + 1) * width];
@@ -189,7 +190,7 @@ pub fn scale_planes<'py>(
     let (height, width) = size(&planes)?;
     let source = planes.as_slice()?;
     let mut out = vec![0.0; source.len()];
-    py.detach(|| {
+    on_pool(py, || {
         let area = height * width;
         for (plane, &scale) in scales.iter().enumerate() {
             let from = &source[plane * area..(plane + 1) * area];
@@ -209,20 +210,24 @@ pub fn scale_planes<'py>(
     Ok(planes_array(py, out, (height, width)))
 }
 
-/// 8-bit sRGB image [h w 3] of linear planes times a gain each.
+/// 8-bit sRGB image [h w 3] of linear planes times a gain each; black where not `lit`.
 #[pyfunction]
 pub fn develop<'py>(
     py: Python<'py>,
     planes: PyReadonlyArray3<'py, f32>,
     gains: [f32; 3],
+    lit: PyReadonlyArray2<'py, bool>,
 ) -> PyResult<Bound<'py, PyArray3<u8>>> {
     let (height, width) = size(&planes)?;
-    let source = planes.as_slice()?;
+    if lit.shape() != [height, width] {
+        return Err(PyValueError::new_err("What is lit must be of the planes' shape (h, w)."));
+    }
+    let (source, lit) = (planes.as_slice()?, lit.as_slice()?);
     let mut out = vec![0u8; source.len()];
-    py.detach(|| {
+    on_pool(py, || {
         out.par_chunks_mut(width * 3).enumerate().for_each(|(y, row)| {
             let at = |plane: usize| &source[(plane * height + y) * width..][..width];
-            develop_row([at(0), at(1), at(2)], gains, row);
+            develop_row([at(0), at(1), at(2)], gains, &lit[y * width..][..width], row);
         });
     });
     Ok(Array3::from_shape_vec((height, width, 3), out)
@@ -235,11 +240,11 @@ pub fn develop<'py>(
     "x86_64+avx2",
     "aarch64+neon"
 ))]
-fn develop_row(planes: [&[f32]; 3], gains: [f32; 3], out: &mut [u8]) {
-    let mut encoded = vec![0u8; planes[0].len()];
+fn develop_row(planes: [&[f32]; 3], gains: [f32; 3], lit: &[bool], out: &mut [u8]) {
+    let mut encoded = vec![0u8; lit.len()];
     for (k, plane) in planes.into_iter().enumerate() {
-        for (code, &value) in encoded.iter_mut().zip(plane) {
-            *code = srgb(value * gains[k]);
+        for ((code, &value), &lit) in encoded.iter_mut().zip(plane).zip(lit) {
+            *code = srgb(value * gains[k]) & u8::from(lit).wrapping_neg();
         }
         for (pixel, &code) in out.chunks_exact_mut(3).zip(&encoded) {
             pixel[k] = code;

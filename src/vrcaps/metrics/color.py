@@ -111,8 +111,9 @@ def highlights(
             f"{rgb.shape[:2]} and some."
         )
     is_highlight = (linear_from_srgb(rgb).min(axis=-1) >= _HIGHLIGHT) & valid
-    _, count = ndimage.label(is_highlight, np.ones((3, 3)))
-    return float(is_highlight.sum() / valid.sum()), int(count)
+    number = np.empty(valid.shape, np.int32)
+    ndimage.label(is_highlight, np.ones((3, 3)), output=number)
+    return float(is_highlight.sum() / valid.sum()), int(number.max())
 
 
 @dataclass(frozen=True)

@@ -84,9 +84,15 @@ class Mucosa:
 
 
 MUCOSAE: dict[str, Mucosa] = {
-    "colon": Mucosa(base_color=(0.444, 0.151, 0.106)),
+    "colon": Mucosa(
+        base_color=(0.444, 0.157, 0.112),
+        redness_variation=0.45,
+        network=1.4,
+        roughness=0.75,
+        coat=0.6,
+    ),
     "stomach": Mucosa(
-        base_color=(0.430, 0.156, 0.102),
+        base_color=(0.430, 0.162, 0.108),
         bile=0.25,
         vessel_contrast=0.25,
         vessel_spacing=1.5 * MM,
@@ -98,7 +104,7 @@ MUCOSAE: dict[str, Mucosa] = {
         coat=0.7,
     ),
     "small_intestine": Mucosa(
-        base_color=(0.424, 0.217, 0.144),
+        base_color=(0.406, 0.214, 0.149),
         redness_variation=0.22,
         patient_variation=(0.20, 0.40),
         bile=0.40,

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from vrcaps.record.table import FrameTable
     from vrcaps.render.frame import Frame
     from vrcaps.world.model import Model
+    from vrcaps.world.moving_wall import MovingWall
     from vrcaps.world.run import Instant
     from vrcaps.world.snapshot import Snapshot
 
@@ -43,17 +44,24 @@ class Step:
 class Images:
     """Images of the frames of a recording, in their order."""
 
-    def __init__(self, model: Model, scenario: Scenario, before: FrameTable | None = None) -> None:
+    def __init__(
+        self,
+        model: Model,
+        scenario: Scenario,
+        before: FrameTable | None = None,
+        wall: MovingWall | None = None,
+    ) -> None:
         """Begins a recording, or goes on after the rows of an earlier one.
 
         Args:
             model: What is recorded.
             scenario: Resolved.
             before: Rows of the frames before; they hold the state of the automatic exposure.
+            wall: The model's wall, shared with others who need it in the same states.
         """
         assert scenario.fps is not None
         self._model, self._channels, self._fps = model, scenario.channels, scenario.fps
-        self._renderer = Renderer(model, scenario.render)
+        self._renderer = Renderer(model, scenario.render, wall)
         self._automatic = scenario.effects.figures("exposure")
         self._rate = scenario.effects.frame_rate
         self._chains: dict[str, CameraChain] = {}

@@ -32,6 +32,7 @@ from vrcaps.render.settings import RenderSettings
 from vrcaps.tissue.contents.filling import Filling
 from vrcaps.transforms import rotate_vectors, transform_points
 from vrcaps.world.model import Model, State
+from vrcaps.world.moving_wall import MovingWall
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -80,7 +81,19 @@ _NEEDS_PREVIOUS = {"flow_backward"}
 class Renderer:
     """Renders one organ; holds its hierarchy, textures and the ray tables of cameras."""
 
-    def __init__(self, model: Model, settings: RenderSettings | None = None) -> None:
+    def __init__(
+        self,
+        model: Model,
+        settings: RenderSettings | None = None,
+        wall: MovingWall | None = None,
+    ) -> None:
+        """Prepares to render.
+
+        Args:
+            model: What is rendered.
+            settings: How; None: as by default.
+            wall: The model's wall, shared with others who need it in the same states.
+        """
         self.model = model
         self.settings = settings or RenderSettings()
         if self.settings.denoise:
@@ -91,7 +104,8 @@ class Renderer:
         self._quick = None
         if self.settings.light == "quick":
             self._quick = _core.QuickLight(model.wall, self._scene)
-        self._walls: dict[str, _core.Wall] = {}
+        self._wall = wall or MovingWall(model)
+        self._neighbours = {"previous": MovingWall(model), "next": MovingWall(model)}
         self._fillings: deque[tuple[State, Filling]] = deque(maxlen=3)
         self._contents: dict[str, tuple[Filling, _core.Wall, _core.Contents]] = {}
         self._tables: dict[tuple[int, int], tuple[Camera, _core.RayTable]] = {}
@@ -126,7 +140,7 @@ class Renderer:
         arrays = self._arrays(channels, camera, out)
         if points is not None:
             arrays |= {f"sparse_{name}": array for name, array in vars(points).items()}
-        wall = self._wall(state, "now")
+        wall = self._wall.at(state)
         filling = self.filling(state)
         contents = None if filling is None else self._core_contents(filling, wall, "now")
         self._draw(wall, camera, state, arrays, contents)
@@ -200,7 +214,7 @@ class Renderer:
             if "flow_forward" in channels:
                 motion["flow_forward"] = forward
             if "occlusion" in channels:
-                wall, filling = self._wall(state_next, "next"), self.filling(state_next)
+                wall, filling = self._neighbours["next"].at(state_next), self.filling(state_next)
                 then = None
                 if filling is not None:
                     then = self._core_contents(filling, wall, "next")
@@ -228,7 +242,7 @@ class Renderer:
         if filling is None or filling.pools is None:
             return Bends(moved, None)
         eye = (state.T_world_capsule @ camera.T_capsule_camera)[:3, 3]
-        wall, faces = self._wall(state, slot), self.model.organ.faces
+        wall, faces = self._neighbours[slot].at(state), self.model.organ.faces
         levels = levels_met(filling, eye, wall, faces, points.face)
         ior = filling.contents.resolved[2].ior
         return bend_ways(eye, moved, levels, points.bend == MIRRORED, ior)
@@ -249,19 +263,6 @@ class Renderer:
         if "dome_label" in arrays:
             arrays["dome_label"].fill(0)  # the lens and sensor know more
         return arrays
-
-    def _wall(self, state: State, slot: str) -> _core.Wall:
-        """The wall in a state: the one at rest, or this slot's own copy refitted."""
-        if state.vertices_world is None:
-            return self.model.wall
-        vertices = np.ascontiguousarray(state.vertices_world, np.float64)
-        wall = self._walls.get(slot)
-        if wall is None:
-            # Built at rest, so that the hierarchy does not depend on which frame came first.
-            rest = np.ascontiguousarray(self.model.vertices_world)
-            wall = self._walls[slot] = _core.Wall(rest, _faces(self.model.organ))
-        wall.refit(vertices)
-        return wall
 
     def filling(self, state: State) -> Filling | None:
         """What is in the lumen in a state."""
@@ -338,10 +339,6 @@ def _check_channels(
             raise InputError(f"Channel {name!r} needs the next state. Give state_next.")
         if name in _NEEDS_PREVIOUS and earlier is None:
             raise InputError(f"Channel {name!r} needs the previous state. Give state_previous.")
-
-
-def _faces(organ: OrganSurface) -> NDArray[np.int64]:
-    return np.ascontiguousarray(organ.faces, np.int64)
 
 
 def _scene(organ: OrganSurface, settings: RenderSettings) -> _core.Scene:

@@ -197,11 +197,11 @@ planes = _core.blur_motion(image, lit, (motion, 4), (0.3, 0.2), 1.0)
 planes = _core.defocus(planes, distance, 0.03, 0.015)
 planes = _core.scale_planes(planes, (41.0, 30.0), (1.01, 1.0, 0.99))
 planes = _core.bloom(_core.shade_planes(planes, distance * 10), 0.1, 5.0)
-readout = dict(full_well=900.0, read_noise=5.0, gain=1.0, white=1023.0, black=16.0,
-               response=(0.6, 1.0, 0.7))
+readout = dict(full_well=900.0, read_noise=5.0, light=1.2, gain=1.0, white=1023.0,
+               black=16.0, response=(0.6, 1.0, 0.7))
 pattern = [_core.normals((61, 83), 3, k) * 0.01 + 1 - k for k in (0, 1)]
 raw = _core.read_sensor(planes, pattern, readout, (0, 1, 1, 2), (9, 4))
-rgb = _core.develop(_core.demosaic(raw, (0, 1, 1, 2)), (1.0, 1.0, 1.1))
+rgb = _core.develop(_core.demosaic(raw, (0, 1, 1, 2)), (1.0, 1.0, 1.1), lit)
 rgb = _core.jpeg(rgb, _core.jpeg_quality(rgb, 90, 3000))
 print(hashlib.sha256(rgb.tobytes()).hexdigest())
 """
@@ -232,6 +232,7 @@ def blur(f, lit: tuple[int, ...], motion: tuple[int, ...]):
         (lambda f: _core.defocus(f(3, 4, 4), f(4, 5), 1.0, 1.0), "Distances"),
         (lambda f: _core.defocus(f(2, 4, 4), f(4, 4), 1.0, 1.0), "Planes must"),
         (lambda f: _core.shade_planes(f(3, 4, 4), f(4, 5)), "A map"),
+        (lambda f: _core.develop(f(3, 4, 4), (1.0, 1.0, 1.0), f(4, 5) > 0), "What is lit"),
         (lambda f: _core.demosaic(f(1, 2, 4), (0, 1, 1, 2)), "3 by 3"),
         (lambda f: _core.demosaic(f(3, 4, 4), (0, 1, 1, 2)), "A mosaic must"),
         (lambda f: _core.jpeg(f(4, 4, 3).astype(np.uint8), 0), "from 1 to 100"),

@@ -47,13 +47,7 @@ def towards(
     about: Float[np.ndarray, " 3"],
 ) -> Float[np.ndarray, " 3"]:
     """A direction turned towards another by `most` [rad]; about an axis where they are opposite."""
-    axis = cross(start, end)
-    sine = length(axis)
-    if math.atan2(sine, float(start @ end)) <= most:
-        return end
-    unit = axis / sine if sine > 1e-9 else about
-    led = turned(most * unit, np.eye(3)) @ start
-    return led / length(led)
+    return _core.towards(start, end, most, about)
 
 
 def at_most(vector: Float[np.ndarray, " 3"], most: float) -> Float[np.ndarray, " 3"]:

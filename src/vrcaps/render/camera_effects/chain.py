@@ -237,16 +237,15 @@ class CameraChain:
         noise = self._stages["noise"]
         final = light * gain
         if noise is not None or self._colors is not None:
-            planes = planes * np.float32(light) if light != 1.0 else planes
-            readout = (noise or _QUIET).readout(gain, balance.response)
+            readout = (noise or _QUIET).readout(gain, balance.response, light)
             key = (self._seed, 64 * moment.index + self._number)
             planes = _core.read_sensor(planes, self._pattern, readout, self._colors, key)
             final = 1.0
             if self._colors is not None:
                 planes = _core.demosaic(planes, self._colors)
         red, green, blue = balance.gains
-        rgb = _core.develop(planes, (final * red, final * green, final * blue))
-        rgb[~self._lit] = 0  # where nothing is seen the capsule's viewer draws black
+        # Where nothing is seen the capsule's viewer draws black.
+        rgb = _core.develop(planes, (final * red, final * green, final * blue), self._lit)
         jpeg = self._stages["jpeg"]
         return rgb if jpeg is None else jpeg.apply(rgb)
 

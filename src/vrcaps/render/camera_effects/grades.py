@@ -35,9 +35,9 @@ GRADES: dict[str, tuple[Any, ...]] = {
     "depth_of_field": (None, *(Defocus(a * MM) for a in (0.2, 0.5, 1.0, 2.0))),
     "droplets": (
         None,
-        Droplets(2, radius=0.3 * MM),
-        Droplets(5, radius=0.4 * MM),
-        Droplets(10, radius=0.5 * MM),
+        Droplets(3, radius=0.4 * MM),
+        Droplets(6, radius=0.45 * MM),
+        Droplets(11, radius=0.5 * MM),
         Droplets(18, radius=0.6 * MM),
     ),
     "smears": (

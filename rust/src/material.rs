@@ -2,7 +2,6 @@
 //! diffuse base, a dielectric GGX lobe and a clear coat.
 
 use crate::lanes::*;
-use crate::path::walk::Tissue;
 use crate::tile::MISS;
 use std::f32::consts::PI;
 
@@ -56,19 +55,6 @@ impl Surface {
             }
         }
         bare
-    }
-
-    /// The surface with its base as bright as tissue looks from this side, where it is a wall.
-    #[inline(always)]
-    pub fn seen_through(&self, tissue: &Tissue, triangles: &[u32; LANES]) -> Surface {
-        let mut seen = self.clone();
-        for i in (0..LANES).filter(|&i| triangles[i] != MISS) {
-            let cosine = clamp(dot(at(&self.normal, i), at(&self.view, i)), 1e-4, 1.0);
-            for albedo in &mut seen.albedo {
-                albedo[i] *= tissue.seen(cosine, albedo[i]);
-            }
-        }
-        seen
     }
 }
 

@@ -72,8 +72,8 @@ impl View<'_> {
         Ok(View { origin, to_world, to_camera, center, leds, exposure, shadows, paths, bounced })
     }
 
-    /// What LEDs light directly of surfaces behind which light goes on through tissue, if it does:
-    /// for paths all but the base. `triangles` are `MISS` where there is no wall.
+    /// What LEDs light directly of surfaces behind which light goes on through tissue, if it does;
+    /// `triangles` are `MISS` where there is no wall.
     #[inline(always)]
     pub fn bare(
         &self,
@@ -81,11 +81,7 @@ impl View<'_> {
         surface: &Surface,
         triangles: &[u32; LANES],
     ) -> Option<Surface> {
-        let tissue = scene.tissue.as_ref()?;
-        Some(match &self.bounced {
-            Some(_) => surface.seen_through(tissue, triangles),
-            None => surface.bare(triangles),
-        })
+        self.paths.and(scene.tissue.as_ref()).map(|_| surface.bare(triangles))
     }
 }
 
@@ -174,7 +170,7 @@ pub fn render(
     };
     let quick = quick.zip(rest.as_deref()).filter(|_| channels.wants_light());
     on_pool(py, || {
-        view.bounced = quick.map(|(light, rest)| light.solve(rest, wall, &view.leds, shadows));
+        view.bounced = quick.map(|(light, rest)| light.solve(rest, wall, &view.leds));
         let columns = rays.columns();
         let filled = contents.map(|c| Filled::new(wall, &scene.data, c, &view));
         let bands = channels.bands(rays.width, rays.tiles.len() / columns);
@@ -307,7 +303,7 @@ fn render_tile(
         let lit = bare.as_ref().unwrap_or(&surface);
         let mut radiance = light(wall, &scene.material, &view.leds, view.shadows, lit, &found.hit);
         if let Some(bounced) = &view.bounced {
-            bounced.add((lit, &found.normal), &hits, &mut radiance);
+            bounced.add((&surface, &found.normal), &hits, &mut radiance);
         }
         add_glow(glow, &mut radiance);
         place.write_color(&mut out.rgb, &radiance, view.exposure);

@@ -40,12 +40,6 @@ pub struct Hits {
 /// `Hits::triangle` of a ray that hits nothing.
 pub const MISS: u32 = u32::MAX;
 
-/// Triangles met, `MISS` where something else that has an owner hides them.
-#[inline(always)]
-pub fn of_wall(triangles: &[u32; LANES], owner: &[u32; LANES]) -> [u32; LANES] {
-    std::array::from_fn(|i| if owner[i] == MISS { triangles[i] } else { MISS })
-}
-
 impl Hits {
     /// Nothing hit yet; each ray looks as far as `reach` (0 or less: not at all).
     #[inline(always)]
@@ -166,9 +160,24 @@ pub fn trace<const ANY: bool>(
     extent: f32,
     hits: &mut Hits,
 ) {
+    trace_at_most::<ANY>(u32::MAX, bvh, origin, rays, extent, hits);
+}
+
+/// The same until `most` triangles have been tested; false if that was not enough.
+///
+/// Then what was found stands: with `ANY`, a ray that has a hit has one.
+#[inline(always)]
+pub fn trace_at_most<const ANY: bool>(
+    most: u32,
+    bvh: &Bvh,
+    origin: Vec3,
+    rays: &Pyramid,
+    extent: f32,
+    hits: &mut Hits,
+) -> bool {
     let (sides, near) = planes(origin, rays, extent);
     let mut stack = [(0u32, 0.0f32); STACK];
-    let mut top = 1;
+    let (mut top, mut left) = (1, most);
     let mut farthest = farthest_of(&hits.distance);
     while top > 0 && farthest > 0.0 {
         top -= 1;
@@ -182,6 +191,11 @@ pub fn trace<const ANY: bool>(
                 top = push_children(node, &sides, &near, farthest, &mut stack, top);
             }
             Child::Leaf(range) => {
+                let count = range.len() as u32;
+                if left < count {
+                    return false;
+                }
+                left -= count;
                 let mut changed = false;
                 for number in range {
                     let triangle = &bvh.triangles[number];
@@ -193,6 +207,7 @@ pub fn trace<const ANY: bool>(
             }
         }
     }
+    true
 }
 
 /// The sides of the pyramid and the plane from which distance is counted.

@@ -20,7 +20,7 @@ use crate::rays::TileRays;
 use crate::render::{View, add_glow, primary, write_geometry};
 use crate::scene::SceneData;
 use crate::shade::{Attributes, attributes, attributes_at, surface};
-use crate::tile::{Hits, MISS, Pyramid, farthest_of, of_wall};
+use crate::tile::{Hits, MISS, Pyramid, farthest_of};
 use crate::visibility::visible_tile;
 use crate::wall::Wall;
 
@@ -43,6 +43,12 @@ pub struct Filled<'a> {
 pub struct Room {
     pub near: Vec<Near>,
     blocking: Vec<Near>,
+}
+
+/// Triangles met, `MISS` where a particle hides them.
+#[inline(always)]
+fn of_wall(triangles: &[u32; LANES], owner: &Owner) -> [u32; LANES] {
+    std::array::from_fn(|i| if owner[i] == MISS { triangles[i] } else { MISS })
 }
 
 /// What the rays of a tile see in the end.

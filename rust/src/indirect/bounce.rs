@@ -4,7 +4,6 @@ use super::known::{Light, Lights};
 use super::lamps::first_reflection;
 use super::moved::Moved;
 use super::rows::{Beam, Link};
-use super::through::Lamps;
 use super::{Color, QuickLight};
 use crate::lanes::*;
 use crate::material::{Led, Surface};
@@ -29,8 +28,6 @@ pub struct Irradiance<'a> {
     moved: Option<Moved<'a>>,
     /// Radiosity of each site [W/m²].
     leaving: Vec<Color>,
-    /// LEDs, and whether things cast shadows, if light goes through tissue.
-    through: Option<Lamps<'a>>,
     /// Light at each site and vertex, gathered when first needed.
     known: Lights<'a>,
 }
@@ -43,13 +40,7 @@ const AT_HAND: usize = 8;
 
 impl QuickLight {
     /// Irradiance by bounced light.
-    pub fn solve<'a>(
-        &'a self,
-        rest: &'a Wall,
-        wall: &'a Wall,
-        leds: &[Led],
-        shadows: bool,
-    ) -> Irradiance<'a> {
+    pub fn solve<'a>(&'a self, rest: &'a Wall, wall: &'a Wall, leds: &[Led]) -> Irradiance<'a> {
         let mut last = first_reflection(self, wall, leds);
         let reached = self.reached(rest, &last);
         let moved = (!std::ptr::eq(rest, wall)).then(|| Moved::new(self, rest, wall, &reached));
@@ -78,8 +69,7 @@ impl QuickLight {
                 last[s as usize] = light;
             }
         }
-        let through = self.through.as_ref().map(|through| through.lit(wall, leds, shadows));
-        Irradiance { light: self, rest, wall, moved, leaving, through, known: self.room.lend() }
+        Irradiance { light: self, rest, wall, moved, leaving, known: self.room.lend() }
     }
 
     /// Sites that are lit or see one that is, in order.
@@ -221,24 +211,11 @@ impl Irradiance<'_> {
                 vectors = vectors.map(|vector| moved.turn(self.wall, vertex, vector));
             }
             let normal = self.wall.normals[vertex];
-            let mut even = vectors.map(|vector| dot(vector, normal));
+            let even = vectors.map(|vector| dot(vector, normal));
             let along =
                 |k: usize| [0, 1, 2].map(|color| vectors[color][k] - even[color] * normal[k]);
-            let parts = [along(0), along(1), along(2)];
-            if let Some(lamps) = &self.through {
-                even = add(even, self.gained(lamps, s));
-            }
-            [even, parts[0], parts[1], parts[2]].map(|[r, g, b]| Vec4::new(r, g, b, 0.0))
+            [even, along(0), along(1), along(2)].map(|[r, g, b]| Vec4::new(r, g, b, 0.0))
         })
-    }
-
-    /// Irradiance that a site gains by light through the tissue, in the share that the base gives
-    /// back: a pixel gives of all irradiance what base and gloss do.
-    fn gained(&self, lamps: &Lamps<'_>, s: usize) -> Vec3 {
-        let albedo = self.light.albedo[s];
-        let gained = lamps.gained(self.rest, &self.light.sites, (s, albedo));
-        let [base, gloss] = self.light.reflectance.mean;
-        [0, 1, 2].map(|k| gained[k] * base * albedo[k] / max(base * albedo[k] + gloss, 1e-6))
     }
 
     /// Red, green and blue light vectors by what leaves the sites of a row, whose shares are

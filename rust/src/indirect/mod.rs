@@ -17,7 +17,6 @@ mod moved;
 mod reflectance;
 mod rows;
 mod sites;
-mod through;
 
 pub use bounce::Irradiance;
 use known::Rooms;
@@ -25,7 +24,6 @@ use look::Look;
 use reflectance::Reflectance;
 use rows::{Row, trace_row};
 use sites::Sites;
-use through::Through;
 
 use crate::lanes::*;
 use crate::scene::{Scene, SceneData};
@@ -47,8 +45,6 @@ pub struct QuickLight {
     per_area: Vec<f32>,
     reflectance: Reflectance,
     rows: Vec<OnceLock<Row>>,
-    /// Light through the tissue, if there is any.
-    through: Option<Through>,
     room: Rooms,
 }
 
@@ -66,9 +62,8 @@ impl QuickLight {
             let reflectance = Reflectance::integrate(&scene.material, look.roughness);
             let rows = sites.vertex.iter().map(|_| OnceLock::new()).collect();
             let Look { albedo, per_area, .. } = look;
-            let through = scene.tissue.as_ref().map(|tissue| Through::new(tissue, albedo.len()));
             let room = Rooms::new((sites.vertex.len(), wall.vertices.len()));
-            QuickLight { rest: own, sites, albedo, per_area, reflectance, rows, through, room }
+            QuickLight { rest: own, sites, albedo, per_area, reflectance, rows, room }
         })
     }
 

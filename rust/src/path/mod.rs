@@ -9,7 +9,7 @@
 
 pub mod afloat;
 mod lobes;
-pub mod random;
+mod random;
 pub mod ray;
 mod shadow;
 mod through;

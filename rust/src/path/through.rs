@@ -5,7 +5,7 @@ use crate::material::{Led, Surface, add_leaving};
 use crate::path::lobes::{base_share, leave};
 use crate::path::random::{dimension, point};
 use crate::path::shadow::Requests;
-use crate::path::walk::{Exit, Stream, Tissue, Way, border, offset, refracted, walk};
+use crate::path::walk::{Exit, Stream, Tissue, Way, offset, refracted, walk};
 use crate::path::wave::{Path, Tracer, Wave};
 use crate::shade::{attributes_at, surface};
 use crate::tile::{Hits, MISS};
@@ -74,13 +74,9 @@ impl Tracer<'_> {
             let key = dimension(path.key, WALKS + reflection);
             let Path { origin, direction, from, .. } = path;
             let way = Way { origin, direction, from };
-            let Some(exit) = walk(
-                border(self.wall),
-                offset(self.wall),
-                &tissue.medium(color),
-                way,
-                &mut Stream::new(key, path.sample),
-            ) else {
+            let Some(exit) =
+                walk(self.wall, &tissue.medium(color), way, &mut Stream::new(key, path.sample))
+            else {
                 continue;
             };
             path.origin = exit.point;

@@ -66,13 +66,6 @@ impl Tissue {
         Medium { albedo, extinction, ior: self.ior }
     }
 
-    /// What a viewer at an angle of this cosine sees of a base colour, over the mean over all angles:
-    /// the border, and 0.93 to 1 from dark to white, exact for head-on light to 1 %.
-    #[inline(always)]
-    pub fn seen(&self, cosine: f32, color: f32) -> f32 {
-        self.passes(cosine) * (0.93 + 0.07 * color)
-    }
-
     /// What passes the border at an angle of this cosine outside, over the mean over even light.
     #[inline(always)]
     pub fn passes(&self, cosine: f32) -> f32 {
@@ -143,36 +136,10 @@ pub fn refracted(view: Vec3, normal: Vec3, ior: f32) -> Vec3 {
     sub(scale(normal, cosine * inverse - inside), scale(view, inverse))
 }
 
-/// Where ways through tissue meet the triangles of a wall, and the face's unit normal beyond.
-#[inline(always)]
-pub fn border(wall: &Wall) -> impl Fn(Way, f32) -> Option<(Hit, Vec3)> {
-    |Way { origin, direction, from }, reach| {
-        let hit = ray::cast::<false>(&wall.bvh, origin, direction, reach, from)?;
-        Some((hit, outward(wall, &hit, direction)))
-    }
-}
-
-/// Where ways through tissue meet a plane through a point, given its unit normal beyond.
-#[inline(always)]
-pub fn plane(point: Vec3, normal: Vec3) -> impl Fn(Way, f32) -> Option<(Hit, Vec3)> {
-    move |Way { origin, direction, .. }, reach| {
-        let distance = dot(sub(point, origin), normal) / max(dot(direction, normal), 1e-20);
-        let hit = Hit { distance, triangle: MISS, edges: [0.0; 3], particle: MISS };
-        (distance < reach).then_some((hit, normal))
-    }
-}
-
 /// Follows light until it leaves the tissue; None if it is absorbed.
-///
-/// `border` says where a way within a reach meets the border; ways start `offset` behind it [m].
 #[inline(always)]
-pub fn walk(
-    border: impl Fn(Way, f32) -> Option<(Hit, Vec3)>,
-    offset: f32,
-    medium: &Medium,
-    mut way: Way,
-    stream: &mut Stream,
-) -> Option<Exit> {
+pub fn walk(wall: &Wall, medium: &Medium, mut way: Way, stream: &mut Stream) -> Option<Exit> {
+    let offset = offset(wall);
     let mut share = [1.0f32; 3];
     for _ in 0..MOST {
         let chances = chances(share, medium);
@@ -180,7 +147,8 @@ pub fn walk(
         let color =
             usize::from(choice >= chances[0]) + usize::from(choice >= chances[0] + chances[1]);
         let free = -log2(1.0 - stream.next()) * std::f32::consts::LN_2 / medium.extinction[color];
-        let Some((hit, facet)) = border(way, free) else {
+        let Way { origin, direction, from } = way;
+        let Some(hit) = ray::cast::<false>(&wall.bvh, origin, direction, free, from) else {
             way = scattered(way, free, stream);
             let density = medium.density(chances, free, true);
             share = [0, 1, 2].map(|k| share[k] * medium.albedo[k] * density[k]);
@@ -193,7 +161,7 @@ pub fn walk(
         };
         let density = medium.density(chances, hit.distance, false);
         share = [0, 1, 2].map(|k| share[k] * density[k]);
-        let Way { origin, direction, .. } = way;
+        let facet = outward(wall, &hit, direction);
         let point = add(origin, scale(direction, hit.distance));
         let cosine = dot(direction, facet);
         if stream.next() >= fresnel_within(cosine, medium.ior) {
@@ -281,13 +249,7 @@ pub fn walk_tissue<'py>(
     let way = Way { origin: wall.localize(origin), direction: normalize(direction), from: MISS };
     let key = hash(seed);
     let ends: Vec<([f64; 3], Vec3)> = py.detach(|| {
-        let one = |number: u32| match walk(
-            border(wall),
-            offset(wall),
-            &medium,
-            way,
-            &mut Stream::new(key, number),
-        ) {
+        let one = |number: u32| match walk(wall, &medium, way, &mut Stream::new(key, number)) {
             Some(exit) => (wall.globalize(exit.point), exit.share),
             None => ([f64::NAN; 3], [0.0; 3]),
         };

@@ -22,7 +22,7 @@ CHANNELS = (
 
 
 def digest() -> str:
-    """Checksum of all channels of two frames in a moving, folded tube, and of path-traced ones."""
+    """Checksum of all channels of two frames in a moving, folded tube, and of bounced light."""
     rng = np.random.default_rng(5)
     look = patterned(rng, relief=3e-4)
     organ = tube(60, 120, folds=0.4, capped=True, appearance=look)

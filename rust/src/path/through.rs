@@ -3,7 +3,7 @@
 use crate::lanes::*;
 use crate::material::{Led, Surface, add_leaving};
 use crate::path::lobes::{base_share, leave};
-use crate::path::random::{dimension, hash, point};
+use crate::path::random::{dimension, point};
 use crate::path::shadow::Requests;
 use crate::path::walk::{Exit, Stream, Tissue, Way, offset, refracted, walk};
 use crate::path::wave::{Path, Tracer, Wave};
@@ -71,10 +71,11 @@ impl Tracer<'_> {
         let Wave { paths, entries, exits, requests, .. } = wave;
         exits.clear();
         for Entry { mut path, color } in entries.drain(..) {
-            let key = hash(dimension(path.key, WALKS + reflection) ^ hash(path.sample));
+            let key = dimension(path.key, WALKS + reflection);
             let Path { origin, direction, from, .. } = path;
             let way = Way { origin, direction, from };
-            let Some(exit) = walk(self.wall, &tissue.medium(color), way, &mut Stream::new(key))
+            let Some(exit) =
+                walk(self.wall, &tissue.medium(color), way, &mut Stream::new(key, path.sample))
             else {
                 continue;
             };

@@ -9,7 +9,7 @@
 use crate::lanes::*;
 use crate::material::fresnel;
 use crate::path::lobes::{circle, on_circle};
-use crate::path::random::{hash, unit};
+use crate::path::random::{hash, point, unit};
 use crate::path::ray::{self, Hit};
 use crate::tile::MISS;
 use crate::wall::Wall;
@@ -96,22 +96,29 @@ pub struct Exit {
     pub share: Vec3,
 }
 
-/// Random numbers of one walk.
+/// Random numbers of one walk: the first spread evenly over the walks of a key.
 pub struct Stream {
     key: u32,
     count: u32,
+    first: [f32; 4],
 }
 
 impl Stream {
-    /// The numbers that belong to a key.
-    pub fn new(key: u32) -> Self {
-        Stream { key, count: 0 }
+    /// The numbers of one of a key's walks.
+    #[inline(always)]
+    pub fn new(key: u32, walk: u32) -> Self {
+        let [free, height] = point(key, walk);
+        let [choice, turn] = point(hash(key), walk);
+        Stream { key: key ^ hash(walk), count: 0, first: [choice, free, height, turn] }
     }
 
     #[inline(always)]
     fn next(&mut self) -> f32 {
-        self.count = self.count.wrapping_add(0x9e37_79b9);
-        unit(hash(hash(self.count) ^ self.key))
+        self.count += 1;
+        match self.first.get(self.count as usize - 1) {
+            Some(&number) => number,
+            None => unit(hash(hash(self.count) ^ self.key)),
+        }
     }
 }
 
@@ -132,8 +139,8 @@ pub fn refracted(view: Vec3, normal: Vec3, ior: f32) -> Vec3 {
 /// Follows light until it leaves the tissue; None if it is absorbed.
 #[inline(always)]
 pub fn walk(wall: &Wall, medium: &Medium, mut way: Way, stream: &mut Stream) -> Option<Exit> {
-    let mut share = [1.0f32; 3];
     let offset = offset(wall);
+    let mut share = [1.0f32; 3];
     for _ in 0..MOST {
         let chances = chances(share, medium);
         let choice = stream.next();
@@ -242,8 +249,7 @@ pub fn walk_tissue<'py>(
     let way = Way { origin: wall.localize(origin), direction: normalize(direction), from: MISS };
     let key = hash(seed);
     let ends: Vec<([f64; 3], Vec3)> = py.detach(|| {
-        let one = |number: u32| match walk(wall, &medium, way, &mut Stream::new(key ^ hash(number)))
-        {
+        let one = |number: u32| match walk(wall, &medium, way, &mut Stream::new(key, number)) {
             Some(exit) => (wall.globalize(exit.point), exit.share),
             None => ([f64::NAN; 3], [0.0; 3]),
         };

@@ -25,8 +25,8 @@ class RenderSettings:
         samples: Paths that path tracing follows for each ray; noise falls with their square root.
         depth: Most reflections of a path, 1 to 100; 1 is direct light with shadows.
         light_seed: Chooses the paths.
-        scattering: Whether light goes through the tissue behind the wall, by random walks: shadows
-            and relief are softened by a millimetre, thin folds shine through. With path alone.
+        scattering: Whether light goes through the tissue behind the wall, by random walks, so that
+            shadows and relief are soft and thin folds shine through; only with path tracing.
         denoise: Whether Open Image Denoise filters light beyond the first reflection; only with
             path tracing. Needs `pip install 'vrcaps[denoise]'`.
         film_um: Thickness of the wet film on the wall [µm], 0 (dry) to 1000; by default that of the

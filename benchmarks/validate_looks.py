@@ -205,8 +205,8 @@ What gives ours away: of 42 frames in a sheet of `--mixed FOLDER/mixed.png` one 
 41 rightly, by shape more than by colour. Our lumen is a regular tube, its folds are sharp and all
 alike; real ones are pillowy, with dark clefts, mucus, stool, instruments. Highlights of ours are
 wide and milky where real ones are small, hard and white. Real video is sharpened; within a frame
-of a colon its a\* and b\* spread by 9 to 13 units, ours by 6 to 10. Light does not spread inside the
-wall in quick light.
+of a colon its a\* and b\* spread by 8 to 13 units, ours by 6 to 10. In quick light none spreads
+inside the wall.
 """
 
 

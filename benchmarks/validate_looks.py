@@ -201,7 +201,11 @@ are in its units, root of the sum of squares over the three channels; smaller is
   a deviation of 0.25 in its logarithm; red and blue gain deviate by {red:.2f} and {blue:.2f} in
   theirs, since real frames come from many cameras.
 
-What is not in ours: stool, instruments, the sharpening of a video processor, and light that spreads
+What gives ours away: of 42 frames in a sheet of `--mixed FOLDER/mixed.png` one who knows both named
+41 rightly, by shape more than by colour. Our lumen is a regular tube, its folds are sharp and all
+alike; real ones are pillowy, with dark clefts, mucus, stool, instruments. Highlights of ours are
+wide and milky where real ones are small, hard and white. Real video is sharpened; within a frame
+of a colon its a\* and b\* spread by 8 to 13 units, ours by 6 to 10. In quick light none spreads
 inside the wall.
 """
 

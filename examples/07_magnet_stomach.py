@@ -10,7 +10,7 @@ the way from the patient's front and side (`way.png`). The same from the shell:
 
     vrcaps record --organ stomach --condition inflated --capsule magnetic --motion magnet \
         --arm panda --magnet cylinder-76.2 --side up --skin-mm 30 --along-mm-per-s 10 \
-        --start 0.05 --until 0.85 --substep 2e-4 --frames 43 --fps 2 \
+        --start 0.05 --until 0.85 --substep 2e-4 --frames 38 --fps 2 \
         --out runs/magnet
 """
 

@@ -25,11 +25,12 @@ from vrcaps.capsule.catalog import load_device
 from vrcaps.capsule.device import Camera
 from vrcaps.capsule.lens.change import focal_length_px
 from vrcaps.organ.catalog import load_organ
-from vrcaps.render.camera_effects.chain import CELL, CameraChain, Moment
+from vrcaps.render.camera_effects.chain import CameraChain, Moment
 from vrcaps.render.camera_effects.effects import Effects
 from vrcaps.render.camera_effects.exposure import AutoExposure
 from vrcaps.render.camera_effects.grades import GRADES
 from vrcaps.render.camera_effects.optics import Bloom, Defocus, LateralColor, Vignetting
+from vrcaps.render.flow import STEP
 from vrcaps.render.renderer import DEFAULT_CHANNELS, Renderer
 from vrcaps.units import MM
 from vrcaps.world.fly_through import FlyThrough, fly_through
@@ -132,18 +133,18 @@ def motion(camera: Camera) -> list[Row]:
     image = np.zeros((height, width, 3), np.float32)
     image[160, 160] = 1.0
     lit = np.ones((height, width), bool)
-    cells = (height // CELL, width // CELL, 2)
+    cells = (height // STEP, width // STEP, 2)
     rows = []
     for speed, shutter in ((60.0, 0.1), (60.0, 0.3), (120.0, 0.3)):
         field = np.broadcast_to(np.float32([speed, 0.0]), cells).copy()
-        seen = _core.blur_motion(image, lit, field, CELL, shutter, 0.0)[..., 0]
+        seen = _core.blur_motion(image, lit, (field, STEP), (shutter, 0.0), 1.0)[0]
         length = np.sqrt(12.0 * spread(seen)[1][0])
         given = f"{speed:g} px a frame, open for {shutter:g} of it"
         rows.append(row("blur length √(12 var)", given, speed * shutter, float(length), " px"))
     line = np.zeros((height, width, 3), np.float32)
     line[:, 160] = 1.0
     field = np.broadcast_to(np.float32([30.0, 0.0]), cells).copy()
-    seen = _core.blur_motion(line, lit, field, CELL, 0.0, 0.8)[..., 1]
+    seen = _core.blur_motion(line, lit, (field, STEP), (0.0, 0.8), 1.0)[1]
     middle = (seen * np.arange(width)).sum(axis=1) / seen.sum(axis=1)
     lean = np.polyfit(np.arange(height), middle, 1)[0] * height
     rows.append(row("lean, rolling shutter", "30 px a frame, 0.8 of it", 24.0, float(lean), " px"))
@@ -185,11 +186,10 @@ def speed() -> list[tuple[str, ...]]:
 
     def of(effects: Effects) -> float:
         chain = CameraChain(effects, camera, number=0, fps=3.0, seed=0)
-        channels = chain.channels(DEFAULT_CHANNELS)
-        frame = renderer.render(moment.state, camera, channels=channels)
+        seen = chain.see(renderer, moment, DEFAULT_CHANNELS)
         # A state of its own each time, or the chain would know its motion from the call before.
         return cpu_ms(
-            lambda: chain.apply(frame, renderer, replace(moment, state=replace(moment.state)))
+            lambda: chain.apply(seen, renderer, replace(moment, state=replace(moment.state)))
         )
 
     none = of(Effects())
@@ -197,7 +197,8 @@ def speed() -> list[tuple[str, ...]]:
     rows += [(f"`{name}`", f"{of(Effects(**{name: 2})) - none:+.2f}") for name in STAGES]
     rows.append(("`mosaic`", f"{of(Effects(mosaic='rggb')) - none:+.2f}"))
     chain = CameraChain(Effects(exposure=2), camera, number=0, fps=3.0, seed=0)
-    meter = cpu_ms(lambda: chain.meter(renderer, moment))
+    seen = chain.see(renderer, moment, DEFAULT_CHANNELS)
+    meter = cpu_ms(lambda: chain.meter(seen, moment))
     rows.append(("`exposure`", f"{meter:+.2f}"))
     together = of(Effects(**dict.fromkeys(STAGES, 2), mosaic="rggb")) + meter
     rows.append(("all of these", f"{together:.2f}"))
@@ -218,7 +219,7 @@ def main() -> None:
         "transfer, 14 bits) and of the MiroCam's camera.\n\n"
         f"{table(HEAD, measured)}\n\n"
         "Processor time at grade 2 on one thread, 320 x 320, a generated colon [ms]; motion is "
-        "rendered at a sixteenth of the pixels, once for blur and shutter together.\n\n"
+        "found at a sixteenth of the pixels, once for blur and shutter together.\n\n"
         f"{table(('stage', 'ms'), speed())}\n"
     )
     write_section(arguments.out, "validate_sensor.py", text)

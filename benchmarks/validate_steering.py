@@ -75,7 +75,7 @@ def main() -> None:
     text = f"""## Steering by a magnet
 
 `python benchmarks/validate_steering.py`: capsule `magnetic`, wet walls with `physical` drag. In
-tubes: magnet `cylinder-101.6`, a push of {PUSH:g} N along the tube that rises within {RISE:g} s,
+tubes: magnet `cylinder-76.2`, a push of {PUSH:g} N along the tube that rises within {RISE:g} s,
 stays, turns round within {2 * RISE:g} s and stays. By hand: {hand.speed:g} m/s and
 {hand.acceleration:g} m/s² at most; by arm: within the Panda's limits of joint speed, acceleration
 and jerk. *Once settled* is the largest error in the last second of each push.
@@ -93,7 +93,7 @@ def begin(tube: Tube, by_arm: bool, press: float) -> tuple[Pilot, World, Goal]:
     goal = gut_goal(line, np.eye(4), tube.arc_length)
     nearest = int(np.argmin(np.abs(line.arc_length - tube.arc_length)))
     pose = transform_from(line.frames[nearest], line.points[nearest])
-    magnet = load_magnet("cylinder-101.6")
+    magnet = load_magnet("cylinder-76.2")
     holder = panda(magnet, pose[:3, 3] + [-0.5, 0.0, -0.15], Room()) if by_arm else FreeHolder()
     pilot = Pilot(model, magnet, holder, pose, goal, steering=Steering(press=press))
     world = World(model, Tissue(), State(0.0, pose), sources=pilot.sources, substep=SUBSTEP)

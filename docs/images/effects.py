@@ -27,7 +27,7 @@ from vrcaps.world.model import Model, State
 
 SIDE_PX = 200
 MARGIN_PX = 130
-LOOK = RenderSettings(supersampling=2, shadows=True)
+LOOK = RenderSettings(supersampling=2, shadows=True, light="quick")
 FRAMES = 3
 FPS = 3.0
 DARK = 0.12
@@ -50,15 +50,14 @@ def picture(renderer: Renderer, device: Device, effects: Effects, run: list[Stat
     camera = effects.device(device).cameras[0]
     chain = CameraChain(effects, camera, number=0, fps=FPS, seed=1)
     moment = Moment(1, run[1], run[2], run[0])
-    automatic = effects.figures("exposure")
+    automatic, seen = effects.figures("exposure"), chain.see(renderer, moment, ("rgb",))
     if automatic is not None:
         exposure = DARK
         for _ in range(FRAMES):
-            metered = chain.meter(renderer, replace(moment, exposure=exposure))
+            metered = chain.meter(seen, replace(moment, exposure=exposure))
             exposure = automatic.following(exposure, metered, 1.0 / FPS)
         moment = replace(moment, exposure=exposure)
-    frame = renderer.render(moment.state, camera, channels=chain.channels(("rgb",)))
-    rgb = chain.apply(frame, renderer, moment).rgb
+    rgb = chain.apply(seen, renderer, moment).rgb
     resample = Image.Resampling.NEAREST if effects.resolution else Image.Resampling.BOX
     return Image.fromarray(np.asarray(rgb)).resize((SIDE_PX, SIDE_PX), resample)
 

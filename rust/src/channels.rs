@@ -4,6 +4,14 @@ use crate::lanes::*;
 use numpy::{Element, PyArrayDyn, PyArrayMethods, PyReadwriteArrayDyn};
 use pyo3::{exceptions::PyValueError, prelude::*, types::PyDict};
 
+/// Pixels between those whose surface is written sparsely, the first in the middle of a square.
+const STEP: usize = 4;
+
+/// How many of so many pixels in a row are written sparsely.
+pub fn sparse(size: usize) -> usize {
+    (size + STEP / 2 - 1) / STEP
+}
+
 /// Channels of an image, or of a row of its tiles; those not asked for are absent.
 #[derive(Default)]
 pub struct Channels<'a> {
@@ -19,9 +27,14 @@ pub struct Channels<'a> {
     pub position: Option<&'a mut [f32]>,
     pub face: Option<&'a mut [i32]>,
     pub weights: Option<&'a mut [f32]>,
+    pub sparse_position: Option<&'a mut [f32]>,
+    pub sparse_face: Option<&'a mut [i32]>,
+    pub sparse_weights: Option<&'a mut [f32]>,
+    pub sparse_bend: Option<&'a mut [u8]>,
     pub front_label: Option<&'a mut [u8]>,
     pub front_instance: Option<&'a mut [u16]>,
     pub front_depth: Option<&'a mut [f32]>,
+    pub bend_label: Option<&'a mut [u8]>,
 }
 
 impl<'a> Channels<'a> {
@@ -44,6 +57,12 @@ impl<'a> Channels<'a> {
         let (mut front_label, mut front_depth) =
             (cut(self.front_label, n), cut(self.front_depth, n));
         let mut front_instance = cut(self.front_instance, n);
+        let mut bend_label = cut(self.bend_label, n);
+        let s = sparse(width) * TILE / STEP;
+        let mut sparse_position = cut(self.sparse_position, s * 3);
+        let (mut sparse_face, mut sparse_weights) =
+            (cut(self.sparse_face, s), cut(self.sparse_weights, s * 2));
+        let mut sparse_bend = cut(self.sparse_bend, s);
         (0..count)
             .map(|_| Channels {
                 rgb: rgb.next().flatten(),
@@ -58,9 +77,14 @@ impl<'a> Channels<'a> {
                 position: position.next().flatten(),
                 face: face.next().flatten(),
                 weights: weights.next().flatten(),
+                sparse_position: sparse_position.next().flatten(),
+                sparse_face: sparse_face.next().flatten(),
+                sparse_weights: sparse_weights.next().flatten(),
+                sparse_bend: sparse_bend.next().flatten(),
                 front_label: front_label.next().flatten(),
                 front_instance: front_instance.next().flatten(),
                 front_depth: front_depth.next().flatten(),
+                bend_label: bend_label.next().flatten(),
             })
             .collect()
     }
@@ -126,6 +150,27 @@ impl Place {
             let start = (y * width + self.column) * components;
             let row = &mut pixels[start..start + columns * components];
             for (x, pixel) in row.chunks_exact_mut(components).enumerate() {
+                for (k, out) in pixel.iter_mut().enumerate() {
+                    *out = value(y * TILE + x, k);
+                }
+            }
+        }
+    }
+
+    /// Writes the pixels that stand for all others.
+    #[inline(always)]
+    pub fn write_sparsely<T: Copy>(
+        self,
+        channel: &mut Option<&mut [T]>,
+        components: usize,
+        value: impl Fn(usize, usize) -> T,
+    ) {
+        let Some(pixels) = channel else { return };
+        let (width, height) = self.size;
+        for y in (STEP / 2..height).step_by(STEP) {
+            for x in (STEP / 2..(width - self.column).min(TILE)).step_by(STEP) {
+                let place = y / STEP * sparse(width) + (self.column + x) / STEP;
+                let pixel = &mut pixels[place * components..][..components];
                 for (k, out) in pixel.iter_mut().enumerate() {
                     *out = value(y * TILE + x, k);
                 }

@@ -32,3 +32,9 @@ pub fn cpu_features() -> Vec<&'static str> {
 pub fn num_threads() -> usize {
     rayon::current_num_threads()
 }
+
+/// Does work on the threads of the core, without Python; the parts that it is cut into start
+/// without a change of thread.
+pub fn on_pool<T: Send>(py: Python<'_>, work: impl FnOnce() -> T + Send) -> T {
+    py.detach(|| rayon::scope(|_| work()))
+}

@@ -1,11 +1,13 @@
 //! One image: trace, shade and write every channel that was asked for.
 
-use crate::channels::{Channels, Place, slice, take};
+use crate::channels::{Channels, Place, slice, sparse, take};
 use crate::contents::Contents;
 use crate::contents::tile::{Filled, Room};
+use crate::cpu::on_pool;
 use crate::indirect::{Irradiance, QuickLight};
 use crate::lanes::*;
-use crate::material::Led;
+use crate::material::{Led, Surface};
+use crate::path::afloat::Afloat;
 use crate::path::{First, Settings, wave};
 use crate::rays::{RayTable, TileRays};
 use crate::scene::{Scene, SceneData};
@@ -69,6 +71,18 @@ impl View<'_> {
         let (center, paths, bounced) = (wall.center, None, None);
         Ok(View { origin, to_world, to_camera, center, leds, exposure, shadows, paths, bounced })
     }
+
+    /// What LEDs light directly of surfaces behind which light goes on through tissue, if it does;
+    /// `triangles` are `MISS` where there is no wall.
+    #[inline(always)]
+    pub fn bare(
+        &self,
+        scene: &SceneData,
+        surface: &Surface,
+        triangles: &[u32; LANES],
+    ) -> Option<Surface> {
+        self.paths.and(scene.tissue.as_ref()).map(|_| surface.bare(triangles))
+    }
 }
 
 /// Renders the channels of `out`, a dictionary of C-contiguous arrays of the table's shape.
@@ -107,6 +121,7 @@ pub fn render(
             "The wall has moved under a world: refit it to draw it.",
         ));
     }
+    let rest = quick.map(|light| light.rest(py));
     let mut view = View::new(wall, pose, leds, exposure, shadows)?;
     view.paths = paths.map(|(samples, depth, seed)| Settings { samples, depth, seed });
     let shape = (rays.height, rays.width);
@@ -122,9 +137,15 @@ pub fn render(
     let mut position = take::<f32>(out, "position", shape, 3)?;
     let mut face = take::<i32>(out, "face", shape, 1)?;
     let mut weights = take::<f32>(out, "weights", shape, 2)?;
+    let few = (sparse(shape.0), sparse(shape.1));
+    let mut sparse_position = take::<f32>(out, "sparse_position", few, 3)?;
+    let mut sparse_face = take::<i32>(out, "sparse_face", few, 1)?;
+    let mut sparse_weights = take::<f32>(out, "sparse_weights", few, 2)?;
+    let mut sparse_bend = take::<u8>(out, "sparse_bend", few, 1)?;
     let mut front_label = take::<u8>(out, "front_label", shape, 1)?;
     let mut front_instance = take::<u16>(out, "front_instance", shape, 1)?;
     let mut front_depth = take::<f32>(out, "front_depth", shape, 1)?;
+    let mut bend_label = take::<u8>(out, "bend_label", shape, 1)?;
     let channels = Channels {
         rgb: slice(&mut rgb)?,
         radiance: slice(&mut radiance)?,
@@ -138,13 +159,17 @@ pub fn render(
         position: slice(&mut position)?,
         face: slice(&mut face)?,
         weights: slice(&mut weights)?,
+        sparse_position: slice(&mut sparse_position)?,
+        sparse_face: slice(&mut sparse_face)?,
+        sparse_weights: slice(&mut sparse_weights)?,
+        sparse_bend: slice(&mut sparse_bend)?,
         front_label: slice(&mut front_label)?,
         front_instance: slice(&mut front_instance)?,
         front_depth: slice(&mut front_depth)?,
+        bend_label: slice(&mut bend_label)?,
     };
-    let rest = quick.map(|light| light.rest(py));
     let quick = quick.zip(rest.as_deref()).filter(|_| channels.wants_light());
-    py.detach(|| {
+    on_pool(py, || {
         view.bounced = quick.map(|(light, rest)| light.solve(rest, wall, &view.leds));
         let columns = rays.columns();
         let filled = contents.map(|c| Filled::new(wall, &scene.data, c, &view));
@@ -190,11 +215,12 @@ fn glow(
     scene: &SceneData,
     view: &View<'_>,
     tiles: &[TileRays],
+    afloat: Option<Afloat<'_>>,
     first: impl FnMut((usize, &TileRays)) -> First,
 ) -> Option<Vec<Lane3>> {
     let settings = view.paths?;
     let pixel_angle = tiles.iter().fold(0.0, |angle, tile| max(angle, tile.pixel_angle));
-    let tracer = wave::Tracer { wall, scene, leds: &view.leds, pixel_angle, settings };
+    let tracer = wave::Tracer { wall, scene, leds: &view.leds, pixel_angle, settings, afloat };
     let firsts: Vec<First> = tiles.iter().enumerate().map(first).collect();
     Some(wave::indirect(&tracer, &firsts))
 }
@@ -219,7 +245,7 @@ fn render_band(
         let pixel = area.pixels(column);
         First { surface, hit: found.hit, triangle: hits.triangle, pixel }
     };
-    let glow = if out.wants_light() { glow(wall, scene, view, tiles, first) } else { None };
+    let glow = if out.wants_light() { glow(wall, scene, view, tiles, None, first) } else { None };
     for (column, tile) in tiles.iter().enumerate() {
         let glow = glow.as_ref().map(|tiles| &tiles[column]);
         render_tile(wall, scene, view, tile, area.place(column), glow, out);
@@ -236,7 +262,8 @@ fn render_filled_band(filled: &Filled<'_>, tiles: &[TileRays], area: Area, out: 
     let Filled { wall, scene, view, .. } = *filled;
     let first =
         |(column, tile): (usize, &TileRays)| filled.first(tile, area.pixels(column), &mut room);
-    let glow = if out.wants_light() { glow(wall, scene, view, tiles, first) } else { None };
+    let afloat = Some(filled.afloat());
+    let glow = if out.wants_light() { glow(wall, scene, view, tiles, afloat, first) } else { None };
     for (column, tile) in tiles.iter().enumerate() {
         let glow = glow.as_ref().map(|tiles| &tiles[column]);
         filled.render_tile(tile, area.place(column), glow, &mut room, out);
@@ -272,8 +299,9 @@ fn render_tile(
     let found = attributes(wall, scene, view.origin, &rays.directions, &hits);
     if out.wants_color() {
         let surface = surface(scene, &found, &hits.distance, tile.pixel_angle);
-        let mut radiance =
-            light(wall, &scene.material, &view.leds, view.shadows, &surface, &found.hit);
+        let bare = view.bare(scene, &surface, &hits.triangle);
+        let lit = bare.as_ref().unwrap_or(&surface);
+        let mut radiance = light(wall, &scene.material, &view.leds, view.shadows, lit, &found.hit);
         if let Some(bounced) = &view.bounced {
             bounced.add((&surface, &found.normal), &hits, &mut radiance);
         }
@@ -323,26 +351,19 @@ pub fn write_geometry(
         }
         place.write3(&mut out.normal, &normal, hit, f32::NAN);
     }
-    if out.position.is_some() {
-        let mut position = found.position;
-        for k in 0..3 {
-            for i in 0..LANES {
-                position[k][i] = (f64::from(position[k][i]) + view.center[k]) as f32;
-            }
-        }
-        place.write3(&mut out.position, &position, hit, f32::NAN);
-    }
+    let position = |i: usize, k: usize| {
+        if hit[i] { (f64::from(found.position[k][i]) + view.center[k]) as f32 } else { f32::NAN }
+    };
+    let face = |i: usize| if hit[i] { found.face[i] } else { -1 };
+    let weight = |i: usize, k: usize| if hit[i] { found.weights[k][i] } else { f32::NAN };
+    place.write_each(&mut out.position, 3, position);
+    place.write_sparsely(&mut out.sparse_position, 3, position);
+    place.write_sparsely(&mut out.sparse_face, 1, |i, _| face(i));
+    place.write_sparsely(&mut out.sparse_weights, 2, weight);
     place.write(&mut out.ray_distance, &hits.distance, hit, f32::NAN);
     place.write(&mut out.arc_length, &found.arc_length, hit, f32::NAN);
     place.write(&mut out.label, &found.label, hit, 0);
     place.write(&mut out.instance, &found.instance, hit, 0);
-    place.write(&mut out.face, &found.face, hit, -1);
-    let [first, second] = &found.weights;
-    place.write_each(
-        &mut out.weights,
-        2,
-        |i, k| {
-            if hit[i] { [first[i], second[i]][k] } else { f32::NAN }
-        },
-    );
+    place.write_each(&mut out.face, 1, |i, _| face(i));
+    place.write_each(&mut out.weights, 2, weight);
 }

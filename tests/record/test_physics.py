@@ -30,6 +30,8 @@ from vrcaps.record.scenario import (
     scenario_to_plain,
 )
 from vrcaps.record.table import SIMULATED_COLUMNS
+from vrcaps.render.camera_effects.effects import Effects
+from vrcaps.render.camera_effects.exposure import AutoExposure
 from vrcaps.tissue.drag import Drag
 from vrcaps.tissue.material import Material
 from vrcaps.world.physics import Physics
@@ -194,6 +196,34 @@ def test_a_broken_off_simulation_goes_on_from_its_checkpoint(
         assert min(times)[0] < first
         assert rendered[0] == missing
     assert max(times) == pytest.approx((1.2, 1.2))
+
+
+def test_automatic_exposure_goes_on_from_a_checkpoint(simulated, tmp_path, monkeypatch):
+    """The loop's state, the motion and the noise are those of a recording in one go."""
+    effects = Effects(exposure=AutoExposure(0.5, target=0.3), motion_blur=2, noise=2)
+    given = replace(simulated, effects=effects, channels=("rgb", "depth"), wall=False)
+    straight, broken = record(given, tmp_path / "straight"), tmp_path / "broken"
+    exposure = read_episode(straight).table.columns["front_exposure"]
+    assert len(set(exposure)) == len(exposure)
+    render = Images.render
+
+    def stopped(images, step):
+        if step.frame == 4:
+            raise KeyboardInterrupt
+        return render(images, step)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(recorder, "_CHECKPOINT_SECONDS", 0.0)
+        patch.setattr(Images, "render", stopped)
+        with pytest.raises(KeyboardInterrupt):
+            record(given, broken)
+    found = read_checkpoint(broken)
+    assert found is not None
+    assert found.frame >= 2
+    times = []
+    record(given, broken, simulated=lambda time, _: times.append(time))
+    assert min(times) > found.frame / 5.0 + 0.2
+    assert digests(broken) == digests(straight)
 
 
 def test_a_whole_episode_is_not_simulated_again(whole, simulated):

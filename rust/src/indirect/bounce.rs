@@ -1,5 +1,6 @@
 //! One frame of bounced light.
 
+use super::known::{Light, Lights};
 use super::lamps::first_reflection;
 use super::moved::Moved;
 use super::rows::{Beam, Link};
@@ -8,10 +9,10 @@ use crate::lanes::*;
 use crate::material::{Led, Surface};
 use crate::tile::{Hits, MISS};
 use crate::wall::Wall;
+use glam::Vec4;
 use rayon::prelude::*;
 use std::borrow::Cow;
 use std::f32::consts::PI;
-use std::sync::atomic::{AtomicU32, Ordering::Relaxed};
 
 /// Reflections that are followed after the first; the rest is the tail of a geometric series.
 const BOUNCES: usize = 2;
@@ -28,36 +29,14 @@ pub struct Irradiance<'a> {
     /// Radiosity of each site [W/m²].
     leaving: Vec<Color>,
     /// Light at each site and vertex, gathered when first needed.
-    of_site: Vec<Lazy>,
-    of_vertex: Vec<Lazy>,
+    known: Lights<'a>,
 }
 
-/// For red, green and blue: irradiance, and how it grows as the normal tilts along x, y and z
-/// [W/m²]. The latter is the tangential part of the light vector.
-type Light = [f32; 12];
+/// What the corners of one face get: at the third, and how much more at the first two.
+type Corners = (u32, [Light; 3]);
 
-/// Light that is reckoned when first needed; all bits zero is not yet known, a zero that
-/// is known is negative.
-///
-/// Threads that need it at once all reckon it; their results are the same, so it matters
-/// neither who writes last nor whether a reader finds parts of one and of the other.
-#[derive(Default)]
-struct Lazy([AtomicU32; 12]);
-
-impl Lazy {
-    #[inline(always)]
-    fn get(&self, reckon: impl FnOnce() -> Light) -> Light {
-        let known: [u32; 12] = std::array::from_fn(|k| self.0[k].load(Relaxed));
-        if known.iter().all(|&bits| bits != 0) {
-            return known.map(f32::from_bits);
-        }
-        let found = reckon().map(|x| if x == 0.0 { -0.0 } else { x });
-        for (slot, x) in self.0.iter().zip(found) {
-            slot.store(x.to_bits(), Relaxed);
-        }
-        found
-    }
-}
+/// Faces that a tile keeps at hand.
+const AT_HAND: usize = 8;
 
 impl QuickLight {
     /// Irradiance by bounced light.
@@ -90,9 +69,7 @@ impl QuickLight {
                 last[s as usize] = light;
             }
         }
-        let lazy = |n: usize| (0..n).map(|_| Lazy::default()).collect();
-        let (of_site, of_vertex) = (lazy(self.albedo.len()), lazy(wall.vertices.len()));
-        Irradiance { light: self, rest, wall, moved, leaving, of_site, of_vertex }
+        Irradiance { light: self, rest, wall, moved, leaving, known: self.room.lend() }
     }
 
     /// Sites that are lit or see one that is, in order.
@@ -155,46 +132,63 @@ impl Irradiance<'_> {
     /// gets (1 + cos τ)/2.
     #[inline(always)]
     pub fn add(&self, (surface, smooth): (&Surface, &Lane3), hits: &Hits, radiance: &mut Lane3) {
-        let mut light = [[0.0; LANES]; 12];
-        let mut last = (MISS, [[0.0; 12]; 3]);
+        let mut shares = [[0.0; LANES]; 4];
+        let mut reflected = [[0.0; LANES]; 2];
+        for i in 0..LANES {
+            let (normal, flat) = (at(&surface.normal, i), at(smooth, i));
+            let [base, gloss] = self.light.reflectance.at(dot(normal, at(&surface.view, i)));
+            (reflected[0][i], reflected[1][i]) = (base, gloss);
+            let level = dot(normal, flat);
+            shares[0][i] = 0.5 * (1.0 + level);
+            for k in 0..3 {
+                shares[k + 1][i] = normal[k] - flat[k] * level;
+            }
+        }
+        let mut irradiance = [[0.0; LANES]; 3];
+        let mut at_hand: [Corners; AT_HAND] = [(MISS, [[Vec4::ZERO; 4]; 3]); AT_HAND];
         for i in 0..LANES {
             let triangle = hits.triangle[i];
             if triangle == MISS {
                 continue;
             }
-            if triangle != last.0 {
-                let corners = self.wall.bvh.corners[triangle as usize];
-                last = (triangle, corners.map(|v| self.vertex(v as usize)));
+            let corners = &mut at_hand[triangle as usize % AT_HAND];
+            if corners.0 != triangle {
+                *corners = (triangle, self.corners(triangle));
             }
-            let [a, b, c] = &last.1;
+            let [first, second, third] = &corners.1;
             let inverse = 1.0 / hits.edges[2][i];
             let (wa, wb) = (hits.edges[0][i] * inverse, hits.edges[1][i] * inverse);
-            for k in 0..12 {
-                light[k][i] = c[k] + wa * (a[k] - c[k]) + wb * (b[k] - c[k]);
+            let mut sum = Vec4::ZERO;
+            for part in 0..4 {
+                let light = third[part] + first[part] * wa + second[part] * wb;
+                sum += light * shares[part][i];
+            }
+            for k in 0..3 {
+                irradiance[k][i] = sum[k];
             }
         }
-        for i in 0..LANES {
-            let (normal, flat) = (at(&surface.normal, i), at(smooth, i));
-            let [base, gloss] = self.light.reflectance.at(dot(normal, at(&surface.view, i)));
-            let level = dot(normal, flat);
-            let tilt = sub(normal, scale(flat, level));
-            for k in 0..3 {
-                let [even, x, y, z] = [0, 1, 2, 3].map(|part| light[4 * k + part][i]);
-                let irradiance = 0.5 * (1.0 + level) * even + dot(tilt, [x, y, z]);
-                let share = base * surface.albedo[k][i] + gloss;
-                radiance[k][i] += max(irradiance, 0.0) * (1.0 / PI) * share;
+        for k in 0..3 {
+            for i in 0..LANES {
+                let share = reflected[0][i] * surface.albedo[k][i] + reflected[1][i];
+                radiance[k][i] += max(irradiance[k][i], 0.0) * (1.0 / PI) * share;
             }
         }
     }
 
-    #[inline(always)]
+    fn corners(&self, triangle: u32) -> [Light; 3] {
+        let corners = self.wall.bvh.corners[triangle as usize];
+        let [a, b, c] = corners.map(|v| self.vertex(v as usize));
+        let more = |light: Light| std::array::from_fn(|part| light[part] - c[part]);
+        [more(a), more(b), c]
+    }
+
     fn vertex(&self, v: usize) -> Light {
-        self.of_vertex[v].get(|| {
-            let mut sum = [0.0; 12];
+        self.known.vertex(v, || {
+            let mut sum = [Vec4::ZERO; 4];
             for &(s, weight) in self.light.sites.heard[v].iter().filter(|heard| heard.1 > 0.0) {
                 let light = self.site(s as usize);
-                for k in 0..12 {
-                    sum[k] += weight * light[k];
+                for part in 0..4 {
+                    sum[part] += weight * light[part];
                 }
             }
             sum
@@ -202,7 +196,7 @@ impl Irradiance<'_> {
     }
 
     fn site(&self, s: usize) -> Light {
-        self.of_site[s].get(|| {
+        self.known.site(s, || {
             let vertex = self.light.sites.vertex[s] as usize;
             let beams = &self.light.row(self.rest, s).fine;
             let mut vectors = match &self.moved {
@@ -217,11 +211,10 @@ impl Irradiance<'_> {
                 vectors = vectors.map(|vector| moved.turn(self.wall, vertex, vector));
             }
             let normal = self.wall.normals[vertex];
-            std::array::from_fn(|k| {
-                let vector = vectors[k / 4];
-                let even = dot(vector, normal);
-                if k % 4 == 0 { even } else { vector[k % 4 - 1] - even * normal[k % 4 - 1] }
-            })
+            let even = vectors.map(|vector| dot(vector, normal));
+            let along =
+                |k: usize| [0, 1, 2].map(|color| vectors[color][k] - even[color] * normal[k]);
+            [even, along(0), along(1), along(2)].map(|[r, g, b]| Vec4::new(r, g, b, 0.0))
         })
     }
 

@@ -9,6 +9,7 @@
 //! bent in each frame to the wall as it is.
 
 mod bounce;
+mod known;
 mod lamps;
 mod lobe;
 mod look;
@@ -18,6 +19,7 @@ mod rows;
 mod sites;
 
 pub use bounce::Irradiance;
+use known::Rooms;
 use look::Look;
 use reflectance::Reflectance;
 use rows::{Row, trace_row};
@@ -43,6 +45,7 @@ pub struct QuickLight {
     per_area: Vec<f32>,
     reflectance: Reflectance,
     rows: Vec<OnceLock<Row>>,
+    room: Rooms,
 }
 
 #[pymethods]
@@ -59,7 +62,8 @@ impl QuickLight {
             let reflectance = Reflectance::integrate(&scene.material, look.roughness);
             let rows = sites.vertex.iter().map(|_| OnceLock::new()).collect();
             let Look { albedo, per_area, .. } = look;
-            QuickLight { rest: own, sites, albedo, per_area, reflectance, rows }
+            let room = Rooms::new((sites.vertex.len(), wall.vertices.len()));
+            QuickLight { rest: own, sites, albedo, per_area, reflectance, rows, room }
         })
     }
 

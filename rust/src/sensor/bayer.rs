@@ -1,6 +1,7 @@
 //! Colours of all pixels from a mosaic of one colour each.
 
 use super::planes::{planes_array, rows};
+use crate::cpu::on_pool;
 use numpy::{PyArray3, PyReadonlyArray3, PyUntypedArrayMethods};
 use pyo3::{exceptions::PyValueError, prelude::*};
 use rayon::prelude::*;
@@ -23,7 +24,7 @@ pub fn demosaic<'py>(
     }
     let source = mosaic.as_slice()?;
     let mut out = vec![0.0; 3 * height * width];
-    py.detach(|| {
+    on_pool(py, || {
         let stride = width + 4;
         let mut padded = vec![0.0; (height + 4) * stride];
         padded.par_chunks_mut(stride).enumerate().for_each(|(y, line)| {

@@ -1,12 +1,15 @@
 //! Bloom and veiling glare: light that the lens and its dome scatter about its image.
 
 use super::planes::{planes_array, size};
+use crate::cpu::on_pool;
 use numpy::{PyArray3, PyReadonlyArray3};
 use pyo3::prelude::*;
 use rayon::prelude::*;
 
 /// Pixels to a side that the scattered light is gathered from: it varies slowly.
 const CELL: usize = 4;
+/// Numbers summed up together.
+const CHUNK: usize = 16;
 /// Width of the veil, relative to the halo.
 const VEIL: f32 = 4.0;
 
@@ -24,7 +27,7 @@ pub fn bloom<'py>(
     let (height, width) = size(&planes)?;
     let source = planes.as_slice()?;
     let mut out = vec![0.0; source.len()];
-    py.detach(|| {
+    on_pool(py, || {
         let area = height * width;
         out.par_chunks_mut(area).zip(source.par_chunks(area)).for_each(|(into, from)| {
             let cells = (height.div_ceil(CELL), width.div_ceil(CELL));
@@ -51,22 +54,29 @@ fn between(fine: usize, count: usize) -> (usize, usize, f32) {
 }
 
 /// Light by cells, as a mean: each pixel's goes to the nearest cells, so that its place is kept.
+#[multiversion::multiversion(targets(
+    "x86_64+avx512f+avx512bw+avx512cd+avx512dq+avx512vl",
+    "x86_64+avx2",
+    "aarch64+neon"
+))]
 fn gathered(plane: &[f32], width: usize, (rows, columns): (usize, usize)) -> Vec<f32> {
-    let across: Vec<_> = (0..width).map(|x| between(x, columns)).collect();
-    let mut cells = vec![0.0; rows * columns];
-    let mut line = vec![0.0; columns];
+    // Down first, whole rows at a time, then along what few rows are left.
+    let mut tall = vec![0.0f32; rows * width];
     for (y, row) in plane.chunks_exact(width).enumerate() {
-        line.fill(0.0);
-        for (&value, &(left, right, s)) in row.iter().zip(&across) {
-            line[left] += value * (1.0 - s);
-            line[right] += value * s;
-        }
         let (top, bottom, t) = between(y, rows);
         for (into, share) in [(top, 1.0 - t), (bottom, t)] {
             let share = share / (CELL * CELL) as f32;
-            for (cell, value) in cells[into * columns..][..columns].iter_mut().zip(&line) {
-                *cell += share * value;
+            for (sum, value) in tall[into * width..][..width].iter_mut().zip(row) {
+                *sum += share * value;
             }
+        }
+    }
+    let across: Vec<_> = (0..width).map(|x| between(x, columns)).collect();
+    let mut cells = vec![0.0f32; rows * columns];
+    for (line, row) in cells.chunks_exact_mut(columns).zip(tall.chunks_exact(width)) {
+        for (&value, &(left, right, s)) in row.iter().zip(&across) {
+            line[left] += value * (1.0 - s);
+            line[right] += value * s;
         }
     }
     cells
@@ -88,27 +98,45 @@ fn blurred(cells: &[f32], (rows, columns): (usize, usize), sigma: f32) -> Vec<f3
         .collect();
     let whole: f32 = raw.iter().sum();
     let kernel: Vec<f32> = raw.iter().map(|w| w / whole).collect();
-    let mut along = vec![0.0; cells.len()];
-    let mut line = vec![0.0; columns + 2 * reach];
-    for (into, from) in along.chunks_exact_mut(columns).zip(cells.chunks_exact(columns)) {
+    // First along, with nothing beside the image, then down, with nothing above and below.
+    let stride = columns + 2 * reach;
+    let mut wide = vec![0.0; rows * stride];
+    for (line, from) in wide.chunks_exact_mut(stride).zip(cells.chunks_exact(columns)) {
         line[reach..reach + columns].copy_from_slice(from);
-        for (k, weight) in kernel.iter().enumerate() {
-            for x in 0..columns {
-                into[x] += weight * line[x + k];
-            }
-        }
+    }
+    let mut tall = vec![0.0; (rows + 2 * reach) * columns];
+    let inner = &mut tall[reach * columns..(reach + rows) * columns];
+    for (into, line) in inner.chunks_exact_mut(columns).zip(wide.chunks_exact(stride)) {
+        convolve(line, &kernel, 1, into);
     }
     let mut out = vec![0.0; cells.len()];
-    for (y, into) in out.chunks_exact_mut(columns).enumerate() {
-        for (k, weight) in kernel.iter().enumerate() {
-            let Some(row) = (y + k).checked_sub(reach).filter(|&row| row < rows) else { continue };
-            let from = &along[row * columns..(row + 1) * columns];
-            for x in 0..columns {
-                into[x] += weight * from[x];
+    convolve(&tall, &kernel, columns, &mut out);
+    out
+}
+
+/// Sums of numbers that are `step` apart, weighted by a kernel.
+#[inline(always)]
+fn convolve(source: &[f32], kernel: &[f32], step: usize, out: &mut [f32]) {
+    for (number, into) in out.chunks_mut(CHUNK).enumerate() {
+        let mut sum = [0.0f32; CHUNK];
+        if into.len() == CHUNK {
+            for (k, weight) in kernel.iter().enumerate() {
+                let from = &source[number * CHUNK + k * step..][..CHUNK];
+                for i in 0..CHUNK {
+                    sum[i] += weight * from[i];
+                }
+            }
+        } else {
+            for (k, weight) in kernel.iter().enumerate() {
+                let from = &source[number * CHUNK + k * step..][..into.len()];
+                for (sum, value) in sum.iter_mut().zip(from) {
+                    *sum += weight * value;
+                }
             }
         }
+        let count = into.len();
+        into.copy_from_slice(&sum[..count]);
     }
-    out
 }
 
 /// Direct light and scattered light, the latter linear between the middles of cells.
@@ -125,18 +153,20 @@ fn mix_in(
     width: usize,
     out: &mut [f32],
 ) {
+    // Along first, in the few rows of cells, then down, whole rows at a time.
     let across: Vec<_> = (0..width).map(|x| between(x, columns)).collect();
-    let mut line = vec![0.0; columns];
+    let mut wide = vec![0.0f32; rows * width];
+    for (row, line) in wide.chunks_exact_mut(width).zip(cells.chunks_exact(columns)) {
+        for (value, &(left, right, s)) in row.iter_mut().zip(&across) {
+            *value = share * (line[left] * (1.0 - s) + line[right] * s);
+        }
+    }
     for (y, (into, from)) in out.chunks_exact_mut(width).zip(plane.chunks_exact(width)).enumerate()
     {
         let (top, bottom, t) = between(y, rows);
-        for x in 0..columns {
-            line[x] = cells[top * columns + x] * (1.0 - t) + cells[bottom * columns + x] * t;
-        }
+        let (top, bottom) = (&wide[top * width..][..width], &wide[bottom * width..][..width]);
         for x in 0..width {
-            let (left, right, s) = across[x];
-            let scattered = line[left] * (1.0 - s) + line[right] * s;
-            into[x] = (1.0 - share) * from[x] + share * scattered;
+            into[x] = (1.0 - share) * from[x] + (top[x] + (bottom[x] - top[x]) * t);
         }
     }
 }

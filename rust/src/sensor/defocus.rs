@@ -1,7 +1,8 @@
 //! Blur of what is out of focus, by the circle of confusion of a thin lens.
 
 use super::planes::{planes_array, rows, size};
-use crate::lanes::{clamp, max};
+use crate::cpu::on_pool;
+use crate::lanes::{clamp, max, min};
 use numpy::{PyArray3, PyReadonlyArray2, PyReadonlyArray3, PyUntypedArrayMethods};
 use pyo3::{exceptions::PyValueError, prelude::*};
 use rayon::prelude::*;
@@ -14,23 +15,24 @@ const WIDEST: f32 = 15.0;
 const BLOCK: usize = 16;
 /// Margin around the image in which there is nothing.
 const MARGIN: usize = 16;
+/// Rows worked on together.
+const ROWS: usize = 2;
+/// Radius of what is not seen; its share of the light is 0.
+const NOWHERE: f32 = -1e9;
 
 thread_local! {
     /// Planes of an earlier call, whose memory is used again.
-    static ROOM: Cell<[Vec<f32>; 5]> = const { Cell::new([const { Vec::new() }; 5]) };
+    static ROOM: Cell<Padded> = Cell::new(Padded::default());
 }
 
-/// Red, green, blue, signed radius and one over its square, with a margin; the radius of what is
-/// not seen is NaN.
+/// Red, green, blue, signed radius and one over its square, with a margin.
+#[derive(Default)]
 struct Padded {
     planes: [Vec<f32>; 5],
-    width: usize,
-}
-
-/// One neighbour: how far on in the padded planes, and its distance [px].
-struct Tap {
-    offset: isize,
-    distance: f32,
+    size: (usize, usize),
+    stride: usize,
+    /// Half a pixel less the distance of a neighbour, by rows and columns away from it [px].
+    edges: Vec<[f32; MARGIN + 1]>,
 }
 
 /// The image seen through an aperture.
@@ -53,62 +55,70 @@ pub fn defocus<'py>(
     }
     let (source, distance) = (planes.as_slice()?, distance.as_slice()?);
     let mut out = vec![0.0; source.len()];
-    py.detach(|| {
-        let padded = Padded::new(source, distance, (height, width), reach, focus);
+    on_pool(py, || {
+        let mut padded = ROOM.take().of_size((height, width));
+        padded.fill(source, distance, reach, focus);
         let blocks = width.div_ceil(BLOCK);
-        let widest = padded.widest((height, width));
-        let taps = taps(padded.width);
-        rows(&mut out, (height, width)).into_par_iter().enumerate().for_each(|(y, row)| {
-            let near: Vec<&[Tap]> = (0..blocks)
-                .map(|block| {
-                    let radius = around(&widest, blocks, y / BLOCK, block);
-                    &taps[..taps.partition_point(|tap| tap.distance < radius + 0.5)]
-                })
-                .collect();
-            spread_row(&padded, y, &near, row);
+        let widest = padded.widest();
+        let mut lines = rows(&mut out, (height, width));
+        lines.par_chunks_mut(ROWS).enumerate().for_each(|(group, lines)| {
+            for block in 0..blocks {
+                let radius = around(&widest, blocks, group * ROWS / BLOCK, block);
+                let mixed = spread_block(&padded, (group * ROWS, block * BLOCK), radius);
+                let columns = block * BLOCK..((block + 1) * BLOCK).min(width);
+                for (line, values) in lines.iter_mut().zip(&mixed) {
+                    for (row, values) in line.iter_mut().zip(values) {
+                        row[columns.clone()].copy_from_slice(&values[..columns.len()]);
+                    }
+                }
+            }
         });
-        ROOM.set(padded.planes);
+        ROOM.set(padded);
     });
     Ok(planes_array(py, out, (height, width)))
 }
 
 impl Padded {
-    fn new(
-        source: &[f32],
-        distance: &[f32],
-        (height, width): (usize, usize),
-        reach: f32,
-        focus: f32,
-    ) -> Self {
-        let stride = width.div_ceil(BLOCK) * BLOCK + 2 * MARGIN;
-        let mut planes = ROOM.take();
-        for (k, plane) in planes.iter_mut().enumerate() {
-            plane.clear();
-            let nothing = if k == 3 { f32::NAN } else { 0.0 };
-            plane.resize(stride * (height + 2 * MARGIN), nothing);
-            let rows = plane.par_chunks_mut(stride).skip(MARGIN).take(height);
-            rows.enumerate().for_each(|(y, row)| {
-                let row = &mut row[MARGIN..MARGIN + width];
-                if k < 3 {
-                    row.copy_from_slice(&source[(k * height + y) * width..][..width]);
-                } else {
-                    radii(&distance[y * width..][..width], reach, focus, k == 4, row);
-                }
+    /// Room for an image of a size, with its margin.
+    fn of_size(self, size: (usize, usize)) -> Self {
+        if self.size == size {
+            return self;
+        }
+        let stride = size.1.div_ceil(BLOCK) * BLOCK + 2 * MARGIN;
+        let length = stride * (size.0.div_ceil(ROWS) * ROWS + 2 * MARGIN);
+        let nothing = |k: usize| if k == 3 { NOWHERE } else { 0.0 };
+        let planes = [0, 1, 2, 3, 4].map(|k| vec![nothing(k); length]);
+        let edge = |down: usize, along: usize| 0.5 - ((down * down + along * along) as f32).sqrt();
+        let edges = (0..=MARGIN + ROWS).map(|y| std::array::from_fn(|x| edge(y, x))).collect();
+        Padded { planes, size, stride, edges }
+    }
+
+    fn fill(&mut self, source: &[f32], distance: &[f32], reach: f32, focus: f32) {
+        let ((height, width), stride) = (self.size, self.stride);
+        let [colors @ .., radius, share] = &mut self.planes;
+        for (k, plane) in colors.iter_mut().enumerate() {
+            inner(plane, self.size, stride).for_each(|(y, row)| {
+                row.copy_from_slice(&source[(k * height + y) * width..][..width]);
             });
         }
-        Padded { planes, width: stride }
+        inner(radius, self.size, stride).zip(inner(share, self.size, stride)).for_each(
+            |((y, radius), (_, share))| {
+                radii(&distance[y * width..][..width], reach, focus, radius, share);
+            },
+        );
     }
 
     /// Widest radius of each block.
-    fn widest(&self, (height, width): (usize, usize)) -> Vec<f32> {
+    fn widest(&self) -> Vec<f32> {
+        let (height, width) = self.size;
         let blocks = width.div_ceil(BLOCK);
         let mut widest = vec![0.0f32; blocks * height.div_ceil(BLOCK)];
         widest.par_chunks_mut(blocks).enumerate().for_each(|(band, row)| {
             for y in band * BLOCK..((band + 1) * BLOCK).min(height) {
-                let line = &self.planes[3][(y + MARGIN) * self.width + MARGIN..];
+                let line = &self.planes[3][(y + MARGIN) * self.stride + MARGIN..];
                 for (most, values) in row.iter_mut().zip(line.chunks_exact(BLOCK)) {
-                    // NaN is never larger.
-                    *most = values.iter().fold(*most, |most, r| max(r.abs(), most));
+                    let seen = |r: f32| if r == NOWHERE { 0.0 } else { r.abs() };
+                    *most = values.iter().fold(*most, |most, &r| max(seen(r), most));
                 }
             }
         });
@@ -116,20 +126,31 @@ impl Padded {
     }
 }
 
-/// Signed radii [px] at distances [m]; NaN where there is none. As a `weight` one over the square,
-/// 0 where there is none.
+/// Rows of a padded plane without its margin.
+fn inner(
+    plane: &mut [f32],
+    (height, width): (usize, usize),
+    stride: usize,
+) -> impl IndexedParallelIterator<Item = (usize, &mut [f32])> {
+    let rows = plane.par_chunks_mut(stride).skip(MARGIN).take(height);
+    rows.map(move |row| &mut row[MARGIN..MARGIN + width]).enumerate()
+}
+
+/// Signed radii [px] at distances [m], and one over their squares.
 #[multiversion::multiversion(targets(
     "x86_64+avx512f+avx512bw+avx512cd+avx512dq+avx512vl",
     "x86_64+avx2",
     "aarch64+neon"
 ))]
-fn radii(distance: &[f32], reach: f32, focus: f32, weight: bool, out: &mut [f32]) {
-    for (radius, &d) in out.iter_mut().zip(distance) {
+fn radii(distance: &[f32], reach: f32, focus: f32, radius: &mut [f32], share: &mut [f32]) {
+    let width = distance.len();
+    let (radius, share) = (&mut radius[..width], &mut share[..width]);
+    for x in 0..width {
+        let d = distance[x];
         let wide = clamp(reach * (1.0 / focus - 1.0 / d), -WIDEST, WIDEST);
         let across = max(wide.abs(), 0.5);
-        let value = if weight { 1.0 / (across * across) } else { wide };
-        let nothing = if weight { 0.0 } else { f32::NAN };
-        *radius = if d.is_nan() { nothing } else { value };
+        radius[x] = if d.is_nan() { NOWHERE } else { wide };
+        share[x] = if d.is_nan() { 0.0 } else { 1.0 / (across * across) };
     }
 }
 
@@ -145,64 +166,70 @@ fn around(widest: &[f32], blocks: usize, row: usize, column: usize) -> f32 {
     most
 }
 
-/// All neighbours that may count, nearest first.
-fn taps(stride: usize) -> Vec<Tap> {
-    let reach = MARGIN as isize - 1;
-    let mut all = Vec::new();
-    for dy in -reach..=reach {
-        for dx in -reach..=reach {
-            let distance = ((dx * dx + dy * dy) as f32).sqrt();
-            all.push(Tap { offset: dy * stride as isize + dx, distance });
-        }
-    }
-    all.sort_by(|a, b| a.distance.total_cmp(&b.distance));
-    all
-}
+type Run = [f32; BLOCK];
 
-fn spread_row(padded: &Padded, y: usize, near: &[&[Tap]], mut out: [&mut [f32]; 3]) {
-    for (block, taps) in near.iter().enumerate() {
-        let start = (y + MARGIN) * padded.width + MARGIN + block * BLOCK;
-        let mixed = spread_block(padded, start, taps);
-        let columns = block * BLOCK..((block + 1) * BLOCK).min(out[0].len());
-        for (row, values) in out.iter_mut().zip(&mixed) {
-            let length = columns.len();
-            row[columns.clone()].copy_from_slice(&values[..length]);
-        }
-    }
-}
-
+/// Light of a block's rows from a place (row, column) on, given the widest radius about.
+///
+/// A neighbour is loaded once for all rows that it may reach.
 #[multiversion::multiversion(targets(
     "x86_64+avx512f+avx512bw+avx512cd+avx512dq+avx512vl",
     "x86_64+avx2",
     "aarch64+neon"
 ))]
-fn spread_block(padded: &Padded, start: usize, taps: &[Tap]) -> [[f32; BLOCK]; 3] {
-    let at = |plane: usize, from: usize| -> [f32; BLOCK] {
+fn spread_block(padded: &Padded, place: (usize, usize), radius: f32) -> [[Run; 3]; ROWS] {
+    let at = |plane: usize, from: usize| -> Run {
         let mut values = [0.0; BLOCK];
         values.copy_from_slice(&padded.planes[plane][from..from + BLOCK]);
         values
     };
-    let (own, own_share) = (at(3, start), at(4, start));
-    let (mut sums, mut total) = ([[0.0f32; BLOCK]; 3], [0.0f32; BLOCK]);
-    for tap in taps {
-        let from = start.wrapping_add_signed(tap.offset);
-        let (near, share, colors) = (at(3, from), at(4, from), [0, 1, 2].map(|k| at(k, from)));
-        for i in 0..BLOCK {
-            let hidden = (near[i] > own[i]) & (near[i].abs() > own[i].abs());
-            let width = if hidden { own[i].abs() } else { near[i].abs() };
-            let share = if hidden { own_share[i] } else { share[i] };
-            // Of NaN this is 0.
-            let weight = clamp(width + 0.5 - tap.distance, 0.0, 1.0) * share;
-            total[i] += weight;
-            for k in 0..3 {
-                sums[k][i] += weight * colors[k][i];
+    let start = (place.0 + MARGIN) * padded.stride + place.1 + MARGIN;
+    let own: [Run; ROWS] = std::array::from_fn(|r| at(3, start + r * padded.stride));
+    let own_share: [Run; ROWS] = std::array::from_fn(|r| at(4, start + r * padded.stride));
+    let own_wide = own.map(|row| row.map(f32::abs));
+    let (mut sums, mut total) = ([[[0.0f32; BLOCK]; 3]; ROWS], [[0.0f32; BLOCK]; ROWS]);
+    let reach = radius + 0.5;
+    let most = reach as i32;
+    for down in -most..most + ROWS as i32 {
+        let beside = max(0.0, max(-down as f32, (down - ROWS as i32 + 1) as f32));
+        let side = max(reach * reach - beside * beside, 0.0).sqrt() as i32;
+        let edges: [&[f32; MARGIN + 1]; ROWS] =
+            std::array::from_fn(|r| &padded.edges[down.abs_diff(r as i32) as usize]);
+        for along in -side..=side {
+            let offset = down as isize * padded.stride as isize + along as isize;
+            let from = start.wrapping_add_signed(offset);
+            let (near, share, colors) = (at(3, from), at(4, from), [0, 1, 2].map(|k| at(k, from)));
+            for r in 0..ROWS {
+                let edge = edges[r][along.unsigned_abs() as usize];
+                for i in 0..BLOCK {
+                    // What is farther and wider is hidden beyond the pixel's own circle.
+                    let wide = min(near[i], own_wide[r][i]).abs();
+                    let share = chosen(near[i] > own_wide[r][i], own_share[r][i], share[i]);
+                    let weight = clamp(wide + edge, 0.0, 1.0) * share;
+                    total[r][i] += weight;
+                    for k in 0..3 {
+                        sums[r][k][i] += weight * colors[k][i];
+                    }
+                }
             }
         }
     }
-    for k in 0..3 {
+    let mut mean = [[[0.0f32; BLOCK]; 3]; ROWS];
+    for r in 0..ROWS {
         for i in 0..BLOCK {
-            sums[k][i] = if own[i].is_nan() { 0.0 } else { sums[k][i] / total[i] };
+            let seen = if own[r][i] == NOWHERE { 0.0 } else { 1.0 };
+            let inverse = seen / max(total[r][i], 1e-30);
+            for k in 0..3 {
+                mean[r][k][i] = sums[r][k][i] * inverse;
+            }
         }
     }
-    sums
+    mean
+}
+
+/// One number or the other. Written as a choice of bits: of an `if` the compiler makes a choice of
+/// where to load from, lane by lane.
+#[inline(always)]
+fn chosen(first: bool, one: f32, other: f32) -> f32 {
+    let mask = u32::from(first).wrapping_neg();
+    f32::from_bits((one.to_bits() & mask) | (other.to_bits() & !mask))
 }

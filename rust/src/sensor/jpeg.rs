@@ -3,6 +3,7 @@
 //! counts, to 2 %: bytes 255, which a file follows with a 0, are not counted twice.
 
 use super::huffman::{AC_BITS_CHROMINANCE, AC_BITS_LUMINANCE, DC_BITS};
+use crate::cpu::on_pool;
 use crate::lanes::clamp;
 use numpy::{IntoPyArray, PyArray3, PyReadonlyArray3, PyUntypedArrayMethods, ndarray::Array3};
 use pyo3::{exceptions::PyValueError, prelude::*};
@@ -43,7 +44,7 @@ pub fn jpeg<'py>(
     quality: u32,
 ) -> PyResult<Bound<'py, PyArray3<u8>>> {
     let (source, size) = checked(&image, quality)?;
-    let pixels = py.detach(|| Spectrum::new(source, size).decoded(&both_steps(quality)));
+    let pixels = on_pool(py, || Spectrum::new(source, size).decoded(&both_steps(quality)));
     let shape = (size.0, size.1, 3);
     Ok(Array3::from_shape_vec(shape, pixels).expect("every pixel was filled").into_pyarray(py))
 }
@@ -56,7 +57,7 @@ pub fn jpeg_bytes(
     quality: u32,
 ) -> PyResult<usize> {
     let (source, size) = checked(&image, quality)?;
-    Ok(py.detach(|| Spectrum::new(source, size).bytes(&both_steps(quality))))
+    Ok(on_pool(py, || Spectrum::new(source, size).bytes(&both_steps(quality))))
 }
 
 /// The highest quality up to `quality` at which the JPEG has no more bytes than given, 1 where there
@@ -69,7 +70,7 @@ pub fn jpeg_quality(
     most_bytes: usize,
 ) -> PyResult<u32> {
     let (source, size) = checked(&image, quality)?;
-    Ok(py.detach(|| Spectrum::new(source, size).best_quality(quality, most_bytes)))
+    Ok(on_pool(py, || Spectrum::new(source, size).best_quality(quality, most_bytes)))
 }
 
 /// Pixels, height and width of an image.

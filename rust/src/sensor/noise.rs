@@ -3,6 +3,7 @@
 //! Random numbers are hashes of (key, site), so that they depend on nothing else.
 
 use super::planes::size;
+use crate::cpu::on_pool;
 use crate::lanes::{clamp, exp2, log2, max};
 use numpy::{
     IntoPyArray, PyArray2, PyArrayDyn, PyReadonlyArray2, PyReadonlyArray3, PyUntypedArrayMethods,
@@ -10,11 +11,14 @@ use numpy::{
 };
 use pyo3::{exceptions::PyValueError, prelude::*};
 use rayon::prelude::*;
+use std::f32::consts::PI;
 
 /// Mean from which a Poisson variable is drawn as a normal one with its skewness; below it, exactly.
 const MANY: f32 = 12.0;
 /// Sites worked on together.
 const CHUNK: usize = 64;
+/// One over the number of whole numbers of 24 bits.
+const EVEN: f32 = 1.0 / 16_777_216.0;
 
 /// Bits that depend on all of a 32-bit number (Wellons' `lowbias32`).
 #[inline(always)]
@@ -45,8 +49,12 @@ impl Stream {
     /// Uniform in (0, 1), in steps of 2⁻²³.
     #[inline(always)]
     fn uniform(self, site: u32) -> f32 {
-        let bits = scramble(scramble(site.wrapping_add(self.first)) ^ self.second);
-        ((bits >> 9) as f32 + 0.5) * (1.0 / 8_388_608.0)
+        ((self.bits(site) >> 9) as f32 + 0.5) * (1.0 / 8_388_608.0)
+    }
+
+    #[inline(always)]
+    fn bits(self, site: u32) -> u32 {
+        scramble(scramble(site.wrapping_add(self.first)) ^ self.second)
     }
 }
 
@@ -75,6 +83,22 @@ fn quantile(u: f32) -> f32 {
                                 + b * (0.000_100_950_56 + b * -0.000_200_214_26)))))));
     let inverse = if w < 5.0 { middle } else { tail };
     std::f32::consts::SQRT_2 * inverse * (2.0 * u - 1.0)
+}
+
+/// Two independent standard normal numbers of one site (Box and Muller, Ann. Math. Stat. 29, 1958).
+#[inline(always)]
+fn pair(stream: Stream, site: u32) -> [f32; 2] {
+    let bits = stream.bits(site);
+    let turn = scramble(bits.wrapping_add(0x9e37_79b9));
+    let radius = (-2.0 * std::f32::consts::LN_2 * log2(((bits >> 8) as f32 + 0.5) * EVEN)).sqrt();
+    // A quarter of a turn less than half of one, and the sign of the other half.
+    let x = (turn >> 8) as f32 * EVEN - 0.5;
+    let y = x * x;
+    let sine = x * (PI - y * (5.167_713 - y * (2.550_164 - y * (0.599_264_5 - y * 0.082_145_89))));
+    let cosine = 1.0
+        - y * (4.934_802
+            - y * (4.058_712 - y * (1.335_262_8 - y * (0.235_330_6 - y * 0.025_806_9))));
+    [radius * sine, f32::from_bits((radius * cosine).to_bits() ^ (turn << 31))]
 }
 
 /// The Poisson quantile of `u` for a small mean, by adding up probabilities.
@@ -119,7 +143,8 @@ pub struct Readout {
     full_well: f32,
     /// Standard deviation of a reading [electrons].
     read_noise: f32,
-    /// Amplification before the converter.
+    /// Light relative to that which made the image, and amplification before the converter.
+    light: f32,
     gain: f32,
     /// Largest number of the converter, and its number for no light.
     white: f32,
@@ -130,7 +155,7 @@ pub struct Readout {
 
 /// The image as the sensor's converter gives it, scaled back to image values.
 ///
-/// Of each site the light is `value · response · full_well · pattern[0]` electrons on average; their
+/// Of each site the light is `value · light · response · full_well · pattern[0]` electrons on average; their
 /// number is a Poisson variable. To it come the site's offset `pattern[1]` and read noise
 /// [electrons]; amplified, rounded to whole numbers and cut to the converter's range it is the
 /// reading. With a `mosaic`, the colours of 2 by 2 sites, there is one site a pixel and the result
@@ -156,7 +181,7 @@ pub fn read_sensor<'py>(
     let (factor, offset) = (pattern[0].as_slice()?, pattern[1].as_slice()?);
     let streams = [0, 1].map(|k| Stream::new(key.0, key.1.wrapping_mul(2).wrapping_add(k)));
     let mut out = vec![0.0; count * width];
-    py.detach(|| {
+    on_pool(py, || {
         out.par_chunks_mut(width).enumerate().for_each(|(row, values)| {
             let colors = mosaic.map_or([row / height; 2], |c| [c[row % 2 * 2], c[row % 2 * 2 + 1]]);
             let line = |color: usize| &source[(color * height + row % height) * width..][..width];
@@ -186,35 +211,68 @@ fn read_row(
     first: usize,
     out: &mut [f32],
 ) {
-    let response = colors.map(|c| readout.response[c]);
-    let step = readout.gain * (readout.white - readout.black) / readout.full_well;
-    let back = response.map(|r| 1.0 / (r * (readout.white - readout.black)));
-    for (chunk, values) in out.chunks_mut(CHUNK).enumerate() {
-        let begin = chunk * CHUNK;
-        let (mut mean, mut count) = ([0.0f32; CHUNK], [0.0f32; CHUNK]);
-        let (mut uniform, mut noise) = ([0.5f32; CHUNK], [0.0f32; CHUNK]);
-        for i in 0..values.len() {
-            let x = begin + i;
-            let color = x & 1;
-            let value = if color == 0 { light[0][x] } else { light[1][x] };
-            let most = 4.0 * readout.full_well; // far beyond what the converter can show
-            let electrons = value * response[color] * readout.full_well * pattern.0[x];
-            mean[i] = clamp(electrons, 0.0, most);
+    let width = out.len();
+    let (light, pattern) =
+        (light.map(|row| &row[..width]), (&pattern.0[..width], &pattern.1[..width]));
+    let electrons = colors.map(|c| readout.response[c] * readout.full_well * readout.light);
+    let range = readout.white - readout.black;
+    let step = readout.gain * range / readout.full_well;
+    let back = colors.map(|c| 1.0 / (readout.response[c] * range));
+    let most = 4.0 * readout.full_well; // far beyond what the converter can show
+    for begin in (0..width).step_by(CHUNK) {
+        let sites = begin..(begin + CHUNK).min(width);
+        let mut mean = [0.0f32; CHUNK];
+        for (i, x) in sites.clone().enumerate() {
+            let value = if x & 1 == 0 { light[0][x] } else { light[1][x] };
+            mean[i] = clamp(value * electrons[x & 1] * pattern.0[x], 0.0, most);
         }
-        for i in 0..CHUNK {
-            let site = (first + begin + i) as u32;
-            uniform[i] = streams[0].uniform(site);
-            count[i] = many(mean[i], quantile(uniform[i]));
-            noise[i] = readout.read_noise * quantile(streams[1].uniform(site));
-        }
-        for (i, value) in values.iter_mut().enumerate() {
-            if mean[i] < MANY {
-                count[i] = few(mean[i], uniform[i]);
-            }
-            let x = begin + i;
-            let number = (count[i] + pattern.1[x] + noise[i]) * step + readout.black;
+        let site = (first + begin) as u32;
+        let read = if readout.read_noise * readout.read_noise >= MANY {
+            read_together(&mean, readout.read_noise, streams[0], site)
+        } else {
+            read_apart(&mean, readout.read_noise, streams, site)
+        };
+        for (i, x) in sites.enumerate() {
+            let number = (read[i] + pattern.1[x]) * step + readout.black;
             let number = clamp((number + 0.5).floor(), 0.0, readout.white);
-            *value = (number - readout.black) * back[x & 1];
+            out[x] = (number - readout.black) * back[x & 1];
         }
     }
+}
+
+/// Numbers of electrons with these means, and what is added to them by reading.
+#[inline(always)]
+fn read_apart(
+    mean: &[f32; CHUNK],
+    read_noise: f32,
+    streams: [Stream; 2],
+    first: u32,
+) -> [f32; CHUNK] {
+    let (mut count, mut uniform, mut noise) = ([0.0f32; CHUNK], [0.5f32; CHUNK], [0.0f32; CHUNK]);
+    for i in 0..CHUNK {
+        let site = first + i as u32;
+        uniform[i] = streams[0].uniform(site);
+        count[i] = many(mean[i], quantile(uniform[i]));
+        noise[i] = read_noise * quantile(streams[1].uniform(site));
+    }
+    for i in 0..CHUNK {
+        noise[i] += if mean[i] < MANY { few(mean[i], uniform[i]) } else { count[i] };
+    }
+    noise
+}
+
+/// The same where read noise hides that electrons are whole: both are one variable, whose variance
+/// is the sum of theirs and whose third moment is that of the electrons.
+#[inline(always)]
+fn read_together(mean: &[f32; CHUNK], read_noise: f32, stream: Stream, first: u32) -> [f32; CHUNK] {
+    let mut normal = [0.0f32; CHUNK];
+    for i in 0..CHUNK / 2 {
+        [normal[i], normal[i + CHUNK / 2]] = pair(stream, first + i as u32);
+    }
+    let mut read = [0.0f32; CHUNK];
+    for i in 0..CHUNK {
+        let (variance, z) = (mean[i] + read_noise * read_noise, normal[i]);
+        read[i] = mean[i] + variance.sqrt() * z + (z * z - 1.0) * mean[i] / (6.0 * variance);
+    }
+    read
 }

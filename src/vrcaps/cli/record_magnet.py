@@ -15,7 +15,8 @@ class MagnetFlags:
     """Flags beside `--motion magnet`."""
 
     magnet: str = MagnetSteering.magnet
-    """The magnet outside: cylinder-101.6, cylinder-76.2 or cylinder-50.8."""
+    """The magnet outside: cylinder-101.6 (6.2 kg), cylinder-76.2 (2.6 kg, the Panda may carry 3) or
+    cylinder-50.8 (0.8 kg)."""
 
     arm: str | None = None
     """Arm that carries it: panda, or an arm file (TOML); by default a hand without limits of

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps.render.camera_effects.chain import CameraChain, Moment
+from vrcaps.render.camera_effects.chain import CameraChain, Moment, Seen
 from vrcaps.render.camera_effects.frame_rate import image_speed
 from vrcaps.render.camera_effects.scene import half_side_px
 from vrcaps.render.renderer import Renderer
@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from vrcaps.record.table import FrameTable
     from vrcaps.render.frame import Frame
     from vrcaps.world.model import Model
+    from vrcaps.world.moving_wall import MovingWall
     from vrcaps.world.run import Instant
     from vrcaps.world.snapshot import Snapshot
 
@@ -43,22 +44,28 @@ class Step:
 class Images:
     """Images of the frames of a recording, in their order."""
 
-    def __init__(self, model: Model, scenario: Scenario, before: FrameTable | None = None) -> None:
+    def __init__(
+        self,
+        model: Model,
+        scenario: Scenario,
+        before: FrameTable | None = None,
+        wall: MovingWall | None = None,
+    ) -> None:
         """Begins a recording, or goes on after the rows of an earlier one.
 
         Args:
             model: What is recorded.
             scenario: Resolved.
             before: Rows of the frames before; they hold the state of the automatic exposure.
+            wall: The model's wall, shared with others who need it in the same states.
         """
         assert scenario.fps is not None
         self._model, self._channels, self._fps = model, scenario.channels, scenario.fps
-        self._renderer = Renderer(model, scenario.render)
+        self._renderer = Renderer(model, scenario.render, wall)
         self._automatic = scenario.effects.figures("exposure")
         self._rate = scenario.effects.frame_rate
         self._chains: dict[str, CameraChain] = {}
-        self._degrades = "rgb" in scenario.channels and not scenario.effects.is_ideal
-        if self._rate is not None or self._degrades:
+        if self._rate is not None or ("rgb" in self._channels and not scenario.effects.is_ideal):
             self._chains = {
                 camera.name: CameraChain(
                     scenario.effects, camera, number=k, fps=scenario.fps, seed=scenario.seed
@@ -70,6 +77,7 @@ class Images:
         if before is not None and len(before):
             self._go_on(before)
         self._current = dict(self._exposures)
+        self._seen: tuple[Step, dict[str, Seen]] | None = None
 
     def _go_on(self, before: FrameTable) -> None:
         """Takes over exposures, and the last frame taken, from the rows of earlier frames."""
@@ -85,9 +93,9 @@ class Images:
         self._current = dict(self._exposures)
         columns: dict[str, float] = {}
         if self._automatic is not None:
-            for name, chain in self._chains.items():
+            for name, seen in self._see(step).items():
                 exposure = self._exposures[name]
-                metered = chain.meter(self._renderer, self._moment(step, name))
+                metered = self._chains[name].meter(seen, self._moment(step, name))
                 columns |= dict(zip(exposure_columns(name), (exposure, metered), strict=True))
                 following = self._automatic.following(exposure, metered, 1.0 / self._fps)
                 self._exposures[name] = following
@@ -99,9 +107,8 @@ class Images:
             return {}
         speeds = []
         for camera in self._model.device.cameras:
-            motion = self._chains[camera.name].motion(
-                self._renderer, self._moment(step, camera.name)
-            )
+            chain, moment = self._chains[camera.name], self._moment(step, camera.name)
+            motion = chain.motion(self._see(step)[camera.name], self._renderer, moment)
             speeds.append(image_speed(motion, half_side_px(camera), self._fps))
         speed, last = max(speeds), self._taken
         is_taken = last is None or self._rate.is_due(speed, step.frame - last, self._fps)
@@ -111,23 +118,38 @@ class Images:
 
     def render(self, step: Step) -> dict[str, Frame]:
         """Images of all cameras at the frame that was exposed last."""
+        images = self._perfect(step) if not self._chains else {}
+        for name, seen in self._see(step).items():
+            images[name] = seen.frame
+            if "rgb" in self._channels:
+                moment = self._moment(step, name)
+                images[name] = self._chains[name].apply(seen, self._renderer, moment)
+        ends = (step.before is None, step.after is None)
+        return {name: _without_neighbour(image, *ends) for name, image in images.items()}
+
+    def _perfect(self, step: Step) -> dict[str, Frame]:
+        """Images without lens and sensor."""
         after, before = step.after or step.now, step.before or step.now
-        images = {}
-        for camera in self._model.device.cameras:
-            chain = self._chains[camera.name] if self._degrades else None
-            image = self._renderer.render(
+        return {
+            camera.name: self._renderer.render(
                 step.now.state,
                 camera,
-                channels=self._channels if chain is None else chain.channels(self._channels),
+                channels=self._channels,
                 state_next=after.state,
                 state_previous=before.state,
             )
-            if chain is not None:
-                moment = self._moment(step, camera.name)
-                image = chain.apply(image, self._renderer, moment)
-            images[camera.name] = image
-        ends = (step.before is None, step.after is None)
-        return {name: _without_neighbour(image, *ends) for name, image in images.items()}
+            for camera in self._model.device.cameras
+        }
+
+    def _see(self, step: Step) -> dict[str, Seen]:
+        """What reaches the lenses, rendered once for metering and for the image."""
+        if self._seen is None or self._seen[0] is not step:
+            seen = {
+                name: chain.see(self._renderer, self._moment(step, name), self._channels)
+                for name, chain in self._chains.items()
+            }
+            self._seen = (step, seen)
+        return self._seen[1]
 
     def _moment(self, step: Step, camera: str) -> Moment:
         return Moment(

@@ -41,6 +41,7 @@ from vrcaps.record.preview import Preview
 from vrcaps.record.scenario import Scenario, build, resolve, scenario_to_plain
 from vrcaps.record.table import TableRows, write_table
 from vrcaps.record.walls import file_vertices, stored_wall, wall_path
+from vrcaps.world.moving_wall import MovingWall
 from vrcaps.world.simulation import Simulation
 
 if TYPE_CHECKING:
@@ -269,7 +270,9 @@ def _write_steps(
     """Walk through the motion, hand out what is to be written, write the table."""
     start = run.checkpoint()
     table = None if start is None else start.table
-    images, rows = Images(run.model, run.scenario, table), TableRows(run.model, table)
+    wall = MovingWall(run.model)
+    images = Images(run.model, run.scenario, table, wall)
+    rows = TableRows(run.model, table, wall)
     for frame in range(len(rows)):
         submit(frame, partial(_preview_from_files, preview, episode, frame))
     for step in _steps(run.motion, start):

@@ -20,6 +20,7 @@ from vrcaps.transforms import (
     transform_points,
 )
 from vrcaps.world.model import Coupling, Model, State
+from vrcaps.world.moving_wall import MovingWall
 from vrcaps.world.run import Conditions, Instant, Run
 from vrcaps.world.steering import Steered
 
@@ -98,11 +99,19 @@ def column_names(
 class TableRows:
     """Rows of a run, gathered frame by frame."""
 
-    def __init__(self, model: Model, before: FrameTable | None = None) -> None:
-        """Begins a table, or goes on with the rows of an earlier one."""
+    def __init__(
+        self, model: Model, before: FrameTable | None = None, wall: MovingWall | None = None
+    ) -> None:
+        """Begins a table, or goes on with the rows of an earlier one.
+
+        Args:
+            model: What is recorded.
+            before: Rows of the frames before.
+            wall: The model's wall, shared with others who need it in the same states.
+        """
         self.model = model
+        self._wall = wall or MovingWall(model)
         self._rows: list[dict[str, Any]] = []
-        self._moving: Wall | None = None
         if before is not None:
             columns = before.columns
             self._rows = [{k: v[i] for k, v in columns.items()} for i in range(len(before))]
@@ -128,7 +137,7 @@ class TableRows:
             row |= {f"{body}_{name}": value for name, value in values}
         row |= dict(zip(_LINEAR, state.linear_velocity_world, strict=True))
         row |= dict(zip(_ANGULAR, state.angular_velocity_world, strict=True))
-        wall = self._wall(state)
+        wall = self._wall.at(state)
         arc_length, segment = locate(
             self.model, state.T_world_capsule[None, :3, 3], instant=instant, wall=wall
         )
@@ -150,18 +159,6 @@ class TableRows:
         columns = {name: np.array([row[name] for row in self._rows]) for name in (*names, *more)}
         texts = {name: columns[name].astype(object) for name in _TEXTS if name in columns}
         return FrameTable(columns | texts)
-
-    def _wall(self, state: State) -> Wall:
-        """The wall in a state, ready for queries."""
-        if state.vertices_world is None:
-            return self.model.wall
-        if self._moving is None:
-            # Built at rest: which of several equally near triangles counts must not depend on
-            # which frame came first.
-            rest = np.ascontiguousarray(self.model.vertices_world)
-            self._moving = Wall(rest, np.ascontiguousarray(self.model.organ.faces, np.int64))
-        self._moving.refit(np.ascontiguousarray(state.vertices_world))
-        return self._moving
 
 
 def make_table(model: Model, run: Run) -> FrameTable:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -10,6 +11,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from vrcaps.errors import InputError, require
+from vrcaps.magnet.steering import turn
 from vrcaps.organ.surface import Centerline
 from vrcaps.transforms import invert, rotate_vectors, transform_points
 from vrcaps.units import MM
@@ -52,8 +54,9 @@ class Goal:
             if value is None:
                 continue
             vector = np.asarray(value, float)
-            is_unit = name == "position" or abs(np.linalg.norm(vector) - 1.0) < 1e-6
-            if vector.shape != (3,) or not np.isfinite(vector).all() or not is_unit:
+            size = math.sqrt(vector @ vector) if vector.shape == (3,) else math.nan
+            fits = size < math.inf if name == "position" else abs(size - 1.0) < 1e-6
+            if not fits:
                 allowed = "a place [m]" if name == "position" else "a unit vector"
                 raise InputError(f"Goal's {name} is {value}. Allowed: {allowed}.")
 
@@ -93,21 +96,21 @@ def gut_goal(
     require(0.0 <= arc_length <= line.length, "arc_length", arc_length, allowed)
     s = line.arc_length
     point = np.array([np.interp(arc_length, s, axis) for axis in line.points.T])
-    k = int(np.clip(np.searchsorted(s, arc_length) - 1, 0, len(s) - 2))
+    k = min(max(int(np.searchsorted(s, arc_length)) - 1, 0), len(s) - 2)
     share = (arc_length - s[k]) / max(s[k + 1] - s[k], 1e-12)
     axes = (1.0 - share) * line.frames[k] + share * line.frames[k + 1]
-    first, second, ahead = (axis / np.linalg.norm(axis) for axis in axes.T)
-    look = np.cos(yaw) * np.cos(pitch) * (-ahead if backwards else ahead)
-    look = look + np.sin(yaw) * np.cos(pitch) * first - np.sin(pitch) * second
-    look, tangent = rotate_vectors(T_world_patient, np.array([look / np.linalg.norm(look), ahead]))
+    first, second, ahead = (axis / turn.length(axis) for axis in axes.T)
+    look = math.cos(yaw) * math.cos(pitch) * (-ahead if backwards else ahead)
+    look = look + math.sin(yaw) * math.cos(pitch) * first - math.sin(pitch) * second
+    look, tangent = rotate_vectors(T_world_patient, np.array([look / turn.length(look), ahead]))
     above = np.array(_UP) if side == "up" else -np.array(_UP)
     up = above - tangent * (above @ tangent)
     # In an upright stretch nothing is above: across the gut, towards the frame's first axis.
-    if np.linalg.norm(up) < 0.3:
+    if turn.length(up) < 0.3:
         up = rotate_vectors(T_world_patient, first[None])[0]
         up = up - tangent * (up @ tangent)
     place = transform_points(T_world_patient, point[None])[0]
-    return Goal(place, look, tangent, up / np.linalg.norm(up), level=pitch == 0.0)
+    return Goal(place, look, tangent, up / turn.length(up), level=pitch == 0.0)
 
 
 def onto_wall(model: Model, T_world_patient: Float[np.ndarray, "4 4"], goal: Goal) -> Goal:
@@ -120,7 +123,7 @@ def onto_wall(model: Model, T_world_patient: Float[np.ndarray, "4 4"], goal: Goa
     place = transform_points(T_rest_now, np.asarray(goal.position, float)[None])
     way = rotate_vectors(T_rest_now, np.asarray(goal.press, float)[None])
     distance = float(model.wall.cast(place, way)[0][0])
-    if not np.isfinite(distance):
+    if not math.isfinite(distance):
         return goal
     moved = np.asarray(goal.press, float) * max(distance - model.device.radius, 0.0)
     return replace(goal, position=np.asarray(goal.position, float) + moved, along=None)

@@ -77,7 +77,8 @@ class MagnetSteering:
     waits where the capsule does not follow.
 
     Attributes:
-        magnet: Name of the magnet, see `vrcaps.magnet.presets.magnet_names`.
+        magnet: Name of the magnet, see `vrcaps.magnet.presets.magnet_names`; one heavier than the
+            arm may carry is noted, and moved as if it could.
         arm: Name or file of the arm that carries it, its moment across the flange; None holds it
             freely.
         base: Place of the arm's base in the world [m]; None is 55 cm beside the organ's middle,
@@ -98,7 +99,7 @@ class MagnetSteering:
         file_sha256: Checksum of the file; filled in when recorded, checked when given.
     """
 
-    magnet: str = "cylinder-101.6"
+    magnet: str = "cylinder-76.2"
     arm: str | None = None
     base: tuple[float, float, float] | None = None
     skin: float = 4.0 * CM
@@ -216,6 +217,13 @@ class Commander:
             goal,
             steering=settings.steering,
         )
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What is to be said of the set-up, one line each."""
+        holder = self.pilot.holder
+        note = holder.carrier.overload if isinstance(holder, ArmHolder) else ""
+        return (note,) if note else ()
 
     def control(
         self, world: World, time: float, dt: float, T_world_patient: Float[np.ndarray, "4 4"]

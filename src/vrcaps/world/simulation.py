@@ -80,6 +80,7 @@ class Simulation:
         self.commander = None
         if settings.magnet is not None:
             self.commander = Commander(model, settings.magnet, pose, arc_length)
+            self.notes += self.commander.notes
         self.world = World(
             model,
             tissue_of(settings, front=min(arc_length + _PASSED, self._line.length)),

@@ -180,7 +180,8 @@ class Pilot:
         error = free @ (self._lead[0] - T[:3, 3])
         bend = cross(T[:3, 2], self._lead[1])
         angle = math.atan2(length(bend), float(T[:3, 2] @ self._lead[1]))
-        borne = self._borne(world, goal, dt)
+        contact = world.contact.force_world
+        borne = self._borne(contact, goal, dt)
         soft = max(length(borne), 0.05) / math.dist(T[:3, 3], self._wanted[:3, 3])
         near = at_most(error, s.lead)
         pull = soft * (near + 2.0 * float(near @ T[:3, 2]) * T[:3, 2])
@@ -199,7 +200,7 @@ class Pilot:
         held = go(self.holder, self.steered.held, self._wanted, dt)
         short = free @ (needed - aimed.force)
         steered = Steered(held, error, angle, needed, aimed.force)
-        fallen = world.contact.force_world @ np.asarray(goal.press, float) > _TOUCH
+        fallen = contact @ np.asarray(goal.press, float) > _TOUCH
         lost = self._lost(world.field_angle(T), needed, short, fallen=bool(fallen))
         self.steered = replace(steered, lost=lost)
         return self._command(held)
@@ -289,12 +290,13 @@ class Pilot:
         """Force between capsule and wall [N], on the wall at a side."""
         return self.steering.press if side[2] >= 0.0 else self.steering.rest
 
-    def _borne(self, world: World, goal: Goal, dt: float) -> Float[np.ndarray, " 3"]:
+    def _borne(
+        self, contact: Float[np.ndarray, " 3"], goal: Goal, dt: float
+    ) -> Float[np.ndarray, " 3"]:
         """Force that bears the weight and presses the capsule square against the wall it lies on.
 
-        Where that wall is, the last contact says; without one it is where the goal has it.
+        Where that wall is, the last contact's force says; without one it is where the goal has it.
         """
-        contact = world.contact.force_world
         size = length(contact)
         felt = size > _TOUCH and not goal.mapped
         touched = contact / -size if felt else np.asarray(goal.press, float)

@@ -49,8 +49,11 @@ def taken(
     fps: float = 4.0,
 ) -> Frame:
     chain = CameraChain(effects, camera, number=0, fps=fps, seed=seed)
-    channels = chain.channels(("rgb", "depth", "label"))
-    return chain.apply(renderer.render(moment.state, camera, channels=channels), renderer, moment)
+    return chain.apply(chain.see(renderer, moment, ("rgb", "depth", "label")), renderer, moment)
+
+
+def moving(chain: CameraChain, renderer: Renderer, moment: Moment) -> np.ndarray | None:
+    return chain.motion(chain.see(renderer, moment, ("rgb",)), renderer, moment)
 
 
 def around(index: int = 3) -> Moment:
@@ -93,20 +96,18 @@ def test_frames_are_the_same_bytes_again_and_others_with_another_seed(renderer: 
 
 
 def test_blur_is_the_flow_times_the_share_of_the_exposure(renderer: Renderer) -> None:
-    """A long lens before a moving wall: the chain's motion is the flow at the coarse pixels, and a
+    """A long lens before a moving wall: the chain's motion is the flow at every fourth pixel, and a
     streak's length is |flow| · exposure time · frame rate."""
     chain = CameraChain(Effects(motion_blur=MotionBlur(0.1)), CAMERA, number=0, fps=4.0, seed=0)
     moment = around()
-    motion = chain.motion(renderer, moment)
+    motion = moving(chain, renderer, moment)
     frame = renderer.render(NOW, CAMERA, channels=("flow_forward",), state_next=moment.state_next)
-    full = np.asarray(frame.flow_forward)
-    cells = full.reshape(20, 4, 20, 4, 2).mean(axis=(1, 3))
-    error = np.linalg.norm(motion - cells, axis=-1)
-    assert np.nanmedian(error) < 0.05 * np.nanmedian(np.linalg.norm(cells, axis=-1))
+    assert np.isfinite(motion).mean() > 0.5
+    assert np.array_equal(motion, np.asarray(frame.flow_forward)[2::4, 2::4], equal_nan=True)
     once = replace(NOW, time=1.0)
-    last = chain.motion(renderer, replace(moment, state=once, state_next=None))
+    last = moving(chain, renderer, replace(moment, state=once, state_next=None))
     assert np.nanmedian(np.linalg.norm(last - motion, axis=-1)) < 1.0
-    assert chain.motion(renderer, Moment(0, replace(NOW, time=2.0))) is None
+    assert moving(chain, renderer, Moment(0, replace(NOW, time=2.0))) is None
 
 
 def test_bubbles_on_the_capsule_stay_where_they_are(renderer: Renderer) -> None:
@@ -118,12 +119,12 @@ def test_bubbles_on_the_capsule_stay_where_they_are(renderer: Renderer) -> None:
     )
     chain = CameraChain(Effects(motion_blur=2), camera, number=0, fps=4.0, seed=0)
     moment = around()
-    motion = chain.motion(Renderer(model), moment)
-    front = Renderer(model).render(NOW, chain._coarse, channels=("front_label",)).front_label
-    speed = np.linalg.norm(motion, axis=-1)
-    assert (np.asarray(front) == 1).sum() > 5
-    assert (speed[np.asarray(front) == 1] == 0.0).all()
-    assert np.nanmedian(speed[np.asarray(front) == 0]) > 1.0
+    speed = np.linalg.norm(moving(chain, Renderer(model), moment), axis=-1)
+    front = Renderer(model).render(NOW, camera, channels=("front_label",)).front_label
+    front = np.asarray(front)[2::4, 2::4]
+    assert (front == 1).sum() > 5
+    assert (speed[front == 1] == 0.0).all()
+    assert np.nanmedian(speed[front == 0]) > 1.0
 
 
 def test_a_bubble_is_out_of_focus_by_its_own_distance(renderer: Renderer) -> None:
@@ -162,7 +163,8 @@ def test_meter_reads_the_mean_luminance(renderer: Renderer) -> None:
     frame = renderer.render(NOW, camera, channels=("radiance",))
     linear = np.asarray(frame.radiance, float) @ (0.2126, 0.7152, 0.0722) * 0.02 * 1.5
     linear *= GRADES["vignette"][2].profile(camera)
-    metered = chain.meter(renderer, Moment(0, NOW, exposure=1.5))
+    moment = Moment(0, NOW, exposure=1.5)
+    metered = chain.meter(chain.see(renderer, moment, ("rgb",)), moment)
     assert metered == pytest.approx(np.minimum(linear, 1.0).mean(), rel=0.05)
 
 
@@ -191,15 +193,15 @@ image = rng.random((61, 83, 3), np.float32)
 lit = np.ones((61, 83), bool)
 motion = rng.normal(0, 9, (16, 21, 2)).astype(np.float32)
 distance = rng.uniform(0.005, 0.08, (61, 83)).astype(np.float32)
-planes = _core.to_planes(_core.blur_motion(image, lit, motion, 4, 0.3, 0.2), 1.0)
+planes = _core.blur_motion(image, lit, (motion, 4), (0.3, 0.2), 1.0)
 planes = _core.defocus(planes, distance, 0.03, 0.015)
 planes = _core.scale_planes(planes, (41.0, 30.0), (1.01, 1.0, 0.99))
 planes = _core.bloom(_core.shade_planes(planes, distance * 10), 0.1, 5.0)
-readout = dict(full_well=900.0, read_noise=5.0, gain=1.0, white=1023.0, black=16.0,
-               response=(0.6, 1.0, 0.7))
+readout = dict(full_well=900.0, read_noise=5.0, light=1.2, gain=1.0, white=1023.0,
+               black=16.0, response=(0.6, 1.0, 0.7))
 pattern = [_core.normals((61, 83), 3, k) * 0.01 + 1 - k for k in (0, 1)]
 raw = _core.read_sensor(planes, pattern, readout, (0, 1, 1, 2), (9, 4))
-rgb = _core.develop(_core.demosaic(raw, (0, 1, 1, 2)), (1.0, 1.0, 1.1))
+rgb = _core.develop(_core.demosaic(raw, (0, 1, 1, 2)), (1.0, 1.0, 1.1), lit)
 rgb = _core.jpeg(rgb, _core.jpeg_quality(rgb, 90, 3000))
 print(hashlib.sha256(rgb.tobytes()).hexdigest())
 """
@@ -217,15 +219,20 @@ def test_stages_are_the_same_bytes_on_any_number_of_threads() -> None:
     assert digest("1") == digest("2") == digest("5")
 
 
+def blur(f, lit: tuple[int, ...], motion: tuple[int, ...]):
+    return _core.blur_motion(f(4, 4, 3), f(*lit) > 0, (f(*motion), 4), (0.1, 0.1), 1.0)
+
+
 @pytest.mark.parametrize(
     ("call", "match"),
     [
         (lambda f: _core.to_planes(f(4, 4, 2), 1.0), "image must be"),
-        (lambda f: _core.blur_motion(f(4, 4, 3), f(4, 5) > 0, f(1, 1, 2), 4, 0.1, 0.1), "fit"),
-        (lambda f: _core.blur_motion(f(4, 4, 3), f(4, 4) > 0, f(1, 1, 3), 4, 0.1, 0.1), "Motion"),
+        (lambda f: blur(f, (4, 5), (1, 1, 2)), "fit"),
+        (lambda f: blur(f, (4, 4), (1, 1, 3)), "Motion"),
         (lambda f: _core.defocus(f(3, 4, 4), f(4, 5), 1.0, 1.0), "Distances"),
         (lambda f: _core.defocus(f(2, 4, 4), f(4, 4), 1.0, 1.0), "Planes must"),
         (lambda f: _core.shade_planes(f(3, 4, 4), f(4, 5)), "A map"),
+        (lambda f: _core.develop(f(3, 4, 4), (1.0, 1.0, 1.0), f(4, 5) > 0), "What is lit"),
         (lambda f: _core.demosaic(f(1, 2, 4), (0, 1, 1, 2)), "3 by 3"),
         (lambda f: _core.demosaic(f(3, 4, 4), (0, 1, 1, 2)), "A mosaic must"),
         (lambda f: _core.jpeg(f(4, 4, 3).astype(np.uint8), 0), "from 1 to 100"),

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import fields
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any, ClassVar, Protocol
 
 import numpy as np
@@ -109,6 +110,7 @@ def masked(
     return np.where(valid[..., None], values, np.nan)
 
 
+@lru_cache(maxsize=256)
 def first_positive_root(coefficients: tuple[float, ...]) -> float:
     """Smallest positive real root of Σ cᵢ xⁱ, infinite where there is none.
 

@@ -100,7 +100,7 @@ class FreeHolder:
         linear = _approach(way, held.velocity[:3], self.speed, self.acceleration, dt)
         angular = _approach(turn, held.velocity[3:], self.turn_speed, self.turn_acceleration, dt)
         pose = np.eye(4)
-        pose[:3, 3] = np.clip(at[:3, 3] + dt * linear, self.room.low, self.room.high)
+        pose[:3, 3] = self.room.clip(at[:3, 3] + dt * linear)
         pose[:3, :3] = turned(dt * angular, at[:3, :3])
         left = math.dist(pose[:3, 3], goal[:3, 3]) + length(turn - dt * angular)
         if not limit and left > 1e-3:

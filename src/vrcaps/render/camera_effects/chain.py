@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from vrcaps import _core
-from vrcaps.capsule.rays import camera_rays
+from vrcaps.capsule.rays import camera_rays, pixel_grid
+from vrcaps.render.camera_effects.dome import Dome
 from vrcaps.render.camera_effects.effects import Effects
-from vrcaps.render.camera_effects.scene import scaled_camera
 from vrcaps.render.camera_effects.sensor import Noise, WhiteBalance, mosaic_colors
+from vrcaps.render.flow import STEP, SurfacePoints, flow, thinned
 from vrcaps.transforms import transform_points
 from vrcaps.units import MM
 
@@ -24,9 +25,6 @@ if TYPE_CHECKING:
     from vrcaps.render.renderer import Renderer
     from vrcaps.world.model import State
 
-CELL = 4
-"""Pixels to a side of the squares that motion and brightness are taken of."""
-
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 """Of linear red, green and blue (IEC 61966-2-1)."""
 
@@ -35,6 +33,9 @@ BUBBLE = 1
 
 _TOUCHING = 1.0 * MM
 """Gap to the capsule up to which a bubble's near side is taken to sit on it."""
+
+_DOME = 7
+"""Stream of the random numbers that lay what is on the dome, beside the scenario's others."""
 
 _NEUTRAL = WhiteBalance(response=(1.0, 1.0, 1.0))
 _QUIET = Noise(1e6, 0.0, bits=16, black=0)
@@ -58,6 +59,19 @@ class Moment:
     state_next: State | None = None
     state_previous: State | None = None
     exposure: float = 1.0
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What reaches the lens.
+
+    Attributes:
+        frame: The channels asked for, and those that the stages need; `rgb` if they are none.
+        points: What `thinned` pixels see, if motion is to be known.
+    """
+
+    frame: Frame
+    points: SurfacePoints | None
 
 
 class CameraChain:
@@ -84,96 +98,120 @@ class CameraChain:
         self._shade = None
         if self._stages["vignette"] is not None:
             self._shade = self._stages["vignette"].profile(camera)
-        self._coarse = _coarse(camera)
+        drops, smears = self._stages["droplets"], self._stages["smears"]
+        self._dome = None
+        if drops is not None or smears is not None:
+            lens = self._stages["depth_of_field"]
+            self._dome = Dome(camera, drops, smears, lens=lens, seed=(seed, _DOME, number))
+        self._pixels = thinned(pixel_grid(camera.width, camera.height))
         self._last_motion: tuple[State, Any] | None = None
-        self._coarse_rays = camera_rays(self._coarse)
-        self._coarse_lit = _lit(self._coarse_rays)
+        moving = self._stages["motion_blur"] or self._stages["rolling_shutter"]
+        self._needs_motion = moving is not None or effects.frame_rate is not None
         sites = (camera.height * (1 if self._colors else 3), camera.width)
         self._pattern = (self._stages["noise"] or _QUIET).fixed_pattern(sites, number)
 
-    def channels(self, asked: Sequence[str]) -> tuple[str, ...]:
-        """Channels to render for those asked for: colour is made here."""
-        if "rgb" not in asked:
-            return tuple(asked)
-        distances = ("ray_distance", "front_label", "front_depth")
-        needed = ("radiance", *(distances if self._stages["depth_of_field"] else ()))
-        rest = (name for name in asked if name != "rgb" and name not in needed)
-        return (*needed, *rest)
+    def see(self, renderer: Renderer, moment: Moment, asked: Sequence[str]) -> Seen:
+        """Renders what the camera sees; colour is made of it by `apply`.
 
-    def apply(self, frame: Frame, renderer: Renderer, moment: Moment) -> Frame:
+        Args:
+            renderer: Of the world.
+            moment: When it is taken.
+            asked: Channels of the frame. A neighbour that there is none of is as now.
+        """
+        points = SurfacePoints.sparse(self.camera) if self._needs_motion else None
+        frame = renderer.render(
+            moment.state,
+            self.camera,
+            channels=self._needed(asked),
+            state_next=moment.state_next or moment.state,
+            state_previous=moment.state_previous or moment.state,
+            points=points,
+        )
+        return Seen(frame, points)
+
+    def _needed(self, asked: Sequence[str]) -> tuple[str, ...]:
+        needed = set(asked)
+        if not self.effects.is_ideal:
+            needed = (needed - {"rgb"}) | {"radiance"}
+        if self._needs_motion or self._stages["depth_of_field"] is not None:
+            needed |= {"ray_distance", "front_label", "front_depth"}
+        return tuple(sorted(needed))
+
+    def apply(self, seen: Seen, renderer: Renderer, moment: Moment) -> Frame:
         """The frame with the colour image as this camera sends it; all else stays as it is.
 
         Args:
-            frame: Has the channels that `channels` names.
+            seen: What `see` returned.
             renderer: That rendered it.
             moment: When it was taken.
         """
-        assert frame.radiance is not None
-        light = np.ascontiguousarray(self._moved(frame.radiance, renderer, moment))
-        planes = _core.to_planes(light, self.camera.exposure)
-        planes = self._through_lens(planes, frame)
-        return replace(frame, rgb=self._sensed(planes, moment))
+        if self.effects.is_ideal:
+            return seen.frame
+        planes, time = self._moved(seen, renderer, moment), moment.state.time
+        planes = self._through_lens(planes, seen, time)
+        frame = replace(seen.frame, rgb=self._sensed(planes, moment))
+        if frame.dome_label is None or self._dome is None:
+            return frame
+        return replace(frame, dome_label=self._dome.labels(time))
 
-    def meter(self, renderer: Renderer, moment: Moment) -> float:
+    def meter(self, seen: Seen, moment: Moment) -> float:
         """Mean linear luminance of the lit image at an exposure, each pixel cut at white."""
-        frame = renderer.render(moment.state, self._coarse, channels=("radiance",))
         factor = self.camera.exposure * moment.exposure
-        luminance = np.asarray(frame.radiance, float) @ (LUMINANCE * factor)
+        luminance = thinned(np.asarray(seen.frame.radiance)).astype(float) @ (LUMINANCE * factor)
         if self._shade is not None:
-            luminance *= _coarse_map(self._shade, self._coarse)
-        lit = self._coarse_lit
+            luminance *= thinned(self._shade)
+        lit = thinned(self._lit)
         return float(np.minimum(luminance[lit], 1.0).mean()) if lit.any() else 0.0
 
-    def _moved(
-        self, radiance: Float[np.ndarray, "h w 3"], renderer: Renderer, moment: Moment
-    ) -> Float[np.ndarray, "h w 3"]:
+    def _moved(self, seen: Seen, renderer: Renderer, moment: Moment) -> Float[np.ndarray, "3 h w"]:
         blur, rolling = self._stages["motion_blur"], self._stages["rolling_shutter"]
-        if blur is None and rolling is None:
-            return radiance
+        radiance, factor = np.ascontiguousarray(seen.frame.radiance), self.camera.exposure
+        motion = None
+        if blur is not None or rolling is not None:
+            motion = self.motion(seen, renderer, moment)
+        if motion is None:
+            return _core.to_planes(radiance, factor)
         shutter = 0.0 if blur is None else min(blur.exposure_time / self._interval, 1.0)
         readout = 0.0 if rolling is None else min(rolling.readout_time / self._interval, 1.0)
-        motion = self.motion(renderer, moment)
-        if motion is None:
-            return radiance
-        return _core.blur_motion(radiance, self._lit, motion, CELL, shutter, readout)
+        moving = (np.ascontiguousarray(motion), STEP)
+        return _core.blur_motion(radiance, self._lit, moving, (shutter, readout), factor)
 
-    def motion(self, renderer: Renderer, moment: Moment) -> Float[np.ndarray, "hc wc 2"] | None:
-        """Motion of the image in a frame's time [px] at the middle of each square of `CELL` pixels.
+    def motion(
+        self, seen: Seen, renderer: Renderer, moment: Moment
+    ) -> Float[np.ndarray, "hc wc 2"] | None:
+        """Motion of the image in a frame's time [px] at `thinned` pixels.
 
         None where there is no neighbouring frame.
         """
-        if self._last_motion is not None and self._last_motion[0] is moment.state:
-            return self._last_motion[1]
-        motion = self._new_motion(renderer, moment)
-        self._last_motion = (moment.state, motion)
-        return motion
+        if self._last_motion is None or self._last_motion[0] is not moment.state:
+            self._last_motion = (moment.state, self._new_motion(seen, renderer, moment))
+        return self._last_motion[1]
 
     def _new_motion(
-        self, renderer: Renderer, moment: Moment
+        self, seen: Seen, renderer: Renderer, moment: Moment
     ) -> Float[np.ndarray, "hc wc 2"] | None:
-        forward, backward = moment.state_next, moment.state_previous
-        if forward is None and backward is None:
+        neighbour = moment.state_next or moment.state_previous
+        if neighbour is None:
             return None
-        name = "flow_backward" if forward is None else "flow_forward"
-        frame = renderer.render(
-            moment.state,
-            self._coarse,
-            channels=(name, "front_label", "front_depth"),
-            state_next=forward,
-            state_previous=backward,
-        )
-        sign = -CELL if forward is None else CELL
-        motion = np.ascontiguousarray(getattr(frame, name) * np.float32(sign))
-        still = _on_capsule(frame, self._coarse, self._coarse_rays, renderer.model.device)
-        motion[still] = 0.0
+        assert seen.points is not None
+        fillings = renderer.filling(moment.state), renderer.filling(neighbour)
+        points = seen.points.moved(renderer.model.organ.faces, neighbour, *fillings)
+        slot = "previous" if moment.state_next is None else "next"
+        bends = renderer.bends(self.camera, seen.points, points, neighbour, slot)
+        motion = flow(self.camera, bends.apparent, neighbour, self._pixels)
+        if moment.state_next is None:
+            motion = -motion
+        motion[_on_capsule(seen.frame, self.camera, self._rays, renderer.model.device)] = 0.0
         return motion
 
     def _through_lens(
-        self, planes: Float[np.ndarray, "3 h w"], frame: Frame
+        self, planes: Float[np.ndarray, "3 h w"], seen: Seen, time: float
     ) -> Float[np.ndarray, "3 h w"]:
         defocus, bloom = self._stages["depth_of_field"], self._stages["bloom"]
         if defocus is not None:
-            planes = defocus.apply(self.camera, planes, self._distance(frame))
+            planes = defocus.apply(self.camera, planes, self._distance(seen.frame))
+        if self._dome is not None:
+            planes = self._dome.apply(planes, time)
         if self._stages["chromatic"] is not None:
             planes = self._stages["chromatic"].apply(self.camera, planes)
         if self._shade is not None:
@@ -183,11 +221,12 @@ class CameraChain:
     def _distance(self, frame: Frame) -> Float[np.ndarray, "h w"]:
         """Distance along the ray of the bubble or else the wall that a pixel sees [m]."""
         distance = np.ascontiguousarray(frame.ray_distance)
-        is_bubble = np.asarray(frame.front_label) == BUBBLE
-        if not is_bubble.any():
-            return distance
-        along = np.asarray(frame.front_depth) / self._rays[..., 2]
-        return np.where(is_bubble & (along > 0.0), along, distance).astype(np.float32)
+        bubbles = np.nonzero(np.asarray(frame.front_label) == BUBBLE)
+        if bubbles[0].size:
+            along = np.asarray(frame.front_depth)[bubbles] / self._rays[bubbles][:, 2]
+            distance = distance.copy()
+            distance[bubbles] = np.where(along > 0.0, along, distance[bubbles])
+        return distance
 
     def _sensed(
         self, planes: Float[np.ndarray, "3 h w"], moment: Moment
@@ -198,23 +237,22 @@ class CameraChain:
         noise = self._stages["noise"]
         final = light * gain
         if noise is not None or self._colors is not None:
-            planes = planes * np.float32(light) if light != 1.0 else planes
-            readout = (noise or _QUIET).readout(gain, balance.response)
+            readout = (noise or _QUIET).readout(gain, balance.response, light)
             key = (self._seed, 64 * moment.index + self._number)
             planes = _core.read_sensor(planes, self._pattern, readout, self._colors, key)
             final = 1.0
             if self._colors is not None:
                 planes = _core.demosaic(planes, self._colors)
         red, green, blue = balance.gains
-        rgb = _core.develop(planes, (final * red, final * green, final * blue))
-        rgb[~self._lit] = 0  # where nothing is seen the capsule's viewer draws black
+        # Where nothing is seen the capsule's viewer draws black.
+        rgb = _core.develop(planes, (final * red, final * green, final * blue), self._lit)
         jpeg = self._stages["jpeg"]
         return rgb if jpeg is None else jpeg.apply(rgb)
 
 
 _STAGES = (
-    *("motion_blur", "rolling_shutter", "depth_of_field", "chromatic", "vignette", "bloom"),
-    *("exposure", "noise", "white_balance", "jpeg"),
+    *("motion_blur", "rolling_shutter", "depth_of_field", "droplets", "smears", "chromatic"),
+    *("vignette", "bloom", "exposure", "noise", "white_balance", "jpeg"),
 )
 
 
@@ -225,34 +263,16 @@ def _lit(rays: Float[np.ndarray, "h w 3"]) -> Bool[np.ndarray, "h w"]:
 
 def _on_capsule(
     frame: Frame, camera: Camera, rays: Float[np.ndarray, "h w 3"], device: Device
-) -> Bool[np.ndarray, "h w"]:
-    """Pixels that look through a bubble that sits on the capsule, and so stays where it is."""
-    is_bubble = np.asarray(frame.front_label) == BUBBLE
+) -> Bool[np.ndarray, "hc wc"]:
+    """Thinned pixels that look through a bubble that sits on the capsule, and so stays there."""
+    is_bubble = thinned(np.asarray(frame.front_label)) == BUBBLE
     if not is_bubble.any():
         return is_bubble
-    seen = rays[is_bubble].astype(float)
-    distance = np.asarray(frame.front_depth, float)[is_bubble] / seen[:, 2]
+    seen = thinned(rays)[is_bubble].astype(float)
+    distance = thinned(np.asarray(frame.front_depth))[is_bubble] / seen[:, 2]
     points = transform_points(camera.T_capsule_camera, seen * distance[:, None])
     straight = 0.5 * device.length - device.radius
     along = np.maximum(np.abs(points[:, 2]) - straight, 0.0)
     outward = np.sqrt(points[:, 0] ** 2 + points[:, 1] ** 2 + along**2) - device.radius
     is_bubble[is_bubble] = outward < _TOUCHING
     return is_bubble
-
-
-def _coarse(camera: Camera) -> Camera:
-    """The camera with one pixel for each square of `CELL` by `CELL`, those at the edge too."""
-    whole = replace(camera, width=_up(camera.width), height=_up(camera.height))
-    return scaled_camera(whole, 1.0 / CELL)
-
-
-def _up(size: int) -> int:
-    return max(-(-size // CELL), 8) * CELL
-
-
-def _coarse_map(values: Float[np.ndarray, "h w"], coarse: Camera) -> Any:
-    """Values in the middle of each square, the last ones going on at the edge."""
-    height, width = values.shape
-    rows = np.minimum(np.arange(coarse.height) * CELL + CELL // 2, height - 1)
-    columns = np.minimum(np.arange(coarse.width) * CELL + CELL // 2, width - 1)
-    return values[np.ix_(rows, columns)]

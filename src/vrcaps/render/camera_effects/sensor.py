@@ -33,10 +33,12 @@ class Noise:
     """From light to numbers, as in the photon-transfer model (Janesick 2007; EMVA 1288).
 
     The number of electrons of a site is a Poisson variable (below a mean of 12 drawn exactly, above
-    it a normal variable with the Poisson skewness, rounded). Read noise and the site's offset are
-    added; amplified and rounded it is a number from 0 to 2^bits − 1. White is the full well at
-    gain 1. So a number's variance is `K · (mean − black) + K² read_noise²`, plus rounding, with K
-    the number's step for an electron.
+    it a normal variable with the Poisson skewness, rounded). Read noise, a normal variable, and the
+    site's offset are added; where read noise hides that electrons are whole, from 3.5 of them on,
+    both are drawn as one variable with the variance and skewness of their sum. Amplified and
+    rounded it is a number from 0 to 2^bits − 1. White is the full well at gain 1. So a number's
+    variance is `K · (mean − black) + K² read_noise²`, plus rounding, with K the number's step for
+    an electron.
 
     Attributes:
         full_well: Electrons of white.
@@ -85,9 +87,12 @@ class Noise:
         response = np.maximum(1.0 + self.prnu * first, 0.0)
         return response.astype(np.float32), (self.dsnu * second).astype(np.float32)
 
-    def readout(self, gain: float, response: tuple[float, float, float]) -> dict[str, object]:
-        """What the core reads a sensor by."""
+    def readout(
+        self, gain: float, response: tuple[float, float, float], light: float = 1.0
+    ) -> dict[str, object]:
+        """What the core reads a sensor by, under so much of the image's light."""
         return {
+            "light": light,
             "full_well": self.full_well,
             "read_noise": self.read_noise,
             "gain": gain,

@@ -1,0 +1,125 @@
+//! Light at sites and vertices that is reckoned when first needed, in memory kept between frames.
+
+use glam::Vec4;
+use std::cell::UnsafeCell;
+use std::ops::Deref;
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicU32, Ordering};
+
+/// For red, green and blue: irradiance, and how it grows as the normal tilts along x, y and z
+/// [W/m²]. The latter is the tangential part of the light vector.
+pub type Light = [Vec4; 4];
+
+/// Light of one place; known if its number is that of the frame.
+///
+/// Threads that need it at once all reckon it; their results are the same, and one of them keeps
+/// its own.
+struct Slot {
+    /// Twice the number of the frame while it is written, and one more from then on.
+    stage: AtomicU32,
+    light: UnsafeCell<Light>,
+}
+
+// SAFETY: `light` is written only by the one thread whose exchange of `stage` succeeds in a frame,
+// before it announces that with release order, and read only after the announcement is seen with
+// acquire order. Between frames the slots are borrowed by nobody. A lock for each site and vertex
+// would cost more than all else that is done with them.
+unsafe impl Sync for Slot {}
+
+impl Slot {
+    fn new() -> Self {
+        Slot { stage: AtomicU32::new(0), light: UnsafeCell::new([Vec4::ZERO; 4]) }
+    }
+
+    #[inline(always)]
+    fn get(&self, frame: u32, reckon: impl FnOnce() -> Light) -> Light {
+        let (writing, known) = (2 * frame, 2 * frame + 1);
+        let stage = self.stage.load(Ordering::Acquire);
+        if stage == known {
+            // SAFETY: see above.
+            return unsafe { *self.light.get() };
+        }
+        let found = reckon();
+        let is_first = stage < writing
+            && self
+                .stage
+                .compare_exchange(stage, writing, Ordering::Acquire, Ordering::Relaxed)
+                .is_ok();
+        if is_first {
+            // SAFETY: see above.
+            unsafe { *self.light.get() = found };
+            self.stage.store(known, Ordering::Release);
+        }
+        found
+    }
+}
+
+/// Room for the light of one frame.
+pub struct Slots {
+    frame: u32,
+    sites: Box<[Slot]>,
+    vertices: Box<[Slot]>,
+}
+
+/// Rooms that no frame uses now.
+pub struct Rooms {
+    /// Numbers of sites and vertices.
+    counts: (usize, usize),
+    free: Mutex<Vec<Slots>>,
+}
+
+impl Rooms {
+    /// None yet, for so many sites and vertices.
+    pub fn new(counts: (usize, usize)) -> Self {
+        Rooms { counts, free: Mutex::new(Vec::new()) }
+    }
+
+    /// Room in which nothing is known.
+    pub fn lend(&self) -> Lights<'_> {
+        let kept = self.free.lock().ok().and_then(|mut free| free.pop());
+        let slots = |count: usize| (0..count).map(|_| Slot::new()).collect();
+        let fresh =
+            || Slots { frame: 0, sites: slots(self.counts.0), vertices: slots(self.counts.1) };
+        let most = u32::MAX / 2 - 1;
+        let mut slots = kept.filter(|slots| slots.frame < most).unwrap_or_else(fresh);
+        slots.frame += 1;
+        Lights { rooms: self, slots: Some(slots) }
+    }
+}
+
+/// The light of one frame; its room goes back when it is dropped.
+pub struct Lights<'a> {
+    rooms: &'a Rooms,
+    slots: Option<Slots>,
+}
+
+impl Deref for Lights<'_> {
+    type Target = Slots;
+
+    #[inline(always)]
+    fn deref(&self) -> &Slots {
+        self.slots.as_ref().expect("kept until dropped")
+    }
+}
+
+impl Drop for Lights<'_> {
+    fn drop(&mut self) {
+        if let (Ok(mut free), Some(slots)) = (self.rooms.free.lock(), self.slots.take()) {
+            free.push(slots);
+        }
+    }
+}
+
+impl Slots {
+    /// Light at a site.
+    #[inline(always)]
+    pub fn site(&self, site: usize, reckon: impl FnOnce() -> Light) -> Light {
+        self.sites[site].get(self.frame, reckon)
+    }
+
+    /// Light at a vertex.
+    #[inline(always)]
+    pub fn vertex(&self, vertex: usize, reckon: impl FnOnce() -> Light) -> Light {
+        self.vertices[vertex].get(self.frame, reckon)
+    }
+}

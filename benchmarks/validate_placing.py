@@ -73,7 +73,8 @@ places in body and antrum, each {NEAREST / CM:g} to {FARTHEST / CM:g} cm from th
 turned at random, but not to within {JOINT_ENDS / DEG:.0f}° of away from the arm's base, where its
 last joint ends. A `Guide` leads the capsule along the wall; the error is the distance of its centre
 from where it would touch the wall at rest, once it has been near for a second. Published, for
-another set-up: 1.8 ± 2.1 mm. What is not placed is said to be so by the state; then the next begins anew there.
+another set-up: 1.8 ± 2.1 mm. What is not placed is said to be so by the state; then the next begins
+anew there.
 
 {table(HEAD, rows)}
 

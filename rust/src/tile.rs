@@ -94,6 +94,19 @@ impl Pyramid {
         Pyramid { directions, sides, axis, closed: nearest > 0.05 }
     }
 
+    /// The same pyramid mirrored in a level surface.
+    #[inline(always)]
+    pub fn mirrored(&self) -> Self {
+        let turn = |[x, y, z]: Vec3| [x, y, -z];
+        let mut mirrored = self.clone();
+        for z in &mut mirrored.directions[2] {
+            *z = -*z;
+        }
+        mirrored.sides = self.sides.map(turn);
+        mirrored.axis = turn(self.axis);
+        mirrored
+    }
+
     /// The same pyramid after a rotation given by its rows.
     #[inline(always)]
     pub fn rotated(&self, rows: &[Vec3; 3]) -> Self {
@@ -160,9 +173,48 @@ pub fn trace<const ANY: bool>(
     extent: f32,
     hits: &mut Hits,
 ) {
-    let (sides, near) = planes(origin, rays, extent);
+    trace_at_most::<ANY>(u32::MAX, bvh, origin, rays, extent, hits);
+}
+
+/// The same until `most` triangles have been tested; false if that was not enough.
+///
+/// Then what was found stands: with `ANY`, a ray that has a hit has one.
+#[inline(always)]
+pub fn trace_at_most<const ANY: bool>(
+    most: u32,
+    bvh: &Bvh,
+    origin: Vec3,
+    rays: &Pyramid,
+    extent: f32,
+    hits: &mut Hits,
+) -> bool {
+    search::<ANY>(most, bvh, (origin, &[0.0; LANES]), rays, extent, hits)
+}
+
+/// `trace` of what lies beyond `start`: an origin and the least distance along each ray [m].
+#[inline(always)]
+pub fn trace_beyond<const ANY: bool>(
+    bvh: &Bvh,
+    start: (Vec3, &Lane),
+    rays: &Pyramid,
+    extent: f32,
+    hits: &mut Hits,
+) {
+    search::<ANY>(u32::MAX, bvh, start, rays, extent, hits);
+}
+
+#[inline(always)]
+fn search<const ANY: bool>(
+    most: u32,
+    bvh: &Bvh,
+    start: (Vec3, &Lane),
+    rays: &Pyramid,
+    extent: f32,
+    hits: &mut Hits,
+) -> bool {
+    let (sides, near) = planes(start.0, rays, extent);
     let mut stack = [(0u32, 0.0f32); STACK];
-    let mut top = 1;
+    let (mut top, mut left) = (1, most);
     let mut farthest = farthest_of(&hits.distance);
     while top > 0 && farthest > 0.0 {
         top -= 1;
@@ -176,10 +228,15 @@ pub fn trace<const ANY: bool>(
                 top = push_children(node, &sides, &near, farthest, &mut stack, top);
             }
             Child::Leaf(range) => {
+                let count = range.len() as u32;
+                if left < count {
+                    return false;
+                }
+                left -= count;
                 let mut changed = false;
                 for number in range {
                     let triangle = &bvh.triangles[number];
-                    changed |= intersect::<ANY>(triangle, number as u32, origin, rays, hits);
+                    changed |= intersect::<ANY>(triangle, number as u32, start, rays, hits);
                 }
                 if changed {
                     farthest = farthest_of(&hits.distance);
@@ -187,6 +244,7 @@ pub fn trace<const ANY: bool>(
             }
         }
     }
+    true
 }
 
 /// The sides of the pyramid and the plane from which distance is counted.
@@ -282,7 +340,7 @@ fn push_children(
 fn intersect<const ANY: bool>(
     triangle: &Triangle,
     number: u32,
-    origin: Vec3,
+    (origin, nearest): (Vec3, &Lane),
     rays: &Pyramid,
     hits: &mut Hits,
 ) -> bool {
@@ -311,7 +369,7 @@ fn intersect<const ANY: bool>(
         let (u, v, w) = (edges[0][i], edges[1][i], edges[2][i]);
         let inside = (min(u, min(v, w)) >= 0.0) | (max(u, max(v, w)) <= 0.0);
         let t = height / (normal[0] * dx[i] + normal[1] * dy[i] + normal[2] * dz[i]);
-        let hit = inside & (t > 0.0) & (t < hits.distance[i]);
+        let hit = inside & (t > nearest[i]) & (t < hits.distance[i]);
         hits.distance[i] = if hit { if ANY { -1.0 } else { t } } else { hits.distance[i] };
         hits.triangle[i] = if hit { number } else { hits.triangle[i] };
         if !ANY {

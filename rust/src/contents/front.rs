@@ -18,6 +18,7 @@ pub struct Front {
 }
 
 impl Front {
+    /// Liquid, where rays enter it or start in it.
     #[inline(always)]
     pub fn of_liquid(wet: Option<&Wet>) -> Self {
         let mut front =
@@ -43,6 +44,7 @@ impl Front {
         }
     }
 
+    /// Writes the channels of what is in front.
     #[inline(always)]
     pub fn write(&self, tile: &TileRays, place: Place, out: &mut Channels<'_>) {
         let mut seen = [false; LANES];

@@ -4,7 +4,7 @@
 //! gut. The surface mirrors and lets through by Fresnel's law; the liquid absorbs, and scatters
 //! once, the same to all sides. Light from the LEDs takes the straight way into it.
 
-use super::turn::Turn;
+use super::turn::{REFRACTED, Turn};
 use crate::lanes::*;
 use crate::material::Led;
 use std::f32::consts::{LOG2_E, PI};
@@ -216,7 +216,7 @@ impl Optics {
         for led in leds {
             self.add_image(directions, led, wet, &mut images);
         }
-        let (lanes, refracted) = (wet.turn.lanes(), wet.turn.refracted());
+        let (lanes, refracted) = (wet.turn.lanes(), wet.turn.are(REFRACTED));
         for k in 0..3 {
             for i in 0..LANES {
                 let share = if refracted[i] { wet.turn.share[i] } else { 0.0 };

@@ -1,14 +1,15 @@
 //! Particles in a tile: surfaces that take the place of the wall in every channel.
 
-use super::spheres::{Near, Sphere, Spheres};
+use super::spheres::{Crossings, Near, Spheres};
 use super::tile::{Filled, Room};
+use super::turn::Turn;
 use crate::lanes::*;
 use crate::material::Surface;
 use crate::mucosa::noise::Lattice;
 use crate::path::ray;
 use crate::render::REACH;
 use crate::shade::Attributes;
-use crate::tile::{Hits, MISS, Pyramid, farthest_of};
+use crate::tile::{Hits, MISS, Pyramid, farthest_of, trace_beyond};
 use crate::visibility::FREE_WAY;
 use crate::wall::Wall;
 use rayon::prelude::*;
@@ -33,24 +34,74 @@ impl Filled<'_> {
         chyme.gather(origin, rays, self.wall.extent, farthest, &mut room.near);
         for near in &room.near {
             let sphere = &chyme.all[near.index as usize];
-            shorten(sphere, near, |_| origin, &rays.directions, hits, &mut owner);
+            let ways = sphere.crossings(origin, &rays.directions);
+            shorten(&ways, near, &[0.0; LANES], hits, &mut owner);
         }
         owner
     }
 
-    /// What rays that each start elsewhere meet, wall or particle, in the lanes `used`.
+    /// What rays from the eye meet, in the lanes `used`, after a level surface has mirrored them.
+    /// Distances count along the whole way.
     #[inline(always)]
-    pub fn meet(
+    pub fn meet_mirrored(
         &self,
-        starts: &Lane3,
-        directions: &Lane3,
+        mirrored: &Pyramid,
+        turn: &Turn,
         used: &[bool; LANES],
         room: &mut Room,
     ) -> (Hits, Owner) {
         let (mut hits, mut owner) = (Hits::within([0.0; LANES]), [MISS; LANES]);
+        let mut rest = *used;
+        // A tile sees one surface, hardly ever two.
+        while let Some(first) = rest.iter().position(|&waits| waits) {
+            let level = turn.place[2][first];
+            let group = std::array::from_fn(|i| rest[i] & (turn.place[2][i] == level));
+            let (met, theirs) = self.meet_image(level, mirrored, (&turn.way, &group), room);
+            for i in (0..LANES).filter(|&i| group[i]) {
+                rest[i] = false;
+                hits.distance[i] = met.distance[i];
+                hits.triangle[i] = met.triangle[i];
+                owner[i] = theirs[i];
+                for k in 0..3 {
+                    hits.edges[k][i] = met.edges[k][i];
+                }
+            }
+        }
+        (hits, owner)
+    }
+
+    /// The same for one level: mirrored rays come straight from where the eye's image in it is.
+    #[inline(always)]
+    fn meet_image(
+        &self,
+        level: f32,
+        mirrored: &Pyramid,
+        (nearest, used): (&Lane, &[bool; LANES]),
+        room: &mut Room,
+    ) -> (Hits, Owner) {
+        let (wall, chyme, [x, y, z]) = (self.wall, &self.contents.chyme, self.view.origin);
+        let image = [x, y, 2.0 * level - z];
+        let mut owner = [MISS; LANES];
+        let mut hits = Hits::within(used.map(|used| if used { REACH } else { 0.0 }));
+        trace_beyond::<false>(&wall.bvh, (image, nearest), mirrored, wall.extent, &mut hits);
+        let farthest = farthest_of(&hits.distance);
+        chyme.gather(image, mirrored, wall.extent, farthest, &mut room.near);
+        for near in &room.near {
+            let sphere = &chyme.all[near.index as usize];
+            let ways = sphere.crossings(image, &mirrored.directions);
+            shorten(&ways, near, nearest, &mut hits, &mut owner);
+        }
+        (hits, owner)
+    }
+
+    /// What rays that turn at a surface meet beyond it, in the lanes `used`. Distances count along the
+    /// whole way.
+    #[inline(always)]
+    pub fn meet(&self, turn: &Turn, used: &[bool; LANES], room: &mut Room) -> (Hits, Owner) {
+        let (mut hits, mut owner) = (Hits::within([0.0; LANES]), [MISS; LANES]);
         let (mut low, mut high) = ([f32::MAX; 3], [f32::MIN; 3]);
         for i in (0..LANES).filter(|&i| used[i]) {
-            let (start, way) = (at(starts, i), at(directions, i));
+            let (start, way) = (at(&turn.place, i), at(&turn.heading, i));
             hits.distance[i] = REACH;
             if let Some(hit) = ray::cast::<false>(&self.wall.bvh, start, way, REACH, MISS) {
                 hits.distance[i] = hit.distance;
@@ -69,7 +120,11 @@ impl Filled<'_> {
         chyme.within((low, high), low, &mut room.near);
         for near in &room.near {
             let sphere = &chyme.all[near.index as usize];
-            shorten(sphere, near, |i| at(starts, i), directions, &mut hits, &mut owner);
+            let ways = sphere.crossings_from(|i| at(&turn.place, i), &turn.heading);
+            shorten(&ways, near, &[0.0; LANES], &mut hits, &mut owner);
+        }
+        for i in (0..LANES).filter(|&i| used[i]) {
+            hits.distance[i] += turn.way[i];
         }
         (hits, owner)
     }
@@ -144,19 +199,11 @@ pub fn free_ways(chyme: &Spheres, wall: &Wall, ways: &[[Vec3; 2]]) -> Vec<bool> 
     free
 }
 
-/// Ends at a sphere the rays that meet it first.
+/// Ends at a sphere the rays that meet it first, beyond `nearest` [m].
 #[inline(always)]
-fn shorten(
-    sphere: &Sphere,
-    near: &Near,
-    start: impl Fn(usize) -> Vec3,
-    directions: &Lane3,
-    hits: &mut Hits,
-    owner: &mut Owner,
-) {
-    let ways = sphere.crossings_from(start, directions);
+fn shorten(ways: &Crossings, near: &Near, nearest: &Lane, hits: &mut Hits, owner: &mut Owner) {
     for i in 0..LANES {
-        let nearer = (ways.near[i] > 0.0) & (ways.near[i] < hits.distance[i]);
+        let nearer = (ways.near[i] > nearest[i]) & (ways.near[i] < hits.distance[i]);
         hits.distance[i] = if nearer { ways.near[i] } else { hits.distance[i] };
         owner[i] = if nearer { near.index } else { owner[i] };
     }

@@ -9,7 +9,7 @@ use super::leg::{Bubbles, Leg, first_leg, unfolded};
 use super::liquid::{DRY, Optics, Pools, Wet};
 use super::particles::{Owner, paint};
 use super::spheres::Near;
-use super::turn::{REFRACTED, STRAIGHT};
+use super::turn::{MIRRORED, REFRACTED, STRAIGHT};
 use crate::channels::{Channels, Place};
 use crate::lanes::*;
 use crate::material::{Surface, add_light};
@@ -41,6 +41,7 @@ pub struct Filled<'a> {
 /// Room for a tile's spheres; kept from tile to tile.
 #[derive(Default)]
 pub struct Room {
+    /// Spheres near some rays.
     pub near: Vec<Near>,
     blocking: Vec<Near>,
 }
@@ -151,17 +152,26 @@ impl<'a> Filled<'a> {
         let mut found = attributes(wall, scene, view.origin, &rays.directions, &hits);
         let mut wet = if tile.any { self.wet(&rays, &hits, &found) } else { None };
         if let Some(Wet { turn, .. }) = wet.as_ref().filter(|wet| wet.turns()) {
-            let lanes = turn.lanes();
-            let (met, theirs) = self.meet(&turn.place, &turn.heading, &lanes, room);
-            for i in (0..LANES).filter(|&i| lanes[i]) {
-                hits.distance[i] = turn.way[i] + met.distance[i];
-                hits.triangle[i] = met.triangle[i];
-                owner[i] = theirs[i];
-                for k in 0..3 {
-                    hits.edges[k][i] = met.edges[k][i];
-                    let way = met.distance[i] * turn.heading[k][i];
-                    found.position[k][i] = turn.place[k][i] + way;
-                    found.view[k][i] = -turn.heading[k][i];
+            for kind in [REFRACTED, MIRRORED] {
+                let lanes = turn.are(kind);
+                if !lanes.contains(&true) {
+                    continue;
+                }
+                let (met, theirs) = if kind == REFRACTED {
+                    self.meet(turn, &lanes, room)
+                } else {
+                    self.meet_mirrored(&rays.mirrored(), turn, &lanes, room)
+                };
+                for i in (0..LANES).filter(|&i| lanes[i]) {
+                    hits.distance[i] = met.distance[i];
+                    hits.triangle[i] = met.triangle[i];
+                    owner[i] = theirs[i];
+                    for k in 0..3 {
+                        hits.edges[k][i] = met.edges[k][i];
+                        let way = (met.distance[i] - turn.way[i]) * turn.heading[k][i];
+                        found.position[k][i] = turn.place[k][i] + way;
+                        found.view[k][i] = -turn.heading[k][i];
+                    }
                 }
             }
             found = attributes_at(wall, scene, found.position, found.view, &hits);
@@ -305,19 +315,19 @@ impl<'a> Filled<'a> {
         room: &mut Room,
     ) -> Lane3 {
         let turn = &wet.turn;
-        let lanes = turn.refracted();
+        let lanes = turn.are(REFRACTED);
         if !lanes.contains(&true) {
             return [[0.0; LANES]; 3];
         }
-        let mut heading = rays.directions;
-        heading[2] = heading[2].map(|z| -z);
-        let (mut hits, owner) = self.meet(&turn.place, &heading, &lanes, room);
-        let (mut position, view) = (turn.place, heading.map(|row| row.map(|x| -x)));
-        for i in (0..LANES).filter(|&i| lanes[i]) {
-            for k in 0..3 {
-                position[k][i] += hits.distance[i] * heading[k][i];
+        let mirror = rays.mirrored();
+        let (hits, owner) = self.meet_mirrored(&mirror, turn, &lanes, room);
+        let (mut position, mut view) = (turn.place, mirror.directions);
+        for k in 0..3 {
+            for i in 0..LANES {
+                let way = if lanes[i] { hits.distance[i] - turn.way[i] } else { 0.0 };
+                position[k][i] += way * mirror.directions[k][i];
+                view[k][i] = -mirror.directions[k][i];
             }
-            hits.distance[i] += turn.way[i];
         }
         let mut found = attributes_at(self.wall, self.scene, position, view, &hits);
         self.put_particles(&owner, &mut found);
@@ -327,9 +337,9 @@ impl<'a> Filled<'a> {
         if !in_liquid {
             return radiance;
         }
-        let (starts, origin, _) = unfolded(turn, &heading, &position, &lanes);
+        let (starts, origin, _) = unfolded(turn, &mirror.directions, &position, &lanes);
         let leg = Leg {
-            rays: &Pyramid { directions: heading, ..Pyramid::open() },
+            rays: &mirror,
             starts: &starts,
             origin,
             used: &lanes,

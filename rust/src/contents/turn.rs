@@ -65,13 +65,21 @@ impl Turn {
     /// Lanes that meet a surface.
     #[inline(always)]
     pub fn lanes(&self) -> [bool; LANES] {
-        self.kind.map(|kind| kind != STRAIGHT)
+        let mut lanes = [false; LANES];
+        for i in 0..LANES {
+            lanes[i] = self.kind[i] != STRAIGHT;
+        }
+        lanes
     }
 
-    /// Lanes that the surface lets through.
+    /// Lanes of one kind.
     #[inline(always)]
-    pub fn refracted(&self) -> [bool; LANES] {
-        self.kind.map(|kind| kind == REFRACTED)
+    pub fn are(&self, kind: u8) -> [bool; LANES] {
+        let mut lanes = [false; LANES];
+        for i in 0..LANES {
+            lanes[i] = self.kind[i] == kind;
+        }
+        lanes
     }
 }
 

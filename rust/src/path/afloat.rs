@@ -43,7 +43,7 @@ impl Afloat<'_> {
 
     /// What is left of an LED's light at a point; nothing where a particle is in the way.
     #[inline(always)]
-    pub fn from_led(&self, led: Vec3, point: Vec3) -> Vec3 {
+    pub fn led_left(&self, led: Vec3, point: Vec3) -> Vec3 {
         let offset = sub(point, led);
         let (heading, distance) = (normalize(offset), dot(offset, offset).sqrt());
         let reach = distance * FREE_WAY;

@@ -9,8 +9,8 @@ to see when the pylorus is reached; then just that is recorded. Writes what the 
 the way from the patient's front and side (`way.png`). The same from the shell:
 
     vrcaps record --organ stomach --condition inflated --capsule magnetic --motion magnet \
-        --arm panda --magnet cylinder-76.2 --side up --skin-mm 30 --along-mm-per-s 10 \
-        --start 0.05 --until 0.85 --substep 2e-4 --frames 43 --fps 2 \
+        --arm panda --side up --skin-mm 30 --along-mm-per-s 10 \
+        --start 0.05 --until 0.85 --substep 2e-4 --frames 38 --fps 2 \
         --out runs/magnet
 """
 

@@ -26,7 +26,7 @@ from vrcaps.world.physics import Physics
 from vrcaps.world.simulation import Simulation
 
 SECONDS, FPS = 8.0, 1.0
-WIDTH, HEIGHT = (-68.0, 32.0), (-20.0, 48.0)
+WIDTH, HEIGHT = (-68.0, 32.0), (-20.0, 62.0)
 """What is drawn [cm]."""
 SKIN = "#c98f76"
 
@@ -35,13 +35,14 @@ def main() -> None:
     """Simulate some seconds and draw where everything is, seen from the patient's feet."""
     stomach = generate_stomach(StomachParameters().at("inflated"), seed=0)
     model = Model(stomach, load_device("magnetic"), posture_transform("supine"))
-    motion = Physics(start=0.3, substep=2e-4, magnet=MagnetSteering(arm="panda"))
+    steering = MagnetSteering(arm="panda", side="up", skin=3.0 * CM, speed=1.0 * CM)
+    motion = Physics(start=0.05, substep=2e-4, magnet=steering)
     run = Simulation(model, motion, frames=int(SECONDS * FPS), fps=FPS, seed=0)
     instant = list(run.instants())[-1]
     assert run.commander is not None and instant.conditions is not None
     held = instant.conditions.steered.held
     carrier = run.commander.pilot.holder.carrier
-    figure, axes = plt.subplots(figsize=(9.0, 5.6), dpi=150)
+    figure, axes = plt.subplots(figsize=(9.0, 6.7), dpi=150)
     draw_patient(axes, model)
     draw_lines(axes, run.commander.pilot.sources, HEIGHT, WIDTH, held.T_world_magnet[1, 3])
     joints = transform_points(carrier.T_world_base, frames(carrier.arm, held.angles)[:, :3, 3])

@@ -18,7 +18,7 @@ def test_flags_reach_the_scenario_and_the_file(tmp_path: Path):
     flags = (
         "--out o --organ stomach --capsule magnetic --motion magnet --arm panda --side up "
         "--press 0.2 --magnet cylinder-76.2 --skin-mm 30 --along-mm-per-s 8 --arm-base 0 0.5 0 "
-        "--turn prone:at=1"
+        "--until 0.8 --turn prone:at=1"
     )
     scenario = tyro.cli(Record, args=flags.split()).resolved()
     assert isinstance(scenario.motion, Physics)
@@ -28,6 +28,7 @@ def test_flags_reach_the_scenario_and_the_file(tmp_path: Path):
     assert magnet.steering.press == magnet.steering.rest == 0.2
     assert magnet.skin == pytest.approx(30 * MM)
     assert magnet.speed == pytest.approx(8 * MM)
+    assert magnet.until == 0.8
     assert magnet.base == (0.0, 0.5, 0.0)
     assert len(scenario.motion.turns) == 1
     assert scenario_from_plain(scenario_to_plain(scenario)) == scenario

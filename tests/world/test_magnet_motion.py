@@ -25,6 +25,7 @@ from vrcaps.world.magnet_motion import (
 )
 from vrcaps.world.model import Model, posture_transform
 from vrcaps.world.physics import Physics
+from vrcaps.world.schedule import Turn
 from vrcaps.world.simulation import Simulation
 
 PATH = (Waypoint(0.0, 0.06), Waypoint(1.0, 0.065), Waypoint(2.0, 0.065))
@@ -85,6 +86,42 @@ def test_goes_on_from_a_snapshot(gut_model):
     np.testing.assert_array_equal(again, poses[1:])
 
 
+def test_without_commands_it_leads_along_the_wall_and_stops(gut_model):
+    """From 0.06 m on, at 1 cm/s to 0.07 m; and back to 0.05 m, without a turn."""
+    for until, end in ((0.35, 0.07), (0.25, 0.05)):
+        run = simulate(gut_model, MagnetSteering(until=until, speed=0.01), 9, 4.0)
+        places = [instant.state.T_world_capsule for instant in run.instants()]
+        assert run.commander.follower.arrived
+        assert places[-1][0, 3] == pytest.approx(end, abs=2e-3)
+        assert np.sign(places[-1][0, 2]) == np.sign(places[0][0, 2])
+
+
+def test_the_way_goes_on_from_a_snapshot(gut_model):
+    steering, poses, taken = MagnetSteering(until=0.5, speed=0.01), [], None
+    run = simulate(gut_model, steering, 4, 20.0)
+    for frame, instant in enumerate(run.instants()):
+        poses.append(instant.state.T_world_capsule)
+        if frame == 1:
+            taken = run.snapshot()
+    again = simulate(gut_model, steering, 4, 20.0)
+    rest = [instant.state.T_world_capsule for instant in again.instants(1, taken)]
+    np.testing.assert_array_equal(rest, poses[1:])
+    assert again.commander.follower.along == run.commander.follower.along > 0.0
+
+
+def test_a_patient_who_turns_takes_the_way_along(gut_model):
+    motion = Physics(
+        start=0.3,
+        settle=0.2,
+        substep=2e-4,
+        magnet=MagnetSteering(),
+        turns=(Turn("left-lateral", 0.0, 0.5),),
+    )
+    run = Simulation(gut_model, motion, frames=3, fps=5.0, seed=0)
+    states = [instant.conditions.steered for instant in run.instants()]
+    assert np.isfinite(states[-1].needed).all()
+
+
 def test_commands_are_read(tmp_path: Path):
     path = tmp_path / "commands.csv"
     path.write_text(",".join(WAYPOINT_COLUMNS) + "\n0,0.05,0,0\n2,0.1,30,-10\n")
@@ -104,6 +141,8 @@ def test_what_cannot_be(gut_model):
         MagnetSteering(waypoints=PATH, file="x.csv")
     with pytest.raises(InputError, match="Steering's speed is 0"):
         MagnetSteering(speed=0.0)
+    with pytest.raises(InputError, match=r"Steering's until is 1\.5"):
+        MagnetSteering(until=1.5)
     with pytest.raises(InputError, match="Steering's joystick_rate is -1"):
         MagnetSteering(joystick_rate=-1.0)
     with pytest.raises(InputError, match="here: entry 1 is not finite"):

@@ -51,10 +51,11 @@ def test_along_a_tube_the_capsule_touches_the_wall(tube, side, sense):
     assert np.asarray(middle.position)[0] == pytest.approx(0.08, abs=1e-3)
 
 
-def test_back_along_a_tube_it_looks_back(tube):
-    path = gut_wall_path(tube, 0.12, 0.04)
-    assert path.places[0, 0] > path.places[-1, 0]
-    np.testing.assert_allclose(path.directions @ AHEAD, -1.0, atol=1e-3)
+def test_back_along_a_tube_it_looks_as_it_is_told(tube):
+    for backwards, look in ((False, 1.0), (True, -1.0)):
+        path = gut_wall_path(tube, 0.12, 0.04, backwards=backwards)
+        assert path.places[0, 0] > path.places[-1, 0]
+        np.testing.assert_allclose(path.directions @ AHEAD, look, atol=1e-3)
 
 
 def test_free_way_is_the_gap_to_a_round_wall(tube):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -18,12 +19,12 @@ if TYPE_CHECKING:
 
     from vrcaps.world.world import World
 
-_STILL = 2.0 * MM
-"""Speed [m/s] below which a capsule lies still."""
 _NEAR = 3.0 * MM
-"""How far from the leading point it may lie then."""
+"""How far from the leading point, at the goal, a capsule may be."""
 _SETTLED = 1.0
-"""Time for which it must [s]."""
+"""Time for which it must be as near [s]; one that has fallen for so long is fetched…"""
+_GONE = 8.0
+"""…for so long at most [s]."""
 
 
 class Guide:
@@ -60,28 +61,30 @@ class Guide:
 
     @property
     def settled(self) -> bool:
-        """Whether the capsule lies still at the goal."""
+        """Whether the capsule is at the goal, and has been for a second."""
         return self._still >= _SETTLED
 
     @property
     def failed(self) -> bool:
         """Whether time and tries are up, or the capsule has left the wall; see `Pilot.steered`."""
         over = self.tries == 0 and self._time > self._limit
-        return not self.settled and (over or self._gone > _SETTLED)
+        return not self.settled and (over or self._gone > _GONE)
 
     def control(self, world: World, dt: float) -> Control:
         """Command for the next `dt` [s]."""
         T = world.T_world_capsule
         if self._time > self._limit and self.tries:
             self._plan(T)
-        control = self._pilot.hold(world, self._follower.goal(T, dt), dt)
+        goal = self._follower.goal(T, dt)
+        # Off the map the magnet bears the capsule where it is, and so draws it back to its wall.
+        goal = replace(goal, mapped=self._gone < _SETTLED)
+        control = self._pilot.hold(world, goal, dt)
         self._time += dt
         off = float(np.linalg.norm(self._pilot.steered.error))
-        speed = float(np.linalg.norm(world.velocity_world[0]))
         gone = self._pilot.steered.lost == "other-wall"
         self._gone = self._gone + dt if gone else 0.0
-        rests = self._follower.arrived and off < _NEAR and speed < _STILL
-        self._still = self._still + dt if rests else 0.0
+        there = self._follower.arrived and off < _NEAR
+        self._still = self._still + dt if there else 0.0
         return control
 
     def _plan(self, T_world_capsule: Float[np.ndarray, "4 4"]) -> None:

@@ -22,7 +22,7 @@ from vrcaps.world.goal import Goal, gut_goal, onto_wall
 from vrcaps.world.model import Model
 from vrcaps.world.schedule import read_numbers, require_rising
 from vrcaps.world.steering import Pilot, Steering
-from vrcaps.world.wall_path import Follower, gut_wall_path
+from vrcaps.world.wall_path import Follower, WallPath, gut_wall_path
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 WAYPOINT_COLUMNS = ("time_s", "arc_length_m", "yaw_deg", "pitch_deg")
 AXES_COLUMNS = ("time_s", "move_x", "move_y", "move_z", "turn_x", "turn_y", "turn_z")
 SIDES = ("up", "down")
-GENTLE = Steering(press=0.15, speed=2.0 * CM, lead=10.0 * MM, stiffening=1.0)
+GENTLE = Steering(press=0.15, speed=2.0 * CM, lead=10.0 * MM, stiffening=3.0, rate=2.0, damping=2.0)
 """Gains that lead a capsule over folds without a slide."""
 _BESIDE, _BELOW = 55.0 * CM, 15.0 * CM
 
@@ -206,8 +206,7 @@ class Commander:
             require(on, "A waypoint's arc_length", point.arc_length, allowed)
         self.follower: Follower | None = None
         if not (self._waypoints or self._axes):
-            end = settings.until * self._line.length
-            path = gut_wall_path(model, arc_length, end, side=settings.side)
+            path = self._way(T_world_capsule[:3, 2])
             self.follower = Follower(path, settings.speed, settings.steering.lead)
         goal = self._goal(0.0, model.T_world_patient)
         self.pilot = Pilot(
@@ -255,6 +254,13 @@ class Commander:
         self.pilot.restore(saved[:-1])
         if self.follower is not None:
             self.follower.along = float(saved[-1])
+
+    def _way(self, look: Float[np.ndarray, " 3"]) -> WallPath:
+        """The way along the wall, on which the capsule goes on to look ahead or back as it does."""
+        end, side = self.settings.until * self._line.length, self.settings.side
+        here = gut_goal(self._line, self._model.T_world_patient, self._start)
+        back = bool(np.asarray(here.along) @ look < 0.0)
+        return gut_wall_path(self._model, self._start, end, side=side, backwards=back)
 
     def _goal(self, time: float, T_world_patient: Float[np.ndarray, "4 4"]) -> Goal:
         """The goal at a time, or along the way; of a patient who has turned, on the wall as it is.

@@ -141,24 +141,30 @@ def straight_wall_path(
 
 
 def gut_wall_path(
-    model: Model, start: float, end: float, *, side: Literal["up", "down"] = "up"
+    model: Model,
+    start: float,
+    end: float,
+    *,
+    side: Literal["up", "down"] = "up",
+    backwards: bool = False,
 ) -> WallPath:
     """Along the upper or lower wall between two places on the gut's centreline.
 
     Args:
         model: Organ, device and posture, at rest.
         start: Arc length [m].
-        end: Arc length [m]; below `start` the capsule goes, and looks, back.
+        end: Arc length [m]; below `start` the capsule goes back.
         side: The wall that the capsule is pressed against.
+        backwards: The capsule looks towards the oral end.
 
     Raises:
         InputError: If an arc length is not on the centreline, or both are the same.
     """
-    line, back = model.organ.centerline, end < start
+    line = model.organ.centerline
     require(start != end, "end", end, "another arc length than start")
     count = max(2, round(abs(end - start) / _SPACING) + 1)
     goals = [
-        gut_goal(line, model.T_world_patient, place, backwards=back, side=side)
+        gut_goal(line, model.T_world_patient, place, backwards=backwards, side=side)
         for place in np.linspace(start, end, count)
     ]
     points = np.array([goal.position for goal in goals])

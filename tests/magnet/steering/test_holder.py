@@ -16,7 +16,7 @@ from vrcaps.magnet.presets import load_magnet
 from vrcaps.magnet.sources import magnet_pose
 from vrcaps.magnet.steering.aim import Room
 from vrcaps.magnet.steering.arm_holder import ArmHolder
-from vrcaps.magnet.steering.holder import FreeHolder, stopping_speed
+from vrcaps.magnet.steering.holder import FreeHolder, Held, go, stopping_speed
 from vrcaps.magnet.steering.turn import rotation_vector, towards, turned
 
 DT = 0.01
@@ -107,6 +107,27 @@ def test_an_arm_asked_for_the_impossible_stops_and_says_so(arm):
         assert limit in (None, limits[-1])
         assert held.T_world_magnet[2, 3] >= 0.05 - 1e-6
     assert np.abs(held.velocity).max() < 1e-3
+
+
+def test_where_a_pose_ahead_is_out_of_reach_nearer_ones_are_tried():
+    class Short(FreeHolder):
+        """Reaches no farther than 3 mm and 0.03 rad at a time."""
+
+        def move(self, held: Held, T_world_magnet: np.ndarray, dt: float) -> Held:
+            way = np.linalg.norm(T_world_magnet[:3, 3] - held.T_world_magnet[:3, 3])
+            turn = np.arccos(np.clip(T_world_magnet[:3, 2] @ held.T_world_magnet[:3, 2], -1, 1))
+            near = way < 3e-3 and turn < 0.03
+            if near:
+                return super().move(held, T_world_magnet, dt)
+            return Held(held.T_world_magnet, 0.0 * held.velocity, limit="reach")
+
+    holder, goal = Short(), magnet_pose((0.1, 0.0, 0.3), (0.0, 1.0, 1.0))
+    held = holder.start(magnet_pose((0.0, 0.0, 0.3), (0.0, 0.0, 1.0)))
+    assert holder.move(held, goal, 0.01).limit == "reach"
+    for _ in range(1000):
+        held = go(holder, held, goal, 0.01)
+    np.testing.assert_allclose(held.T_world_magnet[:3, 3], goal[:3, 3], atol=1e-6)
+    np.testing.assert_allclose(held.T_world_magnet[:3, 2], goal[:3, 2], atol=1e-6)
 
 
 @pytest.mark.parametrize(("table", "low"), [(None, 0.05), (0.0, -0.1)])

@@ -65,7 +65,7 @@ def compare(scene: Scene) -> list[tuple[str, ...]]:
         costs.append((cpu * whole**2, cpu * middle**2))
         rows.append((f"{cpu:.2f}", f"{wall:.2f}", f"{100 * whole:.1f} %", f"{100 * middle:.1f} %"))
     ratios = [one / other for one, other in zip(*costs, strict=True)]
-    verdict = f"≤ {LIMIT}: {'yes' if ratios[0] <= LIMIT else 'NO'}"
+    verdict = f"≤ {LIMIT}: {'yes' if max(ratios) <= LIMIT else 'NO'}"
     return [
         (scene.name, "ours", *rows[0], f"{ratios[0]:.3f}", f"{ratios[1]:.3f}", verdict),
         ("", "Mitsuba", *rows[1], "", "", ""),
@@ -87,7 +87,7 @@ def main() -> None:
         + table(HEAD, rows)
         + "\n\nNoise: root of the mean variance over the mean radiance; of the median pixel: its "
         "standard deviation over its\nmean. Time at equal noise: processor time times variance, "
-        "as a ratio; the claim is about the image, the median pixel\nis told beside it. The ring "
+        "as a ratio; the claim holds both for the image and for\nthe median pixel. The ring "
         "folds have 257,000 triangles of 0.07 mm², the colon 104,000 of 2 mm²."
     )
     write_section(given.out, Path(__file__).name, text)

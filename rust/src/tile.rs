@@ -173,21 +173,48 @@ pub fn trace<const ANY: bool>(
     extent: f32,
     hits: &mut Hits,
 ) {
-    trace_beyond::<ANY>(bvh, (origin, &[0.0; LANES]), rays, extent, hits);
+    trace_at_most::<ANY>(u32::MAX, bvh, origin, rays, extent, hits);
 }
 
-/// The same, but for what lies nearer than `nearest` along each ray [m].
+/// The same until `most` triangles have been tested; false if that was not enough.
+///
+/// Then what was found stands: with `ANY`, a ray that has a hit has one.
+#[inline(always)]
+pub fn trace_at_most<const ANY: bool>(
+    most: u32,
+    bvh: &Bvh,
+    origin: Vec3,
+    rays: &Pyramid,
+    extent: f32,
+    hits: &mut Hits,
+) -> bool {
+    search::<ANY>(most, bvh, (origin, &[0.0; LANES]), rays, extent, hits)
+}
+
+/// `trace` of what lies beyond `start`: an origin and the least distance along each ray [m].
 #[inline(always)]
 pub fn trace_beyond<const ANY: bool>(
     bvh: &Bvh,
-    (origin, nearest_hit): (Vec3, &Lane),
+    start: (Vec3, &Lane),
     rays: &Pyramid,
     extent: f32,
     hits: &mut Hits,
 ) {
-    let (sides, near) = planes(origin, rays, extent);
+    search::<ANY>(u32::MAX, bvh, start, rays, extent, hits);
+}
+
+#[inline(always)]
+fn search<const ANY: bool>(
+    most: u32,
+    bvh: &Bvh,
+    start: (Vec3, &Lane),
+    rays: &Pyramid,
+    extent: f32,
+    hits: &mut Hits,
+) -> bool {
+    let (sides, near) = planes(start.0, rays, extent);
     let mut stack = [(0u32, 0.0f32); STACK];
-    let mut top = 1;
+    let (mut top, mut left) = (1, most);
     let mut farthest = farthest_of(&hits.distance);
     while top > 0 && farthest > 0.0 {
         top -= 1;
@@ -201,10 +228,14 @@ pub fn trace_beyond<const ANY: bool>(
                 top = push_children(node, &sides, &near, farthest, &mut stack, top);
             }
             Child::Leaf(range) => {
+                let count = range.len() as u32;
+                if left < count {
+                    return false;
+                }
+                left -= count;
                 let mut changed = false;
                 for number in range {
                     let triangle = &bvh.triangles[number];
-                    let start = (origin, nearest_hit);
                     changed |= intersect::<ANY>(triangle, number as u32, start, rays, hits);
                 }
                 if changed {
@@ -213,6 +244,7 @@ pub fn trace_beyond<const ANY: bool>(
             }
         }
     }
+    true
 }
 
 /// The sides of the pyramid and the plane from which distance is counted.

@@ -6,7 +6,7 @@
 use crate::lanes::*;
 use crate::path::ray;
 use crate::path::wave::Tracer;
-use crate::tile::{Hits, MISS, Pyramid, trace};
+use crate::tile::{Hits, MISS, Pyramid, trace_at_most};
 use crate::visibility::ways;
 use crate::wall::Wall;
 
@@ -15,6 +15,9 @@ const CELLS: u32 = 16;
 /// Fewer ways, or wider apart, are traced one by one: sine of the pyramid's half angle.
 const FEWEST: usize = 6;
 const WIDEST: f32 = 0.6;
+/// Triangles after which the ways left are traced one by one: where triangles are small, a pyramid
+/// meets more of them than its rays do.
+const MOST: u32 = 300;
 
 /// Light from an LED to a point, on its way to a pixel.
 #[derive(Clone, Copy)]
@@ -79,15 +82,14 @@ impl Requests {
         let (directions, reach) = ways(origin, &points, &used);
         let pyramid = Pyramid::around(directions, &used);
         let width = pyramid.sides.iter().fold(0.0, |w, &side| max(w, dot(side, pyramid.axis)));
+        let mut hits = Hits::within(reach);
+        let is_narrow = pyramid.closed && width < WIDEST && chunk.len() >= FEWEST;
+        let is_done = is_narrow
+            && trace_at_most::<true>(MOST, &wall.bvh, origin, &pyramid, wall.extent, &mut hits);
         let mut lit = [false; LANES];
-        if pyramid.closed && width < WIDEST && chunk.len() >= FEWEST {
-            let mut hits = Hits::within(reach);
-            trace::<true>(&wall.bvh, origin, &pyramid, wall.extent, &mut hits);
-            for i in 0..LANES {
-                lit[i] = used[i] & (hits.triangle[i] == MISS);
-            }
-        } else {
-            for i in 0..chunk.len() {
+        for i in 0..chunk.len() {
+            lit[i] = hits.triangle[i] == MISS;
+            if lit[i] & !is_done {
                 let way = at(&pyramid.directions, i);
                 lit[i] = ray::cast::<true>(&wall.bvh, origin, way, reach[i], MISS).is_none();
             }

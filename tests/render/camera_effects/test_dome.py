@@ -105,9 +105,12 @@ def test_size_and_blur_of_a_drop() -> None:
     partly = np.count_nonzero((through > 0.0) & (through < 1.0))
     whole = np.count_nonzero(through == 1.0)
     blur = 0.3 * MM * (1.0 - droplets.distance / 0.02) / droplets.distance
-    ring = (angle + blur) ** 2 - (angle - blur) ** 2
-    assert partly / whole == pytest.approx(ring / (angle - blur) ** 2, rel=0.25)
-    assert len(pixels) >= partly + whole
+    # The outermost of the few rays through the pupil do not reach its rim on every side.
+    low, high = (
+        ((angle + b) ** 2 - (angle - b) ** 2) / (angle - b) ** 2 for b in (0.7 * blur, blur)
+    )
+    assert low < partly / whole < high
+    assert len(pixels) == partly + whole
 
 
 def test_drops_slide_and_come_in_again() -> None:

@@ -32,7 +32,7 @@ MATTER: dict[str, tuple[tuple[float, float, float], float]] = {
 """Absorption for red, green and blue, and transport scattering [1/m]. Blood is oxygenated at some
 0.4 of its haemoglobin (Bosschaart et al., Lasers Med. Sci. 29, 2014); the others go by eye."""
 
-_SAMPLES = 12
+_SAMPLES = 9
 """Rays through the pupil for each pixel that a drop changes."""
 
 _WAVES = 64
@@ -253,8 +253,10 @@ class Dome:
             points, share, is_in = self._sample(rays, pupil, centers)
             seen[:, k] = np.where(is_in, self._pixels_of(points), pixels)
             weights[:, k] = share / _SAMPLES
-            through += is_in / _SAMPLES
-        return pixels.astype(np.uint32), seen, weights, through
+            through += is_in
+        kept = through > 0.0
+        share = through[kept] / _SAMPLES
+        return pixels[kept].astype(np.uint32), seen[kept], weights[kept], share
 
     def _sample(
         self,

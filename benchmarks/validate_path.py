@@ -116,8 +116,8 @@ def main() -> None:
         "chance that noise has so large a mean z². Mitsuba's `max_depth` is one more than our\n"
         "reflections, as it counts the way to the eye. Where a smooth normal faces away from a "
         "path, Mitsuba loses the light,\nwhile here the normal is bent (docs/rendering.md): on "
-        "the colon's own triangles with smooth normals this is more\nthan noise. With flat faces "
-        "both integrate the same on just these triangles."
+        "the colon's own triangles with smooth normals this is 0.2 to\n0.3 % of the mean, at the "
+        "edge of what is noise. With flat faces both integrate the same on just these triangles."
     )
     write_section(given.out, Path(__file__).name, text)
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 from pathlib import Path
 
 import numpy as np
@@ -18,15 +17,6 @@ _DISC_SHARE = 0.90
 def read_disc(path: Path) -> np.ndarray:
     """The disc of an image file, as `disc` gives it."""
     return disc(np.asarray(Image.open(path).convert("RGB")))
-
-
-def stored(rgb: np.ndarray, quality: int | None) -> np.ndarray:
-    """What a JPEG file of a quality, with colours at half resolution, keeps of an image."""
-    if quality is None:
-        return rgb
-    file = io.BytesIO()
-    Image.fromarray(rgb).save(file, "JPEG", quality=quality, subsampling="4:2:0")
-    return np.asarray(Image.open(file).convert("RGB"))
 
 
 def disc(rgb: np.ndarray) -> np.ndarray:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import cache
 
@@ -16,6 +16,7 @@ from vrcaps.capsule.device import Camera, Device, Led
 from vrcaps.capsule.lens.equidistant import LensEquidistant
 from vrcaps.organ.lesion import add_lesions, parse_lesion
 from vrcaps.organ.surface import OrganSurface
+from vrcaps.tissue.contents.contents import Contents
 from vrcaps.transforms import invert, look_along, transform_from
 from vrcaps.units import DEG, MM
 from vrcaps.world.model import Model, State
@@ -24,7 +25,11 @@ sys.path.append(str(ROOT / "docs" / "images"))  # the views that the pictures of
 from lesions import best_view, even_exposure
 
 SIDE_PX = 256
-SETTINGS = vrcaps.RenderSettings(supersampling=2, shadows=True)
+SETTINGS = vrcaps.RenderSettings(supersampling=2, shadows=True, light="quick")
+CHANNELS = ("radiance", "ray_distance", "front_label", "front_depth")
+"""What the cameras of the comparison need."""
+CONTENTS = (Contents(), Contents(bubbles=2, chyme=1, liquid=1))
+"""In the small bowel: every second frame has some."""
 POLYPS = tuple(f"polyp-{shape}:pattern={pattern},size={size}mm"
     for shape, pattern, size in (
         *(("Ip", "tubular", 14), ("Is", "hyperplastic", 6), ("IIa", "serrated", 12)),
@@ -56,14 +61,24 @@ def colonoscope(side_px: int = SIDE_PX) -> Device:
 
 @dataclass(frozen=True)
 class Shot:
-    """A frame: which patient, linear radiance, and where the lens sees."""
+    """A frame with `CHANNELS`, what was there, and what rendered it."""
 
-    patient: int
-    radiance: np.ndarray
+    frame: vrcaps.Frame
+    state: State
+    renderer: vrcaps.Renderer
+
+    @property
+    def camera(self) -> Camera:
+        """That it was seen with."""
+        return self.renderer.model.device.cameras[0]
 
 
-def shots(name: str, patients: int, frames: int) -> Iterator[Shot]:
-    """Frames that stand beside a class of real frames.
+Scene = tuple[Model, list[State]]
+"""A world and the places to look from."""
+
+
+def scenes(name: str, patients: int, frames: int) -> Iterator[Scene]:
+    """What stands beside a class of real frames.
 
     Args:
         name: Folder of the real frames.
@@ -71,17 +86,19 @@ def shots(name: str, patients: int, frames: int) -> Iterator[Shot]:
         frames: Of each patient, about.
     """
     for seed in range(patients):
-        rng = np.random.default_rng([seed, 77])
-        for model, states in views(name, seed, frames, rng):
-            renderer = vrcaps.Renderer(model, SETTINGS)
-            for state in states:
-                frame = renderer.render(state, model.device.cameras[0], channels=("radiance",))
-                yield Shot(seed, np.nan_to_num(frame.radiance))
+        yield from views(name, seed, frames, np.random.default_rng([seed, 77]))
 
 
-def views(
-    name: str, seed: int, frames: int, rng: np.random.Generator
-) -> Iterator[tuple[Model, list[State]]]:
+def shots(chosen: Iterable[Scene], settings: vrcaps.RenderSettings = SETTINGS) -> Iterator[Shot]:
+    """Frames of scenes."""
+    for model, states in chosen:
+        renderer = vrcaps.Renderer(model, settings)
+        for state in states:
+            frame = renderer.render(state, model.device.cameras[0], channels=CHANNELS)
+            yield Shot(frame, state, renderer)
+
+
+def views(name: str, seed: int, frames: int, rng: np.random.Generator) -> Iterator[Scene]:
     """Organs of one patient, and places to look from."""
     capsule, colonoscopy = vrcaps.load_device("pillcam-sb3"), colonoscope()
     if name == "clean_colon":
@@ -89,8 +106,11 @@ def views(
             vrcaps.load_organ("colon", seed=seed), colonoscope(360), (0.03, 0.97), frames, rng
         )
     elif name == "capsule_non_bleeding":
-        organ = vrcaps.load_organ("small-bowel", seed=seed)
-        yield flight(organ, capsule, (0.02, 0.98), frames, rng)
+        # Around a capsule the small bowel is not inflated.
+        organ = vrcaps.load_organ("small-bowel", seed=seed, condition="collapsed")
+        model, states = flight(organ, capsule, (0.02, 0.98), frames, rng)
+        for k, contents in enumerate(CONTENTS):
+            yield replace(model, contents=contents), states[k :: len(CONTENTS)]
     elif name == "capsule_bleeding":
         yield at_lesions("small-bowel", seed, BLEEDS, capsule, rng)
     elif name == "polyp":
@@ -117,7 +137,7 @@ def flight(
     stretch: tuple[float, float],
     frames: int,
     rng: np.random.Generator,
-) -> tuple[Model, list[State]]:
+) -> Scene:
     """Evenly along a stretch of the lumen, now and then looking at the wall."""
     model = Model(organ, device)
     low, high = np.clip(stretch, 0.01, 0.99)
@@ -128,7 +148,7 @@ def flight(
 
 def at_lesions(
     name: str, seed: int, texts: tuple[str, ...], device: Device, rng: np.random.Generator
-) -> tuple[Model, list[State]]:
+) -> Scene:
     """Each lesion of a patient from where it is seen best."""
     lesions = [parse_lesion(text) for text in texts]
     organ = add_lesions(vrcaps.load_organ(name, seed=seed), lesions, rng).organ

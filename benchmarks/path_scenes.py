@@ -40,12 +40,14 @@ class Scene:
     camera: Camera
     state: State
 
-    def ours(self, *, depth: int, samples: int) -> Callable[[int], np.ndarray]:
+    def ours(
+        self, *, depth: int, samples: int, denoise: bool = False
+    ) -> Callable[[int], np.ndarray]:
         """Makes linear radiance [h w 3] of a seed."""
 
         def image(seed: int) -> np.ndarray:
             settings = RenderSettings(
-                light="path", samples=samples, depth=depth, light_seed=seed, shadows=True
+                light="path", samples=samples, depth=depth, light_seed=seed, denoise=denoise
             )
             renderer.settings = settings
             radiance = renderer.render(self.state, self.camera, channels=("radiance",)).radiance
@@ -67,7 +69,7 @@ class Scene:
 
 
 def scenes(size: int) -> Iterator[Scene]:
-    """A tube with ring folds, a generated colon, and that colon made smooth."""
+    """A tube with ring folds, a generated colon, its bare facets, and that colon made smooth."""
     from shapes import looking, patterned, pinhole, tube
 
     use_working_llvm()
@@ -87,7 +89,17 @@ def scenes(size: int) -> Iterator[Scene]:
     rng = np.random.default_rng(0)
     state = fly_through(model, FlyThrough(), frames=3, fps=1.0, rng=rng).state(1)
     yield Scene("generated colon", model, camera, state)
+    yield Scene("the same, flat faces", Model(_flat(colon), device), camera, state)
     yield Scene("the same, smooth", Model(_smooth(colon), device), camera, state)
+
+
+def _flat(organ: OrganSurface) -> OrganSurface:
+    """The same triangles, none of which shares a vertex: normals are those of the faces."""
+    from shapes import make_organ
+
+    vertices = organ.vertices[organ.faces].reshape(-1, 3)
+    faces = np.arange(len(vertices)).reshape(-1, 3)
+    return make_organ(vertices, faces, uv=organ.uv, appearance=organ.appearance)
 
 
 def _smooth(organ: OrganSurface) -> OrganSurface:

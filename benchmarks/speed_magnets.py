@@ -1,27 +1,47 @@
-"""Claim: field, gradient and wrench of 8 sources take at most 2 µs a substep on one core.
+"""Claim: 8 sources take at most 2 µs a substep, arm and controller 200 µs a control step.
 
-CPU time of this process for many poses of a capsule with one magnet in it, one thread, the median
-of batches with p10 and p90. The sources are 2 to 4 sizes from the capsule, where the closed forms
-of cylinders and coils cost most, and farther away, where their series take over.
+CPU time on one core. Field, gradient and wrench: for many poses of a capsule with one magnet in it,
+the median of batches with p10 and p90. The sources are 2 to 4 sizes from the capsule, where the
+closed forms of cylinders and coils cost most, and farther away, where their series take over. A
+control step: a capsule held in a tube by a magnet, in a loop of its own and between the steps of a
+world, after which the caches hold other data.
 
     python benchmarks/speed_magnets.py [--size POSES]
 """
 
 from __future__ import annotations
 
+import sys
 import time
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
-from validation import options, table, write_section
+from validation import ROOT, options, table, write_section
 
+sys.path.append(str(ROOT / "tests" / "tissue"))  # the tube that the tests use
+
+from guts import straight_gut
+
+from vrcaps.capsule.catalog import load_device
 from vrcaps.magnet.field import SourceSet
 from vrcaps.magnet.internal import InternalMagnet
 from vrcaps.magnet.sources import Coil, Cylinder, Dipole, FieldMap, Solenoid, Source, magnet_pose
+from vrcaps.world.control import Control
+from vrcaps.world.goal import gut_goal
+from vrcaps.world.magnet_motion import MagnetSteering, Waypoint
+from vrcaps.world.model import Model
+from vrcaps.world.physics import Physics
+from vrcaps.world.simulation import Simulation
+from vrcaps.world.world import World
 
 BATCHES = 31
 LIMIT = 2.0
 COUNT = 8
+STEPS, DT, MOST_CONTROL = 400, 0.01, 200.0
+PLACE, SKIN = 0.1, 0.1
+CONTROL_HEAD = ("a control step of", "after", "median", "p10 to p90", "claimed")
 HEAD = ("8 sources", "distance", "a wrench, median", "p10 to p90", "claimed")
 
 
@@ -64,6 +84,42 @@ def measure(sources: list[Source], count: int) -> np.ndarray:
     return np.quantile(taken, [0.1, 0.5, 0.9])
 
 
+def control_rows() -> list[tuple[str, ...]]:
+    """Rows of what a control step takes, by hand and by arm, without and with its goal."""
+    organ = straight_gut({"jejunum": 0.2}, radius=0.014)
+    model, rows = Model(organ, load_device("magnetic"), np.eye(4)), []
+    goal = gut_goal(organ.centerline, np.eye(4), PLACE)
+    for arm in (None, "panda"):
+        steering = MagnetSteering(arm=arm, skin=SKIN, waypoints=(Waypoint(0.0, PLACE),))
+        motion = Physics(start=0.5, settle=1.0, substep=2e-4, magnet=steering)
+        run = Simulation(model, motion, frames=1, fps=1.0, seed=0)
+        list(run.instants())
+        commander, world = run.commander, run.world
+        assert commander is not None
+        holder = "the magnet in a free hand" if arm is None else "the magnet on the Panda"
+        alone = partial(commander.pilot.hold, world, goal, DT)
+        whole = partial(commander.control, world, 0.0, DT, np.eye(4))
+        for moving in (None, world):
+            rows.append(row(f"loop and {holder}", alone, moving))
+            rows.append((*row("the same with a goal on the gut's wall", whole, moving)[:-1], ""))
+    return rows
+
+
+def row(what: str, call: Callable[[], Control], world: World | None) -> tuple[str, ...]:
+    """A row of the time that a control step takes, after others or after steps of a world."""
+    taken = []
+    for _ in range(STEPS):
+        begin = time.thread_time()
+        control = call()
+        taken.append(1e6 * (time.thread_time() - begin))
+        if world is not None:
+            world.step(control, DT)
+    low, median, high = np.quantile(taken, [0.1, 0.5, 0.9])
+    said = f"≤ {MOST_CONTROL:g} µs: {'yes' if median <= MOST_CONTROL else 'NO'}"
+    after = "the one before" if world is None else "a step of the world"
+    return what, after, f"{median:.0f} µs", f"{low:.0f} to {high:.0f} µs", said
+
+
 def main() -> None:
     """Measure, write the table."""
     given = options(__doc__ or "", size=10_000)
@@ -74,11 +130,17 @@ def main() -> None:
             said = f"≤ {LIMIT:g} µs: {'yes' if median <= LIMIT else 'NO'}"
             spread = f"{low:.2f} to {high:.2f} µs"
             rows.append((name, f"{1e3 * distance:.0f} mm", f"{median:.2f} µs", spread, said))
-    text = (
-        "## Speed of magnets\n\n`python benchmarks/speed_magnets.py`: field, gradient and wrench "
-        "of eight sources, 100 mm across, on\na capsule with one magnet; CPU time on one core.\n\n"
-        + table(HEAD, rows)
-    )
+    text = f"""## Speed of magnets
+
+`python benchmarks/speed_magnets.py`: CPU time on one core. Field, gradient and wrench of eight
+sources, 100 mm across, on a capsule with one magnet:
+
+{table(HEAD, rows)}
+
+A step of the loop that holds the capsule `magnetic` in a tube, magnet `cylinder-76.2`; the Panda
+keeps all its limits and off itself:
+
+{table(CONTROL_HEAD, control_rows())}"""
     write_section(given.out, Path(__file__).name, text)
 
 

@@ -31,18 +31,28 @@ HEAD = (
 )  # fmt: skip
 
 
-def measure(frames: list[Callable[[int], np.ndarray]]) -> list[tuple[float, float, np.ndarray]]:
+def measure(
+    frames: list[Callable[[int], np.ndarray]], *, images: int = IMAGES
+) -> list[tuple[float, float, np.ndarray]]:
     """Median processor time [s], median time [s] and images of each, in turns."""
-    times, images = np.empty((2, len(frames), IMAGES)), [[] for _ in frames]
+    times, made = np.empty((2, len(frames), images)), [[] for _ in frames]
     for frame in frames:
-        frame(IMAGES)  # compiles
-    for seed in range(IMAGES):
+        frame(images)  # compiles
+    for seed in range(images):
         for k, frame in enumerate(frames):
             cpu, wall = time.process_time(), time.perf_counter()
-            images[k].append(frame(seed))
+            made[k].append(frame(seed))
             times[:, k, seed] = time.process_time() - cpu, time.perf_counter() - wall
     middle = np.median(times, axis=2)
-    return [(*middle[:, k], np.stack(images[k])) for k in range(len(frames))]
+    return [(*middle[:, k], np.stack(made[k])) for k in range(len(frames))]
+
+
+def noise(images: np.ndarray) -> tuple[float, float]:
+    """Root of the mean variance over the mean radiance; the same of the median pixel."""
+    mean, variance = images.mean(axis=0), images.var(axis=0, ddof=1)
+    lit = mean > 0.05 * mean.mean()
+    whole = np.sqrt(variance.mean()) / mean.mean()
+    return whole, np.median(np.sqrt(variance[lit]) / mean[lit])
 
 
 def compare(scene: Scene) -> list[tuple[str, ...]]:
@@ -51,12 +61,9 @@ def compare(scene: Scene) -> list[tuple[str, ...]]:
     ours, theirs = measure([r(depth=DEPTH, samples=SAMPLES) for r in renderers])
     rows, costs = [], []
     for cpu, wall, images in (ours, theirs):
-        mean, variance = images.mean(axis=0), images.var(axis=0, ddof=1)
-        lit = mean > 0.05 * mean.mean()
-        noise = np.sqrt(variance.mean()) / mean.mean()
-        middle = np.median(np.sqrt(variance[lit]) / mean[lit])
-        costs.append((cpu * noise**2, cpu * middle**2))
-        rows.append((f"{cpu:.2f}", f"{wall:.2f}", f"{100 * noise:.1f} %", f"{100 * middle:.1f} %"))
+        whole, middle = noise(images)
+        costs.append((cpu * whole**2, cpu * middle**2))
+        rows.append((f"{cpu:.2f}", f"{wall:.2f}", f"{100 * whole:.1f} %", f"{100 * middle:.1f} %"))
     ratios = [one / other for one, other in zip(*costs, strict=True)]
     verdict = f"≤ {LIMIT}: {'yes' if ratios[0] <= LIMIT else 'NO'}"
     return [

@@ -1,62 +1,116 @@
-"""A magnet on an arm leads a capsule through an inflated stomach, from the body to the pylorus.
+"""A magnet on an arm leads a capsule through an inflated stomach, from the inlet to the pylorus.
 
     python examples/07_magnet_stomach.py
 
-The Panda holds a magnet above the patient's belly. It bears half the capsule's weight, pulls it
-along the wall and turns it the way it goes. Prints where capsule and magnet are, and records what
-the capsule saw. The same from the shell:
+The Panda holds a magnet above the patient's belly. It bears the capsule's weight, draws it gently
+against the upper wall and leads it along a way on that wall, which follows the centreline from
+just inside the cardia; where the capsule does not follow, it waits. The drive is simulated first,
+to see when the pylorus is reached; then just that is recorded. Writes what the capsule saw, and
+the way from the patient's front and side (`way.png`). The same from the shell:
 
     vrcaps record --organ stomach --condition inflated --capsule magnetic --motion magnet \
-        --arm panda --start 0.3 --frames 21 --fps 2 --out runs/magnet
+        --arm panda --magnet cylinder-76.2 --side up --skin-mm 30 --along-mm-per-s 10 \
+        --start 0.05 --until 0.85 --substep 2e-4 --frames 43 --fps 2 \
+        --out runs/magnet
 """
 
 from __future__ import annotations
 
 import argparse
+from dataclasses import replace
 from pathlib import Path
 
+import matplotlib
 import numpy as np
 
 import vrcaps
+from vrcaps.record.episode import Episode
 from vrcaps.record.recorder import record
+from vrcaps.record.scenario import build, resolve
 from vrcaps.units import CM, DEG
 from vrcaps.world.magnet_motion import MagnetSteering
+from vrcaps.world.simulation import Simulation
+
+matplotlib.use("Agg")
+
+LONGEST = 60.0  # time that the drive may take [s]
+STEERING = MagnetSteering(
+    magnet="cylinder-76.2", arm="panda", skin=3.0 * CM, side="up", speed=1.0 * CM, until=0.85
+)
 
 
-def main(out: Path, frames: int, fps: float, substep: float) -> None:
-    """Record the way, and print how the magnet led."""
-    steering = MagnetSteering(arm="panda")
-    motion = vrcaps.Physics(start=0.3, magnet=steering, substep=substep)
-    organ = vrcaps.OrganGenerated("stomach", condition="inflated")
+def main(out: Path, fps: float, substep: float, frames: int | None) -> None:
+    """Drive, record the drive, print and draw how it went."""
     scenario = vrcaps.Scenario(
-        organ=organ, capsule="magnetic", motion=motion, frames=frames, fps=fps
+        organ=vrcaps.OrganGenerated("stomach", condition="inflated"),
+        capsule="magnetic",
+        motion=vrcaps.Physics(start=0.05, magnet=STEERING, substep=substep),
+        frames=round(LONGEST * fps) + 1 if frames is None else frames,
+        fps=fps,
     )
-    record(scenario, out)
+    if frames is None:
+        scenario = replace(scenario, frames=drive(scenario))
+    record(scenario, out, progress=lambda done, all: print(f"recorded {done} of {all}", end="\r"))
+    episode = vrcaps.read_episode(out)
+    draw(episode, out / "way.png")
+    print(f"\nLook at {out / 'way.png'}, {out / 'preview.mp4'} and {out / 'sheet.png'}.")
 
-    run = vrcaps.read_episode(out).table.columns
-    print(
-        "time [s]  along [cm]  magnet x, y, z [cm]  distance [cm]  pull [mN]  off field [°]  state"
-    )
-    for k in range(0, frames, max(1, round(2.0 * fps))):
-        x, y, z = (run[f"magnet_{axis}_m"][k] / CM for axis in "xyz")
-        pull = 1e3 * np.linalg.norm([run[f"magnetic_force_{axis}_n"][k] for axis in "xyz"])
-        print(
-            f"{run['time_s'][k]:8.1f}  {run['arc_length_m'][k] / CM:10.1f}"
-            f"  {x:7.1f} {y:5.1f} {z:5.1f}  {run['coupling_distance_m'][k] / CM:13.1f}"
-            f"  {pull:9.0f}  {run['coupling_angle_rad'][k] / DEG:13.1f}"
-            f"  {run['coupling_lost'][k] or 'held'} in the {run['segment'][k]}"
-        )
-    print(f"Look at {out / 'preview.mp4'} and {out / 'sheet.png'}.")
+
+def drive(scenario: vrcaps.Scenario) -> int:
+    """Simulates until the capsule is there; prints how it goes; the number of frames until then."""
+    _, run = build(*resolve(scenario))
+    assert isinstance(run, Simulation)
+    assert run.commander is not None
+    follower = run.commander.follower
+    assert follower is not None
+    print("time [s]  along the way [cm]  distance [cm]  pull [mN]  off field [°]  state")
+    frame = 0
+    for frame, instant in enumerate(run.instants()):
+        assert instant.conditions is not None
+        steered, coupling = instant.conditions.steered, instant.state.coupling
+        assert steered is not None
+        assert coupling is not None
+        if follower.arrived or frame % round(2.0 * run.fps) == 0:
+            print(
+                f"{instant.state.time:8.1f}  {follower.along / CM:12.1f} of"
+                f" {follower.path.length / CM:.1f}  {coupling.distance / CM:13.1f}"
+                f"  {1e3 * np.linalg.norm(coupling.force_world):9.0f}"
+                f"  {coupling.angle / DEG:13.1f}  {steered.lost or 'held'}"
+            )
+        if follower.arrived:
+            print("The pylorus is reached.")
+            break
+    return frame + 1
+
+
+def draw(episode: Episode, path: Path) -> None:
+    """The stomach's outline, the capsule's way and the magnet's, from the front and the side."""
+    import matplotlib.pyplot as plt
+
+    run, organ = episode.table.columns, episode.organ
+    capsule = episode.Ts_world_capsule[:, :3, 3] / CM
+    magnet = np.stack([run[f"magnet_{axis}_m"] for axis in "xyz"], axis=1) / CM
+    figure, views = plt.subplots(1, 2, figsize=(10, 4.5), sharey=True, layout="constrained")
+    for view, axis, name in ((views[0], 0, "towards the left"), (views[1], 1, "towards the head")):
+        wall = organ.vertices[:, [axis, 2]] / CM
+        view.triplot(*wall.T, organ.faces, color="#d07070", lw=0.05)
+        view.plot(*magnet[:, [axis, 2]].T, "-", color="#b03030", label="magnet")
+        view.plot(*capsule[:, [axis, 2]].T, "-o", color="#205080", ms=2.5, label="capsule")
+        view.plot(*capsule[-1, [axis, 2]], "s", color="black", label="end")
+        view.set(aspect="equal", xlabel=f"{name} [cm]")
+    views[0].set(ylabel="height [cm]")
+    views[0].legend(loc="lower left")
+    figure.savefig(path, dpi=150)
+    plt.close(figure)
 
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--out", type=Path, default=Path("runs/magnet"))
-    parser.add_argument("--frames", type=int, default=21)
     parser.add_argument("--fps", type=float, default=2.0)
     parser.add_argument("--smoke", action="store_true", help="record three frames only, coarsely")
     args = parser.parse_args()
     if args.smoke:
-        main(args.out, 3, args.fps, 1e-3)
+        main(args.out, args.fps, 1e-3, 3)
     else:
-        main(args.out, args.frames, args.fps, 2e-4)
+        main(args.out, args.fps, 2e-4, None)

@@ -18,7 +18,7 @@ from vrcaps.capsule.catalog import load_device
 from vrcaps.magnet.arm.kinematics import frames
 from vrcaps.magnet.field import SourceSet
 from vrcaps.organ.stomach import StomachParameters, generate_stomach
-from vrcaps.transforms import transform_points
+from vrcaps.transforms import invert, transform_points
 from vrcaps.units import CM
 from vrcaps.world.magnet_motion import MagnetSteering
 from vrcaps.world.model import Model, posture_transform
@@ -70,7 +70,12 @@ def draw_lines(axes: plt.Axes, sources: list, height: tuple, width: tuple, depth
     """Field lines in the plane across the patient through the magnet's centre."""
     x, z = np.linspace(*width, 90) * CM, np.linspace(*height, 80) * CM
     points = np.stack(np.meshgrid(x, [depth], z, indexing="ij"), -1).reshape(-1, 3)
-    flux = SourceSet(sources).field(points)[0].reshape(len(x), len(z), 3)
+    flux = SourceSet(sources).field(points)[0]
+    # At the magnet's rim the field jumps between points of the grid: no lines in it.
+    inside = transform_points(invert(sources[0].T_world_magnet), points)
+    size = np.hypot(*inside[:, :2].T) < 0.5 * sources[0].diameter + CM
+    flux[size & (np.abs(inside[:, 2]) < 0.5 * sources[0].length + CM)] = np.nan
+    flux = flux.reshape(len(x), len(z), 3)
     axes.streamplot(
         *(x / CM, z / CM, flux[..., 0].T, flux[..., 2].T),
         density=1.3,

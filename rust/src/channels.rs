@@ -30,9 +30,11 @@ pub struct Channels<'a> {
     pub sparse_position: Option<&'a mut [f32]>,
     pub sparse_face: Option<&'a mut [i32]>,
     pub sparse_weights: Option<&'a mut [f32]>,
+    pub sparse_bend: Option<&'a mut [u8]>,
     pub front_label: Option<&'a mut [u8]>,
     pub front_instance: Option<&'a mut [u16]>,
     pub front_depth: Option<&'a mut [f32]>,
+    pub bend_label: Option<&'a mut [u8]>,
 }
 
 impl<'a> Channels<'a> {
@@ -55,10 +57,12 @@ impl<'a> Channels<'a> {
         let (mut front_label, mut front_depth) =
             (cut(self.front_label, n), cut(self.front_depth, n));
         let mut front_instance = cut(self.front_instance, n);
+        let mut bend_label = cut(self.bend_label, n);
         let s = sparse(width) * TILE / STEP;
         let mut sparse_position = cut(self.sparse_position, s * 3);
         let (mut sparse_face, mut sparse_weights) =
             (cut(self.sparse_face, s), cut(self.sparse_weights, s * 2));
+        let mut sparse_bend = cut(self.sparse_bend, s);
         (0..count)
             .map(|_| Channels {
                 rgb: rgb.next().flatten(),
@@ -76,9 +80,11 @@ impl<'a> Channels<'a> {
                 sparse_position: sparse_position.next().flatten(),
                 sparse_face: sparse_face.next().flatten(),
                 sparse_weights: sparse_weights.next().flatten(),
+                sparse_bend: sparse_bend.next().flatten(),
                 front_label: front_label.next().flatten(),
                 front_instance: front_instance.next().flatten(),
                 front_depth: front_depth.next().flatten(),
+                bend_label: bend_label.next().flatten(),
             })
             .collect()
     }

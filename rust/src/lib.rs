@@ -36,8 +36,13 @@ fn _core(m: &Bound<'_, PyModule>) -> PyResult<()> {
     m.add_class::<wall::Wall>()?;
     m.add_class::<fem::layer::FemLayer>()?;
     m.add_class::<magnet::arm::ArmChain>()?;
+    m.add_class::<magnet::carrier::ArmCarrier>()?;
+    m.add_class::<magnet::holder::ArmHolder>()?;
     m.add_class::<magnet::handle::FieldSources>()?;
     m.add_function(wrap_pyfunction!(magnet::aim::aim_magnet, m)?)?;
+    m.add_function(wrap_pyfunction!(magnet::turn::turned_rows, m)?)?;
+    m.add_function(wrap_pyfunction!(magnet::turn::vector_of, m)?)?;
+    m.add_function(wrap_pyfunction!(magnet::turn::towards_of, m)?)?;
     m.add_class::<physics::world::World>()?;
     m.add_class::<contents::Contents>()?;
     m.add_class::<contents::swarm::Swarm>()?;
@@ -47,6 +52,7 @@ fn _core(m: &Bound<'_, PyModule>) -> PyResult<()> {
     m.add_class::<rays::RayTable>()?;
     m.add_class::<indirect::QuickLight>()?;
     m.add_function(wrap_pyfunction!(render::render, m)?)?;
+    m.add_function(wrap_pyfunction!(path::walk::walk_tissue, m)?)?;
     m.add_function(wrap_pyfunction!(channels::encode_srgb, m)?)?;
     m.add_function(wrap_pyfunction!(image::write_pngs, m)?)?;
     m.add_function(wrap_pyfunction!(image::encode_pngs, m)?)?;

@@ -2,6 +2,7 @@
 //! diffuse base, a dielectric GGX lobe and a clear coat.
 
 use crate::lanes::*;
+use crate::tile::MISS;
 use std::f32::consts::PI;
 
 /// Reflectance that is the same all over the wall.
@@ -29,6 +30,7 @@ pub struct Led {
 }
 
 /// What a tile's rays have hit, ready to be lit.
+#[derive(Clone)]
 pub struct Surface {
     /// Points [m].
     pub position: Lane3,
@@ -40,6 +42,20 @@ pub struct Surface {
     pub albedo: Lane3,
     /// Perceptual roughness.
     pub roughness: Lane,
+}
+
+impl Surface {
+    /// The surface without its base where it is a wall, whose light goes through the tissue.
+    #[inline(always)]
+    pub fn bare(&self, triangles: &[u32; LANES]) -> Surface {
+        let mut bare = self.clone();
+        for albedo in &mut bare.albedo {
+            for i in 0..LANES {
+                albedo[i] = if triangles[i] == MISS { albedo[i] } else { 0.0 };
+            }
+        }
+        bare
+    }
 }
 
 /// Adds the radiance [W/(sr·m²)] that an LED's light leaves towards the viewer.
@@ -62,6 +78,30 @@ pub fn add_light(
         for k in 0..3 {
             radiance[k][i] +=
                 led.intensity[k] * power * (surface.albedo[k][i] * diffuse[i] + specular[i]);
+        }
+    }
+}
+
+/// Adds the radiance [W/(sr·m²)] that an LED's light leaves on tissue without absorption, by what
+/// passes its border: of this refractive index, and of even light this share.
+#[inline(always)]
+pub fn add_leaving(
+    surface: &Surface,
+    (ior, entering): (f32, f32),
+    led: &Led,
+    radiance: &mut Lane3,
+) {
+    for i in 0..LANES {
+        let offset = sub(led.position, at(&surface.position, i));
+        let square = max(dot(offset, offset), 1e-12);
+        let light = scale(offset, 1.0 / square.sqrt());
+        let cosine = clamp(dot(at(&surface.normal, i), light), 0.0, 1.0);
+        let axis = clamp(-dot(light, led.direction), 0.0, 1.0);
+        let lobe = if led.exponent == 0.0 { 1.0 } else { pow(axis, led.exponent) };
+        let passes = (1.0 - fresnel(max(cosine, 1e-6), ior)) * cosine;
+        let weight = passes * lobe / (PI * entering * square);
+        for k in 0..3 {
+            radiance[k][i] += led.intensity[k] * weight;
         }
     }
 }

@@ -6,7 +6,8 @@ use crate::contents::tile::{Filled, Room};
 use crate::cpu::on_pool;
 use crate::indirect::{Irradiance, QuickLight};
 use crate::lanes::*;
-use crate::material::Led;
+use crate::material::{Led, Surface};
+use crate::path::afloat::Afloat;
 use crate::path::{First, Settings, wave};
 use crate::rays::{RayTable, TileRays};
 use crate::scene::{Scene, SceneData};
@@ -70,6 +71,18 @@ impl View<'_> {
         let (center, paths, bounced) = (wall.center, None, None);
         Ok(View { origin, to_world, to_camera, center, leds, exposure, shadows, paths, bounced })
     }
+
+    /// What LEDs light directly of surfaces behind which light goes on through tissue, if it does;
+    /// `triangles` are `MISS` where there is no wall.
+    #[inline(always)]
+    pub fn bare(
+        &self,
+        scene: &SceneData,
+        surface: &Surface,
+        triangles: &[u32; LANES],
+    ) -> Option<Surface> {
+        self.paths.and(scene.tissue.as_ref()).map(|_| surface.bare(triangles))
+    }
 }
 
 /// Renders the channels of `out`, a dictionary of C-contiguous arrays of the table's shape.
@@ -128,9 +141,11 @@ pub fn render(
     let mut sparse_position = take::<f32>(out, "sparse_position", few, 3)?;
     let mut sparse_face = take::<i32>(out, "sparse_face", few, 1)?;
     let mut sparse_weights = take::<f32>(out, "sparse_weights", few, 2)?;
+    let mut sparse_bend = take::<u8>(out, "sparse_bend", few, 1)?;
     let mut front_label = take::<u8>(out, "front_label", shape, 1)?;
     let mut front_instance = take::<u16>(out, "front_instance", shape, 1)?;
     let mut front_depth = take::<f32>(out, "front_depth", shape, 1)?;
+    let mut bend_label = take::<u8>(out, "bend_label", shape, 1)?;
     let channels = Channels {
         rgb: slice(&mut rgb)?,
         radiance: slice(&mut radiance)?,
@@ -147,9 +162,11 @@ pub fn render(
         sparse_position: slice(&mut sparse_position)?,
         sparse_face: slice(&mut sparse_face)?,
         sparse_weights: slice(&mut sparse_weights)?,
+        sparse_bend: slice(&mut sparse_bend)?,
         front_label: slice(&mut front_label)?,
         front_instance: slice(&mut front_instance)?,
         front_depth: slice(&mut front_depth)?,
+        bend_label: slice(&mut bend_label)?,
     };
     let quick = quick.zip(rest.as_deref()).filter(|_| channels.wants_light());
     on_pool(py, || {
@@ -198,11 +215,12 @@ fn glow(
     scene: &SceneData,
     view: &View<'_>,
     tiles: &[TileRays],
+    afloat: Option<Afloat<'_>>,
     first: impl FnMut((usize, &TileRays)) -> First,
 ) -> Option<Vec<Lane3>> {
     let settings = view.paths?;
     let pixel_angle = tiles.iter().fold(0.0, |angle, tile| max(angle, tile.pixel_angle));
-    let tracer = wave::Tracer { wall, scene, leds: &view.leds, pixel_angle, settings };
+    let tracer = wave::Tracer { wall, scene, leds: &view.leds, pixel_angle, settings, afloat };
     let firsts: Vec<First> = tiles.iter().enumerate().map(first).collect();
     Some(wave::indirect(&tracer, &firsts))
 }
@@ -227,7 +245,7 @@ fn render_band(
         let pixel = area.pixels(column);
         First { surface, hit: found.hit, triangle: hits.triangle, pixel }
     };
-    let glow = if out.wants_light() { glow(wall, scene, view, tiles, first) } else { None };
+    let glow = if out.wants_light() { glow(wall, scene, view, tiles, None, first) } else { None };
     for (column, tile) in tiles.iter().enumerate() {
         let glow = glow.as_ref().map(|tiles| &tiles[column]);
         render_tile(wall, scene, view, tile, area.place(column), glow, out);
@@ -244,7 +262,8 @@ fn render_filled_band(filled: &Filled<'_>, tiles: &[TileRays], area: Area, out: 
     let Filled { wall, scene, view, .. } = *filled;
     let first =
         |(column, tile): (usize, &TileRays)| filled.first(tile, area.pixels(column), &mut room);
-    let glow = if out.wants_light() { glow(wall, scene, view, tiles, first) } else { None };
+    let afloat = Some(filled.afloat());
+    let glow = if out.wants_light() { glow(wall, scene, view, tiles, afloat, first) } else { None };
     for (column, tile) in tiles.iter().enumerate() {
         let glow = glow.as_ref().map(|tiles| &tiles[column]);
         filled.render_tile(tile, area.place(column), glow, &mut room, out);
@@ -280,8 +299,9 @@ fn render_tile(
     let found = attributes(wall, scene, view.origin, &rays.directions, &hits);
     if out.wants_color() {
         let surface = surface(scene, &found, &hits.distance, tile.pixel_angle);
-        let mut radiance =
-            light(wall, &scene.material, &view.leds, view.shadows, &surface, &found.hit);
+        let bare = view.bare(scene, &surface, &hits.triangle);
+        let lit = bare.as_ref().unwrap_or(&surface);
+        let mut radiance = light(wall, &scene.material, &view.leds, view.shadows, lit, &found.hit);
         if let Some(bounced) = &view.bounced {
             bounced.add((&surface, &found.normal), &hits, &mut radiance);
         }

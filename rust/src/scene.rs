@@ -2,6 +2,7 @@
 
 use crate::lanes::Vec3;
 use crate::material::Material;
+use crate::path::walk::Tissue;
 use crate::texture::Texture;
 use numpy::{PyReadonlyArray1, PyReadonlyArray3};
 use pyo3::{exceptions::PyValueError, prelude::*};
@@ -32,6 +33,8 @@ pub struct SceneData {
     pub roughness: f32,
     /// Reflectance that is the same all over.
     pub material: Material,
+    /// Tissue behind the wall, if paths go through it.
+    pub tissue: Option<Tissue>,
 }
 
 /// A texture that Python also holds.
@@ -56,9 +59,11 @@ pub struct Scene {
 impl Scene {
     /// Takes uv [m 3 2], label [m] and instance [m] of faces, arc length [n] of vertices in metres,
     /// `texture` or a plain linear `albedo` and `roughness`, and `reflectance` (refractive index,
-    /// coat strength, coat roughness α).
+    /// coat strength, coat roughness α). `tissue` lets paths go through the wall: reduced scattering
+    /// of red, green and blue [1/m], refractive index, share of even light that enters, and
+    /// √(1 − single-scattering albedo) of base colours 0 to 1 in even steps.
     #[new]
-    #[pyo3(signature = (uv, label, instance, arc_length, *, texture, albedo, roughness, reflectance))]
+    #[pyo3(signature = (uv, label, instance, arc_length, *, texture, albedo, roughness, reflectance, tissue=None))]
     #[allow(clippy::too_many_arguments)] // one keyword each, called in one place
     fn new(
         uv: PyReadonlyArray3<'_, f32>,
@@ -69,6 +74,7 @@ impl Scene {
         albedo: Vec3,
         roughness: f32,
         reflectance: (f32, f32, f32),
+        tissue: Option<(Vec3, f32, f32, Vec<f32>)>,
     ) -> PyResult<Self> {
         let (uv, label, instance) = (uv.as_array(), label.as_array(), instance.as_array());
         let (faces, corners, components) = uv.dim();
@@ -91,6 +97,12 @@ impl Scene {
             albedo,
             roughness,
             material: Material { ior, coat, coat_alpha },
+            tissue: tissue.map(|(scattering, ior, entering, roots)| Tissue {
+                scattering,
+                ior,
+                entering,
+                roots,
+            }),
         };
         Ok(Scene { data })
     }

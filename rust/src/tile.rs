@@ -49,6 +49,13 @@ impl Hits {
 }
 
 impl Pyramid {
+    /// No rays yet, and nothing known of them.
+    #[inline(always)]
+    pub fn open() -> Self {
+        let directions = [[0.0; LANES]; 3];
+        Pyramid { directions, sides: [[0.0; 3]; 4], axis: [0.0; 3], closed: false }
+    }
+
     /// The pyramid around unit `directions`; lanes where `used` is false do not count.
     #[inline(always)]
     pub fn around(directions: Lane3, used: &[bool; LANES]) -> Self {

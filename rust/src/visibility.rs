@@ -6,7 +6,7 @@ use crate::wall::Wall;
 use rayon::prelude::*;
 
 /// Share of the way that must be free: the point itself lies on the wall.
-const FREE_WAY: f32 = 1.0 - 1e-4;
+pub const FREE_WAY: f32 = 1.0 - 1e-4;
 
 /// Unit directions from `origin` to each of a tile's points, and how far along them the way must
 /// be free [m]: 0 in lanes not `used`.

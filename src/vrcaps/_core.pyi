@@ -65,6 +65,7 @@ class World:
         duration: float,
         pose: NDArray[np.float64],
     ) -> None: ...
+    def pose_in(self, wall: NDArray[np.float64]) -> NDArray[np.float64]: ...
     def pulled(
         self, point: tuple[float, ...]
     ) -> tuple[Vector, Vector, Vector, tuple[float, ...], int] | None: ...
@@ -121,6 +122,9 @@ def aim_magnet(
     wanted: Any,
     rounds: int,
 ) -> tuple[NDArray[np.float64], Vector, Vector, float]: ...
+def turned(vector: Any, matrix: NDArray[np.float64]) -> NDArray[np.float64]: ...
+def rotation_vector(matrix: NDArray[np.float64]) -> NDArray[np.float64]: ...
+def towards(start: Any, end: Any, most: float, about: Any) -> NDArray[np.float64]: ...
 
 class ArmChain:
     """An arm of turning joints (`vrcaps.magnet.arm`)."""
@@ -137,12 +141,53 @@ class ArmChain:
     def jacobian(self, angles: NDArray[np.float64]) -> NDArray[np.float64]: ...
     def inverse(self, targets: NDArray[np.float64], last: Any) -> NDArray[np.float64]: ...
     def nearest(
-        self, targets: NDArray[np.float64], near: NDArray[np.float64]
+        self,
+        targets: NDArray[np.float64],
+        near: NDArray[np.float64],
+        others: NDArray[np.float64] | None = None,
     ) -> NDArray[np.float64]: ...
-    def follow(self, targets: NDArray[np.float64], start: Any) -> NDArray[np.float64]: ...
+    def follow(
+        self, targets: NDArray[np.float64], start: Any, others: NDArray[np.float64] | None = None
+    ) -> NDArray[np.float64]: ...
     def clearance(
         self, angles: NDArray[np.float64], table: tuple[Any, Any] | None = None
     ) -> NDArray[np.float64]: ...
+
+class ArmCarrier:
+    """An arm with a magnet (`vrcaps.magnet.arm.carrier`)."""
+
+    def __init__(
+        self,
+        arm: ArmChain,
+        loaded: ArmChain,
+        base: NDArray[np.float64],
+        mount: NDArray[np.float64],
+        size: tuple[float, float],
+        table: float | None,
+    ) -> None: ...
+    def clearance(self, angles: NDArray[np.float64]) -> NDArray[np.float64]: ...
+    def lowest(self, magnet: NDArray[np.float64]) -> float: ...
+
+class ArmHolder:
+    """An arm that leads its magnet (`vrcaps.magnet.steering.arm_holder`)."""
+
+    def __init__(
+        self,
+        carrier: ArmCarrier,
+        joints: NDArray[np.float64],
+        room: tuple[Vector, Vector],
+        along: Vector,
+        speeds: tuple[float, float],
+    ) -> None: ...
+    def rolled(self, goal: NDArray[np.float64]) -> NDArray[np.float64]: ...
+    def move_on(
+        self,
+        magnet: NDArray[np.float64],
+        velocity: NDArray[np.float64],
+        angles: NDArray[np.float64],
+        goal: NDArray[np.float64],
+        dt: float,
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], str]: ...
 
 class Texture:
     """Packed albedo, roughness and relief with mip levels."""
@@ -165,6 +210,7 @@ class Scene:
         albedo: tuple[float, float, float],
         roughness: float,
         reflectance: tuple[float, float, float],
+        tissue: tuple[tuple[float, float, float], float, float, NDArray[np.float32]] | None = None,
     ) -> None: ...
 
 class RayTable:
@@ -205,6 +251,9 @@ class Contents:
     def free(
         self, wall: Wall, origin: tuple[float, float, float], points: NDArray[np.float64]
     ) -> NDArray[np.bool_]: ...
+    def free_ways(
+        self, wall: Wall, starts: NDArray[np.float64], points: NDArray[np.float64]
+    ) -> NDArray[np.bool_]: ...
 
 class QuickLight:
     def __init__(self, rest: Wall, scene: Scene) -> None: ...
@@ -227,6 +276,17 @@ def render(
     paths: tuple[int, int, int] | None = None,
     quick: QuickLight | None = None,
 ) -> None: ...
+def walk_tissue(
+    wall: Wall,
+    origin: tuple[float, float, float],
+    direction: tuple[float, float, float],
+    *,
+    albedo: tuple[float, float, float],
+    extinction: tuple[float, float, float],
+    ior: float,
+    count: int,
+    seed: int,
+) -> tuple[NDArray[np.float64], NDArray[np.float32]]: ...
 def encode_srgb(radiance: NDArray[np.float32], exposure: float) -> NDArray[np.uint8]: ...
 def blur_motion(
     image: NDArray[np.float32],
@@ -246,6 +306,11 @@ def scale_planes(
     planes: NDArray[np.float32], center: tuple[float, float], scales: Vector
 ) -> NDArray[np.float32]: ...
 def shade_planes(planes: NDArray[np.float32], map: NDArray[np.float32]) -> NDArray[np.float32]: ...
+def through_dome(
+    planes: NDArray[np.float32],
+    film: tuple[NDArray[np.float32], NDArray[np.float32], float] | None = None,
+    drops: tuple[NDArray[np.uint32], NDArray[np.uint32], NDArray[np.float32]] | None = None,
+) -> NDArray[np.float32]: ...
 def bloom(planes: NDArray[np.float32], share: float, sigma: float) -> NDArray[np.float32]: ...
 def normals(shape: tuple[int, int], key: int, stream: int) -> NDArray[np.float32]: ...
 def read_sensor(

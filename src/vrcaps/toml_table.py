@@ -7,8 +7,10 @@ Numbers are read as decimals and converted to SI exactly, so that a value writte
 from __future__ import annotations
 
 import json
+import tomllib
 from dataclasses import dataclass, field
 from decimal import Context, Decimal
+from pathlib import Path
 from typing import Any
 
 from vrcaps.errors import InputError
@@ -34,6 +36,21 @@ class TomlTable:
     entries: dict[str, Any]
     where: str
     _known: list[str] = field(default_factory=list)
+
+    @classmethod
+    def read(cls, path: Path, kind: str) -> TomlTable:
+        """The table of a whole file; `kind` says in a word what the file describes.
+
+        Raises:
+            InputError: If the file cannot be read or is no TOML.
+        """
+        try:
+            entries = tomllib.loads(path.read_text(encoding="utf-8"), parse_float=Decimal)
+        except OSError as error:
+            raise InputError(f"Cannot read the {kind} file {path}: {error.strerror}.") from error
+        except (UnicodeDecodeError, tomllib.TOMLDecodeError, ArithmeticError) as error:
+            raise InputError(f"The {kind} file {path} is not TOML: {error}.") from error
+        return cls(entries, path.name)
 
     def take(self, key: str, allowed: str) -> Any:
         """Value of a key that must be there; `allowed` says in words what it is."""

@@ -7,6 +7,7 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
+import failing
 import numpy as np
 import pytest
 import SimpleITK as sitk
@@ -62,13 +63,7 @@ def run(args: list[str]) -> None:
 
 
 def fail(args: list[str], capsys: pytest.CaptureFixture[str]) -> str:
-    """The one line on stderr of a command that ends in status 2."""
-    with pytest.raises(SystemExit, match="2"):
-        run(args)
-    error = capsys.readouterr().err
-    assert error.startswith("vrcaps: ")
-    assert error.count("\n") == 1
-    return error
+    return failing.fail(["organ", "from-ct", *args, "--edge-mm", "3"], capsys)
 
 
 def test_gas_becomes_a_file_that_records(files, tmp_path, capsys) -> None:

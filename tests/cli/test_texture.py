@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import failing
 import numpy as np
 import pytest
 from PIL import Image
@@ -30,13 +31,7 @@ def run(args: list[str]) -> None:
 
 
 def fail(args: list[str], capsys: pytest.CaptureFixture[str]) -> str:
-    """The one line on stderr of a command that ends in status 2."""
-    with pytest.raises(SystemExit, match="2"):
-        run(args)
-    error = capsys.readouterr().err
-    assert error.startswith("vrcaps: ")
-    assert error.count("\n") == 1
-    return error
+    return failing.fail(["organ", "texture", *args], capsys)
 
 
 def test_photographs_become_a_texture_with_a_report(frames, tmp_path, capsys) -> None:

@@ -8,6 +8,7 @@ import pytest
 from vrcaps.errors import InputError
 from vrcaps.metrics.color import (
     color_distance,
+    highlights,
     image_color,
     lab_from_srgb,
     linear_from_srgb,
@@ -110,3 +111,28 @@ def test_bad_input():
         image_color(image, np.eye(24, 20, dtype=bool))
     with pytest.raises(InputError, match="Sets of 0 and 1 images"):
         color_distance([], [image_color(image, all_of(image))])
+
+
+def test_highlights_are_counted_with_their_share():
+    """Three squares, two of which touch at a corner, of a wall that reflects little blue."""
+    image = np.full((20, 20, 3), (220, 120, 90), np.uint8)
+    for y, x in ((2, 2), (4, 4), (12, 12)):
+        image[y : y + 2, x : x + 2] = 250
+    share, count = highlights(image, all_of(image))
+    assert share == pytest.approx(12 / 400)
+    assert count == 2
+
+
+def test_highlights_outside_the_mask_do_not_count():
+    image = np.full((8, 8, 3), 255, np.uint8)
+    valid = np.zeros((8, 8), bool)
+    valid[:, :4] = True
+    assert highlights(image, valid) == (1.0, 1)
+    image[:, :4] = (255, 255, 170)  # overexposed, but yellow: 170 is 0.40 of white
+    assert highlights(image, valid) == (0.0, 0)
+
+
+@pytest.mark.parametrize("shape", [(4, 8), (8, 8)])
+def test_highlights_need_a_mask_with_pixels(shape):
+    with pytest.raises(InputError, match=r"The mask has shape .* and 0 pixels; allowed: \(8, 8\)"):
+        highlights(np.zeros((8, 8, 3), np.uint8), np.zeros(shape, bool))

@@ -1,5 +1,6 @@
 import json
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,7 +9,10 @@ from vrcaps.organ.read import read_mesh
 from vrcaps.organ.surface import Mesh
 from vrcaps.record.check import check_episode
 from vrcaps.record.files import read_image, write_images
+from vrcaps.record.recorder import record
 from vrcaps.record.table import FrameTable, read_table, write_table
+from vrcaps.tissue.contents.contents import Contents
+from vrcaps.tissue.contents.liquid import Liquid
 
 
 @pytest.fixture
@@ -46,6 +50,24 @@ def test_a_whole_episode_has_no_problems(recorded):
     calls = []
     assert check_episode(recorded, progress=lambda *call: calls.append(call)) == []
     assert calls == [(i, 5) for i in range(1, 6)]
+
+
+@pytest.mark.parametrize("says_where", [True, False])
+def test_liquid_bends_rays_and_is_no_problem(scenario, tmp_path, says_where):
+    channels = ("depth", "ray_distance", "normal", *(("bend_label",) if says_where else ()))
+    wet = replace(scenario, frames=2, contents=Contents(liquid=Liquid(0.3)), channels=channels)
+    out = record(wet, tmp_path / "wet")
+    assert check_episode(out) == []
+    if not says_where:
+        return
+    labels = np.stack([read_image(p) for p in sorted(out.glob("front/bend_label/*.png"))])
+    assert (labels > 0).mean() > 0.05
+    _edit_image(
+        out,
+        "front/ray_distance/000000.png",
+        lambda stored: stored + np.where(labels[0] == 0, 40, 0).astype(stored.dtype),
+    )
+    _found(out, "front/ray_distance/000000.png", "agrees with")
 
 
 def test_no_episode(tmp_path):

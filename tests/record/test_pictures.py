@@ -8,7 +8,7 @@ from vrcaps.record.pictures import contact_sheet, limits_of, picture
 from vrcaps.record.preview import Preview
 from vrcaps.render.frame import CHANNELS
 
-FRONT = ("front_label", "front_instance", "front_depth")
+FRONT = ("front_label", "front_instance", "front_depth", "bend_label", "dome_label")
 
 
 @pytest.mark.parametrize("channel", [name for name in CHANNELS if name not in FRONT])

@@ -52,10 +52,14 @@ def test_toml_with_few_keys(tmp_path):
     path = tmp_path / "scenario.toml"
     path.write_text(
         'frames = 7\n[organ]\nkind = "generated"\nseed = 4\ncondition = "collapsed"\n'
+        "[render]\nshadows = true\n"
         '[motion]\nkind = "fly-through"\nspeed = 1e-2\n'
     )
     expected = Scenario(
-        OrganGenerated(seed=4, condition="collapsed"), frames=7, motion=FlyThrough(speed=0.01)
+        OrganGenerated(seed=4, condition="collapsed"),
+        frames=7,
+        motion=FlyThrough(speed=0.01),
+        render=RenderSettings(light="quick", shadows=True),
     )
     assert read_scenario(path) == expected
 

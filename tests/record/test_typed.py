@@ -20,6 +20,12 @@ class Dog:
 
 
 @dataclass(frozen=True)
+class Keeper:
+    age: int = 30
+    hours: float = 8.0
+
+
+@dataclass(frozen=True)
 class Zoo:
     star: Cat | Dog
     size: float = 1.0
@@ -29,6 +35,8 @@ class Zoo:
     names: tuple[str, ...] = ()
     corner: tuple[int, float] = (0, 0.5)
     cats: tuple[Cat, ...] = field(default_factory=tuple)
+    keeper: Keeper = Keeper(age=50)
+    guard: Cat | Dog = Dog("Rex")
 
 
 def test_round_trip():
@@ -43,6 +51,13 @@ def test_defaults_and_whole_numbers_as_floats():
     zoo = from_plain(Zoo, {"star": {"kind": "cat"}, "size": 3}, at="zoo")
     assert zoo == Zoo(Cat(), 3.0)
     assert isinstance(zoo.size, float)
+
+
+def test_a_part_of_a_table_leaves_the_rest_as_its_field_has_it():
+    star = {"kind": "cat"}
+    zoo = from_plain(Zoo, {"star": star, "keeper": {"hours": 6}, "guard": star}, at="zoo")
+    assert zoo == Zoo(Cat(), keeper=Keeper(50, 6.0), guard=Cat())
+    assert from_plain(Zoo, {"star": star, "guard": {"kind": "dog"}}, at="zoo") == Zoo(Cat())
 
 
 @pytest.mark.parametrize(

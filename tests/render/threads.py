@@ -23,7 +23,7 @@ def digests_by_threads(test: Path, threads: Iterable[int]) -> tuple[list[int], s
     results = [
         subprocess.run(
             [sys.executable, "-c", code],
-            env={**os.environ, "RAYON_NUM_THREADS": str(count)},
+            env={**os.environ, "RAYON_NUM_THREADS": str(count), "OIDN_NUM_THREADS": str(count)},
             capture_output=True,
             text=True,
             check=True,

@@ -56,6 +56,14 @@ def test_an_arm_leads_the_capsule_from_place_to_place(gut_model):
     assert table["coupling_angle_rad"].max() < 0.3
 
 
+def test_says_when_the_arm_could_not_carry_the_magnet(gut_model):
+    """The default one it can; a free hand has no such limit."""
+    assert simulate(gut_model, MagnetSteering(arm="panda", skin=0.1)).notes == ()
+    assert simulate(gut_model, MagnetSteering("cylinder-101.6")).notes == ()
+    (note,) = simulate(gut_model, MagnetSteering("cylinder-101.6", arm="panda", skin=0.1)).notes
+    assert "6.2 kg, but arm panda may carry 3 kg" in note
+
+
 def test_a_joystick_moves_the_magnet(gut_model):
     steering = MagnetSteering(axes=(Axes(0.2, (1.0, 0.0, 0.0)), Axes(0.4)), joystick_speed=0.05)
     states = [instant.conditions.steered for instant in simulate(gut_model, steering, 4).instants()]

@@ -15,7 +15,7 @@ from vrcaps.magnet.internal import InternalMagnet
 from vrcaps.magnet.sources import MAGNETIC_CONSTANT, Coil, Cylinder, Dipole, Uniform, magnet_pose
 from vrcaps.tissue.drag import Drag
 from vrcaps.tissue.tissue import Tissue
-from vrcaps.transforms import rotate_vectors, transform_from
+from vrcaps.transforms import matrix_from_quaternion, rotate_vectors, transform_from
 from vrcaps.world.control import Control
 from vrcaps.world.model import Model, State, posture_transform
 from vrcaps.world.world import GRAVITY, World
@@ -212,3 +212,14 @@ def test_what_cannot_be(wide):
     dipole = make_world(wide, (0, 0, 0.3), [Dipole(1e-9, magnet_pose(at, (0, 0, 1)))])
     with pytest.raises(InputError, match="comes into a dipole"):
         dipole.step(lifted(dipole), 0.001)
+
+
+def test_the_pose_is_that_of_the_patient_and_the_capsule_in_it(wide):
+    """T_world_capsule = T_world_patient T_patient_capsule, also once the patient has turned."""
+    world = make_world(wide, (0, 0, 1.0), [], wxyz_z=(1, 2, 3), T_world_patient=np.eye(4))
+    for posture in ("supine", "left-lateral"):
+        world.step(replace(lifted(world), T_world_patient=posture_transform(posture)), 0.01)
+        place, wxyz = np.split(world.snapshot().capsule[:7], [3])
+        inner = transform_from(matrix_from_quaternion(wxyz), place + world._center)
+        outer = posture_transform(posture)
+        np.testing.assert_allclose(world.T_world_capsule, outer @ inner, atol=1e-15)

@@ -36,8 +36,10 @@ pub struct Behind<'a> {
 
 /// How the tile looks.
 pub struct Eye<'a> {
-    /// Where the rays start.
+    /// Where the rays come from, on average.
     pub origin: Vec3,
+    /// Where each ray starts.
+    pub starts: &'a Lane3,
     /// Unit rays and the pyramid around them.
     pub rays: &'a Pyramid,
     /// Angle between pixels [rad].
@@ -77,6 +79,13 @@ impl Film {
                 self.add_image(sphere, ways, eye, led, (blur, front), behind);
             }
         }
+    }
+
+    /// Share of light that one crossing of the shell lets through, by the squared distance of the
+    /// ray from the centre as a share of the radius' square.
+    pub fn passes(&self, miss: f32) -> f32 {
+        let surface = fresnel(max(1.0 - miss, 0.0).sqrt(), self.ior);
+        1.0 - 2.0 * surface / (1.0 + surface)
     }
 
     /// Transmission and reflection of one crossing of the shell.
@@ -134,7 +143,8 @@ impl Film {
         }
         for i in 0..LANES {
             let seen = (ways[i] > 0.0) & (ways[i] < behind.distance[i]);
-            let point = add(eye.origin, scale(at(&eye.rays.directions, i), ways[i]));
+            let way = scale(at(&eye.rays.directions, i), ways[i]);
+            let point = add(at(eye.starts, i), way);
             let apart = sub(scale(sub(point, sphere.center), inverse), mirror);
             let image = if seen { peak * exp2(-steepness * dot(apart, apart)) } else { 0.0 };
             for k in 0..3 {
@@ -195,7 +205,7 @@ struct Shell {
 
 /// Share of an LED's intensity in the direction that its light travels, `-light`.
 #[inline(always)]
-pub fn led_lobe(led: &Led, light: Vec3) -> f32 {
+fn led_lobe(led: &Led, light: Vec3) -> f32 {
     let cosine = clamp(-dot(light, led.direction), 0.0, 1.0);
     if led.exponent == 0.0 {
         1.0

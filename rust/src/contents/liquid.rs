@@ -1,13 +1,12 @@
 //! Pools with level surfaces: what light loses and gains on its way through them.
 //!
 //! A pool is known by its level and by the vertices of the wall that lie along its stretch of the
-//! gut. A ray has crossed the surface where it meets the level, if what it meets in the end lies
-//! under it. The surface mirrors and lets through by Fresnel's law and turns no ray; the liquid
-//! absorbs, and scatters once, the same to all sides.
+//! gut. The surface mirrors and lets through by Fresnel's law; the liquid absorbs, and scatters
+//! once, the same to all sides. Light from the LEDs takes the straight way into it.
 
-use super::bubble::led_lobe;
+use super::turn::Turn;
 use crate::lanes::*;
-use crate::material::{Led, fresnel};
+use crate::material::Led;
 use std::f32::consts::{LOG2_E, PI};
 
 /// `Pools::of_vertex` of a vertex in no pool.
@@ -24,8 +23,6 @@ pub struct Optics {
     pub scattering: Vec3,
     /// Roughness α of the surface.
     pub roughness: f32,
-    /// Linear colour of what the surface mirrors.
-    pub color: Vec3,
 }
 
 /// All pools of an organ.
@@ -44,14 +41,12 @@ pub struct Wet {
     pub pool: [u16; LANES],
     /// Where the liquid begins along the ray [m].
     pub start: Lane,
-    /// Where it ends.
-    pub end: Lane,
+    /// Whether the eye is under this lane's pool.
+    pub under: [bool; LANES],
+    /// How the rays go on at its surface.
+    pub turn: Turn,
     /// Level of the lane's pool [m].
     level: Lane,
-    /// Whether the eye is under this lane's pool.
-    under: [bool; LANES],
-    /// Whether the surface met lies under it.
-    sunk: [bool; LANES],
 }
 
 impl Pools {
@@ -62,35 +57,45 @@ impl Pools {
         a.max(b).max(c)
     }
 
-    /// What liquid lies on the way to the surfaces met, whose pools are given; so is the eye's.
+    /// Level of a pool about the wall's centre [m].
+    pub fn level(&self, pool: u16) -> f32 {
+        self.levels[pool as usize - 1]
+    }
+
+    /// What liquid lies on the way to the surfaces that straight rays meet at `position`, whose
+    /// pools are given; so is the eye's.
+    ///
+    /// A ray from above has crossed the surface if what it meets lies under it; one from below if
+    /// it gets above it.
     #[inline(always)]
     pub fn crossed(
         &self,
-        eye: (Vec3, u16),
+        (origin, of_eye): (Vec3, u16),
         directions: &Lane3,
-        distance: &Lane,
         position: &Lane3,
         pool: [u16; LANES],
+        ior: f32,
     ) -> Wet {
-        let (origin, of_eye) = eye;
-        let zero = [0.0; LANES];
         let no = [false; LANES];
+        let zero = [0.0; LANES];
         let mut wet =
-            Wet { is_wet: no, pool, start: zero, end: zero, level: zero, under: no, sunk: no };
+            Wet { is_wet: no, pool, start: zero, under: no, turn: Turn::none(), level: zero };
+        let is_under = of_eye != DRY && origin[2] < self.level(of_eye);
         for i in 0..LANES {
-            if pool[i] == DRY {
+            wet.pool[i] = if is_under { of_eye } else { pool[i] };
+            if wet.pool[i] == DRY {
                 continue;
             }
-            let level = self.levels[pool[i] as usize - 1];
-            let under = pool[i] == of_eye && origin[2] < level;
-            let sunk = position[2][i] < level && (under || origin[2] >= level);
-            let crossing = (level - origin[2]) / directions[2][i];
+            let level = self.level(wet.pool[i]);
+            let sunk = position[2][i] < level;
             wet.level[i] = level;
-            wet.under[i] = under;
-            wet.sunk[i] = sunk;
-            wet.is_wet[i] = under || sunk;
-            wet.start[i] = if under { 0.0 } else { crossing };
-            wet.end[i] = if sunk { distance[i] } else { crossing };
+            wet.under[i] = is_under;
+            wet.is_wet[i] = is_under || (sunk && origin[2] >= level);
+            if wet.is_wet[i] & (is_under != sunk) {
+                let beyond = if is_under { 1.0 / ior } else { ior };
+                wet.turn.set(i, origin, at(directions, i), level, beyond);
+            }
+            wet.start[i] = if is_under { 0.0 } else { wet.turn.way[i] };
         }
         wet
     }
@@ -114,143 +119,171 @@ impl Optics {
     #[inline(always)]
     pub fn dim_even(&self, position: &Lane3, wet: &Wet, light: &mut Lane3) {
         for i in 0..LANES {
-            let depth = if wet.sunk[i] { max(wet.level[i] - position[2][i], 0.0) } else { 0.0 };
+            let depth = if wet.is_wet[i] { max(wet.level[i] - position[2][i], 0.0) } else { 0.0 };
             for k in 0..3 {
                 light[k][i] *= exp2(-1.66 * LOG2_E * self.extinction(k) * depth);
             }
         }
     }
 
-    fn extinction(&self, k: usize) -> f32 {
+    /// Extinction coefficient of a colour [1/m].
+    #[inline(always)]
+    pub fn extinction(&self, k: usize) -> f32 {
         self.absorption[k] + self.scattering[k]
     }
 
-    /// Carries radiance from the surfaces met to the eye.
+    /// LEDs as bright as they are at a point in the liquid of lane `i`.
+    pub fn dimmed(&self, leds: &[Led], point: Vec3, wet: &Wet, i: usize) -> Vec<Led> {
+        let dim = |led: &Led| {
+            let way = -LOG2_E * wet.way(led.position, point, i);
+            let intensity = [0, 1, 2].map(|k| led.intensity[k] * exp2(way * self.extinction(k)));
+            Led { intensity, ..*led }
+        };
+        leds.iter().map(dim).collect()
+    }
+
+    /// Takes radiance through pieces of liquid, which begin on the eye's side at `starts` and go on
+    /// along unit `directions`; those of length 0 do nothing.
     #[inline(always)]
-    pub fn cover(
+    pub fn carry(
         &self,
-        origin: Vec3,
-        directions: &Lane3,
-        (leds, distance): (&[Led], &Lane),
+        (starts, directions, length): (&Lane3, &Lane3, &Lane),
+        leds: &[Led],
         wet: &Wet,
         radiance: &mut Lane3,
     ) {
-        for i in (0..LANES).filter(|&i| wet.is_wet[i]) {
-            let direction = at(directions, i);
-            let length = wet.end[i] - wet.start[i];
-            let glow = self.glow(origin, direction, leds, wet, i);
-            let mut color = [0, 1, 2]
-                .map(|k| radiance[k][i] * exp2(-LOG2_E * self.extinction(k) * length) + glow[k]);
-            if wet.under[i] != wet.sunk[i] {
-                color = self.through_surface(origin, direction, leds, wet, (i, distance[i], color));
-            }
-            for k in 0..3 {
-                radiance[k][i] = color[k];
+        let glow = self.glow((starts, directions, length), leds, wet);
+        for k in 0..3 {
+            let steepness = -LOG2_E * self.extinction(k);
+            for i in 0..LANES {
+                radiance[k][i] = radiance[k][i] * exp2(steepness * length[i]) + glow[k][i];
             }
         }
     }
 
     /// Light scattered once, by the midpoint rule over the way through the liquid.
     #[inline(always)]
-    fn glow(&self, origin: Vec3, direction: Vec3, leds: &[Led], wet: &Wet, i: usize) -> Vec3 {
+    fn glow(
+        &self,
+        (starts, directions, length): (&Lane3, &Lane3, &Lane),
+        leds: &[Led],
+        wet: &Wet,
+    ) -> Lane3 {
         const PARTS: usize = 4;
         /// Nearest that a point of the liquid counts to an LED [m].
         const NEAREST: f32 = 1e-3;
-        let (start, length) = (wet.start[i], wet.end[i] - wet.start[i]);
-        let mut sum = [0.0; 3];
+        let mut sum = [[0.0; LANES]; 3];
         for part in 0..PARTS {
             // Parts grow with the square of their number: most light comes back from nearby.
             let [from, to] = [part, part + 1].map(|p| (p * p) as f32 / (PARTS * PARTS) as f32);
-            let way = 0.5 * (from + to) * length;
-            let point = add(origin, scale(direction, start + way));
             for led in leds {
-                let offset = sub(led.position, point);
-                let square = max(dot(offset, offset), NEAREST * NEAREST);
-                let power =
-                    led_lobe(led, normalize(offset)) * (to - from) * length / (4.0 * PI * square);
-                let total = way + wet.way(led.position, point, i);
+                let (mut power, mut total, mut lobe) = ([0.0; LANES], [0.0; LANES], [0.0; LANES]);
+                for i in 0..LANES {
+                    let way = 0.5 * (from + to) * length[i];
+                    let point = add(at(starts, i), scale(at(directions, i), way));
+                    let offset = sub(led.position, point);
+                    let square = max(dot(offset, offset), NEAREST * NEAREST);
+                    power[i] = (to - from) * length[i] / (4.0 * PI * square);
+                    lobe[i] = clamp(-dot(normalize(offset), led.direction), 0.0, 1.0);
+                    total[i] = way + wet.way(led.position, point, i);
+                }
+                shape(&mut lobe, led.exponent);
                 for k in 0..3 {
-                    sum[k] += led.intensity[k]
-                        * power
-                        * self.scattering[k]
-                        * exp2(-LOG2_E * self.extinction(k) * total);
+                    let strength = led.intensity[k] * self.scattering[k];
+                    let steepness = -LOG2_E * self.extinction(k);
+                    for i in 0..LANES {
+                        let light = strength * power[i] * lobe[i];
+                        sum[k][i] += light * exp2(steepness * total[i]);
+                    }
                 }
             }
         }
         sum
     }
 
-    /// The surface itself: what it lets through, and what it mirrors on the eye's side.
+    /// The surfaces themselves: what they let through of the radiance from beyond, what they mirror
+    /// of that `mirrored` on the eye's side, and the mirror images of the LEDs.
     #[inline(always)]
-    fn through_surface(
+    pub fn meet_surface(
         &self,
-        origin: Vec3,
-        direction: Vec3,
+        directions: &Lane3,
         leds: &[Led],
         wet: &Wet,
-        (i, far, color): (usize, f32, Vec3),
-    ) -> Vec3 {
-        let under = wet.under[i];
-        let crossing = if under { wet.end[i] } else { wet.start[i] };
-        let place = add(origin, scale(direction, crossing));
-        let cosine = direction[2].abs();
-        let ior = if under { 1.0 / self.ior } else { self.ior };
-        let share = fresnel(cosine, ior);
-        let mut mirrored = [0.0; 3];
+        mirrored: &Lane3,
+        radiance: &mut Lane3,
+    ) {
+        let mut images = [[0.0; LANES]; 3];
         for led in leds {
-            let offset = sub(led.position, place);
+            self.add_image(directions, led, wet, &mut images);
+        }
+        let (lanes, refracted) = (wet.turn.lanes(), wet.turn.refracted());
+        for k in 0..3 {
+            for i in 0..LANES {
+                let share = if refracted[i] { wet.turn.share[i] } else { 0.0 };
+                let image = if lanes[i] { images[k][i] } else { 0.0 };
+                radiance[k][i] = (1.0 - share) * radiance[k][i] + share * mirrored[k][i] + image;
+            }
+        }
+    }
+
+    /// Adds mirror images of an LED in the surface, which is rough by a Gaussian of slopes.
+    #[inline(always)]
+    fn add_image(&self, directions: &Lane3, led: &Led, wet: &Wet, sum: &mut Lane3) {
+        let square_roughness = self.roughness * self.roughness;
+        let (mut image, mut way, mut lobe) = ([0.0; LANES], [0.0; LANES], [0.0; LANES]);
+        for i in 0..LANES {
+            let direction = at(directions, i);
+            let offset = sub(led.position, at(&wet.turn.place, i));
             let square = max(dot(offset, offset), 1e-8);
             let light = scale(offset, 1.0 / square.sqrt());
-            let lobe = led_lobe(led, light);
             let half = normalize(sub(light, direction));
-            let normal = if under { -half[2] } else { half[2] };
-            let tilt = 2.0 * max(1.0 - normal, 0.0) / (self.roughness * self.roughness);
-            let image = if normal > 0.0 {
-                let density = exp2(-LOG2_E * tilt) / (PI * self.roughness * self.roughness);
-                share * density / (4.0 * max(cosine, 0.05) * square)
-            } else {
-                0.0
-            };
-            for k in 0..3 {
-                mirrored[k] += led.intensity[k] * lobe * image;
+            // The eye is on the side that the ray comes from.
+            let normal = half[2] * -1f32.copysign(direction[2]);
+            let tilt = 2.0 * max(1.0 - normal, 0.0) / square_roughness;
+            let density = exp2(-LOG2_E * tilt) / (PI * square_roughness);
+            let peak = wet.turn.share[i] * density / (4.0 * max(direction[2].abs(), 0.05) * square);
+            image[i] = if normal > 0.0 { peak } else { 0.0 };
+            lobe[i] = clamp(-dot(light, led.direction), 0.0, 1.0);
+            way[i] = if wet.under[i] { square.sqrt() } else { 0.0 };
+        }
+        shape(&mut lobe, led.exponent);
+        for k in 0..3 {
+            let steepness = -LOG2_E * self.extinction(k);
+            for i in 0..LANES {
+                sum[k][i] += led.intensity[k] * image[i] * lobe[i] * exp2(steepness * way[i]);
             }
         }
-        // What the surface mirrors is as far off as what lies behind it.
-        let behind = add(origin, scale(direction, far));
-        for led in leds {
-            let offset = sub(led.position, behind);
-            let square = max(dot(offset, offset), 1e-8);
-            let power = share * led_lobe(led, normalize(offset)) / (PI * square);
-            for k in 0..3 {
-                mirrored[k] += led.intensity[k] * power * self.color[k];
-            }
-        }
-        if under {
-            let way = -LOG2_E * crossing;
-            let left = [0, 1, 2].map(|k| exp2(way * self.extinction(k)));
-            return [0, 1, 2].map(|k| color[k] * (1.0 - share) + mirrored[k] * left[k]);
-        }
-        [0, 1, 2].map(|k| color[k] * (1.0 - share) + mirrored[k])
+    }
+}
+
+/// Turns cosines into shares of an LED's intensity.
+#[inline(always)]
+fn shape(lobe: &mut Lane, exponent: f32) {
+    if exponent == 1.0 {
+        return;
+    }
+    for share in lobe {
+        *share = if exponent == 0.0 { 1.0 } else { pow(*share, exponent) };
     }
 }
 
 impl Wet {
+    /// Whether any ray meets the surface.
+    #[inline(always)]
+    pub fn turns(&self) -> bool {
+        self.turn.lanes().contains(&true)
+    }
+
     /// Length of the way from an LED to a point that lies in the liquid of lane `i` [m].
     ///
     /// LEDs are where the eye is: in its pool, or in none.
     #[inline(always)]
     fn way(&self, led: Vec3, point: Vec3, i: usize) -> f32 {
-        if !self.is_wet[i] {
-            return 0.0;
-        }
         let offset = sub(led, point);
-        let length = dot(offset, offset).sqrt();
         let (below, led_below) = (self.level[i] - point[2], self.level[i] - led[2]);
-        match (below > 0.0, led_below > 0.0) {
-            (true, true) => length,
-            (true, false) => length * below / max(below - led_below, 1e-9),
-            (false, true) => length * led_below / max(led_below - below, 1e-9),
-            (false, false) => 0.0,
-        }
+        let sunk = max(below, 0.0) + max(led_below, 0.0);
+        let share = sunk / max(below.abs() + led_below.abs(), 1e-9);
+        let way = dot(offset, offset).sqrt() * share;
+        if self.is_wet[i] { way } else { 0.0 }
     }
 }

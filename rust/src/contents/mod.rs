@@ -4,16 +4,20 @@ mod around;
 pub mod bubble;
 mod capsule;
 mod drag;
+mod front;
+mod leg;
 pub mod liquid;
+pub mod particles;
 pub mod spheres;
 pub mod swarm;
 pub mod tile;
+mod turn;
 
 use crate::lanes::Vec3;
 use crate::wall::Wall;
 use bubble::Film;
 use liquid::{Optics, Pools};
-use numpy::{IntoPyArray, PyArray1, PyReadonlyArray1, PyReadonlyArray2};
+use numpy::{IntoPyArray, PyArray1, PyReadonlyArray1, PyReadonlyArray2, ndarray::ArrayView1};
 use pyo3::{exceptions::PyValueError, prelude::*};
 use spheres::{Sphere, Spheres};
 
@@ -47,7 +51,6 @@ struct LiquidParameters {
     absorption: Vec3,
     scattering: Vec3,
     roughness: f32,
-    color: Vec3,
 }
 
 /// Pools: levels [p] in the outside world [m], the pool of each vertex [n] (0 for none, the first
@@ -130,6 +133,28 @@ impl Contents {
         let (origin, extent) = (wall.localize(origin), wall.extent);
         py.detach(|| self.chyme.free(origin, &points, extent)).into_pyarray(py)
     }
+
+    /// Whether wall and particles leave the straight way from each of `starts` [n 3] to its point
+    /// free [n].
+    fn free_ways<'py>(
+        &self,
+        py: Python<'py>,
+        wall: &Wall,
+        starts: PyReadonlyArray2<'_, f64>,
+        points: PyReadonlyArray2<'_, f64>,
+    ) -> PyResult<Bound<'py, PyArray1<bool>>> {
+        let (starts, points) = (starts.as_array(), points.as_array());
+        if starts.dim() != points.dim() || starts.ncols() != 3 {
+            return Err(PyValueError::new_err("Ways need as many starts as points."));
+        }
+        let place = |row: ArrayView1<'_, f64>| wall.localize([row[0], row[1], row[2]]);
+        let ways: Vec<[Vec3; 2]> = starts
+            .outer_iter()
+            .zip(points.outer_iter())
+            .map(|(a, b)| [place(a), place(b)])
+            .collect();
+        Ok(py.detach(|| particles::free_ways(&self.chyme, wall, &ways)).into_pyarray(py))
+    }
 }
 
 fn optics(liquid: &LiquidParameters) -> Optics {
@@ -138,7 +163,6 @@ fn optics(liquid: &LiquidParameters) -> Optics {
         absorption: liquid.absorption,
         scattering: liquid.scattering,
         roughness: liquid.roughness,
-        color: liquid.color,
     }
 }
 

@@ -98,6 +98,77 @@ impl Spheres {
         });
     }
 
+    /// Visits the spheres that a ray with a unit `heading` crosses nearer than `reach`: their places,
+    /// both crossings, and its squared distance from the centre as a share of the radius' square.
+    #[inline(always)]
+    pub fn along(
+        &self,
+        start: Vec3,
+        heading: Vec3,
+        reach: f32,
+        mut visit: impl FnMut(usize, [f32; 2], f32),
+    ) {
+        let inverse = heading.map(|h| 1.0 / if h.abs() > 1e-20 { h } else { 1e-20 });
+        let mut waiting = [0u32; 7 * 32 + 8];
+        let mut top = usize::from(!self.nodes.is_empty());
+        while top > 0 {
+            top -= 1;
+            let node = match Child::of(waiting[top]) {
+                Child::Node(number) => &self.nodes[number],
+                Child::Leaf(range) => {
+                    for index in range {
+                        let Sphere { center, radius, .. } = self.all[index];
+                        let offset = sub(center, start);
+                        let middle = dot(offset, heading);
+                        let foot = sub(offset, scale(heading, middle));
+                        let (apart, square) = (dot(foot, foot), radius * radius);
+                        let half = max(square - apart, 0.0).sqrt();
+                        if apart < square && middle + half > 0.0 && middle - half < reach {
+                            visit(index, [middle - half, middle + half], apart / square);
+                        }
+                    }
+                    continue;
+                }
+            };
+            for k in 0..WIDTH {
+                let (mut enter, mut leave) = (0.0, reach);
+                for axis in 0..3 {
+                    let low = (node.bounds[axis][k] - start[axis]) * inverse[axis];
+                    let high = (node.bounds[axis + 3][k] - start[axis]) * inverse[axis];
+                    enter = max(enter, min(low, high));
+                    leave = min(leave, max(low, high));
+                }
+                if enter <= leave {
+                    waiting[top] = node.children[k];
+                    top += 1;
+                }
+            }
+        }
+    }
+
+    /// The spheres whose bounds touch the box from `low` to `high`; `power` is about `origin`.
+    pub fn within(&self, (low, high): (Vec3, Vec3), origin: Vec3, found: &mut Vec<Near>) {
+        found.clear();
+        let mut waiting = if self.nodes.is_empty() { Vec::new() } else { vec![0] };
+        while let Some(number) = waiting.pop() {
+            let node: &Node = &self.nodes[number];
+            for k in 0..WIDTH {
+                let apart =
+                    (0..3).any(|x| node.bounds[x][k] > high[x] || node.bounds[x + 3][k] < low[x]);
+                match Child::of(node.children[k]) {
+                    _ if apart => {}
+                    Child::Node(child) => waiting.push(child),
+                    Child::Leaf(range) => found.extend(range.map(|index| {
+                        let sphere = &self.all[index];
+                        let offset = sub(sphere.center, origin);
+                        let power = dot(offset, offset) - sphere.radius * sphere.radius;
+                        Near { power, index: index as u32 }
+                    })),
+                }
+            }
+        }
+    }
+
     /// Whether the way from `origin` to each point is free; points with NaN are not.
     pub fn free(&self, origin: Vec3, points: &[Vec3], extent: f32) -> Vec<bool> {
         let mut result = vec![false; points.len()];
@@ -152,11 +223,17 @@ impl Sphere {
     /// Crossings of unit rays from one origin.
     #[inline(always)]
     pub fn crossings(&self, origin: Vec3, directions: &Lane3) -> Crossings {
-        let offset = sub(self.center, origin);
+        self.crossings_from(|_| origin, directions)
+    }
+
+    /// Crossings of unit rays that each start elsewhere.
+    #[inline(always)]
+    pub fn crossings_from(&self, start: impl Fn(usize) -> Vec3, directions: &Lane3) -> Crossings {
         let (square, inverse) = (self.radius * self.radius, 1.0 / (self.radius * self.radius));
         let mut out = Crossings { near: [0.0; LANES], far: [0.0; LANES], miss: [0.0; LANES] };
         for i in 0..LANES {
             let direction = at(directions, i);
+            let offset = sub(self.center, start(i));
             let along = dot(offset, direction);
             // The foot of the perpendicular: exact also for a small sphere far away.
             let foot = sub(offset, scale(direction, along));

@@ -1,36 +1,28 @@
 //! One tile of an image with something in the lumen.
 //!
-//! Particles are surfaces like the wall: they take the place of the wall in every channel. Bubbles
-//! and liquid are laid over what is behind them, and have channels of their own.
+//! Bubbles and liquid are laid over what is behind them, and have channels of their own. Where a ray
+//! meets the surface of a pool it goes on as the surface turns it, once.
 
 use super::Contents;
-use super::bubble::{Behind, Eye};
-use super::liquid::{DRY, Optics, Wet};
+use super::front::Front;
+use super::leg::{Bubbles, Leg, first_leg, unfolded};
+use super::liquid::{DRY, Optics, Pools, Wet};
+use super::particles::{Owner, paint};
 use super::spheres::Near;
+use super::turn::{REFRACTED, STRAIGHT};
 use crate::channels::{Channels, Place};
 use crate::lanes::*;
 use crate::material::{Surface, add_light};
-use crate::mucosa::noise::Lattice;
 use crate::path::First;
+use crate::path::afloat::Afloat;
 use crate::query;
 use crate::rays::TileRays;
 use crate::render::{View, add_glow, primary, write_geometry};
 use crate::scene::SceneData;
-use crate::shade::{Attributes, attributes, surface};
+use crate::shade::{Attributes, attributes, attributes_at, surface};
 use crate::tile::{Hits, MISS, Pyramid, farthest_of};
 use crate::visibility::visible_tile;
 use crate::wall::Wall;
-
-/// `Channels::front_label` of a bubble; 0 is nothing.
-pub const FRONT_BUBBLE: u8 = 1;
-/// `Channels::front_label` of liquid.
-pub const FRONT_LIQUID: u8 = 2;
-/// `Attributes::face` of particle 0; the next have smaller numbers.
-const FIRST_PARTICLE: i32 = -2;
-/// Roughness of particles.
-const CHYME_ROUGHNESS: f32 = 0.6;
-/// Size of the lumps of a particle, as a share of its radius.
-const LUMPS: f32 = 0.45;
 
 /// What the tiles of one image share.
 pub struct Filled<'a> {
@@ -49,15 +41,25 @@ pub struct Filled<'a> {
 /// Room for a tile's spheres; kept from tile to tile.
 #[derive(Default)]
 pub struct Room {
-    near: Vec<Near>,
+    pub near: Vec<Near>,
     blocking: Vec<Near>,
 }
 
-/// The nearest see-through thing in front of each surface.
-struct Front {
-    label: [u8; LANES],
-    instance: [u16; LANES],
-    distance: Lane,
+/// Triangles met, `MISS` where a particle hides them.
+#[inline(always)]
+fn of_wall(triangles: &[u32; LANES], owner: &Owner) -> [u32; LANES] {
+    std::array::from_fn(|i| if owner[i] == MISS { triangles[i] } else { MISS })
+}
+
+/// What the rays of a tile see in the end.
+struct Seen {
+    rays: Pyramid,
+    /// Distances along the whole way; the wall, also behind particles.
+    hits: Hits,
+    owner: Owner,
+    found: Attributes,
+    /// Liquid on the way, if there is any.
+    wet: Option<Wet>,
 }
 
 impl<'a> Filled<'a> {
@@ -75,19 +77,23 @@ impl<'a> Filled<'a> {
         Filled { wall, scene, contents, view, of_eye }
     }
 
+    /// The contents as paths meet them.
+    pub fn afloat(&self) -> Afloat<'_> {
+        let is_under = |(pools, _): &&(Pools, Optics)| {
+            self.of_eye != DRY && self.view.origin[2] < pools.level(self.of_eye)
+        };
+        let under = self.contents.pools.as_ref().filter(is_under);
+        let of_leds = if under.is_some() { self.of_eye } else { DRY };
+        Afloat { wall: self.wall, contents: self.contents, of_leds }
+    }
+
     /// The surfaces of wall and particles that paths set out from.
     #[inline(always)]
     pub fn first(&self, tile: &TileRays, pixel: [u32; LANES], room: &mut Room) -> First {
-        let (rays, mut hits) = primary(self.wall, self.view, tile);
-        let mut found =
-            attributes(self.wall, self.scene, self.view.origin, &rays.directions, &hits);
-        let owner = self.meet_particles(tile, &rays, &mut hits, &mut found, room);
-        let mut surface = surface(self.scene, &found, &hits.distance, tile.pixel_angle);
-        self.paint_particles(&owner, &mut surface);
-        for i in 0..LANES {
-            hits.triangle[i] = if owner[i] == MISS { hits.triangle[i] } else { MISS };
-        }
-        First { surface, hit: found.hit, triangle: hits.triangle, pixel }
+        let Seen { hits, owner, found, .. } = self.look(tile, room);
+        let surface = self.surface(&found, &hits, &owner, tile.pixel_angle);
+        let triangle = of_wall(&hits.triangle, &owner);
+        First { surface, hit: found.hit, triangle, pixel }
     }
 
     /// Renders one tile; `glow` is light beyond direct light.
@@ -100,125 +106,87 @@ impl<'a> Filled<'a> {
         room: &mut Room,
         out: &mut Channels<'_>,
     ) {
-        let (wall, view) = (self.wall, self.view);
-        let (rays, mut hits) = primary(wall, view, tile);
-        let mut found = attributes(wall, self.scene, view.origin, &rays.directions, &hits);
-        let owner = self.meet_particles(tile, &rays, &mut hits, &mut found, room);
-        let wet = self.wet(&rays, &hits, &found);
-        let covering = self.bubbles(tile, &rays, &hits, room);
-        let mut front = Front::of_liquid(wet.as_ref(), &found.hit);
-        let mut radiance = [[0.0; LANES]; 3];
-        let colored = out.wants_color();
-        if colored {
-            let mut surface = surface(self.scene, &found, &hits.distance, tile.pixel_angle);
-            self.paint_particles(&owner, &mut surface);
-            radiance = self.light(&surface, &found.hit, wet.as_ref(), room);
-            if let Some(bounced) = &view.bounced {
-                let mut light = [[0.0; LANES]; 3];
-                bounced.add((&surface, &found.normal), &hits, &mut light);
-                if let (Some(wet), Some(optics)) = (&wet, self.optics()) {
-                    optics.dim_even(&surface.position, wet, &mut light);
-                }
-                add_glow(Some(&light), &mut radiance);
-            }
-            add_glow(glow, &mut radiance);
+        let view = self.view;
+        let seen = self.look(tile, room);
+        let Seen { rays, hits, owner, found, wet } = &seen;
+        let bubbles = self.bubbles(tile, rays, hits, room);
+        if out.wants_color() {
+            let surface = self.surface(found, hits, owner, tile.pixel_angle);
             place.write3(&mut out.albedo, &surface.albedo, &found.hit, f32::NAN);
-            if let (Some(wet), Some(optics)) = (&wet, self.optics()) {
-                let lit = (&view.leds[..], &hits.distance);
-                optics.cover(view.origin, &rays.directions, lit, wet, &mut radiance);
-            }
+            let bare = view.bare(self.scene, &surface, &of_wall(&hits.triangle, owner));
+            let lit = bare.as_ref().unwrap_or(&surface);
+            let mut radiance = self.light(lit, found, hits, wet.as_ref(), room);
+            add_glow(glow, &mut radiance);
+            self.carry(&seen, &bubbles, tile.pixel_angle, room, &mut radiance);
+            place.write_color(&mut out.rgb, &radiance, view.exposure);
+            place.write3(&mut out.radiance, &radiance, &found.hit, 0.0);
         }
-        let eye = Eye { origin: view.origin, rays: &rays, pixel_angle: tile.pixel_angle };
-        for near in &covering {
+        let mut front = Front::of_liquid(wet.as_ref());
+        let reach = first_leg(wet.as_ref(), hits);
+        for near in &bubbles {
             let sphere = &self.contents.bubbles.all[near.index as usize];
             let ways = sphere.crossings(view.origin, &rays.directions);
-            front.add_bubble(sphere.instance, [&ways.near, &ways.far], &hits.distance);
-            if colored {
-                let mut behind = Behind { radiance: &mut radiance, distance: &hits.distance };
-                self.contents.film.cover(sphere, &ways, &eye, &view.leds, &mut behind);
-            }
+            front.add_bubble(sphere.instance, [&ways.near, &ways.far], &reach);
         }
-        place.write_color(&mut out.rgb, &radiance, view.exposure);
-        place.write3(&mut out.radiance, &radiance, &found.hit, 0.0);
         front.write(tile, place, out);
-        write_geometry(view, tile, &hits, &found, place, out);
+        let kind = wet.as_ref().map_or([STRAIGHT; LANES], |wet| wet.turn.kind);
+        place.write(&mut out.bend_label, &kind, &found.hit, STRAIGHT);
+        place.write_sparsely(&mut out.sparse_bend, 1, |i, _| kind[i]);
+        write_geometry(view, tile, hits, found, place, out);
     }
 
     fn optics(&self) -> Option<&Optics> {
         self.contents.pools.as_ref().map(|(_, optics)| optics)
     }
 
-    /// Puts particles that hide the wall in its place; returns which sphere each lane sees.
+    /// Follows the rays of a tile, through the surface of a pool where they meet one.
     #[inline(always)]
-    fn meet_particles(
-        &self,
-        tile: &TileRays,
-        rays: &Pyramid,
-        hits: &mut Hits,
-        found: &mut Attributes,
-        room: &mut Room,
-    ) -> [u32; LANES] {
+    fn look(&self, tile: &TileRays, room: &mut Room) -> Seen {
+        let (wall, scene, view) = (self.wall, self.scene, self.view);
+        let (rays, mut hits) = primary(wall, view, tile);
         let mut owner = [MISS; LANES];
-        if !tile.any {
-            return owner;
+        if tile.any {
+            owner = self.meet_particles(&rays, &mut hits, room);
         }
-        let (chyme, origin) = (&self.contents.chyme, self.view.origin);
-        let farthest = farthest_of(&hits.distance);
-        chyme.gather(origin, rays, self.wall.extent, farthest, &mut room.near);
-        for near in &room.near {
-            let ways = chyme.all[near.index as usize].crossings(origin, &rays.directions);
+        let mut found = attributes(wall, scene, view.origin, &rays.directions, &hits);
+        let mut wet = if tile.any { self.wet(&rays, &hits, &found) } else { None };
+        if let Some(Wet { turn, .. }) = wet.as_ref().filter(|wet| wet.turns()) {
+            let lanes = turn.lanes();
+            let (met, theirs) = self.meet(&turn.place, &turn.heading, &lanes, room);
+            for i in (0..LANES).filter(|&i| lanes[i]) {
+                hits.distance[i] = turn.way[i] + met.distance[i];
+                hits.triangle[i] = met.triangle[i];
+                owner[i] = theirs[i];
+                for k in 0..3 {
+                    hits.edges[k][i] = met.edges[k][i];
+                    let way = met.distance[i] * turn.heading[k][i];
+                    found.position[k][i] = turn.place[k][i] + way;
+                    found.view[k][i] = -turn.heading[k][i];
+                }
+            }
+            found = attributes_at(wall, scene, found.position, found.view, &hits);
+        }
+        self.put_particles(&owner, &mut found);
+        if let Some(wet) = &mut wet {
             for i in 0..LANES {
-                let nearer = (ways.near[i] > 0.0) & (ways.near[i] < hits.distance[i]);
-                hits.distance[i] = if nearer { ways.near[i] } else { hits.distance[i] };
-                owner[i] = if nearer { near.index } else { owner[i] };
+                wet.is_wet[i] &= found.hit[i];
+                wet.turn.kind[i] = if found.hit[i] { wet.turn.kind[i] } else { STRAIGHT };
             }
         }
-        for i in (0..LANES).filter(|&i| owner[i] != MISS) {
-            let sphere = &chyme.all[owner[i] as usize];
-            let inverse = 1.0 / sphere.radius;
-            for k in 0..3 {
-                let place = origin[k] + hits.distance[i] * rays.directions[k][i];
-                found.position[k][i] = place;
-                found.normal[k][i] = (place - sphere.center[k]) * inverse;
-            }
-            found.hit[i] = true;
-            found.face[i] = FIRST_PARTICLE - sphere.number as i32;
-            found.weights[0][i] = 0.0;
-            found.weights[1][i] = 0.0;
-            found.arc_length[i] = sphere.arc_length;
-            found.label[i] = self.contents.label;
-            found.instance[i] = sphere.instance;
-        }
-        owner
+        Seen { rays, hits, owner, found, wet }
     }
 
-    /// Gives particles their colour and their lumps.
     #[inline(always)]
-    fn paint_particles(&self, owner: &[u32; LANES], surface: &mut Surface) {
-        for i in (0..LANES).filter(|&i| owner[i] != MISS) {
-            let sphere = &self.contents.chyme.all[owner[i] as usize];
-            let size = LUMPS * sphere.radius;
-            let own = sub(at(&surface.position, i), sphere.center);
-            let lump = Lattice::new(sphere.number, size).displacement(own);
-            let grain = Lattice::new(!sphere.number, 0.5 * size).displacement(own);
-            let smooth = at(&surface.normal, i);
-            let rough = [0, 1, 2].map(|k| smooth[k] + 0.4 * lump[k] + 0.25 * grain[k]);
-            // Lumps that turn away from the viewer are not seen.
-            let away = min(dot(rough, at(&surface.view, i)) - 0.05, 0.0);
-            let normal = normalize(sub(rough, scale(at(&surface.view, i), away)));
-            let shade = 1.0 + 0.25 * lump[0] + 0.2 * grain[1];
-            for k in 0..3 {
-                surface.normal[k][i] = normal[k];
-                surface.albedo[k][i] = clamp(sphere.color[k] * shade, 0.0, 0.95);
-            }
-            surface.roughness[i] = CHYME_ROUGHNESS;
-        }
+    fn surface(&self, found: &Attributes, hits: &Hits, owner: &Owner, pixel_angle: f32) -> Surface {
+        let mut surface = surface(self.scene, found, &hits.distance, pixel_angle);
+        paint(&self.contents.chyme, owner, &mut surface);
+        surface
     }
 
-    /// Liquid on the way of each ray, if there is any in the organ.
+    /// Liquid on the way of each ray, if there is any.
     #[inline(always)]
     fn wet(&self, rays: &Pyramid, hits: &Hits, found: &Attributes) -> Option<Wet> {
-        let (pools, _) = self.contents.pools.as_ref()?;
+        let (pools, optics) = self.contents.pools.as_ref()?;
         let mut pool = [DRY; LANES];
         for i in 0..LANES {
             if hits.triangle[i] != MISS {
@@ -226,11 +194,11 @@ impl<'a> Filled<'a> {
             }
         }
         let eye = (self.view.origin, self.of_eye);
-        let wet = pools.crossed(eye, &rays.directions, &hits.distance, &found.position, pool);
+        let wet = pools.crossed(eye, &rays.directions, &found.position, pool, optics.ior);
         wet.is_wet.contains(&true).then_some(wet)
     }
 
-    /// Bubbles that the tile may see, the farthest first.
+    /// Bubbles that the tile may see on the straight ways from the eye, the farthest first.
     #[inline(always)]
     fn bubbles(&self, tile: &TileRays, rays: &Pyramid, hits: &Hits, room: &mut Room) -> Vec<Near> {
         if !tile.any {
@@ -239,6 +207,11 @@ impl<'a> Filled<'a> {
         let farthest = farthest_of(&hits.distance);
         let origin = self.view.origin;
         self.contents.bubbles.gather(origin, rays, self.wall.extent, farthest, &mut room.near);
+        self.in_order(room)
+    }
+
+    /// The spheres in `room`, the farthest first.
+    fn in_order(&self, room: &mut Room) -> Vec<Near> {
         let all = &self.contents.bubbles.all;
         let number = |near: &Near| all[near.index as usize].number;
         room.near
@@ -246,16 +219,142 @@ impl<'a> Filled<'a> {
         room.near.clone()
     }
 
+    /// Carries radiance from the surfaces met to the eye.
+    #[inline(always)]
+    fn carry(
+        &self,
+        seen: &Seen,
+        bubbles: &[Near],
+        pixel_angle: f32,
+        room: &mut Room,
+        radiance: &mut Lane3,
+    ) {
+        let Seen { rays, hits, wet, .. } = seen;
+        let (leds, film) = (&self.view.leds[..], &self.contents.film);
+        let spheres = &self.contents.bubbles;
+        let liquid = self.optics().zip(wet.as_ref());
+        let mut soaked = [false; LANES];
+        if let Some((optics, wet)) = liquid {
+            soaked = wet.under;
+            if wet.turns() {
+                self.carry_beyond((optics, wet), hits, pixel_angle, room, radiance);
+                let mirrored = self.mirrored((optics, wet), rays, pixel_angle, room);
+                optics.meet_surface(&rays.directions, leds, wet, &mirrored, radiance);
+            }
+            for i in 0..LANES {
+                soaked[i] &= wet.is_wet[i];
+            }
+        }
+        let origin = self.view.origin;
+        let leg = Leg {
+            rays,
+            starts: &origin.map(|x| [x; LANES]),
+            origin,
+            used: &[true; LANES],
+            soaked,
+            from: &[0.0; LANES],
+            to: &first_leg(wet.as_ref(), hits),
+        };
+        let bubbles = Bubbles { spheres, near: bubbles, film, pixel_angle };
+        leg.carry(&bubbles, liquid, leds, radiance);
+    }
+
+    /// Carries radiance from the surfaces met to the surfaces of pools on the way.
+    #[inline(always)]
+    fn carry_beyond(
+        &self,
+        (optics, wet): (&Optics, &Wet),
+        hits: &Hits,
+        pixel_angle: f32,
+        room: &mut Room,
+        radiance: &mut Lane3,
+    ) {
+        let turn = &wet.turn;
+        let mut ends = turn.place;
+        for k in 0..3 {
+            for i in 0..LANES {
+                ends[k][i] += (hits.distance[i] - turn.way[i]) * turn.heading[k][i];
+            }
+        }
+        let lanes = turn.lanes();
+        let (starts, origin, around) = unfolded(turn, &turn.heading, &ends, &lanes);
+        self.contents.bubbles.within(around, origin, &mut room.near);
+        let near = self.in_order(room);
+        let sunk = |i: usize| wet.is_wet[i] & (wet.under[i] != (turn.kind[i] == REFRACTED));
+        let leg = Leg {
+            rays: &Pyramid { directions: turn.heading, ..Pyramid::open() },
+            starts: &starts,
+            origin,
+            used: &lanes,
+            soaked: std::array::from_fn(sunk),
+            from: &turn.way,
+            to: &hits.distance,
+        };
+        let (spheres, film) = (&self.contents.bubbles, &self.contents.film);
+        let bubbles = Bubbles { spheres, near: &near, film, pixel_angle };
+        leg.carry(&bubbles, Some((optics, wet)), &self.view.leds, radiance);
+    }
+
+    /// Radiance that the surfaces of pools mirror where they let rays through.
+    #[inline(always)]
+    fn mirrored(
+        &self,
+        (optics, wet): (&Optics, &Wet),
+        rays: &Pyramid,
+        pixel_angle: f32,
+        room: &mut Room,
+    ) -> Lane3 {
+        let turn = &wet.turn;
+        let lanes = turn.refracted();
+        if !lanes.contains(&true) {
+            return [[0.0; LANES]; 3];
+        }
+        let mut heading = rays.directions;
+        heading[2] = heading[2].map(|z| -z);
+        let (mut hits, owner) = self.meet(&turn.place, &heading, &lanes, room);
+        let (mut position, view) = (turn.place, heading.map(|row| row.map(|x| -x)));
+        for i in (0..LANES).filter(|&i| lanes[i]) {
+            for k in 0..3 {
+                position[k][i] += hits.distance[i] * heading[k][i];
+            }
+            hits.distance[i] += turn.way[i];
+        }
+        let mut found = attributes_at(self.wall, self.scene, position, view, &hits);
+        self.put_particles(&owner, &mut found);
+        let surface = self.surface(&found, &hits, &owner, pixel_angle);
+        let in_liquid = wet.under.contains(&true);
+        let mut radiance = self.light(&surface, &found, &hits, in_liquid.then_some(wet), room);
+        if !in_liquid {
+            return radiance;
+        }
+        let (starts, origin, _) = unfolded(turn, &heading, &position, &lanes);
+        let leg = Leg {
+            rays: &Pyramid { directions: heading, ..Pyramid::open() },
+            starts: &starts,
+            origin,
+            used: &lanes,
+            soaked: std::array::from_fn(|i| wet.is_wet[i] & wet.under[i] & found.hit[i]),
+            from: &turn.way,
+            to: &hits.distance,
+        };
+        let (spheres, film) = (&self.contents.bubbles, &self.contents.film);
+        let bubbles = Bubbles { spheres, near: &[], film, pixel_angle };
+        leg.carry(&bubbles, Some((optics, wet)), &self.view.leds, &mut radiance);
+        radiance
+    }
+
     /// Radiance of the surfaces met, seen without what lies between.
     #[inline(always)]
     fn light(
         &self,
         surface: &Surface,
-        hit: &[bool; LANES],
+        found: &Attributes,
+        hits: &Hits,
         wet: Option<&Wet>,
         room: &mut Room,
     ) -> Lane3 {
-        let (wall, view) = (self.wall, self.view);
+        let (wall, view, hit) = (self.wall, self.view, &found.hit);
+        let liquid = self.optics().zip(wet);
         let mut radiance = [[0.0; LANES]; 3];
         for led in &view.leds {
             let mut lit = *hit;
@@ -265,59 +364,23 @@ impl<'a> Filled<'a> {
                 let points = &surface.position;
                 chyme.shade(led.position, points, wall.extent, &mut room.blocking, &mut lit);
             }
-            let (Some(wet), Some(optics)) = (wet, self.optics()) else {
+            let Some((optics, wet)) = liquid else {
                 add_light(surface, &self.scene.material, led, &lit, &mut radiance);
                 continue;
             };
             let mut light = [[0.0; LANES]; 3];
             add_light(surface, &self.scene.material, led, &lit, &mut light);
             optics.dim(led, &surface.position, wet, &mut light);
-            for k in 0..3 {
-                for i in 0..LANES {
-                    radiance[k][i] += light[k][i];
-                }
+            add_glow(Some(&light), &mut radiance);
+        }
+        if let Some(bounced) = &view.bounced {
+            let mut light = [[0.0; LANES]; 3];
+            bounced.add((surface, &found.normal), hits, &mut light);
+            if let Some((optics, wet)) = liquid {
+                optics.dim_even(&surface.position, wet, &mut light);
             }
+            add_glow(Some(&light), &mut radiance);
         }
         radiance
-    }
-}
-
-impl Front {
-    #[inline(always)]
-    fn of_liquid(wet: Option<&Wet>, hit: &[bool; LANES]) -> Self {
-        let mut front =
-            Front { label: [0; LANES], instance: [0; LANES], distance: [f32::INFINITY; LANES] };
-        let Some(wet) = wet else { return front };
-        for i in (0..LANES).filter(|&i| wet.is_wet[i] && hit[i]) {
-            front.label[i] = FRONT_LIQUID;
-            front.instance[i] = wet.pool[i];
-            front.distance[i] = wet.start[i];
-        }
-        front
-    }
-
-    /// A bubble counts where the ray crosses its shell for the first time.
-    #[inline(always)]
-    fn add_bubble(&mut self, instance: u16, ways: [&Lane; 2], distance: &Lane) {
-        for i in 0..LANES {
-            let first = if ways[0][i] > 0.0 { ways[0][i] } else { ways[1][i] };
-            let nearer = (first > 0.0) & (first < distance[i]) & (first < self.distance[i]);
-            self.distance[i] = if nearer { first } else { self.distance[i] };
-            self.label[i] = if nearer { FRONT_BUBBLE } else { self.label[i] };
-            self.instance[i] = if nearer { instance } else { self.instance[i] };
-        }
-    }
-
-    #[inline(always)]
-    fn write(&self, tile: &TileRays, place: Place, out: &mut Channels<'_>) {
-        let mut seen = [false; LANES];
-        let mut depth = [0.0; LANES];
-        for i in 0..LANES {
-            seen[i] = tile.used[i] && self.label[i] != 0;
-            depth[i] = self.distance[i] * tile.pyramid.directions[2][i];
-        }
-        place.write(&mut out.front_label, &self.label, &seen, 0);
-        place.write(&mut out.front_instance, &self.instance, &seen, 0);
-        place.write(&mut out.front_depth, &depth, &seen, f32::NAN);
     }
 }

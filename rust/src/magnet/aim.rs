@@ -1,10 +1,11 @@
 //! Where to hold a magnet so that it gives a capsule a wanted wrench.
 
-use super::handle::{FieldSources, internal_magnets, pose_of, rows};
+use super::arm::array;
+use super::handle::{FieldSources, internal_magnets, pose_of, pose_rows, rows};
 use super::sources::{InternalMagnet, Source, Wrench, wrench};
 use crate::physics::solve::Symmetric6;
 use glam::{DMat3, DQuat, DVec3};
-use numpy::{IntoPyArray, PyArray2, PyReadonlyArray2, ndarray::Array2};
+use numpy::{PyArrayDyn, PyReadonlyArray2};
 use pyo3::{exceptions::PyValueError, prelude::*};
 
 /// Step of the central differences, in distances and radians.
@@ -204,7 +205,7 @@ fn dot6(a: &[f64; 6]) -> f64 {
 }
 
 /// Pose [4 4] of a source, force [N], torque [N·m], largest torque that the field has [N·m].
-type Aimed<'py> = (Bound<'py, PyArray2<f64>>, [f64; 3], [f64; 3], f64);
+type Aimed<'py> = (Bound<'py, PyArrayDyn<f64>>, [f64; 3], [f64; 3], f64);
 
 /// Pose of source `index`, near where it is, with which all sources give a body at a pose [4 4] with
 /// magnets [k 6] the wanted wrench as nearly as they can.
@@ -240,10 +241,7 @@ pub fn aim_magnet<'py>(
         scale: (start.1 - position).length().max(wanted.apart),
     };
     let ((place, turned), best) = problem.solve(&mut source, rounds);
-    let [x, y, z] = [turned.x_axis, turned.y_axis, turned.z_axis];
-    let rows = (0..3).flat_map(|k| [x[k], y[k], z[k], place[k]]).chain([0.0, 0.0, 0.0, 1.0]);
-    let rows = Array2::from_shape_vec((4, 4), rows.collect());
-    let rows = rows.map_err(|error| PyValueError::new_err(error.to_string()))?;
+    let rows = array(py, &[4, 4], pose_rows(&turned, place).to_vec())?;
     let (force, torque) = (best.wrench.force.to_array(), best.wrench.torque.to_array());
-    Ok((rows.into_pyarray(py), force, torque, best.wrench.hold))
+    Ok((rows, force, torque, best.wrench.hold))
 }

@@ -2,6 +2,7 @@
 
 use super::capsules::{LinkCapsule, Obstacles};
 use super::chain::{Chain, Joint, Pose};
+use super::descent::descend;
 use super::handle::{pose_of, rows};
 use super::inverse::{All, Angles, BRANCHES, Inverse, JOINTS};
 use glam::DVec3;
@@ -14,13 +15,17 @@ const CHUNK: usize = 64;
 
 /// A chain of turning joints with its limits and the capsules around its links.
 #[pyclass(module = "vrcaps._core")]
+#[derive(Clone)]
 pub struct ArmChain {
-    chain: Chain,
+    /// Its joints.
+    pub(super) chain: Chain,
     inverse: Option<Inverse>,
-    obstacles: Obstacles,
+    /// Its links.
+    pub(super) obstacles: Obstacles,
 }
 
-fn array<'py>(
+/// An array of a shape.
+pub(super) fn array<'py>(
     py: Python<'py>,
     shape: &[usize],
     flat: Vec<f64>,
@@ -29,13 +34,8 @@ fn array<'py>(
     Ok(shaped.map_err(|error| PyValueError::new_err(error.to_string()))?.into_pyarray(py))
 }
 
-fn matrix(pose: &Pose) -> [f64; 16] {
-    let (r, p) = (&pose.rotation, pose.position);
-    let [x, y, z] = [r.x_axis, r.y_axis, r.z_axis];
-    [x.x, y.x, z.x, p.x, x.y, y.y, z.y, p.y, x.z, y.z, z.z, p.z, 0.0, 0.0, 0.0, 1.0]
-}
-
-fn pose(m: &[f64]) -> Pose {
+/// The pose of four rows.
+pub(super) fn pose(m: &[f64]) -> Pose {
     let (rotation, position) = pose_of(m);
     Pose { rotation, position }
 }
@@ -53,9 +53,24 @@ fn angles(row: &[f64]) -> Angles {
     std::array::from_fn(|i| row[i])
 }
 
+fn all_rows(array: Option<PyReadonlyArray2<'_, f64>>, columns: usize) -> PyResult<Vec<f64>> {
+    array.map_or(Ok(vec![]), |array| rows(&array, columns))
+}
+
 impl ArmChain {
-    fn count(&self) -> usize {
+    /// How many joints there are.
+    pub(super) fn count(&self) -> usize {
         self.chain.joints.len()
+    }
+
+    /// Angles within limits that put the flange at a target in the base, nearest to `near`. Without
+    /// a closed form they are what is found first step by step, from `near` and from other angles.
+    pub(super) fn solve(&self, target: &Pose, near: &[f64], others: &[f64]) -> Option<Vec<f64>> {
+        if let Some(solver) = &self.inverse {
+            return solver.nearest(target, &angles(near)).map(Vec::from);
+        }
+        let mut starts = std::iter::once(near).chain(others.chunks_exact(self.count()));
+        starts.find_map(|start| descend(&self.chain, target, start))
     }
 
     fn closed_form(&self) -> PyResult<&Inverse> {
@@ -117,7 +132,7 @@ impl ArmChain {
             let one = |q: &[f64]| {
                 let mut frames = Vec::with_capacity(n + 1);
                 self.chain.frames(q, &mut frames);
-                frames.iter().flat_map(matrix).collect::<Vec<f64>>()
+                frames.iter().flat_map(Pose::rows).collect::<Vec<f64>>()
             };
             angles.par_chunks_exact(n).with_min_len(CHUNK).flat_map_iter(one).collect()
         });
@@ -164,46 +179,54 @@ impl ArmChain {
         array(py, &[targets.len(), BRANCHES, JOINTS], flat)
     }
 
-    /// The solution [k 7] nearest to `near` [k 7] for each target [k 4 4]; NaN where there is none.
+    /// Angles [k n] nearest to `near` [k n] for each target [k 4 4]; NaN where there are none. An arm
+    /// without a closed form starts from `near`, then from other angles [m n].
+    #[pyo3(signature = (targets, near, others=None))]
     fn nearest<'py>(
         &self,
         py: Python<'py>,
         targets: PyReadonlyArray3<'py, f64>,
         near: PyReadonlyArray2<'py, f64>,
+        others: Option<PyReadonlyArray2<'py, f64>>,
     ) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
-        let solver = self.closed_form()?;
-        let (targets, near) = (poses(&targets)?, rows(&near, JOINTS)?);
-        if targets.len() * JOINTS != near.len() {
+        let n = self.count();
+        let (targets, near, others) = (poses(&targets)?, rows(&near, n)?, all_rows(others, n)?);
+        if targets.len() * n != near.len() {
             return Err(PyValueError::new_err("One start a target is needed."));
         }
         let solve = |(target, near): (&Pose, &[f64])| {
-            solver.nearest(target, &angles(near)).unwrap_or([f64::NAN; JOINTS])
+            self.solve(target, near, &others).unwrap_or_else(|| vec![f64::NAN; n])
         };
         let flat = py.detach(|| {
-            let starts = near.par_chunks_exact(JOINTS);
+            let starts = near.par_chunks_exact(n);
             let each = targets.par_iter().zip(starts).with_min_len(CHUNK).map(solve);
             each.collect::<Vec<_>>().concat()
         });
-        array(py, &[targets.len(), JOINTS], flat)
+        array(py, &[targets.len(), n], flat)
     }
 
-    /// Solutions [k 7] along a path of targets [k 4 4]: each the nearest to the one before; from the
-    /// first pose without a solution on NaN.
+    /// Angles [k n] along a path of targets [k 4 4]: each nearest to those before; from the first
+    /// pose without a solution on NaN.
+    #[pyo3(signature = (targets, start, others=None))]
     fn follow<'py>(
         &self,
         py: Python<'py>,
         targets: PyReadonlyArray3<'py, f64>,
-        start: [f64; JOINTS],
+        start: Vec<f64>,
+        others: Option<PyReadonlyArray2<'py, f64>>,
     ) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
-        let solver = self.closed_form()?;
-        let targets = poses(&targets)?;
-        let mut at = Some(start);
-        let mut flat = Vec::with_capacity(targets.len() * JOINTS);
-        for target in &targets {
-            at = at.and_then(|near| solver.nearest(target, &near));
-            flat.extend(at.unwrap_or([f64::NAN; JOINTS]));
+        let n = self.count();
+        let (targets, others) = (poses(&targets)?, all_rows(others, n)?);
+        if start.len() != n {
+            return Err(PyValueError::new_err("One angle a joint is needed."));
         }
-        array(py, &[targets.len(), JOINTS], flat)
+        let mut at = Some(start);
+        let mut flat = Vec::with_capacity(targets.len() * n);
+        for target in &targets {
+            at = at.and_then(|near| self.solve(target, &near, &others));
+            flat.extend(at.clone().unwrap_or_else(|| vec![f64::NAN; n]));
+        }
+        array(py, &[targets.len(), n], flat)
     }
 
     /// Least distances [k 2] between its own links and to a table (a point of it and the normal out

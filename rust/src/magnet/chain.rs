@@ -1,5 +1,6 @@
 //! A chain of turning joints by Denavit and Hartenberg's parameters, in Craig's convention.
 
+use super::handle::pose_rows;
 use glam::{DMat3, DVec3};
 
 /// A rigid pose: p ↦ rotation p + position.
@@ -19,6 +20,11 @@ impl Pose {
             rotation: self.rotation * inner.rotation,
             position: self.rotation * inner.position + self.position,
         }
+    }
+
+    /// Its four rows.
+    pub fn rows(&self) -> [f64; 16] {
+        pose_rows(&self.rotation, self.position)
     }
 
     /// The inverse pose.

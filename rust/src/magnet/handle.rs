@@ -48,6 +48,13 @@ pub(crate) fn pose_of(m: &[f64]) -> (DMat3, DVec3) {
     (DMat3::from_cols(column(0), column(1), column(2)), column(3))
 }
 
+/// Four rows of a pose.
+pub(crate) fn pose_rows(rotation: &DMat3, place: DVec3) -> [f64; 16] {
+    let [x, y, z] = [rotation.x_axis, rotation.y_axis, rotation.z_axis];
+    let p = place;
+    [x.x, y.x, z.x, p.x, x.y, y.y, z.y, p.y, x.z, y.z, z.z, p.z, 0.0, 0.0, 0.0, 1.0]
+}
+
 impl FieldSources {
     fn source(&mut self, index: usize) -> PyResult<&mut Source> {
         let count = self.sources.len();

@@ -40,6 +40,23 @@ impl Shares {
     }
 }
 
+/// Share of lane `i` that is drawn from the base.
+#[inline(always)]
+pub fn base_share(surface: &Surface, material: &Material, i: usize) -> f32 {
+    let cos_view = max(dot(at(&surface.view, i), at(&surface.normal, i)), 1e-4);
+    let shares = Shares::new(at(&surface.albedo, i), cos_view, material);
+    1.0 - shares.gloss - shares.film
+}
+
+/// A direction about a unit normal in proportion to its cosine, and that cosine.
+#[inline(always)]
+pub fn leave(normal: Vec3, [u, v]: [f32; 2]) -> (Vec3, f32) {
+    let ([right, up], (cosine, sine)) = (frame(normal), circle(u));
+    let own = on_circle(v.sqrt(), (1.0 - v).sqrt(), cosine, sine);
+    let along = add(scale(right, own[0]), scale(up, own[1]));
+    (normalize(add(along, scale(normal, own[2]))), own[2])
+}
+
 /// Draws a direction for each lane from the mixture of the lobes.
 ///
 /// The density is that of the whole mixture, so that no lobe's peak meets a small density of
@@ -114,7 +131,7 @@ fn visible_normal(view: Vec3, alpha: f32, v: f32, cosine: f32, sine: f32) -> Vec
 }
 
 #[inline(always)]
-fn on_circle(radius: f32, z: f32, cosine: f32, sine: f32) -> Vec3 {
+pub fn on_circle(radius: f32, z: f32, cosine: f32, sine: f32) -> Vec3 {
     [radius * cosine, radius * sine, z]
 }
 
@@ -125,7 +142,7 @@ fn select(first: bool, a: Vec3, b: Vec3) -> Vec3 {
 
 /// Cosine and sine of `u` turns, 0 ≤ u < 1, errors below 1e-6.
 #[inline(always)]
-fn circle(u: f32) -> (f32, f32) {
+pub fn circle(u: f32) -> (f32, f32) {
     let turn = if u > 0.5 { u - 1.0 } else { u };
     let size = turn.abs();
     let folded = if size > 0.25 { 0.5 - size } else { size };

@@ -7,10 +7,13 @@
 //! Paths go in waves, not one by one: all of a band of tiles take a step together, so that shading
 //! runs over lanes and ways to an LED are traced as packets.
 
+pub mod afloat;
 mod lobes;
 mod random;
 pub mod ray;
 mod shadow;
+mod through;
+pub mod walk;
 pub mod wave;
 
 use crate::lanes::*;

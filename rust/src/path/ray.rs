@@ -2,6 +2,7 @@
 
 use crate::bvh::{Bvh, Child, Node, Triangle, WIDTH};
 use crate::lanes::*;
+use crate::tile::MISS;
 use glam::Vec4;
 
 /// Deepest pile of nodes waiting to be visited: 7 per level of a tree of depth 32.
@@ -18,6 +19,8 @@ pub struct Hit {
     pub triangle: u32,
     /// As in `tile::Hits::edges`.
     pub edges: Vec3,
+    /// Particle met in place of a triangle: its place in `Contents::chyme`; `MISS` for none.
+    pub particle: u32,
 }
 
 /// A ray, ready to be tested against boxes and triangles.
@@ -129,7 +132,8 @@ pub fn cast<const ANY: bool>(
                 for number in range.filter(|&n| n as u32 != from) {
                     if let Some((distance, edges)) = ray.meet(&bvh.triangles[number], farthest) {
                         farthest = distance;
-                        found = Some(Hit { distance, triangle: number as u32, edges });
+                        found =
+                            Some(Hit { distance, triangle: number as u32, edges, particle: MISS });
                         if ANY {
                             return found;
                         }

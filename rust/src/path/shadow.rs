@@ -5,6 +5,7 @@
 
 use crate::lanes::*;
 use crate::path::ray;
+use crate::path::wave::Tracer;
 use crate::tile::{Hits, MISS, Pyramid, trace};
 use crate::visibility::ways;
 use crate::wall::Wall;
@@ -41,7 +42,7 @@ pub struct Requests {
 impl Requests {
     /// Adds to `sums` the light that arrives and forgets all requests.
     #[inline(always)]
-    pub fn settle(&mut self, wall: &Wall, leds: &[Vec3], sums: &mut [[f64; 3]]) {
+    pub fn settle(&mut self, tracer: &Tracer<'_>, leds: &[Vec3], sums: &mut [[f64; 3]]) {
         self.sort(leds);
         let mut rest = &self.order[..];
         while let Some(&first) = rest.first() {
@@ -51,11 +52,13 @@ impl Requests {
             let count = rest[..most].iter().take_while(|number| same(number)).count();
             let (chunk, after) = rest.split_at(count);
             let origin = leds[led as usize];
-            let lit = self.lit(wall, origin, chunk);
+            let lit = self.lit(tracer.wall, origin, chunk);
             for (&number, _) in chunk.iter().zip(lit).filter(|&(_, lit)| lit) {
-                let Request { light, pixel, .. } = self.open[number as usize];
+                let Request { point, light, pixel, .. } = self.open[number as usize];
+                let left = tracer.afloat.as_ref().map(|a| a.from_led(origin, point));
+                let left = left.unwrap_or([1.0; 3]);
                 for k in 0..3 {
-                    sums[pixel as usize][k] += f64::from(light[k]);
+                    sums[pixel as usize][k] += f64::from(light[k] * left[k]);
                 }
             }
             rest = after;

@@ -2,10 +2,13 @@
 
 use crate::lanes::*;
 use crate::material::{Led, Surface, add_light};
+use crate::path::afloat::Afloat;
 use crate::path::lobes::{Bounce, Draw, bounce};
 use crate::path::random::{dimension, hash, point, unit};
 use crate::path::ray::{self, Hit};
 use crate::path::shadow::{Request, Requests};
+use crate::path::through::Entry;
+use crate::path::walk::{Exit, offset};
 use crate::path::{First, Settings};
 use crate::render::REACH;
 use crate::scene::SceneData;
@@ -17,8 +20,6 @@ use crate::wall::Wall;
 const WAVE: usize = 65_536;
 /// Reflections that every path takes; after them a path may end early (Russian roulette).
 const FIRM: u32 = 2;
-/// How far a path starts from the wall, as a share of the largest coordinate: beyond rounding.
-const OFFSET: f32 = 2e-6;
 
 /// What paths travel in.
 pub struct Tracer<'a> {
@@ -32,31 +33,35 @@ pub struct Tracer<'a> {
     pub pixel_angle: f32,
     /// How paths are traced.
     pub settings: Settings,
+    /// What floats in the lumen, if anything does.
+    pub afloat: Option<Afloat<'a>>,
 }
 
 /// A path on its way from one surface to the next.
 #[derive(Clone, Copy)]
-struct Path {
-    origin: Vec3,
-    direction: Vec3,
+pub(super) struct Path {
+    pub(super) origin: Vec3,
+    pub(super) direction: Vec3,
     /// What the pixel gets of a unit of radiance found along it.
-    throughput: Vec3,
+    pub(super) throughput: Vec3,
     /// Number of its pixel among the sums.
-    pixel: u32,
+    pub(super) pixel: u32,
     /// Key of its pixel's random numbers.
-    key: u32,
-    sample: u32,
+    pub(super) key: u32,
+    pub(super) sample: u32,
     /// Triangle it leaves.
-    from: u32,
+    pub(super) from: u32,
 }
 
 /// Paths at one step, and room for the next.
 #[derive(Default)]
-struct Wave {
-    paths: Vec<Path>,
-    next: Vec<Path>,
+pub(super) struct Wave {
+    pub(super) paths: Vec<Path>,
+    pub(super) next: Vec<Path>,
     met: Vec<(u32, Hit)>,
-    requests: Requests,
+    pub(super) entries: Vec<Entry>,
+    pub(super) exits: Vec<(Path, Exit)>,
+    pub(super) requests: Requests,
 }
 
 /// Radiance [W/(sr·m²)] that surfaces of a band's tiles send to the viewer beyond direct light.
@@ -71,13 +76,17 @@ pub fn indirect(tracer: &Tracer<'_>, firsts: &[First]) -> Vec<Lane3> {
     let leds: Vec<Vec3> = tracer.leds.iter().map(|led| led.position).collect();
     let mut wave = Wave::default();
     let count = (WAVE / (firsts.len() * LANES).max(1)).max(1) as u32;
-    let mut done = if depth > 1 && !leds.is_empty() { 0 } else { samples };
+    let is_needed = depth > 1 || depth == 1 && tracer.scene.tissue.is_some();
+    let mut done = if is_needed && !leds.is_empty() { 0 } else { samples };
     while done < samples {
         let after = samples.min(done.saturating_add(count));
         tracer.set_out(firsts, done..after, &mut wave);
-        for reflection in 2..=depth {
-            tracer.step(reflection, &mut wave);
-            wave.requests.settle(tracer.wall, &leds, &mut sums);
+        for reflection in 1..=depth {
+            if reflection > 1 {
+                tracer.step(reflection, &mut wave);
+            }
+            tracer.walk(reflection, &mut wave);
+            wave.requests.settle(tracer, &leds, &mut sums);
             if wave.paths.is_empty() {
                 break;
             }
@@ -101,22 +110,19 @@ impl Tracer<'_> {
         for (tile, first) in firsts.iter().enumerate() {
             let facets = self.facets(&first.triangle, &first.surface);
             let keys = first.pixel.map(|pixel| hash(key ^ hash(pixel)));
+            let bare = self.bare(&first.surface, &first.triangle);
             for sample in samples.clone() {
-                let out = self.scattered(&first.surface, &keys, &[sample; LANES], 1);
-                for i in 0..LANES {
-                    let path = Path {
-                        origin: at(&first.surface.position, i),
-                        direction: at(&out.direction, i),
-                        throughput: at(&out.weight, i),
-                        pixel: (tile * LANES + i) as u32,
-                        key: keys[i],
-                        sample,
-                        from: first.triangle[i],
-                    };
-                    if first.hit[i] {
-                        self.go_on(path, at(&facets, i), &mut wave.paths);
-                    }
-                }
+                let own = std::array::from_fn(|i| Path {
+                    origin: at(&first.surface.position, i),
+                    direction: [0.0; 3],
+                    throughput: [1.0; 3],
+                    pixel: (tile * LANES + i) as u32,
+                    key: keys[i],
+                    sample,
+                    from: first.triangle[i],
+                });
+                let from = (&first.surface, bare.as_ref(), &facets);
+                self.send_on(1, from, (&own, &first.hit), (&mut wave.paths, &mut wave.entries));
             }
         }
     }
@@ -124,16 +130,22 @@ impl Tracer<'_> {
     /// Takes all paths to the next surface, asks for light there, and sends them on.
     #[inline(always)]
     fn step(&self, reflection: u32, wave: &mut Wave) {
-        let Wave { paths, next, met, requests } = wave;
+        let Wave { paths, next, met, entries, requests, .. } = wave;
         met.clear();
-        for (number, path) in paths.iter().enumerate() {
-            let hit =
-                ray::cast::<false>(&self.wall.bvh, path.origin, path.direction, REACH, path.from);
-            met.extend(hit.map(|hit| (number as u32, hit)));
+        for (number, path) in paths.iter_mut().enumerate() {
+            let Path { origin, direction, from, .. } = *path;
+            let hit = ray::cast::<false>(&self.wall.bvh, origin, direction, REACH, from);
+            let Some(mut hit) = hit else { continue };
+            if let Some(afloat) = &self.afloat {
+                let left;
+                (hit, left) = afloat.meet(origin, direction, from, hit);
+                path.throughput = [0, 1, 2].map(|k| path.throughput[k] * left[k]);
+            }
+            met.push((number as u32, hit));
         }
         next.clear();
         for block in met.chunks(LANES) {
-            self.shade(reflection, block, paths, (next, requests));
+            self.shade(reflection, block, paths, (next, entries, requests));
         }
         std::mem::swap(paths, next);
     }
@@ -145,37 +157,73 @@ impl Tracer<'_> {
         reflection: u32,
         block: &[(u32, Hit)],
         paths: &[Path],
-        (next, requests): (&mut Vec<Path>, &mut Requests),
+        (next, entries, requests): (&mut Vec<Path>, &mut Vec<Entry>, &mut Requests),
     ) {
-        let own: [Path; LANES] =
+        let mut own: [Path; LANES] =
             std::array::from_fn(|i| paths[block[i.min(block.len() - 1)].0 as usize]);
         let surface = self.met(block, &own);
-        self.ask(reflection, &surface, &own[..block.len()], requests);
+        let triangles = std::array::from_fn(|i| block.get(i).map_or(MISS, |met| met.1.triangle));
+        let bare = self.bare(&surface, &triangles);
+        let lit = bare.as_ref().unwrap_or(&surface);
+        let light = |led: &Led, radiance: &mut Lane3| {
+            add_light(lit, &self.scene.material, led, &[true; LANES], radiance);
+        };
+        self.ask(reflection, &surface.position, light, &own[..block.len()], requests);
+        if reflection == self.settings.depth && bare.is_none() {
+            return;
+        }
+        let facets = self.facets(&triangles, &surface);
+        for i in 0..LANES {
+            own[i].origin = at(&surface.position, i);
+            own[i].from = triangles[i];
+        }
+        let used = std::array::from_fn(|i| i < block.len());
+        let from = (&surface, bare.as_ref(), &facets);
+        self.send_on(reflection, from, (&own, &used), (next, entries));
+    }
+
+    /// Sends paths on from a surface: along the wall, or into the tissue behind it.
+    ///
+    /// `bare` is the surface without the base that tissue stands for.
+    #[inline(always)]
+    fn send_on(
+        &self,
+        reflection: u32,
+        (surface, bare, facets): (&Surface, Option<&Surface>, &Lane3),
+        (own, used): (&[Path; LANES], &[bool; LANES]),
+        (next, entries): (&mut Vec<Path>, &mut Vec<Entry>),
+    ) {
+        let stays = match &self.scene.tissue {
+            Some(tissue) => self.enter(reflection, tissue, (surface, facets), (own, used), entries),
+            None => [1.0; LANES],
+        };
         if reflection == self.settings.depth {
             return;
         }
-        let triangles = std::array::from_fn(|i| block.get(i).map_or(MISS, |met| met.1.triangle));
-        let facets = self.facets(&triangles, &surface);
         let (keys, samples) = (own.map(|path| path.key), own.map(|path| path.sample));
-        let out = self.scattered(&surface, &keys, &samples, reflection);
-        for i in 0..block.len() {
-            let weight = at(&out.weight, i);
-            let mut path = Path {
-                origin: at(&surface.position, i),
-                direction: at(&out.direction, i),
-                throughput: [0, 1, 2].map(|k| own[i].throughput[k] * weight[k]),
-                from: triangles[i],
-                ..own[i]
-            };
+        let out = self.scattered(bare.unwrap_or(surface), &keys, &samples, reflection);
+        for i in (0..LANES).filter(|&i| used[i] && stays[i] > 0.0) {
+            let weight = scale(at(&out.weight, i), 1.0 / stays[i]);
+            let mut path = own[i];
+            path.direction = at(&out.direction, i);
+            path.throughput = [0, 1, 2].map(|k| path.throughput[k] * weight[k]);
             if self.survives(reflection, &mut path) {
-                self.go_on(path, at(&facets, i), next);
+                self.go_on(path, at(facets, i), next);
             }
         }
     }
 
-    /// Asks for the light of one LED on each of the surfaces that `paths` met.
+    /// Asks for the light of one LED on each of the places that `paths` have come to; `light` adds
+    /// what an LED would leave there.
     #[inline(always)]
-    fn ask(&self, reflection: u32, surface: &Surface, paths: &[Path], requests: &mut Requests) {
+    pub(super) fn ask(
+        &self,
+        reflection: u32,
+        position: &Lane3,
+        light: impl Fn(&Led, &mut Lane3),
+        paths: &[Path],
+        requests: &mut Requests,
+    ) {
         let mut throughput = [[0.0; LANES]; 3];
         let mut number = [0.0; LANES];
         for (i, path) in paths.iter().enumerate() {
@@ -184,12 +232,12 @@ impl Tracer<'_> {
                 throughput[k][i] = path.throughput[k];
             }
         }
-        let light = self.one_led(surface, &throughput, number);
+        let light = self.one_led(light, &throughput, number);
         for (i, path) in paths.iter().enumerate().filter(|&(i, _)| light.weight[i] > 0.0) {
             let factor = light.total[i] / light.weight[i];
             let radiance = at(&light.radiance, i);
             requests.open.push(Request {
-                point: at(&surface.position, i),
+                point: at(position, i),
                 light: [0, 1, 2].map(|k| path.throughput[k] * radiance[k] * factor),
                 pixel: path.pixel,
                 led: light.led[i],
@@ -199,7 +247,7 @@ impl Tracer<'_> {
 
     /// Ends some of the paths that carry little and makes up for them with the others.
     #[inline(always)]
-    fn survives(&self, reflection: u32, path: &mut Path) -> bool {
+    pub(super) fn survives(&self, reflection: u32, path: &mut Path) -> bool {
         if reflection < FIRM {
             return true;
         }
@@ -212,10 +260,10 @@ impl Tracer<'_> {
 
     /// Adds a path unless it carries nothing or leads into the wall, whose unit normal is `facet`.
     #[inline(always)]
-    fn go_on(&self, mut path: Path, facet: Vec3, paths: &mut Vec<Path>) {
+    pub(super) fn go_on(&self, mut path: Path, facet: Vec3, paths: &mut Vec<Path>) {
         let [r, g, b] = path.throughput;
         if (max(r, max(g, b)) > 0.0) & (dot(path.direction, facet) > 0.0) {
-            path.origin = add(path.origin, scale(facet, OFFSET * self.wall.extent));
+            path.origin = add(path.origin, scale(facet, offset(self.wall)));
             paths.push(path);
         }
     }
@@ -254,7 +302,11 @@ impl Tracer<'_> {
             }
         }
         let found = attributes_at(self.wall, self.scene, position, view, &hits);
-        surface(self.scene, &found, &hits.distance, self.pixel_angle)
+        let mut surface = surface(self.scene, &found, &hits.distance, self.pixel_angle);
+        if let Some(afloat) = &self.afloat {
+            afloat.show(block, &mut surface);
+        }
+        surface
     }
 
     /// Unit normals of the faces on the viewer's side; the surface's own where there is no face.
@@ -274,7 +326,12 @@ impl Tracer<'_> {
 
     /// Chooses one LED for each lane in proportion to what it would add to the pixel unshadowed.
     #[inline(always)]
-    fn one_led(&self, surface: &Surface, throughput: &Lane3, mut number: Lane) -> OneLed {
+    fn one_led(
+        &self,
+        light: impl Fn(&Led, &mut Lane3),
+        throughput: &Lane3,
+        mut number: Lane,
+    ) -> OneLed {
         let mut out = OneLed {
             led: [0; LANES],
             radiance: [[0.0; LANES]; 3],
@@ -283,7 +340,7 @@ impl Tracer<'_> {
         };
         for (led_number, led) in self.leds.iter().enumerate() {
             let mut radiance = [[0.0; LANES]; 3];
-            add_light(surface, &self.scene.material, led, &[true; LANES], &mut radiance);
+            light(led, &mut radiance);
             for i in 0..LANES {
                 let [r, g, b] = at(throughput, i);
                 let weight = r * radiance[0][i] + g * radiance[1][i] + b * radiance[2][i];

@@ -13,9 +13,9 @@ use super::soft_wall::{Drive, SoftWall};
 use super::solve::Twist;
 use super::step::{Laws, Load, press};
 use crate::fem::layer::FemLayer;
-use crate::magnet::handle::{FieldSources, internal_magnets, pose_of, rows};
+use crate::magnet::handle::{FieldSources, internal_magnets, pose_of, pose_rows, rows};
 use crate::wall::Wall;
-use glam::{DQuat, DVec3};
+use glam::{DMat3, DQuat, DVec3};
 use numpy::{IntoPyArray, PyArray2, PyReadonlyArray1, PyReadonlyArray2, ndarray, ndarray::Array2};
 use pyo3::{exceptions::PyValueError, prelude::*};
 use rayon::prelude::*;
@@ -50,10 +50,6 @@ pub struct World {
     pub(super) saved: Option<Saved>,
 }
 
-fn vector(a: [f64; 3]) -> DVec3 {
-    DVec3::from_array(a)
-}
-
 #[pymethods]
 impl World {
     /// A capsule in a wall at rest, at a pose.
@@ -69,7 +65,7 @@ impl World {
     ) -> PyResult<Self> {
         let (soft, center) = {
             let wall = wall.borrow(py);
-            (SoftWall::new(&wall, quick.is_some()), vector(wall.center))
+            (SoftWall::new(&wall, quick.is_some()), DVec3::from(wall.center))
         };
         let quick = quick.map(Quick::from);
         let body: Body = body.into();
@@ -110,7 +106,7 @@ impl World {
         if outer == 0 || !count.is_multiple_of(outer) {
             return Err(PyValueError::new_err("The count must be a multiple of outer."));
         }
-        let load = Load { wrench: Twist::from_array(wrench), gravity: vector(gravity) };
+        let load = Load { wrench: Twist::from_array(wrench), gravity: DVec3::from(gravity) };
         if let Some(calibre) = calibre {
             self.aim(calibre.as_slice()?, dt * count as f64)?;
         }
@@ -164,7 +160,7 @@ impl World {
     fn pulled(&mut self, point: [f64; 3]) -> Option<Report> {
         let magnets = self.magnets.as_mut()?;
         magnets.finish();
-        Some(magnets.report(vector(point)))
+        Some(magnets.report(DVec3::from(point)))
     }
 
     /// What lasts of the exchange with the layer: force [N] on each node, how far the felt wall is
@@ -247,6 +243,18 @@ impl World {
         )
     }
 
+    /// Pose [4 4] of the capsule in the world, where the wall is at a pose [4 4].
+    fn pose_in<'py>(
+        &self,
+        py: Python<'py>,
+        wall: PyReadonlyArray2<'py, f64>,
+    ) -> PyResult<Bound<'py, PyArray2<f64>>> {
+        let (rotation, position) = pose_of(&rows(&wall, 4)?);
+        let turn = rotation * DMat3::from_quat(self.motion.rotation);
+        let place = rotation * (self.motion.position + self.center) + position;
+        Ok(table(py, pose_rows(&turn, place).to_vec(), 4))
+    }
+
     #[setter]
     fn set_pose(&mut self, pose: Pose) -> PyResult<()> {
         let (position, [w, x, y, z], velocity, angular_velocity) = pose;
@@ -255,10 +263,10 @@ impl World {
             return Err(PyValueError::new_err("A capsule's pose and motion must be finite."));
         }
         self.motion = Motion {
-            position: vector(position),
+            position: DVec3::from(position),
             rotation: DQuat::from_xyzw(x, y, z, w),
-            velocity: vector(velocity),
-            angular_velocity: vector(angular_velocity),
+            velocity: DVec3::from(velocity),
+            angular_velocity: DVec3::from(angular_velocity),
         };
         self.soft.travel = f64::INFINITY;
         Ok(())

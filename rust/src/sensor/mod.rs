@@ -7,6 +7,7 @@
 mod bayer;
 mod bloom;
 mod defocus;
+mod dome;
 mod field;
 mod flow;
 mod jpeg;
@@ -26,6 +27,7 @@ pub fn register(m: &Bound<'_, PyModule>) -> PyResult<()> {
     m.add_function(wrap_pyfunction!(planes::shade_planes, m)?)?;
     m.add_function(wrap_pyfunction!(planes::develop, m)?)?;
     m.add_function(wrap_pyfunction!(defocus::defocus, m)?)?;
+    m.add_function(wrap_pyfunction!(dome::through_dome, m)?)?;
     m.add_function(wrap_pyfunction!(bloom::bloom, m)?)?;
     m.add_function(wrap_pyfunction!(noise::normals, m)?)?;
     m.add_function(wrap_pyfunction!(noise::read_sensor, m)?)?;

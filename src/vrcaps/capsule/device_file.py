@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import os
 import re
-import tomllib
 from collections.abc import Iterable
 from dataclasses import MISSING, fields
 from decimal import Decimal
@@ -50,13 +49,7 @@ def read_device(path: Path) -> Device:
         InputError: If the file cannot be read, is no TOML, lacks a key, has a key too many or of
             the wrong type, or holds a lens, pose or size that cannot be.
     """
-    try:
-        entries = tomllib.loads(path.read_text(encoding="utf-8"), parse_float=Decimal)
-    except OSError as error:
-        raise InputError(f"Cannot read the device file {path}: {error.strerror}.") from error
-    except (UnicodeDecodeError, tomllib.TOMLDecodeError, ArithmeticError) as error:
-        raise InputError(f"The device file {path} is not TOML: {error}.") from error
-    table = TomlTable(entries, path.name)
+    table = TomlTable.read(path, "device")
     title, source = table.text("title"), table.text("source") if table.has("source") else ""
     metadata = plain(table.table("metadata").entries) if table.has("metadata") else {}
     length = table.number("length_mm", MILLI, above=0)

@@ -15,7 +15,7 @@ from vrcaps.cli.recording import run_recording
 from vrcaps.errors import InputError
 from vrcaps.organ.read_organ import is_organ_file
 from vrcaps.render.frame import CHANNELS
-from vrcaps.render.settings import RenderSettings
+from vrcaps.render.settings import RECORDED, RenderSettings
 from vrcaps.tissue.contents.contents import Contents
 from vrcaps.units import LENGTH_UNITS
 from vrcaps.world.fly_through import FlyThrough
@@ -173,7 +173,7 @@ class Record:
     path_allow_outside: bool = False
     """Accept poses whose camera is outside the lumen."""
 
-    render: OmitArgPrefixes[RenderSettings] = field(default_factory=RenderSettings)
+    render: OmitArgPrefixes[RenderSettings] = RECORDED
     """How the images are rendered."""
 
     threads: int | None = None

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
 from vrcaps.units import MM
-from vrcaps.world.magnet_motion import MagnetSteering
-from vrcaps.world.steering import Steering
+from vrcaps.world.magnet_motion import GENTLE, MagnetSteering
 
 
 @dataclass(frozen=True)
@@ -16,14 +15,15 @@ class MagnetFlags:
     """Flags beside `--motion magnet`."""
 
     magnet: str = MagnetSteering.magnet
-    """The magnet outside: cylinder-101.6, cylinder-76.2 or cylinder-50.8."""
+    """The magnet outside: cylinder-101.6 (6.2 kg), cylinder-76.2 (2.6 kg, the Panda may carry 3) or
+    cylinder-50.8 (0.8 kg)."""
 
     arm: str | None = None
     """Arm that carries it: panda, or an arm file (TOML); by default a hand without limits of
     reach."""
 
     arm_base: tuple[float, float, float] | None = None
-    """Place of the arm's base in the world [m]; by default 45 cm beside the organ's middle."""
+    """Place of the arm's base in the world [m]; by default 55 cm beside the organ's middle."""
 
     skin_mm: float = MagnetSteering.skin / MM
     """Least gap between the organ's highest point and the magnet [mm]."""
@@ -32,10 +32,13 @@ class MagnetFlags:
     """Wall that the capsule glides along: the lower, lightened, or the upper, pulled against it."""
 
     press: float | None = None
-    """Force between capsule and that wall [N]; by default 0.05 on the lower, 0.3 on the upper."""
+    """Force between capsule and that wall [N]; by default 0.05 on the lower, 0.15 on the upper."""
 
     along_mm_per_s: float = MagnetSteering.speed / MM
-    """Speed along the gut where no --steer is given [mm/s]."""
+    """Speed along the wall where no --steer is given [mm/s]; it waits for the capsule."""
+
+    until: float = MagnetSteering.until
+    """Where that ends, as a share of the centreline; before --start it leads back."""
 
     steer: Path | None = None
     """Where to be when, a CSV with the header time_s,arc_length_m,yaw_deg,pitch_deg; or a joystick
@@ -47,9 +50,9 @@ class MagnetFlags:
         Raises:
             InputError: If a flag is impossible.
         """
-        gains = Steering()
+        gains = GENTLE
         if self.press is not None:
-            gains = Steering(press=self.press, rest=self.press)
+            gains = replace(gains, press=self.press, rest=self.press)
         return MagnetSteering(
             magnet=self.magnet,
             arm=self.arm,
@@ -57,6 +60,7 @@ class MagnetFlags:
             skin=self.skin_mm * MM,
             side=self.side,
             speed=self.along_mm_per_s * MM,
+            until=self.until,
             steering=gains,
             file="" if self.steer is None else str(self.steer),
         )

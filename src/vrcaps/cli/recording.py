@@ -42,7 +42,7 @@ def run_recording(scenario: Scenario, out: Path, *, threads: int | None = None) 
 
 
 def use_threads(threads: int | None) -> None:
-    """Limit the core to a number of threads; only before its first parallel work.
+    """Limit the core and the denoiser to a number of threads; only before its first parallel work.
 
     Raises:
         InputError: If the number is not positive.
@@ -51,7 +51,7 @@ def use_threads(threads: int | None) -> None:
         return
     if threads < 1:
         raise InputError(f"--threads is {threads}. Allowed: 1 or more.")
-    os.environ["RAYON_NUM_THREADS"] = str(threads)
+    os.environ["RAYON_NUM_THREADS"] = os.environ["OIDN_NUM_THREADS"] = str(threads)
 
 
 def _summarise(out: Path, times: list[float], seconds: float) -> None:

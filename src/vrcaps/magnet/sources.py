@@ -74,16 +74,26 @@ def check_pose(name: str, pose: np.ndarray) -> None:
     Raises:
         InputError: If it is not a finite 4×4 matrix of a rotation and a place.
     """
-    pose = np.asarray(pose)
-    is_rigid = (
-        pose.shape == (4, 4)
-        and np.isfinite(pose).all()
-        and np.abs(pose[:3, :3] @ pose[:3, :3].T - np.eye(3)).max() < _ORTHONORMAL
-        and np.linalg.det(pose[:3, :3]) > 0.0
-        and np.array_equal(pose[3], [0.0, 0.0, 0.0, 1.0])
-    )
-    if not is_rigid:
+    if not _is_rigid(np.asarray(pose)):
         raise InputError(f"{name} is no rigid pose. Allowed: 4 x 4, a rotation and a place [m].")
+
+
+def _is_rigid(pose: np.ndarray) -> bool:
+    """In plain numbers: it is asked at every step of a control loop."""
+    if pose.shape != (4, 4):
+        return False
+    (a, b, c, x), (d, e, f, y), (g, h, i, z), last = pose.tolist()
+    products = (
+        *(a * a + b * b + c * c - 1.0, d * d + e * e + f * f - 1.0, g * g + h * h + i * i - 1.0),
+        *(a * d + b * e + c * f, a * g + b * h + c * i, d * g + e * h + f * i),
+    )
+    determinant = a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
+    return (
+        all(abs(product) < _ORTHONORMAL for product in products)
+        and all(map(math.isfinite, (x, y, z)))
+        and determinant > 0.0
+        and last == [0.0, 0.0, 0.0, 1.0]
+    )
 
 
 def _pose(source: Source) -> np.ndarray:

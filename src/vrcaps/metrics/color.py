@@ -47,6 +47,10 @@ def lab_from_srgb(rgb: UInt8[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*bat
     return np.stack([116.0 * y - 16.0, 500.0 * (x - y), 200.0 * (y - z)], axis=-1)
 
 
+_HIGHLIGHT = 0.45
+"""Least of the linear colours from which a pixel is a highlight."""
+
+
 @dataclass(frozen=True)
 class ImageColor:
     """Colour statistics of one image in L*, a*, b*.
@@ -85,6 +89,31 @@ def image_color(rgb: UInt8[np.ndarray, "h w 3"], valid: Bool[np.ndarray, "h w"])
     counts = np.stack([np.bincount(channel, minlength=_GRADIENT_BINS) for channel in bins.T])
     values = lab[valid]
     return ImageColor(values.mean(axis=0), values.std(axis=0), counts / inner.sum())
+
+
+def highlights(
+    rgb: UInt8[np.ndarray, "h w 3"], valid: Bool[np.ndarray, "h w"]
+) -> tuple[float, int]:
+    """Share of the valid pixels that are highlights, and the number of these.
+
+    A highlight is where even the least of red, green and blue is at least 0.45 of white: mucosa
+    reflects so little blue that only mirrored light, or overexposure, gets there. One highlight is
+    all that hangs together by sides or corners.
+
+    Raises:
+        InputError: If the mask has another shape or no pixel.
+    """
+    from scipy import ndimage
+
+    if valid.shape != rgb.shape[:2] or not valid.any():
+        raise InputError(
+            f"The mask has shape {valid.shape} and {int(valid.sum())} pixels; allowed: "
+            f"{rgb.shape[:2]} and some."
+        )
+    is_highlight = (linear_from_srgb(rgb).min(axis=-1) >= _HIGHLIGHT) & valid
+    number = np.empty(valid.shape, np.int32)
+    ndimage.label(is_highlight, np.ones((3, 3)), output=number)
+    return float(is_highlight.sum() / valid.sum()), int(number.max())
 
 
 @dataclass(frozen=True)

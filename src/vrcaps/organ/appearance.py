@@ -37,8 +37,9 @@ _MOST_STRETCH = 1.6  # of a texel beyond the mean that more texels make up for
 class Mucosa:
     """Character of a mucosa.
 
-    Colours are those that endoscopes show, which enhance them: their ratios and spread are
-    fitted to real frames (docs/gallery.md), shapes and sizes by eye.
+    Colours are those at which frames with bounced light have the colours of real ones
+    (`benchmarks/fit_appearance.py`, docs/gallery.md); the stomach's, of which there were none,
+    change as the colon's did. Shapes and sizes are chosen by eye.
 
     Attributes:
         base_color: Linear reflectance of the wall between its vessels, red, green, blue.
@@ -83,9 +84,15 @@ class Mucosa:
 
 
 MUCOSAE: dict[str, Mucosa] = {
-    "colon": Mucosa(base_color=(0.64, 0.165, 0.088)),
+    "colon": Mucosa(
+        base_color=(0.444, 0.157, 0.112),
+        redness_variation=0.45,
+        network=1.4,
+        roughness=0.75,
+        coat=0.6,
+    ),
     "stomach": Mucosa(
-        base_color=(0.62, 0.170, 0.085),
+        base_color=(0.430, 0.162, 0.108),
         bile=0.25,
         vessel_contrast=0.25,
         vessel_spacing=1.5 * MM,
@@ -97,7 +104,7 @@ MUCOSAE: dict[str, Mucosa] = {
         coat=0.7,
     ),
     "small_intestine": Mucosa(
-        base_color=(0.60, 0.26, 0.115),
+        base_color=(0.406, 0.214, 0.149),
         redness_variation=0.22,
         patient_variation=(0.20, 0.40),
         bile=0.40,

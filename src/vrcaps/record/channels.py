@@ -107,5 +107,7 @@ ENCODINGS: dict[str, Encoding] = {
     "front_label": Encoding("class", "uint8", 1),
     "front_instance": Encoding("number", "uint16", 1),
     "front_depth": _distance(),
+    "bend_label": Encoding("class", "uint8", 1),
+    "dome_label": Encoding("class", "uint8", 1),
 }
 """Encoding of every channel of `Frame`."""

@@ -296,6 +296,7 @@ def _faults(
                 "normal",
                 f"is not of unit length at {np.count_nonzero(abs(length - 1) > 1e-3)} pixels",
             )
+        seen &= ~_bent(episode, values, seen.shape)
         facing = (normal[seen] * rays[seen]).sum(axis=-1)
         # Smooth normals may tip over at a silhouette, by less than a triangle's bend.
         if np.count_nonzero(facing > 1e-3) > 0.02 * max(len(facing), 1):
@@ -303,6 +304,14 @@ def _faults(
                 "normal",
                 f"faces away from the camera at {np.count_nonzero(facing > 1e-3)} pixels",
             )
+
+
+def _bent(episode: Episode, values: dict[str, NDArray], shape: tuple[int, ...]) -> NDArray:
+    """Pixels that liquid may let see another place of the wall than a straight ray does."""
+    if "bend_label" in values:
+        return values["bend_label"] != 0
+    is_liquid = bool(episode.scenario.contents.liquid)
+    return np.full(shape, is_liquid)
 
 
 def _check_cast(
@@ -313,7 +322,10 @@ def _check_cast(
     if channel not in images:
         return
     rays = camera_rays(camera)
-    rows, columns = np.nonzero(np.isfinite(rays).all(axis=-1))
+    lit = np.isfinite(rays).all(axis=-1)
+    rows, columns = np.nonzero(lit & ~_bent(episode, images, lit.shape))
+    if not len(rows):
+        return
     chosen = np.linspace(0, len(rows) - 1, min(_CAST_RAYS, len(rows))).astype(int)
     rows, columns = rows[chosen], columns[chosen]
     T_world_camera = episode.Ts_world_camera(camera.name)[frame]

@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps.tissue.contents.filling import FRONT_NAMES
+from vrcaps.render.camera_effects.dome import DOME_NAMES
+from vrcaps.tissue.contents.filling import BEND_NAMES, FRONT_NAMES
 from vrcaps.units import MM
 
 if TYPE_CHECKING:
@@ -15,8 +16,11 @@ if TYPE_CHECKING:
 
     from vrcaps.record.episode import Episode
 
-CLASSES = ("label", "instance", "front_label", "front_instance")
+CLASSES = ("label", "instance", "front_label", "front_instance", "bend_label", "dome_label")
 """Channels of numbers that stand for things."""
+
+NAMES = {"front_label": FRONT_NAMES, "bend_label": BEND_NAMES, "dome_label": DOME_NAMES}
+"""Names of the classes of channels whose classes are the same everywhere."""
 
 _BACKGROUND = np.array([24, 24, 28], np.uint8)
 _TEXT = (230, 230, 230)
@@ -118,8 +122,8 @@ def _legend(
     if channel == "label":
         seen = np.unique(np.concatenate([np.unique(image) for image in images]))
         return f": {', '.join(episode.label_names[i] for i in seen if i > 0)}"
-    if channel == "front_label":
-        return f": {', '.join(FRONT_NAMES[1:])}"
+    if channel in NAMES:
+        return f": {', '.join(NAMES[channel][1:])}"
     if channel in ("instance", "front_instance"):
         seen = np.unique(np.concatenate([np.unique(image) for image in images]))
         return f": {', '.join(str(i) for i in seen if i > 0) or 'none'}"

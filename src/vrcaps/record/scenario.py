@@ -23,7 +23,7 @@ from vrcaps.organ.surface import OrganSurface
 from vrcaps.record.typed import from_plain, to_plain
 from vrcaps.render.camera_effects.effects import Effects
 from vrcaps.render.frame import CHANNELS
-from vrcaps.render.settings import RenderSettings
+from vrcaps.render.settings import RECORDED, RenderSettings
 from vrcaps.tissue.contents.contents import Contents
 from vrcaps.units import parse_length
 from vrcaps.world.fly_through import FlyThrough, fly_through
@@ -104,7 +104,7 @@ class Scenario:
         fps: Frames per second; None takes the capsule's own.
         seed: Of the motion's wandering and the mucosa of an organ from a file.
         channels: Image channels to write.
-        render: How to render.
+        render: How to render; by default with quick bounced light.
         wall: Store where every vertex of the wall is in each frame.
         lesions: What to put into the organ; number k becomes instance k, counted from 1.
         clean_twin: Show the same patient without the lesions; the motion stays as it is with them.
@@ -120,7 +120,7 @@ class Scenario:
     fps: float | None = None
     seed: int = 0
     channels: tuple[str, ...] = DEFAULT_CHANNELS
-    render: RenderSettings = field(default_factory=RenderSettings)
+    render: RenderSettings = RECORDED
     wall: bool = False
     lesions: tuple[AnyLesion, ...] = ()
     clean_twin: bool = False

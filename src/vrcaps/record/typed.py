@@ -3,7 +3,7 @@
 A field's type is the schema: ``bool``, ``int``, ``float``, ``str``, ``None``, ``Literal``,
 tuples, other dataclasses and unions of these; an infinite number is the text ``inf``. Where a
 union has several dataclasses the plain form names the class under the key ``kind``, the text that
-the class itself has as `kind`.
+the class itself has as `kind`. Keys that a table leaves out are as in the default of its field.
 """
 
 from __future__ import annotations
@@ -92,7 +92,17 @@ def _dataclass(classes: dict[str, type], plain: Mapping, at: str) -> Any:
     missing = [name for name, f in known.items() if name not in plain and _is_required(f)]
     if missing:
         raise InputError(f"Missing key {at}.{missing[0]}: {_allowed(hints[missing[0]])}.")
-    return cls(**{k: from_plain(hints[k], v, at=f"{at}.{k}") for k, v in plain.items()})
+    values = {k: _completed(known[k], hints[k], v) for k, v in plain.items()}
+    return cls(**{k: from_plain(hints[k], v, at=f"{at}.{k}") for k, v in values.items()})
+
+
+def _completed(f: Field, declared: Any, plain: Any) -> Any:
+    """A table of some keys with the others as the field's own default has them."""
+    default = f.default if f.default_factory is MISSING else f.default_factory()
+    if not (isinstance(plain, Mapping) and is_dataclass(default)):
+        return plain
+    whole = to_plain(default, declared)
+    return {**whole, **plain} if plain.get("kind") == whole.get("kind") else plain
 
 
 def _is_required(f: Field) -> bool:

@@ -7,15 +7,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps._core import Wall
+from vrcaps._core import Contents, Wall
 from vrcaps.capsule.device import Camera
 from vrcaps.capsule.rays import pixel_grid, project_points
+from vrcaps.render.bend import Bends
 from vrcaps.tissue.contents.filling import Filling
 from vrcaps.transforms import invert, transform_points
 from vrcaps.world.model import State
 
 if TYPE_CHECKING:
-    from jaxtyping import Bool, Float, Int
+    from jaxtyping import Bool, Float, Int, UInt8
 
 STEP = 4
 """Pixels between those that stand for all, the first in the middle of a square; as in the core."""
@@ -29,18 +30,21 @@ class SurfacePoints:
         position: Place now in the world frame [m]; NaN where there is none.
         face: Face it lies on, −1 where there is none, −2 − k on sphere k of the filling.
         weights: Weights of the face's first and second corner.
+        bend: How a liquid's surface turns the way to it, as in the channel `bend_label`.
     """
 
     position: Float[np.ndarray, "h w 3"]
     face: Int[np.ndarray, "h w"]
     weights: Float[np.ndarray, "h w 2"]
+    bend: UInt8[np.ndarray, "h w"]
 
     @staticmethod
     def sparse(camera: Camera) -> SurfacePoints:
         """Room for the points that `thinned` pixels of a camera see."""
         shape = thinned(np.empty((camera.height, camera.width))).shape
         position, weights = np.empty((*shape, 3), np.float32), np.empty((*shape, 2), np.float32)
-        return SurfacePoints(position, np.empty(shape, np.int32), weights)
+        bend = np.empty(shape, np.uint8)
+        return SurfacePoints(position, np.empty(shape, np.int32), weights, bend)
 
     def moved(
         self,
@@ -92,7 +96,7 @@ def flow(
 
     Args:
         camera: The camera that sees both frames.
-        points_world: The surface points in the neighbouring frame [m].
+        points_world: Where the surface points appear in the neighbouring frame [m].
         state: The neighbouring frame.
 
     Returns:
@@ -106,15 +110,34 @@ def flow(
 
 def seen_from(
     camera: Camera,
+    bends: Bends,
     points_world: Float[np.ndarray, "h w 3"],
     motion: Float[np.ndarray, "h w 2"],
     state: State,
     wall: Wall,
+    contents: Contents | None,
 ) -> Bool[np.ndarray, "h w"]:
-    """Whether each surface point is seen in a neighbouring frame: in view and not hidden."""
+    """Whether each surface point is seen in a neighbouring frame: in view and not hidden.
+
+    Args:
+        camera: The camera that sees both frames.
+        bends: How liquid bends the ways to them.
+        points_world: The surface points in the neighbouring frame [m].
+        motion: Of their images [px].
+        state: The neighbouring frame.
+        wall: In that frame.
+        contents: Of the lumen then.
+    """
     target = motion + pixel_grid(camera.width, camera.height)
     size = np.array([camera.width, camera.height])
-    in_view = np.all((target >= -0.5) & (target < size - 0.5), axis=-1)
-    eye = (state.T_world_capsule @ camera.T_capsule_camera)[:3, 3]
-    free = wall.visible(tuple(eye), points_world.reshape(-1, 3)).reshape(in_view.shape)
-    return in_view & free
+    seen = np.all((target >= -0.5) & (target < size - 0.5), axis=-1)
+    eye = tuple((state.T_world_capsule @ camera.T_capsule_camera)[:3, 3])
+    ends, is_bent = points_world, np.zeros(seen.shape, bool)
+    if bends.turn is not None:
+        is_bent = np.isfinite(bends.turn[..., 0])
+        ends = np.where(is_bent[..., None], bends.turn, points_world)
+    seen &= wall.visible(eye, ends.reshape(-1, 3)).reshape(seen.shape)
+    if contents is not None:
+        seen &= contents.free(wall, eye, ends.reshape(-1, 3)).reshape(seen.shape)
+        seen[is_bent] &= contents.free_ways(wall, ends[is_bent], points_world[is_bent])
+    return seen

@@ -55,6 +55,12 @@ class Frame:
     front_depth: Float[np.ndarray, "h w"] | None = _channel(
         "m", "z in the camera frame where the thing in front begins"
     )
+    bend_label: UInt8[np.ndarray, "h w"] | None = _channel(
+        "class", "how a liquid's surface turns the ray: 0 straight, 1 refracted, 2 mirrored"
+    )
+    dome_label: UInt8[np.ndarray, "h w"] | None = _channel(
+        "class", "what lies on the dome there: 0 nothing, 1 drop, 2 smear"
+    )
 
 
 CHANNELS: tuple[str, ...] = tuple(f.name for f in fields(Frame))

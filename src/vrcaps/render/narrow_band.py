@@ -18,6 +18,12 @@ import numpy as np
 from vrcaps.organ.appearance import ABSORPTION
 from vrcaps.organ.photo.color import from_log_linear, log_linear
 from vrcaps.organ.surface import Appearance
+from vrcaps.render.scattering import (
+    TISSUE_IOR,
+    diffuse_reflectance,
+    internal_reflection,
+    reduced_scattering,
+)
 from vrcaps.tissue.contents.bubbles import Bubbles
 from vrcaps.tissue.contents.liquid import Liquid
 
@@ -28,15 +34,8 @@ _HAEMOGLOBIN = {"green": 34.7e3, 540: 46.5e3, 415: 394e3}
 """Extinction of oxygenated haemoglobin [1/(cm·M)], means of S. Prahl's table (Gratzer; Kollias)
 over 500 to 590 nm, and over the bands of 30 nm about 540 and 415 nm of narrow-band systems."""
 
-_SCATTERING = -0.845
-"""Exponent of wavelength in the reduced scattering of colon: 14.2 to 6.2 per cm from 300 to 800 nm
-(Marchesini et al., Lasers Surg. Med. 15(4), 1994)."""
-
 _BILE = {540: 0.08, 415: 0.88}
 """Density of bile at the bands relative to blue: bilirubin as a band about 455 nm, 90 nm wide."""
-
-_INTERNAL = 2.95
-"""(1 + r)/(1 - r) for the share r = 0.493 that a surface of index 1.4 reflects back into tissue."""
 
 _REFERENCE = 0.6
 """Optical density in green of the blood of pale mucosa, which looks neutral."""
@@ -50,20 +49,6 @@ _DENSEST, _STEPS = 5.0, 4096
 _ROWS = 256  # worked on at a time
 
 
-def diffuse_reflectance(absorption: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
-    """Light that a deep, scattering tissue gives back, by diffusion.
-
-    R = a / (1 + 2k (1 - a) + (1 + 2k/3) √(3 (1 - a))) with a = 1/(1 + absorption) (Flock et al.,
-    IEEE Trans. Biomed. Eng. 36(12), 1989).
-
-    Args:
-        absorption: Over the reduced scattering coefficient.
-    """
-    a = 1.0 / (1.0 + absorption)
-    below = 1.0 + 2.0 * _INTERNAL * (1.0 - a)
-    return a / (below + (1.0 + 2.0 * _INTERNAL / 3.0) * np.sqrt(3.0 * (1.0 - a)))
-
-
 def blood_density(density: Float[np.ndarray, "*n"], band: int) -> Float[np.ndarray, "*n"]:
     """Optical density of blood in tissue at a band, from that in green.
 
@@ -72,10 +57,12 @@ def blood_density(density: Float[np.ndarray, "*n"], band: int) -> Float[np.ndarr
         band: 415 or 540 [nm].
     """
     absorption = np.concatenate([[0.0], np.geomspace(1e-8, 1e3, 2000)])
-    tissue = -np.log(diffuse_reflectance(absorption))
-    scattering = (band / 545.0) ** _SCATTERING
+    internal = internal_reflection(TISSUE_IOR)
+    tissue = -np.log(diffuse_reflectance(absorption, internal=internal))
+    scattering = reduced_scattering(band) / reduced_scattering(545.0)
     factor = _HAEMOGLOBIN[band] / _HAEMOGLOBIN["green"] / scattering
-    return -np.log(diffuse_reflectance(factor * np.interp(density, tissue, absorption)))
+    dense = factor * np.interp(density, tissue, absorption)
+    return -np.log(diffuse_reflectance(dense, internal=internal))
 
 
 @functools.cache
@@ -127,7 +114,6 @@ def narrow_band_liquid(liquid: Liquid) -> Liquid:
         liquid,
         absorption=(float(green), float(violet), float(violet)),
         scattering=(green_scattering, blue_scattering, blue_scattering),
-        color=_plain(liquid.color),
     )
 
 

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from hashlib import blake2b
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
@@ -15,7 +15,10 @@ from vrcaps.capsule.device import Camera
 from vrcaps.capsule.rays import camera_rays
 from vrcaps.errors import InputError, UnknownNameError
 from vrcaps.organ.surface import Appearance, OrganSurface, coat_alpha, face_label
-from vrcaps.render.flow import STEP, SurfacePoints, flow, seen_from
+from vrcaps.render.bend import MIRRORED, Bends, bend_ways, levels_met
+from vrcaps.render.denoise import denoise, load_denoiser
+from vrcaps.render.film import wet_organ
+from vrcaps.render.flow import SurfacePoints, flow, seen_from
 from vrcaps.render.frame import CHANNELS, Frame
 from vrcaps.render.narrow_band import (
     led_gains,
@@ -24,9 +27,10 @@ from vrcaps.render.narrow_band import (
     narrow_band_liquid,
     narrow_band_reflectance,
 )
+from vrcaps.render.scattering import tissue_figures
 from vrcaps.render.settings import RenderSettings
 from vrcaps.tissue.contents.filling import Filling
-from vrcaps.transforms import invert, rotate_vectors, transform_points
+from vrcaps.transforms import rotate_vectors, transform_points
 from vrcaps.world.model import Model, State
 from vrcaps.world.moving_wall import MovingWall
 
@@ -40,6 +44,9 @@ DEFAULT_CHANNELS = ("rgb", "depth", "ray_distance", "normal", "label", "instance
 _PLAIN_ALBEDO = (0.52, 0.22, 0.16)
 _PLAIN_ROUGHNESS = 0.5
 _PLAIN = Appearance(np.zeros((1, 1, 3), np.uint8), np.zeros((1, 1), np.uint8), np.zeros((1, 1)))
+
+_Paths: TypeAlias = tuple[int, int, int] | None
+"""Paths of a ray, their most reflections, and their seed; None without path tracing."""
 
 _ARRAYS: dict[str, tuple[type[np.generic], tuple[int, ...]]] = {
     "rgb": (np.uint8, (3,)),
@@ -57,10 +64,15 @@ _ARRAYS: dict[str, tuple[type[np.generic], tuple[int, ...]]] = {
     "front_label": (np.uint8, ()),
     "front_instance": (np.uint16, ()),
     "front_depth": (np.float32, ()),
+    "bend_label": (np.uint8, ()),
+    "dome_label": (np.uint8, ()),
 }
 """Arrays the core fills: dtype and what follows (height, width)."""
 
-_NO_FRONT = {"front_label": 0, "front_instance": 0, "front_depth": np.nan}
+_NO_CONTENTS = {
+    **{"front_label": 0, "front_instance": 0, "front_depth": np.nan},
+    **{"bend_label": 0, "sparse_bend": 0},
+}
 _COLOR = {"rgb", "radiance"}
 _NEEDS_NEXT = {"flow_forward", "occlusion"}
 _NEEDS_PREVIOUS = {"flow_backward"}
@@ -84,13 +96,16 @@ class Renderer:
         """
         self.model = model
         self.settings = settings or RenderSettings()
+        if self.settings.denoise:
+            load_denoiser()  # before much is made that would be in vain
         self._is_narrow = self.settings.imaging == "narrow-band"
         self._led_gains = led_gains() if self._is_narrow else np.ones(3)
-        self._scene = _scene(model.organ, narrow=self._is_narrow)
+        self._scene = _scene(model.organ, self.settings)
         self._quick = None
         if self.settings.light == "quick":
             self._quick = _core.QuickLight(model.wall, self._scene)
-        self._wall, self._wall_next = wall or MovingWall(model), MovingWall(model)
+        self._wall = wall or MovingWall(model)
+        self._neighbours = {"previous": MovingWall(model), "next": MovingWall(model)}
         self._fillings: deque[tuple[State, Filling]] = deque(maxlen=3)
         self._contents: dict[str, tuple[Filling, _core.Wall, _core.Contents]] = {}
         self._tables: dict[tuple[int, int], tuple[Camera, _core.RayTable]] = {}
@@ -142,16 +157,15 @@ class Renderer:
         contents: _core.Contents | None,
     ) -> None:
         if contents is None:
-            for name, nothing in _NO_FRONT.items():
+            for name, nothing in _NO_CONTENTS.items():
                 if name in arrays:
                     arrays[name].fill(nothing)
-        factor = self.settings.supersampling
         T_world_camera = state.T_world_capsule @ camera.T_capsule_camera
         leds = _leds_world(camera, T_world_camera)
         leds[:, 6:9] *= self._led_gains
         paths = _paths(self.settings, state.time, T_world_camera)
 
-        def draw(into: dict[str, NDArray[Any]], supersampling: int) -> None:
+        def draw(into: dict[str, NDArray[Any]], supersampling: int, paths: _Paths = paths) -> None:
             _core.render(
                 wall,
                 self._scene,
@@ -166,14 +180,13 @@ class Renderer:
                 quick=self._quick,
             )
 
-        if factor == 1 or not _COLOR & arrays.keys():
+        settings = self.settings
+        is_plain = settings.supersampling == 1 and not settings.denoise
+        if is_plain or not _COLOR & arrays.keys():
             draw(arrays, 1)
             return
         draw({name: array for name, array in arrays.items() if name not in _COLOR}, 1)
-        size = (camera.height, factor, camera.width, factor, 3)
-        fine = np.empty((camera.height * factor, camera.width * factor, 3), np.float32)
-        draw({"radiance": fine}, factor)
-        radiance = fine.reshape(size).mean(axis=(1, 3))
+        radiance = _color(draw, camera, settings)
         if "radiance" in arrays:
             arrays["radiance"][...] = radiance
         if "rgb" in arrays:
@@ -191,50 +204,55 @@ class Renderer:
         motion: dict[str, NDArray[Any]] = {}
         if "position" not in arrays or not (_NEEDS_NEXT | _NEEDS_PREVIOUS) & set(channels):
             return motion
-        points = SurfacePoints(arrays["position"], arrays["face"], arrays["weights"])
+        names = ("position", "face", "weights", "bend_label")
+        points = SurfacePoints(*(arrays[name] for name in names))
         faces, now = self.model.organ.faces, self.filling(state)
         if state_next is not None and _NEEDS_NEXT & set(channels):
-            filling = self.filling(state_next)
-            moved = points.moved(faces, state_next, now, filling)
-            forward = flow(camera, moved, state_next)
+            moved = points.moved(faces, state_next, now, self.filling(state_next))
+            bends = self.bends(camera, points, moved, state_next, "next")
+            forward = flow(camera, bends.apparent, state_next)
             if "flow_forward" in channels:
                 motion["flow_forward"] = forward
             if "occlusion" in channels:
-                wall = self._wall_next.at(state_next)
-                seen = seen_from(camera, moved, forward, state_next, wall)
+                wall, filling = self._neighbours["next"].at(state_next), self.filling(state_next)
+                then = None
                 if filling is not None:
-                    eye = (state_next.T_world_capsule @ camera.T_capsule_camera)[:3, 3]
-                    contents = self._core_contents(filling, wall, "next")
-                    free = contents.free(wall, tuple(eye), moved.reshape(-1, 3))
-                    seen &= free.reshape(seen.shape)
+                    then = self._core_contents(filling, wall, "next")
+                seen = seen_from(camera, bends, moved, forward, state_next, wall, then)
                 motion["occlusion"] = ~seen
         if state_previous is not None and "flow_backward" in channels:
             moved = points.moved(faces, state_previous, now, self.filling(state_previous))
-            motion["flow_backward"] = flow(camera, moved, state_previous)
+            bends = self.bends(camera, points, moved, state_previous, "previous")
+            motion["flow_backward"] = flow(camera, bends.apparent, state_previous)
         return motion
 
-    def sparse_flow(
-        self, points: SurfacePoints, camera: Camera, state: State, neighbour: State
-    ) -> Float[np.ndarray, "hc wc 2"]:
-        """Motion of `thinned` pixels' surface points to a neighbouring frame [px]; NaN for none.
+    def bends(
+        self,
+        camera: Camera,
+        points: SurfacePoints,
+        moved: Float[np.ndarray, "h w 3"],
+        state: State,
+        slot: str,
+    ) -> Bends:
+        """How liquid bends the ways to surface points that have `moved` to another state.
 
-        Args:
-            points: What `render` filled.
-            camera: That saw them.
-            state: The world then.
-            neighbour: The world one frame later or earlier.
+        The slot is `next` or `previous`: which neighbour the state is.
         """
-        now, then = self.filling(state), self.filling(neighbour)
-        moved = points.moved(self.model.organ.faces, neighbour, now, then)
-        pose = invert(neighbour.T_world_capsule @ camera.T_capsule_camera)
-        return _core.flow_by_rays(self._table(camera, 1), moved, pose, STEP)
+        filling = self.filling(state)
+        if filling is None or filling.pools is None:
+            return Bends(moved, None)
+        eye = (state.T_world_capsule @ camera.T_capsule_camera)[:3, 3]
+        wall, faces = self._neighbours[slot].at(state), self.model.organ.faces
+        levels = levels_met(filling, eye, wall, faces, points.face)
+        ior = filling.contents.resolved[2].ior
+        return bend_ways(eye, moved, levels, points.bend == MIRRORED, ior)
 
     def _arrays(
         self, channels: Sequence[str], camera: Camera, out: Frame | None
     ) -> dict[str, NDArray[Any]]:
         names = [name for name in channels if name in _ARRAYS]
         if (_NEEDS_NEXT | _NEEDS_PREVIOUS) & set(channels):
-            names += ["position", "face", "weights"]
+            names += ["position", "face", "weights", "bend_label"]
         arrays = {}
         for name in names:
             dtype, rest = _ARRAYS[name]
@@ -242,6 +260,8 @@ class Renderer:
             shape = (camera.height, camera.width, *rest)
             fits = given is not None and given.shape == shape and given.dtype == dtype
             arrays[name] = given if fits else np.empty(shape, dtype)
+        if "dome_label" in arrays:
+            arrays["dome_label"].fill(0)  # the lens and sensor know more
         return arrays
 
     def filling(self, state: State) -> Filling | None:
@@ -284,6 +304,26 @@ class Renderer:
         return self._tables[key][1]
 
 
+def _color(
+    draw: Callable[..., None], camera: Camera, settings: RenderSettings
+) -> Float[np.ndarray, "h w 3"]:
+    """Radiance [W/(sr·m²)] as the mean over each pixel's rays, denoised where that is asked for."""
+    factor = settings.supersampling
+
+    def means(*names: str, **kwargs: _Paths) -> list[NDArray[np.float32]]:
+        size = (camera.height, factor, camera.width, factor, 3)
+        fine = {name: np.empty((size[0] * factor, size[2] * factor, 3), "f4") for name in names}
+        draw(fine, factor, **kwargs)
+        return [array.reshape(size).mean(axis=(1, 3)) for array in fine.values()]
+
+    if not settings.denoise:
+        return means("radiance")[0]
+    radiance, albedo, normal = means("radiance", "albedo", "normal")
+    # Light through tissue is noisy from the first reflection on.
+    (first,) = means("radiance", paths=(1, 0 if settings.scattering else 1, 0))
+    return denoise(radiance, first, albedo, normal)
+
+
 def _differ_in_place(one: Filling, other: Filling) -> bool:
     """Whether two fillings are of the same spheres and pools."""
     return one.spheres.radius is other.spheres.radius and one.pools is other.pools
@@ -301,9 +341,11 @@ def _check_channels(
             raise InputError(f"Channel {name!r} needs the previous state. Give state_previous.")
 
 
-def _scene(organ: OrganSurface, *, narrow: bool) -> _core.Scene:
+def _scene(organ: OrganSurface, settings: RenderSettings) -> _core.Scene:
+    if settings.film_um is not None:
+        organ = wet_organ(organ, 1e-6 * settings.film_um)
     look, albedo, texture = organ.appearance or _PLAIN, np.array(_PLAIN_ALBEDO), None
-    if narrow:
+    if settings.imaging == "narrow-band":
         look, albedo = narrow_band_appearance(look), narrow_band_reflectance(albedo)
     if organ.appearance is not None:
         height = np.ascontiguousarray(look.height, np.float32)
@@ -317,13 +359,14 @@ def _scene(organ: OrganSurface, *, narrow: bool) -> _core.Scene:
         albedo=tuple(albedo),
         roughness=_PLAIN_ROUGHNESS,
         reflectance=(look.ior, look.coat, coat_alpha(look.coat_gloss)),
+        tissue=tissue_figures(settings.imaging) if settings.scattering else None,
     )
 
 
 def _paths(
     settings: RenderSettings, time: float, T_world_camera: Float[np.ndarray, "4 4"]
-) -> tuple[int, int, int] | None:
-    """Paths of a ray, their most reflections, and a seed of this instant's own.
+) -> _Paths:
+    """How light is traced, with a seed of this instant's own.
 
     Frames differ in time or view, so that noise does not stand still before a moving scene.
     """

@@ -43,7 +43,7 @@ class Control:
         shapes = {"force_world": (3,), "torque_world": (3,), "T_world_patient": (4, 4)}
         for name in (*shapes, "insufflation"):
             value = getattr(self, name)
-            if value is None:
+            if value is getattr(Control, name):  # its default
                 continue
             if np.shape(value) != shapes.get(name, ()):
                 raise InputError(

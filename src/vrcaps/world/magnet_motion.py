@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -22,6 +22,7 @@ from vrcaps.world.goal import Goal, gut_goal, onto_wall
 from vrcaps.world.model import Model
 from vrcaps.world.schedule import read_numbers, require_rising
 from vrcaps.world.steering import Pilot, Steering
+from vrcaps.world.wall_path import Follower, gut_wall_path
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -31,7 +32,9 @@ if TYPE_CHECKING:
 WAYPOINT_COLUMNS = ("time_s", "arc_length_m", "yaw_deg", "pitch_deg")
 AXES_COLUMNS = ("time_s", "move_x", "move_y", "move_z", "turn_x", "turn_y", "turn_z")
 SIDES = ("up", "down")
-_BESIDE, _BELOW = 45.0 * CM, 15.0 * CM
+GENTLE = Steering(press=0.15, speed=2.0 * CM, lead=10.0 * MM, stiffening=1.0)
+"""Gains that lead a capsule over folds without a slide."""
+_BESIDE, _BELOW = 55.0 * CM, 15.0 * CM
 
 
 @dataclass(frozen=True)
@@ -70,19 +73,22 @@ class Axes:
 class MagnetSteering:
     """How a magnet outside steers the capsule.
 
-    Without waypoints and axes it leads the capsule on along the gut from where it starts.
+    Without waypoints and axes it leads the capsule along the gut's wall from where it starts, and
+    waits where the capsule does not follow.
 
     Attributes:
-        magnet: Name of the magnet, see `vrcaps.magnet.presets.magnet_names`.
+        magnet: Name of the magnet, see `vrcaps.magnet.presets.magnet_names`; one heavier than the
+            arm may carry is noted, and moved as if it could.
         arm: Name or file of the arm that carries it, its moment across the flange; None holds it
             freely.
-        base: Place of the arm's base in the world [m]; None is 45 cm beside the organ's middle,
+        base: Place of the arm's base in the world [m]; None is 55 cm beside the organ's middle,
             towards −x, and 15 cm below its highest point.
         skin: Least gap between the organ's highest point and the magnet: the wall of the belly and
             the air above it [m].
         side: Wall that the capsule is pressed against: the lower, on which the magnet lightens it,
             or the upper, to which it is pulled.
-        speed: Along the gut without waypoints [m/s].
+        speed: Along the wall without waypoints [m/s].
+        until: Where that ends, as a share of the centreline; before the start it leads back.
         steering: Gains of the loop.
         waypoints: Where to be when; linear in time between them.
         axes: A joystick instead, each entry until the next.
@@ -93,13 +99,14 @@ class MagnetSteering:
         file_sha256: Checksum of the file; filled in when recorded, checked when given.
     """
 
-    magnet: str = "cylinder-101.6"
+    magnet: str = "cylinder-76.2"
     arm: str | None = None
     base: tuple[float, float, float] | None = None
     skin: float = 4.0 * CM
     side: Literal["up", "down"] = "down"
     speed: float = 5.0 * MM
-    steering: Steering = field(default_factory=Steering)
+    until: float = 1.0
+    steering: Steering = GENTLE
     waypoints: tuple[Waypoint, ...] = ()
     axes: tuple[Axes, ...] = ()
     file: str = ""
@@ -116,6 +123,7 @@ class MagnetSteering:
         for name, most in (("skin", 1.0), ("speed", 1.0), ("period", 0.05)):
             value = getattr(self, name)
             require(0.0 < value <= most, f"Steering's {name}", value, f"above 0 to {most:g}")
+        require(0.0 <= self.until <= 1.0, "Steering's until", self.until, "0 to 1")
         for name in ("joystick_speed", "joystick_rate"):
             value = getattr(self, name)
             require(0.0 < value < math.inf, f"Steering's {name}", value, "above 0")
@@ -196,6 +204,11 @@ class Commander:
             allowed = f"0 to {self._line.length:g} m"
             on = 0.0 <= point.arc_length <= self._line.length
             require(on, "A waypoint's arc_length", point.arc_length, allowed)
+        self.follower: Follower | None = None
+        if not (self._waypoints or self._axes):
+            end = settings.until * self._line.length
+            path = gut_wall_path(model, arc_length, end, side=settings.side)
+            self.follower = Follower(path, settings.speed, settings.steering.lead)
         goal = self._goal(0.0, model.T_world_patient)
         self.pilot = Pilot(
             model,
@@ -206,11 +219,23 @@ class Commander:
             steering=settings.steering,
         )
 
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What is to be said of the set-up, one line each."""
+        holder = self.pilot.holder
+        note = holder.carrier.overload if isinstance(holder, ArmHolder) else ""
+        return (note,) if note else ()
+
     def control(
         self, world: World, time: float, dt: float, T_world_patient: Float[np.ndarray, "4 4"]
     ) -> Control:
         """Command for the next `dt` [s]."""
         s = self.settings
+        if self.follower is not None:
+            goal = self.follower.goal(world.T_world_capsule, dt)
+            if T_world_patient is not self._model.T_world_patient:
+                goal = self._goal(time, T_world_patient)
+            return self.pilot.hold(world, goal, dt)
         if not self._axes:
             return self.pilot.hold(world, self._goal(time, T_world_patient), dt)
         now = [entry for entry in self._axes if entry.time <= time]
@@ -220,14 +245,31 @@ class Commander:
         self.pilot.judge(world)
         return control
 
+    def to_array(self) -> Float[np.ndarray, " q"]:
+        """All that changes, for `restore`."""
+        along = 0.0 if self.follower is None else self.follower.along
+        return np.append(self.pilot.to_array(), along)
+
+    def restore(self, saved: Float[np.ndarray, " q"]) -> None:
+        """Goes back to what `to_array` gave."""
+        self.pilot.restore(saved[:-1])
+        if self.follower is not None:
+            self.follower.along = float(saved[-1])
+
     def _goal(self, time: float, T_world_patient: Float[np.ndarray, "4 4"]) -> Goal:
+        """The goal at a time, or along the way; of a patient who has turned, on the wall as it is.
+
+        With a joystick it is where the capsule starts.
+        """
         s, points = self.settings, self._waypoints
-        place, yaw, pitch = self._start + s.speed * max(time, 0.0), 0.0, 0.0
+        place, yaw, pitch = self._start, 0.0, 0.0
         if points:
             times = [point.time for point in points]
             rows = np.array([[point.arc_length, point.yaw, point.pitch] for point in points])
             place, yaw, pitch = (float(np.interp(time, times, column)) for column in rows.T)
-        place = min(place, self._line.length)
+        elif self.follower is not None:
+            end = s.until * self._line.length
+            place += self.follower.share * (end - place)
         goal = gut_goal(self._line, T_world_patient, place, yaw=yaw, pitch=pitch, side=s.side)
         return onto_wall(self._model, T_world_patient, goal)
 

@@ -80,6 +80,7 @@ class Simulation:
         self.commander = None
         if settings.magnet is not None:
             self.commander = Commander(model, settings.magnet, pose, arc_length)
+            self.notes += self.commander.notes
         self.world = World(
             model,
             tissue_of(settings, front=min(arc_length + _PASSED, self._line.length)),
@@ -104,7 +105,7 @@ class Simulation:
 
     def snapshot(self) -> tuple[float, Snapshot]:
         """What `instants` needs to go on from the frame it gave last."""
-        pilot = np.zeros(0) if self.commander is None else self.commander.pilot.to_array()
+        pilot = np.zeros(0) if self.commander is None else self.commander.to_array()
         return self._arc_length, replace(self.world.snapshot(), pilot=pilot)
 
     def instants(
@@ -122,7 +123,7 @@ class Simulation:
         self._arc_length, start = snapshot or self._begin
         self.world.restore(start)
         if self.commander is not None:
-            self.commander.pilot.restore(start.pilot)
+            self.commander.restore(start.pilot)
         if snapshot is None:
             yield self._advanced(-self.settings.settle, 0.0)
         else:

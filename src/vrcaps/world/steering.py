@@ -13,7 +13,7 @@ from vrcaps.errors import InputError, require
 from vrcaps.magnet.field import SourceSet
 from vrcaps.magnet.sources import Cylinder, Dipole, Source
 from vrcaps.magnet.steering.aim import Aim, Wish
-from vrcaps.magnet.steering.holder import Held, Holder
+from vrcaps.magnet.steering.holder import Held, Holder, go
 from vrcaps.magnet.steering.turn import at_most, cross, length, towards, turned
 from vrcaps.units import CM, DEG, MM
 from vrcaps.world.control import Control
@@ -33,6 +33,11 @@ _TORQUE = 4000.0
 _LOST_ANGLE = 60.0 * DEG
 _AFTER = 0.5
 """Time in which the leading point comes after the capsule where it is not controlled [s]."""
+_SLOW, _CALM = 4.0 * CM, 0.3
+"""A capsule that slides faster than this [m/s] is left to the field until it has been calm for a
+time [s]: the magnet, slower than the slide, would only stir it."""
+_NEAR, _BEHIND = 0.5, 0.9
+"""Distance from the leading point, in leads, within which the capsule follows, and beyond which…"""
 _STEEP = 0.1
 """Sine of an angle below which a direction along the wall's normal cannot be made level."""
 _TOUCH = 0.01
@@ -153,7 +158,7 @@ class Pilot:
         held = holder.start(self._wanted)
         self._lead = np.array([T_world_capsule[:3, 3], T_world_capsule[:3, 2]])
         self._learnt = np.zeros((2, 3))
-        self._late = 0.0
+        self._late = self._stir = 0.0
         self.steered = Steered(held, np.zeros(3), 0.0, np.array(wish.force), aimed.force)
 
     @property
@@ -175,25 +180,27 @@ class Pilot:
         error = free @ (self._lead[0] - T[:3, 3])
         bend = cross(T[:3, 2], self._lead[1])
         angle = math.atan2(length(bend), float(T[:3, 2] @ self._lead[1]))
-        borne = self._borne(world, goal, dt)
+        contact = world.contact.force_world
+        borne = self._borne(contact, goal, dt)
         soft = max(length(borne), 0.05) / math.dist(T[:3, 3], self._wanted[:3, 3])
-        ahead = float(error @ T[:3, 2]) * T[:3, 2]
-        pull = soft * (error + 2.0 * ahead)
-        is_late = length(error) > 0.9 * s.lead
-        self._late = self._late + dt if is_late else 0.0
-        force, torque = self._learn(pull, self._hold * bend, dt)
+        near = at_most(error, s.lead)
+        pull = soft * (near + 2.0 * float(near @ T[:3, 2]) * T[:3, 2])
+        self._late = self._lateness(length(error) / s.lead, dt)
         damping = 2.0 * s.damping * math.sqrt(soft * self.model.device.mass)
-        pushed = s.stiffening * pull - damping * (free @ world.velocity_world[0])
+        velocity = free @ world.velocity_world[0]
+        calm = self._calmness(length(velocity), dt)
+        force, torque = self._learn(calm * pull, self._hold * bend, dt)
+        pushed = calm * (s.stiffening * pull - damping * velocity)
         # More than it bears the magnet could do only by going far to and fro.
         needed = at_most(pushed + force, min(s.most_force, length(borne))) + borne
         weights = _OTHER * np.eye(3) + (_CONTROLLED - _OTHER) * free
         wish = Wish(needed.tolist(), torque.tolist(), weights.tolist(), _TORQUE)
         aimed = self._aim.solve(wish, self._led(T), self._wanted, rounds=_ROUNDS)
         self._wanted, self._hold = aimed.T_world_magnet, aimed.hold
-        held = self.holder.move(self.steered.held, self._wanted, dt)
+        held = go(self.holder, self.steered.held, self._wanted, dt)
         short = free @ (needed - aimed.force)
         steered = Steered(held, error, angle, needed, aimed.force)
-        fallen = world.contact.force_world @ np.asarray(goal.press, float) > _TOUCH
+        fallen = contact @ np.asarray(goal.press, float) > _TOUCH
         lost = self._lost(world.field_angle(T), needed, short, fallen=bool(fallen))
         self.steered = replace(steered, lost=lost)
         return self._command(held)
@@ -244,7 +251,7 @@ class Pilot:
         held = self.steered.held
         parts = (held.T_world_magnet, held.velocity, held.angles, self._wanted, self._lead)
         flat = (np.ravel(part) for part in (*parts, self._learnt, self._side))
-        return np.concatenate([*flat, [self._hold, self._late]])
+        return np.concatenate([*flat, [self._hold, self._late, self._stir]])
 
     def restore(self, saved: Float[np.ndarray, " q"]) -> None:
         """Goes back to what `to_array` gave."""
@@ -257,7 +264,7 @@ class Pilot:
             (2, 3),
             (2, 3),
             (3,),
-            (2,),
+            (3,),
         ]
         ends = np.cumsum([math.prod(shape) for shape in shapes])
         pieces = [
@@ -266,10 +273,10 @@ class Pilot:
         ]
         self.steered = replace(self.steered, held=Held(pieces[0], pieces[1], pieces[2]))
         self._wanted, self._lead, self._learnt, self._side = pieces[3:7]
-        self._hold, self._late = map(float, pieces[7])
+        self._hold, self._late, self._stir = map(float, pieces[7])
 
     def _go(self, wanted: Float[np.ndarray, "4 4"], dt: float) -> Control:
-        held = self.holder.move(self.steered.held, wanted, dt)
+        held = go(self.holder, self.steered.held, wanted, dt)
         # What it cannot follow is not asked of it later.
         self._wanted = held.T_world_magnet if held.limit in ("reach", "touch") else wanted
         self.steered = replace(self.steered, held=held)
@@ -283,14 +290,16 @@ class Pilot:
         """Force between capsule and wall [N], on the wall at a side."""
         return self.steering.press if side[2] >= 0.0 else self.steering.rest
 
-    def _borne(self, world: World, goal: Goal, dt: float) -> Float[np.ndarray, " 3"]:
+    def _borne(
+        self, contact: Float[np.ndarray, " 3"], goal: Goal, dt: float
+    ) -> Float[np.ndarray, " 3"]:
         """Force that bears the weight and presses the capsule square against the wall it lies on.
 
-        Where that wall is, the last contact says; without one it is where the goal has it.
+        Where that wall is, the last contact's force says; without one it is where the goal has it.
         """
-        contact = world.contact.force_world
         size = length(contact)
-        touched = contact / -size if size > _TOUCH else np.asarray(goal.press, float)
+        felt = size > _TOUCH and not goal.mapped
+        touched = contact / -size if felt else np.asarray(goal.press, float)
         side = self._side + (touched - self._side) * min(1.0, dt / _AFTER)
         self._side = side / max(length(side), 1e-9)
         return self._weight + self._pressed(np.asarray(goal.press, float)) * self._side
@@ -301,10 +310,12 @@ class Pilot:
         off = self._lead[0] - T[:3, 3]
         lag = free @ off
         # Elsewhere it comes after the capsule, slowly: at once would undo the field's own hold.
-        across = (off - lag) * (1.0 - min(1.0, dt / _AFTER))
-        place = T[:3, 3] + at_most(lag, s.lead) + across
-        way = free @ (np.asarray(goal.position, float) - place)
-        self._lead[0] = place + at_most(way, s.speed * dt)
+        across = (off - lag) * (1.0 if goal.mapped else 1.0 - min(1.0, dt / _AFTER))
+        # From a capsule that slides away it does not follow at once: the field brings that back.
+        back = at_most(lag - at_most(lag, s.lead), s.speed * dt)
+        place = T[:3, 3] + lag - back + across
+        way = np.asarray(goal.position, float) - place
+        self._lead[0] = place + at_most(way if goal.mapped else free @ way, s.speed * dt)
         ahead = T[:3, 2] if goal.direction is None else np.asarray(goal.direction, float)
         if goal.level:
             flat = ahead - self._side * float(self._side @ ahead)
@@ -312,6 +323,17 @@ class Pilot:
         about = np.asarray(goal.press, float)
         led = towards(T[:3, 2], self._lead[1], s.turn_lead, about)
         self._lead[1] = towards(led, ahead, s.turn_speed * dt, about)
+
+    def _calmness(self, speed: float, dt: float) -> float:
+        """Share of the loop that acts on a capsule that slides, or did so a moment ago."""
+        self._stir = max(speed, self._stir * (1.0 - dt / _CALM))
+        return min(1.0, _SLOW / max(self._stir, 1e-9)) ** 2
+
+    def _lateness(self, behind: float, dt: float) -> float:
+        """Time for which the capsule has not followed [s]; to and fro counts for its part."""
+        if behind < _NEAR:
+            return 0.0
+        return max(0.0, self._late + (dt if behind > _BEHIND else -dt))
 
     def _learn(
         self, force: Float[np.ndarray, " 3"], torque: Float[np.ndarray, " 3"], dt: float

@@ -17,10 +17,8 @@ from vrcaps.tissue.stations import stations
 from vrcaps.tissue.tissue import Tissue
 from vrcaps.transforms import (
     invert,
-    matrix_from_quaternion,
     quaternion_from_matrix,
     rotate_vectors,
-    transform_from,
 )
 from vrcaps.world.afloat import PIECE, SWEEP, Afloat
 from vrcaps.world.control import Control
@@ -125,9 +123,7 @@ class World:
     @property
     def T_world_capsule(self) -> Float[np.ndarray, "4 4"]:
         """Pose of the capsule now."""
-        position, wxyz, *_ = self._core.pose
-        rotation = matrix_from_quaternion(np.array(wxyz))
-        return self._T_world_patient @ transform_from(rotation, np.array(position) + self._center)
+        return self._core.pose_in(np.asarray(self._T_world_patient, float))
 
     @property
     def velocity_world(self) -> Float[np.ndarray, "2 3"]:

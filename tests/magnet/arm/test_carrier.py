@@ -226,6 +226,9 @@ def test_load_is_the_magnets_weight(panda):
     """The 4 inch cylinder is twice what a Panda may carry, the 3 inch one is within it."""
     np.testing.assert_allclose(Carrier(panda, load_magnet("cylinder-101.6")).load, 2.06, atol=0.01)
     assert Carrier(panda, load_magnet("cylinder-76.2")).load < 0.9
+    heavy, light = (Carrier(panda, load_magnet(f"cylinder-{size}")) for size in (101.6, 76.2))
+    assert heavy.overload.startswith("The magnet weighs 6.2 kg, but arm panda may carry 3 kg")
+    assert light.overload == ""
 
 
 def test_reachability_map(carrier):

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+import holder_twin
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -106,6 +109,42 @@ def test_an_arm_asked_for_the_impossible_stops_and_says_so(arm):
     assert np.abs(held.velocity).max() < 1e-3
 
 
+@pytest.mark.parametrize(("table", "low"), [(None, 0.05), (0.0, -0.1)])
+def test_an_arm_moves_as_its_twin(arm, table, low):
+    """From where the core led it, towards random goals: in reach, out of reach, in the table."""
+    rng = np.random.default_rng(3)
+    room = replace(arm.room, low=(-1.0, -1.0, low))
+    holder = replace(arm, carrier=replace(arm.carrier, table_height=table), room=room)
+    place, axis = np.array([0.0, 0.0, low + 0.17]), np.array([1.0, 0.0, 0.0])
+    start, limits = holder.start(magnet_pose(place, axis)), set()
+    for far in [0.1, 0.3, 1.0] * 6:
+        goal = magnet_pose(place + far * rng.normal(size=3), axis + rng.normal(size=3))
+        held = start
+        for _ in range(100):
+            theirs = holder_twin.move(holder, held, goal, DT)
+            held = holder.move(held, goal, DT)
+            assert held.limit == theirs.limit
+            for name in ("T_world_magnet", "velocity", "angles"):
+                # The last steps along the arm's self-motion end at a rounding's discretion.
+                np.testing.assert_allclose(getattr(held, name), getattr(theirs, name), atol=1e-6)
+            limits.add(held.limit)
+    assert limits == {"", "speed", "room", "reach"} | ({"touch"} if low < 0.0 else set())
+
+
+def test_another_arm_holds_a_magnet_too(arm, six_joints):
+    """Without a closed form the inverse is found step by step, from where the arm is."""
+    base = np.eye(4)
+    base[:3, 3] = (-0.5, 0.0, -0.1)
+    holder = replace(arm, carrier=replace(arm.carrier, arm=six_joints, T_world_base=base))
+    held = holder.start(magnet_pose((0, 0, 0.25), (0, 1, 0)), np.array([0, -1.5, 1.8, -2, -1.5, 0]))
+    goal = magnet_pose((0.05, 0.1, 0.3), (0.2, 1, -0.2))
+    for _ in range(300):
+        theirs = holder_twin.move(holder, held, goal, DT)
+        held = holder.move(held, goal, DT)
+        np.testing.assert_allclose(held.angles, theirs.angles, atol=1e-8)
+    np.testing.assert_allclose(held.T_world_magnet[:3, 3], goal[:3, 3], atol=1e-4)
+
+
 def test_what_cannot_be(arm):
     with pytest.raises(InputError, match="FreeHolder's speed is 0"):
         FreeHolder(speed=0.0)
@@ -113,3 +152,9 @@ def test_what_cannot_be(arm):
         FreeHolder(Room(low=(0, 0, 1), high=(1, 1, 2))).start(np.eye(4))
     with pytest.raises(InputError, match="does not reach"):
         arm.start(magnet_pose((3.0, 0, 0.2), (1, 0, 0)))
+    held = arm.start(magnet_pose((0, 0, 0.2), (1, 0, 0)))
+    with pytest.raises(InputError, match=r"held by 3 joints for arm panda\. Allowed: 7"):
+        arm.move(replace(held, angles=np.zeros(3)), held.T_world_magnet, DT)
+    nowhere = arm.move(held, np.full((4, 4), np.nan), DT)
+    assert nowhere.limit == "reach"
+    np.testing.assert_array_equal(nowhere.angles, held.angles)

@@ -47,8 +47,8 @@ def measure(*, num_frames: int, num_runs: int) -> Report:
     first = runs[0]
     setting = (
         f"{num_frames} frames of {first['camera']} in the generated colon of "
-        f"{first['num_triangles']} triangles: {', '.join(CHANNELS)}, preview included, "
-        f"{np.mean([r['bytes'] for r in runs]) / num_frames / 1e3:.0f} kB a frame. "
+        f"{first['num_triangles']} triangles, direct light: {', '.join(CHANNELS)}, preview "
+        f"included, {np.mean([r['bytes'] for r in runs]) / num_frames / 1e3:.0f} kB a frame. "
         f"{num_runs} runs, each in a fresh process and a temporary folder; the rate is from the "
         "first whole frame to the last. The stages below are then run one at a time over the "
         "same frames; in the recording they overlap."

@@ -35,8 +35,10 @@ def main(folder: Path, num_frames: int) -> dict[str, Any]:
     started = time.perf_counter()
     from vrcaps.record.recorder import record
     from vrcaps.record.scenario import Scenario
+    from vrcaps.render.settings import RenderSettings
 
-    scenario = Scenario(frames=num_frames, channels=CHANNELS)
+    light = RenderSettings(light="direct")
+    scenario = Scenario(frames=num_frames, channels=CHANNELS, render=light)
     done: list[tuple[int, float]] = []
 
     def progress(num_done: int, total: int) -> None:

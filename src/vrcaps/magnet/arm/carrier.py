@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from vrcaps import _core
 from vrcaps.errors import InputError
 from vrcaps.magnet.arm.arm import Arm, Link
 from vrcaps.magnet.arm.kinematics import forward, nearest
@@ -70,6 +71,17 @@ class Carrier:
         """The magnet's mass as a part of what the arm may carry, without a holder."""
         return self.magnet.mass / self.arm.payload
 
+    @property
+    def overload(self) -> str:
+        """What is to be said if the magnet is heavier than the arm may carry; else nothing."""
+        if self.load <= 1.0:
+            return ""
+        return (
+            f"The magnet weighs {self.magnet.mass:.1f} kg, but arm {self.arm.name} may carry "
+            f"{self.arm.payload:g} kg: it moves as if it could. To build this, take a lighter "
+            "magnet or a stronger arm."
+        )
+
     @cached_property
     def loaded_arm(self) -> Arm:
         """The arm with a capsule that holds the magnet at its flange."""
@@ -77,6 +89,18 @@ class Carrier:
         start, end = (tuple((self.mount[:3, 3] + way).tolist()) for way in (-half, half))
         link = Link(self.arm.num_joints + 1, start, end, 0.5 * self.magnet.diameter)
         return replace(self.arm, links=(*self.arm.links, link))
+
+    @cached_property
+    def core(self) -> _core.ArmCarrier:
+        """The compiled core's form of it."""
+        return _core.ArmCarrier(
+            self.arm.core,
+            self.loaded_arm.core,
+            np.asarray(self.T_world_base, float),
+            self.mount,
+            (self.magnet.diameter, self.magnet.length),
+            self.table_height,
+        )
 
 
 def across_mount(magnet: Cylinder) -> Float[np.ndarray, "4 4"]:
@@ -120,23 +144,7 @@ def clearances(carrier: Carrier, angles: Float[np.ndarray, "n j"]) -> Float[np.n
     Below 0 they cut. Links are capsules, and so is the magnet against links; against the table it
     is its exact cylinder. Without a table the second is infinite.
     """
-    if carrier.table_height is None:
-        return carrier.loaded_arm.core.clearance(angles)
-    T_base_world = invert(carrier.T_world_base)
-    point = T_base_world[:3, :3] @ [0.0, 0.0, carrier.table_height] + T_base_world[:3, 3]
-    table = (tuple(point), tuple(T_base_world[:3, 2]))
-    links = carrier.arm.core.clearance(angles, table)[:, 1]
-    own = carrier.loaded_arm.core.clearance(angles)[:, 0]
-    lowest = _lowest(carrier.magnet, magnet_at(carrier, angles))
-    return np.stack([own, np.minimum(links, lowest - carrier.table_height)], axis=1)
-
-
-def _lowest(magnet: Cylinder, Ts_world_magnet: np.ndarray) -> np.ndarray:
-    """Height [m] of a cylinder's lowest point."""
-    upright = np.abs(Ts_world_magnet[..., 2, 2])
-    flat = np.sqrt(np.clip(1.0 - upright**2, 0.0, None))
-    below = 0.5 * magnet.length * upright + 0.5 * magnet.diameter * flat
-    return Ts_world_magnet[..., 2, 3] - below
+    return carrier.core.clearance(angles)
 
 
 def reach(
@@ -152,7 +160,7 @@ def reach(
     """
     check_pose("T_world_magnet", T_world_magnet)
     table = carrier.table_height
-    height = float(_lowest(carrier.magnet, np.asarray(T_world_magnet)))
+    height = carrier.core.lowest(np.asarray(T_world_magnet, float))
     if table is not None and height < table:
         raise InputError(
             f"The magnet would be {(table - height) * 1e3:.1f} mm in the table. "
@@ -199,16 +207,8 @@ def follow(
             would turn faster than its limit.
     """
     targets = flange_at(carrier, np.asarray(Ts_world_magnet, float))
-    if carrier.arm.core.has_closed_form:
-        angles = carrier.arm.core.follow(targets, np.asarray(start, float))
-    else:
-        angles = np.empty((len(targets), carrier.arm.num_joints))
-        at = np.asarray(start, float)
-        for k, target in enumerate(targets):
-            at = angles[k] = nearest(carrier.arm, target, at)
-            if np.isnan(at).any():
-                angles[k:] = np.nan
-                break
+    home = np.array([carrier.arm.home])
+    angles = carrier.arm.core.follow(targets, np.asarray(start, float), home)
     lost = np.isnan(angles).any(axis=1)
     if lost.any():
         raise InputError(

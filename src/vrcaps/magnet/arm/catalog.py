@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import tomllib
-from decimal import Decimal
 from pathlib import Path
 
 from vrcaps.catalog_folder import CatalogFolder
-from vrcaps.errors import InputError
 from vrcaps.magnet.arm.arm import Arm, Joint, Link
 from vrcaps.toml_table import DEGREE, MILLI, TomlTable
 
@@ -36,13 +33,7 @@ def read_arm(path: Path) -> Arm:
         InputError: If the file cannot be read, is no TOML, lacks a key, has a key too many or of
             the wrong type, or describes no possible arm.
     """
-    try:
-        entries = tomllib.loads(path.read_text(encoding="utf-8"), parse_float=Decimal)
-    except OSError as error:
-        raise InputError(f"Cannot read the arm file {path}: {error.strerror}.") from error
-    except (UnicodeDecodeError, tomllib.TOMLDecodeError, ArithmeticError) as error:
-        raise InputError(f"The arm file {path} is not TOML: {error}.") from error
-    table = TomlTable(entries, path.name)
+    table = TomlTable.read(path, "arm")
     title = table.text("title")
     source = table.text("source") if table.has("source") else ""
     offset = _place(table, "flange_offset_mm")

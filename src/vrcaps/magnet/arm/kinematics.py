@@ -8,15 +8,9 @@ import numpy as np
 
 from vrcaps.errors import InputError
 from vrcaps.magnet.arm.arm import Arm
-from vrcaps.transforms import quaternion_from_matrix
 
 if TYPE_CHECKING:
     from jaxtyping import Float
-
-_DAMPING = 1e-2
-_STEPS = 200
-_LONGEST_STEP = 0.3
-_LANDED = 1e-10
 
 
 def forward(arm: Arm, angles: Float[np.ndarray, "*n j"]) -> Float[np.ndarray, "*n 4 4"]:
@@ -87,41 +81,10 @@ def nearest(
     batch = np.shape(T_base_flange)[:-2]
     start = np.broadcast_to(_checked(arm, near), (*batch, arm.num_joints))
     start = np.ascontiguousarray(start).reshape(-1, arm.num_joints)
-    if arm.core.has_closed_form:
-        found = arm.core.nearest(targets, start)
-    else:
-        pairs = zip(targets, start, strict=True)
-        found = np.array([_descend(arm, target, q, rng) for target, q in pairs])
-    return found.reshape(*batch, arm.num_joints)
-
-
-def _descend(
-    arm: Arm, target: np.ndarray, near: np.ndarray, rng: np.random.Generator | None
-) -> np.ndarray:
-    starts = [near, np.array(arm.home)]
+    others = np.array([arm.home])
     if rng is not None:
-        starts += list(rng.uniform(arm.lower, arm.upper, (30, arm.num_joints)))
-    for start in starts:
-        angles = np.clip(start, arm.lower, arm.upper)
-        for _ in range(_STEPS):
-            error = _twist_between(forward(arm, angles), target)
-            if np.linalg.norm(error) < _LANDED:
-                return angles
-            rows = jacobian(arm, angles)
-            damping = min(_DAMPING, float(np.linalg.norm(error))) ** 2
-            square = rows @ rows.T + damping * np.eye(6)
-            step = rows.T @ np.linalg.solve(square, error)
-            step *= min(1.0, _LONGEST_STEP / max(float(np.abs(step).max()), 1e-300))
-            angles = np.clip(angles + step, arm.lower, arm.upper)
-    return np.full(arm.num_joints, np.nan)
-
-
-def _twist_between(pose: np.ndarray, target: np.ndarray) -> np.ndarray:
-    """Way [m] and turn [rad] from one pose to another, in the base."""
-    wxyz = quaternion_from_matrix(target[:3, :3] @ pose[:3, :3].T)
-    sine = np.linalg.norm(wxyz[1:])
-    turn = 2.0 * np.arctan2(sine, wxyz[0]) / sine if sine > 0.0 else 2.0
-    return np.concatenate([target[:3, 3] - pose[:3, 3], turn * wxyz[1:]])
+        others = np.vstack([others, rng.uniform(arm.lower, arm.upper, (30, arm.num_joints))])
+    return arm.core.nearest(targets, start, others).reshape(*batch, arm.num_joints)
 
 
 def _require_closed_form(arm: Arm) -> None:

@@ -46,8 +46,13 @@ class Room:
     def admit(self, T_world_magnet: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:
         """The pose, moved into the box; the distance to the capsule is not minded."""
         inside = np.array(T_world_magnet, float)
-        inside[:3, 3] = np.clip(inside[:3, 3], self.low, self.high)
+        inside[:3, 3] = self.clip(inside[:3, 3])
         return inside
+
+    def clip(self, place: Float[np.ndarray, " 3"]) -> list[float]:
+        """The place in the box that is nearest [m]; in plain numbers, for loops' sake."""
+        axes = zip(place.tolist(), self.low, self.high, strict=True)
+        return [min(max(x, low), high) for x, low, high in axes]
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from vrcaps.organ.ct.cleansing import add_fluid
 from vrcaps.organ.ct.level import resolve_level
 from vrcaps.organ.ct.lumen import SPECKS
 from vrcaps.organ.ct.parts import connected_parts, grown, part_sizes, renumbered, shrunk
-from vrcaps.organ.ct.volume import index_to_patient, shifted
+from vrcaps.organ.ct.volume import PatientGrid, shifted
 from vrcaps.units import MM
 
 if TYPE_CHECKING:
@@ -29,7 +29,7 @@ _TISSUE = 30.0  # Hounsfield units of a gut wall where none can be measured
 
 
 @dataclass(frozen=True)
-class LumenFraction:
+class LumenFraction(PatientGrid):
     """The share of each voxel that is lumen, 0 to 1; the wall is where it is one half.
 
     Attributes:
@@ -39,20 +39,6 @@ class LumenFraction:
 
     share: Float[np.ndarray, "k j i"]
     T_patient_index: Float[np.ndarray, "4 4"]
-
-    @property
-    def spacing(self) -> Float[np.ndarray, " 3"]:
-        """Distance of neighbouring voxels along the array's axes [m]."""
-        return np.linalg.norm(self.T_patient_index[:3, :3], axis=0)
-
-    @property
-    def voxel_volume(self) -> float:
-        """Volume of a voxel [m³]."""
-        return float(abs(np.linalg.det(self.T_patient_index[:3, :3])))
-
-    def points(self, index: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
-        """Positions [m] of array indices (k, j, i)."""
-        return index_to_patient(self.T_patient_index, index)
 
     def crop(self, box: tuple[slice, ...]) -> LumenFraction:
         """The part in a box of array indices."""

@@ -16,8 +16,32 @@ if TYPE_CHECKING:
 _SAME_GRID = 0.02  # of a voxel, by which the nodes of two aligned grids may differ
 
 
+class PatientGrid:
+    """What any array of voxels in the patient frame has.
+
+    Attributes:
+        T_patient_index: Maps the array index (k, j, i) of a voxel to its centre [m].
+    """
+
+    T_patient_index: Float[np.ndarray, "4 4"]
+
+    @property
+    def spacing(self) -> Float[np.ndarray, " 3"]:
+        """Distance of neighbouring voxels along k, j and i [m]."""
+        return np.linalg.norm(self.T_patient_index[:3, :3], axis=0)
+
+    @property
+    def voxel_volume(self) -> float:
+        """Volume of a voxel [m³]."""
+        return float(abs(np.linalg.det(self.T_patient_index[:3, :3])))
+
+    def points(self, index: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
+        """Positions [m] of array indices (k, j, i), whole or not."""
+        return index_to_patient(self.T_patient_index, index)
+
+
 @dataclass(frozen=True)
-class Volume:
+class Volume(PatientGrid):
     """A scan on a parallelepiped grid; it may be oblique, and sheared by a tilted gantry.
 
     The array's axes run nearest to the patient's superior, posterior and left, in this order
@@ -33,20 +57,6 @@ class Volume:
     values: Int[np.ndarray, "k j i"]
     T_patient_index: Float[np.ndarray, "4 4"]
     source: str
-
-    @property
-    def spacing(self) -> Float[np.ndarray, " 3"]:
-        """Distance of neighbouring voxels along k, j and i [m]."""
-        return np.linalg.norm(self.T_patient_index[:3, :3], axis=0)
-
-    @property
-    def voxel_volume(self) -> float:
-        """Volume of a voxel [m³]."""
-        return float(abs(np.linalg.det(self.T_patient_index[:3, :3])))
-
-    def points(self, index: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
-        """Positions [m] of array indices (k, j, i), whole or not."""
-        return index_to_patient(self.T_patient_index, index)
 
     def index(self, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
         """Array indices (k, j, i) of positions [m]."""

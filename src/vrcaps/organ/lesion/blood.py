@@ -12,13 +12,13 @@ from vrcaps.units import MM
 if TYPE_CHECKING:
     from jaxtyping import Float
 
-FRESH = np.array([0.12, 0.0085, 0.0068])
+FRESH = np.array([0.084, 0.0078, 0.0080])
 """Linear reflectance of a thick layer of fresh blood."""
 
-OLD = np.array([0.035, 0.0055, 0.0042])
+OLD = np.array([0.025, 0.0050, 0.0050])
 """Of a thick layer of clotted blood."""
 
-FIBRIN = np.array([0.52, 0.33, 0.20])
+FIBRIN = np.array([0.39, 0.30, 0.21])
 """Of fibrin and slough on an ulcer."""
 
 _EXTINCTION = np.array([0.8, 9.0, 8.5]) / MM

@@ -47,10 +47,10 @@ BREAKS = {
 """An aphthous ulcer is small, round, with a white base and a red halo; a deep one is wide,
 irregular and sloughy, with a raised edge. They reach into the submucosa, an erosion does not."""
 
-_SLOUGH = np.array([0.50, 0.27, 0.07])
+_SLOUGH = np.array([0.36, 0.245, 0.08])
 """Linear reflectance of necrotic slough, yellow with bile."""
 
-_GRANULATION = np.array([0.50, 0.13, 0.07])
+_GRANULATION = np.array([0.35, 0.12, 0.082])
 """Of granulation tissue, where the slough has come off."""
 
 

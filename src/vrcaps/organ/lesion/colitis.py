@@ -57,15 +57,17 @@ class Activity:
 
 
 ACTIVITIES = {
-    1: Activity(0.92, (1.02, 0.66, 0.62), 0.6, 0.014 * MM, stipple=0.14, petechiae=3.2),
-    2: Activity(1.0, (0.98, 0.69, 0.71), 0.40, 0.017 * MM, petechiae=2.6, erosions=1.4),
+    1: Activity(0.92, (1.00, 0.71, 0.60), 0.6, 0.014 * MM, stipple=0.14, petechiae=3.2),
+    2: Activity(1.0, (0.98, 0.74, 0.77), 0.40, 0.017 * MM, petechiae=2.6, erosions=1.4),
     3: Activity(
-        *(1.0, (0.96, 0.56, 0.54), 0.35, 0.020 * MM),
+        *(1.0, (0.96, 0.51, 0.43), 0.35, 0.020 * MM),
         **{"petechiae": 2.3, "erosions": 1.3, "ulcers": 0.6, "blood": 0.6},
     ),
 }
 """By Mayo subscore: 1 erythema, decreased vascular pattern; 2 marked erythema, no vascular
-pattern, friability, erosions; 3 spontaneous bleeding, ulceration."""
+pattern, friability, erosions; 3 spontaneous bleeding, ulceration. Tints are between those at which
+frames have the mean colour of real ones (`benchmarks/fit_appearance.py`) and the hue of blood, and
+of 2, whose few real frames are paler than those of 1, no paler than of 1 by more than 0.03."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -160,7 +162,7 @@ class ColitisForm:
         color = color * np.array(is_like.tint) ** redness[:, None]
         color = color * np.exp(is_like.stipple * granules + 0.06 * mottle)[:, None]
         spot = smoothstep((self._points(points) - is_like.petechiae) / 0.6)
-        color = mix(color, np.array([0.36, 0.05, 0.04]), 0.6 * spot)
+        color = mix(color, np.array([0.25, 0.046, 0.046]), 0.6 * spot)
         height = clean.height * (1.0 - 0.5 * is_like.obscured) + is_like.granularity * granules
         color, sloughy, height = self._ulcerated(color, height, points, mottle)
         pooled = np.clip(self._blood(points) + 0.3 * mottle - is_like.blood, 0.0, 2.0)

@@ -116,7 +116,7 @@ class PetechiaeForm(SpotForm):
         color = clean.color * (1.0 - blush[:, None] * (0.03, 0.30, 0.30))
         level = self._points(points) + 0.9 * crowd
         point = smoothstep((level - 1.35) / 0.5)
-        color = mix(color, np.array([0.30, 0.028, 0.016]), 0.92 * point)
+        color = mix(color, np.array([0.21, 0.026, 0.019]), 0.92 * point)
         look = (color, clean.roughness - 0.1 * point, clean.height)
         return self.blended(wall, clean, look, softness=0.25)
 

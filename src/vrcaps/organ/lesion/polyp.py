@@ -164,7 +164,7 @@ class PolypForm(ProfileForm):
             color = color * (1.0 - vessel[:, None] * (0.15, 0.8, 0.8))
         if kind == "serrated":
             mucus = smoothstep((mottle - 0.2) / 1.6)
-            color = mix(color, np.array([0.60, 0.36, 0.13]), 0.55 * mucus)
+            color = mix(color, np.array([0.43, 0.33, 0.15]), 0.55 * mucus)
             roughness = roughness + 0.15 * mucus
         if kind == "inflammatory":
             slough = smoothstep((mottle - 0.8) / 0.9)

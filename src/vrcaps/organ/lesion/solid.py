@@ -82,7 +82,7 @@ class TumourForm(ProfileForm):
         color = color * np.exp(0.16 * fine + 0.10 * self._blood(points))[:, None]
         crater = smoothstep((0.5 - share) / 0.25)
         dead = smoothstep((self._necrosis(points) + 1.6 * crater - 1.1) / 0.5)
-        slough = np.array([0.56, 0.44, 0.24]) * np.exp(0.15 * fine)[:, None]
+        slough = np.array([0.42, 0.40, 0.26]) * np.exp(0.15 * fine)[:, None]
         color = mix(color, slough, 0.85 * dead)
         bleeding = smoothstep((self._blood(points) + 0.8 * crater - 1.3) / 0.3)
         color = under_blood(color, 0.8 * MM * bleeding, 0.3)
@@ -220,7 +220,7 @@ class StrictureForm:
         scar = smoothstep(0.5 + 0.6 * self._scar(points)) * tight
         color = mix(clean.color, clean.plain, tight)
         color = color * (1.0 - (tight * (1.0 - tight))[:, None] * (0.1, 1.2, 1.2))
-        color = mix(color, np.array([0.70, 0.42, 0.32]), 0.55 * scar)
+        color = mix(color, np.array([0.52, 0.38, 0.34]), 0.55 * scar)
         return replace(
             clean,
             color=np.clip(color, 0.0, 1.0),

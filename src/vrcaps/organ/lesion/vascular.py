@@ -49,7 +49,7 @@ class AngioectasiaForm(SpotForm):
         winding = np.minimum(*(np.abs(field(points)) for field in self._vessels))
         vessel = smoothstep((width - winding) / 0.12 + 0.5)
         color = clean.color * (1.0 - crowd[:, None] * (0.0, 0.35, 0.35))
-        color = mix(color, np.array([0.50, 0.035, 0.03]), 0.9 * vessel)
+        color = mix(color, np.array([0.35, 0.032, 0.034]), 0.9 * vessel)
         look = (color, clean.roughness, clean.height + 0.01 * MM * vessel)
         return self.blended(wall, clean, look, softness=0.25)
 
@@ -97,5 +97,5 @@ class LymphangiectasiaForm(SpotForm):
     def painted(self, wall: WallSamples, points: Float[np.ndarray, "n 3"], clean: Look) -> Look:
         """Chyle shines white through the tips."""
         tip = self._raised(wall, wall.rest - self.site.center)
-        color = mix(clean.color, np.array([0.86, 0.74, 0.56]), 0.85 * tip)
+        color = mix(clean.color, np.array([0.66, 0.66, 0.58]), 0.85 * tip)
         return self.blended(wall, clean, (color, clean.roughness, clean.height), softness=0.15)

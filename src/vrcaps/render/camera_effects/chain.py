@@ -10,10 +10,11 @@ import numpy as np
 
 from vrcaps import _core
 from vrcaps.capsule.rays import camera_rays
+from vrcaps.render.camera_effects.dome import Dome
 from vrcaps.render.camera_effects.effects import Effects
 from vrcaps.render.camera_effects.sensor import Noise, WhiteBalance, mosaic_colors
 from vrcaps.render.flow import STEP, SurfacePoints, thinned
-from vrcaps.transforms import transform_points
+from vrcaps.transforms import invert, transform_points
 from vrcaps.units import MM
 
 if TYPE_CHECKING:
@@ -32,6 +33,9 @@ BUBBLE = 1
 
 _TOUCHING = 1.0 * MM
 """Gap to the capsule up to which a bubble's near side is taken to sit on it."""
+
+_DOME = 7
+"""Stream of the random numbers that lay what is on the dome, beside the scenario's others."""
 
 _NEUTRAL = WhiteBalance(response=(1.0, 1.0, 1.0))
 _QUIET = Noise(1e6, 0.0, bits=16, black=0)
@@ -94,7 +98,12 @@ class CameraChain:
         self._shade = None
         if self._stages["vignette"] is not None:
             self._shade = self._stages["vignette"].profile(camera)
-        self._metered = thinned(self._lit)
+        self._metered, self._table = thinned(self._lit), _core.RayTable(self._rays)
+        drops, smears = self._stages["droplets"], self._stages["smears"]
+        self._dome = None
+        if drops is not None or smears is not None:
+            lens = self._stages["depth_of_field"]
+            self._dome = Dome(camera, drops, smears, lens=lens, seed=(seed, _DOME, number))
         self._last_motion: tuple[State, Any] | None = None
         moving = self._stages["motion_blur"] or self._stages["rolling_shutter"]
         self._needs_motion = moving is not None or effects.frame_rate is not None
@@ -138,9 +147,12 @@ class CameraChain:
         """
         if self.effects.is_ideal:
             return seen.frame
-        planes = self._moved(seen, renderer, moment)
-        planes = self._through_lens(planes, seen.frame)
-        return replace(seen.frame, rgb=self._sensed(planes, moment))
+        planes, time = self._moved(seen, renderer, moment), moment.state.time
+        planes = self._through_lens(planes, seen, time)
+        frame = replace(seen.frame, rgb=self._sensed(planes, moment))
+        if frame.dome_label is None or self._dome is None:
+            return frame
+        return replace(frame, dome_label=self._dome.labels(time))
 
     def meter(self, seen: Seen, moment: Moment) -> float:
         """Mean linear luminance of the lit image at an exposure, each pixel cut at white."""
@@ -184,18 +196,25 @@ class CameraChain:
         if neighbour is None:
             return None
         assert seen.points is not None
-        motion = renderer.sparse_flow(seen.points, self.camera, moment.state, neighbour)
+        slot = "previous" if moment.state_next is None else "next"
+        fillings = renderer.filling(moment.state), renderer.filling(neighbour)
+        moved = seen.points.moved(renderer.model.organ.faces, neighbour, *fillings)
+        apparent = renderer.bends(self.camera, seen.points, moved, neighbour, slot).apparent
+        pose = invert(neighbour.T_world_capsule @ self.camera.T_capsule_camera)
+        motion = _core.flow_by_rays(self._table, np.ascontiguousarray(apparent), pose, STEP)
         if moment.state_next is None:
             motion = -motion
         motion[_on_capsule(seen.frame, self.camera, self._rays, renderer.model.device)] = 0.0
         return motion
 
     def _through_lens(
-        self, planes: Float[np.ndarray, "3 h w"], frame: Frame
+        self, planes: Float[np.ndarray, "3 h w"], seen: Seen, time: float
     ) -> Float[np.ndarray, "3 h w"]:
         defocus, bloom = self._stages["depth_of_field"], self._stages["bloom"]
         if defocus is not None:
-            planes = defocus.apply(self.camera, planes, self._distance(frame))
+            planes = defocus.apply(self.camera, planes, self._distance(seen.frame))
+        if self._dome is not None:
+            planes = self._dome.apply(planes, time)
         if self._stages["chromatic"] is not None:
             planes = self._stages["chromatic"].apply(self.camera, planes)
         if self._shade is not None:
@@ -237,8 +256,8 @@ class CameraChain:
 
 
 _STAGES = (
-    *("motion_blur", "rolling_shutter", "depth_of_field", "chromatic", "vignette", "bloom"),
-    *("exposure", "noise", "white_balance", "jpeg"),
+    *("motion_blur", "rolling_shutter", "depth_of_field", "droplets", "smears", "chromatic"),
+    *("vignette", "bloom", "exposure", "noise", "white_balance", "jpeg"),
 )
 
 

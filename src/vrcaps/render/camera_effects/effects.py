@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, get_args
 import numpy as np
 
 from vrcaps.errors import InputError
+from vrcaps.render.camera_effects.dome import Droplets, Smears
 from vrcaps.render.camera_effects.exposure import AutoExposure
 from vrcaps.render.camera_effects.frame_rate import AdaptiveRate
 from vrcaps.render.camera_effects.grades import GRADES, HIGHEST
@@ -50,6 +51,8 @@ class Effects:
         motion_blur: Motion while the shutter is open.
         rolling_shutter: Rows exposed one after another.
         depth_of_field: Blur by the circle of confusion.
+        droplets: Drops on the dome, each a small lens.
+        smears: A film of mucus, bile or blood on the dome.
         chromatic: Lateral chromatic aberration.
         vignette: The image darkens towards its edge.
         bloom: Halo and veil around what is bright.
@@ -69,6 +72,8 @@ class Effects:
     motion_blur: Grade | MotionBlur = 0
     rolling_shutter: Grade | RollingShutter = 0
     depth_of_field: Grade | Defocus = 0
+    droplets: Grade | Droplets = 0
+    smears: Grade | Smears = 0
     chromatic: Grade | LateralColor = 0
     vignette: Grade | Vignetting = 0
     bloom: Grade | Bloom = 0

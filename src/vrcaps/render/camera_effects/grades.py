@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from vrcaps.render.camera_effects.dome import Droplets, Smears
 from vrcaps.render.camera_effects.exposure import AutoExposure
 from vrcaps.render.camera_effects.optics import (
     Bloom,
@@ -32,6 +33,20 @@ GRADES: dict[str, tuple[Any, ...]] = {
     "motion_blur": (None, *(MotionBlur(1e-3 * t) for t in (10.0, 25.0, 50.0, 100.0))),
     "rolling_shutter": (None, *(RollingShutter(1e-3 * t) for t in (30.0, 80.0, 160.0, 300.0))),
     "depth_of_field": (None, *(Defocus(a * MM) for a in (0.2, 0.5, 1.0, 2.0))),
+    "droplets": (
+        None,
+        Droplets(3, radius=0.4 * MM),
+        Droplets(6, radius=0.45 * MM),
+        Droplets(11, radius=0.5 * MM),
+        Droplets(18, radius=0.6 * MM),
+    ),
+    "smears": (
+        None,
+        Smears(0.015 * MM, cover=0.25),
+        Smears(0.03 * MM, cover=0.4),
+        Smears(0.06 * MM, cover=0.55),
+        Smears(0.12 * MM, cover=0.7),
+    ),
     "chromatic": (None, *(LateralColor(s, -s) for s in (0.002, 0.005, 0.01, 0.02))),
     "vignette": (
         None,

@@ -25,6 +25,9 @@ CHYME = "chyme"
 FRONT_NAMES = ("nothing", "bubble", "liquid")
 """Classes of what a pixel looks through: numbers of the channel `front_label`."""
 
+BEND_NAMES = ("straight", "refracted", "mirrored")
+"""How a liquid's surface turns a pixel's ray: numbers of the channel `bend_label`."""
+
 
 @dataclass(frozen=True)
 class Filling:

@@ -20,7 +20,6 @@ class Liquid:
         absorption: Absorption coefficient for red, green and blue [1/m]; bile takes the blue.
         scattering: Scattering coefficient for red, green and blue [1/m].
         roughness: Roughness α of the surface in the mirror image of an LED.
-        color: Linear colour of the surroundings that the surface mirrors.
     """
 
     fill: float = 0.1
@@ -30,7 +29,6 @@ class Liquid:
     absorption: tuple[float, float, float] = (35.0, 55.0, 190.0)
     scattering: tuple[float, float, float] = (14.0, 13.0, 6.0)
     roughness: float = 0.02
-    color: tuple[float, float, float] = (0.3, 0.2, 0.12)
 
     def __post_init__(self) -> None:
         require(0.0 <= self.fill < 1.0, "Liquid's fill", self.fill, "0 to below 1")

@@ -1,0 +1,58 @@
+//! The nearest thing that each ray looks through.
+
+use super::liquid::Wet;
+use crate::channels::{Channels, Place};
+use crate::lanes::*;
+use crate::rays::TileRays;
+
+/// `Channels::front_label` of a bubble; 0 is nothing.
+pub const FRONT_BUBBLE: u8 = 1;
+/// `Channels::front_label` of liquid.
+pub const FRONT_LIQUID: u8 = 2;
+
+/// The nearest see-through thing in front of each surface.
+pub struct Front {
+    label: [u8; LANES],
+    instance: [u16; LANES],
+    distance: Lane,
+}
+
+impl Front {
+    #[inline(always)]
+    pub fn of_liquid(wet: Option<&Wet>) -> Self {
+        let mut front =
+            Front { label: [0; LANES], instance: [0; LANES], distance: [f32::INFINITY; LANES] };
+        let Some(wet) = wet else { return front };
+        for i in (0..LANES).filter(|&i| wet.is_wet[i]) {
+            front.label[i] = FRONT_LIQUID;
+            front.instance[i] = wet.pool[i];
+            front.distance[i] = wet.start[i];
+        }
+        front
+    }
+
+    /// A bubble counts where the ray crosses its shell for the first time.
+    #[inline(always)]
+    pub fn add_bubble(&mut self, instance: u16, ways: [&Lane; 2], distance: &Lane) {
+        for i in 0..LANES {
+            let first = if ways[0][i] > 0.0 { ways[0][i] } else { ways[1][i] };
+            let nearer = (first > 0.0) & (first < distance[i]) & (first < self.distance[i]);
+            self.distance[i] = if nearer { first } else { self.distance[i] };
+            self.label[i] = if nearer { FRONT_BUBBLE } else { self.label[i] };
+            self.instance[i] = if nearer { instance } else { self.instance[i] };
+        }
+    }
+
+    #[inline(always)]
+    pub fn write(&self, tile: &TileRays, place: Place, out: &mut Channels<'_>) {
+        let mut seen = [false; LANES];
+        let mut depth = [0.0; LANES];
+        for i in 0..LANES {
+            seen[i] = tile.used[i] && self.label[i] != 0;
+            depth[i] = self.distance[i] * tile.pyramid.directions[2][i];
+        }
+        place.write(&mut out.front_label, &self.label, &seen, 0);
+        place.write(&mut out.front_instance, &self.instance, &seen, 0);
+        place.write(&mut out.front_depth, &depth, &seen, f32::NAN);
+    }
+}

@@ -1,0 +1,110 @@
+//! Where a ray meets the level surface of a liquid, and how it goes on: by Snell's law or mirrored.
+
+use crate::lanes::*;
+use crate::material::fresnel;
+
+/// `Turn::kind` of a ray that goes on straight.
+pub const STRAIGHT: u8 = 0;
+/// `Turn::kind` of a ray that is refracted.
+pub const REFRACTED: u8 = 1;
+/// `Turn::kind` of a ray that is totally reflected.
+pub const MIRRORED: u8 = 2;
+
+/// Turns of a tile's rays in level surfaces.
+pub struct Turn {
+    /// How each lane goes on.
+    pub kind: [u8; LANES],
+    /// Way to the surface [m]; infinite where none is met.
+    pub way: Lane,
+    /// Where it is met [m].
+    pub place: Lane3,
+    /// Unit direction in which the ray goes on.
+    pub heading: Lane3,
+    /// Share of light that the surface mirrors.
+    pub share: Lane,
+}
+
+impl Turn {
+    /// No lane meets a surface yet.
+    pub fn none() -> Self {
+        let zero = [0.0; LANES];
+        Turn {
+            kind: [STRAIGHT; LANES],
+            way: [f32::INFINITY; LANES],
+            place: [zero; 3],
+            heading: [zero; 3],
+            share: zero,
+        }
+    }
+
+    /// Turns lane `i` at a height; `ior` is the index beyond the surface relative to that before.
+    #[inline(always)]
+    pub fn set(&mut self, i: usize, origin: Vec3, direction: Vec3, level: f32, ior: f32) {
+        let way = (level - origin[2]) / direction[2];
+        let [x, y, z] = direction;
+        let inverse = 1.0 / ior;
+        // The square of the cosine beyond, by Snell's law; below 0 nothing gets through.
+        let square = 1.0 - (1.0 - z * z) * inverse * inverse;
+        let is_through = square > 0.0;
+        let heading = if is_through {
+            normalize([x * inverse, y * inverse, square.sqrt().copysign(z)])
+        } else {
+            [x, y, -z]
+        };
+        self.kind[i] = if is_through { REFRACTED } else { MIRRORED };
+        self.share[i] = if is_through { fresnel(z.abs(), ior) } else { 1.0 };
+        self.way[i] = way;
+        for k in 0..3 {
+            self.place[k][i] = origin[k] + way * direction[k];
+            self.heading[k][i] = heading[k];
+        }
+        // Exactly level, whatever the rounding of the way.
+        self.place[2][i] = level;
+    }
+
+    /// Lanes that meet a surface.
+    #[inline(always)]
+    pub fn lanes(&self) -> [bool; LANES] {
+        self.kind.map(|kind| kind != STRAIGHT)
+    }
+
+    /// Lanes that the surface lets through.
+    #[inline(always)]
+    pub fn refracted(&self) -> [bool; LANES] {
+        self.kind.map(|kind| kind == REFRACTED)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn turned(direction: Vec3, ior: f32) -> Turn {
+        let mut turn = Turn::none();
+        turn.set(0, [0.01, -0.02, 0.0], normalize(direction), -0.3 * direction[2].signum(), ior);
+        turn
+    }
+
+    #[test]
+    fn sines_are_as_the_indices() {
+        for slant in [0.0f32, 0.2, 0.7, 1.5, 4.0] {
+            for ior in [1.333f32, 1.0 / 1.333] {
+                for side in [1.0, -1.0] {
+                    let direction = normalize([0.6 * slant, 0.8 * slant, side]);
+                    let turn = turned(direction, ior);
+                    let [x, y, z] = at(&turn.heading, 0);
+                    let sine = (1.0 - direction[2] * direction[2]).max(0.0).sqrt();
+                    if sine / ior > 1.0 {
+                        assert_eq!(turn.kind[0], MIRRORED);
+                        assert_eq!([x, y, z], [direction[0], direction[1], -direction[2]]);
+                        continue;
+                    }
+                    assert_eq!(turn.kind[0], REFRACTED);
+                    assert!(((x * x + y * y).sqrt() * ior - sine).abs() < 1e-6);
+                    assert!((x * x + y * y + z * z - 1.0).abs() < 1e-6);
+                    assert!(z * side > 0.0);
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,229 @@
+//! An arm that leads its magnet to a pose within the limits of its joints:
+//! `vrcaps.magnet.steering.arm_holder`.
+
+use super::arm::{array, pose};
+use super::carrier::ArmCarrier;
+use super::chain::Pose;
+use super::handle::rows;
+use super::turn::{rotation_vector, turned};
+use glam::DVec3;
+use numpy::{PyArrayDyn, PyReadonlyArray2};
+use pyo3::{exceptions::PyValueError, prelude::*};
+
+/// Sine of an angle below which a direction along the magnet's axis says nothing about its turn.
+const UPRIGHT: f64 = 0.2;
+/// How far ahead on its way the arm looks [m, rad].
+const FARTHEST: f64 = 0.03;
+const MOST_TURN: f64 = 0.3;
+/// How far out of the room the joints may lead the magnet on its way [m].
+const SLACK: f64 = 5e-3;
+/// Angles farther than this from those of now [rad] are on another branch.
+const JUMP: f64 = 0.5;
+/// A joint farther than this from where it is to be [rad] was too slow.
+const LATE: f64 = 1e-3;
+
+/// Largest speed [rad/s], acceleration and jerk of a joint.
+struct Limits {
+    speed: f64,
+    acceleration: f64,
+    jerk: f64,
+}
+
+/// What Python holds of it.
+#[pyclass(module = "vrcaps._core")]
+pub struct ArmHolder {
+    carrier: ArmCarrier,
+    home: Vec<f64>,
+    limits: Vec<Limits>,
+    /// Corners of the box for the magnet's centre [m].
+    low: DVec3,
+    high: DVec3,
+    /// Direction in the world along which the flange is to point.
+    along: DVec3,
+    /// Largest speeds of the magnet [m/s, rad/s].
+    speeds: (f64, f64),
+}
+
+/// The magnet and the joints at one instant.
+struct Held {
+    magnet: Pose,
+    velocity: Vec<f64>,
+    angles: Vec<f64>,
+}
+
+/// The goal, or where the way there begins if it is far.
+fn part_way(start: &Pose, goal: &Pose) -> Pose {
+    let way = (goal.position - start.position).clamp_length_max(FARTHEST);
+    let turn = rotation_vector(goal.rotation * start.rotation.transpose());
+    let is_far = turn.length() > MOST_TURN;
+    let part = || turned(turn.clamp_length_max(MOST_TURN), start.rotation);
+    Pose { position: start.position + way, rotation: if is_far { part() } else { goal.rotation } }
+}
+
+impl ArmHolder {
+    /// The pose, turned about the magnet's axis until the flange points where it is to; where that
+    /// is along the axis, it points as it does now.
+    fn roll(&self, goal: &Pose, now: &Pose) -> Pose {
+        let (axis, flange) = (goal.rotation.z_axis, self.carrier.flange_along());
+        let across = |v: DVec3| v - axis * axis.dot(v);
+        let (from, mut to) = (across(goal.rotation * flange), across(self.along));
+        if to.length() < UPRIGHT {
+            to = across(now.rotation * flange);
+        }
+        if from.length().min(to.length()) < 1e-9 {
+            return *goal;
+        }
+        let angle = axis.dot(from.cross(to)).atan2(from.dot(to));
+        Pose { rotation: turned(angle * axis, goal.rotation), ..*goal }
+    }
+
+    /// How far a place is out of the room [m].
+    fn outside(&self, place: DVec3) -> f64 {
+        (place - place.clamp(self.low, self.high)).length()
+    }
+
+    /// Acceleration of a joint that may turn round within a step of `dt` [s], for its jerk's sake.
+    fn acceleration(limits: &Limits, dt: f64) -> f64 {
+        limits.acceleration.min(0.5 * limits.jerk * dt)
+    }
+
+    /// Joint speeds of the next step: all joints keep step, and can stop where they are to; at most
+    /// a share of the way a second.
+    fn velocity(&self, way: &[f64], velocity: &[f64], dt: f64, most_share: f64) -> Vec<f64> {
+        let share =
+            way.iter().zip(&self.limits).fold(most_share.min(1.0 / dt), |share, (way, l)| {
+                let a = Self::acceleration(l, dt);
+                // A stop at the end of the way: v dt + v²/2a = way.
+                let stopping = (a * a * dt * dt + 2.0 * a * way.abs()).sqrt() - a * dt;
+                share.min(l.speed.min(stopping) / way.abs().max(1e-12))
+            });
+        let joints = way.iter().zip(velocity).zip(&self.limits);
+        let next = joints.map(|((way, velocity), l)| {
+            let most = dt * Self::acceleration(l, dt);
+            velocity + (share * way - velocity).max(-most).min(most)
+        });
+        next.collect()
+    }
+
+    /// Largest part of the way a second that keeps the magnet's own speeds [1/s].
+    fn share(&self, now: &Pose, goal: &Pose) -> f64 {
+        let way = now.position.distance(goal.position);
+        let turn = rotation_vector(goal.rotation * now.rotation.transpose()).length();
+        (self.speeds.0 / way.max(1e-9)).min(self.speeds.1 / turn.max(1e-9))
+    }
+
+    /// What is in the way of angles; `out` is how far the magnet is out of the room now [m].
+    fn blocked(&self, frames: &[Pose], out: f64) -> Option<&'static str> {
+        let (own, table) = self.carrier.gaps(frames);
+        // On the way from one pose in the room to another the joints may lead the magnet out of it.
+        let next = self.outside(self.carrier.magnet(frames).position);
+        match own.min(table) < 0.0 {
+            true => Some("touch"),
+            false => (next > SLACK && next > out).then_some("room"),
+        }
+    }
+
+    /// The joints a time `dt` [s] later at given speeds.
+    fn at(&self, held: &Held, velocity: Vec<f64>, dt: f64, frames: &mut Vec<Pose>) -> Held {
+        let angles: Vec<f64> = held.angles.iter().zip(&velocity).map(|(q, v)| q + dt * v).collect();
+        self.carrier.arm.chain.frames(&angles, frames);
+        Held { magnet: self.carrier.magnet(frames), velocity, angles }
+    }
+
+    /// A time `dt` [s] later, on the way to a pose, and what kept it from it.
+    fn step(&self, held: &Held, goal: &Pose, dt: f64) -> (Held, &'static str) {
+        let place = goal.position.clamp(self.low, self.high);
+        let mut limit = if place == goal.position { "" } else { "room" };
+        let rolled = self.roll(&Pose { position: place, ..*goal }, &held.magnet);
+        let goal = part_way(&held.magnet, &rolled);
+        let found = self.carrier.solve(&goal, &held.angles, &self.home);
+        let far = |(a, b): (&f64, &f64)| (a - b).abs() > JUMP;
+        let near = found.filter(|found| !found.iter().zip(&held.angles).any(far));
+        limit = if near.is_some() { limit } else { "reach" };
+        let wanted = near.unwrap_or_else(|| held.angles.clone());
+        let way: Vec<f64> = wanted.iter().zip(&held.angles).map(|(w, q)| w - q).collect();
+        let velocity = self.velocity(&way, &held.velocity, dt, self.share(&held.magnet, &goal));
+        let (mut frames, out) = (Vec::new(), self.outside(held.magnet.position));
+        let next = self.at(held, velocity, dt, &mut frames);
+        let blocked = self.blocked(&frames, out).or_else(|| {
+            let joints = next.angles.iter().zip(&next.velocity).zip(&self.limits);
+            let stop = joints.map(|((q, v), l)| q + 0.5 * v * v.abs() / Self::acceleration(l, dt));
+            self.carrier.arm.chain.frames(&stop.collect::<Vec<_>>(), &mut frames);
+            self.blocked(&frames, out)
+        });
+        if let Some(blocked) = blocked {
+            let brake = self.velocity(&vec![0.0; way.len()], &held.velocity, dt, f64::INFINITY);
+            return (self.at(held, brake, dt, &mut frames), blocked);
+        }
+        let is_late = wanted.iter().zip(&next.angles).any(|(w, q)| (w - q).abs() > LATE);
+        (next, if limit.is_empty() && is_late { "speed" } else { limit })
+    }
+}
+
+/// Pose [4 4] of the magnet, joint speeds and angles [n], what kept it from the pose asked for.
+type Moved<'py> = (
+    Bound<'py, PyArrayDyn<f64>>,
+    Bound<'py, PyArrayDyn<f64>>,
+    Bound<'py, PyArrayDyn<f64>>,
+    &'static str,
+);
+
+#[pymethods]
+impl ArmHolder {
+    /// Joints as rows of home angle, largest speed, acceleration and jerk; the room's corners [m];
+    /// where the flange is to point; largest speeds of the magnet [m/s, rad/s].
+    #[new]
+    fn new(
+        carrier: PyRef<'_, ArmCarrier>,
+        joints: PyReadonlyArray2<'_, f64>,
+        room: ([f64; 3], [f64; 3]),
+        along: [f64; 3],
+        speeds: (f64, f64),
+    ) -> PyResult<Self> {
+        let joints = rows(&joints, 4)?;
+        let limits = |j: &[f64]| Limits { speed: j[1], acceleration: j[2], jerk: j[3] };
+        Ok(ArmHolder {
+            carrier: carrier.clone(),
+            home: joints.chunks_exact(4).map(|j| j[0]).collect(),
+            limits: joints.chunks_exact(4).map(limits).collect(),
+            low: room.0.into(),
+            high: room.1.into(),
+            along: along.into(),
+            speeds,
+        })
+    }
+
+    /// The pose [4 4], turned about the magnet's axis until the flange points where it is to.
+    fn rolled<'py>(
+        &self,
+        py: Python<'py>,
+        goal: PyReadonlyArray2<'py, f64>,
+    ) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
+        let goal = pose(&rows(&goal, 4)?);
+        array(py, &[4, 4], self.roll(&goal, &goal).rows().to_vec())
+    }
+
+    /// The magnet a time `dt` [s] later, on its way from a pose [4 4] to another.
+    fn move_on<'py>(
+        &self,
+        py: Python<'py>,
+        magnet: PyReadonlyArray2<'py, f64>,
+        velocity: Vec<f64>,
+        angles: Vec<f64>,
+        goal: PyReadonlyArray2<'py, f64>,
+        dt: f64,
+    ) -> PyResult<Moved<'py>> {
+        if angles.len() != self.limits.len() || velocity.len() != self.limits.len() {
+            return Err(PyValueError::new_err("One angle and one speed a joint are needed."));
+        }
+        let held = Held { magnet: pose(&rows(&magnet, 4)?), velocity, angles };
+        let (next, limit) = self.step(&held, &pose(&rows(&goal, 4)?), dt);
+        let n = next.angles.len();
+        Ok((
+            array(py, &[4, 4], next.magnet.rows().to_vec())?,
+            array(py, &[n], next.velocity)?,
+            array(py, &[n], next.angles)?,
+            limit,
+        ))
+    }
+}

@@ -1,0 +1,92 @@
+//! Turns of one body at a time.
+
+use super::handle::rows;
+use glam::{DMat3, DVec3};
+use numpy::{PyArray1, PyArray2, PyReadonlyArray2, ndarray::arr2};
+use pyo3::prelude::*;
+
+/// Cosine beyond which a turn is so near to half a turn that its sine says no axis.
+const NEAR_HALF: f64 = -0.99;
+/// A sine below this says no axis.
+const PARALLEL: f64 = 1e-9;
+
+/// A rotation, turned further by a rotation vector [rad] in the same frame.
+///
+/// Rodrigues' formula; the result is kept orthonormal by a step of Newton's iteration.
+pub fn turned(vector: DVec3, rotation: DMat3) -> DMat3 {
+    let angle = vector.length();
+    if angle == 0.0 {
+        return rotation;
+    }
+    let product = DMat3::from_axis_angle(vector / angle, angle) * rotation;
+    1.5 * product - 0.5 * (product * product.transpose() * product)
+}
+
+/// Axis times angle [rad] of a rotation, 0 to π.
+pub fn rotation_vector(rotation: DMat3) -> DVec3 {
+    let [x, y, z] = [rotation.x_axis, rotation.y_axis, rotation.z_axis];
+    let across = DVec3::new(y.z - z.y, z.x - x.z, x.y - y.x);
+    let (sine, cosine) = (0.5 * across.length(), 0.5 * (x.x + y.y + z.z - 1.0));
+    let angle = sine.atan2(cosine);
+    if cosine < NEAR_HALF {
+        // R + Rᵀ = 2 c 1 + 2 (1 − c) a aᵀ: the longest column has the axis.
+        let square = rotation + rotation.transpose() - 2.0 * cosine * DMat3::IDENTITY;
+        let sizes = DVec3::new(square.x_axis.x, square.y_axis.y, square.z_axis.z);
+        let axis = square.col(sizes.max_position()).normalize();
+        return if axis.dot(across) < 0.0 { -angle * axis } else { angle * axis };
+    }
+    across * if sine > 0.0 { 0.5 * angle / sine } else { 0.5 }
+}
+
+/// A direction turned towards another by `most` [rad]; about an axis where they are opposite.
+fn towards(start: DVec3, end: DVec3, most: f64, about: DVec3) -> DVec3 {
+    let axis = start.cross(end);
+    let sine = axis.length();
+    if sine.atan2(start.dot(end)) <= most {
+        return end;
+    }
+    let unit = if sine > PARALLEL { axis / sine } else { about };
+    (DMat3::from_axis_angle(unit, most) * start).normalize()
+}
+
+fn rotation(rows_of: &PyReadonlyArray2<'_, f64>) -> PyResult<DMat3> {
+    let flat = rows(rows_of, 3)?;
+    Ok(DMat3::from_cols_slice(&flat).transpose())
+}
+
+/// See `turned`: a rotation vector [rad] and a rotation [3 3].
+#[pyfunction]
+#[pyo3(name = "turned")]
+pub fn turned_rows<'py>(
+    py: Python<'py>,
+    vector: [f64; 3],
+    matrix: PyReadonlyArray2<'py, f64>,
+) -> PyResult<Bound<'py, PyArray2<f64>>> {
+    let rows = turned(vector.into(), rotation(&matrix)?).transpose().to_cols_array_2d();
+    Ok(PyArray2::from_owned_array(py, arr2(&rows)))
+}
+
+/// See `rotation_vector`: of a rotation [3 3].
+#[pyfunction]
+#[pyo3(name = "rotation_vector")]
+pub fn vector_of<'py>(
+    py: Python<'py>,
+    matrix: PyReadonlyArray2<'py, f64>,
+) -> PyResult<Bound<'py, PyArray1<f64>>> {
+    let vector = rotation_vector(rotation(&matrix)?).to_array();
+    Ok(PyArray1::from_slice(py, &vector))
+}
+
+/// See `towards`: directions [3], an angle [rad], an axis [3].
+#[pyfunction]
+#[pyo3(name = "towards")]
+pub fn towards_of<'py>(
+    py: Python<'py>,
+    start: [f64; 3],
+    end: [f64; 3],
+    most: f64,
+    about: [f64; 3],
+) -> Bound<'py, PyArray1<f64>> {
+    let led = towards(start.into(), end.into(), most, about.into());
+    PyArray1::from_slice(py, &led.to_array())
+}

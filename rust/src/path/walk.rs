@@ -1,0 +1,286 @@
+//! Light inside the tissue behind the wall: a random walk from border to border.
+//!
+//! Scattering is even in all directions, by the similarity of reduced coefficients. Free ways are
+//! drawn for one colour, in proportion to what each still carries, and weighted for all three by
+//! the density of the mixture (Chiang, Kutz and Burley 2016; Kutz et al. 2017). The border is the
+//! wall's own triangles: light that comes out elsewhere, such as on the far side of a fold, is seen
+//! there. Behind the wall tissue goes on without end.
+
+use crate::lanes::*;
+use crate::material::fresnel;
+use crate::path::lobes::{circle, on_circle};
+use crate::path::random::{hash, unit};
+use crate::path::ray::{self, Hit};
+use crate::tile::MISS;
+use crate::wall::Wall;
+use numpy::{IntoPyArray, PyArray2, ndarray::Array2};
+use pyo3::{exceptions::PyValueError, prelude::*};
+use rayon::prelude::*;
+
+/// Most free ways of a walk; so few last longer that it is no more than a safeguard.
+const MOST: u32 = 8192;
+/// One over the share below which a walk may end early (Russian roulette); ends are noise.
+const ENDURING: f32 = 2.0;
+/// How far a way starts from the wall, as a share of the largest coordinate: beyond rounding.
+const OFFSET: f32 = 2e-6;
+/// Least single-scattering albedo, so that no coefficient is without bound.
+const DARKEST: f32 = 0.01;
+
+/// Tissue behind a wall: how it scatters, and how much it absorbs by what the wall looks like.
+#[derive(Clone)]
+pub struct Tissue {
+    /// Reduced scattering coefficient for red, green and blue [1/m].
+    pub scattering: Vec3,
+    /// Refractive index over that of the lumen, 1 or more.
+    pub ior: f32,
+    /// √(1 − single-scattering albedo) for base colours from 0 to 1 in even steps.
+    pub roots: Vec<f32>,
+    /// Share of even light outside that enters.
+    pub entering: f32,
+}
+
+/// Tissue at one place.
+#[derive(Clone, Copy)]
+pub struct Medium {
+    /// Single-scattering albedo.
+    pub albedo: Vec3,
+    /// Scattering and absorption coefficient [1/m].
+    pub extinction: Vec3,
+    /// Refractive index over that of the lumen.
+    pub ior: f32,
+}
+
+impl Tissue {
+    /// Tissue that gives back even light in a base colour.
+    #[inline(always)]
+    pub fn medium(&self, color: Vec3) -> Medium {
+        let last = (self.roots.len() - 1) as f32;
+        let albedo = color.map(|c| {
+            let place = clamp(c, 0.0, 1.0) * last;
+            let first = (place as usize).min(self.roots.len() - 2);
+            let part = place - first as f32;
+            let root = self.roots[first] + part * (self.roots[first + 1] - self.roots[first]);
+            max(1.0 - root * root, 0.0)
+        });
+        let extinction = [0, 1, 2].map(|k| self.scattering[k] / max(albedo[k], DARKEST));
+        Medium { albedo, extinction, ior: self.ior }
+    }
+
+    /// What passes the border at an angle of this cosine outside, over the mean over even light.
+    #[inline(always)]
+    pub fn passes(&self, cosine: f32) -> f32 {
+        (1.0 - fresnel(cosine, self.ior)) / self.entering
+    }
+}
+
+/// Light on its way into or through tissue.
+#[derive(Clone, Copy)]
+pub struct Way {
+    /// Place [m].
+    pub origin: Vec3,
+    /// Unit direction.
+    pub direction: Vec3,
+    /// Triangle it leaves; `MISS` for none.
+    pub from: u32,
+}
+
+/// Light that has come to the border and passes it.
+pub struct Exit {
+    /// Where.
+    pub hit: Hit,
+    /// Place [m].
+    pub point: Vec3,
+    /// The face's unit normal, away from the tissue.
+    pub facet: Vec3,
+    /// What is left of red, green and blue.
+    pub share: Vec3,
+}
+
+/// Random numbers of one walk.
+pub struct Stream {
+    key: u32,
+    count: u32,
+}
+
+impl Stream {
+    /// The numbers that belong to a key.
+    pub fn new(key: u32) -> Self {
+        Stream { key, count: 0 }
+    }
+
+    #[inline(always)]
+    fn next(&mut self) -> f32 {
+        self.count = self.count.wrapping_add(0x9e37_79b9);
+        unit(hash(hash(self.count) ^ self.key))
+    }
+}
+
+/// How far a way starts from the wall [m].
+#[inline(always)]
+pub fn offset(wall: &Wall) -> f32 {
+    OFFSET * wall.extent
+}
+
+/// Direction into tissue of light that a viewer sees along `view`, by Snell's law.
+#[inline(always)]
+pub fn refracted(view: Vec3, normal: Vec3, ior: f32) -> Vec3 {
+    let (cosine, inverse) = (dot(view, normal), 1.0 / ior);
+    let inside = max(1.0 - (1.0 - cosine * cosine) * inverse * inverse, 0.0).sqrt();
+    sub(scale(normal, cosine * inverse - inside), scale(view, inverse))
+}
+
+/// Follows light until it leaves the tissue; None if it is absorbed.
+#[inline(always)]
+pub fn walk(wall: &Wall, medium: &Medium, mut way: Way, stream: &mut Stream) -> Option<Exit> {
+    let mut share = [1.0f32; 3];
+    let offset = offset(wall);
+    for _ in 0..MOST {
+        let chances = chances(share, medium);
+        let choice = stream.next();
+        let color =
+            usize::from(choice >= chances[0]) + usize::from(choice >= chances[0] + chances[1]);
+        let free = -log2(1.0 - stream.next()) * std::f32::consts::LN_2 / medium.extinction[color];
+        let Way { origin, direction, from } = way;
+        let Some(hit) = ray::cast::<false>(&wall.bvh, origin, direction, free, from) else {
+            way = scattered(way, free, stream);
+            let density = medium.density(chances, free, true);
+            share = [0, 1, 2].map(|k| share[k] * medium.albedo[k] * density[k]);
+            let chance = min(max(share[0], max(share[1], share[2])) * ENDURING, 1.0);
+            if stream.next() >= chance {
+                return None;
+            }
+            share = scale(share, 1.0 / chance);
+            continue;
+        };
+        let density = medium.density(chances, hit.distance, false);
+        share = [0, 1, 2].map(|k| share[k] * density[k]);
+        let facet = outward(wall, &hit, direction);
+        let point = add(origin, scale(direction, hit.distance));
+        let cosine = dot(direction, facet);
+        if stream.next() >= fresnel_within(cosine, medium.ior) {
+            return Some(Exit { hit, point, facet, share });
+        }
+        let origin = sub(point, scale(facet, offset));
+        let direction = sub(direction, scale(facet, 2.0 * cosine));
+        way = Way { origin, direction, from: hit.triangle };
+    }
+    None
+}
+
+/// Chance of each colour to be the one that a free way is drawn for.
+#[inline(always)]
+fn chances(share: Vec3, medium: &Medium) -> Vec3 {
+    let weight = [0, 1, 2].map(|k| share[k] * medium.albedo[k]);
+    let sum = weight[0] + weight[1] + weight[2];
+    if sum > 0.0 { scale(weight, 1.0 / sum) } else { [1.0 / 3.0; 3] }
+}
+
+impl Medium {
+    /// Density of a free way that ends (or lasts longer) for each colour, over that of the mixture.
+    #[inline(always)]
+    fn density(&self, chances: Vec3, way: f32, ends: bool) -> Vec3 {
+        let own = self.extinction.map(|e| {
+            let lasts = exp2(-std::f32::consts::LOG2_E * e * way);
+            if ends { e * lasts } else { lasts }
+        });
+        scale(own, 1.0 / max(dot(chances, own), 1e-30))
+    }
+}
+
+/// A new direction, even over the sphere, at the end of a free way.
+#[inline(always)]
+fn scattered(way: Way, free: f32, stream: &mut Stream) -> Way {
+    let z = 1.0 - 2.0 * stream.next();
+    let (cosine, sine) = circle(stream.next());
+    Way {
+        origin: add(way.origin, scale(way.direction, free)),
+        direction: on_circle(max(1.0 - z * z, 0.0).sqrt(), z, cosine, sine),
+        from: MISS,
+    }
+}
+
+/// Unit normal of the face met, on the side that the light goes to.
+#[inline(always)]
+fn outward(wall: &Wall, hit: &Hit, direction: Vec3) -> Vec3 {
+    let [a, b, c] = wall.bvh.triangles[hit.triangle as usize].corners;
+    let normal = normalize(cross(sub(b, a), sub(c, a)));
+    if dot(normal, direction) < 0.0 { scale(normal, -1.0) } else { normal }
+}
+
+/// Share of light inside that a smooth border reflects back in.
+#[inline(always)]
+fn fresnel_within(cosine: f32, ior: f32) -> f32 {
+    let square = 1.0 - (1.0 - cosine * cosine) * ior * ior;
+    if square > 0.0 { fresnel(square.sqrt(), ior) } else { 1.0 }
+}
+
+/// Walks in the tissue behind a wall from `origin` [m] along `direction`: where each comes out [n 3]
+/// (NaN: absorbed) and what is left of red, green and blue [n 3].
+///
+/// `albedo` is of single scattering, `extinction` in 1/m.
+#[pyfunction]
+#[pyo3(signature = (wall, origin, direction, *, albedo, extinction, ior, count, seed))]
+#[allow(clippy::too_many_arguments, clippy::type_complexity)] // one keyword each
+pub fn walk_tissue<'py>(
+    py: Python<'py>,
+    wall: &Wall,
+    origin: [f64; 3],
+    direction: Vec3,
+    albedo: Vec3,
+    extinction: Vec3,
+    ior: f32,
+    count: u32,
+    seed: u32,
+) -> PyResult<(Bound<'py, PyArray2<f64>>, Bound<'py, PyArray2<f32>>)> {
+    let is_medium = albedo.iter().all(|a| (0.0..=1.0).contains(a));
+    if !(is_medium && extinction.iter().all(|&e| e > 0.0) && (1.0..3.0).contains(&ior)) {
+        return Err(PyValueError::new_err(
+            "Tissue needs an albedo of 0 to 1, extinction above 0 and an index of 1 to below 3.",
+        ));
+    }
+    let medium = Medium { albedo, extinction, ior };
+    let way = Way { origin: wall.localize(origin), direction: normalize(direction), from: MISS };
+    let key = hash(seed);
+    let ends: Vec<([f64; 3], Vec3)> = py.detach(|| {
+        let one = |number: u32| match walk(wall, &medium, way, &mut Stream::new(key ^ hash(number)))
+        {
+            Some(exit) => (wall.globalize(exit.point), exit.share),
+            None => ([f64::NAN; 3], [0.0; 3]),
+        };
+        (0..count).into_par_iter().with_min_len(64).map(one).collect()
+    });
+    let (points, shares): (Vec<_>, Vec<_>) = ends.into_iter().unzip();
+    let rows = points.len();
+    let points = Array2::from_shape_vec((rows, 3), points.into_flattened());
+    let shares = Array2::from_shape_vec((rows, 3), shares.into_flattened());
+    Ok((
+        points.expect("three numbers a walk").into_pyarray(py),
+        shares.expect("three numbers a walk").into_pyarray(py),
+    ))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn light_that_enters_obeys_snell() {
+        let normal = normalize([0.2, -0.4, 0.7]);
+        let view = normalize([0.5, 0.1, 0.6]);
+        let inside = refracted(view, normal, 1.4);
+        let sine = |v: Vec3| dot(cross(v, normal), cross(v, normal)).sqrt();
+        assert!((dot(inside, inside) - 1.0).abs() < 1e-5 && dot(inside, normal) < 0.0);
+        assert!((sine(view) - 1.4 * sine(inside)).abs() < 1e-5);
+        assert!(dot(cross(view, normal), inside).abs() < 1e-6);
+    }
+
+    #[test]
+    fn reflectance_of_a_border_is_the_same_from_both_sides() {
+        for k in 1..100 {
+            let outside = k as f32 / 100.0;
+            let inside = (1.0 - (1.0 - outside * outside) / (1.4 * 1.4)).sqrt();
+            assert!((fresnel(outside, 1.4) - fresnel_within(inside, 1.4)).abs() < 1e-4);
+        }
+        assert_eq!(fresnel_within(0.69, 1.4), 1.0);
+    }
+}

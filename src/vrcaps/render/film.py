@@ -1,0 +1,143 @@
+"""The wet film on a wall, by its thickness: from dry to flooded.
+
+Liquid fills the lowest places first. Below the texels it covers the domes of single cells, and with
+the share of the wall that is covered the coat strengthens and the colour darkens; in the texels'
+own relief it stands level within a capillary length.
+
+An organ's textures and coat are those of a wet wall, as photographs show it: a film of more than
+about 10 µm leaves them as they are, but for relief.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vrcaps.errors import InputError
+from vrcaps.organ.surface import Appearance, OrganSurface, round_height
+from vrcaps.render.scattering import TISSUE_IOR, internal_reflection
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, UInt8
+
+THICKEST_UM = 1000.0
+"""More than this is a pool, not a film [µm]."""
+
+_CELLS = 5e-6
+"""RMS height of what is smaller than a texel [m], domes of surface cells: an assumption."""
+
+_LIQUID_IOR = 1.335
+"""Refractive index of mucus, nearly water."""
+
+_CAPILLARY = 2.7e-3
+"""Within such a distance surface tension levels water [m]: √(σ/ρg)."""
+
+_STEPS = 60
+
+
+def wet_organ(organ: OrganSurface, thickness: float) -> OrganSurface:
+    """The organ under a film.
+
+    Args:
+        organ: With a look of its own.
+        thickness: Liquid on the wall over its area [m], 0 for a dry wall.
+
+    Raises:
+        InputError: If the organ has no appearance.
+    """
+    look = organ.appearance
+    if look is None:
+        raise InputError(f"{organ.name} has no look of its own, so no film. Drop film-um.")
+    covered = covered_share(thickness / _CELLS)
+    texel = _texel_size(organ, look)
+    wet = replace(
+        look,
+        albedo=_table(covered)[look.albedo],
+        height=round_height(filled(look.height, thickness, max(round(_CAPILLARY / texel), 1))),
+        ior=TISSUE_IOR + covered * (look.ior - TISSUE_IOR),
+        coat=covered * look.coat,
+    )
+    return replace(organ, appearance=wet)
+
+
+def covered_share(thickness: float) -> float:
+    """Share of a rough surface that liquid covers.
+
+    Heights are normal: up to a level x liquid of x Φ(x) + φ(x) stands on an area of 1, on a share
+    Φ(x) of it.
+
+    Args:
+        thickness: Of liquid, over the RMS height of the surface.
+    """
+    from scipy.optimize import brentq
+    from scipy.stats import norm
+
+    if thickness <= 0.0:
+        return 0.0
+
+    def excess(level: float) -> float:
+        return float(level * norm.cdf(level) + norm.pdf(level)) - thickness
+
+    return float(norm.cdf(brentq(excess, -37.0, thickness + 1.0)))
+
+
+def dry_color(wet: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
+    """Base colour without the film that returns a share p of the light to the wall.
+
+    Under it A becomes A (1 − p)/(1 − p A): light that the film throws back may be absorbed at the
+    next try (Lekner and Dorf, Appl. Opt. 27(7), 1988, without what the film itself mirrors).
+    """
+    share = internal_reflection(_LIQUID_IOR)
+    return wet / (1.0 - share + share * wet)
+
+
+def filled(
+    height: Float[np.ndarray, "h w"], thickness: float, window: int
+) -> Float[np.ndarray, "h w"]:
+    """A relief [m] whose dips hold liquid, level over a window [texels].
+
+    Args:
+        height: The relief [m]; it wraps.
+        thickness: Of liquid over the area [m].
+        window: Texels to each side over which liquid finds its level.
+    """
+    from scipy.ndimage import uniform_filter
+
+    if thickness <= 0.0:
+        return height
+    ground = uniform_filter(np.asarray(height, np.float32), window, mode="wrap")
+    detail = height - ground
+    return ground + np.maximum(detail, _level(detail, thickness))
+
+
+def _level(height: Float[np.ndarray, "h w"], thickness: float) -> float:
+    """Height up to which a volume of liquid stands, over an area of 1."""
+    low, high = float(height.min()), float(height.max()) + thickness
+    for _ in range(_STEPS):
+        level = 0.5 * (low + high)
+        if np.maximum(level - height, 0.0).mean(dtype=float) < thickness:
+            low = level
+        else:
+            high = level
+        if high - low < 1e-3 * thickness:
+            break
+    return 0.5 * (low + high)
+
+
+def _table(covered: float) -> UInt8[np.ndarray, " 256"]:
+    """What each sRGB number becomes where only a share of the wall is covered."""
+    value = np.arange(256) / 255.0
+    wet = np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)
+    color = covered * wet + (1.0 - covered) * dry_color(wet)
+    encoded = np.where(color <= 0.0031308, 12.92 * color, 1.055 * color ** (1.0 / 2.4) - 0.055)
+    return np.round(255.0 * encoded).astype(np.uint8)
+
+
+def _texel_size(organ: OrganSurface, look: Appearance) -> float:
+    """Side of a texel on the wall [m], on average."""
+    a, b, c = np.moveaxis(organ.vertices[organ.faces], 1, 0)
+    area = np.linalg.norm(np.cross(b - a, c - a), axis=1).sum()
+    share = np.abs(np.linalg.det(organ.uv[:, 1:] - organ.uv[:, :1])).sum()
+    return float(np.sqrt(area / max(share * look.height.size, 1e-12)))

@@ -18,7 +18,7 @@ from vrcaps.organ.surface import Appearance, OrganSurface, coat_alpha, face_labe
 from vrcaps.render.bend import MIRRORED, Bends, bend_ways, levels_met
 from vrcaps.render.denoise import denoise, load_denoiser
 from vrcaps.render.film import wet_organ
-from vrcaps.render.flow import STEP, SurfacePoints, flow, seen_from
+from vrcaps.render.flow import SurfacePoints, flow, seen_from
 from vrcaps.render.frame import CHANNELS, Frame
 from vrcaps.render.narrow_band import (
     led_gains,
@@ -30,7 +30,7 @@ from vrcaps.render.narrow_band import (
 from vrcaps.render.scattering import tissue_figures
 from vrcaps.render.settings import RenderSettings
 from vrcaps.tissue.contents.filling import Filling
-from vrcaps.transforms import invert, rotate_vectors, transform_points
+from vrcaps.transforms import rotate_vectors, transform_points
 from vrcaps.world.model import Model, State
 from vrcaps.world.moving_wall import MovingWall
 
@@ -209,7 +209,7 @@ class Renderer:
         faces, now = self.model.organ.faces, self.filling(state)
         if state_next is not None and _NEEDS_NEXT & set(channels):
             moved = points.moved(faces, state_next, now, self.filling(state_next))
-            bends = self._bends(camera, points, moved, state_next, "next")
+            bends = self.bends(camera, points, moved, state_next, "next")
             forward = flow(camera, bends.apparent, state_next)
             if "flow_forward" in channels:
                 motion["flow_forward"] = forward
@@ -222,11 +222,11 @@ class Renderer:
                 motion["occlusion"] = ~seen
         if state_previous is not None and "flow_backward" in channels:
             moved = points.moved(faces, state_previous, now, self.filling(state_previous))
-            bends = self._bends(camera, points, moved, state_previous, "previous")
+            bends = self.bends(camera, points, moved, state_previous, "previous")
             motion["flow_backward"] = flow(camera, bends.apparent, state_previous)
         return motion
 
-    def _bends(
+    def bends(
         self,
         camera: Camera,
         points: SurfacePoints,
@@ -246,24 +246,6 @@ class Renderer:
         levels = levels_met(filling, eye, wall, faces, points.face)
         ior = filling.contents.resolved[2].ior
         return bend_ways(eye, moved, levels, points.bend == MIRRORED, ior)
-
-    def sparse_flow(
-        self, points: SurfacePoints, camera: Camera, state: State, neighbour: State, slot: str
-    ) -> Float[np.ndarray, "hc wc 2"]:
-        """Motion of `thinned` pixels' surface points to a neighbouring frame [px]; NaN for none.
-
-        Args:
-            points: What `render` filled.
-            camera: That saw them.
-            state: The world then.
-            neighbour: The world one frame later or earlier.
-            slot: `next` or `previous`.
-        """
-        now, then = self.filling(state), self.filling(neighbour)
-        moved = points.moved(self.model.organ.faces, neighbour, now, then)
-        seen = self._bends(camera, points, moved, neighbour, slot).apparent
-        pose = invert(neighbour.T_world_capsule @ camera.T_capsule_camera)
-        return _core.flow_by_rays(self._table(camera, 1), seen, pose, STEP)
 
     def _arrays(
         self, channels: Sequence[str], camera: Camera, out: Frame | None

@@ -14,7 +14,7 @@ from vrcaps.render.camera_effects.dome import Dome
 from vrcaps.render.camera_effects.effects import Effects
 from vrcaps.render.camera_effects.sensor import Noise, WhiteBalance, mosaic_colors
 from vrcaps.render.flow import STEP, SurfacePoints, thinned
-from vrcaps.transforms import transform_points
+from vrcaps.transforms import invert, transform_points
 from vrcaps.units import MM
 
 if TYPE_CHECKING:
@@ -98,12 +98,12 @@ class CameraChain:
         self._shade = None
         if self._stages["vignette"] is not None:
             self._shade = self._stages["vignette"].profile(camera)
+        self._metered, self._table = thinned(self._lit), _core.RayTable(self._rays)
         drops, smears = self._stages["droplets"], self._stages["smears"]
         self._dome = None
         if drops is not None or smears is not None:
             lens = self._stages["depth_of_field"]
             self._dome = Dome(camera, drops, smears, lens=lens, seed=(seed, _DOME, number))
-        self._metered = thinned(self._lit)
         self._last_motion: tuple[State, Any] | None = None
         moving = self._stages["motion_blur"] or self._stages["rolling_shutter"]
         self._needs_motion = moving is not None or effects.frame_rate is not None
@@ -197,7 +197,11 @@ class CameraChain:
             return None
         assert seen.points is not None
         slot = "previous" if moment.state_next is None else "next"
-        motion = renderer.sparse_flow(seen.points, self.camera, moment.state, neighbour, slot)
+        fillings = renderer.filling(moment.state), renderer.filling(neighbour)
+        moved = seen.points.moved(renderer.model.organ.faces, neighbour, *fillings)
+        apparent = renderer.bends(self.camera, seen.points, moved, neighbour, slot).apparent
+        pose = invert(neighbour.T_world_capsule @ self.camera.T_capsule_camera)
+        motion = _core.flow_by_rays(self._table, np.ascontiguousarray(apparent), pose, STEP)
         if moment.state_next is None:
             motion = -motion
         motion[_on_capsule(seen.frame, self.camera, self._rays, renderer.model.device)] = 0.0

@@ -42,7 +42,7 @@ fn _core(m: &Bound<'_, PyModule>) -> PyResult<()> {
     m.add_function(wrap_pyfunction!(magnet::aim::aim_magnet, m)?)?;
     m.add_function(wrap_pyfunction!(magnet::turn::turned_rows, m)?)?;
     m.add_function(wrap_pyfunction!(magnet::turn::vector_of, m)?)?;
-    m.add_function(wrap_pyfunction!(magnet::turn::towards_of, m)?)?;
+    m.add_function(wrap_pyfunction!(magnet::lead::lead_on, m)?)?;
     m.add_class::<physics::world::World>()?;
     m.add_class::<contents::Contents>()?;
     m.add_class::<contents::swarm::Swarm>()?;

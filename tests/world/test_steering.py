@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import lead_twin
 import numpy as np
 import pytest
 from guts import straight_gut
+from scipy.spatial.transform import Rotation
 
+from vrcaps._core import lead_on
 from vrcaps.capsule.catalog import load_device
 from vrcaps.errors import InputError
 from vrcaps.magnet.presets import load_magnet
@@ -47,6 +50,28 @@ def run(pilot, world, goal, seconds, force=None):
         if force is not None:
             control = replace(control, force_world=force(k * DT))
         world.step(control, DT)
+
+
+@pytest.mark.parametrize("looks", ["somewhere", "nowhere", "ahead", "back", "along the side"])
+def test_the_leading_point_is_that_of_its_twin(looks):
+    """Goals of all kinds, capsules near and far, in touch and not; the leader looks back or not."""
+    rng = np.random.default_rng(0)
+    for k in range(64):
+        along, mapped, level, touches, back = (bool(k >> bit & 1) for bit in range(5))
+        pose = transform_from(Rotation.random(random_state=rng).as_matrix(), rng.normal(size=3))
+        aside, press, side, lag = rng.normal(size=(4, 3))
+        aside, press, side = (v / np.linalg.norm(v) for v in (aside, press, side))
+        sign = -1.0 if back else 1.0
+        look = [aside, sign * pose[:3, 2]][k % 3 > 0]
+        leader = np.array([pose[:3, 3] + 0.01 * rng.uniform() * lag, look, side])
+        direction = {"nowhere": None, "somewhere": aside, "along the side": side}
+        direction |= {"ahead": pose[:3, 2], "back": -pose[:3, 2]}
+        place = pose[:3, 3] + rng.choice([1e-5, 0.01]) * rng.normal(size=3)
+        goal = Goal(place, direction[looks], aside if along else None, press, level, mapped)
+        contact = rng.normal(size=3) * (0.1 if touches else 1e-3)
+        given = (leader, pose, contact, goal, Steering(), DT)
+        for ours, twin in zip(lead_on(*given), lead_twin.lead_on(*given), strict=True):
+            np.testing.assert_allclose(ours, twin, rtol=0.0, atol=1e-12)
 
 
 @pytest.mark.parametrize("side", ["up", "down"])

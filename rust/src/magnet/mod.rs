@@ -14,6 +14,7 @@ mod elliptic;
 pub mod handle;
 pub mod holder;
 mod inverse;
+pub mod lead;
 mod map;
 mod multipole;
 mod number;

@@ -39,7 +39,7 @@ pub fn rotation_vector(rotation: DMat3) -> DVec3 {
 }
 
 /// A direction turned towards another by `most` [rad]; about an axis where they are opposite.
-fn towards(start: DVec3, end: DVec3, most: f64, about: DVec3) -> DVec3 {
+pub fn towards(start: DVec3, end: DVec3, most: f64, about: DVec3) -> DVec3 {
     let axis = start.cross(end);
     let sine = axis.length();
     if sine.atan2(start.dot(end)) <= most {
@@ -75,18 +75,4 @@ pub fn vector_of<'py>(
 ) -> PyResult<Bound<'py, PyArray1<f64>>> {
     let vector = rotation_vector(rotation(&matrix)?).to_array();
     Ok(PyArray1::from_slice(py, &vector))
-}
-
-/// See `towards`: directions [3], an angle [rad], an axis [3].
-#[pyfunction]
-#[pyo3(name = "towards")]
-pub fn towards_of<'py>(
-    py: Python<'py>,
-    start: [f64; 3],
-    end: [f64; 3],
-    most: f64,
-    about: [f64; 3],
-) -> Bound<'py, PyArray1<f64>> {
-    let led = towards(start.into(), end.into(), most, about.into());
-    PyArray1::from_slice(py, &led.to_array())
 }

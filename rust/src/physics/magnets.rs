@@ -12,7 +12,7 @@ const LONGEST_SWING: f64 = 0.5;
 pub const SOURCE_ROW: usize = 8;
 
 /// What Python is told, see `Magnets::report`.
-pub type Report = ([f64; 3], [f64; 3], [f64; 3], [f64; 9], u8);
+pub type Report = ([f64; 3], [f64; 3], [f64; 3], [f64; 9], u8, [f64; 3], f64);
 
 /// Where one source goes during a step.
 struct Way {
@@ -174,16 +174,23 @@ impl Magnets {
     }
 
     /// Mean force [N] and torque [N·m] since the step began, flux density [T] and its gradient by
-    /// rows [T/m] at a point, all in the world, and the worst place meanwhile.
-    pub fn report(&self, point: DVec3) -> Report {
+    /// rows [T/m] amid the magnets of a capsule at a pose, the worst place meanwhile, where their
+    /// middle is [m], and the angle between their moment and the field [rad]; all in the world.
+    pub fn report(&self, (rotation, position): (DMat3, DVec3)) -> Report {
         let over = if self.clock > 0.0 { 1.0 / self.clock } else { 0.0 };
-        let at = field(&self.sources, point);
+        let total: f64 = self.inside.iter().map(|m| m.moment.length()).sum();
+        let middle: DVec3 = self.inside.iter().map(|m| m.moment.length() * m.position).sum();
+        let middle = position + rotation * (middle / total.max(f64::MIN_POSITIVE));
+        let moment = rotation * self.inside.iter().map(|m| m.moment).sum::<DVec3>();
+        let at = field(&self.sources, middle);
         (
             (over * self.impulse.linear).to_array(),
             (over * self.impulse.angular).to_array(),
             at.flux.to_array(),
             at.gradient.transpose().to_cols_array(),
             self.place as u8,
+            middle.to_array(),
+            moment.cross(at.flux).length().atan2(moment.dot(at.flux)),
         )
     }
 }

@@ -156,11 +156,11 @@ impl World {
         Ok(())
     }
 
-    /// What the sources did since `aim_sources`, and their field at a point of the world.
-    fn pulled(&mut self, point: [f64; 3]) -> Option<Report> {
-        let magnets = self.magnets.as_mut()?;
+    /// What the sources did since `aim_sources`, and their field for a capsule at a pose [4 4].
+    fn pulled(&mut self, pose: PyReadonlyArray2<'_, f64>) -> PyResult<Option<Report>> {
+        let Some(magnets) = self.magnets.as_mut() else { return Ok(None) };
         magnets.finish();
-        Some(magnets.report(DVec3::from(point)))
+        Ok(Some(magnets.report(pose_of(&rows(&pose, 4)?))))
     }
 
     /// What lasts of the exchange with the layer: force [N] on each node, how far the felt wall is

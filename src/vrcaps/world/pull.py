@@ -13,7 +13,6 @@ from vrcaps.errors import InputError, require
 from vrcaps.magnet.field import SourceSet
 from vrcaps.magnet.internal import InternalMagnet, magnet_rows
 from vrcaps.magnet.sources import Source, Uniform
-from vrcaps.magnet.steering.turn import cross, length
 from vrcaps.transforms import (
     matrix_from_quaternion,
     quaternion_from_matrix,
@@ -46,13 +45,8 @@ class Pull:
         poses = [np.asarray(source.T_world_magnet, float) for source in self._set.sources]
         self.rows: Float[np.ndarray, "k 8"] = _rows(np.array(poses).reshape(-1, 4, 4))
         self._has_place = np.array([not isinstance(s, Uniform) for s in self._set.sources], bool)
-        inside = magnet_rows(magnets)
-        strength = np.linalg.norm(inside[:, 3:], axis=1, keepdims=True)
-        total = max(float(strength.sum()), 1e-300)
-        self._middle = (strength * inside[:, :3]).sum(axis=0) / total
-        self._moment = inside[:, 3:].sum(axis=0)
         if sources:
-            core.set_magnets(self._set.core, inside)
+            core.set_magnets(self._set.core, magnet_rows(magnets))
 
     def aim(
         self, control: Control, dt: float, T_world_patient: Float[np.ndarray, "4 4"]
@@ -95,28 +89,22 @@ class Pull:
 
     def angle(self, T_world_capsule: Float[np.ndarray, "4 4"]) -> float:
         """Between the capsule's moment and the flux density [rad]; 0 without sources."""
-        rotation = T_world_capsule[:3, :3]
-        pulled = self._core.pulled(tuple(rotation @ self._middle + T_world_capsule[:3, 3]))
-        return 0.0 if pulled is None else self._between(rotation, pulled[2])
-
-    def _between(self, rotation: Float[np.ndarray, "3 3"], flux: tuple[float, ...]) -> float:
-        moment, field = rotation @ self._moment, np.array(flux)
-        return math.atan2(length(cross(moment, field)), float(moment @ field))
+        pulled = self._core.pulled(T_world_capsule)
+        return 0.0 if pulled is None else pulled[-1]
 
     def coupling(self, T_world_capsule: Float[np.ndarray, "4 4"]) -> Coupling | None:
         """What the sources did in the last step; None without sources."""
-        point = T_world_capsule[:3, :3] @ self._middle + T_world_capsule[:3, 3]
-        pulled = self._core.pulled(tuple(point))
+        pulled = self._core.pulled(T_world_capsule)
         if pulled is None:
             return None
-        force, torque, flux, gradient, place = pulled
+        force, torque, flux, gradient, place, point, angle = pulled
         away = [math.dist(row[:3], point) for row in self.rows[self._has_place]]
         return Coupling(
             force_world=np.array(force),
             torque_world=np.array(torque),
             flux_density_world=np.array(flux),
             flux_gradient_world=np.array(gradient).reshape(3, 3),
-            angle=self._between(T_world_capsule[:3, :3], flux),
+            angle=angle,
             distance=min(away, default=math.inf),
             Ts_world_magnet=transform_from(
                 matrix_from_quaternion(self.rows[:, 3:7]), self.rows[:, :3]

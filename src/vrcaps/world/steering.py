@@ -9,12 +9,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from vrcaps._core import lead_on
 from vrcaps.errors import InputError, require
 from vrcaps.magnet.field import SourceSet
 from vrcaps.magnet.sources import Cylinder, Dipole, Source
 from vrcaps.magnet.steering.aim import Aim, Wish
 from vrcaps.magnet.steering.holder import Held, Holder, go
-from vrcaps.magnet.steering.turn import at_most, cross, length, towards, turned
+from vrcaps.magnet.steering.turn import at_most, length, turned
 from vrcaps.units import CM, DEG, MM
 from vrcaps.world.control import Control
 from vrcaps.world.goal import Goal
@@ -24,24 +25,18 @@ from vrcaps.world.world import GRAVITY, World
 if TYPE_CHECKING:
     from jaxtyping import Float
 
-_CONTROLLED = 200.0
+_CONTROLLED = 200.0 * np.eye(3)
 """What a newton counts in a direction that is controlled [1/N]: 5 mN count as much as…"""
-_OTHER = 40.0
+_OTHER = 40.0 * np.eye(3)
 """…25 mN in another direction, and…"""
 _TORQUE = 4000.0
 """…0.25 mN·m [1/(N·m)]."""
 _LOST_ANGLE = 60.0 * DEG
-_AFTER = 0.5
-"""Time in which the leading point comes after the capsule where it is not controlled [s]."""
 _SLOW, _CALM = 4.0 * CM, 0.3
 """A capsule that slides faster than this [m/s] is left to the field until it has been calm for a
 time [s]: the magnet, slower than the slide, would only stir it."""
 _NEAR, _BEHIND = 0.5, 0.9
 """Distance from the leading point, in leads, within which the capsule follows, and beyond which…"""
-_STEEP = 0.1
-"""Sine of an angle below which a direction along the wall's normal cannot be made level."""
-_TOUCH = 0.01
-"""Force of the wall that counts as a touch [N]."""
 _FIRST_ROUNDS, _ROUNDS = 60, 8
 
 
@@ -148,15 +143,15 @@ class Pilot:
         self._aim = Aim(SourceSet([magnet, *others]), model.device.magnets, holder.room)
         self._magnet, self._others = magnet, tuple(others)
         self._weight = np.array([0.0, 0.0, model.device.mass * GRAVITY])
-        press, away = np.array(goal.press, float), np.asarray(direction, float)
-        self._side = press
-        force = self._weight + self._pressed(press) * press
+        press, away = np.asarray(goal.press, float), np.asarray(direction, float)
+        force = self._weight + self._pressed(goal) * press
         wish = Wish(force.tolist())
         start = self._aim.guess(T_world_capsule, away, length(force))
         aimed = self._aim.solve(wish, T_world_capsule, start, rounds=_FIRST_ROUNDS)
         self._wanted, self._hold = aimed.T_world_magnet, aimed.hold
         held = holder.start(self._wanted)
-        self._lead = np.array([T_world_capsule[:3, 3], T_world_capsule[:3, 2]])
+        # Where it leads the capsule, where that is to look, and to the wall that it lies on.
+        self._leader = np.array([T_world_capsule[:3, 3], T_world_capsule[:3, 2], press])
         self._learnt = np.zeros((2, 3))
         self._late = self._stir = 0.0
         self.steered = Steered(held, np.zeros(3), 0.0, np.array(wish.force), aimed.force)
@@ -174,14 +169,11 @@ class Pilot:
         and of the weight, and its torque what the loop has learnt: away from that point the
         capsule is held by the field itself, faster than any loop.
         """
-        s, T = self.steering, world.T_world_capsule
-        self._follow(T, goal, dt)
-        free = goal.controlled
-        error = free @ (self._lead[0] - T[:3, 3])
-        bend = cross(T[:3, 2], self._lead[1])
-        angle = math.atan2(length(bend), float(T[:3, 2] @ self._lead[1]))
-        contact = world.contact.force_world
-        borne = self._borne(contact, goal, dt)
+        s, T, free = self.steering, world.T_world_capsule, goal.controlled
+        self._leader, led, error, bend, angle, fallen = lead_on(
+            self._leader, T, world.push_world, goal, s, dt
+        )
+        borne = self._weight + self._pressed(goal) * self._leader[2]
         soft = max(length(borne), 0.05) / math.dist(T[:3, 3], self._wanted[:3, 3])
         near = at_most(error, s.lead)
         pull = soft * (near + 2.0 * float(near @ T[:3, 2]) * T[:3, 2])
@@ -193,16 +185,15 @@ class Pilot:
         pushed = calm * (s.stiffening * pull - damping * velocity)
         # More than it bears the magnet could do only by going far to and fro.
         needed = at_most(pushed + force, min(s.most_force, length(borne))) + borne
-        weights = _OTHER * np.eye(3) + (_CONTROLLED - _OTHER) * free
+        weights = _OTHER + (_CONTROLLED - _OTHER) * free
         wish = Wish(needed.tolist(), torque.tolist(), weights.tolist(), _TORQUE)
-        aimed = self._aim.solve(wish, self._led(T), self._wanted, rounds=_ROUNDS)
+        aimed = self._aim.solve(wish, led, self._wanted, rounds=_ROUNDS)
         self._wanted, self._hold = aimed.T_world_magnet, aimed.hold
         held = go(self.holder, self.steered.held, self._wanted, dt)
-        short = free @ (needed - aimed.force)
-        steered = Steered(held, error, angle, needed, aimed.force)
-        fallen = contact @ np.asarray(goal.press, float) > _TOUCH
-        lost = self._lost(world.field_angle(T), needed, short, fallen=bool(fallen))
-        self.steered = replace(steered, lost=lost)
+        short = length(free @ (needed - aimed.force))
+        weak = short > 0.01 + 0.25 * length(needed)
+        lost = self._lost(world.field_angle(T), fallen=fallen, weak=weak)
+        self.steered = Steered(held, error, angle, needed, aimed.force, lost)
         return self._command(held)
 
     def drive(
@@ -243,37 +234,29 @@ class Pilot:
 
     def judge(self, world: World) -> None:
         """Says after a step whether a capsule that is driven by hand is lost."""
-        angle = world.field_angle(world.T_world_capsule)
-        self.steered = replace(self.steered, lost=self._lost(angle, np.zeros(3), np.zeros(3)))
+        lost = self._lost(world.field_angle(world.T_world_capsule))
+        self.steered = replace(self.steered, lost=lost)
 
     def to_array(self) -> Float[np.ndarray, " q"]:
         """All that changes, for `restore`."""
         held = self.steered.held
-        parts = (held.T_world_magnet, held.velocity, held.angles, self._wanted, self._lead)
-        flat = (np.ravel(part) for part in (*parts, self._learnt, self._side))
+        parts = (held.T_world_magnet, held.velocity, held.angles, self._wanted, self._leader)
+        flat = (np.ravel(part) for part in (*parts, self._learnt))
         return np.concatenate([*flat, [self._hold, self._late, self._stir]])
 
     def restore(self, saved: Float[np.ndarray, " q"]) -> None:
         """Goes back to what `to_array` gave."""
         held = self.steered.held
-        shapes = [
-            (4, 4),
-            held.velocity.shape,
-            held.angles.shape,
-            (4, 4),
-            (2, 3),
-            (2, 3),
-            (3,),
-            (3,),
-        ]
+        moving = (held.velocity.shape, held.angles.shape)
+        shapes = [(4, 4), *moving, (4, 4), (3, 3), (2, 3), (3,)]
         ends = np.cumsum([math.prod(shape) for shape in shapes])
         pieces = [
             part.reshape(shape).copy()
             for part, shape in zip(np.split(saved, ends[:-1]), shapes, strict=True)
         ]
         self.steered = replace(self.steered, held=Held(pieces[0], pieces[1], pieces[2]))
-        self._wanted, self._lead, self._learnt, self._side = pieces[3:7]
-        self._hold, self._late, self._stir = map(float, pieces[7])
+        self._wanted, self._leader, self._learnt = pieces[3:6]
+        self._hold, self._late, self._stir = map(float, pieces[6])
 
     def _go(self, wanted: Float[np.ndarray, "4 4"], dt: float) -> Control:
         held = go(self.holder, self.steered.held, wanted, dt)
@@ -286,43 +269,9 @@ class Pilot:
         others = [other.T_world_magnet for other in self._others]
         return Control(Ts_world_magnet=np.array([held.T_world_magnet, *others]))
 
-    def _pressed(self, side: Float[np.ndarray, " 3"]) -> float:
-        """Force between capsule and wall [N], on the wall at a side."""
-        return self.steering.press if side[2] >= 0.0 else self.steering.rest
-
-    def _borne(
-        self, contact: Float[np.ndarray, " 3"], goal: Goal, dt: float
-    ) -> Float[np.ndarray, " 3"]:
-        """Force that bears the weight and presses the capsule square against the wall it lies on.
-
-        Where that wall is, the last contact's force says; without one it is where the goal has it.
-        """
-        size = length(contact)
-        felt = size > _TOUCH and not goal.mapped
-        touched = contact / -size if felt else np.asarray(goal.press, float)
-        side = self._side + (touched - self._side) * min(1.0, dt / _AFTER)
-        self._side = side / max(length(side), 1e-9)
-        return self._weight + self._pressed(np.asarray(goal.press, float)) * self._side
-
-    def _follow(self, T: Float[np.ndarray, "4 4"], goal: Goal, dt: float) -> None:
-        """Moves what leads the capsule on: not too fast, and never far ahead of the capsule."""
-        s, free = self.steering, goal.controlled
-        off = self._lead[0] - T[:3, 3]
-        lag = free @ off
-        # Elsewhere it comes after the capsule, slowly: at once would undo the field's own hold.
-        across = (off - lag) * (1.0 if goal.mapped else 1.0 - min(1.0, dt / _AFTER))
-        # From a capsule that slides away it does not follow at once: the field brings that back.
-        back = at_most(lag - at_most(lag, s.lead), s.speed * dt)
-        place = T[:3, 3] + lag - back + across
-        way = np.asarray(goal.position, float) - place
-        self._lead[0] = place + at_most(way if goal.mapped else free @ way, s.speed * dt)
-        ahead = T[:3, 2] if goal.direction is None else np.asarray(goal.direction, float)
-        if goal.level:
-            flat = ahead - self._side * float(self._side @ ahead)
-            ahead = flat / length(flat) if length(flat) > _STEEP else ahead
-        about = np.asarray(goal.press, float)
-        led = towards(T[:3, 2], self._lead[1], s.turn_lead, about)
-        self._lead[1] = towards(led, ahead, s.turn_speed * dt, about)
+    def _pressed(self, goal: Goal) -> float:
+        """Force between capsule and wall [N], on the wall at the goal's side."""
+        return self.steering.press if goal.press[2] >= 0.0 else self.steering.rest
 
     def _calmness(self, speed: float, dt: float) -> float:
         """Share of the loop that acts on a capsule that slides, or did so a moment ago."""
@@ -344,29 +293,11 @@ class Pilot:
         self._learnt[1] = at_most(self._learnt[1] + s.turn_rate * dt * torque, s.most_torque)
         return self._learnt
 
-    def _led(self, T: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:
-        """The capsule at the leading point, along the leading direction."""
-        led = T.copy()
-        led[:3, 3] = self._lead[0]
-        axis = cross(T[:3, 2], self._lead[1])
-        sine = length(axis)
-        if sine > 1e-12:
-            angle = math.atan2(sine, float(T[:3, 2] @ self._lead[1]))
-            led[:3, :3] = turned(axis * (angle / sine), T[:3, :3])
-        return led
-
-    def _lost(
-        self,
-        angle: float,
-        needed: Float[np.ndarray, " 3"],
-        short: Float[np.ndarray, " 3"],
-        *,
-        fallen: bool = False,
-    ) -> str:
+    def _lost(self, angle: float, *, fallen: bool = False, weak: bool = False) -> str:
+        """Why the magnet has lost the capsule, see `Steered`."""
         if angle > _LOST_ANGLE:
             return "turned"
         if fallen:
             return "other-wall"
-        if length(short) > 0.01 + 0.25 * length(needed):
-            return "weak"
-        return "stuck" if self._late > self.steering.patience else ""
+        late = self._late > self.steering.patience
+        return "weak" if weak else "stuck" if late else ""

@@ -137,6 +137,11 @@ class World:
         force, torque = rotate_vectors(self._T_world_patient, np.array([force, torque]))
         return Contact(force, torque, *rest)
 
+    @property
+    def push_world(self) -> Float[np.ndarray, " 3"]:
+        """Mean force of the wall on the capsule in the last step [N], of `contact`."""
+        return self._T_world_patient[:3, :3] @ np.array(self._contact[0])
+
     def field_angle(self, T_world_capsule: Float[np.ndarray, "4 4"]) -> float:
         """Between the moment of a capsule at a pose and the sources' field there [rad]."""
         return self._pull.angle(T_world_capsule)

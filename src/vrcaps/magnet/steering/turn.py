@@ -40,16 +40,6 @@ def rotation_vector(rotation: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, " 3
     return _core.rotation_vector(rotation)
 
 
-def towards(
-    start: Float[np.ndarray, " 3"],
-    end: Float[np.ndarray, " 3"],
-    most: float,
-    about: Float[np.ndarray, " 3"],
-) -> Float[np.ndarray, " 3"]:
-    """A direction turned towards another by `most` [rad]; about an axis where they are opposite."""
-    return _core.towards(start, end, most, about)
-
-
 def at_most(vector: Float[np.ndarray, " 3"], most: float) -> Float[np.ndarray, " 3"]:
     """A vector, cut to a length."""
     size = length(vector)

@@ -15,6 +15,8 @@ const UPRIGHT: f64 = 0.2;
 /// How far ahead on its way the arm looks [m, rad].
 const FARTHEST: f64 = 0.03;
 const MOST_TURN: f64 = 0.3;
+/// Ways [m, rad] that are tried where a pose ahead is out of reach.
+const NEARER: [(f64, f64); 2] = [(8e-3, 0.08), (2e-3, 0.02)];
 /// How far out of the room the joints may lead the magnet on its way [m].
 const SLACK: f64 = 5e-3;
 /// Angles farther than this from those of now [rad] are on another branch.
@@ -58,6 +60,17 @@ fn part_way(start: &Pose, goal: &Pose) -> Pose {
     let is_far = turn.length() > MOST_TURN;
     let part = || turned(turn.clamp_length_max(MOST_TURN), start.rotation);
     Pose { position: start.position + way, rotation: if is_far { part() } else { goal.rotation } }
+}
+
+/// A pose on the way to a goal: the magnet moved and its axis turned by `most` [m, rad] of it.
+fn nearer(start: &Pose, goal: &Pose, most: (f64, f64)) -> Pose {
+    let way = (goal.position - start.position).clamp_length_max(most.0);
+    let (from, to) = (start.rotation.z_axis, goal.rotation.z_axis);
+    let axis = from.cross(to);
+    let sine = axis.length();
+    let angle = sine.atan2(from.dot(to)).min(most.1);
+    let rotation = turned(axis * (angle / sine.max(1e-12)), start.rotation);
+    Pose { position: start.position + way, rotation }
 }
 
 impl ArmHolder {
@@ -158,6 +171,19 @@ impl ArmHolder {
         let is_late = wanted.iter().zip(&next.angles).any(|(w, q)| (w - q).abs() > LATE);
         (next, if limit.is_empty() && is_late { "speed" } else { limit })
     }
+
+    /// The same, in small steps if need be: near a joint's limit the others move far for a little of
+    /// the magnet's way, and a pose ahead may be too far for them where one on the way is not.
+    fn go(&self, held: &Held, goal: &Pose, dt: f64) -> (Held, &'static str) {
+        let mut moved = self.step(held, goal, dt);
+        for most in NEARER {
+            if moved.1 != "reach" {
+                break;
+            }
+            moved = self.step(held, &nearer(&held.magnet, goal, most), dt);
+        }
+        moved
+    }
 }
 
 /// Pose [4 4] of the magnet, joint speeds and angles [n], what kept it from the pose asked for.
@@ -217,7 +243,7 @@ impl ArmHolder {
             return Err(PyValueError::new_err("One angle and one speed a joint are needed."));
         }
         let held = Held { magnet: pose(&rows(&magnet, 4)?), velocity, angles };
-        let (next, limit) = self.step(&held, &pose(&rows(&goal, 4)?), dt);
+        let (next, limit) = self.go(&held, &pose(&rows(&goal, 4)?), dt);
         let n = next.angles.len();
         Ok((
             array(py, &[4, 4], next.magnet.rows().to_vec())?,

@@ -14,7 +14,7 @@ from vrcaps.errors import InputError, require
 from vrcaps.magnet.field import SourceSet
 from vrcaps.magnet.sources import Cylinder, Dipole, Source
 from vrcaps.magnet.steering.aim import Aim, Wish
-from vrcaps.magnet.steering.holder import Held, Holder, go
+from vrcaps.magnet.steering.holder import Held, Holder
 from vrcaps.magnet.steering.turn import at_most, length, turned
 from vrcaps.units import CM, DEG, MM
 from vrcaps.world.control import Control
@@ -189,7 +189,7 @@ class Pilot:
         wish = Wish(needed.tolist(), torque.tolist(), weights.tolist(), _TORQUE)
         aimed = self._aim.solve(wish, led, self._wanted, rounds=_ROUNDS)
         self._wanted, self._hold = aimed.T_world_magnet, aimed.hold
-        held = go(self.holder, self.steered.held, self._wanted, dt)
+        held = self.holder.move(self.steered.held, self._wanted, dt)
         short = length(free @ (needed - aimed.force))
         weak = short > 0.01 + 0.25 * length(needed)
         lost = self._lost(world.field_angle(T), fallen=fallen, weak=weak)
@@ -259,7 +259,7 @@ class Pilot:
         self._hold, self._late, self._stir = map(float, pieces[6])
 
     def _go(self, wanted: Float[np.ndarray, "4 4"], dt: float) -> Control:
-        held = go(self.holder, self.steered.held, wanted, dt)
+        held = self.holder.move(self.steered.held, wanted, dt)
         # What it cannot follow is not asked of it later.
         self._wanted = held.T_world_magnet if held.limit in ("reach", "touch") else wanted
         self.steered = replace(self.steered, held=held)

@@ -13,6 +13,7 @@ from vrcaps.magnet.arm.kinematics import nearest
 from vrcaps.magnet.steering.arm_holder import ArmHolder
 from vrcaps.magnet.steering.holder import Held
 
+NEARER = ((8e-3, 0.08), (2e-3, 0.02))
 UPRIGHT, FARTHEST, MOST_TURN, SLACK, JUMP = 0.2, 0.03, 0.3, 5e-3, 0.5
 
 
@@ -77,7 +78,26 @@ def outside(holder: ArmHolder, pose: np.ndarray) -> float:
     return float(np.linalg.norm(place - np.clip(place, holder.room.low, holder.room.high)))
 
 
+def nearer(now: np.ndarray, goal: np.ndarray, most: tuple[float, float]) -> np.ndarray:
+    """A pose on the way to a goal, by [m, rad] at most; about no more than the magnet's axis."""
+    axis = np.cross(now[:3, 2], goal[:3, 2])
+    sine = np.linalg.norm(axis)
+    angle = np.arctan2(sine, now[:3, 2] @ goal[:3, 2])
+    part = turned(now, axis / max(sine, 1e-12) * min(angle, most[1]))
+    part[:3, 3] += cut(goal[:3, 3] - now[:3, 3], most[0])
+    return part
+
+
 def move(holder: ArmHolder, held: Held, asked: np.ndarray, dt: float) -> Held:
+    """The magnet a time `dt` [s] later, on its way to a pose or, out of reach, to nearer ones."""
+    moved = step(holder, held, asked, dt)
+    for most in NEARER:
+        if moved.limit == "reach":
+            moved = step(holder, held, nearer(held.T_world_magnet, asked, most), dt)
+    return moved
+
+
+def step(holder: ArmHolder, held: Held, asked: np.ndarray, dt: float) -> Held:
     """The magnet a time `dt` [s] later, on its way to a pose."""
     carrier, now, at = holder.carrier, held.T_world_magnet, held.angles
     goal = asked.copy()

@@ -16,7 +16,7 @@ from vrcaps.magnet.presets import load_magnet
 from vrcaps.magnet.sources import magnet_pose
 from vrcaps.magnet.steering.aim import Room
 from vrcaps.magnet.steering.arm_holder import ArmHolder
-from vrcaps.magnet.steering.holder import FreeHolder, Held, go, stopping_speed
+from vrcaps.magnet.steering.holder import FreeHolder, stopping_speed
 from vrcaps.magnet.steering.turn import rotation_vector, turned
 
 DT = 0.01
@@ -106,27 +106,6 @@ def test_an_arm_asked_for_the_impossible_stops_and_says_so(arm):
     assert np.abs(held.velocity).max() < 1e-3
 
 
-def test_where_a_pose_ahead_is_out_of_reach_nearer_ones_are_tried():
-    class Short(FreeHolder):
-        """Reaches no farther than 3 mm and 0.03 rad at a time."""
-
-        def move(self, held: Held, T_world_magnet: np.ndarray, dt: float) -> Held:
-            way = np.linalg.norm(T_world_magnet[:3, 3] - held.T_world_magnet[:3, 3])
-            turn = np.arccos(np.clip(T_world_magnet[:3, 2] @ held.T_world_magnet[:3, 2], -1, 1))
-            near = way < 3e-3 and turn < 0.03
-            if near:
-                return super().move(held, T_world_magnet, dt)
-            return Held(held.T_world_magnet, 0.0 * held.velocity, limit="reach")
-
-    holder, goal = Short(), magnet_pose((0.1, 0.0, 0.3), (0.0, 1.0, 1.0))
-    held = holder.start(magnet_pose((0.0, 0.0, 0.3), (0.0, 0.0, 1.0)))
-    assert holder.move(held, goal, 0.01).limit == "reach"
-    for _ in range(1000):
-        held = go(holder, held, goal, 0.01)
-    np.testing.assert_allclose(held.T_world_magnet[:3, 3], goal[:3, 3], atol=1e-6)
-    np.testing.assert_allclose(held.T_world_magnet[:3, 2], goal[:3, 2], atol=1e-6)
-
-
 @pytest.mark.parametrize(("table", "low"), [(None, 0.05), (0.0, -0.1)])
 def test_an_arm_moves_as_its_twin(arm, table, low):
     """From where the core led it, towards random goals: in reach, out of reach, in the table."""
@@ -134,18 +113,21 @@ def test_an_arm_moves_as_its_twin(arm, table, low):
     room = replace(arm.room, low=(-1.0, -1.0, low))
     holder = replace(arm, carrier=replace(arm.carrier, table_height=table), room=room)
     place, axis = np.array([0.0, 0.0, low + 0.17]), np.array([1.0, 0.0, 0.0])
-    start, limits = holder.start(magnet_pose(place, axis)), set()
+    start, limits, helped = holder.start(magnet_pose(place, axis)), set(), 0
     for far in [0.1, 0.3, 1.0] * 6:
         goal = magnet_pose(place + far * rng.normal(size=3), axis + rng.normal(size=3))
         held = start
         for _ in range(100):
+            once = holder_twin.step(holder, held, goal, DT)
             theirs = holder_twin.move(holder, held, goal, DT)
+            helped += once.limit == "reach" != theirs.limit
             held = holder.move(held, goal, DT)
             assert held.limit == theirs.limit
             for name in ("T_world_magnet", "velocity", "angles"):
                 # The last steps along the arm's self-motion end at a rounding's discretion.
                 np.testing.assert_allclose(getattr(held, name), getattr(theirs, name), atol=1e-6)
-            limits.add(held.limit)
+            limits |= {once.limit, held.limit}
+    assert helped > 0  # by a pose on the way where the one ahead is out of reach
     assert limits == {"", "speed", "room", "reach"} | ({"touch"} if low < 0.0 else set())
 
 

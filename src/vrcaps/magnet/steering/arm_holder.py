@@ -68,7 +68,7 @@ class ArmHolder:
         return Held(magnet_at(self.carrier, angles), np.zeros_like(angles), angles)
 
     def move(self, held: Held, T_world_magnet: Float[np.ndarray, "4 4"], dt: float) -> Held:
-        """The magnet a time `dt` [s] later, on its way to a pose.
+        """The magnet a time `dt` [s] later, on its way to a pose, in small steps if need be.
 
         Raises:
             InputError: If the magnet is not held by an arm of as many joints.

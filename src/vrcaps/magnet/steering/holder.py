@@ -11,13 +11,10 @@ import numpy as np
 from vrcaps.errors import require
 from vrcaps.magnet.sources import check_pose
 from vrcaps.magnet.steering.aim import Room
-from vrcaps.magnet.steering.turn import at_most, cross, length, rotation_vector, turned
+from vrcaps.magnet.steering.turn import at_most, length, rotation_vector, turned
 
 if TYPE_CHECKING:
     from jaxtyping import Float
-
-_NEARER = ((8e-3, 0.08), (2e-3, 0.02))
-"""Ways [m, rad] that are tried where a pose far ahead is out of reach."""
 
 
 @dataclass(frozen=True)
@@ -106,27 +103,6 @@ class FreeHolder:
         if not limit and left > 1e-3:
             limit = "speed"
         return Held(pose, np.concatenate([linear, angular]), limit=limit)
-
-
-def go(holder: Holder, held: Held, T_world_magnet: Float[np.ndarray, "4 4"], dt: float) -> Held:
-    """The magnet a time `dt` [s] later, on its way to a pose, in small steps if need be.
-
-    Near a joint's limit the others move far for a little of the magnet's way: a pose ahead may be
-    too far for them where one on the way to it is not.
-    """
-    moved = holder.move(held, T_world_magnet, dt)
-    now = held.T_world_magnet
-    for most, turn in _NEARER:
-        if moved.limit != "reach":
-            break
-        axis = cross(now[:3, 2], T_world_magnet[:3, 2])
-        sine = length(axis)
-        angle = math.atan2(sine, float(now[:3, 2] @ T_world_magnet[:3, 2]))
-        part = np.eye(4)
-        part[:3, 3] = now[:3, 3] + at_most(T_world_magnet[:3, 3] - now[:3, 3], most)
-        part[:3, :3] = turned(axis * (min(angle, turn) / max(sine, 1e-12)), now[:3, :3])
-        moved = holder.move(held, part, dt)
-    return moved
 
 
 def stopping_speed(way: float, acceleration: float, dt: float) -> float:

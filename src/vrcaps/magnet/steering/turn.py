@@ -16,13 +16,6 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
 
-def cross(a: Float[np.ndarray, " 3"], b: Float[np.ndarray, " 3"]) -> Float[np.ndarray, " 3"]:
-    """Cross product of two vectors."""
-    ax, ay, az = a.tolist()
-    bx, by, bz = b.tolist()
-    return np.array([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx])
-
-
 def length(vector: Float[np.ndarray, " 3"]) -> float:
     """Length of a vector."""
     return math.sqrt(float(vector @ vector))

@@ -36,7 +36,6 @@ pub struct Steering {
 }
 
 /// What leads the capsule.
-#[derive(Clone, Copy)]
 struct Leader {
     /// Where it is to be [m].
     place: DVec3,
@@ -89,9 +88,9 @@ impl Leader {
     }
 }
 
-/// A leader [3 3] a time later, a capsule that is where it leads [4 4], from the capsule to there
-/// the way that counts [m] and the sines and the angle [rad] of the turn, and whether the wall
-/// pushes as the magnet is to.
+/// The leader [3 3]; the pose [4 4] of a capsule that is where it leads; from the capsule to there
+/// the way that counts [m], the turn's axis by its sine and its angle [rad]; whether the wall pushes
+/// the way that the magnet is to press.
 type Led<'py> = (
     Bound<'py, PyArray2<f64>>,
     Bound<'py, PyArray2<f64>>,

@@ -46,6 +46,7 @@ class Record:
       vrcaps record --out runs/soft --organ small-bowel --motion physics --motility phase-three
       vrcaps record --out runs/roll --organ stomach --motion physics --turn left-lateral:at=4
       vrcaps record --out runs/led --organ stomach --capsule magnetic --motion magnet --arm panda
+      vrcaps record --out runs/sense --capsule magnetic --sensors inertial magnetometer hall
       vrcaps record --out runs/path --path poses.txt --path-format tum --path-unit m
       vrcaps record --out runs/again --scenario runs/mine/episode.json
     """
@@ -107,8 +108,12 @@ class Record:
     """Lens and sensor by grade 0 to 4, such as specular=3,dof=1,noise=1..3 (a range: drawn from the
     seed), all=2, random, mosaic=rggb, frame_rate=4..35 (which frames are taken): specular, bubbles
     (on the lens), field_of_view, distortion, resolution, motion_blur, rolling_shutter,
-    depth_of_field, chromatic, vignette, bloom, exposure, noise, white_balance, jpeg; see
-    docs/effects.md."""
+    depth_of_field, droplets and smears (on the dome), chromatic, vignette, bloom, exposure, noise,
+    white_balance, jpeg; see docs/effects.md."""
+
+    sensors: tuple[Literal["inertial", "magnetometer", "hall"], ...] = ()
+    """What else is measured in each frame, as columns of frames.parquet: inertial (acceleration,
+    rotation) and magnetometer in the capsule, hall under the patient, with the place it finds."""
 
     posture: str = "supine"
     """How the patient lies: supine, prone, left-lateral, right-lateral, standing."""
@@ -190,6 +195,7 @@ class Record:
             InputError: If flags contradict each other or one is missing.
         """
         from vrcaps.record.scenario import Scenario, read_scenario
+        from vrcaps.record.sensing import sensors_by_name
         from vrcaps.render.camera_effects.effects import Effects
         from vrcaps.render.camera_effects.parse import parse_effects
 
@@ -215,6 +221,7 @@ class Record:
             clean_twin=self.clean_twin,
             contents=Contents(self.bubbles, self.chyme, self.liquid, seed=self._patient_seed()),
             effects=parse_effects(self.effects) if self.effects else Effects(),
+            sensors=sensors_by_name(self.sensors),
         )
 
     def _patient_seed(self) -> int:

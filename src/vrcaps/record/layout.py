@@ -16,6 +16,7 @@ from vrcaps.errors import InputError
 from vrcaps.organ.parts import json_safe
 from vrcaps.record.channels import ENCODINGS
 from vrcaps.record.scenario import Scenario, scenario_to_plain
+from vrcaps.record.sensing import Sensors, hall_array
 from vrcaps.record.typed import from_plain, to_plain
 from vrcaps.record.walls import wall_to_plain
 from vrcaps.render.frame import Frame
@@ -71,8 +72,16 @@ def make_head(scenario: Scenario, model: Model, notes: tuple[str, ...]) -> dict[
         "cameras": [camera_to_plain(camera) for camera in device.cameras],
         "channels": {channel: channel_to_plain(channel) for channel in scenario.channels},
         **({"wall": wall_to_plain(organ)} if scenario.wall else {}),
+        **sensors_to_plain(scenario.sensors, model),
         "motion_notes": list(notes),
     }
+
+
+def sensors_to_plain(sensors: Sensors, model: Model) -> dict[str, Any]:
+    """Places of the Hall sensors in the world [m], if there are any."""
+    if sensors.hall is None:
+        return {}
+    return {"hall_positions_m": hall_array(sensors.hall, model).positions_world.tolist()}
 
 
 def camera_to_plain(camera: Camera) -> dict[str, Any]:

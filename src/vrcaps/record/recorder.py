@@ -39,6 +39,7 @@ from vrcaps.record.layout import (
 from vrcaps.record.pictures import contact_sheet
 from vrcaps.record.preview import Preview
 from vrcaps.record.scenario import Scenario, build, resolve, scenario_to_plain
+from vrcaps.record.sensing import SensorReadings
 from vrcaps.record.table import TableRows, write_table
 from vrcaps.record.walls import file_vertices, stored_wall, wall_path
 from vrcaps.world.moving_wall import MovingWall
@@ -273,10 +274,11 @@ def _write_steps(
     wall = MovingWall(run.model)
     images = Images(run.model, run.scenario, table, wall)
     rows = TableRows(run.model, table, wall)
+    readings = SensorReadings(run.model, run.scenario, table)
     for frame in range(len(rows)):
         submit(frame, partial(_preview_from_files, preview, episode, frame))
     for step in _steps(run.motion, start):
-        rows.add(step.now, images.expose(step))
+        rows.add(step.now, images.expose(step) | readings.read(step))
         if run.is_there(step.frame):
             submit(step.frame, partial(_preview_from_files, preview, episode, step.frame))
             continue

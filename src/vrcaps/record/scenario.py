@@ -20,6 +20,7 @@ from vrcaps.organ.lesion import AnyLesion, add_lesions
 from vrcaps.organ.photo.texture import texture_head
 from vrcaps.organ.read_organ import is_organ_file
 from vrcaps.organ.surface import OrganSurface
+from vrcaps.record.sensing import Sensors
 from vrcaps.record.typed import from_plain, to_plain
 from vrcaps.render.camera_effects.effects import Effects
 from vrcaps.render.frame import CHANNELS
@@ -110,6 +111,7 @@ class Scenario:
         clean_twin: Show the same patient without the lesions; the motion stays as it is with them.
         contents: What floats in the lumen.
         effects: What the cameras' lens and sensor do; a range of grades is drawn from the seed.
+        sensors: What else is measured in each frame: the capsule's motion, field and place.
     """
 
     organ: OrganGenerated | OrganFile = field(default_factory=OrganGenerated)
@@ -126,6 +128,7 @@ class Scenario:
     clean_twin: bool = False
     contents: Contents = field(default_factory=Contents)
     effects: Effects = field(default_factory=Effects)
+    sensors: Sensors = field(default_factory=Sensors)
 
 
 def read_scenario(path: str | Path) -> Scenario:

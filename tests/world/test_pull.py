@@ -10,7 +10,7 @@ from scipy.special import ellipk
 
 from vrcaps.capsule.catalog import load_device
 from vrcaps.errors import InputError
-from vrcaps.magnet.field import wrench
+from vrcaps.magnet.field import field, wrench
 from vrcaps.magnet.internal import InternalMagnet
 from vrcaps.magnet.sources import MAGNETIC_CONSTANT, Coil, Cylinder, Dipole, Uniform, magnet_pose
 from vrcaps.tissue.drag import Drag
@@ -140,6 +140,29 @@ def test_wrench_is_that_of_the_field(wide, posture):
     force, torque = wrench([source], world.model.device.magnets, at)
     np.testing.assert_allclose(world.coupling.force_world, force, rtol=1e-6)
     np.testing.assert_allclose(world.coupling.torque_world, torque, rtol=1e-6)
+
+
+def test_the_field_told_is_that_amid_the_magnets(wide):
+    """At their middle by the size of their moments; the angle is that of the moments' sum."""
+    places = np.array([(0, 1e-3, 4e-3), (0, 0, -5e-3)])
+    moments = np.array([(0, 0.1, 0.3), (1, 0, 0)])
+    pairs = zip(places, moments, strict=True)
+    magnets = tuple(InternalMagnet(tuple(place), tuple(moment)) for place, moment in pairs)
+    bare = make_world(wide, (0, 0, 1), [], wxyz_z=(1, 2, 2))
+    T, device = bare.T_world_capsule, replace(bare.model.device, magnets=magnets)
+    source = Cylinder(0.1016, 0.1016, 1.48, magnet_pose(T[:3, 3] + [0.02, 0.05, 0.2], (1, 0, 1)))
+    model = Model(wide, device, bare.model.T_world_patient)
+    world = World(model, FREE, State(0.0, T), sources=[source])
+    middle = np.average(places, axis=0, weights=np.linalg.norm(moments, axis=1))
+    point = T[:3, :3] @ middle + T[:3, 3]
+    flux = field([source], point[None])[0][0]
+    moment = T[:3, :3] @ moments.sum(axis=0)
+    cosine = moment @ flux / np.linalg.norm(moment) / np.linalg.norm(flux)
+    np.testing.assert_allclose(world.coupling.flux_density_world, flux, rtol=1e-9)
+    assert world.coupling.angle == pytest.approx(np.arccos(cosine), rel=1e-9)
+    assert world.field_angle(T) == world.coupling.angle
+    away = np.linalg.norm(point - source.T_world_magnet[:3, 3])
+    assert world.coupling.distance == pytest.approx(away, rel=1e-9)
 
 
 def test_a_patient_who_turns_leaves_the_sources(wide):

@@ -2,7 +2,7 @@
 
 A flight at 2 cm/s through a generated colon, 320 x 320 pixels, colour and four labels: the plain
 frame, with quick bounced light, with lens and sensor, and with both. No sensor of fewer pixels, so
-that all have the same size. Images only; nothing is written.
+that all have the same size. First images only; then recorded into files, as `vrcaps record` does.
 
     python benchmarks/speed_effects.py
 """
@@ -10,6 +10,7 @@ that all have the same size. Images only; nothing is written.
 from __future__ import annotations
 
 import argparse
+import tempfile
 import time
 from collections.abc import Iterator
 from dataclasses import replace
@@ -22,10 +23,11 @@ from validation import PAGE, table, write_section
 
 import vrcaps
 from vrcaps.record.images import Images, Step
-from vrcaps.record.scenario import build, resolve
+from vrcaps.record.recorder import record
+from vrcaps.record.scenario import Scenario, build, resolve
 from vrcaps.render.camera_effects.parse import parse_effects
 
-FRAMES = 60
+FRAMES, RECORDED = 60, 200
 ROUNDS = 5
 EFFECTS = "all=2,resolution=0"
 HEAD = ("frame", "time [ms]", "frames a second", "processor time [ms]", "times plain", "claimed")
@@ -49,6 +51,8 @@ def main() -> None:
             if index >= 0:
                 times[name][index] = seconds
     rows = list(_rows({name: np.median(values, axis=0) for name, values in times.items()}))
+    files = np.median([[_recorded("", "direct"), _recorded(EFFECTS, "quick")] for _ in "123"], 0)
+    plain, lossy = files.tolist()
     text = f"""## Speed of lens and sensor
 
 {FRAMES} frames of a flight at 2 cm/s through a generated colon, 30 a second, 320 × 320 pixels,
@@ -56,22 +60,37 @@ colour, depth, normal, label and instance; effects `{EFFECTS}`; median of {ROUND
 
 {table(HEAD, rows)}
 
+The same flight recorded into files, {RECORDED} frames, median of 3: plain {1e3 * plain:.1f} ms a
+frame ({1.0 / plain:.0f} a second), with every effect and bounced light {1e3 * lossy:.1f} ms
+({1.0 / lossy:.0f} a second), {lossy / plain:.1f} times as long.
+
 By `python benchmarks/speed_effects.py`.
 """
     write_section(args.out, "speed_effects.py", text)
 
 
-def _subject(effects: str, light: Literal["direct", "quick"]) -> tuple[Images, list[Step]]:
-    """What makes the images of a scenario, and its frames."""
+def _scenario(effects: str, light: Literal["direct", "quick"], frames: int) -> Scenario:
     scenario = vrcaps.Scenario(
         motion=vrcaps.FlyThrough(start=0.4, speed=0.02),
-        frames=FRAMES,
+        frames=frames,
         fps=30.0,
         render=vrcaps.RenderSettings(light=light),
     )
-    if effects:
-        scenario = replace(scenario, effects=parse_effects(effects))
-    scenario, device = resolve(scenario)
+    return replace(scenario, effects=parse_effects(effects)) if effects else scenario
+
+
+def _recorded(effects: str, light: Literal["direct", "quick"]) -> float:
+    """Seconds a frame of a recording once set up."""
+    whole: list[float] = []
+    with tempfile.TemporaryDirectory() as folder:
+        scenario = _scenario(effects, light, RECORDED)
+        record(scenario, folder, progress=lambda *_: whole.append(time.perf_counter()))
+    return (whole[-1] - whole[0]) / (len(whole) - 1)
+
+
+def _subject(effects: str, light: Literal["direct", "quick"]) -> tuple[Images, list[Step]]:
+    """What makes the images of a scenario, and its frames."""
+    scenario, device = resolve(_scenario(effects, light, FRAMES))
     model, motion = build(scenario, device)
     instants = [None, *motion.instants(), None]
     neighbours = zip(pairwise(instants), instants[2:], strict=False)

@@ -17,7 +17,7 @@ from vrcaps.organ.lesion import Place, Polyp
 from vrcaps.record import recorder
 from vrcaps.record import scenario as scenario_module
 from vrcaps.record.check import check_episode
-from vrcaps.record.checkpoint import read_checkpoint
+from vrcaps.record.checkpoint import Checkpoint, read_checkpoint
 from vrcaps.record.episode import read_episode
 from vrcaps.record.images import Images
 from vrcaps.record.recorder import record
@@ -57,6 +57,26 @@ def digests(folder: Path) -> dict[str, str]:
         str(path.relative_to(folder)): hashlib.sha256(path.read_bytes()).hexdigest()
         for path in files
     }
+
+
+def broken_off(scenario: Scenario, out: Path) -> Checkpoint:
+    """Records as far as the fourth frame; the checkpoint that is left."""
+    render = Images.render
+
+    def stopped(images, step):
+        if step.frame == 4:
+            raise KeyboardInterrupt
+        return render(images, step)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(recorder, "_CHECKPOINT_SECONDS", 0.0)
+        patch.setattr(Images, "render", stopped)
+        with pytest.raises(KeyboardInterrupt):
+            record(scenario, out)
+    found = read_checkpoint(out)
+    assert found is not None
+    assert found.frame >= 2
+    return found
 
 
 @pytest.fixture
@@ -163,20 +183,8 @@ def test_a_broken_off_simulation_goes_on_from_its_checkpoint(
     """The same bytes; and only what comes after the checkpoint is simulated again."""
     out, rendered = tmp_path / "episode", []
     monkeypatch.setattr(recorder, "_CHECKPOINT_SECONDS", 0.0)
+    found = broken_off(simulated, out)
     render = Images.render
-
-    def stopped(images, step):
-        if step.frame == 4:
-            raise KeyboardInterrupt
-        return render(images, step)
-
-    with monkeypatch.context() as patch:
-        patch.setattr(Images, "render", stopped)
-        with pytest.raises(KeyboardInterrupt):
-            record(simulated, out)
-    found = read_checkpoint(out)
-    assert found is not None
-    assert found.frame >= 2
     if missing is not None:
         (out / f"wall/{missing:06d}.npy").unlink()
     times = []
@@ -198,28 +206,14 @@ def test_a_broken_off_simulation_goes_on_from_its_checkpoint(
     assert max(times) == pytest.approx((1.2, 1.2))
 
 
-def test_automatic_exposure_goes_on_from_a_checkpoint(simulated, tmp_path, monkeypatch):
+def test_automatic_exposure_goes_on_from_a_checkpoint(simulated, tmp_path):
     """The loop's state, the motion and the noise are those of a recording in one go."""
     effects = Effects(exposure=AutoExposure(0.5, target=0.3), motion_blur=2, noise=2)
     given = replace(simulated, effects=effects, channels=("rgb", "depth"), wall=False)
     straight, broken = record(given, tmp_path / "straight"), tmp_path / "broken"
     exposure = read_episode(straight).table.columns["front_exposure"]
     assert len(set(exposure)) == len(exposure)
-    render = Images.render
-
-    def stopped(images, step):
-        if step.frame == 4:
-            raise KeyboardInterrupt
-        return render(images, step)
-
-    with monkeypatch.context() as patch:
-        patch.setattr(recorder, "_CHECKPOINT_SECONDS", 0.0)
-        patch.setattr(Images, "render", stopped)
-        with pytest.raises(KeyboardInterrupt):
-            record(given, broken)
-    found = read_checkpoint(broken)
-    assert found is not None
-    assert found.frame >= 2
+    found = broken_off(given, broken)
     times = []
     record(given, broken, simulated=lambda time, _: times.append(time))
     assert min(times) > found.frame / 5.0 + 0.2

@@ -22,7 +22,7 @@ from vrcaps.magnet.sense.inertial import (
 )
 from vrcaps.magnet.sense.locate import locate
 from vrcaps.magnet.sources import Dipole, Source, Uniform, magnet_pose
-from vrcaps.transforms import transform_from
+from vrcaps.transforms import rotate_vectors, transform_from, transform_points
 from vrcaps.units import MM
 from vrcaps.world.physics import Physics
 from vrcaps.world.run import Instant
@@ -35,7 +35,6 @@ if TYPE_CHECKING:
     from vrcaps.record.table import FrameTable
     from vrcaps.world.model import Model
 
-SENSORS = ("inertial", "magnetometer", "hall")
 _STREAM = 23
 """Beside the seed's other random numbers."""
 _MISREAD, _INERTIAL, _MAGNETOMETER, _HALL = range(4)
@@ -86,10 +85,10 @@ def sensors_by_name(names: Sequence[str]) -> Sensors:
     Raises:
         UnknownNameError: If there is no sensor of a name.
     """
-    for name in names:
-        if name not in SENSORS:
-            raise UnknownNameError("sensor", name, SENSORS)
     kinds = {"inertial": Inertial, "magnetometer": Magnetometer, "hall": HallPad}
+    for name in names:
+        if name not in kinds:
+            raise UnknownNameError("sensor", name, kinds)
     return Sensors(**{name: kinds[name]() for name in names})
 
 
@@ -153,8 +152,8 @@ class SensorReadings:
             columns |= _named("gyroscope_{}_rad_per_s", turn)
         unit = self._sensors.magnetometer
         if unit is not None:
-            place = pose[:3, :3] @ unit.position_capsule + pose[:3, 3]
-            flux = flux_density(outside, place[None])[0][0]
+            place = transform_points(pose, np.array([unit.position_capsule]))
+            flux = flux_density(outside, place)[0][0]
             rng = self._rng(_MAGNETOMETER, step.frame)
             columns |= _named("magnetometer_{}_t", read_magnetometer(unit, flux, pose[:3, :3], rng))
         if self._sensors.hall is not None:
@@ -177,8 +176,8 @@ class SensorReadings:
         """Readings, and the place and direction of the capsule's magnet that follow from them."""
         (magnet,) = self._model.device.magnets
         pose = step.now.state.T_world_capsule
-        place = pose[:3, :3] @ magnet.position_capsule + pose[:3, 3]
-        axis = pose[:3, :3] @ magnet.moment_capsule
+        (place,) = transform_points(pose, np.array([magnet.position_capsule]))
+        axis = rotate_vectors(pose, np.array(magnet.moment_capsule))
         inside = Dipole(float(np.linalg.norm(axis)), magnet_pose(place, axis))
         rng = self._rng(_HALL, step.frame)
         readings = read_hall(self._true_array, [inside, *outside], rng)
@@ -210,12 +209,11 @@ class SensorReadings:
 
     def _go_on(self, before: FrameTable) -> None:
         """The bias and the last place as they were after the rows of earlier frames."""
-        still = Motion(np.eye(3))
-        for frame in range(len(before)):
-            if self._inertial is None:
-                break
-            rng = self._rng(_INERTIAL, frame)
-            *_, self._bias = read_inertial(self._inertial, still, self._bias, rng)
+        if self._inertial is not None:
+            still = Motion(np.eye(3))
+            for frame in range(len(before)):
+                rng = self._rng(_INERTIAL, frame)
+                *_, self._bias = read_inertial(self._inertial, still, self._bias, rng)
         if self._sensors.hall is not None and len(before):
             place, axis = (
                 np.array([float(before.columns[name.format(a)][-1]) for a in "xyz"])

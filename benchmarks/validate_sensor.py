@@ -30,6 +30,7 @@ from vrcaps.render.camera_effects.effects import Effects
 from vrcaps.render.camera_effects.exposure import AutoExposure
 from vrcaps.render.camera_effects.grades import GRADES
 from vrcaps.render.camera_effects.optics import Bloom, Defocus, LateralColor, Vignetting
+from vrcaps.render.camera_effects.sensor import WhiteBalance
 from vrcaps.render.flow import STEP
 from vrcaps.render.renderer import DEFAULT_CHANNELS, Renderer
 from vrcaps.units import MM
@@ -192,7 +193,7 @@ def speed() -> list[tuple[str, ...]]:
             lambda: chain.apply(seen, renderer, replace(moment, state=replace(moment.state)))
         )
 
-    none = of(Effects())
+    none = of(Effects(white_balance=WhiteBalance(response=(1.0, 1.0, 1.0))))
     rows = [("sRGB alone", f"{none:.2f}")]
     rows += [(f"`{name}`", f"{of(Effects(**{name: 2})) - none:+.2f}") for name in STAGES]
     rows.append(("`mosaic`", f"{of(Effects(mosaic='rggb')) - none:+.2f}"))

@@ -26,7 +26,7 @@ pub struct View<'a> {
     /// Where the camera is, about the wall's centre [m].
     pub origin: Vec3,
     /// Rows of the rotation from the camera to the world, and back.
-    to_world: [Vec3; 3],
+    pub to_world: [Vec3; 3],
     to_camera: [Vec3; 3],
     center: [f64; 3],
     /// LEDs about the wall's centre.
@@ -287,8 +287,9 @@ pub fn primary(wall: &Wall, view: &View<'_>, tile: &TileRays) -> (Pyramid, Hits)
     (rays, hits)
 }
 
+/// Renders one tile of a wall with nothing before it; `glow` is light beyond direct light.
 #[inline(always)]
-fn render_tile(
+pub fn render_tile(
     wall: &Wall,
     scene: &SceneData,
     view: &View<'_>,

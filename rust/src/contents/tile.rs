@@ -17,7 +17,7 @@ use crate::path::First;
 use crate::path::afloat::Afloat;
 use crate::query;
 use crate::rays::TileRays;
-use crate::render::{View, add_glow, primary, write_geometry};
+use crate::render::{REACH, View, add_glow, primary, render_tile, write_geometry};
 use crate::scene::SceneData;
 use crate::shade::{Attributes, attributes, attributes_at, surface};
 use crate::tile::{Hits, MISS, Pyramid, farthest_of};
@@ -108,6 +108,13 @@ impl<'a> Filled<'a> {
         out: &mut Channels<'_>,
     ) {
         let view = self.view;
+        if self.sees_wall_alone(tile, room) {
+            Front::of_liquid(None).write(tile, place, out);
+            place.write(&mut out.bend_label, &[STRAIGHT; LANES], &tile.used, STRAIGHT);
+            place.write_sparsely(&mut out.sparse_bend, 1, |_, _| STRAIGHT);
+            render_tile(self.wall, self.scene, view, tile, place, glow, out);
+            return;
+        }
         let seen = self.look(tile, room);
         let Seen { rays, hits, owner, found, wet } = &seen;
         let bubbles = self.bubbles(tile, rays, hits, room);
@@ -133,6 +140,18 @@ impl<'a> Filled<'a> {
         place.write(&mut out.bend_label, &kind, &found.hit, STRAIGHT);
         place.write_sparsely(&mut out.sparse_bend, 1, |i, _| kind[i]);
         write_geometry(view, tile, hits, found, place, out);
+    }
+
+    /// Whether nothing but the wall is in reach of a tile's rays, nor of what lights it.
+    #[inline(always)]
+    fn sees_wall_alone(&self, tile: &TileRays, room: &mut Room) -> bool {
+        let Contents { bubbles, chyme, pools, .. } = self.contents;
+        if pools.is_some() || !chyme.all.is_empty() {
+            return false;
+        }
+        let (origin, rays) = (self.view.origin, tile.pyramid.rotated(&self.view.to_world));
+        bubbles.gather(origin, &rays, self.wall.extent, REACH, &mut room.near);
+        room.near.is_empty()
     }
 
     fn optics(&self) -> Option<&Optics> {

@@ -9,7 +9,6 @@ use crate::lanes::*;
 use crate::material::{Led, Surface};
 use crate::tile::{Hits, MISS};
 use crate::wall::Wall;
-use glam::Vec4;
 use rayon::prelude::*;
 use std::borrow::Cow;
 use std::f32::consts::PI;
@@ -145,7 +144,7 @@ impl Irradiance<'_> {
             }
         }
         let mut irradiance = [[0.0; LANES]; 3];
-        let mut at_hand: [Corners; AT_HAND] = [(MISS, [[Vec4::ZERO; 4]; 3]); AT_HAND];
+        let mut at_hand: [Corners; AT_HAND] = [(MISS, [[0.0; 16]; 3]); AT_HAND];
         for i in 0..LANES {
             let triangle = hits.triangle[i];
             if triangle == MISS {
@@ -153,18 +152,18 @@ impl Irradiance<'_> {
             }
             let corners = &mut at_hand[triangle as usize % AT_HAND];
             if corners.0 != triangle {
-                *corners = (triangle, self.corners(triangle));
+                *corners = (triangle, corners_of(self, triangle));
             }
             let [first, second, third] = &corners.1;
             let inverse = 1.0 / hits.edges[2][i];
             let (wa, wb) = (hits.edges[0][i] * inverse, hits.edges[1][i] * inverse);
-            let mut sum = Vec4::ZERO;
-            for part in 0..4 {
-                let light = third[part] + first[part] * wa + second[part] * wb;
-                sum += light * shares[part][i];
+            let share = [shares[0][i], shares[1][i], shares[2][i], shares[3][i]];
+            let mut parts = [0.0f32; 16];
+            for n in 0..16 {
+                parts[n] = (third[n] + first[n] * wa + second[n] * wb) * share[n / 4];
             }
             for k in 0..3 {
-                irradiance[k][i] = sum[k];
+                irradiance[k][i] = parts[k] + parts[4 + k] + parts[8 + k] + parts[12 + k];
             }
         }
         for k in 0..3 {
@@ -175,26 +174,22 @@ impl Irradiance<'_> {
         }
     }
 
-    fn corners(&self, triangle: u32) -> [Light; 3] {
-        let corners = self.wall.bvh.corners[triangle as usize];
-        let [a, b, c] = corners.map(|v| self.vertex(v as usize));
-        let more = |light: Light| std::array::from_fn(|part| light[part] - c[part]);
-        [more(a), more(b), c]
-    }
-
-    fn vertex(&self, v: usize) -> Light {
-        self.known.vertex(v, || {
-            let mut sum = [Vec4::ZERO; 4];
-            for &(s, weight) in self.light.sites.heard[v].iter().filter(|heard| heard.1 > 0.0) {
+    #[inline(always)]
+    fn vertex(&self, v: u32) -> Light {
+        self.known.vertex(v as usize, || {
+            let mut sum = [0.0; 16];
+            let heard = &self.light.sites.heard[v as usize];
+            for &(s, weight) in heard.iter().take_while(|heard| heard.1 > 0.0) {
                 let light = self.site(s as usize);
-                for part in 0..4 {
-                    sum[part] += weight * light[part];
+                for n in 0..16 {
+                    sum[n] += weight * light[n];
                 }
             }
             sum
         })
     }
 
+    #[inline(always)]
     fn site(&self, s: usize) -> Light {
         self.known.site(s, || {
             let vertex = self.light.sites.vertex[s] as usize;
@@ -214,7 +209,8 @@ impl Irradiance<'_> {
             let even = vectors.map(|vector| dot(vector, normal));
             let along =
                 |k: usize| [0, 1, 2].map(|color| vectors[color][k] - even[color] * normal[k]);
-            [even, along(0), along(1), along(2)].map(|[r, g, b]| Vec4::new(r, g, b, 0.0))
+            let parts = [even, along(0), along(1), along(2)];
+            std::array::from_fn(|n| if n % 4 < 3 { parts[n / 4][n % 4] } else { 0.0 })
         })
     }
 
@@ -231,4 +227,20 @@ impl Irradiance<'_> {
         }
         sum
     }
+}
+
+/// What the corners of a triangle get.
+#[multiversion::multiversion(targets(
+    "x86_64+avx512f+avx512bw+avx512cd+avx512dq+avx512vl",
+    "x86_64+avx2",
+    "aarch64+neon"
+))]
+fn corners_of(light: &Irradiance<'_>, triangle: u32) -> [Light; 3] {
+    let [a, b, c] = light.wall.bvh.corners[triangle as usize];
+    let (mut first, mut second, third) = (light.vertex(a), light.vertex(b), light.vertex(c));
+    for n in 0..16 {
+        first[n] -= third[n];
+        second[n] -= third[n];
+    }
+    [first, second, third]
 }

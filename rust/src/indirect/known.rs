@@ -1,14 +1,14 @@
 //! Light at sites and vertices that is reckoned when first needed, in memory kept between frames.
 
-use glam::Vec4;
 use std::cell::UnsafeCell;
 use std::ops::Deref;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicU32, Ordering};
 
 /// For red, green and blue: irradiance, and how it grows as the normal tilts along x, y and z
-/// [W/m²]. The latter is the tangential part of the light vector.
-pub type Light = [Vec4; 4];
+/// [W/m²]. The latter is the tangential part of the light vector. Four numbers each, so that all are
+/// one vector; the last is 0.
+pub type Light = [f32; 16];
 
 /// Light of one place; known if its number is that of the frame.
 ///
@@ -28,7 +28,7 @@ unsafe impl Sync for Slot {}
 
 impl Slot {
     fn new() -> Self {
-        Slot { stage: AtomicU32::new(0), light: UnsafeCell::new([Vec4::ZERO; 4]) }
+        Slot { stage: AtomicU32::new(0), light: UnsafeCell::new([0.0; 16]) }
     }
 
     #[inline(always)]

@@ -24,7 +24,8 @@ type End = (usize, f32);
 
 /// Radiosity of each site by its first reflection of the LEDs' light [W/m²].
 pub fn first_reflection(light: &QuickLight, wall: &Wall, leds: &[Led]) -> Vec<Color> {
-    let side = ((RAYS as f32 / leds.len().max(1) as f32).sqrt() as usize).max(LEAST_SIDE);
+    let n: usize = std::env::var("QL_RAYS").ok().and_then(|x| x.parse().ok()).unwrap_or(RAYS);
+    let side = ((n as f32 / leds.len().max(1) as f32).sqrt() as usize).max(LEAST_SIDE);
     let rings: Vec<Vec<End>> = (0..leds.len() * side)
         .into_par_iter()
         .map(|k| {
@@ -59,7 +60,11 @@ pub fn first_reflection(light: &QuickLight, wall: &Wall, leds: &[Led]) -> Vec<Co
 fn send(wall: &Wall, origin: Vec3, lobe: &Lobe, ring: usize, side: usize) -> Vec<End> {
     let mut ends = Vec::with_capacity(side);
     for column in 0..side {
-        let direction = lobe.direction(ring, column);
+        let direction = if std::env::var("QL_GRID").is_ok() {
+            lobe.direction(ring, column)
+        } else {
+            lobe.on_spiral(ring * side + column)
+        };
         let hit = ray::cast::<false>(&wall.bvh, origin, direction, f32::MAX, u32::MAX);
         // The back of a wall is dark.
         if let Some(hit) = hit.filter(|hit| hit.edges[2] < 0.0) {

@@ -8,6 +8,10 @@ use rayon::prelude::*;
 
 /// Pixels to a side that the scattered light is gathered from: it varies slowly.
 const CELL: usize = 4;
+/// Pixels before the middle of the first cell.
+const HALF: usize = CELL / 2;
+/// Shares of the second of two cells in pixels between their middles.
+const SHARES: [f32; CELL] = [0.125, 0.375, 0.625, 0.875];
 /// Width of the veil, relative to the halo.
 const VEIL: f32 = 4.0;
 /// Standard deviation in cells from which light is gathered from cells of cells.
@@ -136,12 +140,18 @@ fn gathered(plane: &[f32], width: usize, (rows, columns): (usize, usize)) -> Vec
             }
         }
     }
-    let places: Vec<_> = (0..width).map(|x| between(x, columns)).collect();
     let mut cells = vec![0.0f32; rows * columns];
     for (line, row) in cells.chunks_exact_mut(columns).zip(tall.chunks_exact(width)) {
-        for (&value, &(left, right, s)) in row.iter().zip(&places) {
-            line[left] += value * (1.0 - s);
-            line[right] += value * s;
+        let (first, rest) = row.split_at(HALF.min(width));
+        line[0] += first.iter().sum::<f32>();
+        for (left, part) in rest.chunks(CELL).enumerate() {
+            let (mut whole, mut beyond) = (0.0, 0.0);
+            for (value, share) in part.iter().zip(SHARES) {
+                whole += value;
+                beyond += value * share;
+            }
+            line[left] += whole - beyond;
+            line[(left + 1).min(columns - 1)] += beyond;
         }
     }
     cells
@@ -217,11 +227,15 @@ fn sums<const N: usize>(
     "aarch64+neon"
 ))]
 fn across(cells: &[f32], (rows, columns): (usize, usize), width: usize) -> Vec<f32> {
-    let places: Vec<_> = (0..width).map(|x| between(x, columns)).collect();
     let mut wide = vec![0.0f32; rows * width];
     for (row, line) in wide.chunks_exact_mut(width).zip(cells.chunks_exact(columns)) {
-        for (value, &(left, right, s)) in row.iter_mut().zip(&places) {
-            *value = line[left] * (1.0 - s) + line[right] * s;
+        let (first, rest) = row.split_at_mut(HALF.min(width));
+        first.fill(line[0]);
+        for (left, part) in rest.chunks_mut(CELL).enumerate() {
+            let (own, next) = (line[left], line[(left + 1).min(columns - 1)]);
+            for (value, share) in part.iter_mut().zip(SHARES) {
+                *value = own + (next - own) * share;
+            }
         }
     }
     wide

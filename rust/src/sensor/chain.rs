@@ -120,7 +120,8 @@ impl CameraStages {
         if given.mosaic.is_some_and(|m| height < 3 || width < 3 || m.iter().any(|&c| c > 2)) {
             return Err(misfit());
         }
-        let [response, offset] = given.pattern.each_ref().map(|p| p.as_slice().map(<[f32]>::to_vec));
+        let [response, offset] =
+            given.pattern.each_ref().map(|p| p.as_slice().map(<[f32]>::to_vec));
         Ok(CameraStages {
             size,
             lit: of_image(&given.lit, size)?.to_vec(),

@@ -2,7 +2,7 @@
 
 use super::planes::{Line, planes_array, rows, size};
 use crate::cpu::on_pool;
-use crate::lanes::{clamp, max, min};
+use crate::lanes::{clamp, load, max, min, store};
 use numpy::{PyArray3, PyReadonlyArray2, PyReadonlyArray3, PyUntypedArrayMethods};
 use pyo3::{exceptions::PyValueError, prelude::*};
 use rayon::prelude::*;
@@ -82,7 +82,8 @@ impl Padded {
         let red = red.chunks_mut(stride).skip(MARGIN).take(height);
         let rows = red.zip(green.chunks_mut(stride).skip(MARGIN));
         let rows = rows.zip(blue.chunks_mut(stride).skip(MARGIN));
-        let row = |((r, g), b): ((_, _), _)| [r, g, b].map(|row: &mut [f32]| &mut row[MARGIN..][..width]);
+        let row =
+            |((r, g), b): ((_, _), _)| [r, g, b].map(|row: &mut [f32]| &mut row[MARGIN..][..width]);
         rows.map(row).collect()
     }
 
@@ -95,12 +96,13 @@ impl Padded {
     ) {
         let (size, stride) = (self.size, self.stride);
         let [_, _, _, radius, share] = &mut self.planes;
-        inner(radius, size, stride).zip(inner(share, size, stride)).with_min_len(MIN_ROWS).for_each(
-            |((y, radius), (_, share))| {
+        inner(radius, size, stride)
+            .zip(inner(share, size, stride))
+            .with_min_len(MIN_ROWS)
+            .for_each(|((y, radius), (_, share))| {
                 distances(y, radius);
                 radii(reach, focus, radius, share);
-            },
-        );
+            });
     }
 
     /// Fills the lines of an image with the light of this one, spread.
@@ -112,10 +114,9 @@ impl Padded {
             for block in 0..blocks {
                 let radius = around(&widest, blocks, group * ROWS, block);
                 let mixed = spread_block(self, (group * ROWS, block * BLOCK), radius);
-                let columns = block * BLOCK..((block + 1) * BLOCK).min(width);
                 for (line, values) in lines.iter_mut().zip(&mixed) {
                     for (row, values) in line.iter_mut().zip(values) {
-                        row[columns.clone()].copy_from_slice(&values[..columns.len()]);
+                        store(values, &mut row[block * BLOCK..]);
                     }
                 }
             }
@@ -206,29 +207,33 @@ type Run = [f32; BLOCK];
     "aarch64+neon"
 ))]
 fn spread_block(padded: &Padded, place: (usize, usize), radius: f32) -> [[Run; 3]; ROWS] {
-    let at = |plane: usize, from: usize| -> Run {
-        let mut values = [0.0; BLOCK];
-        values.copy_from_slice(&padded.planes[plane][from..from + BLOCK]);
-        values
-    };
+    let at = |plane: usize, from: usize| -> Run { load(&padded.planes[plane][from..from + BLOCK]) };
     let start = (place.0 + MARGIN) * padded.stride + place.1 + MARGIN;
-    let own: [Run; ROWS] = std::array::from_fn(|r| at(3, start + r * padded.stride));
-    let own_share: [Run; ROWS] = std::array::from_fn(|r| at(4, start + r * padded.stride));
-    let own_wide = own.map(|row| row.map(f32::abs));
+    let mut own = [[[0.0f32; BLOCK]; ROWS]; 2];
+    let mut own_wide = [[0.0f32; BLOCK]; ROWS];
+    for r in 0..ROWS {
+        for k in 0..2 {
+            own[k][r] = at(3 + k, start + r * padded.stride);
+        }
+        for i in 0..BLOCK {
+            own_wide[r][i] = own[0][r][i].abs();
+        }
+    }
+    let [own, own_share] = own;
     let (mut sums, mut total) = ([[[0.0f32; BLOCK]; 3]; ROWS], [[0.0f32; BLOCK]; ROWS]);
     let reach = radius + 0.5;
     let most = reach as i32;
     for down in -most..most + ROWS as i32 {
         let beside = max(0.0, max(-down as f32, (down - ROWS as i32 + 1) as f32));
         let side = max(reach * reach - beside * beside, 0.0).sqrt() as i32;
-        let edges: [&[f32; MARGIN + 1]; ROWS] =
-            std::array::from_fn(|r| &padded.edges[down.abs_diff(r as i32) as usize]);
         for along in -side..=side {
             let offset = down as isize * padded.stride as isize + along as isize;
             let from = start.wrapping_add_signed(offset);
-            let (near, share, colors) = (at(3, from), at(4, from), [0, 1, 2].map(|k| at(k, from)));
+            let (near, share) = (at(3, from), at(4, from));
+            let colors = [at(0, from), at(1, from), at(2, from)];
             for r in 0..ROWS {
-                let edge = edges[r][along.unsigned_abs() as usize];
+                let edge =
+                    padded.edges[down.abs_diff(r as i32) as usize][along.unsigned_abs() as usize];
                 for i in 0..BLOCK {
                     // What is farther and wider is hidden beyond the pixel's own circle.
                     let wide = min(near[i], own_wide[r][i]).abs();

@@ -59,12 +59,7 @@ pub fn flow_by_rays<'py>(
 }
 
 /// How far from a pixel (column, row) the ray points in a direction, about as far as `guess`.
-fn find(
-    rays: &RayTable,
-    pixel: [usize; 2],
-    towards: Vec3,
-    guess: [f32; 2],
-) -> Option<[f32; 2]> {
+fn find(rays: &RayTable, pixel: [usize; 2], towards: Vec3, guess: [f32; 2]) -> Option<[f32; 2]> {
     if !towards.iter().all(|x| x.is_finite()) {
         return None;
     }
@@ -111,7 +106,22 @@ struct Cell {
 
 impl Cell {
     /// The cell right of and below a pixel, or where it has none to those sides left or above.
+    #[inline(always)]
     fn of(rays: &RayTable, [x, y]: [usize; 2]) -> Option<Self> {
+        if x + 1 < rays.width && y + 1 < rays.height {
+            let below = (rays.direction(x, y + 1), rays.direction(x + 1, y + 1));
+            let above = (rays.direction(x, y), rays.direction(x + 1, y));
+            if let ((Some(first), Some(along)), (Some(below), Some(far))) = (above, below) {
+                let (right, down) = (sub(along, first), sub(below, first));
+                let twist = sub(sub(add(far, first), along), below);
+                return Some(Cell { corner: [x as f32, y as f32], first, right, down, twist });
+            }
+        }
+        Cell::at_the_edge(rays, [x, y])
+    }
+
+    /// The same where one of the four pixels sees nothing, or is none.
+    fn at_the_edge(rays: &RayTable, [x, y]: [usize; 2]) -> Option<Self> {
         let own = rays.direction(x, y)?;
         let beside =
             |x1: usize, y1: usize| (x1 < rays.width && y1 < rays.height).then_some((x1, y1));

@@ -370,8 +370,12 @@ fn synthesised(
         for k in 0..64 {
             numbers[k] *= steps[table][k];
         }
-        // A decoder has whole numbers of 8 bits.
-        both_ways(&back[0], &back[1], &numbers).map(|x| nearest(clamp(x, -128.0, 127.0)))
+        let mut values = both_ways(&back[0], &back[1], &numbers);
+        for value in &mut values {
+            // A decoder has whole numbers of 8 bits.
+            *value = nearest(clamp(*value, -128.0, 127.0));
+        }
+        values
     };
     for (square, four) in band.luminance.chunks_exact(4).enumerate() {
         for (k, block) in four.iter().enumerate() {

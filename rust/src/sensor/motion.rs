@@ -3,7 +3,7 @@
 use super::field::{Field, lateness, whole};
 use super::planes::{Line, parted, planes_array, rows, size_of_image};
 use crate::cpu::on_pool;
-use crate::lanes::{clamp, max, min};
+use crate::lanes::{clamp, load, max, min, store};
 use numpy::{PyArray3, PyReadonlyArray2, PyReadonlyArray3, PyUntypedArrayMethods};
 use pyo3::{exceptions::PyValueError, prelude::*};
 use rayon::prelude::*;
@@ -74,8 +74,7 @@ impl Still {
     pub fn new(size: (usize, usize), lit: &[bool]) -> Self {
         let (height, width) = size;
         let stride = width.div_ceil(RUN) * RUN + 2 * MARGIN;
-        let mut planes =
-            [0; 4].map(|_| vec![0.0; stride * (height.div_ceil(RUN) * RUN + MARGIN)]);
+        let mut planes = [0; 4].map(|_| vec![0.0; stride * (height.div_ceil(RUN) * RUN + MARGIN)]);
         let squares = width.div_ceil(RUN);
         let mut is_lit = vec![true; squares * height.div_ceil(RUN)];
         for (y, lit) in lit.chunks_exact(width).enumerate() {
@@ -115,10 +114,8 @@ impl Still {
     /// Numbers of a plane from a place on.
     #[inline(always)]
     fn run(&self, plane: usize, row: usize, column: isize) -> Run {
-        let mut values = [0.0; RUN];
         let start = row * self.stride + MARGIN.wrapping_add_signed(column);
-        values.copy_from_slice(&self.planes[plane][start..start + RUN]);
-        values
+        load(&self.planes[plane][start..start + RUN])
     }
 
     /// Bilinear between four pixels; the image goes on as at its edge.
@@ -150,7 +147,8 @@ impl Still {
     #[inline(always)]
     fn is_all_lit(&self, (x, y): (usize, usize), along: [f32; 2], down: [f32; 2]) -> bool {
         let (height, width) = self.size;
-        let square = |place: f32, count: usize| clamp(place, 0.0, count as f32 - 1.0) as usize / RUN;
+        let square =
+            |place: f32, count: usize| clamp(place, 0.0, count as f32 - 1.0) as usize / RUN;
         let (x, y) = (x as f32, y as f32);
         let [top, bottom] = [down[0] - 1.0, down[1] + 1.0].map(|far| square(y + far, height));
         let [left, right] =
@@ -180,27 +178,15 @@ fn fill_row(from: &[f32], lit: &[f32], factor: f32, row: &mut [f32]) {
     "x86_64+avx2",
     "aarch64+neon"
 ))]
-fn blur_row(
-    still: &Still,
-    y: usize,
-    motion: &Field,
-    (shutter, late): (f32, f32),
-    out: Line<'_>,
-) {
+fn blur_row(still: &Still, y: usize, motion: &Field, (shutter, late): (f32, f32), out: Line<'_>) {
     let width = still.size.1;
-    let motion = motion.row(y, width);
+    let motion = motion.row(y, width.div_ceil(RUN) * RUN);
     for x in (0..width).step_by(RUN) {
         let mut own = [[0.0; RUN]; 4];
         for plane in 0..4 {
             own[plane] = still.run(plane, y, x as isize);
         }
-        let mut near = [[0.0; RUN]; 2];
-        for k in 0..2 {
-            // Beyond the row its last vector goes on.
-            for i in 0..RUN {
-                near[k][i] = motion[k][(x + i).min(width - 1)];
-            }
-        }
+        let near = [load(&motion[0][x..]), load(&motion[1][x..])];
         let ends = [ends(&near[0]), ends(&near[1])];
         let speed = ends.as_flattened().iter().fold(0.0, |most, v: &f32| max(v.abs(), most));
         let mut mean = own;
@@ -210,17 +196,19 @@ fn blur_row(
             let [along, down] = ends.map(|ends| swept(ends, (shutter, late)));
             if still.is_all_lit((x, y), along, down) {
                 let sum = streak::<3>(still, (x, y), moving, (shutter, late), count);
+                let share = 1.0 / count;
                 for k in 0..3 {
-                    mean[k] = sum[k].map(|light| light * (1.0 / count));
+                    for i in 0..RUN {
+                        mean[k][i] = sum[k][i] * share;
+                    }
                 }
             } else {
                 let sum = streak::<4>(still, (x, y), moving, (shutter, late), count);
                 mean = mean_of_lit(&sum, &own);
             }
         }
-        let count = (width - x).min(RUN);
         for k in 0..3 {
-            out[k][x..x + count].copy_from_slice(&mean[k][..count]);
+            store(&mean[k], &mut out[k][x..]);
         }
     }
 }

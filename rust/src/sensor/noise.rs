@@ -4,7 +4,7 @@
 
 use super::planes::size;
 use crate::cpu::on_pool;
-use crate::lanes::{clamp, exp2, log2, max};
+use crate::lanes::{clamp, exp2, load, log2, max, store};
 use numpy::{
     IntoPyArray, PyArray2, PyArrayDyn, PyReadonlyArray2, PyReadonlyArray3, PyUntypedArrayMethods,
     ndarray::{Array2, Array3},
@@ -90,7 +90,8 @@ fn quantile(u: f32) -> f32 {
 fn pair(stream: Stream, site: u32) -> [f32; 2] {
     let bits = stream.bits(site);
     let turn = scramble(bits.wrapping_add(0x9e37_79b9));
-    let radius = (-2.0 * std::f32::consts::LN_2 * log2(((bits >> 8) as i32 as f32 + 0.5) * EVEN)).sqrt();
+    let radius =
+        (-2.0 * std::f32::consts::LN_2 * log2(((bits >> 8) as i32 as f32 + 0.5) * EVEN)).sqrt();
     // A quarter of a turn less than half of one, and the sign of the other half.
     let x = (turn >> 8) as i32 as f32 * EVEN - 0.5;
     let y = x * x;
@@ -236,26 +237,26 @@ fn read_row(
     first: usize,
     out: &mut [f32],
 ) {
-    let by_turns = |values: [f32; 2]| -> [f32; CHUNK] { std::array::from_fn(|i| values[i & 1]) };
-    let electrons =
-        by_turns(colors.map(|c| readout.response[c] * readout.full_well * readout.light));
     let range = readout.white - readout.black;
     let step = readout.gain * range / readout.full_well;
-    let back = by_turns(colors.map(|c| 1.0 / (readout.response[c] * range)));
+    let (mut electrons, mut back) = ([0.0f32; CHUNK], [0.0f32; CHUNK]);
+    for i in 0..CHUNK {
+        let response = readout.response[colors[i & 1]];
+        electrons[i] = response * readout.full_well * readout.light;
+        back[i] = 1.0 / (response * range);
+    }
     let most = 4.0 * readout.full_well; // far beyond what the converter can show
     let hides = readout.read_noise * readout.read_noise >= MANY;
     for begin in (0..out.len()).step_by(CHUNK) {
-        let sites = begin..(begin + CHUNK).min(out.len());
-        let count = sites.len();
-        let (mut mean, mut factor, mut offset) = ([0.0f32; CHUNK], [0.0; CHUNK], [0.0; CHUNK]);
-        mean[..count].copy_from_slice(&light[0][sites.clone()]);
+        let mut mean: [f32; CHUNK] = load(&light[0][begin..]);
         if colors[0] != colors[1] {
-            for i in (1..count).step_by(2) {
-                mean[i] = light[1][begin + i];
+            let other: [f32; CHUNK] = load(&light[1][begin..]);
+            for i in 0..CHUNK / 2 {
+                mean[2 * i + 1] = other[2 * i + 1];
             }
         }
-        factor[..count].copy_from_slice(&pattern.0[sites.clone()]);
-        offset[..count].copy_from_slice(&pattern.1[sites.clone()]);
+        let factor: [f32; CHUNK] = load(&pattern.0[begin..]);
+        let offset: [f32; CHUNK] = load(&pattern.1[begin..]);
         for i in 0..CHUNK {
             mean[i] = clamp(mean[i] * electrons[i] * factor[i], 0.0, most);
         }
@@ -270,7 +271,7 @@ fn read_row(
             let number = clamp((number + 0.5).floor(), 0.0, readout.white);
             read[i] = (number - readout.black) * back[i];
         }
-        out[sites].copy_from_slice(&read[..count]);
+        store(&read, &mut out[begin..]);
     }
 }
 

@@ -89,7 +89,7 @@ class Defocus:
         return _core.defocus(planes, ray_distance, *self.figures(camera))
 
     def figures(self, camera: Camera) -> tuple[float, float]:
-        """Radius per change of 1/d [px·m], and the distance of focus [m], as the core takes them."""
+        """Radius per change of 1/d [px·m] and distance of focus [m], as the core takes them."""
         return self._reach(camera), self.focus_distance
 
     def _reach(self, camera: Camera) -> float:

@@ -297,12 +297,7 @@ impl CameraStages {
         if !front.contains(&FRONT_BUBBLE) {
             return;
         }
-        for (x, pixel) in pixels.enumerate() {
-            let along = depth[pixel] / self.cosine[pixel];
-            if front[x] == FRONT_BUBBLE && along > 0.0 {
-                row[x] = along;
-            }
-        }
+        bring_near(row, front, &depth[pixels.clone()], &self.cosine[pixels]);
     }
 
     /// Droplets and smears.
@@ -382,5 +377,19 @@ impl CameraStages {
                 develop_row(line[k], frame.gains[k], lit(y), codes);
             }
         });
+    }
+}
+
+/// Puts the distance of bubbles in place of that of what is behind them.
+#[multiversion::multiversion(targets(
+    "x86_64+avx512f+avx512bw+avx512cd+avx512dq+avx512vl",
+    "x86_64+avx2",
+    "aarch64+neon"
+))]
+fn bring_near(row: &mut [f32], front: &[u8], depth: &[f32], cosine: &[f32]) {
+    for (((distance, &front), depth), cosine) in row.iter_mut().zip(front).zip(depth).zip(cosine) {
+        let along = depth / cosine;
+        let is_nearer = (front == FRONT_BUBBLE) & (along > 0.0);
+        *distance = if is_nearer { along } else { *distance };
     }
 }

@@ -286,23 +286,30 @@ fn analysed(
             red[x] = nearest(0.5 * r[x] - 0.418_687_6 * g[x] - 0.081_312_4 * b[x]);
         }
     }
-    let block = |plane: &[f32], stride: usize, y: usize, x: usize| {
-        let mut values = [0.0; 64];
-        for k in 0..8 {
-            values[k * 8..k * 8 + 8].copy_from_slice(&plane[(y + k) * stride + x..][..8]);
-        }
-        both_ways(&basis[0], &basis[1], &values)
-    };
     let mut luminance = Vec::with_capacity(stride / 4);
     for x in (0..stride).step_by(16) {
-        luminance
-            .extend([(0, 0), (0, 8), (8, 0), (8, 8)].map(|(v, u)| block(&light, stride, v, x + u)));
+        for (v, u) in [(0, 0), (0, 8), (8, 0), (8, 8)] {
+            luminance.push(transformed(&light, stride, (v, x + u), basis));
+        }
     }
-    let colors = [blue, red].map(|plane| {
+    let mut colors = [Vec::with_capacity(stride / 16), Vec::with_capacity(stride / 16)];
+    for (blocks, plane) in colors.iter_mut().zip([blue, red]) {
         let half = halved(&plane, stride);
-        (0..stride / 2).step_by(8).map(|x| block(&half, stride / 2, 0, x)).collect()
-    });
+        for x in (0..stride / 2).step_by(8) {
+            blocks.push(transformed(&half, stride / 2, (0, x), basis));
+        }
+    }
     Band { luminance, colors }
+}
+
+/// Coefficients of the block at a row and column of a plane.
+#[inline(always)]
+fn transformed(plane: &[f32], stride: usize, (y, x): (usize, usize), basis: &[Basis; 2]) -> Block {
+    let mut values = [0.0; 64];
+    for k in 0..8 {
+        values[k * 8..k * 8 + 8].copy_from_slice(&plane[(y + k) * stride + x..][..8]);
+    }
+    both_ways(&basis[0], &basis[1], &values)
 }
 
 /// Means of 2 by 2 pixels of 16 rows, rounded up and down by turns.

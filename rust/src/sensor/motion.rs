@@ -150,9 +150,9 @@ impl Still {
         let square =
             |place: f32, count: usize| clamp(place, 0.0, count as f32 - 1.0) as usize / RUN;
         let (x, y) = (x as f32, y as f32);
-        let [top, bottom] = [down[0] - 1.0, down[1] + 1.0].map(|far| square(y + far, height));
-        let [left, right] =
-            [along[0] - 1.0, along[1] + RUN as f32].map(|far| square(x + far, width));
+        let (top, bottom) = (square(y + down[0] - 1.0, height), square(y + down[1] + 1.0, height));
+        let left = square(x + along[0] - 1.0, width);
+        let right = square(x + along[1] + RUN as f32, width);
         let squares = width.div_ceil(RUN);
         (top..=bottom)
             .all(|row| self.is_lit[row * squares + left..=row * squares + right].iter().all(|&l| l))
@@ -193,7 +193,8 @@ fn blur_row(still: &Still, y: usize, motion: &Field, (shutter, late): (f32, f32)
         if speed * (late.abs() + 0.5 * shutter) >= STILL {
             let count = clamp((speed * shutter).ceil(), 1.0, MOST_SAMPLES);
             let moving = (&near, ends);
-            let [along, down] = ends.map(|ends| swept(ends, (shutter, late)));
+            let times = (shutter, late);
+            let (along, down) = (swept(ends[0], times), swept(ends[1], times));
             if still.is_all_lit((x, y), along, down) {
                 let sum = streak::<3>(still, (x, y), moving, (shutter, late), count);
                 let share = 1.0 / count;
@@ -232,8 +233,8 @@ fn mean_of_lit(sum: &[Run; 4], own: &[Run; 4]) -> [Run; 4] {
 #[inline(always)]
 fn swept([low, high]: [f32; 2], (shutter, late): (f32, f32)) -> [f32; 2] {
     let (first, last) = (late - 0.5 * shutter, late + 0.5 * shutter);
-    let ways = [-low * first, -low * last, -high * first, -high * last];
-    ways.iter().fold([0.0; 2], |[least, most], &way| [min(least, way), max(most, way)])
+    let (early, late) = (moved([low, high], first), moved([low, high], last));
+    [min(0.0, min(early[0], late[0])), max(0.0, max(early[1], late[1]))]
 }
 
 /// Least and most of a run, by halves.
@@ -263,10 +264,7 @@ fn streak<const PLANES: usize>(
     let mut time = late - 0.5 * (shutter - step);
     let mut sum = [[0.0f32; RUN]; PLANES];
     for _ in 0..count as u32 {
-        let [along, down] = ends.map(|[low, high]| {
-            let far = [-low * time, -high * time];
-            [min(far[0], far[1]), max(far[0], far[1])]
-        });
+        let (along, down) = (moved(ends[0], time), moved(ends[1], time));
         let first = [along[0].floor(), down[0].floor()];
         let taps = [along[1].ceil() - first[0], down[1].ceil() - first[1]];
         if still.holds((x, y), along, down) && max(taps[0], taps[1]) < MOST_TAPS as f32 {
@@ -277,7 +275,8 @@ fn streak<const PLANES: usize>(
                     rest[k][i] = -motion[k][i] * time - first[k];
                 }
             }
-            add_shifted(still, start, taps.map(|count| count as usize), &rest, &mut sum);
+            let taps = [taps[0] as usize, taps[1] as usize];
+            add_shifted(still, start, taps, &rest, &mut sum);
         } else {
             for i in 0..RUN {
                 let place = [(x + i) as f32 - motion[0][i] * time, y as f32 - motion[1][i] * time];
@@ -290,6 +289,13 @@ fn streak<const PLANES: usize>(
         time += step;
     }
     sum
+}
+
+/// Least and most shift of what is seen at a time.
+#[inline(always)]
+fn moved([low, high]: [f32; 2], time: f32) -> [f32; 2] {
+    let (one, other) = (-low * time, -high * time);
+    [min(one, other), max(one, other)]
 }
 
 /// Adds what is seen from a place (row, column) on, each pixel `rest` farther: bilinear, where

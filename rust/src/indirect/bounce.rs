@@ -175,57 +175,65 @@ impl Irradiance<'_> {
     }
 
     #[inline(always)]
-    fn vertex(&self, v: u32) -> Light {
-        self.known.vertex(v as usize, || {
-            let mut sum = [0.0; 16];
-            let heard = &self.light.sites.heard[v as usize];
-            for &(s, weight) in heard.iter().take_while(|heard| heard.1 > 0.0) {
-                let light = self.site(s as usize);
-                for n in 0..16 {
-                    sum[n] += weight * light[n];
-                }
+    fn vertex(&self, v: usize) -> Light {
+        if let Some(light) = self.known.vertex(v) {
+            return light;
+        }
+        let mut sum = [0.0; 16];
+        for &(s, weight) in self.light.sites.heard[v].iter().take_while(|heard| heard.1 > 0.0) {
+            let s = s as usize;
+            let light = self.known.site(s).unwrap_or_else(|| site_of(self, s));
+            for n in 0..16 {
+                sum[n] += weight * light[n];
             }
-            sum
-        })
+        }
+        self.known.keep_vertex(v, &sum);
+        sum
     }
 
     #[inline(always)]
     fn site(&self, s: usize) -> Light {
-        self.known.site(s, || {
-            let vertex = self.light.sites.vertex[s] as usize;
-            let beams = &self.light.row(self.rest, s).fine;
-            let mut vectors = match &self.moved {
-                None => self.gather(beams.iter().map(|beam| (beam, 1.0))),
-                Some(moved) => {
-                    let normal = self.rest.normals[vertex];
-                    let links = beams.iter().map(|b| (b.from, dot(b.way, normal), b.exchange));
-                    self.gather(beams.iter().zip(moved.factors(s, links)))
-                }
-            };
-            if let Some(moved) = &self.moved {
-                vectors = vectors.map(|vector| moved.turn(self.wall, vertex, vector));
+        let vertex = self.light.sites.vertex[s] as usize;
+        let beams = &self.light.row(self.rest, s).fine;
+        let mut vectors = match &self.moved {
+            None => self.gather(beams.iter().map(|beam| (beam, 1.0))),
+            Some(moved) => {
+                let normal = self.rest.normals[vertex];
+                let links = beams.iter().map(|b| (b.from, dot(b.way, normal), b.exchange));
+                self.gather(beams.iter().zip(moved.factors(s, links)))
             }
-            let normal = self.wall.normals[vertex];
-            let even = vectors.map(|vector| dot(vector, normal));
-            let along =
-                |k: usize| [0, 1, 2].map(|color| vectors[color][k] - even[color] * normal[k]);
-            let parts = [even, along(0), along(1), along(2)];
-            std::array::from_fn(|n| if n % 4 < 3 { parts[n / 4][n % 4] } else { 0.0 })
-        })
+        };
+        if let Some(moved) = &self.moved {
+            vectors = vectors.map(|vector| moved.turn(self.wall, vertex, vector));
+        }
+        let normal = self.wall.normals[vertex];
+        let mut light = [0.0; 16];
+        for color in 0..3 {
+            let even = dot(vectors[color], normal);
+            light[color] = even;
+            for k in 0..3 {
+                light[4 * (k + 1) + color] = vectors[color][k] - even * normal[k];
+            }
+        }
+        self.known.keep_site(s, &light);
+        light
     }
 
     /// Red, green and blue light vectors by what leaves the sites of a row, whose shares are
     /// multiplied by factors.
     #[inline(always)]
     fn gather<'b>(&self, row: impl Iterator<Item = (&'b Beam, f32)>) -> [Vec3; 3] {
-        let mut sum = [[0.0; 3]; 3];
+        let mut sum = [[0.0f32; 4]; 3];
         for (beam, factor) in row {
             let from = &self.leaving[beam.from as usize];
-            for k in 0..9 {
-                sum[k / 3][k % 3] += from[k / 3] * (factor * beam.way[k % 3]);
+            for k in 0..3 {
+                let way = factor * beam.way[k];
+                for color in 0..4 {
+                    sum[k][color] += from[color] * way;
+                }
             }
         }
-        sum
+        [0, 1, 2].map(|color| [sum[0][color], sum[1][color], sum[2][color]])
     }
 }
 
@@ -236,11 +244,24 @@ impl Irradiance<'_> {
     "aarch64+neon"
 ))]
 fn corners_of(light: &Irradiance<'_>, triangle: u32) -> [Light; 3] {
-    let [a, b, c] = light.wall.bvh.corners[triangle as usize];
-    let (mut first, mut second, third) = (light.vertex(a), light.vertex(b), light.vertex(c));
+    let mut corners = [[0.0; 16]; 3];
+    for (corner, &v) in corners.iter_mut().zip(&light.wall.bvh.corners[triangle as usize]) {
+        *corner = light.vertex(v as usize);
+    }
+    let [mut first, mut second, third] = corners;
     for n in 0..16 {
         first[n] -= third[n];
         second[n] -= third[n];
     }
     [first, second, third]
+}
+
+/// What a site gets.
+#[multiversion::multiversion(targets(
+    "x86_64+avx512f+avx512bw+avx512cd+avx512dq+avx512vl",
+    "x86_64+avx2",
+    "aarch64+neon"
+))]
+fn site_of(light: &Irradiance<'_>, site: usize) -> Light {
+    light.site(site)
 }

@@ -32,14 +32,16 @@ impl Slot {
     }
 
     #[inline(always)]
-    fn get(&self, frame: u32, reckon: impl FnOnce() -> Light) -> Light {
+    fn known(&self, frame: u32) -> Option<Light> {
+        let is_known = self.stage.load(Ordering::Acquire) == 2 * frame + 1;
+        // SAFETY: see above.
+        is_known.then(|| unsafe { *self.light.get() })
+    }
+
+    #[inline(always)]
+    fn keep(&self, frame: u32, found: &Light) {
         let (writing, known) = (2 * frame, 2 * frame + 1);
         let stage = self.stage.load(Ordering::Acquire);
-        if stage == known {
-            // SAFETY: see above.
-            return unsafe { *self.light.get() };
-        }
-        let found = reckon();
         let is_first = stage < writing
             && self
                 .stage
@@ -47,10 +49,9 @@ impl Slot {
                 .is_ok();
         if is_first {
             // SAFETY: see above.
-            unsafe { *self.light.get() = found };
+            unsafe { *self.light.get() = *found };
             self.stage.store(known, Ordering::Release);
         }
-        found
     }
 }
 
@@ -111,15 +112,27 @@ impl Drop for Lights<'_> {
 }
 
 impl Slots {
-    /// Light at a site.
+    /// Light at a site, if it has been reckoned.
     #[inline(always)]
-    pub fn site(&self, site: usize, reckon: impl FnOnce() -> Light) -> Light {
-        self.sites[site].get(self.frame, reckon)
+    pub fn site(&self, site: usize) -> Option<Light> {
+        self.sites[site].known(self.frame)
     }
 
-    /// Light at a vertex.
+    /// Keeps the light at a site.
     #[inline(always)]
-    pub fn vertex(&self, vertex: usize, reckon: impl FnOnce() -> Light) -> Light {
-        self.vertices[vertex].get(self.frame, reckon)
+    pub fn keep_site(&self, site: usize, light: &Light) {
+        self.sites[site].keep(self.frame, light);
+    }
+
+    /// Light at a vertex, if it has been reckoned.
+    #[inline(always)]
+    pub fn vertex(&self, vertex: usize) -> Option<Light> {
+        self.vertices[vertex].known(self.frame)
+    }
+
+    /// Keeps the light at a vertex.
+    #[inline(always)]
+    pub fn keep_vertex(&self, vertex: usize, light: &Light) {
+        self.vertices[vertex].keep(self.frame, light);
     }
 }

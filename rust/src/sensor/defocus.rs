@@ -15,7 +15,7 @@ const BLOCK: usize = 16;
 /// Margin around the image in which there is nothing.
 const MARGIN: usize = 16;
 /// Rows worked on together.
-const ROWS: usize = 2;
+const ROWS: usize = 4;
 /// Radius of what is not seen; its share of the light is 0.
 const NOWHERE: f32 = -1e9;
 
@@ -109,11 +109,11 @@ impl Padded {
     pub fn spread(&self, mut lines: Vec<Line<'_>>) {
         let width = self.size.1;
         let blocks = width.div_ceil(BLOCK);
-        let ends = self.ends();
+        let widest = self.widest();
         lines.par_chunks_mut(ROWS).enumerate().for_each(|(group, lines)| {
             for block in 0..blocks {
-                let radii = around(&ends, blocks, group * ROWS, block);
-                let mixed = spread_block(self, (group * ROWS, block * BLOCK), radii);
+                let radius = around(&widest, blocks, group * ROWS, block);
+                let mixed = spread_block(self, (group * ROWS, block * BLOCK), radius);
                 for (line, values) in lines.iter_mut().zip(&mixed) {
                     for (row, values) in line.iter_mut().zip(values) {
                         store(values, &mut row[block * BLOCK..]);
@@ -123,36 +123,42 @@ impl Padded {
         });
     }
 
-    /// Least and widest radius of each block.
-    fn ends(&self) -> Vec<[f32; 2]> {
+    /// Widest radius of each block.
+    fn widest(&self) -> Vec<f32> {
         let (height, width) = self.size;
         let blocks = width.div_ceil(BLOCK);
-        let mut ends = vec![[WIDEST, 0.0]; blocks * height.div_ceil(BLOCK)];
-        ends.par_chunks_mut(blocks).enumerate().for_each(|(band, row)| {
+        let mut widest = vec![0.0f32; blocks * height.div_ceil(BLOCK)];
+        widest.par_chunks_mut(blocks).enumerate().for_each(|(band, row)| {
             for y in band * BLOCK..((band + 1) * BLOCK).min(height) {
                 let line = &self.planes[3][(y + MARGIN) * self.stride + MARGIN..];
                 widen(line, row);
             }
         });
-        ends
+        widest
     }
 }
 
 /// Fewest rows that one thread takes.
 const MIN_ROWS: usize = 64;
 
-/// Takes a row of radii into the least and widest of its blocks.
+/// Takes a row of radii into the widest of its blocks.
 #[multiversion::multiversion(targets(
     "x86_64+avx512f+avx512bw+avx512cd+avx512dq+avx512vl",
     "x86_64+avx2",
     "aarch64+neon"
 ))]
-fn widen(line: &[f32], ends: &mut [[f32; 2]]) {
-    for ([least, most], values) in ends.iter_mut().zip(line.chunks_exact(BLOCK)) {
-        for &r in values {
-            *least = min(*least, r.abs());
-            *most = max(*most, if r == NOWHERE { 0.0 } else { r.abs() });
+fn widen(line: &[f32], widest: &mut [f32]) {
+    for (most, values) in widest.iter_mut().zip(line.chunks_exact(BLOCK)) {
+        let mut wide = [0.0f32; BLOCK];
+        for i in 0..BLOCK {
+            wide[i] = if values[i] == NOWHERE { 0.0 } else { values[i].abs() };
         }
+        for half in [8, 4, 2, 1] {
+            for i in 0..half {
+                wide[i] = max(wide[i], wide[i + half]);
+            }
+        }
+        *most = max(wide[0], *most);
     }
 }
 
@@ -182,26 +188,25 @@ fn radii(reach: f32, focus: f32, radius: &mut [f32], share: &mut [f32]) {
     }
 }
 
-/// Least and widest radius in a block and those next to it; the latter, of those above and below, if
-/// it reaches the rows from `top` on.
-fn around(ends: &[[f32; 2]], blocks: usize, top: usize, column: usize) -> [f32; 2] {
-    let (rows, own) = (ends.len() / blocks, top / BLOCK);
-    let (mut least, mut most) = (WIDEST, 0.0);
+/// Widest radius in a block and those next to it; of those above and below, if it reaches the rows
+/// from `top` on.
+fn around(widest: &[f32], blocks: usize, top: usize, column: usize) -> f32 {
+    let (rows, own) = (widest.len() / blocks, top / BLOCK);
+    let mut most = 0.0;
     for r in own.saturating_sub(1)..(own + 2).min(rows) {
         let above = top.saturating_sub(r * BLOCK + BLOCK - 1);
         let gap = above.max((r * BLOCK).saturating_sub(top + ROWS - 1));
         for c in column.saturating_sub(1)..(column + 2).min(blocks) {
-            let [narrow, radius] = ends[r * blocks + c];
-            least = min(narrow, least);
+            let radius = widest[r * blocks + c];
             most = if radius + 0.5 > gap as f32 { max(radius, most) } else { most };
         }
     }
-    [least, most]
+    most
 }
 
 type Run = [f32; BLOCK];
 
-/// Light of a block's rows from a place (row, column) on, given the least and widest radius about.
+/// Light of a block's rows from a place (row, column) on, given the widest radius about.
 ///
 /// A neighbour is loaded once for all rows that it may reach.
 #[multiversion::multiversion(targets(
@@ -209,7 +214,7 @@ type Run = [f32; BLOCK];
     "x86_64+avx2",
     "aarch64+neon"
 ))]
-fn spread_block(padded: &Padded, place: (usize, usize), radii: [f32; 2]) -> [[Run; 3]; ROWS] {
+fn spread_block(padded: &Padded, place: (usize, usize), radius: f32) -> [[Run; 3]; ROWS] {
     let at = |plane: usize, from: usize| -> Run { load(&padded.planes[plane][from..from + BLOCK]) };
     let start = (place.0 + MARGIN) * padded.stride + place.1 + MARGIN;
     let mut own = [[[0.0f32; BLOCK]; ROWS]; 2];
@@ -224,7 +229,6 @@ fn spread_block(padded: &Padded, place: (usize, usize), radii: [f32; 2]) -> [[Ru
     }
     let [own, own_share] = own;
     let (mut sums, mut total) = ([[[0.0f32; BLOCK]; 3]; ROWS], [[0.0f32; BLOCK]; ROWS]);
-    let [least, radius] = radii;
     let reach = radius + 0.5;
     let most = reach as i32;
     for down in -most..most + ROWS as i32 {
@@ -241,21 +245,14 @@ fn spread_block(padded: &Padded, place: (usize, usize), radii: [f32; 2]) -> [[Ru
                 if radius + edge <= 0.0 {
                     continue; // out of reach
                 }
-                let mut weight = [0.0f32; BLOCK];
                 for i in 0..BLOCK {
                     // What is farther and wider is hidden beyond the pixel's own circle.
-                    weight[i] = chosen(near[i] > own_wide[r][i], own_share[r][i], share[i]);
-                }
-                if least + edge < 1.0 {
-                    for i in 0..BLOCK {
-                        let wide = min(near[i], own_wide[r][i]).abs();
-                        weight[i] *= clamp(wide + edge, 0.0, 1.0);
-                    }
-                }
-                for i in 0..BLOCK {
-                    total[r][i] += weight[i];
+                    let wide = min(near[i], own_wide[r][i]).abs();
+                    let share = chosen(near[i] > own_wide[r][i], own_share[r][i], share[i]);
+                    let weight = clamp(wide + edge, 0.0, 1.0) * share;
+                    total[r][i] += weight;
                     for k in 0..3 {
-                        sums[r][k][i] += weight[i] * colors[k][i];
+                        sums[r][k][i] += weight * colors[k][i];
                     }
                 }
             }

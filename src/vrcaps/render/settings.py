@@ -31,7 +31,8 @@ class RenderSettings:
             path tracing. Needs `pip install 'vrcaps[denoise]'`.
         film_um: Thickness of the wet film on the wall [µm], 0 (dry) to 1000; by default that of the
             organ's own look, which is wet.
-        imaging: White light, or narrow bands about 415 and 540 nm, in which vessels stand out.
+        imaging: White light of the capsule's LEDs, or narrow bands about 415 and 540 nm, in which
+            vessels stand out.
     """
 
     supersampling: int = 1

@@ -59,6 +59,8 @@ class Mucosa:
         pit_shade: Optical density of those gaps in green light; bile gathers there too.
         network: Weight of the finest network of vessels in the redness.
         flecks: Share of cells, 3.2 mm wide, that hold a fleck of mucus, on the wall or off it.
+        mucus: Share of the wall under a film of mucus, 0 to 1; its strands reach beyond.
+        mucus_tint: Reflectance of mucus over that of the wall, red, green, blue.
         roughness: Perceptual roughness of the wall under its wet film, 0 to 1.
         coat: Strength of the wet film, 0 (dry, or broken up) to 1 (whole).
         coat_gloss: Gloss of the wet film, 0 (satin) to 1 (mirror-like).
@@ -78,6 +80,8 @@ class Mucosa:
     pit_shade: float = 0.05
     network: float = 1.1
     flecks: float = 0.03
+    mucus: float = 0.10
+    mucus_tint: tuple[float, float, float] = (1.2, 2.6, 1.4)
     roughness: float = 0.65
     coat: float = 1.0
     coat_gloss: float = 0.93

@@ -9,11 +9,13 @@ import pytest
 from shapes import looking, make_camera, make_model, sphere
 
 from vrcaps.capsule.device import Led
-from vrcaps.organ.appearance import ABSORPTION
+from vrcaps.organ.appearance import ABSORPTION, MUCOSAE
 from vrcaps.organ.photo.color import from_log_linear, log_linear
 from vrcaps.organ.surface import Appearance
+from vrcaps.render.camera_effects.chain import LUMINANCE
 from vrcaps.render.narrow_band import (
     blood_density,
+    densities,
     led_gains,
     narrow_band_appearance,
     narrow_band_color,
@@ -86,9 +88,13 @@ def test_vessels_stand_out():
     assert narrow[1] > 1.7 * white[1]
 
 
-def test_pale_mucosa_is_neutral():
-    color = narrow_band_reflectance(mucosa(0.0, 0.6, 0.0)) * led_gains()
+def test_pale_mucosa_is_neutral_and_plain_mucosa_as_bright_as_in_white_light():
+    plain = np.array(MUCOSAE["colon"].base_color)
+    pale = mucosa(0.0, 0.5 * densities(np.log(plain))[1], 0.0)
+    color = narrow_band_reflectance(pale) * led_gains()
     np.testing.assert_allclose(color, color[0], rtol=1e-3)
+    seen = narrow_band_reflectance(plain) * led_gains()
+    assert seen @ LUMINANCE == pytest.approx(plain @ LUMINANCE, rel=1e-12)
 
 
 def test_textures_are_worked_on_in_pieces(rng):

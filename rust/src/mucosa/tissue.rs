@@ -66,7 +66,7 @@ const BILE: [f32; 3] = [0.04, 0.16, 1.0];
 const MESH: f32 = 0.9;
 
 /// Sizes of the bumps of the relief [mm], and the share of its slope that each takes.
-const BUMPS: [(f32, f32); 3] = [(7.0, 0.7), (2.4, 1.0), (0.9, 0.3)];
+const BUMPS: [(f32, f32); 3] = [(7.0, 0.7), (2.4, 1.0), (0.9, 1.0)];
 
 /// RMS slope of gradient noise times its spacing.
 const UNIT_SLOPE: f32 = 3.3;
@@ -92,8 +92,8 @@ const STRAND_REACH: f32 = 1.1;
 const FILM_DEVIATION: f32 = 0.85;
 
 /// Scattering depth of the film of mucus where it is whole, and of a strand.
-const FILM_DEPTH: f32 = 0.9;
-const STRAND_DEPTH: f32 = 2.2;
+const FILM_DEPTH: f32 = 1.3;
+const STRAND_DEPTH: f32 = 1.3;
 
 /// A mucosa grown over one patient's wall.
 pub struct Tissue {
@@ -160,7 +160,7 @@ impl Tissue {
 
     /// The mucosa without any detail.
     pub fn plain(&self) -> Sample {
-        let albedo = self.color(self.redness, 0.5 * self.mucosa.bile, Blood::default());
+        let albedo = self.color(self.redness, 1.2 * self.mucosa.bile, Blood::default());
         Sample { albedo, roughness: self.mucosa.roughness, height: 0.0 }
     }
 
@@ -216,8 +216,8 @@ impl Brush<'_> {
         let plateau = self.plateau(fine);
         let gap = (PLATEAU - plateau) * place.pits;
 
-        let shade = place.shade - 0.8 * patch
-            + 0.4 * mottle
+        let shade = place.shade - patch
+            + 0.6 * mottle
             + 0.3 * grain
             + tissue.mucosa.network * self.capillary_mesh(fine);
         let clumped = 0.35 + 0.65 * smoothstep(-1.4, 1.0, mottle + 0.6 * grain);
@@ -225,7 +225,8 @@ impl Brush<'_> {
             + tissue.mucosa.pit_shade * gap * clumped;
         let level = self.film.gradient(p) + 0.5 * mottle;
         let film = smoothstep(0.6, 2.2, level);
-        let pool = 0.35 + 0.5 * smoothstep(-1.0, 1.5, place.region) + film + 1.2 * valley;
+        let stained = smoothstep(-1.3, 1.7, 0.8 * place.region + 1.3 * level);
+        let pool = 0.15 + 1.8 * stained + 2.5 * film + 1.2 * valley;
         let stain = 1.0 + 4.0 * tissue.mucosa.pit_shade * gap * clumped;
         let bile = tissue.mucosa.bile * place.bile * pool * (1.0 - 0.6 * crest) * stain;
         let mucus = self.mucus(fine, level, grain);
@@ -274,8 +275,9 @@ impl Brush<'_> {
         let width = smoothstep(-STRAND_REACH, 0.5, above + 0.3 * grain);
         let [half, edge] = STRAND_WIDTHS.map(|share| share * width);
         let strand = width * (1.0 - smoothstep(half, edge.max(1e-4), way));
-        let film = smoothstep(0.0, 1.1, above) * (1.0 + 0.5 * grain).max(0.1);
-        FILM_DEPTH * film + STRAND_DEPTH * strand
+        let film = smoothstep(0.0, 1.1, above);
+        let clotted = (1.0 + 0.5 * grain).max(0.1);
+        clotted * (FILM_DEPTH * film + STRAND_DEPTH * strand)
     }
 
     /// The place moved along the wall, so that vessels wind.

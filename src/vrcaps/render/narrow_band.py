@@ -15,9 +15,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps.organ.appearance import ABSORPTION
+from vrcaps.organ.appearance import ABSORPTION, MUCOSAE
 from vrcaps.organ.photo.color import from_log_linear, log_linear
 from vrcaps.organ.surface import Appearance
+from vrcaps.render.camera_effects.chain import LUMINANCE
 from vrcaps.render.scattering import (
     TISSUE_IOR,
     diffuse_reflectance,
@@ -37,11 +38,8 @@ over 500 to 590 nm, and over the bands of 30 nm about 540 and 415 nm of narrow-b
 _BILE = {540: 0.08, 415: 0.88}
 """Density of bile at the bands relative to blue: bilirubin as a band about 455 nm, 90 nm wide."""
 
-_REFERENCE = 0.6
-"""Optical density in green of the blood of pale mucosa, which looks neutral."""
-
-_BRIGHT = 0.75
-"""Reflectance that such mucosa seems to have: the LEDs are so much stronger."""
+_PALE = 0.5
+"""Share of the blood of the colon's plain mucosa that pale mucosa has, which looks neutral."""
 
 _DENSITIES = np.vstack([np.ones(3), ABSORPTION])  # rows: base, blood, bile
 _BLACK = 1e-4  # so that a logarithm exists
@@ -72,14 +70,25 @@ def _table(band: int) -> Float[np.ndarray, " n"]:
 
 
 def led_gains() -> Float[np.ndarray, " 3"]:
-    """Factors on the LEDs for the image's red, green and blue, against white light."""
-    dense = [blood_density(np.array(_REFERENCE), band) for band in (540, 415, 415)]
-    return _BRIGHT * np.exp(np.array(dense))
+    """Factors on the LEDs for the image's red, green and blue, against white light.
+
+    Pale mucosa is neutral by them, and the colon's plain mucosa as bright as in white light, as
+    automatic exposure would have it.
+    """
+    plain = np.array(MUCOSAE["colon"].base_color)
+    pale = _PALE * densities(np.log(plain))[1]
+    gains = np.exp([blood_density(pale, band) for band in (540, 415, 415)])
+    return gains * (plain @ LUMINANCE) / (gains * narrow_band_reflectance(plain) @ LUMINANCE)
+
+
+def densities(log_light: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
+    """Optical densities of base, blood (in green) and bile (in blue), from a colour's logarithm."""
+    return -log_light @ np.linalg.inv(_DENSITIES).astype(log_light.dtype)
 
 
 def narrow_band_color(log_light: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
     """Logarithm of the reflectance at 540, 415 and 415 nm from that of red, green and blue."""
-    apart = -log_light @ np.linalg.inv(_DENSITIES).astype(log_light.dtype)
+    apart = densities(log_light)
     blood, bile = np.maximum(apart[..., 1], 0.0), np.maximum(apart[..., 2], 0.0)
     base = -log_light[..., 0] - blood * ABSORPTION[0, 0] - bile * ABSORPTION[1, 0]
     step = np.minimum((blood * ((_STEPS - 1) / _DENSEST)).astype(np.int32), _STEPS - 1)

@@ -9,9 +9,11 @@ import pytest
 from shapes import looking, make_camera, make_model, sphere
 
 from vrcaps.capsule.device import Led
-from vrcaps.organ.appearance import ABSORPTION
+from vrcaps.color import LUMINANCE
+from vrcaps.organ.appearance import ABSORPTION, MUCOSAE
 from vrcaps.organ.photo.color import from_log_linear, log_linear
 from vrcaps.organ.surface import Appearance
+from vrcaps.render.imaging import taken_apart
 from vrcaps.render.narrow_band import blood_density, narrow_band
 from vrcaps.render.renderer import Renderer
 from vrcaps.render.scattering import diffuse_reflectance, fresnel, internal_reflection
@@ -79,9 +81,13 @@ def test_vessels_stand_out():
     assert narrow[1] > 1.7 * white[1]
 
 
-def test_pale_mucosa_is_neutral():
-    color = narrow_band().reflectance(mucosa(0.0, 0.6, 0.0)) * np.array(narrow_band().led_gains)
+def test_pale_mucosa_is_neutral_and_plain_mucosa_as_bright_as_in_white_light():
+    light, plain = narrow_band(), np.array(MUCOSAE["colon"].base_color)
+    pale = mucosa(0.0, 0.5 * taken_apart(np.log(plain))[1], 0.0)
+    color = light.reflectance(pale) * light.led_gains
     np.testing.assert_allclose(color, color[0], rtol=1e-3)
+    seen = light.reflectance(plain) * light.led_gains
+    assert seen @ LUMINANCE == pytest.approx(plain @ LUMINANCE, rel=1e-6)
 
 
 def test_textures_are_worked_on_in_pieces(rng):

@@ -14,6 +14,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from vrcaps.color import LUMINANCE
+from vrcaps.organ.appearance import MUCOSAE
 from vrcaps.render.imaging import Imaging, liquid_apart, lookup, tabled, taken_apart
 from vrcaps.render.scattering import carried_density, reduced_scattering
 
@@ -27,11 +29,8 @@ over 500 to 590 nm, and over the bands of 30 nm about 540 and 415 nm of narrow-b
 _BILE = {540: 0.08, 415: 0.88}
 """Density of bile at the bands relative to blue: bilirubin as a band about 455 nm, 90 nm wide."""
 
-_REFERENCE = 0.6
-"""Optical density in green of the blood of pale mucosa, which looks neutral."""
-
-_BRIGHT = 0.75
-"""Reflectance that such mucosa seems to have: the LEDs are so much stronger."""
+_PALE = 0.5
+"""Share of the blood of the colon's plain mucosa that pale mucosa has, which looks neutral."""
 
 
 def blood_density(density: Float[np.ndarray, "*n"], band: int) -> Float[np.ndarray, "*n"]:
@@ -52,10 +51,13 @@ def _table(band: int) -> Float[np.ndarray, " n"]:
 
 
 def _led_gains() -> tuple[float, float, float]:
-    green, violet = (
-        _BRIGHT * float(np.exp(blood_density(np.array(_REFERENCE), band))) for band in (540, 415)
-    )
-    return green, violet, violet
+    """By them pale mucosa is neutral, and the colon's plain mucosa as bright as in white light."""
+    plain = np.log(np.array(MUCOSAE["colon"].base_color))
+    pale = _PALE * taken_apart(plain)[1]
+    gains = np.exp([blood_density(pale, band) for band in (540, 415, 415)])
+    gains *= (np.exp(plain) @ LUMINANCE) / (gains * np.exp(_color(plain)) @ LUMINANCE)
+    red, green, blue = gains.tolist()
+    return red, green, blue
 
 
 def _color(log_light: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:

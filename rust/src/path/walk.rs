@@ -67,13 +67,10 @@ impl Tissue {
         Medium { albedo, extinction, ior: self.ior }
     }
 
-    /// What a half-space under even light sends outside, over what a white matt surface would, by
-    /// the cosines of the angles outside, to a border that may be tilted, and inside.
-    #[inline(always)]
-    pub fn seen(&self, color: Vec3, [outside, inside]: [f32; 2]) -> Vec3 {
-        let passes = self.passes(clamp(outside, 0.0, 1.0));
-        let less = self.level - inside;
-        color.map(|c| passes * c * (1.0 + less * between(&self.slopes, c)))
+    /// How much more, as a share, a half-space under even light sends to its border per cosine less
+    /// than `level`.
+    pub fn slope(&self, color: Vec3) -> Vec3 {
+        color.map(|c| between(&self.slopes, c))
     }
 
     /// How far along its first direction light is when it comes out of a half-space, on average over
@@ -81,7 +78,6 @@ impl Tissue {
     ///
     /// In free ways: 0.94 − 0.56 √(1 − albedo), by walks in a half-space of index 1.4 from 20 to 45
     /// degrees, within 7 % for albedos of 0.6 to 0.985.
-    #[inline(always)]
     pub fn drift(&self, color: Vec3) -> Vec3 {
         [0, 1, 2].map(|k| {
             let root = between(&self.roots, color[k]);

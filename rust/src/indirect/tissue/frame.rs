@@ -29,6 +29,9 @@ struct Face {
     slope: [Vec4; 3],
     /// Unit normal.
     normal: Vec3,
+    /// `Tissue::drift` [m] and `Tissue::slope` of what is drawn around it.
+    drift: Vec4,
+    tilt: Vec4,
 }
 
 /// Faces that a tile keeps at hand.
@@ -98,14 +101,13 @@ impl Skin<'_> {
             let (wa, wb) = (hits.edges[0][i] * inverse, hits.edges[1][i] * inverse);
             let [share, light] =
                 [0, 1].map(|part| third[part] + first[part] * wa + second[part] * wb);
-            let color = at(&surface.albedo, i);
             let (view, normal) = (at(&surface.view, i), at(&surface.normal, i));
             let inward = refracted(view, normal, tissue.ior);
-            let cosines = [dot(normal, view), dot(face.normal, inward).abs()];
-            let seen = tissue.seen(color, cosines);
-            let drifted = face.drifted([wa, wb], inward, tissue.drift(color));
+            let less = tissue.level - dot(face.normal, inward).abs();
+            let passes = tissue.passes(clamp(dot(normal, view), 0.0, 1.0));
+            let seen = (Vec4::ONE + less * face.tilt) * face.drifted([wa, wb], inward) * passes;
             for k in 0..3 {
-                let seen = seen[k] * drifted[k];
+                let seen = seen[k] * surface.albedo[k][i];
                 beneath.share[k][i] = seen * share[k];
                 beneath.through[k][i] = seen * light[k] * (1.0 / PI);
             }
@@ -124,8 +126,20 @@ impl Skin<'_> {
         let inverse = 1.0 / max(dot(normal, normal), 1e-30);
         let (of_a, of_b) = (cross(to_b, normal), cross(normal, to_a));
         let slope = [0, 1, 2].map(|k| (a[2] * of_a[k] + b[2] * of_b[k]) * inverse);
-        let leaving = [a, b, c].map(|x| [x[0], x[1]]);
-        Face { triangle, leaving, all: [a, b, c].map(|x| x[2]), slope, normal: normalize(normal) }
+        let Transport { tissue, nodes, color, .. } = self.transport;
+        let colors = corners.map(|v| color[nodes.of_vertex[v as usize] as usize]);
+        let mean = scale(add(colors[0], add(colors[1], colors[2])), 1.0 / 3.0);
+        let [drift, tilt] =
+            [tissue.drift(mean), tissue.slope(mean)].map(|[r, g, b]| Vec4::new(r, g, b, 0.0));
+        Face {
+            triangle,
+            leaving: [a, b, c].map(|x| [x[0], x[1]]),
+            all: [a, b, c].map(|x| x[2]),
+            slope,
+            normal: normalize(normal),
+            drift,
+            tilt,
+        }
     }
 
     /// What leaves a vertex, the last for all light there.
@@ -206,19 +220,20 @@ impl Face {
             all: [zero; 3],
             slope: [zero; 3],
             normal: [0.0; 3],
+            drift: zero,
+            tilt: zero,
         }
     }
 
-    /// What comes out at a point, given by the weights of two corners, of light that goes so far [m]
-    /// along a direction before it does, over what would of light from all directions.
+    /// What comes out at a point, given by the weights of two corners, of light that sets out along
+    /// a direction, over what comes out of light from all directions.
     #[inline(always)]
-    fn drifted(&self, [wa, wb]: [f32; 2], direction: Vec3, drift: Vec3) -> Vec4 {
+    fn drifted(&self, [wa, wb]: [f32; 2], direction: Vec3) -> Vec4 {
         let [first, second, third] = self.all;
         let here = third + first * wa + second * wb;
         let [x, y, z] = self.slope;
         let rise = x * direction[0] + y * direction[1] + z * direction[2];
-        let more = rise * Vec4::new(drift[0], drift[1], drift[2], 0.0);
-        let share = more / here.max(Vec4::splat(f32::MIN_POSITIVE));
+        let share = rise * self.drift / here.max(Vec4::splat(f32::MIN_POSITIVE));
         Vec4::ONE + share.clamp(Vec4::NEG_ONE, Vec4::ONE)
     }
 }

@@ -14,7 +14,10 @@ use std::f32::consts::PI;
 
 /// For red, green and blue at a place: the share that comes out of light on the place itself, and
 /// what comes out of light elsewhere [W/m²].
-pub type Leaving = [Vec4; 2];
+type Leaving = [Vec4; 2];
+
+/// The same, and all that comes out of light at the place and elsewhere; or irradiance alone.
+pub type Lit = [Vec4; 3];
 
 /// A face that a tile sees.
 #[derive(Clone, Copy)]
@@ -45,7 +48,7 @@ pub struct Skin<'a> {
     leds: Vec<Led>,
     shadows: bool,
     /// What falls on nodes and leaves vertices, reckoned when first needed.
-    known: Lights<'a, Leaving>,
+    known: Lights<'a, Lit>,
 }
 
 /// What the tissue behind a tile's surfaces makes of light.
@@ -142,33 +145,35 @@ impl Skin<'_> {
         }
     }
 
-    /// What leaves a vertex, the last for all light there.
-    fn vertex(&self, v: usize, bounced: &impl Fn(usize) -> Vec4) -> [Vec4; 3] {
-        let mut sum = [Vec4::ZERO; 3];
-        let heard = &self.transport.nodes.heard[v];
-        for &(node, weight) in heard.iter().filter(|heard| heard.1 > 0.0) {
-            let leaving = self.leaving(node as usize, bounced);
-            sum[0] += weight * leaving[0];
-            sum[1] += weight * leaving[1];
-            let near = leaving[0] * self.falling(node as usize, bounced);
-            sum[2] += weight * (near + leaving[1]);
-        }
-        sum
+    /// What leaves a vertex.
+    fn vertex(&self, v: usize, bounced: &impl Fn(usize) -> Vec4) -> Lit {
+        self.known.vertex(v, || {
+            let mut sum = [Vec4::ZERO; 3];
+            let heard = &self.transport.nodes.heard[v];
+            for &(node, weight) in heard.iter().filter(|heard| heard.1 > 0.0) {
+                let leaving = self.leaving(node as usize, bounced);
+                for part in 0..3 {
+                    sum[part] += weight * leaving[part];
+                }
+            }
+            sum
+        })
     }
 
     /// What leaves a node.
-    fn leaving(&self, node: usize, bounced: &impl Fn(usize) -> Vec4) -> Leaving {
-        self.known.vertex(node, || {
+    fn leaving(&self, node: usize, bounced: &impl Fn(usize) -> Vec4) -> Lit {
+        let place = self.transport.nodes.vertex.len() + node;
+        self.known.site(place, || {
             let row = self.transport.row(self.rest, node);
             let mut light = Vec4::ZERO;
             for link in &row.far {
                 let [r, g, b] = link.share;
                 light += Vec4::new(r, g, b, 0.0) * self.falling(link.from as usize, bounced);
             }
-            let [r, g, b] = row.near;
-            let [x, y, z] = self.transport.better(self.rest, node);
-            let better = Vec4::new(x, y, z, 0.0);
-            [Vec4::new(r, g, b, 0.0) * better, light * better]
+            let [near, better] = [row.near, self.transport.better(self.rest, node)]
+                .map(|[r, g, b]| Vec4::new(r, g, b, 0.0));
+            let (near, far) = (near * better, light * better);
+            [near, far, near * self.falling(node, bounced) + far]
         })
     }
 
@@ -178,7 +183,7 @@ impl Skin<'_> {
             let vertex = self.transport.nodes.vertex[node] as usize;
             let bounced = bounced(vertex).max(Vec4::ZERO);
             let all = self.leds.iter().fold(bounced, |sum, led| sum + self.direct(vertex, led));
-            [all, Vec4::ZERO]
+            [all, Vec4::ZERO, Vec4::ZERO]
         });
         light[0]
     }

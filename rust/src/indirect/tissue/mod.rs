@@ -21,7 +21,7 @@ use crate::wall::Wall;
 use std::sync::OnceLock;
 
 /// Least distance between nodes, over the longest free way between two scatterings.
-const SPACING: f32 = 0.8;
+const SPACING: f32 = 1.0;
 /// Weight of a neighbour in what comes out at a node, if it faces the same way.
 const NEIGHBOUR: f32 = 0.5;
 
@@ -34,7 +34,7 @@ pub struct Transport {
     rows: Vec<OnceLock<Row>>,
     /// How much more of light comes out than by a node's own row, which is noisy.
     better: Vec<OnceLock<Vec3>>,
-    room: Rooms<frame::Leaving>,
+    room: Rooms<frame::Lit>,
 }
 
 impl Transport {
@@ -46,7 +46,7 @@ impl Transport {
         let color = Look::mean(wall, scene, &nodes).albedo;
         let rows = nodes.vertex.iter().map(|_| OnceLock::new()).collect();
         let better = nodes.vertex.iter().map(|_| OnceLock::new()).collect();
-        let room = Rooms::new((nodes.vertex.len(), nodes.vertex.len()));
+        let room = Rooms::new((2 * nodes.vertex.len(), wall.vertices.len()));
         Transport { tissue: tissue.clone(), nodes, color, rows, better, room }
     }
 

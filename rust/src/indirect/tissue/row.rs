@@ -8,8 +8,8 @@ use crate::path::walk::{Border, Exit, Level, Medium, Stream, Tissue, Way, refrac
 use crate::tile::MISS;
 use crate::wall::Wall;
 
-/// Walks of a row.
-const WALKS: u32 = 128;
+/// Walks of a row: where faces are wide, and where they are not and a vertex hears several nodes.
+const WALKS: [u32; 2] = [128, 64];
 /// Light that has entered nearer than so many free ways, or edges of faces if they are longer, has
 /// fallen on the place itself.
 const NEAR: f32 = 0.5;
@@ -17,8 +17,6 @@ const NEAR: f32 = 0.5;
 const STAR: f32 = 0.5;
 /// Base colours below this are taken for those of a border that lets nothing out again.
 const BLACK: f32 = 1e-3;
-/// Most by which a shape of the wall may raise what it gives back.
-const MOST: f32 = 2.0;
 
 /// Dimensions of a row's random numbers.
 const FACE: u32 = 1;
@@ -84,8 +82,9 @@ pub fn trace_row(wall: &Wall, tissue: &Tissue, nodes: &Sites, (node, color): (us
     let edge = (wall.area_around(vertex) / 2.6).sqrt();
     let reach = tissue.scattering.map(|scattering| NEAR * max(1.0 / scattering, edge));
     let key = hash(node as u32);
+    let walks = WALKS[usize::from(edge < nodes.spacing[node])];
     let mut sum = Sum { near: [0.0; 3], far: Vec::new(), more: [0.0; 3] };
-    for number in 0..WALKS {
+    for number in 0..walks {
         let start = Start::draw(wall, tissue, vertex, (key, number));
         let exit = start.walk(wall, &medium, (key, number));
         let level = Level { point: start.place, normal: start.facet, offset: Border::offset(wall) };
@@ -98,7 +97,7 @@ pub fn trace_row(wall: &Wall, tissue: &Tissue, nodes: &Sites, (node, color): (us
             sum.take(&start, &exit, reach, from);
         }
     }
-    sum.row(color)
+    sum.row(color, walks as f32)
 }
 
 impl Start {
@@ -179,7 +178,7 @@ impl Sum {
     }
 
     /// The row, scaled so that it sums to what the wall gives back.
-    fn row(mut self, color: Vec3) -> Row {
+    fn row(mut self, color: Vec3, walks: f32) -> Row {
         self.far.sort_by_key(|link| link.from);
         let far: Vec<Link> = self
             .far
@@ -191,8 +190,8 @@ impl Sum {
             .collect();
         let found = far.iter().fold(self.near, |sum, link| add(sum, link.share));
         let factor = [0, 1, 2].map(|k| {
-            let total = 1.0 + self.more[k] / (WALKS as f32 * max(color[k], BLACK));
-            clamp(total, 0.0, min(MOST, 1.0 / max(color[k], BLACK))) / max(found[k], 1e-20)
+            let total = 1.0 + self.more[k] / (walks * max(color[k], BLACK));
+            clamp(total, 0.0, 1.0 / max(color[k], BLACK)) / max(found[k], 1e-20)
         });
         let is_known = [0, 1, 2].map(|k| color[k] > BLACK && found[k] > 0.0);
         let scaled =

@@ -33,9 +33,9 @@ DEFAULT_TEXELS_PER_MM = 8.0
 _MOST_STRETCH = 1.6  # of a texel beyond the mean that more texels make up for
 
 
-MUCUS_TINT = (1.2, 2.6, 1.4)
-"""Reflectance of bile-stained mucus over that of the wall, red, green, blue: median ratio, in six
-of the real frames of docs/gallery.md, of what is yellow to what is red."""
+MUCUS_TINT = (1.2, 2.8, 1.45)
+"""Reflectance of bile-stained mucus over that of the wall, red, green, blue: median ratio, in seven
+real frames of clean colons (docs/mucosa.md), of what is yellow to what is red."""
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,7 @@ class Mucosa:
         pit_shade: Optical density of those gaps in green light; bile gathers there too.
         network: Weight of the finest network of vessels in the redness.
         flecks: Share of cells, 3.2 mm wide, that hold a fleck of mucus, on the wall or off it.
-        mucus: Share of the wall under a film of mucus, 0 to 1; its strands reach beyond.
+        mucus: Amount of mucus, 0 to 1: film and strands cover a third of this share of the wall.
         mucus_tint: Reflectance of mucus over that of the wall, red, green, blue.
         roughness: Perceptual roughness of the wall under its wet film, 0 to 1.
         coat: Strength of the wet film, 0 (dry, or broken up) to 1 (whole).
@@ -94,7 +94,7 @@ class Mucosa:
 
 MUCOSAE: dict[str, Mucosa] = {
     "colon": Mucosa(
-        base_color=(0.444, 0.157, 0.112),
+        base_color=(0.446, 0.132, 0.128),
         bile=0.65,
         redness_variation=0.45,
         network=1.4,

@@ -79,8 +79,8 @@ ACTIVITIES = {
 }
 """By Mayo subscore: 1 erythema, decreased vascular pattern; 2 marked erythema, no vascular
 pattern, friability, erosions; 3 spontaneous bleeding, ulceration. Tints are those at which frames
-have the mean colour of real ones (`benchmarks/fit_appearance.py`); of 2 these few are paler and less
-yellow than of 1, by other cameras as much as by disease."""
+have the mean colour of real ones (`benchmarks/fit_appearance.py`); of 2 these few are paler and
+less yellow than of 1, by other cameras as much as by disease."""
 
 
 @dataclass(frozen=True, kw_only=True)

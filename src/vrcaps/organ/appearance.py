@@ -103,7 +103,7 @@ MUCOSAE: dict[str, Mucosa] = {
         coat_gloss=0.97,
     ),
     "stomach": Mucosa(
-        base_color=(0.430, 0.162, 0.108),
+        base_color=(0.432, 0.136, 0.123),
         bile=0.15,
         vessel_contrast=0.25,
         vessel_spacing=1.5 * MM,
@@ -116,7 +116,7 @@ MUCOSAE: dict[str, Mucosa] = {
         coat=0.7,
     ),
     "small_intestine": Mucosa(
-        base_color=(0.406, 0.214, 0.149),
+        base_color=(0.418, 0.210, 0.149),
         redness_variation=0.22,
         patient_variation=(0.20, 0.40),
         bile=0.32,

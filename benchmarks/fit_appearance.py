@@ -28,7 +28,8 @@ from looks_statistics import by_channel, measured
 from validate_looks import DATA, HEAD_CHANNELS, RED, has_overlays, read_folder
 
 from vrcaps import _core
-from vrcaps.metrics.color import image_color, linear_from_srgb
+from vrcaps.color import linear_from_srgb
+from vrcaps.metrics.color import image_color
 from vrcaps.organ.appearance import MUCOSAE, bake_appearance
 from vrcaps.organ.lesion.colitis import ACTIVITIES
 from vrcaps.organ.surface import OrganSurface

@@ -9,7 +9,7 @@ import numpy as np
 from looks_images import disc
 from looks_scenes import Shot, even_exposure
 
-from vrcaps.metrics.color import luminance
+from vrcaps.color import luminance
 from vrcaps.render.camera_effects.chain import CameraChain, Moment, Seen
 from vrcaps.render.camera_effects.effects import Effects
 from vrcaps.render.camera_effects.exposure import AutoExposure

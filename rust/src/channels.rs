@@ -150,9 +150,7 @@ impl Place {
             let start = (y * width + self.column) * components;
             let row = &mut pixels[start..start + columns * components];
             for (x, pixel) in row.chunks_exact_mut(components).enumerate() {
-                for (k, out) in pixel.iter_mut().enumerate() {
-                    *out = value(y * TILE + x, k);
-                }
+                fill(pixel, |k| value(y * TILE + x, k));
             }
         }
     }
@@ -170,10 +168,7 @@ impl Place {
         for y in (STEP / 2..height).step_by(STEP) {
             for x in (STEP / 2..(width - self.column).min(TILE)).step_by(STEP) {
                 let place = y / STEP * sparse(width) + (self.column + x) / STEP;
-                let pixel = &mut pixels[place * components..][..components];
-                for (k, out) in pixel.iter_mut().enumerate() {
-                    *out = value(y * TILE + x, k);
-                }
+                fill(&mut pixels[place * components..][..components], |k| value(y * TILE + x, k));
             }
         }
     }
@@ -231,6 +226,14 @@ impl Place {
             }
         }
         self.write_each(channel, 3, |i, k| encoded[k][i]);
+    }
+}
+
+/// Writes each component of a pixel.
+#[inline(always)]
+fn fill<T>(pixel: &mut [T], value: impl Fn(usize) -> T) {
+    for (k, out) in pixel.iter_mut().enumerate() {
+        *out = value(k);
     }
 }
 

@@ -55,6 +55,23 @@ def test_flags_reach_the_scenario(capsys: pytest.CaptureFixture[str]) -> None:
     assert scenario.motion == FlyThrough(start=0.2, drift=0.1)
 
 
+@pytest.mark.parametrize(
+    ("flags", "says"),
+    [
+        (["--film-um", "-3"], "Film is -3.0. Allowed: 0 to 1000 [µm]."),
+        (["--drift", "3"], "Fly-through drift (--drift) is 3.0. Allowed: 0 to below 1."),
+    ],
+)
+def test_a_value_that_cannot_be_ends_in_one_line(flags, says, capsys) -> None:
+    assert stop(["record", "--out", "o", *flags], capsys) == (2, f"vrcaps: {says}\n")
+
+
+def test_a_choice_that_is_not_there_names_those_that_are(capsys) -> None:
+    status, error = stop(["record", "--out", "o", "--light", "glow"], capsys)
+    assert status == 2
+    assert "'--light'" in error and "'quick'" in error
+
+
 def test_a_patient_may_be_flown_through_many_times() -> None:
     scenario = Record(OUT, seed=4, patient=1).resolved()
     assert (scenario.organ, scenario.seed) == (OrganGenerated("colon", seed=1), 4)

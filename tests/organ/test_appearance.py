@@ -7,13 +7,15 @@ import os
 import subprocess
 import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from tubes import straight_tube
 from vrcaps.errors import InputError, UnknownNameError
 from vrcaps.organ.appearance import MAX_SIDE, MUCOSAE, Mucosa, bake_appearance, own_mucosa
-from vrcaps.organ.surface import HEIGHT_STEP, Appearance, Centerline, OrganSurface, vertex_normals
+from vrcaps.organ.surface import HEIGHT_STEP, Appearance, Centerline, OrganSurface
 from vrcaps.organ.texture_coordinates import texture_stretch
 from vrcaps.units import MM
 
@@ -22,36 +24,8 @@ RADIUS, LENGTH, COLUMNS, ROWS = 12.0 * MM, 60.0 * MM, 40, 32
 
 def make_tube(shift: float = 0.0) -> OrganSurface:
     """A straight tube, seen from inside; u around it from `shift`, v along it."""
-    angle = np.arange(COLUMNS) * (2.0 * np.pi / COLUMNS)
-    along = np.linspace(0.0, LENGTH, ROWS + 1)
-    grid_s, grid_angle = np.meshgrid(along, angle, indexing="ij")
-    vertices = np.stack(
-        [RADIUS * np.cos(grid_angle), RADIUS * np.sin(grid_angle), grid_s], axis=-1
-    ).reshape(-1, 3)
-    row, column = (part.ravel() for part in np.mgrid[:ROWS, :COLUMNS])
-    nodes = np.array([[0, 0], [1, 0], [1, 1], [0, 1]])  # around a quad: row, column
-    rows, columns = row[:, None] + nodes[:, 0], column[:, None] + nodes[:, 1]
-    quads = rows * COLUMNS + columns % COLUMNS
-    quad_uv = np.stack([columns / COLUMNS + shift, 0.05 + 0.9 * rows / ROWS], axis=-1)
-    faces = np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
-    uv = np.concatenate([quad_uv[:, [0, 1, 2]], quad_uv[:, [0, 2, 3]]])
-    count = len(vertices)
-    frames = np.tile(np.eye(3), (len(along), 1, 1))
-    axis = np.stack([0.0 * along, 0.0 * along, along], axis=-1)
-    return OrganSurface(
-        name="tube",
-        vertices=vertices,
-        faces=faces,
-        normals=vertex_normals(vertices, faces),
-        uv=uv,
-        label=np.ones(count, np.uint8),
-        label_names=("background", "wall"),
-        instance=np.zeros(count, np.uint16),
-        arc_length=grid_s.ravel(),
-        theta=grid_angle.ravel() - np.pi,
-        radius=np.full(count, RADIUS),
-        centerline=Centerline(axis, along, np.full(len(along), RADIUS), frames),
-    )
+    plain = straight_tube(LENGTH, RADIUS, COLUMNS, ROWS + 1)
+    return replace(plain, uv=plain.uv * (1.0, 0.9) + (shift, 0.05))
 
 
 def in_charts(organ: OrganSurface, num_strips: int) -> OrganSurface:
@@ -160,6 +134,7 @@ def baked(tube: OrganSurface) -> Appearance:
 
 def test_the_same_seed_gives_the_same_bytes_on_any_number_of_threads(tube):
     script = (
+        f"import sys; sys.path.append(r'{Path(__file__).parents[1]}');"
         f"import importlib.util as i; s = i.spec_from_file_location('t', r'{__file__}');"
         "t = i.module_from_spec(s); s.loader.exec_module(t);"
         "print(t.digest(t.bake_appearance(t.make_tube(), seed=4, texels_per_mm=4.0)))"

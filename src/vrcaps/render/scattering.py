@@ -21,12 +21,6 @@ TISSUE_IOR = 1.4
 014025, 2007, give 1.35 to 1.4 for colon mucosa; Bolin et al., Appl. Opt. 28(12), 1989: 1.37 to
 1.41 for soft tissue)."""
 
-BANDS_NM = {
-    "white-light": (610.0, 545.0, 465.0),
-    "narrow-band": (540.0, 415.0, 415.0),
-}
-"""Middle of what the image's red, green and blue are lit by [nm], by imaging mode."""
-
 _SCATTERING_300 = 1420.0
 """Reduced scattering coefficient of colon at 300 nm [1/m]; with the next: 14.2 to 6.2 per cm from
 300 to 800 nm (Marchesini et al., Lasers Surg. Med. 15(4), 1994)."""
@@ -170,6 +164,22 @@ def diffuse_reflectance(
     return a / (below + (1.0 + 2.0 * k / 3.0) * np.sqrt(3.0 * (1.0 - a)))
 
 
+def carried_density(
+    density: Float[np.ndarray, "*n"], factor: float | Float[np.ndarray, "*n"]
+) -> Float[np.ndarray, "*n"]:
+    """Optical density of tissue at another wavelength, by diffusion.
+
+    Args:
+        density: Logarithm of one over what tissue reflects of what it would without absorption.
+        factor: Absorption over the reduced scattering coefficient there, relative to the same here.
+    """
+    internal = internal_reflection(TISSUE_IOR)
+    absorption = np.concatenate([[0.0], np.geomspace(1e-8, 1e3, 2000)])
+    known = -np.log(diffuse_reflectance(absorption, internal=internal))
+    there = factor * np.interp(density, known, absorption)
+    return -np.log(diffuse_reflectance(there, internal=internal))
+
+
 @dataclass(frozen=True)
 class Medium:
     """Tissue as diffusion knows it.
@@ -255,14 +265,17 @@ def albedo_roots(ior: float = TISSUE_IOR) -> Float[np.ndarray, " n"]:
 
 
 def tissue_figures(
-    imaging: str,
+    bands_nm: tuple[float, float, float],
 ) -> tuple[tuple[float, float, float], float, float, Float[np.ndarray, " n"]]:
     """What the core walks in.
+
+    Args:
+        bands_nm: Middle of what the image's red, green and blue are lit by [nm].
 
     Returns:
         µs′ of red, green and blue [1/m], refractive index, share of even light that enters, and
         `albedo_roots`.
     """
-    red, green, blue = (reduced_scattering(band) for band in BANDS_NM[imaging])
+    red, green, blue = (reduced_scattering(band) for band in bands_nm)
     roots = albedo_roots(TISSUE_IOR).astype(np.float32)
     return (red, green, blue), TISSUE_IOR, entering_share(TISSUE_IOR), roots

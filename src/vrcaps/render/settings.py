@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal, get_args
 
-from vrcaps.errors import InputError, UnknownNameError
+from vrcaps.errors import InputError, UnknownNameError, require
 from vrcaps.render.film import THICKEST_UM
 
 Light = Literal["direct", "quick", "path"]
@@ -31,7 +31,8 @@ class RenderSettings:
             path tracing. Needs `pip install 'vrcaps[denoise]'`.
         film_um: Thickness of the wet film on the wall [µm], 0 (dry) to 1000; by default that of the
             organ's own look, which is wet.
-        imaging: White light, or narrow bands about 415 and 540 nm, in which vessels stand out.
+        imaging: White light of the capsule's LEDs, or narrow bands about 415 and 540 nm, in which
+            vessels stand out.
     """
 
     supersampling: int = 1
@@ -58,8 +59,7 @@ class RenderSettings:
             ("Film", film, 0.0 <= film <= THICKEST_UM, f"0 to {THICKEST_UM:g} [µm]"),
             ("Light seed", self.light_seed, 0 <= self.light_seed < 2**64, "0 to 2^64 − 1"),
         ):
-            if not valid:
-                raise InputError(f"{name} is {value}. Allowed: {allowed}.")
+            require(valid, name, value, allowed)
         if self.denoise and self.light != "path":
             raise InputError(
                 f"Light {self.light!r} has no noise to take away. "

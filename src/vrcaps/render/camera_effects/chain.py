@@ -10,6 +10,7 @@ import numpy as np
 
 from vrcaps import _core
 from vrcaps.capsule.rays import camera_rays
+from vrcaps.color import LUMINANCE
 from vrcaps.render.camera_effects.dome import Dome
 from vrcaps.render.camera_effects.effects import Effects
 from vrcaps.render.camera_effects.sensor import Noise, WhiteBalance, mosaic_colors
@@ -24,9 +25,6 @@ if TYPE_CHECKING:
     from vrcaps.render.frame import Frame
     from vrcaps.render.renderer import Renderer
     from vrcaps.world.model import State
-
-LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
-"""Of linear red, green and blue (IEC 61966-2-1)."""
 
 BUBBLE = 1
 """Front label of a bubble."""

@@ -14,7 +14,7 @@ import numpy as np
 from PIL import Image, ImageDraw
 
 from vrcaps.capsule.catalog import load_device
-from vrcaps.metrics.color import luminance
+from vrcaps.color import luminance
 from vrcaps.organ.catalog import load_organ
 from vrcaps.organ.centerline import interpolate
 from vrcaps.render.renderer import Renderer

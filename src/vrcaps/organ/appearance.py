@@ -98,8 +98,9 @@ MUCOSAE: dict[str, Mucosa] = {
         bile=0.65,
         redness_variation=0.45,
         network=1.4,
+        relief_slope=0.05,
         roughness=0.90,
-        coat=1.0,
+        coat=0.8,
         coat_gloss=0.97,
     ),
     "stomach": Mucosa(

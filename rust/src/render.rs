@@ -1,6 +1,6 @@
 //! One image: trace, shade and write every channel that was asked for.
 
-use crate::channels::{Channels, Place, slice, sparse, take};
+use crate::channels::{Channels, Place, by_colors, slice, sparse, take};
 use crate::contents::Contents;
 use crate::contents::tile::{Filled, Room};
 use crate::cpu::on_pool;
@@ -127,6 +127,7 @@ pub fn render(
     let shape = (rays.height, rays.width);
     let mut rgb = take::<u8>(out, "rgb", shape, 3)?;
     let mut radiance = take::<f32>(out, "radiance", shape, 3)?;
+    let mut planes = take::<f32>(out, "radiance_planes", shape, 3)?;
     let mut depth = take::<f32>(out, "depth", shape, 1)?;
     let mut ray_distance = take::<f32>(out, "ray_distance", shape, 1)?;
     let mut normal = take::<f32>(out, "normal", shape, 3)?;
@@ -149,6 +150,7 @@ pub fn render(
     let channels = Channels {
         rgb: slice(&mut rgb)?,
         radiance: slice(&mut radiance)?,
+        planes: by_colors(slice(&mut planes)?),
         depth: slice(&mut depth)?,
         ray_distance: slice(&mut ray_distance)?,
         normal: slice(&mut normal)?,
@@ -306,8 +308,7 @@ fn render_tile(
             bounced.add((&surface, &found.normal), &hits, &mut radiance);
         }
         add_glow(glow, &mut radiance);
-        place.write_color(&mut out.rgb, &radiance, view.exposure);
-        place.write3(&mut out.radiance, &radiance, &found.hit, 0.0);
+        place.write_light(out, &radiance, &found.hit, view.exposure);
         place.write3(&mut out.albedo, &surface.albedo, &found.hit, f32::NAN);
     }
     write_geometry(view, tile, &hits, &found, place, out);

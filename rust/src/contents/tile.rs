@@ -119,8 +119,7 @@ impl<'a> Filled<'a> {
             let mut radiance = self.light(lit, found, hits, wet.as_ref(), room);
             add_glow(glow, &mut radiance);
             self.carry(&seen, &bubbles, tile.pixel_angle, room, &mut radiance);
-            place.write_color(&mut out.rgb, &radiance, view.exposure);
-            place.write3(&mut out.radiance, &radiance, &found.hit, 0.0);
+            place.write_light(out, &radiance, &found.hit, view.exposure);
         }
         let mut front = Front::of_liquid(wet.as_ref());
         let reach = first_leg(wet.as_ref(), hits);

@@ -23,9 +23,10 @@ impl Field {
         let (height, width) = size;
         let mut vectors: Vec<[f32; 2]> = given.chunks_exact(2).map(|v| [v[0], v[1]]).collect();
         let known = |v: &[f32; 2]| v[0].is_finite() && v[1].is_finite();
+        let unknown: Vec<usize> = (0..vectors.len()).filter(|&k| !known(&vectors[k])).collect();
         for _ in 0..3 {
             let before = vectors.clone();
-            for (k, vector) in vectors.iter_mut().enumerate().filter(|(_, v)| !known(v)) {
+            for &k in unknown.iter().filter(|&&k| !known(&before[k])) {
                 let (y, x) = (k / width, k % width);
                 let (mut sum, mut count) = ([0.0f32; 2], 0.0f32);
                 for row in y.saturating_sub(1)..(y + 2).min(height) {
@@ -37,13 +38,13 @@ impl Field {
                     }
                 }
                 if count > 0.0 {
-                    *vector = [sum[0] / count, sum[1] / count];
+                    vectors[k] = [sum[0] / count, sum[1] / count];
                 }
             }
         }
-        for vector in &mut vectors {
-            if !known(vector) {
-                *vector = [0.0; 2];
+        for k in unknown {
+            if !known(&vectors[k]) {
+                vectors[k] = [0.0; 2];
             }
         }
         Field { vectors, size, step }
@@ -87,6 +88,7 @@ impl Field {
     }
 
     /// The vectors of all pixels of one row: columns, then rows.
+    #[inline(always)]
     pub fn row(&self, y: usize, width: usize) -> [Vec<f32>; 2] {
         let (rows, columns) = self.size;
         let (first, t) = self.between(y as f32, rows);

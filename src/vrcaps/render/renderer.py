@@ -68,7 +68,7 @@ _NO_CONTENTS = {
     **{"front_label": 0, "front_instance": 0, "front_depth": np.nan},
     **{"bend_label": 0, "sparse_bend": 0},
 }
-_COLOR = {"rgb", "radiance"}
+_COLOR = {"rgb", "radiance", "radiance_planes"}
 _NEEDS_NEXT = {"flow_forward", "occlusion"}
 _NEEDS_PREVIOUS = {"flow_backward"}
 
@@ -114,6 +114,7 @@ class Renderer:
         state_previous: State | None = None,
         out: Frame | None = None,
         points: SurfacePoints | None = None,
+        planes: Float[np.ndarray, "3 h w"] | None = None,
     ) -> Frame:
         """What a camera sees.
 
@@ -125,6 +126,7 @@ class Renderer:
             state_previous: The world one frame earlier, for `flow_backward`.
             out: An earlier frame of the same camera whose arrays may be overwritten.
             points: Room for the surface points that `thinned` pixels see.
+            planes: Room for radiance by colours, as float32.
 
         Raises:
             UnknownNameError: If there is no such channel.
@@ -132,6 +134,7 @@ class Renderer:
         """
         _check_channels(channels, state_next, state_previous)
         arrays = self._arrays(channels, camera, out)
+        arrays |= {} if planes is None else {"radiance_planes": planes}
         if points is not None:
             arrays |= {f"sparse_{name}": array for name, array in vars(points).items()}
         wall = self._wall.at(state)
@@ -183,6 +186,8 @@ class Renderer:
         radiance = _color(draw, camera, settings)
         if "radiance" in arrays:
             arrays["radiance"][...] = radiance
+        if "radiance_planes" in arrays:
+            arrays["radiance_planes"][...] = np.moveaxis(radiance, -1, 0)
         if "rgb" in arrays:
             arrays["rgb"][...] = _core.encode_srgb(radiance, camera.exposure)
 

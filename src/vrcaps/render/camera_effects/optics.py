@@ -86,7 +86,11 @@ class Defocus:
         ray_distance: Float[np.ndarray, "h w"],
     ) -> Float[np.ndarray, "3 h w"]:
         """The image out of focus; black where `ray_distance` [m] is NaN."""
-        return _core.defocus(planes, ray_distance, self._reach(camera), self.focus_distance)
+        return _core.defocus(planes, ray_distance, *self.figures(camera))
+
+    def figures(self, camera: Camera) -> tuple[float, float]:
+        """Radius per change of 1/d [px·m], and the distance of focus [m], as the core takes them."""
+        return self._reach(camera), self.focus_distance
 
     def _reach(self, camera: Camera) -> float:
         return 0.5 * self.aperture * focal_length_px(camera.lens)
@@ -113,8 +117,11 @@ class LateralColor:
         self, camera: Camera, planes: Float[np.ndarray, "3 h w"]
     ) -> Float[np.ndarray, "3 h w"]:
         """The image with its colours apart."""
-        center = (camera.lens.cx, camera.lens.cy)
-        return _core.scale_planes(planes, center, (1.0 + self.red, 1.0, 1.0 + self.blue))
+        return _core.scale_planes(planes, *self.figures(camera))
+
+    def figures(self, camera: Camera) -> tuple[tuple[float, float], tuple[float, float, float]]:
+        """Centre [px] and scales of the colours, as the core takes them."""
+        return (camera.lens.cx, camera.lens.cy), (1.0 + self.red, 1.0, 1.0 + self.blue)
 
 
 @dataclass(frozen=True)
@@ -170,4 +177,8 @@ class Bloom:
         self, camera: Camera, planes: Float[np.ndarray, "3 h w"]
     ) -> Float[np.ndarray, "3 h w"]:
         """The image with its scattered light."""
-        return _core.bloom(planes, self.share, self.angle * focal_length_px(camera.lens))
+        return _core.bloom(planes, *self.figures(camera))
+
+    def figures(self, camera: Camera) -> tuple[float, float]:
+        """Share and standard deviation [px], as the core takes them."""
+        return self.share, self.angle * focal_length_px(camera.lens)

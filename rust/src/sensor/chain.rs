@@ -4,7 +4,7 @@ use super::bayer::{demosaic_line, mirrored_about};
 use super::bloom::{Bloom, Scattered};
 use super::defocus::Padded;
 use super::dome::{Drops, Film, GivenDrops, GivenFilm};
-use super::field::Field;
+use super::field::{Field, Shutter};
 use super::jpeg::Compression;
 use super::motion::Still;
 use super::noise::{Readout, Sensor, streams};
@@ -54,8 +54,8 @@ type Distance<'py> =
 struct Shot<'py> {
     /// From radiance to image values.
     factor: f32,
-    /// As `blur_motion` takes it: motion, its step, shutter and readout.
-    motion: Option<(PyReadonlyArray3<'py, f32>, usize, f32, f32)>,
+    /// As `blur_motion` takes it: motion, its step, the shutter.
+    motion: Option<(PyReadonlyArray3<'py, f32>, usize, (f32, f32, f32))>,
     distance: Option<Distance<'py>>,
     drops: Option<GivenDrops<'py>>,
     /// None where the sensor changes nothing.
@@ -97,8 +97,8 @@ struct Room {
 struct Frame<'a> {
     light: &'a [f32],
     factor: f32,
-    /// Motion when each row is read, and how long rows are open and late.
-    motion: Option<(&'a [f32], (usize, usize), usize, (f32, f32))>,
+    /// Motion of the image, its cells, its step, and when rows take light.
+    motion: Option<(&'a [f32], (usize, usize), usize, Shutter)>,
     distance: Option<[&'a [f32]; 2]>,
     front: Option<&'a [u8]>,
     drops: Option<Drops<'a>>,
@@ -160,12 +160,12 @@ impl CameraStages {
             None => (None, None),
         };
         let motion = match &shot.motion {
-            Some((vectors, step, shutter, readout)) => {
+            Some((vectors, step, shutter)) => {
                 let [rows, columns, 2] = vectors.shape()[..] else { return Err(misfit()) };
                 if rows * columns * step == 0 {
                     return Err(misfit());
                 }
-                Some((vectors.as_slice()?, (rows, columns), *step, (*shutter, *readout)))
+                Some((vectors.as_slice()?, (rows, columns), *step, Shutter::of(*shutter)))
             }
             None => None,
         };
@@ -271,10 +271,10 @@ impl CameraStages {
             Some(padded) => padded.lines(),
             None => rows(planes, self.size),
         };
-        if let Some((vectors, cells, step, open)) = frame.motion {
-            let motion = Field::new(vectors, cells, step).when_read(open.1, height);
+        if let Some((vectors, cells, step, shutter)) = frame.motion {
+            let motion = Field::new(vectors, cells, step).when_read(shutter, height);
             still.fill(frame.light, frame.factor);
-            still.blur(&motion, open, lines);
+            still.blur(&motion, shutter, lines);
         } else {
             lines.into_par_iter().enumerate().for_each(|(y, line)| {
                 for (k, row) in line.into_iter().enumerate() {

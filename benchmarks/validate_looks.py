@@ -209,8 +209,9 @@ or star-shaped, with folds in ranks one behind the other; real ones are pillowy,
 and often so near that no lumen is seen. Highlights of ours are many and evenly strewn where real
 ones are few, hard and in clusters; streaks of blood lie on the wall like ribbons. What no frame of
 ours has: instruments, motion, sheets of froth, overexposed rims. Real video is sharpened. Within a
-frame of a colon a\* and b\* of real ones spread by 9 to 13 and 8 to 10 units, of ours by 9 to 12 and 7
-to 8, and 6 to 10 before. In quick light none spreads inside the wall.
+frame of a colon a\* and b\* of real ones spread by 9 to 13 and 8 to 10 units, of ours by 9 to 12
+and 7 to 8 (before mucus and stain, by 7 to 10 and 6 to 8). In quick light none spreads inside the
+wall.
 """
 
 

@@ -94,7 +94,7 @@ class Mucosa:
 
 MUCOSAE: dict[str, Mucosa] = {
     "colon": Mucosa(
-        base_color=(0.446, 0.132, 0.128),
+        base_color=(0.446, 0.147, 0.143),
         bile=0.65,
         redness_variation=0.45,
         network=1.4,
@@ -104,7 +104,7 @@ MUCOSAE: dict[str, Mucosa] = {
         coat_gloss=0.97,
     ),
     "stomach": Mucosa(
-        base_color=(0.432, 0.136, 0.123),
+        base_color=(0.432, 0.152, 0.138),
         bile=0.15,
         vessel_contrast=0.25,
         vessel_spacing=1.5 * MM,

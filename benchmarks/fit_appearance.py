@@ -53,9 +53,10 @@ STEP = 0.25
 LEVEL_WEIGHT = 0.3
 """Of the spread of L* beside a* and b*: it has many causes."""
 ROUNDS = 4
-TOLERANCE = 0.5
+TOLERANCE = 1.2
 """Distance of `Looks.fitted` from the real frames' at which a palette is left as it stands, so
-that of a fitted palette this prints the very figures [Lab units]."""
+that of a fitted palette this prints the very figures [Lab units]: the standard error of the real
+frames' mean a* or b*, 1.2 to 3.0 by class."""
 
 CARRIERS = (
     *("redness_variation", "vessel_contrast", "network", "bile", "relief_slope", "pit_slope"),

@@ -204,11 +204,14 @@ are in its units, root of the sum of squares over the three channels; smaller is
   theirs, since real frames come from many cameras.
 
 What gives ours away: of 42 frames in a sheet of `--mixed FOLDER/mixed.png` one who knows both named
-41 rightly, by shape more than by colour. Our lumen is a regular tube, its folds are sharp and all
-alike; real ones are pillowy, with dark clefts, mucus, stool, instruments. Highlights of ours are
-wide and milky where real ones are small, hard and white. Real video is sharpened; within a frame
-of a colon its a\* and b\* spread by 8 to 13 units, ours by 6 to 10. In quick light none spreads
-inside the wall.
+all 42 rightly (41 before mucus, stain and stool), by shape: our lumen is a regular tube, triangular
+or star-shaped, with folds in ranks one behind the other; real ones are pillowy, with dark clefts,
+and often so near that no lumen is seen. Highlights of ours are many and evenly strewn where real
+ones are few, hard and in clusters; streaks of blood lie on the wall like ribbons. What no frame of
+ours has: instruments, motion, sheets of froth, overexposed rims. Real video is sharpened. Within a
+frame of a colon a\* and b\* of real ones spread by 9 to 13 and 8 to 10 units, of ours by 9 to 12
+and 7 to 8 (before mucus and stain, by 7 to 10 and 6 to 8). In quick light none spreads inside the
+wall.
 """
 
 

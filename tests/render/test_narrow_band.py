@@ -85,7 +85,7 @@ def test_pale_mucosa_is_neutral_and_plain_mucosa_as_bright_as_in_white_light():
     light, plain = narrow_band(), np.array(MUCOSAE["colon"].base_color)
     pale = mucosa(0.0, 0.5 * taken_apart(np.log(plain))[1], 0.0)
     color = light.reflectance(pale) * light.led_gains
-    np.testing.assert_allclose(color, color[0], rtol=1e-3)
+    np.testing.assert_allclose(color, color[0], rtol=3e-3)
     seen = light.reflectance(plain) * light.led_gains
     assert seen @ LUMINANCE == pytest.approx(plain @ LUMINANCE, rel=1e-6)
 

@@ -44,7 +44,8 @@ class Mucosa:
 
     Colours are those at which frames with bounced light have the colours of real ones
     (`benchmarks/fit_appearance.py`, docs/gallery.md); the stomach's, of which there were none,
-    change as the colon's did. Shapes and sizes are chosen by eye.
+    change as the colon's did, in blue less, for it has less bile. Shapes and sizes are chosen by
+    eye.
 
     Attributes:
         base_color: Linear reflectance of the wall between its vessels, red, green, blue.
@@ -94,7 +95,7 @@ class Mucosa:
 
 MUCOSAE: dict[str, Mucosa] = {
     "colon": Mucosa(
-        base_color=(0.446, 0.132, 0.128),
+        base_color=(0.446, 0.147, 0.143),
         bile=0.65,
         redness_variation=0.45,
         network=1.4,
@@ -104,7 +105,7 @@ MUCOSAE: dict[str, Mucosa] = {
         coat_gloss=0.97,
     ),
     "stomach": Mucosa(
-        base_color=(0.432, 0.136, 0.123),
+        base_color=(0.432, 0.152, 0.118),
         bile=0.15,
         vessel_contrast=0.25,
         vessel_spacing=1.5 * MM,

@@ -16,16 +16,18 @@ _CLEAR, _TURBID = (14.0, 13.0, 6.0), (70.0, 55.0, 20.0)
 """Scattering of washed and of stained liquid [1/m]."""
 
 
-def _left(froth: float, per_area: float, clump: float, radius: float, fill: float) -> Contents:
-    """Contents with stool, `froth` and `per_area` in spheres per cm²."""
+def _left(
+    froth: float, per_area: float, clump: float, sizes: tuple[float, float], fill: float
+) -> Contents:
+    """Contents with stool, `froth` and `per_area` in spheres per cm²; `sizes` radius and spread."""
     turbid = fill > 0.02
     return Contents(
         bubbles=Bubbles(per_area=froth / CM2, raft_size=8.0, radius=0.5 * MM),
         chyme=Chyme(
             per_area=per_area / CM2,
             clump_size=clump,
-            radius=radius,
-            spread=0.7,
+            radius=sizes[0] * MM,
+            spread=sizes[1],
             largest=4.0 * MM,
             settled=0.6,
             white=0.2,
@@ -41,10 +43,10 @@ def _left(froth: float, per_area: float, clump: float, radius: float, fill: floa
 
 
 PREPARATIONS: tuple[Contents, ...] = (
-    _left(2.0, 40.0, 60.0, 0.7 * MM, 0.25),
-    _left(1.5, 20.0, 40.0, 0.32 * MM, 0.10),
-    _left(0.8, 2.0, 14.0, 0.20 * MM, 0.025),
-    _left(0.3, 0.15, 4.0, 0.15 * MM, 0.015),
+    _left(2.0, 40.0, 80.0, (0.75, 0.35), 0.25),
+    _left(1.5, 24.0, 60.0, (0.35, 0.35), 0.10),
+    _left(0.8, 2.0, 14.0, (0.20, 0.7), 0.025),
+    _left(0.3, 0.15, 4.0, (0.15, 0.7), 0.015),
 )
 """By score of a segment on the Boston bowel preparation scale (Lai et al., Gastrointest. Endosc.
 69(3), 2009): 0 unprepared, solid stool hides the mucosa; 1 parts are hidden by stain, stool and

@@ -4,7 +4,7 @@ use crate::channels::{Channels, Place, by_colors, slice, sparse, take};
 use crate::contents::Contents;
 use crate::contents::tile::{Filled, Room};
 use crate::cpu::on_pool;
-use crate::indirect::{Irradiance, QuickLight};
+use crate::indirect::{Beneath, Irradiance, QuickLight};
 use crate::lanes::*;
 use crate::material::{Led, Surface};
 use crate::path::afloat::Afloat;
@@ -81,7 +81,19 @@ impl View<'_> {
         surface: &Surface,
         triangles: &[u32; LANES],
     ) -> Option<Surface> {
-        self.paths.and(scene.tissue.as_ref()).map(|_| surface.bare(triangles))
+        let is_traced = self.paths.is_some() || self.bounced.is_some();
+        (is_traced && scene.tissue.is_some()).then(|| surface.bare(triangles))
+    }
+
+    /// What the tissue behind surfaces makes of light, where that is not left to paths.
+    #[inline(always)]
+    pub fn beneath(
+        &self,
+        surface: &Surface,
+        hits: &Hits,
+        triangles: &[u32; LANES],
+    ) -> Option<Beneath> {
+        self.bounced.as_ref()?.beneath(surface, hits, triangles)
     }
 }
 
@@ -172,7 +184,7 @@ pub fn render(
     };
     let quick = quick.zip(rest.as_deref()).filter(|_| channels.wants_light());
     on_pool(py, || {
-        view.bounced = quick.map(|(light, rest)| light.solve(rest, wall, &view.leds));
+        view.bounced = quick.map(|(light, rest)| light.solve(rest, wall, (&view.leds, shadows)));
         let columns = rays.columns();
         let filled = contents.map(|c| Filled::new(wall, &scene.data, c, &view));
         let bands = channels.bands(rays.width, rays.tiles.len() / columns);
@@ -303,10 +315,11 @@ pub fn render_tile(
     if out.wants_color() {
         let surface = surface(scene, &found, &hits.distance, tile.pixel_angle);
         let bare = view.bare(scene, &surface, &hits.triangle);
-        let lit = bare.as_ref().unwrap_or(&surface);
+        let beneath = view.beneath(&surface, &hits, &hits.triangle);
+        let lit = (bare.as_ref().unwrap_or(&surface), beneath.as_ref());
         let mut radiance = light(wall, &scene.material, &view.leds, view.shadows, lit, &found.hit);
         if let Some(bounced) = &view.bounced {
-            bounced.add((&surface, &found.normal), &hits, &mut radiance);
+            bounced.add((&surface, &found.normal), &hits, beneath.as_ref(), &mut radiance);
         }
         add_glow(glow, &mut radiance);
         place.write_light(out, &radiance, &found.hit, view.exposure);

@@ -306,7 +306,7 @@ def blur_motion(
     image: NDArray[np.float32],
     lit: NDArray[np.bool_],
     motion: tuple[NDArray[np.float32], int],
-    open: tuple[float, float],
+    shutter: tuple[float, float, float],
     factor: float,
 ) -> NDArray[np.float32]: ...
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -13,6 +14,7 @@ from vrcaps.cli.demo import _free_folder
 from vrcaps.cli.record import Record
 from vrcaps.errors import InputError
 from vrcaps.record.scenario import OrganFile, OrganGenerated, Scenario
+from vrcaps.tissue.contents.preparation import prepared
 from vrcaps.world.fly_through import FlyThrough
 from vrcaps.world.replay import Replay
 
@@ -72,6 +74,11 @@ def test_a_choice_that_is_not_there_names_those_that_are(capsys) -> None:
     assert "'--light'" in error and "'quick'" in error
 
 
+def test_a_preparation_fills_the_patients_colon() -> None:
+    contents = Record(OUT, patient=3, preparation=1).resolved().contents
+    assert contents == replace(prepared(1), seed=3)
+
+
 def test_a_patient_may_be_flown_through_many_times() -> None:
     scenario = Record(OUT, seed=4, patient=1).resolved()
     assert (scenario.organ, scenario.seed) == (OrganGenerated("colon", seed=1), 4)
@@ -104,6 +111,8 @@ def test_mesh_file_and_path_reach_the_scenario() -> None:
         (Record(OUT, organ="colon", reverse=True), "go with a mesh file"),
         (Record(OUT, organ="x.ply", unit="mm", patient=1), "--patient and --condition go with a"),
         (Record(OUT, organ="x.ply", unit="mm", condition="normal"), "go with a generated organ"),
+        (Record(OUT, preparation=2, chyme=1), "Leave out --bubbles, --chyme and --liquid"),
+        (Record(OUT, preparation=4), "Preparation is 4. Allowed: a Boston score, 0 to 3"),
         (Record(OUT, path=Path("p")), "--path needs --path-format. Allowed: tum, unity-csv"),
         (Record(OUT, path=Path("p"), path_format="tum"), "--path-unit is missing"),
         (Record(OUT, path=Path("p"), fly=FlyThrough(drift=0.0)), "flags of the fly-through"),

@@ -4,11 +4,13 @@ use super::known::{Light, Lights};
 use super::lamps::first_reflection;
 use super::moved::Moved;
 use super::rows::{Beam, Link};
+use super::tissue::{Beneath, Skin};
 use super::{Color, QuickLight};
 use crate::lanes::*;
 use crate::material::{Led, Surface};
 use crate::tile::{Hits, MISS};
 use crate::wall::Wall;
+use glam::Vec4;
 use rayon::prelude::*;
 use std::borrow::Cow;
 use std::f32::consts::PI;
@@ -29,6 +31,8 @@ pub struct Irradiance<'a> {
     leaving: Vec<Color>,
     /// Light at each site and vertex, gathered when first needed.
     known: Lights<'a>,
+    /// Light through the tissue behind the wall, if it goes there.
+    skin: Option<Skin<'a>>,
 }
 
 /// What the corners of one face get: at the third, and how much more at the first two.
@@ -38,10 +42,16 @@ type Corners = (u32, [Light; 3]);
 const AT_HAND: usize = 8;
 
 impl QuickLight {
-    /// Irradiance by bounced light.
-    pub fn solve<'a>(&'a self, rest: &'a Wall, wall: &'a Wall, leds: &[Led]) -> Irradiance<'a> {
+    /// Irradiance by bounced light; LEDs cast shadows or not.
+    pub fn solve<'a>(
+        &'a self,
+        rest: &'a Wall,
+        wall: &'a Wall,
+        (leds, shadows): (&[Led], bool),
+    ) -> Irradiance<'a> {
         let mut last = first_reflection(self, wall, leds);
         let reached = self.reached(rest, &last);
+        let kept = self.kept_of(rest, &reached, &mut last);
         let moved = (!std::ptr::eq(rest, wall)).then(|| Moved::new(self, rest, wall, &reached));
         if let Some(moved) = &moved {
             for &s in &reached {
@@ -57,7 +67,7 @@ impl QuickLight {
         let mut leaving = last.clone();
         let mut before = [0.0; 3];
         for bounce in 0..BOUNCES {
-            let next = self.reflect(&reached, &rows, &last);
+            let next = self.reflect((&reached, &kept), &rows, &last);
             let total = next.iter().fold([0.0; 3], |s, c| add(s, [c[0], c[1], c[2]]));
             let rest_of_series = if bounce + 1 < BOUNCES { [1.0; 3] } else { tail(total, before) };
             before = total;
@@ -68,7 +78,19 @@ impl QuickLight {
                 last[s as usize] = light;
             }
         }
-        Irradiance { light: self, rest, wall, moved, leaving, known: self.room.lend() }
+        let skin = self.tissue.as_ref().map(|tissue| tissue.frame(rest, wall, leds, shadows));
+        Irradiance { light: self, rest, wall, moved, leaving, known: self.room.lend(), skin }
+    }
+
+    /// What each of the sites keeps of the light that it reflects; `last` is made less by that.
+    fn kept_of(&self, rest: &Wall, sites: &[u32], last: &mut [Color]) -> Vec<Vec3> {
+        let of_site = |&s: &u32| self.kept(rest, s as usize);
+        let kept: Vec<Vec3> = sites.par_iter().with_min_len(CHUNK).map(of_site).collect();
+        for (&s, kept) in sites.iter().zip(&kept) {
+            let [r, g, b, _] = last[s as usize];
+            last[s as usize] = [r * kept[0], g * kept[1], b * kept[2], 0.0];
+        }
+        kept
     }
 
     /// Sites that are lit or see one that is, in order.
@@ -102,8 +124,13 @@ impl QuickLight {
     }
 
     /// Radiosity of sites by what leaves all others.
-    fn reflect(&self, sites: &[u32], rows: &[Cow<'_, [Link]>], leaving: &[Color]) -> Vec<Color> {
-        let of_site = |(&s, row): (&u32, &Cow<'_, [Link]>)| {
+    fn reflect(
+        &self,
+        (sites, kept): (&[u32], &[Vec3]),
+        rows: &[Cow<'_, [Link]>],
+        leaving: &[Color],
+    ) -> Vec<Color> {
+        let of_site = |((&s, kept), row): ((&u32, &Vec3), &Cow<'_, [Link]>)| {
             let mut light = [0.0; 4];
             for link in row.iter() {
                 let from = &leaving[link.from as usize];
@@ -112,9 +139,9 @@ impl QuickLight {
                 }
             }
             let [r, g, b] = self.reflected(s as usize, self.reflectance.mean);
-            [light[0] * r, light[1] * g, light[2] * b, 0.0]
+            [light[0] * r * kept[0], light[1] * g * kept[1], light[2] * b * kept[2], 0.0]
         };
-        sites.par_iter().zip(rows).with_min_len(CHUNK).map(of_site).collect()
+        sites.par_iter().zip(kept).zip(rows).with_min_len(CHUNK).map(of_site).collect()
     }
 }
 
@@ -124,13 +151,27 @@ fn tail(term: Vec3, before: Vec3) -> Vec3 {
 }
 
 impl Irradiance<'_> {
+    /// What the tissue behind surfaces makes of light, if it goes there.
+    #[inline(always)]
+    pub fn beneath(&self, surface: &Surface, hits: &Hits, walls: &[u32; LANES]) -> Option<Beneath> {
+        let skin = self.skin.as_ref()?;
+        let is_wall = walls.map(|triangle| triangle != MISS);
+        Some(skin.beneath(surface, hits, is_wall, &|v| Vec4::from_slice(&self.vertex(v)[..4])))
+    }
+
     /// Adds the radiance that bounced light leaves towards the viewer [W/(sr·m²)]; `smooth` are
-    /// the wall's normals without relief.
+    /// the wall's normals without relief, `beneath` is what tissue makes of it.
     ///
     /// Relief that tilts by τ looks into the wall with a part of its hemisphere: of even light it
     /// gets (1 + cos τ)/2.
     #[inline(always)]
-    pub fn add(&self, (surface, smooth): (&Surface, &Lane3), hits: &Hits, radiance: &mut Lane3) {
+    pub fn add(
+        &self,
+        (surface, smooth): (&Surface, &Lane3),
+        hits: &Hits,
+        beneath: Option<&Beneath>,
+        radiance: &mut Lane3,
+    ) {
         let mut shares = [[0.0; LANES]; 4];
         let mut reflected = [[0.0; LANES]; 2];
         for i in 0..LANES {
@@ -168,8 +209,10 @@ impl Irradiance<'_> {
         }
         for k in 0..3 {
             for i in 0..LANES {
-                let share = reflected[0][i] * surface.albedo[k][i] + reflected[1][i];
-                radiance[k][i] += max(irradiance[k][i], 0.0) * (1.0 / PI) * share;
+                let base = reflected[0][i] * surface.albedo[k][i];
+                let (base, through) = beneath.map_or((base, 0.0), |beneath| beneath.of(base, k, i));
+                let share = base + reflected[1][i];
+                radiance[k][i] += max(irradiance[k][i], 0.0) * (1.0 / PI) * share + through;
             }
         }
     }

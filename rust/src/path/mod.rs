@@ -8,8 +8,8 @@
 //! runs over lanes and ways to an LED are traced as packets.
 
 pub mod afloat;
-mod lobes;
-mod random;
+pub mod lobes;
+pub mod random;
 pub mod ray;
 mod shadow;
 mod through;

@@ -4,7 +4,7 @@ use super::bayer::{demosaic_line, mirrored_about};
 use super::bloom::{Bloom, Scattered};
 use super::defocus::{Padded, bring_near};
 use super::dome::{Drops, Film, GivenDrops, GivenFilm};
-use super::field::Field;
+use super::field::{Field, Shutter};
 use super::jpeg::Compression;
 use super::motion::Still;
 use super::noise::{Readout, Sensor, streams};
@@ -54,8 +54,8 @@ type Distance<'py> =
 struct Shot<'py> {
     /// From radiance to image values.
     factor: f32,
-    /// As `blur_motion` takes it: motion, its step, shutter and readout.
-    motion: Option<(PyReadonlyArray3<'py, f32>, usize, f32, f32)>,
+    /// As `blur_motion` takes it: motion, its step, the shutter.
+    motion: Option<(PyReadonlyArray3<'py, f32>, usize, (f32, f32, f32))>,
     distance: Option<Distance<'py>>,
     drops: Option<GivenDrops<'py>>,
     /// None where the sensor changes nothing.
@@ -93,12 +93,12 @@ struct Room {
     codes: Vec<u8>,
 }
 
-/// Motion of the image at some places, and how long rows are open and late.
+/// Motion of the image at some places, and when rows take light.
 struct Motion<'a> {
     vectors: &'a [f32],
     cells: (usize, usize),
     step: usize,
-    open: (f32, f32),
+    shutter: Shutter,
 }
 
 /// A frame's arrays, as far as stages use them.
@@ -205,13 +205,13 @@ impl CameraStages {
 
 impl Shot<'_> {
     fn motion(&self) -> PyResult<Option<Motion<'_>>> {
-        let Some((vectors, step, shutter, readout)) = &self.motion else { return Ok(None) };
+        let Some((vectors, step, shutter)) = &self.motion else { return Ok(None) };
         let [rows, columns, 2] = vectors.shape()[..] else { return Err(misfit()) };
         if rows * columns * step == 0 {
             return Err(misfit());
         }
-        let (vectors, open) = (vectors.as_slice()?, (*shutter, *readout));
-        Ok(Some(Motion { vectors, cells: (rows, columns), step: *step, open }))
+        let (vectors, shutter) = (vectors.as_slice()?, Shutter::of(*shutter));
+        Ok(Some(Motion { vectors, cells: (rows, columns), step: *step, shutter }))
     }
 
     fn distance(&self, size: (usize, usize)) -> PyResult<Option<(&[f32], &[f32], &[u8])>> {
@@ -280,10 +280,10 @@ impl CameraStages {
             Some(padded) => padded.lines(),
             None => rows(planes, self.size),
         };
-        if let Some(Motion { vectors, cells, step, open }) = &frame.motion {
-            let motion = Field::new(vectors, *cells, *step).when_read(open.1, height);
+        if let Some(Motion { vectors, cells, step, shutter }) = &frame.motion {
+            let motion = Field::new(vectors, *cells, *step).when_read(*shutter, height);
             still.fill(frame.light, frame.factor);
-            still.blur(&motion, *open, lines);
+            still.blur(&motion, *shutter, lines);
         } else {
             lines.into_par_iter().enumerate().for_each(|(y, line)| {
                 for (k, row) in line.into_iter().enumerate() {

@@ -1,6 +1,6 @@
 //! Motion while the shutter is open, and rows that are read one after another.
 
-use super::field::{Field, lateness, whole};
+use super::field::{Field, Shutter, Window, whole};
 use super::planes::{Line, parted, planes_array, rows, size_of_image};
 use crate::cpu::on_pool;
 use crate::lanes::{clamp, load, max, min, store};
@@ -18,17 +18,16 @@ const STILL: f32 = 1e-3;
 ///
 /// A pixel is the mean over the time its row is open of what moves past it. `motion` is an array
 /// [rows columns 2] and a number n: the motion of the image in one frame's time [px] at every nth
-/// pixel of every nth row, the first in the middle of a square of so many. `open` is the time a row is
-/// open, and that from the first row's middle of exposure to the last one's, as shares of a frame's
-/// time; the row in the middle has its exposure about the instant of the image. What is not `lit`
-/// stays black and is mixed into nothing.
+/// pixel of every nth row, the first in the middle of a square of so many. `shutter` has the times of
+/// `Shutter`, in its order. What is not `lit` stays
+/// black and is mixed into nothing.
 #[pyfunction]
 pub fn blur_motion<'py>(
     py: Python<'py>,
     image: PyReadonlyArray3<'py, f32>,
     lit: PyReadonlyArray2<'py, bool>,
     motion: (PyReadonlyArray3<'py, f32>, usize),
-    open: (f32, f32),
+    shutter: (f32, f32, f32),
     factor: f32,
 ) -> PyResult<Bound<'py, PyArray3<f32>>> {
     let (height, width) = size_of_image(&image)?;
@@ -39,14 +38,15 @@ pub fn blur_motion<'py>(
         return Err(PyValueError::new_err("Motion and lit must fit the image."));
     }
     let (source, lit) = (image.as_slice()?, lit.as_slice()?);
-    let ((vectors, step), (shutter, readout)) = ((motion.0.as_slice()?, motion.1), open);
+    let shutter = Shutter::of(shutter);
+    let (vectors, step) = (motion.0.as_slice()?, motion.1);
     let mut out = vec![0.0; source.len()];
     on_pool(py, || {
-        let motion = Field::new(vectors, (rows_known, columns), step).when_read(readout, height);
+        let motion = Field::new(vectors, (rows_known, columns), step).when_read(shutter, height);
         let planes = parted(source, (height, width), factor);
         let mut still = Still::new((height, width), lit);
         still.fill(&planes, 1.0);
-        still.blur(&motion, (shutter, readout), rows(&mut out, (height, width)));
+        still.blur(&motion, shutter, rows(&mut out, (height, width)));
     });
     Ok(planes_array(py, out, (height, width)))
 }
@@ -104,10 +104,9 @@ impl Still {
 
     /// Fills the lines of an image with the mean over the time that each is open, given the motion
     /// when it is read.
-    pub fn blur(&self, motion: &Field, (shutter, readout): (f32, f32), lines: Vec<Line<'_>>) {
+    pub fn blur(&self, motion: &Field, shutter: Shutter, lines: Vec<Line<'_>>) {
         lines.into_par_iter().enumerate().for_each(|(y, line)| {
-            let late = lateness(readout, y as f32, self.size.0);
-            blur_row(self, y, motion, (shutter, late), line);
+            blur_row(self, y, motion, shutter.window(y as f32, self.size.0), line);
         });
     }
 
@@ -178,7 +177,8 @@ fn fill_row(from: &[f32], lit: &[f32], factor: f32, row: &mut [f32]) {
     "x86_64+avx2",
     "aarch64+neon"
 ))]
-fn blur_row(still: &Still, y: usize, motion: &Field, (shutter, late): (f32, f32), out: Line<'_>) {
+fn blur_row(still: &Still, y: usize, motion: &Field, window: Window, out: Line<'_>) {
+    let (shutter, late) = (window.length, window.late);
     let width = still.size.1;
     let motion = motion.row(y, width.div_ceil(RUN) * RUN);
     for x in (0..width).step_by(RUN) {
@@ -209,7 +209,7 @@ fn blur_row(still: &Still, y: usize, motion: &Field, (shutter, late): (f32, f32)
             }
         }
         for k in 0..3 {
-            store(&mean[k], &mut out[k][x..]);
+            store(&mean[k].map(|light| light * window.share), &mut out[k][x..]);
         }
     }
 }

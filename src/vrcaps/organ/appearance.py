@@ -33,9 +33,9 @@ DEFAULT_TEXELS_PER_MM = 8.0
 _MOST_STRETCH = 1.6  # of a texel beyond the mean that more texels make up for
 
 
-MUCUS_TINT = (1.2, 2.6, 1.4)
-"""Reflectance of bile-stained mucus over that of the wall, red, green, blue: median ratio, in six
-of the real frames of docs/gallery.md, of what is yellow to what is red."""
+MUCUS_TINT = (1.2, 2.8, 1.45)
+"""Reflectance of bile-stained mucus over that of the wall, red, green, blue: median ratio, in seven
+real frames of clean colons (docs/mucosa.md), of what is yellow to what is red."""
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,7 @@ class Mucosa:
         pit_shade: Optical density of those gaps in green light; bile gathers there too.
         network: Weight of the finest network of vessels in the redness.
         flecks: Share of cells, 3.2 mm wide, that hold a fleck of mucus, on the wall or off it.
-        mucus: Share of the wall under a film of mucus, 0 to 1; its strands reach beyond.
+        mucus: Amount of mucus, 0 to 1: film and strands cover a third of this share of the wall.
         mucus_tint: Reflectance of mucus over that of the wall, red, green, blue.
         roughness: Perceptual roughness of the wall under its wet film, 0 to 1.
         coat: Strength of the wet film, 0 (dry, or broken up) to 1 (whole).
@@ -94,16 +94,17 @@ class Mucosa:
 
 MUCOSAE: dict[str, Mucosa] = {
     "colon": Mucosa(
-        base_color=(0.444, 0.157, 0.112),
+        base_color=(0.446, 0.132, 0.128),
         bile=0.65,
         redness_variation=0.45,
         network=1.4,
+        relief_slope=0.05,
         roughness=0.90,
-        coat=1.0,
+        coat=0.8,
         coat_gloss=0.97,
     ),
     "stomach": Mucosa(
-        base_color=(0.430, 0.162, 0.108),
+        base_color=(0.432, 0.136, 0.123),
         bile=0.15,
         vessel_contrast=0.25,
         vessel_spacing=1.5 * MM,
@@ -116,7 +117,7 @@ MUCOSAE: dict[str, Mucosa] = {
         coat=0.7,
     ),
     "small_intestine": Mucosa(
-        base_color=(0.406, 0.214, 0.149),
+        base_color=(0.418, 0.210, 0.149),
         redness_variation=0.22,
         patient_variation=(0.20, 0.40),
         bile=0.32,

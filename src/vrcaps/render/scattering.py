@@ -1,8 +1,9 @@
 """Light that enters tissue, is scattered in it and leaves again: optical properties and theory.
 
-What `light="path"` walks at random is stated here in closed form: a half-space that scatters evenly
-in all directions behind a smooth border. The texture's colour is what such tissue gives back of
-even light; from it follows how much it absorbs, with the measured scattering of colon.
+What `light="path"` walks at random, and `light="quick"` by rows of such walks, is stated here in
+closed form: a half-space that scatters evenly in all directions behind a smooth border. The
+texture's colour is what such tissue gives back of even light; from it follows how much it absorbs,
+with the measured scattering of colon.
 """
 
 from __future__ import annotations
@@ -264,18 +265,52 @@ def albedo_roots(ior: float = TISSUE_IOR) -> Float[np.ndarray, " n"]:
     return np.interp(wanted, color[::-1], root[::-1])
 
 
+def mean_cosine(ior: float) -> float:
+    """Mean cosine inside of even light outside that has entered, weighted by its flux."""
+    cosine, weight = _directions(ior)
+    flux = weight * cosine * (1.0 - fresnel(cosine, 1.0 / ior))
+    return float(np.sum(flux * cosine) / np.sum(flux))
+
+
+@functools.cache
+def color_slopes(ior: float = TISSUE_IOR) -> Float[np.ndarray, " n"]:
+    """How a half-space under even light looks by angle, for base colours 0 to 1 in even steps.
+
+    Inside it sends the mean radiance times 1 + slope (m − cosine) to its border, with m the
+    `mean_cosine`: brighter the flatter, as flat ways gather light from less deep. A straight line
+    by least squares over what passes the border.
+    """
+    cosine, weight = _directions(ior)
+    flux = weight * cosine * (1.0 - fresnel(cosine, 1.0 / ior))
+    color, few = np.linspace(0.0, 1.0, _COLORS), np.linspace(0.01, 1.0, 34)
+    root = np.interp(few, color, albedo_roots(ior))
+    inside = _radiance_inside(1.0 - root**2, ior)
+    less = mean_cosine(ior) - cosine
+    slope = inside @ (flux * less) / np.sum(flux * less**2) / (inside @ flux / np.sum(flux))
+    return np.interp(color, few, slope)
+
+
 def tissue_figures(
     bands_nm: tuple[float, float, float],
-) -> tuple[tuple[float, float, float], float, float, Float[np.ndarray, " n"]]:
+) -> tuple[
+    tuple[float, float, float],
+    float,
+    float,
+    Float[np.ndarray, " n"],
+    float,
+    Float[np.ndarray, " n"],
+]:
     """What the core walks in.
 
     Args:
         bands_nm: Middle of what the image's red, green and blue are lit by [nm].
 
     Returns:
-        µs′ of red, green and blue [1/m], refractive index, share of even light that enters, and
-        `albedo_roots`.
+        µs′ of red, green and blue [1/m], refractive index, share of even light that enters,
+        `albedo_roots`, `mean_cosine` and `color_slopes`.
     """
     red, green, blue = (reduced_scattering(band) for band in bands_nm)
     roots = albedo_roots(TISSUE_IOR).astype(np.float32)
-    return (red, green, blue), TISSUE_IOR, entering_share(TISSUE_IOR), roots
+    slopes = color_slopes(TISSUE_IOR).astype(np.float32)
+    level = mean_cosine(TISSUE_IOR)
+    return (red, green, blue), TISSUE_IOR, entering_share(TISSUE_IOR), roots, level, slopes

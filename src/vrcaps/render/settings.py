@@ -25,8 +25,9 @@ class RenderSettings:
         samples: Paths that path tracing follows for each ray; noise falls with their square root.
         depth: Most reflections of a path, 1 to 100; 1 is direct light with shadows.
         light_seed: Chooses the paths.
-        scattering: Whether light goes through the tissue behind the wall, by random walks, so that
-            shadows and relief are soft and thin folds shine through; only with path tracing.
+        scattering: Whether light goes through the tissue behind the wall, so that shadows and
+            relief are soft and thin folds shine through: by random walks with path tracing, by rows
+            of such walks kept for the wall with quick light; not with direct light.
         denoise: Whether Open Image Denoise filters light beyond the first reflection; only with
             path tracing. Needs `pip install 'vrcaps[denoise]'`.
         film_um: Thickness of the wet film on the wall [µm], 0 (dry) to 1000; by default that of the
@@ -49,8 +50,8 @@ class RenderSettings:
     def __post_init__(self) -> None:
         if self.light not in get_args(Light):
             raise UnknownNameError("light", self.light, get_args(Light))
-        if self.scattering and self.light != "path":
-            raise InputError(f"Scattering goes with light path, not {self.light}. Drop one.")
+        if self.scattering and self.light == "direct":
+            raise InputError("Scattering goes with light quick or path, not direct. Drop one.")
         film = 0.0 if self.film_um is None else self.film_um
         for name, value, valid, allowed in (
             ("Supersampling", self.supersampling, self.supersampling >= 1, "1, 2, 3, …"),

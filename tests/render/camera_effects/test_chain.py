@@ -322,7 +322,7 @@ image = rng.random((61, 83, 3), np.float32)
 lit = np.ones((61, 83), bool)
 motion = rng.normal(0, 9, (16, 21, 2)).astype(np.float32)
 distance = rng.uniform(0.005, 0.08, (61, 83)).astype(np.float32)
-planes = _core.blur_motion(image, lit, (motion, 4), (0.3, 0.2), 1.0)
+planes = _core.blur_motion(image, lit, (motion, 4), (0.3, 0.2, 0.4), 1.0)
 planes = _core.defocus(planes, distance, 0.03, 0.015)
 planes = _core.scale_planes(planes, (41.0, 30.0), (1.01, 1.0, 0.99))
 planes = _core.bloom(_core.shade_planes(planes, distance * 10), 0.1, 5.0)
@@ -349,7 +349,7 @@ def test_stages_are_the_same_bytes_on_any_number_of_threads() -> None:
 
 
 def blur(f, lit: tuple[int, ...], motion: tuple[int, ...]):
-    return _core.blur_motion(f(4, 4, 3), f(*lit) > 0, (f(*motion), 4), (0.1, 0.1), 1.0)
+    return _core.blur_motion(f(4, 4, 3), f(*lit) > 0, (f(*motion), 4), (0.1, 0.1, 1.0), 1.0)
 
 
 def table(f) -> _core.RayTable:

@@ -65,22 +65,22 @@ class Activity:
 
 ACTIVITIES = {
     1: Activity(
-        *(0.92, (1.00, 0.71, 0.60), 0.85, 0.014 * MM),
+        *(0.92, (0.995, 0.633, 0.406), 0.85, 0.014 * MM),
         **{"stipple": 0.14, "petechiae": 3.2, "mucopus": 1.5},
     ),
     2: Activity(
-        *(1.0, (0.98, 0.74, 0.77), 0.7, 0.017 * MM),
+        *(1.0, (0.975, 0.789, 0.888), 0.7, 0.017 * MM),
         **{"petechiae": 2.6, "erosions": 1.4, "mucopus": 1.2},
     ),
     3: Activity(
-        *(1.0, (0.96, 0.51, 0.43), 0.5, 0.020 * MM),
+        *(1.0, (0.955, 0.432, 0.283), 0.5, 0.020 * MM),
         **{"petechiae": 2.3, "erosions": 1.3, "ulcers": 0.6, "blood": 0.6, "mucopus": 1.0},
     ),
 }
 """By Mayo subscore: 1 erythema, decreased vascular pattern; 2 marked erythema, no vascular
-pattern, friability, erosions; 3 spontaneous bleeding, ulceration. Tints are between those at which
-frames have the mean colour of real ones (`benchmarks/fit_appearance.py`) and the hue of blood, and
-of 2, whose few real frames are paler than those of 1, no paler than of 1 by more than 0.03."""
+pattern, friability, erosions; 3 spontaneous bleeding, ulceration. Tints are those at which frames
+have the mean colour of real ones (`benchmarks/fit_appearance.py`); of 2 these few are paler and
+less yellow than of 1, by other cameras as much as by disease."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -201,16 +201,18 @@ class CameraChain:
         }
 
     def _moving(self, seen: Seen, renderer: Renderer, moment: Moment) -> tuple[Any, ...] | None:
-        """Motion of the image, its step, and the time that rows are open and late in, in frames."""
+        """Motion of the image, its step, and when rows are open and lit, in frames."""
         blur, rolling = self._stages["motion_blur"], self._stages["rolling_shutter"]
         if blur is None and rolling is None:
             return None
         motion = self.motion(seen, renderer, moment)
         if motion is None:
-            return None
+            motion = np.zeros((1, 1, 2), np.float32)  # a frame alone
         shutter = 0.0 if blur is None else min(blur.exposure_time / self._interval, 1.0)
         readout = 0.0 if rolling is None else min(rolling.readout_time / self._interval, 1.0)
-        return np.ascontiguousarray(motion), STEP, shutter, readout
+        lit = None if blur is None else blur.led_pulse
+        pulse = np.inf if lit is None else lit / self._interval
+        return np.ascontiguousarray(motion), STEP, (shutter, readout, pulse)
 
     def motion(
         self, seen: Seen, renderer: Renderer, moment: Moment

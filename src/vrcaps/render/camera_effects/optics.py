@@ -23,15 +23,24 @@ if TYPE_CHECKING:
 class MotionBlur:
     """The capsule and the wall move while the shutter is open and the LEDs are lit.
 
+    A row takes light while it is open and the LEDs are lit, and as large a part of it as of the
+    pulse that falls into its time; in all the LEDs give the same light, however short the pulse. So
+    with a rolling shutter a pulse in which all rows are open freezes the image as a global shutter
+    does, and a row that is not open then is black.
+
     Attributes:
         exposure_time: How long each row gathers light [s]; at most a frame's time counts.
+        led_pulse: How long the LEDs are lit, about the instant of the image [s]; None is always.
     """
 
     exposure_time: float
+    led_pulse: float | None = None
 
     def __post_init__(self) -> None:
-        time = self.exposure_time
+        time, pulse = self.exposure_time, self.led_pulse
         require(0.0 < time < 10.0, "MotionBlur's exposure_time", time, "above 0 to 10 s")
+        is_valid = pulse is None or 0.0 < pulse < 10.0
+        require(is_valid, "MotionBlur's led_pulse", pulse, "above 0 to 10 s")
 
 
 @dataclass(frozen=True)

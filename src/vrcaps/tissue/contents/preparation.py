@@ -12,20 +12,20 @@ from vrcaps.units import MM
 _STOOL, _FOOD = (0.24, 0.16, 0.035), (0.34, 0.26, 0.11)
 """Linear colours of stool and of undigested food, chosen by eye beside real frames."""
 
-_CLEAR, _TURBID = (14.0, 13.0, 6.0), (120.0, 100.0, 40.0)
+_CLEAR, _TURBID = (14.0, 13.0, 6.0), (70.0, 55.0, 20.0)
 """Scattering of washed and of stained liquid [1/m]."""
 
 
 def _left(froth: float, per_area: float, clump: float, radius: float, fill: float) -> Contents:
     """Contents with stool, `froth` and `per_area` in spheres per cm²."""
-    turbid = fill > 0.03
+    turbid = fill > 0.02
     return Contents(
-        bubbles=Bubbles(per_area=froth / CM2, raft_size=8.0, radius=0.5 * MM, on_dome=1),
+        bubbles=Bubbles(per_area=froth / CM2, raft_size=8.0, radius=0.5 * MM),
         chyme=Chyme(
             per_area=per_area / CM2,
             clump_size=clump,
             radius=radius,
-            spread=0.6,
+            spread=0.7,
             largest=4.0 * MM,
             settled=0.6,
             white=0.2,
@@ -34,7 +34,7 @@ def _left(froth: float, per_area: float, clump: float, radius: float, fill: floa
         ),
         liquid=Liquid(
             fill=fill,
-            absorption=(60.0, 120.0, 420.0) if turbid else (25.0, 45.0, 150.0),
+            absorption=(40.0, 85.0, 300.0) if turbid else (25.0, 45.0, 150.0),
             scattering=_TURBID if turbid else _CLEAR,
         ),
     )
@@ -42,9 +42,9 @@ def _left(froth: float, per_area: float, clump: float, radius: float, fill: floa
 
 PREPARATIONS: tuple[Contents, ...] = (
     _left(2.0, 40.0, 60.0, 0.7 * MM, 0.25),
-    _left(1.5, 9.0, 25.0, 0.5 * MM, 0.10),
-    _left(0.8, 1.0, 6.0, 0.35 * MM, 0.04),
-    _left(0.3, 0.08, 2.0, 0.25 * MM, 0.015),
+    _left(1.5, 20.0, 40.0, 0.32 * MM, 0.10),
+    _left(0.8, 2.0, 14.0, 0.20 * MM, 0.025),
+    _left(0.3, 0.15, 4.0, 0.15 * MM, 0.015),
 )
 """By score of a segment on the Boston bowel preparation scale (Lai et al., Gastrointest. Endosc.
 69(3), 2009): 0 unprepared, solid stool hides the mucosa; 1 parts are hidden by stain, stool and

@@ -88,6 +88,8 @@ mod tests {
             let lobe = Lobe::turned(axis, exponent, 32, 7);
             let sum: f32 = lobe.directions().map(|d| dot(d, axis)).sum();
             assert!((sum / 1024.0 - mean).abs() < 2e-3, "{exponent}");
+            let sum: f32 = (0..1024).map(|k| dot(lobe.on_spiral(k), axis)).sum();
+            assert!((sum / 1024.0 - mean).abs() < 2e-3, "{exponent}");
             assert!(lobe.directions().all(|d| (dot(d, d) - 1.0).abs() < 1e-5));
         }
     }

@@ -2,7 +2,7 @@
 
 use super::bayer::{demosaic_line, mirrored_about};
 use super::bloom::{Bloom, Scattered};
-use super::defocus::Padded;
+use super::defocus::{Padded, bring_near};
 use super::dome::{Drops, Film, GivenDrops, GivenFilm};
 use super::field::{Field, Shutter};
 use super::jpeg::Compression;
@@ -93,14 +93,21 @@ struct Room {
     codes: Vec<u8>,
 }
 
+/// Motion of the image at some places, and when rows take light.
+struct Motion<'a> {
+    vectors: &'a [f32],
+    cells: (usize, usize),
+    step: usize,
+    shutter: Shutter,
+}
+
 /// A frame's arrays, as far as stages use them.
 struct Frame<'a> {
     light: &'a [f32],
     factor: f32,
-    /// Motion of the image, its cells, its step, and when rows take light.
-    motion: Option<(&'a [f32], (usize, usize), usize, Shutter)>,
-    distance: Option<[&'a [f32]; 2]>,
-    front: Option<&'a [u8]>,
+    motion: Option<Motion<'a>>,
+    /// Distance of the wall, depth and label of what is in front.
+    distance: Option<(&'a [f32], &'a [f32], &'a [u8])>,
     drops: Option<Drops<'a>>,
     sensor: Option<Sensor<'a>>,
     gains: [f32; 3],
@@ -151,36 +158,21 @@ impl CameraStages {
         if size(&radiance)? != self.size || (self.defocus.is_some() && shot.distance.is_none()) {
             return Err(misfit());
         }
-        let area = self.lit.len();
-        let (distance, front) = match &shot.distance {
-            Some((wall, label, depth)) => {
-                let both = [of_image(wall, self.size)?, of_image(depth, self.size)?];
-                (Some(both), Some(of_image(label, self.size)?))
-            }
-            None => (None, None),
-        };
-        let motion = match &shot.motion {
-            Some((vectors, step, shutter)) => {
-                let [rows, columns, 2] = vectors.shape()[..] else { return Err(misfit()) };
-                if rows * columns * step == 0 {
-                    return Err(misfit());
-                }
-                Some((vectors.as_slice()?, (rows, columns), *step, Shutter::of(*shutter)))
-            }
-            None => None,
+        let sensor = |readout| Sensor {
+            pattern: [&self.pattern[0], &self.pattern[1]],
+            readout,
+            streams: streams(shot.key),
         };
         let frame = Frame {
             light: radiance.as_slice()?,
             factor: shot.factor,
-            motion,
-            distance,
-            front,
-            drops: shot.drops.as_ref().map(|drops| Drops::of(drops, area)).transpose()?,
-            sensor: shot.readout.as_ref().map(|readout| Sensor {
-                pattern: [&self.pattern[0], &self.pattern[1]],
-                readout,
-                streams: streams(shot.key),
-            }),
+            motion: shot.motion()?,
+            distance: shot.distance(self.size)?,
+            drops: match &shot.drops {
+                Some(drops) => Some(Drops::of(drops, self.lit.len())?),
+                None => None,
+            },
+            sensor: shot.readout.as_ref().map(sensor),
             gains: shot.gains,
         };
         let out = on_pool(py, || self.take(&frame));
@@ -208,6 +200,23 @@ impl CameraStages {
             }
         }
         Ok(sum / f64::from(count.max(1)))
+    }
+}
+
+impl Shot<'_> {
+    fn motion(&self) -> PyResult<Option<Motion<'_>>> {
+        let Some((vectors, step, shutter)) = &self.motion else { return Ok(None) };
+        let [rows, columns, 2] = vectors.shape()[..] else { return Err(misfit()) };
+        if rows * columns * step == 0 {
+            return Err(misfit());
+        }
+        let (vectors, shutter) = (vectors.as_slice()?, Shutter::of(*shutter));
+        Ok(Some(Motion { vectors, cells: (rows, columns), step: *step, shutter }))
+    }
+
+    fn distance(&self, size: (usize, usize)) -> PyResult<Option<(&[f32], &[f32], &[u8])>> {
+        let Some((wall, label, depth)) = &self.distance else { return Ok(None) };
+        Ok(Some((of_image(wall, size)?, of_image(depth, size)?, of_image(label, size)?)))
     }
 }
 
@@ -271,10 +280,10 @@ impl CameraStages {
             Some(padded) => padded.lines(),
             None => rows(planes, self.size),
         };
-        if let Some((vectors, cells, step, shutter)) = frame.motion {
-            let motion = Field::new(vectors, cells, step).when_read(shutter, height);
+        if let Some(Motion { vectors, cells, step, shutter }) = &frame.motion {
+            let motion = Field::new(vectors, *cells, *step).when_read(*shutter, height);
             still.fill(frame.light, frame.factor);
-            still.blur(&motion, shutter, lines);
+            still.blur(&motion, *shutter, lines);
         } else {
             lines.into_par_iter().enumerate().for_each(|(y, line)| {
                 for (k, row) in line.into_iter().enumerate() {
@@ -290,14 +299,14 @@ impl CameraStages {
 
     /// Distance along the ray of the bubble or else the wall that the pixels of a row see [m].
     fn distances(&self, frame: &Frame<'_>, y: usize, row: &mut [f32]) {
-        let (Some([wall, depth]), Some(front)) = (frame.distance, frame.front) else { return };
+        let Some((wall, depth, front)) = frame.distance else { return };
         let pixels = y * row.len()..(y + 1) * row.len();
         row.copy_from_slice(&wall[pixels.clone()]);
         let front = &front[pixels.clone()];
         if !front.contains(&FRONT_BUBBLE) {
             return;
         }
-        bring_near(row, front, &depth[pixels.clone()], &self.cosine[pixels]);
+        bring_near(row, front, (&depth[pixels.clone()], &self.cosine[pixels]));
     }
 
     /// Droplets and smears.
@@ -377,19 +386,5 @@ impl CameraStages {
                 develop_row(line[k], frame.gains[k], lit(y), codes);
             }
         });
-    }
-}
-
-/// Puts the distance of bubbles in place of that of what is behind them.
-#[multiversion::multiversion(targets(
-    "x86_64+avx512f+avx512bw+avx512cd+avx512dq+avx512vl",
-    "x86_64+avx2",
-    "aarch64+neon"
-))]
-fn bring_near(row: &mut [f32], front: &[u8], depth: &[f32], cosine: &[f32]) {
-    for (((distance, &front), depth), cosine) in row.iter_mut().zip(front).zip(depth).zip(cosine) {
-        let along = depth / cosine;
-        let is_nearer = (front == FRONT_BUBBLE) & (along > 0.0);
-        *distance = if is_nearer { along } else { *distance };
     }
 }

@@ -1,6 +1,7 @@
 //! Blur of what is out of focus, by the circle of confusion of a thin lens.
 
 use super::planes::{Line, planes_array, rows, size};
+use crate::contents::front::FRONT_BUBBLE;
 use crate::cpu::on_pool;
 use crate::lanes::{clamp, load, max, min, store};
 use numpy::{PyArray3, PyReadonlyArray2, PyReadonlyArray3, PyUntypedArrayMethods};
@@ -277,4 +278,18 @@ fn spread_block(padded: &Padded, place: (usize, usize), radius: f32) -> [[Run; 3
 fn chosen(first: bool, one: f32, other: f32) -> f32 {
     let mask = u32::from(first).wrapping_neg();
     f32::from_bits((one.to_bits() & mask) | (other.to_bits() & !mask))
+}
+
+/// Puts the distance of bubbles in place of that of what is behind them.
+#[multiversion::multiversion(targets(
+    "x86_64+avx512f+avx512bw+avx512cd+avx512dq+avx512vl",
+    "x86_64+avx2",
+    "aarch64+neon"
+))]
+pub fn bring_near(row: &mut [f32], front: &[u8], (depth, cosine): (&[f32], &[f32])) {
+    for (((distance, &front), depth), cosine) in row.iter_mut().zip(front).zip(depth).zip(cosine) {
+        let along = depth / cosine;
+        let is_nearer = (front == FRONT_BUBBLE) & (along > 0.0);
+        *distance = if is_nearer { along } else { *distance };
+    }
 }

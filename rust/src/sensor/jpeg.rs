@@ -2,6 +2,7 @@
 //! bytes it takes. The file itself is not made: Huffman coding loses nothing, so only its length
 //! counts, to 2 %: bytes 255, which a file follows with a 0, are not counted twice.
 
+use super::cosine::{Basis, Block, bases, both_ways};
 use super::planes::interleave;
 use super::tables::{AC_BITS_CHROMINANCE, AC_BITS_LUMINANCE, DC_BITS, STEPS};
 use crate::cpu::on_pool;
@@ -19,9 +20,6 @@ const ZIGZAG: [u8; 64] = [
     13, 6, 7, 14, 21, 28, 35, 42, 49, 56, 57, 50, 43, 36, 29, 22, 15, 23, 30, 37, 44, 51, 58, 59,
     52, 45, 38, 31, 39, 46, 53, 60, 61, 54, 47, 55, 62, 63,
 ];
-
-type Block = [f32; 64];
-type Basis = [[f32; 8]; 8];
 
 /// The image [h w 3] as read back from its JPEG.
 #[pyfunction]
@@ -109,61 +107,10 @@ fn steps(table: usize, quality: u32) -> Block {
     STEPS[table].map(|s| ((u32::from(s) * percent + 50) / 100).clamp(1, 255) as f32)
 }
 
-/// Rows are the orthonormal cosines of the transform of 8 numbers.
-fn basis() -> Basis {
-    let mut rows = [[0.0; 8]; 8];
-    for (k, row) in rows.iter_mut().enumerate() {
-        let scale = if k == 0 { 0.125f64.sqrt() } else { 0.5 };
-        for (x, value) in row.iter_mut().enumerate() {
-            let angle = (2 * x + 1) as f64 * k as f64 * std::f64::consts::PI / 16.0;
-            *value = (scale * libm::cos(angle)) as f32;
-        }
-    }
-    rows
-}
-
-/// `M B Mᵀ`, given M and Mᵀ.
-#[inline(always)]
-fn both_ways(m: &Basis, transposed: &Basis, block: &Block) -> Block {
-    let (mut half, mut out) = ([[0.0; 8]; 8], [0.0; 64]);
-    for k in 0..8 {
-        for y in 0..8 {
-            for x in 0..8 {
-                half[k][x] += m[k][y] * block[y * 8 + x];
-            }
-        }
-    }
-    for y in 0..8 {
-        for x in 0..8 {
-            for k in 0..8 {
-                out[y * 8 + k] += half[y][x] * transposed[x][k];
-            }
-        }
-    }
-    out
-}
-
-fn transposed(m: &Basis) -> Basis {
-    let mut out = [[0.0; 8]; 8];
-    for y in 0..8 {
-        for x in 0..8 {
-            out[y][x] = m[x][y];
-        }
-    }
-    out
-}
-
 /// Nearest whole number.
 #[inline(always)]
 fn nearest(x: f32) -> f32 {
     (x + 12_582_912.0) - 12_582_912.0
-}
-
-/// The cosine transform and its inverse, as `both_ways` takes them.
-fn bases() -> ([Basis; 2], [Basis; 2]) {
-    let basis = basis();
-    let back = transposed(&basis);
-    ([basis, back], [back, basis])
 }
 
 /// Coefficients of the three components, in bands of 16 rows of pixels.

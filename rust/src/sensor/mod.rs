@@ -7,6 +7,7 @@
 mod bayer;
 mod bloom;
 mod chain;
+mod cosine;
 mod defocus;
 mod dome;
 mod field;

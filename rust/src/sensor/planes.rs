@@ -127,8 +127,11 @@ pub fn shade_planes<'py>(
     Ok(planes_array(py, out, (height, width)))
 }
 
-/// Where a scaled axis takes its values from: first of four neighbours, and their weights.
-fn cubic_taps(length: usize, center: f32, scale: f32) -> Vec<(usize, [f32; 4])> {
+/// The first of four neighbours, and their weights.
+type Taps = (usize, [f32; 4]);
+
+/// Where a scaled axis takes its values from.
+fn cubic_taps(length: usize, center: f32, scale: f32) -> Vec<Taps> {
     let last = length as f32 - 1.0;
     (0..length)
         .map(|k| {
@@ -166,7 +169,7 @@ struct Columns {
 }
 
 impl Columns {
-    fn new(taps: &[(usize, [f32; 4])]) -> Self {
+    fn new(taps: &[Taps]) -> Self {
         let mut runs: Vec<(usize, usize, usize)> = Vec::new();
         for (x, &(first, _)) in taps.iter().enumerate() {
             match runs.last_mut() {
@@ -213,7 +216,7 @@ fn scale_row(
 /// How planes are magnified, each by its own scale.
 pub struct Scaling {
     /// Rows and columns of each plane; none where it stays.
-    planes: [Option<(Vec<(usize, [f32; 4])>, Columns)>; 3],
+    planes: [Option<(Vec<Taps>, Columns)>; 3],
 }
 
 impl Scaling {

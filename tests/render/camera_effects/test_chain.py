@@ -213,7 +213,7 @@ def shot(rng: np.random.Generator, height: int, width: int) -> dict:
     pixels = rng.choice(height * width, 40, replace=False).astype(np.uint32)
     return {
         "factor": 1.3,
-        "motion": (motion, 4, 0.3, 0.2),
+        "motion": (motion, 4, (0.3, 0.2, 0.25)),
         "distance": (distance, front, 0.5 * distance),
         "drops": (
             pixels,
@@ -229,8 +229,8 @@ def shot(rng: np.random.Generator, height: int, width: int) -> dict:
 def one_by_one(radiance: np.ndarray, given: dict, shot: dict) -> np.ndarray:
     """The same stages, each called by itself."""
     image = np.ascontiguousarray(np.moveaxis(radiance, 0, -1))
-    motion, step, *times = shot["motion"]
-    planes = _core.blur_motion(image, given["lit"], (motion, step), tuple(times), shot["factor"])
+    motion, step, times = shot["motion"]
+    planes = _core.blur_motion(image, given["lit"], (motion, step), times, shot["factor"])
     wall, front, depth = shot["distance"]
     distance = np.where(front == 1, depth / given["cosine"], wall)
     planes = _core.defocus(planes, distance, *given["defocus"])
@@ -304,7 +304,7 @@ def test_frames_that_do_not_fit_the_stages(rng: np.random.Generator) -> None:
     wrong = (
         (image[:, :20], now),
         (image, now | {"distance": None}),
-        (image, now | {"motion": (np.ones((2, 2, 3), np.float32), 4, 0.1, 0.1)}),
+        (image, now | {"motion": (np.ones((2, 2, 3), np.float32), 4, (0.1, 0.1, 1.0))}),
         (image, now | {"distance": (image[0], np.ones((3, 3), np.uint8), image[0])}),
     )
     for radiance, frame in wrong:

@@ -17,10 +17,10 @@ ORGANS = ("colon", "small-bowel")
 WAYS = {
     "quick": vrcaps.RenderSettings(light="quick", shadows=True),
     "quick, scattering": vrcaps.RenderSettings(light="quick", shadows=True, scattering=True),
-    "path, scattering": vrcaps.RenderSettings(light="path", samples=96, depth=10, scattering=True),
+    "path, scattering": vrcaps.RenderSettings(light="path", samples=48, depth=10, scattering=True),
 }
 SIDE_PX = 320
-VIEW = 0.7
+VIEW = 0.6
 """Pixels to a side, over MiroCam's 320."""
 
 

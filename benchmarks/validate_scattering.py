@@ -72,7 +72,7 @@ COST_HEAD = (
     "view", "direct", "quick", "quick, scattering", "over direct", "≤ 3", "first frame",
     "first of a new view",
 )  # fmt: skip
-QUICK_CLAIMED = {"ring folds": 0.15, "colon": 0.05, "small-bowel": 0.05}
+QUICK_CLAIMED = {"ring folds": 0.15, "colon": 0.05}
 ROUNDS = 7
 NUM_VIEWS = 4
 
@@ -179,7 +179,9 @@ def quick_row(view: View) -> tuple[str, ...]:
         cells.append(" / ".join(f"{100.0 * e:.1f}" for e in error) + " %")
         cells.append(" / ".join(f"{r:.3f}" for r in ratio))
         red = error[0]
-    most = QUICK_CLAIMED[view.name]
+    most = QUICK_CLAIMED.get(view.name)
+    if most is None:
+        return *cells, "–"
     return *cells, f"≤ {100.0 * most:.0f} %: {'yes' if red <= most else 'NO'}"
 
 

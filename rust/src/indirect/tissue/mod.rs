@@ -21,7 +21,7 @@ use crate::wall::Wall;
 use std::sync::OnceLock;
 
 /// Least distance between nodes, over the longest free way between two scatterings.
-const SPACING: f32 = 1.0;
+const SPACING: f32 = 0.8;
 /// Weight of a neighbour in what comes out at a node, if it faces the same way.
 const NEIGHBOUR: f32 = 0.5;
 

@@ -27,6 +27,7 @@ class Wall:
     def vertex_normals(self) -> NDArray[np.float32]: ...
 
 Vector = tuple[float, float, float]
+TissueFigures = tuple[Vector, float, float, NDArray[np.float32], float, NDArray[np.float32]]
 Pose = tuple[Vector, tuple[float, float, float, float], Vector, Vector]
 
 class World:
@@ -224,7 +225,7 @@ class Scene:
         albedo: tuple[float, float, float],
         roughness: float,
         reflectance: tuple[float, float, float],
-        tissue: tuple[tuple[float, float, float], float, float, NDArray[np.float32]] | None = None,
+        tissue: TissueFigures | None = None,
     ) -> None: ...
 
 class RayTable:

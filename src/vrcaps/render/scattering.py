@@ -10,12 +10,13 @@ from __future__ import annotations
 
 import functools
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 if TYPE_CHECKING:
     from jaxtyping import Float
+    from numpy.typing import NDArray
 
 TISSUE_IOR = 1.4
 """Refractive index of gut mucosa and submucosa against gas (Holmer et al., J. Biomed. Opt. 12(1),
@@ -290,27 +291,34 @@ def color_slopes(ior: float = TISSUE_IOR) -> Float[np.ndarray, " n"]:
     return np.interp(color, few, slope)
 
 
-def tissue_figures(
-    bands_nm: tuple[float, float, float],
-) -> tuple[
-    tuple[float, float, float],
-    float,
-    float,
-    Float[np.ndarray, " n"],
-    float,
-    Float[np.ndarray, " n"],
-]:
+class TissueFigures(NamedTuple):
     """What the core walks in.
 
-    Args:
-        bands_nm: Middle of what the image's red, green and blue are lit by [nm].
-
-    Returns:
-        µs′ of red, green and blue [1/m], refractive index, share of even light that enters,
-        `albedo_roots`, `mean_cosine` and `color_slopes`.
+    Attributes:
+        scattering: µs′ of red, green and blue [1/m].
+        ior: Refractive index.
+        entering: Share of even light that enters.
+        roots: `albedo_roots`.
+        level: `mean_cosine`.
+        slopes: `color_slopes`.
     """
+
+    scattering: tuple[float, float, float]
+    ior: float
+    entering: float
+    roots: NDArray[np.float32]
+    level: float
+    slopes: NDArray[np.float32]
+
+
+def tissue_figures(bands_nm: tuple[float, float, float]) -> TissueFigures:
+    """Tissue by the middle of what the image's red, green and blue are lit by [nm]."""
     red, green, blue = (reduced_scattering(band) for band in bands_nm)
-    roots = albedo_roots(TISSUE_IOR).astype(np.float32)
-    slopes = color_slopes(TISSUE_IOR).astype(np.float32)
-    level = mean_cosine(TISSUE_IOR)
-    return (red, green, blue), TISSUE_IOR, entering_share(TISSUE_IOR), roots, level, slopes
+    return TissueFigures(
+        (red, green, blue),
+        TISSUE_IOR,
+        entering_share(TISSUE_IOR),
+        albedo_roots(TISSUE_IOR).astype(np.float32),
+        mean_cosine(TISSUE_IOR),
+        color_slopes(TISSUE_IOR).astype(np.float32),
+    )

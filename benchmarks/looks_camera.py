@@ -65,7 +65,8 @@ def photographed(name: str, shot: Shot, number: int) -> np.ndarray:
     exposure = even_exposure(reaching * gains, light) / shot.camera.exposure
     chain = CameraChain(effects, shot.camera, number=0, fps=1.0, seed=number)
     moment = Moment(number, shot.state, exposure=exposure)
-    seen = Seen(replace(shot.frame, radiance=radiance), points=None)
+    planes = np.ascontiguousarray(np.moveaxis(radiance, -1, 0))
+    seen = Seen(shot.frame, planes, points=None)
     sent = chain.apply(seen, shot.renderer, moment)
     assert sent.rgb is not None
     return sent.rgb

@@ -8,10 +8,14 @@
 //! runs over lanes and ways to an LED are traced as packets.
 
 pub mod afloat;
+mod connect;
+mod led;
+pub mod light;
 mod lobes;
 mod random;
 pub mod ray;
 mod shadow;
+pub mod sources;
 mod through;
 pub mod walk;
 pub mod wave;

@@ -4,7 +4,7 @@ use crate::lanes::*;
 use crate::material::Led;
 use crate::path::Settings;
 use crate::path::lobes::{self, circle, frame, on_circle, towards};
-use crate::path::random::{dimension, hash, point, unit};
+use crate::path::random::{dimension, point};
 use crate::path::ray::{self, Hit};
 use crate::path::sources::Source;
 use crate::path::walk::offset;
@@ -162,7 +162,7 @@ pub fn go_on(lit: &Lit<'_>, key: u32, on_way: &[Arrival]) -> Vec<Arrival> {
         let share = scale(at(&reflected, i), PI);
         let carried = [0, 1, 2].map(|k| source.carried[k] * share[k]);
         let chance = min((carried[0] + carried[1] + carried[2]) / power, 1.0);
-        if unit(hash(dimension(key, *number) ^ 0x2c1b_3c6d)) >= chance {
+        if point(dimension(key, 1), *number)[0] >= chance {
             continue;
         }
         let way = (source.point, direction);

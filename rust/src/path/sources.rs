@@ -20,7 +20,7 @@ const OFFERED: usize = 8;
 const EACH: usize = 64;
 /// Most blocks of an image, and how many paths of the camera there are for a light path.
 const MOST: u64 = 512;
-const PATHS: u64 = 16;
+const PATHS: u64 = 4;
 /// What a path's own way counts beside light paths: more where there is gloss, whose sources throw
 /// spots of light that neighbours would share.
 pub const OWN: Shares = Shares { base: 1.0, gloss: 16.0 };

@@ -29,6 +29,8 @@ const KEPT: f32 = 3.0;
 
 /// Samples for which one path goes on where surfaces are connected to sources.
 const EACH: u32 = 2;
+/// Most samples that choose from the same sources.
+const CONNECTED: usize = 16;
 
 /// What paths travel in.
 pub struct Tracer<'a> {
@@ -158,8 +160,11 @@ impl Tracer<'_> {
             let bare = self.bare(&first.surface, &first.triangle);
             if let Some(sources) = self.sources {
                 let sums = &mut sums[tile * LANES..(tile + 1) * LANES];
-                let room = (&mut wave.room, sums);
-                self.connect(sources, (first, &facets), (&keys, samples.clone()), room);
+                for start in samples.clone().step_by(CONNECTED) {
+                    let some = start..samples.end.min(start + CONNECTED as u32);
+                    let room = (&mut wave.room, &mut *sums);
+                    self.connect(sources, (first, &facets), (&keys, some), room);
+                }
             }
             for sample in own.clone() {
                 let paths = std::array::from_fn(|i| Path {

@@ -9,8 +9,8 @@ import numpy as np
 from looks_images import disc
 from looks_scenes import Shot, even_exposure
 
-from vrcaps.metrics.color import luminance
-from vrcaps.render.camera_effects.chain import CameraChain, Moment
+from vrcaps.color import luminance
+from vrcaps.render.camera_effects.chain import CameraChain, Moment, Seen
 from vrcaps.render.camera_effects.effects import Effects
 from vrcaps.render.camera_effects.exposure import AutoExposure
 from vrcaps.render.camera_effects.sensor import Jpeg, WhiteBalance
@@ -65,7 +65,8 @@ def photographed(name: str, shot: Shot, number: int) -> np.ndarray:
     exposure = even_exposure(reaching * gains, light) / shot.camera.exposure
     chain = CameraChain(effects, shot.camera, number=0, fps=1.0, seed=number)
     moment = Moment(number, shot.state, exposure=exposure)
-    sent = chain.apply(replace(shot.frame, radiance=radiance), shot.renderer, moment)
+    seen = Seen(replace(shot.frame, radiance=radiance), points=None)
+    sent = chain.apply(seen, shot.renderer, moment)
     assert sent.rgb is not None
     return sent.rgb
 

@@ -17,6 +17,7 @@ from vrcaps.capsule.lens.equidistant import LensEquidistant
 from vrcaps.organ.lesion import add_lesions, parse_lesion
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.tissue.contents.contents import Contents
+from vrcaps.tissue.contents.preparation import prepared
 from vrcaps.transforms import invert, look_along, transform_from
 from vrcaps.units import DEG, MM
 from vrcaps.world.model import Model, State
@@ -30,6 +31,8 @@ CHANNELS = ("radiance", "ray_distance", "front_label", "front_depth")
 """What the cameras of the comparison need."""
 CONTENTS = (Contents(), Contents(bubbles=2, chyme=1, liquid=1))
 """In the small bowel: every second frame has some."""
+PREPARED = (prepared(3), prepared(2))
+"""In the colon: every second frame is of one cleansed well, the others less so."""
 POLYPS = tuple(f"polyp-{shape}:pattern={pattern},size={size}mm"
     for shape, pattern, size in (
         *(("Ip", "tubular", 14), ("Is", "hyperplastic", 6), ("IIa", "serrated", 12)),
@@ -102,24 +105,29 @@ def views(name: str, seed: int, frames: int, rng: np.random.Generator) -> Iterat
     """Organs of one patient, and places to look from."""
     capsule, colonoscopy = vrcaps.load_device("pillcam-sb3"), colonoscope()
     if name == "clean_colon":
-        yield flight(
-            vrcaps.load_organ("colon", seed=seed), colonoscope(360), (0.03, 0.97), frames, rng
-        )
+        organ = vrcaps.load_organ("colon", seed=seed)
+        yield from filled(flight(organ, colonoscope(360), (0.03, 0.97), frames, rng), PREPARED)
     elif name == "capsule_non_bleeding":
         # Around a capsule the small bowel is not inflated.
         organ = vrcaps.load_organ("small-bowel", seed=seed, condition="collapsed")
-        model, states = flight(organ, capsule, (0.02, 0.98), frames, rng)
-        for k, contents in enumerate(CONTENTS):
-            yield replace(model, contents=contents), states[k :: len(CONTENTS)]
+        yield from filled(flight(organ, capsule, (0.02, 0.98), frames, rng), CONTENTS)
     elif name == "capsule_bleeding":
         yield at_lesions("small-bowel", seed, BLEEDS, capsule, rng)
     elif name == "polyp":
-        yield at_lesions("colon", seed, POLYPS, colonoscopy, rng)
+        yield from filled(at_lesions("colon", seed, POLYPS, colonoscopy, rng), PREPARED)
     else:
         sick = ill_colon(seed)
         record = sick.metadata["lesions"][int(name[-1]) - 1]
         middle = record["arc_length_m"] / sick.centerline.length
-        yield flight(sick, colonoscopy, (middle - 0.06, middle + 0.06), frames, rng)
+        stretch = (middle - 0.06, middle + 0.06)
+        yield from filled(flight(sick, colonoscopy, stretch, frames, rng), PREPARED)
+
+
+def filled(scene: Scene, kinds: tuple[Contents, ...]) -> Iterator[Scene]:
+    """A scene with something in the lumen: its views in turn with each kind of contents."""
+    model, states = scene
+    for k, contents in enumerate(kinds):
+        yield replace(model, contents=contents), states[k :: len(kinds)]
 
 
 @cache

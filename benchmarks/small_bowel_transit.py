@@ -19,10 +19,9 @@ from dataclasses import dataclass
 import numpy as np
 from validation import ROOT, options, table, write_section
 
-sys.path.append(str(ROOT / "tests" / "tissue"))  # straight guts that the tests use
+sys.path.append(str(ROOT / "tests"))  # the tubes that the tests use
 
-from guts import straight_gut
-
+from tubes import straight_gut
 from vrcaps.capsule.catalog import load_device
 from vrcaps.organ.small_bowel.parameters import SmallBowelParameters
 from vrcaps.organ.surface import OrganSurface

@@ -20,10 +20,9 @@ from pathlib import Path
 import numpy as np
 from validation import ROOT, options, table, write_section
 
-sys.path.append(str(ROOT / "tests" / "tissue"))  # the tube that the tests use
+sys.path.append(str(ROOT / "tests"))  # the tubes that the tests use
 
-from guts import straight_gut
-
+from tubes import straight_gut
 from vrcaps.capsule.catalog import load_device
 from vrcaps.magnet.field import SourceSet
 from vrcaps.magnet.internal import InternalMagnet

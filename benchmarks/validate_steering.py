@@ -16,12 +16,9 @@ from pathlib import Path
 import numpy as np
 from validation import ROOT, options, table, write_section
 
-sys.path.insert(0, str(ROOT / "tests" / "world"))  # the tubes that the tests use
-sys.path.insert(0, str(ROOT / "tests" / "tissue"))
+sys.path.append(str(ROOT / "tests"))  # the tubes that the tests use
 
-from guts import straight_gut
-
-from conftest import make_tube
+from tubes import bent_tube, straight_gut
 from vrcaps.capsule.catalog import load_device
 from vrcaps.magnet.arm.carrier import Carrier, across_mount
 from vrcaps.magnet.arm.catalog import load_arm
@@ -67,7 +64,7 @@ def main() -> None:
     given = options(__doc__ or "", size=1000)
     tubes = (
         Tube("straight, 28 mm wide", straight_gut({"jejunum": 0.2}, radius=0.014), 0.1),
-        Tube("bent by 45 mm, sloping 22°, 36 mm wide", make_tube(), 0.16),
+        Tube("bent by 45 mm, sloping 22°, 36 mm wide", bent_tube(), 0.16),
     )
     held = [hold(tube, arm, 0.5) for tube in tubes for arm in (False, True)]
     held += [hold(tube, True, 1.0) for tube in tubes]
@@ -172,7 +169,7 @@ def error_of(world: World, goal: Goal, counted: np.ndarray) -> tuple[float, floa
 
 def speed_rows() -> list[tuple[str, ...]]:
     """Rows of what 8 sources take in a substep, beside the same substep without them."""
-    organ = make_tube(radius=0.04, around=24, along=60)
+    organ = bent_tube(radius=0.04, around=24, along=60)
     model = Model(organ, load_device("magnetic"), np.eye(4))
     pose = transform_from(organ.centerline.frames[15], organ.centerline.points[15])
     places = 0.3 * np.array([[np.cos(a), np.sin(a), 0.5] for a in range(8)]) + pose[:3, 3]

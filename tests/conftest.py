@@ -1,8 +1,11 @@
 """Fixtures shared by all tests."""
 
+import sys
 from pathlib import Path
 
 import pytest
+
+sys.path.append(str(Path(__file__).parent))  # tubes
 
 
 @pytest.fixture(scope="session")

@@ -14,7 +14,7 @@ import vrcaps
 
 LAYERS = (
     ("_core",),
-    ("units", "errors", "transforms", "toml_table", "catalog_folder"),
+    ("units", "errors", "transforms", "color", "toml_table", "catalog_folder"),
     ("organ",),
     ("tissue",),
     ("magnet",),
@@ -29,7 +29,7 @@ LAYERS = (
     ("cli",),
 )
 RANK = {name: rank for rank, names in enumerate(LAYERS) for name in names}
-LEARN_MAY_IMPORT = {"_core", "units", "errors", "transforms", "metrics", "record", "learn"}
+LEARN_MAY_IMPORT = {"_core", "units", "errors", "transforms", "color", "metrics", "record", "learn"}
 HEAVY = {
     *("SimpleITK", "av", "cv2", "gymnasium", "matplotlib", "PIL", "pyarrow"),
     *("ray", "skimage", "torch", "trimesh", "viser", "xatlas"),

@@ -1,10 +1,12 @@
 """Draw what floats in the lumen, every grade in three organs, and write the table of grades.
 
 python docs/images/contents.py
+python docs/images/contents.py --only preparation   # what is left in a cleansed colon
 """
 
 from __future__ import annotations
 
+import argparse
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,7 +14,7 @@ import numpy as np
 from PIL import Image, ImageDraw
 
 from vrcaps.capsule.catalog import load_device
-from vrcaps.metrics.color import luminance
+from vrcaps.color import luminance
 from vrcaps.organ.catalog import load_organ
 from vrcaps.organ.centerline import interpolate
 from vrcaps.render.renderer import Renderer
@@ -21,6 +23,7 @@ from vrcaps.tissue.contents.bubbles import BUBBLE_GRADES, CM2
 from vrcaps.tissue.contents.chyme import CHYME_GRADES
 from vrcaps.tissue.contents.contents import Contents
 from vrcaps.tissue.contents.liquid import LIQUID_GRADES
+from vrcaps.tissue.contents.preparation import prepared
 from vrcaps.transforms import look_along, transform_from, transform_points
 from vrcaps.units import MM
 from vrcaps.world.model import Model, State
@@ -30,6 +33,18 @@ ORGANS = {"small-bowel": (0.31, 0.62), "stomach": (0.55, 0.75), "colon": (0.3, 0
 
 GRADES = ((0, 0, 0), (1, 1, 1), (2, 2, 2), (3, 3, 2), (4, 4, 3))
 """Bubbles, chyme and liquid of each column."""
+
+SHEETS = {
+    "contents": (
+        ORGANS,
+        {"bubbles {}, chyme {}, liquid {}".format(*g): Contents(*g) for g in GRADES},
+    ),
+    "preparation": (
+        {"colon": (0.12, 0.4, 0.75)},
+        {f"score {score}": prepared(score) for score in (3, 2, 1, 0)},
+    ),
+}
+"""Organs and columns of each picture."""
 
 AHEAD = 15.0 * MM
 SIDE_PX = 200
@@ -62,23 +77,23 @@ def picture(model: Model, state: State) -> Image.Image:
     return Image.fromarray(np.asarray(rgb)).resize((SIDE_PX, SIDE_PX), Image.Resampling.LANCZOS)
 
 
-def draw_sheet(path: Path) -> None:
-    """One row for each organ and place, one column for each grade."""
-    rows = sum(len(shares) for shares in ORGANS.values())
-    sheet = Image.new("RGB", (len(GRADES) * SIDE_PX, rows * SIDE_PX + 16), (24, 24, 28))
+def draw_sheet(name: str) -> None:
+    """One row for each organ and place, one column for each filling."""
+    organs, columns = SHEETS[name]
+    rows = sum(len(shares) for shares in organs.values())
+    sheet = Image.new("RGB", (len(columns) * SIDE_PX, rows * SIDE_PX + 16), (24, 24, 28))
     pen, row = ImageDraw.Draw(sheet), 0
-    for column, grades in enumerate(GRADES):
-        text = "bubbles {}, chyme {}, liquid {}".format(*grades)
+    for column, text in enumerate(columns):
         pen.text((column * SIDE_PX + 6, 2), text, fill=(230, 230, 230))
-    for name, shares in ORGANS.items():
-        organ, device = load_organ(name, seed=0), load_device("mirocam")
-        for column, grades in enumerate(GRADES):
-            model = Model(organ, device, contents=Contents(*grades))
+    for organ_name, shares in organs.items():
+        organ, device = load_organ(organ_name, seed=0), load_device("mirocam")
+        for column, contents in enumerate(columns.values()):
+            model = Model(organ, device, contents=contents)
             for k, share in enumerate(shares):
                 tile = picture(model, view(model, share))
                 sheet.paste(tile, (column * SIDE_PX, 16 + (row + k) * SIDE_PX))
         row += len(shares)
-    sheet.save(path, quality=88)
+    sheet.save(DOCS / "images" / f"{name}.jpg", quality=88)
 
 
 def table() -> str:
@@ -105,7 +120,10 @@ def table() -> str:
 
 
 if __name__ == "__main__":
-    draw_sheet(DOCS / "images" / "contents.jpg")
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--only", nargs="*", default=list(SHEETS), choices=list(SHEETS))
+    for chosen in parser.parse_args().only:
+        draw_sheet(chosen)
     page = DOCS / "contents.md"
     text = page.read_text()
     before, after = text.split(START)[0], text.split(STOP)[1]

@@ -15,7 +15,7 @@ from vrcaps import _core
 from vrcaps._core import Wall
 from vrcaps.capsule.device import Camera
 from vrcaps.capsule.rays import camera_rays
-from vrcaps.metrics.color import luminance
+from vrcaps.color import luminance
 from vrcaps.organ.centerline import interpolate
 from vrcaps.organ.lesion import Patient, add_lesions, parse_lesion
 from vrcaps.organ.surface import OrganSurface

@@ -5,7 +5,7 @@ use numpy::{Element, PyArrayDyn, PyArrayMethods, PyReadwriteArrayDyn};
 use pyo3::{exceptions::PyValueError, prelude::*, types::PyDict};
 
 /// Pixels between those whose surface is written sparsely, the first in the middle of a square.
-const STEP: usize = 4;
+pub const STEP: usize = 4;
 
 /// How many of so many pixels in a row are written sparsely.
 pub fn sparse(size: usize) -> usize {
@@ -17,6 +17,8 @@ pub fn sparse(size: usize) -> usize {
 pub struct Channels<'a> {
     pub rgb: Option<&'a mut [u8]>,
     pub radiance: Option<&'a mut [f32]>,
+    /// Radiance by colours.
+    pub planes: [Option<&'a mut [f32]>; 3],
     pub depth: Option<&'a mut [f32]>,
     pub ray_distance: Option<&'a mut [f32]>,
     pub normal: Option<&'a mut [f32]>,
@@ -49,6 +51,7 @@ impl<'a> Channels<'a> {
         }
         let n = width * TILE;
         let (mut rgb, mut radiance) = (cut(self.rgb, n * 3), cut(self.radiance, n * 3));
+        let mut planes = self.planes.map(|plane| cut(plane, n));
         let (mut depth, mut ray_distance) = (cut(self.depth, n), cut(self.ray_distance, n));
         let (mut normal, mut position) = (cut(self.normal, n * 3), cut(self.position, n * 3));
         let (mut label, mut instance) = (cut(self.label, n), cut(self.instance, n));
@@ -67,6 +70,7 @@ impl<'a> Channels<'a> {
             .map(|_| Channels {
                 rgb: rgb.next().flatten(),
                 radiance: radiance.next().flatten(),
+                planes: planes.each_mut().map(|plane| plane.next().flatten()),
                 depth: depth.next().flatten(),
                 ray_distance: ray_distance.next().flatten(),
                 normal: normal.next().flatten(),
@@ -91,7 +95,7 @@ impl<'a> Channels<'a> {
 
     /// Whether an image is to be made.
     pub fn wants_light(&self) -> bool {
-        self.rgb.is_some() || self.radiance.is_some()
+        self.rgb.is_some() || self.radiance.is_some() || self.planes[0].is_some()
     }
 
     /// Whether surfaces are to be known that an image needs.
@@ -127,6 +131,15 @@ pub fn slice<'a, T: Element>(
     array.as_mut().map(|a| a.as_slice_mut().map_err(PyErr::from)).transpose()
 }
 
+/// Planes [3 h w], each by itself.
+pub fn by_colors(planes: Option<&mut [f32]>) -> [Option<&mut [f32]>; 3] {
+    let Some(planes) = planes else { return [None, None, None] };
+    let area = planes.len() / 3;
+    let (red, rest) = planes.split_at_mut(area);
+    let (green, blue) = rest.split_at_mut(area);
+    [Some(red), Some(green), Some(blue)]
+}
+
 /// Where a tile lies in its band.
 #[derive(Clone, Copy)]
 pub struct Place {
@@ -150,9 +163,7 @@ impl Place {
             let start = (y * width + self.column) * components;
             let row = &mut pixels[start..start + columns * components];
             for (x, pixel) in row.chunks_exact_mut(components).enumerate() {
-                for (k, out) in pixel.iter_mut().enumerate() {
-                    *out = value(y * TILE + x, k);
-                }
+                fill(pixel, |k| value(y * TILE + x, k));
             }
         }
     }
@@ -170,10 +181,7 @@ impl Place {
         for y in (STEP / 2..height).step_by(STEP) {
             for x in (STEP / 2..(width - self.column).min(TILE)).step_by(STEP) {
                 let place = y / STEP * sparse(width) + (self.column + x) / STEP;
-                let pixel = &mut pixels[place * components..][..components];
-                for (k, out) in pixel.iter_mut().enumerate() {
-                    *out = value(y * TILE + x, k);
-                }
+                fill(&mut pixels[place * components..][..components], |k| value(y * TILE + x, k));
             }
         }
     }
@@ -219,8 +227,24 @@ impl Place {
         self.write_each(channel, 3, |i, k| known[k][i]);
     }
 
+    /// Radiance in every form that it is asked for in.
     #[inline(always)]
-    pub fn write_color(self, channel: &mut Option<&mut [u8]>, radiance: &Lane3, exposure: f32) {
+    pub fn write_light(
+        self,
+        out: &mut Channels<'_>,
+        radiance: &Lane3,
+        hit: &[bool; LANES],
+        exposure: f32,
+    ) {
+        self.write_color(&mut out.rgb, radiance, exposure);
+        self.write3(&mut out.radiance, radiance, hit, 0.0);
+        for (plane, values) in out.planes.iter_mut().zip(radiance) {
+            self.write(plane, values, hit, 0.0);
+        }
+    }
+
+    #[inline(always)]
+    fn write_color(self, channel: &mut Option<&mut [u8]>, radiance: &Lane3, exposure: f32) {
         if channel.is_none() {
             return;
         }
@@ -231,6 +255,14 @@ impl Place {
             }
         }
         self.write_each(channel, 3, |i, k| encoded[k][i]);
+    }
+}
+
+/// Writes each component of a pixel.
+#[inline(always)]
+fn fill<T>(pixel: &mut [T], value: impl Fn(usize) -> T) {
+    for (k, out) in pixel.iter_mut().enumerate() {
+        *out = value(k);
     }
 }
 

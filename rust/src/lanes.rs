@@ -113,6 +113,27 @@ pub fn pow(x: f32, y: f32) -> f32 {
     if x > 1e-30 { result } else { 0.0 }
 }
 
+/// The first numbers of a row, 0 where it has none left.
+#[inline(always)]
+pub fn load<const N: usize>(row: &[f32]) -> [f32; N] {
+    if let Some(whole) = row.first_chunk::<N>() {
+        return *whole;
+    }
+    let mut values = [0.0; N];
+    values[..row.len()].copy_from_slice(row);
+    values
+}
+
+/// Writes numbers to where a row begins, as far as it goes.
+#[inline(always)]
+pub fn store<const N: usize>(values: &[f32; N], row: &mut [f32]) {
+    if let Some(whole) = row.first_chunk_mut::<N>() {
+        *whole = *values;
+    } else {
+        row.copy_from_slice(&values[..row.len()]);
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

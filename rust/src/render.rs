@@ -1,10 +1,10 @@
 //! One image: trace, shade and write every channel that was asked for.
 
-use crate::channels::{Channels, Place, slice, sparse, take};
+use crate::channels::{Channels, Place, by_colors, slice, sparse, take};
 use crate::contents::Contents;
 use crate::contents::tile::{Filled, Room};
 use crate::cpu::on_pool;
-use crate::indirect::{Irradiance, QuickLight};
+use crate::indirect::{Beneath, Irradiance, QuickLight};
 use crate::lanes::*;
 use crate::material::{Led, Surface};
 use crate::path::afloat::Afloat;
@@ -28,7 +28,7 @@ pub struct View<'a> {
     /// Where the camera is, about the wall's centre [m].
     pub origin: Vec3,
     /// Rows of the rotation from the camera to the world, and back.
-    to_world: [Vec3; 3],
+    pub to_world: [Vec3; 3],
     to_camera: [Vec3; 3],
     center: [f64; 3],
     /// LEDs about the wall's centre.
@@ -104,7 +104,19 @@ impl View<'_> {
         surface: &Surface,
         triangles: &[u32; LANES],
     ) -> Option<Surface> {
-        self.paths.and(scene.tissue.as_ref()).map(|_| surface.bare(triangles))
+        let is_traced = self.paths.is_some() || self.bounced.is_some();
+        (is_traced && scene.tissue.is_some()).then(|| surface.bare(triangles))
+    }
+
+    /// What the tissue behind surfaces makes of light, where that is not left to paths.
+    #[inline(always)]
+    pub fn beneath(
+        &self,
+        surface: &Surface,
+        hits: &Hits,
+        triangles: &[u32; LANES],
+    ) -> Option<Beneath> {
+        self.bounced.as_ref()?.beneath(surface, hits, triangles)
     }
 }
 
@@ -150,6 +162,7 @@ pub fn render(
     let shape = (rays.height, rays.width);
     let mut rgb = take::<u8>(out, "rgb", shape, 3)?;
     let mut radiance = take::<f32>(out, "radiance", shape, 3)?;
+    let mut planes = take::<f32>(out, "radiance_planes", shape, 3)?;
     let mut depth = take::<f32>(out, "depth", shape, 1)?;
     let mut ray_distance = take::<f32>(out, "ray_distance", shape, 1)?;
     let mut normal = take::<f32>(out, "normal", shape, 3)?;
@@ -172,6 +185,7 @@ pub fn render(
     let channels = Channels {
         rgb: slice(&mut rgb)?,
         radiance: slice(&mut radiance)?,
+        planes: by_colors(slice(&mut planes)?),
         depth: slice(&mut depth)?,
         ray_distance: slice(&mut ray_distance)?,
         normal: slice(&mut normal)?,
@@ -193,7 +207,7 @@ pub fn render(
     };
     let quick = quick.zip(rest.as_deref()).filter(|_| channels.wants_light());
     on_pool(py, || {
-        view.bounced = quick.map(|(light, rest)| light.solve(rest, wall, &view.leds));
+        view.bounced = quick.map(|(light, rest)| light.solve(rest, wall, (&view.leds, shadows)));
         view.sources = view.sources(wall, &scene.data, rays).filter(|_| contents.is_none());
         let columns = rays.columns();
         let filled = contents.map(|c| Filled::new(wall, &scene.data, c, &view));
@@ -312,8 +326,9 @@ pub fn primary(wall: &Wall, view: &View<'_>, tile: &TileRays) -> (Pyramid, Hits)
     (rays, hits)
 }
 
+/// Renders one tile of a wall with nothing before it; `glow` is light beyond direct light.
 #[inline(always)]
-fn render_tile(
+pub fn render_tile(
     wall: &Wall,
     scene: &SceneData,
     view: &View<'_>,
@@ -327,14 +342,14 @@ fn render_tile(
     if out.wants_color() {
         let surface = surface(scene, &found, &hits.distance, tile.pixel_angle);
         let bare = view.bare(scene, &surface, &hits.triangle);
-        let lit = bare.as_ref().unwrap_or(&surface);
+        let beneath = view.beneath(&surface, &hits, &hits.triangle);
+        let lit = (bare.as_ref().unwrap_or(&surface), beneath.as_ref());
         let mut radiance = light(wall, &scene.material, &view.leds, view.shadows, lit, &found.hit);
         if let Some(bounced) = &view.bounced {
-            bounced.add((&surface, &found.normal), &hits, &mut radiance);
+            bounced.add((&surface, &found.normal), &hits, beneath.as_ref(), &mut radiance);
         }
         add_glow(glow, &mut radiance);
-        place.write_color(&mut out.rgb, &radiance, view.exposure);
-        place.write3(&mut out.radiance, &radiance, &found.hit, 0.0);
+        place.write_light(out, &radiance, &found.hit, view.exposure);
         place.write3(&mut out.albedo, &surface.albedo, &found.hit, f32::NAN);
     }
     write_geometry(view, tile, &hits, &found, place, out);

@@ -37,6 +37,9 @@ pub struct SceneData {
     pub tissue: Option<Tissue>,
 }
 
+/// Tissue as Python gives it.
+type TissueFigures = (Vec3, f32, f32, Vec<f32>, f32, Vec<f32>);
+
 /// A texture that Python also holds.
 pub struct TextureHandle(Py<Texture>);
 
@@ -61,7 +64,8 @@ impl Scene {
     /// `texture` or a plain linear `albedo` and `roughness`, and `reflectance` (refractive index,
     /// coat strength, coat roughness α). `tissue` lets paths go through the wall: reduced scattering
     /// of red, green and blue [1/m], refractive index, share of even light that enters, and
-    /// √(1 − single-scattering albedo) of base colours 0 to 1 in even steps.
+    /// √(1 − single-scattering albedo) of base colours 0 to 1 in even steps, and `level` and
+    /// `slopes` as `Tissue` has them.
     #[new]
     #[pyo3(signature = (uv, label, instance, arc_length, *, texture, albedo, roughness, reflectance, tissue=None))]
     #[allow(clippy::too_many_arguments)] // one keyword each, called in one place
@@ -74,7 +78,7 @@ impl Scene {
         albedo: Vec3,
         roughness: f32,
         reflectance: (f32, f32, f32),
-        tissue: Option<(Vec3, f32, f32, Vec<f32>)>,
+        tissue: Option<TissueFigures>,
     ) -> PyResult<Self> {
         let (uv, label, instance) = (uv.as_array(), label.as_array(), instance.as_array());
         let (faces, corners, components) = uv.dim();
@@ -97,11 +101,13 @@ impl Scene {
             albedo,
             roughness,
             material: Material { ior, coat, coat_alpha },
-            tissue: tissue.map(|(scattering, ior, entering, roots)| Tissue {
+            tissue: tissue.map(|(scattering, ior, entering, roots, level, slopes)| Tissue {
                 scattering,
                 ior,
                 entering,
                 roots,
+                level,
+                slopes,
             }),
         };
         Ok(Scene { data })

@@ -1,6 +1,7 @@
 //! From hits to channels: attributes of the wall where each ray meets it, and the light it reflects.
 
 use crate::bvh::Triangle;
+use crate::indirect::Beneath;
 use crate::lanes::*;
 use crate::material::{Led, Material, Surface, add_light};
 use crate::scene::{FaceData, SceneData};
@@ -256,6 +257,22 @@ fn footprint(attributes: &Attributes, distance: &Lane, pixel_angle: f32) -> [Lan
     result
 }
 
+/// Adds the radiance that an LED's light leaves towards the viewer, with what the tissue behind the
+/// surface makes of it, if it goes there.
+#[inline(always)]
+pub fn add_all_light(
+    (surface, beneath): (&Surface, Option<&Beneath>),
+    material: &Material,
+    led: &Led,
+    lit: &[bool; LANES],
+    radiance: &mut Lane3,
+) {
+    add_light(surface, material, led, lit, radiance);
+    if let Some(beneath) = beneath {
+        beneath.add(surface, led, lit, radiance);
+    }
+}
+
 /// Radiance towards the viewer [W/(sr·m²)]; zero where nothing was met.
 #[inline(always)]
 pub fn light(
@@ -263,16 +280,16 @@ pub fn light(
     material: &Material,
     leds: &[Led],
     shadows: bool,
-    surface: &Surface,
+    (surface, beneath): (&Surface, Option<&Beneath>),
     hit: &[bool; LANES],
 ) -> Lane3 {
     let mut radiance = [[0.0; LANES]; 3];
     for led in leds {
         if shadows {
             let lit = visible_tile(wall, led.position, &surface.position, hit);
-            add_light(surface, material, led, &lit, &mut radiance);
+            add_all_light((surface, beneath), material, led, &lit, &mut radiance);
         } else {
-            add_light(surface, material, led, hit, &mut radiance);
+            add_all_light((surface, beneath), material, led, hit, &mut radiance);
         }
     }
     radiance

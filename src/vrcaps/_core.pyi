@@ -27,6 +27,7 @@ class Wall:
     def vertex_normals(self) -> NDArray[np.float32]: ...
 
 Vector = tuple[float, float, float]
+TissueFigures = tuple[Vector, float, float, NDArray[np.float32], float, NDArray[np.float32]]
 Pose = tuple[Vector, tuple[float, float, float, float], Vector, Vector]
 
 class World:
@@ -224,7 +225,7 @@ class Scene:
         albedo: tuple[float, float, float],
         roughness: float,
         reflectance: tuple[float, float, float],
-        tissue: tuple[tuple[float, float, float], float, float, NDArray[np.float32]] | None = None,
+        tissue: TissueFigures | None = None,
     ) -> None: ...
 
 class RayTable:
@@ -306,9 +307,17 @@ def blur_motion(
     image: NDArray[np.float32],
     lit: NDArray[np.bool_],
     motion: tuple[NDArray[np.float32], int],
-    open: tuple[float, float],
+    shutter: tuple[float, float, float],
     factor: float,
 ) -> NDArray[np.float32]: ...
+
+class CameraStages:
+    def __init__(self, given: dict[str, Any]) -> None: ...
+    def apply(self, radiance: NDArray[np.float32], shot: dict[str, Any]) -> NDArray[np.uint8]: ...
+    def meter(
+        self, radiance: NDArray[np.float32], factors: tuple[float, float, float]
+    ) -> float: ...
+
 def flow_by_rays(
     rays: RayTable, points: NDArray[np.float64], pose: NDArray[np.float64], step: int
 ) -> NDArray[np.float32]: ...

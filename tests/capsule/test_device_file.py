@@ -114,6 +114,35 @@ def test_impossible_magnets(tmp_path, old, new, message):
         load_text(tmp_path, DEVICE + MAGNETS.replace(old, new))
 
 
+SPECTRUM = """
+[led_spectrum]
+wavelength_nm = [400, 450.5, 700]
+power = [0, 1, 0.25]
+"""
+
+
+def test_spectrum_of_the_leds(tmp_path):
+    device = load_text(tmp_path, DEVICE + SPECTRUM)
+    assert device.led_spectrum == ((400.0, 0.0), (450.5, 1.0), (700.0, 0.25))
+    write_device(tmp_path / "again.toml", device)
+    assert_same(replace(load_device(str(tmp_path / "again.toml")), name=device.name), device)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("[400, 450.5, 700]", "[400, 390, 700]", "Allowed: two or more numbers that rise"),
+        ("[400, 450.5, 700]", "[400]", "Allowed: two or more numbers that rise"),
+        ("[0, 1, 0.25]", "[0, 1]", "Allowed: a list of 3 numbers"),
+        ("[0, 1, 0.25]", "[0, -1, 0.25]", "Allowed: 0 or above, not all 0"),
+        ("[0, 1, 0.25]", "[0, 0, 0]", "Allowed: 0 or above, not all 0"),
+    ],
+)
+def test_impossible_spectra(tmp_path, old, new, message):
+    with pytest.raises(InputError, match=re.escape(message)):
+        load_text(tmp_path, DEVICE + SPECTRUM.replace(old, new))
+
+
 @pytest.mark.parametrize("name", device_names())
 def test_catalog_devices_are_written_and_read_back_equal(tmp_path, name):
     device = load_device(name)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -13,6 +14,7 @@ from vrcaps.cli.demo import _free_folder
 from vrcaps.cli.record import Record
 from vrcaps.errors import InputError
 from vrcaps.record.scenario import OrganFile, OrganGenerated, Scenario
+from vrcaps.tissue.contents.preparation import prepared
 from vrcaps.world.fly_through import FlyThrough
 from vrcaps.world.replay import Replay
 
@@ -55,6 +57,28 @@ def test_flags_reach_the_scenario(capsys: pytest.CaptureFixture[str]) -> None:
     assert scenario.motion == FlyThrough(start=0.2, drift=0.1)
 
 
+@pytest.mark.parametrize(
+    ("flags", "says"),
+    [
+        (["--film-um", "-3"], "Film is -3.0. Allowed: 0 to 1000 [µm]."),
+        (["--drift", "3"], "Fly-through drift (--drift) is 3.0. Allowed: 0 to below 1."),
+    ],
+)
+def test_a_value_that_cannot_be_ends_in_one_line(flags, says, capsys) -> None:
+    assert stop(["record", "--out", "o", *flags], capsys) == (2, f"vrcaps: {says}\n")
+
+
+def test_a_choice_that_is_not_there_names_those_that_are(capsys) -> None:
+    status, error = stop(["record", "--out", "o", "--light", "glow"], capsys)
+    assert status == 2
+    assert "'--light'" in error and "'quick'" in error
+
+
+def test_a_preparation_fills_the_patients_colon() -> None:
+    contents = Record(OUT, patient=3, preparation=1).resolved().contents
+    assert contents == replace(prepared(1), seed=3)
+
+
 def test_a_patient_may_be_flown_through_many_times() -> None:
     scenario = Record(OUT, seed=4, patient=1).resolved()
     assert (scenario.organ, scenario.seed) == (OrganGenerated("colon", seed=1), 4)
@@ -87,6 +111,8 @@ def test_mesh_file_and_path_reach_the_scenario() -> None:
         (Record(OUT, organ="colon", reverse=True), "go with a mesh file"),
         (Record(OUT, organ="x.ply", unit="mm", patient=1), "--patient and --condition go with a"),
         (Record(OUT, organ="x.ply", unit="mm", condition="normal"), "go with a generated organ"),
+        (Record(OUT, preparation=2, chyme=1), "Leave out --bubbles, --chyme and --liquid"),
+        (Record(OUT, preparation=4), "Preparation is 4. Allowed: a Boston score, 0 to 3"),
         (Record(OUT, path=Path("p")), "--path needs --path-format. Allowed: tum, unity-csv"),
         (Record(OUT, path=Path("p"), path_format="tum"), "--path-unit is missing"),
         (Record(OUT, path=Path("p"), fly=FlyThrough(drift=0.0)), "flags of the fly-through"),

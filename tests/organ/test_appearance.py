@@ -7,13 +7,15 @@ import os
 import subprocess
 import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from tubes import straight_tube
 from vrcaps.errors import InputError, UnknownNameError
 from vrcaps.organ.appearance import MAX_SIDE, MUCOSAE, Mucosa, bake_appearance, own_mucosa
-from vrcaps.organ.surface import HEIGHT_STEP, Appearance, Centerline, OrganSurface, vertex_normals
+from vrcaps.organ.surface import HEIGHT_STEP, Appearance, Centerline, OrganSurface
 from vrcaps.organ.texture_coordinates import texture_stretch
 from vrcaps.units import MM
 
@@ -22,36 +24,8 @@ RADIUS, LENGTH, COLUMNS, ROWS = 12.0 * MM, 60.0 * MM, 40, 32
 
 def make_tube(shift: float = 0.0) -> OrganSurface:
     """A straight tube, seen from inside; u around it from `shift`, v along it."""
-    angle = np.arange(COLUMNS) * (2.0 * np.pi / COLUMNS)
-    along = np.linspace(0.0, LENGTH, ROWS + 1)
-    grid_s, grid_angle = np.meshgrid(along, angle, indexing="ij")
-    vertices = np.stack(
-        [RADIUS * np.cos(grid_angle), RADIUS * np.sin(grid_angle), grid_s], axis=-1
-    ).reshape(-1, 3)
-    row, column = (part.ravel() for part in np.mgrid[:ROWS, :COLUMNS])
-    nodes = np.array([[0, 0], [1, 0], [1, 1], [0, 1]])  # around a quad: row, column
-    rows, columns = row[:, None] + nodes[:, 0], column[:, None] + nodes[:, 1]
-    quads = rows * COLUMNS + columns % COLUMNS
-    quad_uv = np.stack([columns / COLUMNS + shift, 0.05 + 0.9 * rows / ROWS], axis=-1)
-    faces = np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
-    uv = np.concatenate([quad_uv[:, [0, 1, 2]], quad_uv[:, [0, 2, 3]]])
-    count = len(vertices)
-    frames = np.tile(np.eye(3), (len(along), 1, 1))
-    axis = np.stack([0.0 * along, 0.0 * along, along], axis=-1)
-    return OrganSurface(
-        name="tube",
-        vertices=vertices,
-        faces=faces,
-        normals=vertex_normals(vertices, faces),
-        uv=uv,
-        label=np.ones(count, np.uint8),
-        label_names=("background", "wall"),
-        instance=np.zeros(count, np.uint16),
-        arc_length=grid_s.ravel(),
-        theta=grid_angle.ravel() - np.pi,
-        radius=np.full(count, RADIUS),
-        centerline=Centerline(axis, along, np.full(len(along), RADIUS), frames),
-    )
+    plain = straight_tube(LENGTH, RADIUS, COLUMNS, ROWS + 1)
+    return replace(plain, uv=plain.uv * (1.0, 0.9) + (shift, 0.05))
 
 
 def in_charts(organ: OrganSurface, num_strips: int) -> OrganSurface:
@@ -160,6 +134,7 @@ def baked(tube: OrganSurface) -> Appearance:
 
 def test_the_same_seed_gives_the_same_bytes_on_any_number_of_threads(tube):
     script = (
+        f"import sys; sys.path.append(r'{Path(__file__).parents[1]}');"
         f"import importlib.util as i; s = i.spec_from_file_location('t', r'{__file__}');"
         "t = i.module_from_spec(s); s.loader.exec_module(t);"
         "print(t.digest(t.bake_appearance(t.make_tube(), seed=4, texels_per_mm=4.0)))"
@@ -289,7 +264,8 @@ def test_vessels_darken_green_more_than_red(tube, baked):
 
 
 def test_relief_scales_with_its_slope(tube):
-    plain = replace(MUCOSAE["colon"], vessel_contrast=0.0, pit_slope=0.0, flecks=0.0)
+    bare = {"vessel_contrast": 0.0, "pit_slope": 0.0, "flecks": 0.0, "mucus": 0.0}
+    plain = replace(MUCOSAE["colon"], **bare)
     heights = [
         bake_appearance(tube, seed=1, mucosa=replace(plain, relief_slope=slope), texels_per_mm=4.0)
         for slope in (0.05, 0.10)
@@ -298,7 +274,7 @@ def test_relief_scales_with_its_slope(tube):
 
 
 def test_relief_has_the_slope_it_is_given(tube):
-    """RMS slope over texels near 0.7·1 ⊕ 1 ⊕ 0.3 shares, up to the texels' band limit."""
+    """RMS slope over texels near 0.7 ⊕ 1 ⊕ 1 shares, up to the texels' band limit."""
     mucosa = replace(
         MUCOSAE["colon"],
         vessel_contrast=0.0,
@@ -312,7 +288,7 @@ def test_relief_has_the_slope_it_is_given(tube):
     along = np.diff(appearance.height[rows], axis=0) / (LENGTH / 0.9 / height)
     around = np.diff(appearance.height[rows], axis=1) / (2.0 * np.pi * RADIUS / width)
     slope = np.sqrt((along**2).mean() + (around**2).mean())
-    assert slope == pytest.approx(0.1 * np.hypot(np.hypot(0.7, 1.0), 0.3), rel=0.25)
+    assert slope == pytest.approx(0.1 * np.hypot(np.hypot(0.7, 1.0), 1.0), rel=0.25)
 
 
 def test_villi_agree_with_their_readable_twin():
@@ -323,6 +299,7 @@ def test_villi_agree_with_their_readable_twin():
         vessel_contrast=0.0,
         relief_slope=0.0,
         flecks=0.0,
+        mucus=0.0,
         pit_spacing=spacing,
         pit_slope=slope,
     )
@@ -452,3 +429,33 @@ def test_labels_choose_the_mucosa(names: tuple[str, ...], name: str, mucosa: str
     label[: len(label) // 3] = 1
     organ = replace(tube, name=name, label=label, label_names=("background", *names))
     assert own_mucosa(organ) == mucosa
+
+
+def test_mucus_covers_its_share_of_the_wall():
+    """Film and strands that change green light by a tenth: a third of the share it begins on."""
+    square = make_square(240.0 * MM)
+    bare = replace(MUCOSAE["colon"], flecks=0.0, mucus=0.0)
+    shares = []
+    for mucus in (0.0, 0.1, 0.3):
+        look = [
+            decode(bake_appearance(square, seed=4, mucosa=worn, texels_per_mm=1.0).albedo)
+            for worn in (bare, replace(bare, mucus=mucus))
+        ]
+        gain = (look[1] / look[0])[..., 1]
+        shares.append(float((gain > 1.1).mean()))
+    assert shares[0] == 0.0
+    for share, mucus in zip(shares[1:], (0.1, 0.3), strict=True):
+        assert 0.25 * mucus < share < 0.45 * mucus
+
+
+def test_mucus_follows_the_palette():
+    """Of half the base colour, all of the wall is half as bright, mucus too."""
+    square, mucosa = make_square(60.0 * MM), replace(MUCOSAE["colon"], mucus=0.5)
+    dark = replace(mucosa, base_color=tuple(0.5 * c for c in mucosa.base_color))
+    full, half = (
+        decode(bake_appearance(square, seed=4, mucosa=worn, texels_per_mm=2.0).albedo)
+        for worn in (mucosa, dark)
+    )
+    seen = (half > 0.02).all(axis=-1) & (full < 0.9).all(axis=-1)  # neither cut nor coarse
+    off = np.abs(half[seen] / full[seen] - 0.5)
+    assert np.quantile(off, 0.999) < 0.03

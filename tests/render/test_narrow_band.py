@@ -9,17 +9,12 @@ import pytest
 from shapes import looking, make_camera, make_model, sphere
 
 from vrcaps.capsule.device import Led
-from vrcaps.organ.appearance import ABSORPTION
+from vrcaps.color import LUMINANCE
+from vrcaps.organ.appearance import ABSORPTION, MUCOSAE
 from vrcaps.organ.photo.color import from_log_linear, log_linear
 from vrcaps.organ.surface import Appearance
-from vrcaps.render.narrow_band import (
-    blood_density,
-    led_gains,
-    narrow_band_appearance,
-    narrow_band_color,
-    narrow_band_liquid,
-    narrow_band_reflectance,
-)
+from vrcaps.render.imaging import taken_apart
+from vrcaps.render.narrow_band import blood_density, narrow_band
 from vrcaps.render.renderer import Renderer
 from vrcaps.render.scattering import diffuse_reflectance, fresnel, internal_reflection
 from vrcaps.render.settings import RenderSettings
@@ -61,7 +56,7 @@ def _walk(absorption: float, photons: int, rng: np.random.Generator) -> float:
 def test_a_colour_is_taken_apart(rng):
     """Known base, blood and bile give what their absorption at both bands says."""
     for base, blood, bile in rng.uniform([0.1, 0.0, 0.0], [0.6, 2.5, 0.8], (20, 3)):
-        green, violet, blue = narrow_band_reflectance(mucosa(base, blood, bile))
+        green, violet, blue = narrow_band().reflectance(mucosa(base, blood, bile))
         for value, band, stain in ((green, 540, 0.08), (violet, 415, 0.88)):
             dense = blood_density(np.array(blood), band)
             assert value == pytest.approx(np.exp(-base - dense - stain * bile), rel=5e-3)
@@ -71,32 +66,36 @@ def test_a_colour_is_taken_apart(rng):
 def test_a_colour_that_is_no_tissue_stays_a_reflectance(rng):
     """Grey, green and blue hold no blood; nothing reflects more than its red does."""
     colors = rng.uniform(0.01, 1.0, (500, 3))
-    seen = narrow_band_reflectance(colors)
+    seen = narrow_band().reflectance(colors)
     assert np.isfinite(seen).all() and (seen > 0.0).all()
     assert (seen <= colors[:, :1] * (1.0 + 1e-9)).all()
-    np.testing.assert_allclose(narrow_band_reflectance(np.full(3, 0.4)), 0.4)
+    np.testing.assert_allclose(narrow_band().reflectance(np.full(3, 0.4)), 0.4)
 
 
 def test_vessels_stand_out():
     """A vessel's contrast at 415 nm is 1.7 times that in white light or more."""
     around, vessel = mucosa(0.4, 0.8, 0.2), mucosa(0.4, 1.3, 0.2)
     white = np.log(around / vessel)
-    narrow = np.log(narrow_band_reflectance(around) / narrow_band_reflectance(vessel))
+    narrow = np.log(narrow_band().reflectance(around) / narrow_band().reflectance(vessel))
     assert narrow[0] > white[1] > white[0]
     assert narrow[1] > 1.7 * white[1]
 
 
-def test_pale_mucosa_is_neutral():
-    color = narrow_band_reflectance(mucosa(0.0, 0.6, 0.0)) * led_gains()
-    np.testing.assert_allclose(color, color[0], rtol=1e-3)
+def test_pale_mucosa_is_neutral_and_plain_mucosa_as_bright_as_in_white_light():
+    light, plain = narrow_band(), np.array(MUCOSAE["colon"].base_color)
+    pale = mucosa(0.0, 0.5 * taken_apart(np.log(plain))[1], 0.0)
+    color = light.reflectance(pale) * light.led_gains
+    np.testing.assert_allclose(color, color[0], rtol=3e-3)
+    seen = light.reflectance(plain) * light.led_gains
+    assert seen @ LUMINANCE == pytest.approx(plain @ LUMINANCE, rel=1e-6)
 
 
 def test_textures_are_worked_on_in_pieces(rng):
     """Textures of any number of rows come out as their texels do one by one."""
     rows = rng.integers(0, 256, (300, 5, 3), np.uint8)
     look = Appearance(rows, np.zeros((300, 5), np.uint8), np.zeros((300, 5)))
-    seen = narrow_band_appearance(look).albedo
-    np.testing.assert_array_equal(seen, from_log_linear(narrow_band_color(log_linear(rows))))
+    seen = narrow_band().appearance(look).albedo
+    np.testing.assert_array_equal(seen, from_log_linear(narrow_band().color(log_linear(rows))))
 
 
 def test_a_wall_looks_like_its_colour_by_the_light_of_the_bands():
@@ -113,7 +112,7 @@ def test_a_wall_looks_like_its_colour_by_the_light_of_the_bands():
         for imaging in ("white-light", "narrow-band")
     )
     np.testing.assert_allclose(
-        narrow.albedo, narrow_band_reflectance(white.albedo.astype(float)), rtol=0.03
+        narrow.albedo, narrow_band().reflectance(white.albedo.astype(float)), rtol=0.03
     )
     np.testing.assert_allclose(narrow.radiance[..., 1], narrow.radiance[..., 2], rtol=5e-3)
 
@@ -122,7 +121,7 @@ def test_liquid_of_bile_and_blood():
     """Absorption at the bands is that of what the liquid holds."""
     blood, bile = 20.0, 150.0
     given = 5.0 + np.array([blood, bile]) @ ABSORPTION
-    liquid = narrow_band_liquid(Liquid(absorption=tuple(given)))
+    liquid = narrow_band().liquid(Liquid(absorption=tuple(given)))
     expected = 5.0 + blood * 394.0 / 34.7 + 0.88 * bile
     assert liquid.absorption[1] == liquid.absorption[2] == pytest.approx(expected)
     assert liquid.absorption[0] == pytest.approx(5.0 + blood * 46.5 / 34.7 + 0.08 * bile)

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 from shapes import with_ball
 
+import tubes
 from vrcaps._core import Wall
-from vrcaps.organ.surface import Centerline, OrganSurface, vertex_normals
+from vrcaps.organ.surface import OrganSurface
 from vrcaps.render.inside import clear_place, inside_views
 from vrcaps.render.outside import VIEWS, outside_view, project
 from vrcaps.render.overview import marked_lesions, write_overview
@@ -20,34 +21,7 @@ RADIUS, LENGTH = 0.02, 0.2
 
 @pytest.fixture(scope="module")
 def tube() -> OrganSurface:
-    """An open cylinder about z from z = 0, its normals inward."""
-    num_around, num_along = 64, 41
-    theta = np.linspace(-np.pi, np.pi, num_around, endpoint=False)
-    z = np.linspace(0.0, LENGTH, num_along)
-    grid_z, grid_theta = (a.ravel() for a in np.meshgrid(z, theta, indexing="ij"))
-    vertices = np.stack([RADIUS * np.cos(grid_theta), RADIUS * np.sin(grid_theta), grid_z], axis=1)
-    row, column = (a.ravel() for a in np.mgrid[: num_along - 1, :num_around])
-    a, b = row * num_around + column, row * num_around + (column + 1) % num_around
-    faces = np.concatenate(
-        [np.stack([a, a + num_around, b], 1), np.stack([b, a + num_around, b + num_around], 1)]
-    )
-    frames = np.broadcast_to(np.eye(3), (num_along, 3, 3))
-    points = np.outer(z, [0.0, 0.0, 1.0])
-    count = len(vertices)
-    return OrganSurface(
-        name="tube",
-        vertices=vertices,
-        faces=faces,
-        normals=vertex_normals(vertices, faces),
-        uv=np.zeros((len(faces), 3, 2)),
-        label=np.ones(count, np.uint8),
-        label_names=("background", "wall"),
-        instance=np.zeros(count, np.uint16),
-        arc_length=grid_z,
-        theta=grid_theta,
-        radius=np.full(count, RADIUS),
-        centerline=Centerline(points, z, np.full(num_along, RADIUS), frames),
-    )
+    return tubes.straight_tube(LENGTH, RADIUS, around=64, rings=41)
 
 
 COLOURS = np.array([[1.0, 1.0, 1.0], [0.2, 0.4, 0.9], [0.9, 0.3, 0.2]])

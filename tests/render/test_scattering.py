@@ -19,6 +19,7 @@ from vrcaps.render.scattering import (
     TISSUE_IOR,
     Medium,
     albedo_roots,
+    color_slopes,
     diffuse_reflectance,
     diffusion_profile,
     dipole_profile,
@@ -27,6 +28,7 @@ from vrcaps.render.scattering import (
     half_space_color,
     half_space_reflectance,
     internal_reflection,
+    mean_cosine,
     reduced_scattering,
 )
 from vrcaps.render.settings import RenderSettings
@@ -116,6 +118,19 @@ def test_colors_are_given_back():
     given = half_space_color(1.0 - roots**2, TISSUE_IOR)
     some = (colors > 0.02) & (colors < 0.97)
     np.testing.assert_allclose(given[some], colors[some], rtol=4e-3)
+
+
+@pytest.mark.parametrize("color", [0.03, 0.2, 0.5, 0.8])
+def test_brightness_by_angle(color: float):
+    """A straight line through exact transport: the same mean, and within 2 % head-on."""
+    place = np.linspace(0.0, 1.0, len(albedo_roots()))
+    root, slope = (np.interp(color, place, table) for table in (albedo_roots(), color_slopes()))
+    less = mean_cosine(TISSUE_IOR) - 1.0
+    passes = (1.0 - fresnel(np.array(1.0), TISSUE_IOR)) / entering_share(TISSUE_IOR)
+    back = half_space_reflectance(np.array([1.0 - root**2]), TISSUE_IOR)[0]
+    exact = back / entering_share(TISSUE_IOR)
+    assert color * passes * (1.0 + slope * less) == pytest.approx(exact, rel=0.02)
+    assert mean_cosine(1.0) == pytest.approx(2.0 / 3.0)
 
 
 def test_measured_scattering():
@@ -331,7 +346,7 @@ def test_more_reflections_are_brighter_and_labels_stay():
 
 
 def test_wrong_input():
-    with pytest.raises(InputError, match=r"Scattering goes with light path, not quick\. Drop one"):
-        RenderSettings(light="quick", scattering=True)
+    with pytest.raises(InputError, match=r"goes with light quick or path, not direct\. Drop one"):
+        RenderSettings(scattering=True)
     with pytest.raises(ValueError, match="albedo of 0 to 1, extinction above 0 and an index of 1"):
         _walks(_plane(), (1.2,) * 3, (1000.0,) * 3, 1.4, 1)

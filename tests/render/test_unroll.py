@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from shapes import with_ball
 
+import tubes
 from vrcaps._core import Wall
-from vrcaps.organ.surface import Appearance, Centerline, OrganSurface, vertex_normals
+from vrcaps.organ.surface import Appearance, OrganSurface
 from vrcaps.render.unroll import dissection, instances, unroll
 
 RADIUS, LENGTH = 0.02, 0.2
@@ -19,38 +20,10 @@ AROUND, ALONG = 128, 81
 @pytest.fixture(scope="module")
 def tube() -> OrganSurface:
     """An open cylinder about z, its texture a map of (theta, z)."""
-    theta = np.linspace(-np.pi, np.pi, AROUND, endpoint=False)
-    z = np.linspace(0.0, LENGTH, ALONG)
-    grid_z, grid_theta = (a.ravel() for a in np.meshgrid(z, theta, indexing="ij"))
-    vertices = np.stack([RADIUS * np.cos(grid_theta), RADIUS * np.sin(grid_theta), grid_z], axis=1)
-    row, column = (a.ravel() for a in np.mgrid[: ALONG - 1, :AROUND])
-    a, b = row * AROUND + column, row * AROUND + (column + 1) % AROUND
-    faces = np.concatenate(
-        [np.stack([a, a + AROUND, b], 1), np.stack([b, a + AROUND, b + AROUND], 1)]
-    )
-    u = grid_theta[faces] / (2 * np.pi) + 0.5
-    u = np.where(np.ptp(u, axis=1, keepdims=True) > 0.5, np.where(u < 0.5, u + 1.0, u), u)
-    v = grid_z[faces] / LENGTH
     columns, rows = np.meshgrid(np.arange(64), np.arange(32))
     albedo = np.stack([4 * columns, 8 * (31 - rows), 0 * rows], axis=-1).astype(np.uint8)
     texture = Appearance(albedo, np.zeros((32, 64), np.uint8), np.zeros((32, 64), np.float32))
-    points = np.outer(z, [0.0, 0.0, 1.0])
-    frames = np.broadcast_to(np.eye(3), (ALONG, 3, 3))
-    return OrganSurface(
-        name="tube",
-        vertices=vertices,
-        faces=faces,
-        normals=vertex_normals(vertices, faces),
-        uv=np.stack([u, v], axis=-1),
-        label=np.ones(len(vertices), np.uint8),
-        label_names=("background", "wall"),
-        instance=np.zeros(len(vertices), np.uint16),
-        arc_length=grid_z,
-        theta=grid_theta,
-        radius=np.full(len(vertices), RADIUS),
-        centerline=Centerline(points, z, np.full(ALONG, RADIUS), frames),
-        appearance=texture,
-    )
+    return replace(tubes.straight_tube(LENGTH, RADIUS, AROUND, ALONG), appearance=texture)
 
 
 def grid(width: int = 60, height: int = 40) -> tuple[np.ndarray, np.ndarray]:

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from guts import straight_gut
 
+from tubes import straight_gut
 from vrcaps import _core
 from vrcaps.capsule.body import homogeneous_body
 from vrcaps.capsule.catalog import load_device
@@ -325,7 +325,7 @@ def test_a_heavy_capsule_rests_on_the_floor_lighter_by_its_liquid(gut: OrganSurf
 def run(threads: str) -> str:
     here = Path(__file__)
     code = (
-        f"import sys; sys.path[:0] = [{str(here.parent)!r}, {str(here.parents[1] / 'tissue')!r}]\n"
+        f"import sys; sys.path[:0] = [{str(here.parent)!r}, {str(here.parents[1])!r}]\n"
         f"import {here.stem} as test\nprint(test.digest())"
     )
     done = subprocess.run(

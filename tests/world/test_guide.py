@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from guts import straight_gut
 
+from tubes import straight_gut
 from vrcaps.capsule.catalog import load_device
 from vrcaps.errors import InputError
 from vrcaps.magnet.presets import load_magnet

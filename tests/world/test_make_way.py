@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from conftest import make_tube
+from tubes import bent_tube
 from vrcaps.capsule.catalog import load_device
 from vrcaps.transforms import invert, transform_points
 from vrcaps.units import MM
@@ -20,7 +20,7 @@ from vrcaps.world.trajectory import Trajectory
 @pytest.fixture(scope="module")
 def narrow() -> Model:
     """A tube of 8 mm around a capsule of 10.8 mm."""
-    return Model(make_tube(radius=4.0 * MM, around=30, along=400), load_device("mirocam"))
+    return Model(bent_tube(radius=4.0 * MM, around=30, along=400), load_device("mirocam"))
 
 
 def _flight(model: Model, start: float, end: float, *, rigid_wall: bool = False) -> Trajectory:
@@ -84,7 +84,7 @@ def test_it_begins_without_a_jump(narrow):
     pose[:3, 3] = transform_points(narrow.T_world_patient, line.points[60])
     shifts = []
     for less in (0.3, 0.1, 0.0):
-        tube = make_tube(radius=radius - less * MM, around=60, along=400)
+        tube = bent_tube(radius=radius - less * MM, around=60, along=400)
         model = Model(tube, narrow.device)
         moved = MakeWay(model, model).vertices_world(pose)
         rest = model.vertices_world

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy.special import ellipk
 
+from tubes import bent_tube
 from vrcaps.capsule.catalog import load_device
 from vrcaps.errors import InputError
 from vrcaps.magnet.field import field, wrench
@@ -27,9 +28,7 @@ HOVER = np.eye(3)
 @pytest.fixture(scope="module")
 def wide(tube):
     """A tube so wide that nothing touches the capsule."""
-    from conftest import make_tube
-
-    return make_tube(radius=0.04, around=24, along=60)
+    return bent_tube(radius=0.04, around=24, along=60)
 
 
 def make_world(organ, moment, sources, *, wxyz_z=(0, 0, 1), at=0.05, offset=(0, 0, 0), **options):

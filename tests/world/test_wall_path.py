@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from guts import straight_gut
 
+from tubes import straight_gut
 from vrcaps.capsule.catalog import load_device
 from vrcaps.errors import InputError
 from vrcaps.magnet.sources import magnet_pose

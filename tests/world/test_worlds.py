@@ -47,16 +47,16 @@ def test_the_same_bytes_on_any_number_of_threads() -> None:
     """Each in a process of its own, for the number of threads is fixed when the core loads."""
     code = (
         "import sys, hashlib; sys.path[:0] = sys.argv[1:]\n"
-        "from conftest import make_tube; import test_worlds as t\n"
+        "from tubes import bent_tube; import test_worlds as t\n"
         "from vrcaps.capsule.catalog import load_device\n"
-        "worlds = t.worlds_in(t.Model(make_tube(), load_device('mirocam')))\n"
+        "worlds = t.worlds_in(t.Model(bent_tube(), load_device('mirocam')))\n"
         "t.step_worlds(worlds, t.CONTROLS, 0.01)\n"
         "print(hashlib.sha256(b''.join(t.as_bytes(w.snapshot()) for w in worlds)).hexdigest())"
     )
     here = __file__.rpartition("/")[0]
     found = {
         subprocess.run(
-            [sys.executable, "-c", code, here],
+            [sys.executable, "-c", code, here, here.rpartition("/")[0]],
             env={**os.environ, "RAYON_NUM_THREADS": threads},
             capture_output=True,
             check=True,

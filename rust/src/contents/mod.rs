@@ -4,7 +4,7 @@ mod around;
 pub mod bubble;
 mod capsule;
 mod drag;
-mod front;
+pub mod front;
 mod leg;
 pub mod liquid;
 pub mod particles;

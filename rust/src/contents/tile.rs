@@ -11,15 +11,16 @@ use super::particles::{Owner, paint};
 use super::spheres::Near;
 use super::turn::{MIRRORED, REFRACTED, STRAIGHT};
 use crate::channels::{Channels, Place};
+use crate::indirect::Beneath;
 use crate::lanes::*;
-use crate::material::{Surface, add_light};
+use crate::material::Surface;
 use crate::path::First;
 use crate::path::afloat::Afloat;
 use crate::query;
 use crate::rays::TileRays;
-use crate::render::{View, add_glow, primary, write_geometry};
+use crate::render::{REACH, View, add_glow, primary, render_tile, write_geometry};
 use crate::scene::SceneData;
-use crate::shade::{Attributes, attributes, attributes_at, surface};
+use crate::shade::{Attributes, add_all_light, attributes, attributes_at, surface};
 use crate::tile::{Hits, MISS, Pyramid, farthest_of};
 use crate::visibility::visible_tile;
 use crate::wall::Wall;
@@ -108,6 +109,13 @@ impl<'a> Filled<'a> {
         out: &mut Channels<'_>,
     ) {
         let view = self.view;
+        if self.sees_wall_alone(tile, room) {
+            Front::of_liquid(None).write(tile, place, out);
+            place.write(&mut out.bend_label, &[STRAIGHT; LANES], &tile.used, STRAIGHT);
+            place.write_sparsely(&mut out.sparse_bend, 1, |_, _| STRAIGHT);
+            render_tile(self.wall, self.scene, view, tile, place, glow, out);
+            return;
+        }
         let seen = self.look(tile, room);
         let Seen { rays, hits, owner, found, wet } = &seen;
         let bubbles = self.bubbles(tile, rays, hits, room);
@@ -115,12 +123,12 @@ impl<'a> Filled<'a> {
             let surface = self.surface(found, hits, owner, tile.pixel_angle);
             place.write3(&mut out.albedo, &surface.albedo, &found.hit, f32::NAN);
             let bare = view.bare(self.scene, &surface, &of_wall(&hits.triangle, owner));
-            let lit = bare.as_ref().unwrap_or(&surface);
+            let beneath = view.beneath(&surface, hits, &of_wall(&hits.triangle, owner));
+            let lit = (bare.as_ref().unwrap_or(&surface), beneath.as_ref());
             let mut radiance = self.light(lit, found, hits, wet.as_ref(), room);
             add_glow(glow, &mut radiance);
             self.carry(&seen, &bubbles, tile.pixel_angle, room, &mut radiance);
-            place.write_color(&mut out.rgb, &radiance, view.exposure);
-            place.write3(&mut out.radiance, &radiance, &found.hit, 0.0);
+            place.write_light(out, &radiance, &found.hit, view.exposure);
         }
         let mut front = Front::of_liquid(wet.as_ref());
         let reach = first_leg(wet.as_ref(), hits);
@@ -134,6 +142,18 @@ impl<'a> Filled<'a> {
         place.write(&mut out.bend_label, &kind, &found.hit, STRAIGHT);
         place.write_sparsely(&mut out.sparse_bend, 1, |i, _| kind[i]);
         write_geometry(view, tile, hits, found, place, out);
+    }
+
+    /// Whether nothing but the wall is in reach of a tile's rays, nor of what lights it.
+    #[inline(always)]
+    fn sees_wall_alone(&self, tile: &TileRays, room: &mut Room) -> bool {
+        let Contents { bubbles, chyme, pools, .. } = self.contents;
+        if pools.is_some() || !chyme.all.is_empty() {
+            return false;
+        }
+        let (origin, rays) = (self.view.origin, tile.pyramid.rotated(&self.view.to_world));
+        bubbles.gather(origin, &rays, self.wall.extent, REACH, &mut room.near);
+        room.near.is_empty()
     }
 
     fn optics(&self) -> Option<&Optics> {
@@ -333,7 +353,8 @@ impl<'a> Filled<'a> {
         self.put_particles(&owner, &mut found);
         let surface = self.surface(&found, &hits, &owner, pixel_angle);
         let in_liquid = wet.under.contains(&true);
-        let mut radiance = self.light(&surface, &found, &hits, in_liquid.then_some(wet), room);
+        let mut radiance =
+            self.light((&surface, None), &found, &hits, in_liquid.then_some(wet), room);
         if !in_liquid {
             return radiance;
         }
@@ -357,7 +378,7 @@ impl<'a> Filled<'a> {
     #[inline(always)]
     fn light(
         &self,
-        surface: &Surface,
+        (surface, beneath): (&Surface, Option<&Beneath>),
         found: &Attributes,
         hits: &Hits,
         wet: Option<&Wet>,
@@ -375,17 +396,17 @@ impl<'a> Filled<'a> {
                 chyme.shade(led.position, points, wall.extent, &mut room.blocking, &mut lit);
             }
             let Some((optics, wet)) = liquid else {
-                add_light(surface, &self.scene.material, led, &lit, &mut radiance);
+                add_all_light((surface, beneath), &self.scene.material, led, &lit, &mut radiance);
                 continue;
             };
             let mut light = [[0.0; LANES]; 3];
-            add_light(surface, &self.scene.material, led, &lit, &mut light);
+            add_all_light((surface, beneath), &self.scene.material, led, &lit, &mut light);
             optics.dim(led, &surface.position, wet, &mut light);
             add_glow(Some(&light), &mut radiance);
         }
         if let Some(bounced) = &view.bounced {
             let mut light = [[0.0; LANES]; 3];
-            bounced.add((surface, &found.normal), hits, &mut light);
+            bounced.add((surface, &found.normal), hits, beneath, &mut light);
             if let Some((optics, wet)) = liquid {
                 optics.dim_even(&surface.position, wet, &mut light);
             }

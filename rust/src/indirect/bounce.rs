@@ -4,6 +4,7 @@ use super::known::{Light, Lights};
 use super::lamps::first_reflection;
 use super::moved::Moved;
 use super::rows::{Beam, Link};
+use super::tissue::{Beneath, Skin};
 use super::{Color, QuickLight};
 use crate::lanes::*;
 use crate::material::{Led, Surface};
@@ -30,6 +31,8 @@ pub struct Irradiance<'a> {
     leaving: Vec<Color>,
     /// Light at each site and vertex, gathered when first needed.
     known: Lights<'a>,
+    /// Light through the tissue behind the wall, if it goes there.
+    skin: Option<Skin<'a>>,
 }
 
 /// What the corners of one face get: at the third, and how much more at the first two.
@@ -39,10 +42,16 @@ type Corners = (u32, [Light; 3]);
 const AT_HAND: usize = 8;
 
 impl QuickLight {
-    /// Irradiance by bounced light.
-    pub fn solve<'a>(&'a self, rest: &'a Wall, wall: &'a Wall, leds: &[Led]) -> Irradiance<'a> {
+    /// Irradiance by bounced light; LEDs cast shadows or not.
+    pub fn solve<'a>(
+        &'a self,
+        rest: &'a Wall,
+        wall: &'a Wall,
+        (leds, shadows): (&[Led], bool),
+    ) -> Irradiance<'a> {
         let mut last = first_reflection(self, wall, leds);
         let reached = self.reached(rest, &last);
+        let kept = self.kept_of(rest, &reached, &mut last);
         let moved = (!std::ptr::eq(rest, wall)).then(|| Moved::new(self, rest, wall, &reached));
         if let Some(moved) = &moved {
             for &s in &reached {
@@ -58,7 +67,7 @@ impl QuickLight {
         let mut leaving = last.clone();
         let mut before = [0.0; 3];
         for bounce in 0..BOUNCES {
-            let next = self.reflect(&reached, &rows, &last);
+            let next = self.reflect((&reached, &kept), &rows, &last);
             let total = next.iter().fold([0.0; 3], |s, c| add(s, [c[0], c[1], c[2]]));
             let rest_of_series = if bounce + 1 < BOUNCES { [1.0; 3] } else { tail(total, before) };
             before = total;
@@ -69,7 +78,19 @@ impl QuickLight {
                 last[s as usize] = light;
             }
         }
-        Irradiance { light: self, rest, wall, moved, leaving, known: self.room.lend() }
+        let skin = self.tissue.as_ref().map(|tissue| tissue.frame(rest, wall, leds, shadows));
+        Irradiance { light: self, rest, wall, moved, leaving, known: self.room.lend(), skin }
+    }
+
+    /// What each of the sites keeps of the light that it reflects; `last` is made less by that.
+    fn kept_of(&self, rest: &Wall, sites: &[u32], last: &mut [Color]) -> Vec<Vec3> {
+        let of_site = |&s: &u32| self.kept(rest, s as usize);
+        let kept: Vec<Vec3> = sites.par_iter().with_min_len(CHUNK).map(of_site).collect();
+        for (&s, kept) in sites.iter().zip(&kept) {
+            let [r, g, b, _] = last[s as usize];
+            last[s as usize] = [r * kept[0], g * kept[1], b * kept[2], 0.0];
+        }
+        kept
     }
 
     /// Sites that are lit or see one that is, in order.
@@ -103,8 +124,13 @@ impl QuickLight {
     }
 
     /// Radiosity of sites by what leaves all others.
-    fn reflect(&self, sites: &[u32], rows: &[Cow<'_, [Link]>], leaving: &[Color]) -> Vec<Color> {
-        let of_site = |(&s, row): (&u32, &Cow<'_, [Link]>)| {
+    fn reflect(
+        &self,
+        (sites, kept): (&[u32], &[Vec3]),
+        rows: &[Cow<'_, [Link]>],
+        leaving: &[Color],
+    ) -> Vec<Color> {
+        let of_site = |((&s, kept), row): ((&u32, &Vec3), &Cow<'_, [Link]>)| {
             let mut light = [0.0; 4];
             for link in row.iter() {
                 let from = &leaving[link.from as usize];
@@ -113,9 +139,9 @@ impl QuickLight {
                 }
             }
             let [r, g, b] = self.reflected(s as usize, self.reflectance.mean);
-            [light[0] * r, light[1] * g, light[2] * b, 0.0]
+            [light[0] * r * kept[0], light[1] * g * kept[1], light[2] * b * kept[2], 0.0]
         };
-        sites.par_iter().zip(rows).with_min_len(CHUNK).map(of_site).collect()
+        sites.par_iter().zip(kept).zip(rows).with_min_len(CHUNK).map(of_site).collect()
     }
 }
 
@@ -125,13 +151,27 @@ fn tail(term: Vec3, before: Vec3) -> Vec3 {
 }
 
 impl Irradiance<'_> {
+    /// What the tissue behind surfaces makes of light, if it goes there.
+    #[inline(always)]
+    pub fn beneath(&self, surface: &Surface, hits: &Hits, walls: &[u32; LANES]) -> Option<Beneath> {
+        let skin = self.skin.as_ref()?;
+        let is_wall = walls.map(|triangle| triangle != MISS);
+        Some(skin.beneath(surface, hits, is_wall, &|v| Vec4::from_slice(&self.vertex(v)[..4])))
+    }
+
     /// Adds the radiance that bounced light leaves towards the viewer [W/(sr·m²)]; `smooth` are
-    /// the wall's normals without relief.
+    /// the wall's normals without relief, `beneath` is what tissue makes of it.
     ///
     /// Relief that tilts by τ looks into the wall with a part of its hemisphere: of even light it
     /// gets (1 + cos τ)/2.
     #[inline(always)]
-    pub fn add(&self, (surface, smooth): (&Surface, &Lane3), hits: &Hits, radiance: &mut Lane3) {
+    pub fn add(
+        &self,
+        (surface, smooth): (&Surface, &Lane3),
+        hits: &Hits,
+        beneath: Option<&Beneath>,
+        radiance: &mut Lane3,
+    ) {
         let mut shares = [[0.0; LANES]; 4];
         let mut reflected = [[0.0; LANES]; 2];
         for i in 0..LANES {
@@ -145,7 +185,7 @@ impl Irradiance<'_> {
             }
         }
         let mut irradiance = [[0.0; LANES]; 3];
-        let mut at_hand: [Corners; AT_HAND] = [(MISS, [[Vec4::ZERO; 4]; 3]); AT_HAND];
+        let mut at_hand: [Corners; AT_HAND] = [(MISS, [[0.0; 16]; 3]); AT_HAND];
         for i in 0..LANES {
             let triangle = hits.triangle[i];
             if triangle == MISS {
@@ -153,82 +193,118 @@ impl Irradiance<'_> {
             }
             let corners = &mut at_hand[triangle as usize % AT_HAND];
             if corners.0 != triangle {
-                *corners = (triangle, self.corners(triangle));
+                *corners = (triangle, corners_of(self, triangle));
             }
             let [first, second, third] = &corners.1;
             let inverse = 1.0 / hits.edges[2][i];
             let (wa, wb) = (hits.edges[0][i] * inverse, hits.edges[1][i] * inverse);
-            let mut sum = Vec4::ZERO;
-            for part in 0..4 {
-                let light = third[part] + first[part] * wa + second[part] * wb;
-                sum += light * shares[part][i];
+            let share = [shares[0][i], shares[1][i], shares[2][i], shares[3][i]];
+            let mut parts = [0.0f32; 16];
+            for n in 0..16 {
+                parts[n] = (third[n] + first[n] * wa + second[n] * wb) * share[n / 4];
             }
             for k in 0..3 {
-                irradiance[k][i] = sum[k];
+                irradiance[k][i] = parts[k] + parts[4 + k] + parts[8 + k] + parts[12 + k];
             }
         }
         for k in 0..3 {
             for i in 0..LANES {
-                let share = reflected[0][i] * surface.albedo[k][i] + reflected[1][i];
-                radiance[k][i] += max(irradiance[k][i], 0.0) * (1.0 / PI) * share;
+                let base = reflected[0][i] * surface.albedo[k][i];
+                let (base, through) = beneath.map_or((base, 0.0), |beneath| beneath.of(base, k, i));
+                let share = base + reflected[1][i];
+                radiance[k][i] += max(irradiance[k][i], 0.0) * (1.0 / PI) * share + through;
             }
         }
     }
 
-    fn corners(&self, triangle: u32) -> [Light; 3] {
-        let corners = self.wall.bvh.corners[triangle as usize];
-        let [a, b, c] = corners.map(|v| self.vertex(v as usize));
-        let more = |light: Light| std::array::from_fn(|part| light[part] - c[part]);
-        [more(a), more(b), c]
-    }
-
+    #[inline(always)]
     fn vertex(&self, v: usize) -> Light {
-        self.known.vertex(v, || {
-            let mut sum = [Vec4::ZERO; 4];
-            for &(s, weight) in self.light.sites.heard[v].iter().filter(|heard| heard.1 > 0.0) {
-                let light = self.site(s as usize);
-                for part in 0..4 {
-                    sum[part] += weight * light[part];
-                }
+        if let Some(light) = self.known.vertex(v) {
+            return light;
+        }
+        let mut sum = [0.0; 16];
+        for &(s, weight) in self.light.sites.heard[v].iter().take_while(|heard| heard.1 > 0.0) {
+            let s = s as usize;
+            let light = self.known.site(s).unwrap_or_else(|| site_of(self, s));
+            for n in 0..16 {
+                sum[n] += weight * light[n];
             }
-            sum
-        })
+        }
+        self.known.keep_vertex(v, &sum);
+        sum
     }
 
+    #[inline(always)]
     fn site(&self, s: usize) -> Light {
-        self.known.site(s, || {
-            let vertex = self.light.sites.vertex[s] as usize;
-            let beams = &self.light.row(self.rest, s).fine;
-            let mut vectors = match &self.moved {
-                None => self.gather(beams.iter().map(|beam| (beam, 1.0))),
-                Some(moved) => {
-                    let normal = self.rest.normals[vertex];
-                    let links = beams.iter().map(|b| (b.from, dot(b.way, normal), b.exchange));
-                    self.gather(beams.iter().zip(moved.factors(s, links)))
-                }
-            };
-            if let Some(moved) = &self.moved {
-                vectors = vectors.map(|vector| moved.turn(self.wall, vertex, vector));
+        let vertex = self.light.sites.vertex[s] as usize;
+        let beams = &self.light.row(self.rest, s).fine;
+        let mut vectors = match &self.moved {
+            None => self.gather(beams.iter().map(|beam| (beam, 1.0))),
+            Some(moved) => {
+                let normal = self.rest.normals[vertex];
+                let links = beams.iter().map(|b| (b.from, dot(b.way, normal), b.exchange));
+                self.gather(beams.iter().zip(moved.factors(s, links)))
             }
-            let normal = self.wall.normals[vertex];
-            let even = vectors.map(|vector| dot(vector, normal));
-            let along =
-                |k: usize| [0, 1, 2].map(|color| vectors[color][k] - even[color] * normal[k]);
-            [even, along(0), along(1), along(2)].map(|[r, g, b]| Vec4::new(r, g, b, 0.0))
-        })
+        };
+        if let Some(moved) = &self.moved {
+            vectors = vectors.map(|vector| moved.turn(self.wall, vertex, vector));
+        }
+        let normal = self.wall.normals[vertex];
+        let mut light = [0.0; 16];
+        for color in 0..3 {
+            let even = dot(vectors[color], normal);
+            light[color] = even;
+            for k in 0..3 {
+                light[4 * (k + 1) + color] = vectors[color][k] - even * normal[k];
+            }
+        }
+        self.known.keep_site(s, &light);
+        light
     }
 
     /// Red, green and blue light vectors by what leaves the sites of a row, whose shares are
     /// multiplied by factors.
     #[inline(always)]
     fn gather<'b>(&self, row: impl Iterator<Item = (&'b Beam, f32)>) -> [Vec3; 3] {
-        let mut sum = [[0.0; 3]; 3];
+        let mut sum = [[0.0f32; 4]; 3];
         for (beam, factor) in row {
             let from = &self.leaving[beam.from as usize];
-            for k in 0..9 {
-                sum[k / 3][k % 3] += from[k / 3] * (factor * beam.way[k % 3]);
+            for k in 0..3 {
+                let way = factor * beam.way[k];
+                for color in 0..4 {
+                    sum[k][color] += from[color] * way;
+                }
             }
         }
-        sum
+        [0, 1, 2].map(|color| [sum[0][color], sum[1][color], sum[2][color]])
     }
+}
+
+/// What the corners of a triangle get.
+#[multiversion::multiversion(targets(
+    "x86_64+avx512f+avx512bw+avx512cd+avx512dq+avx512vl",
+    "x86_64+avx2",
+    "aarch64+neon"
+))]
+fn corners_of(light: &Irradiance<'_>, triangle: u32) -> [Light; 3] {
+    let mut corners = [[0.0; 16]; 3];
+    for (corner, &v) in corners.iter_mut().zip(&light.wall.bvh.corners[triangle as usize]) {
+        *corner = light.vertex(v as usize);
+    }
+    let [mut first, mut second, third] = corners;
+    for n in 0..16 {
+        first[n] -= third[n];
+        second[n] -= third[n];
+    }
+    [first, second, third]
+}
+
+/// What a site gets.
+#[multiversion::multiversion(targets(
+    "x86_64+avx512f+avx512bw+avx512cd+avx512dq+avx512vl",
+    "x86_64+avx2",
+    "aarch64+neon"
+))]
+fn site_of(light: &Irradiance<'_>, site: usize) -> Light {
+    light.site(site)
 }

@@ -1,45 +1,47 @@
 //! Light at sites and vertices that is reckoned when first needed, in memory kept between frames.
 
-use glam::Vec4;
 use std::cell::UnsafeCell;
 use std::ops::Deref;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicU32, Ordering};
 
 /// For red, green and blue: irradiance, and how it grows as the normal tilts along x, y and z
-/// [W/m²]. The latter is the tangential part of the light vector.
-pub type Light = [Vec4; 4];
+/// [W/m²]. The latter is the tangential part of the light vector. Four numbers each, so that all are
+/// one vector; the last is 0.
+pub type Light = [f32; 16];
 
 /// Light of one place; known if its number is that of the frame.
 ///
 /// Threads that need it at once all reckon it; their results are the same, and one of them keeps
 /// its own.
-struct Slot {
+struct Slot<T> {
     /// Twice the number of the frame while it is written, and one more from then on.
     stage: AtomicU32,
-    light: UnsafeCell<Light>,
+    light: UnsafeCell<T>,
 }
 
 // SAFETY: `light` is written only by the one thread whose exchange of `stage` succeeds in a frame,
 // before it announces that with release order, and read only after the announcement is seen with
 // acquire order. Between frames the slots are borrowed by nobody. A lock for each site and vertex
 // would cost more than all else that is done with them.
-unsafe impl Sync for Slot {}
+unsafe impl<T: Copy + Send + Sync> Sync for Slot<T> {}
 
-impl Slot {
+impl<T: Copy + Default> Slot<T> {
     fn new() -> Self {
-        Slot { stage: AtomicU32::new(0), light: UnsafeCell::new([Vec4::ZERO; 4]) }
+        Slot { stage: AtomicU32::new(0), light: UnsafeCell::new(T::default()) }
     }
 
     #[inline(always)]
-    fn get(&self, frame: u32, reckon: impl FnOnce() -> Light) -> Light {
+    fn known(&self, frame: u32) -> Option<T> {
+        let is_known = self.stage.load(Ordering::Acquire) == 2 * frame + 1;
+        // SAFETY: see above.
+        is_known.then(|| unsafe { *self.light.get() })
+    }
+
+    #[inline(always)]
+    fn keep(&self, frame: u32, found: &T) {
         let (writing, known) = (2 * frame, 2 * frame + 1);
         let stage = self.stage.load(Ordering::Acquire);
-        if stage == known {
-            // SAFETY: see above.
-            return unsafe { *self.light.get() };
-        }
-        let found = reckon();
         let is_first = stage < writing
             && self
                 .stage
@@ -47,35 +49,34 @@ impl Slot {
                 .is_ok();
         if is_first {
             // SAFETY: see above.
-            unsafe { *self.light.get() = found };
+            unsafe { *self.light.get() = *found };
             self.stage.store(known, Ordering::Release);
         }
-        found
     }
 }
 
 /// Room for the light of one frame.
-pub struct Slots {
+pub struct Slots<T> {
     frame: u32,
-    sites: Box<[Slot]>,
-    vertices: Box<[Slot]>,
+    sites: Box<[Slot<T>]>,
+    vertices: Box<[Slot<T>]>,
 }
 
 /// Rooms that no frame uses now.
-pub struct Rooms {
+pub struct Rooms<T = Light> {
     /// Numbers of sites and vertices.
     counts: (usize, usize),
-    free: Mutex<Vec<Slots>>,
+    free: Mutex<Vec<Slots<T>>>,
 }
 
-impl Rooms {
+impl<T: Copy + Default> Rooms<T> {
     /// None yet, for so many sites and vertices.
     pub fn new(counts: (usize, usize)) -> Self {
         Rooms { counts, free: Mutex::new(Vec::new()) }
     }
 
     /// Room in which nothing is known.
-    pub fn lend(&self) -> Lights<'_> {
+    pub fn lend(&self) -> Lights<'_, T> {
         let kept = self.free.lock().ok().and_then(|mut free| free.pop());
         let slots = |count: usize| (0..count).map(|_| Slot::new()).collect();
         let fresh =
@@ -88,21 +89,21 @@ impl Rooms {
 }
 
 /// The light of one frame; its room goes back when it is dropped.
-pub struct Lights<'a> {
-    rooms: &'a Rooms,
-    slots: Option<Slots>,
+pub struct Lights<'a, T = Light> {
+    rooms: &'a Rooms<T>,
+    slots: Option<Slots<T>>,
 }
 
-impl Deref for Lights<'_> {
-    type Target = Slots;
+impl<T> Deref for Lights<'_, T> {
+    type Target = Slots<T>;
 
     #[inline(always)]
-    fn deref(&self) -> &Slots {
+    fn deref(&self) -> &Slots<T> {
         self.slots.as_ref().expect("kept until dropped")
     }
 }
 
-impl Drop for Lights<'_> {
+impl<T> Drop for Lights<'_, T> {
     fn drop(&mut self) {
         if let (Ok(mut free), Some(slots)) = (self.rooms.free.lock(), self.slots.take()) {
             free.push(slots);
@@ -110,16 +111,28 @@ impl Drop for Lights<'_> {
     }
 }
 
-impl Slots {
-    /// Light at a site.
+impl<T: Copy + Default> Slots<T> {
+    /// Light at a site, if it has been reckoned.
     #[inline(always)]
-    pub fn site(&self, site: usize, reckon: impl FnOnce() -> Light) -> Light {
-        self.sites[site].get(self.frame, reckon)
+    pub fn site(&self, site: usize) -> Option<T> {
+        self.sites[site].known(self.frame)
     }
 
-    /// Light at a vertex.
+    /// Keeps the light at a site.
     #[inline(always)]
-    pub fn vertex(&self, vertex: usize, reckon: impl FnOnce() -> Light) -> Light {
-        self.vertices[vertex].get(self.frame, reckon)
+    pub fn keep_site(&self, site: usize, light: &T) {
+        self.sites[site].keep(self.frame, light);
+    }
+
+    /// Light at a vertex, if it has been reckoned.
+    #[inline(always)]
+    pub fn vertex(&self, vertex: usize) -> Option<T> {
+        self.vertices[vertex].known(self.frame)
+    }
+
+    /// Keeps the light at a vertex.
+    #[inline(always)]
+    pub fn keep_vertex(&self, vertex: usize, light: &T) {
+        self.vertices[vertex].keep(self.frame, light);
     }
 }

@@ -9,9 +9,10 @@ use crate::path::ray;
 use crate::wall::Wall;
 use rayon::prelude::*;
 use std::f32::consts::TAU;
+use std::ops::Range;
 
-/// Rays of all LEDs together, about.
-const RAYS: usize = 2560;
+/// Rays of all LEDs together, about: images differ by 0.3 % from those by many.
+const RAYS: usize = 1024;
 /// Fewest rays of an LED are the square of this.
 const LEAST_SIDE: usize = 8;
 
@@ -25,17 +26,17 @@ type End = (usize, f32);
 /// Radiosity of each site by its first reflection of the LEDs' light [W/m²].
 pub fn first_reflection(light: &QuickLight, wall: &Wall, leds: &[Led]) -> Vec<Color> {
     let side = ((RAYS as f32 / leds.len().max(1) as f32).sqrt() as usize).max(LEAST_SIDE);
-    let rings: Vec<Vec<End>> = (0..leds.len() * side)
+    let parts: Vec<Vec<End>> = (0..leds.len() * side)
         .into_par_iter()
         .map(|k| {
-            let (number, ring) = (k / side, k % side);
+            let (number, first) = (k / side, k % side * side);
             let led = &leds[number];
             let lobe = Lobe::shifted(led.direction, led.exponent, side, number);
-            send(wall, led.position, &lobe, ring, side)
+            send(wall, led.position, &lobe, first..first + side)
         })
         .collect();
     let mut leaving = vec![[0.0; 4]; light.albedo.len()];
-    for (led, ends) in leds.iter().zip(rings.chunks(side)) {
+    for (led, ends) in leds.iter().zip(parts.chunks(side)) {
         let solid_angle = if led.exponent == 0.0 { 2.0 * TAU } else { TAU / (led.exponent + 1.0) };
         let ray = scale(led.intensity, solid_angle / (side * side) as f32);
         for &(vertex, cosine) in ends.iter().flatten() {
@@ -50,16 +51,15 @@ pub fn first_reflection(light: &QuickLight, wall: &Wall, leds: &[Led]) -> Vec<Co
     leaving
 }
 
-/// Where the rays of one ring of a lobe end.
+/// Where some of the rays of a lobe end.
 #[multiversion::multiversion(targets(
     "x86_64+avx512f+avx512bw+avx512cd+avx512dq+avx512vl",
     "x86_64+avx2",
     "aarch64+neon"
 ))]
-fn send(wall: &Wall, origin: Vec3, lobe: &Lobe, ring: usize, side: usize) -> Vec<End> {
-    let mut ends = Vec::with_capacity(side);
-    for column in 0..side {
-        let direction = lobe.direction(ring, column);
+fn send(wall: &Wall, origin: Vec3, lobe: &Lobe, rays: Range<usize>) -> Vec<End> {
+    let mut ends = Vec::with_capacity(rays.len());
+    for direction in rays.map(|k| lobe.on_spiral(k)) {
         let hit = ray::cast::<false>(&wall.bvh, origin, direction, f32::MAX, u32::MAX);
         // The back of a wall is dark.
         if let Some(hit) = hit.filter(|hit| hit.edges[2] < 0.0) {

@@ -41,17 +41,30 @@ impl Lobe {
     /// Unit direction in the middle of a cell.
     #[inline(always)]
     pub fn direction(&self, ring: usize, column: usize) -> Vec3 {
+        let inside = (ring as f32 + self.shift[0]) / self.side as f32;
+        self.towards(inside, (column as f32 + self.shift[1]) / self.side as f32)
+    }
+
+    /// Unit direction number `k` of as many as there are cells, on a spiral (Vogel 1979): its
+    /// neighbours are as near in all directions.
+    #[inline(always)]
+    pub fn on_spiral(&self, k: usize) -> Vec3 {
+        let inside = (k as f32 + self.shift[0]) / (self.side * self.side) as f32;
+        self.towards(inside, (k as f32 * 0.618_034 + self.shift[1]).fract())
+    }
+
+    /// Unit direction on a cone that has a share of the power inside, so many turns around the axis.
+    #[inline(always)]
+    fn towards(&self, inside: f32, turns: f32) -> Vec3 {
         let [right, down, axis] = self.frame;
         // cosᵐ has the share 1 − cosᵐ⁺¹ of its power inside a cone.
-        let inside = (ring as f32 + self.shift[0]) / self.side as f32;
         let up = match self.exponent {
             0.0 => 1.0 - 2.0 * inside,
             1.0 => (1.0 - inside).sqrt(),
             m => pow(1.0 - inside, 1.0 / (m + 1.0)),
         };
         let across = max(1.0 - up * up, 0.0).sqrt();
-        let angle = TAU * (column as f32 + self.shift[1]) / self.side as f32;
-        let (sine, cosine) = angle.sin_cos();
+        let (sine, cosine) = (TAU * turns).sin_cos();
         let across = add(scale(right, across * cosine), scale(down, across * sine));
         add(across, scale(axis, up))
     }
@@ -74,6 +87,8 @@ mod tests {
             let axis = normalize([0.3, -0.5, 0.7]);
             let lobe = Lobe::turned(axis, exponent, 32, 7);
             let sum: f32 = lobe.directions().map(|d| dot(d, axis)).sum();
+            assert!((sum / 1024.0 - mean).abs() < 2e-3, "{exponent}");
+            let sum: f32 = (0..1024).map(|k| dot(lobe.on_spiral(k), axis)).sum();
             assert!((sum / 1024.0 - mean).abs() < 2e-3, "{exponent}");
             assert!(lobe.directions().all(|d| (dot(d, d) - 1.0).abs() < 1e-5));
         }

@@ -17,6 +17,7 @@ mod moved;
 mod reflectance;
 mod rows;
 mod sites;
+mod tissue;
 
 pub use bounce::Irradiance;
 use known::Rooms;
@@ -24,6 +25,8 @@ use look::Look;
 use reflectance::Reflectance;
 use rows::{Row, trace_row};
 use sites::Sites;
+pub use tissue::Beneath;
+use tissue::Transport;
 
 use crate::lanes::*;
 use crate::scene::{Scene, SceneData};
@@ -46,6 +49,8 @@ pub struct QuickLight {
     reflectance: Reflectance,
     rows: Vec<OnceLock<Row>>,
     room: Rooms,
+    /// Light through the tissue behind the wall, if it goes there.
+    tissue: Option<Transport>,
 }
 
 #[pymethods]
@@ -59,11 +64,16 @@ impl QuickLight {
         py.detach(move || {
             let sites = Sites::choose(wall);
             let look = Look::mean(wall, scene, &sites);
-            let reflectance = Reflectance::integrate(&scene.material, look.roughness);
+            let mut reflectance = Reflectance::integrate(&scene.material, look.roughness);
+            let transport = |tissue| Transport::new(wall, scene, tissue);
+            let tissue = scene.tissue.as_ref().map(transport);
+            if let Some(tissue) = &tissue {
+                reflectance.set_base(|cosine| tissue.passes(cosine));
+            }
             let rows = sites.vertex.iter().map(|_| OnceLock::new()).collect();
             let Look { albedo, per_area, .. } = look;
             let room = Rooms::new((sites.vertex.len(), wall.vertices.len()));
-            QuickLight { rest: own, sites, albedo, per_area, reflectance, rows, room }
+            QuickLight { rest: own, sites, albedo, per_area, reflectance, rows, room, tissue }
         })
     }
 
@@ -82,6 +92,17 @@ impl QuickLight {
 
     fn row(&self, rest: &Wall, site: usize) -> &Row {
         self.rows[site].get_or_init(|| trace_row(rest, &self.sites, site))
+    }
+
+    /// What a site reflects on a wall of such a shape, over what it would on a level one.
+    fn kept(&self, rest: &Wall, site: usize) -> Vec3 {
+        let Some(tissue) = &self.tissue else { return [1.0; 3] };
+        let kept = tissue.kept(rest, self.sites.vertex[site] as usize);
+        let [base, gloss] = self.reflectance.mean;
+        [0, 1, 2].map(|k| {
+            let colored = base * self.albedo[site][k];
+            (kept[k] * colored + gloss) / max(colored + gloss, 1e-20)
+        })
     }
 
     /// Share of red, green and blue light that a site reflects, where its base and its gloss

@@ -50,6 +50,15 @@ impl Quartic {
         }
         value
     }
+
+    /// Mean over even light: weighted by the cosine.
+    fn mean(&self) -> f32 {
+        let part = |k: usize| {
+            let cosine = (k as f32 + 0.5) / STEPS as f32;
+            self.at(1.0 - cosine) * 2.0 * cosine / STEPS as f32
+        };
+        (0..STEPS).map(part).sum()
+    }
 }
 
 impl Reflectance {
@@ -62,14 +71,14 @@ impl Reflectance {
         let shares = nodes.map(|x| share(material, roughness, 1.0 - x));
         let base = Quartic::through(nodes, shares.map(|[gloss, all]| max(all - gloss, 0.0)));
         let gloss = Quartic::through(nodes, shares.map(|[gloss, _]| gloss));
-        let mean = [&base, &gloss].map(|quartic| {
-            let part = |k: usize| {
-                let cosine = (k as f32 + 0.5) / STEPS as f32;
-                quartic.at(1.0 - cosine) * 2.0 * cosine / STEPS as f32
-            };
-            (0..STEPS).map(part).sum()
-        });
+        let mean = [base.mean(), gloss.mean()];
         Reflectance { base, gloss, mean }
+    }
+
+    /// Replaces the share of the base, for an albedo of 1, by a function of the cosine.
+    pub fn set_base(&mut self, share: impl Fn(f32) -> f32) {
+        self.base = Quartic::through(self.base.nodes, self.base.nodes.map(|x| share(1.0 - x)));
+        self.mean[0] = self.base.mean();
     }
 
     /// Base and gloss at a cosine of 0 to 1.

@@ -38,9 +38,14 @@ pub struct Sites {
 }
 
 impl Sites {
-    /// Chooses sites on a wall at rest.
+    /// Chooses sites on a wall at rest, apart by what is seen from there.
     pub fn choose(wall: &Wall) -> Self {
-        let spacings = spacings(wall);
+        Sites::apart(wall, &spacings(wall))
+    }
+
+    /// Chooses sites on a wall at rest that are so far apart around each vertex [m], or as far as
+    /// vertices are.
+    pub fn apart(wall: &Wall, spacings: &[f32]) -> Self {
         let widest = spacings.iter().fold(0.0, |a, &b| max(a, b));
         let mut grid = Grid::new(HEARING * widest);
         let (mut vertex, mut spacing): (Vec<u32>, Vec<f32>) = (Vec::new(), Vec::new());

@@ -21,6 +21,8 @@ pub struct Mucosa {
     pub pit_shade: f32,
     pub network: f32,
     pub flecks: f32,
+    pub mucus: f32,
+    pub mucus_tint: [f32; 3],
     pub roughness: f32,
 }
 
@@ -64,7 +66,7 @@ const BILE: [f32; 3] = [0.04, 0.16, 1.0];
 const MESH: f32 = 0.9;
 
 /// Sizes of the bumps of the relief [mm], and the share of its slope that each takes.
-const BUMPS: [(f32, f32); 3] = [(7.0, 0.7), (2.4, 1.0), (0.9, 0.3)];
+const BUMPS: [(f32, f32); 3] = [(7.0, 0.7), (2.4, 1.0), (0.9, 1.0)];
 
 /// RMS slope of gradient noise times its spacing.
 const UNIT_SLOPE: f32 = 3.3;
@@ -76,11 +78,22 @@ const PLATEAU_SLOPE: f32 = 3.5;
 const PLATEAU: f32 = 0.62;
 const GAP: f32 = 0.38;
 
-/// Spacing of the places where a fleck of mucus may lie [mm], the radii of flecks in spacings, and
-/// their colour.
+/// Spacing of the places where a fleck of mucus may lie [mm], and the radii of flecks in spacings.
 const FLECK_SPACING: f32 = 3.2;
 const FLECK_RADII: [f32; 2] = [0.03, 0.17];
-const FLECK: [f32; 3] = [0.74, 0.60, 0.34];
+
+/// Spacing of the strands of mucus [mm], half their width and that of their soft edge as shares of
+/// it, and how many deviations short of the film's border they reach.
+const STRAND_SPACING: f32 = 7.5;
+const STRAND_WIDTHS: [f32; 2] = [0.02, 0.075];
+const STRAND_REACH: f32 = 1.1;
+
+/// Deviation of the field that lays the film of mucus.
+const FILM_DEVIATION: f32 = 0.85;
+
+/// Scattering depth of the film of mucus where it is whole, and of a strand.
+const FILM_DEPTH: f32 = 1.3;
+const STRAND_DEPTH: f32 = 1.3;
 
 /// A mucosa grown over one patient's wall.
 pub struct Tissue {
@@ -90,6 +103,10 @@ pub struct Tissue {
     texel: f32,
     redness: f32,
     contrast: f32,
+    /// Reflectance of mucus.
+    mucus: [f32; 3],
+    /// Level of its field from which the film of mucus begins.
+    border: f32,
 }
 
 impl Tissue {
@@ -103,6 +120,8 @@ impl Tissue {
             texel,
             redness: mucosa.redness_variation * patient(0),
             contrast: mucosa.vessel_contrast * (1.0 + 0.2 * patient(1)),
+            mucus: [0, 1, 2].map(|c| (mucosa.base_color[c] * mucosa.mucus_tint[c]).min(0.95)),
+            border: FILM_DEVIATION * quantile(mucosa.mucus),
         }
     }
 
@@ -118,6 +137,7 @@ impl Tissue {
             mottle: noise(1, 4.5),
             grain: noise(2, 1.3),
             film: noise(5, 21.0),
+            strand: noise(21, STRAND_SPACING),
             mesh: noise(6, MESH),
             flecks: Cells::new(self.seed ^ 0x6d75_6375, FLECK_SPACING),
             warps: [noise(7, 3.1), noise(8, 1.1)],
@@ -140,7 +160,7 @@ impl Tissue {
 
     /// The mucosa without any detail.
     pub fn plain(&self) -> Sample {
-        let albedo = self.color(self.redness, 0.5 * self.mucosa.bile, Blood::default());
+        let albedo = self.color(self.redness, 1.2 * self.mucosa.bile, Blood::default());
         Sample { albedo, roughness: self.mucosa.roughness, height: 0.0 }
     }
 
@@ -168,6 +188,7 @@ pub struct Brush<'a> {
     mottle: Lattice,
     grain: Lattice,
     film: Lattice,
+    strand: Lattice,
     mesh: Lattice,
     warps: [Lattice; 2],
     bumps: [Lattice; 3],
@@ -195,27 +216,30 @@ impl Brush<'_> {
         let plateau = self.plateau(fine);
         let gap = (PLATEAU - plateau) * place.pits;
 
-        let shade = place.shade - 0.35 * patch
-            + 0.4 * mottle
+        let shade = place.shade - patch
+            + 0.6 * mottle
             + 0.3 * grain
             + tissue.mucosa.network * self.capillary_mesh(fine);
         let clumped = 0.35 + 0.65 * smoothstep(-1.4, 1.0, mottle + 0.6 * grain);
         let redness = tissue.redness + tissue.mucosa.redness_variation * shade - 0.18 * crest
             + tissue.mucosa.pit_shade * gap * clumped;
-        let film = smoothstep(0.6, 2.2, self.film.gradient(p) + 0.5 * mottle);
-        let pool = 0.35 + 0.5 * smoothstep(-1.0, 1.5, place.region) + film + 1.2 * valley;
+        let level = self.film.gradient(p) + 0.5 * mottle;
+        let film = smoothstep(0.6, 2.2, level);
+        let stained = smoothstep(-1.3, 1.7, 0.8 * place.region + 1.3 * level);
+        let pool = 0.15 + 1.8 * stained + 2.5 * film + 1.2 * valley;
         let stain = 1.0 + 4.0 * tissue.mucosa.pit_shade * gap * clumped;
         let bile = tissue.mucosa.bile * place.bile * pool * (1.0 - 0.6 * crest) * stain;
-        let fleck = self.fleck(fine, grain);
+        let mucus = self.mucus(fine, level, grain);
+        let cover = 1.0 - exp(-mucus) * (1.0 - self.fleck(fine, grain));
         let mut albedo = tissue.color(redness, bile, blood);
         for c in 0..3 {
-            albedo[c] += fleck * (FLECK[c] - albedo[c]);
+            albedo[c] += cover * (tissue.mucus[c] - albedo[c]);
         }
         let height = self.relief(p) + tissue.pit_height() * plateau * place.pits;
         Sample {
             albedo,
-            roughness: tissue.roughness(film, mottle, grain),
-            height: height + 0.015 * (blood.artery + blood.vein) + 0.05 * fleck,
+            roughness: tissue.roughness(film.max(cover), mottle, grain),
+            height: height + 0.015 * (blood.artery + blood.vein) + 0.05 * cover,
         }
     }
 
@@ -238,6 +262,22 @@ impl Brush<'_> {
         let radius = FLECK_RADII[0] + (FLECK_RADII[1] - FLECK_RADII[0]) * size * size * size;
         let distance = dot(offset, offset).sqrt() * (1.0 + 0.25 * grain);
         0.8 * (1.0 - smoothstep(0.7 * radius, radius, distance))
+    }
+
+    /// Scattering depth of mucus: a film where `level` is high, and strands that run on beyond it.
+    #[inline(always)]
+    fn mucus(&mut self, p: Vec3, level: f32, grain: f32) -> f32 {
+        let above = level - self.tissue.border;
+        if above <= -STRAND_REACH {
+            return 0.0;
+        }
+        let way = self.strand.gradient(p).abs() / UNIT_SLOPE;
+        let width = smoothstep(-STRAND_REACH, 0.5, above + 0.3 * grain);
+        let [half, edge] = STRAND_WIDTHS.map(|share| share * width);
+        let strand = width * (1.0 - smoothstep(half, edge.max(1e-4), way));
+        let film = smoothstep(0.0, 1.1, above);
+        let clotted = (1.0 + 0.5 * grain).max(0.1);
+        clotted * (FILM_DEPTH * film + STRAND_DEPTH * strand)
     }
 
     /// The place moved along the wall, so that vessels wind.
@@ -267,6 +307,12 @@ impl Brush<'_> {
         }
         height * tissue.mucosa.relief_slope / UNIT_SLOPE
     }
+}
+
+/// The level that a standard normal variable exceeds with a chance, to 0.01 from 0.02 to 0.98
+/// (through the logistic distribution); above all levels for a chance of 0.
+fn quantile(chance: f32) -> f32 {
+    if chance <= 0.0 { 99.0 } else { ((1.0 - chance) / chance).ln() / 1.702 }
 }
 
 /// A rotation by Pythagorean numbers, so that no wall lies along the noise's lattice by habit.

@@ -37,6 +37,11 @@ pub struct Tissue {
     pub roots: Vec<f32>,
     /// Share of even light outside that enters.
     pub entering: f32,
+    /// Cosine inside at which a half-space under even light has its mean radiance, and for the base
+    /// colours of `roots` how much, as a share, it is brighter per cosine less.
+    pub level: f32,
+    /// See `level`.
+    pub slopes: Vec<f32>,
 }
 
 /// Tissue at one place.
@@ -54,16 +59,30 @@ impl Tissue {
     /// Tissue that gives back even light in a base colour.
     #[inline(always)]
     pub fn medium(&self, color: Vec3) -> Medium {
-        let last = (self.roots.len() - 1) as f32;
         let albedo = color.map(|c| {
-            let place = clamp(c, 0.0, 1.0) * last;
-            let first = (place as usize).min(self.roots.len() - 2);
-            let part = place - first as f32;
-            let root = self.roots[first] + part * (self.roots[first + 1] - self.roots[first]);
+            let root = between(&self.roots, c);
             max(1.0 - root * root, 0.0)
         });
         let extinction = [0, 1, 2].map(|k| self.scattering[k] / max(albedo[k], DARKEST));
         Medium { albedo, extinction, ior: self.ior }
+    }
+
+    /// How much more, as a share, a half-space under even light sends to its border per cosine less
+    /// than `level`.
+    pub fn slope(&self, color: Vec3) -> Vec3 {
+        color.map(|c| between(&self.slopes, c))
+    }
+
+    /// How far along its first direction light is when it comes out of a half-space, on average over
+    /// what comes out [m].
+    ///
+    /// In free ways: 0.94 − 0.56 √(1 − albedo), by walks in a half-space of index 1.4 from 20 to 45
+    /// degrees, within 7 % for albedos of 0.6 to 0.985.
+    pub fn drift(&self, color: Vec3) -> Vec3 {
+        [0, 1, 2].map(|k| {
+            let root = between(&self.roots, color[k]);
+            (0.94 - 0.56 * root) * (1.0 - root * root) / self.scattering[k]
+        })
     }
 
     /// What passes the border at an angle of this cosine outside, over the mean over even light.
@@ -71,6 +90,14 @@ impl Tissue {
     pub fn passes(&self, cosine: f32) -> f32 {
         (1.0 - fresnel(cosine, self.ior)) / self.entering
     }
+}
+
+/// A value of a table over 0 to 1 in even steps.
+#[inline(always)]
+fn between(table: &[f32], x: f32) -> f32 {
+    let place = clamp(x, 0.0, 1.0) * (table.len() - 1) as f32;
+    let first = (place as usize).min(table.len() - 2);
+    table[first] + (place - first as f32) * (table[first + 1] - table[first])
 }
 
 /// Light on its way into or through tissue.
@@ -94,6 +121,54 @@ pub struct Exit {
     pub facet: Vec3,
     /// What is left of red, green and blue.
     pub share: Vec3,
+}
+
+/// What light in tissue meets at its end.
+pub trait Border {
+    /// How far a way starts from it [m].
+    fn offset(&self) -> f32;
+    /// Where a way comes to it within `reach` [m], and its unit normal there, away from the tissue.
+    fn meet(&self, way: &Way, reach: f32) -> Option<(Hit, Vec3)>;
+}
+
+impl Border for Wall {
+    #[inline(always)]
+    fn offset(&self) -> f32 {
+        offset(self)
+    }
+
+    #[inline(always)]
+    fn meet(&self, &Way { origin, direction, from }: &Way, reach: f32) -> Option<(Hit, Vec3)> {
+        let hit = ray::cast::<false>(&self.bvh, origin, direction, reach, from)?;
+        let facet = outward(self, &hit, direction);
+        Some((hit, facet))
+    }
+}
+
+/// A level border without end: tissue fills a half-space.
+pub struct Level {
+    /// A place on it [m].
+    pub point: Vec3,
+    /// Unit normal, away from the tissue.
+    pub normal: Vec3,
+    /// How far a way starts from it [m].
+    pub offset: f32,
+}
+
+impl Border for Level {
+    #[inline(always)]
+    fn offset(&self) -> f32 {
+        self.offset
+    }
+
+    #[inline(always)]
+    fn meet(&self, way: &Way, reach: f32) -> Option<(Hit, Vec3)> {
+        let rise = dot(way.direction, self.normal);
+        let depth = dot(sub(self.point, way.origin), self.normal);
+        let distance = max(depth, 0.0) / max(rise, 1e-20);
+        let hit = Hit { distance, triangle: MISS, edges: [0.0; 3], particle: MISS };
+        (rise > 0.0 && distance < reach).then_some((hit, self.normal))
+    }
 }
 
 /// Random numbers of one walk: the first spread evenly over the walks of a key.
@@ -138,8 +213,12 @@ pub fn refracted(view: Vec3, normal: Vec3, ior: f32) -> Vec3 {
 
 /// Follows light until it leaves the tissue; None if it is absorbed.
 #[inline(always)]
-pub fn walk(wall: &Wall, medium: &Medium, mut way: Way, stream: &mut Stream) -> Option<Exit> {
-    let offset = offset(wall);
+pub fn walk(
+    border: &impl Border,
+    medium: &Medium,
+    mut way: Way,
+    stream: &mut Stream,
+) -> Option<Exit> {
     let mut share = [1.0f32; 3];
     for _ in 0..MOST {
         let chances = chances(share, medium);
@@ -147,8 +226,7 @@ pub fn walk(wall: &Wall, medium: &Medium, mut way: Way, stream: &mut Stream) -> 
         let color =
             usize::from(choice >= chances[0]) + usize::from(choice >= chances[0] + chances[1]);
         let free = -log2(1.0 - stream.next()) * std::f32::consts::LN_2 / medium.extinction[color];
-        let Way { origin, direction, from } = way;
-        let Some(hit) = ray::cast::<false>(&wall.bvh, origin, direction, free, from) else {
+        let Some((hit, facet)) = border.meet(&way, free) else {
             way = scattered(way, free, stream);
             let density = medium.density(chances, free, true);
             share = [0, 1, 2].map(|k| share[k] * medium.albedo[k] * density[k]);
@@ -161,13 +239,13 @@ pub fn walk(wall: &Wall, medium: &Medium, mut way: Way, stream: &mut Stream) -> 
         };
         let density = medium.density(chances, hit.distance, false);
         share = [0, 1, 2].map(|k| share[k] * density[k]);
-        let facet = outward(wall, &hit, direction);
+        let Way { origin, direction, .. } = way;
         let point = add(origin, scale(direction, hit.distance));
         let cosine = dot(direction, facet);
         if stream.next() >= fresnel_within(cosine, medium.ior) {
             return Some(Exit { hit, point, facet, share });
         }
-        let origin = sub(point, scale(facet, offset));
+        let origin = sub(point, scale(facet, border.offset()));
         let direction = sub(direction, scale(facet, 2.0 * cosine));
         way = Way { origin, direction, from: hit.triangle };
     }

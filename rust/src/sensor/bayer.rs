@@ -1,6 +1,6 @@
 //! Colours of all pixels from a mosaic of one colour each.
 
-use super::planes::{planes_array, rows};
+use super::planes::{Line, planes_array, rows};
 use crate::cpu::on_pool;
 use numpy::{PyArray3, PyReadonlyArray3, PyUntypedArrayMethods};
 use pyo3::{exceptions::PyValueError, prelude::*};
@@ -25,21 +25,33 @@ pub fn demosaic<'py>(
     let source = mosaic.as_slice()?;
     let mut out = vec![0.0; 3 * height * width];
     on_pool(py, || {
-        let stride = width + 4;
-        let mut padded = vec![0.0; (height + 4) * stride];
-        padded.par_chunks_mut(stride).enumerate().for_each(|(y, line)| {
-            let from = &source[mirrored(y as isize - 2, height) * width..][..width];
-            line[2..width + 2].copy_from_slice(from);
-            for k in [0, 1, width + 2, width + 3] {
-                line[k] = from[mirrored(k as isize - 2, width)];
-            }
-        });
-        rows(&mut out, (height, width)).into_par_iter().enumerate().for_each(|(y, row)| {
-            let lines = [0, 1, 2, 3, 4].map(|k| &padded[(y + k) * stride..][..stride]);
-            demosaic_row(lines, [colors[y % 2 * 2], colors[y % 2 * 2 + 1]], row);
+        let padded = mirrored_about(source, (height, width));
+        rows(&mut out, (height, width)).into_par_iter().enumerate().for_each(|(y, mut row)| {
+            demosaic_line(&padded, y, colors, &mut row);
         });
     });
     Ok(planes_array(py, out, (height, width)))
+}
+
+/// A mosaic with two more sites to each side.
+pub fn mirrored_about(mosaic: &[f32], (height, width): (usize, usize)) -> Vec<f32> {
+    let stride = width + 4;
+    let mut padded = vec![0.0; (height + 4) * stride];
+    padded.par_chunks_mut(stride).enumerate().for_each(|(y, line)| {
+        let from = &mosaic[mirrored(y as isize - 2, height) * width..][..width];
+        line[2..width + 2].copy_from_slice(from);
+        for k in [0, 1, width + 2, width + 3] {
+            line[k] = from[mirrored(k as isize - 2, width)];
+        }
+    });
+    padded
+}
+
+/// Colours of one row of a mosaic that has been `mirrored_about`.
+pub fn demosaic_line(padded: &[f32], y: usize, colors: [usize; 4], row: &mut Line<'_>) {
+    let stride = row[0].len() + 4;
+    let lines = [0, 1, 2, 3, 4].map(|k| &padded[(y + k) * stride..][..stride]);
+    demosaic_row(lines, [colors[y % 2 * 2], colors[y % 2 * 2 + 1]], row);
 }
 
 /// An index mirrored about the first and the last, which keeps its colour.
@@ -54,7 +66,7 @@ fn mirrored(index: isize, count: usize) -> usize {
     "x86_64+avx2",
     "aarch64+neon"
 ))]
-fn demosaic_row(lines: [&[f32]; 5], colors: [usize; 2], out: [&mut [f32]; 3]) {
+fn demosaic_row(lines: [&[f32]; 5], colors: [usize; 2], out: &mut Line<'_>) {
     let width = out[0].len();
     let [a, b, c, d, e] = lines.map(|line| &line[..width + 4]);
     let [mut green, mut along, mut across, mut diagonal] = [0; 4].map(|_| vec![0.0f32; width]);
@@ -72,7 +84,7 @@ fn demosaic_row(lines: [&[f32]; 5], colors: [usize; 2], out: [&mut [f32]; 3]) {
     // The colour of this row's sites other than green.
     let here = if colors[0] == 1 { colors[1] } else { colors[0] };
     let own = &c[2..];
-    for (color, plane) in out.into_iter().enumerate() {
+    for (color, plane) in out.iter_mut().enumerate() {
         for (first, site) in colors.into_iter().enumerate() {
             let from: &[f32] = match site {
                 _ if color == site => own,

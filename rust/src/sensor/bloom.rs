@@ -1,6 +1,6 @@
 //! Bloom and veiling glare: light that the lens and its dome scatter about its image.
 
-use super::planes::{planes_array, size};
+use super::planes::{Line, planes_array, rows, size};
 use crate::cpu::on_pool;
 use numpy::{PyArray3, PyReadonlyArray3};
 use pyo3::prelude::*;
@@ -8,8 +8,14 @@ use rayon::prelude::*;
 
 /// Pixels to a side that the scattered light is gathered from: it varies slowly.
 const CELL: usize = 4;
+/// Pixels before the middle of the first cell.
+const HALF: usize = CELL / 2;
+/// Shares of the second of two cells in pixels between their middles.
+const SHARES: [f32; CELL] = [0.125, 0.375, 0.625, 0.875];
 /// Width of the veil, relative to the halo.
 const VEIL: f32 = 4.0;
+/// Standard deviation in cells from which light is gathered from cells of cells.
+const WIDE: f32 = 8.0;
 
 /// The image with a share of its light scattered.
 ///
@@ -26,17 +32,82 @@ pub fn bloom<'py>(
     let source = planes.as_slice()?;
     let mut out = vec![0.0; source.len()];
     on_pool(py, || {
-        let area = height * width;
-        out.par_chunks_mut(area).zip(source.par_chunks(area)).for_each(|(into, from)| {
-            let cells = (height.div_ceil(CELL), width.div_ceil(CELL));
-            let coarse = gathered(from, width, cells);
-            let halo = blurred(&coarse, cells, cell_sigma(sigma));
-            let veil = blurred(&coarse, cells, cell_sigma(VEIL * sigma));
-            let scattered: Vec<f32> = halo.iter().zip(&veil).map(|(a, b)| 0.5 * (a + b)).collect();
-            mix_in(from, &scattered, cells, share, width, into);
+        let bloom = Bloom { share, sigma };
+        let scattered = bloom.scattered(source, (height, width));
+        rows(&mut out, (height, width)).into_par_iter().enumerate().for_each(|(y, mut line)| {
+            for (k, row) in line.iter_mut().enumerate() {
+                row.copy_from_slice(&source[(k * height + y) * width..][..width]);
+            }
+            scattered.mix_into(y, &mut line);
         });
     });
     Ok(planes_array(py, out, (height, width)))
+}
+
+/// How much light is scattered, and how far [px].
+#[derive(Clone, Copy)]
+pub struct Bloom {
+    /// Share of the light.
+    pub share: f32,
+    /// Standard deviation of the halo.
+    pub sigma: f32,
+}
+
+/// Scattered light of an image.
+pub struct Scattered {
+    share: f32,
+    height: usize,
+    /// Rows of each plane by cells, each as wide as the image, times the share.
+    planes: [Vec<f32>; 3],
+    width: usize,
+}
+
+impl Bloom {
+    /// Light that an image [3 h w] scatters.
+    pub fn scattered(&self, source: &[f32], (height, width): (usize, usize)) -> Scattered {
+        let planes: Vec<Vec<f32>> = source
+            .par_chunks(height * width)
+            .map(|plane| {
+                let cells = (height.div_ceil(CELL), width.div_ceil(CELL));
+                let coarse = gathered(plane, width, cells);
+                let halo = blurred(&coarse, cells, cell_sigma(self.sigma));
+                let veil = widely_blurred(&coarse, cells, cell_sigma(VEIL * self.sigma));
+                let both: Vec<f32> =
+                    halo.iter().zip(&veil).map(|(a, b)| 0.5 * self.share * (a + b)).collect();
+                across(&both, cells, width)
+            })
+            .collect();
+        let [red, green, blue] = planes.try_into().expect("three planes");
+        Scattered { share: self.share, height, planes: [red, green, blue], width }
+    }
+}
+
+impl Scattered {
+    /// Makes one row of the image that of direct and scattered light.
+    pub fn mix_into(&self, y: usize, line: &mut Line<'_>) {
+        let (top, bottom, t) = between(y, self.height.div_ceil(CELL));
+        for (plane, row) in self.planes.iter().zip(line) {
+            let [top, bottom] = [top, bottom].map(|r| &plane[r * self.width..][..self.width]);
+            mix_row((top, bottom, t), 1.0 - self.share, row);
+        }
+    }
+}
+
+/// `blurred` of what is so wide that it may be gathered from coarser cells.
+fn widely_blurred(cells: &[f32], (rows, columns): (usize, usize), sigma: f32) -> Vec<f32> {
+    if sigma < WIDE {
+        return blurred(cells, (rows, columns), sigma);
+    }
+    let coarser = (rows.div_ceil(CELL), columns.div_ceil(CELL));
+    let gathered = gathered(cells, columns, coarser);
+    let wide = across(&blurred(&gathered, coarser, cell_sigma(sigma)), coarser, columns);
+    let mut out = vec![0.0; rows * columns];
+    for (y, row) in out.chunks_exact_mut(columns).enumerate() {
+        let (top, bottom, t) = between(y, coarser.0);
+        let [top, bottom] = [top, bottom].map(|r| &wide[r * columns..][..columns]);
+        mix_row((top, bottom, t), 0.0, row);
+    }
+    out
 }
 
 /// Standard deviation in cells: spreading to cells and interpolating have blurred by c²/6 each.
@@ -69,12 +140,18 @@ fn gathered(plane: &[f32], width: usize, (rows, columns): (usize, usize)) -> Vec
             }
         }
     }
-    let across: Vec<_> = (0..width).map(|x| between(x, columns)).collect();
     let mut cells = vec![0.0f32; rows * columns];
     for (line, row) in cells.chunks_exact_mut(columns).zip(tall.chunks_exact(width)) {
-        for (&value, &(left, right, s)) in row.iter().zip(&across) {
-            line[left] += value * (1.0 - s);
-            line[right] += value * s;
+        let (first, rest) = row.split_at(HALF.min(width));
+        line[0] += first.iter().sum::<f32>();
+        for (left, part) in rest.chunks(CELL).enumerate() {
+            let (mut whole, mut beyond) = (0.0, 0.0);
+            for (value, share) in part.iter().zip(SHARES) {
+                whole += value;
+                beyond += value * share;
+            }
+            line[left] += whole - beyond;
+            line[(left + 1).min(columns - 1)] += beyond;
         }
     }
     cells
@@ -143,34 +220,36 @@ fn sums<const N: usize>(
     begin
 }
 
-/// Direct light and scattered light, the latter linear between the middles of cells.
+/// Rows of cells at full width, linear between the middles of cells.
 #[multiversion::multiversion(targets(
     "x86_64+avx512f+avx512bw+avx512cd+avx512dq+avx512vl",
     "x86_64+avx2",
     "aarch64+neon"
 ))]
-fn mix_in(
-    plane: &[f32],
-    cells: &[f32],
-    (rows, columns): (usize, usize),
-    share: f32,
-    width: usize,
-    out: &mut [f32],
-) {
-    // Along first, in the few rows of cells, then down, whole rows at a time.
-    let across: Vec<_> = (0..width).map(|x| between(x, columns)).collect();
+fn across(cells: &[f32], (rows, columns): (usize, usize), width: usize) -> Vec<f32> {
     let mut wide = vec![0.0f32; rows * width];
     for (row, line) in wide.chunks_exact_mut(width).zip(cells.chunks_exact(columns)) {
-        for (value, &(left, right, s)) in row.iter_mut().zip(&across) {
-            *value = share * (line[left] * (1.0 - s) + line[right] * s);
+        let (first, rest) = row.split_at_mut(HALF.min(width));
+        first.fill(line[0]);
+        for (left, part) in rest.chunks_mut(CELL).enumerate() {
+            let (own, next) = (line[left], line[(left + 1).min(columns - 1)]);
+            for (value, share) in part.iter_mut().zip(SHARES) {
+                *value = own + (next - own) * share;
+            }
         }
     }
-    for (y, (into, from)) in out.chunks_exact_mut(width).zip(plane.chunks_exact(width)).enumerate()
-    {
-        let (top, bottom, t) = between(y, rows);
-        let (top, bottom) = (&wide[top * width..][..width], &wide[bottom * width..][..width]);
-        for x in 0..width {
-            into[x] = (1.0 - share) * from[x] + (top[x] + (bottom[x] - top[x]) * t);
-        }
+    wide
+}
+
+/// A share of a row, and what is between two rows.
+#[multiversion::multiversion(targets(
+    "x86_64+avx512f+avx512bw+avx512cd+avx512dq+avx512vl",
+    "x86_64+avx2",
+    "aarch64+neon"
+))]
+fn mix_row((top, bottom, t): (&[f32], &[f32], f32), share: f32, row: &mut [f32]) {
+    let (top, bottom) = (&top[..row.len()], &bottom[..row.len()]);
+    for x in 0..row.len() {
+        row[x] = share * row[x] + (top[x] + (bottom[x] - top[x]) * t);
     }
 }

@@ -1,12 +1,12 @@
 //! Blur of what is out of focus, by the circle of confusion of a thin lens.
 
-use super::planes::{planes_array, rows, size};
+use super::planes::{Line, planes_array, rows, size};
+use crate::contents::front::FRONT_BUBBLE;
 use crate::cpu::on_pool;
-use crate::lanes::{clamp, max, min};
+use crate::lanes::{clamp, load, max, min, store};
 use numpy::{PyArray3, PyReadonlyArray2, PyReadonlyArray3, PyUntypedArrayMethods};
 use pyo3::{exceptions::PyValueError, prelude::*};
 use rayon::prelude::*;
-use std::cell::Cell;
 
 /// Largest radius of the circle of confusion [px]; one beyond it is taken as this.
 const WIDEST: f32 = 15.0;
@@ -16,18 +16,12 @@ const BLOCK: usize = 16;
 /// Margin around the image in which there is nothing.
 const MARGIN: usize = 16;
 /// Rows worked on together.
-const ROWS: usize = 2;
+const ROWS: usize = 4;
 /// Radius of what is not seen; its share of the light is 0.
 const NOWHERE: f32 = -1e9;
 
-thread_local! {
-    /// Planes of an earlier call, whose memory is used again.
-    static ROOM: Cell<Padded> = Cell::new(Padded::default());
-}
-
 /// Red, green, blue, signed radius and one over its square, with a margin.
-#[derive(Default)]
-struct Padded {
+pub struct Padded {
     planes: [Vec<f32>; 5],
     size: (usize, usize),
     stride: usize,
@@ -56,34 +50,23 @@ pub fn defocus<'py>(
     let (source, distance) = (planes.as_slice()?, distance.as_slice()?);
     let mut out = vec![0.0; source.len()];
     on_pool(py, || {
-        let mut padded = ROOM.take().of_size((height, width));
-        padded.fill(source, distance, reach, focus);
-        let blocks = width.div_ceil(BLOCK);
-        let widest = padded.widest();
-        let mut lines = rows(&mut out, (height, width));
-        lines.par_chunks_mut(ROWS).enumerate().for_each(|(group, lines)| {
-            for block in 0..blocks {
-                let radius = around(&widest, blocks, group * ROWS, block);
-                let mixed = spread_block(&padded, (group * ROWS, block * BLOCK), radius);
-                let columns = block * BLOCK..((block + 1) * BLOCK).min(width);
-                for (line, values) in lines.iter_mut().zip(&mixed) {
-                    for (row, values) in line.iter_mut().zip(values) {
-                        row[columns.clone()].copy_from_slice(&values[..columns.len()]);
-                    }
-                }
+        let mut padded = Padded::new((height, width));
+        for (k, line) in padded.lines().into_iter().enumerate() {
+            for (plane, row) in line.into_iter().enumerate() {
+                row.copy_from_slice(&source[(plane * height + k) * width..][..width]);
             }
+        }
+        padded.measure(reach, focus, |y, row| {
+            row.copy_from_slice(&distance[y * width..][..width]);
         });
-        ROOM.set(padded);
+        padded.spread(rows(&mut out, (height, width)));
     });
     Ok(planes_array(py, out, (height, width)))
 }
 
 impl Padded {
     /// Room for an image of a size, with its margin.
-    fn of_size(self, size: (usize, usize)) -> Self {
-        if self.size == size {
-            return self;
-        }
+    pub fn new(size: (usize, usize)) -> Self {
         let stride = size.1.div_ceil(BLOCK) * BLOCK + 2 * MARGIN;
         let length = stride * (size.0.div_ceil(ROWS) * ROWS + 2 * MARGIN);
         let nothing = |k: usize| if k == 3 { NOWHERE } else { 0.0 };
@@ -93,19 +76,52 @@ impl Padded {
         Padded { planes, size, stride, edges }
     }
 
-    fn fill(&mut self, source: &[f32], distance: &[f32], reach: f32, focus: f32) {
+    /// Where the image goes before it is spread.
+    pub fn lines(&mut self) -> Vec<Line<'_>> {
         let ((height, width), stride) = (self.size, self.stride);
-        let [colors @ .., radius, share] = &mut self.planes;
-        for (k, plane) in colors.iter_mut().enumerate() {
-            inner(plane, self.size, stride).for_each(|(y, row)| {
-                row.copy_from_slice(&source[(k * height + y) * width..][..width]);
+        let [red, green, blue, ..] = &mut self.planes;
+        let red = red.chunks_mut(stride).skip(MARGIN).take(height);
+        let rows = red.zip(green.chunks_mut(stride).skip(MARGIN));
+        let rows = rows.zip(blue.chunks_mut(stride).skip(MARGIN));
+        let row =
+            |((r, g), b): ((_, _), _)| [r, g, b].map(|row: &mut [f32]| &mut row[MARGIN..][..width]);
+        rows.map(row).collect()
+    }
+
+    /// Takes the distances of what is seen [m], which `distances` writes for one row.
+    pub fn measure(
+        &mut self,
+        reach: f32,
+        focus: f32,
+        distances: impl Fn(usize, &mut [f32]) + Sync,
+    ) {
+        let (size, stride) = (self.size, self.stride);
+        let [_, _, _, radius, share] = &mut self.planes;
+        inner(radius, size, stride)
+            .zip(inner(share, size, stride))
+            .with_min_len(MIN_ROWS)
+            .for_each(|((y, radius), (_, share))| {
+                distances(y, radius);
+                radii(reach, focus, radius, share);
             });
-        }
-        inner(radius, self.size, stride).zip(inner(share, self.size, stride)).for_each(
-            |((y, radius), (_, share))| {
-                radii(&distance[y * width..][..width], reach, focus, radius, share);
-            },
-        );
+    }
+
+    /// Fills the lines of an image with the light of this one, spread.
+    pub fn spread(&self, mut lines: Vec<Line<'_>>) {
+        let width = self.size.1;
+        let blocks = width.div_ceil(BLOCK);
+        let widest = self.widest();
+        lines.par_chunks_mut(ROWS).enumerate().for_each(|(group, lines)| {
+            for block in 0..blocks {
+                let radius = around(&widest, blocks, group * ROWS, block);
+                let mixed = spread_block(self, (group * ROWS, block * BLOCK), radius);
+                for (line, values) in lines.iter_mut().zip(&mixed) {
+                    for (row, values) in line.iter_mut().zip(values) {
+                        store(values, &mut row[block * BLOCK..]);
+                    }
+                }
+            }
+        });
     }
 
     /// Widest radius of each block.
@@ -116,13 +132,34 @@ impl Padded {
         widest.par_chunks_mut(blocks).enumerate().for_each(|(band, row)| {
             for y in band * BLOCK..((band + 1) * BLOCK).min(height) {
                 let line = &self.planes[3][(y + MARGIN) * self.stride + MARGIN..];
-                for (most, values) in row.iter_mut().zip(line.chunks_exact(BLOCK)) {
-                    let seen = |r: f32| if r == NOWHERE { 0.0 } else { r.abs() };
-                    *most = values.iter().fold(*most, |most, &r| max(seen(r), most));
-                }
+                widen(line, row);
             }
         });
         widest
+    }
+}
+
+/// Fewest rows that one thread takes.
+const MIN_ROWS: usize = 64;
+
+/// Takes a row of radii into the widest of its blocks.
+#[multiversion::multiversion(targets(
+    "x86_64+avx512f+avx512bw+avx512cd+avx512dq+avx512vl",
+    "x86_64+avx2",
+    "aarch64+neon"
+))]
+fn widen(line: &[f32], widest: &mut [f32]) {
+    for (most, values) in widest.iter_mut().zip(line.chunks_exact(BLOCK)) {
+        let mut wide = [0.0f32; BLOCK];
+        for i in 0..BLOCK {
+            wide[i] = if values[i] == NOWHERE { 0.0 } else { values[i].abs() };
+        }
+        for half in [8, 4, 2, 1] {
+            for i in 0..half {
+                wide[i] = max(wide[i], wide[i + half]);
+            }
+        }
+        *most = max(wide[0], *most);
     }
 }
 
@@ -136,21 +173,19 @@ fn inner(
     rows.map(move |row| &mut row[MARGIN..MARGIN + width]).enumerate()
 }
 
-/// Signed radii [px] at distances [m], and one over their squares.
+/// Makes of distances [m] signed radii [px], and one over their squares.
 #[multiversion::multiversion(targets(
     "x86_64+avx512f+avx512bw+avx512cd+avx512dq+avx512vl",
     "x86_64+avx2",
     "aarch64+neon"
 ))]
-fn radii(distance: &[f32], reach: f32, focus: f32, radius: &mut [f32], share: &mut [f32]) {
-    let width = distance.len();
-    let (radius, share) = (&mut radius[..width], &mut share[..width]);
-    for x in 0..width {
-        let d = distance[x];
+fn radii(reach: f32, focus: f32, radius: &mut [f32], share: &mut [f32]) {
+    for (radius, share) in radius.iter_mut().zip(share) {
+        let d = *radius;
         let wide = clamp(reach * (1.0 / focus - 1.0 / d), -WIDEST, WIDEST);
         let across = max(wide.abs(), 0.5);
-        radius[x] = if d.is_nan() { NOWHERE } else { wide };
-        share[x] = if d.is_nan() { 0.0 } else { 1.0 / (across * across) };
+        *radius = if d.is_nan() { NOWHERE } else { wide };
+        *share = if d.is_nan() { 0.0 } else { 1.0 / (across * across) };
     }
 }
 
@@ -181,29 +216,36 @@ type Run = [f32; BLOCK];
     "aarch64+neon"
 ))]
 fn spread_block(padded: &Padded, place: (usize, usize), radius: f32) -> [[Run; 3]; ROWS] {
-    let at = |plane: usize, from: usize| -> Run {
-        let mut values = [0.0; BLOCK];
-        values.copy_from_slice(&padded.planes[plane][from..from + BLOCK]);
-        values
-    };
+    let at = |plane: usize, from: usize| -> Run { load(&padded.planes[plane][from..from + BLOCK]) };
     let start = (place.0 + MARGIN) * padded.stride + place.1 + MARGIN;
-    let own: [Run; ROWS] = std::array::from_fn(|r| at(3, start + r * padded.stride));
-    let own_share: [Run; ROWS] = std::array::from_fn(|r| at(4, start + r * padded.stride));
-    let own_wide = own.map(|row| row.map(f32::abs));
+    let mut own = [[[0.0f32; BLOCK]; ROWS]; 2];
+    let mut own_wide = [[0.0f32; BLOCK]; ROWS];
+    for r in 0..ROWS {
+        for k in 0..2 {
+            own[k][r] = at(3 + k, start + r * padded.stride);
+        }
+        for i in 0..BLOCK {
+            own_wide[r][i] = own[0][r][i].abs();
+        }
+    }
+    let [own, own_share] = own;
     let (mut sums, mut total) = ([[[0.0f32; BLOCK]; 3]; ROWS], [[0.0f32; BLOCK]; ROWS]);
     let reach = radius + 0.5;
     let most = reach as i32;
     for down in -most..most + ROWS as i32 {
         let beside = max(0.0, max(-down as f32, (down - ROWS as i32 + 1) as f32));
         let side = max(reach * reach - beside * beside, 0.0).sqrt() as i32;
-        let edges: [&[f32; MARGIN + 1]; ROWS] =
-            std::array::from_fn(|r| &padded.edges[down.abs_diff(r as i32) as usize]);
         for along in -side..=side {
             let offset = down as isize * padded.stride as isize + along as isize;
             let from = start.wrapping_add_signed(offset);
-            let (near, share, colors) = (at(3, from), at(4, from), [0, 1, 2].map(|k| at(k, from)));
+            let (near, share) = (at(3, from), at(4, from));
+            let colors = [at(0, from), at(1, from), at(2, from)];
             for r in 0..ROWS {
-                let edge = edges[r][along.unsigned_abs() as usize];
+                let edge =
+                    padded.edges[down.abs_diff(r as i32) as usize][along.unsigned_abs() as usize];
+                if radius + edge <= 0.0 {
+                    continue; // out of reach
+                }
                 for i in 0..BLOCK {
                     // What is farther and wider is hidden beyond the pixel's own circle.
                     let wide = min(near[i], own_wide[r][i]).abs();
@@ -236,4 +278,18 @@ fn spread_block(padded: &Padded, place: (usize, usize), radius: f32) -> [[Run; 3
 fn chosen(first: bool, one: f32, other: f32) -> f32 {
     let mask = u32::from(first).wrapping_neg();
     f32::from_bits((one.to_bits() & mask) | (other.to_bits() & !mask))
+}
+
+/// Puts the distance of bubbles in place of that of what is behind them.
+#[multiversion::multiversion(targets(
+    "x86_64+avx512f+avx512bw+avx512cd+avx512dq+avx512vl",
+    "x86_64+avx2",
+    "aarch64+neon"
+))]
+pub fn bring_near(row: &mut [f32], front: &[u8], (depth, cosine): (&[f32], &[f32])) {
+    for (((distance, &front), depth), cosine) in row.iter_mut().zip(front).zip(depth).zip(cosine) {
+        let along = depth / cosine;
+        let is_nearer = (front == FRONT_BUBBLE) & (along > 0.0);
+        *distance = if is_nearer { along } else { *distance };
+    }
 }

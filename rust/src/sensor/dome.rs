@@ -2,6 +2,7 @@
 //! that are lenses.
 
 use super::planes::{planes_array, size};
+use crate::cpu::on_pool;
 use numpy::{
     PyArray3, PyReadonlyArray1, PyReadonlyArray2, PyReadonlyArray3, PyUntypedArrayMethods,
 };
@@ -11,28 +12,66 @@ use rayon::prelude::*;
 /// A film: for each colour the share of light that it does not absorb [3 h w], and the share of that
 /// which it does not scatter [h w]. What it scatters is spread evenly over the pixels that are lit,
 /// whose number is given.
-type Film<'py> = (PyReadonlyArray3<'py, f32>, PyReadonlyArray2<'py, f32>, f64);
+pub type GivenFilm<'py> = (PyReadonlyArray3<'py, f32>, PyReadonlyArray2<'py, f32>, f64);
 
 /// Drops: numbers of the pixels that they change [m], of the pixels each sees instead [m k], and
 /// how much each of those counts [m k].
-type Drops<'py> =
+pub type GivenDrops<'py> =
     (PyReadonlyArray1<'py, u32>, PyReadonlyArray2<'py, u32>, PyReadonlyArray2<'py, f32>);
 
-/// Planes [3 h w] as they are seen through drops and a film.
-#[pyfunction]
-#[pyo3(signature = (planes, film=None, drops=None))]
-pub fn through_dome<'py>(
-    py: Python<'py>,
-    planes: PyReadonlyArray3<'py, f32>,
-    film: Option<Film<'py>>,
-    drops: Option<Drops<'py>>,
-) -> PyResult<Bound<'py, PyArray3<f32>>> {
-    let (height, width) = size(&planes)?;
-    let area = height * width;
-    let source = planes.as_slice()?;
-    let mut out = source.to_vec();
-    if let Some((pixels, seen, weights)) = &drops {
-        let (pixels, seen, weights) = (pixels.as_slice()?, seen.as_slice()?, weights.as_slice()?);
+/// `GivenFilm` as the core reads it.
+pub struct Film {
+    left: Vec<f32>,
+    clear: Vec<f32>,
+    lit: f64,
+}
+
+/// `GivenDrops` as the core reads it.
+pub struct Drops<'a> {
+    pixels: &'a [u32],
+    seen: &'a [u32],
+    weights: &'a [f32],
+    count: usize,
+}
+
+impl Film {
+    /// A film over an image of a size.
+    ///
+    /// # Errors
+    /// If it is of another.
+    pub fn of(given: &GivenFilm<'_>, (height, width): (usize, usize)) -> PyResult<Self> {
+        let (left, clear, lit) = given;
+        if left.shape() != [3, height, width] || clear.shape() != [height, width] {
+            return Err(PyValueError::new_err("A film must be of the planes' shape (h, w)."));
+        }
+        Ok(Film { left: left.as_slice()?.to_vec(), clear: clear.as_slice()?.to_vec(), lit: *lit })
+    }
+
+    /// What the film scatters into every pixel of each plane [3 h w] with rows of a width.
+    pub fn veils(&self, planes: &[f32], width: usize) -> [f32; 3] {
+        let rows = planes.par_chunks(width).with_min_len(MIN_ROWS);
+        let sums: Vec<f64> = rows.map(|row| f64::from(total(row))).collect();
+        let height = sums.len() / 3;
+        let mean = |k: usize| sums[k * height..][..height].iter().sum::<f64>() / self.lit.max(1.0);
+        [0, 1, 2].map(|k| mean(k) as f32)
+    }
+
+    /// Covers a row of a plane.
+    pub fn cover(&self, row: &mut [f32], (plane, y): (usize, usize), veil: f32) {
+        let (width, area) = (row.len(), self.clear.len());
+        let left = &self.left[plane * area + y * width..][..width];
+        cover_row(row, (left, &self.clear[y * width..][..width]), veil);
+    }
+}
+
+impl<'a> Drops<'a> {
+    /// Drops before an image of so many pixels.
+    ///
+    /// # Errors
+    /// If they lie elsewhere.
+    pub fn of(given: &'a GivenDrops<'_>, area: usize) -> PyResult<Self> {
+        let (pixels, seen, weights) =
+            (given.0.as_slice()?, given.1.as_slice()?, given.2.as_slice()?);
         let count = if pixels.is_empty() { 0 } else { seen.len() / pixels.len() };
         let fits = seen.len() == pixels.len() * count && seen.len() == weights.len();
         let inside = |&pixel: &u32| (pixel as usize) < area;
@@ -41,45 +80,78 @@ pub fn through_dome<'py>(
                 "Drops need as many sources for each of the pixels.",
             ));
         }
-        py.detach(|| {
-            out.par_chunks_mut(area).zip(source.par_chunks(area)).for_each(|(into, from)| {
-                refract(into, from, pixels, (seen, weights, count));
-            });
-        });
+        Ok(Drops { pixels, seen, weights, count: count.max(1) })
     }
-    if let Some((absorbed, clear, lit)) = &film {
-        if absorbed.shape() != [3, height, width] || clear.shape() != [height, width] {
-            return Err(PyValueError::new_err("A film must be of the planes' shape (h, w)."));
+
+    /// Lays the drops over planes [3 h w].
+    pub fn refract(&self, planes: &mut [f32]) {
+        let area = planes.len() / 3;
+        // All is seen before any of it changes.
+        let mut seen = vec![0.0; 3 * self.pixels.len()];
+        let source = &*planes;
+        seen.par_chunks_mut(3 * PIXELS).enumerate().for_each(|(k, values)| {
+            let first = k * PIXELS * self.count;
+            let count = values.len() / 3 * self.count;
+            let rays = (&self.seen[first..][..count], &self.weights[first..][..count]);
+            look(source, rays, self.count, values);
+        });
+        for (&pixel, colors) in self.pixels.iter().zip(seen.chunks_exact(3)) {
+            for k in 0..3 {
+                planes[k * area + pixel as usize] = colors[k];
+            }
         }
-        let (left, clear) = (absorbed.as_slice()?, clear.as_slice()?);
-        py.detach(|| {
-            let planes = out.par_chunks_mut(area).zip(left.par_chunks(area));
-            planes.zip(source.par_chunks(area)).for_each(|((into, left), from)| {
-                cover(into, (left, clear), mean(from, *lit));
-            });
-        });
     }
+}
+
+/// Fewest rows that one thread takes, and pixels behind drops.
+const MIN_ROWS: usize = 64;
+const PIXELS: usize = 256;
+
+/// Planes [3 h w] as they are seen through drops and a film.
+#[pyfunction]
+#[pyo3(signature = (planes, film=None, drops=None))]
+pub fn through_dome<'py>(
+    py: Python<'py>,
+    planes: PyReadonlyArray3<'py, f32>,
+    film: Option<GivenFilm<'py>>,
+    drops: Option<GivenDrops<'py>>,
+) -> PyResult<Bound<'py, PyArray3<f32>>> {
+    let (height, width) = size(&planes)?;
+    let film = film.as_ref().map(|film| Film::of(film, (height, width))).transpose()?;
+    let drops = drops.as_ref().map(|drops| Drops::of(drops, height * width)).transpose()?;
+    let mut out = planes.as_slice()?.to_vec();
+    on_pool(py, || {
+        let veils = film.as_ref().map(|film| film.veils(&out, width));
+        if let Some(drops) = &drops {
+            drops.refract(&mut out);
+        }
+        if let Some((film, veils)) = film.as_ref().zip(veils) {
+            out.par_chunks_mut(width).enumerate().for_each(|(row, values)| {
+                film.cover(values, (row / height, row % height), veils[row / height]);
+            });
+        }
+    });
     Ok(planes_array(py, out, (height, width)))
 }
 
+/// Colours of pixels behind drops, each by so many rays.
 #[multiversion::multiversion(targets(
     "x86_64+avx512f+avx512bw+avx512cd+avx512dq+avx512vl",
     "x86_64+avx2",
     "aarch64+neon"
 ))]
-fn refract(
-    into: &mut [f32],
-    from: &[f32],
-    pixels: &[u32],
-    (seen, weights, count): (&[u32], &[f32], usize),
-) {
-    let rays = seen.chunks_exact(count.max(1)).zip(weights.chunks_exact(count.max(1)));
-    for (&pixel, (seen, weights)) in pixels.iter().zip(rays) {
-        let mut sum = 0.0;
+fn look(planes: &[f32], (seen, weights): (&[u32], &[f32]), count: usize, out: &mut [f32]) {
+    let area = planes.len() / 3;
+    let planes = [0, 1, 2].map(|k| &planes[k * area..][..area]);
+    let rays = seen.chunks_exact(count).zip(weights.chunks_exact(count));
+    for (colors, (seen, weights)) in out.chunks_exact_mut(3).zip(rays) {
+        let mut sum = [0.0; 3];
         for (&place, &weight) in seen.iter().zip(weights) {
-            sum += weight * from[place as usize];
+            for k in 0..3 {
+                sum[k] += weight * planes[k][place as usize];
+            }
         }
-        into[pixel as usize] = sum;
+        colors.copy_from_slice(&sum);
     }
 }
 
@@ -88,23 +160,24 @@ fn refract(
     "x86_64+avx2",
     "aarch64+neon"
 ))]
-fn cover(into: &mut [f32], (left, clear): (&[f32], &[f32]), veil: f32) {
-    for ((value, &left), &clear) in into.iter_mut().zip(left).zip(clear) {
+fn cover_row(row: &mut [f32], (left, clear): (&[f32], &[f32]), veil: f32) {
+    for ((value, &left), &clear) in row.iter_mut().zip(left).zip(clear) {
         *value = left * (clear * (*value - veil) + veil);
     }
 }
 
-/// Sum over the lit pixels by their number; sixteen partial sums keep the loop a vector loop.
-fn mean(plane: &[f32], lit: f64) -> f32 {
-    let mut total = 0.0f64;
-    for row in plane.chunks(256) {
-        let mut partial = [0.0f32; 16];
-        for part in row.chunks(16) {
-            for (sum, value) in partial.iter_mut().zip(part) {
-                *sum += value;
-            }
+/// Sum of a row; sixteen partial sums keep the loop a vector loop.
+#[multiversion::multiversion(targets(
+    "x86_64+avx512f+avx512bw+avx512cd+avx512dq+avx512vl",
+    "x86_64+avx2",
+    "aarch64+neon"
+))]
+fn total(row: &[f32]) -> f32 {
+    let mut partial = [0.0f32; 16];
+    for part in row.chunks(16) {
+        for (sum, value) in partial.iter_mut().zip(part) {
+            *sum += value;
         }
-        total += partial.iter().map(|&x| f64::from(x)).sum::<f64>();
     }
-    (total / lit.max(1.0)) as f32
+    partial.iter().sum()
 }

@@ -1,6 +1,6 @@
 //! How the image moves, known at some of its pixels.
 
-use crate::lanes::{clamp, max};
+use crate::lanes::{clamp, max, min};
 use rayon::prelude::*;
 
 /// Most steps in which the place that a late row sees is found, and the change of its motion at
@@ -23,9 +23,10 @@ impl Field {
         let (height, width) = size;
         let mut vectors: Vec<[f32; 2]> = given.chunks_exact(2).map(|v| [v[0], v[1]]).collect();
         let known = |v: &[f32; 2]| v[0].is_finite() && v[1].is_finite();
+        let unknown: Vec<usize> = (0..vectors.len()).filter(|&k| !known(&vectors[k])).collect();
         for _ in 0..3 {
             let before = vectors.clone();
-            for (k, vector) in vectors.iter_mut().enumerate().filter(|(_, v)| !known(v)) {
+            for &k in unknown.iter().filter(|&&k| !known(&before[k])) {
                 let (y, x) = (k / width, k % width);
                 let (mut sum, mut count) = ([0.0f32; 2], 0.0f32);
                 for row in y.saturating_sub(1)..(y + 2).min(height) {
@@ -37,28 +38,28 @@ impl Field {
                     }
                 }
                 if count > 0.0 {
-                    *vector = [sum[0] / count, sum[1] / count];
+                    vectors[k] = [sum[0] / count, sum[1] / count];
                 }
             }
         }
-        for vector in &mut vectors {
-            if !known(vector) {
-                *vector = [0.0; 2];
+        for k in unknown {
+            if !known(&vectors[k]) {
+                vectors[k] = [0.0; 2];
             }
         }
         Field { vectors, size, step }
     }
 
-    /// Of each place the motion of what is there when its row is read, `readout` after the first of
-    /// `height` rows at the last: with v of an instant, `from + v(from) late = here`.
-    pub fn when_read(self, readout: f32, height: usize) -> Self {
-        if readout == 0.0 {
+    /// Of each place the motion of what is there when its row takes light, of `height` rows: with v
+    /// of an instant, `from + v(from) late = here`.
+    pub fn when_read(self, shutter: Shutter, height: usize) -> Self {
+        if shutter.readout == 0.0 {
             return self;
         }
         let place = |number: usize| (number * self.step + self.step / 2) as f32;
         let read = |k: usize| {
             let (x, y) = (place(k % self.size.1), place(k / self.size.1));
-            let late = lateness(readout, y, height);
+            let late = shutter.window(y, height).late;
             let mut v = self.vectors[k];
             for _ in 0..FIXED_POINT_STEPS {
                 let before = v;
@@ -87,6 +88,7 @@ impl Field {
     }
 
     /// The vectors of all pixels of one row: columns, then rows.
+    #[inline(always)]
     pub fn row(&self, y: usize, width: usize) -> [Vec<f32>; 2] {
         let (rows, columns) = self.size;
         let (first, t) = self.between(y as f32, rows);
@@ -118,9 +120,46 @@ impl Field {
     }
 }
 
-/// How late a row is, after the row in the middle.
-pub fn lateness(readout: f32, row: f32, height: usize) -> f32 {
-    readout * ((row + 0.5) / height as f32 - 0.5)
+/// When rows of pixels are open and lit, in shares of a frame's time.
+#[derive(Clone, Copy)]
+pub struct Shutter {
+    /// How long each row is open.
+    pub open: f32,
+    /// From the first row's middle of that time to the last one's; the row in the middle has its own
+    /// about the instant of the image.
+    pub readout: f32,
+    /// How long the LEDs are lit about that instant.
+    pub pulse: f32,
+}
+
+/// When a row takes light.
+#[derive(Clone, Copy)]
+pub struct Window {
+    /// Middle of that time after the instant of the image, and its length.
+    pub late: f32,
+    pub length: f32,
+    /// Share that it takes of the light of a row that sees all of the pulse.
+    pub share: f32,
+}
+
+impl Shutter {
+    /// From the three times in order.
+    pub fn of((open, readout, pulse): (f32, f32, f32)) -> Self {
+        Shutter { open, readout, pulse }
+    }
+
+    /// Of a row among `height`.
+    pub fn window(&self, row: f32, height: usize) -> Window {
+        let middle = self.readout * ((row + 0.5) / height as f32 - 0.5);
+        let (half, lit) = (0.5 * self.open, 0.5 * self.pulse);
+        let (first, last) = (max(middle - half, -lit), min(middle + half, lit));
+        if first == middle - half && last == middle + half {
+            return Window { late: middle, length: self.open, share: 1.0 };
+        }
+        let length = max(last - first, 0.0);
+        let share = length / min(self.open, self.pulse);
+        Window { late: 0.5 * (first + last), length, share: if length > 0.0 { share } else { 0.0 } }
+    }
 }
 
 #[inline(always)]

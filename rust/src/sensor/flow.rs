@@ -42,11 +42,13 @@ pub fn flow_by_rays<'py>(
     on_pool(py, || {
         let lines = out.par_chunks_mut(columns * 2).zip(points.par_chunks(columns * 3));
         lines.enumerate().for_each(|(row, (line, points))| {
+            let mut flow = [0.0; 2]; // neighbours move alike
             for (column, point) in points.chunks_exact(3).enumerate() {
                 let towards = pose
                     .map(|r| (r[0] * point[0] + r[1] * point[1] + r[2] * point[2] + r[3]) as f32);
                 let from = [column * step + step / 2, row * step + step / 2];
-                if let Some(flow) = find(rays, from, towards) {
+                if let Some(found) = find(rays, from, towards, flow) {
+                    flow = found;
                     line[2 * column..2 * column + 2].copy_from_slice(&flow);
                 }
             }
@@ -56,13 +58,21 @@ pub fn flow_by_rays<'py>(
     Ok(array.into_pyarray(py))
 }
 
-/// How far from a pixel (column, row) the ray points in a direction.
-fn find(rays: &RayTable, pixel: [usize; 2], towards: Vec3) -> Option<[f32; 2]> {
+/// How far from a pixel (column, row) the ray points in a direction, about as far as `guess`.
+fn find(rays: &RayTable, pixel: [usize; 2], towards: Vec3, guess: [f32; 2]) -> Option<[f32; 2]> {
     if !towards.iter().all(|x| x.is_finite()) {
         return None;
     }
+    rays.direction(pixel[0], pixel[1])?;
     let start = pixel.map(|x| x as f32);
-    let (mut at, mut cell) = (start, Cell::of(rays, pixel)?);
+    let mut at = [start[0] + guess[0], start[1] + guess[1]];
+    let mut cell = match Cell::of(rays, nearest(rays, at)) {
+        Some(cell) => cell,
+        None => {
+            at = start;
+            Cell::of(rays, pixel)?
+        }
+    };
     for _ in 0..STEPS {
         let change = cell.step(at, towards);
         at = [at[0] + change[0], at[1] + change[1]];
@@ -96,7 +106,22 @@ struct Cell {
 
 impl Cell {
     /// The cell right of and below a pixel, or where it has none to those sides left or above.
+    #[inline(always)]
     fn of(rays: &RayTable, [x, y]: [usize; 2]) -> Option<Self> {
+        if x + 1 < rays.width && y + 1 < rays.height {
+            let below = (rays.direction(x, y + 1), rays.direction(x + 1, y + 1));
+            let above = (rays.direction(x, y), rays.direction(x + 1, y));
+            if let ((Some(first), Some(along)), (Some(below), Some(far))) = (above, below) {
+                let (right, down) = (sub(along, first), sub(below, first));
+                let twist = sub(sub(add(far, first), along), below);
+                return Some(Cell { corner: [x as f32, y as f32], first, right, down, twist });
+            }
+        }
+        Cell::at_the_edge(rays, [x, y])
+    }
+
+    /// The same where one of the four pixels sees nothing, or is none.
+    fn at_the_edge(rays: &RayTable, [x, y]: [usize; 2]) -> Option<Self> {
         let own = rays.direction(x, y)?;
         let beside =
             |x1: usize, y1: usize| (x1 < rays.width && y1 < rays.height).then_some((x1, y1));

@@ -2,6 +2,7 @@
 //! bytes it takes. The file itself is not made: Huffman coding loses nothing, so only its length
 //! counts, to 2 %: bytes 255, which a file follows with a 0, are not counted twice.
 
+use super::cosine::{Basis, Block, bases, both_ways};
 use super::planes::interleave;
 use super::tables::{AC_BITS_CHROMINANCE, AC_BITS_LUMINANCE, DC_BITS, STEPS};
 use crate::cpu::on_pool;
@@ -20,9 +21,6 @@ const ZIGZAG: [u8; 64] = [
     52, 45, 38, 31, 39, 46, 53, 60, 61, 54, 47, 55, 62, 63,
 ];
 
-type Block = [f32; 64];
-type Basis = [[f32; 8]; 8];
-
 /// The image [h w 3] as read back from its JPEG.
 #[pyfunction]
 pub fn jpeg<'py>(
@@ -32,7 +30,7 @@ pub fn jpeg<'py>(
 ) -> PyResult<Bound<'py, PyArray3<u8>>> {
     let (source, size) = checked(&image, quality)?;
     let mut pixels = vec![0; source.len()];
-    on_pool(py, || read_back(source, size, &both_steps(quality), &mut pixels));
+    on_pool(py, || read_back(&parted(source), size, &both_steps(quality), &mut pixels));
     let shape = (size.0, size.1, 3);
     Ok(Array3::from_shape_vec(shape, pixels).expect("every pixel was filled").into_pyarray(py))
 }
@@ -45,7 +43,7 @@ pub fn jpeg_bytes(
     quality: u32,
 ) -> PyResult<usize> {
     let (source, size) = checked(&image, quality)?;
-    Ok(on_pool(py, || Spectrum::new(source, size).bytes(&both_steps(quality))))
+    Ok(on_pool(py, || Spectrum::new(&parted(source), size).bytes(&both_steps(quality))))
 }
 
 /// The highest quality up to `quality` at which the JPEG has no more bytes than given, 1 where there
@@ -58,7 +56,7 @@ pub fn jpeg_quality(
     most_bytes: usize,
 ) -> PyResult<u32> {
     let (source, size) = checked(&image, quality)?;
-    Ok(on_pool(py, || Spectrum::new(source, size).best_quality(quality, most_bytes)))
+    Ok(on_pool(py, || Spectrum::new(&parted(source), size).best_quality(quality, most_bytes)))
 }
 
 /// Pixels, height and width of an image.
@@ -75,6 +73,29 @@ fn checked<'a>(
     Ok((image.as_slice()?, (height, width)))
 }
 
+/// Planes [3 h w] of an image [h w 3].
+fn parted(image: &[u8]) -> Vec<u8> {
+    (0..3).flat_map(|k| image.iter().skip(k).step_by(3).copied()).collect()
+}
+
+/// How an image is compressed.
+#[derive(Clone, Copy)]
+pub struct Compression {
+    /// 1 to 100.
+    pub quality: u32,
+    /// Limit for the file [bytes].
+    pub most_bytes: Option<usize>,
+}
+
+impl Compression {
+    /// The image [h w 3] that is left of planes [3 h w].
+    pub fn apply(&self, planes: &[u8], size: (usize, usize), out: &mut [u8]) {
+        let fitting = |most| Spectrum::new(planes, size).best_quality(self.quality, most);
+        let quality = self.most_bytes.map_or(self.quality, fitting);
+        read_back(planes, size, &both_steps(quality), out);
+    }
+}
+
 /// Steps of both tables.
 fn both_steps(quality: u32) -> [Block; 2] {
     [0, 1].map(|table| steps(table, quality))
@@ -86,61 +107,10 @@ fn steps(table: usize, quality: u32) -> Block {
     STEPS[table].map(|s| ((u32::from(s) * percent + 50) / 100).clamp(1, 255) as f32)
 }
 
-/// Rows are the orthonormal cosines of the transform of 8 numbers.
-fn basis() -> Basis {
-    let mut rows = [[0.0; 8]; 8];
-    for (k, row) in rows.iter_mut().enumerate() {
-        let scale = if k == 0 { 0.125f64.sqrt() } else { 0.5 };
-        for (x, value) in row.iter_mut().enumerate() {
-            let angle = (2 * x + 1) as f64 * k as f64 * std::f64::consts::PI / 16.0;
-            *value = (scale * libm::cos(angle)) as f32;
-        }
-    }
-    rows
-}
-
-/// `M B Mᵀ`, given M and Mᵀ.
-#[inline(always)]
-fn both_ways(m: &Basis, transposed: &Basis, block: &Block) -> Block {
-    let (mut half, mut out) = ([[0.0; 8]; 8], [0.0; 64]);
-    for k in 0..8 {
-        for y in 0..8 {
-            for x in 0..8 {
-                half[k][x] += m[k][y] * block[y * 8 + x];
-            }
-        }
-    }
-    for y in 0..8 {
-        for x in 0..8 {
-            for k in 0..8 {
-                out[y * 8 + k] += half[y][x] * transposed[x][k];
-            }
-        }
-    }
-    out
-}
-
-fn transposed(m: &Basis) -> Basis {
-    let mut out = [[0.0; 8]; 8];
-    for y in 0..8 {
-        for x in 0..8 {
-            out[y][x] = m[x][y];
-        }
-    }
-    out
-}
-
 /// Nearest whole number.
 #[inline(always)]
 fn nearest(x: f32) -> f32 {
     (x + 12_582_912.0) - 12_582_912.0
-}
-
-/// The cosine transform and its inverse, as `both_ways` takes them.
-fn bases() -> ([Basis; 2], [Basis; 2]) {
-    let basis = basis();
-    let back = transposed(&basis);
-    ([basis, back], [back, basis])
 }
 
 /// Coefficients of the three components, in bands of 16 rows of pixels.
@@ -190,7 +160,7 @@ impl Spectrum {
     }
 }
 
-/// The image that the file holds, band by band.
+/// The image that the file holds of planes, band by band.
 fn read_back(pixels: &[u8], size: (usize, usize), steps: &[Block; 2], out: &mut [u8]) {
     let (height, width) = size;
     let (forth, back) = bases();
@@ -201,13 +171,31 @@ fn read_back(pixels: &[u8], size: (usize, usize), steps: &[Block; 2], out: &mut 
     };
     let planes: Vec<[Vec<f32>; 3]> = (0..height.div_ceil(16)).into_par_iter().map(band).collect();
     out.par_chunks_mut(16 * width * 3).enumerate().for_each(|(band, rows)| {
+        let mut colors = [0; 2].map(|_| vec![0.0; squares * 16]);
+        let mut codes = vec![0; 3 * width];
         for (line, row) in rows.chunks_exact_mut(width * 3).enumerate() {
             let y = band * 16 + line;
             let light = &planes[band][0][line * squares * 16..][..width];
-            let colors = [1, 2].map(|k| finer(&planes, k, y, height, squares * 8, width));
-            write_row(light, &colors, row);
+            for (k, color) in colors.iter_mut().enumerate() {
+                finer(lines_about(&planes, k + 1, y, height, squares * 8), width, color);
+            }
+            write_row(light, [&colors[0], &colors[1]], &mut codes, row);
         }
     });
+}
+
+/// Rows of a colour at half the resolution nearest to a row of the image, the second farther.
+fn lines_about(
+    planes: &[[Vec<f32>; 3]],
+    plane: usize,
+    y: usize,
+    height: usize,
+    stride: usize,
+) -> [&[f32]; 2] {
+    let last = height.div_ceil(2) - 1;
+    let near = y / 2;
+    let far = if y.is_multiple_of(2) { near.saturating_sub(1) } else { (near + 1).min(last) };
+    [near, far].map(|row| &planes[row / 8][plane][row % 8 * stride..][..stride])
 }
 
 /// Coefficients of one band of 16 rows; beyond the image its last pixels go on.
@@ -226,12 +214,12 @@ fn analysed(
     let [mut light, mut blue, mut red] = [0; 3].map(|_| vec![0.0f32; 16 * stride]);
     let mut colors = [0; 3].map(|_| vec![0.0f32; stride]);
     for line in 0..16 {
-        let row = &pixels[(band * 16 + line).min(height - 1) * width * 3..][..width * 3];
-        let [r, g, b] = &mut colors;
-        for (x, pixel) in row.chunks_exact(3).enumerate() {
-            (r[x], g[x], b[x]) = (f32::from(pixel[0]), f32::from(pixel[1]), f32::from(pixel[2]));
-        }
-        for color in &mut colors {
+        let y = (band * 16 + line).min(height - 1);
+        for (k, color) in colors.iter_mut().enumerate() {
+            let row = &pixels[(k * height + y) * width..][..width];
+            for (value, &code) in color.iter_mut().zip(row) {
+                *value = f32::from(code);
+            }
             let last = color[width - 1];
             color[width..].fill(last);
         }
@@ -245,23 +233,30 @@ fn analysed(
             red[x] = nearest(0.5 * r[x] - 0.418_687_6 * g[x] - 0.081_312_4 * b[x]);
         }
     }
-    let block = |plane: &[f32], stride: usize, y: usize, x: usize| {
-        let mut values = [0.0; 64];
-        for k in 0..8 {
-            values[k * 8..k * 8 + 8].copy_from_slice(&plane[(y + k) * stride + x..][..8]);
-        }
-        both_ways(&basis[0], &basis[1], &values)
-    };
     let mut luminance = Vec::with_capacity(stride / 4);
     for x in (0..stride).step_by(16) {
-        luminance
-            .extend([(0, 0), (0, 8), (8, 0), (8, 8)].map(|(v, u)| block(&light, stride, v, x + u)));
+        for (v, u) in [(0, 0), (0, 8), (8, 0), (8, 8)] {
+            luminance.push(transformed(&light, stride, (v, x + u), basis));
+        }
     }
-    let colors = [blue, red].map(|plane| {
+    let mut colors = [Vec::with_capacity(stride / 16), Vec::with_capacity(stride / 16)];
+    for (blocks, plane) in colors.iter_mut().zip([blue, red]) {
         let half = halved(&plane, stride);
-        (0..stride / 2).step_by(8).map(|x| block(&half, stride / 2, 0, x)).collect()
-    });
+        for x in (0..stride / 2).step_by(8) {
+            blocks.push(transformed(&half, stride / 2, (0, x), basis));
+        }
+    }
     Band { luminance, colors }
+}
+
+/// Coefficients of the block at a row and column of a plane.
+#[inline(always)]
+fn transformed(plane: &[f32], stride: usize, (y, x): (usize, usize), basis: &[Basis; 2]) -> Block {
+    let mut values = [0.0; 64];
+    for k in 0..8 {
+        values[k * 8..k * 8 + 8].copy_from_slice(&plane[(y + k) * stride + x..][..8]);
+    }
+    both_ways(&basis[0], &basis[1], &values)
 }
 
 /// Means of 2 by 2 pixels of 16 rows, rounded up and down by turns.
@@ -329,8 +324,12 @@ fn synthesised(
         for k in 0..64 {
             numbers[k] *= steps[table][k];
         }
-        // A decoder has whole numbers of 8 bits.
-        both_ways(&back[0], &back[1], &numbers).map(|x| nearest(clamp(x, -128.0, 127.0)))
+        let mut values = both_ways(&back[0], &back[1], &numbers);
+        for value in &mut values {
+            // A decoder has whole numbers of 8 bits.
+            *value = nearest(clamp(*value, -128.0, 127.0));
+        }
+        values
     };
     for (square, four) in band.luminance.chunks_exact(4).enumerate() {
         for (k, block) in four.iter().enumerate() {
@@ -352,39 +351,39 @@ fn synthesised(
 }
 
 /// One row of a colour at full resolution: linear, 3 to 1, between neighbours.
-fn finer(
-    planes: &[[Vec<f32>; 3]],
-    plane: usize,
-    y: usize,
-    height: usize,
-    stride: usize,
-    width: usize,
-) -> Vec<f32> {
-    let last = height.div_ceil(2) - 1;
-    let near = y / 2;
-    let far = if y.is_multiple_of(2) { near.saturating_sub(1) } else { (near + 1).min(last) };
-    let line = |row: usize| &planes[row / 8][plane][row % 8 * stride..][..stride];
-    let (near, far) = (line(near), line(far));
-    let columns = width.div_ceil(2);
-    let mixed: Vec<f32> = (0..columns).map(|x| 0.75 * near[x] + 0.25 * far[x]).collect();
-    let mut out = vec![0.0; columns * 2];
-    for x in 0..columns {
-        let (left, right) = (mixed[x.saturating_sub(1)], mixed[(x + 1).min(columns - 1)]);
-        out[2 * x] = 0.75 * mixed[x] + 0.25 * left;
-        out[2 * x + 1] = 0.75 * mixed[x] + 0.25 * right;
-    }
-    out
-}
-
 #[multiversion::multiversion(targets(
     "x86_64+avx512f+avx512bw+avx512cd+avx512dq+avx512vl",
     "x86_64+avx2",
     "aarch64+neon"
 ))]
-fn write_row(light: &[f32], colors: &[Vec<f32>; 2], out: &mut [u8]) {
+fn finer([near, far]: [&[f32]; 2], width: usize, out: &mut [f32]) {
+    let columns = width.div_ceil(2);
+    // One more at each end, as the image goes on.
+    let mut mixed = vec![0.0; columns + 2];
+    for ((value, near), far) in mixed[1..=columns].iter_mut().zip(near).zip(far) {
+        *value = 0.75 * near + 0.25 * far;
+    }
+    (mixed[0], mixed[columns + 1]) = (mixed[1], mixed[columns]);
+    let (left, right) = (&mixed[..columns], &mixed[2..]);
+    let (own, pairs) = (&mixed[1..=columns], out.chunks_exact_mut(2));
+    for (((pair, own), left), right) in pairs.zip(own).zip(left).zip(right) {
+        pair[0] = 0.75 * own + 0.25 * left;
+        pair[1] = 0.75 * own + 0.25 * right;
+    }
+}
+
+/// One row of pixels; `codes` is room for its planes.
+#[multiversion::multiversion(targets(
+    "x86_64+avx512f+avx512bw+avx512cd+avx512dq+avx512vl",
+    "x86_64+avx2",
+    "aarch64+neon"
+))]
+fn write_row(light: &[f32], [blue, red]: [&[f32]; 2], codes: &mut [u8], out: &mut [u8]) {
     let count = light.len();
-    let (blue, red) = (&colors[0][..count], &colors[1][..count]);
-    let [mut r, mut g, mut b] = [0; 3].map(|_| vec![0u8; count]);
+    let (blue, red) = (&blue[..count], &red[..count]);
+    let (r, rest) = codes.split_at_mut(count);
+    let (g, b) = rest.split_at_mut(count);
+    let b = &mut b[..count];
     // Adding 2²³ rounds to a whole number and leaves it in the low bits.
     let byte = |value: f32| (clamp(value, 0.0, 255.0) + 8_388_608.0).to_bits() as u8;
     for x in 0..count {
@@ -393,5 +392,5 @@ fn write_row(light: &[f32], colors: &[Vec<f32>; 2], out: &mut [u8]) {
         g[x] = byte(y - 0.344_136_3 * blue[x] - 0.714_136_3 * red[x]);
         b[x] = byte(y + 1.772 * blue[x]);
     }
-    interleave([&r, &g, &b], out);
+    interleave([r, g, b], out);
 }

@@ -1,11 +1,13 @@
-//! What lens and sensor make of an image: each stage a function of arrays, in `vrcaps` put in order.
+//! What lens and sensor make of an image: each stage a file, and a function of arrays to be used by
+//! itself; `chain` puts them in order.
 //!
-//! Images are linear, and from `to_planes` on three planes [3 h w], so that loops over a row become
-//! vector code. Every stage works row by row, and no row depends on another's result: the same bytes
+//! Images are linear, and three planes [3 h w], so that loops over a row become vector code. Every stage works row by row, and no row depends on another's result: the same bytes
 //! on any number of threads.
 
 mod bayer;
 mod bloom;
+mod chain;
+mod cosine;
 mod defocus;
 mod dome;
 mod field;
@@ -20,6 +22,7 @@ use pyo3::prelude::*;
 
 /// Adds the stages to the module.
 pub fn register(m: &Bound<'_, PyModule>) -> PyResult<()> {
+    m.add_class::<chain::CameraStages>()?;
     m.add_function(wrap_pyfunction!(motion::blur_motion, m)?)?;
     m.add_function(wrap_pyfunction!(flow::flow_by_rays, m)?)?;
     m.add_function(wrap_pyfunction!(planes::to_planes, m)?)?;

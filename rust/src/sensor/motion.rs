@@ -1,13 +1,12 @@
 //! Motion while the shutter is open, and rows that are read one after another.
 
-use super::field::{Field, lateness, whole};
-use super::planes::{planes_array, rows, size_of_image};
+use super::field::{Field, Shutter, Window, whole};
+use super::planes::{Line, parted, planes_array, rows, size_of_image};
 use crate::cpu::on_pool;
-use crate::lanes::{clamp, max, min};
+use crate::lanes::{clamp, load, max, min, store};
 use numpy::{PyArray3, PyReadonlyArray2, PyReadonlyArray3, PyUntypedArrayMethods};
 use pyo3::{exceptions::PyValueError, prelude::*};
 use rayon::prelude::*;
-use std::cell::Cell;
 
 /// Most places a pixel is averaged over.
 const MOST_SAMPLES: f32 = 64.0;
@@ -19,17 +18,16 @@ const STILL: f32 = 1e-3;
 ///
 /// A pixel is the mean over the time its row is open of what moves past it. `motion` is an array
 /// [rows columns 2] and a number n: the motion of the image in one frame's time [px] at every nth
-/// pixel of every nth row, the first in the middle of a square of so many. `open` is the time a row is
-/// open, and that from the first row's middle of exposure to the last one's, as shares of a frame's
-/// time; the row in the middle has its exposure about the instant of the image. What is not `lit`
-/// stays black and is mixed into nothing.
+/// pixel of every nth row, the first in the middle of a square of so many. `shutter` has the times of
+/// `Shutter`, in its order. What is not `lit` stays
+/// black and is mixed into nothing.
 #[pyfunction]
 pub fn blur_motion<'py>(
     py: Python<'py>,
     image: PyReadonlyArray3<'py, f32>,
     lit: PyReadonlyArray2<'py, bool>,
     motion: (PyReadonlyArray3<'py, f32>, usize),
-    open: (f32, f32),
+    shutter: (f32, f32, f32),
     factor: f32,
 ) -> PyResult<Bound<'py, PyArray3<f32>>> {
     let (height, width) = size_of_image(&image)?;
@@ -40,17 +38,15 @@ pub fn blur_motion<'py>(
         return Err(PyValueError::new_err("Motion and lit must fit the image."));
     }
     let (source, lit) = (image.as_slice()?, lit.as_slice()?);
-    let ((vectors, step), (shutter, readout)) = ((motion.0.as_slice()?, motion.1), open);
+    let shutter = Shutter::of(shutter);
+    let (vectors, step) = (motion.0.as_slice()?, motion.1);
     let mut out = vec![0.0; source.len()];
     on_pool(py, || {
-        let motion = Field::new(vectors, (rows_known, columns), step).when_read(readout, height);
-        let mut still = ROOM.take().of_size((height, width));
-        still.fill(source, lit, factor);
-        rows(&mut out, (height, width)).into_par_iter().enumerate().for_each(|(y, row)| {
-            let late = lateness(readout, y as f32, height);
-            blur_row(&still, y, &motion.row(y, width), (shutter, late), row);
-        });
-        ROOM.set(still);
+        let motion = Field::new(vectors, (rows_known, columns), step).when_read(shutter, height);
+        let planes = parted(source, (height, width), factor);
+        let mut still = Still::new((height, width), lit);
+        still.fill(&planes, 1.0);
+        still.blur(&motion, shutter, rows(&mut out, (height, width)));
     });
     Ok(planes_array(py, out, (height, width)))
 }
@@ -64,56 +60,61 @@ const MOST_TAPS: usize = 4;
 
 type Run = [f32; RUN];
 
-thread_local! {
-    /// Image of an earlier call, whose memory is used again.
-    static ROOM: Cell<Still> = Cell::new(Still::default());
-}
-
 /// The image at its instant: red, green, blue, and 1 where it is lit; all 0 elsewhere.
-#[derive(Default)]
-struct Still {
+pub struct Still {
     planes: [Vec<f32>; 4],
     size: (usize, usize),
     stride: usize,
+    /// Whether all of a square of `RUN` by `RUN` pixels within the image is lit.
+    is_lit: Vec<bool>,
 }
 
 impl Still {
     /// Room for an image of a size, with its margin.
-    fn of_size(self, size: (usize, usize)) -> Self {
-        if self.size == size {
-            return self;
+    pub fn new(size: (usize, usize), lit: &[bool]) -> Self {
+        let (height, width) = size;
+        let stride = width.div_ceil(RUN) * RUN + 2 * MARGIN;
+        let mut planes = [0; 4].map(|_| vec![0.0; stride * (height.div_ceil(RUN) * RUN + MARGIN)]);
+        let squares = width.div_ceil(RUN);
+        let mut is_lit = vec![true; squares * height.div_ceil(RUN)];
+        for (y, lit) in lit.chunks_exact(width).enumerate() {
+            for (x, &lit) in lit.iter().enumerate() {
+                planes[3][y * stride + MARGIN + x] = f32::from(u8::from(lit));
+                is_lit[y / RUN * squares + x / RUN] &= lit;
+            }
         }
-        let stride = size.1.div_ceil(RUN) * RUN + 2 * MARGIN;
-        let planes = [0; 4].map(|_| vec![0.0; stride * (size.0.div_ceil(RUN) * RUN + MARGIN)]);
-        Still { planes, size, stride }
+        Still { planes, size, stride, is_lit }
     }
 
-    fn fill(&mut self, image: &[f32], lit: &[bool], factor: f32) {
-        let (width, stride) = (self.size.1, self.stride);
-        let [red, green, blue, share] = &mut self.planes;
-        let rows = red.par_chunks_mut(stride).zip(green.par_chunks_mut(stride));
-        let rows = rows.zip(blue.par_chunks_mut(stride)).zip(share.par_chunks_mut(stride));
-        rows.take(self.size.0).enumerate().for_each(|(y, (((red, green), blue), share))| {
-            let [red, green, blue, share] =
-                [red, green, blue, share].map(|row| &mut row[MARGIN..MARGIN + width]);
-            let (colors, lit) = (&image[y * width * 3..][..width * 3], &lit[y * width..][..width]);
-            for (x, color) in colors.chunks_exact(3).enumerate() {
-                let seen = f32::from(u8::from(lit[x]));
-                let factor = factor * seen;
-                (red[x], green[x], blue[x]) =
-                    (color[0] * factor, color[1] * factor, color[2] * factor);
-                share[x] = seen;
-            }
+    /// Takes an image [3 h w], times a factor.
+    pub fn fill(&mut self, image: &[f32], factor: f32) {
+        let ((height, width), stride) = (self.size, self.stride);
+        let [colors @ .., lit] = &mut self.planes;
+        let lit = &*lit;
+        colors.par_iter_mut().enumerate().for_each(|(k, plane)| {
+            let rows = plane.par_chunks_mut(stride).take(height).with_min_len(MIN_ROWS);
+            rows.enumerate().for_each(|(y, row)| {
+                let inside = MARGIN..MARGIN + width;
+                let lit = &lit[y * stride..][inside.clone()];
+                let from = &image[(k * height + y) * width..][..width];
+                fill_row(from, lit, factor, &mut row[inside]);
+            });
+        });
+    }
+
+    /// Fills the lines of an image with the mean over the time that each is open, given the motion
+    /// when it is read.
+    pub fn blur(&self, motion: &Field, shutter: Shutter, lines: Vec<Line<'_>>) {
+        lines.into_par_iter().enumerate().for_each(|(y, line)| {
+            blur_row(self, y, motion, shutter.window(y as f32, self.size.0), line);
         });
     }
 
     /// Numbers of a plane from a place on.
     #[inline(always)]
     fn run(&self, plane: usize, row: usize, column: isize) -> Run {
-        let mut values = [0.0; RUN];
         let start = row * self.stride + MARGIN.wrapping_add_signed(column);
-        values.copy_from_slice(&self.planes[plane][start..start + RUN]);
-        values
+        load(&self.planes[plane][start..start + RUN])
     }
 
     /// Bilinear between four pixels; the image goes on as at its edge.
@@ -132,12 +133,42 @@ impl Still {
     }
 
     /// Whether a run that starts at a place lies within the image when it has moved so far.
+    #[inline(always)]
     fn holds(&self, (x, y): (usize, usize), along: [f32; 2], down: [f32; 2]) -> bool {
         let (x, y) = (x as f32, y as f32);
         x + along[0] >= 0.0
             && x + along[1] + RUN as f32 <= self.size.1 as f32
             && y + down[0] >= 0.0
             && y + down[1] <= self.size.0 as f32 - 1.0
+    }
+
+    /// Whether all that a run may see is lit, when it moves so far.
+    #[inline(always)]
+    fn is_all_lit(&self, (x, y): (usize, usize), along: [f32; 2], down: [f32; 2]) -> bool {
+        let (height, width) = self.size;
+        let square =
+            |place: f32, count: usize| clamp(place, 0.0, count as f32 - 1.0) as usize / RUN;
+        let (x, y) = (x as f32, y as f32);
+        let (top, bottom) = (square(y + down[0] - 1.0, height), square(y + down[1] + 1.0, height));
+        let left = square(x + along[0] - 1.0, width);
+        let right = square(x + along[1] + RUN as f32, width);
+        let squares = width.div_ceil(RUN);
+        (top..=bottom)
+            .all(|row| self.is_lit[row * squares + left..=row * squares + right].iter().all(|&l| l))
+    }
+}
+
+/// Fewest rows that one thread takes.
+const MIN_ROWS: usize = 64;
+
+#[multiversion::multiversion(targets(
+    "x86_64+avx512f+avx512bw+avx512cd+avx512dq+avx512vl",
+    "x86_64+avx2",
+    "aarch64+neon"
+))]
+fn fill_row(from: &[f32], lit: &[f32], factor: f32, row: &mut [f32]) {
+    for ((value, &x), &lit) in row.iter_mut().zip(from).zip(lit) {
+        *value = x * (factor * lit);
     }
 }
 
@@ -146,46 +177,64 @@ impl Still {
     "x86_64+avx2",
     "aarch64+neon"
 ))]
-fn blur_row(
-    still: &Still,
-    y: usize,
-    motion: &[Vec<f32>; 2],
-    (shutter, late): (f32, f32),
-    out: [&mut [f32]; 3],
-) {
+fn blur_row(still: &Still, y: usize, motion: &Field, window: Window, out: Line<'_>) {
+    let (shutter, late) = (window.length, window.late);
     let width = still.size.1;
+    let motion = motion.row(y, width.div_ceil(RUN) * RUN);
     for x in (0..width).step_by(RUN) {
         let mut own = [[0.0; RUN]; 4];
         for plane in 0..4 {
             own[plane] = still.run(plane, y, x as isize);
         }
-        let mut near = [[0.0; RUN]; 2];
-        for k in 0..2 {
-            // Beyond the row its last vector goes on.
-            for i in 0..RUN {
-                near[k][i] = motion[k][(x + i).min(width - 1)];
-            }
-        }
+        let near = [load(&motion[0][x..]), load(&motion[1][x..])];
         let ends = [ends(&near[0]), ends(&near[1])];
         let speed = ends.as_flattened().iter().fold(0.0, |most, v: &f32| max(v.abs(), most));
         let mut mean = own;
         if speed * (late.abs() + 0.5 * shutter) >= STILL {
             let count = clamp((speed * shutter).ceil(), 1.0, MOST_SAMPLES);
-            let sum = streak(still, (x, y), (&near, ends), (shutter, late), count);
-            for i in 0..RUN {
-                let known = if sum[3][i] > 0.0 { own[3][i] } else { 0.0 };
-                let share = known / max(sum[3][i], 1e-30);
-                let rest = own[3][i] - known;
+            let moving = (&near, ends);
+            let times = (shutter, late);
+            let (along, down) = (swept(ends[0], times), swept(ends[1], times));
+            if still.is_all_lit((x, y), along, down) {
+                let sum = streak::<3>(still, (x, y), moving, (shutter, late), count);
+                let share = 1.0 / count;
                 for k in 0..3 {
-                    mean[k][i] = sum[k][i] * share + own[k][i] * rest;
+                    for i in 0..RUN {
+                        mean[k][i] = sum[k][i] * share;
+                    }
                 }
+            } else {
+                let sum = streak::<4>(still, (x, y), moving, (shutter, late), count);
+                mean = mean_of_lit(&sum, &own);
             }
         }
-        let count = (width - x).min(RUN);
         for k in 0..3 {
-            out[k][x..x + count].copy_from_slice(&mean[k][..count]);
+            store(&mean[k].map(|light| light * window.share), &mut out[k][x..]);
         }
     }
+}
+
+/// Mean of what was lit of all that was added up, where a run itself is lit.
+#[inline(always)]
+fn mean_of_lit(sum: &[Run; 4], own: &[Run; 4]) -> [Run; 4] {
+    let mut mean = *own;
+    for i in 0..RUN {
+        let known = if sum[3][i] > 0.0 { own[3][i] } else { 0.0 };
+        let share = known / max(sum[3][i], 1e-30);
+        let rest = own[3][i] - known;
+        for k in 0..3 {
+            mean[k][i] = sum[k][i] * share + own[k][i] * rest;
+        }
+    }
+    mean
+}
+
+/// How far a run looks over the exposure, given its least and most motion.
+#[inline(always)]
+fn swept([low, high]: [f32; 2], (shutter, late): (f32, f32)) -> [f32; 2] {
+    let (first, last) = (late - 0.5 * shutter, late + 0.5 * shutter);
+    let (early, late) = (moved([low, high], first), moved([low, high], last));
+    [min(0.0, min(early[0], late[0])), max(0.0, max(early[1], late[1]))]
 }
 
 /// Least and most of a run, by halves.
@@ -204,21 +253,18 @@ fn ends(run: &Run) -> [f32; 2] {
 /// Sum over the exposure of what moves past a run of pixels; `ends` are the least and most of its
 /// motion along and down.
 #[inline(always)]
-fn streak(
+fn streak<const PLANES: usize>(
     still: &Still,
     (x, y): (usize, usize),
     (motion, ends): (&[Run; 2], [[f32; 2]; 2]),
     (shutter, late): (f32, f32),
     count: f32,
-) -> [Run; 4] {
+) -> [Run; PLANES] {
     let step = shutter / count;
     let mut time = late - 0.5 * (shutter - step);
-    let mut sum = [[0.0f32; RUN]; 4];
+    let mut sum = [[0.0f32; RUN]; PLANES];
     for _ in 0..count as u32 {
-        let [along, down] = ends.map(|[low, high]| {
-            let far = [-low * time, -high * time];
-            [min(far[0], far[1]), max(far[0], far[1])]
-        });
+        let (along, down) = (moved(ends[0], time), moved(ends[1], time));
         let first = [along[0].floor(), down[0].floor()];
         let taps = [along[1].ceil() - first[0], down[1].ceil() - first[1]];
         if still.holds((x, y), along, down) && max(taps[0], taps[1]) < MOST_TAPS as f32 {
@@ -229,12 +275,13 @@ fn streak(
                     rest[k][i] = -motion[k][i] * time - first[k];
                 }
             }
-            add_shifted(still, start, taps.map(|count| count as usize), &rest, &mut sum);
+            let taps = [taps[0] as usize, taps[1] as usize];
+            add_shifted(still, start, taps, &rest, &mut sum);
         } else {
             for i in 0..RUN {
                 let place = [(x + i) as f32 - motion[0][i] * time, y as f32 - motion[1][i] * time];
                 let value = still.at(place[0], place[1]);
-                for k in 0..4 {
+                for k in 0..PLANES {
                     sum[k][i] += value[k];
                 }
             }
@@ -244,15 +291,22 @@ fn streak(
     sum
 }
 
+/// Least and most shift of what is seen at a time.
+#[inline(always)]
+fn moved([low, high]: [f32; 2], time: f32) -> [f32; 2] {
+    let (one, other) = (-low * time, -high * time);
+    [min(one, other), max(one, other)]
+}
+
 /// Adds what is seen from a place (row, column) on, each pixel `rest` farther: bilinear, where
 /// neighbours are up to `taps` away.
 #[inline(always)]
-fn add_shifted(
+fn add_shifted<const PLANES: usize>(
     still: &Still,
     start: (usize, isize),
     taps: [usize; 2],
     rest: &[Run; 2],
-    sum: &mut [Run; 4],
+    sum: &mut [Run; PLANES],
 ) {
     for row in 0..=taps[1] {
         for column in 0..=taps[0] {
@@ -262,7 +316,7 @@ fn add_shifted(
                 let across = max(1.0 - (rest[0][i] - column as f32).abs(), 0.0);
                 share[i] = across * max(1.0 - (rest[1][i] - row as f32).abs(), 0.0);
             }
-            for plane in 0..4 {
+            for plane in 0..PLANES {
                 let values = still.run(plane, place.0, place.1);
                 for i in 0..RUN {
                     sum[plane][i] += share[i] * values[i];

@@ -4,7 +4,7 @@
 
 use super::planes::size;
 use crate::cpu::on_pool;
-use crate::lanes::{clamp, exp2, log2, max};
+use crate::lanes::{clamp, exp2, load, log2, max, store};
 use numpy::{
     IntoPyArray, PyArray2, PyArrayDyn, PyReadonlyArray2, PyReadonlyArray3, PyUntypedArrayMethods,
     ndarray::{Array2, Array3},
@@ -30,7 +30,7 @@ fn scramble(x: u32) -> u32 {
 
 /// A stream of numbers, one a site.
 #[derive(Clone, Copy)]
-struct Stream {
+pub struct Stream {
     first: u32,
     second: u32,
 }
@@ -49,7 +49,7 @@ impl Stream {
     /// Uniform in (0, 1), in steps of 2⁻²³.
     #[inline(always)]
     fn uniform(self, site: u32) -> f32 {
-        ((self.bits(site) >> 9) as f32 + 0.5) * (1.0 / 8_388_608.0)
+        ((self.bits(site) >> 9) as i32 as f32 + 0.5) * (1.0 / 8_388_608.0)
     }
 
     #[inline(always)]
@@ -90,9 +90,10 @@ fn quantile(u: f32) -> f32 {
 fn pair(stream: Stream, site: u32) -> [f32; 2] {
     let bits = stream.bits(site);
     let turn = scramble(bits.wrapping_add(0x9e37_79b9));
-    let radius = (-2.0 * std::f32::consts::LN_2 * log2(((bits >> 8) as f32 + 0.5) * EVEN)).sqrt();
+    let radius =
+        (-2.0 * std::f32::consts::LN_2 * log2(((bits >> 8) as i32 as f32 + 0.5) * EVEN)).sqrt();
     // A quarter of a turn less than half of one, and the sign of the other half.
-    let x = (turn >> 8) as f32 * EVEN - 0.5;
+    let x = (turn >> 8) as i32 as f32 * EVEN - 0.5;
     let y = x * x;
     let sine = x * (PI - y * (5.167_713 - y * (2.550_164 - y * (0.599_264_5 - y * 0.082_145_89))));
     let cosine = 1.0
@@ -178,22 +179,47 @@ pub fn read_sensor<'py>(
         return Err(PyValueError::new_err("Colours of a mosaic are 0, 1, 2."));
     }
     let source = planes.as_slice()?;
-    let (factor, offset) = (pattern[0].as_slice()?, pattern[1].as_slice()?);
-    let streams = [0, 1].map(|k| Stream::new(key.0, key.1.wrapping_mul(2).wrapping_add(k)));
+    let sensor = Sensor {
+        pattern: [pattern[0].as_slice()?, pattern[1].as_slice()?],
+        readout: &readout,
+        streams: streams(key),
+    };
     let mut out = vec![0.0; count * width];
     on_pool(py, || {
         out.par_chunks_mut(width).enumerate().for_each(|(row, values)| {
             let colors = mosaic.map_or([row / height; 2], |c| [c[row % 2 * 2], c[row % 2 * 2 + 1]]);
             let line = |color: usize| &source[(color * height + row % height) * width..][..width];
-            let sites = row * width..(row + 1) * width;
-            let pattern = (&factor[sites.clone()], &offset[sites.clone()]);
-            let light = [line(colors[0]), line(colors[1])];
-            read_row(light, colors, pattern, &readout, streams, sites.start, values);
+            sensor.read([line(colors[0]), line(colors[1])], colors, row, values);
         });
     });
     let planes = if mosaic.is_some() { 1 } else { 3 };
     let array = Array3::from_shape_vec((planes, height, width), out).expect("all sites were read");
     Ok(array.into_dyn().into_pyarray(py))
+}
+
+/// Random numbers of a frame.
+pub fn streams(key: (u64, u64)) -> [Stream; 2] {
+    [0, 1].map(|k| Stream::new(key.0, key.1.wrapping_mul(2).wrapping_add(k)))
+}
+
+/// A sensor in one frame.
+pub struct Sensor<'a> {
+    /// Response of each site relative to the mean, and its offset [electrons].
+    pub pattern: [&'a [f32]; 2],
+    /// What turns light into numbers.
+    pub readout: &'a Readout,
+    /// Random numbers.
+    pub streams: [Stream; 2],
+}
+
+impl Sensor<'_> {
+    /// Reads a row of sites, of which even and odd ones see two colours.
+    #[inline]
+    pub fn read(&self, light: [&[f32]; 2], colors: [usize; 2], row: usize, out: &mut [f32]) {
+        let sites = row * out.len()..(row + 1) * out.len();
+        let pattern = (&self.pattern[0][sites.clone()], &self.pattern[1][sites.clone()]);
+        read_row(light, colors, pattern, self.readout, self.streams, sites.start, out);
+    }
 }
 
 /// Readings of one row, whose even and odd sites see two colours.
@@ -211,32 +237,41 @@ fn read_row(
     first: usize,
     out: &mut [f32],
 ) {
-    let width = out.len();
-    let (light, pattern) =
-        (light.map(|row| &row[..width]), (&pattern.0[..width], &pattern.1[..width]));
-    let electrons = colors.map(|c| readout.response[c] * readout.full_well * readout.light);
     let range = readout.white - readout.black;
     let step = readout.gain * range / readout.full_well;
-    let back = colors.map(|c| 1.0 / (readout.response[c] * range));
+    let (mut electrons, mut back) = ([0.0f32; CHUNK], [0.0f32; CHUNK]);
+    for i in 0..CHUNK {
+        let response = readout.response[colors[i & 1]];
+        electrons[i] = response * readout.full_well * readout.light;
+        back[i] = 1.0 / (response * range);
+    }
     let most = 4.0 * readout.full_well; // far beyond what the converter can show
-    for begin in (0..width).step_by(CHUNK) {
-        let sites = begin..(begin + CHUNK).min(width);
-        let mut mean = [0.0f32; CHUNK];
-        for (i, x) in sites.clone().enumerate() {
-            let value = if x & 1 == 0 { light[0][x] } else { light[1][x] };
-            mean[i] = clamp(value * electrons[x & 1] * pattern.0[x], 0.0, most);
+    let hides = readout.read_noise * readout.read_noise >= MANY;
+    for begin in (0..out.len()).step_by(CHUNK) {
+        let mut mean: [f32; CHUNK] = load(&light[0][begin..]);
+        if colors[0] != colors[1] {
+            let other: [f32; CHUNK] = load(&light[1][begin..]);
+            for i in 0..CHUNK / 2 {
+                mean[2 * i + 1] = other[2 * i + 1];
+            }
+        }
+        let factor: [f32; CHUNK] = load(&pattern.0[begin..]);
+        let offset: [f32; CHUNK] = load(&pattern.1[begin..]);
+        for i in 0..CHUNK {
+            mean[i] = clamp(mean[i] * electrons[i] * factor[i], 0.0, most);
         }
         let site = (first + begin) as u32;
-        let read = if readout.read_noise * readout.read_noise >= MANY {
+        let mut read = if hides {
             read_together(&mean, readout.read_noise, streams[0], site)
         } else {
             read_apart(&mean, readout.read_noise, streams, site)
         };
-        for (i, x) in sites.enumerate() {
-            let number = (read[i] + pattern.1[x]) * step + readout.black;
+        for i in 0..CHUNK {
+            let number = (read[i] + offset[i]) * step + readout.black;
             let number = clamp((number + 0.5).floor(), 0.0, readout.white);
-            out[x] = (number - readout.black) * back[x & 1];
+            read[i] = (number - readout.black) * back[i];
         }
+        store(&read, &mut out[begin..]);
     }
 }
 

@@ -43,8 +43,11 @@ pub fn planes_array(
         .into_pyarray(py)
 }
 
-/// The rows of three planes: for each row its red, green and blue.
-pub fn rows(pixels: &mut [f32], (height, width): (usize, usize)) -> Vec<[&mut [f32]; 3]> {
+/// One row of three planes: red, green, blue.
+pub type Line<'a, T = f32> = [&'a mut [T]; 3];
+
+/// The rows of three planes.
+pub fn rows<T>(pixels: &mut [T], (height, width): (usize, usize)) -> Vec<Line<'_, T>> {
     let (red, rest) = pixels.split_at_mut(height * width);
     let (green, blue) = rest.split_at_mut(height * width);
     red.chunks_mut(width)
@@ -63,16 +66,44 @@ pub fn to_planes<'py>(
 ) -> PyResult<Bound<'py, PyArray3<f32>>> {
     let (height, width) = size_of_image(&image)?;
     let source = image.as_slice()?;
-    let mut out = vec![0.0; 3 * height * width];
-    on_pool(py, || {
-        rows(&mut out, (height, width)).into_par_iter().enumerate().for_each(|(y, [r, g, b])| {
-            let row = &source[y * width * 3..(y + 1) * width * 3];
-            for (x, pixel) in row.chunks_exact(3).enumerate() {
-                (r[x], g[x], b[x]) = (pixel[0] * factor, pixel[1] * factor, pixel[2] * factor);
-            }
-        });
-    });
+    let out = on_pool(py, || parted(source, (height, width), factor));
     Ok(planes_array(py, out, (height, width)))
+}
+
+/// Planes of an image, times a factor.
+pub fn parted(image: &[f32], (height, width): (usize, usize), factor: f32) -> Vec<f32> {
+    let mut out = vec![0.0; 3 * height * width];
+    rows(&mut out, (height, width)).into_par_iter().enumerate().for_each(|(y, [r, g, b])| {
+        let row = &image[y * width * 3..(y + 1) * width * 3];
+        for (x, pixel) in row.chunks_exact(3).enumerate() {
+            (r[x], g[x], b[x]) = (pixel[0] * factor, pixel[1] * factor, pixel[2] * factor);
+        }
+    });
+    out
+}
+
+/// A row times a number.
+#[multiversion::multiversion(targets(
+    "x86_64+avx512f+avx512bw+avx512cd+avx512dq+avx512vl",
+    "x86_64+avx2",
+    "aarch64+neon"
+))]
+pub fn amplify(row: &[f32], factor: f32, out: &mut [f32]) {
+    for (value, x) in out.iter_mut().zip(row) {
+        *value = x * factor;
+    }
+}
+
+/// A row times as many numbers.
+#[multiversion::multiversion(targets(
+    "x86_64+avx512f+avx512bw+avx512cd+avx512dq+avx512vl",
+    "x86_64+avx2",
+    "aarch64+neon"
+))]
+pub fn shade_row(row: &mut [f32], factors: &[f32]) {
+    for (value, factor) in row.iter_mut().zip(factors) {
+        *value *= factor;
+    }
 }
 
 /// Planes times a map [h w].
@@ -87,21 +118,20 @@ pub fn shade_planes<'py>(
         return Err(PyValueError::new_err("A map must be of the planes' shape (h, w)."));
     }
     let (source, map) = (planes.as_slice()?, map.as_slice()?);
-    let mut out = vec![0.0; source.len()];
+    let mut out = source.to_vec();
     on_pool(py, || {
         out.par_chunks_mut(width).enumerate().for_each(|(k, row)| {
-            let values = &source[k * width..(k + 1) * width];
-            let factors = &map[k % height * width..(k % height + 1) * width];
-            for x in 0..width {
-                row[x] = values[x] * factors[x];
-            }
+            shade_row(row, &map[k % height * width..][..width]);
         });
     });
     Ok(planes_array(py, out, (height, width)))
 }
 
-/// Where a scaled axis takes its values from: first of four neighbours, and their weights.
-fn cubic_taps(length: usize, center: f32, scale: f32) -> Vec<(usize, [f32; 4])> {
+/// The first of four neighbours, and their weights.
+type Taps = (usize, [f32; 4]);
+
+/// Where a scaled axis takes its values from.
+fn cubic_taps(length: usize, center: f32, scale: f32) -> Vec<Taps> {
     let last = length as f32 - 1.0;
     (0..length)
         .map(|k| {
@@ -139,7 +169,7 @@ struct Columns {
 }
 
 impl Columns {
-    fn new(taps: &[(usize, [f32; 4])]) -> Self {
+    fn new(taps: &[Taps]) -> Self {
         let mut runs: Vec<(usize, usize, usize)> = Vec::new();
         for (x, &(first, _)) in taps.iter().enumerate() {
             match runs.last_mut() {
@@ -151,16 +181,22 @@ impl Columns {
     }
 }
 
-/// One row from the four about it, given their weights.
+/// One row from the four about it, given their weights; `mixed` is room for it.
 #[multiversion::multiversion(targets(
     "x86_64+avx512f+avx512bw+avx512cd+avx512dq+avx512vl",
     "x86_64+avx2",
     "aarch64+neon"
 ))]
-fn scale_row(lines: [&[f32]; 4], weights: [f32; 4], columns: &Columns, out: &mut [f32]) {
+fn scale_row(
+    lines: [&[f32]; 4],
+    weights: [f32; 4],
+    columns: &Columns,
+    mixed: &mut Vec<f32>,
+    out: &mut [f32],
+) {
     let width = out.len();
     // One more before the first column and two after the last, as the image goes on.
-    let mut mixed = vec![0.0f32; width + 3];
+    mixed.resize(width + 3, 0.0);
     let [a, b, c, d] = lines.map(|line| &line[..width]);
     for (x, value) in mixed[1..=width].iter_mut().enumerate() {
         *value = weights[0] * a[x] + weights[1] * b[x] + weights[2] * c[x] + weights[3] * d[x];
@@ -177,6 +213,45 @@ fn scale_row(lines: [&[f32]; 4], weights: [f32; 4], columns: &Columns, out: &mut
     }
 }
 
+/// How planes are magnified, each by its own scale.
+pub struct Scaling {
+    /// Rows and columns of each plane; none where it stays.
+    planes: [Option<(Vec<Taps>, Columns)>; 3],
+}
+
+impl Scaling {
+    /// About a centre (column, row) [px].
+    pub fn new((height, width): (usize, usize), center: [f32; 2], scales: [f32; 3]) -> Self {
+        let taps = |&scale: &f32| {
+            let columns = Columns::new(&cubic_taps(width, center[0], scale));
+            (scale != 1.0).then(|| (cubic_taps(height, center[1], scale), columns))
+        };
+        Scaling { planes: scales.each_ref().map(taps) }
+    }
+
+    /// One row of magnified planes.
+    pub fn row(
+        &self,
+        source: &[f32],
+        (height, width): (usize, usize),
+        y: usize,
+        mixed: &mut Vec<f32>,
+        out: &mut Line<'_>,
+    ) {
+        for (k, plane) in self.planes.iter().enumerate() {
+            let from = &source[k * height * width..][..height * width];
+            match plane {
+                None => out[k].copy_from_slice(&from[y * width..][..width]),
+                Some((taps, columns)) => {
+                    let (first, weights) = taps[y];
+                    let lines = neighbours(first, height).map(|y| &from[y * width..][..width]);
+                    scale_row(lines, weights, columns, mixed, out[k]);
+                }
+            }
+        }
+    }
+}
+
 /// Magnifies each plane about a centre (column, row) [px] by its own scale.
 ///
 /// What moves in from beyond the image is black. Interpolation is cubic along each axis.
@@ -188,26 +263,16 @@ pub fn scale_planes<'py>(
     scales: [f32; 3],
 ) -> PyResult<Bound<'py, PyArray3<f32>>> {
     let (height, width) = size(&planes)?;
-    let source = planes.as_slice()?;
+    let (source, size) = (planes.as_slice()?, (height, width));
     let mut out = vec![0.0; source.len()];
     on_pool(py, || {
-        let area = height * width;
-        for (plane, &scale) in scales.iter().enumerate() {
-            let from = &source[plane * area..(plane + 1) * area];
-            let into = &mut out[plane * area..(plane + 1) * area];
-            if scale == 1.0 {
-                into.copy_from_slice(from);
-                continue;
-            }
-            let columns = Columns::new(&cubic_taps(width, center[0], scale));
-            let taps = cubic_taps(height, center[1], scale);
-            into.par_chunks_mut(width).zip(taps).for_each(|(row, (first, weights))| {
-                let lines = neighbours(first, height).map(|y| &from[y * width..][..width]);
-                scale_row(lines, weights, &columns, row);
-            });
-        }
+        let scaling = Scaling::new(size, center, scales);
+        let lines = rows(&mut out, size).into_par_iter().enumerate();
+        lines.for_each_init(Vec::new, |mixed, (y, mut line)| {
+            scaling.row(source, size, y, mixed, &mut line);
+        });
     });
-    Ok(planes_array(py, out, (height, width)))
+    Ok(planes_array(py, out, size))
 }
 
 /// 8-bit sRGB image [h w 3] of linear planes times a gain each; black where not `lit`.
@@ -226,8 +291,13 @@ pub fn develop<'py>(
     let mut out = vec![0u8; source.len()];
     on_pool(py, || {
         out.par_chunks_mut(width * 3).enumerate().for_each(|(y, row)| {
-            let at = |plane: usize| &source[(plane * height + y) * width..][..width];
-            develop_row([at(0), at(1), at(2)], gains, &lit[y * width..][..width], row);
+            let mut codes = vec![0u8; 3 * width];
+            for (k, codes) in codes.chunks_exact_mut(width).enumerate() {
+                let line = &source[(k * height + y) * width..][..width];
+                develop_row(line, gains[k], &lit[y * width..][..width], codes);
+            }
+            let [red, green, blue] = [0, 1, 2].map(|k| &codes[k * width..][..width]);
+            interleave([red, green, blue], row);
         });
     });
     Ok(Array3::from_shape_vec((height, width, 3), out)
@@ -235,23 +305,24 @@ pub fn develop<'py>(
         .into_pyarray(py))
 }
 
+/// 8-bit sRGB of one colour of a row; 0 where not `lit`.
 #[multiversion::multiversion(targets(
     "x86_64+avx512f+avx512bw+avx512cd+avx512dq+avx512vl",
     "x86_64+avx2",
     "aarch64+neon"
 ))]
-fn develop_row(planes: [&[f32]; 3], gains: [f32; 3], lit: &[bool], out: &mut [u8]) {
-    let mut encoded = [0; 3].map(|_| vec![0u8; lit.len()]);
-    for (k, plane) in planes.into_iter().enumerate() {
-        for ((code, &value), &lit) in encoded[k].iter_mut().zip(plane).zip(lit) {
-            *code = srgb(value * gains[k]) & u8::from(lit).wrapping_neg();
-        }
+pub fn develop_row(values: &[f32], gain: f32, lit: &[bool], codes: &mut [u8]) {
+    for ((code, &value), &lit) in codes.iter_mut().zip(values).zip(lit) {
+        *code = srgb(value * gain) & u8::from(lit).wrapping_neg();
     }
-    interleave([&encoded[0], &encoded[1], &encoded[2]], out);
 }
 
 /// Pixels of three colours.
-#[inline(always)]
+#[multiversion::multiversion(targets(
+    "x86_64+avx512f+avx512bw+avx512cd+avx512dq+avx512vl",
+    "x86_64+avx2",
+    "aarch64+neon"
+))]
 pub fn interleave(planes: [&[u8]; 3], out: &mut [u8]) {
     let [red, green, blue] = planes.map(|plane| &plane[..out.len() / 3]);
     for (x, pixel) in out.chunks_exact_mut(3).enumerate() {

@@ -76,6 +76,8 @@ class Device:
         frame_rate: Frames per second of each camera.
         cameras: Its cameras.
         magnets: Magnets in it.
+        led_spectrum: Wavelengths [nm], rising, and relative power of its white LEDs; linear between
+            them, nothing beyond. None is a blue LED under a yellow phosphor.
         source: Where the figures come from.
         metadata: Further plain facts, kept with the device and used by nothing.
     """
@@ -88,5 +90,6 @@ class Device:
     frame_rate: float
     cameras: tuple[Camera, ...]
     magnets: tuple[InternalMagnet, ...] = ()
+    led_spectrum: tuple[tuple[float, float], ...] | None = None
     source: str = ""
     metadata: dict = field(default_factory=dict)

@@ -58,6 +58,8 @@ def read_device(path: Path) -> Device:
     frame_rate = table.number("frame_rate_hz", above=0)
     cameras = tuple(_read_camera(camera) for camera in table.tables("cameras"))
     magnets = tuple(map(_read_magnet, table.tables("magnets"))) if table.has("magnets") else ()
+    has_spectrum = table.has("led_spectrum")
+    spectrum = _read_spectrum(table.table("led_spectrum")) if has_spectrum else None
     table.finish()
     device = Device(
         path.stem,
@@ -68,6 +70,7 @@ def read_device(path: Path) -> Device:
         frame_rate,
         cameras,
         magnets,
+        spectrum,
         source=source,
         metadata=metadata,
     )
@@ -89,6 +92,10 @@ def write_device(path: Path, device: Device) -> None:
         f"mass_g = {decimal_text(device.mass, MILLI)}",
         f"frame_rate_hz = {decimal_text(device.frame_rate)}",
     ]
+    if device.led_spectrum is not None:
+        wavelength, power = zip(*device.led_spectrum, strict=True)
+        lines += ["", "[led_spectrum]", f"wavelength_nm = [{_joined(wavelength)}]"]
+        lines += [f"power = [{_joined(power)}]"]
     if device.metadata:
         lines += ["", "[metadata]"]
         lines += [f"{toml_text(k)} = {toml_text(v)}" for k, v in device.metadata.items()]
@@ -116,6 +123,18 @@ def write_lines(path: Path, lines: Iterable[str]) -> None:
         os.replace(part, path)
     except OSError as error:
         raise InputError(f"Cannot write the device file {path}: {error.strerror}.") from error
+
+
+def _read_spectrum(table: TomlTable) -> tuple[tuple[float, float], ...]:
+    wavelength = table.numbers("wavelength_nm")
+    if len(wavelength) < 2 or not (np.diff(wavelength) > 0.0).all():
+        allowed = "two or more numbers that rise"
+        table.fail("wavelength_nm", table.entries["wavelength_nm"], allowed)
+    power = table.numbers("power", len(wavelength))
+    if min(power) < 0.0 or max(power) == 0.0:
+        table.fail("power", table.entries["power"], "0 or above, not all 0")
+    table.finish()
+    return tuple(zip(wavelength, power, strict=True))
 
 
 def _read_magnet(table: TomlTable) -> InternalMagnet:

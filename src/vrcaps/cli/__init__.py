@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import io
 import sys
 from collections.abc import Sequence
+from contextlib import redirect_stderr
 from importlib import import_module
 from typing import Protocol
 
@@ -83,7 +85,19 @@ def _parse(args: Sequence[str]) -> _Command:
         else:
             parent.command(name=verb, help=summary)(_not_chosen)
     markers = (DisallowNone, FlagCreatePairsOff)
-    return app.cli(prog="vrcaps", description=_DESCRIPTION, args=args, config=markers)
+    said = io.StringIO()
+    try:
+        with redirect_stderr(said):
+            return app.cli(prog="vrcaps", description=_DESCRIPTION, args=args, config=markers)
+    except SystemExit as stop:
+        # What a dataclass says of its values would be boxed, under a name that is tyro's own.
+        error = stop.__context__
+        while error is not None and not isinstance(error, VrcapsError):
+            error = error.__context__
+        if error is not None:
+            raise error from None
+        sys.stderr.write(said.getvalue())
+        raise
 
 
 def _not_chosen() -> None:

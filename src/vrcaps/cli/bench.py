@@ -7,7 +7,18 @@ from pathlib import Path
 
 
 @dataclass(frozen=True)
-class Render:
+class _Measurement:
+    """What all of them are told."""
+
+    out: Path | None = None
+    """Markdown file to write, with a folder of JSON beside it; by default only prints."""
+
+    quick: bool = False
+    """Only try whether everything runs; the figures mean nothing."""
+
+
+@dataclass(frozen=True)
+class Render(_Measurement):
     """Measure how fast images are made, beside embreex, Mitsuba and MuJoCo where installed.
 
     All take turns in one process, so that ratios hold on a busy machine too. Prints each
@@ -18,14 +29,8 @@ class Render:
       vrcaps bench render --only frame refit --out runs/benchmarks.md
     """
 
-    out: Path | None = None
-    """Markdown file to write, with a folder of JSON beside it; by default only prints."""
-
     only: tuple[str, ...] = ()
     """Which comparisons: frame, pixels, triangles, refit, heads; by default all."""
-
-    quick: bool = False
-    """Only try whether everything runs; the figures mean nothing."""
 
     def run(self) -> None:
         """Measure and report."""
@@ -35,19 +40,13 @@ class Render:
 
 
 @dataclass(frozen=True)
-class Record:
+class Record(_Measurement):
     """Measure how fast labelled frames reach the disk, in how much memory, and what takes time.
 
     For example:
       vrcaps bench record
       vrcaps bench record --out runs/benchmarks.md
     """
-
-    out: Path | None = None
-    """Markdown file to write, with a folder of JSON beside it; by default only prints."""
-
-    quick: bool = False
-    """Only try whether everything runs; the figures mean nothing."""
 
     def run(self) -> None:
         """Measure and report."""
@@ -57,19 +56,13 @@ class Record:
 
 
 @dataclass(frozen=True)
-class World:
+class World(_Measurement):
     """Measure how fast the physics steps: contact, the muscle's wave, whole frames, elements.
 
     For example:
       vrcaps bench world
       vrcaps bench world --out runs/benchmarks.md
     """
-
-    out: Path | None = None
-    """Markdown file to write, with a folder of JSON beside it; by default only prints."""
-
-    quick: bool = False
-    """Only try whether everything runs; the figures mean nothing."""
 
     def run(self) -> None:
         """Measure and report."""

@@ -104,6 +104,10 @@ class Record:
     liquid: int = 0
     """Liquid in the lumen's dips, by grade: 0 none, 1 puddles, … 4 a third full."""
 
+    preparation: int | None = None
+    """How well a colon was cleansed, by the Boston scale: 3 clean, 2 fragments, 1 parts of the
+    wall hidden, 0 full of stool; in place of --bubbles, --chyme and --liquid."""
+
     effects: str = ""
     """Lens and sensor by grade 0 to 4, such as specular=3,dof=1,noise=1..3 (a range: drawn from the
     seed), all=2, random, mosaic=rggb, frame_rate=4..35 (which frames are taken): specular, bubbles
@@ -219,10 +223,23 @@ class Record:
             wall=self.wall,
             lesions=chosen_lesions(self.lesion, self.lesions, self._patient_seed(), self.organ),
             clean_twin=self.clean_twin,
-            contents=Contents(self.bubbles, self.chyme, self.liquid, seed=self._patient_seed()),
+            contents=self._contents(),
             effects=parse_effects(self.effects) if self.effects else Effects(),
             sensors=sensors_by_name(self.sensors),
         )
+
+    def _contents(self) -> Contents:
+        from vrcaps.tissue.contents.preparation import prepared
+
+        graded = Contents(self.bubbles, self.chyme, self.liquid, seed=self._patient_seed())
+        if self.preparation is None:
+            return graded
+        if not graded.is_empty:
+            raise InputError(
+                "--preparation says what is left in the colon. Leave out --bubbles, --chyme and "
+                "--liquid."
+            )
+        return replace(prepared(self.preparation), seed=graded.seed)
 
     def _patient_seed(self) -> int:
         return self.seed if self.patient is None else self.patient

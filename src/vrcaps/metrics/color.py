@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from vrcaps.color import lab_from_srgb, linear_from_srgb
 from vrcaps.errors import InputError
 
 if TYPE_CHECKING:
@@ -15,36 +16,8 @@ if TYPE_CHECKING:
 
 CHANNELS = ("L", "a", "b")
 
-_XYZ_FROM_RGB = np.array(
-    [[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]]
-)
-"""Linear sRGB to CIE XYZ (IEC 61966-2-1)."""
-
-_KNEE = 6.0 / 29.0
-
 _GRADIENT_STEP, _GRADIENT_BINS = 0.25, 240
 """Width of a histogram's bins [Lab units a pixel], and their number; the last is open."""
-
-
-def linear_from_srgb(rgb: UInt8[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch 3"]:
-    """Linear values, 0 to 1, of 8-bit sRGB (IEC 61966-2-1)."""
-    code = np.arange(256) / 255.0
-    linear = np.where(code <= 0.04045, code / 12.92, ((code + 0.055) / 1.055) ** 2.4)
-    return linear[rgb]
-
-
-def luminance(linear: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch"]:
-    """CIE Y, 0 to 1, of linear sRGB."""
-    return linear @ _XYZ_FROM_RGB[1]
-
-
-def lab_from_srgb(rgb: UInt8[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch 3"]:
-    """CIE 1976 L*a*b* of 8-bit sRGB; white is sRGB's own, (100, 0, 0)."""
-    xyz = linear_from_srgb(rgb) @ (_XYZ_FROM_RGB / _XYZ_FROM_RGB.sum(axis=1, keepdims=True)).T
-    # CIE 15:2004, 8.2.1.1: a cube root, a straight line below (6/29)³.
-    f = np.where(xyz > _KNEE**3, np.cbrt(xyz), xyz / (3.0 * _KNEE**2) + 4.0 / 29.0)
-    x, y, z = np.moveaxis(f, -1, 0)
-    return np.stack([116.0 * y - 16.0, 500.0 * (x - y), 200.0 * (y - z)], axis=-1)
 
 
 _HIGHLIGHT = 0.45

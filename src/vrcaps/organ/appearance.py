@@ -33,13 +33,19 @@ DEFAULT_TEXELS_PER_MM = 8.0
 _MOST_STRETCH = 1.6  # of a texel beyond the mean that more texels make up for
 
 
+MUCUS_TINT = (1.2, 2.8, 1.45)
+"""Reflectance of bile-stained mucus over that of the wall, red, green, blue: median ratio, in seven
+real frames of clean colons (docs/mucosa.md), of what is yellow to what is red."""
+
+
 @dataclass(frozen=True)
 class Mucosa:
     """Character of a mucosa.
 
     Colours are those at which frames with bounced light have the colours of real ones
     (`benchmarks/fit_appearance.py`, docs/gallery.md); the stomach's, of which there were none,
-    change as the colon's did. Shapes and sizes are chosen by eye.
+    change as the colon's did, in blue less, for it has less bile. Shapes and sizes are chosen by
+    eye.
 
     Attributes:
         base_color: Linear reflectance of the wall between its vessels, red, green, blue.
@@ -59,6 +65,8 @@ class Mucosa:
         pit_shade: Optical density of those gaps in green light; bile gathers there too.
         network: Weight of the finest network of vessels in the redness.
         flecks: Share of cells, 3.2 mm wide, that hold a fleck of mucus, on the wall or off it.
+        mucus: Amount of mucus, 0 to 1: film and strands cover a third of this share of the wall.
+        mucus_tint: Reflectance of mucus over that of the wall, red, green, blue.
         roughness: Perceptual roughness of the wall under its wet film, 0 to 1.
         coat: Strength of the wet film, 0 (dry, or broken up) to 1 (whole).
         coat_gloss: Gloss of the wet film, 0 (satin) to 1 (mirror-like).
@@ -78,6 +86,8 @@ class Mucosa:
     pit_shade: float = 0.05
     network: float = 1.1
     flecks: float = 0.03
+    mucus: float = 0.10
+    mucus_tint: tuple[float, float, float] = MUCUS_TINT
     roughness: float = 0.65
     coat: float = 1.0
     coat_gloss: float = 0.93
@@ -85,15 +95,18 @@ class Mucosa:
 
 MUCOSAE: dict[str, Mucosa] = {
     "colon": Mucosa(
-        base_color=(0.444, 0.157, 0.112),
+        base_color=(0.446, 0.147, 0.143),
+        bile=0.65,
         redness_variation=0.45,
         network=1.4,
-        roughness=0.75,
-        coat=0.6,
+        relief_slope=0.05,
+        roughness=0.90,
+        coat=0.8,
+        coat_gloss=0.97,
     ),
     "stomach": Mucosa(
-        base_color=(0.430, 0.162, 0.108),
-        bile=0.25,
+        base_color=(0.432, 0.152, 0.118),
+        bile=0.15,
         vessel_contrast=0.25,
         vessel_spacing=1.5 * MM,
         pit_spacing=2.2 * MM,
@@ -101,19 +114,21 @@ MUCOSAE: dict[str, Mucosa] = {
         pit_shade=0.10,
         network=0.35,
         flecks=0.4,
+        mucus_tint=(1.15, 2.2, 2.0),
         coat=0.7,
     ),
     "small_intestine": Mucosa(
-        base_color=(0.406, 0.214, 0.149),
+        base_color=(0.418, 0.210, 0.149),
         redness_variation=0.22,
         patient_variation=(0.20, 0.40),
-        bile=0.40,
+        bile=0.32,
         vessel_contrast=0.35,
         pit_spacing=0.42 * MM,
         pit_slope=0.48,
         pit_shade=0.28,
         network=0.2,
         flecks=0.15,
+        mucus_tint=(1.15, 1.9, 2.0),
         roughness=0.85,
         coat=0.16,
     ),

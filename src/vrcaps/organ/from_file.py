@@ -48,12 +48,8 @@ def organ_from_file(
             no unit, or is an organ file and something is to be changed in it.
     """
     if is_organ_file(path):
-        if (parse_length(unit or "m"), name, open_ends, keep_uv, reverse) != _AS_IT_IS:
-            raise InputError(
-                f"{path} is an organ file: in metres, and taken as it is. "
-                "Leave out the unit, open ends, texture coordinates and direction."
-            )
-        return read_organ(path)
+        is_as_it_is = (parse_length(unit or "m"), name, open_ends, keep_uv, reverse) == _AS_IT_IS
+        return _organ_file(path, is_as_it_is)
     if unit is None:
         raise InputError(f"{path} does not say its unit. Allowed: {', '.join(LENGTH_UNITS)}.")
     from vrcaps.organ.centerline import compute_centerline
@@ -80,6 +76,15 @@ def organ_from_file(
         label_names=label_names,
     )
     return replace(organ, metadata=metadata)
+
+
+def _organ_file(path: Path, is_as_it_is: bool) -> OrganSurface:
+    if not is_as_it_is:
+        raise InputError(
+            f"{path} is an organ file: in metres, and taken as it is. "
+            "Leave out the unit, open ends, texture coordinates and direction."
+        )
+    return read_organ(path)
 
 
 def organ_on_centerline(

@@ -10,7 +10,7 @@ from typing import Any, Union
 import numpy as np
 
 from vrcaps import _core
-from vrcaps.capsule.device import Camera, Led
+from vrcaps.capsule.device import Camera, Device, Led
 from vrcaps.capsule.lens import LENSES
 from vrcaps.errors import InputError
 from vrcaps.organ.parts import json_safe
@@ -68,6 +68,7 @@ def make_head(scenario: Scenario, model: Model, notes: tuple[str, ...]) -> dict[
             "radius_m": device.radius,
             "mass_kg": device.mass,
             "source": device.source,
+            **_spectrum_to_plain(device),
         },
         "cameras": [camera_to_plain(camera) for camera in device.cameras],
         "channels": {channel: channel_to_plain(channel) for channel in scenario.channels},
@@ -75,6 +76,12 @@ def make_head(scenario: Scenario, model: Model, notes: tuple[str, ...]) -> dict[
         **sensors_to_plain(scenario.sensors, model),
         "motion_notes": list(notes),
     }
+
+
+def _spectrum_to_plain(device: Device) -> dict[str, Any]:
+    if device.led_spectrum is None:
+        return {}
+    return {"led_spectrum_nm": [list(pair) for pair in device.led_spectrum]}
 
 
 def sensors_to_plain(sensors: Sensors, model: Model) -> dict[str, Any]:

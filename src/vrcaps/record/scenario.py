@@ -24,6 +24,7 @@ from vrcaps.record.sensing import Sensors
 from vrcaps.record.typed import from_plain, to_plain
 from vrcaps.render.camera_effects.effects import Effects
 from vrcaps.render.frame import CHANNELS
+from vrcaps.render.led_light import imaging_of
 from vrcaps.render.settings import RECORDED, RenderSettings
 from vrcaps.tissue.contents.contents import Contents
 from vrcaps.units import parse_length
@@ -190,10 +191,12 @@ def resolve(scenario: Scenario) -> tuple[Scenario, Device]:
     channels in the order of `Frame`. The capsule's cameras are as the effects have changed them.
 
     Raises:
-        InputError: If a value is out of range or a file is not the one that a checksum names.
+        InputError: If a value is out of range, a file is not the one that a checksum names, or the
+            capsule's LEDs lack a colour.
         UnknownNameError: If a posture, capsule or channel is unknown.
     """
     device = load_device(scenario.capsule)
+    imaging_of(device, scenario.render.imaging)
     posture_transform(scenario.posture)
     for channel in scenario.channels:
         if channel not in CHANNELS:

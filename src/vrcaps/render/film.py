@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from vrcaps.color import LINEAR, srgb_from_linear
 from vrcaps.errors import InputError
 from vrcaps.organ.surface import Appearance, OrganSurface, round_height
 from vrcaps.render.scattering import TISSUE_IOR, internal_reflection
@@ -128,11 +129,7 @@ def _level(height: Float[np.ndarray, "h w"], thickness: float) -> float:
 
 def _table(covered: float) -> UInt8[np.ndarray, " 256"]:
     """What each sRGB number becomes where only a share of the wall is covered."""
-    value = np.arange(256) / 255.0
-    wet = np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)
-    color = covered * wet + (1.0 - covered) * dry_color(wet)
-    encoded = np.where(color <= 0.0031308, 12.92 * color, 1.055 * color ** (1.0 / 2.4) - 0.055)
-    return np.round(255.0 * encoded).astype(np.uint8)
+    return srgb_from_linear(covered * LINEAR + (1.0 - covered) * dry_color(LINEAR))
 
 
 def _texel_size(organ: OrganSurface, look: Appearance) -> float:

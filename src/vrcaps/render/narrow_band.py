@@ -10,22 +10,14 @@ vessels stand out brown. Vessels have no depth here: light of 415 nm sees all of
 from __future__ import annotations
 
 import functools
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps.organ.appearance import ABSORPTION
-from vrcaps.organ.photo.color import from_log_linear, log_linear
-from vrcaps.organ.surface import Appearance
-from vrcaps.render.scattering import (
-    TISSUE_IOR,
-    diffuse_reflectance,
-    internal_reflection,
-    reduced_scattering,
-)
-from vrcaps.tissue.contents.bubbles import Bubbles
-from vrcaps.tissue.contents.liquid import Liquid
+from vrcaps.color import LUMINANCE
+from vrcaps.organ.appearance import MUCOSAE
+from vrcaps.render.imaging import Imaging, liquid_apart, lookup, tabled, taken_apart
+from vrcaps.render.scattering import carried_density, reduced_scattering
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -37,16 +29,8 @@ over 500 to 590 nm, and over the bands of 30 nm about 540 and 415 nm of narrow-b
 _BILE = {540: 0.08, 415: 0.88}
 """Density of bile at the bands relative to blue: bilirubin as a band about 455 nm, 90 nm wide."""
 
-_REFERENCE = 0.6
-"""Optical density in green of the blood of pale mucosa, which looks neutral."""
-
-_BRIGHT = 0.75
-"""Reflectance that such mucosa seems to have: the LEDs are so much stronger."""
-
-_DENSITIES = np.vstack([np.ones(3), ABSORPTION])  # rows: base, blood, bile
-_BLACK = 1e-4  # so that a logarithm exists
-_DENSEST, _STEPS = 5.0, 4096
-_ROWS = 256  # worked on at a time
+_PALE = 0.5
+"""Share of the blood of the colon's plain mucosa that pale mucosa has, which looks neutral."""
 
 
 def blood_density(density: Float[np.ndarray, "*n"], band: int) -> Float[np.ndarray, "*n"]:
@@ -56,72 +40,45 @@ def blood_density(density: Float[np.ndarray, "*n"], band: int) -> Float[np.ndarr
         density: In green.
         band: 415 or 540 [nm].
     """
-    absorption = np.concatenate([[0.0], np.geomspace(1e-8, 1e3, 2000)])
-    internal = internal_reflection(TISSUE_IOR)
-    tissue = -np.log(diffuse_reflectance(absorption, internal=internal))
     scattering = reduced_scattering(band) / reduced_scattering(545.0)
-    factor = _HAEMOGLOBIN[band] / _HAEMOGLOBIN["green"] / scattering
-    dense = factor * np.interp(density, tissue, absorption)
-    return -np.log(diffuse_reflectance(dense, internal=internal))
+    return carried_density(density, _HAEMOGLOBIN[band] / _HAEMOGLOBIN["green"] / scattering)
 
 
 @functools.cache
 def _table(band: int) -> Float[np.ndarray, " n"]:
-    """`blood_density` of densities from 0 to `_DENSEST`."""
-    return blood_density(np.linspace(0.0, _DENSEST, _STEPS), band).astype(np.float32)
+    """`blood_density` of `tabled` densities."""
+    return blood_density(tabled(), band).astype(np.float32)
 
 
-def led_gains() -> Float[np.ndarray, " 3"]:
-    """Factors on the LEDs for the image's red, green and blue, against white light."""
-    dense = [blood_density(np.array(_REFERENCE), band) for band in (540, 415, 415)]
-    return _BRIGHT * np.exp(np.array(dense))
+def _led_gains() -> tuple[float, float, float]:
+    """By them pale mucosa is neutral, and the colon's plain mucosa as bright as in white light."""
+    plain = np.log(np.array(MUCOSAE["colon"].base_color))
+    pale = _PALE * taken_apart(plain)[1]
+    gains = np.exp([blood_density(pale, band) for band in (540, 415, 415)])
+    gains *= (np.exp(plain) @ LUMINANCE) / (gains * np.exp(_color(plain)) @ LUMINANCE)
+    red, green, blue = gains.tolist()
+    return red, green, blue
 
 
-def narrow_band_color(log_light: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
+def _color(log_light: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
     """Logarithm of the reflectance at 540, 415 and 415 nm from that of red, green and blue."""
-    apart = -log_light @ np.linalg.inv(_DENSITIES).astype(log_light.dtype)
-    blood, bile = np.maximum(apart[..., 1], 0.0), np.maximum(apart[..., 2], 0.0)
-    base = -log_light[..., 0] - blood * ABSORPTION[0, 0] - bile * ABSORPTION[1, 0]
-    step = np.minimum((blood * ((_STEPS - 1) / _DENSEST)).astype(np.int32), _STEPS - 1)
-    green, violet = (-base - _table(band)[step] - _BILE[band] * bile for band in (540, 415))
+    base, blood, bile = taken_apart(log_light)
+    green, violet = (
+        -base - lookup(_table(band), blood) - _BILE[band] * bile for band in (540, 415)
+    )
     return np.stack([green, violet, violet], axis=-1)
 
 
-def narrow_band_appearance(look: Appearance) -> Appearance:
-    """A wall's textures as narrow-band light shows them."""
-    rows = range(0, len(look.albedo), _ROWS)
-    albedo = [
-        from_log_linear(narrow_band_color(log_linear(look.albedo[row : row + _ROWS])))
-        for row in rows
-    ]
-    return replace(look, albedo=np.concatenate(albedo))
-
-
-def narrow_band_reflectance(albedo: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
-    """Linear colours as narrow-band light shows them."""
-    return np.exp(narrow_band_color(np.log(np.maximum(albedo, _BLACK))))
-
-
-def narrow_band_liquid(liquid: Liquid) -> Liquid:
-    """A liquid as narrow-band light shows it; what it absorbs is blood and bile."""
-    base, blood, bile = np.linalg.solve(_DENSITIES.T, np.array(liquid.absorption))
+def _absorption(white: tuple[float, float, float]) -> tuple[float, float, float]:
+    base, blood, bile = liquid_apart(white)
     green, violet = (
         max(base + blood * _HAEMOGLOBIN[band] / _HAEMOGLOBIN["green"] + bile * _BILE[band], 0.0)
         for band in (540, 415)
     )
-    _, green_scattering, blue_scattering = liquid.scattering
-    return replace(
-        liquid,
-        absorption=(float(green), float(violet), float(violet)),
-        scattering=(green_scattering, blue_scattering, blue_scattering),
-    )
+    return green, violet, violet
 
 
-def narrow_band_bubbles(bubbles: Bubbles) -> Bubbles:
-    """Bubbles whose surroundings are lit by narrow bands."""
-    return replace(bubbles, color=_plain(bubbles.color))
-
-
-def _plain(color: tuple[float, float, float]) -> tuple[float, float, float]:
-    red, green, blue = narrow_band_reflectance(np.array(color))
-    return float(red), float(green), float(blue)
+@functools.cache
+def narrow_band() -> Imaging:
+    """Narrow-band light, 540 nm shown as red, 415 nm as green and blue."""
+    return Imaging(_color, _absorption, (540.0, 415.0, 415.0), (1, 2, 2), _led_gains())

@@ -20,13 +20,8 @@ from vrcaps.render.denoise import denoise, load_denoiser
 from vrcaps.render.film import wet_organ
 from vrcaps.render.flow import SurfacePoints, flow, seen_from
 from vrcaps.render.frame import CHANNELS, Frame
-from vrcaps.render.narrow_band import (
-    led_gains,
-    narrow_band_appearance,
-    narrow_band_bubbles,
-    narrow_band_liquid,
-    narrow_band_reflectance,
-)
+from vrcaps.render.imaging import Imaging
+from vrcaps.render.led_light import imaging_of
 from vrcaps.render.scattering import tissue_figures
 from vrcaps.render.settings import RenderSettings
 from vrcaps.tissue.contents.filling import Filling
@@ -73,7 +68,7 @@ _NO_CONTENTS = {
     **{"front_label": 0, "front_instance": 0, "front_depth": np.nan},
     **{"bend_label": 0, "sparse_bend": 0},
 }
-_COLOR = {"rgb", "radiance"}
+_COLOR = {"rgb", "radiance", "radiance_planes"}
 _NEEDS_NEXT = {"flow_forward", "occlusion"}
 _NEEDS_PREVIOUS = {"flow_backward"}
 
@@ -98,9 +93,8 @@ class Renderer:
         self.settings = settings or RenderSettings()
         if self.settings.denoise:
             load_denoiser()  # before much is made that would be in vain
-        self._is_narrow = self.settings.imaging == "narrow-band"
-        self._led_gains = led_gains() if self._is_narrow else np.ones(3)
-        self._scene = _scene(model.organ, self.settings)
+        self._imaging = imaging_of(model.device, self.settings.imaging)
+        self._scene = _scene(model.organ, self.settings, self._imaging)
         self._quick = None
         if self.settings.light == "quick":
             self._quick = _core.QuickLight(model.wall, self._scene)
@@ -120,6 +114,7 @@ class Renderer:
         state_previous: State | None = None,
         out: Frame | None = None,
         points: SurfacePoints | None = None,
+        planes: Float[np.ndarray, "3 h w"] | None = None,
     ) -> Frame:
         """What a camera sees.
 
@@ -131,6 +126,7 @@ class Renderer:
             state_previous: The world one frame earlier, for `flow_backward`.
             out: An earlier frame of the same camera whose arrays may be overwritten.
             points: Room for the surface points that `thinned` pixels see.
+            planes: Room for radiance by colours, as float32.
 
         Raises:
             UnknownNameError: If there is no such channel.
@@ -138,6 +134,7 @@ class Renderer:
         """
         _check_channels(channels, state_next, state_previous)
         arrays = self._arrays(channels, camera, out)
+        arrays |= {} if planes is None else {"radiance_planes": planes}
         if points is not None:
             arrays |= {f"sparse_{name}": array for name, array in vars(points).items()}
         wall = self._wall.at(state)
@@ -162,7 +159,7 @@ class Renderer:
                     arrays[name].fill(nothing)
         T_world_camera = state.T_world_capsule @ camera.T_capsule_camera
         leds = _leds_world(camera, T_world_camera)
-        leds[:, 6:9] *= self._led_gains
+        leds[:, 6:9] *= self._imaging.led_gains
         paths = _paths(self.settings, state.time, T_world_camera)
 
         def draw(into: dict[str, NDArray[Any]], supersampling: int, paths: _Paths = paths) -> None:
@@ -189,6 +186,8 @@ class Renderer:
         radiance = _color(draw, camera, settings)
         if "radiance" in arrays:
             arrays["radiance"][...] = radiance
+        if "radiance_planes" in arrays:
+            arrays["radiance_planes"][...] = np.moveaxis(radiance, -1, 0)
         if "rgb" in arrays:
             arrays["rgb"][...] = _core.encode_srgb(radiance, camera.exposure)
 
@@ -284,14 +283,13 @@ class Renderer:
             if kept[0] is not filling:
                 kept[2].move_to(wall, np.ascontiguousarray(filling.spheres.centers))
         else:
+            light = self._imaging
             bubbles, _, liquid = filling.contents.resolved
-            spheres = filling.spheres
-            if self._is_narrow:
-                bubbles, liquid = narrow_band_bubbles(bubbles), narrow_band_liquid(liquid)
-                spheres = replace(spheres, color=narrow_band_reflectance(spheres.color))
-            pools = None if filling.pools is None else (filling.pools, liquid)
+            color = light.reflectance(filling.spheres.color)
+            pools = None if filling.pools is None else (filling.pools, light.liquid(liquid))
             label = len(self.model.organ.label_names)
-            made = _core.Contents(wall, spheres, bubbles, pools, label)
+            spheres = replace(filling.spheres, color=color)
+            made = _core.Contents(wall, spheres, light.bubbles(bubbles), pools, label)
             kept = (filling, wall, made)
         self._contents[slot] = (filling, *kept[1:])
         return kept[2]
@@ -341,12 +339,11 @@ def _check_channels(
             raise InputError(f"Channel {name!r} needs the previous state. Give state_previous.")
 
 
-def _scene(organ: OrganSurface, settings: RenderSettings) -> _core.Scene:
+def _scene(organ: OrganSurface, settings: RenderSettings, imaging: Imaging) -> _core.Scene:
     if settings.film_um is not None:
         organ = wet_organ(organ, 1e-6 * settings.film_um)
-    look, albedo, texture = organ.appearance or _PLAIN, np.array(_PLAIN_ALBEDO), None
-    if settings.imaging == "narrow-band":
-        look, albedo = narrow_band_appearance(look), narrow_band_reflectance(albedo)
+    look, texture = imaging.appearance(organ.appearance or _PLAIN), None
+    albedo = imaging.reflectance(np.array(_PLAIN_ALBEDO))
     if organ.appearance is not None:
         height = np.ascontiguousarray(look.height, np.float32)
         texture = _core.Texture(look.albedo, look.roughness, height)
@@ -359,7 +356,7 @@ def _scene(organ: OrganSurface, settings: RenderSettings) -> _core.Scene:
         albedo=tuple(albedo),
         roughness=_PLAIN_ROUGHNESS,
         reflectance=(look.ior, look.coat, coat_alpha(look.coat_gloss)),
-        tissue=tissue_figures(settings.imaging) if settings.scattering else None,
+        tissue=tissue_figures(imaging.bands_nm) if settings.scattering else None,
     )
 
 

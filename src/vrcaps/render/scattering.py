@@ -1,31 +1,27 @@
 """Light that enters tissue, is scattered in it and leaves again: optical properties and theory.
 
-What `light="path"` walks at random is stated here in closed form: a half-space that scatters evenly
-in all directions behind a smooth border. The texture's colour is what such tissue gives back of
-even light; from it follows how much it absorbs, with the measured scattering of colon.
+What `light="path"` walks at random, and `light="quick"` by rows of such walks, is stated here in
+closed form: a half-space that scatters evenly in all directions behind a smooth border. The
+texture's colour is what such tissue gives back of even light; from it follows how much it absorbs,
+with the measured scattering of colon.
 """
 
 from __future__ import annotations
 
 import functools
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 if TYPE_CHECKING:
     from jaxtyping import Float
+    from numpy.typing import NDArray
 
 TISSUE_IOR = 1.4
 """Refractive index of gut mucosa and submucosa against gas (Holmer et al., J. Biomed. Opt. 12(1),
 014025, 2007, give 1.35 to 1.4 for colon mucosa; Bolin et al., Appl. Opt. 28(12), 1989: 1.37 to
 1.41 for soft tissue)."""
-
-BANDS_NM = {
-    "white-light": (610.0, 545.0, 465.0),
-    "narrow-band": (540.0, 415.0, 415.0),
-}
-"""Middle of what the image's red, green and blue are lit by [nm], by imaging mode."""
 
 _SCATTERING_300 = 1420.0
 """Reduced scattering coefficient of colon at 300 nm [1/m]; with the next: 14.2 to 6.2 per cm from
@@ -170,6 +166,22 @@ def diffuse_reflectance(
     return a / (below + (1.0 + 2.0 * k / 3.0) * np.sqrt(3.0 * (1.0 - a)))
 
 
+def carried_density(
+    density: Float[np.ndarray, "*n"], factor: float | Float[np.ndarray, "*n"]
+) -> Float[np.ndarray, "*n"]:
+    """Optical density of tissue at another wavelength, by diffusion.
+
+    Args:
+        density: Logarithm of one over what tissue reflects of what it would without absorption.
+        factor: Absorption over the reduced scattering coefficient there, relative to the same here.
+    """
+    internal = internal_reflection(TISSUE_IOR)
+    absorption = np.concatenate([[0.0], np.geomspace(1e-8, 1e3, 2000)])
+    known = -np.log(diffuse_reflectance(absorption, internal=internal))
+    there = factor * np.interp(density, known, absorption)
+    return -np.log(diffuse_reflectance(there, internal=internal))
+
+
 @dataclass(frozen=True)
 class Medium:
     """Tissue as diffusion knows it.
@@ -254,15 +266,59 @@ def albedo_roots(ior: float = TISSUE_IOR) -> Float[np.ndarray, " n"]:
     return np.interp(wanted, color[::-1], root[::-1])
 
 
-def tissue_figures(
-    imaging: str,
-) -> tuple[tuple[float, float, float], float, float, Float[np.ndarray, " n"]]:
+def mean_cosine(ior: float) -> float:
+    """Mean cosine inside of even light outside that has entered, weighted by its flux."""
+    cosine, weight = _directions(ior)
+    flux = weight * cosine * (1.0 - fresnel(cosine, 1.0 / ior))
+    return float(np.sum(flux * cosine) / np.sum(flux))
+
+
+@functools.cache
+def color_slopes(ior: float = TISSUE_IOR) -> Float[np.ndarray, " n"]:
+    """How a half-space under even light looks by angle, for base colours 0 to 1 in even steps.
+
+    Inside it sends the mean radiance times 1 + slope (m − cosine) to its border, with m the
+    `mean_cosine`: brighter the flatter, as flat ways gather light from less deep. A straight line
+    by least squares over what passes the border.
+    """
+    cosine, weight = _directions(ior)
+    flux = weight * cosine * (1.0 - fresnel(cosine, 1.0 / ior))
+    color, few = np.linspace(0.0, 1.0, _COLORS), np.linspace(0.01, 1.0, 34)
+    root = np.interp(few, color, albedo_roots(ior))
+    inside = _radiance_inside(1.0 - root**2, ior)
+    less = mean_cosine(ior) - cosine
+    slope = inside @ (flux * less) / np.sum(flux * less**2) / (inside @ flux / np.sum(flux))
+    return np.interp(color, few, slope)
+
+
+class TissueFigures(NamedTuple):
     """What the core walks in.
 
-    Returns:
-        µs′ of red, green and blue [1/m], refractive index, share of even light that enters, and
-        `albedo_roots`.
+    Attributes:
+        scattering: µs′ of red, green and blue [1/m].
+        ior: Refractive index.
+        entering: Share of even light that enters.
+        roots: `albedo_roots`.
+        level: `mean_cosine`.
+        slopes: `color_slopes`.
     """
-    red, green, blue = (reduced_scattering(band) for band in BANDS_NM[imaging])
-    roots = albedo_roots(TISSUE_IOR).astype(np.float32)
-    return (red, green, blue), TISSUE_IOR, entering_share(TISSUE_IOR), roots
+
+    scattering: tuple[float, float, float]
+    ior: float
+    entering: float
+    roots: NDArray[np.float32]
+    level: float
+    slopes: NDArray[np.float32]
+
+
+def tissue_figures(bands_nm: tuple[float, float, float]) -> TissueFigures:
+    """Tissue by the middle of what the image's red, green and blue are lit by [nm]."""
+    red, green, blue = (reduced_scattering(band) for band in bands_nm)
+    return TissueFigures(
+        (red, green, blue),
+        TISSUE_IOR,
+        entering_share(TISSUE_IOR),
+        albedo_roots(TISSUE_IOR).astype(np.float32),
+        mean_cosine(TISSUE_IOR),
+        color_slopes(TISSUE_IOR).astype(np.float32),
+    )

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal, get_args
 
-from vrcaps.errors import InputError, UnknownNameError
+from vrcaps.errors import InputError, UnknownNameError, require
 from vrcaps.render.film import THICKEST_UM
 
 Light = Literal["direct", "quick", "path"]
@@ -25,13 +25,15 @@ class RenderSettings:
         samples: Paths that path tracing follows for each ray; noise falls with their square root.
         depth: Most reflections of a path, 1 to 100; 1 is direct light with shadows.
         light_seed: Chooses the paths.
-        scattering: Whether light goes through the tissue behind the wall, by random walks, so that
-            shadows and relief are soft and thin folds shine through; only with path tracing.
+        scattering: Whether light goes through the tissue behind the wall, so that shadows and
+            relief are soft and thin folds shine through: by random walks with path tracing, by rows
+            of such walks kept for the wall with quick light; not with direct light.
         denoise: Whether Open Image Denoise filters light beyond the first reflection; only with
             path tracing. Needs `pip install 'vrcaps[denoise]'`.
         film_um: Thickness of the wet film on the wall [µm], 0 (dry) to 1000; by default that of the
             organ's own look, which is wet.
-        imaging: White light, or narrow bands about 415 and 540 nm, in which vessels stand out.
+        imaging: White light of the capsule's LEDs, or narrow bands about 415 and 540 nm, in which
+            vessels stand out.
     """
 
     supersampling: int = 1
@@ -48,8 +50,8 @@ class RenderSettings:
     def __post_init__(self) -> None:
         if self.light not in get_args(Light):
             raise UnknownNameError("light", self.light, get_args(Light))
-        if self.scattering and self.light != "path":
-            raise InputError(f"Scattering goes with light path, not {self.light}. Drop one.")
+        if self.scattering and self.light == "direct":
+            raise InputError("Scattering goes with light quick or path, not direct. Drop one.")
         film = 0.0 if self.film_um is None else self.film_um
         for name, value, valid, allowed in (
             ("Supersampling", self.supersampling, self.supersampling >= 1, "1, 2, 3, …"),
@@ -58,8 +60,7 @@ class RenderSettings:
             ("Film", film, 0.0 <= film <= THICKEST_UM, f"0 to {THICKEST_UM:g} [µm]"),
             ("Light seed", self.light_seed, 0 <= self.light_seed < 2**64, "0 to 2^64 − 1"),
         ):
-            if not valid:
-                raise InputError(f"{name} is {value}. Allowed: {allowed}.")
+            require(valid, name, value, allowed)
         if self.denoise and self.light != "path":
             raise InputError(
                 f"Light {self.light!r} has no noise to take away. "

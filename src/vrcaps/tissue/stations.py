@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps.organ.surface import Centerline
+from vrcaps.organ.surface import Centerline, OrganSurface
 from vrcaps.units import MM
 
 if TYPE_CHECKING:
@@ -19,3 +19,16 @@ _SPACING = 1.0 * MM
 def stations(centerline: Centerline) -> Float[np.ndarray, " k"]:
     """Arc lengths [m] of the stations: equally far apart, from end to end, about 1 mm."""
     return np.linspace(0.0, centerline.length, max(2, math.ceil(centerline.length / _SPACING) + 1))
+
+
+def to_stations(
+    organ: OrganSurface,
+) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, " n"]]:
+    """From each vertex to the centreline [m], and its place along the stations [spacings]."""
+    curve = organ.centerline
+    nearest = np.stack(
+        [np.interp(organ.arc_length, curve.arc_length, curve.points[:, k]) for k in range(3)],
+        axis=1,
+    )
+    place = organ.arc_length / stations(curve)[1]
+    return nearest - organ.vertices, np.ascontiguousarray(place, float)

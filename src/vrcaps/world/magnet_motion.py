@@ -20,7 +20,7 @@ from vrcaps.units import CM, DEG, MM
 from vrcaps.world.control import Control
 from vrcaps.world.goal import Goal, gut_goal, onto_wall
 from vrcaps.world.model import Model
-from vrcaps.world.schedule import read_numbers, require_rising
+from vrcaps.world.schedule import read_numbers, require_rising, require_series, row_at
 from vrcaps.world.steering import Pilot, Steering
 from vrcaps.world.wall_path import Follower, WallPath, gut_wall_path
 
@@ -156,10 +156,7 @@ def check_waypoints(waypoints: tuple[Waypoint, ...], where: str) -> None:
     Raises:
         InputError: If not; names the entry.
     """
-    for index, point in enumerate(waypoints):
-        if not np.isfinite((point.time, point.arc_length, point.yaw, point.pitch)).all():
-            raise InputError(f"{where}: entry {index} is not finite. Allowed: finite numbers.")
-    require_rising([point.time for point in waypoints], where)
+    require_series([tuple(vars(point).values()) for point in waypoints], where)
 
 
 def check_axes(axes: tuple[Axes, ...], where: str) -> None:
@@ -270,9 +267,9 @@ class Commander:
         s, points = self.settings, self._waypoints
         place, yaw, pitch = self._start, 0.0, 0.0
         if points:
-            times = [point.time for point in points]
-            rows = np.array([[point.arc_length, point.yaw, point.pitch] for point in points])
-            place, yaw, pitch = (float(np.interp(time, times, column)) for column in rows.T)
+            place, yaw, pitch = row_at(
+                [tuple(vars(point).values()) for point in points], time
+            ).tolist()
         elif self.follower is not None:
             end = s.until * self._line.length
             place += self.follower.share * (end - place)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -68,17 +69,21 @@ def wrench_at(wrenches: tuple[Wrench, ...], time: float) -> Float[np.ndarray, "2
     """Force [N] and torque [N·m] at a time: linear between entries, constant beyond them."""
     if not wrenches:
         return np.zeros((2, 3))
-    times = [wrench.time for wrench in wrenches]
-    rows = np.array([(*wrench.force, *wrench.torque) for wrench in wrenches])
-    return np.array([np.interp(time, times, column) for column in rows.T]).reshape(2, 3)
+    rows = [(wrench.time, *wrench.force, *wrench.torque) for wrench in wrenches]
+    return row_at(rows, time).reshape(2, 3)
 
 
 def insufflation_at(insufflation: tuple[Insufflation, ...], time: float) -> float:
     """Factor on the lumen's radius at a time: linear between entries, constant beyond them."""
     if not insufflation:
         return 1.0
-    factors = [entry.factor for entry in insufflation]
-    return float(np.interp(time, [entry.time for entry in insufflation], factors))
+    return float(row_at([(entry.time, entry.factor) for entry in insufflation], time)[0])
+
+
+def row_at(rows: Sequence[tuple[float, ...]], time: float) -> Float[np.ndarray, " k"]:
+    """Columns after the first, which is time: linear between rows, constant beyond them."""
+    times, *columns = np.transpose(rows)
+    return np.array([np.interp(time, times, column) for column in columns])
 
 
 def patient_at(
@@ -160,10 +165,7 @@ def check_wrenches(wrenches: tuple[Wrench, ...], where: str) -> None:
     Raises:
         InputError: If not; names the entry.
     """
-    for index, wrench in enumerate(wrenches):
-        if not np.isfinite((wrench.time, *wrench.force, *wrench.torque)).all():
-            raise InputError(f"{where}: entry {index} is not finite. Allowed: finite numbers.")
-    require_rising([wrench.time for wrench in wrenches], where)
+    require_series([(wrench.time, *wrench.force, *wrench.torque) for wrench in wrenches], where)
 
 
 def check_insufflation(insufflation: tuple[Insufflation, ...], where: str) -> None:
@@ -200,6 +202,18 @@ def check_turns(turns: tuple[Turn, ...], where: str) -> None:
                 f"{where}: the turn to {after.posture} begins at {after.at:g} s, before the one to "
                 f"{before.posture} ends at {before.at + before.over:g} s. Give them in order."
             )
+
+
+def require_series(rows: Sequence[tuple[float, ...]], where: str) -> None:
+    """Check that all numbers of rows are finite and times, their first, rise.
+
+    Raises:
+        InputError: If not; names the entry.
+    """
+    for index, row in enumerate(rows):
+        if not np.isfinite(row).all():
+            raise InputError(f"{where}: entry {index} is not finite. Allowed: finite numbers.")
+    require_rising([row[0] for row in rows], where)
 
 
 def require_rising(times: list[float], where: str) -> None:

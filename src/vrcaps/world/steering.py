@@ -15,7 +15,7 @@ from vrcaps.magnet.field import SourceSet
 from vrcaps.magnet.sources import Cylinder, Dipole, Source
 from vrcaps.magnet.steering.aim import Aim, Wish
 from vrcaps.magnet.steering.holder import Held, Holder
-from vrcaps.magnet.steering.turn import at_most, length, turned
+from vrcaps.magnet.steering.turn import at_most, length, past, turned
 from vrcaps.units import CM, DEG, MM
 from vrcaps.world.control import Control
 from vrcaps.world.goal import Goal
@@ -37,6 +37,8 @@ _SLOW, _CALM = 4.0 * CM, 0.3
 time [s]: the magnet, slower than the slide, would only stir it."""
 _NEAR, _BEHIND = 0.5, 0.9
 """Distance from the leading point, in leads, within which the capsule follows, and beyond which…"""
+_MOST = 4.0
+"""Most pull along the magnet's axis, by the force that is borne."""
 _FIRST_ROUNDS, _ROUNDS = 60, 8
 
 
@@ -189,7 +191,7 @@ class Pilot:
         wish = Wish(needed.tolist(), torque.tolist(), weights.tolist(), _TORQUE)
         aimed = self._aim.solve(wish, led, self._wanted, rounds=_ROUNDS)
         self._wanted, self._hold = aimed.T_world_magnet, aimed.hold
-        held = self.holder.move(self.steered.held, self._wanted, dt)
+        held = self.holder.move(self.steered.held, self._clear(T, length(borne)), dt)
         short = length(free @ (needed - aimed.force))
         weak = short > 0.01 + 0.25 * length(needed)
         lost = self._lost(world.field_angle(T), fallen=fallen, weak=weak)
@@ -268,6 +270,19 @@ class Pilot:
     def _command(self, held: Held) -> Control:
         others = [other.T_world_magnet for other in self._others]
         return Control(Ts_world_magnet=np.array([held.T_world_magnet, *others]))
+
+    def _clear(
+        self, T_world_capsule: Float[np.ndarray, "4 4"], borne: float
+    ) -> Float[np.ndarray, "4 4"]:
+        """The pose wanted, or one on the way there that does not draw the capsule up to itself.
+
+        At most twice the force that is borne [N] is asked for, and from any side the magnet can
+        pull with half of what it can along its axis: no nearer than for that it need be.
+        """
+        apart = max(self._aim.farthest(_MOST * borne), self._aim.room.apart)
+        clear, held = self._wanted.copy(), self.steered.held.T_world_magnet
+        clear[:3, 3] = past(held[:3, 3], clear[:3, 3], T_world_capsule[:3, 3], apart)
+        return clear
 
     def _pressed(self, goal: Goal) -> float:
         """Force between capsule and wall [N], on the wall at the goal's side."""

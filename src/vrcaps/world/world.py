@@ -13,13 +13,9 @@ from vrcaps.capsule.body import Body, homogeneous_body
 from vrcaps.errors import InputError, require
 from vrcaps.magnet.sources import Source
 from vrcaps.tissue.motility.muscle import Muscle
-from vrcaps.tissue.stations import stations
+from vrcaps.tissue.stations import stations, to_stations
 from vrcaps.tissue.tissue import Tissue
-from vrcaps.transforms import (
-    invert,
-    quaternion_from_matrix,
-    rotate_vectors,
-)
+from vrcaps.transforms import invert, quaternion_from_matrix, rotate_vectors
 from vrcaps.world.afloat import PIECE, SWEEP, Afloat
 from vrcaps.world.control import Control
 from vrcaps.world.layer import exchange_rows, layer_under
@@ -29,8 +25,6 @@ from vrcaps.world.snapshot import Snapshot, check_snapshot
 
 if TYPE_CHECKING:
     from jaxtyping import Float
-
-    from vrcaps.organ.surface import OrganSurface
 
 GRAVITY = 9.80665
 """Standard acceleration of gravity [m/s²] (CGPM 1901)."""
@@ -101,7 +95,7 @@ class World:
         self._core = _core.World(self._wall, self.body, tissue.material, tissue.drag, quick, pose)
         if self.layer is not None:
             self.layer.carry(self._core)
-        self._core.set_drive(*_drive(organ))
+        self._core.set_drive(*to_stations(organ))
         self._pull = Pull(self._core, model.device.magnets, sources)
         self._num_stations = len(stations(organ.centerline))
         self._calibre: Float[np.ndarray, " k"] = np.ones(self._num_stations)
@@ -377,17 +371,6 @@ def _over_all(reactions: list[tuple[Any, ...]]) -> tuple[Any, ...]:
     force, torque, grip, work, *_ = (np.array(values) for values in zip(*reactions, strict=True))
     means = (force.mean(axis=0), torque.mean(axis=0), grip.mean(), work.sum())
     return (*means, *reactions[-1][4:])
-
-
-def _drive(organ: OrganSurface) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, " n"]]:
-    """From each vertex to the centreline [m], and its place along the stations."""
-    curve = organ.centerline
-    nearest = np.stack(
-        [np.interp(organ.arc_length, curve.arc_length, curve.points[:, k]) for k in range(3)],
-        axis=1,
-    )
-    station = organ.arc_length / stations(curve)[1]
-    return nearest - organ.vertices, np.ascontiguousarray(station, float)
 
 
 def _check_substep(substep: float, tissue: Tissue) -> None:

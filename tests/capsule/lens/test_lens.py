@@ -197,8 +197,8 @@ def test_parameters_must_be_finite_numbers(value):
         (lambda: LensEquirectangular(1.0, 0.0, 0.0, 0.0), "fy = 0.0. Allowed: above 0"),
         (lambda: LensScaramuzza(-5.0, 0, 0, 0, 0, 0), "increases with the radius nowhere"),
         (lambda: LensScaramuzza(5.0, 0, 0, 0, 0, 0, 0.0), r"stretch c - d e = 0.0. Allowed: above"),
-        (lambda: LensEquidistant(2.0, 0.0, 0.0, 4.0), "max_angle = 4.0. Allowed: 0 to π rad"),
-        (lambda: LensEquidistant(2.0, 0.0, 0.0, 0.0), "max_angle = 0.0. Allowed: 0 to π rad"),
+        (lambda: LensEquidistant(2.0, 0.0, 0.0, 4.0), "max_angle = 4.0. Allowed: above 0 to π rad"),
+        (lambda: LensEquidistant(2.0, 0.0, 0.0, 0.0), "max_angle = 0.0. Allowed: above 0 to π rad"),
     ],
 )
 def test_impossible_parameters_are_refused(make, text):

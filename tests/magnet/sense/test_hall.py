@@ -13,6 +13,7 @@ from vrcaps.magnet.sense.hall import HallArray, hall_grid, miscalibrated, read_h
 from vrcaps.magnet.sources import Dipole, Uniform, magnet_pose
 
 ARRAY = hall_grid(0.3, 4)
+RNG = np.random.default_rng(0)
 MAGNET = Dipole(1.0, magnet_pose((0.02, 0.01, 0.12), (1, 0, -2)))
 
 
@@ -62,8 +63,13 @@ def test_grid_stands_in_its_frame():
         (lambda: replace(ARRAY, noise=-1.0), r"HallArray noise is -1\.0\. Allowed: 0 or more"),
         (lambda: replace(ARRAY, resolution=np.nan), r"HallArray resolution is nan"),
         (lambda: replace(ARRAY, range=0.0), r"HallArray range is 0\.0\. Allowed: above 0"),
-        (lambda: hall_grid(0.0, 4), r"width is 0\.0\. Allowed: above 0"),
+        (lambda: hall_grid(0.0, 4), r"array's width is 0\.0\. Allowed: above 0"),
         (lambda: hall_grid(0.3, 1), r"count is 1\. Allowed: 2 or more"),
+        (
+            lambda: miscalibrated(ARRAY, RNG, gain=-1.0),
+            r"error of gain is -1\.0\. Allowed: 0 or more",
+        ),
+        (lambda: miscalibrated(ARRAY, RNG, offset=np.nan), r"error of offset is nan"),
     ],
 )
 def test_impossible_arrays(make, message):

@@ -99,6 +99,14 @@ def test_magnetometer_reads_the_field_in_its_frame():
     [
         (lambda: Inertial(rate=0.0), r"Inertial rate is 0\.0\. Allowed: above 0 Hz"),
         (lambda: Inertial(gyroscope_noise=-1.0), r"Inertial gyroscope_noise is -1\.0"),
+        (
+            lambda: Inertial(gyroscope_walk=-1.0),
+            r"Inertial gyroscope_walk is -1\.0\. Allowed: 0 or",
+        ),
+        (
+            lambda: Inertial(accelerometer_range=0.0),
+            r"accelerometer_range is 0\.0\. Allowed: above",
+        ),
         (lambda: Magnetometer(noise=-1.0), r"Magnetometer noise is -1\.0\. Allowed: 0 or more"),
         (lambda: Magnetometer(range=0.0), r"Magnetometer range is 0\.0\. Allowed: above 0"),
     ],

@@ -64,6 +64,18 @@ def test_guess_points_the_field_along_the_moment():
         np.testing.assert_allclose(flux / np.linalg.norm(flux), capsule[:3, 2], atol=1e-9)
 
 
+def test_farthest_is_where_the_coaxial_pull_is_the_force():
+    """Of point dipoles; less than a millinewton is not asked for."""
+    dipole = Dipole(500.0)
+    magnets = (InternalMagnet((0, 0, 0), (0, 0, 1.12)),)
+    aim = Aim(SourceSet([dipole]), magnets, Room())
+    for force in (2e-3, 0.3, 5.0):
+        place = magnet_pose((0, 0, aim.farthest(force)), (0, 0, 1))
+        pull = wrench([Dipole(500.0, place)], magnets, np.eye(4))[0]
+        np.testing.assert_allclose(pull, [0, 0, force], rtol=1e-9, atol=1e-12)
+    assert aim.farthest(0.0) == aim.farthest(1e-3)
+
+
 def twin_wrench(source, capsule: np.ndarray):
     """Wrench of a magnet on `MAGNETS` and of the earth, by formula or by magpylib."""
     inside = MAGNETS[0]

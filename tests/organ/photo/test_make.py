@@ -8,8 +8,9 @@ import pytest
 from PIL import Image
 from scipy import ndimage
 
+from vrcaps.color import LUMINANCE
 from vrcaps.errors import InputError
-from vrcaps.organ.photo.color import LUMINANCE, from_log_linear, log_linear
+from vrcaps.organ.photo.color import from_log_linear, log_linear
 from vrcaps.organ.photo.make import TextureRecipe, make_texture
 from vrcaps.organ.photo.read import Photo, read_photos
 from vrcaps.organ.photo.report import write_report

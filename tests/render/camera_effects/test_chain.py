@@ -187,6 +187,133 @@ def test_gain_makes_noise_and_light_does_not(renderer: Renderer) -> None:
     assert spread[1] > 1.3 * spread[0]
 
 
+def fixed(rng: np.random.Generator, height: int, width: int) -> dict:
+    """Every stage, on an image whose corner is dark."""
+    planes = rng.random((3, height, width), np.float32)
+    lit = np.ones((height, width), bool)
+    lit[:7, :9] = False
+    return {
+        "lit": lit,
+        "cosine": np.full((height, width), 0.8, np.float32),
+        "defocus": (0.03, 0.015),
+        "film": (0.5 + 0.5 * planes, 1.0 - 0.3 * planes[0], float(lit.sum())),
+        "scales": ((0.5 * width, 0.5 * height), (1.01, 1.0, 0.99)),
+        "shade": 1.0 - 0.5 * planes[1],
+        "bloom": (0.1, 5.0),
+        "pattern": [_core.normals((3 * height, width), 3, k) * 0.01 + 1 - k for k in (0, 1)],
+        "mosaic": None,
+        "jpeg": (60, None),
+    }
+
+
+def shot(rng: np.random.Generator, height: int, width: int) -> dict:
+    distance = rng.uniform(0.005, 0.08, (height, width)).astype(np.float32)
+    front = (rng.random((height, width)) < 0.2).astype(np.uint8)
+    motion = rng.normal(0, 6, (height // 4, width // 4, 2)).astype(np.float32)
+    pixels = rng.choice(height * width, 40, replace=False).astype(np.uint32)
+    return {
+        "factor": 1.3,
+        "motion": (motion, 4, (0.3, 0.2, 0.25)),
+        "distance": (distance, front, 0.5 * distance),
+        "drops": (
+            pixels,
+            rng.integers(0, height * width, (40, 3), dtype=np.uint32),
+            rng.random((40, 3), np.float32) / 2,
+        ),
+        "readout": Noise(900.0, 5.0).readout(1.1, (0.6, 1.0, 0.7), 1.2),
+        "gains": (1.0, 1.1, 0.9),
+        "key": (9, 4),
+    }
+
+
+def one_by_one(radiance: np.ndarray, given: dict, shot: dict) -> np.ndarray:
+    """The same stages, each called by itself."""
+    image = np.ascontiguousarray(np.moveaxis(radiance, 0, -1))
+    motion, step, times = shot["motion"]
+    planes = _core.blur_motion(image, given["lit"], (motion, step), times, shot["factor"])
+    wall, front, depth = shot["distance"]
+    distance = np.where(front == 1, depth / given["cosine"], wall)
+    planes = _core.defocus(planes, distance, *given["defocus"])
+    planes = _core.through_dome(planes, given["film"], shot["drops"])
+    planes = _core.scale_planes(planes, *given["scales"])
+    planes = _core.bloom(_core.shade_planes(planes, given["shade"]), *given["bloom"])
+    mosaic = given["mosaic"]
+    planes = _core.read_sensor(planes, given["pattern"], shot["readout"], mosaic, shot["key"])
+    if mosaic is not None:
+        planes = _core.demosaic(planes, mosaic)
+    rgb = _core.develop(planes, shot["gains"], given["lit"])
+    quality, most = given["jpeg"]
+    return _core.jpeg(rgb, quality if most is None else _core.jpeg_quality(rgb, quality, most))
+
+
+@pytest.mark.parametrize("mosaic", [None, (0, 1, 1, 2)])
+@pytest.mark.parametrize("most_bytes", [None, 2500])
+def test_all_stages_at_once_are_all_stages_in_turn(mosaic, most_bytes, rng) -> None:
+    height, width = 61, 83
+    given = fixed(rng, height, width) | {"mosaic": mosaic, "jpeg": (60, most_bytes)}
+    if mosaic is not None:
+        given["pattern"] = [array[:height] for array in given["pattern"]]
+    stages = _core.CameraStages(given)
+    for _ in range(2):  # the second time in memory of the first
+        radiance, now = rng.random((3, height, width), np.float32), shot(rng, height, width)
+        seen = stages.apply(radiance, now)
+        assert np.array_equal(seen, one_by_one(radiance, given, now))
+
+
+def test_stages_that_are_off_leave_the_image_as_it_is(rng: np.random.Generator) -> None:
+    off = dict.fromkeys(("defocus", "film", "scales", "shade", "bloom", "mosaic", "jpeg"))
+    given = fixed(rng, 24, 28) | off
+    now = shot(rng, 24, 28) | dict.fromkeys(("motion", "distance", "drops", "readout"))
+    radiance = rng.random((3, 24, 28), np.float32)
+    planes = radiance * np.float32(1.3)
+    seen = _core.CameraStages(given).apply(radiance, now)
+    assert np.array_equal(seen, _core.develop(planes, now["gains"], given["lit"]))
+
+
+def test_light_is_metered_on_few_lit_pixels(rng: np.random.Generator) -> None:
+    given = fixed(rng, 24, 28)
+    radiance = rng.random((3, 24, 28), np.float32)
+    factors = np.array([0.4, 1.6, 0.2])
+    luminance = np.minimum((factors @ radiance.reshape(3, -1)).reshape(24, 28) * given["shade"], 1)
+    thin = np.s_[2::4, 2::4]
+    expected = luminance[thin][given["lit"][thin]].mean()
+    metered = _core.CameraStages(given).meter(radiance, tuple(factors))
+    assert metered == pytest.approx(expected, rel=1e-6)
+    dark = _core.CameraStages(given | {"lit": np.zeros((24, 28), bool)})
+    assert dark.meter(radiance, tuple(factors)) == 0.0
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"lit": np.ones((24, 27), bool)},
+        {"cosine": np.ones((23, 28), np.float32)},
+        {"shade": np.ones((28, 24), np.float32)},
+        {"mosaic": (0, 1, 1, 2)},
+        {"mosaic": (0, 1, 1, 3), "pattern": [np.ones((24, 28), np.float32)] * 2},
+    ],
+)
+def test_stages_that_do_not_fit_each_other(wrong: dict, rng: np.random.Generator) -> None:
+    with pytest.raises(ValueError, match="of one size"):
+        _core.CameraStages(fixed(rng, 24, 28) | wrong)
+
+
+def test_frames_that_do_not_fit_the_stages(rng: np.random.Generator) -> None:
+    stages, now = _core.CameraStages(fixed(rng, 24, 28)), shot(rng, 24, 28)
+    image = np.ones((3, 24, 28), np.float32)
+    wrong = (
+        (image[:, :20], now),
+        (image, now | {"distance": None}),
+        (image, now | {"motion": (np.ones((2, 2, 3), np.float32), 4, (0.1, 0.1, 1.0))}),
+        (image, now | {"distance": (image[0], np.ones((3, 3), np.uint8), image[0])}),
+    )
+    for radiance, frame in wrong:
+        with pytest.raises(ValueError, match="of one size"):
+            stages.apply(np.ascontiguousarray(radiance), frame)
+    with pytest.raises(ValueError, match="of one size"):
+        stages.meter(image[:, :, :5].copy(), (1.0, 1.0, 1.0))
+
+
 SCRIPT = """
 import hashlib, numpy as np
 from vrcaps import _core
@@ -195,7 +322,7 @@ image = rng.random((61, 83, 3), np.float32)
 lit = np.ones((61, 83), bool)
 motion = rng.normal(0, 9, (16, 21, 2)).astype(np.float32)
 distance = rng.uniform(0.005, 0.08, (61, 83)).astype(np.float32)
-planes = _core.blur_motion(image, lit, (motion, 4), (0.3, 0.2), 1.0)
+planes = _core.blur_motion(image, lit, (motion, 4), (0.3, 0.2, 0.4), 1.0)
 planes = _core.defocus(planes, distance, 0.03, 0.015)
 planes = _core.scale_planes(planes, (41.0, 30.0), (1.01, 1.0, 0.99))
 planes = _core.bloom(_core.shade_planes(planes, distance * 10), 0.1, 5.0)
@@ -222,7 +349,7 @@ def test_stages_are_the_same_bytes_on_any_number_of_threads() -> None:
 
 
 def blur(f, lit: tuple[int, ...], motion: tuple[int, ...]):
-    return _core.blur_motion(f(4, 4, 3), f(*lit) > 0, (f(*motion), 4), (0.1, 0.1), 1.0)
+    return _core.blur_motion(f(4, 4, 3), f(*lit) > 0, (f(*motion), 4), (0.1, 0.1, 1.0), 1.0)
 
 
 def table(f) -> _core.RayTable:

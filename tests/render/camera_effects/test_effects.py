@@ -29,7 +29,7 @@ def test_effects_as_a_user_writes_them() -> None:
         ("doff=1", UnknownNameError, "No effect named 'doff'. Known: .*depth_of_field"),
         ("", UnknownNameError, "No effect named ''"),
         ("dof=5", InputError, "depth_of_field has the grade 5. Allowed: 0 to 4"),
-        ("dof=3..1", InputError, "has the grade"),
+        ("dof=3..1", InputError, r"has the grade 3\.\.1\."),
         ("dof=much", InputError, "has no grade. Allowed: NAME=0"),
         ("dof", InputError, "has no grade"),
         ("random=2", UnknownNameError, "No effect named 'random'"),

@@ -33,10 +33,11 @@ def moved(
     shutter: float,
     readout: float,
     lit: np.ndarray | None = None,
+    pulse: float = np.inf,
 ) -> np.ndarray:
     """An image [h w 3] that moves, by its motion at every fourth pixel."""
     lit = np.ones(image.shape[:2], bool) if lit is None else lit
-    planes = _core.blur_motion(image, lit, (motion, 4), (shutter, readout), 1.0)
+    planes = _core.blur_motion(image, lit, (motion, 4), (shutter, readout, pulse), 1.0)
     return np.moveaxis(planes, 0, -1)
 
 
@@ -208,3 +209,39 @@ def test_unknown_motion_is_that_of_its_neighbours() -> None:
 def test_what_cannot_be(make, match: str) -> None:
     with pytest.raises(InputError, match=match):
         make()
+
+
+def still_line(pulse: float, readout: float = 0.4, shutter: float = 0.2) -> np.ndarray:
+    """Rows of an even image that stands still, under LEDs lit for a part of a frame's time."""
+    image, motion = np.ones((64, 8, 3), np.float32), np.zeros((16, 2, 2), np.float32)
+    return moved(image, motion, shutter, readout, pulse=pulse)[:, 4, 1]
+
+
+def test_rows_take_as_much_of_a_pulse_as_falls_into_their_time() -> None:
+    """A row open from a to b takes of a pulse about 0 its overlap, over the shorter of the two."""
+    middle = 0.4 * ((np.arange(64) + 0.5) / 64 - 0.5)
+    for pulse in (0.1, 0.2, 0.3):
+        overlap = np.minimum(middle + 0.1, 0.5 * pulse) - np.maximum(middle - 0.1, -0.5 * pulse)
+        expected = np.clip(overlap, 0.0, None) / min(0.2, pulse)
+        np.testing.assert_allclose(still_line(pulse), expected, atol=1e-6)
+    assert still_line(0.1).min() == 0.0  # rows that are not open in the pulse
+    np.testing.assert_array_equal(still_line(1.0), 1.0)
+
+
+def test_a_pulse_while_all_rows_are_open_is_a_global_shutter() -> None:
+    """An upright edge stays upright under a rolling shutter, and blurs by the pulse alone."""
+    image = np.zeros((64, 64, 3), np.float32)
+    image[:, 32] = 1.0
+    motion = np.broadcast_to(np.float32([40.0, 0.0]), (16, 16, 2)).copy()
+    seen = moved(image, motion, 0.6, 0.4, pulse=0.2)[..., 1]
+    middle = (seen * np.arange(64)).sum(axis=1) / seen.sum(axis=1)
+    np.testing.assert_allclose(middle, 32.0, atol=1e-3)
+    length = np.sqrt(12.0 * (seen * (np.arange(64) - 32.0) ** 2).sum(axis=1) / seen.sum(axis=1))
+    np.testing.assert_allclose(length, 8.0, rtol=0.05)
+    rolled = moved(image, motion, 0.6, 0.4)[..., 1]
+    assert np.ptp((rolled * np.arange(64)).sum(axis=1) / rolled.sum(axis=1)) > 15.0
+
+
+def test_a_pulse_must_last() -> None:
+    with pytest.raises(InputError, match="MotionBlur's led_pulse"):
+        MotionBlur(0.01, led_pulse=0.0)

@@ -7,8 +7,8 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from guts import straight_gut
 
+from tubes import straight_gut
 from vrcaps.capsule.catalog import load_device
 from vrcaps.errors import InputError
 from vrcaps.organ.surface import OrganSurface

@@ -6,10 +6,9 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from guts import straight_gut
 
-from vrcaps.organ.centerline.curve import transport_frames
-from vrcaps.organ.surface import Centerline, OrganSurface, vertex_normals
+from tubes import straight_gut, tube_about
+from vrcaps.organ.surface import OrganSurface
 from vrcaps.tissue.contents.liquid import Liquid
 from vrcaps.tissue.contents.pools import cut_sections, find_pools, submerged
 from vrcaps.units import MM
@@ -18,46 +17,14 @@ RADIUS = 10.0 * MM
 BEND = 40.0 * MM
 
 
-def sheet(points: np.ndarray, around: int = 40) -> OrganSurface:
-    """A tube of `RADIUS` about a curve in the plane y = 0."""
-    tangents = np.gradient(points, axis=0)
-    tangents /= np.linalg.norm(tangents, axis=1, keepdims=True)
-    arc_length = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1)))
-    curve = Centerline(
-        points, arc_length, np.full(len(points), RADIUS), transport_frames(points, tangents)
-    )
-    angle = 2.0 * np.pi * np.arange(around) / around - np.pi + 0.01
-    ring = np.cos(angle)[:, None] * curve.frames[:, None, :, 0]
-    ring = ring + np.sin(angle)[:, None] * curve.frames[:, None, :, 1]
-    vertices = (points[:, None] + RADIUS * ring).reshape(-1, 3)
-    i, j = np.meshgrid(np.arange(len(points) - 1), np.arange(around), indexing="ij")
-    k = (j + 1) % around
-    a, b, c, d = (r * around + q for r, q in ((i, j), (i, k), (i + 1, k), (i + 1, j)))
-    faces = np.concatenate([np.stack([a, c, b], -1), np.stack([a, d, c], -1)]).reshape(-1, 3)
-    count = len(vertices)
-    return OrganSurface(
-        name="tube",
-        vertices=vertices,
-        faces=faces,
-        normals=vertex_normals(vertices, faces),
-        uv=np.zeros((len(faces), 3, 2)),
-        label=np.ones(count, np.uint8),
-        label_names=("background", "tube"),
-        instance=np.zeros(count, np.uint16),
-        arc_length=np.repeat(arc_length, around),
-        theta=np.tile(angle, len(points)),
-        radius=np.full(count, RADIUS),
-        centerline=curve,
-    )
-
-
 def wave(crests: tuple[float, ...]) -> OrganSurface:
     """A tube that goes up and down: crests at given heights, dips at 0, both ends high."""
     x = np.linspace(0.0, 1.0, 60)
     heights = [60.0 * MM, *(h for crest in crests for h in (0.0, crest)), 0.0, 60.0 * MM]
     ease = 0.5 - 0.5 * np.cos(np.pi * x)
     z = np.concatenate([a + (b - a) * ease for a, b in pairwise(heights)])
-    return sheet(np.stack([np.linspace(0, 0.06 * (len(heights) - 1), len(z)), 0 * z, z], 1))
+    points = np.stack([np.linspace(0, 0.06 * (len(heights) - 1), len(z)), 0 * z, z], 1)
+    return tube_about(points, RADIUS, around=40)
 
 
 def test_a_u_tube_holds_its_liquid_level_in_both_legs() -> None:
@@ -66,7 +33,8 @@ def test_a_u_tube_holds_its_liquid_level_in_both_legs() -> None:
     turn = np.linspace(0.0, np.pi, 120)
     down = np.stack([np.full_like(leg, -BEND), 0 * leg, leg], 1)
     bend = np.stack([-BEND * np.cos(turn), 0 * turn, -BEND * np.sin(turn)], 1)
-    organ = sheet(np.concatenate([down, bend, (down * [-1, 1, 1])[::-1]]))
+    points = np.concatenate([down, bend, (down * [-1, 1, 1])[::-1]])
+    organ = tube_about(points, RADIUS, around=40)
     fill = 0.6
     pools = find_pools(organ, cut_sections(organ), Liquid(fill=fill), np.eye(4))
     assert pools is not None and len(pools.levels) == 1

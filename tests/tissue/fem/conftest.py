@@ -6,7 +6,6 @@ from pathlib import Path
 import pytest
 
 sys.path.append(str(Path(__file__).parent))
-sys.path.append(str(Path(__file__).parents[1]))  # straight guts
 
 from fem_shapes import straight_tube
 

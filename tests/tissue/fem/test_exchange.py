@@ -12,9 +12,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from fem_shapes import full
-from guts import straight_gut
 from scipy.sparse.linalg import spsolve
 
+from tubes import straight_gut
 from vrcaps import _core
 from vrcaps.capsule.catalog import load_device
 from vrcaps.errors import InputError
@@ -237,7 +237,7 @@ print(push(world(LAYER)).hex(), push(world(LAYER, velocity=THROWN), 0.002).hex()
 
 def test_the_same_bytes_on_any_number_of_threads() -> None:
     here = Path(__file__).parent
-    code = _RUN.format(here=str(here), above=str(here.parent))
+    code = _RUN.format(here=str(here), above=str(here.parents[1]))
     runs = []
     for threads in ("1", "3"):
         env = os.environ | {"RAYON_NUM_THREADS": threads, "OPENBLAS_NUM_THREADS": threads}

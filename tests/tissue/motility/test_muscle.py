@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from guts import straight_gut
 
+from tubes import straight_gut
 from vrcaps.errors import UnknownNameError
 from vrcaps.tissue.motility.draws import uniform
 from vrcaps.tissue.motility.motility import GiantContractions, Motility

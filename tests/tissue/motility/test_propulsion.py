@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from guts import straight_gut
 
+from tubes import straight_gut
 from vrcaps.errors import InputError, UnknownNameError
 from vrcaps.organ.surface import Centerline
 from vrcaps.tissue.motility.motility import Motility

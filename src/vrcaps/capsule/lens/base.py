@@ -80,7 +80,9 @@ def check_lens(lens: Any, positive: tuple[str, ...]) -> None:
         if name in positive and not value > 0.0:
             raise InputError(f"Lens {lens.kind}: {name} = {value}. Allowed: above 0.")
     if lens.max_angle is not None and not 0.0 < lens.max_angle <= math.pi:
-        raise InputError(f"Lens {lens.kind}: max_angle = {lens.max_angle}. Allowed: 0 to π rad.")
+        raise InputError(
+            f"Lens {lens.kind}: max_angle = {lens.max_angle}. Allowed: above 0 to π rad."
+        )
 
 
 def angles_to_axis(points: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch"]:

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from vrcaps.color import luminance
 from vrcaps.errors import InputError
-from vrcaps.organ.photo.color import LUMINANCE, log_linear
+from vrcaps.organ.photo.color import log_linear
 from vrcaps.organ.photo.mask import field_of_view
 
 if TYPE_CHECKING:
@@ -44,7 +45,7 @@ class Frames:
     @property
     def luminance(self) -> Float[np.ndarray, "n h w"]:
         """Linear luminance, 1 = white."""
-        return self.linear @ LUMINANCE
+        return luminance(self.linear)
 
     @property
     def size(self) -> tuple[int, int]:

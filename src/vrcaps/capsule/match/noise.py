@@ -10,6 +10,7 @@ from scipy.optimize import least_squares
 from scipy.stats import chi2
 
 from vrcaps.capsule.match.frames import Frames
+from vrcaps.color import LINEAR
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -80,7 +81,7 @@ def _blocks(frames: Frames) -> tuple[Float[np.ndarray, " m"], ...]:
     mean = _sums(green[inner])[exposed] / BLOCK**2
     square = _sums(residual**2)[exposed] / BLOCK**2
     code = frames.rgb[..., 1][inner].astype(float)
-    step = np.gradient(_CODE_TO_LINEAR)[code.astype(int)]
+    step = np.gradient(LINEAR)[code.astype(int)]
     rounding = _sums(step**2 / 12.0)[exposed] / BLOCK**2
     return mean, square - rounding, rounding
 
@@ -112,7 +113,3 @@ def _sums(images: Float[np.ndarray, "n h w"]) -> Float[np.ndarray, "n r c"]:
     ends = total[:, BLOCK:, BLOCK:] - total[:, :-BLOCK, BLOCK:]
     sums = ends - total[:, BLOCK:, :-BLOCK] + total[:, :-BLOCK, :-BLOCK]
     return sums[:, ::_STRIDE, ::_STRIDE]
-
-
-_CODE = np.arange(256) / 255.0
-_CODE_TO_LINEAR = np.where(_CODE <= 0.04045, _CODE / 12.92, ((_CODE + 0.055) / 1.055) ** 2.4)

@@ -57,8 +57,8 @@ def hall_grid(
     Raises:
         InputError: If the width is not above 0 or there are fewer than 2 by 2 sensors.
     """
-    require(0.0 < width < np.inf, "width", width, "above 0")
-    require(count >= 2, "count", count, "2 or more")
+    require(0.0 < width < np.inf, "A Hall array's width", width, "above 0")
+    require(count >= 2, "A Hall array's count", count, "2 or more")
     line = np.linspace(-0.5 * width, 0.5 * width, count)
     x, y = (axis.ravel() for axis in np.meshgrid(line, line, indexing="ij"))
     pose = np.eye(4) if T_world_array is None else np.asarray(T_world_array, float)
@@ -76,7 +76,12 @@ def miscalibrated(
         rng: Draws the errors.
         gain: Standard deviation of each component's gain, relative.
         offset: Standard deviation of each component's offset [T].
+
+    Raises:
+        InputError: If one of these is negative or not finite.
     """
+    for name, error in (("gain", gain), ("offset", offset)):
+        require(0.0 <= error < np.inf, f"A Hall array's error of {name}", error, "0 or more")
     shape = np.shape(array.positions_world)
     return replace(
         array,

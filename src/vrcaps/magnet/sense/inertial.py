@@ -64,9 +64,12 @@ class Inertial:
 
     def __post_init__(self) -> None:
         require(0.0 < self.rate < np.inf, "Inertial rate", self.rate, "above 0 Hz")
-        for name in ("accelerometer_noise", "gyroscope_noise"):
-            value = getattr(self, name)
-            require(0.0 <= value < np.inf, f"Inertial {name}", value, "0 or more")
+        for sensor in ("accelerometer", "gyroscope"):
+            for name in (f"{sensor}_noise", f"{sensor}_walk"):
+                value = getattr(self, name)
+                require(0.0 <= value < np.inf, f"Inertial {name}", value, "0 or more")
+            most = getattr(self, f"{sensor}_range")
+            require(most > 0.0, f"Inertial {sensor}_range", most, "above 0")
 
 
 def read_inertial(

@@ -117,6 +117,15 @@ class Aim:
         """Sum of the capsule's moments, in its frame [A·m²]."""
         return self._rows[:, 3:].sum(axis=0)
 
+    def farthest(self, force: float) -> float:
+        """Distance from which the magnet can just pull with a force [N]; at least with 1 mN.
+
+        That of two coaxial dipoles, F = 3 μ₀ m₁ m₂/(2π r⁴).
+        """
+        strong = float(getattr(self.sources.sources[self._index], "moment", 1.0))
+        size = float(np.linalg.norm(self.moment))
+        return (1.5 * MAGNETIC_CONSTANT * strong * size / (np.pi * max(force, 1e-3))) ** 0.25
+
     def solve(
         self,
         wish: Wish,
@@ -152,8 +161,7 @@ class Aim:
     ) -> Float[np.ndarray, "4 4"]:
         """A pose to begin with: along a direction from the capsule, the field along its moment.
 
-        A dipole m̂ ∝ (3/2 r̂ r̂ᵀ − 1) b̂ has its field along b̂ at −r; the distance is that of two
-        coaxial dipoles with the force F = 3 μ₀ m₁ m₂/(2π r⁴).
+        A dipole m̂ ∝ (3/2 r̂ r̂ᵀ − 1) b̂ has its field along b̂ at −r; the distance is `farthest`.
 
         Args:
             T_world_capsule: The capsule.
@@ -162,12 +170,8 @@ class Aim:
         """
         away = np.asarray(direction, float) / np.linalg.norm(direction)
         moment = T_world_capsule[:3, :3] @ self.moment
-        size = float(np.linalg.norm(moment))
         axis = 1.5 * away * (away @ moment) - moment
-        magnet = self.sources.sources[self._index]
-        strong = float(getattr(magnet, "moment", 1.0))
-        root = 3.0 * MAGNETIC_CONSTANT * strong * size / (2.0 * np.pi * max(force, 1e-3))
-        distance = max(root**0.25, self.room.apart)
+        distance = max(self.farthest(force), self.room.apart)
         return self.room.admit(magnet_pose(T_world_capsule[:3, 3] + distance * away, axis))
 
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, ClassVar, Literal
 import numpy as np
 
 from vrcaps.errors import InputError
+from vrcaps.organ.appearance import MUCUS_TINT
 from vrcaps.organ.lesion.base import Lesion, Look, Site, WallSamples, mix, require_range, smoothstep
 from vrcaps.organ.lesion.blood import FIBRIN, under_blood
 from vrcaps.organ.lesion.noise import cloud, grain, swell
@@ -29,6 +30,10 @@ _FILM = 0.35 * MM
 """Thickness of blood where the field that spreads it exceeds its threshold by one deviation."""
 
 
+_MUCOPUS_DEPTH = 1.1
+"""Scattering depth of mucopus where its field exceeds the threshold by one deviation."""
+
+
 @dataclass(frozen=True)
 class Activity:
     """What a Mayo endoscopic subscore looks like (Schroeder, Tremaine and Ilstrup 1987).
@@ -43,6 +48,7 @@ class Activity:
         erosions: Threshold for small erosions.
         ulcers: Threshold for wide ulcers.
         blood: Threshold for films of blood.
+        mucopus: Threshold for films of mucus and pus, bile-stained, on top of it all.
     """
 
     obscured: float
@@ -54,20 +60,27 @@ class Activity:
     erosions: float = np.inf
     ulcers: float = np.inf
     blood: float = np.inf
+    mucopus: float = np.inf
 
 
 ACTIVITIES = {
-    1: Activity(0.92, (1.00, 0.71, 0.60), 0.6, 0.014 * MM, stipple=0.14, petechiae=3.2),
-    2: Activity(1.0, (0.98, 0.74, 0.77), 0.40, 0.017 * MM, petechiae=2.6, erosions=1.4),
+    1: Activity(
+        *(0.92, (0.995, 0.567, 0.364), 0.85, 0.014 * MM),
+        **{"stipple": 0.14, "petechiae": 3.2, "mucopus": 1.5},
+    ),
+    2: Activity(
+        *(1.0, (0.975, 0.707, 0.796), 0.7, 0.017 * MM),
+        **{"petechiae": 2.6, "erosions": 1.4, "mucopus": 1.2},
+    ),
     3: Activity(
-        *(1.0, (0.96, 0.51, 0.43), 0.35, 0.020 * MM),
-        **{"petechiae": 2.3, "erosions": 1.3, "ulcers": 0.6, "blood": 0.6},
+        *(1.0, (0.955, 0.387, 0.254), 0.5, 0.020 * MM),
+        **{"petechiae": 2.3, "erosions": 1.3, "ulcers": 0.6, "blood": 0.6, "mucopus": 1.0},
     ),
 }
 """By Mayo subscore: 1 erythema, decreased vascular pattern; 2 marked erythema, no vascular
-pattern, friability, erosions; 3 spontaneous bleeding, ulceration. Tints are between those at which
-frames have the mean colour of real ones (`benchmarks/fit_appearance.py`) and the hue of blood, and
-of 2, whose few real frames are paler than those of 1, no paler than of 1 by more than 0.03."""
+pattern, friability, erosions; 3 spontaneous bleeding, ulceration. Tints are those at which frames
+have the mean colour of real ones (`benchmarks/fit_appearance.py`); of 2 these few are paler and
+less yellow than of 1, by other cameras as much as by disease."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -137,6 +150,7 @@ class ColitisForm:
         self._mottle = cloud(2.5 * MM, rng)
         self._erosions, self._ulcers = cloud(5.0 * MM, rng), cloud(18.0 * MM, rng)
         self._blood = cloud(12.0 * MM, rng)
+        self._mucopus = cloud(14.0 * MM, rng)
 
     def depth(self, wall: WallSamples) -> Float[np.ndarray, " n"]:
         """Distance within the ragged ends of the band [m]."""
@@ -167,7 +181,10 @@ class ColitisForm:
         color, sloughy, height = self._ulcerated(color, height, points, mottle)
         pooled = np.clip(self._blood(points) + 0.3 * mottle - is_like.blood, 0.0, 2.0)
         color = under_blood(color, _FILM * pooled**1.5 * np.exp(0.25 * granules), 0.3 * pooled)
-        wet = smoothstep(pooled)
+        thick = np.clip(self._mucopus(points) + 0.3 * mottle - is_like.mucopus, 0.0, 2.0)
+        cover = 1.0 - np.exp(-_MUCOPUS_DEPTH * thick * np.exp(0.3 * granules))
+        color = mix(color, clean.plain * np.array(MUCUS_TINT), cover)
+        wet = smoothstep(pooled + thick)
         rough = clean.roughness + 0.10 * sloughy - 0.2 * wet
         return replace(
             clean,

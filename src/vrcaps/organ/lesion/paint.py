@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.ndimage import distance_transform_edt
 
+from vrcaps.color import LINEAR, srgb_from_linear
 from vrcaps.errors import InputError
 from vrcaps.organ.appearance import MAX_SIDE
 from vrcaps.organ.lesion.base import Form, Look, WallSamples
@@ -34,7 +35,6 @@ _SPILL = 3.0  # texels painted beyond the borders of charts, for filtering and m
 _CHUNK = 500_000  # texels painted at once
 
 _BYTES = np.arange(256) / 255.0
-_LINEAR = np.where(_BYTES <= 0.04045, _BYTES / 12.92, ((_BYTES + 0.055) / 1.055) ** 2.4)
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ class Textures:
     def look(self, uv: Float[np.ndarray, "n 2"]) -> Look:
         """The look at texture coordinates."""
         return Look(
-            color=sample(self.appearance.albedo, uv, _LINEAR),
+            color=sample(self.appearance.albedo, uv, LINEAR),
             roughness=sample(self.appearance.roughness, uv, _BYTES),
             height=sample(self.appearance.height, uv, None),
             plain=sample(self.plain, uv, None),
@@ -99,7 +99,7 @@ def smoothed(appearance: Appearance) -> Textures:
     height, width = (max(1, side // _BLUR) for side in albedo.shape[:2])
     rows = np.linspace(0, albedo.shape[0], height * 4, endpoint=False).astype(int)
     columns = np.linspace(0, albedo.shape[1], width * 4, endpoint=False).astype(int)
-    color = _LINEAR[albedo[rows][:, columns]].reshape(height, 4, width, 4, 3)
+    color = LINEAR[albedo[rows][:, columns]].reshape(height, 4, width, 4, 3)
     weight = color.any(axis=-1, keepdims=True)
     total = np.maximum(weight.sum(axis=(1, 3)), 1)
     blocks = (color * weight).sum(axis=(1, 3)) / total
@@ -189,9 +189,7 @@ def _painted(
 
 def _store(images, look: Look, row: np.ndarray, column: np.ndarray) -> None:
     albedo, roughness, height = images
-    color = np.clip(look.color, 0.0, 1.0)
-    encoded = np.where(color <= 0.0031308, 12.92 * color, 1.055 * color ** (1 / 2.4) - 0.055)
-    albedo[row, column] = np.rint(255.0 * encoded)
+    albedo[row, column] = srgb_from_linear(look.color)
     roughness[row, column] = np.rint(255.0 * np.clip(look.roughness, 0.0, 1.0))
     height[row, column] = look.height
 

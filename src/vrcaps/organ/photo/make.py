@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy import ndimage
 
+from vrcaps.color import LUMINANCE
 from vrcaps.errors import InputError
-from vrcaps.organ.photo.color import LUMINANCE, from_log_linear
+from vrcaps.organ.photo.color import from_log_linear
 from vrcaps.organ.photo.lay import VesselSpread, lay_vessels
 from vrcaps.organ.photo.quality import texture_quality
 from vrcaps.organ.photo.quilt import Quilt, quilt, variants

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps.organ.photo.color import lab
+from vrcaps.color import lab_from_srgb
 from vrcaps.organ.photo.mask import highlights
 
 if TYPE_CHECKING:
@@ -54,8 +54,8 @@ def texture_quality(
     texture: UInt8[np.ndarray, "n n 3"], sources: list[UInt8[np.ndarray, "s s 3"]]
 ) -> TextureQuality:
     """Measure a texture, before vessels are laid on it, against its sources."""
-    colors = lab(texture)
-    regions = [lab(source) for source in sources]
+    colors = lab_from_srgb(texture)
+    regions = [lab_from_srgb(source) for source in sources]
     pixels = np.concatenate([region.reshape(-1, 3) for region in regions])
     flat = colors.reshape(-1, 3)
     everywhere = np.ones(texture.shape[:2], bool)

@@ -10,6 +10,7 @@ import numpy as np
 
 from vrcaps import _core
 from vrcaps.capsule.rays import camera_rays
+from vrcaps.color import LUMINANCE
 from vrcaps.render.camera_effects.dome import Dome
 from vrcaps.render.camera_effects.effects import Effects
 from vrcaps.render.camera_effects.sensor import Noise, WhiteBalance, mosaic_colors
@@ -18,15 +19,12 @@ from vrcaps.transforms import invert, transform_points
 from vrcaps.units import MM
 
 if TYPE_CHECKING:
-    from jaxtyping import Bool, Float, UInt8
+    from jaxtyping import Bool, Float
 
     from vrcaps.capsule.device import Camera, Device
     from vrcaps.render.frame import Frame
     from vrcaps.render.renderer import Renderer
     from vrcaps.world.model import State
-
-LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
-"""Of linear red, green and blue (IEC 61966-2-1)."""
 
 BUBBLE = 1
 """Front label of a bubble."""
@@ -67,10 +65,12 @@ class Seen:
 
     Attributes:
         frame: The channels asked for, and those that the stages need; `rgb` if they are none.
+        planes: Radiance by colours [W/(sr·m²)], if stages are to change it.
         points: What `thinned` pixels see, if motion is to be known.
     """
 
     frame: Frame
+    planes: Float[np.ndarray, "3 h w"] | None
     points: SurfacePoints | None
 
 
@@ -95,10 +95,7 @@ class CameraChain:
         self._colors = mosaic_colors(effects.mosaic)
         self._rays = camera_rays(camera)
         self._lit = _lit(self._rays)
-        self._shade = None
-        if self._stages["vignette"] is not None:
-            self._shade = self._stages["vignette"].profile(camera)
-        self._metered, self._table = thinned(self._lit), _core.RayTable(self._rays)
+        self._table = _core.RayTable(self._rays)
         drops, smears = self._stages["droplets"], self._stages["smears"]
         self._dome = None
         if drops is not None or smears is not None:
@@ -107,8 +104,26 @@ class CameraChain:
         self._last_motion: tuple[State, Any] | None = None
         moving = self._stages["motion_blur"] or self._stages["rolling_shutter"]
         self._needs_motion = moving is not None or effects.frame_rate is not None
+        self._core = _core.CameraStages(self._fixed())
+
+    def _fixed(self) -> dict[str, object]:
+        """What the stages need that no frame changes."""
+        camera, stages = self.camera, self._stages
+        defocus, colors, bloom = stages["depth_of_field"], stages["chromatic"], stages["bloom"]
+        vignette, jpeg = stages["vignette"], stages["jpeg"]
         sites = (camera.height * (1 if self._colors else 3), camera.width)
-        self._pattern = (self._stages["noise"] or _QUIET).fixed_pattern(sites, number)
+        return {
+            "lit": self._lit,
+            "cosine": np.ascontiguousarray(self._rays[..., 2]),
+            "defocus": defocus and defocus.figures(camera),
+            "film": self._dome and self._dome.film,
+            "scales": colors and colors.figures(camera),
+            "shade": vignette and vignette.profile(camera),
+            "bloom": bloom and bloom.figures(camera),
+            "pattern": (stages["noise"] or _QUIET).fixed_pattern(sites, self._number),
+            "mosaic": self._colors,
+            "jpeg": jpeg and (jpeg.quality, jpeg.most_bytes),
+        }
 
     def see(self, renderer: Renderer, moment: Moment, asked: Sequence[str]) -> Seen:
         """Renders what the camera sees; colour is made of it by `apply`.
@@ -119,6 +134,9 @@ class CameraChain:
             asked: Channels of the frame. A neighbour that there is none of is as now.
         """
         points = SurfacePoints.sparse(self.camera) if self._needs_motion else None
+        planes = None
+        if not self.effects.is_ideal:
+            planes = np.empty((3, self.camera.height, self.camera.width), np.float32)
         frame = renderer.render(
             moment.state,
             self.camera,
@@ -126,13 +144,14 @@ class CameraChain:
             state_next=moment.state_next or moment.state,
             state_previous=moment.state_previous or moment.state,
             points=points,
+            planes=planes,
         )
-        return Seen(frame, points)
+        return Seen(frame, planes, points)
 
     def _needed(self, asked: Sequence[str]) -> tuple[str, ...]:
         needed = set(asked)
         if not self.effects.is_ideal:
-            needed = (needed - {"rgb"}) | {"radiance"}
+            needed = needed - {"rgb"}
         if self._needs_motion or self._stages["depth_of_field"] is not None:
             needed |= {"ray_distance", "front_label", "front_depth"}
         return tuple(sorted(needed))
@@ -145,38 +164,55 @@ class CameraChain:
             renderer: That rendered it.
             moment: When it was taken.
         """
-        if self.effects.is_ideal:
+        if seen.planes is None:
             return seen.frame
-        planes, time = self._moved(seen, renderer, moment), moment.state.time
-        planes = self._through_lens(planes, seen, time)
-        frame = replace(seen.frame, rgb=self._sensed(planes, moment))
+        rgb = self._core.apply(seen.planes, self._shot(seen, renderer, moment))
+        frame = replace(seen.frame, rgb=rgb)
         if frame.dome_label is None or self._dome is None:
             return frame
-        return replace(frame, dome_label=self._dome.labels(time))
+        return replace(frame, dome_label=self._dome.labels(moment.state.time))
 
     def meter(self, seen: Seen, moment: Moment) -> float:
         """Mean linear luminance of the lit image at an exposure, each pixel cut at white."""
-        if not self._metered.any():
-            return 0.0
-        red, green, blue = LUMINANCE * (self.camera.exposure * moment.exposure)
-        light = thinned(np.asarray(seen.frame.radiance))
-        luminance = red * light[..., 0] + green * light[..., 1] + blue * light[..., 2]
-        if self._shade is not None:
-            luminance *= thinned(self._shade)
-        return float(np.minimum(luminance, 1.0)[self._metered].mean(dtype=float))
+        assert seen.planes is not None
+        factors = LUMINANCE * (self.camera.exposure * moment.exposure)
+        return self._core.meter(seen.planes, tuple(factors.tolist()))
 
-    def _moved(self, seen: Seen, renderer: Renderer, moment: Moment) -> Float[np.ndarray, "3 h w"]:
+    def _shot(self, seen: Seen, renderer: Renderer, moment: Moment) -> dict[str, object]:
+        """What the stages need to know of a frame."""
+        frame, distance = seen.frame, None
+        if self._stages["depth_of_field"] is not None:
+            distance = (frame.ray_distance, frame.front_label, frame.front_depth)
+        automatic, noise = self._stages["exposure"], self._stages["noise"]
+        light, gain = (1.0, 1.0) if automatic is None else automatic.split(moment.exposure)
+        balance, readout = self._stages["white_balance"] or _NEUTRAL, None
+        final = light * gain
+        if noise is not None or self._colors is not None:
+            readout = (noise or _QUIET).readout(gain, balance.response, light)
+            final = 1.0
+        return {
+            "factor": self.camera.exposure,
+            "motion": self._moving(seen, renderer, moment),
+            "distance": distance,
+            "drops": self._dome and self._dome.drops(moment.state.time),
+            "readout": readout,
+            "gains": tuple(final * gain for gain in balance.gains),
+            "key": (self._seed, 64 * moment.index + self._number),
+        }
+
+    def _moving(self, seen: Seen, renderer: Renderer, moment: Moment) -> tuple[Any, ...] | None:
+        """Motion of the image, its step, and when rows are open and lit, in frames."""
         blur, rolling = self._stages["motion_blur"], self._stages["rolling_shutter"]
-        radiance, factor = np.ascontiguousarray(seen.frame.radiance), self.camera.exposure
-        motion = None
-        if blur is not None or rolling is not None:
-            motion = self.motion(seen, renderer, moment)
+        if blur is None and rolling is None:
+            return None
+        motion = self.motion(seen, renderer, moment)
         if motion is None:
-            return _core.to_planes(radiance, factor)
+            motion = np.zeros((1, 1, 2), np.float32)  # a frame alone
         shutter = 0.0 if blur is None else min(blur.exposure_time / self._interval, 1.0)
         readout = 0.0 if rolling is None else min(rolling.readout_time / self._interval, 1.0)
-        moving = (np.ascontiguousarray(motion), STEP)
-        return _core.blur_motion(radiance, self._lit, moving, (shutter, readout), factor)
+        lit = None if blur is None else blur.led_pulse
+        pulse = np.inf if lit is None else lit / self._interval
+        return np.ascontiguousarray(motion), STEP, (shutter, readout, pulse)
 
     def motion(
         self, seen: Seen, renderer: Renderer, moment: Moment
@@ -206,53 +242,6 @@ class CameraChain:
             motion = -motion
         motion[_on_capsule(seen.frame, self.camera, self._rays, renderer.model.device)] = 0.0
         return motion
-
-    def _through_lens(
-        self, planes: Float[np.ndarray, "3 h w"], seen: Seen, time: float
-    ) -> Float[np.ndarray, "3 h w"]:
-        defocus, bloom = self._stages["depth_of_field"], self._stages["bloom"]
-        if defocus is not None:
-            planes = defocus.apply(self.camera, planes, self._distance(seen.frame))
-        if self._dome is not None:
-            planes = self._dome.apply(planes, time)
-        if self._stages["chromatic"] is not None:
-            planes = self._stages["chromatic"].apply(self.camera, planes)
-        if self._shade is not None:
-            planes = _core.shade_planes(planes, self._shade)
-        return planes if bloom is None else bloom.apply(self.camera, planes)
-
-    def _distance(self, frame: Frame) -> Float[np.ndarray, "h w"]:
-        """Distance along the ray of the bubble or else the wall that a pixel sees [m]."""
-        distance = np.ascontiguousarray(frame.ray_distance)
-        bubbles = np.flatnonzero(np.asarray(frame.front_label) == BUBBLE)
-        if bubbles.size:
-            cosine = self._rays.reshape(-1, 3)[bubbles, 2]
-            along = np.asarray(frame.front_depth).ravel()[bubbles] / cosine
-            distance = distance.copy()
-            wall = distance.ravel()[bubbles]
-            np.put(distance, bubbles, np.where(along > 0.0, along, wall))
-        return distance
-
-    def _sensed(
-        self, planes: Float[np.ndarray, "3 h w"], moment: Moment
-    ) -> UInt8[np.ndarray, "h w 3"]:
-        automatic = self._stages["exposure"]
-        light, gain = (1.0, 1.0) if automatic is None else automatic.split(moment.exposure)
-        balance = self._stages["white_balance"] or _NEUTRAL
-        noise = self._stages["noise"]
-        final = light * gain
-        if noise is not None or self._colors is not None:
-            readout = (noise or _QUIET).readout(gain, balance.response, light)
-            key = (self._seed, 64 * moment.index + self._number)
-            planes = _core.read_sensor(planes, self._pattern, readout, self._colors, key)
-            final = 1.0
-            if self._colors is not None:
-                planes = _core.demosaic(planes, self._colors)
-        red, green, blue = balance.gains
-        # Where nothing is seen the capsule's viewer draws black.
-        rgb = _core.develop(planes, (final * red, final * green, final * blue), self._lit)
-        jpeg = self._stages["jpeg"]
-        return rgb if jpeg is None else jpeg.apply(rgb)
 
 
 _STAGES = (

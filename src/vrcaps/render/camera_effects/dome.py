@@ -160,7 +160,12 @@ class Smears:
 
 
 class Dome:
-    """The dome of one camera with all that lies on it; holds where that is."""
+    """The dome of one camera with all that lies on it; holds where that is.
+
+    Attributes:
+        film: Share of each colour that is not absorbed [3 h w], share of that which goes straight
+            on [h w], and number of lit pixels; None without smears.
+    """
 
     def __init__(
         self,
@@ -185,7 +190,7 @@ class Dome:
         self._lit = np.asarray(np.isfinite(self._rays).all(axis=-1))
         self._field = float(np.arccos(self._rays[self._lit][:, 2].min(initial=1.0)))
         drops, film = np.random.default_rng(seed).spawn(2)
-        self._film, self._is_smeared = None, np.zeros(self._lit.shape, bool)
+        self.film, self._is_smeared = None, np.zeros(self._lit.shape, bool)
         if smears is not None:
             self._smear(smears, film)
         self._map: tuple[float, Any] | None = None
@@ -195,8 +200,11 @@ class Dome:
 
     def apply(self, planes: Float[np.ndarray, "3 h w"], time: float) -> Float[np.ndarray, "3 h w"]:
         """The image as it is seen through what lies on the dome at a time [s]."""
-        drops = None if self._droplets is None else self._drops(time)[:3]
-        return _core.through_dome(planes, self._film, drops)
+        return _core.through_dome(planes, self.film, self.drops(time))
+
+    def drops(self, time: float) -> tuple[Any, Any, Any] | None:
+        """Pixels that drops change, the pixels that they see instead, and how much those count."""
+        return None if self._droplets is None else self._drops(time)[:3]
 
     def labels(self, time: float) -> UInt8[np.ndarray, "h w"]:
         """What each pixel looks through at a time [s], as in the channel `dome_label`."""
@@ -213,7 +221,7 @@ class Dome:
         absorption, scattering = MATTER[smears.matter]
         left = np.exp(-np.array(absorption)[:, None, None] * thick).astype(np.float32)
         clear = np.exp(-scattering * thick).astype(np.float32)
-        self._film = (left, clear, float(np.count_nonzero(self._lit)))
+        self.film = (left, clear, float(np.count_nonzero(self._lit)))
         self._is_smeared = left.mean(axis=0) * clear < 1.0 - _MARKED
 
     def _drops(self, time: float) -> tuple[Any, Any, Any, Any]:

@@ -92,8 +92,9 @@ class Effects:
                 continue
             is_range = isinstance(value, int) or (len(ends) == 2 and ends[0] <= ends[1])
             if not (is_range and all(0 <= end <= HIGHEST for end in ends)):
+                given = "..".join(map(str, ends))
                 raise InputError(
-                    f"Effect {name} has the grade {value}. Allowed: 0 to {HIGHEST}, or a rising "
+                    f"Effect {name} has the grade {given}. Allowed: 0 to {HIGHEST}, or a rising "
                     "range of these."
                 )
         if self.mosaic not in get_args(Mosaic):

@@ -23,15 +23,24 @@ if TYPE_CHECKING:
 class MotionBlur:
     """The capsule and the wall move while the shutter is open and the LEDs are lit.
 
+    A row takes light while it is open and the LEDs are lit, and as large a part of it as of the
+    pulse that falls into its time; in all the LEDs give the same light, however short the pulse. So
+    with a rolling shutter a pulse in which all rows are open freezes the image as a global shutter
+    does, and a row that is not open then is black.
+
     Attributes:
         exposure_time: How long each row gathers light [s]; at most a frame's time counts.
+        led_pulse: How long the LEDs are lit, about the instant of the image [s]; None is always.
     """
 
     exposure_time: float
+    led_pulse: float | None = None
 
     def __post_init__(self) -> None:
-        time = self.exposure_time
+        time, pulse = self.exposure_time, self.led_pulse
         require(0.0 < time < 10.0, "MotionBlur's exposure_time", time, "above 0 to 10 s")
+        is_valid = pulse is None or 0.0 < pulse < 10.0
+        require(is_valid, "MotionBlur's led_pulse", pulse, "above 0 to 10 s")
 
 
 @dataclass(frozen=True)
@@ -86,7 +95,11 @@ class Defocus:
         ray_distance: Float[np.ndarray, "h w"],
     ) -> Float[np.ndarray, "3 h w"]:
         """The image out of focus; black where `ray_distance` [m] is NaN."""
-        return _core.defocus(planes, ray_distance, self._reach(camera), self.focus_distance)
+        return _core.defocus(planes, ray_distance, *self.figures(camera))
+
+    def figures(self, camera: Camera) -> tuple[float, float]:
+        """Radius per change of 1/d [px·m] and distance of focus [m], as the core takes them."""
+        return self._reach(camera), self.focus_distance
 
     def _reach(self, camera: Camera) -> float:
         return 0.5 * self.aperture * focal_length_px(camera.lens)
@@ -113,8 +126,11 @@ class LateralColor:
         self, camera: Camera, planes: Float[np.ndarray, "3 h w"]
     ) -> Float[np.ndarray, "3 h w"]:
         """The image with its colours apart."""
-        center = (camera.lens.cx, camera.lens.cy)
-        return _core.scale_planes(planes, center, (1.0 + self.red, 1.0, 1.0 + self.blue))
+        return _core.scale_planes(planes, *self.figures(camera))
+
+    def figures(self, camera: Camera) -> tuple[tuple[float, float], tuple[float, float, float]]:
+        """Centre [px] and scales of the colours, as the core takes them."""
+        return (camera.lens.cx, camera.lens.cy), (1.0 + self.red, 1.0, 1.0 + self.blue)
 
 
 @dataclass(frozen=True)
@@ -170,4 +186,8 @@ class Bloom:
         self, camera: Camera, planes: Float[np.ndarray, "3 h w"]
     ) -> Float[np.ndarray, "3 h w"]:
         """The image with its scattered light."""
-        return _core.bloom(planes, self.share, self.angle * focal_length_px(camera.lens))
+        return _core.bloom(planes, *self.figures(camera))
+
+    def figures(self, camera: Camera) -> tuple[float, float]:
+        """Share and standard deviation [px], as the core takes them."""
+        return self.share, self.angle * focal_length_px(camera.lens)

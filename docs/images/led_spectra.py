@@ -1,0 +1,51 @@
+"""Draw the picture of LED spectra: places of a generated colon under three kinds of LEDs.
+
+python docs/images/led_spectra.py
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+import vrcaps
+
+SHOWN = (3, 9, 14, 17)  # of 20 frames along the whole colon
+WAVELENGTH_NM = np.arange(380.0, 701.0, 4.0)
+
+
+def leds(*lines: tuple[float, float, float]) -> tuple[tuple[float, float], ...]:
+    """Spectrum of LEDs, each with its peak and full width at half [nm] and its power there."""
+    power = sum(p * np.exp(-2.77 * ((WAVELENGTH_NM - nm) / width) ** 2) for nm, width, p in lines)
+    return tuple(zip(WAVELENGTH_NM.tolist(), np.asarray(power).tolist(), strict=True))
+
+
+SPECTRA = {
+    "usual": None,
+    "red, green and blue": leds((630.0, 20.0, 1.0), (525.0, 35.0, 1.0), (465.0, 25.0, 1.0)),
+    "violet below phosphor": leds((415.0, 20.0, 3.0), (560.0, 120.0, 1.0)),
+}
+
+
+def main(path: Path) -> None:
+    """A row for each kind."""
+    colon, device = vrcaps.load_organ("colon", seed=0), vrcaps.load_device("mirocam")
+    settings = vrcaps.RenderSettings(supersampling=2, shadows=True, light="quick")
+    rows = []
+    for spectrum in SPECTRA.values():
+        model = vrcaps.Model(colon, replace(device, led_spectrum=spectrum))
+        rng = np.random.default_rng(0)
+        flight = vrcaps.fly_through(model, vrcaps.FlyThrough(), frames=20, fps=3.0, rng=rng)
+        renderer, camera = vrcaps.Renderer(model, settings), model.device.cameras[0]
+        images = [renderer.render(flight.state(k), camera, channels=("rgb",)).rgb for k in SHOWN]
+        rows.append(np.hstack([np.asarray(image) for image in images]))
+    Image.fromarray(np.vstack(rows)).resize((1000, 750), Image.Resampling.LANCZOS).save(
+        path, quality=88
+    )
+
+
+if __name__ == "__main__":
+    main(Path(__file__).with_suffix(".jpg"))

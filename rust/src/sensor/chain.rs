@@ -1,0 +1,390 @@
+//! All stages of one camera in a frame, in their order, without a way back to Python between them.
+
+use super::bayer::{demosaic_line, mirrored_about};
+use super::bloom::{Bloom, Scattered};
+use super::defocus::{Padded, bring_near};
+use super::dome::{Drops, Film, GivenDrops, GivenFilm};
+use super::field::{Field, Shutter};
+use super::jpeg::Compression;
+use super::motion::Still;
+use super::noise::{Readout, Sensor, streams};
+use super::planes::{Scaling, amplify, develop_row, interleave, rows, shade_row, size};
+use crate::channels::STEP;
+use crate::contents::front::FRONT_BUBBLE;
+use crate::cpu::on_pool;
+use numpy::{
+    Element, IntoPyArray, PyArray3, PyReadonlyArray2, PyReadonlyArray3, PyUntypedArrayMethods,
+    ndarray::Array3,
+};
+use pyo3::{exceptions::PyValueError, prelude::*};
+use rayon::prelude::*;
+use std::sync::Mutex;
+
+/// Stages that stay as they are from frame to frame; those that are off are `None`.
+#[derive(FromPyObject)]
+#[pyo3(from_item_all)]
+struct Given<'py> {
+    /// Pixels that see anything [h w].
+    lit: PyReadonlyArray2<'py, bool>,
+    /// Cosine between each pixel's ray and the axis [h w].
+    cosine: PyReadonlyArray2<'py, f32>,
+    /// Reach [px·m] and distance of focus [m].
+    defocus: Option<(f32, f32)>,
+    film: Option<GivenFilm<'py>>,
+    /// Centre (column, row) [px], and the scale of each colour.
+    scales: Option<([f32; 2], [f32; 3])>,
+    /// Share of the light that each pixel gets [h w].
+    shade: Option<PyReadonlyArray2<'py, f32>>,
+    /// Share and standard deviation [px].
+    bloom: Option<(f32, f32)>,
+    /// Response and offset of the sensor's sites.
+    pattern: [PyReadonlyArray2<'py, f32>; 2],
+    mosaic: Option<[usize; 4]>,
+    /// Quality, and limit of the file [bytes].
+    jpeg: Option<(u32, Option<usize>)>,
+}
+
+/// Distance along the ray of the wall [m], label and depth [m] of what is in front of it.
+type Distance<'py> =
+    (PyReadonlyArray2<'py, f32>, PyReadonlyArray2<'py, u8>, PyReadonlyArray2<'py, f32>);
+
+/// What changes from frame to frame.
+#[derive(FromPyObject)]
+#[pyo3(from_item_all)]
+struct Shot<'py> {
+    /// From radiance to image values.
+    factor: f32,
+    /// As `blur_motion` takes it: motion, its step, the shutter.
+    motion: Option<(PyReadonlyArray3<'py, f32>, usize, (f32, f32, f32))>,
+    distance: Option<Distance<'py>>,
+    drops: Option<GivenDrops<'py>>,
+    /// None where the sensor changes nothing.
+    readout: Option<Readout>,
+    /// Gain of each colour after the sensor.
+    gains: [f32; 3],
+    /// Of the random numbers.
+    key: (u64, u64),
+}
+
+/// Lens and sensor of one camera.
+#[pyclass(frozen, module = "vrcaps._core")]
+pub struct CameraStages {
+    size: (usize, usize),
+    lit: Vec<bool>,
+    cosine: Vec<f32>,
+    defocus: Option<(f32, f32)>,
+    film: Option<Film>,
+    scaling: Option<Scaling>,
+    shade: Option<Vec<f32>>,
+    bloom: Option<Bloom>,
+    pattern: [Vec<f32>; 2],
+    mosaic: Option<[usize; 4]>,
+    jpeg: Option<Compression>,
+    /// Planes of earlier frames, whose memory is used again.
+    rooms: Mutex<Vec<Room>>,
+}
+
+/// Planes of one frame.
+struct Room {
+    still: Still,
+    padded: Option<Padded>,
+    planes: Vec<f32>,
+    spare: Vec<f32>,
+    codes: Vec<u8>,
+}
+
+/// Motion of the image at some places, and when rows take light.
+struct Motion<'a> {
+    vectors: &'a [f32],
+    cells: (usize, usize),
+    step: usize,
+    shutter: Shutter,
+}
+
+/// A frame's arrays, as far as stages use them.
+struct Frame<'a> {
+    light: &'a [f32],
+    factor: f32,
+    motion: Option<Motion<'a>>,
+    /// Distance of the wall, depth and label of what is in front.
+    distance: Option<(&'a [f32], &'a [f32], &'a [u8])>,
+    drops: Option<Drops<'a>>,
+    sensor: Option<Sensor<'a>>,
+    gains: [f32; 3],
+}
+
+#[pymethods]
+impl CameraStages {
+    /// Takes what stays as it is.
+    #[new]
+    fn new(given: Given<'_>) -> PyResult<Self> {
+        let [height, width] = given.lit.shape()[..] else { return Err(misfit()) };
+        let size = (height, width);
+        let sites = if given.mosaic.is_some() { height } else { 3 * height };
+        if height * width == 0 || given.pattern.iter().any(|p| p.shape() != [sites, width]) {
+            return Err(misfit());
+        }
+        if given.mosaic.is_some_and(|m| height < 3 || width < 3 || m.iter().any(|&c| c > 2)) {
+            return Err(misfit());
+        }
+        let [response, offset] =
+            given.pattern.each_ref().map(|p| p.as_slice().map(<[f32]>::to_vec));
+        Ok(CameraStages {
+            size,
+            lit: of_image(&given.lit, size)?.to_vec(),
+            cosine: of_image(&given.cosine, size)?.to_vec(),
+            defocus: given.defocus,
+            film: given.film.as_ref().map(|film| Film::of(film, size)).transpose()?,
+            scaling: given.scales.map(|(center, scales)| Scaling::new(size, center, scales)),
+            shade: match &given.shade {
+                Some(shade) => Some(of_image(shade, size)?.to_vec()),
+                None => None,
+            },
+            bloom: given.bloom.map(|(share, sigma)| Bloom { share, sigma }),
+            pattern: [response?, offset?],
+            mosaic: given.mosaic,
+            jpeg: given.jpeg.map(|(quality, most_bytes)| Compression { quality, most_bytes }),
+            rooms: Mutex::new(Vec::new()),
+        })
+    }
+
+    /// The 8-bit image [h w 3] that the camera makes of radiance [3 h w].
+    fn apply<'py>(
+        &self,
+        py: Python<'py>,
+        radiance: PyReadonlyArray3<'py, f32>,
+        shot: Shot<'py>,
+    ) -> PyResult<Bound<'py, PyArray3<u8>>> {
+        if size(&radiance)? != self.size || (self.defocus.is_some() && shot.distance.is_none()) {
+            return Err(misfit());
+        }
+        let sensor = |readout| Sensor {
+            pattern: [&self.pattern[0], &self.pattern[1]],
+            readout,
+            streams: streams(shot.key),
+        };
+        let frame = Frame {
+            light: radiance.as_slice()?,
+            factor: shot.factor,
+            motion: shot.motion()?,
+            distance: shot.distance(self.size)?,
+            drops: match &shot.drops {
+                Some(drops) => Some(Drops::of(drops, self.lit.len())?),
+                None => None,
+            },
+            sensor: shot.readout.as_ref().map(sensor),
+            gains: shot.gains,
+        };
+        let out = on_pool(py, || self.take(&frame));
+        let (height, width) = self.size;
+        let image = Array3::from_shape_vec((height, width, 3), out).expect("every pixel is filled");
+        Ok(image.into_pyarray(py))
+    }
+
+    /// Mean of the luminance of radiance [3 h w], given its factors, over every few lit pixels of
+    /// every few rows; each is cut at 1. As if nothing lay on the dome.
+    fn meter(&self, radiance: PyReadonlyArray3<'_, f32>, factors: [f32; 3]) -> PyResult<f64> {
+        if size(&radiance)? != self.size {
+            return Err(misfit());
+        }
+        let (light, (height, width), area) = (radiance.as_slice()?, self.size, self.lit.len());
+        let (mut sum, mut count) = (0.0, 0);
+        for y in (STEP / 2..height).step_by(STEP) {
+            for x in (STEP / 2..width).step_by(STEP).map(|x| y * width + x) {
+                if self.lit[x] {
+                    let [r, g, b] = [0, 1, 2].map(|k| factors[k] * light[k * area + x]);
+                    let shade = self.shade.as_ref().map_or(1.0, |shade| shade[x]);
+                    sum += f64::from(((r + g + b) * shade).min(1.0));
+                    count += 1;
+                }
+            }
+        }
+        Ok(sum / f64::from(count.max(1)))
+    }
+}
+
+impl Shot<'_> {
+    fn motion(&self) -> PyResult<Option<Motion<'_>>> {
+        let Some((vectors, step, shutter)) = &self.motion else { return Ok(None) };
+        let [rows, columns, 2] = vectors.shape()[..] else { return Err(misfit()) };
+        if rows * columns * step == 0 {
+            return Err(misfit());
+        }
+        let (vectors, shutter) = (vectors.as_slice()?, Shutter::of(*shutter));
+        Ok(Some(Motion { vectors, cells: (rows, columns), step: *step, shutter }))
+    }
+
+    fn distance(&self, size: (usize, usize)) -> PyResult<Option<(&[f32], &[f32], &[u8])>> {
+        let Some((wall, label, depth)) = &self.distance else { return Ok(None) };
+        Ok(Some((of_image(wall, size)?, of_image(depth, size)?, of_image(label, size)?)))
+    }
+}
+
+/// The numbers of an array of the image's size.
+fn of_image<'a, T: Element>(
+    array: &'a PyReadonlyArray2<'_, T>,
+    (height, width): (usize, usize),
+) -> PyResult<&'a [T]> {
+    if array.shape() != [height, width] {
+        return Err(misfit());
+    }
+    Ok(array.as_slice()?)
+}
+
+fn misfit() -> PyErr {
+    PyValueError::new_err("Stages and images must be of one size.")
+}
+
+impl CameraStages {
+    fn take(&self, frame: &Frame<'_>) -> Vec<u8> {
+        let kept = self.rooms.lock().ok().and_then(|mut rooms| rooms.pop());
+        let mut room = kept.unwrap_or_else(|| self.new_room());
+        let mut out = vec![0; 3 * self.lit.len()];
+        self.expose(frame, &mut room);
+        self.look_through_dome(frame, &mut room.planes);
+        self.part_colors(&mut room);
+        let scattered = self.bloom.map(|bloom| bloom.scattered(&room.planes, self.size));
+        self.read(frame, scattered.as_ref(), &mut room);
+        let codes = &room.codes;
+        match &self.jpeg {
+            Some(jpeg) => jpeg.apply(codes, self.size, &mut out),
+            None => {
+                let (width, area) = (self.size.1, self.lit.len());
+                out.par_chunks_mut(3 * width).enumerate().for_each(|(y, row)| {
+                    let line = |k: usize| &codes[k * area + y * width..][..width];
+                    interleave([line(0), line(1), line(2)], row);
+                });
+            }
+        }
+        if let Ok(mut rooms) = self.rooms.lock() {
+            rooms.push(room);
+        }
+        out
+    }
+
+    fn new_room(&self) -> Room {
+        let area = self.lit.len();
+        Room {
+            still: Still::new(self.size, &self.lit),
+            padded: self.defocus.map(|_| Padded::new(self.size)),
+            planes: vec![0.0; 3 * area],
+            spare: vec![0.0; 3 * area],
+            codes: vec![0; 3 * area],
+        }
+    }
+
+    /// Motion blur, rolling shutter, depth of field.
+    fn expose(&self, frame: &Frame<'_>, room: &mut Room) {
+        let ((height, width), Room { still, padded, planes, .. }) = (self.size, room);
+        let lines = match padded {
+            Some(padded) => padded.lines(),
+            None => rows(planes, self.size),
+        };
+        if let Some(Motion { vectors, cells, step, shutter }) = &frame.motion {
+            let motion = Field::new(vectors, *cells, *step).when_read(*shutter, height);
+            still.fill(frame.light, frame.factor);
+            still.blur(&motion, *shutter, lines);
+        } else {
+            lines.into_par_iter().enumerate().for_each(|(y, line)| {
+                for (k, row) in line.into_iter().enumerate() {
+                    let from = &frame.light[(k * height + y) * width..][..width];
+                    amplify(from, frame.factor, row);
+                }
+            });
+        }
+        let Some((padded, (reach, focus))) = padded.as_mut().zip(self.defocus) else { return };
+        padded.measure(reach, focus, |y, row| self.distances(frame, y, row));
+        padded.spread(rows(planes, self.size));
+    }
+
+    /// Distance along the ray of the bubble or else the wall that the pixels of a row see [m].
+    fn distances(&self, frame: &Frame<'_>, y: usize, row: &mut [f32]) {
+        let Some((wall, depth, front)) = frame.distance else { return };
+        let pixels = y * row.len()..(y + 1) * row.len();
+        row.copy_from_slice(&wall[pixels.clone()]);
+        let front = &front[pixels.clone()];
+        if !front.contains(&FRONT_BUBBLE) {
+            return;
+        }
+        bring_near(row, front, (&depth[pixels.clone()], &self.cosine[pixels]));
+    }
+
+    /// Droplets and smears.
+    fn look_through_dome(&self, frame: &Frame<'_>, planes: &mut [f32]) {
+        let (height, width) = self.size;
+        let veils = self.film.as_ref().map(|film| film.veils(planes, width));
+        if let Some(drops) = &frame.drops {
+            drops.refract(planes);
+        }
+        let Some((film, veils)) = self.film.as_ref().zip(veils) else { return };
+        planes.par_chunks_mut(width).enumerate().for_each(|(row, values)| {
+            film.cover(values, (row / height, row % height), veils[row / height]);
+        });
+    }
+
+    /// Lateral colour and vignette.
+    fn part_colors(&self, room: &mut Room) {
+        let width = self.size.1;
+        let shaded = |y: usize, row: &mut [f32]| {
+            if let Some(shade) = &self.shade {
+                shade_row(row, &shade[y * width..][..width]);
+            }
+        };
+        if let Some(scaling) = &self.scaling {
+            let Room { planes, spare, .. } = room;
+            let lines = rows(spare, self.size).into_par_iter().enumerate();
+            lines.for_each_init(Vec::new, |mixed, (y, mut line)| {
+                scaling.row(planes, self.size, y, mixed, &mut line);
+                line.into_iter().for_each(|row| shaded(y, row));
+            });
+            std::mem::swap(planes, spare);
+        } else if self.shade.is_some() {
+            rows(&mut room.planes, self.size).into_par_iter().enumerate().for_each(|(y, line)| {
+                line.into_iter().for_each(|row| shaded(y, row));
+            });
+        }
+    }
+
+    /// Bloom, sensor, white balance and 8 bits.
+    fn read(&self, frame: &Frame<'_>, scattered: Option<&Scattered>, room: &mut Room) {
+        let ((height, width), size) = (self.size, self.size);
+        let Room { planes, spare, codes, .. } = room;
+        let lit = |y: usize| &self.lit[y * width..][..width];
+        let lines = rows(planes, size).into_par_iter().enumerate();
+        let mosaic = frame.sensor.as_ref().zip(self.mosaic);
+        let Some((sensor, colors)) = mosaic else {
+            lines.zip(rows(codes, size)).for_each_init(
+                || vec![0.0; width],
+                |read, ((y, mut line), codes)| {
+                    if let Some(scattered) = scattered {
+                        scattered.mix_into(y, &mut line);
+                    }
+                    for (k, codes) in codes.into_iter().enumerate() {
+                        let mut values = &*line[k];
+                        if let Some(sensor) = &frame.sensor {
+                            sensor.read([values; 2], [k; 2], k * height + y, read);
+                            values = read;
+                        }
+                        develop_row(values, frame.gains[k], lit(y), codes);
+                    }
+                },
+            );
+            return;
+        };
+        lines.zip(spare.par_chunks_mut(width)).for_each(|((y, mut line), read)| {
+            if let Some(scattered) = scattered {
+                scattered.mix_into(y, &mut line);
+            }
+            let [first, second] = [0, 1].map(|k| colors[y % 2 * 2 + k]);
+            sensor.read([&*line[first], &*line[second]], [first, second], y, read);
+        });
+        let padded = mirrored_about(&spare[..height * width], size);
+        let lines = rows(planes, size).into_par_iter().zip(rows(codes, size)).enumerate();
+        lines.for_each(|(y, (mut line, codes))| {
+            demosaic_line(&padded, y, colors, &mut line);
+            for (k, codes) in codes.into_iter().enumerate() {
+                develop_row(line[k], frame.gains[k], lit(y), codes);
+            }
+        });
+    }
+}

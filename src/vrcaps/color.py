@@ -1,0 +1,50 @@
+"""sRGB bytes to linear light and back (IEC 61966-2-1), luminance, CIE L*a*b*."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, UInt8
+
+_XYZ_FROM_RGB = np.array(
+    [[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]]
+)
+"""Linear sRGB to CIE XYZ."""
+
+LUMINANCE = _XYZ_FROM_RGB[1]
+"""Weights of linear red, green, blue."""
+
+_CODE = np.arange(256) / 255.0
+LINEAR = np.where(_CODE <= 0.04045, _CODE / 12.92, ((_CODE + 0.055) / 1.055) ** 2.4)
+"""Linear value, 0 to 1, of each byte."""
+
+_KNEE = 6.0 / 29.0
+
+
+def linear_from_srgb(rgb: UInt8[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch 3"]:
+    """Linear values, 0 to 1, of 8-bit sRGB."""
+    return LINEAR[rgb]
+
+
+def srgb_from_linear(linear: Float[np.ndarray, "*batch"]) -> UInt8[np.ndarray, "*batch"]:
+    """Bytes nearest to linear values, which are cut off at 0 and 1."""
+    light = np.clip(linear, 0.0, 1.0)
+    code = np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1.0 / 2.4) - 0.055)
+    return np.rint(255.0 * code).astype(np.uint8)
+
+
+def luminance(linear: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch"]:
+    """CIE Y, 0 to 1, of linear sRGB, as precise as it is."""
+    return linear @ LUMINANCE.astype(linear.dtype)
+
+
+def lab_from_srgb(rgb: UInt8[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch 3"]:
+    """CIE 1976 L*a*b* of 8-bit sRGB; white is sRGB's own, (100, 0, 0)."""
+    xyz = linear_from_srgb(rgb) @ (_XYZ_FROM_RGB / _XYZ_FROM_RGB.sum(axis=1, keepdims=True)).T
+    # CIE 15:2004, 8.2.1.1: a cube root, a straight line below (6/29)³.
+    f = np.where(xyz > _KNEE**3, np.cbrt(xyz), xyz / (3.0 * _KNEE**2) + 4.0 / 29.0)
+    x, y, z = np.moveaxis(f, -1, 0)
+    return np.stack([116.0 * y - 16.0, 500.0 * (x - y), 200.0 * (y - z)], axis=-1)

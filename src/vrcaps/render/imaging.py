@@ -1,0 +1,115 @@
+"""Imaging modes: how colours look under light other than what they are given for.
+
+A wall, a liquid, a bubble has its colour under the usual white light. A mode says what that colour
+becomes, from the blood and the bile that are in it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vrcaps.organ.appearance import ABSORPTION
+from vrcaps.organ.photo.color import from_log_linear, log_linear
+from vrcaps.organ.surface import Appearance
+from vrcaps.tissue.contents.bubbles import Bubbles
+from vrcaps.tissue.contents.liquid import Liquid
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+DENSEST = 5.0
+"""Optical density of blood or bile up to which `lookup` tells them apart."""
+
+_DENSITIES = np.vstack([np.ones(3), ABSORPTION])  # rows: base, blood, bile
+_BLACK = 1e-4  # so that a logarithm exists
+_STEPS = 4096
+_ROWS = 256  # worked on at a time
+
+
+def taken_apart(
+    log_light: Float[np.ndarray, "*n 3"],
+) -> tuple[Float[np.ndarray, "*n"], Float[np.ndarray, "*n"], Float[np.ndarray, "*n"]]:
+    """Optical density of the base in red, of blood in green and of bile in blue, by a colour.
+
+    Args:
+        log_light: Logarithm of the reflectance in red, green and blue.
+    """
+    apart = -log_light @ np.linalg.inv(_DENSITIES).astype(log_light.dtype)
+    blood, bile = np.maximum(apart[..., 1], 0.0), np.maximum(apart[..., 2], 0.0)
+    base = -log_light[..., 0] - blood * ABSORPTION[0, 0] - bile * ABSORPTION[1, 0]
+    return base, blood, bile
+
+
+def liquid_apart(absorption: tuple[float, float, float]) -> tuple[float, float, float]:
+    """Absorption [1/m] of a liquid's base, of its blood in green and of its bile in blue."""
+    base, blood, bile = np.linalg.solve(_DENSITIES.T, np.array(absorption)).tolist()
+    return base, blood, bile
+
+
+def tabled() -> Float[np.ndarray, " n"]:
+    """Densities that a table for `lookup` is made for."""
+    return np.linspace(0.0, DENSEST, _STEPS)
+
+
+def lookup(
+    table: Float[np.ndarray, "*known"], density: Float[np.ndarray, "*found"]
+) -> Float[np.ndarray, "*found"]:
+    """What a table made for `tabled` says of densities."""
+    return table[np.minimum((density * ((_STEPS - 1) / DENSEST)).astype(np.int32), _STEPS - 1)]
+
+
+@dataclass(frozen=True)
+class Imaging:
+    """How things look under some light.
+
+    Attributes:
+        color: From the logarithms of the reflectances under white light to those under this; None
+            changes nothing.
+        absorption: The same of a liquid's absorption [1/m].
+        bands_nm: Middle of what the image's red, green and blue are lit by [nm].
+        channels: Which of the white image's colours each of this one's is nearest to, for light
+            that a liquid scatters.
+        led_gains: Factors on the LEDs for red, green and blue, against white light.
+    """
+
+    color: Callable[[Float[np.ndarray, "*n 3"]], Float[np.ndarray, "*n 3"]] | None = None
+    absorption: Callable[[tuple[float, float, float]], tuple[float, float, float]] | None = None
+    bands_nm: tuple[float, float, float] = (610.0, 545.0, 465.0)
+    channels: tuple[int, int, int] = (0, 1, 2)
+    led_gains: tuple[float, float, float] = (1.0, 1.0, 1.0)
+
+    def reflectance(self, albedo: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
+        """Linear colours as this light shows them."""
+        if self.color is None:
+            return albedo
+        return np.exp(self.color(np.log(np.maximum(albedo, _BLACK))))
+
+    def appearance(self, look: Appearance) -> Appearance:
+        """A wall's textures as this light shows them."""
+        if self.color is None:
+            return look
+        rows = range(0, len(look.albedo), _ROWS)
+        albedo = [
+            from_log_linear(self.color(log_linear(look.albedo[row : row + _ROWS]))) for row in rows
+        ]
+        return replace(look, albedo=np.concatenate(albedo))
+
+    def bubbles(self, bubbles: Bubbles) -> Bubbles:
+        """Bubbles whose surroundings are lit so."""
+        red, green, blue = self.reflectance(np.array(bubbles.color)).tolist()
+        return replace(bubbles, color=(red, green, blue))
+
+    def liquid(self, liquid: Liquid) -> Liquid:
+        """A liquid as this light shows it; what it absorbs is blood and bile."""
+        if self.absorption is None:
+            return liquid
+        scattering = tuple(liquid.scattering[channel] for channel in self.channels)
+        return replace(liquid, absorption=self.absorption(liquid.absorption), scattering=scattering)
+
+
+WHITE_LIGHT = Imaging()
+"""The light that colours are given for."""

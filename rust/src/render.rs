@@ -8,6 +8,8 @@ use crate::indirect::{Beneath, Irradiance, QuickLight};
 use crate::lanes::*;
 use crate::material::{Led, Surface};
 use crate::path::afloat::Afloat;
+use crate::path::light::Lit;
+use crate::path::sources::Sources;
 use crate::path::{First, Settings, wave};
 use crate::rays::{RayTable, TileRays};
 use crate::scene::{Scene, SceneData};
@@ -39,6 +41,8 @@ pub struct View<'a> {
     pub paths: Option<Settings>,
     /// Irradiance by light that has bounced, if it is found as radiosity.
     pub bounced: Option<Irradiance<'a>>,
+    /// Where the LEDs' light comes from, if paths are connected to that.
+    pub sources: Option<Sources>,
 }
 
 impl View<'_> {
@@ -68,8 +72,27 @@ impl View<'_> {
             })
             .collect();
         let origin = wall.localize([pose[[0, 3]], pose[[1, 3]], pose[[2, 3]]]);
-        let (center, paths, bounced) = (wall.center, None, None);
-        Ok(View { origin, to_world, to_camera, center, leds, exposure, shadows, paths, bounced })
+        let (center, paths, bounced, sources) = (wall.center, None, None, None);
+        Ok(View {
+            origin,
+            to_world,
+            to_camera,
+            center,
+            leds,
+            exposure,
+            shadows,
+            paths,
+            bounced,
+            sources,
+        })
+    }
+
+    /// Where the LEDs' light comes from, if paths are to be connected to that.
+    fn sources(&self, wall: &Wall, scene: &SceneData, rays: &RayTable) -> Option<Sources> {
+        let settings = self.paths.filter(|_| scene.tissue.is_none())?;
+        let pixel_angle = rays.tiles.iter().fold(0.0, |angle, tile| max(angle, tile.pixel_angle));
+        let lit = Lit { wall, scene, leds: &self.leds, pixel_angle, settings };
+        Sources::new(&lit, rays.width * rays.height)
     }
 
     /// What LEDs light directly of surfaces behind which light goes on through tissue, if it does;
@@ -185,6 +208,7 @@ pub fn render(
     let quick = quick.zip(rest.as_deref()).filter(|_| channels.wants_light());
     on_pool(py, || {
         view.bounced = quick.map(|(light, rest)| light.solve(rest, wall, (&view.leds, shadows)));
+        view.sources = view.sources(wall, &scene.data, rays).filter(|_| contents.is_none());
         let columns = rays.columns();
         let filled = contents.map(|c| Filled::new(wall, &scene.data, c, &view));
         let bands = channels.bands(rays.width, rays.tiles.len() / columns);
@@ -234,7 +258,10 @@ fn glow(
 ) -> Option<Vec<Lane3>> {
     let settings = view.paths?;
     let pixel_angle = tiles.iter().fold(0.0, |angle, tile| max(angle, tile.pixel_angle));
-    let tracer = wave::Tracer { wall, scene, leds: &view.leds, pixel_angle, settings, afloat };
+    let (leds, sources) = (&view.leds, view.sources.as_ref());
+    let offered = Sources::offered(settings.samples.min(wave::at_once(tiles.len())));
+    let tracer =
+        wave::Tracer { wall, scene, leds, pixel_angle, settings, afloat, sources, offered };
     let firsts: Vec<First> = tiles.iter().enumerate().map(first).collect();
     Some(wave::indirect(&tracer, &firsts))
 }

@@ -20,6 +20,10 @@ pub struct Bounce {
     pub direction: Lane3,
     /// Reflectance times cosine over the density of the direction; 0 below the horizon.
     pub weight: Lane3,
+    /// Part of the weight that is gloss.
+    pub gloss: Lane,
+    /// Density of the direction [1/sr].
+    pub density: Lane,
 }
 
 /// Shares of the lobes: how often each is drawn from.
@@ -66,7 +70,8 @@ pub fn bounce(surface: &Surface, material: &Material, draw: &Draw) -> Bounce {
     let coat = Coat::new(material);
     let square = material.coat_alpha * material.coat_alpha;
     let logarithm = log2(square);
-    let mut out = Bounce { direction: [[0.0; LANES]; 3], weight: [[0.0; LANES]; 3] };
+    let (direction, weight) = ([[0.0; LANES]; 3], [[0.0; LANES]; 3]);
+    let mut out = Bounce { direction, weight, gloss: [0.0; LANES], density: [0.0; LANES] };
     for i in 0..LANES {
         let (normal, view) = (at(&surface.normal, i), at(&surface.view, i));
         let (albedo, roughness) = (at(&surface.albedo, i), surface.roughness[i]);
@@ -94,9 +99,44 @@ pub fn bounce(surface: &Surface, material: &Material, draw: &Draw) -> Bounce {
         let density = density(&angles, alpha, &shares, &coat);
         let is_above = angles.light > 0.0;
         let inverse = if is_above { 1.0 / density } else { 0.0 };
+        out.density[i] = density;
+        out.gloss[i] = plain * inverse;
         for k in 0..3 {
             out.direction[k][i] = direction[k];
             out.weight[k][i] = (albedo[k] * colored + plain) * inverse;
+        }
+    }
+    out
+}
+
+/// What surfaces make of light from a unit direction each; 0 below the horizon.
+pub struct Towards {
+    /// Reflectance of the base times cosine [1/sr].
+    pub base: Lane3,
+    /// The same of gloss and film.
+    pub gloss: Lane,
+    /// Density with which `bounce` draws the direction [1/sr].
+    pub density: Lane,
+}
+
+/// Looks at light from unit directions.
+#[inline(always)]
+pub fn towards(surface: &Surface, material: &Material, ways: &Lane3) -> Towards {
+    let coat = Coat::new(material);
+    let (base, gloss, density) = ([[0.0; LANES]; 3], [0.0; LANES], [0.0; LANES]);
+    let mut out = Towards { base, gloss, density };
+    for i in 0..LANES {
+        let (normal, view) = (at(&surface.normal, i), at(&surface.view, i));
+        let (albedo, roughness) = (at(&surface.albedo, i), surface.roughness[i]);
+        let angles = Angles::new(normal, view, at(ways, i));
+        let shares = Shares::new(albedo, angles.view, material);
+        let (colored, plain) = scatter(&angles, roughness, material, &coat);
+        let is_above = angles.light > 0.0;
+        let drawn = self::density(&angles, gloss_alpha(roughness), &shares, &coat);
+        out.density[i] = if is_above { drawn } else { 0.0 };
+        out.gloss[i] = if is_above { plain } else { 0.0 };
+        for k in 0..3 {
+            out.base[k][i] = if is_above { albedo[k] * colored } else { 0.0 };
         }
     }
     out
@@ -113,7 +153,7 @@ fn density(angles: &Angles, alpha: f32, shares: &Shares, coat: &Coat) -> f32 {
 
 /// Two unit vectors that make a right-handed frame with a unit normal (Duff et al. 2017).
 #[inline(always)]
-fn frame([x, y, z]: Vec3) -> [Vec3; 2] {
+pub fn frame([x, y, z]: Vec3) -> [Vec3; 2] {
     let sign = 1.0f32.copysign(z);
     let a = -1.0 / (sign + z);
     let b = x * y * a;

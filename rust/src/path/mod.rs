@@ -2,16 +2,22 @@
 //!
 //! The first reflection is exact, it is the direct image. From each surface that a tile's rays
 //! meet, paths go on along the wall; at each place they meet, light from one LED is added (next
-//! event estimation). An LED is a point: no path can hit it, so nothing is counted twice.
+//! event estimation). An LED is a point: no path can hit it, so nothing is counted twice. Light paths
+//! from the LEDs leave sources on the wall, to which the first surfaces are connected (bidirectional
+//! path tracing: Veach 1997, chapter 10).
 //!
 //! Paths go in waves, not one by one: all of a band of tiles take a step together, so that shading
 //! runs over lanes and ways to an LED are traced as packets.
 
 pub mod afloat;
+mod connect;
+mod led;
+pub mod light;
 pub mod lobes;
 pub mod random;
 pub mod ray;
 mod shadow;
+pub mod sources;
 mod through;
 pub mod walk;
 pub mod wave;

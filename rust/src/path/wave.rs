@@ -3,10 +3,13 @@
 use crate::lanes::*;
 use crate::material::{Led, Surface, add_light};
 use crate::path::afloat::Afloat;
+use crate::path::connect::Room;
+use crate::path::light::density;
 use crate::path::lobes::{Bounce, Draw, bounce};
 use crate::path::random::{dimension, hash, point, unit};
 use crate::path::ray::{self, Hit};
-use crate::path::shadow::{Request, Requests};
+use crate::path::shadow::Requests;
+use crate::path::sources::{Shares, Sources};
 use crate::path::through::Entry;
 use crate::path::walk::{Exit, offset};
 use crate::path::{First, Settings};
@@ -24,6 +27,11 @@ const FIRM: u32 = 2;
 /// reflections, which are few, so that more of them pay.
 const KEPT: f32 = 3.0;
 
+/// Samples for which one path goes on where surfaces are connected to sources.
+const EACH: u32 = 2;
+/// Most samples that choose from the same sources.
+const CONNECTED: usize = 16;
+
 /// What paths travel in.
 pub struct Tracer<'a> {
     /// The wall.
@@ -38,6 +46,10 @@ pub struct Tracer<'a> {
     pub settings: Settings,
     /// What floats in the lumen, if anything does.
     pub afloat: Option<Afloat<'a>>,
+    /// Where the LEDs' light comes from, if surfaces are connected to that.
+    pub sources: Option<&'a Sources>,
+    /// Light paths whose sources a surface is offered at a time.
+    pub offered: usize,
 }
 
 /// A path on its way from one surface to the next.
@@ -54,6 +66,23 @@ pub(super) struct Path {
     pub(super) sample: u32,
     /// Triangle it leaves.
     pub(super) from: u32,
+    /// Density with which it was drawn, where its surface may be connected to a source: of its
+    /// direction [1/sr] on the way there, of its place [1/m²] there; infinite elsewhere.
+    pub(super) density: f32,
+    /// Part of the throughput that is gloss, where the density is finite.
+    pub(super) gloss: f32,
+}
+
+impl Path {
+    /// What is left for the path itself of light that base and gloss of the place it has come to
+    /// reflect, beside sources of which each of so many light paths leaves so many there [1/m²].
+    #[inline(always)]
+    fn own(&self, density: f32, paths: usize) -> [Vec3; 2] {
+        let Shares { base, gloss } = Shares::new(density, self.density, paths);
+        let shiny = (1.0 - gloss) * self.gloss;
+        let matt = self.throughput.map(|t| (1.0 - base) * (t - self.gloss) + shiny);
+        [matt, scale(self.throughput, 1.0 - gloss)]
+    }
 }
 
 /// Paths at one step, and room for the next.
@@ -65,6 +94,7 @@ pub(super) struct Wave {
     pub(super) entries: Vec<Entry>,
     pub(super) exits: Vec<(Path, Exit)>,
     pub(super) requests: Requests,
+    room: Room,
 }
 
 /// Radiance [W/(sr·m²)] that surfaces of a band's tiles send to the viewer beyond direct light.
@@ -78,12 +108,12 @@ pub fn indirect(tracer: &Tracer<'_>, firsts: &[First]) -> Vec<Lane3> {
     let mut sums = vec![[0.0f64; 3]; firsts.len() * LANES];
     let leds: Vec<Vec3> = tracer.leds.iter().map(|led| led.position).collect();
     let mut wave = Wave::default();
-    let count = (WAVE / (firsts.len() * LANES).max(1)).max(1) as u32;
+    let count = at_once(firsts.len());
     let is_needed = depth > 1 || depth == 1 && tracer.scene.tissue.is_some();
     let mut done = if is_needed && !leds.is_empty() { 0 } else { samples };
     while done < samples {
         let after = samples.min(done.saturating_add(count));
-        tracer.set_out(firsts, done..after, &mut wave);
+        tracer.set_out(firsts, done..after, &mut wave, &mut sums);
         for reflection in 1..=depth {
             if reflection > 1 {
                 tracer.step(reflection, &mut wave);
@@ -104,28 +134,52 @@ pub fn indirect(tracer: &Tracer<'_>, firsts: &[First]) -> Vec<Lane3> {
         .collect()
 }
 
+/// Samples of so many tiles that make a wave.
+pub fn at_once(tiles: usize) -> u32 {
+    (WAVE / (tiles * LANES).max(1)).max(1) as u32
+}
+
 impl Tracer<'_> {
     /// Starts paths from what the camera sees.
     #[inline(always)]
-    fn set_out(&self, firsts: &[First], samples: std::ops::Range<u32>, wave: &mut Wave) {
+    fn set_out(
+        &self,
+        firsts: &[First],
+        samples: std::ops::Range<u32>,
+        wave: &mut Wave,
+        sums: &mut [[f64; 3]],
+    ) {
         let seed = self.settings.seed;
         let key = hash(hash(seed as u32) ^ (seed >> 32) as u32);
+        let each = if self.sources.is_some() { EACH } else { 1 };
+        let own = samples.start.div_ceil(each)..samples.end.div_ceil(each);
+        let weight = self.settings.samples as f32 / self.settings.samples.div_ceil(each) as f32;
         for (tile, first) in firsts.iter().enumerate() {
             let facets = self.facets(&first.triangle, &first.surface);
             let keys = first.pixel.map(|pixel| hash(key ^ hash(pixel)));
             let bare = self.bare(&first.surface, &first.triangle);
-            for sample in samples.clone() {
-                let own = std::array::from_fn(|i| Path {
+            if let Some(sources) = self.sources {
+                let sums = &mut sums[tile * LANES..(tile + 1) * LANES];
+                for start in samples.clone().step_by(CONNECTED) {
+                    let some = start..samples.end.min(start + CONNECTED as u32);
+                    let room = (&mut wave.room, &mut *sums);
+                    self.connect(sources, (first, &facets), (&keys, some), room);
+                }
+            }
+            for sample in own.clone() {
+                let paths = std::array::from_fn(|i| Path {
                     origin: at(&first.surface.position, i),
                     direction: [0.0; 3],
-                    throughput: [1.0; 3],
+                    throughput: [weight; 3],
                     pixel: (tile * LANES + i) as u32,
                     key: keys[i],
                     sample,
                     from: first.triangle[i],
+                    density: f32::INFINITY,
+                    gloss: 0.0,
                 });
                 let from = (&first.surface, bare.as_ref(), &facets);
-                self.send_on(1, from, (&own, &first.hit), (&mut wave.paths, &mut wave.entries));
+                self.send_on(1, from, (&paths, &first.hit), (&mut wave.paths, &mut wave.entries));
             }
         }
     }
@@ -167,15 +221,28 @@ impl Tracer<'_> {
         let surface = self.met(block, &own);
         let triangles = std::array::from_fn(|i| block.get(i).map_or(MISS, |met| met.1.triangle));
         let bare = self.bare(&surface, &triangles);
-        let lit = bare.as_ref().unwrap_or(&surface);
+        let facets = self.facets(&triangles, &surface);
+        let (mut lit, mut asking) = (bare.clone().unwrap_or_else(|| surface.clone()), own);
+        if let Some(sources) = self.sources.filter(|_| reflection == 2) {
+            for (i, (_, hit)) in block.iter().enumerate() {
+                let cosine = max(-dot(own[i].direction, at(&facets, i)), 0.0);
+                own[i].density *= cosine / (hit.distance * hit.distance);
+                let sent = density(&sources.lamps, at(&surface.position, i), at(&facets, i));
+                let [matt, shiny] = own[i].own(sent, self.offered);
+                // The base is dimmed instead of the light that comes.
+                for k in 0..3 {
+                    lit.albedo[k][i] *= matt[k] / max(shiny[k], 1e-30);
+                }
+                asking[i].throughput = shiny;
+            }
+        }
         let light = |led: &Led, radiance: &mut Lane3| {
-            add_light(lit, &self.scene.material, led, &[true; LANES], radiance);
+            add_light(&lit, &self.scene.material, led, &[true; LANES], radiance);
         };
-        self.ask(reflection, &surface.position, light, &own[..block.len()], requests);
+        self.ask(reflection, &surface.position, light, &asking[..block.len()], requests);
         if reflection == self.settings.depth && bare.is_none() {
             return;
         }
-        let facets = self.facets(&triangles, &surface);
         for i in 0..LANES {
             own[i].origin = at(&surface.position, i);
             own[i].from = triangles[i];
@@ -209,42 +276,17 @@ impl Tracer<'_> {
             let weight = scale(at(&out.weight, i), 1.0 / stays[i]);
             let mut path = own[i];
             path.direction = at(&out.direction, i);
+            if let Some(sources) = self.sources {
+                let cosine = max(dot(path.direction, at(facets, i)), 0.0);
+                [path.throughput, _] = path.own(2.0 * cosine * sources.scattered, self.offered);
+                let is_first = reflection == 1;
+                path.density = if is_first { out.density[i] } else { f32::INFINITY };
+                path.gloss = if is_first { path.throughput[0] * out.gloss[i] } else { 0.0 };
+            }
             path.throughput = [0, 1, 2].map(|k| path.throughput[k] * weight[k]);
             if self.survives(reflection, &mut path) {
                 self.go_on(path, at(facets, i), next);
             }
-        }
-    }
-
-    /// Asks for the light of one LED on each of the places that `paths` have come to; `light` adds
-    /// what an LED would leave there.
-    #[inline(always)]
-    pub(super) fn ask(
-        &self,
-        reflection: u32,
-        position: &Lane3,
-        light: impl Fn(&Led, &mut Lane3),
-        paths: &[Path],
-        requests: &mut Requests,
-    ) {
-        let mut throughput = [[0.0; LANES]; 3];
-        let mut number = [0.0; LANES];
-        for (i, path) in paths.iter().enumerate() {
-            number[i] = point(dimension(path.key, 4 * reflection + 2), path.sample)[0];
-            for k in 0..3 {
-                throughput[k][i] = path.throughput[k];
-            }
-        }
-        let light = self.one_led(light, &throughput, number);
-        for (i, path) in paths.iter().enumerate().filter(|&(i, _)| light.weight[i] > 0.0) {
-            let factor = light.total[i] / light.weight[i];
-            let radiance = at(&light.radiance, i);
-            requests.open.push(Request {
-                point: at(position, i),
-                light: [0, 1, 2].map(|k| path.throughput[k] * radiance[k] * factor),
-                pixel: path.pixel,
-                led: light.led[i],
-            });
         }
     }
 
@@ -326,54 +368,4 @@ impl Tracer<'_> {
         }
         facets
     }
-
-    /// Chooses one LED for each lane in proportion to what it would add to the pixel unshadowed.
-    #[inline(always)]
-    fn one_led(
-        &self,
-        light: impl Fn(&Led, &mut Lane3),
-        throughput: &Lane3,
-        mut number: Lane,
-    ) -> OneLed {
-        let mut out = OneLed {
-            led: [0; LANES],
-            radiance: [[0.0; LANES]; 3],
-            weight: [0.0; LANES],
-            total: [0.0; LANES],
-        };
-        for (led_number, led) in self.leds.iter().enumerate() {
-            let mut radiance = [[0.0; LANES]; 3];
-            light(led, &mut radiance);
-            for i in 0..LANES {
-                let [r, g, b] = at(throughput, i);
-                let weight = r * radiance[0][i] + g * radiance[1][i] + b * radiance[2][i];
-                let total = out.total[i] + weight;
-                let share = if total > 0.0 { weight / total } else { 0.0 };
-                // One number decides all: within each outcome it is even again.
-                let chosen = number[i] < share;
-                number[i] = if chosen {
-                    number[i] / share
-                } else {
-                    (number[i] - share) / max(1.0 - share, 1e-7)
-                };
-                out.total[i] = total;
-                out.led[i] = if chosen { led_number as u32 } else { out.led[i] };
-                out.weight[i] = if chosen { weight } else { out.weight[i] };
-                for k in 0..3 {
-                    out.radiance[k][i] = if chosen { radiance[k][i] } else { out.radiance[k][i] };
-                }
-            }
-        }
-        out
-    }
-}
-
-/// One LED for each lane.
-struct OneLed {
-    led: [u32; LANES],
-    /// Radiance that the surface would leave of its light.
-    radiance: Lane3,
-    /// What the choice went by: of this LED, and of all.
-    weight: Lane,
-    total: Lane,
 }

@@ -48,14 +48,19 @@ struct Given<'py> {
 type Distance<'py> =
     (PyReadonlyArray2<'py, f32>, PyReadonlyArray2<'py, u8>, PyReadonlyArray2<'py, f32>);
 
+/// The same in the order wall, depth, label.
+type Distances<'a> = (&'a [f32], &'a [f32], &'a [u8]);
+
+/// As `blur_motion` takes it: motion, its step, the shutter.
+type GivenMotion<'py> = (PyReadonlyArray3<'py, f32>, usize, (f32, f32, f32));
+
 /// What changes from frame to frame.
 #[derive(FromPyObject)]
 #[pyo3(from_item_all)]
 struct Shot<'py> {
     /// From radiance to image values.
     factor: f32,
-    /// As `blur_motion` takes it: motion, its step, the shutter.
-    motion: Option<(PyReadonlyArray3<'py, f32>, usize, (f32, f32, f32))>,
+    motion: Option<GivenMotion<'py>>,
     distance: Option<Distance<'py>>,
     drops: Option<GivenDrops<'py>>,
     /// None where the sensor changes nothing.
@@ -214,7 +219,7 @@ impl Shot<'_> {
         Ok(Some(Motion { vectors, cells: (rows, columns), step: *step, shutter }))
     }
 
-    fn distance(&self, size: (usize, usize)) -> PyResult<Option<(&[f32], &[f32], &[u8])>> {
+    fn distance(&self, size: (usize, usize)) -> PyResult<Option<Distances<'_>>> {
         let Some((wall, label, depth)) = &self.distance else { return Ok(None) };
         Ok(Some((of_image(wall, size)?, of_image(depth, size)?, of_image(label, size)?)))
     }

@@ -65,7 +65,7 @@ class Activity:
 
 ACTIVITIES = {
     1: Activity(
-        *(0.92, (0.995, 0.567, 0.364), 0.85, 0.014 * MM),
+        *(0.92, (0.995, 0.510, 0.308), 0.85, 0.014 * MM),
         **{"stipple": 0.14, "petechiae": 3.2, "mucopus": 1.5},
     ),
     2: Activity(

@@ -17,7 +17,7 @@ ORGANS = ("colon",)
 WAYS = {
     "quick": vrcaps.RenderSettings(light="quick", shadows=True),
     "quick, scattering": vrcaps.RenderSettings(light="quick", shadows=True, scattering=True),
-    "path, scattering": vrcaps.RenderSettings(light="path", samples=32, depth=10, scattering=True),
+    "path, scattering": vrcaps.RenderSettings(light="path", samples=400, depth=10, scattering=True),
 }
 SIDE_PX = 320
 VIEW = 0.5

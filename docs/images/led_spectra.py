@@ -9,11 +9,10 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from PIL import Image
+from views import save_rows, view_row
 
 import vrcaps
 
-SHOWN = (3, 9, 14, 17)  # of 20 frames along the whole colon
 WAVELENGTH_NM = np.arange(380.0, 701.0, 4.0)
 
 
@@ -33,18 +32,8 @@ SPECTRA = {
 def main(path: Path) -> None:
     """A row for each kind."""
     colon, device = vrcaps.load_organ("colon", seed=0), vrcaps.load_device("mirocam")
-    settings = vrcaps.RenderSettings(supersampling=2, shadows=True, light="quick")
-    rows = []
-    for spectrum in SPECTRA.values():
-        model = vrcaps.Model(colon, replace(device, led_spectrum=spectrum))
-        rng = np.random.default_rng(0)
-        flight = vrcaps.fly_through(model, vrcaps.FlyThrough(), frames=20, fps=3.0, rng=rng)
-        renderer, camera = vrcaps.Renderer(model, settings), model.device.cameras[0]
-        images = [renderer.render(flight.state(k), camera, channels=("rgb",)).rgb for k in SHOWN]
-        rows.append(np.hstack([np.asarray(image) for image in images]))
-    Image.fromarray(np.vstack(rows)).resize((1000, 750), Image.Resampling.LANCZOS).save(
-        path, quality=88
-    )
+    devices = [replace(device, led_spectrum=spectrum) for spectrum in SPECTRA.values()]
+    save_rows([view_row(vrcaps.Model(colon, device)) for device in devices], path)
 
 
 if __name__ == "__main__":

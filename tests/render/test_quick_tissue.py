@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import hashlib
 from pathlib import Path
 
 import numpy as np
 import pytest
 from shapes import looking, make_camera, make_model, make_organ, pinhole, sphere, tube
-from threads import digests_by_threads
+from threads import digest_at_rest_and_moved, digests_by_threads
 
 from vrcaps.capsule.device import Camera, Led
 from vrcaps.capsule.lens import LensEquidistant
@@ -166,17 +165,10 @@ def test_labels_stay_and_narrow_bands_work() -> None:
 
 
 def digest() -> str:
-    """Checksum of two frames, the second of a wall that has moved, and of the first again."""
+    """Checksum of frames at rest and moved, for processes with other numbers of threads."""
     model, camera = _folds()
     renderer = Renderer(model, RenderSettings(light="quick", scattering=True, shadows=True))
-    wide = model.organ.vertices * np.array([1.02, 1.02, 1.0])
-    states = (looking(PLACE), looking((0.0, 0.002, 0.08), vertices_world=wide), looking(PLACE))
-    total = hashlib.sha256()
-    for state in states:
-        frame = renderer.render(state, camera, channels=("rgb", "radiance"))
-        assert frame.rgb is not None and frame.radiance is not None
-        total.update(frame.rgb.tobytes() + frame.radiance.tobytes())
-    return total.hexdigest()
+    return digest_at_rest_and_moved(renderer, camera, PLACE)
 
 
 def test_same_bytes_for_any_number_of_threads() -> None:

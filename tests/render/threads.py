@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 import subprocess
 import sys
 from collections.abc import Iterable
 from pathlib import Path
+
+import numpy as np
+from shapes import looking
+
+from vrcaps.capsule.device import Camera
+from vrcaps.render.renderer import Renderer
 
 
 def digests_by_threads(test: Path, threads: Iterable[int]) -> tuple[list[int], set[str]]:
@@ -31,3 +38,17 @@ def digests_by_threads(test: Path, threads: Iterable[int]) -> tuple[list[int], s
         for count in threads
     ]
     return [int(count) for count, _ in results], {checksum for _, checksum in results}
+
+
+def digest_at_rest_and_moved(
+    renderer: Renderer, camera: Camera, place: tuple[float, float, float]
+) -> str:
+    """Checksum of two frames, the second of a wall that has moved, and of the first again."""
+    wide = renderer.model.organ.vertices * np.array([1.02, 1.02, 1.0])
+    states = (looking(place), looking((0.0, 0.002, 0.08), vertices_world=wide), looking(place))
+    total = hashlib.sha256()
+    for state in states:
+        frame = renderer.render(state, camera, channels=("rgb", "radiance"))
+        assert frame.rgb is not None and frame.radiance is not None
+        total.update(frame.rgb.tobytes() + frame.radiance.tobytes())
+    return total.hexdigest()

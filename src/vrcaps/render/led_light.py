@@ -8,6 +8,7 @@ their densities would be less or more under the new spectrum is added.
 
 from __future__ import annotations
 
+import functools
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -81,6 +82,7 @@ def imaging_of(device: Device, mode: str) -> Imaging:
     return WHITE_LIGHT if device.led_spectrum is None else led_light(device.led_spectrum)
 
 
+@functools.lru_cache(maxsize=4)
 def led_light(spectrum: Spectrum) -> Imaging:
     """Imaging under LEDs of a spectrum, to which the camera is balanced.
 

@@ -90,8 +90,7 @@ impl View<'_> {
     /// Where the LEDs' light comes from, if paths are to be connected to that.
     fn sources(&self, wall: &Wall, scene: &SceneData, rays: &RayTable) -> Option<Sources> {
         let settings = self.paths.filter(|_| scene.tissue.is_none())?;
-        let pixel_angle = rays.tiles.iter().fold(0.0, |angle, tile| max(angle, tile.pixel_angle));
-        let lit = Lit { wall, scene, leds: &self.leds, pixel_angle, settings };
+        let lit = lit(wall, scene, (&self.leds, settings), &rays.tiles);
         Sources::new(&lit, rays.width * rays.height)
     }
 
@@ -246,6 +245,18 @@ impl Area {
     }
 }
 
+/// What paths of some tiles travel in.
+#[inline(always)]
+fn lit<'a>(
+    wall: &'a Wall,
+    scene: &'a SceneData,
+    (leds, settings): (&'a [Led], Settings),
+    tiles: &[TileRays],
+) -> Lit<'a> {
+    let pixel_angle = tiles.iter().fold(0.0, |angle, tile| max(angle, tile.pixel_angle));
+    Lit { wall, scene, leds, pixel_angle, settings }
+}
+
 /// Light beyond direct light that the surfaces met by each tile send to the viewer.
 #[inline(always)]
 fn glow(
@@ -257,11 +268,10 @@ fn glow(
     first: impl FnMut((usize, &TileRays)) -> First,
 ) -> Option<Vec<Lane3>> {
     let settings = view.paths?;
-    let pixel_angle = tiles.iter().fold(0.0, |angle, tile| max(angle, tile.pixel_angle));
-    let (leds, sources) = (&view.leds, view.sources.as_ref());
+    let lit = lit(wall, scene, (&view.leds, settings), tiles);
+    let sources = view.sources.as_ref();
     let offered = Sources::offered(settings.samples.min(wave::at_once(tiles.len())));
-    let tracer =
-        wave::Tracer { wall, scene, leds, pixel_angle, settings, afloat, sources, offered };
+    let tracer = wave::Tracer { lit, afloat, sources, offered };
     let firsts: Vec<First> = tiles.iter().enumerate().map(first).collect();
     Some(wave::indirect(&tracer, &firsts))
 }

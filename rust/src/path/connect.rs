@@ -15,7 +15,6 @@ use crate::path::ray;
 use crate::path::sources::{OWN, Offer, Shares, Source, Sources};
 use crate::path::walk::offset;
 use crate::path::wave::Tracer;
-use crate::shade::{attributes_at, surface as surface_of};
 use crate::tile::Hits;
 use crate::visibility::FREE_WAY;
 use std::f32::consts::PI;
@@ -62,7 +61,7 @@ impl Tracer<'_> {
         (keys, samples): (&[u32; LANES], Range<u32>),
         (room, sums): (&mut Room, &mut [[f64; 3]]),
     ) {
-        let gloss = Gloss::new(&self.scene.material);
+        let gloss = Gloss::new(&self.lit.scene.material);
         for quarter in 0..4 {
             let places = Places::new(first, facets, quarter);
             let key = |lane: usize| hash(dimension(keys[lane], 6) ^ hash(samples.start));
@@ -101,16 +100,15 @@ impl Tracer<'_> {
                 ways[k][i] = way[k];
             }
         }
-        let found = attributes_at(self.wall, self.scene, position, view, &hits);
-        let seen = surface_of(self.scene, &found, &hits.distance, self.pixel_angle);
+        let seen = self.lit.surface(position, view, &hits);
         let mut back = [[0.0; LANES]; 3];
         for i in 0..LANES {
             for k in 0..3 {
                 back[k][i] = of(i).1.back[k];
             }
         }
-        let sent = towards(&seen, &self.scene.material, &back);
-        let taken = towards(&place, &self.scene.material, &ways);
+        let sent = towards(&seen, &self.lit.scene.material, &back);
+        let taken = towards(&place, &self.lit.scene.material, &ways);
         let mut light = [[0.0; LANES]; 3];
         for i in 0..LANES {
             let (pair, source) = of(i);
@@ -139,7 +137,7 @@ impl Tracer<'_> {
         pairs: &[Pair],
         (light, scaled, sums): (&Lane3, f32, &mut [[f64; 3]]),
     ) {
-        let clear = offset(self.wall);
+        let clear = offset(self.lit.wall);
         for (i, pair) in pairs.iter().enumerate() {
             let value = scale(at(light, i), scaled);
             if max(value[0], max(value[1], value[2])) <= 0.0 {
@@ -151,7 +149,7 @@ impl Tracer<'_> {
             let way = sub(end, start);
             let reach = dot(way, way).sqrt() * FREE_WAY;
             let way = normalize(way);
-            if ray::cast::<true>(&self.wall.bvh, start, way, reach, source.triangle).is_none() {
+            if ray::cast::<true>(&self.lit.wall.bvh, start, way, reach, source.triangle).is_none() {
                 for k in 0..3 {
                     sums[lane][k] += f64::from(value[k]);
                 }

@@ -53,7 +53,7 @@ impl Tracer<'_> {
             weight: [0.0; LANES],
             total: [0.0; LANES],
         };
-        for (led_number, led) in self.leds.iter().enumerate() {
+        for (led_number, led) in self.lit.leds.iter().enumerate() {
             let mut radiance = [[0.0; LANES]; 3];
             light(led, &mut radiance);
             for i in 0..LANES {

@@ -1,7 +1,7 @@
 //! Light paths: they leave the LEDs with equal power and go on as the wall reflects them.
 
 use crate::lanes::*;
-use crate::material::Led;
+use crate::material::{Led, Surface};
 use crate::path::Settings;
 use crate::path::lobes::{self, circle, frame, on_circle, towards};
 use crate::path::random::{dimension, point};
@@ -24,7 +24,7 @@ pub struct Lamp {
     peak: f32,
 }
 
-/// What light paths travel in.
+/// What paths travel in.
 pub struct Lit<'a> {
     /// The wall.
     pub wall: &'a Wall,
@@ -36,6 +36,15 @@ pub struct Lit<'a> {
     pub pixel_angle: f32,
     /// How paths are traced.
     pub settings: Settings,
+}
+
+impl Lit<'_> {
+    /// Surfaces that rays have met, seen from where `view` points.
+    #[inline(always)]
+    pub fn surface(&self, position: Lane3, view: Lane3, hits: &Hits) -> Surface {
+        let found = attributes_at(self.wall, self.scene, position, view, hits);
+        surface(self.scene, &found, &hits.distance, self.pixel_angle)
+    }
 }
 
 /// A light path that has come to the wall.
@@ -184,8 +193,7 @@ fn reflected(lit: &Lit<'_>, on_way: &[Arrival], ways: &[(Vec3, Option<Hit>); LAN
         let Some((source, direction, distance)) = seen(i) else { continue };
         source.put(i, (direction, distance), (&mut hits, &mut position, &mut view));
     }
-    let found = attributes_at(lit.wall, lit.scene, position, view, &hits);
-    let surface = surface(lit.scene, &found, &hits.distance, lit.pixel_angle);
+    let surface = lit.surface(position, view, &hits);
     let mut back = [[0.0; LANES]; 3];
     for (i, arrival) in on_way.iter().enumerate() {
         for k in 0..3 {

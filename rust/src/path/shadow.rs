@@ -55,7 +55,7 @@ impl Requests {
             let count = rest[..most].iter().take_while(|number| same(number)).count();
             let (chunk, after) = rest.split_at(count);
             let origin = leds[led as usize];
-            let lit = self.lit(tracer.wall, origin, chunk);
+            let lit = self.lit(tracer.lit.wall, origin, chunk);
             for (&number, _) in chunk.iter().zip(lit).filter(|&(_, lit)| lit) {
                 let Request { point, light, pixel, .. } = self.open[number as usize];
                 let left = tracer.afloat.as_ref().map(|a| a.led_left(origin, point));

@@ -8,7 +8,6 @@ use crate::material::gloss_alpha;
 use crate::path::Settings;
 use crate::path::light::{Arrival, Lamp, Lit, go_on, lamps, leave};
 use crate::path::random::{dimension, hash};
-use crate::shade::{attributes_at, surface};
 use crate::tile::Hits;
 use rayon::prelude::*;
 use std::f32::consts::PI;
@@ -184,8 +183,7 @@ fn color(lit: &Lit<'_>, sources: &mut [Source]) {
     for (i, source) in sources.iter().enumerate() {
         source.put(i, (source.facet, 0.0), (&mut hits, &mut position, &mut view));
     }
-    let found = attributes_at(lit.wall, lit.scene, position, view, &hits);
-    let surface = surface(lit.scene, &found, &hits.distance, lit.pixel_angle);
+    let surface = lit.surface(position, view, &hits);
     for (i, source) in sources.iter_mut().enumerate() {
         let albedo = at(&surface.albedo, i);
         source.normal = at(&surface.normal, i);

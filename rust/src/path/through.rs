@@ -7,7 +7,6 @@ use crate::path::random::{dimension, point};
 use crate::path::shadow::Requests;
 use crate::path::walk::{Exit, Stream, Tissue, Way, offset, refracted, walk};
 use crate::path::wave::{Path, Tracer, Wave};
-use crate::shade::{attributes_at, surface};
 use crate::tile::{Hits, MISS};
 
 /// Dimension of the random numbers of walks; those of paths are four a reflection.
@@ -35,8 +34,9 @@ impl Tracer<'_> {
     ) -> Lane {
         let mut stays = [1.0; LANES];
         for i in (0..LANES).filter(|&i| used[i] && own[i].from != MISS) {
-            let is_last = reflection == self.settings.depth;
-            let chance = if is_last { 1.0 } else { base_share(surface, &self.scene.material, i) };
+            let is_last = reflection == self.lit.settings.depth;
+            let chance =
+                if is_last { 1.0 } else { base_share(surface, &self.lit.scene.material, i) };
             let number = point(dimension(own[i].key, 4 * reflection + 3), own[i].sample)[0];
             if number >= chance {
                 stays[i] = 1.0 - chance;
@@ -60,14 +60,14 @@ impl Tracer<'_> {
         // Relief may lead out through the face itself.
         let out = max(dot(path.direction, facet), 0.0);
         path.direction = sub(path.direction, scale(facet, 2.0 * out));
-        path.origin = sub(path.origin, scale(facet, offset(self.wall)));
+        path.origin = sub(path.origin, scale(facet, offset(self.lit.wall)));
         path
     }
 
     /// Takes paths through the tissue, asks for light where they come out, and sends them on.
     #[inline(always)]
     pub(super) fn walk(&self, reflection: u32, wave: &mut Wave) {
-        let Some(tissue) = &self.scene.tissue else { return };
+        let Some(tissue) = &self.lit.scene.tissue else { return };
         let Wave { paths, entries, exits, requests, .. } = wave;
         exits.clear();
         for Entry { mut path, color } in entries.drain(..) {
@@ -75,7 +75,7 @@ impl Tracer<'_> {
             let Path { origin, direction, from, .. } = path;
             let way = Way { origin, direction, from };
             let Some(exit) =
-                walk(self.wall, &tissue.medium(color), way, &mut Stream::new(key, path.sample))
+                walk(self.lit.wall, &tissue.medium(color), way, &mut Stream::new(key, path.sample))
             else {
                 continue;
             };
@@ -104,7 +104,7 @@ impl Tracer<'_> {
             add_leaving(&surface, (tissue.ior, tissue.entering), led, radiance);
         };
         self.ask(reflection, &surface.position, light, &own[..block.len()], requests);
-        if reflection == self.settings.depth {
+        if reflection == self.lit.settings.depth {
             return;
         }
         for (i, (path, exit)) in block.iter().enumerate() {
@@ -133,13 +133,12 @@ impl Tracer<'_> {
                 view[k][i] = exit.facet[k];
             }
         }
-        let found = attributes_at(self.wall, self.scene, position, view, &hits);
-        surface(self.scene, &found, &hits.distance, self.pixel_angle)
+        self.lit.surface(position, view, &hits)
     }
 
     /// A surface without the base that tissue stands for, if light goes through tissue.
     #[inline(always)]
     pub(super) fn bare(&self, surface: &Surface, triangles: &[u32; LANES]) -> Option<Surface> {
-        self.scene.tissue.as_ref().map(|_| surface.bare(triangles))
+        self.lit.scene.tissue.as_ref().map(|_| surface.bare(triangles))
     }
 }

@@ -4,7 +4,7 @@ use crate::lanes::*;
 use crate::material::{Led, Surface, add_light};
 use crate::path::afloat::Afloat;
 use crate::path::connect::Room;
-use crate::path::light::density;
+use crate::path::light::{Lit, density};
 use crate::path::lobes::{Bounce, Draw, bounce};
 use crate::path::random::{dimension, hash, point, unit};
 use crate::path::ray::{self, Hit};
@@ -14,10 +14,7 @@ use crate::path::through::Entry;
 use crate::path::walk::{Exit, offset};
 use crate::path::{First, Settings};
 use crate::render::REACH;
-use crate::scene::SceneData;
-use crate::shade::{attributes_at, surface};
 use crate::tile::{Hits, MISS};
-use crate::wall::Wall;
 
 /// Paths of one wave, about: enough that ways to an LED have neighbours, few enough for a cache.
 const WAVE: usize = 65_536;
@@ -32,18 +29,10 @@ const EACH: u32 = 2;
 /// Most samples that choose from the same sources.
 const CONNECTED: usize = 16;
 
-/// What paths travel in.
+/// What the camera's paths travel in.
 pub struct Tracer<'a> {
-    /// The wall.
-    pub wall: &'a Wall,
-    /// What is drawn on it.
-    pub scene: &'a SceneData,
-    /// LEDs about the wall's centre.
-    pub leds: &'a [Led],
-    /// Angle between neighbouring pixels [rad].
-    pub pixel_angle: f32,
-    /// How paths are traced.
-    pub settings: Settings,
+    /// What the LEDs' paths travel in, too.
+    pub lit: Lit<'a>,
     /// What floats in the lumen, if anything does.
     pub afloat: Option<Afloat<'a>>,
     /// Where the LEDs' light comes from, if surfaces are connected to that.
@@ -104,12 +93,12 @@ pub(super) struct Wave {
     "aarch64+neon"
 ))]
 pub fn indirect(tracer: &Tracer<'_>, firsts: &[First]) -> Vec<Lane3> {
-    let Settings { samples, depth, .. } = tracer.settings;
+    let Settings { samples, depth, .. } = tracer.lit.settings;
     let mut sums = vec![[0.0f64; 3]; firsts.len() * LANES];
-    let leds: Vec<Vec3> = tracer.leds.iter().map(|led| led.position).collect();
+    let leds: Vec<Vec3> = tracer.lit.leds.iter().map(|led| led.position).collect();
     let mut wave = Wave::default();
     let count = at_once(firsts.len());
-    let is_needed = depth > 1 || depth == 1 && tracer.scene.tissue.is_some();
+    let is_needed = depth > 1 || depth == 1 && tracer.lit.scene.tissue.is_some();
     let mut done = if is_needed && !leds.is_empty() { 0 } else { samples };
     while done < samples {
         let after = samples.min(done.saturating_add(count));
@@ -149,11 +138,12 @@ impl Tracer<'_> {
         wave: &mut Wave,
         sums: &mut [[f64; 3]],
     ) {
-        let seed = self.settings.seed;
+        let seed = self.lit.settings.seed;
         let key = hash(hash(seed as u32) ^ (seed >> 32) as u32);
         let each = if self.sources.is_some() { EACH } else { 1 };
         let own = samples.start.div_ceil(each)..samples.end.div_ceil(each);
-        let weight = self.settings.samples as f32 / self.settings.samples.div_ceil(each) as f32;
+        let weight =
+            self.lit.settings.samples as f32 / self.lit.settings.samples.div_ceil(each) as f32;
         for (tile, first) in firsts.iter().enumerate() {
             let facets = self.facets(&first.triangle, &first.surface);
             let keys = first.pixel.map(|pixel| hash(key ^ hash(pixel)));
@@ -191,7 +181,7 @@ impl Tracer<'_> {
         met.clear();
         for (number, path) in paths.iter_mut().enumerate() {
             let Path { origin, direction, from, .. } = *path;
-            let hit = ray::cast::<false>(&self.wall.bvh, origin, direction, REACH, from);
+            let hit = ray::cast::<false>(&self.lit.wall.bvh, origin, direction, REACH, from);
             let Some(mut hit) = hit else { continue };
             if let Some(afloat) = &self.afloat {
                 let left;
@@ -237,10 +227,10 @@ impl Tracer<'_> {
             }
         }
         let light = |led: &Led, radiance: &mut Lane3| {
-            add_light(&lit, &self.scene.material, led, &[true; LANES], radiance);
+            add_light(&lit, &self.lit.scene.material, led, &[true; LANES], radiance);
         };
         self.ask(reflection, &surface.position, light, &asking[..block.len()], requests);
-        if reflection == self.settings.depth && bare.is_none() {
+        if reflection == self.lit.settings.depth && bare.is_none() {
             return;
         }
         for i in 0..LANES {
@@ -263,11 +253,11 @@ impl Tracer<'_> {
         (own, used): (&[Path; LANES], &[bool; LANES]),
         (next, entries): (&mut Vec<Path>, &mut Vec<Entry>),
     ) {
-        let stays = match &self.scene.tissue {
+        let stays = match &self.lit.scene.tissue {
             Some(tissue) => self.enter(reflection, tissue, (surface, facets), (own, used), entries),
             None => [1.0; LANES],
         };
-        if reflection == self.settings.depth {
+        if reflection == self.lit.settings.depth {
             return;
         }
         let (keys, samples) = (own.map(|path| path.key), own.map(|path| path.sample));
@@ -308,7 +298,7 @@ impl Tracer<'_> {
     pub(super) fn go_on(&self, mut path: Path, facet: Vec3, paths: &mut Vec<Path>) {
         let [r, g, b] = path.throughput;
         if (max(r, max(g, b)) > 0.0) & (dot(path.direction, facet) > 0.0) {
-            path.origin = add(path.origin, scale(facet, offset(self.wall)));
+            path.origin = add(path.origin, scale(facet, offset(self.lit.wall)));
             paths.push(path);
         }
     }
@@ -329,7 +319,7 @@ impl Tracer<'_> {
             draw.way[0][i] = way[0];
             draw.way[1][i] = way[1];
         }
-        bounce(surface, &self.scene.material, &draw)
+        bounce(surface, &self.lit.scene.material, &draw)
     }
 
     /// The surfaces that paths met.
@@ -346,8 +336,7 @@ impl Tracer<'_> {
                 view[k][i] = -paths[i].direction[k];
             }
         }
-        let found = attributes_at(self.wall, self.scene, position, view, &hits);
-        let mut surface = surface(self.scene, &found, &hits.distance, self.pixel_angle);
+        let mut surface = self.lit.surface(position, view, &hits);
         if let Some(afloat) = &self.afloat {
             afloat.show(block, &mut surface);
         }
@@ -359,7 +348,7 @@ impl Tracer<'_> {
     fn facets(&self, triangles: &[u32; LANES], surface: &Surface) -> Lane3 {
         let mut facets = surface.normal;
         for i in (0..LANES).filter(|&i| triangles[i] != MISS) {
-            let [a, b, c] = self.wall.bvh.triangles[triangles[i] as usize].corners;
+            let [a, b, c] = self.lit.wall.bvh.triangles[triangles[i] as usize].corners;
             let normal = normalize(cross(sub(b, a), sub(c, a)));
             let side = if dot(normal, at(&surface.view, i)) < 0.0 { -1.0 } else { 1.0 };
             for k in 0..3 {

@@ -73,7 +73,7 @@ pub fn clamp(x: f32, low: f32, high: f32) -> f32 {
 
 /// Vector of lane `i`.
 #[inline(always)]
-pub fn at(v: &Lane3, i: usize) -> Vec3 {
+pub fn at<const N: usize>(v: &[[f32; N]; 3], i: usize) -> Vec3 {
     [v[0][i], v[1][i], v[2][i]]
 }
 

@@ -26,8 +26,8 @@ pub struct RayTable {
     pub height: usize,
     /// Tiles, row by row.
     pub tiles: Vec<TileRays>,
-    /// Direction of each pixel, and 1 if it is inside the lens's field.
-    pixels: Vec<[f32; 4]>,
+    /// Direction of each pixel, and 1 if it is inside the lens's field, or else 0.
+    pub pixels: Vec<[f32; 4]>,
 }
 
 impl RayTable {

@@ -299,7 +299,9 @@ fn render_band(
     let glow = if out.wants_light() { glow(wall, scene, view, tiles, None, first) } else { None };
     for (column, tile) in tiles.iter().enumerate() {
         let glow = glow.as_ref().map(|tiles| &tiles[column]);
-        render_tile(wall, scene, view, tile, area.place(column), glow, out);
+        let (rays, hits) = primary(wall, view, tile);
+        let place = area.place(column);
+        render_tile((wall, scene, view), tile, (&rays, &hits), place, glow, out);
     }
 }
 
@@ -336,33 +338,32 @@ pub fn primary(wall: &Wall, view: &View<'_>, tile: &TileRays) -> (Pyramid, Hits)
     (rays, hits)
 }
 
-/// Renders one tile of a wall with nothing before it; `glow` is light beyond direct light.
+/// Renders one tile of a wall with nothing before it, whose rays have met that; `glow` is light
+/// beyond direct light.
 #[inline(always)]
 pub fn render_tile(
-    wall: &Wall,
-    scene: &SceneData,
-    view: &View<'_>,
+    (wall, scene, view): (&Wall, &SceneData, &View<'_>),
     tile: &TileRays,
+    (rays, hits): (&Pyramid, &Hits),
     place: Place,
     glow: Option<&Lane3>,
     out: &mut Channels<'_>,
 ) {
-    let (rays, hits) = primary(wall, view, tile);
-    let found = attributes(wall, scene, view.origin, &rays.directions, &hits);
+    let found = attributes(wall, scene, view.origin, &rays.directions, hits);
     if out.wants_color() {
         let surface = surface(scene, &found, &hits.distance, tile.pixel_angle);
         let bare = view.bare(scene, &surface, &hits.triangle);
-        let beneath = view.beneath(&surface, &hits, &hits.triangle);
+        let beneath = view.beneath(&surface, hits, &hits.triangle);
         let lit = (bare.as_ref().unwrap_or(&surface), beneath.as_ref());
         let mut radiance = light(wall, &scene.material, &view.leds, view.shadows, lit, &found.hit);
         if let Some(bounced) = &view.bounced {
-            bounced.add((&surface, &found.normal), &hits, beneath.as_ref(), &mut radiance);
+            bounced.add((&surface, &found.normal), hits, beneath.as_ref(), &mut radiance);
         }
         add_glow(glow, &mut radiance);
         place.write_light(out, &radiance, &found.hit, view.exposure);
         place.write3(&mut out.albedo, &surface.albedo, &found.hit, f32::NAN);
     }
-    write_geometry(view, tile, &hits, &found, place, out);
+    write_geometry(view, tile, hits, &found, place, out);
 }
 
 /// Adds light beyond direct light, if there is any.

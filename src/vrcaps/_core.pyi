@@ -319,9 +319,15 @@ class CameraStages:
     ) -> float: ...
 
 def flow_by_rays(
-    rays: RayTable, points: NDArray[np.float64], pose: NDArray[np.float64], step: int
+    rays: RayTable,
+    given: tuple[
+        NDArray[np.float64],
+        NDArray[np.float64],
+        tuple[NDArray[np.uint8], NDArray[np.float32], NDArray[np.float64], tuple[float, float]]
+        | None,
+    ],
+    step: int,
 ) -> NDArray[np.float32]: ...
-def to_planes(image: NDArray[np.float32], factor: float) -> NDArray[np.float32]: ...
 def defocus(
     planes: NDArray[np.float32], distance: NDArray[np.float32], reach: float, focus: float
 ) -> NDArray[np.float32]: ...

@@ -18,7 +18,7 @@ use crate::path::First;
 use crate::path::afloat::Afloat;
 use crate::query;
 use crate::rays::TileRays;
-use crate::render::{REACH, View, add_glow, primary, render_tile, write_geometry};
+use crate::render::{View, add_glow, primary, render_tile, write_geometry};
 use crate::scene::SceneData;
 use crate::shade::{Attributes, add_all_light, attributes, attributes_at, surface};
 use crate::tile::{Hits, MISS, Pyramid, farthest_of};
@@ -92,7 +92,8 @@ impl<'a> Filled<'a> {
     /// The surfaces of wall and particles that paths set out from.
     #[inline(always)]
     pub fn first(&self, tile: &TileRays, pixel: [u32; LANES], room: &mut Room) -> First {
-        let Seen { hits, owner, found, .. } = self.look(tile, room);
+        let met = primary(self.wall, self.view, tile);
+        let Seen { hits, owner, found, .. } = self.look(tile, met, room);
         let surface = self.surface(&found, &hits, &owner, tile.pixel_angle);
         let triangle = of_wall(&hits.triangle, &owner);
         First { surface, hit: found.hit, triangle, pixel }
@@ -109,14 +110,16 @@ impl<'a> Filled<'a> {
         out: &mut Channels<'_>,
     ) {
         let view = self.view;
-        if self.sees_wall_alone(tile, room) {
+        let met = primary(self.wall, view, tile);
+        if self.sees_wall_alone(tile, (&met.0, &met.1), room) {
             Front::of_liquid(None).write(tile, place, out);
             place.write(&mut out.bend_label, &[STRAIGHT; LANES], &tile.used, STRAIGHT);
             place.write_sparsely(&mut out.sparse_bend, 1, |_, _| STRAIGHT);
-            render_tile(self.wall, self.scene, view, tile, place, glow, out);
+            let (rays, hits) = &met;
+            render_tile((self.wall, self.scene, view), tile, (rays, hits), place, glow, out);
             return;
         }
-        let seen = self.look(tile, room);
+        let seen = self.look(tile, met, room);
         let Seen { rays, hits, owner, found, wet } = &seen;
         let bubbles = self.bubbles(tile, rays, hits, room);
         if out.wants_color() {
@@ -144,15 +147,19 @@ impl<'a> Filled<'a> {
         write_geometry(view, tile, hits, found, place, out);
     }
 
-    /// Whether nothing but the wall is in reach of a tile's rays, nor of what lights it.
+    /// Whether nothing but the wall is on the ways of a tile's rays, nor between it and the LEDs.
     #[inline(always)]
-    fn sees_wall_alone(&self, tile: &TileRays, room: &mut Room) -> bool {
-        let Contents { bubbles, chyme, pools, .. } = self.contents;
+    fn sees_wall_alone(
+        &self,
+        tile: &TileRays,
+        (rays, hits): (&Pyramid, &Hits),
+        room: &mut Room,
+    ) -> bool {
+        let Contents { chyme, pools, .. } = self.contents;
         if pools.is_some() || !chyme.all.is_empty() {
             return false;
         }
-        let (origin, rays) = (self.view.origin, tile.pyramid.rotated(&self.view.to_world));
-        bubbles.gather(origin, &rays, self.wall.extent, REACH, &mut room.near);
+        self.gather(tile, rays, hits, room);
         room.near.is_empty()
     }
 
@@ -162,9 +169,9 @@ impl<'a> Filled<'a> {
 
     /// Follows the rays of a tile, through the surface of a pool where they meet one.
     #[inline(always)]
-    fn look(&self, tile: &TileRays, room: &mut Room) -> Seen {
+    fn look(&self, tile: &TileRays, met: (Pyramid, Hits), room: &mut Room) -> Seen {
         let (wall, scene, view) = (self.wall, self.scene, self.view);
-        let (rays, mut hits) = primary(wall, view, tile);
+        let (rays, mut hits) = met;
         let mut owner = [MISS; LANES];
         if tile.any {
             owner = self.meet_particles(&rays, &mut hits, room);
@@ -231,13 +238,20 @@ impl<'a> Filled<'a> {
     /// Bubbles that the tile may see on the straight ways from the eye, the farthest first.
     #[inline(always)]
     fn bubbles(&self, tile: &TileRays, rays: &Pyramid, hits: &Hits, room: &mut Room) -> Vec<Near> {
-        if !tile.any {
-            return Vec::new();
-        }
-        let farthest = farthest_of(&hits.distance);
-        let origin = self.view.origin;
-        self.contents.bubbles.gather(origin, rays, self.wall.extent, farthest, &mut room.near);
+        self.gather(tile, rays, hits, room);
         self.in_order(room)
+    }
+
+    /// Bubbles that the tile may see before the wall.
+    #[inline(always)]
+    fn gather(&self, tile: &TileRays, rays: &Pyramid, hits: &Hits, room: &mut Room) {
+        room.near.clear();
+        if !tile.any {
+            return;
+        }
+        let (origin, extent) = (self.view.origin, self.wall.extent);
+        let farthest = farthest_of(&hits.distance);
+        self.contents.bubbles.gather(origin, rays, extent, farthest, &mut room.near);
     }
 
     /// The spheres in `room`, the farthest first.

@@ -14,6 +14,7 @@ use glam::Vec4;
 use rayon::prelude::*;
 use std::borrow::Cow;
 use std::f32::consts::PI;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 /// Reflections that are followed after the first; the rest is the tail of a geometric series.
 const BOUNCES: usize = 2;
@@ -95,18 +96,16 @@ impl QuickLight {
 
     /// Sites that are lit or see one that is, in order.
     fn reached(&self, rest: &Wall, leaving: &[Color]) -> Vec<u32> {
-        let mut is_reached = vec![false; leaving.len()];
-        let lit: Vec<usize> = (0..leaving.len()).filter(|&s| leaving[s] != [0.0; 4]).collect();
+        let is_reached: Vec<AtomicBool> = leaving.iter().map(|_| AtomicBool::new(false)).collect();
+        let reach = |site: u32| is_reached[site as usize].store(true, Ordering::Relaxed);
+        let lit: Vec<u32> =
+            (0..leaving.len() as u32).filter(|&s| leaving[s as usize] != [0.0; 4]).collect();
         lit.par_iter().with_min_len(CHUNK).for_each(|&s| {
-            self.row(rest, s);
+            reach(s);
+            self.row(rest, s as usize).coarse.iter().for_each(|link| reach(link.from));
         });
-        for s in lit {
-            is_reached[s] = true;
-            for link in &self.row(rest, s).coarse {
-                is_reached[link.from as usize] = true;
-            }
-        }
-        (0..is_reached.len() as u32).filter(|&s| is_reached[s as usize]).collect()
+        let all = is_reached.into_iter().map(AtomicBool::into_inner);
+        all.zip(0..).filter_map(|(is_reached, s)| is_reached.then_some(s)).collect()
     }
 
     /// A site's coarse row on the wall as it is.

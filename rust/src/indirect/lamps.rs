@@ -9,10 +9,11 @@ use crate::path::ray;
 use crate::wall::Wall;
 use rayon::prelude::*;
 use std::f32::consts::TAU;
-use std::ops::Range;
 
 /// Rays of all LEDs together, about: fewer miss hot spots where LEDs are near the wall.
-const RAYS: usize = 2560;
+const RAYS: usize = 1536;
+/// Arms of the spiral of an LED's rays (Fibonacci's number, so that those of an arm are neighbours).
+const ARMS: usize = 21;
 /// Fewest rays of an LED are the square of this.
 const LEAST_SIDE: usize = 8;
 
@@ -26,17 +27,17 @@ type End = (usize, f32);
 /// Radiosity of each site by its first reflection of the LEDs' light [W/m²].
 pub fn first_reflection(light: &QuickLight, wall: &Wall, leds: &[Led]) -> Vec<Color> {
     let side = ((RAYS as f32 / leds.len().max(1) as f32).sqrt() as usize).max(LEAST_SIDE);
-    let parts: Vec<Vec<End>> = (0..leds.len() * side)
+    let parts: Vec<Vec<End>> = (0..leds.len() * ARMS)
         .into_par_iter()
         .map(|k| {
-            let (number, first) = (k / side, k % side * side);
+            let (number, arm) = (k / ARMS, k % ARMS);
             let led = &leds[number];
             let lobe = Lobe::shifted(led.direction, led.exponent, side, number);
-            send(wall, led.position, &lobe, first..first + side)
+            send(wall, led.position, &lobe, (arm..side * side).step_by(ARMS))
         })
         .collect();
     let mut leaving = vec![[0.0; 4]; light.albedo.len()];
-    for (led, ends) in leds.iter().zip(parts.chunks(side)) {
+    for (led, ends) in leds.iter().zip(parts.chunks(ARMS)) {
         let solid_angle = if led.exponent == 0.0 { 2.0 * TAU } else { TAU / (led.exponent + 1.0) };
         let ray = scale(led.intensity, solid_angle / (side * side) as f32);
         for &(vertex, cosine) in ends.iter().flatten() {
@@ -57,7 +58,12 @@ pub fn first_reflection(light: &QuickLight, wall: &Wall, leds: &[Led]) -> Vec<Co
     "x86_64+avx2",
     "aarch64+neon"
 ))]
-fn send(wall: &Wall, origin: Vec3, lobe: &Lobe, rays: Range<usize>) -> Vec<End> {
+fn send(
+    wall: &Wall,
+    origin: Vec3,
+    lobe: &Lobe,
+    rays: impl ExactSizeIterator<Item = usize>,
+) -> Vec<End> {
     let mut ends = Vec::with_capacity(rays.len());
     for direction in rays.map(|k| lobe.on_spiral(k)) {
         let hit = ray::cast::<false>(&wall.bvh, origin, direction, f32::MAX, u32::MAX);

@@ -5,13 +5,15 @@ use super::bloom::{Bloom, Scattered};
 use super::defocus::{Padded, bring_near};
 use super::dome::{Drops, Film, GivenDrops, GivenFilm};
 use super::field::{Field, Shutter};
+use super::flow::{GivenPoints, Points};
 use super::jpeg::Compression;
 use super::motion::Still;
 use super::noise::{Readout, Sensor, streams};
-use super::planes::{Scaling, amplify, develop_row, interleave, rows, shade_row, size};
+use super::planes::{Line, Scaling, amplify, develop_row, interleave, rows, shade_row, size};
 use crate::channels::STEP;
 use crate::contents::front::FRONT_BUBBLE;
 use crate::cpu::on_pool;
+use crate::rays::RayTable;
 use numpy::{
     Element, IntoPyArray, PyArray3, PyReadonlyArray2, PyReadonlyArray3, PyUntypedArrayMethods,
     ndarray::Array3,
@@ -24,6 +26,7 @@ use std::sync::Mutex;
 #[derive(FromPyObject)]
 #[pyo3(from_item_all)]
 struct Given<'py> {
+    rays: Py<RayTable>,
     /// Pixels that see anything [h w].
     lit: PyReadonlyArray2<'py, bool>,
     /// Cosine between each pixel's ray and the axis [h w].
@@ -51,8 +54,8 @@ type Distance<'py> =
 /// The same in the order wall, depth, label.
 type Distances<'a> = (&'a [f32], &'a [f32], &'a [u8]);
 
-/// As `blur_motion` takes it: motion, its step, the shutter.
-type GivenMotion<'py> = (PyReadonlyArray3<'py, f32>, usize, (f32, f32, f32));
+/// Points that move, if any do, whether they are those of the frame before, and the shutter.
+type GivenMotion<'py> = (Option<GivenPoints<'py>>, bool, (f32, f32, f32));
 
 /// What changes from frame to frame.
 #[derive(FromPyObject)]
@@ -74,6 +77,7 @@ struct Shot<'py> {
 /// Lens and sensor of one camera.
 #[pyclass(frozen, module = "vrcaps._core")]
 pub struct CameraStages {
+    rays: Py<RayTable>,
     size: (usize, usize),
     lit: Vec<bool>,
     cosine: Vec<f32>,
@@ -98,12 +102,21 @@ struct Room {
     codes: Vec<u8>,
 }
 
-/// Motion of the image at some places, and when rows take light.
+/// Points that move, their sense in time, and when rows take light.
 struct Motion<'a> {
-    vectors: &'a [f32],
-    cells: (usize, usize),
-    step: usize,
+    points: Option<Points<'a>>,
+    sense: f32,
     shutter: Shutter,
+}
+
+impl Motion<'_> {
+    /// Motion of the image of so many rows, as they take light.
+    fn field(&self, height: usize) -> Field {
+        let Some(points) = &self.points else { return Field::new(&[0.0; 2], (1, 1), STEP) };
+        let mut vectors = points.flow();
+        vectors.iter_mut().for_each(|x| *x *= self.sense);
+        Field::new(&vectors, points.size(), STEP).when_read(self.shutter, height)
+    }
 }
 
 /// A frame's arrays, as far as stages use them.
@@ -136,6 +149,7 @@ impl CameraStages {
             given.pattern.each_ref().map(|p| p.as_slice().map(<[f32]>::to_vec));
         Ok(CameraStages {
             size,
+            rays: given.rays,
             lit: of_image(&given.lit, size)?.to_vec(),
             cosine: of_image(&given.cosine, size)?.to_vec(),
             defocus: given.defocus,
@@ -171,7 +185,7 @@ impl CameraStages {
         let frame = Frame {
             light: radiance.as_slice()?,
             factor: shot.factor,
-            motion: shot.motion()?,
+            motion: shot.motion(self.rays.get())?,
             distance: shot.distance(self.size)?,
             drops: match &shot.drops {
                 Some(drops) => Some(Drops::of(drops, self.lit.len())?),
@@ -209,14 +223,11 @@ impl CameraStages {
 }
 
 impl Shot<'_> {
-    fn motion(&self) -> PyResult<Option<Motion<'_>>> {
-        let Some((vectors, step, shutter)) = &self.motion else { return Ok(None) };
-        let [rows, columns, 2] = vectors.shape()[..] else { return Err(misfit()) };
-        if rows * columns * step == 0 {
-            return Err(misfit());
-        }
-        let (vectors, shutter) = (vectors.as_slice()?, Shutter::of(*shutter));
-        Ok(Some(Motion { vectors, cells: (rows, columns), step: *step, shutter }))
+    fn motion<'a>(&'a self, rays: &'a RayTable) -> PyResult<Option<Motion<'a>>> {
+        let Some((points, is_backward, shutter)) = &self.motion else { return Ok(None) };
+        let points = points.as_ref().map(|given| Points::of(rays, given, STEP)).transpose()?;
+        let sense = if *is_backward { -1.0 } else { 1.0 };
+        Ok(Some(Motion { points, sense, shutter: Shutter::of(*shutter) }))
     }
 
     fn distance(&self, size: (usize, usize)) -> PyResult<Option<Distances<'_>>> {
@@ -281,24 +292,25 @@ impl CameraStages {
     /// Motion blur, rolling shutter, depth of field.
     fn expose(&self, frame: &Frame<'_>, room: &mut Room) {
         let ((height, width), Room { still, padded, planes, .. }) = (self.size, room);
-        let lines = match padded {
-            Some(padded) => padded.lines(),
-            None => rows(planes, self.size),
-        };
-        if let Some(Motion { vectors, cells, step, shutter }) = &frame.motion {
-            let motion = Field::new(vectors, *cells, *step).when_read(*shutter, height);
+        let field = frame.motion.as_ref().map(|motion| {
             still.fill(frame.light, frame.factor);
-            still.blur(&motion, *shutter, lines);
-        } else {
-            lines.into_par_iter().enumerate().for_each(|(y, line)| {
+            (motion.field(height), motion.shutter)
+        });
+        let light = |y: usize, line: Line<'_>| match &field {
+            Some((motion, shutter)) => still.blur(y, motion, *shutter, line),
+            None => {
                 for (k, row) in line.into_iter().enumerate() {
                     let from = &frame.light[(k * height + y) * width..][..width];
                     amplify(from, frame.factor, row);
                 }
-            });
-        }
-        let Some((padded, (reach, focus))) = padded.as_mut().zip(self.defocus) else { return };
-        padded.measure(reach, focus, |y, row| self.distances(frame, y, row));
+            }
+        };
+        let Some((padded, lens)) = padded.as_mut().zip(self.defocus) else {
+            let lines = rows(planes, self.size).into_par_iter().enumerate();
+            lines.for_each(|(y, line)| light(y, line));
+            return;
+        };
+        padded.fill(lens, light, |y, row| self.distances(frame, y, row));
         padded.spread(rows(planes, self.size));
     }
 

@@ -23,6 +23,8 @@ const NOWHERE: f32 = -1e9;
 /// Red, green, blue, signed radius and one over its square, with a margin.
 pub struct Padded {
     planes: [Vec<f32>; 5],
+    /// Of each block.
+    widest: Vec<Widest>,
     size: (usize, usize),
     stride: usize,
     /// Half a pixel less the distance of a neighbour, by rows and columns away from it [px].
@@ -51,12 +53,12 @@ pub fn defocus<'py>(
     let mut out = vec![0.0; source.len()];
     on_pool(py, || {
         let mut padded = Padded::new((height, width));
-        for (k, line) in padded.lines().into_iter().enumerate() {
+        let light = |y: usize, line: Line<'_>| {
             for (plane, row) in line.into_iter().enumerate() {
-                row.copy_from_slice(&source[(plane * height + k) * width..][..width]);
+                row.copy_from_slice(&source[(plane * height + y) * width..][..width]);
             }
-        }
-        padded.measure(reach, focus, |y, row| {
+        };
+        padded.fill((reach, focus), light, |y, row| {
             row.copy_from_slice(&distance[y * width..][..width]);
         });
         padded.spread(rows(&mut out, (height, width)));
@@ -73,47 +75,49 @@ impl Padded {
         let planes = [0, 1, 2, 3, 4].map(|k| vec![nothing(k); length]);
         let edge = |down: usize, along: usize| 0.5 - ((down * down + along * along) as f32).sqrt();
         let edges = (0..=MARGIN + ROWS).map(|y| std::array::from_fn(|x| edge(y, x))).collect();
-        Padded { planes, size, stride, edges }
+        let widest = vec![Widest::default(); size.0.div_ceil(ROWS) * size.1.div_ceil(BLOCK)];
+        Padded { planes, widest, size, stride, edges }
     }
 
-    /// Where the image goes before it is spread.
-    pub fn lines(&mut self) -> Vec<Line<'_>> {
-        let ((height, width), stride) = (self.size, self.stride);
-        let [red, green, blue, ..] = &mut self.planes;
-        let red = red.chunks_mut(stride).skip(MARGIN).take(height);
-        let rows = red.zip(green.chunks_mut(stride).skip(MARGIN));
-        let rows = rows.zip(blue.chunks_mut(stride).skip(MARGIN));
-        let row =
-            |((r, g), b): ((_, _), _)| [r, g, b].map(|row: &mut [f32]| &mut row[MARGIN..][..width]);
-        rows.map(row).collect()
-    }
-
-    /// Takes the distances of what is seen [m], which `distances` writes for one row.
-    pub fn measure(
+    /// Takes an image whose lines `light` writes, and distances of what is seen [m] that `distances`
+    /// writes, for a lens of such reach and focus.
+    pub fn fill(
         &mut self,
-        reach: f32,
-        focus: f32,
+        (reach, focus): (f32, f32),
+        light: impl Fn(usize, Line<'_>) + Sync,
         distances: impl Fn(usize, &mut [f32]) + Sync,
     ) {
-        let (size, stride) = (self.size, self.stride);
-        let [_, _, _, radius, share] = &mut self.planes;
-        inner(radius, size, stride)
-            .zip(inner(share, size, stride))
-            .with_min_len(MIN_ROWS)
-            .for_each(|((y, radius), (_, share))| {
-                distances(y, radius);
-                radii(reach, focus, radius, share);
-            });
+        let ((height, width), stride) = (self.size, self.stride);
+        let [red, green, blue, radius, share] = self.planes.each_mut().map(|plane| {
+            plane[MARGIN * stride..(MARGIN + height) * stride].par_chunks_mut(ROWS * stride)
+        });
+        let planes = red.zip(green).zip(blue).zip(radius.zip(share));
+        let blocks = self.widest.par_chunks_mut(width.div_ceil(BLOCK));
+        planes.zip(blocks).enumerate().for_each(|(group, (planes, widest))| {
+            let (((red, green), blue), (radius, share)) = planes;
+            widest.fill(Widest::default());
+            for row in 0..radius.len() / stride {
+                let (y, start) = (group * ROWS + row, row * stride + MARGIN);
+                let inside = start..start + width;
+                let [red, green, blue] =
+                    [&mut *red, &mut *green, &mut *blue].map(|plane| &mut plane[inside.clone()]);
+                light(y, [red, green, blue]);
+                distances(y, &mut radius[inside.clone()]);
+                radii(reach, focus, &mut radius[inside.clone()], &mut share[inside]);
+                widen(&radius[start..], widest);
+            }
+        });
     }
 
     /// Fills the lines of an image with the light of this one, spread.
     pub fn spread(&self, mut lines: Vec<Line<'_>>) {
-        let width = self.size.1;
-        let blocks = width.div_ceil(BLOCK);
-        let widest = self.widest();
+        let blocks = self.size.1.div_ceil(BLOCK);
+        let widest = &self.widest;
+        let nearest = widest.iter().fold(0.0, |most, block| max(block.near, most));
+        let groups = (nearest + 0.5) as usize / ROWS + 1;
         lines.par_chunks_mut(ROWS).enumerate().for_each(|(group, lines)| {
             for block in 0..blocks {
-                let radius = around(&widest, blocks, group * ROWS, block);
+                let radius = around(widest, blocks, (group, block), groups);
                 let mixed = spread_block(self, (group * ROWS, block * BLOCK), radius);
                 for (line, values) in lines.iter_mut().zip(&mixed) {
                     for (row, values) in line.iter_mut().zip(values) {
@@ -123,24 +127,17 @@ impl Padded {
             }
         });
     }
-
-    /// Widest radius of each block.
-    fn widest(&self) -> Vec<f32> {
-        let (height, width) = self.size;
-        let blocks = width.div_ceil(BLOCK);
-        let mut widest = vec![0.0f32; blocks * height.div_ceil(BLOCK)];
-        widest.par_chunks_mut(blocks).enumerate().for_each(|(band, row)| {
-            for y in band * BLOCK..((band + 1) * BLOCK).min(height) {
-                let line = &self.planes[3][(y + MARGIN) * self.stride + MARGIN..];
-                widen(line, row);
-            }
-        });
-        widest
-    }
 }
 
-/// Fewest rows that one thread takes.
-const MIN_ROWS: usize = 64;
+/// Widest radii in a block of `ROWS` by `BLOCK` pixels [px].
+#[derive(Clone, Copy, Default)]
+struct Widest {
+    /// Of all that it sees.
+    any: f32,
+    /// Of what is nearer than the focus: only that spreads farther than the circle of the pixel
+    /// where it ends.
+    near: f32,
+}
 
 /// Takes a row of radii into the widest of its blocks.
 #[multiversion::multiversion(targets(
@@ -148,29 +145,22 @@ const MIN_ROWS: usize = 64;
     "x86_64+avx2",
     "aarch64+neon"
 ))]
-fn widen(line: &[f32], widest: &mut [f32]) {
-    for (most, values) in widest.iter_mut().zip(line.chunks_exact(BLOCK)) {
-        let mut wide = [0.0f32; BLOCK];
+fn widen(line: &[f32], widest: &mut [Widest]) {
+    for (widest, values) in widest.iter_mut().zip(line.chunks_exact(BLOCK)) {
+        let (mut any, mut near) = ([0.0f32; BLOCK], [0.0f32; BLOCK]);
         for i in 0..BLOCK {
-            wide[i] = if values[i] == NOWHERE { 0.0 } else { values[i].abs() };
+            let radius = if values[i] == NOWHERE { 0.0 } else { values[i] };
+            (any[i], near[i]) = (radius.abs(), -radius);
         }
         for half in [8, 4, 2, 1] {
             for i in 0..half {
-                wide[i] = max(wide[i], wide[i + half]);
+                any[i] = max(any[i], any[i + half]);
+                near[i] = max(near[i], near[i + half]);
             }
         }
-        *most = max(wide[0], *most);
+        widest.any = max(any[0], widest.any);
+        widest.near = max(near[0], widest.near);
     }
-}
-
-/// Rows of a padded plane without its margin.
-fn inner(
-    plane: &mut [f32],
-    (height, width): (usize, usize),
-    stride: usize,
-) -> impl IndexedParallelIterator<Item = (usize, &mut [f32])> {
-    let rows = plane.par_chunks_mut(stride).skip(MARGIN).take(height);
-    rows.map(move |row| &mut row[MARGIN..MARGIN + width]).enumerate()
 }
 
 /// Makes of distances [m] signed radii [px], and one over their squares.
@@ -189,20 +179,26 @@ fn radii(reach: f32, focus: f32, radius: &mut [f32], share: &mut [f32]) {
     }
 }
 
-/// Widest radius in a block and those next to it; of those above and below, if it reaches the rows
-/// from `top` on.
-fn around(widest: &[f32], blocks: usize, top: usize, column: usize) -> f32 {
-    let (rows, own) = (widest.len() / blocks, top / BLOCK);
-    let mut most = 0.0;
-    for r in own.saturating_sub(1)..(own + 2).min(rows) {
-        let above = top.saturating_sub(r * BLOCK + BLOCK - 1);
-        let gap = above.max((r * BLOCK).saturating_sub(top + ROWS - 1));
+/// Widest radius that counts in a block (row, column): its own, or that of what is near and reaches
+/// into it from up to so many rows of blocks away.
+fn around(widest: &[Widest], blocks: usize, place: (usize, usize), rows: usize) -> f32 {
+    let (group, column) = place;
+    let mut most = widest[group * blocks + column].any;
+    for row in group.saturating_sub(rows)..(group + rows + 1).min(widest.len() / blocks) {
+        let down = gap(row.abs_diff(group), ROWS);
         for c in column.saturating_sub(1)..(column + 2).min(blocks) {
-            let radius = widest[r * blocks + c];
-            most = if radius + 0.5 > gap as f32 { max(radius, most) } else { most };
+            let (along, near) = (gap(c.abs_diff(column), BLOCK), widest[row * blocks + c].near);
+            let reach = near + 0.5;
+            let is_within = reach * reach > along * along + down * down;
+            most = if is_within { max(near, most) } else { most };
         }
     }
     most
+}
+
+/// Least distance between pixels of two blocks that are so many apart, each so wide [px].
+fn gap(blocks: usize, wide: usize) -> f32 {
+    (blocks * wide).saturating_sub(if blocks == 0 { 0 } else { wide - 1 }) as f32
 }
 
 type Run = [f32; BLOCK];

@@ -6,7 +6,7 @@ use rayon::prelude::*;
 /// Most steps in which the place that a late row sees is found, and the change of its motion at
 /// which it is [px per frame].
 const FIXED_POINT_STEPS: usize = 4;
-const SETTLED: f32 = 1e-2;
+const SETTLED: f32 = 5e-2;
 
 /// A field of motion at some pixels [px per frame], with no place unknown.
 pub struct Field {
@@ -94,12 +94,13 @@ impl Field {
         let (first, t) = self.between(y as f32, rows);
         let line = |r: usize| &self.vectors[r * columns..(r + 1) * columns];
         let (above, below) = (line(first), line((first + 1).min(rows - 1)));
-        [0, 1].map(|k| {
+        let mut all = [0; 2].map(|_| vec![0.0; width.max(self.step / 2 + columns * self.step)]);
+        for (k, all) in all.iter_mut().enumerate() {
             let known = |c: usize| above[c][k] + (below[c][k] - above[c][k]) * t;
             let mut last = known(0);
-            let mut all = vec![last; self.step / 2 + columns * self.step];
-            let squares = all[self.step / 2..].chunks_exact_mut(self.step);
-            for (column, square) in squares.enumerate() {
+            let (before, squares) = all.split_at_mut(self.step / 2);
+            before.fill(last);
+            for (column, square) in squares.chunks_mut(self.step).enumerate() {
                 let next = known((column + 1).min(columns - 1));
                 let slope = (next - last) / self.step as f32;
                 for (i, value) in square.iter_mut().enumerate() {
@@ -107,9 +108,8 @@ impl Field {
                 }
                 last = next;
             }
-            all.resize(all.len().max(width), last);
-            all
-        })
+        }
+        all
     }
 
     /// The number of the known place before a place [px], and how far it is towards the next.

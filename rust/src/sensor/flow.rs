@@ -1,5 +1,6 @@
 //! Where points appear in an image, by the rays of its pixels alone: for any lens.
 
+use crate::contents::front::FRONT_BUBBLE;
 use crate::cpu::on_pool;
 use crate::lanes::*;
 use crate::rays::RayTable;
@@ -13,57 +14,261 @@ use rayon::prelude::*;
 /// Most steps of Newton's method, and the step that is its last [px].
 const STEPS: usize = 8;
 const SETTLED: f32 = 0.1;
+/// Points worked on together, in rows of which each begins as the one above ended.
+const RUN: usize = 16;
+const ROWS: usize = 8;
+/// Gap to the capsule up to which a bubble's near side is taken to sit on it [m].
+const TOUCHING: f32 = 1e-3;
+
+/// As `flow_by_rays` takes it: label and depth of what is in front [h w], from camera to capsule, half
+/// of the capsule's straight length and its radius [m].
+pub type GivenFront<'py> =
+    (PyReadonlyArray2<'py, u8>, PyReadonlyArray2<'py, f32>, PyReadonlyArray2<'py, f64>, (f32, f32));
+
+/// What is in front of the wall, some of which may sit on the capsule.
+struct Front<'a> {
+    label: &'a [u8],
+    depth: &'a [f32],
+    to_capsule: Rows,
+    capsule: (f32, f32),
+}
+
+/// Upper rows of a rigid transform.
+type Rows = [[f64; 4]; 3];
+
+impl<'a> Front<'a> {
+    fn of(given: &'a GivenFront<'_>, rays: &RayTable) -> PyResult<Self> {
+        let (label, depth, pose, capsule) = given;
+        let size = [rays.height, rays.width];
+        if label.shape() != size || depth.shape() != size || pose.shape() != [4, 4] {
+            return Err(PyValueError::new_err("What is in front must fit the camera."));
+        }
+        let (label, depth, to_capsule) = (label.as_slice()?, depth.as_slice()?, rows_of(pose));
+        Ok(Front { label, depth, to_capsule, capsule: *capsule })
+    }
+
+    /// Whether a pixel looks through a bubble that sits on the capsule, and so stays there.
+    fn is_on_capsule(&self, pixel: usize, ray: Vec3) -> bool {
+        if self.label[pixel] != FRONT_BUBBLE {
+            return false;
+        }
+        let [x, y, z] = apply(&self.to_capsule, scale(ray, self.depth[pixel] / ray[2]));
+        let (straight, radius) = self.capsule;
+        let along = max(z.abs() - straight, 0.0);
+        (x * x + y * y + along * along).sqrt() - radius < TOUCHING
+    }
+}
+
+fn rows_of(pose: &PyReadonlyArray2<'_, f64>) -> Rows {
+    let pose = pose.as_array();
+    [0, 1, 2].map(|r| [0, 1, 2, 3].map(|c| pose[[r, c]]))
+}
+
+fn apply(pose: &Rows, point: Vec3) -> Vec3 {
+    let [x, y, z] = point.map(f64::from);
+    pose.map(|r| (r[0] * x + r[1] * y + r[2] * z + r[3]) as f32)
+}
+
+/// As `flow_by_rays` takes them: points in the world [rows columns 3], what takes them to the camera,
+/// what is in front.
+pub type GivenPoints<'py> =
+    (PyReadonlyArray3<'py, f64>, PyReadonlyArray2<'py, f64>, Option<GivenFront<'py>>);
+
+/// Points that some pixels of a camera see, to be found in an image.
+pub struct Points<'a> {
+    rays: &'a RayTable,
+    places: &'a [f64],
+    size: (usize, usize),
+    to_camera: Rows,
+    step: usize,
+    front: Option<Front<'a>>,
+}
 
 /// How far from every `step`th pixel of every `step`th row, the first in the middle of a square of
 /// so many, points appear [rows columns 2], in pixels.
 ///
 /// Between pixels rays are bilinear; beyond the last pixels that see anything they go on as there.
-/// NaN where a point is NaN or the pixel sees nothing. `points` [rows columns 3] are in the world,
-/// `pose` takes them to the camera.
+/// NaN where a point is NaN or the pixel sees nothing; 0 where a bubble in front sits on the capsule.
 #[pyfunction]
 pub fn flow_by_rays<'py>(
     py: Python<'py>,
     rays: &RayTable,
-    points: PyReadonlyArray3<'py, f64>,
-    pose: PyReadonlyArray2<'py, f64>,
+    given: GivenPoints<'_>,
     step: usize,
 ) -> PyResult<Bound<'py, PyArray3<f32>>> {
-    let [rows, columns, 3] = points.shape()[..] else {
-        return Err(PyValueError::new_err("Points must be of shape (rows, columns, 3)."));
-    };
-    let last = |count: usize| (count.max(1) - 1) * step + step / 2;
-    let fits = last(rows) < rays.height && last(columns) < rays.width;
-    if pose.shape() != [4, 4] || rows * columns == 0 || step == 0 || !fits {
-        return Err(PyValueError::new_err("Points and pose must fit the camera."));
-    }
-    let (points, pose) = (points.as_slice()?, pose.as_array());
-    let pose = [0, 1, 2].map(|r| [0, 1, 2, 3].map(|c| pose[[r, c]]));
-    let mut out = vec![f32::NAN; rows * columns * 2];
-    on_pool(py, || {
-        let lines = out.par_chunks_mut(columns * 2).zip(points.par_chunks(columns * 3));
-        lines.enumerate().for_each(|(row, (line, points))| {
-            let mut flow = [0.0; 2]; // neighbours move alike
-            for (column, point) in points.chunks_exact(3).enumerate() {
-                let towards = pose
-                    .map(|r| (r[0] * point[0] + r[1] * point[1] + r[2] * point[2] + r[3]) as f32);
-                let from = [column * step + step / 2, row * step + step / 2];
-                if let Some(found) = find(rays, from, towards, flow) {
-                    flow = found;
-                    line[2 * column..2 * column + 2].copy_from_slice(&flow);
-                }
-            }
-        });
-    });
+    let points = Points::of(rays, &given, step)?;
+    let (rows, columns) = points.size;
+    let out = on_pool(py, || points.flow());
     let array = Array3::from_shape_vec((rows, columns, 2), out).expect("one vector a place");
     Ok(array.into_pyarray(py))
 }
+
+impl<'a> Points<'a> {
+    /// Takes the points that every `step`th pixel sees.
+    pub fn of(rays: &'a RayTable, given: &'a GivenPoints<'_>, step: usize) -> PyResult<Self> {
+        let (points, pose, front) = given;
+        let [rows, columns, 3] = points.shape()[..] else {
+            return Err(PyValueError::new_err("Points must be of shape (rows, columns, 3)."));
+        };
+        let last = |count: usize| (count.max(1) - 1) * step + step / 2;
+        let fits = last(rows) < rays.height && last(columns) < rays.width;
+        if pose.shape() != [4, 4] || rows * columns == 0 || step == 0 || !fits {
+            return Err(PyValueError::new_err("Points and pose must fit the camera."));
+        }
+        let front = front.as_ref().map(|given| Front::of(given, rays)).transpose()?;
+        let (places, to_camera) = (points.as_slice()?, rows_of(pose));
+        Ok(Points { rays, places, size: (rows, columns), to_camera, step, front })
+    }
+
+    /// Numbers of rows and columns.
+    pub fn size(&self) -> (usize, usize) {
+        self.size
+    }
+
+    /// How far from its pixel each appears [rows columns 2], in pixels.
+    pub fn flow(&self) -> Vec<f32> {
+        let (rows, columns) = self.size;
+        let mut out = vec![f32::NAN; rows * columns * 2];
+        out.par_chunks_mut(ROWS * columns * 2).enumerate().for_each(|(group, lines)| {
+            let mut guess = vec![[0.0; RUN]; 2 * columns.div_ceil(RUN)];
+            for (k, line) in lines.chunks_exact_mut(columns * 2).enumerate() {
+                flow_line(self, group * ROWS + k, &mut guess, line);
+            }
+        });
+        out
+    }
+
+    /// Pixel (column, row) at a place of the array.
+    #[inline(always)]
+    fn pixel(&self, column: usize, row: usize) -> [usize; 2] {
+        [column, row].map(|k| k * self.step + self.step / 2)
+    }
+
+    /// Where the point of a place is to the camera.
+    #[inline(always)]
+    fn towards(&self, column: usize, row: usize) -> Vec3 {
+        let place = &self.places[3 * (row * self.size.1 + column)..][..3];
+        self.to_camera.map(|r| (r[0] * place[0] + r[1] * place[1] + r[2] * place[2] + r[3]) as f32)
+    }
+}
+
+/// Directions to some points, where they may appear (columns and rows), and which are still sought
+/// among pixels that all see something.
+struct Search {
+    towards: [[f32; RUN]; 3],
+    at: [[f32; RUN]; 2],
+    is_open: [bool; RUN],
+}
+
+/// Fills a row of vectors; `guess` has those of the row above, by runs of columns and rows.
+#[multiversion::multiversion(targets(
+    "x86_64+avx512f+avx512bw+avx512cd+avx512dq+avx512vl",
+    "x86_64+avx2",
+    "aarch64+neon"
+))]
+fn flow_line(points: &Points<'_>, row: usize, guess: &mut [[f32; RUN]], line: &mut [f32]) {
+    let (rays, columns) = (points.rays, points.size.1);
+    for (run, guess) in guess.chunks_exact_mut(2).enumerate() {
+        let first = run * RUN;
+        let count = (columns - first).min(RUN);
+        let mut search =
+            Search { towards: [[0.0; RUN]; 3], at: [[0.0; RUN]; 2], is_open: [false; RUN] };
+        for i in 0..count {
+            let (towards, pixel) = (points.towards(first + i, row), points.pixel(first + i, row));
+            search.is_open[i] = towards.iter().all(|x| x.is_finite());
+            for k in 0..3 {
+                search.towards[k][i] = towards[k];
+            }
+            for k in 0..2 {
+                search.at[k][i] = pixel[k] as f32 + guess[k][i];
+            }
+        }
+        let sought = search.is_open;
+        search.settle(rays);
+        for i in (0..count).filter(|&i| sought[i]) {
+            let [x, y] = points.pixel(first + i, row);
+            let Some(ray) = rays.direction(x, y) else { continue };
+            let front = points.front.as_ref();
+            let place = &mut line[2 * (first + i)..][..2];
+            if front.is_some_and(|front| front.is_on_capsule(y * rays.width + x, ray)) {
+                place.fill(0.0);
+                continue;
+            }
+            let found = if search.is_open[i] {
+                Some([search.at[0][i] - x as f32, search.at[1][i] - y as f32])
+            } else {
+                let towards = at(&search.towards, i);
+                find(rays, [x, y], towards, [guess[0][i], guess[1][i]])
+            };
+            if let Some(found) = found {
+                place.copy_from_slice(&found);
+                (guess[0][i], guess[1][i]) = (found[0], found[1]);
+            }
+        }
+    }
+}
+
+impl Search {
+    /// Newton's method for all points at once; closes those that come where a pixel sees nothing.
+    #[inline(always)]
+    fn settle(&mut self, rays: &RayTable) {
+        let (width, height) = (rays.width, rays.height);
+        if width < 2 || height < 2 {
+            self.is_open = [false; RUN];
+        }
+        for _ in 0..STEPS {
+            if !self.is_open.contains(&true) {
+                return;
+            }
+            let mut corners = [[[0.0f32; RUN]; 3]; 4];
+            let mut inside = [[0.0f32; RUN]; 2];
+            for i in 0..RUN {
+                if !self.is_open[i] {
+                    continue;
+                }
+                let x = clamp(self.at[0][i], 0.0, width as f32 - 2.0) as usize;
+                let y = clamp(self.at[1][i], 0.0, height as f32 - 2.0) as usize;
+                (inside[0][i], inside[1][i]) = (self.at[0][i] - x as f32, self.at[1][i] - y as f32);
+                let (above, below) =
+                    (&rays.pixels[y * width + x..][..2], &rays.pixels[(y + 1) * width + x..][..2]);
+                let four = [above[0], above[1], below[0], below[1]];
+                for (corner, pixel) in corners.iter_mut().zip(four) {
+                    self.is_open[i] &= pixel[3] > 0.0;
+                    for k in 0..3 {
+                        corner[k][i] = pixel[k];
+                    }
+                }
+            }
+            if self.step(&corners, &inside) {
+                return;
+            }
+        }
+    }
+
+    /// One step of all, see `Cell::step`; true if none went far.
+    #[inline(always)]
+    fn step(&mut self, corners: &[Lanes3; 4], inside: &[[f32; RUN]; 2]) -> bool {
+        let mut farthest = [0.0f32; RUN];
+        for i in 0..RUN {
+            let four = [0, 1, 2, 3].map(|c| at(&corners[c], i));
+            let change = Cell::between([0.0; 2], four)
+                .step([inside[0][i], inside[1][i]], at(&self.towards, i));
+            let change = change.map(|c| if self.is_open[i] { c } else { 0.0 });
+            self.at[0][i] += change[0];
+            self.at[1][i] += change[1];
+            farthest[i] = max(change[0].abs(), change[1].abs());
+        }
+        farthest.iter().all(|&change| change < SETTLED)
+    }
+}
+
+type Lanes3 = [[f32; RUN]; 3];
 
 /// How far from a pixel (column, row) the ray points in a direction, about as far as `guess`.
 fn find(rays: &RayTable, pixel: [usize; 2], towards: Vec3, guess: [f32; 2]) -> Option<[f32; 2]> {
     if !towards.iter().all(|x| x.is_finite()) {
         return None;
     }
-    rays.direction(pixel[0], pixel[1])?;
     let start = pixel.map(|x| x as f32);
     let mut at = [start[0] + guess[0], start[1] + guess[1]];
     let mut cell = match Cell::of(rays, nearest(rays, at)) {
@@ -112,12 +317,18 @@ impl Cell {
             let below = (rays.direction(x, y + 1), rays.direction(x + 1, y + 1));
             let above = (rays.direction(x, y), rays.direction(x + 1, y));
             if let ((Some(first), Some(along)), (Some(below), Some(far))) = (above, below) {
-                let (right, down) = (sub(along, first), sub(below, first));
-                let twist = sub(sub(add(far, first), along), below);
-                return Some(Cell { corner: [x as f32, y as f32], first, right, down, twist });
+                return Some(Cell::between([x as f32, y as f32], [first, along, below, far]));
             }
         }
         Cell::at_the_edge(rays, [x, y])
+    }
+
+    /// The cell between a pixel and those right of it, below it, and both.
+    #[inline(always)]
+    fn between(corner: [f32; 2], [first, along, below, far]: [Vec3; 4]) -> Self {
+        let (right, down) = (sub(along, first), sub(below, first));
+        let twist = sub(sub(add(far, first), along), below);
+        Cell { corner, first, right, down, twist }
     }
 
     /// The same where one of the four pixels sees nothing, or is none.
@@ -144,6 +355,7 @@ impl Cell {
     ///
     /// With the ray r and its slopes u and v at the place, `r + a u + b v` is to be parallel to t:
     /// Cramer's rule gives a and b.
+    #[inline(always)]
     fn step(&self, at: [f32; 2], towards: Vec3) -> [f32; 2] {
         let [x, y] = [at[0] - self.corner[0], at[1] - self.corner[1]];
         let right = add(self.right, scale(self.twist, y));

@@ -1,8 +1,9 @@
 //! What lens and sensor make of an image: each stage a file, and a function of arrays to be used by
 //! itself; `chain` puts them in order.
 //!
-//! Images are linear, and three planes [3 h w], so that loops over a row become vector code. Every stage works row by row, and no row depends on another's result: the same bytes
-//! on any number of threads.
+//! Images are linear, and three planes [3 h w], so that loops over a row become vector code. Every
+//! stage works row by row, and no row depends on another's result: the same bytes on any number of
+//! threads.
 
 mod bayer;
 mod bloom;
@@ -25,7 +26,6 @@ pub fn register(m: &Bound<'_, PyModule>) -> PyResult<()> {
     m.add_class::<chain::CameraStages>()?;
     m.add_function(wrap_pyfunction!(motion::blur_motion, m)?)?;
     m.add_function(wrap_pyfunction!(flow::flow_by_rays, m)?)?;
-    m.add_function(wrap_pyfunction!(planes::to_planes, m)?)?;
     m.add_function(wrap_pyfunction!(planes::scale_planes, m)?)?;
     m.add_function(wrap_pyfunction!(planes::shade_planes, m)?)?;
     m.add_function(wrap_pyfunction!(planes::develop, m)?)?;

@@ -46,21 +46,22 @@ pub fn blur_motion<'py>(
         let planes = parted(source, (height, width), factor);
         let mut still = Still::new((height, width), lit);
         still.fill(&planes, 1.0);
-        still.blur(&motion, shutter, rows(&mut out, (height, width)));
+        let lines = rows(&mut out, (height, width)).into_par_iter().enumerate();
+        lines.for_each(|(y, line)| still.blur(y, &motion, shutter, line));
     });
     Ok(planes_array(py, out, (height, width)))
 }
 
 /// Pixels worked on together.
 const RUN: usize = 16;
-/// Columns beside the image that may be looked at, and rows below it; they are black.
+/// Columns and rows about the image, which goes on there as at its edge.
 const MARGIN: usize = 2 * RUN;
 /// Most neighbours to a side that the places of a run are taken from together.
 const MOST_TAPS: usize = 4;
 
 type Run = [f32; RUN];
 
-/// The image at its instant: red, green, blue, and 1 where it is lit; all 0 elsewhere.
+/// The image at its instant with a margin: red, green, blue, and 1 where it is lit; all 0 elsewhere.
 pub struct Still {
     planes: [Vec<f32>; 4],
     size: (usize, usize),
@@ -74,15 +75,18 @@ impl Still {
     pub fn new(size: (usize, usize), lit: &[bool]) -> Self {
         let (height, width) = size;
         let stride = width.div_ceil(RUN) * RUN + 2 * MARGIN;
-        let mut planes = [0; 4].map(|_| vec![0.0; stride * (height.div_ceil(RUN) * RUN + MARGIN)]);
+        let mut planes = [0; 4].map(|_| vec![0.0; stride * (height + 2 * MARGIN)]);
         let squares = width.div_ceil(RUN);
         let mut is_lit = vec![true; squares * height.div_ceil(RUN)];
+        let shares: Vec<f32> = lit.iter().map(|&lit| f32::from(u8::from(lit))).collect();
         for (y, lit) in lit.chunks_exact(width).enumerate() {
             for (x, &lit) in lit.iter().enumerate() {
-                planes[3][y * stride + MARGIN + x] = f32::from(u8::from(lit));
                 is_lit[y / RUN * squares + x / RUN] &= lit;
             }
+            let row = &mut planes[3][(y + MARGIN) * stride..][..stride];
+            fill_row(&shares[y * width..][..width], None, 1.0, row);
         }
+        go_on(&mut planes[3], stride);
         Still { planes, size, stride, is_lit }
     }
 
@@ -92,28 +96,30 @@ impl Still {
         let [colors @ .., lit] = &mut self.planes;
         let lit = &*lit;
         colors.par_iter_mut().enumerate().for_each(|(k, plane)| {
-            let rows = plane.par_chunks_mut(stride).take(height).with_min_len(MIN_ROWS);
-            rows.enumerate().for_each(|(y, row)| {
-                let inside = MARGIN..MARGIN + width;
-                let lit = &lit[y * stride..][inside.clone()];
-                let from = &image[(k * height + y) * width..][..width];
-                fill_row(from, lit, factor, &mut row[inside]);
+            let rows = plane.par_chunks_mut(stride).skip(MARGIN).take(height);
+            rows.with_min_len(MIN_ROWS).enumerate().for_each(|(y, row)| {
+                let lit = &lit[(y + MARGIN) * stride + MARGIN..][..width];
+                fill_row(&image[(k * height + y) * width..][..width], Some(lit), factor, row);
             });
+            go_on(plane, stride);
         });
     }
 
-    /// Fills the lines of an image with the mean over the time that each is open, given the motion
-    /// when it is read.
-    pub fn blur(&self, motion: &Field, shutter: Shutter, lines: Vec<Line<'_>>) {
-        lines.into_par_iter().enumerate().for_each(|(y, line)| {
-            blur_row(self, y, motion, shutter.window(y as f32, self.size.0), line);
-        });
+    /// Fills a line of an image with the mean over the time that it is open, given the motion when
+    /// it is read.
+    pub fn blur(&self, y: usize, motion: &Field, shutter: Shutter, line: Line<'_>) {
+        blur_row(self, y, motion, shutter.window(y as f32, self.size.0), line);
+    }
+
+    /// Where a pixel of the image or its margin is in a plane.
+    #[inline(always)]
+    fn index(&self, row: isize, column: isize) -> usize {
+        MARGIN.wrapping_add_signed(row) * self.stride + MARGIN.wrapping_add_signed(column)
     }
 
     /// Numbers of a plane from a place on.
     #[inline(always)]
-    fn run(&self, plane: usize, row: usize, column: isize) -> Run {
-        let start = row * self.stride + MARGIN.wrapping_add_signed(column);
+    fn run(&self, plane: usize, start: usize) -> Run {
         load(&self.planes[plane][start..start + RUN])
     }
 
@@ -123,23 +129,27 @@ impl Still {
         let (height, width) = self.size;
         let (x0, s) = whole(clamp(x, 0.0, width as f32 - 1.0));
         let (y0, t) = whole(clamp(y, 0.0, height as f32 - 1.0));
-        let (x1, y1) = ((x0 + 1).min(width - 1), (y0 + 1).min(height - 1));
-        [0, 1, 2, 3].map(|plane| {
-            let value = |y: usize, x: usize| self.planes[plane][y * self.stride + MARGIN + x];
-            let top = value(y0, x0) + (value(y0, x1) - value(y0, x0)) * s;
-            let bottom = value(y1, x0) + (value(y1, x1) - value(y1, x0)) * s;
-            top + (bottom - top) * t
-        })
+        let start = self.index(y0 as isize, x0 as isize);
+        let mut light = [0.0; 4];
+        for (light, plane) in light.iter_mut().zip(&self.planes) {
+            let (above, below) = (&plane[start..start + 2], &plane[start + self.stride..][..2]);
+            let top = above[0] + (above[1] - above[0]) * s;
+            let bottom = below[0] + (below[1] - below[0]) * s;
+            *light = top + (bottom - top) * t;
+        }
+        light
     }
 
-    /// Whether a run that starts at a place lies within the image when it has moved so far.
+    /// Whether a run that starts at a place lies within the image and its margin when it has moved
+    /// so far.
     #[inline(always)]
     fn holds(&self, (x, y): (usize, usize), along: [f32; 2], down: [f32; 2]) -> bool {
+        let ((height, width), margin) = (self.size, MARGIN as f32);
         let (x, y) = (x as f32, y as f32);
-        x + along[0] >= 0.0
-            && x + along[1] + RUN as f32 <= self.size.1 as f32
-            && y + down[0] >= 0.0
-            && y + down[1] <= self.size.0 as f32 - 1.0
+        x + along[0] >= -margin
+            && x + along[1] + RUN as f32 <= width as f32 + margin
+            && y + down[0] >= -margin
+            && y + down[1] <= height as f32 - 1.0 + margin
     }
 
     /// Whether all that a run may see is lit, when it moves so far.
@@ -166,9 +176,27 @@ const MIN_ROWS: usize = 64;
     "x86_64+avx2",
     "aarch64+neon"
 ))]
-fn fill_row(from: &[f32], lit: &[f32], factor: f32, row: &mut [f32]) {
-    for ((value, &x), &lit) in row.iter_mut().zip(from).zip(lit) {
-        *value = x * (factor * lit);
+fn fill_row(from: &[f32], lit: Option<&[f32]>, factor: f32, row: &mut [f32]) {
+    let (left, rest) = row.split_at_mut(MARGIN);
+    let (inside, right) = rest.split_at_mut(from.len());
+    match lit {
+        None => inside.copy_from_slice(from),
+        Some(lit) => {
+            for ((value, &x), &lit) in inside.iter_mut().zip(from).zip(lit) {
+                *value = x * (factor * lit);
+            }
+        }
+    }
+    left.fill(inside[0]);
+    right.fill(inside[from.len() - 1]);
+}
+
+/// Fills the rows above and below an image with its first and last.
+fn go_on(plane: &mut [f32], stride: usize) {
+    let last = plane.len() - (MARGIN + 1) * stride;
+    for row in 0..MARGIN {
+        plane.copy_within(MARGIN * stride..(MARGIN + 1) * stride, row * stride);
+        plane.copy_within(last..last + stride, last + (row + 1) * stride);
     }
 }
 
@@ -184,7 +212,7 @@ fn blur_row(still: &Still, y: usize, motion: &Field, window: Window, out: Line<'
     for x in (0..width).step_by(RUN) {
         let mut own = [[0.0; RUN]; 4];
         for plane in 0..4 {
-            own[plane] = still.run(plane, y, x as isize);
+            own[plane] = still.run(plane, still.index(y as isize, x as isize));
         }
         let near = [load(&motion[0][x..]), load(&motion[1][x..])];
         let ends = [ends(&near[0]), ends(&near[1])];
@@ -268,7 +296,7 @@ fn streak<const PLANES: usize>(
         let first = [along[0].floor(), down[0].floor()];
         let taps = [along[1].ceil() - first[0], down[1].ceil() - first[1]];
         if still.holds((x, y), along, down) && max(taps[0], taps[1]) < MOST_TAPS as f32 {
-            let start = (y.wrapping_add_signed(first[1] as isize), x as isize + first[0] as isize);
+            let start = still.index(y as isize + first[1] as isize, x as isize + first[0] as isize);
             let mut rest = [[0.0; RUN]; 2];
             for k in 0..2 {
                 for i in 0..RUN {
@@ -298,28 +326,32 @@ fn moved([low, high]: [f32; 2], time: f32) -> [f32; 2] {
     [min(one, other), max(one, other)]
 }
 
-/// Adds what is seen from a place (row, column) on, each pixel `rest` farther: bilinear, where
-/// neighbours are up to `taps` away.
+/// Adds what is seen from a place on, each pixel `rest` farther: bilinear, where neighbours are up
+/// to `taps` away.
 #[inline(always)]
 fn add_shifted<const PLANES: usize>(
     still: &Still,
-    start: (usize, isize),
+    start: usize,
     taps: [usize; 2],
     rest: &[Run; 2],
     sum: &mut [Run; PLANES],
 ) {
+    let mut across = [[0.0f32; RUN]; MOST_TAPS];
+    for (column, across) in across.iter_mut().enumerate().take(taps[0] + 1) {
+        for i in 0..RUN {
+            across[i] = max(1.0 - (rest[0][i] - column as f32).abs(), 0.0);
+        }
+    }
     for row in 0..=taps[1] {
-        for column in 0..=taps[0] {
-            let place = (start.0 + row, start.1 + column as isize);
-            let mut share = [0.0f32; RUN];
-            for i in 0..RUN {
-                let across = max(1.0 - (rest[0][i] - column as f32).abs(), 0.0);
-                share[i] = across * max(1.0 - (rest[1][i] - row as f32).abs(), 0.0);
-            }
+        let mut down = [0.0f32; RUN];
+        for i in 0..RUN {
+            down[i] = max(1.0 - (rest[1][i] - row as f32).abs(), 0.0);
+        }
+        for (column, across) in across.iter().enumerate().take(taps[0] + 1) {
             for plane in 0..PLANES {
-                let values = still.run(plane, place.0, place.1);
+                let values = still.run(plane, start + row * still.stride + column);
                 for i in 0..RUN {
-                    sum[plane][i] += share[i] * values[i];
+                    sum[plane][i] += across[i] * down[i] * values[i];
                 }
             }
         }

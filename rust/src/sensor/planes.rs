@@ -57,19 +57,6 @@ pub fn rows<T>(pixels: &mut [T], (height, width): (usize, usize)) -> Vec<Line<'_
         .collect()
 }
 
-/// Planes [3 h w] of an image [h w 3], times a factor.
-#[pyfunction]
-pub fn to_planes<'py>(
-    py: Python<'py>,
-    image: PyReadonlyArray3<'py, f32>,
-    factor: f32,
-) -> PyResult<Bound<'py, PyArray3<f32>>> {
-    let (height, width) = size_of_image(&image)?;
-    let source = image.as_slice()?;
-    let out = on_pool(py, || parted(source, (height, width), factor));
-    Ok(planes_array(py, out, (height, width)))
-}
-
 /// Planes of an image, times a factor.
 pub fn parted(image: &[f32], (height, width): (usize, usize), factor: f32) -> Vec<f32> {
     let mut out = vec![0.0; 3 * height * width];

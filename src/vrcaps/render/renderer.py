@@ -103,6 +103,7 @@ class Renderer:
         self._fillings: deque[tuple[State, Filling]] = deque(maxlen=3)
         self._contents: dict[str, tuple[Filling, _core.Wall, _core.Contents]] = {}
         self._tables: dict[tuple[int, int], tuple[Camera, _core.RayTable]] = {}
+        self._led_rows: dict[int, tuple[Camera, Float[np.ndarray, "k 10"]]] = {}
 
     def render(
         self,
@@ -158,8 +159,7 @@ class Renderer:
                 if name in arrays:
                     arrays[name].fill(nothing)
         T_world_camera = state.T_world_capsule @ camera.T_capsule_camera
-        leds = _leds_world(camera, T_world_camera)
-        leds[:, 6:9] *= self._imaging.led_gains
+        leds = _placed(self._leds(camera), T_world_camera)
         paths = _paths(self.settings, state.time, T_world_camera)
 
         def draw(into: dict[str, NDArray[Any]], supersampling: int, paths: _Paths = paths) -> None:
@@ -301,6 +301,22 @@ class Renderer:
             self._tables[key] = (camera, table)  # holding the camera keeps its id its own
         return self._tables[key][1]
 
+    def _leds(self, camera: Camera) -> Float[np.ndarray, "k 10"]:
+        """Rows of position [m], direction, intensity [W/sr] and lobe exponent in its frame."""
+        if id(camera) not in self._led_rows:
+            gains = self._imaging.led_gains
+            rows = [
+                (
+                    *led.position_camera,
+                    *led.direction_camera,
+                    *np.multiply(led.intensity, gains),
+                    led.lobe_exponent,
+                )
+                for led in camera.leds
+            ]
+            self._led_rows[id(camera)] = (camera, np.array(rows, float).reshape(-1, 10))
+        return self._led_rows[id(camera)][1]
+
 
 def _color(
     draw: Callable[..., None], camera: Camera, settings: RenderSettings
@@ -374,19 +390,11 @@ def _paths(
     return settings.samples, settings.depth, int.from_bytes(seed, "little")
 
 
-def _leds_world(
-    camera: Camera, T_world_camera: Float[np.ndarray, "4 4"]
+def _placed(
+    leds: Float[np.ndarray, "k 10"], T_world_camera: Float[np.ndarray, "4 4"]
 ) -> Float[np.ndarray, "k 10"]:
-    """Rows of position [m], direction, intensity [W/sr] and lobe exponent in the world."""
-    if not camera.leds:
-        return np.zeros((0, 10))
-    position = np.array([led.position_camera for led in camera.leds])
-    direction = np.array([led.direction_camera for led in camera.leds])
-    return np.column_stack(
-        [
-            transform_points(T_world_camera, position),
-            rotate_vectors(T_world_camera, direction),
-            np.array([led.intensity for led in camera.leds]),
-            np.array([led.lobe_exponent for led in camera.leds]),
-        ]
-    )
+    """The rows of LEDs in the world, given those in the camera's frame."""
+    placed = leds.copy()
+    placed[:, :3] = transform_points(T_world_camera, leds[:, :3])
+    placed[:, 3:6] = rotate_vectors(T_world_camera, leds[:, 3:6])
+    return placed

@@ -187,12 +187,25 @@ def test_gain_makes_noise_and_light_does_not(renderer: Renderer) -> None:
     assert spread[1] > 1.3 * spread[0]
 
 
+FOCAL = 40.0
+
+
+def rays_to(x: np.ndarray, y: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """Where places of an image [px] are seen by a pinhole, at depth 1."""
+    height, width = size
+    return np.stack([(x - width / 2) / FOCAL, (y - height / 2) / FOCAL, np.ones_like(x)], -1)
+
+
 def fixed(rng: np.random.Generator, height: int, width: int) -> dict:
     """Every stage, on an image whose corner is dark."""
+    y, x = np.mgrid[:height, :width].astype(float)
+    rays = rays_to(x, y, (height, width))
+    rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
     planes = rng.random((3, height, width), np.float32)
     lit = np.ones((height, width), bool)
     lit[:7, :9] = False
     return {
+        "rays": _core.RayTable(rays.astype(np.float32)),
         "lit": lit,
         "cosine": np.full((height, width), 0.8, np.float32),
         "defocus": (0.03, 0.015),
@@ -209,11 +222,13 @@ def fixed(rng: np.random.Generator, height: int, width: int) -> dict:
 def shot(rng: np.random.Generator, height: int, width: int) -> dict:
     distance = rng.uniform(0.005, 0.08, (height, width)).astype(np.float32)
     front = (rng.random((height, width)) < 0.2).astype(np.uint8)
-    motion = rng.normal(0, 6, (height // 4, width // 4, 2)).astype(np.float32)
+    y, x = np.mgrid[2:height:4, 2:width:4].astype(float)
+    dx, dy = rng.normal(0, 6, (2, *x.shape))
+    points = np.ascontiguousarray(rays_to(x + dx, y + dy, (height, width)))
     pixels = rng.choice(height * width, 40, replace=False).astype(np.uint32)
     return {
         "factor": 1.3,
-        "motion": (motion, 4, (0.3, 0.2, 0.25)),
+        "motion": ((points, np.eye(4), None), True, (0.3, 0.2, 0.25)),
         "distance": (distance, front, 0.5 * distance),
         "drops": (
             pixels,
@@ -229,8 +244,10 @@ def shot(rng: np.random.Generator, height: int, width: int) -> dict:
 def one_by_one(radiance: np.ndarray, given: dict, shot: dict) -> np.ndarray:
     """The same stages, each called by itself."""
     image = np.ascontiguousarray(np.moveaxis(radiance, 0, -1))
-    motion, step, times = shot["motion"]
-    planes = _core.blur_motion(image, given["lit"], (motion, step), times, shot["factor"])
+    points, is_backward, times = shot["motion"]
+    assert is_backward
+    motion = -_core.flow_by_rays(given["rays"], points, 4)
+    planes = _core.blur_motion(image, given["lit"], (motion, 4), times, shot["factor"])
     wall, front, depth = shot["distance"]
     distance = np.where(front == 1, depth / given["cosine"], wall)
     planes = _core.defocus(planes, distance, *given["defocus"])
@@ -304,12 +321,14 @@ def test_frames_that_do_not_fit_the_stages(rng: np.random.Generator) -> None:
     wrong = (
         (image[:, :20], now),
         (image, now | {"distance": None}),
-        (image, now | {"motion": (np.ones((2, 2, 3), np.float32), 4, (0.1, 0.1, 1.0))}),
         (image, now | {"distance": (image[0], np.ones((3, 3), np.uint8), image[0])}),
     )
     for radiance, frame in wrong:
         with pytest.raises(ValueError, match="of one size"):
             stages.apply(np.ascontiguousarray(radiance), frame)
+    points = (np.ones((24, 28, 3)), np.eye(4), None)
+    with pytest.raises(ValueError, match="must fit the camera"):
+        stages.apply(image, now | {"motion": (points, False, (0.1, 0.1, 1.0))})
     with pytest.raises(ValueError, match="of one size"):
         stages.meter(image[:, :, :5].copy(), (1.0, 1.0, 1.0))
 
@@ -352,21 +371,28 @@ def blur(f, lit: tuple[int, ...], motion: tuple[int, ...]):
     return _core.blur_motion(f(4, 4, 3), f(*lit) > 0, (f(*motion), 4), (0.1, 0.1, 1.0), 1.0)
 
 
-def table(f) -> _core.RayTable:
-    return _core.RayTable(f(4, 4, 3))
+def flow(f, points: tuple[int, ...], front: tuple | None = None):
+    return _core.flow_by_rays(
+        _core.RayTable(f(4, 4, 3)), (f(*points).astype(float), np.eye(4), front), 4
+    )
 
 
 @pytest.mark.parametrize(
     ("call", "match"),
     [
-        (lambda f: _core.to_planes(f(4, 4, 2), 1.0), "image must be"),
         (lambda f: blur(f, (4, 5), (1, 1, 2)), "fit"),
         (lambda f: blur(f, (4, 4), (1, 1, 3)), "Motion"),
         (lambda f: _core.defocus(f(3, 4, 4), f(4, 5), 1.0, 1.0), "Distances"),
         (lambda f: _core.defocus(f(2, 4, 4), f(4, 4), 1.0, 1.0), "Planes must"),
         (lambda f: _core.shade_planes(f(3, 4, 4), f(4, 5)), "A map"),
-        (lambda f: _core.flow_by_rays(table(f), f(1, 1, 2).astype(float), np.eye(4), 4), "shape"),
-        (lambda f: _core.flow_by_rays(table(f), f(2, 2, 3).astype(float), np.eye(4), 4), "fit"),
+        (lambda f: flow(f, (1, 1, 2)), "shape"),
+        (lambda f: flow(f, (2, 2, 3)), "must fit the camera"),
+        (
+            lambda f: flow(
+                f, (1, 1, 3), (f(4, 5).astype(np.uint8), f(4, 4), np.eye(4), (0.01, 0.005))
+            ),
+            "What is in front",
+        ),
         (lambda f: _core.develop(f(3, 4, 4), (1.0, 1.0, 1.0), f(4, 5) > 0), "What is lit"),
         (lambda f: _core.demosaic(f(1, 2, 4), (0, 1, 1, 2)), "3 by 3"),
         (lambda f: _core.demosaic(f(3, 4, 4), (0, 1, 1, 2)), "A mosaic must"),

@@ -14,23 +14,16 @@ from vrcaps.color import LUMINANCE
 from vrcaps.render.camera_effects.dome import Dome
 from vrcaps.render.camera_effects.effects import Effects
 from vrcaps.render.camera_effects.sensor import Noise, WhiteBalance, mosaic_colors
-from vrcaps.render.flow import STEP, SurfacePoints, thinned
-from vrcaps.transforms import invert, transform_points
-from vrcaps.units import MM
+from vrcaps.render.flow import STEP, SurfacePoints
+from vrcaps.transforms import invert
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
 
-    from vrcaps.capsule.device import Camera, Device
+    from vrcaps.capsule.device import Camera
     from vrcaps.render.frame import Frame
     from vrcaps.render.renderer import Renderer
     from vrcaps.world.model import State
-
-BUBBLE = 1
-"""Front label of a bubble."""
-
-_TOUCHING = 1.0 * MM
-"""Gap to the capsule up to which a bubble's near side is taken to sit on it."""
 
 _DOME = 7
 """Stream of the random numbers that lay what is on the dome, beside the scenario's others."""
@@ -89,7 +82,7 @@ class CameraChain:
             fps: Frames per second.
             seed: Of the noise.
         """
-        self.effects, self.camera = effects, camera
+        self.camera, self._is_ideal = camera, effects.is_ideal
         self._stages = {name: effects.figures(name) for name in _STAGES}
         self._interval, self._seed, self._number = 1.0 / fps, seed, number
         self._colors = mosaic_colors(effects.mosaic)
@@ -101,7 +94,6 @@ class CameraChain:
         if drops is not None or smears is not None:
             lens = self._stages["depth_of_field"]
             self._dome = Dome(camera, drops, smears, lens=lens, seed=(seed, _DOME, number))
-        self._last_motion: tuple[State, Any] | None = None
         moving = self._stages["motion_blur"] or self._stages["rolling_shutter"]
         self._needs_motion = moving is not None or effects.frame_rate is not None
         self._core = _core.CameraStages(self._fixed())
@@ -113,6 +105,7 @@ class CameraChain:
         vignette, jpeg = stages["vignette"], stages["jpeg"]
         sites = (camera.height * (1 if self._colors else 3), camera.width)
         return {
+            "rays": self._table,
             "lit": self._lit,
             "cosine": np.ascontiguousarray(self._rays[..., 2]),
             "defocus": defocus and defocus.figures(camera),
@@ -135,7 +128,7 @@ class CameraChain:
         """
         points = SurfacePoints.sparse(self.camera) if self._needs_motion else None
         planes = None
-        if not self.effects.is_ideal:
+        if not self._is_ideal:
             planes = np.empty((3, self.camera.height, self.camera.width), np.float32)
         frame = renderer.render(
             moment.state,
@@ -150,7 +143,7 @@ class CameraChain:
 
     def _needed(self, asked: Sequence[str]) -> tuple[str, ...]:
         needed = set(asked)
-        if not self.effects.is_ideal:
+        if not self._is_ideal:
             needed = needed - {"rgb"}
         if self._needs_motion or self._stages["depth_of_field"] is not None:
             needed |= {"ray_distance", "front_label", "front_depth"}
@@ -201,18 +194,16 @@ class CameraChain:
         }
 
     def _moving(self, seen: Seen, renderer: Renderer, moment: Moment) -> tuple[Any, ...] | None:
-        """Motion of the image, its step, and when rows are open and lit, in frames."""
+        """Points that move, if any do, their sense in time, and when rows are open and lit."""
         blur, rolling = self._stages["motion_blur"], self._stages["rolling_shutter"]
         if blur is None and rolling is None:
             return None
-        motion = self.motion(seen, renderer, moment)
-        if motion is None:
-            motion = np.zeros((1, 1, 2), np.float32)  # a frame alone
         shutter = 0.0 if blur is None else min(blur.exposure_time / self._interval, 1.0)
         readout = 0.0 if rolling is None else min(rolling.readout_time / self._interval, 1.0)
         lit = None if blur is None else blur.led_pulse
         pulse = np.inf if lit is None else lit / self._interval
-        return np.ascontiguousarray(motion), STEP, (shutter, readout, pulse)
+        points, is_backward = self._points(seen, renderer, moment), moment.state_next is None
+        return points, is_backward, (shutter, readout, pulse)
 
     def motion(
         self, seen: Seen, renderer: Renderer, moment: Moment
@@ -221,13 +212,14 @@ class CameraChain:
 
         None where there is no neighbouring frame.
         """
-        if self._last_motion is None or self._last_motion[0] is not moment.state:
-            self._last_motion = (moment.state, self._new_motion(seen, renderer, moment))
-        return self._last_motion[1]
+        points = self._points(seen, renderer, moment)
+        if points is None:
+            return None
+        flow = _core.flow_by_rays(self._table, points, STEP)
+        return -flow if moment.state_next is None else flow
 
-    def _new_motion(
-        self, seen: Seen, renderer: Renderer, moment: Moment
-    ) -> Float[np.ndarray, "hc wc 2"] | None:
+    def _points(self, seen: Seen, renderer: Renderer, moment: Moment) -> tuple[Any, ...] | None:
+        """Where what is seen appears in a neighbouring frame, its camera, and what is in front."""
         neighbour = moment.state_next or moment.state_previous
         if neighbour is None:
             return None
@@ -237,11 +229,10 @@ class CameraChain:
         moved = seen.points.moved(renderer.model.organ.faces, neighbour, *fillings)
         apparent = renderer.bends(self.camera, seen.points, moved, neighbour, slot).apparent
         pose = invert(neighbour.T_world_capsule @ self.camera.T_capsule_camera)
-        motion = _core.flow_by_rays(self._table, np.ascontiguousarray(apparent), pose, STEP)
-        if moment.state_next is None:
-            motion = -motion
-        motion[_on_capsule(seen.frame, self.camera, self._rays, renderer.model.device)] = 0.0
-        return motion
+        device, frame = renderer.model.device, seen.frame
+        capsule = (0.5 * device.length - device.radius, device.radius)
+        front = (frame.front_label, frame.front_depth, self.camera.T_capsule_camera, capsule)
+        return np.ascontiguousarray(apparent), pose, front
 
 
 _STAGES = (
@@ -253,20 +244,3 @@ _STAGES = (
 def _lit(rays: Float[np.ndarray, "h w 3"]) -> Bool[np.ndarray, "h w"]:
     """Pixels that see anything."""
     return np.asarray(np.isfinite(rays).all(axis=-1))
-
-
-def _on_capsule(
-    frame: Frame, camera: Camera, rays: Float[np.ndarray, "h w 3"], device: Device
-) -> Bool[np.ndarray, "hc wc"]:
-    """Thinned pixels that look through a bubble that sits on the capsule, and so stays there."""
-    is_bubble = thinned(np.asarray(frame.front_label)) == BUBBLE
-    if not is_bubble.any():
-        return is_bubble
-    seen = thinned(rays)[is_bubble].astype(float)
-    distance = thinned(np.asarray(frame.front_depth))[is_bubble] / seen[:, 2]
-    points = transform_points(camera.T_capsule_camera, seen * distance[:, None])
-    straight = 0.5 * device.length - device.radius
-    along = np.maximum(np.abs(points[:, 2]) - straight, 0.0)
-    outward = np.sqrt(points[:, 0] ** 2 + points[:, 1] ** 2 + along**2) - device.radius
-    is_bubble[is_bubble] = outward < _TOUCHING
-    return is_bubble

@@ -1,8 +1,9 @@
 """Claim: frames with every effect at grade 2 and bounced light come at 45 a second or more.
 
 A flight at 2 cm/s through a generated colon, 320 x 320 pixels, colour and four labels: the plain
-frame, with quick bounced light, with lens and sensor, and with both. No sensor of fewer pixels, so
-that all have the same size. First images only; then recorded into files, as `vrcaps record` does.
+frame, with quick bounced light, with lens and sensor, and with both; and each effect by itself. No
+sensor of fewer pixels, so that all have the same size. First images only; then recorded into files,
+as `vrcaps record` does.
 
     python benchmarks/speed_effects.py
 """
@@ -25,32 +26,40 @@ import vrcaps
 from vrcaps.record.images import Images, Step
 from vrcaps.record.recorder import record
 from vrcaps.record.scenario import Scenario, build, resolve
+from vrcaps.render.camera_effects.grades import GRADES
 from vrcaps.render.camera_effects.parse import parse_effects
 
 FRAMES, RECORDED = 60, 200
 ROUNDS = 5
 EFFECTS = "all=2,resolution=0"
+EVERY = "every effect at grade 2"
 HEAD = ("frame", "time [ms]", "frames a second", "processor time [ms]", "times plain", "claimed")
+
+ALONE = ("effect", "longer by [ms]", "processor time more [ms]")
 
 
 def main() -> None:
-    """Measure all four in turns, and write the table."""
+    """Measure all in turns, and write the tables."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", type=Path, default=PAGE, help="Markdown page to write into")
     args = parser.parse_args()
     subjects = {
         "plain": _subject("", "direct"),
         "quick bounced light": _subject("", "quick"),
-        "every effect at grade 2": _subject(EFFECTS, "direct"),
-        "every effect at grade 2, quick bounced light": _subject(EFFECTS, "quick"),
+        EVERY: _subject(EFFECTS, "direct"),
+        f"{EVERY}, quick bounced light": _subject(EFFECTS, "quick"),
     }
+    whole = list(subjects)
+    subjects |= {name: _subject(f"{name}=2", "direct") for name in GRADES if name != "resolution"}
+    subjects["mosaic"] = _subject("mosaic=rggb", "direct")
     times = {name: np.zeros((ROUNDS, 2)) for name in subjects}
     for index in range(-1, ROUNDS):  # the first round is not counted
         for name, (images, steps) in subjects.items():
             seconds = _round(images, steps)
             if index >= 0:
                 times[name][index] = seconds
-    rows = list(_rows({name: np.median(values, axis=0) for name, values in times.items()}))
+    rows = list(_rows({name: np.median(times[name], axis=0) for name in whole}))
+    alone = [_more(name, times) for name in times if name not in whole]
     files = np.median([[_recorded("", "direct"), _recorded(EFFECTS, "quick")] for _ in "123"], 0)
     plain, lossy = files.tolist()
     text = f"""## Speed of lens and sensor
@@ -59,6 +68,11 @@ def main() -> None:
 colour, depth, normal, label and instance; effects `{EFFECTS}`; median of {ROUNDS} rounds in turns.
 
 {table(HEAD, rows)}
+
+Each effect by itself at grade 2 (a mosaic RGGB), medians of how much longer than the plain frame of
+the same round; all include what any first effect brings, linear light and 8 bits of it:
+
+{table(ALONE, alone)}
 
 The same flight recorded into files, {RECORDED} frames, median of 3: plain {1e3 * plain:.1f} ms a
 frame ({1.0 / plain:.0f} a second), with every effect and bounced light {1e3 * lossy:.1f} ms
@@ -123,6 +137,11 @@ def _rows(times: dict[str, np.ndarray]) -> Iterator[tuple[str, ...]]:
             claims = f"≥ 45: {_word(fast)}; ≤ 2 times plain: {_word(lean)}"
         cells = (f"{1e3 * wall:.1f}", f"{1.0 / wall:.0f}", f"{1e3 * processors:.1f}")
         yield (name, *cells, f"{wall / plain:.1f}", claims)
+
+
+def _more(name: str, times: dict[str, np.ndarray]) -> tuple[str, str, str]:
+    wall, processors = 1e3 * np.median(times[name] - times["plain"], axis=0)
+    return name, f"{wall:.1f}", f"{processors:.1f}"
 
 
 def _word(holds: bool) -> str:

@@ -31,6 +31,8 @@ struct Given<'py> {
     lit: PyReadonlyArray2<'py, bool>,
     /// Cosine between each pixel's ray and the axis [h w].
     cosine: PyReadonlyArray2<'py, f32>,
+    /// The times of `Shutter`, in its order.
+    shutter: Option<(f32, f32, f32)>,
     /// Reach [px·m] and distance of focus [m].
     defocus: Option<(f32, f32)>,
     film: Option<GivenFilm<'py>>,
@@ -54,16 +56,16 @@ type Distance<'py> =
 /// The same in the order wall, depth, label.
 type Distances<'a> = (&'a [f32], &'a [f32], &'a [u8]);
 
-/// Points that move, if any do, whether they are those of the frame before, and the shutter.
-type GivenMotion<'py> = (Option<GivenPoints<'py>>, bool, (f32, f32, f32));
-
 /// What changes from frame to frame.
 #[derive(FromPyObject)]
 #[pyo3(from_item_all)]
 struct Shot<'py> {
     /// From radiance to image values.
     factor: f32,
-    motion: Option<GivenMotion<'py>>,
+    /// What moves, if anything does, where it is in a neighbouring frame.
+    points: Option<GivenPoints<'py>>,
+    /// Whether that is the frame before.
+    is_backward: bool,
     distance: Option<Distance<'py>>,
     drops: Option<GivenDrops<'py>>,
     /// None where the sensor changes nothing.
@@ -81,6 +83,7 @@ pub struct CameraStages {
     size: (usize, usize),
     lit: Vec<bool>,
     cosine: Vec<f32>,
+    shutter: Option<Shutter>,
     defocus: Option<(f32, f32)>,
     film: Option<Film>,
     scaling: Option<Scaling>,
@@ -102,28 +105,13 @@ struct Room {
     codes: Vec<u8>,
 }
 
-/// Points that move, their sense in time, and when rows take light.
-struct Motion<'a> {
-    points: Option<Points<'a>>,
-    sense: f32,
-    shutter: Shutter,
-}
-
-impl Motion<'_> {
-    /// Motion of the image of so many rows, as they take light.
-    fn field(&self, height: usize) -> Field {
-        let Some(points) = &self.points else { return Field::new(&[0.0; 2], (1, 1), STEP) };
-        let mut vectors = points.flow();
-        vectors.iter_mut().for_each(|x| *x *= self.sense);
-        Field::new(&vectors, points.size(), STEP).when_read(self.shutter, height)
-    }
-}
-
 /// A frame's arrays, as far as stages use them.
 struct Frame<'a> {
     light: &'a [f32],
     factor: f32,
-    motion: Option<Motion<'a>>,
+    points: Option<Points<'a>>,
+    /// Sense of their motion in time.
+    sense: f32,
     /// Distance of the wall, depth and label of what is in front.
     distance: Option<(&'a [f32], &'a [f32], &'a [u8])>,
     drops: Option<Drops<'a>>,
@@ -152,6 +140,7 @@ impl CameraStages {
             rays: given.rays,
             lit: of_image(&given.lit, size)?.to_vec(),
             cosine: of_image(&given.cosine, size)?.to_vec(),
+            shutter: given.shutter.map(Shutter::of),
             defocus: given.defocus,
             film: given.film.as_ref().map(|film| Film::of(film, size)).transpose()?,
             scaling: given.scales.map(|(center, scales)| Scaling::new(size, center, scales)),
@@ -185,7 +174,11 @@ impl CameraStages {
         let frame = Frame {
             light: radiance.as_slice()?,
             factor: shot.factor,
-            motion: shot.motion(self.rays.get())?,
+            points: match &shot.points {
+                Some(given) => Some(Points::of(self.rays.get(), given, STEP)?),
+                None => None,
+            },
+            sense: if shot.is_backward { -1.0 } else { 1.0 },
             distance: shot.distance(self.size)?,
             drops: match &shot.drops {
                 Some(drops) => Some(Drops::of(drops, self.lit.len())?),
@@ -201,7 +194,7 @@ impl CameraStages {
     }
 
     /// Mean of the luminance of radiance [3 h w], given its factors, over every few lit pixels of
-    /// every few rows; each is cut at 1. As if nothing lay on the dome.
+    /// every few rows; each is cut at 1. As if nothing moved nor lay on the dome.
     fn meter(&self, radiance: PyReadonlyArray3<'_, f32>, factors: [f32; 3]) -> PyResult<f64> {
         if size(&radiance)? != self.size {
             return Err(misfit());
@@ -209,10 +202,11 @@ impl CameraStages {
         let (light, (height, width), area) = (radiance.as_slice()?, self.size, self.lit.len());
         let (mut sum, mut count) = (0.0, 0);
         for y in (STEP / 2..height).step_by(STEP) {
+            let share = self.shutter.map_or(1.0, |s| s.window(y as f32, height).share);
             for x in (STEP / 2..width).step_by(STEP).map(|x| y * width + x) {
                 if self.lit[x] {
                     let [r, g, b] = [0, 1, 2].map(|k| factors[k] * light[k * area + x]);
-                    let shade = self.shade.as_ref().map_or(1.0, |shade| shade[x]);
+                    let shade = share * self.shade.as_ref().map_or(1.0, |shade| shade[x]);
                     sum += f64::from(((r + g + b) * shade).min(1.0));
                     count += 1;
                 }
@@ -222,14 +216,17 @@ impl CameraStages {
     }
 }
 
-impl Shot<'_> {
-    fn motion<'a>(&'a self, rays: &'a RayTable) -> PyResult<Option<Motion<'a>>> {
-        let Some((points, is_backward, shutter)) = &self.motion else { return Ok(None) };
-        let points = points.as_ref().map(|given| Points::of(rays, given, STEP)).transpose()?;
-        let sense = if *is_backward { -1.0 } else { 1.0 };
-        Ok(Some(Motion { points, sense, shutter: Shutter::of(*shutter) }))
+impl Frame<'_> {
+    /// Motion of the image of so many rows, as they take light.
+    fn motion(&self, shutter: Shutter, height: usize) -> Field {
+        let Some(points) = &self.points else { return Field::new(&[0.0; 2], (1, 1), STEP) };
+        let mut vectors = points.flow();
+        vectors.iter_mut().for_each(|x| *x *= self.sense);
+        Field::new(&vectors, points.size(), STEP).when_read(shutter, height)
     }
+}
 
+impl Shot<'_> {
     fn distance(&self, size: (usize, usize)) -> PyResult<Option<Distances<'_>>> {
         let Some((wall, label, depth)) = &self.distance else { return Ok(None) };
         Ok(Some((of_image(wall, size)?, of_image(depth, size)?, of_image(label, size)?)))
@@ -292,9 +289,9 @@ impl CameraStages {
     /// Motion blur, rolling shutter, depth of field.
     fn expose(&self, frame: &Frame<'_>, room: &mut Room) {
         let ((height, width), Room { still, padded, planes, .. }) = (self.size, room);
-        let field = frame.motion.as_ref().map(|motion| {
+        let field = self.shutter.map(|shutter| {
             still.fill(frame.light, frame.factor);
-            (motion.field(height), motion.shutter)
+            (frame.motion(shutter, height), shutter)
         });
         let light = |y: usize, line: Line<'_>| match &field {
             Some((motion, shutter)) => still.blur(y, motion, *shutter, line),

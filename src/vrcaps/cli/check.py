@@ -37,6 +37,7 @@ class Check:
         for problem in problems:
             console.print(str(problem))
         if problems:
-            console.print(f"{len(problems)} faults in {self.episode}.")
+            noun = "fault" if len(problems) == 1 else "faults"
+            console.print(f"{len(problems)} {noun} in {self.episode}.")
             raise SystemExit(EXIT_FAULTS)
         console.print(f"{self.episode} is whole and consistent.")

@@ -208,6 +208,7 @@ def fixed(rng: np.random.Generator, height: int, width: int) -> dict:
         "rays": _core.RayTable(rays.astype(np.float32)),
         "lit": lit,
         "cosine": np.full((height, width), 0.8, np.float32),
+        "shutter": (0.3, 0.2, 0.25),
         "defocus": (0.03, 0.015),
         "film": (0.5 + 0.5 * planes, 1.0 - 0.3 * planes[0], float(lit.sum())),
         "scales": ((0.5 * width, 0.5 * height), (1.01, 1.0, 0.99)),
@@ -228,7 +229,8 @@ def shot(rng: np.random.Generator, height: int, width: int) -> dict:
     pixels = rng.choice(height * width, 40, replace=False).astype(np.uint32)
     return {
         "factor": 1.3,
-        "motion": ((points, np.eye(4), None), True, (0.3, 0.2, 0.25)),
+        "points": (points, np.eye(4), None),
+        "is_backward": True,
         "distance": (distance, front, 0.5 * distance),
         "drops": (
             pixels,
@@ -244,10 +246,8 @@ def shot(rng: np.random.Generator, height: int, width: int) -> dict:
 def one_by_one(radiance: np.ndarray, given: dict, shot: dict) -> np.ndarray:
     """The same stages, each called by itself."""
     image = np.ascontiguousarray(np.moveaxis(radiance, 0, -1))
-    points, is_backward, times = shot["motion"]
-    assert is_backward
-    motion = -_core.flow_by_rays(given["rays"], points, 4)
-    planes = _core.blur_motion(image, given["lit"], (motion, 4), times, shot["factor"])
+    motion = -_core.flow_by_rays(given["rays"], shot["points"], 4)
+    planes = _core.blur_motion(image, given["lit"], (motion, 4), given["shutter"], shot["factor"])
     wall, front, depth = shot["distance"]
     distance = np.where(front == 1, depth / given["cosine"], wall)
     planes = _core.defocus(planes, distance, *given["defocus"])
@@ -278,9 +278,9 @@ def test_all_stages_at_once_are_all_stages_in_turn(mosaic, most_bytes, rng) -> N
 
 
 def test_stages_that_are_off_leave_the_image_as_it_is(rng: np.random.Generator) -> None:
-    off = dict.fromkeys(("defocus", "film", "scales", "shade", "bloom", "mosaic", "jpeg"))
+    off = dict.fromkeys(("shutter", "defocus", "film", "scales", "shade", "bloom", "mosaic", "jpeg"))
     given = fixed(rng, 24, 28) | off
-    now = shot(rng, 24, 28) | dict.fromkeys(("motion", "distance", "drops", "readout"))
+    now = shot(rng, 24, 28) | dict.fromkeys(("points", "distance", "drops", "readout"))
     radiance = rng.random((3, 24, 28), np.float32)
     planes = radiance * np.float32(1.3)
     seen = _core.CameraStages(given).apply(radiance, now)
@@ -291,7 +291,10 @@ def test_light_is_metered_on_few_lit_pixels(rng: np.random.Generator) -> None:
     given = fixed(rng, 24, 28)
     radiance = rng.random((3, 24, 28), np.float32)
     factors = np.array([0.4, 1.6, 0.2])
-    luminance = np.minimum((factors @ radiance.reshape(3, -1)).reshape(24, 28) * given["shade"], 1)
+    late = 0.2 * ((np.arange(24) + 0.5) / 24 - 0.5)
+    lit = np.minimum(late + 0.15, 0.125) - np.maximum(late - 0.15, -0.125)
+    luminance = (factors @ radiance.reshape(3, -1)).reshape(24, 28) * given["shade"]
+    luminance = np.minimum(luminance * (lit / 0.25)[:, None], 1)
     thin = np.s_[2::4, 2::4]
     expected = luminance[thin][given["lit"][thin]].mean()
     metered = _core.CameraStages(given).meter(radiance, tuple(factors))
@@ -328,7 +331,7 @@ def test_frames_that_do_not_fit_the_stages(rng: np.random.Generator) -> None:
             stages.apply(np.ascontiguousarray(radiance), frame)
     points = (np.ones((24, 28, 3)), np.eye(4), None)
     with pytest.raises(ValueError, match="must fit the camera"):
-        stages.apply(image, now | {"motion": (points, False, (0.1, 0.1, 1.0))})
+        stages.apply(image, now | {"points": points})
     with pytest.raises(ValueError, match="of one size"):
         stages.meter(image[:, :, :5].copy(), (1.0, 1.0, 1.0))
 

@@ -94,8 +94,8 @@ class CameraChain:
         if drops is not None or smears is not None:
             lens = self._stages["depth_of_field"]
             self._dome = Dome(camera, drops, smears, lens=lens, seed=(seed, _DOME, number))
-        moving = self._stages["motion_blur"] or self._stages["rolling_shutter"]
-        self._needs_motion = moving is not None or effects.frame_rate is not None
+        self._is_moving = self._shutter() is not None
+        self._needs_motion = self._is_moving or effects.frame_rate is not None
         self._core = _core.CameraStages(self._fixed())
 
     def _fixed(self) -> dict[str, object]:
@@ -108,6 +108,7 @@ class CameraChain:
             "rays": self._table,
             "lit": self._lit,
             "cosine": np.ascontiguousarray(self._rays[..., 2]),
+            "shutter": self._shutter(),
             "defocus": defocus and defocus.figures(camera),
             "film": self._dome and self._dome.film,
             "scales": colors and colors.figures(camera),
@@ -117,6 +118,16 @@ class CameraChain:
             "mosaic": self._colors,
             "jpeg": jpeg and (jpeg.quality, jpeg.most_bytes),
         }
+
+    def _shutter(self) -> tuple[float, float, float] | None:
+        """How long rows are open, are read after one another, and are lit, in frames."""
+        blur, rolling = self._stages["motion_blur"], self._stages["rolling_shutter"]
+        if blur is None and rolling is None:
+            return None
+        opened = 0.0 if blur is None else min(blur.exposure_time / self._interval, 1.0)
+        readout = 0.0 if rolling is None else min(rolling.readout_time / self._interval, 1.0)
+        lit = None if blur is None else blur.led_pulse
+        return opened, readout, np.inf if lit is None else lit / self._interval
 
     def see(self, renderer: Renderer, moment: Moment, asked: Sequence[str]) -> Seen:
         """Renders what the camera sees; colour is made of it by `apply`.
@@ -185,25 +196,14 @@ class CameraChain:
             final = 1.0
         return {
             "factor": self.camera.exposure,
-            "motion": self._moving(seen, renderer, moment),
+            "points": self._points(seen, renderer, moment) if self._is_moving else None,
+            "is_backward": moment.state_next is None,
             "distance": distance,
             "drops": self._dome and self._dome.drops(moment.state.time),
             "readout": readout,
             "gains": tuple(final * gain for gain in balance.gains),
             "key": (self._seed, 64 * moment.index + self._number),
         }
-
-    def _moving(self, seen: Seen, renderer: Renderer, moment: Moment) -> tuple[Any, ...] | None:
-        """Points that move, if any do, their sense in time, and when rows are open and lit."""
-        blur, rolling = self._stages["motion_blur"], self._stages["rolling_shutter"]
-        if blur is None and rolling is None:
-            return None
-        shutter = 0.0 if blur is None else min(blur.exposure_time / self._interval, 1.0)
-        readout = 0.0 if rolling is None else min(rolling.readout_time / self._interval, 1.0)
-        lit = None if blur is None else blur.led_pulse
-        pulse = np.inf if lit is None else lit / self._interval
-        points, is_backward = self._points(seen, renderer, moment), moment.state_next is None
-        return points, is_backward, (shutter, readout, pulse)
 
     def motion(
         self, seen: Seen, renderer: Renderer, moment: Moment

@@ -278,7 +278,9 @@ def test_all_stages_at_once_are_all_stages_in_turn(mosaic, most_bytes, rng) -> N
 
 
 def test_stages_that_are_off_leave_the_image_as_it_is(rng: np.random.Generator) -> None:
-    off = dict.fromkeys(("shutter", "defocus", "film", "scales", "shade", "bloom", "mosaic", "jpeg"))
+    off = dict.fromkeys(
+        ("shutter", "defocus", "film", "scales", "shade", "bloom", "mosaic", "jpeg")
+    )
     given = fixed(rng, 24, 28) | off
     now = shot(rng, 24, 28) | dict.fromkeys(("points", "distance", "drops", "readout"))
     radiance = rng.random((3, 24, 28), np.float32)

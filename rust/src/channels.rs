@@ -203,7 +203,12 @@ impl Place {
         let columns = (width - self.column).min(TILE);
         for (y, row) in known.chunks_exact(TILE).take(height).enumerate() {
             let start = y * width + self.column;
-            pixels[start..start + columns].copy_from_slice(&row[..columns]);
+            let out = &mut pixels[start..start + columns];
+            match <&mut [T; TILE]>::try_from(&mut *out) {
+                // A number of bytes known beforehand: no call to copy a few of them.
+                Ok(whole) => whole.copy_from_slice(row),
+                Err(_) => out.copy_from_slice(&row[..columns]),
+            }
         }
     }
 

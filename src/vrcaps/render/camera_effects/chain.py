@@ -156,8 +156,11 @@ class CameraChain:
         needed = set(asked)
         if not self._is_ideal:
             needed = needed - {"rgb"}
-        if self._needs_motion or self._stages["depth_of_field"] is not None:
-            needed |= {"ray_distance", "front_label", "front_depth"}
+        lens = self._stages["depth_of_field"]
+        if self._needs_motion or lens is not None:
+            needed |= {"front_label", "front_depth"}
+        if lens is not None:
+            needed |= {"ray_distance"}
         return tuple(sorted(needed))
 
     def apply(self, seen: Seen, renderer: Renderer, moment: Moment) -> Frame:

@@ -34,7 +34,6 @@ ROUNDS = 5
 EFFECTS = "all=2,resolution=0"
 EVERY = "every effect at grade 2"
 HEAD = ("frame", "time [ms]", "frames a second", "processor time [ms]", "times plain", "claimed")
-
 ALONE = ("effect", "longer by [ms]", "processor time more [ms]")
 
 

@@ -1,20 +1,13 @@
-"""Claim: lens and sensor do what their formulas say, and fast.
+"""Claim: lens and sensor do what their formulas say.
 
 Measured on images alone, as a laboratory measures a camera: flat fields for the photon-transfer
-curve, points and lines for the optics. Claimed: gain and read noise within 3 %. Then the time of
-each stage at grade 2 on a 320 x 320 image of a generated colon, processor time on one thread.
+curve, points and lines for the optics. Claimed: gain and read noise within 3 %.
 
     python benchmarks/validate_sensor.py
 """
 
 from __future__ import annotations
 
-import os
-
-os.environ["RAYON_NUM_THREADS"] = "1"  # processor time without threads that wait for one another
-
-import time
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -24,24 +17,13 @@ from vrcaps import _core
 from vrcaps.capsule.catalog import load_device
 from vrcaps.capsule.device import Camera
 from vrcaps.capsule.lens.change import focal_length_px
-from vrcaps.organ.catalog import load_organ
-from vrcaps.render.camera_effects.chain import CameraChain, Moment
-from vrcaps.render.camera_effects.effects import Effects
 from vrcaps.render.camera_effects.exposure import AutoExposure
 from vrcaps.render.camera_effects.grades import GRADES
 from vrcaps.render.camera_effects.optics import Bloom, Defocus, LateralColor, Vignetting
-from vrcaps.render.camera_effects.sensor import WhiteBalance
 from vrcaps.render.flow import STEP
-from vrcaps.render.renderer import DEFAULT_CHANNELS, Renderer
 from vrcaps.units import MM
-from vrcaps.world.fly_through import FlyThrough, fly_through
-from vrcaps.world.model import Model
 
 HEAD = ("quantity", "as set", "formula", "measured", "error")
-STAGES = (
-    *("motion_blur", "rolling_shutter", "depth_of_field", "chromatic", "vignette", "bloom"),
-    *("noise", "white_balance", "jpeg"),
-)
 BLACK = 3000
 """Far above the noise, so that no number is cut off."""
 Row = tuple[str, str, str, str, str]
@@ -166,48 +148,6 @@ def exposure() -> list[Row]:
     return rows
 
 
-def cpu_ms(call: Callable[[], object], count: int = 30) -> float:
-    """Median processor time of a call [ms]."""
-    times = []
-    for _ in range(count):
-        start = time.process_time()
-        call()
-        times.append(time.process_time() - start)
-    return 1e3 * float(np.median(times))
-
-
-def speed() -> list[tuple[str, ...]]:
-    """Processor time of each stage at grade 2, of all of them, and of the frame itself."""
-    device = load_device("mirocam")
-    model = Model(load_organ("colon", seed=0), device)
-    flight = FlyThrough(start=0.5, end=0.51)
-    run = fly_through(model, flight, frames=3, fps=3.0, rng=np.random.default_rng(0))
-    renderer, camera = Renderer(model), device.cameras[0]
-    moment = Moment(1, run.state(1), run.state(2), run.state(0))
-
-    def of(effects: Effects) -> float:
-        chain = CameraChain(effects, camera, number=0, fps=3.0, seed=0)
-        seen = chain.see(renderer, moment, DEFAULT_CHANNELS)
-        # A state of its own each time, or the chain would know its motion from the call before.
-        return cpu_ms(
-            lambda: chain.apply(seen, renderer, replace(moment, state=replace(moment.state)))
-        )
-
-    none = of(Effects(white_balance=WhiteBalance(response=(1.0, 1.0, 1.0))))
-    rows = [("sRGB alone", f"{none:.2f}")]
-    rows += [(f"`{name}`", f"{of(Effects(**{name: 2})) - none:+.2f}") for name in STAGES]
-    rows.append(("`mosaic`", f"{of(Effects(mosaic='rggb')) - none:+.2f}"))
-    chain = CameraChain(Effects(exposure=2), camera, number=0, fps=3.0, seed=0)
-    seen = chain.see(renderer, moment, DEFAULT_CHANNELS)
-    meter = cpu_ms(lambda: chain.meter(seen, moment))
-    rows.append(("`exposure`", f"{meter:+.2f}"))
-    together = of(Effects(**dict.fromkeys(STAGES, 2), mosaic="rggb")) + meter
-    rows.append(("all of these", f"{together:.2f}"))
-    plain = cpu_ms(lambda: renderer.render(moment.state, camera, channels=DEFAULT_CHANNELS))
-    rows.append(("the labelled frame itself", f"{plain:.2f}"))
-    return rows
-
-
 def main() -> None:
     """Measure, and write the section."""
     arguments = options(__doc__ or "", 320)
@@ -218,10 +158,7 @@ def main() -> None:
         "`python benchmarks/validate_sensor.py`: [stages of lens and sensor](effects.md) against "
         f"their formulas, from images of {arguments.size} x {arguments.size} sites (photon "
         "transfer, 14 bits) and of the MiroCam's camera.\n\n"
-        f"{table(HEAD, measured)}\n\n"
-        "Processor time at grade 2 on one thread, 320 x 320, a generated colon [ms]; motion is "
-        "found at a sixteenth of the pixels, once for blur and shutter together.\n\n"
-        f"{table(('stage', 'ms'), speed())}\n"
+        f"{table(HEAD, measured)}\n"
     )
     write_section(arguments.out, "validate_sensor.py", text)
 

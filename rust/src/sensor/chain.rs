@@ -113,7 +113,7 @@ struct Frame<'a> {
     /// Sense of their motion in time.
     sense: f32,
     /// Distance of the wall, depth and label of what is in front.
-    distance: Option<(&'a [f32], &'a [f32], &'a [u8])>,
+    distance: Option<Distances<'a>>,
     drops: Option<Drops<'a>>,
     sensor: Option<Sensor<'a>>,
     gains: [f32; 3],
@@ -171,13 +171,11 @@ impl CameraStages {
             readout,
             streams: streams(shot.key),
         };
+        let points = |given| Points::of(self.rays.get(), given, STEP);
         let frame = Frame {
             light: radiance.as_slice()?,
             factor: shot.factor,
-            points: match &shot.points {
-                Some(given) => Some(Points::of(self.rays.get(), given, STEP)?),
-                None => None,
-            },
+            points: shot.points.as_ref().map(points).transpose()?,
             sense: if shot.is_backward { -1.0 } else { 1.0 },
             distance: shot.distance(self.size)?,
             drops: match &shot.drops {

@@ -113,8 +113,8 @@ impl Padded {
     pub fn spread(&self, mut lines: Vec<Line<'_>>) {
         let blocks = self.size.1.div_ceil(BLOCK);
         let widest = &self.widest;
-        let nearest = widest.iter().fold(0.0, |most, block| max(block.near, most));
-        let groups = (nearest + 0.5) as usize / ROWS + 1;
+        let farthest = widest.iter().fold(0.0, |most, block| max(block.near, most)) + 0.5;
+        let groups = farthest as usize / ROWS + 1;
         lines.par_chunks_mut(ROWS).enumerate().for_each(|(group, lines)| {
             for block in 0..blocks {
                 let radius = around(widest, blocks, (group, block), groups);

@@ -52,7 +52,8 @@ impl<'a> Front<'a> {
         if self.label[pixel] != FRONT_BUBBLE {
             return false;
         }
-        let [x, y, z] = apply(&self.to_capsule, scale(ray, self.depth[pixel] / ray[2]));
+        let seen = scale(ray, self.depth[pixel] / ray[2]);
+        let [x, y, z] = apply(&self.to_capsule, seen.map(f64::from));
         let (straight, radius) = self.capsule;
         let along = max(z.abs() - straight, 0.0);
         (x * x + y * y + along * along).sqrt() - radius < TOUCHING
@@ -64,8 +65,8 @@ fn rows_of(pose: &PyReadonlyArray2<'_, f64>) -> Rows {
     [0, 1, 2].map(|r| [0, 1, 2, 3].map(|c| pose[[r, c]]))
 }
 
-fn apply(pose: &Rows, point: Vec3) -> Vec3 {
-    let [x, y, z] = point.map(f64::from);
+#[inline(always)]
+fn apply(pose: &Rows, [x, y, z]: [f64; 3]) -> Vec3 {
     pose.map(|r| (r[0] * x + r[1] * y + r[2] * z + r[3]) as f32)
 }
 
@@ -148,7 +149,7 @@ impl<'a> Points<'a> {
     #[inline(always)]
     fn towards(&self, column: usize, row: usize) -> Vec3 {
         let place = &self.places[3 * (row * self.size.1 + column)..][..3];
-        self.to_camera.map(|r| (r[0] * place[0] + r[1] * place[1] + r[2] * place[2] + r[3]) as f32)
+        apply(&self.to_camera, [place[0], place[1], place[2]])
     }
 }
 
@@ -266,9 +267,6 @@ type Lanes3 = [[f32; RUN]; 3];
 
 /// How far from a pixel (column, row) the ray points in a direction, about as far as `guess`.
 fn find(rays: &RayTable, pixel: [usize; 2], towards: Vec3, guess: [f32; 2]) -> Option<[f32; 2]> {
-    if !towards.iter().all(|x| x.is_finite()) {
-        return None;
-    }
     let start = pixel.map(|x| x as f32);
     let mut at = [start[0] + guess[0], start[1] + guess[1]];
     let mut cell = match Cell::of(rays, nearest(rays, at)) {

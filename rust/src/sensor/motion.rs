@@ -84,7 +84,8 @@ impl Still {
                 is_lit[y / RUN * squares + x / RUN] &= lit;
             }
             let row = &mut planes[3][(y + MARGIN) * stride..][..stride];
-            fill_row(&shares[y * width..][..width], None, 1.0, row);
+            let share = &shares[y * width..][..width];
+            fill_row(share, share, 1.0, row);
         }
         go_on(&mut planes[3], stride);
         Still { planes, size, stride, is_lit }
@@ -99,7 +100,7 @@ impl Still {
             let rows = plane.par_chunks_mut(stride).skip(MARGIN).take(height);
             rows.with_min_len(MIN_ROWS).enumerate().for_each(|(y, row)| {
                 let lit = &lit[(y + MARGIN) * stride + MARGIN..][..width];
-                fill_row(&image[(k * height + y) * width..][..width], Some(lit), factor, row);
+                fill_row(&image[(k * height + y) * width..][..width], lit, factor, row);
             });
             go_on(plane, stride);
         });
@@ -176,16 +177,11 @@ const MIN_ROWS: usize = 64;
     "x86_64+avx2",
     "aarch64+neon"
 ))]
-fn fill_row(from: &[f32], lit: Option<&[f32]>, factor: f32, row: &mut [f32]) {
+fn fill_row(from: &[f32], lit: &[f32], factor: f32, row: &mut [f32]) {
     let (left, rest) = row.split_at_mut(MARGIN);
     let (inside, right) = rest.split_at_mut(from.len());
-    match lit {
-        None => inside.copy_from_slice(from),
-        Some(lit) => {
-            for ((value, &x), &lit) in inside.iter_mut().zip(from).zip(lit) {
-                *value = x * (factor * lit);
-            }
-        }
+    for ((value, &x), &lit) in inside.iter_mut().zip(from).zip(lit) {
+        *value = x * (factor * lit);
     }
     left.fill(inside[0]);
     right.fill(inside[from.len() - 1]);

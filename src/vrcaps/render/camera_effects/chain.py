@@ -94,8 +94,9 @@ class CameraChain:
         if drops is not None or smears is not None:
             lens = self._stages["depth_of_field"]
             self._dome = Dome(camera, drops, smears, lens=lens, seed=(seed, _DOME, number))
-        self._is_moving = self._shutter() is not None
-        self._needs_motion = self._is_moving or effects.frame_rate is not None
+        self._shutter = self._times()
+        self._last_points: tuple[State, tuple[Any, ...] | None] | None = None
+        self._needs_motion = self._shutter is not None or effects.frame_rate is not None
         self._core = _core.CameraStages(self._fixed())
 
     def _fixed(self) -> dict[str, object]:
@@ -108,7 +109,7 @@ class CameraChain:
             "rays": self._table,
             "lit": self._lit,
             "cosine": np.ascontiguousarray(self._rays[..., 2]),
-            "shutter": self._shutter(),
+            "shutter": self._shutter,
             "defocus": defocus and defocus.figures(camera),
             "film": self._dome and self._dome.film,
             "scales": colors and colors.figures(camera),
@@ -119,7 +120,7 @@ class CameraChain:
             "jpeg": jpeg and (jpeg.quality, jpeg.most_bytes),
         }
 
-    def _shutter(self) -> tuple[float, float, float] | None:
+    def _times(self) -> tuple[float, float, float] | None:
         """How long rows are open, are read after one another, and are lit, in frames."""
         blur, rolling = self._stages["motion_blur"], self._stages["rolling_shutter"]
         if blur is None and rolling is None:
@@ -199,7 +200,7 @@ class CameraChain:
             final = 1.0
         return {
             "factor": self.camera.exposure,
-            "points": self._points(seen, renderer, moment) if self._is_moving else None,
+            "points": self._shutter and self._points(seen, renderer, moment),
             "is_backward": moment.state_next is None,
             "distance": distance,
             "drops": self._dome and self._dome.drops(moment.state.time),
@@ -222,7 +223,15 @@ class CameraChain:
         return -flow if moment.state_next is None else flow
 
     def _points(self, seen: Seen, renderer: Renderer, moment: Moment) -> tuple[Any, ...] | None:
-        """Where what is seen appears in a neighbouring frame, its camera, and what is in front."""
+        """Where what is seen appears in a neighbouring frame, its camera, and what is in front.
+
+        Kept for the frame rate and the image alike.
+        """
+        if self._last_points is None or self._last_points[0] is not moment.state:
+            self._last_points = (moment.state, self._new_points(seen, renderer, moment))
+        return self._last_points[1]
+
+    def _new_points(self, seen: Seen, renderer: Renderer, moment: Moment) -> tuple[Any, ...] | None:
         neighbour = moment.state_next or moment.state_previous
         if neighbour is None:
             return None

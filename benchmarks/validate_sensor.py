@@ -120,14 +120,14 @@ def motion(camera: Camera) -> list[Row]:
     rows = []
     for speed, shutter in ((60.0, 0.1), (60.0, 0.3), (120.0, 0.3)):
         field = np.broadcast_to(np.float32([speed, 0.0]), cells).copy()
-        seen = _core.blur_motion(image, lit, (field, STEP), (shutter, 0.0, np.inf), 1.0)[0]
+        seen = _core.blur_motion(image, lit, field, (shutter, 0.0, np.inf), 1.0)[0]
         length = np.sqrt(12.0 * spread(seen)[1][0])
         given = f"{speed:g} px a frame, open for {shutter:g} of it"
         rows.append(row("blur length √(12 var)", given, speed * shutter, float(length), " px"))
     line = np.zeros((height, width, 3), np.float32)
     line[:, 160] = 1.0
     field = np.broadcast_to(np.float32([30.0, 0.0]), cells).copy()
-    seen = _core.blur_motion(line, lit, (field, STEP), (0.0, 0.8, np.inf), 1.0)[1]
+    seen = _core.blur_motion(line, lit, field, (0.0, 0.8, np.inf), 1.0)[1]
     middle = (seen * np.arange(width)).sum(axis=1) / seen.sum(axis=1)
     lean = np.polyfit(np.arange(height), middle, 1)[0] * height
     rows.append(row("lean, rolling shutter", "30 px a frame, 0.8 of it", 24.0, float(lean), " px"))

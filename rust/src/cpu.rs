@@ -1,6 +1,8 @@
 //! What the core makes of this processor.
 
 use pyo3::prelude::*;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
 
 /// Names of the vector extensions that the hot loops use here.
 #[pyfunction]
@@ -33,8 +35,38 @@ pub fn num_threads() -> usize {
     rayon::current_num_threads()
 }
 
+/// How long a thread that finds nothing to do stays awake for the next part of the work.
+const PATIENCE: Duration = Duration::from_micros(200);
+
 /// Does work on the threads of the core, without Python; the parts that it is cut into start
 /// without a change of thread.
+///
+/// Between those parts the other threads stay awake: to fall asleep and be woken takes longer than
+/// many of them.
 pub fn on_pool<T: Send>(py: Python<'_>, work: impl FnOnce() -> T + Send) -> T {
-    py.detach(|| rayon::scope(|_| work()))
+    let is_done = AtomicBool::new(false);
+    py.detach(|| {
+        rayon::scope(|scope| {
+            for _ in 1..rayon::current_num_threads() {
+                scope.spawn(|_| stay_awake(&is_done));
+            }
+            let result = work();
+            is_done.store(true, Ordering::Release);
+            result
+        })
+    })
+}
+
+/// Does what other threads offer until all is done, or nothing was offered for long.
+fn stay_awake(is_done: &AtomicBool) {
+    let mut last = Instant::now();
+    while !is_done.load(Ordering::Acquire) {
+        if rayon::yield_now() == Some(rayon::Yield::Executed) {
+            last = Instant::now();
+        } else if last.elapsed() > PATIENCE {
+            return;
+        } else {
+            std::hint::spin_loop();
+        }
+    }
 }

@@ -306,7 +306,7 @@ def encode_srgb(radiance: NDArray[np.float32], exposure: float) -> NDArray[np.ui
 def blur_motion(
     image: NDArray[np.float32],
     lit: NDArray[np.bool_],
-    motion: tuple[NDArray[np.float32], int],
+    motion: NDArray[np.float32],
     shutter: tuple[float, float, float],
     factor: float,
 ) -> NDArray[np.float32]: ...

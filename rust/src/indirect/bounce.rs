@@ -155,14 +155,14 @@ impl Irradiance<'_> {
     pub fn beneath(&self, surface: &Surface, hits: &Hits, walls: &[u32; LANES]) -> Option<Beneath> {
         let skin = self.skin.as_ref()?;
         let is_wall = walls.map(|triangle| triangle != MISS);
-        Some(skin.beneath(surface, hits, is_wall, &|v| Vec4::from_slice(&self.vertex(v)[..4])))
+        Some(skin.beneath(surface, hits, is_wall, &|v| Vec4::from_slice(&self.vertex(v))))
     }
 
     /// Adds the radiance that bounced light leaves towards the viewer [W/(sr·m²)]; `smooth` are
     /// the wall's normals without relief, `beneath` is what tissue makes of it.
     ///
     /// Relief that tilts by τ looks into the wall with a part of its hemisphere: of even light it
-    /// gets (1 + cos τ)/2.
+    /// gets (1 + cos τ)/2. Colours are taken to come from the same directions.
     #[inline(always)]
     pub fn add(
         &self,
@@ -171,20 +171,21 @@ impl Irradiance<'_> {
         beneath: Option<&Beneath>,
         radiance: &mut Lane3,
     ) {
-        let mut shares = [[0.0; LANES]; 4];
+        let mut even = [0.0; LANES];
+        let mut tilt = [[0.0; LANES]; 3];
         let mut reflected = [[0.0; LANES]; 2];
         for i in 0..LANES {
             let (normal, flat) = (at(&surface.normal, i), at(smooth, i));
             let [base, gloss] = self.light.reflectance.at(dot(normal, at(&surface.view, i)));
             (reflected[0][i], reflected[1][i]) = (base, gloss);
             let level = dot(normal, flat);
-            shares[0][i] = 0.5 * (1.0 + level);
+            even[i] = 0.5 * (1.0 + level);
             for k in 0..3 {
-                shares[k + 1][i] = normal[k] - flat[k] * level;
+                tilt[k][i] = normal[k] - flat[k] * level;
             }
         }
-        let mut irradiance = [[0.0; LANES]; 3];
-        let mut at_hand: [Corners; AT_HAND] = [(MISS, [[0.0; 16]; 3]); AT_HAND];
+        let mut lights = [[0.0; LANES]; 7];
+        let mut at_hand: [Corners; AT_HAND] = [(MISS, Default::default()); AT_HAND];
         for i in 0..LANES {
             let triangle = hits.triangle[i];
             if triangle == MISS {
@@ -197,21 +198,24 @@ impl Irradiance<'_> {
             let [first, second, third] = &corners.1;
             let inverse = 1.0 / hits.edges[2][i];
             let (wa, wb) = (hits.edges[0][i] * inverse, hits.edges[1][i] * inverse);
-            let share = [shares[0][i], shares[1][i], shares[2][i], shares[3][i]];
-            let mut parts = [0.0f32; 16];
-            for n in 0..16 {
-                parts[n] = (third[n] + first[n] * wa + second[n] * wb) * share[n / 4];
+            let mut light = Light::default();
+            for n in 0..8 {
+                light[n] = third[n] + first[n] * wa + second[n] * wb;
             }
-            for k in 0..3 {
-                irradiance[k][i] = parts[k] + parts[4 + k] + parts[8 + k] + parts[12 + k];
+            for n in 0..7 {
+                lights[n][i] = light[n];
             }
         }
-        for k in 0..3 {
+        let [red, green, blue, all, x, y, z] = &lights;
+        for i in 0..LANES {
+            let more = x[i] * tilt[0][i] + y[i] * tilt[1][i] + z[i] * tilt[2][i];
+            even[i] = max(even[i] + more / max(all[i], 1e-30), 0.0) * (1.0 / PI);
+        }
+        for (k, irradiance) in [red, green, blue].into_iter().enumerate() {
             for i in 0..LANES {
                 let base = reflected[0][i] * surface.albedo[k][i];
                 let (base, through) = beneath.map_or((base, 0.0), |beneath| beneath.of(base, k, i));
-                let share = base + reflected[1][i];
-                radiance[k][i] += max(irradiance[k][i], 0.0) * (1.0 / PI) * share + through;
+                radiance[k][i] += irradiance[i] * even[i] * (base + reflected[1][i]) + through;
             }
         }
     }
@@ -221,11 +225,11 @@ impl Irradiance<'_> {
         if let Some(light) = self.known.vertex(v) {
             return light;
         }
-        let mut sum = [0.0; 16];
+        let mut sum = Light::default();
         for &(s, weight) in self.light.sites.heard[v].iter().take_while(|heard| heard.1 > 0.0) {
             let s = s as usize;
             let light = self.known.site(s).unwrap_or_else(|| site_of(self, s));
-            for n in 0..16 {
+            for n in 0..8 {
                 sum[n] += weight * light[n];
             }
         }
@@ -249,13 +253,14 @@ impl Irradiance<'_> {
             vectors = vectors.map(|vector| moved.turn(self.wall, vertex, vector));
         }
         let normal = self.wall.normals[vertex];
-        let mut light = [0.0; 16];
-        for color in 0..3 {
-            let even = dot(vectors[color], normal);
-            light[color] = even;
-            for k in 0..3 {
-                light[4 * (k + 1) + color] = vectors[color][k] - even * normal[k];
-            }
+        let mut light = Light::default();
+        for (color, vector) in vectors.iter().enumerate() {
+            light[color] = dot(*vector, normal);
+        }
+        let all = vectors.into_iter().fold([0.0; 3], add);
+        light[3] = dot(all, normal);
+        for k in 0..3 {
+            light[4 + k] = all[k] - light[3] * normal[k];
         }
         self.known.keep_site(s, &light);
         light
@@ -286,12 +291,12 @@ impl Irradiance<'_> {
     "aarch64+neon"
 ))]
 fn corners_of(light: &Irradiance<'_>, triangle: u32) -> [Light; 3] {
-    let mut corners = [[0.0; 16]; 3];
+    let mut corners = [Light::default(); 3];
     for (corner, &v) in corners.iter_mut().zip(&light.wall.bvh.corners[triangle as usize]) {
         *corner = light.vertex(v as usize);
     }
     let [mut first, mut second, third] = corners;
-    for n in 0..16 {
+    for n in 0..8 {
         first[n] -= third[n];
         second[n] -= third[n];
     }

@@ -5,10 +5,9 @@ use std::ops::Deref;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicU32, Ordering};
 
-/// For red, green and blue: irradiance, and how it grows as the normal tilts along x, y and z
-/// [W/m²]. The latter is the tangential part of the light vector. Four numbers each, so that all are
-/// one vector; the last is 0.
-pub type Light = [f32; 16];
+/// Irradiance of red, green, blue, and all of them together; how the latter grows as the normal tilts
+/// along x, y and z, the tangential part of the light vector [W/m²]. The last is 0.
+pub type Light = [f32; 8];
 
 /// Light of one place; known if its number is that of the frame.
 ///

@@ -217,10 +217,10 @@ impl CameraStages {
 impl Frame<'_> {
     /// Motion of the image of so many rows, as they take light.
     fn motion(&self, shutter: Shutter, height: usize) -> Field {
-        let Some(points) = &self.points else { return Field::new(&[0.0; 2], (1, 1), STEP) };
+        let Some(points) = &self.points else { return Field::new(&[0.0; 2], (1, 1)) };
         let mut vectors = points.flow();
         vectors.iter_mut().for_each(|x| *x *= self.sense);
-        Field::new(&vectors, points.size(), STEP).when_read(shutter, height)
+        Field::new(&vectors, points.size()).when_read(shutter, height)
     }
 }
 

@@ -17,6 +17,8 @@ const BLOCK: usize = 16;
 const MARGIN: usize = 16;
 /// Rows worked on together.
 const ROWS: usize = 4;
+/// Blocks from the one worked on to the one that is fetched.
+const AHEAD: usize = 2;
 /// Radius of what is not seen; its share of the light is 0.
 const NOWHERE: f32 = -1e9;
 
@@ -27,8 +29,18 @@ pub struct Padded {
     widest: Vec<Widest>,
     size: (usize, usize),
     stride: usize,
-    /// Half a pixel less the distance of a neighbour, by rows and columns away from it [px].
-    edges: Vec<[f32; MARGIN + 1]>,
+    /// Neighbours of a block's rows, the nearest first.
+    taps: Vec<Tap>,
+    /// How many of them are within a distance, by its square [px²].
+    within: Vec<usize>,
+}
+
+/// A neighbour of a block's rows.
+struct Tap {
+    /// From the block to it in a plane.
+    offset: isize,
+    /// Half a pixel less its distance from each row [px].
+    edges: [f32; ROWS],
 }
 
 /// The image seen through an aperture.
@@ -73,10 +85,9 @@ impl Padded {
         let length = stride * (size.0.div_ceil(ROWS) * ROWS + 2 * MARGIN);
         let nothing = |k: usize| if k == 3 { NOWHERE } else { 0.0 };
         let planes = [0, 1, 2, 3, 4].map(|k| vec![nothing(k); length]);
-        let edge = |down: usize, along: usize| 0.5 - ((down * down + along * along) as f32).sqrt();
-        let edges = (0..=MARGIN + ROWS).map(|y| std::array::from_fn(|x| edge(y, x))).collect();
+        let (taps, within) = taps(stride);
         let widest = vec![Widest::default(); size.0.div_ceil(ROWS) * size.1.div_ceil(BLOCK)];
-        Padded { planes, widest, size, stride, edges }
+        Padded { planes, widest, size, stride, taps, within }
     }
 
     /// Takes an image whose lines `light` writes, and distances of what is seen [m] that `distances`
@@ -118,6 +129,7 @@ impl Padded {
         lines.par_chunks_mut(ROWS).enumerate().for_each(|(group, lines)| {
             for block in 0..blocks {
                 let radius = around(widest, blocks, (group, block), groups);
+                self.fetch((group * ROWS, (block + AHEAD) * BLOCK), radius);
                 let mixed = spread_block(self, (group * ROWS, block * BLOCK), radius);
                 for (line, values) in lines.iter_mut().zip(&mixed) {
                     for (row, values) in line.iter_mut().zip(values) {
@@ -127,6 +139,40 @@ impl Padded {
             }
         });
     }
+
+    /// Brings what a block from a place (row, column) on sees within a radius near the processor,
+    /// which does not foresee by itself what is read of so many rows.
+    fn fetch(&self, (y, x): (usize, usize), radius: f32) {
+        let reach = (radius + 0.5) as usize;
+        let rows = MARGIN + y - reach..MARGIN + y + ROWS + reach;
+        let mut seen = 0;
+        for plane in &self.planes {
+            for row in rows.clone() {
+                seen |= plane.get(row * self.stride + x + MARGIN).map_or(0, |x| x.to_bits());
+            }
+        }
+        std::hint::black_box(seen);
+    }
+}
+
+/// All neighbours of a block's rows, the nearest first, in planes with such rows, and how many are
+/// within each distance.
+fn taps(stride: usize) -> (Vec<Tap>, Vec<usize>) {
+    let (most, last) = (WIDEST as i32, ROWS as i32 - 1);
+    let tap = |down: i32, along: i32| {
+        let edge = |row: i32| 0.5 - (((down - row).pow(2) + along.pow(2)) as f32).sqrt();
+        let offset = down as isize * stride as isize + along as isize;
+        Tap { offset, edges: std::array::from_fn(|row| edge(row as i32)) }
+    };
+    let square = |down: i32, along: i32| (down.min(0) + (down - last).max(0)).pow(2) + along.pow(2);
+    let mut all: Vec<(i32, Tap)> = (-most..=most + last)
+        .flat_map(|down| (-most..=most).map(move |along| (down, along)))
+        .map(|(down, along)| (square(down, along), tap(down, along)))
+        .collect();
+    all.sort_by_key(|near| near.0);
+    let within = |square: i32| all.partition_point(|near| near.0 <= square);
+    let counts = (0..(most + 1).pow(2)).map(within).collect();
+    (all.into_iter().map(|near| near.1).collect(), counts)
 }
 
 /// Widest radii in a block of `ROWS` by `BLOCK` pixels [px].
@@ -205,7 +251,8 @@ type Run = [f32; BLOCK];
 
 /// Light of a block's rows from a place (row, column) on, given the widest radius about.
 ///
-/// A neighbour is loaded once for all rows that it may reach.
+/// A neighbour is loaded once for all rows, and taken where it is out of reach with no weight: that
+/// takes less time than to ask.
 #[multiversion::multiversion(targets(
     "x86_64+avx512f+avx512bw+avx512cd+avx512dq+avx512vl",
     "x86_64+avx2",
@@ -227,30 +274,19 @@ fn spread_block(padded: &Padded, place: (usize, usize), radius: f32) -> [[Run; 3
     let [own, own_share] = own;
     let (mut sums, mut total) = ([[[0.0f32; BLOCK]; 3]; ROWS], [[0.0f32; BLOCK]; ROWS]);
     let reach = radius + 0.5;
-    let most = reach as i32;
-    for down in -most..most + ROWS as i32 {
-        let beside = max(0.0, max(-down as f32, (down - ROWS as i32 + 1) as f32));
-        let side = max(reach * reach - beside * beside, 0.0).sqrt() as i32;
-        for along in -side..=side {
-            let offset = down as isize * padded.stride as isize + along as isize;
-            let from = start.wrapping_add_signed(offset);
-            let (near, share) = (at(3, from), at(4, from));
-            let colors = [at(0, from), at(1, from), at(2, from)];
-            for r in 0..ROWS {
-                let edge =
-                    padded.edges[down.abs_diff(r as i32) as usize][along.unsigned_abs() as usize];
-                if radius + edge <= 0.0 {
-                    continue; // out of reach
-                }
-                for i in 0..BLOCK {
-                    // What is farther and wider is hidden beyond the pixel's own circle.
-                    let wide = min(near[i], own_wide[r][i]).abs();
-                    let share = chosen(near[i] > own_wide[r][i], own_share[r][i], share[i]);
-                    let weight = clamp(wide + edge, 0.0, 1.0) * share;
-                    total[r][i] += weight;
-                    for k in 0..3 {
-                        sums[r][k][i] += weight * colors[k][i];
-                    }
+    for tap in &padded.taps[..padded.within[(reach * reach) as usize]] {
+        let from = start.wrapping_add_signed(tap.offset);
+        let (near, share) = (at(3, from), at(4, from));
+        let colors = [at(0, from), at(1, from), at(2, from)];
+        for r in 0..ROWS {
+            for i in 0..BLOCK {
+                // What is farther and wider is hidden beyond the pixel's own circle.
+                let wide = min(near[i], own_wide[r][i]).abs();
+                let share = chosen(near[i] > own_wide[r][i], own_share[r][i], share[i]);
+                let weight = clamp(wide + tap.edges[r], 0.0, 1.0) * share;
+                total[r][i] += weight;
+                for k in 0..3 {
+                    sums[r][k][i] += weight * colors[k][i];
                 }
             }
         }

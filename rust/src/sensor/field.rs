@@ -1,5 +1,6 @@
 //! How the image moves, known at some of its pixels.
 
+use crate::channels::STEP;
 use crate::lanes::{clamp, max, min};
 use rayon::prelude::*;
 
@@ -8,18 +9,17 @@ use rayon::prelude::*;
 const FIXED_POINT_STEPS: usize = 4;
 const SETTLED: f32 = 5e-2;
 
-/// A field of motion at some pixels [px per frame], with no place unknown.
+/// A field of motion at every `STEP`th pixel of every `STEP`th row, the first in the middle of a
+/// square of so many [px per frame], with no place unknown.
 pub struct Field {
     vectors: Vec<[f32; 2]>,
     size: (usize, usize),
-    /// Pixels from one to the next; the first is in the middle of a square of so many.
-    step: usize,
 }
 
 impl Field {
     /// Fills unknown places (NaN) next to known ones with their mean, up to three cells away;
     /// elsewhere nothing moves.
-    pub fn new(given: &[f32], size: (usize, usize), step: usize) -> Self {
+    pub fn new(given: &[f32], size: (usize, usize)) -> Self {
         let (height, width) = size;
         let mut vectors: Vec<[f32; 2]> = given.chunks_exact(2).map(|v| [v[0], v[1]]).collect();
         let known = |v: &[f32; 2]| v[0].is_finite() && v[1].is_finite();
@@ -47,7 +47,7 @@ impl Field {
                 vectors[k] = [0.0; 2];
             }
         }
-        Field { vectors, size, step }
+        Field { vectors, size }
     }
 
     /// Of each place the motion of what is there when its row takes light, of `height` rows: with v
@@ -56,7 +56,7 @@ impl Field {
         if shutter.readout == 0.0 {
             return self;
         }
-        let place = |number: usize| (number * self.step + self.step / 2) as f32;
+        let place = |number: usize| (number * STEP + STEP / 2) as f32;
         let read = |k: usize| {
             let (x, y) = (place(k % self.size.1), place(k / self.size.1));
             let late = shutter.window(y, height).late;
@@ -77,8 +77,8 @@ impl Field {
     /// The vector at a place of the image [px].
     fn at(&self, x: f32, y: f32) -> [f32; 2] {
         let (rows, columns) = self.size;
-        let (row, t) = self.between(y, rows);
-        let (column, s) = self.between(x, columns);
+        let (row, t) = between(y, rows);
+        let (column, s) = between(x, columns);
         let right = (column + 1).min(columns - 1);
         let line = |r: usize| {
             let line = &self.vectors[r * columns..(r + 1) * columns];
@@ -91,33 +91,33 @@ impl Field {
     #[inline(always)]
     pub fn row(&self, y: usize, width: usize) -> [Vec<f32>; 2] {
         let (rows, columns) = self.size;
-        let (first, t) = self.between(y as f32, rows);
+        let (first, t) = between(y as f32, rows);
         let line = |r: usize| &self.vectors[r * columns..(r + 1) * columns];
         let (above, below) = (line(first), line((first + 1).min(rows - 1)));
-        let mut all = [0; 2].map(|_| vec![0.0; width.max(self.step / 2 + columns * self.step)]);
+        let mut all = [0; 2].map(|_| vec![0.0; width.max(STEP / 2 + columns * STEP)]);
         for (k, all) in all.iter_mut().enumerate() {
             let known = |c: usize| above[c][k] + (below[c][k] - above[c][k]) * t;
             let mut last = known(0);
-            let (before, squares) = all.split_at_mut(self.step / 2);
+            let (before, squares) = all.split_at_mut(STEP / 2);
             before.fill(last);
-            for (column, square) in squares.chunks_mut(self.step).enumerate() {
+            let squares = squares.as_chunks_mut::<STEP>().0;
+            for (column, square) in squares.iter_mut().take(columns).enumerate() {
                 let next = known((column + 1).min(columns - 1));
-                let slope = (next - last) / self.step as f32;
-                for (i, value) in square.iter_mut().enumerate() {
-                    *value = last + slope * i as f32;
-                }
+                let slope = (next - last) / STEP as f32;
+                *square = std::array::from_fn(|i| last + slope * i as f32);
                 last = next;
             }
+            all[STEP / 2 + columns * STEP..].fill(last);
         }
         all
     }
+}
 
-    /// The number of the known place before a place [px], and how far it is towards the next.
-    #[inline(always)]
-    fn between(&self, place: f32, count: usize) -> (usize, f32) {
-        let number = (place - (self.step / 2) as f32) / self.step as f32;
-        whole(clamp(number, 0.0, count as f32 - 1.0))
-    }
+/// The number of the known place before a place [px], and how far it is towards the next.
+#[inline(always)]
+fn between(place: f32, count: usize) -> (usize, f32) {
+    let number = (place - (STEP / 2) as f32) / STEP as f32;
+    whole(clamp(number, 0.0, count as f32 - 1.0))
 }
 
 /// When rows of pixels are open and lit, in shares of a frame's time.

@@ -16,33 +16,32 @@ const STILL: f32 = 1e-3;
 /// Planes [3 h w] of the image [h w 3], times a factor, as a camera takes it that moves while it
 /// exposes.
 ///
-/// A pixel is the mean over the time its row is open of what moves past it. `motion` is an array
-/// [rows columns 2] and a number n: the motion of the image in one frame's time [px] at every nth
-/// pixel of every nth row, the first in the middle of a square of so many. `shutter` has the times of
-/// `Shutter`, in its order. What is not `lit` stays
-/// black and is mixed into nothing.
+/// A pixel is the mean over the time its row is open of what moves past it. `motion` is the motion of
+/// the image in one frame's time [px] at every `STEP`th pixel of every `STEP`th row [rows columns 2],
+/// the first in the middle of a square of so many. `shutter` has the times of `Shutter`, in its order.
+/// What is not `lit` stays black and is mixed into nothing.
 #[pyfunction]
 pub fn blur_motion<'py>(
     py: Python<'py>,
     image: PyReadonlyArray3<'py, f32>,
     lit: PyReadonlyArray2<'py, bool>,
-    motion: (PyReadonlyArray3<'py, f32>, usize),
+    motion: PyReadonlyArray3<'py, f32>,
     shutter: (f32, f32, f32),
     factor: f32,
 ) -> PyResult<Bound<'py, PyArray3<f32>>> {
     let (height, width) = size_of_image(&image)?;
-    let [rows_known, columns, 2] = motion.0.shape()[..] else {
+    let [rows_known, columns, 2] = motion.shape()[..] else {
         return Err(PyValueError::new_err("Motion must be of shape (rows, columns, 2)."));
     };
-    if lit.shape() != [height, width] || rows_known * columns == 0 || motion.1 == 0 {
+    if lit.shape() != [height, width] || rows_known * columns == 0 {
         return Err(PyValueError::new_err("Motion and lit must fit the image."));
     }
     let (source, lit) = (image.as_slice()?, lit.as_slice()?);
     let shutter = Shutter::of(shutter);
-    let (vectors, step) = (motion.0.as_slice()?, motion.1);
+    let vectors = motion.as_slice()?;
     let mut out = vec![0.0; source.len()];
     on_pool(py, || {
-        let motion = Field::new(vectors, (rows_known, columns), step).when_read(shutter, height);
+        let motion = Field::new(vectors, (rows_known, columns)).when_read(shutter, height);
         let planes = parted(source, (height, width), factor);
         let mut still = Still::new((height, width), lit);
         still.fill(&planes, 1.0);
@@ -58,6 +57,8 @@ const RUN: usize = 16;
 const MARGIN: usize = 2 * RUN;
 /// Most neighbours to a side that the places of a run are taken from together.
 const MOST_TAPS: usize = 4;
+/// Distance of places that surely have no more neighbours than that [px].
+const MOST_SPREAD: f32 = (MOST_TAPS - 2) as f32;
 
 type Run = [f32; RUN];
 
@@ -219,8 +220,10 @@ fn blur_row(still: &Still, y: usize, motion: &Field, window: Window, out: Line<'
             let moving = (&near, ends);
             let times = (shutter, late);
             let (along, down) = (swept(ends[0], times), swept(ends[1], times));
-            if still.is_all_lit((x, y), along, down) {
-                let sum = streak::<3>(still, (x, y), moving, (shutter, late), count);
+            let is_near = still.holds((x, y), along, down)
+                && max(spread(ends[0], times), spread(ends[1], times)) < MOST_SPREAD;
+            if is_near && still.is_all_lit((x, y), along, down) {
+                let sum = streak::<3, true>(still, (x, y), moving, (shutter, late), count);
                 let share = 1.0 / count;
                 for k in 0..3 {
                     for i in 0..RUN {
@@ -228,7 +231,7 @@ fn blur_row(still: &Still, y: usize, motion: &Field, window: Window, out: Line<'
                     }
                 }
             } else {
-                let sum = streak::<4>(still, (x, y), moving, (shutter, late), count);
+                let sum = streak::<4, false>(still, (x, y), moving, (shutter, late), count);
                 mean = mean_of_lit(&sum, &own);
             }
         }
@@ -261,6 +264,12 @@ fn swept([low, high]: [f32; 2], (shutter, late): (f32, f32)) -> [f32; 2] {
     [min(0.0, min(early[0], late[0])), max(0.0, max(early[1], late[1]))]
 }
 
+/// How far apart the places of a run come over the exposure, given its least and most motion.
+#[inline(always)]
+fn spread([low, high]: [f32; 2], (shutter, late): (f32, f32)) -> f32 {
+    (high - low) * (late.abs() + 0.5 * shutter)
+}
+
 /// Least and most of a run, by halves.
 #[inline(always)]
 fn ends(run: &Run) -> [f32; 2] {
@@ -275,9 +284,10 @@ fn ends(run: &Run) -> [f32; 2] {
 }
 
 /// Sum over the exposure of what moves past a run of pixels; `ends` are the least and most of its
-/// motion along and down.
+/// motion along and down. It `IS_NEAR` if its places are never outside the margin, nor farther apart
+/// than `MOST_SPREAD`.
 #[inline(always)]
-fn streak<const PLANES: usize>(
+fn streak<const PLANES: usize, const IS_NEAR: bool>(
     still: &Still,
     (x, y): (usize, usize),
     (motion, ends): (&[Run; 2], [[f32; 2]; 2]),
@@ -291,7 +301,9 @@ fn streak<const PLANES: usize>(
         let (along, down) = (moved(ends[0], time), moved(ends[1], time));
         let first = [along[0].floor(), down[0].floor()];
         let taps = [along[1].ceil() - first[0], down[1].ceil() - first[1]];
-        if still.holds((x, y), along, down) && max(taps[0], taps[1]) < MOST_TAPS as f32 {
+        let is_near = IS_NEAR
+            || (still.holds((x, y), along, down) && max(taps[0], taps[1]) < MOST_TAPS as f32);
+        if is_near {
             let start = still.index(y as isize + first[1] as isize, x as isize + first[0] as isize);
             let mut rest = [[0.0; RUN]; 2];
             for k in 0..2 {

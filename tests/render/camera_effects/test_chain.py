@@ -247,7 +247,7 @@ def one_by_one(radiance: np.ndarray, given: dict, shot: dict) -> np.ndarray:
     """The same stages, each called by itself."""
     image = np.ascontiguousarray(np.moveaxis(radiance, 0, -1))
     motion = -_core.flow_by_rays(given["rays"], shot["points"], 4)
-    planes = _core.blur_motion(image, given["lit"], (motion, 4), given["shutter"], shot["factor"])
+    planes = _core.blur_motion(image, given["lit"], motion, given["shutter"], shot["factor"])
     wall, front, depth = shot["distance"]
     distance = np.where(front == 1, depth / given["cosine"], wall)
     planes = _core.defocus(planes, distance, *given["defocus"])
@@ -346,7 +346,7 @@ image = rng.random((61, 83, 3), np.float32)
 lit = np.ones((61, 83), bool)
 motion = rng.normal(0, 9, (16, 21, 2)).astype(np.float32)
 distance = rng.uniform(0.005, 0.08, (61, 83)).astype(np.float32)
-planes = _core.blur_motion(image, lit, (motion, 4), (0.3, 0.2, 0.4), 1.0)
+planes = _core.blur_motion(image, lit, motion, (0.3, 0.2, 0.4), 1.0)
 planes = _core.defocus(planes, distance, 0.03, 0.015)
 planes = _core.scale_planes(planes, (41.0, 30.0), (1.01, 1.0, 0.99))
 planes = _core.bloom(_core.shade_planes(planes, distance * 10), 0.1, 5.0)
@@ -373,7 +373,7 @@ def test_stages_are_the_same_bytes_on_any_number_of_threads() -> None:
 
 
 def blur(f, lit: tuple[int, ...], motion: tuple[int, ...]):
-    return _core.blur_motion(f(4, 4, 3), f(*lit) > 0, (f(*motion), 4), (0.1, 0.1, 1.0), 1.0)
+    return _core.blur_motion(f(4, 4, 3), f(*lit) > 0, f(*motion), (0.1, 0.1, 1.0), 1.0)
 
 
 def flow(f, points: tuple[int, ...], front: tuple | None = None):

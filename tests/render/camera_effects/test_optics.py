@@ -37,7 +37,7 @@ def moved(
 ) -> np.ndarray:
     """An image [h w 3] that moves, by its motion at every fourth pixel."""
     lit = np.ones(image.shape[:2], bool) if lit is None else lit
-    planes = _core.blur_motion(image, lit, (motion, 4), (shutter, readout, pulse), 1.0)
+    planes = _core.blur_motion(image, lit, motion, (shutter, readout, pulse), 1.0)
     return np.moveaxis(planes, 0, -1)
 
 

@@ -47,6 +47,7 @@ fn _core(m: &Bound<'_, PyModule>) -> PyResult<()> {
     m.add_class::<contents::Contents>()?;
     m.add_class::<contents::swarm::Swarm>()?;
     m.add_function(wrap_pyfunction!(contents::swarm::terminal_speed, m)?)?;
+    m.add_function(wrap_pyfunction!(contents::parted::around_capsule, m)?)?;
     m.add_class::<scene::Scene>()?;
     m.add_class::<texture::Texture>()?;
     m.add_class::<rays::RayTable>()?;

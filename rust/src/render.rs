@@ -62,13 +62,17 @@ impl View<'_> {
         }
         let to_world = [0, 1, 2].map(|r| [0, 1, 2].map(|c| pose[[r, c]] as f32));
         let to_camera = [0, 1, 2].map(|r| [0, 1, 2].map(|c| pose[[c, r]] as f32));
+        let turned = |v: [f64; 3], r: usize| (0..3).fold(0.0, |sum, c| sum + pose[[r, c]] * v[c]);
         let leds = leds
             .outer_iter()
-            .map(|row| Led {
-                position: wall.localize([row[0], row[1], row[2]]),
-                direction: [3, 4, 5].map(|k| row[k] as f32),
-                intensity: [6, 7, 8].map(|k| row[k] as f32),
-                exponent: row[9] as f32,
+            .map(|row| {
+                let (place, direction) = ([row[0], row[1], row[2]], [row[3], row[4], row[5]]);
+                Led {
+                    position: wall.localize([0, 1, 2].map(|r| turned(place, r) + pose[[r, 3]])),
+                    direction: [0, 1, 2].map(|r| turned(direction, r) as f32),
+                    intensity: [6, 7, 8].map(|k| row[k] as f32),
+                    exponent: row[9] as f32,
+                }
             })
             .collect();
         let origin = wall.localize([pose[[0, 3]], pose[[1, 3]], pose[[2, 3]]]);
@@ -121,8 +125,8 @@ impl View<'_> {
 
 /// Renders the channels of `out`, a dictionary of C-contiguous arrays of the table's shape.
 ///
-/// `leds` holds position [m], direction, intensity [W/sr] and lobe exponent of each in the world;
-/// `paths` how many paths a ray has, their most reflections, and their seed; `quick` light that
+/// `leds` holds position [m], direction, intensity [W/sr] and lobe exponent of each in the camera's
+/// frame; `paths` how many paths a ray has, their most reflections, and their seed; `quick` light that
 /// bounces as radiosity.
 #[pyfunction]
 #[pyo3(signature = (

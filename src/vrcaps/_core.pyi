@@ -255,6 +255,13 @@ class Swarm:
 def terminal_speed(
     radius: float, density: float, liquid_density: float, viscosity: float, gravity: float
 ) -> float: ...
+def around_capsule(
+    centers: NDArray[np.float64],
+    radius: NDArray[np.float64],
+    seats: NDArray[np.float64],
+    pose: NDArray[np.float64],
+    capsule: tuple[float, float],
+) -> NDArray[np.float64] | None: ...
 
 class Contents:
     """What floats in a lumen at one instant, ready to be seen."""
@@ -321,7 +328,7 @@ class CameraStages:
 def flow_by_rays(
     rays: RayTable,
     given: tuple[
-        NDArray[np.float64],
+        NDArray[np.float32],
         NDArray[np.float64],
         tuple[NDArray[np.uint8], NDArray[np.float32], NDArray[np.float64], tuple[float, float]]
         | None,

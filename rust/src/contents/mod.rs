@@ -8,6 +8,7 @@ pub mod front;
 mod leg;
 pub mod liquid;
 pub mod particles;
+pub mod parted;
 pub mod spheres;
 pub mod swarm;
 pub mod tile;

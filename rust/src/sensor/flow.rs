@@ -65,20 +65,28 @@ fn rows_of(pose: &PyReadonlyArray2<'_, f64>) -> Rows {
     [0, 1, 2].map(|r| [0, 1, 2, 3].map(|c| pose[[r, c]]))
 }
 
+/// The way back of a rigid transform.
+fn inverse(pose: &Rows) -> Rows {
+    [0, 1, 2].map(|r| {
+        let [x, y, z] = [0, 1, 2].map(|c| pose[c][r]);
+        [x, y, z, -(x * pose[0][3] + y * pose[1][3] + z * pose[2][3])]
+    })
+}
+
 #[inline(always)]
 fn apply(pose: &Rows, [x, y, z]: [f64; 3]) -> Vec3 {
     pose.map(|r| (r[0] * x + r[1] * y + r[2] * z + r[3]) as f32)
 }
 
-/// As `flow_by_rays` takes them: points in the world [rows columns 3], what takes them to the camera,
-/// what is in front.
+/// As `flow_by_rays` takes them: points in the world [rows columns 3], pose of the camera in it, what
+/// is in front.
 pub type GivenPoints<'py> =
-    (PyReadonlyArray3<'py, f64>, PyReadonlyArray2<'py, f64>, Option<GivenFront<'py>>);
+    (PyReadonlyArray3<'py, f32>, PyReadonlyArray2<'py, f64>, Option<GivenFront<'py>>);
 
 /// Points that some pixels of a camera see, to be found in an image.
 pub struct Points<'a> {
     rays: &'a RayTable,
-    places: &'a [f64],
+    places: &'a [f32],
     size: (usize, usize),
     to_camera: Rows,
     step: usize,
@@ -117,7 +125,7 @@ impl<'a> Points<'a> {
             return Err(PyValueError::new_err("Points and pose must fit the camera."));
         }
         let front = front.as_ref().map(|given| Front::of(given, rays)).transpose()?;
-        let (places, to_camera) = (points.as_slice()?, rows_of(pose));
+        let (places, to_camera) = (points.as_slice()?, inverse(&rows_of(pose)));
         Ok(Points { rays, places, size: (rows, columns), to_camera, step, front })
     }
 
@@ -149,7 +157,7 @@ impl<'a> Points<'a> {
     #[inline(always)]
     fn towards(&self, column: usize, row: usize) -> Vec3 {
         let place = &self.places[3 * (row * self.size.1 + column)..][..3];
-        apply(&self.to_camera, [place[0], place[1], place[2]])
+        apply(&self.to_camera, [place[0], place[1], place[2]].map(f64::from))
     }
 }
 

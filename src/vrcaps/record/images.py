@@ -90,12 +90,12 @@ class Images:
 
     def expose(self, step: Step) -> dict[str, float]:
         """Sets the exposure of a frame, to be called for each in turn; its columns in the table."""
-        self._current = dict(self._exposures)
+        self._current, self._seen = dict(self._exposures), None
         columns: dict[str, float] = {}
         if self._automatic is not None:
             for name, seen in self._see(step).items():
                 exposure = self._exposures[name]
-                metered = self._chains[name].meter(seen, self._moment(step, name))
+                metered = self._chains[name].meter(seen)
                 columns |= dict(zip(exposure_columns(name), (exposure, metered), strict=True))
                 following = self._automatic.following(exposure, metered, 1.0 / self._fps)
                 self._exposures[name] = following
@@ -107,8 +107,8 @@ class Images:
             return {}
         speeds = []
         for camera in self._model.device.cameras:
-            chain, moment = self._chains[camera.name], self._moment(step, camera.name)
-            motion = chain.motion(self._see(step)[camera.name], self._renderer, moment)
+            seen = self._see(step)[camera.name]
+            motion = self._chains[camera.name].motion(seen, self._renderer)
             speeds.append(image_speed(motion, half_side_px(camera), self._fps))
         speed, last = max(speeds), self._taken
         is_taken = last is None or self._rate.is_due(speed, step.frame - last, self._fps)
@@ -122,8 +122,7 @@ class Images:
         for name, seen in self._see(step).items():
             images[name] = seen.frame
             if "rgb" in self._channels:
-                moment = self._moment(step, name)
-                images[name] = self._chains[name].apply(seen, self._renderer, moment)
+                images[name] = self._chains[name].apply(seen, self._renderer)
         ends = (step.before is None, step.after is None)
         return {name: _without_neighbour(image, *ends) for name, image in images.items()}
 

@@ -62,9 +62,9 @@ class SurfacePoints:
             then: What is in it in the other state.
         """
         points = self._moved_wall(faces, state)
-        afloat = self.face < -1
-        if now is None or then is None or not afloat.any():
+        if now is None or then is None or self.face.min() >= -1:
             return points
+        points, afloat = points.astype(float), self.face < -1
         sphere = -2 - self.face[afloat]
         shift = then.spheres.centers[sphere] - now.spheres.centers[sphere]
         points[afloat] = self.position[afloat] + shift
@@ -74,7 +74,7 @@ class SurfacePoints:
         self, faces: Int[np.ndarray, "m 3"], state: State
     ) -> Float[np.ndarray, "h w 3"]:
         if state.vertices_world is None:
-            return self.position.astype(np.float64)
+            return self.position
         corners = state.vertices_world[faces[self.face]]
         first, second = self.weights[..., :1], self.weights[..., 1:]
         return (
@@ -132,6 +132,7 @@ def seen_from(
     size = np.array([camera.width, camera.height])
     seen = np.all((target >= -0.5) & (target < size - 0.5), axis=-1)
     eye = tuple((state.T_world_capsule @ camera.T_capsule_camera)[:3, 3])
+    points_world = points_world.astype(float, copy=False)
     ends, is_bent = points_world, np.zeros(seen.shape, bool)
     if bends.turn is not None:
         is_bent = np.isfinite(bends.turn[..., 0])

@@ -25,7 +25,6 @@ from vrcaps.render.led_light import imaging_of
 from vrcaps.render.scattering import tissue_figures
 from vrcaps.render.settings import RenderSettings
 from vrcaps.tissue.contents.filling import Filling
-from vrcaps.transforms import rotate_vectors, transform_points
 from vrcaps.world.model import Model, State
 from vrcaps.world.moving_wall import MovingWall
 
@@ -159,7 +158,7 @@ class Renderer:
                 if name in arrays:
                     arrays[name].fill(nothing)
         T_world_camera = state.T_world_capsule @ camera.T_capsule_camera
-        leds = _placed(self._leds(camera), T_world_camera)
+        leds = self._leds(camera)
         paths = _paths(self.settings, state.time, T_world_camera)
 
         def draw(into: dict[str, NDArray[Any]], supersampling: int, paths: _Paths = paths) -> None:
@@ -244,6 +243,7 @@ class Renderer:
         wall, faces = self._neighbours[slot].at(state), self.model.organ.faces
         levels = levels_met(filling, eye, wall, faces, points.face)
         ior = filling.contents.resolved[2].ior
+        moved = moved.astype(float, copy=False)
         return bend_ways(eye, moved, levels, points.bend == MIRRORED, ior)
 
     def _arrays(
@@ -388,13 +388,3 @@ def _paths(
     instant = np.append(T_world_camera.ravel(), time).astype("<f8").tobytes()
     seed = blake2b(instant, digest_size=8, key=str(settings.light_seed).encode()).digest()
     return settings.samples, settings.depth, int.from_bytes(seed, "little")
-
-
-def _placed(
-    leds: Float[np.ndarray, "k 10"], T_world_camera: Float[np.ndarray, "4 4"]
-) -> Float[np.ndarray, "k 10"]:
-    """The rows of LEDs in the world, given those in the camera's frame."""
-    placed = leds.copy()
-    placed[:, :3] = transform_points(T_world_camera, leds[:, :3])
-    placed[:, 3:6] = rotate_vectors(T_world_camera, leds[:, 3:6])
-    return placed

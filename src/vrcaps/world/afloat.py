@@ -90,7 +90,7 @@ class Afloat:
             reach=model.contents.reach,
             seed=model.contents.seed,
         )
-        at_rest = replace(self._rest.spheres, centers=centers)
+        at_rest = self._rest.spheres.at(centers)
         self._swarm = _core.Swarm(wall, at_rest, laws, tangents, float(places[1]))
         self._push = np.zeros(6)
         self._seat(pose)

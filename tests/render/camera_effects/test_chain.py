@@ -49,11 +49,11 @@ def taken(
     fps: float = 4.0,
 ) -> Frame:
     chain = CameraChain(effects, camera, number=0, fps=fps, seed=seed)
-    return chain.apply(chain.see(renderer, moment, ("rgb", "depth", "label")), renderer, moment)
+    return chain.apply(chain.see(renderer, moment, ("rgb", "depth", "label")), renderer)
 
 
 def moving(chain: CameraChain, renderer: Renderer, moment: Moment) -> np.ndarray | None:
-    return chain.motion(chain.see(renderer, moment, ("rgb",)), renderer, moment)
+    return chain.motion(chain.see(renderer, moment, ("rgb",)), renderer)
 
 
 def around(index: int = 3) -> Moment:
@@ -166,7 +166,7 @@ def test_meter_reads_the_mean_luminance(renderer: Renderer) -> None:
     linear = np.asarray(frame.radiance, float) @ (0.2126, 0.7152, 0.0722) * 0.02 * 1.5
     linear *= GRADES["vignette"][2].profile(camera)
     moment = Moment(0, NOW, exposure=1.5)
-    metered = chain.meter(chain.see(renderer, moment, ("rgb",)), moment)
+    metered = chain.meter(chain.see(renderer, moment, ("rgb",)))
     assert metered == pytest.approx(np.minimum(linear, 1.0).mean(), rel=0.05)
 
 
@@ -225,7 +225,7 @@ def shot(rng: np.random.Generator, height: int, width: int) -> dict:
     front = (rng.random((height, width)) < 0.2).astype(np.uint8)
     y, x = np.mgrid[2:height:4, 2:width:4].astype(float)
     dx, dy = rng.normal(0, 6, (2, *x.shape))
-    points = np.ascontiguousarray(rays_to(x + dx, y + dy, (height, width)))
+    points = np.ascontiguousarray(rays_to(x + dx, y + dy, (height, width)), np.float32)
     pixels = rng.choice(height * width, 40, replace=False).astype(np.uint32)
     return {
         "factor": 1.3,
@@ -331,7 +331,7 @@ def test_frames_that_do_not_fit_the_stages(rng: np.random.Generator) -> None:
     for radiance, frame in wrong:
         with pytest.raises(ValueError, match="of one size"):
             stages.apply(np.ascontiguousarray(radiance), frame)
-    points = (np.ones((24, 28, 3)), np.eye(4), None)
+    points = (np.ones((24, 28, 3), np.float32), np.eye(4), None)
     with pytest.raises(ValueError, match="must fit the camera"):
         stages.apply(image, now | {"points": points})
     with pytest.raises(ValueError, match="of one size"):
@@ -377,9 +377,7 @@ def blur(f, lit: tuple[int, ...], motion: tuple[int, ...]):
 
 
 def flow(f, points: tuple[int, ...], front: tuple | None = None):
-    return _core.flow_by_rays(
-        _core.RayTable(f(4, 4, 3)), (f(*points).astype(float), np.eye(4), front), 4
-    )
+    return _core.flow_by_rays(_core.RayTable(f(4, 4, 3)), (f(*points), np.eye(4), front), 4)
 
 
 @pytest.mark.parametrize(

@@ -205,7 +205,7 @@ def test_what_the_chain_says_of_the_dome() -> None:
     frames = []
     for effects in (Effects(), Effects(vignette=1), Effects(droplets=4, smears=3)):
         chain = CameraChain(effects, camera, number=0, fps=2.0, seed=11)
-        frames.append(chain.apply(chain.see(renderer, moment, asked), renderer, moment))
+        frames.append(chain.apply(chain.see(renderer, moment, asked), renderer))
     ideal, dull, dirty = frames
     assert not ideal.dome_label.any() and not dull.dome_label.any()
     assert set(np.unique(dirty.dome_label)) == {0, 1, 2}
@@ -213,7 +213,7 @@ def test_what_the_chain_says_of_the_dome() -> None:
     for name in ("depth", "label"):
         np.testing.assert_array_equal(getattr(dirty, name), getattr(ideal, name))
     other = CameraChain(Effects(droplets=4, smears=3), camera, number=1, fps=2.0, seed=11)
-    rear = other.apply(other.see(renderer, moment, asked), renderer, moment)
+    rear = other.apply(other.see(renderer, moment, asked), renderer)
     assert (rear.dome_label != dirty.dome_label).any()
 
 

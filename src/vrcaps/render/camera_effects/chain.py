@@ -15,7 +15,6 @@ from vrcaps.render.camera_effects.dome import Dome
 from vrcaps.render.camera_effects.effects import Effects
 from vrcaps.render.camera_effects.sensor import Noise, WhiteBalance, mosaic_colors
 from vrcaps.render.flow import STEP, SurfacePoints
-from vrcaps.transforms import invert
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
@@ -60,11 +59,13 @@ class Seen:
         frame: The channels asked for, and those that the stages need; `rgb` if they are none.
         planes: Radiance by colours [W/(sr·m²)], if stages are to change it.
         points: What `thinned` pixels see, if motion is to be known.
+        moment: When.
     """
 
     frame: Frame
     planes: Float[np.ndarray, "3 h w"] | None
     points: SurfacePoints | None
+    moment: Moment
 
 
 class CameraChain:
@@ -95,7 +96,7 @@ class CameraChain:
             lens = self._stages["depth_of_field"]
             self._dome = Dome(camera, drops, smears, lens=lens, seed=(seed, _DOME, number))
         self._shutter = self._times()
-        self._last_points: tuple[State, tuple[Any, ...] | None] | None = None
+        self._last_points: tuple[Seen, tuple[Any, ...] | None] | None = None
         self._needs_motion = self._shutter is not None or effects.frame_rate is not None
         self._core = _core.CameraStages(self._fixed())
 
@@ -151,7 +152,7 @@ class CameraChain:
             points=points,
             planes=planes,
         )
-        return Seen(frame, planes, points)
+        return Seen(frame, planes, points, moment)
 
     def _needed(self, asked: Sequence[str]) -> tuple[str, ...]:
         needed = set(asked)
@@ -164,31 +165,30 @@ class CameraChain:
             needed |= {"ray_distance"}
         return tuple(sorted(needed))
 
-    def apply(self, seen: Seen, renderer: Renderer, moment: Moment) -> Frame:
+    def apply(self, seen: Seen, renderer: Renderer) -> Frame:
         """The frame with the colour image as this camera sends it; all else stays as it is.
 
         Args:
             seen: What `see` returned.
             renderer: That rendered it.
-            moment: When it was taken.
         """
         if seen.planes is None:
             return seen.frame
-        rgb = self._core.apply(seen.planes, self._shot(seen, renderer, moment))
-        frame = replace(seen.frame, rgb=rgb)
-        if frame.dome_label is None or self._dome is None:
-            return frame
-        return replace(frame, dome_label=self._dome.labels(moment.state.time))
+        made = {"rgb": self._core.apply(seen.planes, self._shot(seen, renderer))}
+        if seen.frame.dome_label is not None and self._dome is not None:
+            made["dome_label"] = self._dome.labels(seen.moment.state.time)
+        return replace(seen.frame, **made)
 
-    def meter(self, seen: Seen, moment: Moment) -> float:
-        """Mean linear luminance of the lit image at an exposure, each pixel cut at white."""
+    def meter(self, seen: Seen) -> float:
+        """Mean linear luminance of the lit image at its exposure, each pixel cut at white."""
         assert seen.planes is not None
-        factors = LUMINANCE * (self.camera.exposure * moment.exposure)
-        return self._core.meter(seen.planes, tuple(factors.tolist()))
+        factor = self.camera.exposure * seen.moment.exposure
+        red, green, blue = LUMINANCE.tolist()
+        return self._core.meter(seen.planes, (factor * red, factor * green, factor * blue))
 
-    def _shot(self, seen: Seen, renderer: Renderer, moment: Moment) -> dict[str, object]:
+    def _shot(self, seen: Seen, renderer: Renderer) -> dict[str, object]:
         """What the stages need to know of a frame."""
-        frame, distance = seen.frame, None
+        frame, moment, distance = seen.frame, seen.moment, None
         if self._stages["depth_of_field"] is not None:
             distance = (frame.ray_distance, frame.front_label, frame.front_depth)
         automatic, noise = self._stages["exposure"], self._stages["noise"]
@@ -200,7 +200,7 @@ class CameraChain:
             final = 1.0
         return {
             "factor": self.camera.exposure,
-            "points": self._shutter and self._points(seen, renderer, moment),
+            "points": self._shutter and self._points(seen, renderer),
             "is_backward": moment.state_next is None,
             "distance": distance,
             "drops": self._dome and self._dome.drops(moment.state.time),
@@ -209,29 +209,28 @@ class CameraChain:
             "key": (self._seed, 64 * moment.index + self._number),
         }
 
-    def motion(
-        self, seen: Seen, renderer: Renderer, moment: Moment
-    ) -> Float[np.ndarray, "hc wc 2"] | None:
+    def motion(self, seen: Seen, renderer: Renderer) -> Float[np.ndarray, "hc wc 2"] | None:
         """Motion of the image in a frame's time [px] at `thinned` pixels.
 
         None where there is no neighbouring frame.
         """
-        points = self._points(seen, renderer, moment)
+        points = self._points(seen, renderer)
         if points is None:
             return None
         flow = _core.flow_by_rays(self._table, points, STEP)
-        return -flow if moment.state_next is None else flow
+        return -flow if seen.moment.state_next is None else flow
 
-    def _points(self, seen: Seen, renderer: Renderer, moment: Moment) -> tuple[Any, ...] | None:
+    def _points(self, seen: Seen, renderer: Renderer) -> tuple[Any, ...] | None:
         """Where what is seen appears in a neighbouring frame, its camera, and what is in front.
 
         Kept for the frame rate and the image alike.
         """
-        if self._last_points is None or self._last_points[0] is not moment.state:
-            self._last_points = (moment.state, self._new_points(seen, renderer, moment))
+        if self._last_points is None or self._last_points[0] is not seen:
+            self._last_points = (seen, self._new_points(seen, renderer))
         return self._last_points[1]
 
-    def _new_points(self, seen: Seen, renderer: Renderer, moment: Moment) -> tuple[Any, ...] | None:
+    def _new_points(self, seen: Seen, renderer: Renderer) -> tuple[Any, ...] | None:
+        moment = seen.moment
         neighbour = moment.state_next or moment.state_previous
         if neighbour is None:
             return None
@@ -240,11 +239,11 @@ class CameraChain:
         fillings = renderer.filling(moment.state), renderer.filling(neighbour)
         moved = seen.points.moved(renderer.model.organ.faces, neighbour, *fillings)
         apparent = renderer.bends(self.camera, seen.points, moved, neighbour, slot).apparent
-        pose = invert(neighbour.T_world_capsule @ self.camera.T_capsule_camera)
+        pose = neighbour.T_world_capsule @ self.camera.T_capsule_camera
         device, frame = renderer.model.device, seen.frame
         capsule = (0.5 * device.length - device.radius, device.radius)
         front = (frame.front_label, frame.front_depth, self.camera.T_capsule_camera, capsule)
-        return np.ascontiguousarray(apparent), pose, front
+        return np.ascontiguousarray(apparent, np.float32), pose, front
 
 
 _STAGES = (

@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps._core import Wall
+from vrcaps._core import Wall, around_capsule
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.tissue.contents.contents import Contents
 from vrcaps.tissue.contents.dome import place_homes, seats
 from vrcaps.tissue.contents.place import place_bubbles, place_chyme
 from vrcaps.tissue.contents.pools import Pools, cut_sections, find_pools
-from vrcaps.tissue.contents.spheres import Spheres, joined, parted
+from vrcaps.tissue.contents.spheres import Spheres, joined
 from vrcaps.transforms import transform_points
 
 if TYPE_CHECKING:
@@ -68,14 +68,13 @@ class Filling:
             length: Its overall length [m].
             radius: Its radius [m].
         """
-        half = length / 2.0 - radius
-        ends = transform_points(T_world_capsule, np.array([[0.0, 0.0, -half], [0.0, 0.0, half]]))
-        moved = parted(self.spheres, (ends[0], ends[1]), radius)
-        if len(self.seats):
-            centers = moved.centers.copy()
-            centers[-len(self.seats) :] = transform_points(T_world_capsule, self.seats)
-            moved = replace(moved, centers=centers)
-        return self if moved is self.spheres else Filling(self.contents, moved, self.pools)
+        spheres, capsule = self.spheres, (length / 2.0 - radius, radius)
+        centers = around_capsule(
+            spheres.centers, spheres.radius, self.seats, T_world_capsule, capsule
+        )
+        if centers is None:
+            return self
+        return Filling(self.contents, spheres.at(centers), self.pools)
 
 
 def fill(
@@ -102,4 +101,4 @@ def fill(
     pools = None
     if liquid.fill > 0.0:
         pools = find_pools(organ, cut_sections(organ), liquid, T_world_patient)
-    return Filling(contents, replace(spheres, centers=centers), pools)
+    return Filling(contents, spheres.at(centers), pools)

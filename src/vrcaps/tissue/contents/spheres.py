@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -41,6 +41,11 @@ class Spheres:
     def __len__(self) -> int:
         return len(self.radius)
 
+    def at(self, centers: Float[np.ndarray, "n 3"]) -> Spheres:
+        """The same spheres in other places."""
+        rest = self.kind, self.instance, self.color, self.arc_length
+        return Spheres(centers, self.radius, *rest)
+
 
 def no_spheres() -> Spheres:
     """None."""
@@ -53,33 +58,3 @@ def joined(*parts: Spheres) -> Spheres:
     """Several sets as one."""
     names = ("centers", "radius", "kind", "instance", "color", "arc_length")
     return Spheres(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
-
-
-def parted(
-    spheres: Spheres,
-    axis: tuple[Float[np.ndarray, " 3"], Float[np.ndarray, " 3"]],
-    radius: float,
-) -> Spheres:
-    """The spheres where a capsule has pushed aside those in its way, straight off its axis.
-
-    Args:
-        spheres: In the capsule's frame of reference.
-        axis: Ends of the capsule's axis [m].
-        radius: Of the capsule [m].
-
-    Returns:
-        The very same object where nothing is in the way.
-    """
-    start, span = axis[0], axis[1] - axis[0]
-    offset = spheres.centers - start
-    along = np.clip(offset @ span / max(span @ span, 1e-30), 0.0, 1.0)
-    away = offset - along[:, None] * span
-    distance = np.linalg.norm(away, axis=1)
-    near = np.flatnonzero(distance < radius + spheres.radius)
-    if len(near) == 0:
-        return spheres
-    centers = spheres.centers.copy()
-    need = radius + spheres.radius[near]
-    unit = away[near] / np.maximum(distance[near], 1e-12)[:, None]
-    centers[near] += (need - distance[near])[:, None] * unit
-    return replace(spheres, centers=centers)

@@ -1,0 +1,66 @@
+//! Spheres where a capsule has pushed aside those in its way.
+
+use glam::DVec3;
+use numpy::{
+    IntoPyArray, PyArray2, PyReadonlyArray1, PyReadonlyArray2,
+    ndarray::{Array2, ArrayView1},
+};
+use pyo3::{exceptions::PyValueError, prelude::*};
+
+/// Centres [n 3] of spheres around a capsule [m]: those in its way straight off its axis, the last of
+/// all on their `seats` [k 3] in its frame. None where nothing has moved.
+///
+/// `pose` takes the capsule's frame, whose z is its axis about its middle, to that of the centres;
+/// `capsule` is half of its straight length and its radius.
+#[pyfunction]
+pub fn around_capsule<'py>(
+    py: Python<'py>,
+    centers: PyReadonlyArray2<'py, f64>,
+    radius: PyReadonlyArray1<'py, f64>,
+    seats: PyReadonlyArray2<'py, f64>,
+    pose: PyReadonlyArray2<'py, f64>,
+    capsule: (f64, f64),
+) -> PyResult<Option<Bound<'py, PyArray2<f64>>>> {
+    let (centers, radius) = (centers.as_array(), radius.as_array());
+    let (seats, pose) = (seats.as_array(), pose.as_array());
+    let count = centers.nrows();
+    let fits = centers.ncols() == 3 && seats.ncols() == 3 && pose.dim() == (4, 4);
+    if !fits || radius.len() != count || seats.nrows() > count {
+        return Err(PyValueError::new_err("Spheres need a centre and a radius each, and seats."));
+    }
+    let column = |c: usize| DVec3::new(pose[[0, c]], pose[[1, c]], pose[[2, c]]);
+    let (middle, axis) = (column(3), column(2));
+    let row = |row: ArrayView1<'_, f64>| DVec3::new(row[0], row[1], row[2]);
+    let mut moved: Option<Array2<f64>> = None;
+    let mut put = |k: usize, place: DVec3| {
+        let all = moved.get_or_insert_with(|| centers.to_owned());
+        for (axis, x) in place.to_array().into_iter().enumerate() {
+            all[[k, axis]] = x;
+        }
+    };
+    let free = count - seats.nrows();
+    for (k, center) in centers.outer_iter().take(free).map(row).enumerate() {
+        if let Some(place) = pushed(center, radius[k], (middle, axis), capsule) {
+            put(k, place);
+        }
+    }
+    for (k, seat) in seats.outer_iter().map(row).enumerate() {
+        let place = middle + column(0) * seat.x + column(1) * seat.y + column(2) * seat.z;
+        put(free + k, place);
+    }
+    Ok(moved.map(|all| all.into_pyarray(py)))
+}
+
+/// Where a sphere goes, if a capsule with such a middle and direction is in its place.
+fn pushed(
+    center: DVec3,
+    radius: f64,
+    (middle, axis): (DVec3, DVec3),
+    (half, wide): (f64, f64),
+) -> Option<DVec3> {
+    let offset = center - middle;
+    let away = offset - axis * offset.dot(axis).clamp(-half.max(0.0), half.max(0.0));
+    let distance = away.length();
+    let need = wide + radius;
+    (distance < need).then(|| center + away * ((need - distance) / distance.max(1e-12)))
+}

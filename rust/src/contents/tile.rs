@@ -92,8 +92,8 @@ impl<'a> Filled<'a> {
     /// The surfaces of wall and particles that paths set out from.
     #[inline(always)]
     pub fn first(&self, tile: &TileRays, pixel: [u32; LANES], room: &mut Room) -> First {
-        let met = primary(self.wall, self.view, tile);
-        let Seen { hits, owner, found, .. } = self.look(tile, met, room);
+        let (rays, hits) = primary(self.wall, self.view, tile);
+        let Seen { hits, owner, found, .. } = self.look(tile, (&rays, &hits), room);
         let surface = self.surface(&found, &hits, &owner, tile.pixel_angle);
         let triangle = of_wall(&hits.triangle, &owner);
         First { surface, hit: found.hit, triangle, pixel }
@@ -110,13 +110,13 @@ impl<'a> Filled<'a> {
         out: &mut Channels<'_>,
     ) {
         let view = self.view;
-        let met = primary(self.wall, view, tile);
-        if self.sees_wall_alone(tile, (&met.0, &met.1), room) {
+        let (rays, hits) = primary(self.wall, view, tile);
+        let met = (&rays, &hits);
+        if self.sees_wall_alone(tile, met, room) {
             Front::of_liquid(None).write(tile, place, out);
             place.write(&mut out.bend_label, &[STRAIGHT; LANES], &tile.used, STRAIGHT);
             place.write_sparsely(&mut out.sparse_bend, 1, |_, _| STRAIGHT);
-            let (rays, hits) = &met;
-            render_tile((self.wall, self.scene, view), tile, (rays, hits), place, glow, out);
+            render_tile((self.wall, self.scene, view), tile, met, place, glow, out);
             return;
         }
         let seen = self.look(tile, met, room);
@@ -169,9 +169,9 @@ impl<'a> Filled<'a> {
 
     /// Follows the rays of a tile, through the surface of a pool where they meet one.
     #[inline(always)]
-    fn look(&self, tile: &TileRays, met: (Pyramid, Hits), room: &mut Room) -> Seen {
+    fn look(&self, tile: &TileRays, met: (&Pyramid, &Hits), room: &mut Room) -> Seen {
         let (wall, scene, view) = (self.wall, self.scene, self.view);
-        let (rays, mut hits) = met;
+        let (rays, mut hits) = (met.0.clone(), met.1.clone());
         let mut owner = [MISS; LANES];
         if tile.any {
             owner = self.meet_particles(&rays, &mut hits, room);

@@ -8,6 +8,9 @@ use rayon::prelude::*;
 /// which it is [px per frame].
 const FIXED_POINT_STEPS: usize = 4;
 const SETTLED: f32 = 5e-2;
+/// Places worked on together, and rows of them that one thread takes.
+const RUN: usize = 16;
+const LINES: usize = 8;
 
 /// A field of motion at every `STEP`th pixel of every `STEP`th row, the first in the middle of a
 /// square of so many [px per frame], with no place unknown.
@@ -56,35 +59,24 @@ impl Field {
         if shutter.readout == 0.0 {
             return self;
         }
-        let place = |number: usize| (number * STEP + STEP / 2) as f32;
-        let read = |k: usize| {
-            let (x, y) = (place(k % self.size.1), place(k / self.size.1));
-            let late = shutter.window(y, height).late;
-            let mut v = self.vectors[k];
-            for _ in 0..FIXED_POINT_STEPS {
-                let before = v;
-                v = self.at(x - v[0] * late, y - v[1] * late);
-                if max((v[0] - before[0]).abs(), (v[1] - before[1]).abs()) < SETTLED {
-                    break;
-                }
+        let columns = self.size.1;
+        let mut vectors = vec![[0.0; 2]; self.vectors.len()];
+        vectors.par_chunks_mut(LINES * columns).enumerate().for_each(|(group, lines)| {
+            for (k, line) in lines.chunks_exact_mut(columns).enumerate() {
+                let row = group * LINES + k;
+                read_line(&self, row, shutter.window(place(row), height).late, line);
             }
-            v
-        };
-        let all = (0..self.vectors.len()).into_par_iter().with_min_len(512);
-        Field { vectors: all.map(read).collect(), ..self }
+        });
+        Field { vectors, ..self }
     }
 
-    /// The vector at a place of the image [px].
-    fn at(&self, x: f32, y: f32) -> [f32; 2] {
+    /// The four vectors about a place, given the first's row and column.
+    #[inline(always)]
+    fn about(&self, row: usize, column: usize) -> [[f32; 2]; 4] {
         let (rows, columns) = self.size;
-        let (row, t) = between(y, rows);
-        let (column, s) = between(x, columns);
-        let right = (column + 1).min(columns - 1);
-        let line = |r: usize| {
-            let line = &self.vectors[r * columns..(r + 1) * columns];
-            mix(&line[column], &line[right], s)
-        };
-        mix(&line(row), &line((row + 1).min(rows - 1)), t)
+        let (right, below) = ((column + 1).min(columns - 1), (row + 1).min(rows - 1) * columns);
+        let row = row * columns;
+        [row + column, row + right, below + column, below + right].map(|k| self.vectors[k])
     }
 
     /// The vectors of all pixels of one row: columns, then rows.
@@ -111,6 +103,59 @@ impl Field {
         }
         all
     }
+}
+
+/// Of a row of known places the motion of what is there so late.
+#[multiversion::multiversion(targets(
+    "x86_64+avx512f+avx512bw+avx512cd+avx512dq+avx512vl",
+    "x86_64+avx2",
+    "aarch64+neon"
+))]
+fn read_line(field: &Field, row: usize, late: f32, line: &mut [[f32; 2]]) {
+    let (rows, columns) = field.size;
+    let own = &field.vectors[row * columns..][..columns];
+    for (number, (line, own)) in line.chunks_mut(RUN).zip(own.chunks(RUN)).enumerate() {
+        let mut v = [[0.0f32; RUN]; 2];
+        for (i, own) in own.iter().enumerate() {
+            (v[0][i], v[1][i]) = (own[0], own[1]);
+        }
+        for _ in 0..FIXED_POINT_STEPS {
+            let (mut first, mut share) = ([[0; RUN]; 2], [[0.0f32; RUN]; 2]);
+            for i in 0..RUN {
+                let x = place(number * RUN + i) - v[0][i] * late;
+                (first[0][i], share[0][i]) = between(x, columns);
+                (first[1][i], share[1][i]) = between(place(row) - v[1][i] * late, rows);
+            }
+            let mut about = [[[0.0f32; RUN]; 4]; 2];
+            for i in 0..line.len() {
+                for (n, vector) in field.about(first[1][i], first[0][i]).into_iter().enumerate() {
+                    (about[0][n][i], about[1][n][i]) = (vector[0], vector[1]);
+                }
+            }
+            let mut change = 0.0;
+            for (v, [a, b, c, d]) in v.iter_mut().zip(&about) {
+                for i in 0..RUN {
+                    let (above, below) =
+                        (mix(a[i], b[i], share[0][i]), mix(c[i], d[i], share[0][i]));
+                    let found = mix(above, below, share[1][i]);
+                    change = max((found - v[i]).abs(), change);
+                    v[i] = found;
+                }
+            }
+            if change < SETTLED {
+                break;
+            }
+        }
+        for (i, out) in line.iter_mut().enumerate() {
+            *out = [v[0][i], v[1][i]];
+        }
+    }
+}
+
+/// Pixel of a known place along an axis.
+#[inline(always)]
+fn place(number: usize) -> f32 {
+    (number * STEP + STEP / 2) as f32
 }
 
 /// The number of the known place before a place [px], and how far it is towards the next.
@@ -163,8 +208,8 @@ impl Shutter {
 }
 
 #[inline(always)]
-fn mix(a: &[f32; 2], b: &[f32; 2], t: f32) -> [f32; 2] {
-    [a[0] + (b[0] - a[0]) * t, a[1] + (b[1] - a[1]) * t]
+fn mix(a: f32, b: f32, t: f32) -> f32 {
+    a + (b - a) * t
 }
 
 /// A number from 0 to 2²² as a whole one and the rest, 0 to 1.

@@ -52,9 +52,9 @@ pub fn blur_motion<'py>(
 }
 
 /// Pixels worked on together.
-const RUN: usize = 16;
+const RUN: usize = 32;
 /// Columns and rows about the image, which goes on there as at its edge.
-const MARGIN: usize = 2 * RUN;
+const MARGIN: usize = RUN;
 /// Most neighbours to a side that the places of a run are taken from together.
 const MOST_TAPS: usize = 4;
 /// Distance of places that surely have no more neighbours than that [px].
@@ -270,17 +270,19 @@ fn spread([low, high]: [f32; 2], (shutter, late): (f32, f32)) -> f32 {
     (high - low) * (late.abs() + 0.5 * shutter)
 }
 
-/// Least and most of a run, by halves.
+/// Least and most of a run.
 #[inline(always)]
 fn ends(run: &Run) -> [f32; 2] {
-    let (mut low, mut high) = (*run, *run);
-    for half in [8, 4, 2, 1] {
-        for i in 0..half {
-            low[i] = min(low[i], low[i + half]);
-            high[i] = max(high[i], high[i + half]);
-        }
-    }
-    [low[0], high[0]]
+    [least(run), -least(&run.map(|x| -x))]
+}
+
+/// Least of a run, by halves.
+#[inline(always)]
+fn least(run: &Run) -> f32 {
+    let low: [f32; 16] = std::array::from_fn(|i| min(run[i], run[i + 16]));
+    let low: [f32; 8] = std::array::from_fn(|i| min(low[i], low[i + 8]));
+    let low: [f32; 4] = std::array::from_fn(|i| min(low[i], low[i + 4]));
+    min(min(low[0], low[1]), min(low[2], low[3]))
 }
 
 /// Sum over the exposure of what moves past a run of pixels; `ends` are the least and most of its

@@ -62,7 +62,7 @@ class SurfacePoints:
             then: What is in it in the other state.
         """
         points = self._moved_wall(faces, state)
-        if now is None or then is None or self.face.min() >= -1:
+        if now is None or then is None or not now.spheres.has_chyme:
             return points
         points, afloat = points.astype(float), self.face < -1
         sphere = -2 - self.face[afloat]

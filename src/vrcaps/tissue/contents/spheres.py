@@ -41,6 +41,11 @@ class Spheres:
     def __len__(self) -> int:
         return len(self.radius)
 
+    @property
+    def has_chyme(self) -> bool:
+        """Whether any of them is opaque."""
+        return bool((self.kind != BUBBLE).any())
+
     def at(self, centers: Float[np.ndarray, "n 3"]) -> Spheres:
         """The same spheres in other places."""
         rest = self.kind, self.instance, self.color, self.arc_length

@@ -215,7 +215,7 @@ pub fn render(
         let columns = rays.columns();
         let filled = contents.map(|c| Filled::new(wall, &scene.data, c, &view));
         let bands = channels.bands(rays.width, rays.tiles.len() / columns);
-        bands.into_par_iter().enumerate().for_each(|(row, mut band)| {
+        bands.into_par_iter().with_max_len(1).enumerate().for_each(|(row, mut band)| {
             let tiles = &rays.tiles[row * columns..(row + 1) * columns];
             let height = (rays.height - row * TILE).min(TILE);
             let area = Area { row: row * TILE, size: (rays.width, height) };

@@ -29,6 +29,7 @@ pub fn first_reflection(light: &QuickLight, wall: &Wall, leds: &[Led]) -> Vec<Co
     let side = ((RAYS as f32 / leds.len().max(1) as f32).sqrt() as usize).max(LEAST_SIDE);
     let parts: Vec<Vec<End>> = (0..leds.len() * ARMS)
         .into_par_iter()
+        .with_max_len(2)
         .map(|k| {
             let (number, arm) = (k / ARMS, k % ARMS);
             let led = &leds[number];

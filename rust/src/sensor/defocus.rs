@@ -17,6 +17,8 @@ const BLOCK: usize = 16;
 const MARGIN: usize = 16;
 /// Rows worked on together.
 const ROWS: usize = 4;
+/// Groups of rows that one thread takes at a time: some take longer than others.
+const AT_ONCE: usize = 4;
 /// Blocks from the one worked on to the one that is fetched.
 const AHEAD: usize = 2;
 /// Radius of what is not seen; its share of the light is 0.
@@ -104,7 +106,7 @@ impl Padded {
         });
         let planes = red.zip(green).zip(blue).zip(radius.zip(share));
         let blocks = self.widest.par_chunks_mut(width.div_ceil(BLOCK));
-        planes.zip(blocks).enumerate().for_each(|(group, (planes, widest))| {
+        planes.zip(blocks).with_max_len(AT_ONCE).enumerate().for_each(|(group, (planes, widest))| {
             let (((red, green), blue), (radius, share)) = planes;
             widest.fill(Widest::default());
             for row in 0..radius.len() / stride {
@@ -126,7 +128,7 @@ impl Padded {
         let widest = &self.widest;
         let farthest = widest.iter().fold(0.0, |most, block| max(block.near, most)) + 0.5;
         let groups = farthest as usize / ROWS + 1;
-        lines.par_chunks_mut(ROWS).enumerate().for_each(|(group, lines)| {
+        lines.par_chunks_mut(ROWS).with_max_len(AT_ONCE).enumerate().for_each(|(group, lines)| {
             for block in 0..blocks {
                 let radius = around(widest, blocks, (group, block), groups);
                 self.fetch((group * ROWS, (block + AHEAD) * BLOCK), radius);

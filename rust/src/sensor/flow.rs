@@ -11,9 +11,10 @@ use numpy::{
 use pyo3::{exceptions::PyValueError, prelude::*};
 use rayon::prelude::*;
 
-/// Most steps of Newton's method, and the step that is its last [px].
+/// Most steps of Newton's method, and the step that is its last [px]: what is left is some hundredth of
+/// its square.
 const STEPS: usize = 8;
-const SETTLED: f32 = 0.1;
+const SETTLED: f32 = 0.5;
 /// Points worked on together, in rows of which each begins as the one above ended.
 const RUN: usize = 16;
 const ROWS: usize = 8;

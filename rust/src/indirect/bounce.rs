@@ -40,7 +40,7 @@ pub struct Irradiance<'a> {
 type Corners = (u32, [Light; 3]);
 
 /// Faces that a tile keeps at hand.
-const AT_HAND: usize = 8;
+const AT_HAND: usize = 16;
 
 impl QuickLight {
     /// Irradiance by bounced light; LEDs cast shadows or not.

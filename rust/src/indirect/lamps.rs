@@ -65,9 +65,10 @@ fn send(
     lobe: &Lobe,
     rays: impl ExactSizeIterator<Item = usize>,
 ) -> Vec<End> {
-    let mut ends = Vec::with_capacity(rays.len());
+    let (mut ends, mut pile) = (Vec::with_capacity(rays.len()), ray::Pile::default());
     for direction in rays.map(|k| lobe.on_spiral(k)) {
-        let hit = ray::cast::<false>(&wall.bvh, origin, direction, f32::MAX, u32::MAX);
+        let way = (origin, direction);
+        let hit = ray::cast_in::<false>(&mut pile, &wall.bvh, way, f32::MAX, u32::MAX);
         // The back of a wall is dark.
         if let Some(hit) = hit.filter(|hit| hit.edges[2] < 0.0) {
             let vertex = nearest_corner(wall, hit.triangle, hit.edges);

@@ -102,6 +102,15 @@ impl Ray {
     }
 }
 
+/// Room for the nodes that wait to be visited, and how near a ray enters each [m].
+pub struct Pile([(u32, f32); STACK]);
+
+impl Default for Pile {
+    fn default() -> Self {
+        Pile([(0, 0.0); STACK])
+    }
+}
+
 /// The nearest hit within `reach` [m] of a ray with a unit direction; not on triangle `from`.
 ///
 /// With `ANY` the first hit found is taken.
@@ -113,8 +122,19 @@ pub fn cast<const ANY: bool>(
     reach: f32,
     from: u32,
 ) -> Option<Hit> {
+    cast_in::<ANY>(&mut Pile::default(), bvh, (origin, direction), reach, from)
+}
+
+/// The same in room that is there already, for many rays.
+#[inline(always)]
+pub fn cast_in<const ANY: bool>(
+    Pile(stack): &mut Pile,
+    bvh: &Bvh,
+    (origin, direction): (Vec3, Vec3),
+    reach: f32,
+    from: u32,
+) -> Option<Hit> {
     let ray = Ray::new(origin, direction);
-    let mut stack = [(0u32, 0.0f32); STACK];
     let (mut top, mut code) = (0, 0u32);
     let mut farthest = reach;
     let mut found = None;
@@ -124,7 +144,7 @@ pub fn cast<const ANY: bool>(
                 let node = &bvh.nodes[number];
                 let touched = ray.touched(node, farthest);
                 if touched.mask != 0 {
-                    (code, top) = choose(node, &touched, &mut stack, top);
+                    (code, top) = choose(node, &touched, stack, top);
                     continue;
                 }
             }

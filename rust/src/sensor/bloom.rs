@@ -70,8 +70,10 @@ impl Bloom {
             .map(|plane| {
                 let cells = (height.div_ceil(CELL), width.div_ceil(CELL));
                 let coarse = gathered(plane, width, cells);
-                let halo = blurred(&coarse, cells, cell_sigma(self.sigma));
-                let veil = widely_blurred(&coarse, cells, cell_sigma(VEIL * self.sigma));
+                let (halo, veil) = rayon::join(
+                    || blurred(&coarse, cells, cell_sigma(self.sigma)),
+                    || widely_blurred(&coarse, cells, cell_sigma(VEIL * self.sigma)),
+                );
                 let both: Vec<f32> =
                     halo.iter().zip(&veil).map(|(a, b)| 0.5 * self.share * (a + b)).collect();
                 across(&both, cells, width)

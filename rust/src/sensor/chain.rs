@@ -199,7 +199,7 @@ impl CameraStages {
         }
         let (light, (height, width), area) = (radiance.as_slice()?, self.size, self.lit.len());
         let (mut sum, mut count) = (0.0, 0);
-        for y in (STEP / 2..height).step_by(STEP) {
+        for y in (STEP.min(height / 2)..height).step_by(2 * STEP) {
             let share = self.shutter.map_or(1.0, |s| s.window(y as f32, height).share);
             for x in (STEP / 2..width).step_by(STEP).map(|x| y * width + x) {
                 if self.lit[x] {

@@ -41,7 +41,8 @@ class SurfacePoints:
     @staticmethod
     def sparse(camera: Camera) -> SurfacePoints:
         """Room for the points that `thinned` pixels of a camera see."""
-        shape = tuple(len(range(STEP // 2, size, STEP)) for size in (camera.height, camera.width))
+        half = STEP // 2
+        shape = (camera.height + half - 1) // STEP, (camera.width + half - 1) // STEP
         position, weights = np.empty((*shape, 3), np.float32), np.empty((*shape, 2), np.float32)
         bend = np.empty(shape, np.uint8)
         return SurfacePoints(position, np.empty(shape, np.int32), weights, bend)

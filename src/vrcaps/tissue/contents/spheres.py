@@ -44,7 +44,7 @@ class Spheres:
     @property
     def has_chyme(self) -> bool:
         """Whether any of them is opaque."""
-        return bool((self.kind != BUBBLE).any())
+        return any(self.kind.tobytes())  # a bubble's kind is 0
 
     def at(self, centers: Float[np.ndarray, "n 3"]) -> Spheres:
         """The same spheres in other places."""

@@ -36,12 +36,6 @@ pub struct Irradiance<'a> {
     skin: Option<Skin<'a>>,
 }
 
-/// What the corners of one face get: at the third, and how much more at the first two.
-type Corners = (u32, [Light; 3]);
-
-/// Faces that a tile keeps at hand.
-const AT_HAND: usize = 16;
-
 impl QuickLight {
     /// Irradiance by bounced light; LEDs cast shadows or not.
     pub fn solve<'a>(
@@ -184,26 +178,30 @@ impl Irradiance<'_> {
                 tilt[k][i] = normal[k] - flat[k] * level;
             }
         }
-        let mut lights = [[0.0; LANES]; 7];
-        let mut at_hand: [Corners; AT_HAND] = [(MISS, Default::default()); AT_HAND];
+        let (mut first_share, mut second_share) = ([0.0; LANES], [0.0; LANES]);
         for i in 0..LANES {
-            let triangle = hits.triangle[i];
-            if triangle == MISS {
+            let inverse = 1.0 / hits.edges[2][i];
+            (first_share[i], second_share[i]) =
+                (hits.edges[0][i] * inverse, hits.edges[1][i] * inverse);
+        }
+        // A tile sees few triangles: each in turn, for all lanes at once.
+        let triangles = &hits.triangle;
+        let mut lights = [[0.0; LANES]; 7];
+        let mut is_done = triangles.map(|triangle| triangle == MISS);
+        for lane in 0..LANES {
+            if is_done[lane] {
                 continue;
             }
-            let corners = &mut at_hand[triangle as usize % AT_HAND];
-            if corners.0 != triangle {
-                *corners = (triangle, corners_of(self, triangle));
+            let triangle = triangles[lane];
+            let [first, second, third] = corners_of(self, triangle);
+            for (n, light) in lights.iter_mut().enumerate() {
+                for i in 0..LANES {
+                    let here = third[n] + first[n] * first_share[i] + second[n] * second_share[i];
+                    light[i] = if triangles[i] == triangle { here } else { light[i] };
+                }
             }
-            let [first, second, third] = &corners.1;
-            let inverse = 1.0 / hits.edges[2][i];
-            let (wa, wb) = (hits.edges[0][i] * inverse, hits.edges[1][i] * inverse);
-            let mut light = Light::default();
-            for n in 0..8 {
-                light[n] = third[n] + first[n] * wa + second[n] * wb;
-            }
-            for n in 0..7 {
-                lights[n][i] = light[n];
+            for i in 0..LANES {
+                is_done[i] |= triangles[i] == triangle;
             }
         }
         let [red, green, blue, all, x, y, z] = &lights;
@@ -284,7 +282,7 @@ impl Irradiance<'_> {
     }
 }
 
-/// What the corners of a triangle get.
+/// What the third corner of a triangle gets, after how much more the first two get.
 #[multiversion::multiversion(targets(
     "x86_64+avx512f+avx512bw+avx512cd+avx512dq+avx512vl",
     "x86_64+avx2",

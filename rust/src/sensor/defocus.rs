@@ -106,20 +106,22 @@ impl Padded {
         });
         let planes = red.zip(green).zip(blue).zip(radius.zip(share));
         let blocks = self.widest.par_chunks_mut(width.div_ceil(BLOCK));
-        planes.zip(blocks).with_max_len(AT_ONCE).enumerate().for_each(|(group, (planes, widest))| {
-            let (((red, green), blue), (radius, share)) = planes;
-            widest.fill(Widest::default());
-            for row in 0..radius.len() / stride {
-                let (y, start) = (group * ROWS + row, row * stride + MARGIN);
-                let inside = start..start + width;
-                let [red, green, blue] =
-                    [&mut *red, &mut *green, &mut *blue].map(|plane| &mut plane[inside.clone()]);
-                light(y, [red, green, blue]);
-                distances(y, &mut radius[inside.clone()]);
-                radii(reach, focus, &mut radius[inside.clone()], &mut share[inside]);
-                widen(&radius[start..], widest);
-            }
-        });
+        planes.zip(blocks).with_max_len(AT_ONCE).enumerate().for_each(
+            |(group, (planes, widest))| {
+                let (((red, green), blue), (radius, share)) = planes;
+                widest.fill(Widest::default());
+                for row in 0..radius.len() / stride {
+                    let (y, start) = (group * ROWS + row, row * stride + MARGIN);
+                    let inside = start..start + width;
+                    let [red, green, blue] = [&mut *red, &mut *green, &mut *blue]
+                        .map(|plane| &mut plane[inside.clone()]);
+                    light(y, [red, green, blue]);
+                    distances(y, &mut radius[inside.clone()]);
+                    radii(reach, focus, &mut radius[inside.clone()], &mut share[inside]);
+                    widen(&radius[start..], widest);
+                }
+            },
+        );
     }
 
     /// Fills the lines of an image with the light of this one, spread.

@@ -35,19 +35,21 @@ pub fn num_threads() -> usize {
     rayon::current_num_threads()
 }
 
+/// Most threads that are kept awake between parts of work; more would be in the way of others.
+const AWAKE: usize = 8;
 /// How long a thread that finds nothing to do stays awake for the next part of the work.
 const PATIENCE: Duration = Duration::from_micros(200);
 
 /// Does work on the threads of the core, without Python; the parts that it is cut into start
 /// without a change of thread.
 ///
-/// Between those parts the other threads stay awake: to fall asleep and be woken takes longer than
-/// many of them.
+/// Between those parts other threads stay awake: to fall asleep and be woken takes longer than many
+/// of them.
 pub fn on_pool<T: Send>(py: Python<'_>, work: impl FnOnce() -> T + Send) -> T {
     let is_done = AtomicBool::new(false);
     py.detach(|| {
         rayon::scope(|scope| {
-            for _ in 1..rayon::current_num_threads() {
+            for _ in 1..rayon::current_num_threads().min(AWAKE) {
                 scope.spawn(|_| stay_awake(&is_done));
             }
             let result = work();

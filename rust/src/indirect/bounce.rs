@@ -18,6 +18,9 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 /// Reflections that are followed after the first; the rest is the tail of a geometric series.
 const BOUNCES: usize = 2;
+/// Most of the light along the smooth normal that relief gets: where hardly any comes along that, what
+/// comes aside is all but noise.
+const MOST_SHARE: f32 = 4.0;
 /// Sites that one thread takes at a time.
 const CHUNK: usize = 64;
 
@@ -207,13 +210,15 @@ impl Irradiance<'_> {
         let [red, green, blue, all, x, y, z] = &lights;
         for i in 0..LANES {
             let more = x[i] * tilt[0][i] + y[i] * tilt[1][i] + z[i] * tilt[2][i];
-            even[i] = max(even[i] + more / max(all[i], 1e-30), 0.0) * (1.0 / PI);
+            let share = even[i] + more / max(all[i], 1e-30);
+            even[i] = clamp(share, 0.0, MOST_SHARE) * (1.0 / PI);
         }
         for (k, irradiance) in [red, green, blue].into_iter().enumerate() {
             for i in 0..LANES {
                 let base = reflected[0][i] * surface.albedo[k][i];
                 let (base, through) = beneath.map_or((base, 0.0), |beneath| beneath.of(base, k, i));
-                radiance[k][i] += irradiance[i] * even[i] * (base + reflected[1][i]) + through;
+                radiance[k][i] +=
+                    max(irradiance[i], 0.0) * even[i] * (base + reflected[1][i]) + through;
             }
         }
     }

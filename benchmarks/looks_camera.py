@@ -66,7 +66,8 @@ def photographed(name: str, shot: Shot, number: int) -> np.ndarray:
     chain = CameraChain(effects, shot.camera, number=0, fps=1.0, seed=number)
     moment = Moment(number, shot.state, exposure=exposure)
     planes = np.ascontiguousarray(np.moveaxis(radiance, -1, 0))
-    seen = Seen(shot.frame, planes, None, moment)
+    known = {name: array for name, array in vars(shot.frame).items() if array is not None}
+    seen = Seen(known, planes, None, moment)
     sent = chain.apply(seen, shot.renderer)
     assert sent.rgb is not None
     return sent.rgb

@@ -30,7 +30,7 @@ from vrcaps.render.camera_effects.grades import GRADES
 from vrcaps.render.camera_effects.parse import parse_effects
 
 FRAMES, RECORDED = 60, 200
-ROUNDS = 5
+ROUNDS = 9
 EFFECTS = "all=2,resolution=0"
 EVERY = "every effect at grade 2"
 HEAD = ("frame", "time [ms]", "frames a second", "processor time [ms]", "times plain", "claimed")

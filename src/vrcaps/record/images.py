@@ -10,12 +10,12 @@ import numpy as np
 from vrcaps.render.camera_effects.chain import CameraChain, Moment, Seen
 from vrcaps.render.camera_effects.frame_rate import image_speed
 from vrcaps.render.camera_effects.scene import half_side_px
+from vrcaps.render.frame import Frame
 from vrcaps.render.renderer import Renderer
 
 if TYPE_CHECKING:
     from vrcaps.record.scenario import Scenario
     from vrcaps.record.table import FrameTable
-    from vrcaps.render.frame import Frame
     from vrcaps.world.model import Model
     from vrcaps.world.moving_wall import MovingWall
     from vrcaps.world.run import Instant
@@ -120,9 +120,10 @@ class Images:
         """Images of all cameras at the frame that was exposed last."""
         images = self._perfect(step) if not self._chains else {}
         for name, seen in self._see(step).items():
-            images[name] = seen.frame
             if "rgb" in self._channels:
                 images[name] = self._chains[name].apply(seen, self._renderer)
+            else:
+                images[name] = Frame(**seen.channels)
         ends = (step.before is None, step.after is None)
         return {name: _without_neighbour(image, *ends) for name, image in images.items()}
 

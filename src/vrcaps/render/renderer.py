@@ -113,8 +113,6 @@ class Renderer:
         state_next: State | None = None,
         state_previous: State | None = None,
         out: Frame | None = None,
-        points: SurfacePoints | None = None,
-        planes: Float[np.ndarray, "3 h w"] | None = None,
     ) -> Frame:
         """What a camera sees.
 
@@ -125,25 +123,37 @@ class Renderer:
             state_next: The world one frame later, for `flow_forward` and `occlusion`.
             state_previous: The world one frame earlier, for `flow_backward`.
             out: An earlier frame of the same camera whose arrays may be overwritten.
-            points: Room for the surface points that `thinned` pixels see.
-            planes: Room for radiance by colours, as float32.
 
         Raises:
             UnknownNameError: If there is no such channel.
             InputError: If a channel needs a state that was not given.
         """
+        return Frame(**self.arrays((state_previous, state, state_next), camera, channels, out))
+
+    def arrays(
+        self,
+        states: tuple[State | None, State, State | None],
+        camera: Camera,
+        channels: Sequence[str],
+        out: Frame | None = None,
+        points: SurfacePoints | None = None,
+        planes: Float[np.ndarray, "3 h w"] | None = None,
+    ) -> dict[str, NDArray[Any]]:
+        """What `render` does, by channels, in states before, now and after.
+
+        `points` is room for what `thinned` pixels see, `planes` for float32 radiance by colours.
+        """
+        state_previous, state, state_next = states
         _check_channels(channels, state_next, state_previous)
         arrays = self._arrays(channels, camera, out)
         arrays |= {} if planes is None else {"radiance_planes": planes}
         if points is not None:
             arrays |= {f"sparse_{name}": array for name, array in vars(points).items()}
-        wall = self._wall.at(state)
-        filling = self.filling(state)
+        wall, filling = self._wall.at(state), self.filling(state)
         contents = None if filling is None else self._core_contents(filling, wall, "now")
         self._draw(wall, camera, state, arrays, contents)
-        motion = self._motion(camera, arrays, channels, (state_previous, state, state_next))
-        wanted = {name: arrays[name] for name in channels if name in arrays}
-        return Frame(**wanted, **motion)
+        motion = self._motion(camera, arrays, channels, states)
+        return {name: arrays[name] for name in channels if name in arrays} | motion
 
     def _draw(
         self,

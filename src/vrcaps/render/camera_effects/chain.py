@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,12 +15,12 @@ from vrcaps.render.camera_effects.dome import Dome
 from vrcaps.render.camera_effects.effects import Effects
 from vrcaps.render.camera_effects.sensor import Noise, WhiteBalance, mosaic_colors
 from vrcaps.render.flow import STEP, SurfacePoints
+from vrcaps.render.frame import Frame
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
 
     from vrcaps.capsule.device import Camera
-    from vrcaps.render.frame import Frame
     from vrcaps.render.renderer import Renderer
     from vrcaps.world.model import State
 
@@ -56,13 +56,13 @@ class Seen:
     """What reaches the lens.
 
     Attributes:
-        frame: The channels asked for, and those that the stages need; `rgb` if they are none.
+        channels: Those asked for, and those that the stages need; `rgb` if they are none.
         planes: Radiance by colours [W/(sr·m²)], if stages are to change it.
         points: What `thinned` pixels see, if motion is to be known.
         moment: When.
     """
 
-    frame: Frame
+    channels: dict[str, Any]
     planes: Float[np.ndarray, "3 h w"] | None
     points: SurfacePoints | None
     moment: Moment
@@ -143,16 +143,12 @@ class CameraChain:
         planes = None
         if not self._is_ideal:
             planes = np.empty((3, self.camera.height, self.camera.width), np.float32)
-        frame = renderer.render(
-            moment.state,
-            self.camera,
-            channels=self._needed(asked),
-            state_next=moment.state_next or moment.state,
-            state_previous=moment.state_previous or moment.state,
-            points=points,
-            planes=planes,
+        now = moment.state
+        states = moment.state_previous or now, now, moment.state_next or now
+        channels = renderer.arrays(
+            states, self.camera, self._needed(asked), points=points, planes=planes
         )
-        return Seen(frame, planes, points, moment)
+        return Seen(channels, planes, points, moment)
 
     def _needed(self, asked: Sequence[str]) -> tuple[str, ...]:
         needed = set(asked)
@@ -173,11 +169,11 @@ class CameraChain:
             renderer: That rendered it.
         """
         if seen.planes is None:
-            return seen.frame
+            return Frame(**seen.channels)
         made = {"rgb": self._core.apply(seen.planes, self._shot(seen, renderer))}
-        if seen.frame.dome_label is not None and self._dome is not None:
+        if "dome_label" in seen.channels and self._dome is not None:
             made["dome_label"] = self._dome.labels(seen.moment.state.time)
-        return replace(seen.frame, **made)
+        return Frame(**seen.channels | made)
 
     def meter(self, seen: Seen) -> float:
         """Mean linear luminance of the lit image at its exposure, each pixel cut at white."""
@@ -188,9 +184,10 @@ class CameraChain:
 
     def _shot(self, seen: Seen, renderer: Renderer) -> dict[str, object]:
         """What the stages need to know of a frame."""
-        frame, moment, distance = seen.frame, seen.moment, None
+        channels, moment, distance = seen.channels, seen.moment, None
         if self._stages["depth_of_field"] is not None:
-            distance = (frame.ray_distance, frame.front_label, frame.front_depth)
+            names = ("ray_distance", "front_label", "front_depth")
+            distance = tuple(channels[name] for name in names)
         automatic, noise = self._stages["exposure"], self._stages["noise"]
         light, gain = (1.0, 1.0) if automatic is None else automatic.split(moment.exposure)
         balance, readout = self._stages["white_balance"] or _NEUTRAL, None
@@ -240,9 +237,10 @@ class CameraChain:
         moved = seen.points.moved(renderer.model.organ.faces, neighbour, *fillings)
         apparent = renderer.bends(self.camera, seen.points, moved, neighbour, slot).apparent
         pose = neighbour.T_world_capsule @ self.camera.T_capsule_camera
-        device, frame = renderer.model.device, seen.frame
+        device, label = renderer.model.device, seen.channels["front_label"]
         capsule = (0.5 * device.length - device.radius, device.radius)
-        front = (frame.front_label, frame.front_depth, self.camera.T_capsule_camera, capsule)
+        depth = seen.channels["front_depth"]
+        front = (label, depth, self.camera.T_capsule_camera, capsule)
         return np.ascontiguousarray(apparent, np.float32), pose, front
 
 

@@ -6,6 +6,7 @@ use crate::contents::tile::{Filled, Room};
 use crate::cpu::on_pool;
 use crate::indirect::{Beneath, Irradiance, QuickLight};
 use crate::lanes::*;
+use crate::magnet::handle::read_pose;
 use crate::material::{Led, Surface};
 use crate::path::afloat::Afloat;
 use crate::path::light::Lit;
@@ -16,6 +17,7 @@ use crate::scene::{Scene, SceneData};
 use crate::shade::{Attributes, attributes, light, surface};
 use crate::tile::{Hits, Pyramid, trace};
 use crate::wall::Wall;
+use glam::DVec3;
 use numpy::PyReadonlyArray2;
 use pyo3::{exceptions::PyValueError, prelude::*, types::PyDict};
 use rayon::prelude::*;
@@ -53,7 +55,8 @@ impl View<'_> {
         exposure: f32,
         shadows: bool,
     ) -> PyResult<Self> {
-        let (pose, leds) = (pose.as_array(), leds.as_array());
+        let (given, leds) = (pose, leds.as_array());
+        let pose = given.as_array();
         if pose.dim() != (4, 4) || !pose.iter().all(|x| x.is_finite()) {
             return Err(PyValueError::new_err("A camera pose must be a finite 4 x 4 matrix."));
         }
@@ -62,20 +65,20 @@ impl View<'_> {
         }
         let to_world = [0, 1, 2].map(|r| [0, 1, 2].map(|c| pose[[r, c]] as f32));
         let to_camera = [0, 1, 2].map(|r| [0, 1, 2].map(|c| pose[[c, r]] as f32));
-        let turned = |v: [f64; 3], r: usize| (0..3).fold(0.0, |sum, c| sum + pose[[r, c]] * v[c]);
+        let (rotation, place) = read_pose(&given)?;
         let leds = leds
             .outer_iter()
             .map(|row| {
-                let (place, direction) = ([row[0], row[1], row[2]], [row[3], row[4], row[5]]);
+                let turned = |k: usize| rotation * DVec3::new(row[k], row[k + 1], row[k + 2]);
                 Led {
-                    position: wall.localize([0, 1, 2].map(|r| turned(place, r) + pose[[r, 3]])),
-                    direction: [0, 1, 2].map(|r| turned(direction, r) as f32),
+                    position: wall.localize((turned(0) + place).to_array()),
+                    direction: turned(3).as_vec3().to_array(),
                     intensity: [6, 7, 8].map(|k| row[k] as f32),
                     exponent: row[9] as f32,
                 }
             })
             .collect();
-        let origin = wall.localize([pose[[0, 3]], pose[[1, 3]], pose[[2, 3]]]);
+        let origin = wall.localize(place.to_array());
         let (center, paths, bounced, sources) = (wall.center, None, None, None);
         Ok(View {
             origin,

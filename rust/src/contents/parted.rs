@@ -1,5 +1,7 @@
 //! Spheres where a capsule has pushed aside those in its way.
 
+use crate::magnet::handle::read_pose;
+use crate::physics::body::Axis;
 use glam::DVec3;
 use numpy::{
     IntoPyArray, PyArray2, PyReadonlyArray1, PyReadonlyArray2,
@@ -22,14 +24,15 @@ pub fn around_capsule<'py>(
     capsule: (f64, f64),
 ) -> PyResult<Option<Bound<'py, PyArray2<f64>>>> {
     let (centers, radius) = (centers.as_array(), radius.as_array());
-    let (seats, pose) = (seats.as_array(), pose.as_array());
+    let seats = seats.as_array();
     let count = centers.nrows();
-    let fits = centers.ncols() == 3 && seats.ncols() == 3 && pose.dim() == (4, 4);
+    let fits = centers.ncols() == 3 && seats.ncols() == 3 && pose.as_array().dim() == (4, 4);
     if !fits || radius.len() != count || seats.nrows() > count {
         return Err(PyValueError::new_err("Spheres need a centre and a radius each, and seats."));
     }
-    let column = |c: usize| DVec3::new(pose[[0, c]], pose[[1, c]], pose[[2, c]]);
-    let (middle, axis) = (column(3), column(2));
+    let (rotation, middle) = read_pose(&pose)?;
+    let half = rotation.z_axis * capsule.0;
+    let axis = Axis::new(middle - half, 2.0 * half);
     let row = |row: ArrayView1<'_, f64>| DVec3::new(row[0], row[1], row[2]);
     let mut moved: Option<Array2<f64>> = None;
     let mut put = |k: usize, place: DVec3| {
@@ -40,27 +43,19 @@ pub fn around_capsule<'py>(
     };
     let free = count - seats.nrows();
     for (k, center) in centers.outer_iter().take(free).map(row).enumerate() {
-        if let Some(place) = pushed(center, radius[k], (middle, axis), capsule) {
+        if let Some(place) = pushed(center, &axis, capsule.1 + radius[k]) {
             put(k, place);
         }
     }
     for (k, seat) in seats.outer_iter().map(row).enumerate() {
-        let place = middle + column(0) * seat.x + column(1) * seat.y + column(2) * seat.z;
-        put(free + k, place);
+        put(free + k, rotation * seat + middle);
     }
     Ok(moved.map(|all| all.into_pyarray(py)))
 }
 
-/// Where a sphere goes, if a capsule with such a middle and direction is in its place.
-fn pushed(
-    center: DVec3,
-    radius: f64,
-    (middle, axis): (DVec3, DVec3),
-    (half, wide): (f64, f64),
-) -> Option<DVec3> {
-    let offset = center - middle;
-    let away = offset - axis * offset.dot(axis).clamp(-half.max(0.0), half.max(0.0));
+/// Where a sphere goes that is nearer to a capsule's axis than it may come [m].
+fn pushed(center: DVec3, axis: &Axis, need: f64) -> Option<DVec3> {
+    let away = center - axis.nearest(center);
     let distance = away.length();
-    let need = wide + radius;
     (distance < need).then(|| center + away * ((need - distance) / distance.max(1e-12)))
 }

@@ -1,7 +1,7 @@
 //! Where to hold a magnet so that it gives a capsule a wanted wrench.
 
 use super::arm::array;
-use super::handle::{FieldSources, internal_magnets, pose_of, pose_rows, rows};
+use super::handle::{FieldSources, internal_magnets, pose_rows, read_pose};
 use super::sources::{InternalMagnet, Source, Wrench, wrench};
 use crate::physics::solve::Symmetric6;
 use glam::{DMat3, DQuat, DVec3};
@@ -222,8 +222,8 @@ pub fn aim_magnet<'py>(
     rounds: usize,
 ) -> PyResult<Aimed<'py>> {
     let magnets = internal_magnets(&magnets)?;
-    let (turn, position) = pose_of(&rows(&pose, 4)?);
-    let start = pose_of(&rows(&start, 4)?);
+    let (turn, position) = read_pose(&pose)?;
+    let start = read_pose(&start)?;
     let rotation = DQuat::from_mat3(&turn);
     let mut others = sources.sources.clone();
     if index >= others.len() {

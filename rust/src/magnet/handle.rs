@@ -48,6 +48,11 @@ pub(crate) fn pose_of(m: &[f64]) -> (DMat3, DVec3) {
     (DMat3::from_cols(column(0), column(1), column(2)), column(3))
 }
 
+/// Rotation and place of a pose [4 4].
+pub(crate) fn read_pose(array: &PyReadonlyArray2<'_, f64>) -> PyResult<(DMat3, DVec3)> {
+    Ok(pose_of(&rows(array, 4)?))
+}
+
 /// Four rows of a pose.
 pub(crate) fn pose_rows(rotation: &DMat3, place: DVec3) -> [f64; 16] {
     let [x, y, z] = [rotation.x_axis, rotation.y_axis, rotation.z_axis];
@@ -64,7 +69,7 @@ impl FieldSources {
     }
 
     fn add(&mut self, pose: &PyReadonlyArray2<'_, f64>, kind: Kind) -> PyResult<()> {
-        let (rotation, position) = pose_of(&rows(pose, 4)?);
+        let (rotation, position) = read_pose(pose)?;
         self.sources.push(Source { kind, rotation, position, strength: 1.0, solid: None });
         Ok(())
     }
@@ -147,7 +152,7 @@ impl FieldSources {
 
     /// Moves a source.
     fn set_pose(&mut self, index: usize, pose: PyReadonlyArray2<'_, f64>) -> PyResult<()> {
-        let pose = pose_of(&rows(&pose, 4)?);
+        let pose = read_pose(&pose)?;
         let source = self.source(index)?;
         (source.rotation, source.position) = pose;
         Ok(())

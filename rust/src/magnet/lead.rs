@@ -1,6 +1,6 @@
 //! What leads a capsule on: `vrcaps.world.steering`.
 
-use super::handle::{pose_of, pose_rows, rows};
+use super::handle::{pose_rows, read_pose, rows};
 use super::turn::{towards, turned};
 use glam::{DMat3, DVec3};
 use numpy::{PyArray1, PyArray2, PyReadonlyArray2, ndarray::arr2};
@@ -114,7 +114,7 @@ pub fn lead_on<'py>(
 ) -> PyResult<Led<'py>> {
     let now = DMat3::from_cols_slice(&rows(&leader, 3)?);
     let now = Leader { place: now.x_axis, look: now.y_axis, side: now.z_axis };
-    let ((rotation, at), contact) = (pose_of(&rows(&capsule, 4)?), DVec3::from(contact));
+    let ((rotation, at), contact) = (read_pose(&capsule)?, DVec3::from(contact));
     let axis = rotation.z_axis;
     let next = Leader {
         place: now.moved(at, &goal, &steering, dt),

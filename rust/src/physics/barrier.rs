@@ -205,7 +205,7 @@ mod tests {
         let mut point = numbers();
         for _ in 0..200 {
             let (start, span) = (point(), 1.5 * point());
-            let axis = Axis { start, span, inverse_square: 1.0 / span.length_squared() };
+            let axis = Axis::new(start, span);
             let corners @ [a, b, c] = [point(), point(), point()];
             let (on_axis, on_triangle) = closest(&axis, corners);
             let found = (on_axis - on_triangle).length();

@@ -57,6 +57,12 @@ pub struct Axis {
 }
 
 impl Axis {
+    /// From one end and what leads to the other [m].
+    pub fn new(start: DVec3, span: DVec3) -> Self {
+        let square = span.length_squared();
+        Axis { start, span, inverse_square: if square > 0.0 { 1.0 / square } else { 0.0 } }
+    }
+
     /// From the nearest point of the axis to `p`.
     #[inline(always)]
     pub fn offset(&self, p: [f64; 3]) -> [f64; 3] {
@@ -79,12 +85,7 @@ impl Body {
     /// The axis of the body in motion `m`.
     pub fn axis(&self, m: &Motion) -> Axis {
         let span = m.rotation * DVec3::new(0.0, 0.0, 2.0 * self.half_axis);
-        let square = span.length_squared();
-        Axis {
-            start: m.position + m.rotation * self.center - 0.5 * span,
-            span,
-            inverse_square: if square > 0.0 { 1.0 / square } else { 0.0 },
-        }
+        Axis::new(m.position + m.rotation * self.center - 0.5 * span, span)
     }
 
     /// Inertia about the centre of mass, in the wall's frame [kg·m²].

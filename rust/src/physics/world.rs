@@ -13,7 +13,7 @@ use super::soft_wall::{Drive, SoftWall};
 use super::solve::Twist;
 use super::step::{Laws, Load, press};
 use crate::fem::layer::FemLayer;
-use crate::magnet::handle::{FieldSources, internal_magnets, pose_of, pose_rows, rows};
+use crate::magnet::handle::{FieldSources, internal_magnets, pose_rows, read_pose, rows};
 use crate::wall::Wall;
 use glam::{DMat3, DQuat, DVec3};
 use numpy::{IntoPyArray, PyArray2, PyReadonlyArray1, PyReadonlyArray2, ndarray, ndarray::Array2};
@@ -146,7 +146,7 @@ impl World {
         pose: PyReadonlyArray2<'_, f64>,
     ) -> PyResult<()> {
         let (begin, end) = (rows(&begin, SOURCE_ROW)?, rows(&end, SOURCE_ROW)?);
-        let (rotation, position) = pose_of(&rows(&pose, 4)?);
+        let (rotation, position) = read_pose(&pose)?;
         let magnets = self.magnets.as_mut().filter(|magnets| {
             begin.len() == end.len() && begin.len() == SOURCE_ROW * magnets.count()
         });
@@ -160,7 +160,7 @@ impl World {
     fn pulled(&mut self, pose: PyReadonlyArray2<'_, f64>) -> PyResult<Option<Report>> {
         let Some(magnets) = self.magnets.as_mut() else { return Ok(None) };
         magnets.finish();
-        Ok(Some(magnets.report(pose_of(&rows(&pose, 4)?))))
+        Ok(Some(magnets.report(read_pose(&pose)?)))
     }
 
     /// What lasts of the exchange with the layer: force [N] on each node, how far the felt wall is
@@ -249,7 +249,7 @@ impl World {
         py: Python<'py>,
         wall: PyReadonlyArray2<'py, f64>,
     ) -> PyResult<Bound<'py, PyArray2<f64>>> {
-        let (rotation, position) = pose_of(&rows(&wall, 4)?);
+        let (rotation, position) = read_pose(&wall)?;
         let turn = rotation * DMat3::from_quat(self.motion.rotation);
         let place = rotation * (self.motion.position + self.center) + position;
         Ok(table(py, pose_rows(&turn, place).to_vec(), 4))

@@ -106,30 +106,29 @@ impl Padded {
         });
         let planes = red.zip(green).zip(blue).zip(radius.zip(share));
         let blocks = self.widest.par_chunks_mut(width.div_ceil(BLOCK));
-        planes.zip(blocks).with_max_len(AT_ONCE).enumerate().for_each(
-            |(group, (planes, widest))| {
-                let (((red, green), blue), (radius, share)) = planes;
-                widest.fill(Widest::default());
-                for row in 0..radius.len() / stride {
-                    let (y, start) = (group * ROWS + row, row * stride + MARGIN);
-                    let inside = start..start + width;
-                    let [red, green, blue] = [&mut *red, &mut *green, &mut *blue]
-                        .map(|plane| &mut plane[inside.clone()]);
-                    light(y, [red, green, blue]);
-                    distances(y, &mut radius[inside.clone()]);
-                    radii(reach, focus, &mut radius[inside.clone()], &mut share[inside]);
-                    widen(&radius[start..], widest);
-                }
-            },
-        );
+        let groups = planes.zip(blocks).with_max_len(AT_ONCE).enumerate();
+        groups.for_each(|(group, (planes, widest))| {
+            let (((red, green), blue), (radius, share)) = planes;
+            widest.fill(Widest::default());
+            for row in 0..radius.len() / stride {
+                let (y, start) = (group * ROWS + row, row * stride + MARGIN);
+                let inside = start..start + width;
+                let [red, green, blue] =
+                    [&mut *red, &mut *green, &mut *blue].map(|plane| &mut plane[inside.clone()]);
+                light(y, [red, green, blue]);
+                distances(y, &mut radius[inside.clone()]);
+                radii(reach, focus, &mut radius[inside.clone()], &mut share[inside]);
+                widen(&radius[start..], widest);
+            }
+        });
     }
 
     /// Fills the lines of an image with the light of this one, spread.
     pub fn spread(&self, mut lines: Vec<Line<'_>>) {
         let blocks = self.size.1.div_ceil(BLOCK);
         let widest = &self.widest;
-        let farthest = widest.iter().fold(0.0, |most, block| max(block.near, most)) + 0.5;
-        let groups = farthest as usize / ROWS + 1;
+        let nearest = widest.iter().fold(0.0, |most, block| max(block.near, most));
+        let groups = (nearest + 0.5) as usize / ROWS + 1;
         lines.par_chunks_mut(ROWS).with_max_len(AT_ONCE).enumerate().for_each(|(group, lines)| {
             for block in 0..blocks {
                 let radius = around(widest, blocks, (group, block), groups);

@@ -88,7 +88,7 @@ impl Field {
         let (above, below) = (line(first), line((first + 1).min(rows - 1)));
         let mut all = [0; 2].map(|_| vec![0.0; width.max(STEP / 2 + columns * STEP)]);
         for (k, all) in all.iter_mut().enumerate() {
-            let known = |c: usize| above[c][k] + (below[c][k] - above[c][k]) * t;
+            let known = |c: usize| mix(above[c][k], below[c][k], t);
             let mut last = known(0);
             let (before, squares) = all.split_at_mut(STEP / 2);
             before.fill(last);

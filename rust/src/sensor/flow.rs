@@ -3,7 +3,9 @@
 use crate::contents::front::FRONT_BUBBLE;
 use crate::cpu::on_pool;
 use crate::lanes::*;
+use crate::magnet::handle::read_pose;
 use crate::rays::RayTable;
+use glam::{DMat3, DVec3};
 use numpy::{
     IntoPyArray, PyArray3, PyReadonlyArray2, PyReadonlyArray3, PyUntypedArrayMethods,
     ndarray::Array3,
@@ -30,12 +32,12 @@ pub type GivenFront<'py> =
 struct Front<'a> {
     label: &'a [u8],
     depth: &'a [f32],
-    to_capsule: Rows,
+    to_capsule: Pose,
     capsule: (f32, f32),
 }
 
-/// Upper rows of a rigid transform.
-type Rows = [[f64; 4]; 3];
+/// A rigid transform: rotation and where the origin comes.
+type Pose = (DMat3, DVec3);
 
 impl<'a> Front<'a> {
     fn of(given: &'a GivenFront<'_>, rays: &RayTable) -> PyResult<Self> {
@@ -44,7 +46,8 @@ impl<'a> Front<'a> {
         if label.shape() != size || depth.shape() != size || pose.shape() != [4, 4] {
             return Err(PyValueError::new_err("What is in front must fit the camera."));
         }
-        let (label, depth, to_capsule) = (label.as_slice()?, depth.as_slice()?, rows_of(pose));
+        let (label, depth) = (label.as_slice()?, depth.as_slice()?);
+        let to_capsule = read_pose(pose)?;
         Ok(Front { label, depth, to_capsule, capsule: *capsule })
     }
 
@@ -54,29 +57,16 @@ impl<'a> Front<'a> {
             return false;
         }
         let seen = scale(ray, self.depth[pixel] / ray[2]);
-        let [x, y, z] = apply(&self.to_capsule, seen.map(f64::from));
+        let [x, y, z] = apply(&self.to_capsule, seen);
         let (straight, radius) = self.capsule;
         let along = max(z.abs() - straight, 0.0);
         (x * x + y * y + along * along).sqrt() - radius < TOUCHING
     }
 }
 
-fn rows_of(pose: &PyReadonlyArray2<'_, f64>) -> Rows {
-    let pose = pose.as_array();
-    [0, 1, 2].map(|r| [0, 1, 2, 3].map(|c| pose[[r, c]]))
-}
-
-/// The way back of a rigid transform.
-fn inverse(pose: &Rows) -> Rows {
-    [0, 1, 2].map(|r| {
-        let [x, y, z] = [0, 1, 2].map(|c| pose[c][r]);
-        [x, y, z, -(x * pose[0][3] + y * pose[1][3] + z * pose[2][3])]
-    })
-}
-
 #[inline(always)]
-fn apply(pose: &Rows, [x, y, z]: [f64; 3]) -> Vec3 {
-    pose.map(|r| (r[0] * x + r[1] * y + r[2] * z + r[3]) as f32)
+fn apply((rotation, origin): &Pose, point: Vec3) -> Vec3 {
+    (*rotation * DVec3::from(point.map(f64::from)) + *origin).as_vec3().to_array()
 }
 
 /// As `flow_by_rays` takes them: points in the world [rows columns 3], pose of the camera in it, what
@@ -89,7 +79,7 @@ pub struct Points<'a> {
     rays: &'a RayTable,
     places: &'a [f32],
     size: (usize, usize),
-    to_camera: Rows,
+    to_camera: Pose,
     step: usize,
     front: Option<Front<'a>>,
 }
@@ -126,7 +116,9 @@ impl<'a> Points<'a> {
             return Err(PyValueError::new_err("Points and pose must fit the camera."));
         }
         let front = front.as_ref().map(|given| Front::of(given, rays)).transpose()?;
-        let (places, to_camera) = (points.as_slice()?, inverse(&rows_of(pose)));
+        let (rotation, origin) = read_pose(pose)?;
+        let back = rotation.transpose();
+        let (places, to_camera) = (points.as_slice()?, (back, -(back * origin)));
         Ok(Points { rays, places, size: (rows, columns), to_camera, step, front })
     }
 
@@ -158,7 +150,7 @@ impl<'a> Points<'a> {
     #[inline(always)]
     fn towards(&self, column: usize, row: usize) -> Vec3 {
         let place = &self.places[3 * (row * self.size.1 + column)..][..3];
-        apply(&self.to_camera, [place[0], place[1], place[2]].map(f64::from))
+        apply(&self.to_camera, [place[0], place[1], place[2]])
     }
 }
 

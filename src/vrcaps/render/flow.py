@@ -61,6 +61,9 @@ class SurfacePoints:
             state: The other state.
             now: What is in the lumen now.
             then: What is in it in the other state.
+
+        Returns:
+            `position` itself where nothing moves.
         """
         points = self._moved_wall(faces, state)
         if now is None or then is None or not now.spheres.has_chyme:

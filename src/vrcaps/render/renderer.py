@@ -145,7 +145,7 @@ class Renderer:
         """
         state_previous, state, state_next = states
         _check_channels(channels, state_next, state_previous)
-        arrays = self._arrays(channels, camera, out)
+        arrays = self._room(channels, camera, out)
         arrays |= {} if planes is None else {"radiance_planes": planes}
         if points is not None:
             arrays |= {f"sparse_{name}": array for name, array in vars(points).items()}
@@ -256,7 +256,7 @@ class Renderer:
         moved = moved.astype(float, copy=False)
         return bend_ways(eye, moved, levels, points.bend == MIRRORED, ior)
 
-    def _arrays(
+    def _room(
         self, channels: Sequence[str], camera: Camera, out: Frame | None
     ) -> dict[str, NDArray[Any]]:
         names = [name for name in channels if name in _ARRAYS]

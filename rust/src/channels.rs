@@ -1,7 +1,7 @@
 //! The arrays of an image that tiles write into.
 
 use crate::lanes::*;
-use numpy::{Element, PyArrayDyn, PyArrayMethods, PyReadwriteArrayDyn};
+use numpy::{Element, PyArrayDyn, PyArrayMethods, PyReadwriteArrayDyn, PyUntypedArrayMethods};
 use pyo3::{exceptions::PyValueError, prelude::*, types::PyDict};
 
 /// Pixels between those whose surface is written sparsely, the first in the middle of a square.
@@ -17,8 +17,7 @@ pub fn sparse(size: usize) -> usize {
 pub struct Channels<'a> {
     pub rgb: Option<&'a mut [u8]>,
     pub radiance: Option<&'a mut [f32]>,
-    /// Radiance by colours.
-    pub planes: [Option<&'a mut [f32]>; 3],
+    pub planes: Option<Planes<'a>>,
     pub depth: Option<&'a mut [f32]>,
     pub ray_distance: Option<&'a mut [f32]>,
     pub normal: Option<&'a mut [f32]>,
@@ -39,6 +38,13 @@ pub struct Channels<'a> {
     pub bend_label: Option<&'a mut [u8]>,
 }
 
+/// Radiance by colours, with a margin about the image.
+pub struct Planes<'a> {
+    colors: [&'a mut [f32]; 3],
+    stride: usize,
+    margin: usize,
+}
+
 impl<'a> Channels<'a> {
     /// Cuts the image into rows of tiles.
     pub fn bands(self, width: usize, count: usize) -> Vec<Channels<'a>> {
@@ -51,7 +57,7 @@ impl<'a> Channels<'a> {
         }
         let n = width * TILE;
         let (mut rgb, mut radiance) = (cut(self.rgb, n * 3), cut(self.radiance, n * 3));
-        let mut planes = self.planes.map(|plane| cut(plane, n));
+        let mut planes = self.planes.map(Planes::bands);
         let (mut depth, mut ray_distance) = (cut(self.depth, n), cut(self.ray_distance, n));
         let (mut normal, mut position) = (cut(self.normal, n * 3), cut(self.position, n * 3));
         let (mut label, mut instance) = (cut(self.label, n), cut(self.instance, n));
@@ -70,7 +76,7 @@ impl<'a> Channels<'a> {
             .map(|_| Channels {
                 rgb: rgb.next().flatten(),
                 radiance: radiance.next().flatten(),
-                planes: planes.each_mut().map(|plane| plane.next().flatten()),
+                planes: planes.as_mut().and_then(Iterator::next),
                 depth: depth.next().flatten(),
                 ray_distance: ray_distance.next().flatten(),
                 normal: normal.next().flatten(),
@@ -95,7 +101,7 @@ impl<'a> Channels<'a> {
 
     /// Whether an image is to be made.
     pub fn wants_light(&self) -> bool {
-        self.rgb.is_some() || self.radiance.is_some() || self.planes[0].is_some()
+        self.rgb.is_some() || self.radiance.is_some() || self.planes.is_some()
     }
 
     /// Whether surfaces are to be known that an image needs.
@@ -104,12 +110,56 @@ impl<'a> Channels<'a> {
     }
 }
 
-/// A channel of a dictionary, if it is there.
+impl<'a> Planes<'a> {
+    /// Of an array [3 h+2m w'] about an image of a height, where w' is w + 2m or more.
+    ///
+    /// # Errors
+    /// If it is of another shape.
+    pub fn of(
+        array: &'a mut Option<PyReadwriteArrayDyn<'_, f32>>,
+        (height, width): (usize, usize),
+    ) -> PyResult<Option<Self>> {
+        let Some(array) = array else { return Ok(None) };
+        let (shape, fits) =
+            (array.shape().to_vec(), "Channel radiance_planes has the wrong shape.");
+        let [3, rows, stride] = shape[..] else { return Err(PyValueError::new_err(fits)) };
+        let around = rows.checked_sub(height).filter(|around| around % 2 == 0);
+        let around = around.filter(|around| stride >= width + around);
+        let margin = around.ok_or_else(|| PyValueError::new_err(fits))? / 2;
+        let (red, rest) = array.as_slice_mut()?.split_at_mut(rows * stride);
+        let (green, blue) = rest.split_at_mut(rows * stride);
+        Ok(Some(Planes { colors: [red, green, blue], stride, margin }))
+    }
+
+    /// Rows of tiles.
+    fn bands(self) -> impl Iterator<Item = Planes<'a>> {
+        let Planes { colors, stride, margin } = self;
+        let mut rest = colors.map(|plane| plane[margin * stride..].chunks_mut(TILE * stride));
+        std::iter::repeat_with(move || {
+            let colors = rest.each_mut().map(|plane| plane.next().unwrap_or_default());
+            Planes { colors, stride, margin }
+        })
+    }
+}
+
+/// A channel of a dictionary of a shape, if it is there.
 pub fn take<'py, T: Element>(
     out: &Bound<'py, PyDict>,
     name: &str,
     (height, width): (usize, usize),
     components: usize,
+) -> PyResult<Option<PyReadwriteArrayDyn<'py, T>>> {
+    let array = find(out, name)?;
+    if array.as_ref().is_some_and(|array| array.len() != height * width * components) {
+        return Err(PyValueError::new_err(format!("Channel {name} has the wrong shape.")));
+    }
+    Ok(array)
+}
+
+/// A channel of a dictionary, if it is there.
+pub fn find<'py, T: Element>(
+    out: &Bound<'py, PyDict>,
+    name: &str,
 ) -> PyResult<Option<PyReadwriteArrayDyn<'py, T>>> {
     let Some(value) = out.get_item(name)? else {
         return Ok(None);
@@ -117,11 +167,7 @@ pub fn take<'py, T: Element>(
     let array = value
         .cast::<PyArrayDyn<T>>()
         .map_err(|_| PyValueError::new_err(format!("Channel {name} has the wrong dtype.")))?;
-    let array = array.try_readwrite()?;
-    if array.as_array().len() != height * width * components {
-        return Err(PyValueError::new_err(format!("Channel {name} has the wrong shape.")));
-    }
-    Ok(Some(array))
+    Ok(Some(array.try_readwrite()?))
 }
 
 /// Its numbers.
@@ -129,15 +175,6 @@ pub fn slice<'a, T: Element>(
     array: &'a mut Option<PyReadwriteArrayDyn<'_, T>>,
 ) -> PyResult<Option<&'a mut [T]>> {
     array.as_mut().map(|a| a.as_slice_mut().map_err(PyErr::from)).transpose()
-}
-
-/// Planes [3 h w], each by itself.
-pub fn by_colors(planes: Option<&mut [f32]>) -> [Option<&mut [f32]>; 3] {
-    let Some(planes) = planes else { return [None, None, None] };
-    let area = planes.len() / 3;
-    let (red, rest) = planes.split_at_mut(area);
-    let (green, blue) = rest.split_at_mut(area);
-    [Some(red), Some(green), Some(blue)]
 }
 
 /// Where a tile lies in its band.
@@ -194,20 +231,36 @@ impl Place {
         hit: &[bool; LANES],
         miss: T,
     ) {
-        let Some(pixels) = channel else { return };
+        if let Some(pixels) = channel {
+            self.put(pixels, self.size.0, values, hit, miss);
+        }
+    }
+
+    /// Writes pixels of rows that are so many apart.
+    #[inline(always)]
+    fn put<T: Copy>(
+        self,
+        pixels: &mut [T],
+        stride: usize,
+        values: &[T; LANES],
+        hit: &[bool; LANES],
+        miss: T,
+    ) {
         let mut known = [miss; LANES];
         for i in 0..LANES {
             known[i] = if hit[i] { values[i] } else { miss };
         }
         let (width, height) = self.size;
         let columns = (width - self.column).min(TILE);
-        for (y, row) in known.chunks_exact(TILE).take(height).enumerate() {
-            let start = y * width + self.column;
-            let out = &mut pixels[start..start + columns];
-            match <&mut [T; TILE]>::try_from(&mut *out) {
-                // A number of bytes known beforehand: no call to copy a few of them.
-                Ok(whole) => whole.copy_from_slice(row),
-                Err(_) => out.copy_from_slice(&row[..columns]),
+        let rows = pixels[self.column..].chunks_mut(stride).zip(known.chunks_exact(TILE));
+        // A number of bytes known beforehand: no call to copy a few of them.
+        if columns == TILE {
+            for (out, row) in rows.take(height) {
+                out[..TILE].copy_from_slice(row);
+            }
+        } else {
+            for (out, row) in rows.take(height) {
+                out[..columns].copy_from_slice(&row[..columns]);
             }
         }
     }
@@ -243,8 +296,10 @@ impl Place {
     ) {
         self.write_color(&mut out.rgb, radiance, exposure);
         self.write3(&mut out.radiance, radiance, hit, 0.0);
-        for (plane, values) in out.planes.iter_mut().zip(radiance) {
-            self.write(plane, values, hit, 0.0);
+        if let Some(Planes { colors, stride, margin }) = &mut out.planes {
+            for (plane, values) in colors.iter_mut().zip(radiance) {
+                self.put(&mut plane[*margin..], *stride, values, hit, 0.0);
+            }
         }
     }
 

@@ -127,11 +127,17 @@ pub fn load<const N: usize>(row: &[f32]) -> [f32; N] {
 /// Writes numbers to where a row begins, as far as it goes.
 #[inline(always)]
 pub fn store<const N: usize>(values: &[f32; N], row: &mut [f32]) {
-    if let Some(whole) = row.first_chunk_mut::<N>() {
-        *whole = *values;
-    } else {
-        row.copy_from_slice(&values[..row.len()]);
+    match row.first_chunk_mut::<N>() {
+        Some(whole) => *whole = *values,
+        None => store_some(values, row),
     }
+}
+
+/// By itself, so that a whole number of values is stored without a call.
+#[cold]
+#[inline(never)]
+fn store_some(values: &[f32], row: &mut [f32]) {
+    row.copy_from_slice(&values[..row.len()]);
 }
 
 #[cfg(test)]

@@ -1,6 +1,6 @@
 //! One image: trace, shade and write every channel that was asked for.
 
-use crate::channels::{Channels, Place, by_colors, slice, sparse, take};
+use crate::channels::{Channels, Place, Planes, find, slice, sparse, take};
 use crate::contents::Contents;
 use crate::contents::tile::{Filled, Room};
 use crate::cpu::on_pool;
@@ -168,7 +168,7 @@ pub fn render(
     let shape = (rays.height, rays.width);
     let mut rgb = take::<u8>(out, "rgb", shape, 3)?;
     let mut radiance = take::<f32>(out, "radiance", shape, 3)?;
-    let mut planes = take::<f32>(out, "radiance_planes", shape, 3)?;
+    let mut planes = find::<f32>(out, "radiance_planes")?;
     let mut depth = take::<f32>(out, "depth", shape, 1)?;
     let mut ray_distance = take::<f32>(out, "ray_distance", shape, 1)?;
     let mut normal = take::<f32>(out, "normal", shape, 3)?;
@@ -191,7 +191,7 @@ pub fn render(
     let channels = Channels {
         rgb: slice(&mut rgb)?,
         radiance: slice(&mut radiance)?,
-        planes: by_colors(slice(&mut planes)?),
+        planes: Planes::of(&mut planes, shape)?,
         depth: slice(&mut depth)?,
         ray_distance: slice(&mut ray_distance)?,
         normal: slice(&mut normal)?,

@@ -12,7 +12,6 @@ use crate::tile::{Hits, MISS};
 use crate::wall::Wall;
 use glam::Vec4;
 use rayon::prelude::*;
-use std::borrow::Cow;
 use std::f32::consts::PI;
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -57,15 +56,15 @@ impl QuickLight {
                 last[s as usize] = last[s as usize].map(|x| x * thinner);
             }
         }
-        let rows: Vec<Cow<'_, [Link]>> = reached
-            .par_iter()
-            .with_min_len(CHUNK)
-            .map(|&s| self.coarse_row(rest, moved.as_ref(), s as usize))
-            .collect();
+        let bent = moved.as_ref().map(|moved| self.bent_rows(rest, moved, &reached));
+        let row = |n: usize| match &bent {
+            Some(rows) => &rows[n][..],
+            None => &self.row(rest, reached[n] as usize).coarse,
+        };
         let mut leaving = last.clone();
         let mut before = [0.0; 3];
         for bounce in 0..BOUNCES {
-            let next = self.reflect((&reached, &kept), &rows, &last);
+            let next = self.reflect((&reached, &kept), row, &last);
             let total = next.iter().fold([0.0; 3], |s, c| add(s, [c[0], c[1], c[2]]));
             let rest_of_series = if bounce + 1 < BOUNCES { [1.0; 3] } else { tail(total, before) };
             before = total;
@@ -105,30 +104,28 @@ impl QuickLight {
         all.zip(0..).filter_map(|(is_reached, s)| is_reached.then_some(s)).collect()
     }
 
-    /// A site's coarse row on the wall as it is.
-    fn coarse_row<'a>(
-        &'a self,
-        rest: &Wall,
-        moved: Option<&Moved<'_>>,
-        site: usize,
-    ) -> Cow<'a, [Link]> {
-        let row = &self.row(rest, site).coarse;
-        let Some(moved) = moved else { return Cow::Borrowed(row) };
-        let factors = moved.factors(site, row.iter().map(|l| (l.from, l.share, l.exchange)));
-        let bent = |(link, factor): (&Link, f32)| Link { share: link.share * factor, ..*link };
-        row.iter().zip(factors).map(bent).collect()
+    /// Coarse rows of sites on the wall as it has moved.
+    fn bent_rows(&self, rest: &Wall, moved: &Moved<'_>, sites: &[u32]) -> Vec<Vec<Link>> {
+        let bend = |&site: &u32| {
+            let row = &self.row(rest, site as usize).coarse;
+            let links = row.iter().map(|l| (l.from, l.share, l.exchange));
+            let factors = moved.factors(site as usize, links);
+            let bent = |(link, factor): (&Link, f32)| Link { share: link.share * factor, ..*link };
+            row.iter().zip(factors).map(bent).collect()
+        };
+        sites.par_iter().with_min_len(CHUNK).map(bend).collect()
     }
 
-    /// Radiosity of sites by what leaves all others.
-    fn reflect(
+    /// Radiosity of sites, given their rows, by what leaves all others.
+    fn reflect<'a>(
         &self,
         (sites, kept): (&[u32], &[Vec3]),
-        rows: &[Cow<'_, [Link]>],
+        row: impl Fn(usize) -> &'a [Link] + Sync,
         leaving: &[Color],
     ) -> Vec<Color> {
-        let of_site = |((&s, kept), row): ((&u32, &Vec3), &Cow<'_, [Link]>)| {
+        let of_site = |(n, (&s, kept)): (usize, (&u32, &Vec3))| {
             let mut light = [0.0; 4];
-            for link in row.iter() {
+            for link in row(n) {
                 let from = &leaving[link.from as usize];
                 for k in 0..4 {
                     light[k] += link.share * from[k];
@@ -137,7 +134,7 @@ impl QuickLight {
             let [r, g, b] = self.reflected(s as usize, self.reflectance.mean);
             [light[0] * r * kept[0], light[1] * g * kept[1], light[2] * b * kept[2], 0.0]
         };
-        sites.par_iter().zip(kept).zip(rows).with_min_len(CHUNK).map(of_site).collect()
+        sites.par_iter().zip(kept).enumerate().with_min_len(CHUNK).map(of_site).collect()
     }
 }
 

@@ -21,8 +21,8 @@ const LEAST_SIDE: usize = 8;
 /// throws their light on, away from both; measured against path tracing in three organs.
 const GLOSS: f32 = 0.7;
 
-/// Where a ray ends: a vertex, and the cosine at which the light comes there.
-type End = (usize, f32);
+/// What a ray leaves: a site, and of the light of each colour the share that it reflects [1/m²].
+type End = (u32, Vec3);
 
 /// Radiosity of each site by its first reflection of the LEDs' light [W/m²].
 pub fn first_reflection(light: &QuickLight, wall: &Wall, leds: &[Led]) -> Vec<Color> {
@@ -34,32 +34,30 @@ pub fn first_reflection(light: &QuickLight, wall: &Wall, leds: &[Led]) -> Vec<Co
             let (number, arm) = (k / ARMS, k % ARMS);
             let led = &leds[number];
             let lobe = Lobe::shifted(led.direction, led.exponent, side, number);
-            send(wall, led.position, &lobe, (arm..side * side).step_by(ARMS))
+            send(light, wall, led.position, &lobe, (arm..side * side).step_by(ARMS))
         })
         .collect();
     let mut leaving = vec![[0.0; 4]; light.albedo.len()];
     for (led, ends) in leds.iter().zip(parts.chunks(ARMS)) {
         let solid_angle = if led.exponent == 0.0 { 2.0 * TAU } else { TAU / (led.exponent + 1.0) };
         let ray = scale(led.intensity, solid_angle / (side * side) as f32);
-        for &(vertex, cosine) in ends.iter().flatten() {
-            let site = light.sites.of_vertex[vertex] as usize;
-            let [base, gloss] = light.reflectance.at(cosine);
-            let share = light.reflected(site, [base, GLOSS * gloss]);
+        for (site, shares) in ends.iter().flatten() {
             for k in 0..3 {
-                leaving[site][k] += light.per_area[site] * ray[k] * share[k];
+                leaving[*site as usize][k] += ray[k] * shares[k];
             }
         }
     }
     leaving
 }
 
-/// Where some of the rays of a lobe end.
+/// What some of the rays of a lobe leave where they end.
 #[multiversion::multiversion(targets(
     "x86_64+avx512f+avx512bw+avx512cd+avx512dq+avx512vl",
     "x86_64+avx2",
     "aarch64+neon"
 ))]
 fn send(
+    light: &QuickLight,
     wall: &Wall,
     origin: Vec3,
     lobe: &Lobe,
@@ -73,7 +71,10 @@ fn send(
         if let Some(hit) = hit.filter(|hit| hit.edges[2] < 0.0) {
             let vertex = nearest_corner(wall, hit.triangle, hit.edges);
             let cosine = max(-dot(direction, wall.normals[vertex]), 0.0);
-            ends.push((vertex, cosine));
+            let site = light.sites.of_vertex[vertex];
+            let [base, gloss] = light.reflectance.at(cosine);
+            let shares = light.reflected(site as usize, [base, GLOSS * gloss]);
+            ends.push((site, scale(shares, light.per_area[site as usize])));
         }
     }
     ends

@@ -65,14 +65,23 @@ pub struct Scattered {
 impl Bloom {
     /// Light that an image [3 h w] scatters.
     pub fn scattered(&self, source: &[f32], (height, width): (usize, usize)) -> Scattered {
-        let planes: Vec<Vec<f32>> = source
-            .par_chunks(height * width)
-            .map(|plane| {
-                let cells = (height.div_ceil(CELL), width.div_ceil(CELL));
-                let coarse = gathered(plane, width, cells);
+        let cells = (height.div_ceil(CELL), width.div_ceil(CELL));
+        let mut coarse = vec![0.0; 3 * cells.0 * cells.1];
+        coarse.par_chunks_mut(cells.1).with_min_len(CELL).enumerate().for_each(|(k, line)| {
+            let (plane, row) = (k / cells.0, k % cells.0);
+            gather_row(
+                &source[plane * height * width..][..height * width],
+                (height, width),
+                row,
+                line,
+            );
+        });
+        let planes: Vec<Vec<f32>> = coarse
+            .par_chunks(cells.0 * cells.1)
+            .map(|coarse| {
                 let (halo, veil) = rayon::join(
-                    || blurred(&coarse, cells, cell_sigma(self.sigma)),
-                    || widely_blurred(&coarse, cells, cell_sigma(VEIL * self.sigma)),
+                    || blurred(coarse, cells, cell_sigma(self.sigma)),
+                    || widely_blurred(coarse, cells, cell_sigma(VEIL * self.sigma)),
                 );
                 let both: Vec<f32> =
                     halo.iter().zip(&veil).map(|(a, b)| 0.5 * self.share * (a + b)).collect();
@@ -101,7 +110,10 @@ fn widely_blurred(cells: &[f32], (rows, columns): (usize, usize), sigma: f32) ->
         return blurred(cells, (rows, columns), sigma);
     }
     let coarser = (rows.div_ceil(CELL), columns.div_ceil(CELL));
-    let gathered = gathered(cells, columns, coarser);
+    let mut gathered = vec![0.0; coarser.0 * coarser.1];
+    for (row, line) in gathered.chunks_exact_mut(coarser.1).enumerate() {
+        gather_row(cells, (rows, columns), row, line);
+    }
     let wide = across(&blurred(&gathered, coarser, cell_sigma(sigma)), coarser, columns);
     let mut out = vec![0.0; rows * columns];
     for (y, row) in out.chunks_exact_mut(columns).enumerate() {
@@ -124,39 +136,39 @@ fn between(fine: usize, count: usize) -> (usize, usize, f32) {
     (at as usize, (at as usize + 1).min(count - 1), at - (at as usize) as f32)
 }
 
-/// Light by cells, as a mean: each pixel's goes to the nearest cells, so that its place is kept.
+/// Light of a row of cells, as a mean: each pixel's goes to the nearest cells, so that its place is
+/// kept.
 #[multiversion::multiversion(targets(
     "x86_64+avx512f+avx512bw+avx512cd+avx512dq+avx512vl",
     "x86_64+avx2",
     "aarch64+neon"
 ))]
-fn gathered(plane: &[f32], width: usize, (rows, columns): (usize, usize)) -> Vec<f32> {
-    // Down first, whole rows at a time, then along what few rows are left.
-    let mut tall = vec![0.0f32; rows * width];
-    for (y, row) in plane.chunks_exact(width).enumerate() {
+fn gather_row(plane: &[f32], (height, width): (usize, usize), cell: usize, line: &mut [f32]) {
+    let (rows, columns) = (height.div_ceil(CELL), line.len());
+    // Down first, whole rows at a time, then along the one that is left.
+    let mut tall = vec![0.0f32; width];
+    let (first, last) =
+        ((cell * CELL).saturating_sub(HALF), ((cell + 1) * CELL + HALF).min(height));
+    for (y, row) in (first..last).zip(plane[first * width..].chunks_exact(width)) {
         let (top, bottom, t) = between(y, rows);
-        for (into, share) in [(top, 1.0 - t), (bottom, t)] {
-            let share = share / (CELL * CELL) as f32;
-            for (sum, value) in tall[into * width..][..width].iter_mut().zip(row) {
-                *sum += share * value;
-            }
+        let share = |into: usize, share: f32| if into == cell { share } else { 0.0 };
+        let share = (share(top, 1.0 - t) + share(bottom, t)) / (CELL * CELL) as f32;
+        for (sum, value) in tall.iter_mut().zip(row) {
+            *sum += share * value;
         }
     }
-    let mut cells = vec![0.0f32; rows * columns];
-    for (line, row) in cells.chunks_exact_mut(columns).zip(tall.chunks_exact(width)) {
-        let (first, rest) = row.split_at(HALF.min(width));
-        line[0] += first.iter().sum::<f32>();
-        for (left, part) in rest.chunks(CELL).enumerate() {
-            let (mut whole, mut beyond) = (0.0, 0.0);
-            for (value, share) in part.iter().zip(SHARES) {
-                whole += value;
-                beyond += value * share;
-            }
-            line[left] += whole - beyond;
-            line[(left + 1).min(columns - 1)] += beyond;
+    line.fill(0.0);
+    let (first, rest) = tall.split_at(HALF.min(width));
+    line[0] += first.iter().sum::<f32>();
+    for (left, part) in rest.chunks(CELL).enumerate() {
+        let (mut whole, mut beyond) = (0.0, 0.0);
+        for (value, share) in part.iter().zip(SHARES) {
+            whole += value;
+            beyond += value * share;
         }
+        line[left] += whole - beyond;
+        line[(left + 1).min(columns - 1)] += beyond;
     }
-    cells
 }
 
 /// Convolution with a Gaussian, dark outside.

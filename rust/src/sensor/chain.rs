@@ -3,20 +3,21 @@
 use super::bayer::{demosaic_line, mirrored_about};
 use super::bloom::{Bloom, Scattered};
 use super::defocus::{Padded, bring_near};
-use super::dome::{Drops, Film, GivenDrops, GivenFilm};
+use super::dome::{Drops, Film, GivenDrops, GivenFilm, totals};
 use super::field::{Field, Shutter};
 use super::flow::{GivenPoints, Points};
 use super::jpeg::Compression;
-use super::motion::Still;
+use super::motion::{Lit, Still, go_on, inside, with_margin};
 use super::noise::{Readout, Sensor, streams};
-use super::planes::{Line, Scaling, amplify, develop_row, interleave, rows, shade_row, size};
+use super::planes::{Line, Scaling, amplify, develop_row, interleave, rows, shade_row};
 use crate::channels::STEP;
 use crate::contents::front::FRONT_BUBBLE;
 use crate::cpu::on_pool;
+use crate::lanes::Vec3;
 use crate::rays::RayTable;
 use numpy::{
-    Element, IntoPyArray, PyArray3, PyReadonlyArray2, PyReadonlyArray3, PyUntypedArrayMethods,
-    ndarray::Array3,
+    Element, IntoPyArray, PyArray3, PyReadonlyArray2, PyReadonlyArray3, PyReadwriteArray3,
+    PyUntypedArrayMethods, ndarray::Array3,
 };
 use pyo3::{exceptions::PyValueError, prelude::*};
 use rayon::prelude::*;
@@ -83,7 +84,7 @@ pub struct CameraStages {
     size: (usize, usize),
     lit: Vec<bool>,
     cosine: Vec<f32>,
-    shutter: Option<Shutter>,
+    shutter: Option<(Shutter, Lit)>,
     defocus: Option<(f32, f32)>,
     film: Option<Film>,
     scaling: Option<Scaling>,
@@ -98,7 +99,6 @@ pub struct CameraStages {
 
 /// Planes of one frame.
 struct Room {
-    still: Still,
     padded: Option<Padded>,
     planes: Vec<f32>,
     spare: Vec<f32>,
@@ -107,7 +107,6 @@ struct Room {
 
 /// A frame's arrays, as far as stages use them.
 struct Frame<'a> {
-    light: &'a [f32],
     factor: f32,
     points: Option<Points<'a>>,
     /// Sense of their motion in time.
@@ -135,12 +134,14 @@ impl CameraStages {
         }
         let [response, offset] =
             given.pattern.each_ref().map(|p| p.as_slice().map(<[f32]>::to_vec));
+        let lit = of_image(&given.lit, size)?.to_vec();
+        let shutter = given.shutter.map(|times| (Shutter::of(times), Lit::new(size, &lit)));
         Ok(CameraStages {
             size,
             rays: given.rays,
-            lit: of_image(&given.lit, size)?.to_vec(),
+            lit,
             cosine: of_image(&given.cosine, size)?.to_vec(),
-            shutter: given.shutter.map(Shutter::of),
+            shutter,
             defocus: given.defocus,
             film: given.film.as_ref().map(|film| Film::of(film, size)).transpose()?,
             scaling: given.scales.map(|(center, scales)| Scaling::new(size, center, scales)),
@@ -156,14 +157,24 @@ impl CameraStages {
         })
     }
 
-    /// The 8-bit image [h w 3] that the camera makes of radiance [3 h w].
+    /// Shape of radiance with the margin about the image that motion needs, as wide on all sides or
+    /// wider on the right.
+    #[getter]
+    fn room(&self) -> (usize, usize, usize) {
+        let (rows, columns) = with_margin(self.size);
+        (3, rows, columns)
+    }
+
+    /// The 8-bit image [h w 3] that the camera makes of radiance, whose margin is filled; it is 0
+    /// where the camera sees nothing.
     fn apply<'py>(
         &self,
         py: Python<'py>,
-        radiance: PyReadonlyArray3<'py, f32>,
+        mut radiance: PyReadwriteArray3<'py, f32>,
         shot: Shot<'py>,
     ) -> PyResult<Bound<'py, PyArray3<u8>>> {
-        if size(&radiance)? != self.size || (self.defocus.is_some() && shot.distance.is_none()) {
+        self.check(radiance.shape())?;
+        if self.defocus.is_some() && shot.distance.is_none() {
             return Err(misfit());
         }
         let sensor = |readout| Sensor {
@@ -173,7 +184,6 @@ impl CameraStages {
         };
         let points = |given| Points::of(self.rays.get(), given, STEP);
         let frame = Frame {
-            light: radiance.as_slice()?,
             factor: shot.factor,
             points: shot.points.as_ref().map(points).transpose()?,
             sense: if shot.is_backward { -1.0 } else { 1.0 },
@@ -185,26 +195,28 @@ impl CameraStages {
             sensor: shot.readout.as_ref().map(sensor),
             gains: shot.gains,
         };
-        let out = on_pool(py, || self.take(&frame));
+        let light = radiance.as_slice_mut()?;
+        let out = on_pool(py, || self.take(light, &frame));
         let (height, width) = self.size;
         let image = Array3::from_shape_vec((height, width, 3), out).expect("every pixel is filled");
         Ok(image.into_pyarray(py))
     }
 
-    /// Mean of the luminance of radiance [3 h w], given its factors, over every few lit pixels of
-    /// every few rows; each is cut at 1. As if nothing moved nor lay on the dome.
+    /// Mean of the luminance of radiance with a margin, given its factors, over every few lit
+    /// pixels of every few rows; each is cut at 1. As if nothing moved nor lay on the dome.
     fn meter(&self, radiance: PyReadonlyArray3<'_, f32>, factors: [f32; 3]) -> PyResult<f64> {
-        if size(&radiance)? != self.size {
-            return Err(misfit());
-        }
-        let (light, (height, width), area) = (radiance.as_slice()?, self.size, self.lit.len());
+        self.check(radiance.shape())?;
+        let (light, (height, width)) = (radiance.as_slice()?, self.size);
         let (mut sum, mut count) = (0.0, 0);
         for y in (STEP.min(height / 2)..height).step_by(2 * STEP) {
-            let share = self.shutter.map_or(1.0, |s| s.window(y as f32, height).share);
-            for x in (STEP / 2..width).step_by(STEP).map(|x| y * width + x) {
-                if self.lit[x] {
-                    let [r, g, b] = [0, 1, 2].map(|k| factors[k] * light[k * area + x]);
-                    let shade = share * self.shade.as_ref().map_or(1.0, |shade| shade[x]);
+            let colors = [0, 1, 2].map(|k| self.row(light, k, y));
+            let shutter = self.shutter.as_ref();
+            let share = shutter.map_or(1.0, |(times, _)| times.window(y as f32, height).share);
+            for x in (STEP / 2..width).step_by(STEP) {
+                let pixel = y * width + x;
+                if self.lit[pixel] {
+                    let [r, g, b] = [0, 1, 2].map(|k| factors[k] * colors[k][x]);
+                    let shade = share * self.shade.as_ref().map_or(1.0, |shade| shade[pixel]);
                     sum += f64::from(((r + g + b) * shade).min(1.0));
                     count += 1;
                 }
@@ -247,12 +259,22 @@ fn misfit() -> PyErr {
 }
 
 impl CameraStages {
-    fn take(&self, frame: &Frame<'_>) -> Vec<u8> {
+    fn check(&self, radiance: &[usize]) -> PyResult<()> {
+        let (colors, rows, columns) = self.room();
+        if radiance == [colors, rows, columns] { Ok(()) } else { Err(misfit()) }
+    }
+
+    /// A row of one colour of radiance.
+    fn row<'a>(&self, light: &'a [f32], color: usize, y: usize) -> &'a [f32] {
+        &light[color * (light.len() / 3)..][inside(y, self.size)]
+    }
+
+    fn take(&self, light: &mut [f32], frame: &Frame<'_>) -> Vec<u8> {
         let kept = self.rooms.lock().ok().and_then(|mut rooms| rooms.pop());
         let mut room = kept.unwrap_or_else(|| self.new_room());
         let mut out = vec![0; 3 * self.lit.len()];
-        self.expose(frame, &mut room);
-        self.look_through_dome(frame, &mut room.planes);
+        let totals = self.expose(light, frame, &mut room);
+        self.look_through_dome(frame, &totals, &mut room.planes);
         self.part_colors(&mut room);
         let scattered = self.bloom.map(|bloom| bloom.scattered(&room.planes, self.size));
         self.read(frame, scattered.as_ref(), &mut room);
@@ -276,7 +298,6 @@ impl CameraStages {
     fn new_room(&self) -> Room {
         let area = self.lit.len();
         Room {
-            still: Still::new(self.size, &self.lit),
             padded: self.defocus.map(|_| Padded::new(self.size)),
             planes: vec![0.0; 3 * area],
             spare: vec![0.0; 3 * area],
@@ -284,29 +305,37 @@ impl CameraStages {
         }
     }
 
-    /// Motion blur, rolling shutter, depth of field.
-    fn expose(&self, frame: &Frame<'_>, room: &mut Room) {
-        let ((height, width), Room { still, padded, planes, .. }) = (self.size, room);
-        let field = self.shutter.map(|shutter| {
-            still.fill(frame.light, frame.factor);
-            (frame.motion(shutter, height), shutter)
+    /// Motion blur, rolling shutter, depth of field; the light of each row.
+    fn expose(&self, light: &mut [f32], frame: &Frame<'_>, room: &mut Room) -> Vec<Vec3> {
+        let (size, Room { padded, planes, .. }) = (self.size, room);
+        let moving = self.shutter.as_ref().map(|(shutter, lit)| {
+            let find = || frame.motion(*shutter, size.0);
+            let ((), motion) = rayon::join(|| go_on(light, size), find);
+            (motion, *shutter, lit)
         });
-        let light = |y: usize, line: Line<'_>| match &field {
-            Some((motion, shutter)) => still.blur(y, motion, *shutter, line),
+        let light = &*light;
+        let moving = moving
+            .map(|(motion, shutter, lit)| (Still::new(light, lit, frame.factor), motion, shutter));
+        let exposed = |y: usize, line: Line<'_>| match &moving {
+            Some((still, motion, shutter)) => still.blur(y, motion, *shutter, line),
             None => {
                 for (k, row) in line.into_iter().enumerate() {
-                    let from = &frame.light[(k * height + y) * width..][..width];
-                    amplify(from, frame.factor, row);
+                    amplify(self.row(light, k, y), frame.factor, row);
                 }
             }
         };
-        let Some((padded, lens)) = padded.as_mut().zip(self.defocus) else {
-            let lines = rows(planes, self.size).into_par_iter().enumerate();
-            lines.for_each(|(y, line)| light(y, line));
-            return;
-        };
-        padded.fill(lens, light, |y, row| self.distances(frame, y, row));
-        padded.spread(rows(planes, self.size));
+        let mut sums = vec![[0.0; 3]; size.0];
+        if let Some((padded, lens)) = padded.as_mut().zip(self.defocus) {
+            padded.fill(lens, exposed, |y, row| self.distances(frame, y, row));
+            padded.spread(rows(planes, size), &mut sums);
+        } else {
+            let lines = rows(planes, size).into_par_iter().zip(&mut sums).enumerate();
+            lines.for_each(|(y, (mut line, sum))| {
+                exposed(y, line.each_mut().map(|row| &mut **row));
+                *sum = totals(&line);
+            });
+        }
+        sums
     }
 
     /// Distance along the ray of the bubble or else the wall that the pixels of a row see [m].
@@ -321,14 +350,14 @@ impl CameraStages {
         bring_near(row, front, (&depth[pixels.clone()], &self.cosine[pixels]));
     }
 
-    /// Droplets and smears.
-    fn look_through_dome(&self, frame: &Frame<'_>, planes: &mut [f32]) {
+    /// Droplets and smears, given the light of each row before them.
+    fn look_through_dome(&self, frame: &Frame<'_>, totals: &[Vec3], planes: &mut [f32]) {
         let (height, width) = self.size;
-        let veils = self.film.as_ref().map(|film| film.veils(planes, width));
         if let Some(drops) = &frame.drops {
             drops.refract(planes);
         }
-        let Some((film, veils)) = self.film.as_ref().zip(veils) else { return };
+        let Some(film) = &self.film else { return };
+        let veils = film.veils(totals);
         planes.par_chunks_mut(width).enumerate().for_each(|(row, values)| {
             film.cover(values, (row / height, row % height), veils[row / height]);
         });

@@ -1,9 +1,10 @@
 //! Blur of what is out of focus, by the circle of confusion of a thin lens.
 
+use super::dome::totals;
 use super::planes::{Line, planes_array, rows, size};
 use crate::contents::front::FRONT_BUBBLE;
 use crate::cpu::on_pool;
-use crate::lanes::{clamp, load, max, min, store};
+use crate::lanes::{Vec3, clamp, load, max, min, store};
 use numpy::{PyArray3, PyReadonlyArray2, PyReadonlyArray3, PyUntypedArrayMethods};
 use pyo3::{exceptions::PyValueError, prelude::*};
 use rayon::prelude::*;
@@ -75,7 +76,7 @@ pub fn defocus<'py>(
         padded.fill((reach, focus), light, |y, row| {
             row.copy_from_slice(&distance[y * width..][..width]);
         });
-        padded.spread(rows(&mut out, (height, width)));
+        padded.spread(rows(&mut out, (height, width)), &mut vec![[0.0; 3]; height]);
     });
     Ok(planes_array(py, out, (height, width)))
 }
@@ -123,13 +124,14 @@ impl Padded {
         });
     }
 
-    /// Fills the lines of an image with the light of this one, spread.
-    pub fn spread(&self, mut lines: Vec<Line<'_>>) {
+    /// Fills the lines of an image with the light of this one, spread, and finds their `totals`.
+    pub fn spread(&self, mut lines: Vec<Line<'_>>, sums: &mut [Vec3]) {
         let blocks = self.size.1.div_ceil(BLOCK);
         let widest = &self.widest;
         let nearest = widest.iter().fold(0.0, |most, block| max(block.near, most));
         let groups = (nearest + 0.5) as usize / ROWS + 1;
-        lines.par_chunks_mut(ROWS).with_max_len(AT_ONCE).enumerate().for_each(|(group, lines)| {
+        let lines = lines.par_chunks_mut(ROWS).zip(sums.par_chunks_mut(ROWS));
+        lines.with_max_len(AT_ONCE).enumerate().for_each(|(group, (lines, sums))| {
             for block in 0..blocks {
                 let radius = around(widest, blocks, (group, block), groups);
                 self.fetch((group * ROWS, (block + AHEAD) * BLOCK), radius);
@@ -139,6 +141,9 @@ impl Padded {
                         store(values, &mut row[block * BLOCK..]);
                     }
                 }
+            }
+            for (line, sum) in lines.iter().zip(sums) {
+                *sum = totals(line);
             }
         });
     }

@@ -1,8 +1,9 @@
 //! An image seen through what lies on the capsule's dome: films that absorb and scatter, and drops
 //! that are lenses.
 
-use super::planes::{planes_array, size};
+use super::planes::{Line, planes_array, rows, size};
 use crate::cpu::on_pool;
+use crate::lanes::Vec3;
 use numpy::{
     PyArray3, PyReadonlyArray1, PyReadonlyArray2, PyReadonlyArray3, PyUntypedArrayMethods,
 };
@@ -47,13 +48,10 @@ impl Film {
         Ok(Film { left: left.as_slice()?.to_vec(), clear: clear.as_slice()?.to_vec(), lit: *lit })
     }
 
-    /// What the film scatters into every pixel of each plane [3 h w] with rows of a width.
-    pub fn veils(&self, planes: &[f32], width: usize) -> [f32; 3] {
-        let rows = planes.par_chunks(width).with_min_len(MIN_ROWS);
-        let sums: Vec<f64> = rows.map(|row| f64::from(total(row))).collect();
-        let height = sums.len() / 3;
-        let mean = |k: usize| sums[k * height..][..height].iter().sum::<f64>() / self.lit.max(1.0);
-        [0, 1, 2].map(|k| mean(k) as f32)
+    /// What the film scatters into every pixel of each colour, given the `totals` of all rows.
+    pub fn veils(&self, rows: &[Vec3]) -> Vec3 {
+        let sum = |k: usize| rows.iter().map(|row| f64::from(row[k])).sum::<f64>();
+        [0, 1, 2].map(|k| (sum(k) / self.lit.max(1.0)) as f32)
     }
 
     /// Covers a row of a plane.
@@ -103,9 +101,13 @@ impl<'a> Drops<'a> {
     }
 }
 
-/// Fewest rows that one thread takes, and pixels behind drops.
-const MIN_ROWS: usize = 64;
+/// Pixels behind drops that one thread takes.
 const PIXELS: usize = 256;
+
+/// Light of each colour in a row.
+pub fn totals(line: &Line<'_>) -> Vec3 {
+    line.each_ref().map(|row| total(row))
+}
 
 /// Planes [3 h w] as they are seen through drops and a film.
 #[pyfunction]
@@ -121,7 +123,9 @@ pub fn through_dome<'py>(
     let drops = drops.as_ref().map(|drops| Drops::of(drops, height * width)).transpose()?;
     let mut out = planes.as_slice()?.to_vec();
     on_pool(py, || {
-        let veils = film.as_ref().map(|film| film.veils(&out, width));
+        let lines = rows(&mut out, (height, width));
+        let veils =
+            film.as_ref().map(|film| film.veils(&lines.iter().map(totals).collect::<Vec<_>>()));
         if let Some(drops) = &drops {
             drops.refract(&mut out);
         }

@@ -1,12 +1,13 @@
 //! Motion while the shutter is open, and rows that are read one after another.
 
 use super::field::{Field, Shutter, Window, whole};
-use super::planes::{Line, parted, planes_array, rows, size_of_image};
+use super::planes::{Line, planes_array, rows, size_of_image};
 use crate::cpu::on_pool;
 use crate::lanes::{clamp, load, max, min, store};
 use numpy::{PyArray3, PyReadonlyArray2, PyReadonlyArray3, PyUntypedArrayMethods};
 use pyo3::{exceptions::PyValueError, prelude::*};
 use rayon::prelude::*;
+use std::ops::Range;
 
 /// Most places a pixel is averaged over.
 const MOST_SAMPLES: f32 = 64.0;
@@ -42,9 +43,10 @@ pub fn blur_motion<'py>(
     let mut out = vec![0.0; source.len()];
     on_pool(py, || {
         let motion = Field::new(vectors, (rows_known, columns)).when_read(shutter, height);
-        let planes = parted(source, (height, width), factor);
-        let mut still = Still::new((height, width), lit);
-        still.fill(&planes, 1.0);
+        let lit = Lit::new((height, width), lit);
+        let mut planes = lit.framed(source);
+        go_on(&mut planes, (height, width));
+        let still = Still::new(&planes, &lit, factor);
         let lines = rows(&mut out, (height, width)).into_par_iter().enumerate();
         lines.for_each(|(y, line)| still.blur(y, &motion, shutter, line));
     });
@@ -54,7 +56,7 @@ pub fn blur_motion<'py>(
 /// Pixels worked on together.
 const RUN: usize = 32;
 /// Columns and rows about the image, which goes on there as at its edge.
-const MARGIN: usize = RUN;
+const MARGIN: usize = 16;
 /// Most neighbours to a side that the places of a run are taken from together.
 const MOST_TAPS: usize = 4;
 /// Distance of places that surely have no more neighbours than that [px].
@@ -62,79 +64,132 @@ const MOST_SPREAD: f32 = (MOST_TAPS - 2) as f32;
 
 type Run = [f32; RUN];
 
-/// The image at its instant with a margin: red, green, blue, and 1 where it is lit; all 0 elsewhere.
-pub struct Still {
-    planes: [Vec<f32>; 4],
-    size: (usize, usize),
-    stride: usize,
-    /// Whether all of a square of `RUN` by `RUN` pixels within the image is lit.
-    is_lit: Vec<bool>,
+/// Rows and columns of a plane of an image of a size with its margin.
+pub fn with_margin((height, width): (usize, usize)) -> (usize, usize) {
+    (height + 2 * MARGIN, width.div_ceil(RUN) * RUN + 2 * MARGIN)
 }
 
-impl Still {
-    /// Room for an image of a size, with its margin.
-    pub fn new(size: (usize, usize), lit: &[bool]) -> Self {
-        let (height, width) = size;
-        let stride = width.div_ceil(RUN) * RUN + 2 * MARGIN;
-        let mut planes = [0; 4].map(|_| vec![0.0; stride * (height + 2 * MARGIN)]);
-        let squares = width.div_ceil(RUN);
-        let mut is_lit = vec![true; squares * height.div_ceil(RUN)];
-        let shares: Vec<f32> = lit.iter().map(|&lit| f32::from(u8::from(lit))).collect();
-        for (y, lit) in lit.chunks_exact(width).enumerate() {
-            for (x, &lit) in lit.iter().enumerate() {
-                is_lit[y / RUN * squares + x / RUN] &= lit;
-            }
-            let row = &mut planes[3][(y + MARGIN) * stride..][..stride];
-            let share = &shares[y * width..][..width];
-            fill_row(share, share, 1.0, row);
+/// Where a row of the image is in a plane with a margin.
+pub fn inside(y: usize, (height, width): (usize, usize)) -> Range<usize> {
+    let start = (y + MARGIN) * with_margin((height, width)).1 + MARGIN;
+    start..start + width
+}
+
+/// Fills the margin of planes: the image goes on as at its edge.
+pub fn go_on(planes: &mut [f32], size: (usize, usize)) {
+    let ((height, width), (rows, stride)) = (size, with_margin(size));
+    planes.par_chunks_mut(rows * stride).for_each(|plane| {
+        for row in plane.chunks_exact_mut(stride).skip(MARGIN).take(height) {
+            let (left, right) = (row[MARGIN], row[MARGIN + width - 1]);
+            row[..MARGIN].fill(left);
+            row[MARGIN + width..].fill(right);
         }
-        go_on(&mut planes[3], stride);
-        Still { planes, size, stride, is_lit }
+        let last = (MARGIN + height - 1) * stride;
+        for row in 0..MARGIN {
+            plane.copy_within(MARGIN * stride..(MARGIN + 1) * stride, row * stride);
+            plane.copy_within(last..last + stride, last + (row + 1) * stride);
+        }
+    });
+}
+
+/// Which pixels see anything.
+pub struct Lit {
+    /// 1 where they do, or else 0, with a margin.
+    shares: Vec<f32>,
+    /// Whether all of a square of `RUN` by `RUN` pixels within the image do.
+    squares: Vec<bool>,
+    size: (usize, usize),
+}
+
+impl Lit {
+    /// Of an image of a size.
+    pub fn new(size: (usize, usize), lit: &[bool]) -> Self {
+        let ((height, width), (rows, stride)) = (size, with_margin(size));
+        let columns = width.div_ceil(RUN);
+        let mut squares = vec![true; columns * height.div_ceil(RUN)];
+        let mut shares = vec![0.0; rows * stride];
+        for (y, lit) in lit.chunks_exact(width).enumerate() {
+            for (x, (&lit, share)) in lit.iter().zip(&mut shares[inside(y, size)]).enumerate() {
+                squares[y / RUN * columns + x / RUN] &= lit;
+                *share = f32::from(u8::from(lit));
+            }
+        }
+        go_on(&mut shares, size);
+        Lit { shares, squares, size }
     }
 
-    /// Takes an image [3 h w], times a factor.
-    pub fn fill(&mut self, image: &[f32], factor: f32) {
-        let ((height, width), stride) = (self.size, self.stride);
-        let [colors @ .., lit] = &mut self.planes;
-        let lit = &*lit;
-        colors.par_iter_mut().enumerate().for_each(|(k, plane)| {
-            let rows = plane.par_chunks_mut(stride).skip(MARGIN).take(height);
-            rows.with_min_len(MIN_ROWS).enumerate().for_each(|(y, row)| {
-                let lit = &lit[(y + MARGIN) * stride + MARGIN..][..width];
-                fill_row(&image[(k * height + y) * width..][..width], lit, factor, row);
-            });
-            go_on(plane, stride);
-        });
+    /// Planes of an image [h w 3] with room for a margin, black where it is not lit.
+    fn framed(&self, image: &[f32]) -> Vec<f32> {
+        let ((_, width), area) = (self.size, self.shares.len());
+        let mut planes = vec![0.0; 3 * area];
+        for (y, row) in image.chunks_exact(3 * width).enumerate() {
+            for (place, pixel) in inside(y, self.size).zip(row.chunks_exact(3)) {
+                for k in 0..3 {
+                    planes[k * area + place] = pixel[k] * self.shares[place];
+                }
+            }
+        }
+        planes
+    }
+}
+
+/// The image at its instant.
+pub struct Still<'a> {
+    /// Red, green, blue, with a margin; 0 where it is not lit.
+    colors: [&'a [f32]; 3],
+    lit: &'a Lit,
+    factor: f32,
+}
+
+impl<'a> Still<'a> {
+    /// Of planes with a margin that is filled, to be multiplied by a factor.
+    pub fn new(planes: &'a [f32], lit: &'a Lit, factor: f32) -> Self {
+        let area = planes.len() / 3;
+        Still { colors: [0, 1, 2].map(|k| &planes[k * area..][..area]), lit, factor }
     }
 
     /// Fills a line of an image with the mean over the time that it is open, given the motion when
     /// it is read.
     pub fn blur(&self, y: usize, motion: &Field, shutter: Shutter, line: Line<'_>) {
-        blur_row(self, y, motion, shutter.window(y as f32, self.size.0), line);
+        let mut window = shutter.window(y as f32, self.lit.size.0);
+        window.share *= self.factor;
+        blur_row(self, y, motion, window, line);
     }
 
     /// Where a pixel of the image or its margin is in a plane.
     #[inline(always)]
     fn index(&self, row: isize, column: isize) -> usize {
-        MARGIN.wrapping_add_signed(row) * self.stride + MARGIN.wrapping_add_signed(column)
+        MARGIN.wrapping_add_signed(row) * self.stride() + MARGIN.wrapping_add_signed(column)
+    }
+
+    #[inline(always)]
+    fn stride(&self) -> usize {
+        with_margin(self.lit.size).1
+    }
+
+    /// Red, green, blue, and what is lit.
+    #[inline(always)]
+    fn plane(&self, plane: usize) -> &[f32] {
+        if plane < 3 { self.colors[plane] } else { &self.lit.shares }
     }
 
     /// Numbers of a plane from a place on.
     #[inline(always)]
     fn run(&self, plane: usize, start: usize) -> Run {
-        load(&self.planes[plane][start..start + RUN])
+        load(&self.plane(plane)[start..start + RUN])
     }
 
     /// Bilinear between four pixels; the image goes on as at its edge.
     #[inline(always)]
     fn at(&self, x: f32, y: f32) -> [f32; 4] {
-        let (height, width) = self.size;
+        let (height, width) = self.lit.size;
         let (x0, s) = whole(clamp(x, 0.0, width as f32 - 1.0));
         let (y0, t) = whole(clamp(y, 0.0, height as f32 - 1.0));
         let start = self.index(y0 as isize, x0 as isize);
         let mut light = [0.0; 4];
-        for (light, plane) in light.iter_mut().zip(&self.planes) {
-            let (above, below) = (&plane[start..start + 2], &plane[start + self.stride..][..2]);
+        for (k, light) in light.iter_mut().enumerate() {
+            let rows = &self.plane(k)[start..];
+            let (above, below) = (&rows[..2], &rows[self.stride()..][..2]);
             let top = above[0] + (above[1] - above[0]) * s;
             let bottom = below[0] + (below[1] - below[0]) * s;
             *light = top + (bottom - top) * t;
@@ -146,7 +201,7 @@ impl Still {
     /// so far.
     #[inline(always)]
     fn holds(&self, (x, y): (usize, usize), along: [f32; 2], down: [f32; 2]) -> bool {
-        let ((height, width), margin) = (self.size, MARGIN as f32);
+        let ((height, width), margin) = (self.lit.size, MARGIN as f32);
         let (x, y) = (x as f32, y as f32);
         x + along[0] >= -margin
             && x + along[1] + RUN as f32 <= width as f32 + margin
@@ -157,7 +212,7 @@ impl Still {
     /// Whether all that a run may see is lit, when it moves so far.
     #[inline(always)]
     fn is_all_lit(&self, (x, y): (usize, usize), along: [f32; 2], down: [f32; 2]) -> bool {
-        let (height, width) = self.size;
+        let (height, width) = self.lit.size;
         let square =
             |place: f32, count: usize| clamp(place, 0.0, count as f32 - 1.0) as usize / RUN;
         let (x, y) = (x as f32, y as f32);
@@ -165,35 +220,8 @@ impl Still {
         let left = square(x + along[0] - 1.0, width);
         let right = square(x + along[1] + RUN as f32, width);
         let squares = width.div_ceil(RUN);
-        (top..=bottom)
-            .all(|row| self.is_lit[row * squares + left..=row * squares + right].iter().all(|&l| l))
-    }
-}
-
-/// Fewest rows that one thread takes.
-const MIN_ROWS: usize = 64;
-
-#[multiversion::multiversion(targets(
-    "x86_64+avx512f+avx512bw+avx512cd+avx512dq+avx512vl",
-    "x86_64+avx2",
-    "aarch64+neon"
-))]
-fn fill_row(from: &[f32], lit: &[f32], factor: f32, row: &mut [f32]) {
-    let (left, rest) = row.split_at_mut(MARGIN);
-    let (inside, right) = rest.split_at_mut(from.len());
-    for ((value, &x), &lit) in inside.iter_mut().zip(from).zip(lit) {
-        *value = x * (factor * lit);
-    }
-    left.fill(inside[0]);
-    right.fill(inside[from.len() - 1]);
-}
-
-/// Fills the rows above and below an image with its first and last.
-fn go_on(plane: &mut [f32], stride: usize) {
-    let last = plane.len() - (MARGIN + 1) * stride;
-    for row in 0..MARGIN {
-        plane.copy_within(MARGIN * stride..(MARGIN + 1) * stride, row * stride);
-        plane.copy_within(last..last + stride, last + (row + 1) * stride);
+        let row = |row: usize| &self.lit.squares[row * squares + left..=row * squares + right];
+        (top..=bottom).all(|y| row(y).iter().all(|&lit| lit))
     }
 }
 
@@ -204,7 +232,7 @@ fn go_on(plane: &mut [f32], stride: usize) {
 ))]
 fn blur_row(still: &Still, y: usize, motion: &Field, window: Window, out: Line<'_>) {
     let (shutter, late) = (window.length, window.late);
-    let width = still.size.1;
+    let width = still.lit.size.1;
     let motion = motion.row(y, width.div_ceil(RUN) * RUN);
     for x in (0..width).step_by(RUN) {
         let mut own = [[0.0; RUN]; 4];
@@ -359,7 +387,7 @@ fn add_shifted<const PLANES: usize>(
         }
         for (column, across) in across.iter().enumerate().take(taps[0] + 1) {
             for plane in 0..PLANES {
-                let values = still.run(plane, start + row * still.stride + column);
+                let values = still.run(plane, start + row * still.stride() + column);
                 for i in 0..RUN {
                     sum[plane][i] += across[i] * down[i] * values[i];
                 }

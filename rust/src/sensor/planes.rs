@@ -57,18 +57,6 @@ pub fn rows<T>(pixels: &mut [T], (height, width): (usize, usize)) -> Vec<Line<'_
         .collect()
 }
 
-/// Planes of an image, times a factor.
-pub fn parted(image: &[f32], (height, width): (usize, usize), factor: f32) -> Vec<f32> {
-    let mut out = vec![0.0; 3 * height * width];
-    rows(&mut out, (height, width)).into_par_iter().enumerate().for_each(|(y, [r, g, b])| {
-        let row = &image[y * width * 3..(y + 1) * width * 3];
-        for (x, pixel) in row.chunks_exact(3).enumerate() {
-            (r[x], g[x], b[x]) = (pixel[0] * factor, pixel[1] * factor, pixel[2] * factor);
-        }
-    });
-    out
-}
-
 /// A row times a number.
 #[multiversion::multiversion(targets(
     "x86_64+avx512f+avx512bw+avx512cd+avx512dq+avx512vl",

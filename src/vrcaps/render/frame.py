@@ -63,5 +63,13 @@ class Frame:
     )
 
 
+def inside(
+    planes: Float[np.ndarray, "3 h+2m w+2m"], height: int, width: int
+) -> Float[np.ndarray, "3 h w"]:
+    """The image in planes with a margin, as a view."""
+    margin = (planes.shape[1] - height) // 2
+    return planes[:, margin : margin + height, margin : margin + width]
+
+
 CHANNELS: tuple[str, ...] = tuple(f.name for f in fields(Frame))
 """Names of all channels, in the order of `Frame`."""

@@ -19,7 +19,7 @@ from vrcaps.render.bend import MIRRORED, Bends, bend_ways, levels_met
 from vrcaps.render.denoise import denoise, load_denoiser
 from vrcaps.render.film import wet_organ
 from vrcaps.render.flow import SurfacePoints, flow, seen_from
-from vrcaps.render.frame import CHANNELS, Frame
+from vrcaps.render.frame import CHANNELS, Frame, inside
 from vrcaps.render.imaging import Imaging
 from vrcaps.render.led_light import imaging_of
 from vrcaps.render.scattering import tissue_figures
@@ -137,11 +137,12 @@ class Renderer:
         channels: Sequence[str],
         out: Frame | None = None,
         points: SurfacePoints | None = None,
-        planes: Float[np.ndarray, "3 h w"] | None = None,
+        planes: Float[np.ndarray, "3 h+2m w+2m"] | None = None,
     ) -> dict[str, NDArray[Any]]:
         """What `render` does, by channels, in states before, now and after.
 
-        `points` is room for what `thinned` pixels see, `planes` for float32 radiance by colours.
+        `points` is room for what `thinned` pixels see, `planes` for float32 radiance by colours
+        with a margin, which stays as it is.
         """
         state_previous, state, state_next = states
         _check_channels(channels, state_next, state_previous)
@@ -186,17 +187,16 @@ class Renderer:
                 quick=self._quick,
             )
 
-        settings = self.settings
-        is_plain = settings.supersampling == 1 and not settings.denoise
-        if is_plain or not _COLOR & arrays.keys():
+        if not (self.settings.takes_means and _COLOR & arrays.keys()):
             draw(arrays, 1)
             return
         draw({name: array for name, array in arrays.items() if name not in _COLOR}, 1)
-        radiance = _color(draw, camera, settings)
+        radiance = _color(draw, camera, self.settings)
         if "radiance" in arrays:
             arrays["radiance"][...] = radiance
         if "radiance_planes" in arrays:
-            arrays["radiance_planes"][...] = np.moveaxis(radiance, -1, 0)
+            planes = inside(arrays["radiance_planes"], camera.height, camera.width)
+            planes[...] = np.moveaxis(radiance, -1, 0)
         if "rgb" in arrays:
             arrays["rgb"][...] = _core.encode_srgb(radiance, camera.exposure)
 

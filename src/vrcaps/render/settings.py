@@ -47,6 +47,11 @@ class RenderSettings:
     film_um: float | None = None
     imaging: Literal["white-light", "narrow-band"] = "white-light"
 
+    @property
+    def takes_means(self) -> bool:
+        """Whether a pixel's colour is made of more than what its own ray sees."""
+        return self.supersampling > 1 or self.denoise
+
     def __post_init__(self) -> None:
         if self.light not in get_args(Light):
             raise UnknownNameError("light", self.light, get_args(Light))

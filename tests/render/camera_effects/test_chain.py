@@ -16,7 +16,7 @@ from vrcaps.render.camera_effects.grades import GRADES
 from vrcaps.render.camera_effects.optics import Defocus, MotionBlur, RollingShutter
 from vrcaps.render.camera_effects.scene import scaled_camera
 from vrcaps.render.camera_effects.sensor import Noise
-from vrcaps.render.frame import Frame
+from vrcaps.render.frame import Frame, inside
 from vrcaps.render.renderer import Renderer
 from vrcaps.tissue.contents.contents import Contents
 from vrcaps.transforms import transform_from
@@ -243,6 +243,18 @@ def shot(rng: np.random.Generator, height: int, width: int) -> dict:
     }
 
 
+def light(rng: np.random.Generator, given: dict) -> np.ndarray:
+    """Radiance where the image is lit."""
+    return rng.random((3, *given["lit"].shape), np.float32) * given["lit"]
+
+
+def framed(stages: _core.CameraStages, radiance: np.ndarray) -> np.ndarray:
+    """The same with a margin in which anything may be."""
+    planes = np.full(stages.room, np.nan, np.float32)
+    inside(planes, *radiance.shape[1:])[...] = radiance
+    return planes
+
+
 def one_by_one(radiance: np.ndarray, given: dict, shot: dict) -> np.ndarray:
     """The same stages, each called by itself."""
     image = np.ascontiguousarray(np.moveaxis(radiance, 0, -1))
@@ -272,8 +284,8 @@ def test_all_stages_at_once_are_all_stages_in_turn(mosaic, most_bytes, rng) -> N
         given["pattern"] = [array[:height] for array in given["pattern"]]
     stages = _core.CameraStages(given)
     for _ in range(2):  # the second time in memory of the first
-        radiance, now = rng.random((3, height, width), np.float32), shot(rng, height, width)
-        seen = stages.apply(radiance, now)
+        radiance, now = light(rng, given), shot(rng, height, width)
+        seen = stages.apply(framed(stages, radiance), now)
         assert np.array_equal(seen, one_by_one(radiance, given, now))
 
 
@@ -283,15 +295,15 @@ def test_stages_that_are_off_leave_the_image_as_it_is(rng: np.random.Generator) 
     )
     given = fixed(rng, 24, 28) | off
     now = shot(rng, 24, 28) | dict.fromkeys(("points", "distance", "drops", "readout"))
-    radiance = rng.random((3, 24, 28), np.float32)
+    radiance, stages = light(rng, given), _core.CameraStages(given)
     planes = radiance * np.float32(1.3)
-    seen = _core.CameraStages(given).apply(radiance, now)
+    seen = stages.apply(framed(stages, radiance), now)
     assert np.array_equal(seen, _core.develop(planes, now["gains"], given["lit"]))
 
 
 def test_light_is_metered_on_few_lit_pixels(rng: np.random.Generator) -> None:
     given = fixed(rng, 24, 28)
-    radiance = rng.random((3, 24, 28), np.float32)
+    radiance, stages = light(rng, given), _core.CameraStages(given)
     factors = np.array([0.4, 1.6, 0.2])
     late = 0.2 * ((np.arange(24) + 0.5) / 24 - 0.5)
     lit = np.minimum(late + 0.15, 0.125) - np.maximum(late - 0.15, -0.125)
@@ -299,10 +311,10 @@ def test_light_is_metered_on_few_lit_pixels(rng: np.random.Generator) -> None:
     luminance = np.minimum(luminance * (lit / 0.25)[:, None], 1)
     thin = np.s_[4::8, 2::4]
     expected = luminance[thin][given["lit"][thin]].mean()
-    metered = _core.CameraStages(given).meter(radiance, tuple(factors))
+    metered = stages.meter(framed(stages, radiance), tuple(factors))
     assert metered == pytest.approx(expected, rel=1e-6)
     dark = _core.CameraStages(given | {"lit": np.zeros((24, 28), bool)})
-    assert dark.meter(radiance, tuple(factors)) == 0.0
+    assert dark.meter(framed(dark, radiance), tuple(factors)) == 0.0
 
 
 @pytest.mark.parametrize(
@@ -322,11 +334,13 @@ def test_stages_that_do_not_fit_each_other(wrong: dict, rng: np.random.Generator
 
 def test_frames_that_do_not_fit_the_stages(rng: np.random.Generator) -> None:
     stages, now = _core.CameraStages(fixed(rng, 24, 28)), shot(rng, 24, 28)
-    image = np.ones((3, 24, 28), np.float32)
+    image = framed(stages, np.ones((3, 24, 28), np.float32))
+    distance = np.ones((24, 28), np.float32)
     wrong = (
         (image[:, :20], now),
+        (np.ones((3, 24, 28), np.float32), now),
         (image, now | {"distance": None}),
-        (image, now | {"distance": (image[0], np.ones((3, 3), np.uint8), image[0])}),
+        (image, now | {"distance": (distance, np.ones((3, 3), np.uint8), distance)}),
     )
     for radiance, frame in wrong:
         with pytest.raises(ValueError, match="of one size"):

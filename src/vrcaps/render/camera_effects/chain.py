@@ -15,7 +15,7 @@ from vrcaps.render.camera_effects.dome import Dome
 from vrcaps.render.camera_effects.effects import Effects
 from vrcaps.render.camera_effects.sensor import Noise, WhiteBalance, mosaic_colors
 from vrcaps.render.flow import STEP, SurfacePoints
-from vrcaps.render.frame import Frame
+from vrcaps.render.frame import Frame, inside
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
@@ -57,13 +57,13 @@ class Seen:
 
     Attributes:
         channels: Those asked for, and those that the stages need; `rgb` if they are none.
-        planes: Radiance by colours [W/(sr·m²)], if stages are to change it.
+        planes: Radiance by colours [W/(sr·m²)] with a margin, if stages are to change it.
         points: What `thinned` pixels see, if motion is to be known.
         moment: When.
     """
 
     channels: dict[str, Any]
-    planes: Float[np.ndarray, "3 h w"] | None
+    planes: Float[np.ndarray, "3 h+2m w+2m"] | None
     points: SurfacePoints | None
     moment: Moment
 
@@ -140,14 +140,15 @@ class CameraChain:
             asked: Channels of the frame. A neighbour that there is none of is as now.
         """
         points = SurfacePoints.sparse(self.camera) if self._needs_motion else None
-        planes = None
-        if not self._is_ideal:
-            planes = np.empty((3, self.camera.height, self.camera.width), np.float32)
+        planes = None if self._is_ideal else np.empty(self._core.room, np.float32)
         now = moment.state
         states = moment.state_previous or now, now, moment.state_next or now
         channels = renderer.arrays(
             states, self.camera, self._needed(asked), points=points, planes=planes
         )
+        if planes is not None and renderer.settings.takes_means:
+            # Rays beside that of a pixel that sees nothing may see something.
+            inside(planes, *self._lit.shape)[:, ~self._lit] = 0.0
         return Seen(channels, planes, points, moment)
 
     def _needed(self, asked: Sequence[str]) -> tuple[str, ...]:

@@ -14,15 +14,12 @@ from vrcaps import _core
 from vrcaps.capsule.device import Camera
 from vrcaps.capsule.rays import camera_rays
 from vrcaps.errors import InputError, UnknownNameError
-from vrcaps.organ.surface import Appearance, OrganSurface, coat_alpha, face_label
 from vrcaps.render.bend import MIRRORED, Bends, bend_ways, levels_met
 from vrcaps.render.denoise import denoise, load_denoiser
-from vrcaps.render.film import wet_organ
 from vrcaps.render.flow import SurfacePoints, flow, seen_from
 from vrcaps.render.frame import CHANNELS, Frame, inside
-from vrcaps.render.imaging import Imaging
 from vrcaps.render.led_light import imaging_of
-from vrcaps.render.scattering import tissue_figures
+from vrcaps.render.scene import scene_of
 from vrcaps.render.settings import RenderSettings
 from vrcaps.tissue.contents.filling import Filling
 from vrcaps.world.model import Model, State
@@ -34,10 +31,6 @@ if TYPE_CHECKING:
 
 DEFAULT_CHANNELS = ("rgb", "depth", "ray_distance", "normal", "label", "instance", "arc_length")
 """A complete labelled frame."""
-
-_PLAIN_ALBEDO = (0.52, 0.22, 0.16)
-_PLAIN_ROUGHNESS = 0.5
-_PLAIN = Appearance(np.zeros((1, 1, 3), np.uint8), np.zeros((1, 1), np.uint8), np.zeros((1, 1)))
 
 _Paths: TypeAlias = tuple[int, int, int] | None
 """Paths of a ray, their most reflections, and their seed; None without path tracing."""
@@ -93,12 +86,13 @@ class Renderer:
         if self.settings.denoise:
             load_denoiser()  # before much is made that would be in vain
         self._imaging = imaging_of(model.device, self.settings.imaging)
-        self._scene = _scene(model.organ, self.settings, self._imaging)
+        self._scene = scene_of(model.organ, self.settings, self._imaging)
         self._quick = None
         if self.settings.light == "quick":
             self._quick = _core.QuickLight(model.wall, self._scene)
         self._wall = wall or MovingWall(model)
         self._neighbours = {"previous": MovingWall(model), "next": MovingWall(model)}
+        self._poses: deque[tuple[State, Camera, Float[np.ndarray, "4 4"]]] = deque(maxlen=16)
         self._fillings: deque[tuple[State, Filling]] = deque(maxlen=3)
         self._contents: dict[str, tuple[Filling, _core.Wall, _core.Contents]] = {}
         self._tables: dict[tuple[int, int], tuple[Camera, _core.RayTable]] = {}
@@ -168,7 +162,7 @@ class Renderer:
             for name, nothing in _NO_CONTENTS.items():
                 if name in arrays:
                     arrays[name].fill(nothing)
-        T_world_camera = state.T_world_capsule @ camera.T_capsule_camera
+        T_world_camera = self.pose(state, camera)
         leds = self._leds(camera)
         paths = _paths(self.settings, state.time, T_world_camera)
 
@@ -249,7 +243,7 @@ class Renderer:
         filling = self.filling(state)
         if filling is None or filling.pools is None:
             return Bends(moved, None)
-        eye = (state.T_world_capsule @ camera.T_capsule_camera)[:3, 3]
+        eye = self.pose(state, camera)[:3, 3]
         wall, faces = self._neighbours[slot].at(state), self.model.organ.faces
         levels = levels_met(filling, eye, wall, faces, points.face)
         ior = filling.contents.resolved[2].ior
@@ -272,6 +266,15 @@ class Renderer:
         if "dome_label" in arrays:
             arrays["dome_label"].fill(0)  # the lens and sensor know more
         return arrays
+
+    def pose(self, state: State, camera: Camera) -> Float[np.ndarray, "4 4"]:
+        """`T_world_camera` in a state, kept for frames that have it as their neighbour."""
+        for known, seeing, pose in self._poses:
+            if known is state and seeing is camera:
+                return pose
+        pose = state.T_world_capsule @ camera.T_capsule_camera
+        self._poses.append((state, camera, pose))
+        return pose
 
     def filling(self, state: State) -> Filling | None:
         """What is in the lumen in a state."""
@@ -363,27 +366,6 @@ def _check_channels(
             raise InputError(f"Channel {name!r} needs the next state. Give state_next.")
         if name in _NEEDS_PREVIOUS and earlier is None:
             raise InputError(f"Channel {name!r} needs the previous state. Give state_previous.")
-
-
-def _scene(organ: OrganSurface, settings: RenderSettings, imaging: Imaging) -> _core.Scene:
-    if settings.film_um is not None:
-        organ = wet_organ(organ, 1e-6 * settings.film_um)
-    look, texture = imaging.appearance(organ.appearance or _PLAIN), None
-    albedo = imaging.reflectance(np.array(_PLAIN_ALBEDO))
-    if organ.appearance is not None:
-        height = np.ascontiguousarray(look.height, np.float32)
-        texture = _core.Texture(look.albedo, look.roughness, height)
-    return _core.Scene(
-        np.ascontiguousarray(organ.uv, np.float32),
-        face_label(organ.label, organ.faces),
-        face_label(organ.instance, organ.faces),
-        organ.arc_length.astype(np.float32),
-        texture=texture,
-        albedo=tuple(albedo),
-        roughness=_PLAIN_ROUGHNESS,
-        reflectance=(look.ior, look.coat, coat_alpha(look.coat_gloss)),
-        tissue=tissue_figures(imaging.bands_nm) if settings.scattering else None,
-    )
 
 
 def _paths(

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 _DOME = 7
 """Stream of the random numbers that lay what is on the dome, beside the scenario's others."""
 
+_SHARES: list[float] = LUMINANCE.tolist()
 _NEUTRAL = WhiteBalance(response=(1.0, 1.0, 1.0))
 _QUIET = Noise(1e6, 0.0, bits=16, black=0)
 """Of a sensor that has a mosaic and nothing else: one step of its numbers is 1/65535."""
@@ -143,9 +144,8 @@ class CameraChain:
         planes = None if self._is_ideal else np.empty(self._core.room, np.float32)
         now = moment.state
         states = moment.state_previous or now, now, moment.state_next or now
-        channels = renderer.arrays(
-            states, self.camera, self._needed(asked), points=points, planes=planes
-        )
+        needed = self._needed(asked)
+        channels = renderer.arrays(states, self.camera, needed, points=points, planes=planes)
         if planes is not None and renderer.settings.takes_means:
             # Rays beside that of a pixel that sees nothing may see something.
             inside(planes, *self._lit.shape)[:, ~self._lit] = 0.0
@@ -180,7 +180,7 @@ class CameraChain:
         """Mean linear luminance of the lit image at its exposure, each pixel cut at white."""
         assert seen.planes is not None
         factor = self.camera.exposure * seen.moment.exposure
-        red, green, blue = LUMINANCE.tolist()
+        red, green, blue = _SHARES
         return self._core.meter(seen.planes, (factor * red, factor * green, factor * blue))
 
     def _shot(self, seen: Seen, renderer: Renderer) -> dict[str, object]:
@@ -237,11 +237,11 @@ class CameraChain:
         fillings = renderer.filling(moment.state), renderer.filling(neighbour)
         moved = seen.points.moved(renderer.model.organ.faces, neighbour, *fillings)
         apparent = renderer.bends(self.camera, seen.points, moved, neighbour, slot).apparent
-        pose = neighbour.T_world_capsule @ self.camera.T_capsule_camera
         device, label = renderer.model.device, seen.channels["front_label"]
         capsule = (0.5 * device.length - device.radius, device.radius)
         depth = seen.channels["front_depth"]
         front = (label, depth, self.camera.T_capsule_camera, capsule)
+        pose = renderer.pose(neighbour, self.camera)
         return np.ascontiguousarray(apparent, np.float32), pose, front
 
 

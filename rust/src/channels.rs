@@ -252,15 +252,13 @@ impl Place {
         }
         let (width, height) = self.size;
         let columns = (width - self.column).min(TILE);
-        let rows = pixels[self.column..].chunks_mut(stride).zip(known.chunks_exact(TILE));
-        // A number of bytes known beforehand: no call to copy a few of them.
-        if columns == TILE {
-            for (out, row) in rows.take(height) {
-                out[..TILE].copy_from_slice(row);
-            }
-        } else {
-            for (out, row) in rows.take(height) {
-                out[..columns].copy_from_slice(&row[..columns]);
+        for (y, row) in known.chunks_exact(TILE).take(height).enumerate() {
+            let start = y * stride + self.column;
+            let out = &mut pixels[start..start + columns];
+            match <&mut [T; TILE]>::try_from(&mut *out) {
+                // A number of bytes known beforehand: no call to copy a few of them.
+                Ok(whole) => whole.copy_from_slice(row),
+                Err(_) => put_some(row, out),
             }
         }
     }
@@ -316,6 +314,13 @@ impl Place {
         }
         self.write_each(channel, 3, |i, k| encoded[k][i]);
     }
+}
+
+/// By itself, so that a whole row is put without a call.
+#[cold]
+#[inline(never)]
+fn put_some<T: Copy>(row: &[T], out: &mut [T]) {
+    out.copy_from_slice(&row[..out.len()]);
 }
 
 /// Writes each component of a pixel.

@@ -20,8 +20,10 @@ const BOUNCES: usize = 2;
 /// Most of the light along the smooth normal that relief gets: where hardly any comes along that, what
 /// comes aside is all but noise.
 const MOST_SHARE: f32 = 4.0;
+/// Sites from the one whose light is reckoned to the one whose row is fetched.
+const AHEAD: usize = 4;
 /// Sites that one thread takes at a time.
-const CHUNK: usize = 64;
+const CHUNK: usize = 32;
 
 /// Irradiance by bounced light in one frame.
 pub struct Irradiance<'a> {
@@ -124,6 +126,10 @@ impl QuickLight {
         leaving: &[Color],
     ) -> Vec<Color> {
         let of_site = |(n, (&s, kept)): (usize, (&u32, &Vec3))| {
+            if n + AHEAD < sites.len() {
+                // Brought near the processor: it does not foresee where the next rows are.
+                std::hint::black_box(row(n + AHEAD).first().copied());
+            }
             let mut light = [0.0; 4];
             for link in row(n) {
                 let from = &leaving[link.from as usize];

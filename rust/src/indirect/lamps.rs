@@ -11,7 +11,7 @@ use rayon::prelude::*;
 use std::f32::consts::TAU;
 
 /// Rays of all LEDs together, about: fewer miss hot spots where LEDs are near the wall.
-const RAYS: usize = 1536;
+const RAYS: usize = 1296;
 /// Arms of the spiral of an LED's rays (Fibonacci's number, so that those of an arm are neighbours).
 const ARMS: usize = 21;
 /// Fewest rays of an LED are the square of this.
@@ -21,30 +21,30 @@ const LEAST_SIDE: usize = 8;
 /// throws their light on, away from both; measured against path tracing in three organs.
 const GLOSS: f32 = 0.7;
 
-/// What a ray leaves: a site, and of the light of each colour the share that it reflects [1/m²].
+/// Where a ray ends: a site, and how much is reflected there of its light of each colour [W/m²].
 type End = (u32, Vec3);
 
 /// Radiosity of each site by its first reflection of the LEDs' light [W/m²].
 pub fn first_reflection(light: &QuickLight, wall: &Wall, leds: &[Led]) -> Vec<Color> {
     let side = ((RAYS as f32 / leds.len().max(1) as f32).sqrt() as usize).max(LEAST_SIDE);
-    let parts: Vec<Vec<End>> = (0..leds.len() * ARMS)
-        .into_par_iter()
+    let lobe = |(k, led): (usize, &Led)| Lobe::shifted(led.direction, led.exponent, side, k);
+    let lobes: Vec<Lobe> = leds.iter().enumerate().map(lobe).collect();
+    // Arms of all LEDs in turn around them: those that go one way meet the same part of the wall,
+    // which then is near the thread that sends them.
+    let mut arms: Vec<_> = (0..leds.len() * ARMS).map(|k| (k / ARMS, k % ARMS)).collect();
+    arms.sort_by(|a, b| lobes[a.0].turns(a.1).total_cmp(&lobes[b.0].turns(b.1)));
+    let ends: Vec<Vec<End>> = arms
+        .par_iter()
         .with_max_len(2)
-        .map(|k| {
-            let (number, arm) = (k / ARMS, k % ARMS);
-            let led = &leds[number];
-            let lobe = Lobe::shifted(led.direction, led.exponent, side, number);
-            send(light, wall, led.position, &lobe, (arm..side * side).step_by(ARMS))
+        .map(|&(number, arm)| {
+            let (led, lobe) = (&leds[number], &lobes[number]);
+            send(light, wall, led, lobe, (arm..side * side).step_by(ARMS))
         })
         .collect();
     let mut leaving = vec![[0.0; 4]; light.albedo.len()];
-    for (led, ends) in leds.iter().zip(parts.chunks(ARMS)) {
-        let solid_angle = if led.exponent == 0.0 { 2.0 * TAU } else { TAU / (led.exponent + 1.0) };
-        let ray = scale(led.intensity, solid_angle / (side * side) as f32);
-        for (site, shares) in ends.iter().flatten() {
-            for k in 0..3 {
-                leaving[*site as usize][k] += ray[k] * shares[k];
-            }
+    for (site, power) in ends.iter().flatten() {
+        for k in 0..3 {
+            leaving[*site as usize][k] += power[k];
         }
     }
     leaving
@@ -59,13 +59,15 @@ pub fn first_reflection(light: &QuickLight, wall: &Wall, leds: &[Led]) -> Vec<Co
 fn send(
     light: &QuickLight,
     wall: &Wall,
-    origin: Vec3,
+    led: &Led,
     lobe: &Lobe,
     rays: impl ExactSizeIterator<Item = usize>,
 ) -> Vec<End> {
+    let solid_angle = if led.exponent == 0.0 { 2.0 * TAU } else { TAU / (led.exponent + 1.0) };
+    let power = scale(led.intensity, solid_angle / lobe.count() as f32);
     let (mut ends, mut pile) = (Vec::with_capacity(rays.len()), ray::Pile::default());
     for direction in rays.map(|k| lobe.on_spiral(k)) {
-        let way = (origin, direction);
+        let way = (led.position, direction);
         let hit = ray::cast_in::<false>(&mut pile, &wall.bvh, way, f32::MAX, u32::MAX);
         // The back of a wall is dark.
         if let Some(hit) = hit.filter(|hit| hit.edges[2] < 0.0) {
@@ -74,7 +76,8 @@ fn send(
             let site = light.sites.of_vertex[vertex];
             let [base, gloss] = light.reflectance.at(cosine);
             let shares = light.reflected(site as usize, [base, GLOSS * gloss]);
-            ends.push((site, scale(shares, light.per_area[site as usize])));
+            let per_area = light.per_area[site as usize];
+            ends.push((site, [0, 1, 2].map(|k| per_area * power[k] * shares[k])));
         }
     }
     ends

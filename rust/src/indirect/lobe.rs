@@ -49,8 +49,20 @@ impl Lobe {
     /// neighbours are as near in all directions.
     #[inline(always)]
     pub fn on_spiral(&self, k: usize) -> Vec3 {
-        let inside = (k as f32 + self.shift[0]) / (self.side * self.side) as f32;
-        self.towards(inside, (k as f32 * 0.618_034 + self.shift[1]).fract())
+        let inside = (k as f32 + self.shift[0]) / self.count() as f32;
+        self.towards(inside, self.turns(k))
+    }
+
+    /// Turns around the axis of direction number `k` of the spiral, below 1.
+    #[inline(always)]
+    pub fn turns(&self, k: usize) -> f32 {
+        (k as f32 * 0.618_034 + self.shift[1]).fract()
+    }
+
+    /// Number of directions.
+    #[inline(always)]
+    pub fn count(&self) -> usize {
+        self.side * self.side
     }
 
     /// Unit direction on a cone that has a share of the power inside, so many turns around the axis.

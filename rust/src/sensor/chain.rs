@@ -3,12 +3,13 @@
 use super::bayer::{demosaic_line, mirrored_about};
 use super::bloom::{Bloom, Scattered};
 use super::defocus::{Padded, bring_near};
-use super::dome::{Drops, Film, GivenDrops, GivenFilm, totals};
+use super::dome::{Drops, Film, totals};
 use super::field::{Field, Shutter};
-use super::flow::{GivenPoints, Points};
+use super::flow::Points;
+use super::given::{Distances, Given, Shot, misfit, of_image};
 use super::jpeg::Compression;
 use super::motion::{Lit, Still, go_on, inside, with_margin};
-use super::noise::{Readout, Sensor, streams};
+use super::noise::{Sensor, streams};
 use super::planes::{Line, Scaling, amplify, develop_row, interleave, rows, shade_row};
 use crate::channels::STEP;
 use crate::contents::front::FRONT_BUBBLE;
@@ -16,66 +17,12 @@ use crate::cpu::on_pool;
 use crate::lanes::Vec3;
 use crate::rays::RayTable;
 use numpy::{
-    Element, IntoPyArray, PyArray3, PyReadonlyArray2, PyReadonlyArray3, PyReadwriteArray3,
-    PyUntypedArrayMethods, ndarray::Array3,
+    IntoPyArray, PyArray3, PyReadonlyArray3, PyReadwriteArray3, PyUntypedArrayMethods,
+    ndarray::Array3,
 };
-use pyo3::{exceptions::PyValueError, prelude::*};
+use pyo3::prelude::*;
 use rayon::prelude::*;
 use std::sync::Mutex;
-
-/// Stages that stay as they are from frame to frame; those that are off are `None`.
-#[derive(FromPyObject)]
-#[pyo3(from_item_all)]
-struct Given<'py> {
-    rays: Py<RayTable>,
-    /// Pixels that see anything [h w].
-    lit: PyReadonlyArray2<'py, bool>,
-    /// Cosine between each pixel's ray and the axis [h w].
-    cosine: PyReadonlyArray2<'py, f32>,
-    /// The times of `Shutter`, in its order.
-    shutter: Option<(f32, f32, f32)>,
-    /// Reach [px·m] and distance of focus [m].
-    defocus: Option<(f32, f32)>,
-    film: Option<GivenFilm<'py>>,
-    /// Centre (column, row) [px], and the scale of each colour.
-    scales: Option<([f32; 2], [f32; 3])>,
-    /// Share of the light that each pixel gets [h w].
-    shade: Option<PyReadonlyArray2<'py, f32>>,
-    /// Share and standard deviation [px].
-    bloom: Option<(f32, f32)>,
-    /// Response and offset of the sensor's sites.
-    pattern: [PyReadonlyArray2<'py, f32>; 2],
-    mosaic: Option<[usize; 4]>,
-    /// Quality, and limit of the file [bytes].
-    jpeg: Option<(u32, Option<usize>)>,
-}
-
-/// Distance along the ray of the wall [m], label and depth [m] of what is in front of it.
-type Distance<'py> =
-    (PyReadonlyArray2<'py, f32>, PyReadonlyArray2<'py, u8>, PyReadonlyArray2<'py, f32>);
-
-/// The same in the order wall, depth, label.
-type Distances<'a> = (&'a [f32], &'a [f32], &'a [u8]);
-
-/// What changes from frame to frame.
-#[derive(FromPyObject)]
-#[pyo3(from_item_all)]
-struct Shot<'py> {
-    /// From radiance to image values.
-    factor: f32,
-    /// What moves, if anything does, where it is in a neighbouring frame.
-    points: Option<GivenPoints<'py>>,
-    /// Whether that is the frame before.
-    is_backward: bool,
-    distance: Option<Distance<'py>>,
-    drops: Option<GivenDrops<'py>>,
-    /// None where the sensor changes nothing.
-    readout: Option<Readout>,
-    /// Gain of each colour after the sensor.
-    gains: [f32; 3],
-    /// Of the random numbers.
-    key: (u64, u64),
-}
 
 /// Lens and sensor of one camera.
 #[pyclass(frozen, module = "vrcaps._core")]
@@ -234,28 +181,6 @@ impl Frame<'_> {
         vectors.iter_mut().for_each(|x| *x *= self.sense);
         Field::new(&vectors, points.size()).when_read(shutter, height)
     }
-}
-
-impl Shot<'_> {
-    fn distance(&self, size: (usize, usize)) -> PyResult<Option<Distances<'_>>> {
-        let Some((wall, label, depth)) = &self.distance else { return Ok(None) };
-        Ok(Some((of_image(wall, size)?, of_image(depth, size)?, of_image(label, size)?)))
-    }
-}
-
-/// The numbers of an array of the image's size.
-fn of_image<'a, T: Element>(
-    array: &'a PyReadonlyArray2<'_, T>,
-    (height, width): (usize, usize),
-) -> PyResult<&'a [T]> {
-    if array.shape() != [height, width] {
-        return Err(misfit());
-    }
-    Ok(array.as_slice()?)
-}
-
-fn misfit() -> PyErr {
-    PyValueError::new_err("Stages and images must be of one size.")
 }
 
 impl CameraStages {

@@ -13,6 +13,7 @@ mod defocus;
 mod dome;
 mod field;
 mod flow;
+mod given;
 mod jpeg;
 mod motion;
 mod noise;

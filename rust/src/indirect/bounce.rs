@@ -15,8 +15,6 @@ use rayon::prelude::*;
 use std::f32::consts::PI;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-/// Reflections that are followed after the first; the rest is the tail of a geometric series.
-const BOUNCES: usize = 2;
 /// Most of the light along the smooth normal that relief gets: where hardly any comes along that, what
 /// comes aside is all but noise.
 const MOST_SHARE: f32 = 4.0;
@@ -48,14 +46,14 @@ impl QuickLight {
         wall: &'a Wall,
         (leds, shadows): (&[Led], bool),
     ) -> Irradiance<'a> {
-        let mut last = first_reflection(self, wall, leds);
-        let reached = self.reached(rest, &last);
-        let kept = self.kept_of(rest, &reached, &mut last);
+        let mut leaving = first_reflection(self, wall, leds);
+        let reached = self.reached(rest, &leaving);
+        let kept = self.kept_of(rest, &reached, &mut leaving);
         let moved = (!std::ptr::eq(rest, wall)).then(|| Moved::new(self, rest, wall, &reached));
         if let Some(moved) = &moved {
             for &s in &reached {
                 let thinner = 1.0 / max(moved.stretch(s as usize), 1e-3);
-                last[s as usize] = last[s as usize].map(|x| x * thinner);
+                leaving[s as usize] = leaving[s as usize].map(|x| x * thinner);
             }
         }
         let bent = moved.as_ref().map(|moved| self.bent_rows(rest, moved, &reached));
@@ -63,18 +61,11 @@ impl QuickLight {
             Some(rows) => &rows[n][..],
             None => &self.row(rest, reached[n] as usize).coarse,
         };
-        let mut leaving = last.clone();
-        let mut before = [0.0; 3];
-        for bounce in 0..BOUNCES {
-            let next = self.reflect((&reached, &kept), row, &last);
-            let total = next.iter().fold([0.0; 3], |s, c| add(s, [c[0], c[1], c[2]]));
-            let rest_of_series = if bounce + 1 < BOUNCES { [1.0; 3] } else { tail(total, before) };
-            before = total;
-            for (&s, light) in reached.iter().zip(next) {
-                for k in 0..3 {
-                    leaving[s as usize][k] += light[k] * rest_of_series[k];
-                }
-                last[s as usize] = light;
+        let next = self.reflect((&reached, &kept), row, &leaving);
+        let series = tail(total(&next), total(&leaving));
+        for (&s, light) in reached.iter().zip(next) {
+            for k in 0..3 {
+                leaving[s as usize][k] += light[k] * series[k];
             }
         }
         let skin = self.tissue.as_ref().map(|tissue| tissue.frame(rest, wall, leds, shadows));
@@ -98,7 +89,8 @@ impl QuickLight {
         let reach = |site: u32| is_reached[site as usize].store(true, Ordering::Relaxed);
         let lit: Vec<u32> =
             (0..leaving.len() as u32).filter(|&s| leaving[s as usize] != [0.0; 4]).collect();
-        lit.par_iter().with_min_len(CHUNK).for_each(|&s| {
+        lit.par_iter().enumerate().with_min_len(CHUNK).for_each(|(n, &s)| {
+            bring_near(lit.get(n + AHEAD).map(|&s| &self.row(rest, s as usize).coarse[..]));
             reach(s);
             self.row(rest, s as usize).coarse.iter().for_each(|link| reach(link.from));
         });
@@ -126,10 +118,7 @@ impl QuickLight {
         leaving: &[Color],
     ) -> Vec<Color> {
         let of_site = |(n, (&s, kept)): (usize, (&u32, &Vec3))| {
-            if n + AHEAD < sites.len() {
-                // Brought near the processor: it does not foresee where the next rows are.
-                std::hint::black_box(row(n + AHEAD).first().copied());
-            }
+            bring_near((n + AHEAD < sites.len()).then(|| row(n + AHEAD)));
             let mut light = [0.0; 4];
             for link in row(n) {
                 let from = &leaving[link.from as usize];
@@ -142,6 +131,16 @@ impl QuickLight {
         };
         sites.par_iter().zip(kept).enumerate().with_min_len(CHUNK).map(of_site).collect()
     }
+}
+
+/// Brings a row near the processor, which does not foresee by itself where the next ones are.
+fn bring_near(row: Option<&[Link]>) {
+    std::hint::black_box(row.and_then(|row| row.first().copied()));
+}
+
+/// Light of all sites together.
+fn total(light: &[Color]) -> Vec3 {
+    light.iter().fold([0.0; 3], |sum, c| add(sum, [c[0], c[1], c[2]]))
 }
 
 /// What a geometric series adds up to from its last known term on, over that term.

@@ -1,6 +1,6 @@
 //! Light that bounces between the walls, in real time.
 //!
-//! The wall's radiosity (Goral et al. 1984) on sites of about an eighth of the lumen's width: what
+//! The wall's radiosity (Goral et al. 1984) on sites of about a seventh of the lumen's width: what
 //! a site sees of the others is traced once, at rest; in each frame the LEDs light the sites near the
 //! camera, the light bounces between them, and each vertex takes the mean of the sites around it.
 //! A pixel has its irradiance from the corners of its face. Gloss bounces as if it were diffuse.

@@ -62,8 +62,7 @@ impl QuickLight {
             None => &self.row(rest, reached[n] as usize).coarse,
         };
         let next = self.reflect((&reached, &kept), row, &leaving);
-        let first = reached.iter().map(|&s| leaving[s as usize]);
-        let series = tail(self.power(&reached, next.iter().copied()), self.power(&reached, first));
+        let series = tail(total(&next), total(&leaving));
         for (&s, light) in reached.iter().zip(next) {
             for k in 0..3 {
                 leaving[s as usize][k] += light[k] * series[k];
@@ -71,13 +70,6 @@ impl QuickLight {
         }
         let skin = self.tissue.as_ref().map(|tissue| tissue.frame(rest, wall, leds, shadows));
         Irradiance { light: self, rest, wall, moved, leaving, known: self.room.lend(), skin }
-    }
-
-    /// Power of the light that leaves sites with such radiosity [W].
-    fn power(&self, sites: &[u32], leaving: impl Iterator<Item = Color>) -> Vec3 {
-        sites.iter().zip(leaving).fold([0.0; 3], |sum, (&s, [r, g, b, _])| {
-            add(sum, scale([r, g, b], 1.0 / self.per_area[s as usize]))
-        })
     }
 
     /// What each of the sites keeps of the light that it reflects; `last` is made less by that.
@@ -144,6 +136,11 @@ impl QuickLight {
 /// Brings a row near the processor, which does not foresee by itself where the next ones are.
 fn bring_near(row: Option<&[Link]>) {
     std::hint::black_box(row.and_then(|row| row.first().copied()));
+}
+
+/// Light of all sites together.
+fn total(light: &[Color]) -> Vec3 {
+    light.iter().fold([0.0; 3], |sum, c| add(sum, [c[0], c[1], c[2]]))
 }
 
 /// What a geometric series adds up to from its last known term on, over that term.

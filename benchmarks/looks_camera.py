@@ -14,6 +14,7 @@ from vrcaps.render.camera_effects.chain import CameraChain, Moment, Seen
 from vrcaps.render.camera_effects.effects import Effects
 from vrcaps.render.camera_effects.exposure import AutoExposure
 from vrcaps.render.camera_effects.sensor import Jpeg, WhiteBalance
+from vrcaps.render.frame import inside
 
 MEAN_LUMINANCE = {True: 0.20, False: 0.15}
 """Linear luminance that an automatic exposure aims at, of colonoscopes and of capsules: the mean
@@ -65,7 +66,8 @@ def photographed(name: str, shot: Shot, number: int) -> np.ndarray:
     exposure = even_exposure(reaching * gains, light) / shot.camera.exposure
     chain = CameraChain(effects, shot.camera, number=0, fps=1.0, seed=number)
     moment = Moment(number, shot.state, exposure=exposure)
-    planes = np.ascontiguousarray(np.moveaxis(radiance, -1, 0))
+    planes = chain.room()
+    inside(planes, *radiance.shape[:2])[...] = np.moveaxis(radiance, -1, 0)
     known = {name: array for name, array in vars(shot.frame).items() if array is not None}
     seen = Seen(known, planes, None, moment)
     sent = chain.apply(seen, shot.renderer)

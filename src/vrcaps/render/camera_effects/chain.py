@@ -141,7 +141,7 @@ class CameraChain:
             asked: Channels of the frame. A neighbour that there is none of is as now.
         """
         points = SurfacePoints.sparse(self.camera) if self._needs_motion else None
-        planes = None if self._is_ideal else np.empty(self._core.room, np.float32)
+        planes = None if self._is_ideal else self.room()
         now = moment.state
         states = moment.state_previous or now, now, moment.state_next or now
         needed = self._needed(asked)
@@ -150,6 +150,10 @@ class CameraChain:
             # Rays beside that of a pixel that sees nothing may see something.
             inside(planes, *self._lit.shape)[:, ~self._lit] = 0.0
         return Seen(channels, planes, points, moment)
+
+    def room(self) -> Float[np.ndarray, "3 h+2m w+2m"]:
+        """Room for the radiance by colours that `apply` takes, with a margin."""
+        return np.empty(self._core.room, np.float32)
 
     def _needed(self, asked: Sequence[str]) -> tuple[str, ...]:
         needed = set(asked)

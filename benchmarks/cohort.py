@@ -18,25 +18,25 @@ from pathlib import Path
 
 import numpy as np
 from scipy import stats
-from validation import ROOT, table, write_section
 
-from vrcaps.errors import InputError
-from vrcaps.organ.catalog import GI_COLON_TRIANGLES
-from vrcaps.organ.colon.course import count_flexures
-from vrcaps.organ.facts import organ_facts
-from vrcaps.organ.gi.abdomen import draw_colon_place, place_stomach, surroundings
-from vrcaps.organ.gi.generate import generate_gi
-from vrcaps.organ.gi.patient import draw_patient
-from vrcaps.organ.shape.tube import make_tube
-from vrcaps.organ.small_bowel.generate import lay_small_bowel
-from vrcaps.organ.small_bowel.shape import SmallBowelWall
-from vrcaps.organ.stomach.shape import (
+from validation import ROOT, table, write_section
+from vrcaps.anatomy.catalog import GI_COLON_TRIANGLES
+from vrcaps.anatomy.colon.course import count_flexures
+from vrcaps.anatomy.full_tract.abdomen import draw_colon_place, place_stomach, surroundings
+from vrcaps.anatomy.full_tract.generate import generate_gi
+from vrcaps.anatomy.full_tract.patient import draw_patient
+from vrcaps.anatomy.small_bowel.generate import lay_small_bowel
+from vrcaps.anatomy.small_bowel.shape import SmallBowelWall
+from vrcaps.anatomy.stomach.shape import (
     curvatures,
     draw_stomach_wall,
     stomach_course,
     stomach_volume,
     stomach_wall_rng,
 )
+from vrcaps.anatomy.tube_mesh.tube import make_tube
+from vrcaps.errors import InputError
+from vrcaps.organ.measure import organ_facts
 from vrcaps.units import CM, MM
 
 PAGE = ROOT / "docs" / "anatomy.md"

@@ -3,7 +3,7 @@
 What a wall looks like depends on the light: where it bounces between walls, a colour counts more
 than once. For each class of real frames this finds the factors on red, green and blue of our wall's
 base colours at which our frames have their mean a* and b* and their spread of L*, and prints the
-colours that go into `vrcaps.organ.appearance` and `vrcaps.organ.lesion.colitis`.
+colours that go into `vrcaps.mucosa.appearance` and `vrcaps.lesion.colitis`.
 
     python benchmarks/fit_appearance.py
     python benchmarks/fit_appearance.py --only small_intestine --light direct
@@ -21,19 +21,19 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
+
 from looks_camera import our_discs
 from looks_images import valid_pixels
 from looks_scenes import SETTINGS, scenes, shots
 from looks_statistics import by_channel, measured
 from validate_looks import DATA, HEAD_CHANNELS, RED, has_overlays, read_folder
-
 from vrcaps import _core
+from vrcaps.camera_pipeline.camera_changes import scaled_camera
 from vrcaps.color import linear_from_srgb
+from vrcaps.lesion.colitis import ACTIVITIES
 from vrcaps.metrics.color import image_color
-from vrcaps.organ.appearance import MUCOSAE, bake_appearance
-from vrcaps.organ.lesion.colitis import ACTIVITIES
+from vrcaps.mucosa.appearance import MUCOSAE, bake_appearance
 from vrcaps.organ.surface import OrganSurface
-from vrcaps.render.camera_effects.scene import scaled_camera
 from vrcaps.render.settings import RenderSettings
 from vrcaps.world.model import Model
 

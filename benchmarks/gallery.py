@@ -17,12 +17,12 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-from looks_scenes import SETTINGS, at_lesions, exposed
 from PIL import Image, ImageDraw
-from validation import ROOT
 
 import vrcaps
-from vrcaps.organ.lesion.polyp import PATTERNS
+from looks_scenes import SETTINGS, at_lesions, exposed
+from validation import ROOT
+from vrcaps.lesion.polyp import PATTERNS
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.world.model import Model, State
 

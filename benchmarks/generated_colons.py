@@ -11,12 +11,12 @@ import time
 
 import numpy as np
 
-from vrcaps.organ.colon import ColonParameters, generate_colon
-from vrcaps.organ.colon.course import count_flexures
-from vrcaps.organ.crossing import self_intersections
-from vrcaps.organ.facts import triangle_quality
-from vrcaps.organ.shape.tube import Course
-from vrcaps.organ.surface import Mesh
+from vrcaps.anatomy.colon import ColonParameters, generate_colon
+from vrcaps.anatomy.colon.course import count_flexures
+from vrcaps.anatomy.tube_mesh.tube import Course
+from vrcaps.mesh.mesh import Mesh
+from vrcaps.mesh.self_intersection import self_intersections
+from vrcaps.organ.measure import triangle_quality
 
 
 def main(num_seeds: int) -> None:

@@ -6,14 +6,14 @@ from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
+
 from looks_images import disc
 from looks_scenes import Shot, even_exposure
-
+from vrcaps.camera_pipeline.effects import Effects
+from vrcaps.camera_pipeline.exposure import AutoExposure
+from vrcaps.camera_pipeline.pipeline import CameraChain, Moment, Seen
+from vrcaps.camera_pipeline.sensor import Jpeg, WhiteBalance
 from vrcaps.color import luminance
-from vrcaps.render.camera_effects.chain import CameraChain, Moment, Seen
-from vrcaps.render.camera_effects.effects import Effects
-from vrcaps.render.camera_effects.exposure import AutoExposure
-from vrcaps.render.camera_effects.sensor import Jpeg, WhiteBalance
 from vrcaps.render.frame import inside
 
 MEAN_LUMINANCE = {True: 0.20, False: 0.15}

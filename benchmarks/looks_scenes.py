@@ -8,16 +8,17 @@ from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
-from validation import ROOT
 
 import vrcaps
+from validation import ROOT
 from vrcaps import _core
-from vrcaps.capsule.device import Camera, Device, Led
-from vrcaps.capsule.lens.equidistant import LensEquidistant
-from vrcaps.organ.lesion import add_lesions, parse_lesion
+from vrcaps.camera.camera import Camera, Led
+from vrcaps.camera.lens.equidistant import LensEquidistant
+from vrcaps.capsule.device import Device
+from vrcaps.lesion import add_lesions, parse_lesion
+from vrcaps.lumen.bowel_preparation import prepared
+from vrcaps.lumen.contents import Contents
 from vrcaps.organ.surface import OrganSurface
-from vrcaps.tissue.contents.contents import Contents
-from vrcaps.tissue.contents.preparation import prepared
 from vrcaps.transforms import invert, look_along, transform_from
 from vrcaps.units import DEG, MM
 from vrcaps.world.model import Model, State

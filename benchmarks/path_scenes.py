@@ -6,17 +6,17 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from validation import ROOT  # its import makes the tests' independent renderers importable
 
+from validation import ROOT  # its import makes the tests' independent renderers importable
+from vrcaps.anatomy.catalog import load_organ
+from vrcaps.camera.camera import Camera
+from vrcaps.camera.lens import LensPinhole
 from vrcaps.capsule.catalog import load_device
-from vrcaps.capsule.device import Camera
-from vrcaps.capsule.lens import LensPinhole
 from vrcaps.cli.benchmarks.peers.mitsuba import VARIANT, use_working_llvm
-from vrcaps.organ.catalog import load_organ
+from vrcaps.motion.fly_through import FlyThrough, fly_through
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.render.renderer import Renderer
 from vrcaps.render.settings import RenderSettings
-from vrcaps.world.fly_through import FlyThrough, fly_through
 from vrcaps.world.model import Model, State
 
 assert (ROOT / "tests").is_dir()
@@ -60,6 +60,7 @@ class Scene:
     def theirs(self, *, depth: int, samples: int) -> Callable[[int], np.ndarray]:
         """The same by Mitsuba's `path`, compiled by LLVM."""
         import mitsuba as mi
+
         from oracle_mitsuba import compiled_path_light
 
         mi.set_variant(VARIANT)
@@ -108,6 +109,7 @@ def _smooth(organ: OrganSurface) -> OrganSurface:
     Where a smooth normal faces away from a ray, Mitsuba loses the light and we bend the normal.
     """
     import trimesh
+
     from shapes import make_organ
 
     vertices, faces = trimesh.remesh.subdivide_loop(organ.vertices, organ.faces, iterations=2)

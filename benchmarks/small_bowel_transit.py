@@ -17,13 +17,14 @@ import sys
 from dataclasses import dataclass
 
 import numpy as np
+
 from validation import ROOT, options, table, write_section
 
-sys.path.append(str(ROOT / "tests"))  # the tubes that the tests use
+sys.path.append(str(ROOT / "tests" / "support"))
 
 from tubes import straight_gut
+from vrcaps.anatomy.small_bowel.parameters import SmallBowelParameters
 from vrcaps.capsule.catalog import load_device
-from vrcaps.organ.small_bowel.parameters import SmallBowelParameters
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.tissue.drag import Drag
 from vrcaps.tissue.material import Material

@@ -14,19 +14,20 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from validation import ROOT, table, write_section
 
-from vrcaps.organ.appearance import bake_appearance
-from vrcaps.organ.catalog import GI_COLON_TRIANGLES
-from vrcaps.organ.colon import generate_colon
-from vrcaps.organ.gi.appearance import with_appearance
-from vrcaps.organ.gi.generate import generate_gi
-from vrcaps.organ.gi.patient import bowel_surroundings, draw_patient
-from vrcaps.organ.repair.edges import face_areas
-from vrcaps.organ.small_bowel import generate_small_bowel
-from vrcaps.organ.stomach import generate_stomach
-from vrcaps.organ.surface import Mesh, OrganSurface
-from vrcaps.organ.texture_coordinates import texture_stretch
+from validation import ROOT, table, write_section
+from vrcaps.anatomy.catalog import GI_COLON_TRIANGLES
+from vrcaps.anatomy.colon import generate_colon
+from vrcaps.anatomy.full_tract.appearance import with_appearance
+from vrcaps.anatomy.full_tract.generate import generate_gi
+from vrcaps.anatomy.full_tract.patient import bowel_surroundings, draw_patient
+from vrcaps.anatomy.small_bowel import generate_small_bowel
+from vrcaps.anatomy.stomach import generate_stomach
+from vrcaps.mesh.edges import face_areas
+from vrcaps.mesh.mesh import Mesh
+from vrcaps.mucosa.appearance import bake_appearance
+from vrcaps.organ.surface import OrganSurface
+from vrcaps.organ.uv import texture_stretch
 from vrcaps.units import MM
 
 ORGANS = ("stomach", "small-bowel", "colon", "gi")

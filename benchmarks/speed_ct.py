@@ -18,15 +18,15 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+
 from validation import ROOT, options, table, write_section
 
-sys.path.append(str(ROOT / "tests" / "organ" / "ct"))  # the phantom that the tests use
+sys.path.append(str(ROOT / "tests" / "support"))
 
 from phantom import Scanner, scan_of, write_dicom
-
-from vrcaps.organ.catalog import load_organ
-from vrcaps.organ.ct.volume import Volume
-from vrcaps.organ.surface import Mesh
+from vrcaps.anatomy.catalog import load_organ
+from vrcaps.mesh.mesh import Mesh
+from vrcaps.tools.ct.volume import Volume
 from vrcaps.units import MM
 
 PIXEL = 0.88 * MM  # 450 mm across 512 pixels
@@ -68,7 +68,7 @@ def run(arguments: list[str]) -> tuple[float, float]:
 
 def measure(num_slices: int, flags: list[str], fluid_depth: float) -> tuple[str, ...]:
     """One row of the table."""
-    from vrcaps.organ.read import read_mesh
+    from vrcaps.mesh.read_mesh import read_mesh
 
     with tempfile.TemporaryDirectory() as folder:
         dicom, out = Path(folder, "dicom"), Path(folder, "organ.glb")

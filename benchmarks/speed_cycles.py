@@ -21,10 +21,10 @@ from itertools import islice
 from pathlib import Path
 
 import numpy as np
+
 from path_scenes import FIELD, Scene, scenes
 from speed_path import measure, noise
 from validation import PAGE, table, write_section
-
 from vrcaps.organ.surface import Appearance
 from vrcaps.render.renderer import Renderer
 from vrcaps.transforms import rotate_vectors, transform_points

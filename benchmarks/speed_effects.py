@@ -21,14 +21,14 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from validation import PAGE, table, write_section
 
 import vrcaps
-from vrcaps.record.images import Images, Step
-from vrcaps.record.recorder import record
-from vrcaps.record.scenario import Scenario, build, resolve
-from vrcaps.render.camera_effects.grades import GRADES
-from vrcaps.render.camera_effects.parse import parse_effects
+from validation import PAGE, table, write_section
+from vrcaps.camera_pipeline.parse import parse_effects
+from vrcaps.camera_pipeline.severities import GRADES
+from vrcaps.recording.images import Images, Step
+from vrcaps.recording.recorder import record
+from vrcaps.scenario.scenario import Scenario, build, resolve
 
 FRAMES, RECORDED = 60, 200
 ROUNDS = 15

@@ -17,8 +17,8 @@ from typing import Literal
 import numpy as np
 import tyro
 
+from vrcaps.anatomy.catalog import load_organ
 from vrcaps.capsule.catalog import load_device
-from vrcaps.organ.catalog import load_organ
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.tissue.fem.deformation import FemDeformation
 from vrcaps.tissue.fem.wall import FemWall

@@ -18,21 +18,22 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
+
 from validation import ROOT, options, table, write_section
 
-sys.path.append(str(ROOT / "tests"))  # the tubes that the tests use
+sys.path.append(str(ROOT / "tests" / "support"))
 
 from tubes import straight_gut
+from vrcaps.actuation.capsule_target import gut_goal
+from vrcaps.actuation.steering_program import MagnetSteering, Waypoint
 from vrcaps.capsule.catalog import load_device
 from vrcaps.magnet.field import SourceSet
 from vrcaps.magnet.internal import InternalMagnet
 from vrcaps.magnet.sources import Coil, Cylinder, Dipole, FieldMap, Solenoid, Source, magnet_pose
+from vrcaps.motion.dynamics import Physics
+from vrcaps.motion.rollout import Simulation
 from vrcaps.world.control import Control
-from vrcaps.world.goal import gut_goal
-from vrcaps.world.magnet_motion import MagnetSteering, Waypoint
 from vrcaps.world.model import Model
-from vrcaps.world.physics import Physics
-from vrcaps.world.simulation import Simulation
 from vrcaps.world.world import World
 
 BATCHES = 31

@@ -18,6 +18,7 @@ from itertools import islice
 from pathlib import Path
 
 import numpy as np
+
 from path_scenes import Scene, scenes
 from validation import options, table, write_section
 

@@ -14,25 +14,25 @@ import sys
 from pathlib import Path
 
 import numpy as np
-from validation import ROOT, options, table, write_section
 
+from validation import ROOT, options, table, write_section
 from vrcaps import _core
-from vrcaps.capsule.calibrate.board import Board
-from vrcaps.capsule.calibrate.circle import image_circle
-from vrcaps.capsule.calibrate.corners import find_views
-from vrcaps.capsule.calibrate.family import FAMILIES
-from vrcaps.capsule.calibrate.fit import Calibration, calibrate
 from vrcaps.capsule.catalog import load_device
 from vrcaps.capsule.device import Device
-from vrcaps.organ.photo.read import Photo, read_photos
 from vrcaps.organ.surface import Appearance
 from vrcaps.render.renderer import Renderer
 from vrcaps.render.settings import RenderSettings
+from vrcaps.tools.camera_calibration.board import Board
+from vrcaps.tools.camera_calibration.circle import image_circle
+from vrcaps.tools.camera_calibration.corners import find_views
+from vrcaps.tools.camera_calibration.fit import Calibration, calibrate
+from vrcaps.tools.camera_calibration.parameterization import FAMILIES
+from vrcaps.tools.photos import Photo, read_photos
 from vrcaps.transforms import invert, transform_points
 from vrcaps.units import DEG
 from vrcaps.world.model import Model, State
 
-sys.path.append(str(ROOT / "tests" / "capsule" / "calibrate"))  # boards held before a camera
+sys.path.append(str(ROOT / "tests" / "support"))
 
 PHOTOS = ROOT.parent / "shared" / "data" / "calibration"
 STORED = {"pinhole": "pinhole"}  # all others are compared with the fisheye fit

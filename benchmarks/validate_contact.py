@@ -17,27 +17,27 @@ from pathlib import Path
 
 import numpy as np
 from scipy.integrate import quad
+
 from validation import DATA, PAGE, ROOT, table, write_section
 
-sys.path.append(str(ROOT / "tests" / "world"))  # the walls of simple shape that the tests use
-
-from walls import HALF_AXIS, LINEAR, RADIUS, capsule, floor, tube, world_on
+sys.path.append(str(ROOT / "tests" / "support"))
 
 from vrcaps import _core
+from vrcaps.anatomy.catalog import load_organ
 from vrcaps.capsule.catalog import load_device
 from vrcaps.errors import InputError
-from vrcaps.organ.catalog import load_organ
 from vrcaps.organ.from_file import organ_from_file
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.tissue.drag import Drag
 from vrcaps.tissue.material import Material
 from vrcaps.tissue.motility.motility import Motility
-from vrcaps.tissue.quick import QuickDeformation
+from vrcaps.tissue.spring_wall import QuickDeformation
 from vrcaps.tissue.tissue import Tissue
 from vrcaps.units import MM
 from vrcaps.world.control import Control
 from vrcaps.world.model import Model, State, posture_transform
 from vrcaps.world.world import SUBSTEP, World
+from walls import HALF_AXIS, LINEAR, RADIUS, capsule, floor, tube, world_on
 
 FREE, STILL, DOWN = (0.0,) * 6, (0.0,) * 3, (0.0, 0.0, -9.81)
 EDGES = (4.0, 2.0, 1.0, 0.5)

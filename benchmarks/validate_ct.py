@@ -12,22 +12,23 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+
 from validation import DATA, ROOT, options, table, write_section
 
-sys.path.append(str(ROOT / "tests" / "organ" / "ct"))  # the phantom that the tests use
+sys.path.append(str(ROOT / "tests" / "support"))
 
 from phantom import Polyp, Scanner, scan_of, with_polyps, write_dicom
-
 from vrcaps._core import Wall as Surface
-from vrcaps.organ.catalog import load_organ
+from vrcaps.anatomy.catalog import load_organ
+from vrcaps.mesh.mesh import Mesh
+from vrcaps.mesh.read_mesh import read_mesh
+from vrcaps.mesh.repair import repair
 from vrcaps.organ.centerline import compute_centerline
 from vrcaps.organ.centerline.distance import wall_distance
-from vrcaps.organ.ct.from_ct import Wall, find_lumens, organ_from_gas
-from vrcaps.organ.ct.lumen import choose_gas
-from vrcaps.organ.ct.read import read_volume
-from vrcaps.organ.read import read_mesh
-from vrcaps.organ.repair import repair
-from vrcaps.organ.surface import Mesh, OrganSurface
+from vrcaps.organ.surface import OrganSurface
+from vrcaps.tools.ct.from_ct import Wall, find_lumens, organ_from_gas
+from vrcaps.tools.ct.lumen import choose_gas
+from vrcaps.tools.ct.read_volume import read_volume
 from vrcaps.units import MM
 
 POLYPS = (6 * MM, 6 * MM, 7 * MM, 8 * MM, 10 * MM, 14 * MM)

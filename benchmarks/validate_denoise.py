@@ -16,10 +16,10 @@ from itertools import islice
 from pathlib import Path
 
 import numpy as np
+
 from path_scenes import Scene, scenes
 from validation import options, table, write_section
-
-from vrcaps.organ.catalog import load_organ
+from vrcaps.anatomy.catalog import load_organ
 from vrcaps.world.model import Model
 
 SAMPLES = (4, 16, 64)

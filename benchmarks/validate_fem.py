@@ -14,9 +14,10 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
+
 from validation import PAGE, ROOT, table, write_section
 
-sys.path.append(str(ROOT / "tests" / "tissue" / "fem"))  # the measurements that the tests bound
+sys.path.append(str(ROOT / "tests" / "support"))
 
 from fem_errors import bending_error, cantilever_error, lame_error, mode_errors, patch_error
 

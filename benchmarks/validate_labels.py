@@ -15,16 +15,16 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from validation import DATA, options, table, write_section
 
-from vrcaps.capsule.device import Camera
-from vrcaps.capsule.rays import camera_rays, pixel_grid, project_points, unproject_pixels
+from validation import DATA, options, table, write_section
+from vrcaps.camera.camera import Camera
+from vrcaps.camera.rays import camera_rays, pixel_grid, project_points, unproject_pixels
+from vrcaps.motion.fly_through import FlyThrough
 from vrcaps.organ.surface import face_label
-from vrcaps.record.episode import Episode, read_episode
-from vrcaps.record.recorder import record
-from vrcaps.record.scenario import OrganFile, OrganGenerated, Scenario
+from vrcaps.recording.episode import Episode, read_episode
+from vrcaps.recording.recorder import record
+from vrcaps.scenario.scenario import OrganFile, OrganGenerated, Scenario
 from vrcaps.transforms import invert, rotate_vectors, transform_points
-from vrcaps.world.fly_through import FlyThrough
 
 STILL_CHANNELS = ("depth", "ray_distance", "normal", "label", "instance", "arc_length")
 CHANNELS = (*STILL_CHANNELS, "flow_forward", "occlusion")
@@ -46,6 +46,7 @@ class Written:
 
     def __init__(self, path: Path) -> None:
         import trimesh
+
         from oracle_embree import EmbreeCaster
 
         (mesh,) = trimesh.load_scene(path, process=False).geometry.values()

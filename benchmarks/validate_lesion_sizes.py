@@ -14,13 +14,13 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from validate_lesions import cuts
-from validation import options, table, write_section
 
 import vrcaps
+from validate_lesions import cuts
+from validation import options, table, write_section
 from vrcaps.errors import InputError
-from vrcaps.organ.lesion import Patient, add_lesions, parse_lesion
-from vrcaps.organ.lesion.base import Lesion, SizedLesion
+from vrcaps.lesion import Patient, add_lesions, parse_lesion
+from vrcaps.lesion.base import Lesion, SizedLesion
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.units import MM
 

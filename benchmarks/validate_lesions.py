@@ -21,19 +21,19 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-from validation import ROOT, options, table, write_section
 
 import vrcaps
-from vrcaps.capsule.rays import camera_rays
+from validation import ROOT, options, table, write_section
+from vrcaps.camera.rays import camera_rays
+from vrcaps.lesion import Patient, add_lesions, parse_lesion
+from vrcaps.mesh.self_intersection import self_intersections
 from vrcaps.organ.centerline import interpolate
-from vrcaps.organ.crossing import self_intersections
-from vrcaps.organ.lesion import Patient, add_lesions, parse_lesion
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.transforms import look_along, transform_from
 from vrcaps.units import MM
 from vrcaps.world.model import Model, State
 
-sys.path.append(str(ROOT / "tests" / "organ" / "lesion"))  # the oracle that the tests use
+sys.path.append(str(ROOT / "tests" / "support"))
 
 COLON = (
     "polyp-Ip:size=12mm", "polyp-Is", "polyp-IIa", "polyp-IIb", "polyp-IIc",

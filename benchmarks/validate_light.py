@@ -15,14 +15,14 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from validation import options, table, write_section
 
+from validation import options, table, write_section
+from vrcaps.anatomy.catalog import load_organ
 from vrcaps.capsule.catalog import load_device
-from vrcaps.organ.catalog import load_organ
+from vrcaps.motion.fly_through import FlyThrough, fly_through
 from vrcaps.organ.surface import Appearance, OrganSurface
 from vrcaps.render.renderer import Renderer
 from vrcaps.render.settings import RenderSettings
-from vrcaps.world.fly_through import FlyThrough, fly_through
 from vrcaps.world.model import Model, State
 
 FIELD = 2.0

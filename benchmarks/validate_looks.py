@@ -17,11 +17,12 @@ import argparse
 from pathlib import Path
 
 import numpy as np
+from PIL import Image, ImageDraw
+
 from looks_camera import WHITE_SPREAD, our_discs
 from looks_images import SIZE, read_disc, valid_pixels
 from looks_scenes import scenes, shots
 from looks_statistics import compare, refitted_gains
-from PIL import Image, ImageDraw
 from validation import ROOT, table, write_section
 
 DATA = ROOT.parent / "shared" / "data"

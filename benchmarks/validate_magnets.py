@@ -19,16 +19,17 @@ from pathlib import Path
 import magpylib
 import numpy as np
 import pinocchio
+
 from validation import ROOT, options, table, write_section
 
-sys.path += [str(ROOT / "tests" / "magnet"), str(ROOT / "tests" / "magnet" / "arm")]
+sys.path += [str(ROOT / "tests" / "support"), str(ROOT / "tests" / "actuation" / "arm")]
 
-from scenes import random_directions, random_poses, relative
 from scipy.spatial.transform import Rotation
 from test_kinematics import errors, path_of
 
-from vrcaps.magnet.arm.catalog import load_arm
-from vrcaps.magnet.arm.kinematics import forward, nearest
+from scenes import random_directions, random_poses, relative
+from vrcaps.actuation.arm.arm_catalog import load_arm
+from vrcaps.actuation.arm.kinematics import forward, nearest
 from vrcaps.magnet.field import field, wrench
 from vrcaps.magnet.internal import InternalMagnet
 from vrcaps.magnet.presets import MAGNETS, dipole_distance, load_magnet, magnet_names

@@ -15,13 +15,14 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
+
 from validation import ROOT, options, table, write_section
 
-sys.path.append(str(ROOT / "tests"))  # the tubes that the tests use
+sys.path.append(str(ROOT / "tests" / "support"))
 
 from tubes import straight_gut
+from vrcaps.anatomy.catalog import load_organ
 from vrcaps.capsule.catalog import load_device
-from vrcaps.organ.catalog import load_organ
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.tissue.motility.migrating_complex import MINUTE, MigratingMotorComplex
 from vrcaps.tissue.motility.motility import Motility

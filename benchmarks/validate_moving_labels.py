@@ -18,18 +18,18 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+
 from validate_labels import CHANNELS, HEAD, Tally, Written, _percent, compare_frame
 from validation import options, table, write_section
-
-from vrcaps.capsule.device import Camera
-from vrcaps.capsule.rays import camera_rays, pixel_grid, project_points
-from vrcaps.organ.surface import vertex_normals
-from vrcaps.record.episode import Episode, read_episode
-from vrcaps.record.recorder import record
-from vrcaps.record.scenario import OrganGenerated, Scenario
+from vrcaps.camera.camera import Camera
+from vrcaps.camera.rays import camera_rays, pixel_grid, project_points
+from vrcaps.mesh.mesh import vertex_normals
+from vrcaps.motion.dynamics import Physics
+from vrcaps.recording.episode import Episode, read_episode
+from vrcaps.recording.recorder import record
+from vrcaps.scenario.scenario import OrganGenerated, Scenario
 from vrcaps.transforms import invert, rotate_vectors, transform_points
 from vrcaps.units import UM
-from vrcaps.world.physics import Physics
 from vrcaps.world.schedule import Insufflation, Turn, Wrench
 
 ALL_CHANNELS = (*CHANNELS, "flow_backward")

@@ -12,6 +12,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+
 from path_scenes import Scene, scenes
 from validation import options, table, write_section
 

@@ -12,21 +12,21 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+
 from validate_steering import DT, SUBSTEP, error_of, lead, panda
 from validation import options, table, write_section
-
+from vrcaps.actuation.capsule_target import Goal, wall_goal
+from vrcaps.actuation.magnet_controller import Pilot
+from vrcaps.actuation.magnet_pose_solver import Room
+from vrcaps.actuation.point_to_point import Guide
+from vrcaps.actuation.steering_program import GENTLE
+from vrcaps.anatomy.stomach import StomachParameters, generate_stomach
 from vrcaps.capsule.catalog import load_device
 from vrcaps.magnet.presets import load_magnet
 from vrcaps.magnet.sources import magnet_pose
-from vrcaps.magnet.steering.aim import Room
-from vrcaps.organ.stomach import StomachParameters, generate_stomach
 from vrcaps.tissue.tissue import Tissue
 from vrcaps.units import CM, DEG
-from vrcaps.world.goal import Goal, wall_goal
-from vrcaps.world.guide import Guide
-from vrcaps.world.magnet_motion import GENTLE
 from vrcaps.world.model import Model, State, posture_transform
-from vrcaps.world.steering import Pilot
 from vrcaps.world.world import World
 
 SEED = 3

@@ -15,10 +15,10 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from validation import options, table, write_section
 
+from validation import options, table, write_section
+from vrcaps.anatomy.catalog import load_organ
 from vrcaps.cli.benchmarks.stage import Stage, make_stage, resized_camera
-from vrcaps.organ.catalog import load_organ
 from vrcaps.render.renderer import Renderer
 from vrcaps.render.settings import RenderSettings
 from vrcaps.units import MM

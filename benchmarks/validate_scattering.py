@@ -21,14 +21,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from validation import options, table, write_section
 
+from validation import options, table, write_section
 from vrcaps import _core
+from vrcaps.anatomy.catalog import load_organ
+from vrcaps.camera.camera import Camera
+from vrcaps.camera_pipeline.camera_changes import scaled_camera
 from vrcaps.capsule.catalog import load_device
-from vrcaps.capsule.device import Camera
-from vrcaps.organ.catalog import load_organ
+from vrcaps.motion.fly_through import FlyThrough, fly_through
 from vrcaps.organ.surface import Appearance
-from vrcaps.render.camera_effects.scene import scaled_camera
 from vrcaps.render.renderer import Renderer
 from vrcaps.render.scattering import (
     Medium,
@@ -40,7 +41,6 @@ from vrcaps.render.scattering import (
     internal_reflection,
 )
 from vrcaps.render.settings import RenderSettings
-from vrcaps.world.fly_through import FlyThrough, fly_through
 from vrcaps.world.model import Model, State
 
 HEAD = (

@@ -14,12 +14,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from validation import options, table, write_section
 
+from validation import options, table, write_section
 from vrcaps.magnet.presets import load_magnet
-from vrcaps.magnet.sense.hall import HallArray, hall_grid, miscalibrated, read_hall
-from vrcaps.magnet.sense.locate import locate
 from vrcaps.magnet.sources import Uniform, magnet_pose
+from vrcaps.sensors.hall import HallArray, hall_grid, miscalibrated, read_hall
+from vrcaps.sensors.localize import locate
 
 EARTH = 50e-6
 GAIN, OFFSET = 0.005, 1e-6

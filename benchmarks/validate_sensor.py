@@ -11,15 +11,15 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from validation import options, table, write_section
 
+from validation import options, table, write_section
 from vrcaps import _core
+from vrcaps.camera.camera import Camera
+from vrcaps.camera.derive import focal_length_px
+from vrcaps.camera_pipeline.exposure import AutoExposure
+from vrcaps.camera_pipeline.optics import Bloom, Defocus, LateralColor, Vignetting
+from vrcaps.camera_pipeline.severities import GRADES
 from vrcaps.capsule.catalog import load_device
-from vrcaps.capsule.device import Camera
-from vrcaps.capsule.lens.change import focal_length_px
-from vrcaps.render.camera_effects.exposure import AutoExposure
-from vrcaps.render.camera_effects.grades import GRADES
-from vrcaps.render.camera_effects.optics import Bloom, Defocus, LateralColor, Vignetting
 from vrcaps.render.flow import STEP
 from vrcaps.units import MM
 

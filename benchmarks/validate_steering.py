@@ -14,26 +14,27 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+
 from validation import ROOT, options, table, write_section
 
-sys.path.append(str(ROOT / "tests"))  # the tubes that the tests use
+sys.path.append(str(ROOT / "tests" / "support"))
 
 from tubes import bent_tube, straight_gut
+from vrcaps.actuation.arm.arm_catalog import load_arm
+from vrcaps.actuation.arm.arm_with_payload import Carrier, across_mount
+from vrcaps.actuation.capsule_target import Goal, gut_goal
+from vrcaps.actuation.magnet_actuator import FreeHolder, Holder
+from vrcaps.actuation.magnet_controller import Pilot, Steering
+from vrcaps.actuation.magnet_pose_solver import Room
+from vrcaps.actuation.robot_actuator import ArmHolder
 from vrcaps.capsule.catalog import load_device
-from vrcaps.magnet.arm.carrier import Carrier, across_mount
-from vrcaps.magnet.arm.catalog import load_arm
 from vrcaps.magnet.presets import load_magnet
 from vrcaps.magnet.sources import Coil, Cylinder, Dipole, magnet_pose
-from vrcaps.magnet.steering.aim import Room
-from vrcaps.magnet.steering.arm_holder import ArmHolder
-from vrcaps.magnet.steering.holder import FreeHolder, Holder
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.tissue.tissue import Tissue
 from vrcaps.transforms import transform_from
 from vrcaps.world.control import Control
-from vrcaps.world.goal import Goal, gut_goal
 from vrcaps.world.model import Model, State
-from vrcaps.world.steering import Pilot, Steering
 from vrcaps.world.world import GRAVITY, World
 
 DT, SUBSTEP = 0.01, 2e-4

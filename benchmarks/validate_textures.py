@@ -11,11 +11,11 @@ import time
 from pathlib import Path
 
 import numpy as np
-from validation import DATA, options, table, write_section
 
-from vrcaps.organ.photo.make import TextureRecipe, make_texture
-from vrcaps.organ.photo.read import read_photos
-from vrcaps.organ.photo.sources import Scale
+from validation import DATA, options, table, write_section
+from vrcaps.tools.mucosa_from_photos.make_texture import TextureRecipe, make_texture
+from vrcaps.tools.mucosa_from_photos.patches import Scale
+from vrcaps.tools.photos import read_photos
 
 FRAMES = DATA.parent / "real_frames"
 """Optional photographs by folder; those absent are left out."""

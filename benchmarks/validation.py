@@ -16,7 +16,7 @@ _TITLE = """# Validation
 Each table below is written by the script named above it; nobody types results.
 """
 
-sys.path.append(str(ROOT / "tests" / "render"))  # the independent renderers that the tests use
+sys.path.append(str(ROOT / "tests" / "support"))
 
 
 def options(description: str, size: int) -> argparse.Namespace:

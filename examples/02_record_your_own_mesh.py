@@ -18,7 +18,7 @@ import trimesh
 
 import vrcaps
 from vrcaps._core import Wall
-from vrcaps.record.recorder import record
+from vrcaps.recording.recorder import record
 from vrcaps.transforms import transform_points
 
 

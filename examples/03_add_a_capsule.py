@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 import vrcaps
-from vrcaps.record.recorder import record
+from vrcaps.recording.recorder import record
 
 WIDE = """
 title = "Wide-angle capsule"

@@ -23,7 +23,7 @@ from pathlib import Path
 import trimesh
 
 import vrcaps
-from vrcaps.record.recorder import record
+from vrcaps.recording.recorder import record
 from vrcaps.tissue.drag import Drag
 from vrcaps.units import CM, MM
 

@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 import vrcaps
-from vrcaps.record.recorder import record
+from vrcaps.recording.recorder import record
 from vrcaps.transforms import invert, transform_points
 from vrcaps.units import CM, DEG
 from vrcaps.world.schedule import Turn

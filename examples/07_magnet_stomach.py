@@ -24,12 +24,12 @@ import matplotlib
 import numpy as np
 
 import vrcaps
-from vrcaps.record.episode import Episode
-from vrcaps.record.recorder import record
-from vrcaps.record.scenario import build, resolve
+from vrcaps.actuation.steering_program import MagnetSteering
+from vrcaps.motion.rollout import Simulation
+from vrcaps.recording.episode import Episode
+from vrcaps.recording.recorder import record
+from vrcaps.scenario.scenario import build, resolve
 from vrcaps.units import CM, DEG
-from vrcaps.world.magnet_motion import MagnetSteering
-from vrcaps.world.simulation import Simulation
 
 matplotlib.use("Agg")
 

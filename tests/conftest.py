@@ -1,11 +1,13 @@
 """Fixtures shared by all tests."""
 
-import sys
+import os
 from pathlib import Path
 
 import pytest
 
-sys.path.append(str(Path(__file__).parent))  # tubes
+_SUPPORT = str(Path(__file__).parent / "support")
+os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, (_SUPPORT, os.environ.get("PYTHONPATH"))))
+"""Processes that tests start find the support modules, too."""
 
 
 @pytest.fixture(scope="session")

@@ -10,9 +10,9 @@ from pathlib import Path
 
 import pytest
 
-from vrcaps.record.scenario import OrganFile, read_scenario
-from vrcaps.world.fly_through import FlyThrough
-from vrcaps.world.physics import Physics
+from vrcaps.motion.dynamics import Physics
+from vrcaps.motion.fly_through import FlyThrough
+from vrcaps.scenario.scenario import OrganFile, read_scenario
 
 ROOT = Path(__file__).resolve().parents[1]
 EXAMPLES = sorted((ROOT / "examples").glob("[0-9]*.py"))

@@ -13,17 +13,17 @@ from pathlib import Path
 import numpy as np
 from PIL import Image, ImageDraw
 
+from vrcaps.anatomy.catalog import load_organ
 from vrcaps.capsule.catalog import load_device
 from vrcaps.color import luminance
-from vrcaps.organ.catalog import load_organ
+from vrcaps.lumen.bowel_preparation import prepared
+from vrcaps.lumen.bubbles import BUBBLE_GRADES, CM2
+from vrcaps.lumen.chyme import CHYME_GRADES
+from vrcaps.lumen.contents import Contents
+from vrcaps.lumen.liquid import LIQUID_GRADES
 from vrcaps.organ.centerline import interpolate
 from vrcaps.render.renderer import Renderer
 from vrcaps.render.settings import RenderSettings
-from vrcaps.tissue.contents.bubbles import BUBBLE_GRADES, CM2
-from vrcaps.tissue.contents.chyme import CHYME_GRADES
-from vrcaps.tissue.contents.contents import Contents
-from vrcaps.tissue.contents.liquid import LIQUID_GRADES
-from vrcaps.tissue.contents.preparation import prepared
 from vrcaps.transforms import look_along, transform_from, transform_points
 from vrcaps.units import MM
 from vrcaps.world.model import Model, State

@@ -12,17 +12,17 @@ from typing import Any
 import numpy as np
 from PIL import Image, ImageDraw
 
+from vrcaps.anatomy.catalog import load_organ
+from vrcaps.camera_pipeline.effects import Effects
+from vrcaps.camera_pipeline.pipeline import CameraChain, Moment
+from vrcaps.camera_pipeline.severities import GRADES, HIGHEST
 from vrcaps.capsule.catalog import load_device
 from vrcaps.capsule.device import Device
-from vrcaps.organ.catalog import load_organ
+from vrcaps.lumen.contents import Contents
+from vrcaps.motion.fly_through import FlyThrough, fly_through
 from vrcaps.organ.surface import OrganSurface
-from vrcaps.render.camera_effects.chain import CameraChain, Moment
-from vrcaps.render.camera_effects.effects import Effects
-from vrcaps.render.camera_effects.grades import GRADES, HIGHEST
 from vrcaps.render.renderer import Renderer
 from vrcaps.render.settings import RenderSettings
-from vrcaps.tissue.contents.contents import Contents
-from vrcaps.world.fly_through import FlyThrough, fly_through
 from vrcaps.world.model import Model, State
 
 SIDE_PX = 200

@@ -13,11 +13,11 @@ from PIL import Image, ImageDraw
 import vrcaps
 from vrcaps import _core
 from vrcaps._core import Wall
-from vrcaps.capsule.device import Camera
-from vrcaps.capsule.rays import camera_rays
+from vrcaps.camera.camera import Camera
+from vrcaps.camera.rays import camera_rays
 from vrcaps.color import luminance
+from vrcaps.lesion import Patient, add_lesions, parse_lesion
 from vrcaps.organ.centerline import interpolate
-from vrcaps.organ.lesion import Patient, add_lesions, parse_lesion
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.transforms import invert, look_along, transform_from
 from vrcaps.units import MM

@@ -14,16 +14,16 @@ matplotlib.use("agg")
 import matplotlib.pyplot as plt
 from matplotlib.patches import Ellipse
 
+from vrcaps.actuation.arm.kinematics import frames
+from vrcaps.actuation.steering_program import MagnetSteering
+from vrcaps.anatomy.stomach import StomachParameters, generate_stomach
 from vrcaps.capsule.catalog import load_device
-from vrcaps.magnet.arm.kinematics import frames
 from vrcaps.magnet.field import SourceSet
-from vrcaps.organ.stomach import StomachParameters, generate_stomach
+from vrcaps.motion.dynamics import Physics
+from vrcaps.motion.rollout import Simulation
 from vrcaps.transforms import invert, transform_points
 from vrcaps.units import CM
-from vrcaps.world.magnet_motion import MagnetSteering
 from vrcaps.world.model import Model, posture_transform
-from vrcaps.world.physics import Physics
-from vrcaps.world.simulation import Simulation
 
 SECONDS, FPS = 8.0, 1.0
 WIDTH, HEIGHT = (-68.0, 32.0), (-20.0, 62.0)

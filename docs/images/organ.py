@@ -12,8 +12,8 @@ import numpy as np
 from PIL import Image
 
 import vrcaps
-from vrcaps.organ.lesion import add_lesions, parse_lesion
-from vrcaps.render.overview import write_overview
+from vrcaps.lesion import add_lesions, parse_lesion
+from vrcaps.tools.overview.overview import write_overview
 
 LESIONS = (
     *("polyp-Ip:size=14mm,segment=sigmoid", "polyp-Is:size=12mm,segment=transverse"),

@@ -120,12 +120,13 @@ impl<'a> Planes<'a> {
         (height, width): (usize, usize),
     ) -> PyResult<Option<Self>> {
         let Some(array) = array else { return Ok(None) };
-        let (shape, fits) =
-            (array.shape().to_vec(), "Channel radiance_planes has the wrong shape.");
-        let [3, rows, stride] = shape[..] else { return Err(PyValueError::new_err(fits)) };
-        let around = rows.checked_sub(height).filter(|around| around % 2 == 0);
-        let around = around.filter(|around| stride >= width + around);
-        let margin = around.ok_or_else(|| PyValueError::new_err(fits))? / 2;
+        let around = |rows: usize| rows.checked_sub(height).filter(|around| around % 2 == 0);
+        let (rows, stride, margin) = match *array.shape() {
+            [3, rows, stride] if around(rows).is_some_and(|around| stride >= width + around) => {
+                (rows, stride, (rows - height) / 2)
+            }
+            _ => return Err(wrong_shape("radiance_planes")),
+        };
         let (red, rest) = array.as_slice_mut()?.split_at_mut(rows * stride);
         let (green, blue) = rest.split_at_mut(rows * stride);
         Ok(Some(Planes { colors: [red, green, blue], stride, margin }))
@@ -151,9 +152,13 @@ pub fn take<'py, T: Element>(
 ) -> PyResult<Option<PyReadwriteArrayDyn<'py, T>>> {
     let array = find(out, name)?;
     if array.as_ref().is_some_and(|array| array.len() != height * width * components) {
-        return Err(PyValueError::new_err(format!("Channel {name} has the wrong shape.")));
+        return Err(wrong_shape(name));
     }
     Ok(array)
+}
+
+fn wrong_shape(name: &str) -> PyErr {
+    PyValueError::new_err(format!("Channel {name} has the wrong shape."))
 }
 
 /// A channel of a dictionary, if it is there.
@@ -252,14 +257,9 @@ impl Place {
         }
         let (width, height) = self.size;
         let columns = (width - self.column).min(TILE);
-        for (y, row) in known.chunks_exact(TILE).take(height).enumerate() {
+        for (y, row) in known.as_chunks::<TILE>().0.iter().take(height).enumerate() {
             let start = y * stride + self.column;
-            let out = &mut pixels[start..start + columns];
-            match <&mut [T; TILE]>::try_from(&mut *out) {
-                // A number of bytes known beforehand: no call to copy a few of them.
-                Ok(whole) => whole.copy_from_slice(row),
-                Err(_) => put_some(row, out),
-            }
+            store(row, &mut pixels[start..start + columns]);
         }
     }
 
@@ -314,13 +314,6 @@ impl Place {
         }
         self.write_each(channel, 3, |i, k| encoded[k][i]);
     }
-}
-
-/// By itself, so that a whole row is put without a call.
-#[cold]
-#[inline(never)]
-fn put_some<T: Copy>(row: &[T], out: &mut [T]) {
-    out.copy_from_slice(&row[..out.len()]);
 }
 
 /// Writes each component of a pixel.

@@ -126,7 +126,7 @@ pub fn load<const N: usize>(row: &[f32]) -> [f32; N] {
 
 /// Writes numbers to where a row begins, as far as it goes.
 #[inline(always)]
-pub fn store<const N: usize>(values: &[f32; N], row: &mut [f32]) {
+pub fn store<T: Copy, const N: usize>(values: &[T; N], row: &mut [T]) {
     match row.first_chunk_mut::<N>() {
         Some(whole) => *whole = *values,
         None => store_some(values, row),
@@ -136,7 +136,7 @@ pub fn store<const N: usize>(values: &[f32; N], row: &mut [f32]) {
 /// By itself, so that a whole number of values is stored without a call.
 #[cold]
 #[inline(never)]
-fn store_some(values: &[f32], row: &mut [f32]) {
+fn store_some<T: Copy>(values: &[T], row: &mut [T]) {
     row.copy_from_slice(&values[..row.len()]);
 }
 

@@ -142,7 +142,7 @@ def lead_on(
 ]: ...
 
 class ArmChain:
-    """An arm of turning joints (`vrcaps.magnet.arm`)."""
+    """An arm of turning joints (`vrcaps.actuation.arm`)."""
 
     has_closed_form: bool
     def __init__(
@@ -169,7 +169,7 @@ class ArmChain:
     ) -> NDArray[np.float64]: ...
 
 class ArmCarrier:
-    """An arm with a magnet (`vrcaps.magnet.arm.carrier`)."""
+    """An arm with a magnet (`vrcaps.actuation.arm.arm_with_payload`)."""
 
     def __init__(
         self,
@@ -184,7 +184,7 @@ class ArmCarrier:
     def lowest(self, magnet: NDArray[np.float64]) -> float: ...
 
 class ArmHolder:
-    """An arm that leads its magnet (`vrcaps.magnet.steering.arm_holder`)."""
+    """An arm that leads its magnet (`vrcaps.actuation.robot_actuator`)."""
 
     def __init__(
         self,
@@ -382,7 +382,7 @@ def bake_mucosa(
     seed: int,
     mucosa: object,
 ) -> tuple[NDArray[np.uint8], NDArray[np.uint8], NDArray[np.float32]]:
-    """Flat sRGB albedo, roughness and height [m] of a mucosa (`vrcaps.organ.appearance`)."""
+    """Flat sRGB albedo, roughness and height [m] of a mucosa (`vrcaps.mucosa.appearance`)."""
 
 class FemLayer:
     """A layer of finite elements that carries a surface (`vrcaps.tissue.fem`)."""

@@ -113,3 +113,26 @@ def look_along(
         raise InputError("Viewing direction is zero or parallel to up. Give another up direction.")
     z, x = z / lengths[0], x / lengths[1]
     return np.stack([x, np.cross(z, x), z], axis=-1)
+
+
+def rotation_vector(
+    R_world_a: Float[np.ndarray, "*batch 3 3"], R_world_b: Float[np.ndarray, "*batch 3 3"]
+) -> Float[np.ndarray, "*batch 3"]:
+    """Axis times angle [rad] of the rotation that takes a to b, in the world frame.
+
+    The angle is from 0 to π: the shorter way round.
+    """
+    wxyz = quaternion_from_matrix(R_world_b @ np.swapaxes(R_world_a, -1, -2))
+    sine = np.linalg.norm(wxyz[..., 1:], axis=-1, keepdims=True)
+    angle = 2.0 * np.arctan2(sine, wxyz[..., :1])
+    # sin(x)/x → 1: for tiny angles the vector is twice the quaternion's imaginary part.
+    return np.where(sine > 1e-12, angle / np.maximum(sine, 1e-12), 2.0) * wxyz[..., 1:]
+
+
+def rotation_from_vector(vector: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch 3 3"]:
+    """Rotation matrix of an axis times an angle [rad]."""
+    half = 0.5 * np.linalg.norm(vector, axis=-1, keepdims=True)
+    # np.sinc(x) = sin(πx)/(πx), so the imaginary part is sin(half)/half · vector/2.
+    return matrix_from_quaternion(
+        np.concatenate([np.cos(half), 0.5 * np.sinc(half / np.pi) * vector], axis=-1)
+    )

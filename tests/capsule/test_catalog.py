@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from vrcaps.camera.rays import camera_rays, project_points
 from vrcaps.capsule.catalog import device_names, load_device
-from vrcaps.capsule.rays import camera_rays, project_points
 from vrcaps.errors import InputError, UnknownNameError
 from vrcaps.transforms import invert, rotate_vectors, transform_points
 from vrcaps.units import MM

@@ -7,10 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from vrcaps.camera.camera import Led
+from vrcaps.camera.lens import LENSES, LensEquirectangular, LensKannalaBrandt, LensPinhole
 from vrcaps.capsule.catalog import device_names, load_device
-from vrcaps.capsule.device import Device, Led
+from vrcaps.capsule.device import Device
 from vrcaps.capsule.device_file import write_device
-from vrcaps.capsule.lens import LENSES, LensEquirectangular, LensKannalaBrandt, LensPinhole
 from vrcaps.errors import InputError
 from vrcaps.magnet.internal import InternalMagnet
 from vrcaps.magnet.presets import load_magnet

@@ -7,14 +7,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from failing import fail
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
+from failing import fail
 from vrcaps import cli
-from vrcaps.capsule.calibrate.board import Board, board_image
+from vrcaps.camera.lens import LensPinhole
 from vrcaps.capsule.catalog import load_device
-from vrcaps.capsule.lens import LensPinhole
+from vrcaps.tools.camera_calibration.board import Board, board_image
 from vrcaps.transforms import transform_from
 
 BOARD = Board(5, 6, 2e-3)

@@ -13,10 +13,10 @@ from vrcaps.cli.check import Check
 from vrcaps.cli.demo import _free_folder
 from vrcaps.cli.record import Record
 from vrcaps.errors import InputError
-from vrcaps.record.scenario import OrganFile, OrganGenerated, Scenario
-from vrcaps.tissue.contents.preparation import prepared
-from vrcaps.world.fly_through import FlyThrough
-from vrcaps.world.replay import Replay
+from vrcaps.lumen.bowel_preparation import prepared
+from vrcaps.motion.fly_through import FlyThrough
+from vrcaps.motion.replay import Replay
+from vrcaps.scenario.scenario import OrganFile, OrganGenerated, Scenario
 
 OUT = Path("out")
 
@@ -207,10 +207,10 @@ def test_a_demo_never_writes_where_something_is(tmp_path: Path) -> None:
 
 
 def test_list_names_all_that_goes_by_name(capsys: pytest.CaptureFixture[str]) -> None:
+    from vrcaps.anatomy.catalog import ORGANS
     from vrcaps.capsule.catalog import device_names
-    from vrcaps.organ.appearance import MUCOSAE
-    from vrcaps.organ.catalog import ORGANS
-    from vrcaps.organ.lesion import LESIONS
+    from vrcaps.lesion import LESIONS
+    from vrcaps.mucosa.appearance import MUCOSAE
 
     cli.main(["organ", "list"])
     text = capsys.readouterr().out

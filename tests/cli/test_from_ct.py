@@ -2,24 +2,20 @@
 
 from __future__ import annotations
 
-import importlib
-import sys
 from dataclasses import replace
 from pathlib import Path
 
-import failing
 import numpy as np
 import pytest
 import SimpleITK as sitk
 import trimesh
 
+import failing
+import phantom
 from vrcaps import cli
-from vrcaps.organ.ct.volume import Volume
+from vrcaps.mesh.mesh import Mesh
 from vrcaps.organ.from_file import organ_from_file
-from vrcaps.organ.surface import Mesh
-
-sys.path.append(str(Path(__file__).parents[1] / "organ" / "ct"))
-phantom = importlib.import_module("phantom")
+from vrcaps.tools.ct.volume import Volume
 
 SPACING = (1.5e-3, 1e-3, 1e-3)
 

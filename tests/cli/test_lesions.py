@@ -2,7 +2,7 @@ import pytest
 
 from vrcaps.cli.lesions import chosen_lesions, lesion_lines
 from vrcaps.errors import InputError, UnknownNameError
-from vrcaps.organ.lesion import Colitis, Polyp
+from vrcaps.lesion import Colitis, Polyp
 
 
 def test_file_first_then_one_by_one(tmp_path):

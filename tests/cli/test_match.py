@@ -6,13 +6,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from failing import fail
 from PIL import Image
 from scipy import ndimage
 
+from failing import fail
 from vrcaps import cli
 from vrcaps.capsule.catalog import load_device
-from vrcaps.record.scenario import read_scenario
+from vrcaps.scenario.scenario import read_scenario
 
 
 def write_frames(folder: Path, count: int, tint: tuple[float, float, float]) -> Path:

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from vrcaps import cli
+from vrcaps.camera_pipeline.effects import Effects
 from vrcaps.cli.record import Record
-from vrcaps.render.camera_effects.effects import Effects
 
 BASE = "record --out o --organ colon --frames 2"
 

@@ -9,9 +9,9 @@ import tyro
 
 from vrcaps import cli
 from vrcaps.cli.record import Record
-from vrcaps.record.scenario import scenario_from_plain, scenario_to_plain
+from vrcaps.motion.dynamics import Physics
+from vrcaps.scenario.scenario import scenario_from_plain, scenario_to_plain
 from vrcaps.units import MM
-from vrcaps.world.physics import Physics
 
 
 def test_flags_reach_the_scenario_and_the_file(tmp_path: Path):

@@ -9,9 +9,9 @@ import pytest
 from vrcaps import cli
 from vrcaps.cli.record import Record
 from vrcaps.cli.record_physics import PhysicsFlags
+from vrcaps.motion.dynamics import Physics
 from vrcaps.tissue.drag import Drag
 from vrcaps.tissue.motility.propulsion import Propulsion
-from vrcaps.world.physics import Physics
 from vrcaps.world.schedule import Insufflation, Turn, Wrench
 
 OUT = Path("out")

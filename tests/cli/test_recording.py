@@ -13,7 +13,7 @@ import pytest
 import trimesh
 
 from vrcaps import cli
-from vrcaps.record.episode import read_episode
+from vrcaps.recording.episode import read_episode
 
 FLAGS = "--unit mm --frames 3 --channels rgb depth label --seed 5"
 

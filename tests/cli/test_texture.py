@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import failing
 import numpy as np
 import pytest
 from PIL import Image
 from scipy import ndimage
 
+import failing
 from vrcaps import cli
-from vrcaps.organ.photo.texture import read_texture
+from vrcaps.mucosa.texture import read_texture
 
 
 @pytest.fixture(scope="module")

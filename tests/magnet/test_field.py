@@ -10,9 +10,9 @@ import sys
 import magpylib
 import numpy as np
 import pytest
-from scenes import random_directions, random_poses, relative
 from scipy.spatial.transform import Rotation
 
+from scenes import random_directions, random_poses, relative
 from vrcaps.errors import InputError
 from vrcaps.magnet.field import SourceSet, field
 from vrcaps.magnet.sources import (

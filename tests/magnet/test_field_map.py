@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scenes import random_poses
 
+from scenes import random_poses
 from vrcaps.errors import InputError, UnknownNameError
 from vrcaps.magnet.field import field
 from vrcaps.magnet.field_map import read_field_map

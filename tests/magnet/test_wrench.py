@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scenes import random_directions, random_poses
 from scipy.spatial.transform import Rotation
 
+from scenes import random_directions, random_poses
 from vrcaps.errors import InputError
 from vrcaps.magnet.field import field, wrench
 from vrcaps.magnet.internal import InternalMagnet

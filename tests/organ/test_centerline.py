@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from vrcaps.errors import InputError
+from vrcaps.mesh.mesh import Mesh, vertex_normals
+from vrcaps.mesh.read_mesh import read_mesh
+from vrcaps.mesh.repair import repair
 from vrcaps.organ.centerline import centerline_from_points, compute_centerline, interpolate
 from vrcaps.organ.centerline.distance import triangle_distance, wall_distance
 from vrcaps.organ.centerline.lumen import grid_crossings, mean_radius, voxelise
-from vrcaps.organ.read import read_mesh
-from vrcaps.organ.repair import repair
-from vrcaps.organ.surface import Mesh, vertex_normals
 from vrcaps.units import MM
 
 RADIUS = 10 * MM

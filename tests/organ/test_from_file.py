@@ -8,10 +8,11 @@ import pytest
 import trimesh
 
 from vrcaps.errors import InputError
-from vrcaps.organ.facts import organ_facts
+from vrcaps.mesh.mesh import Mesh
 from vrcaps.organ.from_file import organ_from_file
-from vrcaps.organ.surface import Mesh, OrganSurface
-from vrcaps.organ.write import write_glb, write_mesh
+from vrcaps.organ.measure import organ_facts
+from vrcaps.organ.surface import OrganSurface
+from vrcaps.organ.write_organ import write_glb, write_mesh
 
 RADIUS, LENGTH = 0.02, 0.2
 

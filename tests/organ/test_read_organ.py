@@ -13,19 +13,13 @@ import pytest
 import trimesh
 
 from vrcaps.errors import InputError
+from vrcaps.mesh.glb import read_document
+from vrcaps.mesh.mesh import Mesh
+from vrcaps.organ.arrays import organ_parts
 from vrcaps.organ.from_file import organ_from_file
-from vrcaps.organ.glb import read_document
-from vrcaps.organ.parts import organ_parts
 from vrcaps.organ.read_organ import is_organ_file, read_organ
-from vrcaps.organ.surface import (
-    HEIGHT_STEP,
-    Appearance,
-    Centerline,
-    Mesh,
-    OrganSurface,
-    round_height,
-)
-from vrcaps.organ.write import write_glb, write_mesh
+from vrcaps.organ.surface import HEIGHT_STEP, Appearance, Centerline, OrganSurface, round_height
+from vrcaps.organ.write_organ import write_glb, write_mesh
 from vrcaps.transforms import transform_from, transform_points
 
 NAMES = ("background", "first", "second")

@@ -7,19 +7,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
 from shapes import RADIUS, looking, make_camera, make_model, patterned, sphere, tube
 from threads import digests_by_threads
-
-from vrcaps.capsule.device import Led
-from vrcaps.capsule.rays import camera_rays
+from vrcaps.camera.camera import Led
+from vrcaps.camera.rays import camera_rays
+from vrcaps.lumen.contents import Contents
+from vrcaps.lumen.liquid import Liquid
+from vrcaps.lumen.lumen_contents import Filling
+from vrcaps.lumen.particles import BUBBLE, WHITE, YELLOW, Spheres
+from vrcaps.lumen.pools import Pools
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.render.renderer import Renderer
 from vrcaps.render.settings import RenderSettings
-from vrcaps.tissue.contents.contents import Contents
-from vrcaps.tissue.contents.filling import Filling
-from vrcaps.tissue.contents.liquid import Liquid
-from vrcaps.tissue.contents.pools import Pools
-from vrcaps.tissue.contents.spheres import BUBBLE, WHITE, YELLOW, Spheres
 from vrcaps.units import MM
 from vrcaps.world.model import State
 

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
 from shapes import looking, make_camera, make_model, patterned, pinhole, tube
 from threads import digests_by_threads
-
 from vrcaps.errors import InputError, MissingExtraError
 from vrcaps.render.denoise import denoise
 from vrcaps.render.renderer import Renderer

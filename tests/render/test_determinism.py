@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
 import twin_shade
 from shapes import looking, make_camera, make_model, patterned, sphere, tube
 from threads import digests_by_threads
-
-from vrcaps.capsule.lens import LensEquidistant, LensEquirectangular, LensPinhole
+from vrcaps.camera.lens import LensEquidistant, LensEquirectangular, LensPinhole
 from vrcaps.render.renderer import Renderer
 from vrcaps.render.settings import RenderSettings
 

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+
 from oracle_embree import EmbreeCaster
 from shapes import LENSES, RADIUS, looking, make_camera, make_model, sphere, tube
 from twin import dot, unit
-
+from vrcaps.camera.rays import camera_rays
 from vrcaps.capsule.catalog import load_device
-from vrcaps.capsule.rays import camera_rays
 from vrcaps.organ.surface import OrganSurface, face_label
 from vrcaps.render.renderer import Renderer
 from vrcaps.transforms import invert, rotate_vectors
@@ -140,6 +140,7 @@ def test_folded_tube_against_embree(device: str) -> None:
 def test_real_organs_against_embree(shared_data, name: str) -> None:
     """Bare meshes from CT, looked at from the deepest of some random points inside."""
     import trimesh
+
     from shapes import make_organ
 
     mesh = trimesh.load(shared_data / "organs" / f"{name}.ply", process=False)

@@ -6,17 +6,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from shapes import looking, make_camera, make_model, sphere
 
-from vrcaps.capsule.device import Led
+from shapes import looking, make_camera, make_model, sphere
+from vrcaps.camera.camera import Led
 from vrcaps.errors import InputError
-from vrcaps.organ.appearance import ABSORPTION
+from vrcaps.lumen.liquid import Liquid
+from vrcaps.mucosa.appearance import ABSORPTION
 from vrcaps.organ.surface import Appearance
 from vrcaps.render.led_light import PHOSPHOR, led_light
 from vrcaps.render.renderer import Renderer
 from vrcaps.render.scattering import diffuse_reflectance, internal_reflection
 from vrcaps.render.settings import RenderSettings
-from vrcaps.tissue.contents.liquid import Liquid
 
 NM = np.arange(380.0, 701.0, 4.0)
 

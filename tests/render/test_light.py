@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+
 from oracle_mitsuba import direct_light
 from shapes import (
     LENSES,
@@ -19,11 +20,10 @@ from shapes import (
     tube,
 )
 from twin import unit
-
 from vrcaps import _core
-from vrcaps.capsule.device import Led
-from vrcaps.capsule.lens import LensEquidistant
-from vrcaps.capsule.rays import camera_rays
+from vrcaps.camera.camera import Led
+from vrcaps.camera.lens import LensEquidistant
+from vrcaps.camera.rays import camera_rays
 from vrcaps.errors import InputError, UnknownNameError
 from vrcaps.organ.surface import Appearance, OrganSurface, coat_alpha
 from vrcaps.render.frame import Frame

@@ -6,19 +6,19 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from shapes import looking, make_camera, make_model, sphere
 
-from vrcaps.capsule.device import Led
+from shapes import looking, make_camera, make_model, sphere
+from vrcaps.camera.camera import Led
 from vrcaps.color import LUMINANCE
-from vrcaps.organ.appearance import ABSORPTION, MUCOSAE
-from vrcaps.organ.photo.color import from_log_linear, log_linear
+from vrcaps.lumen.liquid import Liquid
+from vrcaps.mucosa.appearance import ABSORPTION, MUCOSAE
+from vrcaps.mucosa.log_color import from_log_linear, log_linear
 from vrcaps.organ.surface import Appearance
 from vrcaps.render.imaging import taken_apart
 from vrcaps.render.narrow_band import blood_density, narrow_band
 from vrcaps.render.renderer import Renderer
 from vrcaps.render.scattering import diffuse_reflectance, fresnel, internal_reflection
 from vrcaps.render.settings import RenderSettings
-from vrcaps.tissue.contents.liquid import Liquid
 
 
 def mucosa(base: float, blood: float, bile: float) -> np.ndarray:

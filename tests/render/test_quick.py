@@ -7,19 +7,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
 from shapes import looking, make_camera, make_model, patterned, pinhole, sphere, tube
 from threads import digest_at_rest_and_moved, digests_by_threads
-
-from vrcaps.capsule.device import Camera, Led
-from vrcaps.capsule.lens import LensEquidistant
+from vrcaps.camera.camera import Camera, Led
+from vrcaps.camera.lens import LensEquidistant
+from vrcaps.lumen.contents import Contents
+from vrcaps.lumen.liquid import Liquid
+from vrcaps.lumen.lumen_contents import Filling
+from vrcaps.lumen.particles import WHITE, Spheres
+from vrcaps.lumen.pools import Pools
 from vrcaps.organ.surface import Appearance
 from vrcaps.render.renderer import Renderer
 from vrcaps.render.settings import RenderSettings
-from vrcaps.tissue.contents.contents import Contents
-from vrcaps.tissue.contents.filling import Filling
-from vrcaps.tissue.contents.liquid import Liquid
-from vrcaps.tissue.contents.pools import Pools
-from vrcaps.tissue.contents.spheres import WHITE, Spheres
 from vrcaps.world.model import Model, State
 
 PLACE = (0.004, -0.003, 0.04)

@@ -6,11 +6,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
 from shapes import looking, make_camera, make_model, make_organ, pinhole, sphere, tube
 from threads import digest_at_rest_and_moved, digests_by_threads
-
-from vrcaps.capsule.device import Camera, Led
-from vrcaps.capsule.lens import LensEquidistant
+from vrcaps.camera.camera import Camera, Led
+from vrcaps.camera.lens import LensEquidistant
 from vrcaps.organ.surface import Appearance
 from vrcaps.render.renderer import Renderer
 from vrcaps.render.scattering import (

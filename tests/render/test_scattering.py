@@ -8,10 +8,10 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from shapes import looking, make_camera, make_model, make_organ, pinhole, sphere, tube
 
+from shapes import looking, make_camera, make_model, make_organ, pinhole, sphere, tube
 from vrcaps import _core
-from vrcaps.capsule.device import Camera, Led
+from vrcaps.camera.camera import Camera, Led
 from vrcaps.errors import InputError
 from vrcaps.organ.surface import Appearance
 from vrcaps.render.renderer import Renderer

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+
 import twin_shade
 from shapes import LENSES, looking, make_camera, make_model, patterned, sphere, tube
-
-from vrcaps.capsule.device import Led
+from vrcaps.camera.camera import Led
 from vrcaps.render.renderer import Renderer
 from vrcaps.render.settings import RenderSettings
 

@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
 import numpy as np
+
 from shapes import tube
-
-from vrcaps.organ.surface import Mesh
-from vrcaps.organ.write import write_mesh
-from vrcaps.record.scenario import OrganFile
-
-sys.path.append(str(Path(__file__).resolve().parents[2] / "benchmarks"))
+from vrcaps.mesh.mesh import Mesh
+from vrcaps.organ.write_organ import write_mesh
+from vrcaps.scenario.scenario import OrganFile
 
 
 def test_recorded_labels_agree_with_embree(tmp_path: Path) -> None:

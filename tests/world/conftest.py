@@ -1,29 +1,3 @@
-"""A bent tube whose centreline and radius are known in closed form."""
+from bent_tube import model, rng, tube
 
-import sys
-from pathlib import Path
-
-import numpy as np
-import pytest
-
-from tubes import bent_tube
-from vrcaps.capsule.catalog import load_device
-from vrcaps.organ.surface import OrganSurface
-from vrcaps.world.model import Model
-
-sys.path.insert(0, str(Path(__file__).parent))  # the support modules beside the tests
-
-
-@pytest.fixture(scope="session")
-def tube() -> OrganSurface:
-    return bent_tube()
-
-
-@pytest.fixture(scope="session")
-def model(tube: OrganSurface) -> Model:
-    return Model(tube, load_device("mirocam"))
-
-
-@pytest.fixture
-def rng() -> np.random.Generator:
-    return np.random.default_rng(7)
+__all__ = ["model", "rng", "tube"]

@@ -16,7 +16,7 @@ from vrcaps.render.renderer import Renderer
 from vrcaps.tissue.drag import Drag
 from vrcaps.tissue.material import Material
 from vrcaps.tissue.motility.motility import Motility
-from vrcaps.tissue.quick import QuickDeformation
+from vrcaps.tissue.spring_wall import QuickDeformation
 from vrcaps.tissue.tissue import Tissue
 from vrcaps.units import MM
 from vrcaps.world.control import Control

@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy.integrate import quad
-from walls import HALF_AXIS, LINEAR, RADIUS, capsule, creased, floor, tube, world_on
 
 from vrcaps.capsule.body import homogeneous_body
 from vrcaps.capsule.catalog import load_device
 from vrcaps.tissue.drag import Drag
 from vrcaps.tissue.material import Material
-from vrcaps.tissue.quick import QuickDeformation
+from vrcaps.tissue.spring_wall import QuickDeformation
 from vrcaps.units import MM
+from walls import HALF_AXIS, LINEAR, RADIUS, capsule, creased, floor, tube, world_on
 
 DOWN = (0.0, 0.0, -9.81)
 FREE = (0.0,) * 6

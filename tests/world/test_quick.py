@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from walls import RADIUS, floor, world_on
 
 from vrcaps import _core
 from vrcaps.tissue.drag import Drag
 from vrcaps.tissue.material import Material
-from vrcaps.tissue.quick import QuickDeformation
+from vrcaps.tissue.spring_wall import QuickDeformation
 from vrcaps.units import MM
+from walls import RADIUS, floor, world_on
 
 QUICK = QuickDeformation()
 DOWN, FREE, STILL = (0.0, 0.0, -9.81), (0.0,) * 6, (0.0,) * 3

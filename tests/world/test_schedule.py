@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from vrcaps.errors import InputError, UnknownNameError
+from vrcaps.transforms import rotation_vector
 from vrcaps.world.model import posture_transform
 from vrcaps.world.schedule import (
     WRENCH_COLUMNS,
@@ -24,7 +25,6 @@ from vrcaps.world.schedule import (
     read_wrenches,
     wrench_at,
 )
-from vrcaps.world.trajectory import rotation_vector
 
 RAMP = (Wrench(1.0, (1.0, 0.0, -2.0)), Wrench(3.0, (3.0, 4.0, 0.0), (0.0, 0.0, 1e-3)))
 

@@ -11,7 +11,7 @@ use crate::material::{Led, fresnel};
 use crate::tile::Pyramid;
 use std::f32::consts::{LOG2_E, PI};
 
-/// What all bubbles have in common: `vrcaps.tissue.contents.bubbles.Bubbles`.
+/// What all bubbles have in common: `vrcaps.lumen.bubbles.Bubbles`.
 #[derive(Clone, Copy)]
 pub struct Film {
     /// Refractive index of the liquid.

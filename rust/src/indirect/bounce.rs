@@ -90,7 +90,7 @@ impl QuickLight {
         let lit: Vec<u32> =
             (0..leaving.len() as u32).filter(|&s| leaving[s as usize] != [0.0; 4]).collect();
         lit.par_iter().enumerate().with_min_len(CHUNK).for_each(|(n, &s)| {
-            bring_near(lit.get(n + AHEAD).map(|&s| &self.row(rest, s as usize).coarse[..]));
+            fetch(lit.get(n + AHEAD).map(|&s| &self.row(rest, s as usize).coarse[..]));
             reach(s);
             self.row(rest, s as usize).coarse.iter().for_each(|link| reach(link.from));
         });
@@ -118,7 +118,7 @@ impl QuickLight {
         leaving: &[Color],
     ) -> Vec<Color> {
         let of_site = |(n, (&s, kept)): (usize, (&u32, &Vec3))| {
-            bring_near((n + AHEAD < sites.len()).then(|| row(n + AHEAD)));
+            fetch((n + AHEAD < sites.len()).then(|| row(n + AHEAD)));
             let mut light = [0.0; 4];
             for link in row(n) {
                 let from = &leaving[link.from as usize];
@@ -134,7 +134,7 @@ impl QuickLight {
 }
 
 /// Brings a row near the processor, which does not foresee by itself where the next ones are.
-fn bring_near(row: Option<&[Link]>) {
+fn fetch(row: Option<&[Link]>) {
     std::hint::black_box(row.and_then(|row| row.first().copied()));
 }
 

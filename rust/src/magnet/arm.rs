@@ -1,4 +1,4 @@
-//! What Python holds of an arm: `vrcaps.magnet.arm`.
+//! What Python holds of an arm: `vrcaps.actuation.arm`.
 
 use super::capsules::{LinkCapsule, Obstacles};
 use super::chain::{Chain, Joint, Pose};

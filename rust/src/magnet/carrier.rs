@@ -1,4 +1,4 @@
-//! An arm with a magnet at its flange, beside a table: `vrcaps.magnet.arm.carrier`.
+//! An arm with a magnet at its flange, beside a table: `vrcaps.actuation.arm.arm_with_payload`.
 
 use super::arm::{ArmChain, array, pose};
 use super::capsules::Obstacles;

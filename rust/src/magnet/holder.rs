@@ -1,5 +1,5 @@
 //! An arm that leads its magnet to a pose within the limits of its joints:
-//! `vrcaps.magnet.steering.arm_holder`.
+//! `vrcaps.actuation.robot_actuator`.
 
 use super::arm::{array, pose};
 use super::carrier::ArmCarrier;

@@ -1,4 +1,4 @@
-//! What leads a capsule on: `vrcaps.world.steering`.
+//! What leads a capsule on: `vrcaps.actuation.magnet_controller`.
 
 use super::handle::{pose_rows, read_pose, rows};
 use super::turn::{towards, turned};
@@ -15,7 +15,7 @@ const TOUCH: f64 = 0.01;
 /// A sine below this says no axis.
 const PARALLEL: f64 = 1e-12;
 
-/// `vrcaps.world.goal.Goal`.
+/// `vrcaps.actuation.capsule_target.Goal`.
 #[derive(FromPyObject)]
 pub struct Goal {
     position: [f64; 3],
@@ -26,7 +26,7 @@ pub struct Goal {
     mapped: bool,
 }
 
-/// Of `vrcaps.world.steering.Steering`: speeds [m/s, rad/s], and how far ahead it goes [m, rad].
+/// Of `vrcaps.actuation.magnet_controller.Steering`: speeds [m/s, rad/s], and how far ahead it goes [m, rad].
 #[derive(FromPyObject)]
 pub struct Steering {
     speed: f64,

@@ -41,7 +41,7 @@ pub struct DragParameters {
     threshold: f64,
 }
 
-/// The quick model: `vrcaps.tissue.quick.QuickDeformation`.
+/// The quick model: `vrcaps.tissue.spring_wall.QuickDeformation`.
 #[derive(FromPyObject)]
 pub struct QuickParameters {
     length: f64,

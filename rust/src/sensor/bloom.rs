@@ -69,12 +69,8 @@ impl Bloom {
         let mut coarse = vec![0.0; 3 * cells.0 * cells.1];
         coarse.par_chunks_mut(cells.1).with_min_len(CELL).enumerate().for_each(|(k, line)| {
             let (plane, row) = (k / cells.0, k % cells.0);
-            gather_row(
-                &source[plane * height * width..][..height * width],
-                (height, width),
-                row,
-                line,
-            );
+            let image = &source[plane * height * width..][..height * width];
+            gather_row(image, (height, width), row, line);
         });
         let planes: Vec<Vec<f32>> = coarse
             .par_chunks(cells.0 * cells.1)

@@ -201,10 +201,10 @@ impl<'a> Still<'a> {
     /// so far.
     #[inline(always)]
     fn holds(&self, (x, y): (usize, usize), along: [f32; 2], down: [f32; 2]) -> bool {
-        let ((height, width), margin) = (self.lit.size, MARGIN as f32);
-        let (x, y) = (x as f32, y as f32);
+        let (height, margin) = (self.lit.size.0, MARGIN as f32);
+        let (x, y, end) = (x as f32, y as f32, (self.stride() - MARGIN) as f32);
         x + along[0] >= -margin
-            && x + along[1] + RUN as f32 <= width as f32 + margin
+            && x + along[1] + RUN as f32 <= end
             && y + down[0] >= -margin
             && y + down[1] <= height as f32 - 1.0 + margin
     }

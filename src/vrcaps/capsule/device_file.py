@@ -15,9 +15,10 @@ from typing import Any
 
 import numpy as np
 
-from vrcaps.capsule.device import Camera, Device, Led
-from vrcaps.capsule.lens import LENSES, Lens
-from vrcaps.capsule.rays import camera_rays
+from vrcaps.camera.camera import Camera, Led
+from vrcaps.camera.lens import LENSES, Lens
+from vrcaps.camera.rays import camera_rays
+from vrcaps.capsule.device import Device
 from vrcaps.errors import InputError
 from vrcaps.magnet.internal import InternalMagnet
 from vrcaps.magnet.presets import MAGNETS, load_magnet, magnet_names

@@ -14,9 +14,9 @@ from vrcaps.errors import InputError
 from vrcaps.units import DEG, MM, parse_length
 
 if TYPE_CHECKING:
-    from vrcaps.capsule.calibrate.circle import ImageCircle
-    from vrcaps.capsule.calibrate.fit import Calibration
-    from vrcaps.organ.photo.read import Photo
+    from vrcaps.tools.camera_calibration.circle import ImageCircle
+    from vrcaps.tools.camera_calibration.fit import Calibration
+    from vrcaps.tools.photos import Photo
 
 
 @dataclass(frozen=True)
@@ -67,15 +67,15 @@ class Calibrate:
 
     def run(self) -> None:
         """Find the board, fit, report and write."""
-        from vrcaps.capsule.calibrate.board import parse_board
-        from vrcaps.capsule.calibrate.circle import image_circle
-        from vrcaps.capsule.calibrate.corners import find_views
-        from vrcaps.capsule.calibrate.device import calibrated_device, find_camera
-        from vrcaps.capsule.calibrate.fit import calibrate
-        from vrcaps.capsule.calibrate.report import write_report
         from vrcaps.capsule.catalog import load_device
         from vrcaps.capsule.device_file import write_device
-        from vrcaps.organ.photo.read import read_photos
+        from vrcaps.tools.camera_calibration.board import parse_board
+        from vrcaps.tools.camera_calibration.calibration_report import write_report
+        from vrcaps.tools.camera_calibration.circle import image_circle
+        from vrcaps.tools.camera_calibration.corners import find_views
+        from vrcaps.tools.camera_calibration.device import calibrated_device, find_camera
+        from vrcaps.tools.camera_calibration.fit import calibrate
+        from vrcaps.tools.photos import read_photos
 
         check_out(self.out, overwrite=self.overwrite)
         board = parse_board(self.board, parse_length(self.square))
@@ -160,7 +160,7 @@ def _facts(fit: Calibration, circle: ImageCircle | None) -> list[str]:
     """What the numbers mean, and what to do where they are poor."""
     import numpy as np
 
-    from vrcaps.capsule.calibrate.fit import sees_image
+    from vrcaps.tools.camera_calibration.fit import sees_image
 
     rms = np.sqrt(np.mean(fit.errors**2))
     lines = [f"Mean error {fit.errors.mean():.3f} px, root mean square {rms:.3f} px."]

@@ -28,7 +28,7 @@ class Check:
 
     def run(self) -> None:
         """Check and report."""
-        from vrcaps.record.check import check_episode
+        from vrcaps.recording.check import check_episode
 
         if not self.episode.is_dir():
             raise InputError(f"No folder at {self.episode}. Give the folder of an episode.")

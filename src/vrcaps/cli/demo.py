@@ -22,7 +22,7 @@ class Demo:
 
     def run(self) -> None:
         """Record and report."""
-        from vrcaps.record.scenario import Scenario
+        from vrcaps.scenario.scenario import Scenario
 
         channels = ("rgb", "depth", "normal", "label", "arc_length")
         scenario = Scenario(frames=150, fps=10.0, channels=channels)

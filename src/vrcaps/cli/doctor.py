@@ -33,8 +33,8 @@ def _machine() -> list[tuple[str, str]]:
     import platform
 
     from vrcaps import _core
+    from vrcaps.anatomy.catalog import ORGANS
     from vrcaps.capsule.catalog import device_names
-    from vrcaps.organ.catalog import ORGANS
 
     return [
         ("vrcaps", version("vrcaps")),

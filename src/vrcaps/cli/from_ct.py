@@ -19,10 +19,10 @@ from vrcaps.units import CM, MM
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from vrcaps.organ.ct.from_ct import Wall
-    from vrcaps.organ.ct.lumen import GasPiece
-    from vrcaps.organ.ct.volume import Volume
     from vrcaps.organ.surface import OrganSurface
+    from vrcaps.tools.ct.from_ct import Wall
+    from vrcaps.tools.ct.lumen import GasPiece
+    from vrcaps.tools.ct.volume import Volume
 
 
 @dataclass(frozen=True)
@@ -105,7 +105,7 @@ class FromCt:
             _write(path, organ)
 
     def _wall(self) -> Wall:
-        from vrcaps.organ.ct.from_ct import Wall
+        from vrcaps.tools.ct.from_ct import Wall
 
         return Wall(
             edge=self.edge_mm * MM,
@@ -118,8 +118,8 @@ class FromCt:
         )
 
     def _from_gas(self, scan: Volume) -> Iterator[tuple[Path, OrganSurface]]:
-        from vrcaps.organ.ct.from_ct import find_lumens, organ_from_gas
-        from vrcaps.organ.ct.lumen import choose_gas
+        from vrcaps.tools.ct.from_ct import find_lumens, organ_from_gas
+        from vrcaps.tools.ct.lumen import choose_gas
 
         wall = self._wall()
         with _steps("finding gas"):
@@ -143,10 +143,10 @@ class FromCt:
             yield path, organ
 
     def _from_labels(self, scan: Volume) -> Iterator[tuple[Path, OrganSurface]]:
-        from vrcaps.organ.ct.from_ct import organ_from_label
-        from vrcaps.organ.ct.labels import check_label, misplaced
-        from vrcaps.organ.ct.read import read_volume
-        from vrcaps.organ.ct.volume import common_part
+        from vrcaps.tools.ct.from_ct import organ_from_label
+        from vrcaps.tools.ct.labels import check_label, misplaced
+        from vrcaps.tools.ct.read_volume import read_volume
+        from vrcaps.tools.ct.volume import common_part
 
         wall, labels = self._wall(), scan
         if self.labels is not None:
@@ -169,7 +169,7 @@ class FromCt:
 
 
 def _read(path: Path, series: str | None) -> Volume:
-    from vrcaps.organ.ct.read import read_volume
+    from vrcaps.tools.ct.read_volume import read_volume
 
     with progress_bar("reading slices") as progress:
         return read_volume(path, series=series, progress=progress)
@@ -196,7 +196,7 @@ def _list_pieces(pieces: tuple[GasPiece, ...]) -> None:
 
 
 def _write(path: Path, organ: OrganSurface) -> None:
-    from vrcaps.organ.write import write_glb
+    from vrcaps.organ.write_organ import write_glb
 
     write_glb(path, organ)
     console.print(f"Wrote {path} (unit: m).")

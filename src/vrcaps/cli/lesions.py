@@ -10,7 +10,7 @@ from vrcaps.errors import InputError
 from vrcaps.units import CM, MM
 
 if TYPE_CHECKING:
-    from vrcaps.organ.lesion import AnyLesion
+    from vrcaps.lesion import AnyLesion
 
 
 def chosen_lesions(
@@ -30,9 +30,9 @@ def chosen_lesions(
     """
     import numpy as np
 
-    from vrcaps.organ.catalog import ORGANS, organ_segments
-    from vrcaps.organ.lesion import draw_lesions, parse_lesion
-    from vrcaps.record.scenario import read_lesions
+    from vrcaps.anatomy.catalog import ORGANS, organ_segments
+    from vrcaps.lesion import draw_lesions, parse_lesion
+    from vrcaps.scenario.scenario import read_lesions
 
     if source == "prevalence":
         if organ in ORGANS and "sigmoid" not in organ_segments(organ):

@@ -12,7 +12,7 @@ from vrcaps.cli.calibrate import check_out
 from vrcaps.cli.console import console, progress_bar
 
 if TYPE_CHECKING:
-    from vrcaps.capsule.match.match import CameraMatch
+    from vrcaps.tools.photometric_calibration.calibrate_photometric import CameraMatch
 
 
 @dataclass(frozen=True)
@@ -60,15 +60,19 @@ class Match:
 
     def run(self) -> None:
         """Estimate, report and write."""
-        from vrcaps.capsule.calibrate.device import find_camera
-        from vrcaps.capsule.calibrate.fit import sees_image
         from vrcaps.capsule.catalog import load_device
         from vrcaps.capsule.device_file import write_device
-        from vrcaps.capsule.match.frames import make_frames
-        from vrcaps.capsule.match.jpeg import jpeg_quality
-        from vrcaps.capsule.match.match import match_camera, matched_device, write_effects
-        from vrcaps.capsule.match.report import write_report
-        from vrcaps.organ.photo.read import read_photos
+        from vrcaps.tools.camera_calibration.device import find_camera
+        from vrcaps.tools.camera_calibration.fit import sees_image
+        from vrcaps.tools.photometric_calibration.calibrate_photometric import (
+            match_camera,
+            matched_device,
+            write_effects,
+        )
+        from vrcaps.tools.photometric_calibration.frames import make_frames
+        from vrcaps.tools.photometric_calibration.jpeg import jpeg_quality
+        from vrcaps.tools.photometric_calibration.photometric_report import write_report
+        from vrcaps.tools.photos import read_photos
 
         effects = self.out.with_name(f"{self.out.stem}-effects.toml")
         for path in (self.out, effects):

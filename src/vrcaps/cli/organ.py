@@ -17,7 +17,7 @@ from vrcaps.organ.read_organ import is_organ_file
 from vrcaps.units import CM, MM
 
 if TYPE_CHECKING:
-    from vrcaps.organ.facts import OrganFacts
+    from vrcaps.organ.measure import OrganFacts
     from vrcaps.organ.surface import OrganSurface
 
 _PICTURES = (".png", ".jpg", ".pdf", ".svg")
@@ -74,7 +74,7 @@ class Inspect:
         report_organ(organ, picture or Path(f"{organ.name}-overview.png"))
 
     def _load(self) -> OrganSurface:
-        from vrcaps.organ.catalog import load_organ
+        from vrcaps.anatomy.catalog import load_organ
 
         if is_mesh_file(self.organ):
             if self.seed is not None or self.condition is not None:
@@ -88,7 +88,7 @@ class Inspect:
         return load_organ(self.organ, seed=self.seed or 0, condition=self.condition)
 
     def _load_file(self, path: Path) -> OrganSurface:
-        from vrcaps.organ.appearance import bake_appearance
+        from vrcaps.mucosa.appearance import bake_appearance
         from vrcaps.organ.from_file import organ_from_file
 
         if not path.is_file():
@@ -143,7 +143,7 @@ class Make:
 
     def run(self) -> None:
         """Generate and report."""
-        from vrcaps.organ.write import write_glb
+        from vrcaps.organ.write_organ import write_glb
 
         out = self.out or Path(f"{self.name}-{self.seed}.glb")
         if out.suffix != ".glb":
@@ -168,8 +168,8 @@ class Make:
         """The organ, with its lesions if there are any, and the clean twin if that is wanted."""
         import numpy as np
 
-        from vrcaps.organ.catalog import load_organ
-        from vrcaps.organ.lesion import add_lesions
+        from vrcaps.anatomy.catalog import load_organ
+        from vrcaps.lesion import add_lesions
 
         organ = load_organ(self.name, seed=self.seed, condition=self.condition, mucosa=self.mucosa)
         lesions = chosen_lesions(self.lesion, self.lesions, self.seed, self.name)
@@ -183,8 +183,8 @@ def report_organ(organ: OrganSurface, picture: Path) -> None:
     """Print the facts as a table, and the repairs of a mesh file, and write the picture."""
     from rich.table import Table
 
-    from vrcaps.organ.facts import organ_facts
-    from vrcaps.render.overview import write_overview
+    from vrcaps.organ.measure import organ_facts
+    from vrcaps.tools.overview.overview import write_overview
 
     facts = organ_facts(organ)
     table = Table(show_header=False, box=None, padding=(0, 2, 0, 0))

@@ -9,7 +9,7 @@ from vrcaps.cli.console import console
 from vrcaps.units import MM
 
 if TYPE_CHECKING:
-    from vrcaps.organ.lesion import Lesion
+    from vrcaps.lesion import Lesion
 
 
 @dataclass(frozen=True)
@@ -22,10 +22,10 @@ class List:
 
     def run(self) -> None:
         """Print the tables."""
+        from vrcaps.anatomy.catalog import CONDITIONS, ORGANS, organ_segments
         from vrcaps.capsule.catalog import device_names, load_device
-        from vrcaps.organ.appearance import MUCOSAE
-        from vrcaps.organ.catalog import CONDITIONS, ORGANS, organ_segments
-        from vrcaps.organ.lesion import LIBRARY
+        from vrcaps.lesion import LIBRARY
+        from vrcaps.mucosa.appearance import MUCOSAE
 
         usual = "colon inflated, all else normal"
         _print("organs", [(name, _words(organ_segments(name))) for name in ORGANS])
@@ -70,7 +70,7 @@ def _lesions() -> list[tuple[str, str]]:
     from dataclasses import fields
     from typing import get_args, get_type_hints
 
-    from vrcaps.organ.lesion import LESIONS
+    from vrcaps.lesion import LESIONS
 
     rows = []
     for kind, cls in LESIONS.items():
@@ -100,7 +100,7 @@ def _setting(cls: type[Lesion], key: str) -> str:
 
 def _library() -> list[tuple[str, str]]:
     """The library's names by kind: as many as there are, from first to last."""
-    from vrcaps.organ.lesion import LIBRARY
+    from vrcaps.lesion import LIBRARY
 
     names: dict[str, list[str]] = {}
     for name in LIBRARY:

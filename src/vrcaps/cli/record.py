@@ -13,17 +13,17 @@ from vrcaps.cli.record_magnet import MagnetFlags
 from vrcaps.cli.record_physics import PhysicsFlags, physics_motion
 from vrcaps.cli.recording import run_recording
 from vrcaps.errors import InputError
+from vrcaps.lumen.contents import Contents
+from vrcaps.motion.fly_through import FlyThrough
 from vrcaps.organ.read_organ import is_organ_file
 from vrcaps.render.frame import CHANNELS
 from vrcaps.render.settings import RECORDED, RenderSettings
-from vrcaps.tissue.contents.contents import Contents
 from vrcaps.units import LENGTH_UNITS
-from vrcaps.world.fly_through import FlyThrough
 
 if TYPE_CHECKING:
-    from vrcaps.record.scenario import OrganFile, OrganGenerated, Scenario
-    from vrcaps.world.physics import Physics
-    from vrcaps.world.replay import Replay
+    from vrcaps.motion.dynamics import Physics
+    from vrcaps.motion.replay import Replay
+    from vrcaps.scenario.scenario import OrganFile, OrganGenerated, Scenario
 
 
 @dataclass(frozen=True)
@@ -198,10 +198,10 @@ class Record:
         Raises:
             InputError: If flags contradict each other or one is missing.
         """
-        from vrcaps.record.scenario import Scenario, read_scenario
-        from vrcaps.record.sensing import sensors_by_name
-        from vrcaps.render.camera_effects.effects import Effects
-        from vrcaps.render.camera_effects.parse import parse_effects
+        from vrcaps.camera_pipeline.effects import Effects
+        from vrcaps.camera_pipeline.parse import parse_effects
+        from vrcaps.scenario.scenario import Scenario, read_scenario
+        from vrcaps.sensors.sensors import sensors_by_name
 
         if self.scenario is not None:
             if self != Record(out=self.out, scenario=self.scenario, threads=self.threads):
@@ -229,7 +229,7 @@ class Record:
         )
 
     def _contents(self) -> Contents:
-        from vrcaps.tissue.contents.preparation import prepared
+        from vrcaps.lumen.bowel_preparation import prepared
 
         graded = Contents(self.bubbles, self.chyme, self.liquid, seed=self._patient_seed())
         if self.preparation is None:
@@ -245,7 +245,7 @@ class Record:
         return self.seed if self.patient is None else self.patient
 
     def _organ(self) -> OrganGenerated | OrganFile:
-        from vrcaps.record.scenario import OrganFile, OrganGenerated
+        from vrcaps.scenario.scenario import OrganFile, OrganGenerated
 
         mesh = OrganFile(
             path=self.organ,
@@ -295,7 +295,7 @@ class Record:
         return self.fly if self.path is None else self._replay(self.path)
 
     def _replay(self, path: Path) -> Replay:
-        from vrcaps.world.replay import Replay
+        from vrcaps.motion.replay import Replay
 
         if self.fly != FlyThrough():
             raise InputError(

@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
+from vrcaps.actuation.steering_program import GENTLE, MagnetSteering
 from vrcaps.units import MM
-from vrcaps.world.magnet_motion import GENTLE, MagnetSteering
 
 
 @dataclass(frozen=True)

@@ -9,10 +9,10 @@ from typing import Annotated, Literal
 from tyro.conf import UseAppendAction
 
 from vrcaps.errors import InputError
+from vrcaps.motion.dynamics import Physics
+from vrcaps.motion.fly_through import FlyThrough
 from vrcaps.tissue.drag import Drag
 from vrcaps.tissue.motility.propulsion import Propulsion
-from vrcaps.world.fly_through import FlyThrough
-from vrcaps.world.physics import Physics
 from vrcaps.world.schedule import Insufflation, Turn, Wrench
 
 _ZERO = (0.0, 0.0, 0.0)

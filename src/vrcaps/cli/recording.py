@@ -12,7 +12,7 @@ from vrcaps.cli.lesions import lesion_lines
 from vrcaps.errors import InputError
 
 if TYPE_CHECKING:
-    from vrcaps.record.scenario import Scenario
+    from vrcaps.scenario.scenario import Scenario
 
 
 def run_recording(scenario: Scenario, out: Path, *, threads: int | None = None) -> None:
@@ -27,7 +27,7 @@ def run_recording(scenario: Scenario, out: Path, *, threads: int | None = None) 
         InputError: If the number of threads or the scenario is not possible.
     """
     use_threads(threads)
-    from vrcaps.record.recorder import record
+    from vrcaps.recording.recorder import record
 
     started = time.perf_counter()
     times: list[float] = []
@@ -56,7 +56,7 @@ def use_threads(threads: int | None) -> None:
 
 def _summarise(out: Path, times: list[float], seconds: float) -> None:
     """Where the episode is, what is in it, how fast it went, what to open."""
-    from vrcaps.record.episode import read_episode
+    from vrcaps.recording.episode import read_episode
 
     episode = read_episode(out)
     cameras = ", ".join(camera.name for camera in episode.cameras)

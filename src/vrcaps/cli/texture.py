@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING
 from tyro.conf import OmitArgPrefixes, Positional
 
 from vrcaps.cli.console import console, progress_bar
-from vrcaps.organ.photo.lay import VesselSpread
+from vrcaps.tools.mucosa_from_photos.place_vessels import VesselSpread
 from vrcaps.units import CM
 
 if TYPE_CHECKING:
-    from vrcaps.organ.photo.make import TextureWork
+    from vrcaps.tools.mucosa_from_photos.make_texture import TextureWork
 
 
 @dataclass(frozen=True)
@@ -73,11 +73,11 @@ class Texture:
 
     def run(self) -> None:
         """Make, write and report."""
-        from vrcaps.organ.photo.make import TextureRecipe, make_texture
-        from vrcaps.organ.photo.read import read_photos
-        from vrcaps.organ.photo.report import write_report
-        from vrcaps.organ.photo.sources import Scale, check_scale
-        from vrcaps.organ.photo.texture import check_free, write_texture
+        from vrcaps.mucosa.texture import check_free, write_texture
+        from vrcaps.tools.mucosa_from_photos.make_texture import TextureRecipe, make_texture
+        from vrcaps.tools.mucosa_from_photos.patches import Scale, check_scale
+        from vrcaps.tools.mucosa_from_photos.texture_report import write_report
+        from vrcaps.tools.photos import read_photos
 
         scale = Scale(self.mm_per_pixel, self.field_width_mm)
         check_scale(scale)

@@ -17,11 +17,14 @@ from typing import Any
 import numpy as np
 
 from vrcaps import _core
-from vrcaps.organ.parts import organ_from_parts, organ_parts
+from vrcaps.organ.arrays import organ_from_parts, organ_parts
 from vrcaps.organ.surface import OrganSurface
 
 _BROKEN = (OSError, EOFError, ValueError, KeyError, TypeError, zipfile.BadZipFile)
 """What reading a truncated, overwritten or outdated file raises."""
+
+_MAKERS = ("mesh", "organ", "mucosa", "anatomy", "lesion")
+"""Packages whose code decides what an organ is."""
 
 _MOST_BYTES = 20 * 10**9
 """Size of the kept organs beyond which those that were not used for longest are removed."""
@@ -78,9 +81,9 @@ def cached_organ(name: str, make: Callable[[], OrganSurface]) -> OrganSurface:
 def fingerprint(parameters: dict[str, Any]) -> str:
     """Changes with the parameters and with the code, compiled or not, that makes organs."""
     digest = hashlib.sha256(json.dumps(parameters, sort_keys=True).encode())
-    folder = Path(__file__).parent
-    for path in sorted(folder.rglob("*.py")):
-        digest.update(path.relative_to(folder).as_posix().encode() + path.read_bytes())
+    package = Path(__file__).parents[1]
+    for path in sorted(path for name in _MAKERS for path in (package / name).rglob("*.py")):
+        digest.update(path.relative_to(package).as_posix().encode() + path.read_bytes())
     digest.update(Path(_core.__file__).read_bytes())
     return digest.hexdigest()[:16]
 

@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from vrcaps.errors import InputError
-from vrcaps.organ.read import read_label_names, read_mesh
+from vrcaps.mesh.mesh import Mesh, vertex_normals
+from vrcaps.mesh.read_mesh import read_label_names, read_mesh
 from vrcaps.organ.read_organ import is_organ_file, read_organ
-from vrcaps.organ.surface import Centerline, Mesh, OrganSurface, vertex_normals
+from vrcaps.organ.surface import Centerline, OrganSurface
 from vrcaps.units import LENGTH_UNITS, parse_length
 
 if TYPE_CHECKING:
@@ -52,8 +53,8 @@ def organ_from_file(
         return _organ_file(path, is_as_it_is)
     if unit is None:
         raise InputError(f"{path} does not say its unit. Allowed: {', '.join(LENGTH_UNITS)}.")
+    from vrcaps.mesh.repair import repair
     from vrcaps.organ.centerline import compute_centerline
-    from vrcaps.organ.repair import repair
 
     mesh = read_mesh(path, unit=unit)
     if keep_uv and (mesh.uv is None or not np.isfinite(mesh.uv).all()):
@@ -100,7 +101,7 @@ def organ_on_centerline(
         label_names: Of the labels; 0 is `background`.
     """
     from vrcaps.organ.gut_coordinates import gut_coordinates
-    from vrcaps.organ.texture_coordinates import texture_coordinates
+    from vrcaps.organ.uv import texture_coordinates
 
     assert mesh.label is not None
     arc_length, theta, radius = gut_coordinates(mesh.vertices, mesh.faces, centerline)

@@ -10,8 +10,9 @@ from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import spsolve
 from scipy.spatial import KDTree
 
+from vrcaps.mesh.mesh import vertex_normals
 from vrcaps.organ.centerline.curve import interpolate
-from vrcaps.organ.surface import Centerline, vertex_normals
+from vrcaps.organ.surface import Centerline
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int

@@ -9,9 +9,9 @@ import numpy as np
 
 from vrcaps import _core
 from vrcaps.errors import InputError
-from vrcaps.organ.glb import array_of, read_document, read_glb, view_of
-from vrcaps.organ.parts import organ_from_parts
-from vrcaps.organ.write import GENERATOR, ORGAN_FORMAT
+from vrcaps.mesh.glb import array_of, read_document, read_glb, view_of
+from vrcaps.organ.arrays import organ_from_parts
+from vrcaps.organ.write_organ import GENERATOR, ORGAN_FORMAT
 
 if TYPE_CHECKING:
     from pathlib import Path

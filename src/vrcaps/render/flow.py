@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vrcaps._core import Contents, Wall
-from vrcaps.capsule.device import Camera
-from vrcaps.capsule.rays import pixel_grid, project_points
-from vrcaps.render.bend import Bends
-from vrcaps.tissue.contents.filling import Filling
+from vrcaps.camera.camera import Camera
+from vrcaps.camera.rays import pixel_grid, project_points
+from vrcaps.lumen.lumen_contents import Filling
+from vrcaps.render.refraction import Bends
 from vrcaps.transforms import invert, transform_points
 from vrcaps.world.model import State
 

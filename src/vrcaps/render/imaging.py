@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps.organ.appearance import ABSORPTION
-from vrcaps.organ.photo.color import from_log_linear, log_linear
+from vrcaps.lumen.bubbles import Bubbles
+from vrcaps.lumen.liquid import Liquid
+from vrcaps.mucosa.appearance import ABSORPTION
+from vrcaps.mucosa.log_color import from_log_linear, log_linear
 from vrcaps.organ.surface import Appearance
-from vrcaps.tissue.contents.bubbles import Bubbles
-from vrcaps.tissue.contents.liquid import Liquid
 
 if TYPE_CHECKING:
     from jaxtyping import Float

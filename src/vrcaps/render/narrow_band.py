@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vrcaps.color import LUMINANCE
-from vrcaps.organ.appearance import MUCOSAE
+from vrcaps.mucosa.appearance import MUCOSAE
 from vrcaps.render.imaging import Imaging, liquid_apart, lookup, tabled, taken_apart
 from vrcaps.render.scattering import carried_density, reduced_scattering
 

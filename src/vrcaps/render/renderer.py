@@ -11,17 +11,17 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 
 from vrcaps import _core
-from vrcaps.capsule.device import Camera
-from vrcaps.capsule.rays import camera_rays
+from vrcaps.camera.camera import Camera
+from vrcaps.camera.rays import camera_rays
 from vrcaps.errors import InputError, UnknownNameError
-from vrcaps.render.bend import MIRRORED, Bends, bend_ways, levels_met
+from vrcaps.lumen.lumen_contents import Filling
 from vrcaps.render.denoise import denoise, load_denoiser
 from vrcaps.render.flow import SurfacePoints, flow, seen_from
 from vrcaps.render.frame import CHANNELS, Frame, inside
 from vrcaps.render.led_light import imaging_of
-from vrcaps.render.scene import scene_of
+from vrcaps.render.make_scene import scene_of
+from vrcaps.render.refraction import MIRRORED, Bends, bend_ways, levels_met
 from vrcaps.render.settings import RenderSettings
-from vrcaps.tissue.contents.filling import Filling
 from vrcaps.world.model import Model, State
 from vrcaps.world.moving_wall import MovingWall
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Literal, get_args
 
 from vrcaps.errors import InputError, UnknownNameError, require
-from vrcaps.render.film import THICKEST_UM
+from vrcaps.render.mucus_film import THICKEST_UM
 
 Light = Literal["direct", "quick", "path"]
 

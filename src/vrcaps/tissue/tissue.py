@@ -8,7 +8,7 @@ from vrcaps.tissue.drag import Drag
 from vrcaps.tissue.fem.deformation import FemDeformation
 from vrcaps.tissue.material import Material
 from vrcaps.tissue.motility.motility import Motility
-from vrcaps.tissue.quick import QuickDeformation
+from vrcaps.tissue.spring_wall import QuickDeformation
 
 
 @dataclass(frozen=True)

@@ -6,10 +6,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps.transforms import transform_from, transform_points
+from vrcaps.transforms import rotation_from_vector, transform_from, transform_points
 from vrcaps.units import MM
 from vrcaps.world.model import Model
-from vrcaps.world.trajectory import rotation_from_vector
 
 if TYPE_CHECKING:
     from jaxtyping import Float

@@ -11,9 +11,9 @@ import numpy as np
 from vrcaps._core import Wall
 from vrcaps.capsule.device import Device
 from vrcaps.errors import UnknownNameError
+from vrcaps.lumen.contents import Contents
+from vrcaps.lumen.lumen_contents import CHYME, Filling, fill
 from vrcaps.organ.surface import OrganSurface
-from vrcaps.tissue.contents.contents import Contents
-from vrcaps.tissue.contents.filling import CHYME, Filling, fill
 from vrcaps.transforms import transform_from, transform_points
 
 if TYPE_CHECKING:

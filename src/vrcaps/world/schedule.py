@@ -11,9 +11,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vrcaps.errors import InputError
-from vrcaps.transforms import rotate_vectors, transform_from
+from vrcaps.transforms import rotate_vectors, rotation_from_vector, rotation_vector, transform_from
 from vrcaps.world.model import posture_transform
-from vrcaps.world.trajectory import rotation_from_vector, rotation_vector
 
 if TYPE_CHECKING:
     from jaxtyping import Float

@@ -12,15 +12,15 @@ from vrcaps import _core
 from vrcaps.capsule.body import Body, homogeneous_body
 from vrcaps.errors import InputError, require
 from vrcaps.magnet.sources import Source
+from vrcaps.tissue.arc_length_samples import stations, to_stations
 from vrcaps.tissue.motility.muscle import Muscle
-from vrcaps.tissue.stations import stations, to_stations
 from vrcaps.tissue.tissue import Tissue
 from vrcaps.transforms import invert, quaternion_from_matrix, rotate_vectors
-from vrcaps.world.afloat import PIECE, SWEEP, Afloat
 from vrcaps.world.control import Control
-from vrcaps.world.layer import exchange_rows, layer_under
+from vrcaps.world.fem_coupling import exchange_rows, layer_under
+from vrcaps.world.lumen_dynamics import PIECE, SWEEP, Afloat
+from vrcaps.world.magnetic_coupling import Pull
 from vrcaps.world.model import Contact, Coupling, Model, State
-from vrcaps.world.pull import Pull
 from vrcaps.world.snapshot import Snapshot, check_snapshot
 
 if TYPE_CHECKING:

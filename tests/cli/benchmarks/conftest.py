@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from vrcaps.anatomy.colon import ColonParameters, generate_colon
 from vrcaps.cli.benchmarks.stage import Stage, make_stage
-from vrcaps.organ.colon import ColonParameters, generate_colon
 from vrcaps.organ.surface import Appearance
 
 

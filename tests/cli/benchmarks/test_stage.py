@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from vrcaps._core import Wall
-from vrcaps.capsule.rays import camera_rays
+from vrcaps.camera.rays import camera_rays
 from vrcaps.cli.benchmarks.stage import (
     Stage,
     make_stage,

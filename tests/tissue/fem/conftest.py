@@ -1,14 +1,8 @@
-"""Support modules beside the tests, and a tube that is open at both ends."""
-
-import sys
-from pathlib import Path
+"""A tube that is open at both ends."""
 
 import pytest
 
-sys.path.append(str(Path(__file__).parent))
-
 from fem_shapes import straight_tube
-
 from vrcaps.organ.surface import OrganSurface
 
 

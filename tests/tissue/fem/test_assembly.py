@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+
 from fem_errors import bending_error, cantilever_error, lame_error, mode_errors, patch_error
 from fem_shapes import bumpy, plate, whole_matrices
-
 from vrcaps.tissue.fem.deformation import FemDeformation
 from vrcaps.tissue.fem.elements import integration_points
 from vrcaps.tissue.fem.layer import extrude

@@ -11,9 +11,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from fem_shapes import full
 from scipy.sparse.linalg import spsolve
 
+from fem_shapes import full
 from tubes import straight_gut
 from vrcaps import _core
 from vrcaps.capsule.catalog import load_device

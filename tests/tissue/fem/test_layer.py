@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from fem_shapes import bumpy, straight_tube
 
+from fem_shapes import bumpy, straight_tube
 from vrcaps.errors import InputError
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.tissue.fem.coarse import coarsen

@@ -11,9 +11,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from fem_shapes import full, straight_tube, vertex_areas
 from scipy.sparse.linalg import spsolve
 
+from fem_shapes import full, straight_tube, vertex_areas
 from vrcaps.errors import InputError
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.tissue.fem.assembly import assemble, element_points

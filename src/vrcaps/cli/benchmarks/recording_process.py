@@ -19,8 +19,8 @@ from vrcaps.cli.benchmarks.record import CHANNELS
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from vrcaps.record.scenario import Scenario
     from vrcaps.render.frame import Frame
+    from vrcaps.scenario.scenario import Scenario
 
 _MAX_STAGE_FRAMES = 60
 
@@ -33,9 +33,9 @@ def main(folder: Path, num_frames: int) -> dict[str, Any]:
         num_frames: Frames to record.
     """
     started = time.perf_counter()
-    from vrcaps.record.recorder import record
-    from vrcaps.record.scenario import Scenario
+    from vrcaps.recording.recorder import record
     from vrcaps.render.settings import RenderSettings
+    from vrcaps.scenario.scenario import Scenario
 
     light = RenderSettings(light="direct")
     scenario = Scenario(frames=num_frames, channels=CHANNELS, render=light)
@@ -72,10 +72,10 @@ def peak_memory_gb() -> float | None:
 
 def _stages(scenario: Scenario, folder: Path) -> dict[str, Any]:
     """Camera, wall, and the time of each stage of a frame of its own [s]."""
-    from vrcaps.record.channels import ENCODINGS
-    from vrcaps.record.files import write_bytes, write_images
-    from vrcaps.record.scenario import build, resolve
+    from vrcaps.recording.channels import ENCODINGS
+    from vrcaps.recording.files import write_bytes, write_images
     from vrcaps.render.renderer import Renderer
+    from vrcaps.scenario.scenario import build, resolve
 
     scenario, device = resolve(scenario)
     model, motion = build(scenario, device)

@@ -7,10 +7,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from vrcaps.camera.camera import Camera
+from vrcaps.camera.lens import LensEquidistant
 from vrcaps.capsule.catalog import load_device
-from vrcaps.capsule.device import Camera, Device
-from vrcaps.capsule.lens import LensEquidistant
-from vrcaps.organ.surface import OrganSurface, vertex_normals
+from vrcaps.capsule.device import Device
+from vrcaps.mesh.mesh import vertex_normals
+from vrcaps.organ.surface import OrganSurface
 from vrcaps.transforms import invert, transform_from
 from vrcaps.units import MM
 from vrcaps.world.model import Model, State
@@ -51,8 +53,8 @@ class Stage:
 
 def make_organ(num_triangles: int, *, seed: int) -> OrganSurface:
     """A generated colon of about so many triangles, with its mucosa."""
-    from vrcaps.organ.appearance import bake_appearance
-    from vrcaps.organ.colon import ColonParameters, generate_colon
+    from vrcaps.anatomy.colon import ColonParameters, generate_colon
+    from vrcaps.mucosa.appearance import bake_appearance
 
     organ = generate_colon(ColonParameters(triangles=num_triangles), seed=seed)
     return replace(organ, appearance=bake_appearance(organ, seed=seed))

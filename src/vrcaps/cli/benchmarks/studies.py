@@ -24,7 +24,7 @@ from vrcaps.render.renderer import DEFAULT_CHANNELS, Renderer
 from vrcaps.render.settings import RenderSettings
 
 if TYPE_CHECKING:
-    from vrcaps.capsule.device import Camera
+    from vrcaps.camera.camera import Camera
     from vrcaps.cli.benchmarks.extent import Extent
     from vrcaps.render.frame import Frame
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vrcaps.errors import InputError
+from vrcaps.mesh.mesh import Mesh
 from vrcaps.organ.centerline.curve import centerline_from_points, transport_frames
 from vrcaps.organ.centerline.lumen import (
     MAX_VOXELS,
@@ -18,7 +19,7 @@ from vrcaps.organ.centerline.lumen import (
 )
 from vrcaps.organ.centerline.path import find_path
 from vrcaps.organ.centerline.smooth import smooth_path, to_wall
-from vrcaps.organ.surface import Centerline, Mesh
+from vrcaps.organ.surface import Centerline
 
 if TYPE_CHECKING:
     from jaxtyping import Float

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vrcaps.errors import UnknownNameError
+from vrcaps.tissue.arc_length_samples import stations
 from vrcaps.tissue.motility.segment import WHOLE, ZONES
-from vrcaps.tissue.stations import stations
 from vrcaps.units import CM
 
 if TYPE_CHECKING:

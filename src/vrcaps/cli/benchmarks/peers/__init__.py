@@ -16,7 +16,7 @@ import numpy as np
 
 from vrcaps.cli.benchmarks.stage import Stage
 from vrcaps.cli.benchmarks.timing import Subject
-from vrcaps.organ.surface import vertex_normals
+from vrcaps.mesh.mesh import vertex_normals
 from vrcaps.transforms import transform_points
 
 if TYPE_CHECKING:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from vrcaps.capsule.rays import camera_rays
+from vrcaps.camera.rays import camera_rays
 from vrcaps.cli.benchmarks.peers import load_package
 from vrcaps.cli.benchmarks.stage import Stage
 from vrcaps.cli.benchmarks.timing import Subject

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from vrcaps.capsule.rays import camera_rays
+from vrcaps.camera.rays import camera_rays
 from vrcaps.cli.benchmarks.peers import PeerMissingError, led_positions, load_package, welded_mesh
 from vrcaps.cli.benchmarks.stage import Stage
 from vrcaps.cli.benchmarks.timing import Subject

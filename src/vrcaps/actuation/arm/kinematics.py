@@ -1,0 +1,112 @@
+"""Where an arm's flange is, and which angles put it there."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vrcaps.actuation.arm.arm import Arm
+from vrcaps.errors import InputError
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+
+def forward(arm: Arm, angles: Float[np.ndarray, "*n j"]) -> Float[np.ndarray, "*n 4 4"]:
+    """Pose ``T_base_flange`` for joint angles [rad]; angles beyond the limits are allowed.
+
+    Raises:
+        InputError: If there is not one finite angle a joint.
+    """
+    angles = _checked(arm, angles)
+    frames = arm.core.frames(angles.reshape(-1, arm.num_joints))
+    return frames[:, -1].reshape(*angles.shape[:-1], 4, 4)
+
+
+def frames(arm: Arm, angles: Float[np.ndarray, "*n j"]) -> Float[np.ndarray, "*n f 4 4"]:
+    """Poses in the base of every joint's frame and of the flange, for joint angles [rad].
+
+    Raises:
+        InputError: If there is not one finite angle a joint.
+    """
+    angles = _checked(arm, angles)
+    poses = arm.core.frames(angles.reshape(-1, arm.num_joints))
+    return poses.reshape(*angles.shape[:-1], arm.num_joints + 1, 4, 4)
+
+
+def jacobian(arm: Arm, angles: Float[np.ndarray, "*n j"]) -> Float[np.ndarray, "*n 6 j"]:
+    """Velocity of the flange's origin [m] and angular velocity [rad], in the base, per joint speed.
+
+    Raises:
+        InputError: If there is not one finite angle a joint.
+    """
+    angles = _checked(arm, angles)
+    rows = arm.core.jacobian(angles.reshape(-1, arm.num_joints))
+    return rows.reshape(*angles.shape[:-1], 6, arm.num_joints)
+
+
+def inverse(
+    arm: Arm, T_base_flange: Float[np.ndarray, "4 4"], last_angle: float
+) -> Float[np.ndarray, "b j"]:
+    """All angles within limits that put the flange there with the last joint at `last_angle` [rad].
+
+    In closed form, up to eight branches; none if the pose cannot be reached so.
+
+    Raises:
+        InputError: If the arm has no closed form (see `docs/magnets.md`) or the pose is not finite.
+    """
+    _require_closed_form(arm)
+    found = arm.core.inverse(_poses(T_base_flange), [last_angle])[0]
+    return found[~np.isnan(found[:, 0])]
+
+
+def nearest(
+    arm: Arm,
+    T_base_flange: Float[np.ndarray, "*n 4 4"],
+    near: Float[np.ndarray, "*n j"],
+    *,
+    rng: np.random.Generator | None = None,
+) -> Float[np.ndarray, "*n j"]:
+    """Angles within limits that put the flange there, nearest to `near`; NaN where there are none.
+
+    Nearest is Euclidean in the joint angles, over all branches and over the last joint's angle. An
+    arm without a closed form is solved by damped least squares (Wampler 1986) from `near`, then
+    from its home, then, given `rng`, from 30 random angles; what is found first is taken.
+
+    Raises:
+        InputError: If a pose or an angle is not finite.
+    """
+    targets = _poses(T_base_flange)
+    batch = np.shape(T_base_flange)[:-2]
+    start = np.broadcast_to(_checked(arm, near), (*batch, arm.num_joints))
+    start = np.ascontiguousarray(start).reshape(-1, arm.num_joints)
+    others = np.array([arm.home])
+    if rng is not None:
+        others = np.vstack([others, rng.uniform(arm.lower, arm.upper, (30, arm.num_joints))])
+    return arm.core.nearest(targets, start, others).reshape(*batch, arm.num_joints)
+
+
+def _require_closed_form(arm: Arm) -> None:
+    if not arm.core.has_closed_form:
+        raise InputError(
+            f"Arm {arm.name} is not built like the Panda, so its inverse has no closed form here. "
+            "Use nearest(), which solves it step by step."
+        )
+
+
+def _checked(arm: Arm, angles: np.ndarray) -> np.ndarray:
+    angles = np.ascontiguousarray(angles, float)
+    if angles.shape[-1:] != (arm.num_joints,) or not np.isfinite(angles).all():
+        raise InputError(
+            f"Angles of shape {angles.shape} for arm {arm.name}. "
+            f"Allowed: {arm.num_joints} finite angles [rad], with batch axes before."
+        )
+    return angles
+
+
+def _poses(poses: np.ndarray) -> np.ndarray:
+    poses = np.ascontiguousarray(poses, float)
+    if poses.shape[-2:] != (4, 4) or not np.isfinite(poses).all():
+        raise InputError(f"Poses of shape {poses.shape}. Allowed: finite 4 x 4 matrices.")
+    return poses.reshape(-1, 4, 4)

@@ -1,0 +1,299 @@
+"""The course of a colon through the abdomen: a centreline with anatomy, loops and flexures.
+
+A chain is laid through the anatomical waypoints and grows to the patient's length. It
+buckles as it grows, held by the places where the colon is fixed to the body, kept from
+bending tighter than its own calibre, and from touching itself: a relaxation by position
+based dynamics (Müller et al. 2007).
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from vrcaps.anatomy.colon.parameters import SEGMENTS
+from vrcaps.anatomy.tube_mesh.tube import Course
+from vrcaps.anatomy.tube_mesh.waves import smooth_step
+from vrcaps.errors import InputError
+from vrcaps.units import CM, MM
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+    from vrcaps.anatomy.colon.parameters import ColonParameters
+
+FLEXURE_REACH = 5 * CM
+"""A flexure turns the lumen by more than 90° from this far before it to this far after it [m]."""
+
+_SPACING = 12.5 * MM
+_GAP = 4 * MM
+_NUM_STEPS = 150
+_NUM_TRIES, _MOST_MISSING = 80, 2
+
+# Waypoints of the segments in a mean body, patient frame [cm]: x left, y posterior, z up, the
+# origin in the middle of the abdomen at the height of the navel. A segment starts where the
+# one before it ends.
+_WAYPOINTS_CM = (
+    [(-9.5, -1.0, -9.5), (-10.8, 0.5, -5.0)],
+    [(-11.5, 3.0, 2.0), (-10.8, 3.2, 8.0)],
+    [(-9.8, 0.5, 11.5), (-8.0, -3.5, 9.5)],
+    [(-4.5, -7.0, 5.0), (0.5, -8.5, 2.0), (6.0, -7.0, 7.0), (9.5, -3.0, 13.5)],
+    [(11.5, 2.0, 17.0), (12.8, 5.0, 13.0)],
+    [(13.2, 5.0, 5.0), (12.6, 4.0, -5.5)],
+    [
+        (10.0, -2.0, -11.0),
+        (4.0, -5.5, -8.5),
+        (-3.0, -4.5, -6.5),
+        (-4.5, 0.5, -10.0),
+        (-1.0, 4.5, -11.0),
+    ],
+    [(0.0, 6.8, -15.0), (0.0, 5.5, -19.5), (0.0, 3.4, -21.5), (0.0, 4.8, -24.5)],
+)
+# How firmly each segment is held to the body (the fixed ones lie behind the peritoneum), and
+# how readily it takes a further flexure (those with a long mesentery).
+_HOLD = (0.08, 0.02, 0.10, 0.002, 0.10, 0.015, 0.002, 0.15)
+_MOBILITY = (0.0, 0.5, 0.0, 1.0, 0.0, 0.7, 1.0, 0.0)
+_CAVITY_CM = np.array([[-14.5, -10.5, -26.0], [14.5, 7.5, 20.0]])
+# Lowest and highest place of each segment: the transverse colon hangs between the flexures,
+# all but the rectum stay above the pelvic floor.
+_LOWEST_CM = (-15.0, -15.0, -10.0, -9.0, 0.0, -12.0, -18.0, -26.0)
+_HIGHEST_CM = (0.0, 14.0, 14.0, 19.0, 20.0, 18.0, 3.0, -7.0)
+
+
+def generate_course(parameters: ColonParameters, rng: np.random.Generator) -> Course:
+    """A course of the asked length and number of flexures, with room for the lumen all along.
+
+    Some lengths do not coil up so often: where no try gives the asked number of flexures, the
+    nearest found is taken, up to two off.
+
+    Raises:
+        InputError: If no such course is found in the abdomen.
+    """
+    wanted = float(parameters.flexures - 5)
+    nearest, least = None, _MOST_MISSING + 1
+    for attempt in range(_NUM_TRIES):
+        bends = _draw_bends(parameters, max(round(wanted), 0), rng)
+        course = _relax(parameters, bends, 1.0 + min(0.02 * attempt, 0.8), rng)
+        missing = parameters.flexures - count_flexures(course)
+        if abs(missing) < least and has_room(course, parameters):
+            nearest, least = course, abs(missing)
+        if least == 0:
+            break
+        wanted = min(wanted + 0.35 * missing, 18.0)
+    if nearest is None:
+        raise InputError(
+            f"Found no course {parameters.length:.2f} m long with {parameters.flexures} flexures. "
+            "Allowed: fewer flexures, a smaller diameter, or another seed."
+        )
+    return nearest
+
+
+def count_flexures(course: Course) -> int:
+    """Number of acute flexures: separate stretches where the lumen turns by more than 90°."""
+    spacing = course.arc_length[-1] / (len(course.points) - 1)
+    reach = max(1, round(FLEXURE_REACH / spacing))
+    tangents = np.gradient(course.points, axis=0)
+    cosine = np.sum(tangents[2 * reach :] * tangents[: -2 * reach], axis=1)
+    is_acute = np.concatenate([[False], cosine < 0.0])
+    return int(np.sum(is_acute[1:] & ~is_acute[:-1]))
+
+
+def has_room(course: Course, parameters: ColonParameters) -> bool:
+    """Whether the lumen fits along the whole course without touching itself."""
+    step = max(1, round(6 * MM / course.arc_length[1]))
+    points, arc_length = course.points[::step], course.arc_length[::step]
+    radius = outer_radius(parameters, arc_length)
+    spread = np.linalg.norm(points[:, None] - points, axis=2)
+    needed = np.where(_is_apart(arc_length, radius), radius[:, None] + radius + 0.4 * _GAP, 0.0)
+    velocity = np.gradient(points, arc_length, axis=0)
+    curvature = np.linalg.norm(np.gradient(velocity, arc_length, axis=0), axis=1)
+    return bool(np.all(spread >= needed) and np.all(curvature[2:-2] * radius[2:-2] < 1.2))
+
+
+def outer_radius(
+    parameters: ColonParameters, arc_length: Float[np.ndarray, " n"]
+) -> Float[np.ndarray, " n"]:
+    """Distance from the centreline that the haustra reach [m]."""
+    return lumen_radius(parameters, arc_length) * (1.0 + parameters.haustra_depth)
+
+
+def lumen_radius(
+    parameters: ColonParameters, arc_length: Float[np.ndarray, " n"]
+) -> Float[np.ndarray, " n"]:
+    """Radius of the lumen between folds [m], blended from segment to segment."""
+    return blend(parameters, [0.5 * s.diameter for s in parameters.segments], arc_length)
+
+
+def blend(
+    parameters: ColonParameters, values: list[float], arc_length: Float[np.ndarray, " n"]
+) -> Float[np.ndarray, " n"]:
+    """A value per segment, constant within and blended over 4 cm where two segments meet."""
+    blended = np.full(np.shape(arc_length), float(values[0]))
+    ends = np.cumsum([segment.length for segment in parameters.segments])
+    for end, before, after in zip(ends[:-1], values[:-1], values[1:], strict=True):
+        blended += (after - before) * smooth_step((arc_length - end) / (4 * CM) + 0.5)
+    return blended
+
+
+def _draw_bends(
+    parameters: ColonParameters, num_bends: int, rng: np.random.Generator
+) -> np.ndarray:
+    """Number of bends to put into each segment, by its mobility and length."""
+    length = np.array([segment.length for segment in parameters.segments])
+    room = np.round(np.array(_MOBILITY) * length / (8.5 * CM)).astype(int)
+    slots = np.repeat(np.arange(len(room)), room)
+    chosen = rng.choice(slots, min(num_bends, len(slots)), replace=False)
+    return np.bincount(chosen, minlength=len(room))
+
+
+def _is_apart(arc_length: np.ndarray, radius: np.ndarray) -> np.ndarray:
+    """Pairs of samples so far from each other along the course that they could be apart."""
+    along = np.abs(arc_length[:, None] - arc_length)
+    return along > 0.65 * np.pi * (radius[:, None] + radius)
+
+
+def _relax(
+    parameters: ColonParameters, bends: np.ndarray, swing: float, rng: np.random.Generator
+) -> Course:
+    """Let a chain with the given bends, `swing` times as wide, grow inside the abdomen."""
+    num_nodes = round(parameters.length / _SPACING) + 1
+    arc_length = np.linspace(0.0, parameters.length, num_nodes)
+    ends = np.cumsum([segment.length for segment in parameters.segments])
+    segment = np.minimum(np.searchsorted(ends, arc_length), len(ends) - 1)
+    anchors = _anchors(parameters, arc_length, segment)
+    hold = np.array(_HOLD)[segment][:, None]
+    low, high = _cavity(parameters, segment)
+    radius = outer_radius(parameters, arc_length)
+    nodes = anchors + swing * _meander(anchors, bends, arc_length, segment, rng)
+    needed = np.where(_is_apart(arc_length, radius), radius[:, None] + radius + _GAP, 0.0)
+    start = np.linalg.norm(np.diff(nodes, axis=0), axis=1).mean()
+    for i in range(_NUM_STEPS):
+        growth = min(1.0, i / (0.6 * _NUM_STEPS))
+        spacing = start + growth * (arc_length[1] - start)
+        nodes += (1.0 - 0.85 * growth) * hold * (anchors - nodes)
+        nodes += _push_apart(nodes, needed)
+        nodes += 0.3 * (np.clip(nodes, low, high) - nodes)
+        for _ in range(3):
+            nodes += _unbend(nodes, radius, spacing)
+            nodes += _set_spacing(nodes, spacing)
+    return _smooth_course(nodes, parameters.length)
+
+
+def _anchors(
+    parameters: ColonParameters, arc_length: np.ndarray, segment: np.ndarray
+) -> np.ndarray:
+    """Where each node lies in the textbook abdomen [m], scaled to the colon's length."""
+    anchors = np.empty((len(arc_length), 3))
+    end, start = 0.0, _WAYPOINTS_CM[0][0]
+    for k, waypoints in enumerate(_WAYPOINTS_CM):
+        path = np.array([start, *waypoints[(k == 0) :]])
+        chord = _chord_length(path)
+        share = (arc_length[segment == k] - end) / parameters.segments[k].length
+        for axis in range(3):
+            anchors[segment == k, axis] = np.interp(share * chord[-1], chord, path[:, axis])
+        end, start = end + parameters.segments[k].length, waypoints[-1]
+    return _body_size(parameters) * CM * anchors
+
+
+def _meander(
+    anchors: np.ndarray,
+    bends: np.ndarray,
+    arc_length: np.ndarray,
+    segment: np.ndarray,
+    rng: np.random.Generator,
+) -> np.ndarray:
+    """Sideways displacement that makes each segment buckle into its number of bends [m].
+
+    A sine of n half-waves and amplitude a over the straight length d has a length of about
+    d √(1 + (π n a / d)² / 2); the amplitude takes up most of what the segment is longer.
+    """
+    offset = 1 * MM * rng.standard_normal(anchors.shape)
+    tangents = np.gradient(anchors, axis=0)
+    for k, num_bends in enumerate(bends):
+        is_in = np.flatnonzero(segment == k)
+        share = np.linspace(0.0, 1.0, len(is_in))
+        straight = np.linalg.norm(np.diff(anchors[is_in], axis=0), axis=1).sum()
+        length = arc_length[is_in[-1]] - arc_length[is_in[0]]
+        waves = max(num_bends, 1)
+        excess = np.sqrt(2.0 * max((length / straight) ** 2 - 1.0, 0.04))
+        amplitude = rng.uniform(0.6, 1.1) * straight / (np.pi * waves) * excess
+        sideways = np.cross(tangents[is_in], rng.standard_normal(3) * [1.0, 2.0, 1.0])
+        sideways /= np.linalg.norm(sideways, axis=1, keepdims=True)
+        wave = np.sin(np.pi * (waves * share + (rng.uniform(-0.2, 0.2) if num_bends else 0.0)))
+        envelope = np.minimum(1.0, 8.0 * np.minimum(share, 1.0 - share))
+        offset[is_in] += amplitude * (wave * envelope)[:, None] * sideways
+    return offset
+
+
+def _push_apart(nodes: np.ndarray, needed: np.ndarray) -> np.ndarray:
+    """Displacement that separates nodes nearer to each other than needed [m]."""
+    offset = nodes[:, None] - nodes
+    distance = np.sqrt(np.einsum("ijk,ijk->ij", offset, offset)) + 1e-9
+    weight = np.clip(needed - distance, 0.0, None) / distance
+    count = np.maximum((weight > 0.0).sum(axis=1), 1)
+    push = nodes * weight.sum(axis=1)[:, None] - weight @ nodes
+    return 0.5 * push / count[:, None]
+
+
+def _cavity(parameters: ColonParameters, segment: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Lowest and highest coordinates of each node in the abdomen [m]."""
+    low, high = (np.repeat(corner[None], len(segment), axis=0) for corner in _CAVITY_CM)
+    low[:, 2] = np.array(_LOWEST_CM)[segment]
+    high[:, 2] = np.array(_HIGHEST_CM)[segment]
+    # The ends of the transverse colon rise to the flexures.
+    inside = np.flatnonzero(segment == SEGMENTS.index("transverse"))
+    share = np.linspace(0.0, 1.0, len(inside))
+    high[inside, 2] = np.interp(share, [0.0, 0.15, 0.7, 1.0], [13.0, 9.0, 10.0, 19.0])
+    size = _body_size(parameters)
+    return size * CM * low, size * CM * high
+
+
+def _body_size(parameters: ColonParameters) -> float:
+    """Size of the abdomen relative to the mean: a longer colon lies in a larger body."""
+    return float(np.clip(np.sqrt(parameters.length / 1.895), 0.85, 1.1))
+
+
+def _unbend(nodes: np.ndarray, radius: np.ndarray, spacing: float) -> np.ndarray:
+    """Displacement that opens bends tighter than the lumen allows [m]."""
+    move = np.zeros_like(nodes)
+    for reach in (1, 2):
+        middle = nodes[reach:-reach]
+        sagitta = 0.5 * (nodes[: -2 * reach] + nodes[2 * reach :]) - middle
+        depth = np.linalg.norm(sagitta, axis=1) + 1e-12
+        # A circle of radius R has the sagitta d²/2R over chords of about d.
+        limit = (reach * spacing) ** 2 / (2.0 * 1.5 * radius[reach:-reach])
+        pull = 0.5 * sagitta * (np.clip(depth - limit, 0.02 * depth, None) / depth)[:, None]
+        move[reach:-reach] += pull
+        move[: -2 * reach] -= 0.5 * pull
+        move[2 * reach :] -= 0.5 * pull
+    return 0.5 * move
+
+
+def _set_spacing(nodes: np.ndarray, spacing: float) -> np.ndarray:
+    """Displacement that brings neighbours to the asked distance [m]."""
+    edges = np.diff(nodes, axis=0)
+    length = np.linalg.norm(edges, axis=1, keepdims=True) + 1e-12
+    pull = 0.5 * edges * (1.0 - spacing / length)
+    move = np.zeros_like(nodes)
+    move[:-1] += pull
+    move[1:] -= pull
+    return 0.7 * move
+
+
+def _chord_length(nodes: np.ndarray) -> np.ndarray:
+    """Distance of each node along the chain from the first [m]."""
+    return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(nodes, axis=0), axis=1))])
+
+
+def _smooth_course(nodes: np.ndarray, length: float) -> Course:
+    """An evenly sampled smooth curve through the chain, of exactly the asked length."""
+    for _ in range(4):
+        nodes[1:-1] += 0.25 * (nodes[:-2] - 2.0 * nodes[1:-1] + nodes[2:])
+    for _ in range(3):
+        chord = _chord_length(nodes)
+        nodes = CubicSpline(chord, nodes)(np.linspace(0.0, chord[-1], round(length / MM) + 1))
+    center = nodes.mean(axis=0)
+    nodes = center + (nodes - center) * (length / _chord_length(nodes)[-1])
+    return Course(nodes, np.linspace(0.0, length, len(nodes)))

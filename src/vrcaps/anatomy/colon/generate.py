@@ -1,0 +1,82 @@
+"""A patient's colon as a labelled, closed triangle surface."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, replace
+
+import numpy as np
+
+from vrcaps.anatomy.colon.course import generate_course
+from vrcaps.anatomy.colon.parameters import SEGMENTS, ColonParameters
+from vrcaps.anatomy.colon.wall import Wall, draw_wall, envelope_radius, wall_crests, wall_radius
+from vrcaps.anatomy.tube_mesh.surface_to_organ import skin_to_organ
+from vrcaps.anatomy.tube_mesh.swept_surface import Skin
+from vrcaps.anatomy.tube_mesh.tube import make_tube
+from vrcaps.anatomy.tube_mesh.tube_mesher import count_triangles
+from vrcaps.errors import InputError
+from vrcaps.mesh.self_intersection import self_intersections
+from vrcaps.organ.surface import OrganSurface
+
+_NUM_TRIES = 5
+_SPARE = 1.02
+"""Triangles made per triangle asked for, so that there are hardly ever fewer."""
+
+
+def generate_colon(parameters: ColonParameters, *, seed: int) -> OrganSurface:
+    """A colon with the given dimensions, different for each seed.
+
+    Args:
+        parameters: The patient's dimensions; `ColonParameters.draw` draws a patient.
+        seed: Of the course, folds and irregularities.
+
+    Returns:
+        A closed surface in the patient frame that nowhere cuts itself, without appearance.
+
+    Raises:
+        InputError: If the lumen does not fit into the abdomen.
+    """
+    rng = np.random.default_rng(seed)
+    for _ in range(_NUM_TRIES):
+        wall = draw_wall(parameters, make_tube(generate_course(parameters, rng)), rng)
+        organ = skin_to_organ(
+            colon_skin(wall),
+            "colon",
+            segments=SEGMENTS,
+            label=lambda s, _: colon_labels(parameters, s),
+            metadata={"generator": "colon", "seed": seed, "parameters": asdict(parameters)},
+        )
+        if not len(self_intersections(organ.vertices, organ.faces)):
+            return organ
+    raise InputError(
+        f"Found no colon {parameters.length:.2f} m long with {parameters.flexures} flexures that "
+        "does not cut itself. Allowed: fewer flexures, smaller diameters, or another seed."
+    )
+
+
+def colon_skin(wall: Wall) -> Skin:
+    """The wall, with edges that give about the asked number of triangles: wide in wide parts."""
+    parameters = wall.parameters
+    mean = 0.5 * np.average(
+        [segment.diameter for segment in parameters.segments],
+        weights=[segment.length for segment in parameters.segments],
+    )
+
+    def edge(s: np.ndarray) -> np.ndarray:
+        return np.maximum(envelope_radius(parameters, s) / mean, 0.5) ** 0.5
+
+    skin = Skin(
+        wall.tube,
+        parameters.length,
+        lambda s: envelope_radius(parameters, s),
+        lambda s, theta: wall_radius(wall, s, theta),
+        edge,
+        lambda angles: wall_crests(wall, angles),
+    )
+    scale = np.sqrt(count_triangles(skin) / (_SPARE * parameters.triangles))
+    return replace(skin, edge=lambda s: scale * edge(s))
+
+
+def colon_labels(parameters: ColonParameters, arc_length: np.ndarray) -> np.ndarray:
+    """Segment number of each arc length [m], 1 for the first of `SEGMENTS`."""
+    ends = np.cumsum([segment.length for segment in parameters.segments])[:-1]
+    return (1 + np.searchsorted(ends, arc_length, side="right")).astype(np.uint8)

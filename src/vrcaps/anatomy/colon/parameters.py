@@ -1,0 +1,163 @@
+"""Every dimension of a generated colon, and how it varies from patient to patient."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+from vrcaps.anatomy.tube_mesh.truncated_normal import draw_deviation
+from vrcaps.errors import InputError
+from vrcaps.units import CM, MM
+
+if TYPE_CHECKING:
+    import numpy as np
+
+SEGMENTS = (
+    "caecum",
+    "ascending",
+    "hepatic_flexure",
+    "transverse",
+    "splenic_flexure",
+    "descending",
+    "sigmoid",
+    "rectum",
+)
+"""Segments from the oral to the anal end."""
+
+
+@dataclass(frozen=True)
+class ColonSegment:
+    """One segment of the colon.
+
+    Attributes:
+        length: Along the centreline [m].
+        diameter: Of the distended lumen between the folds [m].
+        haustra_spacing: Mean distance from fold to fold in one of the three strips between
+            the taeniae [m].
+        fold_height: Mean height of the semilunar folds over the wall [m]; 0 for none.
+        triangularity: Flattening of the lumen between the taeniae as a share of its radius,
+            0 for round.
+    """
+
+    length: float
+    diameter: float
+    haustra_spacing: float = 30 * MM
+    fold_height: float = 7 * MM
+    triangularity: float = 0.05
+
+
+@dataclass(frozen=True)
+class ColonParameters:
+    """A patient's colon; the defaults are the mean adult.
+
+    The total length, 1.895 m, and the flexures are means of 505 adults at CT colonography
+    (Khashab et al. 2009, Endoscopy 41:674). Its division keeps the proportions of the
+    textbook lengths (Standring, Gray's Anatomy: caecum 6, ascending 15, transverse 50,
+    descending 25, sigmoid 40, rectum 15 cm), the two flexures taken from their neighbours.
+    Calibres stay under the radiological limits for the distended colon: caecum 9 cm,
+    transverse 6 cm, descending and sigmoid 4 to 5 cm. Fold figures are read off CT
+    colonography and endoscopy images, not from a measured series.
+
+    Attributes:
+        caecum: The blind pouch, to the upper lip of the ileocaecal valve.
+        ascending: Up the patient's right flank.
+        hepatic_flexure: The bend under the liver.
+        transverse: Hangs anteriorly across the abdomen; the most triangular lumen.
+        splenic_flexure: The bend under the spleen, the highest point.
+        descending: Down the patient's left flank.
+        sigmoid: The loops from the left iliac fossa to the sacrum; tight folds.
+        rectum: Along the sacrum to the anus; no haustra.
+        flexures: Number of acute flexures, bends that turn the lumen by more than 90°.
+        taenia_width: Width of each of the three muscle bands [m].
+        taenia_depth: How far a band stands into the lumen [m].
+        haustra_depth: Outward bulge of a sacculation as a share of the lumen's radius.
+        fold_thickness: Full width of a fold at half its height [m].
+        fold_irregularity: Relative deviation of the folds' spacing and height.
+        valve_height: Height of the three valves of Houston in the rectum [m].
+        ileocaecal_height: Height of the ileocaecal valve's lips over the wall [m].
+        roughness: Standard deviation of the smooth irregularity of the wall [m].
+        triangles: Approximate number of triangles.
+    """
+
+    caecum: ColonSegment = ColonSegment(6.8 * CM, 6.6 * CM, 34 * MM, 8 * MM, 0.06)
+    ascending: ColonSegment = ColonSegment(19.0 * CM, 5.6 * CM, 33 * MM, 9 * MM, 0.10)
+    hepatic_flexure: ColonSegment = ColonSegment(8.0 * CM, 5.0 * CM, 30 * MM, 8 * MM, 0.10)
+    transverse: ColonSegment = ColonSegment(54.5 * CM, 4.7 * CM, 29 * MM, 8 * MM, 0.16)
+    splenic_flexure: ColonSegment = ColonSegment(8.0 * CM, 4.4 * CM, 28 * MM, 7 * MM, 0.10)
+    descending: ColonSegment = ColonSegment(27.5 * CM, 4.2 * CM, 32 * MM, 5 * MM, 0.05)
+    sigmoid: ColonSegment = ColonSegment(48.0 * CM, 4.0 * CM, 24 * MM, 6 * MM, 0.03)
+    rectum: ColonSegment = ColonSegment(17.7 * CM, 4.8 * CM, 40 * MM, 0.0, 0.0)
+    flexures: int = 11
+    taenia_width: float = 8 * MM
+    taenia_depth: float = 1.5 * MM
+    haustra_depth: float = 0.14
+    fold_thickness: float = 5.0 * MM
+    fold_irregularity: float = 0.25
+    valve_height: float = 13 * MM
+    ileocaecal_height: float = 11 * MM
+    roughness: float = 0.35 * MM
+    triangles: int = 110_000
+
+    def __post_init__(self) -> None:
+        """Check what the construction relies on."""
+        for name in SEGMENTS:
+            segment = getattr(self, name)
+            if not (0.03 <= segment.length <= 1.5 and 0.02 <= segment.diameter <= 0.09):
+                raise InputError(
+                    f"Colon segment {name} is {segment.length:g} m long and {segment.diameter:g} m "
+                    "wide. Allowed: 0.03 to 1.5 m long, 0.02 to 0.09 m wide."
+                )
+            if not (segment.haustra_spacing >= 0.01 and 0.0 <= segment.fold_height <= 0.012):
+                raise InputError(
+                    f"Colon segment {name} has folds {segment.fold_height:g} m high every "
+                    f"{segment.haustra_spacing:g} m. Allowed: up to 0.012 m, at least 0.01 m apart."
+                )
+        if not 0.9 <= self.length <= 3.0:
+            raise InputError(
+                f"Colon length {self.length:g} m is not possible. Allowed: 0.9 to 3 m."
+            )
+        if not 4 <= self.flexures <= 20:
+            raise InputError(f"{self.flexures} flexures are not possible. Allowed: 4 to 20.")
+        if not 20_000 <= self.triangles <= 5_000_000:
+            raise InputError(
+                f"{self.triangles} triangles are not possible. Allowed: 20,000 to 5,000,000."
+            )
+
+    @property
+    def segments(self) -> tuple[ColonSegment, ...]:
+        """The segments from the oral to the anal end."""
+        return tuple(getattr(self, name) for name in SEGMENTS)
+
+    @property
+    def length(self) -> float:
+        """Total length along the centreline [m]."""
+        return sum(segment.length for segment in self.segments)
+
+    @classmethod
+    def draw(cls, rng: np.random.Generator) -> ColonParameters:
+        """A patient drawn from the adult population.
+
+        Total length 1.895 ± 0.263 m and 10.9 ± 2.4 acute flexures, normal (Khashab et al.
+        2009), without the tails beyond 2.5 deviations. How the two go together is not published:
+        a correlation of 0.8 is assumed. The division and the calibres vary by 10 % and 6 %.
+        """
+        mean = cls()
+        deviation = draw_deviation(rng, 2.3)
+        length = 1.895 + 0.263 * deviation
+        flexures = 10.9 + 2.4 * (0.8 * deviation + 0.6 * draw_deviation(rng, 2.3))
+        shares = {name: 1.0 + 0.10 * draw_deviation(rng, 2.3) for name in SEGMENTS}
+        whole = sum(getattr(mean, name).length * shares[name] for name in SEGMENTS)
+        calibre = 1.0 + 0.06 * draw_deviation(rng, 2.3)
+        drawn = {
+            name: replace(
+                getattr(mean, name),
+                length=getattr(mean, name).length * shares[name] * length / whole,
+                diameter=getattr(mean, name).diameter
+                * calibre
+                * (1 + 0.03 * draw_deviation(rng, 2.3)),
+                haustra_spacing=getattr(mean, name).haustra_spacing * rng.uniform(0.88, 1.12),
+                fold_height=getattr(mean, name).fold_height * rng.uniform(0.85, 1.15),
+            )
+            for name in SEGMENTS
+        }
+        return cls(**drawn, flexures=max(round(flexures), 4))

@@ -1,0 +1,96 @@
+"""The mucosa of a joint tract: each part has its own, baked side by side."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vrcaps.mucosa.appearance import bake_appearance
+from vrcaps.organ.surface import OrganSurface
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from jaxtyping import Bool, Float
+
+_MUCOSAE = ("stomach", "small_intestine", "colon")
+_MAX_TEXELS = 90_000_000
+
+
+@dataclass(frozen=True)
+class _Part:
+    """One organ of a tract.
+
+    Attributes:
+        is_in: Which faces of the tract are its own.
+        uv: Texture coordinates of their corners in its own unit square.
+        share: Of all texels.
+        mucosa: Name of its mucosa.
+    """
+
+    is_in: Bool[np.ndarray, " m"]
+    uv: Float[np.ndarray, "k 3 2"]
+    share: float
+    mucosa: str
+
+
+def with_appearance(
+    organ: OrganSurface, *, seed: int, max_texels: int = _MAX_TEXELS
+) -> OrganSurface:
+    """A tract of `generate_gi` with textures and the texture coordinates that fit them.
+
+    Args:
+        organ: The tract; `metadata["texture_parts"]` tells where its parts lie side by side.
+        seed: Of the patient.
+        max_texels: Most texels of all textures, about.
+    """
+    parts = list(_parts(organ))
+    baked = [
+        bake_appearance(
+            replace(organ, faces=organ.faces[part.is_in], uv=part.uv),
+            seed=seed,
+            mucosa=part.mucosa,
+            max_texels=int(part.share * max_texels),
+        )
+        for part in parts
+    ]
+    sizes = np.array([own.roughness.shape for own in baked])
+    height, total = sizes[:, 0].max(), sizes[:, 1].sum()
+    left = np.cumsum(sizes[:, 1]) - sizes[:, 1]
+    uv = np.empty_like(organ.uv)
+    for part, size, start in zip(parts, sizes, left, strict=True):
+        uv[part.is_in] = part.uv * (size / np.array([height, total]))[::-1] + [start / total, 0.0]
+    names = ("albedo", "roughness", "height")
+    appearance = replace(
+        baked[1],
+        coat=float(np.average([own.coat for own in baked], weights=sizes.prod(axis=1))),
+        **{name: _side_by_side([getattr(own, name) for own in baked]) for name in names},
+    )
+    return replace(organ, uv=uv, appearance=appearance)
+
+
+def _parts(organ: OrganSurface) -> Iterator[_Part]:
+    """Stomach, small bowel and colon of a tract."""
+    borders = np.array(organ.metadata["texture_parts"])
+    width = np.diff(borders)
+    heights = width / width.max()
+    number = np.searchsorted(borders[1:-1], organ.uv[..., 0].mean(axis=1))
+    for k, mucosa in enumerate(_MUCOSAE):
+        uv = (organ.uv[number == k] - [borders[k], 0.0]) / [width[k], heights[k]]
+        share = width[k] * heights[k] / np.sum(width * heights)
+        yield _Part(number == k, uv, float(share), mucosa)
+
+
+def _side_by_side(images: list[np.ndarray]) -> np.ndarray:
+    """Images next to each other; row 0 is v = 1, so that lower ones are filled up at the top."""
+    height, width = max(len(image) for image in images), sum(image.shape[1] for image in images)
+    joint = np.empty((height, width, *images[0].shape[2:]), images[0].dtype)
+    left = 0
+    for image in images:
+        column = joint[:, left : left + image.shape[1]]
+        above = height - len(image)
+        column[:above], column[above:] = image[0], image
+        left += image.shape[1]
+    return joint

@@ -1,0 +1,95 @@
+"""Texture coordinates of a joint tract: those of its three organs side by side."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vrcaps.mesh.edges import face_areas
+from vrcaps.mesh.mesh import Mesh
+from vrcaps.organ.uv_charts import TubeChart, chart_coordinates
+from vrcaps.units import MM
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Int
+
+    from vrcaps.anatomy.tube_mesh.surface_to_organ import TubeMesh
+
+
+@dataclass(frozen=True)
+class JoinedFaces:
+    """The faces of a tract in order: what is kept of the upper mesh, of the colon, and a band.
+
+    Attributes:
+        upper: Stomach and small bowel.
+        in_stomach: Which of its faces belong to the stomach, all of which are kept.
+        in_bowel: Which of its faces belong to the small bowel and are kept.
+        band: Faces between the small bowel and the colon.
+        colon_uv: Texture coordinates of the colon's corners that are kept, in the unit square.
+        colon_area: Of the colon's wall [m²].
+    """
+
+    upper: TubeMesh
+    in_stomach: Bool[np.ndarray, " m"]
+    in_bowel: Bool[np.ndarray, " m"]
+    band: Int[np.ndarray, "k 3"]
+    colon_uv: Float[np.ndarray, "l 3 2"]
+    colon_area: float
+
+
+def tract_coordinates(
+    joined: JoinedFaces, vertices: Float[np.ndarray, "n 3"]
+) -> tuple[Float[np.ndarray, "m 3 2"], list[float]]:
+    """Texture coordinates of stomach, small bowel and colon side by side, and where they part.
+
+    Args:
+        joined: The faces; the band belongs to the small bowel.
+        vertices: Of the joint wall [m].
+    """
+    tubes = [_stomach_chart(joined, vertices), _bowel_chart(joined, vertices)]
+    charts = [*(chart_coordinates(tube) for tube in tubes), joined.colon_uv]
+    areas = [face_areas(Mesh(vertices, tube.faces)).sum() for tube in tubes]
+    width = np.sqrt([*areas, joined.colon_area])
+    parts = np.concatenate([[0.0], np.cumsum(width)]) / width.sum()
+    stomach, bowel, colon = (
+        np.stack([low + span * uv[..., 0], height * uv[..., 1]], axis=-1)
+        for uv, low, span, height in zip(
+            charts, parts[:-1], np.diff(parts), width / width.max(), strict=True
+        )
+    )
+    upper = np.empty((*joined.in_stomach.shape, 3, 2))
+    num_bowel = len(bowel) - len(joined.band)
+    upper[joined.in_stomach], upper[joined.in_bowel] = stomach, bowel[:num_bowel]
+    is_kept = joined.in_stomach | joined.in_bowel
+    return np.concatenate([upper[is_kept], colon, bowel[num_bowel:]]), parts.tolist()
+
+
+def _stomach_chart(joined: JoinedFaces, vertices: np.ndarray) -> TubeChart:
+    upper, is_in = joined.upper, joined.in_stomach
+    faces = upper.faces[is_in]
+    return TubeChart(faces, vertices[faces], upper.turn[is_in], upper.along[is_in])
+
+
+def _bowel_chart(joined: JoinedFaces, vertices: np.ndarray) -> TubeChart:
+    """The small bowel with the band at its end."""
+    upper, is_in = joined.upper, joined.in_bowel
+    turn, beyond = _on_band(joined)
+    start, end = upper.along[is_in].min(), upper.along[is_in].max()
+    faces = np.concatenate([upper.faces[is_in], joined.band])
+    along = np.concatenate([upper.along[is_in], end + beyond]) - start
+    return TubeChart(faces, vertices[faces], np.concatenate([upper.turn[is_in], turn]), along)
+
+
+def _on_band(joined: JoinedFaces) -> tuple[Float[np.ndarray, "k 3"], Float[np.ndarray, "k 3"]]:
+    """Turn of the band's corners, and how far beyond the small bowel's end they lie [m].
+
+    Corners on the colon's rim lie just beyond it, at the angle of the face's other corners.
+    """
+    is_own = joined.band < len(joined.upper.vertices)
+    own = np.where(is_own, joined.band, 0)
+    turn = 0.5 - joined.upper.theta[own] / (2.0 * np.pi)
+    first = np.take_along_axis(turn, is_own.argmax(axis=1)[:, None], axis=1)
+    turn = np.where(is_own, turn - np.rint(turn - first), first)
+    return np.clip(turn, 0.0, 1.0), np.where(is_own, -0.3 * MM, 1.0 * MM)

@@ -1,0 +1,224 @@
+"""The whole tract of one patient as one wall, from the cardia to the anus."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vrcaps.anatomy.colon import generate_colon
+from vrcaps.anatomy.colon.parameters import SEGMENTS as COLON_SEGMENTS
+from vrcaps.anatomy.full_tract.abdomen import GAP, ColonPlace, place_colon
+from vrcaps.anatomy.full_tract.charts import JoinedFaces, tract_coordinates
+from vrcaps.anatomy.full_tract.tube import (
+    CAP,
+    VALVE_ACROSS,
+    VALVE_ALONG,
+    UpperTract,
+    lay_upper_tract,
+)
+from vrcaps.anatomy.full_tract.valve import soften, stitch, without_vertices
+from vrcaps.anatomy.small_bowel.generate import small_bowel_labels
+from vrcaps.anatomy.small_bowel.parameters import SEGMENTS as BOWEL_SEGMENTS
+from vrcaps.anatomy.stomach.generate import stomach_labels, stomach_path
+from vrcaps.anatomy.stomach.parameters import SEGMENTS as STOMACH_SEGMENTS
+from vrcaps.anatomy.tube_mesh.coordinates import angle_and_radius, arc_length_of_sections
+from vrcaps.anatomy.tube_mesh.surface_to_organ import CENTERLINE_STEP, TubeMesh, mesh_tube
+from vrcaps.anatomy.tube_mesh.tube import Course, make_tube
+from vrcaps.errors import InputError
+from vrcaps.mesh.edges import face_areas
+from vrcaps.mesh.mesh import Mesh, vertex_normals
+from vrcaps.mesh.self_intersection import self_intersections
+from vrcaps.organ.centerline import centerline_from_points
+from vrcaps.organ.surface import Centerline, OrganSurface
+from vrcaps.units import CM, MM
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Int
+
+    from vrcaps.anatomy.colon.parameters import ColonParameters
+    from vrcaps.anatomy.small_bowel.parameters import SmallBowelParameters
+    from vrcaps.anatomy.stomach.parameters import StomachParameters
+
+_NUM_TRIES = 6
+_MORE_ROOM = 6 * MM
+_RIM = 1.3 * MM
+_VALVE_REACH = 4 * CM
+
+
+def generate_gi(
+    stomach: StomachParameters,
+    bowel: SmallBowelParameters,
+    colon: ColonParameters,
+    *,
+    seed: int,
+) -> OrganSurface:
+    """Stomach, small bowel and colon as one closed wall with one centreline.
+
+    The stomach passes into the bulb at the pyloric ring; the ileum ends in the lips of the
+    ileocaecal valve. The texture coordinates hold the three parts side by side, see
+    `metadata["texture_parts"]`.
+
+    Args:
+        stomach: The patient's stomach.
+        bowel: The patient's small bowel.
+        colon: The patient's colon.
+        seed: Of everything drawn.
+
+    Raises:
+        InputError: If the organs do not fit into the abdomen, or cut one another.
+    """
+    lower = generate_colon(colon, seed=seed)
+    line = lower.centerline
+    place = place_colon(colon, Course(line.points, line.arc_length))
+    rng = np.random.default_rng([seed, 3])
+    for attempt in range(_NUM_TRIES):
+        # A fundus that bulges to one side can reach beyond its mean outline into the colon.
+        gap = GAP + attempt * _MORE_ROOM
+        tract = lay_upper_tract(stomach, bowel, place, seed=seed, rng=rng, gap=gap)
+        organ = _join(tract, lower, place, seed)
+        if not len(self_intersections(organ.vertices, organ.faces)):
+            return organ
+    raise InputError(
+        f"Found no tract of seed {seed} that does not cut itself. Allowed: a shorter or narrower "
+        "small bowel, or another seed."
+    )
+
+
+def _join(tract: UpperTract, lower: OrganSurface, place: ColonPlace, seed: int) -> OrganSurface:
+    """Both walls stitched at the valve, with labels, gut coordinates and centreline."""
+    upper = mesh_tube(tract.skin())
+    vertices, faces, joined = _stitched(tract, upper, lower, place)
+    uv, parts = tract_coordinates(joined, vertices)
+    used, faces = np.unique(faces, return_inverse=True)
+    vertices, faces = vertices[used], faces.reshape(-1, 3).astype(np.int32)
+    centerline = _centerline(tract, lower.centerline, place, vertices, faces)
+    arc_length = _arc_length(tract, upper, lower, centerline)[used]
+    theta, radius = angle_and_radius(vertices, arc_length, centerline)
+    return OrganSurface(
+        name="gi",
+        vertices=vertices,
+        faces=faces,
+        normals=vertex_normals(vertices, faces),
+        uv=uv,
+        label=_labels(tract, upper, lower)[used],
+        label_names=("background", *STOMACH_SEGMENTS, *BOWEL_SEGMENTS, *COLON_SEGMENTS),
+        instance=np.zeros(len(vertices), np.uint16),
+        arc_length=arc_length,
+        theta=theta,
+        radius=radius,
+        centerline=centerline,
+        metadata=_metadata(tract, lower, seed) | {"texture_parts": parts},
+    )
+
+
+def _stitched(
+    tract: UpperTract, upper: TubeMesh, lower: OrganSurface, place: ColonPlace
+) -> tuple[Float[np.ndarray, "n 3"], Int[np.ndarray, "m 3"], JoinedFaces]:
+    """Vertices [m] and faces of both walls joined at the valve, and which face is whose."""
+    num = len(upper.vertices)
+    kept_upper, rim_upper = without_vertices(upper.faces, upper.arc_length > tract.end - 1.05 * CAP)
+    kept_lower, rim_lower = without_vertices(lower.faces, _is_in_valve(lower, place))
+    vertices = np.concatenate([upper.vertices, lower.vertices])
+    band = stitch(vertices, rim_upper, rim_lower + num)
+    faces = np.concatenate([upper.faces[kept_upper], lower.faces[kept_lower] + num, band])
+    vertices = soften(vertices, faces, np.concatenate([rim_upper, rim_lower + num]))
+    in_stomach = upper.arc_length[upper.faces].mean(axis=1) < tract.pylorus
+    joined = JoinedFaces(
+        upper,
+        in_stomach,
+        kept_upper & ~in_stomach,
+        band,
+        lower.uv[kept_lower],
+        float(face_areas(Mesh(lower.vertices, lower.faces)).sum()),
+    )
+    return vertices, faces, joined
+
+
+def _metadata(tract: UpperTract, lower: OrganSurface, seed: int) -> dict:
+    """Where the tract comes from."""
+    return {
+        "generator": "gi",
+        "seed": seed,
+        "parameters": {
+            "stomach": asdict(tract.stomach.parameters),
+            "small_bowel": asdict(tract.bowel.parameters),
+            "colon": lower.metadata["parameters"],
+        },
+    }
+
+
+def _is_in_valve(colon: OrganSurface, place: ColonPlace) -> np.ndarray:
+    """Vertices of the colon within the opening between the valve's lips."""
+    offset = colon.vertices - place.valve
+    along = offset @ place.along / (VALVE_ALONG + _RIM)
+    across = offset @ np.cross(place.inward, place.along) / (VALVE_ACROSS + _RIM)
+    depth = np.abs(offset @ place.inward)
+    # Another loop of the colon can lie against the valve from outside.
+    is_near = np.abs(colon.arc_length - _valve_place(colon.centerline, place)) < _VALVE_REACH
+    return is_near & (along**2 + across**2 < 1.0) & (depth < 20 * MM)
+
+
+def _labels(tract: UpperTract, upper: TubeMesh, lower: OrganSurface) -> np.ndarray:
+    """Segment numbers of both walls' vertices."""
+    s, num = upper.arc_length, len(STOMACH_SEGMENTS)
+    in_stomach = stomach_labels(tract.stomach, np.minimum(s, tract.pylorus), upper.theta)
+    in_bowel = small_bowel_labels(tract.bowel.parameters, s - tract.pylorus)
+    both = np.where(s < tract.pylorus, in_stomach, in_bowel + num)
+    return np.concatenate([both, lower.label + num + len(BOWEL_SEGMENTS)]).astype(np.uint8)
+
+
+def _centerline(
+    tract: UpperTract,
+    colon: Centerline,
+    place: ColonPlace,
+    vertices: np.ndarray,
+    faces: np.ndarray,
+) -> Centerline:
+    """From inside the cardia down the tube, through the valve and along the colon."""
+    start = stomach_path(tract.stomach)
+    start = start[: len(start) - 6]
+    _, nearest = min(
+        (np.linalg.norm(point - start[-1]), i)
+        for i, point in enumerate(tract.tube.curve(tract.tube.arc_length)[:400])
+    )
+    stops = np.arange(tract.tube.arc_length[nearest] + 6 * MM, tract.end - 8 * MM, 6 * MM)
+    entry = tract.tube.curve(np.array([tract.end]))[0]
+    after = entry + np.outer([4 * MM, 10 * MM], place.inward) + np.outer([0.0, 3 * MM], place.along)
+    at = _valve_place(colon, place)
+    beyond = np.arange(at + 4 * CM, colon.length - 6 * MM, 8 * MM)
+    index = np.searchsorted(colon.arc_length, beyond)
+    points = [start, tract.tube.curve(stops), entry[None], after, colon.points[index]]
+    return centerline_from_points(np.concatenate(points), vertices, faces, step=CENTERLINE_STEP)
+
+
+def _valve_place(colon: Centerline, place: ColonPlace) -> float:
+    """Arc length on the colon's own centreline at which the valve lies [m]."""
+    nearest = np.argmin(np.linalg.norm(colon.points - place.valve, axis=1))
+    return float(colon.arc_length[nearest])
+
+
+def _arc_length(
+    tract: UpperTract, upper: TubeMesh, lower: OrganSurface, centerline: Centerline
+) -> Float[np.ndarray, " n"]:
+    """Gut coordinate of both walls' vertices: that of their section on the joint centreline."""
+    entry = tract.tube.curve(np.array([tract.end]))[0]
+    split = int(np.argmin(np.linalg.norm(centerline.points - entry, axis=1)))
+    before, after = (
+        Centerline(
+            centerline.points[part],
+            centerline.arc_length[part],
+            centerline.radius[part],
+            centerline.frames[part],
+        )
+        for part in (slice(0, split + 1), slice(split, None))
+    )
+    colon = lower.centerline
+    course = make_tube(Course(colon.points, colon.arc_length))
+    return np.concatenate(
+        [
+            arc_length_of_sections(upper.arc_length, tract.tube, before),
+            arc_length_of_sections(lower.arc_length, course, after),
+        ]
+    )

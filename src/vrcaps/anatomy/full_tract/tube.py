@@ -1,0 +1,151 @@
+"""Stomach and small bowel as one tube, from the top of the fundus to the ileocaecal valve."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from vrcaps.anatomy.full_tract.abdomen import (
+    GAP,
+    ColonPlace,
+    place_stomach,
+    pylorus_sample,
+    surroundings,
+)
+from vrcaps.anatomy.small_bowel.generate import lay_small_bowel, wanted_edge, with_local_bend
+from vrcaps.anatomy.small_bowel.shape import SmallBowelWall, small_bowel_radius
+from vrcaps.anatomy.stomach.shape import (
+    StomachWall,
+    draw_stomach_wall,
+    stomach_radius,
+    stomach_wall_rng,
+)
+from vrcaps.anatomy.tube_mesh.swept_surface import Skin
+from vrcaps.anatomy.tube_mesh.tube import Course, Tube, make_tube
+from vrcaps.anatomy.tube_mesh.waves import smooth_step
+from vrcaps.units import MM
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+    from vrcaps.anatomy.small_bowel.parameters import SmallBowelParameters
+    from vrcaps.anatomy.stomach.parameters import StomachParameters
+
+_BLEND = 3 * MM
+VALVE_ALONG, VALVE_ACROSS = 5.4 * MM, 9.0 * MM
+"""Half axes of the open ileocaecal valve along and around the colon [m]: two lips."""
+_TAPER = 24 * MM
+CAP = 3 * MM
+"""Length of the closed end that is cut off at the valve [m]."""
+
+
+@dataclass(frozen=True)
+class UpperTract:
+    """Stomach and small bowel on one course.
+
+    Attributes:
+        stomach: Wall of the stomach.
+        bowel: Wall of the small bowel.
+        tube: The course of both.
+        pylorus: Arc length of the pyloric ring on it [m].
+        valve_angle: Angle in the tube's frame at which the colon runs on, at its end [rad].
+    """
+
+    stomach: StomachWall
+    bowel: SmallBowelWall
+    tube: Tube
+    pylorus: float
+    valve_angle: float
+
+    @property
+    def end(self) -> float:
+        """Arc length where the small bowel enters the colon [m]."""
+        return float(self.tube.arc_length[-1])
+
+    def skin(self) -> Skin:
+        """The wall of both, closed at the top of the fundus and at the valve."""
+        return Skin(self.tube, self.end, self._envelope, self._radius, self._edge)
+
+    def _envelope(self, s: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+        above = smooth_step((self.pylorus - s) / (2.0 * _BLEND) + 0.5)
+        plain = above * self.stomach.envelope(np.minimum(s, self.pylorus + _BLEND))
+        plain = plain + (1.0 - above) * self.bowel.envelope(s - self.pylorus)
+        narrow = self._narrowing(s)
+        mean = (VALVE_ALONG * VALVE_ACROSS) ** 0.5
+        return self._closed(s) * (plain + narrow * (mean - plain))
+
+    def _radius(
+        self, s: Float[np.ndarray, " n"], theta: Float[np.ndarray, " n"]
+    ) -> Float[np.ndarray, " n"]:
+        radius = np.empty_like(s)
+        above = smooth_step((self.pylorus - s) / (2.0 * _BLEND) + 0.5)
+        upper, lower = above > 0.0, above < 1.0
+        bowel = small_bowel_radius(
+            self.bowel, self.tube, s[lower] - self.pylorus, theta[lower], self.pylorus
+        )
+        radius[lower] = (1.0 - above[lower]) * bowel
+        radius[~lower] = 0.0
+        radius[upper] += above[upper] * stomach_radius(self.stomach, s[upper], theta[upper])
+        narrow = self._narrowing(s)
+        around = theta - self.valve_angle
+        lips = (
+            VALVE_ALONG
+            * VALVE_ACROSS
+            / np.hypot(VALVE_ACROSS * np.cos(around), VALVE_ALONG * np.sin(around))
+        )
+        return self._closed(s) * (radius + narrow * (lips - radius))
+
+    def _narrowing(self, s: np.ndarray) -> np.ndarray:
+        """0 up to the last part of the ileum, 1 where it has the shape of the valve."""
+        return smooth_step((s - (self.end - CAP - _TAPER)) / (_TAPER - 4 * MM))
+
+    def _closed(self, s: np.ndarray) -> np.ndarray:
+        return np.sqrt(1.0 - np.clip(1.0 - (self.end - s) / CAP, 0.0, 1.0) ** 2)
+
+    def _edge(self, s: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+        below = wanted_edge(self.bowel, np.maximum(s - self.pylorus, 0.0))
+        share = smooth_step((self.pylorus - s) / (6 * MM) + 0.5)
+        return below + share * (self.stomach.parameters.edge - below)
+
+
+def lay_upper_tract(
+    stomach: StomachParameters,
+    bowel: SmallBowelParameters,
+    colon: ColonPlace,
+    *,
+    seed: int,
+    rng: np.random.Generator,
+    gap: float = GAP,
+) -> UpperTract:
+    """A patient's stomach and small bowel laid beside the colon.
+
+    Args:
+        stomach: The patient's stomach.
+        bowel: The patient's small bowel.
+        colon: Where the colon lies.
+        seed: Of the stomach, as in `generate_stomach`.
+        rng: Source of the small bowel, as in `generate_small_bowel`.
+        gap: Room between stomach and colon [m].
+
+    Raises:
+        InputError: If there is no room for them.
+    """
+    axis = place_stomach(stomach, colon, seed, gap=gap)
+    around = surroundings(colon, stomach, axis)
+    bowel_wall, bowel_tube = lay_small_bowel(bowel, around, rng)
+    upper = axis.points[: pylorus_sample(stomach, axis)]
+    points = np.concatenate([upper, bowel_tube.curve(bowel_tube.arc_length)])
+    chord = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1)))
+    even = np.linspace(0.0, chord[-1], round(chord[-1] / MM) + 1)
+    plain = make_tube(Course(CubicSpline(chord, points)(even), even))
+    tube = with_local_bend(plain, float(chord[len(upper)]))
+    return UpperTract(
+        stomach=draw_stomach_wall(stomach, tube, stomach_wall_rng(seed)),
+        bowel=bowel_wall,
+        tube=tube,
+        pylorus=float(chord[len(upper)]),
+        valve_angle=tube.angle_of(float(even[-1]), colon.along),
+    )

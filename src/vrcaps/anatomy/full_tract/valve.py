@@ -1,0 +1,94 @@
+"""The ileocaecal valve: the end of one wall stitched into an opening of another."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vrcaps.mesh.edges import directed_edges
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Int
+
+_NUM_SMOOTHINGS = 12
+_NUM_RINGS = 4
+
+
+def without_vertices(
+    faces: Int[np.ndarray, "m 3"], is_removed: Bool[np.ndarray, " n"]
+) -> tuple[Bool[np.ndarray, " m"], Int[np.ndarray, " k"]]:
+    """Which faces are left when vertices are taken out, and the rim of the hole in order.
+
+    The rim runs as its faces do; where the vertices leave several holes, it is the longest.
+    """
+    is_kept = np.logical_not(is_removed[faces].any(axis=1))
+    halves = directed_edges(faces[is_kept])
+    num = len(is_removed)
+    is_single = ~np.isin(halves[:, 0] * num + halves[:, 1], halves[:, 1] * num + halves[:, 0])
+    following = dict(halves[is_single].tolist())
+    longest: list[int] = []
+    while following:
+        start, at = next(iter(following.items()))
+        loop = [start]
+        del following[start]
+        while at != start and at in following:
+            loop.append(at)
+            at = following.pop(at)
+        if len(loop) > len(longest):
+            longest = loop
+    return np.asarray(is_kept), np.array(longest)
+
+
+def stitch(
+    vertices: Float[np.ndarray, "n 3"],
+    one: Int[np.ndarray, " k"],
+    other: Int[np.ndarray, " l"],
+) -> Int[np.ndarray, "m 3"]:
+    """Faces of the band between two rims that face each other.
+
+    Args:
+        vertices: Of both walls [m].
+        one: A rim, in the direction of its faces.
+        other: The other rim, in the direction of its own faces, so against the first.
+    """
+    other = other[::-1]
+    nearest = np.linalg.norm(vertices[other] - vertices[one[0]], axis=1).argmin()
+    other = np.roll(other, -nearest)
+    shares = [_shares(vertices, rim) for rim in (one, other)]
+    mids = [0.5 * (share[1:] + share[:-1]) for share in shares]
+    across = [np.searchsorted(mids[1], mids[0]), np.searchsorted(mids[0], mids[1], "right")]
+    first = np.stack([np.roll(one, -1), one, other[across[0] % len(other)]], axis=1)
+    second = np.stack([other, np.roll(other, -1), one[across[1] % len(one)]], axis=1)
+    return np.concatenate([first, second])
+
+
+def soften(
+    vertices: Float[np.ndarray, "n 3"],
+    faces: Int[np.ndarray, "m 3"],
+    rim: Int[np.ndarray, " k"],
+) -> Float[np.ndarray, "n 3"]:
+    """Vertices moved towards the mean of their neighbours, less the farther from a rim."""
+    edges = directed_edges(faces)
+    ring = np.full(len(vertices), _NUM_RINGS)
+    ring[rim] = 0
+    for distance in range(1, _NUM_RINGS):
+        reached = edges[ring[edges[:, 0]] == distance - 1, 1]
+        ring[reached] = np.minimum(ring[reached], distance)
+    edges = edges[ring[edges[:, 0]] < _NUM_RINGS]
+    count = np.maximum(np.bincount(edges[:, 0], minlength=len(vertices)), 1)
+    weight = (0.5 * (1.0 - ring / _NUM_RINGS))[:, None]
+    vertices = vertices.copy()
+    for _ in range(_NUM_SMOOTHINGS):
+        mean = np.stack(
+            [np.bincount(edges[:, 0], vertices[edges[:, 1], k], len(vertices)) for k in range(3)],
+            axis=1,
+        )
+        vertices += weight * (mean / count[:, None] - vertices)
+    return vertices
+
+
+def _shares(vertices: np.ndarray, rim: np.ndarray) -> Float[np.ndarray, " k"]:
+    """Way along a closed rim to each of its vertices and back to the first, as a share."""
+    step = np.linalg.norm(vertices[np.roll(rim, -1)] - vertices[rim], axis=1)
+    return np.append(0.0, np.cumsum(step)) / step.sum()

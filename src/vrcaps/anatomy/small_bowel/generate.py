@@ -1,0 +1,125 @@
+"""A patient's small bowel as a labelled, closed triangle surface."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.ndimage import gaussian_filter1d
+
+from vrcaps.anatomy.small_bowel.course import generate_course
+from vrcaps.anatomy.small_bowel.parameters import BULB_LENGTH, SEGMENTS
+from vrcaps.anatomy.small_bowel.shape import (
+    draw_small_bowel_wall,
+    outer_radius,
+    small_bowel_radius,
+)
+from vrcaps.anatomy.tube_mesh.surface_to_organ import skin_to_organ
+from vrcaps.anatomy.tube_mesh.swept_surface import Skin
+from vrcaps.anatomy.tube_mesh.tube import make_tube
+from vrcaps.errors import InputError
+from vrcaps.mesh.self_intersection import self_intersections
+from vrcaps.organ.surface import OrganSurface
+from vrcaps.units import MM
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, UInt8
+
+    from vrcaps.anatomy.small_bowel.course import Surroundings
+    from vrcaps.anatomy.small_bowel.parameters import SmallBowelParameters
+    from vrcaps.anatomy.small_bowel.shape import SmallBowelWall
+    from vrcaps.anatomy.tube_mesh.tube import Tube
+
+_NUM_TRIES = 3
+_NUM_SAMPLES = 400
+_DOME = 7 * MM
+
+
+def generate_small_bowel(
+    parameters: SmallBowelParameters, around: Surroundings, *, seed: int
+) -> OrganSurface:
+    """A small bowel with the given dimensions between given organs, different for each seed.
+
+    Args:
+        parameters: The patient's dimensions; `SmallBowelParameters.draw` draws a patient.
+        around: Where it begins and ends and what it lies between.
+        seed: Of the coils, folds and irregularities.
+
+    Returns:
+        A closed surface in the patient frame that nowhere cuts itself, without appearance.
+
+    Raises:
+        InputError: If it does not fit between the organs.
+    """
+    rng = np.random.default_rng([seed, 3])
+    for _ in range(_NUM_TRIES):
+        wall, tube = lay_small_bowel(parameters, around, rng)
+        organ = _as_organ(wall, tube, seed)
+        if not len(self_intersections(organ.vertices, organ.faces)):
+            return organ
+    raise InputError(
+        f"Found no small bowel {parameters.length:.2f} m long that does not cut itself. "
+        "Allowed: a shorter one, smaller diameters, or another seed."
+    )
+
+
+def lay_small_bowel(
+    parameters: SmallBowelParameters, around: Surroundings, rng: np.random.Generator
+) -> tuple[SmallBowelWall, Tube]:
+    """A drawn wall and the course it is laid along."""
+    wall = draw_small_bowel_wall(parameters, rng)
+    course = generate_course(parameters, outer_radius(wall, _NUM_SAMPLES), around, rng)
+    return wall, with_local_bend(make_tube(course))
+
+
+def with_local_bend(tube: Tube, start: float = 0.0) -> Tube:
+    """A tube whose bend is averaged over millimetres only, from an arc length on [m].
+
+    A narrow tube may turn within a few centimetres: an average over more misses that.
+    """
+    sigma = 2.5 * MM / tube.arc_length[1]
+    local = gaussian_filter1d(tube.curve(tube.arc_length, 2), sigma, axis=0, mode="nearest")
+    return replace(tube, bend=np.where((tube.arc_length < start)[:, None], tube.bend, local))
+
+
+def small_bowel_labels(
+    parameters: SmallBowelParameters, arc_length: Float[np.ndarray, " n"]
+) -> UInt8[np.ndarray, " n"]:
+    """Segment number of each arc length from the pylorus [m], 1 for the first of `SEGMENTS`."""
+    p = parameters
+    jejunum_end = p.duodenum_length + p.jejunum_share * (p.length - p.duodenum_length)
+    ends = np.array([BULB_LENGTH, p.duodenum_length, jejunum_end])
+    return (1 + np.searchsorted(ends, arc_length, side="right")).astype(np.uint8)
+
+
+def wanted_edge(
+    wall: SmallBowelWall, arc_length: Float[np.ndarray, " n"]
+) -> Float[np.ndarray, " n"]:
+    """Length of edge [m] by the lumen's calibre: a camera comes nearer in a narrow one."""
+    share = wall.envelope(arc_length) / (12.25 * MM)
+    return wall.parameters.edge * np.clip(share, 0.72, 1.1)
+
+
+def _as_organ(wall: SmallBowelWall, tube: Tube, seed: int) -> OrganSurface:
+    """The finished surface with labels, gut coordinates and centreline."""
+    end = float(tube.arc_length[-1])
+
+    def closed(s: np.ndarray) -> np.ndarray:
+        from_end = np.minimum(s, end - s)
+        return np.sqrt(1.0 - np.clip(1.0 - from_end / _DOME, 0.0, 1.0) ** 2)
+
+    skin = Skin(
+        tube,
+        end,
+        lambda s: wall.envelope(s) * closed(s),
+        lambda s, theta: small_bowel_radius(wall, tube, s, theta) * closed(s),
+        lambda s: wanted_edge(wall, s),
+    )
+    return skin_to_organ(
+        skin,
+        "small-bowel",
+        segments=SEGMENTS,
+        label=lambda s, _: small_bowel_labels(wall.parameters, s),
+        metadata={"generator": "small-bowel", "seed": seed, "parameters": asdict(wall.parameters)},
+    )

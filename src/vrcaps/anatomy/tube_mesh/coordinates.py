@@ -1,0 +1,55 @@
+"""Gut coordinates of a generated wall, whose place along the centreline is known."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.spatial import KDTree
+
+from vrcaps.organ.centerline import interpolate
+from vrcaps.organ.surface import Centerline
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+    from vrcaps.anatomy.tube_mesh.tube import Tube
+
+
+def arc_length_of_sections(
+    sections: Float[np.ndarray, " n"], tube: Tube, centerline: Centerline
+) -> Float[np.ndarray, " n"]:
+    """Arc length [m] at which a centreline passes the sections of a tube.
+
+    The centreline may start beside the tube's course and join it: sections before its start
+    belong to its start. Continuous and monotonic in the section.
+
+    Args:
+        sections: Arc lengths on the tube's course [m].
+        tube: The course.
+        centerline: In the same frame; it follows the course in its direction.
+    """
+    _, nearest = KDTree(tube.curve(tube.arc_length)).query(centerline.points)
+    passed = np.maximum.accumulate(tube.arc_length[nearest])
+    passed, first = np.unique(passed, return_index=True)
+    return np.interp(sections, passed, centerline.arc_length[first])
+
+
+def angle_and_radius(
+    points: Float[np.ndarray, "n 3"],
+    arc_length: Float[np.ndarray, " n"],
+    centerline: Centerline,
+) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+    """Angle [rad] around a centreline and distance [m] from it, of points at arc lengths [m]."""
+    at, frames, _ = interpolate(centerline, arc_length)
+    offset = points - at
+    x, y = (np.einsum("ij,ij->i", offset, frames[:, :, k]) for k in range(2))
+    theta = np.arctan2(y, x)
+    return np.where(theta <= -np.pi, np.pi, theta), np.linalg.norm(offset, axis=1)
+
+
+def tube_centerline(tube: Tube, vertices: Float[np.ndarray, "n 3"]) -> Centerline:
+    """The course of a tube with the clearance to the nearest vertex of its wall."""
+    points = tube.curve(tube.arc_length)
+    clearance, _ = KDTree(vertices).query(points)
+    return Centerline(points, tube.arc_length, clearance, tube.frames)

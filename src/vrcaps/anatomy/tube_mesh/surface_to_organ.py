@@ -1,0 +1,109 @@
+"""From a skin to the finished surface of an organ."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vrcaps.anatomy.tube_mesh.coordinates import (
+    angle_and_radius,
+    arc_length_of_sections,
+    tube_centerline,
+)
+from vrcaps.anatomy.tube_mesh.swept_surface import make_meridian, turns
+from vrcaps.anatomy.tube_mesh.tube_mesher import mesh_skin
+from vrcaps.mesh.mesh import vertex_normals
+from vrcaps.organ.centerline import centerline_from_points
+from vrcaps.organ.surface import OrganSurface
+from vrcaps.organ.uv_charts import TubeChart, chart_coordinates
+from vrcaps.units import MM
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from jaxtyping import Float, Int, UInt8
+
+    from vrcaps.anatomy.tube_mesh.swept_surface import Skin
+
+CENTERLINE_STEP = 1.5 * MM
+"""Between the samples of a centreline that does not keep to the course [m]."""
+
+
+@dataclass(frozen=True)
+class TubeMesh:
+    """A skin's triangles and where they lie on it.
+
+    Attributes:
+        vertices: Positions [m].
+        faces: Vertex numbers, counter-clockwise from inside.
+        arc_length: Of each vertex's section on the course [m].
+        theta: Angle of each vertex [rad].
+        radius: Distance of each vertex from the course [m].
+        turn: Way around from the seam at each corner, 0 to 1.
+        along: Meridian length at each corner [m].
+    """
+
+    vertices: Float[np.ndarray, "n 3"]
+    faces: Int[np.ndarray, "m 3"]
+    arc_length: Float[np.ndarray, " n"]
+    theta: Float[np.ndarray, " n"]
+    radius: Float[np.ndarray, " n"]
+    turn: Float[np.ndarray, "m 3"]
+    along: Float[np.ndarray, "m 3"]
+
+
+def mesh_tube(skin: Skin) -> TubeMesh:
+    """Triangles over a skin, in space."""
+    grid = mesh_skin(skin)
+    s = make_meridian(skin).to_arc_length(grid.along)
+    radius = skin.radius(s, grid.theta)
+    vertices = skin.tube.points(s, grid.theta, radius)
+    along = grid.along[grid.faces]
+    return TubeMesh(vertices, grid.faces, s, grid.theta, radius, turns(grid), along)
+
+
+def skin_to_organ(
+    skin: Skin,
+    name: str,
+    *,
+    segments: tuple[str, ...],
+    label: Callable[[Float[np.ndarray, " n"], Float[np.ndarray, " n"]], UInt8[np.ndarray, " n"]],
+    metadata: dict,
+    path: Float[np.ndarray, "k 3"] | None = None,
+) -> OrganSurface:
+    """A skin as a closed triangle surface with labels, gut coordinates and centreline.
+
+    Args:
+        skin: The wall.
+        name: Of the organ.
+        segments: Names of the labels from 1 on.
+        label: Segment number, from 1, of arc lengths [m] and angles [rad] on the skin.
+        metadata: Where the organ comes from.
+        path: Points that the centreline follows [m]; None is the tube's course.
+    """
+    mesh = mesh_tube(skin)
+    vertices, faces = mesh.vertices, mesh.faces.astype(np.int32)
+    if path is None:
+        centerline = tube_centerline(skin.tube, vertices)
+        arc_length, theta, radius = mesh.arc_length, mesh.theta, mesh.radius
+    else:
+        centerline = centerline_from_points(path, vertices, faces, step=CENTERLINE_STEP)
+        arc_length = arc_length_of_sections(mesh.arc_length, skin.tube, centerline)
+        theta, radius = angle_and_radius(vertices, arc_length, centerline)
+    return OrganSurface(
+        name=name,
+        vertices=vertices,
+        faces=faces,
+        normals=vertex_normals(vertices, faces),
+        uv=chart_coordinates(TubeChart(faces, vertices[faces], mesh.turn, mesh.along)),
+        label=label(mesh.arc_length, mesh.theta),
+        label_names=("background", *segments),
+        instance=np.zeros(len(vertices), np.uint16),
+        arc_length=arc_length,
+        theta=theta,
+        radius=radius,
+        centerline=centerline,
+        metadata=metadata,
+    )

@@ -1,0 +1,117 @@
+"""A tube's wall as a function, and the triangle grid that samples it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Int
+
+    from vrcaps.anatomy.tube_mesh.tube import Tube
+
+FREE, SEAM, POLE = 0, 1, 2
+
+
+@dataclass(frozen=True)
+class Crests:
+    """Lines around the lumen, each given at the same angles.
+
+    Attributes:
+        arc_length: Of each line at each angle [m].
+        weight: How firmly a row follows it there, 0 to 1.
+    """
+
+    arc_length: Float[np.ndarray, "n k"]
+    weight: Float[np.ndarray, "n k"]
+
+
+@dataclass(frozen=True)
+class Skin:
+    """A star-shaped wall r(s, θ) around a course, closed at both ends.
+
+    Attributes:
+        tube: The course with its frames.
+        length: Of the course [m].
+        envelope: Radius [m] of the plain tube at arc lengths [m]; 0 at both ends.
+        radius: Distance of the wall from the course [m] at arc lengths [m] and angles [rad].
+        edge: Length of edge wanted at arc lengths [m].
+        crests: Sharp folds at angles [rad], along which rows of vertices are laid.
+    """
+
+    tube: Tube
+    length: float
+    envelope: Callable[[Float[np.ndarray, " n"]], Float[np.ndarray, " n"]]
+    radius: Callable[[Float[np.ndarray, " n"], Float[np.ndarray, " n"]], Float[np.ndarray, " n"]]
+    edge: Callable[[Float[np.ndarray, " n"]], Float[np.ndarray, " n"]]
+    crests: Callable[[Float[np.ndarray, " k"]], Crests] | None = None
+
+    def points(
+        self, arc_length: Float[np.ndarray, " n"], theta: Float[np.ndarray, " n"]
+    ) -> Float[np.ndarray, "n 3"]:
+        """Positions of the wall [m] at arc lengths and angles."""
+        return self.tube.points(arc_length, theta, self.radius(arc_length, theta))
+
+
+@dataclass(frozen=True)
+class Meridian:
+    """Length along the plain tube's outline: like arc length, but fair over the closed ends.
+
+    Attributes:
+        arc_length: Samples [m].
+        along: Meridian length of each [m].
+    """
+
+    arc_length: Float[np.ndarray, " n"]
+    along: Float[np.ndarray, " n"]
+
+    def to_arc_length(self, along: Float[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:
+        """Arc length [m] of a meridian length [m]."""
+        return np.interp(along, self.along, self.arc_length)
+
+    def to_along(self, arc_length: Float[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:
+        """Meridian length [m] of an arc length [m]."""
+        return np.interp(arc_length, self.arc_length, self.along)
+
+
+def make_meridian(skin: Skin) -> Meridian:
+    """Outline of a plain tube, sampled densely where it closes."""
+    middle = np.linspace(0.0, skin.length, max(8001, round(skin.length / 2.5e-4)))
+    near = min(0.05, 0.3 * skin.length) * np.linspace(0.0, 1.0, 400) ** 2
+    s = np.unique(np.concatenate([middle, near, skin.length - near]))
+    steps = np.hypot(np.diff(s), np.diff(skin.envelope(s)))
+    return Meridian(s, np.concatenate([[0.0], np.cumsum(steps)]))
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Vertices of a closed tube by their surface coordinates, joined by faces.
+
+    Attributes:
+        along: Meridian length from the oral pole [m].
+        theta: Angle, −π at the seam [rad].
+        pinned: `FREE`, `SEAM` or `POLE`.
+        faces: Vertex numbers, counter-clockwise from inside.
+    """
+
+    along: Float[np.ndarray, " n"]
+    theta: Float[np.ndarray, " n"]
+    pinned: Int[np.ndarray, " n"]
+    faces: Int[np.ndarray, "m 3"]
+
+
+def turns(grid: Grid) -> Float[np.ndarray, "m 3"]:
+    """Way back around the tube from the seam, 0 to 1, at each corner, without jumps in faces."""
+    pinned = grid.pinned[grid.faces]
+    theta = grid.theta[grid.faces]
+    side = np.sum(np.where(pinned == FREE, theta, 0.0), axis=1, keepdims=True)
+    theta = np.where((pinned == SEAM) & (side > 0.0), np.pi, theta)
+    turn = 0.5 - theta / (2.0 * np.pi)
+    is_pole = pinned == POLE
+    others = np.sum(np.where(is_pole, 0.0, turn), axis=1, keepdims=True) / np.sum(
+        ~is_pole, axis=1, keepdims=True
+    )
+    return np.where(is_pole, others, turn)

@@ -1,0 +1,1 @@
+"""Cameras, their lenses and the rays of their pixels."""

@@ -1,0 +1,135 @@
+"""Lenses and cameras derived from others: scaled, and with more barrel distortion."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import fields, replace
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from vrcaps.camera.lens.base import Lens
+from vrcaps.camera.lens.equirectangular import LensEquirectangular
+from vrcaps.camera.lens.kannala_brandt import LensKannalaBrandt
+from vrcaps.errors import InputError
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+_POWERS = {"fx": 1, "fy": 1, "focal": 1, "skew": 1, "a0": 1, "a2": -1, "a3": -2, "a4": -3}
+"""Power of the image's scale that each lens parameter goes with; the others are pure numbers."""
+_NEAR = 1e-4
+_FIT_POINTS = 400
+_LEAST_SLOPE = 0.05
+
+
+def scaled_lens(lens: Lens, scale: float, center: tuple[float, float]) -> Any:
+    """The lens with its image magnified.
+
+    Args:
+        lens: Any lens model.
+        scale: Magnification; 0.5 is for half the pixels to a side.
+        center: Column and row of the axis in the new image [px].
+    """
+    cx, cy = center
+    values = {
+        f.name: getattr(lens, f.name) * scale ** _POWERS[f.name]
+        for f in fields(lens)  # type: ignore[arg-type]
+        if f.name in _POWERS
+    }
+    return replace(lens, **values, cx=cx, cy=cy)  # type: ignore[type-var]
+
+
+@lru_cache(maxsize=256)
+def focal_length_px(lens: Lens) -> float:
+    """Focal length on the axis: how far a small angle moves the image [px/rad]."""
+    steps = np.array([[_NEAR, 0.0, 1.0], [0.0, _NEAR, 1.0], [-_NEAR, 0.0, 1.0], [0.0, -_NEAR, 1.0]])
+    right, down, left, up = lens.project(steps)
+    return float(np.linalg.norm(right - left) + np.linalg.norm(down - up)) / (4.0 * _NEAR)
+
+
+def barrel_lens(lens: Lens, inward: float, radius_px: float) -> LensKannalaBrandt:
+    """A lens whose image is smaller towards the edge than in the middle.
+
+    Image radius r becomes r′ by the division model (Fitzgibbon, CVPR 2001), ``q = (1 − D) r′ / R``,
+    ``r / R = q / (1 − λ q²)``, ``λ = D / (1 − D)²``, with D = `inward` and R = `radius_px`. The
+    result is the fisheye lens of Kannala and Brandt that fits this best over the angles that the
+    image shows; it is a lens as any other, exact in itself.
+
+    Args:
+        lens: Any lens model but `equirectangular`.
+        inward: Share by which `radius_px` is smaller than the scale in the middle has it.
+        radius_px: The image radius that stays, such as that of the image's edge [px].
+
+    Raises:
+        InputError: If the lens has no image radius to shrink.
+    """
+    if isinstance(lens, LensEquirectangular):
+        raise InputError(
+            "Barrel distortion is of lenses with one image: equirectangular has none. "
+            "Give another capsule, or no distortion."
+        )
+    angle, radius = _profile(lens, 2.0 * radius_px)
+    focal = focal_length_px(lens) / (1.0 - inward)
+    k = _rising_fit(angle, barrel_radius(radius, inward, radius_px) / focal)
+    return LensKannalaBrandt(focal, focal, lens.cx, lens.cy, *k, max_angle=float(angle[-1]))
+
+
+def barrel_radius(
+    radius: Float[np.ndarray, "*n"], inward: float, radius_px: float
+) -> Float[np.ndarray, "*n"]:
+    """Image radius r′ [px] that the division model of `barrel_lens` makes of a radius r [px]."""
+    share = np.asarray(radius) / radius_px
+    root = np.sqrt(1.0 + 4.0 * inward / (1.0 - inward) ** 2 * share**2)
+    return 2.0 * share * radius_px / ((1.0 - inward) * (1.0 + root))
+
+
+def _rising_fit(
+    angle: Float[np.ndarray, " n"], radius: Float[np.ndarray, " n"]
+) -> tuple[float, ...]:
+    """k1 to k4 of the fisheye lens nearest to a profile whose radius rises at all these angles.
+
+    The slope is a polynomial of degree 4 in θ² in Bernstein's form; with coefficients above 0 it
+    is positive.
+
+    Args:
+        angle: Angles to the axis, rising [rad].
+        radius: Image radii over the focal length.
+    """
+    from scipy.optimize import nnls  # slow to load
+
+    powers = np.array(
+        [
+            [math.comb(4, i) * math.comb(4 - i, j - i) * (-1) ** (j - i) if j >= i else 0
+             for j in range(5)]
+            for i in range(5)
+        ]
+    )  # fmt: skip
+    widest = angle[-1]
+    terms = np.stack([(angle / widest) ** (2 * j) * angle / (2 * j + 1) for j in range(5)], axis=-1)
+    columns = terms @ powers.T
+    rest = radius - columns[:, 0] - _LEAST_SLOPE * columns[:, 1:].sum(axis=1)
+    slopes = np.array([1.0, *(nnls(columns[:, 1:], rest)[0] + _LEAST_SLOPE)])
+    power = slopes @ powers
+    return tuple(float(power[j] / ((2 * j + 1) * widest ** (2 * j))) for j in range(1, 5))
+
+
+def _profile(
+    lens: Lens, radius_px: float
+) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+    """Angles to the axis [rad] and mean image radii [px], as far as the field and a radius go."""
+    angle = np.linspace(0.0, lens.max_angle or math.pi, _FIT_POINTS)[1:]
+    turn = np.arange(8) * (math.pi / 4.0)
+    rays = np.stack(
+        [
+            np.sin(angle)[:, None] * np.cos(turn),
+            np.sin(angle)[:, None] * np.sin(turn),
+            np.broadcast_to(np.cos(angle)[:, None], (len(angle), 8)),
+        ],
+        axis=-1,
+    )
+    offset = lens.project(rays) - (lens.cx, lens.cy)
+    radius = np.hypot(offset[..., 0], offset[..., 1]).mean(axis=1)
+    seen = np.isfinite(radius) & (radius <= radius_px)
+    return angle[seen], radius[seen]

@@ -1,0 +1,31 @@
+"""Lens models: how directions in the camera frame become pixels, and back.
+
+| kind              | class               | image radius r at the angle θ to the axis  |
+| ----------------- | ------------------- | ------------------------------------------ |
+| `pinhole`         | LensPinhole         | tan θ, with Brown-Conrady distortion       |
+| `kannala-brandt`  | LensKannalaBrandt   | θ + k1 θ³ + k2 θ⁵ + k3 θ⁷ + k4 θ⁹ (OpenCV) |
+| `scaramuzza`      | LensScaramuzza      | tan θ = r / (a0 + a2 r² + a3 r³ + a4 r⁴)   |
+| `equidistant`     | LensEquidistant     | f θ                                        |
+| `equirectangular` | LensEquirectangular | longitude and latitude                     |
+"""
+
+from __future__ import annotations
+
+from vrcaps.camera.lens.base import Lens as Lens
+from vrcaps.camera.lens.equidistant import LensEquidistant as LensEquidistant
+from vrcaps.camera.lens.equirectangular import LensEquirectangular as LensEquirectangular
+from vrcaps.camera.lens.kannala_brandt import LensKannalaBrandt as LensKannalaBrandt
+from vrcaps.camera.lens.pinhole import LensPinhole as LensPinhole
+from vrcaps.camera.lens.scaramuzza import LensScaramuzza as LensScaramuzza
+
+LENSES: dict[str, type[Lens]] = {
+    lens.kind: lens
+    for lens in (
+        LensPinhole,
+        LensKannalaBrandt,
+        LensScaramuzza,
+        LensEquidistant,
+        LensEquirectangular,
+    )
+}
+"""Lens classes by the `kind` that files call them."""

@@ -1,0 +1,64 @@
+"""Longitude and latitude as columns and rows: up to the whole sphere in one image."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
+
+from vrcaps.camera.lens.base import ANGLE_SLACK, angles_to_axis, check_lens, masked
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+
+@dataclass(frozen=True)
+class LensEquirectangular:
+    """Columns are longitude ``λ = atan2(x, z)``, rows latitude ``β = atan2(y, |(x, z)|)``.
+
+    ``u = fx λ + cx``, ``v = fy β + cy``. A full sphere of w by w/2 pixels has ``fx = fy = w/2π``,
+    ``cx = (w - 1)/2``, ``cy = (w/2 - 1)/2``.
+
+    Attributes:
+        fx: Pixels per radian of longitude.
+        fy: Pixels per radian of latitude.
+        cx: Column of the optical axis [px].
+        cy: Row of the optical axis [px].
+        max_angle: Limit of the angle to the optical axis [rad].
+    """
+
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    max_angle: float | None = None
+
+    kind: ClassVar[str] = "equirectangular"
+
+    def __post_init__(self) -> None:
+        check_lens(self, positive=("fx", "fy"))
+
+    def project(
+        self, points_camera: Float[np.ndarray, "*batch 3"]
+    ) -> Float[np.ndarray, "*batch 2"]:
+        """Pixels of points in the camera frame (any length unit); NaN outside the field."""
+        points = np.asarray(points_camera, float)
+        x, y, z = np.moveaxis(points, -1, 0)
+        longitude, latitude = np.arctan2(x, z), np.arctan2(y, np.hypot(x, z))
+        pixels = np.stack([self.fx * longitude + self.cx, self.fy * latitude + self.cy], axis=-1)
+        return masked(pixels, self._sees(points))
+
+    def unproject(self, pixels: Float[np.ndarray, "*batch 2"]) -> Float[np.ndarray, "*batch 3"]:
+        """Unit rays in the camera frame through pixels; NaN outside the field."""
+        plane = (np.asarray(pixels, float) - (self.cx, self.cy)) / (self.fx, self.fy)
+        longitude, latitude = plane[..., 0], plane[..., 1]
+        across = np.cos(latitude)
+        x, z = across * np.sin(longitude), across * np.cos(longitude)
+        rays = np.stack([x, np.sin(latitude), z], axis=-1)
+        on_sphere = (np.abs(longitude) <= math.pi) & (np.abs(latitude) <= 0.5 * math.pi)
+        return masked(rays, on_sphere & self._sees(rays))
+
+    def _sees(self, points: np.ndarray) -> np.ndarray:
+        return angles_to_axis(points) <= (self.max_angle or math.pi) + ANGLE_SLACK

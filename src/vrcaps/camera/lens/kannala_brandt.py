@@ -1,0 +1,91 @@
+"""The fisheye model of Kannala and Brandt, as OpenCV has it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
+from numpy.polynomial.polynomial import polyval
+
+from vrcaps.camera.lens.base import (
+    ANGLE_SLACK,
+    angles_to_axis,
+    check_lens,
+    first_positive_root,
+    invert_monotone,
+    masked,
+    rays_at_angles,
+)
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+
+@dataclass(frozen=True)
+class LensKannalaBrandt:
+    """Image radius ``r(θ) = θ + k1 θ³ + k2 θ⁵ + k3 θ⁷ + k4 θ⁹`` of the angle θ to the axis.
+
+    ``u = fx r cos φ + cx``, ``v = fy r sin φ + cy`` (Kannala and Brandt, IEEE PAMI 28(8), 2006,
+    eq. 6; OpenCV's `fisheye`). The field ends where r(θ) stops increasing.
+
+    Attributes:
+        fx: Focal length along columns [px/rad].
+        fy: Focal length along rows [px/rad].
+        cx: Column of the optical axis [px].
+        cy: Row of the optical axis [px].
+        k1: Coefficient of θ³.
+        k2: Coefficient of θ⁵.
+        k3: Coefficient of θ⁷.
+        k4: Coefficient of θ⁹.
+        max_angle: Half-field limit [rad].
+    """
+
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    k1: float = 0.0
+    k2: float = 0.0
+    k3: float = 0.0
+    k4: float = 0.0
+    max_angle: float | None = None
+
+    kind: ClassVar[str] = "kannala-brandt"
+
+    def __post_init__(self) -> None:
+        check_lens(self, positive=("fx", "fy"))
+
+    @property
+    def limit(self) -> float:
+        """Largest angle to the axis in the field [rad]."""
+        turn = first_positive_root(
+            (1.0, 3.0 * self.k1, 5.0 * self.k2, 7.0 * self.k3, 9.0 * self.k4)
+        )
+        return min(math.sqrt(turn), self.max_angle or math.pi, math.pi)
+
+    def project(
+        self, points_camera: Float[np.ndarray, "*batch 3"]
+    ) -> Float[np.ndarray, "*batch 2"]:
+        """Pixels of points in the camera frame (any length unit); NaN outside the field."""
+        points = np.asarray(points_camera, float)
+        angle = angles_to_axis(points)
+        lateral = np.hypot(points[..., 0], points[..., 1])
+        scale = self._radius(angle) / np.where(lateral > 0.0, lateral, 1.0)
+        focal, centre = (self.fx, self.fy), (self.cx, self.cy)
+        pixels = points[..., :2] * scale[..., None] * focal + centre
+        return masked(pixels, angle <= self.limit + ANGLE_SLACK)
+
+    def unproject(self, pixels: Float[np.ndarray, "*batch 2"]) -> Float[np.ndarray, "*batch 3"]:
+        """Unit rays in the camera frame through pixels; NaN outside the field."""
+        plane = (np.asarray(pixels, float) - (self.cx, self.cy)) / (self.fx, self.fy)
+        radius = np.hypot(plane[..., 0], plane[..., 1])
+        angle = invert_monotone(self._radius, self._slope, radius, self.limit)
+        return masked(rays_at_angles(angle, plane), radius <= self._radius(np.array(self.limit)))
+
+    def _radius(self, angle: np.ndarray) -> np.ndarray:
+        return angle * polyval(angle**2, (1.0, self.k1, self.k2, self.k3, self.k4))
+
+    def _slope(self, angle: np.ndarray) -> np.ndarray:
+        return polyval(angle**2, (1.0, 3 * self.k1, 5 * self.k2, 7 * self.k3, 9 * self.k4))

@@ -1,0 +1,147 @@
+"""The pinhole model with the distortion of Brown and Conrady."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
+from numpy.polynomial.polynomial import polyval
+
+from vrcaps.camera.lens.base import check_lens, first_positive_root, invert_monotone, masked
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float
+
+_WIDEST = 1e4
+"""Largest tangent of the angle to the axis that is looked at: 89.994°."""
+_SLACK = 1e-9
+"""Rounding allowed at the edge of the field, relative: a ray on the edge still projects."""
+
+
+@dataclass(frozen=True)
+class LensPinhole:
+    """Perspective with radial and tangential distortion, as OpenCV and MATLAB have it.
+
+    With ``(x, y) = (X/Z, Y/Z)``, ``r² = x² + y²`` and ``g = 1 + k1 r² + k2 r⁴ + k3 r⁶``::
+
+        x' = g x + 2 p1 x y + p2 (r² + 2 x²)        u = fx x' + skew y' + cx
+        y' = g y + p1 (r² + 2 y²) + 2 p2 x y        v = fy y' + cy
+
+    (Brown, Photogrammetric Engineering 37(8), 1971.) The field is the disk of points with Z > 0
+    in which the distortion cannot fold over: its Jacobian is symmetric, its eigenvalues are at
+    least ``min(g, g + r dg/dr) - 6 |(p1, p2)| r``, and a map of a disk whose symmetric Jacobian is
+    positive is one to one.
+
+    Attributes:
+        fx: Focal length along columns [px].
+        fy: Focal length along rows [px].
+        cx: Column of the optical axis [px].
+        cy: Row of the optical axis [px].
+        skew: Shift of columns along y' [px].
+        k1: Radial coefficient of r².
+        k2: Radial coefficient of r⁴.
+        p1: Tangential coefficient along y.
+        p2: Tangential coefficient along x.
+        k3: Radial coefficient of r⁶.
+        max_angle: Half-field limit [rad].
+    """
+
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    skew: float = 0.0
+    k1: float = 0.0
+    k2: float = 0.0
+    p1: float = 0.0
+    p2: float = 0.0
+    k3: float = 0.0
+    max_angle: float | None = None
+
+    kind: ClassVar[str] = "pinhole"
+
+    def __post_init__(self) -> None:
+        check_lens(self, positive=("fx", "fy"))
+
+    @property
+    def limit(self) -> float:
+        """Tangent of the largest angle to the axis in the field."""
+        tilt = -6.0 * math.hypot(self.p1, self.p2)
+        k1, k2, k3 = self.k1, self.k2, self.k3
+        across = first_positive_root((1.0, tilt, k1, 0.0, k2, 0.0, k3))
+        along = first_positive_root((1.0, tilt, 3.0 * k1, 0.0, 5.0 * k2, 0.0, 7.0 * k3))
+        angle = math.pi / 2 if self.max_angle is None else self.max_angle
+        widest = math.tan(angle) if angle < math.pi / 2 else math.inf
+        return min(across, along, widest, _WIDEST)
+
+    def project(
+        self, points_camera: Float[np.ndarray, "*batch 3"]
+    ) -> Float[np.ndarray, "*batch 2"]:
+        """Pixels of points in the camera frame (any length unit); NaN outside the field."""
+        points = np.asarray(points_camera, float)
+        z = np.where(points[..., 2] > 0.0, points[..., 2], np.nan)
+        plane = points[..., :2] / z[..., None]
+        distorted = self._distort(plane)
+        u = self.fx * distorted[..., 0] + self.skew * distorted[..., 1] + self.cx
+        pixels = np.stack([u, self.fy * distorted[..., 1] + self.cy], axis=-1)
+        return masked(pixels, self._in_field(plane))
+
+    def unproject(self, pixels: Float[np.ndarray, "*batch 2"]) -> Float[np.ndarray, "*batch 3"]:
+        """Unit rays in the camera frame through pixels; NaN outside the field."""
+        pixels = np.asarray(pixels, float)
+        y = (pixels[..., 1] - self.cy) / self.fy
+        distorted = np.stack([(pixels[..., 0] - self.cx - self.skew * y) / self.fx, y], axis=-1)
+        plane = self._undistort(distorted)
+        rays = np.concatenate([plane, np.ones((*plane.shape[:-1], 1))], axis=-1)
+        return rays / np.linalg.norm(rays, axis=-1, keepdims=True)
+
+    def _in_field(self, plane: np.ndarray) -> Bool[np.ndarray, "*batch"]:
+        return np.hypot(plane[..., 0], plane[..., 1]) <= self.limit * (1.0 + _SLACK)
+
+    def _gain(self, square: np.ndarray) -> np.ndarray:
+        return polyval(square, (1.0, self.k1, self.k2, self.k3))
+
+    def _gain_slope(self, square: np.ndarray) -> np.ndarray:
+        return polyval(square, (self.k1, 2.0 * self.k2, 3.0 * self.k3))
+
+    def _distort(self, plane: np.ndarray) -> np.ndarray:
+        tilt = np.array([self.p2, self.p1])
+        square = np.sum(plane**2, axis=-1, keepdims=True)
+        along = plane @ tilt
+        return self._gain(square) * plane + square * tilt + 2.0 * along[..., None] * plane
+
+    def _undistort(self, distorted: np.ndarray) -> np.ndarray:
+        """Inverse of `_distort` in the field, NaN outside it."""
+        limit = self.limit
+        target = np.hypot(distorted[..., 0], distorted[..., 1])
+        radius = invert_monotone(
+            lambda r: r * self._gain(r**2),
+            lambda r: self._gain(r**2) + 2.0 * r**2 * self._gain_slope(r**2),
+            target,
+            limit,
+        )
+        plane = distorted * (radius / np.where(target > 0.0, target, 1.0))[..., None]
+        if self.p1 == 0.0 and self.p2 == 0.0:
+            return masked(plane, target <= limit * self._gain(np.array(limit**2)))
+        for _ in range(60):
+            step = self._newton_step(plane, distorted)
+            plane = plane - step
+            length = np.hypot(plane[..., 0], plane[..., 1])
+            plane = plane * np.minimum(1.0, limit / np.where(length > 0.0, length, 1.0))[..., None]
+            if not np.any(np.abs(step) > 1e-15 * limit):
+                break
+        error = np.abs(self._distort(plane) - distorted).max(axis=-1)
+        return masked(plane, error <= 1e-12 * (1.0 + target))
+
+    def _newton_step(self, plane: np.ndarray, distorted: np.ndarray) -> np.ndarray:
+        x, y = plane[..., 0], plane[..., 1]
+        square = x**2 + y**2
+        gain, slope = self._gain(square), 2.0 * self._gain_slope(square)
+        xx = gain + slope * x**2 + 2.0 * self.p1 * y + 6.0 * self.p2 * x
+        yy = gain + slope * y**2 + 6.0 * self.p1 * y + 2.0 * self.p2 * x
+        xy = slope * x * y + 2.0 * self.p1 * x + 2.0 * self.p2 * y
+        error = self._distort(plane) - distorted
+        rows = [yy * error[..., 0] - xy * error[..., 1], xx * error[..., 1] - xy * error[..., 0]]
+        return np.stack(rows, axis=-1) / (xx * yy - xy**2)[..., None]

@@ -1,0 +1,114 @@
+"""The omnidirectional polynomial model of Scaramuzza, as MATLAB fits it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
+from numpy.polynomial.polynomial import polyval
+
+from vrcaps.camera.lens.base import (
+    ANGLE_SLACK,
+    angles_to_axis,
+    check_lens,
+    first_positive_root,
+    invert_monotone,
+    masked,
+    rays_at_angles,
+)
+from vrcaps.errors import InputError
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+_WIDEST = 1e3
+"""Largest image radius that is looked at, in units of a0: where f(r) = a0 it is 89.94°."""
+
+
+@dataclass(frozen=True)
+class LensScaramuzza:
+    """The ray of image point (x, y), r = |(x, y)|, is along ``(x, y, f(r))``.
+
+    ``f(r) = a0 + a2 r² + a3 r³ + a4 r⁴`` and ``(u, v) = [[c, d], [e, 1]] (x, y) + (cx, cy)``
+    (Scaramuzza, Martinelli, Siegwart, IROS 2006, eq. 3 and 5; MATLAB's `fisheyeIntrinsics`;
+    the C3VD data set). The field ends where the angle to the axis, ``atan2(r, f(r))``, stops
+    increasing. MATLAB counts pixels from (1, 1): subtract 1 from its distortion centre.
+
+    Attributes:
+        a0: Coefficient of r⁰ [px].
+        a2: Coefficient of r² [1/px].
+        a3: Coefficient of r³ [1/px²].
+        a4: Coefficient of r⁴ [1/px³].
+        cx: Column of the optical axis [px], 0-based.
+        cy: Row of the optical axis [px], 0-based.
+        c: Stretch along columns.
+        d: Shear of columns along rows.
+        e: Shear of rows along columns.
+        max_angle: Half-field limit [rad].
+    """
+
+    a0: float
+    a2: float
+    a3: float
+    a4: float
+    cx: float
+    cy: float
+    c: float = 1.0
+    d: float = 0.0
+    e: float = 0.0
+    max_angle: float | None = None
+
+    kind: ClassVar[str] = "scaramuzza"
+
+    def __post_init__(self) -> None:
+        check_lens(self, positive=())
+        if not self.a0 > 0.0:
+            raise InputError(
+                f"Lens scaramuzza: a0 = {self.a0}: the angle increases with the radius nowhere. "
+                "Allowed: above 0."
+            )
+        if not self.c - self.d * self.e > 0.0:
+            raise InputError(
+                f"Lens scaramuzza: stretch c - d e = {self.c - self.d * self.e}. Allowed: above 0."
+            )
+
+    @property
+    def limit(self) -> float:
+        """Largest image radius r in the field [px]."""
+        turn = first_positive_root((self.a0, 0.0, -self.a2, -2.0 * self.a3, -3.0 * self.a4))
+        widest = min(turn, _WIDEST * self.a0)
+        if self.max_angle is None or self._angle(np.array(widest)) <= self.max_angle:
+            return widest
+        return float(invert_monotone(self._angle, self._slope, np.array(self.max_angle), widest))
+
+    def project(
+        self, points_camera: Float[np.ndarray, "*batch 3"]
+    ) -> Float[np.ndarray, "*batch 2"]:
+        """Pixels of points in the camera frame (any length unit); NaN outside the field."""
+        points = np.asarray(points_camera, float)
+        angle, limit = angles_to_axis(points), self.limit
+        radius = invert_monotone(self._angle, self._slope, angle, limit)
+        lateral = np.hypot(points[..., 0], points[..., 1])
+        plane = points[..., :2] * (radius / np.where(lateral > 0.0, lateral, 1.0))[..., None]
+        pixels = plane @ np.array(self._stretch).T + (self.cx, self.cy)
+        return masked(pixels, angle <= self._angle(np.array(limit)) + ANGLE_SLACK)
+
+    def unproject(self, pixels: Float[np.ndarray, "*batch 2"]) -> Float[np.ndarray, "*batch 3"]:
+        """Unit rays in the camera frame through pixels; NaN outside the field."""
+        centred = np.asarray(pixels, float) - (self.cx, self.cy)
+        plane = centred @ np.linalg.inv(self._stretch).T
+        radius = np.hypot(plane[..., 0], plane[..., 1])
+        return masked(rays_at_angles(self._angle(radius), plane), radius <= self.limit)
+
+    @property
+    def _stretch(self) -> list[list[float]]:
+        return [[self.c, self.d], [self.e, 1.0]]
+
+    def _angle(self, radius: np.ndarray) -> np.ndarray:
+        return np.arctan2(radius, polyval(radius, (self.a0, 0.0, self.a2, self.a3, self.a4)))
+
+    def _slope(self, radius: np.ndarray) -> np.ndarray:
+        forward = polyval(radius, (self.a0, 0.0, self.a2, self.a3, self.a4))
+        rise = polyval(radius, (self.a0, 0.0, -self.a2, -2.0 * self.a3, -3.0 * self.a4))
+        return rise / (radius**2 + forward**2)

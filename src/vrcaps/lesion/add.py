@@ -1,0 +1,224 @@
+"""Put lesions into an organ, and keep its clean twin."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from vrcaps.errors import InputError
+from vrcaps.lesion import paint
+from vrcaps.lesion.base import Form, Lesion
+from vrcaps.lesion.mesh_patch import Cut, as_organ, sew, whole_wall
+from vrcaps.lesion.placement import Placed, describe
+from vrcaps.lesion.sites import SITES, Surroundings, samples
+from vrcaps.mesh.refine import Patch, refine, renewed_normals
+from vrcaps.mesh.self_intersection import self_intersections
+from vrcaps.organ.surface import OrganSurface
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+_DOWN = (0.0, 1.0, 0.0)  # patient frame (LPS) of a supine patient
+_MAX_LESIONS = 65_535
+_NUM_TRIES = 12
+
+
+@dataclass(frozen=True)
+class Patient:
+    """An organ with lesions and the same without.
+
+    Both have the same faces, texture coordinates and gut coordinates; vertices and texels
+    differ only in the lesions' footprints.
+
+    Attributes:
+        organ: With the lesions; `instance` numbers them from 1, `metadata["lesions"]` lists them.
+        clean: The clean twin; `instance` is 0.
+    """
+
+    organ: OrganSurface
+    clean: OrganSurface
+
+
+def add_lesions(
+    organ: OrganSurface,
+    lesions: Sequence[Lesion],
+    rng: np.random.Generator,
+    *,
+    down: Sequence[float] | Float[np.ndarray, " 3"] = _DOWN,
+) -> Patient:
+    """Place, shape and paint lesions on an organ's wall.
+
+    Diffuse lesions are laid first, then the spots, so that a polyp may lie in colitis; spots
+    keep apart.
+
+    Args:
+        organ: Without lesions. Where it has an appearance, that is painted.
+        lesions: What to add; number k becomes instance k, counted from 1.
+        rng: Draws places left open and all irregularity.
+        down: Direction of gravity in the patient frame, for blood; supine by default.
+
+    Raises:
+        InputError: If a lesion fits nowhere or a place is not on the wall.
+        UnknownNameError: If the organ has no such segment.
+    """
+    if len(lesions) > _MAX_LESIONS:
+        raise InputError(f"{len(lesions)} lesions. Allowed: up to {_MAX_LESIONS}.")
+    work = _Work(organ, np.asarray(down, float) / np.linalg.norm(down))
+    order = {"band": 0, "stream": 1, "spot": 2}
+    seeds = rng.spawn(len(lesions))
+    for index in sorted(range(len(lesions)), key=lambda k: order[lesions[k].extent]):
+        lesion = lesions[index]
+        own = np.random.default_rng([int(seeds[index].integers(2**31)), lesion.variant])
+        work.add(lesion, index + 1, own)
+    return work.finished()
+
+
+class _Work:
+    """The wall and its textures as lesions are added."""
+
+    def __init__(self, organ: OrganSurface, down: Float[np.ndarray, " 3"]) -> None:
+        self.organ, self.down = organ, down
+        self.wall = whole_wall(organ)
+        self.num_vertices = len(organ.vertices)
+        look = organ.appearance
+        self.clean = self.sick = None if look is None else paint.smoothed(look)
+        self.charts: list[paint.Chart] = []
+        self.spots: list[Placed] = []
+        self.records: dict[int, dict[str, Any]] = {}
+
+    def add(self, lesion: Lesion, instance: int, rng: np.random.Generator) -> None:
+        """Add one lesion, at another place or in another form if it cuts the wall.
+
+        Raises:
+            InputError: If it fits nowhere.
+        """
+        organ = as_organ(self.wall, self.organ, self.wall.moved)
+        around = Surroundings(organ, self.wall, self.down, self.num_vertices, self.spots)
+        for _ in range(_NUM_TRIES):
+            found = SITES[lesion.extent](lesion, around, rng)
+            form = lesion.form(found.site, rng)
+            patch = _formed(found.patch, form, is_spot=lesion.extent == "spot")
+            wall = samples(patch)
+            shown = paint.Shown(form, wall, form.moved(wall) - found.site.center)
+            if lesion.extent == "spot":
+                patch = _charted(patch, shown, instance)
+            sewn = _sewn(self.wall, found.piece, patch, shown, instance)
+            if not _cuts_wall(sewn, instance):
+                break
+        else:
+            raise InputError(
+                f"No place for {describe(lesion)}: in {_NUM_TRIES} tries it cuts into the wall "
+                "beside it. Choose another place or a smaller one."
+            )
+        if self.clean is not None and self.sick is not None:
+            self._paint(lesion, instance, patch, shown)
+        if lesion.extent == "spot":
+            self.spots.append(Placed(lesion, found.vertex, found.site.center))
+        self.wall = sewn
+        self._record(lesion, instance, organ, found.vertex)
+
+    def _paint(self, lesion: Lesion, instance: int, patch: Patch, shown: paint.Shown) -> None:
+        """On a chart of its own, or in place."""
+        assert self.clean is not None and self.sick is not None
+        if lesion.extent == "spot":
+            self.charts.append(paint.paint_chart(self.clean, self.sick, patch, shown, instance))
+            return
+        inside = shown.form.depth(shown.wall) > 0.0
+        faces = np.flatnonzero(inside[patch.faces].any(axis=1))
+        if len(faces):
+            self.sick = paint.paint_in_place(self.sick, patch, shown, faces)
+
+    def _record(self, lesion: Lesion, instance: int, organ: OrganSurface, vertex: int) -> None:
+        self.records[instance] = {
+            "instance": instance,
+            "kind": lesion.kind,
+            "grade": lesion.grade,
+            "segment": organ.label_names[organ.label[vertex]],
+            "arc_length_m": float(organ.arc_length[vertex]),
+            "theta_rad": float(organ.theta[vertex]),
+            "center_m": organ.vertices[vertex].tolist(),
+            "specification": {"kind": lesion.kind, **asdict(lesion)},
+        }
+
+    def finished(self) -> Patient:
+        """Both organs, textures enlarged by the charts."""
+        records = [self.records[k] for k in sorted(self.records)]
+        sick = as_organ(self.wall, self.organ, self.wall.moved)
+        clean = as_organ(self.wall, self.organ, self.wall.clean)
+        clean = replace(clean, instance=np.zeros_like(clean.instance))
+        metadata = self.organ.metadata
+        sick = replace(sick, metadata={**metadata, "lesions": records})
+        clean = replace(clean, metadata={**metadata, "lesions": [], "clean_twin_of": records})
+        if self.clean is None or self.sick is None:
+            return Patient(sick, clean)
+        base = self.clean.appearance
+        atlas = paint.pack(base, self.wall.uv[..., :2], self.charts)
+        uv = paint.final_uv(self.wall, base, self.charts, atlas)
+        return Patient(
+            replace(
+                sick,
+                uv=uv,
+                appearance=paint.assemble(self.sick.appearance, self.charts, atlas, sick=True),
+            ),
+            replace(
+                clean,
+                uv=uv,
+                appearance=paint.assemble(base, self.charts, atlas, sick=False),
+            ),
+        )
+
+
+def _formed(patch: Patch, form: Form, *, is_spot: bool) -> Patch:
+    """The piece refined until it can show a form and its border."""
+
+    def is_long(patch: Patch, ends: np.ndarray) -> np.ndarray:
+        wall = samples(patch)
+        inside = (form.depth(wall) > 0.0)[ends]
+        points = form.moved(wall)
+        length = np.linalg.norm(points[ends[:, 0]] - points[ends[:, 1]], axis=1)
+        border = inside[:, 0] != inside[:, 1]
+        return (inside.any(axis=1) & (length > form.edge_length)) | (
+            border & (length > form.border_length)
+        )
+
+    def both(patch: Patch) -> np.ndarray:
+        return np.hstack([form.moved(samples(patch)), patch.moved])
+
+    return refine(patch, is_long, both if is_spot else lambda patch: patch.moved)
+
+
+def _sewn(wall: Patch, piece: Cut, patch: Patch, shown: paint.Shown, instance: int) -> Patch:
+    """The wall with the piece sewn in, its vertices moved."""
+    inside = shown.form.depth(shown.wall) > 0.0
+    label = np.where(inside, instance, patch.instance).astype(np.uint16)
+    moved = shown.form.moved(shown.wall)
+    return sew(wall, piece, renewed_normals(replace(patch, moved=moved, instance=label)))
+
+
+def _cuts_wall(wall: Patch, instance: int) -> bool:
+    """Whether a lesion made the wall cut through itself."""
+    own = (wall.instance == instance) & (wall.moved != wall.clean).any(axis=1)
+    if not own.any():
+        return False
+    corners = wall.moved[wall.faces]
+    of_own = corners[own[wall.faces].any(axis=1)]
+    low, high = of_own.min(axis=(0, 1)), of_own.max(axis=(0, 1))
+    near = ((corners.max(axis=1) >= low) & (corners.min(axis=1) <= high)).all(axis=1)
+    faces = wall.faces[near]
+    is_own = own[faces].any(axis=1)
+    found = self_intersections(wall.moved, faces)
+    if not is_own[found].any():
+        return False
+    before = self_intersections(wall.clean, faces)
+    return is_own[found].any(axis=1).sum() > is_own[before].any(axis=1).sum()
+
+
+def _charted(patch: Patch, shown: paint.Shown, instance: int) -> Patch:
+    """The piece with the footprint's faces on a chart of their own."""
+    own = (shown.form.depth(shown.wall) > 0.0)[patch.faces].any(axis=1)
+    uv = patch.uv.copy()
+    uv[own, :, 2:] = shown.form.chart(shown.wall)[patch.faces[own]]
+    return replace(patch, uv=uv, chart_id=np.where(own, instance, patch.chart_id))

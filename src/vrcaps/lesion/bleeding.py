@@ -1,0 +1,199 @@
+"""Haemorrhage: from petechiae to a bleed that runs down the wall and fills the hollows."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, ClassVar, Literal
+
+import numpy as np
+
+from vrcaps.errors import InputError
+from vrcaps.lesion.base import Form, Lesion, Look, Site, WallSamples, mix, smoothstep
+from vrcaps.lesion.blood import under_blood
+from vrcaps.lesion.spot import SpotForm
+from vrcaps.mesh.noise import cloud, swell
+from vrcaps.units import MM
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+_STAIN = 0.05 * MM
+"""Least thickness of blood within its outline."""
+
+_OPEN = 8.0 * MM
+"""Radius of the lumen that a pool leaves open, so that a capsule passes."""
+
+_SHORE = 2.0 * MM
+"""Way along the wall beyond the hollow's vertices in which the pool's edge lies [m]."""
+
+
+@dataclass(frozen=True)
+class Bleed:
+    """Measures of a grade.
+
+    Attributes:
+        source: Radius of the bleeding place [m].
+        run: Longest way that blood runs from it [m].
+        width: Half-width of the stream [m].
+        film: Thickness of the stream [m].
+        pool: Depth of the pool at the end [m].
+        clots: Height of clots over source and pool [m].
+    """
+
+    source: float
+    run: float = 0.0
+    width: float = 0.0
+    film: float = 0.0
+    pool: float = 0.0
+    clots: float = 0.0
+
+
+BLEEDS = {
+    1: Bleed(7.0 * MM),
+    2: Bleed(1.6 * MM, 35.0 * MM, 0.9 * MM, 0.25 * MM),
+    3: Bleed(3.0 * MM, 90.0 * MM, 2.0 * MM, 0.4 * MM, 2.5 * MM, 0.4 * MM),
+    4: Bleed(6.0 * MM, 160.0 * MM, 4.5 * MM, 0.6 * MM, 6.0 * MM, 1.2 * MM),
+}
+"""This project's own scale: 1 petechiae under the mucosa, 2 oozing with a trickle, 3 a stream
+that collects in the nearest hollow, 4 a broad stream, a deep pool and clots."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Haemorrhage(Lesion):
+    """A bleed; blood runs with gravity.
+
+    Attributes:
+        level: 1 petechiae, 2 oozing, 3 streaming, 4 massive.
+    """
+
+    level: Literal[1, 2, 3, 4] = 3
+
+    kind: ClassVar[str] = "haemorrhage"
+    grade_field: ClassVar[str] = "level"
+
+    def __post_init__(self) -> None:
+        if self.level not in BLEEDS:
+            raise InputError(f"Haemorrhage of grade {self.level}. Allowed: 1, 2, 3, 4.")
+
+    @property
+    def extent(self) -> Literal["spot", "stream"]:
+        """Petechiae stay where they are."""
+        return "spot" if self.level == 1 else "stream"
+
+    @property
+    def grade(self) -> str:
+        """Grade, 1 to 4."""
+        return f"grade {self.level}"
+
+    @property
+    def footprint_radius(self) -> float:
+        """Radius of the bleeding place [m]."""
+        return BLEEDS[self.level].source
+
+    @property
+    def bleed(self) -> Bleed:
+        """Its measures."""
+        return BLEEDS[self.level]
+
+    def form(self, site: Site, rng: np.random.Generator) -> Form:
+        """Draw its irregularities."""
+        if self.level == 1:
+            return PetechiaeForm(site, self.bleed.source, rng)
+        return BleedForm(self.bleed, site, rng)
+
+
+class PetechiaeForm(SpotForm):
+    """Bleeding points under the mucosa, denser towards the middle."""
+
+    def __init__(self, site: Site, radius: float, rng: np.random.Generator) -> None:
+        super().__init__(site, radius, rng, waviness=0.2)
+        self._points, self._blush = swell(1.5 * MM, rng), cloud(4.0 * MM, rng)
+
+    def painted(self, wall: WallSamples, points: Float[np.ndarray, "n 3"], clean: Look) -> Look:
+        """Red points of about a millimetre in a blush."""
+        crowd = 1.0 - self.share(wall) ** 2
+        blush = smoothstep(crowd + 0.3 * self._blush(points))
+        color = clean.color * (1.0 - blush[:, None] * (0.03, 0.30, 0.30))
+        level = self._points(points) + 0.9 * crowd
+        point = smoothstep((level - 1.35) / 0.5)
+        color = mix(color, np.array([0.21, 0.026, 0.019]), 0.92 * point)
+        look = (color, clean.roughness - 0.1 * point, clean.height)
+        return self.blended(wall, clean, look, softness=0.25)
+
+
+class BleedForm:
+    """Blood from a source along its way down, and the pool that it makes."""
+
+    edge_length = 1.2 * MM
+
+    def __init__(self, bleed: Bleed, site: Site, rng: np.random.Generator) -> None:
+        self.border_length = 0.05 * bleed.width
+        self.bleed, self.site = bleed, site
+        self._edge, self._ripple = swell(7.0 * MM, rng), cloud(5.0 * MM, rng)
+        self._clots, self._age = swell(4.0 * MM, rng), cloud(9.0 * MM, rng)
+
+    def _pool(self, wall: WallSamples) -> Float[np.ndarray, " n"]:
+        """Depth of the pool [m], negative above it, outside its hollow or far from its bottom."""
+        if self.bleed.pool == 0.0 or self.site.bottom is None:
+            return np.full(len(wall.xy), -1.0)
+        under = (wall.rest - self.site.bottom) @ self.site.down + self.bleed.pool
+        away = np.linalg.norm(wall.rest - self.site.bottom, axis=1)
+        shore = self.bleed.pool * (1.0 - wall.xy[:, 2] / _SHORE)
+        return np.minimum(np.minimum(under, self.site.reach - away), shore)
+
+    def _dry(self, wall: WallSamples) -> Float[np.ndarray, " n"]:
+        """Distance within the source's and the stream's outline [m]."""
+        wave = 1.0 + 0.22 * self._edge(wall.rest)
+        source = self.bleed.source * wave - np.linalg.norm(wall.rest - self.site.center, axis=1)
+        swelling = 1.0 - np.exp(-wall.xy[:, 0] / (12.0 * MM)) * 0.45
+        return np.maximum(source, self.bleed.width * wave * swelling - wall.xy[:, 1])
+
+    def depth(self, wall: WallSamples) -> Float[np.ndarray, " n"]:
+        """Distance within the blood's outline, or depth of the pool [m]."""
+        return np.maximum(self._dry(wall), self._pool(wall))
+
+    def _film(self, wall: WallSamples) -> Float[np.ndarray, " n"]:
+        """Thickness of the blood outside the pool [m]."""
+        within = np.clip(self._dry(wall) / (0.7 * self.bleed.width), 0.0, 1.0)
+        clots = np.clip(self._clots(wall.rest) - 0.4, 0.0, 1.2) * self.bleed.clots
+        near = np.exp(-((wall.xy[:, 0] / (5.0 * self.bleed.source)) ** 2))
+        return np.sqrt(within) * (self.bleed.film + clots * (0.25 + 0.75 * near))
+
+    def moved(self, wall: WallSamples) -> Float[np.ndarray, "n 3"]:
+        """Positions of the blood's surface [m].
+
+        The pool's is level: each place under it moves there towards the centreline, so that
+        walls that lean over it do not fold, but never as far as to block the lumen.
+        """
+        film, pool = self._film(wall)[:, None] * wall.normal, self._pool(wall)
+        reach = np.maximum(np.linalg.norm(wall.inward, axis=1), 1e-9)
+        inward = wall.inward / reach[:, None]
+        steep = np.maximum(-inward @ self.site.down, 0.3)
+        room = np.maximum(reach - _OPEN, 0.0)
+        level = wall.rest + np.minimum(np.maximum(pool, 0.0) / steep, room)[:, None] * inward
+        wet = smoothstep(pool / (1.0 * MM))
+        clots = np.clip(self._clots(level) - 0.9, 0.0, 1.5) * self.bleed.clots * wet
+        return level + clots[:, None] * inward + (1.0 - wet)[:, None] * film
+
+    def chart(self, wall: WallSamples) -> Float[np.ndarray, "n 2"]:
+        """Not used: it is painted in place."""
+        return wall.xy
+
+    def painted(self, wall: WallSamples, points: Float[np.ndarray, "n 3"], clean: Look) -> Look:
+        """Blood over the mucosa: fresh at the source, darker and clotted farther down."""
+        pool = np.maximum(self._pool(wall), 0.0)
+        within = np.clip(self._dry(wall) / (0.9 * self.bleed.width), 0.0, 1.0)
+        film = self._film(wall) * within * (0.8 + 0.35 * np.tanh(self._ripple(points)))
+        thickness = film + _STAIN * smoothstep(self._dry(wall) / (0.3 * MM)) + pool
+        farther = wall.xy[:, 0] / max(self.bleed.run, 1e-9)
+        clotted = self.bleed.clots / (2.0 * MM)
+        age = smoothstep(0.3 * self._age(points) + 0.6 * farther + clotted - 0.1)
+        color = under_blood(clean.color, thickness, 0.9 * age)
+        wet = np.maximum(smoothstep(within / 0.5), smoothstep(pool / (0.4 * MM)))
+        ripple = 0.03 * MM * self._ripple(points)
+        return replace(
+            clean,
+            color=np.clip(color, 0.0, 1.0),
+            roughness=clean.roughness + (0.16 - clean.roughness) * wet,
+            height=clean.height * (1.0 - wet) + ripple * wet,
+        )

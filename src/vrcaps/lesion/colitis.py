@@ -1,0 +1,213 @@
+"""Ulcerative colitis: continuous inflammation upwards from the rectum."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, ClassVar, Literal
+
+import numpy as np
+
+from vrcaps.errors import InputError
+from vrcaps.lesion.base import Lesion, Look, Site, WallSamples, mix, require_range, smoothstep
+from vrcaps.lesion.blood import FIBRIN, under_blood
+from vrcaps.mesh.noise import cloud, grain, swell
+from vrcaps.mucosa.appearance import MUCUS_TINT
+from vrcaps.units import CM, MM
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+    from vrcaps.organ.surface import OrganSurface
+
+_EXTENTS = {"E1": ("rectum", 15 * CM), "E2": ("descending", 60 * CM), "E3": ("ascending", np.inf)}
+"""Montreal classes (Silverberg et al. 2005): proctitis, left-sided, extensive. The first segment
+affected, or the length from the anal end where an organ has no such segment [m]."""
+
+_FADE = 12.0 * MM
+"""Way from healthy to fully inflamed at the ends."""
+
+_FILM = 0.35 * MM
+"""Thickness of blood where the field that spreads it exceeds its threshold by one deviation."""
+
+
+_MUCOPUS_DEPTH = 1.1
+"""Scattering depth of mucopus where its field exceeds the threshold by one deviation."""
+
+
+@dataclass(frozen=True)
+class Activity:
+    """What a Mayo endoscopic subscore looks like (Schroeder, Tremaine and Ilstrup 1987).
+
+    Attributes:
+        obscured: How far the vessels have faded, 0 to 1.
+        tint: Reflectance of inflamed over that of plain mucosa: red, green, blue.
+        patchiness: Share of the redness that comes in patches.
+        granularity: RMS height of the granular relief [m].
+        stipple: Spread of the optical density of granules, alike in all colours.
+        petechiae: Threshold of the field that sets bleeding points, in deviations.
+        erosions: Threshold for small erosions.
+        ulcers: Threshold for wide ulcers.
+        blood: Threshold for films of blood.
+        mucopus: Threshold for films of mucus and pus, bile-stained, on top of it all.
+    """
+
+    obscured: float
+    tint: tuple[float, float, float]
+    patchiness: float
+    granularity: float
+    stipple: float = 0.07
+    petechiae: float = np.inf
+    erosions: float = np.inf
+    ulcers: float = np.inf
+    blood: float = np.inf
+    mucopus: float = np.inf
+
+
+ACTIVITIES = {
+    1: Activity(
+        *(0.92, (0.995, 0.510, 0.308), 0.85, 0.014 * MM),
+        **{"stipple": 0.14, "petechiae": 3.2, "mucopus": 1.5},
+    ),
+    2: Activity(
+        *(1.0, (0.975, 0.707, 0.796), 0.7, 0.017 * MM),
+        **{"petechiae": 2.6, "erosions": 1.4, "mucopus": 1.2},
+    ),
+    3: Activity(
+        *(1.0, (0.955, 0.387, 0.254), 0.5, 0.020 * MM),
+        **{"petechiae": 2.3, "erosions": 1.3, "ulcers": 0.6, "blood": 0.6, "mucopus": 1.0},
+    ),
+}
+"""By Mayo subscore: 1 erythema, decreased vascular pattern; 2 marked erythema, no vascular
+pattern, friability, erosions; 3 spontaneous bleeding, ulceration. Tints are those at which frames
+have the mean colour of real ones (`benchmarks/fit_appearance.py`); of 2 these few are paler and
+less yellow than of 1, by other cameras as much as by disease."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Colitis(Lesion):
+    """Ulcerative colitis.
+
+    Attributes:
+        mayo: Mayo endoscopic subscore.
+        spread: How far it goes up from the anal end: E1 (rectum), E2 (left colon), E3 (beyond),
+            or a length [m]. A length with a place lies about that place instead.
+    """
+
+    mayo: Literal[1, 2, 3] = 2
+    spread: Literal["E1", "E2", "E3"] | float = "E1"
+
+    kind: ClassVar[str] = "colitis"
+    grade_field: ClassVar[str] = "mayo"
+
+    def __post_init__(self) -> None:
+        if self.mayo not in ACTIVITIES:
+            raise InputError(f"Mayo subscore {self.mayo}. Allowed: 1, 2, 3.")
+        if isinstance(self.spread, str):
+            if self.spread not in _EXTENTS:
+                raise InputError(f"Spread {self.spread!r}. Allowed: E1, E2, E3, or a length.")
+        else:
+            require_range("Spread of colitis", self.spread, 1.0 * CM, 300.0 * CM)
+
+    @property
+    def extent(self) -> Literal["band"]:
+        """It goes all around the lumen."""
+        return "band"
+
+    @property
+    def grade(self) -> str:
+        """Mayo subscore."""
+        return f"Mayo {self.mayo}"
+
+    def band(self, organ: OrganSurface, middle: float | None) -> tuple[float, float]:
+        """First and last arc length [m]."""
+        length = organ.centerline.length
+        if isinstance(self.spread, str):
+            segment, reach = _EXTENTS[self.spread]
+            is_first = organ.label == (
+                organ.label_names.index(segment) if segment in organ.label_names else -1
+            )
+            low = organ.arc_length[is_first].min() if is_first.any() else length - reach
+            return max(float(low), -np.inf), np.inf
+        if middle is None:
+            return length - self.spread, np.inf
+        return middle - 0.5 * self.spread, middle + 0.5 * self.spread
+
+    def form(self, site: Site, rng: np.random.Generator) -> ColitisForm:
+        """Draw its irregularities."""
+        return ColitisForm(self, site, rng)
+
+
+class ColitisForm:
+    """Colitis with its irregularities drawn: a change of surface, not of shape."""
+
+    edge_length = np.inf
+    border_length = 0.35 * MM
+
+    def __init__(self, colitis: Colitis, site: Site, rng: np.random.Generator) -> None:
+        self.activity, self.site = ACTIVITIES[colitis.mayo], site
+        self._ragged, self._patches = swell(16.0 * MM, rng), cloud(14.0 * MM, rng)
+        self._granules, self._points = grain(0.8 * MM, rng), swell(1.1 * MM, rng)
+        self._mottle = cloud(2.5 * MM, rng)
+        self._erosions, self._ulcers = cloud(5.0 * MM, rng), cloud(18.0 * MM, rng)
+        self._blood = cloud(12.0 * MM, rng)
+        self._mucopus = cloud(14.0 * MM, rng)
+
+    def depth(self, wall: WallSamples) -> Float[np.ndarray, " n"]:
+        """Distance within the ragged ends of the band [m]."""
+        low, high = self.site.band
+        ragged = 3.0 * MM * self._ragged(wall.rest)
+        return np.minimum(wall.xy[:, 0] - low, high - wall.xy[:, 0]) + ragged
+
+    def moved(self, wall: WallSamples) -> Float[np.ndarray, "n 3"]:
+        """Positions at rest."""
+        return wall.rest
+
+    def chart(self, wall: WallSamples) -> Float[np.ndarray, "n 2"]:
+        """Not used: it is painted in place."""
+        return wall.xy
+
+    def painted(self, wall: WallSamples, points: Float[np.ndarray, "n 3"], clean: Look) -> Look:
+        """Redness, granules, bleeding points, erosions, ulcers, blood."""
+        is_like, inside = self.activity, smoothstep(self.depth(wall) / _FADE)
+        mottle, granules = self._mottle(points), np.tanh(1.3 * self._granules(points))
+        patch = smoothstep(0.5 + 0.4 * self._patches(points) + 0.15 * mottle)
+        redness = (1.0 - is_like.patchiness) + is_like.patchiness * patch
+        color = mix(clean.color, clean.plain, is_like.obscured * (0.8 + 0.2 * patch))
+        color = color * np.array(is_like.tint) ** redness[:, None]
+        color = color * np.exp(is_like.stipple * granules + 0.06 * mottle)[:, None]
+        spot = smoothstep((self._points(points) - is_like.petechiae) / 0.6)
+        color = mix(color, np.array([0.25, 0.046, 0.046]), 0.6 * spot)
+        height = clean.height * (1.0 - 0.5 * is_like.obscured) + is_like.granularity * granules
+        color, sloughy, height = self._ulcerated(color, height, points, mottle)
+        pooled = np.clip(self._blood(points) + 0.3 * mottle - is_like.blood, 0.0, 2.0)
+        color = under_blood(color, _FILM * pooled**1.5 * np.exp(0.25 * granules), 0.3 * pooled)
+        thick = np.clip(self._mucopus(points) + 0.3 * mottle - is_like.mucopus, 0.0, 2.0)
+        cover = 1.0 - np.exp(-_MUCOPUS_DEPTH * thick * np.exp(0.3 * granules))
+        color = mix(color, clean.plain * np.array(MUCUS_TINT), cover)
+        wet = smoothstep(pooled + thick)
+        rough = clean.roughness + 0.10 * sloughy - 0.2 * wet
+        return replace(
+            clean,
+            color=np.clip(mix(clean.color, color, inside), 0.0, 1.0),
+            roughness=clean.roughness + (rough - clean.roughness) * inside,
+            height=clean.height + (height * (1.0 - 0.6 * wet) - clean.height) * inside,
+        )
+
+    def _ulcerated(self, color, height, points, mottle):
+        """Fibrin in the breaks of the mucosa, their surroundings redder."""
+        sloughy = np.zeros(len(points))
+        for field, threshold, deep in (
+            (self._erosions, self.activity.erosions, 0.04 * MM),
+            (self._ulcers, self.activity.ulcers, 0.20 * MM),
+        ):
+            if not np.isfinite(threshold):
+                continue
+            level = field(points) - threshold + 0.3 * mottle
+            rim = np.exp(-(((level + 0.1) / 0.4) ** 2))
+            color = color * (1.0 - rim[:, None] * (0.05, 0.22, 0.22))
+            base = smoothstep((level + 0.2) / 1.3)
+            slough = FIBRIN * np.exp(0.10 * mottle + 0.15 * self._patches(points))[:, None]
+            color = mix(color, slough, 0.6 * base)
+            height = height + (0.3 * rim - base) * deep
+            sloughy = np.maximum(sloughy, base)
+        return color, sloughy, height

@@ -1,0 +1,142 @@
+"""The wall while lesions are put into it: pieces are cut out, refined, and sewn back in."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import dijkstra
+
+from vrcaps.mesh.mesh import vertex_normals
+from vrcaps.mesh.refine import Patch, rim
+from vrcaps.organ.centerline import interpolate
+from vrcaps.organ.surface import OrganSurface
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Int
+
+NUM_FIELDS = 6
+"""Columns of `Patch.fields`: arc length, distance from the centreline, offset to it, and of a piece
+its distance along the wall from the middle [m]."""
+
+_PER_VERTEX = (
+    *("clean", "moved", "normals", "clean_normals", "theta", "fields", "label", "instance"),
+    "is_rim",
+)
+
+
+def whole_wall(organ: OrganSurface) -> Patch:
+    """All of an organ's wall, before any lesion."""
+    points, _, _ = interpolate(organ.centerline, organ.arc_length)
+    vertices = np.asarray(organ.vertices, float)
+    normals = vertex_normals(vertices, organ.faces)
+    return Patch(
+        clean=vertices,
+        moved=vertices,
+        normals=normals,
+        clean_normals=normals,
+        theta=np.asarray(organ.theta, float),
+        fields=np.column_stack(
+            [organ.arc_length, organ.radius, points - vertices, np.zeros(len(vertices))]
+        ),
+        label=organ.label,
+        instance=np.zeros(len(vertices), np.uint16),
+        faces=np.asarray(organ.faces),
+        uv=np.concatenate([organ.uv, np.zeros_like(organ.uv)], axis=-1),
+        chart_id=np.zeros(len(organ.faces), np.int64),
+        is_rim=np.zeros(len(vertices), bool),
+    )
+
+
+def edge_graph(wall: Patch) -> coo_array:
+    """Length [m] of every edge, both ways."""
+    pairs = np.concatenate([wall.faces[:, [0, 1]], wall.faces[:, [1, 2]], wall.faces[:, [2, 0]]])
+    pairs = np.unique(np.sort(pairs, axis=1), axis=0)
+    length = np.linalg.norm(wall.moved[pairs[:, 0]] - wall.moved[pairs[:, 1]], axis=1)
+    pairs = np.concatenate([pairs, pairs[:, ::-1]])
+    n = len(wall.moved)
+    return coo_array((np.tile(length, 2), (pairs[:, 0], pairs[:, 1])), shape=(n, n))
+
+
+def within(wall: Patch, sources: Int[np.ndarray, " k"], reach: float) -> Float[np.ndarray, " n"]:
+    """Distance [m] along edges from the nearest source; infinite beyond `reach`."""
+    graph = edge_graph(wall).tocsr()
+    return dijkstra(graph, indices=sources, min_only=True, limit=reach)
+
+
+@dataclass(frozen=True)
+class Cut:
+    """A piece of wall and where it came from.
+
+    Attributes:
+        patch: The piece.
+        vertices: Number in the whole of each of its first vertices.
+        faces: Which faces of the whole it replaces.
+    """
+
+    patch: Patch
+    vertices: Int[np.ndarray, " k"]
+    faces: Bool[np.ndarray, " m"]
+
+
+def cut(wall: Patch, away: Float[np.ndarray, " n"]) -> Cut:
+    """The faces that have a corner within reach.
+
+    Args:
+        wall: The whole.
+        away: Distance of each vertex from the middle [m], infinite beyond reach.
+    """
+    near = np.isfinite(away)
+    chosen = np.asarray(near[wall.faces].any(axis=1))
+    vertices, local = np.unique(wall.faces[chosen], return_inverse=True)
+    faces = local.reshape(-1, 3)
+    values = {name: getattr(wall, name)[vertices] for name in _PER_VERTEX}
+    values["fields"] = values["fields"].copy()
+    values["fields"][:, -1] = np.where(near, away, away[near].max(initial=0.0))[vertices]
+    values["is_rim"] = rim(faces, len(vertices)) & ~_is_end(wall)[vertices]
+    patch = Patch(**values, faces=faces, uv=wall.uv[chosen], chart_id=wall.chart_id[chosen])
+    return Cut(patch, vertices, chosen)
+
+
+def sew(wall: Patch, piece: Cut, patch: Patch) -> Patch:
+    """The wall with a refined piece in its place; vertices that were there keep their numbers."""
+    old = len(piece.vertices)
+    number = np.concatenate([piece.vertices, len(wall.moved) + np.arange(len(patch.moved) - old)])
+    joined = {}
+    for name in _PER_VERTEX:
+        whole, part = getattr(wall, name).copy(), getattr(patch, name)
+        part = part[:, : whole.shape[1]] if part.ndim > 1 else part
+        whole[piece.vertices] = part[:old]
+        joined[name] = np.concatenate([whole, part[old:]])
+    joined["is_rim"] = np.zeros(len(joined["clean"]), bool)
+    stay = ~piece.faces
+    return replace(
+        wall,
+        **joined,
+        faces=np.concatenate([wall.faces[stay], number[patch.faces]]),
+        uv=np.concatenate([wall.uv[stay], patch.uv]),
+        chart_id=np.concatenate([wall.chart_id[stay], patch.chart_id]),
+    )
+
+
+def _is_end(wall: Patch) -> Bool[np.ndarray, " n"]:
+    """Vertices at the organ's own open ends: no cut."""
+    return rim(wall.faces, len(wall.moved))
+
+
+def as_organ(wall: Patch, organ: OrganSurface, vertices: Float[np.ndarray, "n 3"]) -> OrganSurface:
+    """An organ of the wall's faces with the vertices given; textures still those of `organ`."""
+    return replace(
+        organ,
+        vertices=vertices,
+        faces=wall.faces,
+        normals=vertex_normals(vertices, wall.faces),
+        uv=wall.uv[..., :2],
+        label=wall.label,
+        instance=wall.instance.astype(np.uint16),
+        arc_length=wall.fields[:, 0],
+        theta=wall.theta,
+        radius=wall.fields[:, 1],
+    )

@@ -1,0 +1,285 @@
+"""Lesions painted into textures: large ones in place, small ones on charts of their own.
+
+A chart is a piece of texture added beside the wall's own, fine enough for a lesion's pattern and
+free of the stretch that its shape would give it. It takes over exactly at the border of the
+faces of the footprint, where it holds the same values as the texture it leaves. The clean twin
+has the same charts, filled from the clean texture.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.ndimage import distance_transform_edt
+
+from vrcaps.color import LINEAR, srgb_from_linear
+from vrcaps.errors import InputError
+from vrcaps.lesion.base import Form, Look, WallSamples
+from vrcaps.mesh.rasterize import Texels, covered_texels, sample
+from vrcaps.mucosa.appearance import MAX_SIDE
+from vrcaps.organ.surface import Appearance, round_height
+from vrcaps.units import MM
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Int
+
+    from vrcaps.mesh.refine import Patch
+
+_DENSITY = 14.0 / MM  # texels per metre on charts
+_LARGEST = 768  # texels on a chart's side
+_MARGIN = 6  # texels around a chart, for filtering and its mip levels
+_BLUR = 16  # texels over which vessels are smoothed away
+_SPILL = 3.0  # texels painted beyond the borders of charts, for filtering and mip levels
+_CHUNK = 500_000  # texels painted at once
+
+_BYTES = np.arange(256) / 255.0
+
+
+@dataclass(frozen=True)
+class Textures:
+    """An appearance, and the same with its vessels smoothed away.
+
+    Attributes:
+        appearance: The textures.
+        plain: Linear colour at 1/16 of the resolution.
+    """
+
+    appearance: Appearance
+    plain: Float[np.ndarray, "k l 3"]
+
+    def look(self, uv: Float[np.ndarray, "n 2"]) -> Look:
+        """The look at texture coordinates."""
+        return Look(
+            color=sample(self.appearance.albedo, uv, LINEAR),
+            roughness=sample(self.appearance.roughness, uv, _BYTES),
+            height=sample(self.appearance.height, uv, None),
+            plain=sample(self.plain, uv, None),
+        )
+
+
+@dataclass(frozen=True)
+class Shown:
+    """A form on the vertices of a piece of wall.
+
+    Attributes:
+        form: The lesion.
+        wall: The vertices at rest.
+        points: Positions with the lesion, relative to its centre [m].
+    """
+
+    form: Form
+    wall: WallSamples
+    points: Float[np.ndarray, "n 3"]
+
+
+@dataclass(frozen=True)
+class Chart:
+    """A piece of texture of one lesion, before it has a place in the whole.
+
+    Attributes:
+        instance: Number of the lesion.
+        origin: Chart position [m] of the middle of the top-left texel.
+        density: Texels per metre.
+        clean: Albedo, roughness and height without the lesion.
+        sick: The same with it.
+    """
+
+    instance: int
+    origin: Float[np.ndarray, " 2"]
+    density: float
+    clean: tuple[np.ndarray, np.ndarray, np.ndarray]
+    sick: tuple[np.ndarray, np.ndarray, np.ndarray]
+
+
+def smoothed(appearance: Appearance) -> Textures:
+    """Textures with their plain colour: means over blocks, of texels that are not blank."""
+    albedo = appearance.albedo
+    height, width = (max(1, side // _BLUR) for side in albedo.shape[:2])
+    rows = np.linspace(0, albedo.shape[0], height * 4, endpoint=False).astype(int)
+    columns = np.linspace(0, albedo.shape[1], width * 4, endpoint=False).astype(int)
+    color = LINEAR[albedo[rows][:, columns]].reshape(height, 4, width, 4, 3)
+    weight = color.any(axis=-1, keepdims=True)
+    total = np.maximum(weight.sum(axis=(1, 3)), 1)
+    blocks = (color * weight).sum(axis=(1, 3)) / total
+    overall = color.sum(axis=(0, 1, 2, 3)) / max(int(weight.sum()), 1)
+    blank = weight.sum(axis=(1, 3))[..., 0] == 0
+    blocks[blank] = overall
+    return Textures(appearance, blocks)
+
+
+def paint_in_place(
+    textures: Textures, patch: Patch, shown: Shown, faces: Int[np.ndarray, " k"]
+) -> Textures:
+    """Textures with a lesion painted on the texels of some faces of the wall's own chart."""
+    look = textures.appearance
+    sides = np.array([look.albedo.shape[1], look.albedo.shape[0]])
+    uv = patch.uv[faces, :, :2]
+    texels = covered_texels(
+        np.stack([uv[..., 0], 1.0 - uv[..., 1]], axis=-1) * sides - 0.5, margin=_SPILL
+    )
+    images = (look.albedo.copy(), look.roughness.copy(), look.height.copy())
+    for first in range(0, len(texels), _CHUNK):
+        part = texels.take(slice(first, first + _CHUNK))
+        own = (np.stack([part.column, part.row], axis=1) + 0.5) / sides
+        before = textures.look(np.stack([own[:, 0], 1.0 - own[:, 1]], axis=1))
+        painted = _painted(before, patch, shown, faces, part)
+        _store(images, painted, part.row % sides[1], part.column % sides[0])
+    albedo, roughness, height = images
+    return replace(
+        textures,
+        appearance=replace(look, albedo=albedo, roughness=roughness, height=height),
+    )
+
+
+def paint_chart(
+    clean: Textures,
+    sick: Textures,
+    patch: Patch,
+    shown: Shown,
+    instance: int,
+) -> Chart:
+    """A lesion's own chart, from the textures that its surroundings have."""
+    faces = np.flatnonzero(patch.chart_id == instance)
+    corners = patch.uv[faces, :, 2:]
+    low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
+    density = min(_DENSITY, (_LARGEST - 2 * _MARGIN) / float((high - low).max()))
+    width, height = np.ceil((high - low) * density).astype(int) + 2 * _MARGIN + 1
+    origin = np.array([low[0], high[1]]) + np.array([-_MARGIN, _MARGIN]) / density
+    texels = covered_texels((corners - origin) * (density, -density))
+    images = []
+    for textures, is_sick in ((clean, False), (sick, True)):
+        image = _blank(height, width)
+        before = textures.look(texels.blend_corners(patch.uv[faces, :, :2]))
+        painted = _painted(before, patch, shown, faces, texels) if is_sick else before
+        _store(image, painted, texels.row, texels.column)
+        covered = np.zeros((height, width), bool)
+        covered[texels.row, texels.column] = True
+        rows, columns = _nearest(covered)
+        images.append(tuple(part[rows, columns] for part in image))
+    return Chart(instance, origin, density, images[0], images[1])
+
+
+def _nearest(covered: Bool[np.ndarray, "h w"]) -> tuple[np.ndarray, np.ndarray]:
+    """Row and column of the covered texel nearest to each."""
+    found = distance_transform_edt(~covered, return_distances=False, return_indices=True)
+    rows, columns = np.asarray(found)
+    return rows, columns
+
+
+def _blank(height: int, width: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    return (
+        np.zeros((height, width, 3), np.uint8),
+        np.zeros((height, width), np.uint8),
+        np.zeros((height, width), np.float32),
+    )
+
+
+def _painted(
+    before: Look, patch: Patch, shown: Shown, faces: Int[np.ndarray, " k"], texels: Texels
+) -> Look:
+    """Look of texels with a lesion."""
+    corners, wall = patch.faces[faces], shown.wall
+    here = WallSamples(
+        *(texels.blend(part, corners) for part in (wall.xy, wall.rest, wall.normal, wall.inward))
+    )
+    return shown.form.painted(here, texels.blend(shown.points, corners), before)
+
+
+def _store(images, look: Look, row: np.ndarray, column: np.ndarray) -> None:
+    albedo, roughness, height = images
+    albedo[row, column] = srgb_from_linear(look.color)
+    roughness[row, column] = np.rint(255.0 * np.clip(look.roughness, 0.0, 1.0))
+    height[row, column] = look.height
+
+
+@dataclass(frozen=True)
+class Atlas:
+    """Where everything lies in the enlarged textures.
+
+    Attributes:
+        extra: Columns and rows by which the wall's own texture is continued, right and on top.
+        size: Width and height of the whole [texels].
+        places: Column and row of each chart's top-left texel.
+    """
+
+    extra: tuple[int, int]
+    size: tuple[int, int]
+    places: list[tuple[int, int]]
+
+
+def pack(base: Appearance, uv: Float[np.ndarray, "m 3 2"], charts: list[Chart]) -> Atlas:
+    """Places for all charts beside the wall's own texture: right of a tall one, above a wide one.
+
+    Where the wall's coordinates run beyond 1 its texture is continued as far, for it can no
+    longer wrap.
+
+    Raises:
+        InputError: If they do not fit.
+    """
+    sides = np.array(base.albedo.shape[1::-1])
+    over = np.ceil((uv.max(axis=(0, 1)) - 1.0).clip(0.0) * sides).astype(int)
+    extra = over + 4 * (over > 0)
+    across = int(sides[0] > sides[1])  # 0: charts in columns to the right
+    along = 1 - across
+    shapes = np.array([chart.clean[1].shape[::-1] for chart in charts]).reshape(-1, 2)
+    longest = int(max([(sides + extra)[along], *shapes[:, along]]))
+    start = int((sides + extra)[across]) if across == 0 else 0
+    strip, end, filled = start, start, 0
+    places = np.zeros((len(charts), 2), int)
+    for index in np.argsort(-shapes[:, across], kind="stable"):
+        if filled + shapes[index, along] > longest:
+            strip, filled = end, 0
+        places[index, across], places[index, along] = strip, filled
+        end, filled = max(end, strip + int(shapes[index, across])), filled + shapes[index, along]
+    size = np.zeros(2, int)
+    size[along], size[across] = longest, end if across == 0 else end + (sides + extra)[1]
+    size = -(-size // 16) * 16
+    if size.max() > MAX_SIDE:
+        raise InputError(
+            f"{len(charts)} lesions need a texture of {size[0]} × {size[1]} texels; allowed: sides "
+            f"up to {MAX_SIDE}. Make fewer or smaller lesions, or bake with fewer texels_per_mm."
+        )
+    return Atlas(_pair(extra), _pair(size), [_pair(place) for place in places])
+
+
+def _pair(values: Int[np.ndarray, " 2"]) -> tuple[int, int]:
+    return int(values[0]), int(values[1])
+
+
+def assemble(base: Appearance, charts: list[Chart], atlas: Atlas, *, sick: bool) -> Appearance:
+    """The enlarged textures."""
+    height, width = base.albedo.shape[:2]
+    top, (columns, rows) = atlas.extra[1], atlas.size
+    parts = []
+    for k, image in enumerate((base.albedo, base.roughness, base.height)):
+        fill = image[:: max(1, height // 64)].mean(axis=(0, 1))
+        whole = np.empty((rows, columns, *image.shape[2:]), image.dtype)
+        whole[...] = np.rint(fill) if image.dtype == np.uint8 else fill
+        below = rows - height  # v counts from the bottom
+        whole[below:, :width] = image
+        whole[below - top : below, :width] = image[height - top :]
+        whole[below - top :, width : width + atlas.extra[0]] = whole[
+            below - top :, : atlas.extra[0]
+        ]
+        for chart, (x, y) in zip(charts, atlas.places, strict=True):
+            piece = (chart.sick if sick else chart.clean)[k]
+            whole[y : y + piece.shape[0], x : x + piece.shape[1]] = piece
+        parts.append(whole)
+    return replace(base, albedo=parts[0], roughness=parts[1], height=round_height(parts[2]))
+
+
+def final_uv(
+    wall: Patch, base: Appearance, charts: list[Chart], atlas: Atlas
+) -> Float[np.ndarray, "m 3 2"]:
+    """Texture coordinates in the enlarged textures."""
+    columns, rows = atlas.size
+    height, width = base.albedo.shape[:2]
+    uv = wall.uv[..., :2] * (width / columns, height / rows)
+    for chart, (x, y) in zip(charts, atlas.places, strict=True):
+        faces = wall.chart_id == chart.instance
+        texel = (wall.uv[faces, :, 2:] - chart.origin) * (chart.density, -chart.density)
+        place = (texel + 0.5 + (x, y)) / (columns, rows)
+        uv[faces] = np.stack([place[..., 0], 1.0 - place[..., 1]], axis=-1)
+    return uv

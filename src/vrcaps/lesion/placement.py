@@ -1,0 +1,221 @@
+"""Where lesions go: as stated, or drawn until they fit."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vrcaps._core import Wall
+from vrcaps.errors import InputError, UnknownNameError
+from vrcaps.lesion.base import Lesion, Place
+from vrcaps.units import CM, MM
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Int
+
+    from vrcaps.organ.surface import OrganSurface
+
+_NUM_TRIES = 60
+_GAP = 2.0 * MM  # between the footprints of two lesions
+_ROOM = 0.8  # share of the free way across the lumen that a lesion may take
+_BESIDE = 1.05  # free way beside what stands in the lumen, in its radii
+_WIDEST = 1.3  # radius of a spot's footprint in radii of the lumen; the log map holds so far
+_BEHIND = 0.3 * MM
+_UNEVEN = 0.35  # height of the wall around a pouch, in radii of its footprint
+
+
+@dataclass(frozen=True)
+class Placed:
+    """A lesion and the wall vertex at its middle.
+
+    Attributes:
+        lesion: Its specification.
+        vertex: Number in the organ it was placed in.
+        center: Position [m].
+    """
+
+    lesion: Lesion
+    vertex: int
+    center: Float[np.ndarray, " 3"]
+
+
+def place_spot(
+    organ: OrganSurface,
+    wall: Wall,
+    lesion: Lesion,
+    others: list[Placed],
+    rng: np.random.Generator,
+    *,
+    num_vertices: int,
+) -> Placed:
+    """Find the wall for a spot: where its place says, or anywhere that it fits.
+
+    Args:
+        organ: Without it.
+        wall: The organ's, for clearance.
+        lesion: What to place.
+        others: Spots placed before, which it must not touch.
+        rng: Draws what the place leaves open.
+        num_vertices: How many of the first vertices are evenly spread over the wall.
+
+    Raises:
+        InputError: If it does not fit there, or nowhere in so many tries.
+        UnknownNameError: If the organ has no such segment.
+    """
+    reasons: list[str] = []
+    for vertex in candidates(organ, lesion.place, rng, num_vertices):
+        reasons.append(_misfit(organ, wall, lesion, others, vertex))
+        if not reasons[-1]:
+            return Placed(lesion, vertex, organ.vertices[vertex])
+    drawn = f"none of {len(reasons)} places drawn will do; at the last, "
+    which = drawn if len(reasons) > 1 else ""
+    raise InputError(f"No place for {describe(lesion)}: {which}{reasons[-1]}.")
+
+
+def candidates(
+    organ: OrganSurface, place: Place, rng: np.random.Generator, num_vertices: int
+) -> Iterator[int]:
+    """Vertices that a place allows: one where it is fully stated, else many, drawn."""
+    allowed = _allowed(organ, place)
+    allowed = allowed[allowed < num_vertices]
+    is_exact = place.arc_length is not None and place.theta is not None
+    for _ in range(1 if is_exact else _NUM_TRIES):
+        drawn = int(rng.choice(allowed))
+        arc_length = organ.arc_length[drawn] if place.arc_length is None else place.arc_length
+        theta = rng.uniform(-np.pi, np.pi) if place.theta is None else place.theta
+        turn = (organ.theta[allowed] - theta + np.pi) % (2.0 * np.pi) - np.pi
+        away = np.hypot(organ.arc_length[allowed] - arc_length, organ.radius[allowed] * turn)
+        yield int(allowed[np.argmin(away)])
+
+
+def _allowed(organ: OrganSurface, place: Place) -> Int[np.ndarray, " k"]:
+    """Vertices of the place's segment, and near its arc length if that is stated.
+
+    Raises:
+        InputError: If the arc length is beyond the organ's end or outside the segment.
+        UnknownNameError: If the organ has no such segment.
+    """
+    allowed = np.arange(len(organ.vertices))
+    if place.segment is not None:
+        names = [organ.label_names[k] for k in np.unique(organ.label)]
+        if place.segment not in names:
+            raise UnknownNameError("segment", place.segment, names)
+        allowed = np.flatnonzero(organ.label == organ.label_names.index(place.segment))
+    if place.arc_length is not None:
+        low, high = organ.arc_length[allowed].min(), organ.arc_length[allowed].max()
+        if not low <= place.arc_length <= high:
+            where = organ.name if place.segment is None else place.segment
+            raise InputError(
+                f"Arc length {place.arc_length / CM:g} cm is not in {where}. Allowed: "
+                f"{low / CM:.1f} to {high / CM:.1f} cm."
+            )
+    return allowed
+
+
+def _misfit(
+    organ: OrganSurface, wall: Wall, lesion: Lesion, others: list[Placed], vertex: int
+) -> str:
+    """Why a spot does not fit at a vertex; empty if it does."""
+    arc_length, reach = float(organ.arc_length[vertex]), lesion.footprint_radius
+    line = organ.centerline
+    if not reach < arc_length < line.length - reach:
+        return (
+            f"at {arc_length / CM:.1f} cm it reaches beyond the organ's end "
+            f"(length {line.length / CM:.1f} cm)"
+        )
+    radius = float(np.interp(arc_length, line.arc_length, line.radius))
+    if reach > _WIDEST * radius:
+        return (
+            f"it is larger than the lumen, whose radius at {arc_length / CM:.1f} cm is "
+            f"{radius / MM:.1f} mm"
+        )
+    crowded = _no_room(organ, wall, lesion, vertex)
+    if crowded:
+        return crowded
+    for number, other in enumerate(others, start=1):
+        apart = float(np.linalg.norm(other.center - organ.vertices[vertex]))
+        if apart < reach + other.lesion.footprint_radius + _GAP:
+            return f"it overlaps lesion {number}, {describe(other.lesion)}"
+    return ""
+
+
+def _no_room(organ: OrganSurface, wall: Wall, lesion: Lesion, vertex: int) -> str:
+    """Why there is no room over the wall for a spot, or behind it; empty if there is."""
+    center, normal = organ.vertices[vertex], organ.normals[vertex]
+    arc_length, reach = float(organ.arc_length[vertex]), lesion.footprint_radius
+    side = "in the lumen" if lesion.reach_in >= 0.0 else "behind the wall"
+    direction = normal if lesion.reach_in >= 0.0 else -normal
+    free = _free_way(wall, center, direction)
+    if abs(lesion.reach_in) > _ROOM * free:
+        return (
+            f"it stands {abs(lesion.reach_in) / MM:.1f} mm high, but {side} at "
+            f"{arc_length / CM:.1f} cm only {free / MM:.1f} mm are free"
+        )
+    is_high = abs(lesion.reach_in) > 0.5 * lesion.head_radius
+    beside = _free_beside(wall, center, abs(lesion.reach_in) * direction) if is_high else np.inf
+    if _BESIDE * lesion.head_radius > beside:
+        return (
+            f"it is {2.0 * lesion.head_radius / MM:.1f} mm wide, but {side} at "
+            f"{arc_length / CM:.1f} cm the wall beside is only {beside / MM:.1f} mm away"
+        )
+    if lesion.reach_in < 0.0 and _unevenness(organ, center, normal, reach) > _UNEVEN * reach:
+        return f"at {arc_length / CM:.1f} cm the wall is folded, where no pouch forms"
+    return ""
+
+
+def _unevenness(
+    organ: OrganSurface,
+    center: Float[np.ndarray, " 3"],
+    normal: Float[np.ndarray, " 3"],
+    reach: float,
+) -> float:
+    """Largest distance [m] of the wall around a place from the tangent plane there."""
+    offset = organ.vertices - center
+    near = np.linalg.norm(offset, axis=1) < 1.2 * reach
+    return float(np.abs(offset[near] @ normal).max())
+
+
+def _free_way(
+    wall: Wall, center: Float[np.ndarray, " 3"], direction: Float[np.ndarray, " 3"]
+) -> float:
+    """Distance [m] from the wall to the next wall, along the normal and 25° around it."""
+    side, other = _across(direction)
+    turns = [0.0 * side] + [0.47 * d for d in (side, -side, other, -other)]
+    rays = np.array([direction + turn for turn in turns])
+    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+    start = np.tile(center + _BEHIND * direction, (len(rays), 1))
+    distance, _ = wall.cast(start, rays)
+    return float(np.nan_to_num(distance, nan=np.inf).min()) + _BEHIND
+
+
+def _free_beside(
+    wall: Wall, center: Float[np.ndarray, " 3"], top: Float[np.ndarray, " 3"]
+) -> float:
+    """Distance [m] to the wall around the top of what stands at a place, `top` high."""
+    side, other = _across(top)
+    angle = np.linspace(0.0, 2.0 * np.pi, 12, endpoint=False)[:, None]
+    ring = np.cos(angle) * side + np.sin(angle) * other
+    start = center + np.repeat([0.75, 1.0], len(ring))[:, None] * top
+    distance, _ = wall.cast(start, np.tile(ring, (2, 1)))
+    return float(np.nan_to_num(distance, nan=np.inf).min())
+
+
+def _across(
+    direction: Float[np.ndarray, " 3"],
+) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, " 3"]]:
+    """Two unit vectors square to a direction and to each other."""
+    side = np.cross(direction, np.eye(3)[np.argmin(np.abs(direction))])
+    other = np.cross(direction, side)
+    return side / np.linalg.norm(side), other / np.linalg.norm(other)
+
+
+def describe(lesion: Lesion) -> str:
+    """A lesion in a few words."""
+    words = [lesion.kind, lesion.grade]
+    size = getattr(lesion, "size", None)
+    if size is not None:
+        words.append(f"of {size / MM:g} mm")
+    return " ".join(word for word in words if word)

@@ -1,0 +1,99 @@
+"""How many lesions of which kind a patient has, drawn from a table."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vrcaps.lesion.base import Lesion, Place
+from vrcaps.lesion.registry import parse_lesion
+from vrcaps.units import MM
+
+if TYPE_CHECKING:
+    from vrcaps.organ.surface import OrganSurface
+
+
+@dataclass(frozen=True)
+class Prevalence:
+    """One row of a table.
+
+    Attributes:
+        lesion: As `parse_lesion` reads it.
+        mean: Mean number per patient (Poisson).
+        sizes: Range that its size is drawn from, evenly in its logarithm [m]; None keeps the
+            lesion's own.
+        segments: Relative frequency by segment; empty for anywhere.
+    """
+
+    lesion: str
+    mean: float
+    sizes: tuple[float, float] | None = None
+    segments: dict[str, float] = field(default_factory=dict)
+
+
+_POLYP_SEGMENTS = {
+    **{"caecum": 0.10, "ascending": 0.20, "transverse": 0.20, "descending": 0.12},
+    **{"sigmoid": 0.26, "rectum": 0.12},
+}
+
+COLON_PREVALENCE: tuple[Prevalence, ...] = (
+    *(
+        Prevalence(f"polyp-{shape}:pattern={pattern}", mean, (low * MM, high * MM), _POLYP_SEGMENTS)
+        for shape, pattern, mean, low, high in (
+            *(("Is", "hyperplastic", 0.45, 2, 5), ("Is", "tubular", 0.45, 3, 8)),
+            *(("IIa", "tubular", 0.25, 4, 15), ("IIa", "serrated", 0.12, 5, 15)),
+            *(("Ip", "tubular", 0.07, 8, 20), ("Is", "villous", 0.03, 10, 25)),
+            *(("IIb", "hyperplastic", 0.05, 4, 8), ("IIc", "tubular", 0.02, 5, 12)),
+            ("Ip", "inflammatory", 0.02, 6, 15),
+        )
+    ),
+    Prevalence("diverticulum", 1.5, (3 * MM, 9 * MM), {"sigmoid": 0.75, "descending": 0.25}),
+    Prevalence("angioectasia", 0.03, (2 * MM, 8 * MM), {"caecum": 0.5, "ascending": 0.5}),
+    Prevalence("tumour", 0.006, (15 * MM, 40 * MM), {"sigmoid": 0.5, "rectum": 0.3, "caecum": 0.2}),
+    *(Prevalence(f"colitis-{k}:spread=E1", 0.004) for k in (1, 2, 3)),
+    *(Prevalence(f"haemorrhage-{k}", 0.004) for k in (1, 2, 3, 4)),
+    Prevalence("erosion", 0.05, (2 * MM, 6 * MM)),
+    Prevalence("ulcer-aphthous", 0.02, (3 * MM, 6 * MM)),
+    Prevalence("stricture", 0.003),
+)
+"""A screening population in round numbers, of the order that colonoscopy trials report (an adenoma
+in one of three, a diverticulum in one of three, a cancer in 0.6 %). Give your own for a study."""
+
+
+def draw_lesions(
+    organ: OrganSurface | None,
+    rng: np.random.Generator,
+    *,
+    table: Sequence[Prevalence] = COLON_PREVALENCE,
+    exaggerate: float = 1.0,
+) -> tuple[Lesion, ...]:
+    """A patient's lesions; where in their segments is left open.
+
+    Args:
+        organ: Whose segments to use; where it lacks one, the lesion may be anywhere. None: the
+            table's segments are taken as they are.
+        rng: Draws kinds, numbers, sizes, segments.
+        table: How frequent each lesion is.
+        exaggerate: Factor on all means, for rare disease to be seen at all.
+    """
+    names = None if organ is None else {organ.label_names[k] for k in np.unique(organ.label)}
+    lesions: list[Lesion] = []
+    for row in table:
+        for _ in range(rng.poisson(row.mean * exaggerate)):
+            lesion = parse_lesion(row.lesion)
+            if row.sizes is not None:
+                low, high = np.log(row.sizes)
+                size = float(np.exp(rng.uniform(low, high)))
+                lesion = replace(lesion, size=size)  # type: ignore[call-arg]
+            segment = None
+            if row.segments:
+                weights = np.array(list(row.segments.values()))
+                segment = list(row.segments)[rng.choice(len(weights), p=weights / weights.sum())]
+            if names is not None and segment not in names:
+                segment = None
+            place = Place(segment=segment)
+            lesions.append(replace(lesion, place=place, variant=int(rng.integers(1000))))
+    return tuple(lesions)

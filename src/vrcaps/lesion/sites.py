@@ -1,0 +1,252 @@
+"""The wall around a lesion's place, cut out and given coordinates to draw it in."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import KDTree
+
+from vrcaps._core import Wall
+from vrcaps.errors import InputError
+from vrcaps.lesion.base import Lesion, Site, WallSamples
+from vrcaps.lesion.bleeding import Bleed, Haemorrhage
+from vrcaps.lesion.mesh_patch import NUM_FIELDS, Cut, cut, edge_graph, within
+from vrcaps.lesion.placement import Placed, candidates, place_spot
+from vrcaps.mesh.log_map import log_map
+from vrcaps.mesh.refine import Patch, refine
+from vrcaps.organ.surface import OrganSurface
+from vrcaps.units import MM
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Int
+
+_WAVY = 1.3  # largest outline of a spot, in mean radii
+_STEP = 1.0 * MM  # along a stream
+_LEVEL = 0.10  # sine of the slope on which blood stops
+_POOL_REACH = 40.0 * MM
+_MARGIN = 6.0 * MM  # of wall around a stream and its pool
+
+
+@dataclass(frozen=True)
+class Surroundings:
+    """What a lesion finds.
+
+    Attributes:
+        organ: With the lesions before it.
+        wall: The same, under work.
+        down: Unit vector of gravity, patient frame.
+        num_vertices: How many of the first vertices are the organ's own, evenly spread.
+        spots: Lesions about a centre that are there.
+    """
+
+    organ: OrganSurface
+    wall: Patch
+    down: Float[np.ndarray, " 3"]
+    num_vertices: int
+    spots: list[Placed]
+
+    def core(self) -> Wall:
+        """The wall for ray and distance queries."""
+        faces = np.ascontiguousarray(self.organ.faces, np.int64)
+        return Wall(np.ascontiguousarray(self.organ.vertices), faces)
+
+
+@dataclass(frozen=True)
+class Found:
+    """A lesion's place.
+
+    Attributes:
+        site: As its form needs to know it.
+        piece: Wall cut out around it.
+        patch: The piece with coordinates (`WallSamples.xy`) as its last fields.
+        vertex: Vertex of the organ in its middle.
+    """
+
+    site: Site
+    piece: Cut
+    patch: Patch
+    vertex: int
+
+
+def spot_site(lesion: Lesion, around: Surroundings, rng: np.random.Generator) -> Found:
+    """Wall about a centre, with its geodesic log map.
+
+    Raises:
+        InputError: If the lesion fits nowhere.
+    """
+    placed = place_spot(
+        *(around.organ, around.core(), lesion, around.spots, rng),
+        num_vertices=around.num_vertices,
+    )
+    radius = lesion.footprint_radius * _WAVY
+    reach = 1.5 * radius + 5.0 * MM
+    piece = cut(around.wall, within(around.wall, np.array([placed.vertex]), reach))
+    patch = _evenly_refined(piece.patch, 1.3 * radius, _even_length(radius))
+    center = int(np.searchsorted(piece.vertices, placed.vertex))
+    xy, axes = log_map(patch, center, radius=radius, edge_length=_even_length(radius))
+    site = Site(placed.center, axes, around.down)
+    return Found(site, piece, _with_columns(patch, xy), placed.vertex)
+
+
+def band_site(lesion: Lesion, around: Surroundings, rng: np.random.Generator) -> Found:
+    """Wall between two arc lengths.
+
+    Raises:
+        InputError: If no wall is there.
+    """
+    organ = around.organ
+    low, high, vertex = _band(lesion, around, rng)
+    arc_length = organ.arc_length
+    outside = np.maximum(low - arc_length, arc_length - high)
+    piece = cut(around.wall, np.where(outside < 15.0 * MM, outside, np.inf))
+    xy = np.stack([piece.patch.fields[:, 0], np.zeros(len(piece.vertices))], axis=1)
+    site = Site(organ.vertices[vertex], np.eye(3), around.down, band=(low, high))
+    return Found(site, piece, _with_columns(piece.patch, xy), vertex)
+
+
+def _band(
+    lesion: Lesion, around: Surroundings, rng: np.random.Generator
+) -> tuple[float, float, int]:
+    """First and last arc length [m], and a vertex in the middle of them."""
+    organ, place = around.organ, lesion.place
+    middle, reason = None, None
+    drawn = candidates(organ, place, rng, around.num_vertices)
+    for vertex in drawn:
+        if place.segment is not None or place.arc_length is not None or reason is not None:
+            middle = float(organ.arc_length[vertex])
+            middle = middle if place.arc_length is None else place.arc_length
+        try:
+            low, high = lesion.band(organ, middle)
+        except InputError as error:
+            reason = error
+            continue
+        own = np.clip((low, high), 0.0, organ.centerline.length)
+        away = np.abs(organ.arc_length[: around.num_vertices] - own.mean())
+        return low, high, int(np.argmin(away))
+    assert reason is not None
+    raise reason
+
+
+def stream_site(lesion: Lesion, around: Surroundings, rng: np.random.Generator) -> Found:
+    """Wall along the way that blood runs from a place, to where it collects."""
+    assert isinstance(lesion, Haemorrhage)
+    organ, core = around.organ, around.core()
+    best: tuple[int, np.ndarray] | None = None
+    for vertex in candidates(organ, lesion.place, rng, around.num_vertices):
+        path = trace_down(core, organ.vertices[vertex], around.down, lesion.bleed.run, rng)
+        if best is None or len(path) > len(best[1]):
+            best = (vertex, path)
+        if len(path) * _STEP > 0.6 * lesion.bleed.run:
+            break
+    assert best is not None
+    vertex, path = best
+    return _along_path(lesion.bleed, around, vertex, path)
+
+
+def _along_path(
+    bleed: Bleed, around: Surroundings, vertex: int, path: Float[np.ndarray, "k 3"]
+) -> Found:
+    """Wall along a stream's path and in the hollow at its end."""
+    wall, organ = around.wall, around.organ
+    reach = 8.0 * bleed.width + 2.0 * bleed.source
+    along = np.asarray(KDTree(organ.vertices).query(path)[1])
+    beside = within(wall, np.unique(along), reach + _MARGIN)
+    beyond = np.full(len(beside), np.inf)
+    if bleed.pool > 0.0:
+        beyond = within(wall, _hollow(around, along[-1], bleed.pool), _MARGIN)
+    is_pool = np.isfinite(beyond) & ~np.isfinite(beside)
+    piece = cut(wall, np.where(is_pool, reach, beside))
+    far = np.column_stack([beside, beyond])[piece.vertices]
+    patch = _with_columns(piece.patch, np.minimum(far, [reach + _MARGIN, _MARGIN]))
+    patch = _evenly_refined(patch, 3.0 * bleed.width, min(0.8 * MM, 0.6 * bleed.width))
+    dense = np.linspace(0.0, len(path) - 1.0, 8 * len(path))
+    line = np.stack([np.interp(dense, np.arange(len(path)), p) for p in path.T], axis=1)
+    away, nearest = KDTree(line).query(patch.moved)
+    beside, beyond = patch.fields[:, NUM_FIELDS:].T
+    away = np.where(beside < 0.95 * reach, away, np.maximum(away, reach))
+    xy = np.stack([nearest / 8.0 * _STEP, away, beyond], axis=1)
+    patch = _with_columns(replace(patch, fields=patch.fields[:, :NUM_FIELDS]), xy)
+    site = Site(
+        *(path[0], np.eye(3), around.down),
+        **{"bottom": path[-1], "reach": _POOL_REACH},
+    )
+    return Found(site, piece, patch, vertex)
+
+
+def _hollow(around: Surroundings, bottom: int, deep: float) -> Int[np.ndarray, " k"]:
+    """Vertices under a pool's level that are joined to its bottom below that level."""
+    vertices = around.wall.moved
+    under = (vertices - vertices[bottom]) @ around.down > -deep
+    near = np.linalg.norm(vertices - vertices[bottom], axis=1) < _POOL_REACH
+    wet = np.flatnonzero(under & near)
+    graph = edge_graph(around.wall).tocsr()[wet][:, wet]
+    _, part = connected_components(graph, directed=False)
+    return wet[part == part[np.searchsorted(wet, bottom)]]
+
+
+def trace_down(
+    core: Wall,
+    start: Float[np.ndarray, " 3"],
+    down: Float[np.ndarray, " 3"],
+    length: float,
+    rng: np.random.Generator,
+) -> Float[np.ndarray, "k 3"]:
+    """The way of a drop on the wall, a millimetre a step, meandering; ends where it is level."""
+    points, sway = [np.asarray(start, float)], 0.0
+    for _ in range(int(length / _STEP)):
+        here = points[-1]
+        ahead, _ = core.closest_point((here + 0.5 * _STEP * down)[None])
+        fall = ahead[0] - here
+        slope = np.linalg.norm(fall) / (0.5 * _STEP)
+        if slope < _LEVEL:
+            break
+        fall /= np.linalg.norm(fall)
+        sway = 0.9 * sway + rng.normal(0.0, 0.12)
+        side = np.cross(fall, here + down - ahead[0])
+        side /= max(float(np.linalg.norm(side)), 1e-12)
+        step = fall + np.clip(sway, -0.6, 0.6) * side
+        step *= _STEP / np.linalg.norm(step)
+        points.append(core.closest_point((here + step)[None])[0][0])
+    return np.array(points)
+
+
+SITES: dict[str, Callable[[Lesion, Surroundings, np.random.Generator], Found]] = {
+    "spot": spot_site,
+    "band": band_site,
+    "stream": stream_site,
+}
+"""How each extent finds its wall."""
+
+
+def _even_length(radius: float) -> float:
+    """Longest edge [m] on which the log map of a spot is true."""
+    return float(np.clip(radius / 9.0, 0.12 * MM, 1.0 * MM))
+
+
+def _with_columns(patch: Patch, columns: Float[np.ndarray, "n k"]) -> Patch:
+    return replace(patch, fields=np.column_stack([patch.fields, columns]))
+
+
+def _evenly_refined(patch: Patch, reach: float, longest: float) -> Patch:
+    """The piece with short edges as far from its middle, along the wall, as `reach`."""
+
+    def is_long(patch: Patch, ends: np.ndarray) -> np.ndarray:
+        near = patch.fields[ends, NUM_FIELDS - 1].min(axis=1) < reach
+        p = patch.moved[ends]
+        return near & (np.linalg.norm(p[:, 0] - p[:, 1], axis=1) > longest)
+
+    return refine(patch, is_long, lambda patch: patch.moved)
+
+
+def samples(patch: Patch) -> WallSamples:
+    """The vertices of a piece that has coordinates."""
+    return WallSamples(
+        xy=patch.fields[:, NUM_FIELDS:],
+        rest=patch.moved,
+        normal=patch.normals,
+        inward=patch.fields[:, 2:5],
+    )

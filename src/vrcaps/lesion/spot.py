@@ -1,0 +1,177 @@
+"""Forms of lesions about a centre: flat ones, and solids of revolution made irregular."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.interpolate import BSpline
+
+from vrcaps.lesion.base import Look, Site, WallSamples, mix, smoothstep
+from vrcaps.mesh.noise import around, swell
+from vrcaps.units import MM
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+_BORDER_SHARE = 0.0125
+"""Edge of the triangles on the footprint's border, in its radii: the mask, which keeps to whole
+triangles, then covers what the footprint covers to 0.5 %."""
+
+
+class SpotForm:
+    """A flat lesion with a wavy outline; subclasses say how it stands and looks.
+
+    Attributes:
+        site: Its place.
+        radius: Mean radius of its footprint [m].
+        edge_length: Of the triangles that draw its shape [m].
+        border_length: Of the triangles on its border [m].
+    """
+
+    def __init__(
+        self, site: Site, radius: float, rng: np.random.Generator, *, waviness: float = 0.1
+    ) -> None:
+        self.site, self.radius = site, radius
+        self.edge_length = float(np.clip(radius / 8.0, 0.1 * MM, 0.7 * MM))
+        self.border_length = _BORDER_SHARE * radius
+        self._outline, self._waviness = around(5, rng), waviness
+
+    def polar(
+        self, wall: WallSamples
+    ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, "n 2"], Float[np.ndarray, " n"]]:
+        """Way from the centre [m], unit direction in the log map, outline in mean radii."""
+        rho = np.linalg.norm(wall.xy, axis=1)
+        angle = np.arctan2(wall.xy[:, 1], wall.xy[:, 0])
+        direction = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        return rho, direction, 1.0 + self._waviness * self._outline(angle)
+
+    def share(self, wall: WallSamples) -> Float[np.ndarray, " n"]:
+        """Way from the centre, 1 on the outline."""
+        rho, _, stretch = self.polar(wall)
+        return rho / (stretch * self.radius)
+
+    def depth(self, wall: WallSamples) -> Float[np.ndarray, " n"]:
+        """Distance within the outline [m]."""
+        rho, _, stretch = self.polar(wall)
+        return stretch * self.radius - rho
+
+    def lift(self, wall: WallSamples) -> Float[np.ndarray, " n"]:
+        """Height over the wall at rest [m], zero on the outline."""
+        return np.zeros(len(wall.xy))
+
+    def moved(self, wall: WallSamples) -> Float[np.ndarray, "n 3"]:
+        """Positions [m]: the wall lifted along its normals."""
+        lift = np.where(self.share(wall) < 1.0, self.lift(wall), 0.0)
+        return wall.rest + lift[:, None] * wall.normal
+
+    def chart(self, wall: WallSamples) -> Float[np.ndarray, "n 2"]:
+        """The log map itself [m]."""
+        return wall.xy
+
+    def blended(
+        self,
+        wall: WallSamples,
+        clean: Look,
+        look: tuple[np.ndarray, np.ndarray, np.ndarray],
+        *,
+        softness: float,
+    ) -> Look:
+        """A colour, roughness and height inside the outline, fading out towards it.
+
+        Args:
+            wall: Samples.
+            clean: Their look outside.
+            look: Color (n, 3), roughness and height (n,) inside.
+            softness: Width of the fade, in radii.
+        """
+        inside = smoothstep(self.depth(wall) / (softness * self.radius))
+        color, roughness, height = look
+        return replace(
+            clean,
+            color=np.clip(mix(clean.color, color, inside), 0.0, 1.0),
+            roughness=clean.roughness + (roughness - clean.roughness) * inside,
+            height=clean.height + (height - clean.height) * inside,
+        )
+
+
+class ProfileForm(SpotForm):
+    """A profile turned around the normal of the wall: a polyp, a mass, a pouch.
+
+    Args:
+        site: Its place.
+        control: Control points of the profile's cubic B-spline, from the rim of the footprint to
+            the top: way from the axis and height [m].
+        rng: Draws its irregularities.
+        waviness: Of its outline.
+        upright: Whether it stands on a plane, or follows the wall's curvature.
+        lobes: RMS height and distance of its lobes [m].
+        lean: How far its top stands aside, in heights, patient frame.
+    """
+
+    def __init__(
+        self,
+        site: Site,
+        control: Float[np.ndarray, "k 2"],
+        rng: np.random.Generator,
+        *,
+        waviness: float,
+        upright: bool,
+        lobes: tuple[float, float],
+        lean: Float[np.ndarray, " 3"] | None = None,
+    ) -> None:
+        super().__init__(site, float(control[0, 0]), rng, waviness=waviness)
+        widest = float(max(control[:, 0].max(), self.radius))
+        self.edge_length = float(np.clip(widest / 11.0, 0.12 * MM, 0.7 * MM))
+        self._r, self._z, way = turned_profile(control)
+        self._share = way / way[-1]
+        self._length = float(way[-1])
+        self._upright = upright
+        self._lobe_height = lobes[0]
+        self._lobes = swell(lobes[1], rng)
+        self._lean = np.zeros(3) if lean is None else lean
+
+    def moved(self, wall: WallSamples) -> Float[np.ndarray, "n 3"]:
+        """Positions [m] on the turned profile, with lobes."""
+        rho, direction, stretch = self.polar(wall)
+        share = np.minimum(rho / (stretch * self.radius), 1.0)
+        r = np.interp(share, self._share, self._r) * stretch
+        z = np.interp(share, self._share, self._z)
+        outward = direction @ self.site.axes[:, :2].T
+        standing = smoothstep((1.0 - share) / 0.3) * self._upright
+        plane = self.site.center + rho[:, None] * outward
+        base = mix(wall.rest, plane, standing)
+        axis = mix(wall.normal, np.broadcast_to(self.site.axes[:, 2], wall.normal.shape), standing)
+        axis /= np.linalg.norm(axis, axis=1, keepdims=True)
+        highest = float(np.abs(self._z).max())
+        points = base + (r - rho)[:, None] * outward + z[:, None] * axis
+        points += (z**2 / max(highest, 1e-9))[:, None] * self._lean
+        lobes = self._lobes(points - self.site.center) * self._lobe_height
+        lobes *= smoothstep((1.0 - share) / 0.35)
+        points += lobes[:, None] * self._facing(share, outward, axis)
+        return np.where((share < 1.0)[:, None], points, wall.rest)
+
+    def _facing(self, share, outward, axis) -> Float[np.ndarray, "n 3"]:
+        """Unit normals of the turned profile."""
+        slope_r = np.interp(share, self._share, np.gradient(self._r, self._share))
+        slope_z = np.interp(share, self._share, np.gradient(self._z, self._share))
+        norm = np.maximum(np.hypot(slope_r, slope_z), 1e-12)
+        return (-slope_z / norm)[:, None] * outward + (slope_r / norm)[:, None] * axis
+
+    def chart(self, wall: WallSamples) -> Float[np.ndarray, "n 2"]:
+        """The surface flattened with true lengths along the profile [m]."""
+        rho, direction, stretch = self.polar(wall)
+        rim = stretch * self.radius
+        way = np.where(rho < rim, rho / rim * self._length, self._length + (rho - rim))
+        return way[:, None] * direction
+
+
+def turned_profile(
+    control: Float[np.ndarray, "k 2"],
+) -> tuple[Float[np.ndarray, " 400"], Float[np.ndarray, " 400"], Float[np.ndarray, " 400"]]:
+    """Way from the axis, height, and way along the profile [m], from the top to the rim."""
+    knots = np.concatenate([[0.0] * 3, np.linspace(0.0, 1.0, len(control) - 2), [1.0] * 3])
+    r, z = BSpline(knots, control[::-1], 3)(np.linspace(0.0, 1.0, 400)).T
+    way = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(r), np.diff(z)))])
+    return r, z, way

@@ -1,0 +1,229 @@
+"""Lesions of the whole wall: tumour masses, diverticula, strictures."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, ClassVar, Literal
+
+import numpy as np
+
+from vrcaps.errors import InputError
+from vrcaps.lesion.base import (
+    Lesion,
+    Look,
+    Site,
+    SizedLesion,
+    WallSamples,
+    mix,
+    require_range,
+    smoothstep,
+)
+from vrcaps.lesion.blood import under_blood
+from vrcaps.lesion.spot import ProfileForm
+from vrcaps.mesh.noise import cloud, grain, swell
+from vrcaps.units import CM, MM
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+    from vrcaps.organ.surface import OrganSurface
+
+# Way from the axis and height, in radii: a rolled edge around an ulcerated middle.
+_MASS = (
+    *((1.0, 0.0), (0.94, 0.0), (0.92, 0.08), (1.02, 0.42), (0.78, 0.78)),
+    *((0.52, 0.66), (0.36, 0.4), (0.18, 0.34), (0.0, 0.34)),
+)
+# A neck, and a pouch wider than it.
+_POUCH = (
+    *((1.45, 0.0), (1.2, 0.0), (1.02, -0.12), (0.95, -0.6)),
+    *((1.5, -0.9), (1.6, -2.0), (0.9, -2.6), (0.0, -2.6)),
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Tumour(SizedLesion):
+    """An ulcerated mass with a rolled edge, as a cancer has (Borrmann type 2).
+
+    Attributes:
+        size: Diameter [m], 10 to 50 mm.
+    """
+
+    size: float = 25.0 * MM
+
+    kind: ClassVar[str] = "tumour"
+    sizes: ClassVar[tuple[float, float]] = (10.0 * MM, 50.0 * MM)
+
+    @property
+    def reach_in(self) -> float:
+        """Height of its edge [m]."""
+        return 0.4 * self.size
+
+    def form(self, site: Site, rng: np.random.Generator) -> TumourForm:
+        """Draw its irregularities."""
+        return TumourForm(self, site, rng)
+
+
+class TumourForm(ProfileForm):
+    """A lobed ring of tumour around a bleeding, necrotic crater."""
+
+    def __init__(self, tumour: Tumour, site: Site, rng: np.random.Generator) -> None:
+        size = tumour.size
+        super().__init__(
+            *(site, np.array(_MASS) * 0.5 * size, rng),
+            **{"waviness": 0.16, "upright": False, "lobes": (0.035 * size, 0.24 * size)},
+        )
+        self._necrosis, self._grain = cloud(0.22 * size, rng), grain(1.1 * MM, rng)
+        self._blood = cloud(0.2 * size, rng)
+
+    def painted(self, wall: WallSamples, points: Float[np.ndarray, "n 3"], clean: Look) -> Look:
+        """Dark red, friable; slough and blood in the crater."""
+        share, fine = self.share(wall), np.tanh(self._grain(points))
+        color = clean.plain * (0.90, 0.50, 0.46)
+        color = color * np.exp(0.16 * fine + 0.10 * self._blood(points))[:, None]
+        crater = smoothstep((0.5 - share) / 0.25)
+        dead = smoothstep((self._necrosis(points) + 1.6 * crater - 1.1) / 0.5)
+        slough = np.array([0.42, 0.40, 0.26]) * np.exp(0.15 * fine)[:, None]
+        color = mix(color, slough, 0.85 * dead)
+        bleeding = smoothstep((self._blood(points) + 0.8 * crater - 1.3) / 0.3)
+        color = under_blood(color, 0.8 * MM * bleeding, 0.3)
+        look = (color, clean.roughness - 0.25 * bleeding + 0.08 * dead, 0.05 * MM * fine)
+        return self.blended(wall, clean, look, softness=0.1)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Diverticulum(SizedLesion):
+    """A pouch out of the lumen through a gap in its muscle.
+
+    Attributes:
+        size: Diameter of its mouth [m], 2 to 15 mm.
+    """
+
+    size: float = 6.0 * MM
+
+    kind: ClassVar[str] = "diverticulum"
+    sizes: ClassVar[tuple[float, float]] = (2.0 * MM, 15.0 * MM)
+
+    @property
+    def footprint_radius(self) -> float:
+        """Radius of the wall that turns into it [m]."""
+        return 0.5 * self.size * _POUCH[0][0]
+
+    @property
+    def head_radius(self) -> float:
+        """Radius of the pouch [m]."""
+        return 0.5 * self.size * max(r for r, z in _POUCH if z < -0.5)
+
+    @property
+    def reach_in(self) -> float:
+        """Depth of the pouch, negative [m]."""
+        return 0.5 * self.size * min(z for _, z in _POUCH)
+
+    def form(self, site: Site, rng: np.random.Generator) -> DiverticulumForm:
+        """Draw its irregularities."""
+        return DiverticulumForm(self, site, rng)
+
+
+class DiverticulumForm(ProfileForm):
+    """A pouch lined by thin mucosa."""
+
+    def __init__(self, pouch: Diverticulum, site: Site, rng: np.random.Generator) -> None:
+        size = pouch.size
+        super().__init__(
+            *(site, np.array(_POUCH) * 0.5 * size, rng),
+            **{"waviness": 0.08, "upright": True, "lobes": (0.01 * size, 0.6 * size)},
+        )
+
+    def painted(self, wall: WallSamples, points: Float[np.ndarray, "n 3"], clean: Look) -> Look:
+        """A little redder and darker inside."""
+        inside = smoothstep((0.75 - self.share(wall)) / 0.3)
+        color = clean.color * (1.0 - inside[:, None] * (0.12, 0.25, 0.25))
+        return self.blended(wall, clean, (color, clean.roughness, clean.height), softness=0.2)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Stricture(Lesion):
+    """A scarred narrowing all around the lumen.
+
+    Attributes:
+        length: Along the lumen [m], 5 to 100 mm.
+        narrowing: Share of the lumen's diameter that it takes, 0.2 to 0.85.
+    """
+
+    length: float = 25.0 * MM
+    narrowing: float = 0.55
+
+    kind: ClassVar[str] = "stricture"
+
+    def __post_init__(self) -> None:
+        require_range("Length of a stricture", self.length, 5.0 * MM, 100.0 * MM)
+        if not 0.2 <= self.narrowing <= 0.85:
+            raise InputError(f"Narrowing is {self.narrowing:g}. Allowed: 0.2 to 0.85.")
+
+    @property
+    def extent(self) -> Literal["band"]:
+        """It goes all around the lumen."""
+        return "band"
+
+    def band(self, organ: OrganSurface, middle: float | None) -> tuple[float, float]:
+        """First and last arc length [m].
+
+        Raises:
+            InputError: If it reaches beyond the organ's ends.
+        """
+        at, length = middle or 0.0, organ.centerline.length
+        low, high = at - 0.5 * self.length, at + 0.5 * self.length
+        if not 0.0 < low < high < length:
+            raise InputError(
+                f"A stricture at {at / CM:.1f} cm reaches beyond the organ's end (length "
+                f"{length / CM:.1f} cm). Give an arc_length farther inside."
+            )
+        return low, high
+
+    def form(self, site: Site, rng: np.random.Generator) -> StrictureForm:
+        """Draw its irregularities."""
+        return StrictureForm(self, site, rng)
+
+
+class StrictureForm:
+    """Wall drawn towards the centreline, folds lost, scarred."""
+
+    edge_length = 1.2 * MM
+    border_length = 0.35 * MM
+
+    def __init__(self, stricture: Stricture, site: Site, rng: np.random.Generator) -> None:
+        self.stricture, self.site = stricture, site
+        self._uneven, self._scar = swell(9.0 * MM, rng), cloud(6.0 * MM, rng)
+
+    def depth(self, wall: WallSamples) -> Float[np.ndarray, " n"]:
+        """Distance within its ends [m]."""
+        low, high = self.site.band
+        ragged = 0.03 * self.stricture.length * self._uneven(wall.rest)
+        return np.minimum(wall.xy[:, 0] - low, high - wall.xy[:, 0]) + ragged
+
+    def _tightness(self, wall: WallSamples) -> Float[np.ndarray, " n"]:
+        """0 at its ends, 1 in the middle."""
+        return smoothstep(self.depth(wall) / (0.42 * self.stricture.length))
+
+    def moved(self, wall: WallSamples) -> Float[np.ndarray, "n 3"]:
+        """Positions drawn inwards [m]."""
+        tight = self.stricture.narrowing * self._tightness(wall)
+        tight = tight * (1.0 + 0.06 * self._uneven(wall.rest))
+        return wall.rest + np.clip(tight, 0.0, 0.9)[:, None] * wall.inward
+
+    def chart(self, wall: WallSamples) -> Float[np.ndarray, "n 2"]:
+        """Not used: it is painted in place."""
+        return wall.xy
+
+    def painted(self, wall: WallSamples, points: Float[np.ndarray, "n 3"], clean: Look) -> Look:
+        """Pale scar without vessels, red at the edges of the scar."""
+        tight = self._tightness(wall)
+        scar = smoothstep(0.5 + 0.6 * self._scar(points)) * tight
+        color = mix(clean.color, clean.plain, tight)
+        color = color * (1.0 - (tight * (1.0 - tight))[:, None] * (0.1, 1.2, 1.2))
+        color = mix(color, np.array([0.52, 0.38, 0.34]), 0.55 * scar)
+        return replace(
+            clean,
+            color=np.clip(color, 0.0, 1.0),
+            roughness=clean.roughness,
+            height=clean.height * (1.0 - 0.5 * tight),
+        )

@@ -1,0 +1,147 @@
+"""Breaks in the mucosa: erosions and ulcers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar, Literal
+
+import numpy as np
+
+from vrcaps.lesion import base
+from vrcaps.lesion.base import Look, Site, SizedLesion, WallSamples, mix, smoothstep
+from vrcaps.lesion.blood import FIBRIN, under_blood
+from vrcaps.lesion.spot import SpotForm
+from vrcaps.mesh.noise import cloud, grain
+from vrcaps.units import MM
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+
+@dataclass(frozen=True)
+class Break:
+    """How a kind of break looks.
+
+    Attributes:
+        base: Share of the radius that lies open.
+        deep: Depth [m].
+        rim: Height of its swollen rim [m].
+        halo: Redness around it.
+        waviness: Of its outline.
+        blood: Chance of a spot of blood on its base, 0 to 1.
+    """
+
+    base: float
+    deep: float
+    rim: float
+    halo: float
+    waviness: float
+    blood: float
+
+
+BREAKS = {
+    "erosion": Break(0.40, 0.15 * MM, 0.0, 0.9, 0.22, 0.3),
+    "aphthous": Break(0.42, 0.4 * MM, 0.25 * MM, 1.0, 0.06, 0.0),
+    "deep": Break(0.6, 2.2 * MM, 0.7 * MM, 0.6, 0.2, 0.6),
+}
+"""An aphthous ulcer is small, round, with a white base and a red halo; a deep one is wide,
+irregular and sloughy, with a raised edge. They reach into the submucosa, an erosion does not."""
+
+_SLOUGH = np.array([0.36, 0.245, 0.08])
+"""Linear reflectance of necrotic slough, yellow with bile."""
+
+_GRANULATION = np.array([0.35, 0.12, 0.082])
+"""Of granulation tissue, where the slough has come off."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Erosion(SizedLesion):
+    """A superficial break of the mucosa.
+
+    Attributes:
+        size: Diameter with its red surroundings [m], 1 to 10 mm.
+    """
+
+    size: float = 4.0 * MM
+
+    kind: ClassVar[str] = "erosion"
+    sizes: ClassVar[tuple[float, float]] = (1.0 * MM, 10.0 * MM)
+
+    def form(self, site: Site, rng: np.random.Generator) -> BreakForm:
+        """Draw its irregularities."""
+        return BreakForm(BREAKS["erosion"], site, 0.5 * self.size, rng)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ulcer(SizedLesion):
+    """An ulcer.
+
+    Attributes:
+        type: Aphthous or deep.
+        size: Diameter with its red surroundings [m]: aphthous 2 to 10 mm, deep 5 to 40 mm.
+    """
+
+    type: Literal["aphthous", "deep"] = "deep"
+    size: float = 8.0 * MM
+
+    kind: ClassVar[str] = "ulcer"
+    sizes: ClassVar[tuple[float, float]] = (5.0 * MM, 40.0 * MM)
+    grade_field: ClassVar[str] = "type"
+
+    def __post_init__(self) -> None:
+        low, high = (2.0 * MM, 10.0 * MM) if self.type == "aphthous" else self.sizes
+        base.require_range(f"Size of the {self.type} ulcer", self.size, low, high)
+
+    @property
+    def grade(self) -> str:
+        """Aphthous or deep."""
+        return self.type
+
+    def form(self, site: Site, rng: np.random.Generator) -> BreakForm:
+        """Draw its irregularities."""
+        return BreakForm(BREAKS[self.type], site, 0.5 * self.size, rng)
+
+
+class BreakForm(SpotForm):
+    """A crater with a rim, fibrin on its base, redness around."""
+
+    def __init__(self, kind: Break, site: Site, radius: float, rng: np.random.Generator) -> None:
+        super().__init__(site, radius, rng, waviness=kind.waviness)
+        self.kind = kind
+        self._deep = min(kind.deep, 0.3 * radius)
+        self._rim = min(kind.rim, 0.12 * radius)
+        self._slough, self._grain = cloud(max(0.4 * radius, 0.8 * MM), rng), grain(0.7 * MM, rng)
+        self._is_bloody = rng.random() < kind.blood
+        self._granulation = cloud(max(0.25 * radius, 0.6 * MM), rng)
+        self._uneven = 0.03 * self._deep  # RMS height of its base
+
+    def _open(self, wall: WallSamples, points: Float[np.ndarray, "n 3"]):
+        """From 0 outside the break to 1 on its base."""
+        ragged = self.share(wall) + 0.06 * self._slough(points)
+        return smoothstep((self.kind.base - ragged) / 0.14 + 0.5)
+
+    def lift(self, wall: WallSamples) -> Float[np.ndarray, " n"]:
+        """Sunk base, raised rim."""
+        share = self.share(wall)
+        base = smoothstep((self.kind.base - share) / 0.22 + 0.5)
+        rim = np.exp(-(((share - self.kind.base - 0.12) / 0.14) ** 2))
+        return self._rim * rim * smoothstep((1.0 - share) / 0.2) - self._deep * base
+
+    def painted(self, wall: WallSamples, points: Float[np.ndarray, "n 3"], clean: Look) -> Look:
+        """Fibrin, slough, granulation and blood on the base, a red halo around it."""
+        share, base = self.share(wall), self._open(wall, points)
+        fine = self._grain(points)
+        halo = self.kind.halo * smoothstep((1.0 - share) / 0.5)
+        color = mix(clean.color, clean.plain, 0.8 * halo)
+        color = color * (1.0 - halo[:, None] * (0.10, 0.75, 0.75))
+        slough = smoothstep(0.5 + 0.5 * self._slough(points))
+        floor = mix(1.15 * np.broadcast_to(FIBRIN, color.shape), _SLOUGH, slough)
+        bare = smoothstep((self._granulation(points) + 0.8 * share / self.kind.base - 1.1) / 0.9)
+        floor = mix(floor, _GRANULATION, 0.75 * bare)
+        color = mix(color, floor * np.exp(0.06 * fine)[:, None], 0.92 * base)
+        if self._is_bloody:
+            spot = smoothstep((self._slough(points[:, ::-1]) - 1.0) / 0.3) * base
+            color = under_blood(color, 0.5 * MM * spot, 0.4)
+        uneven = 0.02 * MM * fine + self._uneven * self._granulation(points)
+        look = (color, clean.roughness, clean.height * (1.0 - base) + uneven * base)
+        return self.blended(wall, clean, look, softness=0.3)

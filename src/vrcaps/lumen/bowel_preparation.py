@@ -1,0 +1,64 @@
+"""What is left in a colon that was cleansed more or less well."""
+
+from __future__ import annotations
+
+from vrcaps.errors import require
+from vrcaps.lumen.bubbles import CM2, Bubbles
+from vrcaps.lumen.chyme import Chyme
+from vrcaps.lumen.contents import Contents
+from vrcaps.lumen.liquid import Liquid
+from vrcaps.units import MM
+
+_STOOL, _FOOD = (0.24, 0.16, 0.035), (0.34, 0.26, 0.11)
+"""Linear colours of stool and of undigested food, chosen by eye beside real frames."""
+
+_CLEAR, _TURBID = (14.0, 13.0, 6.0), (70.0, 55.0, 20.0)
+"""Scattering of washed and of stained liquid [1/m]."""
+
+
+def _left(
+    froth: float, per_area: float, clump: float, sizes: tuple[float, float], fill: float
+) -> Contents:
+    """Contents with stool, `froth` and `per_area` in spheres per cm²; `sizes` radius and spread."""
+    turbid = fill > 0.02
+    return Contents(
+        bubbles=Bubbles(per_area=froth / CM2, raft_size=8.0, radius=0.5 * MM),
+        chyme=Chyme(
+            per_area=per_area / CM2,
+            clump_size=clump,
+            radius=sizes[0] * MM,
+            spread=sizes[1],
+            largest=4.0 * MM,
+            settled=0.6,
+            white=0.2,
+            yellow_color=_STOOL,
+            white_color=_FOOD,
+        ),
+        liquid=Liquid(
+            fill=fill,
+            absorption=(40.0, 85.0, 300.0) if turbid else (25.0, 45.0, 150.0),
+            scattering=_TURBID if turbid else _CLEAR,
+        ),
+    )
+
+
+PREPARATIONS: tuple[Contents, ...] = (
+    _left(2.0, 40.0, 80.0, (0.75, 0.35), 0.25),
+    _left(1.5, 24.0, 60.0, (0.35, 0.35), 0.10),
+    _left(0.8, 2.0, 14.0, (0.20, 0.7), 0.025),
+    _left(0.3, 0.15, 4.0, (0.15, 0.7), 0.015),
+)
+"""By score of a segment on the Boston bowel preparation scale (Lai et al., Gastrointest. Endosc.
+69(3), 2009): 0 unprepared, solid stool hides the mucosa; 1 parts are hidden by stain, stool and
+opaque liquid; 2 minor stain, small fragments or opaque liquid, the mucosa seen well; 3 the whole
+mucosa seen well. The scale says no amounts: these are chosen by eye."""
+
+
+def prepared(score: int) -> Contents:
+    """What a colon of a score on the Boston bowel preparation scale holds.
+
+    Raises:
+        InputError: If there is no such score.
+    """
+    require(score in range(len(PREPARATIONS)), "Preparation", score, "a Boston score, 0 to 3")
+    return PREPARATIONS[score]

@@ -1,0 +1,64 @@
+"""Chyme: yellow and white particles of food, alone and bound in clumps."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from vrcaps.errors import require
+from vrcaps.lumen.bubbles import CM2, require_sizes
+from vrcaps.units import MM
+
+
+@dataclass(frozen=True)
+class Chyme:
+    """How many particles there are, how large they are and how they look.
+
+    Radii are log-normal and cut at both ends. The number of particles in a clump is geometric.
+
+    Attributes:
+        per_area: Particles per area of a smooth wall [1/m²].
+        clump_size: Mean number of particles bound together, 1 or more.
+        radius: Median radius of a particle [m].
+        spread: Standard deviation of the radius' logarithm.
+        smallest: Least radius [m].
+        largest: Greatest radius [m].
+        settled: Share of clumps that lie where the lumen is lowest; the others stick anywhere.
+        white: Share of clumps that are white; the others are yellow.
+        density: Of a particle [kg/m³].
+        yellow_color: Linear base colour of yellow particles.
+        white_color: Linear base colour of white particles.
+    """
+
+    per_area: float = 1.0 / CM2
+    clump_size: float = 8.0
+    radius: float = 0.35 * MM
+    spread: float = 0.45
+    smallest: float = 0.1 * MM
+    largest: float = 1.5 * MM
+    settled: float = 0.5
+    white: float = 0.35
+    density: float = 1050.0
+    yellow_color: tuple[float, float, float] = (0.3, 0.22, 0.05)
+    white_color: tuple[float, float, float] = (0.42, 0.36, 0.24)
+
+    def __post_init__(self) -> None:
+        for name in ("per_area", "spread"):
+            value = getattr(self, name)
+            require(0.0 <= value < math.inf, f"Chyme's {name}", value, "0 or more")
+        for name in ("settled", "white"):
+            value = getattr(self, name)
+            require(0.0 <= value <= 1.0, f"Chyme's {name}", value, "0 to 1")
+        require(1.0 <= self.clump_size < 1e3, "Chyme's clump_size", self.clump_size, "1 to 1000")
+        require(0.0 < self.density < math.inf, "Chyme's density", self.density, "above 0 kg/m³")
+        require_sizes("Chyme's", self.smallest, self.radius, self.largest)
+
+
+CHYME_GRADES: tuple[Chyme, ...] = (
+    Chyme(per_area=0.0),
+    Chyme(per_area=0.6 / CM2, clump_size=5.0),
+    Chyme(per_area=3.0 / CM2, clump_size=12.0),
+    Chyme(per_area=12.0 / CM2, clump_size=25.0),
+    Chyme(per_area=40.0 / CM2, clump_size=60.0, radius=0.45 * MM),
+)
+"""Chyme by grade, 0 (none) to 4 (much of the wall hidden)."""

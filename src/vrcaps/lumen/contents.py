@@ -1,0 +1,66 @@
+"""What is in the lumen, by grade or in figures."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TypeVar
+
+import numpy as np
+
+from vrcaps.errors import require
+from vrcaps.lumen.bubbles import BUBBLE_GRADES, Bubbles
+from vrcaps.lumen.chyme import CHYME_GRADES, Chyme
+from vrcaps.lumen.liquid import LIQUID_GRADES, Liquid
+from vrcaps.units import MM
+
+_Kind = TypeVar("_Kind", Bubbles, Chyme, Liquid)
+
+
+@dataclass(frozen=True)
+class Contents:
+    """What floats in the lumen.
+
+    Attributes:
+        bubbles: Grade 0 (none) to 4 (foam), or exact figures.
+        chyme: Grade 0 (none) to 4 (much of the wall hidden), or exact figures.
+        liquid: Grade 0 (none) to 4 (a third full), or exact figures.
+        drift: Speed at which bubbles and chyme move along the gut [m/s].
+        reach: Distance from the capsule within which they move at all [m].
+        seed: Of where everything is.
+    """
+
+    bubbles: int | Bubbles = 0
+    chyme: int | Chyme = 0
+    liquid: int | Liquid = 0
+    drift: float = 0.3 * MM
+    reach: float = 60.0 * MM
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        require(abs(self.drift) <= 0.1, "Contents' drift", self.drift, "-0.1 to 0.1 m/s")
+        require(0.0 <= self.reach < np.inf, "Contents' reach", self.reach, "0 m or more")
+        require(self.seed >= 0, "Contents' seed", self.seed, "0, 1, 2, …")
+        for name in ("bubbles", "chyme", "liquid"):
+            value = getattr(self, name)
+            if isinstance(value, int):
+                require(0 <= value <= 4, f"Contents' {name}", value, "a grade, 0 to 4")
+
+    @property
+    def resolved(self) -> tuple[Bubbles, Chyme, Liquid]:
+        """Figures of all three."""
+        return (
+            _figures(self.bubbles, BUBBLE_GRADES),
+            _figures(self.chyme, CHYME_GRADES),
+            _figures(self.liquid, LIQUID_GRADES),
+        )
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether there is nothing in the lumen."""
+        bubbles, chyme, liquid = self.resolved
+        return bubbles.per_area == bubbles.on_dome == chyme.per_area == liquid.fill == 0.0
+
+
+def _figures(given: int | _Kind, grades: Sequence[_Kind]) -> _Kind:
+    return grades[given] if isinstance(given, int) else given

@@ -1,0 +1,104 @@
+"""What is in the lumen at one instant."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vrcaps._core import Wall, around_capsule
+from vrcaps.lumen.contents import Contents
+from vrcaps.lumen.dome_attachment import place_homes, seats
+from vrcaps.lumen.particles import Spheres, joined
+from vrcaps.lumen.placement import place_bubbles, place_chyme
+from vrcaps.lumen.pools import Pools, cut_sections, find_pools
+from vrcaps.organ.surface import OrganSurface
+from vrcaps.transforms import transform_points
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+CHYME = "chyme"
+"""Name of the class of particles; its number follows those of the organ."""
+
+FRONT_NAMES = ("nothing", "bubble", "liquid")
+"""Classes of what a pixel looks through: numbers of the channel `front_label`."""
+
+BEND_NAMES = ("straight", "refracted", "mirrored")
+"""How a liquid's surface turns a pixel's ray: numbers of the channel `bend_label`."""
+
+
+@dataclass(frozen=True)
+class Filling:
+    """Bubbles, chyme and liquid in the world frame.
+
+    Attributes:
+        contents: Their figures.
+        spheres: Bubbles and chyme.
+        pools: Liquid; None where there is none.
+        seats: Where the last of the spheres sit on the capsule, in its frame about its middle [m];
+            their centres are where others form when they burst.
+    """
+
+    contents: Contents
+    spheres: Spheres
+    pools: Pools | None = None
+    seats: Float[np.ndarray, "k 3"] = field(default_factory=lambda: np.zeros((0, 3)))
+
+    def with_capsule(self, length: float, radius: float) -> Filling:
+        """The filling with seats on the round ends of a capsule.
+
+        Args:
+            length: Its overall length [m].
+            radius: Its radius [m].
+        """
+        bubbles, _, _ = self.contents.resolved
+        rng = np.random.default_rng([self.contents.seed, 4])
+        own = self.spheres.radius[len(self.spheres) - 2 * bubbles.on_dome :]
+        return replace(self, seats=seats(own, length, radius, rng))
+
+    def around_capsule(
+        self, T_world_capsule: Float[np.ndarray, "4 4"], length: float, radius: float
+    ) -> Filling:
+        """The filling with what is in a capsule's way pushed aside, and what sits on it there.
+
+        Args:
+            T_world_capsule: Pose of the capsule, whose middle is taken as its origin.
+            length: Its overall length [m].
+            radius: Its radius [m].
+        """
+        spheres, capsule = self.spheres, (length / 2.0 - radius, radius)
+        centers = around_capsule(
+            spheres.centers, spheres.radius, self.seats, T_world_capsule, capsule
+        )
+        if centers is None:
+            return self
+        return Filling(self.contents, spheres.at(centers), self.pools)
+
+
+def fill(
+    organ: OrganSurface, contents: Contents, T_world_patient: Float[np.ndarray, "4 4"]
+) -> Filling:
+    """Fills an organ whose wall is at rest.
+
+    Args:
+        organ: The wall, in the patient frame.
+        contents: What is to be in it.
+        T_world_patient: How the patient lies; gravity is world −z.
+    """
+    bubbles, chyme, liquid = contents.resolved
+    wall = Wall(np.ascontiguousarray(organ.vertices, float), organ.faces.astype(np.int64))
+    up = T_world_patient[:3, :3].T @ np.array([0.0, 0.0, 1.0])
+    rngs = [np.random.default_rng([contents.seed, number]) for number in (1, 2, 3)]
+    clinging = place_bubbles(organ, wall, bubbles, up, rngs[0])
+    spheres = joined(
+        clinging,
+        place_chyme(organ, wall, chyme, up, rngs[1]),
+        place_homes(organ, bubbles, rngs[2], before=len(clinging)),
+    )
+    centers = transform_points(T_world_patient, spheres.centers)
+    pools = None
+    if liquid.fill > 0.0:
+        pools = find_pools(organ, cut_sections(organ), liquid, T_world_patient)
+    return Filling(contents, spheres.at(centers), pools)

@@ -1,0 +1,186 @@
+"""Where bubbles and chyme lie in an organ."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vrcaps._core import Wall
+from vrcaps.lumen.bubbles import Bubbles
+from vrcaps.lumen.chyme import Chyme
+from vrcaps.lumen.cluster import pack, sizes
+from vrcaps.lumen.particles import (
+    BUBBLE,
+    FIRST_CLUMP,
+    WHITE,
+    YELLOW,
+    Spheres,
+    no_spheres,
+)
+from vrcaps.organ.surface import OrganSurface
+from vrcaps.units import MM
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+_SPACING = 2.0 * MM
+LIFT_BUBBLE = 0.85
+"""Height of a bubble's centre over the wall it clings to, as a share of its radius."""
+_LIFT_CHYME = 0.4
+_SCATTER = 0.7
+"""How far directions stray from up or down; 1 is as long as the way itself."""
+
+
+def smooth_area(organ: OrganSurface) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:
+    """Arc lengths [m] and the area of a smooth wall up to there [m²]: its mean girth, unfolded."""
+    length = organ.centerline.length
+    edges = np.linspace(0.0, length, max(2, round(length / _SPACING)) + 1)
+    middle = 0.5 * (edges[1:] + edges[:-1])
+    count, _ = np.histogram(organ.arc_length, edges)
+    total, _ = np.histogram(organ.arc_length, edges, weights=organ.radius)
+    known = count > 0
+    radius = np.interp(middle, middle[known], total[known] / count[known])
+    return edges, np.append(0.0, np.cumsum(2.0 * np.pi * radius * np.diff(edges)))
+
+
+def cut_log_normal(
+    kind: Bubbles | Chyme, count: int, rng: np.random.Generator
+) -> Float[np.ndarray, " n"]:
+    """Radii [m] by the log-normal law of a kind, cut at both ends."""
+    drawn = kind.radius * np.exp(kind.spread * rng.standard_normal(count))
+    return np.clip(drawn, kind.smallest, kind.largest)
+
+
+def place_bubbles(
+    organ: OrganSurface,
+    wall: Wall,
+    bubbles: Bubbles,
+    up: Float[np.ndarray, " 3"],
+    rng: np.random.Generator,
+) -> Spheres:
+    """Bubbles that cling to the wall, in the organ's frame.
+
+    Args:
+        organ: The wall at rest.
+        wall: Its hierarchy, in the same frame.
+        bubbles: How many and how large.
+        up: Unit direction against gravity.
+        rng: Source of randomness.
+    """
+    rafts = _Seeds(organ, wall, bubbles.per_area, bubbles.raft_size, rng)
+    if rafts.total == 0:
+        return no_spheres()
+    rafts.settle(up, bubbles.rising)
+    radius = rafts.radii(bubbles)
+    place = rafts.spread(radius, dimensions=2, touch=1.0)
+    centers = _on_wall(organ, wall, place, LIFT_BUBBLE * radius)
+    number = 1 + np.arange(len(radius)) % 65535
+    return Spheres(
+        centers=centers,
+        radius=radius,
+        kind=np.full(len(radius), BUBBLE, np.uint8),
+        instance=number.astype(np.uint16),
+        color=np.tile(bubbles.color, (len(radius), 1)),
+        arc_length=rafts.arc_length[rafts.owner],
+    )
+
+
+def place_chyme(
+    organ: OrganSurface,
+    wall: Wall,
+    chyme: Chyme,
+    up: Float[np.ndarray, " 3"],
+    rng: np.random.Generator,
+) -> Spheres:
+    """Particles that lie on the wall, in the organ's frame; arguments as of `place_bubbles`."""
+    clumps = _Seeds(organ, wall, chyme.per_area, chyme.clump_size, rng)
+    if clumps.total == 0:
+        return no_spheres()
+    clumps.settle(-up, chyme.settled)
+    radius = clumps.radii(chyme)
+    place = clumps.spread(radius, dimensions=3, touch=0.75)
+    distance = wall.signed_distance(place)
+    lifted = _on_wall(organ, wall, place, _LIFT_CHYME * radius)
+    centers = np.where((distance < _LIFT_CHYME * radius)[:, None], lifted, place)
+    white = (rng.random(len(clumps.number)) < chyme.white)[clumps.owner]
+    shade = rng.uniform(0.75, 1.1, len(radius))[:, None]
+    color = np.where(white[:, None], chyme.white_color, chyme.yellow_color)
+    instance = FIRST_CLUMP + clumps.owner % (65536 - FIRST_CLUMP)
+    return Spheres(
+        centers=centers,
+        radius=radius,
+        kind=np.where(white, WHITE, YELLOW).astype(np.uint8),
+        instance=instance.astype(np.uint16),
+        color=np.clip(shade * color, 0.0, 1.0),
+        arc_length=clumps.arc_length[clumps.owner],
+    )
+
+
+class _Seeds:
+    """Clusters and where each is anchored on the wall."""
+
+    def __init__(
+        self,
+        organ: OrganSurface,
+        wall: Wall,
+        per_area: float,
+        mean_size: float,
+        rng: np.random.Generator,
+    ) -> None:
+        self.organ, self.wall, self.rng = organ, wall, rng
+        edges, area = smooth_area(organ)
+        self.total = int(rng.poisson(per_area * area[-1]))
+        self.number = sizes(self.total, mean_size, rng)
+        at = np.sort(rng.uniform(0.0, area[-1], len(self.number)))
+        self.arc_length = np.interp(at, area, edges)
+        self.owner = np.repeat(np.arange(len(self.number)), self.number)
+
+    def settle(self, towards: Float[np.ndarray, " 3"], share: float) -> None:
+        """Anchors the clusters: a share of them where `towards` points, the others all around."""
+        from vrcaps.organ.centerline.curve import interpolate
+
+        points, frames, self.room = interpolate(self.organ.centerline, self.arc_length)
+        count = len(points)
+        way = self.rng.standard_normal((count, 3))
+        drawn = self.rng.random(count) < share
+        way = np.where(drawn[:, None], _SCATTER * way + 2.0 * towards, way)
+        tangent = frames[..., 2]
+        way -= np.sum(way * tangent, axis=1, keepdims=True) * tangent
+        way /= np.maximum(np.linalg.norm(way, axis=1, keepdims=True), 1e-12)
+        distance, face = self.wall.cast(points, way)
+        distance = np.where(face >= 0, distance, 0.0)
+        self.anchor = points + distance[:, None] * way
+        self.inward = _inward(self.organ, np.maximum(face, 0))
+        self.inward = np.where((face >= 0)[:, None], self.inward, -way)
+
+    def radii(self, kind: Bubbles | Chyme) -> Float[np.ndarray, " n"]:
+        """Radii [m] by the cut log-normal law; none is wider than half the way to the wall."""
+        room = np.maximum(0.5 * self.room[self.owner], kind.smallest)
+        return np.minimum(cut_log_normal(kind, self.total, self.rng), room)
+
+    def spread(
+        self, radius: Float[np.ndarray, " n"], *, dimensions: int, touch: float
+    ) -> Float[np.ndarray, "n 3"]:
+        """Places of all spheres about their anchors [m], a little off the wall."""
+        flat = pack(self.number, radius, self.rng, dimensions=dimensions, touch=touch)
+        least = np.eye(3)[np.argmin(np.abs(self.inward), axis=1)]
+        first = np.cross(self.inward, least)
+        first /= np.linalg.norm(first, axis=1, keepdims=True)
+        axes = np.stack([first, np.cross(self.inward, first), self.inward], axis=-1)[self.owner]
+        lift = np.minimum(radius, 0.5 * self.room[self.owner])
+        place = self.anchor[self.owner] + lift[:, None] * self.inward[self.owner]
+        return place + np.einsum("nij,nj->ni", axes, flat)
+
+
+def _inward(organ: OrganSurface, face: np.ndarray) -> Float[np.ndarray, "n 3"]:
+    normal = organ.normals[organ.faces[face]].mean(axis=1)
+    return normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
+
+
+def _on_wall(
+    organ: OrganSurface, wall: Wall, place: Float[np.ndarray, "n 3"], height: np.ndarray
+) -> Float[np.ndarray, "n 3"]:
+    """The points of the wall nearest to some places, lifted into the lumen [m]."""
+    nearest, face = wall.closest_point(place)
+    return nearest + height[:, None] * _inward(organ, face)

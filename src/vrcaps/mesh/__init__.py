@@ -1,0 +1,1 @@
+"""Triangle meshes: files, repair, measures; nothing here knows of a gut."""

@@ -1,0 +1,44 @@
+"""A bare triangle mesh, and the normals of its vertices."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Int, UInt8
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """A bare triangle mesh as a file holds it, in metres.
+
+    Attributes:
+        vertices: Positions [m].
+        faces: Vertex numbers of each triangle.
+        uv: Texture coordinates of each corner of each face, or None.
+        label: Class of each vertex, or None.
+    """
+
+    vertices: Float[np.ndarray, "n 3"]
+    faces: Int[np.ndarray, "m 3"]
+    uv: Float[np.ndarray, "m 3 2"] | None = None
+    label: UInt8[np.ndarray, " n"] | None = None
+
+
+def vertex_normals(
+    vertices: Float[np.ndarray, "n 3"], faces: Int[np.ndarray, "m 3"]
+) -> Float[np.ndarray, "n 3"]:
+    """Unit vertex normals: the area-weighted mean of the normals of the faces around it."""
+    corners = vertices[faces]
+    area_normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals = np.zeros_like(vertices)
+    for axis in range(3):
+        normals[:, axis] = sum(
+            np.bincount(faces[:, corner], area_normals[:, axis], len(vertices))
+            for corner in range(3)
+        )
+    length = np.linalg.norm(normals, axis=1, keepdims=True)
+    return normals / np.where(length > 0.0, length, 1.0)

@@ -1,0 +1,197 @@
+"""PLY files (Turk 1994): a reader that keeps vertices and wedges as stored, and a writer."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vrcaps.mesh.mesh import Mesh
+from vrcaps.mesh.polygons import triangulate_fans
+
+if TYPE_CHECKING:
+    from pathlib import Path
+    from typing import BinaryIO
+
+    from jaxtyping import Int
+
+_DTYPES = {
+    **{"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4"},
+    **{"int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4", "uint32": "u4"},
+    **{"float": "f4", "double": "f8", "float32": "f4", "float64": "f8"},
+}
+_BYTE_ORDERS = {"ascii": "<", "binary_little_endian": "<", "binary_big_endian": ">"}
+_VERTEX_UV = (("texture_u", "texture_v"), ("u", "v"), ("s", "t"))
+
+
+@dataclass(frozen=True)
+class _Property:
+    name: str
+    dtype: np.dtype
+    count_dtype: np.dtype | None  # of the length of a list; None for a single number
+
+
+@dataclass(frozen=True)
+class _Lists:
+    """A list property of every row: `values` holds the rows one after the other."""
+
+    counts: Int[np.ndarray, " n"]
+    values: np.ndarray
+
+
+def read_ply(path: Path) -> Mesh:
+    """Mesh of a PLY file in the file's own unit; polygons become fans of triangles.
+
+    Reads ASCII and both binary byte orders, texture coordinates per corner (face list
+    `texcoord`) or per vertex, and an integer vertex property `label`.
+
+    Raises:
+        ValueError, KeyError, IndexError: If the file is not a whole PLY with vertices.
+    """
+    elements = _read_elements(path.read_bytes())
+    vertex, face = elements["vertex"], elements.get("face", {})
+    vertices = np.stack([np.asarray(vertex[axis], float) for axis in "xyz"], axis=1)
+    polygons = face.get("vertex_indices", face.get("vertex_index"))
+    if polygons is None:
+        return Mesh(vertices, np.zeros((0, 3), np.int64))
+    corners = triangulate_fans(polygons.counts)
+    faces = polygons.values.astype(np.int64)[corners]
+    label = np.asarray(vertex["label"]).astype(np.uint8) if "label" in vertex else None
+    uv = None
+    if "texcoord" in face:
+        if not np.array_equal(face["texcoord"].counts, 2 * polygons.counts):
+            raise ValueError("texcoord lists do not hold two numbers for each corner")
+        uv = face["texcoord"].values.astype(float).reshape(-1, 2)[corners]
+    for u_name, v_name in _VERTEX_UV:
+        if uv is None and u_name in vertex and v_name in vertex:
+            uv = np.stack([vertex[u_name], vertex[v_name]], axis=1).astype(float)[faces]
+    return Mesh(vertices, faces, uv, label)
+
+
+def write_ply(file: BinaryIO, mesh: Mesh) -> None:
+    """Write a mesh as binary PLY in metres, double precision, with its wedges and labels."""
+    columns = [(axis, "<f8") for axis in "xyz"]
+    columns += [] if mesh.label is None else [("label", "u1")]
+    vertex = np.zeros(len(mesh.vertices), columns)
+    for axis, values in zip("xyz", mesh.vertices.T, strict=True):
+        vertex[axis] = values
+    if mesh.label is not None:
+        vertex["label"] = mesh.label
+    columns = [("count", "u1"), ("corners", "<i4", 3)]
+    columns += [] if mesh.uv is None else [("uv_count", "u1"), ("uv", "<f8", 6)]
+    face = np.zeros(len(mesh.faces), columns)
+    face["count"], face["corners"] = 3, mesh.faces
+    if mesh.uv is not None:
+        face["uv_count"], face["uv"] = 6, mesh.uv.reshape(-1, 6)
+    lines = ["ply", "format binary_little_endian 1.0", "comment unit metre"]
+    lines += [f"element vertex {len(vertex)}", *(f"property double {axis}" for axis in "xyz")]
+    lines += [] if mesh.label is None else ["property uchar label"]
+    lines += [f"element face {len(face)}", "property list uchar int vertex_indices"]
+    lines += [] if mesh.uv is None else ["property list uchar double texcoord"]
+    header = "\n".join([*lines, "end_header", ""]).encode()
+    file.write(header + vertex.tobytes() + face.tobytes())
+
+
+def _read_elements(data: bytes) -> dict[str, dict]:
+    """Columns of each element: arrays, or `_Lists` for list properties."""
+    end = data.index(b"end_header")
+    body = data.index(b"\n", end) + 1
+    header = [line.split() for line in data[:end].decode("ascii", "replace").splitlines()]
+    if header[0] != ["ply"] or header[1][0] != "format":
+        raise ValueError("no PLY header")
+    is_ascii, order = header[1][1] == "ascii", _BYTE_ORDERS[header[1][1]]
+    stream = data[body:]
+    if is_ascii:  # from here on as a binary file of doubles
+        stream = np.array(stream.split(), "<f8").tobytes()
+    elements: dict[str, dict] = {}
+    position = 0
+    for name, count, properties in _parse_header(header[2:], order, is_ascii):
+        elements[name], position = _read_rows(stream, position, count, properties)
+    return elements
+
+
+def _parse_header(
+    lines: list[list[str]], order: str, is_ascii: bool
+) -> list[tuple[str, int, list[_Property]]]:
+    elements: list[tuple[str, int, list[_Property]]] = []
+    for words in lines:
+        if words[:1] == ["element"]:
+            elements.append((words[1], int(words[2]), []))
+        elif words[:1] == ["property"]:
+            types = words[2:4] if words[1] == "list" else words[1:2]
+            dtypes = [np.dtype("<f8" if is_ascii else order + _DTYPES[t]) for t in types]
+            count_dtype = dtypes[0] if words[1] == "list" else None
+            elements[-1][2].append(_Property(words[-1], dtypes[-1], count_dtype))
+    return elements
+
+
+def _read_rows(
+    stream: bytes, position: int, count: int, properties: list[_Property]
+) -> tuple[dict, int]:
+    """Columns of `count` rows at a byte position, and the position after them."""
+    if count == 0:
+        empty = np.zeros(0)
+        lists = _Lists(np.zeros(0, np.int64), empty)
+        return {p.name: empty if p.count_dtype is None else lists for p in properties}, position
+    sizes = _first_row_sizes(stream, position, properties)
+    fields = []
+    for index, (prop, size) in enumerate(zip(properties, sizes, strict=True)):
+        if prop.count_dtype is None:
+            fields.append((f"value{index}", prop.dtype))
+        else:
+            fields.append((f"count{index}", prop.count_dtype))
+            fields.append((f"value{index}", prop.dtype, (size,)))
+    dtype = np.dtype(fields)
+    end = position + count * dtype.itemsize
+    rows = np.frombuffer(stream[position:end], dtype) if end <= len(stream) else None
+    is_list = [prop.count_dtype is not None for prop in properties]
+    if rows is None or any(
+        listed and np.any(rows[f"count{i}"] != sizes[i]) for i, listed in enumerate(is_list)
+    ):
+        if not any(is_list):
+            raise ValueError("the file ends too early")
+        return _read_ragged_rows(stream, position, count, properties)
+    columns = {}
+    for i, prop in enumerate(properties):
+        values = rows[f"value{i}"]
+        columns[prop.name] = (
+            _Lists(np.full(count, sizes[i]), values.reshape(-1)) if is_list[i] else values
+        )
+    return columns, end
+
+
+def _first_row_sizes(stream: bytes, position: int, properties: list[_Property]) -> list[int]:
+    sizes = []
+    for prop in properties:
+        size = 1
+        if prop.count_dtype is not None:
+            size = int(np.frombuffer(stream, prop.count_dtype, 1, position)[0])
+            position += prop.count_dtype.itemsize
+        sizes.append(size)
+        position += size * prop.dtype.itemsize
+    return sizes
+
+
+def _read_ragged_rows(
+    stream: bytes, position: int, count: int, properties: list[_Property]
+) -> tuple[dict, int]:
+    """Rows whose lists differ in length, one by one."""
+    counts: dict[str, list[int]] = {prop.name: [] for prop in properties}
+    values: dict[str, list[np.ndarray]] = {prop.name: [] for prop in properties}
+    for _ in range(count):
+        for prop in properties:
+            size = 1
+            if prop.count_dtype is not None:
+                size = int(np.frombuffer(stream, prop.count_dtype, 1, position)[0])
+                position += prop.count_dtype.itemsize
+            counts[prop.name].append(size)
+            if size:
+                values[prop.name].append(np.frombuffer(stream, prop.dtype, size, position))
+            position += size * prop.dtype.itemsize
+    columns = {}
+    for prop in properties:
+        flat = np.concatenate(values[prop.name] or [np.zeros(0)])
+        is_list = prop.count_dtype is not None
+        columns[prop.name] = _Lists(np.array(counts[prop.name]), flat) if is_list else flat
+    return columns, position

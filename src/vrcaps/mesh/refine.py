@@ -1,0 +1,206 @@
+"""Conforming refinement of a piece of wall: longest edges bisected, new vertices on the curve.
+
+Rivara 1984, "Algorithms for refining triangular grids suitable for adaptive and multigrid
+techniques", Int. J. Numer. Meth. Eng. 20:745. Angles stay above half the smallest of the start.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vrcaps.mesh.edges import find_edges
+from vrcaps.mesh.mesh import vertex_normals
+from vrcaps.units import MM
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Int
+
+_MAX_ROUNDS = 60
+_SHORTEST = 0.01 * MM  # of an edge that is still split
+
+
+@dataclass(frozen=True)
+class Patch:
+    """A piece of wall under work, numbers of vertices and faces its own.
+
+    Attributes:
+        clean: Positions without lesions [m].
+        moved: Positions with the lesions so far [m].
+        normals: Unit normals of the moved wall.
+        clean_normals: Unit normals of the clean wall.
+        theta: Angle around the centreline [rad].
+        fields: Whatever else is linear along edges, one row per vertex.
+        label: Segment of each vertex.
+        instance: Lesion number of each vertex.
+        faces: Vertex numbers.
+        uv: Texture coordinates of each corner.
+        chart_id: Chart that each face's coordinates are in.
+        is_rim: Whether a vertex lies on the cut through the wall.
+    """
+
+    clean: Float[np.ndarray, "n 3"]
+    moved: Float[np.ndarray, "n 3"]
+    normals: Float[np.ndarray, "n 3"]
+    clean_normals: Float[np.ndarray, "n 3"]
+    theta: Float[np.ndarray, " n"]
+    fields: Float[np.ndarray, "n k"]
+    label: Int[np.ndarray, " n"]
+    instance: Int[np.ndarray, " n"]
+    faces: Int[np.ndarray, "m 3"]
+    uv: Float[np.ndarray, "m 3 4"]
+    chart_id: Int[np.ndarray, " m"]
+    is_rim: Bool[np.ndarray, " n"]
+
+
+def refine(
+    patch: Patch,
+    is_long: Callable[[Patch, Int[np.ndarray, "e 2"]], Bool[np.ndarray, " e"]],
+    place: Callable[[Patch], Float[np.ndarray, "n k"]],
+) -> Patch:
+    """Bisect until no edge away from the rim is too long; edges of the rim stay whole.
+
+    Args:
+        patch: To refine.
+        is_long: Which edges to split.
+        place: Positions by which edges are compared, the longest of a face being split first: at
+            rest, or at rest and with the lesion, for with it alone a short edge may span a bulge,
+            and its neighbours would be split for ever.
+    """
+    for _ in range(_MAX_ROUNDS):
+        ends, of_face = _edges(patch.faces)
+        marked = is_long(patch, ends) & ~patch.is_rim[ends].any(axis=1)
+        points = place(patch)
+        length = np.linalg.norm(points[ends[:, 0]] - points[ends[:, 1]], axis=1)
+        marked &= length > _SHORTEST
+        if not marked.any():
+            break
+        length = length * (1.0 + 1e-9 * np.arange(len(length)) / len(length))
+        length[patch.is_rim[ends].all(axis=1)] = 0.0
+        longest = of_face[np.arange(len(of_face)), np.argmax(length[of_face], axis=1)]
+        marked = _closed(marked, of_face, longest)
+        patch = _split(patch, ends, of_face, longest, marked)
+    return patch
+
+
+def _edges(
+    faces: Int[np.ndarray, "m 3"],
+) -> tuple[Int[np.ndarray, "e 2"], Int[np.ndarray, "m 3"]]:
+    """Ends of each edge, and the edges of each face: corner k to k + 1."""
+    pairs = np.sort(np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1), axis=-1)
+    key = pairs[..., 0].astype(np.int64) * (faces.max() + 1) + pairs[..., 1]
+    _, first, inverse = np.unique(key, return_index=True, return_inverse=True)
+    return pairs.reshape(-1, 2)[first], inverse.reshape(faces.shape)
+
+
+def _closed(
+    marked: Bool[np.ndarray, " e"],
+    of_face: Int[np.ndarray, "m 3"],
+    longest: Int[np.ndarray, " m"],
+) -> Bool[np.ndarray, " e"]:
+    """Marks with the longest edge of every marked face."""
+    marked = marked.copy()
+    while True:
+        wanted = longest[marked[of_face].any(axis=1)]
+        if marked[wanted].all():
+            return marked
+        marked[wanted] = True
+
+
+def _split(
+    patch: Patch,
+    ends: Int[np.ndarray, "e 2"],
+    of_face: Int[np.ndarray, "m 3"],
+    longest: Int[np.ndarray, " m"],
+    marked: Bool[np.ndarray, " e"],
+) -> Patch:
+    """Bisect the marked edges; each face is cut at its longest edge first."""
+    number = np.full(len(ends), -1)
+    number[marked] = len(patch.clean) + np.arange(marked.sum())
+    patch = _with_midpoints(patch, ends[marked])
+    touched = marked[of_face].any(axis=1)
+    turn = np.argmax(of_face == longest[:, None], axis=1)
+    order = (turn[:, None] + np.arange(3)) % 3
+    rows = np.arange(len(order))[:, None]
+    f, e, uv = patch.faces[rows, order], of_face[rows, order], patch.uv[rows, order]
+    faces, uvs, charts = [patch.faces[~touched]], [patch.uv[~touched]], [patch.chart_id[~touched]]
+    f, e, uv, chart = f[touched], e[touched], uv[touched], patch.chart_id[touched]
+    middle, middle_uv = number[e[:, 0]], 0.5 * (uv[:, 0] + uv[:, 1])
+    # The halves are (c, a, m) and (b, c, m); the edges c–a and b–c may be split too.
+    for a, b, edge in ((2, 0, 2), (1, 2, 1)):
+        half = np.stack([f[:, a], f[:, b], middle], axis=1)
+        half_uv = np.stack([uv[:, a], uv[:, b], middle_uv], axis=1)
+        cut = number[e[:, edge]] >= 0
+        faces.append(half[~cut])
+        uvs.append(half_uv[~cut])
+        charts.append(chart[~cut])
+        new, new_uv = number[e[cut, edge]], 0.5 * (half_uv[cut, 0] + half_uv[cut, 1])
+        for first in (True, False):
+            corners = (half[cut, 0], new) if first else (new, half[cut, 1])
+            corner_uv = (half_uv[cut, 0], new_uv) if first else (new_uv, half_uv[cut, 1])
+            faces.append(np.stack([*corners, middle[cut]], axis=1))
+            uvs.append(np.stack([*corner_uv, middle_uv[cut]], axis=1))
+            charts.append(chart[cut])
+    return replace(
+        patch,
+        faces=np.concatenate(faces),
+        uv=np.concatenate(uvs),
+        chart_id=np.concatenate(charts),
+    )
+
+
+def _with_midpoints(patch: Patch, ends: Int[np.ndarray, "k 2"]) -> Patch:
+    """The patch with a vertex in the middle of each edge given, not yet in any face."""
+    a, b = ends.T
+    clean, clean_normals = _curved_middle(patch.clean, patch.clean_normals, ends)
+    moved, normals = _curved_middle(patch.moved, patch.normals, ends)
+    turn = (patch.theta[b] - patch.theta[a] + np.pi) % (2.0 * np.pi) - np.pi
+    theta = (patch.theta[a] + 0.5 * turn + np.pi) % (2.0 * np.pi) - np.pi
+    both = np.where(patch.instance[a] == patch.instance[b], patch.instance[a], 0)
+    return replace(
+        patch,
+        clean=np.concatenate([patch.clean, clean]),
+        moved=np.concatenate([patch.moved, moved]),
+        normals=np.concatenate([patch.normals, normals]),
+        clean_normals=np.concatenate([patch.clean_normals, clean_normals]),
+        theta=np.concatenate([patch.theta, theta]),
+        fields=np.concatenate([patch.fields, 0.5 * (patch.fields[a] + patch.fields[b])]),
+        label=np.concatenate([patch.label, patch.label[a]]),
+        instance=np.concatenate([patch.instance, both]),
+        is_rim=np.concatenate([patch.is_rim, np.zeros(len(a), bool)]),
+    )
+
+
+def _curved_middle(
+    points: Float[np.ndarray, "n 3"],
+    normals: Float[np.ndarray, "n 3"],
+    ends: Int[np.ndarray, "k 2"],
+) -> tuple[Float[np.ndarray, "k 3"], Float[np.ndarray, "k 3"]]:
+    """Middle of the cubic edge of a PN triangle (Vlachos et al. 2001), and the mean normal.
+
+    Their quadratic normals, applied to halves of halves, would swing ever more.
+    """
+    (p, q), (n, m) = (points[ends[:, k]] for k in (0, 1)), (normals[ends[:, k]] for k in (0, 1))
+    d = q - p
+    along_n, along_m = (d * n).sum(axis=1, keepdims=True), (d * m).sum(axis=1, keepdims=True)
+    middle = 0.5 * (p + q) + (along_m * m - along_n * n) / 8.0
+    normal = n + m
+    return middle, normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-30)
+
+
+def rim(faces: Int[np.ndarray, "m 3"], num_vertices: int) -> Bool[np.ndarray, " n"]:
+    """Vertices at edges of a single face."""
+    edges = find_edges(faces)
+    single = edges.of_count(1)
+    flags = np.zeros(num_vertices, bool)
+    flags[np.asarray(edges.ends)[single].ravel()] = True
+    return flags
+
+
+def renewed_normals(patch: Patch) -> Patch:
+    """The patch with the normals of its moved faces, except on its rim."""
+    normals = vertex_normals(patch.moved, patch.faces)
+    return replace(patch, normals=np.where(patch.is_rim[:, None], patch.normals, normals))

@@ -1,0 +1,7 @@
+"""Repair of the wall surfaces that come from files and from CT."""
+
+from __future__ import annotations
+
+from .repair import repair as repair
+from .repair_report import Repair as Repair
+from .repair_report import RepairReport as RepairReport

@@ -1,0 +1,214 @@
+"""Holes and open lumen ends: finding them and closing them with well-shaped triangles."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.sparse import coo_matrix, csr_matrix
+from scipy.sparse.linalg import splu
+
+from vrcaps.mesh.edges import face_areas, find_edges, signed_volume
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Int
+
+    from vrcaps.mesh.mesh import Mesh
+
+
+@dataclass(frozen=True)
+class Loop:
+    """A closed border of an oriented surface.
+
+    Attributes:
+        vertices: Vertex numbers in the order in which a cap runs along the border.
+        halves: The cap runs from vertex k to k+1 against this half-edge of the surface.
+        center: Mean of the border's vertices [m].
+        perimeter: Length of the border [m].
+        fan_area: Area of the triangles between the border and its centre [m²].
+        fan_volume: Signed volume that those triangles add to the surface's, about `origin`.
+    """
+
+    vertices: Int[np.ndarray, " n"]
+    halves: Int[np.ndarray, " n"]
+    center: Float[np.ndarray, " 3"]
+    perimeter: float
+    fan_area: float
+    fan_volume: float
+
+    @property
+    def diameter(self) -> float:
+        """Diameter of the circle of the same perimeter [m]."""
+        return self.perimeter / math.pi
+
+
+def find_loops(mesh: Mesh) -> list[Loop]:
+    """Borders of an oriented manifold, each a simple loop, in order of their lowest vertex."""
+    edges = find_edges(mesh.faces)
+    border = edges.of_count(1)[:, 0]
+    # A cap runs against the surface: from the end of a border half-edge to its start.
+    leaving = dict(zip(edges.ends[border, 1].tolist(), border.tolist(), strict=True))
+    origin = mesh.vertices.mean(axis=0)
+    loops = []
+    for seed in sorted(leaving):
+        vertices, halves = [], []
+        vertex = seed
+        while vertex in leaving:
+            half = leaving.pop(vertex)
+            vertices.append(vertex)
+            halves.append(half)
+            vertex = int(edges.ends[half, 0])
+        if vertices:
+            loops.append(_make_loop(mesh, np.array(vertices), np.array(halves), origin))
+    return loops
+
+
+def _make_loop(
+    mesh: Mesh, vertices: np.ndarray, halves: np.ndarray, origin: Float[np.ndarray, " 3"]
+) -> Loop:
+    points = mesh.vertices[vertices]
+    center = points.mean(axis=0)
+    following = np.roll(points, -1, axis=0)
+    areas = 0.5 * np.cross(points - center, following - center)
+    centroids = (points + following + center) / 3.0 - origin
+    return Loop(
+        vertices=vertices,
+        halves=halves,
+        center=center,
+        perimeter=float(np.linalg.norm(following - points, axis=1).sum()),
+        fan_area=float(np.linalg.norm(areas, axis=1).sum()),
+        fan_volume=float(np.einsum("ij,ij->", centroids, areas) / 3.0),
+    )
+
+
+def enclosed_volume(mesh: Mesh, loops: list[Loop]) -> float:
+    """Signed volume [m³] with every border closed by a fan; negative: normals inwards."""
+    return signed_volume(mesh) + sum(loop.fan_volume for loop in loops)
+
+
+def mean_calibre(mesh: Mesh, loops: list[Loop]) -> float:
+    """Diameter [m] of the cylinder with the same volume and wall area, 4 V / A."""
+    return 4.0 * abs(enclosed_volume(mesh, loops)) / float(face_areas(mesh).sum())
+
+
+def close_loop(mesh: Mesh, loop: Loop) -> Mesh:
+    """Close a border by a membrane of triangles about as large as those along the border.
+
+    Rings of vertices shrink towards the middle, neighbours are zipped together, and the
+    inner vertices settle where each is the mean of its neighbours (a discrete membrane), so
+    that the cap follows a border that is not flat. Texture coordinates are interpolated the
+    same way from those along the border; the cap has the border's most frequent label.
+    """
+    rings, start = [loop.vertices], len(mesh.vertices)
+    for size in _ring_sizes(len(loop.vertices)):
+        rings.append(np.arange(start, start + size))
+        start += size
+    positions = _loop_positions(mesh, loop)
+    faces = np.concatenate(
+        [_zip_rings(outer, inner, positions) for outer, inner in pairwise(rings)]
+        or [loop.vertices[None, :]]
+    )
+    num_new = start - len(mesh.vertices)
+    border = mesh.vertices[loop.vertices]
+    border_uv = None if mesh.uv is None else _border_uv(mesh, loop)
+    known = border if border_uv is None else np.hstack([border, border_uv])
+    inner = _membrane(faces, loop.vertices, known, (len(mesh.vertices), num_new))
+    label = mesh.label
+    if label is not None:
+        cap_label = np.bincount(label[loop.vertices]).argmax()
+        label = np.concatenate([label, np.full(num_new, cap_label, label.dtype)])
+    uv = mesh.uv
+    if uv is not None and border_uv is not None:
+        uv_of = np.zeros((start, 2))
+        uv_of[loop.vertices], uv_of[len(mesh.vertices) :] = border_uv, inner[:, 3:]
+        uv = np.concatenate([uv, uv_of[faces]])
+    vertices = np.concatenate([mesh.vertices, inner[:, :3]])
+    return replace(
+        mesh, vertices=vertices, faces=np.concatenate([mesh.faces, faces]), uv=uv, label=label
+    )
+
+
+def _ring_sizes(count: int) -> list[int]:
+    """Vertices of each inner ring; rows are as high as an equilateral triangle on the border.
+
+    A circle of n edges of length h has radius n h / 2π and holds n / (√3 π) rows of height
+    h √3 / 2; the last ring is a single vertex.
+    """
+    if count == 3:
+        return []
+    num_rows = max(1, round(count / (math.sqrt(3.0) * math.pi)))
+    sizes = [max(3, round(count * (1.0 - row / num_rows))) for row in range(1, num_rows)]
+    return [*sizes, 1]
+
+
+def _loop_positions(mesh: Mesh, loop: Loop) -> Float[np.ndarray, " n"]:
+    """Share of the perimeter before each vertex, 0 to 1."""
+    points = mesh.vertices[loop.vertices]
+    steps = np.linalg.norm(np.roll(points, -1, axis=0) - points, axis=1)
+    return (np.cumsum(steps) - steps) / steps.sum()
+
+
+def _zip_rings(
+    outer: Int[np.ndarray, " n"], inner: Int[np.ndarray, " k"], positions: Float[np.ndarray, " p"]
+) -> Int[np.ndarray, "t 3"]:
+    """Triangles between two rings; each step goes on to whichever next vertex comes first.
+
+    Only the border's vertices are unevenly spaced, at `positions` along it.
+    """
+    along_outer = positions if len(outer) == len(positions) else np.arange(len(outer)) / len(outer)
+    if len(inner) == 1:
+        return np.stack([outer, np.roll(outer, -1), np.full(len(outer), inner[0])], axis=1)
+    along_inner = np.arange(len(inner)) / len(inner)
+    faces = []
+    i = j = 0
+    while i < len(outer) or j < len(inner):
+        next_outer = np.append(along_outer, 1.0)[i + 1] if i < len(outer) else np.inf
+        next_inner = np.append(along_inner, 1.0)[j + 1] if j < len(inner) else np.inf
+        a, b = outer[i % len(outer)], inner[j % len(inner)]
+        if next_outer <= next_inner:
+            faces.append((a, outer[(i + 1) % len(outer)], b))
+            i += 1
+        else:
+            faces.append((a, inner[(j + 1) % len(inner)], b))
+            j += 1
+    return np.array(faces)
+
+
+def _membrane(
+    faces: Int[np.ndarray, "t 3"],
+    border: Int[np.ndarray, " n"],
+    known: Float[np.ndarray, "n c"],
+    new: tuple[int, int],
+) -> Float[np.ndarray, "k c"]:
+    """Values at new vertices so that each is the mean of its neighbours', given the border's.
+
+    Args:
+        faces: The cap.
+        border: Vertex numbers along the border.
+        known: Values there.
+        new: First number and count of the new vertices.
+    """
+    first, count = new
+    if count == 0:
+        return np.zeros((0, known.shape[1]))
+    index = np.full(first + count, -1)
+    index[border] = np.arange(len(border))
+    index[first:] = len(border) + np.arange(count)
+    ends = np.unique(np.sort(index[find_edges(faces).ends], axis=1), axis=0)
+    rows, columns = np.concatenate([ends, ends[:, ::-1]]).T
+    size = len(border) + count
+    adjacency = csr_matrix(coo_matrix((np.ones(len(rows)), (rows, columns)), (size, size)))
+    inner = adjacency[len(border) :]
+    degree = np.asarray(inner.sum(axis=1)).reshape(-1)
+    system = csr_matrix((degree, (range(count), range(count)))) - inner[:, len(border) :]
+    return splu(system.tocsc()).solve(inner[:, : len(border)] @ known)
+
+
+def _border_uv(mesh: Mesh, loop: Loop) -> Float[np.ndarray, "n 2"]:
+    """Texture coordinates of the surface at each border vertex, from the face beside it."""
+    assert mesh.uv is not None
+    end = loop.halves + np.where(loop.halves % 3 < 2, 1, -2)
+    return mesh.uv.reshape(-1, 2)[end]

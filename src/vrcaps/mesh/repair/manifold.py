@@ -1,0 +1,329 @@
+"""Non-manifold edges and vertices, stray components and windings."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import breadth_first_order, connected_components
+
+from vrcaps.errors import InputError
+from vrcaps.mesh.edges import (
+    Edges,
+    drop_unused_vertices,
+    face_areas,
+    find_edges,
+    flip_faces,
+    keep_faces,
+    split_face,
+    take_vertices,
+)
+from vrcaps.mesh.mesh import Mesh
+from vrcaps.mesh.repair.repair_report import Repair, format_place
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Int
+
+_FIN_AREA = 0.01  # of the whole; an open patch smaller than this is a fin, not wall
+_PART_AREA = 1e-3  # of the whole; below this a stray component is not worth its own mention
+_NUDGE = 1e-3  # of the way to a vertex's neighbours; parts sheets that were cut
+_MAX_PASSES = 10
+
+
+def split_nonmanifold(mesh: Mesh) -> tuple[Mesh, Int[np.ndarray, " n"], list[Repair]]:
+    """Cut the surface apart where more than two sheets meet (Guéziec et al. 2001).
+
+    At an edge of more than two faces those that best continue each other stay joined; a
+    vertex is copied once for every fan of faces that then hangs together around it.
+
+    Returns:
+        The mesh, the old number of each of its vertices, and what was done.
+    """
+    edges = find_edges(mesh.faces)
+    on_edge = edges.ends[[int(halves[0]) for halves in edges.crowded()] or np.zeros(0, int)]
+    repairs = []
+    if len(on_edge):
+        middles = mesh.vertices[on_edge].mean(axis=1)
+        repairs.append(Repair("non-manifold edge", len(on_edge), "cut apart", middles))
+    cut, origin, partner = _cut(mesh)
+    for _ in range(_MAX_PASSES):
+        double = find_edges(cut.faces).crowded()
+        if not double:
+            break
+        mesh = _bisect_double_edges(mesh, double, partner)
+        cut, origin, partner = _cut(mesh)
+    values, counts = np.unique(origin, return_counts=True)
+    lone = np.setdiff1d(values[counts > 1], on_edge)
+    if len(lone):
+        places = mesh.vertices[lone]
+        repairs.append(Repair("non-manifold vertex", len(lone), "cut apart", places))
+    return cut, origin, repairs
+
+
+def _cut(mesh: Mesh) -> tuple[Mesh, Int[np.ndarray, " n"], dict[int, int]]:
+    """Mesh with a vertex for each fan of joined faces, their old numbers, and joined halves."""
+    edges = find_edges(mesh.faces)
+    joined, partner = edges.of_count(2), {}
+    crowded = edges.crowded()
+    if crowded:
+        is_fin = _is_fin(mesh, edges)
+        fan = _join_corners(edges.ends, joined)
+        pairs = _pair_faces(mesh, crowded, is_fin, fan)
+        partner = {int(a): int(b) for a, b in np.concatenate([pairs, pairs[:, ::-1]])}
+        joined = np.concatenate([joined, pairs])
+    _, first, number = np.unique(
+        _join_corners(edges.ends, joined), return_index=True, return_inverse=True
+    )
+    origin = mesh.faces.reshape(-1)[first]
+    order = np.argsort(origin, kind="stable")
+    rank = np.empty(len(order), np.int64)
+    rank[order] = np.arange(len(order))
+    origin = origin[order]
+    return take_vertices(mesh, origin, rank[number].reshape(-1, 3)), origin, partner
+
+
+def _bisect_double_edges(
+    mesh: Mesh, double: list[Int[np.ndarray, " k"]], partner: dict[int, int]
+) -> Mesh:
+    """Give all but one of the pairs of faces that share both ends of an edge a middle vertex.
+
+    Pairs that touch a face already split wait for the next pass.
+    """
+    keep = np.ones(len(mesh.faces), bool)
+    vertices, sources, faces, uvs = [], [], [], []
+    for halves in double:
+        pairs = [(h, partner[h]) for h in halves.tolist() if h < partner.get(h, -1)]
+        for pair in pairs[1:]:
+            if not keep[[half // 3 for half in pair]].all():
+                continue
+            middle = len(mesh.vertices) + len(vertices)
+            ends = _edge_ends(mesh, pair[0])
+            apexes = [mesh.faces[half // 3, (half % 3 + 2) % 3] for half in pair]
+            inward = mesh.vertices[apexes].mean(axis=0) - ends.mean(axis=0)
+            vertices.append(ends.mean(axis=0) + _NUDGE * inward)
+            sources.append(mesh.faces[pair[0] // 3, pair[0] % 3])
+            for half in pair:
+                keep[half // 3] = False
+                new_faces, new_uvs = split_face(mesh, half // 3, half % 3, (middle, 0.5))
+                faces.append(new_faces)
+                uvs.append(new_uvs)
+    kept = keep_faces(mesh, keep)
+    return Mesh(
+        np.concatenate([mesh.vertices, np.array(vertices).reshape(-1, 3)]),
+        np.concatenate([kept.faces, *faces]),
+        None if kept.uv is None else np.concatenate([kept.uv, *uvs]),
+        None if mesh.label is None else np.append(mesh.label, mesh.label[sources]),
+    )
+
+
+def _edge_ends(mesh: Mesh, half: int) -> Float[np.ndarray, "2 3"]:
+    """Positions of the ends of a half-edge [m]."""
+    face, side = divmod(int(half), 3)
+    return mesh.vertices[mesh.faces[face, [side, (side + 1) % 3]]]
+
+
+def separate_copies(mesh: Mesh, origin: Int[np.ndarray, " n"]) -> Mesh:
+    """Move vertices that are copies of one another 0.1 % towards their own neighbours."""
+    _, number, counts = np.unique(origin, return_inverse=True, return_counts=True)
+    copies = counts[number] > 1
+    if not copies.any():
+        return mesh
+    ends = find_edges(mesh.faces).ends
+    both = np.concatenate([ends, ends[:, ::-1]])
+    size = len(mesh.vertices)
+    degree = np.bincount(both[:, 0], minlength=size)
+    sums = [np.bincount(both[:, 0], mesh.vertices[both[:, 1], axis], size) for axis in range(3)]
+    mean = np.stack(sums, axis=1) / np.maximum(degree, 1)[:, None]
+    step = np.where(copies[:, None], _NUDGE * (mean - mesh.vertices), 0.0)
+    return replace(mesh, vertices=mesh.vertices + step)
+
+
+def keep_largest_component(
+    mesh: Mesh, origin: Int[np.ndarray, " n"]
+) -> tuple[Mesh, Int[np.ndarray, " n"], list[Repair]]:
+    """Keep the connected part of largest area.
+
+    Args:
+        mesh: A surface without non-manifold vertices.
+        origin: A number for each vertex, to be carried along.
+    """
+    ends = find_edges(mesh.faces).ends
+    size = len(mesh.vertices)
+    graph = coo_matrix((np.ones(len(ends), bool), (ends[:, 0], ends[:, 1])), (size, size))
+    num_parts, vertex_part = connected_components(graph, directed=False)
+    if num_parts == 1:
+        return mesh, origin, []
+    face_part = vertex_part[mesh.faces[:, 0]]
+    areas = face_areas(mesh)
+    part_areas = np.bincount(face_part, areas, num_parts)
+    largest = int(np.argmax(part_areas))
+    strays = np.argsort(-part_areas)[1:]
+    shares = part_areas[strays] / part_areas.sum()
+    sums = [np.bincount(vertex_part, mesh.vertices[:, axis], num_parts) for axis in range(3)]
+    centers = np.stack(sums, axis=1) / np.bincount(vertex_part, minlength=num_parts)[:, None]
+    named = [f"{100 * share:.2g} %" for share in shares if share >= _PART_AREA][:5]
+    sizes = f"areas {', '.join(named)}" if named else f"all below {100 * _PART_AREA:g} %"
+    action = f"removed ({sizes} of the whole)"
+    kept = keep_faces(mesh, face_part == largest)
+    kept_origin = origin[np.unique(kept.faces)]
+    repair = Repair("stray component", len(strays), action, centers[strays])
+    return drop_unused_vertices(kept), kept_origin, [repair]
+
+
+def orient_consistently(mesh: Mesh) -> tuple[Mesh, list[Repair]]:
+    """Give all faces of a connected manifold the same sense, turning as few as can be.
+
+    Each face stands twice in a graph, as it is and turned; neighbours that agree join like
+    with like, the others join crosswise. Both halves of a face in one component mean that
+    the surface has one side only.
+
+    Raises:
+        InputError: If the surface is not orientable.
+    """
+    edges = find_edges(mesh.faces)
+    pairs = edges.of_count(2)
+    left, right = pairs.T // 3
+    disagrees = edges.ends[pairs[:, 0], 0] == edges.ends[pairs[:, 1], 0]
+    size = len(mesh.faces)
+    partner = right + size * disagrees
+    rows = np.concatenate([left, left + size])
+    columns = np.concatenate([partner, (partner + size) % (2 * size)])
+    graph = coo_matrix((np.ones(len(rows), bool), (rows, columns)), (2 * size, 2 * size))
+    side = connected_components(graph, directed=False)[1]
+    if side[0] == side[size]:
+        place = _conflict_place(mesh, edges, disagrees)
+        raise InputError(
+            f"The surface has only one side (like a Möbius band), found near {place}. "
+            "Cut it there or export it again; a gut wall has an inside."
+        )
+    is_flipped = side[:size] != side[0]
+    if 2 * is_flipped.sum() > size:
+        is_flipped = ~is_flipped
+    count = int(is_flipped.sum())
+    if count == 0:
+        return mesh, []
+    places = mesh.vertices[mesh.faces[is_flipped]].mean(axis=1)
+    repair = Repair("flipped triangle", count, "turned to agree with its neighbours", places)
+    return flip_faces(mesh, is_flipped), [repair]
+
+
+def _is_fin(mesh: Mesh, edges: Edges) -> Bool[np.ndarray, " m"]:
+    """Faces of small patches with a free border, patches being bounded by crowded edges."""
+    pairs = edges.of_count(2) // 3
+    size = len(mesh.faces)
+    graph = coo_matrix((np.ones(len(pairs), bool), (pairs[:, 0], pairs[:, 1])), (size, size))
+    num_patches, patch = connected_components(graph, directed=False)
+    areas = np.bincount(patch, face_areas(mesh), num_patches)
+    is_open = np.zeros(num_patches, bool)
+    is_open[patch[edges.of_count(1)[:, 0] // 3]] = True
+    return (is_open & (areas < _FIN_AREA * areas.sum()))[patch]
+
+
+def _pair_faces(
+    mesh: Mesh,
+    crowded: list[Int[np.ndarray, " k"]],
+    is_fin: Bool[np.ndarray, " m"],
+    fan: Int[np.ndarray, " h"],
+) -> Int[np.ndarray, "j 2"]:
+    """Pairs of half-edges of crowded edges that stay joined.
+
+    Where sheets touch along a run of edges, the pairs at its ends are known by the fans of
+    faces around them (`fan` of each corner); from there the choice spreads along the run.
+    """
+    fan, pairs, waiting, is_stuck = fan.copy(), [], crowded, False
+    while waiting:
+        later = []
+        for halves in waiting:
+            best, num_shared = _best_pairs(mesh, halves, is_fin, fan)
+            if num_shared == 0 and not is_stuck:
+                later.append(halves)
+                continue
+            is_stuck = False  # one choice without a fan to go by is enough to go on from
+            pairs.append(best)
+            for one, other in _end_corners(mesh, best).transpose(0, 2, 1).reshape(-1, 2):
+                fan[fan == fan[other]] = fan[one]
+        is_stuck = len(later) == len(waiting)
+        waiting = later
+    return np.concatenate(pairs)
+
+
+def _best_pairs(
+    mesh: Mesh,
+    halves: Int[np.ndarray, " k"],
+    is_fin: Bool[np.ndarray, " m"],
+    fan: Int[np.ndarray, " h"],
+) -> tuple[Int[np.ndarray, "j 2"], int]:
+    """Pairs of half-edges of one crowded edge, and how many ends of pairs share a fan.
+
+    Sheets must not cross, so only neighbours in the order around the edge are joined; of
+    the ways to do so, the one that joins most faces that hang together around an end of the
+    edge anyway, then the one that bends the sheets least. Fins are left out if that leaves
+    two faces.
+    """
+    wall = halves[~is_fin[halves // 3]]
+    halves, angles = _sort_around_edge(mesh, wall if len(wall) >= 2 else halves)
+    fans = fan[_end_corners(mesh, halves)]
+    ring = np.arange(len(halves))
+    rings = [np.delete(ring, i) for i in ring] if len(ring) % 2 else [ring]
+    matchings = [np.roll(ring, shift).reshape(-1, 2) for ring in rings for shift in (0, 1)]
+    shared = [int((fans[a] == fans[b]).sum()) for a, b in (pairs.T for pairs in matchings)]
+    bends = [np.abs(np.pi - np.abs(np.diff(angles[pairs]))).sum() for pairs in matchings]
+    best = min(range(len(matchings)), key=lambda k: (-shared[k], bends[k]))
+    return halves[matchings[best]], shared[best]
+
+
+def _end_corners(mesh: Mesh, halves: Int[np.ndarray, "*k"]) -> Int[np.ndarray, "*k 2"]:
+    """Corners at the two ends of half-edges, the one at the lower vertex first."""
+    corners = np.stack([halves, halves + np.where(halves % 3 < 2, 1, -2)], axis=-1)
+    order = np.argsort(mesh.faces.reshape(-1)[corners], axis=-1)
+    return np.take_along_axis(corners, order, axis=-1)
+
+
+def _sort_around_edge(
+    mesh: Mesh, halves: Int[np.ndarray, " k"]
+) -> tuple[Int[np.ndarray, " k"], Float[np.ndarray, " k"]]:
+    """Half-edges of one edge in the order of their faces around it, and the angles [rad]."""
+    start, end = _edge_ends(mesh, halves[0])
+    apex = mesh.vertices[mesh.faces[halves // 3, (halves % 3 + 2) % 3]]
+    axis = (end - start) / np.linalg.norm(end - start)
+    arm = apex - start
+    across = arm - np.outer(arm @ axis, axis)
+    angles = np.arctan2(across @ np.cross(axis, across[0]), across @ across[0])
+    order = np.argsort(angles, kind="stable")
+    return halves[order], angles[order]
+
+
+def _join_corners(
+    ends: Int[np.ndarray, "h 2"], pairs: Int[np.ndarray, "k 2"]
+) -> Int[np.ndarray, " h"]:
+    """Group number of each face corner, where faces joined along an edge share its ends."""
+    following = pairs + np.where(pairs % 3 < 2, 1, -2)
+    same = ends[pairs[:, 0], 0] == ends[pairs[:, 1], 0]
+    rows = np.concatenate([pairs[:, 0], following[:, 0]])
+    columns = np.concatenate(
+        [
+            np.where(same, pairs[:, 1], following[:, 1]),
+            np.where(same, following[:, 1], pairs[:, 1]),
+        ]
+    )
+    graph = coo_matrix((np.ones(len(rows), bool), (rows, columns)), (len(ends), len(ends)))
+    return connected_components(graph, directed=False)[1]
+
+
+def _conflict_place(mesh: Mesh, edges: Edges, disagrees: Bool[np.ndarray, " k"]) -> str:
+    """Where a walk over the surface first comes back to a face the other way round."""
+    pairs = edges.of_count(2)
+    left, right = pairs.T // 3
+    size = len(mesh.faces)
+    sign = {(a, b): d for a, b, d in zip(left, right, disagrees, strict=True)}
+    graph = coo_matrix((np.ones(len(left), bool), (left, right)), (size, size))
+    order, parents = breadth_first_order(graph, 0, directed=False)
+    is_turned = np.zeros(size, bool)
+    for face in order[1:]:
+        parent = parents[face]
+        turn = sign.get((parent, face), sign.get((face, parent)))
+        is_turned[face] = is_turned[parent] ^ bool(turn)
+    conflict = int(np.argmax(is_turned[left] ^ is_turned[right] ^ disagrees))
+    return format_place(mesh.vertices[edges.ends[pairs[conflict, 0]]].mean(axis=0))

@@ -1,0 +1,167 @@
+"""Duplicate vertices, degenerate triangles and duplicate faces."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import KDTree
+
+from vrcaps.mesh.edges import (
+    drop_unused_vertices,
+    find_edges,
+    keep_faces,
+    split_face,
+    take_vertices,
+)
+from vrcaps.mesh.repair.repair_report import Repair
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Int
+
+    from vrcaps.mesh.mesh import Mesh
+
+_MERGE_TOLERANCE = 1e-6  # of the bounding box's diagonal; a few float32 steps
+_THIN = 1e-5  # height over longest edge, below which a triangle has no usable normal
+_NEEDLE = 0.01  # shortest over longest edge, below which a thin triangle is a needle
+_MAX_PASSES = 10
+
+
+def merge_vertices(mesh: Mesh) -> tuple[Mesh, list[Repair]]:
+    """Merge vertices closer than 1e-6 of the mesh's diagonal and drop unused ones."""
+    repairs = []
+    num_vertices = len(mesh.vertices)
+    mesh = drop_unused_vertices(mesh)
+    if len(mesh.vertices) < num_vertices:
+        unused = num_vertices - len(mesh.vertices)
+        repairs.append(Repair("unused vertex", unused, "removed"))
+    tolerance = _MERGE_TOLERANCE * np.linalg.norm(np.ptp(mesh.vertices, axis=0))
+    unique, number = np.unique(mesh.vertices, axis=0, return_inverse=True)
+    pairs = KDTree(unique).query_pairs(tolerance, output_type="ndarray")
+    group = _group(pairs, len(unique))[number.reshape(-1)]
+    merged = _merge_groups(mesh, group)
+    num_merged = len(mesh.vertices) - len(merged.vertices)
+    if num_merged:
+        repairs.append(Repair("duplicate vertex", num_merged, "merged"))
+    return merged, repairs
+
+
+def remove_degenerate_faces(mesh: Mesh) -> tuple[Mesh, list[Repair]]:
+    """Remove triangles without area and leave no gap.
+
+    A needle's short edge is collapsed; a triangle whose apex lies on its longest edge is
+    merged into the neighbour across that edge, which is split at the apex.
+    """
+    count, places = 0, []
+    for _ in range(_MAX_PASSES):
+        is_collapsed = _has_repeated_corner(mesh.faces)
+        count += int(is_collapsed.sum())
+        places.append(mesh.vertices[mesh.faces[is_collapsed]].mean(axis=1))
+        mesh = keep_faces(mesh, ~is_collapsed)
+        lengths, heights = _edge_lengths(mesh)
+        longest, shortest = lengths.max(axis=1), lengths.min(axis=1)
+        is_thin = heights <= _THIN * longest
+        is_needle = is_thin & (shortest <= _NEEDLE * longest)
+        if not is_thin.any():
+            break
+        if is_needle.any():
+            ends = mesh.faces[is_needle][:, [[0, 1], [1, 2], [2, 0]]]
+            pairs = ends[np.arange(len(ends)), lengths[is_needle].argmin(axis=1)]
+            mesh = _merge_groups(mesh, _group(pairs, len(mesh.vertices)))
+        else:
+            thin = np.nonzero(is_thin)[0]
+            mesh, mended = _split_neighbours(mesh, thin, lengths[thin].argmax(axis=1))
+            count += len(mended)
+            places.append(mended)
+    mesh = drop_unused_vertices(mesh)
+    if count == 0:
+        return mesh, []
+    return mesh, [Repair("degenerate triangle", count, "removed", np.concatenate(places))]
+
+
+def remove_duplicate_faces(mesh: Mesh) -> tuple[Mesh, list[Repair]]:
+    """Keep one of the triangles that have the same three vertices, in any order."""
+    corners = np.sort(mesh.faces, axis=1)
+    _, first = np.unique(corners, axis=0, return_index=True)
+    is_first = np.zeros(len(corners), bool)
+    is_first[first] = True
+    if is_first.all():
+        return mesh, []
+    places = mesh.vertices[mesh.faces[~is_first]].mean(axis=1)
+    kept = drop_unused_vertices(keep_faces(mesh, is_first))
+    return kept, [Repair("duplicate triangle", len(places), "removed", places)]
+
+
+def _group(pairs: Int[np.ndarray, "k 2"], count: int) -> Int[np.ndarray, " n"]:
+    """Group number of each of `count` items, where pairs belong together."""
+    graph = coo_matrix((np.ones(len(pairs), bool), (pairs[:, 0], pairs[:, 1])), (count, count))
+    return connected_components(graph, directed=False)[1]
+
+
+def _merge_groups(mesh: Mesh, group: Int[np.ndarray, " n"]) -> Mesh:
+    """One vertex (the first) for each group; vertices keep their order."""
+    _, first, number = np.unique(group, return_index=True, return_inverse=True)
+    order = np.argsort(first)
+    rank = np.empty(len(order), np.int64)
+    rank[order] = np.arange(len(order))
+    return take_vertices(mesh, first[order], rank[number.reshape(-1)][mesh.faces])
+
+
+def _has_repeated_corner(faces: Int[np.ndarray, "m 3"]) -> Bool[np.ndarray, " m"]:
+    return np.any(faces == np.roll(faces, 1, axis=1), axis=1)
+
+
+def _edge_lengths(mesh: Mesh) -> tuple[Float[np.ndarray, "m 3"], Float[np.ndarray, " m"]]:
+    """Lengths of each face's edges (edge k leaves corner k) and its height on the longest [m]."""
+    corners = mesh.vertices[mesh.faces]
+    edges = np.roll(corners, -1, axis=1) - corners
+    lengths = np.linalg.norm(edges, axis=2)
+    double_area = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1)
+    return lengths, double_area / np.maximum(lengths.max(axis=1), np.finfo(float).tiny)
+
+
+def _split_neighbours(
+    mesh: Mesh, thin: Int[np.ndarray, " k"], longest: Int[np.ndarray, " k"]
+) -> tuple[Mesh, Float[np.ndarray, "j 3"]]:
+    """Drop each thin face and split the face across its longest edge at the thin one's apex.
+
+    Faces that share a neighbour with one already mended wait for the next pass.
+    """
+    edges = find_edges(mesh.faces)
+    edge_of = np.empty(len(edges.order), np.int64)
+    edge_of[edges.order] = np.repeat(np.arange(len(edges.first)), edges.counts)
+    keep = np.ones(len(mesh.faces), bool)
+    is_busy = np.zeros(len(mesh.faces), bool)
+    new_faces, new_uvs, places = [], [], []
+    for face, side in zip(thin, longest, strict=True):
+        edge = edge_of[3 * face + side]
+        start = edges.first[edge]
+        around = edges.order[start : start + edges.counts[edge]]
+        others = around[around // 3 != face]
+        if is_busy[face] or is_busy[others // 3].any():
+            continue
+        is_busy[face] = True
+        keep[face] = False
+        apex = int(mesh.faces[face, (side + 2) % 3])
+        places.append(mesh.vertices[apex])
+        for half in others:
+            is_busy[half // 3], keep[half // 3] = True, False
+            share = _share_along(mesh, half, apex)
+            faces, uvs = split_face(mesh, half // 3, half % 3, (apex, share))
+            new_faces.append(faces)
+            new_uvs.append(uvs)
+    kept = keep_faces(mesh, keep)
+    faces = np.concatenate([kept.faces, *new_faces])
+    uv = None if kept.uv is None else np.concatenate([kept.uv, *new_uvs])
+    return replace(kept, faces=faces, uv=uv), np.array(places)
+
+
+def _share_along(mesh: Mesh, half: int, vertex: int) -> float:
+    """How far along a half-edge a vertex lies, 0 to 1."""
+    face, side = divmod(int(half), 3)
+    start, end = mesh.vertices[mesh.faces[face, [side, (side + 1) % 3]]]
+    share = np.dot(mesh.vertices[vertex] - start, end - start) / np.dot(end - start, end - start)
+    return float(np.clip(share, 0.0, 1.0))

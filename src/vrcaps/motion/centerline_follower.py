@@ -1,0 +1,141 @@
+"""The rail that a fly-through rides on, and the wandering about it.
+
+The capsule's two ends lie on the rail like the bogies of a carriage, so that body and cameras
+follow bends. All wandering is a sum of sines in the distance travelled.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vrcaps.capsule.device import Device
+from vrcaps.organ.centerline import interpolate
+from vrcaps.organ.surface import Centerline
+from vrcaps.transforms import rotation_from_vector, transform_from
+from vrcaps.world.clearance import corrected
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+_NUM_WAVES = 4
+
+
+@dataclass(frozen=True)
+class Waves:
+    """Smooth noise along the path: sums of sines, each at most 1 in size."""
+
+    wave_numbers: Float[np.ndarray, "c k"]
+    phases: Float[np.ndarray, "c k"]
+
+    def at(self, distance: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n c"]:
+        """The noises at distances along the path [m]."""
+        angle = distance[:, None, None] * self.wave_numbers + self.phases
+        return np.sin(angle).mean(axis=-1)
+
+    def integral(self, distance: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n c"]:
+        """Integrals of the noises from 0 to distances along the path [m]."""
+        angle = distance[:, None, None] * self.wave_numbers + self.phases
+        return ((np.cos(self.phases) - np.cos(angle)) / self.wave_numbers).mean(axis=-1)
+
+
+def make_waves(smoothness: float, rng: np.random.Generator, *, count: int) -> Waves:
+    """`count` independent noises with wavelengths from `smoothness` [m] to four times that."""
+    wavelengths = smoothness * 4.0 ** rng.uniform(size=(count, _NUM_WAVES))
+    return Waves(2.0 * np.pi / wavelengths, rng.uniform(0.0, 2.0 * np.pi, (count, _NUM_WAVES)))
+
+
+@dataclass(frozen=True)
+class Carriage:
+    """Poses of the capsule by the arc length of its middle on the centreline [m].
+
+    Attributes:
+        centerline: In the world frame.
+        waves: Noise of two drifts, two wobbles and the roll.
+        front: Distance of the front bogie ahead of the capsule's origin [m].
+        rear: Distance of the rear bogie behind it [m].
+        sign: 1 to travel towards the anal end, −1 towards the oral end.
+        drift: Largest drift as a share of the radius.
+        wobble: Largest angle off the direction of travel [rad].
+        roll: Largest angle about the capsule's axis [rad].
+        keep: Share of the drift and wobble kept, by arc length.
+        correction: Shift [m] and turn [rad] of the capsule in its own frame, by arc length.
+    """
+
+    centerline: Centerline
+    waves: Waves
+    front: float
+    rear: float
+    sign: float
+    drift: float
+    wobble: float
+    roll: float
+    keep: Callable[[np.ndarray], np.ndarray]
+    correction: Callable[[np.ndarray], np.ndarray] | None = None
+
+    def poses(self, s: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n 4 4"]:
+        """Poses with the capsule's middle near arc lengths `s` [m]."""
+        keep, noise = self.keep(s), self.waves.at(s)
+        rear, front = self._bogies(s, keep)
+        forward = front - rear
+        forward /= np.linalg.norm(forward, axis=1, keepdims=True)
+        _, frame, _ = interpolate(self.centerline, s)
+        if self.sign < 0.0:  # turned about its first axis, so that z points along the travel
+            frame = frame * np.array([1.0, -1.0, -1.0])
+        rotation = _turn(frame[:, :, 2], forward) @ frame
+        tilt, spin = np.zeros((len(s), 3)), np.zeros((len(s), 3))
+        tilt[:, :2] = (keep * self.wobble)[:, None] * noise[:, 2:4] / np.sqrt(2.0)
+        spin[:, 2] = self.roll * noise[:, 4]
+        rotation = rotation @ rotation_from_vector(tilt) @ rotation_from_vector(spin)
+        poses = transform_from(rotation, rear + self.rear * forward)
+        return poses if self.correction is None else corrected(poses, self.correction(s))
+
+    def _bogies(self, s: np.ndarray, keep: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Rear and front points on the rail, the wheelbase apart."""
+        wheelbase = self.front + self.rear
+        stretch = np.ones_like(s)
+        rear, front = self._ends(s, keep, stretch)
+        for _ in range(8):
+            chord = np.linalg.norm(front - rear, axis=1)
+            stretch = np.clip(stretch * wheelbase / np.maximum(chord, 1e-9), 1.0, 3.0)
+            rear, front = self._ends(s, keep, stretch)
+        return rear, front
+
+    def _ends(
+        self, s: np.ndarray, keep: np.ndarray, stretch: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        return (
+            self._rail(s - self.sign * stretch * self.rear, keep),
+            self._rail(s + self.sign * stretch * self.front, keep),
+        )
+
+    def _rail(self, s: np.ndarray, keep: np.ndarray) -> np.ndarray:
+        point, frame, radius = interpolate(self.centerline, s)
+        offset = np.empty((len(s), 3))
+        offset[:, :2] = (keep * self.drift * radius)[:, None] * self.waves.at(s)[:, :2]
+        offset[:, :2] /= np.sqrt(2.0)
+        # Beyond an end of the centreline the rail goes straight on.
+        offset[:, 2] = s - np.clip(s, 0.0, self.centerline.length)
+        return point + (frame @ offset[:, :, None])[:, :, 0]
+
+
+def wheelbase(device: Device) -> tuple[float, float]:
+    """Distances of the front and rear bogies from the capsule's origin [m].
+
+    They are at the outermost cameras, and no nearer than the ends of the body's axis.
+    """
+    heights = [camera.T_capsule_camera[2, 3] for camera in device.cameras]
+    axis = device.length / 2.0 - device.radius
+    return max(axis, *heights), max(axis, *(-height for height in heights))
+
+
+def _turn(a: Float[np.ndarray, "n 3"], b: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3 3"]:
+    """Smallest rotations that take directions a to directions b."""
+    a = a / np.linalg.norm(a, axis=1, keepdims=True)
+    axis = np.cross(a, b)
+    sine = np.linalg.norm(axis, axis=1, keepdims=True)
+    angle = np.arctan2(sine, (a * b).sum(axis=1, keepdims=True))
+    return rotation_from_vector(axis * np.where(sine > 1e-12, angle / np.maximum(sine, 1e-12), 1.0))

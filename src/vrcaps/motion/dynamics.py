@@ -1,0 +1,148 @@
+"""Motion by physics: how to ask for it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+from typing import ClassVar, Literal
+
+from vrcaps.actuation.steering_program import MagnetSteering
+from vrcaps.errors import InputError, UnknownNameError, require
+from vrcaps.motion.fly_through import FlyThrough
+from vrcaps.tissue.drag import Drag
+from vrcaps.tissue.fem.deformation import FemDeformation
+from vrcaps.tissue.material import Material
+from vrcaps.tissue.motility.motility import Motility
+from vrcaps.tissue.motility.propulsion import Propulsion
+from vrcaps.tissue.spring_wall import QuickDeformation
+from vrcaps.tissue.tissue import Tissue
+from vrcaps.world.schedule import (
+    Insufflation,
+    Turn,
+    Wrench,
+    check_insufflation,
+    check_turns,
+    check_wrenches,
+)
+from vrcaps.world.world import SUBSTEP
+
+DEFORMATIONS = ("quick", "fem", "rigid")
+MOTILITIES = ("none", "fasting", "phase-three", "steady")
+WRENCH_FRAMES = ("world", "capsule", "gut")
+
+
+@dataclass(frozen=True)
+class Physics:
+    """The capsule moves as gravity, the wall, the muscle and commands make it.
+
+    It is set on the centreline and left to itself for `settle`; then time is 0 and the first
+    frame is taken.
+
+    Attributes:
+        start: Where the capsule is set, as a share of the centreline from the oral end; moved
+            on to where the capsule fits.
+        angle: Between the capsule's front and the way towards the anal end, about the x axis of
+            the centreline's frame [rad]; π looks back.
+        deformation: How the wall gives way: `quick` (the paper's update near the contact), `fem`
+            (an elastic layer) or `rigid` (not at all, but for the softness of `material`).
+        quick: Parameters of `quick`.
+        fem: Parameters of `fem`; None takes its defaults.
+        material: Pressure of the wall against a capsule that presses in.
+        drag: Resistance of the wall against a capsule that slides along.
+        motility: What the muscle does: `none`; `fasting`, the migrating motor complex by chance;
+            `phase-three`, its strongest phase, whose front has passed the capsule by 5 cm in the
+            first frame;
+            `steady`, every segment contracts evenly.
+        otherwise: Segment whose muscle the wall has where its own segment's name is unknown, such
+            as `jejunum`; None makes that an error.
+        propulsion: The force β (v_p − u) of peristalsis in addition to contact; None is without.
+        wrenches: Commanded force and torque: linear in time between entries, constant before and
+            after them.
+        wrench_file: CSV of such entries instead, see `read_wrenches`.
+        wrench_frame: Axes of commanded forces and torques: `world`, the `capsule`'s own, or the
+            `gut`'s at the capsule: z along the centreline towards the anal end.
+        turns: When the patient turns over.
+        insufflation: How full the gut is in time; empty: as modelled.
+        magnet: A magnet outside that steers the capsule; None is without.
+        settle: Time that passes before the first frame, without commands [s]. The gut takes on
+            its first insufflation, and the muscle wakes within 1 s.
+        step: Longest time between updates of muscle and commands [s].
+        substep: Longest substep of the dynamics [s]. Gentle forces bear four times the default.
+        wrench_sha256: Checksum of the file; filled in when recorded, checked when given.
+    """
+
+    start: float = FlyThrough.start
+    angle: float = 0.0
+    deformation: Literal["quick", "fem", "rigid"] = "quick"
+    quick: QuickDeformation = field(default_factory=QuickDeformation)
+    fem: FemDeformation | None = None
+    material: Material = field(default_factory=Material)
+    drag: Drag = field(default_factory=Drag)
+    motility: Literal["none", "fasting", "phase-three", "steady"] = "none"
+    otherwise: str | None = None
+    propulsion: Propulsion | None = None
+    wrenches: tuple[Wrench, ...] = ()
+    wrench_file: str = ""
+    wrench_frame: Literal["world", "capsule", "gut"] = "world"
+    turns: tuple[Turn, ...] = ()
+    insufflation: tuple[Insufflation, ...] = ()
+    magnet: MagnetSteering | None = None
+    settle: float = 1.0
+    step: float = 0.05
+    substep: float = SUBSTEP
+    wrench_sha256: str = ""
+
+    kind: ClassVar[str] = "physics"
+
+    def __post_init__(self) -> None:
+        for name, valid, allowed in (
+            ("start", 0.0 <= self.start <= 1.0, "0 to 1"),
+            ("angle", math.isfinite(self.angle), "finite [rad]"),
+            ("settle", 0.0 <= self.settle <= 3600.0, "0 to 3600 s"),
+            ("step", 0.0 < self.step <= 0.5, "above 0 to 0.5 s"),
+        ):
+            require(valid, f"Physics' {name}", getattr(self, name), allowed)
+        for noun, name, known in (
+            ("deformation", self.deformation, DEFORMATIONS),
+            ("motility", self.motility, MOTILITIES),
+            ("wrench frame", self.wrench_frame, WRENCH_FRAMES),
+        ):
+            if name not in known:
+                raise UnknownNameError(noun, name, known)
+        if self.propulsion is not None and self.motility == "none":
+            raise InputError(
+                "Propulsion follows the muscle, but motility is none. Choose "
+                f"{', '.join(MOTILITIES[1:])}."
+            )
+        if self.wrenches and self.wrench_file:
+            raise InputError("wrenches and wrench_file are both given. Give one of them.")
+        check_wrenches(self.wrenches, "wrenches")
+        check_turns(self.turns, "turns")
+        check_insufflation(self.insufflation, "insufflation")
+
+
+def tissue_of(settings: Physics, *, front: float) -> Tissue:
+    """The tissue that is asked for.
+
+    Args:
+        settings: What is asked for.
+        front: Arc length that the front of `phase-three` has reached in the first frame [m].
+    """
+    motility = None
+    if settings.motility != "none":
+        motility = Motility(otherwise=settings.otherwise, propulsion=settings.propulsion)
+    if settings.motility == "phase-three" and motility is not None:
+        motility = replace(motility, front=front)
+    elif settings.motility == "steady" and motility is not None:
+        motility = replace(motility, complex=None)
+    deformations: dict[str, QuickDeformation | FemDeformation | None] = {
+        "quick": settings.quick,
+        "fem": settings.fem or FemDeformation(),
+        "rigid": None,
+    }
+    return Tissue(
+        material=settings.material,
+        drag=settings.drag,
+        deformation=deformations[settings.deformation],
+        motility=motility,
+    )

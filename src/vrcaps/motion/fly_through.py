@@ -1,0 +1,262 @@
+"""A fly-through along the centreline: smooth, seeded, and never out of the lumen.
+
+The capsule rides on a rail (see `rail`): the centreline plus a drift across the lumen. All
+wandering (drift, heading, roll, speed) goes with the distance travelled, so the path does not
+depend on the frame rate. Where a camera would come too near the wall the wandering is eased;
+where even the centreline brings it there, in an acute bend, the capsule is pushed aside.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
+
+from vrcaps.errors import InputError
+from vrcaps.motion.centerline_follower import Carriage, Waves, make_waves, wheelbase
+from vrcaps.motion.trajectory import Trajectory, require_inside, velocities_between
+from vrcaps.transforms import transform_points
+from vrcaps.units import MM
+from vrcaps.world.clearance import capsule_clearance, push_inside, vital_clearance
+from vrcaps.world.model import Model
+from vrcaps.world.wall_displacement import MakeWay
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+_KNOT_SPACING = 1.0 * MM  # of the places where the path is checked against the wall
+_PUSH_BLUR = 3.0 * MM
+
+
+@dataclass(frozen=True)
+class FlyThrough:
+    """Fly along the centreline.
+
+    Attributes:
+        start: Where the first frame is, as a share of the centreline from the oral end.
+        end: Where the last frame is; less than `start` to travel towards the oral end. With a
+            `speed`, where the capsule must not go beyond. Both are moved inwards to where the
+            capsule fits.
+        speed: Mean speed along the centreline [m/s]; None covers the whole stretch in the
+            frames given.
+        speed_variation: Largest deviation of the speed from its mean, as a share, below 1.
+        drift: Largest distance from the centreline, as a share of the local radius, below 1.
+        wobble: Largest angle between the capsule's axis and its direction of travel [rad].
+        roll: Largest angle about the capsule's axis [rad].
+        smoothness: Shortest wavelength of all these along the path [m].
+        margin: Distance that cameras and body axis keep from the wall where the lumen is wide
+            enough [m]; where it is not, half of what they have on the centreline.
+        rigid_wall: Whether the wall stays as it is where the lumen is narrower than the capsule, so
+            that the shell reaches into it; its centre and its cameras never do. Otherwise the
+            wall makes way for the shell.
+    """
+
+    start: float = 0.03
+    end: float = 0.97
+    speed: float | None = None
+    speed_variation: float = 0.3
+    drift: float = 0.3
+    wobble: float = 0.15
+    roll: float = 0.6
+    smoothness: float = 0.06
+    margin: float = 2.0 * MM
+    rigid_wall: bool = False
+
+    kind: ClassVar[str] = "fly-through"
+
+
+def fly_through(
+    model: Model, settings: FlyThrough, *, frames: int, fps: float, rng: np.random.Generator
+) -> Trajectory:
+    """Trajectory of the capsule along the centreline, looking where it travels.
+
+    Args:
+        model: The lumen and the capsule.
+        settings: Where from and to, how fast, how much it wanders.
+        frames: Number of frames, at least 1.
+        fps: Frames per second.
+        rng: Source of the wandering.
+
+    Raises:
+        InputError: If a setting is out of range, the frames at `speed` need more than the
+            stretch, or the capsule does not fit through a bend.
+    """
+    _require_valid(settings)
+    carriage, low, high, notes = _fitted(model, settings, _carriage(model, settings, rng))
+    duration = (frames - 1) / fps
+    distance = high - low if settings.speed is None else settings.speed * duration
+    if settings.speed is not None and distance > (high - low) * (1.0 + 1e-9):
+        raise InputError(
+            f"{frames} frames at {fps:g} per second and {settings.speed:g} m/s travel "
+            f"{distance:.3g} m, but the stretch is {high - low:.3g} m. Allowed: up to "
+            f"{int((high - low) / settings.speed * fps) + 1} frames, or a lower speed."
+        )
+    carriage = _eased(model, settings, carriage, low, high)
+    rate = distance / duration if frames > 1 else 0.0
+    waves = make_waves(settings.smoothness, rng, count=1)
+    first = low if carriage.sign > 0.0 else high
+
+    def pose_at(times: Float[np.ndarray, " k"]) -> Float[np.ndarray, "k 4 4"]:
+        travelled = _travelled(rate * times, distance, waves, settings.speed_variation)
+        return carriage.poses(first + carriage.sign * travelled)
+
+    times = np.arange(frames) / fps
+    step = 1e-3 / fps
+    velocities = velocities_between(pose_at(times - step), pose_at(times + step), 2.0 * step)
+    make_way = None if settings.rigid_wall else MakeWay(model, model)
+    trajectory = Trajectory(times, pose_at(times), *velocities, notes, make_way)
+    require_inside(model, trajectory)
+    return trajectory
+
+
+def _travelled(
+    nominal: Float[np.ndarray, " n"], distance: float, waves: Waves, variation: float
+) -> Float[np.ndarray, " n"]:
+    """Distance travelled when steady motion would be at `nominal`; both end at `distance` [m]."""
+    if distance <= 0.0:
+        return np.zeros_like(nominal)
+    ends = np.array([distance])
+    whole = distance + variation * waves.integral(ends)[0, 0]
+    return (nominal + variation * waves.integral(nominal)[:, 0]) * distance / whole
+
+
+def _carriage(model: Model, settings: FlyThrough, rng: np.random.Generator) -> Carriage:
+    """Carriage of the model's capsule on its organ's centreline, not wandering yet."""
+    line = model.organ.centerline
+    front, rear = wheelbase(model.device)
+    return Carriage(
+        centerline=replace(
+            line,
+            points=transform_points(model.T_world_patient, line.points),
+            frames=model.T_world_patient[:3, :3] @ line.frames,
+        ),
+        waves=make_waves(settings.smoothness, rng, count=5),
+        front=front,
+        rear=rear,
+        sign=1.0 if settings.end > settings.start else -1.0,
+        drift=settings.drift,
+        wobble=settings.wobble,
+        roll=settings.roll,
+        keep=np.zeros_like,
+    )
+
+
+def _fitted(
+    model: Model, settings: FlyThrough, carriage: Carriage
+) -> tuple[Carriage, float, float, tuple[str, ...]]:
+    """The carriage with its poses pushed into the lumen, and the stretch where it fits [m].
+
+    Raises:
+        InputError: If the capsule does not fit in, or leaves the lumen in between.
+    """
+    knots, notes = _stretch(model, settings, carriage)
+    poses, need = carriage.poses(knots), _least_clearance(model, settings)
+    push = push_inside(model, poses, need=need, blur=_PUSH_BLUR / _KNOT_SPACING)
+    carriage = replace(carriage, correction=_linear(knots, push))
+    clearance = vital_clearance(model, carriage.poses(knots))
+    blocked = np.flatnonzero(~(clearance > 0.0))
+    if len(blocked):
+        share = knots[blocked[0]] / model.organ.centerline.length
+        raise InputError(
+            f"{model.device.name} in {model.organ.name}: a camera leaves the lumen {share:.3f} of "
+            f"the way along (by {-clearance[blocked[0]] / MM:.1f} mm). Choose start and end on "
+            "one side of it."
+        )
+    return carriage, float(knots[0]), float(knots[-1]), notes
+
+
+def _stretch(
+    model: Model, settings: FlyThrough, carriage: Carriage
+) -> tuple[Float[np.ndarray, " k"], tuple[str, ...]]:
+    """Knots of the stretch asked for, its ends moved inwards to where the capsule fits.
+
+    Raises:
+        InputError: If it fits nowhere.
+    """
+    asked = np.sort(np.array([settings.start, settings.end])) * model.organ.centerline.length
+    knots = _knots(*asked)
+    clearance = vital_clearance(model, carriage.poses(knots))
+    inside = np.flatnonzero(clearance > settings.margin)
+    if len(inside) < 2:
+        inside = np.flatnonzero(clearance > _least_clearance(model, settings))
+    if len(inside) < 2:
+        raise InputError(
+            f"{model.device.name} in {model.organ.name}: the capsule fits nowhere between start "
+            f"{settings.start:g} and end {settings.end:g}. Check the organ's unit, or take a "
+            "smaller capsule."
+        )
+    knots = knots[inside[0] : inside[-1] + 1]
+    notes = tuple(
+        f"Moved the {end} end of the stretch inwards by {shift / MM:.1f} mm, to where the "
+        "capsule fits."
+        for end, shift in (("oral", knots[0] - asked[0]), ("anal", asked[1] - knots[-1]))
+        if shift > 0.0
+    )
+    return knots, notes
+
+
+def _least_clearance(model: Model, settings: FlyThrough) -> float:
+    """Clearance [m] up to which the capsule is pushed off the wall."""
+    return 0.25 * min(settings.margin, model.device.radius)
+
+
+def _eased(
+    model: Model, settings: FlyThrough, carriage: Carriage, low: float, high: float
+) -> Carriage:
+    """The carriage wandering in full, but less wherever it would come too near the wall."""
+    from scipy.interpolate import PchipInterpolator  # slow to load
+
+    knots = _knots(low, high)
+    bare = capsule_clearance(model, carriage.poses(knots))
+    # A point that is outside even without wandering (an end of the shell) is let be.
+    need = np.where(bare > 0.0, np.minimum(settings.margin, 0.5 * bare), -np.inf)
+    keep = np.ones_like(knots)
+    slope = knots / settings.smoothness
+    for attempt in range(16):
+        wandering = replace(carriage, keep=_linear(knots, keep))
+        near = (capsule_clearance(model, wandering.poses(knots)) < need).any(axis=1)
+        if not near.any():
+            break
+        keep[near] *= 0.7 if attempt < 12 else 0.0
+        keep = np.minimum.accumulate(keep - slope) + slope
+        keep = np.minimum.accumulate((keep + slope)[::-1])[::-1] - slope
+    interpolator = PchipInterpolator(knots, keep)
+    return replace(carriage, keep=lambda s: interpolator(np.clip(s, low, high)))
+
+
+def _knots(low: float, high: float) -> Float[np.ndarray, " n"]:
+    return np.linspace(low, high, max(int(np.ceil((high - low) / _KNOT_SPACING)), 2) + 1)
+
+
+def _linear(
+    knots: Float[np.ndarray, " k"], values: Float[np.ndarray, " k *d"]
+) -> Callable[[np.ndarray], np.ndarray]:
+    """Values between knots, linear, and those of the end knots beyond."""
+
+    def at(s: np.ndarray) -> np.ndarray:
+        columns = [np.interp(s, knots, column) for column in values.reshape(len(knots), -1).T]
+        return np.stack(columns, axis=-1).reshape(len(s), *values.shape[1:])
+
+    return at
+
+
+def _require_valid(settings: FlyThrough) -> None:
+    ranges = {
+        "start": (0.0 <= settings.start <= 1.0, "0 to 1"),
+        "end": (0.0 <= settings.end <= 1.0 and settings.end != settings.start, "0 to 1, not start"),
+        "speed": (settings.speed is None or settings.speed > 0.0, "above 0 m/s, or none"),
+        "speed_variation": (0.0 <= settings.speed_variation < 1.0, "0 to below 1"),
+        "drift": (0.0 <= settings.drift < 1.0, "0 to below 1"),
+        "wobble": (0.0 <= settings.wobble <= np.pi / 4, "0 to 0.785 rad"),
+        "roll": (0.0 <= settings.roll < np.inf, "0 rad or more"),
+        "smoothness": (0.0 < settings.smoothness < np.inf, "above 0 m"),
+        "margin": (0.0 < settings.margin < np.inf, "above 0 m"),
+    }
+    for name, (valid, allowed) in ranges.items():
+        if not valid:
+            flag = "--" + name.replace("_", "-")
+            raise InputError(
+                f"Fly-through {name} ({flag}) is {getattr(settings, name)}. Allowed: {allowed}."
+            )

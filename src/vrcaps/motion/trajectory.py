@@ -1,0 +1,175 @@
+"""A capsule's path in time: poses and velocities, how to resample and to check them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vrcaps.errors import InputError
+from vrcaps.motion.run import Instant
+from vrcaps.transforms import (
+    invert,
+    rotation_from_vector,
+    rotation_vector,
+    transform_from,
+)
+from vrcaps.units import MM
+from vrcaps.world.model import Model, State
+from vrcaps.world.wall_displacement import MakeWay
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """Where the capsule is and how it moves, at n instants: a `Run` known beforehand.
+
+    Attributes:
+        times: Instants [s], strictly increasing.
+        Ts_world_capsule: Poses of the capsule.
+        linear_velocities_world: Velocities of the capsule's origin [m/s].
+        angular_velocities_world: Angular velocities of the capsule [rad/s].
+        notes: What was skipped or changed to make it, one line each.
+        make_way: How the wall gives way to the shell where the lumen is narrower; None keeps it
+            at rest.
+    """
+
+    times: Float[np.ndarray, " n"]
+    Ts_world_capsule: Float[np.ndarray, "n 4 4"]
+    linear_velocities_world: Float[np.ndarray, "n 3"]
+    angular_velocities_world: Float[np.ndarray, "n 3"]
+    notes: tuple[str, ...] = ()
+    make_way: MakeWay | None = None
+
+    def __len__(self) -> int:
+        return len(self.times)
+
+    def state(self, index: int) -> State:
+        """The world at one of the instants."""
+        pose = self.Ts_world_capsule[index]
+        return State(
+            time=float(self.times[index]),
+            T_world_capsule=pose,
+            linear_velocity_world=self.linear_velocities_world[index],
+            angular_velocity_world=self.angular_velocities_world[index],
+            vertices_world=self.make_way.vertices_world(pose) if self.make_way else None,
+        )
+
+    def instants(self) -> Iterator[Instant]:
+        """All instants, in time."""
+        return (Instant(self.state(index)) for index in range(len(self)))
+
+
+def trajectory_from_poses(
+    times: Float[np.ndarray, " n"],
+    Ts_world_capsule: Float[np.ndarray, "n 4 4"],
+    *,
+    notes: tuple[str, ...] = (),
+) -> Trajectory:
+    """Trajectory through given poses; velocities are central differences of neighbours.
+
+    Args:
+        times: Instants [s], strictly increasing, at least two.
+        Ts_world_capsule: Poses of the capsule.
+        notes: Kept in the trajectory.
+    """
+    before = np.maximum(np.arange(len(times)) - 1, 0)
+    after = np.minimum(np.arange(len(times)) + 1, len(times) - 1)
+    linear, angular = velocities_between(
+        Ts_world_capsule[before], Ts_world_capsule[after], times[after] - times[before]
+    )
+    return Trajectory(times, Ts_world_capsule, linear, angular, notes)
+
+
+def velocities_between(
+    Ts_world_a: Float[np.ndarray, "n 4 4"],
+    Ts_world_b: Float[np.ndarray, "n 4 4"],
+    duration: Float[np.ndarray, " n"] | float,
+) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]]:
+    """Mean linear [m/s] and angular [rad/s] velocity from poses a to poses b in `duration` [s]."""
+    duration = np.asarray(duration)[..., None]
+    linear = (Ts_world_b[:, :3, 3] - Ts_world_a[:, :3, 3]) / duration
+    angular = rotation_vector(Ts_world_a[:, :3, :3], Ts_world_b[:, :3, :3]) / duration
+    return linear, angular
+
+
+def resample(trajectory: Trajectory, times: Float[np.ndarray, " k"]) -> Trajectory:
+    """The trajectory at other instants: linear in position, spherical-linear in rotation.
+
+    Args:
+        trajectory: At least two poses.
+        times: Instants [s] within the trajectory's own, strictly increasing.
+
+    Raises:
+        InputError: If an instant lies outside the trajectory.
+    """
+    own = trajectory.times
+    slack = 1e-9 * max(own[-1] - own[0], 1e-9)
+    if times[0] < own[0] - slack or times[-1] > own[-1] + slack:
+        raise InputError(
+            f"The recorded path covers {own[0]:.6g} s to {own[-1]:.6g} s, but the frames need "
+            f"{times[0]:.6g} s to {times[-1]:.6g} s. Ask for fewer frames (--frames), a "
+            "higher frame rate (--fps) or an earlier start (--path-start)."
+        )
+    left = np.clip(np.searchsorted(own, times, side="right") - 1, 0, len(own) - 2)
+    share = ((times - own[left]) / (own[left + 1] - own[left]))[:, None]
+    poses = trajectory.Ts_world_capsule
+    positions = (1.0 - share) * poses[left, :3, 3] + share * poses[left + 1, :3, 3]
+    turn = rotation_vector(poses[left, :3, :3], poses[left + 1, :3, :3])
+    rotations = rotation_from_vector(share * turn) @ poses[left, :3, :3]
+    Ts_world_capsule = transform_from(rotations, positions)
+    if len(times) > 1:
+        return trajectory_from_poses(times, Ts_world_capsule, notes=trajectory.notes)
+    span = own[left + 1] - own[left]
+    linear, angular = velocities_between(poses[left], poses[left + 1], span)
+    return Trajectory(times, Ts_world_capsule, linear, angular, trajectory.notes)
+
+
+def camera_poses(
+    Ts_world_capsule: Float[np.ndarray, "n 4 4"], T_capsule_camera: Float[np.ndarray, "4 4"]
+) -> Float[np.ndarray, "n 4 4"]:
+    """Poses of a camera whose capsule has the given poses."""
+    return Ts_world_capsule @ T_capsule_camera
+
+
+def capsule_poses(
+    Ts_world_camera: Float[np.ndarray, "n 4 4"], T_capsule_camera: Float[np.ndarray, "4 4"]
+) -> Float[np.ndarray, "n 4 4"]:
+    """Poses of the capsule whose camera has the given poses."""
+    return Ts_world_camera @ invert(T_capsule_camera)
+
+
+def camera_clearance(model: Model, trajectory: Trajectory) -> Float[np.ndarray, "n c"]:
+    """Distance of each of the capsule's c cameras to the wall at rest [m], positive inside."""
+    centers = np.stack(
+        [
+            camera_poses(trajectory.Ts_world_capsule, camera.T_capsule_camera)[:, :3, 3]
+            for camera in model.device.cameras
+        ],
+        axis=1,
+    )
+    return model.wall.signed_distance(centers.reshape(-1, 3)).reshape(centers.shape[:2])
+
+
+def require_inside(model: Model, trajectory: Trajectory) -> None:
+    """Check that every camera stays inside the lumen.
+
+    Raises:
+        InputError: If a camera is outside at any instant; names the first and how many there are.
+    """
+    clearance = camera_clearance(model, trajectory)
+    outside = np.argwhere(~(clearance > 0.0))
+    if len(outside) == 0:
+        return
+    frame, camera = outside[0]
+    raise InputError(
+        f"Camera {model.device.cameras[camera].name!r} is {-clearance[frame, camera] / MM:.1f} mm "
+        f"outside the lumen of {model.organ.name!r} at frame {frame} "
+        f"({len(np.unique(outside[:, 0]))} of {len(trajectory)} frames are outside). Check the "
+        "path's unit, handedness and placement, or accept them: allow_outside, on the command "
+        "line --path-allow-outside."
+    )

@@ -1,0 +1,1 @@
+"""How the wall looks: textures and their baking."""

@@ -1,0 +1,394 @@
+"""The default mucosa: colour, vessels, wetness and relief of a gut wall, baked into textures.
+
+Colour is a function of the wall's points in space (and of the way along the gut), evaluated at
+each texel, so it shows neither the borders of texture charts nor any repetition. Vessels are
+trees grown over the wall itself.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vrcaps import _core
+from vrcaps.errors import InputError, UnknownNameError
+from vrcaps.organ.surface import Appearance, OrganSurface, round_height
+from vrcaps.organ.uv import texture_stretch
+from vrcaps.units import MM
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Int
+
+    from vrcaps.mucosa.texture import MucosaTexture
+
+MAX_SIDE = 16384
+"""Longest side of a texture [texels]: what desktop GPUs and viewers accept."""
+
+DEFAULT_TEXELS_PER_MM = 8.0
+"""Least texture density sought on 95 % of the wall where the caller names none."""
+
+_MOST_STRETCH = 1.6  # of a texel beyond the mean that more texels make up for
+
+
+MUCUS_TINT = (1.2, 2.8, 1.45)
+"""Reflectance of bile-stained mucus over that of the wall, red, green, blue: median ratio, in seven
+real frames of clean colons (docs/mucosa.md), of what is yellow to what is red."""
+
+
+@dataclass(frozen=True)
+class Mucosa:
+    """Character of a mucosa.
+
+    Colours are those at which frames with bounced light have the colours of real ones
+    (`benchmarks/fit_appearance.py`, docs/gallery.md); the stomach's, of which there were none,
+    change as the colon's did, in blue less, for it has less bile. Shapes and sizes are chosen by
+    eye.
+
+    Attributes:
+        base_color: Linear reflectance of the wall between its vessels, red, green, blue.
+        redness_variation: Spread of the optical density of blood in the mucosa, over places
+            along the gut and patches.
+        patient_variation: Deviation over patients of the optical density of blood in green
+            light, and of bile in blue light.
+        bile: Optical density of bile-stained mucus in blue light.
+        vessel_contrast: Share of green light that a wide, shallow vessel takes away, 0 to 1.
+        vessel_spacing: Distance between the ends of the finest visible branches [m].
+        trunk_spacing: Distance between the places where vessel trunks reach the mucosa [m].
+        capillary_radius: Radius of the finest visible branches [m]; wider ones follow from it
+            by Murray's law.
+        relief_slope: RMS slope of the millimetre-sized relief, which breaks up highlights.
+        pit_spacing: Distance between villi, gastric areae or groups of crypts [m].
+        pit_slope: RMS slope of the gaps between them.
+        pit_shade: Optical density of those gaps in green light; bile gathers there too.
+        network: Weight of the finest network of vessels in the redness.
+        flecks: Share of cells, 3.2 mm wide, that hold a fleck of mucus, on the wall or off it.
+        mucus: Amount of mucus, 0 to 1: film and strands cover a third of this share of the wall.
+        mucus_tint: Reflectance of mucus over that of the wall, red, green, blue.
+        roughness: Perceptual roughness of the wall under its wet film, 0 to 1.
+        coat: Strength of the wet film, 0 (dry, or broken up) to 1 (whole).
+        coat_gloss: Gloss of the wet film, 0 (satin) to 1 (mirror-like).
+    """
+
+    base_color: tuple[float, float, float]
+    redness_variation: float = 0.35
+    patient_variation: tuple[float, float] = (0.20, 0.30)
+    bile: float = 0.45
+    vessel_contrast: float = 1.0
+    vessel_spacing: float = 1.0 * MM
+    trunk_spacing: float = 30.0 * MM
+    capillary_radius: float = 0.046 * MM
+    relief_slope: float = 0.06
+    pit_spacing: float = 0.6 * MM
+    pit_slope: float = 0.03
+    pit_shade: float = 0.05
+    network: float = 1.1
+    flecks: float = 0.03
+    mucus: float = 0.10
+    mucus_tint: tuple[float, float, float] = MUCUS_TINT
+    roughness: float = 0.65
+    coat: float = 1.0
+    coat_gloss: float = 0.93
+
+
+MUCOSAE: dict[str, Mucosa] = {
+    "colon": Mucosa(
+        base_color=(0.446, 0.147, 0.143),
+        bile=0.65,
+        redness_variation=0.45,
+        network=1.4,
+        relief_slope=0.038,
+        roughness=0.90,
+        coat=0.8,
+        coat_gloss=0.97,
+    ),
+    "stomach": Mucosa(
+        base_color=(0.432, 0.152, 0.118),
+        bile=0.15,
+        vessel_contrast=0.25,
+        vessel_spacing=1.5 * MM,
+        pit_spacing=2.2 * MM,
+        pit_slope=0.085,
+        pit_shade=0.10,
+        network=0.35,
+        flecks=0.4,
+        mucus_tint=(1.15, 2.2, 2.0),
+        coat=0.7,
+    ),
+    "small_intestine": Mucosa(
+        base_color=(0.418, 0.210, 0.149),
+        redness_variation=0.22,
+        patient_variation=(0.20, 0.40),
+        bile=0.32,
+        vessel_contrast=0.35,
+        pit_spacing=0.42 * MM,
+        pit_slope=0.48,
+        pit_shade=0.28,
+        network=0.2,
+        flecks=0.15,
+        mucus_tint=(1.15, 1.9, 2.0),
+        roughness=0.85,
+        coat=0.16,
+    ),
+}
+"""Mucosae by organ."""
+
+_MUCOSA_OF: dict[str, str] = {
+    **dict.fromkeys(("stomach", "fundus", "cardia", "body", "antrum", "pylorus"), "stomach"),
+    **dict.fromkeys(("small_bowel", "small_intestine", "duodenal_bulb"), "small_intestine"),
+    **dict.fromkeys(("duodenum", "jejunum", "ileum"), "small_intestine"),
+}
+"""By name of an organ or segment, ours or TotalSegmentator's; all others have the colon's."""
+
+ABSORPTION = np.array([[0.16, 1.0, 0.92], [0.04, 0.16, 1.0]])
+"""Optical density in red, green and blue of blood, relative to green, and of bile, to blue: as in
+the compiled core (tissue.rs)."""
+
+_SEGMENTS: dict[str, tuple[float, float, float]] = {
+    "fundus": (0.7, 1.0, 1.2),
+    "cardia": (0.5, 1.0, 1.2),
+    "body": (1.2, 0.9, 1.0),
+    "antrum": (0.6, 1.3, 0.6),
+    "pylorus": (0.4, 1.6, 0.4),
+    "duodenal_bulb": (0.6, 1.2, 0.8),
+    "duodenum": (1.0, 1.5, 0.3),
+    "jejunum": (1.1, 1.1, 0.4),
+    "ileum": (0.6, 0.7, 1.3),
+}
+"""Factors on the pits or villi, the bile and the vessels by segment; 1 elsewhere. Villi are tall
+and bile is strong in duodenum and jejunum; in the ileum villi are short and vessels shine through
+(Steinbrück et al., Atlas of Video Capsule Endoscopy, 2014, chapter 5)."""
+
+_BLUR = 0.03
+"""Standard deviation over which one segment passes into the next, as a share of the length."""
+
+
+def bake_appearance(
+    organ: OrganSurface,
+    *,
+    seed: int,
+    mucosa: str | Mucosa = "colon",
+    texels_per_mm: float | None = None,
+    max_texels: int = 48_000_000,
+) -> Appearance:
+    """Bakes a mucosa into textures over an organ's texture coordinates.
+
+    The textures follow the coordinates' aspect: sides of up to `MAX_SIDE` texels, so that a
+    long tube whose v runs its whole length gets fewer texels along it than around it. A texel
+    takes 8 bytes in memory. Where faces overlap in the coordinates, the first one is drawn.
+
+    Args:
+        organ: The wall; its appearance is not looked at.
+        seed: Chooses the patient: vessels, patches, shade. The same seed gives the same bytes.
+        mucosa: Name in `MUCOSAE`, or a mucosa, or the path of a texture that
+            `vrcaps organ texture` wrote (`read_texture`).
+        texels_per_mm: Mean density to bake at; None takes as many as give 95 % of the wall
+            `DEFAULT_TEXELS_PER_MM` in every direction, or less where the limits bind.
+        max_texels: Most texels a texture may have.
+    """
+    from vrcaps.mucosa.apply_texture import wear
+    from vrcaps.mucosa.texture import MucosaTexture
+
+    worn = _resolve(mucosa)
+    pace = _pace(organ)
+    sought = pace if texels_per_mm else tuple(_squeeze(organ, pace) * np.array(pace))
+    height, width = _texture_size(sought, texels_per_mm, max_texels)
+    if isinstance(worn, MucosaTexture):
+        return wear(organ, worn, (height, width), seed=seed)
+    worn = _of_patient(worn, seed)
+    texel = float(np.hypot(pace[0] / width, pace[1] / height)) / 2.0**0.5
+    albedo, roughness, relief = _core.bake_mucosa(
+        _wall_fields(organ),
+        np.ascontiguousarray(organ.faces, np.uint32),
+        np.ascontiguousarray(organ.uv.reshape(-1, 6), np.float64),
+        (height, width, texel / MM),
+        seed & 0xFFFFFFFF,
+        worn,
+    )
+    return Appearance(
+        albedo=albedo.reshape(height, width, 3),
+        roughness=roughness.reshape(height, width),
+        height=round_height(relief.reshape(height, width)),
+        coat=worn.coat,
+        coat_gloss=worn.coat_gloss,
+    )
+
+
+def _resolve(mucosa: str | Mucosa) -> Mucosa | MucosaTexture:
+    from vrcaps.mucosa.texture import read_texture
+
+    if isinstance(mucosa, Mucosa):
+        return mucosa
+    if is_texture_path(mucosa):
+        return read_texture(mucosa)
+    return MUCOSAE[mucosa]
+
+
+def own_mucosa(organ: OrganSurface) -> str:
+    """Name in `MUCOSAE` of the mucosa that an organ's own labels call for.
+
+    The label of most of its wall decides, or the organ's name where that label says nothing; the
+    colon's where neither names a stomach or small bowel.
+    """
+    label = organ.label_names[int(np.bincount(organ.label).argmax())]
+    name = organ.name if label == "wall" else label
+    return _MUCOSA_OF.get(name.replace("-", "_"), "colon")
+
+
+def is_texture_path(mucosa: str) -> bool:
+    """Whether a mucosa is given as the path of a texture rather than a name in `MUCOSAE`.
+
+    Raises:
+        UnknownNameError: If it is neither.
+    """
+    if mucosa in MUCOSAE:
+        return False
+    if len(Path(mucosa).parts) == 1 and not Path(mucosa).exists():
+        raise UnknownNameError("mucosa", mucosa, (*MUCOSAE, "the folder of a texture"))
+    return True
+
+
+def mucosa_fingerprint(mucosa: str | None) -> dict[str, str]:
+    """What a cached organ's name takes in of its mucosa: nothing of the organ's own.
+
+    Raises:
+        UnknownNameError: If there is no such mucosa.
+        InputError: If there is no texture at a path.
+    """
+    from vrcaps.mucosa.texture import texture_sha256
+
+    if mucosa is None:
+        return {}
+    return {"mucosa": texture_sha256(mucosa) if is_texture_path(mucosa) else mucosa}
+
+
+def _of_patient(mucosa: Mucosa, seed: int) -> Mucosa:
+    """One patient's mucosa: the same draw for every organ."""
+    spread = np.array(mucosa.patient_variation)
+    densities = spread * np.random.default_rng([seed, 0x70616C65]).standard_normal(2)
+    color = np.array(mucosa.base_color) * np.exp(-densities @ ABSORPTION)
+    return replace(mucosa, base_color=tuple(np.clip(color, 0.01, 0.95).tolist()))
+
+
+def _pace(organ: OrganSurface) -> tuple[float, float]:
+    """Length of wall [m] per unit of u and of v: the mean over the wall's area."""
+    if organ.uv.shape != (len(organ.faces), 3, 2) or not np.isfinite(organ.uv).all():
+        raise InputError(
+            f"Texture coordinates of {organ.name} have shape {organ.uv.shape}; allowed: finite, "
+            f"({len(organ.faces)}, 3, 2), one pair for each corner of each face."
+        )
+    corners = organ.vertices[organ.faces]
+    edges = corners[:, 1:] - corners[:, :1]
+    area = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1)
+    (du1, dv1), (du2, dv2) = np.moveaxis(organ.uv[:, 1:] - organ.uv[:, :1], 0, -1)
+    determinant = du1 * dv2 - du2 * dv1
+    is_charted = (determinant != 0.0) & (area > 0.0)
+    if area[is_charted].sum() < 0.5 * area.sum() or not is_charted.any():
+        raise InputError(
+            f"Texture coordinates of {organ.name} give no area to most of its wall; "
+            "make new ones for it."
+        )
+    if 0.5 * np.abs(determinant).sum() > 1.001:
+        raise InputError(
+            f"Texture coordinates of {organ.name} cover the unit square more than once: places "
+            "of the wall share texels; make new ones without overlap."
+        )
+    weight = area * is_charted / np.where(is_charted, determinant, 1.0)
+    along_u = np.linalg.norm(edges[:, 0] * dv2[:, None] - edges[:, 1] * dv1[:, None], axis=1)
+    along_v = np.linalg.norm(edges[:, 1] * du1[:, None] - edges[:, 0] * du2[:, None], axis=1)
+    total = area[is_charted].sum()
+    return float(np.abs(weight) @ along_u / total), float(np.abs(weight) @ along_v / total)
+
+
+def _squeeze(organ: OrganSurface, pace: tuple[float, float]) -> float:
+    """How much wider than the mean texels are, in their wider direction, on 5 % of the wall.
+
+    Not below 1, and not above `_MOST_STRETCH`: more texels do not mend bad coordinates.
+    """
+    corners = organ.vertices[organ.faces]
+    edges = corners[:, 1:] - corners[:, :1]
+    area = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1)
+    is_face = area > 0.0
+    stretch = np.abs(texture_stretch(corners[is_face], organ.uv[is_face] * np.array(pace))[:, 0])
+    order = np.argsort(stretch)
+    share = np.cumsum(area[is_face][order])
+    least = stretch[order][np.searchsorted(share, 0.05 * share[-1])]
+    return float(np.clip(1.0 / max(least, 1e-9), 1.0, _MOST_STRETCH))
+
+
+def _texture_size(
+    pace: tuple[float, float], texels_per_mm: float | None, max_texels: int
+) -> tuple[int, int]:
+    """Height and width [texels], multiples of 16 and at most `MAX_SIDE`."""
+    density = DEFAULT_TEXELS_PER_MM if texels_per_mm is None else texels_per_mm
+    if not (density > 0.0 and np.isfinite(density)):
+        raise InputError(f"texels_per_mm is {density}; allowed: a number above 0.")
+    if max_texels < 256:
+        raise InputError(f"max_texels is {max_texels}; allowed: at least 256.")
+    width, height = (length / MM * density for length in pace)
+    if texels_per_mm is not None and (max(width, height) > MAX_SIDE or width * height > max_texels):
+        raise InputError(
+            f"{density:g} texels per mm need a texture of {width:.0f} × {height:.0f} texels; "
+            f"allowed: sides up to {MAX_SIDE} and {max_texels} in all. Lower texels_per_mm."
+        )
+    width, height = min(width, MAX_SIDE), min(height, MAX_SIDE)
+    shrink = min(1.0, (max_texels / (width * height)) ** 0.5)
+    # Down where limits bind, up where the density does.
+    whole = np.floor if shrink < 1.0 or texels_per_mm is not None else np.ceil
+    width, height = (max(16, int(whole(side * shrink / 16.0)) * 16) for side in (width, height))
+    return height, width
+
+
+def _wall_fields(organ: OrganSurface) -> Float[np.ndarray, "n 11"]:
+    """Position [mm], normal, curvature [1/mm], arc length [mm] and segment factors of vertices."""
+    curvature = _bulge(organ.vertices, organ.normals, organ.faces) * MM
+    factors = _segment_factors(organ)
+    columns = (organ.vertices / MM, organ.normals, curvature, organ.arc_length / MM, factors)
+    return np.column_stack(columns).astype(np.float32)
+
+
+def _segment_factors(organ: OrganSurface) -> Float[np.ndarray, "n 3"]:
+    """Factors on pits, bile and vessels at each vertex: one segment passes into the next."""
+    table = np.array([_SEGMENTS.get(name, (1.0, 1.0, 1.0)) for name in organ.label_names])
+    own = np.zeros(len(organ.vertices), bool)
+    own[organ.faces] = True
+    start, span = organ.arc_length[own].min(), max(float(np.ptp(organ.arc_length[own])), 1e-9)
+    num_bins = 400
+    place = np.clip((organ.arc_length - start) / span * num_bins, 0.0, num_bins - 1e-6)
+    bins = place.astype(int)[own]
+    factors = table[organ.label]
+    # A Gaussian over a wall that goes on as it ends.
+    offset = np.arange(-num_bins, num_bins + 1) / num_bins
+    kernel = np.exp(-0.5 * (offset / _BLUR) ** 2)
+    weight = np.convolve(np.bincount(bins, minlength=num_bins), kernel)[num_bins:-num_bins]
+    smooth = [
+        np.convolve(np.bincount(bins, factors[own, k], num_bins), kernel)[num_bins:-num_bins]
+        / weight
+        for k in range(3)
+    ]
+    middle = np.arange(num_bins) + 0.5
+    return np.stack([np.interp(place, middle, values) for values in smooth], axis=1)
+
+
+def _bulge(
+    vertices: Float[np.ndarray, "n 3"],
+    normals: Float[np.ndarray, "n 3"],
+    faces: Int[np.ndarray, "m 3"],
+) -> Float[np.ndarray, " n"]:
+    """Mean curvature [1/m], positive where the wall bulges into the lumen, smoothed.
+
+    Along an edge e the normal curvature is (Δn · e) / |e|²; a vertex takes the mean over its
+    edges.
+    """
+    a, b = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]).T
+    edge = vertices[b] - vertices[a]
+    squared = np.einsum("ij,ij->i", edge, edge)
+    turn = np.einsum("ij,ij->i", normals[b] - normals[a], edge)
+    curvature = turn / np.where(squared > 0.0, squared, 1.0)
+    count = np.maximum(np.bincount(a, minlength=len(vertices)), 1)
+    bulge = np.bincount(a, curvature, len(vertices)) / count
+    for _ in range(2):
+        bulge = 0.5 * bulge + 0.5 * np.bincount(a, bulge[b], len(vertices)) / count
+    return bulge

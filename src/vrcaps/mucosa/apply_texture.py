@@ -1,0 +1,299 @@
+"""A texture of mucosa put onto an organ, without seams or repetition.
+
+The wall is covered by overlapping round patches. Each lies flat in the tangent plane of its
+centre and shows another place of the texture, turned at random; where patches meet they are mixed
+so that contrast stays. This is lapped texturing (Praun et al. 2000, Lapped textures) with the
+blend of Heitz & Neyret (2018), and does not depend on the organ's texture coordinates.
+"""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.spatial import KDTree
+
+from vrcaps.mesh.noise import cloud
+from vrcaps.mesh.rasterize import covered_texels
+from vrcaps.organ.surface import Appearance
+from vrcaps.units import MM
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Int, UInt8
+
+    from vrcaps.mucosa.texture import MucosaTexture
+    from vrcaps.organ.surface import OrganSurface
+
+_SPACING = 12.0 * MM  # between centres of patches
+_TURN = 14.0 * MM  # distance that a right angle between normals counts as
+_NEAREST = 4  # patches that a vertex may lie in
+_SHARPNESS = 3.0  # of the borders between patches
+_LEAST = 0.06  # weight from which a patch is seen
+_PATIENT = np.array([0.03, 0.10, 0.08], np.float32)  # density of slow variation, r g b
+_GRAIN = 35.0 * MM  # of that variation
+_FACES = 1_500  # worked on at once
+
+
+def wear(
+    organ: OrganSurface, texture: MucosaTexture, shape: tuple[int, int], *, seed: int
+) -> Appearance:
+    """Bake a texture onto an organ's texture coordinates.
+
+    Args:
+        organ: The wall; its appearance is not looked at.
+        texture: What it wears.
+        shape: Rows and columns of the baked textures.
+        seed: Chooses patches and slow variation; the same gives the same bytes.
+    """
+    rng = np.random.default_rng([seed, 5])
+    texel = _texel(organ, shape)
+    stack = _Stack.of(texture, texel)
+    cover = _Cover.of(organ, texture.side, rng)
+    swing = cloud(_GRAIN, rng)(organ.vertices).astype(np.float32)
+    height, width = shape
+    corners = organ.uv * [width, -height] + [-0.5, height - 0.5]
+
+    def paint(faces: Int[np.ndarray, " k"]) -> _Painted:
+        texels = covered_texels(corners[faces])
+        inside = texels.weights.astype(np.float32)
+        seen = stack.blend(*cover.at(faces[texels.face], inside))
+        slow = np.einsum("kc,kc->k", inside, swing[organ.faces[faces[texels.face]]])
+        # sRGB is close to the power 1 / 2.2, so density acts on the code by that share.
+        color = seen[:, :3] * np.exp(-slow[:, None] * (_PATIENT / 2.2))
+        code = np.clip(np.rint(np.column_stack([color, seen[:, 3]])), 0.0, 255.0).astype(np.uint8)
+        place = texels.row % height, texels.column % width
+        return _Painted(place, inside.min(axis=1) > 0.0, code, seen[:, 4])
+
+    canvas = _Canvas(shape, stack.mean)
+    order = np.argsort(corners[:, 0, 1] // 64, kind="stable")
+    groups = [order[first : first + _FACES] for first in range(0, len(order), _FACES)]
+    with ThreadPoolExecutor() as pool:  # results come in order, whatever the number of threads
+        for painted in pool.map(paint, groups):
+            canvas.lay(painted)
+    return Appearance(
+        albedo=canvas.albedo,
+        roughness=canvas.roughness,
+        height=canvas.relief,
+        coat_gloss=texture.coat_gloss,
+    )
+
+
+@dataclass(frozen=True)
+class _Painted:
+    """Texels that some faces cover.
+
+    Attributes:
+        place: Rows and columns.
+        is_inside: Which lie inside their face, not just beside it.
+        code: sRGB colour and roughness.
+        raised: Relief [m].
+    """
+
+    place: tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]]
+    is_inside: Bool[np.ndarray, " n"]
+    code: UInt8[np.ndarray, "n 4"]
+    raised: Float[np.ndarray, " n"]
+
+
+class _Canvas:
+    """Baked textures as they are filled, the texture's mean where no face is."""
+
+    def __init__(self, shape: tuple[int, int], mean: Float[np.ndarray, " 5"]) -> None:
+        self.albedo = np.empty((*shape, 3), np.uint8)
+        self.albedo[:] = np.rint(mean[:3])
+        self.roughness = np.full(shape, np.rint(mean[3]), np.uint8)
+        self.relief = np.zeros(shape, np.float32)
+        self.settled = np.zeros(shape, bool)
+
+    def lay(self, painted: _Painted) -> None:
+        """Texels just outside a face fill the gaps around charts and replace no inner ones."""
+        (row, column), is_inside = painted.place, painted.is_inside
+        for chosen in (~is_inside & ~self.settled[row, column], is_inside):
+            place = row[chosen], column[chosen]
+            self.albedo[place] = painted.code[chosen, :3]
+            self.roughness[place] = painted.code[chosen, 3]
+            self.relief[place] = painted.raised[chosen]
+        self.settled[row[is_inside], column[is_inside]] = True
+
+
+def _texel(organ: OrganSurface, shape: tuple[int, int]) -> float:
+    """Mean side of a baked texel on the wall [m]."""
+    corners = organ.vertices[organ.faces]
+    area = np.linalg.norm(
+        np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
+    )
+    first, second = (organ.uv[:, k] - organ.uv[:, 0] for k in (1, 2))
+    covered = np.abs(first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0])
+    return float(np.sqrt(area.sum() / max(covered.sum(), 1e-12) / (shape[0] * shape[1])))
+
+
+@dataclass(frozen=True)
+class _Stack:
+    """A texture's channels side by side, as deviations from their mean.
+
+    Attributes:
+        values: Red, green, blue and roughness [of 255] and relief [m], row by row.
+        mean: Of them.
+        side: Texels on a side.
+    """
+
+    values: Float[np.ndarray, "nn 5"]
+    mean: Float[np.ndarray, " 5"]
+    side: int
+
+    @classmethod
+    def of(cls, texture: MucosaTexture, texel: float) -> _Stack:
+        """As fine as texels of that size [m] can show."""
+        stack = np.dstack([texture.albedo, texture.roughness, texture.relief]).astype(np.float32)
+        factor = 1
+        while factor * 2 * texture.texel <= 1.2 * texel and len(stack) % 2 == 0:
+            pairs = stack[::2] + stack[1::2]
+            stack = 0.25 * (pairs[:, ::2] + pairs[:, 1::2])
+            factor *= 2
+        mean = stack.mean(axis=(0, 1), dtype=np.float64).astype(np.float32)
+        return cls(np.ascontiguousarray(stack - mean).reshape(-1, 5), mean, len(stack))
+
+    def blend(
+        self, point: Int[np.ndarray, " n"], weight: Float[np.ndarray, " n"], place, count: int
+    ) -> Float[np.ndarray, "count 5"]:
+        """Mix of patches: mean + Σ w (x − mean) / √Σ w² (Heitz & Neyret 2018, eq. 3).
+
+        Args:
+            point: Which texel of the wall each entry belongs to.
+            weight: Of the patch there.
+            place: Of it in the texture, in sides (n, 2).
+            count: Texels of the wall.
+        """
+        total = np.zeros((count, 5), np.float32)
+        squares = np.bincount(point, weight.astype(np.float64) ** 2, count)
+        grid = place * np.float32(self.side)
+        low = np.floor(grid).astype(np.int32)
+        share = grid - low
+        for dy in (0, 1):
+            for dx in (0, 1):
+                near = np.abs(1 - dy - share[:, 0]) * np.abs(1 - dx - share[:, 1]) * weight
+                row, column = (low[:, 0] + dy) % self.side, (low[:, 1] + dx) % self.side
+                value = self.values[row * self.side + column] * near[:, None]
+                for start, stop in _runs(point):
+                    total[point[start:stop]] += value[start:stop]
+        return total / np.sqrt(np.maximum(squares, 1e-12))[:, None].astype(np.float32) + self.mean
+
+
+def _runs(point: Int[np.ndarray, " n"]) -> list[tuple[int, int]]:
+    """Stretches in which no texel comes twice: entries are sorted slot by slot."""
+    breaks = np.flatnonzero(np.diff(point) <= 0) + 1
+    bounds = [0, *breaks.tolist(), len(point)]
+    return list(pairwise(bounds))
+
+
+@dataclass(frozen=True)
+class _Cover:
+    """Which patches cover each face, and where in the texture they put its corners.
+
+    Attributes:
+        slots: Number of patches of each face.
+        weight: Of each patch of each face at the face's corners, greatest first.
+        place: In the texture, in sides, of the same.
+    """
+
+    slots: Int[np.ndarray, " m"]
+    weight: Float[np.ndarray, "m k 3"]
+    place: Float[np.ndarray, "m k 3 2"]
+
+    @classmethod
+    def of(cls, organ: OrganSurface, side: float, rng: np.random.Generator) -> _Cover:
+        centres = _centres(organ, rng)
+        space = np.hstack([organ.vertices, organ.normals * (_TURN / 2.0**0.5)])
+        count = min(_NEAREST + 1, len(centres))
+        distance, nearest = KDTree(space[centres]).query(space, count)
+        distance, nearest = distance.reshape(len(space), -1), nearest.reshape(len(space), -1)
+        if count > 1:
+            closeness = 1.0 - distance / np.maximum(distance[:, -1:], 1e-12)
+        else:
+            closeness = np.ones_like(distance)
+        weight = closeness**_SHARPNESS
+        weight /= np.maximum(weight.sum(axis=1, keepdims=True), 1e-12)
+        weight = np.maximum(weight - _LEAST, 0.0).astype(np.float32)
+        patch, corner_weight = _by_face(organ.faces, nearest, weight)
+        frames = _frames(organ.normals[centres], rng)
+        shift = rng.random((len(centres), 2))
+        offset = (
+            organ.vertices[organ.faces][:, None]
+            - organ.vertices[centres][np.maximum(patch, 0)][:, :, None]
+        )
+        flat = np.einsum("mkcx,mkxd->mkcd", offset, frames[np.maximum(patch, 0)])
+        # As long in the plane as in space, so that a patch on a curved wall is not compressed.
+        stretch = np.linalg.norm(offset, axis=3) / np.maximum(np.linalg.norm(flat, axis=3), 1e-9)
+        place = flat * np.minimum(stretch, 1.5)[..., None] / side
+        place += shift[np.maximum(patch, 0)][:, :, None]
+        return cls((patch >= 0).sum(axis=1), corner_weight, place.astype(np.float32))
+
+    def at(self, face: Int[np.ndarray, " n"], inside: Float[np.ndarray, "n 3"]):
+        """Arguments of `_Stack.blend` for points given by face and barycentric coordinates."""
+        points, weights, places = [], [], []
+        for slot in range(self.weight.shape[1]):
+            point = np.flatnonzero(self.slots[face] > slot)
+            if not len(point):
+                break
+            own, bary = face[point], inside[point]
+            weights.append(np.einsum("nc,nc->n", self.weight[own, slot], bary))
+            places.append(np.einsum("ncd,nc->nd", self.place[own, slot], bary))
+            points.append(point)
+        return np.concatenate(points), np.concatenate(weights), np.concatenate(places), len(face)
+
+
+def _centres(organ: OrganSurface, rng: np.random.Generator) -> Int[np.ndarray, " c"]:
+    """Vertices about `_SPACING` apart, by position and normal: random sequential addition."""
+    space = np.hstack([organ.vertices, organ.normals * (_TURN / 2.0**0.5)])
+    tree = KDTree(space)
+    is_free = np.ones(len(space), bool)
+    centres = []
+    for vertex in rng.permutation(len(space)):
+        if is_free[vertex]:
+            centres.append(int(vertex))
+            is_free[tree.query_ball_point(space[vertex], _SPACING)] = False
+    return np.array(centres)
+
+
+def _frames(normals: Float[np.ndarray, "c 3"], rng: np.random.Generator) -> np.ndarray:
+    """Two axes across each normal, turned at random, as columns (c, 3, 2)."""
+    first = np.cross(normals, np.eye(3)[np.argmin(np.abs(normals), axis=1)])
+    first /= np.linalg.norm(first, axis=1, keepdims=True)
+    second = np.cross(normals, first)
+    angle = rng.uniform(0.0, 2.0 * np.pi, (len(normals), 1))
+    turned = np.cos(angle) * first + np.sin(angle) * second
+    return np.stack([turned, np.cross(normals, turned)], axis=2)
+
+
+def _by_face(faces, nearest, weight) -> tuple[np.ndarray, np.ndarray]:
+    """Patches of each face, −1 where there is none, and their weights at its corners.
+
+    A patch weighs something at a corner if it is among that vertex's nearest; so the weights of
+    two faces agree along their common edge.
+    """
+    candidates = nearest[faces].reshape(len(faces), -1)
+    own = weight[faces]
+    at_corner = np.stack(
+        [
+            np.einsum(
+                "mjk,mk->mj",
+                candidates[:, :, None] == nearest[faces[:, corner]][:, None],
+                own[:, corner],
+            )
+            for corner in range(3)
+        ],
+        axis=2,
+    ).astype(np.float32)
+    strength = at_corner.max(axis=2)
+    earlier = np.tril(np.ones((candidates.shape[1],) * 2, bool), -1)
+    is_double = ((candidates[:, :, None] == candidates[:, None]) & earlier).any(axis=2)
+    strength[is_double] = 0.0
+    order = np.argsort(-strength, axis=1, kind="stable")
+    width = max(1, int((strength > 0.0).sum(axis=1).max()))
+    order = order[:, :width]
+    patch = np.take_along_axis(candidates, order, axis=1)
+    patch = np.where(np.take_along_axis(strength, order, axis=1) > 0.0, patch, -1)
+    return patch, np.take_along_axis(at_corner, order[..., None], axis=1)

@@ -1,0 +1,158 @@
+"""Figures that describe an organ: size, volume, calibre along the way, defects."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.spatial import KDTree
+
+from vrcaps.mesh.edges import face_areas, find_edges
+from vrcaps.mesh.mesh import Mesh
+from vrcaps.mesh.repair.cap import enclosed_volume, find_loops
+from vrcaps.mesh.repair.repair_report import format_places
+from vrcaps.mesh.self_intersection import cut_places, self_intersections
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float
+
+    from vrcaps.organ.surface import Centerline, OrganSurface
+
+_THIN_QUALITY = 0.1  # a triangle with angles of about 3°, 3° and 174°
+
+
+@dataclass(frozen=True)
+class OrganFacts:
+    """What there is to know about an organ at a glance.
+
+    Attributes:
+        name: The organ's.
+        size: Extent along the axes of the patient frame [m].
+        volume: Volume of the lumen [m³]; open ends count as closed.
+        area: Area of the wall [m²].
+        length: Length of the centreline [m].
+        calibre_min: Diameter of the largest ball that passes the narrowest place [m].
+        calibre_median: Median of that diameter along the centreline [m].
+        calibre_max: Diameter of the largest ball that fits [m].
+        calibre_by_segment: Its mean in each segment that the centreline passes [m].
+        num_vertices: Number of vertices.
+        num_faces: Number of triangles.
+        quality_mean: Mean triangle quality 4 √3 area / Σ edge², 1 for an equilateral one.
+        quality_p5: 5th percentile of the same.
+        defects: What is not as it should be, one line each; empty for a clean closed wall.
+    """
+
+    name: str
+    size: tuple[float, float, float]
+    volume: float
+    area: float
+    length: float
+    calibre_min: float
+    calibre_median: float
+    calibre_max: float
+    calibre_by_segment: dict[str, float]
+    num_vertices: int
+    num_faces: int
+    quality_mean: float
+    quality_p5: float
+    defects: tuple[str, ...]
+
+
+def organ_facts(organ: OrganSurface) -> OrganFacts:
+    """Measure an organ."""
+    mesh = Mesh(organ.vertices, organ.faces)
+    calibre = 2.0 * organ.centerline.radius
+    inner = _is_inner(organ.centerline)
+    quality = triangle_quality(mesh)
+    x, y, z = np.ptp(organ.vertices, axis=0).tolist()
+    return OrganFacts(
+        name=organ.name,
+        size=(x, y, z),
+        volume=abs(enclosed_volume(mesh, find_loops(mesh))),
+        area=float(face_areas(mesh).sum()),
+        length=organ.centerline.length,
+        calibre_min=float(calibre[inner].min()),
+        calibre_median=float(np.median(calibre[inner])),
+        calibre_max=float(calibre.max()),
+        calibre_by_segment=_calibre_by_segment(organ, inner),
+        num_vertices=len(organ.vertices),
+        num_faces=len(organ.faces),
+        quality_mean=float(quality.mean()),
+        quality_p5=float(np.percentile(quality, 5.0)),
+        defects=tuple(_find_defects(mesh, quality)),
+    )
+
+
+def way_bins(organ: OrganSurface) -> int:
+    """Number of parts of the centreline short against the lumen's width, with wall in each."""
+    step = 0.3 * float(np.median(organ.radius))
+    return int(np.clip(organ.centerline.length / max(step, 1e-9), 40, 800))
+
+
+def segment_spans(organ: OrganSurface) -> list[tuple[int, float, float]]:
+    """Label, first and last arc length [m] of each stretch, from the oral end.
+
+    A stretch has the label that most of its wall's vertices have; without wall, the nearest's.
+    """
+    bins, length = way_bins(organ), organ.centerline.length
+    part = np.clip(organ.arc_length / length * bins, 0, bins - 1).astype(int)
+    count = np.zeros((bins, len(organ.label_names)), int)
+    np.add.at(count, (part, organ.label), 1)
+    filled = np.flatnonzero(count.max(axis=1))
+    nearest = filled[np.abs(np.arange(bins)[:, None] - filled).argmin(axis=1)]
+    label = count.argmax(axis=1)[nearest]
+    starts = np.flatnonzero(np.diff(label, prepend=-1))
+    ends = np.append(starts[1:], bins)
+    edges = np.linspace(0.0, length, bins + 1)
+    return [
+        (int(label[a]), float(edges[a]), float(edges[b])) for a, b in zip(starts, ends, strict=True)
+    ]
+
+
+def triangle_quality(mesh: Mesh) -> Float[np.ndarray, " m"]:
+    """4 √3 area / Σ edge² of each triangle (Bhatia and Lawrence 1990), 0 to 1."""
+    corners = mesh.vertices[mesh.faces]
+    squares = np.square(np.roll(corners, -1, axis=1) - corners).sum(axis=(1, 2))
+    return 4.0 * np.sqrt(3.0) * face_areas(mesh) / np.maximum(squares, np.finfo(float).tiny)
+
+
+def _is_inner(centerline: Centerline) -> Bool[np.ndarray, " n"]:
+    """Samples farther from both ends than the wall is: there the ends do not narrow the lumen.
+
+    All of them where there is no such sample.
+    """
+    to_end = np.minimum(centerline.arc_length, centerline.length - centerline.arc_length)
+    inner = to_end > centerline.radius * (1.0 + 1e-6)
+    return inner if inner.any() else np.ones(len(inner), bool)
+
+
+def _calibre_by_segment(organ: OrganSurface, inner: Bool[np.ndarray, " n"]) -> dict[str, float]:
+    """Mean calibre [m] of the samples whose nearest wall has each label, in label order."""
+    nearest = KDTree(organ.vertices).query(organ.centerline.points[inner])[1]
+    label, calibre = organ.label[nearest], 2.0 * organ.centerline.radius[inner]
+    return {organ.label_names[k]: float(calibre[label == k].mean()) for k in np.unique(label)}
+
+
+def _find_defects(mesh: Mesh, quality: Float[np.ndarray, " m"]) -> list[str]:
+    edges = find_edges(mesh.faces)
+    crowded = edges.crowded()
+    pairs = edges.of_count(2)
+    num_wrong = int((edges.ends[pairs[:, 0], 0] == edges.ends[pairs[:, 1], 0]).sum())
+    loops = find_loops(mesh)
+    # Euler's formula of an orientable surface: V − E + F = 2 − 2 handles − borders.
+    characteristic = len(np.unique(mesh.faces)) - len(edges.counts) + len(mesh.faces)
+    num_handles = (2 - len(loops) - characteristic) // 2
+    num_thin = int((quality < _THIN_QUALITY).sum())
+    cuts = self_intersections(mesh.vertices, mesh.faces)
+    places = cut_places(mesh.vertices, mesh.faces, cuts)
+    cut = f"places where the wall cuts itself ({len(cuts)} pairs of triangles)"
+    defects = [
+        (len(crowded), "edges of more than two triangles"),
+        (num_wrong, "edges whose triangles are wound against each other"),
+        (len(loops), "open ends or holes"),
+        (0 if crowded else num_handles, "handles (the wall joins itself around a gap)"),
+        (len(places), f"{cut}, {format_places(places)}"),
+        (num_thin, f"thin triangles (quality below {_THIN_QUALITY:g})"),
+    ]
+    return [f"{count} {text}" for count, text in defects if count > 0]

@@ -1,7 +1,0 @@
-"""Repair of the wall surfaces that come from files and from CT."""
-
-from __future__ import annotations
-
-from .repair import repair as repair
-from .report import Repair as Repair
-from .report import RepairReport as RepairReport

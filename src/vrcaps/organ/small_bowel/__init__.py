@@ -1,4 +1,0 @@
-"""A seeded small bowel: the duodenum's C, jejunum and ileum coiled in the abdomen."""
-
-from vrcaps.organ.small_bowel.generate import generate_small_bowel as generate_small_bowel
-from vrcaps.organ.small_bowel.parameters import SmallBowelParameters as SmallBowelParameters

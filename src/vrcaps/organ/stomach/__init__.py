@@ -1,4 +1,0 @@
-"""A seeded stomach: J shape, rugae that flatten as it fills, antral waves, pyloric ring."""
-
-from vrcaps.organ.stomach.generate import generate_stomach as generate_stomach
-from vrcaps.organ.stomach.parameters import StomachParameters as StomachParameters

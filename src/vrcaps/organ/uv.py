@@ -1,0 +1,208 @@
+"""Texture coordinates of a wall: around and along the tube where it is one, else an atlas."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vrcaps.errors import InputError
+from vrcaps.mesh.mesh import Mesh
+from vrcaps.organ.centerline.lumen import grid_crossings
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Int
+
+_STRETCH = 2.0  # the tube's texels may be so much longer or shorter than the median, at p1, p99
+_RESOLUTION = 2048  # texels on a side for which the atlas is packed
+_PADDING = 4  # texels between charts at that resolution
+_CHART_SHARE = 0.02  # of the wall that one chart may take; large ones are slow to flatten
+_CHART_COST = 1.0  # bound on the distortion of a growing chart (xatlas' measure; its default 2)
+
+
+def texture_coordinates(
+    mesh: Mesh,
+    arc_length: Float[np.ndarray, " n"],
+    theta: Float[np.ndarray, " n"],
+    radius: Float[np.ndarray, " n"],
+) -> Float[np.ndarray, "m 3 2"]:
+    """Texture coordinates of each corner of each face, without overlap.
+
+    Where `tube_coordinates` folds no face and stretches none much, they are taken: u around
+    the gut (beyond 1 on the faces across ±π, where the texture wraps), v along it. Otherwise
+    the wall is cut into flat charts, packed apart in the unit square by `atlas_coordinates`.
+
+    Args:
+        mesh: The wall [m]; faces counter-clockwise seen from the lumen.
+        arc_length: Gut coordinate of each vertex [m].
+        theta: Gut coordinate of each vertex [rad].
+        radius: Distance of each vertex from the centreline [m].
+
+    Raises:
+        InputError: If a face has no area.
+    """
+    vertices, faces = np.asarray(mesh.vertices, float), mesh.faces
+    flat = np.flatnonzero(_face_areas(vertices[faces]) <= 0.0)
+    if len(flat):
+        raise InputError(
+            f"Face {flat[0]} and {len(flat) - 1} others have no area. Repair the mesh."
+        )
+    tube = tube_coordinates(faces, arc_length, theta)
+    span = np.array([2.0 * np.pi * np.median(radius), np.ptp(arc_length)])
+    stretch = texture_stretch(vertices[faces], tube * span)
+    low, middle, high = np.percentile(stretch, [1.0, 50.0, 99.0])
+    if stretch.min() > 0.0 and high < _STRETCH * middle and low > middle / _STRETCH:
+        return tube
+    return atlas_coordinates(vertices, faces)
+
+
+def tube_coordinates(
+    faces: Int[np.ndarray, "m 3"],
+    arc_length: Float[np.ndarray, " n"],
+    theta: Float[np.ndarray, " n"],
+) -> Float[np.ndarray, "m 3 2"]:
+    """Around the gut u = ½ − θ / 2π, along it v = share of arc length; u is 0 to 1.5.
+
+    Only faces across ±π reach beyond u = 1. Seen from the lumen, textures are not mirrored.
+    """
+    u = 0.5 - theta[faces] / (2.0 * np.pi)
+    u = u - np.rint(u - u[:, :1])
+    u = u - np.floor(u.min(axis=1, keepdims=True))
+    start = arc_length.min()
+    v = (arc_length[faces] - start) / max(float(np.ptp(arc_length)), np.finfo(float).tiny)
+    return np.stack([u, v], axis=-1)
+
+
+def texture_stretch(
+    corners: Float[np.ndarray, "m 3 3"], uv: Float[np.ndarray, "m 3 2"]
+) -> Float[np.ndarray, "m 2"]:
+    """Singular values of each face's map to texture space, the smaller negative if mirrored.
+
+    Args:
+        corners: Of each face [m].
+        uv: Of each corner of each face.
+    """
+    first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    length = np.linalg.norm(first, axis=1)
+    along = (first * second).sum(axis=1) / length
+    across = np.linalg.norm(np.cross(first, second), axis=1) / length
+    du = (uv[:, 1] - uv[:, 0]) / length[:, None]
+    dv = (uv[:, 2] - uv[:, 0] - along[:, None] * du) / across[:, None]
+    # Singular values of a 2×2 matrix are |p| ± |q| of its rotating and mirroring parts.
+    turn = np.hypot(du[:, 0] + dv[:, 1], du[:, 1] - dv[:, 0])
+    mirror = np.hypot(du[:, 0] - dv[:, 1], du[:, 1] + dv[:, 0])
+    return 0.5 * np.stack([turn - mirror, turn + mirror], axis=1)
+
+
+def atlas_coordinates(
+    vertices: Float[np.ndarray, "n 3"], faces: Int[np.ndarray, "m 3"]
+) -> Float[np.ndarray, "m 3 2"]:
+    """Charts of low distortion and even texel density, packed apart in the unit square.
+
+    What lies double within a chart becomes a chart of its own, charts that come out mirrored
+    are turned over, then all are packed once more.
+    """
+    import xatlas
+
+    scale = float(np.sqrt(_face_areas(vertices[faces]).sum()))
+    scaled = (vertices - vertices.min(axis=0)) / scale
+    atlas = xatlas.Atlas()
+    atlas.add_mesh(scaled.astype(np.float32), faces.astype(np.uint32))
+    charts = xatlas.ChartOptions()
+    charts.max_cost = _CHART_COST
+    charts.max_chart_area = _CHART_SHARE
+    atlas.generate(charts, _pack_options())
+    _, index, uv = atlas[0]
+    uv = np.asarray(uv, float) * (atlas.width, atlas.height)
+    uv, index = _unfolded(uv, index.astype(int))
+    uv = _unmirrored(uv, index)
+    packed = xatlas.Atlas()
+    packed.add_uv_mesh(uv.astype(np.float32), index.astype(np.uint32))
+    packed.generate(xatlas.ChartOptions(), _pack_options())
+    _, index, uv = packed[0]
+    size = np.array([packed.width, packed.height], float)
+    return (np.asarray(uv, float) * size / size.max())[index]
+
+
+def _pack_options():
+    """Options of every packing: reproducible, no chart mirrored, room for filtering."""
+    import xatlas
+
+    options = xatlas.PackOptions()
+    options.resolution = _RESOLUTION
+    options.padding = _PADDING
+    options.bilinear = True
+    options.rotate_charts = False  # it swaps axes, which mirrors
+    options.rotate_charts_to_axis = True
+    return options
+
+
+def _unfolded(
+    uv: Float[np.ndarray, "k 2"], index: Int[np.ndarray, "m 3"]
+) -> tuple[Float[np.ndarray, "l 2"], Int[np.ndarray, "m 3"]]:
+    """Coordinates [texels] and corners with doubly covered patches moved out beyond the rest.
+
+    Of two patches over one another the one of fewer faces is moved, with u beyond the atlas.
+    """
+    beyond = 2.0 * (np.ptp(uv[:, 0]) + 1.0)
+    for patch_id, patch in enumerate(_smaller_of_doubles(uv, index), start=1):
+        corners, local = np.unique(index[patch], return_inverse=True)
+        index = index.copy()
+        index[patch] = len(uv) + local.reshape(-1, 3)
+        uv = np.concatenate([uv, uv[corners] + (patch_id * beyond, 0.0)])
+    return uv, index
+
+
+def _smaller_of_doubles(
+    uv: Float[np.ndarray, "k 2"], index: Int[np.ndarray, "m 3"]
+) -> list[Int[np.ndarray, " p"]]:
+    """Faces of each patch to move so that no centre of 2×2 texels is covered twice."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    points = np.column_stack([0.5 * (uv - uv.min(axis=0)), np.zeros(len(uv))])
+    width = int(points.max()) + 2
+    columns, face, _ = grid_crossings(points, index, np.array([width, width, 2]))
+    texel = columns[:, 0] * width + columns[:, 1]
+    double = np.bincount(texel)[texel] > 1
+    texel, face = texel[double], face[double]
+    faces = np.unique(face)
+    links = (np.repeat(np.arange(len(faces)), 3), index[faces].ravel())
+    touch = coo_array((np.ones(3 * len(faces)), links), shape=(len(faces), len(uv))).tocsr()
+    count, patch = connected_components(touch @ touch.T >= 2.0)
+    patch_of = patch[np.searchsorted(faces, face)]
+    moved = []
+    for patch_id in np.argsort(np.bincount(patch, minlength=count), kind="stable"):
+        if np.bincount(texel).max(initial=0) <= 1:
+            break
+        moved.append(faces[patch == patch_id])
+        stays = patch_of != patch_id
+        texel, patch_of = texel[stays], patch_of[stays]
+    return moved
+
+
+def _unmirrored(
+    uv: Float[np.ndarray, "k 2"], index: Int[np.ndarray, "m 3"]
+) -> Float[np.ndarray, "k 2"]:
+    """Coordinates with mirrored charts turned over into u < 0, where nothing else is."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    n = len(uv)
+    links = (index.ravel(), np.roll(index, -1, axis=1).ravel())
+    _, chart = connected_components(coo_array((np.ones(index.size), links), shape=(n, n)))
+    area = np.bincount(chart[index[:, 0]], _signed_areas(uv[index]))
+    mirrored = area[chart] < 0.0
+    return np.stack([np.where(mirrored, -1.0 - uv[:, 0], uv[:, 0]), uv[:, 1]], axis=1)
+
+
+def _signed_areas(uv: Float[np.ndarray, "m 3 2"]) -> Float[np.ndarray, " m"]:
+    """Area of each face, positive counter-clockwise."""
+    first, second = uv[:, 1] - uv[:, 0], uv[:, 2] - uv[:, 0]
+    return 0.5 * (first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0])
+
+
+def _face_areas(corners: Float[np.ndarray, "m 3 3"]) -> Float[np.ndarray, " m"]:
+    """Area of each face [m²]."""
+    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    return 0.5 * np.linalg.norm(cross, axis=1)

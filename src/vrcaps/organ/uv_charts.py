@@ -1,0 +1,259 @@
+"""Texture coordinates of a generated tube: small charts, flattened with little stretch."""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vrcaps import _core
+from vrcaps.organ.uv import texture_stretch
+from vrcaps.units import MM
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Int
+
+GAP = 1.25 * MM
+"""Between charts [m of wall]: 10 texels at 8 per mm, half of which continue either chart."""
+
+_SIDE = 30 * MM  # of a chart, about
+_NUM_ROUNDS = 11
+_GROUP = 48  # charts that are flattened at once
+_GROWTH_ROUNDS = (6, 8, 10)
+_MOST_GROWTH = 1.25  # of a squeezed face in one such round
+_ANGLES = np.linspace(-0.25, 0.25, 16, endpoint=False) * np.pi
+_STEPS = 2.0**26  # of a coordinate, so that the last bits of the solver do not show
+
+
+@dataclass(frozen=True)
+class TubeChart:
+    """A tube's faces unrolled: where their corners lie around and along it.
+
+    Attributes:
+        faces: Vertex numbers.
+        corners: Positions of the corners [m].
+        turn: Way around the tube from the seam, 0 to 1; a corner on the seam takes the value of
+            its face's side.
+        along: Length along the tube from 0 [m].
+    """
+
+    faces: Int[np.ndarray, "m 3"]
+    corners: Float[np.ndarray, "m 3 3"]
+    turn: Float[np.ndarray, "m 3"]
+    along: Float[np.ndarray, "m 3"]
+
+
+def chart_coordinates(tube: TubeChart) -> Float[np.ndarray, "m 3 2"]:
+    """Texture coordinates of each corner of each face, without overlap, in the unit square.
+
+    The tube is cut into charts about 3 cm wide and long, each is flattened as rigidly as it can
+    be, and their boxes are packed. A face belongs to the chart that holds its middle.
+
+    Texels are then as dense on the sides of folds as between them: a face that comes out squeezed
+    is flattened again as if it were larger, so that few texels are wider than the mean.
+    """
+    chart, circumference = _cut(tube)
+    index, place = _unroll(tube, chart, circumference)
+    flat = _relax_groups(_flat_faces(tube.corners), index, place, chart)
+    # A chart with a mirrored face stays as it was unrolled.
+    is_mirrored = texture_stretch(tube.corners, flat[index])[:, 0] <= 0.0
+    stays = np.isin(chart, chart[is_mirrored])
+    flat[index[stays]] = place[index[stays]]
+    owner = np.zeros(len(flat), int)
+    owner[index] = chart[:, None]
+    uv = _pack(flat, owner)[index]
+    return np.rint(uv * _STEPS) / _STEPS
+
+
+def _cut(tube: TubeChart) -> tuple[Int[np.ndarray, " m"], Float[np.ndarray, " m"]]:
+    """Chart of each face, numbered without gaps, and the tube's circumference there [m]."""
+    area = _areas(tube.corners)
+    length = tube.along.max()
+    num_rows = max(1, round(length / _SIDE))
+    row = np.clip(tube.along.mean(axis=1) / length * num_rows, 0, num_rows - 1).astype(int)
+    circumference = np.bincount(row, area, num_rows) * num_rows / length
+    num_columns = np.maximum(2, np.rint(circumference / _SIDE)).astype(int)
+    column = np.clip(tube.turn.mean(axis=1) * num_columns[row], 0, num_columns[row] - 1)
+    number = (np.cumsum(num_columns) - num_columns)[row] + column.astype(int)
+    _, chart = np.unique(number, return_inverse=True)
+    return chart, circumference[row]
+
+
+def _unroll(
+    tube: TubeChart, chart: Int[np.ndarray, " m"], circumference: Float[np.ndarray, " m"]
+) -> tuple[Int[np.ndarray, "m 3"], Float[np.ndarray, "k 2"]]:
+    """Each face's numbers among the charts' own vertices, and their places around and along [m]."""
+    key = chart[:, None] * (int(tube.faces.max()) + 1) + tube.faces
+    keys, index = np.unique(key, return_inverse=True)
+    index = index.reshape(-1, 3)
+    place = np.empty((len(keys), 2))
+    place[index, 0] = tube.turn * circumference[:, None]
+    place[index, 1] = tube.along
+    return index, place
+
+
+def _flat_faces(corners: Float[np.ndarray, "m 3 3"]) -> Float[np.ndarray, "m 3 2"]:
+    """Each face laid into a plane of its own [m]."""
+    first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    length = np.maximum(np.linalg.norm(first, axis=1), 1e-12)
+    flat = np.zeros((len(corners), 3, 2))
+    flat[:, 1, 0] = length
+    flat[:, 2, 0] = (first * second).sum(axis=1) / length
+    flat[:, 2, 1] = np.linalg.norm(np.cross(first, second), axis=1) / length
+    return flat
+
+
+def _relax_groups(
+    shape: Float[np.ndarray, "m 3 2"],
+    index: Int[np.ndarray, "m 3"],
+    place: Float[np.ndarray, "k 2"],
+    chart: Int[np.ndarray, " m"],
+) -> Float[np.ndarray, "k 2"]:
+    """`_relax` of a few charts at a time, side by side; as many, whatever the threads."""
+    flat = place.copy()
+
+    def relax(faces: Int[np.ndarray, " l"]) -> None:
+        used, own = np.unique(index[faces], return_inverse=True)
+        own = own.reshape(-1, 3)
+        flat[used] = _relax(shape[faces], own, place[used], chart[faces][:, None])
+
+    order = np.argsort(chart, kind="stable")
+    starts = np.searchsorted(chart[order], np.arange(0, chart.max() + 1, _GROUP))
+    with ThreadPoolExecutor(_core.num_threads()) as threads:
+        list(threads.map(relax, np.split(order, starts[1:])))
+    return flat
+
+
+def _relax(
+    shape: Float[np.ndarray, "m 3 2"],
+    index: Int[np.ndarray, "m 3"],
+    place: Float[np.ndarray, "k 2"],
+    chart: Int[np.ndarray, "m 1"],
+) -> Float[np.ndarray, "k 2"]:
+    """Flattens charts as rigidly as possible, from the places given.
+
+    Local and global steps by turns: each face finds the rotation of its own shape that fits best,
+    then all vertices find the places that fit the rotated edges best (Liu, Zhang, Xu, Gotsman and
+    Gortler, "A local/global approach to mesh parameterization", SGP 2008).
+    """
+    weight = _cotangents(shape)
+    solve, pin = _factored(weight, index, len(place), chart)
+    edges = _opposite_edges(shape)
+    start, end = index[:, [1, 2, 0]].ravel(), index[:, [2, 0, 1]].ravel()
+    for number in range(_NUM_ROUNDS):
+        flat = _opposite_edges(place[index])
+        if number in _GROWTH_ROUNDS:
+            least = np.abs(_least_stretch(edges, flat))
+            growth = np.clip(1.0 / np.maximum(least, 0.1), 1.0, _MOST_GROWTH)
+            edges = edges * growth[:, None, None]
+        cosine = (weight * (edges * flat).sum(axis=2)).sum(axis=1)
+        sine = (weight * _cross(edges, flat)).sum(axis=1)
+        norm = np.maximum(np.hypot(cosine, sine), 1e-30)
+        cosine, sine = cosine / norm, sine / norm
+        x, y = edges[..., 0], edges[..., 1]
+        turned = np.stack(
+            [
+                cosine[:, None] * x - sine[:, None] * y,
+                sine[:, None] * x + cosine[:, None] * y,
+            ]
+        )
+        pull = (turned * weight).reshape(2, -1)
+        sums = [np.bincount(end, p, len(place)) - np.bincount(start, p, len(place)) for p in pull]
+        place = solve(np.stack(sums, axis=1) + pin[:, None] * place)
+    return place
+
+
+def _factored(
+    weight: Float[np.ndarray, "m 3"],
+    index: Int[np.ndarray, "m 3"],
+    count: int,
+    chart: Int[np.ndarray, "m 1"],
+):
+    """Solver of the charts' Laplacian with a vertex of each held, and the weights that hold."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.linalg import splu
+
+    start, end = index[:, [1, 2, 0]].ravel(), index[:, [2, 0, 1]].ravel()
+    pin = np.zeros(count)
+    _, first = np.unique(np.broadcast_to(chart, index.shape), return_index=True)
+    pin[index.ravel()[first]] = 1.0
+    w, every = weight.ravel(), np.arange(count)
+    values = np.concatenate([-w, -w, w, w, pin])
+    rows = np.concatenate([start, end, start, end, every])
+    columns = np.concatenate([end, start, start, end, every])
+    matrix = coo_array((values, (rows, columns)), shape=(count, count)).tocsc()
+    options = {"SymmetricMode": True}
+    factors = splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options)
+    return factors.solve, pin
+
+
+def _opposite_edges(shape: Float[np.ndarray, "m 3 2"]) -> Float[np.ndarray, "m 3 2"]:
+    """Edge opposite to each corner, around the face."""
+    return shape[:, [2, 0, 1]] - shape[:, [1, 2, 0]]
+
+
+def _cross(a: Float[np.ndarray, "*shape 2"], b: Float[np.ndarray, "*shape 2"]) -> np.ndarray:
+    return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
+
+
+def _cotangents(shape: Float[np.ndarray, "m 3 2"]) -> Float[np.ndarray, "m 3"]:
+    """Half the cotangent of the angle at each corner; flat angles are kept positive."""
+    to_next, to_last = np.roll(shape, -1, axis=1) - shape, np.roll(shape, 1, axis=1) - shape
+    area = np.maximum(_cross(to_next, to_last), 1e-14)
+    return 0.5 * np.clip((to_next * to_last).sum(axis=2) / area, 0.02, 20.0)
+
+
+def _least_stretch(
+    edges: Float[np.ndarray, "m 3 2"], flat: Float[np.ndarray, "m 3 2"]
+) -> Float[np.ndarray, " m"]:
+    """Smaller singular value of each face's map from the edges it wants to those it has."""
+    solid = np.zeros((len(edges), 3, 3))
+    solid[..., :2] = np.cumsum(edges, axis=1)
+    return texture_stretch(solid, np.cumsum(flat, axis=1))[:, 0]
+
+
+def _pack(
+    place: Float[np.ndarray, "k 2"], chart: Int[np.ndarray, " k"]
+) -> Float[np.ndarray, "k 2"]:
+    """Charts turned into small boxes, laid on shelves in the unit square."""
+    num = int(chart.max()) + 1
+    order = np.argsort(chart, kind="stable")
+    first = np.searchsorted(chart[order], np.arange(num))
+    turned, box = place.copy(), np.full((num, 2), np.inf)
+    for angle in _ANGLES:
+        c, s = np.cos(angle), np.sin(angle)
+        trial = np.stack([c * place[:, 0] - s * place[:, 1], s * place[:, 0] + c * place[:, 1]], 1)
+        low = np.minimum.reduceat(trial[order], first)
+        size = np.maximum.reduceat(trial[order], first) - low + GAP
+        is_better = size.prod(axis=1) < box.prod(axis=1)
+        box[is_better] = size[is_better]
+        moves = is_better[chart]
+        turned[moves] = (trial - low[chart])[moves]
+    side = np.sqrt(box.prod(axis=1).sum())
+    layouts = [_shelves(box, side * stretch) for stretch in np.linspace(0.95, 1.1, 7)]
+    corner, size = min(layouts, key=lambda layout: layout[1].prod())
+    return (turned + corner[chart] + 0.5 * GAP) / size
+
+
+def _shelves(
+    box: Float[np.ndarray, "n 2"], width: float
+) -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, " 2"]]:
+    """Lower left corner of each box, tall ones first, and the size that holds them all."""
+    width = max(width, float(box[:, 0].max()))
+    corner = np.zeros_like(box)
+    x = y = height = 0.0
+    for k in np.argsort(-box[:, 1], kind="stable"):
+        if x + box[k, 0] > width:
+            x, y, height = 0.0, y + height, 0.0
+        corner[k] = x, y
+        x += box[k, 0]
+        height = max(height, box[k, 1])
+    return corner, np.array([width, y + height])
+
+
+def _areas(corners: Float[np.ndarray, "m 3 3"]) -> Float[np.ndarray, " m"]:
+    """Area of each face [m²]."""
+    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    return 0.5 * np.linalg.norm(cross, axis=1)

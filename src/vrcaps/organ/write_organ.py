@@ -1,0 +1,184 @@
+"""An organ as a GLB file (binary glTF 2.0, Khronos 2021): any viewer opens it, nothing is lost."""
+
+from __future__ import annotations
+
+import os
+from io import BytesIO
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from vrcaps._core import encode_pngs
+from vrcaps.mesh.glb import Glb
+from vrcaps.mesh.ply import write_ply
+from vrcaps.organ.arrays import json_safe, organ_parts
+from vrcaps.organ.gltf_material import material_json, relief_scale, texture_images
+from vrcaps.organ.surface import HEIGHT_STEP
+from vrcaps.transforms import rotate_vectors, transform_points
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from jaxtyping import Float, Int
+
+    from vrcaps.mesh.mesh import Mesh
+    from vrcaps.organ.surface import OrganSurface
+
+ORGAN_FORMAT = "vrcaps-organ/1"
+"""Names the layout of `write_glb`, in the file's ``asset.extras.format``."""
+
+GENERATOR = "vrcaps"
+
+_TEXTURES = {
+    "appearance.albedo": {"image": 0},
+    "appearance.roughness": {"image": 1},
+}
+"""Arrays that the file's images hold exactly."""
+
+_NUM_IMAGES = 3  # of the material; the relief follows where it is in steps
+_ZERO = 32768  # stored for a height of 0
+
+
+def write_glb(
+    path: Path, organ: OrganSurface, *, T_world_patient: Float[np.ndarray, "4 4"] | None = None
+) -> None:
+    """Write an organ with its texture coordinates, textures, labels, lesions and centreline.
+
+    For viewers, positions are in the world frame [m], in single precision, without a node
+    transform. Vertices are copied where their texture coordinates differ. The vertex
+    attributes ``_LABEL``, ``_INSTANCE``, ``_ARC_LENGTH`` [m], ``_THETA`` [rad] and ``_RADIUS``
+    [m] carry the organ's own, the mesh's ``extras`` the label names and lesions.
+
+    For `read_organ`, ``asset.extras`` names a buffer view for each array of the organ that glTF
+    would round, in the patient frame and in its own type (docs/episode-format.md): what is read
+    back equals what was written, to the last bit. The same organ gives the same bytes.
+
+    Args:
+        path: File to write or replace; it appears whole or not at all.
+        organ: The organ, in the patient frame.
+        T_world_patient: Pose of the patient in the world; None: they coincide.
+    """
+    pose = np.eye(4) if T_world_patient is None else T_world_patient
+    glb = Glb()
+    source, faces, uv = split_at_seams(organ.faces, organ.uv)
+    primitive = {**_add_geometry(glb, organ, pose, (source, faces, uv)), "material": 0}
+    images = _add_images(glb, organ)
+    extras = {"label_names": list(organ.label_names)}
+    for key in ("lesions", "clean_twin_of"):
+        if key in organ.metadata:
+            extras[key] = json_safe(organ.metadata[key])
+    own = {"format": ORGAN_FORMAT, "T_world_patient": pose.tolist()}
+    own |= _add_exact(glb, organ, source, uv, images)
+    document = {
+        "asset": {"version": "2.0", "generator": GENERATOR, "extras": own},
+        "scene": 0,
+        "scenes": [{"nodes": [0]}],
+        "nodes": [{"mesh": 0, "name": organ.name}],
+        "meshes": [{"name": organ.name, "primitives": [primitive], "extras": extras}],
+        **material_json(organ.appearance, images[:_NUM_IMAGES]),
+    }
+    _write_whole(path, glb.pack(document))
+
+
+def write_mesh(path: Path, mesh: Mesh) -> None:
+    """Write a bare mesh as PLY, in metres; `read_mesh` with unit `m` gives it back."""
+    buffer = BytesIO()
+    write_ply(buffer, mesh)
+    _write_whole(path, [buffer.getvalue()])
+
+
+def split_at_seams(
+    faces: Int[np.ndarray, "m 3"], uv: Float[np.ndarray, "m 3 2"]
+) -> tuple[Int[np.ndarray, " k"], Int[np.ndarray, "m 3"], Float[np.ndarray, "k 2"]]:
+    """One vertex for each pair of vertex and texture coordinate that occurs.
+
+    Returns:
+        The old number of each vertex (ascending), faces over the new vertices, and their uv.
+    """
+    corners, flat_uv = faces.reshape(-1), uv.reshape(-1, 2)
+    u, v = (np.ascontiguousarray(column, float).view(np.uint64) for column in flat_uv.T)
+    order = np.lexsort((v, u, corners))
+    is_new = np.ones(len(order), bool)
+    is_new[1:] = False
+    for key in (corners, u, v):
+        is_new[1:] |= key[order][1:] != key[order][:-1]
+    number = np.empty(len(order), np.int64)
+    number[order] = np.cumsum(is_new) - 1
+    first = order[is_new]
+    return corners[first], number.reshape(-1, 3), flat_uv[first]
+
+
+def _add_geometry(
+    glb: Glb, organ: OrganSurface, pose: Float[np.ndarray, "4 4"], split: tuple[np.ndarray, ...]
+) -> dict:
+    """Accessors of the vertex attributes and of the triangles, as a primitive holds them."""
+    source, faces, uv = split
+    positions = transform_points(pose, organ.vertices).astype(np.float32)[source]
+    normals = rotate_vectors(pose, organ.normals).astype(np.float32)[source]
+    flipped_uv = np.stack([uv[:, 0], 1.0 - uv[:, 1]], axis=1)  # glTF counts v from the top down
+    attributes = {
+        "POSITION": glb.add_vertices(positions, "VEC3", has_bounds=True),
+        "NORMAL": glb.add_vertices(normals, "VEC3"),
+        "TEXCOORD_0": glb.add_vertices(flipped_uv, "VEC2"),
+        "_LABEL": glb.add_vertices(organ.label[source], "SCALAR"),
+        "_INSTANCE": glb.add_vertices(organ.instance[source], "SCALAR"),
+        "_ARC_LENGTH": glb.add_vertices(organ.arc_length[source], "SCALAR"),
+        "_THETA": glb.add_vertices(organ.theta[source], "SCALAR"),
+        "_RADIUS": glb.add_vertices(organ.radius[source], "SCALAR"),
+    }
+    return {"attributes": attributes, "indices": glb.add_indices(faces)}
+
+
+def _add_images(glb: Glb, organ: OrganSurface) -> list[int]:
+    """Views of the material's images and, where it is in steps, of the relief as steps."""
+    if organ.appearance is None:
+        return []
+    scale = relief_scale(organ.vertices, organ.faces, organ.uv)
+    images = texture_images(organ.appearance, scale)
+    images += _height_steps(organ.appearance.height)
+    return [glb.add_bytes(png, {}) for png in encode_pngs(images)]
+
+
+def _add_exact(
+    glb: Glb,
+    organ: OrganSurface,
+    source: Int[np.ndarray, " k"],
+    uv: Float[np.ndarray, "k 2"],
+    views: list[int],
+) -> dict[str, Any]:
+    """What `read_organ` reads: plain values, exact arrays, and which images hold arrays.
+
+    ``faces`` and ``uv`` are stored for each vertex of the file, in their place in the organ:
+    ``faces[m, c] = source[index]`` and ``uv[m, c] = uv[index]`` with the file's own indices.
+    """
+    arrays, plain = organ_parts(organ)
+    arrays |= {"faces": source.astype(organ.faces.dtype), "uv": uv}
+    images = {name: place for name, place in _TEXTURES.items() if name in arrays}
+    steps = {}
+    if len(views) > _NUM_IMAGES:
+        steps["appearance.height"] = {"bufferView": views[_NUM_IMAGES], "step": HEIGHT_STEP}
+        del arrays["appearance.height"]
+    exact = {name: glb.add_array(a) for name, a in sorted(arrays.items()) if name not in images}
+    exact |= steps
+    return {"plain": json_safe(plain), "arrays": exact, "images": images}
+
+
+def _height_steps(height: Float[np.ndarray, "h w"]) -> list[np.ndarray]:
+    """Relief as a 16-bit image of its steps (`HEIGHT_STEP`); none where that would not be exact."""
+    if height.dtype != np.float32:
+        return []
+    steps = height * np.float32(1.0 / HEIGHT_STEP)
+    steps += np.float32(_ZERO)
+    image = np.clip(steps, 0, 2 * _ZERO - 1).astype(np.uint16)
+    return [image] if np.array_equal(image, steps) else []
+
+
+def _write_whole(path: Path, pieces: list[bytes]) -> None:
+    """Write under a temporary name, then rename."""
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    try:
+        with temporary.open("wb") as file:
+            file.writelines(pieces)
+        temporary.replace(path)
+    finally:
+        temporary.unlink(missing_ok=True)

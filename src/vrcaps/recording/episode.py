@@ -1,0 +1,212 @@
+"""Read an episode back: arrays in SI units, poses as matrices, cameras that can project."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from vrcaps.camera.camera import Camera
+from vrcaps.errors import InputError, UnknownNameError
+from vrcaps.mesh.mesh import Mesh
+from vrcaps.mesh.read_mesh import read_mesh
+from vrcaps.recording.channels import ENCODINGS
+from vrcaps.recording.files import read_image
+from vrcaps.recording.layout import (
+    COMPLETE,
+    EPISODE_JSON,
+    FRAMES_PARQUET,
+    ORGAN_GLB,
+    camera_from_plain,
+    read_head,
+)
+from vrcaps.recording.table import FrameTable, read_table
+from vrcaps.recording.walls import read_wall, wall_path
+from vrcaps.render.frame import Frame
+from vrcaps.scenario.scenario import Scenario, scenario_from_plain
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+    from numpy.typing import NDArray
+
+
+@dataclass(frozen=True)
+class Episode:
+    """A recorded run; images are read when asked for.
+
+    Attributes:
+        path: Its folder.
+        head: Contents of `episode.json`.
+        cameras: The capsule's cameras; `camera.lens.project` and `unproject` work.
+        channels: Image channels that were recorded, in the order of `Frame`.
+    """
+
+    path: Path
+    head: dict[str, Any]
+    cameras: tuple[Camera, ...]
+    channels: tuple[str, ...]
+
+    def __len__(self) -> int:
+        return self.head["frames"]
+
+    @cached_property
+    def scenario(self) -> Scenario:
+        """What was recorded; recording it again makes the same bytes."""
+        return scenario_from_plain(self.head["scenario"])
+
+    @cached_property
+    def table(self) -> FrameTable:
+        """All columns of `frames.parquet`."""
+        return read_table(self.path / FRAMES_PARQUET)
+
+    @property
+    def times(self) -> Float[np.ndarray, " n"]:
+        """Time of each frame since the start [s]."""
+        return self.table.columns["time_s"]
+
+    @cached_property
+    def Ts_world_capsule(self) -> Float[np.ndarray, "n 4 4"]:
+        """Pose of the capsule at each frame [m]."""
+        return self.table.poses("capsule")
+
+    def Ts_world_camera(self, camera: str) -> Float[np.ndarray, "n 4 4"]:
+        """Pose of a camera at each frame [m]."""
+        return self.table.poses(self.camera(camera).name)
+
+    @property
+    def label_names(self) -> tuple[str, ...]:
+        """Class names by number; 0 is `background`."""
+        return tuple(self.head["organ"]["label_names"])
+
+    def camera(self, name: str) -> Camera:
+        """A camera by its name.
+
+        Raises:
+            UnknownNameError: If the capsule has no such camera.
+        """
+        for camera in self.cameras:
+            if camera.name == name:
+                return camera
+        raise UnknownNameError("camera", name, [camera.name for camera in self.cameras])
+
+    def image_path(self, camera: str, channel: str, frame: int) -> Path:
+        """Where an image is stored.
+
+        Raises:
+            UnknownNameError: If camera or channel was not recorded.
+            InputError: If there is no such frame.
+        """
+        self.camera(camera)
+        if channel not in self.channels:
+            raise UnknownNameError("channel", channel, self.channels)
+        self._require_frame(frame)
+        return self.path / ENCODINGS[channel].path(camera, channel, frame)
+
+    def image(self, camera: str, channel: str, frame: int) -> NDArray:
+        """One channel [h w] or [h w c] of one image, SI units; NaN where there is no value.
+
+        Raises:
+            UnknownNameError: If camera or channel was not recorded.
+            InputError: If there is no such frame or its file cannot be read.
+        """
+        path = self.image_path(camera, channel, frame)
+        try:
+            return ENCODINGS[channel].decode(read_image(path))
+        except (OSError, ValueError) as error:
+            raise InputError(
+                f"Cannot read {path} ({error}). `vrcaps check {self.path}` lists all faults."
+            ) from error
+
+    def frame(self, index: int, camera: str | None = None) -> Frame:
+        """All recorded channels of one image, of the first camera unless another is named."""
+        name = self.cameras[0].name if camera is None else camera
+        return Frame(**{channel: self.image(name, channel, index) for channel in self.channels})
+
+    def frames(self, camera: str | None = None) -> Iterator[Frame]:
+        """All images of a camera in time, of the first unless another is named."""
+        return (self.frame(index, camera) for index in range(len(self)))
+
+    @cached_property
+    def organ(self) -> Mesh:
+        """The wall at rest in the world frame [m]."""
+        return read_mesh(self.path / ORGAN_GLB, unit="m")
+
+    def wall(self, index: int) -> Mesh:
+        """The wall of a frame in the world frame [m], as `organ` but where it is then.
+
+        Raises:
+            InputError: If walls were not recorded, there is no such frame or its file is damaged.
+        """
+        path = self.wall_path(index)
+        try:
+            vertices = read_wall(path)
+        except (OSError, ValueError) as error:
+            raise InputError(
+                f"Cannot read {path} ({error}). `vrcaps check {self.path}` lists all faults."
+            ) from error
+        if vertices.shape != self.organ.vertices.shape:
+            raise InputError(
+                f"{path} has the shape {vertices.shape}, not {self.organ.vertices.shape} as "
+                f"{ORGAN_GLB}. `vrcaps check {self.path}` lists all faults."
+            )
+        return replace(self.organ, vertices=vertices.astype(float))
+
+    def wall_path(self, frame: int) -> Path:
+        """Where the wall of a frame is stored.
+
+        Raises:
+            InputError: If walls were not recorded or there is no such frame.
+        """
+        if "wall" not in self.head:
+            raise InputError(f"{self.path} holds no walls. Record with --wall to store them.")
+        self._require_frame(frame)
+        return self.path / wall_path(frame)
+
+    def _require_frame(self, frame: int) -> None:
+        if not 0 <= frame < len(self):
+            raise InputError(f"No frame {frame} in {self.path}. Allowed: 0 to {len(self) - 1}.")
+
+
+def read_episode(path: str | Path, *, unfinished: bool = False) -> Episode:
+    """Open an episode; only `episode.json` is read at once.
+
+    Args:
+        path: Folder of the episode.
+        unfinished: Accept one whose recording was broken off; some files may be missing.
+
+    Raises:
+        InputError: If the folder holds no whole episode of this format.
+    """
+    path = Path(path)
+    head = read_head(path)
+    if head.get("status") != COMPLETE and not unfinished:
+        raise InputError(
+            f"The recording of {path} was broken off. To go on: vrcaps record --scenario "
+            f"{path / EPISODE_JSON} --out {path}"
+        )
+    require_head(head, str(path / EPISODE_JSON))
+    cameras = tuple(
+        camera_from_plain(plain, at=f"cameras[{i}]") for i, plain in enumerate(head["cameras"])
+    )
+    return Episode(path, head, cameras, tuple(head["channels"]))
+
+
+def require_head(head: dict[str, Any], where: str) -> None:
+    """Check that `episode.json` has what an episode is read by.
+
+    Raises:
+        InputError: If a key is missing or of the wrong type, or a channel is unknown.
+    """
+    types = {"frames": int, "cameras": list, "channels": dict, "organ": dict, "scenario": dict}
+    for key, expected in types.items():
+        if not isinstance(head.get(key), expected):
+            raise InputError(f"{where}: {key} is {head.get(key)!r}, not {expected.__name__}.")
+    unknown = sorted(set(head["channels"]) - set(ENCODINGS))
+    if unknown:
+        raise UnknownNameError("channel", unknown[0], ENCODINGS)
+    if not isinstance(head["organ"].get("label_names"), list):
+        raise InputError(f"{where}: organ.label_names is missing.")

@@ -1,0 +1,165 @@
+"""What `episode.json` says and where the files of an episode are."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import fields
+from pathlib import Path
+from typing import Any, Union
+
+import numpy as np
+
+from vrcaps import _core
+from vrcaps.camera.camera import Camera, Led
+from vrcaps.camera.lens import LENSES
+from vrcaps.capsule.device import Device
+from vrcaps.errors import InputError
+from vrcaps.organ.arrays import json_safe
+from vrcaps.recording.channels import ENCODINGS
+from vrcaps.recording.walls import wall_to_plain
+from vrcaps.render.frame import Frame
+from vrcaps.scenario.convert import from_plain, to_plain
+from vrcaps.scenario.scenario import Scenario, scenario_to_plain
+from vrcaps.sensors.sensors import Sensors, hall_array
+from vrcaps.world.model import Model
+
+FORMAT = "vrcaps-episode/1"
+EPISODE_JSON = "episode.json"
+FRAMES_PARQUET = "frames.parquet"
+ORGAN_GLB = "organ.glb"
+SHEET_PNG = "sheet.png"
+PREVIEW_MP4 = "preview.mp4"
+
+RECORDING, COMPLETE = "recording", "complete"
+
+_AnyLens = Union[tuple(LENSES.values())]  # type: ignore[valid-type]  # noqa: UP007
+
+
+_LESION_KEYS = ("lesions", "clean_twin_of")
+"""What the organ's lesions are; of a clean twin, which it is without."""
+
+
+def make_head(scenario: Scenario, model: Model, notes: tuple[str, ...]) -> dict[str, Any]:
+    """Contents of `episode.json` for a resolved scenario, without its `status`."""
+    organ, device = model.organ, model.device
+    return {
+        "format": FORMAT,
+        "vrcaps_version": _core.__version__,
+        "seed": scenario.seed,
+        "frames": scenario.frames,
+        "fps": scenario.fps,
+        "scenario": scenario_to_plain(scenario),
+        "organ": {
+            "name": organ.name,
+            "path": ORGAN_GLB,
+            "label_names": list(model.label_names),
+            "num_vertices": len(organ.vertices),
+            "num_faces": len(organ.faces),
+            "centerline_length_m": organ.centerline.length,
+            **{key: json_safe(organ.metadata.get(key, [])) for key in _LESION_KEYS},
+            "metadata": json_safe(
+                {k: v for k, v in organ.metadata.items() if k not in _LESION_KEYS}
+            ),
+        },
+        "T_world_patient": model.T_world_patient.tolist(),
+        "capsule": {
+            "name": device.name,
+            "title": device.title,
+            "length_m": device.length,
+            "radius_m": device.radius,
+            "mass_kg": device.mass,
+            "source": device.source,
+            **_spectrum_to_plain(device),
+        },
+        "cameras": [camera_to_plain(camera) for camera in device.cameras],
+        "channels": {channel: channel_to_plain(channel) for channel in scenario.channels},
+        **({"wall": wall_to_plain(organ)} if scenario.wall else {}),
+        **sensors_to_plain(scenario.sensors, model),
+        "motion_notes": list(notes),
+    }
+
+
+def _spectrum_to_plain(device: Device) -> dict[str, Any]:
+    if device.led_spectrum is None:
+        return {}
+    return {"led_spectrum_nm": [list(pair) for pair in device.led_spectrum]}
+
+
+def sensors_to_plain(sensors: Sensors, model: Model) -> dict[str, Any]:
+    """Places of the Hall sensors in the world [m], if there are any."""
+    if sensors.hall is None:
+        return {}
+    return {"hall_positions_m": hall_array(sensors.hall, model).positions_world.tolist()}
+
+
+def camera_to_plain(camera: Camera) -> dict[str, Any]:
+    """A camera as JSON holds it: SI units, pixels and radians."""
+    return {
+        "name": camera.name,
+        "lens": to_plain(camera.lens, _AnyLens),
+        "width": camera.width,
+        "height": camera.height,
+        "T_capsule_camera": camera.T_capsule_camera.tolist(),
+        "leds": to_plain(camera.leds, tuple[Led, ...]),
+        "exposure": camera.exposure,
+        "image_circle_px": camera.image_circle_px,
+        "nominal_field": camera.nominal_field,
+    }
+
+
+def camera_from_plain(plain: Any, *, at: str) -> Camera:
+    """The camera that `camera_to_plain` wrote.
+
+    Raises:
+        InputError: If a key is missing, unknown or of the wrong type.
+    """
+    names = [f.name for f in fields(Camera)]
+    if not isinstance(plain, dict) or set(plain) != set(names):
+        raise InputError(f"{at} is no camera. Allowed: a table with exactly {', '.join(names)}.")
+    number, maybe = float, float | None
+    row = tuple[float, float, float, float]
+    types = {
+        "name": str,
+        "lens": _AnyLens,
+        "width": int,
+        "height": int,
+        "T_capsule_camera": tuple[row, row, row, row],
+        "leds": tuple[Led, ...],
+        "exposure": number,
+        "image_circle_px": maybe,
+        "nominal_field": maybe,
+    }
+    values = {n: from_plain(types[n], plain[n], at=f"{at}.{n}") for n in names}
+    values["T_capsule_camera"] = np.array(values["T_capsule_camera"])
+    return Camera(**values)
+
+
+def channel_to_plain(channel: str) -> dict[str, Any]:
+    """A channel's encoding as JSON holds it."""
+    encoding = ENCODINGS[channel]
+    plain = to_plain(encoding, type(encoding))
+    suffix = plain.pop("suffix")
+    meaning = next(f.metadata["meaning"] for f in fields(Frame) if f.name == channel)
+    return {
+        "meaning": meaning,
+        **plain,
+        "planes": encoding.planes,
+        "path": f"{{camera}}/{channel}/{{frame:06d}}{suffix}",
+    }
+
+
+def read_head(folder: Path) -> dict[str, Any]:
+    """Contents of a folder's `episode.json`.
+
+    Raises:
+        InputError: If there is none or it is not an episode's.
+    """
+    path = folder / EPISODE_JSON
+    try:
+        head = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
+        raise InputError(f"{folder} is no episode: cannot read {path} ({error}).") from error
+    if not isinstance(head, dict) or head.get("format") != FORMAT:
+        given = head.get("format") if isinstance(head, dict) else None
+        raise InputError(f"{path} has the format {given!r}. Allowed: {FORMAT!r}.")
+    return head

@@ -1,0 +1,156 @@
+"""Channels as pictures for people: colour maps, and the contact sheet of an episode."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vrcaps.camera_pipeline.dome import DOME_NAMES
+from vrcaps.lumen.lumen_contents import BEND_NAMES, FRONT_NAMES
+from vrcaps.units import MM
+
+if TYPE_CHECKING:
+    from jaxtyping import UInt8
+    from numpy.typing import NDArray
+
+    from vrcaps.recording.episode import Episode
+
+CLASSES = ("label", "instance", "front_label", "front_instance", "bend_label", "dome_label")
+"""Channels of numbers that stand for things."""
+
+NAMES = {"front_label": FRONT_NAMES, "bend_label": BEND_NAMES, "dome_label": DOME_NAMES}
+"""Names of the classes of channels whose classes are the same everywhere."""
+
+_BACKGROUND = np.array([24, 24, 28], np.uint8)
+_TEXT = (230, 230, 230)
+_TILE_HEIGHT = 160
+_MARGIN, _LINE, _TITLE = 6, 16, 30
+_MAX_WIDTH = 1800
+
+
+def picture(
+    channel: str, values: NDArray, limits: tuple[float, float] = (0.0, 1.0)
+) -> UInt8[np.ndarray, "h w 3"]:
+    """A channel's values as an sRGB picture; pixels without a value are dark grey.
+
+    Args:
+        channel: Its name.
+        values: As `Episode.image` gives them.
+        limits: Values at both ends of the colour map.
+    """
+    if channel == "rgb":
+        return values
+    if channel in CLASSES:
+        return _class_colors()[values.astype(int) % 256]
+    if channel == "occlusion":
+        return np.repeat(np.where(values, np.uint8(255), np.uint8(64))[..., None], 3, axis=-1)
+    low, high = limits
+    if channel.startswith("flow"):
+        shown, valid = _flow_colors(values, high), np.all(np.isfinite(values), axis=-1)
+    elif values.ndim == 3:
+        share = np.nan_to_num((values - low) / max(high - low, 1e-12))
+        share = share ** (1 / 2.2) if channel in ("radiance", "albedo") else share
+        shown = (np.clip(share, 0.0, 1.0) * 255.0).astype(np.uint8)
+        valid = np.all(np.isfinite(values), axis=-1)
+    else:
+        share = np.nan_to_num((values - low) / max(high - low, 1e-12))
+        shown = _color_map("turbo")[(np.clip(share, 0.0, 1.0) * 255.0).astype(np.uint8)]
+        valid = np.isfinite(values)
+    return np.where(valid[..., None], shown, _BACKGROUND)
+
+
+def limits_of(channel: str, images: list[NDArray]) -> tuple[float, float]:
+    """Ends of the colour map that suit some images of a channel."""
+    if channel == "normal":
+        return -1.0, 1.0
+    if channel in ("rgb", "albedo", "occlusion", *CLASSES):
+        return 0.0, 1.0
+    values = np.concatenate([image[np.isfinite(image)].ravel() for image in images])
+    if values.size == 0:
+        return 0.0, 1.0
+    if channel.startswith("flow"):
+        return 0.0, float(np.percentile(np.abs(values), 98.0)) or 1.0
+    low, high = np.percentile(values, [1.0, 99.0])
+    return (0.0 if channel == "radiance" else float(low)), float(high)
+
+
+def contact_sheet(episode: Episode) -> UInt8[np.ndarray, "h w 3"]:
+    """A sheet to look at: a row for each channel of each camera, labelled, over the whole run."""
+    from PIL import Image, ImageDraw, ImageFont
+
+    rows = [(camera, channel) for camera in episode.cameras for channel in episode.channels]
+    widths = [round(c.width * _TILE_HEIGHT / c.height) for c in episode.cameras]
+    columns = min(max((_MAX_WIDTH - _MARGIN) // (max(widths) + _MARGIN), 1), len(episode))
+    chosen = np.unique(np.linspace(0, len(episode) - 1, columns).round().astype(int))
+    width = max(_MARGIN + len(chosen) * (max(widths) + _MARGIN), 480)
+    row_height = _LINE + _TILE_HEIGHT + _MARGIN
+    sheet = Image.new("RGB", (width, _TITLE + len(rows) * row_height), tuple(_BACKGROUND.tolist()))
+    draw, font = ImageDraw.Draw(sheet), ImageFont.load_default(12)
+    draw.text((_MARGIN, 8), _title(episode, chosen), fill=_TEXT, font=font)
+    for row, (camera, channel) in enumerate(rows):
+        top = _TITLE + row * row_height
+        images = [episode.image(camera.name, channel, int(frame)) for frame in chosen]
+        limits = limits_of(channel, images)
+        caption = f"{camera.name} · {channel}{_legend(episode, channel, images, limits)}"
+        draw.text((_MARGIN, top), caption, fill=_TEXT, font=font)
+        tile = (round(camera.width * _TILE_HEIGHT / camera.height), _TILE_HEIGHT)
+        for column, image in enumerate(images):
+            shown = Image.fromarray(np.ascontiguousarray(picture(channel, image, limits)))
+            is_class = channel in ("occlusion", *CLASSES)
+            method = Image.Resampling.NEAREST if is_class else Image.Resampling.BOX
+            left = _MARGIN + column * (max(widths) + _MARGIN)
+            sheet.paste(shown.resize(tile, method), (left, top + _LINE))
+    return np.asarray(sheet)
+
+
+def _title(episode: Episode, chosen: np.ndarray) -> str:
+    times = ", ".join(f"{episode.times[i]:.2f}" for i in chosen)
+    head = episode.head
+    names = f"{head['organ']['name']} · {head['capsule']['name']}"
+    return f"{names} · {len(episode)} frames · at {times} s"
+
+
+def _legend(
+    episode: Episode, channel: str, images: list[NDArray], limits: tuple[float, float]
+) -> str:
+    low, high = limits
+    if channel in ("depth", "ray_distance", "arc_length", "front_depth"):
+        return f", {low / MM:.0f} to {high / MM:.0f} mm (blue to red)"
+    if channel.startswith("flow"):
+        return f", hue is direction, up to {high:.1f} px"
+    if channel == "label":
+        seen = np.unique(np.concatenate([np.unique(image) for image in images]))
+        return f": {', '.join(episode.label_names[i] for i in seen if i > 0)}"
+    if channel in NAMES:
+        return f": {', '.join(NAMES[channel][1:])}"
+    if channel in ("instance", "front_instance"):
+        seen = np.unique(np.concatenate([np.unique(image) for image in images]))
+        return f": {', '.join(str(i) for i in seen if i > 0) or 'none'}"
+    return ""
+
+
+def _class_colors() -> UInt8[np.ndarray, "256 3"]:
+    """Distinct colours: hues a golden angle apart; class 0 is the background."""
+    colors = _hue_colors(np.arange(256) * 0.618033988749895, 0.85 - 0.25 * (np.arange(256) % 2))
+    colors[0] = _BACKGROUND
+    return colors
+
+
+def _flow_colors(flow: NDArray, largest: float) -> UInt8[np.ndarray, "h w 3"]:
+    flow = np.nan_to_num(flow)
+    size = np.clip(np.linalg.norm(flow, axis=-1) / max(largest, 1e-12), 0.0, 1.0)
+    return _hue_colors(np.arctan2(flow[..., 1], flow[..., 0]) / (2.0 * np.pi), size)
+
+
+def _hue_colors(hue: NDArray, value: NDArray) -> NDArray:
+    """Saturated colours of a hue (1 is a full turn) and a brightness from 0 to 1."""
+    phase = (hue[..., None] + np.array([0.0, 2.0 / 3.0, 1.0 / 3.0])) % 1.0 * 6.0
+    channel = np.clip(np.abs(phase - 3.0) - 1.0, 0.0, 1.0)
+    return ((0.2 + 0.8 * channel) * value[..., None] * 255.0).astype(np.uint8)
+
+
+def _color_map(name: str) -> UInt8[np.ndarray, "256 3"]:
+    from matplotlib import colormaps
+
+    return (colormaps[name](np.arange(256))[:, :3] * 255.0 + 0.5).astype(np.uint8)

@@ -1,0 +1,355 @@
+"""Record a scenario: render every frame, write an episode that is whole or goes on later."""
+
+from __future__ import annotations
+
+import errno
+import time
+from collections import deque
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from vrcaps.errors import InputError
+from vrcaps.motion.rollout import Simulation
+from vrcaps.recording.channels import ENCODINGS
+from vrcaps.recording.checkpoint import (
+    Checkpoint,
+    read_checkpoint,
+    remove_checkpoint,
+    write_checkpoint,
+)
+from vrcaps.recording.episode import Episode, read_episode
+from vrcaps.recording.files import TEMPORARY, write_bytes, write_images, write_json
+from vrcaps.recording.images import Images, Step
+from vrcaps.recording.layout import (
+    COMPLETE,
+    EPISODE_JSON,
+    FRAMES_PARQUET,
+    ORGAN_GLB,
+    PREVIEW_MP4,
+    RECORDING,
+    SHEET_PNG,
+    make_head,
+    read_head,
+)
+from vrcaps.recording.pictures import contact_sheet
+from vrcaps.recording.preview import Preview
+from vrcaps.recording.sensing import SensorReadings
+from vrcaps.recording.table import TableRows, write_table
+from vrcaps.recording.walls import file_vertices, stored_wall, wall_path
+from vrcaps.scenario.scenario import Scenario, build, resolve, scenario_to_plain
+from vrcaps.world.moving_wall import MovingWall
+
+if TYPE_CHECKING:
+    from vrcaps.motion.run import Run
+    from vrcaps.render.frame import Frame
+    from vrcaps.world.model import Model
+    from vrcaps.world.snapshot import Snapshot
+
+_CHECKPOINT_SECONDS = 10.0  # between snapshots of a simulation, from which it can go on
+_QUEUED_FRAMES = 3  # being encoded or waiting for it while the next ones are rendered
+_FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
+
+
+def record(
+    scenario: Scenario,
+    out: str | Path,
+    *,
+    progress: Callable[[int, int], None] | None = None,
+    simulated: Callable[[float, float], None] | None = None,
+) -> Path:
+    """Record a scenario into a folder; the same scenario gives the same bytes.
+
+    A recording that was broken off goes on where it stopped when the same scenario is recorded
+    into its folder again; `episode.json` says ``"status": "recording"`` until all is there.
+
+    Args:
+        scenario: What to record.
+        out: Folder of the episode: new, empty, or this scenario's own from before.
+        progress: Called with the number of whole frames and of all frames.
+        simulated: Called by a motion of physics with the time simulated so far and the whole [s].
+
+    Returns:
+        The folder.
+
+    Raises:
+        InputError: If the scenario cannot be made, the folder holds anything else, or the files
+            cannot be written; what was there before stays as it was.
+    """
+    out = Path(out)
+    scenario, device = resolve(scenario)
+    _require_free(out, scenario)
+    model, motion = build(scenario, device)
+    if isinstance(motion, Simulation) and simulated is not None:
+        motion.on_step = simulated
+    head = make_head(scenario, model, motion.notes)
+    try:
+        _begin(out, head)
+        if not (out / ORGAN_GLB).exists():
+            _write_organ(out, model)
+        _write_frames(out, _Recording(out, scenario, model, motion, progress or _silent))
+        _finish(out, head)
+    except OSError as error:
+        raise _explained(out, error) from error
+    return out
+
+
+@dataclass(frozen=True)
+class _Recording:
+    """A recording under way."""
+
+    out: Path
+    scenario: Scenario
+    model: Model
+    motion: Run
+    progress: Callable[[int, int], None]
+    present: set[Path] = field(init=False)
+    wall_vertices: np.ndarray = field(init=False)
+
+    def __post_init__(self) -> None:
+        folders = {path.parent for path in self.files(0)}
+        present = {path for folder in folders for path in folder.iterdir()}
+        object.__setattr__(self, "present", present)
+        object.__setattr__(self, "wall_vertices", file_vertices(self.model.organ))
+
+    def paths(self, frame: int) -> dict[tuple[str, str], Path]:
+        """Image files of a frame by camera and channel."""
+        return {
+            (camera.name, channel): self.out / ENCODINGS[channel].path(camera.name, channel, frame)
+            for camera in self.model.device.cameras
+            for channel in self.scenario.channels
+        }
+
+    def files(self, frame: int) -> list[Path]:
+        """All files of a frame."""
+        walls = [self.out / wall_path(frame)] if self.scenario.wall else []
+        return [*self.paths(frame).values(), *walls]
+
+    def is_there(self, frame: int) -> bool:
+        return self.present.issuperset(self.files(frame))
+
+    def is_whole(self) -> bool:
+        """Whether nothing that comes from the motion is missing."""
+        table = (self.out / FRAMES_PARQUET).exists()
+        return table and all(self.is_there(frame) for frame in range(self.scenario.frames))
+
+    def checkpoint(self) -> Checkpoint | None:
+        """Where a simulation may go on; None where it must begin anew."""
+        if not isinstance(self.motion, Simulation):
+            return None
+        found = read_checkpoint(self.out)
+        if found is None or not all(self.is_there(frame) for frame in range(found.frame + 1)):
+            return None
+        return found
+
+
+def _silent(done: int, total: int) -> None:
+    """Report nothing."""
+
+
+def _require_free(out: Path, scenario: Scenario) -> None:
+    """Check that a folder is new, empty or an episode of the same scenario.
+
+    Raises:
+        InputError: If it is not.
+    """
+    if not out.exists():
+        return
+    if not out.is_dir():
+        raise InputError(f"{out} is a file. Give a new or empty folder.")
+    leftover = f".{EPISODE_JSON}{TEMPORARY}"
+    names = sorted(path.name for path in out.iterdir() if path.name != leftover)
+    if not names:
+        return
+    if EPISODE_JSON not in names:
+        raise InputError(
+            f"{out} holds something else ({names[0]!r}, …). Give a new or empty folder."
+        )
+    head = read_head(out)
+    if head.get("scenario") != scenario_to_plain(scenario):
+        raise InputError(
+            f"{out} holds an episode of a different scenario. Give a new or empty folder; "
+            f"to go on with that episode, record --scenario {out / EPISODE_JSON}."
+        )
+
+
+def _begin(out: Path, head: dict[str, Any]) -> None:
+    """Make the folder an episode, or check that it is exactly this one."""
+    path = out / EPISODE_JSON
+    if not path.exists():
+        out.mkdir(parents=True, exist_ok=True)
+        write_json(path, {"status": RECORDING, **head})
+    before = read_head(out)
+    before.pop("status", None)
+    changed = [key for key in head if before.get(key) != head[key]]
+    if changed or set(before) != set(head):
+        what = changed[0] if changed else "a key"
+        raise InputError(
+            f"{out} holds an episode of this scenario made with another {what}. "
+            "Give a new or empty folder."
+        )
+    for channel in head["channels"]:
+        for camera in head["cameras"]:
+            (out / camera["name"] / channel).mkdir(parents=True, exist_ok=True)
+    if "wall" in head:
+        (out / wall_path(0)).parent.mkdir(exist_ok=True)
+
+
+def _write_organ(out: Path, model: Model) -> None:
+    from vrcaps.organ.write_organ import write_glb
+
+    write_glb(out / ORGAN_GLB, model.organ, T_world_patient=model.T_world_patient)
+
+
+def _steps(motion: Run, start: Checkpoint | None) -> Iterator[Step]:
+    """Frames of a motion with their neighbours, from the one after a checkpoint on."""
+    simulation = motion if isinstance(motion, Simulation) else None
+    last = time.monotonic()
+
+    def taken() -> tuple[float, Snapshot] | None:
+        nonlocal last
+        if simulation is None or time.monotonic() - last < _CHECKPOINT_SECONDS:
+            return None
+        last = time.monotonic()
+        return simulation.snapshot()
+
+    if start is None or simulation is None:
+        instants, frame = motion.instants(), 0
+        before, now = None, next(instants)
+    else:
+        instants = simulation.instants(start.frame, (start.arc_length, start.snapshot))
+        frame = start.frame + 1
+        before, now = next(instants), next(instants)
+    due = taken()
+    for after in instants:
+        following = taken()
+        yield Step(frame, now, before, after, due)
+        before, now, due, frame = now, after, following, frame + 1
+    yield Step(frame, now, before, None, None)
+
+
+def _write_frames(out: Path, run: _Recording) -> None:
+    """Write all images that are missing, table and preview; render and encode side by side."""
+    total = run.scenario.frames
+    preview = _new_preview(run)
+    episode = read_episode(out, unfinished=True)
+    pending: deque[Future[None]] = deque()
+    pool = ThreadPoolExecutor(1, thread_name_prefix="vrcaps-encode")
+
+    def submit(frame: int, task: Callable[[], None]) -> None:
+        pending.append(pool.submit(task))
+        while len(pending) > _QUEUED_FRAMES:
+            pending.popleft().result()
+        run.progress(frame + 1 - len(pending), total)
+
+    try:
+        if run.is_whole():
+            for frame in range(total):
+                submit(frame, partial(_preview_from_files, preview, episode, frame))
+        else:
+            _write_steps(run, preview, episode, submit)
+        for left in range(len(pending) - 1, -1, -1):
+            pending.popleft().result()
+            run.progress(total - left, total)
+    finally:
+        pool.shutdown(wait=True, cancel_futures=True)
+    if preview is not None:
+        write_bytes(out / PREVIEW_MP4, preview.finish())
+
+
+def _write_steps(
+    run: _Recording,
+    preview: Preview | None,
+    episode: Episode,
+    submit: Callable[[int, Callable[[], None]], None],
+) -> None:
+    """Walk through the motion, hand out what is to be written, write the table."""
+    start = run.checkpoint()
+    table = None if start is None else start.table
+    wall = MovingWall(run.model)
+    images = Images(run.model, run.scenario, table, wall)
+    rows = TableRows(run.model, table, wall)
+    readings = SensorReadings(run.model, run.scenario, table)
+    for frame in range(len(rows)):
+        submit(frame, partial(_preview_from_files, preview, episode, frame))
+    for step in _steps(run.motion, start):
+        rows.add(step.now, images.expose(step) | readings.read(step))
+        if run.is_there(step.frame):
+            submit(step.frame, partial(_preview_from_files, preview, episode, step.frame))
+            continue
+        made, wall = images.render(step), None
+        if run.scenario.wall:
+            wall = stored_wall(run.model, step.now.state, run.wall_vertices)
+        checkpoint = None
+        if step.taken is not None:
+            checkpoint = Checkpoint(step.frame, *step.taken, rows.table())
+        submit(
+            step.frame,
+            partial(_write_frame, preview, run, step.frame, made, wall, checkpoint),
+        )
+    if not (run.out / FRAMES_PARQUET).exists():
+        write_table(run.out / FRAMES_PARQUET, rows.table())
+
+
+def _write_frame(
+    preview: Preview | None,
+    run: _Recording,
+    frame: int,
+    images: dict[str, Frame],
+    wall: np.ndarray | None,
+    checkpoint: Checkpoint | None,
+) -> None:
+    """Write the files of a frame, then the checkpoint that says so."""
+    items = [
+        (path, ENCODINGS[channel].encode(getattr(images[camera], channel)))
+        for (camera, channel), path in run.paths(frame).items()
+    ]
+    if wall is not None:
+        items.append((run.out / wall_path(frame), wall))
+    write_images(items)
+    if preview is not None:
+        preview.add([np.asarray(image.rgb) for image in images.values()])
+    if checkpoint is not None:
+        write_checkpoint(run.out, checkpoint)
+
+
+def _preview_from_files(preview: Preview | None, episode: Episode, frame: int) -> None:
+    if preview is not None:
+        preview.add([episode.image(camera.name, "rgb", frame) for camera in episode.cameras])
+
+
+def _new_preview(run: _Recording) -> Preview | None:
+    """The preview, if colour images are recorded and it is not there yet."""
+    if "rgb" not in run.scenario.channels or (run.out / PREVIEW_MP4).exists():
+        return None
+    cameras, fps = run.model.device.cameras, run.scenario.fps
+    assert fps is not None
+    return Preview(
+        fps=fps, width=sum(c.width for c in cameras), height=max(c.height for c in cameras)
+    )
+
+
+def _finish(out: Path, head: dict[str, Any]) -> None:
+    """Write the contact sheet, then declare the episode complete."""
+    if not (out / SHEET_PNG).exists():
+        sheet = contact_sheet(read_episode(out, unfinished=True))
+        write_images([(out / SHEET_PNG, np.ascontiguousarray(sheet))])
+    remove_checkpoint(out)
+    for leftover in out.rglob(f".*{TEMPORARY}"):  # of a run that was killed
+        leftover.unlink()
+    write_json(out / EPISODE_JSON, {"status": COMPLETE, **head})
+
+
+def _explained(out: Path, error: OSError) -> InputError:
+    """The error in one line."""
+    if error.errno in _FULL:
+        return InputError(
+            f"The disk is full (or a limit reached) while recording into {out}: {error}. All files "
+            "there are whole; free some space and run the same command again to go on."
+        )
+    return InputError(f"Cannot write the episode {out}: {error}.")

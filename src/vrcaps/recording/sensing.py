@@ -1,0 +1,183 @@
+"""What sensors in the capsule and under the patient read: columns of `frames.parquet`."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vrcaps.errors import InputError
+from vrcaps.magnet.field import field as flux_density
+from vrcaps.magnet.presets import load_magnet
+from vrcaps.magnet.sources import Dipole, Source, Uniform, magnet_pose
+from vrcaps.motion.dynamics import Physics
+from vrcaps.motion.run import Instant
+from vrcaps.sensors.hall import miscalibrated, read_hall
+from vrcaps.sensors.inertial import (
+    Motion,
+    read_inertial,
+    read_magnetometer,
+)
+from vrcaps.sensors.localize import locate
+from vrcaps.sensors.sensors import HallPad, hall_array
+from vrcaps.transforms import rotate_vectors, transform_points
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+    from vrcaps.recording.images import Step
+    from vrcaps.recording.table import FrameTable
+    from vrcaps.scenario.scenario import Scenario
+    from vrcaps.world.model import Model
+
+_STREAM = 23
+"""Beside the seed's other random numbers."""
+_MISREAD, _INERTIAL, _MAGNETOMETER, _HALL = range(4)
+
+
+class SensorReadings:
+    """Readings of a recording's frames, in their order."""
+
+    def __init__(self, model: Model, scenario: Scenario, before: FrameTable | None = None) -> None:
+        """Begins a recording, or goes on after the rows of an earlier one.
+
+        Args:
+            model: What is recorded.
+            scenario: Resolved.
+            before: Rows of the frames before; they hold the last place found.
+
+        Raises:
+            InputError: If the pad has no single magnet to find, or cannot be.
+        """
+        assert scenario.fps is not None
+        self._model, self._sensors, self._seed = model, scenario.sensors, scenario.seed
+        self._steering = None
+        if isinstance(scenario.motion, Physics) and scenario.motion.magnet is not None:
+            self._steering = scenario.motion.magnet.magnet
+        earth = np.array(self._sensors.earth, float)
+        strength = float(np.linalg.norm(earth))
+        axis = earth if strength > 0.0 else np.array([0.0, 0.0, 1.0])
+        self._earth = Uniform(strength, magnet_pose(np.zeros(3), axis))
+        self._inertial = None
+        if self._sensors.inertial is not None:
+            self._inertial = replace(self._sensors.inertial, rate=scenario.fps)
+        self._bias = np.zeros(6)
+        self._last: np.ndarray | None = None
+        if self._sensors.hall is not None:
+            self._prepare_pad(self._sensors.hall)
+        if before is not None:
+            self._go_on(before)
+
+    def read(self, step: Step) -> dict[str, float]:
+        """Columns of a frame, to be called for each in turn."""
+        columns: dict[str, float] = {}
+        pose = step.now.state.T_world_capsule
+        outside = [self._earth, *self._steers(step.now)]
+        if self._inertial is not None:
+            rng = self._rng(_INERTIAL, step.frame)
+            motion = _motion(step)
+            force, turn, self._bias = read_inertial(self._inertial, motion, self._bias, rng)
+            columns |= _named("accelerometer_{}_m_per_s2", force)
+            columns |= _named("gyroscope_{}_rad_per_s", turn)
+        unit = self._sensors.magnetometer
+        if unit is not None:
+            place = transform_points(pose, np.array([unit.position_capsule]))
+            flux = flux_density(outside, place)[0][0]
+            rng = self._rng(_MAGNETOMETER, step.frame)
+            columns |= _named("magnetometer_{}_t", read_magnetometer(unit, flux, pose[:3, :3], rng))
+        if self._sensors.hall is not None:
+            columns |= self._read_pad(step, outside)
+        return columns
+
+    def _prepare_pad(self, pad: HallPad) -> None:
+        magnets, name = self._model.device.magnets, self._model.device.name
+        if len(magnets) != 1:
+            raise InputError(
+                f"Hall sensors find a capsule by one magnet; {name} has {len(magnets)}. Give a "
+                "capsule with one in [[magnets]], such as magnetic, or no sensor 'hall'."
+            )
+        self._array = hall_array(pad, self._model)
+        rng = self._rng(_MISREAD, 0)
+        errors = {"gain": pad.gain_error, "offset": pad.offset_error}
+        self._true_array = miscalibrated(self._array, rng, **errors)
+
+    def _read_pad(self, step: Step, outside: list[Source]) -> dict[str, float]:
+        """Readings, and the place and direction of the capsule's magnet that follow from them."""
+        (magnet,) = self._model.device.magnets
+        pose = step.now.state.T_world_capsule
+        (place,) = transform_points(pose, np.array([magnet.position_capsule]))
+        axis = rotate_vectors(pose, np.array(magnet.moment_capsule))
+        inside = Dipole(float(np.linalg.norm(axis)), magnet_pose(place, axis))
+        rng = self._rng(_HALL, step.frame)
+        readings = read_hall(self._true_array, [inside, *outside], rng)
+        columns = {
+            f"hall_{k}_{name}_t": float(value)
+            for k, row in enumerate(readings)
+            for name, value in zip("xyz", row, strict=True)
+        }
+        found, sigma, residual = np.full((4, 4), np.nan), math.nan, math.nan
+        try:
+            # The steering magnet's pose is the arm's own knowledge; the earth's field is not.
+            fix = locate(self._array, readings, inside, known=outside[1:], start=self._last)
+        except InputError:  # too few sensors within their range
+            self._last = None
+        else:
+            found, residual = fix.T_world_magnet, fix.residual
+            sigma = math.sqrt(np.trace(fix.covariance[:3, :3]))
+            # As it is made from the table's columns when a recording goes on.
+            self._last = magnet_pose(found[:3, 3], found[:3, 2])
+        columns |= _named("located_{}_m", found[:3, 3])
+        columns |= _named("located_axis_{}", found[:3, 2])
+        return columns | {"located_sigma_m": sigma, "located_residual_t": residual}
+
+    def _steers(self, instant: Instant) -> list[Source]:
+        conditions = instant.conditions
+        if self._steering is None or conditions is None or conditions.steered is None:
+            return []
+        return [load_magnet(self._steering, conditions.steered.held.T_world_magnet)]
+
+    def _go_on(self, before: FrameTable) -> None:
+        """The bias and the last place as they were after the rows of earlier frames."""
+        if self._inertial is not None:
+            still = Motion(np.eye(3))
+            for frame in range(len(before)):
+                rng = self._rng(_INERTIAL, frame)
+                *_, self._bias = read_inertial(self._inertial, still, self._bias, rng)
+        if self._sensors.hall is not None and len(before):
+            place, axis = (
+                np.array([float(before.columns[name.format(a)][-1]) for a in "xyz"])
+                for name in ("located_{}_m", "located_axis_{}")
+            )
+            self._last = magnet_pose(place, axis) if np.isfinite(place).all() else None
+
+    def _rng(self, kind: int, frame: int) -> np.random.Generator:
+        return np.random.default_rng([self._seed, _STREAM, kind, frame])
+
+
+def _motion(step: Step) -> Motion:
+    """How the capsule moves at a frame, accelerations from the velocities beside it."""
+    before, after = (step.before or step.now).state, (step.after or step.now).state
+    state, time = step.now.state, after.time - before.time
+
+    def rate(name: str) -> tuple[float, float, float]:
+        change = np.asarray(getattr(after, name)) - np.asarray(getattr(before, name))
+        return _triple(change / time if time > 0.0 else np.zeros(3))
+
+    return Motion(
+        state.T_world_capsule[:3, :3],
+        acceleration=rate("linear_velocity_world"),
+        angular_velocity=_triple(state.angular_velocity_world),
+        angular_acceleration=rate("angular_velocity_world"),
+    )
+
+
+def _triple(vector: Float[np.ndarray, " 3"]) -> tuple[float, float, float]:
+    x, y, z = np.asarray(vector, float).tolist()
+    return x, y, z
+
+
+def _named(name: str, values: Sequence[float] | np.ndarray) -> dict[str, float]:
+    return {name.format(axis): float(x) for axis, x in zip("xyz", values, strict=True)}

@@ -1,0 +1,61 @@
+"""The wall of each frame on disk: where every vertex of `organ.glb` is then."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from vrcaps.organ.write_organ import split_at_seams
+
+if TYPE_CHECKING:
+    from jaxtyping import Float32
+
+    from vrcaps.organ.surface import OrganSurface
+    from vrcaps.world.model import Model, State
+
+_DTYPE = "float32"
+
+
+def wall_path(frame: int) -> str:
+    """Path of a frame's wall in its episode."""
+    return f"wall/{frame:06d}.npy"
+
+
+def wall_to_plain(organ: OrganSurface) -> dict[str, Any]:
+    """How walls are stored, as `episode.json` holds it."""
+    return {
+        "meaning": "vertices of organ.glb in the world frame, in the order of the file",
+        "path": "wall/{frame:06d}.npy",
+        "dtype": _DTYPE,
+        "unit": "m",
+        "num_vertices": len(file_vertices(organ)),
+    }
+
+
+def file_vertices(organ: OrganSurface) -> np.ndarray:
+    """Number in the organ of each vertex of `organ.glb`, where seams of the texture are cut."""
+    return split_at_seams(organ.faces, organ.uv)[0]
+
+
+def stored_wall(model: Model, state: State, vertices: np.ndarray) -> Float32[np.ndarray, "k 3"]:
+    """The wall in a state as it is stored [m].
+
+    Args:
+        model: The organ.
+        state: The world.
+        vertices: Of `file_vertices`.
+    """
+    here = model.vertices_world if state.vertices_world is None else state.vertices_world
+    return np.ascontiguousarray(here[vertices], _DTYPE)
+
+
+def read_wall(path: Path) -> Float32[np.ndarray, "k 3"]:
+    """A stored wall.
+
+    Raises:
+        OSError: If the file cannot be read.
+        ValueError: If it is no such file.
+    """
+    return np.load(path, allow_pickle=False)

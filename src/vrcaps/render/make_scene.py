@@ -1,0 +1,44 @@
+"""An organ as the compiled core draws it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from vrcaps import _core
+from vrcaps.organ.surface import Appearance, OrganSurface, coat_alpha, face_label
+from vrcaps.render.imaging import Imaging
+from vrcaps.render.mucus_film import wet_organ
+from vrcaps.render.scattering import tissue_figures
+from vrcaps.render.settings import RenderSettings
+
+_PLAIN_ALBEDO = (0.52, 0.22, 0.16)
+_PLAIN_ROUGHNESS = 0.5
+_PLAIN = Appearance(np.zeros((1, 1, 3), np.uint8), np.zeros((1, 1), np.uint8), np.zeros((1, 1)))
+
+
+def scene_of(organ: OrganSurface, settings: RenderSettings, imaging: Imaging) -> _core.Scene:
+    """What is drawn on an organ's wall.
+
+    Args:
+        organ: Whose wall; one without an appearance is plain.
+        settings: Its film and its tissue.
+        imaging: Colours of the LEDs and the camera.
+    """
+    if settings.film_um is not None:
+        organ = wet_organ(organ, 1e-6 * settings.film_um)
+    look, texture = imaging.appearance(organ.appearance or _PLAIN), None
+    albedo = imaging.reflectance(np.array(_PLAIN_ALBEDO))
+    if organ.appearance is not None:
+        height = np.ascontiguousarray(look.height, np.float32)
+        texture = _core.Texture(look.albedo, look.roughness, height)
+    return _core.Scene(
+        np.ascontiguousarray(organ.uv, np.float32),
+        face_label(organ.label, organ.faces),
+        face_label(organ.instance, organ.faces),
+        organ.arc_length.astype(np.float32),
+        texture=texture,
+        albedo=tuple(albedo),
+        roughness=_PLAIN_ROUGHNESS,
+        reflectance=(look.ior, look.coat, coat_alpha(look.coat_gloss)),
+        tissue=tissue_figures(imaging.bands_nm) if settings.scattering else None,
+    )

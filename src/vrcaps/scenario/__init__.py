@@ -1,0 +1,1 @@
+"""What to simulate: one typed tree, and its files."""

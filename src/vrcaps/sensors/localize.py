@@ -1,0 +1,172 @@
+"""Where a capsule is, from the readings of a Hall array."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vrcaps.errors import InputError
+from vrcaps.magnet.field import field
+from vrcaps.magnet.sources import MAGNETIC_CONSTANT, Cylinder, Dipole, Source, magnet_pose
+from vrcaps.sensors.hall import HallArray
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+_STEPS = 50
+_SETTLED = 1e-9
+_LENGTH, _FLUX = 0.01, 1e-6
+"""Units of a step [m, T], so that slopes are of one size."""
+_LEAST = 8
+_DAMPING = (1e-4, 1e8)
+
+
+@dataclass(frozen=True)
+class Fix:
+    """An estimate of a magnet's pose.
+
+    The turn about the magnet's own axis, which changes no reading, is not part of it.
+
+    Attributes:
+        T_world_magnet: Its pose; +z along its moment.
+        background: The even field that was found beside it [T].
+        residual: Root mean square of what the readings differ by [T].
+        covariance: Of place [m] and of turns about the world's axes [rad], from that residual.
+    """
+
+    T_world_magnet: Float[np.ndarray, "4 4"]
+    background: Float[np.ndarray, " 3"]
+    residual: float
+    covariance: Float[np.ndarray, "6 6"]
+
+
+def locate(
+    array: HallArray,
+    readings: Float[np.ndarray, "n 3"],
+    magnet: Dipole | Cylinder,
+    *,
+    known: Sequence[Source] = (),
+    start: Float[np.ndarray, "4 4"] | None = None,
+    depths: tuple[float, float] = (0.03, 0.30),
+) -> Fix:
+    """Pose of a magnet of known strength in an even background, by damped Gauss-Newton.
+
+    Minimises Σ |B(x_i) + b − reading_i|² over place, direction and background b (Levenberg 1944).
+    With the exact gradient G of the field: moving the magnet changes B by −G, turning it by ω about
+    its centre p by ω × B − G (ω × (x − p)). Without a start, a grid of places in front of the array
+    is searched, where the best moment and background are linear.
+
+    Args:
+        array: The array as it is calibrated; its gain and offset are divided out.
+        readings: What it read [T]; NaN is left out.
+        magnet: The magnet; its pose does not matter.
+        known: Sources whose field is known and taken off, such as the magnet that steers.
+        start: A pose near by, such as the last.
+        depths: Least and largest distance of the grid from the array's plane [m], on either side.
+
+    Raises:
+        InputError: If fewer than 8 finite numbers were read, or shapes differ.
+    """
+    positions = np.asarray(array.positions_world, float)
+    readings = (np.asarray(readings, float) - array.offset) / array.gain
+    if readings.shape != positions.shape:
+        raise InputError(f"Readings of shape {readings.shape}. Allowed: {positions.shape}, 3 each.")
+    if np.isfinite(readings).sum() < _LEAST:
+        raise InputError(
+            f"{np.isfinite(readings).sum()} finite readings. Allowed: {_LEAST} or more; the others "
+            "are beyond the sensors' range."
+        )
+    if known:
+        readings = readings - field(known, positions)[0]
+    pose = _search(positions, readings, depths) if start is None else np.asarray(start, float)
+    return _descend(positions, readings, replace(magnet, T_world_magnet=pose))
+
+
+def _descend(positions: np.ndarray, readings: np.ndarray, magnet: Dipole | Cylinder) -> Fix:
+    """Levenberg's steps from the magnet's pose."""
+    used = np.isfinite(readings).ravel()
+    background = np.nanmean(readings - field([magnet], positions)[0], axis=0)
+    rest, rows = _model(positions, readings, magnet, background)
+    damping, most = _DAMPING
+    for _ in range(_STEPS):
+        square = rows[used].T @ rows[used]
+        slope = rows[used].T @ rest[used]
+        step = np.linalg.solve(square + damping * np.diag(np.diag(square) + 1e-30), -slope)
+        moved = _moved(magnet, step)
+        trial = background + _FLUX * step[6:]
+        new_rest, new_rows = _model(positions, readings, moved, trial)
+        if np.sum(new_rest[used] ** 2) <= np.sum(rest[used] ** 2):
+            magnet, background, rest, rows = moved, trial, new_rest, new_rows
+            damping *= 0.1
+            if np.abs(step[:6]).max() < _SETTLED:
+                break
+        else:
+            damping *= 10.0
+            if damping > most:
+                break
+    freedom = max(int(used.sum()) - 8, 1)
+    variance = float(np.sum(rest[used] ** 2)) / freedom
+    spread = variance * np.linalg.pinv(rows[used].T @ rows[used], rcond=1e-12, hermitian=True)
+    length = np.concatenate([np.full(3, _LENGTH), np.ones(3)])
+    covariance = spread[:6, :6] * np.outer(length, length)
+    residual = float(np.sqrt(np.mean(rest[used] ** 2)))
+    return Fix(np.asarray(magnet.T_world_magnet), background, residual, covariance)
+
+
+def _model(
+    positions: np.ndarray, readings: np.ndarray, magnet: Dipole | Cylinder, background: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """What differs [3n], and its slopes [3n 9] by place [10 mm], turn [rad], background [µT]."""
+    flux, gradient = field([magnet], positions)
+    arms = positions - magnet.T_world_magnet[:3, 3]
+    turns = [
+        np.cross(e, flux) - (gradient @ np.cross(e, arms)[..., None])[..., 0] for e in np.eye(3)
+    ]
+    turn = np.stack(turns, axis=-1)
+    even = np.broadcast_to(_FLUX * np.eye(3), gradient.shape)
+    rows = np.concatenate([-_LENGTH * gradient, turn, even], axis=-1)
+    return (flux + background - readings).ravel(), rows.reshape(-1, 9)
+
+
+def _moved(magnet: Dipole | Cylinder, step: np.ndarray) -> Dipole | Cylinder:
+    pose = np.array(magnet.T_world_magnet)
+    angle = np.linalg.norm(step[3:6])
+    axis = step[3:6] / angle if angle > 0.0 else step[3:6]
+    cross = np.cross(axis, np.eye(3)).T
+    turn = np.eye(3) + np.sin(angle) * cross + (1.0 - np.cos(angle)) * cross @ cross
+    u, _, v = np.linalg.svd(turn @ pose[:3, :3])
+    pose[:3, :3] = u @ v
+    pose[:3, 3] += _LENGTH * step[:3]
+    return replace(magnet, T_world_magnet=pose)
+
+
+def _search(positions: np.ndarray, readings: np.ndarray, depths: tuple[float, float]) -> np.ndarray:
+    """The best place of a grid on both sides of the array, with its best moment and background."""
+    used = np.isfinite(readings).ravel()
+    centre = positions.mean(axis=0)
+    axes = np.linalg.svd(positions - centre)[2]
+    flat = (positions - centre) @ axes.T
+    reach = np.abs(flat[:, :2]).max(axis=0)
+    heights = np.geomspace(*depths, 6)
+    grid = np.meshgrid(
+        np.linspace(-reach[0], reach[0], 9),
+        np.linspace(-reach[1], reach[1], 9),
+        np.concatenate([-heights, heights]),
+        indexing="ij",
+    )
+    best, pose = np.inf, np.eye(4)
+    for place in np.stack(grid, axis=-1).reshape(-1, 3) @ axes + centre:
+        arms = positions - place
+        length = np.linalg.norm(arms, axis=1)[:, None, None]
+        outer = arms[:, :, None] * arms[:, None, :] / length**2
+        rows = MAGNETIC_CONSTANT / (4.0 * np.pi) * (3.0 * outer - np.eye(3)) / length**3
+        rows = np.concatenate([rows, np.broadcast_to(_FLUX * np.eye(3), rows.shape)], axis=-1)
+        rows = rows.reshape(-1, 6)[used]
+        found, *_ = np.linalg.lstsq(rows, readings.ravel()[used], rcond=None)
+        error = float(np.sum((rows @ found - readings.ravel()[used]) ** 2))
+        if error < best and found[:3].any():
+            best, pose = error, magnet_pose(place, found[:3])
+    return pose

@@ -1,0 +1,82 @@
+"""Which sensors are read, and where the Hall array lies."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from vrcaps.errors import UnknownNameError, require
+from vrcaps.sensors.hall import HallArray, hall_grid
+from vrcaps.sensors.inertial import Inertial, Magnetometer
+from vrcaps.transforms import transform_from
+from vrcaps.units import MM
+from vrcaps.world.model import Model
+
+
+@dataclass(frozen=True)
+class HallPad:
+    """A square of Hall sensors on the table under the patient.
+
+    Attributes:
+        width: Its side [m].
+        count: Sensors along a side.
+        gap: From the lowest of the wall at rest down to it [m].
+        range: Largest size of a reading [T]; beyond it there is none.
+        gain_error: Standard deviation of what the calibration leaves of each gain, relative.
+        offset_error: Of each offset [T].
+    """
+
+    width: float = 0.35
+    count: int = 8
+    gap: float = 50.0 * MM
+    range: float = 50e-3
+    gain_error: float = 0.005
+    offset_error: float = 1e-6
+
+
+@dataclass(frozen=True)
+class Sensors:
+    """Which sensors are read once a frame; none by default.
+
+    Attributes:
+        inertial: In the capsule. A reading is the mean over the time between the frames beside it,
+            so that the unit's `rate` is the recording's.
+        magnetometer: In the capsule; its own magnet is left to the unit's offset.
+        hall: Under the patient; finds the capsule's magnet.
+        earth: The earth's field in the world [T].
+    """
+
+    inertial: Inertial | None = None
+    magnetometer: Magnetometer | None = None
+    hall: HallPad | None = None
+    earth: tuple[float, float, float] = (0.0, 20e-6, -45e-6)
+
+
+def sensors_by_name(names: Sequence[str]) -> Sensors:
+    """Sensors with their default figures.
+
+    Raises:
+        UnknownNameError: If there is no sensor of a name.
+    """
+    kinds = {"inertial": Inertial, "magnetometer": Magnetometer, "hall": HallPad}
+    for name in names:
+        if name not in kinds:
+            raise UnknownNameError("sensor", name, kinds)
+    return Sensors(**{name: kinds[name]() for name in names})
+
+
+def hall_array(pad: HallPad, model: Model) -> HallArray:
+    """A pad's sensors as they are believed to be, in the world.
+
+    Raises:
+        InputError: If the pad cannot be.
+    """
+    require(math.isfinite(pad.gap), "HallPad gap", pad.gap, "a number")
+    low, high = model.vertices_world.min(axis=0), model.vertices_world.max(axis=0)
+    middle = 0.5 * (low + high)
+    place = np.array([middle[0], middle[1], low[2] - pad.gap])
+    grid = hall_grid(pad.width, pad.count, transform_from(np.eye(3), place))
+    return replace(grid, range=pad.range)

@@ -1,0 +1,1 @@
+"""Offline tools: organs from CT, mucosae from photographs, camera calibration, overviews."""

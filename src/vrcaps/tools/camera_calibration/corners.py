@@ -1,0 +1,150 @@
+"""Inner corners of a chessboard in a photograph."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from vrcaps.errors import InputError, MissingExtraError
+from vrcaps.tools.camera_calibration.board import MAX_SQUARES, Board
+from vrcaps.tools.camera_calibration.subpixel import refine_corners
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, UInt8
+
+    from vrcaps.tools.photos import Photo
+
+MIN_VIEWS = 3
+"""Fewest photographs of a board that fix a lens (Zhang, IEEE PAMI 22(11), 2000, section 3.1)."""
+
+
+@dataclass(frozen=True)
+class BoardView:
+    """A board in a photograph.
+
+    Attributes:
+        name: Of the photograph.
+        pixels: Its inner corners (column, row) [px], in the order of `Board.points`.
+        way: How it was found: ``plain``, or what had to be done to the photograph first.
+    """
+
+    name: str
+    pixels: Float[np.ndarray, "n 2"]
+    way: str = "plain"
+
+
+def find_views(
+    photos: Sequence[Photo], board: Board, progress: Callable[[int, int], None] | None = None
+) -> tuple[list[BoardView], list[str]]:
+    """The board in each photograph, and the names of photographs in which it is not found.
+
+    Args:
+        photos: Of one camera.
+        board: What to look for.
+        progress: Called with the number done and the total.
+
+    Raises:
+        InputError: If photographs differ in size, fewer than `MIN_VIEWS` show the board, or what
+            was found is part of a larger board.
+        MissingExtraError: If OpenCV is not installed.
+    """
+    _check_sizes(photos)
+    views, missed = [], []
+    for k, photo in enumerate(photos):
+        found = find_corners(photo.rgb, board)
+        if found is None:
+            missed.append(photo.name)
+        else:
+            if not views:
+                _check_whole(photo, board)
+            views.append(BoardView(photo.name, *found))
+        if progress is not None:
+            progress(k + 1, len(photos))
+    if len(views) < MIN_VIEWS:
+        raise InputError(
+            f"The board of {board.columns}x{board.rows} squares is seen in {len(views)} of "
+            f"{len(photos)} photographs. Allowed: {MIN_VIEWS} or more that show it whole. "
+            "--board counts squares, not inner corners."
+        )
+    return views, missed
+
+
+def find_corners(
+    rgb: UInt8[np.ndarray, "h w 3"], board: Board
+) -> tuple[Float[np.ndarray, "n 2"], str] | None:
+    """Inner corners of a board [px] in the order of `Board.points`, and how they were found.
+
+    The sector-based detector (Duda and Frese, BMVC 2018; OpenCV's `findChessboardCornersSB`) is
+    tried on the photograph, mirrored, with even contrast and enlarged; then the classic detector.
+    The first that finds every corner is taken, and its corners refined in the photograph.
+
+    Raises:
+        MissingExtraError: If OpenCV is not installed.
+    """
+    cv2 = _opencv()
+    gray = cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY)
+    for way, image, detect, restore in _ways(cv2, gray):
+        found, corners = detect(image, board.grid)
+        if found:
+            pixels = restore(np.asarray(corners, float).reshape(*board.grid[::-1], 2))
+            return refine_corners(gray, _ordered(pixels)).reshape(-1, 2), way
+    return None
+
+
+def _ways(cv2: Any, gray: np.ndarray) -> Iterator[tuple[str, np.ndarray, Callable, Callable]]:
+    """Name, image, detector, and how the image's pixels become those of the photograph."""
+    flags = cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
+    sectors = partial(cv2.findChessboardCornersSB, flags=flags)
+    even = partial(sectors, flags=flags | cv2.CALIB_CB_NORMALIZE_IMAGE)
+    yield "plain", gray, sectors, lambda pixels: pixels
+    mirrored, last = np.ascontiguousarray(gray[:, ::-1]), gray.shape[1] - 1
+    yield "mirrored", mirrored, sectors, lambda pixels: pixels * (-1.0, 1.0) + (last, 0.0)
+    yield "even contrast", gray, even, lambda pixels: pixels
+    large = cv2.resize(gray, None, fx=2.0, fy=2.0, interpolation=cv2.INTER_CUBIC)
+    yield "enlarged", large, sectors, lambda pixels: (pixels + 0.5) / 2.0 - 0.5
+    yield "classic detector", gray, cv2.findChessboardCorners, lambda pixels: pixels
+
+
+def _ordered(grid: np.ndarray) -> np.ndarray:
+    """Corners such that x, y of the board turn the same way as columns, rows of the photograph."""
+    along, down = np.diff(grid, axis=1)[:-1], np.diff(grid, axis=0)[:, :-1]
+    turn = along[..., 0] * down[..., 1] - along[..., 1] * down[..., 0]
+    return grid if turn.sum() > 0.0 else grid[:, ::-1]
+
+
+def _check_sizes(photos: Sequence[Photo]) -> None:
+    height, width = photos[0].rgb.shape[:2]
+    for photo in photos:
+        rows, columns = photo.rgb.shape[:2]
+        if (rows, columns) != (height, width):
+            raise InputError(
+                f"{photo.name} has {columns} × {rows} px, {photos[0].name} {width} × {height}. "
+                "Allowed: photographs of one camera, all of one size."
+            )
+
+
+def _check_whole(photo: Photo, board: Board) -> None:
+    """Check that a board found is none within a larger one: inner corners given for squares."""
+    if max(board.columns, board.rows) == MAX_SQUARES:
+        return
+    cv2 = _opencv()
+    larger = Board(board.columns + 1, board.rows + 1, board.square)
+    gray = cv2.cvtColor(photo.rgb, cv2.COLOR_RGB2GRAY)
+    if cv2.findChessboardCornersSB(gray, larger.grid)[0]:
+        raise InputError(
+            f"The board in {photo.name} is larger than {board.columns}x{board.rows} squares. "
+            f"Allowed: all its squares, here {larger.columns}x{larger.rows} or more; count "
+            "squares, not inner corners."
+        )
+
+
+def _opencv() -> Any:
+    try:
+        import cv2
+    except ImportError as error:
+        raise MissingExtraError("opencv-python-headless", "calibrate") from error
+    return cv2

@@ -1,0 +1,292 @@
+"""A lens model fitted to photographs of a chessboard."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
+
+from vrcaps.camera.lens.base import angles_to_axis
+from vrcaps.errors import InputError, require
+from vrcaps.tools.camera_calibration.board import Board
+from vrcaps.tools.camera_calibration.corners import MIN_VIEWS, BoardView
+from vrcaps.tools.camera_calibration.initial_guess import start_lens
+from vrcaps.tools.camera_calibration.parameterization import (
+    Family,
+    Size,
+    find_family,
+    values_of,
+    with_values,
+)
+from vrcaps.transforms import transform_from, transform_points
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+    from vrcaps.camera.lens import Lens
+
+HUBER = 1.345
+"""Residuals beyond so many deviations count linearly: 95 % as efficient as least squares on normal
+errors (Huber, Robust Statistics, 1981)."""
+_STEP = 1e-6
+_RIM_WEIGHT = 10.0
+_RIM_MARGIN = 1.005
+_ANGLES = np.linspace(0.0, 2.0, 401)
+_FAN = np.stack([np.sin(_ANGLES), np.zeros_like(_ANGLES), np.cos(_ANGLES)], axis=-1)
+"""Rays up to 115° from the axis: the largest radius is flat in the angle, so steps do no harm."""
+_SINGULAR = 1e-9
+"""Reciprocal condition number of the scaled equations below which they fix no lens."""
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """A fitted lens and how well it fits.
+
+    Attributes:
+        lens: The lens.
+        names: Fields of it that were fitted.
+        covariance: Of their errors, from the scatter of the corners.
+        views: The photographs used.
+        board: What they show.
+        size: Width and height of the photographs [px].
+        Ts_camera_board: Pose of the board in each photograph.
+        residuals: Corner found less corner projected [px], for each photograph.
+    """
+
+    lens: Lens
+    names: tuple[str, ...]
+    covariance: Float[np.ndarray, "p p"]
+    views: tuple[BoardView, ...]
+    board: Board
+    size: Size
+    Ts_camera_board: Float[np.ndarray, "v 4 4"]
+    residuals: Float[np.ndarray, "v n 2"]
+
+    @property
+    def deviations(self) -> Float[np.ndarray, " p"]:
+        """Standard deviation of each parameter."""
+        return np.sqrt(np.diag(self.covariance))
+
+    @property
+    def errors(self) -> Float[np.ndarray, "v n"]:
+        """Distance of each corner from its projection [px]."""
+        return np.linalg.norm(self.residuals, axis=-1)
+
+    @property
+    def angles(self) -> Float[np.ndarray, "v n"]:
+        """Angle of each corner to the optical axis [rad]."""
+        return angles_to_axis(transform_points(self.Ts_camera_board, self.board.points))
+
+
+def calibrate(
+    views: Sequence[BoardView],
+    board: Board,
+    size: Size,
+    kind: str,
+    *,
+    num_terms: int | None = None,
+    circle_px: float | None = None,
+) -> Calibration:
+    """Fit a lens model and the boards' poses to the corners found.
+
+    Minimises Huber's function of the residuals, their scale 1.4826 times their median, so that a
+    badly found board does little harm.
+
+    Args:
+        views: Boards found in photographs of one camera.
+        board: What the photographs show.
+        size: Width and height of the photographs [px].
+        kind: Of lens model: ``kannala-brandt``, ``pinhole`` or ``scaramuzza``.
+        num_terms: Distortion coefficients to fit, from the lowest order; all by default.
+        circle_px: Radius beyond which the image is dark. A polynomial may turn back where no
+            corner was: the fit is held to lenses with a ray for every pixel up to here, if given.
+
+    Raises:
+        UnknownNameError: If there is no such lens model.
+        InputError: If views are too few or fix no lens, or the model cannot fit them.
+    """
+    family = find_family(kind)
+    most = len(family.terms)
+    terms = most if num_terms is None else num_terms
+    require(0 <= terms <= most, f"The number of terms of {kind}", terms, f"0 to {most}")
+    many = f"{MIN_VIEWS} or more"
+    require(len(views) >= MIN_VIEWS, "The number of boards seen", len(views), many)
+    problem = _Problem(family, board, size, np.stack([view.pixels for view in views]))
+    lens, poses = start_lens(family, size, board.points, problem.pixels)
+    for count in sorted({min(1, terms), terms}):
+        lens, poses = problem.solve(lens, poses, count)
+    lens, poses = _robust(problem, lens, poses, terms)
+    if circle_px is not None and not sees_image(lens, size, circle_px):
+        problem = replace(problem, rim_px=_RIM_MARGIN * _farthest(lens, size, circle_px))
+        lens, poses = _robust(problem, lens, poses, terms)
+    residuals = problem.residuals(lens, poses)
+    names, covariance = problem.covariance(lens, poses, terms)
+    return Calibration(lens, names, covariance, tuple(views), board, size, poses, residuals)
+
+
+def sees_image(lens: Lens, size: Size, circle_px: float | None = None) -> bool:
+    """Whether a lens has a ray for every pixel inside the image and its circle.
+
+    Args:
+        lens: The lens.
+        size: Width and height of the image [px].
+        circle_px: Radius about the lens's centre beyond which the image is dark.
+    """
+    rim, length = _rim(lens, size)
+    inside = np.minimum(1.0, (circle_px or np.inf) / np.maximum(length, 1e-9))
+    pixels = (lens.cx, lens.cy) + rim * inside[:, None]
+    return bool(np.isfinite(lens.unproject(pixels)).all())
+
+
+def _rim(lens: Lens, size: Size) -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, " n"]]:
+    """Pixels along the image's border, from the lens's centre, and their distances [px]."""
+    width, height = size
+    columns, rows = np.meshgrid(np.arange(width), np.arange(height))
+    border = (columns % (width - 1) == 0) | (rows % (height - 1) == 0)
+    away = np.stack([columns[border] - lens.cx, rows[border] - lens.cy], axis=-1)
+    return away, np.linalg.norm(away, axis=1)
+
+
+def _farthest(lens: Lens, size: Size, circle_px: float) -> float:
+    """Distance of the farthest lit pixel from the lens's centre [px]."""
+    return min(float(_rim(lens, size)[1].max()), circle_px)
+
+
+def _robust(
+    problem: _Problem, lens: Lens, poses: np.ndarray, terms: int
+) -> tuple[Lens, np.ndarray]:
+    """A robust fit from a plain one, the residuals' scale found anew each time."""
+    for _ in range(3):
+        scale = 1.4826 * float(np.median(np.abs(problem.residuals(lens, poses))))
+        lens, poses = problem.solve(lens, poses, terms, robust=HUBER * max(scale, 1e-9))
+    return lens, poses
+
+
+@dataclass(frozen=True)
+class _Problem:
+    """Corners to fit, and the equations.
+
+    The unknowns are some fields of the lens, then for each view a rotation vector and the board's
+    place, all divided by their scales. After the corners' residuals comes that of the rim.
+    """
+
+    family: Family
+    board: Board
+    size: Size
+    pixels: Float[np.ndarray, "v n 2"]
+    rim_px: float = 0.0
+
+    @property
+    def unseen(self) -> float:
+        """Residual of a corner that the lens does not see [px]: too much for a step to be taken."""
+        return 10.0 * sum(self.size)
+
+    def residuals(self, lens: Lens, poses: np.ndarray) -> Float[np.ndarray, "v n 2"]:
+        projected = lens.project(transform_points(poses, self.board.points))
+        return np.where(np.isnan(projected), self.unseen, self.pixels - projected)
+
+    def shortfall(self, lens: Lens) -> float:
+        """How far the lens's largest image radius is from `rim_px` [px], weighted.
+
+        Where a free fit stays below, a fit held to reach the rim reaches just that far.
+        """
+        if self.rim_px == 0.0:
+            return 0.0
+        pixels = lens.project(_FAN) - (lens.cx, lens.cy)
+        return _RIM_WEIGHT * (self.rim_px - float(np.nanmax(np.hypot(*pixels.T))))
+
+    def solve(
+        self, lens: Lens, poses: np.ndarray, num_terms: int, *, robust: float | None = None
+    ) -> tuple[Lens, np.ndarray]:
+        """Lens and poses of least squares, or of Huber's function with its knee at `robust`."""
+        names = self.family.names(num_terms)
+        found = least_squares(
+            lambda x: self._all(x, lens, names),
+            self._packed(lens, poses, names),
+            jac=lambda x: self._jacobian(x, lens, names),  # type: ignore[arg-type]
+            loss="linear" if robust is None else "huber",
+            f_scale=robust or 1.0,
+            x_scale="jac",
+            max_nfev=200,
+        )
+        return self._unpacked(found.x, lens, names)
+
+    def covariance(
+        self, lens: Lens, poses: np.ndarray, num_terms: int
+    ) -> tuple[tuple[str, ...], np.ndarray]:
+        """Fields fitted and the covariance of their errors (M-estimate; Huber 1981, eq. 7.6.5).
+
+        Raises:
+            InputError: If the views fix no lens, or the lens does not see all corners.
+        """
+        residuals = self.residuals(lens, poses).ravel()
+        if np.abs(residuals).max() >= self.unseen:
+            raise InputError(
+                f"No {lens.kind} lens reaches all corners. Allowed: another --lens, fewer --terms."
+            )
+        names = self.family.names(num_terms)
+        jacobian = self._jacobian(self._packed(lens, poses, names), lens, names)[:-1]
+        column = np.linalg.norm(jacobian, axis=0)
+        values, rotation = np.linalg.svd(jacobian / np.where(column > 0.0, column, 1.0))[1:]
+        if not values[-1] > _SINGULAR * values[0]:
+            raise InputError(
+                "The photographs fix no lens: the board is always at the same tilt. "
+                "Allowed: some tilted by 20° to 45° to different sides."
+            )
+        knee = HUBER * 1.4826 * np.median(np.abs(residuals))
+        inside = float(np.mean(np.abs(residuals) <= knee))
+        spare = residuals.size - jacobian.shape[1]
+        variance = float(np.sum(np.clip(residuals, -knee, knee) ** 2)) / spare / inside**2
+        spread = (rotation / values[:, None] / column)[:, : len(names)]
+        spread = spread * self.family.scales(names, self.size)
+        return names, variance * spread.T @ spread
+
+    def _packed(self, lens: Lens, poses: np.ndarray, names: tuple[str, ...]) -> np.ndarray:
+        turns = Rotation.from_matrix(poses[:, :3, :3]).as_rotvec()
+        scaled = values_of(lens, names) / self.family.scales(names, self.size)
+        return np.concatenate([scaled, np.hstack([turns, poses[:, :3, 3] / self._reach]).ravel()])
+
+    def _unpacked(
+        self, x: np.ndarray, lens: Lens, names: tuple[str, ...]
+    ) -> tuple[Lens, np.ndarray]:
+        count = len(names)
+        moved = x[count:].reshape(-1, 6)
+        poses = transform_from(
+            Rotation.from_rotvec(moved[:, :3]).as_matrix(), moved[:, 3:] * self._reach
+        )
+        scaled = x[:count] * self.family.scales(names, self.size)
+        positive = [name in self.family.focal for name in names]
+        return with_values(lens, names, np.where(positive, np.abs(scaled), scaled)), poses
+
+    @property
+    def _reach(self) -> float:
+        return self.board.square * max(self.board.grid)
+
+    def _all(self, x: np.ndarray, lens: Lens, names: tuple[str, ...]) -> Float[np.ndarray, " r"]:
+        moved, poses = self._unpacked(x, lens, names)
+        return np.append(self.residuals(moved, poses), self.shortfall(moved))
+
+    def _jacobian(
+        self, x: np.ndarray, lens: Lens, names: tuple[str, ...]
+    ) -> Float[np.ndarray, "r p"]:
+        """Central differences; one step moves all views at once, since each has its own pose."""
+        count, num_views = len(names), len(self.pixels)
+
+        def slope(step: np.ndarray) -> np.ndarray:
+            after, before = (self._all(x + s * step, lens, names) for s in (1.0, -1.0))
+            return (after - before) / (2.0 * _STEP)
+
+        jacobian = np.zeros((self.pixels.size + 1, x.size))
+        for k in range(count):
+            jacobian[:, k] = slope(_STEP * (np.arange(x.size) == k))
+        by_view = jacobian[:-1].reshape(num_views, -1, x.size)
+        views = np.arange(num_views)
+        for k in range(6):
+            step = np.zeros(x.size)
+            step[count + k :: 6] = _STEP
+            by_view[views, :, count + k + 6 * views] = slope(step)[:-1].reshape(num_views, -1)
+        return jacobian

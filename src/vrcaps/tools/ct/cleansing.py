@@ -1,0 +1,155 @@
+"""Electronic cleansing: tagged (contrast-enhanced) fluid in the lumen counts as lumen."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vrcaps.errors import UnknownNameError
+from vrcaps.tools.ct.components import connected_parts, grown, renumbered, shrunk
+from vrcaps.units import MM
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Int, UInt16
+
+    from vrcaps.tools.ct.lumen import Gas
+    from vrcaps.tools.ct.volume import Volume
+
+DOWN = {"supine": (1, 1), "prone": (1, -1), "left-lateral": (2, 1), "right-lateral": (2, -1)}
+"""Array axis of a scan, and the sense along it, that gravity had when the patient lay so."""
+
+_TAGGED = 200  # Hounsfield units above which a voxel is tagged fluid, bone or metal
+_CONTACT = 4 * MM  # from fluid straight up to gas; bone keeps a wall and fat between
+_LEVEL_AREA = 25 * MM * MM  # of a fluid's level, below which it is not taken for one
+_SKIRT = 2  # voxels around fluid in which its partial volume with the wall is resolved
+
+
+@dataclass(frozen=True)
+class Level:
+    """Where a pool of fluid meets the gas above it.
+
+    Attributes:
+        piece: Number of the gas.
+        pool: Number of the fluid.
+        points: Array indices (k, j, i) half-way between the lowest voxel of gas and the
+            highest of fluid, one for each column.
+    """
+
+    piece: int
+    pool: int
+    points: Float[np.ndarray, "n 3"]
+
+
+@dataclass(frozen=True)
+class Fluid:
+    """Tagged fluid that lies under gas.
+
+    Attributes:
+        label: Number of the pool that each voxel belongs to, 0 where there is none.
+        levels: Where pools meet gas.
+        hounsfield: Median of the fluid's inner voxels.
+        axis: Array axis of gravity.
+    """
+
+    label: UInt16[np.ndarray, "k j i"]
+    levels: tuple[Level, ...]
+    hounsfield: float
+    axis: int
+
+    def reached(self, start: int) -> tuple[set[int], set[int]]:
+        """Pieces of gas and pools that hang together with a piece of gas."""
+        pieces, pools = {start}, set()
+        while True:
+            more_pools = {level.pool for level in self.levels if level.piece in pieces} - pools
+            if not more_pools:
+                return pieces, pools
+            pools |= more_pools
+            pieces |= {level.piece for level in self.levels if level.pool in more_pools}
+
+
+def find_fluid(scan: Volume, gas: Gas, *, posture: str) -> Fluid:
+    """Tagged fluid: bright, and with a level under the gas of what may be gut.
+
+    Bone is as bright, but gas never lies within 4 mm straight above 25 mm² of it.
+
+    Args:
+        scan: Hounsfield units.
+        gas: All gas in it.
+        posture: How the patient lay, a name of `DOWN`.
+
+    Raises:
+        UnknownNameError: If the posture is none of them.
+    """
+    if posture not in DOWN:
+        raise UnknownNameError("posture", posture, DOWN)
+    axis, sense = DOWN[posture]
+    label, num = connected_parts(scan.values > _TAGGED)
+    reach = max(1, round(_CONTACT / scan.spacing[axis]))
+    needed = _LEVEL_AREA / float(np.delete(scan.spacing, axis).prod())
+    levels = [one for one in _levels(gas, label, (axis, sense), reach) if len(one.points) >= needed]
+    old = sorted({level.pool for level in levels})
+    number = np.zeros(num + 1, int)
+    number[old] = np.arange(1, len(old) + 1)
+    kept = renumbered(label, number)
+    del label
+    inner = scan.values[shrunk(kept > 0)]
+    hounsfield = float(np.median(inner)) if len(inner) else float(_TAGGED * 2)
+    levels = [Level(one.piece, int(number[one.pool]), one.points) for one in levels]
+    return Fluid(kept, tuple(levels), hounsfield, axis)
+
+
+def _levels(
+    gas: Gas, pools: Int[np.ndarray, "k j i"], down: tuple[int, int], reach: int
+) -> list[Level]:
+    """Where gas that may be gut ends downwards and something bright begins within reach.
+
+    Args:
+        gas: All gas.
+        pools: Number of the bright part that each voxel belongs to.
+        down: Array axis of gravity and the sense along it.
+        reach: Voxels.
+    """
+    axis, sense = down
+    is_gut = np.zeros(int(gas.label.max()) + 1, bool)
+    is_gut[[piece.number for piece in gas.gut]] = True
+    above, below = (np.moveaxis(label, axis, 0)[::sense] for label in (gas.label, pools))
+    depth, *column = np.nonzero(is_gut[above[:-1]] & (above[1:] == 0))
+    piece = above[(depth, *column)].astype(int)
+    pool, height = np.zeros(len(depth), int), depth.astype(float)
+    for step in range(1, reach + 1):
+        under = below[(np.minimum(depth + step, len(below) - 1), *column)]
+        new = (pool == 0) & (under > 0)
+        pool[new], height[new] = under[new], depth[new] + 0.5 * step
+    if sense < 0:
+        height = len(below) - 1 - height
+    points = np.insert(np.array(column, float).T, axis, height, axis=1)
+    pairs, which = np.unique(np.stack([piece, pool]), axis=1, return_inverse=True)
+    return [
+        Level(one, other, points[which.ravel() == number])
+        for number, (one, other) in enumerate(pairs.T.tolist())
+        if other > 0
+    ]
+
+
+def add_fluid(
+    share: Float[np.ndarray, "k j i"],
+    values: Int[np.ndarray, "k j i"],
+    pools: Bool[np.ndarray, "k j i"],
+    hounsfield: tuple[float, float],
+) -> None:
+    """Raise the lumen fraction, in place, where there is fluid.
+
+    In and around fluid the fraction is linear from the wall's Hounsfield units to the fluid's.
+
+    Args:
+        share: Lumen fraction of the gas.
+        values: Hounsfield units of the same voxels.
+        pools: Voxels of the fluid.
+        hounsfield: Of the wall and of the fluid.
+    """
+    tissue, fluid = hounsfield
+    near = grown(pools, _SKIRT)
+    wet = np.clip((values[near] - tissue) / (fluid - tissue), 0.0, 1.0)
+    share[near] = np.maximum(share[near], wet)

@@ -1,0 +1,156 @@
+"""How much of each voxel is lumen: from Hounsfield units, or from a mask."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vrcaps.tools.ct.air_fluid_interface import resolve_level
+from vrcaps.tools.ct.cleansing import add_fluid
+from vrcaps.tools.ct.components import connected_parts, grown, part_sizes, renumbered, shrunk
+from vrcaps.tools.ct.lumen import SPECKS
+from vrcaps.tools.ct.volume import PatientGrid, shifted
+from vrcaps.units import MM
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, UInt16
+
+    from vrcaps.tools.ct.cleansing import Fluid
+    from vrcaps.tools.ct.lumen import Gas
+    from vrcaps.tools.ct.volume import Volume
+
+_MARGIN = 8 * MM
+_NEIGHBOUR = 3  # voxels around another piece's core that it keeps for itself
+_WALL = 3  # voxels around the lumen in which the level of tissue is measured
+_TISSUE_RANGE = (-150, 150)  # Hounsfield units of what may be gut wall or fat
+_TISSUE = 30.0  # Hounsfield units of a gut wall where none can be measured
+
+
+@dataclass(frozen=True)
+class LumenFraction(PatientGrid):
+    """The share of each voxel that is lumen, 0 to 1; the wall is where it is one half.
+
+    Attributes:
+        share: Over a box that reaches a little beyond the lumen, but for the scan's own ends.
+        T_patient_index: Maps the array index of a voxel to its centre, patient frame [m].
+    """
+
+    share: Float[np.ndarray, "k j i"]
+    T_patient_index: Float[np.ndarray, "4 4"]
+
+    def crop(self, box: tuple[slice, ...]) -> LumenFraction:
+        """The part in a box of array indices."""
+        return LumenFraction(self.share[box], shifted(self.T_patient_index, box))
+
+
+def gas_fraction(
+    scan: Volume,
+    gas: Gas,
+    numbers: tuple[int, ...],
+    *,
+    fluid: Fluid | None = None,
+    pools: tuple[int, ...] = (),
+) -> LumenFraction:
+    """Lumen fraction of pieces of gas: linear from the wall's Hounsfield units to the gas's.
+
+    Both levels are measured: the median of the pieces' inner voxels, and of soft tissue within
+    three voxels of them. What belongs to other pieces of gas is no lumen.
+
+    Args:
+        scan: Hounsfield units.
+        gas: All gas in it.
+        numbers: Of the pieces.
+        fluid: Tagged fluid, where it belongs to the lumen (`add_fluid`, `resolve_level`).
+        pools: Numbers of the pools of fluid that do.
+    """
+    box = margin_box(_lumen_box(gas, numbers, fluid, pools), scan)
+    label, part = gas.label[box], scan.crop(box)
+    own = np.isin(label, numbers)
+    inner = part.values[shrunk(own, 2)]
+    content = float(np.median(inner)) if len(inner) > 1000 else gas.hounsfield
+    content = min(content, gas.hounsfield + 50.0)
+    shell = grown(own, _WALL) & (part.values > _TISSUE_RANGE[0]) & (part.values < _TISSUE_RANGE[1])
+    near = part.values[shell]
+    tissue = float(np.median(near)) if len(near) > 1000 else _TISSUE
+    share = part.values.astype(np.float32)
+    share -= np.float32(tissue)
+    share *= np.float32(1.0 / (content - tissue))
+    np.clip(share, 0.0, 1.0, out=share)
+    if fluid is not None and pools:
+        hounsfield = (tissue, fluid.hounsfield)
+        add_fluid(share, part.values, np.isin(fluid.label[box], pools), hounsfield)
+        corner = [side.start for side in box]
+        for level in fluid.levels:
+            if level.pool in pools:
+                resolve_level(
+                    share,
+                    part.values,
+                    level.points - corner,
+                    axis=fluid.axis,
+                    spacing=float(scan.spacing[fluid.axis]),
+                    hounsfield=hounsfield,
+                )
+    other = (label > 0) & (label != SPECKS) & ~own
+    if other.any():
+        share[grown(other, _NEIGHBOUR) & ~grown(own)] = 0.0
+    return LumenFraction(share, part.T_patient_index)
+
+
+def _lumen_box(
+    gas: Gas, numbers: tuple[int, ...], fluid: Fluid | None, pools: tuple[int, ...]
+) -> tuple[slice, slice, slice]:
+    """The smallest box around pieces of gas and pools of fluid."""
+    is_lumen = np.isin(gas.label, numbers)
+    if fluid is not None and pools:
+        is_lumen |= np.isin(fluid.label, pools)
+    return bounding_box(is_lumen)
+
+
+def mask_fraction(labels: Volume, numbers: tuple[int, ...]) -> LumenFraction | None:
+    """Lumen fraction of some labels of a label map, 0 or 1; None where there is no such voxel."""
+    box = bounding_box(np.isin(labels.values, numbers))
+    if any(part.stop <= part.start for part in box):
+        return None
+    part = labels.crop(margin_box(box, labels))
+    return LumenFraction(np.isin(part.values, numbers).astype(np.float32), part.T_patient_index)
+
+
+def number_parts(
+    lumen: LumenFraction, min_volume: float
+) -> tuple[UInt16[np.ndarray, "k j i"], list[float]]:
+    """Connected parts (by faces) of a lumen, but for those smaller than a volume [m³].
+
+    Returns:
+        The number of the part of each voxel (1 for the largest, 0 for none), and the parts'
+        volumes [m³], largest first.
+    """
+    label, num = connected_parts(lumen.share > 0.5)
+    volumes = part_sizes(label, num) * lumen.voxel_volume
+    volumes[0] = 0.0
+    order = np.argsort(-volumes, kind="stable")
+    order = order[volumes[order] >= min_volume]
+    number = np.zeros(num + 1, int)
+    number[order] = np.arange(1, len(order) + 1)
+    return renumbered(label, number), volumes[order].tolist()
+
+
+def bounding_box(mask: Bool[np.ndarray, "k j i"]) -> tuple[slice, slice, slice]:
+    """The smallest box around what is true."""
+    ranges = []
+    for axis in range(3):
+        used = mask.any(axis=tuple(other for other in range(3) if other != axis))
+        ids = np.flatnonzero(used)
+        ranges.append(slice(int(ids[0]), int(ids[-1]) + 1) if len(ids) else slice(0, 0))
+    return ranges[0], ranges[1], ranges[2]
+
+
+def margin_box(box: tuple[slice, slice, slice], scan: Volume) -> tuple[slice, slice, slice]:
+    """A box with room for the wall around it, as far as the scan goes."""
+    pads = np.ceil(_MARGIN / scan.spacing).astype(int).tolist()
+    wider = [
+        slice(max(0, part.start - pad), min(size, part.stop + pad))
+        for part, size, pad in zip(box, scan.values.shape, pads, strict=True)
+    ]
+    return wider[0], wider[1], wider[2]

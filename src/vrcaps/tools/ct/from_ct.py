@@ -1,0 +1,258 @@
+"""Organs from a scan: by the gas in it, or by a label map."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, replace
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from vrcaps.errors import InputError
+from vrcaps.tools.ct.collapse_bridging import (
+    CHANNEL_RADIUS,
+    Gap,
+    find_gaps,
+    joined_parts,
+    open_gaps,
+)
+from vrcaps.tools.ct.components import renumbered
+from vrcaps.tools.ct.fraction import LumenFraction, gas_fraction, mask_fraction, number_parts
+from vrcaps.tools.ct.lumen import GAS_THRESHOLD, SPECKS, GasPiece, find_gas
+from vrcaps.tools.ct.volume import Volume
+from vrcaps.units import CM, MM
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from vrcaps.organ.surface import OrganSurface
+    from vrcaps.tools.ct.lumen import Gas
+
+_SPECK = 0.2 * CM**3  # parts of a lumen smaller than this are dropped
+_MANY_PARTS = 40  # beyond which the gaps between the parts of a lumen are not sought
+
+
+@dataclass(frozen=True)
+class Wall:
+    """How a wall is drawn from the lumen.
+
+    Attributes:
+        edge: Mean edge length of the triangles [m].
+        blur: Standard deviation of a Gaussian over the scan beforehand [voxels]; None takes 0.5
+            for gas, 0.7 for a mask.
+        pass_band: Share of the surface's spatial frequencies that smoothing keeps, up to 2;
+            0.1 removes the voxels' steps and keeps a polyp.
+        bridge: Widest collapsed stretch that is opened to a channel [m]; 0 opens none.
+        open_ends: Whether the lumen is closed or left open where the scan cuts it.
+        reverse: Whether the narrower end of the lumen is the oral one.
+        anatomy: What the lumen is: a whole `colon` gets its segments, and its lower end is
+            the anal one.
+    """
+
+    edge: float = 1.6 * MM
+    blur: float | None = None
+    pass_band: float = 0.1
+    bridge: float = 0.0
+    open_ends: Literal["cap", "keep"] = "cap"
+    reverse: bool = False
+    anatomy: Literal["any", "colon"] = "any"
+
+    def __post_init__(self) -> None:
+        """Refuse what makes no wall."""
+        if not 0.1 * MM <= self.edge <= 20 * MM:
+            raise InputError(f"Edge length {self.edge / MM:g} mm. Allowed: 0.1 to 20 mm.")
+        if not (self.blur is None or 0.0 <= self.blur <= 5.0):
+            raise InputError(f"Blur of {self.blur:g} voxels. Allowed: 0 to 5.")
+        if not 0.001 <= self.pass_band <= 2.0:
+            raise InputError(f"Pass band {self.pass_band:g}. Allowed: 0.001 to 2.")
+        if not 0.0 <= self.bridge <= 0.2:
+            raise InputError(f"Bridges of {self.bridge / MM:g} mm. Allowed: 0 to 200 mm.")
+
+
+def organ_from_gas(
+    scan: Volume,
+    gas: Gas,
+    piece: GasPiece,
+    *,
+    wall: Wall,
+    name: str,
+    tagged_fluid: str | None = None,
+    report: Callable[[str], None] = lambda step: None,
+) -> OrganSurface:
+    """Organ around a piece of gas, and what belongs to the same lumen.
+
+    Args:
+        scan: Hounsfield units.
+        gas: All gas in it (`find_gas`).
+        piece: Where to start, one of `gas.gut`.
+        wall: How the wall is drawn.
+        name: Name of the organ.
+        tagged_fluid: How the patient lay (`cleansing.DOWN`), if tagged fluid counts as lumen.
+        report: Told each step before it begins.
+
+    Raises:
+        InputError: If no wall can be made of it.
+    """
+    from vrcaps.tools.ct.cleansing import find_fluid
+
+    fluid, pieces, pools = None, {piece.number}, set()
+    if tagged_fluid is not None:
+        report("finding tagged fluid")
+        fluid = find_fluid(scan, gas, posture=tagged_fluid)
+        pieces, pools = fluid.reached(piece.number)
+    report("looking for collapsed stretches")
+    gaps, notes = _gaps_of_gas(gas, scan, pieces, piece.number, wall.bridge)
+    for gap in gaps:
+        pieces |= set(gap.parts)
+    if fluid is not None:
+        for number in tuple(pieces):
+            more, more_pools = fluid.reached(number)
+            pieces, pools = pieces | more, pools | more_pools
+    report("measuring partial volume")
+    lumen = gas_fraction(scan, gas, tuple(pieces), fluid=fluid, pools=tuple(pools))
+    if fluid is not None:
+        notes.append(f"{len(pools)} pools of tagged fluid taken as lumen")
+    blur = 0.5 if wall.blur is None else wall.blur
+    source = {"source": scan.source, "road": "gas", "tagged_fluid": tagged_fluid}
+    return _organ(lumen, gaps, notes, replace(wall, blur=blur), (name, "wall"), source, report)
+
+
+def organ_from_label(
+    labels: Volume,
+    number: int,
+    *,
+    wall: Wall,
+    name: str,
+    label_name: str = "wall",
+    report: Callable[[str], None] = lambda step: None,
+) -> OrganSurface:
+    """Organ around one label of a label map, or around a mask (label 1).
+
+    Args:
+        labels: The label map.
+        number: Of the label.
+        wall: How the wall is drawn.
+        name: Name of the organ.
+        label_name: Name of the wall's label.
+        report: Told each step before it begins.
+
+    Raises:
+        InputError: If the label does not occur, or no wall can be made of it.
+    """
+    lumen = mask_fraction(labels, (number,))
+    if lumen is None:
+        raise InputError(f"No voxel of {labels.source} has label {number}.")
+    report("looking for collapsed stretches")
+    part, volumes = number_parts(lumen, _SPECK)
+    if not volumes:
+        raise InputError(
+            f"Label {number} of {labels.source} has no part of 0.2 ml or more. Give another label."
+        )
+    parts = Volume(part, lumen.T_patient_index, labels.source)
+    gaps, notes = _choose_gaps(parts, 1, wall.bridge, volumes)
+    blur = 0.7 if wall.blur is None else wall.blur
+    source = {"source": labels.source, "road": "label", "label": number}
+    wall = replace(wall, blur=blur)
+    return _organ(lumen, gaps, notes, wall, (name, label_name), source, report)
+
+
+def find_lumens(scan: Volume, *, threshold: int = GAS_THRESHOLD) -> Gas:
+    """All gas of a scan, see `find_gas`.
+
+    Raises:
+        InputError: If the threshold lies outside −1000 to −300 HU.
+    """
+    if not -1000 <= threshold <= -300:
+        raise InputError(f"Gas threshold {threshold} HU. Allowed: -1000 to -300.")
+    return find_gas(scan, threshold=threshold)
+
+
+def _gaps_of_gas(
+    gas: Gas, scan: Volume, pieces: set[int], start: int, bridge: float
+) -> tuple[list[Gap], list[str]]:
+    """Gaps to open between the gut's pieces of gas, and lines about those left."""
+    number = np.zeros(SPECKS + 1 + len(gas.pieces), np.int32)
+    gut = [piece for piece in gas.gut if piece.number == start or piece.number not in pieces]
+    number[[piece.number for piece in gut]] = np.arange(1, len(gut) + 1)
+    number[list(pieces)] = number[start]
+    parts = Volume(renumbered(gas.label, number), scan.T_patient_index, scan.source)
+    gaps, notes = _choose_gaps(parts, int(number[start]), bridge, [piece.volume for piece in gut])
+    back = {int(number[piece.number]): piece.number for piece in gut}
+    return [replace(gap, parts=tuple(back[p] for p in gap.parts)) for gap in gaps], notes
+
+
+def _choose_gaps(
+    parts: Volume, start: int, bridge: float, volumes: list[float]
+) -> tuple[list[Gap], list[str]]:
+    """Gaps to open so that all within reach joins a part, and lines about them and the rest."""
+    if len(volumes) < 2:
+        return [], []
+    if len(volumes) > _MANY_PARTS:
+        return [], [f"{len(volumes)} parts: too many to seek the gaps between them"]
+    found = find_gaps(parts, max(bridge, 50 * MM))
+    narrow = [gap for gap in found if gap.width <= bridge]
+    kept = joined_parts(narrow, start)
+    opened = [gap for gap in narrow if set(gap.parts) <= kept]
+    notes = [f"collapsed stretch opened: {gap.line()}" for gap in opened]
+    for gap in found:
+        if len(set(gap.parts) & kept) == 1:
+            (other,) = set(gap.parts) - kept
+            notes.append(
+                f"collapsed stretch left closed: {gap.line()}, beyond it "
+                f"{volumes[other - 1] / CM**3:.1f} ml; --bridge-mm {np.ceil(gap.width / MM):.0f} "
+                "opens it"
+            )
+    lost = sum(volume for n, volume in enumerate(volumes, start=1) if n not in kept)
+    if lost > 0.0:
+        notes.append(f"{len(volumes) - len(kept)} other parts left out ({lost / CM**3:.1f} ml)")
+    return opened, notes
+
+
+def _largest_part(lumen: LumenFraction) -> LumenFraction:
+    """A lumen without its smaller parts.
+
+    Raises:
+        InputError: If all are too small.
+    """
+    part, volumes = number_parts(lumen, _SPECK)
+    if not volumes:
+        raise InputError("The lumen has no part of 0.2 ml or more. Choose a larger one.")
+    share = np.where(lumen.share > 0.5, lumen.share * (part == 1), lumen.share)
+    return replace(lumen, share=share)
+
+
+def _organ(
+    lumen: LumenFraction,
+    gaps: list[Gap],
+    notes: list[str],
+    wall: Wall,
+    names: tuple[str, str],
+    source: dict,
+    report: Callable[[str], None],
+) -> OrganSurface:
+    """Organ around the largest part of a lumen once its gaps are opened."""
+    from vrcaps.mesh.repair import repair
+    from vrcaps.organ.centerline import compute_centerline, reversed_centerline
+    from vrcaps.organ.from_file import organ_on_centerline
+    from vrcaps.tools.ct.segments import colon_labels, runs_upwards
+    from vrcaps.tools.ct.surface import extract_wall
+
+    lumen = _largest_part(open_gaps(lumen, gaps, CHANNEL_RADIUS) if gaps else lumen)
+    report("drawing the wall")
+    assert wall.blur is not None
+    mesh = extract_wall(lumen, blur=wall.blur, pass_band=wall.pass_band, edge=wall.edge)
+    mesh, repairs = repair(mesh, open_ends=wall.open_ends)
+    report("finding the centreline")
+    default = compute_centerline(mesh)
+    backwards = runs_upwards(default) if wall.anatomy == "colon" else False
+    backwards ^= wall.reverse
+    centerline = reversed_centerline(default) if backwards else default
+    report("laying coordinates")
+    mesh = replace(mesh, label=np.ones(len(mesh.vertices), np.uint8))
+    organ = organ_on_centerline(
+        mesh, centerline, name=names[0], label_names=("background", names[1])
+    )
+    if wall.anatomy == "colon":
+        label, label_names = colon_labels(centerline, organ.arc_length)
+        organ = replace(organ, label=label, label_names=label_names)
+    details = {"wall": asdict(wall), "notes": notes, "backwards": backwards}
+    return replace(organ, metadata={**source, **details, "repairs": repairs.lines()})

@@ -1,0 +1,81 @@
+"""Organs of a label map: by number, or by TotalSegmentator's names."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vrcaps.errors import InputError, UnknownNameError
+from vrcaps.units import CM
+
+if TYPE_CHECKING:
+    from vrcaps.tools.ct.volume import Volume
+
+TOTALSEGMENTATOR = {"esophagus": 15, "stomach": 6, "duodenum": 19, "small_bowel": 18, "colon": 20}
+"""Gut labels of TotalSegmentator version 2, task `total` (Wasserthal et al. 2023)."""
+
+_AIR = -900  # Hounsfield units of the air around a patient
+_MISPLACED = 0.05  # of a label's voxels in the air outside the body, beyond which it is suspect
+
+
+def label_number(label: str) -> int:
+    """Number of a label given by number or name.
+
+    Raises:
+        UnknownNameError: If it is neither.
+        InputError: If the number is no label.
+    """
+    if label.lstrip("-").isdigit():
+        if int(label) < 1:
+            raise InputError(f"Label {label} is background. Allowed: 1, 2, 3, …")
+        return int(label)
+    if label not in TOTALSEGMENTATOR:
+        raise UnknownNameError("label", label, [*TOTALSEGMENTATOR, "or a number"])
+    return TOTALSEGMENTATOR[label]
+
+
+def check_label(labels: Volume, label: str) -> int:
+    """Number of a label that occurs in a map.
+
+    Raises:
+        InputError: If it does not, or the file holds Hounsfield units.
+        UnknownNameError: If the label's name is unknown.
+    """
+    number = label_number(label)
+    if labels.values.min() < 0:
+        raise InputError(
+            f"{labels.source} has values down to {labels.values.min()}: it is no label map. Give "
+            "the label map with --labels, or leave --label out to find gas."
+        )
+    if not (labels.values == number).any():
+        found = np.unique(labels.values[labels.values > 0])
+        text = ", ".join(map(str, found[:40])) + (", …" if len(found) > 40 else "")
+        raise InputError(
+            f"No voxel of {labels.source} has label {label} ({number}). Found: {text or 'none'}."
+        )
+    return number
+
+
+def misplaced(scan: Volume, labels: Volume, number: int) -> str | None:
+    """A line about a label that lies partly in the air outside of the body, None if all is well.
+
+    Args:
+        scan: Hounsfield units, on the label map's grid.
+        labels: The label map.
+        number: The label.
+    """
+    from vrcaps.tools.ct.lumen import body_mask
+
+    body, stride = body_mask(scan)
+    coarse = tuple(slice(None, None, s) for s in stride)
+    own = labels.values[coarse] == number
+    out = own & ~body & (scan.values[coarse] < _AIR)
+    share = np.count_nonzero(out) / max(np.count_nonzero(own), 1)
+    if share <= _MISPLACED:
+        return None
+    volume = share * np.count_nonzero(labels.values == number) * labels.voxel_volume
+    return (
+        f"{share:.0%} of the label ({volume / CM**3:.0f} ml) lies in the air outside the body: "
+        "it may be the label map of another scan"
+    )

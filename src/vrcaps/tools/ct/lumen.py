@@ -1,0 +1,239 @@
+"""The gas in a scan: its connected pieces, which of them are gut, and the choice among them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+from scipy import ndimage
+
+from vrcaps.errors import InputError
+from vrcaps.tools.ct.components import connected_parts, part_sizes, renumbered
+from vrcaps.units import CM, MM
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, UInt16
+
+    from vrcaps.tools.ct.volume import Volume
+
+GAS_THRESHOLD = -800
+"""Hounsfield units below which a voxel is all gas: half-way surfaces of two loops that share
+a thin wall would join at the middle value, their cores do not."""
+
+OUTSIDE, SPECKS = 1, 2  # numbers of gas that is no piece
+
+_SPECK = 1 * CM**3  # gas smaller than this is no piece of gut
+_COARSE = 4 * MM  # grid of the body mask
+_TISSUE = -300  # Hounsfield units that part the body from air, on the coarse grid
+_IN_BODY = 0.9  # of a piece's voxels that must lie in the body
+_LUNG_EXCESS = 80  # Hounsfield units by which lung is denser than gas
+_LUNG_VOLUME = 100 * CM**3
+_LEAK_VOLUME = 20 * CM**3
+
+Kind = Literal["gut", "lung", "outside"]
+
+
+@dataclass(frozen=True)
+class GasPiece:
+    """A connected piece of gas.
+
+    Attributes:
+        number: Of its voxels in `Gas.label`.
+        kind: Gut, lung (denser than gas; large, or reaching the top slice), or outside the body.
+        volume: Of its voxels [m³].
+        center: A voxel of it near their mean, patient frame [m].
+        hounsfield: Median of its voxels.
+        box: Where it lies in the scan.
+    """
+
+    number: int
+    kind: Kind
+    volume: float
+    center: Float[np.ndarray, " 3"]
+    hounsfield: float
+    box: tuple[slice, slice, slice]
+
+
+@dataclass(frozen=True)
+class Gas:
+    """All gas of a scan.
+
+    Attributes:
+        label: Number of the piece that each voxel belongs to, 0 where there is no gas, `OUTSIDE`
+            where it reaches the sides of the scan, `SPECKS` where there is less than 1 ml.
+        pieces: Those of at least 1 ml, but for the outside air; the largest first.
+        hounsfield: Of the outside air, −1000 but for the scanner's calibration.
+        leak: Volume [m³] and middle [m] of the largest part of the outside air that lies
+            within the body.
+    """
+
+    label: UInt16[np.ndarray, "k j i"]
+    pieces: tuple[GasPiece, ...]
+    hounsfield: float
+    leak: tuple[float, Float[np.ndarray, " 3"]]
+
+    @property
+    def gut(self) -> tuple[GasPiece, ...]:
+        """The pieces that may be gut."""
+        return tuple(piece for piece in self.pieces if piece.kind == "gut")
+
+
+def find_gas(scan: Volume, *, threshold: int = GAS_THRESHOLD) -> Gas:
+    """Connected pieces of gas (by faces), each judged to be gut, lung or outside.
+
+    Outside is what reaches the left, right, front or back side of the scan, or does not lie
+    in the body. Pieces that reach the first or last slice are cut off there, not outside.
+
+    Args:
+        scan: Hounsfield units, axes superior, posterior, left.
+        threshold: Hounsfield units below which a voxel is gas.
+    """
+    body, stride = body_mask(scan)
+    label = _numbered_gas(scan, threshold)
+    air = scan.values[::4, ::4, ::4][label[::4, ::4, ::4] == OUTSIDE]
+    air = air[(air > -1100) & (air < -900)]
+    level = float(np.median(air)) if len(air) > 100 else -1000.0
+    pieces = tuple(
+        _judge(scan, label, number, box, level, (body, stride))
+        for number, box in enumerate(ndimage.find_objects(label), start=1)
+        if number > SPECKS and box is not None
+    )
+    coarse = label[tuple(slice(None, None, s) for s in stride)]
+    return Gas(label, pieces, level, _leak(scan, coarse == OUTSIDE, body))
+
+
+def _numbered_gas(scan: Volume, threshold: int) -> UInt16[np.ndarray, "k j i"]:
+    """`Gas.label`; pieces from 3 on, the largest first."""
+    label, num = connected_parts(scan.values < threshold)
+    sizes = part_sizes(label, num)
+    sides = (label[:, 0], label[:, -1], label[:, :, 0], label[:, :, -1])
+    number = np.full(num + 1, SPECKS)
+    number[np.unique(np.concatenate([np.unique(side) for side in sides]))] = OUTSIDE
+    number[0] = 0
+    big = np.flatnonzero((number == SPECKS) & (sizes * scan.voxel_volume >= _SPECK))
+    number[big[np.argsort(-sizes[big], kind="stable")]] = SPECKS + 1 + np.arange(len(big))
+    return renumbered(label, number)
+
+
+def body_mask(scan: Volume) -> tuple[Bool[np.ndarray, "k j i"], tuple[int, int, int]]:
+    """The patient's trunk with everything in it, on a grid coarser by a stride along each axis.
+
+    What is thinner than three coarse voxels, such as the table's top, and what hangs together
+    with the trunk by less, such as an arm, is not in it.
+    """
+    k, j, i = (max(1, round(_COARSE / d)) for d in scan.spacing.tolist())
+    tissue = scan.values[::k, ::j, ::i] > _TISSUE
+    trunk = ndimage.binary_erosion(tissue)
+    label, num = connected_parts(trunk)
+    if num == 0:
+        return np.zeros(tissue.shape, bool), (k, j, i)
+    largest = 1 + int(np.argmax(np.bincount(label.ravel())[1:]))
+    trunk = ndimage.binary_dilation(label == largest) & tissue
+    for plane in trunk:
+        plane[:] = np.asarray(ndimage.binary_fill_holes(ndimage.binary_closing(plane)))
+    return trunk, (k, j, i)
+
+
+def _judge(
+    scan: Volume,
+    label: UInt16[np.ndarray, "k j i"],
+    number: int,
+    box: tuple[slice, slice, slice],
+    level: float,
+    body: tuple[Bool[np.ndarray, "k j i"], tuple[int, int, int]],
+) -> GasPiece:
+    """What one piece of gas is."""
+    part = label[box]
+    own = np.flatnonzero(part == number)
+    some = np.unravel_index(own[:: max(1, len(own) // 20_000)], part.shape)
+    at = np.stack(some, axis=1) + [side.start for side in box]
+    median = float(np.median(scan.values[tuple(at.T)]))
+    mask, stride = body
+    coarse = np.minimum(np.rint(at / stride).astype(int), np.array(mask.shape) - 1)
+    volume = len(own) * scan.voxel_volume
+    kind, top = "gut", scan.values.shape[0] - 1
+    if mask[tuple(coarse.T)].mean() < _IN_BODY:
+        kind = "outside"
+    elif median > level + _LUNG_EXCESS and (volume > _LUNG_VOLUME or at[:, 0].max() == top):
+        kind = "lung"
+    middle = at[np.argmin(np.linalg.norm(at - at.mean(axis=0), axis=1))]
+    return GasPiece(number, kind, volume, scan.points(middle[None])[0], median, box)
+
+
+def _leak(
+    scan: Volume, outside: Bool[np.ndarray, "k j i"], body: Bool[np.ndarray, "k j i"]
+) -> tuple[float, Float[np.ndarray, " 3"]]:
+    """Largest part of the outside air deep in the body: volume [m³] and middle [m]."""
+    deep = outside & ndimage.binary_erosion(body, iterations=3, border_value=1)
+    label, num = connected_parts(deep)
+    if num == 0:
+        return 0.0, np.zeros(3)
+    counts = np.bincount(label.ravel())[1:]
+    largest = int(np.argmax(counts))
+    middle = np.array(ndimage.center_of_mass(label == largest + 1))
+    stride = np.ceil(np.array(scan.values.shape) / deep.shape)
+    share = scan.voxel_volume * stride.prod()
+    return float(counts[largest] * share), scan.points(middle[None] * stride)[0]
+
+
+def choose_gas(
+    gas: Gas, scan: Volume, *, seed: Float[np.ndarray, " 3"] | None = None
+) -> tuple[GasPiece, ...]:
+    """The pieces to make organs of: that at the seed, or all that may be gut, largest first.
+
+    Args:
+        gas: Of the scan.
+        scan: Hounsfield units.
+        seed: A point in the lumen, patient frame [m].
+
+    Raises:
+        InputError: If there is no gut gas, it leaks to the outside, or the seed is not in it.
+    """
+    if seed is not None:
+        return (_at_seed(gas, scan, seed),)
+    volume, place = gas.leak
+    largest = gas.gut[0].volume if gas.gut else 0.0
+    if volume > max(_LEAK_VOLUME, largest):
+        raise InputError(
+            f"The lumen leaks: {volume / CM**3:.0f} ml of gas around {mm_text(place)} are joined "
+            "to the air outside. Lower --threshold, or give a mask with --labels."
+        )
+    if not gas.gut:
+        raise InputError(
+            f"No lumen in {scan.source}: no gas of 1 ml or more enclosed by the body at that "
+            "threshold. Change --threshold, or give a mask with --labels."
+        )
+    return gas.gut
+
+
+def _at_seed(gas: Gas, scan: Volume, seed: Float[np.ndarray, " 3"]) -> GasPiece:
+    """The piece of gas at a point."""
+    index = np.rint(scan.index(np.asarray(seed, float)[None])[0]).astype(int)
+    if not np.isfinite(seed).all() or (index < 0).any() or (index >= scan.values.shape).any():
+        corners = scan.points(np.array([[0, 0, 0], scan.values.shape]) - 0.5)
+        low, high = corners.min(axis=0), corners.max(axis=0)
+        raise InputError(
+            f"The seed {mm_text(seed)} lies outside the scan, which goes from "
+            f"{mm_text(low)} to {mm_text(high)} (LPS)."
+        )
+    number = int(gas.label[tuple(index)])
+    if number == OUTSIDE:
+        raise InputError(
+            f"The gas at the seed {mm_text(seed)} leaks to the air outside. Lower --threshold, "
+            "give another seed, or a mask with --labels."
+        )
+    found = [piece for piece in gas.pieces if piece.number == number]
+    if not found:
+        value = int(scan.values[tuple(index)])
+        known = "; ".join(f"{mm_text(p.center)}, {p.volume / CM**3:.0f} ml" for p in gas.gut[:4])
+        raise InputError(
+            f"The seed {mm_text(seed)} is outside the lumen ({value} HU there). "
+            f"Gas lies at: {known or 'no place of 1 ml or more'}."
+        )
+    return found[0]
+
+
+def mm_text(point: Float[np.ndarray, " 3"]) -> str:
+    """A position [m] as it is typed after --seed-mm."""
+    return "({:.1f}, {:.1f}, {:.1f}) mm".format(*(np.asarray(point, float) / MM))

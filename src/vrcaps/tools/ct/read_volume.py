@@ -1,0 +1,65 @@
+"""Scans and label maps from files: a DICOM folder, NIfTI, NRRD or MetaImage."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vrcaps.errors import InputError
+from vrcaps.tools.ct.itk import grid_transform, import_sitk, itk_reason
+from vrcaps.tools.ct.read_dicom import read_dicom
+from vrcaps.tools.ct.volume import Volume, upright
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+FILE_TYPES = (".nii", ".nii.gz", ".nrrd", ".mha", ".mhd")
+
+
+def read_volume(
+    path: Path, *, series: str | None = None, progress: Callable[[int, int], None] | None = None
+) -> Volume:
+    """A scan or label map, 16-bit, in the patient frame (LPS, metres).
+
+    Args:
+        path: A folder of DICOM slices, or a file of `FILE_TYPES`.
+        series: Which series of a folder that holds several, see `choose_series`.
+        progress: Told the number of slices read and their total.
+
+    Raises:
+        InputError: If there is no scan, it has fewer or more than three dimensions, or (DICOM)
+            several series, missing or duplicate slices.
+        MissingExtraError: If SimpleITK is not installed.
+    """
+    if path.is_dir():
+        return upright(read_dicom(path, series=series, progress=progress))
+    if not path.exists():
+        raise InputError(f"No scan at {path}. Give a DICOM folder or a NIfTI file.")
+    if not path.name.lower().endswith(FILE_TYPES):
+        raise InputError(
+            f"Unknown type of scan {path.name!r}. Allowed: a folder of DICOM slices, or a file "
+            f"that ends in {', '.join(FILE_TYPES)}."
+        )
+    return upright(_read_file(path))
+
+
+def _read_file(path: Path) -> Volume:
+    sitk = import_sitk()
+    reader = sitk.ImageFileReader()
+    reader.SetFileName(str(path))
+    try:
+        reader.ReadImageInformation()
+        size = reader.GetSize()
+        if len(size) != 3 or min(size) < 2 or reader.GetNumberOfComponents() != 1:
+            raise InputError(
+                f"{path} holds {' × '.join(map(str, size))} voxels of "
+                f"{reader.GetNumberOfComponents()} values. Give one three-dimensional scan."
+            )
+        reader.SetOutputPixelType(sitk.sitkInt16)
+        image = reader.Execute()
+    except RuntimeError as error:
+        raise InputError(f"Cannot read {path}: {itk_reason(error)}.") from error
+    values = np.array(sitk.GetArrayViewFromImage(image))
+    return Volume(values, grid_transform(image), str(path))

@@ -1,0 +1,176 @@
+"""From the lumen fraction to a wall: sub-voxel surface, smoothing that keeps size, decimation."""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.polynomial import chebyshev
+from scipy import ndimage
+from scipy.sparse import coo_array, csr_array
+
+from vrcaps.errors import InputError, MissingExtraError
+from vrcaps.mesh.mesh import Mesh
+from vrcaps.tools.ct.fraction import LumenFraction
+from vrcaps.units import MM
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Int
+
+_FINEST = 1.5 * MM  # voxels longer than this are divided before the surface is drawn
+_SLAB = 64  # slices that one thread blurs at a time
+_TRUNCATE = 3.0  # standard deviations at which a Gaussian is cut off
+_DEGREE = 16  # of the smoothing filter's polynomial, before it is levelled
+
+
+def extract_wall(lumen: LumenFraction, *, blur: float, pass_band: float, edge: float) -> Mesh:
+    """The surface at which the lumen fraction is one half, smoothed and decimated.
+
+    Voxels longer than 1.5 mm are divided by cubic interpolation first. Where the lumen meets
+    the first or last slice of the scan the surface is open.
+
+    Args:
+        lumen: The lumen fraction.
+        blur: Standard deviation of a blur over the fraction beforehand [voxels]; it turns a
+            mask into a field with a sub-voxel surface, and quietens noise.
+        pass_band: Share of the mesh's spatial frequencies that smoothing keeps, see `smooth`.
+        edge: Mean edge length of the triangles [m].
+
+    Raises:
+        InputError: If the fraction nowhere passes one half.
+        MissingExtraError: If fast-simplification is not installed.
+    """
+    from skimage.measure import marching_cubes
+
+    share, transform = _refined(_blurred(lumen.share, blur), lumen)
+    if not share.min() < 0.5 < share.max():
+        raise InputError("The lumen is too small for the scan's voxels. Give a larger one.")
+    index, faces, _, _ = marching_cubes(share, 0.5, allow_degenerate=False)
+    vertices = index.astype(float) @ transform[:3, :3].T + transform[:3, 3]
+    vertices = smooth(vertices, faces, pass_band)
+    return decimate(Mesh(vertices, faces.astype(np.int64)), edge)
+
+
+def _blurred(share: Float[np.ndarray, "k j i"], sigma: float) -> Float[np.ndarray, "k j i"]:
+    """Fraction under the kernel 2 G − G² of a Gaussian G.
+
+    Its second moment is zero, so that curved walls stay where they are: G alone would move a
+    sphere of radius r inwards by σ² / r.
+    """
+    reach = 2 * int(_TRUNCATE * sigma + 0.5)
+    blurred = np.empty_like(share)
+
+    def fill(first: int) -> None:
+        low = max(first - reach, 0)
+        once = ndimage.gaussian_filter(
+            share[low : first + _SLAB + reach], sigma, mode="nearest", truncate=_TRUNCATE
+        )
+        twice = ndimage.gaussian_filter(once, sigma, mode="nearest", truncate=_TRUNCATE)
+        once *= 2.0
+        once -= twice
+        blurred[first : first + _SLAB] = once[first - low : first - low + _SLAB]
+
+    with ThreadPoolExecutor() as pool:
+        list(pool.map(fill, range(0, len(share), _SLAB)))
+    return blurred
+
+
+def _refined(
+    share: Float[np.ndarray, "k j i"], lumen: LumenFraction
+) -> tuple[Float[np.ndarray, "k j i"], Float[np.ndarray, "4 4"]]:
+    """The fraction and its `T_patient_index` on a grid no coarser than 1.5 mm."""
+    factor = np.ceil(lumen.spacing / _FINEST - 1e-6).astype(int)
+    if (factor <= 1).all():
+        return share, lumen.T_patient_index
+    size = (np.array(share.shape) - 1) * factor + 1
+    ratio = size / share.shape
+    finer = ndimage.zoom(share, ratio.tolist(), order=3, mode="nearest", grid_mode=False)
+    transform = lumen.T_patient_index.copy()
+    transform[:3, :3] /= factor
+    return np.asarray(finer, np.float32), transform
+
+
+def smooth(
+    vertices: Float[np.ndarray, "n 3"], faces: Int[np.ndarray, "m 3"], pass_band: float
+) -> Float[np.ndarray, "n 3"]:
+    """Vertices low-pass filtered along the surface, without shrinking it.
+
+    Positions are filtered by a windowed-sinc polynomial of the umbrella Laplacian K (Taubin,
+    Zhang and Golub 1996, Optimal surface smoothing as filter design): it is 1 and level at
+    frequency 0, so that the shape stays, and falls to 0 beyond the pass band. Borders stay
+    where they are.
+
+    Args:
+        vertices: Positions, any unit.
+        faces: Vertex numbers of each triangle.
+        pass_band: Frequency k of K (0 to 2) up to which the shape is kept; 2 keeps all.
+    """
+    if pass_band >= 2.0:
+        return vertices
+    average, border = _average_matrix(faces, len(vertices))
+    weights = _filter_weights(pass_band)
+    # Chebyshev recursion over 1 − K, whose eigenvalues are in [−1, 1].
+    middle = vertices.mean(axis=0)
+    previous = vertices - middle
+    current = average @ previous
+    result = weights[0] * previous + weights[1] * current
+    for weight in weights[2:]:
+        previous, current = current, 2.0 * (average @ current) - previous
+        result += weight * current
+    result += middle
+    result[border] = vertices[border]
+    return result
+
+
+def _average_matrix(faces: Int[np.ndarray, "m 3"], num: int) -> tuple[csr_array, np.ndarray]:
+    """Matrix 1 − K that takes the mean of each vertex's neighbours, and the border vertices."""
+    halves = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
+    ones = np.ones(len(halves))
+    links = coo_array((ones, (halves[:, 0], halves[:, 1])), shape=(num, num)).tocsr()
+    both = links + links.T
+    open_ends = np.unique((both == 1).nonzero()[0])
+    both.data[:] = 1.0
+    both.data /= np.repeat(np.diff(both.indptr), np.diff(both.indptr))
+    return csr_array(both), open_ends
+
+
+def _filter_weights(pass_band: float) -> Float[np.ndarray, " n"]:
+    """Chebyshev coefficients of the low-pass filter: 1 and level at frequency 0.
+
+    The windowed sinc f is 1 there but not level, which shrinks what is strongly curved;
+    2 f − f² is both.
+    """
+    n = np.arange(_DEGREE + 1)
+    window = 0.54 + 0.46 * np.cos(n * np.pi / (_DEGREE + 1))
+    # f(θ) = 1 for θ below arccos(1 − k): its cosine series.
+    edge = np.arccos(np.clip(1.0 - pass_band, -1.0, 1.0))
+    weights = np.append(edge / np.pi, 2.0 * np.sin(n[1:] * edge) / (n[1:] * np.pi)) * window
+    weights /= weights.sum()
+    return chebyshev.chebsub(2.0 * weights, chebyshev.chebmul(weights, weights))
+
+
+def decimate(mesh: Mesh, edge: float) -> Mesh:
+    """Fewer triangles by quadric error (Garland and Heckbert 1997), to a mean edge length [m].
+
+    A mesh that is already coarser stays as it is.
+
+    Raises:
+        MissingExtraError: If fast-simplification is not installed.
+    """
+    try:
+        import fast_simplification
+    except ImportError as error:
+        raise MissingExtraError("fast-simplification", "ct") from error
+    corners = mesh.vertices[mesh.faces]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    area = 0.5 * np.linalg.norm(normals, axis=1).sum()
+    wanted = int(area / (np.sqrt(3.0) / 4.0 * edge**2))
+    if wanted >= len(mesh.faces):
+        return mesh
+    # In millimetres about the middle: the library's tolerances are absolute.
+    middle = mesh.vertices.mean(axis=0)
+    points, faces = fast_simplification.simplify(
+        (mesh.vertices - middle) / MM, mesh.faces.astype(np.int32), target_count=wanted, agg=5.0
+    )[:2]
+    return Mesh(np.asarray(points, float) * MM + middle, np.asarray(faces, np.int64))

@@ -1,0 +1,240 @@
+"""Photographs to a texture: the whole way."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from scipy import ndimage
+
+from vrcaps.color import LUMINANCE
+from vrcaps.errors import InputError
+from vrcaps.mucosa.log_color import from_log_linear
+from vrcaps.mucosa.texture import HEIGHT_STEP, MucosaTexture
+from vrcaps.tools.mucosa_from_photos.patches import (
+    Scale,
+    Source,
+    analyse,
+    check_scale,
+    choose,
+    squares,
+)
+from vrcaps.tools.mucosa_from_photos.place_vessels import VesselSpread, lay_vessels
+from vrcaps.tools.mucosa_from_photos.quality import texture_quality
+from vrcaps.tools.mucosa_from_photos.quilt import Quilt, quilt, variants
+from vrcaps.tools.mucosa_from_photos.relief import relief
+from vrcaps.tools.mucosa_from_photos.vessels import VesselPiece
+from vrcaps.units import MM
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from jaxtyping import Float
+
+    from vrcaps.tools.photos import Photo
+
+_REDDEST = 0.92  # linear red light that 99 % of texels stay below
+
+
+@dataclass(frozen=True)
+class TextureRecipe:
+    """How a texture is made.
+
+    Attributes:
+        size: Side of the texture [texels].
+        luminance: Mean reflectance; a camera sets its exposure, so no photograph tells it.
+            0.30 is that of the built-in colon.
+        max_sources: Most photographs whose regions are mixed.
+        vessels: Whether vessels are taken out of the ground, and laid onto it anew.
+        spread: How they lie.
+        is_flat: Whether the pictures are textures already, without border, highlights, shading.
+        box: Left, top, width, height [px] of the region instead of the most uniform one.
+    """
+
+    size: int = 2048
+    luminance: float = 0.30
+    max_sources: int = 4
+    vessels: bool = True
+    spread: VesselSpread = field(default_factory=VesselSpread)
+    is_flat: bool = False
+    box: tuple[int, int, int, int] | None = None
+
+
+@dataclass(frozen=True)
+class TextureWork:
+    """A texture and what it was made from.
+
+    Attributes:
+        texture: The result.
+        sources: Photographs whose regions were used, best first.
+        others: Photographs looked at and not used.
+        source_rgb: The regions as they were quilted, sRGB, in the texture's colours.
+        vessel_density: Optical density of the vessels laid on, in green.
+    """
+
+    texture: MucosaTexture
+    sources: list[Source]
+    others: list[str]
+    source_rgb: list[np.ndarray]
+    vessel_density: Float[np.ndarray, "n n"]
+
+
+def make_texture(
+    photos: list[Photo],
+    scale: Scale,
+    recipe: TextureRecipe,
+    *,
+    seed: int,
+    progress: Callable[[int, int], None] | None = None,
+) -> TextureWork:
+    """A mucosa's texture that continues over its edges, from endoscopic photographs.
+
+    Args:
+        photos: At least one.
+        scale: Of their pixels; a texel of the texture is as large as a pixel of the best one.
+        recipe: How it is made.
+        seed: The same gives the same bytes.
+        progress: Called with the work done and in all.
+
+    Raises:
+        InputError: If the scale, the recipe or a photograph is not possible, or no photograph
+            has a usable region.
+    """
+    check_scale(scale)
+    _check(recipe, photos, seed)
+    tell = progress or (lambda done, total: None)
+    chosen, others = _chosen(photos, scale, recipe, tell)
+    rng = np.random.default_rng(seed)
+    parts, doubtful = squares(chosen, keep_vessels=not recipe.vessels)
+    layout = Quilt.of_side(len(parts[0]))
+    if recipe.size < 2 * layout.patch:
+        raise InputError(f"The size is {recipe.size}. Allowed: {2 * layout.patch} or more.")
+    ground = quilt(
+        variants(parts),
+        variants(doubtful),
+        recipe.size,
+        layout,
+        rng,
+        progress=lambda done, total: tell(total // 2 + done, total // 2 + total),
+    )
+    return _finish(ground, parts, chosen, others, recipe, rng=rng, seed=seed)
+
+
+def _chosen(
+    photos: list[Photo], scale: Scale, recipe: TextureRecipe, tell: Callable[[int, int], None]
+) -> tuple[list[Source], list[str]]:
+    """The photographs to use, analysed, best first, and the names of the others.
+
+    Raises:
+        InputError: If none has a usable region.
+    """
+    found = []
+    for number, photo in enumerate(photos):
+        found.append(analyse(photo, scale, is_flat=recipe.is_flat, box=recipe.box))
+        tell(number + 1, 3 * len(photos))
+    usable = [source for source in found if source is not None]
+    if not usable:
+        raise InputError(
+            f"No usable region in {_names(photos)}: too much border, highlight or darkness. "
+            "Give other photographs, or --box LEFT TOP WIDTH HEIGHT."
+        )
+    chosen = choose(usable, recipe.max_sources)
+    used = {id(source) for source in chosen}
+    others = [
+        photo.name
+        for photo, source in zip(photos, found, strict=True)
+        if source is None or id(source) not in used
+    ]
+    return chosen, others
+
+
+def _finish(ground, parts, chosen, others, recipe: TextureRecipe, *, rng, seed) -> TextureWork:
+    """Colour, relief and vessels of the quilted ground."""
+    texel = chosen[0].mm_per_pixel * MM
+    color = _color(ground, np.mean([source.color for source in chosen], axis=0), recipe.luminance)
+    ground = ground - ground.mean(axis=(0, 1)) + color
+    height, roughness = relief(ground, texel)
+    density = np.zeros_like(ground)
+    if recipe.vessels:
+        pieces = [piece for source in chosen for piece in _scaled(source, chosen[0])]
+        share = float(np.mean([source.vessels.share for source in chosen]))
+        density = lay_vessels(pieces, share, recipe.size, recipe.spread, rng)
+    albedo = from_log_linear(ground - density)
+    steps = np.clip(np.rint(height / HEIGHT_STEP) + 32768.0, 0.0, 65535.0).astype(np.uint16)
+    source_rgb = [from_log_linear(part + color) for part in parts]
+    metadata = {
+        "seed": seed,
+        "size": recipe.size,
+        "luminance": recipe.luminance,
+        "is_flat": recipe.is_flat,
+        "vessels": recipe.vessels,
+        "photographs": [_record(source) for source in chosen],
+        "measures": texture_quality(from_log_linear(ground), source_rgb).record(),
+    }
+    texture = MucosaTexture(
+        albedo=albedo,
+        roughness=np.rint(255.0 * roughness).astype(np.uint8),
+        height=steps,
+        texel=texel,
+        metadata=metadata,
+    )
+    return TextureWork(texture, chosen, others, source_rgb, density[..., 1])
+
+
+def _color(ground, photographed, luminance: float) -> Float[np.ndarray, " 3"]:
+    """Mean logarithm of reflectance: the photographs' colour at the luminance asked for.
+
+    Red is kept below 1, at the cost of luminance, where the colour is so saturated.
+    """
+    deviation = ground - ground.mean(axis=(0, 1))
+    light = np.exp(deviation[::4, ::4] + photographed)
+    gain = luminance / float(np.mean(light @ LUMINANCE))
+    gain = min(gain, _REDDEST / float(np.percentile(light, 99.0, axis=(0, 1)).max()))
+    return photographed + np.log(gain)
+
+
+def _scaled(source: Source, first: Source) -> list[VesselPiece]:
+    """A photograph's vessels at the scale of the first."""
+    zoom = source.mm_per_pixel / first.mm_per_pixel
+    if abs(zoom - 1.0) <= 0.02:
+        return source.vessels.pieces
+    return [
+        VesselPiece(
+            np.maximum(np.asarray(ndimage.zoom(piece.density, zoom, order=1)), 0.0),
+            piece.color,
+            max(1, round(piece.length * zoom)),
+            piece.radius * zoom,
+        )
+        for piece in source.vessels.pieces
+    ]
+
+
+def _record(source: Source) -> dict[str, Any]:
+    region, shrink = source.region, source.shrink
+    return {
+        "name": source.photo.name,
+        "sha256": source.photo.sha256,
+        "region_px": [shrink * n for n in (region.column, region.row, region.side, region.side)],
+        "unevenness": round(region.unevenness, 4),
+        "mm_per_pixel": source.mm_per_pixel / shrink,
+        "vessel_pieces": len(source.vessels.pieces),
+        "vessel_share": round(source.vessels.share, 5),
+    }
+
+
+def _check(recipe: TextureRecipe, photos: list[Photo], seed: int) -> None:
+    for name, value, valid, allowed in (
+        ("size", recipe.size, 128 <= recipe.size <= 8192, "128 to 8192"),
+        ("luminance", recipe.luminance, 0.02 <= recipe.luminance <= 0.8, "0.02 to 0.8"),
+        ("number of photographs mixed", recipe.max_sources, recipe.max_sources > 0, "1 or more"),
+        ("seed", seed, seed >= 0, "0 or more"),
+    ):
+        if not valid:
+            raise InputError(f"The {name} is {value}. Allowed: {allowed}.")
+    if recipe.box is not None and len(photos) != 1:
+        raise InputError(f"A box goes with one photograph; {len(photos)} were given.")
+
+
+def _names(photos: list[Photo]) -> str:
+    return photos[0].name if len(photos) == 1 else f"{len(photos)} photographs"

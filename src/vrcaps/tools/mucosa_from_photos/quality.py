@@ -1,0 +1,113 @@
+"""How good a texture is: seams, colour, detail, repetition, highlights."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vrcaps.color import lab_from_srgb
+from vrcaps.tools.field_of_view import highlights
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, UInt8
+
+_BINS = np.linspace(0.0, 30.0, 61)  # of gradients in L* per texel
+
+
+@dataclass(frozen=True)
+class TextureQuality:
+    """A texture against the regions it was made from.
+
+    Attributes:
+        seam_ratio: Mean step over the edges where the texture continues, over that inside.
+        lab_mean_source: Mean L*, a*, b* of the regions.
+        lab_mean_texture: Of the texture.
+        lab_std_source: Standard deviation of L*, a*, b* of the regions.
+        lab_std_texture: Of the texture.
+        gradient_distance: Difference of the histograms of steps in L* between neighbours: half
+            the sum of absolute differences, 0 (same) to 1.
+        repetition: Highest autocorrelation of L* beyond a patch's reach, 0 to 1; a repeated
+            texture has 1.
+        highlight_share: Of the texture's texels that a search for highlights finds.
+    """
+
+    seam_ratio: float
+    lab_mean_source: tuple[float, ...]
+    lab_mean_texture: tuple[float, ...]
+    lab_std_source: tuple[float, ...]
+    lab_std_texture: tuple[float, ...]
+    gradient_distance: float
+    repetition: float
+    highlight_share: float
+
+    def record(self) -> dict:
+        """As plain values, rounded."""
+        return {
+            name: [round(v, 2) for v in value] if isinstance(value, tuple) else round(value, 5)
+            for name, value in asdict(self).items()
+        }
+
+
+def texture_quality(
+    texture: UInt8[np.ndarray, "n n 3"], sources: list[UInt8[np.ndarray, "s s 3"]]
+) -> TextureQuality:
+    """Measure a texture, before vessels are laid on it, against its sources."""
+    colors = lab_from_srgb(texture)
+    regions = [lab_from_srgb(source) for source in sources]
+    pixels = np.concatenate([region.reshape(-1, 3) for region in regions])
+    flat = colors.reshape(-1, 3)
+    everywhere = np.ones(texture.shape[:2], bool)
+    return TextureQuality(
+        seam_ratio=seam_ratio(colors),
+        lab_mean_source=_plain(pixels.mean(axis=0)),
+        lab_mean_texture=_plain(flat.mean(axis=0)),
+        lab_std_source=_plain(pixels.std(axis=0)),
+        lab_std_texture=_plain(flat.std(axis=0)),
+        gradient_distance=_gradient_distance(colors, regions),
+        repetition=repetition(colors[..., 0], reach=len(sources[0])),
+        highlight_share=float(highlights(texture, everywhere, len(texture)).mean()),
+    )
+
+
+def seam_ratio(image: Float[np.ndarray, "n m c"]) -> float:
+    """Mean absolute step across the two wrapped edges over that between inner neighbours."""
+    seams, inner = [], []
+    for axis in (0, 1):
+        step = np.diff(image, axis=axis, append=np.take(image, [0], axis=axis))
+        seams.append(np.take(step, [-1], axis=axis).ravel())
+        inner.append(np.delete(step, -1, axis=axis).ravel())
+    seam, inside = (float(np.abs(np.concatenate(part)).mean()) for part in (seams, inner))
+    return seam / inside if inside > 0.0 else 1.0
+
+
+def repetition(image: Float[np.ndarray, "n n"], *, reach: int) -> float:
+    """Highest autocorrelation at shifts longer than `reach` [px], without slow variation.
+
+    By the Wiener-Khinchin theorem, of the image that continues over its edges.
+    """
+    power = np.abs(np.fft.rfft2(image - image.mean())) ** 2
+    rows, columns = np.fft.fftfreq(len(image)), np.fft.rfftfreq(len(image))
+    power[np.hypot(rows[:, None], columns[None]) < 0.5 / reach] = 0.0
+    correlation = np.fft.irfft2(power, image.shape)
+    shift = np.abs(np.fft.fftfreq(len(image), 1.0 / len(image)))
+    far = np.hypot(shift[:, None], shift[None]) > reach
+    if not far.any() or correlation[0, 0] <= 0.0:
+        return 0.0
+    return float(correlation[far].max() / correlation[0, 0])
+
+
+def _gradient_distance(texture, regions) -> float:
+    def histogram(images) -> np.ndarray:
+        steps = [
+            np.abs(np.diff(image[..., 0], axis=axis)).ravel() for image in images for axis in (0, 1)
+        ]
+        counts, _ = np.histogram(np.concatenate(steps), _BINS)
+        return counts / counts.sum()
+
+    return float(0.5 * np.abs(histogram([texture]) - histogram(regions)).sum())
+
+
+def _plain(values: np.ndarray) -> tuple[float, ...]:
+    return tuple(float(value) for value in values)

@@ -1,0 +1,1 @@
+"""Overview pictures of an organ."""

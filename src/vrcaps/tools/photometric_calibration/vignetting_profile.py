@@ -1,0 +1,196 @@
+"""How a camera's image darkens towards its edge, its colour and its brightness."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from vrcaps.tools.photometric_calibration.frames import Frames
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+NUM_RINGS = 24
+ENVELOPE = 0.9
+"""Share of a ring's pixels below its brightness: the lumen's dark middle does not count."""
+_NUM_PARTS = 8
+_MOST_RISE = 0.3
+"""Largest k1 of a falloff: with more, light would rise from the middle, as no lens makes it."""
+_FEWEST = 200
+"""Pixels of all frames that a ring must have."""
+_BRIGHT = (0.5, 0.95)
+"""Quantiles of luminance between which mucosa shows its colour: neither shade nor glint."""
+
+
+@dataclass(frozen=True)
+class RadialProfile:
+    """Brightness by distance from the image's centre.
+
+    Attributes:
+        radius: Middles of rings, in halves of the image's shorter side.
+        brightness: Of each ring, relative to the frames' own.
+        count: Pixels of each ring.
+    """
+
+    radius: Float[np.ndarray, " k"]
+    brightness: Float[np.ndarray, " k"]
+    count: Float[np.ndarray, " k"]
+
+
+def radial_profile(frames: Frames, centre: tuple[float, float]) -> RadialProfile:
+    """The envelope of luminance over rings, each frame divided by its own mean.
+
+    Args:
+        frames: Of one camera.
+        centre: Column and row of the optical axis [px].
+    """
+    radius = _radius(frames, centre)
+    own = np.where(frames.field, frames.luminance, np.nan)
+    own = own[frames.field.any(axis=(1, 2))]
+    relative = own / np.nanmean(own, axis=(1, 2), keepdims=True)
+    edges = np.linspace(0.0, radius.max(), NUM_RINGS + 1)
+    ring = np.clip(np.searchsorted(edges, radius, side="right") - 1, 0, NUM_RINGS - 1)
+    found = []
+    for k in range(NUM_RINGS):
+        values = relative[:, ring == k]
+        values = values[np.isfinite(values)]
+        if values.size >= _FEWEST:
+            middle = 0.5 * (edges[k] + edges[k + 1])
+            found.append((middle, float(np.quantile(values, ENVELOPE)), float(values.size)))
+    return RadialProfile(*np.array(found).reshape(-1, 3).T)
+
+
+def _radius(frames: Frames, centre: tuple[float, float]) -> Float[np.ndarray, "h w"]:
+    """Distance of each pixel from the axis, in halves of the image's shorter side."""
+    width, height = frames.size
+    rows, columns = np.indices((height, width))
+    return np.hypot(columns - centre[0], rows - centre[1]) / (0.5 * min(width, height))
+
+
+@dataclass(frozen=True)
+class Falloff:
+    """``1 + k1 ρ² + k2 ρ⁴`` of the light, ρ in halves of the image's shorter side.
+
+    Attributes:
+        k1: Coefficient of ρ².
+        k2: Coefficient of ρ⁴.
+        rim: Share of the light at the outermost ring.
+        deviation: Standard deviation of `rim`, from leaving out parts of the frames.
+    """
+
+    k1: float
+    k2: float
+    rim: float
+    deviation: float
+
+    @property
+    def is_clear(self) -> bool:
+        """Whether the frames darken towards the edge, and by more than chance."""
+        return self.k1 <= _MOST_RISE and 1.0 - self.rim > 2.0 * self.deviation
+
+
+def mean_share(falloff: Falloff, frames: Frames, centre: tuple[float, float]) -> float:
+    """Share of the light that a falloff leaves over the field; 1 where none is clear."""
+    if not falloff.is_clear:
+        return 1.0
+    square = _radius(frames, centre) ** 2
+    share = np.maximum(1.0 + falloff.k1 * square + falloff.k2 * square**2, 0.0)
+    return float(np.average(share, weights=frames.field.mean(axis=0)))
+
+
+def find_falloff(
+    frames: Frames,
+    centre: tuple[float, float],
+    reference: tuple[Frames, tuple[float, float]] | None = None,
+) -> Falloff:
+    """Vignetting of a camera, with its deviation by a jackknife over eight parts of the frames.
+
+    Args:
+        frames: Of the camera.
+        centre: Column and row of its optical axis [px].
+        reference: Frames without vignetting, such as rendered ones, and their centre. Without them
+            the light is taken for even, and the wall's own shading counts as the lens's.
+    """
+    profile = radial_profile(frames, centre)
+    aim = None if reference is None else radial_profile(*reference)
+    k1, k2, rim = _fitted(profile, aim)
+    left_out = [_fitted(part, aim)[2] for part in _parts(frames, centre)]
+    variance = _jackknife(left_out)
+    if reference is not None:
+        variance += _jackknife([_fitted(profile, part)[2] for part in _parts(*reference)])
+    return Falloff(k1, k2, rim, float(np.sqrt(variance)))
+
+
+def _fitted(profile: RadialProfile, reference: RadialProfile | None) -> tuple[float, float, float]:
+    """k1, k2 and the share of light at the outermost ring; the light does not rise there."""
+    radius, brightness = profile.radius, profile.brightness
+    if reference is not None:
+        brightness = brightness / np.interp(radius, reference.radius, reference.brightness)
+    weight = np.sqrt(profile.count / profile.count.max())
+    square = radius**2
+
+    def solve(terms: Float[np.ndarray, "k n"]) -> Float[np.ndarray, " n"]:
+        def residuals(x: np.ndarray) -> np.ndarray:
+            return weight * (x[0] * (1.0 + terms @ x[1:]) - brightness)
+
+        start = [float(brightness.mean()), -0.1, *[0.0] * (terms.shape[1] - 1)]
+        return least_squares(residuals, start, loss="huber", f_scale=0.05).x[1:]
+
+    k1, k2 = map(float, solve(np.column_stack([square, square**2])))
+    if k1 < 0.0 and k1 + 2.0 * k2 * square[-1] > 0.0:
+        # Level at the rim: d/dρ (k1 ρ² + k2 ρ⁴) = 0.
+        k1 = float(solve((square - 0.5 * square**2 / square[-1])[:, None])[0])
+        k2 = -0.5 * k1 / square[-1]
+    return k1, k2, float(1.0 + k1 * square[-1] + k2 * square[-1] ** 2)
+
+
+def _parts(frames: Frames, centre: tuple[float, float]) -> Iterator[RadialProfile]:
+    """Profiles of the frames with every eighth left out, beginning at each of the first eight."""
+    count = len(frames.rgb)
+    for k in range(min(_NUM_PARTS, count)):
+        yield radial_profile(frames.part(np.arange(count) % _NUM_PARTS != k), centre)
+
+
+def _jackknife(values: list[float]) -> float:
+    """Variance of an estimate from its values with each part left out (Quenouille and Tukey)."""
+    return (len(values) - 1) * float(np.var(values))
+
+
+@dataclass(frozen=True)
+class WallColor:
+    """Colour and brightness of the wall in frames.
+
+    Attributes:
+        red: Linear red over green of bright mucosa, the median of frames.
+        blue: Linear blue over green.
+        green: Median linear green within the field, the median of frames; 1 = white.
+    """
+
+    red: float
+    blue: float
+    green: float
+
+
+def wall_color(frames: Frames) -> WallColor | None:
+    """Colour of what is bright but neither saturated nor a highlight; None if nothing is."""
+    logs = []
+    for linear, luminance, exposed in zip(
+        frames.linear, frames.luminance, frames.exposed, strict=True
+    ):
+        if exposed.sum() < _FEWEST:
+            continue
+        low, high = np.quantile(luminance[exposed], _BRIGHT)
+        bright = exposed & (luminance >= low) & (luminance <= high)
+        logs.append(np.log(linear[bright]).mean(axis=0))
+    if not logs:
+        return None
+    ratios = np.median([log[[0, 2]] - log[1] for log in logs], axis=0)
+    lit = [
+        np.median(g[f]) for g, f in zip(frames.linear[..., 1], frames.field, strict=True) if f.any()
+    ]
+    red, blue = np.exp(ratios).tolist()
+    return WallColor(red, blue, float(np.median(lit)))

@@ -1,0 +1,208 @@
+"""What floats in the lumen of a moving world: it moves, pushes the capsule and bears it up."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vrcaps import _core
+from vrcaps.capsule.body import Body
+from vrcaps.lumen.lumen_contents import Filling
+from vrcaps.lumen.pools import Sections, cut_sections, find_pools, submerged
+from vrcaps.tissue.arc_length_samples import stations
+from vrcaps.transforms import invert, matrix_from_quaternion, transform_points
+from vrcaps.world.model import Model
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+PIECE = 2.5e-3
+"""Longest time over which buoyancy and drag of the liquid are held [s]."""
+
+SWEEP = 8
+"""Most pieces of a step after which all spheres have moved; those beside the capsule move in
+each."""
+
+_DRAG = 0.5
+"""Drag coefficient of a capsule in liquid, by its frontal area (a long body with round ends:
+Hoerner, Fluid-Dynamic Drag, 1965, 3-12, tumbling included)."""
+
+
+@dataclass(frozen=True)
+class _Surroundings:
+    """What the core's swarm meets in a step; positions are about the wall's centre."""
+
+    up: tuple[float, float, float]
+    gravity: float
+    stretch: Float[np.ndarray, "p 2"]
+    levels: Float[np.ndarray, " p"]
+    axis: tuple[tuple[float, ...], ...]
+    radius: float
+    mass: float
+    center: tuple[float, float, float]
+    wxyz: tuple[float, float, float, float]
+    velocity: tuple[float, float, float]
+    spin: tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class _Laws:
+    """Laws of the core's swarm."""
+
+    liquid_density: float
+    viscosity: float
+    chyme_density: float
+    burst_rate: float
+    landing_rate: float
+    release_rate: float
+    drift: float
+    reach: float
+    seed: int
+
+
+class Afloat:
+    """Spheres and pools of a `World`, in the frame of its core: the patient's, about a centre."""
+
+    def __init__(self, model: Model, wall: _core.Wall, body: Body, pose: _core.Pose) -> None:
+        assert model.filling is not None
+        self._model, self._body, self._rest = model, body, model.filling
+        self._center = np.array(wall.center)
+        self._wall = wall
+        bubbles, chyme, self._liquid = model.contents.resolved
+        self._sections: Sections | None = None
+        self._pools, self._posture = self._rest.pools, model.T_world_patient
+        centers = transform_points(invert(model.T_world_patient), self._rest.spheres.centers)
+        curve = model.organ.centerline
+        places = stations(curve)
+        tangents = np.stack(
+            [np.interp(places, curve.arc_length, curve.frames[:, k, 2]) for k in range(3)], axis=1
+        )
+        laws = _Laws(
+            liquid_density=self._liquid.density,
+            viscosity=self._liquid.viscosity,
+            chyme_density=chyme.density,
+            burst_rate=bubbles.burst_rate,
+            landing_rate=bubbles.landing_rate,
+            release_rate=bubbles.release_rate,
+            drift=model.contents.drift,
+            reach=model.contents.reach,
+            seed=model.contents.seed,
+        )
+        at_rest = self._rest.spheres.at(centers)
+        self._swarm = _core.Swarm(wall, at_rest, laws, tangents, float(places[1]))
+        self._push = np.zeros(6)
+        self._seat(pose)
+
+    def filling(self, T_world_patient: Float[np.ndarray, "4 4"]) -> Filling:
+        """What is in the lumen now, in the world frame."""
+        floats = self._swarm.floats
+        centers = transform_points(T_world_patient, floats[:, :3] + self._center)
+        spheres = replace(self._rest.spheres, centers=centers, arc_length=floats[:, 6])
+        return Filling(self._rest.contents, spheres, self._pools)
+
+    def _seat(self, pose: _core.Pose) -> None:
+        """Sets the bubbles that sit on the capsule from the beginning on it."""
+        seats = self._rest.seats + self._body.center
+        floats = self._swarm.floats
+        first = len(floats) - len(seats)
+        rotation = matrix_from_quaternion(np.array(pose[1]))
+        floats[first:, :3] = np.array(pose[0]) + seats @ rotation.T
+        floats[first:, 7:] = seats
+        self._swarm.floats = floats
+
+    def turn(self, T_world_patient: Float[np.ndarray, "4 4"]) -> None:
+        """Lets the liquid find its level in another posture; it does so at once."""
+        if self._liquid.fill > 0.0 and not np.array_equal(T_world_patient, self._posture):
+            organ = self._model.organ
+            self._sections = self._sections or cut_sections(organ)
+            self._pools = find_pools(organ, self._sections, self._liquid, T_world_patient)
+        self._posture = T_world_patient
+
+    def wrench(
+        self, pose: _core.Pose, dt: float, gravity: float
+    ) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, " 3"]]:
+        """Force [N] and torque [N·m] on the capsule over the next `dt`, in the core's frame.
+
+        Buoyancy and drag where the capsule will be half-way, and what the spheres pushed last.
+        """
+        center, axis = self._capsule(pose, 0.5 * dt)
+        force, torque = self._push[:3] / dt, self._push[3:] / dt
+        level = self._level(center)
+        if level is None:
+            return force, torque
+        ends = transform_points(self._posture, np.array(axis) + self._center)
+        volume, place = submerged((ends[0], ends[1]), self._body.radius, level)
+        if volume == 0.0:
+            return force, torque
+        up = self._up()
+        lift = self._liquid.density * gravity * volume * up
+        middle = transform_points(invert(self._posture), place[None])[0] - self._center
+        velocity = np.array(pose[2])
+        whole = submerged((ends[0], ends[1]), self._body.radius, np.inf)[0]
+        area = np.pi * self._body.radius**2 * volume / whole
+        drag = -0.5 * _DRAG * self._liquid.density * area * np.linalg.norm(velocity) * velocity
+        return force + lift + drag, torque + np.cross(middle - center, lift)
+
+    def step(self, pose: _core.Pose, dt: float, gravity: float, sweep: float) -> None:
+        """Moves the spheres on by `dt` beside the capsule, which has arrived at `pose`.
+
+        Args:
+            pose: The capsule's, in the core's frame.
+            dt: Length of this piece of a sweep [s].
+            gravity: [m/s²].
+            sweep: 0, or where this piece ends a sweep, how long all of it was [s]: spheres that
+                are not beside the capsule move once a sweep.
+        """
+        center, axis = self._capsule(pose, 0.0)
+        pools = self._pools
+        up = self._up()
+        offset = self._posture[2, 3] + self._posture[2, :3] @ self._center
+        around = _Surroundings(
+            up=tuple(up),
+            gravity=gravity,
+            stretch=np.zeros((0, 2)) if pools is None else pools.stretch,
+            levels=np.zeros(0) if pools is None else pools.levels - offset,
+            axis=tuple(tuple(end) for end in axis),
+            radius=self._body.radius,
+            mass=self._body.mass,
+            center=tuple(center),
+            wxyz=pose[1],
+            velocity=pose[2],
+            spin=pose[3],
+        )
+        impulse, moment = self._swarm.step(self._wall, around, dt, sweep)
+        self._push = np.array([*impulse, *moment])
+
+    def to_array(self) -> Float[np.ndarray, " q"]:
+        """All that changes: spheres, their counter, the impulse that waits."""
+        return np.concatenate([self._swarm.floats.ravel(), [self._swarm.count], self._push])
+
+    def restore(self, array: Float[np.ndarray, " q"], T_world_patient: np.ndarray) -> None:
+        """Goes back to what `to_array` gave."""
+        count = 10 * len(self._rest.spheres)
+        self._swarm.floats = array[:count].reshape(-1, 10)
+        self._swarm.count, self._push = int(array[count]), array[count + 1 :].copy()
+        self.turn(T_world_patient)
+
+    def _up(self) -> Float[np.ndarray, " 3"]:
+        return self._posture[2, :3]
+
+    def _capsule(
+        self, pose: _core.Pose, ahead: float
+    ) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, "2 3"]]:
+        """Centre of mass and ends of the axis a time ahead [m], about the wall's centre."""
+        rotation = matrix_from_quaternion(np.array(pose[1]))
+        center = np.array(pose[0]) + ahead * np.array(pose[2])
+        middle = center + rotation @ self._body.center
+        half = self._body.half_axis * rotation[:, 2]
+        return center, np.array([middle - half, middle + half])
+
+    def _level(self, center: Float[np.ndarray, " 3"]) -> float | None:
+        """Level of the pool along whose stretch a point is [m], in the world frame."""
+        if self._pools is None:
+            return None
+        _, face = self._wall.closest_point((center + self._center)[None])
+        pool = self._pools.of_vertex[self._model.organ.faces[face[0]]].max()
+        return None if pool == 0 else float(self._pools.levels[pool - 1])

@@ -1,0 +1,232 @@
+"""Forward and inverse kinematics: pinocchio's Panda, and what the inverse must satisfy."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from scenes import random_poses
+from vrcaps.actuation.arm.arm import Arm
+from vrcaps.actuation.arm.kinematics import forward, frames, inverse, jacobian, nearest
+from vrcaps.errors import InputError
+
+
+def random_angles(arm: Arm, rng: np.random.Generator, count: int) -> np.ndarray:
+    return rng.uniform(arm.lower, arm.upper, (count, arm.num_joints))
+
+
+def errors(arm: Arm, angles: np.ndarray, targets: np.ndarray) -> tuple[float, float]:
+    """Largest miss in place [m] and in orientation [rad]."""
+    got = forward(arm, angles)
+    turn = np.linalg.norm(got[:, :3, :3] - targets[:, :3, :3], axis=(1, 2)) / np.sqrt(2)
+    return np.linalg.norm(got[:, :3, 3] - targets[:, :3, 3], axis=1).max(), turn.max()
+
+
+def path_of(arm: Arm, count: int) -> np.ndarray:
+    """A closed loop that moves and tilts the flange, from the arm's home."""
+    s = 2 * np.pi * np.linspace(0, 1, count)
+    poses = np.tile(forward(arm, np.array(arm.home)), (count, 1, 1))
+    poses[:, :3, 3] += np.stack([0.1 * np.cos(s) - 0.1, 0.2 * np.sin(s), 0.1 * np.sin(2 * s)], -1)
+    tilt = 0.4 * np.sin(s)
+    turn = np.tile(np.eye(4), (count, 1, 1))
+    turn[:, 0, 0] = turn[:, 2, 2] = np.cos(tilt)
+    turn[:, 0, 2], turn[:, 2, 0] = np.sin(tilt), -np.sin(tilt)
+    return poses @ turn
+
+
+@pytest.fixture(scope="module")
+def model():
+    pinocchio = pytest.importorskip("pinocchio")
+    share = Path(pinocchio.__file__).parents[4] / "share" / "example-robot-data" / "robots"
+    file = share / "panda_description" / "urdf" / "panda.urdf"
+    if not file.is_file():
+        pytest.skip(f"no Panda from example-robot-data at {file}")
+    model = pinocchio.buildModelFromUrdf(os.fspath(file))
+    return pinocchio, model, model.createData(), model.getFrameId("panda_link8")
+
+
+def test_forward_and_jacobian_are_pinocchios(panda, model):
+    pinocchio, robot, data, flange = model
+    angles = random_angles(panda, np.random.default_rng(0), 1000)
+    poses, rows = forward(panda, angles), jacobian(panda, angles)
+    world = pinocchio.LOCAL_WORLD_ALIGNED
+    for q, pose, ours in zip(angles, poses, rows, strict=True):
+        full = np.concatenate([q, np.zeros(robot.nq - 7)])
+        theirs = pinocchio.computeFrameJacobian(robot, data, full, flange, world)[:, :7]
+        pinocchio.framesForwardKinematics(robot, data, full)
+        assert np.abs(pose - data.oMf[flange].homogeneous).max() < 1e-9
+        assert np.abs(ours - theirs).max() < 1e-9
+
+
+def test_limits_are_pinocchios(panda, model):
+    robot = model[1]
+    np.testing.assert_allclose(panda.lower, robot.lowerPositionLimit[:7])
+    np.testing.assert_allclose(panda.upper, robot.upperPositionLimit[:7])
+    np.testing.assert_allclose([j.velocity for j in panda.joints], robot.velocityLimit[:7])
+    np.testing.assert_allclose([j.torque for j in panda.joints], robot.effortLimit[:7])
+
+
+def test_jacobian_is_the_slope_of_the_pose(six_joints):
+    angles = random_angles(six_joints, np.random.default_rng(1), 20)
+    h = 1e-6
+    rows = jacobian(six_joints, angles)
+    for k in range(6):
+        step = h * np.eye(6)[k]
+        up, down = forward(six_joints, angles + step), forward(six_joints, angles - step)
+        slope = (up - down) / (2 * h)
+        np.testing.assert_allclose(rows[:, :3, k], slope[:, :3, 3], atol=1e-8)
+        spin = slope[:, :3, :3] @ np.swapaxes(forward(six_joints, angles)[:, :3, :3], 1, 2)
+        axis = np.stack([spin[:, 2, 1], spin[:, 0, 2], spin[:, 1, 0]], axis=-1)
+        np.testing.assert_allclose(rows[:, 3:, k], axis, atol=1e-8)
+
+
+def test_frames_end_in_the_flange(panda):
+    angles = random_angles(panda, np.random.default_rng(2), 6).reshape(2, 3, 7)
+    poses = frames(panda, angles)
+    assert poses.shape == (2, 3, 8, 4, 4)
+    assert np.array_equal(poses[..., -1, :, :], forward(panda, angles))
+    np.testing.assert_allclose(poses[..., 0, :3, 3], np.broadcast_to([0, 0, 0.333], (2, 3, 3)))
+
+
+def test_every_branch_lands_within_limits_and_none_is_missed(panda):
+    angles = random_angles(panda, np.random.default_rng(3), 3000)
+    targets = forward(panda, angles)
+    counts = set()
+    for q, target in zip(angles, targets, strict=True):
+        found = inverse(panda, target, q[6])
+        place, turn = errors(panda, found, np.broadcast_to(target, (len(found), 4, 4)))
+        assert place < 1e-9
+        assert turn < 1e-9
+        assert (found >= panda.lower).all()
+        assert (found <= panda.upper).all()
+        assert np.abs(found - q).max(axis=1).min() < 1e-6
+        gaps = np.abs(found[:, None] - found[None]).max(axis=2) + 7 * np.eye(len(found))
+        assert gaps.min() > 1e-9
+        counts.add(len(found))
+    assert counts == {1, 2, 3, 4, 5, 6, 7, 8}
+
+
+def test_straight_shoulder_keeps_the_first_joint(panda):
+    """With q2 = 0 only q1 + q3 counts: q1 stays as it was."""
+    start = np.array([0.7, 0.0, -0.3, -1.5, 0.2, 1.8, 0.4])
+    found = nearest(panda, forward(panda, start), start)
+    np.testing.assert_allclose(found, start, atol=1e-6)
+
+
+def test_nearest_lands_and_nearly_always_exists(panda):
+    rng = np.random.default_rng(4)
+    targets = forward(panda, random_angles(panda, rng, 5000))
+    found = nearest(panda, targets, np.array(panda.home))
+    solved = ~np.isnan(found).any(axis=1)
+    assert solved.mean() >= 0.999
+    place, turn = errors(panda, found[solved], targets[solved])
+    assert place < 1e-9
+    assert turn < 1e-9
+
+
+def test_nearest_is_mostly_the_nearest_of_a_dense_search(panda):
+    """The grid of q7 can miss a narrow window; what is found then is a solution further off."""
+    rng = np.random.default_rng(5)
+    start = np.array(panda.home)
+    worse = []
+    for q in random_angles(panda, rng, 40):
+        target = forward(panda, q)
+        ours = np.linalg.norm(nearest(panda, target, start) - start)
+        grid = np.linspace(panda.lower[6], panda.upper[6], 2000)
+        all_found = panda.core.inverse(np.tile(target, (2000, 1, 1)), list(grid)).reshape(-1, 7)
+        worse.append(ours - np.nanmin(np.linalg.norm(all_found - start, axis=1)))
+    assert np.quantile(worse, 0.9) < 0.05
+    assert np.median(worse) < 1e-3
+
+
+def test_an_arm_that_is_there_stays(panda):
+    angles = random_angles(panda, np.random.default_rng(6), 500)
+    np.testing.assert_allclose(nearest(panda, forward(panda, angles), angles), angles, atol=1e-5)
+
+
+def test_a_path_is_followed_without_a_jump(panda):
+    """A closed path of 1,000 poses: steps as even as the path's, and no step of a step."""
+    poses = path_of(panda, 1000)
+    angles = panda.core.follow(poses, np.array(panda.home))
+    place, turn = errors(panda, angles, poses)
+    assert max(place, turn) < 1e-9
+    steps = np.abs(np.diff(angles, axis=0))
+    assert steps.max() < 0.012
+    assert np.abs(np.diff(angles, n=2, axis=0)).max() < 5e-4
+
+
+def test_the_arm_goes_through_a_straight_shoulder(panda):
+    """Where q2 passes 0, q1 and q3 are free and would swing: q7 gives way instead."""
+    start = np.array([0.186, -0.004, 0.139, -2.229, 0.247, 2.273, 0.17])
+    poses = np.tile(forward(panda, start), (100, 1, 1))
+    poses[:, 1, 3] += np.linspace(0, 0.02, 100)
+    angles = panda.core.follow(poses, start)
+    assert angles[0, 1] < 0 < angles[-1, 1]
+    assert np.abs(np.diff(angles, axis=0)).max() < 0.01
+
+
+def test_no_jump_that_any_other_branch_would_avoid(panda):
+    """Random ways, also along the edge of reach: each step is nearly the least there is."""
+    rng = np.random.default_rng(9)
+    middle, half = 0.5 * (panda.lower + panda.upper), 0.1 * (panda.upper - panda.lower)
+    grid = np.linspace(panda.lower[6], panda.upper[6], 20001)
+    s = np.linspace(0, 1, 300)[:, None]
+    for start in rng.uniform(middle - half, middle + half, (40, 7)):
+        way, spin = rng.normal(size=(2, 3))
+        poses = np.tile(forward(panda, start), (300, 1, 1))
+        poses[:, :3, 3] += 0.25 * s * way / np.linalg.norm(way)
+        turns = Rotation.from_rotvec(0.8 * s * spin / np.linalg.norm(spin)).as_matrix()
+        poses[:, :3, :3] = turns @ poses[:, :3, :3]
+        angles = panda.core.follow(poses, start)
+        angles = angles[~np.isnan(angles[:, 0])]
+        steps = np.abs(np.diff(angles, axis=0)).max(axis=1, initial=0)
+        if steps.max(initial=0) > 0.2:
+            k = steps.argmax()
+            targets = np.tile(poses[k + 1], (len(grid), 1, 1))
+            others = panda.core.inverse(targets, list(grid)).reshape(-1, 7)
+            assert steps[k] < 1.1 * np.nanmin(np.abs(others - angles[k]).max(axis=1)) + 0.02
+
+
+def test_any_other_arm_is_solved_step_by_step(six_joints):
+    rng = np.random.default_rng(7)
+    angles = rng.uniform(-2.0, 2.0, (30, 6))
+    targets = forward(six_joints, angles)
+    found = nearest(six_joints, targets, angles + rng.normal(scale=0.2, size=angles.shape), rng=rng)
+    solved = ~np.isnan(found).any(axis=1)
+    assert solved.mean() > 0.9
+    place, turn = errors(six_joints, found[solved], targets[solved])
+    assert max(place, turn) < 1e-9
+    assert (np.abs(found[solved]) <= 6.2).all()
+    far = np.eye(4)
+    far[:3, 3] = [3.0, 0, 0]
+    assert np.isnan(nearest(six_joints, far, np.array(six_joints.home))).all()
+
+
+def test_out_of_reach_is_no_angles(panda):
+    far = random_poses(np.random.default_rng(8), 5)
+    far[:, :3, 3] = [1.5, 0, 0]
+    assert np.isnan(nearest(panda, far, np.array(panda.home))).all()
+    assert inverse(panda, far[0], 0.0).shape == (0, 7)
+    assert inverse(panda, forward(panda, np.array(panda.home)), 3.0).shape == (0, 7)
+
+
+def test_no_closed_form_says_what_to_use(panda, six_joints):
+    assert panda.core.has_closed_form
+    with pytest.raises(InputError, match=r"Arm six is not built like the Panda.*Use nearest\(\)"):
+        inverse(six_joints, np.eye(4), 0.0)
+    joints = (replace(panda.joints[0], a=0.1), *panda.joints[1:])
+    assert not replace(panda, joints=joints).core.has_closed_form
+
+
+def test_angles_and_poses_must_fit(panda):
+    with pytest.raises(InputError, match=r"Angles of shape \(6,\) for arm panda\. Allowed: 7"):
+        forward(panda, np.zeros(6))
+    with pytest.raises(InputError, match=r"Angles of shape \(7,\) for arm panda"):
+        forward(panda, np.full(7, np.nan))
+    with pytest.raises(InputError, match=r"Poses of shape \(3, 3\)\. Allowed: finite 4 x 4"):
+        nearest(panda, np.eye(3), np.array(panda.home))

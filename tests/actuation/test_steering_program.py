@@ -1,0 +1,161 @@
+"""A run whose capsule a magnet steers: what may be asked for, and that it is done."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tubes import straight_gut
+from vrcaps.actuation.steering_program import (
+    AXES_COLUMNS,
+    WAYPOINT_COLUMNS,
+    Axes,
+    MagnetSteering,
+    Waypoint,
+    check_axes,
+    check_waypoints,
+    read_commands,
+)
+from vrcaps.capsule.catalog import load_device
+from vrcaps.errors import InputError, UnknownNameError
+from vrcaps.motion.dynamics import Physics
+from vrcaps.motion.rollout import Simulation
+from vrcaps.recording.table import STEERED_COLUMNS, make_table
+from vrcaps.units import DEG
+from vrcaps.world.model import Model, posture_transform
+from vrcaps.world.schedule import Turn
+
+PATH = (Waypoint(0.0, 0.06), Waypoint(1.0, 0.065), Waypoint(2.0, 0.065))
+
+
+@pytest.fixture(scope="module")
+def gut_model() -> Model:
+    gut = straight_gut({"jejunum": 0.2}, radius=0.014)
+    return Model(gut, load_device("magnetic"), posture_transform("supine"))
+
+
+def simulate(model: Model, steering: MagnetSteering, frames: int = 7, fps: float = 3.0):
+    motion = Physics(start=0.3, settle=0.5, substep=2e-4, magnet=steering)
+    return Simulation(model, motion, frames=frames, fps=fps, seed=0)
+
+
+def test_an_arm_leads_the_capsule_from_place_to_place(gut_model):
+    steering = MagnetSteering(waypoints=PATH, arm="panda", skin=0.1)
+    run = simulate(gut_model, steering)
+    table = make_table(gut_model, run).columns
+    assert set(STEERED_COLUMNS) < set(table)
+    assert table["arc_length_m"][-1] == pytest.approx(0.065, abs=2e-3)
+    assert set(table["coupling_lost"]) == {""}
+    joints = np.array([table[f"joint_{k}_rad"] for k in range(1, 8)])
+    assert np.abs(np.diff(joints)).max() < 0.5
+    force = np.array([table[f"magnetic_force_{axis}_n"] for axis in "xyz"])
+    assert 0.0 < force[2, -1] < gut_model.device.mass * 9.81
+    assert table["magnet_z_m"].min() > gut_model.vertices_world[:, 2].max() + 0.1
+    assert table["coupling_angle_rad"].max() < 0.3
+
+
+def test_says_when_the_arm_could_not_carry_the_magnet(gut_model):
+    """The default one it can; a free hand has no such limit."""
+    assert simulate(gut_model, MagnetSteering(arm="panda", skin=0.1)).notes == ()
+    assert simulate(gut_model, MagnetSteering("cylinder-101.6")).notes == ()
+    (note,) = simulate(gut_model, MagnetSteering("cylinder-101.6", arm="panda", skin=0.1)).notes
+    assert "6.2 kg, but arm panda may carry 3 kg" in note
+
+
+def test_a_joystick_moves_the_magnet(gut_model):
+    steering = MagnetSteering(axes=(Axes(0.2, (1.0, 0.0, 0.0)), Axes(0.4)), joystick_speed=0.05)
+    states = [instant.conditions.steered for instant in simulate(gut_model, steering, 4).instants()]
+    moved = states[-1].held.T_world_magnet[:3, 3] - states[0].held.T_world_magnet[:3, 3]
+    np.testing.assert_allclose(moved, [0.01, 0.0, 0.0], atol=1e-3)
+
+
+def test_goes_on_from_a_snapshot(gut_model):
+    steering = MagnetSteering(waypoints=PATH)
+    run = simulate(gut_model, steering, 4, 20.0)
+    poses = []
+    for frame, instant in enumerate(run.instants()):
+        poses.append(instant.state.T_world_capsule)
+        if frame == 1:
+            taken = run.snapshot()
+    again = [
+        i.state.T_world_capsule for i in simulate(gut_model, steering, 4, 20.0).instants(1, taken)
+    ]
+    np.testing.assert_array_equal(again, poses[1:])
+
+
+def test_without_commands_it_leads_along_the_wall_and_stops(gut_model):
+    """From 0.06 m on, at 1 cm/s to 0.07 m; and back to 0.05 m, without a turn."""
+    for until, end in ((0.35, 0.07), (0.25, 0.05)):
+        run = simulate(gut_model, MagnetSteering(until=until, speed=0.01), 9, 4.0)
+        places = [instant.state.T_world_capsule for instant in run.instants()]
+        assert run.commander.follower.arrived
+        assert places[-1][0, 3] == pytest.approx(end, abs=2e-3)
+        assert np.sign(places[-1][0, 2]) == np.sign(places[0][0, 2])
+
+
+def test_the_way_goes_on_from_a_snapshot(gut_model):
+    steering, poses, taken = MagnetSteering(until=0.5, speed=0.01), [], None
+    run = simulate(gut_model, steering, 4, 20.0)
+    for frame, instant in enumerate(run.instants()):
+        poses.append(instant.state.T_world_capsule)
+        if frame == 1:
+            taken = run.snapshot()
+    again = simulate(gut_model, steering, 4, 20.0)
+    rest = [instant.state.T_world_capsule for instant in again.instants(1, taken)]
+    np.testing.assert_array_equal(rest, poses[1:])
+    assert again.commander.follower.along == run.commander.follower.along > 0.0
+
+
+def test_a_patient_who_turns_takes_the_way_along(gut_model):
+    motion = Physics(
+        start=0.3,
+        settle=0.2,
+        substep=2e-4,
+        magnet=MagnetSteering(),
+        turns=(Turn("left-lateral", 0.0, 0.5),),
+    )
+    run = Simulation(gut_model, motion, frames=3, fps=5.0, seed=0)
+    states = [instant.conditions.steered for instant in run.instants()]
+    assert np.isfinite(states[-1].needed).all()
+
+
+def test_commands_are_read(tmp_path: Path):
+    path = tmp_path / "commands.csv"
+    path.write_text(",".join(WAYPOINT_COLUMNS) + "\n0,0.05,0,0\n2,0.1,30,-10\n")
+    points = (Waypoint(0.0, 0.05), Waypoint(2.0, 0.1, 30 * DEG, -10 * DEG))
+    assert read_commands(path) == (points, ())
+    path.write_text(",".join(AXES_COLUMNS) + "\n0,1,0,0,0,0,-0.5\n")
+    assert read_commands(path) == ((), (Axes(0.0, (1, 0, 0), (0, 0, -0.5)),))
+    path.write_text("time_s,x\n0,1\n")
+    with pytest.raises(InputError, match="not the header time_s,arc_length_m"):
+        read_commands(path)
+
+
+def test_what_cannot_be(gut_model):
+    with pytest.raises(UnknownNameError, match="No side named 'left'"):
+        MagnetSteering(side="left")
+    with pytest.raises(InputError, match="several are given"):
+        MagnetSteering(waypoints=PATH, file="x.csv")
+    with pytest.raises(InputError, match="Steering's speed is 0"):
+        MagnetSteering(speed=0.0)
+    with pytest.raises(InputError, match=r"Steering's until is 1\.5"):
+        MagnetSteering(until=1.5)
+    with pytest.raises(InputError, match="Steering's joystick_rate is -1"):
+        MagnetSteering(joystick_rate=-1.0)
+    with pytest.raises(InputError, match="here: entry 1 is not finite"):
+        check_waypoints((PATH[0], Waypoint(np.nan, 0.1)), "here")
+    with pytest.raises(InputError, match="does not come after"):
+        check_waypoints((PATH[1], PATH[0]), "here")
+    with pytest.raises(InputError, match="axes of -1 to 1"):
+        check_axes((Axes(0.0, (2.0, 0.0, 0.0)),), "here")
+    with pytest.raises(InputError, match="A waypoint's arc_length is 5"):
+        simulate(gut_model, MagnetSteering(waypoints=(Waypoint(0.0, 5.0),)))
+    with pytest.raises(InputError, match="holds no magnet"):
+        simulate(replace(gut_model, device=load_device("mirocam")), MagnetSteering())
+    with pytest.raises(UnknownNameError, match="No arm named"):
+        simulate(gut_model, MagnetSteering(arm="tentacle"))
+    with pytest.raises(InputError, match="does not reach"):
+        simulate(gut_model, MagnetSteering(arm="panda", base=(5.0, 0.0, 0.0)))

@@ -1,0 +1,192 @@
+"""A generated small bowel: anatomy, mesh, fillings, and the population it is drawn from."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+
+import numpy as np
+import pytest
+
+from vrcaps.anatomy.full_tract.patient import bowel_surroundings, draw_patient
+from vrcaps.anatomy.small_bowel import SmallBowelParameters, generate_small_bowel
+from vrcaps.anatomy.small_bowel import course as course_module
+from vrcaps.anatomy.small_bowel import generate as generate_module
+from vrcaps.anatomy.small_bowel.course import Surroundings
+from vrcaps.anatomy.small_bowel.distance_routing import lead_around, survey
+from vrcaps.anatomy.small_bowel.parameters import CONDITIONS, SEGMENTS
+from vrcaps.anatomy.tube_mesh.tube_packing import Balls
+from vrcaps.errors import InputError
+from vrcaps.mesh.mesh import Mesh
+from vrcaps.mesh.self_intersection import self_intersections
+from vrcaps.organ.measure import organ_facts, triangle_quality
+from vrcaps.organ.surface import OrganSurface
+from vrcaps.units import CM, MM
+
+SEED = 8
+
+
+@pytest.fixture(scope="module")
+def around() -> Surroundings:
+    return bowel_surroundings(draw_patient(SEED))
+
+
+@pytest.fixture(scope="module")
+def bowel(around: Surroundings) -> OrganSurface:
+    return generate_small_bowel(draw_patient(SEED).small_bowel, around, seed=SEED)
+
+
+def test_wall_is_closed_clean_and_cuts_nowhere(bowel: OrganSurface):
+    facts = organ_facts(bowel)
+    assert facts.defects == ()
+    assert not len(self_intersections(bowel.vertices, bowel.faces))
+    edges = np.sort(bowel.faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    edges, counts = np.unique(edges, axis=0, return_counts=True)
+    assert np.all(counts == 2)
+    assert len(bowel.vertices) - len(edges) + len(bowel.faces) == 2
+    a, b, c = (bowel.vertices[bowel.faces[:, k]] for k in range(3))
+    assert np.einsum("ij,ij->", a, np.cross(b, c)) < 0.0
+
+
+def test_triangles_are_small_and_well_shaped(bowel: OrganSurface):
+    quality = triangle_quality(Mesh(bowel.vertices, bowel.faces))
+    assert quality.mean() > 0.88
+    assert np.percentile(quality, 5) > 0.65
+    edges = np.linalg.norm(np.diff(bowel.vertices[bowel.faces[:, :2]], axis=1), axis=2)
+    assert edges.mean() < 1.8 * MM
+
+
+def test_it_is_as_long_and_as_wide_as_asked(bowel: OrganSurface, around: Surroundings):
+    parameters = draw_patient(SEED).small_bowel
+    assert bowel.centerline.length == pytest.approx(parameters.length, rel=0.02)
+    assert np.allclose(bowel.centerline.points[0], around.pylorus)
+    assert np.allclose(bowel.centerline.points[-1], around.valve)
+    for name, diameter in (
+        ("jejunum", parameters.jejunum_diameter),
+        ("ileum", parameters.distal_ileum_diameter),
+    ):
+        radius = bowel.radius[bowel.label == bowel.label_names.index(name)]
+        # The wall between folds and contractions is the wider part of all wall.
+        assert 2.0 * np.percentile(radius, 80) == pytest.approx(diameter, rel=0.15)
+
+
+def test_segments_follow_each_other(bowel: OrganSurface):
+    assert bowel.label_names == ("background", *SEGMENTS)
+    place = [bowel.arc_length[bowel.label == k] for k in range(1, 5)]
+    assert all(one.max() <= other.min() + 1e-9 for one, other in itertools.pairwise(place))
+    parameters = draw_patient(SEED).small_bowel
+    assert place[1].max() == pytest.approx(parameters.duodenum_length, abs=3 * MM)
+
+
+def test_the_duodenum_is_a_c_open_to_the_left(bowel: OrganSurface):
+    points = bowel.centerline.points[bowel.centerline.arc_length < 25 * CM]
+    rightmost = points[:, 0].argmin()
+    assert 0 < rightmost < len(points) - 1
+    assert points[0, 0] > points[rightmost, 0] + 1 * CM
+    assert points[-1, 0] > points[rightmost, 0] + 5 * CM
+
+
+def test_folds_thin_out_distally(bowel: OrganSurface):
+    def relief(name: str) -> float:
+        radius = bowel.radius[bowel.label == bowel.label_names.index(name)]
+        return float(np.percentile(radius, 90) - np.percentile(radius, 10))
+
+    assert relief("jejunum") > 1.25 * relief("ileum")
+
+
+def test_it_keeps_clear_of_the_other_organs(bowel: OrganSurface, around: Surroundings):
+    inner = (bowel.arc_length > 5 * CM) & (bowel.arc_length < bowel.centerline.length - 5 * CM)
+    distance, nearest = around.obstacles.tree.query(bowel.vertices[inner], 4)
+    assert (distance - around.obstacles.radius[nearest]).min() > -2 * MM
+
+
+def test_a_seed_is_a_patient(around: Surroundings):
+    parameters = dataclasses.replace(
+        draw_patient(SEED).small_bowel, length=2.0, edge=4 * MM, jejunum_fold_height=1 * MM
+    )
+    one, again = (generate_small_bowel(parameters, around, seed=1) for _ in range(2))
+    for field in ("vertices", "faces", "uv", "label", "arc_length", "theta"):
+        assert getattr(one, field).tobytes() == getattr(again, field).tobytes()
+
+
+def test_the_population_is_the_published_one():
+    drawn = [SmallBowelParameters.draw(np.random.default_rng([k, 3])) for k in range(400)]
+    for name, mean, deviation in (
+        ("length", 3.5, 0.25),
+        ("jejunum_diameter", 24.5 * MM, 4.2 * MM),
+        ("proximal_ileum_diameter", 19.5 * MM, 3.6 * MM),
+    ):
+        values = np.array([getattr(p, name) for p in drawn])
+        # Within three standard errors of the mean and of the deviation.
+        assert abs(values.mean() - mean) < 3.0 * deviation / len(values) ** 0.5
+        assert values.std() == pytest.approx(deviation, rel=3.0 / (2.0 * len(values)) ** 0.5)
+
+
+def test_narrow_bowels_collapse_no_further():
+    narrow = dataclasses.replace(SmallBowelParameters(), distal_ileum_diameter=9 * MM)
+    assert narrow.at("collapsed").distal_ileum_diameter == 9 * MM
+    assert narrow.at("collapsed").jejunum_diameter < 17 * MM
+
+
+def test_ways_lead_around_obstacles():
+    wall = np.stack(np.meshgrid(np.arange(-4, 5), np.arange(-4, 5)), axis=-1).reshape(-1, 2)
+    centers = np.concatenate([wall, np.zeros((len(wall), 1))], axis=1)[:, [0, 2, 1]] * CM
+    obstacles = Balls(centers, np.full(len(centers), 1 * CM))
+    low, high = np.full(3, -10 * CM), np.full(3, 10 * CM)
+    terrain = survey(low, high, obstacles, 1 * CM)
+    ends = np.array([[0.0, -8.0, 0.0], [0.0, 0.0, 0.0], [0.0, 8.0, 0.0]]) * CM
+    way = lead_around(ends, terrain)
+    fine = np.concatenate([np.linspace(a, b, 20) for a, b in itertools.pairwise(way)])
+    assert np.array_equal(way[[0, -1]], ends[[0, -1]])
+    assert (obstacles.tree.query(fine)[0] - 1 * CM).min() > 0.0
+    straight = np.array([[-8.0, -8.0, 0.0], [8.0, -8.0, 0.0]]) * CM
+    assert np.allclose(lead_around(straight, terrain)[:, 1], -8 * CM)
+    inside = 1.0 - terrain.free_volume / 0.2**3
+    assert 0.0 < inside < 0.1
+
+
+def test_after_the_widest_abdomen_the_tries_begin_anew(
+    monkeypatch: pytest.MonkeyPatch, around: Surroundings
+):
+    widths, survey_abdomen = [], course_module._abdomen
+
+    def record(length: float, radius: np.ndarray, around: Surroundings, width: int):
+        widths.append(width)
+        return survey_abdomen(length, radius, around, width)
+
+    monkeypatch.setattr(course_module, "_abdomen", record)
+    monkeypatch.setattr(course_module, "least_room", lambda *_: -1.0)
+    monkeypatch.setattr(course_module, "_NUM_STEPS", 2)
+    monkeypatch.setattr(course_module, "_NUM_WIDTHS", 2)
+    monkeypatch.setattr(course_module, "_NUM_TRIES", 3)
+    with pytest.raises(InputError, match="Found no course"):
+        generate_small_bowel(SmallBowelParameters(length=2.0), around, seed=0)
+    assert widths == [0, 1, 0]
+
+
+def test_fillings_differ_in_calibre_and_slack():
+    plain = SmallBowelParameters()
+    inflated, collapsed = plain.at("inflated"), plain.at("collapsed")
+    assert set(CONDITIONS) == {"inflated", "normal", "collapsed"}
+    assert 25 * MM < inflated.jejunum_diameter < 30 * MM
+    assert collapsed.jejunum_diameter < 0.7 * plain.jejunum_diameter
+    assert collapsed.star > 0.2
+    assert inflated.star == 0.0
+
+
+def test_impossible_bowels_are_refused(monkeypatch: pytest.MonkeyPatch, around: Surroundings):
+    with pytest.raises(InputError, match=r"Small bowel length is 9\. Allowed: 1\.5 to 5"):
+        SmallBowelParameters(length=9.0)
+    with pytest.raises(InputError, match=r"Condition is 'full'\. Allowed: inflated, normal"):
+        SmallBowelParameters().at("full")
+    monkeypatch.setattr(course_module, "_NUM_TRIES", 1)
+    monkeypatch.setattr(course_module, "_NUM_STEPS", 20)
+    full = dataclasses.replace(around, obstacles=Balls(np.zeros((1, 3)), np.array([0.3])))
+    with pytest.raises(InputError, match=r"Found no course for 2\.00 m of small bowel"):
+        generate_small_bowel(SmallBowelParameters(length=2.0), full, seed=0)
+    monkeypatch.undo()
+    monkeypatch.setattr(generate_module, "_NUM_TRIES", 1)
+    monkeypatch.setattr(generate_module, "self_intersections", lambda *_: np.zeros((1, 2)))
+    parameters = SmallBowelParameters(length=1.8, edge=5 * MM)
+    with pytest.raises(InputError, match="does not cut itself"):
+        generate_small_bowel(parameters, around, seed=0)

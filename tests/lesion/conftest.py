@@ -1,0 +1,3 @@
+from textured_tube import tube
+
+__all__ = ["tube"]

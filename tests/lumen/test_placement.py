@@ -1,0 +1,172 @@
+"""Bubbles and chyme are as many, as large and where their figures say."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from tubes import straight_gut
+from vrcaps import _core
+from vrcaps.errors import InputError
+from vrcaps.lumen.bubbles import BUBBLE_GRADES, Bubbles
+from vrcaps.lumen.chyme import CHYME_GRADES, Chyme
+from vrcaps.lumen.cluster import pack, sizes
+from vrcaps.lumen.contents import Contents
+from vrcaps.lumen.liquid import LIQUID_GRADES, Liquid
+from vrcaps.lumen.lumen_contents import fill
+from vrcaps.lumen.particles import BUBBLE, FIRST_CLUMP, WHITE, Spheres
+from vrcaps.lumen.placement import place_bubbles, place_chyme, smooth_area
+from vrcaps.organ.surface import OrganSurface
+from vrcaps.units import MM
+
+RADIUS, LENGTH = 11.0 * MM, 0.3
+AREA = 2.0 * np.pi * RADIUS * LENGTH
+UP = np.array([0.0, 0.0, 1.0])
+
+
+@pytest.fixture(scope="module")
+def gut() -> OrganSurface:
+    return straight_gut({"bowel": LENGTH}, radius=RADIUS)
+
+
+@pytest.fixture(scope="module")
+def wall(gut: OrganSurface) -> _core.Wall:
+    return _core.Wall(gut.vertices, gut.faces.astype(np.int64))
+
+
+def test_the_smooth_area_of_a_cylinder(gut: OrganSurface) -> None:
+    edges, area = smooth_area(gut)
+    np.testing.assert_allclose(area, 2.0 * np.pi * RADIUS * edges, rtol=1e-2, atol=1e-6)
+
+
+@pytest.mark.parametrize("grade", [1, 2, 3, 4])
+def test_counts_follow_the_table(gut: OrganSurface, wall: _core.Wall, grade: int) -> None:
+    """Poisson counts: within 4 standard deviations of the table's density times the area."""
+    for kind, place in ((BUBBLE_GRADES[grade], place_bubbles), (CHYME_GRADES[grade], place_chyme)):
+        expected = kind.per_area * AREA
+        count = len(place(gut, wall, kind, UP, np.random.default_rng(grade)))
+        assert abs(count - expected) < 4.0 * np.sqrt(expected)
+
+
+@pytest.mark.parametrize("grades", [BUBBLE_GRADES, CHYME_GRADES])
+def test_grades_rise(grades: tuple[Bubbles, ...] | tuple[Chyme, ...]) -> None:
+    assert len(grades) == 5 and grades[0].per_area == 0.0
+    assert all(a.per_area < b.per_area for a, b in pairwise(grades))
+    fills = [liquid.fill for liquid in LIQUID_GRADES]
+    assert fills[0] == 0.0 and fills == sorted(set(fills))
+
+
+def test_radii_are_log_normal(gut: OrganSurface, wall: _core.Wall) -> None:
+    kind = Bubbles(per_area=40e4, raft_size=3.0, radius=0.5 * MM, spread=0.4, largest=3.0 * MM)
+    radius = place_bubbles(gut, wall, kind, UP, np.random.default_rng(1)).radius
+    count = len(radius)
+    logarithm = np.log(radius / kind.radius)
+    assert abs(logarithm.mean()) < 4.0 * kind.spread / np.sqrt(count) + 0.01
+    assert abs(logarithm.std() / kind.spread - 1.0) < 4.0 / np.sqrt(2.0 * count) + 0.02
+    assert radius.min() >= kind.smallest and radius.max() <= kind.largest
+
+
+def test_all_lie_in_the_lumen(gut: OrganSurface, wall: _core.Wall) -> None:
+    bubbles = place_bubbles(gut, wall, BUBBLE_GRADES[3], UP, np.random.default_rng(2))
+    chyme = place_chyme(gut, wall, CHYME_GRADES[3], UP, np.random.default_rng(2))
+    for spheres in (bubbles, chyme):
+        assert (wall.signed_distance(spheres.centers) > 0.0).all()
+    # All but those in the sharp corners of the ends lie at their height over the wall.
+    height = wall.signed_distance(bubbles.centers) / bubbles.radius
+    assert (np.abs(height - 0.85) < 0.15).mean() > 0.99
+
+
+def test_bubbles_gather_above_and_chyme_below(gut: OrganSurface, wall: _core.Wall) -> None:
+    rising, settled = Bubbles(rising=1.0, raft_size=1.0), Chyme(settled=1.0, clump_size=1.0)
+    above = place_bubbles(gut, wall, rising, UP, np.random.default_rng(3)).centers[:, 2]
+    below = place_chyme(gut, wall, settled, UP, np.random.default_rng(3)).centers[:, 2]
+    assert above.mean() > 0.4 * RADIUS and below.mean() < -0.4 * RADIUS
+
+
+def test_instances_and_kinds(gut: OrganSurface) -> None:
+    spheres = fill(gut, Contents(bubbles=2, chyme=3), np.eye(4)).spheres
+    bubbles = spheres.kind == BUBBLE
+    assert (spheres.instance[bubbles] == 1 + np.arange(bubbles.sum())).all()
+    clumps = spheres.instance[~bubbles]
+    assert clumps.min() == FIRST_CLUMP and (np.diff(clumps.astype(int)) <= 1).all()
+    for clump in np.unique(clumps)[:50]:
+        assert len(np.unique(spheres.kind[spheres.instance == clump])) == 1
+    share = (spheres.kind[~bubbles] == WHITE).mean()
+    assert 0.1 < share < 0.6
+
+
+def test_the_same_seed_gives_the_same_bytes(gut: OrganSurface) -> None:
+    one, two, other = (
+        fill(gut, Contents(2, 2, seed=seed), np.eye(4)).spheres for seed in (4, 4, 5)
+    )
+    for name in vars(one):
+        assert getattr(one, name).tobytes() == getattr(two, name).tobytes()
+    assert one.centers.tobytes() != other.centers.tobytes()
+
+
+def test_clusters_touch_and_do_not_overlap(rng: np.random.Generator) -> None:
+    number = np.array([1, 5, 12])
+    radius = rng.uniform(0.3, 1.0, 18) * MM
+    place = pack(number, radius, rng, dimensions=2, touch=1.0)
+    assert (place[:, 2] == 0.0).all()
+    for first, last in ((1, 6), (6, 18)):
+        p, r = place[first:last], radius[first:last]
+        gap = np.linalg.norm(p[:, None] - p[None], axis=-1) - (r[:, None] + r[None])
+        np.fill_diagonal(gap, np.inf)
+        assert gap.min() > -0.03 * r.max()
+        assert (np.abs(gap).min(axis=1) < 1e-9).all()
+
+
+def test_sizes_of_clusters(rng: np.random.Generator) -> None:
+    drawn = sizes(30_000, 6.0, rng)
+    assert drawn.sum() == 30_000 and drawn.min() >= 1 and drawn.max() <= 24
+    assert abs(drawn.mean() / 6.0 - 1.0) < 0.1
+    assert len(sizes(0, 6.0, rng)) == 0
+
+
+def test_contents_take_grades_or_figures() -> None:
+    own = Bubbles(per_area=3.0)
+    assert Contents(bubbles=own).resolved == (own, CHYME_GRADES[0], LIQUID_GRADES[0])
+    assert Contents().is_empty and not Contents(liquid=1).is_empty
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: Contents(bubbles=5), "Contents' bubbles is 5. Allowed: a grade, 0 to 4"),
+        (lambda: Contents(liquid=-1), "Contents' liquid is -1. Allowed: a grade"),
+        (lambda: Contents(seed=-1), "Contents' seed is -1"),
+        (lambda: Contents(drift=1.0), "Contents' drift is 1.0"),
+        (lambda: Contents(reach=-1.0), "Contents' reach is -1.0"),
+        (lambda: Bubbles(per_area=-1.0), "Bubbles' per_area is -1.0. Allowed: 0 or more"),
+        (lambda: Bubbles(rising=2.0), "Bubbles' rising is 2.0. Allowed: 0 to 1"),
+        (lambda: Bubbles(raft_size=0.5), "Bubbles' raft_size is 0.5"),
+        (lambda: Bubbles(ior=0.9), "Bubbles' ior is 0.9"),
+        (lambda: Bubbles(border=0.0), "Bubbles' border is 0.0"),
+        (lambda: Bubbles(roughness=0.0), "Bubbles' roughness is 0.0"),
+        (lambda: Bubbles(smallest=2.0 * MM), "Bubbles' smallest, radius, largest"),
+        (lambda: Chyme(per_area=np.nan), "Chyme's per_area is nan"),
+        (lambda: Chyme(white=-0.1), "Chyme's white is -0.1"),
+        (lambda: Chyme(clump_size=0.0), "Chyme's clump_size is 0.0"),
+        (lambda: Chyme(density=0.0), "Chyme's density is 0.0"),
+        (lambda: Chyme(radius=9.0), "Chyme's smallest, radius, largest"),
+        (lambda: Liquid(fill=1.0), "Liquid's fill is 1.0. Allowed: 0 to below 1"),
+        (lambda: Liquid(viscosity=0.0), "Liquid's viscosity is 0.0"),
+        (lambda: Liquid(ior=1.0), "Liquid's ior is 1.0"),
+        (lambda: Liquid(absorption=(-1.0, 0.0, 0.0)), "Liquid's absorption"),
+        (lambda: Liquid(roughness=2.0), "Liquid's roughness is 2.0"),
+    ],
+)
+def test_refuses_what_cannot_be(make: object, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        make()  # type: ignore[operator]
+
+
+def test_an_empty_kind_places_nothing(gut: OrganSurface, wall: _core.Wall) -> None:
+    rng = np.random.default_rng(0)
+    none = place_bubbles(gut, wall, replace(Bubbles(), per_area=0.0), UP, rng)
+    assert isinstance(none, Spheres) and len(none) == 0
+    assert (fill(gut, Contents(1, 0), np.eye(4)).spheres.kind == BUBBLE).all()

@@ -1,0 +1,151 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from vrcaps.capsule.catalog import device_names, load_device
+from vrcaps.errors import InputError
+from vrcaps.motion.fly_through import FlyThrough, fly_through
+from vrcaps.motion.trajectory import camera_clearance, camera_poses
+from vrcaps.transforms import transform_points
+from vrcaps.world.model import Model
+
+
+def _fly(model, settings=None, *, frames=80, fps=10.0, seed=0):
+    rng = np.random.default_rng(seed)
+    return fly_through(model, settings or FlyThrough(), frames=frames, fps=fps, rng=rng)
+
+
+def _forward(trajectory):
+    return trajectory.Ts_world_capsule[:, :3, 2]
+
+
+@pytest.mark.parametrize("device", device_names())
+def test_every_device_stays_inside(tube, device):
+    """Centre and cameras of every catalog device keep clear of the wall, whatever the seed."""
+    model = Model(tube, load_device(device))
+    wild = FlyThrough(drift=0.95, wobble=0.7, roll=3.0)
+    for seed, settings in ((0, FlyThrough()), (1, wild), (2, replace(wild, start=0.9, end=0.1))):
+        trajectory = _fly(model, settings, seed=seed)
+        assert camera_clearance(model, trajectory).min() > 0.0
+        assert model.wall.signed_distance(trajectory.Ts_world_capsule[:, :3, 3]).min() > 0.0
+        Ts = trajectory.Ts_world_capsule
+        identity = Ts[:, :3, :3] @ np.swapaxes(Ts[:, :3, :3], 1, 2)
+        np.testing.assert_allclose(identity, np.broadcast_to(np.eye(3), (80, 3, 3)), atol=1e-9)
+        assert np.linalg.det(Ts[:, :3, :3]).min() > 0.999
+
+
+def test_margin_is_kept_where_there_is_room(model):
+    """With a drift of nearly the whole radius the margin still holds away from the ends."""
+    settings = FlyThrough(start=0.2, end=0.8, drift=0.98, wobble=0.6, margin=0.004)
+    trajectory = _fly(model, settings, frames=400)
+    assert camera_clearance(model, trajectory).min() > 0.98 * 0.004
+
+
+def test_without_wandering_it_rides_the_centreline(model):
+    """Both ends of the wheelbase are on the curve; on the straight so is the whole axis."""
+    settings = FlyThrough(drift=0.0, wobble=0.0, roll=0.0, speed_variation=0.0)
+    trajectory = _fly(model, settings, frames=300)
+    camera = model.device.cameras[0]
+    front = camera_poses(trajectory.Ts_world_capsule, camera.T_capsule_camera)[:, :3, 3]
+    line = transform_points(model.T_world_patient, model.organ.centerline.points)
+    distance = np.linalg.norm(front[:, None] - line[None], axis=-1).min(axis=1)
+    assert distance.max() < 1e-3  # half the sampling of the polyline
+    speed = np.linalg.norm(trajectory.linear_velocities_world, axis=1)
+    assert np.ptp(speed) < 0.2 * speed.mean()
+
+
+def test_camera_looks_along_the_travel(model):
+    trajectory = _fly(model, FlyThrough(wobble=0.1, drift=0.2), frames=200)
+    velocity = trajectory.linear_velocities_world
+    velocity = velocity / np.linalg.norm(velocity, axis=1, keepdims=True)
+    assert (velocity * _forward(trajectory)).sum(axis=1).min() > np.cos(0.5)
+    back = _fly(model, FlyThrough(start=0.9, end=0.1, wobble=0.1, drift=0.2), frames=200)
+    heading = _forward(back) * back.linear_velocities_world
+    assert (heading.sum(axis=1) > 0.0).all()
+
+
+def test_velocities_are_derivatives_of_the_poses(model):
+    """Differences of a finer sampling of the same path converge to the velocities given."""
+    settings = FlyThrough(speed=0.02)
+    coarse = _fly(model, settings, frames=11, fps=2.0)
+    fine = _fly(model, settings, frames=1001, fps=200.0)
+    np.testing.assert_allclose(
+        coarse.Ts_world_capsule, fine.Ts_world_capsule[::100], rtol=0, atol=1e-9
+    )
+    step = fine.Ts_world_capsule[1:, :3, 3] - fine.Ts_world_capsule[:-1, :3, 3]
+    middle = 0.5 * (fine.linear_velocities_world[1:] + fine.linear_velocities_world[:-1])
+    np.testing.assert_allclose(step * 200.0, middle, atol=2e-4)
+
+
+def test_path_does_not_depend_on_the_frame_rate(model):
+    slow, fast = _fly(model, frames=21, fps=5.0), _fly(model, frames=41, fps=10.0)
+    np.testing.assert_allclose(slow.Ts_world_capsule, fast.Ts_world_capsule[::2], rtol=0, atol=1e-9)
+
+
+def test_motion_is_smooth(model):
+    """No step of the heading between frames exceeds what the mean turn allows ten times over."""
+    trajectory = _fly(model, FlyThrough(drift=0.9, wobble=0.5), frames=600, fps=20.0)
+    turn = np.arccos(np.clip((_forward(trajectory)[1:] * _forward(trajectory)[:-1]).sum(1), -1, 1))
+    assert turn.max() < 10.0 * max(turn.mean(), 1e-3)
+
+
+def test_same_seed_same_path_other_seed_other_path(model):
+    first, again, other = _fly(model, seed=3), _fly(model, seed=3), _fly(model, seed=4)
+    assert first.Ts_world_capsule.tobytes() == again.Ts_world_capsule.tobytes()
+    assert np.abs(first.Ts_world_capsule - other.Ts_world_capsule).max() > 1e-3
+
+
+def test_mean_speed_and_variation(model):
+    """The distance covered is speed × time; momentary speed stays near 1 ± variation."""
+    settings = FlyThrough(speed=0.03, speed_variation=0.5, drift=0.0, wobble=0.0, start=0.1)
+    trajectory = _fly(model, settings, frames=60, fps=10.0)
+    speed = np.linalg.norm(trajectory.linear_velocities_world, axis=1)
+    assert speed.mean() == pytest.approx(0.03, rel=0.2)
+    assert 0.03 * 0.3 < speed.min() < 0.028
+    assert 0.032 < speed.max() < 0.03 * 1.9
+
+
+def test_one_frame(model):
+    trajectory = _fly(model, frames=1)
+    assert len(trajectory) == 1
+    np.testing.assert_array_equal(trajectory.linear_velocities_world, 0.0)
+
+
+def test_too_far_for_the_stretch(model):
+    with pytest.raises(InputError, match=r"the stretch is 0\.3.* m\. Allowed: up to \d+ frames"):
+        _fly(model, FlyThrough(speed=0.1), frames=100, fps=10.0)
+
+
+def test_capsule_that_fits_nowhere(model):
+    camera = model.device.cameras[0]
+    mount = camera.T_capsule_camera.copy()
+    mount[0, 3] = 0.5
+    device = replace(model.device, cameras=(replace(camera, T_capsule_camera=mount),))
+    with pytest.raises(InputError, match="the capsule fits nowhere between start"):
+        _fly(Model(model.organ, device))
+
+
+def test_capsule_too_long_for_a_bend(model):
+    device = replace(model.device, length=0.4, radius=0.1)
+    with pytest.raises(InputError, match=r"a camera leaves the lumen 0\.\d+ of the way along"):
+        _fly(Model(model.organ, device))
+
+
+@pytest.mark.parametrize(
+    ("change", "text"),
+    [
+        ({"start": -0.1}, r"start \(--start\) is -0\.1\. Allowed: 0 to 1"),
+        ({"end": 0.03}, r"end \(--end\) is 0.03. Allowed: 0 to 1, not start"),
+        ({"speed": 0.0}, r"speed \(--speed\) is 0.0. Allowed: above 0 m/s"),
+        ({"speed_variation": 1.0}, r"\(--speed-variation\) is 1.0"),
+        ({"drift": 1.0}, r"\(--drift\) is 1.0"),
+        ({"wobble": 1.0}, r"\(--wobble\) is 1.0"),
+        ({"roll": float("nan")}, r"\(--roll\) is nan"),
+        ({"smoothness": 0.0}, r"\(--smoothness\) is 0.0"),
+        ({"margin": -1.0}, r"\(--margin\) is -1.0"),
+    ],
+)
+def test_settings_out_of_range(model, change, text):
+    with pytest.raises(InputError, match=text):
+        _fly(model, replace(FlyThrough(), **change))

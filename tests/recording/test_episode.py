@@ -1,0 +1,127 @@
+import json
+import shutil
+
+import numpy as np
+import pytest
+
+from vrcaps.camera.rays import camera_rays
+from vrcaps.errors import InputError, UnknownNameError
+from vrcaps.recording.channels import ENCODINGS
+from vrcaps.recording.episode import read_episode
+from vrcaps.render.frame import CHANNELS
+from vrcaps.render.renderer import Renderer
+from vrcaps.scenario.scenario import build, resolve
+from vrcaps.transforms import transform_points
+
+
+def test_arrays_are_what_was_rendered(recorded, scenario):
+    """Every channel comes back from the files within half a step of the renderer's own."""
+    episode = read_episode(recorded)
+    model, trajectory = build(*resolve(scenario))
+    renderer = Renderer(model, scenario.render)
+    rendered = renderer.render(
+        trajectory.state(2),
+        model.device.cameras[1],
+        channels=CHANNELS,
+        state_next=trajectory.state(3),
+        state_previous=trajectory.state(1),
+    )
+    read = episode.frame(2, "rear")
+    for channel in CHANNELS:
+        given, back = getattr(rendered, channel), getattr(read, channel)
+        step = ENCODINGS[channel].scale
+        if step is None:
+            np.testing.assert_array_equal(back, given)
+            continue
+        valid = np.isfinite(back)
+        np.testing.assert_allclose(back[valid], given[valid], rtol=1e-6, atol=0.51 * step)
+        if not channel.startswith("flow"):
+            np.testing.assert_array_equal(valid, np.isfinite(given))
+
+
+def test_positions_project_to_their_pixels(recorded):
+    """Pose, lens and position of one pixel agree: project(T_camera_world · position) = pixel."""
+    episode = read_episode(recorded)
+    for camera in episode.cameras:
+        for frame in range(len(episode)):
+            position = episode.image(camera.name, "position", frame).astype(float)
+            seen = np.isfinite(position).all(axis=-1)
+            T_world_camera = episode.Ts_world_camera(camera.name)[frame]
+            points = transform_points(np.linalg.inv(T_world_camera), position[seen])
+            pixels = camera.lens.project(points)
+            rows, columns = np.nonzero(seen)
+            error = np.abs(pixels - np.stack([columns, rows], axis=-1))
+            assert error.max() < 1e-2
+            depth = episode.image(camera.name, "depth", frame)[seen]
+            np.testing.assert_allclose(points[:, 2], depth, atol=1.1e-5)
+
+
+def test_depth_is_ray_distance_times_the_ray(recorded):
+    episode = read_episode(recorded)
+    camera = episode.camera("front")
+    frame = episode.frame(0)
+    expected = frame.ray_distance * camera_rays(camera)[..., 2]
+    np.testing.assert_allclose(frame.depth, expected, atol=1.1e-5)
+
+
+def test_metadata(recorded, scenario):
+    episode = read_episode(recorded)
+    assert len(episode) == 5
+    assert episode.channels == CHANNELS
+    assert [camera.name for camera in episode.cameras] == ["front", "rear"]
+    assert episode.label_names == ("background", "upper", "lower")
+    assert episode.scenario == resolve(scenario)[0]
+    np.testing.assert_allclose(episode.times, np.arange(5) / 4.0)
+    mount = episode.camera("rear").T_capsule_camera
+    np.testing.assert_allclose(
+        episode.Ts_world_camera("rear"), episode.Ts_world_capsule @ mount, atol=1e-12
+    )
+    assert len(list(episode.frames("rear"))) == 5
+
+
+def test_organ_is_the_wall_in_the_world(recorded, scenario):
+    """The GLB's triangles are the organ's, in single precision."""
+    model, _ = build(*resolve(scenario))
+    mesh = read_episode(recorded).organ
+    assert len(mesh.faces) == len(model.organ.faces)
+    expected = model.vertices_world[model.organ.faces]
+    np.testing.assert_allclose(mesh.vertices[mesh.faces], expected, atol=1e-7)
+
+
+def test_unknown_names_and_frames(recorded):
+    episode = read_episode(recorded)
+    with pytest.raises(UnknownNameError, match=r"No camera named 'side'\. Known: front, rear"):
+        episode.image("side", "rgb", 0)
+    with pytest.raises(UnknownNameError, match="No channel named 'heat'"):
+        episode.image("front", "heat", 0)
+    with pytest.raises(InputError, match=r"No frame 5 in .*Allowed: 0 to 4"):
+        episode.image("front", "rgb", 5)
+
+
+def test_no_episode(tmp_path):
+    with pytest.raises(InputError, match="is no episode: cannot read"):
+        read_episode(tmp_path)
+
+
+def test_unreadable_image(recorded, tmp_path):
+    out = tmp_path / "episode"
+    shutil.copytree(recorded, out)
+    (out / "front/depth/000001.png").write_bytes(b"no picture")
+    with pytest.raises(InputError, match=r"Cannot read .*000001\.png .* `vrcaps check"):
+        read_episode(out).image("front", "depth", 1)
+
+
+@pytest.mark.parametrize(
+    ("change", "match"),
+    [
+        ({"frames": "5"}, "frames is '5', not int"),
+        ({"channels": {"heat": {}}}, "No channel named 'heat'"),
+        ({"organ": {}}, "organ.label_names is missing"),
+        ({"cameras": [{}]}, r"cameras\[0\] is no camera. Allowed: a table with exactly name"),
+    ],
+)
+def test_broken_head(recorded, tmp_path, change, match):
+    head = json.loads((recorded / "episode.json").read_text())
+    (tmp_path / "episode.json").write_text(json.dumps({**head, **change}))
+    with pytest.raises((InputError, UnknownNameError), match=match):
+        read_episode(tmp_path)

@@ -1,0 +1,101 @@
+"""Recording in an organ file: labels, lesions and textures are those of the organ written."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from vrcaps.errors import InputError
+from vrcaps.lesion import parse_lesion
+from vrcaps.motion.fly_through import FlyThrough
+from vrcaps.mucosa.appearance import bake_appearance
+from vrcaps.organ.read_organ import read_organ
+from vrcaps.organ.surface import OrganSurface
+from vrcaps.organ.write_organ import write_glb
+from vrcaps.recording.episode import read_episode
+from vrcaps.recording.recorder import record
+from vrcaps.scenario.scenario import OrganFile, Scenario, build, resolve
+
+RECORD = {"instance": 1, "kind": "polyp", "grade": "Is"}
+
+
+@pytest.fixture
+def plan(organ: OrganSurface, device_file: Path, tmp_path: Path) -> Scenario:
+    """A short flight through a file of the organ; neither unit nor anything else is stated."""
+    write_glb(tmp_path / "mine.glb", replace(organ, metadata={"lesions": [RECORD]}))
+    return Scenario(
+        organ=OrganFile(str(tmp_path / "mine.glb")),
+        capsule=str(device_file),
+        motion=FlyThrough(start=0.3, end=0.5),
+        frames=2,
+        channels=("rgb", "label", "instance"),
+    )
+
+
+def test_the_organ_is_the_one_written(plan: Scenario, organ: OrganSurface, tmp_path: Path) -> None:
+    resolved, device = resolve(plan)
+    assert isinstance(resolved.organ, OrganFile)
+    assert resolved.organ.unit == "m"
+    model, _ = build(resolved, device)
+    assert np.array_equal(model.organ.vertices, organ.vertices)
+    assert model.organ.appearance is not None
+    assert organ.appearance is not None
+    assert np.array_equal(model.organ.appearance.albedo, organ.appearance.albedo)
+
+
+def test_an_episodes_own_organ_records_the_same_again(plan: Scenario, tmp_path: Path) -> None:
+    first = read_episode(record(plan, tmp_path / "first"))
+    assert first.label_names == ("background", "upper", "lower")
+    assert first.head["organ"]["lesions"] == [RECORD]
+    again = replace(plan, organ=OrganFile(str(tmp_path / "first" / "organ.glb")))
+    second = read_episode(record(again, tmp_path / "second"))
+    for camera in first.cameras:
+        for channel in first.channels:
+            for frame in range(len(first)):
+                paths = [e.image_path(camera.name, channel, frame) for e in (first, second)]
+                assert paths[0].read_bytes() == paths[1].read_bytes()
+    assert (tmp_path / "first/organ.glb").read_bytes() == (
+        tmp_path / "second/organ.glb"
+    ).read_bytes()
+    assert read_organ(tmp_path / "second" / "organ.glb").metadata["lesions"] == [RECORD]
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"clean_twin": True}, "holds its lesions for good, so it has no clean twin"),
+        ({"lesions": (parse_lesion("erosion"),)}, "has lesions already"),
+    ],
+)
+def test_what_an_organ_file_cannot_do(plan: Scenario, change: dict, message: str) -> None:
+    resolved, device = resolve(replace(plan, **change))
+    with pytest.raises(InputError, match=message):
+        build(resolved, device)
+
+
+def test_without_textures_it_wears_the_mucosa_of_its_label(
+    plan: Scenario, organ: OrganSurface, tmp_path: Path
+) -> None:
+    names = ("background", "small_bowel", "duodenum")
+    write_glb(tmp_path / "mine.glb", replace(organ, label_names=names, appearance=None))
+    model, _ = build(*resolve(plan))
+    found = model.organ.appearance
+    expected = bake_appearance(model.organ, seed=plan.seed, mucosa="small_intestine")
+    assert found is not None
+    assert np.array_equal(found.albedo, expected.albedo)
+
+
+def test_its_textures_stay(plan: Scenario) -> None:
+    assert isinstance(plan.organ, OrganFile)
+    other = replace(plan, organ=replace(plan.organ, mucosa="stomach"))
+    resolved, device = resolve(other)
+    with pytest.raises(InputError, match="has textures of its own"):
+        build(resolved, device)
+
+
+def test_a_mesh_file_has_no_unit_of_its_own(plan: Scenario, mesh_file: Path) -> None:
+    with pytest.raises(InputError, match="Unknown length unit ''"):
+        resolve(replace(plan, organ=OrganFile(str(mesh_file))))

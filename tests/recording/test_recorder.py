@@ -1,0 +1,263 @@
+import errno
+import hashlib
+import json
+import os
+import pickle
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from vrcaps import _core
+from vrcaps.errors import InputError
+from vrcaps.recording.check import check_episode
+from vrcaps.recording.episode import read_episode
+from vrcaps.recording.images import Images
+from vrcaps.recording.recorder import record
+from vrcaps.scenario.scenario import read_scenario, scenario_to_plain
+
+
+def _digests(folder: Path) -> dict[str, str]:
+    files = sorted(path for path in folder.rglob("*") if path.is_file())
+    return {
+        str(path.relative_to(folder)): hashlib.sha256(path.read_bytes()).hexdigest()
+        for path in files
+    }
+
+
+def test_layout(recorded, scenario):
+    names = {str(path.relative_to(recorded)) for path in recorded.rglob("*") if path.is_file()}
+    fixed = {"episode.json", "frames.parquet", "organ.glb", "sheet.png", "preview.mp4"}
+    assert fixed <= names
+    images = names - fixed
+    assert len(images) == 2 * 5 * len(scenario.channels)
+    assert {"front/rgb/000000.png", "rear/depth/000004.png", "front/position/000003.npy"} <= images
+    head = json.loads((recorded / "episode.json").read_text())
+    assert (head["format"], head["status"], head["frames"]) == ("vrcaps-episode/1", "complete", 5)
+    assert head["scenario"]["organ"]["sha256"]
+    assert head["fps"] == 4.0
+
+
+def test_same_scenario_same_bytes(recorded, scenario, tmp_path):
+    again = record(scenario, tmp_path / "again")
+    assert _digests(again) == _digests(recorded)
+
+
+def test_episode_json_is_a_scenario(recorded, scenario, tmp_path):
+    again = record(read_scenario(recorded / "episode.json"), tmp_path / "again")
+    assert _digests(again) == _digests(recorded)
+
+
+def test_progress_counts_whole_frames(scenario, tmp_path):
+    calls = []
+
+    def progress(done, total):
+        whole = [(tmp_path / "e/rear/occlusion" / f"{i:06d}.png").exists() for i in range(done)]
+        calls.append((done, total, all(whole)))
+
+    record(scenario, tmp_path / "e", progress=progress)
+    assert [done for done, _, _ in calls] == sorted(done for done, _, _ in calls)
+    assert calls[-1] == (5, 5, True)
+    assert all(whole for _, _, whole in calls)
+
+
+def test_recording_again_into_a_whole_episode_changes_nothing(recorded, scenario, tmp_path):
+    before = {path: path.stat().st_mtime_ns for path in recorded.rglob("*.png")}
+    record(scenario, recorded)
+    assert {path: path.stat().st_mtime_ns for path in recorded.rglob("*.png")} == before
+
+
+@pytest.mark.parametrize("fail_at", [0, 2, 4])
+def test_full_disk_then_resume(recorded, scenario, tmp_path, monkeypatch, fail_at):
+    """One line; every file there is whole; going on gives the bytes of an unbroken run."""
+    out, write = tmp_path / "episode", _core.write_pngs
+
+    def full(items):
+        if any(f"{fail_at:06d}" in path for path, _ in items):
+            write(items[: len(items) // 2])
+            raise OSError(errno.ENOSPC, "No space left on device", items[-1][0])
+        write(items)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(_core, "write_pngs", full)
+        with pytest.raises(InputError, match=r"The disk is full .* run the same command again"):
+            record(scenario, out)
+    assert json.loads((out / "episode.json").read_text())["status"] == "recording"
+    with pytest.raises(InputError, match=r"was broken off\. To go on: vrcaps record --scenario"):
+        read_episode(out)
+    written, whole = _digests(out), _digests(recorded)
+    assert all(whole[name] == digest for name, digest in written.items() if name != "episode.json")
+    record(scenario, out)
+    assert _digests(out) == whole
+
+
+@pytest.mark.parametrize("name", ["sheet.png", "preview.mp4", "organ.glb", "frames.parquet"])
+def test_missing_files_are_made_again(recorded, scenario, tmp_path, name):
+    out = record(scenario, tmp_path / "episode")
+    (out / name).unlink()
+    (out / "front/rgb/000002.png").unlink()
+    (out / "front/rgb/.000002.png.tmp").write_bytes(b"left by a run that was killed")
+    record(scenario, out)
+    assert _digests(out) == _digests(recorded)
+
+
+def test_other_write_errors(scenario, tmp_path, monkeypatch):
+    def refuse(items):
+        raise OSError(errno.EACCES, "Permission denied", items[0][0])
+
+    monkeypatch.setattr(_core, "write_pngs", refuse)
+    with pytest.raises(InputError, match=r"Cannot write the episode .*Permission denied"):
+        record(scenario, tmp_path / "episode")
+
+
+def test_folder_that_holds_something_else(scenario, tmp_path):
+    (tmp_path / "thesis.txt").write_text("mine")
+    with pytest.raises(InputError, match=r"holds something else \('thesis.txt'"):
+        record(scenario, tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == ["thesis.txt"]
+
+
+def test_out_is_a_file(scenario, tmp_path):
+    (tmp_path / "file").write_text("mine")
+    with pytest.raises(InputError, match=r"is a file\. Give a new or empty folder"):
+        record(scenario, tmp_path / "file")
+    assert (tmp_path / "file").read_text() == "mine"
+
+
+def test_folder_with_a_foreign_episode_json(scenario, tmp_path):
+    (tmp_path / "episode.json").write_text('{"title": "Episode IV"}')
+    with pytest.raises(InputError, match=r"has the format None\. Allowed: 'vrcaps-episode/1'"):
+        record(scenario, tmp_path)
+    assert (tmp_path / "episode.json").read_text() == '{"title": "Episode IV"}'
+
+
+def test_different_scenario_is_refused(recorded, scenario):
+    before = _digests(recorded)
+    with pytest.raises(InputError, match="holds an episode of a different scenario"):
+        record(replace(scenario, seed=2), recorded)
+    assert _digests(recorded) == before
+
+
+def test_different_device_or_version_is_refused(scenario, tmp_path):
+    out = record(replace(scenario, frames=1, channels=("rgb",)), tmp_path / "episode")
+    head = json.loads((out / "episode.json").read_text())
+    for key, value in (("vrcaps_version", "0.0.0"), ("cameras", []), ("extra", 1)):
+        (out / "episode.json").write_text(json.dumps({**head, key: value}))
+        with pytest.raises(InputError, match=r"made with another (vrcaps_version|cameras|a key)"):
+            record(replace(scenario, frames=1, channels=("rgb",)), out)
+
+
+def test_empty_folder_and_single_channel(scenario, tmp_path):
+    """An existing empty folder is fine; without rgb the preview is left out."""
+    out = record(replace(scenario, frames=2, channels=("depth",)), tmp_path)
+    assert check_episode(out) == []
+    assert not (out / "preview.mp4").exists()
+
+
+def test_no_flow_beyond_the_ends_of_the_run(recorded):
+    episode = read_episode(recorded)
+    for camera in ("front", "rear"):
+        assert np.isnan(episode.image(camera, "flow_backward", 0)).all()
+        assert np.isnan(episode.image(camera, "flow_forward", 4)).all()
+        assert episode.image(camera, "occlusion", 4).all()
+        assert np.isfinite(episode.image(camera, "flow_forward", 0)).any()
+        assert np.isfinite(episode.image(camera, "flow_backward", 4)).any()
+
+
+# A shell's background job ignores Ctrl-C, and its children inherit that.
+RUN = """
+import pickle
+import signal
+import sys
+from pathlib import Path
+from vrcaps.errors import VrcapsError
+from vrcaps.scenario import scenario as module
+from vrcaps.recording.recorder import record
+from vrcaps.scenario.scenario import read_scenario
+{setup}
+signal.signal(signal.SIGINT, signal.default_int_handler)
+organ = pickle.loads(Path(sys.argv[3]).read_bytes())
+module._load_organ = lambda _: organ
+def progress(done, total):
+    print(done, flush=True)
+try:
+    record(read_scenario(sys.argv[1]), sys.argv[2], progress=progress)
+except VrcapsError as error:
+    sys.exit(f"error: {{error}}")
+"""
+
+
+def _start(scenario, tmp_path, name, *, setup="", threads="2"):
+    """A recording in a process of its own."""
+    path = tmp_path / "scenario.json"
+    path.write_text(json.dumps(scenario_to_plain(scenario)))
+    arguments = [str(path), str(tmp_path / name), str(tmp_path / "organ.pickle")]
+    return subprocess.Popen(
+        [sys.executable, "-c", RUN.format(setup=setup), *arguments],
+        env={**os.environ, "RAYON_NUM_THREADS": threads},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+@pytest.mark.skipif(os.name != "posix", reason="sends SIGINT")
+def test_interrupt_threads_and_file_limit(scenario, organ, tmp_path):
+    """Same bytes on 1 and 2 threads, after Ctrl-C, and after a write that the system refused."""
+    (tmp_path / "organ.pickle").write_bytes(pickle.dumps(organ))
+    scenario = replace(scenario, frames=40, channels=("rgb", "depth", "normal"))
+    limit = "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (20000, 20000))"
+    one = _start(scenario, tmp_path, "one", threads="1")
+    stopped = _start(scenario, tmp_path, "stopped")
+    refused = _start(scenario, tmp_path, "refused", setup=limit)
+    for line in stopped.stdout:
+        if int(line) >= 5:
+            break
+    stopped.send_signal(signal.SIGINT)
+    _, stopped_error = stopped.communicate(timeout=60)
+    _, refused_error = refused.communicate(timeout=60)
+    _, one_error = one.communicate(timeout=60)
+    assert (one.returncode, one_error) == (0, "")
+    assert stopped.returncode != 0
+    assert "KeyboardInterrupt" in stopped_error
+    assert refused.returncode == 1
+    assert refused_error.startswith("error: The disk is full")
+    assert refused_error.count("\n") == 1
+    whole = _digests(tmp_path / "one")
+    for name in ("stopped", "refused"):
+        out = tmp_path / name
+        assert json.loads((out / "episode.json").read_text())["status"] == "recording"
+        written = _digests(out)
+        assert len(written) < len(whole)
+        same = [whole.get(file) == digest for file, digest in written.items()]
+        assert same.count(False) == 1  # episode.json, by its status
+        resumed = _start(scenario, tmp_path, name, threads="2")
+        assert resumed.communicate(timeout=60)[1] == ""
+        assert _digests(out) == whole
+
+
+def test_speed_of_the_writer_is_bounded_by_the_queue(scenario, tmp_path, monkeypatch):
+    """Rendering never runs more than a few frames ahead of a slow disk."""
+    write, written, ahead = _core.write_pngs, [], []
+
+    def slow(items):
+        time.sleep(0.02)
+        write(items)
+        written.append(items)
+
+    render = Images.render
+
+    def counted(*args):
+        ahead.append(len(ahead) - len(written))
+        return render(*args)
+
+    monkeypatch.setattr(_core, "write_pngs", slow)
+    monkeypatch.setattr(Images, "render", counted)
+    record(replace(scenario, frames=20, channels=("rgb",)), tmp_path / "episode")
+    assert max(ahead) <= 6
+    assert np.mean(ahead) > 1.0

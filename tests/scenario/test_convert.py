@@ -1,0 +1,85 @@
+from dataclasses import dataclass, field
+from typing import ClassVar, Literal
+
+import pytest
+
+from vrcaps.errors import InputError
+from vrcaps.scenario.convert import from_plain, to_plain
+
+
+@dataclass(frozen=True)
+class Cat:
+    lives: int = 9
+    kind: ClassVar[str] = "cat"
+
+
+@dataclass(frozen=True)
+class Dog:
+    name: str
+    kind: ClassVar[str] = "dog"
+
+
+@dataclass(frozen=True)
+class Keeper:
+    age: int = 30
+    hours: float = 8.0
+
+
+@dataclass(frozen=True)
+class Zoo:
+    star: Cat | Dog
+    size: float = 1.0
+    is_open: bool = True
+    mood: Literal["calm", "wild"] = "calm"
+    area: float | None = None
+    names: tuple[str, ...] = ()
+    corner: tuple[int, float] = (0, 0.5)
+    cats: tuple[Cat, ...] = field(default_factory=tuple)
+    keeper: Keeper = Keeper(age=50)
+    guard: Cat | Dog = Dog("Rex")
+
+
+def test_round_trip():
+    zoo = Zoo(Dog("Rex"), 2.5, False, "wild", 3.0, ("a", "b"), (1, 2.0), (Cat(7), Cat()))
+    plain = to_plain(zoo, Zoo)
+    assert plain["star"] == {"kind": "dog", "name": "Rex"}
+    assert plain["cats"] == [{"lives": 7}, {"lives": 9}]
+    assert from_plain(Zoo, plain, at="zoo") == zoo
+
+
+def test_defaults_and_whole_numbers_as_floats():
+    zoo = from_plain(Zoo, {"star": {"kind": "cat"}, "size": 3}, at="zoo")
+    assert zoo == Zoo(Cat(), 3.0)
+    assert isinstance(zoo.size, float)
+
+
+def test_a_part_of_a_table_leaves_the_rest_as_its_field_has_it():
+    star = {"kind": "cat"}
+    zoo = from_plain(Zoo, {"star": star, "keeper": {"hours": 6}, "guard": star}, at="zoo")
+    assert zoo == Zoo(Cat(), keeper=Keeper(50, 6.0), guard=Cat())
+    assert from_plain(Zoo, {"star": star, "guard": {"kind": "dog"}}, at="zoo") == Zoo(Cat())
+
+
+@pytest.mark.parametrize(
+    ("change", "match"),
+    [
+        ({"sise": 1}, r"Unknown key zoo\.sise\. Allowed: star, size, is_open"),
+        ({"star": {"kind": "cow"}}, r"zoo\.star\.kind is 'cow'\. Allowed: cat, dog\."),
+        ({"star": {}}, r"zoo\.star\.kind is missing\. Allowed: cat, dog\."),
+        ({"star": {"kind": "dog"}}, r"Missing key zoo\.star\.name: a text"),
+        ({"star": 3}, r"zoo\.star is 3\. Allowed: a table or a table"),
+        ({"size": "big"}, r"zoo\.size is 'big'\. Allowed: a number"),
+        ({"size": True}, r"zoo\.size is True\. Allowed: a number"),
+        ({"is_open": 1}, r"zoo\.is_open is 1\. Allowed: true or false"),
+        ({"mood": "sad"}, r"zoo\.mood is 'sad'\. Allowed: 'calm', 'wild'"),
+        ({"area": []}, r"zoo\.area is \[\]\. Allowed: a number or null"),
+        ({"names": "ab"}, r"zoo\.names is 'ab'\. Allowed: a list"),
+        ({"names": ["a", 2]}, r"zoo\.names\[1\] is 2\. Allowed: a text"),
+        ({"corner": [1, 2, 3]}, r"zoo\.corner has 3 values\. Allowed: 2"),
+        ({"corner": [1.5, 2]}, r"zoo\.corner\[0\] is 1\.5\. Allowed: a whole number"),
+        ({"cats": [{"lives": None}]}, r"zoo\.cats\[0\]\.lives is None\. Allowed: a whole number"),
+    ],
+)
+def test_errors_name_the_place(change, match):
+    with pytest.raises(InputError, match=match):
+        from_plain(Zoo, {"star": {"kind": "cat"}, **change}, at="zoo")

@@ -1,0 +1,178 @@
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from vrcaps.errors import InputError, UnknownNameError
+from vrcaps.lesion import Place, Polyp
+from vrcaps.motion.fly_through import FlyThrough
+from vrcaps.motion.replay import Replay
+from vrcaps.render.settings import RenderSettings
+from vrcaps.scenario import scenario as module
+from vrcaps.scenario.scenario import (
+    OrganFile,
+    OrganGenerated,
+    Scenario,
+    read_lesions,
+    read_scenario,
+    resolve,
+    scenario_from_plain,
+    scenario_to_plain,
+)
+
+SCENARIOS = [
+    Scenario(),
+    Scenario(
+        organ=OrganFile("organ.ply", "mm", open_ends="keep"),
+        capsule="pillcam-colon2",
+        posture="prone",
+        motion=FlyThrough(speed=0.01, roll=0.0),
+        fps=12.0,
+        channels=("depth", "rgb"),
+        render=RenderSettings(supersampling=2, shadows=True),
+    ),
+    Scenario(motion=Replay("path.csv", "unity-csv", "dm", handedness="right", pose="capsule")),
+]
+
+
+@pytest.mark.parametrize("scenario", SCENARIOS)
+def test_round_trip_through_json(tmp_path, scenario):
+    path = tmp_path / "scenario.json"
+    path.write_text(json.dumps(scenario_to_plain(scenario)))
+    assert read_scenario(path) == scenario
+    path.write_text(
+        json.dumps({"format": "vrcaps-episode/1", "scenario": scenario_to_plain(scenario)})
+    )
+    assert read_scenario(path) == scenario
+
+
+def test_toml_with_few_keys(tmp_path):
+    path = tmp_path / "scenario.toml"
+    path.write_text(
+        'frames = 7\n[organ]\nkind = "generated"\nseed = 4\ncondition = "collapsed"\n'
+        "[render]\nshadows = true\n"
+        '[motion]\nkind = "fly-through"\nspeed = 1e-2\n'
+    )
+    expected = Scenario(
+        OrganGenerated(seed=4, condition="collapsed"),
+        frames=7,
+        motion=FlyThrough(speed=0.01),
+        render=RenderSettings(light="quick", shadows=True),
+    )
+    assert read_scenario(path) == expected
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "match"),
+    [
+        ("missing.json", None, "Cannot read the scenario .*missing.json"),
+        ("bad.json", "{", "bad.json is no JSON"),
+        ("bad.toml", "a =", "bad.toml is no TOML"),
+        ("list.json", "[]", "A scenario is a table of keys, not list"),
+        ("head.json", '{"format": "vrcaps-episode/1"}', "A scenario is a table of keys, not None"),
+        ("key.json", '{"frame": 3}', r"Unknown key scenario\.frame\. Allowed: organ, capsule"),
+        (
+            "full.json",
+            '{"organ": {"kind": "generated", "condition": "full"}}',
+            r"scenario\.organ\.condition is 'full'\. Allowed: 'inflated', 'normal', 'collapsed'",
+        ),
+        ("type.json", '{"frames": 2.5}', r"scenario\.frames is 2\.5\. Allowed: a whole number"),
+    ],
+)
+def test_bad_files(tmp_path, name, text, match):
+    if text is not None:
+        (tmp_path / name).write_text(text)
+    with pytest.raises(InputError, match=match):
+        read_scenario(tmp_path / name)
+
+
+def test_resolve_fills_in_what_is_open(mesh_file, device_file):
+    scenario = Scenario(
+        OrganFile(str(mesh_file), "m"), str(device_file), channels=("depth", "rgb", "depth")
+    )
+    resolved, device = resolve(scenario)
+    assert resolved.fps == device.frame_rate == 4.0
+    assert resolved.channels == ("rgb", "depth")
+    assert isinstance(resolved.organ, OrganFile)
+    assert len(resolved.organ.sha256) == 64
+    assert resolve(resolved)[0] == resolved
+
+
+def test_resolve_checks_checksums(mesh_file, tmp_path):
+    organ = OrganFile(str(mesh_file), "m", sha256="0" * 64)
+    with pytest.raises(InputError, match="but the scenario was made with 000000000000"):
+        resolve(Scenario(organ))
+    missing = Replay(str(tmp_path / "none.csv"), "tum", "m")
+    with pytest.raises(InputError, match=r"Cannot read .*none\.csv: No such file"):
+        resolve(Scenario(motion=missing))
+
+
+@pytest.mark.parametrize(
+    ("change", "error", "match"),
+    [
+        ({"frames": 0}, InputError, "frames is 0. Allowed: 1 to 1000000"),
+        ({"fps": 0.0}, InputError, "fps is 0.0. Allowed: above 0"),
+        ({"seed": -1}, InputError, "seed is -1. Allowed: 0 or more"),
+        ({"channels": ()}, InputError, "channels is .*Allowed: at least one"),
+        ({"channels": ("colour",)}, UnknownNameError, "No channel named 'colour'. Known: albedo"),
+        ({"posture": "upside"}, UnknownNameError, "No posture named 'upside'"),
+        ({"capsule": "xcam"}, UnknownNameError, "No capsule named 'xcam'"),
+    ],
+)
+def test_values_out_of_range(change, error, match):
+    with pytest.raises(error, match=match):
+        resolve(replace(Scenario(), **change))
+
+
+def test_unknown_unit_of_a_mesh_file(mesh_file, device_file):
+    with pytest.raises(InputError, match="Unknown length unit 'furlong'"):
+        resolve(Scenario(OrganFile(str(mesh_file), "furlong"), str(device_file)))
+
+
+def test_organ_is_loaded_as_stated(mesh_file, device_file):
+    """With half a metre as its unit the tube is half as long; an appearance is always there."""
+    scenario, _ = resolve(Scenario(OrganFile(str(mesh_file), "500mm"), str(device_file)))
+    organ = module._load_organ(scenario)
+    assert np.ptp(organ.vertices, axis=0).max() == pytest.approx(0.12, rel=1e-6)
+    assert organ.appearance is not None
+
+
+def test_plain_form_is_json(scenario):
+    plain = scenario_to_plain(scenario)
+    assert scenario_from_plain(json.loads(json.dumps(plain))) == scenario
+    assert plain["organ"]["path"] == str(Path(plain["organ"]["path"]))
+
+
+LESIONS = 'lesions = [{kind = "polyp", shape = "Is", size = 0.006, place = {arc_length = 0.12}}]\n'
+
+
+def test_lesions_of_a_file(tmp_path):
+    path = tmp_path / "lesions.toml"
+    path.write_text(LESIONS)
+    expected = (Polyp(shape="Is", size=0.006, place=Place(arc_length=0.12)),)
+    assert read_lesions(path) == expected
+    assert scenario_from_plain(
+        {"lesions": scenario_to_plain(Scenario(lesions=expected))["lesions"]}
+    )
+    path.write_text(LESIONS + "frames = 3\n")
+    with pytest.raises(InputError, match=r"Allowed: tables \[\[lesions\]\]"):
+        read_lesions(path)
+    with pytest.raises(InputError, match="Cannot read the lesions"):
+        read_lesions(tmp_path / "none.toml")
+
+
+def test_clean_twin_has_the_same_motion(scenario, tmp_path, monkeypatch):
+    monkeypatch.setenv("VRCAPS_CACHE", str(tmp_path))
+    lesions = (Polyp(size=6e-3, place=Place(arc_length=0.12)),)
+    sick, device = resolve(replace(scenario, lesions=lesions))
+    model, trajectory = module.build(sick, device)
+    twin, same = module.build(replace(sick, clean_twin=True), device)
+    assert np.array_equal(trajectory.Ts_world_capsule, same.Ts_world_capsule)
+    assert np.array_equal(model.organ.faces, twin.organ.faces)
+    assert model.organ.instance.max() == 1
+    assert twin.organ.instance.max() == 0
+    assert model.organ.metadata["lesions"][0]["kind"] == "polyp"
+    assert twin.organ.metadata["lesions"] == []
+    assert twin.organ.metadata["clean_twin_of"] == model.organ.metadata["lesions"]

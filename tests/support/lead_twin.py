@@ -1,0 +1,57 @@
+"""A readable twin of the core's leading point, in NumPy."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from vrcaps.actuation.capsule_target import Goal
+from vrcaps.actuation.magnet_controller import Steering
+
+AFTER, STEEP, TOUCH = 0.5, 0.1, 0.01
+
+
+def cut(vector: np.ndarray, most: float) -> np.ndarray:
+    """A vector, cut to a length."""
+    return vector * min(1.0, most / max(float(np.linalg.norm(vector)), 1e-300))
+
+
+def between(start: np.ndarray, end: np.ndarray, about: np.ndarray) -> np.ndarray:
+    """Rotation vector [rad] from a direction to another; about an axis where they are opposite."""
+    axis = np.cross(start, end)
+    sine = np.linalg.norm(axis)
+    return np.arctan2(sine, start @ end) * (axis / sine if sine > 1e-9 else about)
+
+
+def towards(start: np.ndarray, end: np.ndarray, most: float, about: np.ndarray) -> np.ndarray:
+    """A direction turned towards another by an angle at most."""
+    return Rotation.from_rotvec(cut(between(start, end, about), most)).apply(start)
+
+
+def lead_on(
+    leader: np.ndarray, capsule: np.ndarray, contact: np.ndarray, goal: Goal, s: Steering, dt: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, float, bool]:
+    """What `vrcaps._core.lead_on` gives."""
+    (place, look, side), at, axis = leader, capsule[:3, 3], capsule[:3, 2]
+    free, press, share = goal.controlled, np.asarray(goal.press, float), min(1.0, dt / AFTER)
+    lag = free @ (place - at)
+    across = (place - at - lag) * (1.0 if goal.mapped else 1.0 - share)
+    place = at + lag + across - cut(lag - cut(lag, s.lead), s.speed * dt)
+    way = np.asarray(goal.position) - place
+    place = place + cut(way if goal.mapped else free @ way, s.speed * dt)
+    ahead = axis if goal.direction is None else np.asarray(goal.direction, float)
+    flat = ahead - side * (side @ ahead)
+    if goal.level and np.linalg.norm(flat) > STEEP:
+        ahead = flat / np.linalg.norm(flat)
+    led = towards(axis, look, s.turn_lead, press)
+    look = towards(led, ahead, s.turn_speed * dt, press)
+    force = np.linalg.norm(contact)
+    touched = -contact / force if force > TOUCH and not goal.mapped else press
+    side = side + share * (touched - side)
+    pose = capsule.copy()
+    turn = Rotation.from_rotvec(between(axis, look, press))
+    pose[:3, :3], pose[:3, 3] = turn.as_matrix() @ capsule[:3, :3], place
+    leader = np.array([place, look, side / np.linalg.norm(side)])
+    bend = np.cross(axis, look)
+    angle = np.arctan2(np.linalg.norm(bend), axis @ look)
+    return leader, pose, free @ (place - at), bend, float(angle), bool(contact @ press > TOUCH)

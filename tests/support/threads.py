@@ -1,0 +1,54 @@
+"""The same work of a test module in processes with other numbers of threads."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import subprocess
+import sys
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+
+from shapes import looking
+from vrcaps.camera.camera import Camera
+from vrcaps.render.renderer import Renderer
+
+
+def digests_by_threads(test: Path, threads: Iterable[int]) -> tuple[list[int], set[str]]:
+    """The number of threads of each process, and what the module's `digest` gave in them.
+
+    Each is a process of its own, for the number of threads is fixed when the core loads.
+    """
+    code = (
+        f"import sys; sys.path[:0] = [{str(test.parent)!r}]\n"
+        f"import {test.stem} as test\n"
+        "from vrcaps import _core\n"
+        "print(_core.num_threads(), test.digest())"
+    )
+    results = [
+        subprocess.run(
+            [sys.executable, "-c", code],
+            env={**os.environ, "RAYON_NUM_THREADS": str(count), "OIDN_NUM_THREADS": str(count)},
+            capture_output=True,
+            text=True,
+            check=True,
+        ).stdout.split()
+        for count in threads
+    ]
+    return [int(count) for count, _ in results], {checksum for _, checksum in results}
+
+
+def digest_at_rest_and_moved(
+    renderer: Renderer, camera: Camera, place: tuple[float, float, float]
+) -> str:
+    """Checksum of two frames, the second of a wall that has moved, and of the first again."""
+    wide = renderer.model.organ.vertices * np.array([1.02, 1.02, 1.0])
+    states = (looking(place), looking((0.0, 0.002, 0.08), vertices_world=wide), looking(place))
+    total = hashlib.sha256()
+    for state in states:
+        frame = renderer.render(state, camera, channels=("rgb", "radiance"))
+        assert frame.rgb is not None and frame.radiance is not None
+        total.update(frame.rgb.tobytes() + frame.radiance.tobytes())
+    return total.hexdigest()

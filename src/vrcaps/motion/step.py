@@ -1,0 +1,57 @@
+"""One time step of a motion: the state of the world, its neighbors in time and the commands."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from vrcaps.world.model import State
+
+if TYPE_CHECKING:
+    import numpy as np
+    from jaxtyping import Float
+
+    from vrcaps.actuation.magnet_controller import Steered
+
+
+@dataclass(frozen=True)
+class Command:
+    """What was commanded in a simulated time step, and what the muscle did meanwhile.
+
+    Attributes:
+        force_world: Mean commanded force since the previous frame [N].
+        torque_world: Mean commanded torque since the previous frame [N·m].
+        insufflation: Factor on the lumen's radius at this frame, 1 = as modeled.
+        T_world_patient: Pose of the patient at this frame.
+        phase: Phase 1 to 4 of the migrating motor complex (MMC) at the capsule; 0 without one.
+        controller: Status of the magnet controller; None without a magnet.
+    """
+
+    force_world: Float[np.ndarray, " 3"]
+    torque_world: Float[np.ndarray, " 3"]
+    insufflation: float
+    T_world_patient: Float[np.ndarray, "4 4"]
+    phase: int = 0
+    controller: Steered | None = None
+
+
+@dataclass(frozen=True)
+class Step:
+    """One frame of a motion with its neighbors in time.
+
+    All consumers of a motion take this type: the camera pipeline (motion blur, rolling shutter and
+    flow need the neighbors), the sensors and the recorder.
+
+    Attributes:
+        index: Number of the frame, counted from 0.
+        state: The world at this frame; its contact is the mean since the previous frame.
+        previous: The world one frame earlier; None at the first frame.
+        next: The world one frame later; None at the last frame.
+        command: What was commanded; None where nothing is simulated.
+    """
+
+    index: int
+    state: State
+    previous: State | None = None
+    next: State | None = None
+    command: Command | None = None

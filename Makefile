@@ -3,12 +3,13 @@
 
 VENV := .venv
 BIN := $(VENV)/bin
-SOURCES := pyproject.toml rust/Cargo.toml rust/Cargo.lock $(shell find rust/src -name '*.rs')
+SOURCES := pyproject.toml constraints.txt rust/Cargo.toml rust/Cargo.lock $(shell find rust/src -name '*.rs')
 RUST_VERSION = $(shell sed -n 's/^rust-version = "\(.*\)"/\1/p' rust/Cargo.toml)
 PYTHON = $(shell for python in python3.11 python3.12 python3.13 python3.14 python3; do \
 	$$python -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null \
 	&& command -v $$python && break; done)
-INSTALL = VIRTUAL_ENV=$(CURDIR)/$(VENV) $(BIN)/python -m pip install --quiet --no-build-isolation
+INSTALL = VIRTUAL_ENV=$(CURDIR)/$(VENV) $(BIN)/python -m pip install --quiet --constraint constraints.txt \
+	--no-build-isolation
 
 export PATH := $(CURDIR)/$(BIN):$(PATH):$(HOME)/.cargo/bin
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
@@ -16,7 +17,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 export PYO3_PYTHON := $(CURDIR)/$(BIN)/python
 export PYO3_BUILD_EXTENSION_MODULE := 1
 
-.PHONY: help demo test check bench wheel clean
+.PHONY: help demo test check bench wheel constraints clean
 .DELETE_ON_ERROR:
 
 help:
@@ -25,6 +26,7 @@ help:
 	@echo "make check  lint, format and type checks"
 	@echo "make bench  measure vrcaps and its peers, write the tables"
 	@echo "make wheel  build a wheel into dist and try it in a clean environment"
+	@echo "make constraints  pin the newest versions of all dependencies in constraints.txt"
 	@echo "make clean  remove the environment and everything built"
 
 demo: $(VENV)/.stamp-run
@@ -50,6 +52,12 @@ wheel: $(VENV)/.stamp-dev
 	$(BIN)/maturin build --quiet --release --out dist
 	$(BIN)/python -m pytest tests/test_packaging.py -m wheel
 
+constraints: $(VENV)/.stamp-dev
+	$(BIN)/python -m pip install --quiet --upgrade --upgrade-strategy eager --editable '.[dev]'
+	head -1 constraints.txt > constraints.new
+	$(BIN)/python -m pip freeze --exclude-editable >> constraints.new
+	mv constraints.new constraints.txt
+
 clean:
 	rm -rf $(VENV) dist rust/target src/vrcaps/_core*.so
 
@@ -66,7 +74,7 @@ $(VENV)/.stamp-venv:
 		echo "cargo $(RUST_VERSION) or newer is needed, found $$found. Install Rust with rustup" >&2; exit 1; }
 	@echo "Setting up $(VENV) with $(PYTHON) (once, a few minutes)"
 	@$(PYTHON) -m venv --clear $(VENV)
-	@$(BIN)/python -m pip install --quiet 'maturin>=1.9,<2'
+	@$(BIN)/python -m pip install --quiet --constraint constraints.txt 'maturin>=1.9,<2'
 	@touch $@
 
 $(VENV)/.stamp-run: $(VENV)/.stamp-venv $(SOURCES)

@@ -112,7 +112,7 @@ def _profile(
     own: Bool[np.ndarray, "a b"],
 ) -> Float[np.ndarray, "d a b"]:
     """Hounsfield units of the content by its distance from the level: medians of bins."""
-    inner = ndimage.binary_erosion(own, iterations=2)
+    inner = np.asarray(ndimage.binary_erosion(own, iterations=2), bool)
     inner = inner if np.count_nonzero(inner) >= _MANY else own
     at = np.rint(offset[:, inner] / _BIN).astype(int).ravel()
     hounsfield = values[:, inner].ravel()

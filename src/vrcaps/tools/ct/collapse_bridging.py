@@ -151,7 +151,7 @@ def _ends(part: Volume, number: int) -> list[_End]:
         away = np.where(np.isfinite(away), away, 0.0)
         sweeps.append(away)
         seed = np.array(np.unravel_index(np.argmax(away), away.shape))
-    wall = np.argwhere(own & ~ndimage.binary_erosion(own))
+    wall = np.argwhere(own & ~np.asarray(ndimage.binary_erosion(own), bool))
     at = np.minimum(np.rint(wall / stride).astype(int), np.array(coarse.shape) - 1)
     ends = []
     for away in sweeps[1:]:

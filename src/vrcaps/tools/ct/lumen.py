@@ -129,7 +129,7 @@ def body_mask(scan: Volume) -> tuple[Bool[np.ndarray, "k j i"], tuple[int, int, 
     if num == 0:
         return np.zeros(tissue.shape, bool), (k, j, i)
     largest = 1 + int(np.argmax(np.bincount(label.ravel())[1:]))
-    trunk = ndimage.binary_dilation(label == largest) & tissue
+    trunk = np.asarray(ndimage.binary_dilation(label == largest), bool) & tissue
     for plane in trunk:
         plane[:] = np.asarray(ndimage.binary_fill_holes(ndimage.binary_closing(plane)))
     return trunk, (k, j, i)

@@ -71,7 +71,7 @@ def frames(model: Model, states: list[State]) -> list[tuple[np.ndarray, np.ndarr
 
 def flight(organ: OrganSurface, capsule: str, number: int, seed: int = 0) -> tuple[Model, list]:
     """A flight along the whole organ."""
-    model = Model(organ, vrcaps.load_device(capsule))
+    model = Model(organ, vrcaps.read_device(capsule))
     rng = np.random.default_rng(seed)
     path = vrcaps.fly_through(model, vrcaps.FlyThrough(), frames=number, fps=1.0, rng=rng)
     return model, [path.state(k) for k in range(number)]
@@ -148,7 +148,7 @@ def of_capsules() -> list[Tile]:
 def of_lesions(organ: str, texts: tuple[str, ...], seed: int = 0) -> list[Tile]:
     """Each lesion from where it is seen best."""
     rng = np.random.default_rng([seed, 5])
-    model, states = at_lesions(organ, seed, texts, vrcaps.load_device("mirocam"), rng)
+    model, states = at_lesions(organ, seed, texts, vrcaps.read_device("mirocam"), rng)
     shown = frames(model, states)
     return [(image, caption(text)) for (image, _), text in zip(shown, texts, strict=True)]
 

@@ -60,7 +60,7 @@ def colonoscope(side_px: int = SIDE_PX) -> Device:
         exposure=1.0,
         image_circle_px=half,
     )
-    return replace(vrcaps.load_device("mirocam"), name="colonoscope", cameras=(camera,))
+    return replace(vrcaps.read_device("mirocam"), name="colonoscope", cameras=(camera,))
 
 
 @dataclass(frozen=True)
@@ -104,7 +104,7 @@ def shots(chosen: Iterable[Scene], settings: vrcaps.RenderSettings = SETTINGS) -
 
 def views(name: str, seed: int, frames: int, rng: np.random.Generator) -> Iterator[Scene]:
     """Organs of one patient, and places to look from."""
-    capsule, colonoscopy = vrcaps.load_device("pillcam-sb3"), colonoscope()
+    capsule, colonoscopy = vrcaps.read_device("pillcam-sb3"), colonoscope()
     if name == "clean_colon":
         organ = vrcaps.load_organ("colon", seed=seed)
         yield from filled(flight(organ, colonoscope(360), (0.03, 0.97), frames, rng), PREPARED)

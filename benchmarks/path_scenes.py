@@ -11,7 +11,7 @@ from validation import ROOT  # its import makes the tests' independent renderers
 from vrcaps.anatomy.catalog import load_organ
 from vrcaps.camera.camera import Camera
 from vrcaps.camera.lens import LensPinhole
-from vrcaps.capsule.catalog import load_device
+from vrcaps.capsule.catalog import read_device
 from vrcaps.cli.benchmarks.peers.mitsuba import VARIANT, use_working_llvm
 from vrcaps.motion.fly_through import FlyThrough, fly_through
 from vrcaps.organ.surface import OrganSurface
@@ -75,7 +75,7 @@ def scenes(size: int) -> Iterator[Scene]:
 
     use_working_llvm()
     look = replace(patterned(np.random.default_rng(1)), ior=1.4, coat=0.7, coat_gloss=0.0)
-    device = load_device("mirocam")
+    device = read_device("mirocam")
     lens, width, height = pinhole(size, FIELD)
     assert isinstance(lens, LensPinhole)
     leds = tuple(replace(led, lobe_exponent=0.0) for led in device.cameras[0].leds)

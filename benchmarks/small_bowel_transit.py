@@ -24,7 +24,7 @@ sys.path.append(str(ROOT / "tests" / "support"))
 
 from tubes import straight_gut
 from vrcaps.anatomy.small_bowel.parameters import SmallBowelParameters
-from vrcaps.capsule.catalog import load_device
+from vrcaps.capsule.catalog import read_device
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.tissue.drag import Drag
 from vrcaps.tissue.material import Material
@@ -61,7 +61,7 @@ class Slider:
 
 def slider() -> Slider:
     """The capsule's outline: a cylinder with round ends."""
-    device = load_device("pillcam-sb3")
+    device = read_device("pillcam-sb3")
     length, r = device.length, device.radius
     along = length * _FINE
     into = np.maximum(r - np.minimum(along, length - along), 0.0)

@@ -18,7 +18,7 @@ import numpy as np
 import tyro
 
 from vrcaps.anatomy.catalog import load_organ
-from vrcaps.capsule.catalog import load_device
+from vrcaps.capsule.catalog import read_device
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.tissue.fem.deformation import FemDeformation
 from vrcaps.tissue.fem.wall import FemWall
@@ -78,7 +78,7 @@ def main(
 
 def measure_world(organ: OrganSurface, deformation: FemDeformation, steps: int) -> None:
     """Print what the layer and the exchange take of a world in which a capsule lies on the wall."""
-    model = Model(organ, load_device("mirocam"))
+    model = Model(organ, read_device("mirocam"))
     line = organ.centerline
     place = int(np.argmin(np.abs(line.arc_length - 0.7)))
     start = transform_from(line.frames[place], line.points[place])

@@ -26,7 +26,7 @@ sys.path.append(str(ROOT / "tests" / "support"))
 from tubes import straight_gut
 from vrcaps.actuation.capsule_target import gut_goal
 from vrcaps.actuation.steering_program import MagnetSteering, Waypoint
-from vrcaps.capsule.catalog import load_device
+from vrcaps.capsule.catalog import read_device
 from vrcaps.magnet.field import SourceSet
 from vrcaps.magnet.internal import InternalMagnet
 from vrcaps.magnet.sources import Coil, Cylinder, Dipole, FieldMap, Solenoid, Source, magnet_pose
@@ -87,7 +87,7 @@ def measure(sources: list[Source], count: int) -> np.ndarray:
 def control_rows() -> list[tuple[str, ...]]:
     """Rows of what a control step takes, by hand and by arm, without and with its goal."""
     organ = straight_gut({"jejunum": 0.2}, radius=0.014)
-    model, rows = Model(organ, load_device("magnetic"), np.eye(4)), []
+    model, rows = Model(organ, read_device("magnetic"), np.eye(4)), []
     goal = gut_goal(organ.centerline, np.eye(4), PLACE)
     for arm in (None, "panda"):
         steering = MagnetSteering(arm=arm, skin=SKIN, waypoints=(Waypoint(0.0, PLACE),))

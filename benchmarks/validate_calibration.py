@@ -17,7 +17,7 @@ import numpy as np
 
 from validation import ROOT, options, table, write_section
 from vrcaps import _core
-from vrcaps.capsule.catalog import load_device
+from vrcaps.capsule.catalog import read_device
 from vrcaps.capsule.device import Device
 from vrcaps.organ.surface import Appearance
 from vrcaps.render.renderer import Renderer
@@ -79,7 +79,7 @@ def rendered(name: str, count: int) -> tuple[str, ...]:
     """The row of one device's front camera."""
     from boards import held
 
-    device = load_device(name)
+    device = read_device(name)
     camera = device.cameras[0]
     poses = held(camera, BOARD, count, np.random.default_rng(0), tilt=TILT)
     photos = [Photo(str(k), picture(device, pose)) for k, pose in enumerate(poses)]

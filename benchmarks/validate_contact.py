@@ -24,7 +24,7 @@ sys.path.append(str(ROOT / "tests" / "support"))
 
 from vrcaps import _core
 from vrcaps.anatomy.catalog import load_organ
-from vrcaps.capsule.catalog import load_device
+from vrcaps.capsule.catalog import read_device
 from vrcaps.errors import InputError
 from vrcaps.organ.from_file import organ_from_file
 from vrcaps.organ.surface import OrganSurface
@@ -261,7 +261,7 @@ def walk(name: str, organ: OrganSurface, num_steps: int) -> Walk:
 
 def _start(organ: OrganSurface, tissue: Tissue) -> World:
     """Where the lumen is widest."""
-    model, line = Model(organ, load_device("mirocam")), organ.centerline
+    model, line = Model(organ, read_device("mirocam")), organ.centerline
     widest, pose = int(np.argmax(line.radius)), np.eye(4)
     pose[:3, :3], pose[:3, 3] = line.frames[widest], line.points[widest]
     return World(model, tissue, State(0.0, model.T_world_patient @ pose))

@@ -129,7 +129,7 @@ def measure(organ: OrganSurface, text: str, step: int) -> tuple[str, ...]:
         patient = add_lesions(organ, [parse_lesion(text)], np.random.default_rng(0))
     footprint = Footprint(organ, patient.clean, witness)
     caster = EmbreeCaster(patient.organ.vertices, patient.organ.faces)
-    device = vrcaps.load_device("mirocam")
+    device = vrcaps.read_device("mirocam")
     models = [Model(side, device, np.eye(4)) for side in (patient.organ, patient.clean)]
     plain, shaded = (
         [vrcaps.Renderer(model, vrcaps.RenderSettings(shadows=on)) for model in models]

@@ -18,7 +18,7 @@ import numpy as np
 
 from validation import options, table, write_section
 from vrcaps.anatomy.catalog import load_organ
-from vrcaps.capsule.catalog import load_device
+from vrcaps.capsule.catalog import read_device
 from vrcaps.motion.fly_through import FlyThrough, fly_through
 from vrcaps.organ.surface import Appearance, OrganSurface
 from vrcaps.render.renderer import Renderer
@@ -53,7 +53,7 @@ def scenes() -> Iterator[Scene]:
     yield Scene("sphere", sphere(5), looking((0.004, -0.003, 0.003)), np.eye(4))
     folded = tube(120, 320, length=0.15, folds=0.35, capped=True)
     yield Scene("ring folds", folded, looking((0.004, -0.003, 0.04)), np.eye(4))
-    model = Model(load_organ("colon", seed=0), load_device("mirocam"))
+    model = Model(load_organ("colon", seed=0), read_device("mirocam"))
     rng = np.random.default_rng(0)
     run = fly_through(model, FlyThrough(), frames=3, fps=1.0, rng=rng)
     yield Scene("generated colon", model.organ, run.state(1), model.T_world_patient)
@@ -64,7 +64,7 @@ def compare(scene: Scene, size: int, light: str, wall: str, look: Appearance) ->
     from oracle_mitsuba import direct_light
     from shapes import pinhole
 
-    device = load_device("mirocam")
+    device = read_device("mirocam")
     lens, width, height = pinhole(size, FIELD)
     leds = tuple(replace(led, lobe_exponent=LIGHTS[light]) for led in device.cameras[0].leds)
     camera = replace(

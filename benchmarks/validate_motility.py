@@ -22,7 +22,7 @@ sys.path.append(str(ROOT / "tests" / "support"))
 
 from tubes import straight_gut
 from vrcaps.anatomy.catalog import load_organ
-from vrcaps.capsule.catalog import load_device
+from vrcaps.capsule.catalog import read_device
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.tissue.motility.migrating_complex import MINUTE, MigratingMotorComplex
 from vrcaps.tissue.motility.motility import Motility
@@ -229,7 +229,7 @@ def physics_rows() -> list[tuple[str, ...]]:
     )
     motility = Motility(segments={"jejunum": ring}, complex=None, giant=None)
     gut = straight_gut({"jejunum": 0.3}, edge=2.5 * MM)
-    device = load_device("mirocam")
+    device = read_device("mirocam")
     pose = np.eye(4)
     pose[:3, :3] = [[0, 0, 1], [1, 0, 0], [0, 1, 0]]
     pose[:3, 3] = [0.08, 0.0, -gut.radius[0] + device.radius + 0.2 * MM]
@@ -281,7 +281,7 @@ def update_times() -> tuple[str, str, int, int]:
     colon = load_organ("colon", seed=0)
     start = State(0.0, np.eye(4))
     start.T_world_capsule[:3, 3] = colon.centerline.points[len(colon.centerline.points) // 2]
-    model = Model(colon, load_device("mirocam"), np.eye(4))
+    model = Model(colon, read_device("mirocam"), np.eye(4))
     world = World(model, Tissue(motility=Motility()), start)
 
     def wave(k: int) -> None:

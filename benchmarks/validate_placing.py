@@ -21,7 +21,7 @@ from vrcaps.actuation.magnet_pose_solver import Room
 from vrcaps.actuation.point_to_point import Guide
 from vrcaps.actuation.steering_program import GENTLE
 from vrcaps.anatomy.stomach import StomachParameters, generate_stomach
-from vrcaps.capsule.catalog import load_device
+from vrcaps.capsule.catalog import read_device
 from vrcaps.magnet.presets import load_magnet
 from vrcaps.magnet.sources import magnet_pose
 from vrcaps.tissue.tissue import Tissue
@@ -86,7 +86,7 @@ def place(walls: Walls, count: int) -> tuple[str, ...]:
     """A row of the table of places."""
     rng = np.random.default_rng(SEED)
     organ = generate_stomach(StomachParameters().at("inflated"), seed=0)
-    model = Model(organ, load_device("magnetic"), posture_transform("supine"))
+    model = Model(organ, read_device("magnetic"), posture_transform("supine"))
     spots, errors, times, lost = Spots(model, walls), [], [], []
     pilot, world, goal = begin(model, spots.draw(rng, None))
     for _ in range(count):

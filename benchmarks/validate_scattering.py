@@ -27,7 +27,7 @@ from vrcaps import _core
 from vrcaps.anatomy.catalog import load_organ
 from vrcaps.camera.camera import Camera
 from vrcaps.camera_pipeline.camera_changes import scaled_camera
-from vrcaps.capsule.catalog import load_device
+from vrcaps.capsule.catalog import read_device
 from vrcaps.motion.fly_through import FlyThrough, fly_through
 from vrcaps.organ.surface import Appearance
 from vrcaps.render.renderer import Renderer
@@ -146,7 +146,7 @@ def views() -> list[View]:
     """A tube with ring folds and generated organs, seen by MiroCam."""
     from shapes import looking, tube
 
-    device = load_device("mirocam")
+    device = read_device("mirocam")
     color = np.array([[[190, 90, 50]]], np.uint8)
     look = Appearance(color, np.full((1, 1), 160, np.uint8), np.zeros((1, 1)), coat=0.7)
     folds = tube(160, 400, length=0.15, folds=0.35, capped=True, appearance=look)

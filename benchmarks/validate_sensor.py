@@ -19,7 +19,7 @@ from vrcaps.camera.derive import focal_length_px
 from vrcaps.camera_pipeline.exposure import AutoExposure
 from vrcaps.camera_pipeline.optics import Bloom, Defocus, LateralColor, Vignetting
 from vrcaps.camera_pipeline.severities import GRADES
-from vrcaps.capsule.catalog import load_device
+from vrcaps.capsule.catalog import read_device
 from vrcaps.render.flow import STEP
 from vrcaps.units import MM
 
@@ -151,7 +151,7 @@ def exposure() -> list[Row]:
 def main() -> None:
     """Measure, and write the section."""
     arguments = options(__doc__ or "", 320)
-    camera = load_device("mirocam").cameras[0]
+    camera = read_device("mirocam").cameras[0]
     measured = [*photon_transfer(arguments.size), *optics(camera), *motion(camera), *exposure()]
     text = (
         "## Lens and sensor\n\n"

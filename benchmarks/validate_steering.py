@@ -27,7 +27,7 @@ from vrcaps.actuation.magnet_actuator import FreeHolder, Holder
 from vrcaps.actuation.magnet_controller import Pilot, Steering
 from vrcaps.actuation.magnet_pose_solver import Room
 from vrcaps.actuation.robot_actuator import ArmHolder
-from vrcaps.capsule.catalog import load_device
+from vrcaps.capsule.catalog import read_device
 from vrcaps.magnet.presets import load_magnet
 from vrcaps.magnet.sources import Coil, Cylinder, Dipole, magnet_pose
 from vrcaps.organ.surface import OrganSurface
@@ -86,7 +86,7 @@ and jerk. *Once settled* is the largest error in the last second of each push.
 
 def begin(tube: Tube, by_arm: bool, press: float) -> tuple[Pilot, World, Goal]:
     """The capsule held in a tube."""
-    model = Model(tube.organ, load_device("magnetic"), np.eye(4))
+    model = Model(tube.organ, read_device("magnetic"), np.eye(4))
     line = tube.organ.centerline
     goal = gut_goal(line, np.eye(4), tube.arc_length)
     nearest = int(np.argmin(np.abs(line.arc_length - tube.arc_length)))
@@ -171,7 +171,7 @@ def error_of(world: World, goal: Goal, counted: np.ndarray) -> tuple[float, floa
 def speed_rows() -> list[tuple[str, ...]]:
     """Rows of what 8 sources take in a substep, beside the same substep without them."""
     organ = bent_tube(radius=0.04, around=24, along=60)
-    model = Model(organ, load_device("magnetic"), np.eye(4))
+    model = Model(organ, read_device("magnetic"), np.eye(4))
     pose = transform_from(organ.centerline.frames[15], organ.centerline.points[15])
     places = 0.3 * np.array([[np.cos(a), np.sin(a), 0.5] for a in range(8)]) + pose[:3, 3]
     poses = [magnet_pose(place, (1, 2, 3)) for place in places]

@@ -27,7 +27,7 @@ def main(out: Path, seed: int) -> None:
     organ = vrcaps.load_organ("colon", seed=seed)
 
     # Organ and capsule make a model: what is fixed. A trajectory says where the capsule is.
-    model = vrcaps.Model(organ, vrcaps.load_device("mirocam"))
+    model = vrcaps.Model(organ, vrcaps.read_device("mirocam"))
     rng = np.random.default_rng(seed)
     flight = vrcaps.fly_through(model, vrcaps.FlyThrough(), frames=100, fps=3.0, rng=rng)
 

@@ -59,7 +59,7 @@ def main(out: Path, frames: int) -> None:
     path.write_text(WIDE, encoding="utf-8")
 
     # Reading checks the file: a lens that folds back or a camera without light is an error.
-    device = vrcaps.load_device(path)
+    device = vrcaps.read_device(path)
     (camera,) = device.cameras
     rays = camera.lens.unproject(np.array([[127.5, 127.5], [127.5 + 120.0, 127.5]]))
     angle = np.degrees(np.arccos(rays[1] @ rays[0]))

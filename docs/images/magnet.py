@@ -17,7 +17,7 @@ from matplotlib.patches import Ellipse
 from vrcaps.actuation.arm.kinematics import frames
 from vrcaps.actuation.steering_program import MagnetSteering
 from vrcaps.anatomy.stomach import StomachParameters, generate_stomach
-from vrcaps.capsule.catalog import load_device
+from vrcaps.capsule.catalog import read_device
 from vrcaps.magnet.field import SourceSet
 from vrcaps.motion.dynamics import Physics
 from vrcaps.motion.rollout import Simulation
@@ -34,7 +34,7 @@ SKIN = "#c98f76"
 def main() -> None:
     """Simulate some seconds and draw where everything is, seen from the patient's feet."""
     stomach = generate_stomach(StomachParameters().at("inflated"), seed=0)
-    model = Model(stomach, load_device("magnetic"), posture_transform("supine"))
+    model = Model(stomach, read_device("magnetic"), posture_transform("supine"))
     steering = MagnetSteering(arm="panda", side="up", skin=3.0 * CM, speed=1.0 * CM)
     motion = Physics(start=0.05, substep=2e-4, magnet=steering)
     run = Simulation(model, motion, frames=int(SECONDS * FPS), fps=FPS, seed=0)

@@ -1,7 +1,7 @@
 from ._core import __version__ as __version__
 from .anatomy.catalog import load_organ as load_organ
 from .capsule.catalog import device_names as device_names
-from .capsule.catalog import load_device as load_device
+from .capsule.catalog import read_device as read_device
 from .errors import VrcapsError as VrcapsError
 from .motion.dynamics import Physics as Physics
 from .motion.fly_through import FlyThrough as FlyThrough

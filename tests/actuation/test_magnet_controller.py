@@ -15,7 +15,7 @@ from vrcaps.actuation.capsule_target import Goal, gut_goal, wall_goal
 from vrcaps.actuation.magnet_actuator import FreeHolder
 from vrcaps.actuation.magnet_controller import Pilot, Steering
 from vrcaps.actuation.magnet_pose_solver import Room
-from vrcaps.capsule.catalog import load_device
+from vrcaps.capsule.catalog import read_device
 from vrcaps.errors import InputError
 from vrcaps.magnet.field import wrench
 from vrcaps.magnet.presets import load_magnet
@@ -30,7 +30,7 @@ DT = 0.01
 
 @pytest.fixture(scope="module")
 def gut_model() -> Model:
-    return Model(straight_gut({"jejunum": 0.2}, radius=0.014), load_device("magnetic"), np.eye(4))
+    return Model(straight_gut({"jejunum": 0.2}, radius=0.014), read_device("magnetic"), np.eye(4))
 
 
 def begin(model: Model, at: float = 0.1, **options) -> tuple[Pilot, World, Goal]:

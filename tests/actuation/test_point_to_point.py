@@ -11,7 +11,7 @@ from vrcaps.actuation.magnet_actuator import FreeHolder
 from vrcaps.actuation.magnet_controller import Pilot
 from vrcaps.actuation.magnet_pose_solver import Room
 from vrcaps.actuation.point_to_point import Guide
-from vrcaps.capsule.catalog import load_device
+from vrcaps.capsule.catalog import read_device
 from vrcaps.errors import InputError
 from vrcaps.magnet.presets import load_magnet
 from vrcaps.magnet.sources import magnet_pose
@@ -30,7 +30,7 @@ def on_wall(model: Model, x: float) -> Goal:
 def begin(holder: FreeHolder) -> tuple[Pilot, World]:
     """A capsule under the upper wall of a tube along x, at 0.1 m."""
     gut = straight_gut({"jejunum": 0.2}, radius=0.014)
-    model = Model(gut, load_device("magnetic"), np.eye(4))
+    model = Model(gut, read_device("magnetic"), np.eye(4))
     goal = on_wall(model, 0.1)
     pose = magnet_pose(np.asarray(goal.position) - [0, 0, 1e-3], AHEAD)
     pilot = Pilot(model, load_magnet("cylinder-101.6"), holder, pose, goal)

@@ -19,7 +19,7 @@ from vrcaps.actuation.steering_program import (
     check_waypoints,
     read_commands,
 )
-from vrcaps.capsule.catalog import load_device
+from vrcaps.capsule.catalog import read_device
 from vrcaps.errors import InputError, UnknownNameError
 from vrcaps.motion.dynamics import Physics
 from vrcaps.motion.rollout import Simulation
@@ -34,7 +34,7 @@ PATH = (Waypoint(0.0, 0.06), Waypoint(1.0, 0.065), Waypoint(2.0, 0.065))
 @pytest.fixture(scope="module")
 def gut_model() -> Model:
     gut = straight_gut({"jejunum": 0.2}, radius=0.014)
-    return Model(gut, load_device("magnetic"), posture_transform("supine"))
+    return Model(gut, read_device("magnetic"), posture_transform("supine"))
 
 
 def simulate(model: Model, steering: MagnetSteering, frames: int = 7, fps: float = 3.0):
@@ -154,7 +154,7 @@ def test_what_cannot_be(gut_model):
     with pytest.raises(InputError, match="A waypoint's arc_length is 5"):
         simulate(gut_model, MagnetSteering(waypoints=(Waypoint(0.0, 5.0),)))
     with pytest.raises(InputError, match="holds no magnet"):
-        simulate(replace(gut_model, device=load_device("mirocam")), MagnetSteering())
+        simulate(replace(gut_model, device=read_device("mirocam")), MagnetSteering())
     with pytest.raises(UnknownNameError, match="No arm named"):
         simulate(gut_model, MagnetSteering(arm="tentacle"))
     with pytest.raises(InputError, match="does not reach"):

@@ -17,7 +17,7 @@ from vrcaps.actuation.wall_path import (
     lay,
     straight_wall_path,
 )
-from vrcaps.capsule.catalog import load_device
+from vrcaps.capsule.catalog import read_device
 from vrcaps.errors import InputError
 from vrcaps.magnet.sources import magnet_pose
 from vrcaps.world.model import Model
@@ -30,7 +30,7 @@ UP, AHEAD = np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0])
 def tube() -> Model:
     """Along x, from 0 to 0.2 m."""
     gut = straight_gut({"jejunum": 0.2}, radius=RADIUS)
-    return Model(gut, load_device("magnetic"), np.eye(4))
+    return Model(gut, read_device("magnetic"), np.eye(4))
 
 
 def turn_between(path: WallPath) -> np.ndarray:

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from vrcaps.camera.rays import camera_rays, pixel_grid, project_points, unproject_pixels
-from vrcaps.capsule.catalog import device_names, load_device
+from vrcaps.capsule.catalog import device_names, read_device
 from vrcaps.errors import InputError
 
 CAMERAS = [
     pytest.param(camera, id=f"{name}-{camera.name}")
     for name in device_names()
-    for camera in load_device(name).cameras
+    for camera in read_device(name).cameras
 ]
 
 
@@ -66,25 +66,25 @@ def test_sub_pixels_share_each_pixel_evenly():
 
 
 def test_supersampled_rays_average_to_the_pixel_rays():
-    camera = load_device("mono").cameras[0]
+    camera = read_device("mono").cameras[0]
     fine = camera_rays(camera, supersampling=3)
     assert fine.shape == (960, 960, 3)
     np.testing.assert_array_equal(fine[1::3, 1::3], camera_rays(camera))
 
 
 def test_image_circle_darkens_the_corners():
-    camera = replace(load_device("mono").cameras[0], image_circle_px=100.0)
+    camera = replace(read_device("mono").cameras[0], image_circle_px=100.0)
     seen = np.isfinite(camera_rays(camera)[..., 0])
     assert seen.mean() == pytest.approx(np.pi * 100.0**2 / 320**2, rel=2e-3)
     assert np.isnan(project_points(camera, np.array([0.7, 0.0, 1.0]))).all()
 
 
 def test_points_beside_the_image_keep_their_pixel():
-    camera = load_device("mono").cameras[0]
+    camera = read_device("mono").cameras[0]
     pixel = project_points(camera, np.array([2.0, 0.0, 1.0]))
     np.testing.assert_allclose(pixel, [159.5 + 2.0 * 157.55, 159.5])
 
 
 def test_supersampling_below_one_is_refused():
     with pytest.raises(InputError, match=r"Supersampling is 0\. Allowed: 1, 2, 3"):
-        camera_rays(load_device("mono").cameras[0], supersampling=0)
+        camera_rays(read_device("mono").cameras[0], supersampling=0)

@@ -11,7 +11,7 @@ from vrcaps.camera_pipeline.camera_changes import (
     Resolution,
     scaled_camera,
 )
-from vrcaps.capsule.catalog import device_names, load_device
+from vrcaps.capsule.catalog import device_names, read_device
 from vrcaps.errors import InputError
 from vrcaps.organ.surface import Appearance
 from vrcaps.render.renderer import Renderer
@@ -45,7 +45,7 @@ def test_longer_lens_magnifies_about_its_centre() -> None:
 @pytest.mark.parametrize("inward", [0.1, 0.4])
 def test_barrel_follows_the_division_model(name: str, inward: float) -> None:
     """Within 3 % of half the image's side; the middle grows by 1 / (1 − D)."""
-    for camera in load_device(name).cameras:
+    for camera in read_device(name).cameras:
         bent = Distortion(inward).on(camera)
         edge = 0.5 * min(camera.width, camera.height)
         rays = camera_rays(camera)

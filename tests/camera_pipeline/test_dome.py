@@ -15,7 +15,7 @@ from vrcaps.camera_pipeline.effects import Effects
 from vrcaps.camera_pipeline.optics import Defocus
 from vrcaps.camera_pipeline.pipeline import CameraChain, Moment
 from vrcaps.camera_pipeline.severities import GRADES
-from vrcaps.capsule.catalog import load_device
+from vrcaps.capsule.catalog import read_device
 from vrcaps.errors import InputError
 from vrcaps.render.renderer import Renderer
 from vrcaps.units import DEG, MM
@@ -187,7 +187,7 @@ def test_refuses_films_and_drops_that_do_not_fit() -> None:
 
 @pytest.mark.parametrize("name", ["droplets", "smears"])
 def test_grades_cover_more_and_more(name: str) -> None:
-    camera = load_device("mirocam").cameras[0]
+    camera = read_device("mirocam").cameras[0]
     shares = []
     for figures in GRADES[name][1:]:
         chosen = {"droplets": (figures, None), "smears": (None, figures)}[name]

@@ -6,7 +6,7 @@ from vrcaps.camera_pipeline.frame_rate import AdaptiveRate
 from vrcaps.camera_pipeline.optics import Defocus
 from vrcaps.camera_pipeline.parse import parse_effects
 from vrcaps.camera_pipeline.severities import GRADES, HIGHEST
-from vrcaps.capsule.catalog import load_device
+from vrcaps.capsule.catalog import read_device
 from vrcaps.errors import InputError, UnknownNameError
 from vrcaps.lumen.contents import Contents
 from vrcaps.scenario.convert import from_plain, to_plain
@@ -51,7 +51,7 @@ def test_every_grade_is_in_the_table_and_rises() -> None:
     for effects in (Effects(**dict.fromkeys(GRADES, grade)) for grade in range(HIGHEST + 1)):
         plain = to_plain(effects, Effects)
         assert from_plain(Effects, plain, at="effects") == effects
-        device = effects.device(load_device("mirocam"))
+        device = effects.device(read_device("mirocam"))
         assert device.cameras[0].width == round(320 * (1, 0.75, 0.5, 0.375, 0.25)[effects.noise])
 
 

@@ -14,7 +14,7 @@ from vrcaps.camera_pipeline.optics import (
     RollingShutter,
     Vignetting,
 )
-from vrcaps.capsule.catalog import load_device
+from vrcaps.capsule.catalog import read_device
 from vrcaps.errors import InputError
 from vrcaps.units import MM
 
@@ -105,7 +105,7 @@ def test_lateral_shift_is_the_radius_times_the_magnification(red: float, blue: f
 
 
 def test_vignette_follows_its_polynomial_and_the_cosine() -> None:
-    camera = load_device("mirocam").cameras[0]
+    camera = read_device("mirocam").cameras[0]
     rows, columns = np.mgrid[:320, :320]
     rho = np.hypot(columns - camera.lens.cx, rows - camera.lens.cy) / 160.0
     expected = np.maximum(1.0 - 0.4 * rho**2 + 0.05 * rho**4, 0.0)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from vrcaps.camera.rays import camera_rays, project_points
-from vrcaps.capsule.catalog import device_names, load_device
+from vrcaps.capsule.catalog import device_names, read_device
 from vrcaps.errors import InputError, UnknownNameError
 from vrcaps.transforms import invert, rotate_vectors, transform_points
 from vrcaps.units import MM
@@ -21,7 +21,7 @@ def test_catalog_names():
 
 @pytest.mark.parametrize("name", NAMES)
 def test_device_is_plausible(name):
-    device = load_device(name)
+    device = read_device(name)
     assert device.name == name
     assert device.title and device.source
     assert 20 * MM < device.length < 35 * MM
@@ -34,7 +34,7 @@ def test_device_is_plausible(name):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_lenses_and_leds_are_inside_the_body(name):
-    device = load_device(name)
+    device = read_device(name)
     straight = 0.5 * device.length - device.radius
     for camera in device.cameras:
         assert len(camera.leds) >= 4
@@ -48,7 +48,7 @@ def test_lenses_and_leds_are_inside_the_body(name):
 @pytest.mark.parametrize("name", NAMES)
 def test_exposure_gives_a_matt_wall_at_20_mm_the_value_0_4(name):
     """L = (ρ/π) Σ I cosᵐφ cosα / d², on the axis, with albedo ρ = 0.5."""
-    for camera in load_device(name).cameras:
+    for camera in read_device(name).cameras:
         wall = np.array([0.0, 0.0, 20 * MM])
         irradiance = 0.0
         for led in camera.leds:
@@ -62,7 +62,7 @@ def test_exposure_gives_a_matt_wall_at_20_mm_the_value_0_4(name):
 
 @pytest.mark.parametrize("name", ("pillcam-colon2", "dual"))
 def test_second_head_looks_back(name):
-    front, back = load_device(name).cameras
+    front, back = read_device(name).cameras
     ahead = np.array([[0.0, 0.0, 1.0]])
     np.testing.assert_allclose(rotate_vectors(front.T_capsule_camera, ahead), ahead)
     np.testing.assert_allclose(rotate_vectors(back.T_capsule_camera, ahead), -ahead)
@@ -70,12 +70,12 @@ def test_second_head_looks_back(name):
 
 
 def test_colon2_has_a_calibration_for_each_head():
-    front, back = load_device("pillcam-colon2").cameras
+    front, back = read_device("pillcam-colon2").cameras
     assert front.lens != back.lens
 
 
 def test_stereo_baseline_is_along_the_rows_of_both_images():
-    left, right = load_device("stereo").cameras
+    left, right = read_device("stereo").cameras
     baseline = right.T_capsule_camera[:3, 3] - left.T_capsule_camera[:3, 3]
     np.testing.assert_allclose(baseline, [3.85 * MM, 0.0, 0.0], atol=1e-12)
     lit = [
@@ -90,7 +90,7 @@ def test_panorama_has_no_gap_around_the_capsule():
     angle = np.radians(np.arange(360.0))
     ring = np.stack([9 * MM * np.cos(angle), 9 * MM * np.sin(angle), 0 * angle], axis=-1)
     seen = np.zeros(360, int)
-    for camera in load_device("panoramic").cameras:
+    for camera in read_device("panoramic").cameras:
         pixels = project_points(camera, transform_points(invert(camera.T_capsule_camera), ring))
         seen += np.all((pixels > -0.5) & (pixels < 319.5), axis=-1)
         up = invert(camera.T_capsule_camera)[:3, 2]
@@ -105,7 +105,7 @@ def test_panorama_has_no_gap_around_the_capsule():
 )
 def test_field_across_the_middle_row(name, share, across):
     """Valid share of the image and angle from the first to the last valid pixel [deg]."""
-    rays = camera_rays(load_device(name).cameras[0])
+    rays = camera_rays(read_device(name).cameras[0])
     row = rays[rays.shape[0] // 2]
     row = row[np.isfinite(row[:, 0])]
     ends = np.degrees(np.arccos(row[[0, -1], 2]))
@@ -117,9 +117,9 @@ def test_unknown_name():
     with pytest.raises(
         UnknownNameError, match=r"No capsule named 'mirocan'\. Known: dual, magnetic, mirocam"
     ):
-        load_device("mirocan")
+        read_device("mirocan")
 
 
 def test_missing_file(tmp_path):
     with pytest.raises(InputError, match=r"No capsule file at .*mine\.toml.* or one of: dual"):
-        load_device(tmp_path / "mine.toml")
+        read_device(tmp_path / "mine.toml")

@@ -9,7 +9,7 @@ import pytest
 
 from vrcaps.camera.camera import Led
 from vrcaps.camera.lens import LENSES, LensEquirectangular, LensKannalaBrandt, LensPinhole
-from vrcaps.capsule.catalog import device_names, load_device
+from vrcaps.capsule.catalog import device_names, read_device
 from vrcaps.capsule.device import Device
 from vrcaps.capsule.device_file import write_device
 from vrcaps.errors import InputError
@@ -60,7 +60,7 @@ def assert_same(a: Device, b: Device) -> None:
 def load_text(tmp_path, text: str) -> Device:
     path = tmp_path / "mine.toml"
     path.write_text(text, encoding="utf-8")
-    return load_device(path)
+    return read_device(path)
 
 
 def test_a_users_file_is_read_in_si_units(tmp_path):
@@ -94,7 +94,7 @@ def test_magnets_are_read_by_moment_or_by_name(tmp_path):
     moment = load_magnet("capsule-6x6").moment
     np.testing.assert_allclose(other.moment_capsule, [0.0, 0.6 * moment, 0.8 * moment])
     write_device(tmp_path / "mine.toml", device)
-    assert_same(load_device(tmp_path / "mine.toml"), device)
+    assert_same(read_device(tmp_path / "mine.toml"), device)
     assert load_text(tmp_path, DEVICE).magnets == ()
 
 
@@ -126,7 +126,7 @@ def test_spectrum_of_the_leds(tmp_path):
     device = load_text(tmp_path, DEVICE + SPECTRUM)
     assert device.led_spectrum == ((400.0, 0.0), (450.5, 1.0), (700.0, 0.25))
     write_device(tmp_path / "again.toml", device)
-    assert_same(replace(load_device(str(tmp_path / "again.toml")), name=device.name), device)
+    assert_same(replace(read_device(str(tmp_path / "again.toml")), name=device.name), device)
 
 
 @pytest.mark.parametrize(
@@ -146,9 +146,9 @@ def test_impossible_spectra(tmp_path, old, new, message):
 
 @pytest.mark.parametrize("name", device_names())
 def test_catalog_devices_are_written_and_read_back_equal(tmp_path, name):
-    device = load_device(name)
+    device = read_device(name)
     write_device(tmp_path / f"{name}.toml", device)
-    assert_same(load_device(tmp_path / f"{name}.toml"), device)
+    assert_same(read_device(tmp_path / f"{name}.toml"), device)
     assert [path.name for path in tmp_path.iterdir()] == [f"{name}.toml"]
 
 
@@ -188,7 +188,7 @@ def test_any_floats_are_written_and_read_back_equal(tmp_path, seed):
     facts = {"lot": 'A "1" \\ µ\n', "seed": seed, "on": True, "gain": [1.5, {"r": 0.1}]}
     device = replace(base, mass=float(rng.uniform(1e-3, 1e-2)), cameras=cameras, metadata=facts)
     write_device(tmp_path / "mine.toml", device)
-    assert_same(load_device(tmp_path / "mine.toml"), device)
+    assert_same(read_device(tmp_path / "mine.toml"), device)
 
 
 def test_led_direction_may_have_any_length(tmp_path):
@@ -288,7 +288,7 @@ def test_file_that_is_no_text(tmp_path):
     path = tmp_path / "mine.toml"
     path.write_bytes(b"\xff\xfe\x00")
     with pytest.raises(InputError, match="is not TOML"):
-        load_device(path)
+        read_device(path)
 
 
 def test_file_that_cannot_be_written(tmp_path):
@@ -316,4 +316,4 @@ def test_every_lens_kind_has_a_file_form(tmp_path):
     for kind, make in LENSES.items():
         camera = replace(base.cameras[0], lens=make(*lenses[kind]))
         write_device(tmp_path / "mine.toml", replace(base, cameras=(camera,)))
-        assert load_device(tmp_path / "mine.toml").cameras[0].lens == camera.lens
+        assert read_device(tmp_path / "mine.toml").cameras[0].lens == camera.lens

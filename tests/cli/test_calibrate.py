@@ -13,13 +13,13 @@ from scipy.spatial.transform import Rotation
 from failing import fail
 from vrcaps import cli
 from vrcaps.camera.lens import LensPinhole
-from vrcaps.capsule.catalog import load_device
+from vrcaps.capsule.catalog import read_device
 from vrcaps.tools.camera_calibration.board import Board, board_image
 from vrcaps.transforms import transform_from
 
 BOARD = Board(5, 6, 2e-3)
 CAMERA = replace(
-    load_device("mirocam").cameras[0],
+    read_device("mirocam").cameras[0],
     lens=LensPinhole(90.0, 90.0, 79.5, 79.5, k1=-0.1),
     width=160,
     height=160,
@@ -54,7 +54,7 @@ def test_photographs_become_a_capsule_with_a_picture_of_residuals(photos, tmp_pa
     assert "Boardfoundin6of7photographs." in text
     assert "Notfoundin:none.png." in text
     assert f"--capsule{out}--outRUN" in text
-    device, pattern = load_device(out), load_device("pillcam-colon2")
+    device, pattern = read_device(out), read_device("pillcam-colon2")
     front, back = device.cameras
     assert front.lens == pattern.cameras[0].lens
     assert back.leds == pattern.cameras[1].leds

@@ -11,7 +11,7 @@ from scipy import ndimage
 
 from failing import fail
 from vrcaps import cli
-from vrcaps.capsule.catalog import load_device
+from vrcaps.capsule.catalog import read_device
 from vrcaps.scenario.scenario import read_scenario
 
 
@@ -46,7 +46,7 @@ def test_frames_become_a_capsule_and_a_scenario(folders, tmp_path, capsys) -> No
     assert "6framesof160×160px." in text
     assert "quality90" in text
     assert f"--scenario{tmp_path / 'mine-effects.toml'}--outRUN" in text
-    (camera,), (old,) = load_device(out).cameras, load_device("mirocam").cameras
+    (camera,), (old,) = read_device(out).cameras, read_device("mirocam").cameras
     assert camera.image_circle_px == pytest.approx(2.0 * 76.5, abs=2.0)
     assert camera.leds[0].intensity[0] > old.leds[0].intensity[0]
     assert camera.leds[0].intensity[1] == old.leds[0].intensity[1]

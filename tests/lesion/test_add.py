@@ -4,7 +4,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from vrcaps.capsule.catalog import load_device
+from vrcaps.capsule.catalog import read_device
 from vrcaps.errors import InputError
 from vrcaps.lesion import (
     LESIONS,
@@ -185,8 +185,8 @@ def test_masks_equal_the_geodesic_footprint(tube, monkeypatch):
     lesion = Angioectasia(size=8 * MM, place=MIDDLE)
     organ = add_lesions(tube, [lesion], np.random.default_rng(0)).organ
     (form,) = forms
-    camera = load_device("mirocam").cameras[0]
-    model = Model(organ, load_device("mirocam"), np.eye(4))
+    camera = read_device("mirocam").cameras[0]
+    model = Model(organ, read_device("mirocam"), np.eye(4))
     renderer = Renderer(model)
     pixels = np.stack(np.meshgrid(np.arange(camera.width), np.arange(camera.height)), axis=-1)
     overlaps = []
@@ -224,7 +224,7 @@ def footprint(form, eye, rays):
 )
 def test_clean_twin_differs_only_inside_the_masks(tube, lesion):
     patient = add_lesions(tube, [lesion], np.random.default_rng(0))
-    device = load_device("mirocam")
+    device = read_device("mirocam")
     camera = device.cameras[0]
     sick, clean = (
         Renderer(Model(organ, device, np.eye(4))) for organ in (patient.organ, patient.clean)
@@ -243,7 +243,7 @@ def test_clean_twin_differs_only_inside_the_masks(tube, lesion):
 def test_clean_twin_looks_like_the_organ_itself(tube):
     lesions = [Polyp(place=MIDDLE), Colitis(mayo=3, spread=60 * MM, place=MIDDLE)]
     clean = add_lesions(tube, lesions, np.random.default_rng(0)).clean
-    device = load_device("mirocam")
+    device = read_device("mirocam")
     state = State(0.0, next(views(np.array([RADIUS, 0.0, 80 * MM]))))
     one, two = (
         np.asarray(

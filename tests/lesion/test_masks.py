@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from vrcaps.capsule.catalog import load_device
+from vrcaps.capsule.catalog import read_device
 from vrcaps.lesion import Colitis, Haemorrhage, Place, Polyp, add_lesions
 from vrcaps.render.renderer import Renderer
 from vrcaps.transforms import look_along, transform_from
@@ -35,7 +35,7 @@ def test_mask_is_the_footprint(tube, lesion):
         patient = add_lesions(bare, [lesion], np.random.default_rng(5))
     organ, footprint = patient.organ, Footprint(bare, patient.clean, witness)
     scene = trimesh.Trimesh(organ.vertices, organ.faces, process=False).ray
-    device = load_device("mirocam")
+    device = read_device("mirocam")
     camera, renderer = device.cameras[0], Renderer(Model(organ, device, np.eye(4)))
     pixels = np.stack(np.meshgrid(np.arange(camera.width), np.arange(camera.height)), axis=-1)
     pixels = pixels[::2, ::2].reshape(-1, 2)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tubes import straight_gut
-from vrcaps.capsule.catalog import load_device
+from vrcaps.capsule.catalog import read_device
 from vrcaps.errors import InputError
 from vrcaps.lumen.bubbles import BUBBLE_GRADES, Bubbles
 from vrcaps.lumen.contents import Contents
@@ -27,7 +27,7 @@ def gut() -> OrganSurface:
 
 @pytest.mark.parametrize("grade", [0, 1, 2, 3, 4])
 def test_as_many_as_the_grade_says_ride_exactly(gut: OrganSurface, grade: int) -> None:
-    device = load_device("mirocam")
+    device = read_device("mirocam")
     model = Model(gut, device, contents=Contents(bubbles=grade, chyme=1, seed=3))
     filling, count = model.filling, BUBBLE_GRADES[grade].on_dome
     assert filling is not None and len(filling.seats) == 2 * count

@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from vrcaps.capsule.catalog import device_names, load_device
+from vrcaps.capsule.catalog import device_names, read_device
 from vrcaps.errors import InputError
 from vrcaps.motion.fly_through import FlyThrough, fly_through
 from vrcaps.motion.trajectory import camera_clearance, camera_poses
@@ -23,7 +23,7 @@ def _forward(trajectory):
 @pytest.mark.parametrize("device", device_names())
 def test_every_device_stays_inside(tube, device):
     """Centre and cameras of every catalog device keep clear of the wall, whatever the seed."""
-    model = Model(tube, load_device(device))
+    model = Model(tube, read_device(device))
     wild = FlyThrough(drift=0.95, wobble=0.7, roll=3.0)
     for seed, settings in ((0, FlyThrough()), (1, wild), (2, replace(wild, start=0.9, end=0.1))):
         trajectory = _fly(model, settings, seed=seed)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tubes import straight_gut
-from vrcaps.capsule.catalog import load_device
+from vrcaps.capsule.catalog import read_device
 from vrcaps.errors import InputError, UnknownNameError
 from vrcaps.motion.dynamics import Physics, tissue_of
 from vrcaps.motion.rollout import Simulation, over_all
@@ -35,7 +35,7 @@ def gut() -> OrganSurface:
 @pytest.fixture(scope="module")
 def lying(gut: OrganSurface) -> Model:
     """A gut along x, its patient on the back."""
-    return Model(gut, load_device("mirocam"), posture_transform("supine"))
+    return Model(gut, read_device("mirocam"), posture_transform("supine"))
 
 
 def run(model: Model, settings: Physics, *, frames: int = 4, fps: float = 10.0) -> list[Instant]:
@@ -191,7 +191,7 @@ def test_it_is_set_further_in_where_it_does_not_fit(lying: Model) -> None:
 
 
 def test_it_fits_nowhere() -> None:
-    narrow = Model(straight_gut({"jejunum": 0.1}, radius=2.5 * MM), load_device("mirocam"))
+    narrow = Model(straight_gut({"jejunum": 0.1}, radius=2.5 * MM), read_device("mirocam"))
     with pytest.raises(InputError, match=r"fits nowhere from start 0.5 on. Check the organ's"):
         Simulation(narrow, RIGID, frames=1, fps=1.0, seed=0)
 
@@ -203,7 +203,7 @@ def test_too_strong_a_command_names_the_time(lying: Model) -> None:
 
 
 def test_rejects_phase_three_where_no_complex_passes() -> None:
-    colon = Model(straight_gut({"sigmoid": 0.2}), load_device("mirocam"))
+    colon = Model(straight_gut({"sigmoid": 0.2}), read_device("mirocam"))
     with pytest.raises(InputError, match="motility is phase-three, but the migrating motor"):
         Simulation(colon, replace(RIGID, motility="phase-three"), frames=1, fps=1.0, seed=0)
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from vrcaps.capsule.catalog import load_device
+from vrcaps.capsule.catalog import read_device
 from vrcaps.errors import InputError, UnknownNameError
 from vrcaps.motion.run import Instant
 from vrcaps.recording.episode import read_episode
@@ -32,7 +32,7 @@ FPS = 4.0
 
 @pytest.fixture(scope="module")
 def model(organ) -> Model:
-    return Model(organ, load_device("magnetic"))
+    return Model(organ, read_device("magnetic"))
 
 
 def scenario_of(sensors: Sensors) -> Scenario:
@@ -137,7 +137,7 @@ def test_an_episode_has_the_readings(tmp_path, monkeypatch, base_scenario, organ
 def test_sensors_that_cannot_be(organ, model):
     with pytest.raises(UnknownNameError, match="sensor"):
         sensors_by_name(("sonar",))
-    bare = Model(organ, load_device("mirocam"))
+    bare = Model(organ, read_device("mirocam"))
     with pytest.raises(InputError, match=r"mirocam has 0\. Give a capsule with one"):
         SensorReadings(bare, scenario_of(ALL))
     with pytest.raises(InputError, match="gap"):

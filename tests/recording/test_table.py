@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from vrcaps.capsule.catalog import load_device
+from vrcaps.capsule.catalog import read_device
 from vrcaps.motion.fly_through import FlyThrough, fly_through
 from vrcaps.motion.trajectory import camera_clearance
 from vrcaps.recording.table import column_names, locate, make_table, read_table, write_table
@@ -11,7 +11,7 @@ from vrcaps.world.model import Model
 
 @pytest.fixture(scope="module")
 def model(organ):
-    return Model(organ, load_device("pillcam-colon2"))
+    return Model(organ, read_device("pillcam-colon2"))
 
 
 @pytest.fixture(scope="module")

@@ -9,7 +9,7 @@ from oracle_embree import EmbreeCaster
 from shapes import LENSES, RADIUS, looking, make_camera, make_model, sphere, tube
 from twin import dot, unit
 from vrcaps.camera.rays import camera_rays
-from vrcaps.capsule.catalog import load_device
+from vrcaps.capsule.catalog import read_device
 from vrcaps.organ.surface import OrganSurface, face_label
 from vrcaps.render.renderer import Renderer
 from vrcaps.transforms import invert, rotate_vectors
@@ -129,7 +129,7 @@ def _check_against_embree(model: Model, eyes: list[tuple], ahead: list[tuple]) -
 @pytest.mark.parametrize("device", ["mirocam", "pillcam-colon2", "panoramic"])
 def test_folded_tube_against_embree(device: str) -> None:
     organ = tube(120, 300, folds=0.4)
-    model = Model(organ, load_device(device))
+    model = Model(organ, read_device(device))
     eyes = np.array([[0.002, -0.003, 0.06], [-0.004, 0.0, 0.14]])
     ahead = np.array([[0.3, 0.1, 1.0], [-0.2, 0.5, -1.0]])
     to_world = model.T_world_patient[:3, :3]
@@ -145,7 +145,7 @@ def test_real_organs_against_embree(shared_data, name: str) -> None:
 
     mesh = trimesh.load(shared_data / "organs" / f"{name}.ply", process=False)
     organ = make_organ(np.asarray(mesh.vertices, float) * 1e-3, np.asarray(mesh.faces, np.int64))
-    model = Model(organ, load_device("mirocam"))
+    model = Model(organ, read_device("mirocam"))
     rng = np.random.default_rng(3)
     start = model.vertices_world[rng.integers(len(organ.vertices), size=200)]
     places = np.concatenate([start + rng.normal(0.0, 0.008, start.shape) for _ in range(5)])

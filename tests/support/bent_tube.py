@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tubes import bent_tube
-from vrcaps.capsule.catalog import load_device
+from vrcaps.capsule.catalog import read_device
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.world.model import Model
 
@@ -16,7 +16,7 @@ def tube() -> OrganSurface:
 
 @pytest.fixture(scope="session")
 def model(tube: OrganSurface) -> Model:
-    return Model(tube, load_device("mirocam"))
+    return Model(tube, read_device("mirocam"))
 
 
 @pytest.fixture

@@ -8,13 +8,13 @@ import numpy as np
 from scipy import ndimage
 
 from vrcaps.camera.lens import LensEquidistant
-from vrcaps.capsule.catalog import load_device
+from vrcaps.capsule.catalog import read_device
 from vrcaps.tools.photos import Photo
 
 SIZE = 224
 CENTRE = (113.0, 110.0)
 CAMERA = replace(
-    load_device("mirocam").cameras[0],
+    read_device("mirocam").cameras[0],
     lens=LensEquidistant(80.0, *CENTRE),
     width=SIZE,
     height=SIZE,

@@ -7,7 +7,7 @@ import pytest
 from scipy.integrate import quad
 
 from vrcaps.capsule.body import homogeneous_body
-from vrcaps.capsule.catalog import load_device
+from vrcaps.capsule.catalog import read_device
 from vrcaps.tissue.drag import Drag
 from vrcaps.tissue.material import Material
 from vrcaps.tissue.spring_wall import QuickDeformation
@@ -217,7 +217,7 @@ def test_logarithmic_laws(law: str) -> None:
 
 def test_inertia_of_a_homogeneous_capsule() -> None:
     """Against the moments of points spread evenly through the shape."""
-    body = homogeneous_body(load_device("mirocam"))
+    body = homogeneous_body(read_device("mirocam"))
     rng = np.random.default_rng(0)
     half, r = body.half_axis, body.radius
     p = rng.uniform(-1.0, 1.0, (400_000, 3)) * [r, r, half + r]

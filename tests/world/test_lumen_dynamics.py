@@ -14,7 +14,7 @@ import pytest
 from tubes import straight_gut
 from vrcaps import _core
 from vrcaps.capsule.body import homogeneous_body
-from vrcaps.capsule.catalog import load_device
+from vrcaps.capsule.catalog import read_device
 from vrcaps.errors import InputError
 from vrcaps.lumen.bubbles import Bubbles
 from vrcaps.lumen.contents import Contents
@@ -279,7 +279,7 @@ def test_a_sweep_moves_what_is_far_as_single_steps_do(gut: OrganSurface) -> None
 
 
 def world_in(gut: OrganSurface, contents: Contents, z: float = 0.0, **device: float) -> World:
-    mirocam = replace(load_device("mirocam"), **device)
+    mirocam = replace(read_device("mirocam"), **device)
     pose = np.eye(4)
     pose[:3, :3] = [[0, 0, 1], [1, 0, 0], [0, 1, 0]]
     pose[:3, 3] = [0.1, 0.0, z]
@@ -291,7 +291,7 @@ def test_a_light_capsule_floats_at_its_draught(gut: OrganSurface) -> None:
     """At rest the liquid displaced weighs as much as the capsule: of a lying one, the height of
     the chord is where the submerged share is the ratio of densities."""
     contents = Contents(liquid=Liquid(fill=0.45, density=WATER))
-    device = load_device("mirocam")
+    device = read_device("mirocam")
     body = homogeneous_body(device)
     whole = np.pi * body.radius**2 * (2.0 * body.half_axis + 4.0 / 3.0 * body.radius)
     world = world_in(gut, contents, mass=0.5 * WATER * whole)

@@ -9,7 +9,7 @@ import pytest
 from scipy.special import ellipk
 
 from tubes import bent_tube
-from vrcaps.capsule.catalog import load_device
+from vrcaps.capsule.catalog import read_device
 from vrcaps.errors import InputError
 from vrcaps.magnet.field import field, wrench
 from vrcaps.magnet.internal import InternalMagnet
@@ -33,7 +33,7 @@ def wide(tube):
 
 def make_world(organ, moment, sources, *, wxyz_z=(0, 0, 1), at=0.05, offset=(0, 0, 0), **options):
     """A capsule with one magnet, its axis along `wxyz_z`, on the centreline of `organ`."""
-    device = load_device("mirocam")
+    device = read_device("mirocam")
     device = replace(device, magnets=(InternalMagnet(offset, moment),))
     model = Model(organ, device, options.pop("T_world_patient", posture_transform("supine")))
     index = int(np.argmin(np.abs(organ.centerline.arc_length - at)))
@@ -226,7 +226,7 @@ def test_what_cannot_be(wide):
         Control(strengths=np.array([np.nan]))
     with pytest.raises(InputError, match="holds no magnet"):
         World(
-            Model(wide, load_device("mirocam")),
+            Model(wide, read_device("mirocam")),
             FREE,
             State(0.0, transform_from(HOVER, at)),
             sources=[Uniform(0.01)],

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tubes import straight_gut
-from vrcaps.capsule.catalog import load_device
+from vrcaps.capsule.catalog import read_device
 from vrcaps.errors import InputError, UnknownNameError
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.tissue.motility.motility import Motility
@@ -43,7 +43,7 @@ def world_in(
     gut: OrganSurface, segment: SegmentMotility = RINGS, start: float = 0.1, **motility: object
 ) -> World:
     """A capsule lying along the gut, its front towards the anal end."""
-    device = load_device("mirocam")
+    device = read_device("mirocam")
     pose = np.eye(4)
     pose[:3, :3] = [[0, 0, 1], [1, 0, 0], [0, 1, 0]]
     pose[:3, 3] = [start, 0.0, -RADIUS + device.radius + 0.2 * MM]
@@ -168,7 +168,7 @@ def test_failed_step_leaves_the_world(gut: OrganSurface) -> None:
 
 
 def test_rejects_a_negative_seed(gut: OrganSurface) -> None:
-    model = Model(gut, load_device("mirocam"), np.eye(4))
+    model = Model(gut, read_device("mirocam"), np.eye(4))
     with pytest.raises(InputError, match=r"seed is -1. Allowed: 0, 1, 2"):
         World(model, Tissue(), State(0.0, np.eye(4)), seed=-1)
 
@@ -180,6 +180,6 @@ def test_rejects_a_snapshot_of_another_seed(gut: OrganSurface) -> None:
 
 
 def test_rejects_a_wall_without_known_muscle(gut: OrganSurface) -> None:
-    model = Model(gut, load_device("mirocam"), np.eye(4))
+    model = Model(gut, read_device("mirocam"), np.eye(4))
     with pytest.raises(UnknownNameError, match="No segment with muscle named 'bowel'"):
         World(model, Tissue(motility=Motility()), State(0.0, np.eye(4)))

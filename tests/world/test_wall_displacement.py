@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tubes import bent_tube
-from vrcaps.capsule.catalog import load_device
+from vrcaps.capsule.catalog import read_device
 from vrcaps.motion.fly_through import FlyThrough, fly_through
 from vrcaps.motion.trajectory import Trajectory
 from vrcaps.transforms import invert, transform_points
@@ -20,7 +20,7 @@ from vrcaps.world.wall_displacement import MakeWay
 @pytest.fixture(scope="module")
 def narrow() -> Model:
     """A tube of 8 mm around a capsule of 10.8 mm."""
-    return Model(bent_tube(radius=4.0 * MM, around=30, along=400), load_device("mirocam"))
+    return Model(bent_tube(radius=4.0 * MM, around=30, along=400), read_device("mirocam"))
 
 
 def _flight(model: Model, start: float, end: float, *, rigid_wall: bool = False) -> Trajectory:

@@ -48,8 +48,8 @@ def test_the_same_bytes_on_any_number_of_threads() -> None:
     code = (
         "import sys, hashlib; sys.path[:0] = sys.argv[1:]\n"
         "from tubes import bent_tube; import test_worlds as t\n"
-        "from vrcaps.capsule.catalog import load_device\n"
-        "worlds = t.worlds_in(t.Model(bent_tube(), load_device('mirocam')))\n"
+        "from vrcaps.capsule.catalog import read_device\n"
+        "worlds = t.worlds_in(t.Model(bent_tube(), read_device('mirocam')))\n"
         "t.step_worlds(worlds, t.CONTROLS, 0.01)\n"
         "print(hashlib.sha256(b''.join(t.as_bytes(w.snapshot()) for w in worlds)).hexdigest())"
     )

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from vrcaps.capsule.device import Device
-from vrcaps.capsule.device_file import read_device
+from vrcaps.capsule.device_file import read_device_file
 from vrcaps.catalog_folder import CatalogFolder
 
 _DEVICES = CatalogFolder(Path(__file__).parent / "devices", "capsule")
@@ -16,11 +16,11 @@ def device_names() -> tuple[str, ...]:
     return _DEVICES.names()
 
 
-def load_device(name_or_path: str | Path) -> Device:
+def read_device(name_or_path: str | Path) -> Device:
     """A device of the catalog by its name, or a user's own by the path of its TOML file.
 
     Raises:
         UnknownNameError: If the catalog has no device of that name.
         InputError: If there is no such file, or it describes no possible device.
     """
-    return read_device(_DEVICES.find(name_or_path))
+    return read_device_file(_DEVICES.find(name_or_path))

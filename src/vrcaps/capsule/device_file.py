@@ -43,7 +43,7 @@ _ORTHONORMAL = 1e-6
 _WIDEST = 16384
 
 
-def read_device(path: Path) -> Device:
+def read_device_file(path: Path) -> Device:
     """Read a device from its TOML file; its name is the file's name.
 
     Raises:
@@ -80,7 +80,7 @@ def read_device(path: Path) -> Device:
 
 
 def write_device(path: Path, device: Device) -> None:
-    """Write a device as TOML; `read_device` gives it back equal, under the file's name.
+    """Write a device as TOML; `read_device_file` gives it back equal, under the file's name.
 
     Raises:
         InputError: If the file cannot be written.

@@ -67,7 +67,7 @@ class Calibrate:
 
     def run(self) -> None:
         """Find the board, fit, report and write."""
-        from vrcaps.capsule.catalog import load_device
+        from vrcaps.capsule.catalog import read_device
         from vrcaps.capsule.device_file import write_device
         from vrcaps.tools.camera_calibration.board import parse_board
         from vrcaps.tools.camera_calibration.calibration_report import write_report
@@ -79,7 +79,7 @@ class Calibrate:
 
         check_out(self.out, overwrite=self.overwrite)
         board = parse_board(self.board, parse_length(self.square))
-        pattern = load_device(self.capsule)
+        pattern = read_device(self.capsule)
         find_camera(pattern, self.camera)
         photos = read_photos(self.photos, num_frames=self.video_frames)
         with progress_bar("looking for the board") as advance:

@@ -60,7 +60,7 @@ class Match:
 
     def run(self) -> None:
         """Estimate, report and write."""
-        from vrcaps.capsule.catalog import load_device
+        from vrcaps.capsule.catalog import read_device
         from vrcaps.capsule.device_file import write_device
         from vrcaps.tools.camera_calibration.device import find_camera
         from vrcaps.tools.camera_calibration.fit import sees_image
@@ -77,7 +77,7 @@ class Match:
         effects = self.out.with_name(f"{self.out.stem}-effects.toml")
         for path in (self.out, effects):
             check_out(path, overwrite=self.overwrite)
-        pattern = load_device(self.capsule)
+        pattern = read_device(self.capsule)
         camera = find_camera(pattern, self.camera)
         with progress_bar("looking at the frames") as advance:
             photos = read_photos(self.frames, num_frames=self.video_frames)

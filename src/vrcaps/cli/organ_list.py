@@ -23,7 +23,7 @@ class List:
     def run(self) -> None:
         """Print the tables."""
         from vrcaps.anatomy.catalog import CONDITIONS, ORGANS, organ_segments
-        from vrcaps.capsule.catalog import device_names, load_device
+        from vrcaps.capsule.catalog import device_names, read_device
         from vrcaps.lesion import LIBRARY
         from vrcaps.mucosa.appearance import MUCOSAE
 
@@ -34,7 +34,7 @@ class List:
         _print(f"library of {len(LIBRARY)} lesions by name", _library())
         photos = "or the folder of a texture from your photographs (vrcaps organ texture)"
         _print("mucosae", [("--mucosa", f"{', '.join(MUCOSAE)}; {photos}")])
-        devices = [load_device(name) for name in device_names()]
+        devices = [read_device(name) for name in device_names()]
         _print("capsules", [(device.name, device.title) for device in devices])
         console.print("Next:")
         for line in (

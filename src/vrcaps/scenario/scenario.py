@@ -13,7 +13,7 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 
 from vrcaps.camera_pipeline.effects import Effects
-from vrcaps.capsule.catalog import load_device
+from vrcaps.capsule.catalog import read_device
 from vrcaps.capsule.device import Device
 from vrcaps.errors import InputError, UnknownNameError
 from vrcaps.lesion import AnyLesion, add_lesions
@@ -195,7 +195,7 @@ def resolve(scenario: Scenario) -> tuple[Scenario, Device]:
             capsule's LEDs lack a colour.
         UnknownNameError: If a posture, capsule or channel is unknown.
     """
-    device = load_device(scenario.capsule)
+    device = read_device(scenario.capsule)
     imaging_of(device, scenario.render.imaging)
     posture_transform(scenario.posture)
     for channel in scenario.channels:

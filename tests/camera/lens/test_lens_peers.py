@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from vrcaps.camera.lens import LensKannalaBrandt, LensPinhole, LensScaramuzza
-from vrcaps.capsule.catalog import load_device
+from vrcaps.capsule.catalog import read_device
 
 
 def rotation_from_vector(vector) -> np.ndarray:
@@ -89,7 +89,7 @@ def test_published_models_reproject_real_corners_as_published(
 )
 def test_catalog_holds_the_published_lens(shared_data, folder, name):
     record = json.loads((shared_data / "calibration" / folder / "calibration.json").read_text())
-    lens = load_device(name).cameras[0].lens
+    lens = read_device(name).cameras[0].lens
     assert isinstance(lens, LensScaramuzza)
     published, ours = astuple(_lens(record["fisheye"])), astuple(lens)
     np.testing.assert_allclose(ours[:-1], published[:-1], rtol=1e-14)

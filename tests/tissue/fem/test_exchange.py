@@ -16,7 +16,7 @@ from scipy.sparse.linalg import spsolve
 from fem_shapes import full
 from tubes import straight_gut
 from vrcaps import _core
-from vrcaps.capsule.catalog import load_device
+from vrcaps.capsule.catalog import read_device
 from vrcaps.errors import InputError
 from vrcaps.tissue.drag import Drag
 from vrcaps.tissue.fem.assembly import assemble, surface_mass
@@ -46,7 +46,7 @@ def world(
     **tissue,
 ) -> World:
     """A capsule along the gut, a gap above its floor; the patient's frame is the world's."""
-    device = load_device("mirocam")
+    device = read_device("mirocam")
     middle = len(gut.centerline.points) // 2
     start = np.eye(4)
     start[:3, :3], start[:3, 3] = gut.centerline.frames[middle], gut.centerline.points[middle]

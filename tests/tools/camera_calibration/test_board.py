@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from boards import corners, held
-from vrcaps.capsule.catalog import load_device
+from vrcaps.capsule.catalog import read_device
 from vrcaps.errors import InputError
 from vrcaps.tools.camera_calibration.board import Board, board_image, parse_board
 
@@ -43,7 +43,7 @@ def test_a_square_without_a_size_is_an_error(square: float) -> None:
 
 def test_squares_around_an_inner_corner_alternate_in_the_picture() -> None:
     """Half-way to its neighbours' middle, each corner sees two black and two white squares."""
-    camera = load_device("mono").cameras[0]
+    camera = read_device("mono").cameras[0]
     board = Board(6, 5, 2e-3)
     pose = held(camera, board, 1, np.random.default_rng(2), tilt=0.3)
     image = board_image(camera, pose[0], board, 2)

@@ -10,7 +10,7 @@ import pytest
 
 from boards import corners, held
 from vrcaps.camera.lens import LensKannalaBrandt
-from vrcaps.capsule.catalog import load_device
+from vrcaps.capsule.catalog import read_device
 from vrcaps.errors import InputError, MissingExtraError
 from vrcaps.tools.camera_calibration.board import Board, board_image
 from vrcaps.tools.camera_calibration.corners import find_corners, find_views
@@ -19,7 +19,7 @@ from vrcaps.tools.photos import Photo
 
 BOARD = Board(7, 8, 2e-3)
 CAMERA = replace(
-    load_device("mirocam").cameras[0],
+    read_device("mirocam").cameras[0],
     lens=LensKannalaBrandt(75.0, 75.0, 79.0, 80.0, k1=0.03),
     width=160,
     height=160,

@@ -12,8 +12,8 @@ from scipy.stats import chi2
 
 from boards import corners, held
 from vrcaps.camera.lens import LensKannalaBrandt, LensPinhole, LensScaramuzza
-from vrcaps.capsule.catalog import load_device
-from vrcaps.capsule.device_file import read_device, write_device
+from vrcaps.capsule.catalog import read_device
+from vrcaps.capsule.device_file import read_device_file, write_device
 from vrcaps.errors import InputError, UnknownNameError
 from vrcaps.tools.camera_calibration.board import Board
 from vrcaps.tools.camera_calibration.circle import image_circle
@@ -26,7 +26,7 @@ from vrcaps.tools.photos import read_photos
 
 BOARD = Board(7, 8, 2e-3)
 SIZE = (320, 320)
-PATTERN = load_device("mirocam").cameras[0]
+PATTERN = read_device("mirocam").cameras[0]
 LENSES = {
     "pinhole": LensPinhole(158.0, 161.0, 157.2, 163.1, k1=-0.2, k2=0.04, k3=-0.003),
     "kannala-brandt": LensKannalaBrandt(
@@ -176,7 +176,7 @@ def test_photographs_fit_no_worse_than_published(shared_data: Path, tmp_path, ca
         fit = calibrate(views, board, (width, height), kind, circle_px=circle.radius)
         assert fit.errors.mean() <= STORED[camera, kind]
         edge = circle.radius_about(fit.lens.cx, fit.lens.cy)
-        device = calibrated_device(load_device("mirocam"), fit, circle_px=edge)
+        device = calibrated_device(read_device("mirocam"), fit, circle_px=edge)
         write_device(tmp_path / "mine.toml", device)
-        assert read_device(tmp_path / "mine.toml").cameras[0].lens == fit.lens
+        assert read_device_file(tmp_path / "mine.toml").cameras[0].lens == fit.lens
         assert sees_image(fit.lens, fit.size, edge)

@@ -11,8 +11,8 @@ import pytest
 from PIL import Image
 
 from made_frames import CAMERA, CENTRE, SIZE, Figures, photos
-from vrcaps.capsule.catalog import load_device
-from vrcaps.capsule.device_file import read_device, write_device
+from vrcaps.capsule.catalog import read_device
+from vrcaps.capsule.device_file import read_device_file, write_device
 from vrcaps.errors import InputError
 from vrcaps.scenario.scenario import read_scenario
 from vrcaps.tools.photometric_calibration.calibrate_photometric import (
@@ -120,7 +120,7 @@ def test_blocks_show_as_steps_over_their_borders(frames) -> None:
 
 def test_device_and_effects_hold_what_was_found(match, frames, tmp_path) -> None:
     """The circle is scaled to the device's images; a scenario with the effects can be read."""
-    pattern = replace(load_device("mirocam"), cameras=(CAMERA,))
+    pattern = replace(read_device("mirocam"), cameras=(CAMERA,))
     large = replace(CAMERA, width=2 * SIZE, height=2 * SIZE)
     device = matched_device(replace(pattern, cameras=(large,)), match)
     assert device.cameras[0].image_circle_px == pytest.approx(2.0 * match.circle.radius)
@@ -131,7 +131,7 @@ def test_device_and_effects_hold_what_was_found(match, frames, tmp_path) -> None
     assert camera.exposure == pytest.approx(CAMERA.exposure * match.brightness)
     path = tmp_path / "mine.toml"
     write_device(path, device)
-    assert read_device(path).cameras[0].lens == CAMERA.lens
+    assert read_device_file(path).cameras[0].lens == CAMERA.lens
     write_effects(tmp_path / "effects.toml", replace(match, jpeg_quality=80), path)
     scenario = read_scenario(tmp_path / "effects.toml")
     assert scenario.capsule == str(path)

@@ -9,7 +9,7 @@ import numpy as np
 
 from vrcaps.camera.camera import Camera
 from vrcaps.camera.lens import LensEquidistant
-from vrcaps.capsule.catalog import load_device
+from vrcaps.capsule.catalog import read_device
 from vrcaps.capsule.device import Device
 from vrcaps.mesh.mesh import vertex_normals
 from vrcaps.organ.surface import OrganSurface
@@ -62,7 +62,7 @@ def make_organ(num_triangles: int, *, seed: int) -> OrganSurface:
 
 def make_stage(organ: OrganSurface, device: Device | str = DEVICE, *, num_views: int) -> Stage:
     """Views from 5 % to 95 % of the centreline; the first camera's pupil is on it."""
-    model = Model(organ, load_device(device) if isinstance(device, str) else device)
+    model = Model(organ, read_device(device) if isinstance(device, str) else device)
     line = organ.centerline
     share = np.linspace(0.05, 0.95, num_views)
     samples = np.searchsorted(line.arc_length, share * line.length)

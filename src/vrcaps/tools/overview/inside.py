@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vrcaps import _core
-from vrcaps.capsule.catalog import load_device
+from vrcaps.capsule.catalog import read_device
 from vrcaps.organ.centerline import interpolate
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.render.renderer import Renderer
@@ -38,7 +38,7 @@ def inside_views(
         arc_length: Where [m]; up to `_ASIDE` from there where a lesion stands in the way.
         capsule: Whose front camera; its exposure is regulated in each view.
     """
-    device = load_device(capsule)
+    device = read_device(capsule)
     camera = device.cameras[0]
     renderer = Renderer(
         Model(organ, device, np.eye(4)), RenderSettings(supersampling=2, shadows=True)

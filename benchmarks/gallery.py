@@ -211,8 +211,8 @@ SHEETS = (
     Sheet(
         *("conditions", "Inflated, normal, collapsed", "Patient 0; two places each."),
         (
-            *_record("--organ small-bowel --condition inflated"),
-            "vrcaps organ make colon --condition collapsed --out collapsed.glb",
+            *_record("--organ small-bowel --distension inflated"),
+            "vrcaps organ make colon --distension collapsed --out collapsed.glb",
         ),
         of_conditions,
     ),

@@ -40,7 +40,7 @@ SCENES = {
         motion=Physics(start=0.3, motility="phase-three", substep=2e-4),
     ),
     "collapsed colon that contracts, a pull": Scenario(
-        organ=OrganGenerated("colon", condition="collapsed"),
+        organ=OrganGenerated("colon", distension="collapsed"),
         capsule="pillcam-colon2",
         motion=Physics(
             start=0.5,

@@ -6,7 +6,7 @@ Dropped in the middle, the capsule falls onto the wall; then the patient turns f
 the left side, and onto the front. Prints where it lies and how high, and records what it saw. The
 same from the shell:
 
-    vrcaps record --organ stomach --condition inflated --motion physics --start 0.4 --settle 0.2 \
+    vrcaps record --organ stomach --distension inflated --motion physics --start 0.4 --settle 0.2 \
         --turn left-lateral:at=2,over=3 --turn prone:at=8,over=3 --frames 52 --fps 4 --out runs/roll
 """
 
@@ -32,7 +32,7 @@ def main(out: Path, frames: int, fps: float, substep: float) -> None:
         settle=0.2,
         substep=substep,
     )
-    organ = vrcaps.OrganGenerated("stomach", condition="inflated")
+    organ = vrcaps.OrganGenerated("stomach", distension="inflated")
     record(vrcaps.Scenario(organ=organ, motion=motion, frames=frames, fps=fps), out)
 
     # Poses are in the world, where z is up. The patient's own pose is in the table as well, so the

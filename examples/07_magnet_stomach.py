@@ -8,7 +8,7 @@ just inside the cardia; where the capsule does not follow, it waits. The drive i
 to see when the pylorus is reached; then just that is recorded. Writes what the capsule saw, and
 the way from the patient's front and side (`way.png`). The same from the shell:
 
-    vrcaps record --organ stomach --condition inflated --capsule magnetic --motion magnet \
+    vrcaps record --organ stomach --distension inflated --capsule magnetic --motion magnet \
         --arm panda --side up --skin-mm 30 --along-mm-per-s 10 \
         --start 0.05 --until 0.85 --substep 2e-4 --frames 38 --fps 2 \
         --out runs/magnet
@@ -42,7 +42,7 @@ STEERING = MagnetSteering(
 def main(out: Path, fps: float, substep: float, frames: int | None) -> None:
     """Drive, record the drive, print and draw how it went."""
     scenario = vrcaps.Scenario(
-        organ=vrcaps.OrganGenerated("stomach", condition="inflated"),
+        organ=vrcaps.OrganGenerated("stomach", distension="inflated"),
         capsule="magnetic",
         motion=vrcaps.Physics(start=0.05, magnet=STEERING, substep=substep),
         frames=round(LONGEST * fps) + 1 if frames is None else frames,

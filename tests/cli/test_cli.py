@@ -82,7 +82,7 @@ def test_a_preparation_fills_the_patients_colon() -> None:
 def test_a_patient_may_be_flown_through_many_times() -> None:
     scenario = Record(OUT, seed=4, patient=1).resolved()
     assert (scenario.organ, scenario.seed) == (OrganGenerated("colon", seed=1), 4)
-    args = "record --out o --organ stomach --seed 4 --condition collapsed"
+    args = "record --out o --organ stomach --seed 4 --distension collapsed"
     command = cli._parse(args.split())
     assert isinstance(command, Record)
     assert command.resolved().organ == OrganGenerated("stomach", 4, "collapsed")
@@ -109,8 +109,8 @@ def test_mesh_file_and_path_reach_the_scenario() -> None:
         (Record(OUT, organ="x.ply"), "--unit is missing: x.ply does not say its unit"),
         (Record(OUT, organ="colon", unit="mm"), "go with a mesh file, but 'colon' is a name"),
         (Record(OUT, organ="colon", reverse=True), "go with a mesh file"),
-        (Record(OUT, organ="x.ply", unit="mm", patient=1), "--patient and --condition go with a"),
-        (Record(OUT, organ="x.ply", unit="mm", condition="normal"), "go with a generated organ"),
+        (Record(OUT, organ="x.ply", unit="mm", patient=1), "--patient and --distension go with a"),
+        (Record(OUT, organ="x.ply", unit="mm", distension="normal"), "go with a generated organ"),
         (Record(OUT, preparation=2, chyme=1), "Leave out --bubbles, --chyme and --liquid"),
         (Record(OUT, preparation=4), "Preparation is 4. Allowed: a Boston score, 0 to 3"),
         (Record(OUT, path=Path("p")), "--path needs --path-format. Allowed: tum, unity-csv"),
@@ -140,7 +140,7 @@ def test_contradicting_flags_are_an_error(command: Record, message: str) -> None
         ("record --out {tmp}/o --threads 0", "--threads is 0. Allowed: 1 or more"),
         ("organ inspect {tmp}/none.ply --unit mm", "No file at"),
         ("organ inspect {mesh}", "--unit is missing: "),
-        ("organ inspect {mesh} --unit mm --seed 3", "--seed and --condition go with a generated"),
+        ("organ inspect {mesh} --unit mm --seed 3", "--seed and --distension go with a generated"),
         ("organ inspect colon --unit mm", "go with a file, but 'colon' is a name"),
         ("organ inspect colom", "No organ named 'colom'. Known: "),
         ("organ inspect colon --seed -1", "Seed -1 is negative. Allowed: 0, 1, 2"),

@@ -51,12 +51,12 @@ def test_round_trip_through_json(tmp_path, scenario):
 def test_toml_with_few_keys(tmp_path):
     path = tmp_path / "scenario.toml"
     path.write_text(
-        'frames = 7\n[organ]\nkind = "generated"\nseed = 4\ncondition = "collapsed"\n'
+        'frames = 7\n[organ]\nkind = "generated"\nseed = 4\ndistension = "collapsed"\n'
         "[render]\nshadows = true\n"
         '[motion]\nkind = "fly-through"\nspeed = 1e-2\n'
     )
     expected = Scenario(
-        OrganGenerated(seed=4, condition="collapsed"),
+        OrganGenerated(seed=4, distension="collapsed"),
         frames=7,
         motion=FlyThrough(speed=0.01),
         render=RenderSettings(light="quick", shadows=True),
@@ -75,8 +75,8 @@ def test_toml_with_few_keys(tmp_path):
         ("key.json", '{"frame": 3}', r"Unknown key scenario\.frame\. Allowed: organ, capsule"),
         (
             "full.json",
-            '{"organ": {"kind": "generated", "condition": "full"}}',
-            r"scenario\.organ\.condition is 'full'\. Allowed: 'inflated', 'normal', 'collapsed'",
+            '{"organ": {"kind": "generated", "distension": "full"}}',
+            r"scenario\.organ\.distension is 'full'\. Allowed: 'inflated', 'normal', 'collapsed'",
         ),
         ("type.json", '{"frames": 2.5}', r"scenario\.frames is 2\.5\. Allowed: a whole number"),
     ],

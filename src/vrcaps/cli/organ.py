@@ -34,7 +34,7 @@ class Inspect:
       vrcaps organ inspect colon.ply --unit mm
       vrcaps organ inspect scan.stl --unit 5cm --picture scan.png
       vrcaps organ inspect colon-3.glb
-      vrcaps organ inspect stomach --seed 3 --condition collapsed
+      vrcaps organ inspect stomach --seed 3 --distension collapsed
     """
 
     organ: Positional[str]
@@ -53,7 +53,7 @@ class Inspect:
     seed: int | None = None
     """Patient of a generated organ; 0 by default."""
 
-    condition: Literal["inflated", "normal", "collapsed"] | None = None
+    distension: Literal["inflated", "normal", "collapsed"] | None = None
     """How full a generated organ is."""
 
     mucosa: str | None = None
@@ -77,15 +77,15 @@ class Inspect:
         from vrcaps.anatomy.catalog import load_organ
 
         if is_mesh_file(self.organ):
-            if self.seed is not None or self.condition is not None:
-                raise InputError("--seed and --condition go with a generated organ, not a file.")
+            if self.seed is not None or self.distension is not None:
+                raise InputError("--seed and --distension go with a generated organ, not a file.")
             return self._load_file(Path(self.organ))
         if (self.unit, self.open_ends, self.reverse, self.mucosa) != (None, "cap", False, None):
             raise InputError(
                 f"--unit, --open-ends, --reverse and --mucosa go with a file, but {self.organ!r} "
                 "is a name. Drop them, or give the path of a PLY, OBJ, STL or GLB."
             )
-        return load_organ(self.organ, seed=self.seed or 0, condition=self.condition)
+        return load_organ(self.organ, seed=self.seed or 0, condition=self.distension)
 
     def _load_file(self, path: Path) -> OrganSurface:
         from vrcaps.mucosa.appearance import bake_appearance
@@ -112,7 +112,7 @@ class Make:
       vrcaps organ make colon --seed 3 --out colon-3.glb
       vrcaps organ make colon --lesion polyp-Ip:size=12mm,segment=sigmoid --lesion colitis-2
       vrcaps organ make colon --seed 7 --lesions prevalence --clean-twin
-      vrcaps organ make stomach --seed 3 --condition inflated
+      vrcaps organ make stomach --seed 3 --distension inflated
     """
 
     name: Positional[str]
@@ -121,7 +121,7 @@ class Make:
     seed: int = 0
     """A different patient for each."""
 
-    condition: Literal["inflated", "normal", "collapsed"] | None = None
+    distension: Literal["inflated", "normal", "collapsed"] | None = None
     """How full it is; by default the colon is inflated, all else normal."""
 
     mucosa: str | None = None
@@ -171,7 +171,7 @@ class Make:
         from vrcaps.anatomy.catalog import load_organ
         from vrcaps.lesion import add_lesions
 
-        organ = load_organ(self.name, seed=self.seed, condition=self.condition, mucosa=self.mucosa)
+        organ = load_organ(self.name, seed=self.seed, condition=self.distension, mucosa=self.mucosa)
         lesions = chosen_lesions(self.lesion, self.lesions, self.seed, self.name)
         if not lesions and not self.clean_twin:
             return organ, None

@@ -29,7 +29,7 @@ class List:
 
         usual = "colon inflated, all else normal"
         _print("organs", [(name, _words(organ_segments(name))) for name in ORGANS])
-        _print("fillings", [("--condition", f"{', '.join(CONDITIONS)}; by default {usual}")])
+        _print("fillings", [("--distension", f"{', '.join(CONDITIONS)}; by default {usual}")])
         _print("lesions, in any of them", _lesions())
         _print(f"library of {len(LIBRARY)} lesions by name", _library())
         photos = "or the folder of a texture from your photographs (vrcaps organ texture)"

@@ -35,7 +35,7 @@ class Record:
 
     For example:
       vrcaps record --out runs/colon --organ colon --seed 3 --frames 300
-      vrcaps record --out runs/empty --organ small-bowel --condition collapsed
+      vrcaps record --out runs/empty --organ small-bowel --distension collapsed
       vrcaps record --out runs/mine --organ colon.ply --unit mm --capsule pillcam-colon2
       vrcaps record --out runs/patient --organ colon-3.glb
       vrcaps record --out runs/polyp --lesion polyp-Ip:size=12mm,segment=sigmoid
@@ -81,7 +81,7 @@ class Record:
     patient: int | None = None
     """Seed of a generated organ; by default --seed. Give it to fly many runs through one."""
 
-    condition: Literal["inflated", "normal", "collapsed"] | None = None
+    distension: Literal["inflated", "normal", "collapsed"] | None = None
     """How full a generated organ is; by default the colon is inflated, all else normal."""
 
     lesion: Annotated[tuple[str, ...], UseAppendAction] = ()
@@ -256,9 +256,9 @@ class Record:
             mucosa=self.mucosa,
         )
         if is_mesh_file(self.organ):
-            if self.patient is not None or self.condition is not None:
+            if self.patient is not None or self.distension is not None:
                 raise InputError(
-                    "--patient and --condition go with a generated organ, not with a mesh file."
+                    "--patient and --distension go with a generated organ, not with a mesh file."
                 )
             if is_organ_file(Path(self.organ)):
                 return mesh
@@ -271,7 +271,7 @@ class Record:
         return OrganGenerated(
             name=self.organ,
             seed=self._patient_seed(),
-            condition=self.condition,
+            distension=self.distension,
             mucosa=self.mucosa,
         )
 

@@ -92,7 +92,7 @@ class Physics:
     substep: float = SUBSTEP
     wrench_sha256: str = ""
 
-    kind: ClassVar[str] = "physics"
+    kind: ClassVar[str] = "dynamics"
 
     def __post_init__(self) -> None:
         for name, valid, allowed in (

@@ -46,7 +46,7 @@ class OrganGenerated:
     Attributes:
         name: Which, for example `colon`.
         seed: A different patient for each.
-        condition: How full it is; None is the usual, the colon inflated, all else normal.
+        distension: How full it is; None is the usual, the colon inflated, all else normal.
         mucosa: Look of the wall: a name of `vrcaps.mucosa.appearance.MUCOSAE`, or the folder of
             a texture; None is the organ's own.
         mucosa_sha256: Checksum of the texture; filled in when recorded, checked when given.
@@ -54,7 +54,7 @@ class OrganGenerated:
 
     name: str = "colon"
     seed: int = 0
-    condition: Literal["inflated", "normal", "collapsed"] | None = None
+    distension: Literal["inflated", "normal", "collapsed"] | None = None
     mucosa: str | None = None
     mucosa_sha256: str = ""
 
@@ -321,7 +321,7 @@ def _load_organ(scenario: Scenario) -> OrganSurface:
     given = scenario.organ
     if isinstance(given, OrganGenerated):
         return load_organ(
-            given.name, seed=given.seed, condition=given.condition, mucosa=given.mucosa
+            given.name, seed=given.seed, condition=given.distension, mucosa=given.mucosa
         )
 
     def read() -> OrganSurface:

@@ -3,28 +3,16 @@
 // Loops over lanes index several arrays at once; iterators would hide that from the vectoriser.
 #![allow(clippy::needless_range_loop)]
 
-mod bvh;
-mod channels;
 mod contents;
 mod cpu;
 mod fem;
-mod image;
-mod indirect;
-mod lanes;
 mod magnet;
-mod material;
 mod mucosa;
-mod path;
 mod physics;
-mod query;
-mod rays;
+mod recording;
 mod render;
-mod scene;
 mod sensor;
-mod shade;
-mod texture;
-mod tile;
-mod visibility;
+mod simd;
 mod wall;
 
 use pyo3::prelude::*;
@@ -48,18 +36,18 @@ fn _core(m: &Bound<'_, PyModule>) -> PyResult<()> {
     m.add_class::<contents::swarm::Swarm>()?;
     m.add_function(wrap_pyfunction!(contents::swarm::terminal_speed, m)?)?;
     m.add_function(wrap_pyfunction!(contents::parted::around_capsule, m)?)?;
-    m.add_class::<scene::Scene>()?;
-    m.add_class::<texture::Texture>()?;
-    m.add_class::<rays::RayTable>()?;
-    m.add_class::<indirect::QuickLight>()?;
-    m.add_function(wrap_pyfunction!(render::render, m)?)?;
-    m.add_function(wrap_pyfunction!(path::walk::walk_tissue, m)?)?;
-    m.add_function(wrap_pyfunction!(channels::encode_srgb, m)?)?;
-    m.add_function(wrap_pyfunction!(image::write_pngs, m)?)?;
-    m.add_function(wrap_pyfunction!(image::encode_pngs, m)?)?;
-    m.add_function(wrap_pyfunction!(image::decode_pngs, m)?)?;
-    m.add_function(wrap_pyfunction!(image::quantize, m)?)?;
-    m.add_function(wrap_pyfunction!(image::read_png, m)?)?;
+    m.add_class::<render::scene::Scene>()?;
+    m.add_class::<render::texture::Texture>()?;
+    m.add_class::<render::ray_table::RayTable>()?;
+    m.add_class::<render::radiosity::QuickLight>()?;
+    m.add_function(wrap_pyfunction!(render::frame::render, m)?)?;
+    m.add_function(wrap_pyfunction!(render::path::subsurface::walk_tissue, m)?)?;
+    m.add_function(wrap_pyfunction!(render::channels::encode_srgb, m)?)?;
+    m.add_function(wrap_pyfunction!(recording::png::write_pngs, m)?)?;
+    m.add_function(wrap_pyfunction!(recording::png::encode_pngs, m)?)?;
+    m.add_function(wrap_pyfunction!(recording::png::decode_pngs, m)?)?;
+    m.add_function(wrap_pyfunction!(recording::png::quantize, m)?)?;
+    m.add_function(wrap_pyfunction!(recording::png::read_png, m)?)?;
     sensor::register(m)?;
     m.add_function(wrap_pyfunction!(cpu::cpu_features, m)?)?;
     m.add_function(wrap_pyfunction!(cpu::num_threads, m)?)?;

@@ -6,9 +6,9 @@
 //! in the shell's front as in a convex mirror and in its back as in a concave one.
 
 use super::spheres::{Crossings, Sphere};
-use crate::lanes::*;
-use crate::material::{Led, fresnel};
-use crate::tile::Pyramid;
+use crate::render::material::{Led, fresnel};
+use crate::simd::f32x64::*;
+use crate::wall::packet::Pyramid;
 use std::f32::consts::{LOG2_E, PI};
 
 /// What all bubbles have in common: `vrcaps.lumen.bubbles.Bubbles`.

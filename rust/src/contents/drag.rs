@@ -41,5 +41,5 @@ impl Medium {
 
 /// `x` to the power `y`, the same bits on every machine.
 fn power(x: f64, y: f64) -> f64 {
-    f64::from(crate::lanes::pow(x as f32, y as f32))
+    f64::from(crate::simd::f32x64::pow(x as f32, y as f32))
 }

@@ -1,9 +1,9 @@
 //! The nearest thing that each ray looks through.
 
 use super::liquid::Wet;
-use crate::channels::{Channels, Place};
-use crate::lanes::*;
-use crate::rays::TileRays;
+use crate::render::channels::{Channels, Place};
+use crate::render::ray_table::TileRays;
+use crate::simd::f32x64::*;
 
 /// `Channels::front_label` of a bubble; 0 is nothing.
 pub const FRONT_BUBBLE: u8 = 1;

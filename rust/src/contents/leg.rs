@@ -4,9 +4,9 @@ use super::bubble::{Behind, Eye, Film};
 use super::liquid::{Optics, Wet};
 use super::spheres::{Near, Spheres};
 use super::turn::Turn;
-use crate::lanes::*;
-use crate::material::Led;
-use crate::tile::{Hits, Pyramid};
+use crate::render::material::Led;
+use crate::simd::f32x64::*;
+use crate::wall::packet::{Hits, Pyramid};
 
 /// Straight pieces of rays; distances count along the whole way from the eye.
 pub struct Leg<'a> {

@@ -5,8 +5,8 @@
 //! once, the same to all sides. Light from the LEDs takes the straight way into it.
 
 use super::turn::{REFRACTED, Turn};
-use crate::lanes::*;
-use crate::material::Led;
+use crate::render::material::Led;
+use crate::simd::f32x64::*;
 use std::f32::consts::{LOG2_E, PI};
 
 /// `Pools::of_vertex` of a vertex in no pool.

@@ -14,7 +14,7 @@ pub mod swarm;
 pub mod tile;
 mod turn;
 
-use crate::lanes::Vec3;
+use crate::simd::f32x64::Vec3;
 use crate::wall::Wall;
 use bubble::Film;
 use liquid::{Optics, Pools};

@@ -3,15 +3,15 @@
 use super::spheres::{Crossings, Near, Spheres};
 use super::tile::{Filled, Room};
 use super::turn::Turn;
-use crate::lanes::*;
-use crate::material::Surface;
 use crate::mucosa::noise::Lattice;
-use crate::path::ray;
-use crate::render::REACH;
-use crate::shade::Attributes;
-use crate::tile::{Hits, MISS, Pyramid, farthest_of, trace_beyond};
-use crate::visibility::FREE_WAY;
+use crate::render::frame::REACH;
+use crate::render::material::Surface;
+use crate::render::shading::Attributes;
+use crate::simd::f32x64::*;
 use crate::wall::Wall;
+use crate::wall::packet::{Hits, MISS, Pyramid, farthest_of, trace_beyond};
+use crate::wall::ray;
+use crate::wall::visibility::FREE_WAY;
 use rayon::prelude::*;
 
 /// `Attributes::face` of particle 0; the next have smaller numbers.

@@ -1,9 +1,9 @@
 //! Spheres of many sizes and their own hierarchy: bubbles and particles are traced through it.
 
-use crate::bvh::{Child, MAX_PER_LEAF, Node, WIDTH};
-use crate::lanes::*;
-use crate::tile::{Pyramid, farthest_of, leaves};
-use crate::visibility;
+use crate::simd::f32x64::*;
+use crate::wall::bvh::{Child, MAX_PER_LEAF, Node, WIDTH};
+use crate::wall::packet::{Pyramid, farthest_of, leaves};
+use crate::wall::visibility;
 use rayon::prelude::*;
 
 /// One sphere.

@@ -5,8 +5,8 @@ use super::around::{Around, Surroundings};
 use super::capsule::Capsule;
 use super::drag::Medium;
 use crate::mucosa::noise::uniform;
-use crate::query;
 use crate::wall::Wall;
+use crate::wall::query;
 use glam::DVec3;
 use numpy::{IntoPyArray, PyArray2, PyReadonlyArray2, ndarray::Array2};
 use pyo3::{exceptions::PyValueError, prelude::*};
@@ -364,5 +364,5 @@ impl Course {
 
 /// eˣ for x ≤ 0, the same bits on every machine.
 fn exp(x: f64) -> f64 {
-    f64::from(crate::lanes::exp2((x * std::f64::consts::LOG2_E) as f32))
+    f64::from(crate::simd::f32x64::exp2((x * std::f64::consts::LOG2_E) as f32))
 }

@@ -10,20 +10,20 @@ use super::liquid::{DRY, Optics, Pools, Wet};
 use super::particles::{Owner, paint};
 use super::spheres::Near;
 use super::turn::{MIRRORED, REFRACTED, STRAIGHT};
-use crate::channels::{Channels, Place};
-use crate::indirect::Beneath;
-use crate::lanes::*;
-use crate::material::Surface;
-use crate::path::First;
-use crate::path::afloat::Afloat;
-use crate::query;
-use crate::rays::TileRays;
-use crate::render::{View, add_glow, primary, render_tile, write_geometry};
-use crate::scene::SceneData;
-use crate::shade::{Attributes, add_all_light, attributes, attributes_at, surface};
-use crate::tile::{Hits, MISS, Pyramid, farthest_of};
-use crate::visibility::visible_tile;
+use crate::render::channels::{Channels, Place};
+use crate::render::frame::{View, add_glow, primary, render_tile, write_geometry};
+use crate::render::material::Surface;
+use crate::render::path::First;
+use crate::render::path::lumen_contents::Afloat;
+use crate::render::radiosity::Beneath;
+use crate::render::ray_table::TileRays;
+use crate::render::scene::SceneData;
+use crate::render::shading::{Attributes, add_all_light, attributes, attributes_at, surface};
+use crate::simd::f32x64::*;
 use crate::wall::Wall;
+use crate::wall::packet::{Hits, MISS, Pyramid, farthest_of};
+use crate::wall::query;
+use crate::wall::visibility::visible_tile;
 
 /// What the tiles of one image share.
 pub struct Filled<'a> {

@@ -1,7 +1,7 @@
 //! Where a ray meets the level surface of a liquid, and how it goes on: by Snell's law or mirrored.
 
-use crate::lanes::*;
-use crate::material::fresnel;
+use crate::render::material::fresnel;
+use crate::simd::f32x64::*;
 
 /// `Turn::kind` of a ray that goes on straight.
 pub const STRAIGHT: u8 = 0;

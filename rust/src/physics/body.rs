@@ -1,7 +1,7 @@
 //! The capsule as a rigid body: a cylinder with round ends, of any mass, inertia and balance.
 
-use super::lane::{max, min};
 use super::solve::{Symmetric6, Twist};
+use crate::simd::f64x8::{max, min};
 use glam::{DMat3, DQuat, DVec3};
 
 /// What does not change about the capsule. The capsule frame's origin is the centre of mass.

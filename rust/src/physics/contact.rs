@@ -8,8 +8,8 @@
 
 use super::body::{Axis, Body, Motion};
 use super::foundation::Foundation;
-use super::lane::{max, put};
 use super::patch::{Patch, Pressing};
+use crate::simd::f64x8::{max, put};
 use glam::DVec3;
 
 /// Where the edge of the patch crosses it, a piece is at most this share of the patch's radius.

@@ -1,6 +1,6 @@
 //! Resistance of the gut against a moving capsule, in three laws.
 
-use super::lane::ln;
+use crate::simd::f64x8::ln;
 
 /// Parameters of the logarithmic law as printed: `f = a ln(b v + c) + C`, in mN and mm/s
 /// (Incetan et al., Med. Image Anal. 70, 2021, fitted to Zhang et al., Tribol. Lett. 2012).

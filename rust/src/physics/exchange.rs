@@ -14,7 +14,6 @@
 //! rounds of this, one a substep, converge whatever the stiffness.
 
 use super::held::Held;
-use super::lane::LANES;
 use super::near_layer::{NearLayer, largest_weights, rise};
 use super::patch::Samples;
 use super::quick::Yield;
@@ -22,6 +21,7 @@ use super::soft_wall::SoftWall;
 use super::wall_load::{Stride, forces, shares};
 use crate::fem::layer::FemLayer;
 use crate::fem::outer::Outcome;
+use crate::simd::f64x8::LANES;
 use glam::DVec3;
 
 /// Momentum that makes no node faster than this is given to the layer in its next step [m/s]: over

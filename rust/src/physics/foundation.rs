@@ -1,6 +1,6 @@
 //! Pressure of the wall's thickness against indentation.
 
-use super::lane::{exp_m1, ln, max, min};
+use crate::simd::f64x8::{exp_m1, ln, max, min};
 
 /// What resists the capsule: `vrcaps.tissue.material.Material`.
 #[derive(Clone, Copy)]

@@ -7,8 +7,8 @@ use super::step::{Load, Reaction, press, pushes, substep};
 use super::wall_load::Stride;
 use super::world::World;
 use crate::fem::layer::FemLayer;
-use crate::query;
 use crate::wall::Wall;
+use crate::wall::query;
 use glam::DVec3;
 use pyo3::{exceptions::PyValueError, prelude::*};
 

@@ -10,7 +10,6 @@ mod drag;
 mod exchange;
 mod foundation;
 mod held;
-mod lane;
 mod magnets;
 mod march;
 mod near;

@@ -1,8 +1,8 @@
 //! What of the wall is near the capsule: found in the hierarchy now and then, used every substep.
 
 use super::body::Axis;
-use crate::bvh::{Bvh, Child, WIDTH};
 use crate::wall::Wall;
+use crate::wall::bvh::{Bvh, Child, WIDTH};
 use glam::DVec3;
 
 /// Triangles that may touch before the next search, and the vertices around.

@@ -2,7 +2,7 @@
 
 use super::body::{Axis, Motion};
 use super::foundation::Foundation;
-use super::lane::{LANES, Lane, Lane3, at, max, min, sum};
+use crate::simd::f64x8::{LANES, Lane, Lane3, at, max, min, sum};
 use glam::DVec3;
 
 /// Cosine between the wall's normal and the capsule's below which a wall begins to face away.

@@ -1,7 +1,7 @@
 //! Quick deformation: vertices near a contact are pushed, sprung back and damped
 //! (Incetan et al., Med. Image Anal. 70, 2021, Deformation).
 
-use super::lane::{LANES, Lane3};
+use crate::simd::f64x8::{LANES, Lane3};
 use glam::DVec3;
 
 /// Parameters of the quick model.

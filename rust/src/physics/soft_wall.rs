@@ -2,10 +2,10 @@
 
 use super::body::{Axis, Body, Motion};
 use super::contact::Facet;
-use super::lane::{LANES, Lane3, at, min, put};
 use super::near::{Near, point};
 use super::patch::Patch;
 use super::quick::{Push, Quick, Yield, attenuate};
+use crate::simd::f64x8::{LANES, Lane3, at, min, put};
 use crate::wall::Wall;
 use glam::DVec3;
 use rayon::prelude::*;

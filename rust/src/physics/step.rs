@@ -5,10 +5,10 @@ use super::body::{Body, Motion};
 use super::contact::{Facet, Indenter};
 use super::drag::Drag;
 use super::foundation::Foundation;
-use super::lane::{LANES, Lane, sum};
 use super::patch::{Grip, Patch, Samples};
 use super::quick::Push;
 use super::solve::{Symmetric6, Twist};
+use crate::simd::f64x8::{LANES, Lane, sum};
 use glam::{DMat3, DVec3};
 
 /// Sliding slower than this counts as creep under friction that does not suffice to slide [m/s].

@@ -2,11 +2,11 @@
 
 use super::body::{Body, Motion};
 use super::held::Touch;
-use super::lane::LANES;
 use super::patch::{Grip, Samples};
 use super::soft_wall::SoftWall;
 use super::solve::{Symmetric6, Twist};
 use super::step::{CREEP, Reaction};
+use crate::simd::f64x8::LANES;
 use glam::{DMat3, DVec3};
 
 /// Added to a system that could be singular, relative to its size.

@@ -11,11 +11,11 @@ use super::jpeg::Compression;
 use super::motion::{Lit, Still, go_on, inside, with_margin};
 use super::noise::{Sensor, streams};
 use super::planes::{Line, Scaling, amplify, develop_row, interleave, rows, shade_row};
-use crate::channels::STEP;
 use crate::contents::front::FRONT_BUBBLE;
 use crate::cpu::on_pool;
-use crate::lanes::Vec3;
-use crate::rays::RayTable;
+use crate::render::channels::STEP;
+use crate::render::ray_table::RayTable;
+use crate::simd::f32x64::Vec3;
 use numpy::{
     IntoPyArray, PyArray3, PyReadonlyArray3, PyReadwriteArray3, PyUntypedArrayMethods,
     ndarray::Array3,

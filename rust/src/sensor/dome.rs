@@ -3,7 +3,7 @@
 
 use super::planes::{Line, planes_array, rows, size};
 use crate::cpu::on_pool;
-use crate::lanes::Vec3;
+use crate::simd::f32x64::Vec3;
 use numpy::{
     PyArray3, PyReadonlyArray1, PyReadonlyArray2, PyReadonlyArray3, PyUntypedArrayMethods,
 };

@@ -1,7 +1,7 @@
 //! How the image moves, known at some of its pixels.
 
-use crate::channels::STEP;
-use crate::lanes::{clamp, max, min};
+use crate::render::channels::STEP;
+use crate::simd::f32x64::{clamp, max, min};
 use rayon::prelude::*;
 
 /// Most steps in which the place that a late row sees is found, and the change of its motion at

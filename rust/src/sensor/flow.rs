@@ -2,9 +2,9 @@
 
 use crate::contents::front::FRONT_BUBBLE;
 use crate::cpu::on_pool;
-use crate::lanes::*;
 use crate::magnet::handle::read_pose;
-use crate::rays::RayTable;
+use crate::render::ray_table::RayTable;
+use crate::simd::f32x64::*;
 use glam::{DMat3, DVec3};
 use numpy::{
     IntoPyArray, PyArray3, PyReadonlyArray2, PyReadonlyArray3, PyUntypedArrayMethods,

@@ -3,7 +3,7 @@
 use super::dome::{GivenDrops, GivenFilm};
 use super::flow::GivenPoints;
 use super::noise::Readout;
-use crate::rays::RayTable;
+use crate::render::ray_table::RayTable;
 use numpy::{Element, PyReadonlyArray2, PyUntypedArrayMethods};
 use pyo3::{exceptions::PyValueError, prelude::*};
 

@@ -6,7 +6,7 @@ use super::cosine::{Basis, Block, bases, both_ways};
 use super::planes::interleave;
 use super::tables::{AC_BITS_CHROMINANCE, AC_BITS_LUMINANCE, DC_BITS, STEPS};
 use crate::cpu::on_pool;
-use crate::lanes::clamp;
+use crate::simd::f32x64::clamp;
 use numpy::{IntoPyArray, PyArray3, PyReadonlyArray3, PyUntypedArrayMethods, ndarray::Array3};
 use pyo3::{exceptions::PyValueError, prelude::*};
 use rayon::prelude::*;

@@ -3,7 +3,7 @@
 use super::field::{Field, Shutter, Window, whole};
 use super::planes::{Line, planes_array, rows, size_of_image};
 use crate::cpu::on_pool;
-use crate::lanes::{clamp, load, max, min, store};
+use crate::simd::f32x64::{clamp, load, max, min, store};
 use numpy::{PyArray3, PyReadonlyArray2, PyReadonlyArray3, PyUntypedArrayMethods};
 use pyo3::{exceptions::PyValueError, prelude::*};
 use rayon::prelude::*;

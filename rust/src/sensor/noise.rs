@@ -4,7 +4,7 @@
 
 use super::planes::size;
 use crate::cpu::on_pool;
-use crate::lanes::{clamp, exp2, load, log2, max, store};
+use crate::simd::f32x64::{clamp, exp2, load, log2, max, store};
 use numpy::{
     IntoPyArray, PyArray2, PyArrayDyn, PyReadonlyArray2, PyReadonlyArray3, PyUntypedArrayMethods,
     ndarray::{Array2, Array3},

@@ -1,8 +1,8 @@
 //! An image as three planes, and what acts on each plane by itself.
 
-use crate::channels::srgb;
 use crate::cpu::on_pool;
-use crate::lanes::max;
+use crate::render::channels::srgb;
+use crate::simd::f32x64::max;
 use numpy::{
     IntoPyArray, PyArray3, PyReadonlyArray2, PyReadonlyArray3, PyUntypedArrayMethods,
     ndarray::Array3,

@@ -1,0 +1,3 @@
+//! What recordings write: PNG files.
+
+pub mod png;

@@ -1,0 +1,429 @@
+//! One image: trace, shade and write every channel that was asked for.
+
+use crate::contents::Contents;
+use crate::contents::tile::{Filled, Room};
+use crate::cpu::on_pool;
+use crate::magnet::handle::read_pose;
+use crate::render::channels::{Channels, Place, Planes, find, slice, sparse, take};
+use crate::render::material::{Led, Surface};
+use crate::render::path::light_paths::Lit;
+use crate::render::path::lumen_contents::Afloat;
+use crate::render::path::virtual_lights::Sources;
+use crate::render::path::{First, Settings, wavefront};
+use crate::render::radiosity::{Beneath, Irradiance, QuickLight};
+use crate::render::ray_table::{RayTable, TileRays};
+use crate::render::scene::{Scene, SceneData};
+use crate::render::shading::{Attributes, attributes, light, surface};
+use crate::simd::f32x64::*;
+use crate::wall::Wall;
+use crate::wall::packet::{Hits, Pyramid, trace};
+use glam::DVec3;
+use numpy::PyReadonlyArray2;
+use pyo3::{exceptions::PyValueError, prelude::*, types::PyDict};
+use rayon::prelude::*;
+
+/// Farthest distance looked at [m].
+pub const REACH: f32 = 1e4;
+
+/// Everything about a view but its rays.
+pub struct View<'a> {
+    /// Where the camera is, about the wall's centre [m].
+    pub origin: Vec3,
+    /// Rows of the rotation from the camera to the world, and back.
+    pub to_world: [Vec3; 3],
+    to_camera: [Vec3; 3],
+    center: [f64; 3],
+    /// LEDs about the wall's centre.
+    pub leds: Vec<Led>,
+    /// Factor from radiance to linear image value.
+    pub exposure: f32,
+    /// Whether things cast shadows.
+    pub shadows: bool,
+    /// How light that is reflected more than once is found; None for direct light alone.
+    pub paths: Option<Settings>,
+    /// Irradiance by light that has bounced, if it is found as radiosity.
+    pub bounced: Option<Irradiance<'a>>,
+    /// Where the LEDs' light comes from, if paths are connected to that.
+    pub sources: Option<Sources>,
+}
+
+impl View<'_> {
+    fn new(
+        wall: &Wall,
+        pose: PyReadonlyArray2<'_, f64>,
+        leds: PyReadonlyArray2<'_, f64>,
+        exposure: f32,
+        shadows: bool,
+    ) -> PyResult<Self> {
+        let (given, leds) = (pose, leds.as_array());
+        let pose = given.as_array();
+        if pose.dim() != (4, 4) || !pose.iter().all(|x| x.is_finite()) {
+            return Err(PyValueError::new_err("A camera pose must be a finite 4 x 4 matrix."));
+        }
+        if leds.ncols() != 10 {
+            return Err(PyValueError::new_err("LEDs must be of shape (k, 10)."));
+        }
+        let to_world = [0, 1, 2].map(|r| [0, 1, 2].map(|c| pose[[r, c]] as f32));
+        let to_camera = [0, 1, 2].map(|r| [0, 1, 2].map(|c| pose[[c, r]] as f32));
+        let (rotation, place) = read_pose(&given)?;
+        let leds = leds
+            .outer_iter()
+            .map(|row| {
+                let turned = |k: usize| rotation * DVec3::new(row[k], row[k + 1], row[k + 2]);
+                Led {
+                    position: wall.localize((turned(0) + place).to_array()),
+                    direction: turned(3).as_vec3().to_array(),
+                    intensity: [6, 7, 8].map(|k| row[k] as f32),
+                    exponent: row[9] as f32,
+                }
+            })
+            .collect();
+        let origin = wall.localize(place.to_array());
+        let (center, paths, bounced, sources) = (wall.center, None, None, None);
+        Ok(View {
+            origin,
+            to_world,
+            to_camera,
+            center,
+            leds,
+            exposure,
+            shadows,
+            paths,
+            bounced,
+            sources,
+        })
+    }
+
+    /// Where the LEDs' light comes from, if paths are to be connected to that.
+    fn sources(&self, wall: &Wall, scene: &SceneData, rays: &RayTable) -> Option<Sources> {
+        let settings = self.paths.filter(|_| scene.tissue.is_none())?;
+        let lit = lit(wall, scene, (&self.leds, settings), &rays.tiles);
+        Sources::new(&lit, rays.width * rays.height)
+    }
+
+    /// What LEDs light directly of surfaces behind which light goes on through tissue, if it does;
+    /// `triangles` are `MISS` where there is no wall.
+    #[inline(always)]
+    pub fn bare(
+        &self,
+        scene: &SceneData,
+        surface: &Surface,
+        triangles: &[u32; LANES],
+    ) -> Option<Surface> {
+        let is_traced = self.paths.is_some() || self.bounced.is_some();
+        (is_traced && scene.tissue.is_some()).then(|| surface.bare(triangles))
+    }
+
+    /// What the tissue behind surfaces makes of light, where that is not left to paths.
+    #[inline(always)]
+    pub fn beneath(
+        &self,
+        surface: &Surface,
+        hits: &Hits,
+        triangles: &[u32; LANES],
+    ) -> Option<Beneath> {
+        self.bounced.as_ref()?.beneath(surface, hits, triangles)
+    }
+}
+
+/// Renders the channels of `out`, a dictionary of C-contiguous arrays of the table's shape.
+///
+/// `leds` holds position [m], direction, intensity [W/sr] and lobe exponent of each in the camera's
+/// frame; `paths` how many paths a ray has, their most reflections, and their seed; `quick` light that
+/// bounces as radiosity.
+#[pyfunction]
+#[pyo3(signature = (
+    wall, scene, rays, pose, leds, out, *, exposure, shadows, contents=None, paths=None, quick=None
+))]
+#[allow(clippy::too_many_arguments)] // the one door from Python
+pub fn render(
+    py: Python<'_>,
+    wall: &Wall,
+    scene: &Scene,
+    rays: &RayTable,
+    pose: PyReadonlyArray2<'_, f64>,
+    leds: PyReadonlyArray2<'_, f64>,
+    out: &Bound<'_, PyDict>,
+    exposure: f32,
+    shadows: bool,
+    contents: Option<&Contents>,
+    paths: Option<(u32, u32, u64)>,
+    quick: Option<&QuickLight>,
+) -> PyResult<()> {
+    if scene.data.faces.len() != wall.faces.len()
+        || scene.data.arc_length.len() != wall.vertices.len()
+    {
+        return Err(PyValueError::new_err(
+            "Scene and wall have different numbers of faces or vertices.",
+        ));
+    }
+    if !wall.has_normals {
+        return Err(PyValueError::new_err(
+            "The wall has moved under a world: refit it to draw it.",
+        ));
+    }
+    let rest = quick.map(|light| light.rest(py));
+    let mut view = View::new(wall, pose, leds, exposure, shadows)?;
+    view.paths = paths.map(|(samples, depth, seed)| Settings { samples, depth, seed });
+    let shape = (rays.height, rays.width);
+    let mut rgb = take::<u8>(out, "rgb", shape, 3)?;
+    let mut radiance = take::<f32>(out, "radiance", shape, 3)?;
+    let mut planes = find::<f32>(out, "radiance_planes")?;
+    let mut depth = take::<f32>(out, "depth", shape, 1)?;
+    let mut ray_distance = take::<f32>(out, "ray_distance", shape, 1)?;
+    let mut normal = take::<f32>(out, "normal", shape, 3)?;
+    let mut label = take::<u8>(out, "label", shape, 1)?;
+    let mut instance = take::<u16>(out, "instance", shape, 1)?;
+    let mut albedo = take::<f32>(out, "albedo", shape, 3)?;
+    let mut arc_length = take::<f32>(out, "arc_length", shape, 1)?;
+    let mut position = take::<f32>(out, "position", shape, 3)?;
+    let mut face = take::<i32>(out, "face", shape, 1)?;
+    let mut weights = take::<f32>(out, "weights", shape, 2)?;
+    let few = (sparse(shape.0), sparse(shape.1));
+    let mut sparse_position = take::<f32>(out, "sparse_position", few, 3)?;
+    let mut sparse_face = take::<i32>(out, "sparse_face", few, 1)?;
+    let mut sparse_weights = take::<f32>(out, "sparse_weights", few, 2)?;
+    let mut sparse_bend = take::<u8>(out, "sparse_bend", few, 1)?;
+    let mut front_label = take::<u8>(out, "front_label", shape, 1)?;
+    let mut front_instance = take::<u16>(out, "front_instance", shape, 1)?;
+    let mut front_depth = take::<f32>(out, "front_depth", shape, 1)?;
+    let mut bend_label = take::<u8>(out, "bend_label", shape, 1)?;
+    let channels = Channels {
+        rgb: slice(&mut rgb)?,
+        radiance: slice(&mut radiance)?,
+        planes: Planes::of(&mut planes, shape)?,
+        depth: slice(&mut depth)?,
+        ray_distance: slice(&mut ray_distance)?,
+        normal: slice(&mut normal)?,
+        label: slice(&mut label)?,
+        instance: slice(&mut instance)?,
+        albedo: slice(&mut albedo)?,
+        arc_length: slice(&mut arc_length)?,
+        position: slice(&mut position)?,
+        face: slice(&mut face)?,
+        weights: slice(&mut weights)?,
+        sparse_position: slice(&mut sparse_position)?,
+        sparse_face: slice(&mut sparse_face)?,
+        sparse_weights: slice(&mut sparse_weights)?,
+        sparse_bend: slice(&mut sparse_bend)?,
+        front_label: slice(&mut front_label)?,
+        front_instance: slice(&mut front_instance)?,
+        front_depth: slice(&mut front_depth)?,
+        bend_label: slice(&mut bend_label)?,
+    };
+    let quick = quick.zip(rest.as_deref()).filter(|_| channels.wants_light());
+    on_pool(py, || {
+        view.bounced = quick.map(|(light, rest)| light.solve(rest, wall, (&view.leds, shadows)));
+        view.sources = view.sources(wall, &scene.data, rays).filter(|_| contents.is_none());
+        let columns = rays.columns();
+        let filled = contents.map(|c| Filled::new(wall, &scene.data, c, &view));
+        let bands = channels.bands(rays.width, rays.tiles.len() / columns);
+        bands.into_par_iter().with_max_len(1).enumerate().for_each(|(row, mut band)| {
+            let tiles = &rays.tiles[row * columns..(row + 1) * columns];
+            let height = (rays.height - row * TILE).min(TILE);
+            let area = Area { row: row * TILE, size: (rays.width, height) };
+            match &filled {
+                Some(filled) => render_filled_band(filled, tiles, area, &mut band),
+                None => render_band(wall, &scene.data, &view, tiles, area, &mut band),
+            }
+        });
+    });
+    Ok(())
+}
+
+/// Where a band of tiles lies in the image.
+#[derive(Clone, Copy)]
+struct Area {
+    /// First row of pixels.
+    row: usize,
+    /// Width and height [pixels].
+    size: (usize, usize),
+}
+
+impl Area {
+    fn place(self, column: usize) -> Place {
+        Place { column: column * TILE, size: self.size }
+    }
+
+    /// Number of each pixel of a tile in the image.
+    fn pixels(self, column: usize) -> [u32; LANES] {
+        let first = self.row * self.size.0 + column * TILE;
+        std::array::from_fn(|i| (first + i / TILE * self.size.0 + i % TILE) as u32)
+    }
+}
+
+/// What paths of some tiles travel in.
+#[inline(always)]
+fn lit<'a>(
+    wall: &'a Wall,
+    scene: &'a SceneData,
+    (leds, settings): (&'a [Led], Settings),
+    tiles: &[TileRays],
+) -> Lit<'a> {
+    let pixel_angle = tiles.iter().fold(0.0, |angle, tile| max(angle, tile.pixel_angle));
+    Lit { wall, scene, leds, pixel_angle, settings }
+}
+
+/// Light beyond direct light that the surfaces met by each tile send to the viewer.
+#[inline(always)]
+fn glow(
+    wall: &Wall,
+    scene: &SceneData,
+    view: &View<'_>,
+    tiles: &[TileRays],
+    afloat: Option<Afloat<'_>>,
+    first: impl FnMut((usize, &TileRays)) -> First,
+) -> Option<Vec<Lane3>> {
+    let settings = view.paths?;
+    let lit = lit(wall, scene, (&view.leds, settings), tiles);
+    let sources = view.sources.as_ref();
+    let offered = Sources::offered(settings.samples.min(wavefront::at_once(tiles.len())));
+    let tracer = wavefront::Tracer { lit, afloat, sources, offered };
+    let firsts: Vec<First> = tiles.iter().enumerate().map(first).collect();
+    Some(wavefront::indirect(&tracer, &firsts))
+}
+
+#[multiversion::multiversion(targets(
+    "x86_64+avx512f+avx512bw+avx512cd+avx512dq+avx512vl",
+    "x86_64+avx2",
+    "aarch64+neon"
+))]
+fn render_band(
+    wall: &Wall,
+    scene: &SceneData,
+    view: &View<'_>,
+    tiles: &[TileRays],
+    area: Area,
+    out: &mut Channels<'_>,
+) {
+    let first = |(column, tile): (usize, &TileRays)| {
+        let (rays, hits) = primary(wall, view, tile);
+        let found = attributes(wall, scene, view.origin, &rays.directions, &hits);
+        let surface = surface(scene, &found, &hits.distance, tile.pixel_angle);
+        let pixel = area.pixels(column);
+        First { surface, hit: found.hit, triangle: hits.triangle, pixel }
+    };
+    let glow = if out.wants_light() { glow(wall, scene, view, tiles, None, first) } else { None };
+    for (column, tile) in tiles.iter().enumerate() {
+        let glow = glow.as_ref().map(|tiles| &tiles[column]);
+        let (rays, hits) = primary(wall, view, tile);
+        let place = area.place(column);
+        render_tile((wall, scene, view), tile, (&rays, &hits), place, glow, out);
+    }
+}
+
+#[multiversion::multiversion(targets(
+    "x86_64+avx512f+avx512bw+avx512cd+avx512dq+avx512vl",
+    "x86_64+avx2",
+    "aarch64+neon"
+))]
+fn render_filled_band(filled: &Filled<'_>, tiles: &[TileRays], area: Area, out: &mut Channels<'_>) {
+    let mut room = Room::default();
+    let Filled { wall, scene, view, .. } = *filled;
+    let first =
+        |(column, tile): (usize, &TileRays)| filled.first(tile, area.pixels(column), &mut room);
+    let afloat = Some(filled.afloat());
+    let glow = if out.wants_light() { glow(wall, scene, view, tiles, afloat, first) } else { None };
+    for (column, tile) in tiles.iter().enumerate() {
+        let glow = glow.as_ref().map(|tiles| &tiles[column]);
+        filled.render_tile(tile, area.place(column), glow, &mut room, out);
+    }
+}
+
+/// The rays of a tile in the world, and where they meet the wall.
+#[inline(always)]
+pub fn primary(wall: &Wall, view: &View<'_>, tile: &TileRays) -> (Pyramid, Hits) {
+    let mut reach = [0.0; LANES];
+    for i in 0..LANES {
+        reach[i] = if tile.used[i] { REACH } else { 0.0 };
+    }
+    let mut hits = Hits::within(reach);
+    let rays = tile.pyramid.rotated(&view.to_world);
+    if tile.any {
+        trace::<false>(&wall.bvh, view.origin, &rays, wall.extent, &mut hits);
+    }
+    (rays, hits)
+}
+
+/// Renders one tile of a wall with nothing before it, whose rays have met that; `glow` is light
+/// beyond direct light.
+#[inline(always)]
+pub fn render_tile(
+    (wall, scene, view): (&Wall, &SceneData, &View<'_>),
+    tile: &TileRays,
+    (rays, hits): (&Pyramid, &Hits),
+    place: Place,
+    glow: Option<&Lane3>,
+    out: &mut Channels<'_>,
+) {
+    let found = attributes(wall, scene, view.origin, &rays.directions, hits);
+    if out.wants_color() {
+        let surface = surface(scene, &found, &hits.distance, tile.pixel_angle);
+        let bare = view.bare(scene, &surface, &hits.triangle);
+        let beneath = view.beneath(&surface, hits, &hits.triangle);
+        let lit = (bare.as_ref().unwrap_or(&surface), beneath.as_ref());
+        let mut radiance = light(wall, &scene.material, &view.leds, view.shadows, lit, &found.hit);
+        if let Some(bounced) = &view.bounced {
+            bounced.add((&surface, &found.normal), hits, beneath.as_ref(), &mut radiance);
+        }
+        add_glow(glow, &mut radiance);
+        place.write_light(out, &radiance, &found.hit, view.exposure);
+        place.write3(&mut out.albedo, &surface.albedo, &found.hit, f32::NAN);
+    }
+    write_geometry(view, tile, hits, &found, place, out);
+}
+
+/// Adds light beyond direct light, if there is any.
+#[inline(always)]
+pub fn add_glow(glow: Option<&Lane3>, radiance: &mut Lane3) {
+    let Some(glow) = glow else { return };
+    for k in 0..3 {
+        for i in 0..LANES {
+            radiance[k][i] += glow[k][i];
+        }
+    }
+}
+
+/// Writes the channels of the surfaces met.
+#[inline(always)]
+pub fn write_geometry(
+    view: &View<'_>,
+    tile: &TileRays,
+    hits: &Hits,
+    found: &Attributes,
+    place: Place,
+    out: &mut Channels<'_>,
+) {
+    let hit = &found.hit;
+    if out.depth.is_some() {
+        let mut depth = [0.0; LANES];
+        for i in 0..LANES {
+            depth[i] = hits.distance[i] * tile.pyramid.directions[2][i];
+        }
+        place.write(&mut out.depth, &depth, hit, f32::NAN);
+    }
+    if out.normal.is_some() {
+        let mut normal = [[0.0; LANES]; 3];
+        for k in 0..3 {
+            for i in 0..LANES {
+                normal[k][i] = dot(view.to_camera[k], at(&found.normal, i));
+            }
+        }
+        place.write3(&mut out.normal, &normal, hit, f32::NAN);
+    }
+    let position = |i: usize, k: usize| {
+        if hit[i] { (f64::from(found.position[k][i]) + view.center[k]) as f32 } else { f32::NAN }
+    };
+    let face = |i: usize| if hit[i] { found.face[i] } else { -1 };
+    let weight = |i: usize, k: usize| if hit[i] { found.weights[k][i] } else { f32::NAN };
+    place.write_each(&mut out.position, 3, position);
+    place.write_sparsely(&mut out.sparse_position, 3, position);
+    place.write_sparsely(&mut out.sparse_face, 1, |i, _| face(i));
+    place.write_sparsely(&mut out.sparse_weights, 2, weight);
+    place.write(&mut out.ray_distance, &hits.distance, hit, f32::NAN);
+    place.write(&mut out.arc_length, &found.arc_length, hit, f32::NAN);
+    place.write(&mut out.label, &found.label, hit, 0);
+    place.write(&mut out.instance, &found.instance, hit, 0);
+    place.write_each(&mut out.face, 1, |i, _| face(i));
+    place.write_each(&mut out.weights, 2, weight);
+}

@@ -1,0 +1,11 @@
+//! Images of a wall and what is in the lumen: ray tracing, shading, indirect light, image channels.
+
+pub mod channels;
+pub mod frame;
+pub mod material;
+pub mod path;
+pub mod radiosity;
+pub mod ray_table;
+pub mod scene;
+pub mod shading;
+pub mod texture;

@@ -1,0 +1,91 @@
+//! Light of one LED on each place that paths have come to.
+
+use crate::render::material::Led;
+use crate::render::path::shadow_rays::{Request, Requests};
+use crate::render::path::sobol::{dimension, point};
+use crate::render::path::wavefront::{Path, Tracer};
+use crate::simd::f32x64::*;
+
+impl Tracer<'_> {
+    /// Asks for the light of one LED on each of the places that `paths` have come to; `light` adds
+    /// what an LED would leave there.
+    #[inline(always)]
+    pub(super) fn ask(
+        &self,
+        reflection: u32,
+        position: &Lane3,
+        light: impl Fn(&Led, &mut Lane3),
+        paths: &[Path],
+        requests: &mut Requests,
+    ) {
+        let mut throughput = [[0.0; LANES]; 3];
+        let mut number = [0.0; LANES];
+        for (i, path) in paths.iter().enumerate() {
+            number[i] = point(dimension(path.key, 4 * reflection + 2), path.sample)[0];
+            for k in 0..3 {
+                throughput[k][i] = path.throughput[k];
+            }
+        }
+        let light = self.one_led(light, &throughput, number);
+        for (i, path) in paths.iter().enumerate().filter(|&(i, _)| light.weight[i] > 0.0) {
+            let factor = light.total[i] / light.weight[i];
+            let radiance = at(&light.radiance, i);
+            requests.open.push(Request {
+                point: at(position, i),
+                light: [0, 1, 2].map(|k| path.throughput[k] * radiance[k] * factor),
+                pixel: path.pixel,
+                led: light.led[i],
+            });
+        }
+    }
+
+    /// Chooses one LED for each lane in proportion to what it would add to the pixel unshadowed.
+    #[inline(always)]
+    fn one_led(
+        &self,
+        light: impl Fn(&Led, &mut Lane3),
+        throughput: &Lane3,
+        mut number: Lane,
+    ) -> OneLed {
+        let mut out = OneLed {
+            led: [0; LANES],
+            radiance: [[0.0; LANES]; 3],
+            weight: [0.0; LANES],
+            total: [0.0; LANES],
+        };
+        for (led_number, led) in self.lit.leds.iter().enumerate() {
+            let mut radiance = [[0.0; LANES]; 3];
+            light(led, &mut radiance);
+            for i in 0..LANES {
+                let [r, g, b] = at(throughput, i);
+                let weight = r * radiance[0][i] + g * radiance[1][i] + b * radiance[2][i];
+                let total = out.total[i] + weight;
+                let share = if total > 0.0 { weight / total } else { 0.0 };
+                // One number decides all: within each outcome it is even again.
+                let chosen = number[i] < share;
+                number[i] = if chosen {
+                    number[i] / share
+                } else {
+                    (number[i] - share) / max(1.0 - share, 1e-7)
+                };
+                out.total[i] = total;
+                out.led[i] = if chosen { led_number as u32 } else { out.led[i] };
+                out.weight[i] = if chosen { weight } else { out.weight[i] };
+                for k in 0..3 {
+                    out.radiance[k][i] = if chosen { radiance[k][i] } else { out.radiance[k][i] };
+                }
+            }
+        }
+        out
+    }
+}
+
+/// One LED for each lane.
+struct OneLed {
+    led: [u32; LANES],
+    /// Radiance that the surface would leave of its light.
+    radiance: Lane3,
+    /// What the choice went by: of this LED, and of all.
+    weight: Lane,
+    total: Lane,
+}

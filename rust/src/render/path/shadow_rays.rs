@@ -1,0 +1,161 @@
+//! Light that arrives unless something is in the way: asked for one by one, settled together.
+//!
+//! Ways from one LED share their origin. Sorted by direction, 64 neighbours make a narrow pyramid,
+//! and are traced like a tile of an image.
+
+use crate::render::path::wavefront::Tracer;
+use crate::simd::f32x64::*;
+use crate::wall::Wall;
+use crate::wall::packet::{Hits, MISS, Pyramid, trace_at_most};
+use crate::wall::ray;
+use crate::wall::visibility::ways;
+
+/// Cells along each side of the square that directions are sorted by.
+const CELLS: u32 = 16;
+/// Fewer ways, or wider apart, are traced one by one: sine of the pyramid's half angle.
+const FEWEST: usize = 6;
+const WIDEST: f32 = 0.6;
+/// Triangles after which the ways left are traced one by one: where triangles are small, a pyramid
+/// meets more of them than its rays do.
+const MOST: u32 = 300;
+
+/// Light from an LED to a point, on its way to a pixel.
+#[derive(Clone, Copy)]
+pub struct Request {
+    /// Point on the wall [m].
+    pub point: Vec3,
+    /// What the pixel gets if the way is free.
+    pub light: Vec3,
+    /// Number of the pixel among the sums.
+    pub pixel: u32,
+    /// Number of the LED.
+    pub led: u32,
+}
+
+/// Requests of one wave; its memory is kept from wave to wave.
+#[derive(Default)]
+pub struct Requests {
+    /// What was asked for since the last settling.
+    pub open: Vec<Request>,
+    keys: Vec<u32>,
+    starts: Vec<u32>,
+    order: Vec<u32>,
+}
+
+impl Requests {
+    /// Adds to `sums` the light that arrives and forgets all requests.
+    #[inline(always)]
+    pub fn settle(&mut self, tracer: &Tracer<'_>, leds: &[Vec3], sums: &mut [[f64; 3]]) {
+        self.sort(leds);
+        let mut rest = &self.order[..];
+        while let Some(&first) = rest.first() {
+            let led = self.open[first as usize].led;
+            let most = rest.len().min(LANES);
+            let same = |&number: &u32| self.open[number as usize].led == led;
+            let count = rest[..most].iter().take_while(|number| same(number)).count();
+            let (chunk, after) = rest.split_at(count);
+            let origin = leds[led as usize];
+            let lit = self.lit(tracer.lit.wall, origin, chunk);
+            for (&number, _) in chunk.iter().zip(lit).filter(|&(_, lit)| lit) {
+                let Request { point, light, pixel, .. } = self.open[number as usize];
+                let left = tracer.afloat.as_ref().map(|a| a.led_left(origin, point));
+                let left = left.unwrap_or([1.0; 3]);
+                for k in 0..3 {
+                    sums[pixel as usize][k] += f64::from(light[k] * left[k]);
+                }
+            }
+            rest = after;
+        }
+        self.open.clear();
+    }
+
+    /// Which of up to `LANES` requests to one LED have a free way.
+    #[inline(always)]
+    fn lit(&self, wall: &Wall, origin: Vec3, chunk: &[u32]) -> [bool; LANES] {
+        let (mut points, mut used) = ([[0.0; LANES]; 3], [false; LANES]);
+        for (i, &number) in chunk.iter().enumerate() {
+            used[i] = true;
+            for k in 0..3 {
+                points[k][i] = self.open[number as usize].point[k];
+            }
+        }
+        let (directions, reach) = ways(origin, &points, &used);
+        let pyramid = Pyramid::around(directions, &used);
+        let width = pyramid.sides.iter().fold(0.0, |w, &side| max(w, dot(side, pyramid.axis)));
+        let mut hits = Hits::within(reach);
+        let is_narrow = pyramid.closed && width < WIDEST && chunk.len() >= FEWEST;
+        let is_done = is_narrow
+            && trace_at_most::<true>(MOST, &wall.bvh, origin, &pyramid, wall.extent, &mut hits);
+        let mut lit = [false; LANES];
+        for i in 0..chunk.len() {
+            lit[i] = hits.triangle[i] == MISS;
+            if lit[i] & !is_done {
+                let way = at(&pyramid.directions, i);
+                lit[i] = ray::cast::<true>(&wall.bvh, origin, way, reach[i], MISS).is_none();
+            }
+        }
+        lit
+    }
+
+    /// Puts the requests in order of LED and direction, by counting.
+    #[inline(always)]
+    fn sort(&mut self, leds: &[Vec3]) {
+        let cells = (CELLS * CELLS) as usize;
+        self.keys.clear();
+        self.keys.extend(self.open.iter().map(|request| {
+            let direction = sub(request.point, leds[request.led as usize]);
+            request.led * CELLS * CELLS + cell(direction)
+        }));
+        self.starts.clear();
+        self.starts.resize(leds.len() * cells + 1, 0);
+        for &key in &self.keys {
+            self.starts[key as usize + 1] += 1;
+        }
+        for key in 1..self.starts.len() {
+            self.starts[key] += self.starts[key - 1];
+        }
+        self.order.clear();
+        self.order.resize(self.open.len(), 0);
+        for (number, &key) in self.keys.iter().enumerate() {
+            let place = &mut self.starts[key as usize];
+            self.order[*place as usize] = number as u32;
+            *place += 1;
+        }
+    }
+}
+
+/// Cell of a direction of any length: the octahedron unfolded to a square (Cigolle et al. 2014),
+/// its cells numbered so that those in a row are neighbours (Morton 1966).
+#[inline(always)]
+fn cell([x, y, z]: Vec3) -> u32 {
+    let inverse = 1.0 / max(x.abs() + y.abs() + z.abs(), 1e-20);
+    let (u, v) = (x * inverse, y * inverse);
+    let folded = |a: f32, b: f32| (1.0 - b.abs()).copysign(a);
+    let (u, v) = if z < 0.0 { (folded(u, v), folded(v, u)) } else { (u, v) };
+    let whole = |a: f32| (((a + 1.0) * (0.5 * CELLS as f32)) as u32).min(CELLS - 1);
+    let spread = |a: u32| {
+        let a = (a | a << 2) & 0x33;
+        (a | a << 1) & 0x55
+    };
+    spread(whole(u)) | spread(whole(v)) << 1
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn cells_are_a_share_of_the_sphere() {
+        let (steps, mut count) = (400, vec![0; (CELLS * CELLS) as usize]);
+        for i in 0..steps {
+            for j in 0..steps {
+                let z = (2 * i + 1) as f32 / steps as f32 - 1.0;
+                let angle = std::f32::consts::TAU * j as f32 / steps as f32;
+                let radius = 3.0 * (1.0 - z * z).sqrt();
+                count[cell([radius * angle.cos(), radius * angle.sin(), 3.0 * z]) as usize] += 1;
+            }
+        }
+        let mean = steps * steps / count.len();
+        assert!(count.iter().all(|&n| n > mean / 3 && n < mean * 3), "{count:?}");
+    }
+}

@@ -1,0 +1,271 @@
+//! One frame of light through tissue.
+
+use super::Transport;
+use crate::render::material::{Led, Surface, add_leaving, fresnel};
+use crate::render::path::subsurface::refracted;
+use crate::render::radiosity::lazy_cache::Lights;
+use crate::simd::f32x64::*;
+use crate::wall::Wall;
+use crate::wall::packet::{Hits, MISS};
+use crate::wall::ray;
+use crate::wall::visibility::FREE_WAY;
+use glam::Vec4;
+use std::f32::consts::PI;
+
+/// For red, green and blue at a place: the share that comes out of light on the place itself, and
+/// what comes out of light elsewhere [W/m²].
+type Leaving = [Vec4; 2];
+
+/// The same, and all that comes out of light at the place and elsewhere; or irradiance alone.
+pub type Lit = [Vec4; 3];
+
+/// A face that a tile sees.
+#[derive(Clone, Copy)]
+struct Face {
+    /// In leaf order; `MISS` for none.
+    triangle: u32,
+    /// What leaves its third corner, and how much more leaves the first two.
+    leaving: [Leaving; 3],
+    /// All that leaves by LEDs and bounced light, in the same way [W/m²].
+    all: [Vec4; 3],
+    /// How that grows along x, y and z [W/m³].
+    slope: [Vec4; 3],
+    /// Unit normal.
+    normal: Vec3,
+    /// `Tissue::drift` [m] and `Tissue::slope` of what is drawn around it.
+    drift: Vec4,
+    tilt: Vec4,
+}
+
+/// Faces that a tile keeps at hand.
+const AT_HAND: usize = 8;
+
+/// Light through the tissue in one frame.
+pub struct Skin<'a> {
+    transport: &'a Transport,
+    rest: &'a Wall,
+    wall: &'a Wall,
+    leds: Vec<Led>,
+    shadows: bool,
+    /// What falls on nodes and leaves vertices, reckoned when first needed.
+    known: Lights<'a, Lit>,
+}
+
+/// What the tissue behind a tile's surfaces makes of light.
+pub struct Beneath {
+    /// Radiance towards the viewer over π and that of a white matt surface, by light on the place.
+    share: Lane3,
+    /// Radiance towards the viewer of light that fell elsewhere [W/(sr·m²)].
+    through: Lane3,
+    border: (f32, f32),
+    is_wall: [bool; LANES],
+}
+
+impl Transport {
+    /// Light in one frame, on the wall as it is.
+    pub fn frame<'a>(
+        &'a self,
+        rest: &'a Wall,
+        wall: &'a Wall,
+        leds: &[Led],
+        shadows: bool,
+    ) -> Skin<'a> {
+        let (leds, known) = (leds.to_vec(), self.room.lend());
+        Skin { transport: self, rest, wall, leds, shadows, known }
+    }
+}
+
+impl Skin<'_> {
+    /// What becomes of light at surfaces; `bounced` is irradiance of a vertex but for the LEDs'.
+    #[inline(always)]
+    pub fn beneath(
+        &self,
+        surface: &Surface,
+        hits: &Hits,
+        is_wall: [bool; LANES],
+        bounced: &impl Fn(usize) -> Vec4,
+    ) -> Beneath {
+        let tissue = &self.transport.tissue;
+        let mut beneath = Beneath {
+            share: [[0.0; LANES]; 3],
+            through: [[0.0; LANES]; 3],
+            border: (tissue.ior, tissue.entering),
+            is_wall,
+        };
+        let mut at_hand = [Face::none(); AT_HAND];
+        for i in (0..LANES).filter(|&i| is_wall[i]) {
+            let triangle = hits.triangle[i];
+            let face = &mut at_hand[triangle as usize % AT_HAND];
+            if face.triangle != triangle {
+                *face = self.face(triangle, bounced);
+            }
+            let [first, second, third] = &face.leaving;
+            let inverse = 1.0 / hits.edges[2][i];
+            let (wa, wb) = (hits.edges[0][i] * inverse, hits.edges[1][i] * inverse);
+            let [share, light] =
+                [0, 1].map(|part| third[part] + first[part] * wa + second[part] * wb);
+            let (view, normal) = (at(&surface.view, i), at(&surface.normal, i));
+            let inward = refracted(view, normal, tissue.ior);
+            let less = tissue.level - dot(face.normal, inward).abs();
+            let passes = tissue.passes(clamp(dot(normal, view), 0.0, 1.0));
+            let seen = (Vec4::ONE + less * face.tilt) * face.drifted([wa, wb], inward) * passes;
+            for k in 0..3 {
+                let seen = seen[k] * surface.albedo[k][i];
+                beneath.share[k][i] = seen * share[k];
+                beneath.through[k][i] = seen * light[k] * (1.0 / PI);
+            }
+        }
+        beneath
+    }
+
+    fn face(&self, triangle: u32, bounced: &impl Fn(usize) -> Vec4) -> Face {
+        let corners = self.wall.bvh.corners[triangle as usize];
+        let [a, b, c] = corners.map(|v| self.vertex(v as usize, bounced));
+        let more = |light: [Vec4; 3]| [0, 1, 2].map(|part| light[part] - c[part]);
+        let (a, b) = (more(a), more(b));
+        let [at_a, at_b, at_c] = self.wall.bvh.triangles[triangle as usize].corners;
+        let (to_a, to_b) = (sub(at_a, at_c), sub(at_b, at_c));
+        let normal = cross(to_a, to_b);
+        let inverse = 1.0 / max(dot(normal, normal), 1e-30);
+        let (of_a, of_b) = (cross(to_b, normal), cross(normal, to_a));
+        let slope = [0, 1, 2].map(|k| (a[2] * of_a[k] + b[2] * of_b[k]) * inverse);
+        let Transport { tissue, nodes, color, .. } = self.transport;
+        let colors = corners.map(|v| color[nodes.of_vertex[v as usize] as usize]);
+        let mean = scale(add(colors[0], add(colors[1], colors[2])), 1.0 / 3.0);
+        let [drift, tilt] =
+            [tissue.drift(mean), tissue.slope(mean)].map(|[r, g, b]| Vec4::new(r, g, b, 0.0));
+        Face {
+            triangle,
+            leaving: [a, b, c].map(|x| [x[0], x[1]]),
+            all: [a, b, c].map(|x| x[2]),
+            slope,
+            normal: normalize(normal),
+            drift,
+            tilt,
+        }
+    }
+
+    /// What leaves a vertex.
+    fn vertex(&self, v: usize, bounced: &impl Fn(usize) -> Vec4) -> Lit {
+        if let Some(light) = self.known.vertex(v) {
+            return light;
+        }
+        let mut sum = [Vec4::ZERO; 3];
+        let heard = &self.transport.nodes.heard[v];
+        for &(node, weight) in heard.iter().filter(|heard| heard.1 > 0.0) {
+            let leaving = self.leaving(node as usize, bounced);
+            for part in 0..3 {
+                sum[part] += weight * leaving[part];
+            }
+        }
+        self.known.keep_vertex(v, &sum);
+        sum
+    }
+
+    /// What leaves a node.
+    fn leaving(&self, node: usize, bounced: &impl Fn(usize) -> Vec4) -> Lit {
+        let place = self.transport.nodes.vertex.len() + node;
+        if let Some(light) = self.known.site(place) {
+            return light;
+        }
+        let row = self.transport.row(self.rest, node);
+        let mut light = Vec4::ZERO;
+        for link in &row.far {
+            let [r, g, b] = link.share;
+            light += Vec4::new(r, g, b, 0.0) * self.falling(link.from as usize, bounced);
+        }
+        let [near, better] = [row.near, self.transport.better(self.rest, node)]
+            .map(|[r, g, b]| Vec4::new(r, g, b, 0.0));
+        let (near, far) = (near * better, light * better);
+        let leaving = [near, far, near * self.falling(node, bounced) + far];
+        self.known.keep_site(place, &leaving);
+        leaving
+    }
+
+    /// Irradiance of a node, by what the border lets pass of it [W/m²].
+    fn falling(&self, node: usize, bounced: &impl Fn(usize) -> Vec4) -> Vec4 {
+        if let Some(light) = self.known.site(node) {
+            return light[0];
+        }
+        let vertex = self.transport.nodes.vertex[node] as usize;
+        let bounced = bounced(vertex).max(Vec4::ZERO);
+        let all = self.leds.iter().fold(bounced, |sum, led| sum + self.direct(vertex, led));
+        self.known.keep_site(node, &[all, Vec4::ZERO, Vec4::ZERO]);
+        all
+    }
+
+    /// The part of it at a vertex that comes from an LED, as `add_leaving` has it.
+    fn direct(&self, vertex: usize, led: &Led) -> Vec4 {
+        let offset = sub(led.position, self.wall.vertices[vertex]);
+        let square = max(dot(offset, offset), 1e-12);
+        let distance = square.sqrt();
+        let light = scale(offset, 1.0 / distance);
+        let cosine = dot(self.wall.normals[vertex], light);
+        let axis = -dot(light, led.direction);
+        if cosine <= 0.0 || (axis <= 0.0 && led.exponent > 0.0) {
+            return Vec4::ZERO;
+        }
+        if self.shadows && !self.is_lit(led.position, light, distance) {
+            return Vec4::ZERO;
+        }
+        let lobe = if led.exponent == 0.0 { 1.0 } else { pow(axis, led.exponent) };
+        let tissue = &self.transport.tissue;
+        let passes = (1.0 - fresnel(max(cosine, 1e-6), tissue.ior)) * cosine;
+        let [r, g, b] = scale(led.intensity, passes * lobe / (tissue.entering * square));
+        Vec4::new(r, g, b, 0.0)
+    }
+
+    /// Whether the way from an LED to a place `distance` [m] against `light` is free.
+    fn is_lit(&self, origin: Vec3, light: Vec3, distance: f32) -> bool {
+        let reach = distance * FREE_WAY;
+        ray::cast::<true>(&self.wall.bvh, origin, scale(light, -1.0), reach, MISS).is_none()
+    }
+}
+
+impl Face {
+    fn none() -> Self {
+        let zero = Vec4::ZERO;
+        Face {
+            triangle: MISS,
+            leaving: [[zero; 2]; 3],
+            all: [zero; 3],
+            slope: [zero; 3],
+            normal: [0.0; 3],
+            drift: zero,
+            tilt: zero,
+        }
+    }
+
+    /// What comes out at a point, given by the weights of two corners, of light that sets out along
+    /// a direction, over what comes out of light from all directions.
+    #[inline(always)]
+    fn drifted(&self, [wa, wb]: [f32; 2], direction: Vec3) -> Vec4 {
+        let [first, second, third] = self.all;
+        let here = third + first * wa + second * wb;
+        let [x, y, z] = self.slope;
+        let rise = x * direction[0] + y * direction[1] + z * direction[2];
+        let share = rise * self.drift / here.max(Vec4::splat(f32::MIN_POSITIVE));
+        Vec4::ONE + share.clamp(Vec4::NEG_ONE, Vec4::ONE)
+    }
+}
+
+impl Beneath {
+    /// Share of light on the place that pixel `i` gets in colour `k` by way of the base, and
+    /// radiance by light that fell elsewhere; of the base itself where there is no wall.
+    #[inline(always)]
+    pub fn of(&self, base: f32, k: usize, i: usize) -> (f32, f32) {
+        if self.is_wall[i] { (self.share[k][i], self.through[k][i]) } else { (base, 0.0) }
+    }
+
+    /// Adds the radiance that an LED's light on the place itself leaves towards the viewer.
+    #[inline(always)]
+    pub fn add(&self, surface: &Surface, led: &Led, lit: &[bool; LANES], radiance: &mut Lane3) {
+        let mut light = [[0.0; LANES]; 3];
+        add_leaving(surface, self.border, led, &mut light);
+        for k in 0..3 {
+            for i in 0..LANES {
+                radiance[k][i] += if lit[i] { light[k][i] * self.share[k][i] } else { 0.0 };
+            }
+        }
+    }
+}

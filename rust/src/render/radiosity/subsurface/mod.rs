@@ -1,0 +1,89 @@
+//! Light through the tissue behind the wall, in real time.
+//!
+//! What comes out at a place of the wall has entered around it. Random walks from there, those of
+//! path tracing, say where: by reciprocity light takes the same ways back. They are traced once, at
+//! rest, from *nodes*, vertices no closer than a free way. In each frame LEDs and bounced light fall
+//! on the nodes that are needed, and each seen vertex takes their shares.
+
+mod frame;
+mod transport_row;
+
+pub use frame::{Beneath, Skin};
+use transport_row::{Row, trace_row};
+
+use super::gather_points::Sites;
+use super::lazy_cache::Rooms;
+use super::patch_albedo::Look;
+use crate::render::path::subsurface::Tissue;
+use crate::render::scene::SceneData;
+use crate::simd::f32x64::*;
+use crate::wall::Wall;
+use std::sync::OnceLock;
+
+/// Least distance between nodes, over the longest free way between two scatterings.
+const SPACING: f32 = 0.8;
+/// Weight of a neighbour in what comes out at a node, if it faces the same way.
+const NEIGHBOUR: f32 = 0.5;
+
+/// Where light that comes out of the wall has entered it.
+pub struct Transport {
+    tissue: Tissue,
+    nodes: Sites,
+    /// Mean base colour of what each node stands for.
+    color: Vec<Vec3>,
+    rows: Vec<OnceLock<Row>>,
+    /// How much more of light comes out than by a node's own row, which is noisy.
+    better: Vec<OnceLock<Vec3>>,
+    room: Rooms<frame::Lit>,
+}
+
+impl Transport {
+    /// Prepares for the tissue behind a wall at rest.
+    pub fn new(wall: &Wall, scene: &SceneData, tissue: &Tissue) -> Self {
+        let [r, g, b] = tissue.scattering;
+        let spacing = SPACING / min(r, min(g, b));
+        let nodes = Sites::apart(wall, &vec![spacing; wall.vertices.len()]);
+        let color = Look::mean(wall, scene, &nodes).albedo;
+        let rows = nodes.vertex.iter().map(|_| OnceLock::new()).collect();
+        let better = nodes.vertex.iter().map(|_| OnceLock::new()).collect();
+        let room = Rooms::new((2 * nodes.vertex.len(), wall.vertices.len()));
+        Transport { tissue: tissue.clone(), nodes, color, rows, better, room }
+    }
+
+    /// What passes the border at an angle of this cosine, over the mean of even light.
+    pub fn passes(&self, cosine: f32) -> f32 {
+        self.tissue.passes(cosine)
+    }
+
+    /// Light that a vertex gives back under even light, over what a level wall would.
+    pub fn kept(&self, rest: &Wall, vertex: usize) -> Vec3 {
+        let node = self.nodes.of_vertex[vertex] as usize;
+        let (total, better) = (self.row(rest, node).total(), self.better(rest, node));
+        [0, 1, 2].map(|k| total[k] * better[k])
+    }
+
+    /// Factor of a row that makes it sum to a mean over the nodes around it: noise of walks is that
+    /// of each, what the wall's shape does is not.
+    fn better(&self, rest: &Wall, node: usize) -> Vec3 {
+        *self.better[node].get_or_init(|| {
+            let own = self.row(rest, node).total();
+            let vertex = self.nodes.vertex[node] as usize;
+            let (mut sum, mut weight) = (own, 1.0);
+            // Each neighbour is a corner of two of the faces.
+            let faces = rest.faces_around(vertex).iter().map(|&f| rest.faces[f as usize]);
+            for v in faces.flatten().map(|v| v as usize).filter(|&v| v != vertex) {
+                let facing = dot(rest.normals[v], rest.normals[vertex]);
+                let share = 0.5 * NEIGHBOUR * max(facing, 0.0);
+                let total = self.row(rest, self.nodes.of_vertex[v] as usize).total();
+                sum = add(sum, scale(total, share));
+                weight += share;
+            }
+            [0, 1, 2].map(|k| sum[k] / (weight * max(own[k], 1e-6)))
+        })
+    }
+
+    fn row(&self, rest: &Wall, node: usize) -> &Row {
+        let trace = || trace_row(rest, &self.tissue, &self.nodes, (node, self.color[node]));
+        self.rows[node].get_or_init(trace)
+    }
+}

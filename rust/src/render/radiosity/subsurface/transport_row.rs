@@ -1,0 +1,207 @@
+//! Rows of light transport through tissue: where light that comes out at a node has entered.
+
+use super::Sites;
+use crate::render::path::bsdf::leave;
+use crate::render::path::sobol::{dimension, hash, point, unit};
+use crate::render::path::subsurface::{
+    Border, Exit, Level, Medium, Stream, Tissue, Way, refracted, walk,
+};
+use crate::simd::f32x64::*;
+use crate::wall::Wall;
+use crate::wall::packet::MISS;
+
+/// Walks of a row: where faces are wide, and where they are not and a vertex hears several nodes.
+const WALKS: [u32; 2] = [128, 64];
+/// Light that has entered nearer than so many free ways, or edges of faces if they are longer, has
+/// fallen on the place itself.
+const NEAR: f32 = 0.5;
+/// Walks set out from faces around a node, so far from it at most as a share of their height.
+const STAR: f32 = 0.5;
+/// Base colours below this are taken for those of a border that lets nothing out again.
+const BLACK: f32 = 1e-3;
+
+/// Dimensions of a row's random numbers.
+const FACE: u32 = 1;
+const CORNER: u32 = 2;
+const DIRECTION: u32 = 3;
+const END: u32 = 4;
+
+/// Light from another node.
+#[derive(Clone, Copy)]
+pub struct Link {
+    /// The other node.
+    pub from: u32,
+    /// Share of red, green and blue, as in `Row`.
+    pub share: Vec3,
+}
+
+/// Shares of irradiance that come out at a node, over what a level wall gives back of even light.
+pub struct Row {
+    /// Of light that has fallen on the node itself.
+    pub near: Vec3,
+    /// Of light on others.
+    pub far: Box<[Link]>,
+}
+
+impl Row {
+    /// All of even light.
+    pub fn total(&self) -> Vec3 {
+        self.far.iter().fold(self.near, |sum, link| add(sum, link.share))
+    }
+}
+
+/// Where a walk sets out.
+struct Start {
+    place: Vec3,
+    /// Unit normal of the face.
+    facet: Vec3,
+    direction: Vec3,
+    /// What passes the border on the way in, over the mean.
+    passes: f32,
+}
+
+/// What walks bring together.
+struct Sum {
+    near: Vec3,
+    far: Vec<Link>,
+    /// Of walks on the wall, less that of the same walks on a level.
+    more: Vec3,
+}
+
+/// Traces the row of a node at rest, with the mean base colour around it.
+///
+/// A level wall gives back the base colour, exactly. Each walk is also made, with the same random
+/// numbers, behind the level of the face where it starts: the difference between the two is what
+/// the shape of the wall does, with far less noise than the walks themselves (control variates).
+#[multiversion::multiversion(targets(
+    "x86_64+avx512f+avx512bw+avx512cd+avx512dq+avx512vl",
+    "x86_64+avx2",
+    "aarch64+neon"
+))]
+pub fn trace_row(wall: &Wall, tissue: &Tissue, nodes: &Sites, (node, color): (usize, Vec3)) -> Row {
+    let medium = tissue.medium(color);
+    let vertex = nodes.vertex[node] as usize;
+    let edge = (wall.area_around(vertex) / 2.6).sqrt();
+    let reach = tissue.scattering.map(|scattering| NEAR * max(1.0 / scattering, edge));
+    let key = hash(node as u32);
+    let walks = WALKS[usize::from(edge < nodes.spacing[node])];
+    let mut sum = Sum { near: [0.0; 3], far: Vec::new(), more: [0.0; 3] };
+    for number in 0..walks {
+        let start = Start::draw(wall, tissue, vertex, (key, number));
+        let exit = start.walk(wall, &medium, (key, number));
+        let level = Level { point: start.place, normal: start.facet, offset: Border::offset(wall) };
+        let plain = start.walk(&level, &medium, (key, number));
+        let share = |exit: &Option<Exit>| exit.as_ref().map_or([0.0; 3], |exit| exit.share);
+        let difference = sub(share(&exit), share(&plain));
+        sum.more = add(sum.more, scale(difference, start.passes));
+        if let Some(exit) = exit {
+            let from = met(wall, nodes, &exit, (key, number));
+            sum.take(&start, &exit, reach, from);
+        }
+    }
+    sum.row(color, walks as f32)
+}
+
+impl Start {
+    /// A place near a vertex, and a direction into the tissue as even light takes it.
+    fn draw(wall: &Wall, tissue: &Tissue, vertex: usize, (key, number): (u32, u32)) -> Self {
+        let [first, second] = point(dimension(key, FACE), number);
+        let [third, fourth] = point(dimension(key, CORNER), number);
+        let around = wall.faces_around(vertex);
+        let area = wall.area_around(vertex);
+        let mut left = first * area;
+        let mut chosen = [[0.0; 3]; 4];
+        for &face in around {
+            let corners = wall.faces[face as usize];
+            let own = corners.iter().position(|&v| v as usize == vertex).unwrap_or(0);
+            let [a, b, c] = [0, 1, 2].map(|k| wall.vertices[corners[(own + k) % 3] as usize]);
+            let normal = cross(sub(b, a), sub(c, a));
+            chosen = [a, b, c, normal];
+            left -= 0.5 * dot(normal, normal).sqrt();
+            if left <= 0.0 {
+                break;
+            }
+        }
+        // As much of each face as the vertex weighs there: Dirichlet's (2, 1, 1), drawn towards it.
+        let mut cuts = [second, third, fourth];
+        cuts.sort_unstable_by(f32::total_cmp);
+        let [a, b, c, normal] = chosen;
+        let (to_b, to_c) = (STAR * (cuts[2] - cuts[1]), STAR * (1.0 - cuts[2]));
+        let place = add(a, add(scale(sub(b, a), to_b), scale(sub(c, a), to_c)));
+        let facet = normalize(normal);
+        let (view, cosine) = leave(facet, point(dimension(key, DIRECTION), number));
+        let direction = refracted(view, facet, tissue.ior);
+        Start { place, facet, direction, passes: tissue.passes(cosine) }
+    }
+
+    /// Walks behind a border until light comes out.
+    #[inline(always)]
+    fn walk(
+        &self,
+        border: &impl Border,
+        medium: &Medium,
+        (key, number): (u32, u32),
+    ) -> Option<Exit> {
+        let origin = sub(self.place, scale(self.facet, border.offset()));
+        let way = Way { origin, direction: self.direction, from: MISS };
+        walk(border, medium, way, &mut Stream::new(key, number))
+    }
+}
+
+/// The node where a walk ends: that of a corner of the face, drawn by the weights of the corners.
+fn met(wall: &Wall, nodes: &Sites, exit: &Exit, (key, number): (u32, u32)) -> u32 {
+    let [a, b, c] = wall.bvh.corners[exit.hit.triangle as usize];
+    let inverse = 1.0 / exit.hit.edges[2];
+    let (wa, wb) = (exit.hit.edges[0] * inverse, exit.hit.edges[1] * inverse);
+    let drawn = unit(hash(dimension(key, END) ^ hash(number)));
+    let corner = if drawn < wa {
+        a
+    } else if drawn < wa + wb {
+        b
+    } else {
+        c
+    };
+    nodes.of_vertex[corner as usize]
+}
+
+impl Sum {
+    /// Adds light that has gone from `start` to an exit at a node.
+    fn take(&mut self, start: &Start, exit: &Exit, reach: Vec3, from: u32) {
+        let offset = sub(exit.point, start.place);
+        let square = dot(offset, offset);
+        let is_same_side = dot(exit.facet, start.facet) > 0.0;
+        let share = scale(exit.share, start.passes);
+        let near = reach.map(|reach| is_same_side && square < reach * reach);
+        let far = [0, 1, 2].map(|k| if near[k] { 0.0 } else { share[k] });
+        self.near = add(self.near, sub(share, far));
+        if far != [0.0; 3] {
+            self.far.push(Link { from, share: far });
+        }
+    }
+
+    /// The row, scaled so that it sums to what the wall gives back.
+    fn row(mut self, color: Vec3, walks: f32) -> Row {
+        self.far.sort_by_key(|link| link.from);
+        let far: Vec<Link> = self
+            .far
+            .chunk_by(|a, b| a.from == b.from)
+            .map(|run| Link {
+                from: run[0].from,
+                share: run.iter().fold([0.0; 3], |sum, link| add(sum, link.share)),
+            })
+            .collect();
+        let found = far.iter().fold(self.near, |sum, link| add(sum, link.share));
+        let factor = [0, 1, 2].map(|k| {
+            let total = 1.0 + self.more[k] / (walks * max(color[k], BLACK));
+            clamp(total, 0.0, 1.0 / max(color[k], BLACK)) / max(found[k], 1e-20)
+        });
+        let is_known = [0, 1, 2].map(|k| color[k] > BLACK && found[k] > 0.0);
+        let scaled =
+            |share: Vec3| [0, 1, 2].map(|k| if is_known[k] { share[k] * factor[k] } else { 0.0 });
+        let near = scaled(self.near);
+        Row {
+            near: [0, 1, 2].map(|k| if is_known[k] { near[k] } else { 1.0 }),
+            far: far.iter().map(|link| Link { share: scaled(link.share), ..*link }).collect(),
+        }
+    }
+}

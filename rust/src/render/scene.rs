@@ -1,0 +1,115 @@
+//! A wall with everything that is drawn on it.
+
+use crate::render::material::Material;
+use crate::render::path::subsurface::Tissue;
+use crate::render::texture::Texture;
+use crate::simd::f32x64::Vec3;
+use numpy::{PyReadonlyArray1, PyReadonlyArray3};
+use pyo3::{exceptions::PyValueError, prelude::*};
+use std::ops::Deref;
+
+/// What is drawn on one face; kept together, as they are read together.
+#[derive(Clone, Copy)]
+pub struct FaceData {
+    /// Texture coordinates of each corner.
+    pub uv: [[f32; 2]; 3],
+    /// Class.
+    pub label: u8,
+    /// Lesion number.
+    pub instance: u16,
+}
+
+/// Attributes of a wall's faces and vertices.
+pub struct SceneData {
+    /// What is drawn on each face.
+    pub faces: Vec<FaceData>,
+    /// Distance along the centreline of each vertex [m].
+    pub arc_length: Vec<f32>,
+    /// Textures, or none for a plain wall.
+    pub texture: Option<TextureHandle>,
+    /// Linear base colour of a plain wall.
+    pub albedo: Vec3,
+    /// Roughness of a plain wall.
+    pub roughness: f32,
+    /// Reflectance that is the same all over.
+    pub material: Material,
+    /// Tissue behind the wall, if paths go through it.
+    pub tissue: Option<Tissue>,
+}
+
+/// Tissue as Python gives it.
+type TissueFigures = (Vec3, f32, f32, Vec<f32>, f32, Vec<f32>);
+
+/// A texture that Python also holds.
+pub struct TextureHandle(Py<Texture>);
+
+impl Deref for TextureHandle {
+    type Target = Texture;
+
+    fn deref(&self) -> &Texture {
+        self.0.get()
+    }
+}
+
+/// What is drawn on a wall: labels, gut coordinates, textures and reflectance.
+#[pyclass(frozen, module = "vrcaps._core")]
+pub struct Scene {
+    /// The attributes.
+    pub data: SceneData,
+}
+
+#[pymethods]
+impl Scene {
+    /// Takes uv [m 3 2], label [m] and instance [m] of faces, arc length [n] of vertices in metres,
+    /// `texture` or a plain linear `albedo` and `roughness`, and `reflectance` (refractive index,
+    /// coat strength, coat roughness α). `tissue` lets paths go through the wall: reduced scattering
+    /// of red, green and blue [1/m], refractive index, share of even light that enters, and
+    /// √(1 − single-scattering albedo) of base colours 0 to 1 in even steps, and `level` and
+    /// `slopes` as `Tissue` has them.
+    #[new]
+    #[pyo3(signature = (uv, label, instance, arc_length, *, texture, albedo, roughness, reflectance, tissue=None))]
+    #[allow(clippy::too_many_arguments)] // one keyword each, called in one place
+    fn new(
+        uv: PyReadonlyArray3<'_, f32>,
+        label: PyReadonlyArray1<'_, u8>,
+        instance: PyReadonlyArray1<'_, u16>,
+        arc_length: PyReadonlyArray1<'_, f32>,
+        texture: Option<Py<Texture>>,
+        albedo: Vec3,
+        roughness: f32,
+        reflectance: (f32, f32, f32),
+        tissue: Option<TissueFigures>,
+    ) -> PyResult<Self> {
+        let (uv, label, instance) = (uv.as_array(), label.as_array(), instance.as_array());
+        let (faces, corners, components) = uv.dim();
+        let same = label.len() == faces && instance.len() == faces;
+        if (corners, components) != (3, 2) || !same {
+            return Err(PyValueError::new_err(
+                "Texture coordinates must be of shape (m, 3, 2), labels and instances of shape (m,).",
+            ));
+        }
+        let (ior, coat, coat_alpha) = reflectance;
+        let face = |f: usize| FaceData {
+            uv: [0, 1, 2].map(|corner| [uv[[f, corner, 0]], uv[[f, corner, 1]]]),
+            label: label[f],
+            instance: instance[f],
+        };
+        let data = SceneData {
+            faces: (0..faces).map(face).collect(),
+            arc_length: arc_length.as_array().to_vec(),
+            texture: texture.map(TextureHandle),
+            albedo,
+            roughness,
+            material: Material { ior, coat, coat_alpha },
+            tissue: tissue.map(|(scattering, ior, entering, roots, level, slopes)| Tissue {
+                scattering,
+                ior,
+                entering,
+                roots,
+                level,
+                slopes,
+            }),
+        };
+        Ok(Scene { data })
+    }
+}

@@ -1,0 +1,296 @@
+//! From hits to channels: attributes of the wall where each ray meets it, and the light it reflects.
+
+use crate::render::material::{Led, Material, Surface, add_light};
+use crate::render::radiosity::Beneath;
+use crate::render::scene::{FaceData, SceneData};
+use crate::simd::f32x64::*;
+use crate::wall::Wall;
+use crate::wall::bvh::Triangle;
+use crate::wall::packet::{Hits, MISS};
+use crate::wall::visibility::visible_tile;
+
+/// What the wall is where each ray of a tile meets it.
+pub struct Attributes {
+    /// Lanes that met the wall.
+    pub hit: [bool; LANES],
+    /// Face met, −1 for none.
+    pub face: [i32; LANES],
+    /// Weights of the face's first and second corner.
+    pub weights: [Lane; 2],
+    /// Point met [m].
+    pub position: Lane3,
+    /// Unit direction to the viewer.
+    pub view: Lane3,
+    /// Smooth unit normal on the viewer's side.
+    pub normal: Lane3,
+    /// Least cosine between a shading normal and the way to the viewer, see `Face::least_facing`.
+    pub least_facing: Lane,
+    /// Texture coordinates.
+    pub uv: [Lane; 2],
+    /// Surface gradients of the texture coordinates [1/m].
+    pub gradients: [Lane3; 2],
+    /// Distance along the centreline [m].
+    pub arc_length: Lane,
+    /// Segment or tissue class.
+    pub label: [u8; LANES],
+    /// Lesion number.
+    pub instance: [u16; LANES],
+}
+
+/// A face of the wall, fetched once for neighbouring rays that meet it.
+struct Face {
+    number: usize,
+    corners: [usize; 3],
+    data: FaceData,
+    gradients: [Vec3; 2],
+    /// A quarter of the sine of the angle by which the wall turns from the face's middle to its
+    /// corners.
+    ///
+    /// A piece of wall that turns by that angle up to an outline has half of it as its mean cosine;
+    /// one facet for all of it would be black wherever its smooth normal is edge-on. A quarter takes
+    /// the black away and changes the rest of an image least.
+    least_facing: f32,
+}
+
+impl Face {
+    /// The face of a triangle, whose corners are still at hand from tracing.
+    #[inline(always)]
+    fn fetch(wall: &Wall, scene: &SceneData, triangle: usize) -> Self {
+        let Triangle { corners: [a, b, c], face } = wall.bvh.triangles[triangle];
+        let (ab, ac) = (sub(b, a), sub(c, a));
+        let normal = cross(ab, ac);
+        let inverse = 1.0 / max(dot(normal, normal), 1e-30);
+        // Gradients of the weights of b and c over the face.
+        let of_b = scale(cross(ac, normal), inverse);
+        let of_c = scale(cross(normal, ab), inverse);
+        let data = scene.faces[face as usize];
+        let [uv_a, uv_b, uv_c] = data.uv;
+        let gradient =
+            |k: usize| add(scale(of_b, uv_b[k] - uv_a[k]), scale(of_c, uv_c[k] - uv_a[k]));
+        let corners = wall.bvh.corners[triangle].map(|v| v as usize);
+        let [na, nb, nc] = corners.map(|v| wall.normals[v]);
+        let turn = dot(add(add(na, nb), nc), normal) * inverse.sqrt() * (1.0 / 3.0);
+        Face {
+            number: face as usize,
+            corners,
+            data,
+            gradients: [gradient(0), gradient(1)],
+            least_facing: 0.25 * max(1.0 - turn * turn, 0.0).sqrt(),
+        }
+    }
+}
+
+/// Looks up the wall's attributes for every hit.
+#[inline(always)]
+pub fn attributes(
+    wall: &Wall,
+    scene: &SceneData,
+    origin: Vec3,
+    directions: &Lane3,
+    hits: &Hits,
+) -> Attributes {
+    let (mut position, mut view) = ([[0.0; LANES]; 3], [[0.0; LANES]; 3]);
+    for i in 0..LANES {
+        for k in 0..3 {
+            position[k][i] = origin[k] + hits.distance[i] * directions[k][i];
+            view[k][i] = -directions[k][i];
+        }
+    }
+    attributes_at(wall, scene, position, view, hits)
+}
+
+/// The same for points met by rays from anywhere; `view` holds unit directions back along them.
+#[inline(always)]
+pub fn attributes_at(
+    wall: &Wall,
+    scene: &SceneData,
+    position: Lane3,
+    view: Lane3,
+    hits: &Hits,
+) -> Attributes {
+    let mut out = Attributes {
+        hit: [false; LANES],
+        face: [-1; LANES],
+        weights: [[0.0; LANES]; 2],
+        position,
+        view,
+        normal: [[0.0; LANES]; 3],
+        least_facing: [0.0; LANES],
+        uv: [[0.0; LANES]; 2],
+        gradients: [[[0.0; LANES]; 3]; 2],
+        arc_length: [0.0; LANES],
+        label: [0; LANES],
+        instance: [0; LANES],
+    };
+    for i in 0..LANES {
+        let inverse = 1.0 / hits.edges[2][i];
+        out.hit[i] = hits.triangle[i] != MISS;
+        out.weights[0][i] = hits.edges[0][i] * inverse;
+        out.weights[1][i] = hits.edges[1][i] * inverse;
+    }
+    let mut last = (MISS, None);
+    for i in 0..LANES {
+        let triangle = hits.triangle[i];
+        if triangle == MISS {
+            continue;
+        }
+        if triangle != last.0 {
+            last = (triangle, Some(Face::fetch(wall, scene, triangle as usize)));
+        }
+        if let Some(face) = &last.1 {
+            fill_lane(&mut out, wall, scene, face, i);
+        }
+    }
+    turn_to_viewer(&mut out, &hits.edges[2]);
+    out
+}
+
+#[inline(always)]
+fn fill_lane(out: &mut Attributes, wall: &Wall, scene: &SceneData, face: &Face, i: usize) {
+    let (wa, wb) = (out.weights[0][i], out.weights[1][i]);
+    let wc = 1.0 - wa - wb;
+    let [a, b, c] = face.corners;
+    let (na, nb, nc) = (wall.normals[a], wall.normals[b], wall.normals[c]);
+    for k in 0..3 {
+        out.normal[k][i] = na[k] * wa + nb[k] * wb + nc[k] * wc;
+        out.gradients[0][k][i] = face.gradients[0][k];
+        out.gradients[1][k][i] = face.gradients[1][k];
+    }
+    out.least_facing[i] = face.least_facing;
+    let [uv_a, uv_b, uv_c] = face.data.uv;
+    for k in 0..2 {
+        out.uv[k][i] = uv_a[k] * wa + uv_b[k] * wb + uv_c[k] * wc;
+    }
+    let arc = &scene.arc_length;
+    out.arc_length[i] = arc[a] * wa + arc[b] * wb + arc[c] * wc;
+    out.label[i] = face.data.label;
+    out.instance[i] = face.data.instance;
+    out.face[i] = face.number as i32;
+}
+
+/// Makes normals unit vectors on the viewer's side.
+///
+/// The side of the face decides the sign; a smooth normal that still points away, near an outline,
+/// is bent to the horizon.
+#[inline(always)]
+fn turn_to_viewer(out: &mut Attributes, leaving: &Lane) {
+    for i in 0..LANES {
+        let (normal, view) = (at(&out.normal, i), at(&out.view, i));
+        let sign = if leaving[i] > 0.0 { -1.0 } else { 1.0 };
+        let unit = scale(normal, sign / max(dot(normal, normal), 1e-30).sqrt());
+        let bent = sub(unit, scale(view, min(dot(unit, view), 0.0)));
+        let inverse = 1.0 / max(dot(bent, bent), 1e-30).sqrt();
+        for k in 0..3 {
+            out.normal[k][i] = bent[k] * inverse;
+        }
+    }
+}
+
+/// A shading normal, of any length, made a unit vector that faces the viewer at least so far.
+#[inline(always)]
+fn face_viewer(normal: Vec3, view: Vec3, least: f32) -> Vec3 {
+    let (square, towards) = (dot(normal, normal), dot(normal, view));
+    let lacking = max(least * square.sqrt() - towards, 0.0);
+    let square = max(square + lacking * (2.0 * towards + lacking), 1e-12);
+    scale(add(normal, scale(view, lacking)), 1.0 / square.sqrt())
+}
+
+/// Gives the hits their material: base colour, roughness and relief.
+#[inline(always)]
+pub fn surface(
+    scene: &SceneData,
+    attributes: &Attributes,
+    distance: &Lane,
+    pixel_angle: f32,
+) -> Surface {
+    let mut surface = Surface {
+        position: attributes.position,
+        normal: attributes.normal,
+        view: attributes.view,
+        albedo: [[0.0; LANES]; 3],
+        roughness: [scene.roughness; LANES],
+    };
+    let Some(texture) = &scene.texture else {
+        for k in 0..3 {
+            surface.albedo[k] = [scene.albedo[k]; LANES];
+        }
+        for i in 0..LANES {
+            let view = at(&attributes.view, i);
+            let normal = face_viewer(at(&attributes.normal, i), view, attributes.least_facing[i]);
+            for k in 0..3 {
+                surface.normal[k][i] = normal[k];
+            }
+        }
+        return surface;
+    };
+    let footprint = footprint(attributes, distance, pixel_angle);
+    let texels = texture.fetch(&attributes.uv, &footprint);
+    let [along_u, along_v] = &attributes.gradients;
+    for i in 0..LANES {
+        let rise = add(
+            scale(at(along_u, i), texels.slope[0][i]),
+            scale(at(along_v, i), texels.slope[1][i]),
+        );
+        let tilted = sub(at(&attributes.normal, i), rise);
+        let normal = face_viewer(tilted, at(&attributes.view, i), attributes.least_facing[i]);
+        for k in 0..3 {
+            surface.normal[k][i] = normal[k];
+        }
+    }
+    surface.albedo = texels.albedo;
+    surface.roughness = texels.roughness;
+    surface
+}
+
+/// Share of the texture's width and height that each pixel covers.
+#[inline(always)]
+fn footprint(attributes: &Attributes, distance: &Lane, pixel_angle: f32) -> [Lane; 2] {
+    let mut result = [[0.0; LANES]; 2];
+    for (k, share) in result.iter_mut().enumerate() {
+        for i in 0..LANES {
+            let cosine = max(dot(at(&attributes.normal, i), at(&attributes.view, i)), 0.05);
+            let gradient = at(&attributes.gradients[k], i);
+            let size = distance[i] * pixel_angle / cosine.sqrt();
+            share[i] = size * dot(gradient, gradient).sqrt();
+        }
+    }
+    result
+}
+
+/// Adds the radiance that an LED's light leaves towards the viewer, with what the tissue behind the
+/// surface makes of it, if it goes there.
+#[inline(always)]
+pub fn add_all_light(
+    (surface, beneath): (&Surface, Option<&Beneath>),
+    material: &Material,
+    led: &Led,
+    lit: &[bool; LANES],
+    radiance: &mut Lane3,
+) {
+    add_light(surface, material, led, lit, radiance);
+    if let Some(beneath) = beneath {
+        beneath.add(surface, led, lit, radiance);
+    }
+}
+
+/// Radiance towards the viewer [W/(sr·m²)]; zero where nothing was met.
+#[inline(always)]
+pub fn light(
+    wall: &Wall,
+    material: &Material,
+    leds: &[Led],
+    shadows: bool,
+    (surface, beneath): (&Surface, Option<&Beneath>),
+    hit: &[bool; LANES],
+) -> Lane3 {
+    let mut radiance = [[0.0; LANES]; 3];
+    for led in leds {
+        if shadows {
+            let lit = visible_tile(wall, led.position, &surface.position, hit);
+            add_all_light((surface, beneath), material, led, &lit, &mut radiance);
+        } else {
+            add_all_light((surface, beneath), material, led, hit, &mut radiance);
+        }
+    }
+    radiance
+}

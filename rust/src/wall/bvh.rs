@@ -1,0 +1,322 @@
+//! The bounding-volume hierarchy: eight children a node, built once, refitted when the wall moves.
+
+use crate::simd::f32x64::Vec3;
+use glam::{Vec3A, Vec4};
+use obvhs::{
+    BvhBuildParams,
+    bvh2::{Bvh2, builder::build_bvh2_from_tris},
+    triangle::Triangle as BuildTriangle,
+};
+use rayon::prelude::*;
+use std::ops::Range;
+use std::time::Duration;
+
+/// Children of a node.
+pub const WIDTH: usize = 8;
+/// Marks a child that is a leaf; the other bits are `first triangle · 4 + count`.
+const LEAF: u32 = 1 << 31;
+/// Most primitives of a leaf.
+pub const MAX_PER_LEAF: usize = 3;
+/// Larger than any coordinate [m]: bounds of an empty child exclude everything.
+const FAR: f32 = 1e30;
+/// Levels above the branches that are refitted side by side: up to 64 branches.
+const BRANCH_DEPTH: usize = 2;
+const MAX_TRIANGLES_PER_LEAF: u32 = 2;
+
+/// A node: the boxes of its eight children, by component, so that all are tested at once.
+#[derive(Clone)]
+#[repr(C, align(64))]
+pub struct Node {
+    /// Lower bounds x, y, z, then upper bounds x, y, z [m].
+    pub bounds: [[f32; WIDTH]; 6],
+    /// What each child is, see `Child`.
+    pub children: [u32; WIDTH],
+}
+
+/// What a child of a node is.
+pub enum Child {
+    /// Another node, by number.
+    Node(usize),
+    /// A range of triangles in leaf order.
+    Leaf(Range<usize>),
+}
+
+impl Child {
+    /// The entry of `Node::children` for a leaf of up to `MAX_PER_LEAF` primitives.
+    pub fn leaf(first: usize, count: usize) -> u32 {
+        LEAF | ((first as u32) << 2) | count as u32
+    }
+
+    /// Decodes an entry of `Node::children`.
+    #[inline(always)]
+    pub fn of(code: u32) -> Self {
+        if code & LEAF == 0 {
+            return Child::Node(code as usize);
+        }
+        let first = ((code & !LEAF) >> 2) as usize;
+        Child::Leaf(first..first + (code & 3) as usize)
+    }
+}
+
+/// A triangle as the tracer reads it, with its place in the mesh.
+#[derive(Clone, Copy)]
+#[repr(C)]
+pub struct Triangle {
+    /// Corners [m].
+    pub corners: [Vec3; 3],
+    /// Number of the face in the mesh.
+    pub face: u32,
+}
+
+/// Eight-wide hierarchy over a triangle mesh.
+pub struct Bvh {
+    /// Nodes, parents before children; node 0 is the root.
+    pub nodes: Vec<Node>,
+    /// Triangles in leaf order.
+    pub triangles: Vec<Triangle>,
+    /// Vertex numbers of the triangles, in the same order.
+    pub corners: Vec<[u32; 3]>,
+    /// Large branches, which share nothing and are refitted side by side, in node order.
+    branches: Vec<Branch>,
+}
+
+/// A node with all below it: nodes in a row, and the triangles of their leaves in a row.
+struct Branch {
+    nodes: Range<usize>,
+    triangles: Range<usize>,
+}
+
+impl Bvh {
+    /// A hierarchy over nothing.
+    pub fn empty() -> Self {
+        Bvh { nodes: Vec::new(), triangles: Vec::new(), corners: Vec::new(), branches: Vec::new() }
+    }
+
+    /// Builds the hierarchy (PLOC with reinsertion, then collapsed to eight children a node).
+    pub fn build(vertices: &[Vec3], faces: &[[u32; 3]]) -> Self {
+        let input: Vec<BuildTriangle> = faces
+            .iter()
+            .map(|f| {
+                let [a, b, c] = f.map(|v| vertices[v as usize].into());
+                BuildTriangle { v0: a, v1: b, v2: c }
+            })
+            .collect();
+        let params = BvhBuildParams {
+            max_prims_per_leaf: MAX_TRIANGLES_PER_LEAF,
+            ..BvhBuildParams::medium_build()
+        };
+        let binary = build_bvh2_from_tris(&input, params, &mut Duration::default());
+        let mut bvh = Collapse::run(&binary);
+        bvh.corners = bvh.triangles.iter().map(|t| faces[t.face as usize]).collect();
+        bvh.refit(vertices);
+        bvh
+    }
+
+    /// Moves triangles and boxes to new vertex positions; the tree stays.
+    pub fn refit(&mut self, vertices: &[Vec3]) {
+        let mut parts = Vec::with_capacity(self.branches.len());
+        let mut rest = Part::whole(&mut self.nodes, &mut self.triangles, &self.corners, vertices);
+        for branch in &self.branches {
+            let (before, after) = rest.split(branch.nodes.start, branch.triangles.start);
+            let (part, after) = after.split(branch.nodes.end, branch.triangles.end);
+            parts.extend([(false, before), (true, part)]);
+            rest = after;
+        }
+        parts.push((false, rest));
+        parts.into_par_iter().filter(|(is_branch, _)| *is_branch).for_each(|(_, mut part)| {
+            for n in (0..part.nodes.len()).rev() {
+                part.refit_node(n);
+            }
+        });
+        self.refit_trunk(vertices);
+    }
+
+    /// Refits the few nodes above the branches.
+    fn refit_trunk(&mut self, vertices: &[Vec3]) {
+        let mut whole = Part::whole(&mut self.nodes, &mut self.triangles, &self.corners, vertices);
+        let mut end = whole.nodes.len();
+        for branch in self.branches.iter().rev() {
+            (branch.nodes.end..end).rev().for_each(|n| whole.refit_node(n));
+            end = branch.nodes.start;
+        }
+        (0..end).rev().for_each(|n| whole.refit_node(n));
+    }
+}
+
+/// Nodes in a row and the triangles of their leaves.
+struct Part<'a> {
+    nodes: &'a mut [Node],
+    first_node: usize,
+    triangles: &'a mut [Triangle],
+    first_triangle: usize,
+    corners: &'a [[u32; 3]],
+    /// Coordinates of the vertices in a row [m].
+    vertices: &'a [f32],
+}
+
+impl<'a> Part<'a> {
+    fn whole(
+        nodes: &'a mut [Node],
+        triangles: &'a mut [Triangle],
+        corners: &'a [[u32; 3]],
+        vertices: &'a [Vec3],
+    ) -> Self {
+        let vertices = vertices.as_flattened();
+        Part { nodes, first_node: 0, triangles, first_triangle: 0, corners, vertices }
+    }
+
+    /// Cuts in front of a node and a triangle, given by their numbers in the whole tree.
+    fn split(self, node: usize, triangle: usize) -> (Part<'a>, Part<'a>) {
+        let (nodes, more_nodes) = self.nodes.split_at_mut(node - self.first_node);
+        let (triangles, more) = self.triangles.split_at_mut(triangle - self.first_triangle);
+        let head = Part { nodes, triangles, ..self };
+        let tail = Part {
+            nodes: more_nodes,
+            first_node: node,
+            triangles: more,
+            first_triangle: triangle,
+            ..head
+        };
+        (head, tail)
+    }
+
+    /// Moves the boxes of a node's children and the triangles of its leaves; children first.
+    #[inline(always)]
+    fn refit_node(&mut self, n: usize) {
+        for k in 0..WIDTH {
+            let bounds = match Child::of(self.nodes[n].children[k]) {
+                Child::Node(child) => self.nodes[child - self.first_node].union(),
+                Child::Leaf(range) if range.is_empty() => continue,
+                Child::Leaf(range) => self.refit_leaf(range),
+            };
+            self.nodes[n].set(k, bounds);
+        }
+    }
+
+    /// Moves the triangles of a leaf; returns their bounds.
+    #[inline(always)]
+    fn refit_leaf(&mut self, range: Range<usize>) -> [f32; 6] {
+        let (mut low, mut high) = (Vec4::splat(FAR), Vec4::splat(-FAR));
+        for number in range {
+            let [a, b, c] = self.corners[number].map(|v| vertex(self.vertices, v));
+            low = low.min(a.min(b).min(c));
+            high = high.max(a.max(b).max(c));
+            let corners = [a, b, c].map(|corner| corner.truncate().to_array());
+            self.triangles[number - self.first_triangle].corners = corners;
+        }
+        [low.x, low.y, low.z, high.x, high.y, high.z]
+    }
+}
+
+/// A vertex among coordinates in a row, and whatever comes after it: one load.
+#[inline(always)]
+pub fn vertex(coordinates: &[f32], v: u32) -> Vec4 {
+    let first = 3 * v as usize;
+    match coordinates.get(first..first + 4) {
+        Some(four) => Vec4::from_slice(four),
+        None => Vec3A::from_slice(&coordinates[first..]).extend(0.0),
+    }
+}
+
+impl Node {
+    /// A node without children.
+    pub fn empty() -> Self {
+        let (low, high) = ([FAR; WIDTH], [-FAR; WIDTH]);
+        Node { bounds: [low, low, low, high, high, high], children: [LEAF; WIDTH] }
+    }
+
+    /// Sets the bounds of child `k`: lower x, y, z, then upper x, y, z [m].
+    #[inline(always)]
+    pub fn set(&mut self, k: usize, bounds: [f32; 6]) {
+        for (row, value) in self.bounds.iter_mut().zip(bounds) {
+            row[k] = value;
+        }
+    }
+
+    /// Bounds of all children.
+    #[inline(always)]
+    pub fn union(&self) -> [f32; 6] {
+        let halves = |row: &[f32; WIDTH]| (Vec4::from_slice(row), Vec4::from_slice(&row[4..]));
+        let lowest = |row| {
+            let (a, b) = halves(row);
+            a.min(b).min_element()
+        };
+        let highest = |row| {
+            let (a, b) = halves(row);
+            a.max(b).max_element()
+        };
+        let [x0, y0, z0, x1, y1, z1] = &self.bounds;
+        [lowest(x0), lowest(y0), lowest(z0), highest(x1), highest(y1), highest(z1)]
+    }
+}
+
+/// Turns a binary hierarchy into an eight-wide one.
+struct Collapse<'a> {
+    binary: &'a Bvh2,
+    out: Bvh,
+}
+
+impl<'a> Collapse<'a> {
+    fn run(binary: &'a Bvh2) -> Bvh {
+        let mut this = Collapse { binary, out: Bvh::empty() };
+        this.node(0, 0);
+        this.out
+    }
+
+    /// Adds the node that stands for binary node `root`; returns its number.
+    ///
+    /// A node's own leaves come before those of its descendants, so that nodes in a row have
+    /// their triangles in a row.
+    fn node(&mut self, root: u32, depth: usize) -> u32 {
+        let (number, first_triangle) = (self.out.nodes.len(), self.out.triangles.len());
+        self.out.nodes.push(Node::empty());
+        let chosen = self.choose(root);
+        for (k, &child) in chosen.iter().enumerate() {
+            let node = self.binary.nodes[child as usize];
+            if node.is_leaf() {
+                let code = self.leaf(node.first_index, node.prim_count);
+                self.out.nodes[number].children[k] = code;
+            }
+        }
+        for (k, &child) in chosen.iter().enumerate() {
+            if !self.binary.nodes[child as usize].is_leaf() {
+                let code = self.node(child, depth + 1);
+                self.out.nodes[number].children[k] = code;
+            }
+        }
+        if depth == BRANCH_DEPTH {
+            self.out.branches.push(Branch {
+                nodes: number..self.out.nodes.len(),
+                triangles: first_triangle..self.out.triangles.len(),
+            });
+        }
+        number as u32
+    }
+
+    /// Up to eight descendants that cover `root`: the largest is opened first.
+    fn choose(&self, root: u32) -> Vec<u32> {
+        let nodes = &self.binary.nodes;
+        let mut open = vec![root];
+        while open.len() < WIDTH {
+            let largest =
+                (0..open.len()).filter(|&k| !nodes[open[k] as usize].is_leaf()).max_by(|&a, &b| {
+                    let area = |k: usize| nodes[open[k] as usize].aabb().half_area();
+                    area(a).total_cmp(&area(b))
+                });
+            let Some(k) = largest else { break };
+            let first = nodes[open[k] as usize].first_index;
+            open[k] = first;
+            open.insert(k + 1, first + 1);
+        }
+        open
+    }
+
+    fn leaf(&mut self, first: u32, count: u32) -> u32 {
+        let start = self.out.triangles.len() as u32;
+        for k in first..first + count {
+            let face = self.binary.primitive_indices[k as usize];
+            self.out.triangles.push(Triangle { corners: [[0.0; 3]; 3], face });
+        }
+        Child::leaf(start as usize, count as usize)
+    }
+}

@@ -1,0 +1,374 @@
+//! A moving triangle mesh and its bounding-volume hierarchy: ray casting, nearest points, visibility.
+
+pub mod bvh;
+pub mod packet;
+pub mod query;
+pub mod ray;
+pub mod visibility;
+
+use crate::simd::f32x64::{Vec3, add, cross, normalize, sub};
+use crate::wall::bvh::{Bvh, vertex};
+use glam::Vec3A;
+use numpy::{IntoPyArray, PyArray1, PyArray2, PyReadonlyArray2, ndarray::Array2};
+use pyo3::{exceptions::PyValueError, prelude::*};
+use rayon::prelude::*;
+
+/// Vertices whose normals are made unit length side by side.
+const EIGHT: usize = 8;
+
+/// Distance and face of each ray, as Python sees them.
+type DistanceAndFace<'py> = (Bound<'py, PyArray1<f32>>, Bound<'py, PyArray1<i64>>);
+
+/// A triangle surface with its bounding-volume hierarchy; normals point into the lumen.
+///
+/// Positions are kept about the centre of the mesh, so that single precision does not depend on
+/// where in the world the mesh lies.
+#[pyclass(module = "vrcaps._core")]
+pub struct Wall {
+    /// Middle of the mesh's bounds when it was made; subtracted from every position [m].
+    #[pyo3(get)]
+    pub center: [f64; 3],
+    /// Largest coordinate about the centre [m].
+    pub extent: f32,
+    /// Vertex positions about the centre [m].
+    pub vertices: Vec<Vec3>,
+    /// Vertex numbers of each face.
+    pub faces: Vec<[u32; 3]>,
+    /// Unit vertex normals.
+    pub normals: Vec<Vec3>,
+    /// The hierarchy.
+    pub bvh: Bvh,
+    /// Whether these are of the vertices as they are now.
+    pub has_normals: bool,
+    /// Faces around each vertex: `around[start[v]..start[v + 1]]`.
+    start: Vec<u32>,
+    around: Vec<u32>,
+    /// Normals of faces, as long as twice their area; kept to be overwritten.
+    area_normals: Vec<Vec3A>,
+    /// Vertices of another time; kept to be overwritten.
+    spare: Vec<Vec3>,
+}
+
+impl Wall {
+    /// A point of the outside world about this wall's centre.
+    pub fn localize(&self, point: [f64; 3]) -> Vec3 {
+        [0, 1, 2].map(|k| (point[k] - self.center[k]) as f32)
+    }
+
+    /// A point about this wall's centre in the outside world.
+    pub fn globalize(&self, point: Vec3) -> [f64; 3] {
+        [0, 1, 2].map(|k| f64::from(point[k]) + self.center[k])
+    }
+
+    /// Faces that a vertex is a corner of.
+    pub fn faces_around(&self, vertex: usize) -> &[u32] {
+        &self.around[self.start[vertex] as usize..self.start[vertex + 1] as usize]
+    }
+
+    /// Area of the faces that a vertex is a corner of [m²].
+    pub fn area_around(&self, vertex: usize) -> f32 {
+        let length = |&f: &u32| self.area_normals[f as usize].length();
+        0.5 * self.faces_around(vertex).iter().map(length).sum::<f32>()
+    }
+
+    /// Moves the wall to new vertices about its centre and refits all that follows from them.
+    fn move_to(&mut self, place: impl Fn(usize) -> Vec3 + Sync) -> Result<(), &'static str> {
+        among_threads(|| {
+            self.set_vertices(self.vertices.len(), &place, &[])?;
+            self.refit_all();
+            Ok(())
+        })
+    }
+
+    /// Moves the wall but for its vertex normals, which only a renderer asks for: to `place`, except
+    /// `others` that come with places of their own.
+    pub fn follow(
+        &mut self,
+        place: impl Fn(usize) -> Vec3 + Sync,
+        others: &[(u32, Vec3)],
+    ) -> Result<(), &'static str> {
+        among_threads(|| {
+            self.set_vertices(self.vertices.len(), &place, others)?;
+            self.bvh.refit(&self.vertices);
+            self.has_normals = false;
+            Ok(())
+        })
+    }
+
+    /// Unit normal of a vertex, also where vertex normals are not kept.
+    pub fn normal(&self, vertex: u32) -> Vec3 {
+        let v = vertex as usize;
+        let sum = self.faces_around(v).iter().fold([0.0; 3], |sum, &face| {
+            let [a, b, c] = self.faces[face as usize].map(|v| self.vertices[v as usize]);
+            add(sum, cross(sub(b, a), sub(c, a)))
+        });
+        normalize(sum)
+    }
+
+    /// Takes over vertices if all are finite numbers; else nothing changes.
+    fn set_vertices(
+        &mut self,
+        count: usize,
+        place: &(impl Fn(usize) -> Vec3 + Sync),
+        others: &[(u32, Vec3)],
+    ) -> Result<(), &'static str> {
+        self.spare.resize(count, [0.0; 3]);
+        let places = self.spare.par_iter_mut().with_min_len(4096).enumerate();
+        let sizes = places.map(|(v, vertex)| {
+            *vertex = place(v);
+            vertex.map(f32::abs)
+        });
+        // Comparisons with NaN are false, so that a NaN stays the largest size.
+        let larger = |a: f32, b: f32| if a < b || b.is_nan() { b } else { a };
+        let largest = |[x, y, z]: Vec3| larger(larger(x, y), z);
+        let mut extent = sizes.map(largest).reduce(|| 0.0, larger);
+        for &(v, other) in others {
+            self.spare[v as usize] = other;
+            extent = larger(extent, largest(other.map(f32::abs)));
+        }
+        if !extent.is_finite() {
+            return Err(BAD_VERTICES);
+        }
+        std::mem::swap(&mut self.vertices, &mut self.spare);
+        self.extent = extent;
+        Ok(())
+    }
+
+    /// Refits hierarchy and vertex normals.
+    fn refit_all(&mut self) {
+        let (bvh, vertices, faces) = (&mut self.bvh, &self.vertices, &self.faces);
+        let area_normals = &mut self.area_normals;
+        rayon::join(|| bvh.refit(vertices), || find_area_normals(vertices, faces, area_normals));
+        self.update_normals();
+        self.has_normals = true;
+    }
+
+    /// Area-weighted vertex normals, from those of the faces.
+    fn update_normals(&mut self) {
+        let (start, around, area_normals) = (&self.start, &self.around, &self.area_normals);
+        let eights = self.normals.par_chunks_mut(EIGHT).with_min_len(512).enumerate();
+        eights.for_each(|(number, normals)| {
+            let first = EIGHT * number;
+            let (mut x, mut y, mut z) = ([0.0; EIGHT], [0.0; EIGHT], [0.0; EIGHT]);
+            for i in 0..normals.len() {
+                let faces = &around[start[first + i] as usize..start[first + i + 1] as usize];
+                let sum = faces.iter().fold(Vec3A::ZERO, |sum, &f| sum + area_normals[f as usize]);
+                [x[i], y[i], z[i]] = sum.to_array();
+            }
+            for i in 0..EIGHT {
+                [x[i], y[i], z[i]] = normalize([x[i], y[i], z[i]]);
+            }
+            for (i, normal) in normals.iter_mut().enumerate() {
+                *normal = [x[i], y[i], z[i]];
+            }
+        });
+    }
+}
+
+/// Normals of faces, as long as twice their area.
+fn find_area_normals(vertices: &[Vec3], faces: &[[u32; 3]], normals: &mut [Vec3A]) {
+    let numbers = vertices.as_flattened();
+    let places = normals.par_iter_mut().zip(faces).with_min_len(4096);
+    places.for_each(|(normal, face)| {
+        let [a, b, c] = face.map(|v| Vec3A::from_vec4(vertex(numbers, v)));
+        *normal = (b - a).cross(c - a);
+    });
+}
+
+/// Works from within the pool of threads, so that its parts in parallel need not wake it each time.
+fn among_threads<R: Send>(work: impl FnOnce() -> R + Send) -> R {
+    rayon::scope(|_| work())
+}
+
+fn faces_around(faces: &[[u32; 3]], num_vertices: usize) -> (Vec<u32>, Vec<u32>) {
+    let mut start = vec![0u32; num_vertices + 1];
+    for &v in faces.iter().flatten() {
+        start[v as usize + 1] += 1;
+    }
+    for v in 0..num_vertices {
+        start[v + 1] += start[v];
+    }
+    let mut next = start.clone();
+    let mut around = vec![0u32; faces.len() * 3];
+    for (f, face) in faces.iter().enumerate() {
+        for &v in face {
+            around[next[v as usize] as usize] = f as u32;
+            next[v as usize] += 1;
+        }
+    }
+    (start, around)
+}
+
+fn middle(vertices: &[f64]) -> [f64; 3] {
+    [0, 1, 2].map(|k| {
+        let column = vertices.iter().skip(k).step_by(3);
+        let (low, high) = column.fold((f64::MAX, f64::MIN), |(a, b), &x| (a.min(x), b.max(x)));
+        0.5 * (low + high)
+    })
+}
+
+/// A vertex about a centre, in single precision.
+#[inline(always)]
+fn about(center: [f64; 3], vertex: &[f64; 3]) -> Vec3 {
+    [0, 1, 2].map(|k| (vertex[k] - center[k]) as f32)
+}
+
+const BAD_VERTICES: &str =
+    "Wall vertices must be finite numbers, C-contiguous and of shape (n, 3).";
+
+fn flat<'a>(vertices: &'a PyReadonlyArray2<'_, f64>) -> PyResult<&'a [f64]> {
+    let shaped = |numbers: &&[f64]| vertices.as_array().ncols() == 3 && !numbers.is_empty();
+    vertices.as_slice().ok().filter(shaped).ok_or_else(|| PyValueError::new_err(BAD_VERTICES))
+}
+
+#[pymethods]
+impl Wall {
+    /// Builds the wall from vertices [n 3] in metres and faces [m 3].
+    #[new]
+    fn new(
+        vertices: PyReadonlyArray2<'_, f64>,
+        faces: PyReadonlyArray2<'_, i64>,
+    ) -> PyResult<Self> {
+        let vertices = flat(&vertices)?;
+        let (rows, num_vertices) = (faces.as_array(), vertices.len() / 3);
+        let valid = |&v: &i64| v >= 0 && (v as usize) < num_vertices;
+        if rows.ncols() != 3 || rows.nrows() == 0 || !rows.iter().all(valid) {
+            return Err(PyValueError::new_err(format!(
+                "Wall faces must be of shape (m, 3) with vertex numbers below {num_vertices}."
+            )));
+        }
+        let faces: Vec<[u32; 3]> =
+            rows.outer_iter().map(|r| [r[0] as u32, r[1] as u32, r[2] as u32]).collect();
+        let (start, around) = faces_around(&faces, num_vertices);
+        let mut wall = Wall {
+            center: middle(vertices),
+            extent: 0.0,
+            vertices: Vec::new(),
+            normals: vec![[0.0; 3]; num_vertices],
+            bvh: Bvh::empty(),
+            has_normals: false,
+            start,
+            around,
+            area_normals: vec![Vec3A::ZERO; faces.len()],
+            faces,
+            spare: Vec::new(),
+        };
+        let (center, (rows, _)) = (wall.center, vertices.as_chunks());
+        wall.set_vertices(num_vertices, &|v| about(center, &rows[v]), &[])
+            .map_err(PyValueError::new_err)?;
+        wall.bvh = Bvh::build(&wall.vertices, &wall.faces);
+        wall.refit_all();
+        Ok(wall)
+    }
+
+    /// Moves the wall to new vertex positions [n 3] in metres; the hierarchy is refitted.
+    fn refit(&mut self, py: Python<'_>, vertices: PyReadonlyArray2<'_, f64>) -> PyResult<()> {
+        let vertices = flat(&vertices)?;
+        if vertices.len() != self.vertices.len() * 3 {
+            return Err(PyValueError::new_err(format!(
+                "Refitting needs {} vertices, was given {}.",
+                self.vertices.len(),
+                vertices.len() / 3
+            )));
+        }
+        let (center, (rows, _)) = (self.center, vertices.as_chunks());
+        py.detach(|| self.move_to(|v| about(center, &rows[v]))).map_err(PyValueError::new_err)
+    }
+
+    /// Nearest hit of rays: distance in units of the direction's length (NaN for none), face (−1).
+    fn cast<'py>(
+        &self,
+        py: Python<'py>,
+        origins: PyReadonlyArray2<'_, f64>,
+        directions: PyReadonlyArray2<'_, f64>,
+    ) -> PyResult<DistanceAndFace<'py>> {
+        let (origins, directions) = (origins.as_array(), directions.as_array());
+        if origins.dim() != directions.dim() || origins.ncols() != 3 {
+            return Err(PyValueError::new_err(
+                "Origins and directions must both be of shape (n, 3).",
+            ));
+        }
+        let rays: Vec<(Vec3, Vec3)> = origins
+            .outer_iter()
+            .zip(directions.outer_iter())
+            .map(|(o, d)| {
+                (self.localize([o[0], o[1], o[2]]), [d[0] as f32, d[1] as f32, d[2] as f32])
+            })
+            .collect();
+        let found: Vec<(f32, i64)> = py.detach(|| {
+            rays.par_iter()
+                .with_min_len(64)
+                .map(|&(o, d)| match query::cast(&self.bvh, o, d) {
+                    Some((t, face)) => (t, i64::from(face)),
+                    None => (f32::NAN, -1),
+                })
+                .collect()
+        });
+        let (distance, face): (Vec<f32>, Vec<i64>) = found.into_iter().unzip();
+        Ok((distance.into_pyarray(py), face.into_pyarray(py)))
+    }
+
+    /// Nearest point of the wall to each point [n 3], and its face.
+    fn closest_point<'py>(
+        &self,
+        py: Python<'py>,
+        points: PyReadonlyArray2<'_, f64>,
+    ) -> (Bound<'py, PyArray2<f64>>, Bound<'py, PyArray1<i64>>) {
+        let points = self.local_points(&points);
+        let nearest = py.detach(|| map(&points, |p| query::nearest(&self.bvh, p)));
+        let mut places = Array2::zeros((nearest.len(), 3));
+        for (mut row, found) in places.outer_iter_mut().zip(&nearest) {
+            row.iter_mut().zip(self.globalize(found.point)).for_each(|(x, value)| *x = value);
+        }
+        let faces: Vec<i64> = nearest.iter().map(|found| i64::from(found.face)).collect();
+        (places.into_pyarray(py), faces.into_pyarray(py))
+    }
+
+    /// Distance of each point [n 3] to the wall [m], positive inside the lumen.
+    fn signed_distance<'py>(
+        &self,
+        py: Python<'py>,
+        points: PyReadonlyArray2<'_, f64>,
+    ) -> Bound<'py, PyArray1<f32>> {
+        let points = self.local_points(&points);
+        let signed = |p: Vec3| {
+            let distance = query::nearest(&self.bvh, p).distance;
+            if query::is_inside(&self.bvh, p) { distance } else { -distance }
+        };
+        let distance = py.detach(|| map(&points, signed));
+        distance.into_pyarray(py)
+    }
+
+    /// Whether the straight way from `origin` to each point [n 3] of the wall is free.
+    fn visible<'py>(
+        &self,
+        py: Python<'py>,
+        origin: [f64; 3],
+        points: PyReadonlyArray2<'_, f64>,
+    ) -> Bound<'py, PyArray1<bool>> {
+        let points = self.local_points(&points);
+        let origin = self.localize(origin);
+        py.detach(|| visibility::visible(self, origin, &points)).into_pyarray(py)
+    }
+
+    /// Unit vertex normals [n 3], the area-weighted mean over the faces around each vertex.
+    fn vertex_normals<'py>(&mut self, py: Python<'py>) -> Bound<'py, PyArray2<f32>> {
+        if !self.has_normals {
+            self.refit_all();
+        }
+        let flat: Vec<f32> = self.normals.iter().flatten().copied().collect();
+        Array2::from_shape_vec((self.normals.len(), 3), flat)
+            .expect("three numbers a vertex")
+            .into_pyarray(py)
+    }
+}
+
+impl Wall {
+    fn local_points(&self, points: &PyReadonlyArray2<'_, f64>) -> Vec<Vec3> {
+        points.as_array().outer_iter().map(|r| self.localize([r[0], r[1], r[2]])).collect()
+    }
+}
+
+fn map<T: Send>(points: &[Vec3], function: impl Fn(Vec3) -> T + Sync) -> Vec<T> {
+    points.par_iter().with_min_len(64).map(|&p| function(p)).collect()
+}

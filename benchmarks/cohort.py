@@ -36,7 +36,7 @@ from vrcaps.anatomy.stomach.shape import (
 )
 from vrcaps.anatomy.tube_mesh.tube import make_tube
 from vrcaps.errors import InputError
-from vrcaps.organ.measure import organ_facts
+from vrcaps.organ.measure import measure_organ
 from vrcaps.units import CM, MM
 
 PAGE = ROOT / "docs" / "anatomy.md"
@@ -171,7 +171,7 @@ def make(seed: int, condition: str | None = None) -> dict[str, float]:
     colon = replace(patient.colon, triangles=GI_COLON_TRIANGLES)
     organ = generate_gi(patient.stomach, patient.small_bowel, colon, seed=seed)
     seconds = time.process_time() - start
-    facts = organ_facts(organ)
+    facts = measure_organ(organ)
     return {
         "triangles": facts.num_faces,
         "quality": facts.quality_mean,

@@ -1,15 +1,15 @@
 """Fit the palettes of the wall to real frames, under a kind of light.
 
-What a wall looks like depends on the light: where it bounces between walls, a colour counts more
+What a wall looks like depends on the light: where it bounces between walls, a color counts more
 than once. For each class of real frames this finds the factors on red, green and blue of our wall's
-base colours at which our frames have their mean a* and b* and their spread of L*, and prints the
-colours that go into `vrcaps.mucosa.appearance` and `vrcaps.lesion.colitis`.
+base colors at which our frames have their mean a* and b* and their spread of L*, and prints the
+colors that go into `vrcaps.mucosa.appearance` and `vrcaps.lesion.colitis`.
 
     python benchmarks/fit_appearance.py
     python benchmarks/fit_appearance.py --only small_intestine --light direct
     python benchmarks/fit_appearance.py --only colon --carriers   # what else moves the statistics
 
-The base colour scales the baked texture, so no organ is made anew. Exposure follows the mean, so
+The base color scales the baked texture, so no organ is made anew. Exposure follows the mean, so
 the level of the reflectance shows only in how much light bounces, and with it in the spread of L*;
 it stays within `validate_looks.RED`.
 """
@@ -100,7 +100,7 @@ def real_looks(tissue: str) -> Looks:
 
 
 class Wall:
-    """Frames of ours of a tissue whose base colours can be changed."""
+    """Frames of ours of a tissue whose base colors can be changed."""
 
     def __init__(self, tissue: str, settings: RenderSettings) -> None:
         self._scenes = {
@@ -135,12 +135,12 @@ def _scaled(model: Model, factors: np.ndarray) -> Model:
 
 
 def fit(wall: Wall, target: Looks, base: np.ndarray, *, is_free: bool) -> np.ndarray:
-    """Logarithms of the factors on the base colour, by Broyden's method.
+    """Logarithms of the factors on the base color, by Broyden's method.
 
     Args:
         wall: Ours.
         target: Of the real frames.
-        base: Base colour that the factors apply to.
+        base: Base color that the factors apply to.
         is_free: Whether the level is fitted too; otherwise red stays as it is.
     """
     own = slice(0 if is_free else 1, 3)
@@ -209,7 +209,7 @@ def carriers(tissue: str, settings: RenderSettings) -> Iterator[tuple[str, ...]]
 
 
 def base_of(tissue: str) -> np.ndarray:
-    """The colour that a tissue's factors apply to: of a mucosa, or the colon's under colitis."""
+    """The color that a tissue's factors apply to: of a mucosa, or the colon's under colitis."""
     return np.array(MUCOSAE[tissue if tissue in MUCOSAE else "colon"].base_color)
 
 

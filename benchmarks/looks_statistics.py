@@ -1,4 +1,4 @@
-"""How far our frames are from real ones, and how far others are: colour, gradient, highlights."""
+"""How far our frames are from real ones, and how far others are: color, gradient, highlights."""
 
 from __future__ import annotations
 
@@ -117,7 +117,7 @@ def refitted(ours: Discs, real: Discs, valid: np.ndarray) -> Discs:
 def refitted_gains(real: Discs, valid: np.ndarray) -> np.ndarray:
     """Gains of red, green and blue by which a palette changes when half of the frames is left out.
 
-    Palettes were fitted to the colour of all real frames of a class; here by their geometric means
+    Palettes were fitted to the color of all real frames of a class; here by their geometric means
     of red to green and of green to blue.
     """
     logs = np.log([linear_from_srgb(image)[valid].mean(axis=0) for image in real])

@@ -1,7 +1,7 @@
 """A whole scan becomes an organ in minutes, in bounded memory.
 
 Claim: 512 × 512 × 600 voxels to an organ in ≤ 3 minutes on two cores; 512 × 512 × 1000 voxels in
-< 6 GB. Reference: radiology's usual matrix; the longest scan is a whole trunk at half a millimetre.
+< 6 GB. Reference: radiology's usual matrix; the longest scan is a whole trunk at half a millimeter.
 
 Each scan is a made one of a generated colon that fills it, written as a DICOM series. The command
 runs in a process of its own, from reading the files to `organ.glb` and its picture.

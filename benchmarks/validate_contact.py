@@ -26,7 +26,7 @@ from vrcaps import _core
 from vrcaps.anatomy.catalog import load_organ
 from vrcaps.capsule.catalog import read_device
 from vrcaps.errors import InputError
-from vrcaps.organ.from_file import organ_from_file
+from vrcaps.organ.read_organ import read_organ
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.tissue.drag import Drag
 from vrcaps.tissue.material import Material
@@ -229,7 +229,7 @@ def organ_makers() -> Iterator[tuple[str, Callable[[], OrganSurface]]]:
     for name in ("colon_GI1_mm", "stomach_A_mm"):
         path = DATA / f"{name}.ply"
         if path.exists():
-            yield f"{name}, from CT", lambda path=path: organ_from_file(path, unit="mm")
+            yield f"{name}, from CT", lambda path=path: read_organ(path, unit="mm")
 
 
 def walk(name: str, organ: OrganSurface, num_steps: int) -> Walk:

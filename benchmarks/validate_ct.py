@@ -1,6 +1,6 @@
 """CT is read right: a scan made of a known organ comes back as that organ.
 
-Claim: mean distance between the wall found and the true wall ≤ 0.35 mm, 95 % ≤ 0.8 mm, centreline
+Claim: mean distance between the wall found and the true wall ≤ 0.35 mm, 95 % ≤ 0.8 mm, centerline
 length within 2 %, every polyp of 6 mm or more present.
 """
 
@@ -76,7 +76,7 @@ def polyp_shares(organ: OrganSurface, truth: Mesh, polyps: list[Polyp]) -> np.nd
 
 @dataclass(frozen=True)
 class Truth:
-    """A wall with polyps on it, and the length of its centreline [m]."""
+    """A wall with polyps on it, and the length of its centerline [m]."""
 
     name: str
     wall: Mesh
@@ -137,7 +137,7 @@ def section(rows: list[tuple[str, ...]]) -> str:
         "muscle, bone and lungs,\non a table, written as DICOM, read and made into an organ.\n\n"
         + table(HEAD, rows)
         + "\n\nDistances: from 20,000 vertices of each wall to the other, both ways. Claimed: mean "
-        f"≤ {MEAN / MM:g} mm,\n95 % ≤ {P95 / MM:g} mm, centreline length from end to end "
+        f"≤ {MEAN / MM:g} mm,\n95 % ≤ {P95 / MM:g} mm, centerline length from end to end "
         f"within {LENGTH:.0%}, each "
         f"of the polyps (6 to 14 mm across,\nhalf as high) with {PRESENT:.0%} of its height or "
         "more."

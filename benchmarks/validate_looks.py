@@ -156,11 +156,11 @@ HEAD_CHANNELS = (
 )
 
 
-TEXT = r"""## Colour, gradients and highlights, beside real frames
+TEXT = r"""## Color, gradients and highlights, beside real frames
 
 `python benchmarks/validate_looks.py --out docs/gallery.md`: our frames beside real ones of seven
 classes (human capsule frames of WCEBleedGen, colonoscopies of EndoAngel and HyperKvasir), and the
-three synthetic frames published with VR-Caps beside the same. Colour is CIE L\*a\*b\*: distances
+three synthetic frames published with VR-Caps beside the same. Color is CIE L\*a\*b\*: distances
 are in its units, root of the sum of squares over the three channels; smaller is more alike.
 
 - *mean*, *spread*: Wasserstein-1 distance between the frames' means, and between their standard
@@ -171,14 +171,14 @@ are in its units, root of the sum of squares over the three channels; smaller is
 - *before*: direct light, a palette fitted to it, and a veil and white balance in place of lens and
   sensor: frames that commit c4bc116 kept with `--keep FOLDER`, given here by `--before FOLDER`.
 - *Ours*: quick bounced light with shadows; palettes by `python benchmarks/fit_appearance.py`,
-  which finds the base colours at which the frames' mean a\*, mean b\* and spread of L\* are those
+  which finds the base colors at which the frames' mean a\*, mean b\* and spread of L\* are those
   of the real ones. Red stays within {red_low} and {red_high}: a deep tissue with the scattering of
   colon and 0.5 to 5 % of blood gives back 0.40 to 0.25 of it by diffusion.
 - *Held out*: every second real frame, by name. What saw which half:
   - Palettes were fitted to class means over all frames; for the held-out columns our frames get
     the gains that leaving its half out of those means makes, by {least:.0f} to {most:.0f} % in red
     or blue, whichever is more, over the classes.
-  - The spread of white balance and the colour of blood were fitted to the tuning half.
+  - The spread of white balance and the color of blood were fitted to the tuning half.
   - Granules, vessels and relief of colitis were chosen by gradients of the tuning half: three
     settings of grade 1 were tried and the best kept, and two of grade 2. Stain, mucus, patches of
     blood, mucopus, contrasts, pits, the colon's coat and grades of noise were chosen by distances
@@ -191,7 +191,7 @@ are in its units, root of the sum of squares over the three channels; smaller is
   view, so black borders and what is printed on them do not count. Where recorders print text and
   boxes into the view (HyperKvasir), the left sixth, and two fifths of the lowest third, are left
   out in all three sets.
-- Where the real frames are JPEG files, ours are stored at their size, quality and colour resolution
+- Where the real frames are JPEG files, ours are stored at their size, quality and color resolution
   first. Those of VR-Caps are crops of published figures, taken as they are.
 - Capsule classes are seen by the catalog's PillCam SB3 in small bowels: those without bleeding in
   collapsed ones, every second frame with bubbles, chyme and liquid. The others are seen by a
@@ -199,7 +199,7 @@ are in its units, root of the sum of squares over the three channels; smaller is
   2 of the Boston scale leave, in turn. Flights are even along the lumen and sway by up to 45°;
   lesions are looked at.
 - Lens and sensor are the stages of [effects](effects.md), their grades drawn for each frame
-  (`benchmarks/looks_camera.py`): vignette, bloom, lateral colour, noise; defocus and mosaic in
+  (`benchmarks/looks_camera.py`): vignette, bloom, lateral color, noise; defocus and mosaic in
   capsules. Exposure follows the mean luminance of the real frames, as automatic exposure does, with
   a deviation of 0.25 in its logarithm; red and blue gain deviate by {red:.2f} and {blue:.2f} in
   theirs, since real frames come from many cameras.

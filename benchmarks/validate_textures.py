@@ -1,7 +1,7 @@
 """Textures made from photographs look like them, and show neither seam nor repetition.
 
 Claim: the step over the edges where a texture continues is that inside (within 15 %), the highest
-autocorrelation beyond a region's side is < 0.25, and the mean colour is that of the regions it was
+autocorrelation beyond a region's side is < 0.25, and the mean color is that of the regions it was
 made from within ΔE*ab = 1, at which a difference begins to be seen.
 """
 
@@ -74,7 +74,7 @@ def main() -> None:
         " the regions that they were quilted from.\n\n"
         + table(HEAD, rows)
         + f"\n\nClaimed: step over the edges over that inside, within {SEAM:.0%}; highest "
-        f"autocorrelation beyond a\nregion's side < {REPETITION:g}; ΔE\\*ab of the mean colours < "
+        f"autocorrelation beyond a\nregion's side < {REPETITION:g}; ΔE\\*ab of the mean colors < "
         f"{COLOR:g}. Contrast: standard deviation of L\\* over that of\nthe regions; gradients: "
         "distance of the histograms of steps in L\\*, 0 to 1."
     )

@@ -8,9 +8,8 @@ from .motion.fly_through import FlyThrough as FlyThrough
 from .motion.fly_through import fly_through as fly_through
 from .motion.replay import Replay as Replay
 from .motion.replay import replay as replay
-from .organ.from_file import organ_from_file as organ_from_file
 from .organ.read_organ import read_organ as read_organ
-from .organ.write_organ import write_glb as write_glb
+from .organ.write_organ import write_organ as write_organ
 from .recording.check import check_episode as check_episode
 from .recording.episode import read_episode as read_episode
 from .render.frame import Frame as Frame

@@ -1,7 +1,8 @@
-"""sRGB bytes to linear light and back (IEC 61966-2-1), luminance, CIE L*a*b*."""
+"""sRGB bytes to linear light, its logarithm and back (IEC 61966-2-1), luminance, CIE L*a*b*."""
 
 from __future__ import annotations
 
+from functools import cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -22,6 +23,8 @@ LINEAR = np.where(_CODE <= 0.04045, _CODE / 12.92, ((_CODE + 0.055) / 1.055) ** 
 """Linear value, 0 to 1, of each byte."""
 
 _KNEE = 6.0 / 29.0
+_DARKEST = 0.5 / 255.0 / 12.92  # half a step of the code, so that a logarithm exists
+_STEPS = 16384  # of linear light, in the table that encodes a logarithm's exponential
 
 
 def linear_from_srgb(rgb: UInt8[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch 3"]:
@@ -48,3 +51,25 @@ def lab_from_srgb(rgb: UInt8[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*bat
     f = np.where(xyz > _KNEE**3, np.cbrt(xyz), xyz / (3.0 * _KNEE**2) + 4.0 / 29.0)
     x, y, z = np.moveaxis(f, -1, 0)
     return np.stack([116.0 * y - 16.0, 500.0 * (x - y), 200.0 * (y - z)], axis=-1)
+
+
+def log_linear_from_srgb(rgb: UInt8[np.ndarray, "*grid 3"]) -> Float[np.ndarray, "*grid 3"]:
+    """Natural logarithm of linear light; optical density is its negative."""
+    return np.log(np.maximum(LINEAR, _DARKEST)).astype(np.float32)[rgb]
+
+
+def srgb_from_log_linear(log_light: Float[np.ndarray, "*grid 3"]) -> UInt8[np.ndarray, "*grid 3"]:
+    """Bytes of sRGB of a logarithm of linear light, light above 1 cut off."""
+    linear = np.exp(np.minimum(log_light, 0.0))
+    return _encoded_steps()[np.minimum((linear * _STEPS).astype(np.int32), _STEPS - 1)]
+
+
+@cache
+def _encoded_steps() -> UInt8[np.ndarray, " n"]:
+    """SRGB byte of the middle of each step of linear light."""
+    return srgb_from_linear((np.arange(_STEPS) + 0.5) / _STEPS)
+
+
+def log_luminance(log_light: Float[np.ndarray, "*grid 3"]) -> Float[np.ndarray, "*grid"]:
+    """Natural logarithm of the luminance."""
+    return np.log(luminance(np.exp(log_light)))

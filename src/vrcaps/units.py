@@ -22,7 +22,7 @@ _LENGTH = re.compile(r"\s*([0-9.eE+-]*)\s*([a-z]+)\s*")
 
 
 def parse_length(text: str) -> float:
-    """Length in metres of a stated unit or length, such as ``mm``, ``5cm`` or ``2 mm``.
+    """Length in meters of a stated unit or length, such as ``mm``, ``5cm`` or ``2 mm``.
 
     Args:
         text: A unit of `LENGTH_UNITS`, with an optional positive factor before it.

@@ -29,7 +29,7 @@ from vrcaps.anatomy.tube_mesh.waves import draw_waves, smooth_step, sum_waves, w
 from vrcaps.errors import InputError
 from vrcaps.mesh.self_intersection import self_intersections
 from vrcaps.organ.centerline import interpolate
-from vrcaps.organ.measure import organ_facts
+from vrcaps.organ.measure import measure_organ
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.units import CM, MM
 
@@ -61,7 +61,7 @@ def tract() -> OrganSurface:
 
 
 def test_the_joined_wall_is_closed_and_cuts_nowhere(tract: OrganSurface):
-    assert organ_facts(tract).defects == ()
+    assert measure_organ(tract).defects == ()
     assert not len(self_intersections(tract.vertices, tract.faces))
     edges = np.sort(tract.faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
     edges, counts = np.unique(edges, axis=0, return_counts=True)

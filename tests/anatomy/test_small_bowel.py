@@ -19,7 +19,7 @@ from vrcaps.anatomy.tube_mesh.tube_packing import Balls
 from vrcaps.errors import InputError
 from vrcaps.mesh.mesh import Mesh
 from vrcaps.mesh.self_intersection import self_intersections
-from vrcaps.organ.measure import organ_facts, triangle_quality
+from vrcaps.organ.measure import measure_organ, triangle_quality
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.units import CM, MM
 
@@ -37,7 +37,7 @@ def bowel(around: Surroundings) -> OrganSurface:
 
 
 def test_wall_is_closed_clean_and_cuts_nowhere(bowel: OrganSurface):
-    facts = organ_facts(bowel)
+    facts = measure_organ(bowel)
     assert facts.defects == ()
     assert not len(self_intersections(bowel.vertices, bowel.faces))
     edges = np.sort(bowel.faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)

@@ -15,7 +15,7 @@ from vrcaps.anatomy.tube_mesh.tube import make_tube
 from vrcaps.errors import InputError
 from vrcaps.mesh.mesh import Mesh
 from vrcaps.mesh.self_intersection import self_intersections
-from vrcaps.organ.measure import organ_facts, triangle_quality
+from vrcaps.organ.measure import measure_organ, triangle_quality
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.units import CM, MM
 
@@ -28,7 +28,7 @@ def stomach(request: pytest.FixtureRequest) -> OrganSurface:
 
 
 def test_wall_is_closed_clean_and_faces_the_lumen(stomach: OrganSurface):
-    facts = organ_facts(stomach)
+    facts = measure_organ(stomach)
     assert facts.defects == ()
     edges = np.sort(stomach.faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
     edges, counts = np.unique(edges, axis=0, return_counts=True)
@@ -73,7 +73,7 @@ def test_folds_flatten_as_the_stomach_fills():
     volume, slack = [], []
     for condition in ("inflated", "normal", "collapsed"):
         parameters = dataclasses.replace(StomachParameters().at(condition), edge=2.5 * MM)
-        facts = organ_facts(generate_stomach(parameters, seed=0))
+        facts = measure_organ(generate_stomach(parameters, seed=0))
         volume.append(facts.volume)
         # Area over that of the ball of the same volume: grows with folds.
         slack.append(facts.area / (36.0 * np.pi * facts.volume**2) ** (1.0 / 3.0))

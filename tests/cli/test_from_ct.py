@@ -14,7 +14,7 @@ import failing
 import phantom
 from vrcaps import cli
 from vrcaps.mesh.mesh import Mesh
-from vrcaps.organ.from_file import organ_from_file
+from vrcaps.organ.read_organ import read_organ
 from vrcaps.tools.ct.volume import Volume
 
 SPACING = (1.5e-3, 1e-3, 1e-3)
@@ -69,7 +69,7 @@ def test_gas_becomes_a_file_that_records(files, tmp_path, capsys) -> None:
     assert f"vrcaps record --organ {out} --out DIR" in text
     assert "lung" in text
     assert (tmp_path / "tube-overview.png").stat().st_size > 10_000
-    organ = organ_from_file(out, unit="m")
+    organ = read_organ(out, unit="m")
     assert organ.centerline.length == pytest.approx(0.08, rel=0.12)
     assert organ.label_names == ("background", "wall")
 
@@ -82,11 +82,11 @@ def test_all_pieces_are_numbered(files, tmp_path, capsys) -> None:
 def test_labels_become_files_with_their_names(files, tmp_path, capsys) -> None:
     args = [str(files / "dicom"), "--labels", str(files / "labels.nii.gz"), "--label", "7"]
     run([*args, "--anatomy", "colon", "--out", str(tmp_path / "a.glb")])
-    organ = organ_from_file(tmp_path / "a.glb", unit="m")
+    organ = read_organ(tmp_path / "a.glb", unit="m")
     assert organ.label_names[1] == "caecum"
     assert organ.label_names[-1] == "rectum"
     run([str(files / "labels.nii.gz"), "--label", "7", "--out", str(tmp_path / "b.glb")])
-    other = organ_from_file(tmp_path / "b.glb", unit="m")
+    other = read_organ(tmp_path / "b.glb", unit="m")
     assert np.allclose(organ.vertices.mean(axis=0), other.vertices.mean(axis=0), atol=1e-3)
 
 

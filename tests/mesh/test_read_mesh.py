@@ -11,7 +11,7 @@ from vrcaps.errors import InputError, UnknownNameError, VrcapsError
 from vrcaps.mesh.mesh import Mesh
 from vrcaps.mesh.polygons import triangulate_fans
 from vrcaps.mesh.read_mesh import read_label_names, read_mesh
-from vrcaps.organ.write_organ import write_mesh
+from write_ply import write_ply
 
 QUAD_AND_TRIANGLE = """ply
 format ascii 1.0
@@ -54,7 +54,7 @@ def random_mesh(rng: np.random.Generator, num_vertices: int = 50, num_faces: int
 @pytest.mark.parametrize("seed", range(5))
 def test_ply_round_trip_keeps_every_bit(tmp_path, seed):
     mesh = random_mesh(np.random.default_rng(seed))
-    write_mesh(tmp_path / "a.ply", mesh)
+    write_ply(tmp_path / "a.ply", mesh)
     back = read_mesh(tmp_path / "a.ply", unit="m")
     for field in ("vertices", "faces", "uv", "label"):
         assert np.array_equal(getattr(back, field), getattr(mesh, field))
@@ -62,7 +62,7 @@ def test_ply_round_trip_keeps_every_bit(tmp_path, seed):
 
 def test_bare_ply_round_trip_and_unit(tmp_path):
     mesh = replace(random_mesh(np.random.default_rng(1)), uv=None, label=None)
-    write_mesh(tmp_path / "a.ply", mesh)
+    write_ply(tmp_path / "a.ply", mesh)
     back = read_mesh(tmp_path / "a.ply", unit="5cm")
     assert np.allclose(back.vertices, 0.05 * mesh.vertices, rtol=1e-15, atol=0)
     assert back.uv is None
@@ -227,13 +227,13 @@ def test_wedges_must_match_corners(tmp_path):
 
 
 def test_real_colon_is_the_same_in_both_units(shared_data):
-    millimetres = read_mesh(shared_data / "organs" / "colon_GI1_mm.ply", unit="mm")
+    millimeters = read_mesh(shared_data / "organs" / "colon_GI1_mm.ply", unit="mm")
     raw = read_mesh(shared_data / "organs" / "colon_GI1_raw.ply", unit="5cm")
-    assert millimetres.vertices.shape == raw.vertices.shape == (10609, 3)
-    assert np.array_equal(millimetres.faces, raw.faces)
-    assert millimetres.uv is not None
-    assert millimetres.uv.shape == (21209, 3, 2)
-    offset = raw.vertices - millimetres.vertices
+    assert millimeters.vertices.shape == raw.vertices.shape == (10609, 3)
+    assert np.array_equal(millimeters.faces, raw.faces)
+    assert millimeters.uv is not None
+    assert millimeters.uv.shape == (21209, 3, 2)
+    offset = raw.vertices - millimeters.vertices
     assert np.ptp(offset, axis=0).max() < 1e-7
 
 

@@ -1,4 +1,4 @@
-"""Each defect is injected into a clean tube or sphere, and found, counted and mended.
+"""Each defect is injected into a clean tube or sphere, and found, counted and repaired.
 
 trimesh is the independent judge of the result: watertight, consistently wound, volume.
 """
@@ -17,7 +17,7 @@ from vrcaps.mesh.mesh import Mesh
 from vrcaps.mesh.read_mesh import read_mesh
 from vrcaps.mesh.repair import Repair, RepairReport, manifold, repair
 from vrcaps.organ.measure import triangle_quality
-from vrcaps.organ.write_organ import write_mesh
+from write_ply import write_ply
 
 RADIUS, LENGTH = 0.02, 0.15
 NUM_AROUND, NUM_ALONG = 36, 44
@@ -80,65 +80,65 @@ def uv_of_corners(mesh: Mesh) -> dict:
 
 def test_clean_sphere_is_left_as_it_is():
     mesh = sphere()
-    mended, report = repair(mesh)
+    repaired, report = repair(mesh)
     assert report.repairs == ()
     assert report.lines() == []
-    assert np.array_equal(mended.vertices, mesh.vertices)
-    assert np.array_equal(mended.faces, mesh.faces)
-    check_wall(mended)
+    assert np.array_equal(repaired.vertices, mesh.vertices)
+    assert np.array_equal(repaired.faces, mesh.faces)
+    check_wall(repaired)
 
 
 def test_outward_sphere_is_turned():
     mesh = sphere()
-    mended, report = repair(replace(mesh, faces=mesh.faces[:, ::-1]))
+    repaired, report = repair(replace(mesh, faces=mesh.faces[:, ::-1]))
     assert kinds(report) == {"outward surface": 1}
-    check_wall(mended)
+    check_wall(repaired)
 
 
 @pytest.mark.parametrize("wave", [0.0, 0.004])
 def test_open_tube_is_capped_with_good_triangles(wave):
     mesh = tube(wave=wave)
-    mended, report = repair(mesh)
+    repaired, report = repair(mesh)
     assert kinds(report) == {"open end": 2}
     places = report.repairs[0].places
     expected = [[0, 0, 0], [0, 0, LENGTH]]
     assert np.allclose(places[np.argsort(places[:, 2])], expected, atol=1e-12)
-    judge = check_wall(mended)
+    judge = check_wall(repaired)
     assert -judge.volume == pytest.approx(RING_AREA * LENGTH, rel=1e-3)
-    cap = replace(mended, faces=mended.faces[len(mesh.faces) :], uv=None)
+    cap = replace(repaired, faces=repaired.faces[len(mesh.faces) :], uv=None)
     quality = triangle_quality(cap)
     assert quality.min() > 0.5
     assert quality.mean() > 0.85
     assert len(cap.faces) > 4 * NUM_AROUND
     # A minimal surface over a saddle-shaped border lies within the border's own heights.
-    heights = mended.vertices[np.unique(cap.faces), 2] % LENGTH
+    heights = repaired.vertices[np.unique(cap.faces), 2] % LENGTH
     assert np.all(np.minimum(heights, LENGTH - heights) <= wave + 1e-12)
 
 
 def test_cap_has_uv_and_label_of_the_wall_beside_it():
     mesh = tube()
-    mended, _ = repair(mesh)
-    assert mended.uv is not None
-    assert mended.label is not None
-    assert np.array_equal(mended.uv[: len(mesh.faces)], mesh.uv)
-    cap_uv = mended.uv[len(mesh.faces) :]
-    at_start = mended.vertices[mended.faces[len(mesh.faces) :], 2].max(axis=1) < 1e-9
+    repaired, _ = repair(mesh)
+    assert repaired.uv is not None
+    assert repaired.label is not None
+    assert np.array_equal(repaired.uv[: len(mesh.faces)], mesh.uv)
+    cap_uv = repaired.uv[len(mesh.faces) :]
+    at_start = repaired.vertices[repaired.faces[len(mesh.faces) :], 2].max(axis=1) < 1e-9
     assert np.allclose(cap_uv[at_start][..., 1], 0.0)
     assert np.allclose(cap_uv[~at_start][..., 1], 1.0)
     assert cap_uv.min() >= 0.0
     assert cap_uv.max() <= 1.0 + 1e-12
-    new = mended.vertices[len(mesh.vertices) :, 2]
-    assert np.array_equal(mended.label[len(mesh.vertices) :], np.where(new < 1e-9, 1, 2))
+    new = repaired.vertices[len(mesh.vertices) :, 2]
+    assert np.array_equal(repaired.label[len(mesh.vertices) :], np.where(new < 1e-9, 1, 2))
 
 
 def test_open_ends_can_stay_open():
     mesh = tube()
-    mended, report = repair(replace(mesh, faces=mesh.faces[:, ::-1]), open_ends="keep")
+    repaired, report = repair(replace(mesh, faces=mesh.faces[:, ::-1]), open_ends="keep")
     assert kinds(report) == {"outward surface": 1}
     assert len(report.open_ends) == 2
     assert report.lines()[-1].startswith("2 × open end: left open, at (")
-    assert np.array_equal(np.sort(mended.faces, axis=1), np.sort(mesh.faces, axis=1))
-    assert repair(mended, open_ends="keep")[1].repairs == ()
+    assert np.array_equal(np.sort(repaired.faces, axis=1), np.sort(mesh.faces, axis=1))
+    assert repair(repaired, open_ends="keep")[1].repairs == ()
 
 
 def test_holes_are_filled_even_where_ends_stay_open():
@@ -147,9 +147,9 @@ def test_holes_are_filled_even_where_ends_stay_open():
     keep = np.ones(len(mesh.faces), bool)
     keep[holes] = False
     pierced = replace(mesh, faces=mesh.faces[keep], uv=mesh.uv[keep])
-    mended, report = repair(pierced, open_ends="keep")
+    repaired, report = repair(pierced, open_ends="keep")
     assert report.count("hole") == len(find_borders(pierced)) - 2
-    assert len(find_borders(mended)) == 2
+    assert len(find_borders(repaired)) == 2
 
 
 def find_borders(mesh: Mesh) -> list:
@@ -164,34 +164,34 @@ def test_soup_of_triangles_is_merged(num_faces):
     soup = Mesh(mesh.vertices[mesh.faces].reshape(-1, 3), np.arange(3 * len(mesh.faces)))
     soup = replace(soup, faces=soup.faces.reshape(-1, 3))
     jitter = np.random.default_rng(num_faces).uniform(-1, 1, soup.vertices.shape) * 1e-9
-    mended, report = repair(replace(soup, vertices=soup.vertices + jitter))
+    repaired, report = repair(replace(soup, vertices=soup.vertices + jitter))
     assert kinds(report) == {"duplicate vertex": 3 * len(mesh.faces) - len(mesh.vertices)}
-    assert -check_wall(mended).volume == pytest.approx(-signed_volume(mesh), rel=1e-5)
+    assert -check_wall(repaired).volume == pytest.approx(-signed_volume(mesh), rel=1e-5)
 
 
 def test_unused_vertices_go():
     mesh = sphere()
-    mended, report = repair(
+    repaired, report = repair(
         replace(mesh, vertices=np.vstack([[[9.0, 9, 9]], mesh.vertices]), faces=mesh.faces + 1)
     )
     assert kinds(report) == {"unused vertex": 1}
-    assert np.array_equal(mended.vertices, mesh.vertices)
+    assert np.array_equal(repaired.vertices, mesh.vertices)
 
 
 def test_duplicate_faces_go_whatever_their_winding():
     mesh = sphere()
     extra = [mesh.faces[5], np.roll(mesh.faces[7], 1), mesh.faces[9][::-1]]
-    mended, report = repair(replace(mesh, faces=np.vstack([mesh.faces, extra])))
+    repaired, report = repair(replace(mesh, faces=np.vstack([mesh.faces, extra])))
     assert kinds(report) == {"duplicate triangle": 3}
-    assert np.array_equal(mended.faces, mesh.faces)
+    assert np.array_equal(repaired.faces, mesh.faces)
 
 
 def test_faces_with_a_repeated_corner_go():
     mesh = sphere()
     a, b, _ = mesh.faces[3]
-    mended, report = repair(replace(mesh, faces=np.vstack([[[a, b, b], [a, a, a]], mesh.faces])))
+    repaired, report = repair(replace(mesh, faces=np.vstack([[[a, b, b], [a, a, a]], mesh.faces])))
     assert kinds(report) == {"degenerate triangle": 2}
-    assert np.array_equal(mended.faces, mesh.faces)
+    assert np.array_equal(repaired.faces, mesh.faces)
 
 
 def test_triangle_with_its_apex_on_its_longest_edge_leaves_no_gap():
@@ -209,15 +209,15 @@ def test_triangle_with_its_apex_on_its_longest_edge_leaves_no_gap():
         np.vstack([np.delete(mesh.uv, 500, axis=0), wedges]),
         np.append(mesh.label, mesh.label[a]),
     )
-    mended, report = repair(split)
+    repaired, report = repair(split)
     assert report.count("degenerate triangle") == 1
     assert report.count("hole") == 0
-    assert triangle_quality(mended).min() > 0.3
-    check_wall(mended)
-    neighbours = np.any(mended.faces == middle, axis=1)
-    corner = mended.faces[neighbours] == middle
-    assert neighbours.sum() == 4
-    assert np.allclose(mended.uv[neighbours][corner], (uv_a + uv_b) / 2)
+    assert triangle_quality(repaired).min() > 0.3
+    check_wall(repaired)
+    neighbors = np.any(repaired.faces == middle, axis=1)
+    corner = repaired.faces[neighbors] == middle
+    assert neighbors.sum() == 4
+    assert np.allclose(repaired.uv[neighbors][corner], (uv_a + uv_b) / 2)
 
 
 def test_needles_are_collapsed():
@@ -234,32 +234,32 @@ def test_needles_are_collapsed():
     faces[half] = np.where(faces[half] == 4, len(mesh.vertices), faces[half])
     ends = [set(order[0]) - set(order[1]), set(order[2]) - set(order[1])]
     needles = [[4, len(mesh.vertices), next(iter(end))] for end in ends]
-    mended, report = repair(Mesh(vertices, np.vstack([faces, needles])))
+    repaired, report = repair(Mesh(vertices, np.vstack([faces, needles])))
     assert kinds(report) == {"degenerate triangle": 2}
-    assert len(mended.vertices) == len(mesh.vertices)
-    check_wall(mended)
+    assert len(repaired.vertices) == len(mesh.vertices)
+    check_wall(repaired)
 
 
 def test_stray_components_go_and_are_measured():
     strays = [sphere(0.002, 1, (0, 0, 0.01)), sphere(0.004, 1, (0.1, 0, 0))]
-    mended, report = repair(join(strays[0], sphere(), strays[1]))
+    repaired, report = repair(join(strays[0], sphere(), strays[1]))
     assert kinds(report) == {"stray component": 2}
     assert np.allclose(report.repairs[0].places, [[0.1, 0, 0], [0, 0, 0.01]], atol=1e-9)
     assert "removed (areas 3.6 %, 0.89 % of the whole)" in report.lines()[0]
-    assert np.array_equal(mended.faces, sphere().faces)
+    assert np.array_equal(repaired.faces, sphere().faces)
 
 
 def test_flipped_faces_are_found_one_by_one():
     mesh = tube()
     chosen = np.zeros(len(mesh.faces), bool)
     chosen[np.random.default_rng(2).permutation(len(mesh.faces))[:200]] = True
-    mended, report = repair(flip_faces(mesh, chosen))
+    repaired, report = repair(flip_faces(mesh, chosen))
     assert kinds(report) == {"flipped triangle": 200, "open end": 2}
     middles = mesh.vertices[mesh.faces[chosen]].mean(axis=1)
     assert np.allclose(report.repairs[0].places, middles)
-    check_wall(mended)
-    assert np.array_equal(mended.faces[: len(mesh.faces)], mesh.faces)
-    assert np.array_equal(mended.uv[: len(mesh.faces)], mesh.uv)
+    check_wall(repaired)
+    assert np.array_equal(repaired.faces[: len(mesh.faces)], mesh.faces)
+    assert np.array_equal(repaired.uv[: len(mesh.faces)], mesh.uv)
 
 
 def test_fin_on_the_wall_goes():
@@ -271,11 +271,11 @@ def test_fin_on_the_wall_goes():
         vertices=np.vstack([mesh.vertices, tip]),
         faces=np.vstack([mesh.faces, [a, b, len(mesh.vertices)]]),
     )
-    mended, report = repair(fin)
+    repaired, report = repair(fin)
     assert kinds(report) == {"non-manifold edge": 1, "stray component": 1}
     assert np.allclose(report.repairs[0].places, mesh.vertices[[a, b]].mean(axis=0))
-    assert np.array_equal(mended.vertices, mesh.vertices)
-    check_wall(mended)
+    assert np.array_equal(repaired.vertices, mesh.vertices)
+    check_wall(repaired)
 
 
 def test_membrane_across_the_lumen_goes():
@@ -288,10 +288,10 @@ def test_membrane_across_the_lumen_goes():
         np.vstack([mesh.vertices, mesh.vertices[ring].mean(axis=0)]),
         np.vstack([mesh.faces, disc]),
     )
-    mended, report = repair(blocked)
+    repaired, report = repair(blocked)
     assert report.count("non-manifold edge") == NUM_AROUND
     assert report.count("stray component") == 1
-    assert -check_wall(mended).volume == pytest.approx(RING_AREA * LENGTH, rel=1e-9)
+    assert -check_wall(repaired).volume == pytest.approx(RING_AREA * LENGTH, rel=1e-9)
 
 
 @pytest.mark.parametrize("num_edges", [1, 2, 5])
@@ -304,13 +304,13 @@ def test_sheets_that_touch_along_edges_are_parted(num_edges):
     vertices = mesh.vertices.copy()
     vertices[left] = vertices[right] = 0.5 * (vertices[left] + vertices[right])
     vertices[left[:, None], [1]] = vertices[right[:, None], [1]] = 1e-3 * steps[:, None]
-    mended, report = repair(replace(mesh, vertices=vertices))
+    repaired, report = repair(replace(mesh, vertices=vertices))
     assert report.count("duplicate vertex") == num_edges + 1
     assert report.count("non-manifold edge") == num_edges
-    judge = check_wall(mended)
+    judge = check_wall(repaired)
     assert judge.euler_number == 2
-    assert len(np.unique(mended.vertices, axis=0)) == len(mended.vertices)
-    assert repair(mended)[1].repairs == ()
+    assert len(np.unique(repaired.vertices, axis=0)) == len(repaired.vertices)
+    assert repair(repaired)[1].repairs == ()
 
 
 def test_bags_that_touch_along_a_side_are_parted():
@@ -318,9 +318,9 @@ def test_bags_that_touch_along_a_side_are_parted():
     cubes = [
         Mesh(np.array(box.vertices) + c, np.array(box.faces)) for c in ([0, 0, 0], [0.02, 0.02, 0])
     ]
-    mended, report = repair(join(*cubes))
+    repaired, report = repair(join(*cubes))
     assert report.count("non-manifold edge") == 4
-    check_wall(mended)
+    check_wall(repaired)
 
 
 def test_pairs_of_faces_that_share_both_ends_of_an_edge_get_a_middle_vertex(monkeypatch):
@@ -337,21 +337,21 @@ def test_pairs_of_faces_that_share_both_ends_of_an_edge_get_a_middle_vertex(monk
     vertices = mesh.vertices.copy()
     vertices[left] = vertices[right] = 0.5 * (vertices[left] + vertices[right])
     monkeypatch.setattr(manifold, "_best_pairs", crosswise)
-    mended, _ = repair(replace(mesh, vertices=vertices))
-    judge = check_wall(mended)
+    repaired, _ = repair(replace(mesh, vertices=vertices))
+    judge = check_wall(repaired)
     assert judge.euler_number == 0  # the wall now joins itself through a slit: one handle
-    assert len(np.unique(mended.vertices, axis=0)) == len(mended.vertices)
+    assert len(np.unique(repaired.vertices, axis=0)) == len(repaired.vertices)
 
 
 def test_bags_that_touch_at_a_vertex_are_parted():
     big, small = sphere(), sphere(0.5 * RADIUS)
     top, bottom = np.argmax(big.vertices[:, 2]), np.argmin(small.vertices[:, 2])
     moved = small.vertices + big.vertices[top] - small.vertices[bottom]
-    mended, report = repair(join(big, replace(small, vertices=moved)))
+    repaired, report = repair(join(big, replace(small, vertices=moved)))
     expected = {"duplicate vertex": 1, "non-manifold vertex": 1, "stray component": 1}
     assert kinds(report) == expected
-    assert np.array_equal(mended.vertices, big.vertices)
-    check_wall(mended)
+    assert np.array_equal(repaired.vertices, big.vertices)
+    check_wall(repaired)
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -378,11 +378,11 @@ def test_any_mixture_of_defects_is_mended(seed):
     stray = sphere(0.001, 1, (0.5, 0.0, 0.0))
     order = rng.permutation(len(faces))
     mixed = join(Mesh(soup, np.arange(len(soup)).reshape(-1, 3)[order]), stray)
-    mended, report = repair(mixed)
-    assert -check_wall(mended).volume == pytest.approx(volume, rel=0.01)
+    repaired, report = repair(mixed)
+    assert -check_wall(repaired).volume == pytest.approx(volume, rel=0.01)
     assert report.count("duplicate triangle") >= 20 - 6
     assert report.count("degenerate triangle") == 20
-    assert repair(mended)[1].repairs == ()
+    assert repair(repaired)[1].repairs == ()
 
 
 def test_repair_is_repeatable():
@@ -478,12 +478,12 @@ def test_a_line_names_the_first_places():
 )
 def test_real_organs(shared_data, tmp_path, name, unit, expected, volume_ml):
     mesh = read_mesh(shared_data / "organs" / f"{name}.ply", unit=unit)
-    mended, report = repair(mesh)
+    repaired, report = repair(mesh)
     assert kinds(report) == expected
-    assert -check_wall(mended).volume * 1e6 == pytest.approx(volume_ml, rel=1e-3)
-    assert (mended.uv is None) == (mesh.uv is None)
-    write_mesh(tmp_path / "mended.ply", mended)
-    assert repair(read_mesh(tmp_path / "mended.ply", unit="m"))[1].repairs == ()
+    assert -check_wall(repaired).volume * 1e6 == pytest.approx(volume_ml, rel=1e-3)
+    assert (repaired.uv is None) == (mesh.uv is None)
+    write_ply(tmp_path / "repaired.ply", repaired)
+    assert repair(read_mesh(tmp_path / "repaired.ply", unit="m"))[1].repairs == ()
 
 
 def test_texture_coordinates_follow_their_corners(shared_data):
@@ -491,6 +491,6 @@ def test_texture_coordinates_follow_their_corners(shared_data):
     rng = np.random.default_rng(0)
     dirty = flip_faces(mesh, rng.random(len(mesh.faces)) < 0.3)
     order = rng.permutation(len(mesh.faces))
-    mended, _ = repair(replace(dirty, faces=dirty.faces[order], uv=dirty.uv[order]))
-    expected, found = uv_of_corners(mesh), uv_of_corners(mended)
+    repaired, _ = repair(replace(dirty, faces=dirty.faces[order], uv=dirty.uv[order]))
+    expected, found = uv_of_corners(mesh), uv_of_corners(repaired)
     assert expected.items() <= found.items()

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from vrcaps.mesh.self_intersection import cut_places, self_intersections
+from vrcaps.mesh.self_intersection import cluster_intersections, self_intersections
 
 
 def are_apart(one: np.ndarray, other: np.ndarray) -> np.ndarray:
@@ -64,7 +64,7 @@ def test_two_balls_cut_along_a_circle():
     expected = [[near[i], near[j]] for i, j in brute_force(vertices, faces[near])]
     assert pairs.tolist() == expected
     assert set(np.unique(pairs // (len(faces) // 2), axis=0).ravel().tolist()) == {0, 1}
-    (place,) = cut_places(vertices, faces, pairs)
+    (place,) = cluster_intersections(vertices, faces, pairs)
     assert np.allclose(place, [0.6, 0.05, 0.025], atol=0.05)
 
 
@@ -83,13 +83,13 @@ def test_places_are_sorted_by_their_pairs():
     small.apply_translation([1.05, 0.02, 0.01])
     mesh = trimesh.util.concatenate([trimesh.creation.icosphere(2), large, small])
     vertices, faces = np.array(mesh.vertices), np.array(mesh.faces)
-    places = cut_places(vertices, faces, self_intersections(vertices, faces))
+    places = cluster_intersections(vertices, faces, self_intersections(vertices, faces))
     assert np.allclose(places[:, 0], [-0.75, 1.0], atol=0.1)
-    assert cut_places(vertices, faces, np.zeros((0, 2), int)).shape == (0, 3)
+    assert cluster_intersections(vertices, faces, np.zeros((0, 2), int)).shape == (0, 3)
 
 
 def test_touching_is_not_cutting():
-    """Parts that meet in a corner or along a whole edge, and neighbours in one plane."""
+    """Parts that meet in a corner or along a whole edge, and neighbors in one plane."""
     box = trimesh.creation.box((1.0, 1.0, 1.0))
     turn = trimesh.transformations.euler_matrix(0.7, -0.4, 1.9)
     for offset in ([1.0, 1.0, 1.0], [1.0, 1.0, 0.0], [0.0, 1.0, 1.0]):

@@ -202,8 +202,8 @@ def test_a_texture_keeps_to_its_limits(tube):
     assert max(bake_appearance(long, seed=0, max_texels=400_000).height.shape) <= MAX_SIDE
 
 
-def test_colour_does_not_depend_on_where_the_texture_begins(tube, baked):
-    """The wall's colour at a point is the same when u starts elsewhere, across the wrap too."""
+def test_color_does_not_depend_on_where_the_texture_begins(tube, baked):
+    """The wall's color at a point is the same when u starts elsewhere, across the wrap too."""
     shift = 0.37
     moved = bake_appearance(make_tube(shift), seed=4)
     columns = baked.albedo.shape[1]
@@ -215,7 +215,7 @@ def test_colour_does_not_depend_on_where_the_texture_begins(tube, baked):
 
 
 def test_no_seam_between_charts(tube, baked):
-    """Where two charts meet, the same point of the wall has the same colour in both."""
+    """Where two charts meet, the same point of the wall has the same color in both."""
     organ = in_charts(tube, 4)
     appearance = bake_appearance(organ, seed=4)
     edges = np.sort(np.stack([tube.faces, np.roll(tube.faces, -1, axis=1)], axis=-1), axis=-1)
@@ -366,7 +366,7 @@ def test_flecks_of_mucus_cover_their_share():
 
 
 def test_the_wall_does_not_repeat():
-    """The wall's colour is correlated with itself at no distance beyond its largest patches."""
+    """The wall's color is correlated with itself at no distance beyond its largest patches."""
     side, mucosa = 120.0 * MM, replace(MUCOSAE["colon"], vessel_contrast=0.0)
     look = bake_appearance(make_square(side), seed=5, mucosa=mucosa, texels_per_mm=3.0)
     green = decode(look.albedo)[..., 1]
@@ -449,7 +449,7 @@ def test_mucus_covers_its_share_of_the_wall():
 
 
 def test_mucus_follows_the_palette():
-    """Of half the base colour, all of the wall is half as bright, mucus too."""
+    """Of half the base color, all of the wall is half as bright, mucus too."""
     square, mucosa = make_square(60.0 * MM), replace(MUCOSAE["colon"], mucus=0.5)
     dark = replace(mucosa, base_color=tuple(0.5 * c for c in mucosa.base_color))
     full, half = (

@@ -1,4 +1,4 @@
-"""Centrelines of tubes with a known axis, of real organs, and of what is no lumen."""
+"""Centerlines of tubes with a known axis, of real organs, and of what is no lumen."""
 
 import logging
 
@@ -11,7 +11,7 @@ from vrcaps.mesh.read_mesh import read_mesh
 from vrcaps.mesh.repair import repair
 from vrcaps.organ.centerline import centerline_from_points, compute_centerline, interpolate
 from vrcaps.organ.centerline.distance import triangle_distance, wall_distance
-from vrcaps.organ.centerline.lumen import grid_crossings, mean_radius, voxelise
+from vrcaps.organ.centerline.lumen import grid_crossings, mean_radius, voxelize
 from vrcaps.units import MM
 
 RADIUS = 10 * MM
@@ -216,7 +216,7 @@ def test_voxels_measure_volume_whatever_the_winding():
     mesh = tube(arc())
     flip = rng.random(len(mesh.faces)) < 0.5
     faces = np.where(flip[:, None], mesh.faces[:, ::-1], mesh.faces)
-    grid = voxelise(mesh.vertices, faces, 0.83 * MM)
+    grid = voxelize(mesh.vertices, faces, 0.83 * MM)
     volume = np.count_nonzero(grid.inside) * (0.83 * MM) ** 3
     exact = abs(np.linalg.det(mesh.vertices[mesh.faces]).sum()) / 6.0  # divergence theorem
     assert volume == pytest.approx(exact, rel=5e-3)
@@ -266,7 +266,7 @@ def test_bad_input():
         compute_centerline(mesh, voxel=1e-6)
     with pytest.raises(InputError, match=r"start .* outside the lumen"):
         compute_centerline(mesh, start=np.array([1.0, 0, 0]))
-    with pytest.raises(InputError, match="Give x, y, z in metres"):
+    with pytest.raises(InputError, match="Give x, y, z in meters"):
         compute_centerline(mesh, end=np.array([np.nan, 0, 0]))
     sheet = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0.0]])
     with pytest.raises(InputError, match="Give one that encloses a lumen"):

@@ -29,9 +29,9 @@ def sweep(points, frames, radius, num_around=48):
 
 
 def tube_about(curve, num_samples=120):
-    """Centreline, tube and true coordinates of a curve given by a function of [0, 1]."""
+    """Centerline, tube and true coordinates of a curve given by a function of [0, 1]."""
     points = curve(np.linspace(0.0, 1.0, num_samples))
-    # A first tube with any frames gives the frames of the centreline itself.
+    # A first tube with any frames gives the frames of the centerline itself.
     far = np.array([[1e3, 0, 0], [1e3, 1, 0], [1e3, 0, 1.0]])
     line = centerline_from_points(points, far, np.array([[0, 1, 2]]), step=RADIUS / 16)
     pick = np.arange(0, len(line.points), 8)
@@ -42,7 +42,7 @@ def tube_about(curve, num_samples=120):
 CURVES = {
     "straight": lambda t: np.stack([0 * t, 0.3 * t, 0.1 * t], -1),
     "torus": lambda t: 25 * MM * np.stack([np.cos(4 * t), np.sin(4 * t), 0 * t], -1),
-    # Turns 22 mm apart: 2 mm of tissue between neighbouring loops.
+    # Turns 22 mm apart: 2 mm of tissue between neighboring loops.
     "helix": lambda t: np.stack(
         [30 * MM * np.cos(18 * t), 30 * MM * np.sin(18 * t), 18 * t * 22 * MM / (2 * np.pi)], -1
     ),
@@ -62,7 +62,7 @@ def test_tube(curve):
     assert found_theta.max() <= np.pi
 
 
-def test_nearer_axis_of_a_neighbouring_loop_is_not_taken():
+def test_nearer_axis_of_a_neighboring_loop_is_not_taken():
     """Pouches of one turn reach closer to the next turn's axis than to their own."""
 
     def curve(t):

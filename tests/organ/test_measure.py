@@ -8,7 +8,7 @@ import pytest
 import trimesh
 
 from vrcaps.mesh.mesh import Mesh, vertex_normals
-from vrcaps.organ.measure import organ_facts, segment_spans, triangle_quality
+from vrcaps.organ.measure import measure_organ, segment_spans, triangle_quality
 from vrcaps.organ.surface import Centerline, OrganSurface
 from vrcaps.units import MM
 
@@ -16,7 +16,7 @@ RADIUS, LENGTH = 0.02, 0.2
 
 
 def make_organ(judge: trimesh.Trimesh) -> OrganSurface:
-    """A wall around the z axis, with the calibre's radius falling linearly along it."""
+    """A wall around the z axis, with the diameter's radius falling linearly along it."""
     vertices, faces = np.array(judge.vertices), np.array(judge.faces)[:, ::-1]
     size = len(vertices)
     line = np.linspace(0.0, LENGTH, 101)
@@ -43,16 +43,16 @@ def cylinder() -> trimesh.Trimesh:
 
 
 def test_facts_of_a_cylinder():
-    facts = organ_facts(make_organ(cylinder()))
+    facts = measure_organ(make_organ(cylinder()))
     assert facts.size == pytest.approx((2 * RADIUS, 2 * RADIUS, LENGTH), rel=0.01)
     assert facts.volume == pytest.approx(np.pi * RADIUS**2 * LENGTH, rel=0.01)
     assert facts.area == pytest.approx(2 * np.pi * RADIUS * (RADIUS + LENGTH), rel=0.01)
     assert facts.length == pytest.approx(LENGTH)
     # Where the ends do not narrow it: 2 r(s) for r(0) < s < L − r.
-    assert facts.calibre_max == pytest.approx(2 * RADIUS)
-    assert facts.calibre_min == pytest.approx(2 * RADIUS * (1 - 0.5 * 0.945), rel=0.01)
-    assert facts.calibre_median == pytest.approx(1.5 * RADIUS, rel=0.03)
-    first, second = facts.calibre_by_segment["first"], facts.calibre_by_segment["second"]
+    assert facts.diameter_max == pytest.approx(2 * RADIUS)
+    assert facts.diameter_min == pytest.approx(2 * RADIUS * (1 - 0.5 * 0.945), rel=0.01)
+    assert facts.diameter_median == pytest.approx(1.5 * RADIUS, rel=0.03)
+    first, second = facts.diameter_by_segment["first"], facts.diameter_by_segment["second"]
     assert first == pytest.approx(2 * RADIUS * (1 - 0.5 * 0.30), rel=0.02)
     assert second == pytest.approx(2 * RADIUS * (1 - 0.5 * 0.72), rel=0.02)
     assert facts.num_faces == 2 * facts.num_vertices - 4
@@ -66,28 +66,28 @@ def test_quality_is_one_for_an_equilateral_triangle_and_half_root_three_for_half
 
 
 def test_clean_sphere_has_no_defects():
-    assert organ_facts(make_organ(trimesh.creation.icosphere(radius=RADIUS))).defects == ()
+    assert measure_organ(make_organ(trimesh.creation.icosphere(radius=RADIUS))).defects == ()
 
 
 def test_defects_are_named_and_counted():
     organ = make_organ(trimesh.creation.icosphere(radius=RADIUS))
     faces = organ.faces[1:]
-    assert organ_facts(replace(organ, faces=faces)).defects == ("1 open ends or holes",)
+    assert measure_organ(replace(organ, faces=faces)).defects == ("1 open ends or holes",)
     faces = np.vstack([organ.faces[:1, ::-1], organ.faces[1:]])
-    (wrong,) = organ_facts(replace(organ, faces=faces)).defects
+    (wrong,) = measure_organ(replace(organ, faces=faces)).defects
     assert wrong.startswith("3 edges whose triangles are wound against each other")
     fin = np.vstack([organ.faces, [[*organ.faces[0, :2], 200]]])
-    assert "1 edges of more than two triangles" in organ_facts(replace(organ, faces=fin)).defects
+    assert "1 edges of more than two triangles" in measure_organ(replace(organ, faces=fin)).defects
 
 
 def test_handles_are_counted():
-    facts = organ_facts(make_organ(trimesh.creation.torus(RADIUS, 0.3 * RADIUS)))
+    facts = measure_organ(make_organ(trimesh.creation.torus(RADIUS, 0.3 * RADIUS)))
     assert facts.defects == ("1 handles (the wall joins itself around a gap)",)
 
 
 def test_thin_triangles_are_counted():
     organ = make_organ(trimesh.creation.cylinder(RADIUS, LENGTH, sections=400))
-    assert any("thin triangles" in defect for defect in organ_facts(organ).defects)
+    assert any("thin triangles" in defect for defect in measure_organ(organ).defects)
 
 
 def test_places_where_the_wall_cuts_itself_are_counted_and_named():
@@ -95,7 +95,7 @@ def test_places_where_the_wall_cuts_itself_are_counted_and_named():
     outer = np.argmax(organ.vertices[:, 0] - np.abs(organ.vertices[:, 2]))
     vertices = organ.vertices.copy()
     vertices[outer, 0] -= 3 * RADIUS
-    defects = organ_facts(replace(organ, vertices=vertices)).defects
+    defects = measure_organ(replace(organ, vertices=vertices)).defects
     (cut,) = (defect for defect in defects if "cuts itself" in defect)
     found = re.fullmatch(
         r"1 places where the wall cuts itself \((\d+) pairs .*, at \((.*)\) mm", cut
@@ -109,15 +109,15 @@ def test_places_where_the_wall_cuts_itself_are_counted_and_named():
 def test_open_ends_count_as_closed_for_the_volume():
     judge = cylinder()
     wall = judge.submesh([np.nonzero(np.abs(judge.face_normals[:, 2]) < 0.5)[0]], append=True)
-    facts = organ_facts(make_organ(wall))
+    facts = measure_organ(make_organ(wall))
     assert facts.volume == pytest.approx(np.pi * RADIUS**2 * LENGTH, rel=0.01)
     assert facts.defects[0] == "2 open ends or holes"
 
 
-def test_short_centreline_without_inner_samples_counts_whole():
+def test_short_centerline_without_inner_samples_counts_whole():
     organ = make_organ(cylinder())
     wide = replace(organ.centerline, radius=np.full(101, LENGTH))
-    assert organ_facts(replace(organ, centerline=wide)).calibre_min == 2 * LENGTH
+    assert measure_organ(replace(organ, centerline=wide)).diameter_min == 2 * LENGTH
 
 
 def test_segments_follow_each_other_along_the_way():

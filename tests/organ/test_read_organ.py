@@ -1,240 +1,109 @@
-"""Organ files: what is read is what was written, bit for bit; others read the same file."""
+"""A mesh file becomes an organ with every field in step."""
 
-from __future__ import annotations
-
-import json
-import struct
-from dataclasses import fields, replace
-from pathlib import Path
+import hashlib
+from dataclasses import replace
 
 import numpy as np
-import pygltflib
 import pytest
 import trimesh
 
 from vrcaps.errors import InputError
-from vrcaps.mesh.glb import read_document
 from vrcaps.mesh.mesh import Mesh
-from vrcaps.organ.arrays import organ_parts
-from vrcaps.organ.from_file import organ_from_file
-from vrcaps.organ.read_organ import is_organ_file, read_organ
-from vrcaps.organ.surface import HEIGHT_STEP, Appearance, Centerline, OrganSurface, round_height
-from vrcaps.organ.write_organ import write_glb, write_mesh
-from vrcaps.transforms import transform_from, transform_points
+from vrcaps.organ.measure import measure_organ
+from vrcaps.organ.read_organ import read_organ
+from vrcaps.organ.surface import OrganSurface
+from vrcaps.organ.write_organ import write_organ
+from write_ply import write_ply
 
-NAMES = ("background", "first", "second")
-SIZES = {5120: 1, 5121: 1, 5122: 2, 5123: 2, 5125: 4, 5126: 4}
-WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3}
+RADIUS, LENGTH = 0.02, 0.2
 
 
-@pytest.fixture
-def organ() -> OrganSurface:
-    """Every array random, in double precision: nothing can be guessed from anything else."""
-    rng = np.random.default_rng(1)
-    judge = trimesh.creation.icosphere(2, 0.03)
-    num, faces = len(judge.vertices), np.asarray(judge.faces, np.int32)[:, ::-1].copy()
-    of_corner = rng.integers(0, 2, (len(faces), 3, 1))  # two texture places for each vertex
-    frames = np.stack([np.linalg.qr(rng.normal(size=(3, 3)))[0] for _ in range(7)])
-    return OrganSurface(
-        name="a ball",
-        vertices=judge.vertices + rng.normal(0.0, 1e-4, (num, 3)),
-        faces=faces,
-        normals=rng.normal(size=(num, 3)),
-        uv=rng.random((num, 2, 2))[faces, of_corner[..., 0]],
-        label=rng.integers(1, 3, num).astype(np.uint8),
-        label_names=NAMES,
-        instance=rng.integers(0, 60_000, num).astype(np.uint16),
-        arc_length=rng.random(num),
-        theta=rng.uniform(-np.pi, np.pi, num),
-        radius=rng.random(num),
-        centerline=Centerline(rng.random((7, 3)), np.arange(7) / 3, rng.random(7), frames),
-        appearance=Appearance(
-            albedo=rng.integers(0, 256, (24, 40, 3), np.uint8),
-            roughness=rng.integers(0, 256, (24, 40), np.uint8),
-            height=round_height(rng.normal(0.0, 3e-4, (24, 40))),
-            ior=1.37,
-            coat=0.123456789,
-            coat_gloss=1 / 3,
-        ),
-        metadata={"seed": 3, "lesions": [{"instance": 1, "kind": "polyp", "arc_length_m": 0.1}]},
+def check_organ(organ: OrganSurface) -> None:
+    num_vertices, num_faces = len(organ.vertices), len(organ.faces)
+    judge = trimesh.Trimesh(organ.vertices, organ.faces, process=False)
+    assert judge.is_watertight
+    assert judge.volume < 0.0
+    assert np.allclose(np.linalg.norm(organ.normals, axis=1), 1.0)
+    for values in (organ.label, organ.instance, organ.arc_length, organ.theta, organ.radius):
+        assert values.shape == (num_vertices,)
+        assert np.isfinite(values).all()
+    assert organ.uv.shape == (num_faces, 3, 2)
+    assert np.isfinite(organ.uv).all()
+    assert organ.label.max() < len(organ.label_names)
+    assert organ.arc_length.min() >= 0.0
+    assert organ.arc_length.max() <= organ.centerline.length * (1 + 1e-9)
+
+
+@pytest.fixture(scope="module")
+def tube_path(tmp_path_factory):
+    """A closed tube in millimeters, normals outward, with labels and flat wedges."""
+    judge = trimesh.creation.capsule(LENGTH, RADIUS, count=[24, 24])
+    vertices, faces = np.array(judge.vertices) * 1e3, np.array(judge.faces)
+    uv = vertices[faces][..., :2] / 100
+    label = np.where(vertices[:, 2] > 100, 3, 1).astype(np.uint8)
+    path = tmp_path_factory.mktemp("organ") / "tube.ply"
+    write_ply(path, Mesh(vertices, faces, uv, label))
+    return path
+
+
+@pytest.fixture(scope="module")
+def tube(tube_path) -> OrganSurface:
+    return read_organ(tube_path, unit="mm")
+
+
+def test_tube(tube, tube_path):
+    organ = tube
+    check_organ(organ)
+    assert organ.name == "tube"
+    assert organ.label_names == ("background", "label 1", "label 2", "label 3")
+    assert organ.metadata["source"] == str(tube_path)
+    assert organ.metadata["sha256"] == hashlib.sha256(tube_path.read_bytes()).hexdigest()
+    assert organ.metadata["unit"] == "mm"
+    assert organ.metadata["repairs"] == ["1 × outward surface: turned to face into the lumen"]
+    assert LENGTH < organ.centerline.length < LENGTH + 2 * RADIUS
+    facts = measure_organ(organ)
+    assert facts.diameter_median == pytest.approx(2 * RADIUS, rel=0.05)
+    assert facts.volume == pytest.approx(np.pi * RADIUS**2 * (LENGTH + 4 / 3 * RADIUS), rel=0.03)
+
+
+def test_own_texture_coordinates_stay_on_request(tube, tube_path):
+    organ = read_organ(tube_path, unit="mm", name="mine", keep_uv=True)
+    assert organ.name == "mine"
+    expected = organ.vertices[organ.faces][..., :2] * 1e3 / 100
+    assert np.allclose(organ.uv, expected, atol=1e-9)
+    assert not np.allclose(tube.uv, expected)
+
+
+def test_there_must_be_texture_coordinates_to_keep(tmp_path):
+    ball = trimesh.creation.icosphere(radius=RADIUS)
+    ball.export(tmp_path / "a.stl")
+    with pytest.raises(InputError, match="has no finite texture coordinates to keep"):
+        read_organ(tmp_path / "a.stl", unit="m", keep_uv=True)
+
+
+def test_written_organ_comes_back(tube, tmp_path):
+    organ = replace(
+        tube,
+        label=np.minimum(tube.label, 2).astype(np.uint8),
+        label_names=("background", "wall", "fundus"),
     )
+    write_organ(tmp_path / "a.glb", organ)
+    back = read_organ(tmp_path / "a.glb", unit="m")
+    assert back.label_names == organ.label_names
+    assert np.array_equal(back.label, organ.label)
+    assert np.allclose(back.vertices, organ.vertices, atol=1e-7)
 
 
-def assert_same(a: OrganSurface, b: OrganSurface) -> None:
-    (arrays, plain), (others, other_plain) = organ_parts(a), organ_parts(b)
-    assert plain == other_plain
-    assert arrays.keys() == others.keys()
-    for name, values in arrays.items():
-        assert others[name].dtype == values.dtype, name
-        assert others[name].shape == values.shape, name
-        assert others[name].flags.c_contiguous
-        assert others[name].tobytes() == values.tobytes(), name
-
-
-@pytest.mark.parametrize("change", ["none", "float32", "int64", "plain", "rough relief", "posed"])
-def test_what_is_read_is_what_was_written(organ, tmp_path: Path, change: str) -> None:
-    pose = None
-    if change == "float32":
-        organ = replace(organ, vertices=organ.vertices.astype(np.float32))
-    elif change == "int64":
-        organ = replace(organ, faces=organ.faces.astype(np.int64))
-    elif change == "plain":
-        organ = replace(organ, appearance=None, metadata={})
-    elif change == "rough relief":
-        height = organ.appearance.height * np.float32(np.pi)
-        organ = replace(organ, appearance=replace(organ.appearance, height=height))
-    elif change == "posed":
-        turn = trimesh.transformations.random_rotation_matrix(np.array([0.1, 0.7, 0.4]))
-        pose = transform_from(turn[:3, :3], np.array([0.3, -0.2, 0.1]))
-    path = tmp_path / "a.glb"
-    write_glb(path, organ, T_world_patient=pose)
-    back = read_organ(path)
-    assert_same(organ, back)
-    write_glb(tmp_path / "b.glb", back, T_world_patient=pose)
-    assert (tmp_path / "b.glb").read_bytes() == path.read_bytes()
-
-
-def test_every_field_of_an_organ_is_in_the_file(organ, tmp_path: Path) -> None:
-    write_glb(tmp_path / "a.glb", organ)
-    own = read_document(tmp_path / "a.glb")["asset"]["extras"]
-    stored = own["plain"].keys() | own["arrays"].keys() | own["images"].keys()
-    wanted = {f.name for f in fields(OrganSurface)} - {"centerline", "appearance"}
-    wanted |= {f"centerline.{f.name}" for f in fields(Centerline)}
-    assert stored == wanted | {f"appearance.{f.name}" for f in fields(Appearance)}
-
-
-def test_relief_in_steps_takes_two_bytes_a_texel(organ, tmp_path: Path) -> None:
-    write_glb(tmp_path / "a.glb", organ)
-    arrays = read_document(tmp_path / "a.glb")["asset"]["extras"]["arrays"]
-    assert arrays["appearance.height"]["step"] == HEIGHT_STEP
-    for limit in (-32768, 32767):
-        height = np.full((24, 40), limit * HEIGHT_STEP, np.float32)
-        one = replace(organ, appearance=replace(organ.appearance, height=height))
-        write_glb(tmp_path / "b.glb", one)
-        assert_same(one, read_organ(tmp_path / "b.glb"))
-    rounded = round_height(np.array([[1e-4 + 0.4 * HEIGHT_STEP]]))
-    assert abs(rounded[0, 0] - 1e-4) <= HEIGHT_STEP
-    assert rounded.dtype == np.float32
-    assert not np.signbit(round_height(np.array([[-1e-12]]))).any()
-
-
-def test_other_readers_find_the_same(organ, tmp_path: Path) -> None:
-    """pygltflib and trimesh: every accessor lies in the buffer and says what the organ says."""
-    path = tmp_path / "a.glb"
-    write_glb(path, organ)
-    file = pygltflib.GLTF2().load(path)
-    blob = file.binary_blob()
-    assert file.asset.version == "2.0"
-    assert file.buffers[0].byteLength == len(blob)
-    for view in file.bufferViews:
-        assert view.byteOffset % 4 == 0
-        assert view.byteOffset + view.byteLength <= len(blob)
-    counts = set()
-    for accessor in file.accessors:
-        view = file.bufferViews[accessor.bufferView]
-        size = SIZES[accessor.componentType] * WIDTHS[accessor.type]
-        stride = view.byteStride or size
-        assert stride % 4 == 0 or view.target == pygltflib.ELEMENT_ARRAY_BUFFER
-        assert (accessor.count - 1) * stride + size <= view.byteLength
-        if view.target == pygltflib.ARRAY_BUFFER:
-            assert accessor.componentType != 5125  # no 32-bit integers in vertex attributes
-            counts.add(accessor.count)
-    assert len(counts) == 1
-    (primitive,) = file.meshes[0].primitives
-    own = {n for n in vars(primitive.attributes) if n.startswith("_")}
-    assert own == {"_LABEL", "_INSTANCE", "_ARC_LENGTH", "_THETA", "_RADIUS"}
-    part = trimesh.load_mesh(path, process=False)
-    for name in ("label", "instance", "arc_length", "theta", "radius"):
-        found = part.vertex_attributes[f"_{name.upper()}"].reshape(-1)[part.faces]
-        assert np.allclose(found, getattr(organ, name)[organ.faces], rtol=1e-6)
-
-
-def test_an_episodes_organ_comes_back_in_the_patient_frame(organ, tmp_path: Path) -> None:
-    pose = transform_from(np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]]), np.zeros(3))
-    write_glb(tmp_path / "a.glb", organ, T_world_patient=pose)
-    assert np.array_equal(read_organ(tmp_path / "a.glb").vertices, organ.vertices)
-    world = trimesh.load_mesh(tmp_path / "a.glb", process=False)
-    expected = transform_points(pose, organ.vertices)[organ.faces]
-    assert np.allclose(world.vertices[world.faces], expected, atol=1e-8)
-
-
-def test_an_organ_file_needs_no_unit_and_is_taken_as_it_is(organ, tmp_path: Path) -> None:
-    path = tmp_path / "a.glb"
-    write_glb(path, organ)
-    assert is_organ_file(path)
-    for unit in (None, "m"):
-        assert_same(organ, organ_from_file(path, unit=unit))
-    for wrong in ({"unit": "mm"}, {"reverse": True}, {"open_ends": "keep"}, {"name": "b"}):
-        with pytest.raises(InputError, match="is an organ file: in metres, and taken as it is"):
-            organ_from_file(path, **wrong)
-
-
-def test_what_another_program_rewrote_is_a_mesh(organ, tmp_path: Path) -> None:
-    write_glb(tmp_path / "a.glb", organ)
-    rewrite(tmp_path / "a.glb", lambda d: d["asset"].update(generator="Blender"))
-    assert not is_organ_file(tmp_path / "a.glb")
-    with pytest.raises(InputError, match=r"a\.glb does not say its unit\. Allowed: m, dm, cm"):
-        organ_from_file(tmp_path / "a.glb")
-
-
-def rewrite(path: Path, change) -> None:
-    """Change the JSON of a GLB file."""
-    data = path.read_bytes()
-    size = struct.unpack_from("<I", data, 12)[0]
-    document = json.loads(data[20 : 20 + size])
-    change(document)
-    text = json.dumps(document).encode()
-    text += b" " * (-len(text) % 4)
-    rest = data[20 + size :]
-    head = struct.pack("<4sIII4s", b"glTF", 2, 20 + len(text) + len(rest), len(text), b"JSON")
-    path.write_bytes(head + text + rest)
-
-
-def test_mistakes_are_told_apart(organ, tmp_path: Path) -> None:
-    path = tmp_path / "a.glb"
-    with pytest.raises(InputError, match=r"No organ file at .*a\.glb"):
-        read_organ(path)
-    write_mesh(tmp_path / "a.ply", Mesh(organ.vertices, organ.faces))
-    with pytest.raises(InputError, match=r"is no organ file\. Allowed: a \.glb as"):
-        read_organ(tmp_path / "a.ply")
-    write_glb(path, organ)
-    rewrite(path, lambda d: d["asset"]["extras"].update(format="vrcaps-organ/9"))
-    with pytest.raises(InputError, match=r"'vrcaps-organ/9'.*Allowed: 'vrcaps-organ/1'"):
-        read_organ(path)
-
-
-def _drop_array(document: dict) -> None:
-    del document["asset"]["extras"]["arrays"]["theta"]
-
-
-def _wrong_shape(document: dict) -> None:
-    document["asset"]["extras"]["arrays"]["theta"]["shape"] = [5]
-
-
-def _wrong_view(document: dict) -> None:
-    document["images"][0]["bufferView"] = 0
-
-
-def _too_few_vertices(document: dict) -> None:
-    arrays = document["asset"]["extras"]["arrays"]
-    arrays["vertices"] = arrays["centerline.points"]
-
-
-@pytest.mark.parametrize("fault", [_drop_array, _wrong_shape, _wrong_view, _too_few_vertices])
-def test_a_damaged_file_is_one_line(organ, tmp_path: Path, fault) -> None:
-    path = tmp_path / "a.glb"
-    write_glb(path, organ)
-    rewrite(path, fault)
-    with pytest.raises(InputError, match=r"a\.glb is damaged: .*Make or copy it anew"):
-        read_organ(path)
-
-
-def test_a_file_cut_short_is_one_line(organ, tmp_path: Path) -> None:
-    path = tmp_path / "a.glb"
-    write_glb(path, organ)
-    data = path.read_bytes()
-    path.write_bytes(data[: len(data) // 2])
-    with pytest.raises(InputError, match="is damaged: it has"):
-        read_organ(path)
-    path.write_bytes(data[:30])
-    assert not is_organ_file(path)
+@pytest.mark.parametrize(
+    ("name", "unit", "length_mm"),
+    [("colon_GI1_mm", "mm", (800, 2500)), ("stomach_new5_raw", "mm", (50, 200))],
+)
+def test_real_organs(shared_data, name, unit, length_mm):
+    organ = read_organ(shared_data / "organs" / f"{name}.ply", unit=unit)
+    check_organ(organ)
+    assert organ.label_names == ("background", "wall")
+    assert np.all(organ.label == 1)
+    assert length_mm[0] < organ.centerline.length * 1e3 < length_mm[1]
+    facts = measure_organ(organ)
+    assert 5.0 < facts.diameter_min * 1e3 < facts.diameter_median * 1e3 < facts.diameter_max * 1e3
+    assert list(facts.diameter_by_segment) == ["wall"]

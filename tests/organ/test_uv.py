@@ -43,7 +43,7 @@ def signed_areas(uv):
 
 
 def double_hits(uv, size):
-    """Texels whose centre lies strictly inside more than one face, by barycentric signs."""
+    """Texels whose center lies strictly inside more than one face, by barycentric signs."""
     texels = uv * size
     low = np.ceil(texels.min(axis=1)).astype(int)
     span = np.maximum(np.floor(texels.max(axis=1)).astype(int) - low + 1, 0)

@@ -15,7 +15,7 @@ from vrcaps.mesh.read_mesh import read_label_names, read_mesh
 from vrcaps.mesh.repair import repair
 from vrcaps.organ.gltf_material import normal_texture, relief_scale, texture_images
 from vrcaps.organ.surface import Appearance, Centerline, OrganSurface
-from vrcaps.organ.write_organ import split_at_seams, write_glb
+from vrcaps.organ.write_organ import split_at_seams, write_organ
 from vrcaps.transforms import rotate_vectors, transform_from, transform_points
 
 RADIUS, LENGTH = 0.02, 0.1
@@ -72,7 +72,7 @@ def read_chunks(path) -> tuple[dict, bytes]:
 
 def test_file_holds_world_positions_and_all_attributes(tmp_path, organ):
     pose = random_pose()
-    write_glb(tmp_path / "a.glb", organ, T_world_patient=pose)
+    write_organ(tmp_path / "a.glb", organ, T_world_patient=pose)
     scene = trimesh.load_scene(tmp_path / "a.glb", process=False)
     (part,) = scene.geometry.values()
     assert np.array_equal(scene.graph[scene.graph.nodes_geometry[0]][0], np.eye(4))
@@ -99,7 +99,7 @@ def test_only_seams_are_split(tmp_path, organ):
 
 
 def test_read_back_and_repaired_it_is_the_same_wall(tmp_path, organ):
-    write_glb(tmp_path / "a.glb", organ)
+    write_organ(tmp_path / "a.glb", organ)
     mesh, report = repair(read_mesh(tmp_path / "a.glb", unit="m"))
     assert {entry.kind for entry in report.repairs} == {"duplicate vertex"}
     assert np.allclose(mesh.vertices, organ.vertices, atol=1e-8)
@@ -108,7 +108,7 @@ def test_read_back_and_repaired_it_is_the_same_wall(tmp_path, organ):
 
 
 def test_document_follows_the_specification(tmp_path, organ):
-    write_glb(tmp_path / "a.glb", organ)
+    write_organ(tmp_path / "a.glb", organ)
     document, binary = read_chunks(tmp_path / "a.glb")
     assert document["buffers"] == [{"byteLength": len(binary)}]
     assert document["nodes"] == [{"mesh": 0, "name": "cylinder"}]
@@ -126,7 +126,7 @@ def test_document_follows_the_specification(tmp_path, organ):
 
 
 def test_textures_are_exact(tmp_path, organ):
-    write_glb(tmp_path / "a.glb", organ)
+    write_organ(tmp_path / "a.glb", organ)
     document, binary = read_chunks(tmp_path / "a.glb")
     images = []
     for image in document["images"]:
@@ -179,7 +179,7 @@ def test_relief_scale_of_a_cylinder(organ):
 
 
 def test_plain_organ_has_a_plain_material(tmp_path, organ):
-    write_glb(tmp_path / "a.glb", replace(organ, appearance=None))
+    write_organ(tmp_path / "a.glb", replace(organ, appearance=None))
     document, _ = read_chunks(tmp_path / "a.glb")
     assert "images" not in document
     assert "baseColorFactor" in document["materials"][0]["pbrMetallicRoughness"]
@@ -188,14 +188,14 @@ def test_plain_organ_has_a_plain_material(tmp_path, organ):
 
 def test_same_bytes_and_no_temporary_file_left(tmp_path, organ):
     for name in ("a.glb", "b.glb", "b.glb"):
-        write_glb(tmp_path / name, organ)
+        write_organ(tmp_path / name, organ)
     assert (tmp_path / "a.glb").read_bytes() == (tmp_path / "b.glb").read_bytes()
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.glb", "b.glb"]
 
 
 def test_failed_write_leaves_the_old_file(tmp_path, organ, monkeypatch):
     path = tmp_path / "a.glb"
-    write_glb(path, organ)
+    write_organ(path, organ)
     before = path.read_bytes()
 
     def fail(self, target):
@@ -203,6 +203,6 @@ def test_failed_write_leaves_the_old_file(tmp_path, organ, monkeypatch):
 
     monkeypatch.setattr(type(path), "replace", fail)
     with pytest.raises(OSError, match="No space left"):
-        write_glb(path, organ)
+        write_organ(path, organ)
     assert path.read_bytes() == before
     assert [entry.name for entry in tmp_path.iterdir()] == ["a.glb"]

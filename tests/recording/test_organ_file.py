@@ -14,7 +14,7 @@ from vrcaps.motion.fly_through import FlyThrough
 from vrcaps.mucosa.appearance import bake_appearance
 from vrcaps.organ.read_organ import read_organ
 from vrcaps.organ.surface import OrganSurface
-from vrcaps.organ.write_organ import write_glb
+from vrcaps.organ.write_organ import write_organ
 from vrcaps.recording.episode import read_episode
 from vrcaps.recording.recorder import record
 from vrcaps.scenario.scenario import OrganFile, Scenario, build, resolve
@@ -25,7 +25,7 @@ RECORD = {"instance": 1, "kind": "polyp", "grade": "Is"}
 @pytest.fixture
 def plan(organ: OrganSurface, device_file: Path, tmp_path: Path) -> Scenario:
     """A short flight through a file of the organ; neither unit nor anything else is stated."""
-    write_glb(tmp_path / "mine.glb", replace(organ, metadata={"lesions": [RECORD]}))
+    write_organ(tmp_path / "mine.glb", replace(organ, metadata={"lesions": [RECORD]}))
     return Scenario(
         organ=OrganFile(str(tmp_path / "mine.glb")),
         capsule=str(device_file),
@@ -80,7 +80,7 @@ def test_without_textures_it_wears_the_mucosa_of_its_label(
     plan: Scenario, organ: OrganSurface, tmp_path: Path
 ) -> None:
     names = ("background", "small_bowel", "duodenum")
-    write_glb(tmp_path / "mine.glb", replace(organ, label_names=names, appearance=None))
+    write_organ(tmp_path / "mine.glb", replace(organ, label_names=names, appearance=None))
     model, _ = build(*resolve(plan))
     found = model.organ.appearance
     expected = bake_appearance(model.organ, seed=plan.seed, mucosa="small_intestine")

@@ -9,10 +9,9 @@ import pytest
 
 from shapes import looking, make_camera, make_model, sphere
 from vrcaps.camera.camera import Led
-from vrcaps.color import LUMINANCE
+from vrcaps.color import LUMINANCE, log_linear_from_srgb, srgb_from_log_linear
 from vrcaps.lumen.liquid import Liquid
 from vrcaps.mucosa.appearance import ABSORPTION, MUCOSAE
-from vrcaps.mucosa.log_color import from_log_linear, log_linear
 from vrcaps.organ.surface import Appearance
 from vrcaps.render.imaging import taken_apart
 from vrcaps.render.narrow_band import blood_density, narrow_band
@@ -95,7 +94,9 @@ def test_textures_are_worked_on_in_pieces(rng):
     rows = rng.integers(0, 256, (300, 5, 3), np.uint8)
     look = Appearance(rows, np.zeros((300, 5), np.uint8), np.zeros((300, 5)))
     seen = narrow_band().appearance(look).albedo
-    np.testing.assert_array_equal(seen, from_log_linear(narrow_band().color(log_linear(rows))))
+    np.testing.assert_array_equal(
+        seen, srgb_from_log_linear(narrow_band().color(log_linear_from_srgb(rows)))
+    )
 
 
 def test_a_wall_looks_like_its_colour_by_the_light_of_the_bands():

@@ -8,15 +8,15 @@ import numpy as np
 
 from shapes import tube
 from vrcaps.mesh.mesh import Mesh
-from vrcaps.organ.write_organ import write_mesh
 from vrcaps.scenario.scenario import OrganFile
+from write_ply import write_ply
 
 
 def test_recorded_labels_agree_with_embree(tmp_path: Path) -> None:
     from validate_labels import STEP, measure
 
     organ = tube(48, 120, length=0.12, folds=0.15, capped=True)
-    write_mesh(tmp_path / "tube.ply", Mesh(organ.vertices, organ.faces))
+    write_ply(tmp_path / "tube.ply", Mesh(organ.vertices, organ.faces))
     tally = measure(OrganFile(str(tmp_path / "tube.ply"), "m"), "mono", frames=3)
     assert np.concatenate(tally.same_holes).mean() > 0.9999
     assert np.mean(np.concatenate(tally.depth) <= STEP) > 0.999

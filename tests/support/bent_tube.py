@@ -1,4 +1,4 @@
-"""A bent tube whose centreline and radius are known in closed form."""
+"""A bent tube whose centerline and radius are known in closed form."""
 
 import numpy as np
 import pytest

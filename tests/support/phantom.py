@@ -1,4 +1,4 @@
-"""Scans of known organs: voxelised with partial volume into a body, noise added, as DICOM."""
+"""Scans of known organs: voxelized with partial volume into a body, noise added, as DICOM."""
 
 from __future__ import annotations
 

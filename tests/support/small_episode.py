@@ -8,13 +8,13 @@ import pytest
 
 from vrcaps.mesh.mesh import Mesh
 from vrcaps.motion.fly_through import FlyThrough
-from vrcaps.organ.from_file import organ_from_file
+from vrcaps.organ.read_organ import read_organ
 from vrcaps.organ.surface import Appearance, OrganSurface
-from vrcaps.organ.write_organ import write_mesh
 from vrcaps.recording.recorder import record
 from vrcaps.render.frame import CHANNELS
 from vrcaps.scenario import scenario as scenario_module
 from vrcaps.scenario.scenario import OrganFile, Scenario
+from write_ply import write_ply
 
 DEVICE = """
 title = "Two small cameras"
@@ -64,14 +64,14 @@ def mesh_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     mesh = trimesh.creation.capsule(height=0.2, radius=0.02, count=[24, 32])
     mesh = mesh.subdivide_to_size(max_edge=0.012)
     path = tmp_path_factory.mktemp("organ") / "tube.ply"
-    write_mesh(path, Mesh(np.asarray(mesh.vertices), np.asarray(mesh.faces)))
+    write_ply(path, Mesh(np.asarray(mesh.vertices), np.asarray(mesh.faces)))
     return path
 
 
 @pytest.fixture(scope="session")
 def organ(mesh_file: Path) -> OrganSurface:
     """The tube with two segments, a lesion and a textured wall."""
-    plain = organ_from_file(mesh_file, unit="m")
+    plain = read_organ(mesh_file, unit="m")
     rng = np.random.default_rng(0)
     half = plain.centerline.length / 2
     return replace(

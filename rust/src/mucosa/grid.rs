@@ -61,7 +61,7 @@ pub struct SegmentGrid {
     footprint: f32,
 }
 
-/// The cell looked up last: neighbouring texels mostly share it.
+/// The cell looked up last: neighboring texels mostly share it.
 pub struct Cursor {
     key: u64,
     members: Range<u32>,
@@ -93,7 +93,7 @@ fn half_width(radius: f32, footprint: f32) -> f32 {
 }
 
 impl SegmentGrid {
-    /// Sorts segments into cells, for texels `texel` millimetres wide.
+    /// Sorts segments into cells, for texels `texel` millimeters wide.
     pub fn new(segments: &[Segment], texel: f32) -> Self {
         let footprint = texel.min(MAX_FOOTPRINT);
         let touched = |(number, s): (usize, &Segment)| {

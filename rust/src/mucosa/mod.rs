@@ -33,7 +33,7 @@ struct Wall<'a> {
     uv: &'a [f64],
 }
 
-/// A texture set: sRGB colour, roughness and height [m], row by row.
+/// A texture set: sRGB color, roughness and height [m], row by row.
 struct Textures {
     albedo: Vec<u8>,
     roughness: Vec<u8>,

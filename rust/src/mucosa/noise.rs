@@ -56,7 +56,7 @@ fn split(x: f32) -> (i32, f32, f32) {
     (floor, t, t * t * t * (t * (t * 6.0 - 15.0) + 10.0))
 }
 
-/// Noise over a lattice that remembers the cell it was last in, as neighbouring texels share it.
+/// Noise over a lattice that remembers the cell it was last in, as neighboring texels share it.
 pub struct Lattice {
     seed: u32,
     frequency: f32,

@@ -15,7 +15,7 @@ pub struct Size {
     pub height: usize,
 }
 
-/// Corners of a face in texel coordinates: whole numbers are texel centres.
+/// Corners of a face in texel coordinates: whole numbers are texel centers.
 pub type Corners = [[f64; 2]; 3];
 
 impl Size {
@@ -32,7 +32,7 @@ pub fn doubled_area(t: &Corners) -> f64 {
     (t[1][0] - t[0][0]) * (t[2][1] - t[0][1]) - (t[2][0] - t[0][0]) * (t[1][1] - t[0][1])
 }
 
-/// Face number of every texel whose centre a face covers (the lowest where several do), and
+/// Face number of every texel whose center a face covers (the lowest where several do), and
 /// around the charts, up to `padding` texels away, that of the nearest covered texel.
 pub fn face_map(uv: &[f64], size: Size, padding: usize) -> Vec<u32> {
     let map: Vec<AtomicU32> =

@@ -1,4 +1,4 @@
-//! The mucosa as a solid function: colour, roughness and relief at a point of the wall.
+//! The mucosa as a solid function: color, roughness and relief at a point of the wall.
 
 use super::grid::{Blood, Cursor, SegmentGrid};
 use super::noise::{Cells, Lattice, Vec3, exp, smoothstep, uniform};
@@ -26,7 +26,7 @@ pub struct Mucosa {
     pub roughness: f32,
 }
 
-/// A place on the wall. Lengths in millimetres.
+/// A place on the wall. Lengths in millimeters.
 #[derive(Clone, Copy)]
 pub struct Place {
     pub point: Vec3,
@@ -46,14 +46,14 @@ pub struct Place {
 /// What the wall is like at a place.
 #[derive(Clone, Copy)]
 pub struct Sample {
-    /// Linear base colour.
+    /// Linear base color.
     pub albedo: [f32; 3],
     pub roughness: f32,
     /// Towards the lumen [mm].
     pub height: f32,
 }
 
-/// Absorption of blood in red, green and blue relative to green, arterial and venous: haemoglobin
+/// Absorption of blood in red, green and blue relative to green, arterial and venous: hemoglobin
 /// takes green and blue alike and little red, less so without oxygen (S. Prahl's tables, averaged
 /// over a camera's bands).
 const ARTERIAL: [f32; 3] = [0.16, 1.0, 0.92];
@@ -125,7 +125,7 @@ impl Tissue {
         }
     }
 
-    /// A brush for one run of neighbouring texels.
+    /// A brush for one run of neighboring texels.
     pub fn brush(&self) -> Brush<'_> {
         let noise = |stream: u32, size: f32| {
             Lattice::new(self.seed.wrapping_mul(31).wrapping_add(stream), size)
@@ -180,7 +180,7 @@ impl Tissue {
     }
 }
 
-/// Evaluates a tissue along neighbouring texels: it keeps what they share.
+/// Evaluates a tissue along neighboring texels: it keeps what they share.
 pub struct Brush<'a> {
     tissue: &'a Tissue,
     cursor: Cursor,

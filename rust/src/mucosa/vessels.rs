@@ -4,7 +4,7 @@ use super::noise::{Lattice, Vec3, cube_root, exp, floor, mix, smoothstep, unifor
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
 
-/// How vessel trees grow. Lengths in millimetres.
+/// How vessel trees grow. Lengths in millimeters.
 #[derive(Clone, Copy)]
 pub struct Growth {
     /// Seed of all random numbers.
@@ -17,7 +17,7 @@ pub struct Growth {
     pub tip_radius: f32,
 }
 
-/// A tapering piece of vessel. Lengths in millimetres.
+/// A tapering piece of vessel. Lengths in millimeters.
 #[derive(Clone, Copy)]
 pub struct Segment {
     /// Upstream and downstream ends.
@@ -207,7 +207,7 @@ fn join(sites: &[Site], roots: &[u32], reach: f32, seed: u32) -> Forest {
     forest
 }
 
-/// Ends that each site's branch feeds, and the neighbour downstream that feeds most.
+/// Ends that each site's branch feeds, and the neighbor downstream that feeds most.
 fn flows(forest: &Forest) -> (Vec<f32>, Vec<u32>) {
     let mut flow = vec![0.0f32; forest.parent.len()];
     let mut main = vec![NONE; forest.parent.len()];
@@ -225,7 +225,7 @@ fn flows(forest: &Forest) -> (Vec<f32>, Vec<u32>) {
     (flow, main)
 }
 
-/// Draws each site towards the middle of its upstream and main downstream neighbours.
+/// Draws each site towards the middle of its upstream and main downstream neighbors.
 fn straighten(sites: &mut [Site], forest: &Forest, main: &[u32]) {
     for _ in 0..4 {
         let before: Vec<Vec3> = sites.iter().map(|site| site.point).collect();
@@ -239,7 +239,7 @@ fn straighten(sites: &mut [Site], forest: &Forest, main: &[u32]) {
     }
 }
 
-/// Grows vessel trees over a wall (vertices in millimetres).
+/// Grows vessel trees over a wall (vertices in millimeters).
 ///
 /// Trunks break through from below at sites `trunk_spacing` apart; every site of the wall is fed
 /// by the nearest of them along a tree. Radii follow Murray's law, r³ = Σ r³ of the branches

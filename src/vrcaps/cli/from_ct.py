@@ -32,7 +32,7 @@ class FromCt:
     Gas: the largest piece of gas that the body encloses, or the one at --seed-mm, or all of
     them. Labels: those of --labels on the scan's grid, or of SCAN itself if it is a label map;
     by number, or by TotalSegmentator's names (version 2: stomach, duodenum, small_bowel, colon).
-    Every organ is written as GLB in the patient frame (LPS, metres), with a picture.
+    Every organ is written as GLB in the patient frame (LPS, meters), with a picture.
 
     For example:
       vrcaps organ from-ct dicom/ --out colon.glb
@@ -196,9 +196,9 @@ def _list_pieces(pieces: tuple[GasPiece, ...]) -> None:
 
 
 def _write(path: Path, organ: OrganSurface) -> None:
-    from vrcaps.organ.write_organ import write_glb
+    from vrcaps.organ.write_organ import write_organ
 
-    write_glb(path, organ)
+    write_organ(path, organ)
     console.print(f"Wrote {path} (unit: m).")
     report_organ(organ, path.with_name(f"{path.stem}-overview.png"))
     for note in organ.metadata["notes"]:

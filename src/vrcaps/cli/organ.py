@@ -13,11 +13,11 @@ from vrcaps.cli.console import console
 from vrcaps.cli.lesions import chosen_lesions, lesion_lines
 from vrcaps.cli.record import is_mesh_file, require_unit
 from vrcaps.errors import InputError
-from vrcaps.organ.read_organ import is_organ_file
+from vrcaps.organ.organ_file import is_organ_file
 from vrcaps.units import CM, MM
 
 if TYPE_CHECKING:
-    from vrcaps.organ.measure import OrganFacts
+    from vrcaps.organ.measure import OrganMeasures
     from vrcaps.organ.surface import OrganSurface
 
 _PICTURES = (".png", ".jpg", ".pdf", ".svg")
@@ -25,7 +25,7 @@ _PICTURES = (".png", ".jpg", ".pdf", ".svg")
 
 @dataclass(frozen=True)
 class Inspect:
-    """Measure an organ and draw it: outside, inside each segment, unrolled, calibre, lesions.
+    """Measure an organ and draw it: outside, inside each segment, unrolled, diameter, lesions.
 
     Of a mesh file, which is repaired first as a recording would (every repair is listed), of an
     organ file that vrcaps wrote, or of a generated organ.
@@ -89,14 +89,14 @@ class Inspect:
 
     def _load_file(self, path: Path) -> OrganSurface:
         from vrcaps.mucosa.appearance import bake_appearance
-        from vrcaps.organ.from_file import organ_from_file
+        from vrcaps.organ.read_organ import read_organ
 
         if not path.is_file():
             raise InputError(f"No file at {path}. Give the path of a PLY, OBJ, STL or GLB.")
         unit = self.unit
         if not is_organ_file(path):
             unit = require_unit("--unit", unit, str(path))
-        organ = organ_from_file(path, unit=unit, open_ends=self.open_ends, reverse=self.reverse)
+        organ = read_organ(path, unit=unit, open_ends=self.open_ends, reverse=self.reverse)
         if self.mucosa is None:
             return organ
         if organ.appearance is not None:
@@ -129,7 +129,7 @@ class Make:
     vrcaps organ texture wrote; by default the organ's own."""
 
     out: Path | None = None
-    """File to write; by default <name>-<seed>.glb in the working directory. In metres."""
+    """File to write; by default <name>-<seed>.glb in the working directory. In meters."""
 
     lesion: Annotated[tuple[str, ...], UseAppendAction] = ()
     """Put this into the organ; give it again for more: a name and what differs from its defaults,
@@ -143,7 +143,7 @@ class Make:
 
     def run(self) -> None:
         """Generate and report."""
-        from vrcaps.organ.write_organ import write_glb
+        from vrcaps.organ.write_organ import write_organ
 
         out = self.out or Path(f"{self.name}-{self.seed}.glb")
         if out.suffix != ".glb":
@@ -158,7 +158,7 @@ class Make:
         if clean is not None:
             files[out.with_name(f"{out.stem}-clean.glb")] = clean
         with ThreadPoolExecutor(1) as beside:  # the files are written while the picture is drawn
-            written = {path: beside.submit(write_glb, path, own) for path, own in files.items()}
+            written = {path: beside.submit(write_organ, path, own) for path, own in files.items()}
             report_organ(organ, out.with_name(f"{out.stem}-overview.png"))
             for path, done in written.items():
                 done.result()
@@ -183,10 +183,10 @@ def report_organ(organ: OrganSurface, picture: Path) -> None:
     """Print the facts as a table, and the repairs of a mesh file, and write the picture."""
     from rich.table import Table
 
-    from vrcaps.organ.measure import organ_facts
+    from vrcaps.organ.measure import measure_organ
     from vrcaps.tools.overview.overview import write_overview
 
-    facts = organ_facts(organ)
+    facts = measure_organ(organ)
     table = Table(show_header=False, box=None, padding=(0, 2, 0, 0))
     for name, value in _rows(facts):
         table.add_row(name, value)
@@ -202,23 +202,23 @@ def report_organ(organ: OrganSurface, picture: Path) -> None:
     console.print(f"Look at {picture}.")
 
 
-def _rows(facts: OrganFacts) -> list[tuple[str, str]]:
+def _rows(facts: OrganMeasures) -> list[tuple[str, str]]:
     size = " × ".join(f"{side / CM:.1f}" for side in facts.size)
-    calibre = [
-        f"{c / MM:.1f}" for c in (facts.calibre_min, facts.calibre_median, facts.calibre_max)
+    diameter = [
+        f"{c / MM:.1f}" for c in (facts.diameter_min, facts.diameter_median, facts.diameter_max)
     ]
     rows = [
         ("organ", facts.name),
         ("size", f"{size} cm"),
         ("lumen volume", f"{facts.volume / CM**3:.0f} ml"),
         ("wall area", f"{facts.area / CM**2:.0f} cm²"),
-        ("length", f"{facts.length / CM:.1f} cm along the centreline"),
-        ("calibre", f"{calibre[1]} mm (median), from {calibre[0]} to {calibre[2]} mm"),
+        ("length", f"{facts.length / CM:.1f} cm along the centerline"),
+        ("diameter", f"{diameter[1]} mm (median), from {diameter[0]} to {diameter[2]} mm"),
     ]
-    if len(facts.calibre_by_segment) > 1:
+    if len(facts.diameter_by_segment) > 1:
         rows += [
-            (f"  {name}", f"{calibre / MM:.1f} mm")
-            for name, calibre in facts.calibre_by_segment.items()
+            (f"  {name}", f"{diameter / MM:.1f} mm")
+            for name, diameter in facts.diameter_by_segment.items()
         ]
     quality = f"mean quality {facts.quality_mean:.2f}, 5th percentile {facts.quality_p5:.2f}"
     return [

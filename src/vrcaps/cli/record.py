@@ -15,7 +15,7 @@ from vrcaps.cli.recording import run_recording
 from vrcaps.errors import InputError
 from vrcaps.lumen.contents import Contents
 from vrcaps.motion.fly_through import FlyThrough
-from vrcaps.organ.read_organ import is_organ_file
+from vrcaps.organ.organ_file import is_organ_file
 from vrcaps.render.frame import CHANNELS
 from vrcaps.render.settings import RECORDED, RenderSettings
 from vrcaps.units import LENGTH_UNITS

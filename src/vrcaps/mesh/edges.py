@@ -29,12 +29,12 @@ class Edges:
     first: Int[np.ndarray, " e"]
     counts: Int[np.ndarray, " e"]
 
-    def of_count(self, count: int) -> Int[np.ndarray, "k count"]:
+    def with_count(self, count: int) -> Int[np.ndarray, "k count"]:
         """Half-edges of each edge that has exactly this many."""
         first = self.first[self.counts == count]
         return self.order[first[:, None] + np.arange(count)]
 
-    def crowded(self) -> list[Int[np.ndarray, " k"]]:
+    def nonmanifold(self) -> list[Int[np.ndarray, " k"]]:
         """Half-edges of each edge that has more than two."""
         many = np.nonzero(self.counts > 2)[0]
         return [self.order[self.first[e] : self.first[e] + self.counts[e]] for e in many]

@@ -1,4 +1,4 @@
-"""Geodesic log map: how far, and in which direction, each point of the wall is from a centre."""
+"""Geodesic log map: how far, and in which direction, each point of the wall is from a center."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def _vector_heat(
 def _path_lengths(
     patch: Patch, center: int, targets: Int[np.ndarray, " k"]
 ) -> Float[np.ndarray, " k"]:
-    """Lengths [m] of geodesics from the centre."""
+    """Lengths [m] of geodesics from the center."""
     import potpourri3d as pp3d
 
     solver = pp3d.EdgeFlipGeodesicSolver(patch.moved, patch.faces)

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Mesh:
-    """A bare triangle mesh as a file holds it, in metres.
+    """A bare triangle mesh as a file holds it, in meters.
 
     Attributes:
         vertices: Positions [m].

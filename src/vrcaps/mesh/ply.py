@@ -1,4 +1,4 @@
-"""PLY files (Turk 1994): a reader that keeps vertices and wedges as stored, and a writer."""
+"""PLY files (Turk 1994): a reader that keeps vertices and wedges as stored."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ from vrcaps.mesh.polygons import triangulate_fans
 
 if TYPE_CHECKING:
     from pathlib import Path
-    from typing import BinaryIO
 
     from jaxtyping import Int
 
@@ -67,30 +66,6 @@ def read_ply(path: Path) -> Mesh:
         if uv is None and u_name in vertex and v_name in vertex:
             uv = np.stack([vertex[u_name], vertex[v_name]], axis=1).astype(float)[faces]
     return Mesh(vertices, faces, uv, label)
-
-
-def write_ply(file: BinaryIO, mesh: Mesh) -> None:
-    """Write a mesh as binary PLY in metres, double precision, with its wedges and labels."""
-    columns = [(axis, "<f8") for axis in "xyz"]
-    columns += [] if mesh.label is None else [("label", "u1")]
-    vertex = np.zeros(len(mesh.vertices), columns)
-    for axis, values in zip("xyz", mesh.vertices.T, strict=True):
-        vertex[axis] = values
-    if mesh.label is not None:
-        vertex["label"] = mesh.label
-    columns = [("count", "u1"), ("corners", "<i4", 3)]
-    columns += [] if mesh.uv is None else [("uv_count", "u1"), ("uv", "<f8", 6)]
-    face = np.zeros(len(mesh.faces), columns)
-    face["count"], face["corners"] = 3, mesh.faces
-    if mesh.uv is not None:
-        face["uv_count"], face["uv"] = 6, mesh.uv.reshape(-1, 6)
-    lines = ["ply", "format binary_little_endian 1.0", "comment unit metre"]
-    lines += [f"element vertex {len(vertex)}", *(f"property double {axis}" for axis in "xyz")]
-    lines += [] if mesh.label is None else ["property uchar label"]
-    lines += [f"element face {len(face)}", "property list uchar int vertex_indices"]
-    lines += [] if mesh.uv is None else ["property list uchar double texcoord"]
-    header = "\n".join([*lines, "end_header", ""]).encode()
-    file.write(header + vertex.tobytes() + face.tobytes())
 
 
 def _read_elements(data: bytes) -> dict[str, dict]:

@@ -51,10 +51,10 @@ class Texels:
 
 
 def covered_texels(corners: Float[np.ndarray, "m 3 2"], *, margin: float = 1.0) -> Texels:
-    """Texels whose centres lie in a face or within `margin` texels of one.
+    """Texels whose centers lie in a face or within `margin` texels of one.
 
     Args:
-        corners: Column and row of each face's corners; whole numbers are texel centres.
+        corners: Column and row of each face's corners; whole numbers are texel centers.
         margin: [texels]. A texel near several faces goes to the one it is deepest in.
     """
     low = np.floor(corners.min(axis=1) - margin).astype(np.int64)

@@ -1,4 +1,4 @@
-"""Mesh files into `Mesh`, in metres: PLY, OBJ, STL, GLB and glTF; the unit is stated."""
+"""Mesh files into `Mesh`, in meters: PLY, OBJ, STL, GLB and glTF; the unit is stated."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _PARSE_ERRORS = (
 
 
 def read_mesh(path: Path, *, unit: str) -> Mesh:
-    """Mesh of a file, in metres, as the file holds it (nothing merged or split, see `repair`).
+    """Mesh of a file, in meters, as the file holds it (nothing merged or split, see `repair`).
 
     Texture coordinates may be per corner (PLY `texcoord` lists, OBJ `vt`) or per vertex.
     Labels are read from the vertex property `label` (PLY) or `_LABEL` (glTF).
@@ -56,7 +56,7 @@ def read_mesh(path: Path, *, unit: str) -> Mesh:
 
 
 def read_label_names(path: Path) -> tuple[str, ...]:
-    """Names of the labels in a GLB file that `write_glb` made; empty for any other mesh file."""
+    """Names of the labels in a GLB file that `write_organ` made; empty for any other mesh file."""
     if path.suffix.lower() != ".glb":
         return ()
     extras = read_document(path).get("meshes", [{}])[0].get("extras", {})

@@ -32,7 +32,7 @@ class Patch:
         moved: Positions with the lesions so far [m].
         normals: Unit normals of the moved wall.
         clean_normals: Unit normals of the clean wall.
-        theta: Angle around the centreline [rad].
+        theta: Angle around the centerline [rad].
         fields: Whatever else is linear along edges, one row per vertex.
         label: Segment of each vertex.
         instance: Lesion number of each vertex.
@@ -68,7 +68,7 @@ def refine(
         is_long: Which edges to split.
         place: Positions by which edges are compared, the longest of a face being split first: at
             rest, or at rest and with the lesion, for with it alone a short edge may span a bulge,
-            and its neighbours would be split for ever.
+            and its neighbors would be split for ever.
     """
     for _ in range(_MAX_ROUNDS):
         ends, of_face = _edges(patch.faces)
@@ -194,7 +194,7 @@ def _curved_middle(
 def rim(faces: Int[np.ndarray, "m 3"], num_vertices: int) -> Bool[np.ndarray, " n"]:
     """Vertices at edges of a single face."""
     edges = find_edges(faces)
-    single = edges.of_count(1)
+    single = edges.with_count(1)
     flags = np.zeros(num_vertices, bool)
     flags[np.asarray(edges.ends)[single].ravel()] = True
     return flags

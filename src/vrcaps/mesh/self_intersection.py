@@ -26,8 +26,8 @@ def self_intersections(
 
     Two triangles cut where an edge of one runs from one side of the other to its far side
     through its inside or border, or where they overlap in one plane. Touching is not cutting,
-    neither is meeting at vertices; vertices in the same place count as one. Neighbours across
-    an edge are never reported, neighbours at a vertex are.
+    neither is meeting at vertices; vertices in the same place count as one. Neighbors across
+    an edge are never reported, neighbors at a vertex are.
 
     Args:
         vertices: Positions [m].
@@ -53,7 +53,7 @@ def self_intersections(
     return pairs[np.lexsort(pairs.T[::-1])]
 
 
-def cut_places(
+def cluster_intersections(
     vertices: Float[np.ndarray, "n 3"],
     faces: Int[np.ndarray, "m 3"],
     pairs: Int[np.ndarray, "k 2"],

@@ -1,6 +1,6 @@
-"""The default mucosa: colour, vessels, wetness and relief of a gut wall, baked into textures.
+"""The default mucosa: color, vessels, wetness and relief of a gut wall, baked into textures.
 
-Colour is a function of the wall's points in space (and of the way along the gut), evaluated at
+Color is a function of the wall's points in space (and of the way along the gut), evaluated at
 each texel, so it shows neither the borders of texture charts nor any repetition. Vessels are
 trees grown over the wall itself.
 """
@@ -42,7 +42,7 @@ real frames of clean colons (docs/mucosa.md), of what is yellow to what is red."
 class Mucosa:
     """Character of a mucosa.
 
-    Colours are those at which frames with bounced light have the colours of real ones
+    Colors are those at which frames with bounced light have the colors of real ones
     (`benchmarks/fit_appearance.py`, docs/gallery.md); the stomach's, of which there were none,
     change as the colon's did, in blue less, for it has less bile. Shapes and sizes are chosen by
     eye.
@@ -59,7 +59,7 @@ class Mucosa:
         trunk_spacing: Distance between the places where vessel trunks reach the mucosa [m].
         capillary_radius: Radius of the finest visible branches [m]; wider ones follow from it
             by Murray's law.
-        relief_slope: RMS slope of the millimetre-sized relief, which breaks up highlights.
+        relief_slope: RMS slope of the millimeter-sized relief, which breaks up highlights.
         pit_spacing: Distance between villi, gastric areae or groups of crypts [m].
         pit_slope: RMS slope of the gaps between them.
         pit_shade: Optical density of those gaps in green light; bile gathers there too.

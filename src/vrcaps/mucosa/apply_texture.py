@@ -1,7 +1,7 @@
 """A texture of mucosa put onto an organ, without seams or repetition.
 
 The wall is covered by overlapping round patches. Each lies flat in the tangent plane of its
-centre and shows another place of the texture, turned at random; where patches meet they are mixed
+center and shows another place of the texture, turned at random; where patches meet they are mixed
 so that contrast stays. This is lapped texturing (Praun et al. 2000, Lapped textures) with the
 blend of Heitz & Neyret (2018), and does not depend on the organ's texture coordinates.
 """
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from vrcaps.mucosa.texture import MucosaTexture
     from vrcaps.organ.surface import OrganSurface
 
-_SPACING = 12.0 * MM  # between centres of patches
+_SPACING = 12.0 * MM  # between centers of patches
 _TURN = 14.0 * MM  # distance that a right angle between normals counts as
 _NEAREST = 4  # patches that a vertex may lie in
 _SHARPNESS = 3.0  # of the borders between patches
@@ -88,7 +88,7 @@ class _Painted:
     Attributes:
         place: Rows and columns.
         is_inside: Which lie inside their face, not just beside it.
-        code: sRGB colour and roughness.
+        code: sRGB color and roughness.
         raised: Relief [m].
     """
 
@@ -205,10 +205,10 @@ class _Cover:
 
     @classmethod
     def of(cls, organ: OrganSurface, side: float, rng: np.random.Generator) -> _Cover:
-        centres = _centres(organ, rng)
+        centers = _centers(organ, rng)
         space = np.hstack([organ.vertices, organ.normals * (_TURN / 2.0**0.5)])
-        count = min(_NEAREST + 1, len(centres))
-        distance, nearest = KDTree(space[centres]).query(space, count)
+        count = min(_NEAREST + 1, len(centers))
+        distance, nearest = KDTree(space[centers]).query(space, count)
         distance, nearest = distance.reshape(len(space), -1), nearest.reshape(len(space), -1)
         if count > 1:
             closeness = 1.0 - distance / np.maximum(distance[:, -1:], 1e-12)
@@ -218,11 +218,11 @@ class _Cover:
         weight /= np.maximum(weight.sum(axis=1, keepdims=True), 1e-12)
         weight = np.maximum(weight - _LEAST, 0.0).astype(np.float32)
         patch, corner_weight = _by_face(organ.faces, nearest, weight)
-        frames = _frames(organ.normals[centres], rng)
-        shift = rng.random((len(centres), 2))
+        frames = _frames(organ.normals[centers], rng)
+        shift = rng.random((len(centers), 2))
         offset = (
             organ.vertices[organ.faces][:, None]
-            - organ.vertices[centres][np.maximum(patch, 0)][:, :, None]
+            - organ.vertices[centers][np.maximum(patch, 0)][:, :, None]
         )
         flat = np.einsum("mkcx,mkxd->mkcd", offset, frames[np.maximum(patch, 0)])
         # As long in the plane as in space, so that a patch on a curved wall is not compressed.
@@ -245,17 +245,17 @@ class _Cover:
         return np.concatenate(points), np.concatenate(weights), np.concatenate(places), len(face)
 
 
-def _centres(organ: OrganSurface, rng: np.random.Generator) -> Int[np.ndarray, " c"]:
+def _centers(organ: OrganSurface, rng: np.random.Generator) -> Int[np.ndarray, " c"]:
     """Vertices about `_SPACING` apart, by position and normal: random sequential addition."""
     space = np.hstack([organ.vertices, organ.normals * (_TURN / 2.0**0.5)])
     tree = KDTree(space)
     is_free = np.ones(len(space), bool)
-    centres = []
+    centers = []
     for vertex in rng.permutation(len(space)):
         if is_free[vertex]:
-            centres.append(int(vertex))
+            centers.append(int(vertex))
             is_free[tree.query_ball_point(space[vertex], _SPACING)] = False
-    return np.array(centres)
+    return np.array(centers)
 
 
 def _frames(normals: Float[np.ndarray, "c 3"], rng: np.random.Generator) -> np.ndarray:

@@ -31,7 +31,7 @@ class MucosaTexture:
     """A square of mucosa that continues over its edges.
 
     Attributes:
-        albedo: Base colour, sRGB-encoded.
+        albedo: Base color, sRGB-encoded.
         roughness: Perceptual roughness, 255 = 1.
         height: Relief towards the lumen in steps of `HEIGHT_STEP`, 32768 = 0.
         texel: Side of a texel [m].

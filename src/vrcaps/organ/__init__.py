@@ -1,1 +1,1 @@
-"""A gut wall as a surface: read, generated, repaired, with its centreline and appearance."""
+"""A gut wall as a surface: read, generated, repaired, with its centerline and appearance."""

@@ -11,7 +11,7 @@ import numpy as np
 from vrcaps.organ.surface import Appearance, Centerline, OrganSurface
 
 
-def organ_parts(organ: OrganSurface) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+def organ_to_arrays(organ: OrganSurface) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
     """An organ's arrays and its plain values, each under ``field`` or ``part.field``."""
     arrays: dict[str, np.ndarray] = {}
     plain: dict[str, Any] = {}
@@ -29,8 +29,8 @@ def organ_parts(organ: OrganSurface) -> tuple[dict[str, np.ndarray], dict[str, A
     return arrays, plain
 
 
-def organ_from_parts(values: Mapping[str, Any]) -> OrganSurface:
-    """The organ whose arrays and plain values `organ_parts` named.
+def organ_from_arrays(values: Mapping[str, Any]) -> OrganSurface:
+    """The organ whose arrays and plain values `organ_to_arrays` named.
 
     Raises:
         KeyError, TypeError: If a value is missing or unknown.

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from vrcaps import _core
-from vrcaps.organ.arrays import organ_from_parts, organ_parts
+from vrcaps.organ.arrays import organ_from_arrays, organ_to_arrays
 from vrcaps.organ.surface import OrganSurface
 
 _BROKEN = (OSError, EOFError, ValueError, KeyError, TypeError, zipfile.BadZipFile)
@@ -90,7 +90,7 @@ def fingerprint(parameters: dict[str, Any]) -> str:
 
 def _write_organ(path: Path, organ: OrganSurface) -> None:
     """Write an organ under a temporary name, then rename it, so that no half file is ever seen."""
-    arrays, plain = organ_parts(organ)
+    arrays, plain = organ_to_arrays(organ)
     arrays["plain"] = np.array(json.dumps(plain))
     path.parent.mkdir(parents=True, exist_ok=True)
     handle, temporary = tempfile.mkstemp(dir=path.parent, suffix=".part")
@@ -128,4 +128,4 @@ def _read_organ(path: Path) -> OrganSurface:
     with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
         values = {name: stored[name] for name in stored.files}
     values |= json.loads(str(values.pop("plain")))
-    return organ_from_parts(values)
+    return organ_from_arrays(values)

@@ -42,9 +42,9 @@ def relief_scale(
 
 
 def texture_images(appearance: Appearance, scale: tuple[float, float]) -> list[np.ndarray]:
-    """Images of base colour, roughness and normals, in the order of `material_json`.
+    """Images of base color, roughness and normals, in the order of `material_json`.
 
-    Roughness is grey: glTF reads it from green, and metalness from blue, times a factor of 0.
+    Roughness is gray: glTF reads it from green, and metalness from blue, times a factor of 0.
 
     Args:
         appearance: The textures.
@@ -100,7 +100,7 @@ def material_json(appearance: Appearance | None, views: list[int]) -> dict:
     1.5 does, and its gloss runs the GTR roughness α from 0.1 to 0.001; a glTF roughness is √α.
 
     Args:
-        appearance: Reflectance; None is a plain mucosa colour.
+        appearance: Reflectance; None is a plain mucosa color.
         views: Buffer views of `texture_images`.
     """
     if appearance is None:

@@ -1,4 +1,4 @@
-"""Gut coordinates of a wall: arc length along its centreline and angle around it."""
+"""Gut coordinates of a wall: arc length along its centerline and angle around it."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ _WINDOW = 24  # samples of the curve on either side that a vertex's foot is soug
 def gut_coordinates(
     vertices: Float[np.ndarray, "n 3"], faces: Int[np.ndarray, "m 3"], centerline: Centerline
 ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
-    """Arc length [m], angle [rad] and distance [m] of each wall vertex from the centreline.
+    """Arc length [m], angle [rad] and distance [m] of each wall vertex from the centerline.
 
-    The nearest point of the curve may belong to a neighbouring loop of gut. So only wall that
+    The nearest point of the curve may belong to a neighboring loop of gut. So only wall that
     is near the curve and faces it takes its nearest point; from there the choice spreads over
-    the wall, each vertex seeking its foot near those of its neighbours. Where feet still jump
+    the wall, each vertex seeking its foot near those of its neighbors. Where feet still jump
     (across a sharp bend) arc length is filled in harmonically: it is continuous.
 
     Args:
@@ -41,7 +41,7 @@ def gut_coordinates(
 
     Returns:
         `arc_length` in [0, length], `theta` in (−π, π] from the first to the second
-        transverse axis of the centreline's frame, `radius`.
+        transverse axis of the centerline's frame, `radius`.
     """
     vertices = np.asarray(vertices, float)
     graph = _edge_graph(vertices, faces)
@@ -108,7 +108,7 @@ def _spread(
     centerline: Centerline,
     foot: Int[np.ndarray, " n"],
 ) -> Int[np.ndarray, " n"]:
-    """The sample nearest to each vertex among those near its neighbours' feet, ring by ring."""
+    """The sample nearest to each vertex among those near its neighbors' feet, ring by ring."""
     row, column = graph.coords
     step = centerline.length / (len(centerline.points) - 1)
     foot = foot.copy()

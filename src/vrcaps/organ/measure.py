@@ -1,4 +1,4 @@
-"""Figures that describe an organ: size, volume, calibre along the way, defects."""
+"""Figures that describe an organ: size, volume, diameter along the way, defects."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from scipy.spatial import KDTree
 from vrcaps.mesh.edges import face_areas, find_edges
 from vrcaps.mesh.mesh import Mesh
 from vrcaps.mesh.repair.cap import enclosed_volume, find_loops
-from vrcaps.mesh.repair.repair_report import format_places
-from vrcaps.mesh.self_intersection import cut_places, self_intersections
+from vrcaps.mesh.repair.repair_report import format_points
+from vrcaps.mesh.self_intersection import cluster_intersections, self_intersections
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
@@ -23,7 +23,7 @@ _THIN_QUALITY = 0.1  # a triangle with angles of about 3°, 3° and 174°
 
 
 @dataclass(frozen=True)
-class OrganFacts:
+class OrganMeasures:
     """What there is to know about an organ at a glance.
 
     Attributes:
@@ -31,11 +31,11 @@ class OrganFacts:
         size: Extent along the axes of the patient frame [m].
         volume: Volume of the lumen [m³]; open ends count as closed.
         area: Area of the wall [m²].
-        length: Length of the centreline [m].
-        calibre_min: Diameter of the largest ball that passes the narrowest place [m].
-        calibre_median: Median of that diameter along the centreline [m].
-        calibre_max: Diameter of the largest ball that fits [m].
-        calibre_by_segment: Its mean in each segment that the centreline passes [m].
+        length: Length of the centerline [m].
+        diameter_min: Diameter of the largest ball that passes the narrowest place [m].
+        diameter_median: Median of that diameter along the centerline [m].
+        diameter_max: Diameter of the largest ball that fits [m].
+        diameter_by_segment: Its mean in each segment that the centerline passes [m].
         num_vertices: Number of vertices.
         num_faces: Number of triangles.
         quality_mean: Mean triangle quality 4 √3 area / Σ edge², 1 for an equilateral one.
@@ -48,10 +48,10 @@ class OrganFacts:
     volume: float
     area: float
     length: float
-    calibre_min: float
-    calibre_median: float
-    calibre_max: float
-    calibre_by_segment: dict[str, float]
+    diameter_min: float
+    diameter_median: float
+    diameter_max: float
+    diameter_by_segment: dict[str, float]
     num_vertices: int
     num_faces: int
     quality_mean: float
@@ -59,23 +59,23 @@ class OrganFacts:
     defects: tuple[str, ...]
 
 
-def organ_facts(organ: OrganSurface) -> OrganFacts:
+def measure_organ(organ: OrganSurface) -> OrganMeasures:
     """Measure an organ."""
     mesh = Mesh(organ.vertices, organ.faces)
-    calibre = 2.0 * organ.centerline.radius
+    diameter = 2.0 * organ.centerline.radius
     inner = _is_inner(organ.centerline)
     quality = triangle_quality(mesh)
     x, y, z = np.ptp(organ.vertices, axis=0).tolist()
-    return OrganFacts(
+    return OrganMeasures(
         name=organ.name,
         size=(x, y, z),
         volume=abs(enclosed_volume(mesh, find_loops(mesh))),
         area=float(face_areas(mesh).sum()),
         length=organ.centerline.length,
-        calibre_min=float(calibre[inner].min()),
-        calibre_median=float(np.median(calibre[inner])),
-        calibre_max=float(calibre.max()),
-        calibre_by_segment=_calibre_by_segment(organ, inner),
+        diameter_min=float(diameter[inner].min()),
+        diameter_median=float(np.median(diameter[inner])),
+        diameter_max=float(diameter.max()),
+        diameter_by_segment=_diameter_by_segment(organ, inner),
         num_vertices=len(organ.vertices),
         num_faces=len(organ.faces),
         quality_mean=float(quality.mean()),
@@ -84,8 +84,8 @@ def organ_facts(organ: OrganSurface) -> OrganFacts:
     )
 
 
-def way_bins(organ: OrganSurface) -> int:
-    """Number of parts of the centreline short against the lumen's width, with wall in each."""
+def arc_length_bins(organ: OrganSurface) -> int:
+    """Number of parts of the centerline short against the lumen's width, with wall in each."""
     step = 0.3 * float(np.median(organ.radius))
     return int(np.clip(organ.centerline.length / max(step, 1e-9), 40, 800))
 
@@ -95,7 +95,7 @@ def segment_spans(organ: OrganSurface) -> list[tuple[int, float, float]]:
 
     A stretch has the label that most of its wall's vertices have; without wall, the nearest's.
     """
-    bins, length = way_bins(organ), organ.centerline.length
+    bins, length = arc_length_bins(organ), organ.centerline.length
     part = np.clip(organ.arc_length / length * bins, 0, bins - 1).astype(int)
     count = np.zeros((bins, len(organ.label_names)), int)
     np.add.at(count, (part, organ.label), 1)
@@ -127,32 +127,32 @@ def _is_inner(centerline: Centerline) -> Bool[np.ndarray, " n"]:
     return inner if inner.any() else np.ones(len(inner), bool)
 
 
-def _calibre_by_segment(organ: OrganSurface, inner: Bool[np.ndarray, " n"]) -> dict[str, float]:
-    """Mean calibre [m] of the samples whose nearest wall has each label, in label order."""
+def _diameter_by_segment(organ: OrganSurface, inner: Bool[np.ndarray, " n"]) -> dict[str, float]:
+    """Mean diameter [m] of the samples whose nearest wall has each label, in label order."""
     nearest = KDTree(organ.vertices).query(organ.centerline.points[inner])[1]
-    label, calibre = organ.label[nearest], 2.0 * organ.centerline.radius[inner]
-    return {organ.label_names[k]: float(calibre[label == k].mean()) for k in np.unique(label)}
+    label, diameter = organ.label[nearest], 2.0 * organ.centerline.radius[inner]
+    return {organ.label_names[k]: float(diameter[label == k].mean()) for k in np.unique(label)}
 
 
 def _find_defects(mesh: Mesh, quality: Float[np.ndarray, " m"]) -> list[str]:
     edges = find_edges(mesh.faces)
-    crowded = edges.crowded()
-    pairs = edges.of_count(2)
+    nonmanifold = edges.nonmanifold()
+    pairs = edges.with_count(2)
     num_wrong = int((edges.ends[pairs[:, 0], 0] == edges.ends[pairs[:, 1], 0]).sum())
     loops = find_loops(mesh)
     # Euler's formula of an orientable surface: V − E + F = 2 − 2 handles − borders.
-    characteristic = len(np.unique(mesh.faces)) - len(edges.counts) + len(mesh.faces)
-    num_handles = (2 - len(loops) - characteristic) // 2
+    characteriztic = len(np.unique(mesh.faces)) - len(edges.counts) + len(mesh.faces)
+    num_handles = (2 - len(loops) - characteriztic) // 2
     num_thin = int((quality < _THIN_QUALITY).sum())
     cuts = self_intersections(mesh.vertices, mesh.faces)
-    places = cut_places(mesh.vertices, mesh.faces, cuts)
+    places = cluster_intersections(mesh.vertices, mesh.faces, cuts)
     cut = f"places where the wall cuts itself ({len(cuts)} pairs of triangles)"
     defects = [
-        (len(crowded), "edges of more than two triangles"),
+        (len(nonmanifold), "edges of more than two triangles"),
         (num_wrong, "edges whose triangles are wound against each other"),
         (len(loops), "open ends or holes"),
-        (0 if crowded else num_handles, "handles (the wall joins itself around a gap)"),
-        (len(places), f"{cut}, {format_places(places)}"),
+        (0 if nonmanifold else num_handles, "handles (the wall joins itself around a gap)"),
+        (len(places), f"{cut}, {format_points(places)}"),
         (num_thin, f"thin triangles (quality below {_THIN_QUALITY:g})"),
     ]
     return [f"{count} {text}" for count, text in defects if count > 0]

@@ -1,99 +1,113 @@
-"""Organ files: a GLB that `write_glb` made, read back without loss."""
+"""Organs from files: the one reader, for mesh files and for organ files."""
 
 from __future__ import annotations
 
-import struct
-from typing import TYPE_CHECKING, Any
+import hashlib
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from vrcaps import _core
 from vrcaps.errors import InputError
-from vrcaps.mesh.glb import array_of, read_document, read_glb, view_of
-from vrcaps.organ.arrays import organ_from_parts
-from vrcaps.organ.write_organ import GENERATOR, ORGAN_FORMAT
+from vrcaps.mesh.mesh import Mesh
+from vrcaps.mesh.read_mesh import read_label_names, read_mesh
+from vrcaps.organ.from_mesh import organ_from_mesh
+from vrcaps.organ.organ_file import is_organ_file, read_organ_file
+from vrcaps.units import LENGTH_UNITS, parse_length
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from vrcaps.organ.surface import OrganSurface
 
-_DAMAGED = (ValueError, LookupError, TypeError, OSError, struct.error)
-"""What parsing a file that was cut short or changed raises."""
+_UNCHANGED = (1.0, None, "cap", False, False)
 
 
-def is_organ_file(path: Path) -> bool:
-    """Whether a file is an organ of `write_glb`, in metres, that nothing else has rewritten."""
-    return path.suffix.lower() == ".glb" and _format(path) is not None
+def read_organ(
+    path: str | Path,
+    *,
+    unit: str | None = None,
+    name: str | None = None,
+    open_ends: Literal["cap", "keep"] = "cap",
+    keep_uv: bool = False,
+    reverse: bool = False,
+) -> OrganSurface:
+    """Organ of a file: a mesh in a stated unit, or an organ file of `write_organ`.
 
+    A mesh is repaired and gets a centerline, gut coordinates and texture coordinates. An organ
+    file is in meters and comes back unchanged, equal to the last bit.
 
-def read_organ(path: Path) -> OrganSurface:
-    """The organ that `write_glb` wrote, equal to the last bit, in the patient frame.
-
-    The pose that the file's positions have in the world is not applied: an episode's organ
-    comes back as it was before the patient was laid down.
+    Args:
+        path: A .ply, .obj, .stl, .glb or .gltf file, in the patient frame.
+        unit: Length of one unit of the file, e.g. `mm` or `5cm`; an organ file needs none.
+        name: Name of the organ; by default the file's without extension.
+        open_ends: Whether lumen ends are capped or left open.
+        keep_uv: Whether the file's own texture coordinates stay; by default new ones are
+            made from the gut coordinates, to which `appearance` textures fit.
+        reverse: Whether the narrower end of the lumen is the oral one.
 
     Raises:
-        InputError: If the file is missing, is no organ file, or is damaged.
+        InputError: If the file cannot be read or repaired, or has no lumen (`read_mesh`,
+            `repair`, `compute_centerline`), or has no texture coordinates to keep; if it states
+            no unit, or is an organ file and something is to be changed in it.
     """
+    path = Path(path)
     if not path.is_file():
-        raise InputError(f"No organ file at {path}. Give the path of an existing file.")
-    found = _format(path)
-    if found is None:
-        raise InputError(
-            f"{path} is no organ file. Allowed: a .glb as `vrcaps organ make` and `vrcaps organ "
-            "from-ct` write it; a mesh of your own has a unit to state (organ_from_file)."
-        )
-    if found != ORGAN_FORMAT:
-        raise InputError(
-            f"{path} has the format {found!r}. Allowed: {ORGAN_FORMAT!r}. "
-            "Read it with the version of vrcaps that wrote it."
-        )
-    try:
-        return _read(*read_glb(path))
-    except _DAMAGED as error:
-        reason = " ".join(str(error).split())[:120] or type(error).__name__
-        raise InputError(f"{path} is damaged: {reason}. Make or copy it anew.") from error
+        raise InputError(f"No organ or mesh file at {path}. Give the path of an existing file.")
+    if is_organ_file(path):
+        changes = (parse_length(unit or "m"), name, open_ends, keep_uv, reverse)
+        if changes != _UNCHANGED:
+            raise InputError(
+                f"{path} is an organ file: in meters, and read without changes. "
+                "Leave out the unit, name, open ends, texture coordinates and direction."
+            )
+        return read_organ_file(path)
+    if unit is None:
+        raise InputError(f"{path} does not state its unit. Allowed: {', '.join(LENGTH_UNITS)}.")
+    return _organ_of_mesh_file(
+        path, unit=unit, name=name, open_ends=open_ends, keep_uv=keep_uv, reverse=reverse
+    )
 
 
-def _format(path: Path) -> str | None:
-    """The format that an organ file states; None for any other file."""
-    try:
-        asset = read_document(path)["asset"]
-        return str(asset["extras"]["format"]) if asset["generator"] == GENERATOR else None
-    except _DAMAGED:
-        return None
+def _organ_of_mesh_file(
+    path: Path,
+    *,
+    unit: str,
+    name: str | None,
+    open_ends: Literal["cap", "keep"],
+    keep_uv: bool,
+    reverse: bool,
+) -> OrganSurface:
+    from vrcaps.mesh.repair import repair
+    from vrcaps.organ.centerline import compute_centerline
+
+    mesh = read_mesh(path, unit=unit)
+    if keep_uv and (mesh.uv is None or not np.isfinite(mesh.uv).all()):
+        raise InputError(f"{path} has no finite texture coordinates to keep. Leave --keep-uv off.")
+    if not keep_uv:
+        mesh = replace(mesh, uv=None)
+    mesh, report = repair(mesh, open_ends=open_ends)
+    centerline = compute_centerline(mesh, reverse=reverse)
+    label, label_names = _labels(mesh, path)
+    metadata = {
+        "source": str(path),
+        "sha256": hashlib.sha256(path.read_bytes()).hexdigest(),
+        "unit": unit,
+        "repairs": report.lines(),
+    }
+    organ = organ_from_mesh(
+        replace(mesh, label=label),
+        centerline,
+        name=path.stem if name is None else name,
+        label_names=label_names,
+    )
+    return replace(organ, metadata=metadata)
 
 
-def _read(document: dict[str, Any], binary: memoryview) -> OrganSurface:
-    own = document["asset"]["extras"]
-    values = _decoded(document, binary)
-    for name, entry in own["arrays"].items():
-        if "step" in entry:
-            height = values[name].astype(np.float32)
-            height -= 32768
-            height *= np.float32(entry["step"])
-            values[name] = height
-        else:
-            values[name] = array_of(document, binary, entry)
-    primitive = document["meshes"][0]["primitives"][0]
-    view = document["accessors"][primitive["indices"]]["bufferView"]
-    index = np.frombuffer(view_of(document, binary, view), "<u4").reshape(-1, 3)
-    values["faces"], values["uv"] = values["faces"][index], values["uv"][index]
-    if values["faces"].min() < 0 or values["faces"].max() >= len(values["vertices"]):
-        raise ValueError("a triangle has a vertex that is not there")
-    return organ_from_parts(values | own["plain"])
-
-
-def _decoded(document: dict[str, Any], binary: memoryview) -> dict[str, np.ndarray]:
-    """The arrays that are images, decoded side by side."""
-    own = document["asset"]["extras"]
-    steps = {k: entry["bufferView"] for k, entry in own["arrays"].items() if "step" in entry}
-    places = own["images"].items()
-    views = steps | {k: document["images"][place["image"]]["bufferView"] for k, place in places}
-    files = [np.frombuffer(view_of(document, binary, view), np.uint8) for view in views.values()]
-    images = dict(zip(views, _core.decode_pngs(files), strict=True))
-    for name, place in places:
-        if "channel" in place:
-            images[name] = images[name][..., place["channel"]].copy()
-    return images
+def _labels(mesh: Mesh, path: Path) -> tuple[np.ndarray, tuple[str, ...]]:
+    """Label of each vertex and the label names; all `wall` where the file has no labels."""
+    if mesh.label is None:
+        return np.ones(len(mesh.vertices), np.uint8), ("background", "wall")
+    names = read_label_names(path)
+    for number in range(len(names), int(mesh.label.max()) + 1):
+        names += ("background" if number == 0 else f"label {number}",)
+    return mesh.label, names

@@ -47,7 +47,7 @@ class Appearance:
     Row 0 of a texture is v = 1 (top), as in image files; u and v wrap.
 
     Attributes:
-        albedo: Base colour, sRGB-encoded.
+        albedo: Base color, sRGB-encoded.
         roughness: Perceptual roughness α^½ of the base, 255 = 1.
         height: Relief of the wall towards the lumen [m]; only its slope is used. Smallest in
             files where it is in multiples of `HEIGHT_STEP` (`round_height`).
@@ -69,7 +69,7 @@ class OrganSurface:
     """A gut wall: a triangle surface whose normals point into the lumen.
 
     Faces are counter-clockwise seen from the lumen. Positions are in the `patient` frame
-    (DICOM LPS, metres) for organs, in whatever frame a mesh file states otherwise.
+    (DICOM LPS, meters) for organs, in whatever frame a mesh file states otherwise.
 
     Attributes:
         name: What the organ is called in files and messages.
@@ -80,11 +80,11 @@ class OrganSurface:
         label: Segment or tissue class of each vertex, a number into `label_names`.
         label_names: Class names; 0 is `background` (no surface).
         instance: Lesion number of each vertex, 0 for plain wall.
-        arc_length: Gut coordinate of each vertex: distance along the centreline [m].
-        theta: Gut coordinate of each vertex: angle around the centreline [rad], −π to π.
-        radius: Distance of each vertex from the centreline [m].
+        arc_length: Gut coordinate of each vertex: distance along the centerline [m].
+        theta: Gut coordinate of each vertex: angle around the centerline [rad], −π to π.
+        radius: Distance of each vertex from the centerline [m].
         centerline: The curve the gut coordinates refer to.
-        appearance: Reflectance; None draws a plain mucosa colour.
+        appearance: Reflectance; None draws a plain mucosa color.
         metadata: Where it came from: generator parameters or source file, seed, repairs.
     """
 

@@ -36,7 +36,7 @@ def texture_coordinates(
         mesh: The wall [m]; faces counter-clockwise seen from the lumen.
         arc_length: Gut coordinate of each vertex [m].
         theta: Gut coordinate of each vertex [rad].
-        radius: Distance of each vertex from the centreline [m].
+        radius: Distance of each vertex from the centerline [m].
 
     Raises:
         InputError: If a face has no area.
@@ -156,7 +156,7 @@ def _unfolded(
 def _smaller_of_doubles(
     uv: Float[np.ndarray, "k 2"], index: Int[np.ndarray, "m 3"]
 ) -> list[Int[np.ndarray, " p"]]:
-    """Faces of each patch to move so that no centre of 2×2 texels is covered twice."""
+    """Faces of each patch to move so that no center of 2×2 texels is covered twice."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import os
-from io import BytesIO
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from vrcaps._core import encode_pngs
 from vrcaps.mesh.glb import Glb
-from vrcaps.mesh.ply import write_ply
-from vrcaps.organ.arrays import json_safe, organ_parts
+from vrcaps.organ.arrays import json_safe, organ_to_arrays
 from vrcaps.organ.gltf_material import material_json, relief_scale, texture_images
 from vrcaps.organ.surface import HEIGHT_STEP
 from vrcaps.transforms import rotate_vectors, transform_points
@@ -21,11 +19,10 @@ if TYPE_CHECKING:
 
     from jaxtyping import Float, Int
 
-    from vrcaps.mesh.mesh import Mesh
     from vrcaps.organ.surface import OrganSurface
 
 ORGAN_FORMAT = "vrcaps-organ/1"
-"""Names the layout of `write_glb`, in the file's ``asset.extras.format``."""
+"""Names the layout of `write_organ`, in the file's ``asset.extras.format``."""
 
 GENERATOR = "vrcaps"
 
@@ -39,10 +36,10 @@ _NUM_IMAGES = 3  # of the material; the relief follows where it is in steps
 _ZERO = 32768  # stored for a height of 0
 
 
-def write_glb(
+def write_organ(
     path: Path, organ: OrganSurface, *, T_world_patient: Float[np.ndarray, "4 4"] | None = None
 ) -> None:
-    """Write an organ with its texture coordinates, textures, labels, lesions and centreline.
+    """Write an organ with its texture coordinates, textures, labels, lesions and centerline.
 
     For viewers, positions are in the world frame [m], in single precision, without a node
     transform. Vertices are copied where their texture coordinates differ. The vertex
@@ -78,13 +75,6 @@ def write_glb(
         **material_json(organ.appearance, images[:_NUM_IMAGES]),
     }
     _write_whole(path, glb.pack(document))
-
-
-def write_mesh(path: Path, mesh: Mesh) -> None:
-    """Write a bare mesh as PLY, in metres; `read_mesh` with unit `m` gives it back."""
-    buffer = BytesIO()
-    write_ply(buffer, mesh)
-    _write_whole(path, [buffer.getvalue()])
 
 
 def split_at_seams(
@@ -151,7 +141,7 @@ def _add_exact(
     ``faces`` and ``uv`` are stored for each vertex of the file, in their place in the organ:
     ``faces[m, c] = source[index]`` and ``uv[m, c] = uv[index]`` with the file's own indices.
     """
-    arrays, plain = organ_parts(organ)
+    arrays, plain = organ_to_arrays(organ)
     arrays |= {"faces": source.astype(organ.faces.dtype), "uv": uv}
     images = {name: place for name, place in _TEXTURES.items() if name in arrays}
     steps = {}

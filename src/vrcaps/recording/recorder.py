@@ -201,9 +201,9 @@ def _begin(out: Path, head: dict[str, Any]) -> None:
 
 
 def _write_organ(out: Path, model: Model) -> None:
-    from vrcaps.organ.write_organ import write_glb
+    from vrcaps.organ.write_organ import write_organ
 
-    write_glb(out / ORGAN_GLB, model.organ, T_world_patient=model.T_world_patient)
+    write_organ(out / ORGAN_GLB, model.organ, T_world_patient=model.T_world_patient)
 
 
 def _steps(motion: Run, start: Checkpoint | None) -> Iterator[Step]:

@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from vrcaps.color import log_linear_from_srgb, srgb_from_log_linear
 from vrcaps.lumen.bubbles import Bubbles
 from vrcaps.lumen.liquid import Liquid
 from vrcaps.mucosa.appearance import ABSORPTION
-from vrcaps.mucosa.log_color import from_log_linear, log_linear
 from vrcaps.organ.surface import Appearance
 
 if TYPE_CHECKING:
@@ -94,7 +94,8 @@ class Imaging:
             return look
         rows = range(0, len(look.albedo), _ROWS)
         albedo = [
-            from_log_linear(self.color(log_linear(look.albedo[row : row + _ROWS]))) for row in rows
+            srgb_from_log_linear(self.color(log_linear_from_srgb(look.albedo[row : row + _ROWS])))
+            for row in rows
         ]
         return replace(look, albedo=np.concatenate(albedo))
 

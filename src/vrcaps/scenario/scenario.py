@@ -26,7 +26,7 @@ from vrcaps.motion.run import Run
 from vrcaps.motion.trajectory import Trajectory
 from vrcaps.mucosa.appearance import is_texture_path
 from vrcaps.mucosa.texture import texture_head
-from vrcaps.organ.read_organ import is_organ_file
+from vrcaps.organ.organ_file import is_organ_file
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.render.frame import CHANNELS
 from vrcaps.render.led_light import imaging_of
@@ -316,7 +316,7 @@ def _load_organ(scenario: Scenario) -> OrganSurface:
     from vrcaps.anatomy.catalog import load_organ
     from vrcaps.mucosa.appearance import bake_appearance, own_mucosa
     from vrcaps.organ.cache import cached_organ, fingerprint
-    from vrcaps.organ.from_file import organ_from_file
+    from vrcaps.organ.read_organ import read_organ
 
     given = scenario.organ
     if isinstance(given, OrganGenerated):
@@ -325,7 +325,7 @@ def _load_organ(scenario: Scenario) -> OrganSurface:
         )
 
     def read() -> OrganSurface:
-        return organ_from_file(
+        return read_organ(
             Path(given.path),
             unit=given.unit,
             open_ends=given.open_ends,

@@ -108,7 +108,7 @@ def test_a_mask(dry_scan, tube) -> None:
 
 @pytest.fixture(scope="module")
 def collapsed(dry_scan, tube) -> tuple[Volume, float]:
-    """The mask with 8 mm of its length closed, and the full length's centreline."""
+    """The mask with 8 mm of its length closed, and the full length's centerline."""
     mask = mask_of(tube, dry_scan)
     index = np.argwhere(np.ones(mask.values.shape, bool))
     z = mask.points(index)[:, 2].reshape(mask.values.shape)

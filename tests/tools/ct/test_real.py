@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from vrcaps.organ.measure import organ_facts
+from vrcaps.organ.measure import measure_organ
 from vrcaps.tools.ct.from_ct import Wall, find_lumens, organ_from_gas, organ_from_label
 from vrcaps.tools.ct.labels import TOTALSEGMENTATOR
 from vrcaps.tools.ct.read_volume import read_volume
@@ -27,7 +27,7 @@ def test_visible_human_pelvis(shared_data: Path, tmp_path: Path) -> None:
     assert sum(piece.volume for piece in gas.gut) == pytest.approx(244 * ML, rel=0.05)
     assert all(0.12 < piece.center[1] < 0.28 for piece in gas.gut)
     sigmoid = organ_from_gas(scan, gas, gas.gut[1], wall=Wall(edge=2.5e-3), name="sigmoid")
-    assert organ_facts(sigmoid).volume == pytest.approx(67 * ML, rel=0.1)
+    assert measure_organ(sigmoid).volume == pytest.approx(67 * ML, rel=0.1)
     values = scan.values[tuple(np.rint(scan.index(sigmoid.vertices)).astype(int).T)]
     assert -700 < np.median(values) < -300  # half-way between gas and wall
 
@@ -36,7 +36,7 @@ def test_colon_mask_keeps_its_volume(shared_data: Path) -> None:
     mask = read_volume(shared_data / "ct" / "colon_A_512x512x460.nii.gz")
     wall = Wall(edge=5e-3, anatomy="colon", bridge=0.04)
     colon = organ_from_label(mask, 1, wall=wall, name="colon")
-    facts = organ_facts(colon)
+    facts = measure_organ(colon)
     assert facts.volume == pytest.approx(2104 * ML, rel=0.02)
     assert facts.length > 1.2
     assert colon.centerline.points[0, 0] < colon.centerline.points[:, 0].mean()  # caecum: right
@@ -52,4 +52,4 @@ def test_labels_where_they_overlap_the_scan(shared_data: Path, label: str) -> No
     number = TOTALSEGMENTATOR[label]
     organ = organ_from_label(labels, number, wall=Wall(edge=3e-3), name=label, label_name=label)
     volume = np.count_nonzero(labels.values == number) * labels.voxel_volume
-    assert 0.5 * volume < organ_facts(organ).volume < 1.1 * volume
+    assert 0.5 * volume < measure_organ(organ).volume < 1.1 * volume

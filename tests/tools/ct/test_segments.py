@@ -1,4 +1,4 @@
-"""A colon's segments follow the course of its centreline."""
+"""A colon's segments follow the course of its centerline."""
 
 from dataclasses import replace
 

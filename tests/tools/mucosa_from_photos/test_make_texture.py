@@ -8,9 +8,8 @@ import pytest
 from PIL import Image
 from scipy import ndimage
 
-from vrcaps.color import LUMINANCE
+from vrcaps.color import LUMINANCE, log_linear_from_srgb, srgb_from_log_linear
 from vrcaps.errors import InputError
-from vrcaps.mucosa.log_color import from_log_linear, log_linear
 from vrcaps.mucosa.texture import HEAD, read_texture, texture_sha256, write_texture
 from vrcaps.tools.mucosa_from_photos.make_texture import TextureRecipe, make_texture
 from vrcaps.tools.mucosa_from_photos.patches import Scale
@@ -30,7 +29,7 @@ def photo(seed: int = 0, side: int = 200) -> Photo:
     image *= np.exp(-0.4 * np.exp(-0.5 * ((y - 20 * np.sin(x / 30)) / 1.5) ** 2))[
         ..., None
     ] ** np.array([0.2, 1.0, 0.8])
-    rgb = from_log_linear(np.log(np.maximum(image, 1e-4)).astype(np.float32))
+    rgb = srgb_from_log_linear(np.log(np.maximum(image, 1e-4)).astype(np.float32))
     for row, column in rng.integers(60, 140, (8, 2)):
         rgb[row : row + 3, column : column + 3] = 255
     rgb[np.hypot(x, y) > 0.48 * side] = 0
@@ -48,12 +47,12 @@ def test_the_texture_has_its_size_scale_and_luminance(work) -> None:
     assert texture.albedo.shape == (256, 256, 3)
     assert texture.texel == pytest.approx(1e-4)
     assert texture.side == pytest.approx(0.0256)
-    luminance = np.exp(log_linear(texture.albedo)) @ LUMINANCE
+    luminance = np.exp(log_linear_from_srgb(texture.albedo)) @ LUMINANCE
     assert luminance.mean() == pytest.approx(0.30, abs=0.03)
 
 
 def test_the_measures_hold(work) -> None:
-    """Seams, colour, detail, repetition and highlights, against the regions."""
+    """Seams, color, detail, repetition and highlights, against the regions."""
     measures = work.texture.metadata["measures"]
     assert measures["seam_ratio"] == pytest.approx(1.0, abs=0.15)
     assert measures["lab_mean_texture"] == pytest.approx(measures["lab_mean_source"], abs=1.0)

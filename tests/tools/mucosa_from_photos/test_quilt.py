@@ -46,7 +46,7 @@ def test_the_least_path_costs_as_little_as_the_best_of_all_paths() -> None:
 
 
 def test_a_texture_continues_over_its_edges() -> None:
-    """The mean step over an edge is that between inner neighbours."""
+    """The mean step over an edge is that between inner neighbors."""
     assert seam_ratio(make()) == pytest.approx(1.0, abs=0.08)
 
 

@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from vrcaps.tools.mucosa_from_photos.place_vessels import VesselSpread, lay_vessels
+from vrcaps.tools.mucosa_from_photos.place_vessels import VesselSpread, place_vessels
 from vrcaps.tools.mucosa_from_photos.vessels import find_vessels
 
 BLOOD = np.array([0.2, 1.0, 0.8])
 
 
 def wall(color: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Log reflectance with a winding line of 3 px in a colour, and the line's mask."""
+    """Log reflectance with a winding line of 3 px in a color, and the line's mask."""
     rng = np.random.default_rng(0)
     noise = ndimage.gaussian_filter(rng.normal(size=(300, 300)), 1.0)
     x = np.arange(40, 260)
@@ -48,14 +48,14 @@ def test_nothing_usable_gives_no_vessels() -> None:
 def test_laid_vessels_cover_the_share_asked_for_and_continue_over_the_edges() -> None:
     flat, truth = wall(BLOOD)
     pieces = find_vessels(flat, np.ones(truth.shape, bool), 300).pieces
-    density = lay_vessels(pieces, 0.05, 512, VesselSpread(), np.random.default_rng(0))
+    density = place_vessels(pieces, 0.05, 512, VesselSpread(), np.random.default_rng(0))
     assert (density[..., 1] > 0.04).mean() == pytest.approx(0.05, abs=0.01)
     quarters = density[..., 1].reshape(2, 256, 2, 256).mean(axis=(1, 3))
     assert quarters.max() < 2.0 * quarters.mean()
     assert density[[0, -1]].max() > 0.04
-    again = lay_vessels(pieces, 0.05, 512, VesselSpread(), np.random.default_rng(0))
+    again = place_vessels(pieces, 0.05, 512, VesselSpread(), np.random.default_rng(0))
     assert density.tobytes() == again.tobytes()
 
 
 def test_no_pieces_leave_the_texture_as_it_is() -> None:
-    assert not lay_vessels([], 0.1, 64, VesselSpread(), np.random.default_rng(0)).any()
+    assert not place_vessels([], 0.1, 64, VesselSpread(), np.random.default_rng(0)).any()

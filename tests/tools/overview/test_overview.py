@@ -24,32 +24,32 @@ def tube() -> OrganSurface:
     return tubes.straight_tube(LENGTH, RADIUS, around=64, rings=41)
 
 
-COLOURS = np.array([[1.0, 1.0, 1.0], [0.2, 0.4, 0.9], [0.9, 0.3, 0.2]])
+COLORS = np.array([[1.0, 1.0, 1.0], [0.2, 0.4, 0.9], [0.9, 0.3, 0.2]])
 
 
 def test_silhouette_of_a_cylinder_from_the_side_is_a_rectangle(tube: OrganSurface) -> None:
-    axes, centre, half = np.eye(3)[[0, 2, 1]], np.array([0.0, 0.0, LENGTH / 2]), 0.12
+    axes, center, half = np.eye(3)[[0, 2, 1]], np.array([0.0, 0.0, LENGTH / 2]), 0.12
     wall = Wall(tube.vertices, tube.faces)
-    image = outside_view(tube, wall, axes, centre, half, colours=COLOURS, size_px=240)
+    image = outside_view(tube, wall, axes, center, half, colors=COLORS, size_px=240)
     covered = np.mean(np.any(image < 1.0, axis=-1))
     assert covered == pytest.approx(2 * RADIUS * LENGTH / (2 * half) ** 2, rel=0.02)
 
 
-def test_segments_have_their_colours(tube: OrganSurface) -> None:
+def test_segments_have_their_colors(tube: OrganSurface) -> None:
     """Shading keeps the ratio of red and blue; the upper half has the second label."""
     label = np.where(tube.vertices[:, 2] > LENGTH / 2, 2, 1).astype(np.uint8)
     organ = replace(tube, label=label, label_names=("background", "first", "second"))
-    axes, centre, half = np.eye(3)[[0, 2, 1]], np.array([0.0, 0.0, LENGTH / 2]), 0.1
+    axes, center, half = np.eye(3)[[0, 2, 1]], np.array([0.0, 0.0, LENGTH / 2]), 0.1
     wall = Wall(tube.vertices, tube.faces)
-    image = outside_view(organ, wall, axes, centre, half, colours=COLOURS, size_px=101)
+    image = outside_view(organ, wall, axes, center, half, colors=COLORS, size_px=101)
     for row, number in ((90, 1), (10, 2)):
-        found, wanted = image[row, 50], COLOURS[number]
+        found, wanted = image[row, 50], COLORS[number]
         np.testing.assert_allclose(found[0] / found[2], wanted[0] / wanted[2], rtol=1e-6)
 
 
 def test_a_point_is_projected_to_where_it_is_seen() -> None:
-    axes, centre = VIEWS["From the front"], np.array([0.1, 0.0, 0.0])
-    np.testing.assert_allclose(project(np.array([0.3, 9.0, 0.5]), axes, centre), [0.2, 0.5])
+    axes, center = VIEWS["From the front"], np.array([0.1, 0.0, 0.0])
+    np.testing.assert_allclose(project(np.array([0.3, 9.0, 0.5]), axes, center), [0.2, 0.5])
     for view in VIEWS.values():
         np.testing.assert_allclose(view @ view.T, np.eye(3), atol=1e-12)
 

@@ -79,7 +79,7 @@ def test_a_lesion_lies_at_its_arc_length_and_angle(
     assert area == pytest.approx(np.pi * size**2, rel=0.15)
 
 
-def test_a_lesion_on_the_centreline_hides_no_whole_ring(tube: OrganSurface) -> None:
+def test_a_lesion_on_the_centerline_hides_no_whole_ring(tube: OrganSurface) -> None:
     """A ball about the axis, as a polyp's head may hang there: the wall beside it is seen too."""
     middle = 0.5 * LENGTH
     organ = with_ball(tube, np.array([0.0, 0.0, middle]), 0.5 * RADIUS)

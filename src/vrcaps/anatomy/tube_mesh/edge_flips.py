@@ -42,7 +42,7 @@ def flip_edges(
     faces = faces.copy()
     for _ in range(num_rounds):
         halves = find_edges(faces)
-        pair = halves.of_count(2)
+        pair = halves.with_count(2)
         edges, beside = np.sort(halves.ends[pair[:, 0]], axis=1), pair // 3
         apex = faces.ravel()[3 * beside + (pair + 2) % 3]
         a, b = vertices[edges[:, 0]], vertices[edges[:, 1]]

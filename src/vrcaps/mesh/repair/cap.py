@@ -28,7 +28,7 @@ class Loop:
         halves: The cap runs from vertex k to k+1 against this half-edge of the surface.
         center: Mean of the border's vertices [m].
         perimeter: Length of the border [m].
-        fan_area: Area of the triangles between the border and its centre [m²].
+        fan_area: Area of the triangles between the border and its center [m²].
         fan_volume: Signed volume that those triangles add to the surface's, about `origin`.
     """
 
@@ -48,7 +48,7 @@ class Loop:
 def find_loops(mesh: Mesh) -> list[Loop]:
     """Borders of an oriented manifold, each a simple loop, in order of their lowest vertex."""
     edges = find_edges(mesh.faces)
-    border = edges.of_count(1)[:, 0]
+    border = edges.with_count(1)[:, 0]
     # A cap runs against the surface: from the end of a border half-edge to its start.
     leaving = dict(zip(edges.ends[border, 1].tolist(), border.tolist(), strict=True))
     origin = mesh.vertices.mean(axis=0)
@@ -89,7 +89,7 @@ def enclosed_volume(mesh: Mesh, loops: list[Loop]) -> float:
     return signed_volume(mesh) + sum(loop.fan_volume for loop in loops)
 
 
-def mean_calibre(mesh: Mesh, loops: list[Loop]) -> float:
+def mean_diameter(mesh: Mesh, loops: list[Loop]) -> float:
     """Diameter [m] of the cylinder with the same volume and wall area, 4 V / A."""
     return 4.0 * abs(enclosed_volume(mesh, loops)) / float(face_areas(mesh).sum())
 
@@ -97,8 +97,8 @@ def mean_calibre(mesh: Mesh, loops: list[Loop]) -> float:
 def close_loop(mesh: Mesh, loop: Loop) -> Mesh:
     """Close a border by a membrane of triangles about as large as those along the border.
 
-    Rings of vertices shrink towards the middle, neighbours are zipped together, and the
-    inner vertices settle where each is the mean of its neighbours (a discrete membrane), so
+    Rings of vertices shrink towards the middle, neighbors are zipped together, and the
+    inner vertices settle where each is the mean of its neighbors (a discrete membrane), so
     that the cap follows a border that is not flat. Texture coordinates are interpolated the
     same way from those along the border; the cap has the border's most frequent label.
     """
@@ -183,7 +183,7 @@ def _membrane(
     known: Float[np.ndarray, "n c"],
     new: tuple[int, int],
 ) -> Float[np.ndarray, "k c"]:
-    """Values at new vertices so that each is the mean of its neighbours', given the border's.
+    """Values at new vertices so that each is the mean of its neighbors', given the border's.
 
     Args:
         faces: The cap.

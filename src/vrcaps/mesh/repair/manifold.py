@@ -21,14 +21,14 @@ from vrcaps.mesh.edges import (
     take_vertices,
 )
 from vrcaps.mesh.mesh import Mesh
-from vrcaps.mesh.repair.repair_report import Repair, format_place
+from vrcaps.mesh.repair.repair_report import Repair, format_point
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
 
 _FIN_AREA = 0.01  # of the whole; an open patch smaller than this is a fin, not wall
 _PART_AREA = 1e-3  # of the whole; below this a stray component is not worth its own mention
-_NUDGE = 1e-3  # of the way to a vertex's neighbours; parts sheets that were cut
+_NUDGE = 1e-3  # of the way to a vertex's neighbors; parts sheets that were cut
 _MAX_PASSES = 10
 
 
@@ -42,14 +42,14 @@ def split_nonmanifold(mesh: Mesh) -> tuple[Mesh, Int[np.ndarray, " n"], list[Rep
         The mesh, the old number of each of its vertices, and what was done.
     """
     edges = find_edges(mesh.faces)
-    on_edge = edges.ends[[int(halves[0]) for halves in edges.crowded()] or np.zeros(0, int)]
+    on_edge = edges.ends[[int(halves[0]) for halves in edges.nonmanifold()] or np.zeros(0, int)]
     repairs = []
     if len(on_edge):
         middles = mesh.vertices[on_edge].mean(axis=1)
         repairs.append(Repair("non-manifold edge", len(on_edge), "cut apart", middles))
     cut, origin, partner = _cut(mesh)
     for _ in range(_MAX_PASSES):
-        double = find_edges(cut.faces).crowded()
+        double = find_edges(cut.faces).nonmanifold()
         if not double:
             break
         mesh = _bisect_double_edges(mesh, double, partner)
@@ -65,12 +65,12 @@ def split_nonmanifold(mesh: Mesh) -> tuple[Mesh, Int[np.ndarray, " n"], list[Rep
 def _cut(mesh: Mesh) -> tuple[Mesh, Int[np.ndarray, " n"], dict[int, int]]:
     """Mesh with a vertex for each fan of joined faces, their old numbers, and joined halves."""
     edges = find_edges(mesh.faces)
-    joined, partner = edges.of_count(2), {}
-    crowded = edges.crowded()
-    if crowded:
+    joined, partner = edges.with_count(2), {}
+    nonmanifold = edges.nonmanifold()
+    if nonmanifold:
         is_fin = _is_fin(mesh, edges)
         fan = _join_corners(edges.ends, joined)
-        pairs = _pair_faces(mesh, crowded, is_fin, fan)
+        pairs = _pair_faces(mesh, nonmanifold, is_fin, fan)
         partner = {int(a): int(b) for a, b in np.concatenate([pairs, pairs[:, ::-1]])}
         joined = np.concatenate([joined, pairs])
     _, first, number = np.unique(
@@ -125,7 +125,7 @@ def _edge_ends(mesh: Mesh, half: int) -> Float[np.ndarray, "2 3"]:
 
 
 def separate_copies(mesh: Mesh, origin: Int[np.ndarray, " n"]) -> Mesh:
-    """Move vertices that are copies of one another 0.1 % towards their own neighbours."""
+    """Move vertices that are copies of one another 0.1 % towards their own neighbors."""
     _, number, counts = np.unique(origin, return_inverse=True, return_counts=True)
     copies = counts[number] > 1
     if not copies.any():
@@ -175,7 +175,7 @@ def keep_largest_component(
 def orient_consistently(mesh: Mesh) -> tuple[Mesh, list[Repair]]:
     """Give all faces of a connected manifold the same sense, turning as few as can be.
 
-    Each face stands twice in a graph, as it is and turned; neighbours that agree join like
+    Each face stands twice in a graph, as it is and turned; neighbors that agree join like
     with like, the others join crosswise. Both halves of a face in one component mean that
     the surface has one side only.
 
@@ -183,7 +183,7 @@ def orient_consistently(mesh: Mesh) -> tuple[Mesh, list[Repair]]:
         InputError: If the surface is not orientable.
     """
     edges = find_edges(mesh.faces)
-    pairs = edges.of_count(2)
+    pairs = edges.with_count(2)
     left, right = pairs.T // 3
     disagrees = edges.ends[pairs[:, 0], 0] == edges.ends[pairs[:, 1], 0]
     size = len(mesh.faces)
@@ -205,34 +205,34 @@ def orient_consistently(mesh: Mesh) -> tuple[Mesh, list[Repair]]:
     if count == 0:
         return mesh, []
     places = mesh.vertices[mesh.faces[is_flipped]].mean(axis=1)
-    repair = Repair("flipped triangle", count, "turned to agree with its neighbours", places)
+    repair = Repair("flipped triangle", count, "turned to agree with its neighbors", places)
     return flip_faces(mesh, is_flipped), [repair]
 
 
 def _is_fin(mesh: Mesh, edges: Edges) -> Bool[np.ndarray, " m"]:
-    """Faces of small patches with a free border, patches being bounded by crowded edges."""
-    pairs = edges.of_count(2) // 3
+    """Faces of small patches with a free border, patches being bounded by nonmanifold edges."""
+    pairs = edges.with_count(2) // 3
     size = len(mesh.faces)
     graph = coo_matrix((np.ones(len(pairs), bool), (pairs[:, 0], pairs[:, 1])), (size, size))
     num_patches, patch = connected_components(graph, directed=False)
     areas = np.bincount(patch, face_areas(mesh), num_patches)
     is_open = np.zeros(num_patches, bool)
-    is_open[patch[edges.of_count(1)[:, 0] // 3]] = True
+    is_open[patch[edges.with_count(1)[:, 0] // 3]] = True
     return (is_open & (areas < _FIN_AREA * areas.sum()))[patch]
 
 
 def _pair_faces(
     mesh: Mesh,
-    crowded: list[Int[np.ndarray, " k"]],
+    nonmanifold: list[Int[np.ndarray, " k"]],
     is_fin: Bool[np.ndarray, " m"],
     fan: Int[np.ndarray, " h"],
 ) -> Int[np.ndarray, "j 2"]:
-    """Pairs of half-edges of crowded edges that stay joined.
+    """Pairs of half-edges of nonmanifold edges that stay joined.
 
     Where sheets touch along a run of edges, the pairs at its ends are known by the fans of
     faces around them (`fan` of each corner); from there the choice spreads along the run.
     """
-    fan, pairs, waiting, is_stuck = fan.copy(), [], crowded, False
+    fan, pairs, waiting, is_stuck = fan.copy(), [], nonmanifold, False
     while waiting:
         later = []
         for halves in waiting:
@@ -255,9 +255,9 @@ def _best_pairs(
     is_fin: Bool[np.ndarray, " m"],
     fan: Int[np.ndarray, " h"],
 ) -> tuple[Int[np.ndarray, "j 2"], int]:
-    """Pairs of half-edges of one crowded edge, and how many ends of pairs share a fan.
+    """Pairs of half-edges of one nonmanifold edge, and how many ends of pairs share a fan.
 
-    Sheets must not cross, so only neighbours in the order around the edge are joined; of
+    Sheets must not cross, so only neighbors in the order around the edge are joined; of
     the ways to do so, the one that joins most faces that hang together around an end of the
     edge anyway, then the one that bends the sheets least. Fins are left out if that leaves
     two faces.
@@ -314,7 +314,7 @@ def _join_corners(
 
 def _conflict_place(mesh: Mesh, edges: Edges, disagrees: Bool[np.ndarray, " k"]) -> str:
     """Where a walk over the surface first comes back to a face the other way round."""
-    pairs = edges.of_count(2)
+    pairs = edges.with_count(2)
     left, right = pairs.T // 3
     size = len(mesh.faces)
     sign = {(a, b): d for a, b, d in zip(left, right, disagrees, strict=True)}
@@ -326,4 +326,4 @@ def _conflict_place(mesh: Mesh, edges: Edges, disagrees: Bool[np.ndarray, " k"])
         turn = sign.get((parent, face), sign.get((face, parent)))
         is_turned[face] = is_turned[parent] ^ bool(turn)
     conflict = int(np.argmax(is_turned[left] ^ is_turned[right] ^ disagrees))
-    return format_place(mesh.vertices[edges.ends[pairs[conflict, 0]]].mean(axis=0))
+    return format_point(mesh.vertices[edges.ends[pairs[conflict, 0]]].mean(axis=0))

@@ -12,14 +12,14 @@ from vrcaps.mesh.edges import (
     find_edges,
     flip_faces,
 )
-from vrcaps.mesh.repair.cap import Loop, close_loop, enclosed_volume, find_loops, mean_calibre
+from vrcaps.mesh.repair.cap import Loop, close_loop, enclosed_volume, find_loops, mean_diameter
 from vrcaps.mesh.repair.manifold import (
     keep_largest_component,
     orient_consistently,
     separate_copies,
     split_nonmanifold,
 )
-from vrcaps.mesh.repair.repair_report import Repair, RepairReport, format_place
+from vrcaps.mesh.repair.repair_report import Repair, RepairReport, format_point
 from vrcaps.mesh.repair.weld import (
     merge_vertices,
     remove_degenerate_faces,
@@ -30,16 +30,16 @@ from vrcaps.units import MM
 if TYPE_CHECKING:
     from vrcaps.mesh.mesh import Mesh
 
-_END_CALIBRE = 0.25  # of the mean calibre; a wider border is an open end, not a hole
+_END_DIAMETER = 0.25  # of the mean diameter; a wider border is an open end, not a hole
 _MOSTLY_OPEN = 0.7  # area of all borders over that of the wall, beyond which nothing is enclosed
 _FLAT = 1e-3  # volume over area and size, below which there is no lumen
 
 
 def repair(mesh: Mesh, *, open_ends: Literal["cap", "keep"] = "cap") -> tuple[Mesh, RepairReport]:
-    """Mend a mesh until it is one oriented surface around a lumen, and report how.
+    """Repair a mesh until it is one oriented surface around a lumen, and report how.
 
     Merged vertices, removed triangles and the rest keep texture coordinates and labels in
-    step. A border wider than a quarter of the mean calibre is an open end of the lumen;
+    step. A border wider than a quarter of the mean diameter is an open end of the lumen;
     narrower ones are holes and always filled.
 
     Args:
@@ -97,7 +97,7 @@ def _check_lumen(mesh: Mesh, loops: list[Loop]) -> float:
         raise InputError(
             f"The mesh encloses no lumen: its {len(loops)} borders span {open_area / area:.0%} of "
             f"its area; the widest ({len(widest.vertices)} edges, {widest.diameter / MM:.1f} mm "
-            f"across) is at {format_place(widest.center)}. Give a tube or bag."
+            f"across) is at {format_point(widest.center)}. Give a tube or bag."
         )
     volume = enclosed_volume(mesh, loops)
     size = float(np.linalg.norm(np.ptp(mesh.vertices, axis=0)))
@@ -113,7 +113,7 @@ def _close_loops(
     mesh: Mesh, loops: list[Loop], *, keep_ends: bool
 ) -> tuple[Mesh, list[Loop], list[Repair]]:
     """Close the borders, or those that are no lumen ends; also gives the ends left open."""
-    end_diameter = _END_CALIBRE * mean_calibre(mesh, loops)
+    end_diameter = _END_DIAMETER * mean_diameter(mesh, loops)
     ends = [loop for loop in loops if loop.diameter > end_diameter]
     holes = [loop for loop in loops if loop.diameter <= end_diameter]
     repairs = []
@@ -135,20 +135,20 @@ def _close_loops(
 def _check_result(mesh: Mesh, *, num_ends: int) -> None:
     """Every edge has two faces that run along it in opposite directions, but for open ends."""
     edges = find_edges(mesh.faces)
-    crowded = edges.crowded()
-    if crowded:
-        place = mesh.vertices[edges.ends[crowded[0][0]]].mean(axis=0)
+    nonmanifold = edges.nonmanifold()
+    if nonmanifold:
+        place = mesh.vertices[edges.ends[nonmanifold[0][0]]].mean(axis=0)
         raise InputError(
-            f"{len(crowded)} edges still join more than two triangles after repair, the first at "
-            f"{format_place(place)}. Mend the mesh there by hand."
+            f"{len(nonmanifold)} edges still join more than two triangles after repair, the first "
+            f"at {format_point(place)}. Repair the mesh there by hand."
         )
-    pairs = edges.of_count(2)
+    pairs = edges.with_count(2)
     is_wrong = edges.ends[pairs[:, 0], 0] == edges.ends[pairs[:, 1], 0]
     num_loops = len(find_loops(mesh))
     if is_wrong.any() or num_loops != num_ends:
-        wrong = pairs[is_wrong][:, 0] if is_wrong.any() else edges.of_count(1)[:, 0]
+        wrong = pairs[is_wrong][:, 0] if is_wrong.any() else edges.with_count(1)[:, 0]
         place = mesh.vertices[edges.ends[wrong[0]]].mean(axis=0)
         raise InputError(
             f"{len(wrong)} edges are still open or wrongly wound after repair, the first at "
-            f"{format_place(place)}. Mend the mesh there by hand."
+            f"{format_point(place)}. Repair the mesh there by hand."
         )

@@ -17,7 +17,7 @@ _MAX_PLACES = 4
 
 @dataclass(frozen=True)
 class Repair:
-    """One kind of defect that was mended.
+    """One kind of defect that was repaired.
 
     Attributes:
         kind: Name of the defect, e.g. `hole`.
@@ -34,7 +34,7 @@ class Repair:
     def line(self) -> str:
         """The repair in one line, with the first few places."""
         text = f"{self.count} × {self.kind}: {self.action}"
-        return text if len(self.places) == 0 else f"{text}, {format_places(self.places)}"
+        return text if len(self.places) == 0 else f"{text}, {format_points(self.places)}"
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ class RepairReport:
     open_ends: Float[np.ndarray, "k 3"] = field(default_factory=lambda: np.zeros((0, 3)))
 
     def count(self, kind: str) -> int:
-        """Number of defects of a kind that were mended."""
+        """Number of defects of a kind that were repaired."""
         return sum(repair.count for repair in self.repairs if repair.kind == kind)
 
     def lines(self) -> list[str]:
@@ -62,13 +62,13 @@ class RepairReport:
         return lines
 
 
-def format_place(point: Float[np.ndarray, " 3"]) -> str:
+def format_point(point: Float[np.ndarray, " 3"]) -> str:
     """A position [m] for people: ``(1.2, -3.4, 5.6) mm``."""
     x, y, z = np.asarray(point) / MM
     return f"({x:.1f}, {y:.1f}, {z:.1f}) mm"
 
 
-def format_places(points: Float[np.ndarray, "k 3"]) -> str:
+def format_points(points: Float[np.ndarray, "k 3"]) -> str:
     """The first few positions [m] for people: ``at (1.2, -3.4, 5.6) mm, …``."""
-    places = ", ".join(format_place(point) for point in points[:_MAX_PLACES])
+    places = ", ".join(format_point(point) for point in points[:_MAX_PLACES])
     return f"at {places}" + (", …" if len(points) > _MAX_PLACES else "")

@@ -53,7 +53,7 @@ def remove_degenerate_faces(mesh: Mesh) -> tuple[Mesh, list[Repair]]:
     """Remove triangles without area and leave no gap.
 
     A needle's short edge is collapsed; a triangle whose apex lies on its longest edge is
-    merged into the neighbour across that edge, which is split at the apex.
+    merged into the neighbor across that edge, which is split at the apex.
     """
     count, places = 0, []
     for _ in range(_MAX_PASSES):
@@ -73,9 +73,9 @@ def remove_degenerate_faces(mesh: Mesh) -> tuple[Mesh, list[Repair]]:
             mesh = _merge_groups(mesh, _group(pairs, len(mesh.vertices)))
         else:
             thin = np.nonzero(is_thin)[0]
-            mesh, mended = _split_neighbours(mesh, thin, lengths[thin].argmax(axis=1))
-            count += len(mended)
-            places.append(mended)
+            mesh, split_points = _split_neighbors(mesh, thin, lengths[thin].argmax(axis=1))
+            count += len(split_points)
+            places.append(split_points)
     mesh = drop_unused_vertices(mesh)
     if count == 0:
         return mesh, []
@@ -123,12 +123,12 @@ def _edge_lengths(mesh: Mesh) -> tuple[Float[np.ndarray, "m 3"], Float[np.ndarra
     return lengths, double_area / np.maximum(lengths.max(axis=1), np.finfo(float).tiny)
 
 
-def _split_neighbours(
+def _split_neighbors(
     mesh: Mesh, thin: Int[np.ndarray, " k"], longest: Int[np.ndarray, " k"]
 ) -> tuple[Mesh, Float[np.ndarray, "j 3"]]:
     """Drop each thin face and split the face across its longest edge at the thin one's apex.
 
-    Faces that share a neighbour with one already mended wait for the next pass.
+    Faces that share a neighbor with one already split wait for the next pass.
     """
     edges = find_edges(mesh.faces)
     edge_of = np.empty(len(edges.order), np.int64)

@@ -1,4 +1,4 @@
-"""The centreline of a surface: voxels, path, smoothing, and which end is oral."""
+"""The centerline of a surface: voxels, path, smoothing, and which end is oral."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from vrcaps.organ.centerline.lumen import (
     close_ends,
     mean_radius,
     num_pieces,
-    voxelise,
+    voxelize,
 )
 from vrcaps.organ.centerline.path import find_path
 from vrcaps.organ.centerline.smooth import smooth_path, to_wall
@@ -61,9 +61,9 @@ def compute_centerline(
     """
     vertices, faces = np.asarray(mesh.vertices, float), mesh.faces
     if reverse and (start is not None or end is not None):
-        raise InputError("A centreline takes either start and end points or reverse, not both.")
+        raise InputError("A centerline takes either start and end points or reverse, not both.")
     if voxel is not None and not (np.isfinite(voxel) and voxel > 0.0):
-        raise InputError(f"The voxel is {voxel} m. Give a positive length in metres.")
+        raise InputError(f"The voxel is {voxel} m. Give a positive length in meters.")
     radius = mean_radius(vertices, faces)
     if voxel is None:
         voxel = radius / _VOXELS_PER_RADIUS
@@ -89,7 +89,7 @@ def _trace(
     voxels = [voxel / 1.5**level for level in range(_REFINEMENTS + 1)]
     voxels = voxels[:1] + [size for size in voxels[1:] if size > smallest]
     for level, size in enumerate(voxels):
-        grid = voxelise(vertices, faces, size)
+        grid = voxelize(vertices, faces, size)
         is_last = level == len(voxels) - 1
         path = find_path(grid, start, end, cross_gaps=is_last)
         if path is None and (pieces := num_pieces(close_ends(vertices, faces)[1])) > 1:

@@ -39,10 +39,10 @@ def centerline_from_points(
     """
     points = np.asarray(points, float)
     if points.ndim != 2 or points.shape[1:] != (3,) or not np.isfinite(points).all():
-        raise InputError(f"Centreline points have shape {points.shape}. Give finite points [n 3].")
+        raise InputError(f"Centerline points have shape {points.shape}. Give finite points [n 3].")
     keep = np.append(True, np.linalg.norm(np.diff(points, axis=0), axis=1) > 0.0)
     if np.count_nonzero(keep) < 2:
-        raise InputError("A centreline needs at least 2 different points.")
+        raise InputError("A centerline needs at least 2 different points.")
     chord = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(points[keep], axis=0), axis=1)))
     spline = CubicSpline(chord, points[keep])
     if step is None:
@@ -74,7 +74,7 @@ def _check_clear(
     if len(blocked):
         at = points[blocked[0]]
         raise InputError(
-            f"The centreline touches the wall at {at.round(6).tolist()} m and in "
+            f"The centerline touches the wall at {at.round(6).tolist()} m and in "
             f"{len(blocked) - 1} other places. The lumen must be open from end to end."
         )
 
@@ -114,7 +114,7 @@ def interpolate(
 ) -> tuple[
     Float[np.ndarray, "*batch 3"], Float[np.ndarray, "*batch 3 3"], Float[np.ndarray, "*batch"]
 ]:
-    """Points [m], frames and radius [m] at any arc lengths along a centreline.
+    """Points [m], frames and radius [m] at any arc lengths along a centerline.
 
     Points lie on the cubic Hermite curve through the samples and their tangents; frames turn
     at a constant rate from sample to sample; radius is linear. Beyond an end, the end's.

@@ -19,12 +19,12 @@ _COARSE_VOXELS = 1_000_000  # of the first look, which measures volume and calib
 
 @dataclass(frozen=True)
 class LumenGrid:
-    """Voxels of a lumen; voxel (i, j, k) is centred at ``origin + voxel * (i, j, k)``.
+    """Voxels of a lumen; voxel (i, j, k) is centered at ``origin + voxel * (i, j, k)``.
 
     Attributes:
-        inside: Whether the centre of each voxel lies in the lumen.
-        clearance: Distance of each voxel's centre from the wall, to about half a voxel [m].
-        origin: Centre of voxel (0, 0, 0) [m].
+        inside: Whether the center of each voxel lies in the lumen.
+        clearance: Distance of each voxel's center from the wall, to about half a voxel [m].
+        origin: Center of voxel (0, 0, 0) [m].
         voxel: Edge length [m].
     """
 
@@ -34,7 +34,7 @@ class LumenGrid:
     voxel: float
 
     def points(self, ids: Int[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
-        """Centres of voxels [m]."""
+        """Centers of voxels [m]."""
         return self.origin + self.voxel * np.asarray(ids, float)
 
     def clearance_at(self, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n"]:
@@ -43,15 +43,15 @@ class LumenGrid:
         return ndimage.map_coordinates(self.clearance, ids.T, order=1, mode="constant")
 
 
-def voxelise(
+def voxelize(
     vertices: Float[np.ndarray, "n 3"], faces: Int[np.ndarray, "m 3"], voxel: float
 ) -> LumenGrid:
     """Voxels of the lumen that a surface encloses, whatever its winding.
 
-    A voxel is inside where a line from its centre along z crosses the wall an odd number of
+    A voxel is inside where a line from its center along z crosses the wall an odd number of
     times. Open ends are closed by `close_ends` first, so that this is defined everywhere.
     Voxels on either side of a sheet of tissue thinner than a voxel are not inside, so that no
-    two neighbours are inside with the wall between them.
+    two neighbors are inside with the wall between them.
 
     Raises:
         InputError: If the grid would have more than `MAX_VOXELS` voxels.
@@ -180,7 +180,7 @@ def mean_radius(vertices: Float[np.ndarray, "n 3"], faces: Int[np.ndarray, "m 3"
     extent = np.ptp(vertices, axis=0)
     if not (len(faces) and np.isfinite(extent).all() and extent.min() > 0.0):
         raise InputError(f"The surface has extents {extent} m. Give one that encloses a lumen.")
-    grid = voxelise(vertices, faces, (extent.prod() / _COARSE_VOXELS) ** (1 / 3))
+    grid = voxelize(vertices, faces, (extent.prod() / _COARSE_VOXELS) ** (1 / 3))
     volume = np.count_nonzero(grid.inside) * grid.voxel**3
     corners = vertices[faces]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])

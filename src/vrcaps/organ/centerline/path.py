@@ -14,7 +14,7 @@ from vrcaps.organ.centerline.lumen import LumenGrid
 if TYPE_CHECKING:
     from jaxtyping import Float, Int
 
-_CENTRING = 3.0  # a step costs clearance^-3: short cuts near the wall never pay
+_CENTERING = 3.0  # a step costs clearance^-3: short cuts near the wall never pay
 _GAP_COST = 1e4  # of a step outside the lumen, in steps beside the wall
 
 _log = logging.getLogger(__name__)
@@ -27,7 +27,7 @@ def find_path(
     *,
     cross_gaps: bool = False,
 ) -> Float[np.ndarray, "k 3"] | None:
-    """Voxel centres along the middle of the lumen, from one end to the other [m].
+    """Voxel centers along the middle of the lumen, from one end to the other [m].
 
     The cost of a step falls with the cube of its distance from the wall. Ends not given are
     sought by `far_end`.
@@ -54,7 +54,7 @@ def find_path(
         last = far_end(grid, first, outside)
     if first is None or last is None:
         return None
-    cost = np.where(grid.inside, clear**-_CENTRING, outside * 0.25**-_CENTRING)
+    cost = np.where(grid.inside, clear**-_CENTERING, outside * 0.25**-_CENTERING)
     costs = MCP_Geometric(cost)
     total, _ = costs.find_costs([nearest_voxel(first)], [nearest_voxel(last)])
     if not np.isfinite(total[nearest_voxel(last)]):
@@ -63,7 +63,7 @@ def find_path(
     gap = np.count_nonzero(~grid.inside[tuple(ids.T)])
     if gap:
         where = grid.points(ids[~grid.inside[tuple(ids.T)]][:1])[0]
-        _log.warning("centreline crosses a closed place of %.2g m at %s m", gap * grid.voxel, where)
+        _log.warning("centerline crosses a closed place of %.2g m at %s m", gap * grid.voxel, where)
     return grid.points(np.vstack([first, ids[1:-1], last]))
 
 
@@ -75,13 +75,13 @@ def _snap(grid: LumenGrid, point: Float[np.ndarray, " 3"], name: str) -> Int[np.
     """
     point = np.asarray(point, float)
     if point.shape != (3,) or not np.isfinite(point).all():
-        raise InputError(f"The centreline's {name} is {point.tolist()}. Give x, y, z in metres.")
+        raise InputError(f"The centerline's {name} is {point.tolist()}. Give x, y, z in meters.")
     ids = np.argwhere(grid.inside)
     away = np.linalg.norm(grid.points(ids) - point, axis=1)
     nearest = int(np.argmin(away))
     if away[nearest] > 2.0 * grid.voxel:
         raise InputError(
-            f"The centreline's {name} {point.tolist()} m lies {away[nearest]:.3g} m outside the "
+            f"The centerline's {name} {point.tolist()} m lies {away[nearest]:.3g} m outside the "
             f"lumen. Give a point inside; the nearest is {grid.points(ids[nearest]).tolist()} m."
         )
     return ids[nearest]

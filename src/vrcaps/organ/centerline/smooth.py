@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 _SMOOTHING = 0.5  # length below which wiggles fade, in local radii
 _KEEP = 0.6  # of its clearance a point must keep when smoothed
 _ROUNDS = 30
-_CENTRING_ROUNDS = 12
+_CENTERING_ROUNDS = 12
 _END_WINDOW = 2  # voxels beyond its own clearance over which an end's clearance is compared
 _CENTRAL = 0.9  # of the largest clearance there, from which an end lies in the middle
 
@@ -31,14 +31,14 @@ def smooth_path(
 
     Args:
         grid: The lumen.
-        path: Voxel centres along it [m].
+        path: Voxel centers along it [m].
         free: Whether the first and the last end may be moved.
     """
     path = resample(path, grid.voxel)
     path = _trim(grid, path) if free[0] else path
     path = _trim(grid, path[::-1])[::-1] if free[1] else path
-    for _ in range(_CENTRING_ROUNDS):
-        path = resample(_smooth(grid, _centre(grid, path)), grid.voxel)
+    for _ in range(_CENTERING_ROUNDS):
+        path = resample(_smooth(grid, _center(grid, path)), grid.voxel)
     return path
 
 
@@ -90,7 +90,7 @@ def to_wall(
     return np.concatenate([path, path[-1] + line * direction])
 
 
-def _centre(grid: LumenGrid, path: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
+def _center(grid: LumenGrid, path: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
     """Each point moved across the curve towards larger clearance, at most a voxel."""
     tangent = np.gradient(path, axis=0)
     tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
@@ -107,7 +107,7 @@ def _centre(grid: LumenGrid, path: Float[np.ndarray, "n 3"]) -> Float[np.ndarray
 
 
 def _smooth(grid: LumenGrid, path: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
-    """The curve x that minimises Σ w |x − path|² + Σ |x″|², w = (step / smoothing length)⁴.
+    """The curve x that minimizes Σ w |x − path|² + Σ |x″|², w = (step / smoothing length)⁴.
 
     Where x would come too near the wall, w is raised until it does not.
     """

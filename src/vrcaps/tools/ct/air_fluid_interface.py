@@ -16,11 +16,11 @@ _HALF_LAYER = 2 * MM  # above and below a level, where the scan's blur mixes gas
 _BESIDE = 3  # columns beside a level's own, where the wall's partial volume mixes with both
 _MANY = 30  # columns from which a level's tilt against the grid is measured
 _BIN = 0.5  # voxels, of the measured profile through a level
-_KNOWN = 0.35  # contrast of content to wall below which neighbours decide, of fluid to wall
-_NEAR = 0.7  # voxels, reach of these neighbours (standard deviation)
+_KNOWN = 0.35  # contrast of content to wall below which neighbors decide, of fluid to wall
+_NEAR = 0.7  # voxels, reach of these neighbors (standard deviation)
 
 
-def resolve_level(
+def resolve_interface(
     share: Float[np.ndarray, "k j i"],
     values: Int[np.ndarray, "k j i"],
     points: Float[np.ndarray, "n 3"],
@@ -34,7 +34,7 @@ def resolve_level(
     From gas to fluid the content C passes through the wall's Hounsfield units T without being
     wall. A level is flat, so C is known as a function of the distance from it, measured where
     no wall is near. A voxel with a share s of lumen has H = T + s (C − T). Where C is near T,
-    least squares over its neighbours decide: s = Σ (C − T)(H − T) / Σ (C − T)².
+    least squares over its neighbors decide: s = Σ (C − T)(H − T) / Σ (C − T)².
 
     Args:
         share: Lumen fraction.

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps.tools.ct.air_fluid_interface import resolve_level
+from vrcaps.tools.ct.air_fluid_interface import resolve_interface
 from vrcaps.tools.ct.cleansing import add_fluid
 from vrcaps.tools.ct.components import connected_parts, grown, part_sizes, renumbered, shrunk
 from vrcaps.tools.ct.lumen import SPECKS
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from vrcaps.tools.ct.volume import Volume
 
 _MARGIN = 8 * MM
-_NEIGHBOUR = 3  # voxels around another piece's core that it keeps for itself
+_NEIGHBOR = 3  # voxels around another piece's core that it keeps for itself
 _WALL = 3  # voxels around the lumen in which the level of tissue is measured
 _TISSUE_RANGE = (-150, 150)  # Hounsfield units of what may be gut wall or fat
 _TISSUE = 30.0  # Hounsfield units of a gut wall where none can be measured
@@ -34,7 +34,7 @@ class LumenFraction(PatientGrid):
 
     Attributes:
         share: Over a box that reaches a little beyond the lumen, but for the scan's own ends.
-        T_patient_index: Maps the array index of a voxel to its centre, patient frame [m].
+        T_patient_index: Maps the array index of a voxel to its center, patient frame [m].
     """
 
     share: Float[np.ndarray, "k j i"]
@@ -62,7 +62,7 @@ def gas_fraction(
         scan: Hounsfield units.
         gas: All gas in it.
         numbers: Of the pieces.
-        fluid: Tagged fluid, where it belongs to the lumen (`add_fluid`, `resolve_level`).
+        fluid: Tagged fluid, where it belongs to the lumen (`add_fluid`, `resolve_interface`).
         pools: Numbers of the pools of fluid that do.
     """
     box = margin_box(_lumen_box(gas, numbers, fluid, pools), scan)
@@ -84,7 +84,7 @@ def gas_fraction(
         corner = [side.start for side in box]
         for level in fluid.levels:
             if level.pool in pools:
-                resolve_level(
+                resolve_interface(
                     share,
                     part.values,
                     level.points - corner,
@@ -94,7 +94,7 @@ def gas_fraction(
                 )
     other = (label > 0) & (label != SPECKS) & ~own
     if other.any():
-        share[grown(other, _NEIGHBOUR) & ~grown(own)] = 0.0
+        share[grown(other, _NEIGHBOR) & ~grown(own)] = 0.0
     return LumenFraction(share, part.T_patient_index)
 
 

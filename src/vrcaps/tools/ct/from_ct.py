@@ -232,7 +232,7 @@ def _organ(
     """Organ around the largest part of a lumen once its gaps are opened."""
     from vrcaps.mesh.repair import repair
     from vrcaps.organ.centerline import compute_centerline, reversed_centerline
-    from vrcaps.organ.from_file import organ_on_centerline
+    from vrcaps.organ.from_mesh import organ_from_mesh
     from vrcaps.tools.ct.segments import colon_labels, runs_upwards
     from vrcaps.tools.ct.surface import extract_wall
 
@@ -241,16 +241,14 @@ def _organ(
     assert wall.blur is not None
     mesh = extract_wall(lumen, blur=wall.blur, pass_band=wall.pass_band, edge=wall.edge)
     mesh, repairs = repair(mesh, open_ends=wall.open_ends)
-    report("finding the centreline")
+    report("finding the centerline")
     default = compute_centerline(mesh)
     backwards = runs_upwards(default) if wall.anatomy == "colon" else False
     backwards ^= wall.reverse
     centerline = reversed_centerline(default) if backwards else default
     report("laying coordinates")
     mesh = replace(mesh, label=np.ones(len(mesh.vertices), np.uint8))
-    organ = organ_on_centerline(
-        mesh, centerline, name=names[0], label_names=("background", names[1])
-    )
+    organ = organ_from_mesh(mesh, centerline, name=names[0], label_names=("background", names[1]))
     if wall.anatomy == "colon":
         label, label_names = colon_labels(centerline, organ.arc_length)
         organ = replace(organ, label=label, label_names=label_names)

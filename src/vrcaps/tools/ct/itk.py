@@ -31,7 +31,7 @@ def import_sitk() -> ModuleType:
 
 
 def grid_transform(image: SimpleITK.Image) -> Float[np.ndarray, "4 4"]:
-    """`Volume.T_patient_index` of an image, whose own indices run (i, j, k), in millimetres."""
+    """`Volume.T_patient_index` of an image, whose own indices run (i, j, k), in millimeters."""
     direction = np.array(image.GetDirection()).reshape(3, 3)
     transform = np.eye(4)
     transform[:3, :3] = (direction * image.GetSpacing())[:, ::-1] * MM

@@ -31,7 +31,7 @@ class Slice:
 
     Attributes:
         path: The file.
-        position: Centre of the first pixel, patient frame [m].
+        position: Center of the first pixel, patient frame [m].
     """
 
     path: Path

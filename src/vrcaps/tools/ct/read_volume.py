@@ -21,7 +21,7 @@ FILE_TYPES = (".nii", ".nii.gz", ".nrrd", ".mha", ".mhd")
 def read_volume(
     path: Path, *, series: str | None = None, progress: Callable[[int, int], None] | None = None
 ) -> Volume:
-    """A scan or label map, 16-bit, in the patient frame (LPS, metres).
+    """A scan or label map, 16-bit, in the patient frame (LPS, meters).
 
     Args:
         path: A folder of DICOM slices, or a file of `FILE_TYPES`.

@@ -1,4 +1,4 @@
-"""Segments of a colon from the course of its centreline in the patient."""
+"""Segments of a colon from the course of its centerline in the patient."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _SPLENIC_RANGE = (0.40, 0.80)
 
 
 def runs_upwards(centerline: Centerline) -> bool:
-    """Whether a colon's centreline ends higher than it starts: the rectum is its lowest end."""
+    """Whether a colon's centerline ends higher than it starts: the rectum is its lowest end."""
     return bool(centerline.points[-1, 2] > centerline.points[0, 2])
 
 

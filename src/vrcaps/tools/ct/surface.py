@@ -124,7 +124,7 @@ def smooth(
 
 
 def _average_matrix(faces: Int[np.ndarray, "m 3"], num: int) -> tuple[csr_array, np.ndarray]:
-    """Matrix 1 − K that takes the mean of each vertex's neighbours, and the border vertices."""
+    """Matrix 1 − K that takes the mean of each vertex's neighbors, and the border vertices."""
     halves = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
     ones = np.ones(len(halves))
     links = coo_array((ones, (halves[:, 0], halves[:, 1])), shape=(num, num)).tocsr()
@@ -168,7 +168,7 @@ def decimate(mesh: Mesh, edge: float) -> Mesh:
     wanted = int(area / (np.sqrt(3.0) / 4.0 * edge**2))
     if wanted >= len(mesh.faces):
         return mesh
-    # In millimetres about the middle: the library's tolerances are absolute.
+    # In millimeters about the middle: the library's tolerances are absolute.
     middle = mesh.vertices.mean(axis=0)
     points, faces = fast_simplification.simplify(
         (mesh.vertices - middle) / MM, mesh.faces.astype(np.int32), target_count=wanted, agg=5.0

@@ -20,14 +20,14 @@ class PatientGrid:
     """What any array of voxels in the patient frame has.
 
     Attributes:
-        T_patient_index: Maps the array index (k, j, i) of a voxel to its centre [m].
+        T_patient_index: Maps the array index (k, j, i) of a voxel to its center [m].
     """
 
     T_patient_index: Float[np.ndarray, "4 4"]
 
     @property
     def spacing(self) -> Float[np.ndarray, " 3"]:
-        """Distance of neighbouring voxels along k, j and i [m]."""
+        """Distance of neighboring voxels along k, j and i [m]."""
         return np.linalg.norm(self.T_patient_index[:3, :3], axis=0)
 
     @property
@@ -49,7 +49,7 @@ class Volume(PatientGrid):
 
     Attributes:
         values: Hounsfield units, or label numbers.
-        T_patient_index: Maps the array index (k, j, i) of a voxel to its centre in the patient
+        T_patient_index: Maps the array index (k, j, i) of a voxel to its center in the patient
             frame (DICOM LPS) [m].
         source: File or folder it was read from.
     """
@@ -115,7 +115,7 @@ def common_part(scan: Volume, labels: Volume) -> tuple[Volume, Volume]:
     if drift > _SAME_GRID * max(labels.values.shape):
         raise InputError(
             f"The label map {labels.source} {_grid_text(labels)} is on another grid than the scan "
-            f"{scan.source} {_grid_text(scan)}. Resample it to the scan's grid, nearest neighbour."
+            f"{scan.source} {_grid_text(scan)}. Resample it to the scan's grid, nearest neighbor."
         )
     low = np.maximum(offset, 0)
     high = np.minimum(offset + labels.values.shape, scan.values.shape)

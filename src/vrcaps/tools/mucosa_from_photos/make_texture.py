@@ -8,19 +8,18 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy import ndimage
 
-from vrcaps.color import LUMINANCE
+from vrcaps.color import LUMINANCE, srgb_from_log_linear
 from vrcaps.errors import InputError
-from vrcaps.mucosa.log_color import from_log_linear
 from vrcaps.mucosa.texture import HEIGHT_STEP, MucosaTexture
 from vrcaps.tools.mucosa_from_photos.patches import (
     Scale,
     Source,
-    analyse,
+    analyze,
     check_scale,
     choose,
     squares,
 )
-from vrcaps.tools.mucosa_from_photos.place_vessels import VesselSpread, lay_vessels
+from vrcaps.tools.mucosa_from_photos.place_vessels import VesselSpread, place_vessels
 from vrcaps.tools.mucosa_from_photos.quality import texture_quality
 from vrcaps.tools.mucosa_from_photos.quilt import Quilt, quilt, variants
 from vrcaps.tools.mucosa_from_photos.relief import relief
@@ -69,7 +68,7 @@ class TextureWork:
         texture: The result.
         sources: Photographs whose regions were used, best first.
         others: Photographs looked at and not used.
-        source_rgb: The regions as they were quilted, sRGB, in the texture's colours.
+        source_rgb: The regions as they were quilted, sRGB, in the texture's colors.
         vessel_density: Optical density of the vessels laid on, in green.
     """
 
@@ -124,14 +123,14 @@ def make_texture(
 def _chosen(
     photos: list[Photo], scale: Scale, recipe: TextureRecipe, tell: Callable[[int, int], None]
 ) -> tuple[list[Source], list[str]]:
-    """The photographs to use, analysed, best first, and the names of the others.
+    """The photographs to use, analyzed, best first, and the names of the others.
 
     Raises:
         InputError: If none has a usable region.
     """
     found = []
     for number, photo in enumerate(photos):
-        found.append(analyse(photo, scale, is_flat=recipe.is_flat, box=recipe.box))
+        found.append(analyze(photo, scale, is_flat=recipe.is_flat, box=recipe.box))
         tell(number + 1, 3 * len(photos))
     usable = [source for source in found if source is not None]
     if not usable:
@@ -150,7 +149,7 @@ def _chosen(
 
 
 def _finish(ground, parts, chosen, others, recipe: TextureRecipe, *, rng, seed) -> TextureWork:
-    """Colour, relief and vessels of the quilted ground."""
+    """Color, relief and vessels of the quilted ground."""
     texel = chosen[0].mm_per_pixel * MM
     color = _color(ground, np.mean([source.color for source in chosen], axis=0), recipe.luminance)
     ground = ground - ground.mean(axis=(0, 1)) + color
@@ -159,10 +158,10 @@ def _finish(ground, parts, chosen, others, recipe: TextureRecipe, *, rng, seed) 
     if recipe.vessels:
         pieces = [piece for source in chosen for piece in _scaled(source, chosen[0])]
         share = float(np.mean([source.vessels.share for source in chosen]))
-        density = lay_vessels(pieces, share, recipe.size, recipe.spread, rng)
-    albedo = from_log_linear(ground - density)
+        density = place_vessels(pieces, share, recipe.size, recipe.spread, rng)
+    albedo = srgb_from_log_linear(ground - density)
     steps = np.clip(np.rint(height / HEIGHT_STEP) + 32768.0, 0.0, 65535.0).astype(np.uint16)
-    source_rgb = [from_log_linear(part + color) for part in parts]
+    source_rgb = [srgb_from_log_linear(part + color) for part in parts]
     metadata = {
         "seed": seed,
         "size": recipe.size,
@@ -170,7 +169,7 @@ def _finish(ground, parts, chosen, others, recipe: TextureRecipe, *, rng, seed) 
         "is_flat": recipe.is_flat,
         "vessels": recipe.vessels,
         "photographs": [_record(source) for source in chosen],
-        "measures": texture_quality(from_log_linear(ground), source_rgb).record(),
+        "measures": texture_quality(srgb_from_log_linear(ground), source_rgb).record(),
     }
     texture = MucosaTexture(
         albedo=albedo,
@@ -183,9 +182,9 @@ def _finish(ground, parts, chosen, others, recipe: TextureRecipe, *, rng, seed) 
 
 
 def _color(ground, photographed, luminance: float) -> Float[np.ndarray, " 3"]:
-    """Mean logarithm of reflectance: the photographs' colour at the luminance asked for.
+    """Mean logarithm of reflectance: the photographs' color at the luminance asked for.
 
-    Red is kept below 1, at the cost of luminance, where the colour is so saturated.
+    Red is kept below 1, at the cost of luminance, where the color is so saturated.
     """
     deviation = ground - ground.mean(axis=(0, 1))
     light = np.exp(deviation[::4, ::4] + photographed)

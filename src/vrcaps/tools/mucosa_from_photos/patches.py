@@ -1,4 +1,4 @@
-"""Squares of mucosa from photographs, under even light, of one scale and colour."""
+"""Squares of mucosa from photographs, under even light, of one scale and color."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy import ndimage
 
+from vrcaps.color import log_linear_from_srgb
 from vrcaps.errors import InputError
-from vrcaps.mucosa.log_color import log_linear
 from vrcaps.tools.field_of_view import FieldOfView, field_of_view, fill
 from vrcaps.tools.mucosa_from_photos.region import MIN_SIDE, Region, box_region, find_region
 from vrcaps.tools.mucosa_from_photos.remove_shading import flatten
@@ -74,7 +74,7 @@ class Scale:
     field_width_mm: float | None = None
 
     def of_field(self, width: int, shrink: int) -> float:
-        """Millimetres per pixel of a photograph whose shrunk field is so wide [px]."""
+        """Millimeters per pixel of a photograph whose shrunk field is so wide [px]."""
         if self.mm_per_pixel is not None:
             return self.mm_per_pixel * shrink
         assert self.field_width_mm is not None
@@ -97,7 +97,7 @@ def check_scale(scale: Scale) -> None:
         raise InputError(f"The scale is {given[0]} mm. Allowed: 0.0001 to 10000.")
 
 
-def analyse(
+def analyze(
     photo: Photo,
     scale: Scale,
     *,
@@ -127,7 +127,7 @@ def analyse(
     usable = view.usable
     if usable.sum() < MIN_SIDE**2:
         return None
-    filled = fill(log_linear(rgb), usable)
+    filled = fill(log_linear_from_srgb(rgb), usable)
     region = find_region(filled, usable, view.width) if box is None else None
     if box is not None:
         region = box_region(tuple(n // shrink for n in box), usable.shape)  # type: ignore[arg-type]
@@ -181,7 +181,7 @@ def choose(sources: list[Source], max_sources: int) -> list[Source]:
 def squares(
     chosen: list[Source], *, keep_vessels: bool
 ) -> tuple[list[Float[np.ndarray, "s s 3"]], list[Bool[np.ndarray, "s s"]]]:
-    """Squares of one size, scale and colour to make a texture of, and their filled-in pixels.
+    """Squares of one size, scale and color to make a texture of, and their filled-in pixels.
 
     Highlights, rare marks (which would show as repetition) and, unless they are kept, vessels are
     filled in, and variation slower than a patch, which patches would turn into a lattice, is
@@ -245,7 +245,7 @@ def _grown(mask: np.ndarray) -> np.ndarray:
 
 
 def _blemishes(part: Float[np.ndarray, "s s 3"]) -> Bool[np.ndarray, "s s"]:
-    """Marks so rare in a square that patches with one would be recognised again."""
+    """Marks so rare in a square that patches with one would be recognized again."""
     tints = np.dstack([part, part[..., 0] - part[..., 1], part[..., 1] - part[..., 2]])
     smooth = ndimage.gaussian_filter(tints, (0.7, 0.7, 0.0))
     off = np.abs(smooth - np.median(smooth, axis=(0, 1)))

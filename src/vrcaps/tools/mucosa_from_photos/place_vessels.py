@@ -34,7 +34,7 @@ class VesselSpread:
     size_std: float = 0.15
 
 
-def lay_vessels(
+def place_vessels(
     pieces: list[VesselPiece],
     share: float,
     size: int,

@@ -1,4 +1,4 @@
-"""How good a texture is: seams, colour, detail, repetition, highlights."""
+"""How good a texture is: seams, color, detail, repetition, highlights."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class TextureQuality:
         lab_mean_texture: Of the texture.
         lab_std_source: Standard deviation of L*, a*, b* of the regions.
         lab_std_texture: Of the texture.
-        gradient_distance: Difference of the histograms of steps in L* between neighbours: half
+        gradient_distance: Difference of the histograms of steps in L* between neighbors: half
             the sum of absolute differences, 0 (same) to 1.
         repetition: Highest autocorrelation of L* beyond a patch's reach, 0 to 1; a repeated
             texture has 1.
@@ -72,7 +72,7 @@ def texture_quality(
 
 
 def seam_ratio(image: Float[np.ndarray, "n m c"]) -> float:
-    """Mean absolute step across the two wrapped edges over that between inner neighbours."""
+    """Mean absolute step across the two wrapped edges over that between inner neighbors."""
     seams, inner = [], []
     for axis in (0, 1):
         step = np.diff(image, axis=axis, append=np.take(image, [0], axis=axis))

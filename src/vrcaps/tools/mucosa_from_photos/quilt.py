@@ -32,7 +32,7 @@ class Quilt:
 
     Attributes:
         patch: Side of a patch [px].
-        overlap: Of neighbouring patches, at least [px].
+        overlap: Of neighboring patches, at least [px].
     """
 
     patch: int

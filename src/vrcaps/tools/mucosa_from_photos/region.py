@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy import ndimage
 
+from vrcaps.color import log_luminance
 from vrcaps.errors import InputError
-from vrcaps.mucosa.log_color import log_luminance
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
@@ -57,7 +57,7 @@ class Region:
 def find_region(
     log_light: Float[np.ndarray, "h w 3"], usable: Bool[np.ndarray, "h w"], width: int
 ) -> Region | None:
-    """The square whose colour, shading and detail vary least; None where none is usable.
+    """The square whose color, shading and detail vary least; None where none is usable.
 
     Unevenness of a square is the sum of: the spread of low-passed log brightness (folds, the
     lumen, fall-off), that of low-passed log red-to-green and green-to-blue (blood, bile, stool),

@@ -1,4 +1,4 @@
-"""Height and roughness of a mucosa from its colour."""
+"""Height and roughness of a mucosa from its color."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy import ndimage
 
-from vrcaps.mucosa.log_color import log_luminance
+from vrcaps.color import log_luminance
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -19,7 +19,7 @@ ROUGHNESS = 0.65
 """Mean perceptual roughness of the wall under its wet film."""
 
 _ROUGHNESS_SPREAD = 0.04  # hollows hold more mucus and are smoother
-_COARSEST = 0.6e-3  # standard deviation of the low-pass above which colour is not relief [m]
+_COARSEST = 0.6e-3  # standard deviation of the low-pass above which color is not relief [m]
 
 
 def relief(

@@ -20,7 +20,7 @@ def flatten(
     """The picture under even light: log R = log I − low-pass(log I), homomorphic filtering.
 
     Light and reflectance multiply, so in logarithms they add (Oppenheim et al. 1968; a one-scale
-    retinex, Jobson et al. 1997). The low-pass is a Gaussian over known pixels alone (normalised
+    retinex, Jobson et al. 1997). The low-pass is a Gaussian over known pixels alone (normalized
     convolution), for each channel, since light that has bounced about in the gut is redder.
     The mean of the known pixels becomes 0.
 

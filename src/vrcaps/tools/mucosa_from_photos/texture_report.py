@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps.mucosa.log_color import from_log_linear
+from vrcaps.color import srgb_from_log_linear
 from vrcaps.units import MM
 
 if TYPE_CHECKING:
@@ -59,7 +59,7 @@ def _draw_source(axes, source: Source) -> None:
     masked[~view.field] //= 3
     masked[view.highlight] = _TINTS["highlight"]
     masked[view.dark] = _TINTS["dark"]
-    even = from_log_linear(source.flat + source.color)
+    even = srgb_from_log_linear(source.flat + source.color)
     even[~view.field] = 0
     veined = even.copy()
     veined[source.vessels.mask] = _TINTS["vessel"]

@@ -54,9 +54,9 @@ class Vessels:
 def find_vessels(
     flat: Float[np.ndarray, "h w 3"], usable: Bool[np.ndarray, "h w"], width: int
 ) -> Vessels:
-    """Grey, median, CLAHE, ridges, hysteresis, skeleton; then what is no vessel is dropped.
+    """Gray, median, CLAHE, ridges, hysteresis, skeleton; then what is no vessel is dropped.
 
-    The grey is the optical density in green, which blood absorbs and other tissue hardly does.
+    The gray is the optical density in green, which blood absorbs and other tissue hardly does.
     Ridges are Sato's (Sato et al. 1998, Med. Image Anal. 2(2):143–168). A piece stays if it is
     long enough, dark enough, and redder than the shadow of a fold would be.
 
@@ -75,11 +75,11 @@ def find_vessels(
     if not inside.any():
         return Vessels([], np.zeros_like(usable), 0.0)
     low, high = np.percentile(density[inside], [1.0, 99.0])
-    grey = np.clip((density - low) / max(float(high - low), 1e-6), 0.0, 1.0)
-    grey = equalize_adapthist(grey, kernel_size=max(16, width // 8), clip_limit=0.01)
+    gray = np.clip((density - low) / max(float(high - low), 1e-6), 0.0, 1.0)
+    gray = equalize_adapthist(gray, kernel_size=max(16, width // 8), clip_limit=0.01)
     sigmas: Any = [max(0.8, share * width) for share in _RADII]
     ridge, opposite = (
-        sato(grey.astype(np.float32), sigmas=sigmas, black_ridges=is_dark, mode="reflect")
+        sato(gray.astype(np.float32), sigmas=sigmas, black_ridges=is_dark, mode="reflect")
         for is_dark in (False, True)
     )
     strong = float(np.percentile(opposite[inside], _NOISE))
@@ -103,7 +103,7 @@ def find_vessels(
 
 
 def _piece(member, part, extra, number: int, box) -> VesselPiece | None:
-    """A piece, or None where it is too faint or too grey for a vessel."""
+    """A piece, or None where it is too faint or too gray for a vessel."""
     margin = 6
     window = tuple(
         slice(max(0, s.start - margin), min(n, s.stop + margin))
@@ -134,8 +134,8 @@ def _along(values, line, sigma: float) -> Float[np.ndarray, "h w"]:
 
 def _taper(line, radius: float) -> Float[np.ndarray, "h w"]:
     """1, falling to 0 at the free ends of a line."""
-    neighbours = ndimage.convolve(line.astype(np.int16), np.ones((3, 3), np.int16), mode="constant")
-    ends = line & (neighbours == 2)
+    neighbors = ndimage.convolve(line.astype(np.int16), np.ones((3, 3), np.int16), mode="constant")
+    ends = line & (neighbors == 2)
     if not ends.any():
         return np.ones(line.shape, np.float32)
     return np.minimum(_distance(ends) / (6.0 * radius), 1.0)

@@ -1,4 +1,4 @@
-"""Views from inside an organ, along its centreline, by the lamps and lens of a capsule."""
+"""Views from inside an organ, along its centerline, by the lamps and lens of a capsule."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _GAIN = (0.25, 12.0)  # of the capsule's own exposure; capsules regulate theirs 
 def inside_views(
     organ: OrganSurface, arc_length: Sequence[float], *, capsule: str = "mirocam"
 ) -> list[UInt8[np.ndarray, "h w 3"]]:
-    """What a capsule on the centreline sees that looks towards the anal end.
+    """What a capsule on the centerline sees that looks towards the anal end.
 
     Args:
         organ: The organ.

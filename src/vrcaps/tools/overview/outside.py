@@ -1,4 +1,4 @@
-"""Views of an organ from outside: parallel projections, coloured by segment."""
+"""Views of an organ from outside: parallel projections, colored by segment."""
 
 from __future__ import annotations
 
@@ -27,21 +27,21 @@ def outside_view(
     organ: OrganSurface,
     wall: Wall,
     axes: Float[np.ndarray, "3 3"],
-    centre: Float[np.ndarray, " 3"],
+    center: Float[np.ndarray, " 3"],
     half: float,
     *,
-    colours: Float[np.ndarray, "k 3"],
+    colors: Float[np.ndarray, "k 3"],
     size_px: int = 520,
 ) -> Float[np.ndarray, "h w 3"]:
-    """Parallel projection of an organ, coloured by label, lit from beside the viewer.
+    """Parallel projection of an organ, colored by label, lit from beside the viewer.
 
     Args:
         organ: The organ.
         wall: Its surface, in the organ's frame.
         axes: Rows are the image's right and up and the viewing direction, unit vectors.
-        centre: Point in the middle of the image [m].
-        half: Half the side of the square seen [m]; the view starts twice as far from `centre`.
-        colours: sRGB colour of each label.
+        center: Point in the middle of the image [m].
+        half: Half the side of the square seen [m]; the view starts twice as far from `center`.
+        colors: sRGB color of each label.
         size_px: Side of the image; each pixel averages 2×2 rays.
 
     Returns:
@@ -50,7 +50,7 @@ def outside_view(
     right, up, forward = axes
     steps = half * ((np.arange(2 * size_px) + 0.5) / size_px - 1.0)
     origins = steps[None, :, None] * right - steps[:, None, None] * up
-    origins = (origins + centre - 2.0 * half * forward).reshape(-1, 3)
+    origins = (origins + center - 2.0 * half * forward).reshape(-1, 3)
     distance, face = wall.cast(origins, np.broadcast_to(forward, origins.shape).copy())
     hit = np.flatnonzero(face >= 0)
     points = origins[hit] + distance[hit, None] * forward
@@ -61,14 +61,14 @@ def outside_view(
     light = np.array(_LIGHT) @ axes / np.linalg.norm(_LIGHT)
     shade = _AMBIENT + (1.0 - _AMBIENT) * np.clip(normals @ light, 0.0, 1.0)
     near = (distance[hit] - distance[hit].min()) / max(float(np.ptp(distance[hit])), 1e-12)
-    colour = colours[face_label(organ.label, organ.faces)[face[hit]]]
+    color = colors[face_label(organ.label, organ.faces)[face[hit]]]
     image = np.ones((len(origins), 3))
-    image[hit] = np.clip(colour * (shade * (1.12 - 0.30 * near))[:, None], 0.0, 1.0)
+    image[hit] = np.clip(color * (shade * (1.12 - 0.30 * near))[:, None], 0.0, 1.0)
     return image.reshape(size_px, 2, size_px, 2, 3).mean(axis=(1, 3))
 
 
 def project(
-    point: Float[np.ndarray, " 3"], axes: Float[np.ndarray, "3 3"], centre: Float[np.ndarray, " 3"]
+    point: Float[np.ndarray, " 3"], axes: Float[np.ndarray, "3 3"], center: Float[np.ndarray, " 3"]
 ) -> Float[np.ndarray, " 2"]:
     """Where a point lies in a view: to the right of and above the middle [m]."""
-    return axes[:2] @ (point - centre)
+    return axes[:2] @ (point - center)

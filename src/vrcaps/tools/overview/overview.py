@@ -1,4 +1,4 @@
-"""One picture of a whole organ: outside, inside, unrolled, and its calibre along the way."""
+"""One picture of a whole organ: outside, inside, unrolled, and its diameter along the way."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from vrcaps._core import Wall
-from vrcaps.organ.measure import OrganFacts, organ_facts, segment_spans, way_bins
+from vrcaps.organ.measure import OrganMeasures, arc_length_bins, measure_organ, segment_spans
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.tools.overview.inside import inside_views
 from vrcaps.tools.overview.outside import VIEWS, outside_view, project
@@ -56,7 +56,7 @@ class _Picture:
     """What all panels share."""
 
     organ: OrganSurface
-    facts: OrganFacts
+    facts: OrganMeasures
     wall: Wall
     lesions: list[Marked]
 
@@ -71,11 +71,11 @@ class _Picture:
         return sorted(own.tolist(), key=self.middle)
 
     @cached_property
-    def colours(self) -> Float[np.ndarray, "k 3"]:
-        """SRGB colour of each label."""
-        colours = np.ones((len(self.organ.label_names), 3))
-        colours[self.labels] = _palette(len(self.labels))
-        return colours
+    def colors(self) -> Float[np.ndarray, "k 3"]:
+        """SRGB color of each label."""
+        colors = np.ones((len(self.organ.label_names), 3))
+        colors[self.labels] = _palette(len(self.labels))
+        return colors
 
     @cached_property
     def rows(self) -> int:
@@ -101,22 +101,22 @@ class _Picture:
         return float(np.median(self.organ.arc_length[self.organ.label == label]))
 
     def diameter(self, label: int) -> float:
-        """Median diameter of a segment's wall about the centreline [m]."""
+        """Median diameter of a segment's wall about the centerline [m]."""
         return 2.0 * float(np.median(self.organ.radius[self.organ.label == label]))
 
     def length(self, label: int) -> float:
-        """Length of the centreline that a segment takes [m]."""
+        """Length of the centerline that a segment takes [m]."""
         return sum(end - start for number, start, end in self.spans if number == label)
 
     def name(self, label: int) -> str:
         return self.organ.label_names[label].replace("_", " ")
 
 
-def write_overview(organ: OrganSurface, path: Path, *, facts: OrganFacts | None = None) -> None:
+def write_overview(organ: OrganSurface, path: Path, *, facts: OrganMeasures | None = None) -> None:
     """Write a picture of an organ.
 
-    Two outside views coloured by segment, a table of segments and lesions, a view from inside
-    each segment, the unrolled wall, and the calibre along the way. Lesions are numbered alike
+    Two outside views colored by segment, a table of segments and lesions, a view from inside
+    each segment, the unrolled wall, and the diameter along the way. Lesions are numbered alike
     in all of them.
 
     Args:
@@ -128,7 +128,7 @@ def write_overview(organ: OrganSurface, path: Path, *, facts: OrganFacts | None 
     from matplotlib.figure import Figure
 
     wall = Wall(organ.vertices, organ.faces.astype(np.int64))
-    picture = _Picture(organ, facts or organ_facts(organ), wall, marked_lesions(organ))
+    picture = _Picture(organ, facts or measure_organ(organ), wall, marked_lesions(organ))
     places = _view_places(picture)
     rows_inside = -(-len(places) // _VIEWS_PER_ROW)
     per_row = -(-len(places) // rows_inside)
@@ -144,10 +144,10 @@ def write_overview(organ: OrganSurface, path: Path, *, facts: OrganFacts | None 
     if picture.is_short:
         left, right = np.ravel(parts[3].subfigures(1, 2))
         _draw_unrolled(left, picture)
-        _draw_calibre(right, picture)
+        _draw_diameter(right, picture)
     else:
         _draw_unrolled(parts[3], picture)
-        _draw_calibre(parts[4], picture)
+        _draw_diameter(parts[4], picture)
     figure.savefig(path, dpi=_DPI)
 
 
@@ -176,7 +176,7 @@ def marked_lesions(organ: OrganSurface) -> list[Marked]:
 
 
 def _palette(count: int) -> Float[np.ndarray, "k 3"]:
-    """Colours that differ from their neighbours, along a rainbow of even strength."""
+    """Colors that differ from their neighbors, along a rainbow of even strength."""
     from matplotlib.colors import hsv_to_rgb
 
     hue = (0.60 - 0.92 * np.arange(count) / max(count, 5)) % 1.0
@@ -190,8 +190,8 @@ def _draw_title(part: SubFigure, picture: _Picture) -> None:
     words = [
         f"{facts.length / CM:.1f} cm long",
         f"lumen {facts.volume / CM**3:.0f} ml",
-        f"passes a ball of {facts.calibre_min / MM:.0f} mm, "
-        f"{facts.calibre_median / MM:.0f} mm in the median",
+        f"passes a ball of {facts.diameter_min / MM:.0f} mm, "
+        f"{facts.diameter_median / MM:.0f} mm in the median",
         f"wall {facts.area / CM**2:.0f} cm²",
         f"{facts.num_faces:,} triangles",
         f"{num} lesion{'s' * (num != 1)}" if num else "no lesions",
@@ -204,18 +204,18 @@ def _draw_outside(part: SubFigure, picture: _Picture) -> None:
     """Two views, and the table of segments and lesions."""
     organ = picture.organ
     low, high = organ.vertices.min(axis=0), organ.vertices.max(axis=0)
-    centre = (low + high) / 2.0
+    center = (low + high) / 2.0
     half = 1.03 * (high - low).max() / 2.0
     grid = part.add_gridspec(1, 3, width_ratios=(1, 1, 0.8), left=0.03, right=0.98, wspace=0.03)
-    colours = picture.colours
+    colors = picture.colors
     for column, (title, axes) in enumerate(VIEWS.items()):
         view = part.add_subplot(grid[0, column])
-        image = outside_view(organ, picture.wall, axes, centre, half, colours=colours)
+        image = outside_view(organ, picture.wall, axes, center, half, colors=colors)
         view.imshow(image, extent=tuple(half / CM * np.array([-1, 1, -1, 1])))
         view.set_title(title, size=11, color=_INK, loc="left")
         view.set_axis_off()
         for lesion in picture.lesions:
-            x, y = project(lesion.center, axes, centre) / CM
+            x, y = project(lesion.center, axes, center) / CM
             _draw_number(view, x, y, lesion.number)
         _draw_scale(view, half / CM)
     _draw_table(part.add_subplot(grid[0, 2]), picture)
@@ -235,7 +235,7 @@ def _draw_number(view: Axes, x: float, y: float, number: int) -> None:
 
 
 def _draw_table(table: Axes, picture: _Picture) -> None:
-    """Segments with their colours and calibres, then lesions with their numbers."""
+    """Segments with their colors and diameters, then lesions with their numbers."""
     table.set_axis_off()
     table.set(xlim=(0, 1), ylim=(0, 1))
     lines = [(label, None) for label in picture.labels] + [(None, le) for le in picture.lesions]
@@ -249,7 +249,7 @@ def _draw_table(table: Axes, picture: _Picture) -> None:
     for label, lesion in shown:
         y -= step
         if label is not None:
-            table.plot([0.02], [y + 0.3 * step], "s", ms=9, color=picture.colours[label])
+            table.plot([0.02], [y + 0.3 * step], "s", ms=9, color=picture.colors[label])
             table.text(0.06, y, picture.name(label), size=size, color=_INK)
             span = picture.length(label)
             text = f"{span / CM:.1f} cm" if span else "beside"
@@ -268,7 +268,7 @@ def _draw_table(table: Axes, picture: _Picture) -> None:
 
 
 def _view_places(picture: _Picture) -> list[tuple[str, float, Any]]:
-    """Title, arc length [m] and colour of each inside view: one a segment, more of long ones."""
+    """Title, arc length [m] and color of each inside view: one a segment, more of long ones."""
     organ, labels = picture.organ, picture.labels
     share = {label: max(picture.length(label), 1e-9) for label in labels}
     count = dict.fromkeys(labels, 1)
@@ -280,7 +280,7 @@ def _view_places(picture: _Picture) -> list[tuple[str, float, Any]]:
         for part in range(count[label]):
             at = float(np.quantile(own, (part + 0.5) / count[label]))
             where = f", {at / CM:.0f} cm" if count[label] > 1 else ""
-            places.append((picture.name(label) + where, at, picture.colours[label]))
+            places.append((picture.name(label) + where, at, picture.colors[label]))
     return places
 
 
@@ -292,12 +292,12 @@ def _draw_inside(
         rows, per_row, left=0.03, right=0.98, top=0.90, bottom=0.02, wspace=0.05, hspace=0.3
     )
     images = inside_views(picture.organ, [at for _, at, _ in places])
-    for number, ((title, _, colour), image) in enumerate(zip(places, images, strict=True)):
+    for number, ((title, _, color), image) in enumerate(zip(places, images, strict=True)):
         view = part.add_subplot(grid[divmod(number, per_row)])
         view.imshow(image)
         view.set(xticks=[], yticks=[])
         view.spines[:].set_visible(False)
-        view.spines["bottom"].set(visible=True, color=colour, linewidth=4)
+        view.spines["bottom"].set(visible=True, color=color, linewidth=4)
         view.set_title(title, size=9 if per_row > 6 else 10, color=_INK)
 
 
@@ -311,7 +311,7 @@ def _draw_unrolled(part: SubFigure, picture: _Picture) -> None:
         **{"left": left, "right": right, "top": 1 - 0.35 / high, "bottom": 0.42 / high},
         hspace=0.5 / picture.row_height,
     )
-    title = "Wall unrolled: distance from the oral end [cm] across, angle around the centreline up"
+    title = "Wall unrolled: distance from the oral end [cm] across, angle around the centerline up"
     part.text(left, 1.0 - 0.08 / high, title, size=10, color=_INK, va="top")
     span = length / picture.rows
     wide = int(_STRIP * _DPI) // (2 if picture.is_short else 1)
@@ -348,10 +348,10 @@ def _draw_lesions(
 
 
 def _draw_bar(view: Axes, picture: _Picture, low: float, high: float) -> None:
-    """A strip of the segments' colours, between two heights of the axes."""
+    """A strip of the segments' colors, between two heights of the axes."""
     for label, start, end in picture.spans:
         view.fill_between(
-            [start / CM, end / CM], low, high, color=picture.colours[label], lw=0, zorder=3
+            [start / CM, end / CM], low, high, color=picture.colors[label], lw=0, zorder=3
         )
 
 
@@ -360,12 +360,12 @@ def _tidy(view: Axes) -> None:
     view.spines[:].set_visible(False)
 
 
-def _draw_calibre(part: SubFigure, picture: _Picture) -> None:
-    """Diameter along the centreline: median over the angle, band from 10 % to 90 %."""
+def _draw_diameter(part: SubFigure, picture: _Picture) -> None:
+    """Diameter along the centerline: median over the angle, band from 10 % to 90 %."""
     organ = picture.organ
     left, right = (0.10, 0.96) if picture.is_short else (0.05, 0.98)
     graph = part.add_axes((left, 0.24, right - left, 0.58))
-    bins = way_bins(organ)
+    bins = arc_length_bins(organ)
     edges = np.linspace(0.0, organ.centerline.length, bins + 1)
     which = np.clip(np.digitize(organ.arc_length, edges) - 1, 0, bins - 1)
     order = np.argsort(which, kind="stable")
@@ -381,7 +381,7 @@ def _draw_calibre(part: SubFigure, picture: _Picture) -> None:
     top = 1.12 * float(high.max())
     _draw_bar(graph, picture, 1.0 * top, 1.06 * top)
     graph.set(xlim=(0, edges[-1] / CM), ylim=(0, 1.06 * top))
-    title = "Diameter [mm] along the way [cm]: median around the centreline, band 10 % to 90 %"
+    title = "Diameter [mm] along the way [cm]: median around the centerline, band 10 % to 90 %"
     graph.set_title(title, size=10, color=_INK, loc="left")
     graph.grid(axis="y", color="#eeeeee", lw=0.8)
     _tidy(graph)

@@ -1,8 +1,8 @@
 """The wall of a gut unrolled (virtual dissection): arc length across, angle up.
 
-From each point of the centreline a ray goes out in the curve's normal plane; what it meets first
+From each point of the centerline a ray goes out in the curve's normal plane; what it meets first
 is shown. It is the unfolding of virtual colonoscopy (Vilanova Bartrolí et al. 2001) in the gut
-coordinates of `OrganSurface`: a vertex that the centreline sees appears at its own coordinates.
+coordinates of `OrganSurface`: a vertex that the centerline sees appears at its own coordinates.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ from vrcaps.organ.surface import OrganSurface, face_label
 if TYPE_CHECKING:
     from jaxtyping import Float, Int, UInt16
 
-_PLAIN_COLOUR = (0.72, 0.46, 0.40)  # sRGB; drawn where there is no appearance
-_NOTHING = 0.93  # grey where a ray leaves through an open end
+_PLAIN_COLOR = (0.72, 0.46, 0.40)  # sRGB; drawn where there is no appearance
+_NOTHING = 0.93  # gray where a ray leaves through an open end
 _LIGHT = (0.75, 0.55, 0.35)  # towards the light: the axis, the oral end, greater angles
 _AMBIENT = 0.30
 _GAMMA = 2.2
@@ -30,12 +30,12 @@ _FINER = 2  # rays for each pixel of `dissection_rows`, along each axis
 
 @dataclass(frozen=True)
 class Unrolled:
-    """What rays from the centreline meet.
+    """What rays from the centerline meet.
 
     Attributes:
         arc_length: Of each column [m].
         theta: Of each row [rad].
-        radius: Way from the centreline to the wall [m]; NaN where there is none.
+        radius: Way from the centerline to the wall [m]; NaN where there is none.
         face: Triangle met; −1 for none.
         weights: Of the triangle's corners.
         shade: Share of light that the wall there returns, 0 to 1.
@@ -57,13 +57,13 @@ def unroll(
 ) -> Unrolled:
     """Cast a ray for each pair of arc length and angle.
 
-    Where a lesion stands on the centreline the rays start beside it.
+    Where a lesion stands on the centerline the rays start beside it.
 
     Args:
         organ: The organ.
         wall: Its surface, in the organ's frame.
-        arc_length: Along the centreline [m].
-        theta: From the first to the second transverse axis of the centreline's frame [rad].
+        arc_length: Along the centerline [m].
+        theta: From the first to the second transverse axis of the centerline's frame [rad].
     """
     points, frames, radii = interpolate(organ.centerline, arc_length)
     points = _in_lumen(organ, wall, points, frames, radii)
@@ -97,7 +97,7 @@ def _in_lumen(
     frames: Float[np.ndarray, "w 3 3"],
     radii: Float[np.ndarray, " w"],
 ) -> Float[np.ndarray, "w 3"]:
-    """The points; those inside a lesion that stands on the centreline are moved aside."""
+    """The points; those inside a lesion that stands on the centerline are moved aside."""
     if not organ.instance.any():
         return points
     _, nearest = wall.closest_point(points)
@@ -117,13 +117,13 @@ def _in_lumen(
 
 
 def dissection(organ: OrganSurface, unrolled: Unrolled) -> Float[np.ndarray, "h w 3"]:
-    """Picture of an unrolled wall, sRGB 0 to 1: its own colour, folds lit from the oral side.
+    """Picture of an unrolled wall, sRGB 0 to 1: its own color, folds lit from the oral side.
 
     What stands into the lumen is lighter, pouches are darker: the depth that perspective would
     show is in the shading.
     """
     seen = unrolled.face >= 0
-    linear = _colour(organ, unrolled, seen) ** _GAMMA
+    linear = _color(organ, unrolled, seen) ** _GAMMA
     usual = np.nanmedian(unrolled.radius, axis=0) if seen.any() else np.ones(seen.shape[1])
     usual = np.where(np.isfinite(usual), usual, 1.0)
     depth = np.clip(usual / np.where(seen, unrolled.radius, usual), 0.4, 1.6) ** 0.5
@@ -177,12 +177,12 @@ def barycentric(
     return np.clip(np.stack([1.0 - of_b - of_c, of_b, of_c], axis=1), 0.0, 1.0)
 
 
-def _colour(organ: OrganSurface, unrolled: Unrolled, seen: np.ndarray) -> np.ndarray:
+def _color(organ: OrganSurface, unrolled: Unrolled, seen: np.ndarray) -> np.ndarray:
     """Albedo where a ray met the wall, sRGB 0 to 1; from a smaller image if texels are finer."""
-    colour = np.ones((*seen.shape, 3))
+    color = np.ones((*seen.shape, 3))
     if organ.appearance is None:
-        colour[seen] = _PLAIN_COLOUR
-        return colour
+        color[seen] = _PLAIN_COLOR
+        return color
     albedo = organ.appearance.albedo
     face = unrolled.face[seen]
     uv = np.einsum("nc,ncx->nx", unrolled.weights[seen], organ.uv[face])
@@ -195,8 +195,8 @@ def _colour(organ: OrganSurface, unrolled: Unrolled, seen: np.ndarray) -> np.nda
     for i in range(step):
         for j in range(step):
             total += block[row, i, column, j]
-    colour[seen] = total / (255.0 * step * step)
-    return colour
+    color[seen] = total / (255.0 * step * step)
+    return color
 
 
 def _texels_per_step(organ: OrganSurface, unrolled: Unrolled, shape: tuple[int, ...]) -> int:

@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps.color import luminance
+from vrcaps.color import log_linear_from_srgb, luminance
 from vrcaps.errors import InputError
-from vrcaps.mucosa.log_color import log_linear
 from vrcaps.tools.field_of_view import field_of_view
 
 if TYPE_CHECKING:
@@ -87,7 +86,7 @@ def make_frames(
     if not seen.any():
         raise InputError("The frames are black. Give frames in which the wall is seen.")
     exposed = seen & (rgb.max(axis=3) <= _SATURATED) & (rgb.min(axis=3) >= _DARKEST)
-    return Frames(rgb, np.exp(log_linear(rgb)), seen, exposed)
+    return Frames(rgb, np.exp(log_linear_from_srgb(rgb)), seen, exposed)
 
 
 def _field(rgb: UInt8[np.ndarray, "h w 3"]) -> Bool[np.ndarray, "h w"]:

@@ -1,0 +1,243 @@
+"""Organ files: what is read is what was written, bit for bit; others read the same file."""
+
+from __future__ import annotations
+
+import json
+import struct
+from dataclasses import fields, replace
+from pathlib import Path
+
+import numpy as np
+import pygltflib
+import pytest
+import trimesh
+
+from vrcaps.errors import InputError
+from vrcaps.mesh.glb import read_document
+from vrcaps.mesh.mesh import Mesh
+from vrcaps.organ.arrays import organ_to_arrays
+from vrcaps.organ.organ_file import is_organ_file
+from vrcaps.organ.read_organ import read_organ
+from vrcaps.organ.surface import HEIGHT_STEP, Appearance, Centerline, OrganSurface, round_height
+from vrcaps.organ.write_organ import write_organ
+from vrcaps.transforms import transform_from, transform_points
+from write_ply import write_ply
+
+NAMES = ("background", "first", "second")
+SIZES = {5120: 1, 5121: 1, 5122: 2, 5123: 2, 5125: 4, 5126: 4}
+WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3}
+
+
+@pytest.fixture
+def organ() -> OrganSurface:
+    """Every array random, in double precision: nothing can be guessed from anything else."""
+    rng = np.random.default_rng(1)
+    judge = trimesh.creation.icosphere(2, 0.03)
+    num, faces = len(judge.vertices), np.asarray(judge.faces, np.int32)[:, ::-1].copy()
+    of_corner = rng.integers(0, 2, (len(faces), 3, 1))  # two texture places for each vertex
+    frames = np.stack([np.linalg.qr(rng.normal(size=(3, 3)))[0] for _ in range(7)])
+    return OrganSurface(
+        name="a ball",
+        vertices=judge.vertices + rng.normal(0.0, 1e-4, (num, 3)),
+        faces=faces,
+        normals=rng.normal(size=(num, 3)),
+        uv=rng.random((num, 2, 2))[faces, of_corner[..., 0]],
+        label=rng.integers(1, 3, num).astype(np.uint8),
+        label_names=NAMES,
+        instance=rng.integers(0, 60_000, num).astype(np.uint16),
+        arc_length=rng.random(num),
+        theta=rng.uniform(-np.pi, np.pi, num),
+        radius=rng.random(num),
+        centerline=Centerline(rng.random((7, 3)), np.arange(7) / 3, rng.random(7), frames),
+        appearance=Appearance(
+            albedo=rng.integers(0, 256, (24, 40, 3), np.uint8),
+            roughness=rng.integers(0, 256, (24, 40), np.uint8),
+            height=round_height(rng.normal(0.0, 3e-4, (24, 40))),
+            ior=1.37,
+            coat=0.123456789,
+            coat_gloss=1 / 3,
+        ),
+        metadata={"seed": 3, "lesions": [{"instance": 1, "kind": "polyp", "arc_length_m": 0.1}]},
+    )
+
+
+def assert_same(a: OrganSurface, b: OrganSurface) -> None:
+    (arrays, plain), (others, other_plain) = organ_to_arrays(a), organ_to_arrays(b)
+    assert plain == other_plain
+    assert arrays.keys() == others.keys()
+    for name, values in arrays.items():
+        assert others[name].dtype == values.dtype, name
+        assert others[name].shape == values.shape, name
+        assert others[name].flags.c_contiguous
+        assert others[name].tobytes() == values.tobytes(), name
+
+
+@pytest.mark.parametrize("change", ["none", "float32", "int64", "plain", "rough relief", "posed"])
+def test_what_is_read_is_what_was_written(organ, tmp_path: Path, change: str) -> None:
+    pose = None
+    if change == "float32":
+        organ = replace(organ, vertices=organ.vertices.astype(np.float32))
+    elif change == "int64":
+        organ = replace(organ, faces=organ.faces.astype(np.int64))
+    elif change == "plain":
+        organ = replace(organ, appearance=None, metadata={})
+    elif change == "rough relief":
+        height = organ.appearance.height * np.float32(np.pi)
+        organ = replace(organ, appearance=replace(organ.appearance, height=height))
+    elif change == "posed":
+        turn = trimesh.transformations.random_rotation_matrix(np.array([0.1, 0.7, 0.4]))
+        pose = transform_from(turn[:3, :3], np.array([0.3, -0.2, 0.1]))
+    path = tmp_path / "a.glb"
+    write_organ(path, organ, T_world_patient=pose)
+    back = read_organ(path)
+    assert_same(organ, back)
+    write_organ(tmp_path / "b.glb", back, T_world_patient=pose)
+    assert (tmp_path / "b.glb").read_bytes() == path.read_bytes()
+
+
+def test_every_field_of_an_organ_is_in_the_file(organ, tmp_path: Path) -> None:
+    write_organ(tmp_path / "a.glb", organ)
+    own = read_document(tmp_path / "a.glb")["asset"]["extras"]
+    stored = own["plain"].keys() | own["arrays"].keys() | own["images"].keys()
+    wanted = {f.name for f in fields(OrganSurface)} - {"centerline", "appearance"}
+    wanted |= {f"centerline.{f.name}" for f in fields(Centerline)}
+    assert stored == wanted | {f"appearance.{f.name}" for f in fields(Appearance)}
+
+
+def test_relief_in_steps_takes_two_bytes_a_texel(organ, tmp_path: Path) -> None:
+    write_organ(tmp_path / "a.glb", organ)
+    arrays = read_document(tmp_path / "a.glb")["asset"]["extras"]["arrays"]
+    assert arrays["appearance.height"]["step"] == HEIGHT_STEP
+    for limit in (-32768, 32767):
+        height = np.full((24, 40), limit * HEIGHT_STEP, np.float32)
+        one = replace(organ, appearance=replace(organ.appearance, height=height))
+        write_organ(tmp_path / "b.glb", one)
+        assert_same(one, read_organ(tmp_path / "b.glb"))
+    rounded = round_height(np.array([[1e-4 + 0.4 * HEIGHT_STEP]]))
+    assert abs(rounded[0, 0] - 1e-4) <= HEIGHT_STEP
+    assert rounded.dtype == np.float32
+    assert not np.signbit(round_height(np.array([[-1e-12]]))).any()
+
+
+def test_other_readers_find_the_same(organ, tmp_path: Path) -> None:
+    """pygltflib and trimesh: every accessor lies in the buffer and says what the organ says."""
+    path = tmp_path / "a.glb"
+    write_organ(path, organ)
+    file = pygltflib.GLTF2().load(path)
+    blob = file.binary_blob()
+    assert file.asset.version == "2.0"
+    assert file.buffers[0].byteLength == len(blob)
+    for view in file.bufferViews:
+        assert view.byteOffset % 4 == 0
+        assert view.byteOffset + view.byteLength <= len(blob)
+    counts = set()
+    for accessor in file.accessors:
+        view = file.bufferViews[accessor.bufferView]
+        size = SIZES[accessor.componentType] * WIDTHS[accessor.type]
+        stride = view.byteStride or size
+        assert stride % 4 == 0 or view.target == pygltflib.ELEMENT_ARRAY_BUFFER
+        assert (accessor.count - 1) * stride + size <= view.byteLength
+        if view.target == pygltflib.ARRAY_BUFFER:
+            assert accessor.componentType != 5125  # no 32-bit integers in vertex attributes
+            counts.add(accessor.count)
+    assert len(counts) == 1
+    (primitive,) = file.meshes[0].primitives
+    own = {n for n in vars(primitive.attributes) if n.startswith("_")}
+    assert own == {"_LABEL", "_INSTANCE", "_ARC_LENGTH", "_THETA", "_RADIUS"}
+    part = trimesh.load_mesh(path, process=False)
+    for name in ("label", "instance", "arc_length", "theta", "radius"):
+        found = part.vertex_attributes[f"_{name.upper()}"].reshape(-1)[part.faces]
+        assert np.allclose(found, getattr(organ, name)[organ.faces], rtol=1e-6)
+
+
+def test_an_episodes_organ_comes_back_in_the_patient_frame(organ, tmp_path: Path) -> None:
+    pose = transform_from(np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]]), np.zeros(3))
+    write_organ(tmp_path / "a.glb", organ, T_world_patient=pose)
+    assert np.array_equal(read_organ(tmp_path / "a.glb").vertices, organ.vertices)
+    world = trimesh.load_mesh(tmp_path / "a.glb", process=False)
+    expected = transform_points(pose, organ.vertices)[organ.faces]
+    assert np.allclose(world.vertices[world.faces], expected, atol=1e-8)
+
+
+def test_an_organ_file_needs_no_unit_and_is_read_without_changes(organ, tmp_path: Path) -> None:
+    path = tmp_path / "a.glb"
+    write_organ(path, organ)
+    assert is_organ_file(path)
+    for unit in (None, "m"):
+        assert_same(organ, read_organ(path, unit=unit))
+    for wrong in ({"unit": "mm"}, {"reverse": True}, {"open_ends": "keep"}, {"name": "b"}):
+        with pytest.raises(
+            InputError, match="is an organ file: in meters, and read without changes"
+        ):
+            read_organ(path, **wrong)
+
+
+def test_what_another_program_rewrote_is_a_mesh(organ, tmp_path: Path) -> None:
+    write_organ(tmp_path / "a.glb", organ)
+    rewrite(tmp_path / "a.glb", lambda d: d["asset"].update(generator="Blender"))
+    assert not is_organ_file(tmp_path / "a.glb")
+    with pytest.raises(InputError, match=r"a\.glb does not state its unit\. Allowed: m, dm, cm"):
+        read_organ(tmp_path / "a.glb")
+
+
+def rewrite(path: Path, change) -> None:
+    """Change the JSON of a GLB file."""
+    data = path.read_bytes()
+    size = struct.unpack_from("<I", data, 12)[0]
+    document = json.loads(data[20 : 20 + size])
+    change(document)
+    text = json.dumps(document).encode()
+    text += b" " * (-len(text) % 4)
+    rest = data[20 + size :]
+    head = struct.pack("<4sIII4s", b"glTF", 2, 20 + len(text) + len(rest), len(text), b"JSON")
+    path.write_bytes(head + text + rest)
+
+
+def test_mistakes_are_told_apart(organ, tmp_path: Path) -> None:
+    path = tmp_path / "a.glb"
+    with pytest.raises(InputError, match=r"No organ or mesh file at .*a\.glb"):
+        read_organ(path)
+    write_ply(tmp_path / "a.ply", Mesh(organ.vertices, organ.faces))
+    with pytest.raises(InputError, match=r"a\.ply does not state its unit\. Allowed: m, dm, cm"):
+        read_organ(tmp_path / "a.ply")
+    write_organ(path, organ)
+    rewrite(path, lambda d: d["asset"]["extras"].update(format="vrcaps-organ/9"))
+    with pytest.raises(InputError, match=r"'vrcaps-organ/9'.*Allowed: 'vrcaps-organ/1'"):
+        read_organ(path)
+
+
+def _drop_array(document: dict) -> None:
+    del document["asset"]["extras"]["arrays"]["theta"]
+
+
+def _wrong_shape(document: dict) -> None:
+    document["asset"]["extras"]["arrays"]["theta"]["shape"] = [5]
+
+
+def _wrong_view(document: dict) -> None:
+    document["images"][0]["bufferView"] = 0
+
+
+def _too_few_vertices(document: dict) -> None:
+    arrays = document["asset"]["extras"]["arrays"]
+    arrays["vertices"] = arrays["centerline.points"]
+
+
+@pytest.mark.parametrize("fault", [_drop_array, _wrong_shape, _wrong_view, _too_few_vertices])
+def test_a_damaged_file_is_one_line(organ, tmp_path: Path, fault) -> None:
+    path = tmp_path / "a.glb"
+    write_organ(path, organ)
+    rewrite(path, fault)
+    with pytest.raises(InputError, match=r"a\.glb is damaged: .*Make or copy the file again"):
+        read_organ(path)
+
+
+def test_a_file_cut_short_is_one_line(organ, tmp_path: Path) -> None:
+    path = tmp_path / "a.glb"
+    write_organ(path, organ)
+    data = path.read_bytes()
+    path.write_bytes(data[: len(data) // 2])
+    with pytest.raises(InputError, match="is damaged: it has"):
+        read_organ(path)
+    path.write_bytes(data[:30])
+    assert not is_organ_file(path)

@@ -46,6 +46,8 @@ check: $(VENV)/.stamp-dev
 bench: $(VENV)/.stamp-dev
 	$(BIN)/vrcaps bench render --out docs/benchmarks.md
 	$(BIN)/vrcaps bench record --out docs/benchmarks.md
+	$(BIN)/vrcaps bench world --out docs/benchmarks.md
+	$(BIN)/python benchmarks/speed_peers.py --out docs/benchmarks.md
 
 wheel: $(VENV)/.stamp-dev
 	rm -f dist/*.whl

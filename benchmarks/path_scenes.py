@@ -7,12 +7,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from peers.mitsuba import VARIANT, use_working_llvm
 from validation import ROOT  # its import makes the tests' independent renderers importable
 from vrcaps.anatomy.catalog import load_organ
 from vrcaps.camera.camera import Camera
 from vrcaps.camera.lens import LensPinhole
 from vrcaps.capsule.catalog import read_device
-from vrcaps.cli.benchmarks.peers.mitsuba import VARIANT, use_working_llvm
 from vrcaps.motion.fly_through import FlyThrough, fly_through
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.render.renderer import Renderer

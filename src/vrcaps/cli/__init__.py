@@ -30,7 +30,7 @@ _VERBS = {
     "organ texture": ("vrcaps.cli.texture", "Texture", "Make a mucosa from photographs."),
     "calibrate": ("vrcaps.cli.calibrate", "Calibrate", "Fit a lens to photographs of a board."),
     "match": ("vrcaps.cli.match", "Match", "Estimate a camera from its frames."),
-    "bench render": ("vrcaps.cli.bench", "Render", "Measure rendering, beside its peers."),
+    "bench render": ("vrcaps.cli.bench", "Render", "Measure rendering."),
     "bench record": ("vrcaps.cli.bench", "Record", "Measure recording to disk."),
     "bench world": ("vrcaps.cli.bench", "World", "Measure the physics."),
     "doctor": ("vrcaps.cli.doctor", "Doctor", "Say what is installed and what can be used."),

@@ -1,4 +1,4 @@
-"""`vrcaps bench`: measure speed on this machine, beside other renderers."""
+"""`vrcaps bench`: measure speed on this machine."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ class _Measurement:
 
 @dataclass(frozen=True)
 class Render(_Measurement):
-    """Measure how fast images are made, beside embreex, Mitsuba and MuJoCo where installed.
+    """Measure how fast images are made.
 
-    All take turns in one process, so that ratios hold on a busy machine too. Prints each
+    Subjects take turns in one process, so that ratios hold on a busy machine too. Prints each
     promise of the project with what was measured; some minutes.
 
     For example:

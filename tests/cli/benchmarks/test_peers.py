@@ -3,8 +3,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from vrcaps.cli.benchmarks import peers
-from vrcaps.cli.benchmarks.peers import PeerMissingError, embree, find_peers, mitsuba, welded_mesh
+import peers
+from peers import PeerMissingError, embree, find_peers, mitsuba, welded_mesh
 from vrcaps.cli.benchmarks.stage import Stage
 from vrcaps.render.renderer import Renderer
 

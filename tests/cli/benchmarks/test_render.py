@@ -22,7 +22,6 @@ SMALL = Extent(
     sizes=(16, 32),
     num_views=2,
     num_rounds=2,
-    peers=(),
 )
 
 
@@ -63,7 +62,6 @@ def test_rate_is_one_over_the_time_of_a_frame(studies: dict[str, Study]) -> None
     assert rate is not None
     assert row.values[0] is not None
     assert rate.p10 <= 1e3 / row.values[0].median <= rate.p90
-    assert {claim.reason for claim in study.claims[1:]} == {"not asked for"}
 
 
 def test_a_cost_that_is_twice_is_reported_as_twice(studies: dict[str, Study]) -> None:
@@ -89,8 +87,6 @@ def test_run_writes_what_it_found(
 def test_unknown_study_is_named() -> None:
     with pytest.raises(UnknownNameError, match=r"No study named 'colom'. Known: frame, heads"):
         render.run(only=["colom"])
-    with pytest.raises(UnknownNameError, match=r"No peer named 'pov'. Known: embree, mitsuba"):
-        render.run(peers=["pov"])
 
 
 SCRIPTS = sorted((Path(__file__).parents[3] / "benchmarks").glob("speed_*.py"))

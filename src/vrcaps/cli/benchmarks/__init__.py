@@ -1,1 +1,1 @@
-"""What `vrcaps bench` measures: rendering against its peers, and recording to disk."""
+"""What `vrcaps bench` measures: rendering, recording to disk, and the physics."""

@@ -15,27 +15,6 @@ RATE = Claim(
     unit="per second",
     reference="6.0 ms: twice Embree 3's bare primary rays in packets of 16 on both cores, 3.0 ms",
 )
-EMBREE = Claim(
-    text="complete labelled frame over Embree's bare primary rays for the same pixels",
-    sense="≤",
-    limit=0.40,
-    unit="",
-    reference="embreex's own call, single rays",
-)
-MITSUBA = Claim(
-    text="Mitsuba's direct light + AOV (mi.render) over a complete labelled frame",
-    sense="≥",
-    limit=4.0,
-    unit="",
-    reference="Mitsuba 3.9 LLVM, its fastest variant, as its users run it: 29.5 ms",
-)
-MUJOCO = Claim(
-    text="MuJoCo's rgb + depth + segmentation over a complete labelled frame",
-    sense="≥",
-    limit=6.0,
-    unit="",
-    reference="MuJoCo 4.0 EGL in software, 52 ms",
-)
 PIXELS = Claim(
     text="cost per pixel of a larger image over that of 160 × 160, the worst size",
     sense="≤",

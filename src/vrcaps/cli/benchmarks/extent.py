@@ -16,7 +16,6 @@ class Extent:
         sizes: Side lengths of square images [px], rising.
         num_views: Views along the organ.
         num_rounds: Rounds of turns.
-        peers: Modules of the other renderers to measure beside ours.
     """
 
     num_triangles: int = 100_000
@@ -25,7 +24,6 @@ class Extent:
     sizes: tuple[int, ...] = (160, 320, 640, 1280)
     num_views: int = 8
     num_rounds: int = 21
-    peers: tuple[str, ...] = ("embree", "mitsuba", "mujoco")
 
 
 FULL = Extent()

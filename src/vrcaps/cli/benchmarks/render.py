@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from vrcaps.cli.benchmarks.extent import FULL, QUICK, Extent
-from vrcaps.cli.benchmarks.peers import PACKAGES, package_versions
 from vrcaps.cli.benchmarks.report import Report, check_out, machine_facts, show_report
 from vrcaps.cli.benchmarks.stage import make_organ, make_stage
 from vrcaps.cli.benchmarks.studies import STUDIES
@@ -27,7 +25,6 @@ def run(
     out: Path | None = None,
     quick: bool = False,
     only: Sequence[str] = (),
-    peers: Sequence[str] | None = None,
 ) -> Report:
     """Measure, print, and write Markdown and JSON.
 
@@ -35,21 +32,16 @@ def run(
         out: Markdown file to write; None writes nothing.
         quick: Measure little; the figures mean nothing.
         only: Names of `STUDIES`; all by default.
-        peers: Other renderers of `PACKAGES` to measure beside ours; all by default.
 
     Raises:
-        UnknownNameError: If there is no such study or peer.
+        UnknownNameError: If there is no such study.
         InputError: If `out` is no Markdown file.
     """
-    for noun, names, known in (("study", only, STUDIES), ("peer", peers or (), PACKAGES)):
-        for name in names:
-            if name not in known:
-                raise UnknownNameError(noun, name, known)
+    for name in only:
+        if name not in STUDIES:
+            raise UnknownNameError("study", name, STUDIES)
     check_out(out)
-    extent = QUICK if quick else FULL
-    if peers is not None:
-        extent = replace(extent, peers=tuple(peers))
-    report = measure(extent, only=only or tuple(STUDIES))
+    report = measure(QUICK if quick else FULL, only=only or tuple(STUDIES))
     show_report(report, out, console)
     return report
 
@@ -67,11 +59,10 @@ def measure(extent: Extent, *, only: Sequence[str]) -> Report:
     return Report(
         name="render" if is_whole else f"render-{'-'.join(only)}",
         command="vrcaps bench render" + ("" if is_whole else f" --only {' '.join(only)}"),
-        setting=_setting(stage, extent),
+        setting=setting(stage, extent),
         claims=tuple(claim for study in found for claim in study.claims),
         tables=tuple(study.table for study in found),
-        skipped={name: why for study in found for name, why in study.skipped.items()},
-        machine=machine_facts() | {"peers": _peers()},
+        machine=machine_facts(),
     )
 
 
@@ -80,7 +71,8 @@ def _counter(advance: Callable[[int, int], None], total: int) -> Callable[[], No
     return lambda: advance(next(done), total)
 
 
-def _setting(stage: Stage, extent: Extent) -> str:
+def setting(stage: Stage, extent: Extent) -> str:
+    """What is measured, in a few sentences."""
     camera = stage.camera
     return (
         f"A generated colon of {stage.num_triangles} triangles, textured and wet; "
@@ -91,7 +83,3 @@ def _setting(stage: Stage, extent: Extent) -> str:
         "processor time of all threads together, which other programs disturb less. A complete "
         f"frame holds {', '.join(DEFAULT_CHANNELS)}."
     )
-
-
-def _peers() -> str:
-    return ", ".join(f"{name} {number}" for name, number in package_versions().items())

@@ -171,7 +171,7 @@ def to_markdown(reports: list[dict[str, Any]]) -> str:
     lines = [
         "# Benchmarks",
         "",
-        "Written by `vrcaps bench`, not by hand. Every figure is a median, in brackets the 10th "
+        "Written by `make bench`, not by hand. Every figure is a median, in brackets the 10th "
         "and 90th percentile.",
     ]
     for report in reports:

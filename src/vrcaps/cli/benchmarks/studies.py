@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from vrcaps.cli.benchmarks import claims
-from vrcaps.cli.benchmarks.peers import embree, find_peers, mitsuba, mujoco
 from vrcaps.cli.benchmarks.report import Claim, Row, Table
 from vrcaps.cli.benchmarks.stage import (
     Stage,
@@ -30,7 +29,7 @@ if TYPE_CHECKING:
 
 COMPLETE = "complete frame"
 _MS = 1e3
-_COLUMNS = ("ms", "ms of processors")
+COLUMNS = ("ms", "ms of processors")
 
 
 @dataclass(frozen=True)
@@ -40,12 +39,10 @@ class Study:
     Attributes:
         table: All that was timed.
         claims: Promises it can judge.
-        skipped: Peers left out, and why.
     """
 
     table: Table
     claims: tuple[Claim, ...] = ()
-    skipped: dict[str, str] = field(default_factory=dict)
 
 
 def drawn(
@@ -84,13 +81,14 @@ def _timed(
     )
 
 
-def _row(subject: Subject, times: Times, *more: Spread) -> Row:
+def row(subject: Subject, times: Times, *more: Spread) -> Row:
+    """A line of a table: times on the clock and of all threads, and what else there is."""
     both = (Spread.of(times.wall).scaled(_MS), Spread.of(times.cpu).scaled(_MS))
     return Row(subject.name, (*both, *more), subject.note)
 
 
 def frame(stage: Stage, extent: Extent, progress: Callable[[], None]) -> Study:
-    """A complete frame, parts of it and more than it, and what peers need for theirs."""
+    """A complete frame, parts of it and more than it."""
     subjects = [
         Subject(COMPLETE, drawn(stage), "colour and all labels"),
         Subject("ray distance only", drawn(stage, channels=("ray_distance",)), "nothing shaded"),
@@ -105,27 +103,11 @@ def frame(stage: Stage, extent: Extent, progress: Callable[[], None]) -> Study:
             "all vertices new in each frame, refit included",
         ),
     ]
-    peers, skipped = find_peers(stage, extent.peers)
-    subjects += peers
     times = _timed(subjects, extent, progress)
     ours = times[COMPLETE]
-    rows = tuple(_row(s, times[s.name], ratio(times[s.name], ours)) for s in subjects)
-    table = Table("One frame", (*_COLUMNS, "times ours"), rows)
-
-    def against(claim: Claim, peer: str, package: str) -> Claim:
-        if peer not in times:
-            return replace(claim, reason=skipped.get(package, "not asked for"))
-        is_share = claim.sense == "≤"
-        pair = (ours, times[peer]) if is_share else (times[peer], ours)
-        return replace(claim, measured=ratio(*pair))
-
-    found = (
-        replace(claims.RATE, measured=Spread.of(1.0 / ours.wall)),
-        against(claims.EMBREE, embree.PRIMARY_RAYS, "embree"),
-        against(claims.MITSUBA, mitsuba.RENDER, "mitsuba"),
-        against(claims.MUJOCO, mujoco.ALL, "mujoco"),
-    )
-    return Study(table, found, skipped)
+    rows = tuple(row(s, times[s.name], ratio(times[s.name], ours)) for s in subjects)
+    table = Table("One frame", (*COLUMNS, "times ours"), rows)
+    return Study(table, (replace(claims.RATE, measured=Spread.of(1.0 / ours.wall)),))
 
 
 def pixels(stage: Stage, extent: Extent, progress: Callable[[], None]) -> Study:
@@ -145,7 +127,7 @@ def pixels(stage: Stage, extent: Extent, progress: Callable[[], None]) -> Study:
     }
     least = per_pixel[subjects[0].name]
     rows = tuple(
-        _row(
+        row(
             s,
             times[s.name],
             Spread.of(per_pixel[s.name].wall).scaled(1e9),
@@ -153,7 +135,7 @@ def pixels(stage: Stage, extent: Extent, progress: Callable[[], None]) -> Study:
         )
         for s in subjects
     )
-    table = Table("Image size", (*_COLUMNS, "ns per pixel", "against smallest"), rows)
+    table = Table("Image size", (*COLUMNS, "ns per pixel", "against smallest"), rows)
     costs = [ratio(per_pixel[s.name], least) for s in subjects[1:]]
     worst = max(costs, key=lambda cost: cost.median)
     return Study(table, (replace(claims.PIXELS, measured=worst),))
@@ -172,8 +154,8 @@ def triangles(stage: Stage, extent: Extent, progress: Callable[[], None]) -> Stu
         subjects.append(Subject(f"{view.num_triangles} triangles", drawn(view), note))
     times = _timed(subjects, extent, progress)
     least = times[subjects[0].name]
-    rows = tuple(_row(s, times[s.name], ratio(times[s.name], least)) for s in subjects)
-    return Study(Table("Triangles", (*_COLUMNS, "against fewest"), rows))
+    rows = tuple(row(s, times[s.name], ratio(times[s.name], least)) for s in subjects)
+    return Study(Table("Triangles", (*COLUMNS, "against fewest"), rows))
 
 
 def refit(stage: Stage, extent: Extent, progress: Callable[[], None]) -> Study:
@@ -191,9 +173,9 @@ def refit(stage: Stage, extent: Extent, progress: Callable[[], None]) -> Study:
     times = _timed(subjects, extent, progress)
     share = 1e5 / stage.num_triangles
     rows = tuple(
-        _row(s, times[s.name], Spread.of(times[s.name].wall).scaled(_MS * share)) for s in subjects
+        row(s, times[s.name], Spread.of(times[s.name].wall).scaled(_MS * share)) for s in subjects
     )
-    table = Table("Moving the wall", (*_COLUMNS, "ms per 100,000 triangles"), rows)
+    table = Table("Moving the wall", (*COLUMNS, "ms per 100,000 triangles"), rows)
     measured = Spread.of(times["refit"].wall).scaled(_MS * share)
     return Study(table, (replace(claims.REFIT, measured=measured),))
 
@@ -210,8 +192,8 @@ def heads(stage: Stage, extent: Extent, progress: Callable[[], None]) -> Study:
     times = _timed(subjects, extent, progress)
     wall = 0.5 * (times["front head"].wall + times["back head"].wall)
     one = Times(wall, 0.5 * (times["front head"].cpu + times["back head"].cpu))
-    rows = tuple(_row(s, times[s.name], ratio(times[s.name], one)) for s in subjects)
-    table = Table("Two heads", (*_COLUMNS, "against the mean head"), rows)
+    rows = tuple(row(s, times[s.name], ratio(times[s.name], one)) for s in subjects)
+    table = Table("Two heads", (*COLUMNS, "against the mean head"), rows)
     return Study(table, (replace(claims.HEADS, measured=ratio(times["both heads"], one)),))
 
 

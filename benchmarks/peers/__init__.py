@@ -84,7 +84,7 @@ def find_peers(
     found: list[Subject] = []
     skipped: dict[str, str] = {}
     for name in names:
-        module = import_module(f"{__name__}.{name}")
+        module = import_module(f"peers.{name}")
         try:
             found += module.subjects(stage)
         except PeerMissingError as error:

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
+from peers import PeerMissingError, led_positions, load_package, welded_mesh
 from vrcaps.camera.rays import camera_rays
-from vrcaps.cli.benchmarks.peers import PeerMissingError, led_positions, load_package, welded_mesh
 from vrcaps.cli.benchmarks.stage import Stage
 from vrcaps.cli.benchmarks.timing import Subject
 

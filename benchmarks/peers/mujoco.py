@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from vrcaps.cli.benchmarks.peers import PeerMissingError, load_package, welded_mesh
+from peers import PeerMissingError, load_package, welded_mesh
 from vrcaps.cli.benchmarks.stage import Stage
 from vrcaps.cli.benchmarks.timing import Subject
 from vrcaps.transforms import quaternion_from_matrix

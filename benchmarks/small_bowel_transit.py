@@ -5,8 +5,8 @@ Int. Open 8:E396, 2020); mean 282 ± 132 min (336 patients; Tominaga et al., Ann
 
 The muscle is the simulator's own. The capsule is a reduced model, because hours of full physics
 take hours: it moves along the centreline only, without inertia and gravity; the wall presses with
-the pressure of `Material` where the lumen is narrower than the capsule; the capsule stays where
-the axial part of that pressure is below Coulomb friction, else moves to where it is.
+the pressure of `WinklerFoundation` where the lumen is narrower than the capsule; the capsule stays
+where the axial part of that pressure is below Coulomb friction, else moves to where it is.
 
     python benchmarks/small_bowel_transit.py [--size PATIENTS]
 """
@@ -27,9 +27,9 @@ from vrcaps.anatomy.small_bowel.parameters import SmallBowelParameters
 from vrcaps.capsule.catalog import read_device
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.tissue.drag import Drag
-from vrcaps.tissue.material import Material
 from vrcaps.tissue.motility.motility import Motility
 from vrcaps.tissue.motility.muscle import Muscle
+from vrcaps.tissue.winkler_foundation import WinklerFoundation
 from vrcaps.units import CM, MM
 
 STEP = 0.25
@@ -50,10 +50,10 @@ class Slider:
 
     def forces(self, lumen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Axial force and grip [N] for the lumen's radius at each place, `... n`."""
-        material = Material()
+        foundation = WinklerFoundation()
         depth = np.maximum(self.radius - lumen, 0.0)
-        fold = material.stiffening_depth
-        pressure = material.stiffness * fold * np.expm1(np.minimum(depth / fold, 5.0))
+        fold = foundation.stiffening_depth
+        pressure = foundation.stiffness * fold * np.expm1(np.minimum(depth / fold, 5.0))
         spacing = self.along[1] - self.along[0]
         axial = -(pressure * self.area_slope).sum(axis=-1) * spacing
         return axial, (2.0 * np.pi * self.radius * pressure).sum(axis=-1) * spacing
@@ -94,8 +94,8 @@ def small_bowel() -> tuple[OrganSurface, np.ndarray, np.ndarray]:
 
 def transit(muscle: Muscle, capsule: Slider, lumen: np.ndarray) -> float:
     """Time [s] from the duodenum to the ileocaecal valve, `inf` beyond the longest."""
-    station = muscle.layout.station
-    spacing, end, length = station[1], station[-1] - 1.0 * CM, capsule.along[-1]
+    samples = muscle.layout.arc_length
+    spacing, end, length = samples[1], samples[-1] - 1.0 * CM, capsule.along[-1]
     place, time, friction = 5.0 * CM, 0.0, Drag().friction
     while time < LONGEST:
         if place + length / 2.0 > end:
@@ -105,23 +105,23 @@ def transit(muscle: Muscle, capsule: Slider, lumen: np.ndarray) -> float:
             continue
         time += STEP
         first = max(0, int((place - 3.0 * CM) / spacing))
-        span = slice(first, min(len(station), int((place + 3.0 * CM) / spacing) + 2))
-        radius = lumen[span] * muscle.calibre(time, span)
+        span = slice(first, min(len(samples), int((place + 3.0 * CM) / spacing) + 2))
+        radius = lumen[span] * muscle.lumen_scale(time, span)
         if radius.min() < capsule.radius.max():
-            place += shift(capsule, place, station[span], radius, friction)
+            place += shift(capsule, place, samples[span], radius, friction)
     return np.inf
 
 
 def shift(
-    capsule: Slider, place: float, station: np.ndarray, radius: np.ndarray, friction: float
+    capsule: Slider, place: float, samples: np.ndarray, radius: np.ndarray, friction: float
 ) -> float:
     """How far the capsule slips [m]: up to where friction holds it."""
     rear = place - capsule.along[-1] / 2.0
-    axial, grip = capsule.forces(np.interp(rear + capsule.along, station, radius))
+    axial, grip = capsule.forces(np.interp(rear + capsule.along, samples, radius))
     if abs(axial) <= friction * grip:
         return 0.0
     ways = np.sign(axial) * _CANDIDATES
-    axials, grips = capsule.forces(np.interp(rear + ways[:, None] + capsule.along, station, radius))
+    axials, grips = capsule.forces(np.interp(rear + ways[:, None] + capsule.along, samples, radius))
     holds = np.flatnonzero(np.sign(axial) * axials <= friction * grips)
     return float(ways[holds[0]] if len(holds) else ways[-1])
 
@@ -134,7 +134,7 @@ def main() -> None:
     minutes = []
     for seed in range(args.size):
         muscle = Muscle(organ, Motility(), np.random.default_rng(seed))
-        lumen = np.interp(muscle.layout.station, places, radii)
+        lumen = np.interp(muscle.layout.arc_length, places, radii)
         minutes.append(transit(muscle, capsule, lumen) / 60.0)
     done = np.array([m for m in minutes if np.isfinite(m)])
     low, middle, high = np.percentile(np.where(np.isfinite(minutes), minutes, 1e4), [25, 50, 75])

@@ -30,8 +30,8 @@ from vrcaps.capsule.catalog import read_device
 from vrcaps.magnet.field import SourceSet
 from vrcaps.magnet.internal import InternalMagnet
 from vrcaps.magnet.sources import Coil, Cylinder, Dipole, FieldMap, Solenoid, Source, magnet_pose
-from vrcaps.motion.dynamics import Physics
-from vrcaps.motion.rollout import Simulation
+from vrcaps.motion.dynamics import Dynamics
+from vrcaps.motion.rollout import Rollout
 from vrcaps.world.control import Control
 from vrcaps.world.model import Model
 from vrcaps.world.world import World
@@ -91,8 +91,8 @@ def control_rows() -> list[tuple[str, ...]]:
     goal = gut_goal(organ.centerline, np.eye(4), PLACE)
     for arm in (None, "panda"):
         steering = MagnetSteering(arm=arm, skin=SKIN, waypoints=(Waypoint(0.0, PLACE),))
-        motion = Physics(start=0.5, settle=1.0, substep=2e-4, magnet=steering)
-        run = Simulation(model, motion, frames=1, fps=1.0, seed=0)
+        motion = Dynamics(start=0.5, settle=1.0, substep=2e-4, magnet=steering)
+        run = Rollout(model, motion, frames=1, fps=1.0, seed=0)
         list(run.instants())
         commander, world = run.commander, run.world
         assert commander is not None

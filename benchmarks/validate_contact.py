@@ -29,10 +29,10 @@ from vrcaps.errors import InputError
 from vrcaps.organ.read_organ import read_organ
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.tissue.drag import Drag
-from vrcaps.tissue.material import Material
 from vrcaps.tissue.motility.motility import Motility
-from vrcaps.tissue.spring_wall import QuickDeformation
+from vrcaps.tissue.spring_wall import SpringWall
 from vrcaps.tissue.tissue import Tissue
+from vrcaps.tissue.winkler_foundation import WinklerFoundation
 from vrcaps.units import MM
 from vrcaps.world.control import Control
 from vrcaps.world.model import Model, State, posture_transform
@@ -79,10 +79,10 @@ By `python benchmarks/validate_contact.py --steps {args.steps}`.
 
 def closed_form_rows() -> Iterator[tuple[str, str, str]]:
     """With u = R − s, by integration over the flat wall."""
-    for name, material in (("linear", LINEAR), ("stiffening", Material(rate_gain=0.0))):
+    for name, foundation in (("linear", LINEAR), ("stiffening", WinklerFoundation(rate_gain=0.0))):
         for shape, half_axis in (("sphere", 0.0), ("capsule", HALF_AXIS)):
             errors = [
-                _press(half_axis, material, depth * MM, edge * MM, place)
+                _press(half_axis, foundation, depth * MM, edge * MM, place)
                 for depth in DEPTHS
                 for edge in EDGES
                 for place in ((0.3, 0.1), (0.9, -0.7), (-1.3, 0.4))
@@ -93,14 +93,18 @@ def closed_form_rows() -> Iterator[tuple[str, str, str]]:
 
 
 def _press(
-    half_axis: float, material: Material, depth: float, edge: float, place: tuple[float, float]
+    half_axis: float,
+    foundation: WinklerFoundation,
+    depth: float,
+    edge: float,
+    place: tuple[float, float],
 ) -> tuple[float, float]:
     """Relative errors of force and of the root of the area."""
-    fold, nearest = material.stiffening_depth, RADIUS - depth
+    fold, nearest = foundation.stiffening_depth, RADIUS - depth
 
     def pressure(s: float) -> float:
         u = RADIUS - s
-        return material.stiffness * (fold * np.expm1(u / fold) if np.isfinite(fold) else u)
+        return foundation.stiffness * (fold * np.expm1(u / fold) if np.isfinite(fold) else u)
 
     edge_of_patch = np.sqrt(2.0 * RADIUS * depth - depth**2)
     ends = 2.0 * np.pi * nearest * quad(pressure, nearest, RADIUS)[0]
@@ -111,7 +115,7 @@ def _press(
         floor(edge, 50.0 * MM),
         position=(place[0] * MM, place[1] * MM, nearest),
         body=capsule(half_axis),
-        material=material,
+        foundation=foundation,
     )
     world.step(1e-9, 1, FREE, STILL)
     found = world.contact()
@@ -131,12 +135,12 @@ def flight_row() -> tuple[str, str, str]:
 def friction_row() -> tuple[str, str, str]:
     """Energy lost by a capsule that slides, against the work of friction over its way."""
     friction, weight = 0.1, 3e-3 * 9.81
-    stiff = Material(youngs_modulus=3e5, stiffening_strain=np.inf)
+    stiff = WinklerFoundation(youngs_modulus=3e5, stiffening_strain=np.inf)
     world = world_on(
         floor(2 * MM),
         position=(-30 * MM, 0.0, RADIUS - 0.1 * MM),
         wxyz=(np.sqrt(0.5), 0.0, np.sqrt(0.5), 0.0),
-        material=stiff,
+        foundation=stiff,
         drag=Drag(friction=friction),
     )
     world.step(1e-4, 2_000, FREE, DOWN)  # settles
@@ -173,14 +177,14 @@ def pull_rows() -> Iterator[tuple[str, str, str]]:
 
 
 def yielding_row() -> tuple[str, str, str]:
-    """The squeeze once the wall has given way by the quick model."""
-    world = _gripped(QuickDeformation())
+    """The squeeze once the wall has given way by the spring_wall model."""
+    world = _gripped(SpringWall())
     world.step(2e-4, 2_000, FREE, STILL)
     squeeze = world.contact()[2] / 2.6
-    return "squeeze in it, with quick deformation", f"{squeeze:.2f} N/cm", "1.9 ± 1.0 N/cm"
+    return "squeeze in it, with spring_wall deformation", f"{squeeze:.2f} N/cm", "1.9 ± 1.0 N/cm"
 
 
-def _gripped(quick: QuickDeformation | None, speed: float = 0.0) -> _core.World:
+def _gripped(spring_wall: SpringWall | None, speed: float = 0.0) -> _core.World:
     """A heavy capsule in a tube 8.4 mm wide, that goes along it at a speed [m/s]."""
     return world_on(
         tube(4.2 * MM, 120.0 * MM, 1.0 * MM),
@@ -188,9 +192,9 @@ def _gripped(quick: QuickDeformation | None, speed: float = 0.0) -> _core.World:
         wxyz=(1, 0, 0, 0),
         velocity=(0, 0, speed),
         body=capsule(mass=1e6),
-        material=Material(),
+        foundation=WinklerFoundation(),
         drag=Drag(),
-        quick=quick,
+        spring_wall=spring_wall,
     )
 
 

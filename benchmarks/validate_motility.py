@@ -210,10 +210,12 @@ def count_rows(gut: OrganSurface) -> list[tuple[str, ...]]:
 
 def contraction_rate(muscle: Muscle, place: float, minutes: float = 30.0) -> float:
     """Contractions per minute at a place [m]."""
-    station = int(np.argmin(np.abs(muscle.layout.station - place)))
-    span = slice(station, station + 1)
-    depth = np.array([1.0 - muscle.calibre(t, span)[0] for t in np.arange(0, minutes * 60.0, 0.5)])
-    half = 0.5 * muscle.layout.figures[0, station]
+    sample = int(np.argmin(np.abs(muscle.layout.arc_length - place)))
+    span = slice(sample, sample + 1)
+    depth = np.array(
+        [1.0 - muscle.lumen_scale(t, span)[0] for t in np.arange(0, minutes * 60.0, 0.5)]
+    )
+    half = 0.5 * muscle.layout.figures[0, sample]
     return np.sum((depth[1:] > half) & (depth[:-1] <= half)) / minutes
 
 
@@ -244,7 +246,7 @@ def physics_rows() -> list[tuple[str, ...]]:
         places.append(state.T_world_capsule[0, 3])
         if state.time < 4.0 and state.vertices_world is not None and world.muscle is not None:
             radius = np.linalg.norm(state.vertices_world[far, 1:], axis=1)
-            depth = 1.0 - world.muscle.calibre(state.time)[250]
+            depth = 1.0 - world.muscle.lumen_scale(state.time)[250]
             wanted = gut.radius[0] * (1.0 - min(1.0, state.time) * depth)
             error = max(error, np.abs(radius - wanted).max())
     speed = (places[-1] - places[-201]) / 4.0
@@ -285,15 +287,15 @@ def update_times() -> tuple[str, str, int, int]:
     world = World(model, Tissue(motility=Motility()), start)
 
     def wave(k: int) -> None:
-        muscle.calibre(100.0 + 0.37 * k)
+        muscle.lumen_scale(100.0 + 0.37 * k)
 
     def move(k: int) -> None:
         if world.muscle is not None:
-            calibre = world.muscle.calibre(100.0 + 0.37 * k)
-            world._core.step(1e-6, 1, (0.0,) * 6, (0.0,) * 3, calibre)
+            lumen_scale = world.muscle.lumen_scale(100.0 + 0.37 * k)
+            world._core.step(1e-6, 1, (0.0,) * 6, (0.0,) * 3, lumen_scale)
             world._core.settle()
 
-    return process_time(wave), process_time(move), len(muscle.layout.station), len(colon.faces)
+    return process_time(wave), process_time(move), len(muscle.layout.arc_length), len(colon.faces)
 
 
 def process_time(work: Callable[[int], None]) -> str:

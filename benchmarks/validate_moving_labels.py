@@ -1,6 +1,6 @@
 """Claim: labels are exact while the wall moves.
 
-Records episodes by physics with the wall of each frame (`--wall`), then casts the same rays by
+Records episodes by dynamics with the wall of each frame (`--wall`), then casts the same rays by
 Embree through what was written: pose, camera, and `wall/*.npy` on the triangles of `organ.glb`.
 Embree's hits are carried by their own triangles to the wall of the neighbouring frame and projected
 there. Claimed, as on a wall at rest: depth within one 10 µm step for 99.9 % of the pixels, normals
@@ -24,25 +24,25 @@ from validation import options, table, write_section
 from vrcaps.camera.camera import Camera
 from vrcaps.camera.rays import camera_rays, pixel_grid, project_points
 from vrcaps.mesh.mesh import vertex_normals
-from vrcaps.motion.dynamics import Physics
+from vrcaps.motion.dynamics import Dynamics
 from vrcaps.recording.episode import Episode, read_episode
 from vrcaps.recording.recorder import record
 from vrcaps.scenario.scenario import OrganGenerated, Scenario
 from vrcaps.transforms import invert, rotate_vectors, transform_points
 from vrcaps.units import UM
-from vrcaps.world.schedule import Insufflation, Turn, Wrench
+from vrcaps.world.schedule import Insufflation, PostureChange, Wrench
 
 ALL_CHANNELS = (*CHANNELS, "flow_backward")
 SCENES = {
     "small bowel in phase III": Scenario(
         organ=OrganGenerated("small-bowel"),
         capsule="mirocam",
-        motion=Physics(start=0.3, motility="phase-three", substep=2e-4),
+        motion=Dynamics(start=0.3, motility="phase-three", substep=2e-4),
     ),
     "collapsed colon that contracts, a pull": Scenario(
         organ=OrganGenerated("colon", distension="collapsed"),
         capsule="pillcam-colon2",
-        motion=Physics(
+        motion=Dynamics(
             start=0.5,
             motility="steady",
             wrenches=(Wrench(force=(0.0, 0.0, 0.05)),),
@@ -53,9 +53,9 @@ SCENES = {
     "stomach that is inflated, and turns": Scenario(
         organ=OrganGenerated("stomach"),
         capsule="panoramic",
-        motion=Physics(
+        motion=Dynamics(
             start=0.4,
-            turns=(Turn("left-lateral", at=0.0, over=2.0),),
+            posture_changes=(PostureChange("left-lateral", time=0.0, duration=2.0),),
             insufflation=(Insufflation(0.0, 0.9), Insufflation(2.0, 1.1)),
             substep=2e-4,
         ),

@@ -7,7 +7,7 @@ the capsule with them through contact alone; mucus damps it. It slides back wher
 and the gut rises. Prints how far it got, how hard the wall held it and what friction cost, and
 records what the camera saw. Without the mucus, from the shell:
 
-    vrcaps record --organ small-bowel --motion physics --motility phase-three --start 0.3 \
+    vrcaps record --organ small-bowel --motion dynamics --motility phase-three --start 0.3 \
         --frames 120 --fps 6 --out runs/phase-three
 
 A mesh of your own gets the muscle of the jejunum:
@@ -39,8 +39,8 @@ def main(out: Path, organ: Path | None, unit: str, frames: int, substep: float) 
     if organ is not None:
         bowel = vrcaps.OrganFile(str(organ), unit=unit)
     mucus = Drag(viscosity=1.0)  # N·s/m
-    motion = vrcaps.Physics(
-        start=0.3, motility="phase-three", otherwise="jejunum", drag=mucus, substep=substep
+    motion = vrcaps.Dynamics(
+        start=0.3, motility="phase-three", fallback_segment="jejunum", drag=mucus, substep=substep
     )
     scenario = vrcaps.Scenario(organ=bowel, motion=motion, frames=frames, fps=6.0)
     record(scenario, out)
@@ -53,7 +53,8 @@ def main(out: Path, organ: Path | None, unit: str, frames: int, substep: float) 
     for k in range(0, len(episode), max(1, len(episode) // 20)):
         print(
             f"{run['time_s'][k]:8.1f}  {(run['arc_length_m'][k] - start) / CM:14.2f}"
-            f"  {run['capsule_along_gut_m_per_s'][k] / MM:12.1f}  {run['grip_n'][k]:8.2f}"
+            f"  {run['capsule_along_gut_m_per_s'][k] / MM:12.1f}"
+            f"  {run['normal_force_total_n'][k]:8.2f}"
             f"  {run['contact_depth_m'][k] / MM:12.2f}  {run['segment'][k]}"
         )
     travelled, seconds = run["arc_length_m"][-1] - start, max(run["time_s"][-1], 1e-9)

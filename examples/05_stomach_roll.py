@@ -6,8 +6,9 @@ Dropped in the middle, the capsule falls onto the wall; then the patient turns f
 the left side, and onto the front. Prints where it lies and how high, and records what it saw. The
 same from the shell:
 
-    vrcaps record --organ stomach --distension inflated --motion physics --start 0.4 --settle 0.2 \
-        --turn left-lateral:at=2,over=3 --turn prone:at=8,over=3 --frames 52 --fps 4 --out runs/roll
+    vrcaps record --organ stomach --distension inflated --motion dynamics --start 0.4 --settle 0.2 \
+        --posture-change left-lateral:time=2,duration=3 \
+        --posture-change prone:time=8,duration=3 --frames 52 --fps 4 --out runs/roll
 """
 
 from __future__ import annotations
@@ -21,14 +22,17 @@ import vrcaps
 from vrcaps.recording.recorder import record
 from vrcaps.transforms import invert, transform_points
 from vrcaps.units import CM, DEG
-from vrcaps.world.schedule import Turn
+from vrcaps.world.schedule import PostureChange
 
 
 def main(out: Path, frames: int, fps: float, substep: float) -> None:
     """Record the fall and the turns, and print where the capsule lies."""
-    motion = vrcaps.Physics(
+    motion = vrcaps.Dynamics(
         start=0.4,
-        turns=(Turn("left-lateral", at=2.0, over=3.0), Turn("prone", at=8.0, over=3.0)),
+        posture_changes=(
+            PostureChange("left-lateral", time=2.0, duration=3.0),
+            PostureChange("prone", time=8.0, duration=3.0),
+        ),
         settle=0.2,
         substep=substep,
     )

@@ -62,14 +62,14 @@ def main(out: Path, distance: float, start: float, substep: float) -> None:
         width = 1.0 + (DEFLATED - 1.0) * min(1.0, 1.0 + step * STEP / LET_OUT)
         world.step(Control(force_world=pull * along, insufflation=width), STEP)
         if step >= 0:
-            rows.append((place, pull, world.state.contact.grip))
+            rows.append((place, pull, world.state.contact.normal_force_total))
         if step >= 0 and step % max(1, count // 6) == 0:
             views.append((place - rows[0][0], state))
 
     table = np.array(rows)
     table[:, 0] -= table[0, 0]
     out.mkdir(parents=True, exist_ok=True)
-    header = "distance_m,force_n,grip_n"
+    header = "distance_m,force_n,normal_force_total_n"
     np.savetxt(out / "pull.csv", table, "%.6f", ",", header=header, comments="")
     print("distance [cm]  force [mN]  grip [mN]")
     for travelled, force, grip in table[:: max(1, len(table) // 20)]:

@@ -25,7 +25,7 @@ import numpy as np
 
 import vrcaps
 from vrcaps.actuation.steering_program import MagnetSteering
-from vrcaps.motion.rollout import Simulation
+from vrcaps.motion.rollout import Rollout
 from vrcaps.recording.episode import Episode
 from vrcaps.recording.recorder import record
 from vrcaps.scenario.scenario import build, resolve
@@ -44,7 +44,7 @@ def main(out: Path, fps: float, substep: float, frames: int | None) -> None:
     scenario = vrcaps.Scenario(
         organ=vrcaps.OrganGenerated("stomach", distension="inflated"),
         capsule="magnetic",
-        motion=vrcaps.Physics(start=0.05, magnet=STEERING, substep=substep),
+        motion=vrcaps.Dynamics(start=0.05, magnet=STEERING, substep=substep),
         frames=round(LONGEST * fps) + 1 if frames is None else frames,
         fps=fps,
     )
@@ -59,7 +59,7 @@ def main(out: Path, fps: float, substep: float, frames: int | None) -> None:
 def drive(scenario: vrcaps.Scenario) -> int:
     """Simulates until the capsule is there; prints how it goes; the number of frames until then."""
     _, run = build(*resolve(scenario))
-    assert isinstance(run, Simulation)
+    assert isinstance(run, Rollout)
     assert run.commander is not None
     follower = run.commander.follower
     assert follower is not None

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from vrcaps.motion.dynamics import Physics
+from vrcaps.motion.dynamics import Dynamics
 from vrcaps.motion.fly_through import FlyThrough
 from vrcaps.scenario.scenario import OrganFile, read_scenario
 
@@ -68,7 +68,7 @@ def test_scenarios_of_the_format_are_some(tmp_path: Path) -> None:
         path = tmp_path / f"{number}.toml"
         path.write_text(text)
         motions.append(read_scenario(path).motion)
-    assert [type(motion) for motion in motions] == [FlyThrough, Physics]
+    assert [type(motion) for motion in motions] == [FlyThrough, Dynamics]
 
 
 @pytest.mark.parametrize("page", ["README.md", "docs/quickstart.md", "CONTRIBUTING.md"])

@@ -19,8 +19,8 @@ from vrcaps.actuation.steering_program import MagnetSteering
 from vrcaps.anatomy.stomach import StomachParameters, generate_stomach
 from vrcaps.capsule.catalog import read_device
 from vrcaps.magnet.field import SourceSet
-from vrcaps.motion.dynamics import Physics
-from vrcaps.motion.rollout import Simulation
+from vrcaps.motion.dynamics import Dynamics
+from vrcaps.motion.rollout import Rollout
 from vrcaps.transforms import invert, transform_points
 from vrcaps.units import CM
 from vrcaps.world.model import Model, posture_transform
@@ -36,8 +36,8 @@ def main() -> None:
     stomach = generate_stomach(StomachParameters().at("inflated"), seed=0)
     model = Model(stomach, read_device("magnetic"), posture_transform("supine"))
     steering = MagnetSteering(arm="panda", side="up", skin=3.0 * CM, speed=1.0 * CM)
-    motion = Physics(start=0.05, substep=2e-4, magnet=steering)
-    run = Simulation(model, motion, frames=int(SECONDS * FPS), fps=FPS, seed=0)
+    motion = Dynamics(start=0.05, substep=2e-4, magnet=steering)
+    run = Rollout(model, motion, frames=int(SECONDS * FPS), fps=FPS, seed=0)
     instant = list(run.instants())[-1]
     assert run.commander is not None and instant.conditions is not None
     held = instant.conditions.steered.held

@@ -3,7 +3,7 @@ from .anatomy.catalog import load_organ as load_organ
 from .capsule.catalog import device_names as device_names
 from .capsule.catalog import read_device as read_device
 from .errors import VrcapsError as VrcapsError
-from .motion.dynamics import Physics as Physics
+from .motion.dynamics import Dynamics as Dynamics
 from .motion.fly_through import FlyThrough as FlyThrough
 from .motion.fly_through import fly_through as fly_through
 from .motion.replay import Replay as Replay

@@ -42,9 +42,9 @@ class World:
         self,
         wall: Wall,
         body: Any,
-        material: Any,
+        foundation: Any,
         drag: Any,
-        quick: Any | None,
+        spring_wall: Any | None,
         pose: Pose,
     ) -> None: ...
     def set_drive(self, inward: NDArray[np.float64], station: NDArray[np.float64]) -> None: ...

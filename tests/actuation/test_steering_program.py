@@ -21,12 +21,12 @@ from vrcaps.actuation.steering_program import (
 )
 from vrcaps.capsule.catalog import read_device
 from vrcaps.errors import InputError, UnknownNameError
-from vrcaps.motion.dynamics import Physics
-from vrcaps.motion.rollout import Simulation
+from vrcaps.motion.dynamics import Dynamics
+from vrcaps.motion.rollout import Rollout
 from vrcaps.recording.table import STEERED_COLUMNS, make_table
 from vrcaps.units import DEG
 from vrcaps.world.model import Model, posture_transform
-from vrcaps.world.schedule import Turn
+from vrcaps.world.schedule import PostureChange
 
 PATH = (Waypoint(0.0, 0.06), Waypoint(1.0, 0.065), Waypoint(2.0, 0.065))
 
@@ -38,8 +38,8 @@ def gut_model() -> Model:
 
 
 def simulate(model: Model, steering: MagnetSteering, frames: int = 7, fps: float = 3.0):
-    motion = Physics(start=0.3, settle=0.5, substep=2e-4, magnet=steering)
-    return Simulation(model, motion, frames=frames, fps=fps, seed=0)
+    motion = Dynamics(start=0.3, settle=0.5, substep=2e-4, magnet=steering)
+    return Rollout(model, motion, frames=frames, fps=fps, seed=0)
 
 
 def test_an_arm_leads_the_capsule_from_place_to_place(gut_model):
@@ -110,14 +110,14 @@ def test_the_way_goes_on_from_a_snapshot(gut_model):
 
 
 def test_a_patient_who_turns_takes_the_way_along(gut_model):
-    motion = Physics(
+    motion = Dynamics(
         start=0.3,
         settle=0.2,
         substep=2e-4,
         magnet=MagnetSteering(),
-        turns=(Turn("left-lateral", 0.0, 0.5),),
+        posture_changes=(PostureChange("left-lateral", 0.0, 0.5),),
     )
-    run = Simulation(gut_model, motion, frames=3, fps=5.0, seed=0)
+    run = Rollout(gut_model, motion, frames=3, fps=5.0, seed=0)
     states = [instant.conditions.steered for instant in run.instants()]
     assert np.isfinite(states[-1].needed).all()
 

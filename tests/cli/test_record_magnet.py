@@ -9,7 +9,7 @@ import tyro
 
 from vrcaps import cli
 from vrcaps.cli.record import Record
-from vrcaps.motion.dynamics import Physics
+from vrcaps.motion.dynamics import Dynamics
 from vrcaps.scenario.scenario import scenario_from_plain, scenario_to_plain
 from vrcaps.units import MM
 
@@ -18,10 +18,10 @@ def test_flags_reach_the_scenario_and_the_file(tmp_path: Path):
     flags = (
         "--out o --organ stomach --capsule magnetic --motion magnet --arm panda --side up "
         "--press 0.2 --magnet cylinder-76.2 --skin-mm 30 --along-mm-per-s 8 --arm-base 0 0.5 0 "
-        "--until 0.8 --turn prone:at=1"
+        "--until 0.8 --posture-change prone:time=1"
     )
     scenario = tyro.cli(Record, args=flags.split()).resolved()
-    assert isinstance(scenario.motion, Physics)
+    assert isinstance(scenario.motion, Dynamics)
     magnet = scenario.motion.magnet
     assert magnet is not None
     assert (magnet.magnet, magnet.arm, magnet.side) == ("cylinder-76.2", "panda", "up")

@@ -1,4 +1,4 @@
-"""Bubbles sit on the round ends of the capsule as many as the grade says."""
+"""Bubbles sit on the round ends of the capsule as many as the severity says."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import pytest
 from tubes import straight_gut
 from vrcaps.capsule.catalog import read_device
 from vrcaps.errors import InputError
-from vrcaps.lumen.bubbles import BUBBLE_GRADES, Bubbles
+from vrcaps.lumen.bubbles import BUBBLE_SEVERITIES, Bubbles
 from vrcaps.lumen.contents import Contents
 from vrcaps.lumen.dome_attachment import seats
 from vrcaps.organ.surface import OrganSurface
@@ -25,31 +25,31 @@ def gut() -> OrganSurface:
     return straight_gut({"bowel": 0.1}, radius=15.0 * MM)
 
 
-@pytest.mark.parametrize("grade", [0, 1, 2, 3, 4])
-def test_as_many_as_the_grade_says_ride_exactly(gut: OrganSurface, grade: int) -> None:
+@pytest.mark.parametrize("severity", [0, 1, 2, 3, 4])
+def test_as_many_as_the_grade_says_ride_exactly(gut: OrganSurface, severity: int) -> None:
     device = read_device("mirocam")
-    model = Model(gut, device, contents=Contents(bubbles=grade, chyme=1, seed=3))
-    filling, count = model.filling, BUBBLE_GRADES[grade].on_dome
-    assert filling is not None and len(filling.seats) == 2 * count
-    radius = filling.spheres.radius[len(filling.spheres) - 2 * count :]
+    model = Model(gut, device, contents=Contents(bubbles=severity, chyme=1, seed=3))
+    lumen_contents, count = model.lumen_contents, BUBBLE_SEVERITIES[severity].on_dome
+    assert lumen_contents is not None and len(lumen_contents.seats) == 2 * count
+    radius = lumen_contents.spheres.radius[len(lumen_contents.spheres) - 2 * count :]
     half = device.length / 2.0 - device.radius
-    ahead = filling.seats[:, 2] > 0.0
+    ahead = lumen_contents.seats[:, 2] > 0.0
     assert ahead.sum() == count
-    offset = filling.seats - np.where(ahead, half, -half)[:, None] * [0.0, 0.0, 1.0]
+    offset = lumen_contents.seats - np.where(ahead, half, -half)[:, None] * [0.0, 0.0, 1.0]
     np.testing.assert_allclose(np.linalg.norm(offset, axis=1), device.radius + radius, rtol=1e-12)
     assert (np.abs(offset[:, 2]) > 0.3 * device.radius).all()
     T = transform_from(rotation_from_vector(np.array([0.3, -0.2, 0.5])), np.array([0.05, 0, 0]))
-    seen = filling.around_capsule(T, device.length, device.radius).spheres
-    assert seen.radius is filling.spheres.radius
+    seen = lumen_contents.around_capsule(T, device.length, device.radius).spheres
+    assert seen.radius is lumen_contents.spheres.radius
     local = (seen.centers[len(seen) - 2 * count :] - T[:3, 3]) @ T[:3, :3]
-    np.testing.assert_allclose(local, filling.seats, atol=1e-15)
-    again = Model(gut, device, contents=Contents(bubbles=grade, chyme=1, seed=3)).filling
-    assert again is not None and again.seats.tobytes() == filling.seats.tobytes()
+    np.testing.assert_allclose(local, lumen_contents.seats, atol=1e-15)
+    again = Model(gut, device, contents=Contents(bubbles=severity, chyme=1, seed=3)).lumen_contents
+    assert again is not None and again.seats.tobytes() == lumen_contents.seats.tobytes()
 
 
 def test_higher_grades_have_more() -> None:
-    assert BUBBLE_GRADES[0].on_dome == 0
-    assert all(a.on_dome < b.on_dome for a, b in pairwise(BUBBLE_GRADES))
+    assert BUBBLE_SEVERITIES[0].on_dome == 0
+    assert all(a.on_dome < b.on_dome for a, b in pairwise(BUBBLE_SEVERITIES))
     assert not Contents(bubbles=Bubbles(per_area=0.0, on_dome=1)).is_empty
 
 

@@ -11,11 +11,11 @@ import pytest
 from tubes import straight_gut
 from vrcaps import _core
 from vrcaps.errors import InputError
-from vrcaps.lumen.bubbles import BUBBLE_GRADES, Bubbles
-from vrcaps.lumen.chyme import CHYME_GRADES, Chyme
+from vrcaps.lumen.bubbles import BUBBLE_SEVERITIES, Bubbles
+from vrcaps.lumen.chyme import CHYME_SEVERITIES, Chyme
 from vrcaps.lumen.cluster import pack, sizes
 from vrcaps.lumen.contents import Contents
-from vrcaps.lumen.liquid import LIQUID_GRADES, Liquid
+from vrcaps.lumen.liquid import LIQUID_SEVERITIES, Liquid
 from vrcaps.lumen.lumen_contents import fill
 from vrcaps.lumen.particles import BUBBLE, FIRST_CLUMP, WHITE, Spheres
 from vrcaps.lumen.placement import place_bubbles, place_chyme, smooth_area
@@ -42,20 +42,23 @@ def test_the_smooth_area_of_a_cylinder(gut: OrganSurface) -> None:
     np.testing.assert_allclose(area, 2.0 * np.pi * RADIUS * edges, rtol=1e-2, atol=1e-6)
 
 
-@pytest.mark.parametrize("grade", [1, 2, 3, 4])
-def test_counts_follow_the_table(gut: OrganSurface, wall: _core.Wall, grade: int) -> None:
+@pytest.mark.parametrize("severity", [1, 2, 3, 4])
+def test_counts_follow_the_table(gut: OrganSurface, wall: _core.Wall, severity: int) -> None:
     """Poisson counts: within 4 standard deviations of the table's density times the area."""
-    for kind, place in ((BUBBLE_GRADES[grade], place_bubbles), (CHYME_GRADES[grade], place_chyme)):
+    for kind, place in (
+        (BUBBLE_SEVERITIES[severity], place_bubbles),
+        (CHYME_SEVERITIES[severity], place_chyme),
+    ):
         expected = kind.per_area * AREA
-        count = len(place(gut, wall, kind, UP, np.random.default_rng(grade)))
+        count = len(place(gut, wall, kind, UP, np.random.default_rng(severity)))
         assert abs(count - expected) < 4.0 * np.sqrt(expected)
 
 
-@pytest.mark.parametrize("grades", [BUBBLE_GRADES, CHYME_GRADES])
-def test_grades_rise(grades: tuple[Bubbles, ...] | tuple[Chyme, ...]) -> None:
-    assert len(grades) == 5 and grades[0].per_area == 0.0
-    assert all(a.per_area < b.per_area for a, b in pairwise(grades))
-    fills = [liquid.fill for liquid in LIQUID_GRADES]
+@pytest.mark.parametrize("severities", [BUBBLE_SEVERITIES, CHYME_SEVERITIES])
+def test_grades_rise(severities: tuple[Bubbles, ...] | tuple[Chyme, ...]) -> None:
+    assert len(severities) == 5 and severities[0].per_area == 0.0
+    assert all(a.per_area < b.per_area for a, b in pairwise(severities))
+    fills = [liquid.fill for liquid in LIQUID_SEVERITIES]
     assert fills[0] == 0.0 and fills == sorted(set(fills))
 
 
@@ -70,8 +73,8 @@ def test_radii_are_log_normal(gut: OrganSurface, wall: _core.Wall) -> None:
 
 
 def test_all_lie_in_the_lumen(gut: OrganSurface, wall: _core.Wall) -> None:
-    bubbles = place_bubbles(gut, wall, BUBBLE_GRADES[3], UP, np.random.default_rng(2))
-    chyme = place_chyme(gut, wall, CHYME_GRADES[3], UP, np.random.default_rng(2))
+    bubbles = place_bubbles(gut, wall, BUBBLE_SEVERITIES[3], UP, np.random.default_rng(2))
+    chyme = place_chyme(gut, wall, CHYME_SEVERITIES[3], UP, np.random.default_rng(2))
     for spheres in (bubbles, chyme):
         assert (wall.signed_distance(spheres.centers) > 0.0).all()
     # All but those in the sharp corners of the ends lie at their height over the wall.
@@ -129,15 +132,15 @@ def test_sizes_of_clusters(rng: np.random.Generator) -> None:
 
 def test_contents_take_grades_or_figures() -> None:
     own = Bubbles(per_area=3.0)
-    assert Contents(bubbles=own).resolved == (own, CHYME_GRADES[0], LIQUID_GRADES[0])
+    assert Contents(bubbles=own).resolved == (own, CHYME_SEVERITIES[0], LIQUID_SEVERITIES[0])
     assert Contents().is_empty and not Contents(liquid=1).is_empty
 
 
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: Contents(bubbles=5), "Contents' bubbles is 5. Allowed: a grade, 0 to 4"),
-        (lambda: Contents(liquid=-1), "Contents' liquid is -1. Allowed: a grade"),
+        (lambda: Contents(bubbles=5), "Contents' bubbles is 5. Allowed: a severity, 0 to 4"),
+        (lambda: Contents(liquid=-1), "Contents' liquid is -1. Allowed: a severity"),
         (lambda: Contents(seed=-1), "Contents' seed is -1"),
         (lambda: Contents(drift=1.0), "Contents' drift is 1.0"),
         (lambda: Contents(reach=-1.0), "Contents' reach is -1.0"),

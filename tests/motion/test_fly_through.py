@@ -24,7 +24,7 @@ def _forward(trajectory):
 def test_every_device_stays_inside(tube, device):
     """Centre and cameras of every catalog device keep clear of the wall, whatever the seed."""
     model = Model(tube, read_device(device))
-    wild = FlyThrough(drift=0.95, wobble=0.7, roll=3.0)
+    wild = FlyThrough(drift=0.95, tilt=0.7, roll=3.0)
     for seed, settings in ((0, FlyThrough()), (1, wild), (2, replace(wild, start=0.9, end=0.1))):
         trajectory = _fly(model, settings, seed=seed)
         assert camera_clearance(model, trajectory).min() > 0.0
@@ -37,14 +37,14 @@ def test_every_device_stays_inside(tube, device):
 
 def test_margin_is_kept_where_there_is_room(model):
     """With a drift of nearly the whole radius the margin still holds away from the ends."""
-    settings = FlyThrough(start=0.2, end=0.8, drift=0.98, wobble=0.6, margin=0.004)
+    settings = FlyThrough(start=0.2, end=0.8, drift=0.98, tilt=0.6, margin=0.004)
     trajectory = _fly(model, settings, frames=400)
     assert camera_clearance(model, trajectory).min() > 0.98 * 0.004
 
 
 def test_without_wandering_it_rides_the_centreline(model):
-    """Both ends of the wheelbase are on the curve; on the straight so is the whole axis."""
-    settings = FlyThrough(drift=0.0, wobble=0.0, roll=0.0, speed_variation=0.0)
+    """Both ends of the follower_offsets are on the curve; on the straight so is the whole axis."""
+    settings = FlyThrough(drift=0.0, tilt=0.0, roll=0.0, speed_variation=0.0)
     trajectory = _fly(model, settings, frames=300)
     camera = model.device.cameras[0]
     front = camera_poses(trajectory.Ts_world_capsule, camera.T_capsule_camera)[:, :3, 3]
@@ -56,11 +56,11 @@ def test_without_wandering_it_rides_the_centreline(model):
 
 
 def test_camera_looks_along_the_travel(model):
-    trajectory = _fly(model, FlyThrough(wobble=0.1, drift=0.2), frames=200)
+    trajectory = _fly(model, FlyThrough(tilt=0.1, drift=0.2), frames=200)
     velocity = trajectory.linear_velocities_world
     velocity = velocity / np.linalg.norm(velocity, axis=1, keepdims=True)
     assert (velocity * _forward(trajectory)).sum(axis=1).min() > np.cos(0.5)
-    back = _fly(model, FlyThrough(start=0.9, end=0.1, wobble=0.1, drift=0.2), frames=200)
+    back = _fly(model, FlyThrough(start=0.9, end=0.1, tilt=0.1, drift=0.2), frames=200)
     heading = _forward(back) * back.linear_velocities_world
     assert (heading.sum(axis=1) > 0.0).all()
 
@@ -85,7 +85,7 @@ def test_path_does_not_depend_on_the_frame_rate(model):
 
 def test_motion_is_smooth(model):
     """No step of the heading between frames exceeds what the mean turn allows ten times over."""
-    trajectory = _fly(model, FlyThrough(drift=0.9, wobble=0.5), frames=600, fps=20.0)
+    trajectory = _fly(model, FlyThrough(drift=0.9, tilt=0.5), frames=600, fps=20.0)
     turn = np.arccos(np.clip((_forward(trajectory)[1:] * _forward(trajectory)[:-1]).sum(1), -1, 1))
     assert turn.max() < 10.0 * max(turn.mean(), 1e-3)
 
@@ -98,7 +98,7 @@ def test_same_seed_same_path_other_seed_other_path(model):
 
 def test_mean_speed_and_variation(model):
     """The distance covered is speed × time; momentary speed stays near 1 ± variation."""
-    settings = FlyThrough(speed=0.03, speed_variation=0.5, drift=0.0, wobble=0.0, start=0.1)
+    settings = FlyThrough(speed=0.03, speed_variation=0.5, drift=0.0, tilt=0.0, start=0.1)
     trajectory = _fly(model, settings, frames=60, fps=10.0)
     speed = np.linalg.norm(trajectory.linear_velocities_world, axis=1)
     assert speed.mean() == pytest.approx(0.03, rel=0.2)
@@ -140,7 +140,7 @@ def test_capsule_too_long_for_a_bend(model):
         ({"speed": 0.0}, r"speed \(--speed\) is 0.0. Allowed: above 0 m/s"),
         ({"speed_variation": 1.0}, r"\(--speed-variation\) is 1.0"),
         ({"drift": 1.0}, r"\(--drift\) is 1.0"),
-        ({"wobble": 1.0}, r"\(--wobble\) is 1.0"),
+        ({"tilt": 1.0}, r"\(--tilt\) is 1.0"),
         ({"roll": float("nan")}, r"\(--roll\) is nan"),
         ({"smoothness": 0.0}, r"\(--smoothness\) is 0.0"),
         ({"margin": -1.0}, r"\(--margin\) is -1.0"),

@@ -10,21 +10,21 @@ import pytest
 from tubes import straight_gut
 from vrcaps.capsule.catalog import read_device
 from vrcaps.errors import InputError, UnknownNameError
-from vrcaps.motion.dynamics import Physics, tissue_of
-from vrcaps.motion.rollout import Simulation, over_all
+from vrcaps.motion.dynamics import Dynamics, make_tissue
+from vrcaps.motion.rollout import Rollout, over_all
 from vrcaps.motion.run import Instant
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.tissue.drag import Drag
 from vrcaps.tissue.fem.deformation import FemDeformation
 from vrcaps.tissue.motility.propulsion import Propulsion
-from vrcaps.tissue.spring_wall import QuickDeformation
+from vrcaps.tissue.spring_wall import SpringWall
 from vrcaps.transforms import transform_points
 from vrcaps.units import CM, MM
 from vrcaps.world.model import Contact, Model, posture_transform
-from vrcaps.world.schedule import Insufflation, Turn, Wrench
+from vrcaps.world.schedule import Insufflation, PostureChange, Wrench
 
 G = 9.80665
-RIGID = Physics(start=0.5, deformation="rigid", settle=0.5, substep=5e-4)
+RIGID = Dynamics(start=0.5, deformation="rigid", settle=0.5, substep=5e-4)
 
 
 @pytest.fixture(scope="module")
@@ -38,8 +38,8 @@ def lying(gut: OrganSurface) -> Model:
     return Model(gut, read_device("mirocam"), posture_transform("supine"))
 
 
-def run(model: Model, settings: Physics, *, frames: int = 4, fps: float = 10.0) -> list[Instant]:
-    return list(Simulation(model, settings, frames=frames, fps=fps, seed=0).instants())
+def run(model: Model, settings: Dynamics, *, frames: int = 4, fps: float = 10.0) -> list[Instant]:
+    return list(Rollout(model, settings, frames=frames, fps=fps, seed=0).instants())
 
 
 def test_the_first_frame_is_at_rest_on_the_wall(lying: Model) -> None:
@@ -63,7 +63,7 @@ def test_a_layer_of_elements_carries_the_weight(lying: Model) -> None:
     """The wall that is shown sinks under the capsule, and by as much as the layer does."""
     layer = FemDeformation(edge=10.0 * MM, support=1e5)
     soft = replace(RIGID, deformation="fem", fem=layer)
-    simulation = Simulation(lying, soft, frames=2, fps=20.0, seed=0)
+    simulation = Rollout(lying, soft, frames=2, fps=20.0, seed=0)
     state = list(simulation.instants())[-1].state
     assert state.contact is not None
     assert state.vertices_world is not None
@@ -77,10 +77,10 @@ def test_a_layer_of_elements_carries_the_weight(lying: Model) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "kind"), [("quick", QuickDeformation), ("fem", FemDeformation), ("rigid", type(None))]
+    ("name", "kind"), [("spring", SpringWall), ("fem", FemDeformation), ("rigid", type(None))]
 )
 def test_each_deformation_has_its_tissue(name: str, kind: type) -> None:
-    tissue = tissue_of(replace(RIGID, deformation=name), front=0.0)
+    tissue = make_tissue(replace(RIGID, deformation=name), front=0.0)
     assert isinstance(tissue.deformation, kind)
 
 
@@ -107,7 +107,9 @@ def test_a_pull_along_the_gut(lying: Model, frame: str) -> None:
 
 def test_it_rolls_to_the_lowest_place_as_the_patient_turns(lying: Model) -> None:
     """In the patient the lowest place moves from the back to the left side."""
-    settings = replace(RIGID, turns=(Turn("left-lateral", at=0.0, over=1.0),))
+    settings = replace(
+        RIGID, posture_changes=(PostureChange("left-lateral", time=0.0, duration=1.0),)
+    )
     instants = run(lying, settings, frames=16)
     places = []
     for instant in instants:
@@ -150,8 +152,8 @@ def test_phase_three_is_at_the_capsule(lying: Model) -> None:
 
 def test_a_run_is_the_same_however_it_is_walked(lying: Model) -> None:
     """Again from the start, and from a snapshot taken on the way."""
-    settings = Physics(start=0.3, motility="steady", settle=0.1, substep=1e-3)
-    simulation = Simulation(lying, settings, frames=5, fps=10.0, seed=3)
+    settings = Dynamics(start=0.3, motility="steady", settle=0.1, substep=1e-3)
+    simulation = Rollout(lying, settings, frames=5, fps=10.0, seed=3)
     assert len(simulation) == 5
     taken, steps = [], []
     simulation.on_step = lambda time, duration: steps.append((time, duration))
@@ -178,22 +180,27 @@ def test_contact_over_a_frame() -> None:
     total = over_all(contacts)
     np.testing.assert_array_equal(total.force_world, 2.0)
     np.testing.assert_array_equal(total.torque_world, -2.0)
-    assert (total.grip, total.friction_work, total.energy, total.depth) == (2.0, 1.0, 3.0, 6.0)
+    assert (total.normal_force_total, total.friction_work, total.energy, total.depth) == (
+        2.0,
+        1.0,
+        3.0,
+        6.0,
+    )
 
 
 def test_it_is_set_further_in_where_it_does_not_fit(lying: Model) -> None:
-    simulation = Simulation(lying, replace(RIGID, start=0.0), frames=1, fps=1.0, seed=0)
+    simulation = Rollout(lying, replace(RIGID, start=0.0), frames=1, fps=1.0, seed=0)
     (note,) = simulation.notes
     assert note.startswith("Set the capsule ")
-    assert Simulation(lying, RIGID, frames=1, fps=1.0, seed=0).notes == ()
-    backwards = Simulation(lying, replace(RIGID, start=1.0), frames=1, fps=1.0, seed=0)
+    assert Rollout(lying, RIGID, frames=1, fps=1.0, seed=0).notes == ()
+    backwards = Rollout(lying, replace(RIGID, start=1.0), frames=1, fps=1.0, seed=0)
     assert backwards.world.state.T_world_capsule[0, 3] > 0.1
 
 
 def test_it_fits_nowhere() -> None:
     narrow = Model(straight_gut({"jejunum": 0.1}, radius=2.5 * MM), read_device("mirocam"))
     with pytest.raises(InputError, match=r"fits nowhere from start 0.5 on. Check the organ's"):
-        Simulation(narrow, RIGID, frames=1, fps=1.0, seed=0)
+        Rollout(narrow, RIGID, frames=1, fps=1.0, seed=0)
 
 
 def test_too_strong_a_command_names_the_time(lying: Model) -> None:
@@ -205,63 +212,63 @@ def test_too_strong_a_command_names_the_time(lying: Model) -> None:
 def test_rejects_phase_three_where_no_complex_passes() -> None:
     colon = Model(straight_gut({"sigmoid": 0.2}), read_device("mirocam"))
     with pytest.raises(InputError, match="motility is phase-three, but the migrating motor"):
-        Simulation(colon, replace(RIGID, motility="phase-three"), frames=1, fps=1.0, seed=0)
+        Rollout(colon, replace(RIGID, motility="phase-three"), frames=1, fps=1.0, seed=0)
 
 
 def test_rejects_filling_without_time_to_settle(lying: Model) -> None:
     settings = replace(RIGID, settle=0.0, insufflation=(Insufflation(0.0, 1.2),))
     with pytest.raises(InputError, match=r"settle is 0 s, but the gut needs time"):
-        Simulation(lying, settings, frames=1, fps=1.0, seed=0)
+        Rollout(lying, settings, frames=1, fps=1.0, seed=0)
 
 
 def test_rejects_a_twin_with_other_triangles(lying: Model) -> None:
     other = straight_gut({"jejunum": 0.1})
     with pytest.raises(InputError, match="different triangles"):
-        Simulation(lying, RIGID, frames=1, fps=1.0, seed=0, shown=other)
+        Rollout(lying, RIGID, frames=1, fps=1.0, seed=0, shown=other)
 
 
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({"start": 1.5}, r"Physics' start is 1.5. Allowed: 0 to 1"),
-        ({"angle": np.nan}, r"Physics' angle is nan. Allowed: finite"),
-        ({"settle": -1.0}, r"Physics' settle is -1.0. Allowed: 0 to 3600 s"),
-        ({"step": 0.0}, r"Physics' step is 0.0. Allowed: above 0 to 0.5 s"),
+        ({"start": 1.5}, r"Dynamics' start is 1.5. Allowed: 0 to 1"),
+        ({"angle": np.nan}, r"Dynamics' angle is nan. Allowed: finite"),
+        ({"settle": -1.0}, r"Dynamics' settle is -1.0. Allowed: 0 to 3600 s"),
+        ({"step": 0.0}, r"Dynamics' step is 0.0. Allowed: above 0 to 0.5 s"),
         ({"propulsion": Propulsion()}, "Propulsion follows the muscle, but motility is none"),
         (
             {"wrenches": (Wrench(),), "wrench_file": "a.csv"},
             "wrenches and wrench_file are both given",
         ),
-        ({"turns": (Turn("prone", at=-1.0),)}, "a turn begins at -1.0 s"),
+        ({"posture_changes": (PostureChange("prone", time=-1.0),)}, "a turn begins at -1.0 s"),
         ({"insufflation": (Insufflation(0.0, 9.0),)}, r"insufflation: entry 0 is 9.0 at 0.0 s"),
         ({"wrenches": (Wrench(np.nan),)}, "wrenches: entry 0 is not finite"),
     ],
 )
 def test_rejects_impossible_settings(settings: dict, message: str) -> None:
     with pytest.raises(InputError, match=message):
-        Physics(**settings)
+        Dynamics(**settings)
 
 
 @pytest.mark.parametrize("name", ["deformation", "motility", "wrench_frame"])
 def test_rejects_unknown_names(name: str) -> None:
     with pytest.raises(UnknownNameError, match=r"named 'soft'\. Known: "):
-        Physics(**{name: "soft"})
+        Dynamics(**{name: "soft"})
 
 
 def test_rejects_a_substep_that_is_too_long(lying: Model) -> None:
     with pytest.raises(InputError, match=r"substep is 0\.1"):
-        Simulation(lying, replace(RIGID, substep=0.1), frames=1, fps=1.0, seed=0)
+        Rollout(lying, replace(RIGID, substep=0.1), frames=1, fps=1.0, seed=0)
 
 
 def test_tissue_has_the_fields_asked_for() -> None:
-    quick, drag = QuickDeformation(spring=99.0), Drag(law="printed")
-    settings = Physics(quick=quick, drag=drag, motility="phase-three", otherwise="ileum")
-    tissue = tissue_of(settings, front=7.0 * CM)
-    assert (tissue.deformation, tissue.drag) == (quick, drag)
+    spring, drag = SpringWall(stiffness=99.0), Drag(law="incetan2021")
+    settings = Dynamics(spring=spring, drag=drag, motility="phase-three", fallback_segment="ileum")
+    tissue = make_tissue(settings, front=7.0 * CM)
+    assert (tissue.deformation, tissue.drag) == (spring, drag)
     assert tissue.motility is not None
-    assert (tissue.motility.front, tissue.motility.otherwise) == (7.0 * CM, "ileum")
-    assert tissue_of(replace(settings, deformation="rigid"), front=0.0).deformation is None
-    steady = tissue_of(replace(settings, motility="steady"), front=0.0).motility
+    assert (tissue.motility.front, tissue.motility.fallback_segment) == (7.0 * CM, "ileum")
+    assert make_tissue(replace(settings, deformation="rigid"), front=0.0).deformation is None
+    steady = make_tissue(replace(settings, motility="steady"), front=0.0).motility
     assert steady is not None
     assert steady.complex is None
-    assert tissue_of(Physics(), front=0.0).motility is None
+    assert make_tissue(Dynamics(), front=0.0).motility is None

@@ -14,7 +14,7 @@ from vrcaps.camera.camera import Led
 from vrcaps.camera.rays import camera_rays
 from vrcaps.lumen.contents import Contents
 from vrcaps.lumen.liquid import Liquid
-from vrcaps.lumen.lumen_contents import Filling
+from vrcaps.lumen.lumen_contents import LumenContents
 from vrcaps.lumen.particles import BUBBLE, WHITE, YELLOW, Spheres
 from vrcaps.lumen.pools import Pools
 from vrcaps.organ.surface import OrganSurface
@@ -44,7 +44,7 @@ def balls(centers: object, radius: object, kind: int) -> Spheres:
 
 
 def filled(state: State, spheres: Spheres, pools: Pools | None = None) -> State:
-    return replace(state, filling=Filling(Contents(1, 1, 1), spheres, pools))
+    return replace(state, lumen_contents=LumenContents(Contents(1, 1, 1), spheres, pools))
 
 
 @pytest.fixture(scope="module")
@@ -214,8 +214,10 @@ def test_clear_liquid_dims_by_its_absorption(organ: OrganSurface) -> None:
     absorption = (20.0, 60.0, 150.0)
     liquid = Liquid(absorption=absorption, scattering=(0.0, 0.0, 0.0))
     spheres = balls(np.zeros((0, 3)), np.zeros(0), WHITE)
-    filling = Filling(Contents(liquid=liquid), spheres, pool(organ, 1.0))
-    wet = renderer.render(replace(state, filling=filling), camera, channels=("radiance",))
+    lumen_contents = LumenContents(Contents(liquid=liquid), spheres, pool(organ, 1.0))
+    wet = renderer.render(
+        replace(state, lumen_contents=lumen_contents), camera, channels=("radiance",)
+    )
     dry = renderer.render(state, camera, channels=("radiance", "ray_distance"))
     known = np.isfinite(dry.ray_distance)
     loss = np.exp(-2.0 * dry.ray_distance[known][:, None] * np.array(absorption))
@@ -259,8 +261,8 @@ def test_flow_and_occlusion_of_a_particle_that_moves(organ: OrganSurface) -> Non
 
 def test_what_is_in_the_capsules_way_is_pushed_aside() -> None:
     spheres = balls([[0.0, 1.0 * MM, 2.0 * MM], [9.0 * MM, 0.0, 0.0]], 1.0 * MM, BUBBLE)
-    filling = Filling(Contents(1), spheres)
-    moved = filling.around_capsule(np.eye(4), 24.0 * MM, 5.0 * MM)
+    lumen_contents = LumenContents(Contents(1), spheres)
+    moved = lumen_contents.around_capsule(np.eye(4), 24.0 * MM, 5.0 * MM)
     expected = [[0.0, 6.0 * MM, 2.0 * MM], [9.0 * MM, 0.0, 0.0]]
     np.testing.assert_allclose(moved.spheres.centers, expected, atol=1e-12)
     assert moved.around_capsule(np.eye(4), 24.0 * MM, 4.9 * MM) is moved

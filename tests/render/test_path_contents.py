@@ -14,7 +14,7 @@ from vrcaps.camera.rays import camera_rays
 from vrcaps.lumen.bubbles import Bubbles
 from vrcaps.lumen.contents import Contents
 from vrcaps.lumen.liquid import Liquid
-from vrcaps.lumen.lumen_contents import Filling
+from vrcaps.lumen.lumen_contents import LumenContents
 from vrcaps.lumen.particles import BUBBLE, WHITE, Spheres
 from vrcaps.lumen.pools import Pools
 from vrcaps.organ.surface import Appearance, OrganSurface
@@ -98,7 +98,7 @@ def test_absorbing_liquid_dims_every_bounce() -> None:
     count = len(organ.vertices)
     pools = Pools(np.array([1.0]), np.ones(count, np.uint16), np.array([[-1.0, 1.0]]), np.ones(1))
     nothing = ball((0.0, 0.0, 0.5), 1e-6, WHITE)
-    wet = replace(dry, filling=Filling(Contents(0, 0, liquid), nothing, pools))
+    wet = replace(dry, lumen_contents=LumenContents(Contents(0, 0, liquid), nothing, pools))
     found = bounced(organ, camera, wet).mean() / bounced(organ, camera, dry).mean()
 
     def through(sine: np.ndarray) -> np.ndarray:
@@ -117,7 +117,9 @@ def test_a_bubble_takes_its_share_of_every_way() -> None:
     organ, radius, ior = sphere(4, appearance=LOOK), 15.0 * MM, 1.9
     camera, dry = scene((0.0, 0.0, -17.0 * MM), (0.05, 0.1, -1.0), np.zeros(3))
     contents = Contents(Bubbles(per_area=0.0, ior=ior), 0, 0)
-    full = replace(dry, filling=Filling(contents, ball((0.0, 0.0, 0.0), radius, BUBBLE), None))
+    full = replace(
+        dry, lumen_contents=LumenContents(contents, ball((0.0, 0.0, 0.0), radius, BUBBLE), None)
+    )
     found = bounced(organ, camera, full).mean() / bounced(organ, camera, dry).mean()
 
     def crossing(sine: np.ndarray) -> np.ndarray:
@@ -144,8 +146,8 @@ def test_a_particle_bounces_light_as_a_ball_of_wall_does(radius: float) -> None:
     lamp = np.array([-6.0, 0.0, -4.0]) * MM
     camera, state = scene((-9.0 * MM, 3.0 * MM, -9.0 * MM), (0.4, -0.1, 1.0), lamp)
     nothing = bounced(organ, camera, state)
-    filling = Filling(Contents(0, 1, 0), ball(tuple(center), radius, WHITE), None)
-    floating = bounced(organ, camera, replace(state, filling=filling))
+    lumen_contents = LumenContents(Contents(0, 1, 0), ball(tuple(center), radius, WHITE), None)
+    floating = bounced(organ, camera, replace(state, lumen_contents=lumen_contents))
     rigid = bounced(with_ball(organ, center, radius), camera, state)
     rays = camera_rays(camera).astype(float) @ state.T_world_capsule[:3, :3].T
     offset = center - state.T_world_capsule[:3, 3]

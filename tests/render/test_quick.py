@@ -14,7 +14,7 @@ from vrcaps.camera.camera import Camera, Led
 from vrcaps.camera.lens import LensEquidistant
 from vrcaps.lumen.contents import Contents
 from vrcaps.lumen.liquid import Liquid
-from vrcaps.lumen.lumen_contents import Filling
+from vrcaps.lumen.lumen_contents import LumenContents
 from vrcaps.lumen.particles import WHITE, Spheres
 from vrcaps.lumen.pools import Pools
 from vrcaps.organ.surface import Appearance
@@ -163,15 +163,15 @@ def test_contents_take_bounced_light(rng: np.random.Generator) -> None:
         np.array([0.2]), np.ones(len(organ.vertices), np.uint16), np.array([[0.0, 1.0]]), one
     )
     clear = Liquid(absorption=(5.0, 10.0, 15.0), scattering=(0.0, 0.0, 0.0))
-    dry = Filling(Contents(1), particle)
-    wet = Filling(Contents(liquid=clear), particle, pools)
+    dry = LumenContents(Contents(1), particle)
+    wet = LumenContents(Contents(liquid=clear), particle, pools)
     bounced = []
-    for filling in (dry, wet):
-        state = replace(looking(PLACE, (0.0, 0.1, 1.0)), filling=filling)
+    for lumen_contents in (dry, wet):
+        state = replace(looking(PLACE, (0.0, 0.1, 1.0)), lumen_contents=lumen_contents)
         direct, quick = (_radiance(model, camera, state, light=x) for x in ("direct", "quick"))
         assert (quick >= direct).all()
         bounced.append(quick - direct)
-    state = replace(looking(PLACE, (0.0, 0.1, 1.0)), filling=dry)
+    state = replace(looking(PLACE, (0.0, 0.1, 1.0)), lumen_contents=dry)
     instance = Renderer(model).render(state, camera, channels=("instance",)).instance
     assert instance is not None
     assert (instance == 9).any()

@@ -13,7 +13,7 @@ from vrcaps.camera.camera import Camera, Led
 from vrcaps.camera.rays import camera_rays
 from vrcaps.lumen.contents import Contents
 from vrcaps.lumen.liquid import Liquid
-from vrcaps.lumen.lumen_contents import Filling
+from vrcaps.lumen.lumen_contents import LumenContents
 from vrcaps.lumen.particles import BUBBLE, WHITE, Spheres
 from vrcaps.lumen.pools import Pools
 from vrcaps.organ.surface import Appearance, OrganSurface
@@ -62,8 +62,8 @@ def flooded(
 ) -> State:
     count = len(organ.vertices)
     pools = Pools(np.array([level]), np.ones(count, np.uint16), np.array([[-1.0, 1.0]]), np.ones(1))
-    filling = Filling(Contents(1, 1, liquid), spheres or balls(), pools)
-    return replace(state, filling=filling)
+    lumen_contents = LumenContents(Contents(1, 1, liquid), spheres or balls(), pools)
+    return replace(state, lumen_contents=lumen_contents)
 
 
 @dataclass
@@ -178,7 +178,7 @@ def test_straight_where_nothing_is_between(organ: OrganSurface) -> None:
     bends = bend_ways(eye, points, np.array([0.0, np.nan, 0.0]), np.ones(3, bool), IOR)
     assert bends.turn is not None and np.isnan(bends.turn).all()
     np.testing.assert_array_equal(bends.apparent, points)
-    empty = Filling(Contents(1), balls(), None)
+    empty = LumenContents(Contents(1), balls(), None)
     wall = make_model(organ, make_camera()).wall
     levels = levels_met(empty, eye, wall, organ.faces, np.zeros(4, int))
     assert np.isnan(levels).all()
@@ -351,7 +351,7 @@ def test_free_ways_need_pairs(organ: OrganSurface) -> None:
     model = make_model(organ, make_camera())
     state = flooded(looking((0.0, 0.0, 0.0)), organ, spheres=balls((0.0, 0.0, 5.0 * MM), 1.0 * MM))
     renderer = Renderer(model)
-    contents = renderer._core_contents(state.filling, model.wall, "now")
+    contents = renderer._core_contents(state.lumen_contents, model.wall, "now")
     starts = np.zeros((3, 3))
     points = np.array([[0.0, 0.0, 9.0], [0.0, 0.0, 3.0], [0.0, 0.0, -30.0]]) * MM
     np.testing.assert_array_equal(

@@ -7,14 +7,14 @@ import numpy as np
 from vrcaps import _core
 from vrcaps.capsule.body import Body
 from vrcaps.tissue.drag import Drag
-from vrcaps.tissue.material import Material
-from vrcaps.tissue.spring_wall import QuickDeformation
+from vrcaps.tissue.spring_wall import SpringWall
+from vrcaps.tissue.winkler_foundation import WinklerFoundation
 from vrcaps.units import MM
 
 RADIUS = 5.5 * MM
 HALF_AXIS = 7.5 * MM
 LYING = (np.sqrt(0.5), np.sqrt(0.5), 0.0, 0.0)
-LINEAR = Material(youngs_modulus=3e3, stiffening_strain=np.inf, rate_gain=0.0)
+LINEAR = WinklerFoundation(youngs_modulus=3e3, stiffening_strain=np.inf, rate_gain=0.0)
 
 
 def floor(edge: float, size: float = 80.0 * MM, seed: int = 0) -> _core.Wall:
@@ -76,13 +76,13 @@ def world_on(
     velocity: tuple[float, float, float] = (0.0, 0.0, 0.0),
     spin: tuple[float, float, float] = (0.0, 0.0, 0.0),
     body: Body | None = None,
-    material: Material = LINEAR,
+    foundation: WinklerFoundation = LINEAR,
     drag: Drag | None = None,
-    quick: QuickDeformation | None = None,
+    spring_wall: SpringWall | None = None,
 ) -> _core.World:
     """A capsule on a wall; `position` is in the wall's own frame."""
     place = tuple(np.subtract(position, wall.center))
     drag = drag or Drag(friction=0.0)
     return _core.World(
-        wall, body or capsule(), material, drag, quick, (place, wxyz, velocity, spin)
+        wall, body or capsule(), foundation, drag, spring_wall, (place, wxyz, velocity, spin)
     )

@@ -14,10 +14,10 @@ from vrcaps.capsule.body import Body
 from vrcaps.errors import InputError, UnknownNameError
 from vrcaps.render.renderer import Renderer
 from vrcaps.tissue.drag import Drag
-from vrcaps.tissue.material import Material
 from vrcaps.tissue.motility.motility import Motility
-from vrcaps.tissue.spring_wall import QuickDeformation
+from vrcaps.tissue.spring_wall import SpringWall
 from vrcaps.tissue.tissue import Tissue
+from vrcaps.tissue.winkler_foundation import WinklerFoundation
 from vrcaps.units import MM
 from vrcaps.world.control import Control
 from vrcaps.world.model import Model, State, posture_transform
@@ -134,7 +134,7 @@ def test_substep(model: Model, substep: float) -> None:
 
 
 def test_substep_too_long_for_the_deformation(model: Model) -> None:
-    stiff = Tissue(deformation=QuickDeformation(mass=1e-4, spring=1e4))
+    stiff = Tissue(deformation=SpringWall(mass=1e-4, stiffness=1e4))
     with pytest.raises(InputError, match=r"substep is 0.0005. Allowed: above 0 to 0.0001 s"):
         World(model, stiff, start_of(model), substep=5e-4)
 
@@ -142,13 +142,13 @@ def test_substep_too_long_for_the_deformation(model: Model) -> None:
 @pytest.mark.parametrize(
     ("law", "field", "value"),
     [
-        (Material, "thickness", -1e-3),
-        (Material, "youngs_modulus", -5.0),
-        (Material, "youngs_modulus", NAN),
-        (Material, "poisson_ratio", 0.5),
-        (Material, "stiffening_strain", 0.0),
-        (Material, "rate_gain", 1.0),
-        (Material, "strain_rate", 0.0),
+        (WinklerFoundation, "thickness", -1e-3),
+        (WinklerFoundation, "youngs_modulus", -5.0),
+        (WinklerFoundation, "youngs_modulus", NAN),
+        (WinklerFoundation, "poisson_ratio", 0.5),
+        (WinklerFoundation, "stiffening_strain", 0.0),
+        (WinklerFoundation, "rate_gain", 1.0),
+        (WinklerFoundation, "strain_rate", 0.0),
         (Drag, "friction", -0.1),
         (Drag, "viscosity", NAN),
         (Drag, "a", -1.0),
@@ -156,11 +156,11 @@ def test_substep_too_long_for_the_deformation(model: Model) -> None:
         (Drag, "constant", -1.0),
         (Drag, "threshold", -1.0),
         (Drag, "c", 0.5),
-        (QuickDeformation, "length", 0.0),
-        (QuickDeformation, "reach", INF),
-        (QuickDeformation, "mass", -1.0),
-        (QuickDeformation, "spring", -150.0),
-        (QuickDeformation, "damping", NAN),
+        (SpringWall, "length", 0.0),
+        (SpringWall, "reach", INF),
+        (SpringWall, "mass", -1.0),
+        (SpringWall, "stiffness", -150.0),
+        (SpringWall, "damping", NAN),
     ],
 )
 def test_tissue(law: Callable[..., object], field: str, value: float) -> None:
@@ -190,7 +190,7 @@ def test_seed(model: Model, seed: int) -> None:
         ({"driven": np.zeros((4, 3))}, "a wall of 4 vertices, the model has"),
         ({"yields": np.zeros((4, 6))}, r"yields has the shape \(4, 6\)"),
         ({"capsule": np.zeros(12)}, r"capsule has the shape \(12,\). Allowed: \(13,\)"),
-        ({"calibre": np.ones(3)}, r"calibre has the shape \(3,\)"),
+        ({"lumen_scale": np.ones(3)}, r"lumen_scale has the shape \(3,\)"),
         ({"time": NAN}, "time is not finite"),
         ({"capsule": np.full(13, NAN)}, "capsule is not finite"),
         ({"T_world_patient": np.full((4, 4), INF)}, "T_world_patient is not finite"),

@@ -295,7 +295,7 @@ def test_a_light_capsule_floats_at_its_draught(gut: OrganSurface) -> None:
     body = homogeneous_body(device)
     whole = np.pi * body.radius**2 * (2.0 * body.half_axis + 4.0 / 3.0 * body.radius)
     world = world_in(gut, contents, mass=0.5 * WATER * whole)
-    pools = world.state.filling.pools
+    pools = world.state.lumen_contents.pools
     assert pools is not None
     level = float(pools.levels[len(pools.levels) // 2])
     height = []
@@ -366,8 +366,8 @@ def test_restored_world_goes_on_to_the_same_bytes(gut: OrganSurface) -> None:
     other.step(control, 0.05)
     for name, value in vars(other.snapshot()).items():
         np.testing.assert_array_equal(value, vars(end)[name])
-    filling = world.state.filling
-    assert filling is not None and np.isfinite(filling.spheres.centers).all()
+    lumen_contents = world.state.lumen_contents
+    assert lumen_contents is not None and np.isfinite(lumen_contents.spheres.centers).all()
 
 
 def test_bubbles_on_the_domes_ride_in_a_world_and_are_restored(gut: OrganSurface) -> None:
@@ -376,12 +376,12 @@ def test_bubbles_on_the_domes_ride_in_a_world_and_are_restored(gut: OrganSurface
         return world_in(gut, Contents(bubbles=bubbles, liquid=3, seed=2), 0.0)
 
     world, control = begin(), Control(force_world=(0.01, 0.0, 0.0))
-    seats = world.model.filling.seats
+    seats = world.model.lumen_contents.seats
     assert len(seats) == 10
     middle = world.snapshot()
     for count in range(3):
         state = world.state
-        centers = state.filling.spheres.centers[-10:]
+        centers = state.lumen_contents.spheres.centers[-10:]
         local = (centers - state.T_world_capsule[:3, 3]) @ state.T_world_capsule[:3, :3]
         np.testing.assert_allclose(local, seats, atol=1e-12)
         if count == 1:
@@ -405,8 +405,8 @@ def test_posture_takes_the_liquid_along(gut: OrganSurface) -> None:
     world = world_in(gut, Contents(liquid=2))
     over = np.diag([1.0, -1.0, -1.0, 1.0])
     world.step(Control(T_world_patient=over), 0.01)
-    filling = world.state.filling
-    assert filling is not None and filling.pools is not None
+    lumen_contents = world.state.lumen_contents
+    assert lumen_contents is not None and lumen_contents.pools is not None
     vertices = (gut.vertices @ over[:3, :3].T)[:, 2]
-    wet = vertices < filling.pools.levels[np.maximum(filling.pools.of_vertex, 1) - 1]
+    wet = vertices < lumen_contents.pools.levels[np.maximum(lumen_contents.pools.of_vertex, 1) - 1]
     assert gut.vertices[wet, 2].min() > 0.0

@@ -80,7 +80,7 @@ def test_the_wall_follows_the_commanded_wave(gut: OrganSurface) -> None:
         assert vertices is not None
         assert world.muscle is not None
         radius = np.linalg.norm(vertices[far, 1:], axis=1)
-        commanded = 1.0 - min(1.0, time) * (1.0 - world.muscle.calibre(time)[250])
+        commanded = 1.0 - min(1.0, time) * (1.0 - world.muscle.lumen_scale(time)[250])
         np.testing.assert_allclose(radius, RADIUS * commanded, atol=1e-9)
 
 
@@ -91,9 +91,9 @@ def test_a_standing_contraction_squeezes_as_measured(gut: OrganSurface) -> None:
     for _ in range(200):
         world.step(Control(), 0.02)
         contacts.append(world.state.contact)
-    tightest = max(contacts, key=lambda contact: contact.grip)
+    tightest = max(contacts, key=lambda contact: contact.normal_force_total)
     assert tightest.area > 5e-4  # most of the capsule
-    assert 18.0 < tightest.grip / tightest.area / MMHG < 62.0
+    assert 18.0 < tightest.normal_force_total / tightest.area / MMHG < 62.0
 
 
 def test_wall_does_not_depend_on_the_step(gut: OrganSurface) -> None:

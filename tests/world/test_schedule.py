@@ -14,10 +14,10 @@ from vrcaps.world.model import posture_transform
 from vrcaps.world.schedule import (
     WRENCH_COLUMNS,
     Insufflation,
-    Turn,
+    PostureChange,
     Wrench,
     check_insufflation,
-    check_turns,
+    check_posture_changes,
     check_wrenches,
     in_world,
     insufflation_at,
@@ -46,17 +46,20 @@ def test_fillings_are_linear_between_and_constant_beyond() -> None:
 
 def test_a_turn_takes_the_shortest_way_and_begins_and_ends_at_rest() -> None:
     first = posture_transform("supine")
-    turns = (Turn("left-lateral", at=1.0, over=2.0), Turn("prone", at=4.0, over=1.0))
+    posture_changes = (
+        PostureChange("left-lateral", time=1.0, duration=2.0),
+        PostureChange("prone", time=4.0, duration=1.0),
+    )
     left, prone = (posture_transform(name) for name in ("left-lateral", "prone"))
-    np.testing.assert_array_equal(patient_at(first, turns, 0.5), first)
-    np.testing.assert_allclose(patient_at(first, turns, 3.5), left, atol=1e-15)
-    np.testing.assert_allclose(patient_at(first, turns, 9.0), prone, atol=1e-15)
+    np.testing.assert_array_equal(patient_at(first, posture_changes, 0.5), first)
+    np.testing.assert_allclose(patient_at(first, posture_changes, 3.5), left, atol=1e-15)
+    np.testing.assert_allclose(patient_at(first, posture_changes, 9.0), prone, atol=1e-15)
     whole = rotation_vector(first[:3, :3], left[:3, :3])
-    half = rotation_vector(first[:3, :3], patient_at(first, turns, 2.0)[:3, :3])
+    half = rotation_vector(first[:3, :3], patient_at(first, posture_changes, 2.0)[:3, :3])
     np.testing.assert_allclose(half, 0.5 * whole, atol=1e-12)
     step = 1e-4
     for time, speed in ((1.0, 0.0), (3.0, 0.0), (2.0, 1.5 / 2.0)):  # x²(3 − 2x) has slope 1.5
-        poses = [patient_at(first, turns, time + d)[:3, :3] for d in (-step, step)]
+        poses = [patient_at(first, posture_changes, time + d)[:3, :3] for d in (-step, step)]
         rate = np.linalg.norm(rotation_vector(*poses)) / (2.0 * step)
         assert rate == pytest.approx(speed * np.linalg.norm(whole), abs=1e-3)
 
@@ -114,10 +117,13 @@ def test_wrong_entries() -> None:
     with pytest.raises(InputError, match=r"time 1 s does not come after 2 s"):
         check_insufflation((Insufflation(2.0), Insufflation(1.0)), "insufflation")
     with pytest.raises(UnknownNameError, match="No posture named 'upside'"):
-        check_turns((Turn("upside"),), "turns")
+        check_posture_changes((PostureChange("upside"),), "posture_changes")
     with pytest.raises(InputError, match=r"begins at -1.0 s. Allowed: 0 s or later"):
-        check_turns((Turn("prone", at=-1.0),), "turns")
+        check_posture_changes((PostureChange("prone", time=-1.0),), "posture_changes")
     with pytest.raises(InputError, match=r"takes 0.0 s. Allowed: above 0 s"):
-        check_turns((Turn("prone", over=0.0),), "turns")
+        check_posture_changes((PostureChange("prone", duration=0.0),), "posture_changes")
     with pytest.raises(InputError, match=r"turn to supine begins at 2 s, before the one to prone"):
-        check_turns((Turn("prone", at=0.0, over=5.0), Turn("supine", at=2.0)), "turns")
+        check_posture_changes(
+            (PostureChange("prone", time=0.0, duration=5.0), PostureChange("supine", time=2.0)),
+            "posture_changes",
+        )

@@ -14,7 +14,7 @@ from vrcaps.motion.trajectory import Trajectory
 from vrcaps.transforms import invert, transform_points
 from vrcaps.units import MM
 from vrcaps.world.model import Model
-from vrcaps.world.wall_displacement import MakeWay
+from vrcaps.world.wall_displacement import WallDisplacement
 
 
 @pytest.fixture(scope="module")
@@ -86,7 +86,7 @@ def test_it_begins_without_a_jump(narrow):
     for less in (0.3, 0.1, 0.0):
         tube = bent_tube(radius=radius - less * MM, around=60, along=400)
         model = Model(tube, narrow.device)
-        moved = MakeWay(model, model).vertices_world(pose)
+        moved = WallDisplacement(model, model).vertices_world(pose)
         rest = model.vertices_world
         shift = 0.0 if moved is None else np.linalg.norm(moved - rest, axis=1).max()
         shifts.append(shift / MM)
@@ -102,8 +102,8 @@ def test_the_twin_moves_alike(narrow):
     lump[6000] = 1.0 * MM * organ.normals[6000]
     shown = Model(replace(organ, vertices=organ.vertices + lump), narrow.device)
     pose = _flight(narrow, 0.3, 0.7).state(6).T_world_capsule
-    own = MakeWay(narrow, narrow).vertices_world(pose)
-    twin = MakeWay(narrow, shown).vertices_world(pose)
+    own = WallDisplacement(narrow, narrow).vertices_world(pose)
+    twin = WallDisplacement(narrow, shown).vertices_world(pose)
     assert own is not None and twin is not None
     same = np.ones(len(own), bool)
     same[6000] = False

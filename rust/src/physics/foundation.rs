@@ -2,7 +2,7 @@
 
 use crate::simd::f64x8::{exp_m1, ln, max, min};
 
-/// What resists the capsule: `vrcaps.tissue.material.Material`.
+/// What resists the capsule: `vrcaps.tissue.winkler_foundation.WinklerFoundation`.
 #[derive(Clone, Copy)]
 pub struct Foundation {
     /// Pressure by depth of a slight indentation K [Pa/m].

@@ -19,7 +19,7 @@ pub struct BodyParameters<'py> {
     radius: f64,
 }
 
-/// The wall's pressure: `vrcaps.tissue.material.Material`.
+/// The wall's pressure: `vrcaps.tissue.winkler_foundation.WinklerFoundation`.
 #[derive(FromPyObject)]
 pub struct MaterialParameters {
     stiffness: f64,
@@ -41,13 +41,13 @@ pub struct DragParameters {
     threshold: f64,
 }
 
-/// The quick model: `vrcaps.tissue.spring_wall.QuickDeformation`.
+/// The quick model: `vrcaps.tissue.spring_wall.SpringWall`.
 #[derive(FromPyObject)]
 pub struct QuickParameters {
     length: f64,
     reach: f64,
     mass: f64,
-    spring: f64,
+    stiffness: f64,
     damping: f64,
 }
 
@@ -66,7 +66,7 @@ pub fn laws(material: MaterialParameters, drag: DragParameters, radius: f64) -> 
             radius,
         ),
         drag: match drag.law.as_str() {
-            "printed" => Drag::Printed(law),
+            "incetan2021" => Drag::Printed(law),
             "continuous" => Drag::Continuous(law),
             _ => Drag::Physical { friction: drag.friction },
         },
@@ -80,7 +80,7 @@ impl From<QuickParameters> for Quick {
             length: q.length,
             reach: q.reach,
             mass: q.mass,
-            spring: q.spring,
+            spring: q.stiffness,
             damping: q.damping,
         }
     }

@@ -173,7 +173,7 @@ class Pilot:
         """
         s, T, free = self.steering, world.T_world_capsule, goal.controlled
         self._leader, led, error, bend, angle, fallen = lead_on(
-            self._leader, T, world.push_world, goal, s, dt
+            self._leader, T, world.contact_force_world, goal, s, dt
         )
         borne = self._weight + self._pressed(goal) * self._leader[2]
         soft = max(length(borne), 0.05) / math.dist(T[:3, 3], self._wanted[:3, 3])

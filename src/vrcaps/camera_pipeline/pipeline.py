@@ -238,7 +238,7 @@ class CameraChain:
             return None
         assert seen.points is not None
         slot = "previous" if moment.state_next is None else "next"
-        fillings = renderer.filling(moment.state), renderer.filling(neighbour)
+        fillings = renderer.lumen_contents(moment.state), renderer.lumen_contents(neighbour)
         moved = seen.points.moved(renderer.model.organ.faces, neighbour, *fillings)
         apparent = renderer.bends(self.camera, seen.points, moved, neighbour, slot).apparent
         device, label = renderer.model.device, seen.channels["front_label"]

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from tyro.conf import OmitArgPrefixes, UseAppendAction, arg
 
 from vrcaps.cli.lesions import chosen_lesions
+from vrcaps.cli.record_dynamics import DynamicsFlags, dynamics_motion
 from vrcaps.cli.record_magnet import MagnetFlags
-from vrcaps.cli.record_physics import PhysicsFlags, physics_motion
 from vrcaps.cli.recording import run_recording
 from vrcaps.errors import InputError
 from vrcaps.lumen.contents import Contents
@@ -21,7 +21,7 @@ from vrcaps.render.settings import RECORDED, RenderSettings
 from vrcaps.units import LENGTH_UNITS
 
 if TYPE_CHECKING:
-    from vrcaps.motion.dynamics import Physics
+    from vrcaps.motion.dynamics import Dynamics
     from vrcaps.motion.replay import Replay
     from vrcaps.scenario.scenario import OrganFile, OrganGenerated, Scenario
 
@@ -43,8 +43,9 @@ class Record:
       vrcaps record --out runs/cheap --effects dof=1,noise=2,motion_blur=1,jpeg=2
       vrcaps record --out runs/glow --frames 20 --light path --samples 64
       vrcaps record --out runs/photo --organ colon --mucosa my-mucosa
-      vrcaps record --out runs/soft --organ small-bowel --motion physics --motility phase-three
-      vrcaps record --out runs/roll --organ stomach --motion physics --turn left-lateral:at=4
+      vrcaps record --out runs/soft --organ small-bowel --motion dynamics --motility phase-three
+      vrcaps record --out runs/roll --organ stomach --motion dynamics \
+          --posture-change left-lateral:time=4
       vrcaps record --out runs/led --organ stomach --capsule magnetic --motion magnet --arm panda
       vrcaps record --out runs/sense --capsule magnetic --sensors inertial magnetometer hall
       vrcaps record --out runs/path --path poses.txt --path-format tum --path-unit m
@@ -142,15 +143,15 @@ class Record:
     wall: bool = False
     """Store where every vertex of the wall is in each frame (12 bytes a vertex)."""
 
-    motion: Literal["fly-through", "physics", "magnet"] = "fly-through"
+    motion: Literal["fly-through", "dynamics", "magnet"] = "fly-through"
     """How the capsule moves: flown along the centreline, left to gravity, wall and muscle, or
     steered by a magnet beside these."""
 
     fly: OmitArgPrefixes[FlyThrough] = field(default_factory=FlyThrough)
     """Fly along the centreline (where no --path is given)."""
 
-    physics: OmitArgPrefixes[PhysicsFlags] = field(default_factory=PhysicsFlags)
-    """With --motion physics the capsule is set on the centreline at --start and left to gravity,
+    dynamics: OmitArgPrefixes[DynamicsFlags] = field(default_factory=DynamicsFlags)
+    """With --motion dynamics the capsule is set on the centreline at --start and left to gravity,
     the wall, the muscle and these commands; time 0 is the first frame. A scenario file sets every
     figure of the wall (docs/episode-format.md)."""
 
@@ -275,7 +276,7 @@ class Record:
             mucosa=self.mucosa,
         )
 
-    def _motion(self) -> FlyThrough | Replay | Physics:
+    def _motion(self) -> FlyThrough | Replay | Dynamics:
         if self.motion != "magnet" and self.magnet != MagnetFlags():
             raise InputError(
                 "--magnet, --arm, --steer and the other flags of steering go with --motion magnet. "
@@ -284,13 +285,13 @@ class Record:
         if self.motion != "fly-through":
             if self.path is not None:
                 raise InputError(f"--path and --motion {self.motion} exclude each other. Drop one.")
-            motion = physics_motion(self.fly, self.physics, motion=self.motion)
+            motion = dynamics_motion(self.fly, self.dynamics, motion=self.motion)
             is_steered = self.motion == "magnet"
             return replace(motion, magnet=self.magnet.steering()) if is_steered else motion
-        if self.physics != PhysicsFlags():
+        if self.dynamics != DynamicsFlags():
             raise InputError(
-                "--force, --motility, --turn and the other flags of physics go with "
-                "--motion physics or magnet. Add it, or drop them."
+                "--force, --motility, --posture-change and the other flags of dynamics go with "
+                "--motion dynamics or magnet. Add it, or drop them."
             )
         return self.fly if self.path is None else self._replay(self.path)
 

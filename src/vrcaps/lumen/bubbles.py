@@ -85,11 +85,11 @@ def require_sizes(whose: str, smallest: float, radius: float, largest: float) ->
     )
 
 
-BUBBLE_GRADES: tuple[Bubbles, ...] = (
+BUBBLE_SEVERITIES: tuple[Bubbles, ...] = (
     Bubbles(per_area=0.0),
     Bubbles(per_area=0.25 / CM2, raft_size=3.0, on_dome=1),
     Bubbles(per_area=1.0 / CM2, raft_size=7.0, on_dome=2),
     Bubbles(per_area=4.0 / CM2, raft_size=14.0, on_dome=4),
     Bubbles(per_area=16.0 / CM2, raft_size=40.0, radius=0.55 * MM, spread=0.6, on_dome=9),
 )
-"""Bubbles by grade, 0 (none) to 4 (foam)."""
+"""Bubbles by severity, 0 (none) to 4 (foam)."""

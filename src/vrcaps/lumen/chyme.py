@@ -54,11 +54,11 @@ class Chyme:
         require_sizes("Chyme's", self.smallest, self.radius, self.largest)
 
 
-CHYME_GRADES: tuple[Chyme, ...] = (
+CHYME_SEVERITIES: tuple[Chyme, ...] = (
     Chyme(per_area=0.0),
     Chyme(per_area=0.6 / CM2, clump_size=5.0),
     Chyme(per_area=3.0 / CM2, clump_size=12.0),
     Chyme(per_area=12.0 / CM2, clump_size=25.0),
     Chyme(per_area=40.0 / CM2, clump_size=60.0, radius=0.45 * MM),
 )
-"""Chyme by grade, 0 (none) to 4 (much of the wall hidden)."""
+"""Chyme by severity, 0 (none) to 4 (much of the wall hidden)."""

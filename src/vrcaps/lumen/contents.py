@@ -1,4 +1,4 @@
-"""What is in the lumen, by grade or in figures."""
+"""What is in the lumen, by severity or in figures."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from typing import TypeVar
 import numpy as np
 
 from vrcaps.errors import require
-from vrcaps.lumen.bubbles import BUBBLE_GRADES, Bubbles
-from vrcaps.lumen.chyme import CHYME_GRADES, Chyme
-from vrcaps.lumen.liquid import LIQUID_GRADES, Liquid
+from vrcaps.lumen.bubbles import BUBBLE_SEVERITIES, Bubbles
+from vrcaps.lumen.chyme import CHYME_SEVERITIES, Chyme
+from vrcaps.lumen.liquid import LIQUID_SEVERITIES, Liquid
 from vrcaps.units import MM
 
 _Kind = TypeVar("_Kind", Bubbles, Chyme, Liquid)
@@ -22,9 +22,9 @@ class Contents:
     """What floats in the lumen.
 
     Attributes:
-        bubbles: Grade 0 (none) to 4 (foam), or exact figures.
-        chyme: Grade 0 (none) to 4 (much of the wall hidden), or exact figures.
-        liquid: Grade 0 (none) to 4 (a third full), or exact figures.
+        bubbles: Severity 0 (none) to 4 (foam), or exact figures.
+        chyme: Severity 0 (none) to 4 (much of the wall hidden), or exact figures.
+        liquid: Severity 0 (none) to 4 (a third full), or exact figures.
         drift: Speed at which bubbles and chyme move along the gut [m/s].
         reach: Distance from the capsule within which they move at all [m].
         seed: Of where everything is.
@@ -44,15 +44,15 @@ class Contents:
         for name in ("bubbles", "chyme", "liquid"):
             value = getattr(self, name)
             if isinstance(value, int):
-                require(0 <= value <= 4, f"Contents' {name}", value, "a grade, 0 to 4")
+                require(0 <= value <= 4, f"Contents' {name}", value, "a severity, 0 to 4")
 
     @property
     def resolved(self) -> tuple[Bubbles, Chyme, Liquid]:
         """Figures of all three."""
         return (
-            _figures(self.bubbles, BUBBLE_GRADES),
-            _figures(self.chyme, CHYME_GRADES),
-            _figures(self.liquid, LIQUID_GRADES),
+            _at_severity(self.bubbles, BUBBLE_SEVERITIES),
+            _at_severity(self.chyme, CHYME_SEVERITIES),
+            _at_severity(self.liquid, LIQUID_SEVERITIES),
         )
 
     @property
@@ -62,5 +62,5 @@ class Contents:
         return bubbles.per_area == bubbles.on_dome == chyme.per_area == liquid.fill == 0.0
 
 
-def _figures(given: int | _Kind, grades: Sequence[_Kind]) -> _Kind:
-    return grades[given] if isinstance(given, int) else given
+def _at_severity(given: int | _Kind, severities: Sequence[_Kind]) -> _Kind:
+    return severities[given] if isinstance(given, int) else given

@@ -20,7 +20,7 @@ _WIDEST = np.deg2rad(45.0)
 _TRIES = 12
 
 
-def place_homes(
+def place_dome_bubbles(
     organ: OrganSurface, bubbles: Bubbles, rng: np.random.Generator, *, before: int
 ) -> Spheres:
     """Bubbles for both ends of a capsule, where others form when they burst: on the wall.

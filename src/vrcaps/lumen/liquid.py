@@ -43,7 +43,7 @@ class Liquid:
         require(0.0 < self.roughness <= 1.0, "Liquid's roughness", self.roughness, "above 0 to 1")
 
 
-LIQUID_GRADES: tuple[Liquid, ...] = tuple(
+LIQUID_SEVERITIES: tuple[Liquid, ...] = tuple(
     Liquid(fill=fill) for fill in (0.0, 0.03, 0.08, 0.18, 0.35)
 )
-"""Liquid by grade, 0 (none) to 4 (a third full)."""
+"""Liquid by severity, 0 (none) to 4 (a third full)."""

@@ -9,7 +9,7 @@ import numpy as np
 
 from vrcaps._core import Wall, around_capsule
 from vrcaps.lumen.contents import Contents
-from vrcaps.lumen.dome_attachment import place_homes, seats
+from vrcaps.lumen.dome_attachment import place_dome_bubbles, seats
 from vrcaps.lumen.particles import Spheres, joined
 from vrcaps.lumen.placement import place_bubbles, place_chyme
 from vrcaps.lumen.pools import Pools, cut_sections, find_pools
@@ -30,7 +30,7 @@ BEND_NAMES = ("straight", "refracted", "mirrored")
 
 
 @dataclass(frozen=True)
-class Filling:
+class LumenContents:
     """Bubbles, chyme and liquid in the world frame.
 
     Attributes:
@@ -46,8 +46,8 @@ class Filling:
     pools: Pools | None = None
     seats: Float[np.ndarray, "k 3"] = field(default_factory=lambda: np.zeros((0, 3)))
 
-    def with_capsule(self, length: float, radius: float) -> Filling:
-        """The filling with seats on the round ends of a capsule.
+    def with_capsule(self, length: float, radius: float) -> LumenContents:
+        """The contents with seats on the round ends of a capsule.
 
         Args:
             length: Its overall length [m].
@@ -60,8 +60,8 @@ class Filling:
 
     def around_capsule(
         self, T_world_capsule: Float[np.ndarray, "4 4"], length: float, radius: float
-    ) -> Filling:
-        """The filling with what is in a capsule's way pushed aside, and what sits on it there.
+    ) -> LumenContents:
+        """The contents with what is in a capsule's way pushed aside, and what sits on it there.
 
         Args:
             T_world_capsule: Pose of the capsule, whose middle is taken as its origin.
@@ -74,12 +74,12 @@ class Filling:
         )
         if centers is None:
             return self
-        return Filling(self.contents, spheres.at(centers), self.pools)
+        return LumenContents(self.contents, spheres.at(centers), self.pools)
 
 
 def fill(
     organ: OrganSurface, contents: Contents, T_world_patient: Float[np.ndarray, "4 4"]
-) -> Filling:
+) -> LumenContents:
     """Fills an organ whose wall is at rest.
 
     Args:
@@ -95,10 +95,10 @@ def fill(
     spheres = joined(
         clinging,
         place_chyme(organ, wall, chyme, up, rngs[1]),
-        place_homes(organ, bubbles, rngs[2], before=len(clinging)),
+        place_dome_bubbles(organ, bubbles, rngs[2], before=len(clinging)),
     )
     centers = transform_points(T_world_patient, spheres.centers)
     pools = None
     if liquid.fill > 0.0:
         pools = find_pools(organ, cut_sections(organ), liquid, T_world_patient)
-    return Filling(contents, spheres.at(centers), pools)
+    return LumenContents(contents, spheres.at(centers), pools)

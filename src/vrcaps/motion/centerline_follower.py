@@ -1,6 +1,6 @@
 """The rail that a fly-through rides on, and the wandering about it.
 
-The capsule's two ends lie on the rail like the bogies of a carriage, so that body and cameras
+The capsule's two ends lie on the rail like the wheels of a rail car, so that body and cameras
 follow bends. All wandering is a sum of sines in the distance travelled.
 """
 
@@ -25,7 +25,7 @@ _NUM_WAVES = 4
 
 
 @dataclass(frozen=True)
-class Waves:
+class BandLimitedNoise:
     """Smooth noise along the path: sums of sines, each at most 1 in size."""
 
     wave_numbers: Float[np.ndarray, "c k"]
@@ -42,44 +42,46 @@ class Waves:
         return ((np.cos(self.phases) - np.cos(angle)) / self.wave_numbers).mean(axis=-1)
 
 
-def make_waves(smoothness: float, rng: np.random.Generator, *, count: int) -> Waves:
+def make_noise(smoothness: float, rng: np.random.Generator, *, count: int) -> BandLimitedNoise:
     """`count` independent noises with wavelengths from `smoothness` [m] to four times that."""
     wavelengths = smoothness * 4.0 ** rng.uniform(size=(count, _NUM_WAVES))
-    return Waves(2.0 * np.pi / wavelengths, rng.uniform(0.0, 2.0 * np.pi, (count, _NUM_WAVES)))
+    return BandLimitedNoise(
+        2.0 * np.pi / wavelengths, rng.uniform(0.0, 2.0 * np.pi, (count, _NUM_WAVES))
+    )
 
 
 @dataclass(frozen=True)
-class Carriage:
+class CenterlineFollower:
     """Poses of the capsule by the arc length of its middle on the centreline [m].
 
     Attributes:
         centerline: In the world frame.
-        waves: Noise of two drifts, two wobbles and the roll.
-        front: Distance of the front bogie ahead of the capsule's origin [m].
-        rear: Distance of the rear bogie behind it [m].
+        noise: Noise of two drifts, two wobbles and the roll.
+        front: Distance of the front point ahead of the capsule's origin [m].
+        rear: Distance of the rear point behind it [m].
         sign: 1 to travel towards the anal end, −1 towards the oral end.
         drift: Largest drift as a share of the radius.
-        wobble: Largest angle off the direction of travel [rad].
+        tilt: Largest angle off the direction of travel [rad].
         roll: Largest angle about the capsule's axis [rad].
-        keep: Share of the drift and wobble kept, by arc length.
+        amplitude: Share of the drift and tilt kept, by arc length.
         correction: Shift [m] and turn [rad] of the capsule in its own frame, by arc length.
     """
 
     centerline: Centerline
-    waves: Waves
+    noise: BandLimitedNoise
     front: float
     rear: float
     sign: float
     drift: float
-    wobble: float
+    tilt: float
     roll: float
-    keep: Callable[[np.ndarray], np.ndarray]
+    amplitude: Callable[[np.ndarray], np.ndarray]
     correction: Callable[[np.ndarray], np.ndarray] | None = None
 
     def poses(self, s: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n 4 4"]:
         """Poses with the capsule's middle near arc lengths `s` [m]."""
-        keep, noise = self.keep(s), self.waves.at(s)
-        rear, front = self._bogies(s, keep)
+        amplitude, noise = self.amplitude(s), self.noise.at(s)
+        rear, front = self._two_points(s, amplitude)
         forward = front - rear
         forward /= np.linalg.norm(forward, axis=1, keepdims=True)
         _, frame, _ = interpolate(self.centerline, s)
@@ -87,43 +89,43 @@ class Carriage:
             frame = frame * np.array([1.0, -1.0, -1.0])
         rotation = _turn(frame[:, :, 2], forward) @ frame
         tilt, spin = np.zeros((len(s), 3)), np.zeros((len(s), 3))
-        tilt[:, :2] = (keep * self.wobble)[:, None] * noise[:, 2:4] / np.sqrt(2.0)
+        tilt[:, :2] = (amplitude * self.tilt)[:, None] * noise[:, 2:4] / np.sqrt(2.0)
         spin[:, 2] = self.roll * noise[:, 4]
         rotation = rotation @ rotation_from_vector(tilt) @ rotation_from_vector(spin)
         poses = transform_from(rotation, rear + self.rear * forward)
         return poses if self.correction is None else corrected(poses, self.correction(s))
 
-    def _bogies(self, s: np.ndarray, keep: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Rear and front points on the rail, the wheelbase apart."""
+    def _two_points(self, s: np.ndarray, amplitude: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Rear and front points on the rail, a fixed distance apart."""
         wheelbase = self.front + self.rear
         stretch = np.ones_like(s)
-        rear, front = self._ends(s, keep, stretch)
+        rear, front = self._ends(s, amplitude, stretch)
         for _ in range(8):
             chord = np.linalg.norm(front - rear, axis=1)
             stretch = np.clip(stretch * wheelbase / np.maximum(chord, 1e-9), 1.0, 3.0)
-            rear, front = self._ends(s, keep, stretch)
+            rear, front = self._ends(s, amplitude, stretch)
         return rear, front
 
     def _ends(
-        self, s: np.ndarray, keep: np.ndarray, stretch: np.ndarray
+        self, s: np.ndarray, amplitude: np.ndarray, stretch: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         return (
-            self._rail(s - self.sign * stretch * self.rear, keep),
-            self._rail(s + self.sign * stretch * self.front, keep),
+            self._rail(s - self.sign * stretch * self.rear, amplitude),
+            self._rail(s + self.sign * stretch * self.front, amplitude),
         )
 
-    def _rail(self, s: np.ndarray, keep: np.ndarray) -> np.ndarray:
+    def _rail(self, s: np.ndarray, amplitude: np.ndarray) -> np.ndarray:
         point, frame, radius = interpolate(self.centerline, s)
         offset = np.empty((len(s), 3))
-        offset[:, :2] = (keep * self.drift * radius)[:, None] * self.waves.at(s)[:, :2]
+        offset[:, :2] = (amplitude * self.drift * radius)[:, None] * self.noise.at(s)[:, :2]
         offset[:, :2] /= np.sqrt(2.0)
         # Beyond an end of the centreline the rail goes straight on.
         offset[:, 2] = s - np.clip(s, 0.0, self.centerline.length)
         return point + (frame @ offset[:, :, None])[:, :, 0]
 
 
-def wheelbase(device: Device) -> tuple[float, float]:
-    """Distances of the front and rear bogies from the capsule's origin [m].
+def follower_offsets(device: Device) -> tuple[float, float]:
+    """Distances of the front and rear points from the capsule's origin [m].
 
     They are at the outermost cameras, and no nearer than the ends of the body's axis.
     """

@@ -1,4 +1,4 @@
-"""Motion by physics: how to ask for it."""
+"""Motion by dynamics: how to ask for it."""
 
 from __future__ import annotations
 
@@ -11,28 +11,28 @@ from vrcaps.errors import InputError, UnknownNameError, require
 from vrcaps.motion.fly_through import FlyThrough
 from vrcaps.tissue.drag import Drag
 from vrcaps.tissue.fem.deformation import FemDeformation
-from vrcaps.tissue.material import Material
 from vrcaps.tissue.motility.motility import Motility
 from vrcaps.tissue.motility.propulsion import Propulsion
-from vrcaps.tissue.spring_wall import QuickDeformation
+from vrcaps.tissue.spring_wall import SpringWall
 from vrcaps.tissue.tissue import Tissue
+from vrcaps.tissue.winkler_foundation import WinklerFoundation
 from vrcaps.world.schedule import (
     Insufflation,
-    Turn,
+    PostureChange,
     Wrench,
     check_insufflation,
-    check_turns,
+    check_posture_changes,
     check_wrenches,
 )
 from vrcaps.world.world import SUBSTEP
 
-DEFORMATIONS = ("quick", "fem", "rigid")
+DEFORMATIONS = ("spring", "fem", "rigid")
 MOTILITIES = ("none", "fasting", "phase-three", "steady")
 WRENCH_FRAMES = ("world", "capsule", "gut")
 
 
 @dataclass(frozen=True)
-class Physics:
+class Dynamics:
     """The capsule moves as gravity, the wall, the muscle and commands make it.
 
     It is set on the centreline and left to itself for `settle`; then time is 0 and the first
@@ -44,24 +44,24 @@ class Physics:
         angle: Between the capsule's front and the way towards the anal end, about the x axis of
             the centreline's frame [rad]; π looks back.
         deformation: How the wall gives way: `quick` (the paper's update near the contact), `fem`
-            (an elastic layer) or `rigid` (not at all, but for the softness of `material`).
+            (an elastic layer) or `rigid` (not at all, but for the softness of `foundation`).
         quick: Parameters of `quick`.
         fem: Parameters of `fem`; None takes its defaults.
-        material: Pressure of the wall against a capsule that presses in.
+        foundation: Pressure of the wall against a capsule that presses in.
         drag: Resistance of the wall against a capsule that slides along.
         motility: What the muscle does: `none`; `fasting`, the migrating motor complex by chance;
             `phase-three`, its strongest phase, whose front has passed the capsule by 5 cm in the
             first frame;
             `steady`, every segment contracts evenly.
-        otherwise: Segment whose muscle the wall has where its own segment's name is unknown, such
-            as `jejunum`; None makes that an error.
+        fallback_segment: Segment whose muscle the wall has where its own segment's name is
+            unknown, such as `jejunum`; None makes that an error.
         propulsion: The force β (v_p − u) of peristalsis in addition to contact; None is without.
         wrenches: Commanded force and torque: linear in time between entries, constant before and
             after them.
         wrench_file: CSV of such entries instead, see `read_wrenches`.
         wrench_frame: Axes of commanded forces and torques: `world`, the `capsule`'s own, or the
             `gut`'s at the capsule: z along the centreline towards the anal end.
-        turns: When the patient turns over.
+        posture_changes: When the patient turns over.
         insufflation: How full the gut is in time; empty: as modelled.
         magnet: A magnet outside that steers the capsule; None is without.
         settle: Time that passes before the first frame, without commands [s]. The gut takes on
@@ -73,18 +73,18 @@ class Physics:
 
     start: float = FlyThrough.start
     angle: float = 0.0
-    deformation: Literal["quick", "fem", "rigid"] = "quick"
-    quick: QuickDeformation = field(default_factory=QuickDeformation)
+    deformation: Literal["spring", "fem", "rigid"] = "spring"
+    spring: SpringWall = field(default_factory=SpringWall)
     fem: FemDeformation | None = None
-    material: Material = field(default_factory=Material)
+    foundation: WinklerFoundation = field(default_factory=WinklerFoundation)
     drag: Drag = field(default_factory=Drag)
     motility: Literal["none", "fasting", "phase-three", "steady"] = "none"
-    otherwise: str | None = None
+    fallback_segment: str | None = None
     propulsion: Propulsion | None = None
     wrenches: tuple[Wrench, ...] = ()
     wrench_file: str = ""
     wrench_frame: Literal["world", "capsule", "gut"] = "world"
-    turns: tuple[Turn, ...] = ()
+    posture_changes: tuple[PostureChange, ...] = ()
     insufflation: tuple[Insufflation, ...] = ()
     magnet: MagnetSteering | None = None
     settle: float = 1.0
@@ -101,7 +101,7 @@ class Physics:
             ("settle", 0.0 <= self.settle <= 3600.0, "0 to 3600 s"),
             ("step", 0.0 < self.step <= 0.5, "above 0 to 0.5 s"),
         ):
-            require(valid, f"Physics' {name}", getattr(self, name), allowed)
+            require(valid, f"Dynamics' {name}", getattr(self, name), allowed)
         for noun, name, known in (
             ("deformation", self.deformation, DEFORMATIONS),
             ("motility", self.motility, MOTILITIES),
@@ -117,11 +117,11 @@ class Physics:
         if self.wrenches and self.wrench_file:
             raise InputError("wrenches and wrench_file are both given. Give one of them.")
         check_wrenches(self.wrenches, "wrenches")
-        check_turns(self.turns, "turns")
+        check_posture_changes(self.posture_changes, "posture_changes")
         check_insufflation(self.insufflation, "insufflation")
 
 
-def tissue_of(settings: Physics, *, front: float) -> Tissue:
+def make_tissue(settings: Dynamics, *, front: float) -> Tissue:
     """The tissue that is asked for.
 
     Args:
@@ -130,18 +130,20 @@ def tissue_of(settings: Physics, *, front: float) -> Tissue:
     """
     motility = None
     if settings.motility != "none":
-        motility = Motility(otherwise=settings.otherwise, propulsion=settings.propulsion)
+        motility = Motility(
+            fallback_segment=settings.fallback_segment, propulsion=settings.propulsion
+        )
     if settings.motility == "phase-three" and motility is not None:
         motility = replace(motility, front=front)
     elif settings.motility == "steady" and motility is not None:
         motility = replace(motility, complex=None)
-    deformations: dict[str, QuickDeformation | FemDeformation | None] = {
-        "quick": settings.quick,
+    deformations: dict[str, SpringWall | FemDeformation | None] = {
+        "spring": settings.spring,
         "fem": settings.fem or FemDeformation(),
         "rigid": None,
     }
     return Tissue(
-        material=settings.material,
+        foundation=settings.foundation,
         drag=settings.drag,
         deformation=deformations[settings.deformation],
         motility=motility,

@@ -15,13 +15,18 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from vrcaps.errors import InputError
-from vrcaps.motion.centerline_follower import Carriage, Waves, make_waves, wheelbase
+from vrcaps.motion.centerline_follower import (
+    BandLimitedNoise,
+    CenterlineFollower,
+    follower_offsets,
+    make_noise,
+)
 from vrcaps.motion.trajectory import Trajectory, require_inside, velocities_between
 from vrcaps.transforms import transform_points
 from vrcaps.units import MM
 from vrcaps.world.clearance import capsule_clearance, push_inside, vital_clearance
 from vrcaps.world.model import Model
-from vrcaps.world.wall_displacement import MakeWay
+from vrcaps.world.wall_displacement import WallDisplacement
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -43,7 +48,7 @@ class FlyThrough:
             frames given.
         speed_variation: Largest deviation of the speed from its mean, as a share, below 1.
         drift: Largest distance from the centreline, as a share of the local radius, below 1.
-        wobble: Largest angle between the capsule's axis and its direction of travel [rad].
+        tilt: Largest angle between the capsule's axis and its direction of travel [rad].
         roll: Largest angle about the capsule's axis [rad].
         smoothness: Shortest wavelength of all these along the path [m].
         margin: Distance that cameras and body axis keep from the wall where the lumen is wide
@@ -58,7 +63,7 @@ class FlyThrough:
     speed: float | None = None
     speed_variation: float = 0.3
     drift: float = 0.3
-    wobble: float = 0.15
+    tilt: float = 0.15
     roll: float = 0.6
     smoothness: float = 0.06
     margin: float = 2.0 * MM
@@ -84,7 +89,7 @@ def fly_through(
             stretch, or the capsule does not fit through a bend.
     """
     _require_valid(settings)
-    carriage, low, high, notes = _fitted(model, settings, _carriage(model, settings, rng))
+    follower, low, high, notes = _fitted(model, settings, _make_follower(model, settings, rng))
     duration = (frames - 1) / fps
     distance = high - low if settings.speed is None else settings.speed * duration
     if settings.speed is not None and distance > (high - low) * (1.0 + 1e-9):
@@ -93,69 +98,71 @@ def fly_through(
             f"{distance:.3g} m, but the stretch is {high - low:.3g} m. Allowed: up to "
             f"{int((high - low) / settings.speed * fps) + 1} frames, or a lower speed."
         )
-    carriage = _eased(model, settings, carriage, low, high)
+    follower = _eased(model, settings, follower, low, high)
     rate = distance / duration if frames > 1 else 0.0
-    waves = make_waves(settings.smoothness, rng, count=1)
-    first = low if carriage.sign > 0.0 else high
+    noise = make_noise(settings.smoothness, rng, count=1)
+    first = low if follower.sign > 0.0 else high
 
     def pose_at(times: Float[np.ndarray, " k"]) -> Float[np.ndarray, "k 4 4"]:
-        travelled = _travelled(rate * times, distance, waves, settings.speed_variation)
-        return carriage.poses(first + carriage.sign * travelled)
+        travelled = _travelled(rate * times, distance, noise, settings.speed_variation)
+        return follower.poses(first + follower.sign * travelled)
 
     times = np.arange(frames) / fps
     step = 1e-3 / fps
     velocities = velocities_between(pose_at(times - step), pose_at(times + step), 2.0 * step)
-    make_way = None if settings.rigid_wall else MakeWay(model, model)
-    trajectory = Trajectory(times, pose_at(times), *velocities, notes, make_way)
+    wall_displacement = None if settings.rigid_wall else WallDisplacement(model, model)
+    trajectory = Trajectory(times, pose_at(times), *velocities, notes, wall_displacement)
     require_inside(model, trajectory)
     return trajectory
 
 
 def _travelled(
-    nominal: Float[np.ndarray, " n"], distance: float, waves: Waves, variation: float
+    nominal: Float[np.ndarray, " n"], distance: float, noise: BandLimitedNoise, variation: float
 ) -> Float[np.ndarray, " n"]:
     """Distance travelled when steady motion would be at `nominal`; both end at `distance` [m]."""
     if distance <= 0.0:
         return np.zeros_like(nominal)
     ends = np.array([distance])
-    whole = distance + variation * waves.integral(ends)[0, 0]
-    return (nominal + variation * waves.integral(nominal)[:, 0]) * distance / whole
+    whole = distance + variation * noise.integral(ends)[0, 0]
+    return (nominal + variation * noise.integral(nominal)[:, 0]) * distance / whole
 
 
-def _carriage(model: Model, settings: FlyThrough, rng: np.random.Generator) -> Carriage:
-    """Carriage of the model's capsule on its organ's centreline, not wandering yet."""
+def _make_follower(
+    model: Model, settings: FlyThrough, rng: np.random.Generator
+) -> CenterlineFollower:
+    """Follower of the model's capsule on its organ's centreline, not wandering yet."""
     line = model.organ.centerline
-    front, rear = wheelbase(model.device)
-    return Carriage(
+    front, rear = follower_offsets(model.device)
+    return CenterlineFollower(
         centerline=replace(
             line,
             points=transform_points(model.T_world_patient, line.points),
             frames=model.T_world_patient[:3, :3] @ line.frames,
         ),
-        waves=make_waves(settings.smoothness, rng, count=5),
+        noise=make_noise(settings.smoothness, rng, count=5),
         front=front,
         rear=rear,
         sign=1.0 if settings.end > settings.start else -1.0,
         drift=settings.drift,
-        wobble=settings.wobble,
+        tilt=settings.tilt,
         roll=settings.roll,
-        keep=np.zeros_like,
+        amplitude=np.zeros_like,
     )
 
 
 def _fitted(
-    model: Model, settings: FlyThrough, carriage: Carriage
-) -> tuple[Carriage, float, float, tuple[str, ...]]:
-    """The carriage with its poses pushed into the lumen, and the stretch where it fits [m].
+    model: Model, settings: FlyThrough, follower: CenterlineFollower
+) -> tuple[CenterlineFollower, float, float, tuple[str, ...]]:
+    """The follower with its poses pushed into the lumen, and the stretch where it fits [m].
 
     Raises:
         InputError: If the capsule does not fit in, or leaves the lumen in between.
     """
-    knots, notes = _stretch(model, settings, carriage)
-    poses, need = carriage.poses(knots), _least_clearance(model, settings)
+    knots, notes = _stretch(model, settings, follower)
+    poses, need = follower.poses(knots), _least_clearance(model, settings)
     push = push_inside(model, poses, need=need, blur=_PUSH_BLUR / _KNOT_SPACING)
-    carriage = replace(carriage, correction=_linear(knots, push))
-    clearance = vital_clearance(model, carriage.poses(knots))
+    follower = replace(follower, correction=_linear(knots, push))
+    clearance = vital_clearance(model, follower.poses(knots))
     blocked = np.flatnonzero(~(clearance > 0.0))
     if len(blocked):
         share = knots[blocked[0]] / model.organ.centerline.length
@@ -164,11 +171,11 @@ def _fitted(
             f"the way along (by {-clearance[blocked[0]] / MM:.1f} mm). Choose start and end on "
             "one side of it."
         )
-    return carriage, float(knots[0]), float(knots[-1]), notes
+    return follower, float(knots[0]), float(knots[-1]), notes
 
 
 def _stretch(
-    model: Model, settings: FlyThrough, carriage: Carriage
+    model: Model, settings: FlyThrough, follower: CenterlineFollower
 ) -> tuple[Float[np.ndarray, " k"], tuple[str, ...]]:
     """Knots of the stretch asked for, its ends moved inwards to where the capsule fits.
 
@@ -177,7 +184,7 @@ def _stretch(
     """
     asked = np.sort(np.array([settings.start, settings.end])) * model.organ.centerline.length
     knots = _knots(*asked)
-    clearance = vital_clearance(model, carriage.poses(knots))
+    clearance = vital_clearance(model, follower.poses(knots))
     inside = np.flatnonzero(clearance > settings.margin)
     if len(inside) < 2:
         inside = np.flatnonzero(clearance > _least_clearance(model, settings))
@@ -203,27 +210,27 @@ def _least_clearance(model: Model, settings: FlyThrough) -> float:
 
 
 def _eased(
-    model: Model, settings: FlyThrough, carriage: Carriage, low: float, high: float
-) -> Carriage:
-    """The carriage wandering in full, but less wherever it would come too near the wall."""
+    model: Model, settings: FlyThrough, follower: CenterlineFollower, low: float, high: float
+) -> CenterlineFollower:
+    """The follower wandering in full, but less wherever it would come too near the wall."""
     from scipy.interpolate import PchipInterpolator  # slow to load
 
     knots = _knots(low, high)
-    bare = capsule_clearance(model, carriage.poses(knots))
+    bare = capsule_clearance(model, follower.poses(knots))
     # A point that is outside even without wandering (an end of the shell) is let be.
     need = np.where(bare > 0.0, np.minimum(settings.margin, 0.5 * bare), -np.inf)
-    keep = np.ones_like(knots)
+    amplitude = np.ones_like(knots)
     slope = knots / settings.smoothness
     for attempt in range(16):
-        wandering = replace(carriage, keep=_linear(knots, keep))
+        wandering = replace(follower, amplitude=_linear(knots, amplitude))
         near = (capsule_clearance(model, wandering.poses(knots)) < need).any(axis=1)
         if not near.any():
             break
-        keep[near] *= 0.7 if attempt < 12 else 0.0
-        keep = np.minimum.accumulate(keep - slope) + slope
-        keep = np.minimum.accumulate((keep + slope)[::-1])[::-1] - slope
-    interpolator = PchipInterpolator(knots, keep)
-    return replace(carriage, keep=lambda s: interpolator(np.clip(s, low, high)))
+        amplitude[near] *= 0.7 if attempt < 12 else 0.0
+        amplitude = np.minimum.accumulate(amplitude - slope) + slope
+        amplitude = np.minimum.accumulate((amplitude + slope)[::-1])[::-1] - slope
+    interpolator = PchipInterpolator(knots, amplitude)
+    return replace(follower, amplitude=lambda s: interpolator(np.clip(s, low, high)))
 
 
 def _knots(low: float, high: float) -> Float[np.ndarray, " n"]:
@@ -249,7 +256,7 @@ def _require_valid(settings: FlyThrough) -> None:
         "speed": (settings.speed is None or settings.speed > 0.0, "above 0 m/s, or none"),
         "speed_variation": (0.0 <= settings.speed_variation < 1.0, "0 to below 1"),
         "drift": (0.0 <= settings.drift < 1.0, "0 to below 1"),
-        "wobble": (0.0 <= settings.wobble <= np.pi / 4, "0 to 0.785 rad"),
+        "tilt": (0.0 <= settings.tilt <= np.pi / 4, "0 to 0.785 rad"),
         "roll": (0.0 <= settings.roll < np.inf, "0 rad or more"),
         "smoothness": (0.0 < settings.smoothness < np.inf, "above 0 m"),
         "margin": (0.0 < settings.margin < np.inf, "above 0 m"),

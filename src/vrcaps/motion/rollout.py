@@ -11,7 +11,7 @@ import numpy as np
 
 from vrcaps.actuation.steering_program import Commander
 from vrcaps.errors import InputError
-from vrcaps.motion.dynamics import Physics, tissue_of
+from vrcaps.motion.dynamics import Dynamics, make_tissue
 from vrcaps.motion.run import Conditions, Instant
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.transforms import (
@@ -46,13 +46,13 @@ _NEARBY = 3.0 * CM
 """How far along the gut the capsule's place is sought from where it was a step before."""
 
 
-class Simulation:
+class Rollout:
     """A run of a `World`. Its frames are made anew, to the same bytes, at every walk through."""
 
     def __init__(
         self,
         model: Model,
-        settings: Physics,
+        settings: Dynamics,
         *,
         frames: int,
         fps: float,
@@ -88,7 +88,7 @@ class Simulation:
             self.notes += self.commander.notes
         self.world = World(
             model,
-            tissue_of(settings, front=min(arc_length + _PASSED, self._line.length)),
+            make_tissue(settings, front=min(arc_length + _PASSED, self._line.length)),
             State(-settings.settle, pose),
             substep=settings.substep,
             seed=seed,
@@ -194,9 +194,9 @@ class Simulation:
 
     def _patient(self, time: float) -> Float[np.ndarray, "4 4"]:
         """How the patient lies; the model's own matrix where nobody turns."""
-        if not self.settings.turns:
+        if not self.settings.posture_changes:
             return self.model.T_world_patient
-        return patient_at(self.model.T_world_patient, self.settings.turns, time)
+        return patient_at(self.model.T_world_patient, self.settings.posture_changes, time)
 
     def _insufflation(self, time: float) -> float:
         """Factor on the lumen's radius; before the first frame on the way to its first value."""
@@ -269,7 +269,7 @@ def over_all(contacts: list[Contact]) -> Contact:
         contacts[-1],
         force_world=mean("force_world"),
         torque_world=mean("torque_world"),
-        grip=float(mean("grip")),
+        normal_force_total=float(mean("normal_force_total")),
         friction_work=float(np.sum([contact.friction_work for contact in contacts])),
     )
 
@@ -286,7 +286,7 @@ def mean_coupling(couplings: list[Coupling | None]) -> Coupling | None:
 
 
 def _start(
-    model: Model, settings: Physics
+    model: Model, settings: Dynamics
 ) -> tuple[Float[np.ndarray, "4 4"], float, tuple[str, ...]]:
     """Pose of the capsule at rest where it fits, its arc length [m], and what was changed.
 

@@ -18,7 +18,7 @@ from vrcaps.transforms import (
 )
 from vrcaps.units import MM
 from vrcaps.world.model import Model, State
-from vrcaps.world.wall_displacement import MakeWay
+from vrcaps.world.wall_displacement import WallDisplacement
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -34,8 +34,8 @@ class Trajectory:
         linear_velocities_world: Velocities of the capsule's origin [m/s].
         angular_velocities_world: Angular velocities of the capsule [rad/s].
         notes: What was skipped or changed to make it, one line each.
-        make_way: How the wall gives way to the shell where the lumen is narrower; None keeps it
-            at rest.
+        wall_displacement: How the wall makes way for the shell where the lumen is narrower; None
+            keeps the wall at rest.
     """
 
     times: Float[np.ndarray, " n"]
@@ -43,20 +43,20 @@ class Trajectory:
     linear_velocities_world: Float[np.ndarray, "n 3"]
     angular_velocities_world: Float[np.ndarray, "n 3"]
     notes: tuple[str, ...] = ()
-    make_way: MakeWay | None = None
+    wall_displacement: WallDisplacement | None = None
 
     def __len__(self) -> int:
         return len(self.times)
 
     def state(self, index: int) -> State:
         """The world at one of the instants."""
-        pose = self.Ts_world_capsule[index]
+        pose, displacement = self.Ts_world_capsule[index], self.wall_displacement
         return State(
             time=float(self.times[index]),
             T_world_capsule=pose,
             linear_velocity_world=self.linear_velocities_world[index],
             angular_velocity_world=self.angular_velocities_world[index],
-            vertices_world=self.make_way.vertices_world(pose) if self.make_way else None,
+            vertices_world=None if displacement is None else displacement.vertices_world(pose),
         )
 
     def instants(self) -> Iterator[Instant]:

@@ -31,7 +31,7 @@ class Step:
         now: The world.
         before: One frame earlier; None for the first.
         after: One frame later; None for the last.
-        taken: Of `Simulation.snapshot` at this frame, where one is due.
+        taken: Of `Rollout.snapshot` at this frame, where one is due.
     """
 
     frame: int

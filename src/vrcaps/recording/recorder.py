@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from vrcaps.errors import InputError
-from vrcaps.motion.rollout import Simulation
+from vrcaps.motion.rollout import Rollout
 from vrcaps.recording.channels import ENCODINGS
 from vrcaps.recording.checkpoint import (
     Checkpoint,
@@ -85,7 +85,7 @@ def record(
     scenario, device = resolve(scenario)
     _require_free(out, scenario)
     model, motion = build(scenario, device)
-    if isinstance(motion, Simulation) and simulated is not None:
+    if isinstance(motion, Rollout) and simulated is not None:
         motion.on_step = simulated
     head = make_head(scenario, model, motion.notes)
     try:
@@ -140,7 +140,7 @@ class _Recording:
 
     def checkpoint(self) -> Checkpoint | None:
         """Where a simulation may go on; None where it must begin anew."""
-        if not isinstance(self.motion, Simulation):
+        if not isinstance(self.motion, Rollout):
             return None
         found = read_checkpoint(self.out)
         if found is None or not all(self.is_there(frame) for frame in range(found.frame + 1)):
@@ -208,7 +208,7 @@ def _write_organ(out: Path, model: Model) -> None:
 
 def _steps(motion: Run, start: Checkpoint | None) -> Iterator[Step]:
     """Frames of a motion with their neighbours, from the one after a checkpoint on."""
-    simulation = motion if isinstance(motion, Simulation) else None
+    simulation = motion if isinstance(motion, Rollout) else None
     last = time.monotonic()
 
     def taken() -> tuple[float, Snapshot] | None:

@@ -13,7 +13,7 @@ from vrcaps.errors import InputError
 from vrcaps.magnet.field import field as flux_density
 from vrcaps.magnet.presets import load_magnet
 from vrcaps.magnet.sources import Dipole, Source, Uniform, magnet_pose
-from vrcaps.motion.dynamics import Physics
+from vrcaps.motion.dynamics import Dynamics
 from vrcaps.motion.run import Instant
 from vrcaps.sensors.hall import miscalibrated, read_hall
 from vrcaps.sensors.inertial import (
@@ -55,7 +55,7 @@ class SensorReadings:
         assert scenario.fps is not None
         self._model, self._sensors, self._seed = model, scenario.sensors, scenario.seed
         self._steering = None
-        if isinstance(scenario.motion, Physics) and scenario.motion.magnet is not None:
+        if isinstance(scenario.motion, Dynamics) and scenario.motion.magnet is not None:
             self._steering = scenario.motion.magnet.magnet
         earth = np.array(self._sensors.earth, float)
         strength = float(np.linalg.norm(earth))

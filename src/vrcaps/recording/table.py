@@ -36,14 +36,14 @@ SIMULATED_COLUMNS = (
     "capsule_along_gut_m_per_s",
     *(f"contact_force_{axis}_n" for axis in "xyz"),
     *(f"contact_torque_{axis}_nm" for axis in "xyz"),
-    *("grip_n", "friction_work_j", "contact_area_m2", "contact_depth_m"),
+    *("normal_force_total_n", "friction_work_j", "contact_area_m2", "contact_depth_m"),
     *(f"commanded_force_{axis}_n" for axis in "xyz"),
     *(f"commanded_torque_{axis}_nm" for axis in "xyz"),
     "insufflation",
     *(f"patient_{name}" for name in POSE_COLUMNS),
     "mmc_phase",
 )
-"""Columns of a run by physics, beside those of every run."""
+"""Columns of a run by dynamics, beside those of every run."""
 
 STEERED_COLUMNS = (
     *(f"magnet_{name}" for name in POSE_COLUMNS),
@@ -86,7 +86,7 @@ def column_names(
 
     Args:
         cameras: Names of the capsule's cameras.
-        simulated: Whether the capsule moved by physics.
+        simulated: Whether the capsule moved by dynamics.
         steered: Whether a magnet steered it.
     """
     poses = [f"{body}_{name}" for body in ("capsule", *cameras) for name in POSE_COLUMNS]
@@ -182,7 +182,7 @@ def _simulated(
         float(along @ state.linear_velocity_world),
         *contact.force_world,
         *contact.torque_world,
-        *(contact.grip, contact.friction_work, contact.area, contact.depth),
+        *(contact.normal_force_total, contact.friction_work, contact.area, contact.depth),
         *conditions.force_world,
         *conditions.torque_world,
         conditions.insufflation,

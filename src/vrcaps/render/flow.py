@@ -10,7 +10,7 @@ import numpy as np
 from vrcaps._core import Contents, Wall
 from vrcaps.camera.camera import Camera
 from vrcaps.camera.rays import pixel_grid, project_points
-from vrcaps.lumen.lumen_contents import Filling
+from vrcaps.lumen.lumen_contents import LumenContents
 from vrcaps.render.refraction import Bends
 from vrcaps.transforms import invert, transform_points
 from vrcaps.world.model import State
@@ -28,7 +28,7 @@ class SurfacePoints:
 
     Attributes:
         position: Place now in the world frame [m]; NaN where there is none.
-        face: Face it lies on, −1 where there is none, −2 − k on sphere k of the filling.
+        face: Face it lies on, −1 where there is none, −2 − k on sphere k of the lumen_contents.
         weights: Weights of the face's first and second corner.
         bend: How a liquid's surface turns the way to it, as in the channel `bend_label`.
     """
@@ -51,8 +51,8 @@ class SurfacePoints:
         self,
         faces: Int[np.ndarray, "m 3"],
         state: State,
-        now: Filling | None = None,
-        then: Filling | None = None,
+        now: LumenContents | None = None,
+        then: LumenContents | None = None,
     ) -> Float[np.ndarray, "h w 3"]:
         """The same points of the wall and of spheres in another state, world frame [m].
 

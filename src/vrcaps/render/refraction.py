@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vrcaps._core import Wall
-from vrcaps.lumen.lumen_contents import BEND_NAMES, Filling
+from vrcaps.lumen.lumen_contents import BEND_NAMES, LumenContents
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
@@ -35,7 +35,7 @@ class Bends:
 
 
 def levels_met(
-    filling: Filling,
+    lumen_contents: LumenContents,
     eye: Float[np.ndarray, " 3"],
     wall: Wall,
     faces: Int[np.ndarray, "m 3"],
@@ -47,13 +47,13 @@ def levels_met(
     that the points belong to.
 
     Args:
-        filling: What is in the lumen.
+        lumen_contents: What is in the lumen.
         eye: In the world [m].
         wall: The wall, to know along which pool the eye is.
         faces: Of the wall.
-        face: That each point lies on, −2 − k on sphere k of the filling.
+        face: That each point lies on, −2 − k on sphere k of the lumen_contents.
     """
-    levels, pools = np.full(face.shape, np.nan), filling.pools
+    levels, pools = np.full(face.shape, np.nan), lumen_contents.pools
     if pools is None:
         return levels
     heights = np.append(np.nan, pools.levels)
@@ -65,7 +65,7 @@ def levels_met(
     on_wall = face >= 0
     levels[on_wall] = heights[pools.of_vertex[faces[face[on_wall]]].max(axis=-1)]
     afloat = face < -1
-    arc_length = filling.spheres.arc_length[-2 - face[afloat]]
+    arc_length = lumen_contents.spheres.arc_length[-2 - face[afloat]]
     for (begin, end), height in zip(pools.stretch, pools.levels, strict=True):
         inside = (arc_length >= begin) & (arc_length <= end)
         levels[afloat] = np.where(inside, height, levels[afloat])

@@ -14,7 +14,7 @@ from vrcaps import _core
 from vrcaps.camera.camera import Camera
 from vrcaps.camera.rays import camera_rays
 from vrcaps.errors import InputError, UnknownNameError
-from vrcaps.lumen.lumen_contents import Filling
+from vrcaps.lumen.lumen_contents import LumenContents
 from vrcaps.render.denoise import denoise, load_denoiser
 from vrcaps.render.flow import SurfacePoints, flow, seen_from
 from vrcaps.render.frame import CHANNELS, Frame, inside
@@ -93,8 +93,8 @@ class Renderer:
         self._wall = wall or MovingWall(model)
         self._neighbours = {"previous": MovingWall(model), "next": MovingWall(model)}
         self._poses: deque[tuple[State, Camera, Float[np.ndarray, "4 4"]]] = deque(maxlen=16)
-        self._fillings: deque[tuple[State, Filling]] = deque(maxlen=3)
-        self._contents: dict[str, tuple[Filling, _core.Wall, _core.Contents]] = {}
+        self._known_contents: deque[tuple[State, LumenContents]] = deque(maxlen=3)
+        self._contents: dict[str, tuple[LumenContents, _core.Wall, _core.Contents]] = {}
         self._tables: dict[tuple[int, int], tuple[Camera, _core.RayTable]] = {}
         self._led_rows: dict[int, tuple[Camera, Float[np.ndarray, "k 10"]]] = {}
 
@@ -144,8 +144,10 @@ class Renderer:
         arrays |= {} if planes is None else {"radiance_planes": planes}
         if points is not None:
             arrays |= {f"sparse_{name}": array for name, array in vars(points).items()}
-        wall, filling = self._wall.at(state), self.filling(state)
-        contents = None if filling is None else self._core_contents(filling, wall, "now")
+        wall, lumen_contents = self._wall.at(state), self.lumen_contents(state)
+        contents = (
+            None if lumen_contents is None else self._core_contents(lumen_contents, wall, "now")
+        )
         self._draw(wall, camera, state, arrays, contents)
         motion = self._motion(camera, arrays, channels, states)
         return {name: arrays[name] for name in channels if name in arrays} | motion
@@ -208,22 +210,25 @@ class Renderer:
             return motion
         names = ("position", "face", "weights", "bend_label")
         points = SurfacePoints(*(arrays[name] for name in names))
-        faces, now = self.model.organ.faces, self.filling(state)
+        faces, now = self.model.organ.faces, self.lumen_contents(state)
         if state_next is not None and _NEEDS_NEXT & set(channels):
-            moved = points.moved(faces, state_next, now, self.filling(state_next))
+            moved = points.moved(faces, state_next, now, self.lumen_contents(state_next))
             bends = self.bends(camera, points, moved, state_next, "next")
             forward = flow(camera, bends.apparent, state_next)
             if "flow_forward" in channels:
                 motion["flow_forward"] = forward
             if "occlusion" in channels:
-                wall, filling = self._neighbours["next"].at(state_next), self.filling(state_next)
+                wall, lumen_contents = (
+                    self._neighbours["next"].at(state_next),
+                    self.lumen_contents(state_next),
+                )
                 then = None
-                if filling is not None:
-                    then = self._core_contents(filling, wall, "next")
+                if lumen_contents is not None:
+                    then = self._core_contents(lumen_contents, wall, "next")
                 seen = seen_from(camera, bends, moved, forward, state_next, wall, then)
                 motion["occlusion"] = ~seen
         if state_previous is not None and "flow_backward" in channels:
-            moved = points.moved(faces, state_previous, now, self.filling(state_previous))
+            moved = points.moved(faces, state_previous, now, self.lumen_contents(state_previous))
             bends = self.bends(camera, points, moved, state_previous, "previous")
             motion["flow_backward"] = flow(camera, bends.apparent, state_previous)
         return motion
@@ -240,13 +245,13 @@ class Renderer:
 
         The slot is `next` or `previous`: which neighbour the state is.
         """
-        filling = self.filling(state)
-        if filling is None or filling.pools is None:
+        lumen_contents = self.lumen_contents(state)
+        if lumen_contents is None or lumen_contents.pools is None:
             return Bends(moved, None)
         eye = self.pose(state, camera)[:3, 3]
         wall, faces = self._neighbours[slot].at(state), self.model.organ.faces
-        levels = levels_met(filling, eye, wall, faces, points.face)
-        ior = filling.contents.resolved[2].ior
+        levels = levels_met(lumen_contents, eye, wall, faces, points.face)
+        ior = lumen_contents.contents.resolved[2].ior
         moved = moved.astype(float, copy=False)
         return bend_ways(eye, moved, levels, points.bend == MIRRORED, ior)
 
@@ -276,35 +281,41 @@ class Renderer:
         self._poses.append((state, camera, pose))
         return pose
 
-    def filling(self, state: State) -> Filling | None:
+    def lumen_contents(self, state: State) -> LumenContents | None:
         """What is in the lumen in a state."""
-        rest = self.model.filling
-        if state.filling is not None or rest is None:
-            return state.filling
-        for known, filling in self._fillings:
+        rest = self.model.lumen_contents
+        if state.lumen_contents is not None or rest is None:
+            return state.lumen_contents
+        for known, lumen_contents in self._known_contents:
             if known is state:
-                return filling
+                return lumen_contents
         device = self.model.device
-        filling = rest.around_capsule(state.T_world_capsule, device.length, device.radius)
-        self._fillings.append((state, filling))
-        return filling
+        lumen_contents = rest.around_capsule(state.T_world_capsule, device.length, device.radius)
+        self._known_contents.append((state, lumen_contents))
+        return lumen_contents
 
-    def _core_contents(self, filling: Filling, wall: _core.Wall, slot: str) -> _core.Contents:
-        """The filling ready to be traced; where only its spheres have moved, their tree is kept."""
+    def _core_contents(
+        self, lumen_contents: LumenContents, wall: _core.Wall, slot: str
+    ) -> _core.Contents:
+        """The contents ready to be traced; where only spheres have moved, their tree is kept."""
         kept = self._contents.get(slot)
-        if kept is not None and kept[1] is wall and _differ_in_place(kept[0], filling):
-            if kept[0] is not filling:
-                kept[2].move_to(wall, np.ascontiguousarray(filling.spheres.centers))
+        if kept is not None and kept[1] is wall and _differ_in_place(kept[0], lumen_contents):
+            if kept[0] is not lumen_contents:
+                kept[2].move_to(wall, np.ascontiguousarray(lumen_contents.spheres.centers))
         else:
             light = self._imaging
-            bubbles, _, liquid = filling.contents.resolved
-            color = light.reflectance(filling.spheres.color)
-            pools = None if filling.pools is None else (filling.pools, light.liquid(liquid))
+            bubbles, _, liquid = lumen_contents.contents.resolved
+            color = light.reflectance(lumen_contents.spheres.color)
+            pools = (
+                None
+                if lumen_contents.pools is None
+                else (lumen_contents.pools, light.liquid(liquid))
+            )
             label = len(self.model.organ.label_names)
-            spheres = replace(filling.spheres, color=color)
+            spheres = replace(lumen_contents.spheres, color=color)
             made = _core.Contents(wall, spheres, light.bubbles(bubbles), pools, label)
-            kept = (filling, wall, made)
-        self._contents[slot] = (filling, *kept[1:])
+            kept = (lumen_contents, wall, made)
+        self._contents[slot] = (lumen_contents, *kept[1:])
         return kept[2]
 
     def _table(self, camera: Camera, supersampling: int) -> _core.RayTable:
@@ -351,7 +362,7 @@ def _color(
     return denoise(radiance, first, albedo, normal)
 
 
-def _differ_in_place(one: Filling, other: Filling) -> bool:
+def _differ_in_place(one: LumenContents, other: LumenContents) -> bool:
     """Whether two fillings are of the same spheres and pools."""
     return one.spheres.radius is other.spheres.radius and one.pools is other.pools
 

@@ -18,10 +18,10 @@ from vrcaps.capsule.device import Device
 from vrcaps.errors import InputError, UnknownNameError
 from vrcaps.lesion import AnyLesion, add_lesions
 from vrcaps.lumen.contents import Contents
-from vrcaps.motion.dynamics import Physics
+from vrcaps.motion.dynamics import Dynamics
 from vrcaps.motion.fly_through import FlyThrough, fly_through
 from vrcaps.motion.replay import Replay, replay
-from vrcaps.motion.rollout import Simulation
+from vrcaps.motion.rollout import Rollout
 from vrcaps.motion.run import Run
 from vrcaps.motion.trajectory import Trajectory
 from vrcaps.mucosa.appearance import is_texture_path
@@ -118,7 +118,7 @@ class Scenario:
     organ: OrganGenerated | OrganFile = field(default_factory=OrganGenerated)
     capsule: str = "mirocam"
     posture: str = "supine"
-    motion: FlyThrough | Replay | Physics = field(default_factory=FlyThrough)
+    motion: FlyThrough | Replay | Dynamics = field(default_factory=FlyThrough)
     frames: int = 100
     fps: float | None = None
     seed: int = 0
@@ -221,10 +221,10 @@ def resolve(scenario: Scenario) -> tuple[Scenario, Device]:
     if isinstance(motion, Replay):
         parse_length(motion.unit)
         motion = replace(motion, sha256=_checked_sha256(motion.path, motion.sha256))
-    if isinstance(motion, Physics) and motion.wrench_file:
+    if isinstance(motion, Dynamics) and motion.wrench_file:
         checksum = _checked_sha256(motion.wrench_file, motion.wrench_sha256)
         motion = replace(motion, wrench_sha256=checksum)
-    if isinstance(motion, Physics) and motion.magnet is not None and motion.magnet.file:
+    if isinstance(motion, Dynamics) and motion.magnet is not None and motion.magnet.file:
         checksum = _checked_sha256(motion.magnet.file, motion.magnet.file_sha256)
         motion = replace(motion, magnet=replace(motion.magnet, file_sha256=checksum))
     channels = tuple(channel for channel in CHANNELS if channel in scenario.channels)
@@ -247,10 +247,10 @@ def build(scenario: Scenario, device: Device) -> tuple[Model, Run]:
     if scenario.clean_twin:
         twin = _load_patient(scenario, clean=True)
         shown = Model(twin, device, T_world_patient, contents)
-    if not isinstance(scenario.motion, Physics):
+    if not isinstance(scenario.motion, Dynamics):
         return shown, make_trajectory(scenario, model, shown)
     assert scenario.fps is not None
-    simulation = Simulation(
+    simulation = Rollout(
         model,
         scenario.motion,
         frames=scenario.frames,
@@ -275,7 +275,10 @@ def make_trajectory(scenario: Scenario, model: Model, shown: Model) -> Trajector
     assert isinstance(scenario.motion, FlyThrough)
     rng = np.random.default_rng(scenario.seed)
     path = fly_through(model, scenario.motion, frames=scenario.frames, fps=scenario.fps, rng=rng)
-    return replace(path, make_way=path.make_way and replace(path.make_way, shown=shown))
+    return replace(
+        path,
+        wall_displacement=path.wall_displacement and replace(path.wall_displacement, shown=shown),
+    )
 
 
 def _load_patient(scenario: Scenario, *, clean: bool = False) -> OrganSurface:

@@ -1,4 +1,4 @@
-"""Stations along the gut at which muscle and gas set the calibre."""
+"""Stations along the gut at which muscle and gas set the lumen_scale."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ if TYPE_CHECKING:
 _SPACING = 1.0 * MM
 
 
-def stations(centerline: Centerline) -> Float[np.ndarray, " k"]:
-    """Arc lengths [m] of the stations: equally far apart, from end to end, about 1 mm."""
+def arc_length_samples(centerline: Centerline) -> Float[np.ndarray, " k"]:
+    """Arc lengths [m] of the samples: equally far apart, from end to end, about 1 mm."""
     return np.linspace(0.0, centerline.length, max(2, math.ceil(centerline.length / _SPACING) + 1))
 
 
-def to_stations(
+def sample_coordinates(
     organ: OrganSurface,
 ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, " n"]]:
-    """From each vertex to the centreline [m], and its place along the stations [spacings]."""
+    """From each vertex to the centreline [m], and its place along the samples [spacings]."""
     curve = organ.centerline
     nearest = np.stack(
         [np.interp(organ.arc_length, curve.arc_length, curve.points[:, k]) for k in range(3)],
         axis=1,
     )
-    place = organ.arc_length / stations(curve)[1]
+    place = organ.arc_length / arc_length_samples(curve)[1]
     return nearest - organ.vertices, np.ascontiguousarray(place, float)

@@ -15,26 +15,27 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
 _MILLINEWTON = 1e-3
-_LAWS = ("printed", "continuous", "physical")
+_LAWS = ("incetan2021", "continuous", "physical")
 
 
 @dataclass(frozen=True)
 class Drag:
     """Resistance against the capsule's motion, in one of three laws.
 
-    `printed` and `continuous` act against the velocity of the centre of mass while the capsule
+    `incetan2021` and `continuous` act against the velocity of the centre of mass while the capsule
     touches the wall (Incetan et al., Med. Image Anal. 70, 2021, Frictional Resistance):
 
-        f = C                     up to the threshold (`printed` only)
-        f = a ln(b v + c) + C     above it (`printed`), or at every speed (`continuous`)
+        f = C                     up to the threshold (`incetan2021` only)
+        f = a ln(b v + c) + C     above it (`incetan2021`), or at every speed (`continuous`)
 
     The paper prints no units; its data (Zhang et al., Tribol. Lett. 2012) are in mN and mm/s.
     `physical` adds up Coulomb friction of each piece of the touched wall, against its own sliding;
     the resistance P(x) S sin θ of the wall that the capsule's front stretches open, which comes out
-    of the contact pressure itself, see `Material`; and −γ v. The viscous term belongs to all three.
+    of the contact pressure itself, see `WinklerFoundation`; and −γ v. The viscous term belongs to
+    all three.
 
     Attributes:
-        law: `printed`, `continuous` or `physical`.
+        law: `incetan2021`, `continuous` or `physical`.
         friction: Coefficient of friction of `physical`. Measured in pig small bowel: 0.0004 to
             0.018 (Lyle, Luftig, Rentschler, Tribol. Int. 62:171-176, 2013).
         viscosity: Coefficient γ of the mucus [N·s/m].
@@ -42,10 +43,10 @@ class Drag:
         b: Speed's factor in it [s/m].
         c: Offset in it.
         constant: Resistance C [N].
-        threshold: Speed up to which `printed` is constant [m/s].
+        threshold: Speed up to which `incetan2021` is constant [m/s].
     """
 
-    law: Literal["printed", "continuous", "physical"] = "physical"
+    law: Literal["incetan2021", "continuous", "physical"] = "physical"
     friction: float = 0.018
     viscosity: float = 0.0
     a: float = 55.04 * _MILLINEWTON
@@ -65,7 +66,7 @@ class Drag:
         )
 
     def resistance(self, speed: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
-        """Resistance [N] of `printed` and `continuous` at speeds [m/s]; 0 for `physical`."""
+        """Resistance [N] of `incetan2021` and `continuous` at speeds [m/s]; 0 for `physical`."""
         if self.law == "physical":
             return np.zeros_like(speed)
         logarithm = self.a * np.log(self.b * speed + self.c) + self.constant

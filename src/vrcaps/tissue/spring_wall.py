@@ -10,7 +10,7 @@ from vrcaps.units import MM
 
 
 @dataclass(frozen=True)
-class QuickDeformation:
+class SpringWall:
     """Vertices near a contact are pushed, sprung back and damped, each by itself.
 
     Of a force F on the wall, a vertex at distance d feels F / (1 + (d/d₀)²); then
@@ -20,24 +20,24 @@ class QuickDeformation:
 
     The defaults are fitted: a capsule 11 mm thick in a tube 8.4 mm wide is gripped with 1.0 N per
     cm once the wall has given way, as on the elastic layer (1.2; measured on a live pig: 1.9 ± 1.0;
-    see `Material`).
+    see `WinklerFoundation`).
 
     Attributes:
         length: Distance d₀ at which the push has fallen to a half [m].
         reach: Distance beyond which nothing is pushed [m]; the paper has no limit.
         mass: Mass m of a vertex [kg].
-        spring: Spring k that brings a vertex back [N/m].
+        stiffness: Stiffness k of the spring that pulls a vertex back [N/m].
         damping: Damping μ of a vertex's velocity [1/s].
     """
 
     length: float = 4.0 * MM
     reach: float = 16.0 * MM
     mass: float = 0.05
-    spring: float = 300.0
+    stiffness: float = 300.0
     damping: float = 85.0
 
     def __post_init__(self) -> None:
-        for name in ("length", "reach", "mass", "spring"):
+        for name in ("length", "reach", "mass", "stiffness"):
             value = getattr(self, name)
             require(0.0 < value < math.inf, name, value, "above 0")
         require(0.0 <= self.damping < math.inf, "damping", self.damping, "0 or more")
@@ -46,5 +46,5 @@ class QuickDeformation:
     def longest_step(self) -> float:
         """Longest stable time step of the update [s]."""
         # Semi-implicit Euler of a spring is stable to 2/ω; the explicit damping to 1/μ.
-        spring = math.sqrt(self.mass / self.spring)
+        spring = math.sqrt(self.mass / self.stiffness)
         return min(spring, 0.5 / self.damping) if self.damping else spring

@@ -6,9 +6,9 @@ from dataclasses import dataclass, field
 
 from vrcaps.tissue.drag import Drag
 from vrcaps.tissue.fem.deformation import FemDeformation
-from vrcaps.tissue.material import Material
 from vrcaps.tissue.motility.motility import Motility
-from vrcaps.tissue.spring_wall import QuickDeformation
+from vrcaps.tissue.spring_wall import SpringWall
+from vrcaps.tissue.winkler_foundation import WinklerFoundation
 
 
 @dataclass(frozen=True)
@@ -16,14 +16,14 @@ class Tissue:
     """How the wall of an organ behaves.
 
     Attributes:
-        material: Pressure against a capsule that presses in.
+        foundation: Pressure against a capsule that presses in.
         drag: Resistance against a capsule that slides along.
         deformation: How the wall gives way, vertex by vertex or as an elastic layer; None holds it
             where it is.
         motility: How the muscle contracts; None leaves the lumen at rest.
     """
 
-    material: Material = field(default_factory=Material)
+    foundation: WinklerFoundation = field(default_factory=WinklerFoundation)
     drag: Drag = field(default_factory=Drag)
-    deformation: QuickDeformation | FemDeformation | None = field(default_factory=QuickDeformation)
+    deformation: SpringWall | FemDeformation | None = field(default_factory=SpringWall)
     motility: Motility | None = None

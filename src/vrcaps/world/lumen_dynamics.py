@@ -9,19 +9,19 @@ import numpy as np
 
 from vrcaps import _core
 from vrcaps.capsule.body import Body
-from vrcaps.lumen.lumen_contents import Filling
+from vrcaps.lumen.lumen_contents import LumenContents
 from vrcaps.lumen.pools import Sections, cut_sections, find_pools, submerged
-from vrcaps.tissue.arc_length_samples import stations
+from vrcaps.tissue.arc_length_samples import arc_length_samples
 from vrcaps.transforms import invert, matrix_from_quaternion, transform_points
 from vrcaps.world.model import Model
 
 if TYPE_CHECKING:
     from jaxtyping import Float
 
-PIECE = 2.5e-3
+LUMEN_SUBSTEP = 2.5e-3
 """Longest time over which buoyancy and drag of the liquid are held [s]."""
 
-SWEEP = 8
+SUBSTEPS_PER_SWEEP = 8
 """Most pieces of a step after which all spheres have moved; those beside the capsule move in
 each."""
 
@@ -62,12 +62,12 @@ class _Laws:
     seed: int
 
 
-class Afloat:
+class LumenDynamics:
     """Spheres and pools of a `World`, in the frame of its core: the patient's, about a centre."""
 
     def __init__(self, model: Model, wall: _core.Wall, body: Body, pose: _core.Pose) -> None:
-        assert model.filling is not None
-        self._model, self._body, self._rest = model, body, model.filling
+        assert model.lumen_contents is not None
+        self._model, self._body, self._rest = model, body, model.lumen_contents
         self._center = np.array(wall.center)
         self._wall = wall
         bubbles, chyme, self._liquid = model.contents.resolved
@@ -75,7 +75,7 @@ class Afloat:
         self._pools, self._posture = self._rest.pools, model.T_world_patient
         centers = transform_points(invert(model.T_world_patient), self._rest.spheres.centers)
         curve = model.organ.centerline
-        places = stations(curve)
+        places = arc_length_samples(curve)
         tangents = np.stack(
             [np.interp(places, curve.arc_length, curve.frames[:, k, 2]) for k in range(3)], axis=1
         )
@@ -95,12 +95,12 @@ class Afloat:
         self._push = np.zeros(6)
         self._seat(pose)
 
-    def filling(self, T_world_patient: Float[np.ndarray, "4 4"]) -> Filling:
+    def lumen_contents(self, T_world_patient: Float[np.ndarray, "4 4"]) -> LumenContents:
         """What is in the lumen now, in the world frame."""
         floats = self._swarm.floats
         centers = transform_points(T_world_patient, floats[:, :3] + self._center)
         spheres = replace(self._rest.spheres, centers=centers, arc_length=floats[:, 6])
-        return Filling(self._rest.contents, spheres, self._pools)
+        return LumenContents(self._rest.contents, spheres, self._pools)
 
     def _seat(self, pose: _core.Pose) -> None:
         """Sets the bubbles that sit on the capsule from the beginning on it."""

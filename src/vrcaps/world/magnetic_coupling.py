@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
 
-class Pull:
+class MagneticCoupling:
     """The sources of a world, where they are, and the core's wrench of them."""
 
     def __init__(

@@ -12,7 +12,7 @@ from vrcaps._core import Wall
 from vrcaps.capsule.device import Device
 from vrcaps.errors import UnknownNameError
 from vrcaps.lumen.contents import Contents
-from vrcaps.lumen.lumen_contents import CHYME, Filling, fill
+from vrcaps.lumen.lumen_contents import CHYME, LumenContents, fill
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.transforms import transform_from, transform_points
 
@@ -74,12 +74,12 @@ class Model:
         return Wall(np.ascontiguousarray(self.vertices_world), faces)
 
     @cached_property
-    def filling(self) -> Filling | None:
+    def lumen_contents(self) -> LumenContents | None:
         """The contents at rest; None where there are none."""
         if self.contents.is_empty:
             return None
-        filling = fill(self.organ, self.contents, self.T_world_patient)
-        return filling.with_capsule(self.device.length, self.device.radius)
+        lumen_contents = fill(self.organ, self.contents, self.T_world_patient)
+        return lumen_contents.with_capsule(self.device.length, self.device.radius)
 
     @property
     def label_names(self) -> tuple[str, ...]:
@@ -95,7 +95,7 @@ class Contact:
     Attributes:
         force_world: Mean force of the wall on the capsule [N].
         torque_world: Mean torque of the wall about the capsule's centre of mass [N·m].
-        grip: Mean sum of the sizes of all normal forces [N].
+        normal_force_total: Mean sum of the sizes of all normal forces [N].
         friction_work: Energy lost to friction and drag in the step [J].
         energy: Energy stored in the pressed wall [J].
         area: Touched area [m²].
@@ -104,7 +104,7 @@ class Contact:
 
     force_world: Float[np.ndarray, " 3"]
     torque_world: Float[np.ndarray, " 3"]
-    grip: float
+    normal_force_total: float
     friction_work: float
     energy: float
     area: float
@@ -149,8 +149,8 @@ class State:
         angular_velocity_world: Angular velocity of the capsule [rad/s].
         vertices_world: Wall vertices [m]; None where the wall is at rest.
         contact: What the wall did to the capsule; None where nothing was simulated.
-        filling: What is in the lumen; None takes the model's contents at rest, with what is in
-            the capsule's way pushed aside.
+        lumen_contents: What is in the lumen; None takes the model's contents at rest, with what
+            is in the capsule's way pushed aside.
         coupling: What sources outside do to the capsule; None where there are none.
     """
 
@@ -160,5 +160,5 @@ class State:
     angular_velocity_world: Float[np.ndarray, " 3"] = field(default_factory=lambda: np.zeros(3))
     vertices_world: Float[np.ndarray, "n 3"] | None = None
     contact: Contact | None = None
-    filling: Filling | None = None
+    lumen_contents: LumenContents | None = None
     coupling: Coupling | None = None

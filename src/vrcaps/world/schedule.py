@@ -37,18 +37,18 @@ class Wrench:
 
 
 @dataclass(frozen=True)
-class Turn:
-    """The patient turns over.
+class PostureChange:
+    """A change of the patient's posture.
 
     Attributes:
         posture: How the patient lies afterwards, see `posture_transform`.
-        at: When the turn begins, since the first frame [s].
-        over: How long it takes [s].
+        time: Start of the change, since the first frame [s].
+        duration: How long it takes [s].
     """
 
     posture: str
-    at: float = 0.0
-    over: float = 5.0
+    time: float = 0.0
+    duration: float = 5.0
 
 
 @dataclass(frozen=True)
@@ -86,7 +86,7 @@ def row_at(rows: Sequence[tuple[float, ...]], time: float) -> Float[np.ndarray, 
 
 
 def patient_at(
-    first: Float[np.ndarray, "4 4"], turns: tuple[Turn, ...], time: float
+    first: Float[np.ndarray, "4 4"], changes: tuple[PostureChange, ...], time: float
 ) -> Float[np.ndarray, "4 4"]:
     """``T_world_patient`` at a time, from the first posture on.
 
@@ -94,9 +94,9 @@ def patient_at(
     the share x of its time, so that it begins and ends at rest.
     """
     rotation = first[:3, :3]
-    for turn in turns:
-        share = np.clip((time - turn.at) / turn.over, 0.0, 1.0)
-        after = posture_transform(turn.posture)[:3, :3]
+    for change in changes:
+        share = np.clip((time - change.time) / change.duration, 0.0, 1.0)
+        after = posture_transform(change.posture)[:3, :3]
         if share < 1.0:
             vector = share**2 * (3.0 - 2.0 * share) * rotation_vector(rotation, after)
             after = rotation_from_vector(vector) @ rotation
@@ -182,24 +182,25 @@ def check_insufflation(insufflation: tuple[Insufflation, ...], where: str) -> No
     require_rising([entry.time for entry in insufflation], where)
 
 
-def check_turns(turns: tuple[Turn, ...], where: str) -> None:
+def check_posture_changes(changes: tuple[PostureChange, ...], where: str) -> None:
     """Check that postures are known and turns follow each other.
 
     Raises:
         InputError: If a turn begins before the one before has ended, or its times are impossible.
         UnknownNameError: If there is no such posture.
     """
-    for turn in turns:
-        posture_transform(turn.posture)
-        if not (np.isfinite(turn.at) and turn.at >= 0.0):
-            raise InputError(f"{where}: a turn begins at {turn.at} s. Allowed: 0 s or later.")
-        if not (np.isfinite(turn.over) and turn.over > 0.0):
-            raise InputError(f"{where}: a turn takes {turn.over} s. Allowed: above 0 s.")
-    for before, after in itertools.pairwise(turns):
-        if after.at < before.at + before.over:
+    for change in changes:
+        posture_transform(change.posture)
+        if not (np.isfinite(change.time) and change.time >= 0.0):
+            raise InputError(f"{where}: a turn begins at {change.time} s. Allowed: 0 s or later.")
+        if not (np.isfinite(change.duration) and change.duration > 0.0):
+            raise InputError(f"{where}: a turn takes {change.duration} s. Allowed: above 0 s.")
+    for before, after in itertools.pairwise(changes):
+        if after.time < before.time + before.duration:
             raise InputError(
-                f"{where}: the turn to {after.posture} begins at {after.at:g} s, before the one to "
-                f"{before.posture} ends at {before.at + before.over:g} s. Give them in order."
+                f"{where}: the turn to {after.posture} begins at {after.time:g} s, before the one "
+                f"to {before.posture} ends at {before.time + before.duration:g} s. "
+                "Give them in order."
             )
 
 

@@ -26,7 +26,7 @@ class Snapshot:
         began: Time of the world's first state [s]: its muscle wakes from there on.
         T_world_patient: How the patient lies.
         capsule: Position [m], quaternion wxyz, velocity [m/s], angular velocity [rad/s].
-        calibre: Lumen's radius at the stations, as a share of that at rest.
+        lumen_scale: Lumen's radius at the samples, as a share of that at rest.
         driven: Wall vertices as muscle and gas alone would have them [m].
         yields: How far each vertex gives way [m] and at which velocity [m/s].
         layer: Of each free node of an elastic layer: displacement [m], velocity [m/s], force [N],
@@ -45,7 +45,7 @@ class Snapshot:
     began: float
     T_world_patient: Float[np.ndarray, "4 4"]
     capsule: Float[np.ndarray, " 13"]
-    calibre: Float[np.ndarray, " k"]
+    lumen_scale: Float[np.ndarray, " k"]
     driven: Float[np.ndarray, "n 3"]
     yields: Float[np.ndarray, "n 6"]
     layer: Float[np.ndarray, "nodes 15"]

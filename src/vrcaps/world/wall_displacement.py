@@ -28,7 +28,7 @@ _LEAST = 1e-6
 
 
 @dataclass(frozen=True)
-class MakeWay:
+class WallDisplacement:
     """How a wall gives way to a capsule.
 
     Attributes:

@@ -12,14 +12,14 @@ from vrcaps import _core
 from vrcaps.capsule.body import Body, homogeneous_body
 from vrcaps.errors import InputError, require
 from vrcaps.magnet.sources import Source
-from vrcaps.tissue.arc_length_samples import stations, to_stations
+from vrcaps.tissue.arc_length_samples import arc_length_samples, sample_coordinates
 from vrcaps.tissue.motility.muscle import Muscle
 from vrcaps.tissue.tissue import Tissue
 from vrcaps.transforms import invert, quaternion_from_matrix, rotate_vectors
 from vrcaps.world.control import Control
 from vrcaps.world.fem_coupling import exchange_rows, layer_under
-from vrcaps.world.lumen_dynamics import PIECE, SWEEP, Afloat
-from vrcaps.world.magnetic_coupling import Pull
+from vrcaps.world.lumen_dynamics import LUMEN_SUBSTEP, SUBSTEPS_PER_SWEEP, LumenDynamics
+from vrcaps.world.magnetic_coupling import MagneticCoupling
 from vrcaps.world.model import Contact, Coupling, Model, State
 from vrcaps.world.snapshot import Snapshot, check_snapshot
 
@@ -91,22 +91,24 @@ class World:
         self._T_world_patient = model.T_world_patient
         pose = self._pose(start)
         self.layer = layer_under(organ, tissue)
-        quick = tissue.deformation if self.layer is None else None
-        self._core = _core.World(self._wall, self.body, tissue.material, tissue.drag, quick, pose)
+        spring = tissue.deformation if self.layer is None else None
+        self._core = _core.World(
+            self._wall, self.body, tissue.foundation, tissue.drag, spring, pose
+        )
         if self.layer is not None:
             self.layer.carry(self._core)
-        self._core.set_drive(*to_stations(organ))
-        self._pull = Pull(self._core, model.device.magnets, sources)
-        self._num_stations = len(stations(organ.centerline))
-        self._calibre: Float[np.ndarray, " k"] = np.ones(self._num_stations)
+        self._core.set_drive(*sample_coordinates(organ))
+        self._magnetic = MagneticCoupling(self._core, model.device.magnets, sources)
+        self._num_samples = len(arc_length_samples(organ.centerline))
+        self._lumen_scale: Float[np.ndarray, " k"] = np.ones(self._num_samples)
         self.muscle: Muscle | None = None
         if tissue.motility is not None:
             self.muscle = Muscle(organ, tissue.motility, np.random.default_rng(seed))
         self._moves = tissue.deformation is not None or self.muscle is not None
         self._check_start()
         self._afloat = None
-        if model.filling is not None:
-            self._afloat = Afloat(model, self._wall, self.body, self._core.pose)
+        if model.lumen_contents is not None:
+            self._afloat = LumenDynamics(model, self._wall, self.body, self._core.pose)
         self._contact: tuple[Any, ...] = self._core.contact()
 
     @property
@@ -132,25 +134,27 @@ class World:
         return Contact(force, torque, *rest)
 
     @property
-    def push_world(self) -> Float[np.ndarray, " 3"]:
+    def contact_force_world(self) -> Float[np.ndarray, " 3"]:
         """Mean force of the wall on the capsule in the last step [N], of `contact`."""
         return self._T_world_patient[:3, :3] @ np.array(self._contact[0])
 
     def field_angle(self, T_world_capsule: Float[np.ndarray, "4 4"]) -> float:
         """Between the moment of a capsule at a pose and the sources' field there [rad]."""
-        return self._pull.angle(T_world_capsule)
+        return self._magnetic.angle(T_world_capsule)
 
     @property
     def coupling(self) -> Coupling | None:
         """What the sources did to the capsule in the last step; None without sources."""
-        return self._pull.coupling(self.T_world_capsule)
+        return self._magnetic.coupling(self.T_world_capsule)
 
     @property
     def state(self) -> State:
         """All of the world now, in the world frame, with every vertex of a wall that moves."""
         T = self._T_world_patient
         linear, angular = self.velocity_world
-        moved = self._moves or T is not self.model.T_world_patient or (self._calibre != 1.0).any()
+        moved = (
+            self._moves or T is not self.model.T_world_patient or (self._lumen_scale != 1.0).any()
+        )
         return State(
             time=self.time,
             T_world_capsule=self.T_world_capsule,
@@ -158,7 +162,7 @@ class World:
             angular_velocity_world=angular,
             vertices_world=self._core.vertices(np.asarray(T, float)) if moved else None,
             contact=self.contact,
-            filling=None if self._afloat is None else self._afloat.filling(T),
+            lumen_contents=None if self._afloat is None else self._afloat.lumen_contents(T),
             coupling=self.coupling,
         )
 
@@ -186,7 +190,7 @@ class World:
         acts = np.array([control.force_world, control.torque_world, (0.0, 0.0, -GRAVITY)], float)
         force, torque, gravity = rotate_vectors(to_patient, acts)
         wrench = np.array([*force, *torque])
-        moved = self._pull.aim(control, dt, T_world_patient)
+        moved = self._magnetic.aim(control, dt, T_world_patient)
         if self._afloat is not None:
             self._afloat.turn(T_world_patient)
         try:
@@ -195,7 +199,7 @@ class World:
             if self._afloat is not None:
                 self._afloat.turn(self._T_world_patient)
             raise
-        self._T_world_patient, self._pull.rows = T_world_patient, moved
+        self._T_world_patient, self._magnetic.rows = T_world_patient, moved
 
     def snapshot(self) -> Snapshot:
         """All that changes, exactly: a world restored from it goes on to the same bytes."""
@@ -210,14 +214,14 @@ class World:
             began=self._began,
             T_world_patient=self._T_world_patient,
             capsule=np.concatenate([position, wxyz, velocity, spin]),
-            calibre=self._calibre,
+            lumen_scale=self._lumen_scale,
             driven=self._core.driven,
             yields=self._core.yields,
             layer=layer,
             touched=touched,
             afloat=np.zeros(0) if self._afloat is None else self._afloat.to_array(),
             contact=np.concatenate([np.ravel(part) for part in self._contact]),
-            sources=self._pull.rows,
+            sources=self._magnetic.rows,
         )
 
     def restore(self, snapshot: Snapshot) -> None:
@@ -238,13 +242,13 @@ class World:
         self._core.driven, self._core.yields = snapshot.driven, snapshot.yields
         self._core.pose = (tuple(p[:3]), tuple(p[3:7]), tuple(p[7:10]), tuple(p[10:]))
         self._time, self._began = snapshot.time, snapshot.began
-        self._T_world_patient, self._calibre = snapshot.T_world_patient, snapshot.calibre
+        self._T_world_patient, self._lumen_scale = snapshot.T_world_patient, snapshot.lumen_scale
         self._contact = (
             snapshot.contact[:3],
             snapshot.contact[3:6],
             *snapshot.contact[6:].tolist(),
         )
-        self._pull.restore(snapshot.sources, snapshot.T_world_patient)
+        self._magnetic.restore(snapshot.sources, snapshot.T_world_patient)
 
     def is_inside(self) -> bool:
         """Whether the capsule's axis is in the lumen."""
@@ -259,11 +263,11 @@ class World:
         insufflation: float,
     ) -> None:
         """Moves on by `dt`: in one go, or where the muscle propels the capsule in short pieces."""
-        calibre = self._calibre_at(self._time + dt, insufflation)
+        lumen_scale = self._lumen_scale_at(self._time + dt, insufflation)
         pieces = self._num_pieces(dt)
         outer = 1 if self.layer is None else self.layer.num_steps(dt / pieces)
-        start, before = self._calibre, self._save() if pieces > 1 else None
-        moves = not np.array_equal(start, calibre)
+        start, before = self._lumen_scale, self._save() if pieces > 1 else None
+        moves = not np.array_equal(start, lumen_scale)
         if self._afloat is not None:
             self._core.settle()  # nothing to do but after `restore`
         count = outer * max(1, math.ceil(dt / pieces / outer / self.substep * (1.0 - 1e-9)))
@@ -271,7 +275,7 @@ class World:
         try:
             for piece in range(pieces):
                 shares = np.array([[piece], [piece + 1]]) / pieces
-                aim = start + (calibre - start) * shares if moves else None
+                aim = start + (lumen_scale - start) * shares if moves else None
                 force = self._propulsion(self._time + dt * piece / pieces)
                 total = tuple(wrench + self._bear(dt / pieces, force))
                 self._core.step(dt / pieces / count, count, total, gravity, aim, outer)
@@ -281,20 +285,20 @@ class World:
             if before is not None:
                 self._undo(before)
             raise InputError(str(error)) from error
-        self._time, self._calibre = self._time + dt, calibre
+        self._time, self._lumen_scale = self._time + dt, lumen_scale
         self._contact = _over_all(reactions)
 
-    def _calibre_at(self, time: float, insufflation: float) -> Float[np.ndarray, " k"]:
-        """Lumen's radius at its stations, as a share of that at rest."""
+    def _lumen_scale_at(self, time: float, insufflation: float) -> Float[np.ndarray, " k"]:
+        """Lumen's radius at its samples, as a share of that at rest."""
         if self.muscle is None:
-            return np.full(self._num_stations, insufflation)
+            return np.full(self._num_samples, insufflation)
         awake = min(1.0, (time - self._began) / _WAKING)
-        return insufflation * (1.0 - awake * (1.0 - self.muscle.calibre(time)))
+        return insufflation * (1.0 - awake * (1.0 - self.muscle.lumen_scale(time)))
 
     def _num_pieces(self, dt: float) -> int:
         """Pieces of a step, so short that the force F = β (v_p − u) does not overshoot."""
         propulsion = None if self.muscle is None else self.muscle.motility.propulsion
-        least = 1 if self._afloat is None else math.ceil(dt / PIECE * (1.0 - 1e-9))
+        least = 1 if self._afloat is None else math.ceil(dt / LUMEN_SUBSTEP * (1.0 - 1e-9))
         if propulsion is None:
             return least
         return max(least, math.ceil(propulsion.beta * dt / self.body.mass))
@@ -311,8 +315,8 @@ class World:
         if self._afloat is not None:
             is_last = piece + 1 == pieces
             self._core.settle(0.0 if is_last else _STALE)
-            since = piece % SWEEP + 1
-            sweep = since * dt if is_last or since == SWEEP else 0.0
+            since = piece % SUBSTEPS_PER_SWEEP + 1
+            sweep = since * dt if is_last or since == SUBSTEPS_PER_SWEEP else 0.0
             self._afloat.step(self._core.pose, dt, GRAVITY, sweep)
 
     def _save(self) -> Snapshot | Float[np.ndarray, " q"]:

@@ -175,13 +175,13 @@ def test_the_wall_that_is_seen_is_the_wall_that_is_felt() -> None:
 
 
 def test_a_narrow_lumen_on_a_layer_grips_within_what_is_measured() -> None:
-    """1.9 ± 1.0 N per cm of a capsule in a gut 8.4 mm wide (see `Material`)."""
+    """1.9 ± 1.0 N per cm of a capsule in a gut 8.4 mm wide (see `WinklerFoundation`)."""
     narrow = straight_gut({"ileum": 0.08}, radius=4.2 * MM, edge=1.2 * MM)
     gripped = world(replace(LAYER, edge=5.0 * MM), gut=narrow, gap=-1.2 * MM)
     for _ in range(3):
         gripped.step(STILL, 0.02)
     length = 2.0 * (gripped.body.half_axis + gripped.body.radius)
-    assert 0.9 < 0.01 * gripped.state.contact.grip / length < 2.9
+    assert 0.9 < 0.01 * gripped.state.contact.normal_force_total / length < 2.9
 
 
 def push(world: World, dt: float = 0.008) -> bytes:

@@ -27,13 +27,13 @@ def test_giant_contractions_reject(field: str, value: float, match: str) -> None
 
 @pytest.mark.parametrize("least", [0.0, 1.5, float("nan")])
 def test_rejects_a_closed_lumen(least: float) -> None:
-    with pytest.raises(InputError, match=r"least_calibre is .* Allowed: above 0 to 1"):
-        Motility(least_calibre=least)
+    with pytest.raises(InputError, match=r"min_lumen_scale is .* Allowed: above 0 to 1"):
+        Motility(min_lumen_scale=least)
 
 
 def test_rejects_an_unknown_stand_in() -> None:
     with pytest.raises(UnknownNameError, match=r"No segment named 'gut'. Known: antrum"):
-        Motility(otherwise="gut")
+        Motility(fallback_segment="gut")
 
 
 @pytest.mark.parametrize("front", [-0.1, float("nan")])

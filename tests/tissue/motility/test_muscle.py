@@ -30,35 +30,37 @@ def muscle_of(segment: SegmentMotility, length: float = 0.5, seed: int = 0, **kw
     return Muscle(straight_gut({"gut": length}), motility, np.random.default_rng(seed))
 
 
-def contractions(calibre: np.ndarray, below: float = 0.8) -> int:
+def contractions(lumen_scale: np.ndarray, below: float = 0.8) -> int:
     """How often the lumen becomes narrower than a share of its radius."""
-    return int(np.sum((calibre[1:] < below) & (calibre[:-1] >= below)))
+    return int(np.sum((lumen_scale[1:] < below) & (lumen_scale[:-1] >= below)))
 
 
 @pytest.mark.parametrize("back", [0.0, 1.0])
 def test_a_full_wave_is_the_commanded_one(back: float) -> None:
     """1 − A cos²(π φ / (f d)) with φ = f t ∓ f s / c − θ, at every place and time."""
     muscle = muscle_of(replace(STEADY, retrograde=back))
-    place = muscle.layout.station
+    place = muscle.layout.arc_length
     middle = (place > 0.05) & (place < 0.45)
     turn = None
     sign = -1.0 if back else 1.0
     for time in (3.0, 47.3, 1000.1):
-        calibre = muscle.calibre(time)
+        lumen_scale = muscle.lumen_scale(time)
         phase = 0.2 * (time - sign * place / (1.5 * CM))
         if turn is None:  # θ is the patient's own: where the wave is at the first time
-            turn = phase[np.argmin(np.where(middle, calibre, 1.0))]
+            turn = phase[np.argmin(np.where(middle, lumen_scale, 1.0))]
         away = phase - turn - np.rint(phase - turn)
         pulse = np.cos(np.pi * np.clip(away / 0.4, -0.5, 0.5)) ** 2
         # A station is 1 mm long: the wave's place is known to half of it.
-        np.testing.assert_allclose(calibre[middle], 1.0 - 0.6 * pulse[middle], atol=0.05)
+        np.testing.assert_allclose(lumen_scale[middle], 1.0 - 0.6 * pulse[middle], atol=0.05)
 
 
 def test_standing_contractions_do_not_run() -> None:
     muscle = muscle_of(replace(STEADY, standing=1.0))
-    narrow = [muscle.calibre(t)[50:450] for t in np.arange(0.0, 10.0, 0.1)]
-    assert all(np.ptp(calibre) < 1e-12 for calibre in narrow)  # all at once, when all contract
-    assert min(calibre.min() for calibre in narrow) == pytest.approx(0.4, abs=0.01)
+    narrow = [muscle.lumen_scale(t)[50:450] for t in np.arange(0.0, 10.0, 0.1)]
+    assert all(
+        np.ptp(lumen_scale) < 1e-12 for lumen_scale in narrow
+    )  # all at once, when all contract
+    assert min(lumen_scale.min() for lumen_scale in narrow) == pytest.approx(0.4, abs=0.01)
 
 
 @pytest.mark.parametrize(
@@ -73,8 +75,8 @@ def test_share_of_slow_waves_that_contract(changes: dict[str, float]) -> None:
     muscle = muscle_of(replace(STEADY, **changes), length=0.3)
     minutes = 30
     time = np.arange(0.0, minutes * 60.0, 0.5)
-    calibre = np.array([muscle.calibre(t)[50:250:25] for t in time])
-    count = np.mean([contractions(column, below=0.7) for column in calibre.T]) / minutes
+    lumen_scale = np.array([muscle.lumen_scale(t)[50:250:25] for t in time])
+    count = np.mean([contractions(column, below=0.7) for column in lumen_scale.T]) / minutes
     # A wave that contracts at one node only is below half strength up to the middle between two.
     assert count == pytest.approx(12.0 * changes["activity"], rel=0.1)
 
@@ -89,28 +91,30 @@ def test_rate_of_segments_when_all_slow_waves_contract(name: str, end: int) -> N
     )
     motility = Motility(segments={name: steady}, complex=None, giant=None)
     muscle = Muscle(straight_gut({name: 0.3}), motility, np.random.default_rng(0))
-    calibre = np.array([muscle.calibre(t)[150] for t in np.arange(0.0, 600.0, 0.5)])
-    assert contractions(calibre, 0.7) / 10.0 == pytest.approx(rate / PER_MINUTE, abs=0.1)
+    lumen_scale = np.array([muscle.lumen_scale(t)[150] for t in np.arange(0.0, 600.0, 0.5)])
+    assert contractions(lumen_scale, 0.7) / 10.0 == pytest.approx(rate / PER_MINUTE, abs=0.1)
 
 
-def test_calibre_is_a_function_of_time_alone() -> None:
+def test_lumen_scale_is_a_function_of_time_alone() -> None:
     one, other = muscle_of(replace(STEADY, activity=0.4)), muscle_of(replace(STEADY, activity=0.4))
     for time in (5.0, 1.0, 77.7):
-        one.calibre(time)
-    np.testing.assert_array_equal(one.calibre(12.34), other.calibre(12.34))
-    np.testing.assert_array_equal(one.calibre(12.34, slice(100, 180)), one.calibre(12.34)[100:180])
+        one.lumen_scale(time)
+    np.testing.assert_array_equal(one.lumen_scale(12.34), other.lumen_scale(12.34))
+    np.testing.assert_array_equal(
+        one.lumen_scale(12.34, slice(100, 180)), one.lumen_scale(12.34)[100:180]
+    )
     different = muscle_of(replace(STEADY, activity=0.4), seed=1)
-    assert not np.array_equal(one.calibre(12.34), different.calibre(12.34))
+    assert not np.array_equal(one.lumen_scale(12.34), different.lumen_scale(12.34))
 
 
-def test_calibre_is_continuous() -> None:
+def test_lumen_scale_is_continuous() -> None:
     """No jump along the gut or in time: steps shrink with the interval."""
     organ = straight_gut({"antrum": 0.12, "duodenum": 0.2, "jejunum": 0.6, "ileum": 0.6})
     muscle = Muscle(organ, Motility(front=0.5), np.random.default_rng(3))
     for time in np.arange(-100.0, 500.0, 7.0):
-        fine = muscle.calibre(time + 1e-4) - muscle.calibre(time)
+        fine = muscle.lumen_scale(time + 1e-4) - muscle.lumen_scale(time)
         assert np.abs(fine).max() < 1e-4 * 5.0
-        assert np.abs(np.diff(muscle.calibre(time))).max() < 0.35  # over 1 mm
+        assert np.abs(np.diff(muscle.lumen_scale(time))).max() < 0.35  # over 1 mm
 
 
 def test_rate_is_the_derivative() -> None:
@@ -118,25 +122,27 @@ def test_rate_is_the_derivative() -> None:
     time, step = np.linspace(20.0, 21.0, 101), 0.01
     rates = np.array([muscle.rate(t) for t in time])
     change = ((rates[1:] + rates[:-1]) / 2.0 * step).sum(axis=0)
-    np.testing.assert_allclose(change, muscle.calibre(21.0) - muscle.calibre(20.0), atol=1e-3)
+    np.testing.assert_allclose(
+        change, muscle.lumen_scale(21.0) - muscle.lumen_scale(20.0), atol=1e-3
+    )
 
 
 def test_never_closes() -> None:
-    muscle = muscle_of(replace(STEADY, amplitude=1.0), least_calibre=0.15)
-    least = min(muscle.calibre(t).min() for t in np.arange(0.0, 5.0, 0.05))
+    muscle = muscle_of(replace(STEADY, amplitude=1.0), min_lumen_scale=0.15)
+    least = min(muscle.lumen_scale(t).min() for t in np.arange(0.0, 5.0, 0.05))
     assert least == 0.15
 
 
 def test_no_contraction_in_the_first_phase() -> None:
     muscle = Muscle(straight_gut({"jejunum": 0.6}), Motility(front=0.3), np.random.default_rng(5))
     assert muscle.phase(np.array([0.3]), 1.0)[0] == 3
-    place = muscle.layout.station
+    place = muscle.layout.arc_length
     seen = set()
     for time in np.arange(0.0, 3 * 3600.0, 97.0):
         phase = muscle.phase(place, time)
         seen |= set(phase)
         inner = np.convolve(phase != 1, np.ones(161), "same") == 0  # 8 cm from any other phase
-        assert (muscle.calibre(time)[inner] == 1.0).all()
+        assert (muscle.lumen_scale(time)[inner] == 1.0).all()
     assert {1, 2, 3} <= seen
 
 
@@ -146,16 +152,16 @@ def test_giant_contractions_sweep_the_colon() -> None:
     quiet = replace(SEGMENTS["colon"], activity=0.0)
     motility = Motility(segments={"colon": quiet}, giant=giant)
     muscle = Muscle(straight_gut({"colon": 1.5}, edge=5e-3), motility, np.random.default_rng(1))
-    depth = np.array([1.0 - muscle.calibre(t) for t in np.arange(0.0, 8 * 3600.0, 5.0)])
+    depth = np.array([1.0 - muscle.lumen_scale(t) for t in np.arange(0.0, 8 * 3600.0, 5.0)])
     under_way = depth.max(axis=1) > 0.0
     waves = np.flatnonzero(np.diff(under_way.astype(int)) == 1)
     assert abs(len(waves) - 8) <= 1
     assert depth.max() == pytest.approx(giant.amplitude, abs=0.01)
     start = waves[3] + 3
-    way = depth[[start, start + 2]].argmax(axis=1) * muscle.layout.station[1]
+    way = depth[[start, start + 2]].argmax(axis=1) * muscle.layout.arc_length[1]
     assert (way[1] - way[0]) / 10.0 == pytest.approx(giant.speed, rel=0.05)
     swept = np.flatnonzero(depth[waves[3] : waves[3] + 10].max(axis=0) > 0.0)
-    assert np.ptp(swept) * muscle.layout.station[1] == pytest.approx(giant.extent, rel=0.05)
+    assert np.ptp(swept) * muscle.layout.arc_length[1] == pytest.approx(giant.extent, rel=0.05)
 
 
 def test_segments_of_an_organ() -> None:
@@ -173,7 +179,7 @@ def test_unknown_segment() -> None:
     organ = straight_gut({"pipe": 0.3})
     with pytest.raises(UnknownNameError, match=r"No segment with muscle named 'pipe'. Known: antr"):
         Muscle(organ, Motility(), np.random.default_rng(0))
-    stand_in = Muscle(organ, Motility(otherwise="ileum"), np.random.default_rng(0))
+    stand_in = Muscle(organ, Motility(fallback_segment="ileum"), np.random.default_rng(0))
     assert stand_in.layout.names == ("ileum",)
 
 

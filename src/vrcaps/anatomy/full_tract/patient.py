@@ -41,7 +41,7 @@ def draw_patient(seed: int, condition: str | None = None) -> Patient:
 
     Args:
         seed: Not negative.
-        condition: Filling of all organs, one of `COLON_CALIBRES`; None is the usual one, the
+        condition: LumenContents of all organs, one of `COLON_CALIBRES`; None is the usual one, the
             colon under gas and the others after a drink.
 
     Raises:

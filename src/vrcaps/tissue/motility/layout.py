@@ -1,4 +1,4 @@
-"""Which muscle is where: the segments' figures at each station along an organ."""
+"""Which muscle is where: the segments' figures at each sample along an organ."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vrcaps.errors import UnknownNameError
-from vrcaps.tissue.arc_length_samples import stations
+from vrcaps.tissue.arc_length_samples import arc_length_samples
 from vrcaps.tissue.motility.segment import WHOLE, ZONES
 from vrcaps.units import CM
 
@@ -27,16 +27,16 @@ _DRIFT = 0.5 / 60.0
 
 @dataclass(frozen=True)
 class Layout:
-    """Figures of `SegmentMotility` at each station, blended where segments meet.
+    """Figures of `SegmentMotility` at each sample, blended where segments meet.
 
     Slow waves of a pace come at one rate; the rate falls along the bowel in steps, as measured
     (Diamant and Bortoff, Am. J. Physiol. 216:301, 1969).
 
     Attributes:
-        station: Arc lengths [m].
-        name: Segment of each station, a number into `names`.
+        arc_length: Arc lengths [m].
+        name: Segment of each sample, a number into `names`.
         names: Names of the segments that the organ has.
-        pace: Number of the pace that each station keeps, rising.
+        pace: Number of the pace that each sample keeps, rising.
         rate: Slow waves of each pace [1/s].
         figures: Amplitude, speed [m/s], duration [s], extent [m], activity, retrograde and
             standing share, one row each.
@@ -44,7 +44,7 @@ class Layout:
         zones: Where each of its zones begins and ends [m].
     """
 
-    station: Float[np.ndarray, " k"]
+    arc_length: Float[np.ndarray, " k"]
     name: Int[np.ndarray, " k"]
     names: tuple[str, ...]
     pace: Int[np.ndarray, " k"]
@@ -60,10 +60,10 @@ def lay_out(organ: OrganSurface, motility: Motility) -> Layout:
     Raises:
         UnknownNameError: If a segment has no known name, nor has the organ.
     """
-    station = stations(organ.centerline)
-    names, name = _segments(organ, motility, station)
-    figures, rates = np.empty((7, len(station))), np.empty(len(station))
-    cycles = np.zeros(len(station), bool)
+    samples = arc_length_samples(organ.centerline)
+    names, name = _segments(organ, motility, samples)
+    figures, rates = np.empty((7, len(samples))), np.empty(len(samples))
+    cycles = np.zeros(len(samples), bool)
     zones: dict[str, tuple[float, float]] = {}
     for number, start, end in _runs(name):
         segment = motility.segments[names[number]]
@@ -82,29 +82,29 @@ def lay_out(organ: OrganSurface, motility: Motility) -> Layout:
         )[:, None]
         if segment.zone is not None:
             cycles[start:end] = True
-            ends = station[[start, end - 1]]
+            ends = samples[[start, end - 1]]
             begin = zones.get(segment.zone, ends)[0]
             zones[segment.zone] = (float(begin), float(ends[1]))
     pace = _paces(rates, cycles)
     return Layout(
-        station=station,
+        arc_length=samples,
         name=name,
         names=names,
         pace=pace,
         rate=np.bincount(pace, rates) / np.bincount(pace),
-        figures=_blended(figures, station[1]),
+        figures=_blended(figures, samples[1]),
         cycles=cycles,
         zones={zone: zones[zone] for zone in ZONES if zone in zones},
     )
 
 
 def _segments(
-    organ: OrganSurface, motility: Motility, station: Float[np.ndarray, " k"]
+    organ: OrganSurface, motility: Motility, samples: Float[np.ndarray, " k"]
 ) -> tuple[tuple[str, ...], Int[np.ndarray, " k"]]:
-    """Names of the segments, and the number of the one that most of the wall at each station is."""
-    label = _labels(organ, station)
+    """Names of the segments, and the number of the one that most of the wall at each sample is."""
+    label = _labels(organ, samples)
     known: list[str] = []
-    number = np.empty(len(station), int)
+    number = np.empty(len(samples), int)
     for value, start, end in _runs(label):
         name = _known_name(organ, value, motility)
         parts = ((name, 1.0),) if name in motility.segments else WHOLE[name]
@@ -121,19 +121,19 @@ def _known_name(organ: OrganSurface, label: int, motility: Motility) -> str:
     for name in (names[0], names[0].replace("-", "_"), names[1].replace("-", "_")):
         if name in motility.segments or name in WHOLE:
             return name
-    if motility.otherwise is None:
+    if motility.fallback_segment is None:
         raise UnknownNameError("segment with muscle", names[0], (*motility.segments, *WHOLE))
-    return motility.otherwise
+    return motility.fallback_segment
 
 
-def _labels(organ: OrganSurface, station: Float[np.ndarray, " k"]) -> Int[np.ndarray, " k"]:
-    """Most frequent label of the wall at each station; where there is no vertex, the nearest."""
-    nearest = np.clip(np.rint(organ.arc_length / station[1]), 0, len(station) - 1).astype(int)
+def _labels(organ: OrganSurface, samples: Float[np.ndarray, " k"]) -> Int[np.ndarray, " k"]:
+    """Most frequent label of the wall at each sample; where there is no vertex, the nearest."""
+    nearest = np.clip(np.rint(organ.arc_length / samples[1]), 0, len(samples) - 1).astype(int)
     num = len(organ.label_names)
-    count = np.bincount(nearest * num + organ.label, minlength=len(station) * num)
-    count = count.reshape(len(station), num)
+    count = np.bincount(nearest * num + organ.label, minlength=len(samples) * num)
+    count = count.reshape(len(samples), num)
     filled = np.flatnonzero(count.any(axis=1))
-    after = np.clip(np.searchsorted(filled, np.arange(len(station))), 0, len(filled) - 1)
+    after = np.clip(np.searchsorted(filled, np.arange(len(samples))), 0, len(filled) - 1)
     return count[filled[after]].argmax(axis=1)
 
 
@@ -145,7 +145,7 @@ def _runs(values: Int[np.ndarray, " k"]) -> Iterator[tuple[int, int, int]]:
 
 
 def _paces(rates: Float[np.ndarray, " k"], cycles: Float[np.ndarray, " k"]) -> np.ndarray:
-    """Number of the pace at each station: a new one where the rate has changed enough."""
+    """Number of the pace at each sample: a new one where the rate has changed enough."""
     pace = np.empty(len(rates), int)
     start = number = 0
     for k in range(len(rates)):

@@ -57,31 +57,34 @@ class Motility:
 
     Attributes:
         segments: Rhythm and waves by the name of the segment, as in the wall's labels.
-        otherwise: Name of the segment to take where the wall's own name is unknown; None makes
-            that an error.
+        fallback_segment: Name of the segment to take where the wall's own name is unknown; None
+            makes that an error.
         complex: The migrating motor complex of fasting; None keeps every segment at its steady
             `activity`.
         front: Arc length that a front of phase III reaches when the world's time is 0 [m]; None
             leaves it to chance.
         giant: Giant contractions of the colon, or None.
-        least_calibre: Share of the lumen's radius at rest that no contraction takes away.
+        min_lumen_scale: Share of the lumen's radius at rest that no contraction takes away.
         propulsion: The force F = β (v_p − u) on the capsule in addition to contact, or None.
     """
 
     segments: Mapping[str, SegmentMotility] = field(default_factory=lambda: dict(SEGMENTS))
-    otherwise: str | None = None
+    fallback_segment: str | None = None
     complex: ComplexStatistics | None = field(default_factory=ComplexStatistics)
     front: float | None = None
     giant: GiantContractions | None = field(default_factory=GiantContractions)
-    least_calibre: float = 0.1
+    min_lumen_scale: float = 0.1
     propulsion: Propulsion | None = None
 
     def __post_init__(self) -> None:
         require(
-            0.0 < self.least_calibre <= 1.0, "least_calibre", self.least_calibre, "above 0 to 1"
+            0.0 < self.min_lumen_scale <= 1.0,
+            "min_lumen_scale",
+            self.min_lumen_scale,
+            "above 0 to 1",
         )
         if self.front is not None:
             valid = 0.0 <= self.front < math.inf and self.complex is not None
             require(valid, "front", self.front, "0 m or more, with a complex")
-        if self.otherwise is not None and self.otherwise not in self.segments:
-            raise UnknownNameError("segment", self.otherwise, self.segments)
+        if self.fallback_segment is not None and self.fallback_segment not in self.segments:
+            raise UnknownNameError("segment", self.fallback_segment, self.segments)

@@ -48,7 +48,7 @@ class Muscle:
     of the lumen's radius while |φ − n| < f d / 2; d is the contraction's duration and g how far
     this wave leads to a contraction here. g changes smoothly between nodes that are `extent`
     apart and differ from wave to wave; at each it is 0 or 1, by draws that depend on patient,
-    wave and node only. The largest contraction counts. So the calibre at a time does not depend
+    wave and node only. The largest contraction counts. So the lumen_scale at a time does not depend
     on how time was stepped through, and there is no state.
     """
 
@@ -74,14 +74,14 @@ class Muscle:
             if motility.front is not None:
                 self.clock = self.clock.at_front(motility.front)
 
-    def calibre(self, time: float, span: slice = slice(None)) -> Float[np.ndarray, " k"]:
-        """Lumen's radius at the stations, as a share of that at rest.
+    def lumen_scale(self, time: float, span: slice = slice(None)) -> Float[np.ndarray, " k"]:
+        """Lumen's radius at the samples, as a share of that at rest.
 
         Args:
             time: Of the world [s].
             span: Stations wanted, in steps of 1; all by default.
         """
-        first, last, _ = span.indices(len(self.layout.station))
+        first, last, _ = span.indices(len(self.layout.arc_length))
         rows = self._table.near(first, last)
         turns = rows.rate * time - rows.lag
         wave = np.rint(turns)
@@ -92,14 +92,14 @@ class Muscle:
             at, share = self._shares(rows, wave, at)
             pulse = np.cos(np.pi * offset[at] / rows.duty[at]) ** 2
             depth = rows.amplitude[at] * pulse * share
-            np.maximum.at(deepest, rows.station[at] - first, depth)
+            np.maximum.at(deepest, rows.sample[at] - first, depth)
         if self.motility.giant is not None:
             self._add_giant(self.motility.giant, deepest, time, first)
-        return np.maximum(1.0 - deepest, self.motility.least_calibre)
+        return np.maximum(1.0 - deepest, self.motility.min_lumen_scale)
 
     def rate(self, time: float) -> Float[np.ndarray, " k"]:
-        """How fast the calibre changes at the stations [1/s], by central differences."""
-        after, before = self.calibre(time + _RATE_STEP), self.calibre(time - _RATE_STEP)
+        """How fast the lumen_scale changes at the samples [1/s], by central differences."""
+        after, before = self.lumen_scale(time + _RATE_STEP), self.lumen_scale(time - _RATE_STEP)
         return (after - before) / (2.0 * _RATE_STEP)
 
     def phase(self, arc_length: Float[np.ndarray, "*n"], time: float) -> Int[np.ndarray, "*n"]:
@@ -141,9 +141,9 @@ class Muscle:
         return self.strength(arc_length, time) * force
 
     def _nearest(self, arc_length: Float[np.ndarray, "*n"] | float) -> np.ndarray:
-        station = self.layout.station
-        number = np.rint(np.asarray(arc_length) / station[1]).astype(int)
-        return np.clip(number, 0, len(station) - 1)
+        samples = self.layout.arc_length
+        number = np.rint(np.asarray(arc_length) / samples[1]).astype(int)
+        return np.clip(number, 0, len(samples) - 1)
 
     def _shares(
         self, rows: Rows, wave: Float[np.ndarray, " r"], at: Int[np.ndarray, " q"]
@@ -179,7 +179,7 @@ class Muscle:
         shift: Float[np.ndarray, " r"],
     ) -> Float[np.ndarray, "2 r"]:
         """How far waves contract at nodes, 0 to 1."""
-        arc_length = np.interp(node - shift, self._table.place, self.layout.station)
+        arc_length = np.interp(node - shift, self._table.place, self.layout.arc_length)
         nearest = self._nearest(arc_length)
         when = wave / rows.rate + rows.start + rows.kind * self._table.delay[nearest]
         activity, strength, stands = self._activity(arc_length, when)
@@ -207,12 +207,12 @@ class Muscle:
     def _add_giant(
         self, giant: GiantContractions, deepest: Float[np.ndarray, " k"], time: float, first: int
     ) -> None:
-        """Adds the giant contractions under way at a time, from station `first` on."""
+        """Adds the giant contractions under way at a time, from sample `first` on."""
         layout = self.layout
         colon = np.flatnonzero(~layout.cycles)
         if len(colon) == 0:
             return
-        begin, end = layout.station[colon[[0, -1]]]
+        begin, end = layout.arc_length[colon[[0, -1]]]
         hours = np.floor(time / _HOUR) + np.array([-1.0, 0.0])
         lots, moments, origins = (uniform(self._key, 4 + k, hours) for k in range(3))
         since = time - (hours + moments) * _HOUR
@@ -220,7 +220,7 @@ class Muscle:
         under_way = (lots < giant.rate * _HOUR) & (since >= 0.0) & (since < lasts)
         here = slice(first, first + len(deepest))
         for k in np.flatnonzero(under_way):
-            way = layout.station[here] - begin - origins[k] * giant.origin * (end - begin)
+            way = layout.arc_length[here] - begin - origins[k] * giant.origin * (end - begin)
             middle = (since[k] - way / giant.speed) / giant.duration - 0.5
             pulse = np.cos(np.pi * np.clip(middle, -0.5, 0.5)) ** 2
             whole = np.minimum(way, giant.extent - way) / (_GIANT_RAMP * giant.extent)

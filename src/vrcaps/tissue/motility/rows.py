@@ -1,4 +1,4 @@
-"""The waves that may contract each station: a row for each kind, more where paces meet."""
+"""The waves that may contract each sample: a row for each kind, more where paces meet."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ _FADE = 1.0 * CM
 
 @dataclass(frozen=True)
 class Rows:
-    """All that does not change with time, sorted by pace, kind and station.
+    """All that does not change with time, sorted by pace, kind and sample.
 
     Attributes:
-        station: Number of the station.
+        sample: Number of the sample.
         group: Number that pace and kind share with no other.
         pace: Number of the pace.
         kind: A value of `KINDS`.
@@ -40,7 +40,7 @@ class Rows:
         high: Largest such draw.
     """
 
-    station: Int[np.ndarray, " r"]
+    sample: Int[np.ndarray, " r"]
     group: Float[np.ndarray, " r"]
     pace: Float[np.ndarray, " r"]
     kind: Float[np.ndarray, " r"]
@@ -60,14 +60,14 @@ class Rows:
 
 @dataclass(frozen=True)
 class Table:
-    """Rows of an organ, and what its stations share.
+    """Rows of an organ, and what its samples share.
 
     Attributes:
         rows: All rows.
-        order: Rows by station.
-        begin: First of each station in that order, and the number of rows.
-        delay: Time that waves take from the oral end to each station [s].
-        place: Place of each station in nodes of irregular contractions.
+        order: Rows by sample.
+        begin: First of each sample in that order, and the number of rows.
+        delay: Time that waves take from the oral end to each sample [s].
+        place: Place of each sample in nodes of irregular contractions.
     """
 
     rows: Rows
@@ -77,7 +77,7 @@ class Table:
     place: Float[np.ndarray, " k"]
 
     def near(self, first: int, last: int) -> Rows:
-        """Rows of the stations from `first` to before `last`."""
+        """Rows of the samples from `first` to before `last`."""
         if (first, last) == (0, len(self.delay)):
             return self.rows
         return self.rows.take(np.sort(self.order[self.begin[first] : self.begin[last]]))
@@ -85,7 +85,7 @@ class Table:
 
 def make_table(layout: Layout, rng: np.random.Generator) -> Table:
     """The rows of an organ; each pace's clock starts at a random turn."""
-    spacing = layout.station[1]
+    spacing = layout.arc_length[1]
     amplitude, speed, duration, extent, _, back, stand = layout.figures
     delay, place = (
         np.concatenate([[0.0], np.cumsum(0.5 * spacing * (1.0 / f[1:] + 1.0 / f[:-1]))])
@@ -106,7 +106,7 @@ def make_table(layout: Layout, rng: np.random.Generator) -> Table:
             if low == high or len(at) == 0:
                 continue
             values = {
-                "station": at,
+                "sample": at,
                 "group": group,
                 "pace": pace,
                 "kind": kind,
@@ -123,24 +123,24 @@ def make_table(layout: Layout, rng: np.random.Generator) -> Table:
                 parts[name].append(np.broadcast_to(value, at.shape))
             group += 1
     rows = Rows(**{name: np.concatenate([[], *values]) for name, values in parts.items()})
-    rows = replace(rows, station=rows.station.astype(int))
-    order = np.argsort(rows.station, kind="stable")
-    begin = np.searchsorted(rows.station[order], np.arange(len(layout.station) + 1))
+    rows = replace(rows, sample=rows.sample.astype(int))
+    order = np.argsort(rows.sample, kind="stable")
+    begin = np.searchsorted(rows.sample[order], np.arange(len(layout.arc_length) + 1))
     return Table(rows, order, begin, delay, place)
 
 
 def _weight(layout: Layout, pace: int) -> Float[np.ndarray, " k"]:
-    """How much of a pace's waves is left at each station.
+    """How much of a pace's waves is left at each sample.
 
     Where the next pace is nearly the same, waves run on into it and fade there; where it is not,
     they fade before.
     """
-    station = layout.station
+    samples = layout.arc_length
     own = np.flatnonzero(layout.pace == pace)
-    weight = np.ones(len(station))
-    for side, end in ((-1.0, station[own[0]]), (1.0, station[own[-1]])):
+    weight = np.ones(len(samples))
+    for side, end in ((-1.0, samples[own[0]]), (1.0, samples[own[-1]])):
         other = pace + int(side)
-        beyond = side * (station - end)
+        beyond = side * (samples - end)
         is_near = 0 <= other < len(layout.rate) and (
             abs(layout.rate[other] - layout.rate[pace]) < 1.5 / 60.0
         )

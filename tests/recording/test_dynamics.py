@@ -15,7 +15,7 @@ from vrcaps.camera_pipeline.effects import Effects
 from vrcaps.camera_pipeline.exposure import AutoExposure
 from vrcaps.errors import InputError
 from vrcaps.lesion import Place, Polyp
-from vrcaps.motion.dynamics import Physics
+from vrcaps.motion.dynamics import Dynamics
 from vrcaps.recording import recorder
 from vrcaps.recording.check import check_episode
 from vrcaps.recording.checkpoint import Checkpoint, read_checkpoint
@@ -33,17 +33,17 @@ from vrcaps.scenario.scenario import (
     scenario_to_plain,
 )
 from vrcaps.tissue.drag import Drag
-from vrcaps.tissue.material import Material
-from vrcaps.world.schedule import Insufflation, Turn, Wrench
+from vrcaps.tissue.winkler_foundation import WinklerFoundation
+from vrcaps.world.schedule import Insufflation, PostureChange, Wrench
 
-MOTION = Physics(
+MOTION = Dynamics(
     start=0.3,
     motility="steady",
-    otherwise="jejunum",
+    fallback_segment="jejunum",
     drag=Drag(viscosity=1.0),
     wrenches=(Wrench(force=(0.0, 0.0, 0.05)),),
     wrench_frame="gut",
-    turns=(Turn("left-lateral", at=0.2, over=0.5),),
+    posture_changes=(PostureChange("left-lateral", time=0.2, duration=0.5),),
     insufflation=(Insufflation(factor=0.7),),
     settle=0.2,
     substep=1e-3,
@@ -102,8 +102,8 @@ def test_an_episode_of_physics_is_whole(whole):
 def test_scenario_round_trip():
     motion = replace(
         MOTION,
-        material=Material(stiffening_strain=np.inf),
-        drag=Drag(law="printed"),
+        foundation=WinklerFoundation(stiffening_strain=np.inf),
+        drag=Drag(law="incetan2021"),
         deformation="rigid",
     )
     given = Scenario(motion=motion)

@@ -10,7 +10,7 @@ from vrcaps.units import MM
 
 
 @dataclass(frozen=True)
-class Material:
+class WinklerFoundation:
     """A soft layer on firm ground: pressure against a capsule that presses into it.
 
     Pressure [Pa] at indentation u [m] that grows at u̇ [m/s]:

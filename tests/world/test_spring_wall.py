@@ -1,4 +1,4 @@
-"""The quick model against a twin in NumPy and against the closed forms of its spring and damper."""
+"""The spring wall against a twin in NumPy and against the closed forms of its spring and damper."""
 
 from __future__ import annotations
 
@@ -7,52 +7,54 @@ import pytest
 
 from vrcaps import _core
 from vrcaps.tissue.drag import Drag
-from vrcaps.tissue.material import Material
-from vrcaps.tissue.spring_wall import QuickDeformation
+from vrcaps.tissue.spring_wall import SpringWall
+from vrcaps.tissue.winkler_foundation import WinklerFoundation
 from vrcaps.units import MM
 from walls import RADIUS, floor, world_on
 
-QUICK = QuickDeformation()
+SPRING = SpringWall()
 DOWN, FREE, STILL = (0.0, 0.0, -9.81), (0.0,) * 6, (0.0,) * 3
 DT = 5e-5
 
 
-def attenuated(places: np.ndarray, pushes: np.ndarray, quick: QuickDeformation) -> np.ndarray:
+def attenuated(places: np.ndarray, pushes: np.ndarray, spring_wall: SpringWall) -> np.ndarray:
     """F_v = Σ F / (1 + (d/d₀)²) over all pushes within reach."""
     distance = np.linalg.norm(places[:, None] - pushes[None, :, :3], axis=2)
-    weight = np.where(distance < quick.reach, 1.0 / (1.0 + (distance / quick.length) ** 2), 0.0)
+    weight = np.where(
+        distance < spring_wall.reach, 1.0 / (1.0 + (distance / spring_wall.length) ** 2), 0.0
+    )
     return weight @ pushes[:, 3:]
 
 
-def twin(before: np.ndarray, force: np.ndarray, quick: QuickDeformation, dt: float) -> np.ndarray:
+def twin(before: np.ndarray, force: np.ndarray, spring_wall: SpringWall, dt: float) -> np.ndarray:
     """The paper's update: Δv = (F_v − k x) Δt / m, v ← v (1 − μ Δt), Δx = v Δt."""
     place, velocity = before[:, :3], before[:, 3:]
-    velocity = velocity + (force - quick.spring * place) * dt / quick.mass
-    velocity = velocity * (1.0 - quick.damping * dt)
+    velocity = velocity + (force - spring_wall.stiffness * place) * dt / spring_wall.mass
+    velocity = velocity * (1.0 - spring_wall.damping * dt)
     return np.hstack([place + velocity * dt, velocity])
 
 
-def pressed(size: float = 80.0 * MM, quick: QuickDeformation = QUICK) -> _core.World:
+def pressed(size: float = 80.0 * MM, spring_wall: SpringWall = SPRING) -> _core.World:
     return world_on(
         floor(2.0 * MM, size),
         position=(1.0 * MM, 0.0, 0.95 * RADIUS),
-        material=Material(),
+        foundation=WinklerFoundation(),
         drag=Drag(),
-        quick=quick,
+        spring_wall=spring_wall,
     )
 
 
 @pytest.mark.parametrize(
-    "quick", [QUICK, QuickDeformation(length=9 * MM, reach=30 * MM, spring=40.0, damping=0.0)]
+    "spring_wall", [SPRING, SpringWall(length=9 * MM, reach=30 * MM, stiffness=40.0, damping=0.0)]
 )
-def test_term_by_term(quick: QuickDeformation) -> None:
-    world = pressed(quick=quick)
+def test_term_by_term(spring_wall: SpringWall) -> None:
+    world = pressed(spring_wall=spring_wall)
     for _ in range(40):
         before = world.yields
         world.step(DT, 1, (0.3, 0.0, -1.0, 0.0, 1e-3, 0.0), DOWN)
         pushes = world.pushes()
-        force = attenuated(world.driven + before[:, :3], pushes, quick)
-        np.testing.assert_allclose(world.yields, twin(before, force, quick, DT), atol=1e-15)
+        force = attenuated(world.driven + before[:, :3], pushes, spring_wall)
+        np.testing.assert_allclose(world.yields, twin(before, force, spring_wall, DT), atol=1e-15)
         np.testing.assert_allclose(-pushes[:, 5].sum(), world.contact()[2], rtol=0.05)
     assert np.abs(world.yields[:, :3]).max() > 1e-6
 
@@ -63,7 +65,7 @@ def test_static_depth() -> None:
     world.step(1e-4, 12_000, FREE, DOWN)
     pushes, at_rest = world.pushes(), world.yields[:, :3]
     assert -pushes[:, 5].sum() == pytest.approx(3e-3 * 9.81, rel=5e-3)
-    expected = attenuated(world.driven + at_rest, pushes, QUICK) / QUICK.spring
+    expected = attenuated(world.driven + at_rest, pushes, SPRING) / SPRING.stiffness
     deepest = np.abs(expected).max()
     np.testing.assert_allclose(at_rest, expected, atol=0.02 * deepest)
 
@@ -77,8 +79,8 @@ def test_recovery() -> None:
     start = world.yields
     start[:, 3:] = 0.0
     world.yields = start
-    half = 0.5 * QUICK.damping
-    omega = np.sqrt(QUICK.spring / QUICK.mass - half**2)
+    half = 0.5 * SPRING.damping
+    omega = np.sqrt(SPRING.stiffness / SPRING.mass - half**2)
     for number in range(1, 9):
         world.step(DT, 200, FREE, STILL)
         t = number * 200 * DT
@@ -101,4 +103,4 @@ def test_cost_is_local() -> None:
     # The capsule lies along y: its axis ends 7.5 mm from its middle.
     beyond = np.maximum(np.abs(large[:, 1]) - 7.5 * MM, 0.0)
     across = np.hypot(large[:, 0] - 1.0 * MM, beyond)
-    assert across.max() < RADIUS + QUICK.reach + 2.0 * MM
+    assert across.max() < RADIUS + SPRING.reach + 2.0 * MM

@@ -17,10 +17,10 @@ from vrcaps.anatomy.catalog import load_organ
 from vrcaps.capsule.catalog import read_device
 from vrcaps.color import luminance
 from vrcaps.lumen.bowel_preparation import prepared
-from vrcaps.lumen.bubbles import BUBBLE_GRADES, CM2
-from vrcaps.lumen.chyme import CHYME_GRADES
+from vrcaps.lumen.bubbles import BUBBLE_SEVERITIES, CM2
+from vrcaps.lumen.chyme import CHYME_SEVERITIES
 from vrcaps.lumen.contents import Contents
-from vrcaps.lumen.liquid import LIQUID_GRADES
+from vrcaps.lumen.liquid import LIQUID_SEVERITIES
 from vrcaps.organ.centerline import interpolate
 from vrcaps.render.renderer import Renderer
 from vrcaps.render.settings import RenderSettings
@@ -105,7 +105,7 @@ def table() -> str:
         "|---|---|---|---|---|---|---|---|---|---|---|",
     ]
     for grade, (bubbles, chyme, liquid) in enumerate(
-        zip(BUBBLE_GRADES, CHYME_GRADES, LIQUID_GRADES, strict=True)
+        zip(BUBBLE_SEVERITIES, CHYME_SEVERITIES, LIQUID_SEVERITIES, strict=True)
     ):
         cells = [f"{grade}"]
         for kind, size in ((bubbles, bubbles.raft_size), (chyme, chyme.clump_size)):

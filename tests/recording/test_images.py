@@ -104,7 +104,7 @@ def test_adaptive_rate_takes_more_frames_of_a_faster_image(
 ) -> None:
     speeds = []
     for name, share in (("slow", 0.2), ("fast", 0.85)):
-        motion = FlyThrough(start=0.15, end=share, speed_variation=0.0, wobble=0.0, drift=0.0)
+        motion = FlyThrough(start=0.15, end=share, speed_variation=0.0, tilt=0.0, drift=0.0)
         effects = Effects(frame_rate=AdaptiveRate(1.0, 8.0, still=0.0, quick=0.5))
         asked = replace(scenario, motion=motion, effects=effects, fps=8.0, frames=16)
         record(replace(asked, channels=("depth",)), tmp_path / name)

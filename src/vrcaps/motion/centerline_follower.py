@@ -56,7 +56,7 @@ class CenterlineFollower:
 
     Attributes:
         centerline: In the world frame.
-        noise: Noise of two drifts, two wobbles and the roll.
+        noise: Noise of two drifts, two tilts and the roll.
         front: Distance of the front point ahead of the capsule's origin [m].
         rear: Distance of the rear point behind it [m].
         sign: 1 to travel towards the anal end, −1 towards the oral end.

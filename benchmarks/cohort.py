@@ -20,11 +20,15 @@ import numpy as np
 from scipy import stats
 
 from validation import ROOT, table, write_section
-from vrcaps.anatomy.catalog import GI_COLON_TRIANGLES
+from vrcaps.anatomy.catalog import FULL_TRACT_COLON_TRIANGLES
 from vrcaps.anatomy.colon.course import count_flexures
-from vrcaps.anatomy.full_tract.abdomen import draw_colon_place, place_stomach, surroundings
-from vrcaps.anatomy.full_tract.generate import generate_gi
-from vrcaps.anatomy.full_tract.patient import draw_patient
+from vrcaps.anatomy.full_tract.abdomen import (
+    draw_colon_placement,
+    make_neighboring_organs,
+    place_stomach,
+)
+from vrcaps.anatomy.full_tract.generate import generate_full_tract
+from vrcaps.anatomy.full_tract.patient import draw_patient_anatomy
 from vrcaps.anatomy.small_bowel.generate import lay_small_bowel
 from vrcaps.anatomy.small_bowel.shape import SmallBowelWall
 from vrcaps.anatomy.stomach.shape import (
@@ -69,11 +73,11 @@ PUBLISHED = {
     "colon acute flexures": Published("10.9 ± 2.4 (Khashab 2009)", 10.9, 2.4),
     "small bowel length [m]": Published("3 to 4 in life (Steinbrück 2014)", 3.5, 0.25),
     "duodenum length [cm]": Published("25 (Steinbrück 2014)", 25.0),
-    "duodenum calibre [mm]": Published(f"24.8 ± 4.5 ({_CRONIN})", 24.8, 4.5),
-    "jejunum calibre [mm]": Published(f"24.5 ± 4.2 ({_CRONIN})", 24.5, 4.2),
-    "proximal ileum calibre [mm]": Published(f"19.5 ± 3.6 ({_CRONIN})", 19.5, 3.6),
-    "distal ileum calibre [mm]": Published(f"18.9 ± 4.2 ({_CRONIN})", 18.9, 4.2),
-    "terminal ileum calibre [mm]": Published(f"18.7 ± 3.6 ({_CRONIN})", 18.7, 3.6),
+    "duodenum diameter [mm]": Published(f"24.8 ± 4.5 ({_CRONIN})", 24.8, 4.5),
+    "jejunum diameter [mm]": Published(f"24.5 ± 4.2 ({_CRONIN})", 24.5, 4.2),
+    "proximal ileum diameter [mm]": Published(f"19.5 ± 3.6 ({_CRONIN})", 19.5, 3.6),
+    "distal ileum diameter [mm]": Published(f"18.9 ± 4.2 ({_CRONIN})", 18.9, 4.2),
+    "terminal ileum diameter [mm]": Published(f"18.7 ± 3.6 ({_CRONIN})", 18.7, 3.6),
     "jejunum folds per 2.5 cm": Published("4.6 (Cronin 2010)", 4.6),
     "terminal ileum folds per 2.5 cm": Published("1.5 (Cronin 2010)", 1.5),
     "stomach volume, inflated [l]": Published("1 to 1.5 (textbooks)"),
@@ -88,8 +92,8 @@ PUBLISHED = {
 _TEXT = """## Cohort
 
 `python benchmarks/cohort.py --patients {patients} --tracts {tracts}`: seeds 0 to {last}, each one
-patient (`vrcaps organ make gi --seed N`); {failed}. Measured on the courses and walls that are
-made, not on the numbers asked for. *Mean* and *variance* are the two-sided probabilities of a
+patient (`vrcaps organ make full-tract --seed N`); {failed}. Measured on the courses and walls that
+are made, not on the numbers asked for. *Mean* and *variance* are the two-sided probabilities of a
 sample this far off, or farther, from a normal population of the published mean and deviation (z
 test of the mean, χ² test of the variance); a figure *agrees* where both are above {level:g}.
 
@@ -110,12 +114,12 @@ are the median, least and most.
 """
 
 
-def measure(seed: int, condition: str | None = None) -> dict[str, float]:
+def measure(seed: int, distension: str | None = None) -> dict[str, float]:
     """One patient's figures, from the generated courses and walls."""
-    patient = draw_patient(seed, condition)
-    colon = draw_colon_place(patient.colon, seed)
+    patient = draw_patient_anatomy(seed, distension)
+    colon = draw_colon_placement(patient.colon, seed)
     axis = place_stomach(patient.stomach, colon, seed)
-    around = surroundings(colon, patient.stomach, axis)
+    around = make_neighboring_organs(colon, patient.stomach, axis)
     wall, tube = lay_small_bowel(patient.small_bowel, around, np.random.default_rng([seed, 3]))
     return {
         "colon length [m]": float(colon.course.arc_length[-1]),
@@ -127,7 +131,7 @@ def measure(seed: int, condition: str | None = None) -> dict[str, float]:
 
 
 def _bowel_figures(wall: SmallBowelWall) -> dict[str, float]:
-    """Calibres of the plain wall and folds by place."""
+    """Diameters of the plain wall and folds by place."""
     p, folds = wall.parameters, wall.folds.arc_length
     ileum = p.length - 0.6 * (p.length - p.duodenum_length)
     places = {
@@ -139,7 +143,7 @@ def _bowel_figures(wall: SmallBowelWall) -> dict[str, float]:
     }
     figures = {"duodenum length [cm]": p.duodenum_length / CM}
     for name, s in places.items():
-        figures[f"{name} calibre [mm]"] = 2.0 * float(wall.envelope(np.array([s]))[0]) / MM
+        figures[f"{name} diameter [mm]"] = 2.0 * float(wall.envelope(np.array([s]))[0]) / MM
     stretches = {
         "jejunum": (40 * CM, 90 * CM),
         "terminal ileum": (p.length - 15 * CM, p.length - 3 * CM),
@@ -153,23 +157,23 @@ def _bowel_figures(wall: SmallBowelWall) -> dict[str, float]:
 def _stomach_figures(seed: int) -> dict[str, float]:
     """Volume and curvatures of the stomach at each filling."""
     figures = {}
-    for condition in ("inflated", "normal", "collapsed"):
-        parameters = draw_patient(seed, condition).stomach
+    for distension in ("inflated", "normal", "collapsed"):
+        parameters = draw_patient_anatomy(seed, distension).stomach
         tube = make_tube(stomach_course(parameters, np.random.default_rng([seed, 2])))
         wall = draw_stomach_wall(parameters, tube, stomach_wall_rng(seed))
         greater, lesser = curvatures(wall)
-        figures[f"greater curvature, {condition} [cm]"] = greater / CM
-        figures[f"lesser curvature, {condition} [cm]"] = lesser / CM
-        figures[f"stomach volume, {condition} [l]"] = stomach_volume(wall) / _LITRE
+        figures[f"greater curvature, {distension} [cm]"] = greater / CM
+        figures[f"lesser curvature, {distension} [cm]"] = lesser / CM
+        figures[f"stomach volume, {distension} [l]"] = stomach_volume(wall) / _LITRE
     return figures
 
 
-def make(seed: int, condition: str | None = None) -> dict[str, float]:
+def make(seed: int, distension: str | None = None) -> dict[str, float]:
     """Make one patient's tract and look for what is wrong with it."""
-    patient = draw_patient(seed, condition)
+    patient = draw_patient_anatomy(seed, distension)
     start = time.process_time()
-    colon = replace(patient.colon, triangles=GI_COLON_TRIANGLES)
-    organ = generate_gi(patient.stomach, patient.small_bowel, colon, seed=seed)
+    colon = replace(patient.colon, triangles=FULL_TRACT_COLON_TRIANGLES)
+    organ = generate_full_tract(patient.stomach, patient.small_bowel, colon, seed=seed)
     seconds = time.process_time() - start
     facts = measure_organ(organ)
     return {
@@ -183,7 +187,7 @@ def make(seed: int, condition: str | None = None) -> dict[str, float]:
 
 def run(jobs: list[tuple[str, int, str | None]], store: Path, processes: int) -> None:
     """Do what is not in the store yet, and add it, one line each."""
-    done = {(line["kind"], line["seed"], line["condition"]) for line in read(store)}
+    done = {(line["kind"], line["seed"], line["distension"]) for line in read(store)}
     todo = [job for job in jobs if job not in done]
     store.parent.mkdir(parents=True, exist_ok=True)
     with ProcessPoolExecutor(processes) as pool, store.open("a", encoding="utf-8") as file:
@@ -200,14 +204,14 @@ def read(store: Path) -> Iterator[dict]:
 
 
 def _one(job: tuple[str, int, str | None]) -> dict:
-    kind, seed, condition = job
+    kind, seed, distension = job
     verbs: dict[str, Callable[[int, str | None], dict[str, float]]] = {
         "measure": measure,
         "make": make,
     }
-    line = {"kind": kind, "seed": seed, "condition": condition}
+    line = {"kind": kind, "seed": seed, "distension": distension}
     try:
-        return {**line, "figures": verbs[kind](seed, condition)}
+        return {**line, "figures": verbs[kind](seed, distension)}
     except InputError as error:
         return {**line, "error": str(error)}
 
@@ -246,15 +250,15 @@ def probabilities(values: np.ndarray, mean: float, deviation: float) -> tuple[fl
 def walls_table(lines: list[dict]) -> str:
     """What was made at each filling, and what is wrong with it."""
     rows = []
-    for condition in (None, "inflated", "collapsed"):
-        chosen = [line for line in lines if line["condition"] == condition]
+    for distension in (None, "inflated", "collapsed"):
+        chosen = [line for line in lines if line["distension"] == distension]
         made = [line["figures"] for line in chosen if "figures" in line]
         if not chosen:
             continue
         seconds = np.array([figures["seconds"] for figures in made])
         rows.append(
             (
-                condition or "usual",
+                distension or "usual",
                 f"{len(chosen)} of 0 to {max(line['seed'] for line in chosen)}",
                 str(len(made)),
                 str(sum(figures["defects"] > 0 for figures in made)),
@@ -264,7 +268,7 @@ def walls_table(lines: list[dict]) -> str:
             )
         )
     head = (
-        "condition",
+        "distension",
         "seeds",
         "made, none cuts itself",
         "with defects",
@@ -290,11 +294,11 @@ def main() -> None:
     given = parser.parse_args()
     jobs: list[tuple[str, int, str | None]] = [("measure", k, None) for k in range(given.patients)]
     jobs += [("make", k, None) for k in range(given.tracts)]
-    for condition in ("inflated", "collapsed"):
-        jobs += [("make", k, condition) for k in range(given.fillings)]
+    for distension in ("inflated", "collapsed"):
+        jobs += [("make", k, distension) for k in range(given.fillings)]
     if not given.stored:
         run(jobs, given.store, given.processes)
-    lines = [x for x in read(given.store) if (x["kind"], x["seed"], x["condition"]) in jobs]
+    lines = [x for x in read(given.store) if (x["kind"], x["seed"], x["distension"]) in jobs]
     measured = [x for x in lines if x["kind"] == "measure"]
     failed = [f"seed {x['seed']}: {x['error'].rstrip('.')}" for x in measured if "error" in x]
     text = _TEXT.format(

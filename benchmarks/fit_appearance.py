@@ -6,7 +6,7 @@ base colors at which our frames have their mean a* and b* and their spread of L*
 colors that go into `vrcaps.mucosa.appearance` and `vrcaps.lesion.colitis`.
 
     python benchmarks/fit_appearance.py
-    python benchmarks/fit_appearance.py --only small_intestine --light direct
+    python benchmarks/fit_appearance.py --only small-bowel --light direct
     python benchmarks/fit_appearance.py --only colon --carriers   # what else moves the statistics
 
 The base color scales the baked texture, so no organ is made anew. Exposure follows the mean, so
@@ -39,7 +39,7 @@ from vrcaps.world.model import Model
 
 CLASSES = {
     "colon": {"clean_colon": 8, "polyp": 6},
-    "small_intestine": {"capsule_non_bleeding": 6},
+    "small-bowel": {"capsule_non_bleeding": 6},
     "colitis 1": {"colitis_grade_1": 4},
     "colitis 2": {"colitis_grade_2": 4},
     "colitis 3": {"colitis_grade_3": 4},

@@ -1,4 +1,4 @@
-"""Draw docs/gallery.md: each organ, segment, condition, lesion and grade, as capsules see them.
+"""Draw docs/gallery.md: each organ, segment, distension, lesion and grade, as capsules see them.
 
     python benchmarks/gallery.py                    # everything
     python benchmarks/gallery.py --only lesions     # some sheets again
@@ -32,7 +32,7 @@ LUMINANCE = 0.15
 """Mean linear luminance of each frame; that of real capsule frames."""
 CAPTION_PX = 16
 COLUMNS = 6
-CONDITIONS = ("inflated", "normal", "collapsed")
+DISTENSIONS = ("inflated", "normal", "collapsed")
 
 Tile = tuple[np.ndarray, str]
 """An image and its caption."""
@@ -60,7 +60,7 @@ class Sheet:
 
 
 def frames(model: Model, states: list[State]) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Colour, evenly exposed, and labels of each place."""
+    """Color, evenly exposed, and labels of each place."""
     renderer = vrcaps.Renderer(model, SETTINGS)
     made = []
     for state in states:
@@ -79,7 +79,7 @@ def flight(organ: OrganSurface, capsule: str, number: int, seed: int = 0) -> tup
 
 def of_segments(name: str, capsule: str, each: int) -> list[Tile]:
     """Of each segment the frames that show most of it from nearby, one of each part of it."""
-    organ = vrcaps.load_organ(name, seed=0)
+    organ = vrcaps.generate_organ(name, seed=0)
     model, states = flight(organ, capsule, 60)
     seen = frames(model, states)
     numbers = range(len(organ.label_names))
@@ -103,20 +103,20 @@ def of_segments(name: str, capsule: str, each: int) -> list[Tile]:
 
 
 def of_conditions() -> list[Tile]:
-    """Two frames of each organ in each condition."""
+    """Two frames of each organ in each distension."""
     tiles = []
     for name in ("stomach", "small-bowel", "colon"):
-        for condition in CONDITIONS:
-            organ = vrcaps.load_organ(name, seed=0, condition=condition)
+        for distension in DISTENSIONS:
+            organ = vrcaps.generate_organ(name, seed=0, distension=distension)
             model, states = flight(organ, "mirocam", 8)
             for image, _ in frames(model, [states[2], states[5]]):
-                tiles.append((image, f"{name}, {condition}"))
+                tiles.append((image, f"{name}, {distension}"))
     return tiles
 
 
 def of_tract() -> list[Tile]:
     """From the duodenum to the rectum, evenly."""
-    organ = vrcaps.load_organ("gi", seed=1)
+    organ = vrcaps.generate_organ("full-tract", seed=1)
     model, states = flight(organ, "mirocam", 60)
     tiles = []
     for image, label in frames(model, states[1::5]):
@@ -130,7 +130,7 @@ def of_patients() -> list[Tile]:
     tiles = []
     for name, place, patients in (("colon", 3, 4), ("small-bowel", 4, 2)):
         for seed in range(patients):
-            model, states = flight(vrcaps.load_organ(name, seed=seed), "mirocam", 9, seed)
+            model, states = flight(vrcaps.generate_organ(name, seed=seed), "mirocam", 9, seed)
             tiles.append((frames(model, [states[place]])[0][0], f"{name}, patient {seed}"))
     return tiles
 
@@ -138,7 +138,7 @@ def of_patients() -> list[Tile]:
 def of_capsules() -> list[Tile]:
     """The first camera of each capsule at one place."""
     tiles = []
-    organ = vrcaps.load_organ("colon", seed=1)
+    organ = vrcaps.generate_organ("colon", seed=1)
     for name in vrcaps.device_names():
         model, states = flight(organ, name, 9)
         tiles.append((frames(model, [states[6]])[0][0], name))
@@ -172,10 +172,10 @@ POLYPS = tuple(
     for shape, size in (("Ip", 14), ("Is", 10), ("IIa", 13), ("IIb", 10), ("IIc", 12))
     for pattern in PATTERNS
 )
-BLEEDS = tuple(f"haemorrhage-{level}" for level in (1, 2, 3, 4))
+BLEEDS = tuple(f"bleeding-{level}" for level in (1, 2, 3, 4))
 OTHERS_COLON = (
     *("erosion:size=6mm", "ulcer-aphthous:size=7mm", "ulcer-deep:size=18mm"),
-    *("tumour:segment=ascending,size=24mm", "diverticulum:segment=sigmoid,size=7mm", "stricture"),
+    *("tumor:segment=ascending,size=24mm", "diverticulum:segment=sigmoid,size=7mm", "stricture"),
 )
 OTHERS_BOWEL = (
     *("angioectasia:size=5mm", "lymphangiectasia", "erosion:size=5mm"),
@@ -204,7 +204,7 @@ SHEETS = (
         partial(of_segments, "colon", "mirocam", 2),
     ),
     Sheet(
-        *("gi", "From duodenum to rectum", "The whole tract, one wall; patient 1."),
+        *("full-tract", "From duodenum to rectum", "The whole tract, one wall; patient 1."),
         _record("--organ gi --patient 1 --frames 600"),
         of_tract,
     ),
@@ -243,11 +243,11 @@ SHEETS = (
         of_colitis,
     ),
     Sheet(
-        "lesions_haemorrhage",
-        "Haemorrhage",
+        "lesions_bleeding",
+        "Bleeding",
         "Grades 1 petechiae, 2 oozing, 3 streaming, 4 massive; colon, then small bowel. Blood "
         "runs with gravity: the patients lie on their backs.",
-        _record("--lesion haemorrhage-3 --posture left-lateral", "--lesion haemorrhage-4-02"),
+        _record("--lesion bleeding-3 --posture left-lateral", "--lesion bleeding-4-02"),
         lambda: of_lesions("colon", BLEEDS) + of_lesions("small-bowel", BLEEDS),
         4,
     ),

@@ -41,7 +41,7 @@ POLYPS = tuple(f"polyp-{shape}:pattern={pattern},size={size}mm"
     )
 )  # fmt: skip
 COLITIS = {1: "ascending", 2: "transverse", 3: "descending"}
-BLEEDS = ("haemorrhage-1", "haemorrhage-2", "haemorrhage-3", "haemorrhage-4")
+BLEEDS = ("bleeding-1", "bleeding-2", "bleeding-3", "bleeding-4")
 
 
 def colonoscope(side_px: int = SIDE_PX) -> Device:
@@ -106,11 +106,11 @@ def views(name: str, seed: int, frames: int, rng: np.random.Generator) -> Iterat
     """Organs of one patient, and places to look from."""
     capsule, colonoscopy = vrcaps.read_device("pillcam-sb3"), colonoscope()
     if name == "clean_colon":
-        organ = vrcaps.load_organ("colon", seed=seed)
+        organ = vrcaps.generate_organ("colon", seed=seed)
         yield from filled(flight(organ, colonoscope(360), (0.03, 0.97), frames, rng), PREPARED)
     elif name == "capsule_non_bleeding":
         # Around a capsule the small bowel is not inflated.
-        organ = vrcaps.load_organ("small-bowel", seed=seed, condition="collapsed")
+        organ = vrcaps.generate_organ("small-bowel", seed=seed, distension="collapsed")
         yield from filled(flight(organ, capsule, (0.02, 0.98), frames, rng), CONTENTS)
     elif name == "capsule_bleeding":
         yield at_lesions("small-bowel", seed, BLEEDS, capsule, rng)
@@ -135,7 +135,7 @@ def filled(scene: Scene, kinds: tuple[Contents, ...]) -> Iterator[Scene]:
 def ill_colon(seed: int) -> OrganSurface:
     """A colon with a stretch of colitis of each grade, Mayo 1, 2, 3."""
     texts = [f"colitis-{mayo}:spread=30cm,segment={at}" for mayo, at in COLITIS.items()]
-    organ = vrcaps.load_organ("colon", seed=seed)
+    organ = vrcaps.generate_organ("colon", seed=seed)
     lesions = [parse_lesion(text) for text in texts]
     return add_lesions(organ, lesions, np.random.default_rng([seed, 78])).organ
 
@@ -160,7 +160,7 @@ def at_lesions(
 ) -> Scene:
     """Each lesion of a patient from where it is seen best."""
     lesions = [parse_lesion(text) for text in texts]
-    organ = add_lesions(vrcaps.load_organ(name, seed=seed), lesions, rng).organ
+    organ = add_lesions(vrcaps.generate_organ(name, seed=seed), lesions, rng).organ
     model, camera = Model(organ, device), device.cameras[0]
     wall = Model(organ, device, np.eye(4)).wall
     states = []

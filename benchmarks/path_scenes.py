@@ -9,7 +9,7 @@ import numpy as np
 
 from peers.mitsuba import VARIANT, use_working_llvm
 from validation import ROOT  # its import makes the tests' independent renderers importable
-from vrcaps.anatomy.catalog import load_organ
+from vrcaps.anatomy.catalog import generate_organ
 from vrcaps.camera.camera import Camera
 from vrcaps.camera.lens import LensPinhole
 from vrcaps.capsule.catalog import read_device
@@ -85,7 +85,7 @@ def scenes(size: int) -> Iterator[Scene]:
     folded = tube(200, 640, length=0.15, folds=0.35, capped=True, appearance=look)
     model = Model(folded, device, np.eye(4))
     yield Scene("ring folds", model, camera, looking((0.004, -0.003, 0.04)))
-    colon = replace(load_organ("colon", seed=0), appearance=look)
+    colon = replace(generate_organ("colon", seed=0), appearance=look)
     model = Model(colon, device)
     rng = np.random.default_rng(0)
     state = fly_through(model, FlyThrough(), frames=3, fps=1.0, rng=rng).state(1)

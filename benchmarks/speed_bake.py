@@ -16,11 +16,11 @@ from pathlib import Path
 import numpy as np
 
 from validation import ROOT, table, write_section
-from vrcaps.anatomy.catalog import GI_COLON_TRIANGLES
+from vrcaps.anatomy.catalog import FULL_TRACT_COLON_TRIANGLES
 from vrcaps.anatomy.colon import generate_colon
 from vrcaps.anatomy.full_tract.appearance import with_appearance
-from vrcaps.anatomy.full_tract.generate import generate_gi
-from vrcaps.anatomy.full_tract.patient import bowel_surroundings, draw_patient
+from vrcaps.anatomy.full_tract.generate import generate_full_tract
+from vrcaps.anatomy.full_tract.patient import draw_patient_anatomy, neighboring_organs
 from vrcaps.anatomy.small_bowel import generate_small_bowel
 from vrcaps.anatomy.stomach import generate_stomach
 from vrcaps.mesh.edges import face_areas
@@ -30,38 +30,38 @@ from vrcaps.organ.surface import OrganSurface
 from vrcaps.organ.uv import texture_stretch
 from vrcaps.units import MM
 
-ORGANS = ("stomach", "small-bowel", "colon", "gi")
+ORGANS = ("stomach", "small-bowel", "colon", "full-tract")
 HEAD = ("wall", "area", "texels", "texels per mm, 5 % / median", "stretch, median / 95 %")
 HEAD += ("bake", "organ + renderer")
 
 
 def generate(name: str, seed: int) -> OrganSurface:
     """A patient's wall without textures."""
-    patient = draw_patient(seed)
+    patient = draw_patient_anatomy(seed)
     if name == "stomach":
         return generate_stomach(patient.stomach, seed=seed)
     if name == "small-bowel":
-        surroundings = bowel_surroundings(patient)
+        surroundings = neighboring_organs(patient)
         return generate_small_bowel(patient.small_bowel, surroundings, seed=seed)
     if name == "colon":
         return generate_colon(patient.colon, seed=seed)
-    colon = replace(patient.colon, triangles=GI_COLON_TRIANGLES)
-    return generate_gi(patient.stomach, patient.small_bowel, colon, seed=seed)
+    colon = replace(patient.colon, triangles=FULL_TRACT_COLON_TRIANGLES)
+    return generate_full_tract(patient.stomach, patient.small_bowel, colon, seed=seed)
 
 
 def bake(name: str, organ: OrganSurface, seed: int) -> OrganSurface:
     """The wall with textures."""
-    if name == "gi":
+    if name == "full-tract":
         return with_appearance(organ, seed=seed)
-    mucosa = {"small-bowel": "small_intestine"}.get(name, name)
+    mucosa = {"small-bowel": "small-bowel"}.get(name, name)
     return replace(organ, appearance=bake_appearance(organ, seed=seed, mucosa=mucosa))
 
 
-def quantiles(values: np.ndarray, area: np.ndarray, shares: tuple[float, ...]) -> list[float]:
-    """Values that these shares of the area stay below."""
+def quantiles(values: np.ndarray, area: np.ndarray, fractions: tuple[float, ...]) -> list[float]:
+    """Values that these fractions of the area stay below."""
     order = np.argsort(values)
     below = np.cumsum(area[order]) / area.sum()
-    return [float(values[order][np.searchsorted(below, share)]) for share in shares]
+    return [float(values[order][np.searchsorted(below, fraction)]) for fraction in fractions]
 
 
 def row(name: str, organ: OrganSurface, seconds: float) -> tuple[str, ...]:

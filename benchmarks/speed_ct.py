@@ -24,7 +24,7 @@ from validation import ROOT, options, table, write_section
 sys.path.append(str(ROOT / "tests" / "support"))
 
 from phantom import Scanner, scan_of, write_dicom
-from vrcaps.anatomy.catalog import load_organ
+from vrcaps.anatomy.catalog import generate_organ
 from vrcaps.mesh.mesh import Mesh
 from vrcaps.tools.ct.volume import Volume
 from vrcaps.units import MM
@@ -37,7 +37,7 @@ HEAD = ("voxels", "options", "time", "peak memory", "triangles", "claimed")
 
 def whole_scan(num_slices: int, *, fluid_depth: float) -> Volume:
     """A scan of 512 × 512 pixels a slice, all of it filled by body, gut and the air around."""
-    organ = load_organ("colon", seed=1)
+    organ = generate_organ("colon", seed=1)
     spacing = (HEIGHT / num_slices, PIXEL, PIXEL)
     scanner = Scanner(spacing=spacing, turn_deg=(0.0, 0.0, 0.0), fluid_depth=fluid_depth)
     scan = scan_of(Mesh(organ.vertices, organ.faces), scanner, np.random.default_rng(0))

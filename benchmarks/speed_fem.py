@@ -17,7 +17,7 @@ from typing import Literal
 import numpy as np
 import tyro
 
-from vrcaps.anatomy.catalog import load_organ
+from vrcaps.anatomy.catalog import generate_organ
 from vrcaps.capsule.catalog import read_device
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.tissue.fem.deformation import FemDeformation
@@ -48,7 +48,7 @@ def main(
         steps: How many to measure.
         world: Measure a world with a capsule on the wall.
     """
-    organ = load_organ("colon", seed=1)
+    organ = generate_organ("colon", seed=1)
     if world:
         measure_world(organ, FemDeformation(edge=edge_mm * MM, model=model), steps)
         return

@@ -23,7 +23,7 @@ from validation import DATA, PAGE, ROOT, table, write_section
 sys.path.append(str(ROOT / "tests" / "support"))
 
 from vrcaps import _core
-from vrcaps.anatomy.catalog import load_organ
+from vrcaps.anatomy.catalog import generate_organ
 from vrcaps.capsule.catalog import read_device
 from vrcaps.errors import InputError
 from vrcaps.organ.read_organ import read_organ
@@ -229,7 +229,7 @@ class Walk:
 def organ_makers() -> Iterator[tuple[str, Callable[[], OrganSurface]]]:
     """Five organs: three generated, with muscle at work, and two from CT."""
     for name in ("colon", "stomach", "small-bowel"):
-        yield f"{name}, muscle at work", lambda name=name: load_organ(name, seed=0)
+        yield f"{name}, muscle at work", lambda name=name: generate_organ(name, seed=0)
     for name in ("colon_GI1_mm", "stomach_A_mm"):
         path = DATA / f"{name}.ply"
         if path.exists():

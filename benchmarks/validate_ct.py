@@ -19,7 +19,7 @@ sys.path.append(str(ROOT / "tests" / "support"))
 
 from phantom import Polyp, Scanner, scan_of, with_polyps, write_dicom
 from vrcaps._core import Wall as Surface
-from vrcaps.anatomy.catalog import load_organ
+from vrcaps.anatomy.catalog import generate_organ
 from vrcaps.mesh.mesh import Mesh
 from vrcaps.mesh.read_mesh import read_mesh
 from vrcaps.mesh.repair import repair
@@ -40,7 +40,7 @@ HEAD = ("phantom", "voxels", "mean", "95 %", "largest", "length", "polyps", "cla
 
 def walls(seed: int) -> list[tuple[str, Mesh]]:
     """The generated colon, and a colon from a patient where the optional data is present."""
-    organ = load_organ("colon", seed=seed)
+    organ = generate_organ("colon", seed=seed)
     found = [("generated colon", Mesh(organ.vertices, organ.faces))]
     path = DATA / "colon_GI1_mm.ply"
     if path.exists():

@@ -19,7 +19,7 @@ import numpy as np
 
 from path_scenes import Scene, scenes
 from validation import options, table, write_section
-from vrcaps.anatomy.catalog import load_organ
+from vrcaps.anatomy.catalog import generate_organ
 from vrcaps.world.model import Model
 
 SAMPLES = (4, 16, 64)
@@ -60,7 +60,7 @@ def main() -> None:
     rows = []
     for scene in islice(scenes(given.size), 2):
         rows += compare(scene)
-    own = load_organ("colon", seed=0)
+    own = generate_organ("colon", seed=0)
     model = Model(own, scene.model.device)
     rows += compare(replace(scene, name="the same, its own mucosa", model=model))
     text = (

@@ -19,7 +19,7 @@ import vrcaps
 from validate_lesions import cuts
 from validation import options, table, write_section
 from vrcaps.errors import InputError
-from vrcaps.lesion import Patient, add_lesions, parse_lesion
+from vrcaps.lesion import LesionPair, add_lesions, parse_lesion
 from vrcaps.lesion.base import Lesion, SizedLesion
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.units import MM
@@ -28,23 +28,23 @@ CASES = {
     "colon": (
         *(f"polyp-{shape}:size=30mm" for shape in ("Ip", "Is", "IIa", "IIb", "IIc")),
         *("angioectasia:size=15mm", "lymphangiectasia:size=30mm", "erosion:size=10mm"),
-        *("ulcer-aphthous:size=10mm", "ulcer-deep:size=40mm", "tumour:size=50mm"),
+        *("ulcer-aphthous:size=10mm", "ulcer-deep:size=40mm", "tumor:size=50mm"),
         *("diverticulum:size=15mm", "stricture:length=10cm,narrowing=0.85"),
         *("stricture:length=5mm,narrowing=0.85", "colitis-3:spread=E3"),
-        *(f"haemorrhage-4:variant={number}" for number in (1, 2, 3)),
+        *(f"bleeding-4:variant={number}" for number in (1, 2, 3)),
     ),
     "small-bowel": (
-        *("polyp-Ip:size=30mm", "polyp-Is:size=30mm", "tumour:size=50mm", "ulcer-deep:size=40mm"),
-        *("diverticulum:size=15mm", "stricture:length=10cm,narrowing=0.85", "haemorrhage-4"),
+        *("polyp-Ip:size=30mm", "polyp-Is:size=30mm", "tumor:size=50mm", "ulcer-deep:size=40mm"),
+        *("diverticulum:size=15mm", "stricture:length=10cm,narrowing=0.85", "bleeding-4"),
     ),
     "stomach": (
-        *("polyp-Ip:size=30mm", "tumour:size=50mm", "ulcer-deep:size=40mm"),
-        *("diverticulum:size=15mm", "haemorrhage-4"),
+        *("polyp-Ip:size=30mm", "tumor:size=50mm", "ulcer-deep:size=40mm"),
+        *("diverticulum:size=15mm", "bleeding-4"),
     ),
 }
 
 
-def largest(organ: OrganSurface, lesion: Lesion) -> tuple[Lesion, Patient]:
+def largest(organ: OrganSurface, lesion: Lesion) -> tuple[Lesion, LesionPair]:
     """A lesion as large as it was asked for or as finds room, and the organ with it."""
     while True:
         try:
@@ -58,7 +58,7 @@ def largest(organ: OrganSurface, lesion: Lesion) -> tuple[Lesion, Patient]:
 def row(case: tuple[str, str]) -> tuple[str, ...]:
     """Row of one case."""
     name, text = case
-    organ = replace(vrcaps.load_organ(name, seed=0), appearance=None)
+    organ = replace(vrcaps.generate_organ(name, seed=0), appearance=None)
     lesion, patient = largest(organ, parse_lesion(text))
     own = (patient.organ.instance == 1)[patient.organ.faces].any(axis=1)
     size = f"{lesion.size / MM:g} mm" if isinstance(lesion, SizedLesion) else "–"

@@ -25,7 +25,7 @@ import numpy as np
 import vrcaps
 from validation import ROOT, options, table, write_section
 from vrcaps.camera.rays import camera_rays
-from vrcaps.lesion import Patient, add_lesions, parse_lesion
+from vrcaps.lesion import LesionPair, add_lesions, parse_lesion
 from vrcaps.mesh.self_intersection import self_intersections
 from vrcaps.organ.centerline import interpolate
 from vrcaps.organ.surface import OrganSurface
@@ -38,14 +38,14 @@ sys.path.append(str(ROOT / "tests" / "support"))
 COLON = (
     "polyp-Ip:size=12mm", "polyp-Is", "polyp-IIa", "polyp-IIb", "polyp-IIc",
     "colitis-1:spread=6cm", "colitis-2:spread=6cm", "colitis-3:spread=6cm",
-    "haemorrhage-1", "haemorrhage-2", "haemorrhage-3", "haemorrhage-4",
+    "bleeding-1", "bleeding-2", "bleeding-3", "bleeding-4",
     "angioectasia", "lymphangiectasia", "erosion", "ulcer-aphthous:size=5mm", "ulcer-deep",
-    "tumour", "diverticulum", "stricture",
+    "tumor", "diverticulum", "stricture",
 )  # fmt: skip
 CASES = {
     "colon": COLON,
     "small-bowel": ("angioectasia", "lymphangiectasia", "ulcer-aphthous:size=5mm", "polyp-Is"),
-    "stomach": ("polyp-Is", "ulcer-deep:size=12mm", "haemorrhage-2"),
+    "stomach": ("polyp-Is", "ulcer-deep:size=12mm", "bleeding-2"),
 }
 VIEWS = 10
 CHANNELS = ("rgb", "depth", "albedo", "instance")
@@ -155,7 +155,7 @@ def measure(organ: OrganSurface, text: str, step: int) -> tuple[str, ...]:
     return (*measured.row(), str(cuts(patient)))
 
 
-def cuts(patient: Patient) -> int:
+def cuts(patient: LesionPair) -> int:
     """Pairs of triangles, one of them the lesion's, that cut each other."""
     organ = patient.organ
     own = organ.instance == 1
@@ -171,7 +171,7 @@ def cuts(patient: Patient) -> int:
 def row(case: tuple[str, str], step: int) -> tuple[str, ...]:
     """Row of one case."""
     name, text = case
-    organ = vrcaps.load_organ(name, seed=0)
+    organ = vrcaps.generate_organ(name, seed=0)
     return (name, text.replace(":", ", "), *measure(organ, text, step))
 
 

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from validation import options, table, write_section
-from vrcaps.anatomy.catalog import load_organ
+from vrcaps.anatomy.catalog import generate_organ
 from vrcaps.capsule.catalog import read_device
 from vrcaps.motion.fly_through import FlyThrough, fly_through
 from vrcaps.organ.surface import Appearance, OrganSurface
@@ -53,7 +53,7 @@ def scenes() -> Iterator[Scene]:
     yield Scene("sphere", sphere(5), looking((0.004, -0.003, 0.003)), np.eye(4))
     folded = tube(120, 320, length=0.15, folds=0.35, capped=True)
     yield Scene("ring folds", folded, looking((0.004, -0.003, 0.04)), np.eye(4))
-    model = Model(load_organ("colon", seed=0), read_device("mirocam"))
+    model = Model(generate_organ("colon", seed=0), read_device("mirocam"))
     rng = np.random.default_rng(0)
     run = fly_through(model, FlyThrough(), frames=3, fps=1.0, rng=rng)
     yield Scene("generated colon", model.organ, run.state(1), model.T_world_patient)

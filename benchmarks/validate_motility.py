@@ -21,7 +21,7 @@ from validation import ROOT, options, table, write_section
 sys.path.append(str(ROOT / "tests" / "support"))
 
 from tubes import straight_gut
-from vrcaps.anatomy.catalog import load_organ
+from vrcaps.anatomy.catalog import generate_organ
 from vrcaps.capsule.catalog import read_device
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.tissue.motility.migrating_complex import MINUTE, MigratingMotorComplex
@@ -280,7 +280,7 @@ def update_times() -> tuple[str, str, int, int]:
         {"antrum": 0.25, "duodenum": 0.25, "jejunum": 1.3, "ileum": 2.2, "colon": 2.0}
     )
     muscle = Muscle(tract, Motility(), np.random.default_rng(0))
-    colon = load_organ("colon", seed=0)
+    colon = generate_organ("colon", seed=0)
     start = State(0.0, np.eye(4))
     start.T_world_capsule[:3, 3] = colon.centerline.points[len(colon.centerline.points) // 2]
     model = Model(colon, read_device("mirocam"), np.eye(4))

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from validation import options, table, write_section
-from vrcaps.anatomy.catalog import load_organ
+from vrcaps.anatomy.catalog import generate_organ
 from vrcaps.cli.benchmarks.stage import Stage, make_stage, resized_camera
 from vrcaps.render.renderer import Renderer
 from vrcaps.render.settings import RenderSettings
@@ -53,7 +53,7 @@ def squeezed(stage: Stage) -> Stage:
 def stages() -> Iterator[tuple[str, str, Stage]]:
     """Organ, what its wall does, and the views."""
     for name in ORGANS:
-        stage = make_stage(load_organ(name, seed=0), num_views=NUM_VIEWS)
+        stage = make_stage(generate_organ(name, seed=0), num_views=NUM_VIEWS)
         yield name, "at rest", stage
         if name != "stomach":
             yield name, "contracted", squeezed(stage)

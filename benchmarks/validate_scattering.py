@@ -24,7 +24,7 @@ import numpy as np
 
 from validation import options, table, write_section
 from vrcaps import _core
-from vrcaps.anatomy.catalog import load_organ
+from vrcaps.anatomy.catalog import generate_organ
 from vrcaps.camera.camera import Camera
 from vrcaps.camera_pipeline.camera_changes import scaled_camera
 from vrcaps.capsule.catalog import read_device
@@ -153,7 +153,7 @@ def views() -> list[View]:
     places = tuple(looking((0.004, -0.003, 0.04 + 0.002 * k)) for k in range(NUM_VIEWS))
     found = [View("ring folds", Model(folds, device, np.eye(4)), places)]
     for name in ("colon", "small-bowel"):
-        model = Model(load_organ(name, seed=0), device)
+        model = Model(generate_organ(name, seed=0), device)
         rng = np.random.default_rng(0)
         flight = fly_through(model, FlyThrough(), frames=20, fps=3.0, rng=rng)
         states = tuple(flight.state(9 + k) for k in range(NUM_VIEWS))

@@ -24,7 +24,7 @@ def main(out: Path, seed: int) -> None:
     """Render one frame and save it as arrays and as a picture."""
     # An organ is a surface in the patient frame, with its mucosa as textures. Each seed is
     # another patient; the first time takes some seconds, then it is read from a cache.
-    organ = vrcaps.load_organ("colon", seed=seed)
+    organ = vrcaps.generate_organ("colon", seed=seed)
 
     # Organ and capsule make a model: what is fixed. A trajectory says where the capsule is.
     model = vrcaps.Model(organ, vrcaps.read_device("mirocam"))

@@ -34,7 +34,7 @@ DEFLATED, LET_OUT = 0.5, 1.0  # share of the lumen's width that is left; how lon
 
 def main(out: Path, distance: float, start: float, substep: float) -> None:
     """Pull, print, draw."""
-    organ = vrcaps.load_organ("colon", seed=0, condition="collapsed")
+    organ = vrcaps.generate_organ("colon", seed=0, distension="collapsed")
     model = vrcaps.Model(organ, vrcaps.read_device("mirocam"))
     line = organ.centerline
     points = transform_points(model.T_world_patient, line.points)

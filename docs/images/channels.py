@@ -37,7 +37,7 @@ def colours(frame: vrcaps.Frame, channel: str) -> np.ndarray:
 
 def main(path: Path) -> None:
     """Render the views and write the picture."""
-    organ, device = vrcaps.load_organ("colon", seed=0), vrcaps.read_device("mirocam")
+    organ, device = vrcaps.generate_organ("colon", seed=0), vrcaps.read_device("mirocam")
     camera = device.cameras[0]
     camera = replace(camera, exposure=BRIGHTER * camera.exposure)
     model = vrcaps.Model(organ, device)

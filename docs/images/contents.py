@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image, ImageDraw
 
-from vrcaps.anatomy.catalog import load_organ
+from vrcaps.anatomy.catalog import generate_organ
 from vrcaps.capsule.catalog import read_device
 from vrcaps.color import luminance
 from vrcaps.lumen.bowel_preparation import prepared
@@ -86,7 +86,7 @@ def draw_sheet(name: str) -> None:
     for column, text in enumerate(columns):
         pen.text((column * SIDE_PX + 6, 2), text, fill=(230, 230, 230))
     for organ_name, shares in organs.items():
-        organ, device = load_organ(organ_name, seed=0), read_device("mirocam")
+        organ, device = generate_organ(organ_name, seed=0), read_device("mirocam")
         for column, contents in enumerate(columns.values()):
             model = Model(organ, device, contents=contents)
             for k, share in enumerate(shares):

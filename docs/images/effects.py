@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from PIL import Image, ImageDraw
 
-from vrcaps.anatomy.catalog import load_organ
+from vrcaps.anatomy.catalog import generate_organ
 from vrcaps.camera_pipeline.effects import Effects
 from vrcaps.camera_pipeline.pipeline import CameraChain, Moment
 from vrcaps.camera_pipeline.severities import GRADES, HIGHEST
@@ -64,7 +64,7 @@ def picture(renderer: Renderer, device: Device, effects: Effects, run: list[Stat
 
 def draw_sheet(path: Path) -> None:
     """One row for each effect, one column for each grade."""
-    organ, device = load_organ("colon", seed=0), read_device("mirocam")
+    organ, device = generate_organ("colon", seed=0), read_device("mirocam")
     run, plain = states(organ, device), Renderer(Model(organ, device), LOOK)
     size = (MARGIN_PX + (HIGHEST + 1) * SIDE_PX, len(GRADES) * SIDE_PX + 16)
     sheet = Image.new("RGB", size, (24, 24, 28))

@@ -31,7 +31,7 @@ SPECTRA = {
 
 def main(path: Path) -> None:
     """A row for each kind."""
-    colon, device = vrcaps.load_organ("colon", seed=0), vrcaps.read_device("mirocam")
+    colon, device = vrcaps.generate_organ("colon", seed=0), vrcaps.read_device("mirocam")
     devices = [replace(device, led_spectrum=spectrum) for spectrum in SPECTRA.values()]
     save_rows([view_row(vrcaps.Model(colon, device)) for device in devices], path)
 

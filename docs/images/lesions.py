@@ -16,7 +16,7 @@ from vrcaps._core import Wall
 from vrcaps.camera.camera import Camera
 from vrcaps.camera.rays import camera_rays
 from vrcaps.color import luminance
-from vrcaps.lesion import Patient, add_lesions, parse_lesion
+from vrcaps.lesion import LesionPair, add_lesions, parse_lesion
 from vrcaps.organ.centerline import interpolate
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.transforms import invert, look_along, transform_from
@@ -32,14 +32,14 @@ ROWS = {
     ),
     "inflammation and blood": (
         *("colitis-1:spread=12cm,segment=ascending", "colitis-2:spread=12cm,segment=descending"),
-        *("colitis-3:spread=12cm,segment=sigmoid", "haemorrhage-1:segment=transverse"),
-        *("haemorrhage-2:segment=transverse", "haemorrhage-3:segment=transverse"),
-        *("haemorrhage-4:segment=rectum", "erosion:segment=caecum,size=6mm"),
+        *("colitis-3:spread=12cm,segment=sigmoid", "bleeding-1:segment=transverse"),
+        *("bleeding-2:segment=transverse", "bleeding-3:segment=transverse"),
+        *("bleeding-4:segment=rectum", "erosion:segment=caecum,size=6mm"),
     ),
     "others": (
         *("angioectasia:segment=ascending,size=6mm", "ulcer-aphthous:segment=transverse,size=7mm"),
         *("ulcer-deep:segment=sigmoid,size=16mm", "stricture:segment=descending"),
-        *("diverticulum:segment=sigmoid,size=7mm", "tumour:segment=ascending,size=24mm"),
+        *("diverticulum:segment=sigmoid,size=7mm", "tumor:segment=ascending,size=24mm"),
         *("lymphangiectasia:segment=ascending", "polyp-IIa-villous:segment=rectum,size=20mm"),
     ),
 }
@@ -106,7 +106,7 @@ def _on_axis(organ: OrganSurface, own: np.ndarray) -> np.ndarray:
 
 
 def _in_lumen(organ: OrganSurface, near: float, rng: np.random.Generator) -> np.ndarray:
-    """A place on or beside the centreline, not far from an arc length."""
+    """A place on or beside the centerline, not far from an arc length."""
     at = np.clip(near + rng.uniform(-45.0, 45.0) * MM, 4 * MM, organ.centerline.length - 4 * MM)
     point, frame, radius = interpolate(organ.centerline, np.array([at]))
     return point[0] + frame[0, :, :2] @ (0.75 * radius[0] * rng.uniform(-1.0, 1.0, 2))
@@ -154,8 +154,8 @@ def main(folder: Path) -> None:
     bands = []
     for seed, texts in enumerate(ROWS.values()):
         lesions = [parse_lesion(text) for text in texts]
-        organ = vrcaps.load_organ("colon", seed=0)
-        patient: Patient = add_lesions(organ, lesions, np.random.default_rng(seed))
+        organ = vrcaps.generate_organ("colon", seed=0)
+        patient: LesionPair = add_lesions(organ, lesions, np.random.default_rng(seed))
         models = [vrcaps.Model(side, device) for side in (patient.organ, patient.clean)]
         renderers = [vrcaps.Renderer(model, settings) for model in models]
         pairs = [view(renderers, models[0], record) for record in patient.organ.metadata["lesions"]]

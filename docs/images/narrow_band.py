@@ -14,7 +14,7 @@ import vrcaps
 
 def main(path: Path) -> None:
     """White light above, narrow bands below."""
-    model = vrcaps.Model(vrcaps.load_organ("colon", seed=0), vrcaps.read_device("mirocam"))
+    model = vrcaps.Model(vrcaps.generate_organ("colon", seed=0), vrcaps.read_device("mirocam"))
     save_rows([view_row(model, imaging=mode) for mode in ("white-light", "narrow-band")], path)
 
 

@@ -17,14 +17,14 @@ from vrcaps.tools.overview.overview import write_overview
 
 LESIONS = (
     *("polyp-Ip:size=14mm,segment=sigmoid", "polyp-Is:size=12mm,segment=transverse"),
-    *("colitis-2:spread=12cm,segment=descending", "tumour:segment=ascending,size=28mm"),
-    "haemorrhage-3:segment=rectum",
+    *("colitis-2:spread=12cm,segment=descending", "tumor:segment=ascending,size=28mm"),
+    "bleeding-3:segment=rectum",
 )
 
 
 def main(path: Path) -> None:
     """Draw it, smaller than the command does."""
-    organ = vrcaps.load_organ("colon", seed=0)
+    organ = vrcaps.generate_organ("colon", seed=0)
     lesions = [parse_lesion(text) for text in LESIONS]
     patient = add_lesions(organ, lesions, np.random.default_rng(1))
     with TemporaryDirectory() as folder:

@@ -26,7 +26,7 @@ VIEW = 0.5
 
 def row(name: str) -> np.ndarray:
     """A generated organ in all ways."""
-    model = vrcaps.Model(vrcaps.load_organ(name, seed=0), vrcaps.read_device("mirocam"))
+    model = vrcaps.Model(vrcaps.generate_organ(name, seed=0), vrcaps.read_device("mirocam"))
     rng = np.random.default_rng(0)
     flight = vrcaps.fly_through(model, vrcaps.FlyThrough(), frames=20, fps=3.0, rng=rng)
     camera, cells = scaled_camera(model.device.cameras[0], VIEW), []

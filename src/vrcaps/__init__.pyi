@@ -1,5 +1,5 @@
 from ._core import __version__ as __version__
-from .anatomy.catalog import load_organ as load_organ
+from .anatomy.catalog import generate_organ as generate_organ
 from .capsule.catalog import device_names as device_names
 from .capsule.catalog import read_device as read_device
 from .errors import VrcapsError as VrcapsError

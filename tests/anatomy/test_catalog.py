@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from vrcaps.anatomy import colon
-from vrcaps.anatomy.catalog import CONDITIONS, ORGANS, load_organ, organ_segments
+from vrcaps.anatomy.catalog import DISTENSIONS, ORGANS, generate_organ, organ_segments
 from vrcaps.anatomy.colon import ColonParameters
-from vrcaps.anatomy.full_tract.patient import draw_patient
+from vrcaps.anatomy.full_tract.patient import draw_patient_anatomy
 from vrcaps.errors import InputError, UnknownNameError
 from vrcaps.organ.surface import Appearance, Centerline, OrganSurface
 
@@ -60,7 +60,7 @@ def calls(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[int]:
 
 
 def test_an_organ_comes_with_its_appearance_and_from_the_cache(calls: list[int]):
-    first, again = load_organ("colon", seed=4), load_organ("colon", seed=4)
+    first, again = generate_organ("colon", seed=4), generate_organ("colon", seed=4)
     assert calls == [4]
     assert again.appearance is not None
     assert again.appearance.albedo[0, 0, 0] == 4
@@ -68,25 +68,27 @@ def test_an_organ_comes_with_its_appearance_and_from_the_cache(calls: list[int])
 
 
 def test_each_seed_is_another_patient(calls: list[int]):
-    lengths = {float(load_organ("colon", seed=seed).vertices[0, 0]) for seed in range(5)}
+    lengths = {float(generate_organ("colon", seed=seed).vertices[0, 0]) for seed in range(5)}
     assert calls == [0, 1, 2, 3, 4]
     assert len(lengths) == 5
 
 
 def test_unknown_names_and_negative_seeds_are_refused():
     assert "colon" in ORGANS
-    with pytest.raises(UnknownNameError, match=r"No organ named 'colom'\. Known: colon, gi"):
-        load_organ("colom", seed=0)
-    with pytest.raises(InputError, match=r"Condition is 'full'\. Allowed: inflated, normal"):
-        load_organ("colon", seed=0, condition="full")
+    with pytest.raises(
+        UnknownNameError, match=r"No organ named 'colom'\. Known: colon, full-tract"
+    ):
+        generate_organ("colom", seed=0)
+    with pytest.raises(InputError, match=r"Distension is 'full'\. Allowed: inflated, normal"):
+        generate_organ("colon", seed=0, distension="full")
     with pytest.raises(InputError, match="Seed -1 is negative"):
-        load_organ("colon", seed=-1)
+        generate_organ("colon", seed=-1)
 
 
 def test_every_organ_has_segments_and_every_condition_a_patient() -> None:
     assert all(organ_segments(name) for name in ORGANS)
-    assert len(organ_segments("gi")) == 18
-    for condition in CONDITIONS:
-        draw_patient(0, condition)
+    assert len(organ_segments("full-tract")) == 18
+    for distension in DISTENSIONS:
+        draw_patient_anatomy(0, distension)
     with pytest.raises(UnknownNameError, match="No organ named 'liver'"):
         organ_segments("liver")

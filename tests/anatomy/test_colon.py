@@ -65,7 +65,7 @@ def test_surface_is_a_closed_sphere_facing_the_lumen(colon: OrganSurface):
     counts = edge_faces(colon.faces)
     assert np.all(counts == 2)
     assert len(colon.vertices) - len(counts) + len(colon.faces) == 2
-    # A distended adult colon holds two to four litres.
+    # A distended adult colon holds two to four liters.
     assert -4.5e-3 < signed_volume(colon) < -1.5e-3
     center = np.stack(
         [
@@ -102,8 +102,8 @@ def test_self_intersections_finds_what_is_put_there(small_colon: OrganSurface):
     crossing = apart.copy()
     crossing[3] = [0.2, 0.2, -1.0]
     assert self_intersections(crossing, faces).tolist() == [[0, 1]]
-    neighbours = np.array([[0, 1, 2], [0, 2, 3]])
-    assert len(self_intersections(apart, neighbours)) == 0
+    neighbors = np.array([[0, 1, 2], [0, 2, 3]])
+    assert len(self_intersections(apart, neighbors)) == 0
     moved = small_colon.vertices.copy()
     bump = np.argmax(small_colon.normals[:, 0])
     moved[bump] += 0.08 * small_colon.normals[bump]
@@ -214,7 +214,7 @@ def test_texels_are_even_on_the_wall(colon: OrganSurface):
 
 
 def test_baked_mucosa_runs_on_across_cuts_and_seam(small_colon: OrganSurface):
-    """Along every edge where strips part, both sides have the same colour and relief."""
+    """Along every edge where strips part, both sides have the same color and relief."""
     organ, look = small_colon, bake_appearance(small_colon, seed=0, texels_per_mm=3.0)
     halves = organ.faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
     ends = organ.uv[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2, 2)

@@ -13,18 +13,18 @@ import pytest
 
 from vrcaps.anatomy.full_tract import generate as generate_module
 from vrcaps.anatomy.full_tract.appearance import with_appearance
-from vrcaps.anatomy.full_tract.generate import generate_gi
+from vrcaps.anatomy.full_tract.generate import generate_full_tract
 from vrcaps.anatomy.full_tract.patient import (
-    COLON_CALIBRES,
-    bowel_surroundings,
+    COLON_DISTENSIONS,
     colon_at,
-    draw_patient,
+    draw_patient_anatomy,
+    neighboring_organs,
     stomach_axis,
 )
 from vrcaps.anatomy.full_tract.valve import soften, stitch, without_vertices
 from vrcaps.anatomy.small_bowel.generate import lay_small_bowel
-from vrcaps.anatomy.tube_mesh.truncated_normal import draw_deviation
-from vrcaps.anatomy.tube_mesh.tube_packing import Balls, smooth_course
+from vrcaps.anatomy.tube_mesh.truncated_normal import truncated_normal
+from vrcaps.anatomy.tube_mesh.tube_packing import ObstacleSpheres, smooth_course
 from vrcaps.anatomy.tube_mesh.waves import draw_waves, smooth_step, sum_waves, within_bend, wrap
 from vrcaps.errors import InputError
 from vrcaps.mesh.self_intersection import self_intersections
@@ -38,8 +38,8 @@ SEED = 4
 
 def coarse_tract(seed: int) -> OrganSurface:
     """A tract of large triangles and low folds, quick to make."""
-    patient = draw_patient(seed)
-    return generate_gi(
+    patient = draw_patient_anatomy(seed)
+    return generate_full_tract(
         dataclasses.replace(patient.stomach, edge=4 * MM, rugae_height=2 * MM),
         dataclasses.replace(patient.small_bowel, edge=4 * MM, jejunum_fold_height=1.5 * MM),
         dataclasses.replace(patient.colon, triangles=30_000),
@@ -124,23 +124,25 @@ def test_a_seed_is_the_same_tract_in_another_process(tract: OrganSurface):
 
 def test_a_tract_that_cuts_itself_is_refused(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(generate_module, "_NUM_TRIES", 0)
-    patient = draw_patient(SEED)
+    patient = draw_patient_anatomy(SEED)
     colon = dataclasses.replace(patient.colon, triangles=20_000)
     with pytest.raises(InputError, match="Found no tract of seed 4 that does not cut itself"):
-        generate_gi(patient.stomach, patient.small_bowel, colon, seed=SEED)
+        generate_full_tract(patient.stomach, patient.small_bowel, colon, seed=SEED)
 
 
 def test_a_patient_is_the_same_whatever_the_filling():
-    usual, inflated, collapsed = (draw_patient(3, c) for c in (None, "inflated", "collapsed"))
+    usual, inflated, collapsed = (
+        draw_patient_anatomy(3, c) for c in (None, "inflated", "collapsed")
+    )
     assert usual.colon == inflated.colon
-    assert usual.stomach == draw_patient(3, "normal").stomach
+    assert usual.stomach == draw_patient_anatomy(3, "normal").stomach
     assert collapsed.colon.length == usual.colon.length
     assert collapsed.colon.transverse.diameter < 0.7 * usual.colon.transverse.diameter
     assert collapsed.small_bowel.length == usual.small_bowel.length
     assert colon_at(usual.colon, "inflated") is usual.colon
-    assert min(COLON_CALIBRES.values()) > 0.5
-    with pytest.raises(InputError, match=r"Condition is 'full'\. Allowed: inflated, normal"):
-        draw_patient(3, "full")
+    assert min(COLON_DISTENSIONS.values()) > 0.5
+    with pytest.raises(InputError, match=r"Distension is 'full'\. Allowed: inflated, normal"):
+        draw_patient_anatomy(3, "full")
 
 
 def ring(num: int, height: float) -> np.ndarray:
@@ -181,8 +183,8 @@ def test_removed_vertices_leave_an_ordered_rim():
 
 
 def test_organs_alone_are_those_of_the_tract(tract: OrganSurface):
-    patient = draw_patient(SEED)
-    around = bowel_surroundings(patient)
+    patient = draw_patient_anatomy(SEED)
+    around = neighboring_organs(patient)
     bowel = dataclasses.replace(patient.small_bowel, edge=4 * MM, jejunum_fold_height=1.5 * MM)
     _, tube = lay_small_bowel(bowel, around, np.random.default_rng([SEED, 3]))
     middle = tube.curve(np.array([0.2, 1.0, 2.0]))
@@ -197,7 +199,7 @@ def test_organs_alone_are_those_of_the_tract(tract: OrganSurface):
 def test_deviations_are_bounded_with_mean_0_and_variance_1():
     rng = np.random.default_rng(0)
     for bound, most in ((1.0, 1.9), (2.0, 2.28), (3.0, 3.05)):
-        drawn = np.array([draw_deviation(rng, bound) for _ in range(20_000)])
+        drawn = np.array([truncated_normal(rng, bound) for _ in range(20_000)])
         assert abs(drawn.mean()) < 0.03
         assert drawn.std() == pytest.approx(1.0, rel=0.02)
         assert bound < np.abs(drawn).max() < most
@@ -233,5 +235,5 @@ def test_a_smooth_course_keeps_its_ends_and_balls_add_up():
     course = smooth_course(nodes)
     assert np.allclose(course.points[[0, -1]], nodes[[0, -1]])
     assert course.arc_length[-1] == pytest.approx(0.1 * np.pi, rel=0.01)
-    ball = Balls(np.zeros((1, 3)), np.ones(1))
+    ball = ObstacleSpheres(np.zeros((1, 3)), np.ones(1))
     assert len((ball + ball).radius) == 2

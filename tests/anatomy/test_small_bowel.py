@@ -8,14 +8,14 @@ import itertools
 import numpy as np
 import pytest
 
-from vrcaps.anatomy.full_tract.patient import bowel_surroundings, draw_patient
+from vrcaps.anatomy.full_tract.patient import draw_patient_anatomy, neighboring_organs
 from vrcaps.anatomy.small_bowel import SmallBowelParameters, generate_small_bowel
 from vrcaps.anatomy.small_bowel import course as course_module
 from vrcaps.anatomy.small_bowel import generate as generate_module
-from vrcaps.anatomy.small_bowel.course import Surroundings
-from vrcaps.anatomy.small_bowel.distance_routing import lead_around, survey
-from vrcaps.anatomy.small_bowel.parameters import CONDITIONS, SEGMENTS
-from vrcaps.anatomy.tube_mesh.tube_packing import Balls
+from vrcaps.anatomy.small_bowel.course import NeighboringOrgans
+from vrcaps.anatomy.small_bowel.distance_routing import make_routing_grid, route_around
+from vrcaps.anatomy.small_bowel.parameters import DISTENSIONS, SEGMENTS
+from vrcaps.anatomy.tube_mesh.tube_packing import ObstacleSpheres
 from vrcaps.errors import InputError
 from vrcaps.mesh.mesh import Mesh
 from vrcaps.mesh.self_intersection import self_intersections
@@ -27,13 +27,13 @@ SEED = 8
 
 
 @pytest.fixture(scope="module")
-def around() -> Surroundings:
-    return bowel_surroundings(draw_patient(SEED))
+def around() -> NeighboringOrgans:
+    return neighboring_organs(draw_patient_anatomy(SEED))
 
 
 @pytest.fixture(scope="module")
-def bowel(around: Surroundings) -> OrganSurface:
-    return generate_small_bowel(draw_patient(SEED).small_bowel, around, seed=SEED)
+def bowel(around: NeighboringOrgans) -> OrganSurface:
+    return generate_small_bowel(draw_patient_anatomy(SEED).small_bowel, around, seed=SEED)
 
 
 def test_wall_is_closed_clean_and_cuts_nowhere(bowel: OrganSurface):
@@ -56,8 +56,8 @@ def test_triangles_are_small_and_well_shaped(bowel: OrganSurface):
     assert edges.mean() < 1.8 * MM
 
 
-def test_it_is_as_long_and_as_wide_as_asked(bowel: OrganSurface, around: Surroundings):
-    parameters = draw_patient(SEED).small_bowel
+def test_it_is_as_long_and_as_wide_as_asked(bowel: OrganSurface, around: NeighboringOrgans):
+    parameters = draw_patient_anatomy(SEED).small_bowel
     assert bowel.centerline.length == pytest.approx(parameters.length, rel=0.02)
     assert np.allclose(bowel.centerline.points[0], around.pylorus)
     assert np.allclose(bowel.centerline.points[-1], around.valve)
@@ -74,7 +74,7 @@ def test_segments_follow_each_other(bowel: OrganSurface):
     assert bowel.label_names == ("background", *SEGMENTS)
     place = [bowel.arc_length[bowel.label == k] for k in range(1, 5)]
     assert all(one.max() <= other.min() + 1e-9 for one, other in itertools.pairwise(place))
-    parameters = draw_patient(SEED).small_bowel
+    parameters = draw_patient_anatomy(SEED).small_bowel
     assert place[1].max() == pytest.approx(parameters.duodenum_length, abs=3 * MM)
 
 
@@ -94,15 +94,15 @@ def test_folds_thin_out_distally(bowel: OrganSurface):
     assert relief("jejunum") > 1.25 * relief("ileum")
 
 
-def test_it_keeps_clear_of_the_other_organs(bowel: OrganSurface, around: Surroundings):
+def test_it_keeps_clear_of_the_other_organs(bowel: OrganSurface, around: NeighboringOrgans):
     inner = (bowel.arc_length > 5 * CM) & (bowel.arc_length < bowel.centerline.length - 5 * CM)
     distance, nearest = around.obstacles.tree.query(bowel.vertices[inner], 4)
     assert (distance - around.obstacles.radius[nearest]).min() > -2 * MM
 
 
-def test_a_seed_is_a_patient(around: Surroundings):
+def test_a_seed_is_a_patient(around: NeighboringOrgans):
     parameters = dataclasses.replace(
-        draw_patient(SEED).small_bowel, length=2.0, edge=4 * MM, jejunum_fold_height=1 * MM
+        draw_patient_anatomy(SEED).small_bowel, length=2.0, edge=4 * MM, jejunum_fold_height=1 * MM
     )
     one, again = (generate_small_bowel(parameters, around, seed=1) for _ in range(2))
     for field in ("vertices", "faces", "uv", "label", "arc_length", "theta"):
@@ -131,31 +131,31 @@ def test_narrow_bowels_collapse_no_further():
 def test_ways_lead_around_obstacles():
     wall = np.stack(np.meshgrid(np.arange(-4, 5), np.arange(-4, 5)), axis=-1).reshape(-1, 2)
     centers = np.concatenate([wall, np.zeros((len(wall), 1))], axis=1)[:, [0, 2, 1]] * CM
-    obstacles = Balls(centers, np.full(len(centers), 1 * CM))
+    obstacles = ObstacleSpheres(centers, np.full(len(centers), 1 * CM))
     low, high = np.full(3, -10 * CM), np.full(3, 10 * CM)
-    terrain = survey(low, high, obstacles, 1 * CM)
+    grid = make_routing_grid(low, high, obstacles, 1 * CM)
     ends = np.array([[0.0, -8.0, 0.0], [0.0, 0.0, 0.0], [0.0, 8.0, 0.0]]) * CM
-    way = lead_around(ends, terrain)
+    way = route_around(ends, grid)
     fine = np.concatenate([np.linspace(a, b, 20) for a, b in itertools.pairwise(way)])
     assert np.array_equal(way[[0, -1]], ends[[0, -1]])
     assert (obstacles.tree.query(fine)[0] - 1 * CM).min() > 0.0
     straight = np.array([[-8.0, -8.0, 0.0], [8.0, -8.0, 0.0]]) * CM
-    assert np.allclose(lead_around(straight, terrain)[:, 1], -8 * CM)
-    inside = 1.0 - terrain.free_volume / 0.2**3
+    assert np.allclose(route_around(straight, grid)[:, 1], -8 * CM)
+    inside = 1.0 - grid.free_volume / 0.2**3
     assert 0.0 < inside < 0.1
 
 
 def test_after_the_widest_abdomen_the_tries_begin_anew(
-    monkeypatch: pytest.MonkeyPatch, around: Surroundings
+    monkeypatch: pytest.MonkeyPatch, around: NeighboringOrgans
 ):
     widths, survey_abdomen = [], course_module._abdomen
 
-    def record(length: float, radius: np.ndarray, around: Surroundings, width: int):
+    def record(length: float, radius: np.ndarray, around: NeighboringOrgans, width: int):
         widths.append(width)
         return survey_abdomen(length, radius, around, width)
 
     monkeypatch.setattr(course_module, "_abdomen", record)
-    monkeypatch.setattr(course_module, "least_room", lambda *_: -1.0)
+    monkeypatch.setattr(course_module, "min_clearance", lambda *_: -1.0)
     monkeypatch.setattr(course_module, "_NUM_STEPS", 2)
     monkeypatch.setattr(course_module, "_NUM_WIDTHS", 2)
     monkeypatch.setattr(course_module, "_NUM_TRIES", 3)
@@ -167,21 +167,21 @@ def test_after_the_widest_abdomen_the_tries_begin_anew(
 def test_fillings_differ_in_calibre_and_slack():
     plain = SmallBowelParameters()
     inflated, collapsed = plain.at("inflated"), plain.at("collapsed")
-    assert set(CONDITIONS) == {"inflated", "normal", "collapsed"}
+    assert set(DISTENSIONS) == {"inflated", "normal", "collapsed"}
     assert 25 * MM < inflated.jejunum_diameter < 30 * MM
     assert collapsed.jejunum_diameter < 0.7 * plain.jejunum_diameter
     assert collapsed.star > 0.2
-    assert inflated.star == 0.0
+    assert inflated.longitudinal_fold_depth == 0.0
 
 
-def test_impossible_bowels_are_refused(monkeypatch: pytest.MonkeyPatch, around: Surroundings):
+def test_impossible_bowels_are_refused(monkeypatch: pytest.MonkeyPatch, around: NeighboringOrgans):
     with pytest.raises(InputError, match=r"Small bowel length is 9\. Allowed: 1\.5 to 5"):
         SmallBowelParameters(length=9.0)
-    with pytest.raises(InputError, match=r"Condition is 'full'\. Allowed: inflated, normal"):
+    with pytest.raises(InputError, match=r"Distension is 'full'\. Allowed: inflated, normal"):
         SmallBowelParameters().at("full")
     monkeypatch.setattr(course_module, "_NUM_TRIES", 1)
     monkeypatch.setattr(course_module, "_NUM_STEPS", 20)
-    full = dataclasses.replace(around, obstacles=Balls(np.zeros((1, 3)), np.array([0.3])))
+    full = dataclasses.replace(around, obstacles=ObstacleSpheres(np.zeros((1, 3)), np.array([0.3])))
     with pytest.raises(InputError, match=r"Found no course for 2\.00 m of small bowel"):
         generate_small_bowel(SmallBowelParameters(length=2.0), full, seed=0)
     monkeypatch.undo()

@@ -9,7 +9,7 @@ import pytest
 
 from vrcaps.anatomy.stomach import StomachParameters, generate_stomach
 from vrcaps.anatomy.stomach import generate as generate_module
-from vrcaps.anatomy.stomach.parameters import CONDITIONS, SEGMENTS
+from vrcaps.anatomy.stomach.parameters import DISTENSIONS, SEGMENTS
 from vrcaps.anatomy.stomach.shape import curvatures, draw_stomach_wall, stomach_course
 from vrcaps.anatomy.tube_mesh.tube import make_tube
 from vrcaps.errors import InputError
@@ -22,7 +22,7 @@ from vrcaps.units import CM, MM
 LITRE = 1e-3
 
 
-@pytest.fixture(scope="module", params=list(CONDITIONS))
+@pytest.fixture(scope="module", params=list(DISTENSIONS))
 def stomach(request: pytest.FixtureRequest) -> OrganSurface:
     return generate_stomach(StomachParameters().at(request.param), seed=0)
 
@@ -71,8 +71,8 @@ def test_gut_coordinates_give_back_the_vertices(stomach: OrganSurface):
 
 def test_folds_flatten_as_the_stomach_fills():
     volume, slack = [], []
-    for condition in ("inflated", "normal", "collapsed"):
-        parameters = dataclasses.replace(StomachParameters().at(condition), edge=2.5 * MM)
+    for distension in ("inflated", "normal", "collapsed"):
+        parameters = dataclasses.replace(StomachParameters().at(distension), edge=2.5 * MM)
         facts = measure_organ(generate_stomach(parameters, seed=0))
         volume.append(facts.volume)
         # Area over that of the ball of the same volume: grows with folds.
@@ -101,8 +101,8 @@ def test_no_drawn_stomach_cuts_itself():
 
 def test_curvatures_are_those_of_a_j():
     lengths = []
-    for condition in ("collapsed", "inflated"):
-        parameters = StomachParameters().at(condition)
+    for distension in ("collapsed", "inflated"):
+        parameters = StomachParameters().at(distension)
         rng = np.random.default_rng(0)
         wall = draw_stomach_wall(parameters, make_tube(stomach_course(parameters, rng)), rng)
         lengths.append(curvatures(wall))
@@ -116,7 +116,7 @@ def test_impossible_stomachs_are_refused(monkeypatch: pytest.MonkeyPatch):
         StomachParameters(length=1.0)
     with pytest.raises(InputError, match="is wider than its body"):
         StomachParameters(body_diameter=0.05)
-    with pytest.raises(InputError, match=r"Condition is 'full'\. Allowed: inflated, normal"):
+    with pytest.raises(InputError, match=r"Distension is 'full'\. Allowed: inflated, normal"):
         StomachParameters().at("full")
     monkeypatch.setattr(generate_module, "self_intersections", lambda *_: np.zeros((1, 2)))
     with pytest.raises(InputError, match="does not cut itself"):

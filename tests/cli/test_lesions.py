@@ -15,7 +15,7 @@ def test_file_first_then_one_by_one(tmp_path):
 
 
 def test_prevalence_goes_with_the_patient():
-    drawn = [chosen_lesions([], "prevalence", seed, "gi") for seed in (1, 1, 2)]
+    drawn = [chosen_lesions([], "prevalence", seed, "full-tract") for seed in (1, 1, 2)]
     assert drawn[0] == drawn[1] != drawn[2]
 
 
@@ -34,4 +34,4 @@ def test_lines():
         **{"arc_length_m": 1.5, "specification": {"size": 0.008}},
     }
     (line,) = lesion_lines([record], 2.0)
-    assert line == "2: polyp Is of 8.0 mm, sigmoid, 150.0 cm (0.750 of the centreline)"
+    assert line == "2: polyp Is of 8.0 mm, sigmoid, 150.0 cm (0.750 of the centerline)"

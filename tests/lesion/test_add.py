@@ -9,15 +9,15 @@ from vrcaps.errors import InputError
 from vrcaps.lesion import (
     LESIONS,
     Angioectasia,
+    Bleeding,
     Colitis,
     Diverticulum,
-    Haemorrhage,
-    Place,
+    Location,
     Polyp,
     Stricture,
     add_lesions,
 )
-from vrcaps.lesion.spot import SpotForm
+from vrcaps.lesion.focal import FocalForm
 from vrcaps.mesh.edges import find_edges, signed_volume
 from vrcaps.mesh.mesh import Mesh
 from vrcaps.organ.surface import face_label
@@ -27,15 +27,15 @@ from vrcaps.units import MM
 from vrcaps.world.model import Model, State
 
 RADIUS = 18.0 * MM
-MIDDLE = Place(arc_length=80.0 * MM, theta=0.3)
+MIDDLE = Location(arc_length=80.0 * MM, theta=0.3)
 ONE_OF_EACH = [
-    *(Polyp(shape=shape, place=MIDDLE) for shape in ("Ip", "Is", "IIa", "IIb", "IIc")),
-    *(Haemorrhage(level=level, place=MIDDLE) for level in (1, 2, 3, 4)),
-    *(Colitis(mayo=mayo, spread=50.0 * MM, place=MIDDLE) for mayo in (1, 2, 3)),
+    *(Polyp(shape=shape, location=MIDDLE) for shape in ("Ip", "Is", "IIa", "IIb", "IIc")),
+    *(Bleeding(severity=level, location=MIDDLE) for level in (1, 2, 3, 4)),
+    *(Colitis(mayo=mayo, spread=50.0 * MM, location=MIDDLE) for mayo in (1, 2, 3)),
     *(
-        cls(place=MIDDLE)
+        cls(location=MIDDLE)
         for kind, cls in LESIONS.items()
-        if kind not in ("polyp", "haemorrhage", "colitis")
+        if kind not in ("polyp", "bleeding", "colitis")
     ),
 ]
 
@@ -72,7 +72,7 @@ def test_every_kind(patients, tube, index):
 @pytest.mark.parametrize(("shape", "size"), [("Ip", 12 * MM), ("Is", 8 * MM), ("Ip", 6 * MM)])
 def test_a_polyp_has_its_size(tube, shape, size):
     bare = replace(tube, appearance=None)
-    polyp = Polyp(shape=shape, size=size, place=MIDDLE)
+    polyp = Polyp(shape=shape, size=size, location=MIDDLE)
     organ = add_lesions(bare, [polyp], np.random.default_rng(0)).organ
     own = organ.vertices[organ.instance == 1]
     axis = -np.array([np.cos(0.3), np.sin(0.3), 0.0])
@@ -80,7 +80,7 @@ def test_a_polyp_has_its_size(tube, shape, size):
     assert np.ptp(own[:, 2]) == pytest.approx(size, rel=0.25)
     assert np.ptp(across) == pytest.approx(size, rel=0.35)
     height = (own @ axis).max() + RADIUS
-    assert height == pytest.approx(polyp.reach_in, rel=0.15)
+    assert height == pytest.approx(polyp.protrusion, rel=0.15)
 
 
 def test_a_polyp_takes_volume_from_the_lumen_and_a_pouch_adds_some(tube):
@@ -95,13 +95,13 @@ def test_a_polyp_takes_volume_from_the_lumen_and_a_pouch_adds_some(tube):
         return volumes[0] - volumes[1]
 
     ball = np.pi / 6 * (10 * MM) ** 3
-    assert -1.6 * ball < change(Polyp(shape="Is", size=10 * MM, place=MIDDLE)) < -0.5 * ball
-    assert change(Diverticulum(size=6 * MM, place=MIDDLE)) > 0.5 * np.pi / 6 * (6 * MM) ** 3
+    assert -1.6 * ball < change(Polyp(shape="Is", size=10 * MM, location=MIDDLE)) < -0.5 * ball
+    assert change(Diverticulum(size=6 * MM, location=MIDDLE)) > 0.5 * np.pi / 6 * (6 * MM) ** 3
 
 
 def test_a_stricture_narrows_the_lumen_as_stated(tube):
     bare = replace(tube, appearance=None)
-    stricture = Stricture(narrowing=0.6, place=MIDDLE)
+    stricture = Stricture(narrowing=0.6, location=MIDDLE)
     organ = add_lesions(bare, [stricture], np.random.default_rng(0)).organ
     calibre = np.hypot(*organ.vertices[:, :2].T)
     at_middle = np.abs(organ.vertices[:, 2] - 80.0 * MM) < 2.0 * MM
@@ -111,9 +111,9 @@ def test_a_stricture_narrows_the_lumen_as_stated(tube):
 def test_blood_runs_down_and_its_pool_is_level(tube):
     down = np.array([0.0, 1.0, 0.0])
     bare = replace(tube, appearance=None)
-    source = Place(arc_length=80 * MM, theta=0.0)
+    source = Location(arc_length=80 * MM, theta=0.0)
     patient = add_lesions(
-        bare, [Haemorrhage(level=3, place=source)], np.random.default_rng(0), down=down
+        bare, [Bleeding(severity=3, location=source)], np.random.default_rng(0), down=down
     )
     organ = patient.organ
     own = organ.instance == 1
@@ -129,7 +129,7 @@ def test_blood_runs_down_and_its_pool_is_level(tube):
 
 def test_a_pool_leaves_room_for_a_capsule(tube):
     """In an upright tube the pool's level lies across the lumen, which it must not block."""
-    bleed = Haemorrhage(level=4, place=Place(arc_length=110 * MM, theta=0.0))
+    bleed = Bleeding(severity=4, location=Location(arc_length=110 * MM, theta=0.0))
     bare = replace(tube, appearance=None)
     organ = add_lesions(bare, [bleed], np.random.default_rng(0), down=(0.0, 0.0, 1.0)).organ
     calibre = np.hypot(*organ.vertices[organ.instance == 1, :2].T)
@@ -149,7 +149,7 @@ def test_instances_follow_the_order_given_and_spots_keep_apart(tube):
 
 
 def test_same_seed_same_bytes(tube):
-    lesions = [Polyp(), Colitis(mayo=3, spread=20 * MM), Haemorrhage(level=2)]
+    lesions = [Polyp(), Colitis(mayo=3, spread=20 * MM), Bleeding(severity=2)]
     bare = replace(tube, appearance=None)
     one, two, other = (
         add_lesions(organ, lesions, np.random.default_rng(seed)).organ
@@ -177,12 +177,12 @@ def views(center, count=10):
 
 def test_masks_equal_the_geodesic_footprint(tube, monkeypatch):
     """The mask against rays cast on the true cylinder, its footprint unrolled: IoU ≥ 0.98."""
-    forms: list[SpotForm] = []
+    forms: list[FocalForm] = []
     make = Angioectasia.form
     monkeypatch.setattr(
         Angioectasia, "form", lambda self, *a: forms.append(make(self, *a)) or forms[-1]
     )
-    lesion = Angioectasia(size=8 * MM, place=MIDDLE)
+    lesion = Angioectasia(size=8 * MM, location=MIDDLE)
     organ = add_lesions(tube, [lesion], np.random.default_rng(0)).organ
     (form,) = forms
     camera = read_device("mirocam").cameras[0]
@@ -220,19 +220,21 @@ def footprint(form, eye, rays):
 
 
 @pytest.mark.parametrize(
-    "lesion", [Angioectasia(size=8 * MM, place=MIDDLE), Polyp(size=8 * MM, place=MIDDLE)], ids=named
+    "lesion",
+    [Angioectasia(size=8 * MM, location=MIDDLE), Polyp(size=8 * MM, location=MIDDLE)],
+    ids=named,
 )
 def test_clean_twin_differs_only_inside_the_masks(tube, lesion):
     patient = add_lesions(tube, [lesion], np.random.default_rng(0))
     device = read_device("mirocam")
     camera = device.cameras[0]
-    sick, clean = (
+    lesioned, clean = (
         Renderer(Model(organ, device, np.eye(4))) for organ in (patient.organ, patient.clean)
     )
     center = np.array(patient.organ.metadata["lesions"][0]["center_m"])
     for pose in views(center, 3):
         state = State(0.0, pose @ np.linalg.inv(camera.T_capsule_camera))
-        one = sick.render(state, camera, channels=("rgb", "instance"))
+        one = lesioned.render(state, camera, channels=("rgb", "instance"))
         two = clean.render(state, camera, channels=("rgb",))
         apart = np.abs(np.asarray(one.rgb, int) - np.asarray(two.rgb, int)).max(axis=-1)
         outside = np.asarray(one.instance) == 0
@@ -241,7 +243,7 @@ def test_clean_twin_differs_only_inside_the_masks(tube, lesion):
 
 
 def test_clean_twin_looks_like_the_organ_itself(tube):
-    lesions = [Polyp(place=MIDDLE), Colitis(mayo=3, spread=60 * MM, place=MIDDLE)]
+    lesions = [Polyp(location=MIDDLE), Colitis(mayo=3, spread=60 * MM, location=MIDDLE)]
     clean = add_lesions(tube, lesions, np.random.default_rng(0)).clean
     device = read_device("mirocam")
     state = State(0.0, next(views(np.array([RADIUS, 0.0, 80 * MM]))))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from vrcaps.capsule.catalog import read_device
-from vrcaps.lesion import Colitis, Haemorrhage, Place, Polyp, add_lesions
+from vrcaps.lesion import Bleeding, Colitis, Location, Polyp, add_lesions
 from vrcaps.render.renderer import Renderer
 from vrcaps.transforms import look_along, transform_from
 from vrcaps.units import MM
@@ -17,12 +17,12 @@ pytest.importorskip("embreex")
 
 from oracle_footprint import Footprint, Witness  # noqa: E402
 
-PLACE = Place(arc_length=80.0 * MM, theta=0.3)
+PLACE = Location(arc_length=80.0 * MM, theta=0.3)
 SOME = [
-    Polyp(shape="Ip", place=PLACE),
-    Polyp(shape="IIb", place=PLACE),
-    Haemorrhage(level=2, place=PLACE),
-    Colitis(mayo=3, spread=30.0 * MM, place=PLACE),
+    Polyp(shape="Ip", location=PLACE),
+    Polyp(shape="IIb", location=PLACE),
+    Bleeding(severity=2, location=PLACE),
+    Colitis(mayo=3, spread=30.0 * MM, location=PLACE),
 ]
 """All kinds: benchmarks/validate_lesions.py."""
 
@@ -74,5 +74,5 @@ def inside(patient, scene, footprint, pose, rays):
     weights = trimesh.triangles.points_to_barycentric(patient.organ.vertices[corners], hit)
     places = np.einsum("nk,nkx->nx", weights, patient.clean.vertices[corners])
     found = np.zeros(len(rays), bool)
-    found[ray] = footprint.depth(places) > 0.0
+    found[ray] = footprint.signed_distance(places) > 0.0
     return found

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from vrcaps.errors import InputError
-from vrcaps.lesion import Place, Polyp, add_lesions
+from vrcaps.lesion import Location, Polyp, add_lesions
 from vrcaps.lesion.paint import Chart, assemble, pack, smoothed
 from vrcaps.mesh.rasterize import sample
 from vrcaps.organ.surface import Appearance
@@ -32,12 +32,12 @@ def test_charts_lie_apart_beside_the_wall(sides):
     base = Appearance(*images(*sides, 7))
     charts = charts_of(*rng.integers(10, 90, (12, 2)).tolist())
     atlas = pack(base, np.array([[[0.0, 0.0], [1.0, 0.0], [1.0, 1.0]]]), charts)
-    whole = assemble(base, charts, atlas, sick=True).roughness
+    whole = assemble(base, charts, atlas, lesioned=True).roughness
     assert whole.shape == atlas.size[::-1]
     assert (whole[-sides[1] :, : sides[0]] == 7).all()
     for k, chart in enumerate(charts):
         assert (whole == 100 + k).sum() == chart.clean[1].size
-    assert (assemble(base, charts, atlas, sick=False).roughness == 5).sum() == charts[4].clean[
+    assert (assemble(base, charts, atlas, lesioned=False).roughness == 5).sum() == charts[4].clean[
         1
     ].size
 
@@ -50,7 +50,7 @@ def test_wrapped_texture_is_continued():
     uv = np.array([[[0.2, 0.1], [1.4, 0.1], [1.4, 1.25]]])
     charts = charts_of((20, 20))
     atlas = pack(base, uv, charts)
-    whole = assemble(base, charts, atlas, sick=False).roughness
+    whole = assemble(base, charts, atlas, lesioned=False).roughness
     places = rng.uniform(0.02, (1.38, 1.23), (500, 2))
     scaled = places * (32 / atlas.size[0], 48 / atlas.size[1])
     value = np.arange(256.0)
@@ -63,7 +63,7 @@ def test_too_large():
         pack(base, np.zeros((1, 3, 2)), charts_of((700, 4000)) * 24)
 
 
-def test_plain_colour_leaves_blank_texels_out():
+def test_plain_color_leaves_blank_texels_out():
     look = Appearance(*images(64, 64, 128))
     look.albedo[:, 40:] = 0
     plain = smoothed(look).plain
@@ -71,10 +71,10 @@ def test_plain_colour_leaves_blank_texels_out():
 
 
 def test_painted_texture_differs_only_on_its_chart(tube):
-    polyp = Polyp(size=6 * MM, place=Place(arc_length=80 * MM, theta=0.0))
+    polyp = Polyp(size=6 * MM, location=Location(arc_length=80 * MM, theta=0.0))
     patient = add_lesions(tube, [polyp], np.random.default_rng(0))
-    sick, clean = patient.organ.appearance, patient.clean.appearance
-    apart = (sick.albedo != clean.albedo).any(axis=2)
+    lesioned, clean = patient.organ.appearance, patient.clean.appearance
+    apart = (lesioned.albedo != clean.albedo).any(axis=2)
     height, width = tube.appearance.albedo.shape[:2]
     assert apart.any()
     assert not apart[-height:, :width].any()

@@ -5,12 +5,12 @@ import pytest
 
 from vrcaps.errors import InputError, UnknownNameError
 from vrcaps.lesion import (
+    Bleeding,
     Diverticulum,
-    Haemorrhage,
-    Place,
+    Location,
     Polyp,
     Stricture,
-    Tumour,
+    Tumor,
     Ulcer,
     add_lesions,
 )
@@ -23,7 +23,7 @@ def add(tube, *lesions):
 
 
 def test_stated_place(tube):
-    organ = add(tube, Polyp(size=3 * MM, place=Place(arc_length=50 * MM, theta=-2.0)))
+    organ = add(tube, Polyp(size=3 * MM, location=Location(arc_length=50 * MM, theta=-2.0)))
     record = organ.metadata["lesions"][0]
     assert record["arc_length_m"] == pytest.approx(50 * MM, abs=1 * MM)
     assert record["theta_rad"] == pytest.approx(-2.0, abs=0.06)
@@ -31,21 +31,24 @@ def test_stated_place(tube):
 
 @pytest.mark.parametrize("segment", ["upper", "lower"])
 def test_stated_segment(tube, segment):
-    lesion = Polyp(size=4 * MM, place=Place(segment=segment))
+    lesion = Polyp(size=4 * MM, location=Location(segment=segment))
     assert add(tube, lesion).metadata["lesions"][0]["segment"] == segment
 
 
 @pytest.mark.parametrize(
     ("lesion", "match"),
     [
-        (Tumour(size=50 * MM, place=Place(arc_length=80 * MM, theta=0.0)), "larger than the lumen"),
-        (Polyp(shape="Ip", size=28 * MM, place=Place(arc_length=80 * MM)), "mm are free"),
-        (Ulcer(size=20 * MM, place=Place(arc_length=4 * MM)), "beyond the organ's end"),
-        (Polyp(place=Place(arc_length=0.5)), "Allowed: 0.0 to 16.0 cm"),
-        (Polyp(place=Place(segment="lower", arc_length=20 * MM)), "is not in lower"),
-        (Stricture(place=Place(arc_length=4 * MM)), "beyond the organ's end"),
-        (Diverticulum(size=15 * MM, place=Place(arc_length=80 * MM)), "the wall is folded"),
-        (Haemorrhage(level=3, place=Place(arc_length=9.0)), "is not in tube"),
+        (
+            Tumor(size=50 * MM, location=Location(arc_length=80 * MM, theta=0.0)),
+            "larger than the lumen",
+        ),
+        (Polyp(shape="Ip", size=28 * MM, location=Location(arc_length=80 * MM)), "mm are free"),
+        (Ulcer(size=20 * MM, location=Location(arc_length=4 * MM)), "beyond the organ's end"),
+        (Polyp(location=Location(arc_length=0.5)), "Allowed: 0.0 to 16.0 cm"),
+        (Polyp(location=Location(segment="lower", arc_length=20 * MM)), "is not in lower"),
+        (Stricture(location=Location(arc_length=4 * MM)), "beyond the organ's end"),
+        (Diverticulum(size=15 * MM, location=Location(arc_length=80 * MM)), "the wall is folded"),
+        (Bleeding(severity=3, location=Location(arc_length=9.0)), "is not in tube"),
     ],
 )
 def test_what_does_not_fit(tube, lesion, match):
@@ -54,11 +57,11 @@ def test_what_does_not_fit(tube, lesion, match):
 
 
 def test_overlap(tube):
-    place = Place(arc_length=80 * MM, theta=0.0)
+    location = Location(arc_length=80 * MM, theta=0.0)
     with pytest.raises(InputError, match="overlaps lesion 1, polyp Is of 8 mm"):
-        add(tube, Polyp(place=place), Polyp(place=place))
+        add(tube, Polyp(location=location), Polyp(location=location))
 
 
 def test_unknown_segment(tube):
     with pytest.raises(UnknownNameError, match=r"No segment named 'sigmoid'\. Known: lower"):
-        add(tube, Polyp(place=Place(segment="sigmoid")))
+        add(tube, Polyp(location=Location(segment="sigmoid")))

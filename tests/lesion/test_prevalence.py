@@ -19,7 +19,7 @@ def test_sizes_and_segments(tube):
     row = Prevalence("polyp-Is", 3.0, (4 * MM, 9 * MM), {"upper": 1.0, "appendix": 1.0})
     lesions = draw_lesions(tube, np.random.default_rng(0), table=[row], exaggerate=20.0)
     assert 30 < len(lesions) < 90
-    assert {lesion.place.segment for lesion in lesions} == {"upper", None}
+    assert {lesion.location.segment for lesion in lesions} == {"upper", None}
     for lesion in lesions:
         assert isinstance(lesion, Polyp)
         assert 4 * MM <= lesion.size <= 9 * MM

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from vrcaps.errors import InputError, UnknownNameError
-from vrcaps.lesion import LESIONS, LIBRARY, Colitis, Haemorrhage, Place, Polyp, parse_lesion
+from vrcaps.lesion import LESIONS, LIBRARY, Bleeding, Colitis, Location, Polyp, parse_lesion
 from vrcaps.lesion.structural import Stricture
 from vrcaps.units import CM, MM
 
@@ -15,12 +15,15 @@ from vrcaps.units import CM, MM
         ("polyp", Polyp()),
         (
             "polyp-Ip:size=12mm,segment=sigmoid",
-            Polyp(shape="Ip", size=12 * MM, place=Place("sigmoid")),
+            Polyp(shape="Ip", size=12 * MM, location=Location("sigmoid")),
         ),
-        (" polyp : theta = 90deg , arc_length=0.8m", Polyp(place=Place(None, 0.8, np.pi / 2))),
+        (
+            " polyp : theta = 90deg , arc_length=0.8m",
+            Polyp(location=Location(None, 0.8, np.pi / 2)),
+        ),
         ("colitis-2:spread=E2", Colitis(mayo=2, spread="E2")),
         ("colitis-3:spread=20cm,variant=4", Colitis(mayo=3, spread=20 * CM, variant=4)),
-        ("haemorrhage-4", Haemorrhage(level=4)),
+        ("bleeding-4", Bleeding(severity=4)),
         ("stricture:narrowing=0.4", Stricture(narrowing=0.4)),
         ("polyp-IIa-serrated:size=9mm", replace(LIBRARY["polyp-IIa-serrated"], size=9 * MM)),  # type: ignore[call-arg]
         ("colitis-1-20", LIBRARY["colitis-1-20"]),
@@ -37,7 +40,7 @@ def test_every_kind_by_its_name(kind):
 
 def test_library_of_the_paper():
     counts = {kind: sum(name.startswith(kind) for name in LIBRARY) for kind in LESIONS}
-    assert (counts["polyp"], counts["colitis"], counts["haemorrhage"]) == (20, 60, 40)
+    assert (counts["polyp"], counts["colitis"], counts["bleeding"]) == (20, 60, 40)
     assert len(set(LIBRARY.values())) == 120
 
 
@@ -52,7 +55,7 @@ def test_library_of_the_paper():
         ("polyp:sise=5mm", UnknownNameError, "No setting of polyp named 'sise'"),
         ("polyp:size", InputError, "Allowed: key=value"),
         ("polyp:variant=a", InputError, "Allowed: a number"),
-        ("tumour-3", InputError, "tumour has no grades"),
+        ("tumor-3", InputError, "tumor has no grades"),
         ("colitis-4", UnknownNameError, "No lesion named .colitis-4."),
         ("colitis:spread=E9", InputError, "Allowed: E1, E2, E3, a length such as 8mm"),
         ("colitis:spread=5mm", InputError, "Allowed: 10 to 3000 mm"),
@@ -69,6 +72,6 @@ def test_bad_grades():
     with pytest.raises(InputError, match="Mayo subscore 7"):
         Colitis(mayo=7)  # type: ignore[arg-type]
     with pytest.raises(InputError, match="Allowed: 1, 2, 3, 4"):
-        Haemorrhage(level=0)  # type: ignore[arg-type]
+        Bleeding(severity=0)  # type: ignore[arg-type]
     with pytest.raises(InputError, match="Allowed: E1, E2, E3"):
         Colitis(spread="E4")  # type: ignore[arg-type]

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from vrcaps.errors import InputError, MissingExtraError
-from vrcaps.lesion.mesh_patch import cut, whole_wall, within
+from vrcaps.lesion.mesh_patch import extract, whole_wall, within
 from vrcaps.mesh.log_map import log_map
 from vrcaps.units import MM
 
@@ -13,7 +13,7 @@ from vrcaps.units import MM
 def piece_of(tube):
     wall = whole_wall(tube)
     vertex = int(np.argmin(np.abs(tube.arc_length - 80.0 * MM) + np.abs(tube.theta)))
-    piece = cut(wall, within(wall, np.array([vertex]), 25.0 * MM))
+    piece = extract(wall, within(wall, np.array([vertex]), 25.0 * MM))
     return piece.patch, int(np.searchsorted(piece.vertices, vertex))
 
 

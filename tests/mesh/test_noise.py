@@ -1,10 +1,10 @@
 import numpy as np
 import pytest
 
-from vrcaps.mesh.noise import around, cloud, grain, swell
+from vrcaps.mesh.noise import angular_harmonics, band_pass, fbm, low_pass
 
 
-@pytest.mark.parametrize("make", [cloud, swell, grain])
+@pytest.mark.parametrize("make", [fbm, low_pass, band_pass])
 def test_unit_variance_and_same_seed(make):
     points = np.random.default_rng(1).uniform(0, 1.0, (20_000, 3))
     values = make(0.01, np.random.default_rng(0))(points)
@@ -15,7 +15,7 @@ def test_unit_variance_and_same_seed(make):
 
 def test_wavelength():
     """A narrow band of waves of length λ crosses zero about 2/(√3 λ) times per length (Rice)."""
-    field = grain(0.5, np.random.default_rng(0))
+    field = band_pass(0.5, np.random.default_rng(0))
     rng = np.random.default_rng(1)
     rates = []
     for _ in range(60):
@@ -26,7 +26,7 @@ def test_wavelength():
 
 
 def test_outline_is_periodic_and_bounded():
-    function = around(5, np.random.default_rng(0))
+    function = angular_harmonics(5, np.random.default_rng(0))
     angle = np.linspace(-np.pi, np.pi, 1000)
     assert function(angle)[0] == pytest.approx(function(angle)[-1])
     assert np.abs(function(angle)).max() < 2.5

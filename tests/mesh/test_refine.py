@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from vrcaps.lesion.mesh_patch import as_organ, cut, sew, whole_wall, within
+from vrcaps.lesion.mesh_patch import as_organ, extract, insert, whole_wall, within
 from vrcaps.mesh.edges import find_edges
 from vrcaps.mesh.refine import refine, rim
 from vrcaps.units import MM
@@ -15,7 +15,7 @@ def lengths(patch):
 def around(tube, reach=14.0 * MM):
     wall = whole_wall(tube)
     vertex = int(np.argmin(np.abs(tube.arc_length - 80.0 * MM) + np.abs(tube.theta)))
-    return wall, cut(wall, within(wall, np.array([vertex]), reach)), vertex
+    return wall, extract(wall, within(wall, np.array([vertex]), reach)), vertex
 
 
 def refined(piece, center, longest=0.5 * MM, reach=8.0 * MM):
@@ -84,7 +84,7 @@ def test_rim_is_never_split(tube):
 
 def test_sewn_wall_keeps_old_vertices_and_is_closed_as_before(tube):
     wall, piece, vertex = around(tube)
-    whole = sew(wall, piece, refined(piece, tube.vertices[vertex]))
+    whole = insert(wall, piece, refined(piece, tube.vertices[vertex]))
     assert np.array_equal(whole.moved[: len(tube.vertices)], tube.vertices)
     counts = find_edges(whole.faces).counts
     assert counts.max() == 2

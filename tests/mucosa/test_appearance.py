@@ -335,9 +335,7 @@ def test_villi_have_the_slope_they_are_given():
 def test_segments_differ_in_villi_bile_and_vessels():
     """Ileum has shorter villi and less bile than jejunum of the same patient."""
     jejunum, ileum, other = (
-        bake_appearance(
-            make_square(12.0 * MM, ("background", name)), seed=3, mucosa="small_intestine"
-        )
+        bake_appearance(make_square(12.0 * MM, ("background", name)), seed=3, mucosa="small-bowel")
         for name in ("jejunum", "ileum", "wall")
     )
     assert ileum.height.std() < other.height.std() < jejunum.height.std()
@@ -412,15 +410,15 @@ def test_a_users_own_mucosa(tube):
 @pytest.mark.parametrize(
     ("names", "name", "mucosa"),
     [
-        (("small_bowel",), "sm", "small_intestine"),  # TotalSegmentator's
-        (("duodenum",), "1", "small_intestine"),
+        (("small_bowel",), "sm", "small-bowel"),  # TotalSegmentator's
+        (("duodenum",), "1", "small-bowel"),
         (("stomach",), "colon", "stomach"),  # the label before the name
         (("wall",), "stomach", "stomach"),
-        (("wall",), "small-bowel", "small_intestine"),
+        (("wall",), "small-bowel", "small-bowel"),
         (("wall",), "a", "colon"),
         (("caecum",), "stomach", "colon"),
-        (("antrum", "caecum"), "gi", "colon"),  # most of the wall
-        (("duodenum", "ileum"), "gi", "small_intestine"),
+        (("antrum", "caecum"), "full-tract", "colon"),  # most of the wall
+        (("duodenum", "ileum"), "full-tract", "small-bowel"),
     ],
 )
 def test_labels_choose_the_mucosa(names: tuple[str, ...], name: str, mucosa: str) -> None:

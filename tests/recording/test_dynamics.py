@@ -14,7 +14,7 @@ from vrcaps import _core
 from vrcaps.camera_pipeline.effects import Effects
 from vrcaps.camera_pipeline.exposure import AutoExposure
 from vrcaps.errors import InputError
-from vrcaps.lesion import Place, Polyp
+from vrcaps.lesion import Location, Polyp
 from vrcaps.motion.dynamics import Dynamics
 from vrcaps.recording import recorder
 from vrcaps.recording.check import check_episode
@@ -272,7 +272,7 @@ def test_walls_that_were_not_recorded(recorded):
 def test_clean_twin_moves_alike(scenario, tmp_path, monkeypatch):
     """The same motion; and the same wall but where the lesion is."""
     monkeypatch.setenv("VRCAPS_CACHE", str(tmp_path))
-    lesions = (Polyp(size=6e-3, place=Place(arc_length=0.12)),)
+    lesions = (Polyp(size=6e-3, location=Location(arc_length=0.12)),)
     motion = replace(MOTION, settle=0.1, start=0.6)
     sick, device = resolve(replace(scenario, motion=motion, lesions=lesions, frames=2))
     model, run = build(sick, device)

@@ -83,7 +83,7 @@ def test_without_textures_it_wears_the_mucosa_of_its_label(
     write_organ(tmp_path / "mine.glb", replace(organ, label_names=names, appearance=None))
     model, _ = build(*resolve(plan))
     found = model.organ.appearance
-    expected = bake_appearance(model.organ, seed=plan.seed, mucosa="small_intestine")
+    expected = bake_appearance(model.organ, seed=plan.seed, mucosa="small-bowel")
     assert found is not None
     assert np.array_equal(found.albedo, expected.albedo)
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from vrcaps.errors import InputError, UnknownNameError
-from vrcaps.lesion import Place, Polyp
+from vrcaps.lesion import Location, Polyp
 from vrcaps.motion.fly_through import FlyThrough
 from vrcaps.motion.replay import Replay
 from vrcaps.render.settings import RenderSettings
@@ -145,13 +145,15 @@ def test_plain_form_is_json(scenario):
     assert plain["organ"]["path"] == str(Path(plain["organ"]["path"]))
 
 
-LESIONS = 'lesions = [{kind = "polyp", shape = "Is", size = 0.006, place = {arc_length = 0.12}}]\n'
+LESIONS = (
+    'lesions = [{kind = "polyp", shape = "Is", size = 0.006, location = {arc_length = 0.12}}]\n'
+)
 
 
 def test_lesions_of_a_file(tmp_path):
     path = tmp_path / "lesions.toml"
     path.write_text(LESIONS)
-    expected = (Polyp(shape="Is", size=0.006, place=Place(arc_length=0.12)),)
+    expected = (Polyp(shape="Is", size=0.006, location=Location(arc_length=0.12)),)
     assert read_lesions(path) == expected
     assert scenario_from_plain(
         {"lesions": scenario_to_plain(Scenario(lesions=expected))["lesions"]}
@@ -165,7 +167,7 @@ def test_lesions_of_a_file(tmp_path):
 
 def test_clean_twin_has_the_same_motion(scenario, tmp_path, monkeypatch):
     monkeypatch.setenv("VRCAPS_CACHE", str(tmp_path))
-    lesions = (Polyp(size=6e-3, place=Place(arc_length=0.12)),)
+    lesions = (Polyp(size=6e-3, location=Location(arc_length=0.12)),)
     sick, device = resolve(replace(scenario, lesions=lesions))
     model, trajectory = module.build(sick, device)
     twin, same = module.build(replace(sick, clean_twin=True), device)

@@ -18,7 +18,7 @@ from scipy.spatial import KDTree
 
 from vrcaps._core import Wall
 from vrcaps.lesion import LESIONS, sites
-from vrcaps.lesion.base import Form, Site, WallSamples
+from vrcaps.lesion.base import Form, LesionSite, WallSamples
 from vrcaps.units import MM
 
 _STEINER = 12
@@ -29,7 +29,7 @@ _STEINER = 12
 class Witness:
     """Forms and paths of blood as they are drawn; use it while lesions are added."""
 
-    forms: list[tuple[Form, Site]] = field(default_factory=list)
+    forms: list[tuple[Form, LesionSite]] = field(default_factory=list)
     paths: list[np.ndarray] = field(default_factory=list)
 
     def __enter__(self) -> Witness:
@@ -64,7 +64,7 @@ class Footprint:
 
     def __init__(self, organ, clean, witness: Witness) -> None:
         self.form, site = witness.forms[-1]
-        if hasattr(self.form, "share"):
+        if hasattr(self.form, "normalized_radius"):
             self._measure = Polar(organ, site, self.form.radius)
         elif site.bottom is None:
             self._measure = Along(organ)
@@ -72,10 +72,10 @@ class Footprint:
             path = next(p for p in witness.paths[::-1] if np.array_equal(p[-1], site.bottom))
             self._measure = Stream(clean, path, self.form, site)
 
-    def depth(self, points: np.ndarray) -> np.ndarray:
+    def signed_distance(self, points: np.ndarray) -> np.ndarray:
         """Distance inside the outline [m] of points on the clean wall."""
         xy, nothing = self._measure(points), np.zeros_like(points)
-        return self.form.depth(WallSamples(xy, points, nothing, nothing))
+        return self.form.signed_distance(WallSamples(xy, points, nothing, nothing))
 
 
 class Polar:
@@ -85,7 +85,7 @@ class Polar:
     and Sack 1997); the direction is the vector heat method's on the wall subdivided evenly.
     """
 
-    def __init__(self, organ, site: Site, radius: float) -> None:
+    def __init__(self, organ, site: LesionSite, radius: float) -> None:
         self.center, self.reach = site.center, 1.5 * radius + 3.0 * MM
         near = self._is_near(organ.vertices)
         faces = organ.faces[near[organ.faces].all(axis=1)]
@@ -152,7 +152,7 @@ def _subdivided(vertices, faces, longest: float) -> tuple[np.ndarray, np.ndarray
     return vertices[used], local.reshape(-1, 3)
 
 
-def _directions(vertices, faces, site: Site, radius: float) -> tuple[np.ndarray, np.ndarray]:
+def _directions(vertices, faces, site: LesionSite, radius: float) -> tuple[np.ndarray, np.ndarray]:
     """Points of the subdivided wall, and the unit direction of each in the site's axes."""
     import potpourri3d as pp3d
 
@@ -186,7 +186,7 @@ class Along:
 class Stream:
     """Way along a path, distance from its pieces, and whether a place is in the hollow."""
 
-    def __init__(self, clean, path, form, site: Site) -> None:
+    def __init__(self, clean, path, form, site: LesionSite) -> None:
         self.path, self.step = path, 1.0 * MM
         offset = clean.vertices - site.bottom
         under = (offset @ site.down + form.bleed.pool > 0.0) & (

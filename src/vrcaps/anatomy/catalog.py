@@ -9,12 +9,12 @@ from vrcaps.errors import InputError, UnknownNameError
 from vrcaps.organ.cache import cached_organ, fingerprint
 from vrcaps.organ.surface import OrganSurface
 
-GI_COLON_TRIANGLES = 150_000
+FULL_TRACT_COLON_TRIANGLES = 150_000
 """Of the colon in the joint tract, so that its edges are 2 mm long too."""
 
 
-def load_organ(
-    name: str, *, seed: int, condition: str | None = None, mucosa: str | None = None
+def generate_organ(
+    name: str, *, seed: int, distension: str | None = None, mucosa: str | None = None
 ) -> OrganSurface:
     """A generated organ with its appearance, a different patient for each seed.
 
@@ -24,38 +24,38 @@ def load_organ(
     Args:
         name: One of `ORGANS`.
         seed: Of the patient; not negative.
-        condition: How full it is: `inflated`, `normal` or `collapsed`; None is the usual, the
+        distension: How full it is: `inflated`, `normal` or `collapsed`; None is the usual, the
             colon inflated, all else normal.
         mucosa: Look of the wall, see `bake_appearance`; None is the organ's own.
 
     Raises:
         UnknownNameError: If the catalog has no such organ, or there is no such mucosa.
-        InputError: If the seed is negative, or there is no such condition or texture.
+        InputError: If the seed is negative, or there is no such distension or texture.
     """
     if name not in ORGANS:
         raise UnknownNameError("organ", name, ORGANS)
     if seed < 0:
         raise InputError(f"Seed {seed} is negative. Allowed: 0, 1, 2, …")
     if mucosa is None:
-        return ORGANS[name](seed, condition)
+        return ORGANS[name](seed, distension)
     from vrcaps.mucosa.appearance import bake_appearance, mucosa_fingerprint
 
     chosen = mucosa
 
     def make() -> OrganSurface:
-        organ = ORGANS[name](seed, condition)
+        organ = ORGANS[name](seed, distension)
         return replace(organ, appearance=bake_appearance(organ, seed=seed, mucosa=chosen))
 
-    key = fingerprint({"condition": condition, **mucosa_fingerprint(mucosa)})
+    key = fingerprint({"distension": distension, **mucosa_fingerprint(mucosa)})
     return cached_organ(f"{name}-{seed}-mucosa-{key}", make)
 
 
-def _load_colon(seed: int, condition: str | None) -> OrganSurface:
+def _generate_colon(seed: int, distension: str | None) -> OrganSurface:
     from vrcaps.anatomy.colon import generate_colon
-    from vrcaps.anatomy.full_tract.patient import draw_patient
+    from vrcaps.anatomy.full_tract.patient import draw_patient_anatomy
     from vrcaps.mucosa.appearance import bake_appearance
 
-    parameters = draw_patient(seed, condition).colon
+    parameters = draw_patient_anatomy(seed, distension).colon
 
     def make() -> OrganSurface:
         organ = generate_colon(parameters, seed=seed)
@@ -64,12 +64,12 @@ def _load_colon(seed: int, condition: str | None) -> OrganSurface:
     return cached_organ(f"colon-{seed}-{fingerprint(asdict(parameters))}", make)
 
 
-def _load_stomach(seed: int, condition: str | None) -> OrganSurface:
-    from vrcaps.anatomy.full_tract.patient import draw_patient, stomach_axis
+def _generate_stomach(seed: int, distension: str | None) -> OrganSurface:
+    from vrcaps.anatomy.full_tract.patient import draw_patient_anatomy, stomach_axis
     from vrcaps.anatomy.stomach import generate_stomach
     from vrcaps.mucosa.appearance import bake_appearance
 
-    patient = draw_patient(seed, condition)
+    patient = draw_patient_anatomy(seed, distension)
 
     def make() -> OrganSurface:
         organ = generate_stomach(patient.stomach, seed=seed, course=stomach_axis(patient))
@@ -78,45 +78,45 @@ def _load_stomach(seed: int, condition: str | None) -> OrganSurface:
     return cached_organ(f"stomach-{seed}-{fingerprint(asdict(patient))}", make)
 
 
-def _load_small_bowel(seed: int, condition: str | None) -> OrganSurface:
-    from vrcaps.anatomy.full_tract.patient import bowel_surroundings, draw_patient
+def _generate_small_bowel(seed: int, distension: str | None) -> OrganSurface:
+    from vrcaps.anatomy.full_tract.patient import draw_patient_anatomy, neighboring_organs
     from vrcaps.anatomy.small_bowel import generate_small_bowel
     from vrcaps.mucosa.appearance import bake_appearance
 
-    patient = draw_patient(seed, condition)
+    patient = draw_patient_anatomy(seed, distension)
 
     def make() -> OrganSurface:
-        organ = generate_small_bowel(patient.small_bowel, bowel_surroundings(patient), seed=seed)
-        appearance = bake_appearance(organ, seed=seed, mucosa="small_intestine")
+        organ = generate_small_bowel(patient.small_bowel, neighboring_organs(patient), seed=seed)
+        appearance = bake_appearance(organ, seed=seed, mucosa="small-bowel")
         return replace(organ, appearance=appearance)
 
     return cached_organ(f"small-bowel-{seed}-{fingerprint(asdict(patient))}", make)
 
 
-def _load_gi(seed: int, condition: str | None) -> OrganSurface:
+def _generate_full_tract(seed: int, distension: str | None) -> OrganSurface:
     from vrcaps.anatomy.full_tract.appearance import with_appearance
-    from vrcaps.anatomy.full_tract.generate import generate_gi
-    from vrcaps.anatomy.full_tract.patient import draw_patient
+    from vrcaps.anatomy.full_tract.generate import generate_full_tract
+    from vrcaps.anatomy.full_tract.patient import draw_patient_anatomy
 
-    patient = draw_patient(seed, condition)
+    patient = draw_patient_anatomy(seed, distension)
 
     def make() -> OrganSurface:
-        colon = replace(patient.colon, triangles=GI_COLON_TRIANGLES)
-        organ = generate_gi(patient.stomach, patient.small_bowel, colon, seed=seed)
+        colon = replace(patient.colon, triangles=FULL_TRACT_COLON_TRIANGLES)
+        organ = generate_full_tract(patient.stomach, patient.small_bowel, colon, seed=seed)
         return with_appearance(organ, seed=seed)
 
     return cached_organ(f"gi-{seed}-{fingerprint(asdict(patient))}", make)
 
 
 ORGANS: dict[str, Callable[[int, str | None], OrganSurface]] = {
-    "colon": _load_colon,
-    "stomach": _load_stomach,
-    "small-bowel": _load_small_bowel,
-    "gi": _load_gi,
+    "colon": _generate_colon,
+    "stomach": _generate_stomach,
+    "small-bowel": _generate_small_bowel,
+    "full-tract": _generate_full_tract,
 }
-"""Generators by name; each takes a seed and a condition."""
+"""Generators by name; each takes a seed and a distension."""
 
-CONDITIONS = ("inflated", "normal", "collapsed")
+DISTENSIONS = ("inflated", "normal", "collapsed")
 """How full a generated organ can be."""
 
 
@@ -132,7 +132,7 @@ def organ_segments(name: str) -> tuple[str, ...]:
 
     segments = {
         **{"colon": COLON, "stomach": STOMACH, "small-bowel": SMALL_BOWEL},
-        "gi": (*STOMACH, *SMALL_BOWEL, *COLON),
+        "full-tract": (*STOMACH, *SMALL_BOWEL, *COLON),
     }
     if name not in segments:
         raise UnknownNameError("organ", name, segments)

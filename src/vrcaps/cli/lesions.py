@@ -38,7 +38,7 @@ def chosen_lesions(
         if organ in ORGANS and "sigmoid" not in organ_segments(organ):
             raise InputError(
                 f"--lesions prevalence is a table of the colon, but the organ is {organ}. Allowed "
-                "with it: colon, gi. Give single ones with --lesion, or your own as a file."
+                "with it: colon, full-tract. Give single ones with --lesion, or your own as a file."
             )
         first: tuple[Any, ...] = draw_lesions(None, np.random.default_rng([seed, 4]))
     else:
@@ -51,7 +51,7 @@ def lesion_lines(records: Sequence[dict[str, Any]], length: float) -> list[str]:
 
     Args:
         records: Of `OrganSurface.metadata` or `episode.json`.
-        length: Of the centreline [m].
+        length: Of the centerline [m].
     """
     lines = []
     for record in records:
@@ -61,6 +61,6 @@ def lesion_lines(records: Sequence[dict[str, Any]], length: float) -> list[str]:
         lines.append(
             f"{record['instance']}: {' '.join(word for word in words if word)}, "
             f"{record['segment']}, {record['arc_length_m'] / CM:.1f} cm "
-            f"({share:.3f} of the centreline)"
+            f"({share:.3f} of the centerline)"
         )
     return lines

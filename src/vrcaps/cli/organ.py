@@ -38,7 +38,8 @@ class Inspect:
     """
 
     organ: Positional[str]
-    """Mesh file (PLY, OBJ, STL, GLB), organ file (GLB), or colon, stomach, small-bowel, gi."""
+    """Mesh file (PLY, OBJ, STL, GLB), organ file (GLB), or colon, stomach, small-bowel or
+    full-tract."""
 
     unit: str | None = None
     """Length unit of a mesh file: m, dm, cm, mm, um, or e.g. 5cm. Never guessed. An organ file
@@ -57,7 +58,7 @@ class Inspect:
     """How full a generated organ is."""
 
     mucosa: str | None = None
-    """Give a mesh file this look in the picture: colon, stomach or small_intestine."""
+    """Give a mesh file this look in the picture: colon, stomach or small-bowel."""
 
     picture: Path | None = None
     """Picture to write; by default <name>-overview.png in the working directory."""
@@ -74,7 +75,7 @@ class Inspect:
         report_organ(organ, picture or Path(f"{organ.name}-overview.png"))
 
     def _load(self) -> OrganSurface:
-        from vrcaps.anatomy.catalog import load_organ
+        from vrcaps.anatomy.catalog import generate_organ
 
         if is_mesh_file(self.organ):
             if self.seed is not None or self.distension is not None:
@@ -85,7 +86,7 @@ class Inspect:
                 f"--unit, --open-ends, --reverse and --mucosa go with a file, but {self.organ!r} "
                 "is a name. Drop them, or give the path of a PLY, OBJ, STL or GLB."
             )
-        return load_organ(self.organ, seed=self.seed or 0, condition=self.distension)
+        return generate_organ(self.organ, seed=self.seed or 0, distension=self.distension)
 
     def _load_file(self, path: Path) -> OrganSurface:
         from vrcaps.mucosa.appearance import bake_appearance
@@ -116,7 +117,7 @@ class Make:
     """
 
     name: Positional[str]
-    """Which organ: colon, stomach, small-bowel, or gi, all three as one wall."""
+    """Which organ: colon, stomach, small-bowel, or full-tract, all three as one wall."""
 
     seed: int = 0
     """A different patient for each."""
@@ -125,7 +126,7 @@ class Make:
     """How full it is; by default the colon is inflated, all else normal."""
 
     mucosa: str | None = None
-    """Look of the wall: colon, stomach or small_intestine, or the folder of a texture that
+    """Look of the wall: colon, stomach or small-bowel, or the folder of a texture that
     vrcaps organ texture wrote; by default the organ's own."""
 
     out: Path | None = None
@@ -133,7 +134,7 @@ class Make:
 
     lesion: Annotated[tuple[str, ...], UseAppendAction] = ()
     """Put this into the organ; give it again for more: a name and what differs from its defaults,
-    such as haemorrhage-3:segment=jejunum or polyp-IIa-serrated. vrcaps organ list has them all."""
+    such as bleeding-3:segment=jejunum or polyp-IIa-serrated. vrcaps organ list has them all."""
 
     lesions: str | None = None
     """A file of lesions (TOML or JSON), or prevalence: as many as a patient of a screening has."""
@@ -168,10 +169,12 @@ class Make:
         """The organ, with its lesions if there are any, and the clean twin if that is wanted."""
         import numpy as np
 
-        from vrcaps.anatomy.catalog import load_organ
+        from vrcaps.anatomy.catalog import generate_organ
         from vrcaps.lesion import add_lesions
 
-        organ = load_organ(self.name, seed=self.seed, condition=self.distension, mucosa=self.mucosa)
+        organ = generate_organ(
+            self.name, seed=self.seed, distension=self.distension, mucosa=self.mucosa
+        )
         lesions = chosen_lesions(self.lesion, self.lesions, self.seed, self.name)
         if not lesions and not self.clean_twin:
             return organ, None

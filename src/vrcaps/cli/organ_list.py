@@ -22,14 +22,14 @@ class List:
 
     def run(self) -> None:
         """Print the tables."""
-        from vrcaps.anatomy.catalog import CONDITIONS, ORGANS, organ_segments
+        from vrcaps.anatomy.catalog import DISTENSIONS, ORGANS, organ_segments
         from vrcaps.capsule.catalog import device_names, read_device
         from vrcaps.lesion import LIBRARY
         from vrcaps.mucosa.appearance import MUCOSAE
 
         usual = "colon inflated, all else normal"
         _print("organs", [(name, _words(organ_segments(name))) for name in ORGANS])
-        _print("fillings", [("--distension", f"{', '.join(CONDITIONS)}; by default {usual}")])
+        _print("fillings", [("--distension", f"{', '.join(DISTENSIONS)}; by default {usual}")])
         _print("lesions, in any of them", _lesions())
         _print(f"library of {len(LIBRARY)} lesions by name", _library())
         photos = "or the folder of a texture from your photographs (vrcaps organ texture)"
@@ -39,7 +39,7 @@ class List:
         console.print("Next:")
         for line in (
             "vrcaps organ make stomach --seed 3                 write one as GLB, with a picture",
-            "vrcaps organ inspect gi --seed 3                   only the picture",
+            "vrcaps organ inspect full-tract --seed 3                   only the picture",
             "vrcaps organ make colon --lesion polyp-Ip:size=12mm,segment=sigmoid",
             "vrcaps record --organ colon-0.glb --out runs/mine  record in the file written",
             "vrcaps record --organ stomach --out runs/stomach   record in a generated one",
@@ -78,7 +78,7 @@ def _lesions() -> list[tuple[str, str]]:
         grades = get_args(get_type_hints(cls)[grade]) if grade else ()
         name = f"{kind}-{'|'.join(map(str, grades))}" if grades else kind
         # Inherited settings come first; what is a kind's own matters more.
-        settings = [f.name for f in reversed(fields(cls)) if f.name not in ("place", grade)]
+        settings = [f.name for f in reversed(fields(cls)) if f.name not in ("location", grade)]
         rows.append((name, "; ".join(_setting(cls, key) for key in settings)))
     return [*rows, ("place of each", "segment, arc_length, theta; drawn where left out")]
 

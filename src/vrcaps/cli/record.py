@@ -76,7 +76,7 @@ class Record:
     """The narrower end of a mesh file's lumen is the oral one."""
 
     mucosa: str | None = None
-    """Look of the wall: colon, stomach or small_intestine, or the folder of a texture that
+    """Look of the wall: colon, stomach or small-bowel, or the folder of a texture that
     vrcaps organ texture wrote; by default the organ's own, see docs/mucosa.md."""
 
     patient: int | None = None
@@ -87,7 +87,7 @@ class Record:
 
     lesion: Annotated[tuple[str, ...], UseAppendAction] = ()
     """Put this into the organ; give it again for more. A kind with its grade, then what differs:
-    polyp-Ip:size=12mm,segment=sigmoid, colitis-2:spread=E2, haemorrhage-3, or a name of the
+    polyp-Ip:size=12mm,segment=sigmoid, colitis-2:spread=E2, bleeding-3, or a name of the
     library such as polyp-Is-villous or colitis-3-07."""
 
     lesions: str | None = None

@@ -11,9 +11,9 @@ import numpy as np
 from vrcaps.errors import InputError
 from vrcaps.lesion import paint
 from vrcaps.lesion.base import Form, Lesion
-from vrcaps.lesion.mesh_patch import Cut, as_organ, sew, whole_wall
-from vrcaps.lesion.placement import Placed, describe
-from vrcaps.lesion.sites import SITES, Surroundings, samples
+from vrcaps.lesion.mesh_patch import ExtractedPatch, as_organ, insert, whole_wall
+from vrcaps.lesion.placement import PlacedLesion, describe
+from vrcaps.lesion.sites import SITES, PlacementContext, samples
 from vrcaps.mesh.refine import Patch, refine, renewed_normals
 from vrcaps.mesh.self_intersection import self_intersections
 from vrcaps.organ.surface import OrganSurface
@@ -27,7 +27,7 @@ _NUM_TRIES = 12
 
 
 @dataclass(frozen=True)
-class Patient:
+class LesionPair:
     """An organ with lesions and the same without.
 
     Both have the same faces, texture coordinates and gut coordinates; vertices and texels
@@ -48,7 +48,7 @@ def add_lesions(
     rng: np.random.Generator,
     *,
     down: Sequence[float] | Float[np.ndarray, " 3"] = _DOWN,
-) -> Patient:
+) -> LesionPair:
     """Place, shape and paint lesions on an organ's wall.
 
     Diffuse lesions are laid first, then the spots, so that a polyp may lie in colitis; spots
@@ -67,7 +67,7 @@ def add_lesions(
     if len(lesions) > _MAX_LESIONS:
         raise InputError(f"{len(lesions)} lesions. Allowed: up to {_MAX_LESIONS}.")
     work = _Work(organ, np.asarray(down, float) / np.linalg.norm(down))
-    order = {"band": 0, "stream": 1, "spot": 2}
+    order = {"circumferential": 0, "flow": 1, "focal": 2}
     seeds = rng.spawn(len(lesions))
     for index in sorted(range(len(lesions)), key=lambda k: order[lesions[k].extent]):
         lesion = lesions[index]
@@ -84,9 +84,9 @@ class _Work:
         self.wall = whole_wall(organ)
         self.num_vertices = len(organ.vertices)
         look = organ.appearance
-        self.clean = self.sick = None if look is None else paint.smoothed(look)
+        self.clean = self.lesioned = None if look is None else paint.smoothed(look)
         self.charts: list[paint.Chart] = []
-        self.spots: list[Placed] = []
+        self.spots: list[PlacedLesion] = []
         self.records: dict[int, dict[str, Any]] = {}
 
     def add(self, lesion: Lesion, instance: int, rng: np.random.Generator) -> None:
@@ -96,40 +96,40 @@ class _Work:
             InputError: If it fits nowhere.
         """
         organ = as_organ(self.wall, self.organ, self.wall.moved)
-        around = Surroundings(organ, self.wall, self.down, self.num_vertices, self.spots)
+        around = PlacementContext(organ, self.wall, self.down, self.num_vertices, self.spots)
         for _ in range(_NUM_TRIES):
             found = SITES[lesion.extent](lesion, around, rng)
             form = lesion.form(found.site, rng)
-            patch = _formed(found.patch, form, is_spot=lesion.extent == "spot")
+            patch = _formed(found.patch, form, is_spot=lesion.extent == "focal")
             wall = samples(patch)
-            shown = paint.Shown(form, wall, form.moved(wall) - found.site.center)
-            if lesion.extent == "spot":
+            shown = paint.FormSamples(form, wall, form.displaced(wall) - found.site.center)
+            if lesion.extent == "focal":
                 patch = _charted(patch, shown, instance)
-            sewn = _sewn(self.wall, found.piece, patch, shown, instance)
-            if not _cuts_wall(sewn, instance):
+            joined = _with_lesion(self.wall, found.piece, patch, shown, instance)
+            if not _cuts_wall(joined, instance):
                 break
         else:
             raise InputError(
                 f"No place for {describe(lesion)}: in {_NUM_TRIES} tries it cuts into the wall "
                 "beside it. Choose another place or a smaller one."
             )
-        if self.clean is not None and self.sick is not None:
+        if self.clean is not None and self.lesioned is not None:
             self._paint(lesion, instance, patch, shown)
-        if lesion.extent == "spot":
-            self.spots.append(Placed(lesion, found.vertex, found.site.center))
-        self.wall = sewn
+        if lesion.extent == "focal":
+            self.spots.append(PlacedLesion(lesion, found.vertex, found.site.center))
+        self.wall = joined
         self._record(lesion, instance, organ, found.vertex)
 
-    def _paint(self, lesion: Lesion, instance: int, patch: Patch, shown: paint.Shown) -> None:
+    def _paint(self, lesion: Lesion, instance: int, patch: Patch, shown: paint.FormSamples) -> None:
         """On a chart of its own, or in place."""
-        assert self.clean is not None and self.sick is not None
-        if lesion.extent == "spot":
-            self.charts.append(paint.paint_chart(self.clean, self.sick, patch, shown, instance))
+        assert self.clean is not None and self.lesioned is not None
+        if lesion.extent == "focal":
+            self.charts.append(paint.paint_chart(self.clean, self.lesioned, patch, shown, instance))
             return
-        inside = shown.form.depth(shown.wall) > 0.0
+        inside = shown.form.signed_distance(shown.wall) > 0.0
         faces = np.flatnonzero(inside[patch.faces].any(axis=1))
         if len(faces):
-            self.sick = paint.paint_in_place(self.sick, patch, shown, faces)
+            self.lesioned = paint.paint_in_place(self.lesioned, patch, shown, faces)
 
     def _record(self, lesion: Lesion, instance: int, organ: OrganSurface, vertex: int) -> None:
         self.records[instance] = {
@@ -143,30 +143,32 @@ class _Work:
             "specification": {"kind": lesion.kind, **asdict(lesion)},
         }
 
-    def finished(self) -> Patient:
+    def finished(self) -> LesionPair:
         """Both organs, textures enlarged by the charts."""
         records = [self.records[k] for k in sorted(self.records)]
-        sick = as_organ(self.wall, self.organ, self.wall.moved)
+        lesioned = as_organ(self.wall, self.organ, self.wall.moved)
         clean = as_organ(self.wall, self.organ, self.wall.clean)
         clean = replace(clean, instance=np.zeros_like(clean.instance))
         metadata = self.organ.metadata
-        sick = replace(sick, metadata={**metadata, "lesions": records})
+        lesioned = replace(lesioned, metadata={**metadata, "lesions": records})
         clean = replace(clean, metadata={**metadata, "lesions": [], "clean_twin_of": records})
-        if self.clean is None or self.sick is None:
-            return Patient(sick, clean)
+        if self.clean is None or self.lesioned is None:
+            return LesionPair(lesioned, clean)
         base = self.clean.appearance
         atlas = paint.pack(base, self.wall.uv[..., :2], self.charts)
         uv = paint.final_uv(self.wall, base, self.charts, atlas)
-        return Patient(
+        return LesionPair(
             replace(
-                sick,
+                lesioned,
                 uv=uv,
-                appearance=paint.assemble(self.sick.appearance, self.charts, atlas, sick=True),
+                appearance=paint.assemble(
+                    self.lesioned.appearance, self.charts, atlas, lesioned=True
+                ),
             ),
             replace(
                 clean,
                 uv=uv,
-                appearance=paint.assemble(base, self.charts, atlas, sick=False),
+                appearance=paint.assemble(base, self.charts, atlas, lesioned=False),
             ),
         )
 
@@ -176,8 +178,8 @@ def _formed(patch: Patch, form: Form, *, is_spot: bool) -> Patch:
 
     def is_long(patch: Patch, ends: np.ndarray) -> np.ndarray:
         wall = samples(patch)
-        inside = (form.depth(wall) > 0.0)[ends]
-        points = form.moved(wall)
+        inside = (form.signed_distance(wall) > 0.0)[ends]
+        points = form.displaced(wall)
         length = np.linalg.norm(points[ends[:, 0]] - points[ends[:, 1]], axis=1)
         border = inside[:, 0] != inside[:, 1]
         return (inside.any(axis=1) & (length > form.edge_length)) | (
@@ -185,17 +187,19 @@ def _formed(patch: Patch, form: Form, *, is_spot: bool) -> Patch:
         )
 
     def both(patch: Patch) -> np.ndarray:
-        return np.hstack([form.moved(samples(patch)), patch.moved])
+        return np.hstack([form.displaced(samples(patch)), patch.moved])
 
     return refine(patch, is_long, both if is_spot else lambda patch: patch.moved)
 
 
-def _sewn(wall: Patch, piece: Cut, patch: Patch, shown: paint.Shown, instance: int) -> Patch:
-    """The wall with the piece sewn in, its vertices moved."""
-    inside = shown.form.depth(shown.wall) > 0.0
+def _with_lesion(
+    wall: Patch, piece: ExtractedPatch, patch: Patch, shown: paint.FormSamples, instance: int
+) -> Patch:
+    """The wall with the piece joined in, its vertices moved."""
+    inside = shown.form.signed_distance(shown.wall) > 0.0
     label = np.where(inside, instance, patch.instance).astype(np.uint16)
-    moved = shown.form.moved(shown.wall)
-    return sew(wall, piece, renewed_normals(replace(patch, moved=moved, instance=label)))
+    moved = shown.form.displaced(shown.wall)
+    return insert(wall, piece, renewed_normals(replace(patch, moved=moved, instance=label)))
 
 
 def _cuts_wall(wall: Patch, instance: int) -> bool:
@@ -216,9 +220,9 @@ def _cuts_wall(wall: Patch, instance: int) -> bool:
     return is_own[found].any(axis=1).sum() > is_own[before].any(axis=1).sum()
 
 
-def _charted(patch: Patch, shown: paint.Shown, instance: int) -> Patch:
+def _charted(patch: Patch, shown: paint.FormSamples, instance: int) -> Patch:
     """The piece with the footprint's faces on a chart of their own."""
-    own = (shown.form.depth(shown.wall) > 0.0)[patch.faces].any(axis=1)
+    own = (shown.form.signed_distance(shown.wall) > 0.0)[patch.faces].any(axis=1)
     uv = patch.uv.copy()
     uv[own, :, 2:] = shown.form.chart(shown.wall)[patch.faces[own]]
     return replace(patch, uv=uv, chart_id=np.where(own, instance, patch.chart_id))

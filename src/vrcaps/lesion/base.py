@@ -2,7 +2,7 @@
 
 A specification (`Polyp`, `Colitis`, …) is plain data: class, grade, size, place. Its form is the
 specification with its irregularities drawn. A form works on samples of wall (`WallSamples`), be
-they vertices of the refined wall or texels, so that shape, mask and colour agree.
+they vertices of the refined wall or texels, so that shape, mask and color agree.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Place:
+class Location:
     """Where on the wall a lesion is; what is not given is drawn at random.
 
     Attributes:
         segment: Name of a segment (label) of the organ.
-        arc_length: Along the centreline from the oral end [m].
-        theta: Angle around the centreline [rad], −π to π.
+        arc_length: Along the centerline from the oral end [m].
+        theta: Angle around the centerline [rad], −π to π.
     """
 
     segment: str | None = None
@@ -41,12 +41,12 @@ class WallSamples:
     """Points of the wall around a lesion.
 
     Attributes:
-        xy: Place in the wall [m]. Of a spot: geodesic log map about its centre. Of a band: arc
+        xy: Place in the wall [m]. Of a spot: geodesic log map about its center. Of a band: arc
             length and 0. Of a stream: way along its path, distance from the path, and way along
             the wall from the pool's hollow.
         rest: Position without the lesion [m], patient frame.
         normal: Unit normal into the lumen there.
-        inward: Offset to the centreline [m].
+        inward: Offset to the centerline [m].
     """
 
     xy: Float[np.ndarray, "n k"]
@@ -56,14 +56,14 @@ class WallSamples:
 
 
 @dataclass(frozen=True)
-class Site:
+class LesionSite:
     """The place that a lesion took, as its form needs to know it.
 
     Attributes:
         center: Of a spot: its middle; else any point of the footprint [m], patient frame.
-        axes: Columns are x and y of the log map at the centre and the normal into the lumen.
+        axes: Columns are x and y of the log map at the center and the normal into the lumen.
         down: Unit vector of gravity, patient frame.
-        band: Of a band: first and last arc length [m].
+        arc_length_range: Of a circumferential lesion: first and last arc length [m].
         bottom: Of a stream: where it ends [m], patient frame.
         reach: Of a stream: how far from its bottom a pool may reach [m].
     """
@@ -71,13 +71,13 @@ class Site:
     center: Float[np.ndarray, " 3"]
     axes: Float[np.ndarray, "3 3"]
     down: Float[np.ndarray, " 3"]
-    band: tuple[float, float] = (-np.inf, np.inf)
+    arc_length_range: tuple[float, float] = (-np.inf, np.inf)
     bottom: Float[np.ndarray, " 3"] | None = None
     reach: float = 0.0
 
 
 @dataclass(frozen=True)
-class Look:
+class AppearanceSample:
     """Reflectance of texels, before or after a lesion is painted on them.
 
     Attributes:
@@ -104,11 +104,11 @@ class Form(Protocol):
     edge_length: float
     border_length: float
 
-    def depth(self, wall: WallSamples) -> Float[np.ndarray, " n"]:
+    def signed_distance(self, wall: WallSamples) -> Float[np.ndarray, " n"]:
         """Distance [m] within the footprint's border; negative outside, zero on it."""
         ...
 
-    def moved(self, wall: WallSamples) -> Float[np.ndarray, "n 3"]:
+    def displaced(self, wall: WallSamples) -> Float[np.ndarray, "n 3"]:
         """Positions with the lesion [m]; at rest outside the footprint."""
         ...
 
@@ -116,12 +116,14 @@ class Form(Protocol):
         """Flat map [m] of the lesion's surface, true in scale near enough to paint on."""
         ...
 
-    def painted(self, wall: WallSamples, points: Float[np.ndarray, "n 3"], clean: Look) -> Look:
+    def paint(
+        self, wall: WallSamples, points: Float[np.ndarray, "n 3"], clean: AppearanceSample
+    ) -> AppearanceSample:
         """The look with the lesion.
 
         Args:
             wall: Samples within the footprint.
-            points: Their positions with the lesion, relative to the site's centre [m].
+            points: Their positions with the lesion, relative to the site's center [m].
             clean: Their look without it.
         """
         ...
@@ -132,11 +134,11 @@ class Lesion:
     """What all specifications share.
 
     Attributes:
-        place: Where it is; drawn at random where left open.
+        location: Where it is; drawn at random where left open.
         variant: Another lesion of the same specification for each number.
     """
 
-    place: Place = field(default_factory=Place)
+    location: Location = field(default_factory=Location)
     variant: int = 0
 
     kind: ClassVar[str]
@@ -144,9 +146,9 @@ class Lesion:
     """Field that a name like `polyp-Ip` gives after its hyphen."""
 
     @property
-    def extent(self) -> Literal["spot", "band", "stream"]:
-        """How it lies: about a centre, across the lumen, or where blood runs."""
-        return "spot"
+    def extent(self) -> Literal["focal", "circumferential", "flow"]:
+        """How it lies: about a center, across the lumen, or where blood runs."""
+        return "focal"
 
     @property
     def grade(self) -> str:
@@ -164,15 +166,15 @@ class Lesion:
         return self.footprint_radius
 
     @property
-    def reach_in(self) -> float:
+    def protrusion(self) -> float:
         """How far it stands into the lumen [m]; negative for a pouch out of it."""
         return 0.0
 
-    def form(self, site: Site, rng: np.random.Generator) -> Form:
+    def form(self, site: LesionSite, rng: np.random.Generator) -> Form:
         """Draw its irregularities."""
         raise NotImplementedError
 
-    def band(self, organ: OrganSurface, middle: float | None) -> tuple[float, float]:
+    def arc_length_range(self, organ: OrganSurface, middle: float | None) -> tuple[float, float]:
         """Of a band: first and last arc length [m].
 
         Args:
@@ -184,7 +186,7 @@ class Lesion:
 
 @dataclass(frozen=True, kw_only=True)
 class SizedLesion(Lesion):
-    """A lesion about a centre that has a diameter.
+    """A lesion about a center that has a diameter.
 
     Attributes:
         size: Diameter [m].

@@ -1,4 +1,4 @@
-"""Haemorrhage: from petechiae to a bleed that runs down the wall and fills the hollows."""
+"""Bleeding: from petechiae to a bleed that runs down the wall and fills the hollows."""
 
 from __future__ import annotations
 
@@ -8,10 +8,18 @@ from typing import TYPE_CHECKING, ClassVar, Literal
 import numpy as np
 
 from vrcaps.errors import InputError
-from vrcaps.lesion.base import Form, Lesion, Look, Site, WallSamples, mix, smoothstep
+from vrcaps.lesion.base import (
+    AppearanceSample,
+    Form,
+    Lesion,
+    LesionSite,
+    WallSamples,
+    mix,
+    smoothstep,
+)
 from vrcaps.lesion.blood import under_blood
-from vrcaps.lesion.spot import SpotForm
-from vrcaps.mesh.noise import cloud, swell
+from vrcaps.lesion.focal import FocalForm
+from vrcaps.mesh.noise import fbm, low_pass
 from vrcaps.units import MM
 
 if TYPE_CHECKING:
@@ -28,7 +36,7 @@ _SHORE = 2.0 * MM
 
 
 @dataclass(frozen=True)
-class Bleed:
+class BleedingParameters:
     """Measures of a grade.
 
     Attributes:
@@ -48,70 +56,72 @@ class Bleed:
     clots: float = 0.0
 
 
-BLEEDS = {
-    1: Bleed(7.0 * MM),
-    2: Bleed(1.6 * MM, 35.0 * MM, 0.9 * MM, 0.25 * MM),
-    3: Bleed(3.0 * MM, 90.0 * MM, 2.0 * MM, 0.4 * MM, 2.5 * MM, 0.4 * MM),
-    4: Bleed(6.0 * MM, 160.0 * MM, 4.5 * MM, 0.6 * MM, 6.0 * MM, 1.2 * MM),
+BLEEDING_SEVERITIES = {
+    1: BleedingParameters(7.0 * MM),
+    2: BleedingParameters(1.6 * MM, 35.0 * MM, 0.9 * MM, 0.25 * MM),
+    3: BleedingParameters(3.0 * MM, 90.0 * MM, 2.0 * MM, 0.4 * MM, 2.5 * MM, 0.4 * MM),
+    4: BleedingParameters(6.0 * MM, 160.0 * MM, 4.5 * MM, 0.6 * MM, 6.0 * MM, 1.2 * MM),
 }
 """This project's own scale: 1 petechiae under the mucosa, 2 oozing with a trickle, 3 a stream
 that collects in the nearest hollow, 4 a broad stream, a deep pool and clots."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Haemorrhage(Lesion):
+class Bleeding(Lesion):
     """A bleed; blood runs with gravity.
 
     Attributes:
-        level: 1 petechiae, 2 oozing, 3 streaming, 4 massive.
+        severity: 1 petechiae, 2 oozing, 3 streaming, 4 massive.
     """
 
-    level: Literal[1, 2, 3, 4] = 3
+    severity: Literal[1, 2, 3, 4] = 3
 
-    kind: ClassVar[str] = "haemorrhage"
-    grade_field: ClassVar[str] = "level"
+    kind: ClassVar[str] = "bleeding"
+    grade_field: ClassVar[str] = "severity"
 
     def __post_init__(self) -> None:
-        if self.level not in BLEEDS:
-            raise InputError(f"Haemorrhage of grade {self.level}. Allowed: 1, 2, 3, 4.")
+        if self.severity not in BLEEDING_SEVERITIES:
+            raise InputError(f"Bleeding of severity {self.severity}. Allowed: 1, 2, 3, 4.")
 
     @property
-    def extent(self) -> Literal["spot", "stream"]:
+    def extent(self) -> Literal["focal", "flow"]:
         """Petechiae stay where they are."""
-        return "spot" if self.level == 1 else "stream"
+        return "focal" if self.severity == 1 else "flow"
 
     @property
     def grade(self) -> str:
         """Grade, 1 to 4."""
-        return f"grade {self.level}"
+        return f"grade {self.severity}"
 
     @property
     def footprint_radius(self) -> float:
         """Radius of the bleeding place [m]."""
-        return BLEEDS[self.level].source
+        return BLEEDING_SEVERITIES[self.severity].source
 
     @property
-    def bleed(self) -> Bleed:
+    def parameters(self) -> BleedingParameters:
         """Its measures."""
-        return BLEEDS[self.level]
+        return BLEEDING_SEVERITIES[self.severity]
 
-    def form(self, site: Site, rng: np.random.Generator) -> Form:
+    def form(self, site: LesionSite, rng: np.random.Generator) -> Form:
         """Draw its irregularities."""
-        if self.level == 1:
-            return PetechiaeForm(site, self.bleed.source, rng)
-        return BleedForm(self.bleed, site, rng)
+        if self.severity == 1:
+            return PetechiaeForm(site, self.parameters.source, rng)
+        return BleedingForm(self.parameters, site, rng)
 
 
-class PetechiaeForm(SpotForm):
+class PetechiaeForm(FocalForm):
     """Bleeding points under the mucosa, denser towards the middle."""
 
-    def __init__(self, site: Site, radius: float, rng: np.random.Generator) -> None:
+    def __init__(self, site: LesionSite, radius: float, rng: np.random.Generator) -> None:
         super().__init__(site, radius, rng, waviness=0.2)
-        self._points, self._blush = swell(1.5 * MM, rng), cloud(4.0 * MM, rng)
+        self._points, self._blush = low_pass(1.5 * MM, rng), fbm(4.0 * MM, rng)
 
-    def painted(self, wall: WallSamples, points: Float[np.ndarray, "n 3"], clean: Look) -> Look:
-        """Red points of about a millimetre in a blush."""
-        crowd = 1.0 - self.share(wall) ** 2
+    def paint(
+        self, wall: WallSamples, points: Float[np.ndarray, "n 3"], clean: AppearanceSample
+    ) -> AppearanceSample:
+        """Red points of about a millimeter in a blush."""
+        crowd = 1.0 - self.normalized_radius(wall) ** 2
         blush = smoothstep(crowd + 0.3 * self._blush(points))
         color = clean.color * (1.0 - blush[:, None] * (0.03, 0.30, 0.30))
         level = self._points(points) + 0.9 * crowd
@@ -121,48 +131,52 @@ class PetechiaeForm(SpotForm):
         return self.blended(wall, clean, look, softness=0.25)
 
 
-class BleedForm:
+class BleedingForm:
     """Blood from a source along its way down, and the pool that it makes."""
 
     edge_length = 1.2 * MM
 
-    def __init__(self, bleed: Bleed, site: Site, rng: np.random.Generator) -> None:
+    def __init__(
+        self, bleed: BleedingParameters, site: LesionSite, rng: np.random.Generator
+    ) -> None:
         self.border_length = 0.05 * bleed.width
-        self.bleed, self.site = bleed, site
-        self._edge, self._ripple = swell(7.0 * MM, rng), cloud(5.0 * MM, rng)
-        self._clots, self._age = swell(4.0 * MM, rng), cloud(9.0 * MM, rng)
+        self.parameters, self.site = bleed, site
+        self._edge, self._ripple = low_pass(7.0 * MM, rng), fbm(5.0 * MM, rng)
+        self._clots, self._age = low_pass(4.0 * MM, rng), fbm(9.0 * MM, rng)
 
     def _pool(self, wall: WallSamples) -> Float[np.ndarray, " n"]:
         """Depth of the pool [m], negative above it, outside its hollow or far from its bottom."""
-        if self.bleed.pool == 0.0 or self.site.bottom is None:
+        if self.parameters.pool == 0.0 or self.site.bottom is None:
             return np.full(len(wall.xy), -1.0)
-        under = (wall.rest - self.site.bottom) @ self.site.down + self.bleed.pool
+        under = (wall.rest - self.site.bottom) @ self.site.down + self.parameters.pool
         away = np.linalg.norm(wall.rest - self.site.bottom, axis=1)
-        shore = self.bleed.pool * (1.0 - wall.xy[:, 2] / _SHORE)
+        shore = self.parameters.pool * (1.0 - wall.xy[:, 2] / _SHORE)
         return np.minimum(np.minimum(under, self.site.reach - away), shore)
 
     def _dry(self, wall: WallSamples) -> Float[np.ndarray, " n"]:
         """Distance within the source's and the stream's outline [m]."""
         wave = 1.0 + 0.22 * self._edge(wall.rest)
-        source = self.bleed.source * wave - np.linalg.norm(wall.rest - self.site.center, axis=1)
+        source = self.parameters.source * wave - np.linalg.norm(
+            wall.rest - self.site.center, axis=1
+        )
         swelling = 1.0 - np.exp(-wall.xy[:, 0] / (12.0 * MM)) * 0.45
-        return np.maximum(source, self.bleed.width * wave * swelling - wall.xy[:, 1])
+        return np.maximum(source, self.parameters.width * wave * swelling - wall.xy[:, 1])
 
-    def depth(self, wall: WallSamples) -> Float[np.ndarray, " n"]:
+    def signed_distance(self, wall: WallSamples) -> Float[np.ndarray, " n"]:
         """Distance within the blood's outline, or depth of the pool [m]."""
         return np.maximum(self._dry(wall), self._pool(wall))
 
     def _film(self, wall: WallSamples) -> Float[np.ndarray, " n"]:
         """Thickness of the blood outside the pool [m]."""
-        within = np.clip(self._dry(wall) / (0.7 * self.bleed.width), 0.0, 1.0)
-        clots = np.clip(self._clots(wall.rest) - 0.4, 0.0, 1.2) * self.bleed.clots
-        near = np.exp(-((wall.xy[:, 0] / (5.0 * self.bleed.source)) ** 2))
-        return np.sqrt(within) * (self.bleed.film + clots * (0.25 + 0.75 * near))
+        within = np.clip(self._dry(wall) / (0.7 * self.parameters.width), 0.0, 1.0)
+        clots = np.clip(self._clots(wall.rest) - 0.4, 0.0, 1.2) * self.parameters.clots
+        near = np.exp(-((wall.xy[:, 0] / (5.0 * self.parameters.source)) ** 2))
+        return np.sqrt(within) * (self.parameters.film + clots * (0.25 + 0.75 * near))
 
-    def moved(self, wall: WallSamples) -> Float[np.ndarray, "n 3"]:
+    def displaced(self, wall: WallSamples) -> Float[np.ndarray, "n 3"]:
         """Positions of the blood's surface [m].
 
-        The pool's is level: each place under it moves there towards the centreline, so that
+        The pool's is level: each place under it moves there towards the centerline, so that
         walls that lean over it do not fold, but never as far as to block the lumen.
         """
         film, pool = self._film(wall)[:, None] * wall.normal, self._pool(wall)
@@ -172,21 +186,23 @@ class BleedForm:
         room = np.maximum(reach - _OPEN, 0.0)
         level = wall.rest + np.minimum(np.maximum(pool, 0.0) / steep, room)[:, None] * inward
         wet = smoothstep(pool / (1.0 * MM))
-        clots = np.clip(self._clots(level) - 0.9, 0.0, 1.5) * self.bleed.clots * wet
+        clots = np.clip(self._clots(level) - 0.9, 0.0, 1.5) * self.parameters.clots * wet
         return level + clots[:, None] * inward + (1.0 - wet)[:, None] * film
 
     def chart(self, wall: WallSamples) -> Float[np.ndarray, "n 2"]:
         """Not used: it is painted in place."""
         return wall.xy
 
-    def painted(self, wall: WallSamples, points: Float[np.ndarray, "n 3"], clean: Look) -> Look:
+    def paint(
+        self, wall: WallSamples, points: Float[np.ndarray, "n 3"], clean: AppearanceSample
+    ) -> AppearanceSample:
         """Blood over the mucosa: fresh at the source, darker and clotted farther down."""
         pool = np.maximum(self._pool(wall), 0.0)
-        within = np.clip(self._dry(wall) / (0.9 * self.bleed.width), 0.0, 1.0)
+        within = np.clip(self._dry(wall) / (0.9 * self.parameters.width), 0.0, 1.0)
         film = self._film(wall) * within * (0.8 + 0.35 * np.tanh(self._ripple(points)))
         thickness = film + _STAIN * smoothstep(self._dry(wall) / (0.3 * MM)) + pool
-        farther = wall.xy[:, 0] / max(self.bleed.run, 1e-9)
-        clotted = self.bleed.clots / (2.0 * MM)
+        farther = wall.xy[:, 0] / max(self.parameters.run, 1e-9)
+        clotted = self.parameters.clots / (2.0 * MM)
         age = smoothstep(0.3 * self._age(points) + 0.6 * farther + clotted - 0.1)
         color = under_blood(clean.color, thickness, 0.9 * age)
         wet = np.maximum(smoothstep(within / 0.5), smoothstep(pool / (0.4 * MM)))

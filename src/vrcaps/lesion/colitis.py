@@ -8,9 +8,17 @@ from typing import TYPE_CHECKING, ClassVar, Literal
 import numpy as np
 
 from vrcaps.errors import InputError
-from vrcaps.lesion.base import Lesion, Look, Site, WallSamples, mix, require_range, smoothstep
+from vrcaps.lesion.base import (
+    AppearanceSample,
+    Lesion,
+    LesionSite,
+    WallSamples,
+    mix,
+    require_range,
+    smoothstep,
+)
 from vrcaps.lesion.blood import FIBRIN, under_blood
-from vrcaps.mesh.noise import cloud, grain, swell
+from vrcaps.mesh.noise import band_pass, fbm, low_pass
 from vrcaps.mucosa.appearance import MUCUS_TINT
 from vrcaps.units import CM, MM
 
@@ -43,7 +51,7 @@ class Activity:
         tint: Reflectance of inflamed over that of plain mucosa: red, green, blue.
         patchiness: Share of the redness that comes in patches.
         granularity: RMS height of the granular relief [m].
-        stipple: Spread of the optical density of granules, alike in all colours.
+        stipple: Spread of the optical density of granules, alike in all colors.
         petechiae: Threshold of the field that sets bleeding points, in deviations.
         erosions: Threshold for small erosions.
         ulcers: Threshold for wide ulcers.
@@ -79,7 +87,7 @@ ACTIVITIES = {
 }
 """By Mayo subscore: 1 erythema, decreased vascular pattern; 2 marked erythema, no vascular
 pattern, friability, erosions; 3 spontaneous bleeding, ulceration. Tints are those at which frames
-have the mean colour of real ones (`benchmarks/fit_appearance.py`); of 2 these few are paler and
+have the mean color of real ones (`benchmarks/fit_appearance.py`); of 2 these few are paler and
 less yellow than of 1, by other cameras as much as by disease."""
 
 
@@ -109,16 +117,16 @@ class Colitis(Lesion):
             require_range("Spread of colitis", self.spread, 1.0 * CM, 300.0 * CM)
 
     @property
-    def extent(self) -> Literal["band"]:
+    def extent(self) -> Literal["circumferential"]:
         """It goes all around the lumen."""
-        return "band"
+        return "circumferential"
 
     @property
     def grade(self) -> str:
         """Mayo subscore."""
         return f"Mayo {self.mayo}"
 
-    def band(self, organ: OrganSurface, middle: float | None) -> tuple[float, float]:
+    def arc_length_range(self, organ: OrganSurface, middle: float | None) -> tuple[float, float]:
         """First and last arc length [m]."""
         length = organ.centerline.length
         if isinstance(self.spread, str):
@@ -132,7 +140,7 @@ class Colitis(Lesion):
             return length - self.spread, np.inf
         return middle - 0.5 * self.spread, middle + 0.5 * self.spread
 
-    def form(self, site: Site, rng: np.random.Generator) -> ColitisForm:
+    def form(self, site: LesionSite, rng: np.random.Generator) -> ColitisForm:
         """Draw its irregularities."""
         return ColitisForm(self, site, rng)
 
@@ -143,22 +151,22 @@ class ColitisForm:
     edge_length = np.inf
     border_length = 0.35 * MM
 
-    def __init__(self, colitis: Colitis, site: Site, rng: np.random.Generator) -> None:
+    def __init__(self, colitis: Colitis, site: LesionSite, rng: np.random.Generator) -> None:
         self.activity, self.site = ACTIVITIES[colitis.mayo], site
-        self._ragged, self._patches = swell(16.0 * MM, rng), cloud(14.0 * MM, rng)
-        self._granules, self._points = grain(0.8 * MM, rng), swell(1.1 * MM, rng)
-        self._mottle = cloud(2.5 * MM, rng)
-        self._erosions, self._ulcers = cloud(5.0 * MM, rng), cloud(18.0 * MM, rng)
-        self._blood = cloud(12.0 * MM, rng)
-        self._mucopus = cloud(14.0 * MM, rng)
+        self._ragged, self._patches = low_pass(16.0 * MM, rng), fbm(14.0 * MM, rng)
+        self._granules, self._points = band_pass(0.8 * MM, rng), low_pass(1.1 * MM, rng)
+        self._mottle = fbm(2.5 * MM, rng)
+        self._erosions, self._ulcers = fbm(5.0 * MM, rng), fbm(18.0 * MM, rng)
+        self._blood = fbm(12.0 * MM, rng)
+        self._mucopus = fbm(14.0 * MM, rng)
 
-    def depth(self, wall: WallSamples) -> Float[np.ndarray, " n"]:
+    def signed_distance(self, wall: WallSamples) -> Float[np.ndarray, " n"]:
         """Distance within the ragged ends of the band [m]."""
-        low, high = self.site.band
+        low, high = self.site.arc_length_range
         ragged = 3.0 * MM * self._ragged(wall.rest)
         return np.minimum(wall.xy[:, 0] - low, high - wall.xy[:, 0]) + ragged
 
-    def moved(self, wall: WallSamples) -> Float[np.ndarray, "n 3"]:
+    def displaced(self, wall: WallSamples) -> Float[np.ndarray, "n 3"]:
         """Positions at rest."""
         return wall.rest
 
@@ -166,9 +174,11 @@ class ColitisForm:
         """Not used: it is painted in place."""
         return wall.xy
 
-    def painted(self, wall: WallSamples, points: Float[np.ndarray, "n 3"], clean: Look) -> Look:
+    def paint(
+        self, wall: WallSamples, points: Float[np.ndarray, "n 3"], clean: AppearanceSample
+    ) -> AppearanceSample:
         """Redness, granules, bleeding points, erosions, ulcers, blood."""
-        is_like, inside = self.activity, smoothstep(self.depth(wall) / _FADE)
+        is_like, inside = self.activity, smoothstep(self.signed_distance(wall) / _FADE)
         mottle, granules = self._mottle(points), np.tanh(1.3 * self._granules(points))
         patch = smoothstep(0.5 + 0.4 * self._patches(points) + 0.15 * mottle)
         redness = (1.0 - is_like.patchiness) + is_like.patchiness * patch

@@ -1,4 +1,4 @@
-"""The wall while lesions are put into it: pieces are cut out, refined, and sewn back in."""
+"""The wall while lesions are put into it: pieces are cut out, refined, and joined back in."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
 
 NUM_FIELDS = 6
-"""Columns of `Patch.fields`: arc length, distance from the centreline, offset to it, and of a piece
+"""Columns of `Patch.fields`: arc length, distance from the centerline, offset to it, and of a piece
 its distance along the wall from the middle [m]."""
 
 _PER_VERTEX = (
@@ -67,7 +67,7 @@ def within(wall: Patch, sources: Int[np.ndarray, " k"], reach: float) -> Float[n
 
 
 @dataclass(frozen=True)
-class Cut:
+class ExtractedPatch:
     """A piece of wall and where it came from.
 
     Attributes:
@@ -81,7 +81,7 @@ class Cut:
     faces: Bool[np.ndarray, " m"]
 
 
-def cut(wall: Patch, away: Float[np.ndarray, " n"]) -> Cut:
+def extract(wall: Patch, away: Float[np.ndarray, " n"]) -> ExtractedPatch:
     """The faces that have a corner within reach.
 
     Args:
@@ -97,10 +97,10 @@ def cut(wall: Patch, away: Float[np.ndarray, " n"]) -> Cut:
     values["fields"][:, -1] = np.where(near, away, away[near].max(initial=0.0))[vertices]
     values["is_rim"] = rim(faces, len(vertices)) & ~_is_end(wall)[vertices]
     patch = Patch(**values, faces=faces, uv=wall.uv[chosen], chart_id=wall.chart_id[chosen])
-    return Cut(patch, vertices, chosen)
+    return ExtractedPatch(patch, vertices, chosen)
 
 
-def sew(wall: Patch, piece: Cut, patch: Patch) -> Patch:
+def insert(wall: Patch, piece: ExtractedPatch, patch: Patch) -> Patch:
     """The wall with a refined piece in its place; vertices that were there keep their numbers."""
     old = len(piece.vertices)
     number = np.concatenate([piece.vertices, len(wall.moved) + np.arange(len(patch.moved) - old)])

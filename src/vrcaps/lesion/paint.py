@@ -16,7 +16,7 @@ from scipy.ndimage import distance_transform_edt
 
 from vrcaps.color import LINEAR, srgb_from_linear
 from vrcaps.errors import InputError
-from vrcaps.lesion.base import Form, Look, WallSamples
+from vrcaps.lesion.base import AppearanceSample, Form, WallSamples
 from vrcaps.mesh.rasterize import Texels, covered_texels, sample
 from vrcaps.mucosa.appearance import MAX_SIDE
 from vrcaps.organ.surface import Appearance, round_height
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
     from vrcaps.mesh.refine import Patch
 
-_DENSITY = 14.0 / MM  # texels per metre on charts
+_DENSITY = 14.0 / MM  # texels per meter on charts
 _LARGEST = 768  # texels on a chart's side
 _MARGIN = 6  # texels around a chart, for filtering and its mip levels
 _BLUR = 16  # texels over which vessels are smoothed away
@@ -43,15 +43,15 @@ class Textures:
 
     Attributes:
         appearance: The textures.
-        plain: Linear colour at 1/16 of the resolution.
+        plain: Linear color at 1/16 of the resolution.
     """
 
     appearance: Appearance
     plain: Float[np.ndarray, "k l 3"]
 
-    def look(self, uv: Float[np.ndarray, "n 2"]) -> Look:
+    def look(self, uv: Float[np.ndarray, "n 2"]) -> AppearanceSample:
         """The look at texture coordinates."""
-        return Look(
+        return AppearanceSample(
             color=sample(self.appearance.albedo, uv, LINEAR),
             roughness=sample(self.appearance.roughness, uv, _BYTES),
             height=sample(self.appearance.height, uv, None),
@@ -60,13 +60,13 @@ class Textures:
 
 
 @dataclass(frozen=True)
-class Shown:
+class FormSamples:
     """A form on the vertices of a piece of wall.
 
     Attributes:
         form: The lesion.
         wall: The vertices at rest.
-        points: Positions with the lesion, relative to its centre [m].
+        points: Positions with the lesion, relative to its center [m].
     """
 
     form: Form
@@ -81,20 +81,20 @@ class Chart:
     Attributes:
         instance: Number of the lesion.
         origin: Chart position [m] of the middle of the top-left texel.
-        density: Texels per metre.
+        density: Texels per meter.
         clean: Albedo, roughness and height without the lesion.
-        sick: The same with it.
+        lesioned: The same with it.
     """
 
     instance: int
     origin: Float[np.ndarray, " 2"]
     density: float
     clean: tuple[np.ndarray, np.ndarray, np.ndarray]
-    sick: tuple[np.ndarray, np.ndarray, np.ndarray]
+    lesioned: tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
 def smoothed(appearance: Appearance) -> Textures:
-    """Textures with their plain colour: means over blocks, of texels that are not blank."""
+    """Textures with their plain color: means over blocks, of texels that are not blank."""
     albedo = appearance.albedo
     height, width = (max(1, side // _BLUR) for side in albedo.shape[:2])
     rows = np.linspace(0, albedo.shape[0], height * 4, endpoint=False).astype(int)
@@ -110,7 +110,7 @@ def smoothed(appearance: Appearance) -> Textures:
 
 
 def paint_in_place(
-    textures: Textures, patch: Patch, shown: Shown, faces: Int[np.ndarray, " k"]
+    textures: Textures, patch: Patch, shown: FormSamples, faces: Int[np.ndarray, " k"]
 ) -> Textures:
     """Textures with a lesion painted on the texels of some faces of the wall's own chart."""
     look = textures.appearance
@@ -135,9 +135,9 @@ def paint_in_place(
 
 def paint_chart(
     clean: Textures,
-    sick: Textures,
+    lesioned: Textures,
     patch: Patch,
-    shown: Shown,
+    shown: FormSamples,
     instance: int,
 ) -> Chart:
     """A lesion's own chart, from the textures that its surroundings have."""
@@ -149,10 +149,10 @@ def paint_chart(
     origin = np.array([low[0], high[1]]) + np.array([-_MARGIN, _MARGIN]) / density
     texels = covered_texels((corners - origin) * (density, -density))
     images = []
-    for textures, is_sick in ((clean, False), (sick, True)):
+    for textures, is_lesioned in ((clean, False), (lesioned, True)):
         image = _blank(height, width)
         before = textures.look(texels.blend_corners(patch.uv[faces, :, :2]))
-        painted = _painted(before, patch, shown, faces, texels) if is_sick else before
+        painted = _painted(before, patch, shown, faces, texels) if is_lesioned else before
         _store(image, painted, texels.row, texels.column)
         covered = np.zeros((height, width), bool)
         covered[texels.row, texels.column] = True
@@ -177,17 +177,21 @@ def _blank(height: int, width: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
 def _painted(
-    before: Look, patch: Patch, shown: Shown, faces: Int[np.ndarray, " k"], texels: Texels
-) -> Look:
-    """Look of texels with a lesion."""
+    before: AppearanceSample,
+    patch: Patch,
+    shown: FormSamples,
+    faces: Int[np.ndarray, " k"],
+    texels: Texels,
+) -> AppearanceSample:
+    """AppearanceSample of texels with a lesion."""
     corners, wall = patch.faces[faces], shown.wall
     here = WallSamples(
         *(texels.blend(part, corners) for part in (wall.xy, wall.rest, wall.normal, wall.inward))
     )
-    return shown.form.painted(here, texels.blend(shown.points, corners), before)
+    return shown.form.paint(here, texels.blend(shown.points, corners), before)
 
 
-def _store(images, look: Look, row: np.ndarray, column: np.ndarray) -> None:
+def _store(images, look: AppearanceSample, row: np.ndarray, column: np.ndarray) -> None:
     albedo, roughness, height = images
     albedo[row, column] = srgb_from_linear(look.color)
     roughness[row, column] = np.rint(255.0 * np.clip(look.roughness, 0.0, 1.0))
@@ -248,7 +252,7 @@ def _pair(values: Int[np.ndarray, " 2"]) -> tuple[int, int]:
     return int(values[0]), int(values[1])
 
 
-def assemble(base: Appearance, charts: list[Chart], atlas: Atlas, *, sick: bool) -> Appearance:
+def assemble(base: Appearance, charts: list[Chart], atlas: Atlas, *, lesioned: bool) -> Appearance:
     """The enlarged textures."""
     height, width = base.albedo.shape[:2]
     top, (columns, rows) = atlas.extra[1], atlas.size
@@ -264,7 +268,7 @@ def assemble(base: Appearance, charts: list[Chart], atlas: Atlas, *, sick: bool)
             below - top :, : atlas.extra[0]
         ]
         for chart, (x, y) in zip(charts, atlas.places, strict=True):
-            piece = (chart.sick if sick else chart.clean)[k]
+            piece = (chart.lesioned if lesioned else chart.clean)[k]
             whole[y : y + piece.shape[0], x : x + piece.shape[1]] = piece
         parts.append(whole)
     return replace(base, albedo=parts[0], roughness=parts[1], height=round_height(parts[2]))

@@ -10,7 +10,7 @@ import numpy as np
 
 from vrcaps._core import Wall
 from vrcaps.errors import InputError, UnknownNameError
-from vrcaps.lesion.base import Lesion, Place
+from vrcaps.lesion.base import Lesion, Location
 from vrcaps.units import CM, MM
 
 if TYPE_CHECKING:
@@ -28,7 +28,7 @@ _UNEVEN = 0.35  # height of the wall around a pouch, in radii of its footprint
 
 
 @dataclass(frozen=True)
-class Placed:
+class PlacedLesion:
     """A lesion and the wall vertex at its middle.
 
     Attributes:
@@ -42,15 +42,15 @@ class Placed:
     center: Float[np.ndarray, " 3"]
 
 
-def place_spot(
+def place_focal(
     organ: OrganSurface,
     wall: Wall,
     lesion: Lesion,
-    others: list[Placed],
+    others: list[PlacedLesion],
     rng: np.random.Generator,
     *,
     num_vertices: int,
-) -> Placed:
+) -> PlacedLesion:
     """Find the wall for a spot: where its place says, or anywhere that it fits.
 
     Args:
@@ -66,32 +66,32 @@ def place_spot(
         UnknownNameError: If the organ has no such segment.
     """
     reasons: list[str] = []
-    for vertex in candidates(organ, lesion.place, rng, num_vertices):
+    for vertex in candidates(organ, lesion.location, rng, num_vertices):
         reasons.append(_misfit(organ, wall, lesion, others, vertex))
         if not reasons[-1]:
-            return Placed(lesion, vertex, organ.vertices[vertex])
+            return PlacedLesion(lesion, vertex, organ.vertices[vertex])
     drawn = f"none of {len(reasons)} places drawn will do; at the last, "
     which = drawn if len(reasons) > 1 else ""
     raise InputError(f"No place for {describe(lesion)}: {which}{reasons[-1]}.")
 
 
 def candidates(
-    organ: OrganSurface, place: Place, rng: np.random.Generator, num_vertices: int
+    organ: OrganSurface, location: Location, rng: np.random.Generator, num_vertices: int
 ) -> Iterator[int]:
     """Vertices that a place allows: one where it is fully stated, else many, drawn."""
-    allowed = _allowed(organ, place)
+    allowed = _allowed(organ, location)
     allowed = allowed[allowed < num_vertices]
-    is_exact = place.arc_length is not None and place.theta is not None
+    is_exact = location.arc_length is not None and location.theta is not None
     for _ in range(1 if is_exact else _NUM_TRIES):
         drawn = int(rng.choice(allowed))
-        arc_length = organ.arc_length[drawn] if place.arc_length is None else place.arc_length
-        theta = rng.uniform(-np.pi, np.pi) if place.theta is None else place.theta
+        arc_length = organ.arc_length[drawn] if location.arc_length is None else location.arc_length
+        theta = rng.uniform(-np.pi, np.pi) if location.theta is None else location.theta
         turn = (organ.theta[allowed] - theta + np.pi) % (2.0 * np.pi) - np.pi
         away = np.hypot(organ.arc_length[allowed] - arc_length, organ.radius[allowed] * turn)
         yield int(allowed[np.argmin(away)])
 
 
-def _allowed(organ: OrganSurface, place: Place) -> Int[np.ndarray, " k"]:
+def _allowed(organ: OrganSurface, location: Location) -> Int[np.ndarray, " k"]:
     """Vertices of the place's segment, and near its arc length if that is stated.
 
     Raises:
@@ -99,24 +99,24 @@ def _allowed(organ: OrganSurface, place: Place) -> Int[np.ndarray, " k"]:
         UnknownNameError: If the organ has no such segment.
     """
     allowed = np.arange(len(organ.vertices))
-    if place.segment is not None:
+    if location.segment is not None:
         names = [organ.label_names[k] for k in np.unique(organ.label)]
-        if place.segment not in names:
-            raise UnknownNameError("segment", place.segment, names)
-        allowed = np.flatnonzero(organ.label == organ.label_names.index(place.segment))
-    if place.arc_length is not None:
+        if location.segment not in names:
+            raise UnknownNameError("segment", location.segment, names)
+        allowed = np.flatnonzero(organ.label == organ.label_names.index(location.segment))
+    if location.arc_length is not None:
         low, high = organ.arc_length[allowed].min(), organ.arc_length[allowed].max()
-        if not low <= place.arc_length <= high:
-            where = organ.name if place.segment is None else place.segment
+        if not low <= location.arc_length <= high:
+            where = organ.name if location.segment is None else location.segment
             raise InputError(
-                f"Arc length {place.arc_length / CM:g} cm is not in {where}. Allowed: "
+                f"Arc length {location.arc_length / CM:g} cm is not in {where}. Allowed: "
                 f"{low / CM:.1f} to {high / CM:.1f} cm."
             )
     return allowed
 
 
 def _misfit(
-    organ: OrganSurface, wall: Wall, lesion: Lesion, others: list[Placed], vertex: int
+    organ: OrganSurface, wall: Wall, lesion: Lesion, others: list[PlacedLesion], vertex: int
 ) -> str:
     """Why a spot does not fit at a vertex; empty if it does."""
     arc_length, reach = float(organ.arc_length[vertex]), lesion.footprint_radius
@@ -146,22 +146,22 @@ def _no_room(organ: OrganSurface, wall: Wall, lesion: Lesion, vertex: int) -> st
     """Why there is no room over the wall for a spot, or behind it; empty if there is."""
     center, normal = organ.vertices[vertex], organ.normals[vertex]
     arc_length, reach = float(organ.arc_length[vertex]), lesion.footprint_radius
-    side = "in the lumen" if lesion.reach_in >= 0.0 else "behind the wall"
-    direction = normal if lesion.reach_in >= 0.0 else -normal
+    side = "in the lumen" if lesion.protrusion >= 0.0 else "behind the wall"
+    direction = normal if lesion.protrusion >= 0.0 else -normal
     free = _free_way(wall, center, direction)
-    if abs(lesion.reach_in) > _ROOM * free:
+    if abs(lesion.protrusion) > _ROOM * free:
         return (
-            f"it stands {abs(lesion.reach_in) / MM:.1f} mm high, but {side} at "
+            f"it stands {abs(lesion.protrusion) / MM:.1f} mm high, but {side} at "
             f"{arc_length / CM:.1f} cm only {free / MM:.1f} mm are free"
         )
-    is_high = abs(lesion.reach_in) > 0.5 * lesion.head_radius
-    beside = _free_beside(wall, center, abs(lesion.reach_in) * direction) if is_high else np.inf
+    is_high = abs(lesion.protrusion) > 0.5 * lesion.head_radius
+    beside = _free_beside(wall, center, abs(lesion.protrusion) * direction) if is_high else np.inf
     if _BESIDE * lesion.head_radius > beside:
         return (
             f"it is {2.0 * lesion.head_radius / MM:.1f} mm wide, but {side} at "
             f"{arc_length / CM:.1f} cm the wall beside is only {beside / MM:.1f} mm away"
         )
-    if lesion.reach_in < 0.0 and _unevenness(organ, center, normal, reach) > _UNEVEN * reach:
+    if lesion.protrusion < 0.0 and _unevenness(organ, center, normal, reach) > _UNEVEN * reach:
         return f"at {arc_length / CM:.1f} cm the wall is folded, where no pouch forms"
     return ""
 

@@ -7,10 +7,17 @@ from typing import TYPE_CHECKING, ClassVar, Literal
 
 import numpy as np
 
-from vrcaps.lesion.base import Look, Site, SizedLesion, WallSamples, mix, smoothstep
+from vrcaps.lesion.base import (
+    AppearanceSample,
+    LesionSite,
+    SizedLesion,
+    WallSamples,
+    mix,
+    smoothstep,
+)
 from vrcaps.lesion.blood import FIBRIN, under_blood
-from vrcaps.lesion.spot import ProfileForm
-from vrcaps.mesh.noise import cloud, grain
+from vrcaps.lesion.focal import ProfileForm
+from vrcaps.mesh.noise import band_pass, fbm
 from vrcaps.units import MM
 
 if TYPE_CHECKING:
@@ -113,11 +120,11 @@ class Polyp(SizedLesion):
         return 0.5 * self.size
 
     @property
-    def reach_in(self) -> float:
+    def protrusion(self) -> float:
         """Height over the wall [m]."""
         return float(_control(self.shape, self.size)[:, 1].max())
 
-    def form(self, site: Site, rng: np.random.Generator) -> PolypForm:
+    def form(self, site: LesionSite, rng: np.random.Generator) -> PolypForm:
         """Draw its irregularities."""
         return PolypForm(self, site, rng)
 
@@ -125,11 +132,11 @@ class Polyp(SizedLesion):
 class PolypForm(ProfileForm):
     """A polyp with its irregularities drawn."""
 
-    def __init__(self, polyp: Polyp, site: Site, rng: np.random.Generator) -> None:
+    def __init__(self, polyp: Polyp, site: LesionSite, rng: np.random.Generator) -> None:
         self.polyp, surface = polyp, SURFACES[polyp.pattern]
         side = site.down - (site.down @ site.axes[:, 2]) * site.axes[:, 2]
         lean = site.axes[:, :2] @ rng.normal(0.0, 0.12, 2) + 0.3 * side
-        flatness = min(1.0, polyp.reach_in / (0.3 * polyp.size))
+        flatness = min(1.0, polyp.protrusion / (0.3 * polyp.size))
         super().__init__(
             site,
             _control(polyp.shape, polyp.size),
@@ -139,12 +146,14 @@ class PolypForm(ProfileForm):
             lobes=(surface.lobes * polyp.size * flatness, surface.lobe_spacing * polyp.size),
             lean=lean * float(polyp.shape == "Ip"),
         )
-        self._pattern = grain(surface.wavelength, rng)
-        self._mottle = cloud(max(0.3 * polyp.size, 1.5 * MM), rng)
-        self._vessels = grain(1.6 * MM, rng)
+        self._pattern = band_pass(surface.wavelength, rng)
+        self._mottle = fbm(max(0.3 * polyp.size, 1.5 * MM), rng)
+        self._vessels = band_pass(1.6 * MM, rng)
 
-    def painted(self, wall: WallSamples, points: Float[np.ndarray, "n 3"], clean: Look) -> Look:
-        """The kind's colour, mottled, over the mucosa without its vessels; its pattern."""
+    def paint(
+        self, wall: WallSamples, points: Float[np.ndarray, "n 3"], clean: AppearanceSample
+    ) -> AppearanceSample:
+        """The kind's color, mottled, over the mucosa without its vessels; its pattern."""
         surface = SURFACES[self.polyp.pattern]
         color = mix(clean.color, clean.plain, np.full(len(points), 0.85)) * surface.tint
         pattern, mottle = self._pattern(points), self._mottle(points)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps.lesion.base import Lesion, Place
+from vrcaps.lesion.base import Lesion, Location
 from vrcaps.lesion.registry import parse_lesion
 from vrcaps.units import MM
 
@@ -52,9 +52,9 @@ COLON_PREVALENCE: tuple[Prevalence, ...] = (
     ),
     Prevalence("diverticulum", 1.5, (3 * MM, 9 * MM), {"sigmoid": 0.75, "descending": 0.25}),
     Prevalence("angioectasia", 0.03, (2 * MM, 8 * MM), {"caecum": 0.5, "ascending": 0.5}),
-    Prevalence("tumour", 0.006, (15 * MM, 40 * MM), {"sigmoid": 0.5, "rectum": 0.3, "caecum": 0.2}),
+    Prevalence("tumor", 0.006, (15 * MM, 40 * MM), {"sigmoid": 0.5, "rectum": 0.3, "caecum": 0.2}),
     *(Prevalence(f"colitis-{k}:spread=E1", 0.004) for k in (1, 2, 3)),
-    *(Prevalence(f"haemorrhage-{k}", 0.004) for k in (1, 2, 3, 4)),
+    *(Prevalence(f"bleeding-{k}", 0.004) for k in (1, 2, 3, 4)),
     Prevalence("erosion", 0.05, (2 * MM, 6 * MM)),
     Prevalence("ulcer-aphthous", 0.02, (3 * MM, 6 * MM)),
     Prevalence("stricture", 0.003),
@@ -94,6 +94,6 @@ def draw_lesions(
                 segment = list(row.segments)[rng.choice(len(weights), p=weights / weights.sum())]
             if names is not None and segment not in names:
                 segment = None
-            place = Place(segment=segment)
-            lesions.append(replace(lesion, place=place, variant=int(rng.integers(1000))))
+            location = Location(segment=segment)
+            lesions.append(replace(lesion, location=location, variant=int(rng.integers(1000))))
     return tuple(lesions)

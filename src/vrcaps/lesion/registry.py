@@ -6,18 +6,18 @@ from dataclasses import fields
 from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
 from vrcaps.errors import InputError, UnknownNameError
-from vrcaps.lesion.base import Lesion, Place
-from vrcaps.lesion.bleeding import Haemorrhage
+from vrcaps.lesion.base import Lesion, Location
+from vrcaps.lesion.bleeding import Bleeding
 from vrcaps.lesion.colitis import Colitis
 from vrcaps.lesion.polyp import PATTERNS, Polyp
-from vrcaps.lesion.structural import Diverticulum, Stricture, Tumour
+from vrcaps.lesion.structural import Diverticulum, Stricture, Tumor
 from vrcaps.lesion.ulcer import Erosion, Ulcer
 from vrcaps.lesion.vascular import Angioectasia, Lymphangiectasia
 from vrcaps.units import CM, DEG, MM, parse_length
 
 AnyLesion = Union[
-    *(Polyp, Colitis, Haemorrhage, Angioectasia, Erosion, Ulcer),
-    *(Stricture, Diverticulum, Tumour, Lymphangiectasia),
+    *(Polyp, Colitis, Bleeding, Angioectasia, Erosion, Ulcer),
+    *(Stricture, Diverticulum, Tumor, Lymphangiectasia),
 ]
 
 LESIONS: dict[str, type[Lesion]] = {cls.kind: cls for cls in get_args(AnyLesion)}
@@ -27,7 +27,7 @@ _LENGTHS = {"size", "length", "spread", "arc_length"}
 
 
 def _library() -> dict[str, Lesion]:
-    """The named lesions of the VR-Caps paper: 20 polyps, 60 of colitis, 40 haemorrhages."""
+    """The named lesions of the VR-Caps paper: 20 polyps, 60 of colitis, 40 cases of bleeding."""
     sizes = {"Ip": 14.0, "Is": 9.0, "IIa": 11.0, "IIc": 10.0}
     named: dict[str, Lesion] = {}
     for shape, size in sizes.items():
@@ -44,17 +44,17 @@ def _library() -> dict[str, Lesion]:
             named[f"colitis-{mayo}-{number:02d}"] = Colitis(
                 mayo=mayo, spread=spread, variant=number
             )
-    for level in (1, 2, 3, 4):
+    for severity in (1, 2, 3, 4):
         for number in range(1, 11):
-            named[f"haemorrhage-{level}-{number:02d}"] = Haemorrhage(level=level, variant=number)
+            named[f"bleeding-{severity}-{number:02d}"] = Bleeding(severity=severity, variant=number)
     return named
 
 
 LIBRARY: dict[str, Lesion] = _library()
-"""Named lesions: polyp-<shape>-<pattern>, colitis-<Mayo>-<01 to 20>, haemorrhage-<grade>-<01 to
+"""Named lesions: polyp-<shape>-<pattern>, colitis-<Mayo>-<01 to 20>, bleeding-<severity>-<01 to
 10>."""
 
-LIBRARY_SHORT = ("polyp-Ip-tubular", "colitis-1-01", "haemorrhage-1-01")
+LIBRARY_SHORT = ("polyp-Ip-tubular", "colitis-1-01", "bleeding-1-01")
 """A name of each kind in the library, for messages."""
 
 
@@ -63,7 +63,7 @@ def parse_lesion(text: str) -> Lesion:
 
     A name, then whatever differs from its defaults: ``polyp-Ip``, ``colitis-2``,
     ``ulcer-deep:size=15mm``, ``polyp-Is-villous:segment=sigmoid,theta=90deg``,
-    ``haemorrhage-3:arc_length=80cm``. The name is a kind, with its grade after a hyphen, or one
+    ``bleeding-3:arc_length=80cm``. The name is a kind, with its grade after a hyphen, or one
     of `LIBRARY`. Lengths have a unit.
 
     Raises:
@@ -73,17 +73,22 @@ def parse_lesion(text: str) -> Lesion:
     name, _, rest = text.strip().partition(":")
     cls, values = _named(name.strip())
     hints = get_type_hints(cls)
-    known = [*(f.name for f in fields(cls) if f.name != "place"), *(f.name for f in fields(Place))]
-    place: dict[str, Any] = {}
+    known = [
+        *(f.name for f in fields(cls) if f.name != "location"),
+        *(f.name for f in fields(Location)),
+    ]
+    location: dict[str, Any] = {}
     for item in filter(None, (part.strip() for part in rest.split(","))):
         key, equals, value = (part.strip() for part in item.partition("="))
         if not equals or not value:
             raise InputError(f"{item!r} in lesion {text!r}. Allowed: key=value, such as size=8mm.")
         if key not in known:
             raise UnknownNameError(f"setting of {cls.kind}", key, known)
-        target, hint = (values, hints[key]) if key in hints else (place, get_type_hints(Place)[key])
+        target, hint = (
+            (values, hints[key]) if key in hints else (location, get_type_hints(Location)[key])
+        )
         target[key] = _value(key, value, hint)
-    return cls(**values, place=Place(**place))
+    return cls(**values, location=Location(**location))
 
 
 def _named(name: str) -> tuple[type[Lesion], dict[str, Any]]:
@@ -91,7 +96,7 @@ def _named(name: str) -> tuple[type[Lesion], dict[str, Any]]:
     if name in LIBRARY:
         found = LIBRARY[name]
         return type(found), {
-            f.name: getattr(found, f.name) for f in fields(found) if f.name != "place"
+            f.name: getattr(found, f.name) for f in fields(found) if f.name != "location"
         }
     kind, _, grade = name.partition("-")
     if kind not in LESIONS:

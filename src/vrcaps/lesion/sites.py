@@ -12,10 +12,10 @@ from scipy.spatial import KDTree
 
 from vrcaps._core import Wall
 from vrcaps.errors import InputError
-from vrcaps.lesion.base import Lesion, Site, WallSamples
-from vrcaps.lesion.bleeding import Bleed, Haemorrhage
-from vrcaps.lesion.mesh_patch import NUM_FIELDS, Cut, cut, edge_graph, within
-from vrcaps.lesion.placement import Placed, candidates, place_spot
+from vrcaps.lesion.base import Lesion, LesionSite, WallSamples
+from vrcaps.lesion.bleeding import Bleeding, BleedingParameters
+from vrcaps.lesion.mesh_patch import NUM_FIELDS, ExtractedPatch, edge_graph, extract, within
+from vrcaps.lesion.placement import PlacedLesion, candidates, place_focal
 from vrcaps.mesh.log_map import log_map
 from vrcaps.mesh.refine import Patch, refine
 from vrcaps.organ.surface import OrganSurface
@@ -32,7 +32,7 @@ _MARGIN = 6.0 * MM  # of wall around a stream and its pool
 
 
 @dataclass(frozen=True)
-class Surroundings:
+class PlacementContext:
     """What a lesion finds.
 
     Attributes:
@@ -40,14 +40,14 @@ class Surroundings:
         wall: The same, under work.
         down: Unit vector of gravity, patient frame.
         num_vertices: How many of the first vertices are the organ's own, evenly spread.
-        spots: Lesions about a centre that are there.
+        spots: Lesions about a center that are there.
     """
 
     organ: OrganSurface
     wall: Patch
     down: Float[np.ndarray, " 3"]
     num_vertices: int
-    spots: list[Placed]
+    spots: list[PlacedLesion]
 
     def core(self) -> Wall:
         """The wall for ray and distance queries."""
@@ -56,7 +56,7 @@ class Surroundings:
 
 
 @dataclass(frozen=True)
-class Found:
+class SitePatch:
     """A lesion's place.
 
     Attributes:
@@ -66,33 +66,35 @@ class Found:
         vertex: Vertex of the organ in its middle.
     """
 
-    site: Site
-    piece: Cut
+    site: LesionSite
+    piece: ExtractedPatch
     patch: Patch
     vertex: int
 
 
-def spot_site(lesion: Lesion, around: Surroundings, rng: np.random.Generator) -> Found:
-    """Wall about a centre, with its geodesic log map.
+def focal_site(lesion: Lesion, around: PlacementContext, rng: np.random.Generator) -> SitePatch:
+    """Wall about a center, with its geodesic log map.
 
     Raises:
         InputError: If the lesion fits nowhere.
     """
-    placed = place_spot(
+    placed = place_focal(
         *(around.organ, around.core(), lesion, around.spots, rng),
         num_vertices=around.num_vertices,
     )
     radius = lesion.footprint_radius * _WAVY
     reach = 1.5 * radius + 5.0 * MM
-    piece = cut(around.wall, within(around.wall, np.array([placed.vertex]), reach))
+    piece = extract(around.wall, within(around.wall, np.array([placed.vertex]), reach))
     patch = _evenly_refined(piece.patch, 1.3 * radius, _even_length(radius))
     center = int(np.searchsorted(piece.vertices, placed.vertex))
     xy, axes = log_map(patch, center, radius=radius, edge_length=_even_length(radius))
-    site = Site(placed.center, axes, around.down)
-    return Found(site, piece, _with_columns(patch, xy), placed.vertex)
+    site = LesionSite(placed.center, axes, around.down)
+    return SitePatch(site, piece, _with_columns(patch, xy), placed.vertex)
 
 
-def band_site(lesion: Lesion, around: Surroundings, rng: np.random.Generator) -> Found:
+def circumferential_site(
+    lesion: Lesion, around: PlacementContext, rng: np.random.Generator
+) -> SitePatch:
     """Wall between two arc lengths.
 
     Raises:
@@ -102,25 +104,25 @@ def band_site(lesion: Lesion, around: Surroundings, rng: np.random.Generator) ->
     low, high, vertex = _band(lesion, around, rng)
     arc_length = organ.arc_length
     outside = np.maximum(low - arc_length, arc_length - high)
-    piece = cut(around.wall, np.where(outside < 15.0 * MM, outside, np.inf))
+    piece = extract(around.wall, np.where(outside < 15.0 * MM, outside, np.inf))
     xy = np.stack([piece.patch.fields[:, 0], np.zeros(len(piece.vertices))], axis=1)
-    site = Site(organ.vertices[vertex], np.eye(3), around.down, band=(low, high))
-    return Found(site, piece, _with_columns(piece.patch, xy), vertex)
+    site = LesionSite(organ.vertices[vertex], np.eye(3), around.down, arc_length_range=(low, high))
+    return SitePatch(site, piece, _with_columns(piece.patch, xy), vertex)
 
 
 def _band(
-    lesion: Lesion, around: Surroundings, rng: np.random.Generator
+    lesion: Lesion, around: PlacementContext, rng: np.random.Generator
 ) -> tuple[float, float, int]:
     """First and last arc length [m], and a vertex in the middle of them."""
-    organ, place = around.organ, lesion.place
+    organ, location = around.organ, lesion.location
     middle, reason = None, None
-    drawn = candidates(organ, place, rng, around.num_vertices)
+    drawn = candidates(organ, location, rng, around.num_vertices)
     for vertex in drawn:
-        if place.segment is not None or place.arc_length is not None or reason is not None:
+        if location.segment is not None or location.arc_length is not None or reason is not None:
             middle = float(organ.arc_length[vertex])
-            middle = middle if place.arc_length is None else place.arc_length
+            middle = middle if location.arc_length is None else location.arc_length
         try:
-            low, high = lesion.band(organ, middle)
+            low, high = lesion.arc_length_range(organ, middle)
         except InputError as error:
             reason = error
             continue
@@ -131,25 +133,25 @@ def _band(
     raise reason
 
 
-def stream_site(lesion: Lesion, around: Surroundings, rng: np.random.Generator) -> Found:
+def flow_site(lesion: Lesion, around: PlacementContext, rng: np.random.Generator) -> SitePatch:
     """Wall along the way that blood runs from a place, to where it collects."""
-    assert isinstance(lesion, Haemorrhage)
+    assert isinstance(lesion, Bleeding)
     organ, core = around.organ, around.core()
     best: tuple[int, np.ndarray] | None = None
-    for vertex in candidates(organ, lesion.place, rng, around.num_vertices):
-        path = trace_down(core, organ.vertices[vertex], around.down, lesion.bleed.run, rng)
+    for vertex in candidates(organ, lesion.location, rng, around.num_vertices):
+        path = trace_down(core, organ.vertices[vertex], around.down, lesion.parameters.run, rng)
         if best is None or len(path) > len(best[1]):
             best = (vertex, path)
-        if len(path) * _STEP > 0.6 * lesion.bleed.run:
+        if len(path) * _STEP > 0.6 * lesion.parameters.run:
             break
     assert best is not None
     vertex, path = best
-    return _along_path(lesion.bleed, around, vertex, path)
+    return _along_path(lesion.parameters, around, vertex, path)
 
 
 def _along_path(
-    bleed: Bleed, around: Surroundings, vertex: int, path: Float[np.ndarray, "k 3"]
-) -> Found:
+    bleed: BleedingParameters, around: PlacementContext, vertex: int, path: Float[np.ndarray, "k 3"]
+) -> SitePatch:
     """Wall along a stream's path and in the hollow at its end."""
     wall, organ = around.wall, around.organ
     reach = 8.0 * bleed.width + 2.0 * bleed.source
@@ -159,7 +161,7 @@ def _along_path(
     if bleed.pool > 0.0:
         beyond = within(wall, _hollow(around, along[-1], bleed.pool), _MARGIN)
     is_pool = np.isfinite(beyond) & ~np.isfinite(beside)
-    piece = cut(wall, np.where(is_pool, reach, beside))
+    piece = extract(wall, np.where(is_pool, reach, beside))
     far = np.column_stack([beside, beyond])[piece.vertices]
     patch = _with_columns(piece.patch, np.minimum(far, [reach + _MARGIN, _MARGIN]))
     patch = _evenly_refined(patch, 3.0 * bleed.width, min(0.8 * MM, 0.6 * bleed.width))
@@ -170,14 +172,14 @@ def _along_path(
     away = np.where(beside < 0.95 * reach, away, np.maximum(away, reach))
     xy = np.stack([nearest / 8.0 * _STEP, away, beyond], axis=1)
     patch = _with_columns(replace(patch, fields=patch.fields[:, :NUM_FIELDS]), xy)
-    site = Site(
+    site = LesionSite(
         *(path[0], np.eye(3), around.down),
         **{"bottom": path[-1], "reach": _POOL_REACH},
     )
-    return Found(site, piece, patch, vertex)
+    return SitePatch(site, piece, patch, vertex)
 
 
-def _hollow(around: Surroundings, bottom: int, deep: float) -> Int[np.ndarray, " k"]:
+def _hollow(around: PlacementContext, bottom: int, deep: float) -> Int[np.ndarray, " k"]:
     """Vertices under a pool's level that are joined to its bottom below that level."""
     vertices = around.wall.moved
     under = (vertices - vertices[bottom]) @ around.down > -deep
@@ -195,7 +197,7 @@ def trace_down(
     length: float,
     rng: np.random.Generator,
 ) -> Float[np.ndarray, "k 3"]:
-    """The way of a drop on the wall, a millimetre a step, meandering; ends where it is level."""
+    """The way of a drop on the wall, a millimeter a step, meandering; ends where it is level."""
     points, sway = [np.asarray(start, float)], 0.0
     for _ in range(int(length / _STEP)):
         here = points[-1]
@@ -214,10 +216,10 @@ def trace_down(
     return np.array(points)
 
 
-SITES: dict[str, Callable[[Lesion, Surroundings, np.random.Generator], Found]] = {
-    "spot": spot_site,
-    "band": band_site,
-    "stream": stream_site,
+SITES: dict[str, Callable[[Lesion, PlacementContext, np.random.Generator], SitePatch]] = {
+    "focal": focal_site,
+    "circumferential": circumferential_site,
+    "flow": flow_site,
 }
 """How each extent finds its wall."""
 

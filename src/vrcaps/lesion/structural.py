@@ -1,4 +1,4 @@
-"""Lesions of the whole wall: tumour masses, diverticula, strictures."""
+"""Lesions of the whole wall: tumor masses, diverticula, strictures."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ import numpy as np
 
 from vrcaps.errors import InputError
 from vrcaps.lesion.base import (
+    AppearanceSample,
     Lesion,
-    Look,
-    Site,
+    LesionSite,
     SizedLesion,
     WallSamples,
     mix,
@@ -19,8 +19,8 @@ from vrcaps.lesion.base import (
     smoothstep,
 )
 from vrcaps.lesion.blood import under_blood
-from vrcaps.lesion.spot import ProfileForm
-from vrcaps.mesh.noise import cloud, grain, swell
+from vrcaps.lesion.focal import ProfileForm
+from vrcaps.mesh.noise import band_pass, fbm, low_pass
 from vrcaps.units import CM, MM
 
 if TYPE_CHECKING:
@@ -41,7 +41,7 @@ _POUCH = (
 
 
 @dataclass(frozen=True, kw_only=True)
-class Tumour(SizedLesion):
+class Tumor(SizedLesion):
     """An ulcerated mass with a rolled edge, as a cancer has (Borrmann type 2).
 
     Attributes:
@@ -50,34 +50,36 @@ class Tumour(SizedLesion):
 
     size: float = 25.0 * MM
 
-    kind: ClassVar[str] = "tumour"
+    kind: ClassVar[str] = "tumor"
     sizes: ClassVar[tuple[float, float]] = (10.0 * MM, 50.0 * MM)
 
     @property
-    def reach_in(self) -> float:
+    def protrusion(self) -> float:
         """Height of its edge [m]."""
         return 0.4 * self.size
 
-    def form(self, site: Site, rng: np.random.Generator) -> TumourForm:
+    def form(self, site: LesionSite, rng: np.random.Generator) -> TumorForm:
         """Draw its irregularities."""
-        return TumourForm(self, site, rng)
+        return TumorForm(self, site, rng)
 
 
-class TumourForm(ProfileForm):
-    """A lobed ring of tumour around a bleeding, necrotic crater."""
+class TumorForm(ProfileForm):
+    """A lobed ring of tumor around a bleeding, necrotic crater."""
 
-    def __init__(self, tumour: Tumour, site: Site, rng: np.random.Generator) -> None:
-        size = tumour.size
+    def __init__(self, tumor: Tumor, site: LesionSite, rng: np.random.Generator) -> None:
+        size = tumor.size
         super().__init__(
             *(site, np.array(_MASS) * 0.5 * size, rng),
             **{"waviness": 0.16, "upright": False, "lobes": (0.035 * size, 0.24 * size)},
         )
-        self._necrosis, self._grain = cloud(0.22 * size, rng), grain(1.1 * MM, rng)
-        self._blood = cloud(0.2 * size, rng)
+        self._necrosis, self._grain = fbm(0.22 * size, rng), band_pass(1.1 * MM, rng)
+        self._blood = fbm(0.2 * size, rng)
 
-    def painted(self, wall: WallSamples, points: Float[np.ndarray, "n 3"], clean: Look) -> Look:
+    def paint(
+        self, wall: WallSamples, points: Float[np.ndarray, "n 3"], clean: AppearanceSample
+    ) -> AppearanceSample:
         """Dark red, friable; slough and blood in the crater."""
-        share, fine = self.share(wall), np.tanh(self._grain(points))
+        share, fine = self.normalized_radius(wall), np.tanh(self._grain(points))
         color = clean.plain * (0.90, 0.50, 0.46)
         color = color * np.exp(0.16 * fine + 0.10 * self._blood(points))[:, None]
         crater = smoothstep((0.5 - share) / 0.25)
@@ -114,11 +116,11 @@ class Diverticulum(SizedLesion):
         return 0.5 * self.size * max(r for r, z in _POUCH if z < -0.5)
 
     @property
-    def reach_in(self) -> float:
+    def protrusion(self) -> float:
         """Depth of the pouch, negative [m]."""
         return 0.5 * self.size * min(z for _, z in _POUCH)
 
-    def form(self, site: Site, rng: np.random.Generator) -> DiverticulumForm:
+    def form(self, site: LesionSite, rng: np.random.Generator) -> DiverticulumForm:
         """Draw its irregularities."""
         return DiverticulumForm(self, site, rng)
 
@@ -126,16 +128,18 @@ class Diverticulum(SizedLesion):
 class DiverticulumForm(ProfileForm):
     """A pouch lined by thin mucosa."""
 
-    def __init__(self, pouch: Diverticulum, site: Site, rng: np.random.Generator) -> None:
+    def __init__(self, pouch: Diverticulum, site: LesionSite, rng: np.random.Generator) -> None:
         size = pouch.size
         super().__init__(
             *(site, np.array(_POUCH) * 0.5 * size, rng),
             **{"waviness": 0.08, "upright": True, "lobes": (0.01 * size, 0.6 * size)},
         )
 
-    def painted(self, wall: WallSamples, points: Float[np.ndarray, "n 3"], clean: Look) -> Look:
+    def paint(
+        self, wall: WallSamples, points: Float[np.ndarray, "n 3"], clean: AppearanceSample
+    ) -> AppearanceSample:
         """A little redder and darker inside."""
-        inside = smoothstep((0.75 - self.share(wall)) / 0.3)
+        inside = smoothstep((0.75 - self.normalized_radius(wall)) / 0.3)
         color = clean.color * (1.0 - inside[:, None] * (0.12, 0.25, 0.25))
         return self.blended(wall, clean, (color, clean.roughness, clean.height), softness=0.2)
 
@@ -160,11 +164,11 @@ class Stricture(Lesion):
             raise InputError(f"Narrowing is {self.narrowing:g}. Allowed: 0.2 to 0.85.")
 
     @property
-    def extent(self) -> Literal["band"]:
+    def extent(self) -> Literal["circumferential"]:
         """It goes all around the lumen."""
-        return "band"
+        return "circumferential"
 
-    def band(self, organ: OrganSurface, middle: float | None) -> tuple[float, float]:
+    def arc_length_range(self, organ: OrganSurface, middle: float | None) -> tuple[float, float]:
         """First and last arc length [m].
 
         Raises:
@@ -179,32 +183,32 @@ class Stricture(Lesion):
             )
         return low, high
 
-    def form(self, site: Site, rng: np.random.Generator) -> StrictureForm:
+    def form(self, site: LesionSite, rng: np.random.Generator) -> StrictureForm:
         """Draw its irregularities."""
         return StrictureForm(self, site, rng)
 
 
 class StrictureForm:
-    """Wall drawn towards the centreline, folds lost, scarred."""
+    """Wall drawn towards the centerline, folds lost, scarred."""
 
     edge_length = 1.2 * MM
     border_length = 0.35 * MM
 
-    def __init__(self, stricture: Stricture, site: Site, rng: np.random.Generator) -> None:
+    def __init__(self, stricture: Stricture, site: LesionSite, rng: np.random.Generator) -> None:
         self.stricture, self.site = stricture, site
-        self._uneven, self._scar = swell(9.0 * MM, rng), cloud(6.0 * MM, rng)
+        self._uneven, self._scar = low_pass(9.0 * MM, rng), fbm(6.0 * MM, rng)
 
-    def depth(self, wall: WallSamples) -> Float[np.ndarray, " n"]:
+    def signed_distance(self, wall: WallSamples) -> Float[np.ndarray, " n"]:
         """Distance within its ends [m]."""
-        low, high = self.site.band
+        low, high = self.site.arc_length_range
         ragged = 0.03 * self.stricture.length * self._uneven(wall.rest)
         return np.minimum(wall.xy[:, 0] - low, high - wall.xy[:, 0]) + ragged
 
     def _tightness(self, wall: WallSamples) -> Float[np.ndarray, " n"]:
         """0 at its ends, 1 in the middle."""
-        return smoothstep(self.depth(wall) / (0.42 * self.stricture.length))
+        return smoothstep(self.signed_distance(wall) / (0.42 * self.stricture.length))
 
-    def moved(self, wall: WallSamples) -> Float[np.ndarray, "n 3"]:
+    def displaced(self, wall: WallSamples) -> Float[np.ndarray, "n 3"]:
         """Positions drawn inwards [m]."""
         tight = self.stricture.narrowing * self._tightness(wall)
         tight = tight * (1.0 + 0.06 * self._uneven(wall.rest))
@@ -214,7 +218,9 @@ class StrictureForm:
         """Not used: it is painted in place."""
         return wall.xy
 
-    def painted(self, wall: WallSamples, points: Float[np.ndarray, "n 3"], clean: Look) -> Look:
+    def paint(
+        self, wall: WallSamples, points: Float[np.ndarray, "n 3"], clean: AppearanceSample
+    ) -> AppearanceSample:
         """Pale scar without vessels, red at the edges of the scar."""
         tight = self._tightness(wall)
         scar = smoothstep(0.5 + 0.6 * self._scar(points)) * tight

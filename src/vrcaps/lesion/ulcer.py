@@ -8,10 +8,17 @@ from typing import TYPE_CHECKING, ClassVar, Literal
 import numpy as np
 
 from vrcaps.lesion import base
-from vrcaps.lesion.base import Look, Site, SizedLesion, WallSamples, mix, smoothstep
+from vrcaps.lesion.base import (
+    AppearanceSample,
+    LesionSite,
+    SizedLesion,
+    WallSamples,
+    mix,
+    smoothstep,
+)
 from vrcaps.lesion.blood import FIBRIN, under_blood
-from vrcaps.lesion.spot import SpotForm
-from vrcaps.mesh.noise import cloud, grain
+from vrcaps.lesion.focal import FocalForm
+from vrcaps.mesh.noise import band_pass, fbm
 from vrcaps.units import MM
 
 if TYPE_CHECKING:
@@ -19,7 +26,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Break:
+class MucosalBreak:
     """How a kind of break looks.
 
     Attributes:
@@ -39,10 +46,10 @@ class Break:
     blood: float
 
 
-BREAKS = {
-    "erosion": Break(0.40, 0.15 * MM, 0.0, 0.9, 0.22, 0.3),
-    "aphthous": Break(0.42, 0.4 * MM, 0.25 * MM, 1.0, 0.06, 0.0),
-    "deep": Break(0.6, 2.2 * MM, 0.7 * MM, 0.6, 0.2, 0.6),
+MUCOSAL_BREAKS = {
+    "erosion": MucosalBreak(0.40, 0.15 * MM, 0.0, 0.9, 0.22, 0.3),
+    "aphthous": MucosalBreak(0.42, 0.4 * MM, 0.25 * MM, 1.0, 0.06, 0.0),
+    "deep": MucosalBreak(0.6, 2.2 * MM, 0.7 * MM, 0.6, 0.2, 0.6),
 }
 """An aphthous ulcer is small, round, with a white base and a red halo; a deep one is wide,
 irregular and sloughy, with a raised edge. They reach into the submucosa, an erosion does not."""
@@ -67,9 +74,9 @@ class Erosion(SizedLesion):
     kind: ClassVar[str] = "erosion"
     sizes: ClassVar[tuple[float, float]] = (1.0 * MM, 10.0 * MM)
 
-    def form(self, site: Site, rng: np.random.Generator) -> BreakForm:
+    def form(self, site: LesionSite, rng: np.random.Generator) -> MucosalBreakForm:
         """Draw its irregularities."""
-        return BreakForm(BREAKS["erosion"], site, 0.5 * self.size, rng)
+        return MucosalBreakForm(MUCOSAL_BREAKS["erosion"], site, 0.5 * self.size, rng)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -97,39 +104,43 @@ class Ulcer(SizedLesion):
         """Aphthous or deep."""
         return self.type
 
-    def form(self, site: Site, rng: np.random.Generator) -> BreakForm:
+    def form(self, site: LesionSite, rng: np.random.Generator) -> MucosalBreakForm:
         """Draw its irregularities."""
-        return BreakForm(BREAKS[self.type], site, 0.5 * self.size, rng)
+        return MucosalBreakForm(MUCOSAL_BREAKS[self.type], site, 0.5 * self.size, rng)
 
 
-class BreakForm(SpotForm):
+class MucosalBreakForm(FocalForm):
     """A crater with a rim, fibrin on its base, redness around."""
 
-    def __init__(self, kind: Break, site: Site, radius: float, rng: np.random.Generator) -> None:
+    def __init__(
+        self, kind: MucosalBreak, site: LesionSite, radius: float, rng: np.random.Generator
+    ) -> None:
         super().__init__(site, radius, rng, waviness=kind.waviness)
         self.kind = kind
         self._deep = min(kind.deep, 0.3 * radius)
         self._rim = min(kind.rim, 0.12 * radius)
-        self._slough, self._grain = cloud(max(0.4 * radius, 0.8 * MM), rng), grain(0.7 * MM, rng)
+        self._slough, self._grain = fbm(max(0.4 * radius, 0.8 * MM), rng), band_pass(0.7 * MM, rng)
         self._is_bloody = rng.random() < kind.blood
-        self._granulation = cloud(max(0.25 * radius, 0.6 * MM), rng)
+        self._granulation = fbm(max(0.25 * radius, 0.6 * MM), rng)
         self._uneven = 0.03 * self._deep  # RMS height of its base
 
     def _open(self, wall: WallSamples, points: Float[np.ndarray, "n 3"]):
         """From 0 outside the break to 1 on its base."""
-        ragged = self.share(wall) + 0.06 * self._slough(points)
+        ragged = self.normalized_radius(wall) + 0.06 * self._slough(points)
         return smoothstep((self.kind.base - ragged) / 0.14 + 0.5)
 
-    def lift(self, wall: WallSamples) -> Float[np.ndarray, " n"]:
+    def height(self, wall: WallSamples) -> Float[np.ndarray, " n"]:
         """Sunk base, raised rim."""
-        share = self.share(wall)
+        share = self.normalized_radius(wall)
         base = smoothstep((self.kind.base - share) / 0.22 + 0.5)
         rim = np.exp(-(((share - self.kind.base - 0.12) / 0.14) ** 2))
         return self._rim * rim * smoothstep((1.0 - share) / 0.2) - self._deep * base
 
-    def painted(self, wall: WallSamples, points: Float[np.ndarray, "n 3"], clean: Look) -> Look:
+    def paint(
+        self, wall: WallSamples, points: Float[np.ndarray, "n 3"], clean: AppearanceSample
+    ) -> AppearanceSample:
         """Fibrin, slough, granulation and blood on the base, a red halo around it."""
-        share, base = self.share(wall), self._open(wall, points)
+        share, base = self.normalized_radius(wall), self._open(wall, points)
         fine = self._grain(points)
         halo = self.kind.halo * smoothstep((1.0 - share) / 0.5)
         color = mix(clean.color, clean.plain, 0.8 * halo)

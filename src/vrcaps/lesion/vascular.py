@@ -7,9 +7,16 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from vrcaps.lesion.base import Look, Site, SizedLesion, WallSamples, mix, smoothstep
-from vrcaps.lesion.spot import SpotForm
-from vrcaps.mesh.noise import cloud, grain, swell
+from vrcaps.lesion.base import (
+    AppearanceSample,
+    LesionSite,
+    SizedLesion,
+    WallSamples,
+    mix,
+    smoothstep,
+)
+from vrcaps.lesion.focal import FocalForm
+from vrcaps.mesh.noise import band_pass, fbm, low_pass
 from vrcaps.units import MM
 
 if TYPE_CHECKING:
@@ -29,22 +36,24 @@ class Angioectasia(SizedLesion):
     kind: ClassVar[str] = "angioectasia"
     sizes: ClassVar[tuple[float, float]] = (1.0 * MM, 15.0 * MM)
 
-    def form(self, site: Site, rng: np.random.Generator) -> AngioectasiaForm:
+    def form(self, site: LesionSite, rng: np.random.Generator) -> AngioectasiaForm:
         """Draw its vessels."""
         return AngioectasiaForm(site, 0.5 * self.size, rng)
 
 
-class AngioectasiaForm(SpotForm):
+class AngioectasiaForm(FocalForm):
     """Winding capillaries, merging in the middle."""
 
-    def __init__(self, site: Site, radius: float, rng: np.random.Generator) -> None:
+    def __init__(self, site: LesionSite, radius: float, rng: np.random.Generator) -> None:
         super().__init__(site, radius, rng, waviness=0.3)
-        self._vessels = [grain(w, rng) for w in (0.32 * radius + 0.3 * MM, 0.5 * MM)]
-        self._blotch = cloud(0.8 * radius, rng)
+        self._vessels = [band_pass(w, rng) for w in (0.32 * radius + 0.3 * MM, 0.5 * MM)]
+        self._blotch = fbm(0.8 * radius, rng)
 
-    def painted(self, wall: WallSamples, points: Float[np.ndarray, "n 3"], clean: Look) -> Look:
+    def paint(
+        self, wall: WallSamples, points: Float[np.ndarray, "n 3"], clean: AppearanceSample
+    ) -> AppearanceSample:
         """Bright red where capillaries run, a blush between them."""
-        crowd = np.clip(1.0 - self.share(wall) + 0.12 * self._blotch(points), 0.0, 1.0)
+        crowd = np.clip(1.0 - self.normalized_radius(wall) + 0.12 * self._blotch(points), 0.0, 1.0)
         width = 0.10 + 0.75 * crowd**1.5
         winding = np.minimum(*(np.abs(field(points)) for field in self._vessels))
         vessel = smoothstep((width - winding) / 0.12 + 0.5)
@@ -68,33 +77,37 @@ class Lymphangiectasia(SizedLesion):
     sizes: ClassVar[tuple[float, float]] = (2.0 * MM, 30.0 * MM)
 
     @property
-    def reach_in(self) -> float:
+    def protrusion(self) -> float:
         """Height of the swollen tips [m]."""
         return 0.8 * MM
 
-    def form(self, site: Site, rng: np.random.Generator) -> LymphangiectasiaForm:
+    def form(self, site: LesionSite, rng: np.random.Generator) -> LymphangiectasiaForm:
         """Draw its tips."""
         return LymphangiectasiaForm(site, 0.5 * self.size, rng)
 
 
-class LymphangiectasiaForm(SpotForm):
+class LymphangiectasiaForm(FocalForm):
     """Swollen white tips."""
 
-    def __init__(self, site: Site, radius: float, rng: np.random.Generator) -> None:
+    def __init__(self, site: LesionSite, radius: float, rng: np.random.Generator) -> None:
         super().__init__(site, radius, rng, waviness=0.25)
         self.edge_length = 0.3 * MM
-        self._tips, self._crowd = swell(1.6 * MM, rng), cloud(radius, rng)
+        self._tips, self._crowd = low_pass(1.6 * MM, rng), fbm(radius, rng)
 
     def _raised(self, wall: WallSamples, points: Float[np.ndarray, "n 3"]):
-        crowd = 1.1 * np.clip(1.0 - self.share(wall), 0.0, 1.0) + 0.25 * self._crowd(points)
+        crowd = 1.1 * np.clip(1.0 - self.normalized_radius(wall), 0.0, 1.0) + 0.25 * self._crowd(
+            points
+        )
         return smoothstep((self._tips(points) + crowd - 0.75) / 0.8)
 
-    def lift(self, wall: WallSamples) -> Float[np.ndarray, " n"]:
-        """The tips stand half a millimetre over the wall."""
-        fade = smoothstep((1.0 - self.share(wall)) / 0.2)
+    def height(self, wall: WallSamples) -> Float[np.ndarray, " n"]:
+        """The tips stand half a millimeter over the wall."""
+        fade = smoothstep((1.0 - self.normalized_radius(wall)) / 0.2)
         return 0.5 * MM * self._raised(wall, wall.rest - self.site.center) * fade
 
-    def painted(self, wall: WallSamples, points: Float[np.ndarray, "n 3"], clean: Look) -> Look:
+    def paint(
+        self, wall: WallSamples, points: Float[np.ndarray, "n 3"], clean: AppearanceSample
+    ) -> AppearanceSample:
         """Chyle shines white through the tips."""
         tip = self._raised(wall, wall.rest - self.site.center)
         color = mix(clean.color, np.array([0.66, 0.66, 0.58]), 0.85 * tip)

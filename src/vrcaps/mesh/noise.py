@@ -1,4 +1,7 @@
-"""Irregularity: random fields in space with a chosen grain, as fast on texels as on vertices."""
+"""Gaussian random fields in space with a chosen power spectrum, and random angular harmonics.
+
+A field is sampled from a periodic volume, so it is as fast on texels as on vertices.
+"""
 
 from __future__ import annotations
 
@@ -19,23 +22,28 @@ _SIDE = 80  # voxels of the periodic volume
 _PER_WAVE = 8.0  # voxels per wavelength
 
 
-def cloud(wavelength: float, rng: np.random.Generator) -> Field:
-    """A field of many grains, most of its power near and above `wavelength` [m]; variance 1."""
+def fbm(wavelength: float, rng: np.random.Generator) -> Field:
+    """Fractal (fBm) noise with most of its power near and above `wavelength` [m]; variance 1."""
     return _field(wavelength, lambda k: np.where(k < 0.35, 0.0, 1.0 / (0.15 + k**3.2)), rng)
 
 
-def swell(wavelength: float, rng: np.random.Generator) -> Field:
-    """A smooth field of hills and hollows about `wavelength` [m] apart; variance 1."""
+def low_pass(wavelength: float, rng: np.random.Generator) -> Field:
+    """Low-pass noise: smooth hills and hollows about `wavelength` [m] apart; variance 1."""
     return _field(wavelength, lambda k: np.exp(-(((k - 0.8) / 0.4) ** 2)), rng)
 
 
-def grain(wavelength: float, rng: np.random.Generator) -> Field:
-    """A field of one grain: its level sets are winding bands `wavelength` [m] apart; variance 1."""
+def band_pass(wavelength: float, rng: np.random.Generator) -> Field:
+    """Band-pass noise: its level sets are winding bands `wavelength` [m] apart; variance 1."""
     return _field(wavelength, lambda k: np.exp(-(((k - 1.0) / 0.18) ** 2)), rng)
 
 
-def around(count: int, rng: np.random.Generator) -> Callable[[np.ndarray], np.ndarray]:
-    """A smooth function of an angle [rad] with `count` harmonics from the second; about ±1."""
+def angular_harmonics(count: int, rng: np.random.Generator) -> Callable[[np.ndarray], np.ndarray]:
+    """Random angular harmonics: a smooth function of an angle [rad], about ±1.
+
+    Args:
+        count: Number of harmonics, from the second on.
+        rng: Draws their amplitudes and phases.
+    """
     order = np.arange(2, 2 + count)
     weight = rng.normal(size=(2, count)) / order
     weight /= max(float(np.sqrt((weight**2).sum())), 1e-12)

@@ -117,7 +117,7 @@ MUCOSAE: dict[str, Mucosa] = {
         mucus_tint=(1.15, 2.2, 2.0),
         coat=0.7,
     ),
-    "small_intestine": Mucosa(
+    "small-bowel": Mucosa(
         base_color=(0.418, 0.210, 0.149),
         redness_variation=0.22,
         patient_variation=(0.20, 0.40),
@@ -137,8 +137,8 @@ MUCOSAE: dict[str, Mucosa] = {
 
 _MUCOSA_OF: dict[str, str] = {
     **dict.fromkeys(("stomach", "fundus", "cardia", "body", "antrum", "pylorus"), "stomach"),
-    **dict.fromkeys(("small_bowel", "small_intestine", "duodenal_bulb"), "small_intestine"),
-    **dict.fromkeys(("duodenum", "jejunum", "ileum"), "small_intestine"),
+    **dict.fromkeys(("small_bowel", "small-bowel", "duodenal_bulb"), "small-bowel"),
+    **dict.fromkeys(("duodenum", "jejunum", "ileum"), "small-bowel"),
 }
 """By name of an organ or segment, ours or TotalSegmentator's; all others have the colon's."""
 

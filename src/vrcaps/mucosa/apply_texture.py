@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.spatial import KDTree
 
-from vrcaps.mesh.noise import cloud
+from vrcaps.mesh.noise import fbm
 from vrcaps.mesh.rasterize import covered_texels
 from vrcaps.organ.surface import Appearance
 from vrcaps.units import MM
@@ -52,7 +52,7 @@ def wear(
     texel = _texel(organ, shape)
     stack = _Stack.of(texture, texel)
     cover = _Cover.of(organ, texture.side, rng)
-    swing = cloud(_GRAIN, rng)(organ.vertices).astype(np.float32)
+    swing = fbm(_GRAIN, rng)(organ.vertices).astype(np.float32)
     height, width = shape
     corners = organ.uv * [width, -height] + [-0.5, height - 0.5]
 

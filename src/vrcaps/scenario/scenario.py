@@ -316,15 +316,15 @@ def _with_lesions(scenario: Scenario, *, clean: bool) -> OrganSurface:
 
 def _load_organ(scenario: Scenario) -> OrganSurface:
     """The organ with its appearance, made once and then read from the user's cache folder."""
-    from vrcaps.anatomy.catalog import load_organ
+    from vrcaps.anatomy.catalog import generate_organ
     from vrcaps.mucosa.appearance import bake_appearance, own_mucosa
     from vrcaps.organ.cache import cached_organ, fingerprint
     from vrcaps.organ.read_organ import read_organ
 
     given = scenario.organ
     if isinstance(given, OrganGenerated):
-        return load_organ(
-            given.name, seed=given.seed, condition=given.distension, mucosa=given.mucosa
+        return generate_organ(
+            given.name, seed=given.seed, distension=given.distension, mucosa=given.mucosa
         )
 
     def read() -> OrganSurface:

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from vrcaps.anatomy.tube_mesh import tube_mesher as rows_module
-from vrcaps.anatomy.tube_mesh.swept_surface import Crests, Skin, make_meridian
+from vrcaps.anatomy.tube_mesh.swept_surface import Crests, SweptSurface, make_meridian
 from vrcaps.anatomy.tube_mesh.tube import Course, make_tube
-from vrcaps.anatomy.tube_mesh.tube_mesher import count_triangles, mesh_skin
+from vrcaps.anatomy.tube_mesh.tube_mesher import count_triangles, mesh_swept_surface
 from vrcaps.mesh.mesh import Mesh
 from vrcaps.organ.measure import triangle_quality
 from vrcaps.units import MM
@@ -16,7 +16,7 @@ from vrcaps.units import MM
 LENGTH, RADIUS = 0.2, 0.02
 
 
-def ridged_tube(crest: float | None = None, edge: float = 2 * MM) -> Skin:
+def ridged_tube(crest: float | None = None, edge: float = 2 * MM) -> SweptSurface:
     """A straight tube with round ends and a slanting ridge of 6 mm, 4 mm wide, if asked for."""
     s = np.linspace(0.0, LENGTH, 201)
     tube = make_tube(Course(np.stack([0 * s, 0 * s, s], axis=1), s))
@@ -35,22 +35,22 @@ def ridged_tube(crest: float | None = None, edge: float = 2 * MM) -> Skin:
     def crests(angles: np.ndarray) -> Crests:
         return Crests(place(angles)[None], np.ones((1, len(angles))))
 
-    return Skin(
+    return SweptSurface(
         tube, LENGTH, envelope, radius, lambda s: np.full_like(s, edge), crests if crest else None
     )
 
 
-def vertices_of(skin: Skin) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    grid = mesh_skin(skin)
-    s = make_meridian(skin).to_arc_length(grid.along)
-    return skin.points(s, grid.theta), grid.faces, s
+def vertices_of(surface: SweptSurface) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    grid = mesh_swept_surface(surface)
+    s = make_meridian(surface).to_arc_length(grid.along)
+    return surface.points(s, grid.theta), grid.faces, s
 
 
 @pytest.mark.parametrize("crest", [None, 0.1])
 def test_triangles_are_as_many_as_counted_before_and_well_shaped(crest: float | None):
-    skin = ridged_tube(crest)
-    vertices, faces, _ = vertices_of(skin)
-    assert len(faces) == pytest.approx(count_triangles(skin), rel=0.05)
+    surface = ridged_tube(crest)
+    vertices, faces, _ = vertices_of(surface)
+    assert len(faces) == pytest.approx(count_triangles(surface), rel=0.05)
     quality = triangle_quality(Mesh(vertices, faces))
     assert quality.mean() > 0.9
     assert np.percentile(quality, 5) > 0.7

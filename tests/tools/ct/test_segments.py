@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from vrcaps.anatomy.catalog import load_organ
+from vrcaps.anatomy.catalog import generate_organ
 from vrcaps.anatomy.colon.parameters import SEGMENTS
 from vrcaps.tools.ct.segments import colon_borders, colon_labels, runs_upwards
 
@@ -14,7 +14,7 @@ def test_a_generated_colon_is_divided_much_as_it_was_made() -> None:
 
     This colon's transverse part rises as high as its hepatic flexure.
     """
-    organ = load_organ("colon", seed=0)
+    organ = generate_organ("colon", seed=0)
     length = organ.centerline.length
     true = [organ.arc_length[organ.label == n + 1].max() for n in range(len(SEGMENTS) - 1)]
     away = np.abs(colon_borders(organ.centerline) - true) / length
@@ -27,6 +27,6 @@ def test_a_generated_colon_is_divided_much_as_it_was_made() -> None:
 
 
 def test_the_rectum_is_the_lower_end() -> None:
-    centerline = load_organ("colon", seed=0).centerline
+    centerline = generate_organ("colon", seed=0).centerline
     assert not runs_upwards(centerline)
     assert runs_upwards(replace(centerline, points=centerline.points[::-1]))

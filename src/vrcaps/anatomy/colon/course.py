@@ -1,8 +1,8 @@
-"""The course of a colon through the abdomen: a centreline with anatomy, loops and flexures.
+"""The course of a colon through the abdomen: a centerline with anatomy, loops and flexures.
 
 A chain is laid through the anatomical waypoints and grows to the patient's length. It
-buckles as it grows, held by the places where the colon is fixed to the body, kept from
-bending tighter than its own calibre, and from touching itself: a relaxation by position
+buckles as it grows, held where the colon is fixed to the body, kept from
+bending tighter than its own diameter, and from touching itself: a relaxation by position
 based dynamics (Müller et al. 2007).
 """
 
@@ -56,14 +56,14 @@ _WAYPOINTS_CM = (
 _HOLD = (0.08, 0.02, 0.10, 0.002, 0.10, 0.015, 0.002, 0.15)
 _MOBILITY = (0.0, 0.5, 0.0, 1.0, 0.0, 0.7, 1.0, 0.0)
 _CAVITY_CM = np.array([[-14.5, -10.5, -26.0], [14.5, 7.5, 20.0]])
-# Lowest and highest place of each segment: the transverse colon hangs between the flexures,
+# Lowest and highest position of each segment: the transverse colon hangs between the flexures,
 # all but the rectum stay above the pelvic floor.
 _LOWEST_CM = (-15.0, -15.0, -10.0, -9.0, 0.0, -12.0, -18.0, -26.0)
 _HIGHEST_CM = (0.0, 14.0, 14.0, 19.0, 20.0, 18.0, 3.0, -7.0)
 
 
 def generate_course(parameters: ColonParameters, rng: np.random.Generator) -> Course:
-    """A course of the asked length and number of flexures, with room for the lumen all along.
+    """A course of the asked length and number of flexures, with clearance for the lumen all along.
 
     Some lengths do not coil up so often: where no try gives the asked number of flexures, the
     nearest found is taken, up to two off.
@@ -77,7 +77,7 @@ def generate_course(parameters: ColonParameters, rng: np.random.Generator) -> Co
         bends = _draw_bends(parameters, max(round(wanted), 0), rng)
         course = _relax(parameters, bends, 1.0 + min(0.02 * attempt, 0.8), rng)
         missing = parameters.flexures - count_flexures(course)
-        if abs(missing) < least and has_room(course, parameters):
+        if abs(missing) < least and has_clearance(course, parameters):
             nearest, least = course, abs(missing)
         if least == 0:
             break
@@ -100,7 +100,7 @@ def count_flexures(course: Course) -> int:
     return int(np.sum(is_acute[1:] & ~is_acute[:-1]))
 
 
-def has_room(course: Course, parameters: ColonParameters) -> bool:
+def has_clearance(course: Course, parameters: ColonParameters) -> bool:
     """Whether the lumen fits along the whole course without touching itself."""
     step = max(1, round(6 * MM / course.arc_length[1]))
     points, arc_length = course.points[::step], course.arc_length[::step]
@@ -115,7 +115,7 @@ def has_room(course: Course, parameters: ColonParameters) -> bool:
 def outer_radius(
     parameters: ColonParameters, arc_length: Float[np.ndarray, " n"]
 ) -> Float[np.ndarray, " n"]:
-    """Distance from the centreline that the haustra reach [m]."""
+    """Distance from the centerline that the haustra reach [m]."""
     return lumen_radius(parameters, arc_length) * (1.0 + parameters.haustra_depth)
 
 
@@ -142,10 +142,10 @@ def _draw_bends(
 ) -> np.ndarray:
     """Number of bends to put into each segment, by its mobility and length."""
     length = np.array([segment.length for segment in parameters.segments])
-    room = np.round(np.array(_MOBILITY) * length / (8.5 * CM)).astype(int)
-    slots = np.repeat(np.arange(len(room)), room)
+    capacity = np.round(np.array(_MOBILITY) * length / (8.5 * CM)).astype(int)
+    slots = np.repeat(np.arange(len(capacity)), capacity)
     chosen = rng.choice(slots, min(num_bends, len(slots)), replace=False)
-    return np.bincount(chosen, minlength=len(room))
+    return np.bincount(chosen, minlength=len(capacity))
 
 
 def _is_apart(arc_length: np.ndarray, radius: np.ndarray) -> np.ndarray:
@@ -190,9 +190,9 @@ def _anchors(
     for k, waypoints in enumerate(_WAYPOINTS_CM):
         path = np.array([start, *waypoints[(k == 0) :]])
         chord = _chord_length(path)
-        share = (arc_length[segment == k] - end) / parameters.segments[k].length
+        fraction = (arc_length[segment == k] - end) / parameters.segments[k].length
         for axis in range(3):
-            anchors[segment == k, axis] = np.interp(share * chord[-1], chord, path[:, axis])
+            anchors[segment == k, axis] = np.interp(fraction * chord[-1], chord, path[:, axis])
         end, start = end + parameters.segments[k].length, waypoints[-1]
     return _body_size(parameters) * CM * anchors
 
@@ -213,7 +213,7 @@ def _meander(
     tangents = np.gradient(anchors, axis=0)
     for k, num_bends in enumerate(bends):
         is_in = np.flatnonzero(segment == k)
-        share = np.linspace(0.0, 1.0, len(is_in))
+        fraction = np.linspace(0.0, 1.0, len(is_in))
         straight = np.linalg.norm(np.diff(anchors[is_in], axis=0), axis=1).sum()
         length = arc_length[is_in[-1]] - arc_length[is_in[0]]
         waves = max(num_bends, 1)
@@ -221,8 +221,8 @@ def _meander(
         amplitude = rng.uniform(0.6, 1.1) * straight / (np.pi * waves) * excess
         sideways = np.cross(tangents[is_in], rng.standard_normal(3) * [1.0, 2.0, 1.0])
         sideways /= np.linalg.norm(sideways, axis=1, keepdims=True)
-        wave = np.sin(np.pi * (waves * share + (rng.uniform(-0.2, 0.2) if num_bends else 0.0)))
-        envelope = np.minimum(1.0, 8.0 * np.minimum(share, 1.0 - share))
+        wave = np.sin(np.pi * (waves * fraction + (rng.uniform(-0.2, 0.2) if num_bends else 0.0)))
+        envelope = np.minimum(1.0, 8.0 * np.minimum(fraction, 1.0 - fraction))
         offset[is_in] += amplitude * (wave * envelope)[:, None] * sideways
     return offset
 
@@ -244,8 +244,8 @@ def _cavity(parameters: ColonParameters, segment: np.ndarray) -> tuple[np.ndarra
     high[:, 2] = np.array(_HIGHEST_CM)[segment]
     # The ends of the transverse colon rise to the flexures.
     inside = np.flatnonzero(segment == SEGMENTS.index("transverse"))
-    share = np.linspace(0.0, 1.0, len(inside))
-    high[inside, 2] = np.interp(share, [0.0, 0.15, 0.7, 1.0], [13.0, 9.0, 10.0, 19.0])
+    fraction = np.linspace(0.0, 1.0, len(inside))
+    high[inside, 2] = np.interp(fraction, [0.0, 0.15, 0.7, 1.0], [13.0, 9.0, 10.0, 19.0])
     size = _body_size(parameters)
     return size * CM * low, size * CM * high
 
@@ -272,7 +272,7 @@ def _unbend(nodes: np.ndarray, radius: np.ndarray, spacing: float) -> np.ndarray
 
 
 def _set_spacing(nodes: np.ndarray, spacing: float) -> np.ndarray:
-    """Displacement that brings neighbours to the asked distance [m]."""
+    """Displacement that brings neighbors to the asked distance [m]."""
     edges = np.diff(nodes, axis=0)
     length = np.linalg.norm(edges, axis=1, keepdims=True) + 1e-12
     pull = 0.5 * edges * (1.0 - spacing / length)

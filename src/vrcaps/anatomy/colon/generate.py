@@ -8,9 +8,15 @@ import numpy as np
 
 from vrcaps.anatomy.colon.course import generate_course
 from vrcaps.anatomy.colon.parameters import SEGMENTS, ColonParameters
-from vrcaps.anatomy.colon.wall import Wall, draw_wall, envelope_radius, wall_crests, wall_radius
-from vrcaps.anatomy.tube_mesh.surface_to_organ import skin_to_organ
-from vrcaps.anatomy.tube_mesh.swept_surface import Skin
+from vrcaps.anatomy.colon.shape import (
+    ColonWall,
+    draw_colon_wall,
+    envelope_radius,
+    wall_crests,
+    wall_radius,
+)
+from vrcaps.anatomy.tube_mesh.surface_to_organ import surface_to_organ
+from vrcaps.anatomy.tube_mesh.swept_surface import SweptSurface
 from vrcaps.anatomy.tube_mesh.tube import make_tube
 from vrcaps.anatomy.tube_mesh.tube_mesher import count_triangles
 from vrcaps.errors import InputError
@@ -37,9 +43,9 @@ def generate_colon(parameters: ColonParameters, *, seed: int) -> OrganSurface:
     """
     rng = np.random.default_rng(seed)
     for _ in range(_NUM_TRIES):
-        wall = draw_wall(parameters, make_tube(generate_course(parameters, rng)), rng)
-        organ = skin_to_organ(
-            colon_skin(wall),
+        wall = draw_colon_wall(parameters, make_tube(generate_course(parameters, rng)), rng)
+        organ = surface_to_organ(
+            colon_surface(wall),
             "colon",
             segments=SEGMENTS,
             label=lambda s, _: colon_labels(parameters, s),
@@ -53,7 +59,7 @@ def generate_colon(parameters: ColonParameters, *, seed: int) -> OrganSurface:
     )
 
 
-def colon_skin(wall: Wall) -> Skin:
+def colon_surface(wall: ColonWall) -> SweptSurface:
     """The wall, with edges that give about the asked number of triangles: wide in wide parts."""
     parameters = wall.parameters
     mean = 0.5 * np.average(
@@ -64,7 +70,7 @@ def colon_skin(wall: Wall) -> Skin:
     def edge(s: np.ndarray) -> np.ndarray:
         return np.maximum(envelope_radius(parameters, s) / mean, 0.5) ** 0.5
 
-    skin = Skin(
+    surface = SweptSurface(
         wall.tube,
         parameters.length,
         lambda s: envelope_radius(parameters, s),
@@ -72,8 +78,8 @@ def colon_skin(wall: Wall) -> Skin:
         edge,
         lambda angles: wall_crests(wall, angles),
     )
-    scale = np.sqrt(count_triangles(skin) / (_SPARE * parameters.triangles))
-    return replace(skin, edge=lambda s: scale * edge(s))
+    scale = np.sqrt(count_triangles(surface) / (_SPARE * parameters.triangles))
+    return replace(surface, edge=lambda s: scale * edge(s))
 
 
 def colon_labels(parameters: ColonParameters, arc_length: np.ndarray) -> np.ndarray:

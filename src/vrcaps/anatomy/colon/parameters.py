@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from vrcaps.anatomy.tube_mesh.truncated_normal import draw_deviation
+from vrcaps.anatomy.tube_mesh.truncated_normal import truncated_normal
 from vrcaps.errors import InputError
 from vrcaps.units import CM, MM
 
@@ -30,12 +30,12 @@ class ColonSegment:
     """One segment of the colon.
 
     Attributes:
-        length: Along the centreline [m].
+        length: Along the centerline [m].
         diameter: Of the distended lumen between the folds [m].
         haustra_spacing: Mean distance from fold to fold in one of the three strips between
             the taeniae [m].
         fold_height: Mean height of the semilunar folds over the wall [m]; 0 for none.
-        triangularity: Flattening of the lumen between the taeniae as a share of its radius,
+        triangularity: Flattening of the lumen between the taeniae as a fraction of its radius,
             0 for round.
     """
 
@@ -53,9 +53,9 @@ class ColonParameters:
     The total length, 1.895 m, and the flexures are means of 505 adults at CT colonography
     (Khashab et al. 2009, Endoscopy 41:674). Its division keeps the proportions of the
     textbook lengths (Standring, Gray's Anatomy: caecum 6, ascending 15, transverse 50,
-    descending 25, sigmoid 40, rectum 15 cm), the two flexures taken from their neighbours.
-    Calibres stay under the radiological limits for the distended colon: caecum 9 cm,
-    transverse 6 cm, descending and sigmoid 4 to 5 cm. Fold figures are read off CT
+    descending 25, sigmoid 40, rectum 15 cm), the two flexures taken from their neighbors.
+    Diameters stay under the radiological limits for the distended colon: caecum 9 cm,
+    transverse 6 cm, descending and sigmoid 4 to 5 cm. Fold dimensions are read off CT
     colonography and endoscopy images, not from a measured series.
 
     Attributes:
@@ -67,10 +67,10 @@ class ColonParameters:
         descending: Down the patient's left flank.
         sigmoid: The loops from the left iliac fossa to the sacrum; tight folds.
         rectum: Along the sacrum to the anus; no haustra.
-        flexures: Number of acute flexures, bends that turn the lumen by more than 90°.
+        flexures: Number of acute flexures, bends of the lumen by more than 90°.
         taenia_width: Width of each of the three muscle bands [m].
         taenia_depth: How far a band stands into the lumen [m].
-        haustra_depth: Outward bulge of a sacculation as a share of the lumen's radius.
+        haustra_depth: Outward bulge of a sacculation as a fraction of the lumen's radius.
         fold_thickness: Full width of a fold at half its height [m].
         fold_irregularity: Relative deviation of the folds' spacing and height.
         valve_height: Height of the three valves of Houston in the rectum [m].
@@ -130,7 +130,7 @@ class ColonParameters:
 
     @property
     def length(self) -> float:
-        """Total length along the centreline [m]."""
+        """Total length along the centerline [m]."""
         return sum(segment.length for segment in self.segments)
 
     @classmethod
@@ -139,22 +139,22 @@ class ColonParameters:
 
         Total length 1.895 ± 0.263 m and 10.9 ± 2.4 acute flexures, normal (Khashab et al.
         2009), without the tails beyond 2.5 deviations. How the two go together is not published:
-        a correlation of 0.8 is assumed. The division and the calibres vary by 10 % and 6 %.
+        a correlation of 0.8 is assumed. The division and the diameters vary by 10 % and 6 %.
         """
         mean = cls()
-        deviation = draw_deviation(rng, 2.3)
+        deviation = truncated_normal(rng, 2.3)
         length = 1.895 + 0.263 * deviation
-        flexures = 10.9 + 2.4 * (0.8 * deviation + 0.6 * draw_deviation(rng, 2.3))
-        shares = {name: 1.0 + 0.10 * draw_deviation(rng, 2.3) for name in SEGMENTS}
-        whole = sum(getattr(mean, name).length * shares[name] for name in SEGMENTS)
-        calibre = 1.0 + 0.06 * draw_deviation(rng, 2.3)
+        flexures = 10.9 + 2.4 * (0.8 * deviation + 0.6 * truncated_normal(rng, 2.3))
+        fractions = {name: 1.0 + 0.10 * truncated_normal(rng, 2.3) for name in SEGMENTS}
+        whole = sum(getattr(mean, name).length * fractions[name] for name in SEGMENTS)
+        diameter = 1.0 + 0.06 * truncated_normal(rng, 2.3)
         drawn = {
             name: replace(
                 getattr(mean, name),
-                length=getattr(mean, name).length * shares[name] * length / whole,
+                length=getattr(mean, name).length * fractions[name] * length / whole,
                 diameter=getattr(mean, name).diameter
-                * calibre
-                * (1 + 0.03 * draw_deviation(rng, 2.3)),
+                * diameter
+                * (1 + 0.03 * truncated_normal(rng, 2.3)),
                 haustra_spacing=getattr(mean, name).haustra_spacing * rng.uniform(0.88, 1.12),
                 fold_height=getattr(mean, name).fold_height * rng.uniform(0.85, 1.15),
             )

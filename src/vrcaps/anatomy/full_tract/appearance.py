@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
     from jaxtyping import Bool, Float
 
-_MUCOSAE = ("stomach", "small_intestine", "colon")
+_MUCOSAE = ("stomach", "small-bowel", "colon")
 _MAX_TEXELS = 90_000_000
 
 
@@ -26,20 +26,20 @@ class _Part:
     Attributes:
         is_in: Which faces of the tract are its own.
         uv: Texture coordinates of their corners in its own unit square.
-        share: Of all texels.
+        fraction: Of all texels.
         mucosa: Name of its mucosa.
     """
 
     is_in: Bool[np.ndarray, " m"]
     uv: Float[np.ndarray, "k 3 2"]
-    share: float
+    fraction: float
     mucosa: str
 
 
 def with_appearance(
     organ: OrganSurface, *, seed: int, max_texels: int = _MAX_TEXELS
 ) -> OrganSurface:
-    """A tract of `generate_gi` with textures and the texture coordinates that fit them.
+    """A tract of `generate_full_tract` with textures and the texture coordinates that fit them.
 
     Args:
         organ: The tract; `metadata["texture_parts"]` tells where its parts lie side by side.
@@ -52,7 +52,7 @@ def with_appearance(
             replace(organ, faces=organ.faces[part.is_in], uv=part.uv),
             seed=seed,
             mucosa=part.mucosa,
-            max_texels=int(part.share * max_texels),
+            max_texels=int(part.fraction * max_texels),
         )
         for part in parts
     ]
@@ -79,8 +79,8 @@ def _parts(organ: OrganSurface) -> Iterator[_Part]:
     number = np.searchsorted(borders[1:-1], organ.uv[..., 0].mean(axis=1))
     for k, mucosa in enumerate(_MUCOSAE):
         uv = (organ.uv[number == k] - [borders[k], 0.0]) / [width[k], heights[k]]
-        share = width[k] * heights[k] / np.sum(width * heights)
-        yield _Part(number == k, uv, float(share), mucosa)
+        fraction = width[k] * heights[k] / np.sum(width * heights)
+        yield _Part(number == k, uv, float(fraction), mucosa)
 
 
 def _side_by_side(images: list[np.ndarray]) -> np.ndarray:

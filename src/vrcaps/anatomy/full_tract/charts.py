@@ -83,7 +83,7 @@ def _bowel_chart(joined: JoinedFaces, vertices: np.ndarray) -> TubeChart:
 
 
 def _on_band(joined: JoinedFaces) -> tuple[Float[np.ndarray, "k 3"], Float[np.ndarray, "k 3"]]:
-    """Turn of the band's corners, and how far beyond the small bowel's end they lie [m].
+    """Circumferential fraction of the band's corners, and distance beyond the bowel's end [m].
 
     Corners on the colon's rim lie just beyond it, at the angle of the face's other corners.
     """

@@ -9,7 +9,7 @@ import numpy as np
 
 from vrcaps.anatomy.colon import generate_colon
 from vrcaps.anatomy.colon.parameters import SEGMENTS as COLON_SEGMENTS
-from vrcaps.anatomy.full_tract.abdomen import GAP, ColonPlace, place_colon
+from vrcaps.anatomy.full_tract.abdomen import GAP, ColonPlacement, place_colon
 from vrcaps.anatomy.full_tract.charts import JoinedFaces, tract_coordinates
 from vrcaps.anatomy.full_tract.tube import (
     CAP,
@@ -42,19 +42,19 @@ if TYPE_CHECKING:
     from vrcaps.anatomy.stomach.parameters import StomachParameters
 
 _NUM_TRIES = 6
-_MORE_ROOM = 6 * MM
+_GAP_STEP = 6 * MM
 _RIM = 1.3 * MM
 _VALVE_REACH = 4 * CM
 
 
-def generate_gi(
+def generate_full_tract(
     stomach: StomachParameters,
     bowel: SmallBowelParameters,
     colon: ColonParameters,
     *,
     seed: int,
 ) -> OrganSurface:
-    """Stomach, small bowel and colon as one closed wall with one centreline.
+    """Stomach, small bowel and colon as one closed wall with one centerline.
 
     The stomach passes into the bulb at the pyloric ring; the ileum ends in the lips of the
     ileocaecal valve. The texture coordinates hold the three parts side by side, see
@@ -71,13 +71,13 @@ def generate_gi(
     """
     lower = generate_colon(colon, seed=seed)
     line = lower.centerline
-    place = place_colon(colon, Course(line.points, line.arc_length))
+    placement = place_colon(colon, Course(line.points, line.arc_length))
     rng = np.random.default_rng([seed, 3])
     for attempt in range(_NUM_TRIES):
         # A fundus that bulges to one side can reach beyond its mean outline into the colon.
-        gap = GAP + attempt * _MORE_ROOM
-        tract = lay_upper_tract(stomach, bowel, place, seed=seed, rng=rng, gap=gap)
-        organ = _join(tract, lower, place, seed)
+        gap = GAP + attempt * _GAP_STEP
+        tract = lay_upper_tract(stomach, bowel, placement, seed=seed, rng=rng, gap=gap)
+        organ = _join(tract, lower, placement, seed)
         if not len(self_intersections(organ.vertices, organ.faces)):
             return organ
     raise InputError(
@@ -86,18 +86,20 @@ def generate_gi(
     )
 
 
-def _join(tract: UpperTract, lower: OrganSurface, place: ColonPlace, seed: int) -> OrganSurface:
-    """Both walls stitched at the valve, with labels, gut coordinates and centreline."""
-    upper = mesh_tube(tract.skin())
-    vertices, faces, joined = _stitched(tract, upper, lower, place)
+def _join(
+    tract: UpperTract, lower: OrganSurface, placement: ColonPlacement, seed: int
+) -> OrganSurface:
+    """Both walls stitched at the valve, with labels, gut coordinates and centerline."""
+    upper = mesh_tube(tract.surface())
+    vertices, faces, joined = _stitched(tract, upper, lower, placement)
     uv, parts = tract_coordinates(joined, vertices)
     used, faces = np.unique(faces, return_inverse=True)
     vertices, faces = vertices[used], faces.reshape(-1, 3).astype(np.int32)
-    centerline = _centerline(tract, lower.centerline, place, vertices, faces)
+    centerline = _centerline(tract, lower.centerline, placement, vertices, faces)
     arc_length = _arc_length(tract, upper, lower, centerline)[used]
     theta, radius = angle_and_radius(vertices, arc_length, centerline)
     return OrganSurface(
-        name="gi",
+        name="full-tract",
         vertices=vertices,
         faces=faces,
         normals=vertex_normals(vertices, faces),
@@ -114,12 +116,12 @@ def _join(tract: UpperTract, lower: OrganSurface, place: ColonPlace, seed: int) 
 
 
 def _stitched(
-    tract: UpperTract, upper: TubeMesh, lower: OrganSurface, place: ColonPlace
+    tract: UpperTract, upper: TubeMesh, lower: OrganSurface, placement: ColonPlacement
 ) -> tuple[Float[np.ndarray, "n 3"], Int[np.ndarray, "m 3"], JoinedFaces]:
     """Vertices [m] and faces of both walls joined at the valve, and which face is whose."""
     num = len(upper.vertices)
     kept_upper, rim_upper = without_vertices(upper.faces, upper.arc_length > tract.end - 1.05 * CAP)
-    kept_lower, rim_lower = without_vertices(lower.faces, _is_in_valve(lower, place))
+    kept_lower, rim_lower = without_vertices(lower.faces, _is_in_valve(lower, placement))
     vertices = np.concatenate([upper.vertices, lower.vertices])
     band = stitch(vertices, rim_upper, rim_lower + num)
     faces = np.concatenate([upper.faces[kept_upper], lower.faces[kept_lower] + num, band])
@@ -139,7 +141,7 @@ def _stitched(
 def _metadata(tract: UpperTract, lower: OrganSurface, seed: int) -> dict:
     """Where the tract comes from."""
     return {
-        "generator": "gi",
+        "generator": "full-tract",
         "seed": seed,
         "parameters": {
             "stomach": asdict(tract.stomach.parameters),
@@ -149,14 +151,16 @@ def _metadata(tract: UpperTract, lower: OrganSurface, seed: int) -> dict:
     }
 
 
-def _is_in_valve(colon: OrganSurface, place: ColonPlace) -> np.ndarray:
+def _is_in_valve(colon: OrganSurface, placement: ColonPlacement) -> np.ndarray:
     """Vertices of the colon within the opening between the valve's lips."""
-    offset = colon.vertices - place.valve
-    along = offset @ place.along / (VALVE_ALONG + _RIM)
-    across = offset @ np.cross(place.inward, place.along) / (VALVE_ACROSS + _RIM)
-    depth = np.abs(offset @ place.inward)
+    offset = colon.vertices - placement.valve
+    along = offset @ placement.along / (VALVE_ALONG + _RIM)
+    across = offset @ np.cross(placement.inward, placement.along) / (VALVE_ACROSS + _RIM)
+    depth = np.abs(offset @ placement.inward)
     # Another loop of the colon can lie against the valve from outside.
-    is_near = np.abs(colon.arc_length - _valve_place(colon.centerline, place)) < _VALVE_REACH
+    is_near = (
+        np.abs(colon.arc_length - _valve_arc_length(colon.centerline, placement)) < _VALVE_REACH
+    )
     return is_near & (along**2 + across**2 < 1.0) & (depth < 20 * MM)
 
 
@@ -172,7 +176,7 @@ def _labels(tract: UpperTract, upper: TubeMesh, lower: OrganSurface) -> np.ndarr
 def _centerline(
     tract: UpperTract,
     colon: Centerline,
-    place: ColonPlace,
+    placement: ColonPlacement,
     vertices: np.ndarray,
     faces: np.ndarray,
 ) -> Centerline:
@@ -185,24 +189,28 @@ def _centerline(
     )
     stops = np.arange(tract.tube.arc_length[nearest] + 6 * MM, tract.end - 8 * MM, 6 * MM)
     entry = tract.tube.curve(np.array([tract.end]))[0]
-    after = entry + np.outer([4 * MM, 10 * MM], place.inward) + np.outer([0.0, 3 * MM], place.along)
-    at = _valve_place(colon, place)
+    after = (
+        entry
+        + np.outer([4 * MM, 10 * MM], placement.inward)
+        + np.outer([0.0, 3 * MM], placement.along)
+    )
+    at = _valve_arc_length(colon, placement)
     beyond = np.arange(at + 4 * CM, colon.length - 6 * MM, 8 * MM)
     index = np.searchsorted(colon.arc_length, beyond)
     points = [start, tract.tube.curve(stops), entry[None], after, colon.points[index]]
     return centerline_from_points(np.concatenate(points), vertices, faces, step=CENTERLINE_STEP)
 
 
-def _valve_place(colon: Centerline, place: ColonPlace) -> float:
-    """Arc length on the colon's own centreline at which the valve lies [m]."""
-    nearest = np.argmin(np.linalg.norm(colon.points - place.valve, axis=1))
+def _valve_arc_length(colon: Centerline, placement: ColonPlacement) -> float:
+    """Arc length on the colon's own centerline at which the valve lies [m]."""
+    nearest = np.argmin(np.linalg.norm(colon.points - placement.valve, axis=1))
     return float(colon.arc_length[nearest])
 
 
 def _arc_length(
     tract: UpperTract, upper: TubeMesh, lower: OrganSurface, centerline: Centerline
 ) -> Float[np.ndarray, " n"]:
-    """Gut coordinate of both walls' vertices: that of their section on the joint centreline."""
+    """Gut coordinate of both walls' vertices: that of their section on the joint centerline."""
     entry = tract.tube.curve(np.array([tract.end]))[0]
     split = int(np.argmin(np.linalg.norm(centerline.points - entry, axis=1)))
     before, after = (

@@ -1,4 +1,4 @@
-"""One patient's organs by seed: dimensions drawn from the populations, at a filling."""
+"""One patient's organs by seed: dimensions drawn from the populations, at a distension."""
 
 from __future__ import annotations
 
@@ -7,20 +7,24 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from vrcaps.anatomy.colon.parameters import SEGMENTS, ColonParameters
-from vrcaps.anatomy.full_tract.abdomen import draw_colon_place, place_stomach, surroundings
-from vrcaps.anatomy.small_bowel.course import Surroundings
+from vrcaps.anatomy.full_tract.abdomen import (
+    draw_colon_placement,
+    make_neighboring_organs,
+    place_stomach,
+)
+from vrcaps.anatomy.small_bowel.course import NeighboringOrgans
 from vrcaps.anatomy.small_bowel.parameters import SmallBowelParameters
 from vrcaps.anatomy.stomach.parameters import StomachParameters
 from vrcaps.anatomy.tube_mesh.tube import Course
 from vrcaps.errors import InputError
 from vrcaps.units import CM
 
-COLON_CALIBRES = {"inflated": 1.0, "normal": 0.85, "collapsed": 0.65}
-"""Calibre of the colon relative to that under gas, for which the published figures hold."""
+COLON_DISTENSIONS = {"inflated": 1.0, "normal": 0.85, "collapsed": 0.65}
+"""Diameters of the colon relative to that under gas, for which the published figures hold."""
 
 
 @dataclass(frozen=True)
-class Patient:
+class PatientAnatomy:
     """Dimensions of one patient's organs.
 
     Attributes:
@@ -36,22 +40,22 @@ class Patient:
     colon: ColonParameters
 
 
-def draw_patient(seed: int, condition: str | None = None) -> Patient:
-    """The patient of a seed; the same seed is the same patient whatever the organ or filling.
+def draw_patient_anatomy(seed: int, distension: str | None = None) -> PatientAnatomy:
+    """The patient of a seed; the same seed is the same patient whatever the organ or distension.
 
     Args:
         seed: Not negative.
-        condition: LumenContents of all organs, one of `COLON_CALIBRES`; None is the usual one, the
+        distension: Distension of all organs, one of `COLON_DISTENSIONS`; None is the usual one, the
             colon under gas and the others after a drink.
 
     Raises:
-        InputError: If there is no such condition.
+        InputError: If there is no such distension.
     """
-    upper, lower = condition or "normal", condition or "inflated"
-    if lower not in COLON_CALIBRES:
-        known = ", ".join(COLON_CALIBRES)
-        raise InputError(f"Condition is {condition!r}. Allowed: {known}.")
-    return Patient(
+    upper, lower = distension or "normal", distension or "inflated"
+    if lower not in COLON_DISTENSIONS:
+        known = ", ".join(COLON_DISTENSIONS)
+        raise InputError(f"Distension is {distension!r}. Allowed: {known}.")
+    return PatientAnatomy(
         seed,
         StomachParameters.draw(np.random.default_rng([seed, 2])).at(upper),
         SmallBowelParameters.draw(np.random.default_rng([seed, 3])).at(upper),
@@ -59,9 +63,9 @@ def draw_patient(seed: int, condition: str | None = None) -> Patient:
     )
 
 
-def colon_at(parameters: ColonParameters, condition: str) -> ColonParameters:
-    """The same colon at another filling: narrower, its folds as high as they have room for."""
-    factor = COLON_CALIBRES[condition]
+def colon_at(parameters: ColonParameters, distension: str) -> ColonParameters:
+    """The same colon at another distension: narrower, its folds as high as the lumen allows."""
+    factor = COLON_DISTENSIONS[distension]
     if factor == 1.0:
         return parameters
     segments = {}
@@ -73,14 +77,16 @@ def colon_at(parameters: ColonParameters, condition: str) -> ColonParameters:
     return replace(parameters, **segments)
 
 
-def stomach_axis(patient: Patient) -> Course:
+def stomach_axis(patient: PatientAnatomy) -> Course:
     """Where the patient's stomach lies, without making the colon's wall."""
     return place_stomach(
-        patient.stomach, draw_colon_place(patient.colon, patient.seed), patient.seed
+        patient.stomach, draw_colon_placement(patient.colon, patient.seed), patient.seed
     )
 
 
-def bowel_surroundings(patient: Patient) -> Surroundings:
+def neighboring_organs(patient: PatientAnatomy) -> NeighboringOrgans:
     """What the patient's small bowel is laid between, without making the other organs' walls."""
-    colon = draw_colon_place(patient.colon, patient.seed)
-    return surroundings(colon, patient.stomach, place_stomach(patient.stomach, colon, patient.seed))
+    colon = draw_colon_placement(patient.colon, patient.seed)
+    return make_neighboring_organs(
+        colon, patient.stomach, place_stomach(patient.stomach, colon, patient.seed)
+    )

@@ -10,10 +10,10 @@ from scipy.interpolate import CubicSpline
 
 from vrcaps.anatomy.full_tract.abdomen import (
     GAP,
-    ColonPlace,
+    ColonPlacement,
+    make_neighboring_organs,
     place_stomach,
     pylorus_sample,
-    surroundings,
 )
 from vrcaps.anatomy.small_bowel.generate import lay_small_bowel, wanted_edge, with_local_bend
 from vrcaps.anatomy.small_bowel.shape import SmallBowelWall, small_bowel_radius
@@ -23,7 +23,7 @@ from vrcaps.anatomy.stomach.shape import (
     stomach_radius,
     stomach_wall_rng,
 )
-from vrcaps.anatomy.tube_mesh.swept_surface import Skin
+from vrcaps.anatomy.tube_mesh.swept_surface import SweptSurface
 from vrcaps.anatomy.tube_mesh.tube import Course, Tube, make_tube
 from vrcaps.anatomy.tube_mesh.waves import smooth_step
 from vrcaps.units import MM
@@ -65,9 +65,9 @@ class UpperTract:
         """Arc length where the small bowel enters the colon [m]."""
         return float(self.tube.arc_length[-1])
 
-    def skin(self) -> Skin:
+    def surface(self) -> SweptSurface:
         """The wall of both, closed at the top of the fundus and at the valve."""
-        return Skin(self.tube, self.end, self._envelope, self._radius, self._edge)
+        return SweptSurface(self.tube, self.end, self._envelope, self._radius, self._edge)
 
     def _envelope(self, s: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
         above = smooth_step((self.pylorus - s) / (2.0 * _BLEND) + 0.5)
@@ -107,14 +107,14 @@ class UpperTract:
 
     def _edge(self, s: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
         below = wanted_edge(self.bowel, np.maximum(s - self.pylorus, 0.0))
-        share = smooth_step((self.pylorus - s) / (6 * MM) + 0.5)
-        return below + share * (self.stomach.parameters.edge - below)
+        fraction = smooth_step((self.pylorus - s) / (6 * MM) + 0.5)
+        return below + fraction * (self.stomach.parameters.edge - below)
 
 
 def lay_upper_tract(
     stomach: StomachParameters,
     bowel: SmallBowelParameters,
-    colon: ColonPlace,
+    colon: ColonPlacement,
     *,
     seed: int,
     rng: np.random.Generator,
@@ -128,13 +128,13 @@ def lay_upper_tract(
         colon: Where the colon lies.
         seed: Of the stomach, as in `generate_stomach`.
         rng: Source of the small bowel, as in `generate_small_bowel`.
-        gap: Room between stomach and colon [m].
+        gap: Clearance between stomach and colon [m].
 
     Raises:
-        InputError: If there is no room for them.
+        InputError: If they do not fit.
     """
     axis = place_stomach(stomach, colon, seed, gap=gap)
-    around = surroundings(colon, stomach, axis)
+    around = make_neighboring_organs(colon, stomach, axis)
     bowel_wall, bowel_tube = lay_small_bowel(bowel, around, rng)
     upper = axis.points[: pylorus_sample(stomach, axis)]
     points = np.concatenate([upper, bowel_tube.curve(bowel_tube.arc_length)])

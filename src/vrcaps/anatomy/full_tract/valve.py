@@ -55,8 +55,8 @@ def stitch(
     other = other[::-1]
     nearest = np.linalg.norm(vertices[other] - vertices[one[0]], axis=1).argmin()
     other = np.roll(other, -nearest)
-    shares = [_shares(vertices, rim) for rim in (one, other)]
-    mids = [0.5 * (share[1:] + share[:-1]) for share in shares]
+    fractions = [_fractions(vertices, rim) for rim in (one, other)]
+    mids = [0.5 * (fraction[1:] + fraction[:-1]) for fraction in fractions]
     across = [np.searchsorted(mids[1], mids[0]), np.searchsorted(mids[0], mids[1], "right")]
     first = np.stack([np.roll(one, -1), one, other[across[0] % len(other)]], axis=1)
     second = np.stack([other, np.roll(other, -1), one[across[1] % len(one)]], axis=1)
@@ -68,7 +68,7 @@ def soften(
     faces: Int[np.ndarray, "m 3"],
     rim: Int[np.ndarray, " k"],
 ) -> Float[np.ndarray, "n 3"]:
-    """Vertices moved towards the mean of their neighbours, less the farther from a rim."""
+    """Vertices moved towards the mean of their neighbors, less the farther from a rim."""
     edges = directed_edges(faces)
     ring = np.full(len(vertices), _NUM_RINGS)
     ring[rim] = 0
@@ -88,7 +88,7 @@ def soften(
     return vertices
 
 
-def _shares(vertices: np.ndarray, rim: np.ndarray) -> Float[np.ndarray, " k"]:
-    """Way along a closed rim to each of its vertices and back to the first, as a share."""
+def _fractions(vertices: np.ndarray, rim: np.ndarray) -> Float[np.ndarray, " k"]:
+    """Fraction of a closed rim's length at each of its vertices and, last, back at the first."""
     step = np.linalg.norm(vertices[np.roll(rim, -1)] - vertices[rim], axis=1)
     return np.append(0.0, np.cumsum(step)) / step.sum()

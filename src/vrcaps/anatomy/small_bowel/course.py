@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps.anatomy.small_bowel.distance_routing import Terrain, lead_around, survey
+from vrcaps.anatomy.small_bowel.distance_routing import RoutingGrid, make_routing_grid, route_around
 from vrcaps.anatomy.tube_mesh.tube_packing import (
-    Balls,
-    Chain,
-    least_room,
+    ObstacleSpheres,
+    TubeChain,
+    min_clearance,
     relax_chain,
     sharpest_bend,
     smooth_course,
@@ -37,16 +37,16 @@ _MESENTERY = 16 * CM
 """Greatest distance from the root to the bowel (Gray's Anatomy: about 15 to 20 cm)."""
 _NUM_STEPS = 240
 _NUM_TRIES, _NUM_WIDTHS = 48, 24
-"""The abdomen widens over so many tries; then they begin anew, with the room left at the last."""
+"""The abdomen widens over so many tries; then they begin anew, at the last allowed clearance."""
 _NUM_REFINED = 80
 _SPREAD = 1.25
 _TOLERANCE = 0.015
-_LEAST_ROOM = -0.3 * MM  # of the outlines, which lie a tenth beyond the mean wall
+_MIN_CLEARANCE = -0.3 * MM  # of the outlines, which lie a tenth beyond the mean wall
 _HOPELESS = -3.5 * MM
 _NUM_FIXED = 3
 _APPROACH = 3.5 * CM
 _FILLING = 0.42
-"""Share of the free space that the bowel can fill at most."""
+"""Fraction of the free space that the bowel can fill at most."""
 _BULGE = 8 * CM
 _SHARPEST = 1.9
 
@@ -74,8 +74,8 @@ _NUM_CANDIDATES = 16
 
 
 @dataclass(frozen=True)
-class Surroundings:
-    """What a small bowel is laid between.
+class NeighboringOrgans:
+    """Neighboring organs that a small bowel is laid between.
 
     Attributes:
         pylorus: Where it begins [m], patient frame.
@@ -92,42 +92,42 @@ class Surroundings:
     beyond: Float[np.ndarray, " 3"]
     valve: Float[np.ndarray, " 3"]
     valve_direction: Float[np.ndarray, " 3"]
-    obstacles: Balls
+    obstacles: ObstacleSpheres
     size: float = 1.0
 
 
 def generate_course(
     parameters: SmallBowelParameters,
     radius_of: Float[np.ndarray, " k"],
-    around: Surroundings,
+    around: NeighboringOrgans,
     rng: np.random.Generator,
 ) -> Course:
-    """A course from the pylorus to the ileocaecal valve with room for the bowel all along.
+    """A course from the pylorus to the ileocaecal valve with clearance for the bowel all along.
 
     Args:
         parameters: The patient's dimensions.
-        radius_of: Outer radius at even shares of the length [m].
+        radius_of: Outer radius at even fractions of the length [m].
         around: The organs beside it.
         rng: Source of the coils.
 
     Raises:
         InputError: If no such course is found in the abdomen.
     """
-    shares = np.linspace(0.0, 1.0, len(radius_of))
+    fractions = np.linspace(0.0, 1.0, len(radius_of))
     num = round(parameters.length / _SPACING) + 1
-    radius = np.interp(np.linspace(0.0, 1.0, num), shares, radius_of)
+    radius = np.interp(np.linspace(0.0, 1.0, num), fractions, radius_of)
     for attempt in range(_NUM_TRIES):
         width = attempt % _NUM_WIDTHS
-        least_allowed = _LEAST_ROOM * (1.0 + 0.25 * min(attempt, _NUM_WIDTHS - 1))
-        terrain = _abdomen(parameters.length, radius, around, width)
-        chain, nodes = _start(parameters, radius, around, terrain, width, rng)
+        least_allowed = _MIN_CLEARANCE * (1.0 + 0.25 * min(attempt, _NUM_WIDTHS - 1))
+        grid = _abdomen(parameters.length, radius, around, width)
+        chain, nodes = _start(parameters, radius, around, grid, width, rng)
         for course in _settling(parameters.length, chain, nodes, around.obstacles):
-            fine = np.interp(course.arc_length / course.arc_length[-1], shares, radius_of)
-            room = least_room(course, fine, around.obstacles, _APPROACH)
+            fine = np.interp(course.arc_length / course.arc_length[-1], fractions, radius_of)
+            clearance = min_clearance(course, fine, around.obstacles, _APPROACH)
             is_long = abs(parameters.length / course.arc_length[-1] - 1.0) < _TOLERANCE
-            if is_long and room > least_allowed and sharpest_bend(course, fine) < _SHARPEST:
+            if is_long and clearance > least_allowed and sharpest_bend(course, fine) < _SHARPEST:
                 return course
-            if room < _HOPELESS:
+            if clearance < _HOPELESS:
                 break
     raise InputError(
         f"Found no course for {parameters.length:.2f} m of small bowel in the abdomen. "
@@ -136,7 +136,7 @@ def generate_course(
 
 
 def _settling(
-    length: float, chain: Chain, nodes: Float[np.ndarray, "n 3"], obstacles: Balls
+    length: float, chain: TubeChain, nodes: Float[np.ndarray, "n 3"], obstacles: ObstacleSpheres
 ) -> Iterator[Course]:
     """Courses of a grown chain that come nearer and nearer to the asked length."""
     spacing = length / (len(nodes) - 1)
@@ -148,27 +148,29 @@ def _settling(
         nodes = relax_chain(chain, nodes, spacing, obstacles, num_steps=_NUM_REFINED)
 
 
-def _abdomen(length: float, radius: np.ndarray, around: Surroundings, attempt: int) -> Terrain:
-    """The space for the bowel: a full belly bulges to the front, and widens with each attempt."""
+def _abdomen(
+    length: float, radius: np.ndarray, around: NeighboringOrgans, attempt: int
+) -> RoutingGrid:
+    """The space for the bowel: a full belly bulges anteriorly, and widens with each attempt."""
     low, high = (1.0 + 0.012 * attempt) * around.size * CM * np.array([_LOW_CM, _HIGH_CM])
-    room = float(radius.mean())
+    clearance = float(radius.mean())
     needed = length * np.pi * float(np.mean(radius**2)) / _FILLING
     bulge = 0.5 * CM * attempt
     while True:
-        terrain = survey(low - [0.0, bulge, 0.0], high, around.obstacles, room)
-        if terrain.free_volume >= needed or bulge > _BULGE:
-            return terrain
+        grid = make_routing_grid(low - [0.0, bulge, 0.0], high, around.obstacles, clearance)
+        if grid.free_volume >= needed or bulge > _BULGE:
+            return grid
         bulge += 1 * CM
 
 
 def _start(
     parameters: SmallBowelParameters,
     radius: np.ndarray,
-    around: Surroundings,
-    terrain: Terrain,
+    around: NeighboringOrgans,
+    grid: RoutingGrid,
     attempt: int,
     rng: np.random.Generator,
-) -> tuple[Chain, Float[np.ndarray, "n 3"]]:
+) -> tuple[TubeChain, Float[np.ndarray, "n 3"]]:
     """The chain's conditions and its nodes before growth: the duodenum, then waves to the valve."""
     num = len(radius)
     spacing = parameters.length / (num - 1)
@@ -176,19 +178,19 @@ def _start(
     size = around.size
     exits = around.pylorus + np.outer(np.arange(_NUM_FIXED), around.pylorus_direction * spacing)
     waypoints = size * CM * (_DUODENUM_CM + rng.normal(0.0, 0.3, _DUODENUM_CM.shape))
-    # Where the colon hangs in front of the duodenojejunal flexure, a lower one goes under it.
+    # Where the colon hangs anterior to the duodenojejunal flexure, a lower one goes under it.
     waypoints[4:] += min(attempt, 6) * rng.uniform(0.0, 1.0) * CM * np.array([0.0, 0.0, -0.8])
     waypoints[0] = around.beyond
-    way = lead_around(np.concatenate([exits[-1:], waypoints]), terrain)
-    duodenum = np.concatenate([exits, _along(way, num_duodenum - 2)[1:]])
+    path = route_around(np.concatenate([exits[-1:], waypoints]), grid)
+    duodenum = np.concatenate([exits, _along(path, num_duodenum - 2)[1:]])
     ending = around.valve - np.outer(np.arange(_NUM_FIXED)[::-1], around.valve_direction * spacing)
     num_free = num - num_duodenum - _NUM_FIXED
     root = np.linspace(duodenum[-1], ending[0], num_free + 2)[1:-1]
-    sweeps = _sweeps(0.93 * spacing * num_free, around, terrain, duodenum[-1], rng)
-    way = lead_around(np.concatenate([duodenum[-1:], sweeps, ending[:1]]), terrain)
-    nodes = _along(way, num_free + 2)[1:-1]
+    sweeps = _sweeps(0.93 * spacing * num_free, around, grid, duodenum[-1], rng)
+    path = route_around(np.concatenate([duodenum[-1:], sweeps, ending[:1]]), grid)
+    nodes = _along(path, num_free + 2)[1:-1]
     nodes += 8 * MM * _swing(num_free, rng)
-    chain = Chain(
+    chain = TubeChain(
         radius=radius,
         anchor=np.concatenate([duodenum, root, ending]),
         hold=np.concatenate([_ramp(num_duodenum), np.zeros(num_free + _NUM_FIXED)]),
@@ -196,8 +198,8 @@ def _start(
             [np.full(num_duodenum, 5 * CM), np.full(num_free + _NUM_FIXED, size * _MESENTERY)]
         ),
         is_fixed=np.isin(np.arange(num), [*range(_NUM_FIXED), *range(num - _NUM_FIXED, num)]),
-        low=terrain.low,
-        high=terrain.high,
+        low=grid.low,
+        high=grid.high,
         gap=_GAP,
     )
     return chain, np.concatenate([duodenum, nodes, ending])
@@ -205,8 +207,8 @@ def _start(
 
 def _sweeps(
     length: float,
-    around: Surroundings,
-    terrain: Terrain,
+    around: NeighboringOrgans,
+    grid: RoutingGrid,
     start: Float[np.ndarray, " 3"],
     rng: np.random.Generator,
 ) -> Float[np.ndarray, "k 3"]:
@@ -218,7 +220,7 @@ def _sweeps(
     num = max(8, round(length / (_SWEEP_CM * CM)))
     last_level = max((num - 1) // _NUM_LAYERS, 1)
     points = [start, around.size * CM * np.array([2.5, 1.5, 1.0])]
-    depths = np.linspace(terrain.low[1] / (around.size * CM) + 3.0, _BACK_CM, _NUM_LAYERS)
+    depths = np.linspace(grid.low[1] / (around.size * CM) + 3.0, _BACK_CM, _NUM_LAYERS)
     for i in range(num):
         level, order = divmod(i, _NUM_LAYERS)
         depth = depths[order if level % 2 == 0 else -1 - order]
@@ -226,13 +228,13 @@ def _sweeps(
         best, chosen = np.inf, np.zeros((2, 3))
         for _ in range(_NUM_CANDIDATES):
             middle = np.array([0.0, depth, height]) + rng.normal(0.0, [0.0, 1.2, 1.0])
-            # In the right lower part room is left for the way back up to the valve.
+            # In the right lower part space is left for the path back up to the valve.
             sides = np.array([rng.uniform(3.0, 9.5), rng.uniform(-6.5, -1.0)])
             if rng.uniform() < 0.5:
                 sides = sides[::-1]
             ends = around.size * CM * (middle + np.outer(sides, [1.0, 0.0, 0.0]))
             cost = _crossing(np.array([points[-1], *ends]), around.obstacles)
-            # A long way to where the sweep begins is a detour.
+            # A long path to where the sweep begins is a detour.
             cost += 0.5 * float(np.linalg.norm(ends[0] - points[-1])) ** 2 / (10 * CM)
             if cost < best:
                 best, chosen = cost, ends
@@ -240,8 +242,8 @@ def _sweeps(
     return np.array(points[1:])
 
 
-def _crossing(waypoints: Float[np.ndarray, "k 3"], obstacles: Balls) -> float:
-    """How much of a polyline runs through obstacles: depth [m] summed over centimetres."""
+def _crossing(waypoints: Float[np.ndarray, "k 3"], obstacles: ObstacleSpheres) -> float:
+    """How much of a polyline runs through obstacles: depth [m] summed over centimeters."""
     points = _along(waypoints, 30)
     distance, nearest = obstacles.tree.query(points, min(3, len(obstacles.radius)))
     depth = np.maximum(obstacles.radius[nearest] - distance, 0.0).reshape(len(points), -1)

@@ -1,4 +1,8 @@
-"""Ways around other organs: relaxation can push the bowel off an organ, not out of its loops."""
+"""Distance-field routing: cheapest paths around the other organs on a grid of the abdomen.
+
+Relaxation can push the bowel off an organ, not out of its loops; a course that is routed first
+needs only the former.
+"""
 
 from __future__ import annotations
 
@@ -16,106 +20,125 @@ from vrcaps.units import MM
 if TYPE_CHECKING:
     from jaxtyping import Float
 
-    from vrcaps.anatomy.tube_mesh.tube_packing import Balls
+    from vrcaps.anatomy.tube_mesh.tube_packing import ObstacleSpheres
 
 _STEP = 10 * MM
 _DETOUR = 30.0
-"""Length of free way that is worth as much as the same length through an organ."""
+"""Cost of a path through an organ relative to the same length of free path, less 1."""
 
 
 @dataclass(frozen=True)
-class Terrain:
-    """A grid of places in the abdomen and what it costs to pass from one to the next.
+class RoutingGrid:
+    """A grid of points in the abdomen and the cost of passing from one to the next.
 
     Attributes:
-        places: Of the grid [m].
-        tree: For the nearest places.
-        graph: Cost of the way between neighbours [m], more where there is no room.
-        obstacles: What is in the way.
-        room: Distance to keep from obstacles [m].
+        points: Of the grid [m].
+        tree: For nearest-point queries.
+        graph: Cost of the edge between neighbors [m], higher where the clearance is too small.
+        obstacles: The other organs.
+        clearance: Distance to keep from obstacles [m].
         low: Lowest coordinates of the box [m].
         high: Highest coordinates of the box [m].
     """
 
-    places: Float[np.ndarray, "n 3"]
+    points: Float[np.ndarray, "n 3"]
     tree: KDTree
     graph: csr_matrix
-    obstacles: Balls
-    room: float
+    obstacles: ObstacleSpheres
+    clearance: float
     low: Float[np.ndarray, " 3"]
     high: Float[np.ndarray, " 3"]
 
     @property
     def free_volume(self) -> float:
         """Volume of the box outside all obstacles [m³]."""
-        share = float(np.mean(clearance(self.places, self.obstacles) > 0.0))
-        return share * float(np.prod(self.high - self.low))
+        fraction = float(np.mean(distance_to_obstacles(self.points, self.obstacles) > 0.0))
+        return fraction * float(np.prod(self.high - self.low))
 
 
-def survey(
-    low: Float[np.ndarray, " 3"], high: Float[np.ndarray, " 3"], obstacles: Balls, room: float
-) -> Terrain:
-    """The terrain of a box [m] in which a tube of radius `room` [m] looks for its way."""
+def make_routing_grid(
+    low: Float[np.ndarray, " 3"],
+    high: Float[np.ndarray, " 3"],
+    obstacles: ObstacleSpheres,
+    clearance: float,
+) -> RoutingGrid:
+    """A grid over a box, its edges weighted by the distance field of the obstacles.
+
+    Args:
+        low: Lowest coordinates of the box [m].
+        high: Highest coordinates of the box [m].
+        obstacles: The other organs.
+        clearance: Radius of the tube that is routed [m].
+    """
     axes = [np.arange(a, b + _STEP, _STEP) for a, b in zip(low, high, strict=True)]
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
-    shape, places = grid.shape[:3], grid.reshape(-1, 3)
-    cost = 1.0 + _DETOUR * np.clip(1.0 - clearance(places, obstacles) / room, 0.0, 2.0)
-    number = np.arange(len(places)).reshape(shape)
+    shape, points = grid.shape[:3], grid.reshape(-1, 3)
+    distance = distance_to_obstacles(points, obstacles)
+    cost = 1.0 + _DETOUR * np.clip(1.0 - distance / clearance, 0.0, 2.0)
+    start, end = _grid_edges(shape)
+    length = np.linalg.norm(points[end] - points[start], axis=1)
+    weight = 0.5 * length * (cost[start] + cost[end])
+    graph = csr_matrix((weight, (start, end)), shape=(len(points), len(points)))
+    return RoutingGrid(points, KDTree(points), graph, obstacles, clearance, low, high)
+
+
+def _grid_edges(shape: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
+    """Numbers of the two ends of every edge of the grid, diagonals included."""
+    number = np.arange(int(np.prod(shape))).reshape(shape)
     starts, ends = [], []
     for offset in itertools.product((-1, 0, 1), repeat=3):
         if offset > (0, 0, 0):
-            here = [
-                slice(max(0, -d), size - max(0, d)) for d, size in zip(offset, shape, strict=True)
-            ]
-            there = [
-                slice(max(0, d), size - max(0, -d)) for d, size in zip(offset, shape, strict=True)
-            ]
-            starts.append(number[tuple(here)].ravel())
-            ends.append(number[tuple(there)].ravel())
-    start, end = np.concatenate(starts), np.concatenate(ends)
-    length = np.linalg.norm(places[end] - places[start], axis=1)
-    weight = 0.5 * length * (cost[start] + cost[end])
-    graph = csr_matrix((weight, (start, end)), shape=(len(places), len(places)))
-    return Terrain(places, KDTree(places), graph, obstacles, room, low, high)
+            pairs = list(zip(offset, shape, strict=True))
+            here = tuple(slice(max(0, -d), size - max(0, d)) for d, size in pairs)
+            there = tuple(slice(max(0, d), size - max(0, -d)) for d, size in pairs)
+            starts.append(number[here].ravel())
+            ends.append(number[there].ravel())
+    return np.concatenate(starts), np.concatenate(ends)
 
 
-def lead_around(waypoints: Float[np.ndarray, "k 3"], terrain: Terrain) -> Float[np.ndarray, "m 3"]:
-    """A polyline whose legs through obstacles are replaced by ways around them.
+def route_around(
+    waypoints: Float[np.ndarray, "k 3"], grid: RoutingGrid
+) -> Float[np.ndarray, "m 3"]:
+    """A polyline whose legs through obstacles are replaced by detours around them.
 
-    The first and the last waypoint stay; those in between are moved where they have room.
+    The first and the last waypoint stay; those in between move to where the clearance suffices.
     """
     waypoints = waypoints.copy()
-    crowded = clearance(waypoints, terrain.obstacles) < terrain.room
-    crowded[[0, -1]] = False
-    waypoints[crowded] = _nearest_free(waypoints[crowded], terrain)
+    is_crowded = distance_to_obstacles(waypoints, grid.obstacles) < grid.clearance
+    is_crowded[[0, -1]] = False
+    waypoints[is_crowded] = _nearest_free(waypoints[is_crowded], grid)
     legs = [waypoints[:1]]
     for start, end in itertools.pairwise(waypoints):
         leg = np.linspace(start, end, 2 + int(np.linalg.norm(end - start) / (0.5 * _STEP)))[1:]
-        if clearance(leg, terrain.obstacles).min() < 0.5 * terrain.room:
-            leg = np.concatenate([_way(start, end, terrain), end[None]])
+        if distance_to_obstacles(leg, grid.obstacles).min() < 0.5 * grid.clearance:
+            leg = np.concatenate([_cheapest_path(start, end, grid), end[None]])
         legs.append(leg)
     return np.concatenate(legs)
 
 
-def _nearest_free(points: Float[np.ndarray, "k 3"], terrain: Terrain) -> Float[np.ndarray, "k 3"]:
-    """The nearest place of the grid with room, for each point."""
-    free = terrain.places[clearance(terrain.places, terrain.obstacles) >= terrain.room]
+def _nearest_free(points: Float[np.ndarray, "k 3"], grid: RoutingGrid) -> Float[np.ndarray, "k 3"]:
+    """The nearest grid point with enough clearance, for each point."""
+    free = grid.points[distance_to_obstacles(grid.points, grid.obstacles) >= grid.clearance]
     if not len(free) or not len(points):
         return points
     return free[KDTree(free).query(points)[1]]
 
 
-def _way(start: np.ndarray, end: np.ndarray, terrain: Terrain) -> Float[np.ndarray, "k 3"]:
-    """The cheapest way over the grid between two points, without its first and last place."""
-    first, last = terrain.tree.query([start, end])[1]
-    _, before = dijkstra(terrain.graph, directed=False, indices=first, return_predecessors=True)
+def _cheapest_path(
+    start: np.ndarray, end: np.ndarray, grid: RoutingGrid
+) -> Float[np.ndarray, "k 3"]:
+    """The cheapest path over the grid between two points, without its first and last point."""
+    first, last = grid.tree.query([start, end])[1]
+    _, before = dijkstra(grid.graph, directed=False, indices=first, return_predecessors=True)
     path = [last]
     while path[-1] != first:
         path.append(before[path[-1]])
-    return terrain.places[path[-2:0:-1]]
+    return grid.points[path[-2:0:-1]]
 
 
-def clearance(points: Float[np.ndarray, "n 3"], obstacles: Balls) -> Float[np.ndarray, " n"]:
+def distance_to_obstacles(
+    points: Float[np.ndarray, "n 3"], obstacles: ObstacleSpheres
+) -> Float[np.ndarray, " n"]:
     """Distance to the surface of the nearest obstacles [m], negative inside."""
     num = min(8, len(obstacles.radius))
     distance, nearest = obstacles.tree.query(points, num)

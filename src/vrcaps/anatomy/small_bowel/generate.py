@@ -15,8 +15,8 @@ from vrcaps.anatomy.small_bowel.shape import (
     outer_radius,
     small_bowel_radius,
 )
-from vrcaps.anatomy.tube_mesh.surface_to_organ import skin_to_organ
-from vrcaps.anatomy.tube_mesh.swept_surface import Skin
+from vrcaps.anatomy.tube_mesh.surface_to_organ import surface_to_organ
+from vrcaps.anatomy.tube_mesh.swept_surface import SweptSurface
 from vrcaps.anatomy.tube_mesh.tube import make_tube
 from vrcaps.errors import InputError
 from vrcaps.mesh.self_intersection import self_intersections
@@ -26,7 +26,7 @@ from vrcaps.units import MM
 if TYPE_CHECKING:
     from jaxtyping import Float, UInt8
 
-    from vrcaps.anatomy.small_bowel.course import Surroundings
+    from vrcaps.anatomy.small_bowel.course import NeighboringOrgans
     from vrcaps.anatomy.small_bowel.parameters import SmallBowelParameters
     from vrcaps.anatomy.small_bowel.shape import SmallBowelWall
     from vrcaps.anatomy.tube_mesh.tube import Tube
@@ -37,7 +37,7 @@ _DOME = 7 * MM
 
 
 def generate_small_bowel(
-    parameters: SmallBowelParameters, around: Surroundings, *, seed: int
+    parameters: SmallBowelParameters, around: NeighboringOrgans, *, seed: int
 ) -> OrganSurface:
     """A small bowel with the given dimensions between given organs, different for each seed.
 
@@ -65,7 +65,7 @@ def generate_small_bowel(
 
 
 def lay_small_bowel(
-    parameters: SmallBowelParameters, around: Surroundings, rng: np.random.Generator
+    parameters: SmallBowelParameters, around: NeighboringOrgans, rng: np.random.Generator
 ) -> tuple[SmallBowelWall, Tube]:
     """A drawn wall and the course it is laid along."""
     wall = draw_small_bowel_wall(parameters, rng)
@@ -74,9 +74,9 @@ def lay_small_bowel(
 
 
 def with_local_bend(tube: Tube, start: float = 0.0) -> Tube:
-    """A tube whose bend is averaged over millimetres only, from an arc length on [m].
+    """A tube whose bend is averaged over millimeters only, from an arc length on [m].
 
-    A narrow tube may turn within a few centimetres: an average over more misses that.
+    A narrow tube may bend within a few centimeters: an average over more misses that.
     """
     sigma = 2.5 * MM / tube.arc_length[1]
     local = gaussian_filter1d(tube.curve(tube.arc_length, 2), sigma, axis=0, mode="nearest")
@@ -88,7 +88,7 @@ def small_bowel_labels(
 ) -> UInt8[np.ndarray, " n"]:
     """Segment number of each arc length from the pylorus [m], 1 for the first of `SEGMENTS`."""
     p = parameters
-    jejunum_end = p.duodenum_length + p.jejunum_share * (p.length - p.duodenum_length)
+    jejunum_end = p.duodenum_length + p.jejunum_fraction * (p.length - p.duodenum_length)
     ends = np.array([BULB_LENGTH, p.duodenum_length, jejunum_end])
     return (1 + np.searchsorted(ends, arc_length, side="right")).astype(np.uint8)
 
@@ -96,28 +96,28 @@ def small_bowel_labels(
 def wanted_edge(
     wall: SmallBowelWall, arc_length: Float[np.ndarray, " n"]
 ) -> Float[np.ndarray, " n"]:
-    """Length of edge [m] by the lumen's calibre: a camera comes nearer in a narrow one."""
-    share = wall.envelope(arc_length) / (12.25 * MM)
-    return wall.parameters.edge * np.clip(share, 0.72, 1.1)
+    """Length of edge [m] by the lumen's diameter: a camera comes nearer in a narrow one."""
+    fraction = wall.envelope(arc_length) / (12.25 * MM)
+    return wall.parameters.edge * np.clip(fraction, 0.72, 1.1)
 
 
 def _as_organ(wall: SmallBowelWall, tube: Tube, seed: int) -> OrganSurface:
-    """The finished surface with labels, gut coordinates and centreline."""
+    """The finished surface with labels, gut coordinates and centerline."""
     end = float(tube.arc_length[-1])
 
     def closed(s: np.ndarray) -> np.ndarray:
         from_end = np.minimum(s, end - s)
         return np.sqrt(1.0 - np.clip(1.0 - from_end / _DOME, 0.0, 1.0) ** 2)
 
-    skin = Skin(
+    surface = SweptSurface(
         tube,
         end,
         lambda s: wall.envelope(s) * closed(s),
         lambda s, theta: small_bowel_radius(wall, tube, s, theta) * closed(s),
         lambda s: wanted_edge(wall, s),
     )
-    return skin_to_organ(
-        skin,
+    return surface_to_organ(
+        surface,
         "small-bowel",
         segments=SEGMENTS,
         label=lambda s, _: small_bowel_labels(wall.parameters, s),

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from vrcaps.anatomy.tube_mesh.truncated_normal import draw_deviation
+from vrcaps.anatomy.tube_mesh.truncated_normal import truncated_normal
 from vrcaps.errors import InputError
 from vrcaps.units import CM, MM
 
@@ -24,7 +24,7 @@ class SmallBowelParameters:
     """A patient's small bowel; the defaults are the mean adult.
 
     The length in life is 3 to 4 m, 25 cm of it duodenum; by convention two fifths of the rest
-    are jejunum (Steinbrück et al., Atlas of Video Capsule Endoscopy, 2014). Calibres, fold
+    are jejunum (Steinbrück et al., Atlas of Video Capsule Endoscopy, 2014). Diameters, fold
     thickness and number of folds are those of 65 adults at MR enterography (Cronin et al. 2010,
     Eur J Radiol): duodenum 24.8 ± 4.5 mm, jejunum 24.5 ± 4.2, proximal ileum 19.5 ± 3.6,
     distal ileum 18.9 ± 4.2, terminal ileum 18.7 ± 3.6 mm; 4.6 folds per 2.5 cm in the jejunum,
@@ -34,28 +34,29 @@ class SmallBowelParameters:
     Attributes:
         length: From the pylorus to the ileocaecal valve [m].
         duodenum_length: Its first part, bulb included [m].
-        jejunum_share: Of the length beyond the duodenum.
+        jejunum_fraction: Of the length beyond the duodenum.
         duodenum_diameter: Of the lumen between folds [m].
         jejunum_diameter: Of the lumen between folds [m].
         proximal_ileum_diameter: Of the lumen between folds [m].
         distal_ileum_diameter: Of the lumen between folds [m].
         terminal_ileum_diameter: Of the lumen between folds [m].
-        jejunum_folds: Circular folds per metre in duodenum and jejunum.
-        terminal_folds: Circular folds per metre in the terminal ileum; falls evenly to there.
+        jejunum_folds: Circular folds per meter in duodenum and jejunum.
+        terminal_folds: Circular folds per meter in the terminal ileum; falls evenly to there.
         jejunum_fold_height: Of the circular folds in duodenum and jejunum [m].
         terminal_fold_height: Of those in the terminal ileum [m].
         fold_thickness: Full width at half height in the duodenum [m]; 0.3 mm less at the end.
-        contraction_spacing: Mean distance of narrowed places [m].
-        contraction_depth: Share of the radius that a narrowed place takes away.
-        star: Depth of the longitudinal folds of the slack wall, share of the radius.
-        least_radius: What folds and contractions leave open in the middle [m].
+        contraction_spacing: Mean distance between contractions [m].
+        contraction_depth: Fraction of the radius that a contraction takes away.
+        longitudinal_fold_depth: Of the longitudinal folds of the slack wall, as a fraction of the
+            radius.
+        min_radius: Least radius of the lumen that folds and contractions leave open [m].
         roughness: Standard deviation of the smooth irregularity of the wall [m].
         edge: Mean length of the triangles' edges in a lumen of 24.5 mm, less in narrower ones [m].
     """
 
     length: float = 3.5
     duodenum_length: float = 25 * CM
-    jejunum_share: float = 0.4
+    jejunum_fraction: float = 0.4
     duodenum_diameter: float = 24.8 * MM
     jejunum_diameter: float = 24.5 * MM
     proximal_ileum_diameter: float = 19.5 * MM
@@ -68,8 +69,8 @@ class SmallBowelParameters:
     fold_thickness: float = 2.1 * MM
     contraction_spacing: float = 11 * CM
     contraction_depth: float = 0.42
-    star: float = 0.05
-    least_radius: float = 4.6 * MM
+    longitudinal_fold_depth: float = 0.05
+    min_radius: float = 4.6 * MM
     roughness: float = 0.22 * MM
     edge: float = 1.75 * MM
 
@@ -86,37 +87,37 @@ class SmallBowelParameters:
     def draw(cls, rng: np.random.Generator) -> SmallBowelParameters:
         """A small bowel from the population at MR enterography.
 
-        Length 3.5 ± 0.25 m, so that 95 % have 3 to 4 m; calibres with the published deviations,
+        Length 3.5 ± 0.25 m, so that 95 % have 3 to 4 m; diameters with the published deviations,
         nine tenths of the variance shared by all parts of one patient; folds varied by a tenth.
         """
-        mean, whole = cls(), draw_deviation(rng)
-        calibres = {
-            name: getattr(mean, name) + sd * (0.9**0.5 * whole + 0.1**0.5 * draw_deviation(rng))
+        mean, whole = cls(), truncated_normal(rng)
+        diameters = {
+            name: getattr(mean, name) + sd * (0.9**0.5 * whole + 0.1**0.5 * truncated_normal(rng))
             for name, sd in _DEVIATIONS.items()
         }
         varied = {
-            name: getattr(mean, name) * (1.0 + 0.1 * draw_deviation(rng))
+            name: getattr(mean, name) * (1.0 + 0.1 * truncated_normal(rng))
             for name in ("jejunum_folds", "jejunum_fold_height", "contraction_spacing")
         }
-        # Folds are as high as the lumen has room for.
-        varied["jejunum_fold_height"] *= calibres["jejunum_diameter"] / mean.jejunum_diameter
+        # Folds are as high as the lumen allows.
+        varied["jejunum_fold_height"] *= diameters["jejunum_diameter"] / mean.jejunum_diameter
         return cls(
-            length=mean.length + 0.25 * draw_deviation(rng),
-            duodenum_length=mean.duodenum_length * (1.0 + 0.06 * draw_deviation(rng)),
-            **calibres,
+            length=mean.length + 0.25 * truncated_normal(rng),
+            duodenum_length=mean.duodenum_length * (1.0 + 0.06 * truncated_normal(rng)),
+            **diameters,
             **varied,
         )
 
-    def at(self, condition: str) -> SmallBowelParameters:
-        """The same small bowel with another filling.
+    def at(self, distension: str) -> SmallBowelParameters:
+        """The same small bowel at another distension.
 
         Args:
-            condition: One of `CONDITIONS`.
+            distension: One of `DISTENSIONS`.
         """
-        factors = CONDITIONS.get(condition)
+        factors = DISTENSIONS.get(distension)
         if factors is None:
-            known = ", ".join(CONDITIONS)
-            raise InputError(f"Condition is {condition!r}. Allowed: {known}.")
+            known = ", ".join(DISTENSIONS)
+            raise InputError(f"Distension is {distension!r}. Allowed: {known}.")
         scaled = {f: getattr(self, f) * factor for f, factor in factors.items() if f != "diameter"}
         for name in _DEVIATIONS:
             diameter = getattr(self, name)
@@ -139,7 +140,7 @@ _COLLAPSED = 10 * MM
 _LIMITS = {
     "length": (1.5, 5.0),
     "duodenum_length": (0.18, 0.35),
-    "jejunum_share": (0.2, 0.6),
+    "jejunum_fraction": (0.2, 0.6),
     **dict.fromkeys(_DEVIATIONS, (6 * MM, 42 * MM)),
     "jejunum_folds": (20.0, 260.0),
     "terminal_folds": (10.0, 260.0),
@@ -148,25 +149,25 @@ _LIMITS = {
     "fold_thickness": (1 * MM, 4 * MM),
     "contraction_spacing": (3 * CM, 2.0),
     "contraction_depth": (0.0, 0.6),
-    "star": (0.0, 0.5),
-    "least_radius": (1 * MM, 8 * MM),
+    "longitudinal_fold_depth": (0.0, 0.5),
+    "min_radius": (1 * MM, 8 * MM),
     "roughness": (0.0, 1 * MM),
     "edge": (0.6 * MM, 5 * MM),
 }
 
-CONDITIONS: dict[str, dict[str, float]] = {
-    "inflated": {"diameter": 1.12, "contraction_depth": 0.3, "star": 0.0},
+DISTENSIONS: dict[str, dict[str, float]] = {
+    "inflated": {"diameter": 1.12, "contraction_depth": 0.3, "longitudinal_fold_depth": 0.0},
     "normal": {},
     "collapsed": {
         "diameter": 0.68,
         "jejunum_fold_height": 0.75,
-        "star": 7.0,
-        "least_radius": 0.6,
+        "longitudinal_fold_depth": 7.0,
+        "min_radius": 0.6,
         "contraction_depth": 0.8,
         "edge": 0.75,
     },
 }
-"""Factors on the dimensions at MR enterography for each filling: gas; drink; nothing.
+"""Factors on the dimensions at MR enterography for each distension: gas; drink; nothing.
 
 Collapsed walls lie on the camera: triangles are smaller, lest the crests of folds show corners.
 """

@@ -33,11 +33,11 @@ _CALIBRE_SPREAD = 0.035
 
 @dataclass(frozen=True)
 class Contractions:
-    """Narrowed places, sorted by arc length.
+    """Contractions, sorted by arc length.
 
     Attributes:
         arc_length: Of the middle of each [m].
-        depth: Share of the radius each takes away.
+        depth: Fraction of the radius each takes away.
         width: Reach along the gut [m].
         lobes: Number of longitudinal folds its wall is thrown into.
         phase: Of those folds [rad].
@@ -58,9 +58,9 @@ class SmallBowelWall:
         parameters: The patient's dimensions.
         envelope: Radius of the plain tube [m] at arc lengths [m].
         folds: The circular folds.
-        contractions: The narrowed places.
+        contractions: Where the lumen is narrowed.
         papilla_angle: Of the major papilla [rad].
-        calibre_waves: Slow relative variation of the calibre.
+        diameter_waves: Slow relative variation of the diameter.
         star_waves: Slow variation of the longitudinal folds' phase [rad].
         crest_waves: Relative variation of the folds' height along and around.
         relief_waves: Fine irregularity of the wall [m].
@@ -71,7 +71,7 @@ class SmallBowelWall:
     folds: Folds
     contractions: Contractions
     papilla_angle: float
-    calibre_waves: Float[np.ndarray, "n 4"]
+    diameter_waves: Float[np.ndarray, "n 4"]
     star_waves: Float[np.ndarray, "n 4"]
     crest_waves: Float[np.ndarray, "n 4"]
     relief_waves: Float[np.ndarray, "n 4"]
@@ -96,9 +96,9 @@ def draw_small_bowel_wall(
 
 
 def outer_radius(wall: SmallBowelWall, num: int) -> Float[np.ndarray, " n"]:
-    """Distance from the course that the wall reaches [m], at even shares of the length."""
+    """Distance from the course that the wall reaches [m], at even fractions of the length."""
     s = np.linspace(0.0, wall.parameters.length, num)
-    bulge = np.abs(wall.calibre_waves[:, 0]).sum()
+    bulge = np.abs(wall.diameter_waves[:, 0]).sum()
     return wall.envelope(s) * (1.0 + min(bulge, 3.0 * _CALIBRE_SPREAD))
 
 
@@ -107,7 +107,7 @@ def small_bowel_envelope(
 ) -> Callable[[np.ndarray], np.ndarray]:
     """Radius of the plain tube: pyloric ring, bulb, duodenum, jejunum, ileum [m]."""
     p = parameters
-    jejunum_end = p.duodenum_length + p.jejunum_share * (p.length - p.duodenum_length)
+    jejunum_end = p.duodenum_length + p.jejunum_fraction * (p.length - p.duodenum_length)
     ileum = p.length - jejunum_end
     s = [0.0, 3 * MM, 18 * MM, BULB_LENGTH - 8 * MM, BULB_LENGTH + 12 * MM]
     diameters = [2.0 * PYLORUS_RADIUS] * 2 + [1.12 * p.duodenum_diameter] * 2
@@ -141,7 +141,7 @@ def small_bowel_radius(
     s, p = arc_length, wall.parameters
     plain = wall.envelope(s)
     fade = smooth_step(s / (2 * CM)) * smooth_step((p.length - s) / (2 * CM))
-    radius = plain * (1.0 + fade * sum_waves(wall.calibre_waves, s, theta))
+    radius = plain * (1.0 + fade * sum_waves(wall.diameter_waves, s, theta))
     squeeze, petals = _squeeze(wall, s, theta)
     radius = radius * (1.0 - fade * squeeze)
     curvature = tube.curvature_towards(s + start, theta)
@@ -149,10 +149,10 @@ def small_bowel_radius(
     relief = inner * _fold_relief(wall, s, theta, plain) * (1.0 - 0.5 * squeeze)
     relief = relief + radius * petals + sum_waves(wall.relief_waves, s, theta)
     relief = fade * relief + _papilla(wall, s, theta, radius)
-    least = np.minimum(p.least_radius, 0.6 * plain)
-    room = radius - relief - least
+    least = np.minimum(p.min_radius, 0.6 * plain)
+    lumen = radius - relief - least
     # A smooth maximum, so that folds that meet in the middle do not cut each other.
-    radius = least + 0.5 * (room + np.sqrt(room**2 + (1.5 * MM) ** 2))
+    radius = least + 0.5 * (lumen + np.sqrt(lumen**2 + (1.5 * MM) ** 2))
     # The curvature is an average: bends are a little sharper here and there.
     return within_bend(radius, 1.12 * curvature)
 
@@ -160,11 +160,11 @@ def small_bowel_radius(
 def _squeeze(
     wall: SmallBowelWall, s: np.ndarray, theta: np.ndarray
 ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
-    """Share of the radius that contractions take, and height of longitudinal folds over it."""
+    """Fraction of the radius that contractions take, and height of longitudinal folds over it."""
     c = wall.contractions
     after = np.searchsorted(c.arc_length, s)
     squeeze, petals = np.zeros_like(s), np.zeros_like(s)
-    slack = wall.parameters.star
+    slack = wall.parameters.longitudinal_fold_depth
     swing = sum_waves(wall.star_waves, s, np.zeros(1))
     for i in (after - 1, after):
         k = np.clip(i, 0, len(c.arc_length) - 1)
@@ -213,7 +213,7 @@ def _papilla(
 def _draw_folds(parameters: SmallBowelParameters, rng: np.random.Generator) -> Folds:
     """Circular folds from the second part of the duodenum to the ileocaecal valve."""
     p = parameters
-    jejunum_end = p.duodenum_length + p.jejunum_share * (p.length - p.duodenum_length)
+    jejunum_end = p.duodenum_length + p.jejunum_fraction * (p.length - p.duodenum_length)
     knots = [BULB_LENGTH, jejunum_end - 20 * CM, jejunum_end + 60 * CM, p.length]
     middle_folds = p.terminal_folds + 0.35 * (p.jejunum_folds - p.terminal_folds)
     middle_height = p.terminal_fold_height + 0.3 * (p.jejunum_fold_height - p.terminal_fold_height)
@@ -240,7 +240,7 @@ def _draw_folds(parameters: SmallBowelParameters, rng: np.random.Generator) -> F
 
 
 def _draw_contractions(parameters: SmallBowelParameters, rng: np.random.Generator) -> Contractions:
-    """Narrowed places at irregular distances beyond the bulb."""
+    """Contractions at irregular distances beyond the bulb."""
     p = parameters
     num = int(p.length / p.contraction_spacing * 3.0) + 4
     s = BULB_LENGTH + np.cumsum(p.contraction_spacing * rng.uniform(0.4, 1.6, num))

@@ -11,15 +11,15 @@ from vrcaps.anatomy.stomach.parameters import SEGMENTS
 from vrcaps.anatomy.stomach.shape import (
     STUB,
     StomachWall,
-    cardia_place,
+    cardia_position,
     draw_stomach_wall,
     from_cardia,
     stomach_course,
     stomach_radius,
     stomach_wall_rng,
 )
-from vrcaps.anatomy.tube_mesh.surface_to_organ import skin_to_organ
-from vrcaps.anatomy.tube_mesh.swept_surface import Skin
+from vrcaps.anatomy.tube_mesh.surface_to_organ import surface_to_organ
+from vrcaps.anatomy.tube_mesh.swept_surface import SweptSurface
 from vrcaps.anatomy.tube_mesh.tube import make_tube
 from vrcaps.anatomy.tube_mesh.waves import wrap
 from vrcaps.errors import InputError
@@ -43,12 +43,12 @@ def generate_stomach(
     """A stomach with the given dimensions, different for each seed.
 
     It is closed at the cardia and ends as a closed pouch just beyond the pyloric ring. Its
-    centreline runs from the cardia to there.
+    centerline runs from the cardia to there.
 
     Args:
         parameters: The patient's dimensions; `StomachParameters.draw` draws a patient.
         seed: Of the axis, folds and irregularities.
-        course: The axis, where it has made way for other organs; None is that of a lone stomach.
+        course: The axis, displaced by other organs; None is that of a stomach alone.
 
     Returns:
         A closed surface in the patient frame that nowhere cuts itself, without appearance.
@@ -72,7 +72,7 @@ def generate_stomach(
 def stomach_path(wall: StomachWall) -> Float[np.ndarray, "n 3"]:
     """Points down the lumen from just inside the cardia, joining the axis in the body [m]."""
     p, axis = wall.parameters, wall.tube.curve
-    s, theta = cardia_place(wall)
+    s, theta = cardia_position(wall)
     radius = float(stomach_radius(wall, np.array([s]), np.array([theta]))[0])
     inside = np.linspace(max(radius - 13 * MM, 0.4 * radius), 0.4 * radius, 3)
     at = s + np.array([0.0, 0.035, 0.09]) * p.length
@@ -84,7 +84,7 @@ def stomach_path(wall: StomachWall) -> Float[np.ndarray, "n 3"]:
 def stomach_labels(
     wall: StomachWall, arc_length: Float[np.ndarray, " n"], theta: Float[np.ndarray, " n"]
 ) -> UInt8[np.ndarray, " n"]:
-    """Segment number of each place of the wall, 1 for the first of `SEGMENTS`."""
+    """Segment number of each point of the wall, 1 for the first of `SEGMENTS`."""
     p = wall.parameters
     around = wrap(theta - wall.greater(arc_length))
     ends = np.array([p.cardia_distance, 0.66 * p.length, p.length - 22 * MM])
@@ -95,14 +95,14 @@ def stomach_labels(
     return label.astype(np.uint8)
 
 
-def _skin(wall: StomachWall) -> Skin:
+def _surface(wall: StomachWall) -> SweptSurface:
     """The wall, closed beyond the pyloric ring."""
     end = wall.parameters.length + STUB
 
     def closed(s: np.ndarray) -> np.ndarray:
         return np.sqrt(1.0 - np.clip(1.0 - (end - s) / _BULB_DEPTH, 0.0, 1.0) ** 2)
 
-    return Skin(
+    return SweptSurface(
         wall.tube,
         end,
         lambda s: wall.envelope(s) * closed(s),
@@ -112,9 +112,9 @@ def _skin(wall: StomachWall) -> Skin:
 
 
 def _as_organ(wall: StomachWall, seed: int) -> OrganSurface:
-    """The finished surface, whose centreline starts at the cardia."""
-    return skin_to_organ(
-        _skin(wall),
+    """The finished surface, whose centerline starts at the cardia."""
+    return surface_to_organ(
+        _surface(wall),
         "stomach",
         segments=SEGMENTS,
         label=lambda s, theta: stomach_labels(wall, s, theta),

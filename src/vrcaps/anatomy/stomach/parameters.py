@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING
 
-from vrcaps.anatomy.tube_mesh.truncated_normal import draw_deviation
+from vrcaps.anatomy.tube_mesh.truncated_normal import truncated_normal
 from vrcaps.errors import InputError
 from vrcaps.units import MM
 
@@ -39,8 +39,8 @@ class StomachParameters:
         incisura_depth: How far the angular notch stands into the lumen [m].
         num_rugae: Number of longitudinal folds around the body.
         rugae_height: Of the folds of the greater curvature [m].
-        rugae_winding: Sideways swing of the folds as a share of their spacing.
-        wave_depth: Share of the antrum's radius that a peristaltic wave takes away.
+        rugae_winding: Sideways swing of the folds as a fraction of their spacing.
+        wave_depth: Fraction of the antrum's radius that a peristaltic wave takes away.
         roughness: Standard deviation of the smooth irregularity of the wall [m].
         edge: Mean length of the triangles' edges [m].
     """
@@ -94,22 +94,22 @@ class StomachParameters:
         """A distended stomach from the population.
 
         Its length varies by 13 %, so that the lesser curvature has the published relative spread,
-        its calibre by 7 %, long stomachs being the narrower ones (a correlation of -0.3 is
-        assumed); the shares of fundus, antrum and folds by 4 to 15 % on their own.
+        its diameter by 7 %, long stomachs being the narrower ones (a correlation of -0.3 is
+        assumed); the fractions of fundus, antrum and folds by 4 to 15 % on their own.
         """
 
         def vary(deviation: float) -> float:
-            return 1.0 + deviation * draw_deviation(rng)
+            return 1.0 + deviation * truncated_normal(rng)
 
         mean = cls()
-        size = draw_deviation(rng)
+        size = truncated_normal(rng)
         length = 1.0 + 0.13 * size
-        calibre = 1.0 + 0.07 * (-0.3 * size + 0.91**0.5 * draw_deviation(rng))
+        diameter = 1.0 + 0.07 * (-0.3 * size + 0.91**0.5 * truncated_normal(rng))
         return cls(
             length=mean.length * length,
-            fundus_diameter=mean.fundus_diameter * calibre * vary(0.04),
-            body_diameter=mean.body_diameter * calibre,
-            antrum_diameter=mean.antrum_diameter * calibre * vary(0.06),
+            fundus_diameter=mean.fundus_diameter * diameter * vary(0.04),
+            body_diameter=mean.body_diameter * diameter,
+            antrum_diameter=mean.antrum_diameter * diameter * vary(0.06),
             pylorus_diameter=mean.pylorus_diameter * vary(0.05),
             flattening=mean.flattening * vary(0.15),
             cardia_distance=mean.cardia_distance * length * vary(0.04),
@@ -120,22 +120,22 @@ class StomachParameters:
             wave_depth=mean.wave_depth * vary(0.15),
         )
 
-    def at(self, condition: str) -> StomachParameters:
-        """The same stomach with another filling.
+    def at(self, distension: str) -> StomachParameters:
+        """The same stomach at another distension.
 
         Args:
-            condition: One of `CONDITIONS`.
+            distension: One of `DISTENSIONS`.
         """
-        factors = CONDITIONS.get(condition)
+        factors = DISTENSIONS.get(distension)
         if factors is None:
-            known = ", ".join(CONDITIONS)
-            raise InputError(f"Condition is {condition!r}. Allowed: {known}.")
+            known = ", ".join(DISTENSIONS)
+            raise InputError(f"Distension is {distension!r}. Allowed: {known}.")
         scaled = {f.name: getattr(self, f.name) * factors.get(f.name, 1.0) for f in fields(self)}
         scaled["num_rugae"] = self.num_rugae
         return replace(self, **scaled)
 
 
-CONDITIONS: dict[str, dict[str, float]] = {
+DISTENSIONS: dict[str, dict[str, float]] = {
     "inflated": {},
     "normal": {
         "length": 0.93,
@@ -159,5 +159,5 @@ CONDITIONS: dict[str, dict[str, float]] = {
         "wave_depth": 1.4,
     },
 }
-"""Factors on the distended dimensions for each filling: gas or a litre of water; half a litre;
+"""Factors on the distended dimensions for each distension: gas or a liter of water; half a liter;
 nearly empty. As the wall slackens its surplus area gathers in the rugae."""

@@ -1,7 +1,7 @@
 """The wall of a stomach: its distance from the axis at every arc length and angle.
 
 The axis runs from the top of the fundus to the pyloric ring and a little beyond; the section is
-an ellipse, wide along the curvatures and flat from front to back, on which rugae stand.
+an ellipse, wide along the curvatures and flat anteroposteriorly, on which rugae stand.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ STUB = 16 * MM
 _DOME = 0.62
 """Depth of the fundus' dome in radii of the fundus."""
 _INCISURA, _WAVES = 0.655, (0.76, 0.875)
-"""Places along the axis as shares of its length."""
+"""Positions along the axis as fractions of its length."""
 _CANAL = 7 * MM
 
 
@@ -62,7 +62,7 @@ class StomachWall:
         greater: Angle of the greater curvature [rad] at arc lengths [m].
         winding: Phase swing of the rugae: waves [rad].
         branching: Waves that make rugae end, fork and join, deviation 1.
-        calibre_waves: Slow relative variation of the calibre.
+        diameter_waves: Slow relative variation of the diameter.
         relief_waves: Fine irregularity of the wall [m].
     """
 
@@ -72,7 +72,7 @@ class StomachWall:
     greater: Callable[[np.ndarray], np.ndarray]
     winding: Float[np.ndarray, "n 4"]
     branching: Float[np.ndarray, "n 4"]
-    calibre_waves: Float[np.ndarray, "n 4"]
+    diameter_waves: Float[np.ndarray, "n 4"]
     relief_waves: Float[np.ndarray, "n 4"]
 
 
@@ -123,7 +123,7 @@ def stomach_envelope(parameters: StomachParameters) -> Callable[[np.ndarray], np
     """Radius of the plain tube: fundus, body, antrum, pyloric ring, start of the bulb."""
     p = parameters
     ring = 0.5 * p.pylorus_diameter
-    share = np.array([0.0, 0.12, 0.25, 0.42, 0.58, 0.66, 0.74, 0.84, 0.925])
+    fraction = np.array([0.0, 0.12, 0.25, 0.42, 0.58, 0.66, 0.74, 0.84, 0.925])
     fundus, body, antrum = (
         0.5 * d for d in (p.fundus_diameter, p.body_diameter, p.antrum_diameter)
     )
@@ -131,7 +131,7 @@ def stomach_envelope(parameters: StomachParameters) -> Callable[[np.ndarray], np
     radius = [0.96 * fundus, fundus, 0.5 * (fundus + body), body, 0.94 * body]
     radius += [waist, 1.04 * antrum, 0.95 * antrum, 0.64 * antrum]
     s = np.concatenate(
-        [share * p.length, [p.length - 0.5 * _CANAL, p.length + 0.5 * _CANAL, p.length + STUB]]
+        [fraction * p.length, [p.length - 0.5 * _CANAL, p.length + 0.5 * _CANAL, p.length + STUB]]
     )
     plain = PchipInterpolator(s, [*radius, 1.02 * ring, 1.02 * ring, 1.9 * ring])
     depth = _DOME * fundus
@@ -153,7 +153,7 @@ def stomach_radius(
     fade = np.clip(envelope / (0.42 * p.fundus_diameter), 0.0, 1.0) ** 2
     fade = np.where(s > 0.5 * p.length, smooth_step((p.length - s) / (2 * CM)), fade)
     around = wrap(theta - wall.greater(s))
-    radius = envelope * (1.0 + fade * sum_waves(wall.calibre_waves, s, theta))
+    radius = envelope * (1.0 + fade * sum_waves(wall.diameter_waves, s, theta))
     flat = p.flattening * fade * smooth_step((p.length - s) / (5 * CM))
     # Polar form of an ellipse whose mean radius is kept.
     radius = (
@@ -170,7 +170,7 @@ def stomach_radius(
     return within_bend(radius, wall.tube.curvature_towards(s, theta))
 
 
-def cardia_place(wall: StomachWall) -> tuple[float, float]:
+def cardia_position(wall: StomachWall) -> tuple[float, float]:
     """Arc length [m] and angle [rad] of the cardia, on the lesser curvature."""
     s = wall.parameters.cardia_distance
     return s, float(wrap(wall.greater(np.array([s]))[0] + np.pi))
@@ -197,9 +197,9 @@ def stomach_volume(wall: StomachWall) -> float:
     """
     s = np.linspace(0.0, wall.parameters.length, 400)
     theta = np.linspace(-np.pi, np.pi, 90, endpoint=False)
-    places = np.repeat(s, len(theta)), np.tile(theta, len(s))
-    radius = stomach_radius(wall, *places)
-    section = radius**2 / 2.0 - wall.tube.curvature_towards(*places) * radius**3 / 3.0
+    samples = np.repeat(s, len(theta)), np.tile(theta, len(s))
+    radius = stomach_radius(wall, *samples)
+    section = radius**2 / 2.0 - wall.tube.curvature_towards(*samples) * radius**3 / 3.0
     return float(2.0 * np.pi * section.reshape(len(s), -1).mean(axis=1).sum() * s[1])
 
 
@@ -221,7 +221,7 @@ def from_cardia(
 
     Args:
         wall: The stomach.
-        arc_length: Of the places asked for [m].
+        arc_length: Of the points asked for [m].
         around: Their angle from the greater curvature [rad].
     """
     along = arc_length - wall.parameters.cardia_distance
@@ -249,10 +249,10 @@ def _greater_curvature(
 
 
 def _antral_waves(parameters: StomachParameters, s: np.ndarray) -> np.ndarray:
-    """Share of the radius taken by two peristaltic rings, deeper towards the pylorus."""
+    """Fraction of the radius taken by two peristaltic rings, deeper towards the pylorus."""
     taken = np.zeros_like(s)
-    for place, depth in zip(_WAVES, (0.8, 1.35), strict=True):
-        offset = (s - place * parameters.length) / (9 * MM)
+    for position, depth in zip(_WAVES, (0.8, 1.35), strict=True):
+        offset = (s - position * parameters.length) / (9 * MM)
         taken += parameters.wave_depth * depth * np.exp(-(offset**2))
     return taken
 

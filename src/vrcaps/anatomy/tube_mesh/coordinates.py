@@ -1,4 +1,4 @@
-"""Gut coordinates of a generated wall, whose place along the centreline is known."""
+"""Gut coordinates of a generated wall, whose position along the centerline is known."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ if TYPE_CHECKING:
 def arc_length_of_sections(
     sections: Float[np.ndarray, " n"], tube: Tube, centerline: Centerline
 ) -> Float[np.ndarray, " n"]:
-    """Arc length [m] at which a centreline passes the sections of a tube.
+    """Arc length [m] at which a centerline passes the sections of a tube.
 
-    The centreline may start beside the tube's course and join it: sections before its start
+    The centerline may start beside the tube's course and join it: sections before its start
     belong to its start. Continuous and monotonic in the section.
 
     Args:
@@ -40,7 +40,7 @@ def angle_and_radius(
     arc_length: Float[np.ndarray, " n"],
     centerline: Centerline,
 ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
-    """Angle [rad] around a centreline and distance [m] from it, of points at arc lengths [m]."""
+    """Angle [rad] around a centerline and distance [m] from it, of points at arc lengths [m]."""
     at, frames, _ = interpolate(centerline, arc_length)
     offset = points - at
     x, y = (np.einsum("ij,ij->i", offset, frames[:, :, k]) for k in range(2))

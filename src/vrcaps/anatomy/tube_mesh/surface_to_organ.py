@@ -1,4 +1,4 @@
-"""From a skin to the finished surface of an organ."""
+"""From a surface to the finished surface of an organ."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from vrcaps.anatomy.tube_mesh.coordinates import (
     arc_length_of_sections,
     tube_centerline,
 )
-from vrcaps.anatomy.tube_mesh.swept_surface import make_meridian, turns
-from vrcaps.anatomy.tube_mesh.tube_mesher import mesh_skin
+from vrcaps.anatomy.tube_mesh.swept_surface import make_meridian, turn_fractions
+from vrcaps.anatomy.tube_mesh.tube_mesher import mesh_swept_surface
 from vrcaps.mesh.mesh import vertex_normals
 from vrcaps.organ.centerline import centerline_from_points
 from vrcaps.organ.surface import OrganSurface
@@ -25,15 +25,15 @@ if TYPE_CHECKING:
 
     from jaxtyping import Float, Int, UInt8
 
-    from vrcaps.anatomy.tube_mesh.swept_surface import Skin
+    from vrcaps.anatomy.tube_mesh.swept_surface import SweptSurface
 
 CENTERLINE_STEP = 1.5 * MM
-"""Between the samples of a centreline that does not keep to the course [m]."""
+"""Between the samples of a centerline that does not keep to the course [m]."""
 
 
 @dataclass(frozen=True)
 class TubeMesh:
-    """A skin's triangles and where they lie on it.
+    """A surface's triangles and where they lie on it.
 
     Attributes:
         vertices: Positions [m].
@@ -41,7 +41,7 @@ class TubeMesh:
         arc_length: Of each vertex's section on the course [m].
         theta: Angle of each vertex [rad].
         radius: Distance of each vertex from the course [m].
-        turn: Way around from the seam at each corner, 0 to 1.
+        turn: Fraction of the circumference from the seam at each corner, 0 to 1.
         along: Meridian length at each corner [m].
     """
 
@@ -54,18 +54,18 @@ class TubeMesh:
     along: Float[np.ndarray, "m 3"]
 
 
-def mesh_tube(skin: Skin) -> TubeMesh:
-    """Triangles over a skin, in space."""
-    grid = mesh_skin(skin)
-    s = make_meridian(skin).to_arc_length(grid.along)
-    radius = skin.radius(s, grid.theta)
-    vertices = skin.tube.points(s, grid.theta, radius)
+def mesh_tube(surface: SweptSurface) -> TubeMesh:
+    """Triangles over a surface, in space."""
+    grid = mesh_swept_surface(surface)
+    s = make_meridian(surface).to_arc_length(grid.along)
+    radius = surface.radius(s, grid.theta)
+    vertices = surface.tube.points(s, grid.theta, radius)
     along = grid.along[grid.faces]
-    return TubeMesh(vertices, grid.faces, s, grid.theta, radius, turns(grid), along)
+    return TubeMesh(vertices, grid.faces, s, grid.theta, radius, turn_fractions(grid), along)
 
 
-def skin_to_organ(
-    skin: Skin,
+def surface_to_organ(
+    surface: SweptSurface,
     name: str,
     *,
     segments: tuple[str, ...],
@@ -73,24 +73,24 @@ def skin_to_organ(
     metadata: dict,
     path: Float[np.ndarray, "k 3"] | None = None,
 ) -> OrganSurface:
-    """A skin as a closed triangle surface with labels, gut coordinates and centreline.
+    """A surface as a closed triangle surface with labels, gut coordinates and centerline.
 
     Args:
-        skin: The wall.
+        surface: The wall.
         name: Of the organ.
         segments: Names of the labels from 1 on.
-        label: Segment number, from 1, of arc lengths [m] and angles [rad] on the skin.
+        label: Segment number, from 1, of arc lengths [m] and angles [rad] on the surface.
         metadata: Where the organ comes from.
-        path: Points that the centreline follows [m]; None is the tube's course.
+        path: Points that the centerline follows [m]; None is the tube's course.
     """
-    mesh = mesh_tube(skin)
+    mesh = mesh_tube(surface)
     vertices, faces = mesh.vertices, mesh.faces.astype(np.int32)
     if path is None:
-        centerline = tube_centerline(skin.tube, vertices)
+        centerline = tube_centerline(surface.tube, vertices)
         arc_length, theta, radius = mesh.arc_length, mesh.theta, mesh.radius
     else:
         centerline = centerline_from_points(path, vertices, faces, step=CENTERLINE_STEP)
-        arc_length = arc_length_of_sections(mesh.arc_length, skin.tube, centerline)
+        arc_length = arc_length_of_sections(mesh.arc_length, surface.tube, centerline)
         theta, radius = angle_and_radius(vertices, arc_length, centerline)
     return OrganSurface(
         name=name,

@@ -30,7 +30,7 @@ class Crests:
 
 
 @dataclass(frozen=True)
-class Skin:
+class SweptSurface:
     """A star-shaped wall r(s, θ) around a course, closed at both ends.
 
     Attributes:
@@ -77,12 +77,12 @@ class Meridian:
         return np.interp(arc_length, self.arc_length, self.along)
 
 
-def make_meridian(skin: Skin) -> Meridian:
+def make_meridian(surface: SweptSurface) -> Meridian:
     """Outline of a plain tube, sampled densely where it closes."""
-    middle = np.linspace(0.0, skin.length, max(8001, round(skin.length / 2.5e-4)))
-    near = min(0.05, 0.3 * skin.length) * np.linspace(0.0, 1.0, 400) ** 2
-    s = np.unique(np.concatenate([middle, near, skin.length - near]))
-    steps = np.hypot(np.diff(s), np.diff(skin.envelope(s)))
+    middle = np.linspace(0.0, surface.length, max(8001, round(surface.length / 2.5e-4)))
+    near = min(0.05, 0.3 * surface.length) * np.linspace(0.0, 1.0, 400) ** 2
+    s = np.unique(np.concatenate([middle, near, surface.length - near]))
+    steps = np.hypot(np.diff(s), np.diff(surface.envelope(s)))
     return Meridian(s, np.concatenate([[0.0], np.cumsum(steps)]))
 
 
@@ -103,15 +103,15 @@ class Grid:
     faces: Int[np.ndarray, "m 3"]
 
 
-def turns(grid: Grid) -> Float[np.ndarray, "m 3"]:
-    """Way back around the tube from the seam, 0 to 1, at each corner, without jumps in faces."""
+def turn_fractions(grid: Grid) -> Float[np.ndarray, "m 3"]:
+    """Fraction of the circumference from the seam at each corner, without jumps within faces."""
     pinned = grid.pinned[grid.faces]
     theta = grid.theta[grid.faces]
     side = np.sum(np.where(pinned == FREE, theta, 0.0), axis=1, keepdims=True)
     theta = np.where((pinned == SEAM) & (side > 0.0), np.pi, theta)
-    turn = 0.5 - theta / (2.0 * np.pi)
+    fraction = 0.5 - theta / (2.0 * np.pi)
     is_pole = pinned == POLE
-    others = np.sum(np.where(is_pole, 0.0, turn), axis=1, keepdims=True) / np.sum(
+    others = np.sum(np.where(is_pole, 0.0, fraction), axis=1, keepdims=True) / np.sum(
         ~is_pole, axis=1, keepdims=True
     )
-    return np.where(is_pole, others, turn)
+    return np.where(is_pole, others, fraction)

@@ -9,7 +9,7 @@ if TYPE_CHECKING:
     import numpy as np
 
 
-def draw_deviation(rng: np.random.Generator, bound: float = 2.0) -> float:
+def truncated_normal(rng: np.random.Generator, bound: float = 2.0) -> float:
     """A number of mean 0 and standard deviation 1 without the tails that fit in no abdomen.
 
     A standard normal number cut off at ±b has the variance 1 − 2 b φ(b) / (2 Φ(b) − 1) (Johnson,

@@ -15,7 +15,7 @@ from vrcaps.anatomy.tube_mesh.swept_surface import (
     Crests,
     Grid,
     Meridian,
-    Skin,
+    SweptSurface,
     make_meridian,
 )
 from vrcaps.anatomy.tube_mesh.waves import wrap
@@ -34,7 +34,7 @@ _LOCAL = 25 * MM
 _DRIFT = 70 * MM
 _FEWEST = 6
 _LEAST_GAP = 0.33
-"""Share of the rows' plain distance that equal steps over folds leave between them."""
+"""Fraction of the rows' plain distance that equal steps over folds leave between them."""
 _STRAIGHT = 15
 """Rows over which columns keep their direction."""
 _CREST_REACH = 12
@@ -42,42 +42,44 @@ _CREST_FADE = 5.0
 """Rows beside a crest that move along with it, and the distance where they do so by a third."""
 
 
-def mesh_skin(skin: Skin, *, num_smoothings: int = 2) -> Grid:
+def mesh_swept_surface(surface: SweptSurface, *, num_smoothings: int = 2) -> Grid:
     """Well-shaped triangles over a wall, denser where it is steep.
 
     Args:
-        skin: The wall.
-        num_smoothings: Rounds of moving vertices to the middle of their neighbours.
+        surface: The wall.
+        num_smoothings: Rounds of moving vertices to the middle of their neighbors.
     """
-    meridian = make_meridian(skin)
+    meridian = make_meridian(surface)
     angles = np.linspace(-np.pi, np.pi, _NUM_ANGLES, endpoint=False)
-    rows = _place_rows(skin, meridian, angles)
-    grid = _join(*_place_columns(skin, meridian, rows, angles), meridian.along[-1])
-    return _improve(grid, skin, meridian, num_smoothings)
+    rows = _place_rows(surface, meridian, angles)
+    grid = _join(*_place_columns(surface, meridian, rows, angles), meridian.along[-1])
+    return _improve(grid, surface, meridian, num_smoothings)
 
 
-def count_triangles(skin: Skin) -> float:
-    """About how many triangles `mesh_skin` makes of a wall."""
-    meridian = make_meridian(skin)
+def count_triangles(surface: SweptSurface) -> float:
+    """About how many triangles `mesh_swept_surface` makes of a wall."""
+    meridian = make_meridian(surface)
     end = meridian.along[-1]
     along = np.linspace(0.0, end, round(end / _COARSE_STEP) + 1)
-    pace = _pace(skin, meridian, along, np.linspace(-np.pi, np.pi, _NUM_ANGLES, endpoint=False))
+    pace = _pace(surface, meridian, along, np.linspace(-np.pi, np.pi, _NUM_ANGLES, endpoint=False))
     middle = meridian.to_arc_length(0.5 * (along[1:] + along[:-1]))
-    girth = _steps_around(skin, middle, np.linspace(-np.pi, np.pi, 2 * _NUM_ANGLES + 1)).sum(axis=1)
-    rows = pace.mean(axis=1) * np.diff(along) / (_ROW_TO_COLUMN * skin.edge(middle))
-    return float(np.sum(2.0 * rows * girth / skin.edge(middle)))
+    girth = _steps_around(surface, middle, np.linspace(-np.pi, np.pi, 2 * _NUM_ANGLES + 1)).sum(
+        axis=1
+    )
+    rows = pace.mean(axis=1) * np.diff(along) / (_ROW_TO_COLUMN * surface.edge(middle))
+    return float(np.sum(2.0 * rows * girth / surface.edge(middle)))
 
 
 def _place_rows(
-    skin: Skin, meridian: Meridian, angles: Float[np.ndarray, " k"]
+    surface: SweptSurface, meridian: Meridian, angles: Float[np.ndarray, " k"]
 ) -> Float[np.ndarray, "rows k"]:
     """Meridian length [m] of each row at each angle: even steps over folds as on plain wall."""
     end = meridian.along[-1]
     along = np.linspace(0.0, end, round(end / _STEP) + 1)
-    pace = _pace(skin, meridian, along, angles)
+    pace = _pace(surface, meridian, along, angles)
     mean = pace.mean(axis=1)
     middle = 0.5 * (along[1:] + along[:-1])
-    ticks = _ROW_TO_COLUMN * skin.edge(meridian.to_arc_length(middle)) / np.diff(along)
+    ticks = _ROW_TO_COLUMN * surface.edge(meridian.to_arc_length(middle)) / np.diff(along)
     count = np.concatenate([[0.0], np.cumsum(mean / ticks)])
     num_rows = round(count[-1]) - 1
     base = np.interp(np.linspace(0.0, count[-1], num_rows + 2)[1:-1], count, along)
@@ -91,9 +93,9 @@ def _place_rows(
         shift[:, k] = np.interp(wanted, own, along) - base
     shift -= uniform_filter1d(shift, max(3, round(_DRIFT / end * num_rows)), axis=0)
     shift = _smooth_around(_smooth_around(shift))
-    if skin.crests is not None:
+    if surface.crests is not None:
         shift = _smooth_around(
-            shift + _towards_crests(base[:, None] + shift, skin.crests(angles), meridian)
+            shift + _towards_crests(base[:, None] + shift, surface.crests(angles), meridian)
         )
     from_end = np.minimum(np.arange(num_rows), np.arange(num_rows)[::-1])
     shift *= np.clip(from_end / 12.0, 0.0, 1.0)[:, None]
@@ -101,14 +103,14 @@ def _place_rows(
 
 
 def _smooth_around(rows: Float[np.ndarray, "rows k"]) -> Float[np.ndarray, "rows k"]:
-    """Mean with both neighbours around the tube, weights 1, 2, 1."""
+    """Mean with both neighbors around the tube, weights 1, 2, 1."""
     return 0.25 * (np.roll(rows, 1, axis=1) + 2.0 * rows + np.roll(rows, -1, axis=1))
 
 
 def _towards_crests(
     rows: Float[np.ndarray, "rows k"], crests: Crests, meridian: Meridian
 ) -> Float[np.ndarray, "rows k"]:
-    """Shift [m] that lays the nearest row along each crest and takes its neighbours along."""
+    """Shift [m] that lays the nearest row along each crest and takes its neighbors along."""
     shift = np.zeros_like(rows)
     for along, weight in zip(meridian.to_along(crests.arc_length), crests.weight, strict=True):
         middle = np.argmax(weight)
@@ -120,12 +122,12 @@ def _towards_crests(
 
 
 def _pace(
-    skin: Skin, meridian: Meridian, along: np.ndarray, angles: np.ndarray
+    surface: SweptSurface, meridian: Meridian, along: np.ndarray, angles: np.ndarray
 ) -> Float[np.ndarray, "n k"]:
     """Length of wall per step of meridian length at each angle [m]."""
     shape = (len(along), len(angles))
     s = np.repeat(meridian.to_arc_length(along), len(angles))
-    points = skin.points(s, np.tile(angles, len(along))).reshape(*shape, 3)
+    points = surface.points(s, np.tile(angles, len(along))).reshape(*shape, 3)
     pace = np.linalg.norm(np.diff(points, axis=0), axis=2) / np.diff(along)[:, None]
     return np.maximum(uniform_filter1d(pace, 3, axis=0), 0.05)
 
@@ -145,7 +147,7 @@ def _in_order(
 
 
 def _place_columns(
-    skin: Skin, meridian: Meridian, rows: np.ndarray, angles: np.ndarray
+    surface: SweptSurface, meridian: Meridian, rows: np.ndarray, angles: np.ndarray
 ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"], Int[np.ndarray, " rows"]]:
     """Meridian length, angle of each vertex, and number of vertices of each row.
 
@@ -154,14 +156,14 @@ def _place_columns(
     """
     fine = np.linspace(-np.pi, np.pi, _NUM_FINE_ANGLES + 1)
     middle = rows.mean(axis=1)
-    step = _steps_around(skin, meridian.to_arc_length(middle), fine)
+    step = _steps_around(surface, meridian.to_arc_length(middle), fine)
     girth = step.sum(axis=1)
     # Blurred over many rows, lest columns weave in and out of folds.
-    share = uniform_filter1d(step / girth[:, None], _STRAIGHT, axis=0)
-    share = np.pad(np.cumsum(share, axis=1), ((0, 0), (1, 0)))
-    plain = 2.0 * np.pi * np.maximum(skin.envelope(meridian.to_arc_length(middle)), 0.1 * MM)
+    fraction = uniform_filter1d(step / girth[:, None], _STRAIGHT, axis=0)
+    fraction = np.pad(np.cumsum(fraction, axis=1), ((0, 0), (1, 0)))
+    plain = 2.0 * np.pi * np.maximum(surface.envelope(meridian.to_arc_length(middle)), 0.1 * MM)
     ratio = uniform_filter1d(np.clip(girth / plain, 0.5, 3.0), 25)
-    wanted = plain * ratio / skin.edge(meridian.to_arc_length(middle))
+    wanted = plain * ratio / surface.edge(meridian.to_arc_length(middle))
     num_columns = _steady(np.maximum(wanted, _FEWEST))
     all_along, all_theta = [], []
     ring = np.append(angles, np.pi)
@@ -169,7 +171,7 @@ def _place_columns(
         ticks = np.arange(columns) / columns
         if i % 2:
             ticks = np.concatenate([[0.0], ticks + 0.5 / columns])
-        theta = np.interp(ticks * share[i, -1], share[i], fine)
+        theta = np.interp(ticks * fraction[i, -1], fraction[i], fine)
         all_theta.append(theta)
         all_along.append(np.interp(theta, ring, np.append(rows[i], rows[i, 0])))
     count = num_columns + np.arange(len(rows)) % 2
@@ -177,11 +179,11 @@ def _place_columns(
 
 
 def _steps_around(
-    skin: Skin, arc_length: Float[np.ndarray, " n"], angles: Float[np.ndarray, " k"]
+    surface: SweptSurface, arc_length: Float[np.ndarray, " n"], angles: Float[np.ndarray, " k"]
 ) -> Float[np.ndarray, "n k-1"]:
-    """Distances [m] between places of the wall at successive angles, section by section."""
+    """Distances [m] between points of the wall at successive angles, section by section."""
     s = np.repeat(arc_length, len(angles))
-    radius = skin.radius(s, np.tile(angles, len(arc_length))).reshape(len(arc_length), -1)
+    radius = surface.radius(s, np.tile(angles, len(arc_length))).reshape(len(arc_length), -1)
     across = 0.5 * (radius[:, 1:] + radius[:, :-1]) * np.diff(angles)
     return np.hypot(np.diff(radius, axis=1), across)
 
@@ -197,13 +199,13 @@ def _steady(wanted: Float[np.ndarray, " n"]) -> Int[np.ndarray, " n"]:
 
 
 def _join(along: np.ndarray, theta: np.ndarray, count: np.ndarray, end: float) -> Grid:
-    """Faces between neighbouring rows, however many vertices they have, and to two poles."""
+    """Faces between neighboring rows, however many vertices they have, and to two poles."""
     start = np.concatenate([[0], np.cumsum(count)])
     row = np.repeat(np.arange(len(count)), count)
     following = np.arange(len(along)) + 1
     following[start[1:] - 1] = start[:-1]
     after = np.where(following > np.arange(len(along)), theta[following], np.pi)
-    # The middle of each edge, as a share of the turn, offset by the row: sorted over all rows.
+    # The middle of each edge as a fraction of the circumference, offset by its row: sorted overall.
     key = row + (0.5 * (theta + after) + np.pi) / (2.0 * np.pi)
     lower, upper = row < len(count) - 1, row > 0
     above = np.searchsorted(key, key[lower] + 1.0, side="left")
@@ -228,11 +230,11 @@ def _join(along: np.ndarray, theta: np.ndarray, count: np.ndarray, end: float) -
     return Grid(along, np.concatenate([theta, [0.0, 0.0]]), pinned, np.concatenate(faces))
 
 
-def _improve(grid: Grid, skin: Skin, meridian: Meridian, num_smoothings: int) -> Grid:
+def _improve(grid: Grid, surface: SweptSurface, meridian: Meridian, num_smoothings: int) -> Grid:
     """Flip edges to Delaunay and even out the vertices."""
     along, theta, faces = grid.along, grid.theta, grid.faces
     for i in range(num_smoothings + 1):
-        points = skin.points(meridian.to_arc_length(along), theta)
+        points = surface.points(meridian.to_arc_length(along), theta)
         faces = flip_edges(points, np.stack([along, theta], axis=1), faces, grid.pinned)
         if i < num_smoothings:
             along, theta = _even_out(Grid(along, theta, grid.pinned, faces))
@@ -240,13 +242,13 @@ def _improve(grid: Grid, skin: Skin, meridian: Meridian, num_smoothings: int) ->
 
 
 def _even_out(grid: Grid) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
-    """Half a step of each free vertex towards the mean of its neighbours' coordinates."""
+    """Half a step of each free vertex towards the mean of its neighbors' coordinates."""
     along, theta, faces = grid.along, grid.theta, grid.faces
     ends = directed_edges(faces)
-    turn = wrap(theta[ends[:, 1]] - theta[ends[:, 0]])
+    delta_theta = wrap(theta[ends[:, 1]] - theta[ends[:, 0]])
     count = np.bincount(ends[:, 0], minlength=len(along))
     shift = np.bincount(ends[:, 0], along[ends[:, 1]] - along[ends[:, 0]], len(along)) / count
-    turn = np.bincount(ends[:, 0], turn, len(along)) / count
+    delta_theta = np.bincount(ends[:, 0], delta_theta, len(along)) / count
     is_moved = grid.pinned == FREE
     is_moved[ends[grid.pinned[ends[:, 1]] == POLE, 0]] = False
     weight = np.where(is_moved, 0.5, 0.0)

@@ -1,7 +1,7 @@
-"""A long flexible tube laid into a crowded space: it grows, buckles and touches nothing.
+"""Tube packing by position-based dynamics: a long flexible tube laid into a crowded space.
 
-Position based dynamics (Müller et al. 2007) on a chain of nodes: distances along the chain,
-a least bend radius, room for the tube's own girth, obstacles, tethers and a box.
+The tube grows, buckles and touches nothing. A chain of nodes (Müller et al. 2007) keeps its
+spacing, a least bend radius, clearance for its own girth and from obstacles, tethers and a box.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ _BEND = 1.55
 
 
 @dataclass(frozen=True)
-class Balls:
-    """Space that is taken, as balls.
+class ObstacleSpheres:
+    """Obstacle spheres: the space that other organs take.
 
     Attributes:
-        center: Of each ball [m].
-        radius: Of each ball [m].
+        center: Of each sphere [m].
+        radius: Of each sphere [m].
     """
 
     center: Float[np.ndarray, "k 3"]
@@ -41,19 +41,19 @@ class Balls:
 
     @cached_property
     def tree(self) -> KDTree:
-        """For the nearest centres."""
+        """For the nearest centers."""
         return KDTree(self.center)
 
-    def __add__(self, other: Balls) -> Balls:
+    def __add__(self, other: ObstacleSpheres) -> ObstacleSpheres:
         """Both together."""
-        return Balls(
+        return ObstacleSpheres(
             np.concatenate([self.center, other.center]), np.concatenate([self.radius, other.radius])
         )
 
 
 @dataclass(frozen=True)
-class Chain:
-    """What is asked of a tube's course, node by node.
+class TubeChain:
+    """Constraints on a tube's course, node by node.
 
     Attributes:
         radius: Of the tube's outside [m].
@@ -63,7 +63,7 @@ class Chain:
         is_fixed: Nodes that stay on their anchors and may touch obstacles.
         low: Lowest coordinates of the box [m].
         high: Highest coordinates of the box [m].
-        gap: Room to leave between walls [m].
+        gap: Clearance to leave between walls [m].
     """
 
     radius: Float[np.ndarray, " n"]
@@ -77,10 +77,10 @@ class Chain:
 
 
 def relax_chain(
-    chain: Chain,
+    chain: TubeChain,
     nodes: Float[np.ndarray, "n 3"],
     spacing: float,
-    obstacles: Balls,
+    obstacles: ObstacleSpheres,
     *,
     num_steps: int,
     spread: float = 1.0,
@@ -90,11 +90,11 @@ def relax_chain(
     Args:
         chain: What is asked of the course.
         nodes: Where it starts [m].
-        spacing: Distance of neighbouring nodes in the end [m].
+        spacing: Distance of neighboring nodes in the end [m].
         obstacles: What it keeps clear of.
         num_steps: Number of steps; growth takes the first 40 % of them.
         spread: Girth of the growing tube relative to its real one. Above 1 it starts thin, so
-            that it passes through itself and untangles, then takes room before it needs it.
+            that it passes through itself and untangles, then takes space before it needs it.
     """
     nodes = nodes.copy()
     start = np.linalg.norm(np.diff(nodes, axis=0), axis=1)
@@ -105,10 +105,10 @@ def relax_chain(
         growth = min(1.0, i / (0.4 * num_steps))
         lengths = start + growth * (spacing - start)
         nodes[free] += ((1.0 - 0.97 * growth) * hold * (chain.anchor - nodes))[free]
-        share = float(np.interp(i / num_steps, [0.0, 0.3, 0.5, 0.7], girth))
-        near = _neighbours(nodes, chain, spacing, obstacles)
+        fraction = float(np.interp(i / num_steps, [0.0, 0.3, 0.5, 0.7], girth))
+        near = _neighbors(nodes, chain, spacing, obstacles)
         for _ in range(2):
-            nodes[free] += _push_apart(nodes, chain, obstacles, near, share)[free]
+            nodes[free] += _push_apart(nodes, chain, obstacles, near, fraction)[free]
             nodes[free] = _within_reach(nodes, chain)[free]
             move = _unbend(nodes, chain.radius, lengths.mean()) + _set_spacing(nodes, lengths)
             nodes[free] += move[free]
@@ -116,8 +116,8 @@ def relax_chain(
     return nodes
 
 
-def least_room(
-    course: Course, radius: Float[np.ndarray, " n"], obstacles: Balls, ignored: float
+def min_clearance(
+    course: Course, radius: Float[np.ndarray, " n"], obstacles: ObstacleSpheres, ignored: float
 ) -> float:
     """Least distance [m] between the walls of a tube, and from it to obstacles.
 
@@ -133,11 +133,11 @@ def least_room(
     i, j = tree.query_pairs(2.0 * radius.max(), output_type="ndarray").T
     apart = np.abs(s[i] - s[j]) > 0.65 * np.pi * (radius[i] + radius[j])
     i, j = i[apart], j[apart]
-    room = [np.linalg.norm(points[i] - points[j], axis=1) - radius[i] - radius[j]]
+    clearance = [np.linalg.norm(points[i] - points[j], axis=1) - radius[i] - radius[j]]
     inner = (s > ignored) & (s < s[-1] - ignored)
     offset = np.linalg.norm(points[inner, None] - obstacles.center, axis=2)
-    room.append((offset - obstacles.radius - radius[inner, None]).ravel())
-    return float(np.concatenate([*room, [0.1]]).min())
+    clearance.append((offset - obstacles.radius - radius[inner, None]).ravel())
+    return float(np.concatenate([*clearance, [0.1]]).min())
 
 
 def sharpest_bend(course: Course, radius: Float[np.ndarray, " n"]) -> float:
@@ -171,8 +171,8 @@ def _blurred(points: Float[np.ndarray, "n 3"], sigma: float) -> Float[np.ndarray
     return gaussian_filter1d(np.concatenate([before, points, after]), sigma, axis=0)[num:-num]
 
 
-def _neighbours(
-    nodes: np.ndarray, chain: Chain, spacing: float, obstacles: Balls
+def _neighbors(
+    nodes: np.ndarray, chain: TubeChain, spacing: float, obstacles: ObstacleSpheres
 ) -> tuple[Int[np.ndarray, " p"], Int[np.ndarray, " p"], Int[np.ndarray, "n k"]]:
     """Pairs of nodes that may come to touch, and the obstacles nearest to each node."""
     radius = chain.radius
@@ -188,20 +188,20 @@ def _neighbours(
 
 def _push_apart(
     nodes: np.ndarray,
-    chain: Chain,
-    obstacles: Balls,
+    chain: TubeChain,
+    obstacles: ObstacleSpheres,
     near: tuple[np.ndarray, np.ndarray, np.ndarray],
-    share: float,
+    fraction: float,
 ) -> Float[np.ndarray, "n 3"]:
     """Displacement away from other parts of the tube and from obstacles [m].
 
-    `share` scales the room that the tube takes from itself.
+    `fraction` scales the distance that the tube keeps from itself.
     """
     radius, gap = chain.radius, chain.gap
     i, j, nearest = near
     offset = nodes[i] - nodes[j]
     distance = np.sqrt(np.einsum("ij,ij->i", offset, offset)) + 1e-9
-    depth = share * (radius[i] + radius[j] + gap) - distance
+    depth = fraction * (radius[i] + radius[j] + gap) - distance
     touch = depth > 0.0
     i, j, step = i[touch], j[touch], (depth / distance)[touch, None] * offset[touch]
     push, num = np.empty_like(nodes), len(nodes)
@@ -216,13 +216,13 @@ def _push_apart(
     return 1.3 * push / np.maximum(count, 1)[:, None] ** 0.7
 
 
-def _within_reach(nodes: np.ndarray, chain: Chain) -> Float[np.ndarray, "n 3"]:
+def _within_reach(nodes: np.ndarray, chain: TubeChain) -> Float[np.ndarray, "n 3"]:
     """Nodes drawn back into the box and to within reach of their anchors [m]."""
     nodes = nodes + 0.12 * (np.clip(nodes, chain.low, chain.high) - nodes)
     offset = nodes - chain.anchor
     distance = np.linalg.norm(offset, axis=1) + 1e-12
-    share = np.minimum(chain.reach / distance, 1.0)
-    return chain.anchor + offset * (1.0 - 0.4 * (1.0 - share))[:, None]
+    fraction = np.minimum(chain.reach / distance, 1.0)
+    return chain.anchor + offset * (1.0 - 0.4 * (1.0 - fraction))[:, None]
 
 
 def _unbend(nodes: np.ndarray, radius: np.ndarray, spacing: float) -> Float[np.ndarray, "n 3"]:
@@ -243,7 +243,7 @@ def _unbend(nodes: np.ndarray, radius: np.ndarray, spacing: float) -> Float[np.n
 
 
 def _set_spacing(nodes: np.ndarray, lengths: np.ndarray) -> Float[np.ndarray, "n 3"]:
-    """Displacement that brings neighbours to the asked distances [m]."""
+    """Displacement that brings neighbors to the asked distances [m]."""
     edges = np.diff(nodes, axis=0)
     pull = 0.5 * edges * (1.0 - lengths / (np.linalg.norm(edges, axis=1) + 1e-12))[:, None]
     move = np.zeros_like(nodes)

@@ -47,7 +47,7 @@ def sum_waves(
 ) -> Float[np.ndarray, " m"]:
     """Sum of the waves at arc lengths [m] and angles [rad].
 
-    Where there are many places, waves with the same number of lobes are summed first, on a table
+    Where there are many points, waves with the same number of lobes are summed first, on a table
     over the arc length: a sin(k s + φ + l θ) is the imaginary part of a exp(i(k s + φ)) exp(i l θ).
     The table is linear between its rows, which changes no wave by more than 0.2 % of its height,
     (2π / `_ROWS`)² / 8.
@@ -61,15 +61,15 @@ def sum_waves(
     row, between = np.divmod((arc_length - arc_length.min()) / step, 1.0)
     row = row.astype(int)
     once = np.cos(theta) + 1j * np.sin(theta)
-    total, turn = np.zeros(len(arc_length)), np.ones_like(once)
+    total, winding = np.zeros(len(arc_length)), np.ones_like(once)
     for count in range(int(np.abs(waves[:, 2]).max()) + 1):
         table = np.zeros(len(rows), complex)
         for amplitude, wavenumber, lobes, phase in waves[np.abs(waves[:, 2]) == count]:
             angle = wavenumber * (arc_length.min() + step * rows) + phase
-            # −conj(exp(i x)) stands for the waves that wind the other way.
+            # −conj(exp(i x)) stands for the waves of the opposite winding.
             table += amplitude * (np.copysign(1.0, lobes) * np.cos(angle) + 1j * np.sin(angle))
-        total += ((table[row] + between * np.diff(table, append=0.0)[row]) * turn).imag
-        turn = turn * once
+        total += ((table[row] + between * np.diff(table, append=0.0)[row]) * winding).imag
+        winding = winding * once
     return total
 
 
@@ -78,10 +78,10 @@ def wrap(angle: Float[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:
     return np.mod(angle + np.pi, 2.0 * np.pi) - np.pi
 
 
-def smooth_step(share: Float[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:
+def smooth_step(fraction: Float[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:
     """0 below 0, 1 above 1, a cubic with level ends between."""
-    share = np.clip(share, 0.0, 1.0)
-    return share * share * (3.0 - 2.0 * share)
+    fraction = np.clip(fraction, 0.0, 1.0)
+    return fraction * fraction * (3.0 - 2.0 * fraction)
 
 
 def within_bend(

@@ -1,4 +1,4 @@
-"""Forms of lesions about a centre: flat ones, and solids of revolution made irregular."""
+"""Forms of lesions about a center: flat ones, and solids of revolution made irregular."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.interpolate import BSpline
 
-from vrcaps.lesion.base import Look, Site, WallSamples, mix, smoothstep
-from vrcaps.mesh.noise import around, swell
+from vrcaps.lesion.base import AppearanceSample, LesionSite, WallSamples, mix, smoothstep
+from vrcaps.mesh.noise import angular_harmonics, low_pass
 from vrcaps.units import MM
 
 if TYPE_CHECKING:
@@ -20,7 +20,7 @@ _BORDER_SHARE = 0.0125
 triangles, then covers what the footprint covers to 0.5 %."""
 
 
-class SpotForm:
+class FocalForm:
     """A flat lesion with a wavy outline; subclasses say how it stands and looks.
 
     Attributes:
@@ -31,39 +31,39 @@ class SpotForm:
     """
 
     def __init__(
-        self, site: Site, radius: float, rng: np.random.Generator, *, waviness: float = 0.1
+        self, site: LesionSite, radius: float, rng: np.random.Generator, *, waviness: float = 0.1
     ) -> None:
         self.site, self.radius = site, radius
         self.edge_length = float(np.clip(radius / 8.0, 0.1 * MM, 0.7 * MM))
         self.border_length = _BORDER_SHARE * radius
-        self._outline, self._waviness = around(5, rng), waviness
+        self._outline, self._waviness = angular_harmonics(5, rng), waviness
 
     def polar(
         self, wall: WallSamples
     ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, "n 2"], Float[np.ndarray, " n"]]:
-        """Way from the centre [m], unit direction in the log map, outline in mean radii."""
+        """Way from the center [m], unit direction in the log map, outline in mean radii."""
         rho = np.linalg.norm(wall.xy, axis=1)
         angle = np.arctan2(wall.xy[:, 1], wall.xy[:, 0])
         direction = np.stack([np.cos(angle), np.sin(angle)], axis=1)
         return rho, direction, 1.0 + self._waviness * self._outline(angle)
 
-    def share(self, wall: WallSamples) -> Float[np.ndarray, " n"]:
-        """Way from the centre, 1 on the outline."""
+    def normalized_radius(self, wall: WallSamples) -> Float[np.ndarray, " n"]:
+        """Way from the center, 1 on the outline."""
         rho, _, stretch = self.polar(wall)
         return rho / (stretch * self.radius)
 
-    def depth(self, wall: WallSamples) -> Float[np.ndarray, " n"]:
+    def signed_distance(self, wall: WallSamples) -> Float[np.ndarray, " n"]:
         """Distance within the outline [m]."""
         rho, _, stretch = self.polar(wall)
         return stretch * self.radius - rho
 
-    def lift(self, wall: WallSamples) -> Float[np.ndarray, " n"]:
+    def height(self, wall: WallSamples) -> Float[np.ndarray, " n"]:
         """Height over the wall at rest [m], zero on the outline."""
         return np.zeros(len(wall.xy))
 
-    def moved(self, wall: WallSamples) -> Float[np.ndarray, "n 3"]:
+    def displaced(self, wall: WallSamples) -> Float[np.ndarray, "n 3"]:
         """Positions [m]: the wall lifted along its normals."""
-        lift = np.where(self.share(wall) < 1.0, self.lift(wall), 0.0)
+        lift = np.where(self.normalized_radius(wall) < 1.0, self.height(wall), 0.0)
         return wall.rest + lift[:, None] * wall.normal
 
     def chart(self, wall: WallSamples) -> Float[np.ndarray, "n 2"]:
@@ -73,12 +73,12 @@ class SpotForm:
     def blended(
         self,
         wall: WallSamples,
-        clean: Look,
+        clean: AppearanceSample,
         look: tuple[np.ndarray, np.ndarray, np.ndarray],
         *,
         softness: float,
-    ) -> Look:
-        """A colour, roughness and height inside the outline, fading out towards it.
+    ) -> AppearanceSample:
+        """A color, roughness and height inside the outline, fading out towards it.
 
         Args:
             wall: Samples.
@@ -86,7 +86,7 @@ class SpotForm:
             look: Color (n, 3), roughness and height (n,) inside.
             softness: Width of the fade, in radii.
         """
-        inside = smoothstep(self.depth(wall) / (softness * self.radius))
+        inside = smoothstep(self.signed_distance(wall) / (softness * self.radius))
         color, roughness, height = look
         return replace(
             clean,
@@ -96,7 +96,7 @@ class SpotForm:
         )
 
 
-class ProfileForm(SpotForm):
+class ProfileForm(FocalForm):
     """A profile turned around the normal of the wall: a polyp, a mass, a pouch.
 
     Args:
@@ -112,7 +112,7 @@ class ProfileForm(SpotForm):
 
     def __init__(
         self,
-        site: Site,
+        site: LesionSite,
         control: Float[np.ndarray, "k 2"],
         rng: np.random.Generator,
         *,
@@ -129,10 +129,10 @@ class ProfileForm(SpotForm):
         self._length = float(way[-1])
         self._upright = upright
         self._lobe_height = lobes[0]
-        self._lobes = swell(lobes[1], rng)
+        self._lobes = low_pass(lobes[1], rng)
         self._lean = np.zeros(3) if lean is None else lean
 
-    def moved(self, wall: WallSamples) -> Float[np.ndarray, "n 3"]:
+    def displaced(self, wall: WallSamples) -> Float[np.ndarray, "n 3"]:
         """Positions [m] on the turned profile, with lobes."""
         rho, direction, stretch = self.polar(wall)
         share = np.minimum(rho / (stretch * self.radius), 1.0)

@@ -1,4 +1,4 @@
-"""The wall of a colon: its distance from the centreline at every arc length and angle.
+"""The wall of a colon: its distance from the centerline at every arc length and angle.
 
 The lumen's cross-section is a star-shaped curve r(s, θ). Three taeniae run along it; in each
 of the three strips between them sacculations bulge outward, parted by semilunar folds whose
@@ -31,7 +31,7 @@ _VALVES_FROM_ANUS = (12 * CM, 9 * CM, 6.5 * CM)
 
 
 @dataclass(frozen=True)
-class Wall:
+class ColonWall:
     """What is drawn once per colon so that r(s, θ) is a plain function.
 
     Attributes:
@@ -41,7 +41,7 @@ class Wall:
         valves: The valves of Houston.
         taenia_angle: Angle of the first taenia at arc length 0 and its drift [rad, rad/m].
         ileocaecal: Arc length [m] and angle [rad] of the ileocaecal valve.
-        calibre_waves: Slow relative variation of the calibre: (amplitude, 1/m, lobes, phase).
+        diameter_waves: Slow relative variation of the diameter: (amplitude, 1/m, lobes, phase).
         relief_waves: Fine irregularity of the wall: (amplitude [m], 1/m, lobes, phase).
     """
 
@@ -51,27 +51,27 @@ class Wall:
     valves: Folds
     taenia_angle: tuple[float, float]
     ileocaecal: tuple[float, float]
-    calibre_waves: Float[np.ndarray, "n 4"]
+    diameter_waves: Float[np.ndarray, "n 4"]
     relief_waves: Float[np.ndarray, "n 4"]
 
 
-def draw_wall(parameters: ColonParameters, tube: Tube, rng: np.random.Generator) -> Wall:
+def draw_colon_wall(parameters: ColonParameters, tube: Tube, rng: np.random.Generator) -> ColonWall:
     """Draw a patient's folds, taeniae and irregularities."""
     taenia_angle = (rng.uniform(-np.pi, np.pi), rng.uniform(-1.5, 1.5))
     strips = tuple(_draw_strip(parameters, (k + 0.5) * _STRIP, k, rng) for k in range(3))
     caecum = parameters.caecum.length
     # The ileum enters from the medial, slightly posterior side: patient +x for the right flank.
     ileocaecal = (caecum, tube.angle_of(caecum, np.array([1.0, 0.4, 0.0])))
-    calibre = draw_waves(rng, 14, (9 * CM, 40 * CM), 0.05, np.array([0, 0, 1, 2, 2, 3]))
+    diameter = draw_waves(rng, 14, (9 * CM, 40 * CM), 0.05, np.array([0, 0, 1, 2, 2, 3]))
     relief = draw_waves(rng, 60, (12 * MM, 60 * MM), parameters.roughness, np.arange(-9, 10))
-    return Wall(
+    return ColonWall(
         parameters,
         tube,
         (strips[0], strips[1], strips[2]),
         _draw_valves(parameters, tube, taenia_angle, rng),
         taenia_angle,
         ileocaecal,
-        calibre,
+        diameter,
         relief,
     )
 
@@ -79,11 +79,11 @@ def draw_wall(parameters: ColonParameters, tube: Tube, rng: np.random.Generator)
 def envelope_radius(
     parameters: ColonParameters, arc_length: Float[np.ndarray, " n"]
 ) -> Float[np.ndarray, " n"]:
-    """Radius of the plain tube: calibre, closed caecal dome, anal canal and its closed end [m]."""
+    """Radius of the plain tube: diameter, closed caecal dome, anal canal and its closed end [m]."""
     full = lumen_radius(parameters, arc_length)
     from_anus = parameters.length - arc_length
-    share = smooth_step((from_anus - 2.2 * CM) / (3.5 * CM))
-    full = _ANAL_RADIUS + (full - _ANAL_RADIUS) * share
+    fraction = smooth_step((from_anus - 2.2 * CM) / (3.5 * CM))
+    full = _ANAL_RADIUS + (full - _ANAL_RADIUS) * fraction
     for distance, depth in (
         (arc_length, 0.45 * parameters.caecum.diameter),
         (from_anus, _ANAL_RADIUS),
@@ -93,16 +93,16 @@ def envelope_radius(
 
 
 def wall_radius(
-    wall: Wall, arc_length: Float[np.ndarray, " n"], theta: Float[np.ndarray, " n"]
+    wall: ColonWall, arc_length: Float[np.ndarray, " n"], theta: Float[np.ndarray, " n"]
 ) -> Float[np.ndarray, " n"]:
-    """Distance of the wall from the centreline [m]."""
+    """Distance of the wall from the centerline [m]."""
     s, parameters = arc_length, wall.parameters
     envelope = envelope_radius(parameters, s)
     # Everything that depends on θ fades out where the tube closes.
     plain = lumen_radius(parameters, s)
     fade = np.clip(envelope / plain, 0.0, 1.0) ** 2
     from_taenia = theta - wall.taenia_angle[0] - wall.taenia_angle[1] * s
-    radius = envelope * (1.0 + fade * sum_waves(wall.calibre_waves, s, theta))
+    radius = envelope * (1.0 + fade * sum_waves(wall.diameter_waves, s, theta))
     radius = radius * (1.0 + fade * _sacculation(wall, s, from_taenia))
     curvature = wall.tube.curvature_towards(s, theta)
     stretch = 1.0 - radius * curvature
@@ -116,7 +116,7 @@ def wall_radius(
     return within_bend(radius, curvature)
 
 
-def wall_crests(wall: Wall, angles: Float[np.ndarray, " k"]) -> Crests:
+def wall_crests(wall: ColonWall, angles: Float[np.ndarray, " k"]) -> Crests:
     """Crests of all folds at angles [rad]; they fade out towards the folds' ends."""
     lines, weights = [], []
     for folds in (*wall.strips, wall.valves):
@@ -125,12 +125,12 @@ def wall_crests(wall: Wall, angles: Float[np.ndarray, " k"]) -> Crests:
         offset = wrap(from_taenia - folds.angle[:, None])
         number = np.arange(len(s))[:, None]
         lines.append(folds.crest(number, offset, lumen_radius(wall.parameters, s)))
-        share = 1.3 * (1.0 - np.abs(offset) / folds.extent[:, None])
-        weights.append(np.clip(share, 0.0, 1.0) ** 0.5)
+        fraction = 1.3 * (1.0 - np.abs(offset) / folds.extent[:, None])
+        weights.append(np.clip(fraction, 0.0, 1.0) ** 0.5)
     return Crests(np.concatenate(lines), np.concatenate(weights))
 
 
-def _sacculation(wall: Wall, s: np.ndarray, from_taenia: np.ndarray) -> np.ndarray:
+def _sacculation(wall: ColonWall, s: np.ndarray, from_taenia: np.ndarray) -> np.ndarray:
     """Relative outward bulge of the haustra, less the flattening to a triangle."""
     parameters = wall.parameters
     height = blend(parameters, [p.fold_height for p in parameters.segments], s)
@@ -167,7 +167,7 @@ def _fold_relief(
 
 
 def _taenia_relief(
-    wall: Wall, s: np.ndarray, from_taenia: np.ndarray, radius: np.ndarray
+    wall: ColonWall, s: np.ndarray, from_taenia: np.ndarray, radius: np.ndarray
 ) -> np.ndarray:
     """Height of the three bands over the wall, none in the rectum [m]."""
     parameters = wall.parameters
@@ -181,7 +181,7 @@ def _taenia_relief(
 
 
 def _ileocaecal_relief(
-    wall: Wall, s: np.ndarray, theta: np.ndarray, radius: np.ndarray
+    wall: ColonWall, s: np.ndarray, theta: np.ndarray, radius: np.ndarray
 ) -> np.ndarray:
     """Height of the valve's two lips, closed to a slit around the circumference [m]."""
     along = (s - wall.ileocaecal[0]) / (9 * MM)
@@ -191,7 +191,9 @@ def _ileocaecal_relief(
     return wall.parameters.ileocaecal_height * (lips - 0.45 * slit)
 
 
-def _clear_of_valve(wall: Wall, s: np.ndarray, theta: np.ndarray, radius: np.ndarray) -> np.ndarray:
+def _clear_of_valve(
+    wall: ColonWall, s: np.ndarray, theta: np.ndarray, radius: np.ndarray
+) -> np.ndarray:
     """Factor that ends the folds before the ileocaecal valve, 0 at its middle."""
     along = (s - wall.ileocaecal[0]) / (15 * MM)
     across = radius * wrap(theta - wall.ileocaecal[1]) / (20 * MM)

@@ -1,4 +1,4 @@
-"""Put lesions into an organ, and keep its clean twin."""
+"""Add lesions to an organ, and keep its clean twin."""
 
 from __future__ import annotations
 
@@ -51,17 +51,17 @@ def add_lesions(
 ) -> LesionPair:
     """Place, shape and paint lesions on an organ's wall.
 
-    Diffuse lesions are laid first, then the spots, so that a polyp may lie in colitis; spots
-    keep apart.
+    Circumferential lesions are placed first, then focal ones, so that a polyp may lie in
+    colitis; focal lesions keep apart.
 
     Args:
         organ: Without lesions. Where it has an appearance, that is painted.
         lesions: What to add; number k becomes instance k, counted from 1.
-        rng: Draws places left open and all irregularity.
+        rng: Draws locations left open and all irregularity.
         down: Direction of gravity in the patient frame, for blood; supine by default.
 
     Raises:
-        InputError: If a lesion fits nowhere or a place is not on the wall.
+        InputError: If a lesion fits nowhere or a location is not on the wall.
         UnknownNameError: If the organ has no such segment.
     """
     if len(lesions) > _MAX_LESIONS:
@@ -80,27 +80,29 @@ class _Work:
     """The wall and its textures as lesions are added."""
 
     def __init__(self, organ: OrganSurface, down: Float[np.ndarray, " 3"]) -> None:
-        self.organ, self.down = organ, down
+        self.organ = organ
+        self.down = down
         self.wall = whole_wall(organ)
         self.num_vertices = len(organ.vertices)
         look = organ.appearance
-        self.clean = self.lesioned = None if look is None else paint.smoothed(look)
+        textures = None if look is None else paint.smoothed(look)
+        self.clean = self.lesioned = textures
         self.charts: list[paint.Chart] = []
-        self.spots: list[PlacedLesion] = []
+        self.focal: list[PlacedLesion] = []
         self.records: dict[int, dict[str, Any]] = {}
 
     def add(self, lesion: Lesion, instance: int, rng: np.random.Generator) -> None:
-        """Add one lesion, at another place or in another form if it cuts the wall.
+        """Add one lesion, at another location or in another form if it cuts the wall.
 
         Raises:
             InputError: If it fits nowhere.
         """
         organ = as_organ(self.wall, self.organ, self.wall.moved)
-        around = PlacementContext(organ, self.wall, self.down, self.num_vertices, self.spots)
+        context = PlacementContext(organ, self.wall, self.down, self.num_vertices, self.focal)
         for _ in range(_NUM_TRIES):
-            found = SITES[lesion.extent](lesion, around, rng)
+            found = SITES[lesion.extent](lesion, context, rng)
             form = lesion.form(found.site, rng)
-            patch = _formed(found.patch, form, is_spot=lesion.extent == "focal")
+            patch = _formed(found.patch, form, is_focal=lesion.extent == "focal")
             wall = samples(patch)
             shown = paint.FormSamples(form, wall, form.displaced(wall) - found.site.center)
             if lesion.extent == "focal":
@@ -110,13 +112,13 @@ class _Work:
                 break
         else:
             raise InputError(
-                f"No place for {describe(lesion)}: in {_NUM_TRIES} tries it cuts into the wall "
-                "beside it. Choose another place or a smaller one."
+                f"No location for {describe(lesion)}: in {_NUM_TRIES} tries it cuts into the wall "
+                "beside it. Choose another location or a smaller one."
             )
         if self.clean is not None and self.lesioned is not None:
             self._paint(lesion, instance, patch, shown)
         if lesion.extent == "focal":
-            self.spots.append(PlacedLesion(lesion, found.vertex, found.site.center))
+            self.focal.append(PlacedLesion(lesion, found.vertex, found.site.center))
         self.wall = joined
         self._record(lesion, instance, organ, found.vertex)
 
@@ -173,8 +175,8 @@ class _Work:
         )
 
 
-def _formed(patch: Patch, form: Form, *, is_spot: bool) -> Patch:
-    """The piece refined until it can show a form and its border."""
+def _formed(patch: Patch, form: Form, *, is_focal: bool) -> Patch:
+    """The patch refined until its triangles resolve a form and its border."""
 
     def is_long(patch: Patch, ends: np.ndarray) -> np.ndarray:
         wall = samples(patch)
@@ -189,13 +191,13 @@ def _formed(patch: Patch, form: Form, *, is_spot: bool) -> Patch:
     def both(patch: Patch) -> np.ndarray:
         return np.hstack([form.displaced(samples(patch)), patch.moved])
 
-    return refine(patch, is_long, both if is_spot else lambda patch: patch.moved)
+    return refine(patch, is_long, both if is_focal else lambda patch: patch.moved)
 
 
 def _with_lesion(
     wall: Patch, piece: ExtractedPatch, patch: Patch, shown: paint.FormSamples, instance: int
 ) -> Patch:
-    """The wall with the piece joined in, its vertices moved."""
+    """The wall with the patch inserted, its vertices displaced."""
     inside = shown.form.signed_distance(shown.wall) > 0.0
     label = np.where(inside, instance, patch.instance).astype(np.uint16)
     moved = shown.form.displaced(shown.wall)
@@ -221,7 +223,7 @@ def _cuts_wall(wall: Patch, instance: int) -> bool:
 
 
 def _charted(patch: Patch, shown: paint.FormSamples, instance: int) -> Patch:
-    """The piece with the footprint's faces on a chart of their own."""
+    """The patch with the footprint's faces on a chart of their own."""
     own = (shown.form.signed_distance(shown.wall) > 0.0)[patch.faces].any(axis=1)
     uv = patch.uv.copy()
     uv[own, :, 2:] = shown.form.chart(shown.wall)[patch.faces[own]]

@@ -1,7 +1,7 @@
-"""What every lesion offers: a specification makes a form, a form shapes and paints the wall.
+"""Lesion interface: a specification makes a form, a form displaces and paints the wall.
 
-A specification (`Polyp`, `Colitis`, …) is plain data: class, grade, size, place. Its form is the
-specification with its irregularities drawn. A form works on samples of wall (`WallSamples`), be
+A specification (`Polyp`, `Colitis`, …) is plain data: class, grade, size, location. Its form is
+the specification with its irregularities drawn. A form works on samples of wall (`WallSamples`), be
 they vertices of the refined wall or texels, so that shape, mask and color agree.
 """
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Location:
-    """Where on the wall a lesion is; what is not given is drawn at random.
+    """Location of a lesion on the wall; what is not given is drawn at random.
 
     Attributes:
         segment: Name of a segment (label) of the organ.
@@ -41,9 +41,9 @@ class WallSamples:
     """Points of the wall around a lesion.
 
     Attributes:
-        xy: Place in the wall [m]. Of a spot: geodesic log map about its center. Of a band: arc
-            length and 0. Of a stream: way along its path, distance from the path, and way along
-            the wall from the pool's hollow.
+        xy: Coordinates in the wall [m]. Of a focal lesion: geodesic log map about its center. Of a
+            circumferential one: arc length and 0. Of a flow: distance along its path, distance
+            from the path, and distance along the wall from the pool's hollow.
         rest: Position without the lesion [m], patient frame.
         normal: Unit normal into the lumen there.
         inward: Offset to the centerline [m].
@@ -57,15 +57,15 @@ class WallSamples:
 
 @dataclass(frozen=True)
 class LesionSite:
-    """The place that a lesion took, as its form needs to know it.
+    """The site of a placed lesion, as its form needs it.
 
     Attributes:
-        center: Of a spot: its middle; else any point of the footprint [m], patient frame.
+        center: Of a focal lesion its center; else any point of the footprint [m], patient frame.
         axes: Columns are x and y of the log map at the center and the normal into the lumen.
         down: Unit vector of gravity, patient frame.
         arc_length_range: Of a circumferential lesion: first and last arc length [m].
-        bottom: Of a stream: where it ends [m], patient frame.
-        reach: Of a stream: how far from its bottom a pool may reach [m].
+        bottom: Of a flow: where it ends [m], patient frame.
+        reach: Of a flow: how far from its bottom a pool may reach [m].
     """
 
     center: Float[np.ndarray, " 3"]
@@ -78,7 +78,7 @@ class LesionSite:
 
 @dataclass(frozen=True)
 class AppearanceSample:
-    """Reflectance of texels, before or after a lesion is painted on them.
+    """Appearance of texels, before or after a lesion is painted on them.
 
     Attributes:
         color: Linear reflectance, red, green, blue.
@@ -105,7 +105,7 @@ class Form(Protocol):
     border_length: float
 
     def signed_distance(self, wall: WallSamples) -> Float[np.ndarray, " n"]:
-        """Distance [m] within the footprint's border; negative outside, zero on it."""
+        """Signed distance [m] to the footprint's border; positive inside."""
         ...
 
     def displaced(self, wall: WallSamples) -> Float[np.ndarray, "n 3"]:
@@ -119,19 +119,19 @@ class Form(Protocol):
     def paint(
         self, wall: WallSamples, points: Float[np.ndarray, "n 3"], clean: AppearanceSample
     ) -> AppearanceSample:
-        """The look with the lesion.
+        """The appearance with the lesion.
 
         Args:
             wall: Samples within the footprint.
             points: Their positions with the lesion, relative to the site's center [m].
-            clean: Their look without it.
+            clean: Their appearance without it.
         """
         ...
 
 
 @dataclass(frozen=True, kw_only=True)
 class Lesion:
-    """What all specifications share.
+    """A lesion's specification; each kind is a subclass.
 
     Attributes:
         location: Where it is; drawn at random where left open.
@@ -157,12 +157,12 @@ class Lesion:
 
     @property
     def footprint_radius(self) -> float:
-        """Of a spot: radius of the wall that it takes [m]."""
+        """Of a focal lesion: radius of the wall that it takes [m]."""
         raise NotImplementedError
 
     @property
     def head_radius(self) -> float:
-        """Of a spot: radius of what stands on the wall, or behind it [m]."""
+        """Of a focal lesion: radius of what stands on the wall, or behind it [m]."""
         return self.footprint_radius
 
     @property
@@ -175,18 +175,18 @@ class Lesion:
         raise NotImplementedError
 
     def arc_length_range(self, organ: OrganSurface, middle: float | None) -> tuple[float, float]:
-        """Of a band: first and last arc length [m].
+        """Of a circumferential lesion: first and last arc length [m].
 
         Args:
             organ: The organ.
-            middle: Arc length that its place says [m]; None where it says nothing.
+            middle: Arc length of its location [m]; None where that is open.
         """
         raise NotImplementedError
 
 
 @dataclass(frozen=True, kw_only=True)
 class SizedLesion(Lesion):
-    """A lesion about a center that has a diameter.
+    """A focal lesion that has a diameter.
 
     Attributes:
         size: Diameter [m].
@@ -227,7 +227,7 @@ def smoothstep(x: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
 
 
 def mix(
-    a: Float[np.ndarray, "n 3"], b: Float[np.ndarray, "*n 3"], share: Float[np.ndarray, " n"]
+    a: Float[np.ndarray, "n 3"], b: Float[np.ndarray, "*n 3"], weight: Float[np.ndarray, " n"]
 ) -> Float[np.ndarray, "n 3"]:
-    """From `a` (share 0) to `b` (share 1)."""
-    return a + (b - a) * share[:, None]
+    """Linear blend from `a` (weight 0) to `b` (weight 1)."""
+    return a + (b - a) * weight[:, None]

@@ -1,4 +1,4 @@
-"""Bleeding: from petechiae to a bleed that runs down the wall and fills the hollows."""
+"""Bleeding: from petechiae to blood that runs down the wall and pools in the hollows."""
 
 from __future__ import annotations
 
@@ -32,18 +32,18 @@ _OPEN = 8.0 * MM
 """Radius of the lumen that a pool leaves open, so that a capsule passes."""
 
 _SHORE = 2.0 * MM
-"""Way along the wall beyond the hollow's vertices in which the pool's edge lies [m]."""
+"""Distance along the wall beyond the hollow's vertices in which the pool's edge lies [m]."""
 
 
 @dataclass(frozen=True)
 class BleedingParameters:
-    """Measures of a grade.
+    """Dimensions of a severity.
 
     Attributes:
-        source: Radius of the bleeding place [m].
-        run: Longest way that blood runs from it [m].
-        width: Half-width of the stream [m].
-        film: Thickness of the stream [m].
+        source: Radius of the bleeding source [m].
+        run: Longest path of blood from it [m].
+        width: Half-width of the flow [m].
+        film: Thickness of the flow [m].
         pool: Depth of the pool at the end [m].
         clots: Height of clots over source and pool [m].
     """
@@ -62,13 +62,13 @@ BLEEDING_SEVERITIES = {
     3: BleedingParameters(3.0 * MM, 90.0 * MM, 2.0 * MM, 0.4 * MM, 2.5 * MM, 0.4 * MM),
     4: BleedingParameters(6.0 * MM, 160.0 * MM, 4.5 * MM, 0.6 * MM, 6.0 * MM, 1.2 * MM),
 }
-"""This project's own scale: 1 petechiae under the mucosa, 2 oozing with a trickle, 3 a stream
-that collects in the nearest hollow, 4 a broad stream, a deep pool and clots."""
+"""This project's own scale: 1 petechiae under the mucosa, 2 oozing with a trickle, 3 a flow
+that collects in the nearest hollow, 4 a broad flow, a deep pool and clots."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Bleeding(Lesion):
-    """A bleed; blood runs with gravity.
+    """Bleeding; blood runs with gravity.
 
     Attributes:
         severity: 1 petechiae, 2 oozing, 3 streaming, 4 massive.
@@ -90,17 +90,17 @@ class Bleeding(Lesion):
 
     @property
     def grade(self) -> str:
-        """Grade, 1 to 4."""
+        """Severity, 1 to 4."""
         return f"grade {self.severity}"
 
     @property
     def footprint_radius(self) -> float:
-        """Radius of the bleeding place [m]."""
+        """Radius of the bleeding source [m]."""
         return BLEEDING_SEVERITIES[self.severity].source
 
     @property
     def parameters(self) -> BleedingParameters:
-        """Its measures."""
+        """Its dimensions."""
         return BLEEDING_SEVERITIES[self.severity]
 
     def form(self, site: LesionSite, rng: np.random.Generator) -> Form:
@@ -124,15 +124,15 @@ class PetechiaeForm(FocalForm):
         crowd = 1.0 - self.normalized_radius(wall) ** 2
         blush = smoothstep(crowd + 0.3 * self._blush(points))
         color = clean.color * (1.0 - blush[:, None] * (0.03, 0.30, 0.30))
-        level = self._points(points) + 0.9 * crowd
-        point = smoothstep((level - 1.35) / 0.5)
+        density = self._points(points) + 0.9 * crowd
+        point = smoothstep((density - 1.35) / 0.5)
         color = mix(color, np.array([0.21, 0.026, 0.019]), 0.92 * point)
         look = (color, clean.roughness - 0.1 * point, clean.height)
         return self.blended(wall, clean, look, softness=0.25)
 
 
 class BleedingForm:
-    """Blood from a source along its way down, and the pool that it makes."""
+    """Blood from a source along its path down, and the pool that it makes."""
 
     edge_length = 1.2 * MM
 
@@ -154,7 +154,7 @@ class BleedingForm:
         return np.minimum(np.minimum(under, self.site.reach - away), shore)
 
     def _dry(self, wall: WallSamples) -> Float[np.ndarray, " n"]:
-        """Distance within the source's and the stream's outline [m]."""
+        """Distance within the source's and the flow's outline [m]."""
         wave = 1.0 + 0.22 * self._edge(wall.rest)
         source = self.parameters.source * wave - np.linalg.norm(
             wall.rest - self.site.center, axis=1
@@ -176,18 +176,18 @@ class BleedingForm:
     def displaced(self, wall: WallSamples) -> Float[np.ndarray, "n 3"]:
         """Positions of the blood's surface [m].
 
-        The pool's is level: each place under it moves there towards the centerline, so that
+        The pool's is level: each point under it moves there towards the centerline, so that
         walls that lean over it do not fold, but never as far as to block the lumen.
         """
         film, pool = self._film(wall)[:, None] * wall.normal, self._pool(wall)
         reach = np.maximum(np.linalg.norm(wall.inward, axis=1), 1e-9)
         inward = wall.inward / reach[:, None]
         steep = np.maximum(-inward @ self.site.down, 0.3)
-        room = np.maximum(reach - _OPEN, 0.0)
-        level = wall.rest + np.minimum(np.maximum(pool, 0.0) / steep, room)[:, None] * inward
+        free = np.maximum(reach - _OPEN, 0.0)
+        surface = wall.rest + np.minimum(np.maximum(pool, 0.0) / steep, free)[:, None] * inward
         wet = smoothstep(pool / (1.0 * MM))
-        clots = np.clip(self._clots(level) - 0.9, 0.0, 1.5) * self.parameters.clots * wet
-        return level + clots[:, None] * inward + (1.0 - wet)[:, None] * film
+        clots = np.clip(self._clots(surface) - 0.9, 0.0, 1.5) * self.parameters.clots * wet
+        return surface + clots[:, None] * inward + (1.0 - wet)[:, None] * film
 
     def chart(self, wall: WallSamples) -> Float[np.ndarray, "n 2"]:
         """Not used: it is painted in place."""

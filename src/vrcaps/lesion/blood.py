@@ -22,7 +22,7 @@ FIBRIN = np.array([0.39, 0.30, 0.21])
 """Of fibrin and slough on an ulcer."""
 
 _EXTINCTION = np.array([0.8, 9.0, 8.5]) / MM
-"""Optical density per length of a film of whole blood, both ways: red, green, blue. Hemoglobin
+"""Optical density per length of a film of whole blood, in and out: red, green, blue. Hemoglobin
 at 150 g/l absorbs green and blue about ten times as much as red (Prahl 1999, tabulated
 extinction); the scale is fitted by eye to thin films in endoscopic images."""
 

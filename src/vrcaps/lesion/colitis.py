@@ -32,7 +32,7 @@ _EXTENTS = {"E1": ("rectum", 15 * CM), "E2": ("descending", 60 * CM), "E3": ("as
 affected, or the length from the anal end where an organ has no such segment [m]."""
 
 _FADE = 12.0 * MM
-"""Way from healthy to fully inflamed at the ends."""
+"""Distance from healthy to fully inflamed at the ends."""
 
 _FILM = 0.35 * MM
 """Thickness of blood where the field that spreads it exceeds its threshold by one deviation."""
@@ -49,7 +49,7 @@ class Activity:
     Attributes:
         obscured: How far the vessels have faded, 0 to 1.
         tint: Reflectance of inflamed over that of plain mucosa: red, green, blue.
-        patchiness: Share of the redness that comes in patches.
+        patchiness: Fraction of the redness that comes in patches.
         granularity: RMS height of the granular relief [m].
         stipple: Spread of the optical density of granules, alike in all colors.
         petechiae: Threshold of the field that sets bleeding points, in deviations.
@@ -98,7 +98,7 @@ class Colitis(Lesion):
     Attributes:
         mayo: Mayo endoscopic subscore.
         spread: How far it goes up from the anal end: E1 (rectum), E2 (left colon), E3 (beyond),
-            or a length [m]. A length with a place lies about that place instead.
+            or a length [m]. A length with a location lies about that location instead.
     """
 
     mayo: Literal[1, 2, 3] = 2
@@ -161,7 +161,7 @@ class ColitisForm:
         self._mucopus = fbm(14.0 * MM, rng)
 
     def signed_distance(self, wall: WallSamples) -> Float[np.ndarray, " n"]:
-        """Distance within the ragged ends of the band [m]."""
+        """Distance within the ragged ends of the range [m]."""
         low, high = self.site.arc_length_range
         ragged = 3.0 * MM * self._ragged(wall.rest)
         return np.minimum(wall.xy[:, 0] - low, high - wall.xy[:, 0]) + ragged
@@ -185,8 +185,8 @@ class ColitisForm:
         color = mix(clean.color, clean.plain, is_like.obscured * (0.8 + 0.2 * patch))
         color = color * np.array(is_like.tint) ** redness[:, None]
         color = color * np.exp(is_like.stipple * granules + 0.06 * mottle)[:, None]
-        spot = smoothstep((self._points(points) - is_like.petechiae) / 0.6)
-        color = mix(color, np.array([0.25, 0.046, 0.046]), 0.6 * spot)
+        point = smoothstep((self._points(points) - is_like.petechiae) / 0.6)
+        color = mix(color, np.array([0.25, 0.046, 0.046]), 0.6 * point)
         height = clean.height * (1.0 - 0.5 * is_like.obscured) + is_like.granularity * granules
         color, sloughy, height = self._ulcerated(color, height, points, mottle)
         pooled = np.clip(self._blood(points) + 0.3 * mottle - is_like.blood, 0.0, 2.0)
@@ -212,10 +212,10 @@ class ColitisForm:
         ):
             if not np.isfinite(threshold):
                 continue
-            level = field(points) - threshold + 0.3 * mottle
-            rim = np.exp(-(((level + 0.1) / 0.4) ** 2))
+            excess = field(points) - threshold + 0.3 * mottle
+            rim = np.exp(-(((excess + 0.1) / 0.4) ** 2))
             color = color * (1.0 - rim[:, None] * (0.05, 0.22, 0.22))
-            base = smoothstep((level + 0.2) / 1.3)
+            base = smoothstep((excess + 0.2) / 1.3)
             slough = FIBRIN * np.exp(0.10 * mottle + 0.15 * self._patches(points))[:, None]
             color = mix(color, slough, 0.6 * base)
             height = height + (0.3 * rim - base) * deep

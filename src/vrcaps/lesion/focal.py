@@ -1,4 +1,4 @@
-"""Forms of lesions about a center: flat ones, and solids of revolution made irregular."""
+"""Forms of focal lesions: flat ones, and solids of revolution made irregular."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from vrcaps.units import MM
 if TYPE_CHECKING:
     from jaxtyping import Float
 
-_BORDER_SHARE = 0.0125
+_BORDER_FRACTION = 0.0125
 """Edge of the triangles on the footprint's border, in its radii: the mask, which keeps to whole
 triangles, then covers what the footprint covers to 0.5 %."""
 
@@ -24,7 +24,7 @@ class FocalForm:
     """A flat lesion with a wavy outline; subclasses say how it stands and looks.
 
     Attributes:
-        site: Its place.
+        site: Where it lies.
         radius: Mean radius of its footprint [m].
         edge_length: Of the triangles that draw its shape [m].
         border_length: Of the triangles on its border [m].
@@ -35,20 +35,20 @@ class FocalForm:
     ) -> None:
         self.site, self.radius = site, radius
         self.edge_length = float(np.clip(radius / 8.0, 0.1 * MM, 0.7 * MM))
-        self.border_length = _BORDER_SHARE * radius
+        self.border_length = _BORDER_FRACTION * radius
         self._outline, self._waviness = angular_harmonics(5, rng), waviness
 
     def polar(
         self, wall: WallSamples
     ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, "n 2"], Float[np.ndarray, " n"]]:
-        """Way from the center [m], unit direction in the log map, outline in mean radii."""
+        """Distance from the center [m], unit direction in the log map, outline in mean radii."""
         rho = np.linalg.norm(wall.xy, axis=1)
         angle = np.arctan2(wall.xy[:, 1], wall.xy[:, 0])
         direction = np.stack([np.cos(angle), np.sin(angle)], axis=1)
         return rho, direction, 1.0 + self._waviness * self._outline(angle)
 
     def normalized_radius(self, wall: WallSamples) -> Float[np.ndarray, " n"]:
-        """Way from the center, 1 on the outline."""
+        """Distance from the center, 1 on the outline."""
         rho, _, stretch = self.polar(wall)
         return rho / (stretch * self.radius)
 
@@ -100,9 +100,9 @@ class ProfileForm(FocalForm):
     """A profile turned around the normal of the wall: a polyp, a mass, a pouch.
 
     Args:
-        site: Its place.
+        site: Where it lies.
         control: Control points of the profile's cubic B-spline, from the rim of the footprint to
-            the top: way from the axis and height [m].
+            the top: distance from the axis and height [m].
         rng: Draws its irregularities.
         waviness: Of its outline.
         upright: Whether it stands on a plane, or follows the wall's curvature.
@@ -124,9 +124,9 @@ class ProfileForm(FocalForm):
         super().__init__(site, float(control[0, 0]), rng, waviness=waviness)
         widest = float(max(control[:, 0].max(), self.radius))
         self.edge_length = float(np.clip(widest / 11.0, 0.12 * MM, 0.7 * MM))
-        self._r, self._z, way = turned_profile(control)
-        self._share = way / way[-1]
-        self._length = float(way[-1])
+        self._r, self._z, length = turned_profile(control)
+        self._radial = length / length[-1]
+        self._length = float(length[-1])
         self._upright = upright
         self._lobe_height = lobes[0]
         self._lobes = low_pass(lobes[1], rng)
@@ -135,11 +135,11 @@ class ProfileForm(FocalForm):
     def displaced(self, wall: WallSamples) -> Float[np.ndarray, "n 3"]:
         """Positions [m] on the turned profile, with lobes."""
         rho, direction, stretch = self.polar(wall)
-        share = np.minimum(rho / (stretch * self.radius), 1.0)
-        r = np.interp(share, self._share, self._r) * stretch
-        z = np.interp(share, self._share, self._z)
+        radial = np.minimum(rho / (stretch * self.radius), 1.0)
+        r = np.interp(radial, self._radial, self._r) * stretch
+        z = np.interp(radial, self._radial, self._z)
         outward = direction @ self.site.axes[:, :2].T
-        standing = smoothstep((1.0 - share) / 0.3) * self._upright
+        standing = smoothstep((1.0 - radial) / 0.3) * self._upright
         plane = self.site.center + rho[:, None] * outward
         base = mix(wall.rest, plane, standing)
         axis = mix(wall.normal, np.broadcast_to(self.site.axes[:, 2], wall.normal.shape), standing)
@@ -148,14 +148,14 @@ class ProfileForm(FocalForm):
         points = base + (r - rho)[:, None] * outward + z[:, None] * axis
         points += (z**2 / max(highest, 1e-9))[:, None] * self._lean
         lobes = self._lobes(points - self.site.center) * self._lobe_height
-        lobes *= smoothstep((1.0 - share) / 0.35)
-        points += lobes[:, None] * self._facing(share, outward, axis)
-        return np.where((share < 1.0)[:, None], points, wall.rest)
+        lobes *= smoothstep((1.0 - radial) / 0.35)
+        points += lobes[:, None] * self._facing(radial, outward, axis)
+        return np.where((radial < 1.0)[:, None], points, wall.rest)
 
-    def _facing(self, share, outward, axis) -> Float[np.ndarray, "n 3"]:
+    def _facing(self, radial, outward, axis) -> Float[np.ndarray, "n 3"]:
         """Unit normals of the turned profile."""
-        slope_r = np.interp(share, self._share, np.gradient(self._r, self._share))
-        slope_z = np.interp(share, self._share, np.gradient(self._z, self._share))
+        slope_r = np.interp(radial, self._radial, np.gradient(self._r, self._radial))
+        slope_z = np.interp(radial, self._radial, np.gradient(self._z, self._radial))
         norm = np.maximum(np.hypot(slope_r, slope_z), 1e-12)
         return (-slope_z / norm)[:, None] * outward + (slope_r / norm)[:, None] * axis
 
@@ -163,15 +163,15 @@ class ProfileForm(FocalForm):
         """The surface flattened with true lengths along the profile [m]."""
         rho, direction, stretch = self.polar(wall)
         rim = stretch * self.radius
-        way = np.where(rho < rim, rho / rim * self._length, self._length + (rho - rim))
-        return way[:, None] * direction
+        length = np.where(rho < rim, rho / rim * self._length, self._length + (rho - rim))
+        return length[:, None] * direction
 
 
 def turned_profile(
     control: Float[np.ndarray, "k 2"],
 ) -> tuple[Float[np.ndarray, " 400"], Float[np.ndarray, " 400"], Float[np.ndarray, " 400"]]:
-    """Way from the axis, height, and way along the profile [m], from the top to the rim."""
+    """Distance from the axis, height, and length along the profile [m], from the top to the rim."""
     knots = np.concatenate([[0.0] * 3, np.linspace(0.0, 1.0, len(control) - 2), [1.0] * 3])
     r, z = BSpline(knots, control[::-1], 3)(np.linspace(0.0, 1.0, 400)).T
-    way = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(r), np.diff(z)))])
-    return r, z, way
+    length = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(r), np.diff(z)))])
+    return r, z, length

@@ -1,4 +1,4 @@
-"""The wall while lesions are put into it: pieces are cut out, refined, and joined back in."""
+"""Mesh patches: pieces of wall are extracted, refined, and inserted again."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def whole_wall(organ: OrganSurface) -> Patch:
 
 
 def edge_graph(wall: Patch) -> coo_array:
-    """Length [m] of every edge, both ways."""
+    """Length [m] of every edge, in both directions."""
     pairs = np.concatenate([wall.faces[:, [0, 1]], wall.faces[:, [1, 2]], wall.faces[:, [2, 0]]])
     pairs = np.unique(np.sort(pairs, axis=1), axis=0)
     length = np.linalg.norm(wall.moved[pairs[:, 0]] - wall.moved[pairs[:, 1]], axis=1)
@@ -68,7 +68,7 @@ def within(wall: Patch, sources: Int[np.ndarray, " k"], reach: float) -> Float[n
 
 @dataclass(frozen=True)
 class ExtractedPatch:
-    """A piece of wall and where it came from.
+    """A mesh patch extracted from a wall.
 
     Attributes:
         patch: The piece.
@@ -101,7 +101,7 @@ def extract(wall: Patch, away: Float[np.ndarray, " n"]) -> ExtractedPatch:
 
 
 def insert(wall: Patch, piece: ExtractedPatch, patch: Patch) -> Patch:
-    """The wall with a refined piece in its place; vertices that were there keep their numbers."""
+    """The wall with a refined patch inserted; vertices that were there keep their numbers."""
     old = len(piece.vertices)
     number = np.concatenate([piece.vertices, len(wall.moved) + np.arange(len(patch.moved) - old)])
     joined = {}

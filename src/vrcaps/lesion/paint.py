@@ -50,7 +50,7 @@ class Textures:
     plain: Float[np.ndarray, "k l 3"]
 
     def look(self, uv: Float[np.ndarray, "n 2"]) -> AppearanceSample:
-        """The look at texture coordinates."""
+        """The appearance at texture coordinates."""
         return AppearanceSample(
             color=sample(self.appearance.albedo, uv, LINEAR),
             roughness=sample(self.appearance.roughness, uv, _BYTES),
@@ -76,7 +76,7 @@ class FormSamples:
 
 @dataclass(frozen=True)
 class Chart:
-    """A piece of texture of one lesion, before it has a place in the whole.
+    """A piece of texture of one lesion, before it is packed into the whole.
 
     Attributes:
         instance: Number of the lesion.
@@ -205,16 +205,16 @@ class Atlas:
     Attributes:
         extra: Columns and rows by which the wall's own texture is continued, right and on top.
         size: Width and height of the whole [texels].
-        places: Column and row of each chart's top-left texel.
+        origins: Column and row of each chart's top-left texel.
     """
 
     extra: tuple[int, int]
     size: tuple[int, int]
-    places: list[tuple[int, int]]
+    origins: list[tuple[int, int]]
 
 
 def pack(base: Appearance, uv: Float[np.ndarray, "m 3 2"], charts: list[Chart]) -> Atlas:
-    """Places for all charts beside the wall's own texture: right of a tall one, above a wide one.
+    """Positions of all charts beside the wall's own texture: right of a tall, above a wide one.
 
     Where the wall's coordinates run beyond 1 its texture is continued as far, for it can no
     longer wrap.
@@ -231,11 +231,11 @@ def pack(base: Appearance, uv: Float[np.ndarray, "m 3 2"], charts: list[Chart]) 
     longest = int(max([(sides + extra)[along], *shapes[:, along]]))
     start = int((sides + extra)[across]) if across == 0 else 0
     strip, end, filled = start, start, 0
-    places = np.zeros((len(charts), 2), int)
+    origins = np.zeros((len(charts), 2), int)
     for index in np.argsort(-shapes[:, across], kind="stable"):
         if filled + shapes[index, along] > longest:
             strip, filled = end, 0
-        places[index, across], places[index, along] = strip, filled
+        origins[index, across], origins[index, along] = strip, filled
         end, filled = max(end, strip + int(shapes[index, across])), filled + shapes[index, along]
     size = np.zeros(2, int)
     size[along], size[across] = longest, end if across == 0 else end + (sides + extra)[1]
@@ -245,7 +245,7 @@ def pack(base: Appearance, uv: Float[np.ndarray, "m 3 2"], charts: list[Chart]) 
             f"{len(charts)} lesions need a texture of {size[0]} × {size[1]} texels; allowed: sides "
             f"up to {MAX_SIDE}. Make fewer or smaller lesions, or bake with fewer texels_per_mm."
         )
-    return Atlas(_pair(extra), _pair(size), [_pair(place) for place in places])
+    return Atlas(_pair(extra), _pair(size), [_pair(origin) for origin in origins])
 
 
 def _pair(values: Int[np.ndarray, " 2"]) -> tuple[int, int]:
@@ -267,7 +267,7 @@ def assemble(base: Appearance, charts: list[Chart], atlas: Atlas, *, lesioned: b
         whole[below - top :, width : width + atlas.extra[0]] = whole[
             below - top :, : atlas.extra[0]
         ]
-        for chart, (x, y) in zip(charts, atlas.places, strict=True):
+        for chart, (x, y) in zip(charts, atlas.origins, strict=True):
             piece = (chart.lesioned if lesioned else chart.clean)[k]
             whole[y : y + piece.shape[0], x : x + piece.shape[1]] = piece
         parts.append(whole)
@@ -281,9 +281,9 @@ def final_uv(
     columns, rows = atlas.size
     height, width = base.albedo.shape[:2]
     uv = wall.uv[..., :2] * (width / columns, height / rows)
-    for chart, (x, y) in zip(charts, atlas.places, strict=True):
+    for chart, (x, y) in zip(charts, atlas.origins, strict=True):
         faces = wall.chart_id == chart.instance
         texel = (wall.uv[faces, :, 2:] - chart.origin) * (chart.density, -chart.density)
-        place = (texel + 0.5 + (x, y)) / (columns, rows)
-        uv[faces] = np.stack([place[..., 0], 1.0 - place[..., 1]], axis=-1)
+        position = (texel + 0.5 + (x, y)) / (columns, rows)
+        uv[faces] = np.stack([position[..., 0], 1.0 - position[..., 1]], axis=-1)
     return uv

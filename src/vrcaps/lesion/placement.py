@@ -1,4 +1,4 @@
-"""Where lesions go: as stated, or drawn until they fit."""
+"""Placement of lesions: as stated, or drawn until they fit."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ if TYPE_CHECKING:
 
 _NUM_TRIES = 60
 _GAP = 2.0 * MM  # between the footprints of two lesions
-_ROOM = 0.8  # share of the free way across the lumen that a lesion may take
-_BESIDE = 1.05  # free way beside what stands in the lumen, in its radii
-_WIDEST = 1.3  # radius of a spot's footprint in radii of the lumen; the log map holds so far
+_MAX_FILL = 0.8  # fraction of the free distance across the lumen that a lesion may take
+_BESIDE = 1.05  # free distance beside what stands in the lumen, in its radii
+_WIDEST = 1.3  # footprint's radius in radii of the lumen up to which the log map holds
 _BEHIND = 0.3 * MM
 _UNEVEN = 0.35  # height of the wall around a pouch, in radii of its footprint
 
@@ -51,14 +51,14 @@ def place_focal(
     *,
     num_vertices: int,
 ) -> PlacedLesion:
-    """Find the wall for a spot: where its place says, or anywhere that it fits.
+    """Find the wall for a focal lesion: at its location, or anywhere that it fits.
 
     Args:
         organ: Without it.
         wall: The organ's, for clearance.
         lesion: What to place.
         others: Spots placed before, which it must not touch.
-        rng: Draws what the place leaves open.
+        rng: Draws what the location leaves open.
         num_vertices: How many of the first vertices are evenly spread over the wall.
 
     Raises:
@@ -70,15 +70,15 @@ def place_focal(
         reasons.append(_misfit(organ, wall, lesion, others, vertex))
         if not reasons[-1]:
             return PlacedLesion(lesion, vertex, organ.vertices[vertex])
-    drawn = f"none of {len(reasons)} places drawn will do; at the last, "
+    drawn = f"none of {len(reasons)} locations drawn will do; at the last, "
     which = drawn if len(reasons) > 1 else ""
-    raise InputError(f"No place for {describe(lesion)}: {which}{reasons[-1]}.")
+    raise InputError(f"No location for {describe(lesion)}: {which}{reasons[-1]}.")
 
 
 def candidates(
     organ: OrganSurface, location: Location, rng: np.random.Generator, num_vertices: int
 ) -> Iterator[int]:
-    """Vertices that a place allows: one where it is fully stated, else many, drawn."""
+    """Vertices that a location allows: one where it is fully stated, else many, drawn."""
     allowed = _allowed(organ, location)
     allowed = allowed[allowed < num_vertices]
     is_exact = location.arc_length is not None and location.theta is not None
@@ -92,7 +92,7 @@ def candidates(
 
 
 def _allowed(organ: OrganSurface, location: Location) -> Int[np.ndarray, " k"]:
-    """Vertices of the place's segment, and near its arc length if that is stated.
+    """Vertices of the location's segment, and near its arc length if that is stated.
 
     Raises:
         InputError: If the arc length is beyond the organ's end or outside the segment.
@@ -118,7 +118,7 @@ def _allowed(organ: OrganSurface, location: Location) -> Int[np.ndarray, " k"]:
 def _misfit(
     organ: OrganSurface, wall: Wall, lesion: Lesion, others: list[PlacedLesion], vertex: int
 ) -> str:
-    """Why a spot does not fit at a vertex; empty if it does."""
+    """Why a focal lesion does not fit at a vertex; empty if it does."""
     arc_length, reach = float(organ.arc_length[vertex]), lesion.footprint_radius
     line = organ.centerline
     if not reach < arc_length < line.length - reach:
@@ -132,7 +132,7 @@ def _misfit(
             f"it is larger than the lumen, whose radius at {arc_length / CM:.1f} cm is "
             f"{radius / MM:.1f} mm"
         )
-    crowded = _no_room(organ, wall, lesion, vertex)
+    crowded = _no_space(organ, wall, lesion, vertex)
     if crowded:
         return crowded
     for number, other in enumerate(others, start=1):
@@ -142,14 +142,14 @@ def _misfit(
     return ""
 
 
-def _no_room(organ: OrganSurface, wall: Wall, lesion: Lesion, vertex: int) -> str:
-    """Why there is no room over the wall for a spot, or behind it; empty if there is."""
+def _no_space(organ: OrganSurface, wall: Wall, lesion: Lesion, vertex: int) -> str:
+    """Why there is no space over the wall for a focal lesion, or behind it; empty if there is."""
     center, normal = organ.vertices[vertex], organ.normals[vertex]
     arc_length, reach = float(organ.arc_length[vertex]), lesion.footprint_radius
     side = "in the lumen" if lesion.protrusion >= 0.0 else "behind the wall"
     direction = normal if lesion.protrusion >= 0.0 else -normal
-    free = _free_way(wall, center, direction)
-    if abs(lesion.protrusion) > _ROOM * free:
+    free = _free_distance(wall, center, direction)
+    if abs(lesion.protrusion) > _MAX_FILL * free:
         return (
             f"it stands {abs(lesion.protrusion) / MM:.1f} mm high, but {side} at "
             f"{arc_length / CM:.1f} cm only {free / MM:.1f} mm are free"
@@ -172,19 +172,19 @@ def _unevenness(
     normal: Float[np.ndarray, " 3"],
     reach: float,
 ) -> float:
-    """Largest distance [m] of the wall around a place from the tangent plane there."""
+    """Largest distance [m] of the wall around a point from the tangent plane there."""
     offset = organ.vertices - center
     near = np.linalg.norm(offset, axis=1) < 1.2 * reach
     return float(np.abs(offset[near] @ normal).max())
 
 
-def _free_way(
+def _free_distance(
     wall: Wall, center: Float[np.ndarray, " 3"], direction: Float[np.ndarray, " 3"]
 ) -> float:
     """Distance [m] from the wall to the next wall, along the normal and 25° around it."""
     side, other = _across(direction)
-    turns = [0.0 * side] + [0.47 * d for d in (side, -side, other, -other)]
-    rays = np.array([direction + turn for turn in turns])
+    tilts = [0.0 * side] + [0.47 * d for d in (side, -side, other, -other)]
+    rays = np.array([direction + tilt for tilt in tilts])
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
     start = np.tile(center + _BEHIND * direction, (len(rays), 1))
     distance, _ = wall.cast(start, rays)
@@ -194,7 +194,7 @@ def _free_way(
 def _free_beside(
     wall: Wall, center: Float[np.ndarray, " 3"], top: Float[np.ndarray, " 3"]
 ) -> float:
-    """Distance [m] to the wall around the top of what stands at a place, `top` high."""
+    """Distance [m] to the wall around the top of what stands at a point, `top` high."""
     side, other = _across(top)
     angle = np.linspace(0.0, 2.0 * np.pi, 12, endpoint=False)[:, None]
     ring = np.cos(angle) * side + np.sin(angle) * other

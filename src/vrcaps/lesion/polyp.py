@@ -30,9 +30,9 @@ pedunculated, sessile, slightly elevated, flat, slightly depressed."""
 PATTERNS = ("tubular", "villous", "serrated", "hyperplastic", "inflammatory")
 """Kinds of surface, after the histology they go with."""
 
-# Profiles from the rim of the footprint to the top, as control points of a cubic B-spline: way
-# from the axis and height, in radii of the head. Height over width as the Paris workshop draws
-# them: Is stands higher than a closed forceps (2.5 mm), IIa lower, IIc sinks into the wall.
+# Profiles from the rim of the footprint to the top, as control points of a cubic B-spline:
+# distance from the axis and height, in radii of the head. Height over width as the Paris workshop
+# draws them: Is stands higher than a closed forceps (2.5 mm), IIa lower, IIc sinks into the wall.
 _PROFILES = {
     "Ip": (
         *((0.66, 0.0), (0.48, 0.0), (0.36, 0.06), (0.33, 0.35), (0.33, 0.8), (0.34, 1.1)),
@@ -57,9 +57,9 @@ class Surface:
     """How a kind of polyp's surface differs from the mucosa around it.
 
     Attributes:
-        tint: Share of the surrounding mucosa's reflectance: red, green, blue.
-        lobes: RMS height of its lobes as a share of its size.
-        lobe_spacing: Distance between lobes as a share of its size.
+        tint: Fraction of the surrounding mucosa's reflectance: red, green, blue.
+        lobes: RMS height of its lobes as a fraction of its size.
+        lobe_spacing: Distance between lobes as a fraction of its size.
         wavelength: Distance between the crests of its surface pattern [m].
         relief: RMS height of that pattern [m].
         contrast: Change of brightness between crests and pits.

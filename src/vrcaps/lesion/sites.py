@@ -1,4 +1,4 @@
-"""The wall around a lesion's place, cut out and given coordinates to draw it in."""
+"""Lesion sites: wall extracted around a location, with coordinates to draw a lesion in."""
 
 from __future__ import annotations
 
@@ -24,30 +24,30 @@ from vrcaps.units import MM
 if TYPE_CHECKING:
     from jaxtyping import Float, Int
 
-_WAVY = 1.3  # largest outline of a spot, in mean radii
-_STEP = 1.0 * MM  # along a stream
-_LEVEL = 0.10  # sine of the slope on which blood stops
+_WAVY = 1.3  # largest outline of a focal lesion, in mean radii
+_STEP = 1.0 * MM  # along a flow of blood
+_MIN_SLOPE = 0.10  # sine of the slope on which blood stops
 _POOL_REACH = 40.0 * MM
-_MARGIN = 6.0 * MM  # of wall around a stream and its pool
+_MARGIN = 6.0 * MM  # of wall around a flow and its pool
 
 
 @dataclass(frozen=True)
 class PlacementContext:
-    """What a lesion finds.
+    """The wall and the lesions that a new lesion is placed among.
 
     Attributes:
         organ: With the lesions before it.
         wall: The same, under work.
         down: Unit vector of gravity, patient frame.
         num_vertices: How many of the first vertices are the organ's own, evenly spread.
-        spots: Lesions about a center that are there.
+        focal: Focal lesions that are there.
     """
 
     organ: OrganSurface
     wall: Patch
     down: Float[np.ndarray, " 3"]
     num_vertices: int
-    spots: list[PlacedLesion]
+    focal: list[PlacedLesion]
 
     def core(self) -> Wall:
         """The wall for ray and distance queries."""
@@ -57,11 +57,11 @@ class PlacementContext:
 
 @dataclass(frozen=True)
 class SitePatch:
-    """A lesion's place.
+    """A lesion's site and the mesh patch around it.
 
     Attributes:
         site: As its form needs to know it.
-        piece: Wall cut out around it.
+        piece: Wall extracted around it.
         patch: The piece with coordinates (`WallSamples.xy`) as its last fields.
         vertex: Vertex of the organ in its middle.
     """
@@ -72,51 +72,51 @@ class SitePatch:
     vertex: int
 
 
-def focal_site(lesion: Lesion, around: PlacementContext, rng: np.random.Generator) -> SitePatch:
+def focal_site(lesion: Lesion, context: PlacementContext, rng: np.random.Generator) -> SitePatch:
     """Wall about a center, with its geodesic log map.
 
     Raises:
         InputError: If the lesion fits nowhere.
     """
     placed = place_focal(
-        *(around.organ, around.core(), lesion, around.spots, rng),
-        num_vertices=around.num_vertices,
+        *(context.organ, context.core(), lesion, context.focal, rng),
+        num_vertices=context.num_vertices,
     )
     radius = lesion.footprint_radius * _WAVY
     reach = 1.5 * radius + 5.0 * MM
-    piece = extract(around.wall, within(around.wall, np.array([placed.vertex]), reach))
+    piece = extract(context.wall, within(context.wall, np.array([placed.vertex]), reach))
     patch = _evenly_refined(piece.patch, 1.3 * radius, _even_length(radius))
     center = int(np.searchsorted(piece.vertices, placed.vertex))
     xy, axes = log_map(patch, center, radius=radius, edge_length=_even_length(radius))
-    site = LesionSite(placed.center, axes, around.down)
+    site = LesionSite(placed.center, axes, context.down)
     return SitePatch(site, piece, _with_columns(patch, xy), placed.vertex)
 
 
 def circumferential_site(
-    lesion: Lesion, around: PlacementContext, rng: np.random.Generator
+    lesion: Lesion, context: PlacementContext, rng: np.random.Generator
 ) -> SitePatch:
     """Wall between two arc lengths.
 
     Raises:
         InputError: If no wall is there.
     """
-    organ = around.organ
-    low, high, vertex = _band(lesion, around, rng)
+    organ = context.organ
+    low, high, vertex = _find_range(lesion, context, rng)
     arc_length = organ.arc_length
     outside = np.maximum(low - arc_length, arc_length - high)
-    piece = extract(around.wall, np.where(outside < 15.0 * MM, outside, np.inf))
+    piece = extract(context.wall, np.where(outside < 15.0 * MM, outside, np.inf))
     xy = np.stack([piece.patch.fields[:, 0], np.zeros(len(piece.vertices))], axis=1)
-    site = LesionSite(organ.vertices[vertex], np.eye(3), around.down, arc_length_range=(low, high))
+    site = LesionSite(organ.vertices[vertex], np.eye(3), context.down, arc_length_range=(low, high))
     return SitePatch(site, piece, _with_columns(piece.patch, xy), vertex)
 
 
-def _band(
-    lesion: Lesion, around: PlacementContext, rng: np.random.Generator
+def _find_range(
+    lesion: Lesion, context: PlacementContext, rng: np.random.Generator
 ) -> tuple[float, float, int]:
     """First and last arc length [m], and a vertex in the middle of them."""
-    organ, location = around.organ, lesion.location
+    organ, location = context.organ, lesion.location
     middle, reason = None, None
-    drawn = candidates(organ, location, rng, around.num_vertices)
+    drawn = candidates(organ, location, rng, context.num_vertices)
     for vertex in drawn:
         if location.segment is not None or location.arc_length is not None or reason is not None:
             middle = float(organ.arc_length[vertex])
@@ -127,39 +127,42 @@ def _band(
             reason = error
             continue
         own = np.clip((low, high), 0.0, organ.centerline.length)
-        away = np.abs(organ.arc_length[: around.num_vertices] - own.mean())
+        away = np.abs(organ.arc_length[: context.num_vertices] - own.mean())
         return low, high, int(np.argmin(away))
     assert reason is not None
     raise reason
 
 
-def flow_site(lesion: Lesion, around: PlacementContext, rng: np.random.Generator) -> SitePatch:
-    """Wall along the way that blood runs from a place, to where it collects."""
+def flow_site(lesion: Lesion, context: PlacementContext, rng: np.random.Generator) -> SitePatch:
+    """Wall along the path of blood from its source to where it collects."""
     assert isinstance(lesion, Bleeding)
-    organ, core = around.organ, around.core()
+    organ, core = context.organ, context.core()
     best: tuple[int, np.ndarray] | None = None
-    for vertex in candidates(organ, lesion.location, rng, around.num_vertices):
-        path = trace_down(core, organ.vertices[vertex], around.down, lesion.parameters.run, rng)
+    for vertex in candidates(organ, lesion.location, rng, context.num_vertices):
+        path = trace_down(core, organ.vertices[vertex], context.down, lesion.parameters.run, rng)
         if best is None or len(path) > len(best[1]):
             best = (vertex, path)
         if len(path) * _STEP > 0.6 * lesion.parameters.run:
             break
     assert best is not None
     vertex, path = best
-    return _along_path(lesion.parameters, around, vertex, path)
+    return _along_path(lesion.parameters, context, vertex, path)
 
 
 def _along_path(
-    bleed: BleedingParameters, around: PlacementContext, vertex: int, path: Float[np.ndarray, "k 3"]
+    bleed: BleedingParameters,
+    context: PlacementContext,
+    vertex: int,
+    path: Float[np.ndarray, "k 3"],
 ) -> SitePatch:
-    """Wall along a stream's path and in the hollow at its end."""
-    wall, organ = around.wall, around.organ
+    """Wall along a flow's path and in the hollow at its end."""
+    wall, organ = context.wall, context.organ
     reach = 8.0 * bleed.width + 2.0 * bleed.source
     along = np.asarray(KDTree(organ.vertices).query(path)[1])
     beside = within(wall, np.unique(along), reach + _MARGIN)
     beyond = np.full(len(beside), np.inf)
     if bleed.pool > 0.0:
-        beyond = within(wall, _hollow(around, along[-1], bleed.pool), _MARGIN)
+        beyond = within(wall, _hollow(context, along[-1], bleed.pool), _MARGIN)
     is_pool = np.isfinite(beyond) & ~np.isfinite(beside)
     piece = extract(wall, np.where(is_pool, reach, beside))
     far = np.column_stack([beside, beyond])[piece.vertices]
@@ -173,19 +176,19 @@ def _along_path(
     xy = np.stack([nearest / 8.0 * _STEP, away, beyond], axis=1)
     patch = _with_columns(replace(patch, fields=patch.fields[:, :NUM_FIELDS]), xy)
     site = LesionSite(
-        *(path[0], np.eye(3), around.down),
+        *(path[0], np.eye(3), context.down),
         **{"bottom": path[-1], "reach": _POOL_REACH},
     )
     return SitePatch(site, piece, patch, vertex)
 
 
-def _hollow(around: PlacementContext, bottom: int, deep: float) -> Int[np.ndarray, " k"]:
+def _hollow(context: PlacementContext, bottom: int, deep: float) -> Int[np.ndarray, " k"]:
     """Vertices under a pool's level that are joined to its bottom below that level."""
-    vertices = around.wall.moved
-    under = (vertices - vertices[bottom]) @ around.down > -deep
+    vertices = context.wall.moved
+    under = (vertices - vertices[bottom]) @ context.down > -deep
     near = np.linalg.norm(vertices - vertices[bottom], axis=1) < _POOL_REACH
     wet = np.flatnonzero(under & near)
-    graph = edge_graph(around.wall).tocsr()[wet][:, wet]
+    graph = edge_graph(context.wall).tocsr()[wet][:, wet]
     _, part = connected_components(graph, directed=False)
     return wet[part == part[np.searchsorted(wet, bottom)]]
 
@@ -197,14 +200,22 @@ def trace_down(
     length: float,
     rng: np.random.Generator,
 ) -> Float[np.ndarray, "k 3"]:
-    """The way of a drop on the wall, a millimeter a step, meandering; ends where it is level."""
+    """Meandering path of a drop down the wall, a millimeter a step; ends where the wall is level.
+
+    Args:
+        core: The wall.
+        start: Source of the blood [m].
+        down: Unit vector of gravity.
+        length: Longest path [m].
+        rng: Draws the meanders.
+    """
     points, sway = [np.asarray(start, float)], 0.0
     for _ in range(int(length / _STEP)):
         here = points[-1]
         ahead, _ = core.closest_point((here + 0.5 * _STEP * down)[None])
         fall = ahead[0] - here
         slope = np.linalg.norm(fall) / (0.5 * _STEP)
-        if slope < _LEVEL:
+        if slope < _MIN_SLOPE:
             break
         fall /= np.linalg.norm(fall)
         sway = 0.9 * sway + rng.normal(0.0, 0.12)
@@ -225,7 +236,7 @@ SITES: dict[str, Callable[[Lesion, PlacementContext, np.random.Generator], SiteP
 
 
 def _even_length(radius: float) -> float:
-    """Longest edge [m] on which the log map of a spot is true."""
+    """Longest edge [m] on which the log map of a focal lesion is true."""
     return float(np.clip(radius / 9.0, 0.12 * MM, 1.0 * MM))
 
 

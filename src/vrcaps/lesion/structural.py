@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
     from vrcaps.organ.surface import OrganSurface
 
-# Way from the axis and height, in radii: a rolled edge around an ulcerated middle.
+# Distance from the axis and height, in radii: a rolled edge around an ulcerated middle.
 _MASS = (
     *((1.0, 0.0), (0.94, 0.0), (0.92, 0.08), (1.02, 0.42), (0.78, 0.78)),
     *((0.52, 0.66), (0.36, 0.4), (0.18, 0.34), (0.0, 0.34)),
@@ -79,10 +79,10 @@ class TumorForm(ProfileForm):
         self, wall: WallSamples, points: Float[np.ndarray, "n 3"], clean: AppearanceSample
     ) -> AppearanceSample:
         """Dark red, friable; slough and blood in the crater."""
-        share, fine = self.normalized_radius(wall), np.tanh(self._grain(points))
+        radial, fine = self.normalized_radius(wall), np.tanh(self._grain(points))
         color = clean.plain * (0.90, 0.50, 0.46)
         color = color * np.exp(0.16 * fine + 0.10 * self._blood(points))[:, None]
-        crater = smoothstep((0.5 - share) / 0.25)
+        crater = smoothstep((0.5 - radial) / 0.25)
         dead = smoothstep((self._necrosis(points) + 1.6 * crater - 1.1) / 0.5)
         slough = np.array([0.42, 0.40, 0.26]) * np.exp(0.15 * fine)[:, None]
         color = mix(color, slough, 0.85 * dead)
@@ -150,7 +150,7 @@ class Stricture(Lesion):
 
     Attributes:
         length: Along the lumen [m], 5 to 100 mm.
-        narrowing: Share of the lumen's diameter that it takes, 0.2 to 0.85.
+        narrowing: Fraction of the lumen's diameter that it takes, 0.2 to 0.85.
     """
 
     length: float = 25.0 * MM

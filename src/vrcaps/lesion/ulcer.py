@@ -30,12 +30,12 @@ class MucosalBreak:
     """How a kind of break looks.
 
     Attributes:
-        base: Share of the radius that lies open.
+        base: Fraction of the radius that lies open.
         deep: Depth [m].
         rim: Height of its swollen rim [m].
         halo: Redness around it.
         waviness: Of its outline.
-        blood: Chance of a spot of blood on its base, 0 to 1.
+        blood: Chance of a clot of blood on its base, 0 to 1.
     """
 
     base: float
@@ -131,28 +131,28 @@ class MucosalBreakForm(FocalForm):
 
     def height(self, wall: WallSamples) -> Float[np.ndarray, " n"]:
         """Sunk base, raised rim."""
-        share = self.normalized_radius(wall)
-        base = smoothstep((self.kind.base - share) / 0.22 + 0.5)
-        rim = np.exp(-(((share - self.kind.base - 0.12) / 0.14) ** 2))
-        return self._rim * rim * smoothstep((1.0 - share) / 0.2) - self._deep * base
+        radial = self.normalized_radius(wall)
+        base = smoothstep((self.kind.base - radial) / 0.22 + 0.5)
+        rim = np.exp(-(((radial - self.kind.base - 0.12) / 0.14) ** 2))
+        return self._rim * rim * smoothstep((1.0 - radial) / 0.2) - self._deep * base
 
     def paint(
         self, wall: WallSamples, points: Float[np.ndarray, "n 3"], clean: AppearanceSample
     ) -> AppearanceSample:
         """Fibrin, slough, granulation and blood on the base, a red halo around it."""
-        share, base = self.normalized_radius(wall), self._open(wall, points)
+        radial, base = self.normalized_radius(wall), self._open(wall, points)
         fine = self._grain(points)
-        halo = self.kind.halo * smoothstep((1.0 - share) / 0.5)
+        halo = self.kind.halo * smoothstep((1.0 - radial) / 0.5)
         color = mix(clean.color, clean.plain, 0.8 * halo)
         color = color * (1.0 - halo[:, None] * (0.10, 0.75, 0.75))
         slough = smoothstep(0.5 + 0.5 * self._slough(points))
         floor = mix(1.15 * np.broadcast_to(FIBRIN, color.shape), _SLOUGH, slough)
-        bare = smoothstep((self._granulation(points) + 0.8 * share / self.kind.base - 1.1) / 0.9)
+        bare = smoothstep((self._granulation(points) + 0.8 * radial / self.kind.base - 1.1) / 0.9)
         floor = mix(floor, _GRANULATION, 0.75 * bare)
         color = mix(color, floor * np.exp(0.06 * fine)[:, None], 0.92 * base)
         if self._is_bloody:
-            spot = smoothstep((self._slough(points[:, ::-1]) - 1.0) / 0.3) * base
-            color = under_blood(color, 0.5 * MM * spot, 0.4)
+            clot = smoothstep((self._slough(points[:, ::-1]) - 1.0) / 0.3) * base
+            color = under_blood(color, 0.5 * MM * clot, 0.4)
         uneven = 0.02 * MM * fine + self._uneven * self._granulation(points)
         look = (color, clean.roughness, clean.height * (1.0 - base) + uneven * base)
         return self.blended(wall, clean, look, softness=0.3)

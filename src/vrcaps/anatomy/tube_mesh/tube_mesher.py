@@ -253,9 +253,9 @@ def _even_out(grid: Grid) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " 
     is_moved[ends[grid.pinned[ends[:, 1]] == POLE, 0]] = False
     weight = np.where(is_moved, 0.5, 0.0)
     for _ in range(4):
-        moved = np.stack([along + weight * shift, theta + weight * turn], axis=1)
+        moved = np.stack([along + weight * shift, theta + weight * delta_theta], axis=1)
         weight[faces[chart_area(moved, faces) <= 0.0]] = 0.0
-    new_theta = theta + weight * turn
+    new_theta = theta + weight * delta_theta
     is_inside = np.abs(new_theta) < np.pi - 1e-6
     return (
         np.where(is_inside, along + weight * shift, along),

@@ -75,8 +75,8 @@ def small_bowel() -> tuple[OrganSurface, np.ndarray, np.ndarray]:
     rest = p.length - p.duodenum_length
     lengths = {
         "duodenum": p.duodenum_length,
-        "jejunum": p.jejunum_share * rest,
-        "ileum": (1.0 - p.jejunum_share) * rest,
+        "jejunum": p.jejunum_fraction * rest,
+        "ileum": (1.0 - p.jejunum_fraction) * rest,
     }
     end = lengths["duodenum"] + lengths["jejunum"]
     places = np.array([0.0, lengths["duodenum"], end, end + 0.05, p.length])

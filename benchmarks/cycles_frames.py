@@ -57,14 +57,14 @@ def _set_up(scene: Any, given: Any) -> None:
     scene.render.image_settings.color_depth = "32"
     scene.view_settings.view_transform = "Raw"
     cycles = scene.cycles
-    cycles.device, cycles.samples = "CPU", int(given["samples"])
+    cycles.device, cycles.samples = "CPU", int(given["spp"])
     cycles.use_adaptive_sampling = cycles.use_denoising = False
     cycles.sample_clamp_direct = cycles.sample_clamp_indirect = 0.0
     cycles.light_sampling_threshold = 0.0
     # Rays through the middle of pixels.
     cycles.pixel_filter_type, cycles.filter_width = "BOX", 0.01
     # Bounces after the first reflection.
-    cycles.max_bounces = cycles.diffuse_bounces = int(given["depth"]) - 1
+    cycles.max_bounces = cycles.diffuse_bounces = int(given["max_bounces"]) - 1
 
 
 def _add_wall(scene: Any, given: Any) -> None:

@@ -60,7 +60,7 @@ frames' mean a* or b*, 1.2 to 3.0 by class."""
 
 CARRIERS = (
     *("redness_variation", "vessel_contrast", "network", "bile", "relief_slope", "pit_slope"),
-    *("roughness", "coat", "coat_gloss"),
+    *("roughness", "clearcoat", "clearcoat_gloss"),
 )
 """Fields of a mucosa that may carry spreads, gradients and highlights."""
 LESS = 0.7

@@ -294,7 +294,7 @@ HEAD = """# Gallery
 
 What generated patients look like: every organ and segment, every kind and grade of lesion. One
 script with fixed seeds draws it all, `python benchmarks/gallery.py`: the capsules' own LEDs with
-shadows and quick bounced light, and their own lenses; no picture is chosen by hand. Lesions are
+shadows and radiosity, and their own lenses; no picture is chosen by hand. Lesions are
 seen from the place, of 300 drawn in the lumen, where most of them is seen and they take a sixth of
 the view. The commands below each sheet record such frames with all their labels. Here each frame is
 exposed to the same mean luminance, as a capsule adapts its light; a recording keeps the exposure

@@ -27,8 +27,8 @@ sys.path.append(str(ROOT / "docs" / "images"))  # the views that the pictures of
 from lesions import best_view, even_exposure
 
 SIDE_PX = 256
-SETTINGS = vrcaps.RenderSettings(supersampling=2, shadows=True, light="quick")
-CHANNELS = ("radiance", "ray_distance", "front_label", "front_depth")
+SETTINGS = vrcaps.RenderSettings(supersampling=2, shadows=True, light="radiosity")
+CHANNELS = ("radiance", "ray_distance", "foreground_label", "foreground_depth")
 """What the cameras of the comparison need."""
 CONTENTS = (Contents(), Contents(bubbles=2, chyme=1, liquid=1))
 """In the small bowel: every second frame has some."""

@@ -41,13 +41,13 @@ class Scene:
     state: State
 
     def ours(
-        self, *, depth: int, samples: int, denoise: bool = False
+        self, *, max_bounces: int, spp: int, denoise: bool = False
     ) -> Callable[[int], np.ndarray]:
         """Makes linear radiance [h w 3] of a seed."""
 
         def image(seed: int) -> np.ndarray:
             settings = RenderSettings(
-                light="path", samples=samples, depth=depth, light_seed=seed, denoise=denoise
+                light="path", spp=spp, max_bounces=max_bounces, path_seed=seed, denoise=denoise
             )
             renderer.settings = settings
             radiance = renderer.render(self.state, self.camera, channels=("radiance",)).radiance
@@ -57,7 +57,7 @@ class Scene:
         renderer = Renderer(self.model)
         return image
 
-    def theirs(self, *, depth: int, samples: int) -> Callable[[int], np.ndarray]:
+    def theirs(self, *, max_bounces: int, spp: int) -> Callable[[int], np.ndarray]:
         """The same by Mitsuba's `path`, compiled by LLVM."""
         import mitsuba as mi
 
@@ -65,7 +65,7 @@ class Scene:
 
         mi.set_variant(VARIANT)
         return compiled_path_light(
-            self.model, self.camera, self.state, depth=depth, samples=samples
+            self.model, self.camera, self.state, max_bounces=max_bounces, spp=spp
         )
 
 
@@ -74,7 +74,7 @@ def scenes(size: int) -> Iterator[Scene]:
     from shapes import looking, patterned, pinhole, tube
 
     use_working_llvm()
-    look = replace(patterned(np.random.default_rng(1)), ior=1.4, coat=0.7, coat_gloss=0.0)
+    look = replace(patterned(np.random.default_rng(1)), ior=1.4, clearcoat=0.7, clearcoat_gloss=0.0)
     device = read_device("mirocam")
     lens, width, height = pinhole(size, FIELD)
     assert isinstance(lens, LensPinhole)

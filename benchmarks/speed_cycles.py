@@ -43,13 +43,15 @@ def matt_colon(size: int) -> Scene:
     """The generated colon without gloss or film, and its camera."""
     (scene,) = islice(scenes(size), 1, 2)
     color = np.array([[ALBEDO]], np.uint8)
-    look = Appearance(color, np.full((1, 1), MATT, np.uint8), np.zeros((1, 1)), ior=1.0, coat=0.0)
+    look = Appearance(
+        color, np.full((1, 1), MATT, np.uint8), np.zeros((1, 1)), ior=1.0, clearcoat=0.0
+    )
     organ = replace(scene.model.organ, appearance=look)
     return replace(scene, model=replace(scene.model, organ=organ))
 
 
 def cycles(
-    scene: Scene, python: Path, size: int, *, depth: int, images: int
+    scene: Scene, python: Path, size: int, *, max_bounces: int, images: int
 ) -> tuple[str, np.ndarray, np.ndarray]:
     """Version, times [images 2] (processor's, wall's, in seconds) and images of Cycles."""
     model, camera = scene.model, scene.camera
@@ -59,7 +61,7 @@ def cycles(
         given, made = Path(folder) / "scene.npz", Path(folder) / "images.npz"
         np.savez(
             given,
-            size=size, samples=SAMPLES, depth=depth, threads=THREADS, images=images + 1,
+            size=size, spp=SAMPLES, max_bounces=max_bounces, threads=THREADS, images=images + 1,
             vertices=model.vertices_world,
             normals=rotate_vectors(model.T_world_patient, model.organ.normals),
             faces=model.organ.faces,
@@ -88,11 +90,11 @@ def main() -> None:
     given = parser.parse_args()
     os.environ["RAYON_NUM_THREADS"] = str(THREADS)
     scene = matt_colon(given.size)
-    (ours,) = measure([scene.ours(depth=DEPTH, samples=SAMPLES)], images=IMAGES)
+    (ours,) = measure([scene.ours(max_bounces=DEPTH, spp=SAMPLES)], images=IMAGES)
     python, size = given.blender_python, given.size
-    _, _, first = cycles(scene, python, size, depth=1, images=2)
-    same = first.mean() / scene.ours(depth=1, samples=1)(0).mean()
-    version, times, images = cycles(scene, python, size, depth=DEPTH, images=IMAGES)
+    _, _, first = cycles(scene, python, size, max_bounces=1, images=2)
+    same = first.mean() / scene.ours(max_bounces=1, spp=1)(0).mean()
+    version, times, images = cycles(scene, python, size, max_bounces=DEPTH, images=IMAGES)
     theirs = (*np.median(times, axis=0), images)
     rows, costs = [], []
     for name, (cpu, wall, frames) in (("ours", ours), (f"Cycles, Blender {version}", theirs)):

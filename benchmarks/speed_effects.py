@@ -1,7 +1,7 @@
-"""Claim: frames with every effect at grade 2 and bounced light come at 45 a second or more.
+"""Claim: frames with every effect at grade 2 and radiosity come at 45 a second or more.
 
 A flight at 2 cm/s through a generated colon, 320 x 320 pixels, colour and four labels: the plain
-frame, with quick bounced light, with lens and sensor, and with both; and each effect by itself. No
+frame, with radiosity, with lens and sensor, and with both; and each effect by itself. No
 sensor of fewer pixels, so that all have the same size. First images only: of each frame the least
 time of several rounds in turns, as whatever else the machine does only adds to it. Then recorded
 into files, as `vrcaps record` does.
@@ -45,9 +45,9 @@ def main() -> None:
     args = parser.parse_args()
     subjects = {
         "plain": _subject("", "direct"),
-        "quick bounced light": _subject("", "quick"),
+        "radiosity": _subject("", "radiosity"),
         EVERY: _subject(EFFECTS, "direct"),
-        f"{EVERY}, quick bounced light": _subject(EFFECTS, "quick"),
+        f"{EVERY}, radiosity": _subject(EFFECTS, "radiosity"),
     }
     whole = list(subjects)
     subjects |= {name: _subject(f"{name}=2", "direct") for name in GRADES if name != "resolution"}
@@ -61,7 +61,9 @@ def main() -> None:
     times = {name: frames.mean(axis=0) for name, frames in least.items()}
     rows = list(_rows({name: times[name] for name in whole}))
     alone = [_more(name, times) for name in times if name not in whole]
-    files = np.median([[_recorded("", "direct"), _recorded(EFFECTS, "quick")] for _ in "123"], 0)
+    files = np.median(
+        [[_recorded("", "direct"), _recorded(EFFECTS, "radiosity")] for _ in "123"], 0
+    )
     plain, lossy = files.tolist()
     text = f"""## Speed of lens and sensor
 
@@ -77,7 +79,7 @@ first effect brings, linear light and 8 bits of it:
 {table(ALONE, alone)}
 
 The same flight recorded into files, {RECORDED} frames, median of 3: plain {1e3 * plain:.1f} ms a
-frame ({1.0 / plain:.0f} a second), with every effect and bounced light {1e3 * lossy:.1f} ms
+frame ({1.0 / plain:.0f} a second), with every effect and radiosity {1e3 * lossy:.1f} ms
 ({1.0 / lossy:.0f} a second), {lossy / plain:.1f} times as long.
 
 By `python benchmarks/speed_effects.py`.
@@ -85,7 +87,7 @@ By `python benchmarks/speed_effects.py`.
     write_section(args.out, "speed_effects.py", text)
 
 
-def _scenario(effects: str, light: Literal["direct", "quick"], frames: int) -> Scenario:
+def _scenario(effects: str, light: Literal["direct", "radiosity"], frames: int) -> Scenario:
     scenario = vrcaps.Scenario(
         motion=vrcaps.FlyThrough(start=0.4, speed=0.02),
         frames=frames,
@@ -95,7 +97,7 @@ def _scenario(effects: str, light: Literal["direct", "quick"], frames: int) -> S
     return replace(scenario, effects=parse_effects(effects)) if effects else scenario
 
 
-def _recorded(effects: str, light: Literal["direct", "quick"]) -> float:
+def _recorded(effects: str, light: Literal["direct", "radiosity"]) -> float:
     """Seconds a frame of a recording once set up."""
     whole: list[float] = []
     with tempfile.TemporaryDirectory() as folder:
@@ -104,7 +106,7 @@ def _recorded(effects: str, light: Literal["direct", "quick"]) -> float:
     return (whole[-1] - whole[0]) / (len(whole) - 1)
 
 
-def _subject(effects: str, light: Literal["direct", "quick"]) -> tuple[Images, list[Step]]:
+def _subject(effects: str, light: Literal["direct", "radiosity"]) -> tuple[Images, list[Step]]:
     """What makes the images of a scenario, and its frames."""
     scenario, device = resolve(_scenario(effects, light, FRAMES))
     model, motion = build(scenario, device)

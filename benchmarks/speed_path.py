@@ -59,7 +59,7 @@ def noise(images: np.ndarray) -> tuple[float, float]:
 def compare(scene: Scene) -> list[tuple[str, ...]]:
     """A row for each renderer."""
     renderers = (scene.ours, scene.theirs)
-    ours, theirs = measure([r(depth=DEPTH, samples=SAMPLES) for r in renderers])
+    ours, theirs = measure([r(max_bounces=DEPTH, spp=SAMPLES) for r in renderers])
     rows, costs = [], []
     for cpu, wall, images in (ours, theirs):
         whole, middle = noise(images)

@@ -122,7 +122,7 @@ def paper(columns: int, rows: int) -> Appearance:
     squares = np.where(ink, 50, 230).astype(np.uint8)
     albedo = np.repeat(np.repeat(squares, TEXELS, axis=0), TEXELS, axis=1)
     rough, height = np.full(albedo.shape, 255, np.uint8), np.zeros(albedo.shape)
-    return Appearance(np.stack([albedo] * 3, axis=-1), rough, height, ior=1.0001, coat=0.0)
+    return Appearance(np.stack([albedo] * 3, axis=-1), rough, height, ior=1.0001, clearcoat=0.0)
 
 
 HEAD_PHOTOS = (

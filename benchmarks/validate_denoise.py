@@ -33,13 +33,13 @@ HEAD = (
 
 def compare(scene: Scene) -> list[tuple[str, ...]]:
     """A row for each number of samples."""
-    truths = [scene.ours(depth=4, samples=TRUTH)(seed) for seed in (100, 101)]
+    truths = [scene.ours(max_bounces=4, spp=TRUTH)(seed) for seed in (100, 101)]
     mean, rows = np.mean(truths), []
-    scene.ours(depth=2, samples=1, denoise=True)(0)  # loads the library
+    scene.ours(max_bounces=2, spp=1, denoise=True)(0)  # loads the library
     for samples in SAMPLES:
         cells = []
         for denoise in (False, True):
-            draw = scene.ours(depth=4, samples=samples, denoise=denoise)
+            draw = scene.ours(max_bounces=4, spp=samples, denoise=denoise)
             started = time.process_time()
             image = draw(0)
             seconds = time.process_time() - started

@@ -170,7 +170,7 @@ are in its units, root of the sum of squares over the three channels; smaller is
   varied one.
 - *before*: direct light, a palette fitted to it, and a veil and white balance in place of lens and
   sensor: frames that commit c4bc116 kept with `--keep FOLDER`, given here by `--before FOLDER`.
-- *Ours*: quick bounced light with shadows; palettes by `python benchmarks/fit_appearance.py`,
+- *Ours*: radiosity with shadows; palettes by `python benchmarks/fit_appearance.py`,
   which finds the base colors at which the frames' mean a\*, mean b\* and spread of L\* are those
   of the real ones. Red stays within {red_low} and {red_high}: a deep tissue with the scattering of
   colon and 0.5 to 5 % of blood gives back 0.40 to 0.25 of it by diffusion.
@@ -211,7 +211,7 @@ and often so near that no lumen is seen. Highlights of ours are many and evenly 
 ones are few, hard and in clusters; streaks of blood lie on the wall like ribbons. What no frame of
 ours has: instruments, motion, sheets of froth, overexposed rims. Real video is sharpened. Within a
 frame of a colon a\* and b\* of real ones spread by 9 to 13 and 8 to 10 units, of ours by 9 to 12
-and 7 to 8 (before mucus and stain, by 7 to 10 and 6 to 8). In quick light none spreads inside the
+and 7 to 8 (before mucus and stain, by 7 to 10 and 6 to 8). With radiosity none spreads inside the
 wall.
 """
 

@@ -32,12 +32,12 @@ HEAD = (
 
 def compare(scene: Scene, depth: int) -> tuple[str, ...]:
     """One row of the table."""
-    direct = scene.ours(depth=1, samples=1)(0)
+    direct = scene.ours(max_bounces=1, spp=1)(0)
     ours, theirs = (
         np.stack([image(seed) for seed in range(IMAGES)])
         for image in (
-            scene.ours(depth=depth, samples=SAMPLES),
-            scene.theirs(depth=depth, samples=SAMPLES),
+            scene.ours(max_bounces=depth, spp=SAMPLES),
+            scene.theirs(max_bounces=depth, spp=SAMPLES),
         )
     )
     # At an outline a smooth normal can point away: Mitsuba leaves such a pixel black.

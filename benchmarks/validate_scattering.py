@@ -5,7 +5,7 @@ transport (Chandrasekhar's H behind Fresnel's border) and against diffusion: cla
 a single-scattering albedo of 0.98 on. Where it comes back is held against diffusion with sources
 along the beam: claimed within 3 % beyond six free ways.
 
-Then quick light, without and with tissue, beside path tracing through it. Claimed for red, where
+Then radiosity, without and with tissue, beside path tracing through it. Claimed for red, where
 light goes farthest: with tissue at most 5 % of relative RMSE on a colon and 15 % beside ring folds,
 for at most three times a plain frame.
 
@@ -38,7 +38,7 @@ from vrcaps.render.scattering import (
     dipole_profile,
     fresnel,
     half_space_reflectance,
-    internal_reflection,
+    internal_reflectance,
 )
 from vrcaps.render.settings import RenderSettings
 from vrcaps.world.model import Model, State
@@ -64,15 +64,15 @@ CLAIMED = 0.03
 VIEW = 0.45
 """Pixels to a side of the views, over MiroCam's 320."""
 REFERENCE = {"samples": 32, "depth": 10}
-QUICK_HEAD = (
+RADIOSITY_HEAD = (
     "view", "without: relative RMSE", "ratio of means", "with: relative RMSE", "ratio of means",
     "claimed in red",
 )  # fmt: skip
 COST_HEAD = (
-    "view", "direct", "quick", "quick, scattering", "over direct", "≤ 3", "first frame",
+    "view", "direct", "radiosity", "radiosity, scattering", "over direct", "≤ 3", "first frame",
     "first of a new view",
 )  # fmt: skip
-QUICK_CLAIMED = {"ring folds": 0.15, "colon": 0.05}
+RADIOSITY_CLAIMED = {"ring folds": 0.15, "colon": 0.05}
 ROUNDS = 7
 NUM_VIEWS = 4
 
@@ -101,7 +101,7 @@ def total_row(ior: float, albedo: float, count: int) -> tuple[str, ...]:
     passes = 1.0 - fresnel(np.array(1.0), ior)
     exact = half_space_reflectance(np.array([albedo]), ior)[0] / passes
     diffusion = float(
-        diffuse_reflectance(np.array(1.0 / albedo - 1.0), internal=internal_reflection(ior))
+        diffuse_reflectance(np.array(1.0 / albedo - 1.0), internal=internal_reflectance(ior))
     )
     holds = abs(found / diffusion - 1.0) <= CLAIMED
     return (
@@ -148,7 +148,7 @@ def views() -> list[View]:
 
     device = read_device("mirocam")
     color = np.array([[[190, 90, 50]]], np.uint8)
-    look = Appearance(color, np.full((1, 1), 160, np.uint8), np.zeros((1, 1)), coat=0.7)
+    look = Appearance(color, np.full((1, 1), 160, np.uint8), np.zeros((1, 1)), clearcoat=0.7)
     folds = tube(160, 400, length=0.15, folds=0.35, capped=True, appearance=look)
     places = tuple(looking((0.004, -0.003, 0.04 + 0.002 * k)) for k in range(NUM_VIEWS))
     found = [View("ring folds", Model(folds, device, np.eye(4)), places)]
@@ -161,25 +161,27 @@ def views() -> list[View]:
     return found
 
 
-def quick_row(view: View) -> tuple[str, ...]:
-    """Relative RMSE and ratio of means of quick light, in red, green and blue."""
+def radiosity_row(view: View) -> tuple[str, ...]:
+    """Relative RMSE and ratio of means of radiosity, in red, green and blue."""
     model, state = view.model, view.states[0]
     camera = scaled_camera(model.device.cameras[0], VIEW)
     exact = [
-        _radiance(model, camera, state, light="path", scattering=True, light_seed=seed, **REFERENCE)
+        _radiance(model, camera, state, light="path", scattering=True, path_seed=seed, **REFERENCE)
         for seed in range(2)
     ]
     mean = 0.5 * (exact[0] + exact[1]).mean(axis=(0, 1))
     cells, red = [view.name], 0.0
     for scattering in (False, True):
-        image = _radiance(model, camera, state, light="quick", shadows=True, scattering=scattering)
+        image = _radiance(
+            model, camera, state, light="radiosity", shadows=True, scattering=scattering
+        )
         # Noise of two images is not the same, so that its product is nothing in the mean.
         square = np.mean((image - exact[0]) * (image - exact[1]), axis=(0, 1))
         error, ratio = np.sqrt(np.maximum(square, 0.0)) / mean, image.mean(axis=(0, 1)) / mean
         cells.append(" / ".join(f"{100.0 * e:.1f}" for e in error) + " %")
         cells.append(" / ".join(f"{r:.3f}" for r in ratio))
         red = error[0]
-    most = QUICK_CLAIMED.get(view.name)
+    most = RADIOSITY_CLAIMED.get(view.name)
     if most is None:
         return *cells, "–"
     return *cells, f"≤ {100.0 * most:.0f} %: {'yes' if red <= most else 'NO'}"
@@ -188,8 +190,8 @@ def quick_row(view: View) -> tuple[str, ...]:
 def cost_row(view: View) -> tuple[str, ...]:
     """Processor time of complete labelled frames without shadows, all threads together."""
     camera = view.model.device.cameras[0]
-    quick = RenderSettings(light="quick")
-    ways = (RenderSettings(), quick, replace(quick, scattering=True))
+    radiosity = RenderSettings(light="radiosity")
+    ways = (RenderSettings(), radiosity, replace(radiosity, scattering=True))
     renderers = [Renderer(view.model, way) for way in ways]
 
     def taken(way: int, state: State) -> float:
@@ -201,14 +203,14 @@ def cost_row(view: View) -> tuple[str, ...]:
     again = np.array(
         [[taken(way, view.states[0]) for way in range(len(ways))] for _ in range(ROUNDS)]
     )
-    direct, bounced, through = np.median(again, axis=0)
+    direct, indirect, through = np.median(again, axis=0)
     return (
         view.name,
-        *(f"{1e3 * x:.1f} ms" for x in (direct, bounced, through)),
+        *(f"{1e3 * x:.1f} ms" for x in (direct, indirect, through)),
         f"{through / direct:.2f}",
         "yes" if through <= 3.0 * direct else "NO",
-        f"{first[2][0]:.1f} s (quick: {first[1][0]:.1f} s)",
-        f"{np.mean(first[2][1:]):.2f} s (quick: {np.mean(first[1][1:]):.2f} s)",
+        f"{first[2][0]:.1f} s (radiosity: {first[1][0]:.1f} s)",
+        f"{np.mean(first[2][1:]):.2f} s (radiosity: {np.mean(first[1][1:]):.2f} s)",
     )
 
 
@@ -221,7 +223,7 @@ def main() -> None:
     """Walk, compare, write the tables."""
     given = options(__doc__ or "", size=400_000)
     places = views()
-    quick, costs = [quick_row(view) for view in places], [cost_row(view) for view in places]
+    radiosity, costs = [radiosity_row(view) for view in places], [cost_row(view) for view in places]
     totals = [total_row(*case, given.size) for case in TOTALS]
     profiles = [row for case in PROFILES for row in profile_rows(*case, given.size)]
     rings = tuple(f"{inner:g} to {outer:g}" for inner, outer in pairwise(RINGS))
@@ -239,11 +241,11 @@ def main() -> None:
         "1992). Nearer to the beam than six free ways diffusion does not hold to 3 %; there the "
         "walks\nagree with walks in NumPy (`tests/render/test_scattering.py`).\n\n"
         + table(("index", "albedo", "diffusion", *rings), profiles)
-        + "\n\nQuick light without and with scattering beside path tracing through tissue (two "
+        + "\n\nRadiosity without and with scattering beside path tracing through tissue (two "
         f"images of {REFERENCE['samples']} paths,\n{REFERENCE['depth']} reflections, "
         f"{round(320 * VIEW)} pixels to a side), in red, green and blue. Noise of the reference "
         "does not count: errors\nagainst its two images are multiplied.\n\n"
-        + table(QUICK_HEAD, quick)
+        + table(RADIOSITY_HEAD, radiosity)
         + "\n\nProcessor time of a complete labelled frame, 320 × 320 pixels, no shadows, medians; "
         "of the first frame of a\nrenderer, and the mean over the first frames of the next "
         f"{NUM_VIEWS - 1} views of a flight.\n\n" + table(COST_HEAD, costs)

@@ -140,8 +140,8 @@ def _wall(mi: Any, stage: Stage) -> Any:
                 "raw": True,
             },
             "eta": look.ior,
-            "clearcoat": look.coat,
-            "clearcoat_gloss": look.coat_gloss,
+            "clearcoat": look.clearcoat,
+            "clearcoat_gloss": look.clearcoat_gloss,
         }
     )
     wall = mi.Mesh(

@@ -44,7 +44,7 @@ def main(path: Path) -> None:
     rng = np.random.default_rng(0)
     flight = vrcaps.fly_through(model, vrcaps.FlyThrough(), frames=FRAMES, fps=3.0, rng=rng)
     renderer = vrcaps.Renderer(
-        model, vrcaps.RenderSettings(supersampling=3, shadows=True, light="quick")
+        model, vrcaps.RenderSettings(supersampling=3, shadows=True, light="radiosity")
     )
     frames = [renderer.render(flight.state(index), camera, channels=CHANNELS) for index in SHOWN]
     gap = ((GAP_PX, GAP_PX), (GAP_PX, GAP_PX), (0, 0))

@@ -66,7 +66,7 @@ def view(model: Model, share: float) -> State:
 def picture(model: Model, state: State) -> Image.Image:
     """A frame exposed to a fixed mean luminance, as a capsule's automatic exposure does."""
     camera = model.device.cameras[0]
-    renderer = Renderer(model, RenderSettings(supersampling=2, shadows=True, light="quick"))
+    renderer = Renderer(model, RenderSettings(supersampling=2, shadows=True, light="radiosity"))
     radiance = renderer.render(state, camera, channels=("radiance",)).radiance
     exposure = camera.exposure
     for _ in range(8):

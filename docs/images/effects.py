@@ -27,7 +27,7 @@ from vrcaps.world.model import Model, State
 
 SIDE_PX = 200
 MARGIN_PX = 130
-LOOK = RenderSettings(supersampling=2, shadows=True, light="quick")
+LOOK = RenderSettings(supersampling=2, shadows=True, light="radiosity")
 FRAMES = 3
 FPS = 3.0
 DARK = 0.12

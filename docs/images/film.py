@@ -23,7 +23,9 @@ def main(path: Path) -> None:
     flight = vrcaps.fly_through(model, vrcaps.FlyThrough(), frames=20, fps=3.0, rng=rng)
     camera, columns = model.device.cameras[0], []
     for film in THICKNESS_UM:
-        settings = vrcaps.RenderSettings(supersampling=3, shadows=True, light="quick", film_um=film)
+        settings = vrcaps.RenderSettings(
+            supersampling=3, shadows=True, light="radiosity", mucus_film_um=film
+        )
         frame = vrcaps.Renderer(model, settings).render(flight.state(9), camera, channels=("rgb",))
         image = Image.fromarray(np.asarray(frame.rgb))
         width, height = image.size

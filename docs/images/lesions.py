@@ -150,7 +150,7 @@ def tile(image: np.ndarray, text: str) -> np.ndarray:
 def main(folder: Path) -> None:
     """One patient for each row; each lesion above the same view of the clean twin."""
     device = vrcaps.read_device("mirocam")
-    settings = vrcaps.RenderSettings(supersampling=2, shadows=True, light="quick")
+    settings = vrcaps.RenderSettings(supersampling=2, shadows=True, light="radiosity")
     bands = []
     for seed, texts in enumerate(ROWS.values()):
         lesions = [parse_lesion(text) for text in texts]

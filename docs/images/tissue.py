@@ -15,9 +15,13 @@ from vrcaps.camera_pipeline.camera_changes import scaled_camera
 
 ORGANS = ("colon",)
 WAYS = {
-    "quick": vrcaps.RenderSettings(light="quick", shadows=True),
-    "quick, scattering": vrcaps.RenderSettings(light="quick", shadows=True, scattering=True),
-    "path, scattering": vrcaps.RenderSettings(light="path", samples=400, depth=10, scattering=True),
+    "radiosity": vrcaps.RenderSettings(light="radiosity", shadows=True),
+    "radiosity, scattering": vrcaps.RenderSettings(
+        light="radiosity", shadows=True, scattering=True
+    ),
+    "path, scattering": vrcaps.RenderSettings(
+        light="path", spp=400, max_bounces=10, scattering=True
+    ),
 }
 SIDE_PX = 320
 VIEW = 0.5

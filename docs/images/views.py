@@ -13,8 +13,8 @@ SHOWN = (3, 9, 14, 17)  # of 20 frames along the whole colon
 
 
 def view_row(model: vrcaps.Model, **settings: object) -> np.ndarray:
-    """The places side by side, in quick light with shadows and with further settings."""
-    chosen = {"supersampling": 2, "shadows": True, "light": "quick", **settings}
+    """The places side by side, with radiosity with shadows and with further settings."""
+    chosen = {"supersampling": 2, "shadows": True, "light": "radiosity", **settings}
     renderer = vrcaps.Renderer(model, vrcaps.RenderSettings(**chosen))  # type: ignore[arg-type]
     rng, camera = np.random.default_rng(0), model.device.cameras[0]
     flight = vrcaps.fly_through(model, vrcaps.FlyThrough(), frames=20, fps=3.0, rng=rng)

@@ -39,7 +39,7 @@ fn _core(m: &Bound<'_, PyModule>) -> PyResult<()> {
     m.add_class::<render::scene::Scene>()?;
     m.add_class::<render::texture::Texture>()?;
     m.add_class::<render::ray_table::RayTable>()?;
-    m.add_class::<render::radiosity::QuickLight>()?;
+    m.add_class::<render::radiosity::Radiosity>()?;
     m.add_function(wrap_pyfunction!(render::frame::render, m)?)?;
     m.add_function(wrap_pyfunction!(render::path::subsurface::walk_tissue, m)?)?;
     m.add_function(wrap_pyfunction!(render::channels::encode_srgb, m)?)?;

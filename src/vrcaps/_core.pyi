@@ -27,7 +27,7 @@ class Wall:
     def vertex_normals(self) -> NDArray[np.float32]: ...
 
 Vector = tuple[float, float, float]
-TissueFigures = tuple[Vector, float, float, NDArray[np.float32], float, NDArray[np.float32]]
+OpticalProperties = tuple[Vector, float, float, NDArray[np.float32], float, NDArray[np.float32]]
 Pose = tuple[Vector, tuple[float, float, float, float], Vector, Vector]
 
 class World:
@@ -225,7 +225,7 @@ class Scene:
         albedo: tuple[float, float, float],
         roughness: float,
         reflectance: tuple[float, float, float],
-        tissue: TissueFigures | None = None,
+        tissue: OpticalProperties | None = None,
     ) -> None: ...
 
 class RayTable:
@@ -273,11 +273,11 @@ class Contents:
     def free(
         self, wall: Wall, origin: tuple[float, float, float], points: NDArray[np.float64]
     ) -> NDArray[np.bool_]: ...
-    def free_ways(
+    def segments_unoccluded(
         self, wall: Wall, starts: NDArray[np.float64], points: NDArray[np.float64]
     ) -> NDArray[np.bool_]: ...
 
-class QuickLight:
+class Radiosity:
     def __init__(self, rest: Wall, scene: Scene) -> None: ...
     @property
     def num_sites(self) -> int: ...
@@ -296,7 +296,7 @@ def render(
     shadows: bool,
     contents: Contents | None = None,
     paths: tuple[int, int, int] | None = None,
-    quick: QuickLight | None = None,
+    radiosity: Radiosity | None = None,
 ) -> None: ...
 def walk_tissue(
     wall: Wall,
@@ -350,7 +350,7 @@ def through_dome(
     drops: tuple[NDArray[np.uint32], NDArray[np.uint32], NDArray[np.float32]] | None = None,
 ) -> NDArray[np.float32]: ...
 def bloom(planes: NDArray[np.float32], share: float, sigma: float) -> NDArray[np.float32]: ...
-def normals(shape: tuple[int, int], key: int, stream: int) -> NDArray[np.float32]: ...
+def standard_normal(shape: tuple[int, int], key: int, stream: int) -> NDArray[np.float32]: ...
 def read_sensor(
     planes: NDArray[np.float32],
     pattern: tuple[NDArray[np.float32], NDArray[np.float32]],

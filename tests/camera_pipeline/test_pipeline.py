@@ -122,7 +122,7 @@ def test_bubbles_on_the_capsule_stay_where_they_are(renderer: Renderer) -> None:
     chain = CameraChain(Effects(motion_blur=2), camera, number=0, fps=4.0, seed=0)
     moment = around()
     speed = np.linalg.norm(moving(chain, Renderer(model), moment), axis=-1)
-    front = Renderer(model).render(NOW, camera, channels=("front_label",)).front_label
+    front = Renderer(model).render(NOW, camera, channels=("foreground_label",)).foreground_label
     front = np.asarray(front)[2::4, 2::4]
     assert (front == 1).sum() > 5
     assert (speed[front == 1] == 0.0).all()
@@ -140,7 +140,7 @@ def test_a_bubble_is_out_of_focus_by_its_own_distance(renderer: Renderer) -> Non
         contents=Effects(bubbles=4).contents(Contents(seed=2)),
     )
     through = Renderer(model)
-    front = np.asarray(through.render(NOW, camera, channels=("front_label",)).front_label)
+    front = np.asarray(through.render(NOW, camera, channels=("foreground_label",)).foreground_label)
     near = [
         np.asarray(taken(through, effects, Moment(0, NOW), camera=camera).rgb, float)
         for effects in (Effects(), Effects(depth_of_field=Defocus(0.0005, 0.025)))
@@ -214,7 +214,9 @@ def fixed(rng: np.random.Generator, height: int, width: int) -> dict:
         "scales": ((0.5 * width, 0.5 * height), (1.01, 1.0, 0.99)),
         "shade": 1.0 - 0.5 * planes[1],
         "bloom": (0.1, 5.0),
-        "pattern": [_core.normals((3 * height, width), 3, k) * 0.01 + 1 - k for k in (0, 1)],
+        "pattern": [
+            _core.standard_normal((3 * height, width), 3, k) * 0.01 + 1 - k for k in (0, 1)
+        ],
         "mosaic": None,
         "jpeg": (60, None),
     }
@@ -366,7 +368,7 @@ planes = _core.scale_planes(planes, (41.0, 30.0), (1.01, 1.0, 0.99))
 planes = _core.bloom(_core.shade_planes(planes, distance * 10), 0.1, 5.0)
 readout = dict(full_well=900.0, read_noise=5.0, light=1.2, gain=1.0, white=1023.0,
                black=16.0, response=(0.6, 1.0, 0.7))
-pattern = [_core.normals((61, 83), 3, k) * 0.01 + 1 - k for k in (0, 1)]
+pattern = [_core.standard_normal((61, 83), 3, k) * 0.01 + 1 - k for k in (0, 1)]
 raw = _core.read_sensor(planes, pattern, readout, (0, 1, 1, 2), (9, 4))
 rgb = _core.develop(_core.demosaic(raw, (0, 1, 1, 2)), (1.0, 1.0, 1.1), lit)
 rgb = _core.jpeg(rgb, _core.jpeg_quality(rgb, 90, 3000))

@@ -60,7 +60,7 @@ def test_flags_reach_the_scenario(capsys: pytest.CaptureFixture[str]) -> None:
 @pytest.mark.parametrize(
     ("flags", "says"),
     [
-        (["--film-um", "-3"], "Film is -3.0. Allowed: 0 to 1000 [µm]."),
+        (["--mucus-film-um", "-3"], "Mucus film is -3.0. Allowed: 0 to 1000 [µm]."),
         (["--drift", "3"], "Fly-through drift (--drift) is 3.0. Allowed: 0 to below 1."),
     ],
 )
@@ -71,7 +71,7 @@ def test_a_value_that_cannot_be_ends_in_one_line(flags, says, capsys) -> None:
 def test_a_choice_that_is_not_there_names_those_that_are(capsys) -> None:
     status, error = stop(["record", "--out", "o", "--light", "glow"], capsys)
     assert status == 2
-    assert "'--light'" in error and "'quick'" in error
+    assert "'--light'" in error and "'radiosity'" in error
 
 
 def test_a_preparation_fills_the_patients_colon() -> None:

@@ -71,11 +71,11 @@ def test_the_episode_s_own_scenario_makes_the_same_files(episode: Path, tmp_path
         assert (out / name).read_bytes() == (episode / name).read_bytes(), name
 
 
-def test_bounced_light_is_recorded(phantom: Path, episode: Path, tmp_path: Path) -> None:
+def test_indirect_light_is_recorded(phantom: Path, episode: Path, tmp_path: Path) -> None:
     out = tmp_path / "direct"
     cli.main(f"record --organ {phantom} --out {out} {FLAGS} --light direct".split())
     glowing, plain = read_episode(episode), read_episode(out)
-    assert glowing.scenario.render.light == "quick"
+    assert glowing.scenario.render.light == "radiosity"
     for channel in ("depth", "label"):
         np.testing.assert_array_equal(
             glowing.image("front", channel, 1), plain.image("front", channel, 1)

@@ -404,7 +404,7 @@ def test_a_users_own_mucosa(tube):
         tube, seed=0, mucosa=Mucosa(base_color=(0.8, 0.75, 0.7), bile=0.0), texels_per_mm=2.0
     )
     assert decode(pale.albedo).mean() > 0.5
-    assert pale.coat_gloss == Mucosa(base_color=(0, 0, 0)).coat_gloss
+    assert pale.clearcoat_gloss == Mucosa(base_color=(0, 0, 0)).clearcoat_gloss
 
 
 @pytest.mark.parametrize(

@@ -121,7 +121,7 @@ def test_baking_takes_the_path_of_a_texture(tmp_path) -> None:
     write_texture(tmp_path / "mine", texture())
     organ = tube()
     look = bake_appearance(organ, seed=1, mucosa=str(tmp_path / "mine"), texels_per_mm=4.0)
-    assert look.coat_gloss == 0.93
+    assert look.clearcoat_gloss == 0.93
     # The slow variation has a standard deviation of 3 % in red.
     assert look.albedo[..., 0].mean() == pytest.approx(200.0, rel=0.04)
     assert replace(organ, appearance=look).appearance is look

@@ -54,8 +54,8 @@ def organ() -> OrganSurface:
             roughness=rng.integers(0, 256, (24, 40), np.uint8),
             height=round_height(rng.normal(0.0, 3e-4, (24, 40))),
             ior=1.37,
-            coat=0.123456789,
-            coat_gloss=1 / 3,
+            clearcoat=0.123456789,
+            clearcoat_gloss=1 / 3,
         ),
         metadata={"seed": 3, "lesions": [{"instance": 1, "kind": "polyp", "arc_length_m": 0.1}]},
     )

@@ -10,7 +10,7 @@ METRIC = [name for name in CHANNELS if ENCODINGS[name].scale is not None]
 RANGES = {
     "depth": (1e-5, 0.65535),
     "ray_distance": (1e-5, 0.65535),
-    "front_depth": (1e-5, 0.65535),
+    "foreground_depth": (1e-5, 0.65535),
     "normal": (-1.0, 1.0),
     "albedo": (0.0, 1.0),
     "arc_length": (0.0, 13.1),

@@ -54,13 +54,13 @@ def test_a_whole_episode_has_no_problems(recorded):
 
 @pytest.mark.parametrize("says_where", [True, False])
 def test_liquid_bends_rays_and_is_no_problem(scenario, tmp_path, says_where):
-    channels = ("depth", "ray_distance", "normal", *(("bend_label",) if says_where else ()))
+    channels = ("depth", "ray_distance", "normal", *(("refraction_label",) if says_where else ()))
     wet = replace(scenario, frames=2, contents=Contents(liquid=Liquid(0.3)), channels=channels)
     out = record(wet, tmp_path / "wet")
     assert check_episode(out) == []
     if not says_where:
         return
-    labels = np.stack([read_image(p) for p in sorted(out.glob("front/bend_label/*.png"))])
+    labels = np.stack([read_image(p) for p in sorted(out.glob("front/refraction_label/*.png"))])
     assert (labels > 0).mean() > 0.05
     _edit_image(
         out,

@@ -8,7 +8,13 @@ from vrcaps.recording.pictures import contact_sheet, limits_of, picture
 from vrcaps.recording.preview import Preview
 from vrcaps.render.frame import CHANNELS
 
-FRONT = ("front_label", "front_instance", "front_depth", "bend_label", "dome_label")
+FRONT = (
+    "foreground_label",
+    "foreground_instance",
+    "foreground_depth",
+    "refraction_label",
+    "dome_label",
+)
 
 
 @pytest.mark.parametrize("channel", [name for name in CHANNELS if name not in FRONT])
@@ -24,7 +30,7 @@ def test_every_channel_has_a_picture(recorded, channel):
 @pytest.mark.parametrize("channel", FRONT)
 def test_what_is_in_front_has_a_picture(channel):
     values = np.array([[0.0, 1.0, 2.0]], np.float32)
-    values = values * 0.01 if channel == "front_depth" else values.astype(np.uint8)
+    values = values * 0.01 if channel == "foreground_depth" else values.astype(np.uint8)
     shown = picture(channel, values, limits_of(channel, [values]))
     assert len(np.unique(shown.reshape(-1, 3), axis=0)) == 3
 

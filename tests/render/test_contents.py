@@ -24,7 +24,7 @@ from vrcaps.units import MM
 from vrcaps.world.model import State
 
 GEOMETRY = ("depth", "ray_distance", "normal", "label", "instance", "position")
-FRONT = ("front_label", "front_instance", "front_depth")
+FRONT = ("foreground_label", "foreground_instance", "foreground_depth")
 BALL = (1.0 * MM, -2.0 * MM, 9.0 * MM)
 CHYME_LABEL = 9
 """Follows the eight octants of the test organs."""
@@ -90,7 +90,7 @@ def test_a_particle_is_a_surface_in_every_channel(organ: OrganSurface, lens: str
     np.testing.assert_allclose(seen.normal[inner], normal[inner], atol=2e-3)
     assert (seen.instance[both] == 1000).all()
     np.testing.assert_allclose(seen.arc_length[both], 0.123, rtol=1e-6)
-    assert (seen.front_label == 0).all() and np.isnan(seen.front_depth).all()
+    assert (seen.foreground_label == 0).all() and np.isnan(seen.foreground_depth).all()
     for name in GEOMETRY:
         np.testing.assert_array_equal(getattr(seen, name)[~mask], getattr(empty, name)[~mask])
 
@@ -112,10 +112,10 @@ def test_a_bubble_leaves_the_labels_behind_it(organ: OrganSurface) -> None:
     distance = crossing(rays, center, radius)
     off = np.abs(np.linalg.norm(np.cross(rays, center), axis=-1) - radius) > 1e-6
     mask = np.isfinite(distance)
-    np.testing.assert_array_equal((seen.front_label == 1)[off], mask[off])
+    np.testing.assert_array_equal((seen.foreground_label == 1)[off], mask[off])
     depth = distance * rays[..., 2]
-    np.testing.assert_allclose(seen.front_depth[mask & off], depth[mask & off], atol=2e-6)
-    assert set(np.unique(seen.front_instance)) == {0, 1000}
+    np.testing.assert_allclose(seen.foreground_depth[mask & off], depth[mask & off], atol=2e-6)
+    assert set(np.unique(seen.foreground_instance)) == {0, 1000}
     np.testing.assert_array_equal(seen.rgb[~mask & off], empty.rgb[~mask & off])
     assert (seen.rgb[mask] != empty.rgb[mask]).any()
 
@@ -186,22 +186,24 @@ def test_liquid_begins_at_its_level(organ: OrganSurface, level: float) -> None:
     state = looking((0.0, 0.0, 0.0), (0.6, 0.0, -0.8))
     spheres = balls(np.zeros((0, 3)), np.zeros(0), WHITE)
     full = filled(state, spheres, pool(organ, level))
-    seen = renderer.render(full, camera, channels=(*GEOMETRY, *FRONT, "bend_label"))
+    seen = renderer.render(full, camera, channels=(*GEOMETRY, *FRONT, "refraction_label"))
     empty = renderer.render(state, camera, channels=GEOMETRY)
-    straight = seen.bend_label == 0
+    straight = seen.refraction_label == 0
     for name in GEOMETRY:
         expected = getattr(empty, name)[straight]
         np.testing.assert_array_equal(getattr(seen, name)[straight], expected)
     known = np.isfinite(seen.depth)
     if level > 0.0:
-        assert (seen.front_label[known] == 2).all() and (seen.front_depth[known] == 0.0).all()
+        assert (seen.foreground_label[known] == 2).all() and (
+            seen.foreground_depth[known] == 0.0
+        ).all()
         return
     below = known & (empty.position[..., 2] < level)
-    np.testing.assert_array_equal(seen.front_label[known] == 2, below[known])
+    np.testing.assert_array_equal(seen.foreground_label[known] == 2, below[known])
     # Similar triangles: the crossing divides a straight depth as the level divides the drop.
     share = level / empty.position[..., 2]
     np.testing.assert_allclose(
-        seen.front_depth[below], (share * empty.depth)[below], rtol=1e-4, atol=1e-6
+        seen.foreground_depth[below], (share * empty.depth)[below], rtol=1e-4, atol=1e-6
     )
 
 
@@ -288,9 +290,9 @@ def test_a_bubble_at_the_eye(organ: OrganSurface, ball: tuple[float, ...]) -> No
     known = np.isfinite(way) & (way > 0.0)
     if is_inside:
         assert known.all()
-    np.testing.assert_array_equal(frame.front_label == 1, known)
+    np.testing.assert_array_equal(frame.foreground_label == 1, known)
     expected = (way * rays[..., 2])[known]
-    np.testing.assert_allclose(frame.front_depth[known], expected, rtol=1e-4)
+    np.testing.assert_allclose(frame.foreground_depth[known], expected, rtol=1e-4)
     assert np.isfinite(frame.radiance).all()
 
 
@@ -299,8 +301,8 @@ def test_nothing_in_front_without_contents(organ: OrganSurface) -> None:
     frame = Renderer(make_model(organ, camera)).render(
         looking((0.0, 0.0, 0.0)), camera, channels=FRONT
     )
-    assert (frame.front_label == 0).all() and (frame.front_instance == 0).all()
-    assert np.isnan(frame.front_depth).all()
+    assert (frame.foreground_label == 0).all() and (frame.foreground_instance == 0).all()
+    assert np.isnan(frame.foreground_depth).all()
 
 
 def digest() -> str:

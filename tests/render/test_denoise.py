@@ -17,7 +17,7 @@ from vrcaps.render.denoise import denoise
 from vrcaps.render.renderer import Renderer
 from vrcaps.render.settings import RenderSettings
 
-PATHS = RenderSettings(light="path", samples=4, depth=3)
+PATHS = RenderSettings(light="path", spp=4, max_bounces=3)
 
 
 def _image(size: int = 64, **settings) -> dict[str, np.ndarray]:
@@ -36,7 +36,7 @@ def digest() -> str:
 
 def test_error_falls_to_less_than_half() -> None:
     pytest.importorskip("pyoidn")
-    noisy, clean, exact = _image(), _image(denoise=True), _image(samples=128, light_seed=1)
+    noisy, clean, exact = _image(), _image(denoise=True), _image(spp=128, path_seed=1)
     truth = exact["radiance"]
     errors = [np.sqrt(np.mean((i["radiance"] - truth) ** 2)) for i in (noisy, clean)]
     assert errors[1] < 0.5 * errors[0]
@@ -58,7 +58,7 @@ def test_the_first_reflection_is_left_as_it_is() -> None:
 def test_supersampled_images_are_denoised_too() -> None:
     pytest.importorskip("pyoidn")
     fine = _image(supersampling=2, denoise=True)["radiance"]
-    truth = _image(supersampling=2, samples=48, light_seed=1)["radiance"]
+    truth = _image(supersampling=2, spp=48, path_seed=1)["radiance"]
     noisy = _image(supersampling=2)["radiance"]
     errors = [np.sqrt(np.mean((image - truth) ** 2)) for image in (noisy, fine)]
     assert errors[1] < 0.6 * errors[0]
@@ -90,5 +90,7 @@ def test_without_the_package_the_extra_is_named(monkeypatch: pytest.MonkeyPatch)
 
 
 def test_only_path_tracing_has_noise() -> None:
-    with pytest.raises(InputError, match=r"Light 'quick' has no noise to take away\. Drop denoise"):
-        RenderSettings(light="quick", denoise=True)
+    with pytest.raises(
+        InputError, match=r"Light 'radiosity' has no noise to take away\. Drop denoise"
+    ):
+        RenderSettings(light="radiosity", denoise=True)

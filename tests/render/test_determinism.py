@@ -22,7 +22,7 @@ CHANNELS = (
 
 
 def digest() -> str:
-    """Checksum of all channels of two frames in a moving, folded tube, and of bounced light."""
+    """Checksum of all channels of two frames in a moving, folded tube, and of indirect light."""
     rng = np.random.default_rng(5)
     look = patterned(rng, relief=3e-4)
     organ = tube(60, 120, folds=0.4, capped=True, appearance=look)
@@ -40,7 +40,7 @@ def digest() -> str:
         for name in CHANNELS:
             total.update(getattr(frame, name).tobytes())
     for scattering in (False, True):
-        settings = RenderSettings(light="path", samples=5, depth=5, scattering=scattering)
+        settings = RenderSettings(light="path", spp=5, max_bounces=5, scattering=scattering)
         traced = Renderer(renderer.model, settings)
         total.update(traced.render(states[1], camera, channels=("radiance",)).radiance.tobytes())
     return total.hexdigest()

@@ -15,7 +15,7 @@ from vrcaps.mucosa.appearance import ABSORPTION
 from vrcaps.organ.surface import Appearance
 from vrcaps.render.led_light import PHOSPHOR, led_light
 from vrcaps.render.renderer import Renderer
-from vrcaps.render.scattering import diffuse_reflectance, internal_reflection
+from vrcaps.render.scattering import diffuse_reflectance, internal_reflectance
 from vrcaps.render.settings import RenderSettings
 
 NM = np.arange(380.0, 701.0, 4.0)
@@ -67,7 +67,7 @@ def test_two_lines_against_diffusion_by_hand():
     }
     color = mucosa(0.2, 0.7, 0.0)
     found = {nm: -np.log(light.reflectance(color)[2]) for nm, light in blue.items()}
-    internal = internal_reflection(1.4)
+    internal = internal_reflectance(1.4)
 
     def density(absorption: float) -> float:
         return float(-np.log(diffuse_reflectance(np.array(absorption), internal=internal)))
@@ -119,7 +119,7 @@ def test_a_capsules_own_leds_light_the_image():
     """An even wall's image is that of its colour under the device's LEDs."""
     albedo = np.rint(255.0 * np.array([0.75, 0.5, 0.42])).astype(np.uint8)
     look = Appearance(np.tile(albedo, (4, 4, 1)), np.full((4, 4), 255, np.uint8), np.zeros((4, 4)))
-    organ = replace(sphere(3), appearance=replace(look, coat=0.0))
+    organ = replace(sphere(3), appearance=replace(look, clearcoat=0.0))
     camera = make_camera(leds=(Led((0.0, 0.0, 0.0)),))
     model = make_model(organ, camera)
     own = replace(model, device=replace(model.device, led_spectrum=VIOLET))

@@ -25,7 +25,7 @@ from vrcaps.camera.camera import Led
 from vrcaps.camera.lens import LensEquidistant
 from vrcaps.camera.rays import camera_rays
 from vrcaps.errors import InputError, UnknownNameError
-from vrcaps.organ.surface import Appearance, OrganSurface, coat_alpha
+from vrcaps.organ.surface import Appearance, OrganSurface, clearcoat_alpha
 from vrcaps.render.frame import Frame
 from vrcaps.render.renderer import Renderer
 from vrcaps.render.settings import RenderSettings
@@ -34,7 +34,7 @@ from vrcaps.transforms import rotate_vectors
 RADIANCE = ("radiance",)
 
 
-def _plain(albedo: int = 255, roughness: int = 128, *, ior: float = 1.0, coat: float = 0.0):
+def _plain(albedo: int = 255, roughness: int = 128, *, ior: float = 1.0, clearcoat: float = 0.0):
     """One colour everywhere; index 1 and no coat leave only the diffuse base."""
     shape = (1, 1)
     return Appearance(
@@ -42,7 +42,7 @@ def _plain(albedo: int = 255, roughness: int = 128, *, ior: float = 1.0, coat: f
         np.full(shape, roughness, np.uint8),
         np.zeros(shape),
         ior=ior,
-        coat=coat,
+        clearcoat=clearcoat,
     )
 
 
@@ -66,7 +66,7 @@ def test_radiance_agrees_with_mitsuba(
     rng: np.random.Generator, lobe: float, wet: bool, shadows: bool
 ) -> None:
     """Without shadows inside a sphere, where there are none; with them behind ring folds."""
-    look = replace(patterned(rng), ior=1.4 if wet else 1.0001, coat=0.7 if wet else 0.0)
+    look = replace(patterned(rng), ior=1.4 if wet else 1.0001, clearcoat=0.7 if wet else 0.0)
     angles = (0.0, 2.0, 4.0)
     leds = tuple(
         Led(
@@ -160,10 +160,10 @@ def test_highlight_of_the_coat_facing_the_light() -> None:
     """A quarter of 0.04 times the GTR1 density (a² − 1)/(π ln a²) / a² (Burley 2012, 5.4)."""
     led = Led((0.0, 0.0, 0.0), lobe_exponent=0.0)
     camera = make_camera(pinhole(1), leds=(led,))
-    look = replace(_plain(0, 128, coat=0.8), coat_gloss=0.6)
+    look = replace(_plain(0, 128, clearcoat=0.8), clearcoat_gloss=0.6)
     state = looking((0.0, 0.0, 0.01), (0.0, 0.0, -1.0))
     image = Renderer(make_model(_floor(look), camera)).render(state, camera, channels=RADIANCE)
-    square = coat_alpha(0.6) ** 2
+    square = clearcoat_alpha(0.6) ** 2
     density = (square - 1.0) / (np.pi * np.log(square)) / square
     expected = 0.8 * 0.25 * 0.04 * density * 1e-3 / 0.01**2
     np.testing.assert_allclose(image.radiance[0, 0], expected, rtol=1e-3)
@@ -183,7 +183,7 @@ def test_the_wall_reflects_no_more_light_than_it_gets(slant: float) -> None:
     leds = tuple(Led(tuple(p), lobe_exponent=0.0) for p in rotate_vectors(pose.T, places))
     camera = make_camera(pinhole(1), leds=leds)
     for roughness in (77, 128, 255):
-        look = _plain(255, roughness, ior=1.4, coat=1.0)
+        look = _plain(255, roughness, ior=1.4, clearcoat=1.0)
         model = make_model(_floor(look, size=1000.0), camera)
         image = Renderer(model).render(state, camera, channels=RADIANCE).radiance
         reflected = image[0, 0, 0] / 1e-3 * far**2 * 2.0 * np.pi / count

@@ -13,10 +13,10 @@ from vrcaps.color import LUMINANCE, log_linear_from_srgb, srgb_from_log_linear
 from vrcaps.lumen.liquid import Liquid
 from vrcaps.mucosa.appearance import ABSORPTION, MUCOSAE
 from vrcaps.organ.surface import Appearance
-from vrcaps.render.imaging import taken_apart
+from vrcaps.render.imaging import unmix_chromophores
 from vrcaps.render.narrow_band import blood_density, narrow_band
 from vrcaps.render.renderer import Renderer
-from vrcaps.render.scattering import diffuse_reflectance, fresnel, internal_reflection
+from vrcaps.render.scattering import diffuse_reflectance, fresnel, internal_reflectance
 from vrcaps.render.settings import RenderSettings
 
 
@@ -29,7 +29,7 @@ def test_reflectance_against_random_walks(rng):
     """Diffusion beside a Monte-Carlo walk in a half-space of index 1.4, isotropic scattering."""
     for absorption in (0.02, 0.1):
         walked = _walk(absorption, 20_000, rng)
-        found = diffuse_reflectance(np.array(absorption), internal=internal_reflection(1.4))
+        found = diffuse_reflectance(np.array(absorption), internal=internal_reflectance(1.4))
         assert found == pytest.approx(walked, rel=0.12)
 
 
@@ -82,7 +82,7 @@ def test_vessels_stand_out():
 
 def test_pale_mucosa_is_neutral_and_plain_mucosa_as_bright_as_in_white_light():
     light, plain = narrow_band(), np.array(MUCOSAE["colon"].base_color)
-    pale = mucosa(0.0, 0.5 * taken_apart(np.log(plain))[1], 0.0)
+    pale = mucosa(0.0, 0.5 * unmix_chromophores(np.log(plain))[1], 0.0)
     color = light.reflectance(pale) * light.led_gains
     np.testing.assert_allclose(color, color[0], rtol=3e-3)
     seen = light.reflectance(plain) * light.led_gains
@@ -103,7 +103,7 @@ def test_a_wall_looks_like_its_colour_by_the_light_of_the_bands():
     """An even wall, dull and dry: its image is that of white light times reflectance and gain."""
     albedo = np.rint(255.0 * np.array([0.75, 0.5, 0.42])).astype(np.uint8)
     look = Appearance(np.tile(albedo, (4, 4, 1)), np.full((4, 4), 255, np.uint8), np.zeros((4, 4)))
-    organ = replace(sphere(3), appearance=replace(look, coat=0.0))
+    organ = replace(sphere(3), appearance=replace(look, clearcoat=0.0))
     camera = make_camera(leds=(Led((0.0, 0.0, 0.0)),))
     model, channels = make_model(organ, camera), ("radiance", "albedo")
     white, narrow = (

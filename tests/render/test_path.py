@@ -22,9 +22,9 @@ from vrcaps.transforms import rotate_vectors
 from vrcaps.world.model import Model, State
 
 LOOKS = {
-    "white": {"albedo": 255, "roughness": 128, "ior": 1.0, "coat": 0.0},
-    "dull": {"albedo": 150, "roughness": 230, "ior": 1.0, "coat": 0.0},
-    "wet": {"albedo": 180, "roughness": 128, "ior": 1.4, "coat": 0.8},
+    "white": {"albedo": 255, "roughness": 128, "ior": 1.0, "clearcoat": 0.0},
+    "dull": {"albedo": 150, "roughness": 230, "ior": 1.0, "clearcoat": 0.0},
+    "wet": {"albedo": 180, "roughness": 128, "ior": 1.4, "clearcoat": 0.8},
 }
 
 
@@ -32,10 +32,12 @@ TEXEL_STEPS = 2047
 """Of the square root of a colour, as a texel holds it."""
 
 
-def _look(albedo: int, roughness: int, ior: float, coat: float) -> Appearance:
+def _look(albedo: int, roughness: int, ior: float, clearcoat: float) -> Appearance:
     color = np.full((1, 1, 3), albedo, np.uint8)
     rough = np.full((1, 1), roughness, np.uint8)
-    return Appearance(color, rough, np.zeros((1, 1)), ior=ior, coat=coat, coat_gloss=0.2)
+    return Appearance(
+        color, rough, np.zeros((1, 1)), ior=ior, clearcoat=clearcoat, clearcoat_gloss=0.2
+    )
 
 
 def _radiance(model: Model, camera: Camera, state: State, **settings: int) -> np.ndarray:
@@ -96,7 +98,7 @@ def test_hollow_sphere(name: str, depth: int) -> None:
     model = make_model(sphere(5, radius=radius, appearance=look), camera)
     samples = 192 if name == "wet" else 64
     images = [
-        _radiance(model, camera, state, samples=samples, depth=depth, light_seed=seed)[..., 0]
+        _radiance(model, camera, state, spp=samples, max_bounces=depth, path_seed=seed)[..., 0]
         for seed in range(4)  # one image's pixels share light paths
     ]
     found = np.stack(images)
@@ -112,7 +114,7 @@ def test_hollow_sphere(name: str, depth: int) -> None:
 @pytest.mark.parametrize("depth", [2, 4])
 def test_radiance_agrees_with_mitsuba(rng: np.random.Generator, depth: int) -> None:
     """Beside ring folds, wet and patterned: no block of pixels differs by more than noise does."""
-    look = replace(patterned(rng), coat_gloss=0.0)
+    look = replace(patterned(rng), clearcoat_gloss=0.0)
     organ = tube(120, 320, length=0.15, folds=0.35, capped=True, appearance=look)
     leds = tuple(
         Led((0.003 * np.cos(a), 0.003 * np.sin(a), -0.001), lobe_exponent=0.0)
@@ -122,8 +124,8 @@ def test_radiance_agrees_with_mitsuba(rng: np.random.Generator, depth: int) -> N
     model, state = make_model(organ, camera), looking((0.004, -0.003, 0.04))
     direct = RenderSettings(shadows=True)
     straight = Renderer(model, direct).render(state, camera, channels=("radiance",)).radiance
-    theirs = _blocks(path_light(model, camera, state, depth=depth, samples=96))
-    ours = _blocks(_radiance(model, camera, state, samples=4096, depth=depth)[None])[0]
+    theirs = _blocks(path_light(model, camera, state, max_bounces=depth, spp=96))
+    ours = _blocks(_radiance(model, camera, state, spp=4096, max_bounces=depth)[None])[0]
     assert _blocks(straight[None]).sum() < 0.95 * ours.sum()
     error = theirs.std(axis=0, ddof=1) / np.sqrt(len(theirs))
     z = (ours - theirs.mean(axis=0)) / error
@@ -150,17 +152,17 @@ def test_one_reflection_is_direct_light_with_shadows(folded: tuple[Model, Camera
     model, camera, state = folded
     settings = RenderSettings(shadows=True)
     direct = Renderer(model, settings).render(state, camera, channels=("radiance",)).radiance
-    np.testing.assert_array_equal(_radiance(*folded, samples=4, depth=1), direct)
-    assert (_radiance(*folded, samples=4, depth=2) >= direct).all()
+    np.testing.assert_array_equal(_radiance(*folded, spp=4, max_bounces=1), direct)
+    assert (_radiance(*folded, spp=4, max_bounces=2) >= direct).all()
     dark = replace(camera, leds=())
-    assert not _radiance(model, dark, state, samples=4, depth=3).any()
+    assert not _radiance(model, dark, state, spp=4, max_bounces=3).any()
 
 
 def test_labels_do_not_depend_on_light(folded: tuple[Model, Camera, State]) -> None:
     model, camera, state = folded
     names = ("depth", "normal", "label", "instance", "albedo", "position")
     for light in ("direct", "path"):
-        settings = RenderSettings(light=light, samples=1)
+        settings = RenderSettings(light=light, spp=1)
         frame = Renderer(model, settings).render(state, camera, channels=(*names, "rgb"))
         bare = Renderer(model, settings).render(state, camera, channels=names)
         for name in names:
@@ -169,11 +171,11 @@ def test_labels_do_not_depend_on_light(folded: tuple[Model, Camera, State]) -> N
 
 def test_seed_time_and_view_choose_the_paths(folded: tuple[Model, Camera, State]) -> None:
     model, camera, state = folded
-    first = _radiance(*folded, samples=2)
-    np.testing.assert_array_equal(first, _radiance(*folded, samples=2))
+    first = _radiance(*folded, spp=2)
+    np.testing.assert_array_equal(first, _radiance(*folded, spp=2))
     others = [
-        _radiance(*folded, samples=2, light_seed=1),
-        _radiance(model, camera, replace(state, time=0.1), samples=2),
+        _radiance(*folded, spp=2, path_seed=1),
+        _radiance(model, camera, replace(state, time=0.1), spp=2),
     ]
     for other in others:
         assert np.mean(other != first) > 0.5
@@ -184,15 +186,15 @@ def test_noise_falls_with_samples(folded: tuple[Model, Camera, State]) -> None:
     """At least as 1/√n; even sampling makes it fall faster."""
     model, _, state = folded
     small = make_camera(pinhole(32, 1.8))
-    exact = _radiance(model, small, state, samples=1024, light_seed=9)
-    images = [_radiance(model, small, state, samples=n) for n in (4, 16, 64)]
+    exact = _radiance(model, small, state, spp=1024, path_seed=9)
+    images = [_radiance(model, small, state, spp=n) for n in (4, 16, 64)]
     errors = [np.sqrt(np.mean((image - exact) ** 2)) for image in images]
     assert all(later < 0.6 * earlier for earlier, later in pairwise(errors))
 
 
 def test_rays_within_a_pixel_share_its_paths(folded: tuple[Model, Camera, State]) -> None:
-    one = _radiance(*folded, samples=64)
-    four = _radiance(*folded, samples=16, supersampling=2)
+    one = _radiance(*folded, spp=64)
+    four = _radiance(*folded, spp=16, supersampling=2)
     np.testing.assert_allclose(four.mean(), one.mean(), rtol=0.03)
 
 
@@ -206,7 +208,7 @@ def test_harsh_input_gives_finite_light(rng: np.random.Generator) -> None:
     on_wall = rotate_vectors(pose.T, organ.vertices[1200:1202] - pose[:3, 3])
     leds = tuple(Led(tuple(place), lobe_exponent=2.0) for place in (*on_wall, np.zeros(3)))
     camera = make_camera("equidistant", leds=leds)
-    radiance = _radiance(make_model(organ, camera), camera, state, samples=8, depth=9)
+    radiance = _radiance(make_model(organ, camera), camera, state, spp=8, max_bounces=9)
     assert np.isfinite(radiance).all()
     assert (radiance >= 0.0).all()
 
@@ -214,9 +216,9 @@ def test_harsh_input_gives_finite_light(rng: np.random.Generator) -> None:
 def test_wrong_settings() -> None:
     with pytest.raises(UnknownNameError, match=r"No light named 'sun'\. Known: direct, path"):
         RenderSettings(light="sun")  # type: ignore[arg-type]
-    with pytest.raises(InputError, match=r"Samples is 0\. Allowed: 1 to 2147483648"):
-        RenderSettings(samples=0)
-    with pytest.raises(InputError, match=r"Depth is 101\. Allowed: 1 to 100"):
-        RenderSettings(depth=101)
-    with pytest.raises(InputError, match=r"Light seed is -1\. Allowed: 0 to 2\^64 − 1"):
-        RenderSettings(light_seed=-1)
+    with pytest.raises(InputError, match=r"Samples per pixel is 0\. Allowed: 1 to 2147483648"):
+        RenderSettings(spp=0)
+    with pytest.raises(InputError, match=r"Max bounces is 101\. Allowed: 1 to 100"):
+        RenderSettings(max_bounces=101)
+    with pytest.raises(InputError, match=r"Path seed is -1\. Allowed: 0 to 2\^64 − 1"):
+        RenderSettings(path_seed=-1)

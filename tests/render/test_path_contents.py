@@ -31,8 +31,8 @@ LOOK = Appearance(
     np.full((1, 1), 153, np.uint8),  # as rough as particles
     np.zeros((1, 1)),
     ior=1.0,
-    coat=0.0,
-    coat_gloss=0.2,
+    clearcoat=0.0,
+    clearcoat_gloss=0.2,
 )
 
 
@@ -57,11 +57,11 @@ def scene(
     return make_camera(pinhole(40, 0.9), leds=(lamp,)), state
 
 
-def bounced(organ: OrganSurface, camera: Camera, state: State, depth: int = 6) -> np.ndarray:
+def indirect(organ: OrganSurface, camera: Camera, state: State, depth: int = 6) -> np.ndarray:
     """Radiance beyond the first reflection."""
     model = make_model(organ, camera)
-    path = RenderSettings(light="path", samples=64, depth=depth)
-    direct = replace(path, depth=1)
+    path = RenderSettings(light="path", spp=64, max_bounces=depth)
+    direct = replace(path, max_bounces=1)
     both = [
         Renderer(model, s).render(state, camera, channels=("radiance",)).radiance
         for s in (path, direct)
@@ -70,7 +70,7 @@ def bounced(organ: OrganSurface, camera: Camera, state: State, depth: int = 6) -
 
 
 def sphere_light(passes: Callable[[np.ndarray], np.ndarray], first: float, depth: int) -> float:
-    """Irradiance of the wall by light that has bounced, per that of the lamp.
+    """Irradiance of the wall by light after the first reflection, per that of the lamp.
 
     Of light that leaves a matt wall at an angle θ a share T(θ) gets across, so that each bounce
     leaves ρ ∫ T 2 sin θ cos θ dθ of the one before, everywhere alike. Burley's base is matt but for
@@ -99,7 +99,7 @@ def test_absorbing_liquid_dims_every_bounce() -> None:
     pools = Pools(np.array([1.0]), np.ones(count, np.uint16), np.array([[-1.0, 1.0]]), np.ones(1))
     nothing = ball((0.0, 0.0, 0.5), 1e-6, WHITE)
     wet = replace(dry, lumen_contents=LumenContents(Contents(0, 0, liquid), nothing, pools))
-    found = bounced(organ, camera, wet).mean() / bounced(organ, camera, dry).mean()
+    found = indirect(organ, camera, wet).mean() / indirect(organ, camera, dry).mean()
 
     def through(sine: np.ndarray) -> np.ndarray:
         return np.exp(-absorption * 2.0 * RADIUS * np.sqrt(1.0 - sine**2))
@@ -120,7 +120,7 @@ def test_a_bubble_takes_its_share_of_every_way() -> None:
     full = replace(
         dry, lumen_contents=LumenContents(contents, ball((0.0, 0.0, 0.0), radius, BUBBLE), None)
     )
-    found = bounced(organ, camera, full).mean() / bounced(organ, camera, dry).mean()
+    found = indirect(organ, camera, full).mean() / indirect(organ, camera, dry).mean()
 
     def crossing(sine: np.ndarray) -> np.ndarray:
         c1 = np.sqrt(1.0 - sine**2)
@@ -145,10 +145,10 @@ def test_a_particle_bounces_light_as_a_ball_of_wall_does(radius: float) -> None:
     organ, center = sphere(4, appearance=LOOK), np.array([4.0, 2.0, 6.0]) * MM
     lamp = np.array([-6.0, 0.0, -4.0]) * MM
     camera, state = scene((-9.0 * MM, 3.0 * MM, -9.0 * MM), (0.4, -0.1, 1.0), lamp)
-    nothing = bounced(organ, camera, state)
+    nothing = indirect(organ, camera, state)
     lumen_contents = LumenContents(Contents(0, 1, 0), ball(tuple(center), radius, WHITE), None)
-    floating = bounced(organ, camera, replace(state, lumen_contents=lumen_contents))
-    rigid = bounced(with_ball(organ, center, radius), camera, state)
+    floating = indirect(organ, camera, replace(state, lumen_contents=lumen_contents))
+    rigid = indirect(with_ball(organ, center, radius), camera, state)
     rays = camera_rays(camera).astype(float) @ state.T_world_capsule[:3, :3].T
     offset = center - state.T_world_capsule[:3, 3]
     is_ball = np.linalg.norm(np.cross(rays, offset), axis=-1) < 1.03 * radius

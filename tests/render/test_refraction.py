@@ -18,7 +18,7 @@ from vrcaps.lumen.particles import BUBBLE, WHITE, Spheres
 from vrcaps.lumen.pools import Pools
 from vrcaps.organ.surface import Appearance, OrganSurface
 from vrcaps.render.frame import Frame
-from vrcaps.render.refraction import bend_ways, levels_met
+from vrcaps.render.refraction import refract_paths, surface_heights
 from vrcaps.render.renderer import Renderer
 from vrcaps.render.settings import RenderSettings
 from vrcaps.units import DEG, MM
@@ -26,12 +26,12 @@ from vrcaps.world.model import State
 
 IOR = 1.333
 LEVEL = -4.0 * MM
-STRAIGHT, REFRACTED, MIRRORED = range(3)
+STRAIGHT, REFRACTED, REFLECTED = range(3)
 CLEAR = Liquid(absorption=(0.0, 0.0, 0.0), scattering=(0.0, 0.0, 0.0))
 PLAIN = Appearance(np.zeros((1, 1, 3), np.uint8), np.zeros((1, 1), np.uint8), np.zeros((1, 1)))
 ALBEDO, ROUGHNESS = np.array([0.52, 0.22, 0.16]), 0.5
 """Of an organ without an appearance."""
-CHANNELS = ("ray_distance", "depth", "position", "normal", "bend_label", "front_label")
+CHANNELS = ("ray_distance", "depth", "position", "normal", "refraction_label", "foreground_label")
 
 
 @pytest.fixture(scope="module")
@@ -112,7 +112,7 @@ def test_rays_bend_by_snells_law(organ: OrganSurface, under: bool) -> None:
     frame = seen(organ, camera, state)
     ways = Ways.of(camera, state, LEVEL)
     known = np.isfinite(frame.ray_distance)
-    bent = known & (frame.bend_label != STRAIGHT)
+    bent = known & (frame.refraction_label != STRAIGHT)
     assert bent.sum() > 500
     length = ways.on_sphere(ways.second)
     expected = ways.turn + length[..., None] * ways.second
@@ -129,7 +129,7 @@ def test_rays_bend_by_snells_law(organ: OrganSurface, under: bool) -> None:
     )
     assert ((ways.second * ways.first).sum(axis=-1)[bent] < 1.0 + 1e-12).all()
     if not under:
-        assert set(np.unique(frame.bend_label[known])) == {STRAIGHT, REFRACTED}
+        assert set(np.unique(frame.refraction_label[known])) == {STRAIGHT, REFRACTED}
         assert (frame.position[..., 2][bent] < LEVEL).all()
         return
     rising = known & (ways.first[..., 2] > 0.0)
@@ -137,19 +137,19 @@ def test_rays_bend_by_snells_law(organ: OrganSurface, under: bool) -> None:
     clear = np.abs(slant - np.arcsin(1.0 / IOR)) > 1e-4
     beyond = slant > np.arcsin(1.0 / IOR)
     np.testing.assert_array_equal(
-        (frame.bend_label[rising & bent] == MIRRORED)[clear], beyond[clear]
+        (frame.refraction_label[rising & bent] == REFLECTED)[clear], beyond[clear]
     )
     assert beyond.any() and (~beyond).any()
     above = frame.position[..., 2] > LEVEL
-    np.testing.assert_array_equal(above[bent], frame.bend_label[bent] == REFRACTED)
-    assert (frame.front_label[known] == 2).all()
+    np.testing.assert_array_equal(above[bent], frame.refraction_label[bent] == REFRACTED)
+    assert (frame.foreground_label[known] == 2).all()
 
 
 def test_apparent_depth_is_the_depth_over_the_index() -> None:
     """Looking straight down, a point d under the surface appears at d/n."""
     eye = np.array([0.0, 0.0, 6.0 * MM])
     points = np.array([[x, 0.0, -9.0 * MM] for x in (1e-6, 1e-5, -2e-5)])
-    bends = bend_ways(eye, points, np.zeros(3), np.zeros(3, bool), IOR)
+    bends = refract_paths(eye, points, np.zeros(3), np.zeros(3, bool), IOR)
     slope = (bends.apparent[:, 0] - eye[0]) / (eye[2] - bends.apparent[:, 2])
     depth = points[:, 0] / slope - 6.0 * MM
     np.testing.assert_allclose(depth, 9.0 * MM / IOR, rtol=1e-6)
@@ -162,11 +162,11 @@ def test_bent_ways_obey_snell(height: float, rng: np.random.Generator) -> None:
     eye = np.array([1.0 * MM, -2.0 * MM, height])
     points = rng.uniform(-30.0 * MM, 30.0 * MM, (500, 3))
     points[:, 2] = -np.sign(height) * rng.uniform(1e-6, 20.0 * MM, 500)
-    bends = bend_ways(eye, points, np.zeros(500), np.zeros(500, bool), IOR)
-    assert bends.turn is not None
-    np.testing.assert_allclose(bends.turn[:, 2], 0.0, atol=1e-15)
+    bends = refract_paths(eye, points, np.zeros(500), np.zeros(500, bool), IOR)
+    assert bends.surface_crossing is not None
+    np.testing.assert_allclose(bends.surface_crossing[:, 2], 0.0, atol=1e-15)
     sines = []
-    for leg in (bends.turn - eye, points - bends.turn):
+    for leg in (bends.surface_crossing - eye, points - bends.surface_crossing):
         sines.append(leg[:, :2] / np.linalg.norm(leg, axis=-1, keepdims=True))
     index = (1.0, IOR) if height > 0.0 else (IOR, 1.0)
     np.testing.assert_allclose(sines[0] * index[0], sines[1] * index[1], atol=1e-6)
@@ -175,12 +175,12 @@ def test_bent_ways_obey_snell(height: float, rng: np.random.Generator) -> None:
 def test_straight_where_nothing_is_between(organ: OrganSurface) -> None:
     eye = np.array([0.0, 0.0, 5.0 * MM])
     points = np.array([[0.0, 1.0 * MM, 2.0 * MM], [0.0, 0.0, -9.0 * MM], [np.nan] * 3])
-    bends = bend_ways(eye, points, np.array([0.0, np.nan, 0.0]), np.ones(3, bool), IOR)
-    assert bends.turn is not None and np.isnan(bends.turn).all()
+    bends = refract_paths(eye, points, np.array([0.0, np.nan, 0.0]), np.ones(3, bool), IOR)
+    assert bends.surface_crossing is not None and np.isnan(bends.surface_crossing).all()
     np.testing.assert_array_equal(bends.apparent, points)
     empty = LumenContents(Contents(1), balls(), None)
     wall = make_model(organ, make_camera()).wall
-    levels = levels_met(empty, eye, wall, organ.faces, np.zeros(4, int))
+    levels = surface_heights(empty, eye, wall, organ.faces, np.zeros(4, int))
     assert np.isnan(levels).all()
 
 
@@ -214,7 +214,7 @@ def test_light_through_and_off_a_surface(organ: OrganSurface) -> None:
         radiance = reflected * np.array(led.intensity) / distance[:, None] ** 2
         return radiance, length, distance * (LEVEL - points[:, 2]) / np.abs(way[:, 2])
 
-    bent = frame.bend_label == REFRACTED
+    bent = frame.refraction_label == REFRACTED
     through, length, lamp_way = lit(ways.second, bent)
     mirrored, _, _ = lit(ways.first * [1.0, 1.0, -1.0], bent)
     c1 = ways.cosine[bent]
@@ -237,7 +237,7 @@ def test_what_is_mirrored_from_below_is_all_the_light(organ: OrganSurface) -> No
     camera = make_camera(pinhole(64, 0.8), leds=(Led((0.0, 0.0, 0.0), lobe_exponent=0.0),))
     state = flooded(looking((-5.0 * MM, 0.0, -9.0 * MM), (1.0, 0.0, 0.3)), organ)
     frame = seen(organ, camera, state, "radiance")
-    bent = frame.bend_label == MIRRORED
+    bent = frame.refraction_label == REFLECTED
     assert bent.sum() > 1000
     ways = Ways.of(camera, state, LEVEL)
     points, eye = frame.position[bent].astype(float), ways.eye
@@ -262,7 +262,7 @@ def test_an_index_near_one_bends_nothing(organ: OrganSurface) -> None:
     state = looking((0.0, 0.0, 3.0 * MM), (0.3, 0.1, -0.9))
     dry = seen(organ, camera, state)
     wet = seen(organ, camera, flooded(state, organ, liquid=replace(CLEAR, ior=1.0 + 1e-6)))
-    assert (wet.bend_label == REFRACTED).any()
+    assert (wet.refraction_label == REFRACTED).any()
     known = np.isfinite(dry.depth)
     for name in ("depth", "ray_distance", "position"):
         expected, got = getattr(dry, name)[known], getattr(wet, name)[known]
@@ -281,7 +281,7 @@ def test_flow_through_a_surface(organ: OrganSurface, eye: tuple[float, float, fl
     channels = (*CHANNELS, "flow_forward", "flow_backward", "occlusion")
     frame = renderer.render(now, camera, channels=channels, state_next=then, state_previous=now)
     following = renderer.render(then, camera, channels=CHANNELS)
-    bent = np.isfinite(frame.depth) & (frame.bend_label != STRAIGHT)
+    bent = np.isfinite(frame.depth) & (frame.refraction_label != STRAIGHT)
     np.testing.assert_allclose(frame.flow_backward[bent], 0.0, atol=3e-3)
     rows, columns = np.nonzero(bent & ~frame.occlusion)
     assert len(rows) > 1000
@@ -290,12 +290,12 @@ def test_flow_through_a_surface(organ: OrganSurface, eye: tuple[float, float, fl
     inside = (column >= 0) & (row >= 0) & (column < 79) & (row < 79)
     kinds = np.stack(
         [
-            following.bend_label[np.clip(row + y, 0, 79), np.clip(column + x, 0, 79)]
+            following.refraction_label[np.clip(row + y, 0, 79), np.clip(column + x, 0, 79)]
             for y in (0, 1)
             for x in (0, 1)
         ]
     )
-    same = inside & (kinds == frame.bend_label[rows, columns]).all(axis=0)
+    same = inside & (kinds == frame.refraction_label[rows, columns]).all(axis=0)
     assert same.mean() > 0.7
     row, column = row[same], column[same]
     u, v = (target[same] - np.column_stack([column, row])).T[..., None]
@@ -317,32 +317,32 @@ def test_a_ball_in_liquid_is_seen_where_snell_has_it(organ: OrganSurface) -> Non
     miss = np.linalg.norm(np.cross(offset, ways.second), axis=-1)
     inside, clear = miss < radius, np.abs(miss - radius) > 2e-6
     wet = flooded(state, organ, spheres=balls(center, radius))
-    frame = seen(organ, camera, wet, "instance", "front_depth")
+    frame = seen(organ, camera, wet, "instance", "foreground_depth")
     assert inside.sum() > 30
     np.testing.assert_array_equal((frame.instance == 1000)[clear], inside[clear])
     on_ball = np.linalg.norm(frame.position - center, axis=-1)[inside & clear]
     np.testing.assert_allclose(on_ball, radius, atol=1e-6)
     crossing = ((LEVEL - ways.eye[2]) / ways.first[..., 2]) * camera_rays(camera)[..., 2]
-    np.testing.assert_allclose(frame.front_depth[inside], crossing[inside], rtol=1e-5)
+    np.testing.assert_allclose(frame.foreground_depth[inside], crossing[inside], rtol=1e-5)
     bare = seen(organ, camera, flooded(state, organ), "radiance")
     gas = flooded(state, organ, spheres=balls(center, radius, BUBBLE))
     bubbly = seen(organ, camera, gas, "radiance")
     differs = (np.abs(bubbly.radiance - bare.radiance) > 1e-6).any(axis=-1)
     assert not differs[~inside & clear].any()
     assert differs[inside].mean() > 0.9
-    assert (bubbly.front_label[inside] == 2).all()
+    assert (bubbly.foreground_label[inside] == 2).all()
     np.testing.assert_array_equal(bubbly.position, bare.position)
 
 
-def test_quick_light_and_paths_come_through(organ: OrganSurface) -> None:
+def test_radiosity_and_paths_come_through(organ: OrganSurface) -> None:
     """Light beyond the first reflection is there in the pool, and finite."""
     camera = make_camera("equidistant")
     state = flooded(looking((0.0, 0.0, 2.0 * MM), (0.5, 0.2, -0.6)), organ)
     model = make_model(organ, camera)
-    for settings in (RenderSettings(light="quick"), RenderSettings(light="path", samples=2)):
+    for settings in (RenderSettings(light="radiosity"), RenderSettings(light="path", spp=2)):
         bright = Renderer(model, settings).render(state, camera, channels=("radiance",)).radiance
-        direct = Renderer(model).render(state, camera, channels=("radiance", "bend_label"))
-        bent = direct.bend_label == REFRACTED
+        direct = Renderer(model).render(state, camera, channels=("radiance", "refraction_label"))
+        bent = direct.refraction_label == REFRACTED
         assert np.isfinite(bright).all()
         assert bright[bent].mean() > 1.1 * direct.radiance[bent].mean()
 
@@ -355,7 +355,7 @@ def test_free_ways_need_pairs(organ: OrganSurface) -> None:
     starts = np.zeros((3, 3))
     points = np.array([[0.0, 0.0, 9.0], [0.0, 0.0, 3.0], [0.0, 0.0, -30.0]]) * MM
     np.testing.assert_array_equal(
-        contents.free_ways(model.wall, starts, points), [False, True, False]
+        contents.segments_unoccluded(model.wall, starts, points), [False, True, False]
     )
     with pytest.raises(ValueError, match="as many starts as points"):
-        contents.free_ways(model.wall, starts[:2], points)
+        contents.segments_unoccluded(model.wall, starts[:2], points)

@@ -19,15 +19,15 @@ from vrcaps.render.scattering import (
     TISSUE_IOR,
     Medium,
     albedo_roots,
-    color_slopes,
+    angular_slopes,
     diffuse_reflectance,
+    diffuse_transmittance,
     diffusion_profile,
     dipole_profile,
-    entering_share,
     fresnel,
-    half_space_color,
+    half_space_albedo,
     half_space_reflectance,
-    internal_reflection,
+    internal_reflectance,
     mean_cosine,
     reduced_scattering,
 )
@@ -84,7 +84,7 @@ def test_share_that_enters_in_closed_form(ior: float):
         - 2.0 * n**3 * (square + 2.0 * n - 1.0) / ((square + 1.0) * (n**4 - 1.0))
         + 8.0 * n**4 * (n**4 + 1.0) / ((square + 1.0) * (n**4 - 1.0) ** 2) * np.log(n)
     )
-    assert entering_share(ior) == pytest.approx(1.0 - reflected, abs=1e-5)
+    assert diffuse_transmittance(ior) == pytest.approx(1.0 - reflected, abs=1e-5)
 
 
 def test_reflectance_published():
@@ -97,7 +97,7 @@ def test_reflectance_published():
 @pytest.mark.parametrize("ior", INDICES)
 def test_color_of_the_limits(ior: float):
     """Without absorption all comes back, without scattering nothing; more albedo is brighter."""
-    color = half_space_color(1.0 - np.geomspace(1e-10, 1.0, 30), ior)
+    color = half_space_albedo(1.0 - np.geomspace(1e-10, 1.0, 30), ior)
     assert color[0] == pytest.approx(1.0, abs=2e-4)
     assert color[-1] == pytest.approx(0.0, abs=1e-12)
     assert (np.diff(color) < 0.0).all()
@@ -109,13 +109,13 @@ def test_color_of_a_half_space_without_border():
     mu = (np.arange(20_000) + 0.5) / 20_000
     h = 1.0 + 0.5 * faint * mu * np.log(1.0 + 1.0 / mu)
     expected = 1.0 - 2.0 * np.sqrt(1.0 - faint) * np.mean(h * mu)
-    assert half_space_color(np.array([faint]), 1.0)[0] == pytest.approx(expected, rel=2e-3)
+    assert half_space_albedo(np.array([faint]), 1.0)[0] == pytest.approx(expected, rel=2e-3)
 
 
 def test_colors_are_given_back():
     roots = albedo_roots()
     colors = np.linspace(0.0, 1.0, len(roots))
-    given = half_space_color(1.0 - roots**2, TISSUE_IOR)
+    given = half_space_albedo(1.0 - roots**2, TISSUE_IOR)
     some = (colors > 0.02) & (colors < 0.97)
     np.testing.assert_allclose(given[some], colors[some], rtol=4e-3)
 
@@ -124,11 +124,11 @@ def test_colors_are_given_back():
 def test_brightness_by_angle(color: float):
     """A straight line through exact transport: the same mean, and within 2 % head-on."""
     place = np.linspace(0.0, 1.0, len(albedo_roots()))
-    root, slope = (np.interp(color, place, table) for table in (albedo_roots(), color_slopes()))
+    root, slope = (np.interp(color, place, table) for table in (albedo_roots(), angular_slopes()))
     less = mean_cosine(TISSUE_IOR) - 1.0
-    passes = (1.0 - fresnel(np.array(1.0), TISSUE_IOR)) / entering_share(TISSUE_IOR)
+    passes = (1.0 - fresnel(np.array(1.0), TISSUE_IOR)) / diffuse_transmittance(TISSUE_IOR)
     back = half_space_reflectance(np.array([1.0 - root**2]), TISSUE_IOR)[0]
-    exact = back / entering_share(TISSUE_IOR)
+    exact = back / diffuse_transmittance(TISSUE_IOR)
     assert color * passes * (1.0 + slope * less) == pytest.approx(exact, rel=0.02)
     assert mean_cosine(1.0) == pytest.approx(2.0 / 3.0)
 
@@ -142,7 +142,7 @@ def test_measured_scattering():
 def test_diffusion_of_the_limits():
     """Nothing absorbed, all comes back; much absorbed, nothing does; little, as in transport."""
     for ior in INDICES:
-        internal = internal_reflection(ior)
+        internal = internal_reflectance(ior)
         ends = diffuse_reflectance(np.array([0.0, 1e6]), internal=internal)
         np.testing.assert_allclose(ends, [1.0, 0.0], atol=1e-6)
         albedo = np.array([0.98, 0.99, 0.999])
@@ -196,7 +196,7 @@ def test_profile_far_from_the_beam_is_that_of_diffusion():
 def test_profiles_hold_all_that_comes_back():
     """Integrals over the surface: of the dipole a(1 + e^(−4ks/3))e^(−s)/2 (Farrell, eq. 15)."""
     medium = Medium(20.0, 980.0)
-    internal = internal_reflection(medium.ior)
+    internal = internal_reflectance(medium.ior)
     k, s = (1.0 + internal) / (1.0 - internal), np.sqrt(3.0 * 0.02)
     expected = 0.98 / 2.0 * (1.0 + np.exp(-4.0 / 3.0 * k * s)) * np.exp(-s)
     assert _ring(dipole_profile, medium, 0.0, 0.1) == pytest.approx(expected, rel=1e-3)
@@ -276,7 +276,9 @@ def _walked_slab(
 def _matt(color: int) -> Appearance:
     """A look that mirrors nothing, so that all light goes through tissue."""
     flat = np.full((1, 1, 3), color, np.uint8)
-    return Appearance(flat, np.full((1, 1), 128, np.uint8), np.zeros((1, 1)), ior=1.0, coat=0.0)
+    return Appearance(
+        flat, np.full((1, 1), 128, np.uint8), np.zeros((1, 1)), ior=1.0, clearcoat=0.0
+    )
 
 
 def _albedo(color: int) -> np.ndarray:
@@ -299,10 +301,10 @@ def test_wall_of_a_large_sphere(color: int):
     led = Led((0.0, 0.0, 0.0), lobe_exponent=0.0, intensity=(1e-3,) * 3)
     camera = make_camera(pinhole(24), leds=(led,))
     model = make_model(sphere(5, radius=0.5, appearance=_matt(color)), camera)
-    found = _radiance(model, camera, looking((0.0, 0.0, 0.0)), samples=128, depth=1)
+    found = _radiance(model, camera, looking((0.0, 0.0, 0.0)), spp=128, max_bounces=1)
     back = half_space_reflectance(_albedo(color), TISSUE_IOR)[0]
     head_on = 1.0 - fresnel(np.array(1.0), TISSUE_IOR)
-    expected = 1e-3 / 0.5**2 / np.pi * back * head_on / entering_share(TISSUE_IOR) ** 2
+    expected = 1e-3 / 0.5**2 / np.pi * back * head_on / diffuse_transmittance(TISSUE_IOR) ** 2
     np.testing.assert_allclose(found.mean(), expected, rtol=0.015)
 
 
@@ -314,29 +316,29 @@ def test_a_thin_sheet_shines_through(rng: np.random.Generator):
     camera = make_camera(pinhole(16, 0.3), leds=(led,))
     model = make_model(make_organ(vertices, faces, appearance=_matt(color)), camera)
     state = looking((0.0, 0.0, away), (0.0, 0.0, -1.0))
-    found = _radiance(model, camera, state, samples=256, depth=1)[..., 1]
-    assert not _radiance(model, camera, state, samples=1, depth=3, scattering=False).any()
+    found = _radiance(model, camera, state, spp=256, max_bounces=1)[..., 1]
+    assert not _radiance(model, camera, state, spp=1, max_bounces=3, scattering=False).any()
     albedo = _albedo(color)[0]
     free = albedo / reduced_scattering(545.0)
     place, weight = _walked_slab(albedo, thickness / free, TISSUE_IOR, 60_000, rng)
     through = np.mean(weight * (place[:, 2] < -0.5 * thickness / free))
-    passes = (1.0 - fresnel(np.array(1.0), TISSUE_IOR)) / entering_share(TISSUE_IOR)
+    passes = (1.0 - fresnel(np.array(1.0), TISSUE_IOR)) / diffuse_transmittance(TISSUE_IOR)
     expected = through * passes**2 / np.pi * 1e-3 / (away - thickness) ** 2
     np.testing.assert_allclose(found.mean(), expected, rtol=0.04)
 
 
 def test_more_reflections_are_brighter_and_labels_stay():
-    look = replace(_matt(190), ior=1.4, coat=0.7)
+    look = replace(_matt(190), ior=1.4, clearcoat=0.7)
     organ = tube(40, 80, folds=0.35, capped=True, appearance=look)
     camera = make_camera("scaramuzza")
     model, state = make_model(organ, camera), looking((0.004, -0.003, 0.05))
-    images = [_radiance(model, camera, state, samples=16, depth=d) for d in (1, 2, 4)]
+    images = [_radiance(model, camera, state, spp=16, max_bounces=d) for d in (1, 2, 4)]
     means = [image.mean() for image in images]
     assert means[0] < means[1] < means[2] < 2.5 * means[0]
-    np.testing.assert_array_equal(images[0], _radiance(model, camera, state, samples=16, depth=1))
+    np.testing.assert_array_equal(images[0], _radiance(model, camera, state, spp=16, max_bounces=1))
     names = ("depth", "normal", "label", "instance", "albedo", "position")
     frames = [
-        Renderer(model, RenderSettings(light="path", samples=1, scattering=on)).render(
+        Renderer(model, RenderSettings(light="path", spp=1, scattering=on)).render(
             state, camera, channels=(*names, "rgb")
         )
         for on in (False, True)
@@ -346,7 +348,9 @@ def test_more_reflections_are_brighter_and_labels_stay():
 
 
 def test_wrong_input():
-    with pytest.raises(InputError, match=r"goes with light quick or path, not direct\. Drop one"):
+    with pytest.raises(
+        InputError, match=r"goes with light radiosity or path, not direct\. Drop one"
+    ):
         RenderSettings(scattering=True)
     with pytest.raises(ValueError, match="albedo of 0 to 1, extinction above 0 and an index of 1"):
         _walks(_plane(), (1.2,) * 3, (1000.0,) * 3, 1.4, 1)

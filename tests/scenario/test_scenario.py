@@ -59,7 +59,7 @@ def test_toml_with_few_keys(tmp_path):
         OrganGenerated(seed=4, distension="collapsed"),
         frames=7,
         motion=FlyThrough(speed=0.01),
-        render=RenderSettings(light="quick", shadows=True),
+        render=RenderSettings(light="radiosity", shadows=True),
     )
     assert read_scenario(path) == expected
 

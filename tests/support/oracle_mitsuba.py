@@ -42,9 +42,9 @@ def direct_light(model: Model, camera: Camera, state: State) -> np.ndarray:
 
 
 def path_light(
-    model: Model, camera: Camera, state: State, *, depth: int, samples: int
+    model: Model, camera: Camera, state: State, *, max_bounces: int, spp: int
 ) -> np.ndarray:
-    """Linear radiance [samples h w 3] of so many paths of up to `depth` reflections a pixel.
+    """Linear radiance [spp h w 3] of `spp` paths of up to `max_bounces` reflections a pixel.
 
     LEDs have lobes of exponent 0.
     """
@@ -52,12 +52,12 @@ def path_light(
 
     mi.set_variant("scalar_rgb")
     scene, rays = _lit(model, camera, state)
-    images = [_trace(scene, rays, _paths(depth), seed=k) for k in range(samples)]
-    return np.stack(images).reshape(samples, camera.height, camera.width, 3)
+    images = [_trace(scene, rays, _paths(max_bounces), seed=k) for k in range(spp)]
+    return np.stack(images).reshape(spp, camera.height, camera.width, 3)
 
 
 def compiled_path_light(
-    model: Model, camera: Camera, state: State, *, depth: int, samples: int
+    model: Model, camera: Camera, state: State, *, max_bounces: int, spp: int
 ) -> Callable[[int], np.ndarray]:
     """The same by the variant that is set, of `llvm_…`: makes images [h w 3] of a seed.
 
@@ -67,10 +67,10 @@ def compiled_path_light(
     import mitsuba as mi
 
     scene, rays = _lit(model, camera, state)
-    integrator, sampler = mi.load_dict(_paths(depth)), mi.load_dict({"type": "independent"})
-    repeated = np.repeat(rays, samples, axis=0).astype(np.float32)
+    integrator, sampler = mi.load_dict(_paths(max_bounces)), mi.load_dict({"type": "independent"})
+    repeated = np.repeat(rays, spp, axis=0).astype(np.float32)
     directions = mi.Vector3f(np.ascontiguousarray(repeated.T))
-    pixel = dr.arange(mi.UInt32, len(repeated)) // samples
+    pixel = dr.arange(mi.UInt32, len(repeated)) // spp
 
     def image(seed: int) -> np.ndarray:
         sampler.seed(seed, len(repeated))
@@ -81,14 +81,14 @@ def compiled_path_light(
             dr.scatter_reduce(dr.ReduceOp.Add, total, channel, pixel)
         dr.eval(sums)
         dr.sync_thread()
-        mean = np.stack([np.array(total) for total in sums], axis=1) / samples
+        mean = np.stack([np.array(total) for total in sums], axis=1) / spp
         return mean.reshape(camera.height, camera.width, 3)
 
     return image
 
 
-def _paths(depth: int) -> dict[str, Any]:
-    return {"type": "path", "max_depth": depth + 1, "rr_depth": depth + 1}
+def _paths(max_bounces: int) -> dict[str, Any]:
+    return {"type": "path", "max_depth": max_bounces + 1, "rr_depth": max_bounces + 1}
 
 
 def _lit(model: Model, camera: Camera, state: State) -> tuple[Any, np.ndarray]:
@@ -159,8 +159,8 @@ def _bsdf(look: Appearance | None) -> dict[str, Any]:
         "base_color": _bitmap(linear),
         "roughness": _bitmap(look.roughness[..., None] / 255.0),
         "eta": look.ior,
-        "clearcoat": look.coat,
-        "clearcoat_gloss": look.coat_gloss,
+        "clearcoat": look.clearcoat,
+        "clearcoat_gloss": look.clearcoat_gloss,
     }
 
 

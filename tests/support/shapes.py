@@ -151,8 +151,8 @@ def patterned(
         roughness=rng.integers(60, 230, size, dtype=np.uint8),
         height=relief * rng.random(size),
         ior=1.4,
-        coat=0.7,
-        coat_gloss=0.4,
+        clearcoat=0.7,
+        clearcoat_gloss=0.4,
     )
 
 

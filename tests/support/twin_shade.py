@@ -10,7 +10,7 @@ import twin
 from twin import dot, unit
 from vrcaps.camera.camera import Camera, Led
 from vrcaps.camera.rays import camera_rays
-from vrcaps.organ.surface import Appearance, coat_alpha, face_label
+from vrcaps.organ.surface import Appearance, clearcoat_alpha, face_label
 from vrcaps.transforms import invert, rotate_vectors, transform_points
 from vrcaps.world.model import Model, State
 
@@ -189,11 +189,11 @@ def principled(
     masking = _smith(cos_view, alpha) * _smith(cos_light, alpha)
     gloss = _fresnel(cos_d, look.ior) * facets * masking / (4.0 * cos_view)
 
-    film_alpha = coat_alpha(look.coat_gloss)
+    film_alpha = clearcoat_alpha(look.clearcoat_gloss)
     square = film_alpha**2
     facets = (square - 1.0) / (np.pi * np.log(square) * (1.0 + (square - 1.0) * cos_half**2))
     masking = _smith(cos_view, 0.25) * _smith(cos_light, 0.25)
-    film = 0.25 * look.coat * (0.04 + 0.96 * _schlick(cos_d)) * facets * masking * cos_light
+    film = 0.25 * look.clearcoat * (0.04 + 0.96 * _schlick(cos_d)) * facets * masking * cos_light
     return np.where(cos_light[:, None] > 0.0, diffuse + (gloss + film)[:, None], 0.0)
 
 

@@ -5,9 +5,9 @@ use crate::render::channels::{Channels, Place};
 use crate::render::ray_table::TileRays;
 use crate::simd::f32x64::*;
 
-/// `Channels::front_label` of a bubble; 0 is nothing.
+/// `Channels::foreground_label` of a bubble; 0 is nothing.
 pub const FRONT_BUBBLE: u8 = 1;
-/// `Channels::front_label` of liquid.
+/// `Channels::foreground_label` of liquid.
 pub const FRONT_LIQUID: u8 = 2;
 
 /// The nearest see-through thing in front of each surface.
@@ -53,8 +53,8 @@ impl Front {
             seen[i] = tile.used[i] && self.label[i] != 0;
             depth[i] = self.distance[i] * tile.pyramid.directions[2][i];
         }
-        place.write(&mut out.front_label, &self.label, &seen, 0);
-        place.write(&mut out.front_instance, &self.instance, &seen, 0);
-        place.write(&mut out.front_depth, &depth, &seen, f32::NAN);
+        place.write(&mut out.foreground_label, &self.label, &seen, 0);
+        place.write(&mut out.foreground_instance, &self.instance, &seen, 0);
+        place.write(&mut out.foreground_depth, &depth, &seen, f32::NAN);
     }
 }

@@ -137,7 +137,7 @@ impl Contents {
 
     /// Whether wall and particles leave the straight way from each of `starts` [n 3] to its point
     /// free [n].
-    fn free_ways<'py>(
+    fn segments_unoccluded<'py>(
         &self,
         py: Python<'py>,
         wall: &Wall,
@@ -154,7 +154,7 @@ impl Contents {
             .zip(points.outer_iter())
             .map(|(a, b)| [place(a), place(b)])
             .collect();
-        Ok(py.detach(|| particles::free_ways(&self.chyme, wall, &ways)).into_pyarray(py))
+        Ok(py.detach(|| particles::segments_unoccluded(&self.chyme, wall, &ways)).into_pyarray(py))
     }
 }
 

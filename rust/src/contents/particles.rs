@@ -173,7 +173,7 @@ pub fn paint(chyme: &Spheres, owner: &Owner, surface: &mut Surface) {
 }
 
 /// Whether wall and particles leave straight ways free; the last trifle of each does not count.
-pub fn free_ways(chyme: &Spheres, wall: &Wall, ways: &[[Vec3; 2]]) -> Vec<bool> {
+pub fn segments_unoccluded(chyme: &Spheres, wall: &Wall, ways: &[[Vec3; 2]]) -> Vec<bool> {
     let mut free = vec![false; ways.len()];
     free.par_chunks_mut(LANES).zip(ways.par_chunks(LANES)).for_each(|(out, chunk)| {
         let mut near = Vec::new();

@@ -114,8 +114,8 @@ impl<'a> Filled<'a> {
         let met = (&rays, &hits);
         if self.sees_wall_alone(tile, met, room) {
             Front::of_liquid(None).write(tile, place, out);
-            place.write(&mut out.bend_label, &[STRAIGHT; LANES], &tile.used, STRAIGHT);
-            place.write_sparsely(&mut out.sparse_bend, 1, |_, _| STRAIGHT);
+            place.write(&mut out.refraction_label, &[STRAIGHT; LANES], &tile.used, STRAIGHT);
+            place.write_sparsely(&mut out.sparse_refraction, 1, |_, _| STRAIGHT);
             render_tile((self.wall, self.scene, view), tile, met, place, glow, out);
             return;
         }
@@ -142,8 +142,8 @@ impl<'a> Filled<'a> {
         }
         front.write(tile, place, out);
         let kind = wet.as_ref().map_or([STRAIGHT; LANES], |wet| wet.turn.kind);
-        place.write(&mut out.bend_label, &kind, &found.hit, STRAIGHT);
-        place.write_sparsely(&mut out.sparse_bend, 1, |i, _| kind[i]);
+        place.write(&mut out.refraction_label, &kind, &found.hit, STRAIGHT);
+        place.write_sparsely(&mut out.sparse_refraction, 1, |i, _| kind[i]);
         write_geometry(view, tile, hits, found, place, out);
     }
 

@@ -31,11 +31,11 @@ pub struct Channels<'a> {
     pub sparse_position: Option<&'a mut [f32]>,
     pub sparse_face: Option<&'a mut [i32]>,
     pub sparse_weights: Option<&'a mut [f32]>,
-    pub sparse_bend: Option<&'a mut [u8]>,
-    pub front_label: Option<&'a mut [u8]>,
-    pub front_instance: Option<&'a mut [u16]>,
-    pub front_depth: Option<&'a mut [f32]>,
-    pub bend_label: Option<&'a mut [u8]>,
+    pub sparse_refraction: Option<&'a mut [u8]>,
+    pub foreground_label: Option<&'a mut [u8]>,
+    pub foreground_instance: Option<&'a mut [u16]>,
+    pub foreground_depth: Option<&'a mut [f32]>,
+    pub refraction_label: Option<&'a mut [u8]>,
 }
 
 /// Radiance by colours, with a margin about the image.
@@ -63,15 +63,15 @@ impl<'a> Channels<'a> {
         let (mut label, mut instance) = (cut(self.label, n), cut(self.instance, n));
         let (mut albedo, mut arc_length) = (cut(self.albedo, n * 3), cut(self.arc_length, n));
         let (mut face, mut weights) = (cut(self.face, n), cut(self.weights, n * 2));
-        let (mut front_label, mut front_depth) =
-            (cut(self.front_label, n), cut(self.front_depth, n));
-        let mut front_instance = cut(self.front_instance, n);
-        let mut bend_label = cut(self.bend_label, n);
+        let (mut foreground_label, mut foreground_depth) =
+            (cut(self.foreground_label, n), cut(self.foreground_depth, n));
+        let mut foreground_instance = cut(self.foreground_instance, n);
+        let mut refraction_label = cut(self.refraction_label, n);
         let s = sparse(width) * TILE / STEP;
         let mut sparse_position = cut(self.sparse_position, s * 3);
         let (mut sparse_face, mut sparse_weights) =
             (cut(self.sparse_face, s), cut(self.sparse_weights, s * 2));
-        let mut sparse_bend = cut(self.sparse_bend, s);
+        let mut sparse_refraction = cut(self.sparse_refraction, s);
         (0..count)
             .map(|_| Channels {
                 rgb: rgb.next().flatten(),
@@ -90,11 +90,11 @@ impl<'a> Channels<'a> {
                 sparse_position: sparse_position.next().flatten(),
                 sparse_face: sparse_face.next().flatten(),
                 sparse_weights: sparse_weights.next().flatten(),
-                sparse_bend: sparse_bend.next().flatten(),
-                front_label: front_label.next().flatten(),
-                front_instance: front_instance.next().flatten(),
-                front_depth: front_depth.next().flatten(),
-                bend_label: bend_label.next().flatten(),
+                sparse_refraction: sparse_refraction.next().flatten(),
+                foreground_label: foreground_label.next().flatten(),
+                foreground_instance: foreground_instance.next().flatten(),
+                foreground_depth: foreground_depth.next().flatten(),
+                refraction_label: refraction_label.next().flatten(),
             })
             .collect()
     }
@@ -125,7 +125,7 @@ impl<'a> Planes<'a> {
             [3, rows, stride] if around(rows).is_some_and(|around| stride >= width + around) => {
                 (rows, stride, (rows - height) / 2)
             }
-            _ => return Err(wrong_shape("radiance_planes")),
+            _ => return Err(wrong_shape("radiance_planar")),
         };
         let (red, rest) = array.as_slice_mut()?.split_at_mut(rows * stride);
         let (green, blue) = rest.split_at_mut(rows * stride);

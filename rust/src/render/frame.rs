@@ -10,7 +10,7 @@ use crate::render::path::light_paths::Lit;
 use crate::render::path::lumen_contents::Afloat;
 use crate::render::path::virtual_lights::Sources;
 use crate::render::path::{First, Settings, wavefront};
-use crate::render::radiosity::{Beneath, Irradiance, QuickLight};
+use crate::render::radiosity::{Beneath, Irradiance, Radiosity};
 use crate::render::ray_table::{RayTable, TileRays};
 use crate::render::scene::{Scene, SceneData};
 use crate::render::shading::{Attributes, attributes, light, surface};
@@ -129,11 +129,11 @@ impl View<'_> {
 /// Renders the channels of `out`, a dictionary of C-contiguous arrays of the table's shape.
 ///
 /// `leds` holds position [m], direction, intensity [W/sr] and lobe exponent of each in the camera's
-/// frame; `paths` how many paths a ray has, their most reflections, and their seed; `quick` light that
-/// bounces as radiosity.
+/// frame; `paths` how many paths a ray has, their most reflections, and their seed; `radiosity` the
+/// solver of indirect light.
 #[pyfunction]
 #[pyo3(signature = (
-    wall, scene, rays, pose, leds, out, *, exposure, shadows, contents=None, paths=None, quick=None
+    wall, scene, rays, pose, leds, out, *, exposure, shadows, contents=None, paths=None, radiosity=None
 ))]
 #[allow(clippy::too_many_arguments)] // the one door from Python
 pub fn render(
@@ -148,7 +148,7 @@ pub fn render(
     shadows: bool,
     contents: Option<&Contents>,
     paths: Option<(u32, u32, u64)>,
-    quick: Option<&QuickLight>,
+    radiosity: Option<&Radiosity>,
 ) -> PyResult<()> {
     if scene.data.faces.len() != wall.faces.len()
         || scene.data.arc_length.len() != wall.vertices.len()
@@ -162,13 +162,13 @@ pub fn render(
             "The wall has moved under a world: refit it to draw it.",
         ));
     }
-    let rest = quick.map(|light| light.rest(py));
+    let rest = radiosity.map(|light| light.rest(py));
     let mut view = View::new(wall, pose, leds, exposure, shadows)?;
     view.paths = paths.map(|(samples, depth, seed)| Settings { samples, depth, seed });
     let shape = (rays.height, rays.width);
     let mut rgb = take::<u8>(out, "rgb", shape, 3)?;
     let mut radiance = take::<f32>(out, "radiance", shape, 3)?;
-    let mut planes = find::<f32>(out, "radiance_planes")?;
+    let mut planes = find::<f32>(out, "radiance_planar")?;
     let mut depth = take::<f32>(out, "depth", shape, 1)?;
     let mut ray_distance = take::<f32>(out, "ray_distance", shape, 1)?;
     let mut normal = take::<f32>(out, "normal", shape, 3)?;
@@ -183,11 +183,11 @@ pub fn render(
     let mut sparse_position = take::<f32>(out, "sparse_position", few, 3)?;
     let mut sparse_face = take::<i32>(out, "sparse_face", few, 1)?;
     let mut sparse_weights = take::<f32>(out, "sparse_weights", few, 2)?;
-    let mut sparse_bend = take::<u8>(out, "sparse_bend", few, 1)?;
-    let mut front_label = take::<u8>(out, "front_label", shape, 1)?;
-    let mut front_instance = take::<u16>(out, "front_instance", shape, 1)?;
-    let mut front_depth = take::<f32>(out, "front_depth", shape, 1)?;
-    let mut bend_label = take::<u8>(out, "bend_label", shape, 1)?;
+    let mut sparse_refraction = take::<u8>(out, "sparse_refraction", few, 1)?;
+    let mut foreground_label = take::<u8>(out, "foreground_label", shape, 1)?;
+    let mut foreground_instance = take::<u16>(out, "foreground_instance", shape, 1)?;
+    let mut foreground_depth = take::<f32>(out, "foreground_depth", shape, 1)?;
+    let mut refraction_label = take::<u8>(out, "refraction_label", shape, 1)?;
     let channels = Channels {
         rgb: slice(&mut rgb)?,
         radiance: slice(&mut radiance)?,
@@ -205,15 +205,16 @@ pub fn render(
         sparse_position: slice(&mut sparse_position)?,
         sparse_face: slice(&mut sparse_face)?,
         sparse_weights: slice(&mut sparse_weights)?,
-        sparse_bend: slice(&mut sparse_bend)?,
-        front_label: slice(&mut front_label)?,
-        front_instance: slice(&mut front_instance)?,
-        front_depth: slice(&mut front_depth)?,
-        bend_label: slice(&mut bend_label)?,
+        sparse_refraction: slice(&mut sparse_refraction)?,
+        foreground_label: slice(&mut foreground_label)?,
+        foreground_instance: slice(&mut foreground_instance)?,
+        foreground_depth: slice(&mut foreground_depth)?,
+        refraction_label: slice(&mut refraction_label)?,
     };
-    let quick = quick.zip(rest.as_deref()).filter(|_| channels.wants_light());
+    let radiosity = radiosity.zip(rest.as_deref()).filter(|_| channels.wants_light());
     on_pool(py, || {
-        view.bounced = quick.map(|(light, rest)| light.solve(rest, wall, (&view.leds, shadows)));
+        view.bounced =
+            radiosity.map(|(solver, rest)| solver.solve(rest, wall, (&view.leds, shadows)));
         view.sources = view.sources(wall, &scene.data, rays).filter(|_| contents.is_none());
         let columns = rays.columns();
         let filled = contents.map(|c| Filled::new(wall, &scene.data, c, &view));

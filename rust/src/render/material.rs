@@ -13,7 +13,7 @@ pub struct Material {
     /// Strength of the clear coat, 0 to 1.
     pub coat: f32,
     /// Roughness α of the clear coat's GTR1 lobe.
-    pub coat_alpha: f32,
+    pub clearcoat_alpha: f32,
 }
 
 /// An LED in the frame of the wall.
@@ -228,7 +228,7 @@ impl Coat {
     /// The film of a material.
     #[inline(always)]
     pub fn new(material: &Material) -> Self {
-        let square = material.coat_alpha * material.coat_alpha;
+        let square = material.clearcoat_alpha * material.clearcoat_alpha;
         let logarithm = log2(square) * std::f32::consts::LN_2;
         Coat {
             strength: 0.25 * material.coat,

@@ -38,7 +38,7 @@ pub struct SceneData {
 }
 
 /// Tissue as Python gives it.
-type TissueFigures = (Vec3, f32, f32, Vec<f32>, f32, Vec<f32>);
+type OpticalProperties = (Vec3, f32, f32, Vec<f32>, f32, Vec<f32>);
 
 /// A texture that Python also holds.
 pub struct TextureHandle(Py<Texture>);
@@ -78,7 +78,7 @@ impl Scene {
         albedo: Vec3,
         roughness: f32,
         reflectance: (f32, f32, f32),
-        tissue: Option<TissueFigures>,
+        tissue: Option<OpticalProperties>,
     ) -> PyResult<Self> {
         let (uv, label, instance) = (uv.as_array(), label.as_array(), instance.as_array());
         let (faces, corners, components) = uv.dim();
@@ -88,7 +88,7 @@ impl Scene {
                 "Texture coordinates must be of shape (m, 3, 2), labels and instances of shape (m,).",
             ));
         }
-        let (ior, coat, coat_alpha) = reflectance;
+        let (ior, coat, clearcoat_alpha) = reflectance;
         let face = |f: usize| FaceData {
             uv: [0, 1, 2].map(|corner| [uv[[f, corner, 0]], uv[[f, corner, 1]]]),
             label: label[f],
@@ -100,7 +100,7 @@ impl Scene {
             texture: texture.map(TextureHandle),
             albedo,
             roughness,
-            material: Material { ior, coat, coat_alpha },
+            material: Material { ior, coat, clearcoat_alpha },
             tissue: tissue.map(|(scattering, ior, entering, roots, level, slopes)| Tissue {
                 scattering,
                 ior,

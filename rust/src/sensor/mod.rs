@@ -33,7 +33,7 @@ pub fn register(m: &Bound<'_, PyModule>) -> PyResult<()> {
     m.add_function(wrap_pyfunction!(defocus::defocus, m)?)?;
     m.add_function(wrap_pyfunction!(dome::through_dome, m)?)?;
     m.add_function(wrap_pyfunction!(bloom::bloom, m)?)?;
-    m.add_function(wrap_pyfunction!(noise::normals, m)?)?;
+    m.add_function(wrap_pyfunction!(noise::standard_normal, m)?)?;
     m.add_function(wrap_pyfunction!(noise::read_sensor, m)?)?;
     m.add_function(wrap_pyfunction!(bayer::demosaic, m)?)?;
     m.add_function(wrap_pyfunction!(jpeg::jpeg, m)?)?;

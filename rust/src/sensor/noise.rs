@@ -124,7 +124,7 @@ fn many(mean: f32, z: f32) -> f32 {
 
 /// Standard normal numbers [h w] of a key's stream.
 #[pyfunction]
-pub fn normals(
+pub fn standard_normal(
     py: Python<'_>,
     shape: (usize, usize),
     key: u64,

@@ -44,7 +44,9 @@ class Film:
         """
         if organ.appearance is None:
             raise InputError(f"{organ.name} has no look of its own, so no specular reflection.")
-        look = replace(organ.appearance, coat=self.coat, coat_gloss=self.gloss, ior=self.ior)
+        look = replace(
+            organ.appearance, clearcoat=self.coat, clearcoat_gloss=self.gloss, ior=self.ior
+        )
         return replace(organ, appearance=look)
 
 

@@ -14,7 +14,7 @@ from vrcaps.camera_pipeline.dome import Dome
 from vrcaps.camera_pipeline.effects import Effects
 from vrcaps.camera_pipeline.sensor import Noise, WhiteBalance, mosaic_colors
 from vrcaps.color import LUMINANCE
-from vrcaps.render.flow import STEP, SurfacePoints
+from vrcaps.render.flow import SUBSAMPLE, SurfacePoints
 from vrcaps.render.frame import Frame, inside
 
 if TYPE_CHECKING:
@@ -59,7 +59,7 @@ class Seen:
     Attributes:
         channels: Those asked for, and those that the stages need; `rgb` if they are none.
         planes: Radiance by colours [W/(sr·m²)] with a margin, if stages are to change it.
-        points: What `thinned` pixels see, if motion is to be known.
+        points: What `subsample` pixels see, if motion is to be known.
         moment: When.
     """
 
@@ -140,13 +140,13 @@ class CameraChain:
             moment: When it is taken.
             asked: Channels of the frame. A neighbour that there is none of is as now.
         """
-        points = SurfacePoints.sparse(self.camera) if self._needs_motion else None
+        points = SurfacePoints.allocate(self.camera) if self._needs_motion else None
         planes = None if self._is_ideal else self.room()
         now = moment.state
         states = moment.state_previous or now, now, moment.state_next or now
         needed = self._needed(asked)
         channels = renderer.arrays(states, self.camera, needed, points=points, planes=planes)
-        if planes is not None and renderer.settings.takes_means:
+        if planes is not None and renderer.settings.is_supersampled:
             # Rays beside that of a pixel that sees nothing may see something.
             inside(planes, *self._lit.shape)[:, ~self._lit] = 0.0
         return Seen(channels, planes, points, moment)
@@ -161,7 +161,7 @@ class CameraChain:
             needed = needed - {"rgb"}
         lens = self._stages["depth_of_field"]
         if self._needs_motion or lens is not None:
-            needed |= {"front_label", "front_depth"}
+            needed |= {"foreground_label", "foreground_depth"}
         if lens is not None:
             needed |= {"ray_distance"}
         return tuple(sorted(needed))
@@ -191,7 +191,7 @@ class CameraChain:
         """What the stages need to know of a frame."""
         channels, moment, distance = seen.channels, seen.moment, None
         if self._stages["depth_of_field"] is not None:
-            names = ("ray_distance", "front_label", "front_depth")
+            names = ("ray_distance", "foreground_label", "foreground_depth")
             distance = tuple(channels[name] for name in names)
         automatic, noise = self._stages["exposure"], self._stages["noise"]
         light, gain = (1.0, 1.0) if automatic is None else automatic.split(moment.exposure)
@@ -212,14 +212,14 @@ class CameraChain:
         }
 
     def motion(self, seen: Seen, renderer: Renderer) -> Float[np.ndarray, "hc wc 2"] | None:
-        """Motion of the image in a frame's time [px] at `thinned` pixels.
+        """Motion of the image in a frame's time [px] at `subsample` pixels.
 
         None where there is no neighbouring frame.
         """
         points = self._points(seen, renderer)
         if points is None:
             return None
-        flow = _core.flow_by_rays(self._table, points, STEP)
+        flow = _core.flow_by_rays(self._table, points, SUBSAMPLE)
         return -flow if seen.moment.state_next is None else flow
 
     def _points(self, seen: Seen, renderer: Renderer) -> tuple[Any, ...] | None:
@@ -240,10 +240,12 @@ class CameraChain:
         slot = "previous" if moment.state_next is None else "next"
         fillings = renderer.lumen_contents(moment.state), renderer.lumen_contents(neighbour)
         moved = seen.points.moved(renderer.model.organ.faces, neighbour, *fillings)
-        apparent = renderer.bends(self.camera, seen.points, moved, neighbour, slot).apparent
-        device, label = renderer.model.device, seen.channels["front_label"]
+        apparent = renderer.refracted_paths(
+            self.camera, seen.points, moved, neighbour, slot
+        ).apparent
+        device, label = renderer.model.device, seen.channels["foreground_label"]
         capsule = (0.5 * device.length - device.radius, device.radius)
-        depth = seen.channels["front_depth"]
+        depth = seen.channels["foreground_depth"]
         front = (label, depth, self.camera.T_capsule_camera, capsule)
         pose = renderer.pose(neighbour, self.camera)
         return np.ascontiguousarray(apparent, np.float32), pose, front

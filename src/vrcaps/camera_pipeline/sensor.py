@@ -83,7 +83,9 @@ class Noise:
             shape: Of the sites; three times the image's height without a mosaic.
             camera: Which of the capsule's cameras.
         """
-        first, second = (_core.normals(shape, self.sensor, _FIXED + 2 * camera + k) for k in (0, 1))
+        first, second = (
+            _core.standard_normal(shape, self.sensor, _FIXED + 2 * camera + k) for k in (0, 1)
+        )
         response = np.maximum(1.0 + self.prnu * first, 0.0)
         return response.astype(np.float32), (self.dsnu * second).astype(np.float32)
 

@@ -41,7 +41,7 @@ class Record:
       vrcaps record --out runs/polyp --lesion polyp-Ip:size=12mm,segment=sigmoid
       vrcaps record --out runs/foam --organ small-bowel --bubbles 3 --chyme 1 --liquid 2
       vrcaps record --out runs/cheap --effects dof=1,noise=2,motion_blur=1,jpeg=2
-      vrcaps record --out runs/glow --frames 20 --light path --samples 64
+      vrcaps record --out runs/glow --frames 20 --light path --spp 64
       vrcaps record --out runs/photo --organ colon --mucosa my-mucosa
       vrcaps record --out runs/soft --organ small-bowel --motion dynamics --motility phase-three
       vrcaps record --out runs/roll --organ stomach --motion dynamics \

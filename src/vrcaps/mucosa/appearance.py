@@ -42,7 +42,7 @@ real frames of clean colons (docs/mucosa.md), of what is yellow to what is red."
 class Mucosa:
     """Character of a mucosa.
 
-    Colors are those at which frames with bounced light have the colors of real ones
+    Colors are those at which frames with indirect light have the colors of real ones
     (`benchmarks/fit_appearance.py`, docs/gallery.md); the stomach's, of which there were none,
     change as the colon's did, in blue less, for it has less bile. Shapes and sizes are chosen by
     eye.
@@ -68,8 +68,8 @@ class Mucosa:
         mucus: Amount of mucus, 0 to 1: film and strands cover a third of this share of the wall.
         mucus_tint: Reflectance of mucus over that of the wall, red, green, blue.
         roughness: Perceptual roughness of the wall under its wet film, 0 to 1.
-        coat: Strength of the wet film, 0 (dry, or broken up) to 1 (whole).
-        coat_gloss: Gloss of the wet film, 0 (satin) to 1 (mirror-like).
+        clearcoat: Strength of the wet film, 0 (dry, or broken up) to 1 (whole).
+        clearcoat_gloss: Gloss of the wet film, 0 (satin) to 1 (mirror-like).
     """
 
     base_color: tuple[float, float, float]
@@ -89,8 +89,8 @@ class Mucosa:
     mucus: float = 0.10
     mucus_tint: tuple[float, float, float] = MUCUS_TINT
     roughness: float = 0.65
-    coat: float = 1.0
-    coat_gloss: float = 0.93
+    clearcoat: float = 1.0
+    clearcoat_gloss: float = 0.93
 
 
 MUCOSAE: dict[str, Mucosa] = {
@@ -101,8 +101,8 @@ MUCOSAE: dict[str, Mucosa] = {
         network=1.4,
         relief_slope=0.038,
         roughness=0.90,
-        coat=0.8,
-        coat_gloss=0.97,
+        clearcoat=0.8,
+        clearcoat_gloss=0.97,
     ),
     "stomach": Mucosa(
         base_color=(0.432, 0.152, 0.118),
@@ -115,7 +115,7 @@ MUCOSAE: dict[str, Mucosa] = {
         network=0.35,
         flecks=0.4,
         mucus_tint=(1.15, 2.2, 2.0),
-        coat=0.7,
+        clearcoat=0.7,
     ),
     "small-bowel": Mucosa(
         base_color=(0.418, 0.210, 0.149),
@@ -130,7 +130,7 @@ MUCOSAE: dict[str, Mucosa] = {
         flecks=0.15,
         mucus_tint=(1.15, 1.9, 2.0),
         roughness=0.85,
-        coat=0.16,
+        clearcoat=0.16,
     ),
 }
 """Mucosae by organ."""
@@ -211,8 +211,8 @@ def bake_appearance(
         albedo=albedo.reshape(height, width, 3),
         roughness=roughness.reshape(height, width),
         height=round_height(relief.reshape(height, width)),
-        coat=worn.coat,
-        coat_gloss=worn.coat_gloss,
+        clearcoat=worn.clearcoat,
+        clearcoat_gloss=worn.clearcoat_gloss,
     )
 
 

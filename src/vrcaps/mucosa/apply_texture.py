@@ -77,7 +77,7 @@ def wear(
         albedo=canvas.albedo,
         roughness=canvas.roughness,
         height=canvas.relief,
-        coat_gloss=texture.coat_gloss,
+        clearcoat_gloss=texture.clearcoat_gloss,
     )
 
 

@@ -35,7 +35,7 @@ class MucosaTexture:
         roughness: Perceptual roughness, 255 = 1.
         height: Relief towards the lumen in steps of `HEIGHT_STEP`, 32768 = 0.
         texel: Side of a texel [m].
-        coat_gloss: Gloss of the wet film, 0 (satin) to 1 (mirror-like).
+        clearcoat_gloss: Gloss of the wet film, 0 (satin) to 1 (mirror-like).
         metadata: Where it came from: photographs, regions, seed, measures.
     """
 
@@ -43,7 +43,7 @@ class MucosaTexture:
     roughness: UInt8[np.ndarray, "n n"]
     height: UInt16[np.ndarray, "n n"]
     texel: float
-    coat_gloss: float = 0.93
+    clearcoat_gloss: float = 0.93
     metadata: dict = field(default_factory=dict)
 
     @property
@@ -73,7 +73,7 @@ def write_texture(folder: Path, texture: MucosaTexture) -> None:
         "mm_per_texel": texture.texel / MM,
         "height_step_m": HEIGHT_STEP,
         "height_zero": 32768,
-        "coat_gloss": texture.coat_gloss,
+        "clearcoat_gloss": texture.clearcoat_gloss,
         "sha256": {path.name[1:]: _sha256(path) for path in temporary},
         **texture.metadata,
     }
@@ -112,7 +112,7 @@ def read_texture(path: str | Path) -> MucosaTexture:
         if head["format"] != FORMAT:
             raise InputError(f"{head_path} has format {head['format']!r}. Allowed: {FORMAT!r}.")
         expected, texel = head["sha256"], float(head["mm_per_texel"]) * MM
-        gloss, step = float(head["coat_gloss"]), float(head["height_step_m"])
+        gloss, step = float(head["clearcoat_gloss"]), float(head["height_step_m"])
     except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
         raise InputError(f"Cannot read the texture {head_path}: {error}.") from error
     except (KeyError, TypeError, ValueError) as error:
@@ -129,7 +129,7 @@ def read_texture(path: str | Path) -> MucosaTexture:
                 "Make the texture again."
             )
     images = {name: _core.read_png(str(head_path.with_name(f"{name}.png"))) for name in _PICTURES}
-    return MucosaTexture(**images, texel=texel, coat_gloss=gloss, metadata=head)
+    return MucosaTexture(**images, texel=texel, clearcoat_gloss=gloss, metadata=head)
 
 
 def texture_head(path: str | Path) -> Path:

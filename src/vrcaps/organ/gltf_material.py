@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps.organ.surface import coat_alpha
+from vrcaps.organ.surface import clearcoat_alpha
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Int, UInt8
@@ -109,8 +109,8 @@ def material_json(appearance: Appearance | None, views: list[int]) -> dict:
         return {"materials": [material]}
     extensions = {
         "KHR_materials_clearcoat": {
-            "clearcoatFactor": 0.25 * appearance.coat,
-            "clearcoatRoughnessFactor": math.sqrt(coat_alpha(appearance.coat_gloss)),
+            "clearcoatFactor": 0.25 * appearance.clearcoat,
+            "clearcoatRoughnessFactor": math.sqrt(clearcoat_alpha(appearance.clearcoat_gloss)),
         },
         "KHR_materials_ior": {"ior": appearance.ior},
     }

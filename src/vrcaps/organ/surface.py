@@ -52,16 +52,16 @@ class Appearance:
         height: Relief of the wall towards the lumen [m]; only its slope is used. Smallest in
             files where it is in multiples of `HEIGHT_STEP` (`round_height`).
         ior: Refractive index of the base's dielectric layer relative to the lumen's gas.
-        coat: Strength of the clear coat, 0 (dry) to 1 (wet).
-        coat_gloss: Gloss of the clear coat, 0 (satin) to 1 (mirror-like).
+        clearcoat: Strength of the clear coat, 0 (dry) to 1 (wet).
+        clearcoat_gloss: Gloss of the clear coat, 0 (satin) to 1 (mirror-like).
     """
 
     albedo: UInt8[np.ndarray, "h w 3"]
     roughness: UInt8[np.ndarray, "h w"]
     height: Float[np.ndarray, "h w"]
     ior: float = 1.4
-    coat: float = 1.0
-    coat_gloss: float = 0.9
+    clearcoat: float = 1.0
+    clearcoat_gloss: float = 0.9
 
 
 @dataclass(frozen=True)
@@ -113,7 +113,7 @@ def round_height(height: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
     return steps.astype(np.float32, copy=False)
 
 
-def coat_alpha(gloss: float) -> float:
+def clearcoat_alpha(gloss: float) -> float:
     """Roughness α of the clear coat's lobe: 0.1 for gloss 0 to 0.001 for 1 (Burley 2012, 5.4)."""
     return 0.1 + (0.001 - 0.1) * gloss
 

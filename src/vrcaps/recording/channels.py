@@ -104,10 +104,10 @@ ENCODINGS: dict[str, Encoding] = {
     "flow_forward": _flow(),
     "flow_backward": _flow(),
     "occlusion": Encoding("1", "uint8", 1, is_mask=True),
-    "front_label": Encoding("class", "uint8", 1),
-    "front_instance": Encoding("number", "uint16", 1),
-    "front_depth": _distance(),
-    "bend_label": Encoding("class", "uint8", 1),
+    "foreground_label": Encoding("class", "uint8", 1),
+    "foreground_instance": Encoding("number", "uint16", 1),
+    "foreground_depth": _distance(),
+    "refraction_label": Encoding("class", "uint8", 1),
     "dome_label": Encoding("class", "uint8", 1),
 }
 """Encoding of every channel of `Frame`."""

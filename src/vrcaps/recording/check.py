@@ -308,8 +308,8 @@ def _faults(
 
 def _bent(episode: Episode, values: dict[str, NDArray], shape: tuple[int, ...]) -> NDArray:
     """Pixels that liquid may let see another place of the wall than a straight ray does."""
-    if "bend_label" in values:
-        return values["bend_label"] != 0
+    if "refraction_label" in values:
+        return values["refraction_label"] != 0
     is_liquid = bool(episode.scenario.contents.liquid)
     return np.full(shape, is_liquid)
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vrcaps.camera_pipeline.dome import DOME_NAMES
-from vrcaps.lumen.lumen_contents import BEND_NAMES, FRONT_NAMES
+from vrcaps.lumen.lumen_contents import FOREGROUND_NAMES, REFRACTION_NAMES
 from vrcaps.units import MM
 
 if TYPE_CHECKING:
@@ -16,10 +16,21 @@ if TYPE_CHECKING:
 
     from vrcaps.recording.episode import Episode
 
-CLASSES = ("label", "instance", "front_label", "front_instance", "bend_label", "dome_label")
+CLASSES = (
+    "label",
+    "instance",
+    "foreground_label",
+    "foreground_instance",
+    "refraction_label",
+    "dome_label",
+)
 """Channels of numbers that stand for things."""
 
-NAMES = {"front_label": FRONT_NAMES, "bend_label": BEND_NAMES, "dome_label": DOME_NAMES}
+NAMES = {
+    "foreground_label": FOREGROUND_NAMES,
+    "refraction_label": REFRACTION_NAMES,
+    "dome_label": DOME_NAMES,
+}
 """Names of the classes of channels whose classes are the same everywhere."""
 
 _BACKGROUND = np.array([24, 24, 28], np.uint8)
@@ -115,7 +126,7 @@ def _legend(
     episode: Episode, channel: str, images: list[NDArray], limits: tuple[float, float]
 ) -> str:
     low, high = limits
-    if channel in ("depth", "ray_distance", "arc_length", "front_depth"):
+    if channel in ("depth", "ray_distance", "arc_length", "foreground_depth"):
         return f", {low / MM:.0f} to {high / MM:.0f} mm (blue to red)"
     if channel.startswith("flow"):
         return f", hue is direction, up to {high:.1f} px"
@@ -124,7 +135,7 @@ def _legend(
         return f": {', '.join(episode.label_names[i] for i in seen if i > 0)}"
     if channel in NAMES:
         return f": {', '.join(NAMES[channel][1:])}"
-    if channel in ("instance", "front_instance"):
+    if channel in ("instance", "foreground_instance"):
         seen = np.unique(np.concatenate([np.unique(image) for image in images]))
         return f": {', '.join(str(i) for i in seen if i > 0) or 'none'}"
     return ""

@@ -1,4 +1,4 @@
-"""How the image moves: where surface points seen now appear in a neighbouring frame."""
+"""Optical flow and visibility: where surface points seen now appear in a neighboring frame."""
 
 from __future__ import annotations
 
@@ -11,41 +11,41 @@ from vrcaps._core import Contents, Wall
 from vrcaps.camera.camera import Camera
 from vrcaps.camera.rays import pixel_grid, project_points
 from vrcaps.lumen.lumen_contents import LumenContents
-from vrcaps.render.refraction import Bends
+from vrcaps.render.refraction import RefractedPaths
 from vrcaps.transforms import invert, transform_points
 from vrcaps.world.model import State
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int, UInt8
 
-STEP = 4
-"""Pixels between those that stand for all, the first in the middle of a square; as in the core."""
+SUBSAMPLE = 4
+"""Stride of the subsampled pixel grid, which starts in the middle of a cell; as in the core."""
 
 
 @dataclass(frozen=True)
 class SurfacePoints:
-    """The wall point that each pixel sees, fixed to the wall.
+    """Surface point that each pixel sees, in material coordinates of the wall.
 
     Attributes:
-        position: Place now in the world frame [m]; NaN where there is none.
+        position: In the world frame now [m]; NaN where there is none.
         face: Face it lies on, −1 where there is none, −2 − k on sphere k of the lumen_contents.
         weights: Weights of the face's first and second corner.
-        bend: How a liquid's surface turns the way to it, as in the channel `bend_label`.
+        refraction: Refraction at a pool's surface, as in the channel `refraction_label`.
     """
 
     position: Float[np.ndarray, "h w 3"]
     face: Int[np.ndarray, "h w"]
     weights: Float[np.ndarray, "h w 2"]
-    bend: UInt8[np.ndarray, "h w"]
+    refraction: UInt8[np.ndarray, "h w"]
 
     @staticmethod
-    def sparse(camera: Camera) -> SurfacePoints:
-        """Room for the points that `thinned` pixels of a camera see."""
-        half = STEP // 2
-        shape = (camera.height + half - 1) // STEP, (camera.width + half - 1) // STEP
+    def allocate(camera: Camera) -> SurfacePoints:
+        """Uninitialized arrays for the points that a camera's `subsample` pixels see."""
+        half = SUBSAMPLE // 2
+        shape = (camera.height + half - 1) // SUBSAMPLE, (camera.width + half - 1) // SUBSAMPLE
         position, weights = np.empty((*shape, 3), np.float32), np.empty((*shape, 2), np.float32)
-        bend = np.empty(shape, np.uint8)
-        return SurfacePoints(position, np.empty(shape, np.int32), weights, bend)
+        refraction = np.empty(shape, np.uint8)
+        return SurfacePoints(position, np.empty(shape, np.int32), weights, refraction)
 
     def moved(
         self,
@@ -88,20 +88,20 @@ class SurfacePoints:
         )
 
 
-def thinned(image: np.ndarray) -> np.ndarray:
-    """One pixel of every `STEP` by `STEP`."""
-    return image[STEP // 2 :: STEP, STEP // 2 :: STEP]
+def subsample(image: np.ndarray) -> np.ndarray:
+    """Image on the subsampled pixel grid: one pixel of every `SUBSAMPLE` by `SUBSAMPLE`."""
+    return image[SUBSAMPLE // 2 :: SUBSAMPLE, SUBSAMPLE // 2 :: SUBSAMPLE]
 
 
 def flow(
     camera: Camera, points_world: Float[np.ndarray, "h w 3"], state: State
 ) -> Float[np.ndarray, "h w 2"]:
-    """Motion of each pixel's surface point from now to a neighbouring frame [px].
+    """Optical flow of each pixel's surface point to a neighboring frame [px].
 
     Args:
         camera: The camera that sees both frames.
-        points_world: Where the surface points appear in the neighbouring frame [m].
-        state: The neighbouring frame.
+        points_world: Where the surface points appear in the neighboring frame [m].
+        state: The neighboring frame.
 
     Returns:
         Columns and rows, as float32; NaN where there is no surface or the point leaves the
@@ -112,23 +112,23 @@ def flow(
     return (pixels - pixel_grid(camera.width, camera.height)).astype(np.float32)
 
 
-def seen_from(
+def visibility(
     camera: Camera,
-    bends: Bends,
+    paths: RefractedPaths,
     points_world: Float[np.ndarray, "h w 3"],
     motion: Float[np.ndarray, "h w 2"],
     state: State,
     wall: Wall,
     contents: Contents | None,
 ) -> Bool[np.ndarray, "h w"]:
-    """Whether each surface point is seen in a neighbouring frame: in view and not hidden.
+    """Whether each surface point is seen in a neighboring frame: in view and not occluded.
 
     Args:
         camera: The camera that sees both frames.
-        bends: How liquid bends the ways to them.
-        points_world: The surface points in the neighbouring frame [m].
+        paths: Light paths to them through liquid.
+        points_world: The surface points in the neighboring frame [m].
         motion: Of their images [px].
-        state: The neighbouring frame.
+        state: The neighboring frame.
         wall: In that frame.
         contents: Of the lumen then.
     """
@@ -137,12 +137,13 @@ def seen_from(
     seen = np.all((target >= -0.5) & (target < size - 0.5), axis=-1)
     eye = tuple((state.T_world_capsule @ camera.T_capsule_camera)[:3, 3])
     points_world = points_world.astype(float, copy=False)
-    ends, is_bent = points_world, np.zeros(seen.shape, bool)
-    if bends.turn is not None:
-        is_bent = np.isfinite(bends.turn[..., 0])
-        ends = np.where(is_bent[..., None], bends.turn, points_world)
+    ends, is_refracted = points_world, np.zeros(seen.shape, bool)
+    if paths.surface_crossing is not None:
+        is_refracted = np.isfinite(paths.surface_crossing[..., 0])
+        ends = np.where(is_refracted[..., None], paths.surface_crossing, points_world)
     seen &= wall.visible(eye, ends.reshape(-1, 3)).reshape(seen.shape)
     if contents is not None:
         seen &= contents.free(wall, eye, ends.reshape(-1, 3)).reshape(seen.shape)
-        seen[is_bent] &= contents.free_ways(wall, ends[is_bent], points_world[is_bent])
+        starts, points = ends[is_refracted], points_world[is_refracted]
+        seen[is_refracted] &= contents.segments_unoccluded(wall, starts, points)
     return seen

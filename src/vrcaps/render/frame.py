@@ -46,17 +46,17 @@ class Frame:
     occlusion: Bool[np.ndarray, "h w"] | None = _channel(
         "1", "surface point is not seen in the next frame (hidden or out of view)"
     )
-    front_label: UInt8[np.ndarray, "h w"] | None = _channel(
+    foreground_label: UInt8[np.ndarray, "h w"] | None = _channel(
         "class", "nearest thing that the pixel looks through: 0 nothing, 1 bubble, 2 liquid"
     )
-    front_instance: UInt16[np.ndarray, "h w"] | None = _channel(
+    foreground_instance: UInt16[np.ndarray, "h w"] | None = _channel(
         "number", "bubble or pool that the pixel looks through"
     )
-    front_depth: Float[np.ndarray, "h w"] | None = _channel(
+    foreground_depth: Float[np.ndarray, "h w"] | None = _channel(
         "m", "z in the camera frame where the thing in front begins"
     )
-    bend_label: UInt8[np.ndarray, "h w"] | None = _channel(
-        "class", "how a liquid's surface turns the ray: 0 straight, 1 refracted, 2 mirrored"
+    refraction_label: UInt8[np.ndarray, "h w"] | None = _channel(
+        "class", "how a liquid's surface turns the ray: 0 straight, 1 refracted, 2 reflected"
     )
     dome_label: UInt8[np.ndarray, "h w"] | None = _channel(
         "class", "what lies on the dome there: 0 nothing, 1 drop, 2 smear"

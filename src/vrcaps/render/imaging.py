@@ -1,7 +1,7 @@
-"""Imaging modes: how colours look under light other than what they are given for.
+"""Imaging modes: colors under light other than the reference white light.
 
-A wall, a liquid, a bubble has its colour under the usual white light. A mode says what that colour
-becomes, from the blood and the bile that are in it.
+A wall, a liquid or a bubble has its color under the reference white light. An imaging mode says
+what that color becomes, from its chromophores blood and bile.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ from vrcaps.organ.surface import Appearance
 if TYPE_CHECKING:
     from jaxtyping import Float
 
-DENSEST = 5.0
-"""Optical density of blood or bile up to which `lookup` tells them apart."""
+MAX_DENSITY = 5.0
+"""Optical density of blood or bile at which lookup tables end."""
 
 _DENSITIES = np.vstack([np.ones(3), ABSORPTION])  # rows: base, blood, bile
 _BLACK = 1e-4  # so that a logarithm exists
@@ -30,41 +30,41 @@ _STEPS = 4096
 _ROWS = 256  # worked on at a time
 
 
-def taken_apart(
+def unmix_chromophores(
     log_light: Float[np.ndarray, "*n 3"],
 ) -> tuple[Float[np.ndarray, "*n"], Float[np.ndarray, "*n"], Float[np.ndarray, "*n"]]:
-    """Optical density of the base in red, of blood in green and of bile in blue, by a colour.
+    """Chromophore unmixing: density of the base in red, of blood in green and of bile in blue.
 
     Args:
         log_light: Logarithm of the reflectance in red, green and blue.
     """
-    apart = -log_light @ np.linalg.inv(_DENSITIES).astype(log_light.dtype)
-    blood, bile = np.maximum(apart[..., 1], 0.0), np.maximum(apart[..., 2], 0.0)
+    density = -log_light @ np.linalg.inv(_DENSITIES).astype(log_light.dtype)
+    blood, bile = np.maximum(density[..., 1], 0.0), np.maximum(density[..., 2], 0.0)
     base = -log_light[..., 0] - blood * ABSORPTION[0, 0] - bile * ABSORPTION[1, 0]
     return base, blood, bile
 
 
-def liquid_apart(absorption: tuple[float, float, float]) -> tuple[float, float, float]:
-    """Absorption [1/m] of a liquid's base, of its blood in green and of its bile in blue."""
+def unmix_absorption(absorption: tuple[float, float, float]) -> tuple[float, float, float]:
+    """Chromophore unmixing of a liquid: absorption [1/m] of base, blood in green, bile in blue."""
     base, blood, bile = np.linalg.solve(_DENSITIES.T, np.array(absorption)).tolist()
     return base, blood, bile
 
 
-def tabled() -> Float[np.ndarray, " n"]:
-    """Densities that a table for `lookup` is made for."""
-    return np.linspace(0.0, DENSEST, _STEPS)
+def lut_densities() -> Float[np.ndarray, " n"]:
+    """Grid of densities of a lookup table (LUT)."""
+    return np.linspace(0.0, MAX_DENSITY, _STEPS)
 
 
-def lookup(
+def read_lut(
     table: Float[np.ndarray, "*known"], density: Float[np.ndarray, "*found"]
 ) -> Float[np.ndarray, "*found"]:
-    """What a table made for `tabled` says of densities."""
-    return table[np.minimum((density * ((_STEPS - 1) / DENSEST)).astype(np.int32), _STEPS - 1)]
+    """Values of a lookup table over `lut_densities` at given densities."""
+    return table[np.minimum((density * ((_STEPS - 1) / MAX_DENSITY)).astype(np.int32), _STEPS - 1)]
 
 
 @dataclass(frozen=True)
 class Imaging:
-    """How things look under some light.
+    """Color transforms of an imaging mode.
 
     Attributes:
         color: From the logarithms of the reflectances under white light to those under this; None

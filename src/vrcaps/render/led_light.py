@@ -14,9 +14,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vrcaps.errors import InputError
-from vrcaps.render.imaging import WHITE_LIGHT, Imaging, liquid_apart, lookup, tabled, taken_apart
+from vrcaps.render.imaging import (
+    WHITE_LIGHT,
+    Imaging,
+    lut_densities,
+    read_lut,
+    unmix_absorption,
+    unmix_chromophores,
+)
 from vrcaps.render.narrow_band import narrow_band
-from vrcaps.render.scattering import carried_density, reduced_scattering
+from vrcaps.render.scattering import density_at_wavelength, reduced_scattering
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -71,7 +78,7 @@ PHOSPHOR: Spectrum = tuple(
 McCamy's formula (Color Res. Appl. 17(2), 1992): the light that colours are given for."""
 
 
-def imaging_of(device: Device, mode: str) -> Imaging:
+def make_imaging(device: Device, mode: str) -> Imaging:
     """How a capsule sees in an imaging mode, `white-light` or `narrow-band`.
 
     Raises:
@@ -94,11 +101,11 @@ def led_light(spectrum: Spectrum) -> Imaging:
     bile = (seen.bile - usual.bile).astype(np.float32)
 
     def color(log_light: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
-        _, red, yellow = taken_apart(log_light)
-        return np.minimum(log_light - lookup(blood, red) - lookup(bile, yellow), 0.0)
+        _, red, yellow = unmix_chromophores(log_light)
+        return np.minimum(log_light - read_lut(blood, red) - read_lut(bile, yellow), 0.0)
 
     def absorption(white: tuple[float, float, float]) -> tuple[float, float, float]:
-        _, red, yellow = liquid_apart(white)
+        _, red, yellow = unmix_absorption(white)
         more = red * (seen.thin_blood - usual.thin_blood)
         more += yellow * (seen.thin_bile - usual.thin_bile)
         red, green, blue = np.maximum(np.array(white) + more, 0.0).tolist()
@@ -112,8 +119,8 @@ class _Seen:
     """Densities in the camera's channels under a spectrum.
 
     Attributes:
-        blood: Of tissue with `tabled` densities of blood, by channel.
-        bile: Of `tabled` densities of bile.
+        blood: Of tissue with `lut_densities` densities of blood, by channel.
+        bile: Of `lut_densities` densities of bile.
         thin_blood: Of little blood in a liquid, relative to green under `PHOSPHOR`.
         thin_bile: Of little bile, relative to blue under it.
         bands_nm: Mean wavelength of each channel's light.
@@ -124,8 +131,8 @@ class _Seen:
         green, blue = float(usual[1] @ _HAEMOGLOBIN), float(usual[2] @ _BILIRUBIN_ALL)
         scattering = np.array([reduced_scattering(nm) for nm in _WAVELENGTH])
         factor = _HAEMOGLOBIN / green * reduced_scattering(545.0) / scattering
-        density = tabled()[:, None]
-        self.blood = _mean_density(carried_density(density, factor), weights)
+        density = lut_densities()[:, None]
+        self.blood = _mean_density(density_at_wavelength(density, factor), weights)
         self.bile = _mean_density(density * (_BILIRUBIN_ALL / blue), weights)
         self.thin_blood = weights @ _HAEMOGLOBIN / green
         self.thin_bile = weights @ _BILIRUBIN_ALL / blue

@@ -1,14 +1,14 @@
-"""An organ as the compiled core draws it."""
+"""Scene of the compiled core: what it renders of an organ."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from vrcaps import _core
-from vrcaps.organ.surface import Appearance, OrganSurface, coat_alpha, face_label
+from vrcaps.organ.surface import Appearance, OrganSurface, clearcoat_alpha, face_label
 from vrcaps.render.imaging import Imaging
-from vrcaps.render.mucus_film import wet_organ
-from vrcaps.render.scattering import tissue_figures
+from vrcaps.render.mucus_film import apply_mucus_film
+from vrcaps.render.scattering import optical_properties
 from vrcaps.render.settings import RenderSettings
 
 _PLAIN_ALBEDO = (0.52, 0.22, 0.16)
@@ -16,16 +16,16 @@ _PLAIN_ROUGHNESS = 0.5
 _PLAIN = Appearance(np.zeros((1, 1, 3), np.uint8), np.zeros((1, 1), np.uint8), np.zeros((1, 1)))
 
 
-def scene_of(organ: OrganSurface, settings: RenderSettings, imaging: Imaging) -> _core.Scene:
-    """What is drawn on an organ's wall.
+def make_scene(organ: OrganSurface, settings: RenderSettings, imaging: Imaging) -> _core.Scene:
+    """The core's scene of an organ.
 
     Args:
-        organ: Whose wall; one without an appearance is plain.
-        settings: Its film and its tissue.
+        organ: What to render; one without an appearance is plain.
+        settings: Mucus film and scattering.
         imaging: Colours of the LEDs and the camera.
     """
-    if settings.film_um is not None:
-        organ = wet_organ(organ, 1e-6 * settings.film_um)
+    if settings.mucus_film_um is not None:
+        organ = apply_mucus_film(organ, 1e-6 * settings.mucus_film_um)
     look, texture = imaging.appearance(organ.appearance or _PLAIN), None
     albedo = imaging.reflectance(np.array(_PLAIN_ALBEDO))
     if organ.appearance is not None:
@@ -39,6 +39,6 @@ def scene_of(organ: OrganSurface, settings: RenderSettings, imaging: Imaging) ->
         texture=texture,
         albedo=tuple(albedo),
         roughness=_PLAIN_ROUGHNESS,
-        reflectance=(look.ior, look.coat, coat_alpha(look.coat_gloss)),
-        tissue=tissue_figures(imaging.bands_nm) if settings.scattering else None,
+        reflectance=(look.ior, look.clearcoat, clearcoat_alpha(look.clearcoat_gloss)),
+        tissue=optical_properties(imaging.bands_nm) if settings.scattering else None,
     )

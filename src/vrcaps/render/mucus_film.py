@@ -1,11 +1,11 @@
-"""The wet film on a wall, by its thickness: from dry to flooded.
+"""Mucus film: appearance of the wall under a liquid layer of given thickness, dry to flooded.
 
-Liquid fills the lowest places first. Below the texels it covers the domes of single cells, and with
-the share of the wall that is covered the coat strengthens and the colour darkens; in the texels'
-own relief it stands level within a capillary length.
+Liquid fills the lowest places first. Below texel size it covers the domes of single cells; with the
+covered fraction of the wall the clearcoat strengthens and the albedo darkens. In the relief of the
+texture it levels out within a capillary length.
 
-An organ's textures and coat are those of a wet wall, as photographs show it: a film of more than
-about 10 µm leaves them as they are, but for relief.
+An organ's textures and clearcoat are those of a wet wall, as photographs show it: a film of more
+than about 10 µm changes nothing but relief.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ import numpy as np
 from vrcaps.color import LINEAR, srgb_from_linear
 from vrcaps.errors import InputError
 from vrcaps.organ.surface import Appearance, OrganSurface, round_height
-from vrcaps.render.scattering import TISSUE_IOR, internal_reflection
+from vrcaps.render.scattering import TISSUE_IOR, internal_reflectance
 
 if TYPE_CHECKING:
     from jaxtyping import Float, UInt8
 
-THICKEST_UM = 1000.0
+MAX_THICKNESS_UM = 1000.0
 """More than this is a pool, not a film [µm]."""
 
 _CELLS = 5e-6
@@ -38,11 +38,11 @@ _CAPILLARY = 2.7e-3
 _STEPS = 60
 
 
-def wet_organ(organ: OrganSurface, thickness: float) -> OrganSurface:
-    """The organ under a film.
+def apply_mucus_film(organ: OrganSurface, thickness: float) -> OrganSurface:
+    """Organ under a mucus film.
 
     Args:
-        organ: With a look of its own.
+        organ: With an appearance of its own.
         thickness: Liquid on the wall over its area [m], 0 for a dry wall.
 
     Raises:
@@ -50,24 +50,26 @@ def wet_organ(organ: OrganSurface, thickness: float) -> OrganSurface:
     """
     look = organ.appearance
     if look is None:
-        raise InputError(f"{organ.name} has no look of its own, so no film. Drop film-um.")
-    covered = covered_share(thickness / _CELLS)
+        raise InputError(f"{organ.name} has no look of its own, so no film. Drop mucus-film-um.")
+    covered = covered_fraction(thickness / _CELLS)
     texel = _texel_size(organ, look)
     wet = replace(
         look,
-        albedo=_table(covered)[look.albedo],
-        height=round_height(filled(look.height, thickness, max(round(_CAPILLARY / texel), 1))),
+        albedo=_wet_albedo_lut(covered)[look.albedo],
+        height=round_height(
+            level_relief(look.height, thickness, max(round(_CAPILLARY / texel), 1))
+        ),
         ior=TISSUE_IOR + covered * (look.ior - TISSUE_IOR),
-        coat=covered * look.coat,
+        clearcoat=covered * look.clearcoat,
     )
     return replace(organ, appearance=wet)
 
 
-def covered_share(thickness: float) -> float:
-    """Share of a rough surface that liquid covers.
+def covered_fraction(thickness: float) -> float:
+    """Fraction of a rough surface that liquid covers.
 
-    Heights are normal: up to a level x liquid of x Φ(x) + φ(x) stands on an area of 1, on a share
-    Φ(x) of it.
+    Heights are normally distributed: up to a level x, liquid of x Φ(x) + φ(x) stands on an area of
+    1, on a fraction Φ(x) of it.
 
     Args:
         thickness: Of liquid, over the RMS height of the surface.
@@ -84,20 +86,20 @@ def covered_share(thickness: float) -> float:
     return float(norm.cdf(brentq(excess, -37.0, thickness + 1.0)))
 
 
-def dry_color(wet: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
-    """Base colour without the film that returns a share p of the light to the wall.
+def dry_albedo(wet: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
+    """Albedo of the wall without the film that reflects a fraction p of the light back to it.
 
-    Under it A becomes A (1 − p)/(1 − p A): light that the film throws back may be absorbed at the
-    next try (Lekner and Dorf, Appl. Opt. 27(7), 1988, without what the film itself mirrors).
+    Under it A becomes A (1 − p)/(1 − p A): light that the film reflects back may be absorbed the
+    next time (Lekner and Dorf, Appl. Opt. 27(7), 1988, without what the film itself reflects).
     """
-    share = internal_reflection(_LIQUID_IOR)
-    return wet / (1.0 - share + share * wet)
+    fraction = internal_reflectance(_LIQUID_IOR)
+    return wet / (1.0 - fraction + fraction * wet)
 
 
-def filled(
+def level_relief(
     height: Float[np.ndarray, "h w"], thickness: float, window: int
 ) -> Float[np.ndarray, "h w"]:
-    """A relief [m] whose dips hold liquid, level over a window [texels].
+    """Relief [m] of a height map whose dips hold liquid, level over a window [texels].
 
     Args:
         height: The relief [m]; it wraps.
@@ -110,10 +112,10 @@ def filled(
         return height
     ground = uniform_filter(np.asarray(height, np.float32), window, mode="wrap")
     detail = height - ground
-    return ground + np.maximum(detail, _level(detail, thickness))
+    return ground + np.maximum(detail, _liquid_level(detail, thickness))
 
 
-def _level(height: Float[np.ndarray, "h w"], thickness: float) -> float:
+def _liquid_level(height: Float[np.ndarray, "h w"], thickness: float) -> float:
     """Height up to which a volume of liquid stands, over an area of 1."""
     low, high = float(height.min()), float(height.max()) + thickness
     for _ in range(_STEPS):
@@ -127,14 +129,14 @@ def _level(height: Float[np.ndarray, "h w"], thickness: float) -> float:
     return 0.5 * (low + high)
 
 
-def _table(covered: float) -> UInt8[np.ndarray, " 256"]:
-    """What each sRGB number becomes where only a share of the wall is covered."""
-    return srgb_from_linear(covered * LINEAR + (1.0 - covered) * dry_color(LINEAR))
+def _wet_albedo_lut(covered: float) -> UInt8[np.ndarray, " 256"]:
+    """Lookup table from the wet wall's sRGB values to those where only a fraction is covered."""
+    return srgb_from_linear(covered * LINEAR + (1.0 - covered) * dry_albedo(LINEAR))
 
 
 def _texel_size(organ: OrganSurface, look: Appearance) -> float:
     """Side of a texel on the wall [m], on average."""
     a, b, c = np.moveaxis(organ.vertices[organ.faces], 1, 0)
     area = np.linalg.norm(np.cross(b - a, c - a), axis=1).sum()
-    share = np.abs(np.linalg.det(organ.uv[:, 1:] - organ.uv[:, :1])).sum()
-    return float(np.sqrt(area / max(share * look.height.size, 1e-12)))
+    used = np.abs(np.linalg.det(organ.uv[:, 1:] - organ.uv[:, :1])).sum()
+    return float(np.sqrt(area / max(used * look.height.size, 1e-12)))

@@ -16,8 +16,14 @@ import numpy as np
 
 from vrcaps.color import LUMINANCE
 from vrcaps.mucosa.appearance import MUCOSAE
-from vrcaps.render.imaging import Imaging, liquid_apart, lookup, tabled, taken_apart
-from vrcaps.render.scattering import carried_density, reduced_scattering
+from vrcaps.render.imaging import (
+    Imaging,
+    lut_densities,
+    read_lut,
+    unmix_absorption,
+    unmix_chromophores,
+)
+from vrcaps.render.scattering import density_at_wavelength, reduced_scattering
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -41,19 +47,19 @@ def blood_density(density: Float[np.ndarray, "*n"], band: int) -> Float[np.ndarr
         band: 415 or 540 [nm].
     """
     scattering = reduced_scattering(band) / reduced_scattering(545.0)
-    return carried_density(density, _HAEMOGLOBIN[band] / _HAEMOGLOBIN["green"] / scattering)
+    return density_at_wavelength(density, _HAEMOGLOBIN[band] / _HAEMOGLOBIN["green"] / scattering)
 
 
 @functools.cache
 def _table(band: int) -> Float[np.ndarray, " n"]:
-    """`blood_density` of `tabled` densities."""
-    return blood_density(tabled(), band).astype(np.float32)
+    """`blood_density` of `lut_densities` densities."""
+    return blood_density(lut_densities(), band).astype(np.float32)
 
 
 def _led_gains() -> tuple[float, float, float]:
     """By them pale mucosa is neutral, and the colon's plain mucosa as bright as in white light."""
     plain = np.log(np.array(MUCOSAE["colon"].base_color))
-    pale = _PALE * taken_apart(plain)[1]
+    pale = _PALE * unmix_chromophores(plain)[1]
     gains = np.exp([blood_density(pale, band) for band in (540, 415, 415)])
     gains *= (np.exp(plain) @ LUMINANCE) / (gains * np.exp(_color(plain)) @ LUMINANCE)
     red, green, blue = gains.tolist()
@@ -62,15 +68,15 @@ def _led_gains() -> tuple[float, float, float]:
 
 def _color(log_light: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
     """Logarithm of the reflectance at 540, 415 and 415 nm from that of red, green and blue."""
-    base, blood, bile = taken_apart(log_light)
+    base, blood, bile = unmix_chromophores(log_light)
     green, violet = (
-        -base - lookup(_table(band), blood) - _BILE[band] * bile for band in (540, 415)
+        -base - read_lut(_table(band), blood) - _BILE[band] * bile for band in (540, 415)
     )
     return np.stack([green, violet, violet], axis=-1)
 
 
 def _absorption(white: tuple[float, float, float]) -> tuple[float, float, float]:
-    base, blood, bile = liquid_apart(white)
+    base, blood, bile = unmix_absorption(white)
     green, violet = (
         max(base + blood * _HAEMOGLOBIN[band] / _HAEMOGLOBIN["green"] + bile * _BILE[band], 0.0)
         for band in (540, 415)

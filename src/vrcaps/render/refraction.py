@@ -1,4 +1,4 @@
-"""Where points appear that are seen through the level surface of a pool, or mirrored in it."""
+"""Refraction and reflection at pool surfaces: where points below or above them appear."""
 
 from __future__ import annotations
 
@@ -8,48 +8,48 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vrcaps._core import Wall
-from vrcaps.lumen.lumen_contents import BEND_NAMES, LumenContents
+from vrcaps.lumen.lumen_contents import REFRACTION_NAMES, LumenContents
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
 
-MIRRORED = BEND_NAMES.index("mirrored")
+REFLECTED = REFRACTION_NAMES.index("reflected")
 
 _STEPS = 40
-"""Halvings of the interval that holds the place where light crosses the surface; Newton's method
-needs some five, and what is left is for the grazing ones."""
+"""Most steps of Newton's method: some five suffice, grazing paths bisect."""
 
 
 @dataclass(frozen=True)
-class Bends:
-    """How the ways from an eye to points are bent.
+class RefractedPaths:
+    """Light paths from a camera to points through a pool's surface.
 
     Attributes:
-        apparent: Where the points appear: as far from the eye as the way is long, on the straight
-            line on which the way leaves the eye; world frame [m].
-        turn: Where the way is bent [m]; NaN where it is straight, None if all are.
+        apparent: Where the points appear: as far from the camera as the path is long, on the
+            straight line along which it leaves the camera; world frame [m].
+        surface_crossing: Where the path meets the surface [m]; NaN where it is straight, None if
+            all paths are.
     """
 
     apparent: Float[np.ndarray, "*n 3"]
-    turn: Float[np.ndarray, "*n 3"] | None
+    surface_crossing: Float[np.ndarray, "*n 3"] | None
 
 
-def levels_met(
+def surface_heights(
     lumen_contents: LumenContents,
     eye: Float[np.ndarray, " 3"],
     wall: Wall,
     faces: Int[np.ndarray, "m 3"],
     face: Int[np.ndarray, "*n"],
 ) -> Float[np.ndarray, "*n"]:
-    """Height of the surface that may lie between an eye and points [m]; NaN where none may.
+    """Height of the pool surface between a camera and each point [m]; NaN where there is none.
 
-    An eye in a pool has that pool's surface above it; an eye above has below it those of the pools
-    that the points belong to.
+    A camera in a pool has that pool's surface above it. A camera above has below it the surfaces of
+    the pools that the points belong to.
 
     Args:
         lumen_contents: What is in the lumen.
-        eye: In the world [m].
-        wall: The wall, to know along which pool the eye is.
+        eye: Position of the camera in the world [m].
+        wall: The wall, to know along which pool the camera is.
         faces: Of the wall.
         face: That each point lies on, −2 − k on sphere k of the lumen_contents.
     """
@@ -73,54 +73,55 @@ def levels_met(
     return levels
 
 
-def bend_ways(
+def refract_paths(
     eye: Float[np.ndarray, " 3"],
     points: Float[np.ndarray, "*n 3"],
-    levels: Float[np.ndarray, "*n"],
-    is_mirrored: Bool[np.ndarray, "*n"],
+    heights: Float[np.ndarray, "*n"],
+    is_reflected: Bool[np.ndarray, "*n"],
     ior: float,
-) -> Bends:
-    """Ways from an eye to points through level surfaces of liquid, by Snell's law.
+) -> RefractedPaths:
+    """Light paths from a camera to points through horizontal liquid surfaces, by Snell's law.
 
     Args:
-        eye: In the world [m].
+        eye: Position of the camera in the world [m].
         points: In the world [m].
-        levels: Height of the surface between eye and point [m]; NaN for none.
-        is_mirrored: Points to be seen mirrored in the surface, if they are in liquid as the eye is.
+        heights: Of the surface between camera and point [m]; NaN for none.
+        is_reflected: Points to be seen by reflection at the surface, if they are in liquid as the
+            camera is.
         ior: Refractive index of the liquid.
     """
-    apparent, turn = points.astype(np.float64), np.full(points.shape, np.nan)
+    apparent, crossing = points.astype(np.float64), np.full(points.shape, np.nan)
     with np.errstate(invalid="ignore"):
-        is_across = (points[..., 2] < levels) != (eye[2] < levels)
-        is_across &= np.isfinite(levels) & np.isfinite(points[..., 2])
-        is_mirror = is_mirrored & ~is_across & (points[..., 2] < levels)
-    apparent[is_mirror, 2] = 2.0 * levels[is_mirror] - points[is_mirror][:, 2]
-    share = (levels[is_mirror] - eye[2]) / (apparent[is_mirror, 2] - eye[2])
-    turn[is_mirror] = eye + share[:, None] * (apparent[is_mirror] - eye)
-    turn[is_across] = _crossings(eye, points[is_across], levels[is_across], ior)
-    first, second = turn[is_across] - eye, points[is_across] - turn[is_across]
+        is_across = (points[..., 2] < heights) != (eye[2] < heights)
+        is_across &= np.isfinite(heights) & np.isfinite(points[..., 2])
+        is_reflection = is_reflected & ~is_across & (points[..., 2] < heights)
+    apparent[is_reflection, 2] = 2.0 * heights[is_reflection] - points[is_reflection][:, 2]
+    fraction = (heights[is_reflection] - eye[2]) / (apparent[is_reflection, 2] - eye[2])
+    crossing[is_reflection] = eye + fraction[:, None] * (apparent[is_reflection] - eye)
+    crossing[is_across] = _crossings(eye, points[is_across], heights[is_across], ior)
+    first, second = crossing[is_across] - eye, points[is_across] - crossing[is_across]
     before, after = (np.linalg.norm(leg, axis=-1) for leg in (first, second))
     factor = (before + after) / np.maximum(before, 1e-12)
     apparent[is_across] = eye + factor[:, None] * first
-    return Bends(apparent, turn)
+    return RefractedPaths(apparent, crossing)
 
 
 def _crossings(
     eye: Float[np.ndarray, " 3"],
     points: Float[np.ndarray, "n 3"],
-    levels: Float[np.ndarray, " n"],
+    heights: Float[np.ndarray, " n"],
     ior: float,
 ) -> Float[np.ndarray, "n 3"]:
-    """Where light goes through a surface: the way that takes least time (Fermat).
+    """Where light crosses a surface: the path of least time (Fermat).
 
-    Its derivative along the line below eye and point rises steadily, so Newton's steps are kept
-    between the ends that have been ruled out.
+    The derivative of time along the line below camera and point is monotonic, so Newton's steps
+    stay within the bracket.
     """
     offset = points[:, :2] - eye[:2]
     reach = np.linalg.norm(offset, axis=-1)
-    near, far = np.abs(eye[2] - levels), np.abs(points[:, 2] - levels)
-    index_near, index_far = np.where(eye[2] < levels, (ior,), (1.0,)), 1.0 + 0.0 * levels
-    index_far = np.where(eye[2] < levels, index_far, ior)
+    near, far = np.abs(eye[2] - heights), np.abs(points[:, 2] - heights)
+    index_near, index_far = np.where(eye[2] < heights, (ior,), (1.0,)), 1.0 + 0.0 * heights
+    index_far = np.where(eye[2] < heights, index_far, ior)
     low, high = np.zeros_like(reach), reach.copy()
     at = reach * near / np.maximum(near + far, 1e-12)
     for _ in range(_STEPS):
@@ -130,9 +131,9 @@ def _crossings(
         curve = index_near * near**2 / before**3 + index_far * far**2 / after**3
         newton = at - slope / np.maximum(curve, 1e-12)
         inside = (newton > low) & (newton < high)
-        following = np.where(inside, newton, 0.5 * (low + high))
-        if np.abs(following - at).max(initial=0.0) < 1e-12:
+        candidate = np.where(inside, newton, 0.5 * (low + high))
+        if np.abs(candidate - at).max(initial=0.0) < 1e-12:
             break
-        at = following
+        at = candidate
     along = offset * (at / np.maximum(reach, 1e-15))[:, None]
-    return np.column_stack([eye[:2] + along, levels])
+    return np.column_stack([eye[:2] + along, heights])

@@ -1,4 +1,4 @@
-"""Images of a world: one pass of the compiled core fills every channel asked for."""
+"""Renderer: images of a world, one pass of the compiled core for all requested channels."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from vrcaps.camera.rays import camera_rays
 from vrcaps.errors import InputError, UnknownNameError
 from vrcaps.lumen.lumen_contents import LumenContents
 from vrcaps.render.denoise import denoise, load_denoiser
-from vrcaps.render.flow import SurfacePoints, flow, seen_from
+from vrcaps.render.flow import SurfacePoints, flow, visibility
 from vrcaps.render.frame import CHANNELS, Frame, inside
-from vrcaps.render.led_light import imaging_of
-from vrcaps.render.make_scene import scene_of
-from vrcaps.render.refraction import MIRRORED, Bends, bend_ways, levels_met
+from vrcaps.render.led_light import make_imaging
+from vrcaps.render.make_scene import make_scene
+from vrcaps.render.refraction import REFLECTED, RefractedPaths, refract_paths, surface_heights
 from vrcaps.render.settings import RenderSettings
 from vrcaps.world.model import Model, State
 from vrcaps.world.moving_wall import MovingWall
@@ -33,7 +33,7 @@ DEFAULT_CHANNELS = ("rgb", "depth", "ray_distance", "normal", "label", "instance
 """A complete labelled frame."""
 
 _Paths: TypeAlias = tuple[int, int, int] | None
-"""Paths of a ray, their most reflections, and their seed; None without path tracing."""
+"""Samples per pixel, max bounces and seed; None without path tracing."""
 
 _ARRAYS: dict[str, tuple[type[np.generic], tuple[int, ...]]] = {
     "rgb": (np.uint8, (3,)),
@@ -48,19 +48,19 @@ _ARRAYS: dict[str, tuple[type[np.generic], tuple[int, ...]]] = {
     "position": (np.float32, (3,)),
     "face": (np.int32, ()),
     "weights": (np.float32, (2,)),
-    "front_label": (np.uint8, ()),
-    "front_instance": (np.uint16, ()),
-    "front_depth": (np.float32, ()),
-    "bend_label": (np.uint8, ()),
+    "foreground_label": (np.uint8, ()),
+    "foreground_instance": (np.uint16, ()),
+    "foreground_depth": (np.float32, ()),
+    "refraction_label": (np.uint8, ()),
     "dome_label": (np.uint8, ()),
 }
 """Arrays the core fills: dtype and what follows (height, width)."""
 
 _NO_CONTENTS = {
-    **{"front_label": 0, "front_instance": 0, "front_depth": np.nan},
-    **{"bend_label": 0, "sparse_bend": 0},
+    **{"foreground_label": 0, "foreground_instance": 0, "foreground_depth": np.nan},
+    **{"refraction_label": 0, "sparse_refraction": 0},
 }
-_COLOR = {"rgb", "radiance", "radiance_planes"}
+_COLOR = {"rgb", "radiance", "radiance_planar"}
 _NEEDS_NEXT = {"flow_forward", "occlusion"}
 _NEEDS_PREVIOUS = {"flow_backward"}
 
@@ -85,11 +85,11 @@ class Renderer:
         self.settings = settings or RenderSettings()
         if self.settings.denoise:
             load_denoiser()  # before much is made that would be in vain
-        self._imaging = imaging_of(model.device, self.settings.imaging)
-        self._scene = scene_of(model.organ, self.settings, self._imaging)
-        self._quick = None
-        if self.settings.light == "quick":
-            self._quick = _core.QuickLight(model.wall, self._scene)
+        self._imaging = make_imaging(model.device, self.settings.imaging)
+        self._scene = make_scene(model.organ, self.settings, self._imaging)
+        self._radiosity = None
+        if self.settings.light == "radiosity":
+            self._radiosity = _core.Radiosity(model.wall, self._scene)
         self._wall = wall or MovingWall(model)
         self._neighbours = {"previous": MovingWall(model), "next": MovingWall(model)}
         self._poses: deque[tuple[State, Camera, Float[np.ndarray, "4 4"]]] = deque(maxlen=16)
@@ -135,24 +135,24 @@ class Renderer:
     ) -> dict[str, NDArray[Any]]:
         """What `render` does, by channels, in states before, now and after.
 
-        `points` is room for what `thinned` pixels see, `planes` for float32 radiance by colours
-        with a margin, which stays as it is.
+        `points` receives what `subsample` pixels see; `planes` receives float32 radiance by color
+        with a margin, which is left unchanged.
         """
         state_previous, state, state_next = states
         _check_channels(channels, state_next, state_previous)
-        arrays = self._room(channels, camera, out)
-        arrays |= {} if planes is None else {"radiance_planes": planes}
+        arrays = self._allocate(channels, camera, out)
+        arrays |= {} if planes is None else {"radiance_planar": planes}
         if points is not None:
             arrays |= {f"sparse_{name}": array for name, array in vars(points).items()}
         wall, lumen_contents = self._wall.at(state), self.lumen_contents(state)
         contents = (
             None if lumen_contents is None else self._core_contents(lumen_contents, wall, "now")
         )
-        self._draw(wall, camera, state, arrays, contents)
+        self._render_into(wall, camera, state, arrays, contents)
         motion = self._motion(camera, arrays, channels, states)
         return {name: arrays[name] for name in channels if name in arrays} | motion
 
-    def _draw(
+    def _render_into(
         self,
         wall: _core.Wall,
         camera: Camera,
@@ -180,18 +180,18 @@ class Renderer:
                 shadows=self.settings.shadows or paths is not None,
                 contents=contents,
                 paths=paths,
-                quick=self._quick,
+                radiosity=self._radiosity,
             )
 
-        if not (self.settings.takes_means and _COLOR & arrays.keys()):
+        if not (self.settings.is_supersampled and _COLOR & arrays.keys()):
             draw(arrays, 1)
             return
         draw({name: array for name, array in arrays.items() if name not in _COLOR}, 1)
         radiance = _color(draw, camera, self.settings)
         if "radiance" in arrays:
             arrays["radiance"][...] = radiance
-        if "radiance_planes" in arrays:
-            planes = inside(arrays["radiance_planes"], camera.height, camera.width)
+        if "radiance_planar" in arrays:
+            planes = inside(arrays["radiance_planar"], camera.height, camera.width)
             planes[...] = np.moveaxis(radiance, -1, 0)
         if "rgb" in arrays:
             arrays["rgb"][...] = _core.encode_srgb(radiance, camera.exposure)
@@ -208,13 +208,13 @@ class Renderer:
         motion: dict[str, NDArray[Any]] = {}
         if "position" not in arrays or not (_NEEDS_NEXT | _NEEDS_PREVIOUS) & set(channels):
             return motion
-        names = ("position", "face", "weights", "bend_label")
+        names = ("position", "face", "weights", "refraction_label")
         points = SurfacePoints(*(arrays[name] for name in names))
         faces, now = self.model.organ.faces, self.lumen_contents(state)
         if state_next is not None and _NEEDS_NEXT & set(channels):
             moved = points.moved(faces, state_next, now, self.lumen_contents(state_next))
-            bends = self.bends(camera, points, moved, state_next, "next")
-            forward = flow(camera, bends.apparent, state_next)
+            paths = self.refracted_paths(camera, points, moved, state_next, "next")
+            forward = flow(camera, paths.apparent, state_next)
             if "flow_forward" in channels:
                 motion["flow_forward"] = forward
             if "occlusion" in channels:
@@ -225,42 +225,42 @@ class Renderer:
                 then = None
                 if lumen_contents is not None:
                     then = self._core_contents(lumen_contents, wall, "next")
-                seen = seen_from(camera, bends, moved, forward, state_next, wall, then)
+                seen = visibility(camera, paths, moved, forward, state_next, wall, then)
                 motion["occlusion"] = ~seen
         if state_previous is not None and "flow_backward" in channels:
             moved = points.moved(faces, state_previous, now, self.lumen_contents(state_previous))
-            bends = self.bends(camera, points, moved, state_previous, "previous")
-            motion["flow_backward"] = flow(camera, bends.apparent, state_previous)
+            paths = self.refracted_paths(camera, points, moved, state_previous, "previous")
+            motion["flow_backward"] = flow(camera, paths.apparent, state_previous)
         return motion
 
-    def bends(
+    def refracted_paths(
         self,
         camera: Camera,
         points: SurfacePoints,
         moved: Float[np.ndarray, "h w 3"],
         state: State,
         slot: str,
-    ) -> Bends:
-        """How liquid bends the ways to surface points that have `moved` to another state.
+    ) -> RefractedPaths:
+        """Light paths through liquid to surface points that have `moved` to another state.
 
         The slot is `next` or `previous`: which neighbour the state is.
         """
         lumen_contents = self.lumen_contents(state)
         if lumen_contents is None or lumen_contents.pools is None:
-            return Bends(moved, None)
+            return RefractedPaths(moved, None)
         eye = self.pose(state, camera)[:3, 3]
         wall, faces = self._neighbours[slot].at(state), self.model.organ.faces
-        levels = levels_met(lumen_contents, eye, wall, faces, points.face)
+        heights = surface_heights(lumen_contents, eye, wall, faces, points.face)
         ior = lumen_contents.contents.resolved[2].ior
         moved = moved.astype(float, copy=False)
-        return bend_ways(eye, moved, levels, points.bend == MIRRORED, ior)
+        return refract_paths(eye, moved, heights, points.refraction == REFLECTED, ior)
 
-    def _room(
+    def _allocate(
         self, channels: Sequence[str], camera: Camera, out: Frame | None
     ) -> dict[str, NDArray[Any]]:
         names = [name for name in channels if name in _ARRAYS]
         if (_NEEDS_NEXT | _NEEDS_PREVIOUS) & set(channels):
-            names += ["position", "face", "weights", "bend_label"]
+            names += ["position", "face", "weights", "refraction_label"]
         arrays = {}
         for name in names:
             dtype, rest = _ARRAYS[name]
@@ -389,5 +389,5 @@ def _paths(
     if settings.light != "path":
         return None
     instant = np.append(T_world_camera.ravel(), time).astype("<f8").tobytes()
-    seed = blake2b(instant, digest_size=8, key=str(settings.light_seed).encode()).digest()
-    return settings.samples, settings.depth, int.from_bytes(seed, "little")
+    seed = blake2b(instant, digest_size=8, key=str(settings.path_seed).encode()).digest()
+    return settings.spp, settings.max_bounces, int.from_bytes(seed, "little")

@@ -1,9 +1,9 @@
-"""Light that enters tissue, is scattered in it and leaves again: optical properties and theory.
+"""Subsurface scattering: optical properties of gut tissue and reference solutions.
 
-What `light="path"` walks at random, and `light="quick"` by rows of such walks, is stated here in
-closed form: a half-space that scatters evenly in all directions behind a smooth border. The
-texture's colour is what such tissue gives back of even light; from it follows how much it absorbs,
-with the measured scattering of colon.
+States in closed form what `light="path"` samples by random walks and what `light="radiosity"`
+precomputes from such walks: a half-space of isotropic scattering behind a smooth dielectric border.
+The texture's color is the tissue's albedo under diffuse illumination; its absorption follows from
+that and from the measured scattering of colon.
 """
 
 from __future__ import annotations
@@ -55,15 +55,15 @@ def fresnel(cosine: Float[np.ndarray, "*n"], ior: float) -> Float[np.ndarray, "*
     return 0.5 * (across**2 + along**2)
 
 
-def internal_reflection(ior: float) -> float:
+def internal_reflectance(ior: float) -> float:
     """Share of even light inside that a border reflects back in: 0 for 1, 0.53 for 1.4."""
     cosine, weight = _directions(ior)
     return float(np.sum(2.0 * weight * cosine * fresnel(cosine, 1.0 / ior)))
 
 
-def entering_share(ior: float) -> float:
+def diffuse_transmittance(ior: float) -> float:
     """Share of even light outside that a border lets in: 1 for 1, 0.94 for 1.4."""
-    return (1.0 - internal_reflection(ior)) * ior**2
+    return (1.0 - internal_reflectance(ior)) * ior**2
 
 
 def _directions(ior: float) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
@@ -98,7 +98,7 @@ def _h_function(
     return h
 
 
-def half_space_color(albedo: Float[np.ndarray, " k"], ior: float) -> Float[np.ndarray, " k"]:
+def half_space_albedo(albedo: Float[np.ndarray, " k"], ior: float) -> Float[np.ndarray, " k"]:
     """Share of even light from outside, of what enters, that leaves again: exact transport.
 
     The half-space without border gives back I⁺ = M I⁻ of light from within (Chandrasekhar 1960,
@@ -112,7 +112,7 @@ def half_space_color(albedo: Float[np.ndarray, " k"], ior: float) -> Float[np.nd
     inside = _radiance_inside(albedo, ior)
     back = 1.0 - fresnel(cosine, 1.0 / ior)
     leaving = 2.0 * np.sum(weight * cosine * back * inside, axis=1)
-    return leaving / entering_share(ior)
+    return leaving / diffuse_transmittance(ior)
 
 
 def half_space_reflectance(albedo: Float[np.ndarray, " k"], ior: float) -> Float[np.ndarray, " k"]:
@@ -166,7 +166,7 @@ def diffuse_reflectance(
     return a / (below + (1.0 + 2.0 * k / 3.0) * np.sqrt(3.0 * (1.0 - a)))
 
 
-def carried_density(
+def density_at_wavelength(
     density: Float[np.ndarray, "*n"], factor: float | Float[np.ndarray, "*n"]
 ) -> Float[np.ndarray, "*n"]:
     """Optical density of tissue at another wavelength, by diffusion.
@@ -175,7 +175,7 @@ def carried_density(
         density: Logarithm of one over what tissue reflects of what it would without absorption.
         factor: Absorption over the reduced scattering coefficient there, relative to the same here.
     """
-    internal = internal_reflection(TISSUE_IOR)
+    internal = internal_reflectance(TISSUE_IOR)
     absorption = np.concatenate([[0.0], np.geomspace(1e-8, 1e3, 2000)])
     known = -np.log(diffuse_reflectance(absorption, internal=internal))
     there = factor * np.interp(density, known, absorption)
@@ -208,7 +208,7 @@ def dipole_profile(medium: Medium, radius: Float[np.ndarray, "*n"]) -> Float[np.
         radius: Distance from the beam inside it [m].
     """
     albedo = medium.scattering / (medium.absorption + medium.scattering)
-    internal = internal_reflection(medium.ior)
+    internal = internal_reflectance(medium.ior)
     _, flux = _dipole(medium, radius, depth=1.0, border=(1.0 + internal) / (1.0 - internal))
     return albedo * flux
 
@@ -261,7 +261,7 @@ def albedo_roots(ior: float = TISSUE_IOR) -> Float[np.ndarray, " n"]:
     Nearly straight for bright tissue, where the albedo itself is not.
     """
     root = np.concatenate([np.linspace(1e-3, 0.5, 60), np.linspace(0.5, 1.0, 20)[1:]])
-    color = half_space_color(1.0 - root**2, ior)
+    color = half_space_albedo(1.0 - root**2, ior)
     wanted = np.minimum(np.linspace(0.0, 1.0, _COLORS), _WHITEST)
     return np.interp(wanted, color[::-1], root[::-1])
 
@@ -274,7 +274,7 @@ def mean_cosine(ior: float) -> float:
 
 
 @functools.cache
-def color_slopes(ior: float = TISSUE_IOR) -> Float[np.ndarray, " n"]:
+def angular_slopes(ior: float = TISSUE_IOR) -> Float[np.ndarray, " n"]:
     """How a half-space under even light looks by angle, for base colours 0 to 1 in even steps.
 
     Inside it sends the mean radiance times 1 + slope (m − cosine) to its border, with m the
@@ -291,7 +291,7 @@ def color_slopes(ior: float = TISSUE_IOR) -> Float[np.ndarray, " n"]:
     return np.interp(color, few, slope)
 
 
-class TissueFigures(NamedTuple):
+class OpticalProperties(NamedTuple):
     """What the core walks in.
 
     Attributes:
@@ -300,7 +300,7 @@ class TissueFigures(NamedTuple):
         entering: Share of even light that enters.
         roots: `albedo_roots`.
         level: `mean_cosine`.
-        slopes: `color_slopes`.
+        slopes: `angular_slopes`.
     """
 
     scattering: tuple[float, float, float]
@@ -311,14 +311,14 @@ class TissueFigures(NamedTuple):
     slopes: NDArray[np.float32]
 
 
-def tissue_figures(bands_nm: tuple[float, float, float]) -> TissueFigures:
+def optical_properties(bands_nm: tuple[float, float, float]) -> OpticalProperties:
     """Tissue by the middle of what the image's red, green and blue are lit by [nm]."""
     red, green, blue = (reduced_scattering(band) for band in bands_nm)
-    return TissueFigures(
+    return OpticalProperties(
         (red, green, blue),
         TISSUE_IOR,
-        entering_share(TISSUE_IOR),
+        diffuse_transmittance(TISSUE_IOR),
         albedo_roots(TISSUE_IOR).astype(np.float32),
         mean_cosine(TISSUE_IOR),
-        color_slopes(TISSUE_IOR).astype(np.float32),
+        angular_slopes(TISSUE_IOR).astype(np.float32),
     )

@@ -29,7 +29,7 @@ from vrcaps.mucosa.texture import texture_head
 from vrcaps.organ.organ_file import is_organ_file
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.render.frame import CHANNELS
-from vrcaps.render.led_light import imaging_of
+from vrcaps.render.led_light import make_imaging
 from vrcaps.render.settings import RECORDED, RenderSettings
 from vrcaps.scenario.convert import from_plain, to_plain
 from vrcaps.sensors.sensors import Sensors
@@ -106,7 +106,7 @@ class Scenario:
         fps: Frames per second; None takes the capsule's own.
         seed: Of the motion's wandering and the mucosa of an organ from a file.
         channels: Image channels to write.
-        render: How to render; by default with quick bounced light.
+        render: How to render; by default with radiosity.
         wall: Store where every vertex of the wall is in each frame.
         lesions: What to put into the organ; number k becomes instance k, counted from 1.
         clean_twin: Show the same patient without the lesions; the motion stays as it is with them.
@@ -196,7 +196,7 @@ def resolve(scenario: Scenario) -> tuple[Scenario, Device]:
         UnknownNameError: If a posture, capsule or channel is unknown.
     """
     device = read_device(scenario.capsule)
-    imaging_of(device, scenario.render.imaging)
+    make_imaging(device, scenario.render.imaging)
     posture_transform(scenario.posture)
     for channel in scenario.channels:
         if channel not in CHANNELS:

@@ -68,7 +68,7 @@ pub fn leave(normal: Vec3, [u, v]: [f32; 2]) -> (Vec3, f32) {
 #[inline(always)]
 pub fn bounce(surface: &Surface, material: &Material, draw: &Draw) -> Bounce {
     let coat = Coat::new(material);
-    let square = material.coat_alpha * material.coat_alpha;
+    let square = material.clearcoat_alpha * material.clearcoat_alpha;
     let logarithm = log2(square);
     let (direction, weight) = ([[0.0; LANES]; 3], [[0.0; LANES]; 3]);
     let mut out = Bounce { direction, weight, gloss: [0.0; LANES], density: [0.0; LANES] };
@@ -204,8 +204,8 @@ mod tests {
     use crate::render::path::sobol::{hash, point};
 
     const MATERIALS: [Material; 2] = [
-        Material { ior: 1.0, coat: 0.0, coat_alpha: 0.1 },
-        Material { ior: 1.4, coat: 0.7, coat_alpha: 0.1 },
+        Material { ior: 1.0, coat: 0.0, clearcoat_alpha: 0.1 },
+        Material { ior: 1.4, coat: 0.7, clearcoat_alpha: 0.1 },
     ];
 
     fn slanted(cos_view: f32, roughness: f32) -> Surface {

@@ -3,7 +3,7 @@
 //! A share grows as the exchange of light between two small areas does, cos θ cos θ' A/d², and all
 //! of a row together stay as much as they were: a lumen stays closed. Who hides whom is as at rest.
 
-use super::QuickLight;
+use super::Radiosity;
 use super::gather_points::Sites;
 use crate::simd::f32x64::*;
 use crate::wall::Wall;
@@ -43,7 +43,7 @@ impl Place {
 
 /// A wall that is not at rest.
 pub struct Moved<'a> {
-    light: &'a QuickLight,
+    light: &'a Radiosity,
     rest: &'a Wall,
     /// Where each site is now, and how much larger its area is if it gives light.
     now: Vec<(Place, f32)>,
@@ -51,7 +51,7 @@ pub struct Moved<'a> {
 
 impl<'a> Moved<'a> {
     /// Compares a wall with itself at rest; only sites of a list give light.
-    pub fn new(light: &'a QuickLight, rest: &'a Wall, wall: &Wall, giving: &[u32]) -> Self {
+    pub fn new(light: &'a Radiosity, rest: &'a Wall, wall: &Wall, giving: &[u32]) -> Self {
         let count = light.sites.vertex.len();
         let places = (0..count).into_par_iter().with_min_len(512);
         let mut now: Vec<(Place, f32)> =

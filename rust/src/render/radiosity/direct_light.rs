@@ -2,7 +2,7 @@
 
 use super::gather_points::nearest_corner;
 use super::stratified_lobe::Lobe;
-use super::{Color, QuickLight};
+use super::{Color, Radiosity};
 use crate::render::material::Led;
 use crate::simd::f32x64::*;
 use crate::wall::Wall;
@@ -25,7 +25,7 @@ const GLOSS: f32 = 0.7;
 type End = (u32, Vec3);
 
 /// Radiosity of each site by its first reflection of the LEDs' light [W/m²].
-pub fn first_reflection(light: &QuickLight, wall: &Wall, leds: &[Led]) -> Vec<Color> {
+pub fn first_reflection(light: &Radiosity, wall: &Wall, leds: &[Led]) -> Vec<Color> {
     let side = ((RAYS as f32 / leds.len().max(1) as f32).sqrt() as usize).max(LEAST_SIDE);
     let lobe = |(k, led): (usize, &Led)| Lobe::shifted(led.direction, led.exponent, side, k);
     let lobes: Vec<Lobe> = leds.iter().enumerate().map(lobe).collect();
@@ -57,7 +57,7 @@ pub fn first_reflection(light: &QuickLight, wall: &Wall, leds: &[Led]) -> Vec<Co
     "aarch64+neon"
 ))]
 fn send(
-    light: &QuickLight,
+    light: &Radiosity,
     wall: &Wall,
     led: &Led,
     lobe: &Lobe,

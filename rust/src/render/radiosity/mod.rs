@@ -39,7 +39,7 @@ type Color = [f32; 4];
 
 /// Bounced light of a wall: sites, what they reflect and what they see of each other.
 #[pyclass(frozen, module = "vrcaps._core")]
-pub struct QuickLight {
+pub struct Radiosity {
     rest: Py<Wall>,
     sites: Sites,
     /// Mean base colour of what each site stands for.
@@ -54,7 +54,7 @@ pub struct QuickLight {
 }
 
 #[pymethods]
-impl QuickLight {
+impl Radiosity {
     /// Takes a wall at rest, which must not be moved afterwards, and what is drawn on it.
     #[new]
     fn new(py: Python<'_>, rest: Py<Wall>, scene: &Scene) -> Self {
@@ -73,7 +73,7 @@ impl QuickLight {
             let rows = sites.vertex.iter().map(|_| OnceLock::new()).collect();
             let Look { albedo, per_area, .. } = look;
             let room = Rooms::new((sites.vertex.len(), wall.vertices.len()));
-            QuickLight { rest: own, sites, albedo, per_area, reflectance, rows, room, tissue }
+            Radiosity { rest: own, sites, albedo, per_area, reflectance, rows, room, tissue }
         })
     }
 
@@ -84,7 +84,7 @@ impl QuickLight {
     }
 }
 
-impl QuickLight {
+impl Radiosity {
     /// The wall at rest.
     pub fn rest<'py>(&'py self, py: Python<'py>) -> PyRef<'py, Wall> {
         self.rest.borrow(py)

@@ -143,7 +143,7 @@ mod tests {
 
     #[test]
     fn agrees_with_another_program() {
-        let material = Material { ior: 1.4, coat: 1.0, coat_alpha: 0.1 - 0.099 * 0.93 };
+        let material = Material { ior: 1.4, coat: 1.0, clearcoat_alpha: 0.1 - 0.099 * 0.93 };
         let found = Reflectance::integrate(&material, 0.64);
         for [cosine, base, gloss] in EXACT {
             let [ours, shine] = found.at(cosine);

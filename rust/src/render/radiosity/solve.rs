@@ -5,7 +5,7 @@ use super::direct_light::first_reflection;
 use super::form_factors::{Beam, Link};
 use super::lazy_cache::{Light, Lights};
 use super::subsurface::{Beneath, Skin};
-use super::{Color, QuickLight};
+use super::{Color, Radiosity};
 use crate::render::material::{Led, Surface};
 use crate::simd::f32x64::*;
 use crate::wall::Wall;
@@ -25,7 +25,7 @@ const CHUNK: usize = 32;
 
 /// Irradiance by bounced light in one frame.
 pub struct Irradiance<'a> {
-    light: &'a QuickLight,
+    light: &'a Radiosity,
     rest: &'a Wall,
     wall: &'a Wall,
     /// How the wall differs from itself at rest, if it does.
@@ -38,7 +38,7 @@ pub struct Irradiance<'a> {
     skin: Option<Skin<'a>>,
 }
 
-impl QuickLight {
+impl Radiosity {
     /// Irradiance by bounced light; LEDs cast shadows or not.
     pub fn solve<'a>(
         &'a self,

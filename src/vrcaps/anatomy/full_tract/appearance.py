@@ -65,7 +65,7 @@ def with_appearance(
     names = ("albedo", "roughness", "height")
     appearance = replace(
         baked[1],
-        coat=float(np.average([own.coat for own in baked], weights=sizes.prod(axis=1))),
+        clearcoat=float(np.average([own.clearcoat for own in baked], weights=sizes.prod(axis=1))),
         **{name: _side_by_side([getattr(own, name) for own in baked]) for name in names},
     )
     return replace(organ, uv=uv, appearance=appearance)

@@ -1,4 +1,4 @@
-"""Quick light through tissue: half-spaces, a sheet lit from behind, path tracing, same bytes."""
+"""Radiosity through tissue: half-spaces, a sheet lit from behind, path tracing, same bytes."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from vrcaps.render.renderer import Renderer
 from vrcaps.render.scattering import (
     TISSUE_IOR,
     albedo_roots,
-    entering_share,
+    diffuse_transmittance,
     fresnel,
     half_space_reflectance,
 )
@@ -28,7 +28,7 @@ DOWN = (0.0, 0.0, -1.0)
 
 
 def _radiance(model: Model, camera: Camera, state: State, **settings: object) -> np.ndarray:
-    chosen = {"light": "quick", "shadows": True, "scattering": True, **settings}
+    chosen = {"light": "radiosity", "shadows": True, "scattering": True, **settings}
     renderer = Renderer(model, RenderSettings(**chosen))  # type: ignore[arg-type]
     radiance = renderer.render(state, camera, channels=("radiance",)).radiance
     assert radiance is not None
@@ -38,7 +38,9 @@ def _radiance(model: Model, camera: Camera, state: State, **settings: object) ->
 def _matt(*color: int) -> Appearance:
     """A look that mirrors nothing, so that all light goes through tissue."""
     flat = np.full((1, 1, 3), color, np.uint8)
-    return Appearance(flat, np.full((1, 1), 128, np.uint8), np.zeros((1, 1)), ior=1.0, coat=0.0)
+    return Appearance(
+        flat, np.full((1, 1), 128, np.uint8), np.zeros((1, 1)), ior=1.0, clearcoat=0.0
+    )
 
 
 def _sheet(height: float, side: float, cells: int, *, up: bool) -> tuple[np.ndarray, np.ndarray]:
@@ -60,7 +62,7 @@ def _lamp(height: float) -> tuple[Led, ...]:
 def _folds(around: int = 24) -> tuple[Model, Camera]:
     look = Appearance(
         np.array([[[190, 90, 50]]], np.uint8), np.full((1, 1), 160, np.uint8), np.zeros((1, 1)),
-        coat=0.7,
+        clearcoat=0.7,
     )  # fmt: skip
     organ = tube(around, 5 * around // 2, length=0.15, folds=0.35, capped=True, appearance=look)
     leds = tuple(Led((0.003 * np.cos(a), 0.003 * np.sin(a), -0.001)) for a in (0.0, 2.0, 4.0))
@@ -79,7 +81,7 @@ def test_a_level_wall_is_a_half_space(cells: int) -> None:
     roots = np.interp(linear, np.linspace(0.0, 1.0, len(albedo_roots())), albedo_roots())
     passes = 1.0 - fresnel(np.array(1.0), TISSUE_IOR)
     back = half_space_reflectance(1.0 - roots**2, TISSUE_IOR)
-    expected = 1e-3 / away**2 / np.pi * back * passes / entering_share(TISSUE_IOR) ** 2
+    expected = 1e-3 / away**2 / np.pi * back * passes / diffuse_transmittance(TISSUE_IOR) ** 2
     np.testing.assert_allclose(found.mean(axis=(0, 1)), expected, rtol=0.02)
     assert (found.std(axis=(0, 1)) < 0.02 * expected).all()
 
@@ -100,7 +102,7 @@ def test_a_thin_sheet_shines_through() -> None:
     model, state = make_model(organ, camera), looking((0.0, 0.0, 0.03), DOWN)
     found = _radiance(model, camera, state).mean(axis=(0, 1))
     assert not _radiance(model, camera, state, scattering=False).any()
-    paths = _radiance(model, camera, state, light="path", samples=128, depth=1)
+    paths = _radiance(model, camera, state, light="path", spp=128, max_bounces=1)
     np.testing.assert_allclose(found, paths.mean(axis=(0, 1)), rtol=0.25)
 
 
@@ -109,7 +111,7 @@ def test_beside_folds_as_by_path_tracing() -> None:
     model, camera = _folds(80)
     state = looking(PLACE)
     one, two = (
-        _radiance(model, camera, state, light="path", samples=48, depth=8, light_seed=seed)
+        _radiance(model, camera, state, light="path", spp=48, max_bounces=8, path_seed=seed)
         for seed in (0, 1)
     )
     mean = one.mean(axis=(0, 1))
@@ -128,7 +130,7 @@ def test_nobody_gives_back_more_than_arrives() -> None:
     """A hollow sphere glows at most by 1/(1 − ρ), and the less the narrower it is."""
     camera = make_camera((LensEquidistant(8.0, 12.0, 12.0), 25, 25), leds=_lamp(0.0))
     color = ((np.array([220, 190, 120]) / 255 + 0.055) / 1.055) ** 2.4
-    passes = (1.0 - fresnel(np.array(1.0), TISSUE_IOR)) / entering_share(TISSUE_IOR)
+    passes = (1.0 - fresnel(np.array(1.0), TISSUE_IOR)) / diffuse_transmittance(TISSUE_IOR)
     glow = []
     for radius in (0.004, 0.016):
         model = make_model(sphere(3, radius=radius, appearance=_matt(220, 190, 120)), camera)
@@ -154,9 +156,9 @@ def test_labels_stay_and_narrow_bands_work() -> None:
     model, camera = _folds()
     names = ("depth", "normal", "label", "albedo", "position")
     frames = [
-        Renderer(model, RenderSettings(light="quick", scattering=on, imaging="narrow-band")).render(
-            looking(PLACE), camera, channels=(*names, "rgb")
-        )
+        Renderer(
+            model, RenderSettings(light="radiosity", scattering=on, imaging="narrow-band")
+        ).render(looking(PLACE), camera, channels=(*names, "rgb"))
         for on in (False, True)
     ]
     for name in names:
@@ -167,7 +169,7 @@ def test_labels_stay_and_narrow_bands_work() -> None:
 def digest() -> str:
     """Checksum of frames at rest and moved, for processes with other numbers of threads."""
     model, camera = _folds()
-    renderer = Renderer(model, RenderSettings(light="quick", scattering=True, shadows=True))
+    renderer = Renderer(model, RenderSettings(light="radiosity", scattering=True, shadows=True))
     return digest_at_rest_and_moved(renderer, camera, PLACE)
 
 
@@ -179,7 +181,7 @@ def test_same_bytes_for_any_number_of_threads() -> None:
 
 def test_a_frame_does_not_depend_on_what_was_rendered_before() -> None:
     model, camera = _folds()
-    state, settings = looking(PLACE), RenderSettings(light="quick", scattering=True)
+    state, settings = looking(PLACE), RenderSettings(light="radiosity", scattering=True)
     fresh = Renderer(model, settings).render(state, camera, channels=("radiance",)).radiance
     used = Renderer(model, settings)
     for z in (0.1, 0.02):

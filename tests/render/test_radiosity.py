@@ -35,13 +35,13 @@ def _radiance(model: Model, camera: Camera, state: State, **settings: object) ->
 def _matt(albedo: int) -> Appearance:
     """A wall without gloss; at this roughness Burley's base is within 2 % of Lambert's."""
     color, rough = np.full((1, 1, 3), albedo, np.uint8), np.full((1, 1), 128, np.uint8)
-    return Appearance(color, rough, np.zeros((1, 1)), ior=1.0, coat=0.0)
+    return Appearance(color, rough, np.zeros((1, 1)), ior=1.0, clearcoat=0.0)
 
 
 def _folds(rng: np.random.Generator) -> tuple[Model, Camera]:
     look = patterned(rng, relief=2e-4)
     bright = (120 + look.albedo // 2).astype(np.uint8)
-    look = replace(look, albedo=bright, coat_gloss=0.5)
+    look = replace(look, albedo=bright, clearcoat_gloss=0.5)
     organ = tube(80, 200, length=0.15, folds=0.35, capped=True, appearance=look)
     leds = tuple(Led((0.003 * np.cos(a), 0.003 * np.sin(a), -0.001)) for a in (0.0, 2.0, 4.0))
     camera = make_camera(pinhole(48, 1.8), leds=leds)
@@ -56,20 +56,20 @@ def test_integrating_sphere(albedo: int) -> None:
         leds=(Led((0.0, 0.0, 0.0), (0.0, 0.0, 1.0), (1e-3, 1e-3, 1e-3), 0.0),),
     )
     model, state = make_model(sphere(4, appearance=_matt(albedo)), camera), looking((0.0, 0.0, 0.0))
-    direct, all_light = (_radiance(model, camera, state, light=x) for x in ("direct", "quick"))
+    direct, all_light = (_radiance(model, camera, state, light=x) for x in ("direct", "radiosity"))
     share = ((albedo / 255 + 0.055) / 1.055) ** 2.4
     ratio = all_light / direct
     assert abs(ratio.mean() * (1.0 - share) - 1.0) < 0.03
     assert ratio.std() < 0.02 * ratio.mean()
 
 
-def test_bounced_light_agrees_with_path_tracing(rng: np.random.Generator) -> None:
+def test_indirect_light_agrees_with_path_tracing(rng: np.random.Generator) -> None:
     """Beside folds, wet and patterned, with relief: two renderings cancel path tracing's noise."""
     model, camera = _folds(rng)
     state = looking(PLACE)
-    ours = _radiance(model, camera, state, light="quick", shadows=True)
+    ours = _radiance(model, camera, state, light="radiosity", shadows=True)
     one, two = (
-        _radiance(model, camera, state, light="path", samples=128, depth=12, light_seed=seed)
+        _radiance(model, camera, state, light="path", spp=128, max_bounces=12, path_seed=seed)
         for seed in (0, 1)
     )
     square = np.mean((ours - one) * (ours - two))
@@ -79,11 +79,11 @@ def test_bounced_light_agrees_with_path_tracing(rng: np.random.Generator) -> Non
     np.testing.assert_allclose((ours - direct).mean(), (one - direct).mean(), rtol=0.06)
 
 
-def test_bounced_light_only_adds_and_scales_with_the_leds(rng: np.random.Generator) -> None:
+def test_indirect_light_only_adds_and_scales_with_the_leds(rng: np.random.Generator) -> None:
     model, camera = _folds(rng)
     state = looking(PLACE)
-    direct, quick = (_radiance(model, camera, state, light=x) for x in ("direct", "quick"))
-    assert (quick >= direct).all()
+    direct, radiosity = (_radiance(model, camera, state, light=x) for x in ("direct", "radiosity"))
+    assert (radiosity >= direct).all()
     brighter = replace(
         camera,
         leds=tuple(
@@ -93,9 +93,9 @@ def test_bounced_light_only_adds_and_scales_with_the_leds(rng: np.random.Generat
         ),
     )
     np.testing.assert_allclose(
-        _radiance(model, brighter, state, light="quick"), 2.0 * quick, rtol=1e-5
+        _radiance(model, brighter, state, light="radiosity"), 2.0 * radiosity, rtol=1e-5
     )
-    dark = _radiance(model, replace(camera, leds=()), state, light="quick")
+    dark = _radiance(model, replace(camera, leds=()), state, light="radiosity")
     assert not dark.any()
 
 
@@ -103,7 +103,7 @@ def test_a_white_wall_stays_finite() -> None:
     """Where nothing is absorbed the sum of all reflections has no end; it is cut."""
     camera = make_camera()
     model = make_model(sphere(3, appearance=_matt(255)), camera)
-    found = _radiance(model, camera, looking((0.004, -0.006, 0.003)), light="quick")
+    found = _radiance(model, camera, looking((0.004, -0.006, 0.003)), light="radiosity")
     assert np.isfinite(found).all()
 
 
@@ -112,16 +112,16 @@ def test_a_moved_wall_is_lit_as_it_is(rng: np.random.Generator) -> None:
     model, camera = _folds(rng)
     rest = model.organ.vertices
     offset = np.array([0.01, -0.02, 0.015])
-    still = _radiance(model, camera, looking(PLACE), light="quick")
+    still = _radiance(model, camera, looking(PLACE), light="radiosity")
     moved = looking(tuple(np.array(PLACE) + offset), vertices_world=rest + offset)
-    carried = _radiance(model, camera, moved, light="quick")
+    carried = _radiance(model, camera, moved, light="radiosity")
     assert np.mean(np.abs(carried - still)) < 2e-3 * still.mean()
 
 
 def digest() -> str:
     """Checksum of frames at rest and moved, for processes with other numbers of threads."""
     model, camera = _folds(np.random.default_rng(3))
-    renderer = Renderer(model, RenderSettings(light="quick"))
+    renderer = Renderer(model, RenderSettings(light="radiosity"))
     return digest_at_rest_and_moved(renderer, camera, PLACE)
 
 
@@ -134,24 +134,24 @@ def test_same_bytes_for_any_number_of_threads() -> None:
 def test_a_frame_does_not_depend_on_what_was_rendered_before(rng: np.random.Generator) -> None:
     model, camera = _folds(rng)
     state = looking(PLACE)
-    fresh = _radiance(model, camera, state, light="quick")
-    used = Renderer(model, RenderSettings(light="quick"))
+    fresh = _radiance(model, camera, state, light="radiosity")
+    used = Renderer(model, RenderSettings(light="radiosity"))
     for z in (0.1, 0.02, 0.07):
         used.render(looking((0.001, 0.002, z)), camera)
     again = used.render(state, camera, channels=("radiance",)).radiance
     np.testing.assert_array_equal(fresh, again)
 
 
-def test_supersampling_has_bounced_light(rng: np.random.Generator) -> None:
+def test_supersampling_has_indirect_light(rng: np.random.Generator) -> None:
     model, camera = _folds(rng)
     once, fine = (
-        _radiance(model, camera, looking(PLACE), light="quick", supersampling=n) for n in (1, 2)
+        _radiance(model, camera, looking(PLACE), light="radiosity", supersampling=n) for n in (1, 2)
     )
     assert abs(fine.mean() / once.mean() - 1.0) < 0.02
 
 
-def test_contents_take_bounced_light(rng: np.random.Generator) -> None:
-    """A pool's bed and a particle glow as the wall does; liquid dims the bed's bounced light."""
+def test_contents_take_indirect_light(rng: np.random.Generator) -> None:
+    """A pool's bed and a particle glow as the wall does; liquid dims the bed's indirect light."""
     model, camera = _folds(rng)
     organ, place = model.organ, np.array([0.0, 0.0, 0.06])
     one = np.ones(1)
@@ -165,15 +165,17 @@ def test_contents_take_bounced_light(rng: np.random.Generator) -> None:
     clear = Liquid(absorption=(5.0, 10.0, 15.0), scattering=(0.0, 0.0, 0.0))
     dry = LumenContents(Contents(1), particle)
     wet = LumenContents(Contents(liquid=clear), particle, pools)
-    bounced = []
+    indirect = []
     for lumen_contents in (dry, wet):
         state = replace(looking(PLACE, (0.0, 0.1, 1.0)), lumen_contents=lumen_contents)
-        direct, quick = (_radiance(model, camera, state, light=x) for x in ("direct", "quick"))
-        assert (quick >= direct).all()
-        bounced.append(quick - direct)
+        direct, radiosity = (
+            _radiance(model, camera, state, light=x) for x in ("direct", "radiosity")
+        )
+        assert (radiosity >= direct).all()
+        indirect.append(radiosity - direct)
     state = replace(looking(PLACE, (0.0, 0.1, 1.0)), lumen_contents=dry)
     instance = Renderer(model).render(state, camera, channels=("instance",)).instance
     assert instance is not None
     assert (instance == 9).any()
-    assert (bounced[0][instance == 9] > 0.0).all()
-    assert (bounced[1] < bounced[0]).all()
+    assert (indirect[0][instance == 9] > 0.0).all()
+    assert (indirect[1] < indirect[0]).all()

@@ -1,10 +1,10 @@
-"""Claim: quick bounced light is nearly right, at a fraction of a frame's cost.
+"""Claim: radiosity is nearly right, at a fraction of a frame's cost.
 
-Renders linear radiance with `light="quick"` beside path tracing, which `validate_path.py` compares
-with Mitsuba 3. Claimed: over the views of an organ, relative RMSE at most 5 % of the whole image,
-and a labelled frame takes at most 1.6 times the processor time of one with direct light.
+Renders linear radiance with `light="radiosity"` beside path tracing, which `validate_path.py`
+compares with Mitsuba 3. Claimed: over the views of an organ, relative RMSE at most 5 % of the whole
+image, and a labelled frame takes at most 1.6 times the processor time of one with direct light.
 
-    python benchmarks/validate_quick_light.py
+    python benchmarks/validate_radiosity.py
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ NUM_VIEWS = 3
 SAMPLES = 24
 DEPTH = 10
 ROUNDS = 9
-QUICK = RenderSettings(light="quick")
+RADIOSITY = RenderSettings(light="radiosity")
 ERRORS = (
-    "organ", "wall", "view", "bounced light", "quick / path", "direct", "quick",
-    "quick, no shadows", "claimed",
+    "organ", "wall", "view", "indirect light", "radiosity / path", "direct", "radiosity",
+    "radiosity, no shadows", "claimed",
 )  # fmt: skip
-TIMES = ("organ", "wall", "direct [ms]", "quick [ms]", "ratio", "p10 to p90", "claimed")
+TIMES = ("organ", "wall", "direct [ms]", "radiosity [ms]", "ratio", "p10 to p90", "claimed")
 
 
 def squeezed(stage: Stage) -> Stage:
@@ -63,10 +63,10 @@ def errors(names: tuple[str, str], stage: Stage, size: int) -> list[tuple[str, .
     """A row for each view, and one for all."""
     camera = resized_camera(stage.camera, size)
     paths = [
-        RenderSettings(light="path", samples=SAMPLES, depth=DEPTH, light_seed=seed)
+        RenderSettings(light="path", spp=SAMPLES, max_bounces=DEPTH, path_seed=seed)
         for seed in (1, 2)
     ]
-    settings = (RenderSettings(shadows=True), replace(QUICK, shadows=True), QUICK, *paths)
+    settings = (RenderSettings(shadows=True), replace(RADIOSITY, shadows=True), RADIOSITY, *paths)
     renderers = [Renderer(stage.model, chosen) for chosen in settings]
     images = np.array(
         [
@@ -86,11 +86,11 @@ def figures(images: np.ndarray) -> tuple[str, ...]:
     square is the product of the differences from two renderings of independent noise, whose mean
     holds no noise of theirs. Each view is taken relative to its own mean.
     """
-    direct, quick, free, one, two = np.moveaxis(images, 1, 0)
+    direct, radiosity, free, one, two = np.moveaxis(images, 1, 0)
     path = 0.5 * (one + two)
     mean = path.mean(axis=(1, 2, 3))
     share = 1.0 - direct.mean(axis=(1, 2, 3)) / mean
-    ratio = (quick - direct).mean(axis=(1, 2, 3)) / (path - direct).mean(axis=(1, 2, 3))
+    ratio = (radiosity - direct).mean(axis=(1, 2, 3)) / (path - direct).mean(axis=(1, 2, 3))
 
     def rmse(image: np.ndarray) -> float:
         square = ((image - one) * (image - two)).mean(axis=(1, 2, 3)) / mean**2
@@ -100,15 +100,15 @@ def figures(images: np.ndarray) -> tuple[str, ...]:
         f"{100 * share.mean():.0f} %",
         f"{ratio.mean():.3f}",
         f"{100 * rmse(direct):.1f} %",
-        f"{100 * rmse(quick):.1f} %",
+        f"{100 * rmse(radiosity):.1f} %",
         f"{100 * rmse(free):.1f} %",
-        "" if len(images) == 1 else f"≤ 5 %: {'yes' if rmse(quick) <= 0.05 else 'NO'}",
+        "" if len(images) == 1 else f"≤ 5 %: {'yes' if rmse(radiosity) <= 0.05 else 'NO'}",
     )
 
 
 def cost(names: tuple[str, str], stage: Stage) -> tuple[str, ...]:
     """Processor time of labelled frames of 320 × 320 pixels, all threads together."""
-    renderers = [Renderer(stage.model), Renderer(stage.model, QUICK)]
+    renderers = [Renderer(stage.model), Renderer(stage.model, RADIOSITY)]
     taken = np.zeros((ROUNDS, NUM_VIEWS, 2))
     for turn, (view, state) in (
         (turn, pair) for turn in range(ROUNDS) for pair in enumerate(stage.states)
@@ -117,13 +117,13 @@ def cost(names: tuple[str, str], stage: Stage) -> tuple[str, ...]:
             start = time.process_time()
             renderer.render(state, stage.camera)
             taken[turn, view, k] = time.process_time() - start
-    direct, quick = np.median(taken[1:], axis=(0, 1))
+    direct, radiosity = np.median(taken[1:], axis=(0, 1))
     ratios = (taken[1:, :, 1] / taken[1:, :, 0]).ravel()
     low, middle, high = np.quantile(ratios, (0.1, 0.5, 0.9))
     return (
         *names,
         f"{1e3 * direct:.1f}",
-        f"{1e3 * quick:.1f}",
+        f"{1e3 * radiosity:.1f}",
         f"{middle:.2f}",
         f"{low:.2f} to {high:.2f}",
         f"≤ 1.6: {'yes' if middle <= 1.6 else 'NO'}",
@@ -139,11 +139,11 @@ def main() -> None:
         times.append(cost((organ, wall), stage))
         print(*rows[-NUM_VIEWS - 1 :], times[-1], sep="\n", flush=True)
     text = (
-        "## Quick bounced light\n\n`python benchmarks/validate_quick_light.py`: `--light quick` "
+        "## Radiosity\n\n`python benchmarks/validate_radiosity.py`: `--light radiosity` "
         f"against path tracing of {DEPTH} reflections, {given.size} × {given.size} pixels,\nthe "
         "six LEDs of MiroCam, views spread over the organ. Relative RMSE of radiance, direct "
-        "light and all; *bounced\nlight* is its share of the image, *quick / path* the ratio of "
-        "its means. Shadows are on but where said. *Contracted*: a ring\nof 40 % of the radius "
+        "light and all; *indirect\nlight* is its share of the image, *radiosity / path* the ratio "
+        "of its means. Shadows are on but where said. *Contracted*: a ring\nof 40 % of the radius "
         "25 mm ahead, while what a site sees is known at rest.\n\n"
         + table(ERRORS, rows)
         + "\n\nProcessor time of a complete labelled frame, 320 × 320 pixels, no shadows, medians; "

@@ -63,7 +63,7 @@ HALF = 0.25
 CLAIMED = 0.03
 VIEW = 0.45
 """Pixels to a side of the views, over MiroCam's 320."""
-REFERENCE = {"samples": 32, "depth": 10}
+REFERENCE = {"spp": 32, "max_bounces": 10}
 RADIOSITY_HEAD = (
     "view", "without: relative RMSE", "ratio of means", "with: relative RMSE", "ratio of means",
     "claimed in red",

@@ -50,7 +50,7 @@ def test_error_falls_to_less_than_half() -> None:
 def test_the_first_reflection_is_left_as_it_is() -> None:
     pytest.importorskip("pyoidn")
     for supersampling in (1, 2):
-        given = {"depth": 1, "supersampling": supersampling}
+        given = {"max_bounces": 1, "supersampling": supersampling}
         exact, kept = (_image(**given, denoise=d)["radiance"] for d in (False, True))
         np.testing.assert_allclose(kept, exact, rtol=1e-6, atol=5e-3 * exact.mean())
 

@@ -13,13 +13,13 @@ from write_ply import write_ply
 
 
 def test_recorded_labels_agree_with_embree(tmp_path: Path) -> None:
-    from validate_labels import SUBSAMPLE, measure
+    from validate_labels import STEP, measure
 
     organ = tube(48, 120, length=0.12, folds=0.15, capped=True)
     write_ply(tmp_path / "tube.ply", Mesh(organ.vertices, organ.faces))
     tally = measure(OrganFile(str(tmp_path / "tube.ply"), "m"), "mono", frames=3)
     assert np.concatenate(tally.same_holes).mean() > 0.9999
-    assert np.mean(np.concatenate(tally.depth) <= SUBSAMPLE) > 0.999
+    assert np.mean(np.concatenate(tally.depth) <= STEP) > 0.999
     assert np.mean(np.concatenate(tally.normal_deg) <= 0.1) > 0.999
     assert np.concatenate(tally.label).mean() > 0.999
     assert np.concatenate(tally.arc_length).mean() > 0.999

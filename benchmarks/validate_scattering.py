@@ -242,7 +242,7 @@ def main() -> None:
         "walks\nagree with walks in NumPy (`tests/render/test_scattering.py`).\n\n"
         + table(("index", "albedo", "diffusion", *rings), profiles)
         + "\n\nRadiosity without and with scattering beside path tracing through tissue (two "
-        f"images of {REFERENCE['samples']} paths,\n{REFERENCE['depth']} reflections, "
+        f"images of {REFERENCE['spp']} paths,\n{REFERENCE['max_bounces']} reflections, "
         f"{round(320 * VIEW)} pixels to a side), in red, green and blue. Noise of the reference "
         "does not count: errors\nagainst its two images are multiplied.\n\n"
         + table(RADIOSITY_HEAD, radiosity)

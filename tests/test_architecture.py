@@ -14,7 +14,7 @@ import vrcaps
 
 LAYERS = (
     ("_core",),
-    ("units", "errors", "transforms", "color", "toml_table", "catalog_folder"),
+    ("units", "errors", "transforms", "color", "toml_table", "catalog_folder", "files", "geometry"),
     ("mesh",),
     ("organ",),
     ("mucosa",),

@@ -198,10 +198,10 @@ def test_failed_write_leaves_the_old_file(tmp_path, organ, monkeypatch):
     write_organ(path, organ)
     before = path.read_bytes()
 
-    def fail(self, target):
+    def fail(source, target):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(type(path), "replace", fail)
+    monkeypatch.setattr("vrcaps.files.os.replace", fail)
     with pytest.raises(OSError, match="No space left"):
         write_organ(path, organ)
     assert path.read_bytes() == before

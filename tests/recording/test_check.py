@@ -10,7 +10,7 @@ from vrcaps.lumen.liquid import Liquid
 from vrcaps.mesh.mesh import Mesh
 from vrcaps.mesh.read_mesh import read_mesh
 from vrcaps.recording.check import check_episode
-from vrcaps.recording.files import read_image, write_images
+from vrcaps.recording.image_files import read_image, write_images
 from vrcaps.recording.recorder import record
 from vrcaps.recording.table import FrameTable, read_table, write_table
 

@@ -5,7 +5,6 @@ Each key carries its unit: `_mm`, `_g`, `_hz`, `_deg`, `_px`. See `devices/miroc
 
 from __future__ import annotations
 
-import os
 import re
 from collections.abc import Iterable
 from dataclasses import MISSING, fields
@@ -20,6 +19,7 @@ from vrcaps.camera.lens import LENSES, Lens
 from vrcaps.camera.rays import camera_rays
 from vrcaps.capsule.device import Device
 from vrcaps.errors import InputError
+from vrcaps.files import write_bytes
 from vrcaps.magnet.internal import InternalMagnet
 from vrcaps.magnet.presets import MAGNETS, load_magnet, magnet_names
 from vrcaps.toml_table import (
@@ -118,10 +118,8 @@ def write_lines(path: Path, lines: Iterable[str]) -> None:
     Raises:
         InputError: If the file cannot be written.
     """
-    part = path.with_name(f"{path.name}.part")
     try:
-        part.write_text("\n".join(lines) + "\n", encoding="utf-8")
-        os.replace(part, path)
+        write_bytes(path, ("\n".join(lines) + "\n").encode())
     except OSError as error:
         raise InputError(f"Cannot write the device file {path}: {error.strerror}.") from error
 

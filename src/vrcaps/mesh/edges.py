@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from vrcaps.geometry import triangle_areas, triangle_normals
+
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
 
@@ -111,21 +113,12 @@ def drop_unused_vertices(mesh: Mesh) -> Mesh:
 
 def area_vectors(mesh: Mesh) -> Float[np.ndarray, "m 3"]:
     """Area of each face times its unit normal [m²]."""
-    a, b, c = (mesh.vertices[corner] for corner in mesh.faces.T)
-    return 0.5 * cross_products(b - a, c - a)
-
-
-def cross_products(
-    one: Float[np.ndarray, "n 3"], other: Float[np.ndarray, "n 3"]
-) -> Float[np.ndarray, "n 3"]:
-    """Cross products of rows; `np.cross` takes three times as long."""
-    (x, y, z), (a, b, c) = one.T, other.T
-    return np.stack([y * c - z * b, z * a - x * c, x * b - y * a], axis=1)
+    return 0.5 * triangle_normals(mesh.vertices[mesh.faces])
 
 
 def face_areas(mesh: Mesh) -> Float[np.ndarray, " m"]:
     """Area of each face [m²]."""
-    return np.linalg.norm(area_vectors(mesh), axis=1)
+    return triangle_areas(mesh.vertices[mesh.faces])
 
 
 def signed_volume(mesh: Mesh) -> float:

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from vrcaps.geometry import triangle_normals
+
 if TYPE_CHECKING:
     from jaxtyping import Float, Int, UInt8
 
@@ -32,8 +34,7 @@ def vertex_normals(
     vertices: Float[np.ndarray, "n 3"], faces: Int[np.ndarray, "m 3"]
 ) -> Float[np.ndarray, "n 3"]:
     """Unit vertex normals: the area-weighted mean of the normals of the faces around it."""
-    corners = vertices[faces]
-    area_normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    area_normals = triangle_normals(vertices[faces])
     normals = np.zeros_like(vertices)
     for axis in range(3):
         normals[:, axis] = sum(

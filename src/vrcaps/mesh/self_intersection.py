@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vrcaps import _core
-from vrcaps.mesh.edges import cross_products
+from vrcaps.geometry import cross_products, triangle_normals
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
@@ -38,7 +38,7 @@ def self_intersections(
     faces = _same_places(vertices)[faces]
     size = float(np.linalg.norm(np.ptp(vertices[faces], axis=(0, 1))))
     corners = vertices[faces]
-    normals = cross_products(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals = triangle_normals(corners)
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), np.finfo(float).tiny)
     pairs = _touching_boxes(corners.min(axis=1).T, corners.max(axis=1).T)
 

@@ -15,6 +15,7 @@ import numpy as np
 
 from vrcaps import _core
 from vrcaps.errors import InputError, UnknownNameError
+from vrcaps.geometry import triangle_areas
 from vrcaps.organ.surface import Appearance, OrganSurface, round_height
 from vrcaps.organ.uv import texture_stretch
 from vrcaps.units import MM
@@ -281,7 +282,7 @@ def _pace(organ: OrganSurface) -> tuple[float, float]:
         )
     corners = organ.vertices[organ.faces]
     edges = corners[:, 1:] - corners[:, :1]
-    area = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1)
+    area = 2.0 * triangle_areas(corners)
     (du1, dv1), (du2, dv2) = np.moveaxis(organ.uv[:, 1:] - organ.uv[:, :1], 0, -1)
     determinant = du1 * dv2 - du2 * dv1
     is_charted = (determinant != 0.0) & (area > 0.0)
@@ -308,8 +309,7 @@ def _squeeze(organ: OrganSurface, pace: tuple[float, float]) -> float:
     Not below 1, and not above `_MOST_STRETCH`: more texels do not mend bad coordinates.
     """
     corners = organ.vertices[organ.faces]
-    edges = corners[:, 1:] - corners[:, :1]
-    area = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1)
+    area = triangle_areas(corners)
     is_face = area > 0.0
     stretch = np.abs(texture_stretch(corners[is_face], organ.uv[is_face] * np.array(pace))[:, 0])
     order = np.argsort(stretch)

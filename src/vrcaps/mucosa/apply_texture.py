@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.spatial import KDTree
 
+from vrcaps.geometry import triangle_areas
 from vrcaps.mesh.noise import fbm
 from vrcaps.mesh.rasterize import covered_texels
 from vrcaps.organ.surface import Appearance
@@ -122,9 +123,7 @@ class _Canvas:
 def _texel(organ: OrganSurface, shape: tuple[int, int]) -> float:
     """Mean side of a baked texel on the wall [m]."""
     corners = organ.vertices[organ.faces]
-    area = np.linalg.norm(
-        np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
-    )
+    area = 2.0 * triangle_areas(corners)
     first, second = (organ.uv[:, k] - organ.uv[:, 0] for k in (1, 2))
     covered = np.abs(first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0])
     return float(np.sqrt(area.sum() / max(covered.sum(), 1e-12) / (shape[0] * shape[1])))

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
-import os
+from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -13,6 +12,7 @@ import numpy as np
 
 from vrcaps import _core
 from vrcaps.errors import InputError
+from vrcaps.files import atomic_write, file_sha256, write_json
 from vrcaps.units import MM
 
 if TYPE_CHECKING:
@@ -65,22 +65,23 @@ def write_texture(folder: Path, texture: MucosaTexture) -> None:
     """
     check_free(folder)
     folder.mkdir(parents=True, exist_ok=True)
-    written = {f"{name}.png": getattr(texture, name) for name in _PICTURES}
-    temporary = {folder / f".{name}": image for name, image in written.items()}
-    _core.write_pngs([(str(path), image) for path, image in temporary.items()])
-    head = {
-        "format": FORMAT,
-        "mm_per_texel": texture.texel / MM,
-        "height_step_m": HEIGHT_STEP,
-        "height_zero": 32768,
-        "clearcoat_gloss": texture.clearcoat_gloss,
-        "sha256": {path.name[1:]: _sha256(path) for path in temporary},
-        **texture.metadata,
-    }
-    text = json.dumps(head, indent=2, ensure_ascii=False, allow_nan=False)
-    (folder / f".{HEAD}").write_text(text + "\n", encoding="utf-8")
-    for name in (*written, HEAD):
-        os.replace(folder / f".{name}", folder / name)
+    with ExitStack() as files:
+        # Entered first, so renamed last: the head is the one that tells which pictures belong.
+        head_path = files.enter_context(atomic_write(folder / HEAD))
+        paths = {f"{name}.png": folder / f"{name}.png" for name in _PICTURES}
+        temporary = {name: files.enter_context(atomic_write(p)) for name, p in paths.items()}
+        images = [getattr(texture, name) for name in _PICTURES]
+        _core.write_pngs([(str(p), i) for p, i in zip(temporary.values(), images, strict=True)])
+        head = {
+            "format": FORMAT,
+            "mm_per_texel": texture.texel / MM,
+            "height_step_m": HEIGHT_STEP,
+            "height_zero": 32768,
+            "clearcoat_gloss": texture.clearcoat_gloss,
+            "sha256": {name: file_sha256(path) for name, path in temporary.items()},
+            **texture.metadata,
+        }
+        write_json(head_path, head)
 
 
 def check_free(folder: Path) -> None:
@@ -123,7 +124,7 @@ def read_texture(path: str | Path) -> MucosaTexture:
         raise InputError(f"{head_path} has values out of range. Make the texture again.")
     for name in _PICTURES:
         file = head_path.with_name(f"{name}.png")
-        if not file.is_file() or _sha256(file) != expected.get(file.name):
+        if not file.is_file() or file_sha256(file) != expected.get(file.name):
             raise InputError(
                 f"{file} is missing or not the picture that {HEAD} was written with. "
                 "Make the texture again."
@@ -154,9 +155,4 @@ def texture_sha256(path: str | Path) -> str:
     Raises:
         InputError: If there is no texture.
     """
-    return _sha256(texture_head(path))
-
-
-def _sha256(path: Path) -> str:
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
+    return file_sha256(texture_head(path))

@@ -10,6 +10,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import spsolve
 from scipy.spatial import KDTree
 
+from vrcaps.geometry import edge_graph
 from vrcaps.mesh.mesh import vertex_normals
 from vrcaps.organ.centerline.curve import interpolate
 from vrcaps.organ.surface import Centerline
@@ -44,7 +45,7 @@ def gut_coordinates(
         transverse axis of the centerline's frame, `radius`.
     """
     vertices = np.asarray(vertices, float)
-    graph = _edge_graph(vertices, faces)
+    graph = edge_graph(vertices, faces)
     foot = _spread(vertices, graph, centerline, _seeds(vertices, faces, graph, centerline))
     arc_length = _refine(vertices, centerline, foot)
     arc_length = _fill_jumps(arc_length, graph)
@@ -53,15 +54,6 @@ def gut_coordinates(
     x, y, _ = np.einsum("nij,ni->jn", frames, offset)
     theta = np.arctan2(y, x)
     return arc_length, np.where(theta <= -np.pi, np.pi, theta), np.linalg.norm(offset, axis=1)
-
-
-def _edge_graph(vertices: Float[np.ndarray, "n 3"], faces: Int[np.ndarray, "m 3"]) -> coo_array:
-    """Length [m] of every edge, in both directions."""
-    edges = np.unique(np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1), axis=0)
-    length = np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1)
-    edges = np.concatenate([edges, edges[:, ::-1]])
-    n = len(vertices)
-    return coo_array((np.tile(length, 2), (edges[:, 0], edges[:, 1])), shape=(n, n))
 
 
 def _seeds(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -10,6 +9,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from vrcaps.errors import InputError
+from vrcaps.files import file_sha256
 from vrcaps.mesh.mesh import Mesh
 from vrcaps.mesh.read_mesh import read_label_names, read_mesh
 from vrcaps.organ.from_mesh import organ_from_mesh
@@ -90,7 +90,7 @@ def _organ_of_mesh_file(
     label, label_names = _labels(mesh, path)
     metadata = {
         "source": str(path),
-        "sha256": hashlib.sha256(path.read_bytes()).hexdigest(),
+        "sha256": file_sha256(path),
         "unit": unit,
         "repairs": report.lines(),
     }

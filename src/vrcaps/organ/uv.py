@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vrcaps.errors import InputError
+from vrcaps.geometry import triangle_areas
 from vrcaps.mesh.mesh import Mesh
 from vrcaps.organ.centerline.lumen import grid_crossings
 
@@ -42,7 +43,7 @@ def texture_coordinates(
         InputError: If a face has no area.
     """
     vertices, faces = np.asarray(mesh.vertices, float), mesh.faces
-    flat = np.flatnonzero(_face_areas(vertices[faces]) <= 0.0)
+    flat = np.flatnonzero(triangle_areas(vertices[faces]) <= 0.0)
     if len(flat):
         raise InputError(
             f"Face {flat[0]} and {len(flat) - 1} others have no area. Repair the mesh."
@@ -104,7 +105,7 @@ def atlas_coordinates(
     """
     import xatlas
 
-    scale = float(np.sqrt(_face_areas(vertices[faces]).sum()))
+    scale = float(np.sqrt(triangle_areas(vertices[faces]).sum()))
     scaled = (vertices - vertices.min(axis=0)) / scale
     atlas = xatlas.Atlas()
     atlas.add_mesh(scaled.astype(np.float32), faces.astype(np.uint32))
@@ -200,9 +201,3 @@ def _signed_areas(uv: Float[np.ndarray, "m 3 2"]) -> Float[np.ndarray, " m"]:
     """Area of each face, positive counter-clockwise."""
     first, second = uv[:, 1] - uv[:, 0], uv[:, 2] - uv[:, 0]
     return 0.5 * (first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0])
-
-
-def _face_areas(corners: Float[np.ndarray, "m 3 3"]) -> Float[np.ndarray, " m"]:
-    """Area of each face [m²]."""
-    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    return 0.5 * np.linalg.norm(cross, axis=1)

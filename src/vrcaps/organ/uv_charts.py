@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vrcaps import _core
+from vrcaps.geometry import triangle_areas
 from vrcaps.organ.uv import texture_stretch
 from vrcaps.units import MM
 
@@ -69,7 +70,7 @@ def chart_coordinates(tube: TubeChart) -> Float[np.ndarray, "m 3 2"]:
 
 def _cut(tube: TubeChart) -> tuple[Int[np.ndarray, " m"], Float[np.ndarray, " m"]]:
     """Chart of each face, numbered without gaps, and the tube's circumference there [m]."""
-    area = _areas(tube.corners)
+    area = triangle_areas(tube.corners)
     length = tube.along.max()
     num_rows = max(1, round(length / _SIDE))
     row = np.clip(tube.along.mean(axis=1) / length * num_rows, 0, num_rows - 1).astype(int)
@@ -251,9 +252,3 @@ def _shelves(
         x += box[k, 0]
         height = max(height, box[k, 1])
     return corner, np.array([width, y + height])
-
-
-def _areas(corners: Float[np.ndarray, "m 3 3"]) -> Float[np.ndarray, " m"]:
-    """Area of each face [m²]."""
-    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    return 0.5 * np.linalg.norm(cross, axis=1)

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import os
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from vrcaps._core import encode_pngs
+from vrcaps.files import write_bytes
 from vrcaps.mesh.glb import Glb
 from vrcaps.organ.arrays import json_safe, organ_to_arrays
 from vrcaps.organ.gltf_material import material_json, relief_scale, texture_images
@@ -74,7 +74,7 @@ def write_organ(
         "meshes": [{"name": organ.name, "primitives": [primitive], "extras": extras}],
         **material_json(organ.appearance, images[:_NUM_IMAGES]),
     }
-    _write_whole(path, glb.pack(document))
+    write_bytes(path, glb.pack(document))
 
 
 def split_at_seams(
@@ -161,14 +161,3 @@ def _height_steps(height: Float[np.ndarray, "h w"]) -> list[np.ndarray]:
     steps += np.float32(_ZERO)
     image = np.clip(steps, 0, 2 * _ZERO - 1).astype(np.uint16)
     return [image] if np.array_equal(image, steps) else []
-
-
-def _write_whole(path: Path, pieces: list[bytes]) -> None:
-    """Write under a temporary name, then rename."""
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    try:
-        with temporary.open("wb") as file:
-            file.writelines(pieces)
-        temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)

@@ -18,7 +18,7 @@ from vrcaps.mesh.mesh import Mesh
 from vrcaps.motion.dynamics import Dynamics
 from vrcaps.recording.channels import ENCODINGS
 from vrcaps.recording.episode import Episode, read_episode
-from vrcaps.recording.files import read_image
+from vrcaps.recording.image_files import read_image
 from vrcaps.recording.layout import (
     COMPLETE,
     EPISODE_JSON,

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from vrcaps.errors import InputError
-from vrcaps.recording.files import replacing, write_json
+from vrcaps.files import atomic_write, write_json
 from vrcaps.recording.table import FrameTable, read_table, write_table
 from vrcaps.world.snapshot import Snapshot, read_snapshot, write_snapshot
 
@@ -38,7 +38,7 @@ def write_checkpoint(episode: Path, checkpoint: Checkpoint) -> None:
     folder = episode / _FOLDER
     folder.mkdir(exist_ok=True)
     world, table = _paths(folder, checkpoint.frame)
-    with replacing(world) as temporary:
+    with atomic_write(world) as temporary:
         write_snapshot(temporary, checkpoint.snapshot)
     write_table(table, checkpoint.table)
     write_json(folder / _INDEX, {"frame": checkpoint.frame, "arc_length_m": checkpoint.arc_length})

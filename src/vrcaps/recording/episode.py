@@ -15,7 +15,7 @@ from vrcaps.errors import InputError, UnknownNameError
 from vrcaps.mesh.mesh import Mesh
 from vrcaps.mesh.read_mesh import read_mesh
 from vrcaps.recording.channels import ENCODINGS
-from vrcaps.recording.files import read_image
+from vrcaps.recording.image_files import read_image
 from vrcaps.recording.layout import (
     COMPLETE,
     EPISODE_JSON,

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from vrcaps.errors import InputError
+from vrcaps.files import TEMPORARY, write_bytes, write_json
 from vrcaps.motion.rollout import Rollout
 from vrcaps.recording.channels import ENCODINGS
 from vrcaps.recording.checkpoint import (
@@ -24,7 +25,7 @@ from vrcaps.recording.checkpoint import (
     write_checkpoint,
 )
 from vrcaps.recording.episode import Episode, read_episode
-from vrcaps.recording.files import TEMPORARY, write_bytes, write_images, write_json
+from vrcaps.recording.image_files import write_images
 from vrcaps.recording.images import Images, Step
 from vrcaps.recording.layout import (
     COMPLETE,
@@ -162,8 +163,8 @@ def _require_free(out: Path, scenario: Scenario) -> None:
         return
     if not out.is_dir():
         raise InputError(f"{out} is a file. Give a new or empty folder.")
-    leftover = f".{EPISODE_JSON}{TEMPORARY}"
-    names = sorted(path.name for path in out.iterdir() if path.name != leftover)
+    leftovers = set(out.glob(f".{EPISODE_JSON}.*{TEMPORARY}"))  # of a run that was killed
+    names = sorted(path.name for path in out.iterdir() if path not in leftovers)
     if not names:
         return
     if EPISODE_JSON not in names:

@@ -11,9 +11,9 @@ import numpy as np
 
 from vrcaps._core import Wall
 from vrcaps.actuation.magnet_controller import Steered
+from vrcaps.files import write_bytes
 from vrcaps.motion.run import Conditions, Instant, Run
 from vrcaps.organ.surface import face_label
-from vrcaps.recording.files import write_bytes
 from vrcaps.transforms import (
     matrix_from_quaternion,
     quaternion_from_matrix,

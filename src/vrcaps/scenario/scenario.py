@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import math
 import tomllib
@@ -16,6 +15,7 @@ from vrcaps.camera_pipeline.effects import Effects
 from vrcaps.capsule.catalog import read_device
 from vrcaps.capsule.device import Device
 from vrcaps.errors import InputError, UnknownNameError
+from vrcaps.files import file_sha256
 from vrcaps.lesion import AnyLesion, add_lesions
 from vrcaps.lumen.contents import Contents
 from vrcaps.motion.dynamics import Dynamics
@@ -352,8 +352,7 @@ def _load_organ(scenario: Scenario) -> OrganSurface:
 
 def _checked_sha256(path: str, expected: str) -> str:
     try:
-        with Path(path).open("rb") as file:
-            actual = hashlib.file_digest(file, "sha256").hexdigest()
+        actual = file_sha256(Path(path))
     except OSError as error:
         raise InputError(f"Cannot read {path}: {error.strerror}.") from error
     if expected and actual != expected:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vrcaps.errors import InputError
+from vrcaps.files import file_sha256
 
 if TYPE_CHECKING:
     from jaxtyping import UInt8
@@ -81,7 +81,7 @@ def _read(path: Path, num_frames: int) -> list[Photo]:
         ) from error
     except (OSError, ValueError, Image.DecompressionBombError) as error:
         raise InputError(f"Cannot read the picture {path}: {error}.") from error
-    return [Photo(path.name, rgb, _sha256(path))]
+    return [Photo(path.name, rgb, file_sha256(path))]
 
 
 def _read_video(path: Path, num_frames: int) -> list[Photo]:
@@ -102,10 +102,5 @@ def _read_video(path: Path, num_frames: int) -> list[Photo]:
         raise InputError(f"Cannot read the video {path}: {error}.") from error
     if not frames:
         raise InputError(f"The video {path} has no frame. Give another.")
-    digest = _sha256(path)
+    digest = file_sha256(path)
     return [Photo(f"{path.name}, frame {index}", rgb, digest) for index, rgb in frames]
-
-
-def _sha256(path: Path) -> str:
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()

@@ -72,8 +72,9 @@ def peak_memory_gb() -> float | None:
 
 def _stages(scenario: Scenario, folder: Path) -> dict[str, Any]:
     """Camera, wall, and the time of each stage of a frame of its own [s]."""
+    from vrcaps.files import write_bytes
     from vrcaps.recording.channels import ENCODINGS
-    from vrcaps.recording.files import write_bytes, write_images
+    from vrcaps.recording.image_files import write_images
     from vrcaps.render.renderer import Renderer
     from vrcaps.scenario.scenario import build, resolve
 

@@ -9,6 +9,7 @@ import numpy as np
 from scipy import ndimage
 
 from vrcaps.errors import InputError
+from vrcaps.geometry import triangle_areas, triangle_normals
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
@@ -163,7 +164,7 @@ def grid_crossings(
         hit ^= spans & (columns[:, 0] < across)
     columns, face = columns[hit], face[hit]
     corner = corners[face]
-    normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    normal = triangle_normals(corner)
     slope = np.where(normal[:, 2] != 0.0, normal[:, 2], 1.0)
     offset = columns - corner[:, 0, :2]
     height = corner[:, 0, 2] - (offset * normal[:, :2]).sum(axis=1) / slope
@@ -182,9 +183,7 @@ def mean_radius(vertices: Float[np.ndarray, "n 3"], faces: Int[np.ndarray, "m 3"
         raise InputError(f"The surface has extents {extent} m. Give one that encloses a lumen.")
     grid = voxelize(vertices, faces, (extent.prod() / _COARSE_VOXELS) ** (1 / 3))
     volume = np.count_nonzero(grid.inside) * grid.voxel**3
-    corners = vertices[faces]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    area = 0.5 * np.linalg.norm(normals, axis=1).sum()
+    area = triangle_areas(vertices[faces]).sum()
     if volume < 1e-3 * extent.prod() * 1e-3 or area <= 0.0:
         raise InputError("The surface encloses no lumen. Give a closed tube or pouch.")
     return 2.0 * volume / area

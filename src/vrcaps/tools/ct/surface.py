@@ -11,6 +11,7 @@ from scipy import ndimage
 from scipy.sparse import coo_array, csr_array
 
 from vrcaps.errors import InputError, MissingExtraError
+from vrcaps.geometry import triangle_areas
 from vrcaps.mesh.mesh import Mesh
 from vrcaps.tools.ct.fraction import LumenFraction
 from vrcaps.units import MM
@@ -162,9 +163,7 @@ def decimate(mesh: Mesh, edge: float) -> Mesh:
         import fast_simplification
     except ImportError as error:
         raise MissingExtraError("fast-simplification", "ct") from error
-    corners = mesh.vertices[mesh.faces]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    area = 0.5 * np.linalg.norm(normals, axis=1).sum()
+    area = triangle_areas(mesh.vertices[mesh.faces]).sum()
     wanted = int(area / (np.sqrt(3.0) / 4.0 * edge**2))
     if wanted >= len(mesh.faces):
         return mesh

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vrcaps._core import Wall
+from vrcaps.geometry import barycentric, unit
 from vrcaps.organ.surface import OrganSurface, face_label
-from vrcaps.tools.overview.unroll import barycentric
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -57,7 +57,7 @@ def outside_view(
     corners = organ.faces[face[hit]]
     weights = barycentric(points, organ.vertices[corners])
     normals = -np.einsum("nc,ncx->nx", weights, organ.normals[corners])  # out of the lumen
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+    normals = unit(normals)
     light = np.array(_LIGHT) @ axes / np.linalg.norm(_LIGHT)
     shade = _AMBIENT + (1.0 - _AMBIENT) * np.clip(normals @ light, 0.0, 1.0)
     near = (distance[hit] - distance[hit].min()) / max(float(np.ptp(distance[hit])), 1e-12)

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vrcaps._core import Wall, num_threads
+from vrcaps.geometry import barycentric, triangle_areas
 from vrcaps.organ.centerline import interpolate
 from vrcaps.organ.surface import OrganSurface, face_label
 
@@ -164,19 +165,6 @@ def instances(organ: OrganSurface, unrolled: Unrolled) -> UInt16[np.ndarray, "h 
     return np.where(unrolled.face >= 0, instance[unrolled.face], 0).astype(np.uint16)
 
 
-def barycentric(
-    points: Float[np.ndarray, "n 3"], corners: Float[np.ndarray, "n 3 3"]
-) -> Float[np.ndarray, "n 3"]:
-    """Weights of a triangle's corners at a point in its plane: ratios of signed areas."""
-    a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
-    area = np.cross(b - a, c - a)
-    square = np.einsum("nx,nx->n", area, area)
-    square = np.where(square > 0.0, square, 1.0)
-    of_b = np.einsum("nx,nx->n", np.cross(points - a, c - a), area) / square
-    of_c = np.einsum("nx,nx->n", np.cross(b - a, points - a), area) / square
-    return np.clip(np.stack([1.0 - of_b - of_c, of_b, of_c], axis=1), 0.0, 1.0)
-
-
 def _color(organ: OrganSurface, unrolled: Unrolled, seen: np.ndarray) -> np.ndarray:
     """Albedo where a ray met the wall, sRGB 0 to 1; from a smaller image if texels are finer."""
     color = np.ones((*seen.shape, 3))
@@ -201,11 +189,7 @@ def _color(organ: OrganSurface, unrolled: Unrolled, seen: np.ndarray) -> np.ndar
 
 def _texels_per_step(organ: OrganSurface, unrolled: Unrolled, shape: tuple[int, ...]) -> int:
     """Side of the square of texels that is averaged for one pixel, 1 to 6."""
-    area = np.linalg.norm(_areas(organ.vertices[organ.faces]), axis=1).sum() / 2.0
+    area = triangle_areas(organ.vertices[organ.faces]).sum()
     texel = (area / (shape[0] * shape[1])) ** 0.5
     pixel = float(np.median(np.diff(unrolled.arc_length))) if len(unrolled.arc_length) > 1 else 0.0
     return int(np.clip(round(pixel / texel), 1, 6)) if texel > 0.0 else 1
-
-
-def _areas(corners: Float[np.ndarray, "m 3 3"]) -> Float[np.ndarray, "m 3"]:
-    return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])

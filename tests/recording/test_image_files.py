@@ -1,28 +1,7 @@
 import numpy as np
 import pytest
 
-from vrcaps.recording.files import read_image, replacing, write_bytes, write_images, write_json
-
-
-def test_a_failed_write_leaves_what_was_there(tmp_path):
-    path = tmp_path / "file.bin"
-    write_bytes(path, b"old")
-
-    def fail():
-        with replacing(path) as temporary:
-            temporary.write_bytes(b"half of the new")
-            raise OSError("disk full")
-
-    with pytest.raises(OSError, match="disk full"):
-        fail()
-    assert path.read_bytes() == b"old"
-    assert [p.name for p in tmp_path.iterdir()] == ["file.bin"]
-
-
-def test_json_refuses_nan(tmp_path):
-    with pytest.raises(ValueError, match="not JSON compliant"):
-        write_json(tmp_path / "x.json", {"value": float("nan")})
-    assert list(tmp_path.iterdir()) == []
+from vrcaps.recording.image_files import read_image, write_images
 
 
 @pytest.mark.parametrize("dtype", ["uint8", "uint16"])

@@ -24,7 +24,7 @@ from validation import ROOT, options, table, write_section
 sys.path.append(str(ROOT / "tests" / "support"))
 
 from tubes import straight_gut
-from vrcaps.actuation.capsule_target import gut_goal
+from vrcaps.actuation.capsule_target import centerline_target
 from vrcaps.actuation.steering_program import MagnetSteering, Waypoint
 from vrcaps.capsule.catalog import read_device
 from vrcaps.magnet.field import SourceSet
@@ -85,23 +85,23 @@ def measure(sources: list[Source], count: int) -> np.ndarray:
 
 
 def control_rows() -> list[tuple[str, ...]]:
-    """Rows of what a control step takes, by hand and by arm, without and with its goal."""
+    """Rows of what a control step takes, by hand and by arm, without and with its target."""
     organ = straight_gut({"jejunum": 0.2}, radius=0.014)
     model, rows = Model(organ, read_device("magnetic"), np.eye(4)), []
-    goal = gut_goal(organ.centerline, np.eye(4), PLACE)
+    target = centerline_target(organ.centerline, np.eye(4), PLACE)
     for arm in (None, "panda"):
-        steering = MagnetSteering(arm=arm, skin=SKIN, waypoints=(Waypoint(0.0, PLACE),))
+        steering = MagnetSteering(arm=arm, standoff=SKIN, waypoints=(Waypoint(0.0, PLACE),))
         motion = Dynamics(start=0.5, settle=1.0, substep=2e-4, magnet=steering)
         run = Rollout(model, motion, frames=1, fps=1.0, seed=0)
         list(run.instants())
-        commander, world = run.commander, run.world
-        assert commander is not None
-        holder = "the magnet in a free hand" if arm is None else "the magnet on the Panda"
-        alone = partial(commander.pilot.hold, world, goal, DT)
-        whole = partial(commander.control, world, 0.0, DT, np.eye(4))
+        program, world = run.program, run.world
+        assert program is not None
+        actuator = "the magnet in a free hand" if arm is None else "the magnet on the Panda"
+        alone = partial(program.controller.track, world, target, DT)
+        whole = partial(program.control, world, 0.0, DT, np.eye(4))
         for moving in (None, world):
-            rows.append(row(f"loop and {holder}", alone, moving))
-            rows.append((*row("the same with a goal on the gut's wall", whole, moving)[:-1], ""))
+            rows.append(row(f"loop and {actuator}", alone, moving))
+            rows.append((*row("the same with a target on the gut's wall", whole, moving)[:-1], ""))
     return rows
 
 

@@ -28,12 +28,20 @@ from scipy.spatial.transform import Rotation
 from test_kinematics import errors, path_of
 
 from scenes import random_directions, random_poses, relative
-from vrcaps.actuation.arm.arm_catalog import load_arm
+from vrcaps.actuation.arm.arm_catalog import read_arm
 from vrcaps.actuation.arm.kinematics import forward, nearest
 from vrcaps.magnet.field import field, wrench
 from vrcaps.magnet.internal import InternalMagnet
-from vrcaps.magnet.presets import MAGNETS, dipole_distance, load_magnet, magnet_names
-from vrcaps.magnet.sources import Coil, Cylinder, Dipole, Solenoid, Source, Uniform, magnet_pose
+from vrcaps.magnet.presets import MAGNETS, dipole_distance, magnet_names, read_magnet
+from vrcaps.magnet.sources import (
+    Coil,
+    Cylinder,
+    Dipole,
+    Solenoid,
+    Source,
+    UniformField,
+    magnet_pose,
+)
 from vrcaps.transforms import transform_from, transform_points
 
 HEAD = ("what", "how many", "measured", "claimed")
@@ -65,7 +73,7 @@ def same_in_magpylib(source: Source) -> magpylib.misc.Dipole:
 
 def sources() -> dict[str, Source]:
     """One of each kind; the magnets by name."""
-    named: dict[str, Source] = {f"`{name}`": load_magnet(name) for name in magnet_names()}
+    named: dict[str, Source] = {f"`{name}`": read_magnet(name) for name in magnet_names()}
     named |= {"coil, 100 mm": Coil(0.05, 12.0, 100)}
     return named | {"solenoid, 100 × 80 mm": Solenoid(0.05, 0.08, 10.0, 300)}
 
@@ -98,7 +106,7 @@ def fields(count: int) -> Iterator[Row]:
         curl = np.linalg.norm(gradient - np.swapaxes(gradient, 1, 2), axis=(1, 2)) / size
         parts = verdict(max(worst, curl.max()), 1e-12)
         yield (f"{name}: div B and curl B over the gradient's size", number, *parts)
-    uniform = field([Uniform(0.05, pose)], points)[0]
+    uniform = field([UniformField(0.05, pose)], points)[0]
     worst = np.abs(uniform - 0.05 * pose[:3, 2]).max() / 0.05
     yield ("uniform field against its vector", number, *verdict(worst, 1e-15 * 4))
 
@@ -133,7 +141,7 @@ def forces() -> Iterator[Row]:
         name = f"970.1 and 1.12 A·m², coaxial, {100 * distance:.0f} cm, dipoles"
         claim = f"{force} N, {torque} mN·m within 1 %: {'yes' if near else 'NO'}"
         yield (name, "1", f"{pull:.3f} N, {turn:.1f} mN·m", claim)
-        exact = np.linalg.norm(wrench([load_magnet("cylinder-101.6")], [along], pose)[0])
+        exact = np.linalg.norm(wrench([read_magnet("cylinder-101.6")], [along], pose)[0])
         share = f"{100 * (exact / pull - 1):+.1f} % of the dipole's"
         yield ("the same, the large magnet as its cylinder", "1", f"{exact:.3f} N, {share}", "")
     rng = np.random.default_rng(2)
@@ -155,7 +163,7 @@ def forces() -> Iterator[Row]:
 def presets() -> Iterator[tuple[str, ...]]:
     """Rows of the magnets by name."""
     for name in magnet_names():
-        magnet, preset = load_magnet(name), MAGNETS[name]
+        magnet, preset = read_magnet(name), MAGNETS[name]
         size = f"{1e3 * magnet.diameter:g} × {1e3 * magnet.length:g} mm"
         distance = 1e3 * dipole_distance(magnet)
         moment = f"{magnet.moment:.4g} A·m²"
@@ -170,7 +178,7 @@ def presets() -> Iterator[tuple[str, ...]]:
 
 def arm(count: int) -> Iterator[Row]:
     """Rows of the Panda."""
-    panda, rng = load_arm("panda"), np.random.default_rng(3)
+    panda, rng = read_arm("panda"), np.random.default_rng(3)
     share = Path(pinocchio.__file__).parents[4] / "share" / "example-robot-data" / "robots"
     file = share / "panda_description" / "urdf" / "panda.urdf"
     model = pinocchio.buildModelFromUrdf(os.fspath(file))

@@ -15,14 +15,14 @@ import numpy as np
 
 from validate_steering import DT, SUBSTEP, error_of, lead, panda
 from validation import options, table, write_section
-from vrcaps.actuation.capsule_target import Goal, wall_goal
-from vrcaps.actuation.magnet_controller import Pilot
-from vrcaps.actuation.magnet_pose_solver import Room
-from vrcaps.actuation.point_to_point import Guide
-from vrcaps.actuation.steering_program import GENTLE
+from vrcaps.actuation.capsule_target import CapsuleTarget, wall_target
+from vrcaps.actuation.magnet_controller import MagnetController
+from vrcaps.actuation.magnet_pose_solver import Workspace
+from vrcaps.actuation.point_to_point import PointToPointPlanner
+from vrcaps.actuation.steering_program import GENTLE_GAINS
 from vrcaps.anatomy.stomach import StomachParameters, generate_stomach
 from vrcaps.capsule.catalog import read_device
-from vrcaps.magnet.presets import load_magnet
+from vrcaps.magnet.presets import read_magnet
 from vrcaps.magnet.sources import magnet_pose
 from vrcaps.tissue.tissue import Tissue
 from vrcaps.units import CM, DEG
@@ -70,15 +70,16 @@ def main() -> None:
 walls with `physical` drag; magnet `cylinder-76.2` on the Panda, outside 3 cm of belly. Random
 places in body and antrum, each {NEAREST / CM:g} to {FARTHEST / CM:g} cm from the last, the capsule
 turned at random, but not to within {JOINT_ENDS / DEG:.0f}° of away from the arm's base, where its
-last joint ends. A `Guide` leads the capsule along the wall; the error is the distance of its centre
-from where it would touch the wall at rest, once it has been near for a second. Published, for
-another set-up: 1.8 ± 2.1 mm. What is not placed is said to be so by the state; then the next begins
-anew there.
+last joint ends. A `PointToPointPlanner` leads the capsule along the wall; the error is the distance
+of its center from where it would touch the wall at rest, once it has been near for a second.
+Published, for another set-up: 1.8 ± 2.1 mm. What is not placed is said to be so by the
+state; then the next begins anew there.
 
 {table(HEAD, rows)}
 
-*late*: the capsule came near but not for a second; all else is what `Pilot.steered` says. Left out:
-lower walls, where the capsule slides down or is drawn off them."""
+*late*: the capsule came near but not for a second; all else is what
+`MagnetController.status` says. Left out: lower walls, where the capsule slides
+down or is drawn off them."""
     write_section(given.out, Path(__file__).name, text)
 
 
@@ -88,17 +89,17 @@ def place(walls: Walls, count: int) -> tuple[str, ...]:
     organ = generate_stomach(StomachParameters().at("inflated"), seed=0)
     model = Model(organ, read_device("magnetic"), posture_transform("supine"))
     spots, errors, times, lost = Spots(model, walls), [], [], []
-    pilot, world, goal = begin(model, spots.draw(rng, None))
+    controller, world, target = begin(model, spots.draw(rng, None))
     for _ in range(count):
-        goal, start = spots.draw(rng, goal), world.time
-        guide = Guide(pilot, world.T_world_capsule, goal, avoid=AWAY)
-        while not (guide.settled or guide.failed):
-            world.step(guide.control(world, DT), DT)
-        if guide.failed:
-            lost.append(pilot.steered.lost or "late")
-            pilot, world, goal = begin(model, goal)
+        target, start = spots.draw(rng, target), world.time
+        planner = PointToPointPlanner(controller, world.T_world_capsule, target, avoid=AWAY)
+        while not (planner.is_settled or planner.has_failed):
+            world.step(planner.control(world, DT), DT)
+        if planner.has_failed:
+            lost.append(controller.status.lost or "late")
+            controller, world, target = begin(model, target)
         else:
-            errors.append(error_of(world, goal, np.eye(3)))
+            errors.append(error_of(world, target, np.eye(3)))
             times.append(world.time - start)
     place_mm, turn = np.array(errors).T
     reasons = ", ".join(f"{lost.count(name)} {name}" for name in sorted(set(lost)))
@@ -131,7 +132,7 @@ class Spots:
         among = (slope >= walls.least) & (slope <= walls.most) & np.isin(organ.label, segments)
         self.points = (model.vertices_world + 1e-3 * normals)[among]
 
-    def draw(self, rng: np.random.Generator, last: Goal | None) -> Goal:
+    def draw(self, rng: np.random.Generator, last: CapsuleTarget | None) -> CapsuleTarget:
         """A place, neither too near to the last nor too far, and a direction the arm can hold."""
         points, middle = self.points, rng.normal(size=3)
         if last is not None:
@@ -139,25 +140,27 @@ class Spots:
             points = points[(way > NEAREST) & (way < FARTHEST)]
             middle = np.asarray(last.direction) + 0.5 * middle
         while True:
-            goal = wall_goal(self.model, points[rng.integers(len(points))], middle)
-            if np.asarray(goal.direction) @ AWAY < np.cos(JOINT_ENDS):
-                return goal
+            target = wall_target(self.model, points[rng.integers(len(points))], middle)
+            if np.asarray(target.direction) @ AWAY < np.cos(JOINT_ENDS):
+                return target
             middle = rng.normal(size=3)
 
 
-def begin(model: Model, goal: Goal) -> tuple[Pilot, World, Goal]:
+def begin(model: Model, target: CapsuleTarget) -> tuple[MagnetController, World, CapsuleTarget]:
     """The capsule held at a place, with the magnet above it."""
-    place, press = np.asarray(goal.position), np.asarray(goal.press)
-    pose = magnet_pose(place - 2e-3 * press, np.asarray(goal.direction))
-    magnet = load_magnet("cylinder-76.2")
+    place, press = np.asarray(target.position), np.asarray(target.wall_normal)
+    pose = magnet_pose(place - 2e-3 * press, np.asarray(target.direction))
+    magnet = read_magnet("cylinder-76.2")
     top = float(model.vertices_world[:, 2].max())
     middle = model.vertices_world.mean(axis=0)
-    room = Room(low=(-9.0, -9.0, top + 3.0 * CM + 0.5 * magnet.diameter), apart=9.0 * CM)
-    holder = panda(magnet, np.array([middle[0] - 0.5, middle[1], top - 0.15]), room)
-    pilot = Pilot(model, magnet, holder, pose, goal, steering=GENTLE)
-    world = World(model, Tissue(), State(0.0, pose), sources=pilot.sources, substep=SUBSTEP)
-    lead(world, pilot, goal, 1.0)
-    return pilot, world, goal
+    workspace = Workspace(
+        low=(-9.0, -9.0, top + 3.0 * CM + 0.5 * magnet.diameter), min_distance=9.0 * CM
+    )
+    actuator = panda(magnet, np.array([middle[0] - 0.5, middle[1], top - 0.15]), workspace)
+    controller = MagnetController(model, magnet, actuator, pose, target, gains=GENTLE_GAINS)
+    world = World(model, Tissue(), State(0.0, pose), sources=controller.sources, substep=SUBSTEP)
+    lead(world, controller, target, 1.0)
+    return controller, world, target
 
 
 if __name__ == "__main__":

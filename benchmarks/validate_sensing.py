@@ -16,10 +16,10 @@ from pathlib import Path
 import numpy as np
 
 from validation import options, table, write_section
-from vrcaps.magnet.presets import load_magnet
-from vrcaps.magnet.sources import Uniform, magnet_pose
-from vrcaps.sensors.hall import HallArray, hall_grid, miscalibrated, read_hall
-from vrcaps.sensors.localize import locate
+from vrcaps.magnet.presets import read_magnet
+from vrcaps.magnet.sources import UniformField, magnet_pose
+from vrcaps.sensors.hall import HallArray, hall_grid, perturb_calibration, read_hall
+from vrcaps.sensors.localize import localize
 
 EARTH = 50e-6
 GAIN, OFFSET = 0.005, 1e-6
@@ -56,20 +56,20 @@ def setups() -> list[Setup]:
 def measure(setup: Setup, count: int) -> tuple[str, ...]:
     """A row of the table."""
     rng = np.random.default_rng(0)
-    magnet = load_magnet(setup.magnet)
+    magnet = read_magnet(setup.magnet)
     errors, spent = [], []
     for _ in range(count):
         pose = magnet_pose(rng.uniform(setup.low, setup.high), rng.normal(size=3))
-        earth = Uniform(EARTH, magnet_pose((0, 0, 0), rng.normal(size=3)))
-        real = miscalibrated(setup.array, rng, gain=GAIN, offset=OFFSET)
+        earth = UniformField(EARTH, magnet_pose((0, 0, 0), rng.normal(size=3)))
+        real = perturb_calibration(setup.array, rng, gain=GAIN, offset=OFFSET)
         readings = read_hall(real, [replace(magnet, T_world_magnet=pose), earth], rng)
         begin = time.process_time()
-        fix = locate(setup.array, readings, magnet)
+        estimate = localize(setup.array, readings, magnet)
         middle = time.process_time()
-        locate(setup.array, readings, magnet, start=fix.T_world_magnet)
+        localize(setup.array, readings, magnet, start=estimate.T_world_magnet)
         spent.append((middle - begin, time.process_time() - middle))
-        cosine = float(fix.T_world_magnet[:3, 2] @ pose[:3, 2])
-        miss = np.linalg.norm(fix.T_world_magnet[:3, 3] - pose[:3, 3])
+        cosine = float(estimate.T_world_magnet[:3, 2] @ pose[:3, 2])
+        miss = np.linalg.norm(estimate.T_world_magnet[:3, 3] - pose[:3, 3])
         errors.append((1e3 * miss, np.degrees(np.arccos(np.clip(cosine, -1, 1)))))
     place, turn = np.array(errors).T
     new, later = 1e3 * np.median(spent, axis=0)
@@ -101,7 +101,8 @@ def main() -> None:
         f"left in by the calibration: gain {100 * GAIN:g} %, offset {1e6 * OFFSET:g} µT; "
         f"the earth's {1e6 * EARTH:g} µT unknown.\n\n"
         + table(HEAD, [measure(setup, given.size) for setup in setups()])
-        + "\n\nThe turn is that of the magnet's axis; about it nothing can be seen. A *new* fix "
+        + "\n\nThe turn is that of the magnet's axis; about it nothing can be seen. A *new* "
+        "estimate "
         "searches everywhere, the\n*next* starts from the last."
     )
     write_section(given.out, Path(__file__).name, text)

@@ -20,15 +20,15 @@ from validation import ROOT, options, table, write_section
 sys.path.append(str(ROOT / "tests" / "support"))
 
 from tubes import bent_tube, straight_gut
-from vrcaps.actuation.arm.arm_catalog import load_arm
-from vrcaps.actuation.arm.arm_with_payload import Carrier, across_mount
-from vrcaps.actuation.capsule_target import Goal, gut_goal
-from vrcaps.actuation.magnet_actuator import FreeHolder, Holder
-from vrcaps.actuation.magnet_controller import Pilot, Steering
-from vrcaps.actuation.magnet_pose_solver import Room
-from vrcaps.actuation.robot_actuator import ArmHolder
+from vrcaps.actuation.arm.arm_catalog import read_arm
+from vrcaps.actuation.arm.arm_with_payload import ArmWithPayload, transverse_mount
+from vrcaps.actuation.capsule_target import CapsuleTarget, centerline_target
+from vrcaps.actuation.magnet_actuator import FreeActuator, MagnetActuator
+from vrcaps.actuation.magnet_controller import ControllerGains, MagnetController
+from vrcaps.actuation.magnet_pose_solver import Workspace
+from vrcaps.actuation.robot_actuator import RobotActuator
 from vrcaps.capsule.catalog import read_device
-from vrcaps.magnet.presets import load_magnet
+from vrcaps.magnet.presets import read_magnet
 from vrcaps.magnet.sources import Coil, Cylinder, Dipole, magnet_pose
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.tissue.tissue import Tissue
@@ -67,16 +67,16 @@ def main() -> None:
         Tube("straight, 28 mm wide", straight_gut({"jejunum": 0.2}, radius=0.014), 0.1),
         Tube("bent by 45 mm, sloping 22°, 36 mm wide", bent_tube(), 0.16),
     )
-    held = [hold(tube, arm, 0.5) for tube in tubes for arm in (False, True)]
-    held += [hold(tube, True, 1.0) for tube in tubes]
-    hand, control = FreeHolder(), control_row(tubes[0], given.size)
+    held = [hold_row(tube, arm, 0.5) for tube in tubes for arm in (False, True)]
+    held += [hold_row(tube, True, 1.0) for tube in tubes]
+    hand, control = FreeActuator(), control_row(tubes[0], given.size)
     text = f"""## Steering by a magnet
 
 `python benchmarks/validate_steering.py`: capsule `magnetic`, wet walls with `physical` drag. In
 tubes: magnet `cylinder-76.2`, a push of {PUSH:g} N along the tube that rises within {RISE:g} s,
-stays, turns round within {2 * RISE:g} s and stays. By hand: {hand.speed:g} m/s and
-{hand.acceleration:g} m/s² at most; by arm: within the Panda's limits of joint speed, acceleration
-and jerk. *Once settled* is the largest error in the last second of each push.
+stays, turns round within {2 * RISE:g} s and stays. By hand: {hand.max_speed:g} m/s and
+{hand.max_acceleration:g} m/s² at most; by arm: within the Panda's limits of joint speed,
+acceleration and jerk. *Once settled* is the largest error in the last second of each push.
 
 {table(HOLD_HEAD, held)}
 
@@ -84,30 +84,34 @@ and jerk. *Once settled* is the largest error in the last second of each push.
     write_section(given.out, Path(__file__).name, text)
 
 
-def begin(tube: Tube, by_arm: bool, press: float) -> tuple[Pilot, World, Goal]:
+def begin(tube: Tube, by_arm: bool, press: float) -> tuple[MagnetController, World, CapsuleTarget]:
     """The capsule held in a tube."""
     model = Model(tube.organ, read_device("magnetic"), np.eye(4))
     line = tube.organ.centerline
-    goal = gut_goal(line, np.eye(4), tube.arc_length)
+    target = centerline_target(line, np.eye(4), tube.arc_length)
     nearest = int(np.argmin(np.abs(line.arc_length - tube.arc_length)))
     pose = transform_from(line.frames[nearest], line.points[nearest])
-    magnet = load_magnet("cylinder-76.2")
-    holder = panda(magnet, pose[:3, 3] + [-0.5, 0.0, -0.15], Room()) if by_arm else FreeHolder()
-    pilot = Pilot(model, magnet, holder, pose, goal, steering=Steering(press=press))
-    world = World(model, Tissue(), State(0.0, pose), sources=pilot.sources, substep=SUBSTEP)
-    lead(world, pilot, goal, 3.0)
-    return pilot, world, goal
+    magnet = read_magnet("cylinder-76.2")
+    actuator = (
+        panda(magnet, pose[:3, 3] + [-0.5, 0.0, -0.15], Workspace()) if by_arm else FreeActuator()
+    )
+    controller = MagnetController(
+        model, magnet, actuator, pose, target, gains=ControllerGains(upper_wall_force=press)
+    )
+    world = World(model, Tissue(), State(0.0, pose), sources=controller.sources, substep=SUBSTEP)
+    lead(world, controller, target, 3.0)
+    return controller, world, target
 
 
-def hold(tube: Tube, by_arm: bool, press: float) -> tuple[str, ...]:
+def hold_row(tube: Tube, by_arm: bool, press: float) -> tuple[str, ...]:
     """A row of the table of tubes."""
-    pilot, world, goal = begin(tube, by_arm, press)
-    along, errors = np.asarray(goal.along), []
+    controller, world, target = begin(tube, by_arm, press)
+    along, errors = np.asarray(target.tangent), []
     ends = np.cumsum([0.0, RISE, STAY, 2.0 * RISE, STAY])
     for time_now in np.arange(0.0, ends[-1], DT):
         push = np.interp(time_now, ends, [0.0, PUSH, PUSH, -PUSH, -PUSH]) * along
-        world.step(replace(pilot.hold(world, goal, DT), force_world=push), DT)
-        errors.append(error_of(world, goal, np.outer(along, along)))
+        world.step(replace(controller.track(world, target, DT), force_world=push), DT)
+        errors.append(error_of(world, target, np.outer(along, along)))
     worst = np.max(errors, axis=0)
     times = np.arange(len(errors)) * DT
     late = [(times > end - 1.0) & (times <= end) for end in (ends[2], ends[4])]
@@ -126,9 +130,9 @@ def hold(tube: Tube, by_arm: bool, press: float) -> tuple[str, ...]:
 
 def control_row(tube: Tube, steps: int) -> tuple[str, ...]:
     """The row of a control step's time."""
-    pilot, world, goal = begin(tube, True, 0.5)
-    between = lead(world, pilot, goal, steps * DT)
-    alone = [timed_step(world, pilot, goal)[1] for _ in range(steps)]
+    controller, world, target = begin(tube, True, 0.5)
+    between = lead(world, controller, target, steps * DT)
+    alone = [timed_step(world, controller, target)[1] for _ in range(steps)]
     apart, within = (f"{1e6 * np.median(times):.0f} µs" for times in (alone, between))
     return (
         "arm and controller, a control step in a loop of its own",
@@ -137,34 +141,40 @@ def control_row(tube: Tube, steps: int) -> tuple[str, ...]:
     )
 
 
-def panda(magnet: Cylinder, place: np.ndarray, room: Room) -> Holder:
+def panda(magnet: Cylinder, place: np.ndarray, workspace: Workspace) -> MagnetActuator:
     """The Panda at a place, the magnet across its flange."""
     base = transform_from(np.eye(3), place)
-    return ArmHolder(Carrier(load_arm("panda"), magnet, base, across_mount(magnet)), room)
+    return RobotActuator(
+        ArmWithPayload(read_arm("panda"), magnet, base, transverse_mount(magnet)), workspace
+    )
 
 
-def lead(world: World, pilot: Pilot, goal: Goal, seconds: float) -> list[float]:
-    """Steps a world to a goal; CPU seconds of each control step."""
+def lead(
+    world: World, controller: MagnetController, target: CapsuleTarget, seconds: float
+) -> list[float]:
+    """Steps a world to a target; CPU seconds of each control step."""
     spent = []
     for _ in range(round(seconds / DT)):
-        control, taken = timed_step(world, pilot, goal)
+        control, taken = timed_step(world, controller, target)
         spent.append(taken)
         world.step(control, DT)
     return spent
 
 
-def timed_step(world: World, pilot: Pilot, goal: Goal) -> tuple[Control, float]:
+def timed_step(
+    world: World, controller: MagnetController, target: CapsuleTarget
+) -> tuple[Control, float]:
     """A control step and its CPU time [s]."""
     start = time.process_time()
-    control = pilot.hold(world, goal, DT)
+    control = controller.track(world, target, DT)
     return control, time.process_time() - start
 
 
-def error_of(world: World, goal: Goal, counted: np.ndarray) -> tuple[float, float]:
-    """Distance from the goal in the directions that count [mm], and angle [°]."""
+def error_of(world: World, target: CapsuleTarget, counted: np.ndarray) -> tuple[float, float]:
+    """Distance from the target in the directions that count [mm], and angle [°]."""
     T = world.T_world_capsule
-    off = np.linalg.norm(counted @ (T[:3, 3] - np.asarray(goal.position)))
-    cosine = np.clip(np.asarray(goal.direction) @ T[:3, 2], -1.0, 1.0)
+    off = np.linalg.norm(counted @ (T[:3, 3] - np.asarray(target.position)))
+    cosine = np.clip(np.asarray(target.direction) @ T[:3, 2], -1.0, 1.0)
     return 1e3 * float(off), float(np.degrees(np.arccos(cosine)))
 
 

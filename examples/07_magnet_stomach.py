@@ -9,8 +9,8 @@ to see when the pylorus is reached; then just that is recorded. Writes what the 
 the way from the patient's front and side (`way.png`). The same from the shell:
 
     vrcaps record --organ stomach --distension inflated --capsule magnetic --motion magnet \
-        --arm panda --side up --skin-mm 30 --along-mm-per-s 10 \
-        --start 0.05 --until 0.85 --substep 2e-4 --frames 38 --fps 2 \
+        --arm panda --wall-side upper --standoff-mm 30 --steering-speed-mm-per-s 10 \
+        --start 0.05 --steering-end 0.85 --substep 2e-4 --frames 38 --fps 2 \
         --out runs/magnet
 """
 
@@ -35,7 +35,7 @@ matplotlib.use("Agg")
 
 LONGEST = 60.0  # time that the drive may take [s]
 STEERING = MagnetSteering(
-    magnet="cylinder-76.2", arm="panda", skin=3.0 * CM, side="up", speed=1.0 * CM, until=0.85
+    magnet="cylinder-76.2", arm="panda", standoff=3.0 * CM, wall="upper", speed=1.0 * CM, end=0.85
 )
 
 
@@ -60,24 +60,24 @@ def drive(scenario: vrcaps.Scenario) -> int:
     """Simulates until the capsule is there; prints how it goes; the number of frames until then."""
     _, run = build(*resolve(scenario))
     assert isinstance(run, Rollout)
-    assert run.commander is not None
-    follower = run.commander.follower
+    assert run.program is not None
+    follower = run.program.follower
     assert follower is not None
     print("time [s]  along the way [cm]  distance [cm]  pull [mN]  off field [°]  state")
     frame = 0
     for frame, instant in enumerate(run.instants()):
         assert instant.conditions is not None
-        steered, coupling = instant.conditions.steered, instant.state.coupling
-        assert steered is not None
+        status, coupling = instant.conditions.controller_status, instant.state.coupling
+        assert status is not None
         assert coupling is not None
-        if follower.arrived or frame % round(2.0 * run.fps) == 0:
+        if follower.has_arrived or frame % round(2.0 * run.fps) == 0:
             print(
-                f"{instant.state.time:8.1f}  {follower.along / CM:12.1f} of"
+                f"{instant.state.time:8.1f}  {follower.arc_length / CM:12.1f} of"
                 f" {follower.path.length / CM:.1f}  {coupling.distance / CM:13.1f}"
                 f"  {1e3 * np.linalg.norm(coupling.force_world):9.0f}"
-                f"  {coupling.angle / DEG:13.1f}  {steered.lost or 'held'}"
+                f"  {coupling.angle / DEG:13.1f}  {status.lost or 'held'}"
             )
-        if follower.arrived:
+        if follower.has_arrived:
             print("The pylorus is reached.")
             break
     return frame + 1

@@ -35,21 +35,21 @@ def main() -> None:
     """Simulate some seconds and draw where everything is, seen from the patient's feet."""
     stomach = generate_stomach(StomachParameters().at("inflated"), seed=0)
     model = Model(stomach, read_device("magnetic"), posture_transform("supine"))
-    steering = MagnetSteering(arm="panda", side="up", skin=3.0 * CM, speed=1.0 * CM)
+    steering = MagnetSteering(arm="panda", wall="upper", standoff=3.0 * CM, speed=1.0 * CM)
     motion = Dynamics(start=0.05, substep=2e-4, magnet=steering)
     run = Rollout(model, motion, frames=int(SECONDS * FPS), fps=FPS, seed=0)
     instant = list(run.instants())[-1]
-    assert run.commander is not None and instant.conditions is not None
-    held = instant.conditions.steered.held
-    carrier = run.commander.pilot.holder.carrier
+    assert run.program is not None and instant.conditions is not None
+    state = instant.conditions.controller_status.actuator
+    robot = run.program.controller.actuator.robot
     figure, axes = plt.subplots(figsize=(9.0, 6.7), dpi=150)
     draw_patient(axes, model)
-    draw_lines(axes, run.commander.pilot.sources, HEIGHT, WIDTH, held.T_world_magnet[1, 3])
-    joints = transform_points(carrier.T_world_base, frames(carrier.arm, held.angles)[:, :3, 3])
-    places = np.vstack([carrier.T_world_base[:3, 3], joints, held.T_world_magnet[:3, 3]]) / CM
+    draw_lines(axes, run.program.controller.sources, HEIGHT, WIDTH, state.T_world_magnet[1, 3])
+    joints = transform_points(robot.T_world_base, frames(robot.arm, state.joint_angles)[:, :3, 3])
+    places = np.vstack([robot.T_world_base[:3, 3], joints, state.T_world_magnet[:3, 3]]) / CM
     axes.plot(places[:, 0], places[:, 2], "-", color="0.55", lw=9, solid_capstyle="round", zorder=3)
     axes.plot(places[:-1, 0], places[:-1, 2], "o", color="0.25", ms=5, zorder=4)
-    outline(axes, cylinder(carrier.magnet, held.T_world_magnet), "#b03030")
+    outline(axes, cylinder(robot.magnet, state.T_world_magnet), "#b03030")
     outline(axes, capsule(model, instant.state.T_world_capsule), "#205080")
     axes.set(aspect="equal", xlabel="towards the patient's left [cm]", ylabel="height [cm]")
     axes.set(xlim=WIDTH, ylim=HEIGHT)

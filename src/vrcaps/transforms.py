@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from vrcaps import _core
 from vrcaps.errors import InputError
 
 if TYPE_CHECKING:
@@ -136,3 +137,18 @@ def rotation_from_vector(vector: Float[np.ndarray, "*batch 3"]) -> Float[np.ndar
     return matrix_from_quaternion(
         np.concatenate([np.cos(half), 0.5 * np.sinc(half / np.pi) * vector], axis=-1)
     )
+
+
+def vector_from_rotation(rotation: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, " 3"]:
+    """Axis times angle [rad] of one rotation matrix, 0 to π; compiled, for control loops."""
+    return _core.rotation_vector(rotation)
+
+
+def rotate_by_vector(
+    vector: Float[np.ndarray, " 3"], rotation: Float[np.ndarray, "3 3"]
+) -> Float[np.ndarray, "3 3"]:
+    """One rotation matrix rotated further by a rotation vector [rad] in the same outer frame.
+
+    Compiled, for control loops; the result is orthonormal.
+    """
+    return _core.rotate_by_vector(vector, rotation)

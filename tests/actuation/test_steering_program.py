@@ -10,12 +10,12 @@ import pytest
 
 from tubes import straight_gut
 from vrcaps.actuation.steering_program import (
-    AXES_COLUMNS,
+    JOYSTICK_COLUMNS,
     WAYPOINT_COLUMNS,
-    Axes,
+    JoystickCommand,
     MagnetSteering,
     Waypoint,
-    check_axes,
+    check_joystick,
     check_waypoints,
     read_commands,
 )
@@ -43,7 +43,7 @@ def simulate(model: Model, steering: MagnetSteering, frames: int = 7, fps: float
 
 
 def test_an_arm_leads_the_capsule_from_place_to_place(gut_model):
-    steering = MagnetSteering(waypoints=PATH, arm="panda", skin=0.1)
+    steering = MagnetSteering(waypoints=PATH, arm="panda", standoff=0.1)
     run = simulate(gut_model, steering)
     table = make_table(gut_model, run).columns
     assert set(STEERED_COLUMNS) < set(table)
@@ -59,16 +59,21 @@ def test_an_arm_leads_the_capsule_from_place_to_place(gut_model):
 
 def test_says_when_the_arm_could_not_carry_the_magnet(gut_model):
     """The default one it can; a free hand has no such limit."""
-    assert simulate(gut_model, MagnetSteering(arm="panda", skin=0.1)).notes == ()
+    assert simulate(gut_model, MagnetSteering(arm="panda", standoff=0.1)).notes == ()
     assert simulate(gut_model, MagnetSteering("cylinder-101.6")).notes == ()
-    (note,) = simulate(gut_model, MagnetSteering("cylinder-101.6", arm="panda", skin=0.1)).notes
+    (note,) = simulate(gut_model, MagnetSteering("cylinder-101.6", arm="panda", standoff=0.1)).notes
     assert "6.2 kg, but arm panda may carry 3 kg" in note
 
 
 def test_a_joystick_moves_the_magnet(gut_model):
-    steering = MagnetSteering(axes=(Axes(0.2, (1.0, 0.0, 0.0)), Axes(0.4)), joystick_speed=0.05)
-    states = [instant.conditions.steered for instant in simulate(gut_model, steering, 4).instants()]
-    moved = states[-1].held.T_world_magnet[:3, 3] - states[0].held.T_world_magnet[:3, 3]
+    steering = MagnetSteering(
+        joystick=(JoystickCommand(0.2, (1.0, 0.0, 0.0)), JoystickCommand(0.4)), joystick_speed=0.05
+    )
+    states = [
+        instant.conditions.controller_status
+        for instant in simulate(gut_model, steering, 4).instants()
+    ]
+    moved = states[-1].actuator.T_world_magnet[:3, 3] - states[0].actuator.T_world_magnet[:3, 3]
     np.testing.assert_allclose(moved, [0.01, 0.0, 0.0], atol=1e-3)
 
 
@@ -89,15 +94,15 @@ def test_goes_on_from_a_snapshot(gut_model):
 def test_without_commands_it_leads_along_the_wall_and_stops(gut_model):
     """From 0.06 m on, at 1 cm/s to 0.07 m; and back to 0.05 m, without a turn."""
     for until, end in ((0.35, 0.07), (0.25, 0.05)):
-        run = simulate(gut_model, MagnetSteering(until=until, speed=0.01), 9, 4.0)
+        run = simulate(gut_model, MagnetSteering(end=until, speed=0.01), 9, 4.0)
         places = [instant.state.T_world_capsule for instant in run.instants()]
-        assert run.commander.follower.arrived
+        assert run.program.follower.has_arrived
         assert places[-1][0, 3] == pytest.approx(end, abs=2e-3)
         assert np.sign(places[-1][0, 2]) == np.sign(places[0][0, 2])
 
 
 def test_the_way_goes_on_from_a_snapshot(gut_model):
-    steering, poses, taken = MagnetSteering(until=0.5, speed=0.01), [], None
+    steering, poses, taken = MagnetSteering(end=0.5, speed=0.01), [], None
     run = simulate(gut_model, steering, 4, 20.0)
     for frame, instant in enumerate(run.instants()):
         poses.append(instant.state.T_world_capsule)
@@ -106,7 +111,7 @@ def test_the_way_goes_on_from_a_snapshot(gut_model):
     again = simulate(gut_model, steering, 4, 20.0)
     rest = [instant.state.T_world_capsule for instant in again.instants(1, taken)]
     np.testing.assert_array_equal(rest, poses[1:])
-    assert again.commander.follower.along == run.commander.follower.along > 0.0
+    assert again.program.follower.arc_length == run.program.follower.arc_length > 0.0
 
 
 def test_a_patient_who_turns_takes_the_way_along(gut_model):
@@ -118,8 +123,8 @@ def test_a_patient_who_turns_takes_the_way_along(gut_model):
         posture_changes=(PostureChange("left-lateral", 0.0, 0.5),),
     )
     run = Rollout(gut_model, motion, frames=3, fps=5.0, seed=0)
-    states = [instant.conditions.steered for instant in run.instants()]
-    assert np.isfinite(states[-1].needed).all()
+    states = [instant.conditions.controller_status for instant in run.instants()]
+    assert np.isfinite(states[-1].required_force).all()
 
 
 def test_commands_are_read(tmp_path: Path):
@@ -127,30 +132,30 @@ def test_commands_are_read(tmp_path: Path):
     path.write_text(",".join(WAYPOINT_COLUMNS) + "\n0,0.05,0,0\n2,0.1,30,-10\n")
     points = (Waypoint(0.0, 0.05), Waypoint(2.0, 0.1, 30 * DEG, -10 * DEG))
     assert read_commands(path) == (points, ())
-    path.write_text(",".join(AXES_COLUMNS) + "\n0,1,0,0,0,0,-0.5\n")
-    assert read_commands(path) == ((), (Axes(0.0, (1, 0, 0), (0, 0, -0.5)),))
+    path.write_text(",".join(JOYSTICK_COLUMNS) + "\n0,1,0,0,0,0,-0.5\n")
+    assert read_commands(path) == ((), (JoystickCommand(0.0, (1, 0, 0), (0, 0, -0.5)),))
     path.write_text("time_s,x\n0,1\n")
     with pytest.raises(InputError, match="not the header time_s,arc_length_m"):
         read_commands(path)
 
 
 def test_what_cannot_be(gut_model):
-    with pytest.raises(UnknownNameError, match="No side named 'left'"):
-        MagnetSteering(side="left")
+    with pytest.raises(UnknownNameError, match="No wall named 'left'"):
+        MagnetSteering(wall="left")
     with pytest.raises(InputError, match="several are given"):
-        MagnetSteering(waypoints=PATH, file="x.csv")
-    with pytest.raises(InputError, match="Steering's speed is 0"):
+        MagnetSteering(waypoints=PATH, command_file="x.csv")
+    with pytest.raises(InputError, match="MagnetSteering's speed is 0"):
         MagnetSteering(speed=0.0)
-    with pytest.raises(InputError, match=r"Steering's until is 1\.5"):
-        MagnetSteering(until=1.5)
-    with pytest.raises(InputError, match="Steering's joystick_rate is -1"):
-        MagnetSteering(joystick_rate=-1.0)
+    with pytest.raises(InputError, match=r"MagnetSteering's end is 1\.5"):
+        MagnetSteering(end=1.5)
+    with pytest.raises(InputError, match="MagnetSteering's joystick_angular_speed is -1"):
+        MagnetSteering(joystick_angular_speed=-1.0)
     with pytest.raises(InputError, match="here: entry 1 is not finite"):
         check_waypoints((PATH[0], Waypoint(np.nan, 0.1)), "here")
     with pytest.raises(InputError, match="does not come after"):
         check_waypoints((PATH[1], PATH[0]), "here")
     with pytest.raises(InputError, match="axes of -1 to 1"):
-        check_axes((Axes(0.0, (2.0, 0.0, 0.0)),), "here")
+        check_joystick((JoystickCommand(0.0, (2.0, 0.0, 0.0)),), "here")
     with pytest.raises(InputError, match="A waypoint's arc_length is 5"):
         simulate(gut_model, MagnetSteering(waypoints=(Waypoint(0.0, 5.0),)))
     with pytest.raises(InputError, match="holds no magnet"):
@@ -158,4 +163,4 @@ def test_what_cannot_be(gut_model):
     with pytest.raises(UnknownNameError, match="No arm named"):
         simulate(gut_model, MagnetSteering(arm="tentacle"))
     with pytest.raises(InputError, match="does not reach"):
-        simulate(gut_model, MagnetSteering(arm="panda", base=(5.0, 0.0, 0.0)))
+        simulate(gut_model, MagnetSteering(arm="panda", arm_base=(5.0, 0.0, 0.0)))

@@ -14,7 +14,7 @@ from vrcaps.capsule.device import Device
 from vrcaps.capsule.device_file import write_device
 from vrcaps.errors import InputError
 from vrcaps.magnet.internal import InternalMagnet
-from vrcaps.magnet.presets import load_magnet
+from vrcaps.magnet.presets import read_magnet
 
 DEVICE = """
 title = "Mine"
@@ -91,7 +91,7 @@ def test_magnets_are_read_by_moment_or_by_name(tmp_path):
     device = load_text(tmp_path, DEVICE + MAGNETS)
     one, other = device.magnets
     assert one == InternalMagnet((0.0, 0.0005, -0.003), (0.1, 0.0, -1.12))
-    moment = load_magnet("capsule-6x6").moment
+    moment = read_magnet("capsule-6x6").moment
     np.testing.assert_allclose(other.moment_capsule, [0.0, 0.6 * moment, 0.8 * moment])
     write_device(tmp_path / "mine.toml", device)
     assert_same(read_device(tmp_path / "mine.toml"), device)

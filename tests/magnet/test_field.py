@@ -22,7 +22,7 @@ from vrcaps.magnet.sources import (
     Dipole,
     Solenoid,
     Source,
-    Uniform,
+    UniformField,
     magnet_pose,
 )
 from vrcaps.transforms import invert, rotate_vectors, transform_points
@@ -220,7 +220,7 @@ def test_flux_through_a_magnets_skin_is_continuous():
 
 
 def test_uniform_field_has_no_gradient():
-    flux, gradient = field([Uniform(0.02, magnet_pose((1, 2, 3), (1, 0, -1)))], np.eye(3))
+    flux, gradient = field([UniformField(0.02, magnet_pose((1, 2, 3), (1, 0, -1)))], np.eye(3))
     np.testing.assert_allclose(flux, np.tile([0.02 / np.sqrt(2), 0, -0.02 / np.sqrt(2)], (3, 1)))
     assert not gradient.any()
 
@@ -320,7 +320,7 @@ def test_only_a_source_that_is_there_can_be_moved():
         (lambda: Solenoid(0.1, 0.1, 1.0, 0), "Solenoid turns is 0. Allowed: 1 or more."),
         (lambda: Solenoid(0.1, 0.1, 1.0, 9, thickness=0.2), "0 to below twice the radius"),
         (lambda: Solenoid(0.1, 0.1, 1.0, 9, layers=0), "Solenoid layers is 0. Allowed: 1 to 100."),
-        (lambda: Uniform(float("nan")), "Uniform flux_density is nan."),
+        (lambda: UniformField(float("nan")), "Uniform flux_density is nan."),
         (lambda: Dipole(1.0, np.diag([1.0, 1, -1, 1])), "T_world_magnet is no rigid pose."),
         (lambda: Dipole(1.0, np.eye(3)), "T_world_magnet is no rigid pose. Allowed: 4 x 4"),
         (lambda: magnet_pose((0, 0, 0), (0, 0, 0)), "has no pose. Give finite numbers, no zero"),

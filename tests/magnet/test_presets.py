@@ -11,8 +11,8 @@ from vrcaps.magnet.presets import (
     GRADES,
     MAGNETS,
     dipole_distance,
-    load_magnet,
     magnet_names,
+    read_magnet,
     remanence_of,
 )
 from vrcaps.magnet.sources import Dipole
@@ -21,7 +21,7 @@ from vrcaps.magnet.sources import Dipole
 @pytest.mark.parametrize(("name", "moment"), [("cylinder-101.6", 970.1), ("capsule-11x10", 1.12)])
 def test_published_moments(name, moment):
     """B_r V/μ₀."""
-    assert abs(load_magnet(name).moment / moment - 1) < 1e-3
+    assert abs(read_magnet(name).moment / moment - 1) < 1e-3
 
 
 @pytest.mark.parametrize("name", magnet_names())
@@ -30,12 +30,12 @@ def test_every_magnet_is_of_its_grade_and_stands_where_it_is_put(name):
     assert low <= MAGNETS[name].remanence <= high
     pose = np.eye(4)
     pose[:3, 3] = [1, 2, 3]
-    assert np.array_equal(load_magnet(name, pose).T_world_magnet, pose)
+    assert np.array_equal(read_magnet(name, pose).T_world_magnet, pose)
 
 
 @pytest.mark.parametrize("name", magnet_names())
 def test_dipole_distance_is_where_the_error_is_5_percent(name):
-    magnet = load_magnet(name)
+    magnet = read_magnet(name)
     distance = dipole_distance(magnet)
     angles = np.linspace(0, np.pi / 2, 181)
     rays = np.stack([np.sin(angles), 0 * angles, np.cos(angles)], axis=1)
@@ -58,10 +58,10 @@ def test_remanence_of_a_grade():
 
 def test_unknown_names_and_values():
     with pytest.raises(UnknownNameError, match=r"No magnet named 'big'\. Known: capsule-11x10, "):
-        load_magnet("big")
+        read_magnet("big")
     with pytest.raises(UnknownNameError, match=r"No grade named 'N99'\. Known: N35, "):
         remanence_of("N99")
     with pytest.raises(InputError, match=r"part is 2\. Allowed: 0 to 1\."):
         remanence_of("N52", part=2)
     with pytest.raises(InputError, match=r"error is 0\. Allowed: 1e-6 to below 1\."):
-        dipole_distance(load_magnet("capsule-6x6"), error=0)
+        dipole_distance(read_magnet("capsule-6x6"), error=0)

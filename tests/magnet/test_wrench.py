@@ -10,7 +10,14 @@ from scenes import random_directions, random_poses
 from vrcaps.errors import InputError
 from vrcaps.magnet.field import field, wrench
 from vrcaps.magnet.internal import InternalMagnet
-from vrcaps.magnet.sources import MAGNETIC_CONSTANT, Coil, Cylinder, Dipole, Uniform, magnet_pose
+from vrcaps.magnet.sources import (
+    MAGNETIC_CONSTANT,
+    Coil,
+    Cylinder,
+    Dipole,
+    UniformField,
+    magnet_pose,
+)
 from vrcaps.transforms import transform_from, transform_points
 
 SMALL = InternalMagnet((0, 0, 0), (0, 0, 1.12))
@@ -80,7 +87,7 @@ def test_wrench_is_the_slope_of_the_energy():
 def test_uniform_field_turns_and_does_not_pull():
     pose = random_poses(np.random.default_rng(2), 1)[0]
     off_centre = InternalMagnet((0.004, 0, -0.003), (0.1, 0.2, 0.3))
-    force, torque = wrench([Uniform(0.05)], [off_centre], pose)
+    force, torque = wrench([UniformField(0.05)], [off_centre], pose)
     assert not force.any()
     moment = pose[:3, :3] @ [0.1, 0.2, 0.3]
     np.testing.assert_allclose(torque, np.cross(moment, [0, 0, 0.05]), rtol=1e-12)

@@ -17,16 +17,16 @@ from vrcaps.recording.recorder import record
 from vrcaps.recording.sensing import SensorReadings
 from vrcaps.recording.table import FrameTable
 from vrcaps.scenario.scenario import Scenario, scenario_from_plain, scenario_to_plain
-from vrcaps.sensors.inertial import Inertial, Magnetometer
+from vrcaps.sensors.imu import Imu, Magnetometer
 from vrcaps.sensors.sensors import HallPad, Sensors, hall_array, sensors_by_name
 from vrcaps.transforms import transform_from
 from vrcaps.world.model import Model, State
 
 GRAVITY = np.array([0.0, 0.0, -9.80665])
-SILENT = Inertial(
+SILENT = Imu(
     accelerometer_noise=0.0, gyroscope_noise=0.0, accelerometer_walk=0.0, gyroscope_walk=0.0
 )
-ALL = sensors_by_name(("inertial", "magnetometer", "hall"))
+ALL = sensors_by_name(("imu", "magnetometer", "hall"))
 FPS = 4.0
 
 
@@ -62,7 +62,7 @@ def vector(row: dict[str, float], name: str) -> np.ndarray:
 def test_inertial_unit_reads_acceleration_and_weight_in_its_own_frame(model):
     unit = replace(SILENT, position_capsule=(0.0, 0.004, 0.0))
     steps = steps_along(model, 5)
-    readings = SensorReadings(model, scenario_of(Sensors(inertial=unit)))
+    readings = SensorReadings(model, scenario_of(Sensors(imu=unit)))
     spin, arm = np.array([0.2, -0.1, 0.4]), np.array([0.0, 0.004, 0.0])
     for step in steps:
         row, rotation = readings.read(step), step.now.state.T_world_capsule[:3, :3]
@@ -90,24 +90,24 @@ def test_hall_sensors_find_the_magnet(model):
         row, pose = readings.read(step), step.now.state.T_world_capsule
         place = pose[:3, :3] @ magnet.position_capsule + pose[:3, 3]
         axis = pose[:3, :3] @ magnet.moment_capsule / np.linalg.norm(magnet.moment_capsule)
-        error = np.linalg.norm(vector(row, "located_{}_m") - place)
+        error = np.linalg.norm(vector(row, "localized_{}_m") - place)
         assert error < 5e-3
-        assert error < 5.0 * row["located_sigma_m"] + 1e-4
-        assert vector(row, "located_axis_{}") @ axis > np.cos(np.radians(4.0))
+        assert error < 5.0 * row["localized_sigma_m"] + 1e-4
+        assert vector(row, "localized_axis_{}") @ axis > np.cos(np.radians(4.0))
 
 
 def test_out_of_range_there_is_no_place(model):
     (step,) = steps_along(model, 1)
     deaf = SensorReadings(model, scenario_of(Sensors(hall=HallPad(range=0.2e-6)))).read(step)
     assert np.isnan(deaf["hall_0_z_t"])
-    assert np.isnan(vector(deaf, "located_{}_m")).all()
-    assert np.isnan(deaf["located_sigma_m"])
+    assert np.isnan(vector(deaf, "localized_{}_m")).all()
+    assert np.isnan(deaf["localized_sigma_m"])
 
 
 def test_far_away_the_place_is_uncertain(model):
     (step,) = steps_along(model, 1)
     far = SensorReadings(model, scenario_of(Sensors(hall=HallPad(gap=1.0)))).read(step)
-    assert far["located_sigma_m"] > 5e-3
+    assert far["localized_sigma_m"] > 5e-3
 
 
 def test_goes_on_with_the_same_readings(model):
@@ -130,7 +130,7 @@ def test_an_episode_has_the_readings(tmp_path, monkeypatch, base_scenario, organ
     columns, places = episode.table.columns, np.array(episode.head["hall_positions_m"])
     assert places.shape == (64, 3)
     assert f"hall_{len(places) - 1}_z_t" in columns
-    assert np.isfinite(columns["located_x_m"]).all()
+    assert np.isfinite(columns["localized_x_m"]).all()
     assert scenario_from_plain(scenario_to_plain(asked)) == asked
 
 

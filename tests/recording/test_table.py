@@ -4,7 +4,7 @@ import pytest
 from vrcaps.capsule.catalog import read_device
 from vrcaps.motion.fly_through import FlyThrough, fly_through
 from vrcaps.motion.trajectory import camera_clearance
-from vrcaps.recording.table import column_names, locate, make_table, read_table, write_table
+from vrcaps.recording.table import column_names, locate_in_gut, make_table, read_table, write_table
 from vrcaps.transforms import transform_points
 from vrcaps.world.model import Model
 
@@ -48,7 +48,7 @@ def test_locate_finds_the_arc_length_of_points_beside_the_centreline(model):
     line = model.organ.centerline
     chosen = np.flatnonzero((line.arc_length > 0.04) & (line.arc_length < line.length - 0.04))[::7]
     points = line.points[chosen] + 0.004 * line.frames[chosen, :, 0]
-    arc_length, segment = locate(model, transform_points(model.T_world_patient, points))
+    arc_length, segment = locate_in_gut(model, transform_points(model.T_world_patient, points))
     np.testing.assert_allclose(arc_length, line.arc_length[chosen], atol=1e-3)
     clear = np.abs(arc_length - line.length / 2) > 0.01
     expected = np.where(arc_length < line.length / 2, "upper", "lower")
@@ -60,5 +60,5 @@ def test_a_neighbouring_loop_is_not_taken_for_the_own(model):
     line = model.organ.centerline
     middle = len(line.points) // 2
     point = line.points[[middle]] + 0.9 * line.radius[middle] * line.frames[[middle], :, 1]
-    arc_length, _ = locate(model, transform_points(model.T_world_patient, point))
+    arc_length, _ = locate_in_gut(model, transform_points(model.T_world_patient, point))
     assert arc_length[0] == pytest.approx(line.arc_length[middle], abs=3e-3)

@@ -9,8 +9,8 @@ import pytest
 
 from vrcaps.errors import InputError
 from vrcaps.magnet.field import field
-from vrcaps.magnet.sources import Dipole, Uniform, magnet_pose
-from vrcaps.sensors.hall import HallArray, hall_grid, miscalibrated, read_hall
+from vrcaps.magnet.sources import Dipole, UniformField, magnet_pose
+from vrcaps.sensors.hall import HallArray, hall_grid, perturb_calibration, read_hall
 
 ARRAY = hall_grid(0.3, 4)
 RNG = np.random.default_rng(0)
@@ -26,19 +26,19 @@ def test_a_perfect_array_reads_the_field():
 def test_noise_gain_and_offset_have_their_sizes():
     rng = np.random.default_rng(1)
     array = replace(ARRAY, noise=2e-6, resolution=0.0, gain=1.1, offset=3e-6)
-    readings = np.array([read_hall(array, [Uniform(1e-4)], rng) for _ in range(2000)])
+    readings = np.array([read_hall(array, [UniformField(1e-4)], rng) for _ in range(2000)])
     np.testing.assert_allclose(readings.std(axis=0), 2e-6, rtol=0.1)
     np.testing.assert_allclose(readings.mean(axis=0)[:, 2], 1.1e-4 + 3e-6, rtol=2e-3)
-    real = miscalibrated(hall_grid(0.3, 60), rng, gain=0.02, offset=5e-6)
+    real = perturb_calibration(hall_grid(0.3, 60), rng, gain=0.02, offset=5e-6)
     np.testing.assert_allclose(np.std(real.gain), 0.02, rtol=0.05)
     np.testing.assert_allclose(np.std(real.offset), 5e-6, rtol=0.05)
 
 
 def test_readings_are_rounded_and_end_at_the_range():
     array = replace(ARRAY, noise=0.0, resolution=1e-5, range=2e-3)
-    reading = read_hall(array, [Uniform(1.234e-4)], np.random.default_rng(2))
+    reading = read_hall(array, [UniformField(1.234e-4)], np.random.default_rng(2))
     np.testing.assert_allclose(reading[:, 2], 1.2e-4)
-    strong = read_hall(array, [Uniform(3e-3)], np.random.default_rng(2))
+    strong = read_hall(array, [UniformField(3e-3)], np.random.default_rng(2))
     assert np.isnan(strong[:, 2]).all()
     assert not strong[:, :2].any()
 
@@ -66,10 +66,10 @@ def test_grid_stands_in_its_frame():
         (lambda: hall_grid(0.0, 4), r"array's width is 0\.0\. Allowed: above 0"),
         (lambda: hall_grid(0.3, 1), r"count is 1\. Allowed: 2 or more"),
         (
-            lambda: miscalibrated(ARRAY, RNG, gain=-1.0),
+            lambda: perturb_calibration(ARRAY, RNG, gain=-1.0),
             r"error of gain is -1\.0\. Allowed: 0 or more",
         ),
-        (lambda: miscalibrated(ARRAY, RNG, offset=np.nan), r"error of offset is nan"),
+        (lambda: perturb_calibration(ARRAY, RNG, offset=np.nan), r"error of offset is nan"),
     ],
 )
 def test_impossible_arrays(make, message):

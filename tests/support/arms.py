@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from vrcaps.actuation.arm.arm import Arm
-from vrcaps.actuation.arm.arm_catalog import load_arm
+from vrcaps.actuation.arm.arm_catalog import read_arm
 
 SIX_JOINTS = """
 title = "An arm of six joints"
@@ -31,7 +31,7 @@ ROWS = ((0, 162.5, 0), (0, 0, 90), (-425, 0, 0), (-392.2, 133.3, 0), (0, 99.7, 9
 
 @pytest.fixture(scope="session")
 def panda() -> Arm:
-    return load_arm("panda")
+    return read_arm("panda")
 
 
 @pytest.fixture(scope="session")
@@ -44,4 +44,4 @@ def six_joints_text() -> str:
 def six_joints(tmp_path_factory: pytest.TempPathFactory, six_joints_text: str) -> Arm:
     path = tmp_path_factory.mktemp("arm") / "six.toml"
     path.write_text(six_joints_text)
-    return load_arm(path)
+    return read_arm(path)

@@ -13,7 +13,14 @@ from vrcaps.capsule.catalog import read_device
 from vrcaps.errors import InputError
 from vrcaps.magnet.field import field, wrench
 from vrcaps.magnet.internal import InternalMagnet
-from vrcaps.magnet.sources import MAGNETIC_CONSTANT, Coil, Cylinder, Dipole, Uniform, magnet_pose
+from vrcaps.magnet.sources import (
+    MAGNETIC_CONSTANT,
+    Coil,
+    Cylinder,
+    Dipole,
+    UniformField,
+    magnet_pose,
+)
 from vrcaps.tissue.drag import Drag
 from vrcaps.tissue.tissue import Tissue
 from vrcaps.transforms import matrix_from_quaternion, rotate_vectors, transform_from
@@ -69,7 +76,7 @@ def test_swings_like_a_pendulum_and_keeps_its_energy(wide):
     """In an even field θ̈ = −(mB/I) sin θ: period 4 √(I/mB) K(sin θ₀/2), for many swings."""
     m, flux, tilt = 0.2, 0.05, 1.0
     axis = (np.sin(tilt), 0.0, np.cos(tilt))
-    world = make_world(wide, (0, 0, m), [Uniform(flux)], wxyz_z=axis)
+    world = make_world(wide, (0, 0, m), [UniformField(flux)], wxyz_z=axis)
     inertia = world.body.inertia[0, 0]
     period = 4.0 * np.sqrt(inertia / (m * flux)) * ellipk(np.sin(tilt / 2) ** 2)
     control = lifted(world)
@@ -91,7 +98,7 @@ def test_swings_like_a_pendulum_and_keeps_its_energy(wide):
 def test_torque_aligns_where_something_damps(wide):
     """A capsule that turns in mucus ends along the field."""
     damped = Tissue(deformation=None, drag=Drag(friction=0.02, viscosity=0.5))
-    world = make_world(wide, (0, 0, 0.2), [Uniform(0.02, magnet_pose((0, 0, 0), (1, 0, 0)))],
+    world = make_world(wide, (0, 0, 0.2), [UniformField(0.02, magnet_pose((0, 0, 0), (1, 0, 0)))],
                        tissue=damped, wxyz_z=(0.3, 0.2, 1.0))  # fmt: skip
     for _ in range(8):
         world.step(Control(), 0.25)
@@ -166,7 +173,7 @@ def test_the_field_told_is_that_amid_the_magnets(wide):
 
 def test_a_patient_who_turns_leaves_the_sources(wide):
     """The sources stand in the world: on a turned patient they act from another side."""
-    world = make_world(wide, (0, 0, 0.3), [Uniform(0.01, magnet_pose((0, 0, 0), (1, 0, 0)))])
+    world = make_world(wide, (0, 0, 0.3), [UniformField(0.01, magnet_pose((0, 0, 0), (1, 0, 0)))])
     left = posture_transform("left-lateral")
     world.step(Control(T_world_patient=left), 1e-6)
     np.testing.assert_allclose(world.coupling.flux_density_world, [0.01, 0, 0], atol=1e-15)
@@ -229,7 +236,7 @@ def test_what_cannot_be(wide):
             Model(wide, read_device("mirocam")),
             FREE,
             State(0.0, transform_from(HOVER, at)),
-            sources=[Uniform(0.01)],
+            sources=[UniformField(0.01)],
         )
     dipole = make_world(wide, (0, 0, 0.3), [Dipole(1e-9, magnet_pose(at, (0, 0, 1)))])
     with pytest.raises(InputError, match="comes into a dipole"):

@@ -1,4 +1,4 @@
-"""Steering a capsule by one magnet, held by anything: goals, joystick, rolling."""
+"""Feedback controller that steers one capsule by the pose of one actuated magnet."""
 
 from __future__ import annotations
 
@@ -9,14 +9,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps._core import lead_on
-from vrcaps.actuation.capsule_target import Goal
-from vrcaps.actuation.magnet_actuator import Held, Holder
-from vrcaps.actuation.magnet_pose_solver import Aim, Wish
-from vrcaps.actuation.vectors import at_most, length, past, turned
+from vrcaps._core import advance_reference
+from vrcaps.actuation.capsule_target import CapsuleTarget
+from vrcaps.actuation.magnet_actuator import ActuatorState, MagnetActuator
+from vrcaps.actuation.magnet_pose_solver import MagnetPoseSolver, WrenchTarget
+from vrcaps.actuation.vectors import clamp_norm, detour, length
 from vrcaps.errors import InputError, require
 from vrcaps.magnet.field import SourceSet
 from vrcaps.magnet.sources import Cylinder, Dipole, Source
+from vrcaps.transforms import rotate_by_vector
 from vrcaps.units import CM, DEG, MM
 from vrcaps.world.control import Control
 from vrcaps.world.model import Model
@@ -25,294 +26,335 @@ from vrcaps.world.world import GRAVITY, World
 if TYPE_CHECKING:
     from jaxtyping import Float
 
-_CONTROLLED = 200.0 * np.eye(3)
-"""What a newton counts in a direction that is controlled [1/N]: 5 mN count as much as…"""
-_OTHER = 40.0 * np.eye(3)
+_CONTROLLED_WEIGHT = 200.0 * np.eye(3)
+"""Weight of a force error in a controlled direction [1/N]: 5 mN count as much as…"""
+_OTHER_WEIGHT = 40.0 * np.eye(3)
 """…25 mN in another direction, and…"""
-_TORQUE = 4000.0
+_TORQUE_WEIGHT = 4000.0
 """…0.25 mN·m [1/(N·m)]."""
-_LOST_ANGLE = 60.0 * DEG
-_SLOW, _CALM = 4.0 * CM, 0.3
-"""A capsule that slides faster than this [m/s] is left to the field until it has been calm for a
-time [s]: the magnet, slower than the slide, would only stir it."""
-_NEAR, _BEHIND = 0.5, 0.9
-"""Distance from the leading point, in leads, within which the capsule follows, and beyond which…"""
-_MOST = 4.0
-"""Most pull along the magnet's axis, by the force that is borne."""
-_FIRST_ROUNDS, _ROUNDS = 60, 8
+_MISALIGNED = 60.0 * DEG
+_SLIDING_SPEED = 4.0 * CM
+"""A capsule that slides faster than this [m/s] is left to the field…"""
+_SLIDING_DECAY = 0.3
+"""…until its speed has decayed for a time [s]: the magnet, slower than the slide, would only
+disturb it."""
+_FOLLOWS = 0.5
+"""Distance from the reference, in lookaheads, within which the capsule follows…"""
+_LAGS = 0.9
+"""…and beyond which it lags."""
+_MAX_PULL = 4.0
+"""Largest pull along the magnet's axis, by the supported force."""
+_FIRST_ITERATIONS = 60
+_ITERATIONS = 8
 
 
 @dataclass(frozen=True)
-class Steering:
-    """Gains of the loop that holds a capsule at a goal.
+class ControllerGains:
+    """Gains and limits of the controller that holds a capsule at a target.
+
+    Across the capsule's axis the field holds it like a spring of stiffness F/d, F being the pull
+    and d the distance of the magnet; along its axis the stiffness is three times as large.
 
     Attributes:
-        press: Force with which the magnet presses the capsule against an upper wall [N]. Sideways
-            the field then holds it like a spring: by the force by the distance of the magnet across
-            the capsule's axis, by three times that along it.
-        rest: Force with which the capsule is left to rest on a lower wall [N], below its weight.
-        speed: Largest speed of the point that the capsule is led by [m/s].
-        turn_speed: Largest angular speed of the direction that it is led by [rad/s].
-        lead: How far that point goes ahead of the capsule [m].
-        turn_lead: How far that direction goes ahead of the capsule's [rad].
-        stiffening: Force by distance from it, as a share of that spring's.
-        rate: Force by distance and time, as a share of that spring's force a second [1/s].
-        damping: Force by velocity, as a share of the spring's critical damping.
-        most_force: Most that all these come to [N].
-        turn_rate: Torque by angle and time, as a share of the field's own torque [1/s].
-        most_torque: Most that it comes to [N·m].
-        patience: Time after which a capsule that does not follow counts as lost [s].
+        upper_wall_force: Force with which the magnet presses the capsule against an upper wall [N].
+        lower_wall_force: Force with which the capsule rests on a lower wall [N], below its weight.
+        speed: Largest speed of the reference that the capsule follows [m/s].
+        angular_speed: Largest angular speed of the reference direction [rad/s].
+        lookahead: Largest distance of the reference ahead of the capsule [m].
+        lookahead_angle: Largest angle of the reference direction ahead of the capsule's [rad].
+        proportional_gain: Force per distance from the reference, relative to the field's stiffness.
+        integral_gain: Force per distance and time, relative to the field's stiffness [1/s].
+        damping_ratio: Force per velocity, relative to critical damping of the field's stiffness.
+        max_force: Largest force that these add [N].
+        torque_integral_gain: Torque per angle and time, relative to the field's torque [1/s].
+        max_torque: Largest torque that it adds [N·m].
+        timeout: Time after which a capsule that does not follow has stalled [s].
     """
 
-    press: float = 0.3
-    rest: float = 0.05
+    upper_wall_force: float = 0.3
+    lower_wall_force: float = 0.05
     speed: float = 1.0 * CM
-    turn_speed: float = 0.5
-    lead: float = 5.0 * MM
-    turn_lead: float = 20.0 * DEG
-    stiffening: float = 2.0
-    rate: float = 3.0
-    damping: float = 1.0
-    most_force: float = 0.5
-    turn_rate: float = 1.0
-    most_torque: float = 0.02
-    patience: float = 2.0
+    angular_speed: float = 0.5
+    lookahead: float = 5.0 * MM
+    lookahead_angle: float = 20.0 * DEG
+    proportional_gain: float = 2.0
+    integral_gain: float = 3.0
+    damping_ratio: float = 1.0
+    max_force: float = 0.5
+    torque_integral_gain: float = 1.0
+    max_torque: float = 0.02
+    timeout: float = 2.0
 
     def __post_init__(self) -> None:
+        positive = ("speed", "angular_speed", "lookahead", "lookahead_angle", "timeout")
         for name, value in vars(self).items():
-            positive = name in ("speed", "turn_speed", "lead", "turn_lead", "patience")
-            allowed = "above 0" if positive else "0 or more"
-            valid = 0.0 < value < math.inf if positive else 0.0 <= value < math.inf
-            require(valid, f"Steering's {name}", value, allowed)
+            allowed = "above 0" if name in positive else "0 or more"
+            is_valid = 0.0 < value < math.inf if name in positive else 0.0 <= value < math.inf
+            require(is_valid, f"ControllerGains' {name}", value, allowed)
 
 
 @dataclass(frozen=True)
-class Steered:
-    """How it goes.
+class ControllerStatus:
+    """Actuator state, control errors and forces after the last command.
 
     Attributes:
-        held: The magnet.
-        error: From the point that leads the capsule to the capsule, where it is controlled [m].
-        angle: Between the direction wanted and the capsule's [rad].
-        needed: Force that the capsule needs [N], in the world.
-        offered: Force of the magnet asked for on a capsule where it should be [N].
-        lost: Why the magnet has lost the capsule: nothing; `turned`: the moment is far off the
-            field; `other-wall`: the capsule lies on another wall than it is to be pressed against;
-            `weak`: the magnet cannot be where its force would be enough; `stuck`: the capsule does
-            not follow.
+        actuator: State of the magnet actuator.
+        position_error: From the capsule to the reference, in the controlled directions [m].
+        heading_error: Angle between the wanted direction and the capsule's [rad].
+        required_force: Force that the capsule needs [N], in the world.
+        predicted_force: Force of the magnet at its requested pose on a capsule at the reference
+            [N].
+        lost: Why the magnet has lost the capsule: nothing; `misaligned`: the moment is far off the
+            field; `wrong_wall`: the capsule lies on another wall than that of the target;
+            `insufficient_force`: the magnet cannot be where its force would be sufficient;
+            `stalled`: the capsule does not follow.
     """
 
-    held: Held
-    error: Float[np.ndarray, " 3"]
-    angle: float
-    needed: Float[np.ndarray, " 3"]
-    offered: Float[np.ndarray, " 3"]
+    actuator: ActuatorState
+    position_error: Float[np.ndarray, " 3"]
+    heading_error: float
+    required_force: Float[np.ndarray, " 3"]
+    predicted_force: Float[np.ndarray, " 3"]
     lost: str = ""
 
 
-class Pilot:
-    """Steers one capsule with one magnet; keeps where it is and what the loop has learnt."""
+class MagnetController:
+    """Steers one capsule with one magnet; holds the controller's state."""
 
     def __init__(
         self,
         model: Model,
         magnet: Cylinder | Dipole,
-        holder: Holder,
+        actuator: MagnetActuator,
         T_world_capsule: Float[np.ndarray, "4 4"],
-        goal: Goal,
+        target: CapsuleTarget,
         *,
-        steering: Steering | None = None,
+        gains: ControllerGains | None = None,
         direction: Sequence[float] = (0.0, 0.0, 1.0),
         others: Sequence[Source] = (),
     ) -> None:
-        """Takes the magnet to the capsule.
+        """Moves the magnet to the capsule.
 
         Args:
             model: Organ and device.
-            magnet: The magnet; its pose is chosen.
-            holder: What holds it.
-            T_world_capsule: Where the capsule is.
-            goal: Where it is to be first.
-            steering: Gains; the defaults if None.
-            direction: From the capsule to where the magnet is to begin with, in the world.
-            others: Sources that stay where they are, such as the earth's.
+            magnet: The magnet; the controller chooses its pose.
+            actuator: What moves it.
+            T_world_capsule: Pose of the capsule.
+            target: First target of the capsule.
+            gains: Gains; the defaults if None.
+            direction: From the capsule to the magnet's first position, in the world.
+            others: Sources that stay where they are, such as the earth's field.
 
         Raises:
-            InputError: If the device holds no magnet, or the magnet cannot be held where it begins.
+            InputError: If the device holds no magnet, or the actuator cannot hold the magnet at its
+                first pose.
         """
-        self.model, self.holder = model, holder
-        self.steering = steering or Steering()
-        self._aim = Aim(SourceSet([magnet, *others]), model.device.magnets, holder.room)
-        self._magnet, self._others = magnet, tuple(others)
+        self.model = model
+        self.actuator = actuator
+        self.gains = gains or ControllerGains()
+        sources = SourceSet([magnet, *others])
+        self._solver = MagnetPoseSolver(sources, model.device.magnets, actuator.workspace)
+        self._magnet = magnet
+        self._others = tuple(others)
         self._weight = np.array([0.0, 0.0, model.device.mass * GRAVITY])
-        press, away = np.asarray(goal.press, float), np.asarray(direction, float)
-        force = self._weight + self._pressed(goal) * press
-        wish = Wish(force.tolist())
-        start = self._aim.guess(T_world_capsule, away, length(force))
-        aimed = self._aim.solve(wish, T_world_capsule, start, rounds=_FIRST_ROUNDS)
-        self._wanted, self._hold = aimed.T_world_magnet, aimed.hold
-        held = holder.start(self._wanted)
-        # Where it leads the capsule, where that is to look, and to the wall that it lies on.
-        self._leader = np.array([T_world_capsule[:3, 3], T_world_capsule[:3, 2], press])
-        self._learnt = np.zeros((2, 3))
-        self._late = self._stir = 0.0
-        self.steered = Steered(held, np.zeros(3), 0.0, np.array(wish.force), aimed.force)
+        normal = np.asarray(target.wall_normal, float)
+        force = self._weight + self._wall_force(target) * normal
+        wrench = WrenchTarget(force.tolist())
+        away = np.asarray(direction, float)
+        start = self._solver.initial_guess(T_world_capsule, away, length(force))
+        solution = self._solver.solve(
+            wrench, T_world_capsule, start, max_iterations=_FIRST_ITERATIONS
+        )
+        self._requested = solution.T_world_magnet
+        self._max_torque = solution.max_torque
+        state = actuator.start(self._requested)
+        # Reference position, reference direction, and normal of the wall that the capsule lies on.
+        self._reference = np.array([T_world_capsule[:3, 3], T_world_capsule[:3, 2], normal])
+        self._integral = np.zeros((2, 3))
+        self._stall_time = 0.0
+        self._sliding_speed = 0.0
+        self.status = ControllerStatus(
+            state, np.zeros(3), 0.0, np.array(wrench.force), solution.force
+        )
 
     @property
     def sources(self) -> list[Source]:
-        """The magnet where it is now and the others, as a `World` takes them."""
-        moved = replace(self._magnet, T_world_magnet=self.steered.held.T_world_magnet)
+        """The magnet at its present pose and the other sources, as a `World` takes them."""
+        moved = replace(self._magnet, T_world_magnet=self.status.actuator.T_world_magnet)
         return [moved, *self._others]
 
-    def hold(self, world: World, goal: Goal, dt: float) -> Control:
-        """Command for the next `dt` [s] that leads the capsule to a goal and holds it there.
+    def track(self, world: World, target: CapsuleTarget, dt: float) -> Control:
+        """Command for the next `dt` [s] that leads the capsule to a target and holds it there.
 
-        The magnet is put where, for a capsule at the leading point, its force is that of the loop
-        and of the weight, and its torque what the loop has learnt: away from that point the
-        capsule is held by the field itself, faster than any loop.
+        The magnet is put where a capsule at the reference feels the force of the control law and of
+        the supported weight, and the integrated torque. Away from the reference the field itself
+        holds the capsule, faster than any control loop.
         """
-        s, T, free = self.steering, world.T_world_capsule, goal.controlled
-        self._leader, led, error, bend, angle, fallen = lead_on(
-            self._leader, T, world.contact_force_world, goal, s, dt
+        gains = self.gains
+        T = world.T_world_capsule
+        axes = target.controlled_axes
+        self._reference, T_reference, error, rotation, angle, is_on_wrong_wall = advance_reference(
+            self._reference, T, world.contact_force_world, target, gains, dt
         )
-        borne = self._weight + self._pressed(goal) * self._leader[2]
-        soft = max(length(borne), 0.05) / math.dist(T[:3, 3], self._wanted[:3, 3])
-        near = at_most(error, s.lead)
-        pull = soft * (near + 2.0 * float(near @ T[:3, 2]) * T[:3, 2])
-        self._late = self._lateness(length(error) / s.lead, dt)
-        damping = 2.0 * s.damping * math.sqrt(soft * self.model.device.mass)
-        velocity = free @ world.velocity_world[0]
-        calm = self._calmness(length(velocity), dt)
-        force, torque = self._learn(calm * pull, self._hold * bend, dt)
-        pushed = calm * (s.stiffening * pull - damping * velocity)
-        # More than it bears the magnet could do only by going far to and fro.
-        needed = at_most(pushed + force, min(s.most_force, length(borne))) + borne
-        weights = _OTHER + (_CONTROLLED - _OTHER) * free
-        wish = Wish(needed.tolist(), torque.tolist(), weights.tolist(), _TORQUE)
-        aimed = self._aim.solve(wish, led, self._wanted, rounds=_ROUNDS)
-        self._wanted, self._hold = aimed.T_world_magnet, aimed.hold
-        held = self.holder.move(self.steered.held, self._clear(T, length(borne)), dt)
-        short = length(free @ (needed - aimed.force))
-        weak = short > 0.01 + 0.25 * length(needed)
-        lost = self._lost(world.field_angle(T), fallen=fallen, weak=weak)
-        self.steered = Steered(held, error, angle, needed, aimed.force, lost)
-        return self._command(held)
+        supported = self._weight + self._wall_force(target) * self._reference[2]
+        stiffness = max(length(supported), 0.05) / math.dist(T[:3, 3], self._requested[:3, 3])
+        offset = clamp_norm(error, gains.lookahead)
+        pull = stiffness * (offset + 2.0 * float(offset @ T[:3, 2]) * T[:3, 2])
+        self._update_stall_time(length(error) / gains.lookahead, dt)
+        damping = 2.0 * gains.damping_ratio * math.sqrt(stiffness * self.model.device.mass)
+        velocity = axes @ world.velocity_world[0]
+        activity = self._activity(length(velocity), dt)
+        force, torque = self._integrate(activity * pull, self._max_torque * rotation, dt)
+        feedback = activity * (gains.proportional_gain * pull - damping * velocity)
+        # More than the supported force would need large movements of the magnet.
+        limit = min(gains.max_force, length(supported))
+        required = clamp_norm(feedback + force, limit) + supported
+        weights = _OTHER_WEIGHT + (_CONTROLLED_WEIGHT - _OTHER_WEIGHT) * axes
+        wrench = WrenchTarget(required.tolist(), torque.tolist(), weights.tolist(), _TORQUE_WEIGHT)
+        solution = self._solver.solve(
+            wrench, T_reference, self._requested, max_iterations=_ITERATIONS
+        )
+        self._requested = solution.T_world_magnet
+        self._max_torque = solution.max_torque
+        state = self.actuator.move(
+            self.status.actuator, self._around_capsule(T, length(supported)), dt
+        )
+        missing = length(axes @ (required - solution.force))
+        lost = self._why_lost(
+            world.field_angle(T),
+            is_on_wrong_wall=is_on_wrong_wall,
+            is_weak=missing > 0.01 + 0.25 * length(required),
+        )
+        self.status = ControllerStatus(state, error, angle, required, solution.force, lost)
+        return self._command(state)
 
-    def drive(
-        self, move: Sequence[float], turn: Sequence[float], dt: float, *, speed: float, rate: float
+    def jog(
+        self,
+        linear: Sequence[float],
+        angular: Sequence[float],
+        dt: float,
+        *,
+        speed: float,
+        angular_speed: float,
     ) -> Control:
-        """Command of a joystick for the next `dt` [s].
+        """Command for the next `dt` [s] that moves the magnet by joystick axes.
 
         Args:
-            move: Axes −1 to 1 that move the magnet along the world's x, y, z.
-            turn: Axes −1 to 1 that turn it about them.
-            dt: How long.
-            speed: Speed of a full axis [m/s].
-            rate: Angular speed of a full axis [rad/s].
+            linear: Axes −1 to 1 that move the magnet along the world's x, y, z.
+            angular: Axes −1 to 1 that rotate it about them.
+            dt: Duration [s].
+            speed: Speed at a full axis [m/s].
+            angular_speed: Angular speed at a full axis [rad/s].
 
         Raises:
             InputError: If an axis is not from −1 to 1.
         """
-        axes = np.array([*move, *turn], float)
+        axes = np.array([*linear, *angular], float)
         if axes.shape != (6,) or not (np.abs(axes) <= 1.0).all():
             raise InputError(f"Joystick axes {axes}. Allowed: six numbers from -1 to 1.")
-        wanted = self._wanted.copy()
-        wanted[:3, 3] += speed * dt * axes[:3]
-        wanted[:3, :3] = turned(rate * dt * axes[3:], wanted[:3, :3])
-        return self._go(self.holder.room.admit(wanted), dt)
+        pose = self._requested.copy()
+        pose[:3, 3] += speed * dt * axes[:3]
+        pose[:3, :3] = rotate_by_vector(angular_speed * dt * axes[3:], pose[:3, :3])
+        requested = self.actuator.workspace.clamp_pose(pose)
+        state = self.actuator.move(self.status.actuator, requested, dt)
+        # A pose that the actuator cannot reach is not asked of it later.
+        is_blocked = state.limit in ("unreachable", "collision")
+        self._requested = state.T_world_magnet if is_blocked else requested
+        self.status = replace(self.status, actuator=state)
+        return self._command(state)
 
-    def rotate(self, axis: Sequence[float], rate: float, dt: float) -> Control:
-        """Command that turns the magnet where it is: a capsule that can rolls or tumbles along.
-
-        Args:
-            axis: In the world; need not be of unit length.
-            rate: [rad/s].
-            dt: How long [s].
-        """
-        wanted = self._wanted.copy()
-        unit = np.asarray(axis, float) / np.linalg.norm(axis)
-        wanted[:3, :3] = turned(rate * dt * unit, wanted[:3, :3])
-        return self._go(wanted, dt)
-
-    def judge(self, world: World) -> None:
-        """Says after a step whether a capsule that is driven by hand is lost."""
-        lost = self._lost(world.field_angle(world.T_world_capsule))
-        self.steered = replace(self.steered, lost=lost)
+    def update_status(self, world: World) -> None:
+        """Updates `status.lost` of a jogged capsule after a step of the world."""
+        lost = self._why_lost(world.field_angle(world.T_world_capsule))
+        self.status = replace(self.status, lost=lost)
 
     def to_array(self) -> Float[np.ndarray, " q"]:
-        """All that changes, for `restore`."""
-        held = self.steered.held
-        parts = (held.T_world_magnet, held.velocity, held.angles, self._wanted, self._leader)
-        flat = (np.ravel(part) for part in (*parts, self._learnt))
-        return np.concatenate([*flat, [self._hold, self._late, self._stir]])
+        """All state of the controller, for `restore`."""
+        state = self.status.actuator
+        parts = (
+            state.T_world_magnet,
+            state.velocity,
+            state.joint_angles,
+            self._requested,
+            self._reference,
+            self._integral,
+        )
+        scalars = [self._max_torque, self._stall_time, self._sliding_speed]
+        return np.concatenate([*(np.ravel(part) for part in parts), scalars])
 
     def restore(self, saved: Float[np.ndarray, " q"]) -> None:
-        """Goes back to what `to_array` gave."""
-        held = self.steered.held
-        moving = (held.velocity.shape, held.angles.shape)
+        """Sets the state that `to_array` gave."""
+        state = self.status.actuator
+        moving = (state.velocity.shape, state.joint_angles.shape)
         shapes = [(4, 4), *moving, (4, 4), (3, 3), (2, 3), (3,)]
         ends = np.cumsum([math.prod(shape) for shape in shapes])
         pieces = [
             part.reshape(shape).copy()
             for part, shape in zip(np.split(saved, ends[:-1]), shapes, strict=True)
         ]
-        self.steered = replace(self.steered, held=Held(pieces[0], pieces[1], pieces[2]))
-        self._wanted, self._leader, self._learnt = pieces[3:6]
-        self._hold, self._late, self._stir = map(float, pieces[6])
+        restored = ActuatorState(pieces[0], pieces[1], pieces[2])
+        self.status = replace(self.status, actuator=restored)
+        self._requested, self._reference, self._integral = pieces[3:6]
+        self._max_torque, self._stall_time, self._sliding_speed = map(float, pieces[6])
 
-    def _go(self, wanted: Float[np.ndarray, "4 4"], dt: float) -> Control:
-        held = self.holder.move(self.steered.held, wanted, dt)
-        # What it cannot follow is not asked of it later.
-        self._wanted = held.T_world_magnet if held.limit in ("reach", "touch") else wanted
-        self.steered = replace(self.steered, held=held)
-        return self._command(held)
-
-    def _command(self, held: Held) -> Control:
+    def _command(self, state: ActuatorState) -> Control:
         others = [other.T_world_magnet for other in self._others]
-        return Control(Ts_world_magnet=np.array([held.T_world_magnet, *others]))
+        return Control(Ts_world_magnet=np.array([state.T_world_magnet, *others]))
 
-    def _clear(
-        self, T_world_capsule: Float[np.ndarray, "4 4"], borne: float
+    def _around_capsule(
+        self, T_world_capsule: Float[np.ndarray, "4 4"], supported: float
     ) -> Float[np.ndarray, "4 4"]:
-        """The pose wanted, or one on the way there that does not draw the capsule up to itself.
+        """The requested pose, or one on a detour that does not attract the capsule off its wall.
 
-        At most twice the force that is borne [N] is asked for, and from any side the magnet can
-        pull with half of what it can along its axis: no nearer than for that it need be.
+        At most twice the supported force [N] is requested, and from any side the magnet can pull
+        with half of what it can along its axis: it need not come nearer than for that.
         """
-        apart = max(self._aim.farthest(_MOST * borne), self._aim.room.apart)
-        clear, held = self._wanted.copy(), self.steered.held.T_world_magnet
-        clear[:3, 3] = past(held[:3, 3], clear[:3, 3], T_world_capsule[:3, 3], apart)
-        return clear
+        solver = self._solver
+        radius = max(solver.max_distance(_MAX_PULL * supported), solver.workspace.min_distance)
+        pose = self._requested.copy()
+        now = self.status.actuator.T_world_magnet
+        pose[:3, 3] = detour(now[:3, 3], pose[:3, 3], T_world_capsule[:3, 3], radius)
+        return pose
 
-    def _pressed(self, goal: Goal) -> float:
-        """Force between capsule and wall [N], on the wall at the goal's side."""
-        return self.steering.press if goal.press[2] >= 0.0 else self.steering.rest
+    def _wall_force(self, target: CapsuleTarget) -> float:
+        """Force between capsule and wall [N], by the side on which the target's wall is."""
+        is_upper = target.wall_normal[2] >= 0.0
+        return self.gains.upper_wall_force if is_upper else self.gains.lower_wall_force
 
-    def _calmness(self, speed: float, dt: float) -> float:
-        """Share of the loop that acts on a capsule that slides, or did so a moment ago."""
-        self._stir = max(speed, self._stir * (1.0 - dt / _CALM))
-        return min(1.0, _SLOW / max(self._stir, 1e-9)) ** 2
+    def _activity(self, speed: float, dt: float) -> float:
+        """Fraction of the feedback that acts on a capsule that slides, or has just done so."""
+        decayed = self._sliding_speed * (1.0 - dt / _SLIDING_DECAY)
+        self._sliding_speed = max(speed, decayed)
+        return min(1.0, _SLIDING_SPEED / max(self._sliding_speed, 1e-9)) ** 2
 
-    def _lateness(self, behind: float, dt: float) -> float:
-        """Time for which the capsule has not followed [s]; to and fro counts for its part."""
-        if behind < _NEAR:
-            return 0.0
-        return max(0.0, self._late + (dt if behind > _BEHIND else -dt))
+    def _update_stall_time(self, lag: float, dt: float) -> None:
+        """Counts the time for which the capsule has not followed; partly following counts back."""
+        if lag < _FOLLOWS:
+            self._stall_time = 0.0
+        else:
+            self._stall_time = max(0.0, self._stall_time + (dt if lag > _LAGS else -dt))
 
-    def _learn(
+    def _integrate(
         self, force: Float[np.ndarray, " 3"], torque: Float[np.ndarray, " 3"], dt: float
     ) -> Float[np.ndarray, "2 3"]:
-        """Force and torque that the loop has found to be needed, from those of the field's own."""
-        s = self.steering
-        self._learnt[0] = at_most(self._learnt[0] + s.rate * dt * force, s.most_force)
-        self._learnt[1] = at_most(self._learnt[1] + s.turn_rate * dt * torque, s.most_torque)
-        return self._learnt
+        """Integral terms of force and torque, within their limits."""
+        gains = self.gains
+        self._integral[0] = clamp_norm(
+            self._integral[0] + gains.integral_gain * dt * force, gains.max_force
+        )
+        self._integral[1] = clamp_norm(
+            self._integral[1] + gains.torque_integral_gain * dt * torque, gains.max_torque
+        )
+        return self._integral
 
-    def _lost(self, angle: float, *, fallen: bool = False, weak: bool = False) -> str:
-        """Why the magnet has lost the capsule, see `Steered`."""
-        if angle > _LOST_ANGLE:
-            return "turned"
-        if fallen:
-            return "other-wall"
-        late = self._late > self.steering.patience
-        return "weak" if weak else "stuck" if late else ""
+    def _why_lost(
+        self, angle: float, *, is_on_wrong_wall: bool = False, is_weak: bool = False
+    ) -> str:
+        """Why the magnet has lost the capsule, see `ControllerStatus`."""
+        if angle > _MISALIGNED:
+            return "misaligned"
+        if is_on_wrong_wall:
+            return "wrong_wall"
+        if is_weak:
+            return "insufficient_force"
+        return "stalled" if self._stall_time > self.gains.timeout else ""

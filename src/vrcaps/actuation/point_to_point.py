@@ -1,4 +1,4 @@
-"""Leads a capsule to a place on the wall near by, along the wall, anew where it is stuck."""
+"""Point-to-point planner: leads a capsule to a nearby pose on the wall, replans after a stall."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps.actuation.capsule_target import Goal, wall_goal
-from vrcaps.actuation.magnet_controller import Pilot
-from vrcaps.actuation.wall_path import Follower, straight_wall_path
+from vrcaps.actuation.capsule_target import CapsuleTarget, wall_target
+from vrcaps.actuation.magnet_controller import MagnetController
+from vrcaps.actuation.wall_path import PathFollower, straight_wall_path
 from vrcaps.errors import require
 from vrcaps.units import MM
 from vrcaps.world.control import Control
@@ -19,78 +19,86 @@ if TYPE_CHECKING:
 
     from vrcaps.world.world import World
 
-_NEAR = 3.0 * MM
-"""How far from the leading point, at the goal, a capsule may be."""
-_SETTLED = 1.0
-"""Time for which it must be as near [s]; one that has fallen for so long is fetched…"""
-_GONE = 8.0
-"""…for so long at most [s]."""
+_TOLERANCE = 3.0 * MM
+"""Distance from the reference, at the target, within which a capsule has arrived."""
+_SETTLING_TIME = 1.0
+"""Time [s] for which it must stay there. A capsule that lies on another wall for this long is
+brought back…"""
+_RECOVERY_TIMEOUT = 8.0
+"""…for at most this long [s]."""
 
 
-class Guide:
-    """Leads one capsule to one goal; where it is stuck, a way is sought anew from there."""
+class PointToPointPlanner:
+    """Leads one capsule to one target; plans a new path from where the capsule has stalled."""
 
     def __init__(
         self,
-        pilot: Pilot,
+        controller: MagnetController,
         T_world_capsule: Float[np.ndarray, "4 4"],
-        goal: Goal,
+        target: CapsuleTarget,
         *,
         avoid: Float[np.ndarray, " 3"] | None = None,
-        tries: int = 2,
-        patience: float = 10.0,
+        attempts: int = 2,
+        timeout: float = 10.0,
     ) -> None:
-        """Plans the way.
+        """Plans the path.
 
         Args:
-            pilot: Steers the capsule; its model is that of the organ at rest.
-            T_world_capsule: Where the capsule lies on the wall.
-            goal: Where it is to lie and look, see `wall_goal`; not far.
-            avoid: Direction through which it cannot be turned, see `straight_wall_path`.
-            tries: How often a way is planned, at least 1.
-            patience: Time beyond that of the way after which a try has failed [s].
+            controller: Steers the capsule; its model is that of the organ at rest.
+            T_world_capsule: Pose of the capsule, which lies on the wall.
+            target: Nearby pose that it is to reach, see `wall_target`.
+            avoid: Direction that the capsule cannot pass through, see `straight_wall_path`.
+            attempts: Number of paths that are planned at most, 1 or more.
+            timeout: Time beyond that of the path after which an attempt has failed [s].
 
         Raises:
-            InputError: If the goal has no direction, or there is no try.
+            InputError: If the target has no direction, or there is no attempt.
         """
-        require(tries >= 1, "tries", tries, "1 or more")
-        self._pilot, self._goal, self._avoid = pilot, goal, avoid
-        self.tries, self.patience = tries, patience
-        self._still = self._gone = 0.0
+        require(attempts >= 1, "attempts", attempts, "1 or more")
+        self._controller = controller
+        self._target = target
+        self._avoid = avoid
+        self.attempts = attempts
+        self.timeout = timeout
+        self._settled_time = 0.0
+        self._off_wall_time = 0.0
         self._plan(T_world_capsule)
 
     @property
-    def settled(self) -> bool:
-        """Whether the capsule is at the goal, and has been for a second."""
-        return self._still >= _SETTLED
+    def is_settled(self) -> bool:
+        """Whether the capsule is at the target, and has been for a second."""
+        return self._settled_time >= _SETTLING_TIME
 
     @property
-    def failed(self) -> bool:
-        """Whether time and tries are up, or the capsule has left the wall; see `Pilot.steered`."""
-        over = self.tries == 0 and self._time > self._limit
-        return not self.settled and (over or self._gone > _GONE)
+    def has_failed(self) -> bool:
+        """Whether no attempt is left or the capsule left the wall; see the controller's status."""
+        is_over = self.attempts == 0 and self._time > self._limit
+        return not self.is_settled and (is_over or self._off_wall_time > _RECOVERY_TIMEOUT)
 
     def control(self, world: World, dt: float) -> Control:
         """Command for the next `dt` [s]."""
         T = world.T_world_capsule
-        if self._time > self._limit and self.tries:
+        if self._time > self._limit and self.attempts:
             self._plan(T)
-        goal = self._follower.goal(T, dt)
-        # Off the map the magnet bears the capsule where it is, and so draws it back to its wall.
-        goal = replace(goal, mapped=self._gone < _SETTLED)
-        control = self._pilot.hold(world, goal, dt)
+        target = self._follower.target(T, dt)
+        # Away from the planned wall the magnet holds the capsule where it is, and so draws it back.
+        target = replace(target, on_planned_wall=self._off_wall_time < _SETTLING_TIME)
+        control = self._controller.track(world, target, dt)
         self._time += dt
-        off = float(np.linalg.norm(self._pilot.steered.error))
-        gone = self._pilot.steered.lost == "other-wall"
-        self._gone = self._gone + dt if gone else 0.0
-        there = self._follower.arrived and off < _NEAR
-        self._still = self._still + dt if there else 0.0
+        status = self._controller.status
+        error = float(np.linalg.norm(status.position_error))
+        is_off_wall = status.lost == "wrong_wall"
+        self._off_wall_time = self._off_wall_time + dt if is_off_wall else 0.0
+        is_there = self._follower.has_arrived and error < _TOLERANCE
+        self._settled_time = self._settled_time + dt if is_there else 0.0
         return control
 
     def _plan(self, T_world_capsule: Float[np.ndarray, "4 4"]) -> None:
-        model, steering = self._pilot.model, self._pilot.steering
-        here = wall_goal(model, T_world_capsule[:3, 3], T_world_capsule[:3, 2])
-        path = straight_wall_path(model, here, self._goal, avoid=self._avoid)
-        self._follower = Follower(path, steering.speed, steering.lead)
-        self._time, self._limit = 0.0, path.length / steering.speed + self.patience
-        self.tries -= 1
+        model = self._controller.model
+        gains = self._controller.gains
+        here = wall_target(model, T_world_capsule[:3, 3], T_world_capsule[:3, 2])
+        path = straight_wall_path(model, here, self._target, avoid=self._avoid)
+        self._follower = PathFollower(path, gains.speed, gains.lookahead)
+        self._time = 0.0
+        self._limit = path.length / gains.speed + self.timeout
+        self.attempts -= 1

@@ -1,7 +1,8 @@
-"""An arm that holds a magnet, with the limits of its joints."""
+"""Robot arm as magnet actuator, with the limits of its joints."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -9,75 +10,89 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vrcaps import _core
-from vrcaps.actuation.arm.arm_with_payload import Carrier, magnet_at, reach
-from vrcaps.actuation.magnet_actuator import Held
-from vrcaps.actuation.magnet_pose_solver import Room
-from vrcaps.errors import InputError
+from vrcaps.actuation.arm.arm_with_payload import ArmWithPayload, magnet_pose_at, solve_joint_angles
+from vrcaps.actuation.magnet_actuator import ActuatorState
+from vrcaps.actuation.magnet_pose_solver import Workspace
+from vrcaps.errors import InputError, require
 
 if TYPE_CHECKING:
     from jaxtyping import Float
 
 
 @dataclass(frozen=True)
-class ArmHolder:
-    """A magnet at an arm's flange.
+class RobotActuator:
+    """A robot arm with a magnet at its flange.
 
-    Joints keep their limits of angle, speed, acceleration and jerk. A pose out of reach, or at
-    which the arm would touch itself or the table, is not gone to: the arm brakes and says why.
+    Joints keep their limits of angle, speed, acceleration and jerk. The arm does not go to a pose
+    that is unreachable or in collision with itself or the table: it brakes and says why.
 
     Attributes:
-        carrier: The arm and its magnet.
-        room: Where the magnet may be.
-        reach_along: Direction in the world along which the flange is to point, as nearly as the
-            magnet's own axis lets it: a turn about that axis changes no field.
-        speed: Largest speed of the magnet [m/s], so that the arm can stop and turn back at once.
-        turn_speed: Largest angular speed of the magnet [rad/s].
+        robot: The arm and its magnet.
+        workspace: Allowed positions of the magnet.
+        flange_direction: Unit vector in the world along which the flange points, as nearly as the
+            magnet's own axis allows: a rotation about that axis changes no field.
+        max_speed: Largest speed of the magnet [m/s], so that the arm can stop and turn back at
+            once.
+        max_angular_speed: Largest angular speed of the magnet [rad/s].
     """
 
-    carrier: Carrier
-    room: Room = field(default_factory=Room)
-    reach_along: tuple[float, float, float] = (0.0, 0.0, -1.0)
-    speed: float = 0.15
-    turn_speed: float = 1.0
+    robot: ArmWithPayload
+    workspace: Workspace = field(default_factory=Workspace)
+    flange_direction: tuple[float, float, float] = (0.0, 0.0, -1.0)
+    max_speed: float = 0.15
+    max_angular_speed: float = 1.0
+
+    def __post_init__(self) -> None:
+        for name in ("max_speed", "max_angular_speed"):
+            value = getattr(self, name)
+            require(0.0 < value < math.inf, f"RobotActuator's {name}", value, "above 0")
+        is_unit = abs(math.hypot(*self.flange_direction) - 1.0) < 1e-6
+        name = "RobotActuator's flange_direction"
+        require(is_unit, name, self.flange_direction, "a unit vector")
 
     @cached_property
-    def _core(self) -> _core.ArmHolder:
-        arm = self.carrier.arm
+    def _core(self) -> _core.RobotActuator:
+        arm = self.robot.arm
         joints = [
             (home, joint.velocity, joint.acceleration, joint.jerk)
             for home, joint in zip(arm.home, arm.joints, strict=True)
         ]
-        return _core.ArmHolder(
-            self.carrier.core,
+        return _core.RobotActuator(
+            self.robot.core,
             np.array(joints, float),
-            (self.room.low, self.room.high),
-            self.reach_along,
-            (self.speed, self.turn_speed),
+            (self.workspace.low, self.workspace.high),
+            self.flange_direction,
+            (self.max_speed, self.max_angular_speed),
         )
 
     def start(
         self, T_world_magnet: Float[np.ndarray, "4 4"], near: Float[np.ndarray, " j"] | None = None
-    ) -> Held:
+    ) -> ActuatorState:
         """The arm at rest with the magnet at a pose; joint angles nearest to `near` or its home.
 
         Raises:
-            InputError: If it cannot hold the magnet there, see `reach`.
+            InputError: If the arm cannot hold it there, see `solve_joint_angles`.
         """
-        rolled = self._core.rolled(np.asarray(T_world_magnet, float))
-        angles = reach(self.carrier, rolled, near)
-        return Held(magnet_at(self.carrier, angles), np.zeros_like(angles), angles)
+        aligned = self._core.align_flange(np.asarray(T_world_magnet, float))
+        angles = solve_joint_angles(self.robot, aligned, near)
+        return ActuatorState(magnet_pose_at(self.robot, angles), np.zeros_like(angles), angles)
 
-    def move(self, held: Held, T_world_magnet: Float[np.ndarray, "4 4"], dt: float) -> Held:
-        """The magnet a time `dt` [s] later, on its way to a pose, in small steps if need be.
+    def move(
+        self, state: ActuatorState, T_world_magnet: Float[np.ndarray, "4 4"], dt: float
+    ) -> ActuatorState:
+        """State after a time `dt` [s] of moving towards a pose, in small steps where needed.
 
         Raises:
-            InputError: If the magnet is not held by an arm of as many joints.
+            InputError: If the state is not of an arm with as many joints.
         """
-        count = self.carrier.arm.num_joints
-        if not len(held.angles) == len(held.velocity) == count:
+        count = self.robot.arm.num_joints
+        if not len(state.joint_angles) == len(state.velocity) == count:
             raise InputError(
-                f"A magnet held by {len(held.angles)} joints for arm {self.carrier.arm.name}. "
+                f"A state of {len(state.joint_angles)} joints for arm {self.robot.arm.name}. "
                 f"Allowed: {count}, as `start` gives it."
             )
         goal = np.asarray(T_world_magnet, float)
-        return Held(*self._core.move_on(held.T_world_magnet, held.velocity, held.angles, goal, dt))
+        moved = self._core.move_towards(
+            state.T_world_magnet, state.velocity, state.joint_angles, goal, dt
+        )
+        return ActuatorState(*moved)

@@ -1,4 +1,4 @@
-"""A run whose capsule is steered by a magnet: what is asked for, and who carries it out."""
+"""Steering program of a magnet: its settings, and what runs them while a world is stepped."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from vrcaps.actuation.arm.arm_catalog import load_arm
-from vrcaps.actuation.arm.arm_with_payload import Carrier, across_mount
-from vrcaps.actuation.capsule_target import Goal, gut_goal, onto_wall
-from vrcaps.actuation.magnet_actuator import FreeHolder, Holder
-from vrcaps.actuation.magnet_controller import Pilot, Steering
-from vrcaps.actuation.magnet_pose_solver import Room
-from vrcaps.actuation.robot_actuator import ArmHolder
-from vrcaps.actuation.wall_path import Follower, WallPath, gut_wall_path
+from vrcaps.actuation.arm.arm_catalog import read_arm
+from vrcaps.actuation.arm.arm_with_payload import ArmWithPayload, transverse_mount
+from vrcaps.actuation.capsule_target import CapsuleTarget, centerline_target, project_to_wall
+from vrcaps.actuation.magnet_actuator import FreeActuator, MagnetActuator
+from vrcaps.actuation.magnet_controller import ControllerGains, MagnetController
+from vrcaps.actuation.magnet_pose_solver import Workspace
+from vrcaps.actuation.robot_actuator import RobotActuator
+from vrcaps.actuation.wall_path import PathFollower, WallPath, centerline_wall_path
 from vrcaps.errors import InputError, UnknownNameError, require
-from vrcaps.magnet.presets import load_magnet
+from vrcaps.magnet.presets import read_magnet
 from vrcaps.units import CM, DEG, MM
 from vrcaps.world.control import Control
 from vrcaps.world.model import Model
@@ -30,22 +30,38 @@ if TYPE_CHECKING:
     from vrcaps.world.world import World
 
 WAYPOINT_COLUMNS = ("time_s", "arc_length_m", "yaw_deg", "pitch_deg")
-AXES_COLUMNS = ("time_s", "move_x", "move_y", "move_z", "turn_x", "turn_y", "turn_z")
-SIDES = ("up", "down")
-GENTLE = Steering(press=0.15, speed=2.0 * CM, lead=10.0 * MM, stiffening=3.0, rate=2.0, damping=2.0)
-"""Gains that lead a capsule over folds without a slide."""
-_BESIDE, _BELOW = 55.0 * CM, 15.0 * CM
+JOYSTICK_COLUMNS = (
+    "time_s",
+    "linear_x",
+    "linear_y",
+    "linear_z",
+    "angular_x",
+    "angular_y",
+    "angular_z",
+)
+WALLS = ("upper", "lower")
+GENTLE_GAINS = ControllerGains(
+    upper_wall_force=0.15,
+    speed=2.0 * CM,
+    lookahead=10.0 * MM,
+    proportional_gain=3.0,
+    integral_gain=2.0,
+    damping_ratio=2.0,
+)
+"""Gains that lead a capsule over folds without sliding."""
+_BASE_BESIDE = 55.0 * CM
+_BASE_BELOW = 15.0 * CM
 
 
 @dataclass(frozen=True)
 class Waypoint:
-    """Where the capsule is to be at a time, and how it looks aside there.
+    """Position and look of the capsule at a time.
 
     Attributes:
         time: Since the first frame [s].
-        arc_length: Along the gut [m].
-        yaw: Look aside about the second transverse axis of the gut's frame [rad].
-        pitch: About the first [rad].
+        arc_length: Along the centerline [m].
+        yaw: Rotation of the look about the second transverse axis of the gut's frame [rad].
+        pitch: Rotation of the look about the first [rad].
     """
 
     time: float
@@ -55,99 +71,104 @@ class Waypoint:
 
 
 @dataclass(frozen=True)
-class Axes:
-    """A joystick from a time on.
+class JoystickCommand:
+    """Joystick axes from a time on.
 
     Attributes:
         time: Since the first frame [s].
-        move: Axes −1 to 1 that move the magnet along the world's x, y, z.
-        turn: Axes −1 to 1 that turn it about them.
+        linear: Axes −1 to 1 that move the magnet along the world's x, y, z.
+        angular: Axes −1 to 1 that rotate it about them.
     """
 
     time: float
-    move: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    turn: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    linear: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    angular: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True)
 class MagnetSteering:
-    """How a magnet outside steers the capsule.
+    """Settings of an external magnet that steers the capsule.
 
-    Without waypoints and axes it leads the capsule along the gut's wall from where it starts, and
-    waits where the capsule does not follow.
+    Without waypoints and joystick the magnet leads the capsule along the wall of the gut from its
+    start position, and waits where the capsule does not follow.
 
     Attributes:
         magnet: Name of the magnet, see `vrcaps.magnet.presets.magnet_names`; one heavier than the
-            arm may carry is noted, and moved as if it could.
-        arm: Name or file of the arm that carries it, its moment across the flange; None holds it
-            freely.
-        base: Place of the arm's base in the world [m]; None is 55 cm beside the organ's middle,
-            towards −x, and 15 cm below its highest point.
-        skin: Least gap between the organ's highest point and the magnet: the wall of the belly and
+            arm's payload is noted, and moved as if the arm could carry it.
+        arm: Name or file of the arm that carries it, its moment across the flange; None moves it
+            without a robot.
+        arm_base: Position of the arm's base in the world [m]; None is 55 cm beside the organ's
+            center, towards −x, and 15 cm below its highest point.
+        standoff: Least gap between the organ's highest point and the magnet: the abdominal wall and
             the air above it [m].
-        side: Wall that the capsule is pressed against: the lower, on which the magnet lightens it,
-            or the upper, to which it is pulled.
-        speed: Along the wall without waypoints [m/s].
-        until: Where that ends, as a share of the centreline; before the start it leads back.
-        steering: Gains of the loop.
-        waypoints: Where to be when; linear in time between them.
-        axes: A joystick instead, each entry until the next.
-        file: CSV of either instead, see `read_commands`.
-        joystick_speed: Speed of a full axis [m/s].
-        joystick_rate: Angular speed of a full axis [rad/s].
-        period: Time between updates of the loop [s].
-        file_sha256: Checksum of the file; filled in when recorded, checked when given.
+        wall: Wall that the capsule is pressed against: the lower, on which the magnet supports part
+            of its weight, or the upper, to which it is pulled.
+        speed: Speed along the wall without waypoints [m/s].
+        end: Where that ends, as a fraction of the centerline; before the start it leads back.
+        gains: Gains of the controller.
+        waypoints: Positions at times; linear in time between them.
+        joystick: Joystick axes instead, each entry until the next.
+        command_file: CSV of either instead, see `read_commands`.
+        joystick_speed: Speed at a full axis [m/s].
+        joystick_angular_speed: Angular speed at a full axis [rad/s].
+        period: Time between updates of the controller [s].
+        command_file_sha256: Checksum of the file; filled in when recorded, checked when given.
     """
 
     magnet: str = "cylinder-76.2"
     arm: str | None = None
-    base: tuple[float, float, float] | None = None
-    skin: float = 4.0 * CM
-    side: Literal["up", "down"] = "down"
+    arm_base: tuple[float, float, float] | None = None
+    standoff: float = 4.0 * CM
+    wall: Literal["upper", "lower"] = "lower"
     speed: float = 5.0 * MM
-    until: float = 1.0
-    steering: Steering = GENTLE
+    end: float = 1.0
+    gains: ControllerGains = GENTLE_GAINS
     waypoints: tuple[Waypoint, ...] = ()
-    axes: tuple[Axes, ...] = ()
-    file: str = ""
+    joystick: tuple[JoystickCommand, ...] = ()
+    command_file: str = ""
     joystick_speed: float = 5.0 * CM
-    joystick_rate: float = 0.5
+    joystick_angular_speed: float = 0.5
     period: float = 0.01
-    file_sha256: str = ""
+    command_file_sha256: str = ""
 
     def __post_init__(self) -> None:
-        if self.side not in SIDES:
-            raise UnknownNameError("side", self.side, SIDES)
-        if sum(map(bool, (self.waypoints, self.axes, self.file))) > 1:
-            raise InputError("Of waypoints, axes and file several are given. Give one of them.")
-        for name, most in (("skin", 1.0), ("speed", 1.0), ("period", 0.05)):
+        if self.wall not in WALLS:
+            raise UnknownNameError("wall", self.wall, WALLS)
+        if sum(map(bool, (self.waypoints, self.joystick, self.command_file))) > 1:
+            raise InputError(
+                "Of waypoints, joystick and command_file several are given. Give one of them."
+            )
+        for name, most in (("standoff", 1.0), ("speed", 1.0), ("period", 0.05)):
             value = getattr(self, name)
-            require(0.0 < value <= most, f"Steering's {name}", value, f"above 0 to {most:g}")
-        require(0.0 <= self.until <= 1.0, "Steering's until", self.until, "0 to 1")
-        for name in ("joystick_speed", "joystick_rate"):
+            is_valid = 0.0 < value <= most
+            require(is_valid, f"MagnetSteering's {name}", value, f"above 0 to {most:g}")
+        require(0.0 <= self.end <= 1.0, "MagnetSteering's end", self.end, "0 to 1")
+        for name in ("joystick_speed", "joystick_angular_speed"):
             value = getattr(self, name)
-            require(0.0 < value < math.inf, f"Steering's {name}", value, "above 0")
+            require(0.0 < value < math.inf, f"MagnetSteering's {name}", value, "above 0")
         check_waypoints(self.waypoints, "waypoints")
-        check_axes(self.axes, "axes")
+        check_joystick(self.joystick, "joystick")
 
 
-def read_commands(path: str | Path) -> tuple[tuple[Waypoint, ...], tuple[Axes, ...]]:
-    """Read waypoints or a joystick from a CSV; its header says which.
+def read_commands(
+    path: str | Path,
+) -> tuple[tuple[Waypoint, ...], tuple[JoystickCommand, ...]]:
+    """Read waypoints or joystick commands from a CSV; its header says which.
 
-    Waypoints have the header ``time_s,arc_length_m,yaw_deg,pitch_deg``, a joystick
-    ``time_s,move_x,move_y,move_z,turn_x,turn_y,turn_z``.
+    Waypoints have the header ``time_s,arc_length_m,yaw_deg,pitch_deg``, joystick commands
+    ``time_s,linear_x,linear_y,linear_z,angular_x,angular_y,angular_z``.
 
     Raises:
         InputError: If the file cannot be read, its header is another or a line is wrong.
     """
-    header, rows = read_numbers(path, (WAYPOINT_COLUMNS, AXES_COLUMNS), "commands")
+    header, rows = read_numbers(path, (WAYPOINT_COLUMNS, JOYSTICK_COLUMNS), "commands")
     if header == WAYPOINT_COLUMNS:
         waypoints = tuple(Waypoint(t, s, yaw * DEG, pitch * DEG) for t, s, yaw, pitch in rows)
         check_waypoints(waypoints, str(path))
         return waypoints, ()
-    axes = tuple(Axes(t, (x, y, z), (a, b, c)) for t, x, y, z, a, b, c in rows)
-    check_axes(axes, str(path))
-    return (), axes
+    joystick = tuple(JoystickCommand(t, (x, y, z), (a, b, c)) for t, x, y, z, a, b, c in rows)
+    check_joystick(joystick, str(path))
+    return (), joystick
 
 
 def check_waypoints(waypoints: tuple[Waypoint, ...], where: str) -> None:
@@ -159,24 +180,24 @@ def check_waypoints(waypoints: tuple[Waypoint, ...], where: str) -> None:
     require_series([tuple(vars(point).values()) for point in waypoints], where)
 
 
-def check_axes(axes: tuple[Axes, ...], where: str) -> None:
+def check_joystick(joystick: tuple[JoystickCommand, ...], where: str) -> None:
     """Check that axes are from −1 to 1 and times rise.
 
     Raises:
         InputError: If not; names the entry.
     """
-    for index, entry in enumerate(axes):
-        numbers = np.abs((*entry.move, *entry.turn))
-        if not (np.isfinite(entry.time) and (numbers <= 1.0).all()):
+    for index, entry in enumerate(joystick):
+        axes = np.abs((*entry.linear, *entry.angular))
+        if not (np.isfinite(entry.time) and (axes <= 1.0).all()):
             raise InputError(
-                f"{where}: entry {index} is {entry.move}, {entry.turn} at {entry.time} s. "
+                f"{where}: entry {index} is {entry.linear}, {entry.angular} at {entry.time} s. "
                 "Allowed: axes of -1 to 1 at finite times."
             )
-    require_rising([entry.time for entry in axes], where)
+    require_rising([entry.time for entry in joystick], where)
 
 
-class Commander:
-    """Carries out what is asked of a magnet while a world is stepped."""
+class SteeringProgram:
+    """Runs the settings of `MagnetSteering` while a world is stepped."""
 
     def __init__(
         self,
@@ -185,108 +206,137 @@ class Commander:
         T_world_capsule: Float[np.ndarray, "4 4"],
         arc_length: float,
     ) -> None:
-        """Takes the magnet to the capsule.
+        """Moves the magnet to the capsule.
+
+        Args:
+            model: Organ and device.
+            settings: What to do.
+            T_world_capsule: Pose of the capsule.
+            arc_length: Position of the capsule along the centerline [m].
 
         Raises:
-            InputError: If the device holds no magnet, the magnet cannot be held where it begins, or
-                a waypoint is not on the centreline.
+            InputError: If the device holds no magnet, the magnet cannot be held at its first pose,
+                or a waypoint is not on the centerline.
             UnknownNameError: If there is no such magnet or arm.
         """
-        self._model, self._line = model, model.organ.centerline
-        self.settings, self._start = settings, arc_length
-        self._waypoints, self._axes = settings.waypoints, settings.axes
-        if settings.file:
-            self._waypoints, self._axes = read_commands(settings.file)
+        self._model = model
+        self._line = model.organ.centerline
+        self.settings = settings
+        self._start = arc_length
+        self._waypoints = settings.waypoints
+        self._joystick = settings.joystick
+        if settings.command_file:
+            self._waypoints, self._joystick = read_commands(settings.command_file)
+        allowed = f"0 to {self._line.length:g} m"
         for point in self._waypoints:
-            allowed = f"0 to {self._line.length:g} m"
-            on = 0.0 <= point.arc_length <= self._line.length
-            require(on, "A waypoint's arc_length", point.arc_length, allowed)
-        self.follower: Follower | None = None
-        if not (self._waypoints or self._axes):
-            path = self._way(T_world_capsule[:3, 2])
-            self.follower = Follower(path, settings.speed, settings.steering.lead)
-        goal = self._goal(0.0, model.T_world_patient)
-        self.pilot = Pilot(
+            is_on = 0.0 <= point.arc_length <= self._line.length
+            require(is_on, "A waypoint's arc_length", point.arc_length, allowed)
+        self.follower: PathFollower | None = None
+        if not (self._waypoints or self._joystick):
+            path = self._path(T_world_capsule[:3, 2])
+            self.follower = PathFollower(path, settings.speed, settings.gains.lookahead)
+        self.controller = MagnetController(
             model,
-            load_magnet(settings.magnet),
-            _holder(model, settings),
+            read_magnet(settings.magnet),
+            _make_actuator(model, settings),
             T_world_capsule,
-            goal,
-            steering=settings.steering,
+            self._target(0.0, model.T_world_patient),
+            gains=settings.gains,
         )
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What is to be said of the set-up, one line each."""
-        holder = self.pilot.holder
-        note = holder.carrier.overload if isinstance(holder, ArmHolder) else ""
+        """Notes on the set-up, one line each."""
+        actuator = self.controller.actuator
+        note = actuator.robot.overload_note if isinstance(actuator, RobotActuator) else ""
         return (note,) if note else ()
 
     def control(
         self, world: World, time: float, dt: float, T_world_patient: Float[np.ndarray, "4 4"]
     ) -> Control:
-        """Command for the next `dt` [s]."""
-        s = self.settings
+        """Command for the next `dt` [s].
+
+        Args:
+            world: The world as it is now.
+            time: Time of the run [s].
+            dt: Duration of the command [s].
+            T_world_patient: Posture of the patient.
+        """
         if self.follower is not None:
-            goal = self.follower.goal(world.T_world_capsule, dt)
+            target = self.follower.target(world.T_world_capsule, dt)
             if T_world_patient is not self._model.T_world_patient:
-                goal = self._goal(time, T_world_patient)
-            return self.pilot.hold(world, goal, dt)
-        if not self._axes:
-            return self.pilot.hold(world, self._goal(time, T_world_patient), dt)
-        now = [entry for entry in self._axes if entry.time <= time]
-        held = now[-1] if now else Axes(0.0)
-        rates = {"speed": s.joystick_speed, "rate": s.joystick_rate}
-        control = self.pilot.drive(held.move, held.turn, dt, **rates)
-        self.pilot.judge(world)
+                target = self._target(time, T_world_patient)
+            return self.controller.track(world, target, dt)
+        if not self._joystick:
+            return self.controller.track(world, self._target(time, T_world_patient), dt)
+        past = [entry for entry in self._joystick if entry.time <= time]
+        command = past[-1] if past else JoystickCommand(0.0)
+        control = self.controller.jog(
+            command.linear,
+            command.angular,
+            dt,
+            speed=self.settings.joystick_speed,
+            angular_speed=self.settings.joystick_angular_speed,
+        )
+        self.controller.update_status(world)
         return control
 
     def to_array(self) -> Float[np.ndarray, " q"]:
-        """All that changes, for `restore`."""
-        along = 0.0 if self.follower is None else self.follower.along
-        return np.append(self.pilot.to_array(), along)
+        """All state of the program, for `restore`."""
+        arc_length = 0.0 if self.follower is None else self.follower.arc_length
+        return np.append(self.controller.to_array(), arc_length)
 
     def restore(self, saved: Float[np.ndarray, " q"]) -> None:
-        """Goes back to what `to_array` gave."""
-        self.pilot.restore(saved[:-1])
+        """Sets the state that `to_array` gave."""
+        self.controller.restore(saved[:-1])
         if self.follower is not None:
-            self.follower.along = float(saved[-1])
+            self.follower.arc_length = float(saved[-1])
 
-    def _way(self, look: Float[np.ndarray, " 3"]) -> WallPath:
-        """The way along the wall, on which the capsule goes on to look ahead or back as it does."""
-        end, side = self.settings.until * self._line.length, self.settings.side
-        here = gut_goal(self._line, self._model.T_world_patient, self._start)
-        back = bool(np.asarray(here.along) @ look < 0.0)
-        return gut_wall_path(self._model, self._start, end, side=side, backwards=back)
+    def _path(self, look: Float[np.ndarray, " 3"]) -> WallPath:
+        """Path along the wall, on which the capsule keeps looking forward or backward."""
+        end = self.settings.end * self._line.length
+        here = centerline_target(self._line, self._model.T_world_patient, self._start)
+        is_backward = bool(np.asarray(here.tangent) @ look < 0.0)
+        return centerline_wall_path(
+            self._model, self._start, end, wall=self.settings.wall, is_backward=is_backward
+        )
 
-    def _goal(self, time: float, T_world_patient: Float[np.ndarray, "4 4"]) -> Goal:
-        """The goal at a time, or along the way; of a patient who has turned, on the wall as it is.
+    def _target(self, time: float, T_world_patient: Float[np.ndarray, "4 4"]) -> CapsuleTarget:
+        """Target at a time or along the path, on the wall of a patient in any posture.
 
         With a joystick it is where the capsule starts.
         """
-        s, points = self.settings, self._waypoints
-        place, yaw, pitch = self._start, 0.0, 0.0
-        if points:
-            place, yaw, pitch = row_at(
-                [tuple(vars(point).values()) for point in points], time
-            ).tolist()
+        arc_length, yaw, pitch = self._start, 0.0, 0.0
+        if self._waypoints:
+            rows = [tuple(vars(point).values()) for point in self._waypoints]
+            arc_length, yaw, pitch = row_at(rows, time).tolist()
         elif self.follower is not None:
-            end = s.until * self._line.length
-            place += self.follower.share * (end - place)
-        goal = gut_goal(self._line, T_world_patient, place, yaw=yaw, pitch=pitch, side=s.side)
-        return onto_wall(self._model, T_world_patient, goal)
+            end = self.settings.end * self._line.length
+            arc_length += self.follower.progress * (end - arc_length)
+        target = centerline_target(
+            self._line,
+            T_world_patient,
+            arc_length,
+            yaw=yaw,
+            pitch=pitch,
+            wall=self.settings.wall,
+        )
+        return project_to_wall(self._model, T_world_patient, target)
 
 
-def _holder(model: Model, settings: MagnetSteering) -> Holder:
-    magnet = load_magnet(settings.magnet)
+def _make_actuator(model: Model, settings: MagnetSteering) -> MagnetActuator:
+    magnet = read_magnet(settings.magnet)
     low, high = model.vertices_world.min(axis=0), model.vertices_world.max(axis=0)
-    lowest = float(high[2]) + settings.skin + 0.5 * magnet.diameter
-    room = Room(low=(-math.inf, -math.inf, lowest), apart=0.5 * magnet.diameter + 3.0 * CM)
+    lowest = float(high[2]) + settings.standoff + 0.5 * magnet.diameter
+    workspace = Workspace(
+        low=(-math.inf, -math.inf, lowest), min_distance=0.5 * magnet.diameter + 3.0 * CM
+    )
     if settings.arm is None:
-        return FreeHolder(room)
-    base = np.eye(4)
-    middle = 0.5 * (low + high)
-    beside = (middle[0] - _BESIDE, middle[1], high[2] - _BELOW)
-    base[:3, 3] = beside if settings.base is None else settings.base
-    carrier = Carrier(load_arm(settings.arm), magnet, base, across_mount(magnet))
-    return ArmHolder(carrier, room)
+        return FreeActuator(workspace)
+    T_world_base = np.eye(4)
+    center = 0.5 * (low + high)
+    beside = (center[0] - _BASE_BESIDE, center[1], high[2] - _BASE_BELOW)
+    T_world_base[:3, 3] = beside if settings.arm_base is None else settings.arm_base
+    arm = read_arm(settings.arm)
+    robot = ArmWithPayload(arm, magnet, T_world_base, transverse_mount(magnet))
+    return RobotActuator(robot, workspace)

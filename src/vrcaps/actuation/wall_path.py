@@ -1,4 +1,4 @@
-"""A way for a capsule along a wall, and a goal that goes ahead of it there."""
+"""Paths of the capsule along the wall, and the path follower that sends the target ahead of it."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from vrcaps.actuation.capsule_target import Goal, gut_goal, wall_presses
+from vrcaps.actuation.capsule_target import CapsuleTarget, centerline_target, outward_normals
 from vrcaps.errors import InputError, require
 from vrcaps.units import CM, DEG, MM
 
@@ -20,240 +20,270 @@ if TYPE_CHECKING:
     from vrcaps.world.model import Model
 
 _SPACING = 1.0 * MM
-_BLUR = 4.0 * MM
-"""Standard deviation along the way: of the size of a fold."""
-_ROUNDS = 16
-"""Halvings of the way to the wall: to a micrometre."""
-_FAR = 2.0 * CM
-"""From the wall into the lumen, where a straight way is cast from."""
+_SMOOTHING = 4.0 * MM
+"""Standard deviation of the smoothing along the path: the size of a fold."""
+_BISECTIONS = 16
+"""Bisections of the distance to the wall: down to a micrometer."""
+_CAST_DISTANCE = 2.0 * CM
+"""From the wall into the lumen, where the rays of a straight path start."""
 _LEVER = 4.0 * CM
-"""A turn of 1 rad counts as much as this way."""
+"""A rotation of 1 rad counts as much as this distance."""
 _BLOCKED = math.cos(20.0 * DEG)
-"""Cosine of an angle from a direction to avoid within which the capsule is not led."""
-_TURNED = 0.02
-"""Turn from one place of a way to the next [rad]."""
+"""Cosine of the angle around the direction to avoid within which the capsule is not led."""
+_ROTATION_STEP = 0.02
+"""Rotation from one sample of a path to the next [rad]."""
 
 
 @dataclass(frozen=True)
 class WallPath:
-    """Where a capsule lies along a wall, in the world at rest.
+    """A path of capsule poses that lie on the wall, in the world at rest.
 
     Attributes:
-        places: Of the capsule's origin [m].
-        presses: Unit vectors out of the lumen, square to the wall.
+        positions: Positions of the capsule's origin [m].
+        wall_normals: Unit normals out of the lumen.
         directions: Unit vectors along which the capsule looks.
     """
 
-    places: Float[np.ndarray, "n 3"]
-    presses: Float[np.ndarray, "n 3"]
+    positions: Float[np.ndarray, "n 3"]
+    wall_normals: Float[np.ndarray, "n 3"]
     directions: Float[np.ndarray, "n 3"]
 
     @cached_property
     def arc_length(self) -> Float[np.ndarray, " n"]:
-        """Distance along the way of each place from the first [m]; turns count by a lever."""
-        steps = np.linalg.norm(np.diff(self.places, axis=0), axis=1)
-        turns = np.linalg.norm(np.diff(self.directions, axis=0), axis=1)
-        return np.concatenate([[0.0], np.cumsum(np.maximum(steps, _LEVER * turns))])
+        """Distance of each sample from the first along the path [m]; rotations count by a lever."""
+        steps = np.linalg.norm(np.diff(self.positions, axis=0), axis=1)
+        rotations = np.linalg.norm(np.diff(self.directions, axis=0), axis=1)
+        return np.concatenate([[0.0], np.cumsum(np.maximum(steps, _LEVER * rotations))])
 
     @property
     def length(self) -> float:
-        """Length of the way [m]."""
+        """Length of the path [m]."""
         return float(self.arc_length[-1])
 
-    def goal(self, along: float) -> Goal:
-        """The goal a distance [m] along the way; its ends beyond them."""
-        columns = np.hstack([self.places, self.presses, self.directions]).T
-        row = np.array([np.interp(along, self.arc_length, column) for column in columns])
-        place, press, direction = row[:3], _unit(row[3:6]), _unit(row[6:])
-        return Goal(place, direction, None, press, level=True, mapped=True)
+    def target(self, arc_length: float) -> CapsuleTarget:
+        """Target at an arc length [m]; beyond the path's ends, its ends."""
+        columns = np.hstack([self.positions, self.wall_normals, self.directions]).T
+        row = np.array([np.interp(arc_length, self.arc_length, column) for column in columns])
+        return CapsuleTarget(
+            row[:3],
+            _unit(row[6:]),
+            None,
+            _unit(row[3:6]),
+            parallel_to_wall=True,
+            on_planned_wall=True,
+        )
 
 
-class Follower:
-    """Goes ahead of a capsule along a way, and waits for it."""
+class PathFollower:
+    """Moves a target along a path ahead of the capsule, and waits for the capsule."""
 
-    def __init__(self, path: WallPath, speed: float, lead: float) -> None:
-        """Begins at the way's start.
+    def __init__(self, path: WallPath, speed: float, lookahead: float) -> None:
+        """Starts at the path's start.
 
         Args:
-            path: The way.
-            speed: Along it [m/s].
-            lead: How far the capsule may stay behind before it waits [m].
+            path: The path.
+            speed: Speed of the target along it [m/s].
+            lookahead: Distance of the capsule from the target beyond which the target waits [m].
         """
-        self.path, self.speed, self.lead, self.along = path, speed, lead, 0.0
+        self.path = path
+        self.speed = speed
+        self.lookahead = lookahead
+        self.arc_length = 0.0
 
     @property
-    def arrived(self) -> bool:
-        """Whether the goal is at the way's end."""
-        return self.along >= self.path.length
+    def has_arrived(self) -> bool:
+        """Whether the target is at the path's end."""
+        return self.arc_length >= self.path.length
 
     @property
-    def share(self) -> float:
-        """How much of the way the goal has gone, by the number of places on it."""
-        passed = np.interp(self.along, self.path.arc_length, np.arange(len(self.path.places)))
-        return float(passed) / (len(self.path.places) - 1)
+    def progress(self) -> float:
+        """Fraction of the path's samples that the target has passed."""
+        passed = np.interp(
+            self.arc_length, self.path.arc_length, np.arange(len(self.path.positions))
+        )
+        return float(passed) / (len(self.path.positions) - 1)
 
-    def goal(self, T_world_capsule: Float[np.ndarray, "4 4"], dt: float) -> Goal:
-        """The goal for the next `dt` [s]."""
-        now = self.path.goal(self.along)
-        off = now.controlled @ (np.asarray(now.position) - T_world_capsule[:3, 3])
-        if np.linalg.norm(off) > self.lead:
+    def target(self, T_world_capsule: Float[np.ndarray, "4 4"], dt: float) -> CapsuleTarget:
+        """The target for the next `dt` [s]."""
+        now = self.path.target(self.arc_length)
+        offset = now.controlled_axes @ (np.asarray(now.position) - T_world_capsule[:3, 3])
+        if np.linalg.norm(offset) > self.lookahead:
             return now
-        self.along = min(self.along + self.speed * dt, self.path.length)
-        return self.path.goal(self.along)
+        self.arc_length = min(self.arc_length + self.speed * dt, self.path.length)
+        return self.path.target(self.arc_length)
 
 
 def straight_wall_path(
-    model: Model, start: Goal, end: Goal, *, avoid: Float[np.ndarray, " 3"] | None = None
+    model: Model,
+    start: CapsuleTarget,
+    end: CapsuleTarget,
+    *,
+    avoid: Float[np.ndarray, " 3"] | None = None,
 ) -> WallPath:
-    """Along the wall from one goal on it to another near by, turned at both to go along its axis.
+    """Path along the wall between two nearby targets on it, with a rotation at both ends.
 
-    Along its axis the field holds a capsule best. It goes ahead or back, whatever turns it less.
+    In between the capsule moves along its own axis, where the field holds it best: forward or
+    backward, whichever needs less rotation.
 
     Args:
         model: Organ, device and posture, at rest.
-        start: Where the capsule is; its direction must be given.
-        end: Where it is to be; so too.
-        avoid: Direction through which it cannot be turned, such as that at which the arm's last
-            joint ends; it is turned the other way round.
+        start: Pose of the capsule now; with a direction.
+        end: Pose that it is to reach; with a direction.
+        avoid: Direction that the capsule cannot pass through, such as that at which the arm's last
+            joint ends; it then rotates the other way round.
 
     Raises:
-        InputError: If a goal has no direction.
+        InputError: If a target has no direction.
     """
-    for name, goal in (("start", start), ("end", end)):
-        if goal.direction is None:
-            raise InputError(f"The {name} has no direction. Give a goal with one, see wall_goal.")
-    first, last = (np.asarray(goal.position, float) for goal in (start, end))
+    for name, target in (("start", start), ("end", end)):
+        if target.direction is None:
+            raise InputError(f"The {name} has no direction. Give one with it, see wall_target.")
+    first, last = (np.asarray(target.position, float) for target in (start, end))
     looks = (np.asarray(start.direction, float), np.asarray(end.direction, float))
     count = max(2, round(float(np.linalg.norm(last - first)) / _SPACING) + 1)
-    share = np.linspace(0.0, 1.0, count)[:, None]
-    presses = _units((1.0 - share) * np.asarray(start.press) + share * np.asarray(end.press))
-    points = (1.0 - share) * first + share * last - _FAR * presses
+    fraction = np.linspace(0.0, 1.0, count)[:, None]
+    normals = _units(
+        (1.0 - fraction) * np.asarray(start.wall_normal) + fraction * np.asarray(end.wall_normal)
+    )
+    points = (1.0 - fraction) * first + fraction * last - _CAST_DISTANCE * normals
     ahead = last - first if np.linalg.norm(last - first) > _SPACING else looks[0]
-    way = lay(model, points, presses, np.tile(_unit(ahead), (count, 1)))
-    turned = []
-    for sense in (1.0, -1.0):
-        led = replace(way, directions=sense * way.directions)
-        before = _turn(led.places[0], led.presses[0], looks[0], led.directions[0], avoid)
-        after = _turn(led.places[-1], led.presses[-1], led.directions[-1], looks[1], avoid)
+    path = project_path_to_wall(model, points, normals, np.tile(_unit(ahead), (count, 1)))
+    candidates = []
+    for sign in (1.0, -1.0):
+        led = replace(path, directions=sign * path.directions)
+        before = _rotation_in_place(
+            led.positions[0], led.wall_normals[0], looks[0], led.directions[0], avoid
+        )
+        after = _rotation_in_place(
+            led.positions[-1], led.wall_normals[-1], led.directions[-1], looks[1], avoid
+        )
         if avoid is None or _unit(avoid) @ led.directions[0] < _BLOCKED:
-            turned.append(_joined((before, led, after)))
-    return min(turned, key=lambda path: path.length)
+            candidates.append(_concatenate((before, led, after)))
+    return min(candidates, key=lambda path: path.length)
 
 
-def gut_wall_path(
+def centerline_wall_path(
     model: Model,
     start: float,
     end: float,
     *,
-    side: Literal["up", "down"] = "up",
-    backwards: bool = False,
+    wall: Literal["upper", "lower"] = "upper",
+    is_backward: bool = False,
 ) -> WallPath:
-    """Along the upper or lower wall between two places on the gut's centreline.
+    """Path along the upper or lower wall between two places on the centerline.
 
     Args:
         model: Organ, device and posture, at rest.
         start: Arc length [m].
         end: Arc length [m]; below `start` the capsule goes back.
-        side: The wall that the capsule is pressed against.
-        backwards: The capsule looks towards the oral end.
+        wall: The wall that the capsule is pressed against.
+        is_backward: The capsule looks towards the oral end.
 
     Raises:
-        InputError: If an arc length is not on the centreline, or both are the same.
+        InputError: If an arc length is not on the centerline, or both are the same.
     """
     line = model.organ.centerline
     require(start != end, "end", end, "another arc length than start")
     count = max(2, round(abs(end - start) / _SPACING) + 1)
-    goals = [
-        gut_goal(line, model.T_world_patient, place, backwards=backwards, side=side)
-        for place in np.linspace(start, end, count)
+    targets = [
+        centerline_target(line, model.T_world_patient, s, is_backward=is_backward, wall=wall)
+        for s in np.linspace(start, end, count)
     ]
-    points = np.array([goal.position for goal in goals])
-    presses = _smooth(np.array([goal.press for goal in goals]))
-    directions = _smooth(np.array([goal.direction for goal in goals]))
-    return lay(model, points, _units(presses), _units(directions))
+    points = np.array([target.position for target in targets])
+    normals = _smooth(np.array([target.wall_normal for target in targets]))
+    directions = _smooth(np.array([target.direction for target in targets]))
+    return project_path_to_wall(model, points, _units(normals), _units(directions))
 
 
-def lay(
+def project_path_to_wall(
     model: Model,
     points: Float[np.ndarray, "n 3"],
-    presses: Float[np.ndarray, "n 3"],
+    rays: Float[np.ndarray, "n 3"],
     directions: Float[np.ndarray, "n 3"],
 ) -> WallPath:
-    """A way in the lumen, moved to where the capsule lies on the wall; smooth along the way.
+    """A path in the lumen, moved to where the capsule lies on the wall, and smoothed.
 
     Args:
         model: Organ, device and posture, at rest.
         points: In the lumen, in the world [m].
-        presses: Unit vectors along which the wall is sought from there.
+        rays: Unit vectors along which the wall is sought from there.
         directions: Unit vectors along which the capsule looks.
     """
-    far = np.asarray(model.wall.cast(points, presses)[0], float)
-    met = np.where(np.isfinite(far), far, 0.0)[:, None]
-    normals = wall_presses(model, points + met * presses, presses)
+    distance = np.asarray(model.wall.cast(points, rays)[0], float)
+    distance = np.where(np.isfinite(distance), distance, 0.0)[:, None]
+    normals = outward_normals(model, points + distance * rays, rays)
     looks = _units(directions - normals * (directions * normals).sum(axis=1, keepdims=True))
-    places = points + presses * free_way(model, points, presses, looks)[:, None]
-    return WallPath(_smooth(places), _units(_smooth(normals)), _units(_smooth(looks)))
+    positions = points + rays * free_distance(model, points, rays, looks)[:, None]
+    return WallPath(_smooth(positions), _units(_smooth(normals)), _units(_smooth(looks)))
 
 
-def free_way(
+def free_distance(
     model: Model,
     points: Float[np.ndarray, "n 3"],
-    presses: Float[np.ndarray, "n 3"],
+    rays: Float[np.ndarray, "n 3"],
     directions: Float[np.ndarray, "n 3"],
 ) -> Float[np.ndarray, " n"]:
-    """How far a capsule can go from points until it touches the wall, along unit vectors [m].
+    """Distance [m] that a capsule can move from points along rays until it touches the wall.
 
-    Zero where it touches already, or there is no wall.
+    Zero where it touches already, or the ray meets no wall.
+
+    Args:
+        model: Organ, device and posture, at rest.
+        points: Positions of the capsule's origin in the world [m].
+        rays: Unit vectors along which it moves.
+        directions: Unit vectors along which it looks.
     """
-    far = np.asarray(model.wall.cast(points, presses)[0], float)
-    far = np.where(np.isfinite(far), far, 0.0)
-    radius, half = model.device.radius, 0.5 * model.device.length - model.device.radius
-    along = np.linspace(-half, half, 5)[:, None, None] * directions
-    low, high = np.zeros(len(points)), far
-    for _ in range(_ROUNDS):
+    high = np.asarray(model.wall.cast(points, rays)[0], float)
+    high = np.where(np.isfinite(high), high, 0.0)
+    low = np.zeros(len(points))
+    radius = model.device.radius
+    half_length = 0.5 * model.device.length - radius
+    along = np.linspace(-half_length, half_length, 5)[:, None, None] * directions
+    for _ in range(_BISECTIONS):
         middle = 0.5 * (low + high)
-        axis = along + points + middle[:, None] * presses
+        axis = along + points + middle[:, None] * rays
         gap = np.asarray(model.wall.signed_distance(axis.reshape(-1, 3))).reshape(len(along), -1)
-        free = gap.min(axis=0) > radius
-        low, high = np.where(free, middle, low), np.where(free, high, middle)
+        is_free = gap.min(axis=0) > radius
+        low, high = np.where(is_free, middle, low), np.where(is_free, high, middle)
     return low
 
 
-def _turn(
-    place: np.ndarray,
-    press: np.ndarray,
+def _rotation_in_place(
+    position: np.ndarray,
+    wall_normal: np.ndarray,
     first: np.ndarray,
     last: np.ndarray,
     avoid: np.ndarray | None,
 ) -> WallPath:
-    """A turn on the spot from one direction to another, the shorter way round but through one."""
-    first = _unit(first - press * (press @ first))
-    side = np.cross(press, first)
+    """Rotation from one direction to another: the shorter way, but not through `avoid`."""
+    first = _unit(first - wall_normal * (wall_normal @ first))
+    side = np.cross(wall_normal, first)
     angle = math.atan2(last @ side, last @ first)
     if avoid is not None:
         between = math.atan2(avoid @ side, avoid @ first)
         if 0.0 < between < angle or angle < between < 0.0:
             angle -= math.copysign(2.0 * math.pi, angle)
-    angles = np.linspace(0.0, angle, math.ceil(abs(angle) / _TURNED) + 1)[:, None]
+    angles = np.linspace(0.0, angle, math.ceil(abs(angle) / _ROTATION_STEP) + 1)[:, None]
     directions = np.cos(angles) * first + np.sin(angles) * side
-    return WallPath(np.tile(place, angles.shape), np.tile(press, angles.shape), directions)
+    return WallPath(np.tile(position, angles.shape), np.tile(wall_normal, angles.shape), directions)
 
 
-def _joined(ways: Sequence[WallPath]) -> WallPath:
-    places, presses, directions = zip(
-        *((way.places, way.presses, way.directions) for way in ways), strict=True
+def _concatenate(paths: Sequence[WallPath]) -> WallPath:
+    return WallPath(
+        np.concatenate([path.positions for path in paths]),
+        np.concatenate([path.wall_normals for path in paths]),
+        np.concatenate([path.directions for path in paths]),
     )
-    return WallPath(np.concatenate(places), np.concatenate(presses), np.concatenate(directions))
 
 
 def _smooth(rows: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
-    """Blurred along the way; its ends stay."""
+    """Gaussian smoothing along the path; its ends stay."""
     from scipy.ndimage import gaussian_filter1d  # slow to load
 
     # Mirrored through its ends, so that they stay where they are.
     padded = np.concatenate([2 * rows[:1] - rows[:0:-1], rows, 2 * rows[-1:] - rows[-2::-1]])
-    blurred = gaussian_filter1d(padded, _BLUR / _SPACING, axis=0, mode="nearest")
-    return blurred[len(rows) - 1 : 2 * len(rows) - 1]
+    smoothed = gaussian_filter1d(padded, _SMOOTHING / _SPACING, axis=0, mode="nearest")
+    return smoothed[len(rows) - 1 : 2 * len(rows) - 1]
 
 
 def _units(vectors: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:

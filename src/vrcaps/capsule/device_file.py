@@ -21,7 +21,7 @@ from vrcaps.capsule.device import Device
 from vrcaps.errors import InputError
 from vrcaps.files import write_bytes
 from vrcaps.magnet.internal import InternalMagnet
-from vrcaps.magnet.presets import MAGNETS, load_magnet, magnet_names
+from vrcaps.magnet.presets import MAGNETS, magnet_names, read_magnet
 from vrcaps.toml_table import (
     DEGREE,
     MILLI,
@@ -146,7 +146,7 @@ def _read_magnet(table: TomlTable) -> InternalMagnet:
         length = np.linalg.norm(direction)
         if length == 0.0:
             table.fail("direction", table.entries["direction"], "any direction but zero")
-        moment = tuple((load_magnet(name).moment * direction / length).tolist())
+        moment = tuple((read_magnet(name).moment * direction / length).tolist())
     else:
         moment = table.numbers("moment_a_m2", 3)
         if not any(moment):

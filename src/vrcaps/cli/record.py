@@ -47,7 +47,7 @@ class Record:
       vrcaps record --out runs/roll --organ stomach --motion dynamics \
           --posture-change left-lateral:time=4
       vrcaps record --out runs/led --organ stomach --capsule magnetic --motion magnet --arm panda
-      vrcaps record --out runs/sense --capsule magnetic --sensors inertial magnetometer hall
+      vrcaps record --out runs/sense --capsule magnetic --sensors imu magnetometer hall
       vrcaps record --out runs/path --path poses.txt --path-format tum --path-unit m
       vrcaps record --out runs/again --scenario runs/mine/episode.json
     """
@@ -116,9 +116,10 @@ class Record:
     depth_of_field, droplets and smears (on the dome), chromatic, vignette, bloom, exposure, noise,
     white_balance, jpeg; see docs/effects.md."""
 
-    sensors: tuple[Literal["inertial", "magnetometer", "hall"], ...] = ()
-    """What else is measured in each frame, as columns of frames.parquet: inertial (acceleration,
-    rotation) and magnetometer in the capsule, hall under the patient, with the place it finds."""
+    sensors: tuple[Literal["imu", "magnetometer", "hall"], ...] = ()
+    """What else is measured in each frame, as columns of frames.parquet: imu (acceleration,
+    angular velocity) and magnetometer in the capsule, hall under the patient, with the position
+    that it finds."""
 
     posture: str = "supine"
     """How the patient lies: supine, prone, left-lateral, right-lateral, standing."""
@@ -279,8 +280,8 @@ class Record:
     def _motion(self) -> FlyThrough | Replay | Dynamics:
         if self.motion != "magnet" and self.magnet != MagnetFlags():
             raise InputError(
-                "--magnet, --arm, --steer and the other flags of steering go with --motion magnet. "
-                "Add it, or drop them."
+                "--magnet, --arm, --commands and the other flags of steering go with "
+                "--motion magnet. Add it, or drop them."
             )
         if self.motion != "fly-through":
             if self.path is not None:

@@ -88,7 +88,7 @@ def remanence_of(grade: str, *, part: float = 0.5) -> float:
     return low + part * (high - low)
 
 
-def load_magnet(name: str, T_world_magnet: Float[np.ndarray, "4 4"] | None = None) -> Cylinder:
+def read_magnet(name: str, T_world_magnet: Float[np.ndarray, "4 4"] | None = None) -> Cylinder:
     """A magnet by its name, at a pose (the world's frame if none is given).
 
     Raises:

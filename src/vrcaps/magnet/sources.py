@@ -252,7 +252,7 @@ class Solenoid:
 
 
 @dataclass(frozen=True)
-class Uniform:
+class UniformField:
     """The same field everywhere.
 
     Attributes:
@@ -319,5 +319,5 @@ class FieldMap:
         return 1
 
 
-Source = Dipole | Cylinder | Coil | Solenoid | Uniform | FieldMap
+Source = Dipole | Cylinder | Coil | Solenoid | UniformField | FieldMap
 """Any source; an array of electromagnets is a list of them."""

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps.actuation.steering_program import Commander
+from vrcaps.actuation.steering_program import SteeringProgram
 from vrcaps.errors import InputError
 from vrcaps.motion.dynamics import Dynamics, make_tissue
 from vrcaps.motion.run import Conditions, Instant
@@ -82,17 +82,17 @@ class Rollout:
         self._line = model.organ.centerline
         self._offset = None if shown is None else _offset(model.organ, shown)
         pose, arc_length, self.notes = _start(model, settings)
-        self.commander = None
+        self.program = None
         if settings.magnet is not None:
-            self.commander = Commander(model, settings.magnet, pose, arc_length)
-            self.notes += self.commander.notes
+            self.program = SteeringProgram(model, settings.magnet, pose, arc_length)
+            self.notes += self.program.notes
         self.world = World(
             model,
             make_tissue(settings, front=min(arc_length + _PASSED, self._line.length)),
             State(-settings.settle, pose),
             substep=settings.substep,
             seed=seed,
-            sources=() if self.commander is None else self.commander.pilot.sources,
+            sources=() if self.program is None else self.program.controller.sources,
         )
         self._require_phase(arc_length)
         self._require_time()
@@ -110,8 +110,8 @@ class Rollout:
 
     def snapshot(self) -> tuple[float, Snapshot]:
         """What `instants` needs to go on from the frame it gave last."""
-        pilot = np.zeros(0) if self.commander is None else self.commander.to_array()
-        return self._arc_length, replace(self.world.snapshot(), pilot=pilot)
+        controller = np.zeros(0) if self.program is None else self.program.to_array()
+        return self._arc_length, replace(self.world.snapshot(), controller=controller)
 
     def instants(
         self, frame: int = 0, snapshot: tuple[float, Snapshot] | None = None
@@ -127,8 +127,8 @@ class Rollout:
         """
         self._arc_length, start = snapshot or self._begin
         self.world.restore(start)
-        if self.commander is not None:
-            self.commander.restore(start.pilot)
+        if self.program is not None:
+            self.program.restore(start.controller)
         if snapshot is None:
             yield self._advanced(-self.settings.settle, 0.0)
         else:
@@ -169,10 +169,10 @@ class Rollout:
 
     def _steered(self, times: list[float]) -> Control:
         """Command of the magnet between two times."""
-        if self.commander is None:
+        if self.program is None:
             return Control()
         begin, end = times
-        return self.commander.control(self.world, begin, end - begin, self._patient(end))
+        return self.program.control(self.world, begin, end - begin, self._patient(end))
 
     def _instant(self, state: State, time: float, conditions: Conditions) -> Instant:
         """A frame's instant, at exactly its time, with the wall that is shown."""
@@ -220,8 +220,8 @@ class Rollout:
         muscle = self.world.muscle
         phase = 0 if muscle is None else int(muscle.phase(np.array(self._arc_length), time))
         inflated = self._insufflation(time)
-        steered = None if self.commander is None else self.commander.pilot.steered
-        return Conditions(wrench[0], wrench[1], inflated, self._patient(time), phase, steered)
+        status = None if self.program is None else self.program.controller.status
+        return Conditions(wrench[0], wrench[1], inflated, self._patient(time), phase, status)
 
     def _require_phase(self, arc_length: float) -> None:
         muscle = self.world.muscle

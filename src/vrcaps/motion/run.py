@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     import numpy as np
     from jaxtyping import Float
 
-    from vrcaps.actuation.magnet_controller import Steered
+    from vrcaps.actuation.magnet_controller import ControllerStatus
 
 
 @dataclass(frozen=True)
@@ -24,7 +24,7 @@ class Conditions:
         torque_world: Mean commanded torque since the frame before [N·m].
         insufflation: Factor on the lumen's radius now.
         T_world_patient: How the patient lies now.
-        steered: How a magnet steers the capsule; None where none does.
+        controller_status: State of the magnet controller; None without one.
         phase: Phase 1 to 4 of the migrating motor complex at the capsule; 0 where there is none.
     """
 
@@ -33,7 +33,7 @@ class Conditions:
     insufflation: float
     T_world_patient: Float[np.ndarray, "4 4"]
     phase: int
-    steered: Steered | None = None
+    controller_status: ControllerStatus | None = None
 
 
 @dataclass(frozen=True)

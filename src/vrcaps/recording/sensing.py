@@ -11,17 +11,17 @@ import numpy as np
 
 from vrcaps.errors import InputError
 from vrcaps.magnet.field import field as flux_density
-from vrcaps.magnet.presets import load_magnet
-from vrcaps.magnet.sources import Dipole, Source, Uniform, magnet_pose
+from vrcaps.magnet.presets import read_magnet
+from vrcaps.magnet.sources import Dipole, Source, UniformField, magnet_pose
 from vrcaps.motion.dynamics import Dynamics
 from vrcaps.motion.run import Instant
-from vrcaps.sensors.hall import miscalibrated, read_hall
-from vrcaps.sensors.inertial import (
-    Motion,
-    read_inertial,
-    read_magnetometer,
+from vrcaps.sensors.hall import perturb_calibration, read_hall
+from vrcaps.sensors.imu import (
+    CapsuleKinematics,
+    read_imu,
 )
-from vrcaps.sensors.localize import locate
+from vrcaps.sensors.localize import localize
+from vrcaps.sensors.magnetometer import read_magnetometer
 from vrcaps.sensors.sensors import HallPad, hall_array
 from vrcaps.transforms import rotate_vectors, transform_points
 
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 _STREAM = 23
 """Beside the seed's other random numbers."""
-_MISREAD, _INERTIAL, _MAGNETOMETER, _HALL = range(4)
+_MISREAD, _IMU, _MAGNETOMETER, _HALL = range(4)
 
 
 class SensorReadings:
@@ -57,13 +57,13 @@ class SensorReadings:
         self._steering = None
         if isinstance(scenario.motion, Dynamics) and scenario.motion.magnet is not None:
             self._steering = scenario.motion.magnet.magnet
-        earth = np.array(self._sensors.earth, float)
+        earth = np.array(self._sensors.earth_field, float)
         strength = float(np.linalg.norm(earth))
         axis = earth if strength > 0.0 else np.array([0.0, 0.0, 1.0])
-        self._earth = Uniform(strength, magnet_pose(np.zeros(3), axis))
-        self._inertial = None
-        if self._sensors.inertial is not None:
-            self._inertial = replace(self._sensors.inertial, rate=scenario.fps)
+        self._earth = UniformField(strength, magnet_pose(np.zeros(3), axis))
+        self._imu = None
+        if self._sensors.imu is not None:
+            self._imu = replace(self._sensors.imu, rate=scenario.fps)
         self._bias = np.zeros(6)
         self._last: np.ndarray | None = None
         if self._sensors.hall is not None:
@@ -76,10 +76,10 @@ class SensorReadings:
         columns: dict[str, float] = {}
         pose = step.now.state.T_world_capsule
         outside = [self._earth, *self._steers(step.now)]
-        if self._inertial is not None:
-            rng = self._rng(_INERTIAL, step.frame)
+        if self._imu is not None:
+            rng = self._rng(_IMU, step.frame)
             motion = _motion(step)
-            force, turn, self._bias = read_inertial(self._inertial, motion, self._bias, rng)
+            force, turn, self._bias = read_imu(self._imu, motion, self._bias, rng)
             columns |= _named("accelerometer_{}_m_per_s2", force)
             columns |= _named("gyroscope_{}_rad_per_s", turn)
         unit = self._sensors.magnetometer
@@ -102,7 +102,7 @@ class SensorReadings:
         self._array = hall_array(pad, self._model)
         rng = self._rng(_MISREAD, 0)
         errors = {"gain": pad.gain_error, "offset": pad.offset_error}
-        self._true_array = miscalibrated(self._array, rng, **errors)
+        self._true_array = perturb_calibration(self._array, rng, **errors)
 
     def _read_pad(self, step: Step, outside: list[Source]) -> dict[str, float]:
         """Readings, and the place and direction of the capsule's magnet that follow from them."""
@@ -121,35 +121,35 @@ class SensorReadings:
         found, sigma, residual = np.full((4, 4), np.nan), math.nan, math.nan
         try:
             # The steering magnet's pose is the arm's own knowledge; the earth's field is not.
-            fix = locate(self._array, readings, inside, known=outside[1:], start=self._last)
+            estimate = localize(self._array, readings, inside, known=outside[1:], start=self._last)
         except InputError:  # too few sensors within their range
             self._last = None
         else:
-            found, residual = fix.T_world_magnet, fix.residual
-            sigma = math.sqrt(np.trace(fix.covariance[:3, :3]))
+            found, residual = estimate.T_world_magnet, estimate.residual
+            sigma = math.sqrt(np.trace(estimate.covariance[:3, :3]))
             # As it is made from the table's columns when a recording goes on.
             self._last = magnet_pose(found[:3, 3], found[:3, 2])
-        columns |= _named("located_{}_m", found[:3, 3])
-        columns |= _named("located_axis_{}", found[:3, 2])
-        return columns | {"located_sigma_m": sigma, "located_residual_t": residual}
+        columns |= _named("localized_{}_m", found[:3, 3])
+        columns |= _named("localized_axis_{}", found[:3, 2])
+        return columns | {"localized_sigma_m": sigma, "localized_residual_t": residual}
 
     def _steers(self, instant: Instant) -> list[Source]:
         conditions = instant.conditions
-        if self._steering is None or conditions is None or conditions.steered is None:
+        if self._steering is None or conditions is None or conditions.controller_status is None:
             return []
-        return [load_magnet(self._steering, conditions.steered.held.T_world_magnet)]
+        return [read_magnet(self._steering, conditions.controller_status.actuator.T_world_magnet)]
 
     def _go_on(self, before: FrameTable) -> None:
         """The bias and the last place as they were after the rows of earlier frames."""
-        if self._inertial is not None:
-            still = Motion(np.eye(3))
+        if self._imu is not None:
+            still = CapsuleKinematics(np.eye(3))
             for frame in range(len(before)):
-                rng = self._rng(_INERTIAL, frame)
-                *_, self._bias = read_inertial(self._inertial, still, self._bias, rng)
+                rng = self._rng(_IMU, frame)
+                *_, self._bias = read_imu(self._imu, still, self._bias, rng)
         if self._sensors.hall is not None and len(before):
             place, axis = (
                 np.array([float(before.columns[name.format(a)][-1]) for a in "xyz"])
-                for name in ("located_{}_m", "located_axis_{}")
+                for name in ("localized_{}_m", "localized_axis_{}")
             )
             self._last = magnet_pose(place, axis) if np.isfinite(place).all() else None
 
@@ -157,7 +157,7 @@ class SensorReadings:
         return np.random.default_rng([self._seed, _STREAM, kind, frame])
 
 
-def _motion(step: Step) -> Motion:
+def _motion(step: Step) -> CapsuleKinematics:
     """How the capsule moves at a frame, accelerations from the velocities beside it."""
     before, after = (step.before or step.now).state, (step.after or step.now).state
     state, time = step.now.state, after.time - before.time
@@ -166,7 +166,7 @@ def _motion(step: Step) -> Motion:
         change = np.asarray(getattr(after, name)) - np.asarray(getattr(before, name))
         return _triple(change / time if time > 0.0 else np.zeros(3))
 
-    return Motion(
+    return CapsuleKinematics(
         state.T_world_capsule[:3, :3],
         acceleration=rate("linear_velocity_world"),
         angular_velocity=_triple(state.angular_velocity_world),

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from vrcaps._core import Wall
-from vrcaps.actuation.magnet_controller import Steered
+from vrcaps.actuation.magnet_controller import ControllerStatus
 from vrcaps.files import write_bytes
 from vrcaps.motion.run import Conditions, Instant, Run
 from vrcaps.organ.surface import face_label
@@ -50,8 +50,8 @@ STEERED_COLUMNS = (
     *(f"flux_density_{axis}_t" for axis in "xyz"),
     *(f"magnetic_force_{axis}_n" for axis in "xyz"),
     *(f"magnetic_torque_{axis}_nm" for axis in "xyz"),
-    *(f"needed_force_{axis}_n" for axis in "xyz"),
-    *("coupling_angle_rad", "coupling_distance_m", "goal_distance_m", "goal_angle_rad"),
+    *(f"required_force_{axis}_n" for axis in "xyz"),
+    *("coupling_angle_rad", "coupling_distance_m", "position_error_m", "heading_error_rad"),
     *("magnet_limit", "coupling_lost"),
 )
 """Columns of a run that a magnet steers; those of an arm's joints come after them."""
@@ -138,7 +138,7 @@ class TableRows:
         row |= dict(zip(_LINEAR, state.linear_velocity_world, strict=True))
         row |= dict(zip(_ANGULAR, state.angular_velocity_world, strict=True))
         wall = self._wall.at(state)
-        arc_length, segment = locate(
+        arc_length, segment = locate_in_gut(
             self.model, state.T_world_capsule[None, :3, 3], instant=instant, wall=wall
         )
         row |= {"arc_length_m": arc_length[0], "segment": segment[0]}
@@ -191,30 +191,30 @@ def _simulated(
         conditions.phase,
     )
     row = dict(zip(SIMULATED_COLUMNS, values, strict=True))
-    if conditions.steered is None or state.coupling is None:
+    if conditions.controller_status is None or state.coupling is None:
         return row
-    return row | _steered(state.coupling, conditions.steered)
+    return row | _steered(state.coupling, conditions.controller_status)
 
 
-def _steered(coupling: Coupling, steered: Steered) -> dict[str, Any]:
+def _steered(coupling: Coupling, status: ControllerStatus) -> dict[str, Any]:
     """Columns of a frame in which a magnet steered."""
-    held = steered.held
+    actuator = status.actuator
     values = (
-        *held.T_world_magnet[:3, 3],
-        *quaternion_from_matrix(held.T_world_magnet[:3, :3]),
+        *actuator.T_world_magnet[:3, 3],
+        *quaternion_from_matrix(actuator.T_world_magnet[:3, :3]),
         *coupling.flux_density_world,
         *coupling.force_world,
         *coupling.torque_world,
-        *steered.needed,
+        *status.required_force,
         *(coupling.angle, coupling.distance),
-        *(float(np.linalg.norm(steered.error)), steered.angle),
-        *(held.limit, steered.lost),
+        *(float(np.linalg.norm(status.position_error)), status.heading_error),
+        *(actuator.limit, status.lost),
     )
     row = dict(zip(STEERED_COLUMNS, values, strict=True))
-    return row | {f"joint_{k}_rad": angle for k, angle in enumerate(held.angles, start=1)}
+    return row | {f"joint_{k}_rad": angle for k, angle in enumerate(actuator.joint_angles, start=1)}
 
 
-def locate(
+def locate_in_gut(
     model: Model,
     positions_world: Float[np.ndarray, "n 3"],
     *,

@@ -224,9 +224,9 @@ def resolve(scenario: Scenario) -> tuple[Scenario, Device]:
     if isinstance(motion, Dynamics) and motion.wrench_file:
         checksum = _checked_sha256(motion.wrench_file, motion.wrench_sha256)
         motion = replace(motion, wrench_sha256=checksum)
-    if isinstance(motion, Dynamics) and motion.magnet is not None and motion.magnet.file:
-        checksum = _checked_sha256(motion.magnet.file, motion.magnet.file_sha256)
-        motion = replace(motion, magnet=replace(motion.magnet, file_sha256=checksum))
+    if isinstance(motion, Dynamics) and motion.magnet is not None and motion.magnet.command_file:
+        checksum = _checked_sha256(motion.magnet.command_file, motion.magnet.command_file_sha256)
+        motion = replace(motion, magnet=replace(motion.magnet, command_file_sha256=checksum))
     channels = tuple(channel for channel in CHANNELS if channel in scenario.channels)
     effects = scenario.effects.drawn(scenario.seed)
     resolved = replace(

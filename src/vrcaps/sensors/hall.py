@@ -66,7 +66,7 @@ def hall_grid(
     return HallArray(flat @ pose[:3, :3].T + pose[:3, 3])
 
 
-def miscalibrated(
+def perturb_calibration(
     array: HallArray, rng: np.random.Generator, *, gain: float = 0.005, offset: float = 1e-6
 ) -> HallArray:
     """The same array with errors left in by its calibration, drawn once.

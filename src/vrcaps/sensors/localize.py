@@ -25,7 +25,7 @@ _DAMPING = (1e-4, 1e8)
 
 
 @dataclass(frozen=True)
-class Fix:
+class PoseEstimate:
     """An estimate of a magnet's pose.
 
     The turn about the magnet's own axis, which changes no reading, is not part of it.
@@ -43,7 +43,7 @@ class Fix:
     covariance: Float[np.ndarray, "6 6"]
 
 
-def locate(
+def localize(
     array: HallArray,
     readings: Float[np.ndarray, "n 3"],
     magnet: Dipole | Cylinder,
@@ -51,7 +51,7 @@ def locate(
     known: Sequence[Source] = (),
     start: Float[np.ndarray, "4 4"] | None = None,
     depths: tuple[float, float] = (0.03, 0.30),
-) -> Fix:
+) -> PoseEstimate:
     """Pose of a magnet of known strength in an even background, by damped Gauss-Newton.
 
     Minimises Σ |B(x_i) + b − reading_i|² over place, direction and background b (Levenberg 1944).
@@ -85,7 +85,9 @@ def locate(
     return _descend(positions, readings, replace(magnet, T_world_magnet=pose))
 
 
-def _descend(positions: np.ndarray, readings: np.ndarray, magnet: Dipole | Cylinder) -> Fix:
+def _descend(
+    positions: np.ndarray, readings: np.ndarray, magnet: Dipole | Cylinder
+) -> PoseEstimate:
     """Levenberg's steps from the magnet's pose."""
     used = np.isfinite(readings).ravel()
     background = np.nanmean(readings - field([magnet], positions)[0], axis=0)
@@ -113,7 +115,7 @@ def _descend(positions: np.ndarray, readings: np.ndarray, magnet: Dipole | Cylin
     length = np.concatenate([np.full(3, _LENGTH), np.ones(3)])
     covariance = spread[:6, :6] * np.outer(length, length)
     residual = float(np.sqrt(np.mean(rest[used] ** 2)))
-    return Fix(np.asarray(magnet.T_world_magnet), background, residual, covariance)
+    return PoseEstimate(np.asarray(magnet.T_world_magnet), background, residual, covariance)
 
 
 def _model(

@@ -10,7 +10,8 @@ import numpy as np
 
 from vrcaps.errors import UnknownNameError, require
 from vrcaps.sensors.hall import HallArray, hall_grid
-from vrcaps.sensors.inertial import Inertial, Magnetometer
+from vrcaps.sensors.imu import Imu
+from vrcaps.sensors.magnetometer import Magnetometer
 from vrcaps.transforms import transform_from
 from vrcaps.units import MM
 from vrcaps.world.model import Model
@@ -42,17 +43,17 @@ class Sensors:
     """Which sensors are read once a frame; none by default.
 
     Attributes:
-        inertial: In the capsule. A reading is the mean over the time between the frames beside it,
+        imu: In the capsule. A reading is the mean over the time between the frames beside it,
             so that the unit's `rate` is the recording's.
         magnetometer: In the capsule; its own magnet is left to the unit's offset.
         hall: Under the patient; finds the capsule's magnet.
-        earth: The earth's field in the world [T].
+        earth_field: Magnetic field of the earth in the world [T].
     """
 
-    inertial: Inertial | None = None
+    imu: Imu | None = None
     magnetometer: Magnetometer | None = None
     hall: HallPad | None = None
-    earth: tuple[float, float, float] = (0.0, 20e-6, -45e-6)
+    earth_field: tuple[float, float, float] = (0.0, 20e-6, -45e-6)
 
 
 def sensors_by_name(names: Sequence[str]) -> Sensors:
@@ -61,7 +62,7 @@ def sensors_by_name(names: Sequence[str]) -> Sensors:
     Raises:
         UnknownNameError: If there is no sensor of a name.
     """
-    kinds = {"inertial": Inertial, "magnetometer": Magnetometer, "hall": HallPad}
+    kinds = {"imu": Imu, "magnetometer": Magnetometer, "hall": HallPad}
     for name in names:
         if name not in kinds:
             raise UnknownNameError("sensor", name, kinds)

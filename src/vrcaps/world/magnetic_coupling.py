@@ -12,7 +12,7 @@ from vrcaps import _core
 from vrcaps.errors import InputError, require
 from vrcaps.magnet.field import SourceSet
 from vrcaps.magnet.internal import InternalMagnet, magnet_rows
-from vrcaps.magnet.sources import Source, Uniform
+from vrcaps.magnet.sources import Source, UniformField
 from vrcaps.transforms import (
     matrix_from_quaternion,
     quaternion_from_matrix,
@@ -44,7 +44,9 @@ class MagneticCoupling:
         self._core, self._set = core, SourceSet(sources)
         poses = [np.asarray(source.T_world_magnet, float) for source in self._set.sources]
         self.rows: Float[np.ndarray, "k 8"] = _rows(np.array(poses).reshape(-1, 4, 4))
-        self._has_place = np.array([not isinstance(s, Uniform) for s in self._set.sources], bool)
+        self._has_place = np.array(
+            [not isinstance(s, UniformField) for s in self._set.sources], bool
+        )
         if sources:
             core.set_magnets(self._set.core, magnet_rows(magnets))
 

@@ -36,7 +36,7 @@ class Snapshot:
         afloat: What floats in the lumen; empty where nothing does.
         contact: What the wall did in the last step: force, torque, and the other numbers of
             `Contact` in their order.
-        pilot: What steers the sources, see `Pilot.to_array`; empty where nobody does.
+        controller: State of the magnet controller, see its `to_array`; empty without one.
         sources: Place [m], quaternion wxyz and strength of each source in the world.
     """
 
@@ -52,7 +52,7 @@ class Snapshot:
     touched: Float[np.ndarray, "k 5"]
     afloat: Float[np.ndarray, " q"] = field(default_factory=lambda: np.zeros(0))
     contact: Float[np.ndarray, " 11"] = field(default_factory=lambda: np.zeros(11))
-    pilot: Float[np.ndarray, " r"] = field(default_factory=lambda: np.zeros(0))
+    controller: Float[np.ndarray, " r"] = field(default_factory=lambda: np.zeros(0))
     sources: Float[np.ndarray, "s 8"] = field(default_factory=lambda: np.zeros((0, 8)))
 
 
@@ -91,8 +91,8 @@ def check_snapshot(snapshot: Snapshot, own: Snapshot) -> None:
             f"{len(own.driven)}. Give a snapshot of the same organ."
         )
     for name, mine in vars(own).items():
-        if name in ("layer", "touched", "pilot"):
-            continue  # what a layer or a pilot needs is checked where it is taken apart
+        if name in ("layer", "touched", "controller"):
+            continue  # what a layer or a controller needs is checked where it is taken apart
         given = getattr(snapshot, name)
         if np.shape(given) != np.shape(mine):
             raise InputError(

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 from vrcaps.actuation.arm.arm import Arm
-from vrcaps.actuation.arm.arm_catalog import arm_names, load_arm
+from vrcaps.actuation.arm.arm_catalog import arm_names, read_arm
 from vrcaps.actuation.arm.kinematics import forward
 from vrcaps.errors import InputError, UnknownNameError
 
 
 @pytest.mark.parametrize("name", arm_names())
 def test_every_arm_reads_and_rests_clear(name):
-    arm = load_arm(name)
+    arm = read_arm(name)
     assert arm.name == name
     assert arm.source
     assert np.isfinite(forward(arm, np.array(arm.home))).all()
@@ -41,8 +41,16 @@ LINK = "\n[[links]]\nframe = {}\nstart_mm = [0, 0, 0]\nend_mm = [0, 0, 100]\nrad
         ("torque_nm = 150", "torque_nm = 0", "others above 0."),
         ("home_deg = [0, -90,", "home_deg = [-90,", "6 joints, 5 home angles."),
         ("home_deg = [0,", "home_deg = [360,", "home angle of joint 1 is outside its limits."),
-        ("home_deg", "apart = [[0, 8]]\nhome_deg", "names frame 8 or 0. Allowed: 0 (base) to 7"),
-        ("home_deg", "apart = [[0]]\nhome_deg", "Allowed: a list of pairs of frame numbers."),
+        (
+            "home_deg",
+            "collision_pairs = [[0, 8]]\nhome_deg",
+            "names frame 8 or 0. Allowed: 0 (base) to 7",
+        ),
+        (
+            "home_deg",
+            "collision_pairs = [[0]]\nhome_deg",
+            "Allowed: a list of pairs of frame numbers.",
+        ),
         ("theta_deg = 0", "theta_deg = 0\nmass = 1", "unknown key 'mass'."),
         ("title", "title = ", "is not TOML"),
     ],
@@ -52,7 +60,7 @@ def test_what_is_wrong_is_said(tmp_path, six_joints_text, old, new, message):
     path = tmp_path / "six.toml"
     path.write_text(six_joints_text.replace(old, new) + LINK.format(1))
     with pytest.raises(InputError, match=re.escape(message)) as caught:
-        load_arm(path)
+        read_arm(path)
     assert "\n" not in str(caught.value)
 
 
@@ -60,19 +68,19 @@ def test_a_link_needs_a_frame(tmp_path, six_joints_text):
     path = tmp_path / "six.toml"
     path.write_text(six_joints_text + LINK.format(-1))
     with pytest.raises(InputError, match=r"a link or pair names frame -1"):
-        load_arm(path)
+        read_arm(path)
 
 
 def test_unknown_arms(tmp_path):
     with pytest.raises(UnknownNameError, match=r"No arm named 'pandas'\. Known: panda"):
-        load_arm("pandas")
+        read_arm("pandas")
     with pytest.raises(
         InputError, match=r"No arm file at .*none\.toml\. Give a TOML file, or one of"
     ):
-        load_arm(tmp_path / "none.toml")
+        read_arm(tmp_path / "none.toml")
     (tmp_path / "bytes.toml").write_bytes(b"\xff\xfe")
     with pytest.raises(InputError, match="is not TOML"):
-        load_arm(tmp_path / "bytes.toml")
+        read_arm(tmp_path / "bytes.toml")
     (tmp_path / "folder.toml").mkdir()
     with pytest.raises(InputError, match="No arm file at"):
-        load_arm(tmp_path / "folder.toml")
+        read_arm(tmp_path / "folder.toml")

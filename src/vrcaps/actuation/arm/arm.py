@@ -71,7 +71,7 @@ class Arm:
         home: Angles of rest [rad].
         payload: Largest mass that it may carry [kg].
         links: Capsules around its links.
-        apart: Pairs of frames whose links must not touch.
+        collision_pairs: Pairs of frames whose links must not touch.
         source: Where the figures come from.
     """
 
@@ -82,7 +82,7 @@ class Arm:
     home: tuple[float, ...]
     payload: float
     links: tuple[Link, ...] = ()
-    apart: tuple[tuple[int, int], ...] = ()
+    collision_pairs: tuple[tuple[int, int], ...] = ()
     source: str = field(default="", compare=False)
 
     def __post_init__(self) -> None:
@@ -102,7 +102,9 @@ class Arm:
                 f"Arm {self.name}: home angle of joint {inside.index(False) + 1} is outside its "
                 "limits. Allowed: from lower to upper."
             )
-        frames = [link.frame for link in self.links] + [f for pair in self.apart for f in pair]
+        frames = [link.frame for link in self.links] + [
+            f for pair in self.collision_pairs for f in pair
+        ]
         if frames and not 0 <= min(frames) <= max(frames) <= n + 1:
             raise InputError(
                 f"Arm {self.name}: a link or pair names frame {max(frames)} or {min(frames)}. "
@@ -135,7 +137,7 @@ class Arm:
             (i, j)
             for i, one in enumerate(self.links)
             for j, other in enumerate(self.links)
-            if (one.frame, other.frame) in self.apart
+            if (one.frame, other.frame) in self.collision_pairs
         ]
         table = np.array(links, float).reshape(-1, 8)
         return _core.ArmChain(np.array(joints, float), flange, table, pairs)

@@ -16,17 +16,17 @@ def arm_names() -> tuple[str, ...]:
     return _ARMS.names()
 
 
-def load_arm(name_or_path: str | Path) -> Arm:
+def read_arm(name_or_path: str | Path) -> Arm:
     """An arm of the catalog by its name, or a user's own by the path of its TOML file.
 
     Raises:
         UnknownNameError: If the catalog has no arm of that name.
         InputError: If there is no such file, or it describes no possible arm.
     """
-    return read_arm(_ARMS.find(name_or_path))
+    return _parse_arm(_ARMS.find(name_or_path))
 
 
-def read_arm(path: Path) -> Arm:
+def _parse_arm(path: Path) -> Arm:
     """Read an arm from its TOML file (see `arms/panda.toml`); its name is the file's name.
 
     Raises:
@@ -41,9 +41,9 @@ def read_arm(path: Path) -> Arm:
     payload = table.number("payload_kg", above=0)
     joints = tuple(_read_joint(joint) for joint in table.tables("joints"))
     links = tuple(map(_read_link, table.tables("links"))) if table.has("links") else ()
-    apart = _read_pairs(table) if table.has("apart") else ()
+    collision_pairs = _read_pairs(table) if table.has("collision_pairs") else ()
     table.finish()
-    return Arm(path.stem, title, joints, offset, home, payload, links, apart, source)
+    return Arm(path.stem, title, joints, offset, home, payload, links, collision_pairs, source)
 
 
 def _read_joint(table: TomlTable) -> Joint:
@@ -81,8 +81,12 @@ def _place(table: TomlTable, key: str) -> tuple[float, float, float]:
 
 def _read_pairs(table: TomlTable) -> tuple[tuple[int, int], ...]:
     allowed = "a list of pairs of frame numbers"
-    pairs = table.take("apart", allowed)
+    pairs = table.take("collision_pairs", allowed)
     are_pairs = isinstance(pairs, list) and all(
         isinstance(p, list) and len(p) == 2 and all(isinstance(f, int) for f in p) for p in pairs
     )
-    return tuple((i, j) for i, j in pairs) if are_pairs else table.fail("apart", pairs, allowed)
+    return (
+        tuple((i, j) for i, j in pairs)
+        if are_pairs
+        else table.fail("collision_pairs", pairs, allowed)
+    )

@@ -1,4 +1,4 @@
-"""An arm that stands beside the patient and carries a magnet at its flange."""
+"""Robot arm with a magnet as payload at its flange."""
 
 from __future__ import annotations
 
@@ -18,20 +18,20 @@ from vrcaps.transforms import invert
 if TYPE_CHECKING:
     from jaxtyping import Float
 
-HOLDER = 0.03
+MOUNT_GAP = 0.03
 """Default gap between flange and magnet [m]."""
 
 
 @dataclass(frozen=True)
-class Carrier:
-    """An arm with a magnet.
+class ArmWithPayload:
+    """A robot arm that carries a magnet.
 
     Attributes:
         arm: The arm.
         magnet: The magnet; its pose is set by the arm.
         T_world_base: Pose of the arm's base.
-        T_flange_magnet: Pose of the magnet's centre in the flange; by default along the flange's z,
-            behind a holder of 30 mm.
+        T_flange_magnet: Pose of the magnet's center in the flange; by default along the flange's z,
+            beyond a mount of 30 mm.
         table_height: Height in the world [m] under which neither the arm's links from the second
             joint on nor the magnet may be; None is no table.
     """
@@ -53,7 +53,7 @@ class Carrier:
         if self.T_flange_magnet is not None:
             return np.asarray(self.T_flange_magnet, float)
         mount = np.eye(4)
-        mount[2, 3] = HOLDER + 0.5 * self.magnet.length
+        mount[2, 3] = MOUNT_GAP + 0.5 * self.magnet.length
         return mount
 
     @cached_property
@@ -67,14 +67,14 @@ class Carrier:
         return invert(self.mount)
 
     @property
-    def load(self) -> float:
-        """The magnet's mass as a part of what the arm may carry, without a holder."""
+    def payload_ratio(self) -> float:
+        """Mass of the magnet, without a mount, as a fraction of the arm's payload."""
         return self.magnet.mass / self.arm.payload
 
     @property
-    def overload(self) -> str:
-        """What is to be said if the magnet is heavier than the arm may carry; else nothing."""
-        if self.load <= 1.0:
+    def overload_note(self) -> str:
+        """Note on a magnet heavier than the arm's payload; else empty."""
+        if self.payload_ratio <= 1.0:
             return ""
         return (
             f"The magnet weighs {self.magnet.mass:.1f} kg, but arm {self.arm.name} may carry "
@@ -86,14 +86,14 @@ class Carrier:
     def loaded_arm(self) -> Arm:
         """The arm with a capsule that holds the magnet at its flange."""
         half = 0.5 * self.magnet.length * self.mount[:3, 2]
-        start, end = (tuple((self.mount[:3, 3] + way).tolist()) for way in (-half, half))
+        start, end = (tuple((self.mount[:3, 3] + offset).tolist()) for offset in (-half, half))
         link = Link(self.arm.num_joints + 1, start, end, 0.5 * self.magnet.diameter)
         return replace(self.arm, links=(*self.arm.links, link))
 
     @cached_property
-    def core(self) -> _core.ArmCarrier:
+    def core(self) -> _core.ArmWithPayload:
         """The compiled core's form of it."""
-        return _core.ArmCarrier(
+        return _core.ArmWithPayload(
             self.arm.core,
             self.loaded_arm.core,
             np.asarray(self.T_world_base, float),
@@ -103,52 +103,45 @@ class Carrier:
         )
 
 
-def across_mount(magnet: Cylinder) -> Float[np.ndarray, "4 4"]:
+def transverse_mount(magnet: Cylinder) -> Float[np.ndarray, "4 4"]:
     """``T_flange_magnet`` of a magnet whose moment is along the flange's x, across its axis.
 
     With the flange pointing down the moment is level, as it must be above a capsule that lies.
     """
     mount = np.array([[0, 0, 1, 0], [0, 1, 0, 0], [-1, 0, 0, 0], [0, 0, 0, 1]], float)
-    mount[2, 3] = HOLDER + 0.5 * magnet.diameter
+    mount[2, 3] = MOUNT_GAP + 0.5 * magnet.diameter
     return mount
 
 
-def magnet_at(carrier: Carrier, angles: Float[np.ndarray, "*n j"]) -> Float[np.ndarray, "*n 4 4"]:
+def magnet_pose_at(
+    robot: ArmWithPayload, angles: Float[np.ndarray, "*n j"]
+) -> Float[np.ndarray, "*n 4 4"]:
     """Pose ``T_world_magnet`` for joint angles [rad].
 
     Raises:
         InputError: If there is not one finite angle a joint.
     """
-    return carrier.T_world_base @ forward(carrier.arm, angles) @ carrier.mount
+    return robot.T_world_base @ forward(robot.arm, angles) @ robot.mount
 
 
-def flange_at(
-    carrier: Carrier, Ts_world_magnet: Float[np.ndarray, "*n 4 4"]
+def flange_pose_at(
+    robot: ArmWithPayload, Ts_world_magnet: Float[np.ndarray, "*n 4 4"]
 ) -> Float[np.ndarray, "*n 4 4"]:
     """Pose ``T_base_flange`` that puts the magnet there."""
-    return carrier.T_base_world @ Ts_world_magnet @ carrier.T_magnet_flange
+    return robot.T_base_world @ Ts_world_magnet @ robot.T_magnet_flange
 
 
-def source_at(carrier: Carrier, angles: Float[np.ndarray, " j"]) -> Cylinder:
-    """The magnet where the arm holds it.
-
-    Raises:
-        InputError: If there is not one finite angle a joint.
-    """
-    return replace(carrier.magnet, T_world_magnet=magnet_at(carrier, angles))
-
-
-def clearances(carrier: Carrier, angles: Float[np.ndarray, "n j"]) -> Float[np.ndarray, "n 2"]:
+def clearances(robot: ArmWithPayload, angles: Float[np.ndarray, "n j"]) -> Float[np.ndarray, "n 2"]:
     """Least distances [m] of the arm's links and its magnet to each other, and to the table.
 
-    Below 0 they cut. Links are capsules, and so is the magnet against links; against the table it
-    is its exact cylinder. Without a table the second is infinite.
+    Negative values are penetration depths. Links are capsules, and so is the magnet against
+    links; against the table it is its exact cylinder. Without a table the second is infinite.
     """
-    return carrier.core.clearance(angles)
+    return robot.core.clearance(angles)
 
 
-def reach(
-    carrier: Carrier,
+def solve_joint_angles(
+    robot: ArmWithPayload,
     T_world_magnet: Float[np.ndarray, "4 4"],
     near: Float[np.ndarray, " j"] | None = None,
 ) -> Float[np.ndarray, " j"]:
@@ -159,37 +152,37 @@ def reach(
             reach there within its limits, or it would touch itself or the table.
     """
     check_pose("T_world_magnet", T_world_magnet)
-    table = carrier.table_height
-    height = carrier.core.lowest(np.asarray(T_world_magnet, float))
+    table = robot.table_height
+    height = robot.core.lowest(np.asarray(T_world_magnet, float))
     if table is not None and height < table:
         raise InputError(
             f"The magnet would be {(table - height) * 1e3:.1f} mm in the table. "
             f"Allowed: its lowest point at a height of {table:g} m or more."
         )
-    home = np.array(carrier.arm.home if near is None else near)
-    angles = nearest(carrier.arm, flange_at(carrier, T_world_magnet), home)
+    home = np.array(robot.arm.home if near is None else near)
+    angles = nearest(robot.arm, flange_pose_at(robot, T_world_magnet), home)
     if np.isnan(angles).any():
         raise InputError(
-            f"Arm {carrier.arm.name} does not reach a magnet at {T_world_magnet[:3, 3]} m with its "
+            f"Arm {robot.arm.name} does not reach a magnet at {T_world_magnet[:3, 3]} m with its "
             f"moment along {T_world_magnet[:3, 2]}. Bring it nearer to the base or turn it."
         )
-    _check_clear(carrier, angles[None])
+    _check_clear(robot, angles[None])
     return angles
 
 
-def _check_clear(carrier: Carrier, angles: np.ndarray) -> None:
-    clear = clearances(carrier, angles)
+def _check_clear(robot: ArmWithPayload, angles: np.ndarray) -> None:
+    clear = clearances(robot, angles)
     if clear.min() < 0.0:
         row, kind = np.unravel_index(np.argmin(clear), clear.shape)
         what = ("itself", "the table")[int(kind)]
         raise InputError(
-            f"Pose {row}: arm {carrier.arm.name} touches {what}, {-1e3 * clear.min():.1f} mm deep. "
+            f"Pose {row}: arm {robot.arm.name} touches {what}, {-1e3 * clear.min():.1f} mm deep. "
             "Choose another pose, or start from other angles."
         )
 
 
 def follow(
-    carrier: Carrier,
+    robot: ArmWithPayload,
     Ts_world_magnet: Float[np.ndarray, "n 4 4"],
     start: Float[np.ndarray, " j"],
     dt: float,
@@ -197,7 +190,7 @@ def follow(
     """Joint angles [n j] that lead the magnet along a path, each nearest to those before.
 
     Args:
-        carrier: The arm and its magnet.
+        robot: The arm and its magnet.
         Ts_world_magnet: Poses of the magnet, `dt` apart; the arm is at the first after `dt`.
         start: Angles before the first pose [rad].
         dt: Time between poses [s].
@@ -206,17 +199,17 @@ def follow(
         InputError: If a pose is out of reach, the arm would touch itself or the table, or a joint
             would turn faster than its limit.
     """
-    targets = flange_at(carrier, np.asarray(Ts_world_magnet, float))
-    home = np.array([carrier.arm.home])
-    angles = carrier.arm.core.follow(targets, np.asarray(start, float), home)
+    targets = flange_pose_at(robot, np.asarray(Ts_world_magnet, float))
+    home = np.array([robot.arm.home])
+    angles = robot.arm.core.follow(targets, np.asarray(start, float), home)
     lost = np.isnan(angles).any(axis=1)
     if lost.any():
         raise InputError(
             f"Pose {int(np.argmax(lost))} of {len(targets)} is out of reach of arm "
-            f"{carrier.arm.name}. Bring the path nearer to the base or turn the magnet."
+            f"{robot.arm.name}. Bring the path nearer to the base or turn the magnet."
         )
-    check_speed(carrier.arm, np.vstack([np.asarray(start, float)[None], angles]), dt)
-    _check_clear(carrier, angles)
+    check_speed(robot.arm, np.vstack([np.asarray(start, float)[None], angles]), dt)
+    _check_clear(robot, angles)
     return angles
 
 
@@ -228,23 +221,23 @@ def check_speed(arm: Arm, angles: Float[np.ndarray, "n j"], dt: float) -> None:
     """
     limit = np.array([joint.velocity for joint in arm.joints])
     _require_time(dt)
-    part = np.abs(np.diff(angles, axis=0)) / dt / limit
-    if part.size and part.max() > 1.0:
-        step, joint = np.unravel_index(np.argmax(part), part.shape)
+    ratio = np.abs(np.diff(angles, axis=0)) / dt / limit
+    if ratio.size and ratio.max() > 1.0:
+        step, joint = np.unravel_index(np.argmax(ratio), ratio.shape)
         raise InputError(
             f"Step {step}: joint {joint + 1} of arm {arm.name} would turn at "
-            f"{part.max() * limit[joint]:.3g} rad/s. Allowed: {limit[joint]:g}; "
-            f"take {part.max():.2f} times as long."
+            f"{ratio.max() * limit[joint]:.3g} rad/s. Allowed: {limit[joint]:g}; "
+            f"take {ratio.max():.2f} times as long."
         )
 
 
-def parts_of_limits(
+def limit_utilization(
     arm: Arm, angles: Float[np.ndarray, "n j"], dt: float
 ) -> Float[np.ndarray, "3 j"]:
-    """Largest speed, acceleration and jerk of each joint as parts of its limits.
+    """Largest speed, acceleration and jerk of each joint as fractions of its limits.
 
-    By differences of angles `dt` apart, as a controller of that rate sees them; more than 1 is too
-    much. Four angles or more; a motion that begins at once, not from rest, begins within them.
+    By differences of angles `dt` apart, as a controller of that rate sees them; more than 1 exceeds
+    them. Four angles or more; a motion that begins at once, not from rest, begins within them.
 
     Raises:
         InputError: If `dt` is not above 0, or there are fewer than four angles.
@@ -263,18 +256,19 @@ def _require_time(dt: float) -> None:
 
 
 def reachability(
-    carrier: Carrier, Ts_world_magnet: Float[np.ndarray, "*n 4 4"]
+    robot: ArmWithPayload, Ts_world_magnet: Float[np.ndarray, "*n 4 4"]
 ) -> Float[np.ndarray, "*n"]:
-    """Whether the arm holds its magnet at each pose: 1 within limits and clear, else 0.
+    """Whether the arm can hold its magnet at each pose without collision: 1 or 0.
 
-    A map is its mean over the orientations of a grid of places. Solutions are those nearest to the
-    arm's home; a pose that only another solution reaches without a touch counts as 0.
+    A reachability map is its mean over the orientations at a grid of positions. Solutions are those
+    nearest to the arm's home; a pose that only another solution reaches without collision counts
+    as 0.
     """
     poses = np.asarray(Ts_world_magnet, float)
-    flat = flange_at(carrier, poses).reshape(-1, 4, 4)
-    angles = nearest(carrier.arm, flat, np.array(carrier.arm.home))
+    flat = flange_pose_at(robot, poses).reshape(-1, 4, 4)
+    angles = nearest(robot.arm, flat, np.array(robot.arm.home))
     found = ~np.isnan(angles).any(axis=1)
     clear = np.zeros(len(flat))
     if found.any():
-        clear[found] = clearances(carrier, angles[found]).min(axis=1) >= 0.0
+        clear[found] = clearances(robot, angles[found]).min(axis=1) >= 0.0
     return clear.reshape(poses.shape[:-2])

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from vrcaps.actuation.capsule_target import Goal
-from vrcaps.actuation.magnet_controller import Steering
+from vrcaps.actuation.capsule_target import CapsuleTarget
+from vrcaps.actuation.magnet_controller import ControllerGains
 
 AFTER, STEEP, TOUCH = 0.5, 0.1, 0.01
 
@@ -28,25 +28,34 @@ def towards(start: np.ndarray, end: np.ndarray, most: float, about: np.ndarray) 
     return Rotation.from_rotvec(cut(between(start, end, about), most)).apply(start)
 
 
-def lead_on(
-    leader: np.ndarray, capsule: np.ndarray, contact: np.ndarray, goal: Goal, s: Steering, dt: float
+def advance_reference(
+    leader: np.ndarray,
+    capsule: np.ndarray,
+    contact: np.ndarray,
+    target: CapsuleTarget,
+    s: ControllerGains,
+    dt: float,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, float, bool]:
-    """What `vrcaps._core.lead_on` gives."""
+    """What `vrcaps._core.advance_reference` gives."""
     (place, look, side), at, axis = leader, capsule[:3, 3], capsule[:3, 2]
-    free, press, share = goal.controlled, np.asarray(goal.press, float), min(1.0, dt / AFTER)
+    free, press, share = (
+        target.controlled_axes,
+        np.asarray(target.wall_normal, float),
+        min(1.0, dt / AFTER),
+    )
     lag = free @ (place - at)
-    across = (place - at - lag) * (1.0 if goal.mapped else 1.0 - share)
-    place = at + lag + across - cut(lag - cut(lag, s.lead), s.speed * dt)
-    way = np.asarray(goal.position) - place
-    place = place + cut(way if goal.mapped else free @ way, s.speed * dt)
-    ahead = axis if goal.direction is None else np.asarray(goal.direction, float)
+    across = (place - at - lag) * (1.0 if target.on_planned_wall else 1.0 - share)
+    place = at + lag + across - cut(lag - cut(lag, s.lookahead), s.speed * dt)
+    way = np.asarray(target.position) - place
+    place = place + cut(way if target.on_planned_wall else free @ way, s.speed * dt)
+    ahead = axis if target.direction is None else np.asarray(target.direction, float)
     flat = ahead - side * (side @ ahead)
-    if goal.level and np.linalg.norm(flat) > STEEP:
+    if target.parallel_to_wall and np.linalg.norm(flat) > STEEP:
         ahead = flat / np.linalg.norm(flat)
-    led = towards(axis, look, s.turn_lead, press)
-    look = towards(led, ahead, s.turn_speed * dt, press)
+    led = towards(axis, look, s.lookahead_angle, press)
+    look = towards(led, ahead, s.angular_speed * dt, press)
     force = np.linalg.norm(contact)
-    touched = -contact / force if force > TOUCH and not goal.mapped else press
+    touched = -contact / force if force > TOUCH and not target.on_planned_wall else press
     side = side + share * (touched - side)
     pose = capsule.copy()
     turn = Rotation.from_rotvec(between(axis, look, press))

@@ -1,4 +1,4 @@
-"""The inertial unit and the magnetometer in a capsule."""
+"""Inertial measurement unit (IMU) in a capsule."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ _STANDARD_GRAVITY = 9.80665
 
 
 @dataclass(frozen=True)
-class Motion:
-    """How a capsule moves, about its origin, in the world.
+class CapsuleKinematics:
+    """Rigid-body motion of a capsule about its origin, in the world.
 
     Attributes:
         R_world_capsule: Rotation.
@@ -36,21 +36,21 @@ class Motion:
 
 
 @dataclass(frozen=True)
-class Inertial:
-    """An accelerometer and gyroscope; white noise and a bias that walks (IEEE Std 952-1997).
+class Imu:
+    """An accelerometer and gyroscope with white noise and random-walk bias (IEEE Std 952-1997).
 
     The defaults are those of a small MEMS unit: noise from the data sheet of Bosch's BMI270, the
-    bias's walk assumed.
+    random walk of the bias assumed.
 
     Attributes:
-        position_capsule: Place in the capsule [m]; its axes are the capsule's.
+        position_capsule: Position in the capsule [m]; its axes are the capsule's.
         rate: Readings a second [Hz].
         accelerometer_noise: Noise density [m/s²/√Hz].
         gyroscope_noise: Noise density [rad/s/√Hz].
-        accelerometer_walk: Walk of the bias [m/s²/√s].
-        gyroscope_walk: Walk of the bias [rad/s/√s].
-        accelerometer_range: Largest reading [m/s²]; more is cut off.
-        gyroscope_range: Largest reading [rad/s]; more is cut off.
+        accelerometer_walk: Random walk of the bias [m/s²/√s].
+        gyroscope_walk: Random walk of the bias [rad/s/√s].
+        accelerometer_range: Largest reading [m/s²]; more is clipped.
+        gyroscope_range: Largest reading [rad/s]; more is clipped.
     """
 
     position_capsule: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -63,22 +63,22 @@ class Inertial:
     gyroscope_range: float = 2000.0 * DEG
 
     def __post_init__(self) -> None:
-        require(0.0 < self.rate < np.inf, "Inertial rate", self.rate, "above 0 Hz")
+        require(0.0 < self.rate < np.inf, "Imu rate", self.rate, "above 0 Hz")
         for sensor in ("accelerometer", "gyroscope"):
             for name in (f"{sensor}_noise", f"{sensor}_walk"):
                 value = getattr(self, name)
-                require(0.0 <= value < np.inf, f"Inertial {name}", value, "0 or more")
+                require(0.0 <= value < np.inf, f"Imu {name}", value, "0 or more")
             most = getattr(self, f"{sensor}_range")
-            require(most > 0.0, f"Inertial {sensor}_range", most, "above 0")
+            require(most > 0.0, f"Imu {sensor}_range", most, "above 0")
 
 
-def read_inertial(
-    unit: Inertial, motion: Motion, bias: Float[np.ndarray, " 6"], rng: np.random.Generator
+def read_imu(
+    unit: Imu, motion: CapsuleKinematics, bias: Float[np.ndarray, " 6"], rng: np.random.Generator
 ) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, " 3"], Float[np.ndarray, " 6"]]:
     """Specific force [m/s²] and angular velocity [rad/s] in the capsule frame, and the next bias.
 
-    f = Rᵀ (a + α × r + ω × (ω × r) − g) at the unit's place r (Titterton and Weston 2004, 3.2): at
-    rest it reads 1 g upwards.
+    f = Rᵀ (a + α × r + ω × (ω × r) − g) at the unit's position r (Titterton and Weston 2004, 3.2):
+    at rest it reads 1 g upwards.
 
     Args:
         unit: The unit.
@@ -100,37 +100,3 @@ def read_inertial(
         np.clip(turn, -unit.gyroscope_range, unit.gyroscope_range),
         bias + walk * rng.normal(size=6),
     )
-
-
-@dataclass(frozen=True)
-class Magnetometer:
-    """A magnetometer in a capsule.
-
-    The defaults are those of a small unit; a strong magnet near by drives it to its range.
-
-    Attributes:
-        position_capsule: Place in the capsule [m]; its axes are the capsule's.
-        noise: Standard deviation of a reading [T].
-        offset: What it reads without a field [T], such as from the capsule's own magnet.
-        range: Largest reading of a component [T]; more is cut off.
-    """
-
-    position_capsule: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    noise: float = 0.5e-6
-    offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    range: float = 2.5e-3
-
-    def __post_init__(self) -> None:
-        require(0.0 <= self.noise < np.inf, "Magnetometer noise", self.noise, "0 or more")
-        require(self.range > 0.0, "Magnetometer range", self.range, "above 0")
-
-
-def read_magnetometer(
-    unit: Magnetometer,
-    flux_density: Float[np.ndarray, " 3"],
-    R_world_capsule: Float[np.ndarray, "3 3"],
-    rng: np.random.Generator,
-) -> Float[np.ndarray, " 3"]:
-    """Reading [T] in the capsule frame of the flux density in the world at the unit's place."""
-    reading = np.asarray(R_world_capsule).T @ flux_density + unit.offset
-    return np.clip(reading + unit.noise * rng.normal(size=3), -unit.range, unit.range)

@@ -9,15 +9,15 @@ import pytest
 
 from scenes import random_poses
 from vrcaps.errors import InputError
-from vrcaps.sensors.inertial import (
-    Inertial,
+from vrcaps.sensors.imu import (
+    CapsuleKinematics,
+    Imu,
     Magnetometer,
-    Motion,
-    read_inertial,
+    read_imu,
     read_magnetometer,
 )
 
-QUIET = Inertial(
+QUIET = Imu(
     accelerometer_noise=0.0, gyroscope_noise=0.0, accelerometer_walk=0.0, gyroscope_walk=0.0
 )
 RNG = np.random.default_rng(0)
@@ -26,15 +26,15 @@ NONE = np.zeros(6)
 
 def test_at_rest_it_reads_one_g_upwards():
     rotation = random_poses(RNG, 1)[0, :3, :3]
-    force, turn, bias = read_inertial(QUIET, Motion(rotation), NONE, RNG)
+    force, turn, bias = read_imu(QUIET, CapsuleKinematics(rotation), NONE, RNG)
     np.testing.assert_allclose(force, rotation.T @ [0, 0, 9.80665])
     assert not turn.any()
     assert not bias.any()
 
 
 def test_falling_it_reads_nothing():
-    motion = Motion(np.eye(3), acceleration=(0.0, 0.0, -9.80665))
-    assert not read_inertial(QUIET, motion, NONE, RNG)[0].any()
+    motion = CapsuleKinematics(np.eye(3), acceleration=(0.0, 0.0, -9.80665))
+    assert not read_imu(QUIET, motion, NONE, RNG)[0].any()
 
 
 def test_off_centre_it_feels_the_turning():
@@ -51,20 +51,20 @@ def test_off_centre_it_feels_the_turning():
         return turn @ start @ unit.position_capsule
 
     acceleration = (place(h) - 2 * place(0.0) + place(-h)) / h**2
-    motion = Motion(start, (0, 0, 0), tuple(spin), tuple(change), (0.0, 0.0, 0.0))
-    force, turn, _ = read_inertial(unit, motion, NONE, RNG)
+    motion = CapsuleKinematics(start, (0, 0, 0), tuple(spin), tuple(change), (0.0, 0.0, 0.0))
+    force, turn, _ = read_imu(unit, motion, NONE, RNG)
     np.testing.assert_allclose(start @ force, acceleration, rtol=1e-4, atol=1e-5)
     np.testing.assert_allclose(turn, start.T @ spin)
 
 
 def test_noise_and_walk_have_their_densities():
     """σ = n √f; a bias that walks for a time t has σ = w √t."""
-    unit, rng = Inertial(rate=400.0), np.random.default_rng(1)
+    unit, rng = Imu(rate=400.0), np.random.default_rng(1)
     readings, ends = [], []
     for _ in range(60):
         bias = np.zeros(6)
         for _ in range(50):
-            force, turn, following = read_inertial(unit, Motion(np.eye(3)), bias, rng)
+            force, turn, following = read_imu(unit, CapsuleKinematics(np.eye(3)), bias, rng)
             readings.append(np.concatenate([force - [0, 0, 9.80665], turn]) - bias)
             bias = following
         ends.append(bias)
@@ -77,8 +77,8 @@ def test_noise_and_walk_have_their_densities():
 
 
 def test_readings_end_at_the_range():
-    motion = Motion(np.eye(3), (0, 0, 1e4), (0, -1e3, 0))
-    force, turn, _ = read_inertial(QUIET, motion, NONE, RNG)
+    motion = CapsuleKinematics(np.eye(3), (0, 0, 1e4), (0, -1e3, 0))
+    force, turn, _ = read_imu(QUIET, motion, NONE, RNG)
     assert force[2] == QUIET.accelerometer_range
     assert turn[1] == -QUIET.gyroscope_range
 
@@ -97,14 +97,14 @@ def test_magnetometer_reads_the_field_in_its_frame():
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: Inertial(rate=0.0), r"Inertial rate is 0\.0\. Allowed: above 0 Hz"),
-        (lambda: Inertial(gyroscope_noise=-1.0), r"Inertial gyroscope_noise is -1\.0"),
+        (lambda: Imu(rate=0.0), r"Imu rate is 0\.0\. Allowed: above 0 Hz"),
+        (lambda: Imu(gyroscope_noise=-1.0), r"Imu gyroscope_noise is -1\.0"),
         (
-            lambda: Inertial(gyroscope_walk=-1.0),
-            r"Inertial gyroscope_walk is -1\.0\. Allowed: 0 or",
+            lambda: Imu(gyroscope_walk=-1.0),
+            r"Imu gyroscope_walk is -1\.0\. Allowed: 0 or",
         ),
         (
-            lambda: Inertial(accelerometer_range=0.0),
+            lambda: Imu(accelerometer_range=0.0),
             r"accelerometer_range is 0\.0\. Allowed: above",
         ),
         (lambda: Magnetometer(noise=-1.0), r"Magnetometer noise is -1\.0\. Allowed: 0 or more"),

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from vrcaps.actuation.magnet_pose_solver import Room, Wish
+from vrcaps.actuation.magnet_pose_solver import Workspace, WrenchTarget
 
 DIFFERENCE, LONGEST, SHORTEST = 1e-5, 0.25, 1e-7
 DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-3, 1e-9, 1e6
@@ -28,39 +28,41 @@ def dipole_field(moment: np.ndarray, offset: np.ndarray) -> tuple[np.ndarray, np
 
 
 @dataclass
-class AimTwin:
+class PoseSolverTwin:
     """Damped least squares (Levenberg 1944, Marquardt 1963) over place and direction.
 
     Attributes:
         wrench: Of the magnet and all that stays.
-        wish: What the capsule is to feel.
-        room: Where the magnet may be.
+        target: What the capsule is to feel.
+        workspace: Where the magnet may be.
         place: Of the capsule [m].
         start: Pose of the magnet to begin with.
     """
 
     wrench: Wrench
-    wish: Wish
-    room: Room
+    target: WrenchTarget
+    workspace: Workspace
     place: np.ndarray
     start: np.ndarray
 
     @property
     def scale(self) -> float:
         """Distance by which ways are measured [m]."""
-        return max(float(np.linalg.norm(self.start[:3, 3] - self.place)), self.room.apart)
+        return max(
+            float(np.linalg.norm(self.start[:3, 3] - self.place)), self.workspace.min_distance
+        )
 
     def residuals(self, pose: np.ndarray) -> np.ndarray:
         """What counts of a pose: force and torque missed, way and turn made."""
-        w = self.wish
+        w = self.target
         force, torque = self.wrench(pose)
         moved = pose - self.start
         return np.concatenate(
             [
                 np.array(w.force_weight) @ (force - w.force),
                 w.torque_weight * (torque - w.torque),
-                w.stay / self.scale * moved[:3, 3],
-                w.stay * moved[:3, 2],
+                w.motion_weight / self.scale * moved[:3, 3],
+                w.motion_weight * moved[:3, 2],
             ]
         )
 
@@ -73,13 +75,15 @@ class AimTwin:
 
     def admitted(self, pose: np.ndarray) -> np.ndarray:
         """Into the box, and away from the capsule."""
-        low, high = self.room.low, self.room.high
+        low, high = self.workspace.low, self.workspace.high
         inside = pose.copy()
         inside[:3, 3] = np.clip(pose[:3, 3], low, high)
         away = inside[:3, 3] - self.place
         distance = np.linalg.norm(away)
-        if 0.0 < distance < self.room.apart:
-            inside[:3, 3] = np.clip(self.place + self.room.apart / distance * away, low, high)
+        if 0.0 < distance < self.workspace.min_distance:
+            inside[:3, 3] = np.clip(
+                self.place + self.workspace.min_distance / distance * away, low, high
+            )
         return inside
 
     def slopes(self, pose: np.ndarray) -> np.ndarray:
@@ -90,7 +94,7 @@ class AimTwin:
             columns.append((after - before) / (2 * DIFFERENCE))
         slopes = np.array(columns).T
         rise, at = slopes.T @ self.residuals(pose), pose[:3, 3]
-        for k, (low, high) in enumerate(zip(self.room.low, self.room.high, strict=True)):
+        for k, (low, high) in enumerate(zip(self.workspace.low, self.workspace.high, strict=True)):
             if (at[k] <= low and rise[k] > 0) or (at[k] >= high and rise[k] < 0):
                 slopes[:, k] = 0.0
         return slopes

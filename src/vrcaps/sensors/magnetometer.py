@@ -1,0 +1,47 @@
+"""Magnetometer in a capsule."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vrcaps.errors import require
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+
+@dataclass(frozen=True)
+class Magnetometer:
+    """A three-axis magnetometer in a capsule.
+
+    The defaults are those of a small unit; a strong magnet nearby saturates it.
+
+    Attributes:
+        position_capsule: Position in the capsule [m]; its axes are the capsule's.
+        noise: Standard deviation of a reading [T].
+        offset: What it reads without a field [T], such as from the capsule's own magnet.
+        range: Largest reading of a component [T]; more is clipped.
+    """
+
+    position_capsule: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    noise: float = 0.5e-6
+    offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    range: float = 2.5e-3
+
+    def __post_init__(self) -> None:
+        require(0.0 <= self.noise < np.inf, "Magnetometer noise", self.noise, "0 or more")
+        require(self.range > 0.0, "Magnetometer range", self.range, "above 0")
+
+
+def read_magnetometer(
+    unit: Magnetometer,
+    flux_density: Float[np.ndarray, " 3"],
+    R_world_capsule: Float[np.ndarray, "3 3"],
+    rng: np.random.Generator,
+) -> Float[np.ndarray, " 3"]:
+    """Reading [T] in the capsule frame of the flux density in the world at the unit's position."""
+    reading = np.asarray(R_world_capsule).T @ flux_density + unit.offset
+    return np.clip(reading + unit.noise * rng.normal(size=3), -unit.range, unit.range)

@@ -3,12 +3,14 @@
 // Loops over lanes index several arrays at once; iterators would hide that from the vectoriser.
 #![allow(clippy::needless_range_loop)]
 
+mod actuation;
 mod contents;
 mod cpu;
 mod fem;
 mod magnet;
 mod mucosa;
 mod physics;
+mod poses;
 mod recording;
 mod render;
 mod sensor;
@@ -23,14 +25,14 @@ fn _core(m: &Bound<'_, PyModule>) -> PyResult<()> {
     m.add_function(wrap_pyfunction!(mucosa::bake_mucosa, m)?)?;
     m.add_class::<wall::Wall>()?;
     m.add_class::<fem::layer::FemLayer>()?;
-    m.add_class::<magnet::arm::ArmChain>()?;
-    m.add_class::<magnet::carrier::ArmCarrier>()?;
-    m.add_class::<magnet::holder::ArmHolder>()?;
-    m.add_class::<magnet::handle::FieldSources>()?;
-    m.add_function(wrap_pyfunction!(magnet::aim::aim_magnet, m)?)?;
-    m.add_function(wrap_pyfunction!(magnet::turn::turned_rows, m)?)?;
-    m.add_function(wrap_pyfunction!(magnet::turn::vector_of, m)?)?;
-    m.add_function(wrap_pyfunction!(magnet::lead::lead_on, m)?)?;
+    m.add_class::<actuation::arm_chain::ArmChain>()?;
+    m.add_class::<actuation::arm_with_payload::ArmWithPayload>()?;
+    m.add_class::<actuation::robot_actuator::RobotActuator>()?;
+    m.add_class::<magnet::field_sources::FieldSources>()?;
+    m.add_function(wrap_pyfunction!(actuation::magnet_pose_solver::solve_magnet_pose, m)?)?;
+    m.add_function(wrap_pyfunction!(actuation::rotation::rotate_by_vector, m)?)?;
+    m.add_function(wrap_pyfunction!(actuation::rotation::rotation_vector_rows, m)?)?;
+    m.add_function(wrap_pyfunction!(actuation::reference::advance_reference, m)?)?;
     m.add_class::<physics::world::World>()?;
     m.add_class::<contents::Contents>()?;
     m.add_class::<contents::swarm::Swarm>()?;

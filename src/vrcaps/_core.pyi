@@ -1,6 +1,7 @@
 """Types of the compiled core (Rust, `rust/src`)."""
 
-from typing import Any
+from collections.abc import Sequence
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -114,23 +115,79 @@ class FieldSources:
         self, magnets: NDArray[np.float64], poses: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], NDArray[np.uint8]]: ...
 
-def aim_magnet(
+class _WrenchTarget(Protocol):
+    """Fields read of `vrcaps.actuation.magnet_pose_solver.WrenchTarget`."""
+
+    @property
+    def force(self) -> Sequence[float]: ...
+    @property
+    def torque(self) -> Sequence[float]: ...
+    @property
+    def force_weight(self) -> Sequence[Sequence[float]]: ...
+    @property
+    def torque_weight(self) -> float: ...
+    @property
+    def motion_weight(self) -> float: ...
+
+class _Workspace(Protocol):
+    """Fields read of `vrcaps.actuation.magnet_pose_solver.Workspace`."""
+
+    @property
+    def low(self) -> Vector: ...
+    @property
+    def high(self) -> Vector: ...
+    @property
+    def min_distance(self) -> float: ...
+
+def solve_magnet_pose(
     sources: FieldSources,
     index: int,
     magnets: NDArray[np.float64],
     pose: NDArray[np.float64],
     start: NDArray[np.float64],
-    wanted: Any,
-    rounds: int,
+    target: _WrenchTarget,
+    workspace: _Workspace,
+    max_iterations: int,
 ) -> tuple[NDArray[np.float64], Vector, Vector, float]: ...
-def turned(vector: Any, matrix: NDArray[np.float64]) -> NDArray[np.float64]: ...
+def rotate_by_vector(
+    vector: NDArray[np.float64], matrix: NDArray[np.float64]
+) -> NDArray[np.float64]: ...
 def rotation_vector(matrix: NDArray[np.float64]) -> NDArray[np.float64]: ...
-def lead_on(
-    leader: NDArray[np.float64],
+
+class _CapsuleTarget(Protocol):
+    """Fields read of `vrcaps.actuation.capsule_target.CapsuleTarget`."""
+
+    @property
+    def position(self) -> Sequence[float] | NDArray[np.float64]: ...
+    @property
+    def direction(self) -> Sequence[float] | NDArray[np.float64] | None: ...
+    @property
+    def tangent(self) -> Sequence[float] | NDArray[np.float64] | None: ...
+    @property
+    def wall_normal(self) -> Sequence[float] | NDArray[np.float64]: ...
+    @property
+    def parallel_to_wall(self) -> bool: ...
+    @property
+    def on_planned_wall(self) -> bool: ...
+
+class _ReferenceLimits(Protocol):
+    """Fields read of `vrcaps.actuation.magnet_controller.ControllerGains`."""
+
+    @property
+    def speed(self) -> float: ...
+    @property
+    def angular_speed(self) -> float: ...
+    @property
+    def lookahead(self) -> float: ...
+    @property
+    def lookahead_angle(self) -> float: ...
+
+def advance_reference(
+    reference: NDArray[np.float64],
     capsule: NDArray[np.float64],
-    contact: Any,
-    goal: Any,
-    steering: Any,
+    contact: Sequence[float] | NDArray[np.float64],
+    target: _CapsuleTarget,
+    gains: _ReferenceLimits,
     dt: float,
 ) -> tuple[
     NDArray[np.float64],
@@ -154,7 +211,9 @@ class ArmChain:
     ) -> None: ...
     def frames(self, angles: NDArray[np.float64]) -> NDArray[np.float64]: ...
     def jacobian(self, angles: NDArray[np.float64]) -> NDArray[np.float64]: ...
-    def inverse(self, targets: NDArray[np.float64], last: Any) -> NDArray[np.float64]: ...
+    def inverse(
+        self, targets: NDArray[np.float64], last: Sequence[float]
+    ) -> NDArray[np.float64]: ...
     def nearest(
         self,
         targets: NDArray[np.float64],
@@ -162,14 +221,17 @@ class ArmChain:
         others: NDArray[np.float64] | None = None,
     ) -> NDArray[np.float64]: ...
     def follow(
-        self, targets: NDArray[np.float64], start: Any, others: NDArray[np.float64] | None = None
+        self,
+        targets: NDArray[np.float64],
+        start: NDArray[np.float64],
+        others: NDArray[np.float64] | None = None,
     ) -> NDArray[np.float64]: ...
     def clearance(
-        self, angles: NDArray[np.float64], table: tuple[Any, Any] | None = None
+        self, angles: NDArray[np.float64], table: tuple[Vector, Vector] | None = None
     ) -> NDArray[np.float64]: ...
 
-class ArmCarrier:
-    """An arm with a magnet (`vrcaps.actuation.arm.arm_with_payload`)."""
+class ArmWithPayload:
+    """A robot arm with a magnet (`vrcaps.actuation.arm.arm_with_payload`)."""
 
     def __init__(
         self,
@@ -183,19 +245,19 @@ class ArmCarrier:
     def clearance(self, angles: NDArray[np.float64]) -> NDArray[np.float64]: ...
     def lowest(self, magnet: NDArray[np.float64]) -> float: ...
 
-class ArmHolder:
-    """An arm that leads its magnet (`vrcaps.actuation.robot_actuator`)."""
+class RobotActuator:
+    """A robot arm that moves its magnet (`vrcaps.actuation.robot_actuator`)."""
 
     def __init__(
         self,
-        carrier: ArmCarrier,
+        robot: ArmWithPayload,
         joints: NDArray[np.float64],
-        room: tuple[Vector, Vector],
+        workspace: tuple[Vector, Vector],
         along: Vector,
         speeds: tuple[float, float],
     ) -> None: ...
-    def rolled(self, goal: NDArray[np.float64]) -> NDArray[np.float64]: ...
-    def move_on(
+    def align_flange(self, goal: NDArray[np.float64]) -> NDArray[np.float64]: ...
+    def move_towards(
         self,
         magnet: NDArray[np.float64],
         velocity: NDArray[np.float64],

@@ -320,7 +320,7 @@ def test_only_a_source_that_is_there_can_be_moved():
         (lambda: Solenoid(0.1, 0.1, 1.0, 0), "Solenoid turns is 0. Allowed: 1 or more."),
         (lambda: Solenoid(0.1, 0.1, 1.0, 9, thickness=0.2), "0 to below twice the radius"),
         (lambda: Solenoid(0.1, 0.1, 1.0, 9, layers=0), "Solenoid layers is 0. Allowed: 1 to 100."),
-        (lambda: UniformField(float("nan")), "Uniform flux_density is nan."),
+        (lambda: UniformField(float("nan")), "UniformField flux_density is nan."),
         (lambda: Dipole(1.0, np.diag([1.0, 1, -1, 1])), "T_world_magnet is no rigid pose."),
         (lambda: Dipole(1.0, np.eye(3)), "T_world_magnet is no rigid pose. Allowed: 4 x 4"),
         (lambda: magnet_pose((0, 0, 0), (0, 0, 0)), "has no pose. Give finite numbers, no zero"),

@@ -1,7 +1,7 @@
 //! Spheres where a capsule has pushed aside those in its way.
 
-use crate::magnet::handle::read_pose;
 use crate::physics::body::Axis;
+use crate::poses::read_pose;
 use glam::DVec3;
 use numpy::{
     IntoPyArray, PyArray2, PyReadonlyArray1, PyReadonlyArray2,

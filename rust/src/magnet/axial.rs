@@ -1,44 +1,16 @@
 //! Fields with an axis of symmetry in closed form: a current loop, and a thin shell of current,
 //! which is also a cylinder magnetised along its axis.
 
+use super::axial_field::AxialField;
+use super::dual::{Dual, Number, Pair};
 use super::elliptic::{Complete, complete, complete_with_third};
 use super::multipole::{FAR, Multipole};
-use super::number::{Dual, Number, Pair};
-use glam::{DMat3, DVec3};
 use std::f64::consts::PI;
 
 /// A wire or rim nearer than this part of the distance to its far side counts as touched.
 const TOUCH: f64 = 1e-9;
 /// Below this squared complementary modulus the form for places near the wire is used.
 const NEAR_WIRE: f64 = 0.1;
-
-/// Field in cylinder coordinates (ρ, z).
-#[derive(Clone, Copy, Debug, Default)]
-pub struct Axial {
-    /// B_z [T].
-    pub along: f64,
-    /// ∂B_z/∂z [T/m].
-    pub along_slope: f64,
-    /// B_ρ/ρ [T/m].
-    pub radial: f64,
-    /// ∂(B_ρ/ρ)/∂z [T/m²].
-    pub radial_slope: f64,
-}
-
-impl Axial {
-    /// Flux density [T] and gradient `∂B_i/∂x_j` [T/m] at `p`, in the source's frame.
-    ///
-    /// With `h = −2 B_ρ/ρ − ∂B_z/∂z = ρ ∂(B_ρ/ρ)/∂ρ`, which is div B = 0.
-    #[inline(always)]
-    pub fn at(&self, p: DVec3, rho2: f64) -> (DVec3, DMat3) {
-        let over = if rho2 > f64::MIN_POSITIVE { 1.0 / rho2 } else { 0.0 };
-        let h = (-2.0 * self.radial - self.along_slope) * over;
-        let (xx, yy) = (self.radial + h * p.x * p.x, self.radial + h * p.y * p.y);
-        let (xy, xz, yz) = (h * p.x * p.y, p.x * self.radial_slope, p.y * self.radial_slope);
-        let gradient = DMat3::from_cols_array(&[xx, xy, xz, xy, yy, yz, xz, yz, self.along_slope]);
-        (DVec3::new(p.x * self.radial, p.y * self.radial, self.along), gradient)
-    }
-}
 
 /// Squared distances to the near and the far side of a ring, and the modulus.
 struct Modulus<N> {
@@ -112,7 +84,7 @@ impl Ring {
 
     /// Field at distance `rho` from the axis and height `z`.
     #[inline]
-    pub fn field(&self, rho: f64, z: f64) -> Axial {
+    pub fn field(&self, rho: f64, z: f64) -> AxialField {
         let limit = FAR * self.far.size;
         if rho * rho + z * z > limit * limit {
             return self.far.field(rho, z);
@@ -120,7 +92,7 @@ impl Ring {
         let z = Dual { value: z, slope: 1.0 };
         let u = modulus(self.radius, rho, z);
         let (along, radial) = ring(self.radius, rho, z, &u, complete(u.kc2.sqrt(), u.m));
-        Axial {
+        AxialField {
             along: self.strength * along.value,
             along_slope: self.strength * along.slope,
             radial: self.strength * radial.value,
@@ -147,7 +119,7 @@ impl Shell {
     /// so that ∂B/∂z is the difference of the loops at its ends, and B_ρ the difference of their
     /// vector potentials `4 a² C(m)/(π s³) ρ`. On the shell itself B_z is the mean of both sides.
     #[inline]
-    pub fn field(&self, rho: f64, z: f64) -> Axial {
+    pub fn field(&self, rho: f64, z: f64) -> AxialField {
         let limit = FAR * self.far.size;
         if rho * rho + z * z > limit * limit {
             return self.far.field(rho, z);
@@ -162,7 +134,7 @@ impl Shell {
         let potential = e.k * e.t / (u.far * root) * (4.0 * a * a / PI);
         let (along_slope, radial_slope) = ring(a, rho, ends, &u, e);
         let difference = |p: Pair| self.sheet * (p.0[0] - p.0[1]);
-        Axial {
+        AxialField {
             along: difference(along),
             along_slope: difference(along_slope),
             radial: -difference(potential),

@@ -12,7 +12,7 @@
 //!
 //! all sums of positive terms, so that nothing is lost near the axis, where m goes to 0.
 
-use super::number::{Number, Pair};
+use super::dual::{Number, Pair};
 use std::f64::consts::FRAC_PI_2;
 
 /// Relative difference of the means after which one more step is exact to the last digit.

@@ -1,6 +1,6 @@
 //! Far field of a source with an axis: exterior zonal harmonics, where closed forms cancel.
 
-use super::axial::Axial;
+use super::axial_field::AxialField;
 
 /// Odd degrees kept: (1/3)^(2·17) is below the last digit.
 pub const TERMS: usize = 17;
@@ -82,7 +82,7 @@ impl Multipole {
     /// With `I_l = P_l/r^{l+1}` and `Q_l = P′_l/r^{l+2}`: `∂_z I_l = −(l+1) I_{l+1}`,
     /// `∂_ρ I_l = −ρ Q_{l+1}` and `∂_z Q_l = −l Q_{l+1}`.
     #[inline]
-    pub fn field(&self, rho: f64, z: f64) -> Axial {
+    pub fn field(&self, rho: f64, z: f64) -> AxialField {
         let inverse = 1.0 / self.size;
         let (rho, z) = (rho * inverse, z * inverse);
         let over = 1.0 / (rho * rho + z * z);
@@ -91,7 +91,7 @@ impl Multipole {
         let (mut i1, mut q1) = (z * over * i0, over * i0);
         let mut i2 = (1.5 * z * i1 - 0.5 * i0) * over;
         let mut q2 = 3.0 * z * q1 * over;
-        let mut sum = Axial::default();
+        let mut sum = AxialField::default();
         let mut decay = over;
         for (k, (&moment, step)) in self.moments.iter().zip(&STEPS).enumerate() {
             let n = (2 * k + 1) as f64;

@@ -1,7 +1,7 @@
 //! Sources of a magnetic field, mixed in any number, and the wrench on a body with magnets in it.
 
 use super::axial::{Ring, Shell};
-use super::map::FieldMap;
+use super::field_map::FieldMap;
 use glam::{DMat3, DQuat, DVec3};
 use std::f64::consts::PI;
 use std::sync::Arc;

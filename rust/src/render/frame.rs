@@ -3,7 +3,7 @@
 use crate::contents::Contents;
 use crate::contents::tile::{Filled, Room};
 use crate::cpu::on_pool;
-use crate::magnet::handle::read_pose;
+use crate::poses::read_pose;
 use crate::render::channels::{Channels, Place, Planes, find, slice, sparse, take};
 use crate::render::material::{Led, Surface};
 use crate::render::path::light_paths::Lit;

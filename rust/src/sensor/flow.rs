@@ -2,7 +2,7 @@
 
 use crate::contents::front::FRONT_BUBBLE;
 use crate::cpu::on_pool;
-use crate::magnet::handle::read_pose;
+use crate::poses::read_pose;
 use crate::render::ray_table::RayTable;
 use crate::simd::f32x64::*;
 use glam::{DMat3, DVec3};

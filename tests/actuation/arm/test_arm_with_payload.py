@@ -111,7 +111,7 @@ def test_clearance_is_that_of_dense_points(robot, panda):
             np.linalg.norm(lines[i][:, None] - lines[j][None], axis=-1).min() - a.radius - b.radius
             for i, a in enumerate(arm.links)
             for j, b in enumerate(arm.links)
-            if (a.frame, b.frame) in arm.min_distance
+            if (a.frame, b.frame) in arm.collision_pairs
         ]
         own = clearances(replace(robot, table_height=None), q[None])[0, 0]
         assert min(gaps) - 2e-3 < own <= min(gaps) + 1e-12

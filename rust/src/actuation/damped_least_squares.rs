@@ -1,7 +1,7 @@
 //! Inverse kinematics of any arm, step by step: damped least squares (Wampler 1986).
 
-use super::chain::{Chain, Pose};
-use super::turn::rotation_vector;
+use super::kinematic_chain::{Chain, Pose};
+use super::rotation::rotation_vector;
 use crate::physics::solve::{Symmetric6, Twist};
 
 /// Largest damping; nearer to the target it is the distance that is left.

@@ -1,10 +1,10 @@
 //! What Python holds of an arm: `vrcaps.actuation.arm`.
 
-use super::capsules::{LinkCapsule, Obstacles};
-use super::chain::{Chain, Joint, Pose};
-use super::descent::descend;
-use super::handle::{pose_of, rows};
-use super::inverse::{All, Angles, BRANCHES, Inverse, JOINTS};
+use super::damped_least_squares::descend;
+use super::inverse_kinematics::{All, Angles, BRANCHES, Inverse, JOINTS};
+use super::kinematic_chain::{Chain, Joint, Pose};
+use super::link_capsules::{LinkCapsule, Obstacles};
+use crate::poses::{pose_of, rows};
 use glam::DVec3;
 use numpy::{IntoPyArray, PyArrayDyn, PyReadonlyArray2, PyReadonlyArray3, ndarray::ArrayD};
 use pyo3::{exceptions::PyValueError, prelude::*};

@@ -1,9 +1,10 @@
 //! What Python holds of a set of sources: `vrcaps.magnet.field`.
 
 use super::axial::{Ring, Shell};
-use super::map::FieldMap;
+use super::field_map::FieldMap;
 use super::sources::{InternalMagnet, Kind, MAGNETIC_CONSTANT, Source, field, wrench};
-use glam::{DMat3, DQuat, DVec3};
+use crate::poses::{read_pose, rows, vector};
+use glam::{DQuat, DVec3};
 use numpy::{
     IntoPyArray, PyArray1, PyArray2, PyArray3, PyReadonlyArray2, PyReadonlyArray4,
     ndarray::{Array1, Array2, Array3},
@@ -23,41 +24,11 @@ pub struct FieldSources {
     pub sources: Vec<Source>,
 }
 
-pub(crate) fn rows(array: &PyReadonlyArray2<'_, f64>, columns: usize) -> PyResult<Vec<f64>> {
-    let view = array.as_array();
-    if view.ncols() != columns {
-        return Err(PyValueError::new_err(format!("Rows of {columns} numbers are needed.")));
-    }
-    Ok(view.iter().copied().collect())
-}
-
-fn vector(v: &[f64]) -> DVec3 {
-    DVec3::new(v[0], v[1], v[2])
-}
-
 /// Magnets of a body from rows of place and moment.
 pub fn internal_magnets(magnets: &PyReadonlyArray2<'_, f64>) -> PyResult<Vec<InternalMagnet>> {
     let rows = rows(magnets, 6)?;
     let magnet = |m: &[f64]| InternalMagnet { position: vector(m), moment: vector(&m[3..]) };
     Ok(rows.chunks_exact(6).map(magnet).collect())
-}
-
-/// Rotation and place of a pose of four rows.
-pub(crate) fn pose_of(m: &[f64]) -> (DMat3, DVec3) {
-    let column = |k: usize| DVec3::new(m[k], m[4 + k], m[8 + k]);
-    (DMat3::from_cols(column(0), column(1), column(2)), column(3))
-}
-
-/// Rotation and place of a pose [4 4].
-pub(crate) fn read_pose(array: &PyReadonlyArray2<'_, f64>) -> PyResult<(DMat3, DVec3)> {
-    Ok(pose_of(&rows(array, 4)?))
-}
-
-/// Four rows of a pose.
-pub(crate) fn pose_rows(rotation: &DMat3, place: DVec3) -> [f64; 16] {
-    let [x, y, z] = [rotation.x_axis, rotation.y_axis, rotation.z_axis];
-    let p = place;
-    [x.x, y.x, z.x, p.x, x.y, y.y, z.y, p.y, x.z, y.z, z.z, p.z, 0.0, 0.0, 0.0, 1.0]
 }
 
 impl FieldSources {

@@ -7,7 +7,7 @@
 //! perpendicular to z6: a cone cut by a plane, two lines. Each gives the whole elbow frame, q5 and
 //! q6, and the spherical shoulder two triples q1, q2, q3: up to eight branches.
 
-use super::chain::{Chain, Pose};
+use super::kinematic_chain::{Chain, Pose};
 use glam::{DMat3, DVec2, DVec3};
 use std::f64::consts::{FRAC_PI_2, PI, TAU};
 

@@ -1,9 +1,11 @@
-//! Where to hold a magnet so that it gives a capsule a wanted wrench.
+//! Inverse magnetic actuation: the magnet pose that exerts a wanted wrench on a capsule:
+//! `vrcaps.actuation.magnet_pose_solver`.
 
-use super::arm::array;
-use super::handle::{FieldSources, internal_magnets, pose_rows, read_pose};
-use super::sources::{InternalMagnet, Source, Wrench, wrench};
+use super::arm_chain::array;
+use crate::magnet::field_sources::{FieldSources, internal_magnets};
+use crate::magnet::sources::{InternalMagnet, Source, Wrench, wrench};
 use crate::physics::solve::Symmetric6;
+use crate::poses::{pose_rows, read_pose};
 use glam::{DMat3, DQuat, DVec3};
 use numpy::{PyArrayDyn, PyReadonlyArray2};
 use pyo3::{exceptions::PyValueError, prelude::*};
@@ -11,39 +13,45 @@ use pyo3::{exceptions::PyValueError, prelude::*};
 /// Step of the central differences, in distances and radians.
 const DIFFERENCE: f64 = 1e-5;
 /// Longest step, in distances and radians.
-const LONGEST: f64 = 0.25;
+const MAX_STEP: f64 = 0.25;
 /// Ends when a step is shorter, in distances and radians.
-const SHORTEST: f64 = 1e-7;
+const CONVERGED: f64 = 1e-7;
 /// Damping at first, and its bounds.
 const DAMPING: f64 = 1e-3;
-const LEAST_DAMPING: f64 = 1e-9;
-const MOST_DAMPING: f64 = 1e6;
+const MIN_DAMPING: f64 = 1e-9;
+const MAX_DAMPING: f64 = 1e6;
 /// Residuals: force, torque, and what the pose has changed.
 const RESIDUALS: usize = 12;
 
-/// What is wanted of the magnet.
+/// `vrcaps.actuation.magnet_pose_solver.WrenchTarget`.
 #[derive(FromPyObject)]
-pub struct Wanted {
+pub struct WrenchTarget {
     /// Force [N] in the world.
     force: [f64; 3],
     /// Torque [N·m] in the world.
     torque: [f64; 3],
-    /// What a newton too much or too little counts, by direction [1/N].
+    /// Weight of the force error, by direction [1/N].
     force_weight: [[f64; 3]; 3],
-    /// What a newton metre counts [1/(N·m)].
+    /// Weight of the torque error [1/(N·m)].
     torque_weight: f64,
-    /// What counts a change by the distance to the capsule, or by a radian.
-    stay: f64,
-    /// Corners of the box for the magnet's centre [m].
+    /// Weight of moving the magnet by its distance to the capsule, or turning it by a radian.
+    motion_weight: f64,
+}
+
+/// `vrcaps.actuation.magnet_pose_solver.Workspace`.
+#[derive(FromPyObject)]
+pub struct Workspace {
+    /// Corners of the box for the magnet's center [m].
     low: [f64; 3],
     high: [f64; 3],
     /// Least distance from the capsule [m].
-    apart: f64,
+    min_distance: f64,
 }
 
 /// A problem to solve: the magnet that moves, all that stays.
 struct Problem<'a> {
-    wanted: &'a Wanted,
+    target: &'a WrenchTarget,
+    workspace: &'a Workspace,
     weight: DMat3,
     magnets: &'a [InternalMagnet],
     position: DVec3,
@@ -56,7 +64,7 @@ struct Problem<'a> {
 }
 
 /// Force, torque, and the residuals of a pose.
-struct Tried {
+struct Trial {
     wrench: Wrench,
     residuals: [f64; RESIDUALS],
     cost: f64,
@@ -85,27 +93,28 @@ impl Problem<'_> {
         sum
     }
 
-    fn try_out(&self, source: &mut Source, pose: (DVec3, DMat3)) -> Tried {
+    fn evaluate(&self, source: &mut Source, pose: (DVec3, DMat3)) -> Trial {
         let wrench = self.wrench(source, pose);
-        let force = self.weight * (wrench.force - DVec3::from(self.wanted.force));
-        let torque = self.wanted.torque_weight * (wrench.torque - DVec3::from(self.wanted.torque));
-        let way = self.wanted.stay / self.scale * (pose.0 - self.start.0);
-        let bend = self.wanted.stay * (pose.1.z_axis - self.start.1.z_axis);
+        let force = self.weight * (wrench.force - DVec3::from(self.target.force));
+        let torque = self.target.torque_weight * (wrench.torque - DVec3::from(self.target.torque));
+        let way = self.target.motion_weight / self.scale * (pose.0 - self.start.0);
+        let bend = self.target.motion_weight * (pose.1.z_axis - self.start.1.z_axis);
         let mut residuals = [0.0; RESIDUALS];
         for (k, part) in [force, torque, way, bend].iter().enumerate() {
             part.write_to_slice(&mut residuals[3 * k..]);
         }
-        Tried { wrench, residuals, cost: residuals.iter().map(|r| r * r).sum() }
+        Trial { wrench, residuals, cost: residuals.iter().map(|r| r * r).sum() }
     }
 
     /// Into the box, and away from the capsule.
-    fn admitted(&self, (position, rotation): (DVec3, DMat3)) -> (DVec3, DMat3) {
-        let (low, high) = (DVec3::from(self.wanted.low), DVec3::from(self.wanted.high));
+    fn clamp(&self, (position, rotation): (DVec3, DMat3)) -> (DVec3, DMat3) {
+        let (low, high) = (DVec3::from(self.workspace.low), DVec3::from(self.workspace.high));
         let mut place = position.clamp(low, high);
         let away = place - self.position;
         let distance = away.length();
-        if distance > 0.0 && distance < self.wanted.apart {
-            place = (self.position + self.wanted.apart / distance * away).clamp(low, high);
+        if distance > 0.0 && distance < self.workspace.min_distance {
+            place =
+                (self.position + self.workspace.min_distance / distance * away).clamp(low, high);
         }
         (place, rotation)
     }
@@ -118,7 +127,7 @@ impl Problem<'_> {
             let mut side = |sign: f64| {
                 let mut change = [0.0; 6];
                 change[k] = sign * DIFFERENCE;
-                self.try_out(source, moved(pose, &change, self.scale)).residuals
+                self.evaluate(source, moved(pose, &change, self.scale)).residuals
             };
             let (after, before) = (side(1.0), side(-1.0));
             for i in 0..RESIDUALS {
@@ -130,24 +139,24 @@ impl Problem<'_> {
 
     /// Levenberg and Marquardt's method within the box; a coordinate at its bound that would leave
     /// is held there.
-    fn solve(&self, source: &mut Source, rounds: usize) -> ((DVec3, DMat3), Tried) {
-        let mut pose = self.admitted(self.start);
-        let mut best = self.try_out(source, pose);
+    fn solve(&self, source: &mut Source, max_iterations: usize) -> ((DVec3, DMat3), Trial) {
+        let mut pose = self.clamp(self.start);
+        let mut best = self.evaluate(source, pose);
         let mut damping = DAMPING;
-        for _ in 0..rounds {
-            let slopes = self.held(self.slopes(source, pose), &best, pose.0);
+        for _ in 0..max_iterations {
+            let slopes = self.hold_bounds(self.slopes(source, pose), &best, pose.0);
             let mut found = false;
-            while !found && damping < MOST_DAMPING {
+            while !found && damping < MAX_DAMPING {
                 let change = step(&slopes, &best.residuals, damping);
-                let next = self.admitted(moved(pose, &change, self.scale));
-                let tried = self.try_out(source, next);
+                let next = self.clamp(moved(pose, &change, self.scale));
+                let tried = self.evaluate(source, next);
                 found = tried.cost < best.cost;
                 if found {
                     let way = (next.0 - pose.0).length() / self.scale;
                     let bend = (next.1.z_axis - pose.1.z_axis).length();
                     (pose, best) = (next, tried);
-                    damping = (0.1 * damping).max(LEAST_DAMPING);
-                    if way + bend < SHORTEST {
+                    damping = (0.1 * damping).max(MIN_DAMPING);
+                    if way + bend < CONVERGED {
                         return (pose, best);
                     }
                 } else {
@@ -161,16 +170,16 @@ impl Problem<'_> {
         (pose, best)
     }
 
-    fn held(
+    fn hold_bounds(
         &self,
         mut slopes: [[f64; RESIDUALS]; 6],
-        at: &Tried,
+        at: &Trial,
         place: DVec3,
     ) -> [[f64; RESIDUALS]; 6] {
         for k in 0..3 {
             let rise: f64 = (0..RESIDUALS).map(|i| slopes[k][i] * at.residuals[i]).sum();
-            let leaves = (place[k] <= self.wanted.low[k] && rise > 0.0)
-                || (place[k] >= self.wanted.high[k] && rise < 0.0);
+            let leaves = (place[k] <= self.workspace.low[k] && rise > 0.0)
+                || (place[k] >= self.workspace.high[k] && rise < 0.0);
             if leaves {
                 slopes[k] = [0.0; RESIDUALS];
             }
@@ -179,7 +188,7 @@ impl Problem<'_> {
     }
 }
 
-/// Change of pose that the slopes and a damping give, no longer than `LONGEST`.
+/// Change of pose that the slopes and a damping give, no longer than `MAX_STEP`.
 fn step(slopes: &[[f64; RESIDUALS]; 6], residuals: &[f64; RESIDUALS], damping: f64) -> [f64; 6] {
     let dot = |a: &[f64; RESIDUALS], b: &[f64; RESIDUALS]| -> f64 {
         a.iter().zip(b).map(|(a, b)| a * b).sum()
@@ -196,7 +205,7 @@ fn step(slopes: &[[f64; RESIDUALS]; 6], residuals: &[f64; RESIDUALS], damping: f
     (0..6).for_each(|k| square.0[k][k] += damping * largest);
     let change = square.solve(fall);
     let length = dot6(&change).sqrt();
-    let part = if length > LONGEST { LONGEST / length } else { 1.0 };
+    let part = if length > MAX_STEP { MAX_STEP / length } else { 1.0 };
     change.map(|c| part * c)
 }
 
@@ -205,22 +214,23 @@ fn dot6(a: &[f64; 6]) -> f64 {
 }
 
 /// Pose [4 4] of a source, force [N], torque [N·m], largest torque that the field has [N·m].
-type Aimed<'py> = (Bound<'py, PyArrayDyn<f64>>, [f64; 3], [f64; 3], f64);
+type Solution<'py> = (Bound<'py, PyArrayDyn<f64>>, [f64; 3], [f64; 3], f64);
 
 /// Pose of source `index`, near where it is, with which all sources give a body at a pose [4 4] with
 /// magnets [k 6] the wanted wrench as nearly as they can.
 #[pyfunction]
 #[allow(clippy::too_many_arguments)]
-pub fn aim_magnet<'py>(
+pub fn solve_magnet_pose<'py>(
     py: Python<'py>,
     sources: PyRef<'py, FieldSources>,
     index: usize,
     magnets: PyReadonlyArray2<'py, f64>,
     pose: PyReadonlyArray2<'py, f64>,
     start: PyReadonlyArray2<'py, f64>,
-    wanted: Wanted,
-    rounds: usize,
-) -> PyResult<Aimed<'py>> {
+    target: WrenchTarget,
+    workspace: Workspace,
+    max_iterations: usize,
+) -> PyResult<Solution<'py>> {
     let magnets = internal_magnets(&magnets)?;
     let (turn, position) = read_pose(&pose)?;
     let start = read_pose(&start)?;
@@ -231,16 +241,17 @@ pub fn aim_magnet<'py>(
     }
     let mut source = others.remove(index);
     let problem = Problem {
-        wanted: &wanted,
-        weight: DMat3::from_cols_array_2d(&wanted.force_weight).transpose(),
+        target: &target,
+        workspace: &workspace,
+        weight: DMat3::from_cols_array_2d(&target.force_weight).transpose(),
         magnets: &magnets,
         position,
         rotation,
         others: wrench(&others, &magnets, position, rotation),
         start: (start.1, start.0),
-        scale: (start.1 - position).length().max(wanted.apart),
+        scale: (start.1 - position).length().max(workspace.min_distance),
     };
-    let ((place, turned), best) = problem.solve(&mut source, rounds);
+    let ((place, turned), best) = problem.solve(&mut source, max_iterations);
     let rows = array(py, &[4, 4], pose_rows(&turned, place).to_vec())?;
     let (force, torque) = (best.wrench.force.to_array(), best.wrench.torque.to_array());
     Ok((rows, force, torque, best.wrench.hold))

@@ -1,6 +1,6 @@
 //! A chain of turning joints by Denavit and Hartenberg's parameters, in Craig's convention.
 
-use super::handle::pose_rows;
+use crate::poses::pose_rows;
 use glam::{DMat3, DVec3};
 
 /// A rigid pose: p ↦ rotation p + position.

@@ -1,11 +1,11 @@
-//! An arm that leads its magnet to a pose within the limits of its joints:
+//! Robot arm that moves its magnet to a pose within the limits of its joints:
 //! `vrcaps.actuation.robot_actuator`.
 
-use super::arm::{array, pose};
-use super::carrier::ArmCarrier;
-use super::chain::Pose;
-use super::handle::rows;
-use super::turn::{rotation_vector, turned};
+use super::arm_chain::{array, pose};
+use super::arm_with_payload::ArmWithPayload;
+use super::kinematic_chain::Pose;
+use super::rotation::{rotate, rotation_vector};
+use crate::poses::rows;
 use glam::DVec3;
 use numpy::{PyArrayDyn, PyReadonlyArray2};
 use pyo3::{exceptions::PyValueError, prelude::*};
@@ -13,11 +13,11 @@ use pyo3::{exceptions::PyValueError, prelude::*};
 /// Sine of an angle below which a direction along the magnet's axis says nothing about its turn.
 const UPRIGHT: f64 = 0.2;
 /// How far ahead on its way the arm looks [m, rad].
-const FARTHEST: f64 = 0.03;
-const MOST_TURN: f64 = 0.3;
+const MAX_STEP: f64 = 0.03;
+const MAX_ROTATION: f64 = 0.3;
 /// Ways [m, rad] that are tried where a pose ahead is out of reach.
-const NEARER: [(f64, f64); 2] = [(8e-3, 0.08), (2e-3, 0.02)];
-/// How far out of the room the joints may lead the magnet on its way [m].
+const SHORT_STEPS: [(f64, f64); 2] = [(8e-3, 0.08), (2e-3, 0.02)];
+/// How far out of the workspace the joints may lead the magnet on its way [m].
 const SLACK: f64 = 5e-3;
 /// Angles farther than this from those of now [rad] are on another branch.
 const JUMP: f64 = 0.5;
@@ -33,8 +33,8 @@ struct Limits {
 
 /// What Python holds of it.
 #[pyclass(module = "vrcaps._core")]
-pub struct ArmHolder {
-    carrier: ArmCarrier,
+pub struct RobotActuator {
+    robot: ArmWithPayload,
     home: Vec<f64>,
     limits: Vec<Limits>,
     /// Corners of the box for the magnet's centre [m].
@@ -47,7 +47,7 @@ pub struct ArmHolder {
 }
 
 /// The magnet and the joints at one instant.
-struct Held {
+struct State {
     magnet: Pose,
     velocity: Vec<f64>,
     angles: Vec<f64>,
@@ -55,29 +55,29 @@ struct Held {
 
 /// The goal, or where the way there begins if it is far.
 fn part_way(start: &Pose, goal: &Pose) -> Pose {
-    let way = (goal.position - start.position).clamp_length_max(FARTHEST);
+    let way = (goal.position - start.position).clamp_length_max(MAX_STEP);
     let turn = rotation_vector(goal.rotation * start.rotation.transpose());
-    let is_far = turn.length() > MOST_TURN;
-    let part = || turned(turn.clamp_length_max(MOST_TURN), start.rotation);
+    let is_far = turn.length() > MAX_ROTATION;
+    let part = || rotate(turn.clamp_length_max(MAX_ROTATION), start.rotation);
     Pose { position: start.position + way, rotation: if is_far { part() } else { goal.rotation } }
 }
 
 /// A pose on the way to a goal: the magnet moved and its axis turned by `most` [m, rad] of it.
-fn nearer(start: &Pose, goal: &Pose, most: (f64, f64)) -> Pose {
+fn short_step(start: &Pose, goal: &Pose, most: (f64, f64)) -> Pose {
     let way = (goal.position - start.position).clamp_length_max(most.0);
     let (from, to) = (start.rotation.z_axis, goal.rotation.z_axis);
     let axis = from.cross(to);
     let sine = axis.length();
     let angle = sine.atan2(from.dot(to)).min(most.1);
-    let rotation = turned(axis * (angle / sine.max(1e-12)), start.rotation);
+    let rotation = rotate(axis * (angle / sine.max(1e-12)), start.rotation);
     Pose { position: start.position + way, rotation }
 }
 
-impl ArmHolder {
+impl RobotActuator {
     /// The pose, turned about the magnet's axis until the flange points where it is to; where that
     /// is along the axis, it points as it does now.
-    fn roll(&self, goal: &Pose, now: &Pose) -> Pose {
-        let (axis, flange) = (goal.rotation.z_axis, self.carrier.flange_along());
+    fn align(&self, goal: &Pose, now: &Pose) -> Pose {
+        let (axis, flange) = (goal.rotation.z_axis, self.robot.flange_along());
         let across = |v: DVec3| v - axis * axis.dot(v);
         let (from, mut to) = (across(goal.rotation * flange), across(self.along));
         if to.length() < UPRIGHT {
@@ -87,10 +87,10 @@ impl ArmHolder {
             return *goal;
         }
         let angle = axis.dot(from.cross(to)).atan2(from.dot(to));
-        Pose { rotation: turned(angle * axis, goal.rotation), ..*goal }
+        Pose { rotation: rotate(angle * axis, goal.rotation), ..*goal }
     }
 
-    /// How far a place is out of the room [m].
+    /// How far a place is out of the workspace [m].
     fn outside(&self, place: DVec3) -> f64 {
         (place - place.clamp(self.low, self.high)).length()
     }
@@ -125,48 +125,49 @@ impl ArmHolder {
         (self.speeds.0 / way.max(1e-9)).min(self.speeds.1 / turn.max(1e-9))
     }
 
-    /// What is in the way of angles; `out` is how far the magnet is out of the room now [m].
+    /// What is in the way of angles; `out` is how far the magnet is out of the workspace now [m].
     fn blocked(&self, frames: &[Pose], out: f64) -> Option<&'static str> {
-        let (own, table) = self.carrier.gaps(frames);
-        // On the way from one pose in the room to another the joints may lead the magnet out of it.
-        let next = self.outside(self.carrier.magnet(frames).position);
+        let (own, table) = self.robot.gaps(frames);
+        // On the way from one pose in the workspace to another the joints may lead the magnet out of it.
+        let next = self.outside(self.robot.magnet(frames).position);
         match own.min(table) < 0.0 {
-            true => Some("touch"),
-            false => (next > SLACK && next > out).then_some("room"),
+            true => Some("collision"),
+            false => (next > SLACK && next > out).then_some("workspace"),
         }
     }
 
     /// The joints a time `dt` [s] later at given speeds.
-    fn at(&self, held: &Held, velocity: Vec<f64>, dt: f64, frames: &mut Vec<Pose>) -> Held {
-        let angles: Vec<f64> = held.angles.iter().zip(&velocity).map(|(q, v)| q + dt * v).collect();
-        self.carrier.arm.chain.frames(&angles, frames);
-        Held { magnet: self.carrier.magnet(frames), velocity, angles }
+    fn at(&self, state: &State, velocity: Vec<f64>, dt: f64, frames: &mut Vec<Pose>) -> State {
+        let angles: Vec<f64> =
+            state.angles.iter().zip(&velocity).map(|(q, v)| q + dt * v).collect();
+        self.robot.arm.chain.frames(&angles, frames);
+        State { magnet: self.robot.magnet(frames), velocity, angles }
     }
 
     /// A time `dt` [s] later, on the way to a pose, and what kept it from it.
-    fn step(&self, held: &Held, goal: &Pose, dt: f64) -> (Held, &'static str) {
+    fn step(&self, state: &State, goal: &Pose, dt: f64) -> (State, &'static str) {
         let place = goal.position.clamp(self.low, self.high);
-        let mut limit = if place == goal.position { "" } else { "room" };
-        let rolled = self.roll(&Pose { position: place, ..*goal }, &held.magnet);
-        let goal = part_way(&held.magnet, &rolled);
-        let found = self.carrier.solve(&goal, &held.angles, &self.home);
+        let mut limit = if place == goal.position { "" } else { "workspace" };
+        let rolled = self.align(&Pose { position: place, ..*goal }, &state.magnet);
+        let goal = part_way(&state.magnet, &rolled);
+        let found = self.robot.solve(&goal, &state.angles, &self.home);
         let far = |(a, b): (&f64, &f64)| (a - b).abs() > JUMP;
-        let near = found.filter(|found| !found.iter().zip(&held.angles).any(far));
-        limit = if near.is_some() { limit } else { "reach" };
-        let wanted = near.unwrap_or_else(|| held.angles.clone());
-        let way: Vec<f64> = wanted.iter().zip(&held.angles).map(|(w, q)| w - q).collect();
-        let velocity = self.velocity(&way, &held.velocity, dt, self.share(&held.magnet, &goal));
-        let (mut frames, out) = (Vec::new(), self.outside(held.magnet.position));
-        let next = self.at(held, velocity, dt, &mut frames);
+        let near = found.filter(|found| !found.iter().zip(&state.angles).any(far));
+        limit = if near.is_some() { limit } else { "unreachable" };
+        let wanted = near.unwrap_or_else(|| state.angles.clone());
+        let way: Vec<f64> = wanted.iter().zip(&state.angles).map(|(w, q)| w - q).collect();
+        let velocity = self.velocity(&way, &state.velocity, dt, self.share(&state.magnet, &goal));
+        let (mut frames, out) = (Vec::new(), self.outside(state.magnet.position));
+        let next = self.at(state, velocity, dt, &mut frames);
         let blocked = self.blocked(&frames, out).or_else(|| {
             let joints = next.angles.iter().zip(&next.velocity).zip(&self.limits);
             let stop = joints.map(|((q, v), l)| q + 0.5 * v * v.abs() / Self::acceleration(l, dt));
-            self.carrier.arm.chain.frames(&stop.collect::<Vec<_>>(), &mut frames);
+            self.robot.arm.chain.frames(&stop.collect::<Vec<_>>(), &mut frames);
             self.blocked(&frames, out)
         });
         if let Some(blocked) = blocked {
-            let brake = self.velocity(&vec![0.0; way.len()], &held.velocity, dt, f64::INFINITY);
-            return (self.at(held, brake, dt, &mut frames), blocked);
+            let brake = self.velocity(&vec![0.0; way.len()], &state.velocity, dt, f64::INFINITY);
+            return (self.at(state, brake, dt, &mut frames), blocked);
         }
         let is_late = wanted.iter().zip(&next.angles).any(|(w, q)| (w - q).abs() > LATE);
         (next, if limit.is_empty() && is_late { "speed" } else { limit })
@@ -174,13 +175,13 @@ impl ArmHolder {
 
     /// The same, in small steps if need be: near a joint's limit the others move far for a little of
     /// the magnet's way, and a pose ahead may be too far for them where one on the way is not.
-    fn go(&self, held: &Held, goal: &Pose, dt: f64) -> (Held, &'static str) {
-        let mut moved = self.step(held, goal, dt);
-        for most in NEARER {
-            if moved.1 != "reach" {
+    fn go(&self, state: &State, goal: &Pose, dt: f64) -> (State, &'static str) {
+        let mut moved = self.step(state, goal, dt);
+        for most in SHORT_STEPS {
+            if moved.1 != "unreachable" {
                 break;
             }
-            moved = self.step(held, &nearer(&held.magnet, goal, most), dt);
+            moved = self.step(state, &short_step(&state.magnet, goal, most), dt);
         }
         moved
     }
@@ -195,42 +196,42 @@ type Moved<'py> = (
 );
 
 #[pymethods]
-impl ArmHolder {
-    /// Joints as rows of home angle, largest speed, acceleration and jerk; the room's corners [m];
+impl RobotActuator {
+    /// Joints as rows of home angle, largest speed, acceleration and jerk; the workspace's corners [m];
     /// where the flange is to point; largest speeds of the magnet [m/s, rad/s].
     #[new]
     fn new(
-        carrier: PyRef<'_, ArmCarrier>,
+        robot: PyRef<'_, ArmWithPayload>,
         joints: PyReadonlyArray2<'_, f64>,
-        room: ([f64; 3], [f64; 3]),
+        workspace: ([f64; 3], [f64; 3]),
         along: [f64; 3],
         speeds: (f64, f64),
     ) -> PyResult<Self> {
         let joints = rows(&joints, 4)?;
         let limits = |j: &[f64]| Limits { speed: j[1], acceleration: j[2], jerk: j[3] };
-        Ok(ArmHolder {
-            carrier: carrier.clone(),
+        Ok(RobotActuator {
+            robot: robot.clone(),
             home: joints.chunks_exact(4).map(|j| j[0]).collect(),
             limits: joints.chunks_exact(4).map(limits).collect(),
-            low: room.0.into(),
-            high: room.1.into(),
+            low: workspace.0.into(),
+            high: workspace.1.into(),
             along: along.into(),
             speeds,
         })
     }
 
     /// The pose [4 4], turned about the magnet's axis until the flange points where it is to.
-    fn rolled<'py>(
+    fn align_flange<'py>(
         &self,
         py: Python<'py>,
         goal: PyReadonlyArray2<'py, f64>,
     ) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
         let goal = pose(&rows(&goal, 4)?);
-        array(py, &[4, 4], self.roll(&goal, &goal).rows().to_vec())
+        array(py, &[4, 4], self.align(&goal, &goal).rows().to_vec())
     }
 
     /// The magnet a time `dt` [s] later, on its way from a pose [4 4] to another.
-    fn move_on<'py>(
+    fn move_towards<'py>(
         &self,
         py: Python<'py>,
         magnet: PyReadonlyArray2<'py, f64>,
@@ -242,8 +243,8 @@ impl ArmHolder {
         if angles.len() != self.limits.len() || velocity.len() != self.limits.len() {
             return Err(PyValueError::new_err("One angle and one speed a joint are needed."));
         }
-        let held = Held { magnet: pose(&rows(&magnet, 4)?), velocity, angles };
-        let (next, limit) = self.go(&held, &pose(&rows(&goal, 4)?), dt);
+        let state = State { magnet: pose(&rows(&magnet, 4)?), velocity, angles };
+        let (next, limit) = self.go(&state, &pose(&rows(&goal, 4)?), dt);
         let n = next.angles.len();
         Ok((
             array(py, &[4, 4], next.magnet.rows().to_vec())?,

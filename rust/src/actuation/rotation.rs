@@ -1,6 +1,6 @@
-//! Turns of one body at a time.
+//! Rotation vectors of one body at a time.
 
-use super::handle::rows;
+use crate::poses::rows;
 use glam::{DMat3, DVec3};
 use numpy::{PyArray1, PyArray2, PyReadonlyArray2, ndarray::arr2};
 use pyo3::prelude::*;
@@ -13,7 +13,7 @@ const PARALLEL: f64 = 1e-9;
 /// A rotation, turned further by a rotation vector [rad] in the same frame.
 ///
 /// Rodrigues' formula; the result is kept orthonormal by a step of Newton's iteration.
-pub fn turned(vector: DVec3, rotation: DMat3) -> DMat3 {
+pub fn rotate(vector: DVec3, rotation: DMat3) -> DMat3 {
     let angle = vector.length();
     if angle == 0.0 {
         return rotation;
@@ -54,22 +54,21 @@ fn rotation(rows_of: &PyReadonlyArray2<'_, f64>) -> PyResult<DMat3> {
     Ok(DMat3::from_cols_slice(&flat).transpose())
 }
 
-/// See `turned`: a rotation vector [rad] and a rotation [3 3].
+/// See `rotate`: a rotation vector [rad] and a rotation [3 3].
 #[pyfunction]
-#[pyo3(name = "turned")]
-pub fn turned_rows<'py>(
+pub fn rotate_by_vector<'py>(
     py: Python<'py>,
     vector: [f64; 3],
     matrix: PyReadonlyArray2<'py, f64>,
 ) -> PyResult<Bound<'py, PyArray2<f64>>> {
-    let rows = turned(vector.into(), rotation(&matrix)?).transpose().to_cols_array_2d();
+    let rows = rotate(vector.into(), rotation(&matrix)?).transpose().to_cols_array_2d();
     Ok(PyArray2::from_owned_array(py, arr2(&rows)))
 }
 
 /// See `rotation_vector`: of a rotation [3 3].
 #[pyfunction]
 #[pyo3(name = "rotation_vector")]
-pub fn vector_of<'py>(
+pub fn rotation_vector_rows<'py>(
     py: Python<'py>,
     matrix: PyReadonlyArray2<'py, f64>,
 ) -> PyResult<Bound<'py, PyArray1<f64>>> {

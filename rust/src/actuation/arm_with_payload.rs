@@ -1,9 +1,9 @@
 //! An arm with a magnet at its flange, beside a table: `vrcaps.actuation.arm.arm_with_payload`.
 
-use super::arm::{ArmChain, array, pose};
-use super::capsules::Obstacles;
-use super::chain::Pose;
-use super::handle::rows;
+use super::arm_chain::{ArmChain, array, pose};
+use super::kinematic_chain::Pose;
+use super::link_capsules::Obstacles;
+use crate::poses::rows;
 use glam::DVec3;
 use numpy::{PyArrayDyn, PyReadonlyArray2};
 use pyo3::prelude::*;
@@ -11,7 +11,7 @@ use pyo3::prelude::*;
 /// What Python holds of it.
 #[pyclass(module = "vrcaps._core")]
 #[derive(Clone)]
-pub struct ArmCarrier {
+pub struct ArmWithPayload {
     /// The arm, with a capsule that holds the magnet.
     pub arm: ArmChain,
     /// The links alone, which keep off the table: against it the magnet is a cylinder.
@@ -25,7 +25,7 @@ pub struct ArmCarrier {
     table: Option<f64>,
 }
 
-impl ArmCarrier {
+impl ArmWithPayload {
     /// Pose of the magnet in the world, given the arm's frames.
     pub fn magnet(&self, frames: &[Pose]) -> Pose {
         self.base.then(&frames[frames.len() - 1]).then(&self.mount)
@@ -59,7 +59,7 @@ impl ArmCarrier {
 }
 
 #[pymethods]
-impl ArmCarrier {
+impl ArmWithPayload {
     /// An arm alone and with a capsule for the magnet, the poses [4 4] of its base in the world and
     /// of the magnet in the flange, the magnet's diameter and length [m], the table's height [m].
     #[new]
@@ -76,7 +76,7 @@ impl ArmCarrier {
         let plane = table
             .map(|height| (up.rotation * (height * DVec3::Z) + up.position, up.rotation.z_axis));
         let bare = Obstacles { pairs: vec![], table: plane, ..arm.obstacles.clone() };
-        Ok(ArmCarrier { arm: loaded.clone(), bare, base, mount, size, table })
+        Ok(ArmWithPayload { arm: loaded.clone(), bare, base, mount, size, table })
     }
 
     /// Least distances [k 2] of links and magnet to each other, and to the table, for angles [k n].

@@ -1,6 +1,6 @@
 //! Collision of an arm with itself and with a table: each link is a few capsules.
 
-use super::chain::Pose;
+use super::kinematic_chain::Pose;
 use glam::DVec3;
 
 /// A line segment with a radius, fixed to a frame of the arm.

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps._core import advance_reference
+from vrcaps import _core
 from vrcaps.actuation.capsule_target import CapsuleTarget
 from vrcaps.actuation.magnet_actuator import ActuatorState, MagnetActuator
 from vrcaps.actuation.magnet_pose_solver import MagnetPoseSolver, WrenchTarget
@@ -190,27 +190,18 @@ class MagnetController:
         the supported weight, and the integrated torque. Away from the reference the field itself
         holds the capsule, faster than any control loop.
         """
-        gains = self.gains
         T = world.T_world_capsule
-        axes = target.controlled_axes
-        self._reference, T_reference, error, rotation, angle, is_on_wrong_wall = advance_reference(
-            self._reference, T, world.contact_force_world, target, gains, dt
+        self._reference, T_reference, error, rotation, angle, is_on_wrong_wall = (
+            _core.advance_reference(
+                self._reference, T, world.contact_force_world, target, self.gains, dt
+            )
         )
         supported = self._weight + self._wall_force(target) * self._reference[2]
-        stiffness = max(length(supported), 0.05) / math.dist(T[:3, 3], self._requested[:3, 3])
-        offset = clamp_norm(error, gains.lookahead)
-        pull = stiffness * (offset + 2.0 * float(offset @ T[:3, 2]) * T[:3, 2])
-        self._update_stall_time(length(error) / gains.lookahead, dt)
-        damping = 2.0 * gains.damping_ratio * math.sqrt(stiffness * self.model.device.mass)
-        velocity = axes @ world.velocity_world[0]
-        activity = self._activity(length(velocity), dt)
-        force, torque = self._integrate(activity * pull, self._max_torque * rotation, dt)
-        feedback = activity * (gains.proportional_gain * pull - damping * velocity)
-        # More than the supported force would need large movements of the magnet.
-        limit = min(gains.max_force, length(supported))
-        required = clamp_norm(feedback + force, limit) + supported
+        force = self._control_law(world, target, supported, error, dt)
+        torque = self._integrate_torque(self._max_torque * rotation, dt)
+        axes = target.controlled_axes
         weights = _OTHER_WEIGHT + (_CONTROLLED_WEIGHT - _OTHER_WEIGHT) * axes
-        wrench = WrenchTarget(required.tolist(), torque.tolist(), weights.tolist(), _TORQUE_WEIGHT)
+        wrench = WrenchTarget(force.tolist(), torque.tolist(), weights.tolist(), _TORQUE_WEIGHT)
         solution = self._solver.solve(
             wrench, T_reference, self._requested, max_iterations=_ITERATIONS
         )
@@ -219,13 +210,14 @@ class MagnetController:
         state = self.actuator.move(
             self.status.actuator, self._around_capsule(T, length(supported)), dt
         )
-        missing = length(axes @ (required - solution.force))
+        self._update_stall_time(length(error) / self.gains.lookahead, dt)
+        missing = length(axes @ (force - solution.force))
         lost = self._why_lost(
             world.field_angle(T),
             is_on_wrong_wall=is_on_wrong_wall,
-            is_weak=missing > 0.01 + 0.25 * length(required),
+            is_weak=missing > 0.01 + 0.25 * length(force),
         )
-        self.status = ControllerStatus(state, error, angle, required, solution.force, lost)
+        self.status = ControllerStatus(state, error, angle, force, solution.force, lost)
         return self._command(state)
 
     def jog(
@@ -334,18 +326,40 @@ class MagnetController:
         else:
             self._stall_time = max(0.0, self._stall_time + (dt if lag > _LAGS else -dt))
 
-    def _integrate(
-        self, force: Float[np.ndarray, " 3"], torque: Float[np.ndarray, " 3"], dt: float
-    ) -> Float[np.ndarray, "2 3"]:
-        """Integral terms of force and torque, within their limits."""
+    def _control_law(
+        self,
+        world: World,
+        target: CapsuleTarget,
+        supported: Float[np.ndarray, " 3"],
+        error: Float[np.ndarray, " 3"],
+        dt: float,
+    ) -> Float[np.ndarray, " 3"]:
+        """Required force [N]: supported force and feedback of the position error [m]."""
         gains = self.gains
+        T = world.T_world_capsule
+        stiffness = max(length(supported), 0.05) / math.dist(T[:3, 3], self._requested[:3, 3])
+        offset = clamp_norm(error, gains.lookahead)
+        pull = stiffness * (offset + 2.0 * float(offset @ T[:3, 2]) * T[:3, 2])
+        damping = 2.0 * gains.damping_ratio * math.sqrt(stiffness * self.model.device.mass)
+        velocity = target.controlled_axes @ world.velocity_world[0]
+        activity = self._activity(length(velocity), dt)
         self._integral[0] = clamp_norm(
-            self._integral[0] + gains.integral_gain * dt * force, gains.max_force
+            self._integral[0] + gains.integral_gain * dt * (activity * pull), gains.max_force
         )
+        feedback = activity * (gains.proportional_gain * pull - damping * velocity)
+        # More than the supported force would need large movements of the magnet.
+        limit = min(gains.max_force, length(supported))
+        return clamp_norm(feedback + self._integral[0], limit) + supported
+
+    def _integrate_torque(
+        self, torque: Float[np.ndarray, " 3"], dt: float
+    ) -> Float[np.ndarray, " 3"]:
+        """Integral term of the torque [N·m], within its limit."""
+        gains = self.gains
         self._integral[1] = clamp_norm(
             self._integral[1] + gains.torque_integral_gain * dt * torque, gains.max_torque
         )
-        return self._integral
+        return self._integral[1]
 
     def _why_lost(
         self, angle: float, *, is_on_wrong_wall: bool = False, is_weak: bool = False

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps._core import solve_magnet_pose
+from vrcaps import _core
 from vrcaps.errors import InputError, require
 from vrcaps.magnet.field import SourceSet
 from vrcaps.magnet.internal import InternalMagnet, magnet_rows
@@ -157,7 +157,7 @@ class MagnetPoseSolver:
             start: Initial pose of the magnet; its rotation about its own axis is kept.
             max_iterations: Largest number of iterations.
         """
-        pose, force, torque, max_torque = solve_magnet_pose(
+        pose, force, torque, max_torque = _core.solve_magnet_pose(
             self.sources.core,
             self._index,
             self._rows,

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     import numpy as np
     from jaxtyping import Float
 
-    from vrcaps.actuation.magnet_controller import Steered
+    from vrcaps.actuation.magnet_controller import ControllerStatus
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class Command:
     insufflation: float
     T_world_patient: Float[np.ndarray, "4 4"]
     phase: int = 0
-    controller: Steered | None = None
+    controller: ControllerStatus | None = None
 
 
 @dataclass(frozen=True)

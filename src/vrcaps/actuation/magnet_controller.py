@@ -27,25 +27,28 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
 _CONTROLLED_WEIGHT = 200.0 * np.eye(3)
-"""Weight of a force error in a controlled direction [1/N]: 5 mN count as much as…"""
+"""Weight of a force error in a controlled direction [1/N]."""
 _OTHER_WEIGHT = 40.0 * np.eye(3)
-"""…25 mN in another direction, and…"""
+"""Weight of a force error in any other direction [1/N]."""
 _TORQUE_WEIGHT = 4000.0
-"""…0.25 mN·m [1/(N·m)]."""
+"""Weight of a torque error [1/(N·m)]: 0.25 mN·m weigh as much as 5 mN in a controlled direction."""
 _MISALIGNED = 60.0 * DEG
+"""Angle between moment and field beyond which the capsule is lost."""
 _SLIDING_SPEED = 4.0 * CM
-"""A capsule that slides faster than this [m/s] is left to the field…"""
+"""Speed [m/s] beyond which a capsule is left to the field: the magnet is slower than the slide and
+would only disturb it."""
 _SLIDING_DECAY = 0.3
-"""…until its speed has decayed for a time [s]: the magnet, slower than the slide, would only
-disturb it."""
+"""Time constant with which the memory of a slide decays [s]."""
 _FOLLOWS = 0.5
-"""Distance from the reference, in lookaheads, within which the capsule follows…"""
+"""Distance from the reference, in lookaheads, within which a capsule follows."""
 _LAGS = 0.9
-"""…and beyond which it lags."""
+"""Distance from the reference, in lookaheads, beyond which a capsule lags."""
 _MAX_PULL = 4.0
-"""Largest pull along the magnet's axis, by the supported force."""
+"""Largest pull along the magnet's axis, in multiples of the supported force."""
 _FIRST_ITERATIONS = 60
+"""Largest number of solver iterations for the first pose."""
 _ITERATIONS = 8
+"""Largest number of solver iterations in a control step."""
 
 
 @dataclass(frozen=True)

@@ -22,10 +22,10 @@ if TYPE_CHECKING:
 _TOLERANCE = 3.0 * MM
 """Distance from the reference, at the target, within which a capsule has arrived."""
 _SETTLING_TIME = 1.0
-"""Time [s] for which it must stay there. A capsule that lies on another wall for this long is
-brought back…"""
+"""Time [s] for which a capsule must stay at the target. A capsule that lies on another wall for as
+long is brought back."""
 _RECOVERY_TIMEOUT = 8.0
-"""…for at most this long [s]."""
+"""Longest time [s] for which a capsule on another wall is brought back."""
 
 
 class PointToPointPlanner:

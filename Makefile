@@ -1,4 +1,4 @@
-# `make demo` records a labelled run, `make test` passes every test; each sets up what it needs.
+# `make demo` records a labelled run, `make test` runs all tests; each sets up what it needs.
 # The environment is .venv in this checkout, so the command is .venv/bin/vrcaps.
 
 VENV := .venv
@@ -17,13 +17,15 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 export PYO3_PYTHON := $(CURDIR)/$(BIN)/python
 export PYO3_BUILD_EXTENSION_MODULE := 1
 
-.PHONY: help demo test check bench wheel constraints clean
+.PHONY: help demo test test-fast check docs bench wheel constraints clean
 .DELETE_ON_ERROR:
 
 help:
 	@echo "make demo   record a labelled run through a generated colon into runs/demo"
 	@echo "make test   run all tests"
+	@echo "make test-fast  run the tests that are not marked slow, in under a minute"
 	@echo "make check  lint, format and type checks"
+	@echo "make docs   build the documentation site into site"
 	@echo "make bench  measure vrcaps and its peers, write the tables"
 	@echo "make wheel  build a wheel into dist and try it in a clean environment"
 	@echo "make constraints  pin the newest versions of all dependencies in constraints.txt"
@@ -36,12 +38,19 @@ test: $(VENV)/.stamp-dev
 	$(BIN)/python -m pytest -n 2
 	cargo test --quiet --manifest-path rust/Cargo.toml
 
+test-fast: $(VENV)/.stamp-dev
+	$(BIN)/python -m pytest -n 2 -m 'not slow and not wheel'
+
 check: $(VENV)/.stamp-dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/pyright
 	cargo fmt --manifest-path rust/Cargo.toml --check
 	cargo clippy --quiet --manifest-path rust/Cargo.toml --all-targets -- -D warnings
+
+docs: $(VENV)/.stamp-docs
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet
+	@echo "Open site/index.html"
 
 bench: $(VENV)/.stamp-dev
 	$(BIN)/vrcaps bench render --out docs/benchmarks.md
@@ -55,13 +64,13 @@ wheel: $(VENV)/.stamp-dev
 	$(BIN)/python -m pytest tests/test_packaging.py -m wheel
 
 constraints: $(VENV)/.stamp-dev
-	$(BIN)/python -m pip install --quiet --upgrade --upgrade-strategy eager --editable '.[dev]'
+	$(BIN)/python -m pip install --quiet --upgrade --upgrade-strategy eager --editable '.[dev,docs]'
 	head -1 constraints.txt > constraints.new
 	$(BIN)/python -m pip freeze --exclude-editable >> constraints.new
 	mv constraints.new constraints.txt
 
 clean:
-	rm -rf $(VENV) dist rust/target src/vrcaps/_core*.so
+	rm -rf $(VENV) dist site rust/target src/vrcaps/_core*.so
 
 $(VENV)/.stamp-venv:
 	$(if $(PYTHON),,$(error Python 3.11 or newer is needed and was not found. On Debian: apt install python3.11 python3.11-venv))
@@ -87,4 +96,9 @@ $(VENV)/.stamp-run: $(VENV)/.stamp-venv $(SOURCES)
 $(VENV)/.stamp-dev: $(VENV)/.stamp-venv $(SOURCES)
 	@echo "Building and installing vrcaps with its development tools"
 	@$(INSTALL) --editable '.[dev]'
+	@touch $(VENV)/.stamp-run $@
+
+$(VENV)/.stamp-docs: $(VENV)/.stamp-venv $(SOURCES)
+	@echo "Building and installing vrcaps with what its documentation needs"
+	@$(INSTALL) --editable '.[docs]'
 	@touch $(VENV)/.stamp-run $@

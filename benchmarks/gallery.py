@@ -205,7 +205,7 @@ SHEETS = (
     ),
     Sheet(
         *("full-tract", "From duodenum to rectum", "The whole tract, one wall; patient 1."),
-        _record("--organ gi --patient 1 --frames 600"),
+        _record("--organ full-tract --patient 1 --frames 600"),
         of_tract,
     ),
     Sheet(

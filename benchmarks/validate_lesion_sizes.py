@@ -21,6 +21,7 @@ from validation import options, table, write_section
 from vrcaps.errors import InputError
 from vrcaps.lesion import LesionPair, add_lesions, parse_lesion
 from vrcaps.lesion.base import Lesion, SizedLesion
+from vrcaps.lesion.settings import settings_of
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.units import MM
 
@@ -50,7 +51,10 @@ def largest(organ: OrganSurface, lesion: Lesion) -> tuple[Lesion, LesionPair]:
         try:
             return lesion, add_lesions(organ, [lesion], np.random.default_rng(0))
         except InputError:
-            if not isinstance(lesion, SizedLesion) or 0.9 * lesion.size < lesion.sizes[0]:
+            if not isinstance(lesion, SizedLesion):
+                raise
+            limits = settings_of(type(lesion))["size"].limits
+            if limits is None or 0.9 * lesion.size < limits.least:
                 raise
             lesion = replace(lesion, size=round(0.9 * lesion.size / MM) * MM)
 

@@ -14,7 +14,17 @@ import vrcaps
 
 LAYERS = (
     ("_core",),
-    ("units", "errors", "transforms", "color", "toml_table", "catalog_folder", "files", "geometry"),
+    (
+        "units",
+        "errors",
+        "transforms",
+        "color",
+        "limits",
+        "toml_table",
+        "catalog_folder",
+        "files",
+        "geometry",
+    ),
     ("mesh",),
     ("organ",),
     ("mucosa",),

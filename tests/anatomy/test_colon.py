@@ -166,7 +166,7 @@ def test_anatomy_lies_where_it_belongs(colon: OrganSurface):
 
 
 @pytest.mark.parametrize("name", ["caecum", "ascending", "transverse", "descending", "sigmoid"])
-def test_calibre_is_as_asked_with_folds_into_the_lumen(mean_colon: OrganSurface, name: str):
+def test_diameter_is_as_asked_with_folds_into_the_lumen(mean_colon: OrganSurface, name: str):
     segment = getattr(ColonParameters(), name)
     is_in = mean_colon.label == mean_colon.label_names.index(name)
     if name == "caecum":

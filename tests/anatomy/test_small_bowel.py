@@ -164,13 +164,13 @@ def test_after_the_widest_abdomen_the_tries_begin_anew(
     assert widths == [0, 1, 0]
 
 
-def test_fillings_differ_in_calibre_and_slack():
+def test_distensions_differ_in_diameter_and_slack():
     plain = SmallBowelParameters()
     inflated, collapsed = plain.at("inflated"), plain.at("collapsed")
     assert set(DISTENSIONS) == {"inflated", "normal", "collapsed"}
     assert 25 * MM < inflated.jejunum_diameter < 30 * MM
     assert collapsed.jejunum_diameter < 0.7 * plain.jejunum_diameter
-    assert collapsed.star > 0.2
+    assert collapsed.longitudinal_fold_depth > 0.2
     assert inflated.longitudinal_fold_depth == 0.0
 
 

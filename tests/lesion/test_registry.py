@@ -4,9 +4,11 @@ import numpy as np
 import pytest
 
 from vrcaps.errors import InputError, UnknownNameError
-from vrcaps.lesion import LESIONS, LIBRARY, Bleeding, Colitis, Location, Polyp, parse_lesion
+from vrcaps.lesion import LESIONS, Bleeding, Colitis, Location, Polyp, lesion_library, parse_lesion
 from vrcaps.lesion.structural import Stricture
 from vrcaps.units import CM, MM
+
+LIBRARY = lesion_library()
 
 
 @pytest.mark.parametrize(
@@ -51,16 +53,20 @@ def test_library_of_the_paper():
         ("polyp-Iq", UnknownNameError, "polyp-IIb, polyp-IIc, polyp-Ip, polyp-Ip-tubular to"),
         ("colitis-1-21", UnknownNameError, "colitis-1, colitis-1-01 to colitis-3-20, colitis-2"),
         ("polyp:size=12", InputError, "size is '12'. Allowed: a length such as 8mm"),
-        ("polyp:size=50mm", InputError, "Size of a polyp is 50 mm. Allowed: 2 to 30 mm"),
+        ("polyp:size=50mm", InputError, "Polyp size is 50 mm. Allowed: 2 to 30 mm"),
         ("polyp:sise=5mm", UnknownNameError, "No setting of polyp named 'sise'"),
         ("polyp:size", InputError, "Allowed: key=value"),
         ("polyp:variant=a", InputError, "Allowed: a number"),
         ("tumor-3", InputError, "tumor has no grades"),
         ("colitis-4", UnknownNameError, "No lesion named .colitis-4."),
         ("colitis:spread=E9", InputError, "Allowed: E1, E2, E3, a length such as 8mm"),
-        ("colitis:spread=5mm", InputError, "Allowed: 10 to 3000 mm"),
+        ("colitis:spread=5mm", InputError, "Allowed: E1, E2, E3, 10 to 3000 mm"),
         ("stricture:narrowing=0.99", InputError, "Allowed: 0.2 to 0.85"),
-        ("ulcer-aphthous:size=20mm", InputError, "aphthous ulcer is 20 mm"),
+        (
+            "ulcer-aphthous:size=20mm",
+            InputError,
+            "Aphthous ulcer size is 20 mm",
+        ),
     ],
 )
 def test_bad_texts(text, error, match):
@@ -69,7 +75,7 @@ def test_bad_texts(text, error, match):
 
 
 def test_bad_grades():
-    with pytest.raises(InputError, match="Mayo subscore 7"):
+    with pytest.raises(InputError, match=r"Colitis mayo is 7\. Allowed: 1, 2, 3"):
         Colitis(mayo=7)  # type: ignore[arg-type]
     with pytest.raises(InputError, match="Allowed: 1, 2, 3, 4"):
         Bleeding(severity=0)  # type: ignore[arg-type]

@@ -10,12 +10,12 @@ from vrcaps.errors import InputError
 from vrcaps.units import CM, MM
 
 if TYPE_CHECKING:
-    from vrcaps.lesion import AnyLesion
+    from vrcaps.lesion import Lesion
 
 
 def chosen_lesions(
     texts: Sequence[str], source: str | None, seed: int, organ: str
-) -> tuple[AnyLesion, ...]:
+) -> tuple[Lesion, ...]:
     """Lesions of a file or of the prevalence table, then those given one by one.
 
     Args:
@@ -35,15 +35,17 @@ def chosen_lesions(
     from vrcaps.scenario.scenario import read_lesions
 
     if source == "prevalence":
-        if organ in ORGANS and "sigmoid" not in organ_segments(organ):
+        colons = [name for name in ORGANS if "sigmoid" in organ_segments(name)]
+        if organ in ORGANS and organ not in colons:
             raise InputError(
                 f"--lesions prevalence is a table of the colon, but the organ is {organ}. Allowed "
-                "with it: colon, full-tract. Give single ones with --lesion, or your own as a file."
+                f"with it: {', '.join(colons)}. Give single ones with --lesion, or your own as a "
+                "file."
             )
-        first: tuple[Any, ...] = draw_lesions(None, np.random.default_rng([seed, 4]))
+        first: tuple[Lesion, ...] = draw_lesions(None, np.random.default_rng([seed, 4]))
     else:
         first = () if source is None else read_lesions(Path(source))
-    return (*first, *(parse_lesion(text) for text in texts))  # type: ignore[return-value]
+    return (*first, *(parse_lesion(text) for text in texts))
 
 
 def lesion_lines(records: Sequence[dict[str, Any]], length: float) -> list[str]:
@@ -55,12 +57,12 @@ def lesion_lines(records: Sequence[dict[str, Any]], length: float) -> list[str]:
     """
     lines = []
     for record in records:
-        share = record["arc_length_m"] / length
+        fraction = record["arc_length_m"] / length
         size = record["specification"].get("size")
         words = [record["kind"], record["grade"], f"of {size / MM:.1f} mm" if size else ""]
         lines.append(
             f"{record['instance']}: {' '.join(word for word in words if word)}, "
             f"{record['segment']}, {record['arc_length_m'] / CM:.1f} cm "
-            f"({share:.3f} of the centerline)"
+            f"({fraction:.3f} of the centerline)"
         )
     return lines

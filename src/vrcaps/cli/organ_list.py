@@ -3,13 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 from vrcaps.cli.console import console
-from vrcaps.units import MM
-
-if TYPE_CHECKING:
-    from vrcaps.lesion import Lesion
 
 
 @dataclass(frozen=True)
@@ -24,14 +19,14 @@ class List:
         """Print the tables."""
         from vrcaps.anatomy.catalog import DISTENSIONS, ORGANS, organ_segments
         from vrcaps.capsule.catalog import device_names, read_device
-        from vrcaps.lesion import LIBRARY
+        from vrcaps.lesion import lesion_library
         from vrcaps.mucosa.appearance import MUCOSAE
 
         usual = "colon inflated, all else normal"
         _print("organs", [(name, _words(organ_segments(name))) for name in ORGANS])
-        _print("fillings", [("--distension", f"{', '.join(DISTENSIONS)}; by default {usual}")])
-        _print("lesions, in any of them", _lesions())
-        _print(f"library of {len(LIBRARY)} lesions by name", _library())
+        _print("distension", [("--distension", f"{', '.join(DISTENSIONS)}; by default {usual}")])
+        _print("lesions, in any organ", _lesions())
+        _print(f"library of {len(lesion_library())} lesions by name", _library())
         photos = "or the folder of a texture from your photographs (vrcaps organ texture)"
         _print("mucosae", [("--mucosa", f"{', '.join(MUCOSAE)}; {photos}")])
         devices = [read_device(name) for name in device_names()]
@@ -39,7 +34,7 @@ class List:
         console.print("Next:")
         for line in (
             "vrcaps organ make stomach --seed 3                 write one as GLB, with a picture",
-            "vrcaps organ inspect full-tract --seed 3                   only the picture",
+            "vrcaps organ inspect full-tract --seed 3           only the picture",
             "vrcaps organ make colon --lesion polyp-Ip:size=12mm,segment=sigmoid",
             "vrcaps record --organ colon-0.glb --out runs/mine  record in the file written",
             "vrcaps record --organ stomach --out runs/stomach   record in a generated one",
@@ -66,43 +61,30 @@ def _words(names: tuple[str, ...]) -> str:
 
 
 def _lesions() -> list[tuple[str, str]]:
-    """Each kind with its grades as `--lesion` takes them, and the settings it has."""
-    from dataclasses import fields
-    from typing import get_args, get_type_hints
-
+    """Each kind with its grades as `--lesion` takes them, and its settings."""
     from vrcaps.lesion import LESIONS
+    from vrcaps.lesion.registry import describe_kind
+    from vrcaps.lesion.settings import settings_of
 
     rows = []
     for kind, cls in LESIONS.items():
-        grade = cls.grade_field
-        grades = get_args(get_type_hints(cls)[grade]) if grade else ()
+        grades = settings_of(cls)[cls.grade_field].words if cls.grade_field else ()
         name = f"{kind}-{'|'.join(map(str, grades))}" if grades else kind
-        # Inherited settings come first; what is a kind's own matters more.
-        settings = [f.name for f in reversed(fields(cls)) if f.name not in ("location", grade)]
-        rows.append((name, "; ".join(_setting(cls, key) for key in settings)))
-    return [*rows, ("place of each", "segment, arc_length, theta; drawn where left out")]
-
-
-def _setting(cls: type[Lesion], key: str) -> str:
-    """A setting with what it may be, where that is a list of words or a range of sizes."""
-    from typing import Literal, get_args, get_origin, get_type_hints
-
-    hint = get_type_hints(cls)[key]
-    parts = [part for part in (hint, *get_args(hint)) if get_origin(part) is Literal]
-    words = [str(word) for part in parts for word in get_args(part)]
-    sizes = getattr(cls, "sizes", None) if key == "size" else None
-    if sizes is not None:
-        return f"size {sizes[0] / MM:g} to {sizes[1] / MM:g} mm"
-    if float in get_args(hint):
-        words.append("a length")
-    return f"{key} {', '.join(words)}" if words else key
+        rows.append((name, describe_kind(cls)[1].replace("`", "")))
+    return [
+        *rows,
+        ("location of each", "segment, arc_length, theta; drawn where left out"),
+        ("variant of each", "a whole number: another lesion of the same specification"),
+    ]
 
 
 def _library() -> list[tuple[str, str]]:
     """The library's names by kind: as many as there are, from first to last."""
-    from vrcaps.lesion import LIBRARY
+    from vrcaps.lesion import LESIONS
 
-    names: dict[str, list[str]] = {}
-    for name in LIBRARY:
-        names.setdefault(name.partition("-")[0], []).append(name)
-    return [(f"{len(own)} {kind}", f"{own[0]} to {own[-1]}") for kind, own in names.items()]
+    libraries = {kind: list(cls.library()) for kind, cls in LESIONS.items()}
+    return [
+        (f"{len(names)} {kind}", f"{names[0]} to {names[-1]}")
+        for kind, names in libraries.items()
+        if names
+    ]

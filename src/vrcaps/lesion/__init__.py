@@ -1,16 +1,23 @@
-"""Lesions: real shapes and patterns put into an organ's wall, each an instance with a grade."""
+"""Lesions: real shapes and patterns put into an organ's wall, each an instance with a grade.
+
+A kind of lesion is one file that defines a subclass of `Lesion` with a `kind`, and one line here
+that imports it. The union of kinds, texts, the library, help and the tables in the docs follow.
+"""
+
+from functools import reduce
+from operator import or_
+from typing import TYPE_CHECKING
 
 from vrcaps.lesion.add import LesionPair as LesionPair
 from vrcaps.lesion.add import add_lesions as add_lesions
+from vrcaps.lesion.base import LESIONS as LESIONS
 from vrcaps.lesion.base import Lesion as Lesion
 from vrcaps.lesion.base import Location as Location
 from vrcaps.lesion.bleeding import Bleeding as Bleeding
 from vrcaps.lesion.colitis import Colitis as Colitis
 from vrcaps.lesion.polyp import Polyp as Polyp
 from vrcaps.lesion.prevalence import draw_lesions as draw_lesions
-from vrcaps.lesion.registry import LESIONS as LESIONS
-from vrcaps.lesion.registry import LIBRARY as LIBRARY
-from vrcaps.lesion.registry import AnyLesion as AnyLesion
+from vrcaps.lesion.registry import lesion_library as lesion_library
 from vrcaps.lesion.registry import parse_lesion as parse_lesion
 from vrcaps.lesion.structural import Diverticulum as Diverticulum
 from vrcaps.lesion.structural import Stricture as Stricture
@@ -19,3 +26,9 @@ from vrcaps.lesion.ulcer import Erosion as Erosion
 from vrcaps.lesion.ulcer import Ulcer as Ulcer
 from vrcaps.lesion.vascular import Angioectasia as Angioectasia
 from vrcaps.lesion.vascular import Lymphangiectasia as Lymphangiectasia
+
+if TYPE_CHECKING:
+    AnyLesion = Lesion
+else:
+    AnyLesion = reduce(or_, LESIONS.values())
+    """Any of the kinds above, for the schema of scenarios."""

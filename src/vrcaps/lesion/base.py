@@ -7,17 +7,18 @@ they vertices of the refined wall or texels, so that shape, mask and color agree
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, ClassVar, Literal, Protocol
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Protocol
 
 import numpy as np
 
-from vrcaps.errors import InputError
-from vrcaps.units import MM
+from vrcaps.lesion.settings import LENGTH, settings_of
 
 if TYPE_CHECKING:
     from jaxtyping import Float
 
+    from vrcaps.lesion.bleeding import BloodFlow
     from vrcaps.organ.surface import OrganSurface
 
 
@@ -32,7 +33,7 @@ class Location:
     """
 
     segment: str | None = None
-    arc_length: float | None = None
+    arc_length: Annotated[float, LENGTH] | None = None
     theta: float | None = None
 
 
@@ -129,9 +130,16 @@ class Form(Protocol):
         ...
 
 
+LESIONS: dict[str, type[Lesion]] = {}
+"""Kinds of lesions by name; a subclass of `Lesion` that declares its `kind` enters itself."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Lesion:
-    """A lesion's specification; each kind is a subclass.
+    """A lesion's specification; each kind is a subclass that declares its `kind`.
+
+    Limits of a number stand in its type, as in ``Annotated[float, Range(...)]``; they are checked
+    here, parsed from texts by `parse_lesion`, and listed by the command line and the docs.
 
     Attributes:
         location: Where it is; drawn at random where left open.
@@ -142,18 +150,39 @@ class Lesion:
     variant: int = 0
 
     kind: ClassVar[str]
+    """Name of the kind in texts, scenarios and records."""
     grade_field: ClassVar[str] = ""
     """Field that a name like `polyp-Ip` gives after its hyphen."""
+    grade_scale: ClassVar[str] = ""
+    """Name of the clinical scale of its grades."""
+    grade_meanings: ClassVar[Mapping[str, str]] = {}
+    """What a grade means, where its name does not say it."""
+    notes: ClassVar[Mapping[str, str]] = {}
+    """What its type does not say of a setting; under the empty name, what holds for the kind."""
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        super().__init_subclass__(**options)
+        if "kind" in cls.__dict__:
+            LESIONS[cls.kind] = cls
+
+    def __post_init__(self) -> None:
+        for name, setting in settings_of(type(self)).items():
+            setting.check(getattr(self, name), self.kind)
+
+    @classmethod
+    def library(cls) -> dict[str, Lesion]:
+        """Named lesions of this kind; each name begins with the kind and a hyphen."""
+        return {}
 
     @property
     def extent(self) -> Literal["focal", "circumferential", "flow"]:
-        """How it lies: about a center, across the lumen, or where blood runs."""
+        """How it lies: about a center, all around the lumen, or where blood flows."""
         return "focal"
 
     @property
     def grade(self) -> str:
-        """Its grade, type or subtype in words; empty for classes without any."""
-        return ""
+        """Its grade, type or subtype in words; empty for kinds without any."""
+        return str(getattr(self, self.grade_field)) if self.grade_field else ""
 
     @property
     def footprint_radius(self) -> float:
@@ -169,6 +198,11 @@ class Lesion:
     def protrusion(self) -> float:
         """How far it stands into the lumen [m]; negative for a pouch out of it."""
         return 0.0
+
+    @property
+    def flow(self) -> BloodFlow:
+        """Of a flow: its dimensions."""
+        raise NotImplementedError
 
     def form(self, site: LesionSite, rng: np.random.Generator) -> Form:
         """Draw its irregularities."""
@@ -194,30 +228,10 @@ class SizedLesion(Lesion):
 
     size: float
 
-    sizes: ClassVar[tuple[float, float]]
-    """Smallest and largest diameter [m]."""
-
-    def __post_init__(self) -> None:
-        require_range(f"Size of {self._phrase}", self.size, *self.sizes)
-
-    @property
-    def _phrase(self) -> str:
-        return f"{'an' if self.kind[0] in 'aeiou' else 'a'} {self.kind}"
-
     @property
     def footprint_radius(self) -> float:
         """Half the size [m]."""
         return 0.5 * self.size
-
-
-def require_range(what: str, value: float, low: float, high: float) -> None:
-    """Check a length in a specification.
-
-    Raises:
-        InputError: If it is out of range.
-    """
-    if not low <= value <= high:
-        raise InputError(f"{what} is {value / MM:g} mm. Allowed: {low / MM:g} to {high / MM:g} mm.")
 
 
 def smoothstep(x: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, ClassVar, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import numpy as np
 
-from vrcaps.errors import InputError
 from vrcaps.lesion.base import (
     AppearanceSample,
     Form,
@@ -36,7 +36,7 @@ _SHORE = 2.0 * MM
 
 
 @dataclass(frozen=True)
-class BleedingParameters:
+class BloodFlow:
     """Dimensions of a severity.
 
     Attributes:
@@ -57,10 +57,10 @@ class BleedingParameters:
 
 
 BLEEDING_SEVERITIES = {
-    1: BleedingParameters(7.0 * MM),
-    2: BleedingParameters(1.6 * MM, 35.0 * MM, 0.9 * MM, 0.25 * MM),
-    3: BleedingParameters(3.0 * MM, 90.0 * MM, 2.0 * MM, 0.4 * MM, 2.5 * MM, 0.4 * MM),
-    4: BleedingParameters(6.0 * MM, 160.0 * MM, 4.5 * MM, 0.6 * MM, 6.0 * MM, 1.2 * MM),
+    1: BloodFlow(7.0 * MM),
+    2: BloodFlow(1.6 * MM, 35.0 * MM, 0.9 * MM, 0.25 * MM),
+    3: BloodFlow(3.0 * MM, 90.0 * MM, 2.0 * MM, 0.4 * MM, 2.5 * MM, 0.4 * MM),
+    4: BloodFlow(6.0 * MM, 160.0 * MM, 4.5 * MM, 0.6 * MM, 6.0 * MM, 1.2 * MM),
 }
 """This project's own scale: 1 petechiae under the mucosa, 2 oozing with a trickle, 3 a flow
 that collects in the nearest hollow, 4 a broad flow, a deep pool and clots."""
@@ -78,10 +78,23 @@ class Bleeding(Lesion):
 
     kind: ClassVar[str] = "bleeding"
     grade_field: ClassVar[str] = "severity"
+    grade_meanings: ClassVar[Mapping[str, str]] = {
+        "1": "petechiae",
+        "2": "oozing",
+        "3": "streaming",
+        "4": "massive",
+    }
+    notes: ClassVar[Mapping[str, str]] = {"": "flows with gravity, so with `--posture`"}
 
-    def __post_init__(self) -> None:
-        if self.severity not in BLEEDING_SEVERITIES:
-            raise InputError(f"Bleeding of severity {self.severity}. Allowed: 1, 2, 3, 4.")
+    @classmethod
+    def library(cls) -> dict[str, Lesion]:
+        """The 40 cases of bleeding of the VR-Caps paper, 10 of each severity."""
+        severities: tuple[Any, ...] = tuple(BLEEDING_SEVERITIES)
+        return {
+            f"bleeding-{severity}-{number:02d}": cls(severity=severity, variant=number)
+            for severity in severities
+            for number in range(1, 11)
+        }
 
     @property
     def extent(self) -> Literal["focal", "flow"]:
@@ -99,15 +112,15 @@ class Bleeding(Lesion):
         return BLEEDING_SEVERITIES[self.severity].source
 
     @property
-    def parameters(self) -> BleedingParameters:
+    def flow(self) -> BloodFlow:
         """Its dimensions."""
         return BLEEDING_SEVERITIES[self.severity]
 
     def form(self, site: LesionSite, rng: np.random.Generator) -> Form:
         """Draw its irregularities."""
         if self.severity == 1:
-            return PetechiaeForm(site, self.parameters.source, rng)
-        return BleedingForm(self.parameters, site, rng)
+            return PetechiaeForm(site, self.flow.source, rng)
+        return BleedingForm(self.flow, site, rng)
 
 
 class PetechiaeForm(FocalForm):
@@ -136,31 +149,27 @@ class BleedingForm:
 
     edge_length = 1.2 * MM
 
-    def __init__(
-        self, bleed: BleedingParameters, site: LesionSite, rng: np.random.Generator
-    ) -> None:
-        self.border_length = 0.05 * bleed.width
-        self.parameters, self.site = bleed, site
+    def __init__(self, flow: BloodFlow, site: LesionSite, rng: np.random.Generator) -> None:
+        self.border_length = 0.05 * flow.width
+        self.flow, self.site = flow, site
         self._edge, self._ripple = low_pass(7.0 * MM, rng), fbm(5.0 * MM, rng)
         self._clots, self._age = low_pass(4.0 * MM, rng), fbm(9.0 * MM, rng)
 
     def _pool(self, wall: WallSamples) -> Float[np.ndarray, " n"]:
         """Depth of the pool [m], negative above it, outside its hollow or far from its bottom."""
-        if self.parameters.pool == 0.0 or self.site.bottom is None:
+        if self.flow.pool == 0.0 or self.site.bottom is None:
             return np.full(len(wall.xy), -1.0)
-        under = (wall.rest - self.site.bottom) @ self.site.down + self.parameters.pool
+        under = (wall.rest - self.site.bottom) @ self.site.down + self.flow.pool
         away = np.linalg.norm(wall.rest - self.site.bottom, axis=1)
-        shore = self.parameters.pool * (1.0 - wall.xy[:, 2] / _SHORE)
+        shore = self.flow.pool * (1.0 - wall.xy[:, 2] / _SHORE)
         return np.minimum(np.minimum(under, self.site.reach - away), shore)
 
     def _dry(self, wall: WallSamples) -> Float[np.ndarray, " n"]:
         """Distance within the source's and the flow's outline [m]."""
         wave = 1.0 + 0.22 * self._edge(wall.rest)
-        source = self.parameters.source * wave - np.linalg.norm(
-            wall.rest - self.site.center, axis=1
-        )
+        source = self.flow.source * wave - np.linalg.norm(wall.rest - self.site.center, axis=1)
         swelling = 1.0 - np.exp(-wall.xy[:, 0] / (12.0 * MM)) * 0.45
-        return np.maximum(source, self.parameters.width * wave * swelling - wall.xy[:, 1])
+        return np.maximum(source, self.flow.width * wave * swelling - wall.xy[:, 1])
 
     def signed_distance(self, wall: WallSamples) -> Float[np.ndarray, " n"]:
         """Distance within the blood's outline, or depth of the pool [m]."""
@@ -168,10 +177,10 @@ class BleedingForm:
 
     def _film(self, wall: WallSamples) -> Float[np.ndarray, " n"]:
         """Thickness of the blood outside the pool [m]."""
-        within = np.clip(self._dry(wall) / (0.7 * self.parameters.width), 0.0, 1.0)
-        clots = np.clip(self._clots(wall.rest) - 0.4, 0.0, 1.2) * self.parameters.clots
-        near = np.exp(-((wall.xy[:, 0] / (5.0 * self.parameters.source)) ** 2))
-        return np.sqrt(within) * (self.parameters.film + clots * (0.25 + 0.75 * near))
+        within = np.clip(self._dry(wall) / (0.7 * self.flow.width), 0.0, 1.0)
+        clots = np.clip(self._clots(wall.rest) - 0.4, 0.0, 1.2) * self.flow.clots
+        near = np.exp(-((wall.xy[:, 0] / (5.0 * self.flow.source)) ** 2))
+        return np.sqrt(within) * (self.flow.film + clots * (0.25 + 0.75 * near))
 
     def displaced(self, wall: WallSamples) -> Float[np.ndarray, "n 3"]:
         """Positions of the blood's surface [m].
@@ -186,7 +195,7 @@ class BleedingForm:
         free = np.maximum(reach - _OPEN, 0.0)
         surface = wall.rest + np.minimum(np.maximum(pool, 0.0) / steep, free)[:, None] * inward
         wet = smoothstep(pool / (1.0 * MM))
-        clots = np.clip(self._clots(surface) - 0.9, 0.0, 1.5) * self.parameters.clots * wet
+        clots = np.clip(self._clots(surface) - 0.9, 0.0, 1.5) * self.flow.clots * wet
         return surface + clots[:, None] * inward + (1.0 - wet)[:, None] * film
 
     def chart(self, wall: WallSamples) -> Float[np.ndarray, "n 2"]:
@@ -198,11 +207,11 @@ class BleedingForm:
     ) -> AppearanceSample:
         """Blood over the mucosa: fresh at the source, darker and clotted farther down."""
         pool = np.maximum(self._pool(wall), 0.0)
-        within = np.clip(self._dry(wall) / (0.9 * self.parameters.width), 0.0, 1.0)
+        within = np.clip(self._dry(wall) / (0.9 * self.flow.width), 0.0, 1.0)
         film = self._film(wall) * within * (0.8 + 0.35 * np.tanh(self._ripple(points)))
         thickness = film + _STAIN * smoothstep(self._dry(wall) / (0.3 * MM)) + pool
-        farther = wall.xy[:, 0] / max(self.parameters.run, 1e-9)
-        clotted = self.parameters.clots / (2.0 * MM)
+        farther = wall.xy[:, 0] / max(self.flow.run, 1e-9)
+        clotted = self.flow.clots / (2.0 * MM)
         age = smoothstep(0.3 * self._age(points) + 0.6 * farther + clotted - 0.1)
         color = under_blood(clean.color, thickness, 0.9 * age)
         wet = np.maximum(smoothstep(within / 0.5), smoothstep(pool / (0.4 * MM)))

@@ -2,22 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import numpy as np
 
-from vrcaps.errors import InputError
 from vrcaps.lesion.base import (
     AppearanceSample,
     Lesion,
     LesionSite,
     WallSamples,
     mix,
-    require_range,
     smoothstep,
 )
 from vrcaps.lesion.blood import FIBRIN, under_blood
+from vrcaps.limits import Range
 from vrcaps.mesh.noise import band_pass, fbm, low_pass
 from vrcaps.mucosa.appearance import MUCUS_TINT
 from vrcaps.units import CM, MM
@@ -102,19 +102,26 @@ class Colitis(Lesion):
     """
 
     mayo: Literal[1, 2, 3] = 2
-    spread: Literal["E1", "E2", "E3"] | float = "E1"
+    spread: Literal["E1", "E2", "E3"] | Annotated[float, Range(1 * CM, 300 * CM, unit="m")] = "E1"
 
     kind: ClassVar[str] = "colitis"
     grade_field: ClassVar[str] = "mayo"
+    grade_scale: ClassVar[str] = "Mayo"
+    notes: ClassVar[Mapping[str, str]] = {
+        "spread": "from the anal end: E1, E2, E3 (Montreal) or 10 to 3000 mm"
+    }
 
-    def __post_init__(self) -> None:
-        if self.mayo not in ACTIVITIES:
-            raise InputError(f"Mayo subscore {self.mayo}. Allowed: 1, 2, 3.")
-        if isinstance(self.spread, str):
-            if self.spread not in _EXTENTS:
-                raise InputError(f"Spread {self.spread!r}. Allowed: E1, E2, E3, or a length.")
-        else:
-            require_range("Spread of colitis", self.spread, 1.0 * CM, 300.0 * CM)
+    @classmethod
+    def library(cls) -> dict[str, Lesion]:
+        """The 60 cases of colitis of the VR-Caps paper, 20 of each Mayo subscore."""
+        subscores: tuple[Any, ...] = tuple(ACTIVITIES)
+        return {
+            f"colitis-{mayo}-{number:02d}": cls(
+                mayo=mayo, spread=(6.0 + 3.0 * ((7 * number) % 20)) * CM, variant=number
+            )
+            for mayo in subscores
+            for number in range(1, 21)
+        }
 
     @property
     def extent(self) -> Literal["circumferential"]:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import numpy as np
 
 from vrcaps.lesion.base import (
     AppearanceSample,
+    Lesion,
     LesionSite,
     SizedLesion,
     WallSamples,
@@ -17,6 +18,7 @@ from vrcaps.lesion.base import (
 )
 from vrcaps.lesion.blood import FIBRIN, under_blood
 from vrcaps.lesion.focal import ProfileForm
+from vrcaps.limits import Range
 from vrcaps.mesh.noise import band_pass, fbm
 from vrcaps.units import MM
 
@@ -97,17 +99,25 @@ class Polyp(SizedLesion):
     """
 
     shape: Literal["Ip", "Is", "IIa", "IIb", "IIc"] = "Is"
-    size: float = 8.0 * MM
+    size: Annotated[float, Range(2.0 * MM, 30.0 * MM, unit="m")] = 8.0 * MM
     pattern: Literal["tubular", "villous", "serrated", "hyperplastic", "inflammatory"] = "tubular"
 
     kind: ClassVar[str] = "polyp"
     grade_field: ClassVar[str] = "shape"
-    sizes: ClassVar[tuple[float, float]] = (2.0 * MM, 30.0 * MM)
+    grade_scale: ClassVar[str] = "Paris"
 
-    @property
-    def grade(self) -> str:
-        """Paris type."""
-        return self.shape
+    @classmethod
+    def library(cls) -> dict[str, Lesion]:
+        """The 20 polyps of the VR-Caps paper, by Paris type and surface."""
+        sizes: dict[Any, float] = {"Ip": 14.0, "Is": 9.0, "IIa": 11.0, "IIc": 10.0}
+        patterns: tuple[Any, ...] = PATTERNS
+        return {
+            f"polyp-{shape}-{pattern}": cls(
+                shape=shape, size=(size + number) * MM, pattern=pattern, variant=number
+            )
+            for shape, size in sizes.items()
+            for number, pattern in enumerate(patterns)
+        }
 
     @property
     def footprint_radius(self) -> float:

@@ -13,7 +13,6 @@ from scipy.spatial import KDTree
 from vrcaps._core import Wall
 from vrcaps.errors import InputError
 from vrcaps.lesion.base import Lesion, LesionSite, WallSamples
-from vrcaps.lesion.bleeding import Bleeding, BleedingParameters
 from vrcaps.lesion.mesh_patch import NUM_FIELDS, ExtractedPatch, edge_graph, extract, within
 from vrcaps.lesion.placement import PlacedLesion, candidates, place_focal
 from vrcaps.mesh.log_map import log_map
@@ -23,6 +22,8 @@ from vrcaps.units import MM
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Int
+
+    from vrcaps.lesion.bleeding import BloodFlow
 
 _WAVY = 1.3  # largest outline of a focal lesion, in mean radii
 _STEP = 1.0 * MM  # along a flow of blood
@@ -135,39 +136,38 @@ def _find_range(
 
 def flow_site(lesion: Lesion, context: PlacementContext, rng: np.random.Generator) -> SitePatch:
     """Wall along the path of blood from its source to where it collects."""
-    assert isinstance(lesion, Bleeding)
     organ, core = context.organ, context.core()
     best: tuple[int, np.ndarray] | None = None
     for vertex in candidates(organ, lesion.location, rng, context.num_vertices):
-        path = trace_down(core, organ.vertices[vertex], context.down, lesion.parameters.run, rng)
+        path = trace_down(core, organ.vertices[vertex], context.down, lesion.flow.run, rng)
         if best is None or len(path) > len(best[1]):
             best = (vertex, path)
-        if len(path) * _STEP > 0.6 * lesion.parameters.run:
+        if len(path) * _STEP > 0.6 * lesion.flow.run:
             break
     assert best is not None
     vertex, path = best
-    return _along_path(lesion.parameters, context, vertex, path)
+    return _along_path(lesion.flow, context, vertex, path)
 
 
 def _along_path(
-    bleed: BleedingParameters,
+    flow: BloodFlow,
     context: PlacementContext,
     vertex: int,
     path: Float[np.ndarray, "k 3"],
 ) -> SitePatch:
     """Wall along a flow's path and in the hollow at its end."""
     wall, organ = context.wall, context.organ
-    reach = 8.0 * bleed.width + 2.0 * bleed.source
+    reach = 8.0 * flow.width + 2.0 * flow.source
     along = np.asarray(KDTree(organ.vertices).query(path)[1])
     beside = within(wall, np.unique(along), reach + _MARGIN)
     beyond = np.full(len(beside), np.inf)
-    if bleed.pool > 0.0:
-        beyond = within(wall, _hollow(context, along[-1], bleed.pool), _MARGIN)
+    if flow.pool > 0.0:
+        beyond = within(wall, _hollow(context, along[-1], flow.pool), _MARGIN)
     is_pool = np.isfinite(beyond) & ~np.isfinite(beside)
     piece = extract(wall, np.where(is_pool, reach, beside))
     far = np.column_stack([beside, beyond])[piece.vertices]
     patch = _with_columns(piece.patch, np.minimum(far, [reach + _MARGIN, _MARGIN]))
-    patch = _evenly_refined(patch, 3.0 * bleed.width, min(0.8 * MM, 0.6 * bleed.width))
+    patch = _evenly_refined(patch, 3.0 * flow.width, min(0.8 * MM, 0.6 * flow.width))
     dense = np.linspace(0.0, len(path) - 1.0, 8 * len(path))
     line = np.stack([np.interp(dense, np.arange(len(path)), p) for p in path.T], axis=1)
     away, nearest = KDTree(line).query(patch.moved)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 import numpy as np
 
@@ -15,11 +16,11 @@ from vrcaps.lesion.base import (
     SizedLesion,
     WallSamples,
     mix,
-    require_range,
     smoothstep,
 )
 from vrcaps.lesion.blood import under_blood
 from vrcaps.lesion.focal import ProfileForm
+from vrcaps.limits import Range
 from vrcaps.mesh.noise import band_pass, fbm, low_pass
 from vrcaps.units import CM, MM
 
@@ -48,10 +49,9 @@ class Tumor(SizedLesion):
         size: Diameter [m], 10 to 50 mm.
     """
 
-    size: float = 25.0 * MM
+    size: Annotated[float, Range(10.0 * MM, 50.0 * MM, unit="m")] = 25.0 * MM
 
     kind: ClassVar[str] = "tumor"
-    sizes: ClassVar[tuple[float, float]] = (10.0 * MM, 50.0 * MM)
 
     @property
     def protrusion(self) -> float:
@@ -100,10 +100,10 @@ class Diverticulum(SizedLesion):
         size: Diameter of its mouth [m], 2 to 15 mm.
     """
 
-    size: float = 6.0 * MM
+    size: Annotated[float, Range(2.0 * MM, 15.0 * MM, unit="m")] = 6.0 * MM
 
     kind: ClassVar[str] = "diverticulum"
-    sizes: ClassVar[tuple[float, float]] = (2.0 * MM, 15.0 * MM)
+    notes: ClassVar[Mapping[str, str]] = {"size": "of its mouth 2 to 15 mm"}
 
     @property
     def footprint_radius(self) -> float:
@@ -153,15 +153,11 @@ class Stricture(Lesion):
         narrowing: Fraction of the lumen's diameter that it takes, 0.2 to 0.85.
     """
 
-    length: float = 25.0 * MM
-    narrowing: float = 0.55
+    length: Annotated[float, Range(5.0 * MM, 100.0 * MM, unit="m")] = 25.0 * MM
+    narrowing: Annotated[float, Range(0.2, 0.85)] = 0.55
 
     kind: ClassVar[str] = "stricture"
-
-    def __post_init__(self) -> None:
-        require_range("Length of a stricture", self.length, 5.0 * MM, 100.0 * MM)
-        if not 0.2 <= self.narrowing <= 0.85:
-            raise InputError(f"Narrowing is {self.narrowing:g}. Allowed: 0.2 to 0.85.")
+    notes: ClassVar[Mapping[str, str]] = {"narrowing": "0.2 to 0.85 of the diameter"}
 
     @property
     def extent(self) -> Literal["circumferential"]:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 import numpy as np
 
-from vrcaps.lesion import base
 from vrcaps.lesion.base import (
     AppearanceSample,
     LesionSite,
@@ -18,6 +18,8 @@ from vrcaps.lesion.base import (
 )
 from vrcaps.lesion.blood import FIBRIN, under_blood
 from vrcaps.lesion.focal import FocalForm
+from vrcaps.lesion.settings import Setting
+from vrcaps.limits import Range
 from vrcaps.mesh.noise import band_pass, fbm
 from vrcaps.units import MM
 
@@ -54,6 +56,12 @@ MUCOSAL_BREAKS = {
 """An aphthous ulcer is small, round, with a white base and a red halo; a deep one is wide,
 irregular and sloughy, with a raised edge. They reach into the submucosa, an erosion does not."""
 
+_SIZES = {
+    "aphthous": Range(2.0 * MM, 10.0 * MM, unit="m"),
+    "deep": Range(5.0 * MM, 40.0 * MM, unit="m"),
+}
+"""Diameters by type [m]."""
+
 _SLOUGH = np.array([0.36, 0.245, 0.08])
 """Linear reflectance of necrotic slough, yellow with bile."""
 
@@ -69,10 +77,9 @@ class Erosion(SizedLesion):
         size: Diameter with its red surroundings [m], 1 to 10 mm.
     """
 
-    size: float = 4.0 * MM
+    size: Annotated[float, Range(1.0 * MM, 10.0 * MM, unit="m")] = 4.0 * MM
 
     kind: ClassVar[str] = "erosion"
-    sizes: ClassVar[tuple[float, float]] = (1.0 * MM, 10.0 * MM)
 
     def form(self, site: LesionSite, rng: np.random.Generator) -> MucosalBreakForm:
         """Draw its irregularities."""
@@ -89,20 +96,16 @@ class Ulcer(SizedLesion):
     """
 
     type: Literal["aphthous", "deep"] = "deep"
-    size: float = 8.0 * MM
+    size: Annotated[float, Range(2.0 * MM, 40.0 * MM, unit="m")] = 8.0 * MM
 
     kind: ClassVar[str] = "ulcer"
-    sizes: ClassVar[tuple[float, float]] = (5.0 * MM, 40.0 * MM)
     grade_field: ClassVar[str] = "type"
+    notes: ClassVar[Mapping[str, str]] = {"size": "aphthous 2 to 10 mm, deep 5 to 40 mm"}
 
     def __post_init__(self) -> None:
-        low, high = (2.0 * MM, 10.0 * MM) if self.type == "aphthous" else self.sizes
-        base.require_range(f"Size of the {self.type} ulcer", self.size, low, high)
-
-    @property
-    def grade(self) -> str:
-        """Aphthous or deep."""
-        return self.type
+        super().__post_init__()
+        size = Setting("size", (), _SIZES[self.type], is_text=False, is_integer=False)
+        size.check(self.size, f"{self.type} ulcer")
 
     def form(self, site: LesionSite, rng: np.random.Generator) -> MucosalBreakForm:
         """Draw its irregularities."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, Annotated, ClassVar
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from vrcaps.lesion.base import (
     smoothstep,
 )
 from vrcaps.lesion.focal import FocalForm
+from vrcaps.limits import Range
 from vrcaps.mesh.noise import band_pass, fbm, low_pass
 from vrcaps.units import MM
 
@@ -31,10 +32,9 @@ class Angioectasia(SizedLesion):
         size: Diameter [m], 1 to 15 mm.
     """
 
-    size: float = 5.0 * MM
+    size: Annotated[float, Range(1.0 * MM, 15.0 * MM, unit="m")] = 5.0 * MM
 
     kind: ClassVar[str] = "angioectasia"
-    sizes: ClassVar[tuple[float, float]] = (1.0 * MM, 15.0 * MM)
 
     def form(self, site: LesionSite, rng: np.random.Generator) -> AngioectasiaForm:
         """Draw its vessels."""
@@ -71,10 +71,9 @@ class Lymphangiectasia(SizedLesion):
         size: Diameter of the cluster [m], 2 to 30 mm.
     """
 
-    size: float = 12.0 * MM
+    size: Annotated[float, Range(2.0 * MM, 30.0 * MM, unit="m")] = 12.0 * MM
 
     kind: ClassVar[str] = "lymphangiectasia"
-    sizes: ClassVar[tuple[float, float]] = (2.0 * MM, 30.0 * MM)
 
     @property
     def protrusion(self) -> float:

@@ -1,0 +1,111 @@
+"""Settings of a lesion kind, declared by the types of its fields: parsed, checked and described."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from functools import cache
+from typing import Any, Literal, get_args, get_origin, get_type_hints
+
+from vrcaps.errors import InputError
+from vrcaps.limits import Range, range_of
+from vrcaps.units import DEG, MM, parse_length
+
+LENGTH = Range(unit="m")
+"""Marks a number as a length of any size: ``Annotated[float, LENGTH]``."""
+
+
+@dataclass(frozen=True)
+class Setting:
+    """One field of a specification.
+
+    Attributes:
+        name: Of the field.
+        words: Values that it takes by name.
+        limits: Of a number; its unit "m" makes it a length. None if there are none.
+        is_text: Whether it takes any text.
+        is_integer: Whether it takes whole numbers only.
+    """
+
+    name: str
+    words: tuple[Any, ...]
+    limits: Range | None
+    is_text: bool
+    is_integer: bool
+
+    @property
+    def is_length(self) -> bool:
+        """Whether it takes a length."""
+        return self.limits is not None and self.limits.unit == "m"
+
+    def parse(self, text: str) -> Any:
+        """Value of a text as the command line has it.
+
+        Raises:
+            InputError: If the text is no value of this setting.
+        """
+        for word in self.words:
+            if text == str(word):
+                return word
+        allowed = [str(word) for word in self.words]
+        if self.is_length:
+            try:
+                return parse_length(text)
+            except InputError:
+                allowed.append("a length such as 8mm")
+        if allowed:
+            raise InputError(f"{self.name} is {text!r}. Allowed: {', '.join(allowed)}.")
+        if self.is_text:
+            return text
+        scale, number = (DEG, text.removesuffix("deg")) if text.endswith("deg") else (1.0, text)
+        try:
+            return int(number) if self.is_integer else scale * float(number)
+        except ValueError:
+            raise InputError(f"{self.name} is {text!r}. Allowed: a number.") from None
+
+    def check(self, value: Any, kind: str) -> None:
+        """Check a value of a lesion of some kind.
+
+        Raises:
+            InputError: If it is not allowed.
+        """
+        if value is None or value in self.words:
+            return
+        is_number = isinstance(value, float | int) and self.limits is not None
+        if not is_number and not self.words:
+            return
+        if not is_number or value not in self.limits:  # type: ignore[operator]
+            given = f"{value / MM:g} mm" if is_number and self.is_length else repr(value)
+            raise InputError(
+                f"{kind.capitalize()} {self.name} is {given}. Allowed: {self.allowed}."
+            )
+
+    @property
+    def allowed(self) -> str:
+        """Allowed values in words; empty if any number or text is."""
+        parts = [str(word) for word in self.words]
+        if self.limits is not None and self.limits != LENGTH:
+            scale = MM if self.is_length else 1.0
+            low, high = self.limits.least / scale, self.limits.most / scale
+            parts.append(f"{low:g} to {high:g}{' mm' if self.is_length else ''}")
+        return ", ".join(parts)
+
+
+@cache
+def settings_of(cls: type) -> dict[str, Setting]:
+    """Settings of a dataclass by name, but for fields that hold another dataclass."""
+    hints = get_type_hints(cls, include_extras=True)
+    found = {}
+    for name in (f.name for f in fields(cls)):
+        parts = _parts(hints[name])
+        limits = next((r for r in map(range_of, (hints[name], *parts)) if r is not None), None)
+        words = [w for part in parts if get_origin(part) is Literal for w in get_args(part)]
+        bare = {get_args(p)[0] if hasattr(p, "__metadata__") else p for p in parts}
+        if words or bare & {float, int, str}:
+            found[name] = Setting(name, tuple(words), limits, str in bare, int in bare)
+    return found
+
+
+def _parts(hint: Any) -> tuple[Any, ...]:
+    """Members of a union, or the type itself."""
+    is_single = get_origin(hint) is Literal or hasattr(hint, "__metadata__")
+    return (hint,) if is_single or not get_args(hint) else get_args(hint)

@@ -1,0 +1,43 @@
+"""The kind of lesion that docs/extending.md adds, run as it stands there."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from vrcaps.errors import InputError
+from vrcaps.lesion import LESIONS, parse_lesion
+from vrcaps.lesion.registry import describe_kind
+from vrcaps.mesh.edges import face_areas
+from vrcaps.mesh.mesh import Mesh
+from vrcaps.units import MM
+
+PAGE = Path(__file__).parents[2] / "docs" / "extending.md"
+
+
+@pytest.fixture
+def run(tube):
+    """Names that the section defines, given an organ."""
+    text = PAGE.read_text(encoding="utf-8")
+    section = re.search(r"^## A lesion\n(.*?)(?=^## |\Z)", text, re.DOTALL | re.MULTILINE)
+    assert section is not None
+    names = {"organ": tube, "__name__": __name__}
+    for code in re.findall(r"```python\n(.*?)```", section[1], re.DOTALL):
+        exec(code, names)
+    yield names
+    del LESIONS["xanthoma"]
+
+
+def test_mask_covers_the_plaque(run):
+    organ, radius = run["pair"].organ, 3 * MM
+    is_in = run["mask"][organ.faces].all(axis=1)
+    area = face_areas(Mesh(organ.vertices, organ.faces))[is_in].sum()
+    assert area == pytest.approx(np.pi * radius**2, rel=0.15)
+    assert organ.metadata["lesions"][0]["kind"] == "xanthoma"
+
+
+def test_its_settings_follow_from_its_fields(run):
+    assert describe_kind(run["Xanthoma"]) == ("", "`size` 1 to 10 mm")
+    with pytest.raises(InputError, match=r"Xanthoma size is 20 mm\. Allowed: 1 to 10 mm\."):
+        parse_lesion("xanthoma:size=20mm")

@@ -189,12 +189,12 @@ class Stream:
     def __init__(self, clean, path, form, site: LesionSite) -> None:
         self.path, self.step = path, 1.0 * MM
         offset = clean.vertices - site.bottom
-        under = (offset @ site.down + form.parameters.pool > 0.0) & (
+        under = (offset @ site.down + form.flow.pool > 0.0) & (
             np.linalg.norm(offset, axis=1) < site.reach
         )
         wet = clean.faces[under[clean.faces].all(axis=1)]
         self._hollow = None
-        if form.parameters.pool > 0.0 and len(wet):
+        if form.flow.pool > 0.0 and len(wet):
             joined = _component(wet, len(under), clean.vertices, site.bottom)
             self._hollow = KDTree(clean.vertices[np.unique(wet[joined])])
 

@@ -35,11 +35,11 @@ demo: $(VENV)/.stamp-run
 	$(BIN)/vrcaps demo
 
 test: $(VENV)/.stamp-dev
-	$(BIN)/python -m pytest -n 2
+	$(BIN)/python -m pytest -n 2 --dist worksteal
 	cargo test --quiet --manifest-path rust/Cargo.toml
 
 test-fast: $(VENV)/.stamp-dev
-	$(BIN)/python -m pytest -n 2 -m 'not slow and not wheel'
+	$(BIN)/python -m pytest -n 2 --dist worksteal -m 'not slow and not wheel'
 
 check: $(VENV)/.stamp-dev
 	$(BIN)/ruff check .

@@ -9,6 +9,10 @@ _SUPPORT = str(Path(__file__).parent / "support")
 os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, (_SUPPORT, os.environ.get("PYTHONPATH"))))
 """Processes that tests start find the support modules, too."""
 
+if "PYTEST_XDIST_WORKER" in os.environ:  # workers run beside each other, so each takes one thread
+    for _threads in ("RAYON", "OIDN", "OMP", "OPENBLAS"):
+        os.environ.setdefault(f"{_threads}_NUM_THREADS", "1")
+
 
 @pytest.fixture(scope="session")
 def shared_data() -> Path:

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import ast
+import functools
 import subprocess
 import sys
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-
-import pytest
 
 import vrcaps
 
@@ -97,38 +96,55 @@ def layer(dotted: str) -> str | None:
     return parts[1] if len(parts) > 1 and parts[0] == "vrcaps" else None
 
 
-@pytest.mark.parametrize("path", FILES, ids=module_name)
-def test_imports_point_one_way(path: Path) -> None:
+@functools.cache
+def tree(path: Path) -> ast.Module:
+    return ast.parse(path.read_text())
+
+
+def imported(path: Path, nodes: Iterable[ast.AST]) -> Iterator[tuple[str, str]]:
+    """Name of the file's module, and of each that the nodes may load."""
     module, is_package = module_name(path), path.name == "__init__.py"
-    own = layer(module)
-    if own is None:
-        pytest.skip("the package's own namespace re-exports from every layer")
-    assert own in RANK, f"{module} is in no layer; known: {', '.join(RANK)}"
-    for node in ast.walk(ast.parse(path.read_text())):
-        for dotted in imports_of(node, module, is_package):
-            other = layer(dotted)
-            if other not in RANK:
-                continue
-            assert RANK[other] <= RANK[own], f"{module} imports {dotted}, which is to its right"
+    for node in nodes:
+        yield from ((module, dotted) for dotted in imports_of(node, module, is_package))
 
 
-@pytest.mark.parametrize("path", FILES, ids=module_name)
-def test_heavy_packages_are_imported_inside_functions(path: Path) -> None:
-    module, is_package = module_name(path), path.name == "__init__.py"
-    for node in nodes_at_import(ast.parse(path.read_text())):
-        for dotted in imports_of(node, module, is_package):
-            assert dotted.split(".")[0] not in HEAVY, f"{module} imports {dotted} at module level"
+def test_imports_point_one_way() -> None:
+    """Except in the package's own namespace, which re-exports from every layer."""
+    inside = [path for path in FILES if layer(module_name(path)) is not None]
+    unknown = {layer(module_name(path)) for path in inside} - set(RANK)
+    assert not unknown, f"in no layer: {unknown}"
+    wrong = [
+        f"{module} imports {dotted}, which is to its right"
+        for path in inside
+        for module, dotted in imported(path, ast.walk(tree(path)))
+        if RANK.get(layer(dotted), -1) > RANK[layer(module)]
+    ]
+    assert not wrong
 
 
-@pytest.mark.parametrize("path", FILES, ids=module_name)
-def test_files_and_functions_stay_small(path: Path) -> None:
-    text = path.read_text()
-    num_lines = text.count("\n")
-    assert num_lines <= MAX_FILE_LINES, f"{path.name} has {num_lines} lines"
-    for node in ast.walk(ast.parse(text)):
-        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
-            length = (node.end_lineno or node.lineno) - node.lineno + 1
-            assert length <= MAX_FUNCTION_LINES, f"{path.name}: {node.name} has {length} lines"
+def test_heavy_packages_are_imported_inside_functions() -> None:
+    wrong = [
+        f"{module} imports {dotted} at module level"
+        for path in FILES
+        for module, dotted in imported(path, nodes_at_import(tree(path)))
+        if dotted.split(".")[0] in HEAVY
+    ]
+    assert not wrong
+
+
+def test_files_and_functions_stay_small() -> None:
+    long = [
+        f"{module_name(path)} has {count} lines"
+        for path in FILES
+        if (count := path.read_text().count("\n")) > MAX_FILE_LINES
+    ]
+    for path in FILES:
+        for node in ast.walk(tree(path)):
+            if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+                length = (node.end_lineno or node.lineno) - node.lineno + 1
+                if length > MAX_FUNCTION_LINES:
+                    long.append(f"{module_name(path)}.{node.name} has {length} lines")
+    assert not long
 
 
 def test_a_module_in_every_import_statement_form_is_seen() -> None:

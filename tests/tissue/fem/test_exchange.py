@@ -275,7 +275,7 @@ def test_errors_leave_the_world_as_it_was() -> None:
     before = pressed.snapshot()
     seen = pressed.state.vertices_world
     for control, dt, match in (
-        (Control(force_world=(0.0, 0.0, -50.0)), 0.5, "breaks through the elastic wall.*force"),
+        (Control(force_world=(0.0, 0.0, -50.0)), 0.05, "breaks through the elastic wall.*force"),
         (STILL, 2.0, "dt is 2.0. Allowed: above 0 to 1 s"),
         (Control(force_world=(0.0, 0.0, -500.0)), 0.01, "force_world is 500 strong"),
     ):

@@ -28,7 +28,8 @@ from vrcaps.camera_pipeline.parse import parse_effects
 from vrcaps.camera_pipeline.severities import GRADES
 from vrcaps.recording.images import Images, Step
 from vrcaps.recording.recorder import record
-from vrcaps.scenario.scenario import Scenario, build, resolve
+from vrcaps.scenario.build import build, resolve
+from vrcaps.scenario.scenario import Scenario
 
 FRAMES, RECORDED = 60, 200
 ROUNDS = 15
@@ -108,8 +109,8 @@ def _recorded(effects: str, light: Literal["direct", "radiosity"]) -> float:
 
 def _subject(effects: str, light: Literal["direct", "radiosity"]) -> tuple[Images, list[Step]]:
     """What makes the images of a scenario, and its frames."""
-    scenario, device = resolve(_scenario(effects, light, FRAMES))
-    model, motion = build(scenario, device)
+    scenario = resolve(_scenario(effects, light, FRAMES))
+    model, motion = build(scenario)
     instants = [None, *motion.instants(), None]
     neighbours = zip(pairwise(instants), instants[2:], strict=False)
     steps = [

@@ -28,7 +28,7 @@ from vrcaps.actuation.steering_program import MagnetSteering
 from vrcaps.motion.rollout import Rollout
 from vrcaps.recording.episode import Episode
 from vrcaps.recording.recorder import record
-from vrcaps.scenario.scenario import build, resolve
+from vrcaps.scenario.build import build
 from vrcaps.units import CM, DEG
 
 matplotlib.use("Agg")
@@ -58,7 +58,7 @@ def main(out: Path, fps: float, substep: float, frames: int | None) -> None:
 
 def drive(scenario: vrcaps.Scenario) -> int:
     """Simulates until the capsule is there; prints how it goes; the number of frames until then."""
-    _, run = build(*resolve(scenario))
+    _, run = build(scenario)
     assert isinstance(run, Rollout)
     assert run.program is not None
     follower = run.program.follower

@@ -13,17 +13,9 @@ import vrcaps
 
 LAYERS = (
     ("_core",),
-    (
-        "units",
-        "errors",
-        "transforms",
-        "color",
-        "limits",
-        "toml_table",
-        "catalog_folder",
-        "files",
-        "geometry",
-    ),
+    ("units", "errors", "transforms", "color", "toml_table", "catalog_folder", "files", "geometry"),
+    ("decimals", "limits", "plain_files", "file_ref"),
+    ("serialization",),
     ("mesh",),
     ("organ",),
     ("mucosa",),

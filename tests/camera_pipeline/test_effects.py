@@ -9,7 +9,7 @@ from vrcaps.camera_pipeline.severities import GRADES, HIGHEST
 from vrcaps.capsule.catalog import read_device
 from vrcaps.errors import InputError, UnknownNameError
 from vrcaps.lumen.contents import Contents
-from vrcaps.scenario.convert import from_plain, to_plain
+from vrcaps.serialization import from_plain, to_plain
 
 
 def test_effects_as_a_user_writes_them() -> None:

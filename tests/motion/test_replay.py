@@ -183,7 +183,7 @@ def test_replay_outside_the_lumen(tmp_path, model):
 @pytest.mark.parametrize(
     ("change", "error", "match"),
     [
-        ({"format": "bvh"}, UnknownNameError, "No path format named 'bvh'"),
+        ({"format": "bvh"}, UnknownNameError, "No format named 'bvh'"),
         ({"start": 2.9}, InputError, "The recorded path covers 0 s to 2.9 s, but the frames need"),
         ({"T_frame_recording": ((2.0, 0, 0, 0),) * 4}, InputError, "is no rigid transform"),
         ({"T_frame_recording": ((1.0, 0, 0, 0),)}, InputError, "is no rigid transform"),
@@ -191,8 +191,8 @@ def test_replay_outside_the_lumen(tmp_path, model):
 )
 def test_bad_replay_settings(tmp_path, model, change, error, match):
     path, _ = _tum_along_the_axis(tmp_path, model, of_camera=True)
-    settings = Replay(**{"path": str(path), "format": "tum", "unit": "m", **change})
     with pytest.raises(error, match=match):
+        settings = Replay(**{"path": str(path), "format": "tum", "unit": "m", **change})
         replay(model, settings, frames=5, fps=10.0)
 
 

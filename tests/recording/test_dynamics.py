@@ -23,15 +23,9 @@ from vrcaps.recording.episode import read_episode
 from vrcaps.recording.images import Images
 from vrcaps.recording.recorder import record
 from vrcaps.recording.table import SIMULATED_COLUMNS
-from vrcaps.scenario import scenario as scenario_module
-from vrcaps.scenario.scenario import (
-    Scenario,
-    build,
-    read_scenario,
-    resolve,
-    scenario_from_plain,
-    scenario_to_plain,
-)
+from vrcaps.scenario import build as scenario_module
+from vrcaps.scenario.build import build, resolve
+from vrcaps.scenario.scenario import Scenario, read_scenario, scenario_from_plain, scenario_to_plain
 from vrcaps.tissue.drag import Drag
 from vrcaps.tissue.winkler_foundation import WinklerFoundation
 from vrcaps.world.schedule import Insufflation, PostureChange, Wrench
@@ -274,9 +268,9 @@ def test_clean_twin_moves_alike(scenario, tmp_path, monkeypatch):
     monkeypatch.setenv("VRCAPS_CACHE", str(tmp_path))
     lesions = (Polyp(size=6e-3, location=Location(arc_length=0.12)),)
     motion = replace(MOTION, settle=0.1, start=0.6)
-    sick, device = resolve(replace(scenario, motion=motion, lesions=lesions, frames=2))
-    model, run = build(sick, device)
-    twin, clean = build(replace(sick, clean_twin=True), device)
+    sick = resolve(replace(scenario, motion=motion, lesions=lesions, frames=2))
+    model, run = build(sick)
+    twin, clean = build(replace(sick, clean_twin=True))
     far = np.linalg.norm(model.organ.vertices - twin.organ.vertices, axis=1) == 0.0
     assert 0.5 < far.mean() < 1.0
     for one, other in zip(run.instants(), clean.instants(), strict=True):

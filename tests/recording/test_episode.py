@@ -10,14 +10,14 @@ from vrcaps.recording.channels import ENCODINGS
 from vrcaps.recording.episode import read_episode
 from vrcaps.render.frame import CHANNELS
 from vrcaps.render.renderer import Renderer
-from vrcaps.scenario.scenario import build, resolve
+from vrcaps.scenario.build import build, resolve
 from vrcaps.transforms import transform_points
 
 
 def test_arrays_are_what_was_rendered(recorded, scenario):
     """Every channel comes back from the files within half a step of the renderer's own."""
     episode = read_episode(recorded)
-    model, trajectory = build(*resolve(scenario))
+    model, trajectory = build(scenario)
     renderer = Renderer(model, scenario.render)
     rendered = renderer.render(
         trajectory.state(2),
@@ -70,7 +70,7 @@ def test_metadata(recorded, scenario):
     assert episode.channels == CHANNELS
     assert [camera.name for camera in episode.cameras] == ["front", "rear"]
     assert episode.label_names == ("background", "upper", "lower")
-    assert episode.scenario == resolve(scenario)[0]
+    assert episode.scenario == resolve(scenario)
     np.testing.assert_allclose(episode.times, np.arange(5) / 4.0)
     mount = episode.camera("rear").T_capsule_camera
     np.testing.assert_allclose(
@@ -81,7 +81,7 @@ def test_metadata(recorded, scenario):
 
 def test_organ_is_the_wall_in_the_world(recorded, scenario):
     """The GLB's triangles are the organ's, in single precision."""
-    model, _ = build(*resolve(scenario))
+    model, _ = build(scenario)
     mesh = read_episode(recorded).organ
     assert len(mesh.faces) == len(model.organ.faces)
     expected = model.vertices_world[model.organ.faces]

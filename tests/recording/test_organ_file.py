@@ -17,7 +17,8 @@ from vrcaps.organ.surface import OrganSurface
 from vrcaps.organ.write_organ import write_organ
 from vrcaps.recording.episode import read_episode
 from vrcaps.recording.recorder import record
-from vrcaps.scenario.scenario import OrganFile, Scenario, build, resolve
+from vrcaps.scenario.build import build, resolve
+from vrcaps.scenario.scenario import OrganFile, Scenario
 
 RECORD = {"instance": 1, "kind": "polyp", "grade": "Is"}
 
@@ -36,10 +37,10 @@ def plan(organ: OrganSurface, device_file: Path, tmp_path: Path) -> Scenario:
 
 
 def test_the_organ_is_the_one_written(plan: Scenario, organ: OrganSurface, tmp_path: Path) -> None:
-    resolved, device = resolve(plan)
+    resolved = resolve(plan)
     assert isinstance(resolved.organ, OrganFile)
     assert resolved.organ.unit == "m"
-    model, _ = build(resolved, device)
+    model, _ = build(resolved)
     assert np.array_equal(model.organ.vertices, organ.vertices)
     assert model.organ.appearance is not None
     assert organ.appearance is not None
@@ -71,9 +72,9 @@ def test_an_episodes_own_organ_records_the_same_again(plan: Scenario, tmp_path: 
     ],
 )
 def test_what_an_organ_file_cannot_do(plan: Scenario, change: dict, message: str) -> None:
-    resolved, device = resolve(replace(plan, **change))
+    resolved = resolve(replace(plan, **change))
     with pytest.raises(InputError, match=message):
-        build(resolved, device)
+        build(resolved)
 
 
 def test_without_textures_it_wears_the_mucosa_of_its_label(
@@ -81,7 +82,7 @@ def test_without_textures_it_wears_the_mucosa_of_its_label(
 ) -> None:
     names = ("background", "small_bowel", "duodenum")
     write_organ(tmp_path / "mine.glb", replace(organ, label_names=names, appearance=None))
-    model, _ = build(*resolve(plan))
+    model, _ = build(plan)
     found = model.organ.appearance
     expected = bake_appearance(model.organ, seed=plan.seed, mucosa="small-bowel")
     assert found is not None
@@ -91,9 +92,9 @@ def test_without_textures_it_wears_the_mucosa_of_its_label(
 def test_its_textures_stay(plan: Scenario) -> None:
     assert isinstance(plan.organ, OrganFile)
     other = replace(plan, organ=replace(plan.organ, mucosa="stomach"))
-    resolved, device = resolve(other)
+    resolved = resolve(other)
     with pytest.raises(InputError, match="has textures of its own"):
-        build(resolved, device)
+        build(resolved)
 
 
 def test_a_mesh_file_has_no_unit_of_its_own(plan: Scenario, mesh_file: Path) -> None:

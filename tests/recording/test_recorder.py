@@ -39,7 +39,7 @@ def test_layout(recorded, scenario):
     assert {"front/rgb/000000.png", "rear/depth/000004.png", "front/position/000003.npy"} <= images
     head = json.loads((recorded / "episode.json").read_text())
     assert (head["format"], head["status"], head["frames"]) == ("vrcaps-episode/1", "complete", 5)
-    assert head["scenario"]["organ"]["sha256"]
+    assert head["scenario"]["organ"]["path"]["sha256"]
     assert head["fps"] == 4.0
 
 
@@ -176,7 +176,7 @@ import signal
 import sys
 from pathlib import Path
 from vrcaps.errors import VrcapsError
-from vrcaps.scenario import scenario as module
+from vrcaps.scenario import build as module
 from vrcaps.recording.recorder import record
 from vrcaps.scenario.scenario import read_scenario
 {setup}

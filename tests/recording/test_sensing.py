@@ -123,7 +123,7 @@ def test_goes_on_with_the_same_readings(model):
 
 
 def test_an_episode_has_the_readings(tmp_path, monkeypatch, base_scenario, organ):
-    from vrcaps.scenario import scenario as scenario_module
+    from vrcaps.scenario import build as scenario_module
 
     monkeypatch.setattr(scenario_module, "_load_organ", lambda _: organ)
     asked = replace(base_scenario, capsule="magnetic", sensors=ALL, frames=3, channels=("label",))

@@ -4,7 +4,7 @@ from typing import ClassVar, Literal
 import pytest
 
 from vrcaps.errors import InputError
-from vrcaps.scenario.convert import from_plain, to_plain
+from vrcaps.serialization import from_plain, to_plain
 
 
 @dataclass(frozen=True)

@@ -6,18 +6,19 @@ import numpy as np
 import pytest
 
 from vrcaps.errors import InputError, UnknownNameError
+from vrcaps.file_ref import FileRef
 from vrcaps.lesion import Location, Polyp
 from vrcaps.motion.fly_through import FlyThrough
 from vrcaps.motion.replay import Replay
 from vrcaps.render.settings import RenderSettings
-from vrcaps.scenario import scenario as module
+from vrcaps.scenario import build as module
+from vrcaps.scenario.build import resolve
 from vrcaps.scenario.scenario import (
     OrganFile,
     OrganGenerated,
     Scenario,
     read_lesions,
     read_scenario,
-    resolve,
     scenario_from_plain,
     scenario_to_plain,
 )
@@ -68,8 +69,8 @@ def test_toml_with_few_keys(tmp_path):
     ("name", "text", "match"),
     [
         ("missing.json", None, "Cannot read the scenario .*missing.json"),
-        ("bad.json", "{", "bad.json is no JSON"),
-        ("bad.toml", "a =", "bad.toml is no TOML"),
+        ("bad.json", "{", "bad.json is not JSON"),
+        ("bad.toml", "a =", "bad.toml is not TOML"),
         ("list.json", "[]", "A scenario is a table of keys, not list"),
         ("head.json", '{"format": "vrcaps-episode/1"}', "A scenario is a table of keys, not None"),
         ("key.json", '{"frame": 3}', r"Unknown key scenario\.frame\. Allowed: organ, capsule"),
@@ -92,16 +93,17 @@ def test_resolve_fills_in_what_is_open(mesh_file, device_file):
     scenario = Scenario(
         OrganFile(str(mesh_file), "m"), str(device_file), channels=("depth", "rgb", "depth")
     )
-    resolved, device = resolve(scenario)
-    assert resolved.fps == device.frame_rate == 4.0
+    resolved = resolve(scenario)
+    assert resolved.fps == 4.0
     assert resolved.channels == ("rgb", "depth")
     assert isinstance(resolved.organ, OrganFile)
-    assert len(resolved.organ.sha256) == 64
-    assert resolve(resolved)[0] == resolved
+    assert isinstance(resolved.organ.path, FileRef)
+    assert len(resolved.organ.path.sha256) == 64
+    assert resolve(resolved) == resolved
 
 
 def test_resolve_checks_checksums(mesh_file, tmp_path):
-    organ = OrganFile(str(mesh_file), "m", sha256="0" * 64)
+    organ = OrganFile(FileRef(str(mesh_file), "0" * 64), "m")
     with pytest.raises(InputError, match="but the scenario was made with 000000000000"):
         resolve(Scenario(organ))
     missing = Replay(str(tmp_path / "none.csv"), "tum", "m")
@@ -133,7 +135,7 @@ def test_unknown_unit_of_a_mesh_file(mesh_file, device_file):
 
 def test_organ_is_loaded_as_stated(mesh_file, device_file):
     """With half a metre as its unit the tube is half as long; an appearance is always there."""
-    scenario, _ = resolve(Scenario(OrganFile(str(mesh_file), "500mm"), str(device_file)))
+    scenario = resolve(Scenario(OrganFile(str(mesh_file), "500mm"), str(device_file)))
     organ = module._load_organ(scenario)
     assert np.ptp(organ.vertices, axis=0).max() == pytest.approx(0.12, rel=1e-6)
     assert organ.appearance is not None
@@ -142,7 +144,7 @@ def test_organ_is_loaded_as_stated(mesh_file, device_file):
 def test_plain_form_is_json(scenario):
     plain = scenario_to_plain(scenario)
     assert scenario_from_plain(json.loads(json.dumps(plain))) == scenario
-    assert plain["organ"]["path"] == str(Path(plain["organ"]["path"]))
+    assert plain["organ"]["path"]["path"] == str(Path(plain["organ"]["path"]["path"]))
 
 
 LESIONS = (
@@ -161,16 +163,16 @@ def test_lesions_of_a_file(tmp_path):
     path.write_text(LESIONS + "frames = 3\n")
     with pytest.raises(InputError, match=r"Allowed: tables \[\[lesions\]\]"):
         read_lesions(path)
-    with pytest.raises(InputError, match="Cannot read the lesions"):
+    with pytest.raises(InputError, match="Cannot read the lesions file"):
         read_lesions(tmp_path / "none.toml")
 
 
 def test_clean_twin_has_the_same_motion(scenario, tmp_path, monkeypatch):
     monkeypatch.setenv("VRCAPS_CACHE", str(tmp_path))
     lesions = (Polyp(size=6e-3, location=Location(arc_length=0.12)),)
-    sick, device = resolve(replace(scenario, lesions=lesions))
-    model, trajectory = module.build(sick, device)
-    twin, same = module.build(replace(sick, clean_twin=True), device)
+    sick = resolve(replace(scenario, lesions=lesions))
+    model, trajectory = module.build(sick)
+    twin, same = module.build(replace(sick, clean_twin=True))
     assert np.array_equal(trajectory.Ts_world_capsule, same.Ts_world_capsule)
     assert np.array_equal(model.organ.faces, twin.organ.faces)
     assert model.organ.instance.max() == 1

@@ -12,7 +12,7 @@ from vrcaps.organ.read_organ import read_organ
 from vrcaps.organ.surface import Appearance, OrganSurface
 from vrcaps.recording.recorder import record
 from vrcaps.render.frame import CHANNELS
-from vrcaps.scenario import scenario as scenario_module
+from vrcaps.scenario import build as scenario_module
 from vrcaps.scenario.scenario import OrganFile, Scenario
 from write_ply import write_ply
 

@@ -18,6 +18,7 @@ from vrcaps.actuation.magnet_pose_solver import Workspace
 from vrcaps.actuation.robot_actuator import RobotActuator
 from vrcaps.actuation.wall_path import PathFollower, WallPath, centerline_wall_path
 from vrcaps.errors import InputError, UnknownNameError, require
+from vrcaps.file_ref import FileRef, file_ref, path_of
 from vrcaps.magnet.presets import read_magnet
 from vrcaps.units import CM, DEG, MM
 from vrcaps.world.control import Control
@@ -112,7 +113,6 @@ class MagnetSteering:
         joystick_speed: Speed at a full axis [m/s].
         joystick_angular_speed: Angular speed at a full axis [rad/s].
         period: Time between updates of the controller [s].
-        command_file_sha256: Checksum of the file; filled in when recorded, checked when given.
     """
 
     magnet: str = "cylinder-76.2"
@@ -125,13 +125,14 @@ class MagnetSteering:
     gains: ControllerGains = GENTLE_GAINS
     waypoints: tuple[Waypoint, ...] = ()
     joystick: tuple[JoystickCommand, ...] = ()
-    command_file: str = ""
+    command_file: FileRef | str | None = None
     joystick_speed: float = 5.0 * CM
     joystick_angular_speed: float = 0.5
     period: float = 0.01
-    command_file_sha256: str = ""
 
     def __post_init__(self) -> None:
+        if self.command_file is not None:
+            object.__setattr__(self, "command_file", file_ref(self.command_file))
         if self.wall not in WALLS:
             raise UnknownNameError("wall", self.wall, WALLS)
         if sum(map(bool, (self.waypoints, self.joystick, self.command_file))) > 1:
@@ -225,8 +226,8 @@ class SteeringProgram:
         self._start = arc_length
         self._waypoints = settings.waypoints
         self._joystick = settings.joystick
-        if settings.command_file:
-            self._waypoints, self._joystick = read_commands(settings.command_file)
+        if settings.command_file is not None:
+            self._waypoints, self._joystick = read_commands(path_of(settings.command_file))
         allowed = f"0 to {self._line.length:g} m"
         for point in self._waypoints:
             is_on = 0.0 <= point.arc_length <= self._line.length

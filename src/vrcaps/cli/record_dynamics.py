@@ -97,7 +97,7 @@ class DynamicsFlags:
             fallback_segment=self.fallback_segment,
             propulsion=Propulsion() if self.propulsion else None,
             wrenches=(Wrench(0.0, self.force, self.torque),) if is_pushed else (),
-            wrench_file="" if self.wrench is None else str(self.wrench),
+            wrench_file=None if self.wrench is None else str(self.wrench),
             wrench_frame=self.wrench_frame,
             posture_changes=tuple(parse_posture_change(text) for text in self.posture_change),
             insufflation=parse_insufflation(self.insufflation),

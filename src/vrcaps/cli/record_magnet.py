@@ -65,5 +65,5 @@ class MagnetFlags:
             speed=self.steering_speed_mm_per_s * MM,
             end=self.steering_end,
             gains=gains,
-            command_file="" if self.commands is None else str(self.commands),
+            command_file=None if self.commands is None else str(self.commands),
         )

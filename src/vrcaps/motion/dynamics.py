@@ -8,6 +8,7 @@ from typing import ClassVar, Literal
 
 from vrcaps.actuation.steering_program import MagnetSteering
 from vrcaps.errors import InputError, UnknownNameError, require
+from vrcaps.file_ref import FileRef, file_ref
 from vrcaps.motion.fly_through import FlyThrough
 from vrcaps.tissue.drag import Drag
 from vrcaps.tissue.fem.deformation import FemDeformation
@@ -68,7 +69,6 @@ class Dynamics:
             its first insufflation, and the muscle wakes within 1 s.
         step: Longest time between updates of muscle and commands [s].
         substep: Longest substep of the dynamics [s]. Gentle forces bear four times the default.
-        wrench_sha256: Checksum of the file; filled in when recorded, checked when given.
     """
 
     start: float = FlyThrough.start
@@ -82,7 +82,7 @@ class Dynamics:
     fallback_segment: str | None = None
     propulsion: Propulsion | None = None
     wrenches: tuple[Wrench, ...] = ()
-    wrench_file: str = ""
+    wrench_file: FileRef | str | None = None
     wrench_frame: Literal["world", "capsule", "gut"] = "world"
     posture_changes: tuple[PostureChange, ...] = ()
     insufflation: tuple[Insufflation, ...] = ()
@@ -90,11 +90,12 @@ class Dynamics:
     settle: float = 1.0
     step: float = 0.05
     substep: float = SUBSTEP
-    wrench_sha256: str = ""
 
     kind: ClassVar[str] = "dynamics"
 
     def __post_init__(self) -> None:
+        if self.wrench_file is not None:
+            object.__setattr__(self, "wrench_file", file_ref(self.wrench_file))
         for name, valid, allowed in (
             ("start", 0.0 <= self.start <= 1.0, "0 to 1"),
             ("angle", math.isfinite(self.angle), "finite [rad]"),

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, ClassVar, Literal
 import numpy as np
 
 from vrcaps.errors import InputError, UnknownNameError
+from vrcaps.file_ref import FileRef, file_ref, path_of
+from vrcaps.limits import check_fields
 from vrcaps.motion.trajectory import (
     Trajectory,
     capsule_poses,
@@ -44,7 +46,7 @@ class Replay:
     """Follow a recorded path.
 
     Attributes:
-        path: The file.
+        path: The file, relative to the working directory.
         format: `tum` (right-handed, OpenCV axes) or `unity-csv` (y up).
         unit: Length unit of the file, such as `m`, `dm` or `5cm`.
         handedness: Of a `unity-csv` file: `left` (Unity: looks along +z) or `right` (looks
@@ -55,10 +57,9 @@ class Replay:
             z-up (`unity-csv`) frame: four rows of four numbers.
         start: Time in the file of the first frame, from the file's first pose [s].
         allow_outside: Accept frames whose camera is outside the lumen.
-        sha256: Checksum of the file; filled in when recorded, checked when given.
     """
 
-    path: str
+    path: FileRef | str
     format: Literal["tum", "unity-csv"]
     unit: str
     handedness: Literal["left", "right"] = "left"
@@ -67,9 +68,14 @@ class Replay:
     T_frame_recording: tuple[tuple[float, float, float, float], ...] = _IDENTITY
     start: float = 0.0
     allow_outside: bool = False
-    sha256: str = ""
 
     kind: ClassVar[str] = "replay"
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "path", file_ref(self.path))
+        check_fields(self)
+        parse_length(self.unit)
+        _require_rigid(np.array(self.T_frame_recording, float))
 
 
 def replay(model: Model, settings: Replay, *, frames: int, fps: float) -> Trajectory:
@@ -85,13 +91,11 @@ def replay(model: Model, settings: Replay, *, frames: int, fps: float) -> Trajec
         InputError: If the file cannot be read, is too short, or takes a camera out of the lumen.
     """
     if settings.format == "tum":
-        recorded = read_tum(settings.path, unit=settings.unit)
-    elif settings.format == "unity-csv":
-        recorded = read_unity_csv(settings.path, unit=settings.unit, handedness=settings.handedness)
+        recorded = read_tum(path_of(settings.path), unit=settings.unit)
     else:
-        raise UnknownNameError("path format", settings.format, ("tum", "unity-csv"))
+        path = path_of(settings.path)
+        recorded = read_unity_csv(path, unit=settings.unit, handedness=settings.handedness)
     placement = np.array(settings.T_frame_recording, float)
-    _require_rigid(placement)
     if settings.frame == "patient":
         placement = model.T_world_patient @ placement
     poses = placement @ recorded.Ts_world_capsule
@@ -117,7 +121,7 @@ def read_tum(path: str | Path, *, unit: str) -> Trajectory:
     The poses map the tracked body (OpenCV axes for a camera) to the file's world.
 
     Args:
-        path: The file.
+        path: The file, relative to the working directory.
         unit: Its length unit; the format's own definition says `m`.
 
     Raises:
@@ -151,7 +155,7 @@ def read_unity_csv(
     has z backwards and its camera looks along −z: T = (x, −z, y), D = diag(1, −1, −1).
 
     Args:
-        path: The file.
+        path: The file, relative to the working directory.
         unit: Its length unit.
         handedness: Of the file's frame.
 

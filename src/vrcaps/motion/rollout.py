@@ -11,6 +11,7 @@ import numpy as np
 
 from vrcaps.actuation.steering_program import SteeringProgram
 from vrcaps.errors import InputError
+from vrcaps.file_ref import path_of
 from vrcaps.motion.dynamics import Dynamics, make_tissue
 from vrcaps.motion.run import Conditions, Instant
 from vrcaps.organ.surface import OrganSurface
@@ -78,7 +79,7 @@ class Rollout:
         self.model, self.settings = model, settings
         self.frames, self.fps = frames, fps
         file = settings.wrench_file
-        self._wrenches = read_wrenches(file) if file else settings.wrenches
+        self._wrenches = settings.wrenches if file is None else read_wrenches(path_of(file))
         self._line = model.organ.centerline
         self._offset = None if shown is None else _offset(model.organ, shown)
         pose, arc_length, self.notes = _start(model, settings)

@@ -18,9 +18,9 @@ from vrcaps.organ.arrays import json_safe
 from vrcaps.recording.channels import ENCODINGS
 from vrcaps.recording.walls import wall_to_plain
 from vrcaps.render.frame import Frame
-from vrcaps.scenario.convert import from_plain, to_plain
 from vrcaps.scenario.scenario import Scenario, scenario_to_plain
 from vrcaps.sensors.sensors import Sensors, hall_array
+from vrcaps.serialization import from_plain, to_plain
 from vrcaps.world.model import Model
 
 FORMAT = "vrcaps-episode/1"

@@ -43,7 +43,8 @@ from vrcaps.recording.preview import Preview
 from vrcaps.recording.sensing import SensorReadings
 from vrcaps.recording.table import TableRows, write_table
 from vrcaps.recording.walls import file_vertices, stored_wall, wall_path
-from vrcaps.scenario.scenario import Scenario, build, resolve, scenario_to_plain
+from vrcaps.scenario.build import build, resolve
+from vrcaps.scenario.scenario import Scenario, scenario_to_plain
 from vrcaps.world.moving_wall import MovingWall
 
 if TYPE_CHECKING:
@@ -83,9 +84,9 @@ def record(
             cannot be written; what was there before stays as it was.
     """
     out = Path(out)
-    scenario, device = resolve(scenario)
+    scenario = resolve(scenario)
     _require_free(out, scenario)
-    model, motion = build(scenario, device)
+    model, motion = build(scenario)
     if isinstance(motion, Rollout) and simulated is not None:
         motion.on_step = simulated
     head = make_head(scenario, model, motion.notes)

@@ -76,12 +76,12 @@ def _stages(scenario: Scenario, folder: Path) -> dict[str, Any]:
     from vrcaps.recording.channels import ENCODINGS
     from vrcaps.recording.image_files import write_images
     from vrcaps.render.renderer import Renderer
-    from vrcaps.scenario.scenario import build, resolve
+    from vrcaps.scenario.build import build, resolve
 
-    scenario, device = resolve(scenario)
-    model, motion = build(scenario, device)
+    scenario = resolve(scenario)
+    model, motion = build(scenario)
     states = [instant.state for instant in motion.instants()]
-    camera, renderer = device.cameras[0], Renderer(model, scenario.render)
+    camera, renderer = model.device.cameras[0], Renderer(model, scenario.render)
     frames = range(min(scenario.frames, _MAX_STAGE_FRAMES))
     rendered: dict[int, Frame] = {}
     stored: dict[int, list[tuple[Path, NDArray]]] = {}

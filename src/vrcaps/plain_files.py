@@ -1,0 +1,55 @@
+"""Files of plain values: TOML and JSON, read with exact decimals, written whole or not at all."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from decimal import Decimal
+from pathlib import Path
+from typing import Any
+
+from vrcaps.errors import InputError
+from vrcaps.files import write_bytes
+
+
+def read_plain(path: Path, noun: str) -> Any:
+    """What a TOML file holds, or a JSON file where the name does not end in `.toml`.
+
+    Args:
+        path: The file.
+        noun: What it describes, for messages, such as ``scenario``.
+
+    Raises:
+        InputError: If the file cannot be read or is neither.
+    """
+    kind = "TOML" if path.suffix == ".toml" else "JSON"
+    try:
+        text = path.read_text(encoding="utf-8")
+        if kind == "TOML":
+            return tomllib.loads(text, parse_float=Decimal)
+        return json.loads(text)
+    except OSError as error:
+        raise InputError(f"Cannot read the {noun} file {path}: {error.strerror}.") from error
+    except (ValueError, ArithmeticError) as error:
+        raise InputError(f"The {noun} file {path} is not {kind}: {error}.") from error
+
+
+def write_toml(path: Path, plain: dict[str, Any], noun: str) -> None:
+    """Write plain values as TOML, whole or not at all.
+
+    Args:
+        path: The file.
+        plain: Its tables; numbers may be decimals.
+        noun: What it describes, for messages.
+
+    Raises:
+        InputError: If a value has no TOML form or the file cannot be written.
+    """
+    import tomli_w
+
+    try:
+        write_bytes(path, tomli_w.dumps(plain).encode())
+    except TypeError as error:
+        raise InputError(f"Cannot write the {noun} file {path}: {error}.") from error
+    except OSError as error:
+        raise InputError(f"Cannot write the {noun} file {path}: {error.strerror}.") from error

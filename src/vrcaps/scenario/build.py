@@ -1,0 +1,206 @@
+"""Builder of a scenario: the model of the world and the motion of the capsule in it."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from vrcaps.capsule.catalog import read_device
+from vrcaps.capsule.device import Device
+from vrcaps.errors import InputError
+from vrcaps.file_ref import FileRef, path_of, with_checksums
+from vrcaps.lesion import AnyLesion, add_lesions
+from vrcaps.motion.dynamics import Dynamics
+from vrcaps.motion.fly_through import FlyThrough, fly_through
+from vrcaps.motion.replay import Replay, replay
+from vrcaps.motion.rollout import Rollout
+from vrcaps.organ.organ_file import is_organ_file
+from vrcaps.organ.surface import OrganSurface
+from vrcaps.render.frame import CHANNELS
+from vrcaps.render.led_light import make_imaging
+from vrcaps.scenario.scenario import OrganFile, OrganGenerated, Scenario
+from vrcaps.serialization import to_plain
+from vrcaps.units import parse_length
+from vrcaps.world.model import Model, posture_transform
+
+if TYPE_CHECKING:
+    from vrcaps.motion.run import Run
+    from vrcaps.motion.trajectory import Trajectory
+
+
+def resolve(scenario: Scenario) -> Scenario:
+    """The scenario with nothing left open; resolving it again changes nothing.
+
+    Fills in the frame rate and the checksums of files, draws the severities of effects, and puts
+    the channels in the order of `Frame`.
+
+    Raises:
+        InputError: If a file is not the one that a checksum names, a mesh file has no unit, or the
+            capsule's LEDs lack a color.
+        UnknownNameError: If the capsule is unknown.
+    """
+    device, organ = _catalog_device(scenario), scenario.organ
+    make_imaging(device, scenario.render.imaging)
+    if isinstance(organ, OrganFile):
+        organ = replace(
+            organ, unit=organ.unit or ("m" if is_organ_file(path_of(organ.path)) else "")
+        )
+        parse_length(organ.unit)
+    return replace(
+        scenario,
+        organ=organ if isinstance(organ, OrganSurface) else with_checksums(organ),
+        motion=with_checksums(scenario.motion),
+        fps=device.frame_rate if scenario.fps is None else scenario.fps,
+        channels=tuple(channel for channel in CHANNELS if channel in scenario.channels),
+        effects=scenario.effects.drawn(scenario.seed),
+    )
+
+
+def build(scenario: Scenario) -> tuple[Model, Run]:
+    """World and motion of a scenario.
+
+    The capsule's cameras, the wall and the contents of the lumen are as the effects change them.
+
+    Returns:
+        The model that is seen, of a clean twin without its lesions, and the motion in it.
+
+    Raises:
+        InputError: As `resolve`, or if the organ cannot be made or the capsule cannot move in it.
+        UnknownNameError: As `resolve`.
+    """
+    scenario = resolve(scenario)
+    device = scenario.effects.device(_catalog_device(scenario))
+    T_world_patient = posture_transform(scenario.posture)
+    contents = scenario.effects.contents(scenario.contents)
+
+    def make_model(*, clean: bool) -> Model:
+        organ = scenario.effects.organ(make_organ(scenario, clean=clean))
+        return Model(organ, device, T_world_patient, contents)
+
+    shown = model = make_model(clean=False)
+    if scenario.clean_twin:
+        shown = make_model(clean=True)
+    if not isinstance(scenario.motion, Dynamics):
+        return shown, _make_trajectory(scenario, model, shown)
+    assert scenario.fps is not None
+    simulation = Rollout(
+        model,
+        scenario.motion,
+        frames=scenario.frames,
+        fps=scenario.fps,
+        seed=scenario.seed,
+        shown=shown.organ if scenario.clean_twin else None,
+    )
+    return shown, simulation
+
+
+def make_organ(scenario: Scenario, *, clean: bool = False) -> OrganSurface:
+    """The organ of a resolved scenario with its lesions, or its clean twin without them.
+
+    An organ with lesions is made once and then read from the user's cache folder.
+
+    Raises:
+        InputError: If the organ cannot be made, or a lesion finds no place in it.
+    """
+    from vrcaps.organ.cache import cached_organ, fingerprint
+
+    if not scenario.lesions:
+        organ = _load_organ(scenario)
+        if clean and organ.metadata.get("lesions"):
+            raise InputError(
+                f"{organ.name} holds its lesions for good, so it has no clean twin. Give the file "
+                "of the clean twin, which `vrcaps organ make --clean-twin` writes."
+            )
+        return organ
+    gravity_world = np.array([0.0, 0.0, -1.0])
+    down = posture_transform(scenario.posture)[:3, :3].T @ gravity_world
+    seed = getattr(scenario.organ, "seed", scenario.seed)
+
+    def make() -> OrganSurface:
+        rng, organ = np.random.default_rng([seed, 3]), _load_organ(scenario)
+        if organ.metadata.get("lesions"):
+            raise InputError(f"{organ.name} has lesions already. Give none, or its clean twin.")
+        patient = add_lesions(organ, scenario.lesions, rng, down=down)
+        return patient.clean if clean else patient.organ
+
+    if isinstance(scenario.organ, OrganSurface):
+        return make()
+    plain = to_plain(scenario.lesions, tuple[AnyLesion, ...])
+    key = {"lesions": plain, "organ": _key(scenario), "down": down.tolist(), "seed": seed}
+    return cached_organ(f"lesions-{fingerprint({**key, 'clean': clean})}", make)
+
+
+def _catalog_device(scenario: Scenario) -> Device:
+    """The capsule before its effects."""
+    given = scenario.capsule
+    return given if isinstance(given, Device) else read_device(given)
+
+
+def _make_trajectory(scenario: Scenario, model: Model, shown: Model) -> Trajectory:
+    """Motion of a resolved scenario in its world, where it is known beforehand.
+
+    Args:
+        scenario: What to record.
+        model: Where the capsule moves.
+        shown: What is seen: the model, or its clean twin.
+    """
+    assert scenario.fps is not None
+    if isinstance(scenario.motion, Replay):
+        return replay(model, scenario.motion, frames=scenario.frames, fps=scenario.fps)
+    assert isinstance(scenario.motion, FlyThrough)
+    rng = np.random.default_rng(scenario.seed)
+    path = fly_through(model, scenario.motion, frames=scenario.frames, fps=scenario.fps, rng=rng)
+    return replace(
+        path,
+        wall_displacement=path.wall_displacement and replace(path.wall_displacement, shown=shown),
+    )
+
+
+def _load_organ(scenario: Scenario) -> OrganSurface:
+    """The organ with its appearance, made once and then read from the user's cache folder."""
+    from vrcaps.anatomy.catalog import generate_organ
+    from vrcaps.mucosa.appearance import bake_appearance, own_mucosa
+    from vrcaps.organ.cache import cached_organ, fingerprint
+
+    given = scenario.organ
+    assert not isinstance(given, str)
+    mucosa = None if isinstance(given, OrganSurface) else given.mucosa
+    mucosa = mucosa.path if isinstance(mucosa, FileRef) else mucosa
+    if isinstance(given, OrganGenerated):
+        return generate_organ(
+            given.name, seed=given.seed, distension=given.distension, mucosa=mucosa
+        )
+
+    def dressed(organ: OrganSurface) -> OrganSurface:
+        look = bake_appearance(organ, seed=scenario.seed, mucosa=mucosa or own_mucosa(organ))
+        return replace(organ, appearance=look)
+
+    if isinstance(given, OrganSurface):
+        return given if given.appearance is not None else dressed(given)
+    path = path_of(given.path)
+    if is_organ_file(path) and (organ := _read_file(given)).appearance is not None:
+        if given.mucosa is not None:
+            raise InputError(f"{path} has textures of its own. Leave out the mucosa.")
+        return organ
+    key = fingerprint(_key(scenario) | {"seed": scenario.seed})
+    return cached_organ(f"file-{key}", lambda: dressed(_read_file(given)))
+
+
+def _read_file(given: OrganFile) -> OrganSurface:
+    from vrcaps.organ.read_organ import read_organ
+
+    return read_organ(
+        path_of(given.path),
+        unit=given.unit,
+        open_ends=given.open_ends,
+        keep_uv=given.keep_uv,
+        reverse=given.reverse,
+    )
+
+
+def _key(scenario: Scenario) -> dict[str, Any]:
+    """What the organ before its lesions depends on."""
+    assert isinstance(scenario.organ, OrganGenerated | OrganFile)
+    return asdict(scenario.organ)

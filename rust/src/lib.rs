@@ -4,18 +4,18 @@
 #![allow(clippy::needless_range_loop)]
 
 mod actuation;
-mod contents;
 mod cpu;
-mod fem;
+mod lumen;
 mod magnet;
 mod mucosa;
-mod physics;
 mod poses;
 mod recording;
 mod render;
 mod sensor;
 mod simd;
+mod tissue;
 mod wall;
+mod world;
 
 use pyo3::prelude::*;
 
@@ -24,7 +24,7 @@ fn _core(m: &Bound<'_, PyModule>) -> PyResult<()> {
     m.add("__version__", env!("CARGO_PKG_VERSION"))?;
     m.add_function(wrap_pyfunction!(mucosa::bake_mucosa, m)?)?;
     m.add_class::<wall::Wall>()?;
-    m.add_class::<fem::layer::FemLayer>()?;
+    m.add_class::<tissue::fem::layer::FemLayer>()?;
     m.add_class::<actuation::arm_chain::ArmChain>()?;
     m.add_class::<actuation::arm_with_payload::ArmWithPayload>()?;
     m.add_class::<actuation::robot_actuator::RobotActuator>()?;
@@ -33,11 +33,11 @@ fn _core(m: &Bound<'_, PyModule>) -> PyResult<()> {
     m.add_function(wrap_pyfunction!(actuation::rotation::rotate_by_vector, m)?)?;
     m.add_function(wrap_pyfunction!(actuation::rotation::rotation_vector_rows, m)?)?;
     m.add_function(wrap_pyfunction!(actuation::reference::advance_reference, m)?)?;
-    m.add_class::<physics::world::World>()?;
-    m.add_class::<contents::Contents>()?;
-    m.add_class::<contents::swarm::Swarm>()?;
-    m.add_function(wrap_pyfunction!(contents::swarm::terminal_speed, m)?)?;
-    m.add_function(wrap_pyfunction!(contents::parted::around_capsule, m)?)?;
+    m.add_class::<world::binding::World>()?;
+    m.add_class::<lumen::Contents>()?;
+    m.add_class::<lumen::particles::Particles>()?;
+    m.add_function(wrap_pyfunction!(lumen::particles::terminal_speed, m)?)?;
+    m.add_function(wrap_pyfunction!(lumen::pushed_aside::around_capsule, m)?)?;
     m.add_class::<render::scene::Scene>()?;
     m.add_class::<render::texture::Texture>()?;
     m.add_class::<render::ray_table::RayTable>()?;

@@ -13,7 +13,7 @@ from vrcaps.capsule.catalog import read_device
 from vrcaps.errors import InputError
 from vrcaps.lumen.bubbles import BUBBLE_SEVERITIES, Bubbles
 from vrcaps.lumen.contents import Contents
-from vrcaps.lumen.dome_attachment import seats
+from vrcaps.lumen.dome_attachment import dome_sites
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.transforms import rotation_from_vector, transform_from
 from vrcaps.units import MM
@@ -30,21 +30,21 @@ def test_as_many_as_the_grade_says_ride_exactly(gut: OrganSurface, severity: int
     device = read_device("mirocam")
     model = Model(gut, device, contents=Contents(bubbles=severity, chyme=1, seed=3))
     lumen_contents, count = model.lumen_contents, BUBBLE_SEVERITIES[severity].on_dome
-    assert lumen_contents is not None and len(lumen_contents.seats) == 2 * count
+    assert lumen_contents is not None and len(lumen_contents.dome_sites) == 2 * count
     radius = lumen_contents.spheres.radius[len(lumen_contents.spheres) - 2 * count :]
     half = device.length / 2.0 - device.radius
-    ahead = lumen_contents.seats[:, 2] > 0.0
+    ahead = lumen_contents.dome_sites[:, 2] > 0.0
     assert ahead.sum() == count
-    offset = lumen_contents.seats - np.where(ahead, half, -half)[:, None] * [0.0, 0.0, 1.0]
+    offset = lumen_contents.dome_sites - np.where(ahead, half, -half)[:, None] * [0.0, 0.0, 1.0]
     np.testing.assert_allclose(np.linalg.norm(offset, axis=1), device.radius + radius, rtol=1e-12)
     assert (np.abs(offset[:, 2]) > 0.3 * device.radius).all()
     T = transform_from(rotation_from_vector(np.array([0.3, -0.2, 0.5])), np.array([0.05, 0, 0]))
     seen = lumen_contents.around_capsule(T, device.length, device.radius).spheres
     assert seen.radius is lumen_contents.spheres.radius
     local = (seen.centers[len(seen) - 2 * count :] - T[:3, 3]) @ T[:3, :3]
-    np.testing.assert_allclose(local, lumen_contents.seats, atol=1e-15)
+    np.testing.assert_allclose(local, lumen_contents.dome_sites, atol=1e-15)
     again = Model(gut, device, contents=Contents(bubbles=severity, chyme=1, seed=3)).lumen_contents
-    assert again is not None and again.seats.tobytes() == lumen_contents.seats.tobytes()
+    assert again is not None and again.dome_sites.tobytes() == lumen_contents.dome_sites.tobytes()
 
 
 def test_higher_grades_have_more() -> None:
@@ -55,7 +55,7 @@ def test_higher_grades_have_more() -> None:
 
 def test_few_do_not_overlap(rng: np.random.Generator) -> None:
     radius = np.full(8, 0.6 * MM)
-    places = seats(radius, 24.0 * MM, 5.5 * MM, rng)
+    places = dome_sites(radius, 24.0 * MM, 5.5 * MM, rng)
     apart = np.linalg.norm(places[:, None] - places, axis=-1)[np.triu_indices(8, 1)]
     assert apart.min() > 1.2 * MM
 

@@ -16,7 +16,7 @@ from vrcaps.lumen.chyme import CHYME_SEVERITIES, Chyme
 from vrcaps.lumen.cluster import pack, sizes
 from vrcaps.lumen.contents import Contents
 from vrcaps.lumen.liquid import LIQUID_SEVERITIES, Liquid
-from vrcaps.lumen.lumen_contents import fill
+from vrcaps.lumen.lumen_contents import populate
 from vrcaps.lumen.particles import BUBBLE, FIRST_CLUMP, WHITE, Spheres
 from vrcaps.lumen.placement import place_bubbles, place_chyme, smooth_area
 from vrcaps.organ.surface import OrganSurface
@@ -90,7 +90,7 @@ def test_bubbles_gather_above_and_chyme_below(gut: OrganSurface, wall: _core.Wal
 
 
 def test_instances_and_kinds(gut: OrganSurface) -> None:
-    spheres = fill(gut, Contents(bubbles=2, chyme=3), np.eye(4)).spheres
+    spheres = populate(gut, Contents(bubbles=2, chyme=3), np.eye(4)).spheres
     bubbles = spheres.kind == BUBBLE
     assert (spheres.instance[bubbles] == 1 + np.arange(bubbles.sum())).all()
     clumps = spheres.instance[~bubbles]

@@ -71,7 +71,7 @@ def test_a_layer_of_elements_carries_the_weight(lying: Model) -> None:
     assert simulation.world.layer is not None
     still = transform_points(lying.T_world_patient, lying.organ.vertices)
     sunk = np.linalg.norm(state.vertices_world - still, axis=1)
-    given = np.linalg.norm(simulation.world.layer.yields[:, :3], axis=1)
+    given = np.linalg.norm(simulation.world.layer.wall_displacement[:, :3], axis=1)
     np.testing.assert_allclose(sunk, given, rtol=0, atol=1e-8)
     assert sunk.max() > 0.01 * MM
 

@@ -187,8 +187,8 @@ def test_seed(model: Model, seed: int) -> None:
     ("changed", "match"),
     [
         ({"seed": 5}, "seed is 5. Allowed: this world's, 0"),
-        ({"driven": np.zeros((4, 3))}, "a wall of 4 vertices, the model has"),
-        ({"yields": np.zeros((4, 6))}, r"yields has the shape \(4, 6\)"),
+        ({"active_wall": np.zeros((4, 3))}, "a wall of 4 vertices, the model has"),
+        ({"wall_displacement": np.zeros((4, 6))}, r"wall_displacement has the shape \(4, 6\)"),
         ({"capsule": np.zeros(12)}, r"capsule has the shape \(12,\). Allowed: \(13,\)"),
         ({"lumen_scale": np.ones(3)}, r"lumen_scale has the shape \(3,\)"),
         ({"time": NAN}, "time is not finite"),
@@ -224,7 +224,7 @@ def test_never_tunnels_or_explodes(model: Model, rng: np.random.Generator) -> No
         for _ in range(4):
             world.step(Control(force_world=force), 5e-3)
             speed = np.linalg.norm(world.state.linear_velocity_world)
-            assert np.isfinite(world.snapshot().yields).all()
+            assert np.isfinite(world.snapshot().wall_displacement).all()
             assert speed < limit
         assert world.is_inside()
 

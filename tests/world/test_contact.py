@@ -207,7 +207,7 @@ def test_the_quick_wall_grips_as_measured() -> None:
     )
     world.step(2e-4, 2_000, FREE, (0.0,) * 3)
     assert 0.9 < world.contact()[2] / 2.6 < 2.9
-    assert np.abs(world.yields[:, :3]).max() > 0.4 * MM
+    assert np.abs(world.wall_displacement[:, :3]).max() > 0.4 * MM
 
 
 @pytest.mark.parametrize("law", ["incetan2021", "continuous"])

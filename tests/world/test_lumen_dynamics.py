@@ -71,7 +71,7 @@ def gut() -> OrganSurface:
 
 def swarm_of(
     gut: OrganSurface, centers: object, radius: object, kind: int, **laws: float
-) -> tuple[_core.Swarm, _core.Wall]:
+) -> tuple[_core.Particles, _core.Wall]:
     """Spheres at places about the middle of the gut."""
     wall = _core.Wall(gut.vertices, gut.faces.astype(np.int64))
     centers = np.atleast_2d(np.asarray(centers, float)) + np.array(wall.center)
@@ -85,7 +85,7 @@ def swarm_of(
         centers[:, 0].copy(),
     )
     tangents = np.tile([1.0, 0.0, 0.0], (3, 1))
-    return _core.Swarm(wall, spheres, Laws(**laws), tangents, 0.1), wall
+    return _core.Particles(wall, spheres, Laws(**laws), tangents, 0.1), wall
 
 
 @pytest.mark.parametrize("radius", [5e-6, 20e-6])
@@ -115,10 +115,10 @@ def test_bubbles_rise_and_particles_sink_at_their_speed(gut: OrganSurface) -> No
         for _ in range(steps):
             swarm.step(wall, FULL, 2.5e-3)
         speed = _core.terminal_speed(0.3 * MM, density, WATER, VISCOSITY, GRAVITY)
-        assert swarm.floats[0, 5] == pytest.approx(speed, rel=1e-3)
+        assert swarm.states[0, 5] == pytest.approx(speed, rel=1e-3)
         for _ in range(2000):
             swarm.step(wall, FULL, 2.5e-3)
-        height = swarm.floats[0, 2]
+        height = swarm.states[0, 2]
         if kind == BUBBLE:
             assert height == pytest.approx(LEVEL, abs=0.02 * MM)
         else:
@@ -127,20 +127,20 @@ def test_bubbles_rise_and_particles_sink_at_their_speed(gut: OrganSurface) -> No
 
 def test_drift_carries_along_the_gut(gut: OrganSurface) -> None:
     swarm, wall = swarm_of(gut, (0.0, 0.0, LEVEL), 0.5 * MM, BUBBLE, drift=2.0 * MM)
-    before = swarm.floats[0]
+    before = swarm.states[0]
     for _ in range(400):
         swarm.step(wall, FULL, 2.5e-3)
-    after = swarm.floats[0]
+    after = swarm.states[0]
     assert after[0] - before[0] == pytest.approx(2.0 * MM, rel=0.03)
     assert after[6] - before[6] == pytest.approx(2.0 * MM, rel=0.03)
 
 
 def test_dry_spheres_stay_where_they_cling(gut: OrganSurface) -> None:
     swarm, wall = swarm_of(gut, [(0.0, 0.0, 24.5 * MM), (0.01, 0.02, 0.0)], 0.5 * MM, WHITE)
-    before = swarm.floats
+    before = swarm.states
     for _ in range(50):
         swarm.step(wall, DRY, 2.5e-3)
-    np.testing.assert_allclose(swarm.floats[:, :3], before[:, :3], atol=1e-7)
+    np.testing.assert_allclose(swarm.states[:, :3], before[:, :3], atol=1e-7)
 
 
 def test_pushing_keeps_momentum(gut: OrganSurface, rng: np.random.Generator) -> None:
@@ -155,14 +155,14 @@ def test_pushing_keeps_momentum(gut: OrganSurface, rng: np.random.Generator) -> 
         velocity=(0.05, 0.0, 0.0),
     )
     mass = np.array(swarm.masses())[:, None]
-    before = (mass * swarm.floats[:, 3:6]).sum(axis=0)
+    before = (mass * swarm.states[:, 3:6]).sum(axis=0)
     impulse, moment = swarm.step(wall, around, 1e-3)
-    gained = (mass * swarm.floats[:, 3:6]).sum(axis=0) - before
+    gained = (mass * swarm.states[:, 3:6]).sum(axis=0) - before
     assert gained[0] > 0.0
     np.testing.assert_allclose(np.array(impulse) + gained, 0.0, atol=1e-12 * gained[0])
     assert np.isfinite(moment).all()
-    feet = np.clip(swarm.floats[:, 0], -5.0 * MM, 2.0 * MM)
-    away = swarm.floats[:, :3] - np.stack([feet, 0 * feet, 0 * feet], 1)
+    feet = np.clip(swarm.states[:, 0], -5.0 * MM, 2.0 * MM)
+    away = swarm.states[:, :3] - np.stack([feet, 0 * feet, 0 * feet], 1)
     assert (np.linalg.norm(away, axis=1) > 5.0 * MM).all()
 
 
@@ -172,22 +172,22 @@ def test_only_what_is_near_moves(gut: OrganSurface) -> None:
     )
     axis = ((-2.0 * MM, 0.0, 0.0), (2.0 * MM, 8.0 * MM, 0.0))
     swarm.step(wall, replace(FULL, axis=axis), 1e-3)
-    moved = np.linalg.norm(swarm.floats[:, 3:6], axis=1)
+    moved = np.linalg.norm(swarm.states[:, 3:6], axis=1)
     assert moved[0] > 0.0 and moved[1] == 0.0
 
 
 def test_bubbles_burst_at_their_rate(gut: OrganSurface) -> None:
     centers = np.random.default_rng(0).uniform(-5, 5, (400, 3)) * MM
     swarm, wall = swarm_of(gut, centers, 0.2 * MM, BUBBLE, burst_rate=2.0)
-    home = swarm.floats
+    home = swarm.states
     back = 0
     for _ in range(40):
-        before = swarm.floats[:, 2]
+        before = swarm.states[:, 2]
         swarm.step(wall, FULL, 5e-3)
-        back += int((swarm.floats[:, 2] < before).sum())
+        back += int((swarm.states[:, 2] < before).sum())
     expected = 400 * 40 * 2.0 * 5e-3
     assert abs(back - expected) < 5.0 * np.sqrt(expected) + 10.0
-    assert np.isfinite(swarm.floats).all() and len(home) == 400
+    assert np.isfinite(swarm.states).all() and len(home) == 400
 
 
 AHEAD = replace(
@@ -206,7 +206,7 @@ def test_a_bubble_that_lands_rides_with_the_capsule(gut: OrganSurface) -> None:
     around, mass = replace(AHEAD, gravity=0.0), swarm.masses()[0]
     impulse, _ = swarm.step(wall, around, 1e-9)
     np.testing.assert_allclose(impulse[0], -0.05 * mass, rtol=1e-2)
-    seat = swarm.floats[0, 7:]
+    seat = swarm.states[0, 7:]
     assert np.linalg.norm(seat - [4.0 * MM, 0.0, 0.0]) == pytest.approx(5.7 * MM, rel=1e-6)
     turn = 0.3
     rotation = np.array(
@@ -217,11 +217,11 @@ def test_a_bubble_that_lands_rides_with_the_capsule(gut: OrganSurface) -> None:
     wxyz = (float(np.cos(turn / 2)), 0.0, 0.0, float(np.sin(turn / 2)))
     moved = replace(around, axis=tuple(map(tuple, ends)), center=tuple(center), wxyz=wxyz)
     swarm.step(wall, moved, 2.5e-3)
-    np.testing.assert_allclose(swarm.floats[0, :3], center + rotation @ seat, atol=1e-15)
-    np.testing.assert_array_equal(swarm.floats[0, 7:], seat)
+    np.testing.assert_allclose(swarm.states[0, :3], center + rotation @ seat, atol=1e-15)
+    np.testing.assert_array_equal(swarm.states[0, 7:], seat)
     lever = rotation @ seat
     expected = np.array(around.velocity) + np.cross(around.spin, lever)
-    np.testing.assert_allclose(swarm.floats[0, 3:6], expected, atol=1e-12)
+    np.testing.assert_allclose(swarm.states[0, 3:6], expected, atol=1e-12)
 
 
 def test_particles_and_the_capsules_side_hold_no_bubble(gut: OrganSurface) -> None:
@@ -229,7 +229,7 @@ def test_particles_and_the_capsules_side_hold_no_bubble(gut: OrganSurface) -> No
     for kind, place in ((WHITE, (5.5 * MM, 0.0, 0.0)), (BUBBLE, side)):
         swarm, wall = swarm_of(gut, place, 0.7 * MM, kind, landing_rate=1e9)
         swarm.step(wall, AHEAD, 1e-3)
-        assert (swarm.floats[0, 7:] == 0.0).all()
+        assert (swarm.states[0, 7:] == 0.0).all()
 
 
 def test_riding_bubbles_let_go_at_their_rate_and_burst_at_theirs(gut: OrganSurface) -> None:
@@ -244,23 +244,23 @@ def test_riding_bubbles_let_go_at_their_rate_and_burst_at_theirs(gut: OrganSurfa
         (replace(DRY, axis=AHEAD.axis, center=AHEAD.center), {"release_rate": 4.0}, 600),
     ):
         swarm, wall = swarm_of(gut, places, 0.7 * MM, BUBBLE, **rates)
-        floats = swarm.floats
+        floats = swarm.states
         floats[:, 7:] = floats[:, :3] - around.center
-        swarm.floats = floats
+        swarm.states = floats
         for _ in range(20):
             swarm.step(wall, around, 5e-3)
-        rides = (swarm.floats[:, 7:] != 0.0).any(axis=1).sum()
+        rides = (swarm.states[:, 7:] != 0.0).any(axis=1).sum()
         assert abs(rides - left) <= 5.0 * np.sqrt(left * (1.0 - left / 600))
 
 
 def test_the_wall_wipes_a_bubble_off(gut: OrganSurface) -> None:
     swarm, wall = swarm_of(gut, (5.6 * MM, 0.0, 0.0), 0.7 * MM, BUBBLE)
-    floats = swarm.floats
+    floats = swarm.states
     floats[:, 7:] = (0.0, 0.0, -5.6 * MM)
-    swarm.floats = floats
+    swarm.states = floats
     low = (0.0, 0.0, -RADIUS + 5.0 * MM)
     swarm.step(wall, replace(DRY, axis=(low, low), center=low), 2.5e-3)
-    assert (swarm.floats[0, 7:] == 0.0).all() and swarm.floats[0, 2] > -RADIUS
+    assert (swarm.states[0, 7:] == 0.0).all() and swarm.states[0, 2] > -RADIUS
 
 
 def test_a_sweep_moves_what_is_far_as_single_steps_do(gut: OrganSurface) -> None:
@@ -271,11 +271,11 @@ def test_a_sweep_moves_what_is_far_as_single_steps_do(gut: OrganSurface) -> None
     (single, wall), (swept, _) = (swarm_of(gut, places, 0.5 * MM, BUBBLE, **laws) for _ in "12")
     for piece in range(8):
         single.step(wall, around, 2.5e-3)
-        before = swept.floats
+        before = swept.states
         swept.step(wall, around, 2.5e-3, 20e-3 if piece == 7 else 0.0)
-        moved = swept.floats[:, 0] - before[:, 0]
+        moved = swept.states[:, 0] - before[:, 0]
         assert (moved[0] > 0.0) == (piece == 7)
-    np.testing.assert_allclose(swept.floats[:, :3], single.floats[:, :3], atol=20e-3 * 1.0 * MM)
+    np.testing.assert_allclose(swept.states[:, :3], single.states[:, :3], atol=20e-3 * 1.0 * MM)
 
 
 def world_in(gut: OrganSurface, contents: Contents, z: float = 0.0, **device: float) -> World:
@@ -347,7 +347,7 @@ def digest() -> str:
     world = crowded(straight_gut({"colon": 0.2}, radius=RADIUS, edge=4.0 * MM))
     for _ in range(5):
         world.step(Control(force_world=(0.02, 0.0, 0.0)), 0.02)
-    return world.snapshot().afloat.tobytes().hex()[-400:]
+    return world.snapshot().contents.tobytes().hex()[-400:]
 
 
 def test_same_bytes_for_any_number_of_threads() -> None:
@@ -376,14 +376,14 @@ def test_bubbles_on_the_domes_ride_in_a_world_and_are_restored(gut: OrganSurface
         return world_in(gut, Contents(bubbles=bubbles, liquid=3, seed=2), 0.0)
 
     world, control = begin(), Control(force_world=(0.01, 0.0, 0.0))
-    seats = world.model.lumen_contents.seats
-    assert len(seats) == 10
+    dome_sites = world.model.lumen_contents.dome_sites
+    assert len(dome_sites) == 10
     middle = world.snapshot()
     for count in range(3):
         state = world.state
         centers = state.lumen_contents.spheres.centers[-10:]
         local = (centers - state.T_world_capsule[:3, 3]) @ state.T_world_capsule[:3, :3]
-        np.testing.assert_allclose(local, seats, atol=1e-12)
+        np.testing.assert_allclose(local, dome_sites, atol=1e-12)
         if count == 1:
             middle = world.snapshot()
         world.step(control, 0.03)
@@ -397,8 +397,8 @@ def test_bubbles_on_the_domes_ride_in_a_world_and_are_restored(gut: OrganSurface
 
 def test_rejects_a_snapshot_of_other_contents(gut: OrganSurface) -> None:
     world = crowded(gut)
-    with pytest.raises(InputError, match="snapshot's afloat has the shape"):
-        world.restore(replace(world.snapshot(), afloat=np.zeros(3)))
+    with pytest.raises(InputError, match="snapshot's contents has the shape"):
+        world.restore(replace(world.snapshot(), contents=np.zeros(3)))
 
 
 def test_posture_takes_the_liquid_along(gut: OrganSurface) -> None:

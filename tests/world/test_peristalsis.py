@@ -101,7 +101,7 @@ def test_wall_does_not_depend_on_the_step(gut: OrganSurface) -> None:
     for dt in (0.1, 0.02):
         world = world_in(gut)
         travel(world, 0.4, dt)
-        ends.append(world.snapshot().driven)
+        ends.append(world.snapshot().active_wall)
     np.testing.assert_allclose(ends[0], ends[1], atol=1e-12)
 
 
@@ -146,7 +146,7 @@ def test_failed_step_leaves_the_world(gut: OrganSurface) -> None:
 
         def __setattr__(self, name: str, value: object) -> None:
             vars(self)[name] = value
-            if name in ("driven", "yields", "pose"):
+            if name in ("active_wall", "wall_displacement", "pose"):
                 setattr(self.core, name, value)
                 del vars(self)[name]
 

@@ -50,22 +50,24 @@ def pressed(size: float = 80.0 * MM, spring_wall: SpringWall = SPRING) -> _core.
 def test_term_by_term(spring_wall: SpringWall) -> None:
     world = pressed(spring_wall=spring_wall)
     for _ in range(40):
-        before = world.yields
+        before = world.wall_displacement
         world.step(DT, 1, (0.3, 0.0, -1.0, 0.0, 1e-3, 0.0), DOWN)
-        pushes = world.pushes()
-        force = attenuated(world.driven + before[:, :3], pushes, spring_wall)
-        np.testing.assert_allclose(world.yields, twin(before, force, spring_wall, DT), atol=1e-15)
+        pushes = world.contact_forces()
+        force = attenuated(world.active_wall + before[:, :3], pushes, spring_wall)
+        np.testing.assert_allclose(
+            world.wall_displacement, twin(before, force, spring_wall, DT), atol=1e-15
+        )
         np.testing.assert_allclose(-pushes[:, 5].sum(), world.contact()[2], rtol=0.05)
-    assert np.abs(world.yields[:, :3]).max() > 1e-6
+    assert np.abs(world.wall_displacement[:, :3]).max() > 1e-6
 
 
 def test_static_depth() -> None:
     """At rest each vertex stands back by F_v / k."""
     world = pressed()
     world.step(1e-4, 12_000, FREE, DOWN)
-    pushes, at_rest = world.pushes(), world.yields[:, :3]
+    pushes, at_rest = world.contact_forces(), world.wall_displacement[:, :3]
     assert -pushes[:, 5].sum() == pytest.approx(3e-3 * 9.81, rel=5e-3)
-    expected = attenuated(world.driven + at_rest, pushes, SPRING) / SPRING.stiffness
+    expected = attenuated(world.active_wall + at_rest, pushes, SPRING) / SPRING.stiffness
     deepest = np.abs(expected).max()
     np.testing.assert_allclose(at_rest, expected, atol=0.02 * deepest)
 
@@ -76,19 +78,19 @@ def test_recovery() -> None:
     world.step(1e-4, 12_000, FREE, DOWN)
     away = (0.0, 0.0, 60.0 * MM)
     world.pose = (away, (1.0, 0.0, 0.0, 0.0), STILL, STILL)
-    start = world.yields
+    start = world.wall_displacement
     start[:, 3:] = 0.0
-    world.yields = start
+    world.wall_displacement = start
     half = 0.5 * SPRING.damping
     omega = np.sqrt(SPRING.stiffness / SPRING.mass - half**2)
     for number in range(1, 9):
         world.step(DT, 200, FREE, STILL)
         t = number * 200 * DT
         share = np.exp(-half * t) * (np.cos(omega * t) + half / omega * np.sin(omega * t))
-        error = world.yields[:, :3] - share * start[:, :3]
+        error = world.wall_displacement[:, :3] - share * start[:, :3]
         assert np.abs(error).max() < 0.01 * np.abs(start[:, :3]).max()
     world.step(1e-4, 10_000, FREE, STILL)
-    assert not world.yields.any()  # back at rest to the bit
+    assert not world.wall_displacement.any()  # back at rest to the bit
 
 
 def test_cost_is_local() -> None:
@@ -96,7 +98,7 @@ def test_cost_is_local() -> None:
 
     def moved(world: _core.World) -> np.ndarray:
         world.step(DT, 100, (0.0, 0.0, -1.0, 0.0, 0.0, 0.0), DOWN)
-        return world.driven[np.any(world.yields != 0.0, axis=1)]
+        return world.active_wall[np.any(world.wall_displacement != 0.0, axis=1)]
 
     small, large = moved(pressed(size=80.0 * MM)), moved(pressed(size=320.0 * MM))
     assert len(large) == pytest.approx(len(small), rel=0.1)

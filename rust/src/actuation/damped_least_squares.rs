@@ -2,7 +2,7 @@
 
 use super::kinematic_chain::{Chain, Pose};
 use super::rotation::rotation_vector;
-use crate::physics::solve::{Symmetric6, Twist};
+use crate::world::solve::{Symmetric6, Twist};
 
 /// Largest damping; nearer to the target it is the distance that is left.
 const DAMPING: f64 = 1e-2;

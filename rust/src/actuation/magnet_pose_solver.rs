@@ -4,8 +4,8 @@
 use super::arm_chain::array;
 use crate::magnet::field_sources::{FieldSources, internal_magnets};
 use crate::magnet::sources::{InternalMagnet, Source, Wrench, wrench};
-use crate::physics::solve::Symmetric6;
 use crate::poses::{pose_rows, read_pose};
+use crate::world::solve::Symmetric6;
 use glam::{DMat3, DQuat, DVec3};
 use numpy::{PyArrayDyn, PyReadonlyArray2};
 use pyo3::{exceptions::PyValueError, prelude::*};

@@ -1,8 +1,8 @@
 //! One image: trace, shade and write every channel that was asked for.
 
-use crate::contents::Contents;
-use crate::contents::tile::{Filled, Room};
 use crate::cpu::on_pool;
+use crate::lumen::Contents;
+use crate::lumen::tile::{Filled, Room};
 use crate::poses::read_pose;
 use crate::render::channels::{Channels, Place, Planes, find, slice, sparse, take};
 use crate::render::material::{Led, Surface};

@@ -2,8 +2,8 @@
 
 use super::dome::totals;
 use super::planes::{Line, planes_array, rows, size};
-use crate::contents::front::FRONT_BUBBLE;
 use crate::cpu::on_pool;
+use crate::lumen::foreground::FRONT_BUBBLE;
 use crate::simd::f32x64::{Vec3, clamp, load, max, min, store};
 use numpy::{PyArray3, PyReadonlyArray2, PyReadonlyArray3, PyUntypedArrayMethods};
 use pyo3::{exceptions::PyValueError, prelude::*};

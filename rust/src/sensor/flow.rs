@@ -1,7 +1,7 @@
 //! Where points appear in an image, by the rays of its pixels alone: for any lens.
 
-use crate::contents::front::FRONT_BUBBLE;
 use crate::cpu::on_pool;
+use crate::lumen::foreground::FRONT_BUBBLE;
 use crate::poses::read_pose;
 use crate::render::ray_table::RayTable;
 use crate::simd::f32x64::*;

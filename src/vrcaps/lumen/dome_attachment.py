@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
 _WIDEST = np.deg2rad(45.0)
-"""Greatest angle of a seat from the capsule's axis."""
+"""Greatest angle of a site from the capsule's axis."""
 
 _TRIES = 12
 
@@ -45,7 +45,7 @@ def place_dome_bubbles(
     )
 
 
-def seats(
+def dome_sites(
     radius: Float[np.ndarray, " n"],
     length: float,
     capsule_radius: float,

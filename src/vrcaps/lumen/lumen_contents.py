@@ -9,7 +9,7 @@ import numpy as np
 
 from vrcaps._core import Wall, around_capsule
 from vrcaps.lumen.contents import Contents
-from vrcaps.lumen.dome_attachment import place_dome_bubbles, seats
+from vrcaps.lumen.dome_attachment import dome_sites, place_dome_bubbles
 from vrcaps.lumen.particles import Spheres, joined
 from vrcaps.lumen.placement import place_bubbles, place_chyme
 from vrcaps.lumen.pools import Pools, cut_sections, find_pools
@@ -37,17 +37,17 @@ class LumenContents:
         contents: Their figures.
         spheres: Bubbles and chyme.
         pools: Liquid; None where there is none.
-        seats: Where the last of the spheres sit on the capsule, in its frame about its middle [m];
-            their centres are where others form when they burst.
+        dome_sites: Where the last of the spheres sit on the capsule, in its frame about its
+            middle [m]; their centers are where others form when they burst.
     """
 
     contents: Contents
     spheres: Spheres
     pools: Pools | None = None
-    seats: Float[np.ndarray, "k 3"] = field(default_factory=lambda: np.zeros((0, 3)))
+    dome_sites: Float[np.ndarray, "k 3"] = field(default_factory=lambda: np.zeros((0, 3)))
 
     def with_capsule(self, length: float, radius: float) -> LumenContents:
-        """The contents with seats on the round ends of a capsule.
+        """The contents with dome_sites on the round ends of a capsule.
 
         Args:
             length: Its overall length [m].
@@ -56,7 +56,7 @@ class LumenContents:
         bubbles, _, _ = self.contents.resolved
         rng = np.random.default_rng([self.contents.seed, 4])
         own = self.spheres.radius[len(self.spheres) - 2 * bubbles.on_dome :]
-        return replace(self, seats=seats(own, length, radius, rng))
+        return replace(self, dome_sites=dome_sites(own, length, radius, rng))
 
     def around_capsule(
         self, T_world_capsule: Float[np.ndarray, "4 4"], length: float, radius: float
@@ -70,14 +70,14 @@ class LumenContents:
         """
         spheres, capsule = self.spheres, (length / 2.0 - radius, radius)
         centers = around_capsule(
-            spheres.centers, spheres.radius, self.seats, T_world_capsule, capsule
+            spheres.centers, spheres.radius, self.dome_sites, T_world_capsule, capsule
         )
         if centers is None:
             return self
         return LumenContents(self.contents, spheres.at(centers), self.pools)
 
 
-def fill(
+def populate(
     organ: OrganSurface, contents: Contents, T_world_patient: Float[np.ndarray, "4 4"]
 ) -> LumenContents:
     """Fills an organ whose wall is at rest.

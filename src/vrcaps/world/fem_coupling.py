@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from vrcaps.tissue.fem.wall import FemWall
 
 
-def layer_under(organ: OrganSurface, tissue: Tissue) -> FemWall | None:
+def make_fem_wall(organ: OrganSurface, tissue: Tissue) -> FemWall | None:
     """The elastic layer under an organ's surface, where the tissue has one."""
     if not isinstance(tissue.deformation, FemDeformation):
         return None
@@ -27,7 +27,7 @@ def layer_under(organ: OrganSurface, tissue: Tissue) -> FemWall | None:
     return FemWall(organ, tissue.deformation)
 
 
-def exchange_rows(
+def coupling_state_of(
     layer: FemWall, snapshot: Snapshot
 ) -> tuple[Float[np.ndarray, "nodes 6"], tuple[Float[np.ndarray, "nodes 9"], np.ndarray]]:
     """Motion of the layer in a snapshot, and what lasts of its exchange with the capsule.
@@ -40,7 +40,10 @@ def exchange_rows(
             f"The snapshot has a layer of {len(snapshot.layer)} nodes, the world's has "
             f"{layer.num_free}. Give a snapshot of a world with the same deformation."
         )
-    if not (np.isfinite(snapshot.layer).all() and np.isfinite(snapshot.touched).all()):
+    if not (np.isfinite(snapshot.layer).all() and np.isfinite(snapshot.contact_faces).all()):
         raise InputError("The snapshot is not finite. Allowed: finite numbers.")
     motion, forces = np.hsplit(snapshot.layer, [6])
-    return motion, (np.ascontiguousarray(forces), np.ascontiguousarray(snapshot.touched, float))
+    return motion, (
+        np.ascontiguousarray(forces),
+        np.ascontiguousarray(snapshot.contact_faces, float),
+    )

@@ -1,4 +1,4 @@
-"""What floats in the lumen of a moving world: it moves, pushes the capsule and bears it up."""
+"""What states in the lumen of a moving world: it moves, pushes the capsule and bears it up."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ Hoerner, Fluid-Dynamic Drag, 1965, 3-12, tumbling included)."""
 
 
 @dataclass(frozen=True)
-class _Surroundings:
+class _StepInputs:
     """What the core's swarm meets in a step; positions are about the wall's centre."""
 
     up: tuple[float, float, float]
@@ -48,7 +48,7 @@ class _Surroundings:
 
 
 @dataclass(frozen=True)
-class _Laws:
+class _ParticleLaws:
     """Laws of the core's swarm."""
 
     liquid_density: float
@@ -79,7 +79,7 @@ class LumenDynamics:
         tangents = np.stack(
             [np.interp(places, curve.arc_length, curve.frames[:, k, 2]) for k in range(3)], axis=1
         )
-        laws = _Laws(
+        laws = _ParticleLaws(
             liquid_density=self._liquid.density,
             viscosity=self._liquid.viscosity,
             chyme_density=chyme.density,
@@ -91,26 +91,26 @@ class LumenDynamics:
             seed=model.contents.seed,
         )
         at_rest = self._rest.spheres.at(centers)
-        self._swarm = _core.Swarm(wall, at_rest, laws, tangents, float(places[1]))
+        self._particles = _core.Particles(wall, at_rest, laws, tangents, float(places[1]))
         self._push = np.zeros(6)
-        self._seat(pose)
+        self._place_dome_bubbles(pose)
 
     def lumen_contents(self, T_world_patient: Float[np.ndarray, "4 4"]) -> LumenContents:
         """What is in the lumen now, in the world frame."""
-        floats = self._swarm.floats
-        centers = transform_points(T_world_patient, floats[:, :3] + self._center)
-        spheres = replace(self._rest.spheres, centers=centers, arc_length=floats[:, 6])
+        states = self._particles.states
+        centers = transform_points(T_world_patient, states[:, :3] + self._center)
+        spheres = replace(self._rest.spheres, centers=centers, arc_length=states[:, 6])
         return LumenContents(self._rest.contents, spheres, self._pools)
 
-    def _seat(self, pose: _core.Pose) -> None:
+    def _place_dome_bubbles(self, pose: _core.Pose) -> None:
         """Sets the bubbles that sit on the capsule from the beginning on it."""
-        seats = self._rest.seats + self._body.center
-        floats = self._swarm.floats
-        first = len(floats) - len(seats)
+        dome_sites = self._rest.dome_sites + self._body.center
+        states = self._particles.states
+        first = len(states) - len(dome_sites)
         rotation = matrix_from_quaternion(np.array(pose[1]))
-        floats[first:, :3] = np.array(pose[0]) + seats @ rotation.T
-        floats[first:, 7:] = seats
-        self._swarm.floats = floats
+        states[first:, :3] = np.array(pose[0]) + dome_sites @ rotation.T
+        states[first:, 7:] = dome_sites
+        self._particles.states = states
 
     def turn(self, T_world_patient: Float[np.ndarray, "4 4"]) -> None:
         """Lets the liquid find its level in another posture; it does so at once."""
@@ -120,7 +120,7 @@ class LumenDynamics:
             self._pools = find_pools(organ, self._sections, self._liquid, T_world_patient)
         self._posture = T_world_patient
 
-    def wrench(
+    def buoyancy_wrench(
         self, pose: _core.Pose, dt: float, gravity: float
     ) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, " 3"]]:
         """Force [N] and torque [N·m] on the capsule over the next `dt`, in the core's frame.
@@ -159,7 +159,7 @@ class LumenDynamics:
         pools = self._pools
         up = self._up()
         offset = self._posture[2, 3] + self._posture[2, :3] @ self._center
-        around = _Surroundings(
+        around = _StepInputs(
             up=tuple(up),
             gravity=gravity,
             stretch=np.zeros((0, 2)) if pools is None else pools.stretch,
@@ -172,18 +172,18 @@ class LumenDynamics:
             velocity=pose[2],
             spin=pose[3],
         )
-        impulse, moment = self._swarm.step(self._wall, around, dt, sweep)
+        impulse, moment = self._particles.step(self._wall, around, dt, sweep)
         self._push = np.array([*impulse, *moment])
 
     def to_array(self) -> Float[np.ndarray, " q"]:
         """All that changes: spheres, their counter, the impulse that waits."""
-        return np.concatenate([self._swarm.floats.ravel(), [self._swarm.count], self._push])
+        return np.concatenate([self._particles.states.ravel(), [self._particles.count], self._push])
 
     def restore(self, array: Float[np.ndarray, " q"], T_world_patient: np.ndarray) -> None:
         """Goes back to what `to_array` gave."""
         count = 10 * len(self._rest.spheres)
-        self._swarm.floats = array[:count].reshape(-1, 10)
-        self._swarm.count, self._push = int(array[count]), array[count + 1 :].copy()
+        self._particles.states = array[:count].reshape(-1, 10)
+        self._particles.count, self._push = int(array[count]), array[count + 1 :].copy()
         self.turn(T_world_patient)
 
     def _up(self) -> Float[np.ndarray, " 3"]:

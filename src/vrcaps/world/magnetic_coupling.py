@@ -91,15 +91,15 @@ class MagneticCoupling:
 
     def angle(self, T_world_capsule: Float[np.ndarray, "4 4"]) -> float:
         """Between the capsule's moment and the flux density [rad]; 0 without sources."""
-        pulled = self._core.pulled(T_world_capsule)
-        return 0.0 if pulled is None else pulled[-1]
+        coupled = self._core.magnetic_coupling(T_world_capsule)
+        return 0.0 if coupled is None else coupled[-1]
 
     def coupling(self, T_world_capsule: Float[np.ndarray, "4 4"]) -> Coupling | None:
         """What the sources did in the last step; None without sources."""
-        pulled = self._core.pulled(T_world_capsule)
-        if pulled is None:
+        coupled = self._core.magnetic_coupling(T_world_capsule)
+        if coupled is None:
             return None
-        force, torque, flux, gradient, place, point, angle = pulled
+        force, torque, flux, gradient, place, point, angle = coupled
         away = [math.dist(row[:3], point) for row in self.rows[self._has_place]]
         return Coupling(
             force_world=np.array(force),

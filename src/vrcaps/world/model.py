@@ -12,7 +12,7 @@ from vrcaps._core import Wall
 from vrcaps.capsule.device import Device
 from vrcaps.errors import UnknownNameError
 from vrcaps.lumen.contents import Contents
-from vrcaps.lumen.lumen_contents import CHYME, LumenContents, fill
+from vrcaps.lumen.lumen_contents import CHYME, LumenContents, populate
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.transforms import transform_from, transform_points
 
@@ -78,7 +78,7 @@ class Model:
         """The contents at rest; None where there are none."""
         if self.contents.is_empty:
             return None
-        lumen_contents = fill(self.organ, self.contents, self.T_world_patient)
+        lumen_contents = populate(self.organ, self.contents, self.T_world_patient)
         return lumen_contents.with_capsule(self.device.length, self.device.radius)
 
     @property

@@ -27,13 +27,13 @@ class Snapshot:
         T_world_patient: How the patient lies.
         capsule: Position [m], quaternion wxyz, velocity [m/s], angular velocity [rad/s].
         lumen_scale: Lumen's radius at the samples, as a share of that at rest.
-        driven: Wall vertices as muscle and gas alone would have them [m].
-        yields: How far each vertex gives way [m] and at which velocity [m/s].
+        active_wall: Wall vertices as muscle and gas alone would have them [m].
+        wall_displacement: How far each vertex gives way [m] and at which velocity [m/s].
         layer: Of each free node of an elastic layer: displacement [m], velocity [m/s], force [N],
             how far the wall that the capsule felt is off it [m], and momentum it is still to be
             given [N·s]; empty where there is none.
-        touched: Of each triangle that loads the layer: number, normal force and friction [N].
-        afloat: What floats in the lumen; empty where nothing does.
+        contact_faces: Of each triangle that loads the layer: number, normal force and friction [N].
+        contents: What floats in the lumen; empty where nothing does.
         contact: What the wall did in the last step: force, torque, and the other numbers of
             `Contact` in their order.
         controller: State of the magnet controller, see its `to_array`; empty without one.
@@ -46,11 +46,11 @@ class Snapshot:
     T_world_patient: Float[np.ndarray, "4 4"]
     capsule: Float[np.ndarray, " 13"]
     lumen_scale: Float[np.ndarray, " k"]
-    driven: Float[np.ndarray, "n 3"]
-    yields: Float[np.ndarray, "n 6"]
+    active_wall: Float[np.ndarray, "n 3"]
+    wall_displacement: Float[np.ndarray, "n 6"]
     layer: Float[np.ndarray, "nodes 15"]
-    touched: Float[np.ndarray, "k 5"]
-    afloat: Float[np.ndarray, " q"] = field(default_factory=lambda: np.zeros(0))
+    contact_faces: Float[np.ndarray, "k 5"]
+    contents: Float[np.ndarray, " q"] = field(default_factory=lambda: np.zeros(0))
     contact: Float[np.ndarray, " 11"] = field(default_factory=lambda: np.zeros(11))
     controller: Float[np.ndarray, " r"] = field(default_factory=lambda: np.zeros(0))
     sources: Float[np.ndarray, "s 8"] = field(default_factory=lambda: np.zeros((0, 8)))
@@ -85,13 +85,13 @@ def check_snapshot(snapshot: Snapshot, own: Snapshot) -> None:
         InputError: If it is of another seed or wall, or not finite.
     """
     require(snapshot.seed == own.seed, "seed", snapshot.seed, f"this world's, {own.seed}")
-    if snapshot.driven.shape != own.driven.shape:
+    if snapshot.active_wall.shape != own.active_wall.shape:
         raise InputError(
-            f"The snapshot has a wall of {len(snapshot.driven)} vertices, the model has "
-            f"{len(own.driven)}. Give a snapshot of the same organ."
+            f"The snapshot has a wall of {len(snapshot.active_wall)} vertices, the model has "
+            f"{len(own.active_wall)}. Give a snapshot of the same organ."
         )
     for name, mine in vars(own).items():
-        if name in ("layer", "touched", "controller"):
+        if name in ("layer", "contact_faces", "controller"):
             continue  # what a layer or a controller needs is checked where it is taken apart
         given = getattr(snapshot, name)
         if np.shape(given) != np.shape(mine):

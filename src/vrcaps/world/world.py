@@ -17,7 +17,7 @@ from vrcaps.tissue.motility.muscle import Muscle
 from vrcaps.tissue.tissue import Tissue
 from vrcaps.transforms import invert, quaternion_from_matrix, rotate_vectors
 from vrcaps.world.control import Control
-from vrcaps.world.fem_coupling import exchange_rows, layer_under
+from vrcaps.world.fem_coupling import coupling_state_of, make_fem_wall
 from vrcaps.world.lumen_dynamics import LUMEN_SUBSTEP, SUBSTEPS_PER_SWEEP, LumenDynamics
 from vrcaps.world.magnetic_coupling import MagneticCoupling
 from vrcaps.world.model import Contact, Coupling, Model, State
@@ -90,14 +90,14 @@ class World:
         self._time = self._began = start.time
         self._T_world_patient = model.T_world_patient
         pose = self._pose(start)
-        self.layer = layer_under(organ, tissue)
+        self.layer = make_fem_wall(organ, tissue)
         spring = tissue.deformation if self.layer is None else None
         self._core = _core.World(
             self._wall, self.body, tissue.foundation, tissue.drag, spring, pose
         )
         if self.layer is not None:
             self.layer.carry(self._core)
-        self._core.set_drive(*sample_coordinates(organ))
+        self._core.set_lumen_drive(*sample_coordinates(organ))
         self._magnetic = MagneticCoupling(self._core, model.device.magnets, sources)
         self._num_samples = len(arc_length_samples(organ.centerline))
         self._lumen_scale: Float[np.ndarray, " k"] = np.ones(self._num_samples)
@@ -106,9 +106,9 @@ class World:
             self.muscle = Muscle(organ, tissue.motility, np.random.default_rng(seed))
         self._moves = tissue.deformation is not None or self.muscle is not None
         self._check_start()
-        self._afloat = None
+        self._lumen = None
         if model.lumen_contents is not None:
-            self._afloat = LumenDynamics(model, self._wall, self.body, self._core.pose)
+            self._lumen = LumenDynamics(model, self._wall, self.body, self._core.pose)
         self._contact: tuple[Any, ...] = self._core.contact()
 
     @property
@@ -162,7 +162,7 @@ class World:
             angular_velocity_world=angular,
             vertices_world=self._core.vertices(np.asarray(T, float)) if moved else None,
             contact=self.contact,
-            lumen_contents=None if self._afloat is None else self._afloat.lumen_contents(T),
+            lumen_contents=None if self._lumen is None else self._lumen.lumen_contents(T),
             coupling=self.coupling,
         )
 
@@ -191,22 +191,22 @@ class World:
         force, torque, gravity = rotate_vectors(to_patient, acts)
         wrench = np.array([*force, *torque])
         moved = self._magnetic.aim(control, dt, T_world_patient)
-        if self._afloat is not None:
-            self._afloat.turn(T_world_patient)
+        if self._lumen is not None:
+            self._lumen.turn(T_world_patient)
         try:
             self._advance(dt, wrench, tuple(gravity), control.insufflation)
         except InputError:
-            if self._afloat is not None:
-                self._afloat.turn(self._T_world_patient)
+            if self._lumen is not None:
+                self._lumen.turn(self._T_world_patient)
             raise
         self._T_world_patient, self._magnetic.rows = T_world_patient, moved
 
     def snapshot(self) -> Snapshot:
         """All that changes, exactly: a world restored from it goes on to the same bytes."""
         position, wxyz, velocity, spin = self._core.pose
-        layer, touched = np.zeros((0, 15)), np.zeros((0, 5))
-        if self.layer is not None and self._core.exchange is not None:
-            nodes, touched = self._core.exchange
+        layer, contact_faces = np.zeros((0, 15)), np.zeros((0, 5))
+        if self.layer is not None and self._core.coupling_state is not None:
+            nodes, contact_faces = self._core.coupling_state
             layer = np.hstack([self.layer.snapshot(), nodes])
         return Snapshot(
             seed=self.seed,
@@ -215,11 +215,11 @@ class World:
             T_world_patient=self._T_world_patient,
             capsule=np.concatenate([position, wxyz, velocity, spin]),
             lumen_scale=self._lumen_scale,
-            driven=self._core.driven,
-            yields=self._core.yields,
+            active_wall=self._core.active_wall,
+            wall_displacement=self._core.wall_displacement,
             layer=layer,
-            touched=touched,
-            afloat=np.zeros(0) if self._afloat is None else self._afloat.to_array(),
+            contact_faces=contact_faces,
+            contents=np.zeros(0) if self._lumen is None else self._lumen.to_array(),
             contact=np.concatenate([np.ravel(part) for part in self._contact]),
             sources=self._magnetic.rows,
         )
@@ -233,13 +233,16 @@ class World:
         """
         check_snapshot(snapshot, self.snapshot())
         if self.layer is not None:
-            motion, exchange = exchange_rows(self.layer, snapshot)
+            motion, exchange = coupling_state_of(self.layer, snapshot)
             self.layer.restore(motion)
-            self._core.exchange = exchange
-        if self._afloat is not None:
-            self._afloat.restore(snapshot.afloat, snapshot.T_world_patient)
+            self._core.coupling_state = exchange
+        if self._lumen is not None:
+            self._lumen.restore(snapshot.contents, snapshot.T_world_patient)
         p = snapshot.capsule
-        self._core.driven, self._core.yields = snapshot.driven, snapshot.yields
+        self._core.active_wall, self._core.wall_displacement = (
+            snapshot.active_wall,
+            snapshot.wall_displacement,
+        )
         self._core.pose = (tuple(p[:3]), tuple(p[3:7]), tuple(p[7:10]), tuple(p[10:]))
         self._time, self._began = snapshot.time, snapshot.began
         self._T_world_patient, self._lumen_scale = snapshot.T_world_patient, snapshot.lumen_scale
@@ -268,7 +271,7 @@ class World:
         outer = 1 if self.layer is None else self.layer.num_steps(dt / pieces)
         start, before = self._lumen_scale, self._save() if pieces > 1 else None
         moves = not np.array_equal(start, lumen_scale)
-        if self._afloat is not None:
+        if self._lumen is not None:
             self._core.settle()  # nothing to do but after `restore`
         count = outer * max(1, math.ceil(dt / pieces / outer / self.substep * (1.0 - 1e-9)))
         reactions = []
@@ -277,10 +280,10 @@ class World:
                 shares = np.array([[piece], [piece + 1]]) / pieces
                 aim = start + (lumen_scale - start) * shares if moves else None
                 force = self._propulsion(self._time + dt * piece / pieces)
-                total = tuple(wrench + self._bear(dt / pieces, force))
+                total = tuple(wrench + self._buoyancy_wrench(dt / pieces, force))
                 self._core.step(dt / pieces / count, count, total, gravity, aim, outer)
                 reactions.append(self._core.contact())
-                self._float_on(dt / pieces, piece, pieces)
+                self._step_contents(dt / pieces, piece, pieces)
         except ValueError as error:
             if before is not None:
                 self._undo(before)
@@ -298,33 +301,35 @@ class World:
     def _num_pieces(self, dt: float) -> int:
         """Pieces of a step, so short that the force F = β (v_p − u) does not overshoot."""
         propulsion = None if self.muscle is None else self.muscle.motility.propulsion
-        least = 1 if self._afloat is None else math.ceil(dt / LUMEN_SUBSTEP * (1.0 - 1e-9))
+        least = 1 if self._lumen is None else math.ceil(dt / LUMEN_SUBSTEP * (1.0 - 1e-9))
         if propulsion is None:
             return least
         return max(least, math.ceil(propulsion.beta * dt / self.body.mass))
 
-    def _bear(self, dt: float, force: Float[np.ndarray, " 3"]) -> Float[np.ndarray, " 6"]:
+    def _buoyancy_wrench(
+        self, dt: float, force: Float[np.ndarray, " 3"]
+    ) -> Float[np.ndarray, " 6"]:
         """Wrench of the muscle's force and of what floats in the lumen, in the patient frame."""
-        if self._afloat is None:
+        if self._lumen is None:
             return np.array([*force, 0.0, 0.0, 0.0])
-        push, torque = self._afloat.wrench(self._core.pose, dt, GRAVITY)
+        push, torque = self._lumen.buoyancy_wrench(self._core.pose, dt, GRAVITY)
         return np.array([*(force + push), *torque])
 
-    def _float_on(self, dt: float, piece: int, pieces: int) -> None:
+    def _step_contents(self, dt: float, piece: int, pieces: int) -> None:
         """Moves what floats on by a piece of a step; at its end the hierarchy is exact."""
-        if self._afloat is not None:
+        if self._lumen is not None:
             is_last = piece + 1 == pieces
             self._core.settle(0.0 if is_last else _STALE)
             since = piece % SUBSTEPS_PER_SWEEP + 1
             sweep = since * dt if is_last or since == SUBSTEPS_PER_SWEEP else 0.0
-            self._afloat.step(self._core.pose, dt, GRAVITY, sweep)
+            self._lumen.step(self._core.pose, dt, GRAVITY, sweep)
 
     def _save(self) -> Snapshot | Float[np.ndarray, " q"]:
         """What `_undo` needs: the core keeps its own part, but for an elastic layer's."""
         if self.layer is not None:
             return self.snapshot()
         self._core.save()
-        return np.zeros(0) if self._afloat is None else self._afloat.to_array()
+        return np.zeros(0) if self._lumen is None else self._lumen.to_array()
 
     def _undo(self, before: Snapshot | Float[np.ndarray, " q"]) -> None:
         """Goes back to the beginning of a step that failed."""
@@ -332,8 +337,8 @@ class World:
             self.restore(before)
             return
         self._core.undo()
-        if self._afloat is not None:
-            self._afloat.restore(before, self._T_world_patient)
+        if self._lumen is not None:
+            self._lumen.restore(before, self._T_world_patient)
 
     def _propulsion(self, time: float) -> Float[np.ndarray, " 3"]:
         """Propulsive force of the muscle on the capsule at a time [N], in the patient frame."""
@@ -359,7 +364,7 @@ class World:
                 "T_world_capsule puts the capsule's axis outside the lumen. Allowed: inside it; "
                 "start on the centreline."
             )
-        depth, radius = self._core.probe(), self.body.radius
+        depth, radius = self._core.penetration_depth(), self.body.radius
         if depth > 0.9 * radius:
             narrow = 2.0 * (radius - depth)
             raise InputError(

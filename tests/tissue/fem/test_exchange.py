@@ -160,7 +160,7 @@ def test_the_wall_that_is_seen_is_the_wall_that_is_felt() -> None:
     pressed = world(LAYER)
     for _ in range(3):
         pressed.step(Control(force_world=(0.0, 0.0, -0.3), insufflation=1.02), 0.01)
-    u, v = np.hsplit(pressed.layer.yields, 2)
+    u, v = np.hsplit(pressed.layer.wall_displacement, 2)
     driven = GUT.vertices + 0.02 * (GUT.vertices * [0.0, 1.0, 1.0])
     side = np.abs(GUT.vertices[:, 0] - 0.04) < 0.03  # the caps' middles stay on the axis
     seen = pressed.state.vertices_world
@@ -282,7 +282,7 @@ def test_errors_leave_the_world_as_it_was() -> None:
         with pytest.raises(InputError, match=match):
             pressed.step(control, dt)
         after = pressed.snapshot()
-        for name in ("capsule", "driven", "yields", "layer", "touched"):
+        for name in ("capsule", "active_wall", "wall_displacement", "layer", "contact_faces"):
             np.testing.assert_array_equal(getattr(after, name), getattr(before, name))
         np.testing.assert_array_equal(pressed.state.vertices_world, seen)
     finer = world(replace(LAYER, edge=10.0 * MM))

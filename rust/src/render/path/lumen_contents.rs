@@ -3,9 +3,9 @@
 //!
 //! Ways are straight: a path that goes on from what the camera sees is refracted by nothing.
 
-use crate::contents::Contents;
-use crate::contents::liquid::DRY;
-use crate::contents::particles::paint;
+use crate::lumen::Contents;
+use crate::lumen::liquid::DRY;
+use crate::lumen::particle_surfaces::paint;
 use crate::render::material::Surface;
 use crate::simd::f32x64::*;
 use crate::wall::Wall;

@@ -77,9 +77,9 @@ class FemWall:
         return self._core.rounds
 
     @property
-    def yields(self) -> Float[np.ndarray, "n 6"]:
+    def wall_displacement(self) -> Float[np.ndarray, "n 6"]:
         """How far each vertex of the organ gives way [m] and at which velocity [m/s]."""
-        return self._core.yields()
+        return self._core.wall_displacement()
 
     @property
     def energies(self) -> tuple[float, float]:
@@ -125,8 +125,8 @@ class FemWall:
             self._core.step(force, (x, y, z), dt, tolerance)
         except ValueError as error:
             raise InputError(str(error)) from error
-        yields = self.yields
-        return yields[:, :3], yields[:, 3:]
+        wall_displacement = self.wall_displacement
+        return wall_displacement[:, :3], wall_displacement[:, 3:]
 
     def carry(self, world: _core.World) -> None:
         """Puts the layer under a world's wall: what touches the one loads the other."""

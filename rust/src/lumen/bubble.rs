@@ -1,0 +1,232 @@
+//! How a bubble changes what is seen behind it: a thin shell of liquid round gas.
+//!
+//! Each crossing of the shell reflects a share of the surroundings' light and lets the rest
+//! through. The shares are Fresnel's for a film much thicker than light's coherence, so that its
+//! two surfaces count apart; nothing is refracted, as a film turns no ray. Each LED shows twice:
+//! in the shell's front as in a convex mirror and in its back as in a concave one.
+
+use super::spheres::{Crossings, Sphere};
+use crate::render::material::{Led, fresnel};
+use crate::simd::f32x64::*;
+use crate::wall::packet::Pyramid;
+use std::f32::consts::{LOG2_E, PI};
+
+/// What all bubbles have in common: `vrcaps.lumen.bubbles.Bubbles`.
+#[derive(Clone, Copy)]
+pub struct Film {
+    /// Refractive index of the liquid.
+    pub ior: f32,
+    /// Width of the thick border that a bubble has around its outline, as a share of its radius.
+    pub border: f32,
+    /// Share of light that the border throws from the surroundings towards the viewer.
+    pub gleam: f32,
+    /// Absorption of the border at its thickest, for red, green and blue.
+    pub stain: Vec3,
+    /// Roughness α of the shell in the mirror image of an LED.
+    pub roughness: f32,
+}
+
+/// What a tile sees before a bubble is laid over it.
+pub struct Behind<'a> {
+    /// Radiance [W/(sr·m²)].
+    pub radiance: &'a mut Lane3,
+    /// Distance of the surface behind [m].
+    pub distance: &'a Lane,
+}
+
+/// How the tile looks.
+pub struct Eye<'a> {
+    /// Where the rays come from, on average.
+    pub origin: Vec3,
+    /// Where each ray starts.
+    pub starts: &'a Lane3,
+    /// Unit rays and the pyramid around them.
+    pub rays: &'a Pyramid,
+    /// Angle between pixels [rad].
+    pub pixel_angle: f32,
+}
+
+impl Film {
+    /// Lays a bubble over what is behind it.
+    #[inline(always)]
+    pub fn cover(
+        &self,
+        sphere: &Sphere,
+        ways: &Crossings,
+        eye: &Eye<'_>,
+        leds: &[Led],
+        behind: &mut Behind<'_>,
+    ) {
+        let around = surroundings(sphere, leds);
+        let offset = offset_of(sphere, eye);
+        let distance = dot(offset, offset).sqrt();
+        // Half a pixel, as a share of the radius.
+        let blur = 0.5 * eye.pixel_angle * distance / sphere.radius;
+        let shell = self.shell(ways, blur);
+        let dimmed = dimmed(distance, behind.distance);
+        for front in [false, true] {
+            let ways = if front { &ways.near } else { &ways.far };
+            for i in 0..LANES {
+                let seen = (ways[i] > 0.0) & (ways[i] < behind.distance[i]);
+                for k in 0..3 {
+                    let through = if seen { shell.through[k][i] } else { 1.0 };
+                    let mirrored = if seen { shell.mirrored[i] * dimmed[i] } else { 0.0 };
+                    let old = behind.radiance[k][i];
+                    behind.radiance[k][i] = old * through + around[k] * mirrored;
+                }
+            }
+            for led in leds {
+                self.add_image(sphere, ways, eye, led, (blur, front), behind);
+            }
+        }
+    }
+
+    /// Share of light that one crossing of the shell lets through, by the squared distance of the
+    /// ray from the center as a share of the radius' square.
+    pub fn passes(&self, miss: f32) -> f32 {
+        let surface = fresnel(max(1.0 - miss, 0.0).sqrt(), self.ior);
+        1.0 - 2.0 * surface / (1.0 + surface)
+    }
+
+    /// Transmission and reflection of one crossing of the shell.
+    #[inline(always)]
+    fn shell(&self, ways: &Crossings, blur: f32) -> Shell {
+        let mut shell = Shell { through: [[0.0; LANES]; 3], mirrored: [0.0; LANES] };
+        let width = max(0.5 * self.border, blur);
+        let share = 0.5 * self.border / width;
+        for i in 0..LANES {
+            let miss = min(ways.miss[i], 1.0);
+            // A pixel at the outline sees a range of angles; none is nearer than its own width.
+            let cosine = (max(1.0 - miss, min(blur, 1.0))).sqrt();
+            let surface = fresnel(cosine, self.ior);
+            let film = 2.0 * surface / (1.0 + surface);
+            let from_border = (miss.sqrt() - 1.0 + 0.6 * self.border) / width;
+            let border = share * exp2(-LOG2_E * from_border * from_border);
+            let inner = (miss.sqrt() - 1.0 + 1.8 * self.border) / (1.4 * width);
+            let depth = share * exp2(-LOG2_E * inner * inner);
+            shell.mirrored[i] = film + (1.0 - film) * self.gleam * border;
+            for k in 0..3 {
+                let stain = exp2(-LOG2_E * self.stain[k] * depth);
+                shell.through[k][i] = (1.0 - shell.mirrored[i]) * stain;
+            }
+        }
+        shell
+    }
+
+    /// Adds the mirror image of an LED: a Gaussian lobe of normals about the mirroring one, wide
+    /// enough that no pixel steps over it, of the same energy.
+    #[inline(always)]
+    fn add_image(
+        &self,
+        sphere: &Sphere,
+        ways: &Lane,
+        eye: &Eye<'_>,
+        led: &Led,
+        (blur, front): (f32, bool),
+        behind: &mut Behind<'_>,
+    ) {
+        let (mirror, light, view) = mirror_place(sphere, eye.origin, led, front);
+        let half = if front { mirror } else { scale(mirror, -1.0) };
+        let offset = sub(led.position, sphere.center);
+        let square = max(dot(offset, offset), sphere.radius * sphere.radius);
+        let spread = self.roughness * self.roughness + blur * blur;
+        let cosine = max(dot(half, view), 0.05);
+        let surface = fresnel(cosine, self.ior);
+        let lobe = led_lobe(led, light);
+        let peak = 2.0 * surface / (1.0 + surface) * lobe / (4.0 * PI * spread * cosine * square);
+        let inverse = 1.0 / sphere.radius;
+        let steepness = LOG2_E / spread;
+        let place = add(offset_of(sphere, eye), scale(mirror, sphere.radius));
+        let reach = -FADED * spread.sqrt() * sphere.radius;
+        if eye.rays.closed && eye.rays.sides.iter().any(|side| dot(*side, place) < reach) {
+            return;
+        }
+        for i in 0..LANES {
+            let seen = (ways[i] > 0.0) & (ways[i] < behind.distance[i]);
+            let way = scale(at(&eye.rays.directions, i), ways[i]);
+            let point = add(at(eye.starts, i), way);
+            let apart = sub(scale(sub(point, sphere.center), inverse), mirror);
+            let image = if seen { peak * exp2(-steepness * dot(apart, apart)) } else { 0.0 };
+            for k in 0..3 {
+                behind.radiance[k][i] += led.intensity[k] * image;
+            }
+        }
+    }
+}
+
+/// Nearest that a wall is taken to be which a bubble mirrors, where none nearer is behind it [m]:
+/// the space a bubble on the lens has before it.
+const AIRY: f32 = 0.01;
+
+/// Share of the `surroundings` of a bubble at a distance from the eye that it mirrors, by what is
+/// behind it: light of a wall that is farther away than the bubble is dimmer.
+#[inline(always)]
+fn dimmed(distance: f32, behind: &Lane) -> Lane {
+    behind.map(|d| {
+        let wall = max(distance, min(d, AIRY));
+        if wall > 0.0 { (distance / wall) * (distance / wall) } else { 1.0 }
+    })
+}
+
+/// Where a shell mirrors an LED: the direction from its center, and from there to the LED and to
+/// the eye. Found step by step from where it would be for both far away.
+#[inline(always)]
+fn mirror_place(sphere: &Sphere, eye: Vec3, led: &Led, front: bool) -> (Vec3, Vec3, Vec3) {
+    let sign = if front { 1.0 } else { -1.0 };
+    let mut place = sphere.center;
+    let (mut mirror, mut light, mut view) = ([0.0; 3], [0.0; 3], [0.0; 3]);
+    for _ in 0..MIRROR_STEPS {
+        light = normalize(sub(led.position, place));
+        view = normalize(sub(eye, place));
+        mirror = scale(normalize(add(light, view)), sign);
+        place = add(sphere.center, scale(mirror, sphere.radius));
+    }
+    (mirror, light, view)
+}
+
+/// Steps towards the mirroring place; each brings it nearer by the share of the radius in the
+/// distance of LED and eye.
+const MIRROR_STEPS: usize = 4;
+
+/// Standard deviations beyond which nothing of a mirror image is left to see.
+const FADED: f32 = 3.5;
+
+/// From the eye to the center of a sphere.
+#[inline(always)]
+fn offset_of(sphere: &Sphere, eye: &Eye<'_>) -> Vec3 {
+    sub(sphere.center, eye.origin)
+}
+
+/// One crossing of a shell.
+struct Shell {
+    through: Lane3,
+    mirrored: Lane,
+}
+
+/// Share of an LED's intensity in the direction that its light travels, `-light`.
+#[inline(always)]
+fn led_lobe(led: &Led, light: Vec3) -> f32 {
+    let cosine = clamp(-dot(light, led.direction), 0.0, 1.0);
+    if led.exponent == 0.0 {
+        1.0
+    } else if led.exponent == 1.0 {
+        cosine
+    } else {
+        pow(cosine, led.exponent)
+    }
+}
+
+/// Radiance of what surrounds a sphere: a matt wall of its color, as far from the LEDs as it is.
+#[inline(always)]
+pub fn surroundings(sphere: &Sphere, leds: &[Led]) -> Vec3 {
+    let mut sum = [0.0; 3];
+    for led in leds {
+        let offset = sub(led.position, sphere.center);
+        let square = max(dot(offset, offset), sphere.radius * sphere.radius);
+        let power = led_lobe(led, normalize(offset)) / (PI * square);
+        for k in 0..3 {
+            sum[k] += sphere.color[k] * led.intensity[k] * power;
+        }
+    }
+    sum
+}

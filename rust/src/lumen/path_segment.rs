@@ -1,0 +1,143 @@
+//! A straight piece of the ways of a tile's rays, and what lies along it: bubbles and liquid.
+
+use super::bubble::{Behind, Eye, Film};
+use super::liquid::{Optics, Wet};
+use super::refraction::Turn;
+use super::spheres::{Near, Spheres};
+use crate::render::material::Led;
+use crate::simd::f32x64::*;
+use crate::wall::packet::{Hits, Pyramid};
+
+/// Straight pieces of rays; distances count along the whole way from the eye.
+pub struct Leg<'a> {
+    /// Directions, and the pyramid around them.
+    pub rays: &'a Pyramid,
+    /// Where each ray would start if its whole way were straight as this piece [m].
+    pub starts: &'a Lane3,
+    /// Their mean.
+    pub origin: Vec3,
+    /// Lanes that have such a piece.
+    pub used: &'a [bool; LANES],
+    /// Lanes where it lies in liquid.
+    pub soaked: [bool; LANES],
+    /// Where it begins [m].
+    pub from: &'a Lane,
+    /// Where it ends.
+    pub to: &'a Lane,
+}
+
+/// Bubbles along a piece, the farthest first, and what all have in common.
+pub struct Bubbles<'a> {
+    /// All there are.
+    pub spheres: &'a Spheres,
+    /// Those near the piece.
+    pub near: &'a [Near],
+    /// Their shells.
+    pub film: &'a Film,
+    /// Angle between pixels [rad].
+    pub pixel_angle: f32,
+}
+
+impl Leg<'_> {
+    /// Carries radiance from the end of the piece to its beginning.
+    #[inline(always)]
+    pub fn carry(
+        &self,
+        bubbles: &Bubbles<'_>,
+        liquid: Option<(&Optics, &Wet)>,
+        leds: &[Led],
+        radiance: &mut Lane3,
+    ) {
+        let mut reached = *self.to;
+        let liquid = liquid.filter(|_| self.soaked.contains(&true));
+        let eye = Eye {
+            origin: self.origin,
+            starts: self.starts,
+            rays: self.rays,
+            pixel_angle: bubbles.pixel_angle,
+        };
+        for near in bubbles.near {
+            let sphere = &bubbles.spheres.all[near.index as usize];
+            let mut ways = sphere.crossings_from(|i| at(self.starts, i), &self.rays.directions);
+            let mut covered = [false; LANES];
+            for i in 0..LANES {
+                let inside = |way: f32| (way > self.from[i]) & (way < self.to[i]) & self.used[i];
+                ways.near[i] = if inside(ways.near[i]) { ways.near[i] } else { -1.0 };
+                ways.far[i] = if inside(ways.far[i]) { ways.far[i] } else { -1.0 };
+                covered[i] = max(ways.near[i], ways.far[i]) > 0.0;
+            }
+            if !covered.contains(&true) {
+                continue;
+            }
+            let mut dimmed = None;
+            if let Some((optics, wet)) = liquid {
+                self.soak(optics, wet, leds, (&covered, &ways.far, &mut reached), radiance);
+                let i = covered.iter().position(|&c| c).unwrap_or(0);
+                dimmed = Some(optics.dimmed(leds, sphere.center, wet, i));
+                for i in (0..LANES).filter(|&i| covered[i] & (ways.near[i] > 0.0)) {
+                    reached[i] = min(reached[i], ways.near[i]);
+                }
+            }
+            let mut behind = Behind { radiance, distance: self.to };
+            let leds = dimmed.as_deref().unwrap_or(leds);
+            bubbles.film.cover(sphere, &ways, &eye, leds, &mut behind);
+        }
+        if let Some((optics, wet)) = liquid {
+            self.soak(optics, wet, leds, (self.used, self.from, &mut reached), radiance);
+        }
+    }
+
+    /// Takes the light of some lanes from where it has `reached` through the liquid to `goal`.
+    #[inline(always)]
+    fn soak(
+        &self,
+        optics: &Optics,
+        wet: &Wet,
+        leds: &[Led],
+        (lanes, goal, reached): (&[bool; LANES], &Lane, &mut Lane),
+        radiance: &mut Lane3,
+    ) {
+        let (mut length, mut starts) = ([0.0; LANES], *self.starts);
+        for i in 0..LANES {
+            let goal = max(goal[i], self.from[i]);
+            let is_due = lanes[i] & self.soaked[i] & (goal < reached[i]);
+            length[i] = if is_due { reached[i] - goal } else { 0.0 };
+            reached[i] = if is_due { goal } else { reached[i] };
+            for k in 0..3 {
+                let way = if is_due { goal } else { 0.0 };
+                starts[k][i] += way * self.rays.directions[k][i];
+            }
+        }
+        optics.carry((&starts, &self.rays.directions, &length), leds, wet, radiance);
+    }
+}
+
+/// Where the straight ways from the eye end [m].
+#[inline(always)]
+pub fn first_leg(wet: Option<&Wet>, hits: &Hits) -> Lane {
+    let Some(wet) = wet else { return hits.distance };
+    std::array::from_fn(|i| min(wet.turn.way[i], hits.distance[i]))
+}
+
+/// Where rays that go on along `heading` after a turn would start if all of their way were
+/// straight, the mean of these places, and the box around the ways on to their `ends`.
+#[inline(always)]
+pub fn unfolded(
+    turn: &Turn,
+    heading: &Lane3,
+    ends: &Lane3,
+    lanes: &[bool; LANES],
+) -> (Lane3, Vec3, (Vec3, Vec3)) {
+    let (mut low, mut high, mut sum, mut count) = ([f32::MAX; 3], [f32::MIN; 3], [0.0; 3], 0.0);
+    let mut starts = turn.place;
+    for i in (0..LANES).filter(|&i| lanes[i]) {
+        for k in 0..3 {
+            starts[k][i] -= turn.way[i] * heading[k][i];
+            sum[k] += starts[k][i];
+            low[k] = min(low[k], min(turn.place[k][i], ends[k][i]));
+            high[k] = max(high[k], max(turn.place[k][i], ends[k][i]));
+        }
+        count += 1.0;
+    }
+    (starts, scale(sum, 1.0 / max(count, 1.0)), (low, high))
+}

@@ -1,0 +1,299 @@
+//! Spheres of many sizes and their own hierarchy: bubbles and particles are traced through it.
+
+use crate::simd::f32x64::*;
+use crate::wall::bvh::{Child, MAX_PER_LEAF, Node, WIDTH};
+use crate::wall::packet::{Pyramid, farthest_of, leaves};
+use crate::wall::visibility;
+use rayon::prelude::*;
+
+/// One sphere.
+#[derive(Clone, Copy)]
+pub struct Sphere {
+    /// Center about the wall's center [m].
+    pub center: Vec3,
+    /// Radius [m].
+    pub radius: f32,
+    /// Linear color: base color of a particle, of what a bubble's surroundings reflect.
+    pub color: Vec3,
+    /// Gut coordinate [m].
+    pub arc_length: f32,
+    /// Its place in the arrays it came from.
+    pub number: u32,
+    /// Instance it belongs to.
+    pub instance: u16,
+}
+
+/// Spheres in an eight-wide hierarchy.
+#[derive(Default)]
+pub struct Spheres {
+    nodes: Vec<Node>,
+    /// In leaf order.
+    pub all: Vec<Sphere>,
+}
+
+/// A sphere that some rays of a tile may meet.
+#[derive(Clone, Copy)]
+pub struct Near {
+    /// Squared length of the tangent from the origin to the sphere [m²]: spheres that do not
+    /// overlap lie behind one another in this order along every ray.
+    pub power: f32,
+    /// Place in `Spheres::all`.
+    pub index: u32,
+}
+
+impl Spheres {
+    /// Builds the hierarchy by halving along the longest axis.
+    pub fn build(mut all: Vec<Sphere>) -> Self {
+        let mut nodes = Vec::new();
+        if !all.is_empty() {
+            let count = all.len();
+            build_node(&mut nodes, &mut all, 0, count);
+        }
+        Spheres { nodes, all }
+    }
+
+    /// Moves the spheres to new centers, by their numbers; the tree stays.
+    pub fn move_to(&mut self, center: impl Fn(usize) -> Vec3) {
+        for sphere in &mut self.all {
+            sphere.center = center(sphere.number as usize);
+        }
+        for n in (0..self.nodes.len()).rev() {
+            for k in 0..WIDTH {
+                let bounds = match Child::of(self.nodes[n].children[k]) {
+                    Child::Node(child) => self.nodes[child].union(),
+                    Child::Leaf(range) if range.is_empty() => continue,
+                    Child::Leaf(range) => bounds(&self.all[range]),
+                };
+                self.nodes[n].set(k, bounds);
+            }
+        }
+    }
+
+    /// The spheres that rays may meet nearer than `farthest`, in no particular order.
+    #[inline(always)]
+    pub fn gather(
+        &self,
+        origin: Vec3,
+        rays: &Pyramid,
+        extent: f32,
+        farthest: f32,
+        found: &mut Vec<Near>,
+    ) {
+        found.clear();
+        leaves(&self.nodes, origin, rays, extent, farthest, |range| {
+            for index in range {
+                let sphere = &self.all[index];
+                let offset = sub(sphere.center, origin);
+                let reach = -1.0001 * sphere.radius;
+                if rays.closed && rays.sides.iter().any(|side| dot(*side, offset) < reach) {
+                    continue;
+                }
+                let square = dot(offset, offset);
+                if square.sqrt() - 1.0001 * sphere.radius > farthest {
+                    continue;
+                }
+                let power = square - sphere.radius * sphere.radius;
+                found.push(Near { power, index: index as u32 });
+            }
+        });
+    }
+
+    /// Visits the spheres that a ray with a unit `heading` crosses nearer than `reach`: their places,
+    /// both crossings, and its squared distance from the center as a share of the radius' square.
+    #[inline(always)]
+    pub fn along(
+        &self,
+        start: Vec3,
+        heading: Vec3,
+        reach: f32,
+        mut visit: impl FnMut(usize, [f32; 2], f32),
+    ) {
+        let inverse = heading.map(|h| 1.0 / if h.abs() > 1e-20 { h } else { 1e-20 });
+        let mut waiting = [0u32; 7 * 32 + 8];
+        let mut top = usize::from(!self.nodes.is_empty());
+        while top > 0 {
+            top -= 1;
+            let node = match Child::of(waiting[top]) {
+                Child::Node(number) => &self.nodes[number],
+                Child::Leaf(range) => {
+                    for index in range {
+                        let Sphere { center, radius, .. } = self.all[index];
+                        let offset = sub(center, start);
+                        let middle = dot(offset, heading);
+                        let foot = sub(offset, scale(heading, middle));
+                        let (apart, square) = (dot(foot, foot), radius * radius);
+                        let half = max(square - apart, 0.0).sqrt();
+                        if apart < square && middle + half > 0.0 && middle - half < reach {
+                            visit(index, [middle - half, middle + half], apart / square);
+                        }
+                    }
+                    continue;
+                }
+            };
+            for k in 0..WIDTH {
+                let (mut enter, mut leave) = (0.0, reach);
+                for axis in 0..3 {
+                    let low = (node.bounds[axis][k] - start[axis]) * inverse[axis];
+                    let high = (node.bounds[axis + 3][k] - start[axis]) * inverse[axis];
+                    enter = max(enter, min(low, high));
+                    leave = min(leave, max(low, high));
+                }
+                if enter <= leave {
+                    waiting[top] = node.children[k];
+                    top += 1;
+                }
+            }
+        }
+    }
+
+    /// The spheres whose bounds touch the box from `low` to `high`; `power` is about `origin`.
+    pub fn within(&self, (low, high): (Vec3, Vec3), origin: Vec3, found: &mut Vec<Near>) {
+        found.clear();
+        let mut waiting = if self.nodes.is_empty() { Vec::new() } else { vec![0] };
+        while let Some(number) = waiting.pop() {
+            let node: &Node = &self.nodes[number];
+            for k in 0..WIDTH {
+                let apart =
+                    (0..3).any(|x| node.bounds[x][k] > high[x] || node.bounds[x + 3][k] < low[x]);
+                match Child::of(node.children[k]) {
+                    _ if apart => {}
+                    Child::Node(child) => waiting.push(child),
+                    Child::Leaf(range) => found.extend(range.map(|index| {
+                        let sphere = &self.all[index];
+                        let offset = sub(sphere.center, origin);
+                        let power = dot(offset, offset) - sphere.radius * sphere.radius;
+                        Near { power, index: index as u32 }
+                    })),
+                }
+            }
+        }
+    }
+
+    /// Whether the way from `origin` to each point is free; points with NaN are not.
+    pub fn free(&self, origin: Vec3, points: &[Vec3], extent: f32) -> Vec<bool> {
+        let mut result = vec![false; points.len()];
+        result.par_chunks_mut(LANES).zip(points.par_chunks(LANES)).for_each(|(out, chunk)| {
+            let (mut lanes, mut free) = ([[0.0; LANES]; 3], [false; LANES]);
+            for (i, point) in chunk.iter().enumerate() {
+                free[i] = point.iter().all(|x| x.is_finite());
+                for k in 0..3 {
+                    lanes[k][i] = if free[i] { point[k] } else { origin[k] };
+                }
+            }
+            self.shade(origin, &lanes, extent, &mut Vec::new(), &mut free);
+            out.copy_from_slice(&free[..chunk.len()]);
+        });
+        result
+    }
+
+    /// Takes from `lit` the points whose way from `origin` a sphere blocks.
+    #[inline(always)]
+    pub fn shade(
+        &self,
+        origin: Vec3,
+        points: &Lane3,
+        extent: f32,
+        near: &mut Vec<Near>,
+        lit: &mut [bool; LANES],
+    ) {
+        let (directions, reach) = visibility::ways(origin, points, lit);
+        let rays = Pyramid::around(directions, lit);
+        self.gather(origin, &rays, extent, farthest_of(&reach), near);
+        for found in near.iter() {
+            let ways = self.all[found.index as usize].crossings(origin, &rays.directions);
+            for i in 0..LANES {
+                lit[i] &= !((ways.near[i] > 0.0) & (ways.near[i] < reach[i]));
+            }
+        }
+    }
+}
+
+/// Where the rays of a tile enter and leave a sphere [m]; −1 for rays that miss it.
+pub struct Crossings {
+    /// First crossing; negative where the origin is inside or beyond.
+    pub near: Lane,
+    /// Second crossing.
+    pub far: Lane,
+    /// Squared distance of the ray from the center, as a share of the radius' square; above 1
+    /// where it misses.
+    pub miss: Lane,
+}
+
+impl Sphere {
+    /// Crossings of unit rays from one origin.
+    #[inline(always)]
+    pub fn crossings(&self, origin: Vec3, directions: &Lane3) -> Crossings {
+        self.crossings_from(|_| origin, directions)
+    }
+
+    /// Crossings of unit rays that each start elsewhere.
+    #[inline(always)]
+    pub fn crossings_from(&self, start: impl Fn(usize) -> Vec3, directions: &Lane3) -> Crossings {
+        let (square, inverse) = (self.radius * self.radius, 1.0 / (self.radius * self.radius));
+        let mut out = Crossings { near: [0.0; LANES], far: [0.0; LANES], miss: [0.0; LANES] };
+        for i in 0..LANES {
+            let direction = at(directions, i);
+            let offset = sub(self.center, start(i));
+            let along = dot(offset, direction);
+            // The foot of the perpendicular: exact also for a small sphere far away.
+            let foot = sub(offset, scale(direction, along));
+            let apart = dot(foot, foot);
+            let half = max(square - apart, 0.0).sqrt();
+            let hit = apart < square;
+            out.near[i] = if hit { along - half } else { -1.0 };
+            out.far[i] = if hit { along + half } else { -1.0 };
+            out.miss[i] = apart * inverse;
+        }
+        out
+    }
+}
+
+/// Adds the node over `all[start..end]`; returns its code and bounds.
+fn build_node(nodes: &mut Vec<Node>, all: &mut [Sphere], start: usize, end: usize) -> u32 {
+    let number = nodes.len();
+    nodes.push(Node::empty());
+    let mut parts = vec![(start, end)];
+    while parts.len() < WIDTH {
+        let largest = (0..parts.len()).max_by_key(|&k| (parts[k].1 - parts[k].0, WIDTH - k));
+        let Some(k) = largest.filter(|&k| parts[k].1 - parts[k].0 > 1) else { break };
+        let (low, high) = parts[k];
+        let middle = low.midpoint(high);
+        let axis = longest_axis(&all[low..high]);
+        let by_place = |a: &Sphere, b: &Sphere| {
+            a.center[axis].total_cmp(&b.center[axis]).then(a.number.cmp(&b.number))
+        };
+        all[low..high].select_nth_unstable_by(middle - low, by_place);
+        parts[k] = (low, middle);
+        parts.insert(k + 1, (middle, high));
+    }
+    for (k, (low, high)) in parts.into_iter().enumerate() {
+        if high - low <= MAX_PER_LEAF {
+            nodes[number].children[k] = Child::leaf(low, high - low);
+            let bounds = bounds(&all[low..high]);
+            nodes[number].set(k, bounds);
+        } else {
+            let child = build_node(nodes, all, low, high);
+            nodes[number].children[k] = child;
+            let bounds = nodes[child as usize].union();
+            nodes[number].set(k, bounds);
+        }
+    }
+    number as u32
+}
+
+fn longest_axis(spheres: &[Sphere]) -> usize {
+    let [x0, y0, z0, x1, y1, z1] = bounds(spheres);
+    let size = [x1 - x0, y1 - y0, z1 - z0];
+    (0..3).max_by(|&a, &b| size[a].total_cmp(&size[b])).unwrap_or(0)
+}
+
+fn bounds(spheres: &[Sphere]) -> [f32; 6] {
+    let mut out = [f32::MAX, f32::MAX, f32::MAX, f32::MIN, f32::MIN, f32::MIN];
+    for sphere in spheres {
+        for axis in 0..3 {
+            out[axis] = min(out[axis], sphere.center[axis] - sphere.radius);
+            out[axis + 3] = max(out[axis + 3], sphere.center[axis] + sphere.radius);
+        }
+    }
+    out
+}

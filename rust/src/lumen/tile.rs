@@ -1,0 +1,431 @@
+//! One tile of an image with something in the lumen.
+//!
+//! Bubbles and liquid are laid over what is behind them, and have channels of their own. Where a ray
+//! meets the surface of a pool it goes on as the surface turns it, once.
+
+use super::Contents;
+use super::foreground::Front;
+use super::liquid::{DRY, Optics, Pools, Wet};
+use super::particle_surfaces::{Owner, paint};
+use super::path_segment::{Bubbles, Leg, first_leg, unfolded};
+use super::refraction::{MIRRORED, REFRACTED, STRAIGHT};
+use super::spheres::Near;
+use crate::render::channels::{Channels, Place};
+use crate::render::frame::{View, add_glow, primary, render_tile, write_geometry};
+use crate::render::material::Surface;
+use crate::render::path::First;
+use crate::render::path::lumen_contents::Afloat;
+use crate::render::radiosity::Beneath;
+use crate::render::ray_table::TileRays;
+use crate::render::scene::SceneData;
+use crate::render::shading::{Attributes, add_all_light, attributes, attributes_at, surface};
+use crate::simd::f32x64::*;
+use crate::wall::Wall;
+use crate::wall::packet::{Hits, MISS, Pyramid, farthest_of};
+use crate::wall::query;
+use crate::wall::visibility::visible_tile;
+
+/// What the tiles of one image share.
+pub struct Filled<'a> {
+    /// The wall.
+    pub wall: &'a Wall,
+    /// What is drawn on it.
+    pub scene: &'a SceneData,
+    /// What is in it.
+    pub contents: &'a Contents,
+    /// The view.
+    pub view: &'a View<'a>,
+    /// Pool in whose stretch the eye is.
+    pub of_eye: u16,
+}
+
+/// Room for a tile's spheres; kept from tile to tile.
+#[derive(Default)]
+pub struct Room {
+    /// Spheres near some rays.
+    pub near: Vec<Near>,
+    blocking: Vec<Near>,
+}
+
+/// Triangles met, `MISS` where a particle hides them.
+#[inline(always)]
+fn of_wall(triangles: &[u32; LANES], owner: &Owner) -> [u32; LANES] {
+    std::array::from_fn(|i| if owner[i] == MISS { triangles[i] } else { MISS })
+}
+
+/// What the rays of a tile see in the end.
+struct Seen {
+    rays: Pyramid,
+    /// Distances along the whole way; the wall, also behind particles.
+    hits: Hits,
+    owner: Owner,
+    found: Attributes,
+    /// Liquid on the way, if there is any.
+    wet: Option<Wet>,
+}
+
+impl<'a> Filled<'a> {
+    /// A wall with contents as a view sees them.
+    pub fn new(
+        wall: &'a Wall,
+        scene: &'a SceneData,
+        contents: &'a Contents,
+        view: &'a View<'a>,
+    ) -> Self {
+        let of_eye = contents.pools.as_ref().map_or(DRY, |(pools, _)| {
+            let nearest = query::nearest(&wall.bvh, view.origin);
+            pools.of_face(wall.faces[nearest.face as usize])
+        });
+        Filled { wall, scene, contents, view, of_eye }
+    }
+
+    /// The contents as paths meet them.
+    pub fn afloat(&self) -> Afloat<'_> {
+        let is_under = |(pools, _): &&(Pools, Optics)| {
+            self.of_eye != DRY && self.view.origin[2] < pools.level(self.of_eye)
+        };
+        let under = self.contents.pools.as_ref().filter(is_under);
+        let of_leds = if under.is_some() { self.of_eye } else { DRY };
+        Afloat { wall: self.wall, contents: self.contents, of_leds }
+    }
+
+    /// The surfaces of wall and particles that paths set out from.
+    #[inline(always)]
+    pub fn first(&self, tile: &TileRays, pixel: [u32; LANES], room: &mut Room) -> First {
+        let (rays, hits) = primary(self.wall, self.view, tile);
+        let Seen { hits, owner, found, .. } = self.look(tile, (&rays, &hits), room);
+        let surface = self.surface(&found, &hits, &owner, tile.pixel_angle);
+        let triangle = of_wall(&hits.triangle, &owner);
+        First { surface, hit: found.hit, triangle, pixel }
+    }
+
+    /// Renders one tile; `glow` is light beyond direct light.
+    #[inline(always)]
+    pub fn render_tile(
+        &self,
+        tile: &TileRays,
+        place: Place,
+        glow: Option<&Lane3>,
+        room: &mut Room,
+        out: &mut Channels<'_>,
+    ) {
+        let view = self.view;
+        let (rays, hits) = primary(self.wall, view, tile);
+        let met = (&rays, &hits);
+        if self.sees_wall_alone(tile, met, room) {
+            Front::of_liquid(None).write(tile, place, out);
+            place.write(&mut out.refraction_label, &[STRAIGHT; LANES], &tile.used, STRAIGHT);
+            place.write_sparsely(&mut out.sparse_refraction, 1, |_, _| STRAIGHT);
+            render_tile((self.wall, self.scene, view), tile, met, place, glow, out);
+            return;
+        }
+        let seen = self.look(tile, met, room);
+        let Seen { rays, hits, owner, found, wet } = &seen;
+        let bubbles = self.bubbles(tile, rays, hits, room);
+        if out.wants_color() {
+            let surface = self.surface(found, hits, owner, tile.pixel_angle);
+            place.write3(&mut out.albedo, &surface.albedo, &found.hit, f32::NAN);
+            let bare = view.bare(self.scene, &surface, &of_wall(&hits.triangle, owner));
+            let beneath = view.beneath(&surface, hits, &of_wall(&hits.triangle, owner));
+            let lit = (bare.as_ref().unwrap_or(&surface), beneath.as_ref());
+            let mut radiance = self.light(lit, found, hits, wet.as_ref(), room);
+            add_glow(glow, &mut radiance);
+            self.carry(&seen, &bubbles, tile.pixel_angle, room, &mut radiance);
+            place.write_light(out, &radiance, &found.hit, view.exposure);
+        }
+        let mut front = Front::of_liquid(wet.as_ref());
+        let reach = first_leg(wet.as_ref(), hits);
+        for near in &bubbles {
+            let sphere = &self.contents.bubbles.all[near.index as usize];
+            let ways = sphere.crossings(view.origin, &rays.directions);
+            front.add_bubble(sphere.instance, [&ways.near, &ways.far], &reach);
+        }
+        front.write(tile, place, out);
+        let kind = wet.as_ref().map_or([STRAIGHT; LANES], |wet| wet.turn.kind);
+        place.write(&mut out.refraction_label, &kind, &found.hit, STRAIGHT);
+        place.write_sparsely(&mut out.sparse_refraction, 1, |i, _| kind[i]);
+        write_geometry(view, tile, hits, found, place, out);
+    }
+
+    /// Whether nothing but the wall is on the ways of a tile's rays, nor between it and the LEDs.
+    #[inline(always)]
+    fn sees_wall_alone(
+        &self,
+        tile: &TileRays,
+        (rays, hits): (&Pyramid, &Hits),
+        room: &mut Room,
+    ) -> bool {
+        let Contents { chyme, pools, .. } = self.contents;
+        if pools.is_some() || !chyme.all.is_empty() {
+            return false;
+        }
+        self.gather(tile, rays, hits, room);
+        room.near.is_empty()
+    }
+
+    fn optics(&self) -> Option<&Optics> {
+        self.contents.pools.as_ref().map(|(_, optics)| optics)
+    }
+
+    /// Follows the rays of a tile, through the surface of a pool where they meet one.
+    #[inline(always)]
+    fn look(&self, tile: &TileRays, met: (&Pyramid, &Hits), room: &mut Room) -> Seen {
+        let (wall, scene, view) = (self.wall, self.scene, self.view);
+        let (rays, mut hits) = (met.0.clone(), met.1.clone());
+        let mut owner = [MISS; LANES];
+        if tile.any {
+            owner = self.meet_particles(&rays, &mut hits, room);
+        }
+        let mut found = attributes(wall, scene, view.origin, &rays.directions, &hits);
+        let mut wet = if tile.any { self.wet(&rays, &hits, &found) } else { None };
+        if let Some(Wet { turn, .. }) = wet.as_ref().filter(|wet| wet.turns()) {
+            for kind in [REFRACTED, MIRRORED] {
+                let lanes = turn.are(kind);
+                if !lanes.contains(&true) {
+                    continue;
+                }
+                let (met, theirs) = if kind == REFRACTED {
+                    self.meet(turn, &lanes, room)
+                } else {
+                    self.meet_mirrored(&rays.mirrored(), turn, &lanes, room)
+                };
+                for i in (0..LANES).filter(|&i| lanes[i]) {
+                    hits.distance[i] = met.distance[i];
+                    hits.triangle[i] = met.triangle[i];
+                    owner[i] = theirs[i];
+                    for k in 0..3 {
+                        hits.edges[k][i] = met.edges[k][i];
+                        let way = (met.distance[i] - turn.way[i]) * turn.heading[k][i];
+                        found.position[k][i] = turn.place[k][i] + way;
+                        found.view[k][i] = -turn.heading[k][i];
+                    }
+                }
+            }
+            found = attributes_at(wall, scene, found.position, found.view, &hits);
+        }
+        self.put_particles(&owner, &mut found);
+        if let Some(wet) = &mut wet {
+            for i in 0..LANES {
+                wet.is_wet[i] &= found.hit[i];
+                wet.turn.kind[i] = if found.hit[i] { wet.turn.kind[i] } else { STRAIGHT };
+            }
+        }
+        Seen { rays, hits, owner, found, wet }
+    }
+
+    #[inline(always)]
+    fn surface(&self, found: &Attributes, hits: &Hits, owner: &Owner, pixel_angle: f32) -> Surface {
+        let mut surface = surface(self.scene, found, &hits.distance, pixel_angle);
+        paint(&self.contents.chyme, owner, &mut surface);
+        surface
+    }
+
+    /// Liquid on the way of each ray, if there is any.
+    #[inline(always)]
+    fn wet(&self, rays: &Pyramid, hits: &Hits, found: &Attributes) -> Option<Wet> {
+        let (pools, optics) = self.contents.pools.as_ref()?;
+        let mut pool = [DRY; LANES];
+        for i in 0..LANES {
+            if hits.triangle[i] != MISS {
+                pool[i] = pools.of_face(self.wall.bvh.corners[hits.triangle[i] as usize]);
+            }
+        }
+        let eye = (self.view.origin, self.of_eye);
+        let wet = pools.crossed(eye, &rays.directions, &found.position, pool, optics.ior);
+        wet.is_wet.contains(&true).then_some(wet)
+    }
+
+    /// Bubbles that the tile may see on the straight ways from the eye, the farthest first.
+    #[inline(always)]
+    fn bubbles(&self, tile: &TileRays, rays: &Pyramid, hits: &Hits, room: &mut Room) -> Vec<Near> {
+        self.gather(tile, rays, hits, room);
+        self.in_order(room)
+    }
+
+    /// Bubbles that the tile may see before the wall.
+    #[inline(always)]
+    fn gather(&self, tile: &TileRays, rays: &Pyramid, hits: &Hits, room: &mut Room) {
+        room.near.clear();
+        if !tile.any {
+            return;
+        }
+        let (origin, extent) = (self.view.origin, self.wall.extent);
+        let farthest = farthest_of(&hits.distance);
+        self.contents.bubbles.gather(origin, rays, extent, farthest, &mut room.near);
+    }
+
+    /// The spheres in `room`, the farthest first.
+    fn in_order(&self, room: &mut Room) -> Vec<Near> {
+        let all = &self.contents.bubbles.all;
+        let number = |near: &Near| all[near.index as usize].number;
+        room.near
+            .sort_unstable_by(|a, b| b.power.total_cmp(&a.power).then(number(a).cmp(&number(b))));
+        room.near.clone()
+    }
+
+    /// Carries radiance from the surfaces met to the eye.
+    #[inline(always)]
+    fn carry(
+        &self,
+        seen: &Seen,
+        bubbles: &[Near],
+        pixel_angle: f32,
+        room: &mut Room,
+        radiance: &mut Lane3,
+    ) {
+        let Seen { rays, hits, wet, .. } = seen;
+        let (leds, film) = (&self.view.leds[..], &self.contents.film);
+        let spheres = &self.contents.bubbles;
+        let liquid = self.optics().zip(wet.as_ref());
+        let mut soaked = [false; LANES];
+        if let Some((optics, wet)) = liquid {
+            soaked = wet.under;
+            if wet.turns() {
+                self.carry_beyond((optics, wet), hits, pixel_angle, room, radiance);
+                let mirrored = self.mirrored((optics, wet), rays, pixel_angle, room);
+                optics.meet_surface(&rays.directions, leds, wet, &mirrored, radiance);
+            }
+            for i in 0..LANES {
+                soaked[i] &= wet.is_wet[i];
+            }
+        }
+        let origin = self.view.origin;
+        let leg = Leg {
+            rays,
+            starts: &origin.map(|x| [x; LANES]),
+            origin,
+            used: &[true; LANES],
+            soaked,
+            from: &[0.0; LANES],
+            to: &first_leg(wet.as_ref(), hits),
+        };
+        let bubbles = Bubbles { spheres, near: bubbles, film, pixel_angle };
+        leg.carry(&bubbles, liquid, leds, radiance);
+    }
+
+    /// Carries radiance from the surfaces met to the surfaces of pools on the way.
+    #[inline(always)]
+    fn carry_beyond(
+        &self,
+        (optics, wet): (&Optics, &Wet),
+        hits: &Hits,
+        pixel_angle: f32,
+        room: &mut Room,
+        radiance: &mut Lane3,
+    ) {
+        let turn = &wet.turn;
+        let mut ends = turn.place;
+        for k in 0..3 {
+            for i in 0..LANES {
+                ends[k][i] += (hits.distance[i] - turn.way[i]) * turn.heading[k][i];
+            }
+        }
+        let lanes = turn.lanes();
+        let (starts, origin, around) = unfolded(turn, &turn.heading, &ends, &lanes);
+        self.contents.bubbles.within(around, origin, &mut room.near);
+        let near = self.in_order(room);
+        let sunk = |i: usize| wet.is_wet[i] & (wet.under[i] != (turn.kind[i] == REFRACTED));
+        let leg = Leg {
+            rays: &Pyramid { directions: turn.heading, ..Pyramid::open() },
+            starts: &starts,
+            origin,
+            used: &lanes,
+            soaked: std::array::from_fn(sunk),
+            from: &turn.way,
+            to: &hits.distance,
+        };
+        let (spheres, film) = (&self.contents.bubbles, &self.contents.film);
+        let bubbles = Bubbles { spheres, near: &near, film, pixel_angle };
+        leg.carry(&bubbles, Some((optics, wet)), &self.view.leds, radiance);
+    }
+
+    /// Radiance that the surfaces of pools mirror where they let rays through.
+    #[inline(always)]
+    fn mirrored(
+        &self,
+        (optics, wet): (&Optics, &Wet),
+        rays: &Pyramid,
+        pixel_angle: f32,
+        room: &mut Room,
+    ) -> Lane3 {
+        let turn = &wet.turn;
+        let lanes = turn.are(REFRACTED);
+        if !lanes.contains(&true) {
+            return [[0.0; LANES]; 3];
+        }
+        let mirror = rays.mirrored();
+        let (hits, owner) = self.meet_mirrored(&mirror, turn, &lanes, room);
+        let (mut position, mut view) = (turn.place, mirror.directions);
+        for k in 0..3 {
+            for i in 0..LANES {
+                let way = if lanes[i] { hits.distance[i] - turn.way[i] } else { 0.0 };
+                position[k][i] += way * mirror.directions[k][i];
+                view[k][i] = -mirror.directions[k][i];
+            }
+        }
+        let mut found = attributes_at(self.wall, self.scene, position, view, &hits);
+        self.put_particles(&owner, &mut found);
+        let surface = self.surface(&found, &hits, &owner, pixel_angle);
+        let in_liquid = wet.under.contains(&true);
+        let mut radiance =
+            self.light((&surface, None), &found, &hits, in_liquid.then_some(wet), room);
+        if !in_liquid {
+            return radiance;
+        }
+        let (starts, origin, _) = unfolded(turn, &mirror.directions, &position, &lanes);
+        let leg = Leg {
+            rays: &mirror,
+            starts: &starts,
+            origin,
+            used: &lanes,
+            soaked: std::array::from_fn(|i| wet.is_wet[i] & wet.under[i] & found.hit[i]),
+            from: &turn.way,
+            to: &hits.distance,
+        };
+        let (spheres, film) = (&self.contents.bubbles, &self.contents.film);
+        let bubbles = Bubbles { spheres, near: &[], film, pixel_angle };
+        leg.carry(&bubbles, Some((optics, wet)), &self.view.leds, &mut radiance);
+        radiance
+    }
+
+    /// Radiance of the surfaces met, seen without what lies between.
+    #[inline(always)]
+    fn light(
+        &self,
+        (surface, beneath): (&Surface, Option<&Beneath>),
+        found: &Attributes,
+        hits: &Hits,
+        wet: Option<&Wet>,
+        room: &mut Room,
+    ) -> Lane3 {
+        let (wall, view, hit) = (self.wall, self.view, &found.hit);
+        let liquid = self.optics().zip(wet);
+        let mut radiance = [[0.0; LANES]; 3];
+        for led in &view.leds {
+            let mut lit = *hit;
+            if view.shadows {
+                lit = visible_tile(wall, led.position, &surface.position, hit);
+                let chyme = &self.contents.chyme;
+                let points = &surface.position;
+                chyme.shade(led.position, points, wall.extent, &mut room.blocking, &mut lit);
+            }
+            let Some((optics, wet)) = liquid else {
+                add_all_light((surface, beneath), &self.scene.material, led, &lit, &mut radiance);
+                continue;
+            };
+            let mut light = [[0.0; LANES]; 3];
+            add_all_light((surface, beneath), &self.scene.material, led, &lit, &mut light);
+            optics.dim(led, &surface.position, wet, &mut light);
+            add_glow(Some(&light), &mut radiance);
+        }
+        if let Some(bounced) = &view.bounced {
+            let mut light = [[0.0; LANES]; 3];
+            bounced.add((surface, &found.normal), hits, beneath, &mut light);
+            if let Some((optics, wet)) = liquid {
+                optics.dim_even(&surface.position, wet, &mut light);
+            }
+            add_glow(Some(&light), &mut radiance);
+        }
+        radiance
+    }
+}

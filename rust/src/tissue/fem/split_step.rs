@@ -1,0 +1,60 @@
+//! A layer's step in two halves, for one whose load comes out while it moves.
+
+use super::Outcome;
+use super::layer::FemLayer;
+use super::sparse::add_scaled;
+use glam::{DMat3, DVec3};
+
+impl FemLayer {
+    /// Velocities at the end of a step of `dt` [s] under forces on the free nodes [N], solved to
+    /// `tolerance` [m]. The layer itself stays as it is.
+    pub fn predict(&mut self, force: &[DVec3], dt: f64, tolerance: f64) -> Outcome<Vec<DVec3>> {
+        self.prepare(dt)?;
+        match self.body.elements {
+            Some(_) => self.nonlinear_step(force, self.velocity.clone(), dt, tolerance),
+            None => Ok(self.linear_step(force, dt)),
+        }
+    }
+
+    /// The same after all for other forces, which give `gained` more momentum [N·s], from what was
+    /// predicted.
+    pub fn correct(
+        &mut self,
+        predicted: Vec<DVec3>,
+        force: &[DVec3],
+        mut gained: Vec<DVec3>,
+        dt: f64,
+        tolerance: f64,
+    ) -> Outcome<Vec<DVec3>> {
+        if gained.iter().all(|p| *p == DVec3::ZERO) {
+            return Ok(predicted);
+        }
+        if self.is_linear() {
+            self.solve(&mut gained);
+            add_scaled(&predicted, 1.0, &mut gained);
+            return Ok(gained);
+        }
+        self.nonlinear_step(force, predicted, dt, tolerance)
+    }
+
+    /// Ends a step of `dt` [s] with these velocities.
+    pub fn advance(&mut self, velocity: Vec<DVec3>, dt: f64) {
+        self.velocity = velocity;
+        add_scaled(&self.velocity, dt, &mut self.displacement);
+    }
+
+    /// How the velocity of every node at the end of a step of `dt` grows with a force on one [m/s
+    /// per N]; of the stiffness at rest.
+    ///
+    /// Each node is solved for by itself, so that its bytes do not depend on who else is asked for.
+    pub fn mobility(&mut self, node: u32, dt: f64) -> Outcome<Vec<DMat3>> {
+        self.prepare(dt)?;
+        let columns = [DVec3::X, DVec3::Y, DVec3::Z].map(|axis| {
+            let mut column = vec![DVec3::ZERO; self.displacement.len()];
+            column[node as usize] = dt * axis;
+            column
+        });
+        let [x, y, z] = self.solve_three(columns);
+        Ok(x.iter().zip(&y).zip(&z).map(|((x, y), z)| DMat3::from_cols(*x, *y, *z)).collect())
+    }
+}

@@ -1,0 +1,6 @@
+//! How the wall moves and resists: Winkler foundation, drag, spring wall, finite elements.
+
+pub mod drag;
+pub mod fem;
+pub mod spring_wall;
+pub mod winkler_foundation;

@@ -1,0 +1,225 @@
+//! A barrier about the capsule's axis, through which no wall comes.
+//!
+//! Pressure on an area holds a capsule off a wall, but the crest of a fold has hardly any area: it
+//! would cut in as far as the axis, and then the wall's springs push to its wrong side. Nearer to
+//! the axis than a share of the capsule's radius a triangle is therefore a blow without bounce:
+//! impulses between the points where axis and triangle are closest take away the speed of approach.
+
+use super::body::{Axis, Body, Motion};
+use super::contact::Facet;
+use super::contact_patch::FacetLoad;
+use super::solve::{Symmetric6, Twist};
+use glam::DVec3;
+
+/// Radius of the barrier, as a share of the capsule's.
+const SHARE: f64 = 0.2;
+/// Time in which what has come through is brought out again [s].
+const RECOVERY: f64 = 5e-3;
+/// Give of an impulse, as a share of the capsule's own: keeps impulses small where walls on both
+/// sides leave too little room.
+const GIVE: f64 = 0.2;
+/// Sweeps over all impulses.
+const SWEEPS: usize = 16;
+/// Closer than this, a direction is not known from the distance [m].
+const TOUCHING: f64 = 1e-9;
+
+/// A triangle within the barrier.
+struct Block {
+    place: u32,
+    /// Where it is closest [m].
+    center: DVec3,
+    /// Unit vector from the axis to it.
+    normal: DVec3,
+    /// Its velocity [m/s].
+    velocity: DVec3,
+    /// Turns twists into speeds of approach.
+    lever: [f64; 6],
+    /// Change of twist by an impulse of 1 N·s.
+    answer: [f64; 6],
+    /// Speed of approach to be taken away [m/s].
+    excess: f64,
+    /// Impulse [N·s].
+    impulse: f64,
+}
+
+fn product(a: &[f64; 6], b: &[f64; 6]) -> f64 {
+    a.iter().zip(b).map(|(x, y)| x * y).sum()
+}
+
+/// Keeps the triangles out of the barrier: adds to the `change` of twist of a substep of `dt` that
+/// `matrix` resists, and what it gave to the facet loads.
+pub fn keep_out(
+    (body, motion): (&Body, &Motion),
+    facets: &[Facet],
+    matrix: &Symmetric6,
+    change: Twist,
+    facet_loads: &mut Vec<FacetLoad>,
+    dt: f64,
+) -> Twist {
+    let radius = SHARE * body.radius;
+    let close = facets.iter().filter(|facet| facet.distance - facet.reach < radius);
+    let axis = body.axis(motion);
+    let mut blocks: Vec<Block> =
+        close.filter_map(|facet| block(facet, &axis, motion.position, radius)).collect();
+    if blocks.is_empty() {
+        return change;
+    }
+    let after = Twist {
+        linear: motion.velocity + change.linear,
+        angular: motion.angular_velocity + change.angular,
+    };
+    for block in &mut blocks {
+        block.answer = matrix.solve(block.lever);
+        block.excess += product(&block.lever, &after.to_array()) - block.normal.dot(block.velocity);
+    }
+    let more = settle(&mut blocks);
+    facet_loads.extend(
+        blocks.iter().filter(|block| block.impulse > 0.0).map(|block| block.facet_load(dt)),
+    );
+    Twist { linear: change.linear + more.linear, angular: change.angular + more.angular }
+}
+
+impl Block {
+    /// What it carries over a substep of `dt`.
+    fn facet_load(&self, dt: f64) -> FacetLoad {
+        FacetLoad {
+            place: self.place,
+            center: self.center,
+            normal: self.normal,
+            load: self.impulse / dt,
+            velocity: self.velocity,
+            mobility: 0.0,
+        }
+    }
+}
+
+/// A triangle as it meets the barrier, if it does.
+fn block(facet: &Facet, axis: &Axis, position: DVec3, radius: f64) -> Option<Block> {
+    let (on_axis, center) = closest(axis, facet.corners);
+    let distance = (center - on_axis).length();
+    if distance >= radius {
+        return None;
+    }
+    let [a, b, c] = facet.corners;
+    let normal = if distance > TOUCHING {
+        (center - on_axis) / distance
+    } else {
+        -(b - a).cross(c - a).normalize_or_zero()
+    };
+    let moment = (on_axis - position).cross(normal);
+    Some(Block {
+        place: facet.place,
+        center,
+        normal,
+        velocity: facet.velocity,
+        lever: Twist { linear: normal, angular: moment }.to_array(),
+        answer: [0.0; 6],
+        excess: (radius - distance) / RECOVERY,
+        impulse: 0.0,
+    })
+}
+
+/// Finds impulses, none of which pulls, that take away the excess; returns what they change.
+fn settle(blocks: &mut [Block]) -> Twist {
+    let mut change = [0.0; 6];
+    for _ in 0..SWEEPS {
+        for block in blocks.iter_mut() {
+            let own = product(&block.lever, &block.answer);
+            let left = block.excess + product(&block.lever, &change) - GIVE * own * block.impulse;
+            let impulse = (block.impulse + left / ((1.0 + GIVE) * own)).max(0.0);
+            let more = impulse - block.impulse;
+            change.iter_mut().zip(&block.answer).for_each(|(x, answer)| *x -= more * answer);
+            block.impulse = impulse;
+        }
+    }
+    Twist::from_array(change)
+}
+
+/// The closest points of the axis and of a triangle.
+fn closest(axis: &Axis, corners: [DVec3; 3]) -> (DVec3, DVec3) {
+    let [a, b, c] = corners;
+    if let Some(through) = crossing(axis, corners) {
+        return (through, through);
+    }
+    let ends = [axis.start, axis.start + axis.span].map(|end| (end, on_face(corners, end)));
+    let edges = [(a, b), (b, c), (c, a)].map(|(from, to)| between(axis, from, to - from));
+    let pairs = ends.into_iter().filter_map(|(end, on)| on.map(|on| (end, on))).chain(edges);
+    let square = |pair: &(DVec3, DVec3)| (pair.1 - pair.0).length_squared();
+    pairs.min_by(|p, q| square(p).total_cmp(&square(q))).expect("three edges")
+}
+
+/// Where the axis goes through a triangle, if it does.
+fn crossing(axis: &Axis, corners: [DVec3; 3]) -> Option<DVec3> {
+    let [a, b, c] = corners;
+    let normal = (b - a).cross(c - a);
+    let (from, rate) = (normal.dot(a - axis.start), normal.dot(axis.span));
+    let along = from / rate;
+    if !(0.0..=1.0).contains(&along) {
+        return None;
+    }
+    let through = axis.start + along * axis.span;
+    on_face(corners, through).map(|_| through)
+}
+
+/// The point of a triangle straight below `p`, if its face has one there.
+fn on_face([a, b, c]: [DVec3; 3], p: DVec3) -> Option<DVec3> {
+    let normal = (b - a).cross(c - a);
+    let side = |from: DVec3, to: DVec3| normal.dot((to - from).cross(p - from)) >= 0.0;
+    let inside = side(a, b) && side(b, c) && side(c, a) && normal != DVec3::ZERO;
+    inside.then(|| p - normal * (normal.dot(p - a) / normal.length_squared()))
+}
+
+/// The closest points of the axis and of an edge (Ericson 2004, Real-Time Collision Detection,
+/// 5.1.9): first as for a whole line beside the axis, then each from the other's end.
+fn between(axis: &Axis, from: DVec3, edge: DVec3) -> (DVec3, DVec3) {
+    let (way, length) = (axis.start - from, edge.length_squared());
+    let (across, along) = (axis.span.dot(edge), axis.span.length_squared());
+    let apart = along * length - across * across;
+    let s = if apart > 1e-12 * along * length {
+        ((across * edge.dot(way) - axis.span.dot(way) * length) / apart).clamp(0.0, 1.0)
+    } else {
+        0.0
+    };
+    let t = ((edge.dot(way) + s * across) / length.max(f64::MIN_POSITIVE)).clamp(0.0, 1.0);
+    let on_edge = from + t * edge;
+    let on_axis = axis.nearest(on_edge);
+    (on_axis, on_edge)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn numbers() -> impl FnMut() -> DVec3 {
+        let mut state = 1u64;
+        let mut next = move || {
+            state = state
+                .wrapping_mul(6_364_136_223_846_793_005)
+                .wrapping_add(1_442_695_040_888_963_407);
+            (state >> 11) as f64 / (1u64 << 53) as f64 - 0.5
+        };
+        move || DVec3::new(next(), next(), next())
+    }
+
+    /// Against the least distance over a fine grid of points of both.
+    #[test]
+    fn closest_points_of_axis_and_triangle() {
+        let mut point = numbers();
+        for _ in 0..200 {
+            let (start, span) = (point(), 1.5 * point());
+            let axis = Axis::new(start, span);
+            let corners @ [a, b, c] = [point(), point(), point()];
+            let (on_axis, on_triangle) = closest(&axis, corners);
+            let found = (on_axis - on_triangle).length();
+            let mut least = f64::INFINITY;
+            for i in 0..=60 {
+                for j in 0..=60 - i {
+                    let p = a + (b - a) * (f64::from(i) / 60.0) + (c - a) * (f64::from(j) / 60.0);
+                    least = least.min((p - axis.nearest(p)).length());
+                }
+            }
+            assert!(found <= least + 1e-12 && least <= found + 0.03, "{found} {least}");
+            assert!((axis.nearest(on_axis) - on_axis).length() < 1e-12);
+        }
+    }
+}

@@ -1,0 +1,415 @@
+//! A capsule in a wall: what Python holds and steps.
+
+use super::body::{Body, Motion};
+use super::coupling_state::CouplingState;
+use super::fem_coupling::FemCoupling;
+use super::magnetic_coupling::{MagneticCoupling, Report, SOURCE_ROW};
+use super::parameters::{
+    BodyParameters, DragParameters, FoundationParameters, SpringWallParameters, laws,
+};
+use super::soft_wall::{Drive, SoftWall};
+use super::solve::Twist;
+use super::substep::{Load, press};
+use super::time_stepping::{StepTotals, Stepper};
+use crate::magnet::field_sources::{FieldSources, internal_magnets};
+use crate::poses::{pose_rows, read_pose, rows};
+use crate::tissue::fem::layer::FemLayer;
+use crate::tissue::spring_wall::{SpringWall, VertexMotion};
+use crate::wall::Wall;
+use glam::{DMat3, DQuat, DVec3};
+use numpy::{IntoPyArray, PyArray2, PyReadonlyArray1, PyReadonlyArray2, ndarray, ndarray::Array2};
+use pyo3::{exceptions::PyValueError, prelude::*};
+use rayon::prelude::*;
+
+/// Position [m], quaternion wxyz, velocity [m/s] and angular velocity [rad/s] of the capsule.
+type Pose = ([f64; 3], [f64; 4], [f64; 3], [f64; 3]);
+
+/// Two tables of numbers.
+type Tables<'py> = (Bound<'py, PyArray2<f64>>, Bound<'py, PyArray2<f64>>);
+
+/// Motion, the vertices that give way, the driven wall [m].
+type Saved = (Motion, Vec<(u32, VertexMotion)>, Vec<DVec3>);
+
+/// A capsule in a soft wall. Positions are about the wall's center, see `Wall.center`.
+#[pyclass(module = "vrcaps._core")]
+pub struct World {
+    wall: Py<Wall>,
+    /// The layer of finite elements under the wall.
+    layer: Option<Py<FemLayer>>,
+    /// The wall's center; subtracted from every position [m].
+    center: DVec3,
+    stepper: Stepper,
+    /// What `undo` goes back to.
+    saved: Option<Saved>,
+}
+
+#[pymethods]
+impl World {
+    /// A capsule in a wall at rest, at a pose.
+    #[new]
+    fn new(
+        py: Python<'_>,
+        wall: Py<Wall>,
+        body: BodyParameters<'_>,
+        foundation: FoundationParameters,
+        drag: DragParameters,
+        spring_wall: Option<SpringWallParameters>,
+        pose: Pose,
+    ) -> PyResult<Self> {
+        let (soft, center) = {
+            let wall = wall.borrow(py);
+            (SoftWall::new(&wall, spring_wall.is_some()), DVec3::from(wall.center))
+        };
+        let spring_wall = spring_wall.map(SpringWall::from);
+        let body: Body = body.into();
+        let laws = laws(foundation, drag, body.radius);
+        let stepper = Stepper {
+            body,
+            laws,
+            spring_wall,
+            coupling: None,
+            magnets: None,
+            motion: Motion::default(),
+            soft,
+            last: StepTotals::default(),
+        };
+        let mut world = World { wall, layer: None, center, stepper, saved: None };
+        world.set_pose(pose)?;
+        Ok(world)
+    }
+
+    /// Moves on by `count` substeps of `dt`, with a wrench [N, N·m] and gravity [m/s²].
+    ///
+    /// `lumen_scale` [2 k] is the lumen's radius over that at rest, now and at the end of the step; see
+    /// `set_lumen_drive`.
+    /// A layer makes `outer` steps meanwhile, of which `count` is a multiple.
+    #[pyo3(signature = (dt, count, wrench, gravity, lumen_scale=None, outer=1))]
+    #[allow(clippy::too_many_arguments)]
+    fn step(
+        &mut self,
+        py: Python<'_>,
+        dt: f64,
+        count: usize,
+        wrench: [f64; 6],
+        gravity: [f64; 3],
+        lumen_scale: Option<PyReadonlyArray2<'_, f64>>,
+        outer: usize,
+    ) -> PyResult<()> {
+        if outer == 0 || !count.is_multiple_of(outer) {
+            return Err(PyValueError::new_err("The count must be a multiple of outer."));
+        }
+        let load = Load { wrench: Twist::from_array(wrench), gravity: DVec3::from(gravity) };
+        if let Some(lumen_scale) = lumen_scale {
+            self.stepper.aim(lumen_scale.as_slice()?, dt * count as f64)?;
+        }
+        let wall = self.wall.clone_ref(py);
+        let mut wall = wall.borrow_mut(py);
+        let wall: &mut Wall = &mut wall;
+        let layer = self.layer.as_ref().map(|layer| layer.clone_ref(py));
+        let mut layer = layer.as_ref().map(|layer| layer.borrow_mut(py));
+        let layer: Option<&mut FemLayer> = layer.as_deref_mut();
+        py.detach(|| self.stepper.run(wall, layer, &load, dt, (count, outer)))
+            .map_err(PyValueError::new_err)
+    }
+
+    /// Puts a layer of finite elements under the wall, solved to `tolerance` [m].
+    fn set_layer(&mut self, py: Python<'_>, layer: Py<FemLayer>, tolerance: f64) {
+        let coupling = FemCoupling::new(&layer.borrow(py), tolerance);
+        self.stepper.coupling = Some(coupling);
+        self.layer = Some(layer);
+    }
+
+    /// Lets sources act on magnets [k 6] (place, moment) in the capsule; `aim_sources` comes next.
+    fn set_magnets(
+        &mut self,
+        sources: PyRef<'_, FieldSources>,
+        magnets: PyReadonlyArray2<'_, f64>,
+    ) -> PyResult<()> {
+        self.stepper.magnets =
+            Some(MagneticCoupling::new(sources.sources.clone(), internal_magnets(&magnets)?));
+        Ok(())
+    }
+
+    /// Moves the sources in the steps of the next `duration` [s] from rows [k 8] to rows: place,
+    /// quaternion wxyz, strength, in the world, where the wall is at a pose [4 4].
+    fn aim_sources(
+        &mut self,
+        begin: PyReadonlyArray2<'_, f64>,
+        end: PyReadonlyArray2<'_, f64>,
+        duration: f64,
+        pose: PyReadonlyArray2<'_, f64>,
+    ) -> PyResult<()> {
+        let (begin, end) = (rows(&begin, SOURCE_ROW)?, rows(&end, SOURCE_ROW)?);
+        let (rotation, position) = read_pose(&pose)?;
+        let magnets = self.stepper.magnets.as_mut().filter(|magnets| {
+            begin.len() == end.len() && begin.len() == SOURCE_ROW * magnets.count()
+        });
+        let magnets = magnets.ok_or_else(|| PyValueError::new_err("A row for each source."))?;
+        let pose = (rotation, position + rotation * self.center);
+        magnets.aim((&begin, &end), duration, pose, &self.stepper.motion);
+        Ok(())
+    }
+
+    /// What the sources did since `aim_sources`, and their field for a capsule at a pose [4 4].
+    fn magnetic_coupling(&mut self, pose: PyReadonlyArray2<'_, f64>) -> PyResult<Option<Report>> {
+        let Some(magnets) = self.stepper.magnets.as_mut() else { return Ok(None) };
+        magnets.finish();
+        Ok(Some(magnets.report(read_pose(&pose)?)))
+    }
+
+    /// What lasts of the exchange with the layer: force [N] on each node, how far the felt wall is
+    /// off it [m] and the momentum it is owed [N·s], [nodes 9]; number, normal force [N] and friction [N] of touched triangles,
+    /// [k 5]. None without a layer.
+    #[getter]
+    fn coupling_state<'py>(&self, py: Python<'py>) -> Option<Tables<'py>> {
+        let coupling = self.stepper.coupling.as_ref()?;
+        let (nodes, touched) = coupling.state.to_rows();
+        Some((table(py, nodes, 9), table(py, touched, 5)))
+    }
+
+    #[setter]
+    fn set_coupling_state(
+        &mut self,
+        rows: Option<(PyReadonlyArray2<'_, f64>, PyReadonlyArray2<'_, f64>)>,
+    ) -> PyResult<()> {
+        if let (Some(coupling), Some((nodes, touched))) = (self.stepper.coupling.as_mut(), rows) {
+            coupling.state = CouplingState::from_rows(nodes.as_slice()?, touched.as_slice()?);
+        }
+        Ok(())
+    }
+
+    /// Lets the lumen narrow and widen: `inward` [n 3] from each vertex at rest to the centerline,
+    /// `sample` [n] its place along the samples of the `lumen_scale` that `step` takes.
+    fn set_lumen_drive(
+        &mut self,
+        inward: PyReadonlyArray2<'_, f64>,
+        sample: PyReadonlyArray1<'_, f64>,
+    ) -> PyResult<()> {
+        let (rows, sample) = (inward.as_array(), sample.as_slice()?);
+        if rows.dim() != (self.stepper.soft.active_wall.len(), 3)
+            || sample.len() != self.stepper.soft.active_wall.len()
+        {
+            return Err(PyValueError::new_err("The drive of the lumen has a row for each vertex."));
+        }
+        let inward = rows.outer_iter().map(|r| DVec3::new(r[0], r[1], r[2])).collect();
+        self.stepper.soft.drive =
+            Some(Drive::new(self.stepper.soft.active_wall.clone(), inward, sample));
+        Ok(())
+    }
+
+    /// Keeps all that changes but a layer and its exchange, for `undo`.
+    fn save(&mut self) {
+        let mut active_wall =
+            self.saved.take().map_or_else(Vec::new, |(_, _, active_wall)| active_wall);
+        active_wall.clone_from(&self.stepper.soft.active_wall);
+        self.saved =
+            Some((self.stepper.motion, self.stepper.soft.awake_displacements(), active_wall));
+    }
+
+    /// Goes back to what was last saved.
+    fn undo(&mut self) {
+        if let Some((motion, wall_displacement, active_wall)) = self.saved.take() {
+            self.stepper.motion = motion;
+            self.stepper.soft.restore_displacements(wall_displacement);
+            self.stepper.soft.active_wall = active_wall;
+            self.stepper.soft.stay();
+        }
+    }
+
+    /// Brings the hierarchy to where the wall is now, for rendering and queries, if it may be off
+    /// by more than a tolerance [m].
+    #[pyo3(signature = (tolerance=0.0))]
+    fn settle(&mut self, py: Python<'_>, tolerance: f64) -> PyResult<()> {
+        if self.stepper.soft.wall_travel <= tolerance {
+            return Ok(());
+        }
+        let wall = self.wall.clone_ref(py);
+        let mut wall = wall.borrow_mut(py);
+        let wall: &mut Wall = &mut wall;
+        py.detach(|| self.stepper.soft.settle(wall)).map_err(PyValueError::new_err)
+    }
+
+    /// Center of mass [m], quaternion wxyz of unit length, velocity and angular velocity.
+    #[getter]
+    fn pose(&self) -> Pose {
+        let m = &self.stepper.motion;
+        let q = m.rotation;
+        (
+            m.position.to_array(),
+            [q.w, q.x, q.y, q.z],
+            m.velocity.to_array(),
+            m.angular_velocity.to_array(),
+        )
+    }
+
+    /// Pose [4 4] of the capsule in the world, where the wall is at a pose [4 4].
+    fn pose_in<'py>(
+        &self,
+        py: Python<'py>,
+        wall: PyReadonlyArray2<'py, f64>,
+    ) -> PyResult<Bound<'py, PyArray2<f64>>> {
+        let (rotation, position) = read_pose(&wall)?;
+        let turn = rotation * DMat3::from_quat(self.stepper.motion.rotation);
+        let place = rotation * (self.stepper.motion.position + self.center) + position;
+        Ok(table(py, pose_rows(&turn, place).to_vec(), 4))
+    }
+
+    #[setter]
+    fn set_pose(&mut self, pose: Pose) -> PyResult<()> {
+        let (position, [w, x, y, z], velocity, angular_velocity) = pose;
+        let numbers = [&position[..], &[w, x, y, z], &velocity, &angular_velocity].concat();
+        if !numbers.iter().all(|number| number.is_finite()) {
+            return Err(PyValueError::new_err("A capsule's pose and motion must be finite."));
+        }
+        self.stepper.motion = Motion {
+            position: DVec3::from(position),
+            rotation: DQuat::from_xyzw(x, y, z, w),
+            velocity: DVec3::from(velocity),
+            angular_velocity: DVec3::from(angular_velocity),
+        };
+        self.stepper.soft.travel = f64::INFINITY;
+        Ok(())
+    }
+
+    /// Displacement [m] and velocity [m/s] of each vertex, [n 6].
+    #[getter]
+    fn wall_displacement<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray2<f64>> {
+        let rows = self.stepper.soft.wall_displacement.iter();
+        let flat =
+            rows.flat_map(|y| Twist { linear: y.displacement, angular: y.velocity }.to_array());
+        table(py, flat.collect(), 6)
+    }
+
+    #[setter]
+    fn set_wall_displacement(
+        &mut self,
+        wall_displacement: PyReadonlyArray2<'_, f64>,
+    ) -> PyResult<()> {
+        let rows = wall_displacement.as_array();
+        if rows.dim() != (self.stepper.soft.wall_displacement.len(), 6) {
+            return Err(PyValueError::new_err(
+                "The displacement of the wall has six numbers for each vertex.",
+            ));
+        }
+        self.stepper.soft.wall_displacement = rows
+            .outer_iter()
+            .map(|r| VertexMotion {
+                displacement: DVec3::new(r[0], r[1], r[2]),
+                velocity: DVec3::new(r[3], r[4], r[5]),
+            })
+            .collect();
+        let awake = (0..)
+            .zip(&self.stepper.soft.wall_displacement)
+            .filter(|(_, y)| **y != VertexMotion::default());
+        let is_spring_wall = self.stepper.spring_wall.is_some();
+        self.stepper.soft.awake = awake.filter(|_| is_spring_wall).map(|(v, _)| v).collect();
+        (self.stepper.soft.travel, self.stepper.soft.wall_travel) = (f64::INFINITY, f64::INFINITY);
+        Ok(())
+    }
+
+    /// Where the wall would be if nothing touched it [n 3].
+    #[getter]
+    fn active_wall<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray2<f64>> {
+        let flat = self.stepper.soft.active_wall.iter().flat_map(|p| p.to_array());
+        table(py, flat.collect(), 3)
+    }
+
+    #[setter]
+    fn set_active_wall(&mut self, active_wall: PyReadonlyArray2<'_, f64>) -> PyResult<()> {
+        let rows = active_wall.as_array();
+        if rows.dim() != (self.stepper.soft.active_wall.len(), 3) {
+            return Err(PyValueError::new_err("The active wall has a row for each vertex."));
+        }
+        let place = |r: ndarray::ArrayView1<f64>| DVec3::new(r[0], r[1], r[2]);
+        self.stepper.soft.active_wall = rows.outer_iter().map(place).collect();
+        (self.stepper.soft.travel, self.stepper.soft.wall_travel) = (f64::INFINITY, f64::INFINITY);
+        Ok(())
+    }
+
+    /// Vertices of the wall now [n 3], in the frame to which `transform` [4 4] brings the wall's.
+    fn vertices<'py>(
+        &self,
+        py: Python<'py>,
+        transform: PyReadonlyArray2<'_, f64>,
+    ) -> PyResult<Bound<'py, PyArray2<f64>>> {
+        let t = transform.as_array();
+        if t.dim() != (4, 4) {
+            return Err(PyValueError::new_err("A transform has four rows and four columns."));
+        }
+        let [x, y, z, origin] = [0, 1, 2, 3].map(|k| DVec3::new(t[[0, k]], t[[1, k]], t[[2, k]]));
+        let mut flat = vec![0.0; 3 * self.stepper.soft.active_wall.len()];
+        py.detach(|| {
+            let rows = flat.par_chunks_exact_mut(3).with_min_len(4096).enumerate();
+            rows.for_each(|(v, row)| {
+                let p = self.stepper.soft.vertex(v as u32).0 + self.center;
+                (x * p.x + y * p.y + z * p.z + origin).write_to_slice(row);
+            });
+        });
+        Ok(table(py, flat, 3))
+    }
+
+    /// Mean force [N] and torque [N·m] of the wall on the capsule over the last step, mean sum of
+    /// normal forces [N], energy lost to friction [J]; then stored energy [J], touched area [m²]
+    /// and largest depth [m] of the last substep.
+    fn contact(&self) -> ([f64; 3], [f64; 3], f64, f64, f64, f64, f64) {
+        let (last, patch) = (&self.stepper.last, &self.stepper.soft.patch);
+        (
+            last.force.to_array(),
+            last.torque.to_array(),
+            last.normal_force_total,
+            last.friction_work,
+            patch.energy,
+            patch.area,
+            patch.depth,
+        )
+    }
+
+    /// Where [m] and how [N] the capsule pushes a spring wall, [n 6].
+    fn contact_forces<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray2<f64>> {
+        let rows = self.stepper.soft.contact_forces.iter();
+        let flat = rows.flat_map(|p| Twist { linear: p.center, angular: p.force }.to_array());
+        table(py, flat.collect(), 6)
+    }
+
+    /// Largest depth [m] to which the capsule presses in where it is now.
+    fn penetration_depth(&mut self, py: Python<'_>) -> PyResult<f64> {
+        let wall = self.wall.clone_ref(py);
+        let mut wall = wall.borrow_mut(py);
+        let reach = self.stepper.spring_wall.map_or(0.0, |q| q.reach);
+        let found =
+            self.stepper.soft.search(&mut wall, &self.stepper.body, &self.stepper.motion, reach);
+        found.map_err(PyValueError::new_err)?;
+        self.stepper
+            .soft
+            .update_facets(&self.stepper.body.axis(&self.stepper.motion), self.stepper.body.radius);
+        let soft = &mut self.stepper.soft;
+        press(
+            &self.stepper.body,
+            &self.stepper.laws,
+            &soft.facets,
+            &self.stepper.motion,
+            &mut soft.patch,
+        );
+        Ok(self.stepper.soft.patch.depth)
+    }
+
+    /// Kinetic energy of the capsule [J].
+    fn kinetic_energy(&self) -> f64 {
+        self.stepper.body.kinetic_energy(&self.stepper.motion)
+    }
+
+    /// Resistance [N] of the printed and continuous laws at a speed [m/s].
+    fn resistance(&self, speed: f64) -> f64 {
+        self.stepper.laws.drag.resistance(speed)
+    }
+
+    /// Whether the capsule's axis is in the lumen, by the hierarchy as last settled.
+    fn inside(&self, py: Python<'_>) -> bool {
+        self.stepper.is_inside(&self.wall.borrow(py))
+    }
+}
+
+fn table(py: Python<'_>, flat: Vec<f64>, columns: usize) -> Bound<'_, PyArray2<f64>> {
+    let rows = flat.len() / columns;
+    Array2::from_shape_vec((rows, columns), flat).expect("whole rows").into_pyarray(py)
+}

@@ -1,0 +1,155 @@
+//! Contact with a soft wall: which pieces of it the capsule presses.
+//!
+//! The wall is a layer on a rigid ground, a bed of independent springs (Johnson, Contact Mechanics,
+//! 1985, 4.3). A point of the wall at distance s from the capsule's axis is pressed in by
+//! `u = R − s`; its pressure acts along the capsule's normal there. The force is so the gradient
+//! of an energy `∫ψ(u) dA`, and a capsule that comes and goes slowly gets all of it back.
+//! Triangles are divided until depth changes evenly within a piece; `patch` adds the pieces up.
+
+use super::body::{Axis, Body, Motion};
+use super::contact_patch::{Patch, Pressing};
+use crate::simd::f64x8::{max, put};
+use crate::tissue::winkler_foundation::WinklerFoundation;
+use glam::DVec3;
+
+/// Where the edge of the patch crosses it, a piece is at most this share of the patch's radius.
+const FINENESS: f64 = 0.6;
+/// Near the patch's middle, ρ² up to this times R·u is fine enough.
+const FLATNESS: f64 = 0.6;
+/// No piece becomes smaller than this share of the radius of the whole patch, wherever it lies.
+const FINER: f64 = 0.4;
+/// No piece becomes smaller than this share of the capsule's radius.
+const FINEST: f64 = 1.0 / 40.0;
+/// No piece stays larger than this share of it: the capsule's normal turns within a piece.
+const COARSEST: f64 = 0.3;
+/// Share of the depth of an e-fold of stiffness that the depth may change within a piece.
+const STEEPNESS: f64 = 1.0;
+
+/// A triangle of the wall as the capsule meets it.
+#[derive(Clone, Copy)]
+pub struct Facet {
+    /// Corners [m].
+    pub corners: [DVec3; 3],
+    /// Mean velocity of the corners [m/s].
+    pub velocity: DVec3,
+    /// Distance of the farthest corner from the middle [m].
+    pub reach: f64,
+    /// Distance of the middle from the capsule's axis [m].
+    pub distance: f64,
+    /// Its place among what is near.
+    pub place: u32,
+}
+
+impl Facet {
+    /// A triangle with corners that move, as a capsule about `axis` meets it.
+    #[inline(always)]
+    pub fn new(place: u32, [a, b, c]: [(DVec3, DVec3); 3], axis: &Axis) -> Self {
+        let center = (a.0 + b.0 + c.0) / 3.0;
+        let square = |corner: DVec3| (corner - center).length_squared();
+        Facet {
+            corners: [a.0, b.0, c.0],
+            velocity: (a.1 + b.1 + c.1) / 3.0,
+            reach: max(square(a.0), max(square(b.0), square(c.0))).sqrt(),
+            distance: (center - axis.nearest(center)).length(),
+            place,
+        }
+    }
+}
+
+/// One capsule at one instant, pressing into triangles.
+pub struct Indenter {
+    pressing: Pressing,
+    /// Most that the depth may change within a piece [m].
+    steep: f64,
+    /// No piece becomes smaller than this [m].
+    finest: f64,
+}
+
+/// A triangle that is being divided.
+struct Cut<'a> {
+    facet: &'a Facet,
+    /// Into the lumen.
+    normal: DVec3,
+}
+
+impl Indenter {
+    /// The capsule `body` in motion `m`.
+    pub fn new(foundation: &WinklerFoundation, body: &Body, motion: &Motion) -> Self {
+        Indenter {
+            pressing: Pressing {
+                foundation: *foundation,
+                radius: body.radius,
+                axis: body.axis(motion),
+                motion: *motion,
+            },
+            steep: STEEPNESS * foundation.stiffening_depth,
+            finest: FINEST * body.radius,
+        }
+    }
+
+    /// Fills the patch with what the triangles carry.
+    pub fn press(&mut self, facets: &[Facet], patch: &mut Patch) {
+        patch.clear();
+        let radius = self.pressing.radius;
+        let deepest = facets.iter().fold(0.0, |depth, facet| max(depth, radius - facet.distance));
+        self.finest = max(FINEST * radius, FINER * (2.0 * radius * deepest).sqrt());
+        for facet in facets {
+            let [a, b, c] = facet.corners;
+            let cross = (b - a).cross(c - a);
+            let twice_area = cross.length();
+            if twice_area > 0.0 {
+                let cut = Cut { facet, normal: cross / twice_area };
+                self.divide(&cut, facet.corners, facet.reach, 0.5 * twice_area, patch);
+            }
+        }
+        patch.press(&self.pressing);
+    }
+
+    /// Adds a piece to the patch if the capsule may touch it, in four where it is too coarse.
+    fn divide(&self, cut: &Cut, corners: [DVec3; 3], reach: f64, area: f64, patch: &mut Patch) {
+        let [a, b, c] = corners;
+        let axis: &Axis = &self.pressing.axis;
+        let center = (a + b + c) / 3.0;
+        let offset = center - axis.nearest(center);
+        let distance = offset.length();
+        if distance - reach >= self.pressing.radius {
+            return;
+        }
+        let facing = -offset.dot(cut.normal) / distance.max(f64::MIN_POSITIVE);
+        let sine = (1.0 - facing * facing).max(0.0).sqrt();
+        // Distance is convex: nowhere in the piece is it less than this.
+        if distance - reach * sine >= self.pressing.radius {
+            return;
+        }
+        if self.is_coarse(reach, distance, sine) {
+            let [ab, bc, ca] = [0.5 * (a + b), 0.5 * (b + c), 0.5 * (c + a)];
+            for quarter in [[a, ab, ca], [ab, b, bc], [ca, bc, c], [bc, ca, ab]] {
+                self.divide(cut, quarter, 0.5 * reach, 0.25 * area, patch);
+            }
+            return;
+        }
+        let (pieces, lane) = patch.piece(cut.facet.place);
+        for (k, corner) in corners.into_iter().enumerate() {
+            put(&mut pieces.corners[k], lane, corner);
+        }
+        put(&mut pieces.normal, lane, cut.normal);
+        put(&mut pieces.velocity, lane, cut.facet.velocity);
+        pieces.area[lane] = area;
+    }
+
+    /// Whether a piece must be divided: against the radius of the patch, which for a flat wall is
+    /// R sin θ at its edge, and against how fast the depth changes inside.
+    fn is_coarse(&self, reach: f64, distance: f64, sine: f64) -> bool {
+        let radius = self.pressing.radius;
+        if reach <= self.finest {
+            return false;
+        }
+        let change = reach * sine;
+        if reach > COARSEST * radius || change > self.steep {
+            return true;
+        }
+        let depth = radius - distance;
+        let is_whole = depth >= change + reach * reach / (2.0 * radius);
+        !is_whole && reach > FINENESS * radius * sine && reach * reach > FLATNESS * radius * depth
+    }
+}

@@ -1,0 +1,207 @@
+//! What sources outside do to the capsule's magnets, substep by substep.
+
+use super::body::{Body, Motion};
+use super::soft_wall::Outcome;
+use super::solve::Twist;
+use crate::magnet::sources::{InternalMagnet, Place, Source, Wrench, field, wrench};
+use glam::{DMat3, DQuat, DVec3};
+
+/// Most of a swing, in radians of its phase, that a substep may take: a leapfrog is stable below 2.
+const LONGEST_SWING: f64 = 0.5;
+/// Numbers for where a source is: place, quaternion wxyz, strength.
+pub const SOURCE_ROW: usize = 8;
+
+/// What Python is told, see `MagneticCoupling::report`.
+pub type Report = ([f64; 3], [f64; 3], [f64; 3], [f64; 9], u8, [f64; 3], f64);
+
+/// Where one source goes during a step.
+struct Way {
+    start: DVec3,
+    span: DVec3,
+    rotation: DQuat,
+    axis: DVec3,
+    angle: f64,
+    strength: (f64, f64),
+}
+
+/// Sources in the world and magnets in the capsule.
+#[derive(Default)]
+pub struct MagneticCoupling {
+    sources: Vec<Source>,
+    inside: Vec<InternalMagnet>,
+    ways: Vec<Way>,
+    /// From the wall's frame to the world's.
+    rotation: DQuat,
+    offset: DVec3,
+    /// Time since the step began and how long it takes [s].
+    clock: f64,
+    duration: f64,
+    /// Impulse since the step began, in the world.
+    impulse: Twist,
+    /// The worst place since the step began.
+    place: Place,
+    /// Largest torque that the field has for the magnets [N·m].
+    hold: f64,
+}
+
+impl Way {
+    fn new(begin: &[f64], end: &[f64]) -> Self {
+        let place = |row: &[f64]| DVec3::new(row[0], row[1], row[2]);
+        let turned = |row: &[f64]| DQuat::from_xyzw(row[4], row[5], row[6], row[3]);
+        let rotation = turned(begin);
+        let turn = turned(end) * rotation.conjugate();
+        let turn = if turn.w < 0.0 { -turn } else { turn };
+        let sine = turn.xyz().length();
+        let axis = if sine > 0.0 { turn.xyz() / sine } else { DVec3::Z };
+        Way {
+            start: place(begin),
+            span: place(end) - place(begin),
+            rotation,
+            axis,
+            angle: if begin[3..7] == end[3..7] { 0.0 } else { 2.0 * libm::atan2(sine, turn.w) },
+            strength: (begin[7], end[7]),
+        }
+    }
+
+    /// Puts the source where it is after a share of the step: straight on, by the shortest turn.
+    fn put(&self, source: &mut Source, share: f64) {
+        source.position = self.start + share * self.span;
+        source.strength = self.strength.0 + share * (self.strength.1 - self.strength.0);
+        if self.angle != 0.0 {
+            let turn = quaternion(self.axis, share * self.angle) * self.rotation;
+            source.rotation = DMat3::from_quat(turn);
+        }
+    }
+
+    fn is_still(&self) -> bool {
+        self.span == DVec3::ZERO && self.angle == 0.0 && self.strength.0 == self.strength.1
+    }
+}
+
+fn quaternion(axis: DVec3, angle: f64) -> DQuat {
+    let (sine, cosine) = libm::sincos(0.5 * angle);
+    DQuat::from_vec4((axis * sine).extend(cosine))
+}
+
+impl MagneticCoupling {
+    /// Sources, wherever they are, and the capsule's magnets.
+    pub fn new(sources: Vec<Source>, inside: Vec<InternalMagnet>) -> Self {
+        MagneticCoupling { sources, inside, ..MagneticCoupling::default() }
+    }
+
+    /// How many rows `aim` needs.
+    pub fn count(&self) -> usize {
+        self.sources.len()
+    }
+
+    /// Sets the sources on their way from rows to rows within `duration` [s]; `pose` is the wall's
+    /// in the world.
+    pub fn aim(
+        &mut self,
+        (begin, end): (&[f64], &[f64]),
+        duration: f64,
+        pose: (DMat3, DVec3),
+        motion: &Motion,
+    ) {
+        let rows = begin.chunks_exact(SOURCE_ROW).zip(end.chunks_exact(SOURCE_ROW));
+        self.ways = rows.map(|(begin, end)| Way::new(begin, end)).collect();
+        (self.rotation, self.offset) = (DQuat::from_mat3(&pose.0).normalize(), pose.1);
+        (self.clock, self.duration) = (0.0, duration);
+        (self.impulse, self.place) = (Twist::default(), Place::Regular);
+        for (way, source) in self.ways.iter().zip(&mut self.sources) {
+            source.rotation = DMat3::from_quat(way.rotation);
+            way.put(source, 0.0);
+        }
+        self.hold = self.wrench(motion).hold;
+    }
+
+    fn wrench(&self, motion: &Motion) -> Wrench {
+        let position = self.rotation * motion.position + self.offset;
+        wrench(&self.sources, &self.inside, position, self.rotation * motion.rotation)
+    }
+
+    /// Parts of a substep of `dt` [s] that follow the capsule's swing in the field.
+    pub fn parts(&self, body: &Body, dt: f64) -> f64 {
+        (dt * (self.hold / body.moments.min_element()).sqrt() / LONGEST_SWING).ceil()
+    }
+
+    /// Wrench over the next substep of `dt` [s], in the wall's frame.
+    ///
+    /// It is that of the middle of the substep, of sources and of the freely moving capsule. With
+    /// the capsule's own drift this is the leapfrog, which keeps the energy of a swing; the wrench
+    /// of the beginning would feed it.
+    pub fn pull(&mut self, body: &Body, motion: &Motion, dt: f64) -> Result<Twist, &'static str> {
+        let share = (self.clock + 0.5 * dt) / self.duration;
+        self.clock += dt;
+        for (way, source) in self.ways.iter().zip(&mut self.sources) {
+            if !way.is_still() {
+                way.put(source, share);
+            }
+        }
+        let middle = halfway(motion, dt);
+        let pulled = self.wrench(&middle);
+        (self.place, self.hold) = (self.place.max(pulled.place), pulled.hold);
+        if pulled.place == Place::Singular {
+            return Err(
+                "A magnet of the capsule comes into a dipole, on a wire or on the rim of a \
+                        magnet. Allowed: Ts_world_magnet farther away.",
+            );
+        }
+        self.require_apart(body, &middle)?;
+        self.impulse.linear += dt * pulled.force;
+        self.impulse.angular += dt * pulled.torque;
+        let back = self.rotation.conjugate();
+        Ok(Twist { linear: back * pulled.force, angular: back * pulled.torque })
+    }
+
+    fn require_apart(&self, body: &Body, motion: &Motion) -> Outcome {
+        let axis = body.axis(motion);
+        for share in [0.0, 0.5, 1.0] {
+            let point = self.rotation * (axis.start + share * axis.span) + self.offset;
+            if self.sources.iter().any(|source| source.cuts(point, body.radius)) {
+                return Err("A magnet outside cuts the capsule. Allowed: Ts_world_magnet farther \
+                            away.");
+            }
+        }
+        Ok(())
+    }
+
+    /// Puts the sources at the end of their ways.
+    pub fn finish(&mut self) {
+        for (way, source) in self.ways.iter().zip(&mut self.sources) {
+            way.put(source, 1.0);
+        }
+    }
+
+    /// Mean force [N] and torque [N·m] since the step began, flux density [T] and its gradient by
+    /// rows [T/m] amid the magnets of a capsule at a pose, the worst place meanwhile, where their
+    /// middle is [m], and the angle between their moment and the field [rad]; all in the world.
+    pub fn report(&self, (rotation, position): (DMat3, DVec3)) -> Report {
+        let over = if self.clock > 0.0 { 1.0 / self.clock } else { 0.0 };
+        let total: f64 = self.inside.iter().map(|m| m.moment.length()).sum();
+        let middle: DVec3 = self.inside.iter().map(|m| m.moment.length() * m.position).sum();
+        let middle = position + rotation * (middle / total.max(f64::MIN_POSITIVE));
+        let moment = rotation * self.inside.iter().map(|m| m.moment).sum::<DVec3>();
+        let at = field(&self.sources, middle);
+        (
+            (over * self.impulse.linear).to_array(),
+            (over * self.impulse.angular).to_array(),
+            at.flux.to_array(),
+            at.gradient.transpose().to_cols_array(),
+            self.place as u8,
+            middle.to_array(),
+            moment.cross(at.flux).length().atan2(moment.dot(at.flux)),
+        )
+    }
+}
+
+/// Where free motion brings the capsule in half of `dt` [s].
+fn halfway(motion: &Motion, dt: f64) -> Motion {
+    let speed = motion.angular_velocity.length();
+    let rotation = if speed > 0.0 {
+        quaternion(motion.angular_velocity / speed, 0.5 * dt * speed) * motion.rotation
+    } else {
+        motion.rotation
+    };
+    Motion { position: motion.position + 0.5 * dt * motion.velocity, rotation, ..*motion }
+}

@@ -1,0 +1,21 @@
+//! How the capsule moves: a rigid body in a soft wall.
+//!
+//! Everything here is in double precision, in meters, kilograms and seconds, about the wall's
+//! center. One thread steps one world, so that results do not depend on the number of threads.
+
+mod barrier;
+pub mod binding;
+pub mod body;
+mod broad_phase;
+mod condensed_layer;
+mod contact;
+mod contact_patch;
+mod coupling_state;
+mod fem_coupling;
+mod magnetic_coupling;
+mod parameters;
+mod soft_wall;
+pub mod solve;
+mod substep;
+mod time_stepping;
+mod wall_load;

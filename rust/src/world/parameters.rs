@@ -1,0 +1,132 @@
+//! What a world is made of, as Python gives it.
+
+use super::body::Body;
+use super::substep::Laws;
+use crate::tissue::drag::{Drag, LogLaw};
+use crate::tissue::spring_wall::SpringWall;
+use crate::tissue::winkler_foundation::WinklerFoundation;
+use glam::{DMat3, DQuat, DVec3};
+use numpy::{PyReadonlyArray1, PyReadonlyArray2};
+use pyo3::prelude::*;
+
+/// The body of a capsule: `vrcaps.capsule.body.Body`.
+#[derive(FromPyObject)]
+pub struct BodyParameters<'py> {
+    mass: f64,
+    inertia: PyReadonlyArray2<'py, f64>,
+    center: PyReadonlyArray1<'py, f64>,
+    half_axis: f64,
+    radius: f64,
+}
+
+/// The wall's pressure: `vrcaps.tissue.winkler_foundation.WinklerFoundation`.
+#[derive(FromPyObject)]
+pub struct FoundationParameters {
+    stiffness: f64,
+    stiffening_depth: f64,
+    rate_gain: f64,
+    rate: f64,
+}
+
+/// The wall's resistance: `vrcaps.tissue.drag.Drag`.
+#[derive(FromPyObject)]
+pub struct DragParameters {
+    law: String,
+    friction: f64,
+    viscosity: f64,
+    a: f64,
+    b: f64,
+    c: f64,
+    constant: f64,
+    threshold: f64,
+}
+
+/// The spring wall: `vrcaps.tissue.spring_wall.SpringWall`.
+#[derive(FromPyObject)]
+pub struct SpringWallParameters {
+    length: f64,
+    reach: f64,
+    mass: f64,
+    stiffness: f64,
+    damping: f64,
+}
+
+/// Laws between the wall and a capsule of a radius [m].
+pub fn laws(foundation: FoundationParameters, drag: DragParameters, radius: f64) -> Laws {
+    let law = LogLaw {
+        a: drag.a,
+        b: drag.b,
+        c: drag.c,
+        constant: drag.constant,
+        threshold: drag.threshold,
+    };
+    Laws {
+        foundation: WinklerFoundation::new(
+            [
+                foundation.stiffness,
+                foundation.stiffening_depth,
+                foundation.rate_gain,
+                foundation.rate,
+            ],
+            radius,
+        ),
+        drag: match drag.law.as_str() {
+            "incetan2021" => Drag::Printed(law),
+            "continuous" => Drag::Continuous(law),
+            _ => Drag::Physical { friction: drag.friction },
+        },
+        viscosity: drag.viscosity,
+    }
+}
+
+impl From<SpringWallParameters> for SpringWall {
+    fn from(q: SpringWallParameters) -> Self {
+        SpringWall {
+            length: q.length,
+            reach: q.reach,
+            mass: q.mass,
+            spring: q.stiffness,
+            damping: q.damping,
+        }
+    }
+}
+
+impl From<BodyParameters<'_>> for Body {
+    fn from(p: BodyParameters) -> Self {
+        let (inertia, center) = (p.inertia.as_array(), p.center.as_array());
+        let column = |k: usize| DVec3::new(inertia[[0, k]], inertia[[1, k]], inertia[[2, k]]);
+        let (moments, axes) = principal_axes(DMat3::from_cols(column(0), column(1), column(2)));
+        Body {
+            mass: p.mass,
+            moments,
+            principal: DQuat::from_mat3(&axes),
+            center: DVec3::new(center[0], center[1], center[2]),
+            half_axis: p.half_axis,
+            radius: p.radius,
+        }
+    }
+}
+
+/// Eigenvalues and right-handed eigenvectors of a symmetric matrix, by Jacobi's rotations.
+fn principal_axes(mut a: DMat3) -> (DVec3, DMat3) {
+    let mut axes = DMat3::IDENTITY;
+    for _ in 0..32 {
+        for (p, q) in [(0, 1), (0, 2), (1, 2)] {
+            let off = a.col(q)[p];
+            if off == 0.0 {
+                continue;
+            }
+            let theta = 0.5 * (a.col(q)[q] - a.col(p)[p]) / off;
+            let t = theta.signum() / (theta.abs() + (theta * theta + 1.0).sqrt());
+            let c = 1.0 / (t * t + 1.0).sqrt();
+            let mut turn = DMat3::IDENTITY;
+            turn.col_mut(p)[p] = c;
+            turn.col_mut(q)[q] = c;
+            turn.col_mut(q)[p] = t * c;
+            turn.col_mut(p)[q] = -t * c;
+            a = turn.transpose() * a * turn;
+            axes *= turn;
+        }
+    }
+    (DVec3::new(a.x_axis.x, a.y_axis.y, a.z_axis.z), axes)
+}

@@ -1,0 +1,273 @@
+//! The wall of one world: where it is driven, how far it gives way, what of it is near.
+
+use super::body::{Axis, Body, Motion};
+use super::broad_phase::{NearbyWall, point};
+use super::contact::Facet;
+use super::contact_patch::Patch;
+use crate::simd::f64x8::{LANES, Lane3, at, min, put};
+use crate::tissue::spring_wall::{ContactForce, SpringWall, VertexMotion, attenuate};
+use crate::wall::Wall;
+use glam::DVec3;
+use rayon::prelude::*;
+
+/// How far capsule and wall may move before what is near is searched anew [m].
+pub const MARGIN: f64 = 1e-3;
+
+/// Rounding in what is known of distances [m].
+const CLOSE: f64 = 1e-9;
+
+/// What went wrong, in words for the user.
+pub type Outcome = Result<(), &'static str>;
+
+/// How the lumen narrows and widens: vertices go towards the centerline.
+pub struct Drive {
+    /// Vertices at rest [m], about the wall's center.
+    rest: Vec<DVec3>,
+    /// From each vertex to the centerline [m].
+    inward: Vec<DVec3>,
+    /// Place of each vertex along the samples of `lumen_scale`, 0 or more.
+    sample: Vec<f64>,
+    /// Longest way to the centerline between two samples [m].
+    longest: Vec<f64>,
+}
+
+/// Where a step drives the wall.
+struct Way {
+    /// Share of the lumen's radius at rest that its end has at each sample.
+    lumen_scale: Vec<f64>,
+    /// How fast that shrinks [1/s].
+    shrinking: Vec<f64>,
+}
+
+impl Drive {
+    pub fn new(rest: Vec<DVec3>, inward: Vec<DVec3>, sample: &[f64]) -> Self {
+        let sample: Vec<f64> = sample.iter().map(|s| s.max(0.0)).collect();
+        let mut longest = Vec::new();
+        for (way, sample) in inward.iter().zip(&sample) {
+            let sample = *sample as usize;
+            longest.resize(longest.len().max(sample + 1), 0.0);
+            longest[sample] = f64::max(longest[sample], way.length());
+        }
+        Drive { rest, inward, sample, longest }
+    }
+
+    /// What a vertex has of values given at the samples.
+    #[inline(always)]
+    fn share(&self, v: usize, samples: &[f64]) -> f64 {
+        let last = samples.len() - 1;
+        let sample = min(self.sample[v], last as f64);
+        let first = sample as usize;
+        let (here, next) = (samples[first], samples[(first + 1).min(last)]);
+        here + (sample - first as f64) * (next - here)
+    }
+
+    /// Where a vertex is for a `lumen_scale`, given as factors of the lumen's radius at rest.
+    #[inline(always)]
+    fn place(&self, v: usize, lumen_scale: &[f64]) -> DVec3 {
+        self.rest[v] + self.inward[v] * (1.0 - self.share(v, lumen_scale))
+    }
+
+    /// How fast the fastest vertex goes, at most [m/s].
+    fn fastest(&self, shrinking: &[f64]) -> f64 {
+        let last = shrinking.len() - 1;
+        let larger =
+            |k: usize| shrinking[k.min(last)].abs().max(shrinking[(k + 1).min(last)].abs());
+        let speeds = self.longest.iter().enumerate().map(|(k, longest)| longest * larger(k));
+        speeds.fold(0.0, f64::max)
+    }
+}
+
+/// The wall's part of the state, and what is kept between substeps.
+pub struct SoftWall {
+    /// Where the wall would be if nothing touched it [m], about its center.
+    pub active_wall: Vec<DVec3>,
+    /// How it can be driven.
+    pub drive: Option<Drive>,
+    /// Where this step drives it; None when it rests.
+    way: Option<Way>,
+    /// Bound on how fast that is [m/s].
+    pub active_speed: f64,
+    /// How far each vertex gives way.
+    pub wall_displacement: Vec<VertexMotion>,
+    /// Vertices that may give way or are not back yet, by rising number.
+    pub awake: Vec<u32>,
+    /// Whether only those give way.
+    is_spring_wall: bool,
+    pub near: NearbyWall,
+    /// How far capsule and wall must have travelled before each near triangle can touch [m].
+    clear: Vec<f64>,
+    pub facets: Vec<Facet>,
+    pub patch: Patch,
+    pub contact_forces: Vec<ContactForce>,
+    /// Places of awake vertices [m] and the forces on them [N]; kept to be overwritten.
+    places: Vec<Lane3>,
+    forces: Vec<Lane3>,
+    /// Time since the step began [s].
+    pub since: f64,
+    /// How far capsule and wall may have come towards each other since the last search [m].
+    pub travel: f64,
+    /// How far the wall may be from its hierarchy [m].
+    pub wall_travel: f64,
+}
+
+impl SoftWall {
+    pub fn new(wall: &Wall, is_spring_wall: bool) -> Self {
+        SoftWall {
+            active_wall: (0..wall.vertices.len() as u32).map(|v| point(wall, v)).collect(),
+            drive: None,
+            way: None,
+            active_speed: 0.0,
+            wall_displacement: vec![VertexMotion::default(); wall.vertices.len()],
+            awake: Vec::new(),
+            is_spring_wall,
+            near: NearbyWall::default(),
+            clear: Vec::new(),
+            facets: Vec::new(),
+            patch: Patch::default(),
+            contact_forces: Vec::new(),
+            places: Vec::new(),
+            forces: Vec::new(),
+            since: 0.0,
+            travel: f64::INFINITY,
+            wall_travel: 0.0,
+        }
+    }
+
+    /// Position and velocity of a vertex now.
+    #[inline(always)]
+    pub fn vertex(&self, v: u32) -> (DVec3, DVec3) {
+        let yielded = &self.wall_displacement[v as usize];
+        let (place, velocity) = self.driven_vertex(v as usize);
+        (place + yielded.displacement, velocity + yielded.velocity)
+    }
+
+    /// Where a vertex would be now if nothing touched it, and its velocity there.
+    #[inline(always)]
+    fn driven_vertex(&self, v: usize) -> (DVec3, DVec3) {
+        let place = self.active_wall[v];
+        let Some((drive, way)) = self.drive.as_ref().zip(self.way.as_ref()) else {
+            return (place, DVec3::ZERO);
+        };
+        let velocity = drive.inward[v] * drive.share(v, &way.shrinking);
+        (place + self.since * velocity, velocity)
+    }
+
+    /// Writes all vertices into the wall and refits its hierarchy.
+    pub fn settle(&mut self, wall: &mut Wall) -> Outcome {
+        if self.wall_travel > 0.0 {
+            let seen = |place: DVec3| place.to_array().map(|x| x as f32);
+            if self.is_spring_wall {
+                let awake = self.awake.iter().map(|&v| (v, seen(self.vertex(v).0)));
+                let awake: Vec<_> = awake.collect();
+                wall.follow(|v| seen(self.driven_vertex(v).0), &awake)?;
+            } else {
+                wall.follow(|v| seen(self.vertex(v as u32).0), &[])?;
+            }
+            self.wall_travel = 0.0;
+        }
+        Ok(())
+    }
+
+    /// Sets the driven wall on its way from one `lumen_scale` to another in a step of `duration` [s].
+    pub fn aim(&mut self, from: &[f64], to: &[f64], duration: f64) {
+        let shrinking: Vec<f64> = from.iter().zip(to).map(|(a, b)| (a - b) / duration).collect();
+        self.active_speed = self.drive.as_ref().map_or(0.0, |drive| drive.fastest(&shrinking));
+        self.way = Some(Way { lumen_scale: to.to_vec(), shrinking });
+    }
+
+    /// Ends a step: the driven wall has arrived.
+    pub fn land(&mut self) {
+        if let Some((drive, way)) = self.drive.as_ref().zip(self.way.as_ref()) {
+            let places = self.active_wall.par_iter_mut().with_min_len(4096).enumerate();
+            places.for_each(|(v, place)| *place = drive.place(v, &way.lumen_scale));
+        }
+        self.stay();
+    }
+
+    /// Gives up a step: the driven wall stays where it was.
+    pub fn stay(&mut self) {
+        self.way = None;
+        (self.active_speed, self.since) = (0.0, 0.0);
+    }
+
+    pub fn awake_displacements(&self) -> Vec<(u32, VertexMotion)> {
+        self.awake.iter().map(|&v| (v, self.wall_displacement[v as usize])).collect()
+    }
+
+    pub fn restore_displacements(&mut self, before: Vec<(u32, VertexMotion)>) {
+        self.awake
+            .iter()
+            .for_each(|&v| self.wall_displacement[v as usize] = VertexMotion::default());
+        for &(v, value) in &before {
+            self.wall_displacement[v as usize] = value;
+        }
+        self.awake = before.into_iter().map(|(v, _)| v).collect();
+        (self.travel, self.wall_travel) = (f64::INFINITY, f64::INFINITY);
+    }
+
+    /// Triangles that may touch the capsule, as they are now; those too far to have come close
+    /// since they were last looked at are left out.
+    pub fn update_facets(&mut self, axis: &Axis, radius: f64) {
+        self.facets.clear();
+        for (place, corners) in self.near.corners.iter().enumerate() {
+            if self.travel < self.clear[place] {
+                continue;
+            }
+            let moving = corners.map(|k| self.vertex(self.near.vertices[k as usize]));
+            let facet = Facet::new(place as u32, moving, axis);
+            let gap = facet.distance - facet.reach - radius;
+            self.clear[place] = self.travel + gap - CLOSE;
+            if gap < 0.0 {
+                self.facets.push(facet);
+            }
+        }
+    }
+
+    /// One substep of the spring wall.
+    pub fn give_way(&mut self, spring_wall: &SpringWall, dt: f64) {
+        let mut places = std::mem::take(&mut self.places);
+        places.clear();
+        for eight in self.awake.chunks(LANES) {
+            let mut place = [[0.0; LANES]; 3];
+            for (i, &v) in eight.iter().enumerate() {
+                put(&mut place, i, self.vertex(v).0);
+            }
+            places.push(place);
+        }
+        attenuate(spring_wall, &places, &self.contact_forces, &mut self.forces);
+        self.places = places;
+        let mut fastest = 0.0f64;
+        for (k, &v) in self.awake.iter().enumerate() {
+            let force = at(&self.forces[k / LANES], k % LANES);
+            let vertex = &mut self.wall_displacement[v as usize];
+            if force == DVec3::ZERO && vertex.is_still() {
+                *vertex = VertexMotion::default();
+                continue;
+            }
+            spring_wall.advance(vertex, force, dt);
+            fastest = fastest.max(vertex.velocity.length_squared());
+        }
+        let moved = fastest.sqrt() * dt;
+        self.travel += moved;
+        self.wall_travel += moved;
+    }
+
+    /// Looks for what is near the capsule; refits the wall first where it has moved too far.
+    pub fn search(&mut self, wall: &mut Wall, body: &Body, motion: &Motion, reach: f64) -> Outcome {
+        if self.wall_travel > MARGIN {
+            self.settle(wall)?;
+        }
+        let radius = body.radius + 2.0 * MARGIN;
+        self.near.find(wall, &body.axis(motion), radius, radius + reach);
+        self.travel = 0.0;
+        self.clear.clear();
+        self.clear.resize(self.near.corners.len(), 0.0);
+        self.awake.retain(|&v| self.wall_displacement[v as usize] != VertexMotion::default());
+        if reach > 0.0 {
+            self.awake.extend(&self.near.around);
+            self.awake.sort_unstable();
+            self.awake.dedup();
+        }
+        Ok(())
+    }
+}

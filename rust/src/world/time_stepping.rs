@@ -1,0 +1,260 @@
+//! One step of a world: substeps of capsule, wall and layer, and the way back where it fails.
+
+use super::body::{Body, Motion};
+use super::fem_coupling::FemCoupling;
+use super::magnetic_coupling::MagneticCoupling;
+use super::soft_wall::{MARGIN, Outcome, SoftWall};
+use super::substep::{Laws, Load, Reaction, contact_forces, press, substep};
+use super::wall_load::Stride;
+use crate::tissue::fem::layer::FemLayer;
+use crate::tissue::spring_wall::SpringWall;
+use crate::wall::Wall;
+use crate::wall::query;
+use glam::DVec3;
+use pyo3::{exceptions::PyValueError, prelude::*};
+
+/// Farthest that any point of the capsule goes in one substep [m].
+const LONGEST_WAY: f64 = 1e-4;
+/// A capsule this many times as far from the wall's middle as the wall reaches has run away.
+const FAR: f64 = 1000.0;
+/// What is said then.
+const TOO_LARGE: &str = "The step is too large: the capsule's motion runs away.";
+/// Most parts of a substep.
+const MOST_PARTS: f64 = 512.0;
+/// A layer of finite elements under the wall, and the coupling with it.
+type Elastic<'a> = Option<(&'a mut FemLayer, &'a mut FemCoupling)>;
+
+/// Sums over the substeps of a step.
+#[derive(Default)]
+pub struct StepTotals {
+    /// Impulse of the wall on the capsule, or its mean force.
+    pub force: DVec3,
+    /// Likewise, about the center of mass.
+    pub torque: DVec3,
+    /// Sum of the sizes of normal forces, likewise.
+    pub normal_force_total: f64,
+    /// Energy lost to friction [J].
+    pub friction_work: f64,
+}
+
+/// Bound on the speed of every point of the capsule between two motions [m/s].
+fn fastest_point(body: &Body, before: &Motion, after: &Motion) -> f64 {
+    let arm = body.center.length() + body.half_axis + body.radius;
+    let speed = |m: &Motion| m.velocity.length() + m.angular_velocity.length() * arm;
+    speed(before).max(speed(after))
+}
+
+/// Finds what is near the capsule, if it may have moved too far since it was last looked for.
+fn look_around(
+    soft: &mut SoftWall,
+    wall: &mut Wall,
+    elastic: &mut Elastic,
+    (body, motion): (&Body, &Motion),
+    reach: f64,
+) -> Outcome {
+    if soft.travel <= MARGIN {
+        return Ok(());
+    }
+    if let Some((layer, coupling)) = elastic {
+        coupling.carry(layer, soft);
+    }
+    soft.search(wall, body, motion, reach)?;
+    if let Some((layer, coupling)) = elastic {
+        coupling.find(layer, soft)?;
+    }
+    Ok(())
+}
+
+impl StepTotals {
+    fn add(&mut self, reaction: &Reaction, dt: f64) {
+        self.force += dt * reaction.wrench.linear;
+        self.torque += dt * reaction.wrench.angular;
+        self.normal_force_total += dt * reaction.normal_force_total;
+        self.friction_work += reaction.friction_work;
+    }
+
+    /// Impulses over a time `duration` as mean forces.
+    fn mean(self, duration: f64) -> Self {
+        StepTotals {
+            force: self.force / duration,
+            torque: self.torque / duration,
+            normal_force_total: self.normal_force_total / duration,
+            friction_work: self.friction_work,
+        }
+    }
+}
+
+/// A capsule, its wall and what acts on them: all that one step changes, but for the layer itself.
+pub struct Stepper {
+    /// The capsule's mass and shape.
+    pub body: Body,
+    /// Pressure and drag of the wall.
+    pub laws: Laws,
+    /// How vertices near a contact give way; None where they do not, or an elastic layer does.
+    pub spring_wall: Option<SpringWall>,
+    /// The coupling with a layer of finite elements under the wall.
+    pub coupling: Option<FemCoupling>,
+    /// Sources outside, and the magnets in the capsule.
+    pub magnets: Option<MagneticCoupling>,
+    /// The capsule's motion.
+    pub motion: Motion,
+    /// The wall.
+    pub soft: SoftWall,
+    /// Means over the last step.
+    pub last: StepTotals,
+}
+
+impl Stepper {
+    /// Steps `strides.0` times by `dt`, in `strides.1` steps of the layer; on an error nothing but
+    /// what is near has changed.
+    pub fn run(
+        &mut self,
+        wall: &mut Wall,
+        mut layer: Option<&mut FemLayer>,
+        load: &Load,
+        dt: f64,
+        strides: (usize, usize),
+    ) -> Outcome {
+        let backup = (self.motion, self.soft.awake_displacements());
+        let elastic = layer.as_deref().zip(self.coupling.as_ref()).map(|(l, x)| x.backup(l));
+        let result = self.substeps(wall, layer.as_deref_mut(), load, dt, strides);
+        let result = result.and_then(|()| self.check(wall));
+        if result.is_ok() {
+            self.soft.land();
+            return Ok(());
+        }
+        self.motion = backup.0;
+        self.soft.restore_displacements(backup.1);
+        if let (Some(layer), Some(coupling), Some(elastic)) =
+            (layer, self.coupling.as_mut(), elastic)
+        {
+            coupling.restore(layer, elastic, &mut self.soft);
+        }
+        self.soft.stay();
+        result
+    }
+
+    /// Whether a step has come to a good end: the motion is finite, and the capsule has not broken
+    /// through a layer of finite elements.
+    fn check(&mut self, wall: &mut Wall) -> Outcome {
+        if !self.motion.is_finite() {
+            return Err(TOO_LARGE);
+        }
+        if self.coupling.is_some() {
+            self.soft.settle(wall)?;
+            if !self.is_inside(wall) {
+                return Err("The capsule breaks through the elastic wall. Allowed: a smaller \
+                            force_world, or a deformation that holds more: neo-hookean with a \
+                            stiffening_strain, a larger youngs_modulus or support.");
+            }
+        }
+        let is_near = self.motion.position.length() < FAR * f64::from(wall.extent);
+        if is_near { Ok(()) } else { Err(TOO_LARGE) }
+    }
+
+    fn substeps(
+        &mut self,
+        wall: &mut Wall,
+        layer: Option<&mut FemLayer>,
+        load: &Load,
+        dt: f64,
+        strides: (usize, usize),
+    ) -> Outcome {
+        let mut coupling = self.coupling.take();
+        let mut elastic = layer.zip(coupling.as_mut());
+        let result = self.advance(wall, &mut elastic, load, dt, strides);
+        self.coupling = coupling;
+        result
+    }
+
+    fn advance(
+        &mut self,
+        wall: &mut Wall,
+        elastic: &mut Elastic,
+        load: &Load,
+        dt: f64,
+        (count, outer): (usize, usize),
+    ) -> Outcome {
+        let drive = self.soft.active_speed;
+        let mut totals = StepTotals::default();
+        for number in 0..count {
+            if let Some((layer, coupling)) = elastic {
+                coupling.keep_up(layer, &mut self.soft, dt, (number, count / outer))?;
+            }
+            // A capsule as fast as a blow takes shorter substeps: none goes far into the wall.
+            let way = dt * fastest_point(&self.body, &self.motion, &self.motion);
+            let swing = self.magnets.as_ref().map_or(1.0, |magnets| magnets.parts(&self.body, dt));
+            let parts = (way / LONGEST_WAY).ceil().max(swing).clamp(1.0, MOST_PARTS);
+            for _ in 0..parts as usize {
+                self.substep(wall, elastic, load, dt / parts, drive, &mut totals)?;
+            }
+        }
+        if let Some((layer, coupling)) = elastic {
+            coupling.end(layer)?;
+            coupling.settle(layer, &mut self.soft);
+        }
+        self.last = totals.mean(count as f64 * dt);
+        Ok(())
+    }
+
+    /// One substep of capsule and wall, whose fastest vertex is driven at a speed [m/s].
+    fn substep(
+        &mut self,
+        wall: &mut Wall,
+        elastic: &mut Elastic,
+        load: &Load,
+        dt: f64,
+        drive: f64,
+        totals: &mut StepTotals,
+    ) -> Outcome {
+        let (body, motion, soft) = (&self.body, &mut self.motion, &mut self.soft);
+        let reach = self.spring_wall.map_or(0.0, |q| q.reach);
+        look_around(soft, wall, elastic, (body, motion), reach)?;
+        soft.update_facets(&body.axis(motion), body.radius);
+        press(body, &self.laws, &soft.facets, motion, &mut soft.patch);
+        if let Some((_, coupling)) = elastic {
+            coupling.soften(soft, dt);
+        }
+        let mut load = *load;
+        if let Some(magnets) = &mut self.magnets {
+            load.wrench += magnets.pull(body, motion, dt)?;
+        }
+        let before = *motion;
+        // No barrier on a layer: to break through it is an error, see `check`.
+        let barred = if elastic.is_some() { &[] } else { &soft.facets[..] };
+        let reaction = substep(body, &self.laws, &load, motion, &mut soft.patch, barred, dt);
+        totals.add(&reaction, dt);
+        if let Some((_, coupling)) = elastic {
+            let (after, friction, reaction) = (&*motion, self.laws.drag.friction(), &reaction);
+            coupling.push(soft, &Stride { body, before: &before, after, reaction, friction, dt });
+        }
+        soft.since += dt;
+        soft.wall_travel += drive * dt;
+        soft.travel += dt * (drive + fastest_point(body, &before, motion));
+        if let Some(spring_wall) = &self.spring_wall {
+            contact_forces(body, motion, &soft.patch.facet_loads, &mut soft.contact_forces);
+            soft.give_way(spring_wall, dt);
+        }
+        Ok(())
+    }
+
+    /// Sets the driven wall on its way between two values of `lumen_scale`, the step's first and then its last.
+    pub fn aim(&mut self, lumen_scales: &[f64], duration: f64) -> PyResult<()> {
+        let (from, to) = lumen_scales.split_at(lumen_scales.len() / 2);
+        if self.soft.drive.is_none() || from.is_empty() || from.len() != to.len() {
+            let what = "The lumen_scale needs samples, two of each, and a drive set before.";
+            return Err(PyValueError::new_err(what));
+        }
+        self.soft.aim(from, to, duration);
+        Ok(())
+    }
+
+    /// Whether the axis of the capsule is in the lumen.
+    pub fn is_inside(&self, wall: &Wall) -> bool {
+        let axis = self.body.axis(&self.motion);
+        [0.0, 0.5, 1.0].iter().all(|&share| {
+            let p = axis.start + share * axis.span;
+            query::is_inside(&wall.bvh, p.to_array().map(|x| x as f32))
+        })
+    }
+}

@@ -13,7 +13,8 @@ import vrcaps
 
 LAYERS = (
     ("_core",),
-    ("units", "errors", "transforms", "color", "toml_table", "catalog_folder", "files", "geometry"),
+    ("units", "errors", "rng", "transforms", "color"),
+    ("toml_table", "catalog_folder", "files", "geometry"),
     ("decimals", "limits", "plain_files", "file_ref"),
     ("serialization",),
     ("mesh",),

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 
+import vrcaps.rng
 from vrcaps import _core
 from vrcaps.camera.rays import camera_rays
 from vrcaps.camera_pipeline.optics import Defocus
@@ -183,13 +184,13 @@ class Dome:
             droplets: None for none.
             smears: None for none.
             lens: Aperture and focus.
-            seed: Decides where all lies.
+            seed: Decides where all lies: the scenario's, then the camera's number.
         """
         self._camera, self._droplets, self._lens = camera, droplets, lens or _LENS
         self._rays = camera_rays(camera).astype(float)
         self._lit = np.asarray(np.isfinite(self._rays).all(axis=-1))
         self._field = float(np.arccos(self._rays[self._lit][:, 2].min(initial=1.0)))
-        drops, film = np.random.default_rng(seed).spawn(2)
+        drops, film = vrcaps.rng.stream(seed[0], "camera/dome", *seed[1:]).spawn(2)
         self.film, self._is_smeared = None, np.zeros(self._lit.shape, bool)
         if smears is not None:
             self._smear(smears, film)

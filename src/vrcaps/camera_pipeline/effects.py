@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Any, get_args
 
-import numpy as np
-
+import vrcaps.rng
 from vrcaps.camera_pipeline.camera_changes import Distortion, FieldOfView, Film, Resolution
 from vrcaps.camera_pipeline.dome import Droplets, Smears
 from vrcaps.camera_pipeline.exposure import AutoExposure
@@ -31,8 +30,6 @@ if TYPE_CHECKING:
 
 Grade = int | tuple[int, int]
 """A grade, or the first and last of those that one is drawn from."""
-
-_STREAM = 6  # of the random numbers that grades are drawn with, beside the scenario's others
 
 
 @dataclass(frozen=True)
@@ -106,7 +103,7 @@ class Effects:
 
         A grade does not depend on which other effects are drawn.
         """
-        share = np.random.default_rng([seed, _STREAM]).random(len(GRADES))
+        share = vrcaps.rng.stream(seed, "camera/severities").random(len(GRADES))
         chosen: dict[str, int] = {}
         for name, at in zip(sorted(GRADES), share, strict=True):
             value = getattr(self, name)

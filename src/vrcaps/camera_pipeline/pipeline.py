@@ -24,9 +24,6 @@ if TYPE_CHECKING:
     from vrcaps.render.renderer import Renderer
     from vrcaps.world.model import State
 
-_DOME = 7
-"""Stream of the random numbers that lay what is on the dome, beside the scenario's others."""
-
 _SHARES: list[float] = LUMINANCE.tolist()
 _NEUTRAL = WhiteBalance(response=(1.0, 1.0, 1.0))
 _QUIET = Noise(1e6, 0.0, bits=16, black=0)
@@ -95,7 +92,7 @@ class CameraChain:
         self._dome = None
         if drops is not None or smears is not None:
             lens = self._stages["depth_of_field"]
-            self._dome = Dome(camera, drops, smears, lens=lens, seed=(seed, _DOME, number))
+            self._dome = Dome(camera, drops, smears, lens=lens, seed=(seed, number))
         self._shutter = self._times()
         self._last_points: tuple[Seen, tuple[Any, ...] | None] | None = None
         self._needs_motion = self._shutter is not None or effects.frame_rate is not None

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import vrcaps.rng
 from vrcaps.errors import InputError
 from vrcaps.units import CM, MM
 
@@ -28,8 +29,6 @@ def chosen_lesions(
         InputError: If a text or the file cannot be read, or the table is of another organ.
         UnknownNameError: If a lesion or a key is unknown.
     """
-    import numpy as np
-
     from vrcaps.anatomy.catalog import ORGANS, organ_segments
     from vrcaps.lesion import draw_lesions, parse_lesion
     from vrcaps.scenario.scenario import read_lesions
@@ -42,7 +41,7 @@ def chosen_lesions(
                 f"with it: {', '.join(colons)}. Give single ones with --lesion, or your own as a "
                 "file."
             )
-        first: tuple[Lesion, ...] = draw_lesions(None, np.random.default_rng([seed, 4]))
+        first: tuple[Lesion, ...] = draw_lesions(None, vrcaps.rng.stream(seed, "lesions/drawn"))
     else:
         first = () if source is None else read_lesions(Path(source))
     return (*first, *(parse_lesion(text) for text in texts))

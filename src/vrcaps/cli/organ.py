@@ -167,10 +167,8 @@ class Make:
 
     def _patient(self) -> tuple[OrganSurface, OrganSurface | None]:
         """The organ, with its lesions if there are any, and the clean twin if that is wanted."""
-        import numpy as np
-
         from vrcaps.anatomy.catalog import generate_organ
-        from vrcaps.lesion import add_lesions
+        from vrcaps.lesion import add_lesions, lesion_rng
 
         organ = generate_organ(
             self.name, seed=self.seed, distension=self.distension, mucosa=self.mucosa
@@ -178,7 +176,7 @@ class Make:
         lesions = chosen_lesions(self.lesion, self.lesions, self.seed, self.name)
         if not lesions and not self.clean_twin:
             return organ, None
-        patient = add_lesions(organ, lesions, np.random.default_rng([self.seed, 3]))
+        patient = add_lesions(organ, lesions, lesion_rng(self.seed))
         return patient.organ if lesions else organ, patient.clean if self.clean_twin else None
 
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from vrcaps.lesion.add import LesionPair as LesionPair
 from vrcaps.lesion.add import add_lesions as add_lesions
+from vrcaps.lesion.add import lesion_rng as lesion_rng
 from vrcaps.lesion.base import LESIONS as LESIONS
 from vrcaps.lesion.base import Lesion as Lesion
 from vrcaps.lesion.base import Location as Location

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+import vrcaps.rng
 from vrcaps.errors import InputError
 from vrcaps.lesion import paint
 from vrcaps.lesion.base import Form, Lesion
@@ -71,9 +72,14 @@ def add_lesions(
     seeds = rng.spawn(len(lesions))
     for index in sorted(range(len(lesions)), key=lambda k: order[lesions[k].extent]):
         lesion = lesions[index]
-        own = np.random.default_rng([int(seeds[index].integers(2**31)), lesion.variant])
+        own = vrcaps.rng.stream(int(seeds[index].integers(2**31)), "lesions/shape", lesion.variant)
         work.add(lesion, index + 1, own)
     return work.finished()
+
+
+def lesion_rng(seed: int) -> np.random.Generator:
+    """Source of a patient's lesions, for `add_lesions`."""
+    return vrcaps.rng.stream(seed, "lesions")
 
 
 class _Work:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+import vrcaps.rng
 from vrcaps._core import Wall, around_capsule
 from vrcaps.lumen.contents import Contents
 from vrcaps.lumen.dome_attachment import dome_sites, place_dome_bubbles
@@ -54,7 +55,7 @@ class LumenContents:
             radius: Its radius [m].
         """
         bubbles, _, _ = self.contents.resolved
-        rng = np.random.default_rng([self.contents.seed, 4])
+        rng = vrcaps.rng.stream(self.contents.seed, "lumen/dome-sites")
         own = self.spheres.radius[len(self.spheres) - 2 * bubbles.on_dome :]
         return replace(self, dome_sites=dome_sites(own, length, radius, rng))
 
@@ -90,12 +91,14 @@ def populate(
     bubbles, chyme, liquid = contents.resolved
     wall = Wall(np.ascontiguousarray(organ.vertices, float), organ.faces.astype(np.int64))
     up = T_world_patient[:3, :3].T @ np.array([0.0, 0.0, 1.0])
-    rngs = [np.random.default_rng([contents.seed, number]) for number in (1, 2, 3)]
-    clinging = place_bubbles(organ, wall, bubbles, up, rngs[0])
+    seed = contents.seed
+    clinging = place_bubbles(organ, wall, bubbles, up, vrcaps.rng.stream(seed, "lumen/bubbles"))
     spheres = joined(
         clinging,
-        place_chyme(organ, wall, chyme, up, rngs[1]),
-        place_dome_bubbles(organ, bubbles, rngs[2], before=len(clinging)),
+        place_chyme(organ, wall, chyme, up, vrcaps.rng.stream(seed, "lumen/chyme")),
+        place_dome_bubbles(
+            organ, bubbles, vrcaps.rng.stream(seed, "lumen/dome-bubbles"), before=len(clinging)
+        ),
     )
     centers = transform_points(T_world_patient, spheres.centers)
     pools = None

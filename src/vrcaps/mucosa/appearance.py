@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+import vrcaps.rng
 from vrcaps import _core
 from vrcaps.errors import InputError, UnknownNameError
 from vrcaps.geometry import triangle_areas
@@ -268,7 +269,7 @@ def mucosa_fingerprint(mucosa: str | None) -> dict[str, str]:
 def _of_patient(mucosa: Mucosa, seed: int) -> Mucosa:
     """One patient's mucosa: the same draw for every organ."""
     spread = np.array(mucosa.patient_variation)
-    densities = spread * np.random.default_rng([seed, 0x70616C65]).standard_normal(2)
+    densities = spread * vrcaps.rng.stream(seed, "mucosa/densities").standard_normal(2)
     color = np.array(mucosa.base_color) * np.exp(-densities @ ABSORPTION)
     return replace(mucosa, base_color=tuple(np.clip(color, 0.01, 0.95).tolist()))
 

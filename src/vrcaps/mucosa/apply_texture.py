@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.spatial import KDTree
 
+import vrcaps.rng
 from vrcaps.geometry import triangle_areas
 from vrcaps.mesh.noise import fbm
 from vrcaps.mesh.rasterize import covered_texels
@@ -49,7 +50,7 @@ def wear(
         shape: Rows and columns of the baked textures.
         seed: Chooses patches and slow variation; the same gives the same bytes.
     """
-    rng = np.random.default_rng([seed, 5])
+    rng = vrcaps.rng.stream(seed, "mucosa/texture")
     texel = _texel(organ, shape)
     stack = _Stack.of(texture, texel)
     cover = _Cover.of(organ, texture.side, rng)

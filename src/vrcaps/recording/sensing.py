@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+import vrcaps.rng
 from vrcaps.errors import InputError
 from vrcaps.magnet.field import field as flux_density
 from vrcaps.magnet.presets import read_magnet
@@ -32,10 +33,6 @@ if TYPE_CHECKING:
     from vrcaps.recording.table import FrameTable
     from vrcaps.scenario.scenario import Scenario
     from vrcaps.world.model import Model
-
-_STREAM = 23
-"""Beside the seed's other random numbers."""
-_MISREAD, _IMU, _MAGNETOMETER, _HALL = range(4)
 
 
 class SensorReadings:
@@ -77,7 +74,7 @@ class SensorReadings:
         pose = step.now.state.T_world_capsule
         outside = [self._earth, *self._steers(step.now)]
         if self._imu is not None:
-            rng = self._rng(_IMU, step.frame)
+            rng = self._imu_rng(step.frame)
             motion = _motion(step)
             force, turn, self._bias = read_imu(self._imu, motion, self._bias, rng)
             columns |= _named("accelerometer_{}_m_per_s2", force)
@@ -86,7 +83,7 @@ class SensorReadings:
         if unit is not None:
             place = transform_points(pose, np.array([unit.position_capsule]))
             flux = flux_density(outside, place)[0][0]
-            rng = self._rng(_MAGNETOMETER, step.frame)
+            rng = vrcaps.rng.stream(self._seed, "sensors/magnetometer", step.frame)
             columns |= _named("magnetometer_{}_t", read_magnetometer(unit, flux, pose[:3, :3], rng))
         if self._sensors.hall is not None:
             columns |= self._read_pad(step, outside)
@@ -100,7 +97,7 @@ class SensorReadings:
                 "capsule with one in [[magnets]], such as magnetic, or no sensor 'hall'."
             )
         self._array = hall_array(pad, self._model)
-        rng = self._rng(_MISREAD, 0)
+        rng = vrcaps.rng.stream(self._seed, "sensors/hall-calibration")
         errors = {"gain": pad.gain_error, "offset": pad.offset_error}
         self._true_array = perturb_calibration(self._array, rng, **errors)
 
@@ -111,7 +108,7 @@ class SensorReadings:
         (place,) = transform_points(pose, np.array([magnet.position_capsule]))
         axis = rotate_vectors(pose, np.array(magnet.moment_capsule))
         inside = Dipole(float(np.linalg.norm(axis)), magnet_pose(place, axis))
-        rng = self._rng(_HALL, step.frame)
+        rng = vrcaps.rng.stream(self._seed, "sensors/hall", step.frame)
         readings = read_hall(self._true_array, [inside, *outside], rng)
         columns = {
             f"hall_{k}_{name}_t": float(value)
@@ -144,7 +141,7 @@ class SensorReadings:
         if self._imu is not None:
             still = CapsuleKinematics(np.eye(3))
             for frame in range(len(before)):
-                rng = self._rng(_IMU, frame)
+                rng = self._imu_rng(frame)
                 *_, self._bias = read_imu(self._imu, still, self._bias, rng)
         if self._sensors.hall is not None and len(before):
             place, axis = (
@@ -153,8 +150,8 @@ class SensorReadings:
             )
             self._last = magnet_pose(place, axis) if np.isfinite(place).all() else None
 
-    def _rng(self, kind: int, frame: int) -> np.random.Generator:
-        return np.random.default_rng([self._seed, _STREAM, kind, frame])
+    def _imu_rng(self, frame: int) -> np.random.Generator:
+        return vrcaps.rng.stream(self._seed, "sensors/imu", frame)
 
 
 def _motion(step: Step) -> CapsuleKinematics:

@@ -7,11 +7,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+import vrcaps.rng
 from vrcaps.capsule.catalog import read_device
 from vrcaps.capsule.device import Device
 from vrcaps.errors import InputError
 from vrcaps.file_ref import FileRef, path_of, with_checksums
-from vrcaps.lesion import AnyLesion, add_lesions
+from vrcaps.lesion import AnyLesion, add_lesions, lesion_rng
 from vrcaps.motion.dynamics import Dynamics
 from vrcaps.motion.fly_through import FlyThrough, fly_through
 from vrcaps.motion.replay import Replay, replay
@@ -119,7 +120,7 @@ def make_organ(scenario: Scenario, *, clean: bool = False) -> OrganSurface:
     seed = getattr(scenario.organ, "seed", scenario.seed)
 
     def make() -> OrganSurface:
-        rng, organ = np.random.default_rng([seed, 3]), _load_organ(scenario)
+        rng, organ = lesion_rng(seed), _load_organ(scenario)
         if organ.metadata.get("lesions"):
             raise InputError(f"{organ.name} has lesions already. Give none, or its clean twin.")
         patient = add_lesions(organ, scenario.lesions, rng, down=down)
@@ -150,7 +151,7 @@ def _make_trajectory(scenario: Scenario, model: Model, shown: Model) -> Trajecto
     if isinstance(scenario.motion, Replay):
         return replay(model, scenario.motion, frames=scenario.frames, fps=scenario.fps)
     assert isinstance(scenario.motion, FlyThrough)
-    rng = np.random.default_rng(scenario.seed)
+    rng = vrcaps.rng.stream(scenario.seed, "fly-through")
     path = fly_through(model, scenario.motion, frames=scenario.frames, fps=scenario.fps, rng=rng)
     return replace(
         path,

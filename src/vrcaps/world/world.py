@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+import vrcaps.rng
 from vrcaps import _core
 from vrcaps.capsule.body import Body, homogeneous_body
 from vrcaps.errors import InputError, require
@@ -103,7 +104,7 @@ class World:
         self._lumen_scale: Float[np.ndarray, " k"] = np.ones(self._num_samples)
         self.muscle: Muscle | None = None
         if tissue.motility is not None:
-            self.muscle = Muscle(organ, tissue.motility, np.random.default_rng(seed))
+            self.muscle = Muscle(organ, tissue.motility, vrcaps.rng.stream(seed, "tissue/muscle"))
         self._moves = tissue.deformation is not None or self.muscle is not None
         self._check_start()
         self._lumen = None

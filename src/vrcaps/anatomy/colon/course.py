@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.interpolate import CubicSpline
 
+import vrcaps.rng
 from vrcaps.anatomy.colon.parameters import SEGMENTS
 from vrcaps.anatomy.tube_mesh.tube import Course
 from vrcaps.anatomy.tube_mesh.waves import smooth_step
@@ -60,6 +61,11 @@ _CAVITY_CM = np.array([[-14.5, -10.5, -26.0], [14.5, 7.5, 20.0]])
 # all but the rectum stay above the pelvic floor.
 _LOWEST_CM = (-15.0, -15.0, -10.0, -9.0, 0.0, -12.0, -18.0, -26.0)
 _HIGHEST_CM = (0.0, 14.0, 14.0, 19.0, 20.0, 18.0, 3.0, -7.0)
+
+
+def colon_rng(seed: int) -> np.random.Generator:
+    """Source of the course, then the wall, of a seed's colon, alone or in the whole tract."""
+    return vrcaps.rng.stream(seed, "colon")
 
 
 def generate_course(parameters: ColonParameters, rng: np.random.Generator) -> Course:

@@ -6,7 +6,7 @@ from dataclasses import asdict, replace
 
 import numpy as np
 
-from vrcaps.anatomy.colon.course import generate_course
+from vrcaps.anatomy.colon.course import colon_rng, generate_course
 from vrcaps.anatomy.colon.parameters import SEGMENTS, ColonParameters
 from vrcaps.anatomy.colon.shape import (
     ColonWall,
@@ -41,7 +41,7 @@ def generate_colon(parameters: ColonParameters, *, seed: int) -> OrganSurface:
     Raises:
         InputError: If the lumen does not fit into the abdomen.
     """
-    rng = np.random.default_rng(seed)
+    rng = colon_rng(seed)
     for _ in range(_NUM_TRIES):
         wall = draw_colon_wall(parameters, make_tube(generate_course(parameters, rng)), rng)
         organ = surface_to_organ(

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps.anatomy.colon.course import generate_course, outer_radius
+from vrcaps.anatomy.colon.course import colon_rng, generate_course, outer_radius
 from vrcaps.anatomy.small_bowel.course import NeighboringOrgans
-from vrcaps.anatomy.stomach.shape import stomach_course, stomach_envelope
+from vrcaps.anatomy.stomach.shape import stomach_course, stomach_course_rng, stomach_envelope
 from vrcaps.anatomy.tube_mesh.tube import Course, make_tube
 from vrcaps.anatomy.tube_mesh.tube_packing import (
     ObstacleSpheres,
@@ -72,7 +72,7 @@ def place_colon(parameters: ColonParameters, course: Course) -> ColonPlacement:
 
 def draw_colon_placement(parameters: ColonParameters, seed: int) -> ColonPlacement:
     """Where the colon of a seed lies, without making its wall."""
-    tube = make_tube(generate_course(parameters, np.random.default_rng(seed)))
+    tube = make_tube(generate_course(parameters, colon_rng(seed)))
     # The same points, to the last bit, as the centerline of the finished colon.
     return place_colon(parameters, Course(tube.curve(tube.arc_length), tube.arc_length))
 
@@ -81,7 +81,7 @@ def place_stomach(
     parameters: StomachParameters, colon: ColonPlacement, seed: int, *, gap: float = GAP
 ) -> Course:
     """The axis of a seed's stomach and of the duodenal bulb, a gap [m] clear of the colon."""
-    plain = stomach_course(parameters, np.random.default_rng([seed, 2]))
+    plain = stomach_course(parameters, stomach_course_rng(seed))
     length = float(plain.arc_length[-1])
     num = round((length + _BULB) / _NODE) + 1
     s = np.linspace(0.0, length + _BULB, num)

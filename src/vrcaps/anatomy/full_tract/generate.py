@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+import vrcaps.rng
 from vrcaps.anatomy.colon import generate_colon
 from vrcaps.anatomy.colon.parameters import SEGMENTS as COLON_SEGMENTS
 from vrcaps.anatomy.full_tract.abdomen import GAP, ColonPlacement, place_colon
@@ -72,7 +73,7 @@ def generate_full_tract(
     lower = generate_colon(colon, seed=seed)
     line = lower.centerline
     placement = place_colon(colon, Course(line.points, line.arc_length))
-    rng = np.random.default_rng([seed, 3])
+    rng = vrcaps.rng.stream(seed, "full-tract/upper")
     for attempt in range(_NUM_TRIES):
         # A fundus that bulges to one side can reach beyond its mean outline into the colon.
         gap = GAP + attempt * _GAP_STEP

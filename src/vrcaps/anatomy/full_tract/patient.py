@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-import numpy as np
-
+import vrcaps.rng
 from vrcaps.anatomy.colon.parameters import SEGMENTS, ColonParameters
 from vrcaps.anatomy.full_tract.abdomen import (
     draw_colon_placement,
@@ -57,9 +56,9 @@ def draw_patient_anatomy(seed: int, distension: str | None = None) -> PatientAna
         raise InputError(f"Distension is {distension!r}. Allowed: {known}.")
     return PatientAnatomy(
         seed,
-        StomachParameters.draw(np.random.default_rng([seed, 2])).at(upper),
-        SmallBowelParameters.draw(np.random.default_rng([seed, 3])).at(upper),
-        colon_at(ColonParameters.draw(np.random.default_rng([seed, 1])), lower),
+        StomachParameters.draw(vrcaps.rng.stream(seed, "stomach/dimensions")).at(upper),
+        SmallBowelParameters.draw(vrcaps.rng.stream(seed, "small-bowel/dimensions")).at(upper),
+        colon_at(ColonParameters.draw(vrcaps.rng.stream(seed, "colon/dimensions")), lower),
     )
 
 

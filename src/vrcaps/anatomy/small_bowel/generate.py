@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
+import vrcaps.rng
 from vrcaps.anatomy.small_bowel.course import generate_course
 from vrcaps.anatomy.small_bowel.parameters import BULB_LENGTH, SEGMENTS
 from vrcaps.anatomy.small_bowel.shape import (
@@ -52,7 +53,7 @@ def generate_small_bowel(
     Raises:
         InputError: If it does not fit between the organs.
     """
-    rng = np.random.default_rng([seed, 3])
+    rng = vrcaps.rng.stream(seed, "small-bowel/coils")
     for _ in range(_NUM_TRIES):
         wall, tube = lay_small_bowel(parameters, around, rng)
         organ = _as_organ(wall, tube, seed)

@@ -15,6 +15,7 @@ from vrcaps.anatomy.stomach.shape import (
     draw_stomach_wall,
     from_cardia,
     stomach_course,
+    stomach_course_rng,
     stomach_radius,
     stomach_wall_rng,
 )
@@ -56,7 +57,7 @@ def generate_stomach(
     Raises:
         InputError: If the wall cuts itself however it is drawn.
     """
-    course = course or stomach_course(parameters, np.random.default_rng([seed, 2]))
+    course = course or stomach_course(parameters, stomach_course_rng(seed))
     tube, rng = make_tube(course), stomach_wall_rng(seed)
     for _ in range(_NUM_TRIES):
         wall = draw_stomach_wall(parameters, tube, rng)

@@ -13,6 +13,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline, PchipInterpolator
 from scipy.ndimage import gaussian_filter1d
 
+import vrcaps.rng
 from vrcaps.anatomy.tube_mesh.tube import Course
 from vrcaps.anatomy.tube_mesh.waves import draw_waves, smooth_step, sum_waves, within_bend, wrap
 from vrcaps.units import CM, MM
@@ -99,7 +100,12 @@ def _resample(points: Float[np.ndarray, "n 3"], num: int) -> Float[np.ndarray, "
 
 def stomach_wall_rng(seed: int) -> np.random.Generator:
     """Source of the wall of a seed's stomach, alone or in the whole tract."""
-    return np.random.default_rng([seed, 5])
+    return vrcaps.rng.stream(seed, "stomach/wall")
+
+
+def stomach_course_rng(seed: int) -> np.random.Generator:
+    """Source of the axis of a seed's stomach, alone or in the whole tract."""
+    return vrcaps.rng.stream(seed, "stomach/course")
 
 
 def draw_stomach_wall(

@@ -10,6 +10,7 @@ from scipy import sparse
 from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import KDTree
 
+import vrcaps.rng
 from vrcaps import _core
 from vrcaps.errors import InputError
 from vrcaps.tissue.fem.curved import BentTriangles, bulges_towards, edges_of, relaxed
@@ -65,7 +66,7 @@ def coarsen(
     smooth = low_pass(vertices, faces, _WAVELENGTH_EDGES * edge)
     graph = _edge_graph(smooth, faces)
     border = np.unique(border_edges(faces))
-    rng = np.random.default_rng(0)
+    rng = vrcaps.rng.stream(0, "fem/coarse-surface")
     for _ in range(_ATTEMPTS):
         seeds, cell = _cells(smooth, graph, border, edge, rng)
         triangles = _dual(cell, faces)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy import ndimage
 
+import vrcaps.rng
 from vrcaps.color import LUMINANCE, srgb_from_log_linear
 from vrcaps.errors import InputError
 from vrcaps.mucosa.texture import HEIGHT_STEP, MucosaTexture
@@ -104,7 +105,7 @@ def make_texture(
     _check(recipe, photos, seed)
     tell = progress or (lambda done, total: None)
     chosen, others = _chosen(photos, scale, recipe, tell)
-    rng = np.random.default_rng(seed)
+    rng = vrcaps.rng.stream(seed, "mucosa-from-photos")
     parts, doubtful = squares(chosen, keep_vessels=not recipe.vessels)
     layout = Quilt.of_side(len(parts[0]))
     if recipe.size < 2 * layout.patch:

@@ -103,7 +103,7 @@ def test_instances_and_kinds(gut: OrganSurface) -> None:
 
 def test_the_same_seed_gives_the_same_bytes(gut: OrganSurface) -> None:
     one, two, other = (
-        fill(gut, Contents(2, 2, seed=seed), np.eye(4)).spheres for seed in (4, 4, 5)
+        populate(gut, Contents(2, 2, seed=seed), np.eye(4)).spheres for seed in (4, 4, 5)
     )
     for name in vars(one):
         assert getattr(one, name).tobytes() == getattr(two, name).tobytes()
@@ -172,4 +172,4 @@ def test_an_empty_kind_places_nothing(gut: OrganSurface, wall: _core.Wall) -> No
     rng = np.random.default_rng(0)
     none = place_bubbles(gut, wall, replace(Bubbles(), per_area=0.0), UP, rng)
     assert isinstance(none, Spheres) and len(none) == 0
-    assert (fill(gut, Contents(1, 0), np.eye(4)).spheres.kind == BUBBLE).all()
+    assert (populate(gut, Contents(1, 0), np.eye(4)).spheres.kind == BUBBLE).all()

@@ -31,7 +31,7 @@ def test_flags_reach_the_scenario_and_the_file(tmp_path: Path):
     assert magnet.speed == pytest.approx(8 * MM)
     assert magnet.end == 0.8
     assert magnet.arm_base == (0.0, 0.5, 0.0)
-    assert len(scenario.motion.turns) == 1
+    assert len(scenario.motion.posture_changes) == 1
     assert scenario_from_plain(scenario_to_plain(scenario)) == scenario
 
 

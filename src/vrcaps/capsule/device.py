@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from vrcaps.camera.camera import Camera
+from vrcaps.errors import UnknownNameError
 from vrcaps.magnet.internal import InternalMagnet
 
 
@@ -40,3 +41,14 @@ class Device:
     led_spectrum: tuple[tuple[float, float], ...] | None = None
     source: str = ""
     metadata: dict = field(default_factory=dict)
+
+    def camera(self, name: str) -> Camera:
+        """A camera by its name.
+
+        Raises:
+            UnknownNameError: If the capsule has no such camera.
+        """
+        for camera in self.cameras:
+            if camera.name == name:
+                return camera
+        raise UnknownNameError("camera", name, [camera.name for camera in self.cameras])

@@ -66,7 +66,12 @@ _NEEDS_PREVIOUS = {"flow_backward"}
 
 
 class Renderer:
-    """Renders one organ; holds its hierarchy, textures and the ray tables of cameras."""
+    """Renders one organ; holds its hierarchy, textures and the ray tables of cameras.
+
+    Example:
+        >>> renderer = vrcaps.Renderer(model)
+        >>> frame = renderer.render(model.place(), "front", channels=("rgb", "depth"))
+    """
 
     def __init__(
         self,
@@ -101,7 +106,7 @@ class Renderer:
     def render(
         self,
         state: State,
-        camera: Camera,
+        camera: Camera | str,
         *,
         channels: Sequence[str] = DEFAULT_CHANNELS,
         state_next: State | None = None,
@@ -112,16 +117,18 @@ class Renderer:
 
         Args:
             state: The world now.
-            camera: One of the device's cameras.
+            camera: A camera of the device, or its name.
             channels: Names of channels of `Frame`.
             state_next: The world one frame later, for `flow_forward` and `occlusion`.
             state_previous: The world one frame earlier, for `flow_backward`.
             out: An earlier frame of the same camera whose arrays may be overwritten.
 
         Raises:
-            UnknownNameError: If there is no such channel.
+            UnknownNameError: If there is no such camera or channel.
             InputError: If a channel needs a state that was not given.
         """
+        if isinstance(camera, str):
+            camera = self.model.device.camera(camera)
         return Frame(**self.arrays((state_previous, state, state_next), camera, channels, out))
 
     def arrays(

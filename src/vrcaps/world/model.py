@@ -10,11 +10,11 @@ import numpy as np
 
 from vrcaps._core import Wall
 from vrcaps.capsule.device import Device
-from vrcaps.errors import UnknownNameError
+from vrcaps.errors import UnknownNameError, require
 from vrcaps.lumen.contents import Contents
 from vrcaps.lumen.lumen_contents import CHYME, LumenContents, populate
 from vrcaps.organ.surface import OrganSurface
-from vrcaps.transforms import transform_from, transform_points
+from vrcaps.transforms import rotation_from_vector, transform_from, transform_points
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -46,7 +46,11 @@ def posture_transform(posture: str) -> Float[np.ndarray, "4 4"]:
 
 @dataclass(frozen=True)
 class Model:
-    """An organ in a posture and the capsule in it.
+    """An organ in a posture and the capsule in it: all that is fixed in a run.
+
+    Example:
+        >>> model = vrcaps.Model(vrcaps.generate_organ("colon"), vrcaps.read_device("mirocam"))
+        >>> state = model.place(0.3)  # the capsule 30 cm from the oral end
 
     Attributes:
         organ: The gut wall at rest, in the patient frame.
@@ -80,6 +84,39 @@ class Model:
             return None
         lumen_contents = populate(self.organ, self.contents, self.T_world_patient)
         return lumen_contents.with_capsule(self.device.length, self.device.radius)
+
+    def place(self, arc_length: float | None = None, *, angle: float = 0.0) -> State:
+        """State of the capsule at rest on the centerline.
+
+        Args:
+            arc_length: Position along the centerline from the oral end [m]; None is its middle.
+            angle: Between the capsule's front and the direction towards the anal end [rad]; π
+                looks back.
+
+        Raises:
+            InputError: If the arc length is not on the centerline.
+        """
+        line = self.organ.centerline
+        s = 0.5 * line.length if arc_length is None else arc_length
+        require(0.0 <= s <= line.length, "arc_length", s, f"0 to {line.length:g} m")
+        return State(0.0, self.centerline_poses(np.array([s]), angle=angle)[0])
+
+    def centerline_poses(
+        self, arc_length: Float[np.ndarray, " n"], *, angle: float = 0.0
+    ) -> Float[np.ndarray, "n 4 4"]:
+        """``Ts_world_capsule`` on the centerline at arc lengths [m], at rest.
+
+        Args:
+            arc_length: Positions along the centerline [m].
+            angle: Between the capsule's front and the direction towards the anal end, about the
+                x axis of the centerline's frame [rad].
+        """
+        line = self.organ.centerline
+        nearest = np.abs(line.arc_length[:, None] - arc_length).argmin(axis=0)
+        columns = [np.interp(arc_length, line.arc_length, axis) for axis in line.points.T]
+        tilt = rotation_from_vector(np.array([angle, 0.0, 0.0]))
+        poses = transform_from(line.frames[nearest] @ tilt, np.stack(columns, -1))
+        return self.T_world_patient @ poses
 
     @property
     def label_names(self) -> tuple[str, ...]:

@@ -55,8 +55,8 @@ class World:
     def __init__(
         self,
         model: Model,
-        tissue: Tissue,
-        start: State,
+        tissue: Tissue | None = None,
+        start: State | None = None,
         *,
         body: Body | None = None,
         substep: float = SUBSTEP,
@@ -67,8 +67,9 @@ class World:
 
         Args:
             model: Organ, device and posture.
-            tissue: How the wall behaves.
-            start: Where the capsule is and how it moves; its wall is taken as at rest.
+            tissue: How the wall behaves; None takes the defaults of `Tissue`.
+            start: Where the capsule is and how it moves; its wall is taken as at rest. None places
+                it in the middle of the centerline.
             body: Mass properties; by default the device's mass, spread evenly.
             substep: Longest substep [s].
             seed: Of the patient's muscle, 0 or more.
@@ -80,6 +81,8 @@ class World:
                 find no magnet in the device.
             UnknownNameError: If the tissue has no muscle for a segment of the wall.
         """
+        tissue = Tissue() if tissue is None else tissue
+        start = model.place() if start is None else start
         _check_substep(substep, tissue)
         require(seed >= 0, "seed", seed, "0, 1, 2, …")
         self.model, self.tissue, self.substep, self.seed = model, tissue, substep, seed

@@ -18,7 +18,6 @@ import trimesh
 
 import vrcaps
 from vrcaps._core import Wall
-from vrcaps.recording.recorder import record
 from vrcaps.transforms import transform_points
 
 
@@ -53,7 +52,7 @@ def main(organ: Path | None, unit: str, frames: int, out: Path) -> None:
         frames=frames,
         channels=("rgb", "depth", "normal"),
     )
-    record(scenario, out)
+    vrcaps.record(scenario, out)
 
     # Reading gives arrays in SI units. Here the last depth image becomes a point cloud.
     episode = vrcaps.read_episode(out)

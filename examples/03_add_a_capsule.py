@@ -17,7 +17,6 @@ from pathlib import Path
 import numpy as np
 
 import vrcaps
-from vrcaps.recording.recorder import record
 
 WIDE = """
 title = "Wide-angle capsule"
@@ -66,7 +65,7 @@ def main(out: Path, frames: int) -> None:
     print(f"{device.title}: 120 pixels off the axis is {angle:.1f}° off the axis.")
 
     scenario = vrcaps.Scenario(capsule=str(path), frames=frames, channels=("rgb", "depth"))
-    record(scenario, out / "episode")
+    vrcaps.record(scenario, out / "episode")
     print(f"Look at {out / 'episode' / 'sheet.png'}.")
 
 

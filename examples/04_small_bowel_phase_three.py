@@ -23,7 +23,6 @@ from pathlib import Path
 import trimesh
 
 import vrcaps
-from vrcaps.recording.recorder import record
 from vrcaps.tissue.drag import Drag
 from vrcaps.units import CM, MM
 
@@ -43,7 +42,7 @@ def main(out: Path, organ: Path | None, unit: str, frames: int, substep: float) 
         start=0.3, motility="phase-three", fallback_segment="jejunum", drag=mucus, substep=substep
     )
     scenario = vrcaps.Scenario(organ=bowel, motion=motion, frames=frames, fps=6.0)
-    record(scenario, out)
+    vrcaps.record(scenario, out)
 
     # The table of an episode has one row a frame; units are in the names of its columns.
     episode = vrcaps.read_episode(out)

@@ -19,7 +19,6 @@ from pathlib import Path
 import numpy as np
 
 import vrcaps
-from vrcaps.recording.recorder import record
 from vrcaps.transforms import invert, transform_points
 from vrcaps.units import CM, DEG
 from vrcaps.world.schedule import PostureChange
@@ -37,7 +36,7 @@ def main(out: Path, frames: int, fps: float, substep: float) -> None:
         substep=substep,
     )
     organ = vrcaps.OrganGenerated("stomach", distension="inflated")
-    record(vrcaps.Scenario(organ=organ, motion=motion, frames=frames, fps=fps), out)
+    vrcaps.record(vrcaps.Scenario(organ=organ, motion=motion, frames=frames, fps=fps), out)
 
     # Poses are in the world, where z is up. The patient's own pose is in the table as well, so the
     # place in the patient (x left, y back, z head) follows.

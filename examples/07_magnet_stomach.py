@@ -24,17 +24,14 @@ import matplotlib
 import numpy as np
 
 import vrcaps
-from vrcaps.actuation.steering_program import MagnetSteering
 from vrcaps.motion.rollout import Rollout
 from vrcaps.recording.episode import Episode
-from vrcaps.recording.recorder import record
-from vrcaps.scenario.build import build
 from vrcaps.units import CM, DEG
 
 matplotlib.use("Agg")
 
 LONGEST = 60.0  # time that the drive may take [s]
-STEERING = MagnetSteering(
+STEERING = vrcaps.MagnetSteering(
     magnet="cylinder-76.2", arm="panda", standoff=3.0 * CM, wall="upper", speed=1.0 * CM, end=0.85
 )
 
@@ -50,7 +47,9 @@ def main(out: Path, fps: float, substep: float, frames: int | None) -> None:
     )
     if frames is None:
         scenario = replace(scenario, frames=drive(scenario))
-    record(scenario, out, progress=lambda done, all: print(f"recorded {done} of {all}", end="\r"))
+    vrcaps.record(
+        scenario, out, progress=lambda done, all: print(f"recorded {done} of {all}", end="\r")
+    )
     episode = vrcaps.read_episode(out)
     draw(episode, out / "way.png")
     print(f"\nLook at {out / 'way.png'}, {out / 'preview.mp4'} and {out / 'sheet.png'}.")
@@ -58,7 +57,7 @@ def main(out: Path, fps: float, substep: float, frames: int | None) -> None:
 
 def drive(scenario: vrcaps.Scenario) -> int:
     """Simulates until the capsule is there; prints how it goes; the number of frames until then."""
-    _, run = build(scenario)
+    _, run = vrcaps.build(scenario)
     assert isinstance(run, Rollout)
     assert run.program is not None
     follower = run.program.follower

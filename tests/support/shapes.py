@@ -190,7 +190,15 @@ def pinhole(size: int, field: float = 1.4) -> tuple[Lens, int, int]:
 
 def make_model(organ: OrganSurface, *cameras: Camera) -> Model:
     """A model whose world frame is the organ's own."""
-    device = Device("test", "Test", 0.02, 0.005, 0.003, 10.0, cameras)
+    device = Device(
+        name="test",
+        title="Test",
+        length=0.02,
+        radius=0.005,
+        mass=0.003,
+        frame_rate=10.0,
+        cameras=cameras,
+    )
     return Model(organ, device, np.eye(4))
 
 

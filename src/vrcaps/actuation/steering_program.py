@@ -93,6 +93,10 @@ class MagnetSteering:
     Without waypoints and joystick the magnet leads the capsule along the wall of the gut from its
     start position, and waits where the capsule does not follow.
 
+    Example:
+        >>> steering = vrcaps.MagnetSteering(arm="panda", wall="upper", speed=0.01)
+        >>> vrcaps.Scenario(capsule="magnetic", motion=vrcaps.Dynamics(magnet=steering))
+
     Attributes:
         magnet: Name of the magnet, see `vrcaps.magnet.presets.magnet_names`; one heavier than the
             arm's payload is noted, and moved as if the arm could carry it.

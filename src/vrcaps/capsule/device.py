@@ -9,11 +9,18 @@ from vrcaps.errors import UnknownNameError
 from vrcaps.magnet.internal import InternalMagnet
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Device:
     """A capsule endoscope.
 
     Its frame `capsule` has its origin at the centre of mass and +z along the front camera's axis.
+
+    Example:
+        >>> lens = vrcaps.LensEquidistant(focal=84.0, cx=127.5, cy=127.5)
+        >>> T_capsule_camera = vrcaps.translation(0.0, 0.0, 7e-3)
+        >>> leds = vrcaps.led_ring(4, radius=3.5e-3)
+        >>> camera = vrcaps.Camera("front", lens, 256, 256, T_capsule_camera, leds)
+        >>> device = vrcaps.Device(length=24e-3, radius=5.5e-3, mass=3e-3, cameras=(camera,))
 
     Attributes:
         name: Catalog name.
@@ -30,12 +37,12 @@ class Device:
         metadata: Further plain facts, kept with the device and used by nothing.
     """
 
-    name: str
-    title: str
+    name: str = "custom"
+    title: str = ""
     length: float
     radius: float
     mass: float
-    frame_rate: float
+    frame_rate: float = 2.0
     cameras: tuple[Camera, ...]
     magnets: tuple[InternalMagnet, ...] = ()
     led_spectrum: tuple[tuple[float, float], ...] | None = None

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from vrcaps.camera.camera import Camera, Led
+from vrcaps.camera.camera import Camera, Led, led_ring
 from vrcaps.camera.lens import LENSES, Lens
 from vrcaps.camera.rays import camera_rays
 from vrcaps.capsule.device import Device
@@ -63,15 +63,15 @@ def read_device_file(path: Path) -> Device:
     spectrum = _read_spectrum(table.table("led_spectrum")) if has_spectrum else None
     table.finish()
     device = Device(
-        path.stem,
-        title,
-        length,
-        radius,
-        mass,
-        frame_rate,
-        cameras,
-        magnets,
-        spectrum,
+        name=path.stem,
+        title=title,
+        length=length,
+        radius=radius,
+        mass=mass,
+        frame_rate=frame_rate,
+        cameras=cameras,
+        magnets=magnets,
+        led_spectrum=spectrum,
         source=source,
         metadata=metadata,
     )
@@ -239,8 +239,7 @@ def _read_ring(table: TomlTable) -> list[Led]:
     angles = np.array(table.numbers("angles_deg", None, DEGREE))
     light = _read_light(table)
     table.finish()
-    circle = np.stack([np.cos(angles), np.sin(angles), np.zeros_like(angles)], axis=-1)
-    return [Led(tuple(position), **light) for position in (centre + radius * circle).tolist()]
+    return list(led_ring(angles.tolist(), radius, center=tuple(centre.tolist()), **light))
 
 
 def _check_image(camera: Camera, where: str) -> None:

@@ -21,6 +21,9 @@ _Kind = TypeVar("_Kind", Bubbles, Chyme, Liquid)
 class Contents:
     """What floats in the lumen.
 
+    Example:
+        >>> vrcaps.Scenario(contents=vrcaps.Contents(bubbles=2, chyme=1))
+
     Attributes:
         bubbles: Severity 0 (none) to 4 (foam), or exact figures.
         chyme: Severity 0 (none) to 4 (much of the wall hidden), or exact figures.

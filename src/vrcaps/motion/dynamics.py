@@ -39,6 +39,10 @@ class Dynamics:
     It is set on the centreline and left to itself for `settle`; then time is 0 and the first
     frame is taken.
 
+    Example:
+        >>> motion = vrcaps.Dynamics(start=0.3, motility="phase-three", substep=2e-4)
+        >>> vrcaps.record(vrcaps.Scenario("small-bowel", motion=motion), "runs/transit")
+
     Attributes:
         start: Where the capsule is set, as a share of the centreline from the oral end; moved
             on to where the capsule fits.

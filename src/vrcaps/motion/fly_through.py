@@ -39,6 +39,10 @@ _PUSH_BLUR = 3.0 * MM
 class FlyThrough:
     """Fly along the centreline.
 
+    Example:
+        >>> motion = vrcaps.FlyThrough(start=0.2, end=0.6, speed=0.01)
+        >>> vrcaps.record(vrcaps.Scenario(motion=motion), "runs/flight")
+
     Attributes:
         start: Where the first frame is, as a share of the centreline from the oral end.
         end: Where the last frame is; less than `start` to travel towards the oral end. With a

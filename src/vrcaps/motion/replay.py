@@ -45,6 +45,10 @@ _Y_UP_CAMERA_FROM_CAMERA = {
 class Replay:
     """Follow a recorded path.
 
+    Example:
+        >>> motion = vrcaps.Replay("poses.txt", format="tum", unit="m")
+        >>> vrcaps.record(vrcaps.Scenario(motion=motion), "runs/replay")
+
     Attributes:
         path: The file, relative to the working directory.
         format: `tum` (right-handed, OpenCV axes) or `unity-csv` (y up).

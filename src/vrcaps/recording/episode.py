@@ -207,7 +207,7 @@ class EpisodeDataset:
     """Map-style dataset of the frames of one camera: dictionaries of arrays.
 
     An item has an array for each channel, `T_world_camera`, `T_world_capsule`, `time` [s],
-    `arc_length` [m] and `index`. Nothing in it is None. It needs no PyTorch, but PyTorch's
+    `capsule_arc_length` [m] and `index`. Nothing in it is None. It needs no PyTorch, but PyTorch's
     `DataLoader` takes it.
 
     Attributes:
@@ -238,7 +238,7 @@ class EpisodeDataset:
             "T_world_camera": self._Ts_world_camera[k],
             "T_world_capsule": self.episode.Ts_world_capsule[k],
             "time": np.asarray(columns["time_s"][k]),
-            "arc_length": np.asarray(columns["arc_length_m"][k]),
+            "capsule_arc_length": np.asarray(columns["arc_length_m"][k]),
             "index": np.asarray(k),
         }
 

@@ -15,6 +15,9 @@ Light = Literal["direct", "radiosity", "path"]
 class RenderSettings:
     """How images are computed.
 
+    Example:
+        >>> renderer = vrcaps.Renderer(model, vrcaps.RenderSettings(light="path", spp=64))
+
     Attributes:
         supersampling: Color of a pixel is the mean over this many by this many rays. All other
             channels hold the value at the pixel's center.

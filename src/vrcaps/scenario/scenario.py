@@ -33,6 +33,9 @@ DEFAULT_CHANNELS = ("rgb", "depth", "normal", "label", "instance")
 class OrganGenerated:
     """An organ of the built-in generators.
 
+    Example:
+        >>> vrcaps.Scenario(organ=vrcaps.OrganGenerated("stomach", distension="inflated"))
+
     Attributes:
         name: Name of the generator: colon, stomach, small-bowel or full-tract.
         seed: Seed of the patient: sizes, course and folds.
@@ -58,6 +61,9 @@ class OrganFile:
     """An organ from a mesh file, or from an organ file that `vrcaps organ` wrote.
 
     An organ file is taken as it is, with its labels, lesions and textures.
+
+    Example:
+        >>> vrcaps.Scenario(organ=vrcaps.OrganFile("colon.ply", unit="mm"))
 
     Attributes:
         path: PLY, OBJ, STL or GLB in the patient frame, relative to the working directory.
@@ -95,6 +101,11 @@ def _refer_to_mucosa(organ: OrganGenerated | OrganFile) -> None:
 @dataclass(frozen=True)
 class Scenario:
     """A recording as asked for; with its files at hand it fixes every byte of the episode.
+
+    Example:
+        >>> organ = vrcaps.OrganFile("colon.ply", unit="mm")
+        >>> scenario = vrcaps.Scenario(organ=organ, frames=100, channels=("rgb", "depth"))
+        >>> vrcaps.record(scenario, "runs/colon")
 
     Attributes:
         organ: The gut wall: the name of a generated organ, the path of an organ file, one of the

@@ -15,6 +15,9 @@ from vrcaps.tissue.winkler_foundation import WinklerFoundation
 class Tissue:
     """How the wall of an organ behaves.
 
+    Example:
+        >>> world = vrcaps.World(model, vrcaps.Tissue(deformation=None))  # a rigid wall
+
     Attributes:
         foundation: Pressure against a capsule that presses in.
         drag: Resistance against a capsule that slides along.

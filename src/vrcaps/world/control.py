@@ -20,6 +20,9 @@ _ZERO = (0.0, 0.0, 0.0)
 class Control:
     """Commands that hold during one step.
 
+    Example:
+        >>> world.step(vrcaps.Control(force_world=(0.0, 0.0, 0.02)), dt=0.01)
+
     Attributes:
         force_world: Force on the capsule's centre of mass [N].
         torque_world: Torque on the capsule [N·m].

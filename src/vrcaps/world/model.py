@@ -179,6 +179,10 @@ class Coupling:
 class State:
     """The world at one instant.
 
+    Example:
+        >>> state = vrcaps.Model(organ, device).place(0.1)
+        >>> state.T_world_capsule[:3, 3]
+
     Attributes:
         time: Since the start of the run [s].
         T_world_capsule: Pose of the capsule.

@@ -50,6 +50,11 @@ class World:
 
     The core works in the patient frame, where the wall is at home; states are in the world frame.
     The same start and the same steps give the same bytes, on any number of threads.
+
+    Example:
+        >>> world = vrcaps.World(vrcaps.Model(organ, device))
+        >>> world.step(vrcaps.Control(force_world=(0.0, 0.0, 0.02)), dt=0.01)
+        >>> world.state.T_world_capsule
     """
 
     def __init__(

@@ -24,6 +24,10 @@ if TYPE_CHECKING:
 class LensEquidistant:
     """Image radius proportional to the angle to the axis: ``r = focal · θ``.
 
+    Example:
+        >>> lens = vrcaps.LensEquidistant(focal=84.0, cx=127.5, cy=127.5)
+        >>> pixels = lens.project(np.array([[0.0, 1e-3, 10e-3]]))
+
     Attributes:
         focal: Pixels per radian [px].
         cx: Column of the optical axis [px].

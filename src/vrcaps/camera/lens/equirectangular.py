@@ -21,6 +21,9 @@ class LensEquirectangular:
     ``u = fx λ + cx``, ``v = fy β + cy``. A full sphere of w by w/2 pixels has ``fx = fy = w/2π``,
     ``cx = (w - 1)/2``, ``cy = (w/2 - 1)/2``.
 
+    Example:
+        >>> lens = vrcaps.LensEquirectangular(fx=81.5, fy=81.5, cx=255.5, cy=127.5)
+
     Attributes:
         fx: Pixels per radian of longitude.
         fy: Pixels per radian of latitude.

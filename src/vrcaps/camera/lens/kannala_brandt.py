@@ -30,6 +30,9 @@ class LensKannalaBrandt:
     ``u = fx r cos φ + cx``, ``v = fy r sin φ + cy`` (Kannala and Brandt, IEEE PAMI 28(8), 2006,
     eq. 6; OpenCV's `fisheye`). The field ends where r(θ) stops increasing.
 
+    Example:
+        >>> lens = vrcaps.LensKannalaBrandt(fx=90.0, fy=90.0, cx=159.5, cy=159.5, k1=-0.01)
+
     Attributes:
         fx: Focal length along columns [px/rad].
         fy: Focal length along rows [px/rad].

@@ -34,6 +34,9 @@ class LensPinhole:
     least ``min(g, g + r dg/dr) - 6 |(p1, p2)| r``, and a map of a disk whose symmetric Jacobian is
     positive is one to one.
 
+    Example:
+        >>> lens = vrcaps.LensPinhole(fx=200.0, fy=200.0, cx=159.5, cy=159.5)
+
     Attributes:
         fx: Focal length along columns [px].
         fy: Focal length along rows [px].

@@ -35,6 +35,9 @@ class LensScaramuzza:
     the C3VD data set). The field ends where the angle to the axis, ``atan2(r, f(r))``, stops
     increasing. MATLAB counts pixels from (1, 1): subtract 1 from its distortion centre.
 
+    Example:
+        >>> lens = vrcaps.LensScaramuzza(a0=136.0, a2=-5.7e-3, cx=162.2, cy=160.5)
+
     Attributes:
         a0: Coefficient of r⁰ [px].
         a2: Coefficient of r² [1/px].

@@ -36,7 +36,7 @@ class LensScaramuzza:
     increasing. MATLAB counts pixels from (1, 1): subtract 1 from its distortion centre.
 
     Example:
-        >>> lens = vrcaps.LensScaramuzza(a0=136.0, a2=-5.7e-3, cx=162.2, cy=160.5)
+        >>> lens = vrcaps.LensScaramuzza(136.0, -5.7e-3, 5.8e-5, -2.3e-7, cx=162.2, cy=160.5)
 
     Attributes:
         a0: Coefficient of r⁰ [px].

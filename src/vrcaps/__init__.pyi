@@ -32,10 +32,10 @@ from .recording.recorder import record as record
 from .render.frame import Frame as Frame
 from .render.renderer import Renderer as Renderer
 from .render.settings import RenderSettings as RenderSettings
+from .scenario.build import build as build
 from .scenario.scenario import OrganFile as OrganFile
 from .scenario.scenario import OrganGenerated as OrganGenerated
 from .scenario.scenario import Scenario as Scenario
-from .scenario.build import build as build
 from .scenario.scenario import read_scenario as read_scenario
 from .tissue.tissue import Tissue as Tissue
 from .transforms import translation as translation

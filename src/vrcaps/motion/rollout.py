@@ -18,6 +18,7 @@ from vrcaps.organ.surface import OrganSurface
 from vrcaps.transforms import (
     invert,
     rotate_vectors,
+    rotation_from_vector,
     transform_from,
     transform_points,
 )
@@ -298,7 +299,10 @@ def _start(
     # Towards the far end: a capsule that does not fit at an end fits further in.
     end = line.length if settings.start <= 0.5 else 0.0
     places = np.linspace(asked, end, max(2, math.ceil(abs(end - asked) / _SPACING) + 1))
-    poses = model.centerline_poses(places, angle=settings.angle)
+    nearest = np.abs(line.arc_length[:, None] - places).argmin(axis=0)
+    points = np.stack([np.interp(places, line.arc_length, axis) for axis in line.points.T], -1)
+    tilt = rotation_from_vector(np.array([settings.angle, 0.0, 0.0]))
+    poses = model.T_world_patient @ transform_from(line.frames[nearest] @ tilt, points)
     free = capsule_clearance(model, poses).min(axis=1)
     fitting = np.flatnonzero(free > _FREE * model.device.radius)
     if len(fitting) == 0:

@@ -42,6 +42,11 @@ class Step:
     All consumers of a motion take this type: the camera pipeline (motion blur, rolling shutter and
     flow need the neighbors), the sensors and the recorder.
 
+    Example:
+        >>> model, motion = vrcaps.build(vrcaps.Scenario())
+        >>> for step in motion.steps():
+        ...     print(step.index, step.state.time)
+
     Attributes:
         index: Number of the frame, counted from 0.
         state: The world at this frame; its contact is the mean since the previous frame.

@@ -73,8 +73,7 @@ class World:
         Args:
             model: Organ, device and posture.
             tissue: How the wall behaves; None takes the defaults of `Tissue`.
-            start: Where the capsule is and how it moves; its wall is taken as at rest. None places
-                it in the middle of the centerline.
+            start: Pose and velocity of the capsule; None: at rest in the middle of the centerline.
             body: Mass properties; by default the device's mass, spread evenly.
             substep: Longest substep [s].
             seed: Of the patient's muscle, 0 or more.
@@ -86,8 +85,7 @@ class World:
                 find no magnet in the device.
             UnknownNameError: If the tissue has no muscle for a segment of the wall.
         """
-        tissue = Tissue() if tissue is None else tissue
-        start = model.place() if start is None else start
+        tissue, start = tissue or Tissue(), start or model.place()
         _check_substep(substep, tissue)
         require(seed >= 0, "seed", seed, "0, 1, 2, …")
         self.model, self.tissue, self.substep, self.seed = model, tissue, substep, seed

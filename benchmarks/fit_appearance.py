@@ -3,7 +3,7 @@
 What a wall looks like depends on the light: where it bounces between walls, a color counts more
 than once. For each class of real frames this finds the factors on red, green and blue of our wall's
 base colors at which our frames have their mean a* and b* and their spread of L*, and prints the
-colors that go into `vrcaps.mucosa.appearance` and `vrcaps.lesion.colitis`.
+colors that go into `vrcaps.mucosa.mucosa` and `vrcaps.lesion.colitis`.
 
     python benchmarks/fit_appearance.py
     python benchmarks/fit_appearance.py --only small-bowel --light direct
@@ -32,7 +32,8 @@ from vrcaps.camera_pipeline.camera_changes import scaled_camera
 from vrcaps.color import linear_from_srgb
 from vrcaps.lesion.colitis import ACTIVITIES
 from vrcaps.metrics.color import image_color
-from vrcaps.mucosa.appearance import MUCOSAE, bake_appearance
+from vrcaps.mucosa.bake import bake_appearance
+from vrcaps.mucosa.mucosa import MUCOSAE
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.render.settings import RenderSettings
 from vrcaps.world.model import Model

@@ -25,7 +25,7 @@ from vrcaps.anatomy.small_bowel import generate_small_bowel
 from vrcaps.anatomy.stomach import generate_stomach
 from vrcaps.mesh.edges import face_areas
 from vrcaps.mesh.mesh import Mesh
-from vrcaps.mucosa.appearance import bake_appearance
+from vrcaps.mucosa.bake import bake_appearance
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.organ.uv import texture_stretch
 from vrcaps.units import MM

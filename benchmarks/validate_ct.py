@@ -26,7 +26,7 @@ from vrcaps.mesh.repair import repair
 from vrcaps.organ.centerline import compute_centerline
 from vrcaps.organ.centerline.distance import wall_distance
 from vrcaps.organ.surface import OrganSurface
-from vrcaps.tools.ct.from_ct import Wall, find_lumens, organ_from_gas
+from vrcaps.tools.ct.from_ct import WallOptions, find_lumens, organ_from_gas
 from vrcaps.tools.ct.lumen import choose_gas
 from vrcaps.tools.ct.read_volume import read_volume
 from vrcaps.units import MM
@@ -98,7 +98,9 @@ def compare(truth: Truth, scanner: Scanner, folder: Path) -> tuple[str, ...]:
     gas = find_lumens(scan)
     tagged = "supine" if scanner.fluid_depth else None
     piece = choose_gas(gas, scan)[0]
-    organ = organ_from_gas(scan, gas, piece, wall=Wall(), name="phantom", tagged_fluid=tagged)
+    organ = organ_from_gas(
+        scan, gas, piece, wall=WallOptions(), name="phantom", tagged_fluid=tagged
+    )
     distances = surface_distances(Mesh(organ.vertices, organ.faces), truth.wall, rng)
     length = organ.centerline.length / truth.length - 1.0
     shares = polyp_shares(organ, truth.wall, truth.polyps)

@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 
 from validation import DATA, options, table, write_section
-from vrcaps.tools.mucosa_from_photos.make_texture import TextureRecipe, make_texture
-from vrcaps.tools.mucosa_from_photos.patches import Scale
+from vrcaps.tools.mucosa_from_photos.make_texture import TextureOptions, make_texture
+from vrcaps.tools.mucosa_from_photos.patches import PhotoScale
 from vrcaps.tools.photos import read_photos
 
 FRAMES = DATA.parent / "real_frames"
@@ -29,7 +29,7 @@ HEAD = (
 )
 
 
-def row(title: str, path: Path, scale: Scale, recipe: TextureRecipe) -> tuple[str, ...]:
+def row(title: str, path: Path, scale: PhotoScale, recipe: TextureOptions) -> tuple[str, ...]:
     """One row of the table."""
     photos = read_photos([path])
     start = time.process_time()
@@ -62,12 +62,12 @@ def main() -> None:
     for name in FOLDERS:
         if (FRAMES / name).exists():
             photographs = f"{name.replace('_', ' ')} ({len(list((FRAMES / name).iterdir()))})"
-            scale = Scale(field_width_mm=25 if name.startswith("capsule") else 30)
-            rows.append(row(photographs, FRAMES / name, scale, TextureRecipe(size=given.size)))
+            scale = PhotoScale(field_width_mm=25 if name.startswith("capsule") else 30)
+            rows.append(row(photographs, FRAMES / name, scale, TextureOptions(size=given.size)))
             print(*rows[-1], sep=" | ", flush=True)
     if FLAT.exists():
-        recipe = TextureRecipe(size=given.size, is_flat=True)
-        rows.append(row("a flat texture", FLAT, Scale(mm_per_pixel=1 / 12), recipe))
+        recipe = TextureOptions(size=given.size, is_flat=True)
+        rows.append(row("a flat texture", FLAT, PhotoScale(mm_per_pixel=1 / 12), recipe))
     text = (
         "## Mucosa from photographs\n\n`python benchmarks/validate_textures.py"
         f" --size {given.size}`: endoscopic frames (their number in brackets)\nto textures, against"

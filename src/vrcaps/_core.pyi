@@ -446,7 +446,7 @@ def bake_mucosa(
     seed: int,
     mucosa: object,
 ) -> tuple[NDArray[np.uint8], NDArray[np.uint8], NDArray[np.float32]]:
-    """Flat sRGB albedo, roughness and height [m] of a mucosa (`vrcaps.mucosa.appearance`)."""
+    """Flat sRGB albedo, roughness and height [m] of a mucosa (`vrcaps.mucosa.bake`)."""
 
 class FemLayer:
     """A layer of finite elements that carries a surface (`vrcaps.tissue.fem`)."""

@@ -51,9 +51,9 @@ def calls(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[int]:
         pixels = np.full((2, 2, 3), seed, np.uint8)
         return Appearance(pixels, pixels[..., 0], np.zeros((2, 2)))
 
-    stand_in = types.ModuleType("vrcaps.mucosa.appearance")
+    stand_in = types.ModuleType("vrcaps.mucosa.bake")
     stand_in.__dict__["bake_appearance"] = bake
-    monkeypatch.setitem(sys.modules, "vrcaps.mucosa.appearance", stand_in)
+    monkeypatch.setitem(sys.modules, "vrcaps.mucosa.bake", stand_in)
     monkeypatch.setattr(colon, "generate_colon", generate)
     monkeypatch.setenv("VRCAPS_CACHE", str(tmp_path))
     return seeds

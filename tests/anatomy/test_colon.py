@@ -18,7 +18,7 @@ from vrcaps.anatomy.tube_mesh.tube import Course, make_tube
 from vrcaps.errors import InputError
 from vrcaps.mesh.mesh import Mesh
 from vrcaps.mesh.self_intersection import self_intersections
-from vrcaps.mucosa.appearance import bake_appearance
+from vrcaps.mucosa.bake import bake_appearance
 from vrcaps.organ.gltf_material import relief_scale
 from vrcaps.organ.measure import triangle_quality
 from vrcaps.organ.surface import OrganSurface

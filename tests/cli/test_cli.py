@@ -210,7 +210,7 @@ def test_list_names_all_that_goes_by_name(capsys: pytest.CaptureFixture[str]) ->
     from vrcaps.anatomy.catalog import ORGANS
     from vrcaps.capsule.catalog import device_names
     from vrcaps.lesion import LESIONS
-    from vrcaps.mucosa.appearance import MUCOSAE
+    from vrcaps.mucosa.mucosa import MUCOSAE
 
     cli.main(["organ", "list"])
     text = capsys.readouterr().out

@@ -8,8 +8,9 @@ from scipy import ndimage
 
 from vrcaps.errors import InputError, UnknownNameError
 from vrcaps.mesh.mesh import vertex_normals
-from vrcaps.mucosa.appearance import bake_appearance, is_texture_path, mucosa_fingerprint
-from vrcaps.mucosa.apply_texture import wear
+from vrcaps.mucosa.apply_texture import apply_texture
+from vrcaps.mucosa.bake import bake_appearance
+from vrcaps.mucosa.mucosa import is_texture_path, mucosa_fingerprint
 from vrcaps.mucosa.texture import MucosaTexture, write_texture
 from vrcaps.organ.surface import Centerline, OrganSurface
 from vrcaps.organ.uv import tube_coordinates
@@ -67,54 +68,56 @@ def texture(side: int = 128) -> MucosaTexture:
 
 
 @pytest.fixture(scope="module")
-def worn():
-    return wear(tube(), texture(), (480, 504), seed=1)
+def textured():
+    return apply_texture(tube(), texture(), (480, 504), seed=1)
 
 
-def test_color_contrast_and_relief_stay(worn) -> None:
+def test_color_contrast_and_relief_stay(textured) -> None:
     """The blend keeps mean and spread, so neither patches nor their borders are paler."""
     given = texture()
     mean = given.albedo.mean(axis=(0, 1))
-    np.testing.assert_allclose(worn.albedo.mean(axis=(0, 1)), mean, rtol=0.03)
-    detail = worn.albedo[..., 0] - ndimage.gaussian_filter(worn.albedo[..., 0].astype(float), 25)
+    np.testing.assert_allclose(textured.albedo.mean(axis=(0, 1)), mean, rtol=0.03)
+    detail = textured.albedo[..., 0] - ndimage.gaussian_filter(
+        textured.albedo[..., 0].astype(float), 25
+    )
     assert detail.std() == pytest.approx(12.0, rel=0.15)
-    assert worn.height.std() == pytest.approx(given.relief.std(), rel=0.15)
-    assert worn.roughness.mean() == pytest.approx(165.0, abs=2.0)
+    assert textured.height.std() == pytest.approx(given.relief.std(), rel=0.15)
+    assert textured.roughness.mean() == pytest.approx(165.0, abs=2.0)
 
 
-def test_no_seam_where_the_texture_coordinates_wrap(worn) -> None:
+def test_no_seam_where_the_texture_coordinates_wrap(textured) -> None:
     """The step from the last column to the first is that between inner columns."""
-    image = worn.albedo[10:-10].astype(float)
+    image = textured.albedo[10:-10].astype(float)
     inner = np.abs(np.diff(image, axis=1)).mean()
     seam = np.abs(image[:, 0] - image[:, -1]).mean()
     assert seam == pytest.approx(inner, rel=0.25)
 
 
-def test_no_repetition_although_the_texture_fits_many_times(worn) -> None:
+def test_no_repetition_although_the_texture_fits_many_times(textured) -> None:
     """A plain tiling has an autocorrelation of 1 at a shift of one tile, 32 mm."""
     from vrcaps.tools.mucosa_from_photos.quality import repetition
 
-    image = worn.albedo[:480, :480, 0].astype(float)
+    image = textured.albedo[:480, :480, 0].astype(float)
     image -= ndimage.gaussian_filter(image, 25)
     assert repetition(image, reach=48) < 0.3
 
 
-def test_the_scale_is_that_of_the_texture(worn) -> None:
+def test_the_scale_is_that_of_the_texture(textured) -> None:
     """Blobs are as wide on the wall as in the texture: 4 texels per mm in both."""
     steps = [
         np.abs(np.diff(image[..., 0].astype(float), axis=axis)).mean()
-        for image in (texture().albedo, worn.albedo[20:-20])
+        for image in (texture().albedo, textured.albedo[20:-20])
         for axis in (0, 1)
     ]
     assert np.mean(steps[2:]) == pytest.approx(np.mean(steps[:2]), rel=0.2)
 
 
-def test_a_seed_gives_the_same_bytes(worn) -> None:
-    again = wear(tube(), texture(), (480, 504), seed=1)
-    other = wear(tube(), texture(), (480, 504), seed=2)
-    assert again.albedo.tobytes() == worn.albedo.tobytes()
-    assert again.height.tobytes() == worn.height.tobytes()
-    assert other.albedo.tobytes() != worn.albedo.tobytes()
+def test_a_seed_gives_the_same_bytes(textured) -> None:
+    again = apply_texture(tube(), texture(), (480, 504), seed=1)
+    other = apply_texture(tube(), texture(), (480, 504), seed=2)
+    assert again.albedo.tobytes() == textured.albedo.tobytes()
+    assert again.height.tobytes() == textured.height.tobytes()
+    assert other.albedo.tobytes() != textured.albedo.tobytes()
 
 
 def test_baking_takes_the_path_of_a_texture(tmp_path) -> None:

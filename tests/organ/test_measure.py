@@ -97,9 +97,7 @@ def test_places_where_the_wall_cuts_itself_are_counted_and_named():
     vertices[outer, 0] -= 3 * RADIUS
     defects = measure_organ(replace(organ, vertices=vertices)).defects
     (cut,) = (defect for defect in defects if "cuts itself" in defect)
-    found = re.fullmatch(
-        r"1 places where the wall cuts itself \((\d+) pairs .*, at \((.*)\) mm", cut
-    )
+    found = re.fullmatch(r"1 self-intersections of the wall \((\d+) pairs .*, at \((.*)\) mm", cut)
     assert found
     assert 4 < int(found[1]) < 100
     x, y, z = map(float, found[2].split(", "))

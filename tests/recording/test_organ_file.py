@@ -11,7 +11,7 @@ import pytest
 from vrcaps.errors import InputError
 from vrcaps.lesion import parse_lesion
 from vrcaps.motion.fly_through import FlyThrough
-from vrcaps.mucosa.appearance import bake_appearance
+from vrcaps.mucosa.bake import bake_appearance
 from vrcaps.organ.read_organ import read_organ
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.organ.write_organ import write_organ

@@ -11,7 +11,7 @@ from shapes import looking, make_camera, make_model, sphere
 from vrcaps.camera.camera import Led
 from vrcaps.errors import InputError
 from vrcaps.lumen.liquid import Liquid
-from vrcaps.mucosa.appearance import ABSORPTION
+from vrcaps.mucosa.mucosa import ABSORPTION
 from vrcaps.organ.surface import Appearance
 from vrcaps.render.led_light import PHOSPHOR, led_light
 from vrcaps.render.renderer import Renderer

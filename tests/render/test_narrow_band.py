@@ -11,7 +11,7 @@ from shapes import looking, make_camera, make_model, sphere
 from vrcaps.camera.camera import Led
 from vrcaps.color import LUMINANCE, log_linear_from_srgb, srgb_from_log_linear
 from vrcaps.lumen.liquid import Liquid
-from vrcaps.mucosa.appearance import ABSORPTION, MUCOSAE
+from vrcaps.mucosa.mucosa import ABSORPTION, MUCOSAE
 from vrcaps.organ.surface import Appearance
 from vrcaps.render.imaging import unmix_chromophores
 from vrcaps.render.narrow_band import blood_density, narrow_band

@@ -71,7 +71,7 @@ def scan_of(mesh: Mesh, scanner: Scanner, rng: np.random.Generator) -> Volume:
 def coverage(
     mesh: Mesh, transform: np.ndarray, shape: tuple[int, int, int], *, rays: int = 3
 ) -> np.ndarray:
-    """Share of each voxel inside a closed mesh: exact along k, by rays × rays lines across."""
+    """Fraction of each voxel inside a closed mesh: exact along k, by rays × rays lines across."""
     index = index_to_patient(np.linalg.inv(transform), mesh.vertices)
     lines = np.column_stack([(index[:, 1:] + 0.5) * rays - 0.5, index[:, 0]])
     columns, _, height = grid_crossings(
@@ -83,11 +83,11 @@ def coverage(
     assert (columns[::2] == columns[1::2]).all()
     k = np.floor(height + 0.5).astype(int)
     first = (k + 0.5 - height) * sign / rays**2
-    share = np.zeros((shape[0] + 1, *shape[1:]), np.float32)
+    fraction = np.zeros((shape[0] + 1, *shape[1:]), np.float32)
     j, i = columns.T // rays
-    np.add.at(share, (k, j, i), first.astype(np.float32))
-    np.add.at(share, (k + 1, j, i), (sign / rays**2 - first).astype(np.float32))
-    return np.cumsum(share[:-1], axis=0).clip(0.0, 1.0)
+    np.add.at(fraction, (k, j, i), first.astype(np.float32))
+    np.add.at(fraction, (k + 1, j, i), (sign / rays**2 - first).astype(np.float32))
+    return np.cumsum(fraction[:-1], axis=0).clip(0.0, 1.0)
 
 
 def _grid(mesh: Mesh, scanner: Scanner) -> tuple[np.ndarray, tuple[int, int, int]]:

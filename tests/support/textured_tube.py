@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tubes import straight_tube
-from vrcaps.mucosa.appearance import bake_appearance
+from vrcaps.mucosa.bake import bake_appearance
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.units import MM
 

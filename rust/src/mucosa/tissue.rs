@@ -5,7 +5,7 @@ use super::noise::{Cells, Lattice, Vec3, exp, smoothstep, uniform};
 use super::vessels::dot;
 use pyo3::prelude::*;
 
-/// Character of a mucosa: `vrcaps.mucosa.appearance.Mucosa`, whose fields say what they mean.
+/// Character of a mucosa: `vrcaps.mucosa.mucosa.Mucosa`, whose fields say what they mean.
 #[derive(Clone, Copy, FromPyObject)]
 pub struct Mucosa {
     pub base_color: [f32; 3],

@@ -38,7 +38,8 @@ def generate_organ(
         raise InputError(f"Seed {seed} is negative. Allowed: 0, 1, 2, …")
     if mucosa is None:
         return ORGANS[name](seed, distension)
-    from vrcaps.mucosa.appearance import bake_appearance, mucosa_fingerprint
+    from vrcaps.mucosa.bake import bake_appearance
+    from vrcaps.mucosa.mucosa import mucosa_fingerprint
 
     chosen = mucosa
 
@@ -53,7 +54,7 @@ def generate_organ(
 def _generate_colon(seed: int, distension: str | None) -> OrganSurface:
     from vrcaps.anatomy.colon import generate_colon
     from vrcaps.anatomy.full_tract.patient import draw_patient_anatomy
-    from vrcaps.mucosa.appearance import bake_appearance
+    from vrcaps.mucosa.bake import bake_appearance
 
     parameters = draw_patient_anatomy(seed, distension).colon
 
@@ -67,7 +68,7 @@ def _generate_colon(seed: int, distension: str | None) -> OrganSurface:
 def _generate_stomach(seed: int, distension: str | None) -> OrganSurface:
     from vrcaps.anatomy.full_tract.patient import draw_patient_anatomy, stomach_axis
     from vrcaps.anatomy.stomach import generate_stomach
-    from vrcaps.mucosa.appearance import bake_appearance
+    from vrcaps.mucosa.bake import bake_appearance
 
     patient = draw_patient_anatomy(seed, distension)
 
@@ -81,7 +82,7 @@ def _generate_stomach(seed: int, distension: str | None) -> OrganSurface:
 def _generate_small_bowel(seed: int, distension: str | None) -> OrganSurface:
     from vrcaps.anatomy.full_tract.patient import draw_patient_anatomy, neighboring_organs
     from vrcaps.anatomy.small_bowel import generate_small_bowel
-    from vrcaps.mucosa.appearance import bake_appearance
+    from vrcaps.mucosa.bake import bake_appearance
 
     patient = draw_patient_anatomy(seed, distension)
 

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from vrcaps.organ.surface import OrganSurface
-    from vrcaps.tools.ct.from_ct import Wall
+    from vrcaps.tools.ct.from_ct import WallOptions
     from vrcaps.tools.ct.lumen import GasPiece
     from vrcaps.tools.ct.volume import Volume
 
@@ -104,10 +104,10 @@ class FromCt:
         for path, organ in organs:
             _write(path, organ)
 
-    def _wall(self) -> Wall:
-        from vrcaps.tools.ct.from_ct import Wall
+    def _wall(self) -> WallOptions:
+        from vrcaps.tools.ct.from_ct import WallOptions
 
-        return Wall(
+        return WallOptions(
             edge=self.edge_mm * MM,
             blur=self.blur,
             pass_band=self.pass_band,

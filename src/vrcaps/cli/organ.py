@@ -89,7 +89,7 @@ class Inspect:
         return generate_organ(self.organ, seed=self.seed or 0, distension=self.distension)
 
     def _load_file(self, path: Path) -> OrganSurface:
-        from vrcaps.mucosa.appearance import bake_appearance
+        from vrcaps.mucosa.bake import bake_appearance
         from vrcaps.organ.read_organ import read_organ
 
         if not path.is_file():

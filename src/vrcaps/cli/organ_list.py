@@ -20,7 +20,7 @@ class List:
         from vrcaps.anatomy.catalog import DISTENSIONS, ORGANS, organ_segments
         from vrcaps.capsule.catalog import device_names, read_device
         from vrcaps.lesion import lesion_library
-        from vrcaps.mucosa.appearance import MUCOSAE
+        from vrcaps.mucosa.mucosa import MUCOSAE
 
         usual = "colon inflated, all else normal"
         _print("organs", [(name, _words(organ_segments(name))) for name in ORGANS])

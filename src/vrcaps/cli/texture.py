@@ -9,20 +9,20 @@ from typing import TYPE_CHECKING
 from tyro.conf import OmitArgPrefixes, Positional
 
 from vrcaps.cli.console import console, progress_bar
-from vrcaps.tools.mucosa_from_photos.place_vessels import VesselSpread
+from vrcaps.tools.mucosa_from_photos.place_vessels import VesselPlacement
 from vrcaps.units import CM
 
 if TYPE_CHECKING:
-    from vrcaps.tools.mucosa_from_photos.make_texture import TextureWork
+    from vrcaps.tools.mucosa_from_photos.make_texture import TextureResult
 
 
 @dataclass(frozen=True)
 class Texture:
-    """Make a mucosa that an organ can wear from endoscopic photographs or videos.
+    """Make a mucosa texture for organs from endoscopic photographs or videos.
 
-    Border, highlights and darkness are masked, the light is evened out, the most uniform region
+    Border, highlights and darkness are masked, the shading is removed, the most uniform region
     of each photograph is found, and the best regions are quilted into a large texture that
-    continues over its edges. Vessels are taken out and laid on anew. No photograph tells its
+    continues over its edges. Vessels are removed and placed anew. No photograph tells its
     scale: give --mm-per-pixel or --field-width-mm.
 
     For example:
@@ -48,7 +48,7 @@ class Texture:
     """Side of the texture [texels]; a texel is as large as a pixel of the best photograph."""
 
     flat: bool = False
-    """The pictures are even textures already: no border, highlights or shading to remove."""
+    """The pictures are textures already: no border, highlights or shading to remove."""
 
     box: tuple[int, int, int, int] | None = None
     """Take the region from here: left, top, width, height [px]. With one photograph."""
@@ -60,10 +60,10 @@ class Texture:
     """Frames to look at in each video."""
 
     no_vessels: bool = False
-    """Leave vessels where they are in the photographs, and lay none on."""
+    """Leave vessels where they are in the photographs, and place none."""
 
-    vessels: OmitArgPrefixes[VesselSpread] = field(default_factory=VesselSpread)
-    """How vessels lie."""
+    vessels: OmitArgPrefixes[VesselPlacement] = field(default_factory=VesselPlacement)
+    """Position, rotation and size of vessels."""
 
     luminance: float = 0.30
     """Mean reflectance of the mucosa; a camera's automatic exposure hides it."""
@@ -74,47 +74,49 @@ class Texture:
     def run(self) -> None:
         """Make, write and report."""
         from vrcaps.mucosa.texture import check_free, write_texture
-        from vrcaps.tools.mucosa_from_photos.make_texture import TextureRecipe, make_texture
-        from vrcaps.tools.mucosa_from_photos.patches import Scale, check_scale
+        from vrcaps.tools.mucosa_from_photos.make_texture import TextureOptions, make_texture
+        from vrcaps.tools.mucosa_from_photos.patches import PhotoScale, check_scale
         from vrcaps.tools.mucosa_from_photos.texture_report import write_report
         from vrcaps.tools.photos import read_photos
 
-        scale = Scale(self.mm_per_pixel, self.field_width_mm)
+        scale = PhotoScale(self.mm_per_pixel, self.field_width_mm)
         check_scale(scale)
         check_free(self.out)
-        recipe = TextureRecipe(
+        options = TextureOptions(
             size=self.size,
             luminance=self.luminance,
             max_sources=self.max_photos,
             vessels=not self.no_vessels,
-            spread=self.vessels,
+            placement=self.vessels,
             is_flat=self.flat,
             box=self.box,
         )
         photos = read_photos(self.photos, num_frames=self.video_frames)
         with progress_bar("making the texture") as advance:
-            work = make_texture(photos, scale, recipe, seed=self.seed, progress=advance)
-        write_texture(self.out, work.texture)
-        write_report(self.out / "report.png", work)
-        self._report(work)
+            result = make_texture(photos, scale, options, seed=self.seed, progress=advance)
+        write_texture(self.out, result.texture)
+        write_report(self.out / "report.png", result)
+        self._report(result)
 
-    def _report(self, work: TextureWork) -> None:
-        texture, measures = work.texture, work.texture.metadata["measures"]
+    def _report(self, result: TextureResult) -> None:
+        texture, measures = result.texture, result.texture.metadata["measures"]
         console.print(
             f"Wrote {self.out}: {self.size} × {self.size} texels, {texture.side / CM:.1f} cm wide."
         )
-        for source in work.texture.metadata["photographs"]:
+        for source in result.texture.metadata["photographs"]:
             left, top, side, _ = source["region_px"]
             console.print(
                 f"From {source['name']}: {side} × {side} px at {left}, {top}; "
                 f"{source['vessel_pieces']} pieces of vessels."
             )
-        if work.others:
-            console.print(f"Not used, less uniform or without a usable region: {len(work.others)}.")
+        if result.others:
+            console.print(
+                f"Not used, less uniform or without a usable region: {len(result.others)}."
+            )
         console.print(
             f"Step over the edge {measures['seam_ratio']:.2f} of that inside; highest "
             f"autocorrelation {measures['repetition']:.2f}; mean Lab {measures['lab_mean_texture']}"
             f", of the photographs' regions {measures['lab_mean_source']}."
         )
         console.print(f"Look at {self.out / 'report.png'}.")
-        console.print(f"Wear it with: vrcaps record --organ colon --mucosa {self.out} --out RUN")
+        console.print(f"Record it: vrcaps record --organ colon --mucosa {self.out} --out RUN")

@@ -19,7 +19,7 @@ from vrcaps.lesion.base import (
 from vrcaps.lesion.blood import FIBRIN, under_blood
 from vrcaps.limits import Range
 from vrcaps.mesh.noise import band_pass, fbm, low_pass
-from vrcaps.mucosa.appearance import MUCUS_TINT
+from vrcaps.mucosa.mucosa import MUCUS_TINT
 from vrcaps.units import CM, MM
 
 if TYPE_CHECKING:

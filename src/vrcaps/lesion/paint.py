@@ -18,7 +18,7 @@ from vrcaps.color import LINEAR, srgb_from_linear
 from vrcaps.errors import InputError
 from vrcaps.lesion.base import AppearanceSample, Form, WallSamples
 from vrcaps.mesh.rasterize import Texels, covered_texels, sample
-from vrcaps.mucosa.appearance import MAX_SIDE
+from vrcaps.mucosa.bake import MAX_SIDE
 from vrcaps.organ.surface import Appearance, round_height
 from vrcaps.units import MM
 

@@ -1,9 +1,9 @@
-"""A texture of mucosa put onto an organ, without seams or repetition.
+"""Lapped texturing: a mucosa texture put onto an organ without seams or repetition.
 
 The wall is covered by overlapping round patches. Each lies flat in the tangent plane of its
-center and shows another place of the texture, turned at random; where patches meet they are mixed
-so that contrast stays. This is lapped texturing (Praun et al. 2000, Lapped textures) with the
-blend of Heitz & Neyret (2018), and does not depend on the organ's texture coordinates.
+center and shows another part of the texture, rotated at random; where patches meet they are
+blended so that contrast stays (Praun et al. 2000, Lapped textures; blending after Heitz & Neyret
+2018). The result does not depend on the organ's texture coordinates.
 """
 
 from __future__ import annotations
@@ -30,51 +30,51 @@ if TYPE_CHECKING:
     from vrcaps.organ.surface import OrganSurface
 
 _SPACING = 12.0 * MM  # between centers of patches
-_TURN = 14.0 * MM  # distance that a right angle between normals counts as
+_NORMAL_WEIGHT = 14.0 * MM  # distance that a right angle between normals counts as
 _NEAREST = 4  # patches that a vertex may lie in
 _SHARPNESS = 3.0  # of the borders between patches
-_LEAST = 0.06  # weight from which a patch is seen
+_MIN_WEIGHT = 0.06  # weight from which a patch is seen
 _PATIENT = np.array([0.03, 0.10, 0.08], np.float32)  # density of slow variation, r g b
 _GRAIN = 35.0 * MM  # of that variation
 _FACES = 1_500  # worked on at once
 
 
-def wear(
+def apply_texture(
     organ: OrganSurface, texture: MucosaTexture, shape: tuple[int, int], *, seed: int
 ) -> Appearance:
     """Bake a texture onto an organ's texture coordinates.
 
     Args:
         organ: The wall; its appearance is not looked at.
-        texture: What it wears.
+        texture: The texture to put on it.
         shape: Rows and columns of the baked textures.
         seed: Chooses patches and slow variation; the same gives the same bytes.
     """
     rng = vrcaps.rng.stream(seed, "mucosa/texture")
-    texel = _texel(organ, shape)
-    stack = _Stack.of(texture, texel)
-    cover = _Cover.of(organ, texture.side, rng)
-    swing = fbm(_GRAIN, rng)(organ.vertices).astype(np.float32)
+    texel = _texel_size(organ, shape)
+    channels = _Channels.of(texture, texel)
+    layout = _PatchLayout.of(organ, texture.side, rng)
+    variation = fbm(_GRAIN, rng)(organ.vertices).astype(np.float32)
     height, width = shape
     corners = organ.uv * [width, -height] + [-0.5, height - 0.5]
 
     def paint(faces: Int[np.ndarray, " k"]) -> _Painted:
         texels = covered_texels(corners[faces])
         inside = texels.weights.astype(np.float32)
-        seen = stack.blend(*cover.at(faces[texels.face], inside))
-        slow = np.einsum("kc,kc->k", inside, swing[organ.faces[faces[texels.face]]])
-        # sRGB is close to the power 1 / 2.2, so density acts on the code by that share.
+        seen = channels.blend(*layout.at(faces[texels.face], inside))
+        slow = np.einsum("kc,kc->k", inside, variation[organ.faces[faces[texels.face]]])
+        # sRGB is close to the power 1 / 2.2, so density acts on the code with that factor.
         color = seen[:, :3] * np.exp(-slow[:, None] * (_PATIENT / 2.2))
         code = np.clip(np.rint(np.column_stack([color, seen[:, 3]])), 0.0, 255.0).astype(np.uint8)
-        place = texels.row % height, texels.column % width
-        return _Painted(place, inside.min(axis=1) > 0.0, code, seen[:, 4])
+        position = texels.row % height, texels.column % width
+        return _Painted(position, inside.min(axis=1) > 0.0, code, seen[:, 4])
 
-    canvas = _Canvas(shape, stack.mean)
+    canvas = _Canvas(shape, channels.mean)
     order = np.argsort(corners[:, 0, 1] // 64, kind="stable")
     groups = [order[first : first + _FACES] for first in range(0, len(order), _FACES)]
     with ThreadPoolExecutor() as pool:  # results come in order, whatever the number of threads
         for painted in pool.map(paint, groups):
-            canvas.lay(painted)
+            canvas.paint(painted)
     return Appearance(
         albedo=canvas.albedo,
         roughness=canvas.roughness,
@@ -88,13 +88,13 @@ class _Painted:
     """Texels that some faces cover.
 
     Attributes:
-        place: Rows and columns.
+        position: Rows and columns.
         is_inside: Which lie inside their face, not just beside it.
         code: sRGB color and roughness.
         raised: Relief [m].
     """
 
-    place: tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]]
+    position: tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]]
     is_inside: Bool[np.ndarray, " n"]
     code: UInt8[np.ndarray, "n 4"]
     raised: Float[np.ndarray, " n"]
@@ -110,18 +110,18 @@ class _Canvas:
         self.relief = np.zeros(shape, np.float32)
         self.settled = np.zeros(shape, bool)
 
-    def lay(self, painted: _Painted) -> None:
+    def paint(self, painted: _Painted) -> None:
         """Texels just outside a face fill the gaps around charts and replace no inner ones."""
-        (row, column), is_inside = painted.place, painted.is_inside
+        (row, column), is_inside = painted.position, painted.is_inside
         for chosen in (~is_inside & ~self.settled[row, column], is_inside):
-            place = row[chosen], column[chosen]
-            self.albedo[place] = painted.code[chosen, :3]
-            self.roughness[place] = painted.code[chosen, 3]
-            self.relief[place] = painted.raised[chosen]
+            position = row[chosen], column[chosen]
+            self.albedo[position] = painted.code[chosen, :3]
+            self.roughness[position] = painted.code[chosen, 3]
+            self.relief[position] = painted.raised[chosen]
         self.settled[row[is_inside], column[is_inside]] = True
 
 
-def _texel(organ: OrganSurface, shape: tuple[int, int]) -> float:
+def _texel_size(organ: OrganSurface, shape: tuple[int, int]) -> float:
     """Mean side of a baked texel on the wall [m]."""
     corners = organ.vertices[organ.faces]
     area = 2.0 * triangle_areas(corners)
@@ -131,7 +131,7 @@ def _texel(organ: OrganSurface, shape: tuple[int, int]) -> float:
 
 
 @dataclass(frozen=True)
-class _Stack:
+class _Channels:
     """A texture's channels side by side, as deviations from their mean.
 
     Attributes:
@@ -145,7 +145,7 @@ class _Stack:
     side: int
 
     @classmethod
-    def of(cls, texture: MucosaTexture, texel: float) -> _Stack:
+    def of(cls, texture: MucosaTexture, texel: float) -> _Channels:
         """As fine as texels of that size [m] can show."""
         stack = np.dstack([texture.albedo, texture.roughness, texture.relief]).astype(np.float32)
         factor = 1
@@ -157,24 +157,24 @@ class _Stack:
         return cls(np.ascontiguousarray(stack - mean).reshape(-1, 5), mean, len(stack))
 
     def blend(
-        self, point: Int[np.ndarray, " n"], weight: Float[np.ndarray, " n"], place, count: int
+        self, point: Int[np.ndarray, " n"], weight: Float[np.ndarray, " n"], position, count: int
     ) -> Float[np.ndarray, "count 5"]:
         """Mix of patches: mean + Σ w (x − mean) / √Σ w² (Heitz & Neyret 2018, eq. 3).
 
         Args:
             point: Which texel of the wall each entry belongs to.
             weight: Of the patch there.
-            place: Of it in the texture, in sides (n, 2).
+            position: Of it in the texture, in sides (n, 2).
             count: Texels of the wall.
         """
         total = np.zeros((count, 5), np.float32)
         squares = np.bincount(point, weight.astype(np.float64) ** 2, count)
-        grid = place * np.float32(self.side)
+        grid = position * np.float32(self.side)
         low = np.floor(grid).astype(np.int32)
-        share = grid - low
+        fraction = grid - low
         for dy in (0, 1):
             for dx in (0, 1):
-                near = np.abs(1 - dy - share[:, 0]) * np.abs(1 - dx - share[:, 1]) * weight
+                near = np.abs(1 - dy - fraction[:, 0]) * np.abs(1 - dx - fraction[:, 1]) * weight
                 row, column = (low[:, 0] + dy) % self.side, (low[:, 1] + dx) % self.side
                 value = self.values[row * self.side + column] * near[:, None]
                 for start, stop in _runs(point):
@@ -190,23 +190,23 @@ def _runs(point: Int[np.ndarray, " n"]) -> list[tuple[int, int]]:
 
 
 @dataclass(frozen=True)
-class _Cover:
+class _PatchLayout:
     """Which patches cover each face, and where in the texture they put its corners.
 
     Attributes:
         slots: Number of patches of each face.
         weight: Of each patch of each face at the face's corners, greatest first.
-        place: In the texture, in sides, of the same.
+        position: In the texture, in sides, of the same.
     """
 
     slots: Int[np.ndarray, " m"]
     weight: Float[np.ndarray, "m k 3"]
-    place: Float[np.ndarray, "m k 3 2"]
+    position: Float[np.ndarray, "m k 3 2"]
 
     @classmethod
-    def of(cls, organ: OrganSurface, side: float, rng: np.random.Generator) -> _Cover:
+    def of(cls, organ: OrganSurface, side: float, rng: np.random.Generator) -> _PatchLayout:
         centers = _centers(organ, rng)
-        space = np.hstack([organ.vertices, organ.normals * (_TURN / 2.0**0.5)])
+        space = np.hstack([organ.vertices, organ.normals * (_NORMAL_WEIGHT / 2.0**0.5)])
         count = min(_NEAREST + 1, len(centers))
         distance, nearest = KDTree(space[centers]).query(space, count)
         distance, nearest = distance.reshape(len(space), -1), nearest.reshape(len(space), -1)
@@ -216,7 +216,7 @@ class _Cover:
             closeness = np.ones_like(distance)
         weight = closeness**_SHARPNESS
         weight /= np.maximum(weight.sum(axis=1, keepdims=True), 1e-12)
-        weight = np.maximum(weight - _LEAST, 0.0).astype(np.float32)
+        weight = np.maximum(weight - _MIN_WEIGHT, 0.0).astype(np.float32)
         patch, corner_weight = _by_face(organ.faces, nearest, weight)
         frames = _frames(organ.normals[centers], rng)
         shift = rng.random((len(centers), 2))
@@ -227,27 +227,27 @@ class _Cover:
         flat = np.einsum("mkcx,mkxd->mkcd", offset, frames[np.maximum(patch, 0)])
         # As long in the plane as in space, so that a patch on a curved wall is not compressed.
         stretch = np.linalg.norm(offset, axis=3) / np.maximum(np.linalg.norm(flat, axis=3), 1e-9)
-        place = flat * np.minimum(stretch, 1.5)[..., None] / side
-        place += shift[np.maximum(patch, 0)][:, :, None]
-        return cls((patch >= 0).sum(axis=1), corner_weight, place.astype(np.float32))
+        position = flat * np.minimum(stretch, 1.5)[..., None] / side
+        position += shift[np.maximum(patch, 0)][:, :, None]
+        return cls((patch >= 0).sum(axis=1), corner_weight, position.astype(np.float32))
 
     def at(self, face: Int[np.ndarray, " n"], inside: Float[np.ndarray, "n 3"]):
-        """Arguments of `_Stack.blend` for points given by face and barycentric coordinates."""
-        points, weights, places = [], [], []
+        """Arguments of `_Channels.blend` for points given by face and barycentric coordinates."""
+        points, weights, positions = [], [], []
         for slot in range(self.weight.shape[1]):
             point = np.flatnonzero(self.slots[face] > slot)
             if not len(point):
                 break
             own, bary = face[point], inside[point]
             weights.append(np.einsum("nc,nc->n", self.weight[own, slot], bary))
-            places.append(np.einsum("ncd,nc->nd", self.place[own, slot], bary))
+            positions.append(np.einsum("ncd,nc->nd", self.position[own, slot], bary))
             points.append(point)
-        return np.concatenate(points), np.concatenate(weights), np.concatenate(places), len(face)
+        return np.concatenate(points), np.concatenate(weights), np.concatenate(positions), len(face)
 
 
 def _centers(organ: OrganSurface, rng: np.random.Generator) -> Int[np.ndarray, " c"]:
     """Vertices about `_SPACING` apart, by position and normal: random sequential addition."""
-    space = np.hstack([organ.vertices, organ.normals * (_TURN / 2.0**0.5)])
+    space = np.hstack([organ.vertices, organ.normals * (_NORMAL_WEIGHT / 2.0**0.5)])
     tree = KDTree(space)
     is_free = np.ones(len(space), bool)
     centers = []
@@ -264,8 +264,8 @@ def _frames(normals: Float[np.ndarray, "c 3"], rng: np.random.Generator) -> np.n
     first /= np.linalg.norm(first, axis=1, keepdims=True)
     second = np.cross(normals, first)
     angle = rng.uniform(0.0, 2.0 * np.pi, (len(normals), 1))
-    turned = np.cos(angle) * first + np.sin(angle) * second
-    return np.stack([turned, np.cross(normals, turned)], axis=2)
+    direction = np.cos(angle) * first + np.sin(angle) * second
+    return np.stack([direction, np.cross(normals, direction)], axis=2)
 
 
 def _by_face(faces, nearest, weight) -> tuple[np.ndarray, np.ndarray]:

@@ -1,4 +1,4 @@
-"""Figures that describe an organ: size, volume, diameter along the way, defects."""
+"""Measures of an organ: size, volume, diameter along the centerline, defects of the mesh."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _THIN_QUALITY = 0.1  # a triangle with angles of about 3°, 3° and 174°
 
 @dataclass(frozen=True)
 class OrganMeasures:
-    """What there is to know about an organ at a glance.
+    """Measures of an organ.
 
     Attributes:
         name: The organ's.
@@ -146,7 +146,7 @@ def _find_defects(mesh: Mesh, quality: Float[np.ndarray, " m"]) -> list[str]:
     num_thin = int((quality < _THIN_QUALITY).sum())
     cuts = self_intersections(mesh.vertices, mesh.faces)
     places = cluster_intersections(mesh.vertices, mesh.faces, cuts)
-    cut = f"places where the wall cuts itself ({len(cuts)} pairs of triangles)"
+    cut = f"self-intersections of the wall ({len(cuts)} pairs of triangles)"
     defects = [
         (len(nonmanifold), "edges of more than two triangles"),
         (num_wrong, "edges whose triangles are wound against each other"),

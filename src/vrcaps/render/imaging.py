@@ -15,7 +15,7 @@ import numpy as np
 from vrcaps.color import log_linear_from_srgb, srgb_from_log_linear
 from vrcaps.lumen.bubbles import Bubbles
 from vrcaps.lumen.liquid import Liquid
-from vrcaps.mucosa.appearance import ABSORPTION
+from vrcaps.mucosa.mucosa import ABSORPTION
 from vrcaps.organ.surface import Appearance
 
 if TYPE_CHECKING:

@@ -60,7 +60,7 @@ Photobiol. B 7(1), 1990)."""
 _CHANNELS = ((645.0, 50.0), (545.0, 90.0), (465.0, 90.0))
 """Middle and full width at half of red, green and blue [nm], as Gaussians: those of a usual sensor
 after its colour matrix (an assumption), red where blood is a sixth as dense as in green, which is
-what `vrcaps.mucosa.appearance.ABSORPTION` has."""
+what `vrcaps.mucosa.mucosa.ABSORPTION` has."""
 
 _LEAST_SHARE = 0.02
 """Light that a channel must get of what the brightest does, for a balance to white."""

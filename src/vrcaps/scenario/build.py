@@ -162,7 +162,8 @@ def _make_trajectory(scenario: Scenario, model: Model, shown: Model) -> Trajecto
 def _load_organ(scenario: Scenario) -> OrganSurface:
     """The organ with its appearance, made once and then read from the user's cache folder."""
     from vrcaps.anatomy.catalog import generate_organ
-    from vrcaps.mucosa.appearance import bake_appearance, own_mucosa
+    from vrcaps.mucosa.bake import bake_appearance
+    from vrcaps.mucosa.mucosa import own_mucosa
     from vrcaps.organ.cache import cached_organ, fingerprint
 
     given = scenario.organ

@@ -16,7 +16,7 @@ from vrcaps.lumen.contents import Contents
 from vrcaps.motion.dynamics import Dynamics
 from vrcaps.motion.fly_through import FlyThrough
 from vrcaps.motion.replay import Replay
-from vrcaps.mucosa.appearance import is_texture_path
+from vrcaps.mucosa.mucosa import is_texture_path
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.plain_files import read_plain
 from vrcaps.render.frame import CHANNELS
@@ -40,7 +40,7 @@ class OrganGenerated:
         name: Name of the generator: colon, stomach, small-bowel or full-tract.
         seed: Seed of the patient: sizes, course and folds.
         distension: How full the organ is; None is inflated for the colon and normal for all else.
-        mucosa: Look of the wall: colon, stomach or small_intestine, or the folder of a texture;
+        mucosa: Look of the wall: colon, stomach or small-bowel, or the folder of a texture;
             None is the organ's own.
     """
 
@@ -71,7 +71,7 @@ class OrganFile:
         open_ends: Whether open ends of the lumen are capped or kept open.
         keep_uv: Whether the file's own texture coordinates are kept.
         reverse: Whether the narrower end of the lumen is the oral one.
-        mucosa: Look of the wall: colon, stomach or small_intestine, or the folder of a texture;
+        mucosa: Look of the wall: colon, stomach or small-bowel, or the folder of a texture;
             None is the organ's own textures or, where it has none, the mucosa of its labels.
     """
 

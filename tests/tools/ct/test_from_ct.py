@@ -12,7 +12,7 @@ from vrcaps._core import Wall as Surface
 from vrcaps.errors import InputError, UnknownNameError
 from vrcaps.mesh.mesh import Mesh
 from vrcaps.organ.centerline.distance import wall_distance
-from vrcaps.tools.ct.from_ct import Wall, find_lumens, organ_from_gas, organ_from_label
+from vrcaps.tools.ct.from_ct import WallOptions, find_lumens, organ_from_gas, organ_from_label
 from vrcaps.tools.ct.labels import check_label, label_number, misplaced
 from vrcaps.tools.ct.lumen import choose_gas
 from vrcaps.tools.ct.volume import Volume
@@ -20,10 +20,10 @@ from vrcaps.tools.ct.volume import Volume
 MM = 1e-3
 
 
-def from_gas(scan: Volume, wall: Wall | None = None, tagged_fluid: str | None = None):
+def from_gas(scan: Volume, wall: WallOptions | None = None, tagged_fluid: str | None = None):
     gas = find_lumens(scan)
     piece = choose_gas(gas, scan)[0]
-    wall = wall or Wall()
+    wall = wall or WallOptions()
     return organ_from_gas(scan, gas, piece, wall=wall, name="tube", tagged_fluid=tagged_fluid)
 
 
@@ -64,7 +64,7 @@ def test_gas(dry_scan, tube) -> None:
     assert distances(organ, tube[0]).mean() < 0.2 * MM
     assert organ.appearance is None
     assert organ.label_names == ("background", "wall")
-    assert organ.metadata["road"] == "gas"
+    assert organ.metadata["input_mode"] == "gas"
     assert organ.metadata["notes"] == []
 
 
@@ -99,7 +99,9 @@ def mask_of(tube, dry_scan) -> Volume:
 
 def test_a_mask(dry_scan, tube) -> None:
     mask = mask_of(tube, dry_scan)
-    organ = organ_from_label(mask, check_label(mask, "1"), wall=Wall(), name="m", label_name="gut")
+    organ = organ_from_label(
+        mask, check_label(mask, "1"), wall=WallOptions(), name="m", label_name="gut"
+    )
     check(organ, *tube)
     judge = trimesh.Trimesh(organ.vertices, organ.faces, process=False)
     assert -judge.volume == pytest.approx(mask.values.sum() * mask.voxel_volume, rel=0.02)
@@ -118,7 +120,7 @@ def collapsed(dry_scan, tube) -> tuple[Volume, float]:
 
 
 def test_a_collapsed_stretch_is_reported(collapsed) -> None:
-    organ = organ_from_label(collapsed[0], 1, wall=Wall(), name="half")
+    organ = organ_from_label(collapsed[0], 1, wall=WallOptions(), name="half")
     first, second = organ.metadata["notes"]
     assert first.startswith("collapsed stretch left closed: ")
     assert "--bridge-mm" in first
@@ -127,7 +129,7 @@ def test_a_collapsed_stretch_is_reported(collapsed) -> None:
 
 def test_a_collapsed_stretch_is_bridged(collapsed, tube) -> None:
     mask, middle = collapsed
-    organ = organ_from_label(mask, 1, wall=Wall(bridge=12 * MM), name="whole")
+    organ = organ_from_label(mask, 1, wall=WallOptions(bridge=12 * MM), name="whole")
     (note,) = organ.metadata["notes"]
     assert note.startswith("collapsed stretch opened: ")
     assert organ.centerline.length == pytest.approx(np.ptp(tube[0].vertices[:, 2]), rel=0.06)
@@ -146,7 +148,7 @@ def squeezed(dry_scan, tube) -> Volume:
 
 def test_a_collapsed_stretch_of_gas_is_reported(squeezed, tube) -> None:
     for bridge in (0.0, 4 * MM):
-        organ = from_gas(squeezed, Wall(bridge=bridge))
+        organ = from_gas(squeezed, WallOptions(bridge=bridge))
         first, second = organ.metadata["notes"]
         assert re.match(r"collapsed stretch left closed: \d+\.\d mm at .* ml; --bridge-mm", first)
         assert second.startswith("1 other parts left out (")
@@ -154,7 +156,7 @@ def test_a_collapsed_stretch_of_gas_is_reported(squeezed, tube) -> None:
 
 
 def test_a_collapsed_stretch_of_gas_is_bridged(squeezed, tube) -> None:
-    organ = from_gas(squeezed, Wall(bridge=12 * MM))
+    organ = from_gas(squeezed, WallOptions(bridge=12 * MM))
     (note,) = organ.metadata["notes"]
     assert note.startswith("collapsed stretch opened: ")
     assert organ.centerline.length == pytest.approx(np.ptp(tube[0].vertices[:, 2]), rel=0.06)
@@ -171,7 +173,7 @@ def test_a_cut_lumen_is_capped_or_left_open(dry_scan, tube) -> None:
     middle = dry_scan.index(tube[0].vertices.mean(axis=0)[None])[0]
     part = dry_scan.crop((slice(0, int(middle[0])), slice(None), slice(None)))
     for open_ends in ("cap", "keep"):
-        organ = from_gas(part, Wall(open_ends=open_ends))
+        organ = from_gas(part, WallOptions(open_ends=open_ends))
         judge = trimesh.Trimesh(organ.vertices, organ.faces, process=False)
         assert judge.is_watertight == (open_ends == "cap")
 
@@ -187,7 +189,7 @@ def test_a_cut_lumen_is_capped_or_left_open(dry_scan, tube) -> None:
 )
 def test_walls_that_cannot_be(given, text) -> None:
     with pytest.raises(InputError, match=text):
-        Wall(**given)
+        WallOptions(**given)
 
 
 def test_labels_by_number_and_name(dry_scan, tube) -> None:
@@ -207,9 +209,9 @@ def test_labels_without_a_large_enough_part(dry_scan, tube) -> None:
     values = np.zeros_like(dry_scan.values)
     values[5, 5, 5] = 1
     with pytest.raises(InputError, match=r"has no part of 0\.2 ml or more"):
-        organ_from_label(replace(dry_scan, values=values), 1, wall=Wall(), name="x")
+        organ_from_label(replace(dry_scan, values=values), 1, wall=WallOptions(), name="x")
     with pytest.raises(InputError, match="has label 2"):
-        organ_from_label(replace(dry_scan, values=values), 2, wall=Wall(), name="x")
+        organ_from_label(replace(dry_scan, values=values), 2, wall=WallOptions(), name="x")
 
 
 def test_labels_of_another_scan_are_suspect(dry_scan, tube) -> None:

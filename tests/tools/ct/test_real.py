@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from vrcaps.organ.measure import measure_organ
-from vrcaps.tools.ct.from_ct import Wall, find_lumens, organ_from_gas, organ_from_label
+from vrcaps.tools.ct.from_ct import WallOptions, find_lumens, organ_from_gas, organ_from_label
 from vrcaps.tools.ct.labels import TOTALSEGMENTATOR
 from vrcaps.tools.ct.read_volume import read_volume
 from vrcaps.tools.ct.volume import common_part
@@ -26,7 +26,7 @@ def test_visible_human_pelvis(shared_data: Path, tmp_path: Path) -> None:
     assert len(gas.gut) == 7
     assert sum(piece.volume for piece in gas.gut) == pytest.approx(244 * ML, rel=0.05)
     assert all(0.12 < piece.center[1] < 0.28 for piece in gas.gut)
-    sigmoid = organ_from_gas(scan, gas, gas.gut[1], wall=Wall(edge=2.5e-3), name="sigmoid")
+    sigmoid = organ_from_gas(scan, gas, gas.gut[1], wall=WallOptions(edge=2.5e-3), name="sigmoid")
     assert measure_organ(sigmoid).volume == pytest.approx(67 * ML, rel=0.1)
     values = scan.values[tuple(np.rint(scan.index(sigmoid.vertices)).astype(int).T)]
     assert -700 < np.median(values) < -300  # half-way between gas and wall
@@ -34,7 +34,7 @@ def test_visible_human_pelvis(shared_data: Path, tmp_path: Path) -> None:
 
 def test_colon_mask_keeps_its_volume(shared_data: Path) -> None:
     mask = read_volume(shared_data / "ct" / "colon_A_512x512x460.nii.gz")
-    wall = Wall(edge=5e-3, anatomy="colon", bridge=0.04)
+    wall = WallOptions(edge=5e-3, anatomy="colon", bridge=0.04)
     colon = organ_from_label(mask, 1, wall=wall, name="colon")
     facts = measure_organ(colon)
     assert facts.volume == pytest.approx(2104 * ML, rel=0.02)
@@ -50,6 +50,8 @@ def test_labels_where_they_overlap_the_scan(shared_data: Path, label: str) -> No
     part, labels = common_part(scan, read_volume(shared_data / "ct" / "example_seg.nii.gz"))
     assert part.values.shape == labels.values.shape == (30, 101, 122)
     number = TOTALSEGMENTATOR[label]
-    organ = organ_from_label(labels, number, wall=Wall(edge=3e-3), name=label, label_name=label)
+    organ = organ_from_label(
+        labels, number, wall=WallOptions(edge=3e-3), name=label, label_name=label
+    )
     volume = np.count_nonzero(labels.values == number) * labels.voxel_volume
     assert 0.5 * volume < measure_organ(organ).volume < 1.1 * volume

@@ -40,7 +40,7 @@ def test_a_mask_comes_back_without_steps(spacing) -> None:
     lumen = ball(radius, spacing, binary=True)
     mesh = extract_wall(lumen, blur=0.7, pass_band=0.1, edge=1e-3)
     judge = trimesh.Trimesh(mesh.vertices, mesh.faces)
-    voxels = lumen.share.sum() * lumen.voxel_volume
+    voxels = lumen.fraction.sum() * lumen.voxel_volume
     assert abs(judge.volume) == pytest.approx(voxels, rel=0.02)
     assert np.abs(np.linalg.norm(mesh.vertices, axis=1) - radius).max() < 0.52 * max(spacing)
 
@@ -67,7 +67,7 @@ def test_smoothing_leaves_borders() -> None:
 
 def test_a_lumen_cut_by_the_scan_stays_open_there() -> None:
     lumen = ball(0.01)
-    half = lumen.crop((slice(0, lumen.share.shape[0] // 2), slice(None), slice(None)))
+    half = lumen.crop((slice(0, lumen.fraction.shape[0] // 2), slice(None), slice(None)))
     mesh = extract_wall(half, blur=0.5, pass_band=0.1, edge=0.8e-3)
     outline = trimesh.Trimesh(mesh.vertices, mesh.faces).outline()
     border = outline.vertices[outline.referenced_vertices]

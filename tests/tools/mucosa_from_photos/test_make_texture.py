@@ -11,12 +11,12 @@ from scipy import ndimage
 from vrcaps.color import LUMINANCE, log_linear_from_srgb, srgb_from_log_linear
 from vrcaps.errors import InputError
 from vrcaps.mucosa.texture import HEAD, read_texture, texture_sha256, write_texture
-from vrcaps.tools.mucosa_from_photos.make_texture import TextureRecipe, make_texture
-from vrcaps.tools.mucosa_from_photos.patches import Scale
+from vrcaps.tools.mucosa_from_photos.make_texture import TextureOptions, make_texture
+from vrcaps.tools.mucosa_from_photos.patches import PhotoScale
 from vrcaps.tools.mucosa_from_photos.texture_report import write_report
 from vrcaps.tools.photos import Photo, read_photos
 
-SCALE = Scale(mm_per_pixel=0.1)
+SCALE = PhotoScale(mm_per_pixel=0.1)
 
 
 def photo(seed: int = 0, side: int = 200) -> Photo:
@@ -38,8 +38,8 @@ def photo(seed: int = 0, side: int = 200) -> Photo:
 
 @pytest.fixture(scope="module")
 def work():
-    recipe = TextureRecipe(size=256)
-    return make_texture([photo(0), photo(1)], SCALE, recipe, seed=5)
+    options = TextureOptions(size=256)
+    return make_texture([photo(0), photo(1)], SCALE, options, seed=5)
 
 
 def test_the_texture_has_its_size_scale_and_luminance(work) -> None:
@@ -59,7 +59,7 @@ def test_the_measures_hold(work) -> None:
     assert measures["lab_std_texture"] == pytest.approx(measures["lab_std_source"], rel=0.2)
     assert measures["gradient_distance"] < 0.05
     assert measures["repetition"] < 0.25
-    assert measures["highlight_share"] < 0.005
+    assert measures["highlight_fraction"] < 0.005
 
 
 def test_the_relief_has_the_slope_stated(work) -> None:
@@ -71,8 +71,8 @@ def test_the_relief_has_the_slope_stated(work) -> None:
 
 
 def test_a_seed_gives_the_same_files(work, tmp_path: Path) -> None:
-    recipe = TextureRecipe(size=256)
-    again = make_texture([photo(0), photo(1)], SCALE, recipe, seed=5)
+    options = TextureOptions(size=256)
+    again = make_texture([photo(0), photo(1)], SCALE, options, seed=5)
     for name, made in (("a", work), ("b", again)):
         write_texture(tmp_path / name, made.texture)
     for file in (tmp_path / "a").iterdir():
@@ -93,39 +93,39 @@ def test_a_texture_reads_back_as_written(work, tmp_path: Path) -> None:
 
 
 def test_a_field_width_is_a_scale(work) -> None:
-    made = make_texture([photo(0)], Scale(field_width_mm=20), TextureRecipe(size=256), seed=0)
+    made = make_texture([photo(0)], PhotoScale(field_width_mm=20), TextureOptions(size=256), seed=0)
     width = made.sources[0].view.width
     assert made.texture.texel == pytest.approx(0.020 / width)
 
 
 def test_a_flat_picture_is_taken_as_it_is() -> None:
     rgb = photo(0).rgb[60:140, 60:140]
-    made = make_texture([Photo("flat", rgb)], SCALE, TextureRecipe(size=256, is_flat=True), seed=0)
+    made = make_texture([Photo("flat", rgb)], SCALE, TextureOptions(size=256, is_flat=True), seed=0)
     assert made.sources[0].view.usable.all()
 
 
 @pytest.mark.parametrize(
-    ("photos", "scale", "recipe", "match"),
+    ("photos", "scale", "options", "match"),
     [
-        ([photo()], Scale(), TextureRecipe(), "does not say its scale"),
-        ([photo()], Scale(0.1, 30.0), TextureRecipe(), "Give one of"),
-        ([photo()], Scale(-1.0), TextureRecipe(), "The scale is"),
-        ([photo()], SCALE, TextureRecipe(size=20), "The size is 20"),
-        ([photo()], SCALE, TextureRecipe(size=128, max_sources=0), "number of photographs"),
-        ([photo()], SCALE, TextureRecipe(luminance=2.0), "The luminance is"),
-        ([photo(side=40)], SCALE, TextureRecipe(), "too few to make a texture from"),
-        ([photo(), photo(1)], SCALE, TextureRecipe(box=(9, 9, 60, 60)), "one photograph"),
+        ([photo()], PhotoScale(), TextureOptions(), "does not say its scale"),
+        ([photo()], PhotoScale(0.1, 30.0), TextureOptions(), "Give one of"),
+        ([photo()], PhotoScale(-1.0), TextureOptions(), "The scale is"),
+        ([photo()], SCALE, TextureOptions(size=20), "The size is 20"),
+        ([photo()], SCALE, TextureOptions(size=128, max_sources=0), "number of photographs"),
+        ([photo()], SCALE, TextureOptions(luminance=2.0), "The luminance is"),
+        ([photo(side=40)], SCALE, TextureOptions(), "too few to make a texture from"),
+        ([photo(), photo(1)], SCALE, TextureOptions(box=(9, 9, 60, 60)), "one photograph"),
         (
             [Photo("dark", np.zeros((99, 99, 3), np.uint8))],
             SCALE,
-            TextureRecipe(),
+            TextureOptions(),
             "No usable region in dark",
         ),
     ],
 )
-def test_what_cannot_be_made(photos, scale, recipe, match: str) -> None:
+def test_what_cannot_be_made(photos, scale, options, match: str) -> None:
     with pytest.raises(InputError, match=match):
-        make_texture(photos, scale, recipe, seed=0)
+        make_texture(photos, scale, options, seed=0)
 
 
 def test_photographs_are_read_from_files_and_folders(tmp_path: Path) -> None:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from vrcaps.tools.mucosa_from_photos.region import box_region, find_region
-from vrcaps.tools.mucosa_from_photos.remove_shading import flatten
+from vrcaps.tools.mucosa_from_photos.remove_shading import remove_shading
 
 
 def test_the_even_part_is_found() -> None:
@@ -34,7 +34,7 @@ def test_flattening_takes_a_smooth_light_out() -> None:
     albedo = rng.normal(0.0, 0.05, (200, 200, 3))
     y, x = np.mgrid[:200, :200] / 200.0
     light = -2.0 * ((x - 0.4) ** 2 + (y - 0.6) ** 2)
-    flat = flatten(albedo + light[..., None], np.ones((200, 200), bool), 200)
+    flat = remove_shading(albedo + light[..., None], np.ones((200, 200), bool), 200)
     inner = np.s_[30:-30, 30:-30]
     error = (flat - albedo)[inner] - (flat - albedo)[inner].mean(axis=(0, 1))
     assert error.std() < 0.05 * light.std()

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from vrcaps.tools.mucosa_from_photos.place_vessels import VesselSpread, place_vessels
+from vrcaps.tools.mucosa_from_photos.place_vessels import VesselPlacement, place_vessels
 from vrcaps.tools.mucosa_from_photos.vessels import find_vessels
 
 BLOOD = np.array([0.2, 1.0, 0.8])
@@ -48,14 +48,14 @@ def test_nothing_usable_gives_no_vessels() -> None:
 def test_laid_vessels_cover_the_share_asked_for_and_continue_over_the_edges() -> None:
     flat, truth = wall(BLOOD)
     pieces = find_vessels(flat, np.ones(truth.shape, bool), 300).pieces
-    density = place_vessels(pieces, 0.05, 512, VesselSpread(), np.random.default_rng(0))
+    density = place_vessels(pieces, 0.05, 512, VesselPlacement(), np.random.default_rng(0))
     assert (density[..., 1] > 0.04).mean() == pytest.approx(0.05, abs=0.01)
     quarters = density[..., 1].reshape(2, 256, 2, 256).mean(axis=(1, 3))
     assert quarters.max() < 2.0 * quarters.mean()
     assert density[[0, -1]].max() > 0.04
-    again = place_vessels(pieces, 0.05, 512, VesselSpread(), np.random.default_rng(0))
+    again = place_vessels(pieces, 0.05, 512, VesselPlacement(), np.random.default_rng(0))
     assert density.tobytes() == again.tobytes()
 
 
 def test_no_pieces_leave_the_texture_as_it_is() -> None:
-    assert not place_vessels([], 0.1, 64, VesselSpread(), np.random.default_rng(0)).any()
+    assert not place_vessels([], 0.1, 64, VesselPlacement(), np.random.default_rng(0)).any()

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps.mucosa.appearance import bake_appearance
+from vrcaps.mucosa.bake import bake_appearance
 from vrcaps.organ.surface import OrganSurface
 
 if TYPE_CHECKING:

@@ -54,7 +54,7 @@ class Stage:
 def make_organ(num_triangles: int, *, seed: int) -> OrganSurface:
     """A generated colon of about so many triangles, with its mucosa."""
     from vrcaps.anatomy.colon import ColonParameters, generate_colon
-    from vrcaps.mucosa.appearance import bake_appearance
+    from vrcaps.mucosa.bake import bake_appearance
 
     organ = generate_colon(ColonParameters(triangles=num_triangles), seed=seed)
     return replace(organ, appearance=bake_appearance(organ, seed=seed))

@@ -1,4 +1,4 @@
-"""The lumen fraction where gas, tagged fluid and wall meet: at the level of a fluid."""
+"""Lumen fraction at an air-fluid interface, where gas, tagged fluid and wall meet."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from vrcaps.units import MM
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
 
-_HALF_LAYER = 2 * MM  # above and below a level, where the scan's blur mixes gas and fluid
-_BESIDE = 3  # columns beside a level's own, where the wall's partial volume mixes with both
-_MANY = 30  # columns from which a level's tilt against the grid is measured
-_BIN = 0.5  # voxels, of the measured profile through a level
+_HALF_LAYER = 2 * MM  # above and below an interface, where the scan's blur mixes gas and fluid
+_BESIDE = 3  # columns beside the interface, where the wall's partial volume mixes with both
+_MANY = 30  # columns from which the interface's tilt against the grid is measured
+_BIN = 0.5  # voxels, of the measured profile through an interface
 _KNOWN = 0.35  # contrast of content to wall below which neighbors decide, of fluid to wall
 _NEAR = 0.7  # voxels, reach of these neighbors (standard deviation)
 
 
 def resolve_interface(
-    share: Float[np.ndarray, "k j i"],
+    fraction: Float[np.ndarray, "k j i"],
     values: Int[np.ndarray, "k j i"],
     points: Float[np.ndarray, "n 3"],
     *,
@@ -29,24 +29,24 @@ def resolve_interface(
     spacing: float,
     hounsfield: tuple[float, float],
 ) -> None:
-    """Set the lumen fraction, in place, along the level of a fluid.
+    """Set the lumen fraction, in place, along an air-fluid interface.
 
     From gas to fluid the content C passes through the wall's Hounsfield units T without being
-    wall. A level is flat, so C is known as a function of the distance from it, measured where
-    no wall is near. A voxel with a share s of lumen has H = T + s (C − T). Where C is near T,
+    wall. An interface is flat, so C is a function of the distance from it, measured where
+    no wall is near. A voxel with a fraction s of lumen has H = T + s (C − T). Where C is near T,
     least squares over its neighbors decide: s = Σ (C − T)(H − T) / Σ (C − T)².
 
     Args:
-        share: Lumen fraction.
+        fraction: Lumen fraction.
         values: Hounsfield units of the same voxels.
-        points: Array indices of the level, one for each column (`Level`).
+        points: Array indices of the interface, one for each column (`AirFluidInterface`).
         axis: Array axis of gravity.
         spacing: Of the voxels along it [m].
         hounsfield: Of the wall and of the fluid.
     """
-    share, values = np.moveaxis(share, axis, 0), np.moveaxis(values, axis, 0)
+    fraction, values = np.moveaxis(fraction, axis, 0), np.moveaxis(values, axis, 0)
     height, column = points[:, axis], np.delete(points, axis, axis=1).astype(int)
-    own = np.zeros(share.shape[1:], bool)
+    own = np.zeros(fraction.shape[1:], bool)
     own[tuple(column.T)] = True
     half = max(2.0, _HALF_LAYER / spacing)
     square = np.ones((2 * _BESIDE + 1,) * 2, bool)
@@ -58,17 +58,19 @@ def resolve_interface(
         plane = _plane(column[here] - corner, height[here], patch[box].shape)
         low, high = int(plane.min() - half - 2), int(plane.max() + half + 3)
         slab = (slice(max(low, 0), high), *box)
-        offset = np.arange(slab[0].start, slab[0].start + len(share[slab]))[:, None, None] - plane
+        offset = (
+            np.arange(slab[0].start, slab[0].start + len(fraction[slab]))[:, None, None] - plane
+        )
         beside = patch[box] == number
-        found = _share(values[slab], offset, own[box] & beside, hounsfield)
+        found = _fraction(values[slab], offset, own[box] & beside, hounsfield)
         layer = (np.abs(offset) <= half) & beside
-        share[slab][layer] = found[layer]
+        fraction[slab][layer] = found[layer]
 
 
 def _plane(
     column: Int[np.ndarray, "n 2"], height: Float[np.ndarray, " n"], shape: tuple[int, ...]
 ) -> Float[np.ndarray, "a b"]:
-    """Height of a level in each column: a plane through it, level where it is small."""
+    """Height of an interface in each column: a plane through it, horizontal where it is small."""
     rows, columns = np.indices(shape)
     if len(column) < _MANY:
         return np.full(shape, np.median(height))
@@ -82,18 +84,18 @@ def _plane(
     return fit[0] * rows + fit[1] * columns + fit[2]
 
 
-def _share(
+def _fraction(
     values: Int[np.ndarray, "d a b"],
     offset: Float[np.ndarray, "d a b"],
     own: Bool[np.ndarray, "a b"],
     hounsfield: tuple[float, float],
 ) -> Float[np.ndarray, "d a b"]:
-    """Lumen fraction of the voxels about a level.
+    """Lumen fraction of the voxels about an interface.
 
     Args:
         values: Hounsfield units.
-        offset: Distance along gravity from the level [voxels].
-        own: Columns that have the level.
+        offset: Distance along gravity from the interface [voxels].
+        own: Columns that hold the interface.
         hounsfield: Of the wall and of the fluid.
     """
     tissue, fluid = hounsfield
@@ -111,7 +113,7 @@ def _profile(
     offset: Float[np.ndarray, "d a b"],
     own: Bool[np.ndarray, "a b"],
 ) -> Float[np.ndarray, "d a b"]:
-    """Hounsfield units of the content by its distance from the level: medians of bins."""
+    """Hounsfield units of the content by its distance from the interface: medians of bins."""
     inner = np.asarray(ndimage.binary_erosion(own, iterations=2), bool)
     inner = inner if np.count_nonzero(inner) >= _MANY else own
     at = np.rint(offset[:, inner] / _BIN).astype(int).ravel()

@@ -22,12 +22,12 @@ DOWN = {"supine": (1, 1), "prone": (1, -1), "left-lateral": (2, 1), "right-later
 
 _TAGGED = 200  # Hounsfield units above which a voxel is tagged fluid, bone or metal
 _CONTACT = 4 * MM  # from fluid straight up to gas; bone keeps a wall and fat between
-_LEVEL_AREA = 25 * MM * MM  # of a fluid's level, below which it is not taken for one
+_MIN_AREA = 25 * MM * MM  # of an air-fluid interface; smaller ones are ignored
 _SKIRT = 2  # voxels around fluid in which its partial volume with the wall is resolved
 
 
 @dataclass(frozen=True)
-class Level:
+class AirFluidInterface:
     """Where a pool of fluid meets the gas above it.
 
     Attributes:
@@ -48,13 +48,13 @@ class Fluid:
 
     Attributes:
         label: Number of the pool that each voxel belongs to, 0 where there is none.
-        levels: Where pools meet gas.
+        interfaces: Where pools meet gas.
         hounsfield: Median of the fluid's inner voxels.
         axis: Array axis of gravity.
     """
 
     label: UInt16[np.ndarray, "k j i"]
-    levels: tuple[Level, ...]
+    interfaces: tuple[AirFluidInterface, ...]
     hounsfield: float
     axis: int
 
@@ -62,15 +62,19 @@ class Fluid:
         """Pieces of gas and pools that hang together with a piece of gas."""
         pieces, pools = {start}, set()
         while True:
-            more_pools = {level.pool for level in self.levels if level.piece in pieces} - pools
+            more_pools = {
+                interface.pool for interface in self.interfaces if interface.piece in pieces
+            } - pools
             if not more_pools:
                 return pieces, pools
             pools |= more_pools
-            pieces |= {level.piece for level in self.levels if level.pool in more_pools}
+            pieces |= {
+                interface.piece for interface in self.interfaces if interface.pool in more_pools
+            }
 
 
 def find_fluid(scan: Volume, gas: Gas, *, posture: str) -> Fluid:
-    """Tagged fluid: bright, and with a level under the gas of what may be gut.
+    """Tagged fluid: bright, with an air-fluid interface to gas that may be gut.
 
     Bone is as bright, but gas never lies within 4 mm straight above 25 mm² of it.
 
@@ -87,22 +91,26 @@ def find_fluid(scan: Volume, gas: Gas, *, posture: str) -> Fluid:
     axis, sense = DOWN[posture]
     label, num = connected_parts(scan.values > _TAGGED)
     reach = max(1, round(_CONTACT / scan.spacing[axis]))
-    needed = _LEVEL_AREA / float(np.delete(scan.spacing, axis).prod())
-    levels = [one for one in _levels(gas, label, (axis, sense), reach) if len(one.points) >= needed]
-    old = sorted({level.pool for level in levels})
+    needed = _MIN_AREA / float(np.delete(scan.spacing, axis).prod())
+    found = [
+        one
+        for one in _find_interfaces(gas, label, (axis, sense), reach)
+        if len(one.points) >= needed
+    ]
+    old = sorted({interface.pool for interface in found})
     number = np.zeros(num + 1, int)
     number[old] = np.arange(1, len(old) + 1)
     kept = renumbered(label, number)
     del label
     inner = scan.values[shrunk(kept > 0)]
     hounsfield = float(np.median(inner)) if len(inner) else float(_TAGGED * 2)
-    levels = [Level(one.piece, int(number[one.pool]), one.points) for one in levels]
-    return Fluid(kept, tuple(levels), hounsfield, axis)
+    found = [AirFluidInterface(one.piece, int(number[one.pool]), one.points) for one in found]
+    return Fluid(kept, tuple(found), hounsfield, axis)
 
 
-def _levels(
+def _find_interfaces(
     gas: Gas, pools: Int[np.ndarray, "k j i"], down: tuple[int, int], reach: int
-) -> list[Level]:
+) -> list[AirFluidInterface]:
     """Where gas that may be gut ends downwards and something bright begins within reach.
 
     Args:
@@ -127,14 +135,14 @@ def _levels(
     points = np.insert(np.array(column, float).T, axis, height, axis=1)
     pairs, which = np.unique(np.stack([piece, pool]), axis=1, return_inverse=True)
     return [
-        Level(one, other, points[which.ravel() == number])
+        AirFluidInterface(one, other, points[which.ravel() == number])
         for number, (one, other) in enumerate(pairs.T.tolist())
         if other > 0
     ]
 
 
 def add_fluid(
-    share: Float[np.ndarray, "k j i"],
+    fraction: Float[np.ndarray, "k j i"],
     values: Int[np.ndarray, "k j i"],
     pools: Bool[np.ndarray, "k j i"],
     hounsfield: tuple[float, float],
@@ -144,7 +152,7 @@ def add_fluid(
     In and around fluid the fraction is linear from the wall's Hounsfield units to the fluid's.
 
     Args:
-        share: Lumen fraction of the gas.
+        fraction: Lumen fraction of the gas.
         values: Hounsfield units of the same voxels.
         pools: Voxels of the fluid.
         hounsfield: Of the wall and of the fluid.
@@ -152,4 +160,4 @@ def add_fluid(
     tissue, fluid = hounsfield
     near = grown(pools, _SKIRT)
     wet = np.clip((values[near] - tissue) / (fluid - tissue), 0.0, 1.0)
-    share[near] = np.maximum(share[near], wet)
+    fraction[near] = np.maximum(fraction[near], wet)

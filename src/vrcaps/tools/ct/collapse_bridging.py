@@ -1,4 +1,4 @@
-"""Collapsed stretches between parts of one lumen: found, and opened to a narrow channel."""
+"""Collapse bridging: gaps between the parts of one lumen are found and opened to a channel."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ CHANNEL_RADIUS = 6 * MM
 """Radius of an opened stretch: a capsule 11 mm wide just passes."""
 
 _COARSE = 2.5 * MM  # grid on which the ends of a part are sought
-_END_ZONE = 25 * MM  # of the way along a part that counts as its end
+_END_ZONE = 25 * MM  # of the path along a part that counts as its end
 _DEEP = 12 * MM  # from the gap, within which a channel's end seeks the middle of the lumen
 
 
@@ -94,7 +94,7 @@ def find_gaps(parts: Volume, max_width: float) -> list[Gap]:
     return gaps
 
 
-def joined_parts(gaps: list[Gap], start: int) -> set[int]:
+def connected_by_gaps(gaps: list[Gap], start: int) -> set[int]:
     """Numbers of the parts that gaps join to a part, itself included."""
     found = {start}
     while True:
@@ -104,7 +104,7 @@ def joined_parts(gaps: list[Gap], start: int) -> set[int]:
         found |= more
 
 
-def open_gaps(lumen: LumenFraction, gaps: list[Gap], radius: float) -> LumenFraction:
+def bridge_gaps(lumen: LumenFraction, gaps: list[Gap], radius: float) -> LumenFraction:
     """The lumen with a round channel through each gap.
 
     Args:
@@ -112,19 +112,19 @@ def open_gaps(lumen: LumenFraction, gaps: list[Gap], radius: float) -> LumenFrac
         gaps: Where.
         radius: Of the channels [m].
     """
-    share = lumen.share.copy()
+    fraction = lumen.fraction.copy()
     soft = float(lumen.spacing.mean())
     for gap in gaps:
         index = index_to_patient(np.linalg.inv(lumen.T_patient_index), gap.channel)
         pad = (radius + 2.0 * soft) / lumen.spacing
         low = np.maximum(np.floor(index.min(axis=0) - pad), 0).astype(int)
-        high = np.minimum(np.ceil(index.max(axis=0) + pad) + 1, share.shape).astype(int)
+        high = np.minimum(np.ceil(index.max(axis=0) + pad) + 1, fraction.shape).astype(int)
         box = tuple(slice(a, b) for a, b in zip(low, high, strict=True))
         grid = np.stack(np.meshgrid(*(np.arange(s.start, s.stop) for s in box), indexing="ij"), -1)
         distance = _distance_to_line(lumen.points(grid.reshape(-1, 3)), gap.channel)
         inside = np.clip(0.5 + (radius - distance) / soft, 0.0, 1.0).reshape(grid.shape[:3])
-        share[box] = np.maximum(share[box], inside.astype(np.float32))
-    return LumenFraction(share, lumen.T_patient_index)
+        fraction[box] = np.maximum(fraction[box], inside.astype(np.float32))
+    return LumenFraction(fraction, lumen.T_patient_index)
 
 
 @dataclass(frozen=True)
@@ -182,7 +182,7 @@ def _distance_to_line(
     for start, stop in pairwise(line):
         along = stop - start
         length = max(float(along @ along), np.finfo(float).tiny)
-        share = np.clip((points - start) @ along / length, 0.0, 1.0)
-        away = np.linalg.norm(points - start - share[:, None] * along, axis=1)
+        fraction = np.clip((points - start) @ along / length, 0.0, 1.0)
+        away = np.linalg.norm(points - start - fraction[:, None] * along, axis=1)
         best = np.minimum(best, away)
     return best

@@ -23,26 +23,26 @@ if TYPE_CHECKING:
 
 _MARGIN = 8 * MM
 _NEIGHBOR = 3  # voxels around another piece's core that it keeps for itself
-_WALL = 3  # voxels around the lumen in which the level of tissue is measured
+_WALL = 3  # voxels around the lumen in which the tissue's Hounsfield units are measured
 _TISSUE_RANGE = (-150, 150)  # Hounsfield units of what may be gut wall or fat
 _TISSUE = 30.0  # Hounsfield units of a gut wall where none can be measured
 
 
 @dataclass(frozen=True)
 class LumenFraction(PatientGrid):
-    """The share of each voxel that is lumen, 0 to 1; the wall is where it is one half.
+    """The fraction of each voxel that is lumen, 0 to 1; the wall is where it is one half.
 
     Attributes:
-        share: Over a box that reaches a little beyond the lumen, but for the scan's own ends.
+        fraction: Over a box that reaches a little beyond the lumen, but for the scan's own ends.
         T_patient_index: Maps the array index of a voxel to its center, patient frame [m].
     """
 
-    share: Float[np.ndarray, "k j i"]
+    fraction: Float[np.ndarray, "k j i"]
     T_patient_index: Float[np.ndarray, "4 4"]
 
     def crop(self, box: tuple[slice, ...]) -> LumenFraction:
         """The part in a box of array indices."""
-        return LumenFraction(self.share[box], shifted(self.T_patient_index, box))
+        return LumenFraction(self.fraction[box], shifted(self.T_patient_index, box))
 
 
 def gas_fraction(
@@ -55,7 +55,7 @@ def gas_fraction(
 ) -> LumenFraction:
     """Lumen fraction of pieces of gas: linear from the wall's Hounsfield units to the gas's.
 
-    Both levels are measured: the median of the pieces' inner voxels, and of soft tissue within
+    Both values are measured: the median of the pieces' inner voxels, and of soft tissue within
     three voxels of them. What belongs to other pieces of gas is no lumen.
 
     Args:
@@ -74,28 +74,28 @@ def gas_fraction(
     shell = grown(own, _WALL) & (part.values > _TISSUE_RANGE[0]) & (part.values < _TISSUE_RANGE[1])
     near = part.values[shell]
     tissue = float(np.median(near)) if len(near) > 1000 else _TISSUE
-    share = part.values.astype(np.float32)
-    share -= np.float32(tissue)
-    share *= np.float32(1.0 / (content - tissue))
-    np.clip(share, 0.0, 1.0, out=share)
+    fraction = part.values.astype(np.float32)
+    fraction -= np.float32(tissue)
+    fraction *= np.float32(1.0 / (content - tissue))
+    np.clip(fraction, 0.0, 1.0, out=fraction)
     if fluid is not None and pools:
         hounsfield = (tissue, fluid.hounsfield)
-        add_fluid(share, part.values, np.isin(fluid.label[box], pools), hounsfield)
+        add_fluid(fraction, part.values, np.isin(fluid.label[box], pools), hounsfield)
         corner = [side.start for side in box]
-        for level in fluid.levels:
-            if level.pool in pools:
+        for interface in fluid.interfaces:
+            if interface.pool in pools:
                 resolve_interface(
-                    share,
+                    fraction,
                     part.values,
-                    level.points - corner,
+                    interface.points - corner,
                     axis=fluid.axis,
                     spacing=float(scan.spacing[fluid.axis]),
                     hounsfield=hounsfield,
                 )
     other = (label > 0) & (label != SPECKS) & ~own
     if other.any():
-        share[grown(other, _NEIGHBOR) & ~grown(own)] = 0.0
-    return LumenFraction(share, part.T_patient_index)
+        fraction[grown(other, _NEIGHBOR) & ~grown(own)] = 0.0
+    return LumenFraction(fraction, part.T_patient_index)
 
 
 def _lumen_box(
@@ -126,7 +126,7 @@ def number_parts(
         The number of the part of each voxel (1 for the largest, 0 for none), and the parts'
         volumes [m³], largest first.
     """
-    label, num = connected_parts(lumen.share > 0.5)
+    label, num = connected_parts(lumen.fraction > 0.5)
     volumes = part_sizes(label, num) * lumen.voxel_volume
     volumes[0] = 0.0
     order = np.argsort(-volumes, kind="stable")

@@ -11,9 +11,9 @@ from vrcaps.errors import InputError
 from vrcaps.tools.ct.collapse_bridging import (
     CHANNEL_RADIUS,
     Gap,
+    bridge_gaps,
+    connected_by_gaps,
     find_gaps,
-    joined_parts,
-    open_gaps,
 )
 from vrcaps.tools.ct.components import renumbered
 from vrcaps.tools.ct.fraction import LumenFraction, gas_fraction, mask_fraction, number_parts
@@ -32,14 +32,14 @@ _MANY_PARTS = 40  # beyond which the gaps between the parts of a lumen are not s
 
 
 @dataclass(frozen=True)
-class Wall:
+class WallOptions:
     """How a wall is drawn from the lumen.
 
     Attributes:
         edge: Mean edge length of the triangles [m].
         blur: Standard deviation of a Gaussian over the scan beforehand [voxels]; None takes 0.5
             for gas, 0.7 for a mask.
-        pass_band: Share of the surface's spatial frequencies that smoothing keeps, up to 2;
+        pass_band: Fraction of the surface's spatial frequencies that smoothing keeps, up to 2;
             0.1 removes the voxels' steps and keeps a polyp.
         bridge: Widest collapsed stretch that is opened to a channel [m]; 0 opens none.
         open_ends: Whether the lumen is closed or left open where the scan cuts it.
@@ -73,7 +73,7 @@ def organ_from_gas(
     gas: Gas,
     piece: GasPiece,
     *,
-    wall: Wall,
+    wall: WallOptions,
     name: str,
     tagged_fluid: str | None = None,
     report: Callable[[str], None] = lambda step: None,
@@ -112,7 +112,7 @@ def organ_from_gas(
     if fluid is not None:
         notes.append(f"{len(pools)} pools of tagged fluid taken as lumen")
     blur = 0.5 if wall.blur is None else wall.blur
-    source = {"source": scan.source, "road": "gas", "tagged_fluid": tagged_fluid}
+    source = {"source": scan.source, "input_mode": "gas", "tagged_fluid": tagged_fluid}
     return _organ(lumen, gaps, notes, replace(wall, blur=blur), (name, "wall"), source, report)
 
 
@@ -120,7 +120,7 @@ def organ_from_label(
     labels: Volume,
     number: int,
     *,
-    wall: Wall,
+    wall: WallOptions,
     name: str,
     label_name: str = "wall",
     report: Callable[[str], None] = lambda step: None,
@@ -150,7 +150,7 @@ def organ_from_label(
     parts = Volume(part, lumen.T_patient_index, labels.source)
     gaps, notes = _choose_gaps(parts, 1, wall.bridge, volumes)
     blur = 0.7 if wall.blur is None else wall.blur
-    source = {"source": labels.source, "road": "label", "label": number}
+    source = {"source": labels.source, "input_mode": "label", "label": number}
     wall = replace(wall, blur=blur)
     return _organ(lumen, gaps, notes, wall, (name, label_name), source, report)
 
@@ -190,7 +190,7 @@ def _choose_gaps(
         return [], [f"{len(volumes)} parts: too many to seek the gaps between them"]
     found = find_gaps(parts, max(bridge, 50 * MM))
     narrow = [gap for gap in found if gap.width <= bridge]
-    kept = joined_parts(narrow, start)
+    kept = connected_by_gaps(narrow, start)
     opened = [gap for gap in narrow if set(gap.parts) <= kept]
     notes = [f"collapsed stretch opened: {gap.line()}" for gap in opened]
     for gap in found:
@@ -216,15 +216,15 @@ def _largest_part(lumen: LumenFraction) -> LumenFraction:
     part, volumes = number_parts(lumen, _SPECK)
     if not volumes:
         raise InputError("The lumen has no part of 0.2 ml or more. Choose a larger one.")
-    share = np.where(lumen.share > 0.5, lumen.share * (part == 1), lumen.share)
-    return replace(lumen, share=share)
+    fraction = np.where(lumen.fraction > 0.5, lumen.fraction * (part == 1), lumen.fraction)
+    return replace(lumen, fraction=fraction)
 
 
 def _organ(
     lumen: LumenFraction,
     gaps: list[Gap],
     notes: list[str],
-    wall: Wall,
+    wall: WallOptions,
     names: tuple[str, str],
     source: dict,
     report: Callable[[str], None],
@@ -236,7 +236,7 @@ def _organ(
     from vrcaps.tools.ct.segments import colon_labels, runs_upwards
     from vrcaps.tools.ct.surface import extract_wall
 
-    lumen = _largest_part(open_gaps(lumen, gaps, CHANNEL_RADIUS) if gaps else lumen)
+    lumen = _largest_part(bridge_gaps(lumen, gaps, CHANNEL_RADIUS) if gaps else lumen)
     report("drawing the wall")
     assert wall.blur is not None
     mesh = extract_wall(lumen, blur=wall.blur, pass_band=wall.pass_band, edge=wall.edge)

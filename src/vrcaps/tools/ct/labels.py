@@ -71,11 +71,11 @@ def misplaced(scan: Volume, labels: Volume, number: int) -> str | None:
     coarse = tuple(slice(None, None, s) for s in stride)
     own = labels.values[coarse] == number
     out = own & ~body & (scan.values[coarse] < _AIR)
-    share = np.count_nonzero(out) / max(np.count_nonzero(own), 1)
-    if share <= _MISPLACED:
+    fraction = np.count_nonzero(out) / max(np.count_nonzero(own), 1)
+    if fraction <= _MISPLACED:
         return None
-    volume = share * np.count_nonzero(labels.values == number) * labels.voxel_volume
+    volume = fraction * np.count_nonzero(labels.values == number) * labels.voxel_volume
     return (
-        f"{share:.0%} of the label ({volume / CM**3:.0f} ml) lies in the air outside the body: "
+        f"{fraction:.0%} of the label ({volume / CM**3:.0f} ml) lies in the air outside the body: "
         "it may be the label map of another scan"
     )

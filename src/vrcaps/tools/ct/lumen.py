@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from vrcaps.tools.ct.volume import Volume
 
 GAS_THRESHOLD = -800
-"""Hounsfield units below which a voxel is all gas: half-way surfaces of two loops that share
+"""Hounsfield units below which a voxel is all gas: half-way surfaces of two loops that fraction
 a thin wall would join at the middle value, their cores do not."""
 
 OUTSIDE, SPECKS = 1, 2  # numbers of gas that is no piece
@@ -93,14 +93,14 @@ def find_gas(scan: Volume, *, threshold: int = GAS_THRESHOLD) -> Gas:
     label = _numbered_gas(scan, threshold)
     air = scan.values[::4, ::4, ::4][label[::4, ::4, ::4] == OUTSIDE]
     air = air[(air > -1100) & (air < -900)]
-    level = float(np.median(air)) if len(air) > 100 else -1000.0
+    air_hu = float(np.median(air)) if len(air) > 100 else -1000.0
     pieces = tuple(
-        _judge(scan, label, number, box, level, (body, stride))
+        _judge(scan, label, number, box, air_hu, (body, stride))
         for number, box in enumerate(ndimage.find_objects(label), start=1)
         if number > SPECKS and box is not None
     )
     coarse = label[tuple(slice(None, None, s) for s in stride)]
-    return Gas(label, pieces, level, _leak(scan, coarse == OUTSIDE, body))
+    return Gas(label, pieces, air_hu, _leak(scan, coarse == OUTSIDE, body))
 
 
 def _numbered_gas(scan: Volume, threshold: int) -> UInt16[np.ndarray, "k j i"]:
@@ -140,7 +140,7 @@ def _judge(
     label: UInt16[np.ndarray, "k j i"],
     number: int,
     box: tuple[slice, slice, slice],
-    level: float,
+    air_hu: float,
     body: tuple[Bool[np.ndarray, "k j i"], tuple[int, int, int]],
 ) -> GasPiece:
     """What one piece of gas is."""
@@ -155,7 +155,7 @@ def _judge(
     kind, top = "gut", scan.values.shape[0] - 1
     if mask[tuple(coarse.T)].mean() < _IN_BODY:
         kind = "outside"
-    elif median > level + _LUNG_EXCESS and (volume > _LUNG_VOLUME or at[:, 0].max() == top):
+    elif median > air_hu + _LUNG_EXCESS and (volume > _LUNG_VOLUME or at[:, 0].max() == top):
         kind = "lung"
     middle = at[np.argmin(np.linalg.norm(at - at.mean(axis=0), axis=1))]
     return GasPiece(number, kind, volume, scan.points(middle[None])[0], median, box)
@@ -173,8 +173,8 @@ def _leak(
     largest = int(np.argmax(counts))
     middle = np.array(ndimage.center_of_mass(label == largest + 1))
     stride = np.ceil(np.array(scan.values.shape) / deep.shape)
-    share = scan.voxel_volume * stride.prod()
-    return float(counts[largest] * share), scan.points(middle[None] * stride)[0]
+    fraction = scan.voxel_volume * stride.prod()
+    return float(counts[largest] * fraction), scan.points(middle[None] * stride)[0]
 
 
 def choose_gas(

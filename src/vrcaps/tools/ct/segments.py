@@ -27,7 +27,7 @@ def colon_borders(centerline: Centerline) -> Float[np.ndarray, " 7"]:
 
     The hepatic flexure is the place farthest up and to the right in the first half of the
     course, the splenic one that farthest up and to the left around its middle: loops of the
-    transverse colon may rise as high, but between the two. Each takes its published share of the
+    transverse colon may rise as high, but between the two. Each takes its published fraction of the
     length. What lies before, between and behind is divided in the published proportions
     (`ColonParameters`).
 

@@ -35,7 +35,7 @@ def extract_wall(lumen: LumenFraction, *, blur: float, pass_band: float, edge: f
         lumen: The lumen fraction.
         blur: Standard deviation of a blur over the fraction beforehand [voxels]; it turns a
             mask into a field with a sub-voxel surface, and quietens noise.
-        pass_band: Share of the mesh's spatial frequencies that smoothing keeps, see `smooth`.
+        pass_band: Fraction of the mesh's spatial frequencies that smoothing keeps, see `smooth`.
         edge: Mean edge length of the triangles [m].
 
     Raises:
@@ -44,28 +44,28 @@ def extract_wall(lumen: LumenFraction, *, blur: float, pass_band: float, edge: f
     """
     from skimage.measure import marching_cubes
 
-    share, transform = _refined(_blurred(lumen.share, blur), lumen)
-    if not share.min() < 0.5 < share.max():
+    fraction, transform = _refined(_blurred(lumen.fraction, blur), lumen)
+    if not fraction.min() < 0.5 < fraction.max():
         raise InputError("The lumen is too small for the scan's voxels. Give a larger one.")
-    index, faces, _, _ = marching_cubes(share, 0.5, allow_degenerate=False)
+    index, faces, _, _ = marching_cubes(fraction, 0.5, allow_degenerate=False)
     vertices = index.astype(float) @ transform[:3, :3].T + transform[:3, 3]
     vertices = smooth(vertices, faces, pass_band)
     return decimate(Mesh(vertices, faces.astype(np.int64)), edge)
 
 
-def _blurred(share: Float[np.ndarray, "k j i"], sigma: float) -> Float[np.ndarray, "k j i"]:
+def _blurred(fraction: Float[np.ndarray, "k j i"], sigma: float) -> Float[np.ndarray, "k j i"]:
     """Fraction under the kernel 2 G − G² of a Gaussian G.
 
     Its second moment is zero, so that curved walls stay where they are: G alone would move a
     sphere of radius r inwards by σ² / r.
     """
     reach = 2 * int(_TRUNCATE * sigma + 0.5)
-    blurred = np.empty_like(share)
+    blurred = np.empty_like(fraction)
 
     def fill(first: int) -> None:
         low = max(first - reach, 0)
         once = ndimage.gaussian_filter(
-            share[low : first + _SLAB + reach], sigma, mode="nearest", truncate=_TRUNCATE
+            fraction[low : first + _SLAB + reach], sigma, mode="nearest", truncate=_TRUNCATE
         )
         twice = ndimage.gaussian_filter(once, sigma, mode="nearest", truncate=_TRUNCATE)
         once *= 2.0
@@ -73,20 +73,20 @@ def _blurred(share: Float[np.ndarray, "k j i"], sigma: float) -> Float[np.ndarra
         blurred[first : first + _SLAB] = once[first - low : first - low + _SLAB]
 
     with ThreadPoolExecutor() as pool:
-        list(pool.map(fill, range(0, len(share), _SLAB)))
+        list(pool.map(fill, range(0, len(fraction), _SLAB)))
     return blurred
 
 
 def _refined(
-    share: Float[np.ndarray, "k j i"], lumen: LumenFraction
+    fraction: Float[np.ndarray, "k j i"], lumen: LumenFraction
 ) -> tuple[Float[np.ndarray, "k j i"], Float[np.ndarray, "4 4"]]:
     """The fraction and its `T_patient_index` on a grid no coarser than 1.5 mm."""
     factor = np.ceil(lumen.spacing / _FINEST - 1e-6).astype(int)
     if (factor <= 1).all():
-        return share, lumen.T_patient_index
-    size = (np.array(share.shape) - 1) * factor + 1
-    ratio = size / share.shape
-    finer = ndimage.zoom(share, ratio.tolist(), order=3, mode="nearest", grid_mode=False)
+        return fraction, lumen.T_patient_index
+    size = (np.array(fraction.shape) - 1) * factor + 1
+    ratio = size / fraction.shape
+    finer = ndimage.zoom(fraction, ratio.tolist(), order=3, mode="nearest", grid_mode=False)
     transform = lumen.T_patient_index.copy()
     transform[:3, :3] /= factor
     return np.asarray(finer, np.float32), transform

@@ -1,4 +1,4 @@
-"""Photographs to a texture: the whole way."""
+"""A mucosa texture from endoscopic photographs: image quilting, relief and vessels."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from vrcaps.color import LUMINANCE, srgb_from_log_linear
 from vrcaps.errors import InputError
 from vrcaps.mucosa.texture import HEIGHT_STEP, MucosaTexture
 from vrcaps.tools.mucosa_from_photos.patches import (
-    Scale,
-    Source,
-    analyze,
+    PhotoAnalysis,
+    PhotoScale,
+    analyze_photo,
     check_scale,
     choose,
-    squares,
+    source_patches,
 )
-from vrcaps.tools.mucosa_from_photos.place_vessels import VesselSpread, place_vessels
+from vrcaps.tools.mucosa_from_photos.place_vessels import VesselPlacement, place_vessels
 from vrcaps.tools.mucosa_from_photos.quality import texture_quality
 from vrcaps.tools.mucosa_from_photos.quilt import Quilt, quilt, variants
 from vrcaps.tools.mucosa_from_photos.relief import relief
@@ -38,7 +38,7 @@ _REDDEST = 0.92  # linear red light that 99 % of texels stay below
 
 
 @dataclass(frozen=True)
-class TextureRecipe:
+class TextureOptions:
     """How a texture is made.
 
     Attributes:
@@ -47,7 +47,7 @@ class TextureRecipe:
             0.30 is that of the built-in colon.
         max_sources: Most photographs whose regions are mixed.
         vessels: Whether vessels are taken out of the ground, and laid onto it anew.
-        spread: How they lie.
+        placement: How they lie.
         is_flat: Whether the pictures are textures already, without border, highlights, shading.
         box: Left, top, width, height [px] of the region instead of the most uniform one.
     """
@@ -56,13 +56,13 @@ class TextureRecipe:
     luminance: float = 0.30
     max_sources: int = 4
     vessels: bool = True
-    spread: VesselSpread = field(default_factory=VesselSpread)
+    placement: VesselPlacement = field(default_factory=VesselPlacement)
     is_flat: bool = False
     box: tuple[int, int, int, int] | None = None
 
 
 @dataclass(frozen=True)
-class TextureWork:
+class TextureResult:
     """A texture and what it was made from.
 
     Attributes:
@@ -74,7 +74,7 @@ class TextureWork:
     """
 
     texture: MucosaTexture
-    sources: list[Source]
+    sources: list[PhotoAnalysis]
     others: list[str]
     source_rgb: list[np.ndarray]
     vessel_density: Float[np.ndarray, "n n"]
@@ -82,48 +82,51 @@ class TextureWork:
 
 def make_texture(
     photos: list[Photo],
-    scale: Scale,
-    recipe: TextureRecipe,
+    scale: PhotoScale,
+    options: TextureOptions,
     *,
     seed: int,
     progress: Callable[[int, int], None] | None = None,
-) -> TextureWork:
+) -> TextureResult:
     """A mucosa's texture that continues over its edges, from endoscopic photographs.
 
     Args:
         photos: At least one.
         scale: Of their pixels; a texel of the texture is as large as a pixel of the best one.
-        recipe: How it is made.
+        options: How it is made.
         seed: The same gives the same bytes.
         progress: Called with the work done and in all.
 
     Raises:
-        InputError: If the scale, the recipe or a photograph is not possible, or no photograph
+        InputError: If the scale, the options or a photograph is not possible, or no photograph
             has a usable region.
     """
     check_scale(scale)
-    _check(recipe, photos, seed)
+    _check(options, photos, seed)
     tell = progress or (lambda done, total: None)
-    chosen, others = _chosen(photos, scale, recipe, tell)
+    chosen, others = _chosen(photos, scale, options, tell)
     rng = vrcaps.rng.stream(seed, "mucosa-from-photos")
-    parts, doubtful = squares(chosen, keep_vessels=not recipe.vessels)
+    parts, doubtful = source_patches(chosen, keep_vessels=not options.vessels)
     layout = Quilt.of_side(len(parts[0]))
-    if recipe.size < 2 * layout.patch:
-        raise InputError(f"The size is {recipe.size}. Allowed: {2 * layout.patch} or more.")
+    if options.size < 2 * layout.patch:
+        raise InputError(f"The size is {options.size}. Allowed: {2 * layout.patch} or more.")
     ground = quilt(
         variants(parts),
         variants(doubtful),
-        recipe.size,
+        options.size,
         layout,
         rng,
         progress=lambda done, total: tell(total // 2 + done, total // 2 + total),
     )
-    return _finish(ground, parts, chosen, others, recipe, rng=rng, seed=seed)
+    return _finish(ground, parts, chosen, others, options, rng=rng, seed=seed)
 
 
 def _chosen(
-    photos: list[Photo], scale: Scale, recipe: TextureRecipe, tell: Callable[[int, int], None]
-) -> tuple[list[Source], list[str]]:
+    photos: list[Photo],
+    scale: PhotoScale,
+    options: TextureOptions,
+    tell: Callable[[int, int], None],
+) -> tuple[list[PhotoAnalysis], list[str]]:
     """The photographs to use, analyzed, best first, and the names of the others.
 
     Raises:
@@ -131,7 +134,7 @@ def _chosen(
     """
     found = []
     for number, photo in enumerate(photos):
-        found.append(analyze(photo, scale, is_flat=recipe.is_flat, box=recipe.box))
+        found.append(analyze_photo(photo, scale, is_flat=options.is_flat, box=options.box))
         tell(number + 1, 3 * len(photos))
     usable = [source for source in found if source is not None]
     if not usable:
@@ -139,7 +142,7 @@ def _chosen(
             f"No usable region in {_names(photos)}: too much border, highlight or darkness. "
             "Give other photographs, or --box LEFT TOP WIDTH HEIGHT."
         )
-    chosen = choose(usable, recipe.max_sources)
+    chosen = choose(usable, options.max_sources)
     used = {id(source) for source in chosen}
     others = [
         photo.name
@@ -149,26 +152,26 @@ def _chosen(
     return chosen, others
 
 
-def _finish(ground, parts, chosen, others, recipe: TextureRecipe, *, rng, seed) -> TextureWork:
+def _finish(ground, parts, chosen, others, options: TextureOptions, *, rng, seed) -> TextureResult:
     """Color, relief and vessels of the quilted ground."""
     texel = chosen[0].mm_per_pixel * MM
-    color = _color(ground, np.mean([source.color for source in chosen], axis=0), recipe.luminance)
+    color = _color(ground, np.mean([source.color for source in chosen], axis=0), options.luminance)
     ground = ground - ground.mean(axis=(0, 1)) + color
     height, roughness = relief(ground, texel)
     density = np.zeros_like(ground)
-    if recipe.vessels:
+    if options.vessels:
         pieces = [piece for source in chosen for piece in _scaled(source, chosen[0])]
-        share = float(np.mean([source.vessels.share for source in chosen]))
-        density = place_vessels(pieces, share, recipe.size, recipe.spread, rng)
+        coverage = float(np.mean([source.vessels.coverage for source in chosen]))
+        density = place_vessels(pieces, coverage, options.size, options.placement, rng)
     albedo = srgb_from_log_linear(ground - density)
     steps = np.clip(np.rint(height / HEIGHT_STEP) + 32768.0, 0.0, 65535.0).astype(np.uint16)
     source_rgb = [srgb_from_log_linear(part + color) for part in parts]
     metadata = {
         "seed": seed,
-        "size": recipe.size,
-        "luminance": recipe.luminance,
-        "is_flat": recipe.is_flat,
-        "vessels": recipe.vessels,
+        "size": options.size,
+        "luminance": options.luminance,
+        "is_flat": options.is_flat,
+        "vessels": options.vessels,
         "photographs": [_record(source) for source in chosen],
         "measures": texture_quality(srgb_from_log_linear(ground), source_rgb).record(),
     }
@@ -179,7 +182,7 @@ def _finish(ground, parts, chosen, others, recipe: TextureRecipe, *, rng, seed) 
         texel=texel,
         metadata=metadata,
     )
-    return TextureWork(texture, chosen, others, source_rgb, density[..., 1])
+    return TextureResult(texture, chosen, others, source_rgb, density[..., 1])
 
 
 def _color(ground, photographed, luminance: float) -> Float[np.ndarray, " 3"]:
@@ -194,7 +197,7 @@ def _color(ground, photographed, luminance: float) -> Float[np.ndarray, " 3"]:
     return photographed + np.log(gain)
 
 
-def _scaled(source: Source, first: Source) -> list[VesselPiece]:
+def _scaled(source: PhotoAnalysis, first: PhotoAnalysis) -> list[VesselPiece]:
     """A photograph's vessels at the scale of the first."""
     zoom = source.mm_per_pixel / first.mm_per_pixel
     if abs(zoom - 1.0) <= 0.02:
@@ -210,7 +213,7 @@ def _scaled(source: Source, first: Source) -> list[VesselPiece]:
     ]
 
 
-def _record(source: Source) -> dict[str, Any]:
+def _record(source: PhotoAnalysis) -> dict[str, Any]:
     region, shrink = source.region, source.shrink
     return {
         "name": source.photo.name,
@@ -219,20 +222,20 @@ def _record(source: Source) -> dict[str, Any]:
         "unevenness": round(region.unevenness, 4),
         "mm_per_pixel": source.mm_per_pixel / shrink,
         "vessel_pieces": len(source.vessels.pieces),
-        "vessel_share": round(source.vessels.share, 5),
+        "vessel_coverage": round(source.vessels.coverage, 5),
     }
 
 
-def _check(recipe: TextureRecipe, photos: list[Photo], seed: int) -> None:
+def _check(options: TextureOptions, photos: list[Photo], seed: int) -> None:
     for name, value, valid, allowed in (
-        ("size", recipe.size, 128 <= recipe.size <= 8192, "128 to 8192"),
-        ("luminance", recipe.luminance, 0.02 <= recipe.luminance <= 0.8, "0.02 to 0.8"),
-        ("number of photographs mixed", recipe.max_sources, recipe.max_sources > 0, "1 or more"),
+        ("size", options.size, 128 <= options.size <= 8192, "128 to 8192"),
+        ("luminance", options.luminance, 0.02 <= options.luminance <= 0.8, "0.02 to 0.8"),
+        ("number of photographs mixed", options.max_sources, options.max_sources > 0, "1 or more"),
         ("seed", seed, seed >= 0, "0 or more"),
     ):
         if not valid:
             raise InputError(f"The {name} is {value}. Allowed: {allowed}.")
-    if recipe.box is not None and len(photos) != 1:
+    if options.box is not None and len(photos) != 1:
         raise InputError(f"A box goes with one photograph; {len(photos)} were given.")
 
 

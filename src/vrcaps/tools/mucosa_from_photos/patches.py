@@ -1,4 +1,4 @@
-"""Squares of mucosa from photographs, under even light, of one scale and color."""
+"""Square patches of mucosa from photographs, with shading removed, of one scale and color."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from vrcaps.color import log_linear_from_srgb
 from vrcaps.errors import InputError
 from vrcaps.tools.field_of_view import FieldOfView, field_of_view, fill
 from vrcaps.tools.mucosa_from_photos.region import MIN_SIDE, Region, box_region, find_region
-from vrcaps.tools.mucosa_from_photos.remove_shading import flatten
+from vrcaps.tools.mucosa_from_photos.remove_shading import remove_shading
 from vrcaps.tools.mucosa_from_photos.vessels import Vessels, find_vessels
 
 if TYPE_CHECKING:
@@ -26,12 +26,12 @@ MAX_WIDTH = 1024
 _VESSEL_REACH = 1024  # side of the square in which vessels are sought [px]
 _WORSE = 0.5  # a further photograph's region may be so much less even than the best
 _SMALLER = 0.7  # and its side so much shorter
-_SLOW = 0.85  # share of the slow variation that is taken out of a square
+_SLOW = 0.85  # fraction of the slow variation that is taken out of a square
 _BLEMISH = 3.7  # standard deviations from the mean that a rare mark has
 
 
 @dataclass(frozen=True)
-class Source:
+class PhotoAnalysis:
     """What one photograph gives.
 
     Attributes:
@@ -39,7 +39,7 @@ class Source:
         shrink: By how much.
         view: Its parts.
         filled: Logarithm of linear light, highlights filled in.
-        flat: Logarithm of reflectance up to a constant, see `flatten`.
+        flat: Logarithm of reflectance up to a constant, see `remove_shading`.
         region: Most uniform square.
         vessels: What was found.
         mm_per_pixel: Of the shrunk photograph.
@@ -62,7 +62,7 @@ class Source:
 
 
 @dataclass(frozen=True)
-class Scale:
+class PhotoScale:
     """How large a pixel is; one of the two is given.
 
     Attributes:
@@ -81,7 +81,7 @@ class Scale:
         return self.field_width_mm / width
 
 
-def check_scale(scale: Scale) -> None:
+def check_scale(scale: PhotoScale) -> None:
     """Refuse a scale that is missing, given twice, or impossible.
 
     Raises:
@@ -97,13 +97,13 @@ def check_scale(scale: Scale) -> None:
         raise InputError(f"The scale is {given[0]} mm. Allowed: 0.0001 to 10000.")
 
 
-def analyze(
+def analyze_photo(
     photo: Photo,
-    scale: Scale,
+    scale: PhotoScale,
     *,
     is_flat: bool = False,
     box: tuple[int, int, int, int] | None = None,
-) -> Source | None:
+) -> PhotoAnalysis | None:
     """Everything about one photograph; None where it has no usable region.
 
     Args:
@@ -133,11 +133,11 @@ def analyze(
         region = box_region(tuple(n // shrink for n in box), usable.shape)  # type: ignore[arg-type]
     if region is None:
         return None
-    flat = filled if is_flat else flatten(filled, usable, view.width)
+    flat = filled if is_flat else remove_shading(filled, usable, view.width)
     flat = flat - np.median(flat[region.window], axis=(0, 1))
     near = _around(region, usable.shape)
     vessels = _placed(find_vessels(flat[near], usable[near], view.width), near, usable.shape)
-    return Source(
+    return PhotoAnalysis(
         photo=type(photo)(photo.name, rgb, photo.sha256),
         shrink=shrink,
         view=view,
@@ -165,7 +165,7 @@ def _placed(vessels: Vessels, near: tuple[slice, ...], shape: tuple[int, ...]) -
     return replace(vessels, mask=mask)
 
 
-def choose(sources: list[Source], max_sources: int) -> list[Source]:
+def choose(sources: list[PhotoAnalysis], max_sources: int) -> list[PhotoAnalysis]:
     """The most even ones, best first, without those much less even or much smaller."""
     best = sorted(sources, key=lambda source: source.region.unevenness)[:max_sources]
     first = best[0]
@@ -178,10 +178,10 @@ def choose(sources: list[Source], max_sources: int) -> list[Source]:
     ]
 
 
-def squares(
-    chosen: list[Source], *, keep_vessels: bool
+def source_patches(
+    chosen: list[PhotoAnalysis], *, keep_vessels: bool
 ) -> tuple[list[Float[np.ndarray, "s s 3"]], list[Bool[np.ndarray, "s s"]]]:
-    """Squares of one size, scale and color to make a texture of, and their filled-in pixels.
+    """Patches of one size, scale and color to quilt a texture of, and their filled-in pixels.
 
     Highlights, rare marks (which would show as repetition) and, unless they are kept, vessels are
     filled in, and variation slower than a patch, which patches would turn into a lattice, is
@@ -209,7 +209,7 @@ def squares(
             )
         else:
             doubtful = doubtful | marks
-        parts.append(_level(part - part.mean(axis=(0, 1))))
+        parts.append(_high_pass(part - part.mean(axis=(0, 1))))
         masks.append(doubtful)
     side = min(len(part) for part in parts)
     spread = np.mean([part.std(axis=(0, 1)) for part in parts], axis=0)
@@ -220,7 +220,7 @@ def squares(
     return [part.astype(np.float32) for part in even], [mask[:side, :side] for mask in masks]
 
 
-def _level(part: Float[np.ndarray, "s s 3"]) -> Float[np.ndarray, "s s 3"]:
+def _high_pass(part: Float[np.ndarray, "s s 3"]) -> Float[np.ndarray, "s s 3"]:
     """With most of the variation slower than an eighth of the side taken out."""
     sigma = len(part) / 8.0
     return part - _SLOW * ndimage.gaussian_filter(part, (sigma, sigma, 0.0), mode="reflect")

@@ -30,7 +30,7 @@ class TextureQuality:
             the sum of absolute differences, 0 (same) to 1.
         repetition: Highest autocorrelation of L* beyond a patch's reach, 0 to 1; a repeated
             texture has 1.
-        highlight_share: Of the texture's texels that a search for highlights finds.
+        highlight_fraction: Of the texture's texels that a search for highlights finds.
     """
 
     seam_ratio: float
@@ -40,7 +40,7 @@ class TextureQuality:
     lab_std_texture: tuple[float, ...]
     gradient_distance: float
     repetition: float
-    highlight_share: float
+    highlight_fraction: float
 
     def record(self) -> dict:
         """As plain values, rounded."""
@@ -67,7 +67,7 @@ def texture_quality(
         lab_std_texture=_plain(flat.std(axis=0)),
         gradient_distance=_gradient_distance(colors, regions),
         repetition=repetition(colors[..., 0], reach=len(sources[0])),
-        highlight_share=float(highlights(texture, everywhere, len(texture)).mean()),
+        highlight_fraction=float(highlights(texture, everywhere, len(texture)).mean()),
     )
 
 

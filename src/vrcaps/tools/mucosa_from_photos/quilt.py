@@ -1,4 +1,4 @@
-"""Image quilting on a torus: a large texture without seams from small squares.
+"""Image quilting on a torus: a large texture without seams from small patches.
 
 Efros A. A., Freeman W. T. Image quilting for texture synthesis and transfer. SIGGRAPH 2001.
 """

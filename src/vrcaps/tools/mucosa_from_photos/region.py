@@ -23,8 +23,8 @@ MAX_SIDE = 512
 _SEARCH_WIDTH = 1024
 """Widest field [px] that is searched as it is; wider ones are searched in means over blocks."""
 
-_SHARES = (0.64, 0.56, 0.48, 0.40, 0.34, 0.28, 0.24, 0.20, 0.17)  # of the field's width
-_MAX_UNUSABLE = 0.15  # share of a region's pixels that show no wall
+_SIDES = (0.64, 0.56, 0.48, 0.40, 0.34, 0.28, 0.24, 0.20, 0.17)  # of the field's width
+_MAX_UNUSABLE = 0.15  # fraction of a region's pixels that show no wall
 _WELL_LIT = 0.1  # luminance below which noise shows
 _SMALLNESS = 0.5  # what halving the side must gain in unevenness
 
@@ -61,7 +61,7 @@ def find_region(
 
     Unevenness of a square is the sum of: the spread of low-passed log brightness (folds, the
     lumen, fall-off), that of low-passed log red-to-green and green-to-blue (blood, bile, stool),
-    the relative spread of the energy of detail (edges, bubbles), the share of unusable pixels,
+    the relative spread of the energy of detail (edges, bubbles), the fraction of unusable pixels,
     and the darkness below a luminance of 0.1. A square of half the side must be better by a fixed
     amount.
 
@@ -73,12 +73,12 @@ def find_region(
     factor = -(-width // _SEARCH_WIDTH)
     maps = _Maps.of(_coarse(log_light, factor), _coarse(usable, factor) == 1.0, width // factor)
     best = None
-    for share in _SHARES:
-        side = min(round(share * width), MAX_SIDE, *usable.shape)
+    for fraction in _SIDES:
+        side = min(round(fraction * width), MAX_SIDE, *usable.shape)
         if side < MIN_SIDE:
             break
         step = side // factor
-        scores = maps.unevenness(step) + _SMALLNESS * np.log2(_SHARES[0] * width / side)
+        scores = maps.unevenness(step) + _SMALLNESS * np.log2(_SIDES[0] * width / side)
         row, column = np.unravel_index(np.argmin(scores), scores.shape)
         score = float(scores[row, column])
         if np.isfinite(score) and (best is None or score < best.unevenness):
@@ -133,12 +133,12 @@ class _Maps:
         brightness = sum(smooth) / 3.0
         detail = log_light[..., 1] - smooth[1]
         energy = np.sqrt(_smooth(detail**2, usable, 2.0 * grain))
-        level = float(np.median(energy[usable])) if usable.any() else 1.0
+        typical = float(np.median(energy[usable])) if usable.any() else 1.0
         maps = [
             brightness,
             2.0 * (smooth[0] - smooth[1]),
             2.0 * (smooth[1] - smooth[2]),
-            0.5 * energy / max(level, 1e-6),
+            0.5 * energy / max(typical, 1e-6),
         ]
         maps = [
             np.where(usable, part - part[usable].mean() if usable.any() else part, 0.0)

@@ -42,5 +42,5 @@ def relief(
     slope = np.hypot(*(np.roll(fine, -1, axis) - fine for axis in (0, 1))) / texel
     steepness = float(np.sqrt(np.mean(slope**2)))
     height = fine * (RELIEF_SLOPE / steepness if steepness > 0.0 else 0.0)
-    share = np.clip(fine / max(2.0 * float(fine.std()), 1e-9), -1.0, 1.0)
-    return height.astype(np.float32), (ROUGHNESS + _ROUGHNESS_SPREAD * share).astype(np.float32)
+    depth = np.clip(fine / max(2.0 * float(fine.std()), 1e-9), -1.0, 1.0)
+    return height.astype(np.float32), (ROUGHNESS + _ROUGHNESS_SPREAD * depth).astype(np.float32)

@@ -1,4 +1,4 @@
-"""Take the light out of a photograph: fall-off, vignetting and slow shading."""
+"""Shading removal by homomorphic filtering: light fall-off, vignetting, slow shading."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ if TYPE_CHECKING:
     from jaxtyping import Bool, Float
 
 SHADING_GRAIN = 1 / 16
-"""Standard deviation of the low-pass that counts as shading, as a share of the field's width."""
+"""Standard deviation of the low-pass that counts as shading, as a fraction of the field's width."""
 
 
-def flatten(
+def remove_shading(
     log_light: Float[np.ndarray, "h w 3"], known: Bool[np.ndarray, "h w"], width: int
 ) -> Float[np.ndarray, "h w 3"]:
     """The picture under even light: log R = log I − low-pass(log I), homomorphic filtering.

@@ -12,14 +12,14 @@ from vrcaps.units import MM
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from vrcaps.tools.mucosa_from_photos.make_texture import TextureWork
-    from vrcaps.tools.mucosa_from_photos.patches import Source
+    from vrcaps.tools.mucosa_from_photos.make_texture import TextureResult
+    from vrcaps.tools.mucosa_from_photos.patches import PhotoAnalysis
 
 _TINTS = {"highlight": (0, 255, 255), "dark": (30, 30, 200), "vessel": (0, 255, 0)}
 _CLOSE = 320  # texels of the close view
 
 
-def write_report(path: Path, work: TextureWork) -> None:
+def write_report(path: Path, work: TextureResult) -> None:
     """Write a picture: photographs with masks and regions, and the texture, far and near.
 
     Args:
@@ -50,7 +50,7 @@ def write_report(path: Path, work: TextureWork) -> None:
     figure.savefig(path, dpi=90)
 
 
-def _draw_source(axes, source: Source) -> None:
+def _draw_source(axes, source: PhotoAnalysis) -> None:
     """One photograph: as it is, what is masked, under even light, its vessels."""
     from matplotlib.patches import Rectangle
 

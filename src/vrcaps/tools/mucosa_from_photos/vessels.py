@@ -1,4 +1,4 @@
-"""Vessels of a photograph: found as dark red ridges, kept as pieces that can be laid elsewhere."""
+"""Vessels of a photograph: dark red ridges, cut out as pieces to place elsewhere."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from scipy import ndimage
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
 
-_RADII = (0.0035, 0.006, 0.010)  # of vessels sought, as shares of the field's width
+_RADII = (0.0035, 0.006, 0.010)  # of vessels sought, as fractions of the field's width
 _NOISE = 99.0  # percentile of bright ridges, which no vessel makes, that a vessel exceeds
 _LOW = 0.5  # of that strength down to which a vessel is followed
-_MIN_LENGTH = 0.045  # of a piece, as a share of the field's width
+_MIN_LENGTH = 0.045  # of a piece, as a fraction of the field's width
 _MIN_DENSITY = 0.07  # mean optical density in green of a piece over its surroundings
 _MAX_REDNESS = 0.42  # density in red over that in green; shadows have 1, blood has about 0.2
 
@@ -43,12 +43,12 @@ class Vessels:
     Attributes:
         pieces: Largest first.
         mask: Pixels of vessels.
-        share: Of the searched pixels that the pieces cover.
+        coverage: Fraction of the searched pixels that the pieces cover.
     """
 
     pieces: list[VesselPiece]
     mask: Bool[np.ndarray, "h w"]
-    share: float
+    coverage: float
 
 
 def find_vessels(
@@ -61,7 +61,7 @@ def find_vessels(
     long enough, dark enough, and redder than the shadow of a fold would be.
 
     Args:
-        flat: Logarithm of reflectance, see `flatten`.
+        flat: Logarithm of reflectance, see `remove_shading`.
         usable: Which pixels show the wall.
         width: Of the field [px].
     """
@@ -77,7 +77,7 @@ def find_vessels(
     low, high = np.percentile(density[inside], [1.0, 99.0])
     gray = np.clip((density - low) / max(float(high - low), 1e-6), 0.0, 1.0)
     gray = equalize_adapthist(gray, kernel_size=max(16, width // 8), clip_limit=0.01)
-    sigmas: Any = [max(0.8, share * width) for share in _RADII]
+    sigmas: Any = [max(0.8, fraction * width) for fraction in _RADII]
     ridge, opposite = (
         sato(gray.astype(np.float32), sigmas=sigmas, black_ridges=is_dark, mode="reflect")
         for is_dark in (False, True)

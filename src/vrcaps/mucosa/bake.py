@@ -1,22 +1,22 @@
-"""The default mucosa: color, vessels, wetness and relief of a gut wall, baked into textures.
+"""Texture baking: color, vessels, wetness and relief of a mucosa on the wall of an organ.
 
-Color is a function of the wall's points in space (and of the way along the gut), evaluated at
-each texel, so it shows neither the borders of texture charts nor any repetition. Vessels are
-trees grown over the wall itself.
+Color is a function of the wall's points in space (and of the arc length along the gut),
+evaluated at each texel, so it shows neither the borders of texture charts nor any repetition.
+Vessels are trees grown over the wall itself.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from pathlib import Path
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 import vrcaps.rng
 from vrcaps import _core
-from vrcaps.errors import InputError, UnknownNameError
+from vrcaps.errors import InputError
 from vrcaps.geometry import triangle_areas
+from vrcaps.mucosa.mucosa import ABSORPTION, MUCOSAE, Mucosa, is_texture_path
 from vrcaps.organ.surface import Appearance, OrganSurface, round_height
 from vrcaps.organ.uv import texture_stretch
 from vrcaps.units import MM
@@ -33,120 +33,6 @@ DEFAULT_TEXELS_PER_MM = 8.0
 """Least texture density sought on 95 % of the wall where the caller names none."""
 
 _MOST_STRETCH = 1.6  # of a texel beyond the mean that more texels make up for
-
-
-MUCUS_TINT = (1.2, 2.8, 1.45)
-"""Reflectance of bile-stained mucus over that of the wall, red, green, blue: median ratio, in seven
-real frames of clean colons (docs/mucosa.md), of what is yellow to what is red."""
-
-
-@dataclass(frozen=True)
-class Mucosa:
-    """Character of a mucosa.
-
-    Colors are those at which frames with indirect light have the colors of real ones
-    (`benchmarks/fit_appearance.py`, docs/gallery.md); the stomach's, of which there were none,
-    change as the colon's did, in blue less, for it has less bile. Shapes and sizes are chosen by
-    eye.
-
-    Attributes:
-        base_color: Linear reflectance of the wall between its vessels, red, green, blue.
-        redness_variation: Spread of the optical density of blood in the mucosa, over places
-            along the gut and patches.
-        patient_variation: Deviation over patients of the optical density of blood in green
-            light, and of bile in blue light.
-        bile: Optical density of bile-stained mucus in blue light.
-        vessel_contrast: Share of green light that a wide, shallow vessel takes away, 0 to 1.
-        vessel_spacing: Distance between the ends of the finest visible branches [m].
-        trunk_spacing: Distance between the places where vessel trunks reach the mucosa [m].
-        capillary_radius: Radius of the finest visible branches [m]; wider ones follow from it
-            by Murray's law.
-        relief_slope: RMS slope of the millimeter-sized relief, which breaks up highlights.
-        pit_spacing: Distance between villi, gastric areae or groups of crypts [m].
-        pit_slope: RMS slope of the gaps between them.
-        pit_shade: Optical density of those gaps in green light; bile gathers there too.
-        network: Weight of the finest network of vessels in the redness.
-        flecks: Share of cells, 3.2 mm wide, that hold a fleck of mucus, on the wall or off it.
-        mucus: Amount of mucus, 0 to 1: film and strands cover a third of this share of the wall.
-        mucus_tint: Reflectance of mucus over that of the wall, red, green, blue.
-        roughness: Perceptual roughness of the wall under its wet film, 0 to 1.
-        clearcoat: Strength of the wet film, 0 (dry, or broken up) to 1 (whole).
-        clearcoat_gloss: Gloss of the wet film, 0 (satin) to 1 (mirror-like).
-    """
-
-    base_color: tuple[float, float, float]
-    redness_variation: float = 0.35
-    patient_variation: tuple[float, float] = (0.20, 0.30)
-    bile: float = 0.45
-    vessel_contrast: float = 1.0
-    vessel_spacing: float = 1.0 * MM
-    trunk_spacing: float = 30.0 * MM
-    capillary_radius: float = 0.046 * MM
-    relief_slope: float = 0.06
-    pit_spacing: float = 0.6 * MM
-    pit_slope: float = 0.03
-    pit_shade: float = 0.05
-    network: float = 1.1
-    flecks: float = 0.03
-    mucus: float = 0.10
-    mucus_tint: tuple[float, float, float] = MUCUS_TINT
-    roughness: float = 0.65
-    clearcoat: float = 1.0
-    clearcoat_gloss: float = 0.93
-
-
-MUCOSAE: dict[str, Mucosa] = {
-    "colon": Mucosa(
-        base_color=(0.446, 0.147, 0.143),
-        bile=0.65,
-        redness_variation=0.45,
-        network=1.4,
-        relief_slope=0.038,
-        roughness=0.90,
-        clearcoat=0.8,
-        clearcoat_gloss=0.97,
-    ),
-    "stomach": Mucosa(
-        base_color=(0.432, 0.152, 0.118),
-        bile=0.15,
-        vessel_contrast=0.25,
-        vessel_spacing=1.5 * MM,
-        pit_spacing=2.2 * MM,
-        pit_slope=0.085,
-        pit_shade=0.10,
-        network=0.35,
-        flecks=0.4,
-        mucus_tint=(1.15, 2.2, 2.0),
-        clearcoat=0.7,
-    ),
-    "small-bowel": Mucosa(
-        base_color=(0.418, 0.210, 0.149),
-        redness_variation=0.22,
-        patient_variation=(0.20, 0.40),
-        bile=0.32,
-        vessel_contrast=0.35,
-        pit_spacing=0.42 * MM,
-        pit_slope=0.48,
-        pit_shade=0.28,
-        network=0.2,
-        flecks=0.15,
-        mucus_tint=(1.15, 1.9, 2.0),
-        roughness=0.85,
-        clearcoat=0.16,
-    ),
-}
-"""Mucosae by organ."""
-
-_MUCOSA_OF: dict[str, str] = {
-    **dict.fromkeys(("stomach", "fundus", "cardia", "body", "antrum", "pylorus"), "stomach"),
-    **dict.fromkeys(("small_bowel", "small-bowel", "duodenal_bulb"), "small-bowel"),
-    **dict.fromkeys(("duodenum", "jejunum", "ileum"), "small-bowel"),
-}
-"""By name of an organ or segment, ours or TotalSegmentator's; all others have the colon's."""
-
-ABSORPTION = np.array([[0.16, 1.0, 0.92], [0.04, 0.16, 1.0]])
-"""Optical density in red, green and blue of blood, relative to green, and of bile, to blue: as in
-the compiled core (tissue.rs)."""
 
 _SEGMENTS: dict[str, tuple[float, float, float]] = {
     "fundus": (0.7, 1.0, 1.2),
@@ -190,31 +76,31 @@ def bake_appearance(
             `DEFAULT_TEXELS_PER_MM` in every direction, or less where the limits bind.
         max_texels: Most texels a texture may have.
     """
-    from vrcaps.mucosa.apply_texture import wear
+    from vrcaps.mucosa.apply_texture import apply_texture
     from vrcaps.mucosa.texture import MucosaTexture
 
-    worn = _resolve(mucosa)
-    pace = _pace(organ)
-    sought = pace if texels_per_mm else tuple(_squeeze(organ, pace) * np.array(pace))
+    chosen = _resolve(mucosa)
+    scale = _meters_per_uv(organ)
+    sought = scale if texels_per_mm else tuple(_worst_compression(organ, scale) * np.array(scale))
     height, width = _texture_size(sought, texels_per_mm, max_texels)
-    if isinstance(worn, MucosaTexture):
-        return wear(organ, worn, (height, width), seed=seed)
-    worn = _of_patient(worn, seed)
-    texel = float(np.hypot(pace[0] / width, pace[1] / height)) / 2.0**0.5
+    if isinstance(chosen, MucosaTexture):
+        return apply_texture(organ, chosen, (height, width), seed=seed)
+    chosen = _of_patient(chosen, seed)
+    texel = float(np.hypot(scale[0] / width, scale[1] / height)) / 2.0**0.5
     albedo, roughness, relief = _core.bake_mucosa(
         _wall_fields(organ),
         np.ascontiguousarray(organ.faces, np.uint32),
         np.ascontiguousarray(organ.uv.reshape(-1, 6), np.float64),
         (height, width, texel / MM),
         seed & 0xFFFFFFFF,
-        worn,
+        chosen,
     )
     return Appearance(
         albedo=albedo.reshape(height, width, 3),
         roughness=roughness.reshape(height, width),
         height=round_height(relief.reshape(height, width)),
-        clearcoat=worn.clearcoat,
-        clearcoat_gloss=worn.clearcoat_gloss,
+        clearcoat=chosen.clearcoat,
+        clearcoat_gloss=chosen.clearcoat_gloss,
     )
 
 
@@ -228,44 +114,6 @@ def _resolve(mucosa: str | Mucosa) -> Mucosa | MucosaTexture:
     return MUCOSAE[mucosa]
 
 
-def own_mucosa(organ: OrganSurface) -> str:
-    """Name in `MUCOSAE` of the mucosa that an organ's own labels call for.
-
-    The label of most of its wall decides, or the organ's name where that label says nothing; the
-    colon's where neither names a stomach or small bowel.
-    """
-    label = organ.label_names[int(np.bincount(organ.label).argmax())]
-    name = organ.name if label == "wall" else label
-    return _MUCOSA_OF.get(name.replace("-", "_"), "colon")
-
-
-def is_texture_path(mucosa: str) -> bool:
-    """Whether a mucosa is given as the path of a texture rather than a name in `MUCOSAE`.
-
-    Raises:
-        UnknownNameError: If it is neither.
-    """
-    if mucosa in MUCOSAE:
-        return False
-    if len(Path(mucosa).parts) == 1 and not Path(mucosa).exists():
-        raise UnknownNameError("mucosa", mucosa, (*MUCOSAE, "the folder of a texture"))
-    return True
-
-
-def mucosa_fingerprint(mucosa: str | None) -> dict[str, str]:
-    """What a cached organ's name takes in of its mucosa: nothing of the organ's own.
-
-    Raises:
-        UnknownNameError: If there is no such mucosa.
-        InputError: If there is no texture at a path.
-    """
-    from vrcaps.mucosa.texture import texture_sha256
-
-    if mucosa is None:
-        return {}
-    return {"mucosa": texture_sha256(mucosa) if is_texture_path(mucosa) else mucosa}
-
-
 def _of_patient(mucosa: Mucosa, seed: int) -> Mucosa:
     """One patient's mucosa: the same draw for every organ."""
     spread = np.array(mucosa.patient_variation)
@@ -274,7 +122,7 @@ def _of_patient(mucosa: Mucosa, seed: int) -> Mucosa:
     return replace(mucosa, base_color=tuple(np.clip(color, 0.01, 0.95).tolist()))
 
 
-def _pace(organ: OrganSurface) -> tuple[float, float]:
+def _meters_per_uv(organ: OrganSurface) -> tuple[float, float]:
     """Length of wall [m] per unit of u and of v: the mean over the wall's area."""
     if organ.uv.shape != (len(organ.faces), 3, 2) or not np.isfinite(organ.uv).all():
         raise InputError(
@@ -304,23 +152,23 @@ def _pace(organ: OrganSurface) -> tuple[float, float]:
     return float(np.abs(weight) @ along_u / total), float(np.abs(weight) @ along_v / total)
 
 
-def _squeeze(organ: OrganSurface, pace: tuple[float, float]) -> float:
+def _worst_compression(organ: OrganSurface, scale: tuple[float, float]) -> float:
     """How much wider than the mean texels are, in their wider direction, on 5 % of the wall.
 
-    Not below 1, and not above `_MOST_STRETCH`: more texels do not mend bad coordinates.
+    Not below 1, and not above `_MOST_STRETCH`: more texels do not repair bad coordinates.
     """
     corners = organ.vertices[organ.faces]
     area = triangle_areas(corners)
     is_face = area > 0.0
-    stretch = np.abs(texture_stretch(corners[is_face], organ.uv[is_face] * np.array(pace))[:, 0])
+    stretch = np.abs(texture_stretch(corners[is_face], organ.uv[is_face] * np.array(scale))[:, 0])
     order = np.argsort(stretch)
-    share = np.cumsum(area[is_face][order])
-    least = stretch[order][np.searchsorted(share, 0.05 * share[-1])]
+    covered = np.cumsum(area[is_face][order])
+    least = stretch[order][np.searchsorted(covered, 0.05 * covered[-1])]
     return float(np.clip(1.0 / max(least, 1e-9), 1.0, _MOST_STRETCH))
 
 
 def _texture_size(
-    pace: tuple[float, float], texels_per_mm: float | None, max_texels: int
+    scale: tuple[float, float], texels_per_mm: float | None, max_texels: int
 ) -> tuple[int, int]:
     """Height and width [texels], multiples of 16 and at most `MAX_SIDE`."""
     density = DEFAULT_TEXELS_PER_MM if texels_per_mm is None else texels_per_mm
@@ -328,7 +176,7 @@ def _texture_size(
         raise InputError(f"texels_per_mm is {density}; allowed: a number above 0.")
     if max_texels < 256:
         raise InputError(f"max_texels is {max_texels}; allowed: at least 256.")
-    width, height = (length / MM * density for length in pace)
+    width, height = (length / MM * density for length in scale)
     if texels_per_mm is not None and (max(width, height) > MAX_SIDE or width * height > max_texels):
         raise InputError(
             f"{density:g} texels per mm need a texture of {width:.0f} × {height:.0f} texels; "
@@ -344,7 +192,7 @@ def _texture_size(
 
 def _wall_fields(organ: OrganSurface) -> Float[np.ndarray, "n 11"]:
     """Position [mm], normal, curvature [1/mm], arc length [mm] and segment factors of vertices."""
-    curvature = _bulge(organ.vertices, organ.normals, organ.faces) * MM
+    curvature = _mean_curvature(organ.vertices, organ.normals, organ.faces) * MM
     factors = _segment_factors(organ)
     columns = (organ.vertices / MM, organ.normals, curvature, organ.arc_length / MM, factors)
     return np.column_stack(columns).astype(np.float32)
@@ -373,12 +221,12 @@ def _segment_factors(organ: OrganSurface) -> Float[np.ndarray, "n 3"]:
     return np.stack([np.interp(place, middle, values) for values in smooth], axis=1)
 
 
-def _bulge(
+def _mean_curvature(
     vertices: Float[np.ndarray, "n 3"],
     normals: Float[np.ndarray, "n 3"],
     faces: Int[np.ndarray, "m 3"],
 ) -> Float[np.ndarray, " n"]:
-    """Mean curvature [1/m], positive where the wall bulges into the lumen, smoothed.
+    """Mean curvature [1/m], positive where the wall means into the lumen, smoothed.
 
     Along an edge e the normal curvature is (Δn · e) / |e|²; a vertex takes the mean over its
     edges.
@@ -389,7 +237,7 @@ def _bulge(
     turn = np.einsum("ij,ij->i", normals[b] - normals[a], edge)
     curvature = turn / np.where(squared > 0.0, squared, 1.0)
     count = np.maximum(np.bincount(a, minlength=len(vertices)), 1)
-    bulge = np.bincount(a, curvature, len(vertices)) / count
+    mean = np.bincount(a, curvature, len(vertices)) / count
     for _ in range(2):
-        bulge = 0.5 * bulge + 0.5 * np.bincount(a, bulge[b], len(vertices)) / count
-    return bulge
+        mean = 0.5 * mean + 0.5 * np.bincount(a, mean[b], len(vertices)) / count
+    return mean

@@ -14,7 +14,8 @@ import pytest
 
 from tubes import straight_tube
 from vrcaps.errors import InputError, UnknownNameError
-from vrcaps.mucosa.appearance import MAX_SIDE, MUCOSAE, Mucosa, bake_appearance, own_mucosa
+from vrcaps.mucosa.bake import MAX_SIDE, bake_appearance
+from vrcaps.mucosa.mucosa import MUCOSAE, Mucosa, own_mucosa
 from vrcaps.organ.surface import HEIGHT_STEP, Appearance, Centerline, OrganSurface
 from vrcaps.organ.uv import texture_stretch
 from vrcaps.units import MM
@@ -436,8 +437,8 @@ def test_mucus_covers_its_share_of_the_wall():
     shares = []
     for mucus in (0.0, 0.1, 0.3):
         look = [
-            decode(bake_appearance(square, seed=4, mucosa=worn, texels_per_mm=1.0).albedo)
-            for worn in (bare, replace(bare, mucus=mucus))
+            decode(bake_appearance(square, seed=4, mucosa=character, texels_per_mm=1.0).albedo)
+            for character in (bare, replace(bare, mucus=mucus))
         ]
         gain = (look[1] / look[0])[..., 1]
         shares.append(float((gain > 1.1).mean()))
@@ -451,8 +452,8 @@ def test_mucus_follows_the_palette():
     square, mucosa = make_square(60.0 * MM), replace(MUCOSAE["colon"], mucus=0.5)
     dark = replace(mucosa, base_color=tuple(0.5 * c for c in mucosa.base_color))
     full, half = (
-        decode(bake_appearance(square, seed=4, mucosa=worn, texels_per_mm=2.0).albedo)
-        for worn in (mucosa, dark)
+        decode(bake_appearance(square, seed=4, mucosa=character, texels_per_mm=2.0).albedo)
+        for character in (mucosa, dark)
     )
     seen = (half > 0.02).all(axis=-1) & (full < 0.9).all(axis=-1)  # neither cut nor coarse
     off = np.abs(half[seen] / full[seen] - 0.5)

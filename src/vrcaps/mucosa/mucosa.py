@@ -1,0 +1,166 @@
+"""Mucosae: color, vessels, wetness and relief of the wall of each organ, and how to name one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vrcaps.errors import UnknownNameError
+from vrcaps.units import MM
+
+if TYPE_CHECKING:
+    from vrcaps.organ.surface import OrganSurface
+
+MUCUS_TINT = (1.2, 2.8, 1.45)
+"""Reflectance of bile-stained mucus over that of the wall, red, green, blue: median ratio, in seven
+real frames of clean colons (docs/mucosa.md), of what is yellow to what is red."""
+
+
+@dataclass(frozen=True)
+class Mucosa:
+    """Character of a mucosa.
+
+    Colors are those at which frames with indirect light have the colors of real ones
+    (`benchmarks/fit_appearance.py`, docs/gallery.md); the stomach's, of which there were none,
+    change as the colon's did, in blue less, for it has less bile. Shapes and sizes are chosen by
+    eye.
+
+    Attributes:
+        base_color: Linear reflectance of the wall between its vessels, red, green, blue.
+        redness_variation: Spread of the optical density of blood in the mucosa, over places
+            along the gut and patches.
+        patient_variation: Deviation over patients of the optical density of blood in green
+            light, and of bile in blue light.
+        bile: Optical density of bile-stained mucus in blue light.
+        vessel_contrast: Share of green light that a wide, shallow vessel takes away, 0 to 1.
+        vessel_spacing: Distance between the ends of the finest visible branches [m].
+        trunk_spacing: Distance between the places where vessel trunks reach the mucosa [m].
+        capillary_radius: Radius of the finest visible branches [m]; wider ones follow from it
+            by Murray's law.
+        relief_slope: RMS slope of the millimeter-sized relief, which breaks up highlights.
+        pit_spacing: Distance between villi, gastric areae or groups of crypts [m].
+        pit_slope: RMS slope of the gaps between them.
+        pit_shade: Optical density of those gaps in green light; bile gathers there too.
+        network: Weight of the finest network of vessels in the redness.
+        flecks: Share of cells, 3.2 mm wide, that hold a fleck of mucus, on the wall or off it.
+        mucus: Amount of mucus, 0 to 1: film and strands cover a third of this share of the wall.
+        mucus_tint: Reflectance of mucus over that of the wall, red, green, blue.
+        roughness: Perceptual roughness of the wall under its wet film, 0 to 1.
+        clearcoat: Strength of the wet film, 0 (dry, or broken up) to 1 (whole).
+        clearcoat_gloss: Gloss of the wet film, 0 (satin) to 1 (mirror-like).
+    """
+
+    base_color: tuple[float, float, float]
+    redness_variation: float = 0.35
+    patient_variation: tuple[float, float] = (0.20, 0.30)
+    bile: float = 0.45
+    vessel_contrast: float = 1.0
+    vessel_spacing: float = 1.0 * MM
+    trunk_spacing: float = 30.0 * MM
+    capillary_radius: float = 0.046 * MM
+    relief_slope: float = 0.06
+    pit_spacing: float = 0.6 * MM
+    pit_slope: float = 0.03
+    pit_shade: float = 0.05
+    network: float = 1.1
+    flecks: float = 0.03
+    mucus: float = 0.10
+    mucus_tint: tuple[float, float, float] = MUCUS_TINT
+    roughness: float = 0.65
+    clearcoat: float = 1.0
+    clearcoat_gloss: float = 0.93
+
+
+MUCOSAE: dict[str, Mucosa] = {
+    "colon": Mucosa(
+        base_color=(0.446, 0.147, 0.143),
+        bile=0.65,
+        redness_variation=0.45,
+        network=1.4,
+        relief_slope=0.038,
+        roughness=0.90,
+        clearcoat=0.8,
+        clearcoat_gloss=0.97,
+    ),
+    "stomach": Mucosa(
+        base_color=(0.432, 0.152, 0.118),
+        bile=0.15,
+        vessel_contrast=0.25,
+        vessel_spacing=1.5 * MM,
+        pit_spacing=2.2 * MM,
+        pit_slope=0.085,
+        pit_shade=0.10,
+        network=0.35,
+        flecks=0.4,
+        mucus_tint=(1.15, 2.2, 2.0),
+        clearcoat=0.7,
+    ),
+    "small-bowel": Mucosa(
+        base_color=(0.418, 0.210, 0.149),
+        redness_variation=0.22,
+        patient_variation=(0.20, 0.40),
+        bile=0.32,
+        vessel_contrast=0.35,
+        pit_spacing=0.42 * MM,
+        pit_slope=0.48,
+        pit_shade=0.28,
+        network=0.2,
+        flecks=0.15,
+        mucus_tint=(1.15, 1.9, 2.0),
+        roughness=0.85,
+        clearcoat=0.16,
+    ),
+}
+"""Mucosae by organ."""
+
+_MUCOSA_OF: dict[str, str] = {
+    **dict.fromkeys(("stomach", "fundus", "cardia", "body", "antrum", "pylorus"), "stomach"),
+    **dict.fromkeys(("small_bowel", "small-bowel", "duodenal_bulb"), "small-bowel"),
+    **dict.fromkeys(("duodenum", "jejunum", "ileum"), "small-bowel"),
+}
+"""By name of an organ or segment, ours or TotalSegmentator's; all others have the colon's."""
+
+ABSORPTION = np.array([[0.16, 1.0, 0.92], [0.04, 0.16, 1.0]])
+"""Optical density in red, green and blue of blood, relative to green, and of bile, to blue: as in
+the compiled core (tissue.rs)."""
+
+
+def own_mucosa(organ: OrganSurface) -> str:
+    """Name in `MUCOSAE` of the mucosa that an organ's own labels call for.
+
+    The label of most of its wall decides, or the organ's name where that label says nothing; the
+    colon's where neither names a stomach or small bowel.
+    """
+    label = organ.label_names[int(np.bincount(organ.label).argmax())]
+    name = organ.name if label == "wall" else label
+    return _MUCOSA_OF.get(name.replace("-", "_"), "colon")
+
+
+def is_texture_path(mucosa: str) -> bool:
+    """Whether a mucosa is given as the path of a texture rather than a name in `MUCOSAE`.
+
+    Raises:
+        UnknownNameError: If it is neither.
+    """
+    if mucosa in MUCOSAE:
+        return False
+    if len(Path(mucosa).parts) == 1 and not Path(mucosa).exists():
+        raise UnknownNameError("mucosa", mucosa, (*MUCOSAE, "the folder of a texture"))
+    return True
+
+
+def mucosa_fingerprint(mucosa: str | None) -> dict[str, str]:
+    """What a cached organ's name takes in of its mucosa: nothing of the organ's own.
+
+    Raises:
+        UnknownNameError: If there is no such mucosa.
+        InputError: If there is no texture at a path.
+    """
+    from vrcaps.mucosa.texture import texture_sha256
+
+    if mucosa is None:
+        return {}
+    return {"mucosa": texture_sha256(mucosa) if is_texture_path(mucosa) else mucosa}

@@ -190,22 +190,24 @@ def _record(*arguments: str) -> tuple[str, ...]:
 SHEETS = (
     Sheet(
         *("segments_stomach", "Stomach", "Each segment of patient 0."),
-        _record("--organ stomach --supersampling 2 --shadows"),
+        _record("--organ stomach --set render.supersampling=2 --set render.shadows=true"),
         partial(of_segments, "stomach", "mirocam", 1),
     ),
     Sheet(
         *("segments_small_bowel", "Small bowel", "Three places of each segment of patient 0."),
-        _record("--organ small-bowel --capsule pillcam-sb3 --supersampling 2 --shadows"),
+        _record(
+            "--organ small-bowel --capsule pillcam-sb3 --set render.supersampling=2 --set render.shadows=true"
+        ),
         partial(of_segments, "small-bowel", "pillcam-sb3", 3),
     ),
     Sheet(
         *("segments_colon", "Colon", "Two places of each segment of patient 0; MiroCam."),
-        _record("--organ colon --supersampling 2 --shadows"),
+        _record("--organ colon --set render.supersampling=2 --set render.shadows=true"),
         partial(of_segments, "colon", "mirocam", 2),
     ),
     Sheet(
         *("full-tract", "From duodenum to rectum", "The whole tract, one wall; patient 1."),
-        _record("--organ full-tract --patient 1 --frames 600"),
+        _record("--organ full-tract --patient-seed 1 --frames 600"),
         of_tract,
     ),
     Sheet(
@@ -218,12 +220,12 @@ SHEETS = (
     ),
     Sheet(
         *("patients", "Patients", "A seed is a patient: anatomy, vessels, blood and bile."),
-        _record("--organ colon --patient 3", "--organ small-bowel --patient 1"),
+        _record("--organ colon --patient-seed 3", "--organ small-bowel --patient-seed 1"),
         of_patients,
     ),
     Sheet(
         *("capsules", "Capsules", "The catalog's devices at one place of patient 1."),
-        _record("--capsule pillcam-colon2 --patient 1"),
+        _record("--capsule pillcam-colon2 --patient-seed 1"),
         of_capsules,
         7,
     ),

@@ -8,9 +8,10 @@ just inside the cardia; where the capsule does not follow, it waits. The drive i
 to see when the pylorus is reached; then just that is recorded. Writes what the capsule saw, and
 the way from the patient's front and side (`way.png`). The same from the shell:
 
-    vrcaps record --organ stomach --distension inflated --capsule magnetic --motion magnet \
-        --arm panda --wall-side upper --standoff-mm 30 --steering-speed-mm-per-s 10 \
-        --start 0.05 --steering-end 0.85 --substep 2e-4 --frames 38 --fps 2 \
+    vrcaps record --organ stomach --distension inflated --capsule magnetic --motion dynamics \
+        --set motion.magnet.arm=panda --set motion.magnet.wall=upper \
+        --set motion.magnet.standoff=0.03 --set motion.magnet.speed=0.01 \
+        --start 0.05 --set motion.magnet.end=0.85 --set motion.substep=2e-4 --frames 38 --fps 2 \
         --out runs/magnet
 """
 

@@ -259,7 +259,8 @@ def _completed(f: Field, declared: Any, plain: Any, units: bool) -> Any:
     if not (isinstance(plain, Mapping) and is_dataclass(default)):
         return plain
     whole = to_plain(default, declared, units=units)
-    return {**whole, **plain} if plain.get("kind") == whole.get("kind") else plain
+    kind = whole.get("kind")
+    return {**whole, **plain} if plain.get("kind", kind) == kind else plain
 
 
 def _explained(error: BaseException, at: str, units: bool) -> InputError:

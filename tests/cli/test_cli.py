@@ -12,13 +12,13 @@ from vrcaps import cli
 from vrcaps.cli.check import Check
 from vrcaps.cli.demo import _free_folder
 from vrcaps.cli.record import Record
-from vrcaps.errors import InputError
 from vrcaps.lumen.bowel_preparation import prepared
+from vrcaps.motion.dynamics import Dynamics
 from vrcaps.motion.fly_through import FlyThrough
 from vrcaps.motion.replay import Replay
 from vrcaps.scenario.scenario import OrganFile, OrganGenerated, Scenario
-
-OUT = Path("out")
+from vrcaps.sensors.imu import Imu
+from vrcaps.sensors.sensors import HallPad, Sensors
 
 
 def stop(args: list[str], capsys: pytest.CaptureFixture[str]) -> tuple[int, str]:
@@ -40,32 +40,65 @@ def test_every_verb_has_a_summary_and_help_with_an_example(
     assert f"vrcaps {' '.join(verb)}" in text
 
 
-def test_defaults_of_the_flags_are_the_defaults_of_a_scenario() -> None:
-    assert Record(OUT).resolved() == Scenario()
-
-
-def test_flags_reach_the_scenario(capsys: pytest.CaptureFixture[str]) -> None:
-    args = "record --out o --organ colon --seed 4 --frames 7 --fps 2.5 --capsule pillcam-sb3"
-    args += " --channels rgb depth --start 0.2 --drift 0.1 --posture prone"
-    command = cli._parse(args.split())
+def resolved(args: str) -> Scenario:
+    """Scenario of the flags of `record`."""
+    command = cli._parse(["record", "--out", "o", *args.split()])
     assert isinstance(command, Record)
-    scenario = command.resolved()
+    return command.resolved()
+
+
+def test_without_flags_a_scenario_has_its_defaults() -> None:
+    assert resolved("") == Scenario()
+
+
+def test_flags_reach_the_scenario() -> None:
+    scenario = resolved(
+        "--organ colon --seed 4 --frames 7 --fps 2.5 --capsule pillcam-sb3 --channels rgb depth "
+        "--start 0 --set motion.drift=0.1 --posture prone --light path --set render.spp=64 "
+        "--sensors imu hall"
+    )
     assert scenario.organ == OrganGenerated("colon", seed=4)
     assert (scenario.frames, scenario.fps, scenario.seed) == (7, 2.5, 4)
     assert (scenario.capsule, scenario.posture) == ("pillcam-sb3", "prone")
     assert scenario.channels == ("rgb", "depth")
-    assert scenario.motion == FlyThrough(start=0.2, drift=0.1)
+    assert scenario.motion == FlyThrough(start=0.0, drift=0.1)
+    assert (scenario.render.light, scenario.render.spp) == ("path", 64)
+    assert scenario.sensors == Sensors(imu=Imu(), hall=HallPad())
 
 
 @pytest.mark.parametrize(
     ("flags", "says"),
     [
-        (["--mucus-film-um", "-3"], "Mucus film is -3.0. Allowed: 0 to 1000 [µm]."),
-        (["--drift", "3"], "Fly-through drift (--drift) is 3.0. Allowed: 0 to below 1."),
+        (
+            "--set render.mucus_film_um=-3",
+            "scenario.render: Mucus film is -3.0. Allowed: 0",
+        ),
+        ("--set motion.drft=3", "Unknown key scenario.motion.drft. Allowed: start, end, speed"),
+        ("--set frames", "--set is 'frames'. Allowed: PATH=VALUE, such as motion.speed=0.01."),
+        ("--set frames=many", "scenario.frames is 'many'. Allowed: a whole number."),
+        (
+            "--set motion.kind=swim",
+            "scenario.motion.kind is 'swim'. Allowed: dynamics",
+        ),
+        ("--fps 0", "scenario: fps is 0.0. Allowed: above 0"),
+        (
+            "--organ x.ply --unit mm --patient-seed 1",
+            "Unknown key scenario.organ.seed. Allowed",
+        ),
+        (
+            "--organ x.ply --distension normal",
+            "Unknown key scenario.organ.distension. Allowed",
+        ),
+        ("--organ colon --unit mm", "Unknown key scenario.organ.unit. Allowed: name, seed"),
+        ("--preparation 4", "Preparation is 4. Allowed: a Boston score, 0 to 3"),
+        ("--motion replay", "Missing key scenario.motion.path"),
     ],
 )
 def test_a_value_that_cannot_be_ends_in_one_line(flags, says, capsys) -> None:
-    assert stop(["record", "--out", "o", *flags], capsys) == (2, f"vrcaps: {says}\n")
+    status, error = stop(["record", "--out", "o", *flags.split()], capsys)
+    assert status == 2
+    assert error.startswith(f"vrcaps: {says}")
+    assert error.count("\n") == 1
 
 
 def test_a_choice_that_is_not_there_names_those_that_are(capsys) -> None:
@@ -75,53 +108,49 @@ def test_a_choice_that_is_not_there_names_those_that_are(capsys) -> None:
 
 
 def test_a_preparation_fills_the_patients_colon() -> None:
-    contents = Record(OUT, patient=3, preparation=1).resolved().contents
+    contents = resolved("--patient-seed 3 --preparation 1").contents
     assert contents == replace(prepared(1), seed=3)
 
 
 def test_a_patient_may_be_flown_through_many_times() -> None:
-    scenario = Record(OUT, seed=4, patient=1).resolved()
+    scenario = resolved("--seed 4 --patient-seed 1")
     assert (scenario.organ, scenario.seed) == (OrganGenerated("colon", seed=1), 4)
-    args = "record --out o --organ stomach --seed 4 --distension collapsed"
-    command = cli._parse(args.split())
-    assert isinstance(command, Record)
-    assert command.resolved().organ == OrganGenerated("stomach", 4, "collapsed")
+    organ = resolved("--organ stomach --seed 4 --distension collapsed").organ
+    assert organ == OrganGenerated("stomach", 4, "collapsed")
 
 
 def test_mesh_file_and_path_reach_the_scenario() -> None:
-    command = Record(
-        OUT,
-        organ="a/colon.ply",
-        unit="5cm",
-        path=Path("poses.csv"),
-        path_format="unity-csv",
-        path_unit="dm",
-        path_frame="patient",
+    scenario = resolved(
+        "--organ a/colon.ply --unit 5cm --motion replay --set motion.path=poses.csv "
+        "--set motion.format=unity-csv --set motion.unit=dm --set motion.frame=patient"
     )
-    scenario = command.resolved()
     assert scenario.organ == OrganFile("a/colon.ply", unit="5cm")
     assert scenario.motion == Replay("poses.csv", "unity-csv", "dm", frame="patient")
 
 
-@pytest.mark.parametrize(
-    ("command", "message"),
-    [
-        (Record(OUT, organ="x.ply"), "--unit is missing: x.ply does not say its unit"),
-        (Record(OUT, organ="colon", unit="mm"), "go with a mesh file, but 'colon' is a name"),
-        (Record(OUT, organ="colon", reverse=True), "go with a mesh file"),
-        (Record(OUT, organ="x.ply", unit="mm", patient=1), "--patient and --distension go with a"),
-        (Record(OUT, organ="x.ply", unit="mm", distension="normal"), "go with a generated organ"),
-        (Record(OUT, preparation=2, chyme=1), "Leave out --bubbles, --chyme and --liquid"),
-        (Record(OUT, preparation=4), "Preparation is 4. Allowed: a Boston score, 0 to 3"),
-        (Record(OUT, path=Path("p")), "--path needs --path-format. Allowed: tum, unity-csv"),
-        (Record(OUT, path=Path("p"), path_format="tum"), "--path-unit is missing"),
-        (Record(OUT, path=Path("p"), fly=FlyThrough(drift=0.0)), "flags of the fly-through"),
-        (Record(OUT, scenario=Path("s.json"), frames=3), "--scenario states the whole recording"),
-    ],
-)
-def test_contradicting_flags_are_an_error(command: Record, message: str) -> None:
-    with pytest.raises(InputError, match=message):
-        command.resolved()
+def test_flags_change_values_of_a_scenario_file(tmp_path: Path) -> None:
+    path = tmp_path / "mine.toml"
+    path.write_text(
+        'frames = 7\n[motion]\nkind = "dynamics"\nsettle = 2\n[[lesions]]\nkind = "polyp"\n'
+    )
+    scenario = resolved(f"{path} --frames 3 --set motion.step=0.01 --lesion erosion")
+    assert (scenario.frames, scenario.motion) == (3, Dynamics(settle=2.0, step=0.01))
+    assert [lesion.kind for lesion in scenario.lesions] == ["polyp", "erosion"]
+    assert resolved(f"{path} --motion fly-through").motion == FlyThrough()
+
+
+def test_all_settings_are_listed_with_type_unit_and_default(capsys) -> None:
+    cli.main(["record", "--list-settings"])
+    text = capsys.readouterr().out
+    for line in (
+        "frames: int (1 to 1000000) = 100",
+        "motion.speed: float or none = none [fly-through]",
+        "motion.magnet.wall: upper, lower = lower [dynamics]",
+        "render.light: direct, radiosity, path = radiosity",
+        "organ.path: text = required [file]",
+    ):
+        assert line in text
+    assert "Mean speed along the" in text
 
 
 @pytest.mark.parametrize(
@@ -136,7 +165,7 @@ def test_contradicting_flags_are_an_error(command: Record, message: str) -> None
         ("record --out {tmp}/o --organ {mesh} --unit inch", "Unknown length unit 'inch'. Allowed"),
         ("record --out {tmp}/o --organ {mesh} --unit mm", "is empty"),
         ("record --out {tmp}/full", "holds something else"),
-        ("record --out {tmp}/o --scenario {tmp}/none.json", "Cannot read the scenario"),
+        ("record {tmp}/none.json --out {tmp}/o", "Cannot read the scenario"),
         ("record --out {tmp}/o --threads 0", "--threads is 0. Allowed: 1 or more"),
         ("organ inspect {tmp}/none.ply --unit mm", "No file at"),
         ("organ inspect {mesh}", "--unit is missing: "),
@@ -145,7 +174,7 @@ def test_contradicting_flags_are_an_error(command: Record, message: str) -> None
         ("organ inspect colom", "No organ named 'colom'. Known: "),
         ("organ inspect colon --seed -1", "Seed -1 is negative. Allowed: 0, 1, 2"),
         ("organ inspect colon --picture {tmp}/a.txt", "Allowed: .png, .jpg, .pdf, .svg"),
-        ("record --out {tmp}/o --organ {tmp}/none.glb", "--unit is missing"),
+        ("record --out {tmp}/o --organ {tmp}/none.glb", "unit is missing"),
         ("organ make liver", "No organ named 'liver'. Known: "),
         ("organ make colon --out {tmp}/colon.stl", "Allowed: a name that ends in .glb"),
         ("check {tmp}/none", "No folder at"),

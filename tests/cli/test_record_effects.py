@@ -61,7 +61,7 @@ def test_mistakes_in_a_scenario_file(
     path = tmp_path / "scenario.toml"
     path.write_text(f"[effects]\n{table}\n")
     with pytest.raises(SystemExit) as exit_info:
-        cli.main(["record", "--out", str(tmp_path / "o"), "--scenario", str(path)])
+        cli.main(["record", "--out", str(tmp_path / "o"), str(path)])
     error = capsys.readouterr().err
     assert exit_info.value.code == 2
     assert error.count("\n") == 1

@@ -98,5 +98,5 @@ def test_its_textures_stay(plan: Scenario) -> None:
 
 
 def test_a_mesh_file_has_no_unit_of_its_own(plan: Scenario, mesh_file: Path) -> None:
-    with pytest.raises(InputError, match="Unknown length unit ''"):
+    with pytest.raises(InputError, match="unit is missing"):
         resolve(replace(plan, organ=OrganFile(str(mesh_file))))

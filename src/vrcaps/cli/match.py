@@ -32,7 +32,7 @@ class Match:
       vrcaps match frames/ --capsule mirocam --out my-capsule.toml
       vrcaps record --organ small-bowel --capsule mirocam --frames 60 --out runs/plain
       vrcaps match frames/ --capsule mirocam --reference runs/plain/front/rgb --out my-capsule.toml
-      vrcaps record --scenario my-capsule-effects.toml --out runs/matched
+      vrcaps record my-capsule-effects.toml --out runs/matched
     """
 
     frames: Positional[tuple[Path, ...]]
@@ -111,7 +111,7 @@ class Match:
             )
         picture = self.out.with_suffix(".png")
         console.print(f"Wrote {self.out} and {effects}. What was found is drawn in {picture}.")
-        console.print(f"Use them with: vrcaps record --scenario {effects} --out RUN")
+        console.print(f"Use them with: vrcaps record {effects} --out RUN")
 
 
 def _table(match: CameraMatch, *, has_reference: bool):

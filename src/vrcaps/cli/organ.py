@@ -11,10 +11,10 @@ from tyro.conf import Positional, UseAppendAction
 
 from vrcaps.cli.console import console
 from vrcaps.cli.lesions import chosen_lesions, lesion_lines
-from vrcaps.cli.record import is_mesh_file, require_unit
 from vrcaps.errors import InputError
 from vrcaps.organ.organ_file import is_organ_file
-from vrcaps.units import CM, MM
+from vrcaps.scenario.scenario import OrganFile, organ_named
+from vrcaps.units import CM, LENGTH_UNITS, MM
 
 if TYPE_CHECKING:
     from vrcaps.organ.measure import OrganMeasures
@@ -77,7 +77,7 @@ class Inspect:
     def _load(self) -> OrganSurface:
         from vrcaps.anatomy.catalog import generate_organ
 
-        if is_mesh_file(self.organ):
+        if isinstance(organ_named(self.organ), OrganFile):
             if self.seed is not None or self.distension is not None:
                 raise InputError("--seed and --distension go with a generated organ, not a file.")
             return self._load_file(Path(self.organ))
@@ -96,7 +96,7 @@ class Inspect:
             raise InputError(f"No file at {path}. Give the path of a PLY, OBJ, STL or GLB.")
         unit = self.unit
         if not is_organ_file(path):
-            unit = require_unit("--unit", unit, str(path))
+            unit = _require_unit(unit, path)
         organ = read_organ(path, unit=unit, open_ends=self.open_ends, reverse=self.reverse)
         if self.mucosa is None:
             return organ
@@ -139,6 +139,10 @@ class Make:
     lesions: str | None = None
     """A file of lesions (TOML or JSON), or prevalence: as many as a patient of a screening has."""
 
+    posture: str = "supine"
+    """How the patient lies: supine, prone, left-lateral, right-lateral or standing; blood runs
+    down from its source."""
+
     clean_twin: bool = False
     """Write the clean twin too, as <out>-clean.glb."""
 
@@ -167,17 +171,13 @@ class Make:
 
     def _patient(self) -> tuple[OrganSurface, OrganSurface | None]:
         """The organ, with its lesions if there are any, and the clean twin if that is wanted."""
-        from vrcaps.anatomy.catalog import generate_organ
-        from vrcaps.lesion import add_lesions, lesion_rng
+        from vrcaps.scenario.build import make_organ, resolve
+        from vrcaps.scenario.scenario import OrganGenerated, Scenario
 
-        organ = generate_organ(
-            self.name, seed=self.seed, distension=self.distension, mucosa=self.mucosa
-        )
         lesions = chosen_lesions(self.lesion, self.lesions, self.seed, self.name)
-        if not lesions and not self.clean_twin:
-            return organ, None
-        patient = add_lesions(organ, lesions, lesion_rng(self.seed))
-        return patient.organ if lesions else organ, patient.clean if self.clean_twin else None
+        patient = OrganGenerated(self.name, self.seed, self.distension, self.mucosa)
+        scenario = resolve(Scenario(organ=patient, lesions=lesions, posture=self.posture))
+        return make_organ(scenario), make_organ(scenario, clean=True) if self.clean_twin else None
 
 
 def report_organ(organ: OrganSurface, picture: Path) -> None:
@@ -226,3 +226,12 @@ def _rows(facts: OrganMeasures) -> list[tuple[str, str]]:
         *rows,
         ("mesh", f"{facts.num_vertices} vertices, {facts.num_faces} triangles, {quality}"),
     ]
+
+
+def _require_unit(unit: str | None, path: Path) -> str:
+    if unit is None:
+        raise InputError(
+            f"--unit is missing: {path} does not say its unit. "
+            f"Allowed: {', '.join(LENGTH_UNITS)}, or e.g. 5cm."
+        )
+    return unit

@@ -113,7 +113,7 @@ def resample(trajectory: Trajectory, times: Float[np.ndarray, " k"]) -> Trajecto
         raise InputError(
             f"The recorded path covers {own[0]:.6g} s to {own[-1]:.6g} s, but the frames need "
             f"{times[0]:.6g} s to {times[-1]:.6g} s. Ask for fewer frames (--frames), a "
-            "higher frame rate (--fps) or an earlier start (--path-start)."
+            "higher frame rate (fps) or an earlier start (motion.start)."
         )
     left = np.clip(np.searchsorted(own, times, side="right") - 1, 0, len(own) - 2)
     share = ((times - own[left]) / (own[left + 1] - own[left]))[:, None]
@@ -171,5 +171,5 @@ def require_inside(model: Model, trajectory: Trajectory) -> None:
         f"outside the lumen of {model.organ.name!r} at frame {frame} "
         f"({len(np.unique(outside[:, 0]))} of {len(trajectory)} frames are outside). Check the "
         "path's unit, handedness and placement, or accept them: allow_outside, on the command "
-        "line --path-allow-outside."
+        "line motion.allow_outside=true."
     )

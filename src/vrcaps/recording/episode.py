@@ -261,7 +261,7 @@ def read_episode(path: str | Path, *, unfinished: bool = False) -> Episode:
     head = read_head(path)
     if head.get("status") != COMPLETE and not unfinished:
         raise InputError(
-            f"The recording of {path} was broken off. To go on: vrcaps record --scenario "
+            f"The recording of {path} was broken off. To go on: vrcaps record "
             f"{path / EPISODE_JSON} --out {path}"
         )
     require_head(head, str(path / EPISODE_JSON))

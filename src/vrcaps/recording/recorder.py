@@ -176,7 +176,7 @@ def _require_free(out: Path, scenario: Scenario) -> None:
     if head.get("scenario") != scenario_to_plain(scenario):
         raise InputError(
             f"{out} holds an episode of a different scenario. Give a new or empty folder; "
-            f"to go on with that episode, record --scenario {out / EPISODE_JSON}."
+            f"to go on with that episode, record {out / EPISODE_JSON}."
         )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -23,7 +24,7 @@ from vrcaps.render.frame import CHANNELS
 from vrcaps.render.led_light import make_imaging
 from vrcaps.scenario.scenario import OrganFile, OrganGenerated, Scenario
 from vrcaps.serialization import to_plain
-from vrcaps.units import parse_length
+from vrcaps.units import LENGTH_UNITS
 from vrcaps.world.model import Model, posture_transform
 
 if TYPE_CHECKING:
@@ -45,10 +46,7 @@ def resolve(scenario: Scenario) -> Scenario:
     device, organ = _catalog_device(scenario), scenario.organ
     make_imaging(device, scenario.render.imaging)
     if isinstance(organ, OrganFile):
-        organ = replace(
-            organ, unit=organ.unit or ("m" if is_organ_file(path_of(organ.path)) else "")
-        )
-        parse_length(organ.unit)
+        organ = replace(organ, unit=organ.unit or _own_unit(path_of(organ.path)))
     return replace(
         scenario,
         organ=organ if isinstance(organ, OrganSurface) else with_checksums(organ),
@@ -57,6 +55,16 @@ def resolve(scenario: Scenario) -> Scenario:
         channels=tuple(channel for channel in CHANNELS if channel in scenario.channels),
         effects=scenario.effects.drawn(scenario.seed),
     )
+
+
+def _own_unit(path: Path) -> str:
+    """Unit of an organ file; a mesh file states none."""
+    if not is_organ_file(path):
+        raise InputError(
+            f"unit is missing: {path} does not say its unit. Allowed: {', '.join(LENGTH_UNITS)}, "
+            "or e.g. 5cm."
+        )
+    return "m"
 
 
 def build(scenario: Scenario) -> tuple[Model, Run]:

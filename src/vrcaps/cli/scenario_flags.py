@@ -1,0 +1,173 @@
+"""Flags that set values of a scenario: types and help come from the scenario's own tree."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import field, make_dataclass
+from typing import Annotated, Any, Literal, get_args, get_origin
+
+from tyro.conf import UseAppendAction, arg
+
+from vrcaps.scenario.scenario import OrganFile, organ_named
+from vrcaps.scenario.settings import Setting, settings
+
+_PATHS = {
+    "unit": "organ.unit",
+    "distension": "organ.distension",
+    "mucosa": "organ.mucosa",
+    "patient_seed": "organ.seed",
+    "posture": "posture",
+    "clean_twin": "clean_twin",
+    "capsule": "capsule",
+    "start": "motion.start",
+    "end": "motion.end",
+    "speed": "motion.speed",
+    "frames": "frames",
+    "fps": "fps",
+    "seed": "seed",
+    "channels": "channels",
+    "light": "render.light",
+    "wall": "wall",
+}
+"""Flags that set one value of the scenario, by the path of that value."""
+
+_MOTIONS = Literal["fly-through", "replay", "dynamics"]
+
+
+def _flags(name: str, doc: str, *flags: str, **others: tuple[Any, Any, str]) -> Any:
+    """A group of flags: those of `_PATHS` by name, with type and help from the scenario's tree.
+
+    Args:
+        name: Name of the class.
+        doc: Heading of the group in the help.
+        flags: Keys of `_PATHS`.
+        others: Type, default and help of flags that are texts of their own.
+    """
+    known = {setting.path: setting for setting in reversed([*settings()])}
+    entries = []
+    for flag, (declared, default, text) in others.items():
+        about = arg(help=text, help_behavior_hint="")
+        entries.append((flag, Annotated[declared, about], field(default=default)))
+    entries += [_entry(flag, known[_PATHS[flag]]) for flag in flags]
+    group = make_dataclass(name, entries, frozen=True)
+    group.__doc__ = doc
+    return group
+
+
+def _entry(flag: str, setting: Setting) -> tuple[str, Any, Any]:
+    declared = setting.declared
+    if get_origin(declared) is Annotated:
+        declared = get_args(declared)[0]
+    if flag in ("capsule", "mucosa"):
+        declared = str
+    is_switch = declared is bool
+    about = arg(help=setting.doc, help_behavior_hint=f"[{setting.path}: {setting.default_text}]")
+    declared = bool if is_switch else declared | None
+    return flag, Annotated[declared, about], field(default=False if is_switch else None)
+
+
+_LESION = """Lesion to put into the organ; repeat for more. A kind, then what differs from its
+defaults: polyp-Ip:size=12mm,segment=sigmoid, colitis-2, bleeding-3. vrcaps organ list has all."""
+_EFFECTS = """Lens and sensor by severity 0 to 4, such as noise=2,depth_of_field=1, noise=1..3 (a
+range, drawn by the seed), all=2, random, mosaic=rggb or frame_rate=4..35; see docs/effects.md."""
+
+OrganFlags = _flags(
+    "Organ",
+    "Organ and patient.",
+    *("unit", "distension", "mucosa", "patient_seed", "posture", "clean_twin"),
+    organ=(
+        str | None,
+        None,
+        "Name of a generated organ (colon, stomach, small-bowel, full-tract), a mesh file (PLY, "
+        "OBJ, STL, GLB), or an organ file that vrcaps organ wrote.",
+    ),
+    lesion=(UseAppendAction[tuple[str, ...]], (), _LESION),
+    lesions=(
+        str | None,
+        None,
+        "File of lesions (TOML or JSON), or prevalence: as many as a screening patient has.",
+    ),
+    preparation=(
+        int | None,
+        None,
+        "Bowel preparation by the Boston scale: 3 clean, 2 fragments, 1 parts of the wall hidden, "
+        "0 full of stool. Sets the contents of the lumen.",
+    ),
+)
+MotionFlags = _flags(
+    "Motion",
+    "Capsule and motion.",
+    *("capsule", "start", "end", "speed"),
+    motion=(
+        _MOTIONS | None,
+        None,
+        "How the capsule moves: along the centerline, along a recorded path (--set motion.path=…), "
+        "or by gravity, contact, muscle and magnets.",
+    ),
+)
+ImageFlags = _flags(
+    "Images",
+    "Images and measurements.",
+    *("frames", "fps", "seed", "channels", "light", "wall"),
+    effects=(str | None, None, _EFFECTS),
+    sensors=(
+        tuple[Literal["imu", "magnetometer", "hall"], ...],
+        (),
+        "Sensors to read in each frame, as columns of frames.parquet: imu and magnetometer "
+        "in the capsule, hall under the patient.",
+    ),
+)
+
+
+def changes(flags: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
+    """Path and plain value of all that the flags change in a scenario, in order.
+
+    Args:
+        flags: Values of all groups of flags by name.
+
+    Raises:
+        InputError: If a text cannot be read.
+        UnknownNameError: If there is no effect of a name.
+    """
+    yield from _patient_changes(flags)
+    if flags["motion"] is not None:
+        yield "motion.kind", flags["motion"]
+    for flag, path in _PATHS.items():
+        value = flags[flag]
+        if value is not None and value is not False and flag != "patient_seed":
+            yield path, list(value) if isinstance(value, tuple) else value
+    for name in flags["sensors"]:
+        yield f"sensors.{name}", {}
+    if flags["effects"] is not None:
+        yield from _effect_changes(flags["effects"])
+
+
+def _patient_changes(flags: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
+    """The organ, the contents of its lumen, and the seed of both."""
+    from vrcaps.lumen.bowel_preparation import prepared
+    from vrcaps.lumen.contents import Contents
+    from vrcaps.serialization import to_plain
+
+    is_file = False
+    if flags["organ"] is not None:
+        is_file = isinstance(organ_named(flags["organ"]), OrganFile)
+        table = {"kind": "file", "path": flags["organ"]}
+        yield "organ", table if is_file else {"kind": "generated", "name": flags["organ"]}
+    if flags["preparation"] is not None:
+        yield "contents", to_plain(prepared(flags["preparation"]), Contents)
+    seed = flags["seed"] if flags["patient_seed"] is None else flags["patient_seed"]
+    if seed is not None:
+        yield "contents.seed", seed
+    if flags["patient_seed"] is not None or (seed is not None and not is_file):
+        yield "organ.seed", seed
+
+
+def _effect_changes(text: str) -> Iterator[tuple[str, Any]]:
+    from vrcaps.camera_pipeline.effects import Effects
+    from vrcaps.camera_pipeline.parse import parse_effects
+    from vrcaps.serialization import to_plain
+
+    default = to_plain(Effects(), Effects)
+    for name, value in to_plain(parse_effects(text), Effects).items():
+        if value != default[name]:
+            yield f"effects.{name}", value

@@ -183,6 +183,9 @@ OTHERS_BOWEL = (
 )
 
 
+_FINE = "--set render.supersampling=2 --set render.shadows=true"
+
+
 def _record(*arguments: str) -> tuple[str, ...]:
     return tuple(f"vrcaps record --out runs/gallery {line}" for line in arguments)
 
@@ -190,19 +193,17 @@ def _record(*arguments: str) -> tuple[str, ...]:
 SHEETS = (
     Sheet(
         *("segments_stomach", "Stomach", "Each segment of patient 0."),
-        _record("--organ stomach --set render.supersampling=2 --set render.shadows=true"),
+        _record(f"--organ stomach {_FINE}"),
         partial(of_segments, "stomach", "mirocam", 1),
     ),
     Sheet(
         *("segments_small_bowel", "Small bowel", "Three places of each segment of patient 0."),
-        _record(
-            "--organ small-bowel --capsule pillcam-sb3 --set render.supersampling=2 --set render.shadows=true"
-        ),
+        _record(f"--organ small-bowel --capsule pillcam-sb3 {_FINE}"),
         partial(of_segments, "small-bowel", "pillcam-sb3", 3),
     ),
     Sheet(
         *("segments_colon", "Colon", "Two places of each segment of patient 0; MiroCam."),
-        _record("--organ colon --set render.supersampling=2 --set render.shadows=true"),
+        _record(f"--organ colon {_FINE}"),
         partial(of_segments, "colon", "mirocam", 2),
     ),
     Sheet(

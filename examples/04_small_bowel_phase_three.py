@@ -7,8 +7,8 @@ the capsule with them through contact alone; mucus damps it. It slides back wher
 and the gut rises. Prints how far it got, how hard the wall held it and what friction cost, and
 records what the camera saw. Without the mucus, from the shell:
 
-    vrcaps record --organ small-bowel --motion dynamics --set motion.motility=phase-three --start 0.3 \
-        --frames 120 --fps 6 --out runs/phase-three
+    vrcaps record --organ small-bowel --motion dynamics --start 0.3 \
+        --set motion.motility=phase-three --frames 120 --fps 6 --out runs/phase-three
 
 A mesh of your own gets the muscle of the jejunum:
 

@@ -7,8 +7,9 @@ the left side, and onto the front. Prints where it lies and how high, and record
 same from the shell:
 
     vrcaps record --organ stomach --distension inflated --motion dynamics --start 0.4 \
-        --set motion.settle=0.2 --set 'motion.posture_changes=[{posture="left-lateral", time=2,
-        duration=3}, {posture="prone", time=8, duration=3}]' --frames 52 --fps 4 --out runs/roll
+        --set motion.settle=0.2 \
+        --set 'motion.posture_changes=[{posture="left-lateral", time=2, duration=3},
+        {posture="prone", time=8, duration=3}]' --frames 52 --fps 4 --out runs/roll
 """
 
 from __future__ import annotations

@@ -22,7 +22,7 @@ def resolved(text: str) -> Effects:
 def test_effects_reach_the_scenario() -> None:
     assert resolved("specular=3,dof=1") == Effects(specular=3, depth_of_field=1)
     assert resolved("noise=1..3,mosaic=bggr") == Effects(noise=(1, 3), mosaic="bggr")
-    assert Record(Path("o")).resolved().effects == Effects()
+    assert Record().resolved().effects == Effects()
 
 
 @pytest.mark.parametrize(

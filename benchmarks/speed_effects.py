@@ -16,7 +16,6 @@ import tempfile
 import time
 from collections.abc import Iterator
 from dataclasses import replace
-from itertools import pairwise
 from pathlib import Path
 from typing import Literal
 
@@ -26,7 +25,8 @@ import vrcaps
 from validation import PAGE, table, write_section
 from vrcaps.camera_pipeline.parse import parse_effects
 from vrcaps.camera_pipeline.severities import GRADES
-from vrcaps.recording.images import Images, Step
+from vrcaps.motion.step import Step
+from vrcaps.recording.images import Images
 from vrcaps.recording.recorder import record
 from vrcaps.scenario.build import build, resolve
 from vrcaps.scenario.scenario import Scenario
@@ -111,14 +111,7 @@ def _subject(effects: str, light: Literal["direct", "radiosity"]) -> tuple[Image
     """What makes the images of a scenario, and its frames."""
     scenario = resolve(_scenario(effects, light, FRAMES))
     model, motion = build(scenario)
-    instants = [None, *motion.instants(), None]
-    neighbours = zip(pairwise(instants), instants[2:], strict=False)
-    steps = [
-        Step(frame, now, before, after, None)
-        for frame, ((before, now), after) in enumerate(neighbours)
-        if now is not None
-    ]
-    return Images(model, scenario), steps
+    return Images(model, scenario), list(motion.steps())
 
 
 def _round(images: Images, steps: list[Step]) -> np.ndarray:

@@ -93,7 +93,7 @@ def control_rows() -> list[tuple[str, ...]]:
         steering = MagnetSteering(arm=arm, standoff=SKIN, waypoints=(Waypoint(0.0, PLACE),))
         motion = Dynamics(start=0.5, settle=1.0, substep=2e-4, magnet=steering)
         run = Rollout(model, motion, frames=1, fps=1.0, seed=0)
-        list(run.instants())
+        list(run.steps())
         program, world = run.program, run.world
         assert program is not None
         actuator = "the magnet in a free hand" if arm is None else "the magnet on the Panda"

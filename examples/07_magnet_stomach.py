@@ -65,14 +65,14 @@ def drive(scenario: vrcaps.Scenario) -> int:
     assert follower is not None
     print("time [s]  along the way [cm]  distance [cm]  pull [mN]  off field [°]  state")
     frame = 0
-    for frame, instant in enumerate(run.instants()):
-        assert instant.conditions is not None
-        status, coupling = instant.conditions.controller_status, instant.state.coupling
+    for step in run.steps():
+        assert step.command is not None
+        status, coupling, frame = step.command.controller, step.state.coupling, step.index
         assert status is not None
         assert coupling is not None
         if follower.has_arrived or frame % round(2.0 * run.fps) == 0:
             print(
-                f"{instant.state.time:8.1f}  {follower.arc_length / CM:12.1f} of"
+                f"{step.state.time:8.1f}  {follower.arc_length / CM:12.1f} of"
                 f" {follower.path.length / CM:.1f}  {coupling.distance / CM:13.1f}"
                 f"  {1e3 * np.linalg.norm(coupling.force_world):9.0f}"
                 f"  {coupling.angle / DEG:13.1f}  {status.lost or 'held'}"
@@ -80,7 +80,7 @@ def drive(scenario: vrcaps.Scenario) -> int:
         if follower.has_arrived:
             print("The pylorus is reached.")
             break
-    return frame + 1
+    return min(frame + 2, len(run))  # the follower knows the next frame already
 
 
 def draw(episode: Episode, path: Path) -> None:

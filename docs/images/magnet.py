@@ -38,9 +38,9 @@ def main() -> None:
     steering = MagnetSteering(arm="panda", wall="upper", standoff=3.0 * CM, speed=1.0 * CM)
     motion = Dynamics(start=0.05, substep=2e-4, magnet=steering)
     run = Rollout(model, motion, frames=int(SECONDS * FPS), fps=FPS, seed=0)
-    instant = list(run.instants())[-1]
-    assert run.program is not None and instant.conditions is not None
-    state = instant.conditions.controller_status.actuator
+    step = list(run.steps())[-1]
+    assert run.program is not None and step.command is not None
+    state = step.command.controller.actuator
     robot = run.program.controller.actuator.robot
     figure, axes = plt.subplots(figsize=(9.0, 6.7), dpi=150)
     draw_patient(axes, model)
@@ -50,7 +50,7 @@ def main() -> None:
     axes.plot(places[:, 0], places[:, 2], "-", color="0.55", lw=9, solid_capstyle="round", zorder=3)
     axes.plot(places[:-1, 0], places[:-1, 2], "o", color="0.25", ms=5, zorder=4)
     outline(axes, cylinder(robot.magnet, state.T_world_magnet), "#b03030")
-    outline(axes, capsule(model, instant.state.T_world_capsule), "#205080")
+    outline(axes, capsule(model, step.state.T_world_capsule), "#205080")
     axes.set(aspect="equal", xlabel="towards the patient's left [cm]", ylabel="height [cm]")
     axes.set(xlim=WIDTH, ylim=HEIGHT)
     figure.tight_layout()

@@ -22,8 +22,9 @@ from vrcaps.actuation.steering_program import (
 from vrcaps.capsule.catalog import read_device
 from vrcaps.errors import InputError, UnknownNameError
 from vrcaps.motion.dynamics import Dynamics
+from vrcaps.motion.dynamics_columns import MAGNET_COLUMNS
 from vrcaps.motion.rollout import Rollout
-from vrcaps.recording.table import STEERED_COLUMNS, make_table
+from vrcaps.recording.table import make_table
 from vrcaps.units import DEG
 from vrcaps.world.model import Model, posture_transform
 from vrcaps.world.schedule import PostureChange
@@ -46,7 +47,7 @@ def test_an_arm_leads_the_capsule_from_place_to_place(gut_model):
     steering = MagnetSteering(waypoints=PATH, arm="panda", standoff=0.1)
     run = simulate(gut_model, steering)
     table = make_table(gut_model, run).columns
-    assert set(STEERED_COLUMNS) < set(table)
+    assert set(MAGNET_COLUMNS) < set(table)
     assert table["arc_length_m"][-1] == pytest.approx(0.065, abs=2e-3)
     assert set(table["coupling_lost"]) == {""}
     joints = np.array([table[f"joint_{k}_rad"] for k in range(1, 8)])
@@ -69,10 +70,7 @@ def test_a_joystick_moves_the_magnet(gut_model):
     steering = MagnetSteering(
         joystick=(JoystickCommand(0.2, (1.0, 0.0, 0.0)), JoystickCommand(0.4)), joystick_speed=0.05
     )
-    states = [
-        instant.conditions.controller_status
-        for instant in simulate(gut_model, steering, 4).instants()
-    ]
+    states = [step.command.controller for step in simulate(gut_model, steering, 4).steps()]
     moved = states[-1].actuator.T_world_magnet[:3, 3] - states[0].actuator.T_world_magnet[:3, 3]
     np.testing.assert_allclose(moved, [0.01, 0.0, 0.0], atol=1e-3)
 
@@ -81,21 +79,21 @@ def test_goes_on_from_a_snapshot(gut_model):
     steering = MagnetSteering(waypoints=PATH)
     run = simulate(gut_model, steering, 4, 20.0)
     poses = []
-    for frame, instant in enumerate(run.instants()):
-        poses.append(instant.state.T_world_capsule)
-        if frame == 1:
-            taken = run.snapshot()
+    for step in run.steps(is_due=lambda: True):
+        poses.append(step.state.T_world_capsule)
+        if step.index == 1:
+            taken = run.checkpoint()
     again = [
-        i.state.T_world_capsule for i in simulate(gut_model, steering, 4, 20.0).instants(1, taken)
+        step.state.T_world_capsule for step in simulate(gut_model, steering, 4, 20.0).steps(taken)
     ]
-    np.testing.assert_array_equal(again, poses[1:])
+    np.testing.assert_array_equal(again, poses[2:])
 
 
 def test_without_commands_it_leads_along_the_wall_and_stops(gut_model):
     """From 0.06 m on, at 1 cm/s to 0.07 m; and back to 0.05 m, without a turn."""
     for until, end in ((0.35, 0.07), (0.25, 0.05)):
         run = simulate(gut_model, MagnetSteering(end=until, speed=0.01), 9, 4.0)
-        places = [instant.state.T_world_capsule for instant in run.instants()]
+        places = [step.state.T_world_capsule for step in run.steps()]
         assert run.program.follower.has_arrived
         assert places[-1][0, 3] == pytest.approx(end, abs=2e-3)
         assert np.sign(places[-1][0, 2]) == np.sign(places[0][0, 2])
@@ -104,13 +102,13 @@ def test_without_commands_it_leads_along_the_wall_and_stops(gut_model):
 def test_the_way_goes_on_from_a_snapshot(gut_model):
     steering, poses, taken = MagnetSteering(end=0.5, speed=0.01), [], None
     run = simulate(gut_model, steering, 4, 20.0)
-    for frame, instant in enumerate(run.instants()):
-        poses.append(instant.state.T_world_capsule)
-        if frame == 1:
-            taken = run.snapshot()
+    for step in run.steps(is_due=lambda: True):
+        poses.append(step.state.T_world_capsule)
+        if step.index == 1:
+            taken = run.checkpoint()
     again = simulate(gut_model, steering, 4, 20.0)
-    rest = [instant.state.T_world_capsule for instant in again.instants(1, taken)]
-    np.testing.assert_array_equal(rest, poses[1:])
+    rest = [step.state.T_world_capsule for step in again.steps(taken)]
+    np.testing.assert_array_equal(rest, poses[2:])
     assert again.program.follower.arc_length == run.program.follower.arc_length > 0.0
 
 
@@ -123,7 +121,7 @@ def test_a_patient_who_turns_takes_the_way_along(gut_model):
         posture_changes=(PostureChange("left-lateral", 0.0, 0.5),),
     )
     run = Rollout(gut_model, motion, frames=3, fps=5.0, seed=0)
-    states = [instant.conditions.controller_status for instant in run.instants()]
+    states = [step.command.controller for step in run.steps()]
     assert np.isfinite(states[-1].required_force).all()
 
 

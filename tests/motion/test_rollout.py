@@ -10,9 +10,9 @@ import pytest
 from tubes import straight_gut
 from vrcaps.capsule.catalog import read_device
 from vrcaps.errors import InputError, UnknownNameError
-from vrcaps.motion.dynamics import Dynamics, make_tissue
-from vrcaps.motion.rollout import Rollout, over_all
-from vrcaps.motion.run import Instant
+from vrcaps.motion.dynamics import Dynamics
+from vrcaps.motion.rollout import Rollout
+from vrcaps.motion.step import Step
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.tissue.drag import Drag
 from vrcaps.tissue.fem.deformation import FemDeformation
@@ -22,6 +22,7 @@ from vrcaps.transforms import transform_points
 from vrcaps.units import CM, MM
 from vrcaps.world.model import Contact, Model, posture_transform
 from vrcaps.world.schedule import Insufflation, PostureChange, Wrench
+from vrcaps.world.step_means import mean_contact
 
 G = 9.80665
 RIGID = Dynamics(start=0.5, deformation="rigid", settle=0.5, substep=5e-4)
@@ -38,8 +39,8 @@ def lying(gut: OrganSurface) -> Model:
     return Model(gut, read_device("mirocam"), posture_transform("supine"))
 
 
-def run(model: Model, settings: Dynamics, *, frames: int = 4, fps: float = 10.0) -> list[Instant]:
-    return list(Rollout(model, settings, frames=frames, fps=fps, seed=0).instants())
+def run(model: Model, settings: Dynamics, *, frames: int = 4, fps: float = 10.0) -> list[Step]:
+    return list(Rollout(model, settings, frames=frames, fps=fps, seed=0).steps())
 
 
 def test_the_first_frame_is_at_rest_on_the_wall(lying: Model) -> None:
@@ -64,7 +65,7 @@ def test_a_layer_of_elements_carries_the_weight(lying: Model) -> None:
     layer = FemDeformation(edge=10.0 * MM, support=1e5)
     soft = replace(RIGID, deformation="fem", fem=layer)
     simulation = Rollout(lying, soft, frames=2, fps=20.0, seed=0)
-    state = list(simulation.instants())[-1].state
+    state = list(simulation.steps())[-1].state
     assert state.contact is not None
     assert state.vertices_world is not None
     assert state.contact.force_world[2] == pytest.approx(lying.device.mass * G, rel=0.01)
@@ -80,7 +81,7 @@ def test_a_layer_of_elements_carries_the_weight(lying: Model) -> None:
     ("name", "kind"), [("spring", SpringWall), ("fem", FemDeformation), ("rigid", type(None))]
 )
 def test_each_deformation_has_its_tissue(name: str, kind: type) -> None:
-    tissue = make_tissue(replace(RIGID, deformation=name), front=0.0)
+    tissue = replace(RIGID, deformation=name).make_tissue(front=0.0)
     assert isinstance(tissue.deformation, kind)
 
 
@@ -95,14 +96,14 @@ def test_a_pull_along_the_gut(lying: Model, frame: str) -> None:
     force = (0.02, 0.0, 0.0) if frame == "world" else (0.0, 0.0, 0.02)
     smooth = Drag(friction=0.01, viscosity=0.5)
     settings = replace(RIGID, drag=smooth, wrenches=(Wrench(force=force),), wrench_frame=frame)
-    instants = run(lying, settings, frames=5)
-    for instant in instants[1:]:
-        assert instant.conditions is not None
-        np.testing.assert_allclose(instant.conditions.force_world, [0.02, 0.0, 0.0], atol=1e-3)
+    steps = run(lying, settings, frames=5)
+    for step in steps[1:]:
+        assert step.command is not None
+        np.testing.assert_allclose(step.command.force_world, [0.02, 0.0, 0.0], atol=1e-3)
     expected = (0.02 - 0.01 * lying.device.mass * G) / 0.5
-    assert instants[-1].state.linear_velocity_world[0] == pytest.approx(expected, rel=0.03)
-    assert instants[0].conditions is not None
-    np.testing.assert_array_equal(instants[0].conditions.force_world, 0.0)
+    assert steps[-1].state.linear_velocity_world[0] == pytest.approx(expected, rel=0.03)
+    assert steps[0].command is not None
+    np.testing.assert_array_equal(steps[0].command.force_world, 0.0)
 
 
 def test_it_rolls_to_the_lowest_place_as_the_patient_turns(lying: Model) -> None:
@@ -110,20 +111,20 @@ def test_it_rolls_to_the_lowest_place_as_the_patient_turns(lying: Model) -> None
     settings = replace(
         RIGID, posture_changes=(PostureChange("left-lateral", time=0.0, duration=1.0),)
     )
-    instants = run(lying, settings, frames=16)
+    steps = run(lying, settings, frames=16)
     places = []
-    for instant in instants:
-        assert instant.conditions is not None
-        T = instant.conditions.T_world_patient
-        places.append((np.linalg.inv(T) @ instant.state.T_world_capsule)[:3, 3])
-    end = instants[-1]
-    assert end.conditions is not None
-    np.testing.assert_allclose(end.conditions.T_world_patient, posture_transform("left-lateral"))
+    for step in steps:
+        assert step.command is not None
+        T = step.command.T_world_patient
+        places.append((np.linalg.inv(T) @ step.state.T_world_capsule)[:3, 3])
+    end = steps[-1]
+    assert end.command is not None
+    np.testing.assert_allclose(end.command.T_world_patient, posture_transform("left-lateral"))
     vertices = end.state.vertices_world
     assert vertices is not None
     np.testing.assert_allclose(
         vertices,
-        Model(lying.organ, lying.device, end.conditions.T_world_patient).vertices_world,
+        Model(lying.organ, lying.device, end.command.T_world_patient).vertices_world,
         atol=1e-8,
     )
     assert places[0][1] > 4.0 * MM  # behind the axis: towards the back
@@ -134,20 +135,20 @@ def test_the_gut_is_filled_when_the_first_frame_is_taken(lying: Model) -> None:
     settings = replace(
         RIGID, insufflation=(Insufflation(0.0, 0.8), Insufflation(0.2, 1.1)), settle=0.3
     )
-    for instant, factor in zip(run(lying, settings, frames=3), (0.8, 0.95, 1.1), strict=True):
-        vertices = instant.state.vertices_world
+    for step, factor in zip(run(lying, settings, frames=3), (0.8, 0.95, 1.1), strict=True):
+        vertices = step.state.vertices_world
         assert vertices is not None
         radius = np.linalg.norm(vertices[100:400, 1:], axis=1)
         np.testing.assert_allclose(radius, 11.0 * MM * factor, rtol=1e-6)
-        assert instant.conditions is not None
-        assert instant.conditions.insufflation == pytest.approx(factor)
+        assert step.command is not None
+        assert step.command.insufflation == pytest.approx(factor)
 
 
 def test_phase_three_is_at_the_capsule(lying: Model) -> None:
     settings = replace(RIGID, motility="phase-three", start=0.3)
-    for instant in run(lying, settings, frames=2):
-        assert instant.conditions is not None
-        assert instant.conditions.phase == 3
+    for step in run(lying, settings, frames=2):
+        assert step.command is not None
+        assert step.command.phase == 3
 
 
 def test_a_run_is_the_same_however_it_is_walked(lying: Model) -> None:
@@ -155,17 +156,22 @@ def test_a_run_is_the_same_however_it_is_walked(lying: Model) -> None:
     settings = Dynamics(start=0.3, motility="steady", settle=0.1, substep=1e-3)
     simulation = Rollout(lying, settings, frames=5, fps=10.0, seed=3)
     assert len(simulation) == 5
-    taken, steps = [], []
-    simulation.on_step = lambda time, duration: steps.append((time, duration))
-    first = []
-    for instant in simulation.instants():
-        first.append(instant)
-        taken.append(simulation.snapshot())
+    taken, first, steps = [], [], []
+    walk = simulation.steps(
+        progress=lambda time, duration: steps.append((time, duration)), is_due=lambda: True
+    )
+    for step in walk:
+        first.append(step)
+        taken.append(simulation.checkpoint())
+    assert [state.frame for state in taken] == [0, 1, 2, 3, 4]
     assert steps[-1] == pytest.approx((0.5, 0.5))
     assert np.all(np.diff([time for time, _ in steps]) > 0.0)
-    again = list(simulation.instants())
-    later = list(simulation.instants(2, taken[2]))
-    for one, other in [*zip(first, again, strict=True), *zip(first[2:], later, strict=True)]:
+    again = list(simulation.steps())
+    assert simulation.checkpoint() is None  # none was due
+    later = list(simulation.steps(taken[2]))
+    assert [step.index for step in later] == [3, 4]
+    assert later[0].previous.T_world_capsule.tobytes() == first[2].state.T_world_capsule.tobytes()
+    for one, other in [*zip(first, again, strict=True), *zip(first[3:], later, strict=True)]:
         for name in ("T_world_capsule", "vertices_world", "linear_velocity_world"):
             assert getattr(one.state, name).tobytes() == getattr(other.state, name).tobytes()
         assert one.state.time == other.state.time
@@ -177,7 +183,7 @@ def test_contact_over_a_frame() -> None:
         Contact(np.full(3, float(k)), np.full(3, -float(k)), float(k), 0.5, float(k), 1.0, 2.0 * k)
         for k in (1, 3)
     ]
-    total = over_all(contacts)
+    total = mean_contact(contacts)
     np.testing.assert_array_equal(total.force_world, 2.0)
     np.testing.assert_array_equal(total.torque_world, -2.0)
     assert (total.normal_force_total, total.friction_work, total.energy, total.depth) == (
@@ -263,12 +269,12 @@ def test_rejects_a_substep_that_is_too_long(lying: Model) -> None:
 def test_tissue_has_the_fields_asked_for() -> None:
     spring, drag = SpringWall(stiffness=99.0), Drag(law="incetan2021")
     settings = Dynamics(spring=spring, drag=drag, motility="phase-three", fallback_segment="ileum")
-    tissue = make_tissue(settings, front=7.0 * CM)
+    tissue = settings.make_tissue(front=7.0 * CM)
     assert (tissue.deformation, tissue.drag) == (spring, drag)
     assert tissue.motility is not None
     assert (tissue.motility.front, tissue.motility.fallback_segment) == (7.0 * CM, "ileum")
-    assert make_tissue(replace(settings, deformation="rigid"), front=0.0).deformation is None
-    steady = make_tissue(replace(settings, motility="steady"), front=0.0).motility
+    assert replace(settings, deformation="rigid").make_tissue(front=0.0).deformation is None
+    steady = replace(settings, motility="steady").make_tissue(front=0.0).motility
     assert steady is not None
     assert steady.complex is None
-    assert make_tissue(Dynamics(), front=0.0).motility is None
+    assert Dynamics().make_tissue(front=0.0).motility is None

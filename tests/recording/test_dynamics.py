@@ -16,13 +16,13 @@ from vrcaps.camera_pipeline.exposure import AutoExposure
 from vrcaps.errors import InputError
 from vrcaps.lesion import Location, Polyp
 from vrcaps.motion.dynamics import Dynamics
+from vrcaps.motion.dynamics_columns import DYNAMICS_COLUMNS
 from vrcaps.recording import recorder
 from vrcaps.recording.check import check_episode
 from vrcaps.recording.checkpoint import Checkpoint, read_checkpoint
 from vrcaps.recording.episode import read_episode
 from vrcaps.recording.images import Images
 from vrcaps.recording.recorder import record
-from vrcaps.recording.table import SIMULATED_COLUMNS
 from vrcaps.scenario import build as scenario_module
 from vrcaps.scenario.build import build, resolve
 from vrcaps.scenario.scenario import Scenario, read_scenario, scenario_from_plain, scenario_to_plain
@@ -57,7 +57,7 @@ def broken_off(scenario: Scenario, out: Path) -> Checkpoint:
     render = Images.render
 
     def stopped(images, step):
-        if step.frame == 4:
+        if step.index == 4:
             raise KeyboardInterrupt
         return render(images, step)
 
@@ -68,7 +68,7 @@ def broken_off(scenario: Scenario, out: Path) -> Checkpoint:
             record(scenario, out)
     found = read_checkpoint(out)
     assert found is not None
-    assert found.frame >= 2
+    assert found.motion.frame >= 2
     return found
 
 
@@ -109,7 +109,7 @@ def test_table_says_what_acted(whole):
     """Newton's second law while the patient lies still: mean forces and gravity make momentum."""
     episode = read_episode(whole)
     columns = episode.table.columns
-    assert set(SIMULATED_COLUMNS) <= set(columns)
+    assert set(DYNAMICS_COLUMNS) <= set(columns)
     mass, steps = episode.head["capsule"]["mass_kg"], np.diff(columns["time_s"])
     still = [0, 4]  # frames after which nobody turns
     for axis in "xyz":
@@ -182,16 +182,16 @@ def test_a_broken_off_simulation_goes_on_from_its_checkpoint(
     times = []
 
     def counted(images, step):
-        rendered.append(step.frame)
+        rendered.append(step.index)
         return render(images, step)
 
     monkeypatch.setattr(Images, "render", counted)
     record(simulated, out, simulated=lambda time, whole: times.append((time, whole)))
     assert digests(out) == digests(whole)
-    first = found.frame / 5.0 + 0.2
+    first = found.motion.frame / 5.0 + 0.2
     if missing is None:
         assert min(times)[0] > first
-        assert rendered == list(range(found.frame + 1, 6))
+        assert rendered == list(range(found.motion.frame + 1, 6))
     else:
         assert min(times)[0] < first
         assert rendered[0] == missing
@@ -208,7 +208,7 @@ def test_automatic_exposure_goes_on_from_a_checkpoint(simulated, tmp_path):
     found = broken_off(given, broken)
     times = []
     record(given, broken, simulated=lambda time, _: times.append(time))
-    assert min(times) > found.frame / 5.0 + 0.2
+    assert min(times) > found.motion.frame / 5.0 + 0.2
     assert digests(broken) == digests(straight)
 
 
@@ -273,7 +273,7 @@ def test_clean_twin_moves_alike(scenario, tmp_path, monkeypatch):
     twin, clean = build(replace(sick, clean_twin=True))
     far = np.linalg.norm(model.organ.vertices - twin.organ.vertices, axis=1) == 0.0
     assert 0.5 < far.mean() < 1.0
-    for one, other in zip(run.instants(), clean.instants(), strict=True):
+    for one, other in zip(run.steps(), clean.steps(), strict=True):
         np.testing.assert_array_equal(one.state.T_world_capsule, other.state.T_world_capsule)
         gap = one.state.vertices_world - other.state.vertices_world
         np.testing.assert_array_equal(gap[far], 0.0)

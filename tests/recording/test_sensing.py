@@ -10,9 +10,8 @@ from scipy.spatial.transform import Rotation
 
 from vrcaps.capsule.catalog import read_device
 from vrcaps.errors import InputError, UnknownNameError
-from vrcaps.motion.run import Instant
+from vrcaps.motion.step import Step, with_neighbors
 from vrcaps.recording.episode import read_episode
-from vrcaps.recording.images import Step
 from vrcaps.recording.recorder import record
 from vrcaps.recording.sensing import SensorReadings
 from vrcaps.recording.table import FrameTable
@@ -45,15 +44,15 @@ def steps_along(model: Model, count: int) -> list[Step]:
     line = model.organ.centerline
     middle = (model.T_world_patient @ [*line.points[len(line.points) // 2], 1.0])[:3]
     spin, gain = np.array([0.2, -0.1, 0.4]), np.array([0.01, 0.02, -0.01])
-    instants = []
+    states = []
     for k in range(count):
         t = k / FPS
         pose = transform_from(
             Rotation.from_rotvec(spin * t).as_matrix(), middle + 0.5 * gain * t**2
         )
-        instants.append(Instant(State(t, pose, gain * t, spin)))
-    around = [None, *instants, None]
-    return [Step(k, now, around[k], around[k + 2], None) for k, now in enumerate(instants)]
+        states.append(State(t, pose, gain * t, spin))
+    moments = enumerate(with_neighbors(states))
+    return [Step(k, state, previous, after) for k, (previous, state, after) in moments]
 
 
 def vector(row: dict[str, float], name: str) -> np.ndarray:
@@ -66,7 +65,7 @@ def test_inertial_unit_reads_acceleration_and_weight_in_its_own_frame(model):
     readings = SensorReadings(model, scenario_of(Sensors(imu=unit)))
     spin, arm = np.array([0.2, -0.1, 0.4]), np.array([0.0, 0.004, 0.0])
     for step in steps:
-        row, rotation = readings.read(step), step.now.state.T_world_capsule[:3, :3]
+        row, rotation = readings.read(step), step.state.T_world_capsule[:3, :3]
         turned = rotation @ arm
         swing = np.cross(spin, np.cross(spin, turned))
         expected = rotation.T @ (np.array([0.01, 0.02, -0.01]) + swing - GRAVITY)
@@ -79,7 +78,7 @@ def test_magnetometer_reads_the_earth_in_its_own_frame(model):
     sensors = Sensors(magnetometer=Magnetometer(noise=0.0))
     readings = SensorReadings(model, scenario_of(sensors))
     for step in steps_along(model, 3):
-        rotation = step.now.state.T_world_capsule[:3, :3]
+        rotation = step.state.T_world_capsule[:3, :3]
         read = vector(readings.read(step), "magnetometer_{}_t")
         np.testing.assert_allclose(read, rotation.T @ [0.0, 20e-6, -45e-6], atol=1e-12)
 
@@ -88,7 +87,7 @@ def test_hall_sensors_find_the_magnet(model):
     readings = SensorReadings(model, scenario_of(ALL))
     (magnet,) = model.device.magnets
     for step in steps_along(model, 4):
-        row, pose = readings.read(step), step.now.state.T_world_capsule
+        row, pose = readings.read(step), step.state.T_world_capsule
         place = pose[:3, :3] @ magnet.position_capsule + pose[:3, 3]
         axis = pose[:3, :3] @ magnet.moment_capsule / np.linalg.norm(magnet.moment_capsule)
         error = np.linalg.norm(vector(row, "localized_{}_m") - place)

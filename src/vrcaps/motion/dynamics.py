@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
-from typing import ClassVar, Literal
+from typing import TYPE_CHECKING, ClassVar, Literal
 
 from vrcaps.actuation.steering_program import MagnetSteering
 from vrcaps.errors import InputError, UnknownNameError, require
 from vrcaps.file_ref import FileRef, file_ref
+from vrcaps.motion.dynamics_columns import DYNAMICS_COLUMNS, MAGNET_COLUMNS, SPEED_ALONG_GUT
 from vrcaps.motion.fly_through import FlyThrough
+from vrcaps.motion.rollout import Rollout
 from vrcaps.tissue.drag import Drag
 from vrcaps.tissue.fem.deformation import FemDeformation
 from vrcaps.tissue.motility.motility import Motility
@@ -26,6 +28,9 @@ from vrcaps.world.schedule import (
     check_wrenches,
 )
 from vrcaps.world.world import SUBSTEP
+
+if TYPE_CHECKING:
+    from vrcaps.world.model import Model
 
 DEFORMATIONS = ("spring", "fem", "rigid")
 MOTILITIES = ("none", "fasting", "phase-three", "steady")
@@ -97,6 +102,40 @@ class Dynamics:
 
     kind: ClassVar[str] = "dynamics"
 
+    @property
+    def column_names(self) -> tuple[str, ...]:
+        """Columns of contact and commands, and of the magnet where there is one."""
+        magnet = () if self.magnet is None else MAGNET_COLUMNS
+        return (SPEED_ALONG_GUT, *DYNAMICS_COLUMNS, *magnet)
+
+    def begin(
+        self, model: Model, *, frames: int, fps: float, seed: int, shown: Model | None = None
+    ) -> Rollout:
+        """The simulation in a model, see `MotionSettings.begin`."""
+        organ = None if shown is None or shown is model else shown.organ
+        return Rollout(model, self, frames=frames, fps=fps, seed=seed, shown=organ)
+
+    def make_tissue(self, front: float) -> Tissue:
+        """The tissue, with the front of `phase-three` at an arc length in the first frame [m]."""
+        motility = None
+        if self.motility != "none":
+            motility = Motility(fallback_segment=self.fallback_segment, propulsion=self.propulsion)
+        if self.motility == "phase-three" and motility is not None:
+            motility = replace(motility, front=front)
+        elif self.motility == "steady" and motility is not None:
+            motility = replace(motility, complex=None)
+        deformations: dict[str, SpringWall | FemDeformation | None] = {
+            "spring": self.spring,
+            "fem": self.fem or FemDeformation(),
+            "rigid": None,
+        }
+        return Tissue(
+            foundation=self.foundation,
+            drag=self.drag,
+            deformation=deformations[self.deformation],
+            motility=motility,
+        )
+
     def __post_init__(self) -> None:
         if self.wrench_file is not None:
             object.__setattr__(self, "wrench_file", file_ref(self.wrench_file))
@@ -124,32 +163,3 @@ class Dynamics:
         check_wrenches(self.wrenches, "wrenches")
         check_posture_changes(self.posture_changes, "posture_changes")
         check_insufflation(self.insufflation, "insufflation")
-
-
-def make_tissue(settings: Dynamics, *, front: float) -> Tissue:
-    """The tissue that is asked for.
-
-    Args:
-        settings: What is asked for.
-        front: Arc length that the front of `phase-three` has reached in the first frame [m].
-    """
-    motility = None
-    if settings.motility != "none":
-        motility = Motility(
-            fallback_segment=settings.fallback_segment, propulsion=settings.propulsion
-        )
-    if settings.motility == "phase-three" and motility is not None:
-        motility = replace(motility, front=front)
-    elif settings.motility == "steady" and motility is not None:
-        motility = replace(motility, complex=None)
-    deformations: dict[str, SpringWall | FemDeformation | None] = {
-        "spring": settings.spring,
-        "fem": settings.fem or FemDeformation(),
-        "rigid": None,
-    }
-    return Tissue(
-        foundation=settings.foundation,
-        drag=settings.drag,
-        deformation=deformations[settings.deformation],
-        motility=motility,
-    )

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
+import vrcaps.rng
 from vrcaps.errors import InputError
 from vrcaps.motion.centerline_follower import (
     BandLimitedNoise,
@@ -74,10 +75,24 @@ class FlyThrough:
     rigid_wall: bool = False
 
     kind: ClassVar[str] = "fly-through"
+    column_names: ClassVar[tuple[str, ...]] = ()
+
+    def begin(
+        self, model: Model, *, frames: int, fps: float, seed: int, shown: Model | None = None
+    ) -> Trajectory:
+        """The flight in a model, see `MotionSettings.begin`."""
+        rng = vrcaps.rng.stream(seed, "fly-through")
+        return fly_through(model, self, frames=frames, fps=fps, rng=rng, shown=shown)
 
 
 def fly_through(
-    model: Model, settings: FlyThrough, *, frames: int, fps: float, rng: np.random.Generator
+    model: Model,
+    settings: FlyThrough,
+    *,
+    frames: int,
+    fps: float,
+    rng: np.random.Generator,
+    shown: Model | None = None,
 ) -> Trajectory:
     """Trajectory of the capsule along the centreline, looking where it travels.
 
@@ -87,6 +102,7 @@ def fly_through(
         frames: Number of frames, at least 1.
         fps: Frames per second.
         rng: Source of the wandering.
+        shown: The model whose wall makes way, one with the same triangles; None is `model`.
 
     Raises:
         InputError: If a setting is out of range, the frames at `speed` need more than the
@@ -114,7 +130,7 @@ def fly_through(
     times = np.arange(frames) / fps
     step = 1e-3 / fps
     velocities = velocities_between(pose_at(times - step), pose_at(times + step), 2.0 * step)
-    wall_displacement = None if settings.rigid_wall else WallDisplacement(model, model)
+    wall_displacement = None if settings.rigid_wall else WallDisplacement(model, shown or model)
     trajectory = Trajectory(times, pose_at(times), *velocities, notes, wall_displacement)
     require_inside(model, trajectory)
     return trajectory

@@ -74,6 +74,13 @@ class Replay:
     allow_outside: bool = False
 
     kind: ClassVar[str] = "replay"
+    column_names: ClassVar[tuple[str, ...]] = ()
+
+    def begin(
+        self, model: Model, *, frames: int, fps: float, seed: int, shown: Model | None = None
+    ) -> Trajectory:
+        """The path in a model, see `MotionSettings.begin`; nothing is random, the wall at rest."""
+        return replay(model, self, frames=frames, fps=fps)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "path", file_ref(self.path))

@@ -1,10 +1,10 @@
-"""A run that is simulated: the world is stepped from frame to frame, one state at a time."""
+"""Rollout of a simulation: the world is stepped from frame to frame, one state at a time."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,32 +12,31 @@ import numpy as np
 from vrcaps.actuation.steering_program import SteeringProgram
 from vrcaps.errors import InputError
 from vrcaps.file_ref import path_of
-from vrcaps.motion.dynamics import Dynamics, make_tissue
-from vrcaps.motion.run import Conditions, Instant
+from vrcaps.magnet.presets import read_magnet
+from vrcaps.motion.dynamics_columns import dynamics_row, magnet_row
+from vrcaps.motion.motion import MotionState
+from vrcaps.motion.start_pose import start_pose
+from vrcaps.motion.step import Command, Step, with_neighbors
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.transforms import (
     invert,
     rotate_vectors,
-    rotation_from_vector,
     transform_from,
     transform_points,
 )
-from vrcaps.units import CM, MM
-from vrcaps.world.clearance import capsule_clearance
+from vrcaps.units import CM
 from vrcaps.world.control import Control
-from vrcaps.world.model import Contact, Coupling, Model, State
+from vrcaps.world.model import Model, State
 from vrcaps.world.schedule import in_world, insufflation_at, patient_at, read_wrenches, wrench_at
-from vrcaps.world.snapshot import Snapshot
+from vrcaps.world.snapshot import snapshot_arrays, snapshot_from_arrays
+from vrcaps.world.step_means import mean_contact, mean_coupling
 from vrcaps.world.world import World
 
 if TYPE_CHECKING:
     from jaxtyping import Float
 
-_SPACING = 2.0 * MM
-"""Of the places where a capsule is tried that does not fit at the start."""
-
-_FREE = 0.5
-"""Share of the capsule's radius that its axis keeps from the wall where it is set."""
+    from vrcaps.magnet.sources import Source
+    from vrcaps.motion.dynamics import Dynamics
 
 _PASSED = 5.0 * CM
 """How far the front of phase III is beyond the capsule in the first frame: less than the 9 cm that
@@ -47,8 +46,18 @@ _NEARBY = 3.0 * CM
 """How far along the gut the capsule's place is sought from where it was a step before."""
 
 
+@dataclass(frozen=True)
+class _Moment:
+    """A simulated frame, and the checkpoint of it where one was due."""
+
+    index: int
+    state: State
+    command: Command
+    checkpoint: MotionState | None
+
+
 class Rollout:
-    """A run of a `World`. Its frames are made anew, to the same bytes, at every walk through."""
+    """Simulated motion: a `Motion` that steps a `World` from frame to frame."""
 
     def __init__(
         self,
@@ -82,14 +91,14 @@ class Rollout:
         self._wrenches = settings.wrenches if file is None else read_wrenches(path_of(file))
         self._line = model.organ.centerline
         self._offset = None if shown is None else _offset(model.organ, shown)
-        pose, arc_length, self.notes = _start(model, settings)
+        pose, arc_length, self.notes = start_pose(model, settings.start, settings.angle)
         self.program = None
         if settings.magnet is not None:
             self.program = SteeringProgram(model, settings.magnet, pose, arc_length)
             self.notes += self.program.notes
         self.world = World(
             model,
-            make_tissue(settings, front=min(arc_length + _PASSED, self._line.length)),
+            settings.make_tissue(front=min(arc_length + _PASSED, self._line.length)),
             State(-settings.settle, pose),
             substep=settings.substep,
             seed=seed,
@@ -98,8 +107,8 @@ class Rollout:
         self._require_phase(arc_length)
         self._require_time()
         self._arc_length = arc_length
-        self._begin = self.snapshot()
-        self.on_step: Callable[[float, float], None] = _silent
+        self._begin = self._save(0)
+        self._checkpoint: MotionState | None = None
 
     def __len__(self) -> int:
         return self.frames
@@ -109,36 +118,86 @@ class Rollout:
         """Simulated time, with settling [s]."""
         return self.settings.settle + (self.frames - 1) / self.fps
 
-    def snapshot(self) -> tuple[float, Snapshot]:
-        """What `instants` needs to go on from the frame it gave last."""
-        controller = np.zeros(0) if self.program is None else self.program.to_array()
-        return self._arc_length, replace(self.world.snapshot(), controller=controller)
+    def checkpoint(self) -> MotionState | None:
+        """The simulation at the step given last, if it was due; see `Motion.checkpoint`."""
+        return self._checkpoint
 
-    def instants(
-        self, frame: int = 0, snapshot: tuple[float, Snapshot] | None = None
-    ) -> Iterator[Instant]:
-        """Frames from one on.
-
-        Args:
-            frame: The first to give.
-            snapshot: Taken when that frame was given; None, for frame 0 only, begins anew.
+    def steps(
+        self,
+        resume: MotionState | None = None,
+        *,
+        progress: Callable[[float, float], None] | None = None,
+        is_due: Callable[[], bool] | None = None,
+    ) -> Iterator[Step]:
+        """Frames with their neighbors, see `Motion.steps`.
 
         Raises:
             InputError: If the world cannot be stepped; says at which time.
         """
-        self._arc_length, start = snapshot or self._begin
-        self.world.restore(start)
-        if self.program is not None:
-            self.program.restore(start.controller)
-        if snapshot is None:
-            yield self._advanced(-self.settings.settle, 0.0)
-        else:
-            conditions = self._conditions(frame / self.fps, np.zeros((2, 3)))
-            yield self._instant(self.world.state, frame / self.fps, conditions)
-        for index in range(frame + 1, self.frames):
-            yield self._advanced((index - 1) / self.fps, index / self.fps)
+        moments = self._moments(resume, progress or _silent, is_due or _never)
+        for previous, moment, following in with_neighbors(moments):
+            if resume is not None and previous is None:
+                continue  # the frame of the checkpoint itself
+            self._checkpoint = moment.checkpoint
+            yield Step(
+                moment.index,
+                moment.state,
+                previous=None if previous is None else previous.state,
+                next=None if following is None else following.state,
+                command=moment.command,
+            )
 
-    def _advanced(self, begin: float, end: float) -> Instant:
+    def columns(self, step: Step) -> dict[str, float | str]:
+        """Contact, commands and, where a magnet steers, its coupling."""
+        state, command = step.state, step.command
+        assert state.contact is not None
+        assert command is not None
+        row: dict[str, float | str] = {**dynamics_row(state.contact, command)}
+        if command.controller is not None and state.coupling is not None:
+            row |= magnet_row(state.coupling, command.controller)
+        return row
+
+    def sources(self, step: Step) -> tuple[Source, ...]:
+        """The steering magnet."""
+        status = None if step.command is None else step.command.controller
+        if status is None or self.settings.magnet is None:
+            return ()
+        return (read_magnet(self.settings.magnet.magnet, status.actuator.T_world_magnet),)
+
+    def _moments(
+        self,
+        resume: MotionState | None,
+        progress: Callable[[float, float], None],
+        is_due: Callable[[], bool],
+    ) -> Iterator[_Moment]:
+        """Frames from the first, or from that of a checkpoint, one by one."""
+        self._restore(resume or self._begin)
+        first = 0
+        if resume is not None:
+            first, time = resume.frame + 1, resume.frame / self.fps
+            command = self._command(time, np.zeros((2, 3)))
+            yield _Moment(resume.frame, self._shown(self.world.state, time, command), command, None)
+        for index in range(first, self.frames):
+            begin = (index - 1) / self.fps if index else -self.settings.settle
+            state, command = self._advance(begin, index / self.fps, progress)
+            yield _Moment(index, state, command, self._save(index) if is_due() else None)
+
+    def _save(self, frame: int) -> MotionState:
+        controller = np.zeros(0) if self.program is None else self.program.to_array()
+        snapshot = replace(self.world.snapshot(), controller=controller)
+        arrays = snapshot_arrays(snapshot) | {"arc_length": np.array(self._arc_length)}
+        return MotionState(frame, arrays)
+
+    def _restore(self, state: MotionState) -> None:
+        snapshot = snapshot_from_arrays(state.arrays)
+        self._arc_length = float(state.arrays["arc_length"])
+        self.world.restore(snapshot)
+        if self.program is not None:
+            self.program.restore(snapshot.controller)
+
+    def _advance(
+        self, begin: float, end: float, progress: Callable[[float, float], None]
+    ) -> tuple[State, Command]:
         """The world after steps from one time to another [s]."""
         magnet = self.settings.magnet
         step = self.settings.step if magnet is None else min(self.settings.step, magnet.period)
@@ -161,12 +220,13 @@ class Rollout:
             contacts.append(self.world.contact)
             couplings.append(self.world.coupling)
             self._follow()
-            self.on_step(times[1] + self.settings.settle, self.duration)
+            progress(times[1] + self.settings.settle, self.duration)
         state = self.world.state
         if contacts:
             coupling = mean_coupling(couplings)
-            state = replace(state, contact=over_all(contacts), coupling=coupling)
-        return self._instant(state, end, self._conditions(end, wrenches.mean(axis=0)))
+            state = replace(state, contact=mean_contact(contacts), coupling=coupling)
+        command = self._command(end, wrenches.mean(axis=0))
+        return self._shown(state, end, command), command
 
     def _steered(self, times: list[float]) -> Control:
         """Command of the magnet between two times."""
@@ -175,12 +235,12 @@ class Rollout:
         begin, end = times
         return self.program.control(self.world, begin, end - begin, self._patient(end))
 
-    def _instant(self, state: State, time: float, conditions: Conditions) -> Instant:
-        """A frame's instant, at exactly its time, with the wall that is shown."""
+    def _shown(self, state: State, time: float, command: Command) -> State:
+        """A frame's state, at exactly its time, with the wall that is shown."""
         vertices = state.vertices_world
         if vertices is not None and self._offset is not None:
-            vertices = vertices + rotate_vectors(conditions.T_world_patient, self._offset)
-        return Instant(replace(state, time=time, vertices_world=vertices), conditions)
+            vertices = vertices + rotate_vectors(command.T_world_patient, self._offset)
+        return replace(state, time=time, vertices_world=vertices)
 
     def _wrench(self, time: float) -> Float[np.ndarray, "2 3"]:
         """Commanded force [N] and torque [N·m] in the world at a time."""
@@ -217,12 +277,12 @@ class Rollout:
         if len(near):
             self._arc_length = float(s[low + np.argmin(((near - position) ** 2).sum(axis=1))])
 
-    def _conditions(self, time: float, wrench: Float[np.ndarray, "2 3"]) -> Conditions:
+    def _command(self, time: float, wrench: Float[np.ndarray, "2 3"]) -> Command:
         muscle = self.world.muscle
         phase = 0 if muscle is None else int(muscle.phase(np.array(self._arc_length), time))
         inflated = self._insufflation(time)
         status = None if self.program is None else self.program.controller.status
-        return Conditions(wrench[0], wrench[1], inflated, self._patient(time), phase, status)
+        return Command(wrench[0], wrench[1], inflated, self._patient(time), phase, status)
 
     def _require_phase(self, arc_length: float) -> None:
         muscle = self.world.muscle
@@ -260,58 +320,5 @@ def _silent(time: float, duration: float) -> None:
     """Report nothing."""
 
 
-def over_all(contacts: list[Contact]) -> Contact:
-    """Contact over equal steps: means of forces, sum of work, the last step's patch."""
-
-    def mean(name: str) -> Float[np.ndarray, "*n"]:
-        return np.mean([getattr(contact, name) for contact in contacts], axis=0)
-
-    return replace(
-        contacts[-1],
-        force_world=mean("force_world"),
-        torque_world=mean("torque_world"),
-        normal_force_total=float(mean("normal_force_total")),
-        friction_work=float(np.sum([contact.friction_work for contact in contacts])),
-    )
-
-
-def mean_coupling(couplings: list[Coupling | None]) -> Coupling | None:
-    """Coupling over equal steps: mean force and torque, the rest of the last step."""
-    last, known = couplings[-1], [c for c in couplings if c is not None]
-    if last is None:
-        return None
-    force = np.mean([coupling.force_world for coupling in known], axis=0)
-    torque = np.mean([coupling.torque_world for coupling in known], axis=0)
-    is_exact = all(coupling.is_exact for coupling in known)
-    return replace(last, force_world=force, torque_world=torque, is_exact=is_exact)
-
-
-def _start(
-    model: Model, settings: Dynamics
-) -> tuple[Float[np.ndarray, "4 4"], float, tuple[str, ...]]:
-    """Pose of the capsule at rest where it fits, its arc length [m], and what was changed.
-
-    Raises:
-        InputError: If it fits nowhere.
-    """
-    line = model.organ.centerline
-    asked = settings.start * line.length
-    # Towards the far end: a capsule that does not fit at an end fits further in.
-    end = line.length if settings.start <= 0.5 else 0.0
-    places = np.linspace(asked, end, max(2, math.ceil(abs(end - asked) / _SPACING) + 1))
-    nearest = np.abs(line.arc_length[:, None] - places).argmin(axis=0)
-    points = np.stack([np.interp(places, line.arc_length, axis) for axis in line.points.T], -1)
-    tilt = rotation_from_vector(np.array([settings.angle, 0.0, 0.0]))
-    poses = model.T_world_patient @ transform_from(line.frames[nearest] @ tilt, points)
-    free = capsule_clearance(model, poses).min(axis=1)
-    fitting = np.flatnonzero(free > _FREE * model.device.radius)
-    if len(fitting) == 0:
-        raise InputError(
-            f"{model.device.name} in {model.organ.name}: the capsule fits nowhere from start "
-            f"{settings.start:g} on. Check the organ's unit, start elsewhere, inflate the gut, or "
-            "take a smaller capsule."
-        )
-    place = float(places[fitting[0]])
-    moved = abs(place - asked)
-    note = f"Set the capsule {moved / MM:.1f} mm further along, where it fits."
-    return poses[fitting[0]], place, (note,) if moved > 0.0 else ()
+def _never() -> bool:
+    return False

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 from vrcaps.world.model import State
 
@@ -12,6 +13,8 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
     from vrcaps.actuation.magnet_controller import ControllerStatus
+
+_Item = TypeVar("_Item")
 
 
 @dataclass(frozen=True)
@@ -60,3 +63,15 @@ class Step:
     previous: State | None = None
     next: State | None = None
     command: Command | None = None
+
+
+def with_neighbors(items: Iterable[_Item]) -> Iterator[tuple[_Item | None, _Item, _Item | None]]:
+    """Each item between the one before and the one after; None beyond the ends."""
+    previous: _Item | None = None
+    current: _Item | None = None
+    for following in items:
+        if current is not None:
+            yield previous, current, following
+        previous, current = current, following
+    if current is not None:
+        yield previous, current, None

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from vrcaps.errors import InputError
-from vrcaps.motion.run import Instant
+from vrcaps.motion.motion import MotionState
+from vrcaps.motion.step import Step, with_neighbors
 from vrcaps.transforms import (
     invert,
     rotation_from_vector,
@@ -23,10 +24,12 @@ from vrcaps.world.wall_displacement import WallDisplacement
 if TYPE_CHECKING:
     from jaxtyping import Float
 
+    from vrcaps.magnet.sources import Source
+
 
 @dataclass(frozen=True)
 class Trajectory:
-    """Where the capsule is and how it moves, at n instants: a `Run` known beforehand.
+    """Where the capsule is and how it moves, at n instants: a `Motion` known beforehand.
 
     Attributes:
         times: Instants [s], strictly increasing.
@@ -59,9 +62,29 @@ class Trajectory:
             vertices_world=None if displacement is None else displacement.vertices_world(pose),
         )
 
-    def instants(self) -> Iterator[Instant]:
-        """All instants, in time."""
-        return (Instant(self.state(index)) for index in range(len(self)))
+    def steps(
+        self,
+        resume: MotionState | None = None,
+        *,
+        progress: Callable[[float, float], None] | None = None,
+        is_due: Callable[[], bool] | None = None,
+    ) -> Iterator[Step]:
+        """All frames, see `Motion.steps`; nothing is simulated, so nothing is resumed."""
+        states = (self.state(index) for index in range(len(self)))
+        for index, (previous, state, following) in enumerate(with_neighbors(states)):
+            yield Step(index, state, previous, following)
+
+    def checkpoint(self) -> MotionState | None:
+        """None: a path known beforehand is walked through anew."""
+        return None
+
+    def columns(self, step: Step) -> Mapping[str, float | str]:
+        """No columns of its own."""
+        return {}
+
+    def sources(self, step: Step) -> Sequence[Source]:
+        """No sources outside."""
+        return ()
 
 
 def trajectory_from_poses(

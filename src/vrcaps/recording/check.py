@@ -15,7 +15,6 @@ from vrcaps.camera.rays import camera_rays
 from vrcaps.errors import VrcapsError
 from vrcaps.lumen.lumen_contents import CHYME
 from vrcaps.mesh.mesh import Mesh
-from vrcaps.motion.dynamics import Dynamics
 from vrcaps.recording.channels import ENCODINGS
 from vrcaps.recording.episode import Episode, read_episode
 from vrcaps.recording.image_files import read_image
@@ -130,10 +129,8 @@ def _check_table(episode: Episode) -> Iterator[Problem]:
         return
     columns = table.columns
     cameras = tuple(camera.name for camera in episode.cameras)
-    motion = episode.scenario.motion
-    simulated = isinstance(motion, Dynamics)
-    steered = isinstance(motion, Dynamics) and motion.magnet is not None
-    missing = set(column_names(cameras, simulated=simulated, steered=steered)) - set(columns)
+    expected = {*column_names(cameras), *episode.scenario.motion.column_names}
+    missing = expected - set(columns)
     if missing:
         yield Problem(FRAMES_PARQUET, f"lacks the columns {', '.join(sorted(missing))}")
         return

@@ -1,16 +1,19 @@
-"""Where a simulation was when its recording was broken off, so that it goes on from there."""
+"""Checkpoint of an interrupted recording: the motion and the table, to go on from."""
 
 from __future__ import annotations
 
 import json
 import shutil
+import zipfile
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from vrcaps.errors import InputError
 from vrcaps.files import atomic_write, write_json
+from vrcaps.motion.motion import MotionState
 from vrcaps.recording.table import FrameTable, read_table, write_table
-from vrcaps.world.snapshot import Snapshot, read_snapshot, write_snapshot
 
 _FOLDER = ".resume"
 _INDEX = "index.json"
@@ -18,18 +21,14 @@ _INDEX = "index.json"
 
 @dataclass(frozen=True)
 class Checkpoint:
-    """A simulation at a frame that is wholly written, as all before it are.
+    """A recording at a frame that is wholly written, as all before it are.
 
     Attributes:
-        frame: Number of the frame.
-        arc_length: Of the capsule along the gut, as the simulation follows it [m].
-        snapshot: The world at the frame.
+        motion: The motion at the frame.
         table: Rows up to the frame.
     """
 
-    frame: int
-    arc_length: float
-    snapshot: Snapshot
+    motion: MotionState
     table: FrameTable
 
 
@@ -37,13 +36,13 @@ def write_checkpoint(episode: Path, checkpoint: Checkpoint) -> None:
     """Write a checkpoint in place of the one before."""
     folder = episode / _FOLDER
     folder.mkdir(exist_ok=True)
-    world, table = _paths(folder, checkpoint.frame)
-    with atomic_write(world) as temporary:
-        write_snapshot(temporary, checkpoint.snapshot)
+    arrays, table = _paths(folder, checkpoint.motion.frame)
+    with atomic_write(arrays) as temporary, temporary.open("wb") as file:
+        np.savez_compressed(file, **checkpoint.motion.arrays)
     write_table(table, checkpoint.table)
-    write_json(folder / _INDEX, {"frame": checkpoint.frame, "arc_length_m": checkpoint.arc_length})
+    write_json(folder / _INDEX, {"frame": checkpoint.motion.frame})
     for path in folder.iterdir():
-        if path not in (world, table, folder / _INDEX):
+        if path not in (arrays, table, folder / _INDEX):
             path.unlink()
 
 
@@ -57,11 +56,12 @@ def read_checkpoint(episode: Path) -> Checkpoint | None:
     if not (folder / _INDEX).exists():
         return None
     try:
-        index = json.loads((folder / _INDEX).read_text(encoding="utf-8"))
-        world, table = _paths(folder, index["frame"])
-        snapshot, rows = read_snapshot(world), read_table(table)
-        return Checkpoint(index["frame"], float(index["arc_length_m"]), snapshot, rows)
-    except (OSError, ValueError, LookupError, TypeError) as error:
+        frame = int(json.loads((folder / _INDEX).read_text(encoding="utf-8"))["frame"])
+        path, table = _paths(folder, frame)
+        with np.load(path) as file:
+            arrays = dict(file)
+        return Checkpoint(MotionState(frame, arrays), read_table(table))
+    except (OSError, ValueError, LookupError, TypeError, zipfile.BadZipFile) as error:
         raise InputError(
             f"{folder} is damaged ({error}). Delete it to simulate from the beginning; images that "
             "are there are kept."

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -14,31 +14,11 @@ from vrcaps.render.frame import Frame
 from vrcaps.render.renderer import Renderer
 
 if TYPE_CHECKING:
-    from vrcaps.motion.run import Instant
+    from vrcaps.motion.step import Step
     from vrcaps.recording.table import FrameTable
     from vrcaps.scenario.scenario import Scenario
     from vrcaps.world.model import Model
     from vrcaps.world.moving_wall import MovingWall
-    from vrcaps.world.snapshot import Snapshot
-
-
-@dataclass(frozen=True)
-class Step:
-    """A frame to be written, between its neighbours.
-
-    Attributes:
-        frame: Its number.
-        now: The world.
-        before: One frame earlier; None for the first.
-        after: One frame later; None for the last.
-        taken: Of `Rollout.snapshot` at this frame, where one is due.
-    """
-
-    frame: int
-    now: Instant
-    before: Instant | None
-    after: Instant | None
-    taken: tuple[float, Snapshot] | None
 
 
 class Images:
@@ -111,9 +91,9 @@ class Images:
             motion = self._chains[camera.name].motion(seen, self._renderer)
             speeds.append(image_speed(motion, half_side_px(camera), self._fps))
         speed, last = max(speeds), self._taken
-        is_taken = last is None or self._rate.is_due(speed, step.frame - last, self._fps)
+        is_taken = last is None or self._rate.is_due(speed, step.index - last, self._fps)
         if is_taken:
-            self._taken = step.frame
+            self._taken = step.index
         return {SPEED: speed, TAKEN: int(is_taken)}
 
     def render(self, step: Step) -> dict[str, Frame]:
@@ -124,19 +104,18 @@ class Images:
                 images[name] = self._chains[name].apply(seen, self._renderer)
             else:
                 images[name] = Frame(**seen.channels)
-        ends = (step.before is None, step.after is None)
+        ends = (step.previous is None, step.next is None)
         return {name: _without_neighbour(image, *ends) for name, image in images.items()}
 
     def _perfect(self, step: Step) -> dict[str, Frame]:
         """Images without lens and sensor."""
-        after, before = step.after or step.now, step.before or step.now
         return {
             camera.name: self._renderer.render(
-                step.now.state,
+                step.state,
                 camera,
                 channels=self._channels,
-                state_next=after.state,
-                state_previous=before.state,
+                state_next=step.next or step.state,
+                state_previous=step.previous or step.state,
             )
             for camera in self._model.device.cameras
         }
@@ -153,10 +132,10 @@ class Images:
 
     def _moment(self, step: Step, camera: str) -> Moment:
         return Moment(
-            step.frame,
-            step.now.state,
-            state_next=None if step.after is None else step.after.state,
-            state_previous=None if step.before is None else step.before.state,
+            step.index,
+            step.state,
+            state_next=step.next,
+            state_previous=step.previous,
             exposure=self._current[camera],
         )
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import errno
 import time
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import partial
@@ -16,7 +16,6 @@ import numpy as np
 
 from vrcaps.errors import InputError
 from vrcaps.files import TEMPORARY, write_bytes, write_json
-from vrcaps.motion.rollout import Rollout
 from vrcaps.recording.channels import ENCODINGS
 from vrcaps.recording.checkpoint import (
     Checkpoint,
@@ -26,7 +25,7 @@ from vrcaps.recording.checkpoint import (
 )
 from vrcaps.recording.episode import Episode, read_episode
 from vrcaps.recording.image_files import write_images
-from vrcaps.recording.images import Images, Step
+from vrcaps.recording.images import Images
 from vrcaps.recording.layout import (
     COMPLETE,
     EPISODE_JSON,
@@ -48,12 +47,11 @@ from vrcaps.scenario.scenario import Scenario, scenario_to_plain
 from vrcaps.world.moving_wall import MovingWall
 
 if TYPE_CHECKING:
-    from vrcaps.motion.run import Run
+    from vrcaps.motion.motion import Motion
     from vrcaps.render.frame import Frame
     from vrcaps.world.model import Model
-    from vrcaps.world.snapshot import Snapshot
 
-_CHECKPOINT_SECONDS = 10.0  # between snapshots of a simulation, from which it can go on
+_CHECKPOINT_SECONDS = 10.0  # between checkpoints, from which a simulation can go on
 _QUEUED_FRAMES = 3  # being encoded or waiting for it while the next ones are rendered
 _FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 
@@ -87,14 +85,12 @@ def record(
     scenario = resolve(scenario)
     _require_free(out, scenario)
     model, motion = build(scenario)
-    if isinstance(motion, Rollout) and simulated is not None:
-        motion.on_step = simulated
     head = make_head(scenario, model, motion.notes)
     try:
         _begin(out, head)
         if not (out / ORGAN_GLB).exists():
             _write_organ(out, model)
-        _write_frames(out, _Recording(out, scenario, model, motion, progress or _silent))
+        _write_frames(out, _Recording(out, scenario, model, motion, progress or _silent, simulated))
         _finish(out, head)
     except OSError as error:
         raise _explained(out, error) from error
@@ -108,8 +104,9 @@ class _Recording:
     out: Path
     scenario: Scenario
     model: Model
-    motion: Run
+    motion: Motion
     progress: Callable[[int, int], None]
+    simulated: Callable[[float, float], None] | None
     present: set[Path] = field(init=False)
     wall_vertices: np.ndarray = field(init=False)
 
@@ -141,13 +138,12 @@ class _Recording:
         return table and all(self.is_there(frame) for frame in range(self.scenario.frames))
 
     def checkpoint(self) -> Checkpoint | None:
-        """Where a simulation may go on; None where it must begin anew."""
-        if not isinstance(self.motion, Rollout):
-            return None
+        """Where the motion may go on; None where it must begin anew."""
         found = read_checkpoint(self.out)
-        if found is None or not all(self.is_there(frame) for frame in range(found.frame + 1)):
+        if found is None:
             return None
-        return found
+        is_whole = all(self.is_there(frame) for frame in range(found.motion.frame + 1))
+        return found if is_whole else None
 
 
 def _silent(done: int, total: int) -> None:
@@ -208,31 +204,18 @@ def _write_organ(out: Path, model: Model) -> None:
     write_organ(out / ORGAN_GLB, model.organ, T_world_patient=model.T_world_patient)
 
 
-def _steps(motion: Run, start: Checkpoint | None) -> Iterator[Step]:
-    """Frames of a motion with their neighbours, from the one after a checkpoint on."""
-    simulation = motion if isinstance(motion, Rollout) else None
-    last = time.monotonic()
+class _Timer:
+    """Says when the next checkpoint is due."""
 
-    def taken() -> tuple[float, Snapshot] | None:
-        nonlocal last
-        if simulation is None or time.monotonic() - last < _CHECKPOINT_SECONDS:
-            return None
-        last = time.monotonic()
-        return simulation.snapshot()
+    def __init__(self, seconds: float) -> None:
+        self._seconds, self._last = seconds, time.monotonic()
 
-    if start is None or simulation is None:
-        instants, frame = motion.instants(), 0
-        before, now = None, next(instants)
-    else:
-        instants = simulation.instants(start.frame, (start.arc_length, start.snapshot))
-        frame = start.frame + 1
-        before, now = next(instants), next(instants)
-    due = taken()
-    for after in instants:
-        following = taken()
-        yield Step(frame, now, before, after, due)
-        before, now, due, frame = now, after, following, frame + 1
-    yield Step(frame, now, before, None, None)
+    def __call__(self) -> bool:
+        now = time.monotonic()
+        if now - self._last < self._seconds:
+            return False
+        self._last = now
+        return True
 
 
 def _write_frames(out: Path, run: _Recording) -> None:
@@ -279,20 +262,21 @@ def _write_steps(
     readings = SensorReadings(run.model, run.scenario, table)
     for frame in range(len(rows)):
         submit(frame, partial(_preview_from_files, preview, episode, frame))
-    for step in _steps(run.motion, start):
-        rows.add(step.now, images.expose(step) | readings.read(step))
-        if run.is_there(step.frame):
-            submit(step.frame, partial(_preview_from_files, preview, episode, step.frame))
+    resume, is_due = None if start is None else start.motion, _Timer(_CHECKPOINT_SECONDS)
+    for step in run.motion.steps(resume, progress=run.simulated, is_due=is_due):
+        measured = readings.read(step, run.motion.sources(step))
+        rows.add(step, {**run.motion.columns(step), **images.expose(step), **measured})
+        if run.is_there(step.index):
+            submit(step.index, partial(_preview_from_files, preview, episode, step.index))
             continue
         made, wall = images.render(step), None
         if run.scenario.wall:
-            wall = stored_wall(run.model, step.now.state, run.wall_vertices)
-        checkpoint = None
-        if step.taken is not None:
-            checkpoint = Checkpoint(step.frame, *step.taken, rows.table())
+            wall = stored_wall(run.model, step.state, run.wall_vertices)
+        state = run.motion.checkpoint()
+        checkpoint = None if state is None else Checkpoint(state, rows.table())
         submit(
-            step.frame,
-            partial(_write_frame, preview, run, step.frame, made, wall, checkpoint),
+            step.index,
+            partial(_write_frame, preview, run, step.index, made, wall, checkpoint),
         )
     if not (run.out / FRAMES_PARQUET).exists():
         write_table(run.out / FRAMES_PARQUET, rows.table())

@@ -12,10 +12,7 @@ import numpy as np
 import vrcaps.rng
 from vrcaps.errors import InputError
 from vrcaps.magnet.field import field as flux_density
-from vrcaps.magnet.presets import read_magnet
 from vrcaps.magnet.sources import Dipole, Source, UniformField, magnet_pose
-from vrcaps.motion.dynamics import Dynamics
-from vrcaps.motion.run import Instant
 from vrcaps.sensors.hall import perturb_calibration, read_hall
 from vrcaps.sensors.imu import (
     CapsuleKinematics,
@@ -29,7 +26,7 @@ from vrcaps.transforms import rotate_vectors, transform_points
 if TYPE_CHECKING:
     from jaxtyping import Float
 
-    from vrcaps.recording.images import Step
+    from vrcaps.motion.step import Step
     from vrcaps.recording.table import FrameTable
     from vrcaps.scenario.scenario import Scenario
     from vrcaps.world.model import Model
@@ -51,9 +48,6 @@ class SensorReadings:
         """
         assert scenario.fps is not None
         self._model, self._sensors, self._seed = model, scenario.sensors, scenario.seed
-        self._steering = None
-        if isinstance(scenario.motion, Dynamics) and scenario.motion.magnet is not None:
-            self._steering = scenario.motion.magnet.magnet
         earth = np.array(self._sensors.earth_field, float)
         strength = float(np.linalg.norm(earth))
         axis = earth if strength > 0.0 else np.array([0.0, 0.0, 1.0])
@@ -68,13 +62,18 @@ class SensorReadings:
         if before is not None:
             self._go_on(before)
 
-    def read(self, step: Step) -> dict[str, float]:
-        """Columns of a frame, to be called for each in turn."""
+    def read(self, step: Step, sources: Sequence[Source] = ()) -> dict[str, float]:
+        """Columns of a frame, to be called for each in turn.
+
+        Args:
+            step: The frame.
+            sources: Of magnetic fields outside, beside the earth's.
+        """
         columns: dict[str, float] = {}
-        pose = step.now.state.T_world_capsule
-        outside = [self._earth, *self._steers(step.now)]
+        pose = step.state.T_world_capsule
+        outside = [self._earth, *sources]
         if self._imu is not None:
-            rng = self._imu_rng(step.frame)
+            rng = self._imu_rng(step.index)
             motion = _motion(step)
             force, turn, self._bias = read_imu(self._imu, motion, self._bias, rng)
             columns |= _named("accelerometer_{}_m_per_s2", force)
@@ -83,7 +82,7 @@ class SensorReadings:
         if unit is not None:
             place = transform_points(pose, np.array([unit.position_capsule]))
             flux = flux_density(outside, place)[0][0]
-            rng = vrcaps.rng.stream(self._seed, "sensors/magnetometer", step.frame)
+            rng = vrcaps.rng.stream(self._seed, "sensors/magnetometer", step.index)
             columns |= _named("magnetometer_{}_t", read_magnetometer(unit, flux, pose[:3, :3], rng))
         if self._sensors.hall is not None:
             columns |= self._read_pad(step, outside)
@@ -104,11 +103,11 @@ class SensorReadings:
     def _read_pad(self, step: Step, outside: list[Source]) -> dict[str, float]:
         """Readings, and the place and direction of the capsule's magnet that follow from them."""
         (magnet,) = self._model.device.magnets
-        pose = step.now.state.T_world_capsule
+        pose = step.state.T_world_capsule
         (place,) = transform_points(pose, np.array([magnet.position_capsule]))
         axis = rotate_vectors(pose, np.array(magnet.moment_capsule))
         inside = Dipole(float(np.linalg.norm(axis)), magnet_pose(place, axis))
-        rng = vrcaps.rng.stream(self._seed, "sensors/hall", step.frame)
+        rng = vrcaps.rng.stream(self._seed, "sensors/hall", step.index)
         readings = read_hall(self._true_array, [inside, *outside], rng)
         columns = {
             f"hall_{k}_{name}_t": float(value)
@@ -130,12 +129,6 @@ class SensorReadings:
         columns |= _named("localized_axis_{}", found[:3, 2])
         return columns | {"localized_sigma_m": sigma, "localized_residual_t": residual}
 
-    def _steers(self, instant: Instant) -> list[Source]:
-        conditions = instant.conditions
-        if self._steering is None or conditions is None or conditions.controller_status is None:
-            return []
-        return [read_magnet(self._steering, conditions.controller_status.actuator.T_world_magnet)]
-
     def _go_on(self, before: FrameTable) -> None:
         """The bias and the last place as they were after the rows of earlier frames."""
         if self._imu is not None:
@@ -156,8 +149,9 @@ class SensorReadings:
 
 def _motion(step: Step) -> CapsuleKinematics:
     """How the capsule moves at a frame, accelerations from the velocities beside it."""
-    before, after = (step.before or step.now).state, (step.after or step.now).state
-    state, time = step.now.state, after.time - before.time
+    state = step.state
+    before, after = step.previous or state, step.next or state
+    time = after.time - before.time
 
     def rate(name: str) -> tuple[float, float, float]:
         change = np.asarray(getattr(after, name)) - np.asarray(getattr(before, name))

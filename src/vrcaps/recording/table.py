@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from vrcaps._core import Wall
-from vrcaps.actuation.magnet_controller import ControllerStatus
 from vrcaps.files import write_bytes
-from vrcaps.motion.run import Conditions, Instant, Run
+from vrcaps.motion.dynamics_columns import SPEED_ALONG_GUT
+from vrcaps.motion.motion import Motion
+from vrcaps.motion.step import Step
 from vrcaps.organ.surface import face_label
 from vrcaps.transforms import (
     matrix_from_quaternion,
@@ -21,7 +22,7 @@ from vrcaps.transforms import (
     transform_from,
     transform_points,
 )
-from vrcaps.world.model import Coupling, Model, State
+from vrcaps.world.model import Model
 from vrcaps.world.moving_wall import MovingWall
 
 if TYPE_CHECKING:
@@ -30,33 +31,6 @@ if TYPE_CHECKING:
 POSE_COLUMNS = ("x_m", "y_m", "z_m", "qw", "qx", "qy", "qz")
 _LINEAR = tuple(f"capsule_v{axis}_m_per_s" for axis in "xyz")
 _ANGULAR = tuple(f"capsule_w{axis}_rad_per_s" for axis in "xyz")
-
-
-SIMULATED_COLUMNS = (
-    "capsule_along_gut_m_per_s",
-    *(f"contact_force_{axis}_n" for axis in "xyz"),
-    *(f"contact_torque_{axis}_nm" for axis in "xyz"),
-    *("normal_force_total_n", "friction_work_j", "contact_area_m2", "contact_depth_m"),
-    *(f"commanded_force_{axis}_n" for axis in "xyz"),
-    *(f"commanded_torque_{axis}_nm" for axis in "xyz"),
-    "insufflation",
-    *(f"patient_{name}" for name in POSE_COLUMNS),
-    "mmc_phase",
-)
-"""Columns of a run by dynamics, beside those of every run."""
-
-STEERED_COLUMNS = (
-    *(f"magnet_{name}" for name in POSE_COLUMNS),
-    *(f"flux_density_{axis}_t" for axis in "xyz"),
-    *(f"magnetic_force_{axis}_n" for axis in "xyz"),
-    *(f"magnetic_torque_{axis}_nm" for axis in "xyz"),
-    *(f"required_force_{axis}_n" for axis in "xyz"),
-    *("coupling_angle_rad", "coupling_distance_m", "position_error_m", "heading_error_rad"),
-    *("magnet_limit", "coupling_lost"),
-)
-"""Columns of a run that a magnet steers; those of an arm's joints come after them."""
-
-_TEXTS = ("segment", "magnet_limit", "coupling_lost")
 
 
 @dataclass(frozen=True)
@@ -79,21 +53,16 @@ class FrameTable:
         return transform_from(rotations, np.stack([x, y, z], axis=-1))
 
 
-def column_names(
-    cameras: tuple[str, ...], *, simulated: bool = False, steered: bool = False
-) -> tuple[str, ...]:
-    """Names of all columns, in order.
+def column_names(cameras: tuple[str, ...]) -> tuple[str, ...]:
+    """Names of the columns that every table has, in order.
 
     Args:
         cameras: Names of the capsule's cameras.
-        simulated: Whether the capsule moved by dynamics.
-        steered: Whether a magnet steered it.
     """
     poses = [f"{body}_{name}" for body in ("capsule", *cameras) for name in POSE_COLUMNS]
     clearances = [f"{body}_clearance_m" for body in ("capsule", *cameras)]
     columns = ("frame", "time_s", *poses, *_LINEAR, *_ANGULAR, "arc_length_m", "segment")
-    physics = SIMULATED_COLUMNS if simulated else ()
-    return (*columns, *clearances, "wall_at_rest", *physics, *(STEERED_COLUMNS if steered else ()))
+    return (*columns, *clearances, "wall_at_rest")
 
 
 class TableRows:
@@ -119,14 +88,14 @@ class TableRows:
     def __len__(self) -> int:
         return len(self._rows)
 
-    def add(self, instant: Instant, more: Mapping[str, float] | None = None) -> None:
+    def add(self, step: Step, more: Mapping[str, float | str] | None = None) -> None:
         """Adds a frame: pose, velocity, where in the gut, how far from the wall as it is then.
 
         Args:
-            instant: The frame.
+            step: The frame.
             more: Further columns, the same in each row.
         """
-        state, cameras = instant.state, self.model.device.cameras
+        state, cameras = step.state, self.model.device.cameras
         poses = {"capsule": state.T_world_capsule}
         for camera in cameras:
             poses[camera.name] = state.T_world_capsule @ camera.T_capsule_camera
@@ -138,87 +107,52 @@ class TableRows:
         row |= dict(zip(_LINEAR, state.linear_velocity_world, strict=True))
         row |= dict(zip(_ANGULAR, state.angular_velocity_world, strict=True))
         wall = self._wall.at(state)
-        arc_length, segment = locate_in_gut(
-            self.model, state.T_world_capsule[None, :3, 3], instant=instant, wall=wall
-        )
+        positions = state.T_world_capsule[None, :3, 3]
+        arc_length, segment = locate_in_gut(self.model, positions, step=step, wall=wall)
         row |= {"arc_length_m": arc_length[0], "segment": segment[0]}
         places = np.array([T_world_body[:3, 3] for T_world_body in poses.values()])
         clearances = np.asarray(wall.signed_distance(places), float)
         row |= {f"{body}_clearance_m": d for body, d in zip(poses, clearances, strict=True)}
         row["wall_at_rest"] = state.vertices_world is None
-        if instant.conditions is not None:
-            row |= _simulated(self.model, state, instant.conditions, float(arc_length[0]))
+        if step.command is not None:
+            row[SPEED_ALONG_GUT] = _speed_along_gut(self.model, step, float(arc_length[0]))
         self._rows.append(row | dict(more or {}))
 
     def table(self) -> FrameTable:
         """All rows so far."""
-        cameras = tuple(camera.name for camera in self.model.device.cameras)
-        simulated = bool(self._rows) and SIMULATED_COLUMNS[0] in self._rows[0]
-        names = column_names(cameras, simulated=simulated)
+        names = column_names(tuple(camera.name for camera in self.model.device.cameras))
         more = [name for name in self._rows[0] if name not in names] if self._rows else []
         columns = {name: np.array([row[name] for row in self._rows]) for name in (*names, *more)}
-        texts = {name: columns[name].astype(object) for name in _TEXTS if name in columns}
+        texts = {
+            name: column.astype(object)
+            for name, column in columns.items()
+            if column.dtype.kind == "U"
+        }
         return FrameTable(columns | texts)
 
 
-def make_table(model: Model, run: Run) -> FrameTable:
-    """Columns of a whole run."""
+def make_table(model: Model, motion: Motion) -> FrameTable:
+    """Columns of a whole motion."""
     rows = TableRows(model)
-    for instant in run.instants():
-        rows.add(instant)
+    for step in motion.steps():
+        rows.add(step, motion.columns(step))
     return rows.table()
 
 
-def _simulated(
-    model: Model, state: State, conditions: Conditions, arc_length: float
-) -> dict[str, Any]:
-    """Columns of a frame that was simulated."""
-    contact = state.contact
-    assert contact is not None
-    line, pose = model.organ.centerline, conditions.T_world_patient
+def _speed_along_gut(model: Model, step: Step, arc_length: float) -> float:
+    """Velocity of the capsule along the centerline, towards the anal end [m/s]."""
+    assert step.command is not None
+    line = model.organ.centerline
     tangent = np.array([np.interp(arc_length, line.arc_length, t) for t in line.frames[:, :, 2].T])
-    along = rotate_vectors(pose, tangent) / np.linalg.norm(tangent)
-    values = (
-        float(along @ state.linear_velocity_world),
-        *contact.force_world,
-        *contact.torque_world,
-        *(contact.normal_force_total, contact.friction_work, contact.area, contact.depth),
-        *conditions.force_world,
-        *conditions.torque_world,
-        conditions.insufflation,
-        *pose[:3, 3],
-        *quaternion_from_matrix(pose[:3, :3]),
-        conditions.phase,
-    )
-    row = dict(zip(SIMULATED_COLUMNS, values, strict=True))
-    if conditions.controller_status is None or state.coupling is None:
-        return row
-    return row | _steered(state.coupling, conditions.controller_status)
-
-
-def _steered(coupling: Coupling, status: ControllerStatus) -> dict[str, Any]:
-    """Columns of a frame in which a magnet steered."""
-    actuator = status.actuator
-    values = (
-        *actuator.T_world_magnet[:3, 3],
-        *quaternion_from_matrix(actuator.T_world_magnet[:3, :3]),
-        *coupling.flux_density_world,
-        *coupling.force_world,
-        *coupling.torque_world,
-        *status.required_force,
-        *(coupling.angle, coupling.distance),
-        *(float(np.linalg.norm(status.position_error)), status.heading_error),
-        *(actuator.limit, status.lost),
-    )
-    row = dict(zip(STEERED_COLUMNS, values, strict=True))
-    return row | {f"joint_{k}_rad": angle for k, angle in enumerate(actuator.joint_angles, start=1)}
+    along = rotate_vectors(step.command.T_world_patient, tangent) / np.linalg.norm(tangent)
+    return float(along @ step.state.linear_velocity_world)
 
 
 def locate_in_gut(
     model: Model,
     positions_world: Float[np.ndarray, "n 3"],
     *,
-    instant: Instant | None = None,
+    step: Step | None = None,
     wall: Wall | None = None,
 ) -> tuple[Float[np.ndarray, " n"], np.ndarray]:
     """Arc length [m] and segment name of points in the lumen.
@@ -229,14 +163,14 @@ def locate_in_gut(
     Args:
         model: The lumen.
         positions_world: The points.
-        instant: How wall and patient lie; None: at rest, as in the model.
+        step: How wall and patient lie; None: at rest, as in the model.
         wall: The wall then; None: at rest.
     """
     organ, pose, vertices = model.organ, model.T_world_patient, model.vertices_world
-    if instant is not None and instant.conditions is not None:
-        pose = instant.conditions.T_world_patient
-    if instant is not None and instant.state.vertices_world is not None:
-        vertices = instant.state.vertices_world
+    if step is not None and step.command is not None:
+        pose = step.command.T_world_patient
+    if step is not None and step.state.vertices_world is not None:
+        vertices = step.state.vertices_world
     nearest, faces = (wall or model.wall).closest_point(positions_world)
     weights = _barycentric(nearest, vertices[organ.faces[faces]])
     rough = (weights * organ.arc_length[organ.faces[faces]]).sum(axis=1)

@@ -8,16 +8,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-import vrcaps.rng
 from vrcaps.capsule.catalog import read_device
 from vrcaps.capsule.device import Device
 from vrcaps.errors import InputError
 from vrcaps.file_ref import FileRef, path_of, with_checksums
 from vrcaps.lesion import AnyLesion, add_lesions, lesion_rng
-from vrcaps.motion.dynamics import Dynamics
-from vrcaps.motion.fly_through import FlyThrough, fly_through
-from vrcaps.motion.replay import Replay, replay
-from vrcaps.motion.rollout import Rollout
 from vrcaps.organ.organ_file import is_organ_file
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.render.frame import CHANNELS
@@ -28,8 +23,7 @@ from vrcaps.units import LENGTH_UNITS
 from vrcaps.world.model import Model, posture_transform
 
 if TYPE_CHECKING:
-    from vrcaps.motion.run import Run
-    from vrcaps.motion.trajectory import Trajectory
+    from vrcaps.motion.motion import Motion
 
 
 def resolve(scenario: Scenario) -> Scenario:
@@ -67,7 +61,7 @@ def _own_unit(path: Path) -> str:
     return "m"
 
 
-def build(scenario: Scenario) -> tuple[Model, Run]:
+def build(scenario: Scenario) -> tuple[Model, Motion]:
     """World and motion of a scenario.
 
     The capsule's cameras, the wall and the contents of the lumen are as the effects change them.
@@ -91,18 +85,11 @@ def build(scenario: Scenario) -> tuple[Model, Run]:
     shown = model = make_model(clean=False)
     if scenario.clean_twin:
         shown = make_model(clean=True)
-    if not isinstance(scenario.motion, Dynamics):
-        return shown, _make_trajectory(scenario, model, shown)
     assert scenario.fps is not None
-    simulation = Rollout(
-        model,
-        scenario.motion,
-        frames=scenario.frames,
-        fps=scenario.fps,
-        seed=scenario.seed,
-        shown=shown.organ if scenario.clean_twin else None,
+    motion = scenario.motion.begin(
+        model, frames=scenario.frames, fps=scenario.fps, seed=scenario.seed, shown=shown
     )
-    return shown, simulation
+    return shown, motion
 
 
 def make_organ(scenario: Scenario, *, clean: bool = False) -> OrganSurface:
@@ -145,26 +132,6 @@ def _catalog_device(scenario: Scenario) -> Device:
     """The capsule before its effects."""
     given = scenario.capsule
     return given if isinstance(given, Device) else read_device(given)
-
-
-def _make_trajectory(scenario: Scenario, model: Model, shown: Model) -> Trajectory:
-    """Motion of a resolved scenario in its world, where it is known beforehand.
-
-    Args:
-        scenario: What to record.
-        model: Where the capsule moves.
-        shown: What is seen: the model, or its clean twin.
-    """
-    assert scenario.fps is not None
-    if isinstance(scenario.motion, Replay):
-        return replay(model, scenario.motion, frames=scenario.frames, fps=scenario.fps)
-    assert isinstance(scenario.motion, FlyThrough)
-    rng = vrcaps.rng.stream(scenario.seed, "fly-through")
-    path = fly_through(model, scenario.motion, frames=scenario.frames, fps=scenario.fps, rng=rng)
-    return replace(
-        path,
-        wall_displacement=path.wall_displacement and replace(path.wall_displacement, shown=shown),
-    )
 
 
 def _load_organ(scenario: Scenario) -> OrganSurface:

@@ -13,9 +13,8 @@ from vrcaps.file_ref import FileRef, file_ref
 from vrcaps.lesion import AnyLesion
 from vrcaps.limits import Range, check_fields
 from vrcaps.lumen.contents import Contents
-from vrcaps.motion.dynamics import Dynamics
 from vrcaps.motion.fly_through import FlyThrough
-from vrcaps.motion.replay import Replay
+from vrcaps.motion.registry import AnyMotion
 from vrcaps.mucosa.mucosa import is_texture_path
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.plain_files import read_plain
@@ -129,7 +128,7 @@ class Scenario:
     organ: OrganGenerated | OrganFile | OrganSurface | str = field(default_factory=OrganGenerated)
     capsule: str | Device = "mirocam"
     posture: str = "supine"
-    motion: FlyThrough | Replay | Dynamics = field(default_factory=FlyThrough)
+    motion: AnyMotion = field(default_factory=FlyThrough)
     frames: Annotated[int, Range(1, 10**6)] = 100
     fps: Annotated[float | None, Range(above=0.0)] = None
     seed: Annotated[int, Range(least=0)] = 0

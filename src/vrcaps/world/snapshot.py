@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -58,9 +59,8 @@ class Snapshot:
 
 def write_snapshot(path: Path, snapshot: Snapshot) -> None:
     """Write a snapshot as a NumPy archive (.npz)."""
-    arrays = {f.name: getattr(snapshot, f.name) for f in fields(Snapshot)}
     with path.open("wb") as file:
-        np.savez_compressed(file, **arrays)
+        np.savez_compressed(file, **snapshot_arrays(snapshot))
 
 
 def read_snapshot(path: Path) -> Snapshot:
@@ -71,11 +71,25 @@ def read_snapshot(path: Path) -> Snapshot:
     """
     try:
         with np.load(path) as file:
-            arrays = {f.name: file[f.name] for f in fields(Snapshot)}
+            return snapshot_from_arrays(file)
     except (OSError, ValueError, KeyError) as error:
         raise InputError(f"{path} is no snapshot of a world: {error}.") from error
-    plain = {name: arrays[name].item() for name in ("seed", "time", "began")}
-    return Snapshot(**arrays | plain)
+
+
+def snapshot_arrays(snapshot: Snapshot) -> dict[str, np.ndarray]:
+    """A snapshot as arrays by name."""
+    return {f.name: np.asarray(getattr(snapshot, f.name)) for f in fields(Snapshot)}
+
+
+def snapshot_from_arrays(arrays: Mapping[str, np.ndarray]) -> Snapshot:
+    """The snapshot that `snapshot_arrays` took apart.
+
+    Raises:
+        KeyError: If an array is missing.
+    """
+    own = {f.name: arrays[f.name] for f in fields(Snapshot)}
+    plain = {name: own[name].item() for name in ("seed", "time", "began")}
+    return Snapshot(**own | plain)
 
 
 def check_snapshot(snapshot: Snapshot, own: Snapshot) -> None:

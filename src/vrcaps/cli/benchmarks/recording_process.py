@@ -80,7 +80,7 @@ def _stages(scenario: Scenario, folder: Path) -> dict[str, Any]:
 
     scenario = resolve(scenario)
     model, motion = build(scenario)
-    states = [instant.state for instant in motion.instants()]
+    states = [step.state for step in motion.steps()]
     camera, renderer = model.device.cameras[0], Renderer(model, scenario.render)
     frames = range(min(scenario.frames, _MAX_STAGE_FRAMES))
     rendered: dict[int, Frame] = {}

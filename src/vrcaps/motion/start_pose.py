@@ -1,0 +1,59 @@
+"""Start pose of a simulated capsule: the first place along the centerline where it fits."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vrcaps.errors import InputError
+from vrcaps.transforms import rotation_from_vector, transform_from
+from vrcaps.units import MM
+from vrcaps.world.clearance import capsule_clearance
+from vrcaps.world.model import Model
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+_SPACING = 2.0 * MM
+"""Distance between the places that are tried."""
+
+_CLEARANCE = 0.5
+"""Distance of the capsule's axis from the wall where it fits, as a fraction of its radius."""
+
+
+def start_pose(
+    model: Model, start: float, angle: float
+) -> tuple[Float[np.ndarray, "4 4"], float, tuple[str, ...]]:
+    """Pose of the capsule where it fits, its arc length [m], and notes on what was changed.
+
+    Args:
+        model: The lumen and the capsule.
+        start: Wanted place as a fraction of the centerline; moved towards the far end.
+        angle: About the x axis of the centerline's frame [rad].
+
+    Raises:
+        InputError: If it fits nowhere.
+    """
+    line = model.organ.centerline
+    wanted = start * line.length
+    # Towards the far end: a capsule that does not fit at an end fits further in.
+    end = line.length if start <= 0.5 else 0.0
+    places = np.linspace(wanted, end, max(2, math.ceil(abs(end - wanted) / _SPACING) + 1))
+    nearest = np.abs(line.arc_length[:, None] - places).argmin(axis=0)
+    points = np.stack([np.interp(places, line.arc_length, axis) for axis in line.points.T], -1)
+    tilt = rotation_from_vector(np.array([angle, 0.0, 0.0]))
+    poses = model.T_world_patient @ transform_from(line.frames[nearest] @ tilt, points)
+    clearance = capsule_clearance(model, poses).min(axis=1)
+    fitting = np.flatnonzero(clearance > _CLEARANCE * model.device.radius)
+    if len(fitting) == 0:
+        raise InputError(
+            f"{model.device.name} in {model.organ.name}: the capsule fits nowhere from start "
+            f"{start:g} on. Check the organ's unit, start elsewhere, inflate the gut, or "
+            "take a smaller capsule."
+        )
+    place = float(places[fitting[0]])
+    moved = abs(place - wanted)
+    note = f"Set the capsule {moved / MM:.1f} mm further along, where it fits."
+    return poses[fitting[0]], place, (note,) if moved > 0.0 else ()

@@ -1,10 +1,14 @@
 from __future__ import annotations
 
+import pytest
+
 from vrcaps.cli.benchmarks import world
+from vrcaps.cli.benchmarks.stage import Stage
 
 
-def test_a_short_run_measures_every_claim() -> None:
-    report = world.measure(60_000, 2)
+def test_a_short_run_measures_every_claim(stage: Stage, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(world, "make_organ", lambda *_, **__: stage.model.organ)
+    report = world.measure(stage.num_triangles, 2)
     assert [claim.unit for claim in report.claims] == [
         "per second",
         "ms",

@@ -27,5 +27,5 @@ class Extent:
 
 
 FULL = Extent()
-QUICK = Extent(num_triangles=20_000, coarsest=20_000, num_subdivisions=1, num_views=2, num_rounds=3)
+QUICK = Extent(num_triangles=30_000, coarsest=20_000, num_subdivisions=1, num_views=2, num_rounds=3)
 """For a first look: the figures mean nothing."""

@@ -48,9 +48,7 @@ class World:
         spring_wall: Any | None,
         pose: Pose,
     ) -> None: ...
-    def set_lumen_drive(
-        self, inward: NDArray[np.float64], samples: NDArray[np.float64]
-    ) -> None: ...
+    def set_lumen_drive(self, inward: NDArray[np.float64], sample: NDArray[np.float64]) -> None: ...
     def step(
         self,
         dt: float,
@@ -343,10 +341,6 @@ class Contents:
 
 class Radiosity:
     def __init__(self, rest: Wall, scene: Scene) -> None: ...
-    @property
-    def num_sites(self) -> int: ...
-    @property
-    def lumen_width(self) -> float: ...
 
 def render(
     wall: Wall,

@@ -10,7 +10,7 @@ use numpy::{
 use pyo3::{exceptions::PyValueError, prelude::*};
 
 /// Centers [n 3] of spheres around a capsule [m]: those in its way straight off its axis, the last of
-/// all on their `sites` [k 3] in its frame. None where nothing has moved.
+/// all on their `dome_sites` [k 3] in its frame. None where nothing has moved.
 ///
 /// `pose` takes the capsule's frame, whose z is its axis about its middle, to that of the centers;
 /// `capsule` is half of its straight length and its radius.
@@ -19,15 +19,15 @@ pub fn around_capsule<'py>(
     py: Python<'py>,
     centers: PyReadonlyArray2<'py, f64>,
     radius: PyReadonlyArray1<'py, f64>,
-    sites: PyReadonlyArray2<'py, f64>,
+    dome_sites: PyReadonlyArray2<'py, f64>,
     pose: PyReadonlyArray2<'py, f64>,
     capsule: (f64, f64),
 ) -> PyResult<Option<Bound<'py, PyArray2<f64>>>> {
     let (centers, radius) = (centers.as_array(), radius.as_array());
-    let sites = sites.as_array();
+    let dome_sites = dome_sites.as_array();
     let count = centers.nrows();
-    let fits = centers.ncols() == 3 && sites.ncols() == 3 && pose.as_array().dim() == (4, 4);
-    if !fits || radius.len() != count || sites.nrows() > count {
+    let fits = centers.ncols() == 3 && dome_sites.ncols() == 3 && pose.as_array().dim() == (4, 4);
+    if !fits || radius.len() != count || dome_sites.nrows() > count {
         return Err(PyValueError::new_err("Spheres need a center and a radius each, and sites."));
     }
     let (rotation, middle) = read_pose(&pose)?;
@@ -41,13 +41,13 @@ pub fn around_capsule<'py>(
             all[[k, axis]] = x;
         }
     };
-    let free = count - sites.nrows();
+    let free = count - dome_sites.nrows();
     for (k, center) in centers.outer_iter().take(free).map(row).enumerate() {
         if let Some(place) = pushed(center, &axis, capsule.1 + radius[k]) {
             put(k, place);
         }
     }
-    for (k, site) in sites.outer_iter().map(row).enumerate() {
+    for (k, site) in dome_sites.outer_iter().map(row).enumerate() {
         put(free + k, rotation * site + middle);
     }
     Ok(moved.map(|all| all.into_pyarray(py)))

@@ -76,12 +76,6 @@ impl Radiosity {
             Radiosity { rest: own, sites, albedo, per_area, reflectance, rows, room, tissue }
         })
     }
-
-    /// Number of sites.
-    #[getter]
-    fn num_sites(&self) -> usize {
-        self.sites.vertex.len()
-    }
 }
 
 impl Radiosity {

@@ -20,8 +20,8 @@ import numpy as np
 from scipy import stats
 
 from validation import ROOT, table, write_section
-from vrcaps.anatomy.catalog import FULL_TRACT_COLON_TRIANGLES
 from vrcaps.anatomy.colon.course import count_flexures
+from vrcaps.anatomy.full_tract import FULL_TRACT_COLON_TRIANGLES
 from vrcaps.anatomy.full_tract.abdomen import (
     draw_colon_placement,
     make_neighboring_organs,

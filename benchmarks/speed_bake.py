@@ -16,8 +16,8 @@ from pathlib import Path
 import numpy as np
 
 from validation import ROOT, table, write_section
-from vrcaps.anatomy.catalog import FULL_TRACT_COLON_TRIANGLES
 from vrcaps.anatomy.colon import generate_colon
+from vrcaps.anatomy.full_tract import FULL_TRACT_COLON_TRIANGLES
 from vrcaps.anatomy.full_tract.appearance import with_appearance
 from vrcaps.anatomy.full_tract.generate import generate_full_tract
 from vrcaps.anatomy.full_tract.patient import draw_patient_anatomy, neighboring_organs

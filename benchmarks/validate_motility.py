@@ -27,7 +27,7 @@ from vrcaps.organ.surface import OrganSurface
 from vrcaps.tissue.motility.migrating_complex import MINUTE, MigratingMotorComplex
 from vrcaps.tissue.motility.motility import Motility
 from vrcaps.tissue.motility.muscle import Muscle
-from vrcaps.tissue.motility.segment import PER_MINUTE, SEGMENTS
+from vrcaps.tissue.motility.segment import PER_MINUTE, segment_motilities
 from vrcaps.tissue.tissue import Tissue
 from vrcaps.units import CM, MM
 from vrcaps.world.control import Control
@@ -179,7 +179,7 @@ def count_rows(gut: OrganSurface) -> list[tuple[str, ...]]:
     """Contractions per minute, in phase III and else."""
     rows = []
     steady = {
-        name: replace(SEGMENTS[name], activity=1.0, retrograde=0.0, standing=0.0)
+        name: replace(segment_motilities()[name], activity=1.0, retrograde=0.0, standing=0.0)
         for name in LENGTHS
     }
     full = Muscle(
@@ -222,7 +222,7 @@ def contraction_rate(muscle: Muscle, place: float, minutes: float = 30.0) -> flo
 def physics_rows() -> list[tuple[str, ...]]:
     """The wall beside the commanded wave, a capsule before a ring, and the time of an update."""
     ring = replace(
-        SEGMENTS["jejunum"],
+        segment_motilities()["jejunum"],
         rates=(11.4 * PER_MINUTE,) * 2,
         speeds=(1.5 * CM,) * 2,
         activity=1.0,

@@ -47,7 +47,8 @@ def calls(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[int]:
         seeds.append(seed)
         return plain_organ(parameters, seed)
 
-    def bake(organ: OrganSurface, *, seed: int) -> Appearance:
+    def bake(organ: OrganSurface, *, seed: int, mucosa: str) -> Appearance:
+        assert mucosa == "colon"
         pixels = np.full((2, 2, 3), seed, np.uint8)
         return Appearance(pixels, pixels[..., 0], np.zeros((2, 2)))
 
@@ -85,7 +86,7 @@ def test_unknown_names_and_negative_seeds_are_refused():
         generate_organ("colon", seed=-1)
 
 
-def test_every_organ_has_segments_and_every_condition_a_patient() -> None:
+def test_every_organ_has_segments_and_every_distension_a_patient() -> None:
     assert all(organ_segments(name) for name in ORGANS)
     assert len(organ_segments("full-tract")) == 18
     for distension in DISTENSIONS:

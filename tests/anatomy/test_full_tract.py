@@ -25,8 +25,9 @@ from vrcaps.anatomy.full_tract.valve import soften, stitch, without_vertices
 from vrcaps.anatomy.small_bowel.generate import lay_small_bowel
 from vrcaps.anatomy.tube_mesh.truncated_normal import truncated_normal
 from vrcaps.anatomy.tube_mesh.tube_packing import ObstacleSpheres, smooth_course
-from vrcaps.anatomy.tube_mesh.waves import draw_waves, smooth_step, sum_waves, within_bend, wrap
+from vrcaps.anatomy.tube_mesh.waves import draw_waves, sum_waves, within_bend, wrap
 from vrcaps.errors import InputError
+from vrcaps.geometry import smoothstep
 from vrcaps.mesh.self_intersection import self_intersections
 from vrcaps.organ.centerline import interpolate
 from vrcaps.organ.measure import measure_organ
@@ -224,7 +225,7 @@ def test_waves_have_the_asked_deviation_and_close_around_the_tube():
     assert sum_waves(waves, s, theta).std() == pytest.approx(0.3, rel=0.1)
     assert np.allclose(sum_waves(waves, s, theta), sum_waves(waves, s, theta + 2 * np.pi))
     assert np.allclose(np.sin(wrap(theta * 9)), np.sin(theta * 9))
-    assert np.allclose(smooth_step(np.array([-1.0, 0.5, 2.0])), [0.0, 0.5, 1.0])
+    assert np.allclose(smoothstep(np.array([-1.0, 0.5, 2.0])), [0.0, 0.5, 1.0])
     assert np.all(within_bend(np.full(9, 0.02), np.linspace(0.0, 200.0, 9)) <= 0.02)
     assert within_bend(np.array([0.05]), np.array([100.0]))[0] < 0.0073
 

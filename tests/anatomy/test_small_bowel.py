@@ -175,7 +175,7 @@ def test_distensions_differ_in_diameter_and_slack():
 
 
 def test_impossible_bowels_are_refused(monkeypatch: pytest.MonkeyPatch, around: NeighboringOrgans):
-    with pytest.raises(InputError, match=r"Small bowel length is 9\. Allowed: 1\.5 to 5"):
+    with pytest.raises(InputError, match=r"length is 9\.0\. Allowed: 1\.5 to 5 m"):
         SmallBowelParameters(length=9.0)
     with pytest.raises(InputError, match=r"Distension is 'full'\. Allowed: inflated, normal"):
         SmallBowelParameters().at("full")

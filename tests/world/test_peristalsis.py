@@ -14,7 +14,7 @@ from vrcaps.errors import InputError, UnknownNameError
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.tissue.motility.motility import Motility
 from vrcaps.tissue.motility.propulsion import Propulsion
-from vrcaps.tissue.motility.segment import SEGMENTS, SegmentMotility
+from vrcaps.tissue.motility.segment import SegmentMotility, segment_motilities
 from vrcaps.tissue.tissue import Tissue
 from vrcaps.units import CM, MM
 from vrcaps.world.control import Control
@@ -24,7 +24,7 @@ from vrcaps.world.world import World
 
 RADIUS = 11.0 * MM
 RINGS = SegmentMotility(
-    amplitude=SEGMENTS["jejunum"].amplitude,
+    amplitude=segment_motilities()["jejunum"].amplitude,
     rates=(0.19, 0.19),
     speeds=(1.5 * CM, 1.5 * CM),
     duration=2.5,

@@ -38,8 +38,7 @@ class Inspect:
     """
 
     organ: Positional[str]
-    """Mesh file (PLY, OBJ, STL, GLB), organ file (GLB), or colon, stomach, small-bowel or
-    full-tract."""
+    """Mesh file (PLY, OBJ, STL, GLB), organ file (GLB), or an organ of `vrcaps organ list`."""
 
     unit: str | None = None
     """Length unit of a mesh file: m, dm, cm, mm, um, or e.g. 5cm. Never guessed. An organ file
@@ -58,7 +57,7 @@ class Inspect:
     """How full a generated organ is."""
 
     mucosa: str | None = None
-    """Give a mesh file this look in the picture: colon, stomach or small-bowel."""
+    """Give a mesh file this mucosa of `vrcaps organ list` in the picture."""
 
     picture: Path | None = None
     """Picture to write; by default <name>-overview.png in the working directory."""
@@ -117,7 +116,7 @@ class Make:
     """
 
     name: Positional[str]
-    """Which organ: colon, stomach, small-bowel, or full-tract, all three as one wall."""
+    """An organ of `vrcaps organ list`, such as stomach; full-tract is all three as one wall."""
 
     seed: int = 0
     """A different patient for each."""

@@ -234,12 +234,6 @@ class SizedLesion(Lesion):
         return 0.5 * self.size
 
 
-def smoothstep(x: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
-    """3x² − 2x³ between 0 and 1, constant beyond."""
-    x = np.clip(x, 0.0, 1.0)
-    return x * x * (3.0 - 2.0 * x)
-
-
 def mix(
     a: Float[np.ndarray, "n 3"], b: Float[np.ndarray, "*n 3"], weight: Float[np.ndarray, " n"]
 ) -> Float[np.ndarray, "n 3"]:

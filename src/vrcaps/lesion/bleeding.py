@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import numpy as np
 
+from vrcaps.geometry import smoothstep
 from vrcaps.lesion.base import (
     AppearanceSample,
     Form,
@@ -15,7 +16,6 @@ from vrcaps.lesion.base import (
     LesionSite,
     WallSamples,
     mix,
-    smoothstep,
 )
 from vrcaps.lesion.blood import under_blood
 from vrcaps.lesion.focal import FocalForm

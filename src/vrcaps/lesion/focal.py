@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.interpolate import BSpline
 
-from vrcaps.lesion.base import AppearanceSample, LesionSite, WallSamples, mix, smoothstep
+from vrcaps.geometry import smoothstep
+from vrcaps.lesion.base import AppearanceSample, LesionSite, WallSamples, mix
 from vrcaps.mesh.noise import angular_harmonics, low_pass
 from vrcaps.units import MM
 

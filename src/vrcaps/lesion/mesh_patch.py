@@ -6,9 +6,9 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 
+from vrcaps.geometry import edge_graph
 from vrcaps.mesh.mesh import vertex_normals
 from vrcaps.mesh.refine import Patch, rim
 from vrcaps.organ.centerline import interpolate
@@ -50,19 +50,9 @@ def whole_wall(organ: OrganSurface) -> Patch:
     )
 
 
-def edge_graph(wall: Patch) -> coo_array:
-    """Length [m] of every edge, in both directions."""
-    pairs = np.concatenate([wall.faces[:, [0, 1]], wall.faces[:, [1, 2]], wall.faces[:, [2, 0]]])
-    pairs = np.unique(np.sort(pairs, axis=1), axis=0)
-    length = np.linalg.norm(wall.moved[pairs[:, 0]] - wall.moved[pairs[:, 1]], axis=1)
-    pairs = np.concatenate([pairs, pairs[:, ::-1]])
-    n = len(wall.moved)
-    return coo_array((np.tile(length, 2), (pairs[:, 0], pairs[:, 1])), shape=(n, n))
-
-
 def within(wall: Patch, sources: Int[np.ndarray, " k"], reach: float) -> Float[np.ndarray, " n"]:
     """Distance [m] along edges from the nearest source; infinite beyond `reach`."""
-    graph = edge_graph(wall).tocsr()
+    graph = edge_graph(wall.moved, wall.faces).tocsr()
     return dijkstra(graph, indices=sources, min_only=True, limit=reach)
 
 

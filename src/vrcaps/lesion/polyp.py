@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import numpy as np
 
+from vrcaps.geometry import smoothstep
 from vrcaps.lesion.base import (
     AppearanceSample,
     Lesion,
@@ -14,7 +15,6 @@ from vrcaps.lesion.base import (
     SizedLesion,
     WallSamples,
     mix,
-    smoothstep,
 )
 from vrcaps.lesion.blood import FIBRIN, under_blood
 from vrcaps.lesion.focal import ProfileForm

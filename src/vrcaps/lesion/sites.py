@@ -12,8 +12,9 @@ from scipy.spatial import KDTree
 
 from vrcaps._core import Wall
 from vrcaps.errors import InputError
+from vrcaps.geometry import edge_graph
 from vrcaps.lesion.base import Lesion, LesionSite, WallSamples
-from vrcaps.lesion.mesh_patch import NUM_FIELDS, ExtractedPatch, edge_graph, extract, within
+from vrcaps.lesion.mesh_patch import NUM_FIELDS, ExtractedPatch, extract, within
 from vrcaps.lesion.placement import PlacedLesion, candidates, place_focal
 from vrcaps.mesh.log_map import log_map
 from vrcaps.mesh.refine import Patch, refine
@@ -188,7 +189,7 @@ def _hollow(context: PlacementContext, bottom: int, deep: float) -> Int[np.ndarr
     under = (vertices - vertices[bottom]) @ context.down > -deep
     near = np.linalg.norm(vertices - vertices[bottom], axis=1) < _POOL_REACH
     wet = np.flatnonzero(under & near)
-    graph = edge_graph(context.wall).tocsr()[wet][:, wet]
+    graph = edge_graph(context.wall.moved, context.wall.faces).tocsr()[wet][:, wet]
     _, part = connected_components(graph, directed=False)
     return wet[part == part[np.searchsorted(wet, bottom)]]
 

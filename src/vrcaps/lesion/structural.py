@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 import numpy as np
 
 from vrcaps.errors import InputError
+from vrcaps.geometry import smoothstep
 from vrcaps.lesion.base import (
     AppearanceSample,
     Lesion,
@@ -16,7 +17,6 @@ from vrcaps.lesion.base import (
     SizedLesion,
     WallSamples,
     mix,
-    smoothstep,
 )
 from vrcaps.lesion.blood import under_blood
 from vrcaps.lesion.focal import ProfileForm

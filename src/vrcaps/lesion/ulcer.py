@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 import numpy as np
 
+from vrcaps.geometry import smoothstep
 from vrcaps.lesion.base import (
     AppearanceSample,
     LesionSite,
     SizedLesion,
     WallSamples,
     mix,
-    smoothstep,
 )
 from vrcaps.lesion.blood import FIBRIN, under_blood
 from vrcaps.lesion.focal import FocalForm

@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 
 import numpy as np
 
+from vrcaps.geometry import smoothstep
 from vrcaps.lesion.base import (
     AppearanceSample,
     LesionSite,
     SizedLesion,
     WallSamples,
     mix,
-    smoothstep,
 )
 from vrcaps.lesion.focal import FocalForm
 from vrcaps.limits import Range

@@ -17,6 +17,7 @@ from vrcaps import _core
 from vrcaps.errors import InputError
 from vrcaps.geometry import triangle_areas
 from vrcaps.mucosa.mucosa import ABSORPTION, MUCOSAE, Mucosa, is_texture_path
+from vrcaps.organ.segments import find_segment
 from vrcaps.organ.surface import Appearance, OrganSurface, round_height
 from vrcaps.organ.uv import texture_stretch
 from vrcaps.units import MM
@@ -33,21 +34,6 @@ DEFAULT_TEXELS_PER_MM = 8.0
 """Least texture density sought on 95 % of the wall where the caller names none."""
 
 _MOST_STRETCH = 1.6  # of a texel beyond the mean that more texels make up for
-
-_SEGMENTS: dict[str, tuple[float, float, float]] = {
-    "fundus": (0.7, 1.0, 1.2),
-    "cardia": (0.5, 1.0, 1.2),
-    "body": (1.2, 0.9, 1.0),
-    "antrum": (0.6, 1.3, 0.6),
-    "pylorus": (0.4, 1.6, 0.4),
-    "duodenal_bulb": (0.6, 1.2, 0.8),
-    "duodenum": (1.0, 1.5, 0.3),
-    "jejunum": (1.1, 1.1, 0.4),
-    "ileum": (0.6, 0.7, 1.3),
-}
-"""Factors on the pits or villi, the bile and the vessels by segment; 1 elsewhere. Villi are tall
-and bile is strong in duodenum and jejunum; in the ileum villi are short and vessels shine through
-(Steinbrück et al., Atlas of Video Capsule Endoscopy, 2014, chapter 5)."""
 
 _BLUR = 0.03
 """Standard deviation over which one segment passes into the next, as a share of the length."""
@@ -200,7 +186,8 @@ def _wall_fields(organ: OrganSurface) -> Float[np.ndarray, "n 11"]:
 
 def _segment_factors(organ: OrganSurface) -> Float[np.ndarray, "n 3"]:
     """Factors on pits, bile and vessels at each vertex: one segment passes into the next."""
-    table = np.array([_SEGMENTS.get(name, (1.0, 1.0, 1.0)) for name in organ.label_names])
+    segments = [find_segment(name) for name in organ.label_names]
+    table = np.array([(s.pits, s.bile, s.vessels) if s else (1.0, 1.0, 1.0) for s in segments])
     own = np.zeros(len(organ.vertices), bool)
     own[organ.faces] = True
     start, span = organ.arc_length[own].min(), max(float(np.ptp(organ.arc_length[own])), 1e-9)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vrcaps.errors import UnknownNameError
+from vrcaps.organ.segments import find_mucosa
 from vrcaps.units import MM
 
 if TYPE_CHECKING:
@@ -116,13 +117,6 @@ MUCOSAE: dict[str, Mucosa] = {
 }
 """Mucosae by organ."""
 
-_MUCOSA_OF: dict[str, str] = {
-    **dict.fromkeys(("stomach", "fundus", "cardia", "body", "antrum", "pylorus"), "stomach"),
-    **dict.fromkeys(("small_bowel", "small-bowel", "duodenal_bulb"), "small-bowel"),
-    **dict.fromkeys(("duodenum", "jejunum", "ileum"), "small-bowel"),
-}
-"""By name of an organ or segment, ours or TotalSegmentator's; all others have the colon's."""
-
 ABSORPTION = np.array([[0.16, 1.0, 0.92], [0.04, 0.16, 1.0]])
 """Optical density in red, green and blue of blood, relative to green, and of bile, to blue: as in
 the compiled core (tissue.rs)."""
@@ -136,7 +130,7 @@ def own_mucosa(organ: OrganSurface) -> str:
     """
     label = organ.label_names[int(np.bincount(organ.label).argmax())]
     name = organ.name if label == "wall" else label
-    return _MUCOSA_OF.get(name.replace("-", "_"), "colon")
+    return find_mucosa(name.replace("-", "_")) or "colon"
 
 
 def is_texture_path(mucosa: str) -> bool:

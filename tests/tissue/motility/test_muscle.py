@@ -12,7 +12,7 @@ from vrcaps.errors import UnknownNameError
 from vrcaps.tissue.motility.draws import uniform
 from vrcaps.tissue.motility.motility import GiantContractions, Motility
 from vrcaps.tissue.motility.muscle import Muscle
-from vrcaps.tissue.motility.segment import PER_MINUTE, SEGMENTS, SegmentMotility
+from vrcaps.tissue.motility.segment import PER_MINUTE, SegmentMotility, segment_motilities
 from vrcaps.units import CM
 
 STEADY = SegmentMotility(
@@ -84,7 +84,7 @@ def test_share_of_slow_waves_that_contract(changes: dict[str, float]) -> None:
 @pytest.mark.parametrize("name", ["antrum", "duodenum", "jejunum", "ileum"])
 @pytest.mark.parametrize("end", [0, 1])
 def test_rate_of_segments_when_all_slow_waves_contract(name: str, end: int) -> None:
-    segment = SEGMENTS[name]
+    segment = segment_motilities()[name]
     rate, speed = segment.rates[end], segment.speeds[end]
     steady = replace(
         segment, rates=(rate,) * 2, speeds=(speed,) * 2, activity=1.0, retrograde=0.0, standing=0.0
@@ -149,7 +149,7 @@ def test_no_contraction_in_the_first_phase() -> None:
 def test_giant_contractions_sweep_the_colon() -> None:
     """As many as commanded; each runs its extent at its speed."""
     giant = GiantContractions(rate=1.0 / 3600.0)
-    quiet = replace(SEGMENTS["colon"], activity=0.0)
+    quiet = replace(segment_motilities()["colon"], activity=0.0)
     motility = Motility(segments={"colon": quiet}, giant=giant)
     muscle = Muscle(straight_gut({"colon": 1.5}, edge=5e-3), motility, np.random.default_rng(1))
     depth = np.array([1.0 - muscle.lumen_scale(t) for t in np.arange(0.0, 8 * 3600.0, 5.0)])

@@ -7,8 +7,10 @@ from dataclasses import replace
 import pytest
 
 from vrcaps.errors import InputError, UnknownNameError
-from vrcaps.tissue.motility.segment import PER_MINUTE, SEGMENTS, WHOLE
+from vrcaps.tissue.motility.segment import PER_MINUTE, organ_divisions, segment_motilities
 from vrcaps.units import CM
+
+SEGMENTS = segment_motilities()
 
 
 def test_a_slow_wave_runs_its_wavelength_in_its_period() -> None:
@@ -28,8 +30,8 @@ def test_rates_fall_from_the_duodenum_to_the_end_of_the_ileum() -> None:
 
 
 def test_whole_organs_are_made_of_known_segments() -> None:
-    for parts in WHOLE.values():
-        assert sum(share for _, share in parts) == pytest.approx(1.0)
+    for parts in organ_divisions().values():
+        assert sum(fraction for _, fraction in parts) == pytest.approx(1.0)
         assert all(name in SEGMENTS for name, _ in parts)
 
 

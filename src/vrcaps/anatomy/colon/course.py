@@ -16,8 +16,8 @@ from scipy.interpolate import CubicSpline
 import vrcaps.rng
 from vrcaps.anatomy.colon.parameters import SEGMENTS
 from vrcaps.anatomy.tube_mesh.tube import Course
-from vrcaps.anatomy.tube_mesh.waves import smooth_step
 from vrcaps.errors import InputError
+from vrcaps.geometry import smoothstep
 from vrcaps.units import CM, MM
 
 if TYPE_CHECKING:
@@ -139,7 +139,7 @@ def blend(
     blended = np.full(np.shape(arc_length), float(values[0]))
     ends = np.cumsum([segment.length for segment in parameters.segments])
     for end, before, after in zip(ends[:-1], values[:-1], values[1:], strict=True):
-        blended += (after - before) * smooth_step((arc_length - end) / (4 * CM) + 0.5)
+        blended += (after - before) * smoothstep((arc_length - end) / (4 * CM) + 0.5)
     return blended
 
 

@@ -3,25 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 from vrcaps.anatomy.tube_mesh.truncated_normal import truncated_normal
-from vrcaps.errors import InputError
+from vrcaps.errors import require
+from vrcaps.limits import Range, check_fields
+from vrcaps.organ.segments import COLON
 from vrcaps.units import CM, MM
 
 if TYPE_CHECKING:
     import numpy as np
 
-SEGMENTS = (
-    "caecum",
-    "ascending",
-    "hepatic_flexure",
-    "transverse",
-    "splenic_flexure",
-    "descending",
-    "sigmoid",
-    "rectum",
-)
+SEGMENTS = COLON.labels
 """Segments from the oral to the anal end."""
 
 
@@ -39,11 +32,15 @@ class ColonSegment:
             0 for round.
     """
 
-    length: float
-    diameter: float
-    haustra_spacing: float = 30 * MM
-    fold_height: float = 7 * MM
+    length: Annotated[float, Range(0.03, 1.5, unit="m")]
+    diameter: Annotated[float, Range(0.02, 0.09, unit="m")]
+    haustra_spacing: Annotated[float, Range(least=0.01, unit="m")] = 30 * MM
+    fold_height: Annotated[float, Range(0.0, 0.012, unit="m")] = 7 * MM
     triangularity: float = 0.05
+
+    def __post_init__(self) -> None:
+        """Check what the construction relies on."""
+        check_fields(self)
 
 
 @dataclass(frozen=True)
@@ -87,7 +84,7 @@ class ColonParameters:
     descending: ColonSegment = ColonSegment(27.5 * CM, 4.2 * CM, 32 * MM, 5 * MM, 0.05)
     sigmoid: ColonSegment = ColonSegment(48.0 * CM, 4.0 * CM, 24 * MM, 6 * MM, 0.03)
     rectum: ColonSegment = ColonSegment(17.7 * CM, 4.8 * CM, 40 * MM, 0.0, 0.0)
-    flexures: int = 11
+    flexures: Annotated[int, Range(4, 20)] = 11
     taenia_width: float = 8 * MM
     taenia_depth: float = 1.5 * MM
     haustra_depth: float = 0.14
@@ -96,32 +93,12 @@ class ColonParameters:
     valve_height: float = 13 * MM
     ileocaecal_height: float = 11 * MM
     roughness: float = 0.35 * MM
-    triangles: int = 110_000
+    triangles: Annotated[int, Range(20_000, 5_000_000)] = 110_000
 
     def __post_init__(self) -> None:
         """Check what the construction relies on."""
-        for name in SEGMENTS:
-            segment = getattr(self, name)
-            if not (0.03 <= segment.length <= 1.5 and 0.02 <= segment.diameter <= 0.09):
-                raise InputError(
-                    f"Colon segment {name} is {segment.length:g} m long and {segment.diameter:g} m "
-                    "wide. Allowed: 0.03 to 1.5 m long, 0.02 to 0.09 m wide."
-                )
-            if not (segment.haustra_spacing >= 0.01 and 0.0 <= segment.fold_height <= 0.012):
-                raise InputError(
-                    f"Colon segment {name} has folds {segment.fold_height:g} m high every "
-                    f"{segment.haustra_spacing:g} m. Allowed: up to 0.012 m, at least 0.01 m apart."
-                )
-        if not 0.9 <= self.length <= 3.0:
-            raise InputError(
-                f"Colon length {self.length:g} m is not possible. Allowed: 0.9 to 3 m."
-            )
-        if not 4 <= self.flexures <= 20:
-            raise InputError(f"{self.flexures} flexures are not possible. Allowed: 4 to 20.")
-        if not 20_000 <= self.triangles <= 5_000_000:
-            raise InputError(
-                f"{self.triangles} triangles are not possible. Allowed: 20,000 to 5,000,000."
-            )
+        check_fields(self)
+        require(0.9 <= self.length <= 3.0, "colon length", self.length, "0.9 to 3 m")
 
     @property
     def segments(self) -> tuple[ColonSegment, ...]:

@@ -15,7 +15,8 @@ import numpy as np
 from vrcaps.anatomy.colon.course import blend, lumen_radius
 from vrcaps.anatomy.tube_mesh.folds import Folds
 from vrcaps.anatomy.tube_mesh.swept_surface import Crests
-from vrcaps.anatomy.tube_mesh.waves import draw_waves, smooth_step, sum_waves, within_bend, wrap
+from vrcaps.anatomy.tube_mesh.waves import draw_waves, sum_waves, within_bend, wrap
+from vrcaps.geometry import smoothstep
 from vrcaps.units import CM, DEG, MM
 
 if TYPE_CHECKING:
@@ -82,7 +83,7 @@ def envelope_radius(
     """Radius of the plain tube: diameter, closed caecal dome, anal canal and its closed end [m]."""
     full = lumen_radius(parameters, arc_length)
     from_anus = parameters.length - arc_length
-    fraction = smooth_step((from_anus - 2.2 * CM) / (3.5 * CM))
+    fraction = smoothstep((from_anus - 2.2 * CM) / (3.5 * CM))
     full = _ANAL_RADIUS + (full - _ANAL_RADIUS) * fraction
     for distance, depth in (
         (arc_length, 0.45 * parameters.caecum.diameter),

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vrcaps.mucosa.bake import bake_appearance
+from vrcaps.organ.segments import COLON, SMALL_BOWEL, STOMACH
 from vrcaps.organ.surface import OrganSurface
 
 if TYPE_CHECKING:
@@ -15,7 +16,7 @@ if TYPE_CHECKING:
 
     from jaxtyping import Bool, Float
 
-_MUCOSAE = ("stomach", "small-bowel", "colon")
+_MUCOSAE = (STOMACH.mucosa, SMALL_BOWEL.mucosa, COLON.mucosa)
 _MAX_TEXELS = 90_000_000
 
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import vrcaps.rng
 from vrcaps.anatomy.colon.parameters import SEGMENTS, ColonParameters
+from vrcaps.anatomy.distension import at_distension
 from vrcaps.anatomy.full_tract.abdomen import (
     draw_colon_placement,
     make_neighboring_organs,
@@ -15,7 +16,6 @@ from vrcaps.anatomy.small_bowel.course import NeighboringOrgans
 from vrcaps.anatomy.small_bowel.parameters import SmallBowelParameters
 from vrcaps.anatomy.stomach.parameters import StomachParameters
 from vrcaps.anatomy.tube_mesh.tube import Course
-from vrcaps.errors import InputError
 from vrcaps.units import CM
 
 COLON_DISTENSIONS = {"inflated": 1.0, "normal": 0.85, "collapsed": 0.65}
@@ -51,9 +51,6 @@ def draw_patient_anatomy(seed: int, distension: str | None = None) -> PatientAna
         InputError: If there is no such distension.
     """
     upper, lower = distension or "normal", distension or "inflated"
-    if lower not in COLON_DISTENSIONS:
-        known = ", ".join(COLON_DISTENSIONS)
-        raise InputError(f"Distension is {distension!r}. Allowed: {known}.")
     return PatientAnatomy(
         seed,
         StomachParameters.draw(vrcaps.rng.stream(seed, "stomach/dimensions")).at(upper),
@@ -64,7 +61,7 @@ def draw_patient_anatomy(seed: int, distension: str | None = None) -> PatientAna
 
 def colon_at(parameters: ColonParameters, distension: str) -> ColonParameters:
     """The same colon at another distension: narrower, its folds as high as the lumen allows."""
-    factor = COLON_DISTENSIONS[distension]
+    factor = at_distension(COLON_DISTENSIONS, distension)
     if factor == 1.0:
         return parameters
     segments = {}

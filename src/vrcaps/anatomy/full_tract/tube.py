@@ -25,7 +25,7 @@ from vrcaps.anatomy.stomach.shape import (
 )
 from vrcaps.anatomy.tube_mesh.swept_surface import SweptSurface
 from vrcaps.anatomy.tube_mesh.tube import Course, Tube, make_tube
-from vrcaps.anatomy.tube_mesh.waves import smooth_step
+from vrcaps.geometry import smoothstep
 from vrcaps.units import MM
 
 if TYPE_CHECKING:
@@ -70,7 +70,7 @@ class UpperTract:
         return SweptSurface(self.tube, self.end, self._envelope, self._radius, self._edge)
 
     def _envelope(self, s: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
-        above = smooth_step((self.pylorus - s) / (2.0 * _BLEND) + 0.5)
+        above = smoothstep((self.pylorus - s) / (2.0 * _BLEND) + 0.5)
         plain = above * self.stomach.envelope(np.minimum(s, self.pylorus + _BLEND))
         plain = plain + (1.0 - above) * self.bowel.envelope(s - self.pylorus)
         narrow = self._narrowing(s)
@@ -81,7 +81,7 @@ class UpperTract:
         self, s: Float[np.ndarray, " n"], theta: Float[np.ndarray, " n"]
     ) -> Float[np.ndarray, " n"]:
         radius = np.empty_like(s)
-        above = smooth_step((self.pylorus - s) / (2.0 * _BLEND) + 0.5)
+        above = smoothstep((self.pylorus - s) / (2.0 * _BLEND) + 0.5)
         upper, lower = above > 0.0, above < 1.0
         bowel = small_bowel_radius(
             self.bowel, self.tube, s[lower] - self.pylorus, theta[lower], self.pylorus
@@ -100,14 +100,14 @@ class UpperTract:
 
     def _narrowing(self, s: np.ndarray) -> np.ndarray:
         """0 up to the last part of the ileum, 1 where it has the shape of the valve."""
-        return smooth_step((s - (self.end - CAP - _TAPER)) / (_TAPER - 4 * MM))
+        return smoothstep((s - (self.end - CAP - _TAPER)) / (_TAPER - 4 * MM))
 
     def _closed(self, s: np.ndarray) -> np.ndarray:
         return np.sqrt(1.0 - np.clip(1.0 - (self.end - s) / CAP, 0.0, 1.0) ** 2)
 
     def _edge(self, s: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
         below = wanted_edge(self.bowel, np.maximum(s - self.pylorus, 0.0))
-        fraction = smooth_step((self.pylorus - s) / (6 * MM) + 0.5)
+        fraction = smoothstep((self.pylorus - s) / (6 * MM) + 0.5)
         return below + fraction * (self.stomach.parameters.edge - below)
 
 

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
+from vrcaps.anatomy.distension import at_distension
 from vrcaps.anatomy.tube_mesh.truncated_normal import truncated_normal
-from vrcaps.errors import InputError
+from vrcaps.limits import Range, check_fields
+from vrcaps.organ.segments import SMALL_BOWEL
 from vrcaps.units import CM, MM
 
 if TYPE_CHECKING:
     import numpy as np
 
-SEGMENTS = ("duodenal_bulb", "duodenum", "jejunum", "ileum")
+SEGMENTS = SMALL_BOWEL.labels
 """Segments from the oral to the anal end."""
 
 BULB_LENGTH = 4.5 * CM
@@ -54,34 +56,29 @@ class SmallBowelParameters:
         edge: Mean length of the triangles' edges in a lumen of 24.5 mm, less in narrower ones [m].
     """
 
-    length: float = 3.5
-    duodenum_length: float = 25 * CM
-    jejunum_fraction: float = 0.4
-    duodenum_diameter: float = 24.8 * MM
-    jejunum_diameter: float = 24.5 * MM
-    proximal_ileum_diameter: float = 19.5 * MM
-    distal_ileum_diameter: float = 18.9 * MM
-    terminal_ileum_diameter: float = 18.7 * MM
-    jejunum_folds: float = 4.6 / (2.5 * CM)
-    terminal_folds: float = 1.5 / (2.5 * CM)
-    jejunum_fold_height: float = 4.6 * MM
-    terminal_fold_height: float = 1.2 * MM
-    fold_thickness: float = 2.1 * MM
-    contraction_spacing: float = 11 * CM
-    contraction_depth: float = 0.42
-    longitudinal_fold_depth: float = 0.05
-    min_radius: float = 4.6 * MM
-    roughness: float = 0.22 * MM
-    edge: float = 1.75 * MM
+    length: Annotated[float, Range(1.5, 5.0, unit="m")] = 3.5
+    duodenum_length: Annotated[float, Range(0.18, 0.35, unit="m")] = 25 * CM
+    jejunum_fraction: Annotated[float, Range(0.2, 0.6)] = 0.4
+    duodenum_diameter: Annotated[float, Range(6 * MM, 42 * MM, unit="m")] = 24.8 * MM
+    jejunum_diameter: Annotated[float, Range(6 * MM, 42 * MM, unit="m")] = 24.5 * MM
+    proximal_ileum_diameter: Annotated[float, Range(6 * MM, 42 * MM, unit="m")] = 19.5 * MM
+    distal_ileum_diameter: Annotated[float, Range(6 * MM, 42 * MM, unit="m")] = 18.9 * MM
+    terminal_ileum_diameter: Annotated[float, Range(6 * MM, 42 * MM, unit="m")] = 18.7 * MM
+    jejunum_folds: Annotated[float, Range(20.0, 260.0, unit="1/m")] = 4.6 / (2.5 * CM)
+    terminal_folds: Annotated[float, Range(10.0, 260.0, unit="1/m")] = 1.5 / (2.5 * CM)
+    jejunum_fold_height: Annotated[float, Range(0.0, 8 * MM, unit="m")] = 4.6 * MM
+    terminal_fold_height: Annotated[float, Range(0.0, 8 * MM, unit="m")] = 1.2 * MM
+    fold_thickness: Annotated[float, Range(1 * MM, 4 * MM, unit="m")] = 2.1 * MM
+    contraction_spacing: Annotated[float, Range(3 * CM, 2.0, unit="m")] = 11 * CM
+    contraction_depth: Annotated[float, Range(0.0, 0.6)] = 0.42
+    longitudinal_fold_depth: Annotated[float, Range(0.0, 0.5)] = 0.05
+    min_radius: Annotated[float, Range(1 * MM, 8 * MM, unit="m")] = 4.6 * MM
+    roughness: Annotated[float, Range(0.0, 1 * MM, unit="m")] = 0.22 * MM
+    edge: Annotated[float, Range(0.6 * MM, 5 * MM, unit="m")] = 1.75 * MM
 
     def __post_init__(self) -> None:
         """Check what the construction relies on."""
-        for name, (low, high) in _LIMITS.items():
-            if not low <= getattr(self, name) <= high:
-                raise InputError(
-                    f"Small bowel {name} is {getattr(self, name):g}. "
-                    f"Allowed: {low:g} to {high:g} (SI)."
-                )
+        check_fields(self)
 
     @classmethod
     def draw(cls, rng: np.random.Generator) -> SmallBowelParameters:
@@ -114,10 +111,7 @@ class SmallBowelParameters:
         Args:
             distension: One of `DISTENSIONS`.
         """
-        factors = DISTENSIONS.get(distension)
-        if factors is None:
-            known = ", ".join(DISTENSIONS)
-            raise InputError(f"Distension is {distension!r}. Allowed: {known}.")
+        factors = at_distension(DISTENSIONS, distension)
         scaled = {f: getattr(self, f) * factor for f, factor in factors.items() if f != "diameter"}
         for name in _DEVIATIONS:
             diameter = getattr(self, name)
@@ -136,24 +130,6 @@ _DEVIATIONS = {
 }
 
 _COLLAPSED = 10 * MM
-
-_LIMITS = {
-    "length": (1.5, 5.0),
-    "duodenum_length": (0.18, 0.35),
-    "jejunum_fraction": (0.2, 0.6),
-    **dict.fromkeys(_DEVIATIONS, (6 * MM, 42 * MM)),
-    "jejunum_folds": (20.0, 260.0),
-    "terminal_folds": (10.0, 260.0),
-    "jejunum_fold_height": (0.0, 8 * MM),
-    "terminal_fold_height": (0.0, 8 * MM),
-    "fold_thickness": (1 * MM, 4 * MM),
-    "contraction_spacing": (3 * CM, 2.0),
-    "contraction_depth": (0.0, 0.6),
-    "longitudinal_fold_depth": (0.0, 0.5),
-    "min_radius": (1 * MM, 8 * MM),
-    "roughness": (0.0, 1 * MM),
-    "edge": (0.6 * MM, 5 * MM),
-}
 
 DISTENSIONS: dict[str, dict[str, float]] = {
     "inflated": {"diameter": 1.12, "contraction_depth": 0.3, "longitudinal_fold_depth": 0.0},

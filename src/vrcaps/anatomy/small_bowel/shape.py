@@ -14,7 +14,8 @@ from scipy.interpolate import PchipInterpolator
 
 from vrcaps.anatomy.small_bowel.parameters import BULB_LENGTH
 from vrcaps.anatomy.tube_mesh.folds import Folds
-from vrcaps.anatomy.tube_mesh.waves import draw_waves, smooth_step, sum_waves, within_bend, wrap
+from vrcaps.anatomy.tube_mesh.waves import draw_waves, sum_waves, within_bend, wrap
+from vrcaps.geometry import smoothstep
 from vrcaps.units import CM, MM
 
 if TYPE_CHECKING:
@@ -140,7 +141,7 @@ def small_bowel_radius(
     """
     s, p = arc_length, wall.parameters
     plain = wall.envelope(s)
-    fade = smooth_step(s / (2 * CM)) * smooth_step((p.length - s) / (2 * CM))
+    fade = smoothstep(s / (2 * CM)) * smoothstep((p.length - s) / (2 * CM))
     radius = plain * (1.0 + fade * sum_waves(wall.diameter_waves, s, theta))
     squeeze, petals = _squeeze(wall, s, theta)
     radius = radius * (1.0 - fade * squeeze)
@@ -194,7 +195,7 @@ def _fold_relief(
         crest = folds.crest(k, offset, plain)
         end = np.clip((folds.extent[k] - np.abs(offset)) / 0.7, 0.0, 1.0)
         along = np.exp2(-(np.abs(2.0 * (s - crest) / folds.thickness[k]) ** 2.2))
-        total += (folds.height[k] * smooth_step(end) * along) ** 4
+        total += (folds.height[k] * smoothstep(end) * along) ** 4
     waves = np.clip(1.0 + sum_waves(wall.crest_waves, s, theta), 0.4, 1.5)
     return waves * total**0.25
 
@@ -227,7 +228,7 @@ def _draw_folds(parameters: SmallBowelParameters, rng: np.random.Generator) -> F
     s = np.array(s)
     num = len(s)
     height = np.interp(s, knots, heights) * np.clip(1.0 + 0.22 * rng.standard_normal(num), 0.4, 1.5)
-    ramp = smooth_step((s - BULB_LENGTH) / (4 * CM))
+    ramp = smoothstep((s - BULB_LENGTH) / (4 * CM))
     return Folds(
         arc_length=s,
         angle=rng.uniform(-np.pi, np.pi, num),

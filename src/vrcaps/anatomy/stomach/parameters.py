@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
+from vrcaps.anatomy.distension import at_distension
 from vrcaps.anatomy.tube_mesh.truncated_normal import truncated_normal
-from vrcaps.errors import InputError
+from vrcaps.errors import require
+from vrcaps.limits import Range, check_fields
+from vrcaps.organ.segments import STOMACH
 from vrcaps.units import MM
 
 if TYPE_CHECKING:
     import numpy as np
 
-SEGMENTS = ("fundus", "cardia", "body", "incisura", "antrum", "pylorus")
+SEGMENTS = STOMACH.labels
 """Segments from the oral to the anal end; the cardia and the incisura are patches of wall."""
 
 
@@ -45,49 +48,33 @@ class StomachParameters:
         edge: Mean length of the triangles' edges [m].
     """
 
-    length: float = 196 * MM
-    fundus_diameter: float = 100 * MM
-    body_diameter: float = 110 * MM
-    antrum_diameter: float = 65 * MM
-    pylorus_diameter: float = 13 * MM
-    flattening: float = 0.12
+    length: Annotated[float, Range(0.10, 0.35, unit="m")] = 196 * MM
+    fundus_diameter: Annotated[float, Range(0.03, 0.14, unit="m")] = 100 * MM
+    body_diameter: Annotated[float, Range(0.03, 0.14, unit="m")] = 110 * MM
+    antrum_diameter: Annotated[float, Range(0.025, 0.1, unit="m")] = 65 * MM
+    pylorus_diameter: Annotated[float, Range(0.008, 0.025, unit="m")] = 13 * MM
+    flattening: Annotated[float, Range(0.0, 0.6)] = 0.12
     cardia_distance: float = 50 * MM
-    incisura_depth: float = 13 * MM
-    num_rugae: int = 15
-    rugae_height: float = 1.0 * MM
-    rugae_winding: float = 0.9
-    wave_depth: float = 0.16
-    roughness: float = 0.5 * MM
-    edge: float = 1.7 * MM
+    incisura_depth: Annotated[float, Range(0.0, 0.02, unit="m")] = 13 * MM
+    num_rugae: Annotated[int, Range(6, 30)] = 15
+    rugae_height: Annotated[float, Range(0.0, 0.01, unit="m")] = 1.0 * MM
+    rugae_winding: Annotated[float, Range(0.0, 1.5)] = 0.9
+    wave_depth: Annotated[float, Range(0.0, 0.5)] = 0.16
+    roughness: Annotated[float, Range(0.0, 0.002, unit="m")] = 0.5 * MM
+    edge: Annotated[float, Range(0.0008, 0.005, unit="m")] = 1.7 * MM
 
     def __post_init__(self) -> None:
         """Check what the construction relies on."""
-        limits = {
-            "length": (0.10, 0.35),
-            "fundus_diameter": (0.03, 0.14),
-            "body_diameter": (0.03, 0.14),
-            "antrum_diameter": (0.025, 0.1),
-            "pylorus_diameter": (0.008, 0.025),
-            "flattening": (0.0, 0.6),
-            "cardia_distance": (0.2 * self.length, 0.35 * self.length),
-            "incisura_depth": (0.0, 0.02),
-            "num_rugae": (6, 30),
-            "rugae_height": (0.0, 0.01),
-            "rugae_winding": (0.0, 1.5),
-            "wave_depth": (0.0, 0.5),
-            "roughness": (0.0, 0.002),
-            "edge": (0.0008, 0.005),
-        }
-        for name, (low, high) in limits.items():
-            if not low <= getattr(self, name) <= high:
-                raise InputError(
-                    f"Stomach {name} is {getattr(self, name):g}. Allowed: {low:g} to {high:g} (SI)."
-                )
-        if self.antrum_diameter > self.body_diameter:
-            raise InputError(
-                f"Stomach antrum ({self.antrum_diameter:g} m) is wider than its body "
-                f"({self.body_diameter:g} m). Allowed: at most as wide."
-            )
+        check_fields(self)
+        low, high = 0.2 * self.length, 0.35 * self.length
+        is_valid = low <= self.cardia_distance <= high
+        require(is_valid, "cardia_distance", self.cardia_distance, f"{low:g} to {high:g} m")
+        require(
+            self.antrum_diameter <= self.body_diameter,
+            "antrum_diameter",
+            self.antrum_diameter,
+            f"up to the body's diameter, {self.body_diameter:g} m",
+        )
 
     @classmethod
     def draw(cls, rng: np.random.Generator) -> StomachParameters:
@@ -126,10 +113,7 @@ class StomachParameters:
         Args:
             distension: One of `DISTENSIONS`.
         """
-        factors = DISTENSIONS.get(distension)
-        if factors is None:
-            known = ", ".join(DISTENSIONS)
-            raise InputError(f"Distension is {distension!r}. Allowed: {known}.")
+        factors = at_distension(DISTENSIONS, distension)
         scaled = {f.name: getattr(self, f.name) * factors.get(f.name, 1.0) for f in fields(self)}
         scaled["num_rugae"] = self.num_rugae
         return replace(self, **scaled)

@@ -15,7 +15,8 @@ from scipy.ndimage import gaussian_filter1d
 
 import vrcaps.rng
 from vrcaps.anatomy.tube_mesh.tube import Course
-from vrcaps.anatomy.tube_mesh.waves import draw_waves, smooth_step, sum_waves, within_bend, wrap
+from vrcaps.anatomy.tube_mesh.waves import draw_waves, sum_waves, within_bend, wrap
+from vrcaps.geometry import smoothstep
 from vrcaps.units import CM, MM
 
 if TYPE_CHECKING:
@@ -157,10 +158,10 @@ def stomach_radius(
     envelope = wall.envelope(s)
     # Everything that depends on θ fades out at the top and from the pyloric ring on.
     fade = np.clip(envelope / (0.42 * p.fundus_diameter), 0.0, 1.0) ** 2
-    fade = np.where(s > 0.5 * p.length, smooth_step((p.length - s) / (2 * CM)), fade)
+    fade = np.where(s > 0.5 * p.length((p.length - s) / (2 * CM)), fade)
     around = wrap(theta - wall.greater(s))
     radius = envelope * (1.0 + fade * sum_waves(wall.diameter_waves, s, theta))
-    flat = p.flattening * fade * smooth_step((p.length - s) / (5 * CM))
+    flat = p.flattening * fade * smoothstep((p.length - s) / (5 * CM))
     # Polar form of an ellipse whose mean radius is kept.
     radius = (
         radius
@@ -279,7 +280,7 @@ def _rugae(wall: StomachWall, s: np.ndarray, around: np.ndarray) -> np.ndarray:
     cord = 1.18 * crest / (crest + 0.18)
     strength = np.clip(0.95 + 0.42 * sum_waves(wall.branching, s, around), 0.12, 1.35)
     strength = strength * (0.45 + 0.55 * on_greater)
-    in_antrum = smooth_step((s - 0.62 * p.length) / (0.14 * p.length))
+    in_antrum = smoothstep((s - 0.62 * p.length) / (0.14 * p.length))
     return p.rugae_height * cord * strength * (1.0 - 0.72 * in_antrum)
 
 
@@ -303,7 +304,7 @@ def _pyloric_star(wall: StomachWall, s: np.ndarray, around: np.ndarray) -> np.nd
     """Radial folds that run up to the pyloric ring [m]."""
     p = wall.parameters
     before = p.length - 0.5 * _CANAL - s
-    near = smooth_step(before / (6 * MM)) * smooth_step((34 * MM - before) / (22 * MM))
+    near = smoothstep(before / (6 * MM)) * smoothstep((34 * MM - before) / (22 * MM))
     swing = 0.7 * np.sin(s / (11 * MM))
     slack = np.clip(p.rugae_height / (5 * MM), 0.2, 1.2)
     return 2.2 * MM * slack * near * (0.5 + 0.5 * np.cos(6.0 * around + swing)) ** 1.5

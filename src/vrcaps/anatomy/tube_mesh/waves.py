@@ -78,12 +78,6 @@ def wrap(angle: Float[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:
     return np.mod(angle + np.pi, 2.0 * np.pi) - np.pi
 
 
-def smooth_step(fraction: Float[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:
-    """0 below 0, 1 above 1, a cubic with level ends between."""
-    fraction = np.clip(fraction, 0.0, 1.0)
-    return fraction * fraction * (3.0 - 2.0 * fraction)
-
-
 def within_bend(
     radius: Float[np.ndarray, " n"], curvature: Float[np.ndarray, " n"]
 ) -> Float[np.ndarray, " n"]:

@@ -9,7 +9,7 @@ import numpy as np
 
 from vrcaps.errors import UnknownNameError
 from vrcaps.tissue.arc_length_samples import arc_length_samples
-from vrcaps.tissue.motility.segment import WHOLE, ZONES
+from vrcaps.tissue.motility.segment import ZONES, organ_divisions
 from vrcaps.units import CM
 
 if TYPE_CHECKING:
@@ -107,7 +107,7 @@ def _segments(
     number = np.empty(len(samples), int)
     for value, start, end in _runs(label):
         name = _known_name(organ, value, motility)
-        parts = ((name, 1.0),) if name in motility.segments else WHOLE[name]
+        parts = ((name, 1.0),) if name in motility.segments else organ_divisions()[name]
         ends = np.rint(start + (end - start) * np.cumsum([share for _, share in parts])).astype(int)
         for (part, _), first, last in zip(parts, [start, *ends[:-1]], ends, strict=True):
             if part not in known:
@@ -118,11 +118,12 @@ def _segments(
 
 def _known_name(organ: OrganSurface, label: int, motility: Motility) -> str:
     names = (organ.label_names[label], organ.name)
+    divisions = organ_divisions()
     for name in (names[0], names[0].replace("-", "_"), names[1].replace("-", "_")):
-        if name in motility.segments or name in WHOLE:
+        if name in motility.segments or name in divisions:
             return name
     if motility.fallback_segment is None:
-        raise UnknownNameError("segment with muscle", names[0], (*motility.segments, *WHOLE))
+        raise UnknownNameError("segment with muscle", names[0], (*motility.segments, *divisions))
     return motility.fallback_segment
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from vrcaps.errors import UnknownNameError, require
 from vrcaps.tissue.motility.migrating_complex import ComplexStatistics
 from vrcaps.tissue.motility.propulsion import Propulsion
-from vrcaps.tissue.motility.segment import SEGMENTS, SegmentMotility
+from vrcaps.tissue.motility.segment import SegmentMotility, segment_motilities
 from vrcaps.units import CM
 
 if TYPE_CHECKING:
@@ -68,7 +68,7 @@ class Motility:
         propulsion: The force F = β (v_p − u) on the capsule in addition to contact, or None.
     """
 
-    segments: Mapping[str, SegmentMotility] = field(default_factory=lambda: dict(SEGMENTS))
+    segments: Mapping[str, SegmentMotility] = field(default_factory=segment_motilities)
     fallback_segment: str | None = None
     complex: ComplexStatistics | None = field(default_factory=ComplexStatistics)
     front: float | None = None

@@ -8,6 +8,7 @@ from types import MappingProxyType
 from typing import Literal
 
 from vrcaps.errors import UnknownNameError, require
+from vrcaps.organ.segments import ORGANS
 from vrcaps.units import CM, MM
 
 PER_MINUTE = 1.0 / 60.0
@@ -149,40 +150,36 @@ _COLON = SegmentMotility(
 Am. J. Physiol. 278:G329, 2000). Most do not run (Bharucha, Neurogastroenterol. Motil. 24:977,
 2012). Amplitude, duration and the length of a haustrum: assumed."""
 
-SEGMENTS = MappingProxyType(
+MOTILITIES = MappingProxyType(
     {
         "fundus": _gastric(0.0),
-        "cardia": _gastric(0.0),
-        "body": _gastric(0.15),
+        "gastric-body": _gastric(0.15),
         "incisura": _gastric(0.3),
         "antrum": _gastric(0.58),
         "pylorus": _gastric(0.7),
-        "duodenal_bulb": _DUODENUM,
         "duodenum": _DUODENUM,
         "jejunum": _JEJUNUM,
         "ileum": _ILEUM,
-        **dict.fromkeys(
-            (
-                "caecum",
-                "ascending",
-                "hepatic_flexure",
-                "transverse",
-                "splenic_flexure",
-                "descending",
-                "sigmoid",
-                "rectum",
-                "colon",
-            ),
-            _COLON,
-        ),
+        "colon": _COLON,
     }
 )
-"""Healthy adults, fasting; by the names that organs' walls carry."""
+"""Healthy adults, fasting; by the names in `vrcaps.organ.segments`."""
 
-WHOLE = MappingProxyType(
-    {
-        "stomach": (("fundus", 0.2), ("body", 0.4), ("antrum", 0.35), ("pylorus", 0.05)),
-        "small_bowel": (("jejunum", 0.4), ("ileum", 0.6)),
+
+def segment_motilities() -> dict[str, SegmentMotility]:
+    """Motility of every declared segment by its label, and of organs that contract alike."""
+    found = {
+        segment.label: MOTILITIES[segment.motility]
+        for organ in ORGANS.values()
+        for segment in organ.segments
     }
-)
-"""Segments of organs that come without, with their shares of the length."""
+    for organ in ORGANS.values():
+        names = {segment.motility for segment in organ.segments}
+        if len(names) == 1:
+            found[organ.label] = MOTILITIES[names.pop()]
+    return found
+
+
+def organ_divisions() -> dict[str, tuple[tuple[str, float], ...]]:
+    """Segments of organs that come without, by label, with their fractions of the length."""
+    return {o.label: tuple(o.fractions.items()) for o in ORGANS.values() if o.fractions}

@@ -1,0 +1,23 @@
+"""Distension: how full of gas or liquid the organs of a patient are."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Literal, TypeVar
+
+from vrcaps.errors import InputError
+
+Distension = Literal["inflated", "normal", "collapsed"]
+
+T = TypeVar("T")
+
+
+def at_distension(values: Mapping[str, T], distension: str) -> T:
+    """Value for a distension.
+
+    Raises:
+        InputError: If there is no such distension.
+    """
+    if distension not in values:
+        raise InputError(f"Distension is {distension!r}. Allowed: {', '.join(values)}.")
+    return values[distension]

@@ -1,0 +1,144 @@
+"""Segments of the organs: the one table of labels, mucosae and motilities.
+
+An organ is declared here by its segments from the oral to the anal end. Generators take their
+labels from it, `bake_appearance` the mucosa and its factors, and the motility of the wall its
+presets. Labels of CT segmentations (TotalSegmentator) that name a whole organ are known, too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+
+@dataclass(frozen=True)
+class Segment:
+    """Part of an organ whose wall looks and contracts alike.
+
+    Attributes:
+        label: Name in `OrganSurface.label_names`.
+        mucosa: Name in `vrcaps.mucosa.mucosa.MUCOSAE`.
+        motility: Name in `vrcaps.tissue.motility.segment.MOTILITIES`.
+        pits: Factor on the pits or villi of its mucosa.
+        bile: Factor on the bile.
+        vessels: Factor on the vessels.
+    """
+
+    label: str
+    mucosa: str
+    motility: str
+    pits: float = 1.0
+    bile: float = 1.0
+    vessels: float = 1.0
+
+
+@dataclass(frozen=True)
+class OrganSegments:
+    """An organ and its segments.
+
+    Attributes:
+        name: In texts, flags and keys.
+        segments: From the oral to the anal end.
+        fractions: Division of its length by segment, for a wall that is labeled as a whole.
+    """
+
+    name: str
+    segments: tuple[Segment, ...]
+    fractions: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def label(self) -> str:
+        """Label of a wall that is not divided into segments."""
+        return self.name.replace("-", "_")
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """Labels of the segments."""
+        return tuple(segment.label for segment in self.segments)
+
+    @property
+    def mucosa(self) -> str:
+        """Mucosa of its first segment."""
+        return self.segments[0].mucosa
+
+
+ORGANS: dict[str, OrganSegments] = {}
+"""Organs by name."""
+
+
+def declare_organ(organ: OrganSegments) -> OrganSegments:
+    """Enter an organ into `ORGANS`."""
+    ORGANS[organ.name] = organ
+    return organ
+
+
+def find_segment(label: str) -> Segment | None:
+    """The declared segment with a label, or None."""
+    segments = (segment for organ in ORGANS.values() for segment in organ.segments)
+    return next((segment for segment in segments if segment.label == label), None)
+
+
+def find_mucosa(label: str) -> str | None:
+    """Mucosa of a segment, or of an organ whose segments have the same; None if unknown."""
+    if (segment := find_segment(label)) is not None:
+        return segment.mucosa
+    organ = next((organ for organ in ORGANS.values() if organ.label == label), None)
+    if organ is None or any(s.mucosa != organ.mucosa for s in organ.segments):
+        return None
+    return organ.mucosa
+
+
+STOMACH = declare_organ(
+    OrganSegments(
+        "stomach",
+        (
+            Segment("fundus", "stomach", "fundus", pits=0.7, vessels=1.2),
+            Segment("cardia", "stomach", "fundus", pits=0.5, vessels=1.2),
+            Segment("body", "stomach", "gastric-body", pits=1.2, bile=0.9),
+            Segment("incisura", "stomach", "incisura"),
+            Segment("antrum", "stomach", "antrum", pits=0.6, bile=1.3, vessels=0.6),
+            Segment("pylorus", "stomach", "pylorus", pits=0.4, bile=1.6, vessels=0.4),
+        ),
+        {"fundus": 0.2, "body": 0.4, "antrum": 0.35, "pylorus": 0.05},
+    )
+)
+"""The cardia and the incisura are patches of wall."""
+
+SMALL_BOWEL = declare_organ(
+    OrganSegments(
+        "small-bowel",
+        (
+            Segment("duodenal_bulb", "small-bowel", "duodenum", pits=0.6, bile=1.2, vessels=0.8),
+            Segment("duodenum", "small-bowel", "duodenum", bile=1.5, vessels=0.3),
+            Segment("jejunum", "small-bowel", "jejunum", pits=1.1, bile=1.1, vessels=0.4),
+            Segment("ileum", "small-bowel", "ileum", pits=0.6, bile=0.7, vessels=1.3),
+        ),
+        {"jejunum": 0.4, "ileum": 0.6},
+    )
+)
+"""Villi are tall and bile is strong in duodenum and jejunum; in the ileum villi are short and
+vessels shine through (Steinbrück et al., Atlas of Video Capsule Endoscopy, 2014, chapter 5)."""
+
+COLON = declare_organ(
+    OrganSegments(
+        "colon",
+        tuple(
+            Segment(label, "colon", "colon")
+            for label in (
+                "caecum",
+                "ascending",
+                "hepatic_flexure",
+                "transverse",
+                "splenic_flexure",
+                "descending",
+                "sigmoid",
+                "rectum",
+            )
+        ),
+    )
+)
+
+FULL_TRACT = declare_organ(
+    OrganSegments("full-tract", (*STOMACH.segments, *SMALL_BOWEL.segments, *COLON.segments))
+)
+"""Stomach, small bowel and colon as one wall."""

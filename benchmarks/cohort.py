@@ -46,19 +46,19 @@ from vrcaps.units import CM, MM
 PAGE = ROOT / "docs" / "anatomy.md"
 _TITLE = """# Anatomy of generated patients
 
-Each table below is written by the script named above it; nobody types results.
+The script named above each table writes it; nobody types results.
 """
-_LITRE = 1e-3
+_LITER = 1e-3
 _LEVEL = 0.01
 
 
 @dataclass(frozen=True)
 class Published:
-    """A figure of the literature.
+    """A quantity in the literature.
 
     Attributes:
         text: As the table prints it, with its source.
-        mean: In the unit of the figure; None where only a range or a mean is known.
+        mean: In the unit of the quantity; None where only a range or a mean is known.
         deviation: In the same unit.
     """
 
@@ -92,12 +92,12 @@ PUBLISHED = {
 _TEXT = """## Cohort
 
 `python benchmarks/cohort.py --patients {patients} --tracts {tracts}`: seeds 0 to {last}, each one
-patient (`vrcaps organ make full-tract --seed N`); {failed}. Measured on the courses and walls that
-are made, not on the numbers asked for. *Mean* and *variance* are the two-sided probabilities of a
+patient (`vrcaps organ make full-tract --seed N`); {failed}. The courses and walls that are
+made are measured, not the parameters. *Mean* and *variance* are the two-sided probabilities of a
 sample this far off, or farther, from a normal population of the published mean and deviation (z
-test of the mean, χ² test of the variance); a figure *agrees* where both are above {level:g}.
+test of the mean, χ² test of the variance); a quantity *agrees* where both are above {level:g}.
 
-{figures}
+{measures}
 
 The small bowel is drawn 3.5 ± 0.25 m long, so that 95 % lie within the published range.
 Resected stomachs are measured fixed and flat; in generated ones the greater curvature is longer
@@ -105,8 +105,8 @@ and the lesser one shorter, as textbooks have it (Gray's Anatomy: four to five t
 """
 _SOUND = """### Walls
 
-Whole tracts, all three organs as one wall. The generator lays a wall again until no two triangles
-cut each other, and otherwise ends with an error; *seeds* says how many were tried, *defects* counts
+Full tracts, all three organs as one wall. The generator draws a wall again until no two triangles
+intersect, and otherwise ends with an error. *Seeds* says how many were tried, *defects* counts
 open, non-manifold and doubled edges, stray parts, and triangles of a quality below 0.1. CPU seconds
 are the median, least and most.
 
@@ -115,7 +115,7 @@ are the median, least and most.
 
 
 def measure(seed: int, distension: str | None = None) -> dict[str, float]:
-    """One patient's figures, from the generated courses and walls."""
+    """One patient's measures, from the generated courses and walls."""
     patient = draw_patient_anatomy(seed, distension)
     colon = draw_colon_placement(patient.colon, seed)
     axis = place_stomach(patient.stomach, colon, seed)
@@ -141,31 +141,31 @@ def _bowel_figures(wall: SmallBowelWall) -> dict[str, float]:
         "distal ileum": p.length - 40 * CM,
         "terminal ileum": p.length - 3 * CM,
     }
-    figures = {"duodenum length [cm]": p.duodenum_length / CM}
+    measures = {"duodenum length [cm]": p.duodenum_length / CM}
     for name, s in places.items():
-        figures[f"{name} diameter [mm]"] = 2.0 * float(wall.envelope(np.array([s]))[0]) / MM
+        measures[f"{name} diameter [mm]"] = 2.0 * float(wall.envelope(np.array([s]))[0]) / MM
     stretches = {
         "jejunum": (40 * CM, 90 * CM),
         "terminal ileum": (p.length - 15 * CM, p.length - 3 * CM),
     }
     for name, (low, high) in stretches.items():
         count = np.sum((folds > low) & (folds < high))
-        figures[f"{name} folds per 2.5 cm"] = float(count / (high - low) * 2.5 * CM)
-    return figures
+        measures[f"{name} folds per 2.5 cm"] = float(count / (high - low) * 2.5 * CM)
+    return measures
 
 
 def _stomach_figures(seed: int) -> dict[str, float]:
     """Volume and curvatures of the stomach at each filling."""
-    figures = {}
+    measures = {}
     for distension in ("inflated", "normal", "collapsed"):
         parameters = draw_patient_anatomy(seed, distension).stomach
         tube = make_tube(stomach_course(parameters, np.random.default_rng([seed, 2])))
         wall = draw_stomach_wall(parameters, tube, stomach_wall_rng(seed))
         greater, lesser = curvatures(wall)
-        figures[f"greater curvature, {distension} [cm]"] = greater / CM
-        figures[f"lesser curvature, {distension} [cm]"] = lesser / CM
-        figures[f"stomach volume, {distension} [l]"] = stomach_volume(wall) / _LITRE
-    return figures
+        measures[f"greater curvature, {distension} [cm]"] = greater / CM
+        measures[f"lesser curvature, {distension} [cm]"] = lesser / CM
+        measures[f"stomach volume, {distension} [l]"] = stomach_volume(wall) / _LITER
+    return measures
 
 
 def make(seed: int, distension: str | None = None) -> dict[str, float]:
@@ -211,7 +211,7 @@ def _one(job: tuple[str, int, str | None]) -> dict:
     }
     line = {"kind": kind, "seed": seed, "distension": distension}
     try:
-        return {**line, "figures": verbs[kind](seed, distension)}
+        return {**line, "measures": verbs[kind](seed, distension)}
     except InputError as error:
         return {**line, "error": str(error)}
 
@@ -220,7 +220,7 @@ def figures_table(measured: list[dict[str, float]]) -> str:
     """The cohort beside the published population."""
     rows = []
     for name, published in PUBLISHED.items():
-        values = np.array([figures[name] for figures in measured])
+        values = np.array([measures[name] for measures in measured])
         mean, deviation = values.mean(), values.std(ddof=1)
         chances = ["", ""]
         verdict = ""
@@ -234,7 +234,7 @@ def figures_table(measured: list[dict[str, float]]) -> str:
         rows.append(
             (name, published.text, f"{mean:.4g} ± {deviation:.3g}", span, *chances, verdict)
         )
-    head = ("figure", "published", "cohort", "least to greatest", "mean", "variance", "")
+    head = ("quantity", "published", "cohort", "least to greatest", "mean", "variance", "")
     return table(head, rows)
 
 
@@ -248,29 +248,29 @@ def probabilities(values: np.ndarray, mean: float, deviation: float) -> tuple[fl
 
 
 def walls_table(lines: list[dict]) -> str:
-    """What was made at each filling, and what is wrong with it."""
+    """What was made at each distension, and what is wrong with it."""
     rows = []
     for distension in (None, "inflated", "collapsed"):
         chosen = [line for line in lines if line["distension"] == distension]
-        made = [line["figures"] for line in chosen if "figures" in line]
+        made = [line["measures"] for line in chosen if "measures" in line]
         if not chosen:
             continue
-        seconds = np.array([figures["seconds"] for figures in made])
+        seconds = np.array([measures["seconds"] for measures in made])
         rows.append(
             (
                 distension or "usual",
                 f"{len(chosen)} of 0 to {max(line['seed'] for line in chosen)}",
                 str(len(made)),
-                str(sum(figures["defects"] > 0 for figures in made)),
-                f"{np.mean([figures['triangles'] for figures in made]):,.0f}",
-                f"{np.mean([figures['quality'] for figures in made]):.3f}",
+                str(sum(measures["defects"] > 0 for measures in made)),
+                f"{np.mean([measures['triangles'] for measures in made]):,.0f}",
+                f"{np.mean([measures['quality'] for measures in made]):.3f}",
                 f"{np.median(seconds):.0f} ({seconds.min():.0f} to {seconds.max():.0f})",
             )
         )
     head = (
         "distension",
         "seeds",
-        "made, none cuts itself",
+        "without self-intersection",
         "with defects",
         "triangles",
         "quality",
@@ -285,7 +285,7 @@ def main() -> None:
     parser.add_argument("--patients", type=int, default=100, help="patients to measure")
     parser.add_argument("--tracts", type=int, default=0, help="of them to make whole")
     parser.add_argument(
-        "--fillings", type=int, default=0, help="of them to make full and empty too"
+        "--distensions", type=int, default=0, help="of them to make full and empty too"
     )
     parser.add_argument("--processes", type=int, default=1)
     parser.add_argument("--store", type=Path, default=ROOT / "build" / "cohort.jsonl")
@@ -295,7 +295,7 @@ def main() -> None:
     jobs: list[tuple[str, int, str | None]] = [("measure", k, None) for k in range(given.patients)]
     jobs += [("make", k, None) for k in range(given.tracts)]
     for distension in ("inflated", "collapsed"):
-        jobs += [("make", k, distension) for k in range(given.fillings)]
+        jobs += [("make", k, distension) for k in range(given.distensions)]
     if not given.stored:
         run(jobs, given.store, given.processes)
     lines = [x for x in read(given.store) if (x["kind"], x["seed"], x["distension"]) in jobs]
@@ -307,7 +307,7 @@ def main() -> None:
         last=given.patients - 1,
         failed="; ".join(failed) or "all of them could be laid out",
         level=_LEVEL,
-        figures=figures_table([x["figures"] for x in measured if "figures" in x]),
+        measures=figures_table([x["measures"] for x in measured if "measures" in x]),
     )
     made = [x for x in lines if x["kind"] == "make"]
     if made:

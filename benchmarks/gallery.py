@@ -60,7 +60,7 @@ class Sheet:
 
 
 def frames(model: Model, states: list[State]) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Color, evenly exposed, and labels of each place."""
+    """Color, evenly exposed, and labels of each state."""
     renderer = vrcaps.Renderer(model, SETTINGS)
     made = []
     for state in states:
@@ -83,11 +83,11 @@ def of_segments(name: str, capsule: str, each: int) -> list[Tile]:
     model, states = flight(organ, capsule, 60)
     seen = frames(model, states)
     numbers = range(len(organ.label_names))
-    shares = np.array([[np.mean(label == k) for k in numbers] for _, label in seen])
+    fractions = np.array([[np.mean(label == k) for k in numbers] for _, label in seen])
     T_patient_world = np.linalg.inv(model.T_world_patient)
     eyes = np.array([(T_patient_world @ state.T_world_capsule)[:3, 3] for state in states])
     away = np.linalg.norm(organ.centerline.points - eyes[:, None], axis=-1)
-    places = organ.centerline.arc_length[away.argmin(axis=1)]
+    arc_lengths = organ.centerline.arc_length[away.argmin(axis=1)]
     tiles = []
     for k, segment in enumerate(organ.label_names):
         own = organ.arc_length[organ.label == k]
@@ -95,14 +95,14 @@ def of_segments(name: str, capsule: str, each: int) -> list[Tile]:
             continue
         borders = np.quantile(own, np.linspace(0.0, 1.0, each + 1))
         for low, high in pairwise(borders):
-            shares[(places < low) | (places > high), k] -= 1.0
-            best = int(np.argmax(shares[:, k]))
-            shares[best] -= 2.0  # shown once
+            fractions[(arc_lengths < low) | (arc_lengths > high), k] -= 1.0
+            best = int(np.argmax(fractions[:, k]))
+            fractions[best] -= 2.0  # shown once
             tiles.append((seen[best][0], segment.replace("_", " ")))
     return tiles
 
 
-def of_conditions() -> list[Tile]:
+def of_distensions() -> list[Tile]:
     """Two frames of each organ in each distension."""
     tiles = []
     for name in ("stomach", "small-bowel", "colon"):
@@ -126,17 +126,17 @@ def of_tract() -> list[Tile]:
 
 
 def of_patients() -> list[Tile]:
-    """The same share of the way in different patients."""
+    """The same fraction of the centerline in different patients."""
     tiles = []
-    for name, place, patients in (("colon", 3, 4), ("small-bowel", 4, 2)):
+    for name, position, patients in (("colon", 3, 4), ("small-bowel", 4, 2)):
         for seed in range(patients):
             model, states = flight(vrcaps.generate_organ(name, seed=seed), "mirocam", 9, seed)
-            tiles.append((frames(model, [states[place]])[0][0], f"{name}, patient {seed}"))
+            tiles.append((frames(model, [states[position]])[0][0], f"{name}, patient {seed}"))
     return tiles
 
 
 def of_capsules() -> list[Tile]:
-    """The first camera of each capsule at one place."""
+    """The first camera of each capsule at one position."""
     tiles = []
     organ = vrcaps.generate_organ("colon", seed=1)
     for name in vrcaps.device_names():
@@ -172,7 +172,7 @@ POLYPS = tuple(
     for shape, size in (("Ip", 14), ("Is", 10), ("IIa", 13), ("IIb", 10), ("IIc", 12))
     for pattern in PATTERNS
 )
-BLEEDS = tuple(f"bleeding-{level}" for level in (1, 2, 3, 4))
+BLEEDS = tuple(f"bleeding-{severity}" for severity in (1, 2, 3, 4))
 OTHERS_COLON = (
     *("erosion:size=6mm", "ulcer-aphthous:size=7mm", "ulcer-deep:size=18mm"),
     *("tumor:segment=ascending,size=24mm", "diverticulum:segment=sigmoid,size=7mm", "stricture"),
@@ -197,27 +197,31 @@ SHEETS = (
         partial(of_segments, "stomach", "mirocam", 1),
     ),
     Sheet(
-        *("segments_small_bowel", "Small bowel", "Three places of each segment of patient 0."),
+        *("segments_small_bowel", "Small bowel", "Three positions in each segment of patient 0."),
         _record(f"--organ small-bowel --capsule pillcam-sb3 {_FINE}"),
         partial(of_segments, "small-bowel", "pillcam-sb3", 3),
     ),
     Sheet(
-        *("segments_colon", "Colon", "Two places of each segment of patient 0; MiroCam."),
+        *("segments_colon", "Colon", "Two positions in each segment of patient 0; MiroCam."),
         _record(f"--organ colon {_FINE}"),
         partial(of_segments, "colon", "mirocam", 2),
     ),
     Sheet(
-        *("full-tract", "From duodenum to rectum", "The whole tract, one wall; patient 1."),
+        *("full_tract", "Full tract", "From the duodenum to the rectum, one wall; patient 1."),
         _record("--organ full-tract --patient-seed 1 --frames 600"),
         of_tract,
     ),
     Sheet(
-        *("conditions", "Inflated, normal, collapsed", "Patient 0; two places each."),
+        *(
+            "distension",
+            "Distension",
+            "Inflated, normal, collapsed; patient 0, two positions each.",
+        ),
         (
             *_record("--organ small-bowel --distension inflated"),
             "vrcaps organ make colon --distension collapsed --out collapsed.glb",
         ),
-        of_conditions,
+        of_distensions,
     ),
     Sheet(
         *("patients", "Patients", "A seed is a patient: anatomy, vessels, blood and bile."),
@@ -225,7 +229,7 @@ SHEETS = (
         of_patients,
     ),
     Sheet(
-        *("capsules", "Capsules", "The catalog's devices at one place of patient 1."),
+        *("capsules", "Capsules", "The catalog's devices at one position in patient 1."),
         _record("--capsule pillcam-colon2 --patient-seed 1"),
         of_capsules,
         7,
@@ -235,7 +239,7 @@ SHEETS = (
         "Polyps",
         "Rows: Paris Ip, Is, IIa, IIb, IIc. Columns: "
         + ", ".join(PATTERNS)
-        + " surface. 10 to 14 mm, each at a place drawn at random; IIb are flat and hard to see.",
+        + " surface. 10 to 14 mm, each at a location drawn at random; IIb are flat and hard to see.",
         _record("--lesion polyp-Ip:pattern=villous,size=14mm", "--lesion polyp-IIa-serrated"),
         partial(of_lesions, "colon", POLYPS),
         5,
@@ -248,8 +252,8 @@ SHEETS = (
     Sheet(
         "lesions_bleeding",
         "Bleeding",
-        "Grades 1 petechiae, 2 oozing, 3 streaming, 4 massive; colon, then small bowel. Blood "
-        "runs with gravity: the patients lie on their backs.",
+        "Severities 1 petechiae, 2 oozing, 3 streaming, 4 massive; colon, then small bowel. Blood "
+        "flows with gravity: the patients lie on their backs.",
         _record("--lesion bleeding-3 --posture left-lateral", "--lesion bleeding-4-02"),
         lambda: of_lesions("colon", BLEEDS) + of_lesions("small-bowel", BLEEDS),
         4,
@@ -274,8 +278,8 @@ def contact_sheet(tiles: list[Tile], columns: int) -> Image.Image:
         picture.thumbnail((TILE_PX - 4, TILE_PX - 4), Image.Resampling.LANCZOS)
         left, top = (TILE_PX - picture.width) // 2, (TILE_PX - picture.height) // 2
         sheet.paste(picture, (x + left, y + top))
-        place = (x + TILE_PX // 2, y + TILE_PX + 1)
-        draw.text(place, caption, fill=(225, 225, 225), anchor="ma")
+        position = (x + TILE_PX // 2, y + TILE_PX + 1)
+        draw.text(position, caption, fill=(225, 225, 225), anchor="ma")
     return sheet
 
 
@@ -295,13 +299,13 @@ def section(sheet: Sheet) -> str:
 
 HEAD = """# Gallery
 
-What generated patients look like: every organ and segment, every kind and grade of lesion. One
-script with fixed seeds draws it all, `python benchmarks/gallery.py`: the capsules' own LEDs with
-shadows and radiosity, and their own lenses; no picture is chosen by hand. Lesions are
-seen from the place, of 300 drawn in the lumen, where most of them is seen and they take a sixth of
-the view. The commands below each sheet record such frames with all their labels. Here each frame is
-exposed to the same mean luminance, as a capsule adapts its light; a recording keeps the exposure
-that its capsule states.
+Frames of generated patients: every organ and segment, every kind and grade of lesion. One script
+with fixed seeds, `python benchmarks/gallery.py`, draws them all with the capsules' own LEDs and lenses,
+with shadows and radiosity; no picture is chosen by hand. Each lesion is seen from the one of 300
+sampled positions in the lumen from which most of it is visible and it fills a sixth of the view. The
+commands below each sheet record such frames with all their labels. Here each frame is exposed to the
+same mean luminance, as a capsule adapts its light; a recording keeps the exposure that its capsule
+states.
 
 """
 

@@ -28,27 +28,27 @@ class Measured:
 
     Attributes:
         color: In CIE L*a*b*.
-        share: Of the view that is highlights [%].
+        fraction: Of the view that is highlights [%].
         spots: Number of highlights.
     """
 
     color: ImageColor
-    share: float
+    fraction: float
     spots: int
 
 
 def measured(images: Discs, valid: np.ndarray) -> list[Measured]:
     """Statistics of images."""
     found = [(image_color(image, valid), *highlights(image, valid)) for image in images]
-    return [Measured(color, 100.0 * share, spots) for color, share, spots in found]
+    return [Measured(color, 100.0 * fraction, spots) for color, fraction, spots in found]
 
 
 def totals(ours: list[Measured], real: list[Measured]) -> np.ndarray:
     """Distance in each of `STATISTICS`, over L*, a*, b* together where it has these."""
     found = color_distance([m.color for m in ours], [m.color for m in real])
     apart = [float(np.linalg.norm(getattr(found, name))) for name in STATISTICS[:3]]
-    shares = [np.array([m.share for m in side]) for side in (ours, real)]
-    return np.array([*apart, wasserstein(*shares)])
+    fractions = [np.array([m.fraction for m in side]) for side in (ours, real)]
+    return np.array([*apart, wasserstein(*fractions)])
 
 
 def bootstrap(ours: list[Measured], theirs: list[Measured], real: list[Measured]) -> np.ndarray:
@@ -139,7 +139,7 @@ def by_channel(name: str, sets: dict[str, list[Measured]]) -> list[tuple[str, ..
             np.mean([color.gradients @ steps for color in colors], axis=0),
         ]
         cells = [" / ".join(f"{x:.1f}" for x in value) for value in values]
-        share = np.mean([image.share for image in images])
+        fraction = np.mean([image.fraction for image in images])
         spots = np.mean([image.spots for image in images])
-        rows.append((name, side, str(len(images)), *cells, f"{share:.2f} % / {spots:.0f}"))
+        rows.append((name, side, str(len(images)), *cells, f"{fraction:.2f} % / {spots:.0f}"))
     return rows

@@ -1,6 +1,6 @@
 """Claim: the largest lesions do not cut the wall either.
 
-Puts the largest lesion that each kind allows into a generated organ, or the largest that has room
+Puts the largest lesion that each kind allows into a generated organ, or the largest that fits
 there, each tenth smaller than the one refused, and counts the pairs of triangles of it that cut
 the wall or each other. Claimed: none.
 
@@ -46,7 +46,7 @@ CASES = {
 
 
 def largest(organ: OrganSurface, lesion: Lesion) -> tuple[Lesion, LesionPair]:
-    """A lesion as large as it was asked for or as finds room, and the organ with it."""
+    """A lesion as large as asked for or as fits, and the organ with it."""
     while True:
         try:
             return lesion, add_lesions(organ, [lesion], np.random.default_rng(0))
@@ -84,7 +84,7 @@ def section(rows: list[tuple[str, ...]]) -> str:
     """The table and what it means."""
     return (
         "## The largest lesions\n\n`python benchmarks/validate_lesion_sizes.py`: the largest that "
-        "each kind allows or, where an organ has\nno room for it, the largest that it has room "
+        "each kind allows or, where it does not fit,\nthe largest that fits, "
         "for, by tenths.\n\n"
         + table(("organ", "asked for", "size", "triangles of it", "cuts"), rows)
         + "\n\n*Cuts*: pairs of triangles of the lesion that cut the wall or each other."

@@ -1,6 +1,6 @@
 """Claim: lesions are where their masks say, and nowhere else.
 
-Puts each kind and grade of lesion into a generated organ, and looks at it from ten places, in every
+Puts each kind and grade of lesion into a generated organ, and looks at it from ten views, in every
 second view at its border.
 
 - *Mask*: `instance` of the renderer against Embree through the same rays, each hit taken back to
@@ -111,12 +111,12 @@ class Measured:
 
     def row(self) -> tuple[str, ...]:
         """Columns of the table."""
-        shares = (self.depth, self.albedo, self.light, self.shadow)
+        counts = (self.depth, self.albedo, self.light, self.shadow)
         overlap = self.both / max(self.either, 1)
         return (
             *(f"{self.either:,}", f"{overlap:.4f}", "yes" if overlap >= 0.98 else "**no**"),
             f"{self.outside:,}",
-            *(f"{100.0 * n / self.outside:.3f} %" if self.outside else "–" for n in shares),
+            *(f"{100.0 * n / self.outside:.3f} %" if self.outside else "–" for n in counts),
         )
 
 
@@ -149,8 +149,8 @@ def measure(organ: OrganSurface, text: str, step: int) -> tuple[str, ...]:
         hit = face >= 0
         expected = np.zeros(len(rays), bool)
         corners = patient.clean.vertices[patient.clean.faces[face[hit]]]
-        places = np.einsum("nk,nkx->nx", weights[hit], corners)
-        expected[hit] = footprint.depth(places) > 0.0
+        points = np.einsum("nk,nkx->nx", weights[hit], corners)
+        expected[hit] = footprint.signed_distance(points) > 0.0
         measured.add_mask(sick.instance[rows, columns] == 1, expected & hit)
     return (*measured.row(), str(cuts(patient)))
 
@@ -199,9 +199,9 @@ def section(rows: list[tuple[str, ...]], step: int) -> str:
         "anew on the wall\nwithout lesions.\n\n"
         + table(head, rows)
         + "\n\n*Outside*: pixels outside the mask. *Depth*, *albedo*, *light*, *light and shadow*: "
-        "share of them that differ from the\nclean twin by more than 20 µm, 2/255, two levels of "
+        "fraction of them that differ from the\nclean twin by more than 20 µm, 2/255, two steps of "
         "255 without shadows, and the same with shadows. *Cuts*: pairs of\ntriangles of the "
-        "lesion that cut the wall or each other."
+        "lesion that intersect the wall or each other."
     )
 
 

@@ -152,7 +152,7 @@ HEAD = (
 )
 HEAD_CHANNELS = (
     *("class", "frames of", "number", "mean L / a / b", "deviation of means"),
-    *("spread within a frame", "mean gradient", "highlights, share / number"),
+    *("spread within a frame", "mean gradient", "highlights, fraction / number"),
 )
 
 
@@ -165,7 +165,7 @@ are in its units, root of the sum of squares over the three channels; smaller is
 
 - *mean*, *spread*: Wasserstein-1 distance between the frames' means, and between their standard
   deviations. *gradient*: the same distance between the pooled histograms of the gradient's
-  magnitude. *highlights*: the same between the shares of the view that are highlights, in percent
+  magnitude. *highlights*: the same between the fractions of the view that are highlights, in percent
   (`vrcaps.metrics.color.highlights`). A set of frames that are all alike is therefore far from a
   varied one.
 - *before*: direct light, a palette fitted to it, and a veil and white balance in place of lens and
@@ -181,7 +181,7 @@ are in its units, root of the sum of squares over the three channels; smaller is
   - The spread of white balance and the color of blood were fitted to the tuning half.
   - Granules, vessels and relief of colitis were chosen by gradients of the tuning half: three
     settings of grade 1 were tried and the best kept, and two of grade 2. Stain, mucus, patches of
-    blood, mucopus, contrasts, pits, the colon's coat and grades of noise were chosen by distances
+    blood, mucopus, contrasts, pits, the colon's clear coat and severities of noise were chosen by distances
     from all frames. Tables of all frames were in sight throughout, and every picture was looked
     at: held out is not unseen.
 - In brackets, 5th and 95th percentile of 1,000 resamples of the frames of all sets; next, in how
@@ -198,7 +198,7 @@ are in its units, root of the sum of squares over the three channels; smaller is
   colonoscope's tip with a field of 140° and two light guides in colons that hold what scores 3 and
   2 of the Boston scale leave, in turn. Flights are even along the lumen and sway by up to 45°;
   lesions are looked at.
-- Lens and sensor are the stages of [effects](effects.md), their grades drawn for each frame
+- Lens and sensor are the stages of [effects](effects.md), their severities sampled for each frame
   (`benchmarks/looks_camera.py`): vignette, bloom, lateral color, noise; defocus and mosaic in
   capsules. Exposure follows the mean luminance of the real frames, as automatic exposure does, with
   a deviation of 0.25 in its logarithm; red and blue gain deviate by {red:.2f} and {blue:.2f} in

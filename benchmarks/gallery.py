@@ -239,7 +239,8 @@ SHEETS = (
         "Polyps",
         "Rows: Paris Ip, Is, IIa, IIb, IIc. Columns: "
         + ", ".join(PATTERNS)
-        + " surface. 10 to 14 mm, each at a location drawn at random; IIb are flat and hard to see.",
+        + " surface. 10 to 14 mm, each at a location drawn at random; IIb are flat and hard to "
+        "see.",
         _record("--lesion polyp-Ip:pattern=villous,size=14mm", "--lesion polyp-IIa-serrated"),
         partial(of_lesions, "colon", POLYPS),
         5,
@@ -300,12 +301,12 @@ def section(sheet: Sheet) -> str:
 HEAD = """# Gallery
 
 Frames of generated patients: every organ and segment, every kind and grade of lesion. One script
-with fixed seeds, `python benchmarks/gallery.py`, draws them all with the capsules' own LEDs and lenses,
-with shadows and radiosity; no picture is chosen by hand. Each lesion is seen from the one of 300
-sampled positions in the lumen from which most of it is visible and it fills a sixth of the view. The
-commands below each sheet record such frames with all their labels. Here each frame is exposed to the
-same mean luminance, as a capsule adapts its light; a recording keeps the exposure that its capsule
-states.
+with fixed seeds, `python benchmarks/gallery.py`, draws them all with the capsules' own LEDs and
+lenses, with shadows and radiosity; no picture is chosen by hand. Each lesion is seen from the one
+of 300 sampled positions in the lumen from which most of it is visible and it fills a sixth of the
+view. The commands below each sheet record such frames with all their labels. Here each frame is
+exposed to the same mean luminance, as a capsule adapts its light; a recording keeps the exposure
+that its capsule states.
 
 """
 

@@ -73,16 +73,33 @@ class Activity:
 
 ACTIVITIES = {
     1: Activity(
-        *(0.92, (0.995, 0.510, 0.308), 0.85, 0.014 * MM),
-        **{"stipple": 0.14, "petechiae": 3.2, "mucopus": 1.5},
+        obscured=0.92,
+        tint=(0.995, 0.510, 0.308),
+        patchiness=0.85,
+        granularity=0.014 * MM,
+        stipple=0.14,
+        petechiae=3.2,
+        mucopus=1.5,
     ),
     2: Activity(
-        *(1.0, (0.975, 0.707, 0.796), 0.7, 0.017 * MM),
-        **{"petechiae": 2.6, "erosions": 1.4, "mucopus": 1.2},
+        obscured=1.0,
+        tint=(0.975, 0.707, 0.796),
+        patchiness=0.7,
+        granularity=0.017 * MM,
+        petechiae=2.6,
+        erosions=1.4,
+        mucopus=1.2,
     ),
     3: Activity(
-        *(1.0, (0.955, 0.387, 0.254), 0.5, 0.020 * MM),
-        **{"petechiae": 2.3, "erosions": 1.3, "ulcers": 0.6, "blood": 0.6, "mucopus": 1.0},
+        obscured=1.0,
+        tint=(0.955, 0.387, 0.254),
+        patchiness=0.5,
+        granularity=0.020 * MM,
+        petechiae=2.3,
+        erosions=1.3,
+        ulcers=0.6,
+        blood=0.6,
+        mucopus=1.0,
     ),
 }
 """By Mayo subscore: 1 erythema, decreased vascular pattern; 2 marked erythema, no vascular

@@ -22,7 +22,14 @@ NUM_FIELDS = 6
 its distance along the wall from the middle [m]."""
 
 _PER_VERTEX = (
-    *("clean", "moved", "normals", "clean_normals", "theta", "fields", "label", "instance"),
+    "clean",
+    "moved",
+    "normals",
+    "clean_normals",
+    "theta",
+    "fields",
+    "label",
+    "instance",
     "is_rim",
 )
 

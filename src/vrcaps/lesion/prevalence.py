@@ -35,18 +35,26 @@ class Prevalence:
 
 
 _POLYP_SEGMENTS = {
-    **{"caecum": 0.10, "ascending": 0.20, "transverse": 0.20, "descending": 0.12},
-    **{"sigmoid": 0.26, "rectum": 0.12},
+    "caecum": 0.10,
+    "ascending": 0.20,
+    "transverse": 0.20,
+    "descending": 0.12,
+    "sigmoid": 0.26,
+    "rectum": 0.12,
 }
 
 COLON_PREVALENCE: tuple[Prevalence, ...] = (
     *(
         Prevalence(f"polyp-{shape}:pattern={pattern}", mean, (low * MM, high * MM), _POLYP_SEGMENTS)
         for shape, pattern, mean, low, high in (
-            *(("Is", "hyperplastic", 0.45, 2, 5), ("Is", "tubular", 0.45, 3, 8)),
-            *(("IIa", "tubular", 0.25, 4, 15), ("IIa", "serrated", 0.12, 5, 15)),
-            *(("Ip", "tubular", 0.07, 8, 20), ("Is", "villous", 0.03, 10, 25)),
-            *(("IIb", "hyperplastic", 0.05, 4, 8), ("IIc", "tubular", 0.02, 5, 12)),
+            ("Is", "hyperplastic", 0.45, 2, 5),
+            ("Is", "tubular", 0.45, 3, 8),
+            ("IIa", "tubular", 0.25, 4, 15),
+            ("IIa", "serrated", 0.12, 5, 15),
+            ("Ip", "tubular", 0.07, 8, 20),
+            ("Is", "villous", 0.03, 10, 25),
+            ("IIb", "hyperplastic", 0.05, 4, 8),
+            ("IIc", "tubular", 0.02, 5, 12),
             ("Ip", "inflammatory", 0.02, 6, 15),
         )
     ),

@@ -81,7 +81,11 @@ def focal_site(lesion: Lesion, context: PlacementContext, rng: np.random.Generat
         InputError: If the lesion fits nowhere.
     """
     placed = place_focal(
-        *(context.organ, context.core(), lesion, context.focal, rng),
+        context.organ,
+        context.core(),
+        lesion,
+        context.focal,
+        rng,
         num_vertices=context.num_vertices,
     )
     radius = lesion.footprint_radius * _WAVY
@@ -177,8 +181,11 @@ def _along_path(
     xy = np.stack([nearest / 8.0 * _STEP, away, beyond], axis=1)
     patch = _with_columns(replace(patch, fields=patch.fields[:, :NUM_FIELDS]), xy)
     site = LesionSite(
-        *(path[0], np.eye(3), context.down),
-        **{"bottom": path[-1], "reach": _POOL_REACH},
+        center=path[0],
+        axes=np.eye(3),
+        down=context.down,
+        bottom=path[-1],
+        reach=_POOL_REACH,
     )
     return SitePatch(site, piece, patch, vertex)
 

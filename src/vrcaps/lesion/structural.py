@@ -29,16 +29,18 @@ if TYPE_CHECKING:
 
     from vrcaps.organ.surface import OrganSurface
 
+# fmt: off
 # Distance from the axis and height, in radii: a rolled edge around an ulcerated middle.
 _MASS = (
-    *((1.0, 0.0), (0.94, 0.0), (0.92, 0.08), (1.02, 0.42), (0.78, 0.78)),
-    *((0.52, 0.66), (0.36, 0.4), (0.18, 0.34), (0.0, 0.34)),
+    (1.0, 0.0), (0.94, 0.0), (0.92, 0.08), (1.02, 0.42), (0.78, 0.78),
+    (0.52, 0.66), (0.36, 0.4), (0.18, 0.34), (0.0, 0.34),
 )
 # A neck, and a pouch wider than it.
 _POUCH = (
-    *((1.45, 0.0), (1.2, 0.0), (1.02, -0.12), (0.95, -0.6)),
-    *((1.5, -0.9), (1.6, -2.0), (0.9, -2.6), (0.0, -2.6)),
+    (1.45, 0.0), (1.2, 0.0), (1.02, -0.12), (0.95, -0.6),
+    (1.5, -0.9), (1.6, -2.0), (0.9, -2.6), (0.0, -2.6),
 )
+# fmt: on
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,8 +71,12 @@ class TumorForm(ProfileForm):
     def __init__(self, tumor: Tumor, site: LesionSite, rng: np.random.Generator) -> None:
         size = tumor.size
         super().__init__(
-            *(site, np.array(_MASS) * 0.5 * size, rng),
-            **{"waviness": 0.16, "upright": False, "lobes": (0.035 * size, 0.24 * size)},
+            site,
+            np.array(_MASS) * 0.5 * size,
+            rng,
+            waviness=0.16,
+            upright=False,
+            lobes=(0.035 * size, 0.24 * size),
         )
         self._necrosis, self._grain = fbm(0.22 * size, rng), band_pass(1.1 * MM, rng)
         self._blood = fbm(0.2 * size, rng)
@@ -131,8 +137,12 @@ class DiverticulumForm(ProfileForm):
     def __init__(self, pouch: Diverticulum, site: LesionSite, rng: np.random.Generator) -> None:
         size = pouch.size
         super().__init__(
-            *(site, np.array(_POUCH) * 0.5 * size, rng),
-            **{"waviness": 0.08, "upright": True, "lobes": (0.01 * size, 0.6 * size)},
+            site,
+            np.array(_POUCH) * 0.5 * size,
+            rng,
+            waviness=0.08,
+            upright=True,
+            lobes=(0.01 * size, 0.6 * size),
         )
 
     def paint(

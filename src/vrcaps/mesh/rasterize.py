@@ -96,8 +96,11 @@ def _candidates(corners, low, size, faces, margin):
     weights = np.clip(weights[near] / safe[near, None], 0.0, None)
     weights /= weights.sum(axis=1, keepdims=True)
     return (
-        *(column[near].astype(np.int32), row[near].astype(np.int32), face[near].astype(np.int32)),
-        *(np.minimum(inside[near], 0.0).astype(np.float32), weights.astype(np.float32)),
+        column[near].astype(np.int32),
+        row[near].astype(np.int32),
+        face[near].astype(np.int32),
+        np.minimum(inside[near], 0.0).astype(np.float32),
+        weights.astype(np.float32),
     )
 
 

@@ -165,9 +165,9 @@ are in its units, root of the sum of squares over the three channels; smaller is
 
 - *mean*, *spread*: Wasserstein-1 distance between the frames' means, and between their standard
   deviations. *gradient*: the same distance between the pooled histograms of the gradient's
-  magnitude. *highlights*: the same between the fractions of the view that are highlights, in percent
-  (`vrcaps.metrics.color.highlights`). A set of frames that are all alike is therefore far from a
-  varied one.
+  magnitude. *highlights*: the same between the fractions of the view that are highlights, in
+  percent (`vrcaps.metrics.color.highlights`). A set of frames that are all alike is therefore far
+  from a varied one.
 - *before*: direct light, a palette fitted to it, and a veil and white balance in place of lens and
   sensor: frames that commit c4bc116 kept with `--keep FOLDER`, given here by `--before FOLDER`.
 - *Ours*: radiosity with shadows; palettes by `python benchmarks/fit_appearance.py`,
@@ -181,9 +181,9 @@ are in its units, root of the sum of squares over the three channels; smaller is
   - The spread of white balance and the color of blood were fitted to the tuning half.
   - Granules, vessels and relief of colitis were chosen by gradients of the tuning half: three
     settings of grade 1 were tried and the best kept, and two of grade 2. Stain, mucus, patches of
-    blood, mucopus, contrasts, pits, the colon's clear coat and severities of noise were chosen by distances
-    from all frames. Tables of all frames were in sight throughout, and every picture was looked
-    at: held out is not unseen.
+    blood, mucopus, contrasts, pits, the colon's clear coat and severities of noise were chosen by
+    distances from all frames. Tables of all frames were in sight throughout, and every picture was
+    looked at: held out is not unseen.
 - In brackets, 5th and 95th percentile of 1,000 resamples of the frames of all sets; next, in how
   many of them ours is closer. Sets are small, so the resampled distances are larger than the
   measured ones.

@@ -158,7 +158,7 @@ def stomach_radius(
     envelope = wall.envelope(s)
     # Everything that depends on θ fades out at the top and from the pyloric ring on.
     fade = np.clip(envelope / (0.42 * p.fundus_diameter), 0.0, 1.0) ** 2
-    fade = np.where(s > 0.5 * p.length((p.length - s) / (2 * CM)), fade)
+    fade = np.where(s > 0.5 * p.length, smoothstep((p.length - s) / (2 * CM)), fade)
     around = wrap(theta - wall.greater(s))
     radius = envelope * (1.0 + fade * sum_waves(wall.diameter_waves, s, theta))
     flat = p.flattening * fade * smoothstep((p.length - s) / (5 * CM))

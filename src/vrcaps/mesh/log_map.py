@@ -73,7 +73,7 @@ def _vector_heat(
     x, y, z = patch.moved[center] / MM
     raise InputError(
         f"The wall at ({x:.1f}, {y:.1f}, {z:.1f}) mm has triangles too thin to lay a lesion on. "
-        "Choose another place, or remesh the organ."
+        "Choose another location, or remesh the organ."
     )
 
 

@@ -66,11 +66,11 @@ def _field(wavelength: float, spectrum: Callable, rng: np.random.Generator) -> F
     phase = rng.normal(size=k.shape) + 1j * rng.normal(size=k.shape)
     volume = np.asarray(irfftn(phase * np.sqrt(spectrum(k)), s=(_SIDE,) * 3))
     volume = ((volume - volume.mean()) / volume.std()).astype(np.float32)
-    turn = Rotation.from_quat(rng.normal(size=4)).as_matrix() * (_PER_WAVE / wavelength)
+    rotation = Rotation.from_quat(rng.normal(size=4)).as_matrix() * (_PER_WAVE / wavelength)
     offset = rng.uniform(0.0, _SIDE, 3)
 
     def field(points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n"]:
-        places = (np.asarray(points, float) @ turn.T + offset).T
-        return map_coordinates(volume, places, order=1, mode="grid-wrap")
+        voxels = (np.asarray(points, float) @ rotation.T + offset).T
+        return map_coordinates(volume, voxels, order=1, mode="grid-wrap")
 
     return field

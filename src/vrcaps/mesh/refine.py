@@ -1,4 +1,4 @@
-"""Conforming refinement of a piece of wall: longest edges bisected, new vertices on the curve.
+"""Conforming mesh refinement: longest edges are bisected, new vertices lie on the curved wall.
 
 Rivara 1984, "Algorithms for refining triangular grids suitable for adaptive and multigrid
 techniques", Int. J. Numer. Meth. Eng. 20:745. Angles stay above half the smallest of the start.
@@ -25,7 +25,7 @@ _SHORTEST = 0.01 * MM  # of an edge that is still split
 
 @dataclass(frozen=True)
 class Patch:
-    """A piece of wall under work, numbers of vertices and faces its own.
+    """Mesh patch under refinement; vertices and faces have numbers of their own.
 
     Attributes:
         clean: Positions without lesions [m].
@@ -59,21 +59,21 @@ class Patch:
 def refine(
     patch: Patch,
     is_long: Callable[[Patch, Int[np.ndarray, "e 2"]], Bool[np.ndarray, " e"]],
-    place: Callable[[Patch], Float[np.ndarray, "n k"]],
+    positions: Callable[[Patch], Float[np.ndarray, "n k"]],
 ) -> Patch:
     """Bisect until no edge away from the rim is too long; edges of the rim stay whole.
 
     Args:
         patch: To refine.
         is_long: Which edges to split.
-        place: Positions by which edges are compared, the longest of a face being split first: at
-            rest, or at rest and with the lesion, for with it alone a short edge may span a bulge,
+        positions: Positions by which edges are compared, the longest of a face being split first:
+            at rest, or at rest and with the lesion. With it alone a short edge may span a bulge,
             and its neighbors would be split for ever.
     """
     for _ in range(_MAX_ROUNDS):
         ends, of_face = _edges(patch.faces)
         marked = is_long(patch, ends) & ~patch.is_rim[ends].any(axis=1)
-        points = place(patch)
+        points = positions(patch)
         length = np.linalg.norm(points[ends[:, 0]] - points[ends[:, 1]], axis=1)
         marked &= length > _SHORTEST
         if not marked.any():
@@ -122,8 +122,8 @@ def _split(
     number[marked] = len(patch.clean) + np.arange(marked.sum())
     patch = _with_midpoints(patch, ends[marked])
     touched = marked[of_face].any(axis=1)
-    turn = np.argmax(of_face == longest[:, None], axis=1)
-    order = (turn[:, None] + np.arange(3)) % 3
+    first = np.argmax(of_face == longest[:, None], axis=1)
+    order = (first[:, None] + np.arange(3)) % 3
     rows = np.arange(len(order))[:, None]
     f, e, uv = patch.faces[rows, order], of_face[rows, order], patch.uv[rows, order]
     faces, uvs, charts = [patch.faces[~touched]], [patch.uv[~touched]], [patch.chart_id[~touched]]
@@ -157,8 +157,8 @@ def _with_midpoints(patch: Patch, ends: Int[np.ndarray, "k 2"]) -> Patch:
     a, b = ends.T
     clean, clean_normals = _curved_middle(patch.clean, patch.clean_normals, ends)
     moved, normals = _curved_middle(patch.moved, patch.normals, ends)
-    turn = (patch.theta[b] - patch.theta[a] + np.pi) % (2.0 * np.pi) - np.pi
-    theta = (patch.theta[a] + 0.5 * turn + np.pi) % (2.0 * np.pi) - np.pi
+    delta = (patch.theta[b] - patch.theta[a] + np.pi) % (2.0 * np.pi) - np.pi
+    theta = (patch.theta[a] + 0.5 * delta + np.pi) % (2.0 * np.pi) - np.pi
     both = np.where(patch.instance[a] == patch.instance[b], patch.instance[a], 0)
     return replace(
         patch,

@@ -1,4 +1,4 @@
-"""Blood and fibrin as they lie on the mucosa."""
+"""Optics of blood and fibrin films on the mucosa."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Lesions painted into textures: large ones in place, small ones on charts of their own.
+"""Texture painting of lesions: large ones in place, focal ones on charts of their own.
 
 A chart is a piece of texture added beside the wall's own, fine enough for a lesion's pattern and
 free of the stretch that its shape would give it. It takes over exactly at the border of the

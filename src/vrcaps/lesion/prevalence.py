@@ -1,4 +1,4 @@
-"""How many lesions of which kind a patient has, drawn from a table."""
+"""Prevalence of lesions: how many of which kind a patient has, drawn from a table."""
 
 from __future__ import annotations
 

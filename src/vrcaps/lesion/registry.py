@@ -1,4 +1,4 @@
-"""Lesions by name: the kinds, the library, and lesions as short texts."""
+"""Lesions by name: the library, and lesions as short texts."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Lesions of the whole wall: tumor masses, diverticula, strictures."""
+"""Structural lesions of the whole wall: tumor masses, diverticula, strictures."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Breaks in the mucosa: erosions and ulcers."""
+"""Erosions and ulcers: breaks in the mucosa."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The course of a colon through the abdomen: a centerline with anatomy, loops and flexures.
+"""Colon course: a centerline through the abdomen with anatomy, loops and flexures.
 
 A chain is laid through the anatomical waypoints and grows to the patient's length. It
 buckles as it grows, held where the colon is fixed to the body, kept from

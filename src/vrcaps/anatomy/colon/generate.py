@@ -1,4 +1,4 @@
-"""A patient's colon as a labelled, closed triangle surface."""
+"""Colon generator: a patient's colon as a labeled, closed triangle surface."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Every dimension of a generated colon, and how it varies from patient to patient."""
+"""Colon parameters: every dimension of a generated colon, and its variation over patients."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The wall of a colon: its distance from the centerline at every arc length and angle.
+"""Colon wall shape: distance from the centerline at every arc length and angle.
 
 The lumen's cross-section is a star-shaped curve r(s, θ). Three taeniae run along it; in each
 of the three strips between them sacculations bulge outward, parted by semilunar folds whose

@@ -1,4 +1,4 @@
-"""The whole tract of one patient: stomach, small bowel and colon, apart or as one wall."""
+"""Full tract of one patient: stomach, small bowel and colon, apart or as one wall."""
 
 from __future__ import annotations
 

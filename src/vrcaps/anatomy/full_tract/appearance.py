@@ -1,4 +1,4 @@
-"""The mucosa of a joint tract: each part has its own, baked side by side."""
+"""Appearance of a full tract: each part has its own mucosa, baked side by side."""
 
 from __future__ import annotations
 

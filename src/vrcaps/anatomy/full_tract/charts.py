@@ -1,4 +1,4 @@
-"""Texture coordinates of a joint tract: those of its three organs side by side."""
+"""Texture coordinates of a full tract: those of its three organs side by side."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The whole tract of one patient as one wall, from the cardia to the anus."""
+"""Full tract generator: stomach, small bowel and colon as one wall, from the cardia to the anus."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""One patient's organs by seed: dimensions drawn from the populations, at a distension."""
+"""Patient anatomy: one patient's organs by seed, drawn from the populations, at a distension."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Stomach and small bowel as one tube, from the top of the fundus to the ileocaecal valve."""
+"""Upper tract: stomach and small bowel as one tube, from the fundus to the ileocaecal valve."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The ileocaecal valve: the end of one wall stitched into an opening of another."""
+"""Ileocaecal valve: mesh stitching of the end of one wall into an opening of another."""
 
 from __future__ import annotations
 

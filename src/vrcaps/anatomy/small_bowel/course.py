@@ -1,4 +1,4 @@
-"""The course of a small bowel: the duodenum's C, then coils on their mesentery.
+"""Small bowel course: the duodenum's C, then coils on their mesentery.
 
 The jejunum and ileum hang from the root of the mesentery, which runs from the duodenojejunal
 flexure to the ileocaecal valve, and cannot get further from it than the mesentery is deep.

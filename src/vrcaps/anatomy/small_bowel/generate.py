@@ -1,4 +1,4 @@
-"""A patient's small bowel as a labelled, closed triangle surface."""
+"""Small bowel generator: a patient's small bowel as a labeled, closed triangle surface."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Every dimension of a generated small bowel, and how it varies from patient to patient."""
+"""Small bowel parameters: every dimension of a generated one, and its variation over patients."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The wall of a small bowel: its distance from the course at every arc length and angle.
+"""Small bowel wall shape: distance from the course at every arc length and angle.
 
 Circular folds, each over part of the circumference, stand on a tube that narrows towards the
 ileocaecal valve. Here and there it is contracted, and its slack wall closes to a star.

@@ -1,4 +1,4 @@
-"""A patient's stomach as a labelled, closed triangle surface."""
+"""Stomach generator: a patient's stomach as a labeled, closed triangle surface."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Every dimension of a generated stomach, and how it varies from patient to patient."""
+"""Stomach parameters: every dimension of a generated stomach, and its variation over patients."""
 
 from __future__ import annotations
 

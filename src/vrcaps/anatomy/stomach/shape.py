@@ -1,4 +1,4 @@
-"""The wall of a stomach: its distance from the axis at every arc length and angle.
+"""Stomach wall shape: distance from the axis at every arc length and angle.
 
 The axis runs from the top of the fundus to the pyloric ring and a little beyond; the section is
 an ellipse, wide along the curvatures and flat anteroposteriorly, on which rugae stand.

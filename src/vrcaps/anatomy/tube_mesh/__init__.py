@@ -1,1 +1,1 @@
-"""Tools that build any tubular organ: relaxed courses, random waves, well-shaped meshes."""
+"""Toolkit for tubular organs: tube packing, swept surfaces, tube mesher, random waves."""

@@ -1,4 +1,4 @@
-"""Gut coordinates of a generated wall, whose position along the centerline is known."""
+"""Gut coordinates of a generated wall, whose sections along the course are known."""
 
 from __future__ import annotations
 

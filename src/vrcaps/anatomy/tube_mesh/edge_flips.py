@@ -1,4 +1,4 @@
-"""Edges of a surface with two tube coordinates, flipped until its triangles are Delaunay.
+"""Edge flips: edges of a surface with tube coordinates are flipped until it is Delaunay.
 
 Whole arrays at once: candidates that do not touch each other are flipped together.
 """

@@ -1,4 +1,4 @@
-"""From a surface to the finished surface of an organ."""
+"""Conversion of a swept surface to the finished surface of an organ."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ CENTERLINE_STEP = 1.5 * MM
 
 @dataclass(frozen=True)
 class TubeMesh:
-    """A surface's triangles and where they lie on it.
+    """Triangle mesh of a swept surface with its surface coordinates.
 
     Attributes:
         vertices: Positions [m].
@@ -55,7 +55,7 @@ class TubeMesh:
 
 
 def mesh_tube(surface: SweptSurface) -> TubeMesh:
-    """Triangles over a surface, in space."""
+    """Triangle mesh over a swept surface."""
     grid = mesh_swept_surface(surface)
     s = make_meridian(surface).to_arc_length(grid.along)
     radius = surface.radius(s, grid.theta)
@@ -73,7 +73,7 @@ def surface_to_organ(
     metadata: dict,
     path: Float[np.ndarray, "k 3"] | None = None,
 ) -> OrganSurface:
-    """A surface as a closed triangle surface with labels, gut coordinates and centerline.
+    """A swept surface as a closed triangle surface with labels, gut coordinates and centerline.
 
     Args:
         surface: The wall.

@@ -1,4 +1,4 @@
-"""A tube's wall as a function, and the triangle grid that samples it."""
+"""Swept surface: a tube's wall as a function r(s, θ), and the triangle grid that samples it."""
 
 from __future__ import annotations
 

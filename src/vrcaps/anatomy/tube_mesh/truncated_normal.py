@@ -1,4 +1,4 @@
-"""How a dimension varies from patient to patient."""
+"""Truncated normal distribution of a dimension over patients."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ if TYPE_CHECKING:
 
 
 def truncated_normal(rng: np.random.Generator, bound: float = 2.0) -> float:
-    """A number of mean 0 and standard deviation 1 without the tails that fit in no abdomen.
+    """A truncated normal number of mean 0 and deviation 1, without tails that fit in no abdomen.
 
     A standard normal number cut off at ±b has the variance 1 − 2 b φ(b) / (2 Φ(b) − 1) (Johnson,
     Kotz and Balakrishnan 1994, Continuous Univariate Distributions 1, section 13.10.1); it is

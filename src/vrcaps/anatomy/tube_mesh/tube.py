@@ -1,4 +1,4 @@
-"""A course with frames that do not twist: from tube coordinates (s, θ, r) to space."""
+"""Rotation-minimizing frames along a course: from tube coordinates (s, θ, r) to space."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Rows of vertices around a tube, as many in each as its girth asks for, joined by triangles."""
+"""Tube mesher: rows of vertices around a tube, as many as its girth needs, joined by triangles."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Random irregularity of a tube's wall: sums of plane waves over arc length and angle."""
+"""Random plane waves: irregularity of a tube's wall over arc length and angle."""
 
 from __future__ import annotations
 

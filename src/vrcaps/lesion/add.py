@@ -100,6 +100,11 @@ class _Work:
     def add(self, lesion: Lesion, instance: int, rng: np.random.Generator) -> None:
         """Add one lesion, at another location or in another form if it cuts the wall.
 
+        Args:
+            lesion: What to add.
+            instance: Its number.
+            rng: Draws its location and irregularities.
+
         Raises:
             InputError: If it fits nowhere.
         """

@@ -237,5 +237,11 @@ class SizedLesion(Lesion):
 def mix(
     a: Float[np.ndarray, "n 3"], b: Float[np.ndarray, "*n 3"], weight: Float[np.ndarray, " n"]
 ) -> Float[np.ndarray, "n 3"]:
-    """Linear blend from `a` (weight 0) to `b` (weight 1)."""
+    """Linear blend from `a` (weight 0) to `b` (weight 1).
+
+    Args:
+        a: Colors.
+        b: Colors, or one color.
+        weight: Of `b`, 0 to 1.
+    """
     return a + (b - a) * weight[:, None]

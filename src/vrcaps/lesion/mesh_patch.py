@@ -58,7 +58,13 @@ def whole_wall(organ: OrganSurface) -> Patch:
 
 
 def within(wall: Patch, sources: Int[np.ndarray, " k"], reach: float) -> Float[np.ndarray, " n"]:
-    """Distance [m] along edges from the nearest source; infinite beyond `reach`."""
+    """Distance [m] along edges from the nearest source; infinite beyond `reach`.
+
+    Args:
+        wall: The wall.
+        sources: Numbers of vertices.
+        reach: Largest distance [m].
+    """
     graph = edge_graph(wall.moved, wall.faces).tocsr()
     return dijkstra(graph, indices=sources, min_only=True, limit=reach)
 
@@ -98,7 +104,13 @@ def extract(wall: Patch, away: Float[np.ndarray, " n"]) -> ExtractedPatch:
 
 
 def insert(wall: Patch, piece: ExtractedPatch, patch: Patch) -> Patch:
-    """The wall with a refined patch inserted; vertices that were there keep their numbers."""
+    """The wall with a refined patch inserted; vertices that were there keep their numbers.
+
+    Args:
+        wall: The whole.
+        piece: What was extracted.
+        patch: The same, refined.
+    """
     old = len(piece.vertices)
     number = np.concatenate([piece.vertices, len(wall.moved) + np.arange(len(patch.moved) - old)])
     joined = {}
@@ -124,7 +136,13 @@ def _is_end(wall: Patch) -> Bool[np.ndarray, " n"]:
 
 
 def as_organ(wall: Patch, organ: OrganSurface, vertices: Float[np.ndarray, "n 3"]) -> OrganSurface:
-    """An organ of the wall's faces with the vertices given; textures still those of `organ`."""
+    """An organ of the wall's faces with the vertices given; textures still those of `organ`.
+
+    Args:
+        wall: The wall.
+        organ: Gives what the wall does not hold.
+        vertices: Positions [m].
+    """
     return replace(
         organ,
         vertices=vertices,

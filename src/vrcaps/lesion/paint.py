@@ -112,7 +112,14 @@ def smoothed(appearance: Appearance) -> Textures:
 def paint_in_place(
     textures: Textures, patch: Patch, shown: FormSamples, faces: Int[np.ndarray, " k"]
 ) -> Textures:
-    """Textures with a lesion painted on the texels of some faces of the wall's own chart."""
+    """Textures with a lesion painted on the texels of some faces of the wall's own chart.
+
+    Args:
+        textures: Before.
+        patch: Wall around the lesion.
+        shown: The lesion's form on it.
+        faces: Of the patch, to paint on.
+    """
     look = textures.appearance
     sides = np.array([look.albedo.shape[1], look.albedo.shape[0]])
     uv = patch.uv[faces, :, :2]
@@ -140,7 +147,15 @@ def paint_chart(
     shown: FormSamples,
     instance: int,
 ) -> Chart:
-    """A lesion's own chart, from the textures that its surroundings have."""
+    """A lesion's own chart, from the textures that its surroundings have.
+
+    Args:
+        clean: Textures without lesions.
+        lesioned: Textures with the lesions so far.
+        patch: Wall around the lesion.
+        shown: The lesion's form on it.
+        instance: Number of the lesion.
+    """
     faces = np.flatnonzero(patch.chart_id == instance)
     corners = patch.uv[faces, :, 2:]
     low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
@@ -219,6 +234,11 @@ def pack(base: Appearance, uv: Float[np.ndarray, "m 3 2"], charts: list[Chart]) 
     Where the wall's coordinates run beyond 1 its texture is continued as far, for it can no
     longer wrap.
 
+    Args:
+        base: The wall's own textures.
+        uv: Texture coordinates of the wall.
+        charts: Of the lesions.
+
     Raises:
         InputError: If they do not fit.
     """
@@ -253,7 +273,14 @@ def _pair(values: Int[np.ndarray, " 2"]) -> tuple[int, int]:
 
 
 def assemble(base: Appearance, charts: list[Chart], atlas: Atlas, *, lesioned: bool) -> Appearance:
-    """The enlarged textures."""
+    """The enlarged textures.
+
+    Args:
+        base: The wall's own textures.
+        charts: Of the lesions.
+        atlas: Where the charts lie.
+        lesioned: Whether with the lesions or without.
+    """
     height, width = base.albedo.shape[:2]
     top, (columns, rows) = atlas.extra[1], atlas.size
     parts = []
@@ -277,7 +304,14 @@ def assemble(base: Appearance, charts: list[Chart], atlas: Atlas, *, lesioned: b
 def final_uv(
     wall: Patch, base: Appearance, charts: list[Chart], atlas: Atlas
 ) -> Float[np.ndarray, "m 3 2"]:
-    """Texture coordinates in the enlarged textures."""
+    """Texture coordinates in the enlarged textures.
+
+    Args:
+        wall: The wall.
+        base: Its own textures.
+        charts: Of the lesions.
+        atlas: Where the charts lie.
+    """
     columns, rows = atlas.size
     height, width = base.albedo.shape[:2]
     uv = wall.uv[..., :2] * (width / columns, height / rows)

@@ -78,7 +78,14 @@ def place_focal(
 def candidates(
     organ: OrganSurface, location: Location, rng: np.random.Generator, num_vertices: int
 ) -> Iterator[int]:
-    """Vertices that a location allows: one where it is fully stated, else many, drawn."""
+    """Vertices that a location allows: one where it is fully stated, else many, drawn.
+
+    Args:
+        organ: The organ.
+        location: What is stated.
+        rng: Draws the rest.
+        num_vertices: How many of the first vertices may be drawn.
+    """
     allowed = _allowed(organ, location)
     allowed = allowed[allowed < num_vertices]
     is_exact = location.arc_length is not None and location.theta is not None

@@ -77,6 +77,11 @@ class SitePatch:
 def focal_site(lesion: Lesion, context: PlacementContext, rng: np.random.Generator) -> SitePatch:
     """Wall about a center, with its geodesic log map.
 
+    Args:
+        lesion: What to place.
+        context: The wall and the lesions on it.
+        rng: Draws what the location leaves open.
+
     Raises:
         InputError: If the lesion fits nowhere.
     """
@@ -102,6 +107,11 @@ def circumferential_site(
     lesion: Lesion, context: PlacementContext, rng: np.random.Generator
 ) -> SitePatch:
     """Wall between two arc lengths.
+
+    Args:
+        lesion: What to place.
+        context: The wall and the lesions on it.
+        rng: Draws what the location leaves open.
 
     Raises:
         InputError: If no wall is there.
@@ -140,7 +150,13 @@ def _find_range(
 
 
 def flow_site(lesion: Lesion, context: PlacementContext, rng: np.random.Generator) -> SitePatch:
-    """Wall along the path of blood from its source to where it collects."""
+    """Wall along the path of blood from its source to where it collects.
+
+    Args:
+        lesion: What to place.
+        context: The wall and the lesions on it.
+        rng: Draws what the location leaves open, and meanders.
+    """
     organ, core = context.organ, context.core()
     best: tuple[int, np.ndarray] | None = None
     for vertex in candidates(organ, lesion.location, rng, context.num_vertices):

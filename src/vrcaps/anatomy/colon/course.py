@@ -135,7 +135,13 @@ def lumen_radius(
 def blend(
     parameters: ColonParameters, values: list[float], arc_length: Float[np.ndarray, " n"]
 ) -> Float[np.ndarray, " n"]:
-    """A value per segment, constant within and blended over 4 cm where two segments meet."""
+    """A value per segment, constant within and blended over 4 cm where two segments meet.
+
+    Args:
+        parameters: The patient's dimensions.
+        values: One for each segment.
+        arc_length: Along the centerline [m].
+    """
     blended = np.full(np.shape(arc_length), float(values[0]))
     ends = np.cumsum([segment.length for segment in parameters.segments])
     for end, before, after in zip(ends[:-1], values[:-1], values[1:], strict=True):

@@ -57,7 +57,13 @@ class ColonWall:
 
 
 def draw_colon_wall(parameters: ColonParameters, tube: Tube, rng: np.random.Generator) -> ColonWall:
-    """Draw a patient's folds, taeniae and irregularities."""
+    """Draw a patient's folds, taeniae and irregularities.
+
+    Args:
+        parameters: The patient's dimensions.
+        tube: The course with its frames.
+        rng: Draws folds, taeniae and irregularities.
+    """
     taenia_angle = (rng.uniform(-np.pi, np.pi), rng.uniform(-1.5, 1.5))
     strips = tuple(_draw_strip(parameters, (k + 0.5) * _STRIP, k, rng) for k in range(3))
     caecum = parameters.caecum.length
@@ -96,7 +102,13 @@ def envelope_radius(
 def wall_radius(
     wall: ColonWall, arc_length: Float[np.ndarray, " n"], theta: Float[np.ndarray, " n"]
 ) -> Float[np.ndarray, " n"]:
-    """Distance of the wall from the centerline [m]."""
+    """Distance of the wall from the centerline [m].
+
+    Args:
+        wall: The colon.
+        arc_length: Along the centerline [m].
+        theta: Angle around it [rad].
+    """
     s, parameters = arc_length, wall.parameters
     envelope = envelope_radius(parameters, s)
     # Everything that depends on θ fades out where the tube closes.

@@ -80,7 +80,14 @@ def draw_colon_placement(parameters: ColonParameters, seed: int) -> ColonPlaceme
 def place_stomach(
     parameters: StomachParameters, colon: ColonPlacement, seed: int, *, gap: float = GAP
 ) -> Course:
-    """The axis of a seed's stomach and of the duodenal bulb, a gap [m] clear of the colon."""
+    """The axis of a seed's stomach and of the duodenal bulb, a gap [m] clear of the colon.
+
+    Args:
+        parameters: The patient's stomach.
+        colon: Where the colon lies.
+        seed: Of the stomach.
+        gap: Clearance to the colon [m].
+    """
     plain = stomach_course(parameters, stomach_course_rng(seed))
     length = float(plain.arc_length[-1])
     num = round((length + _BULB) / _NODE) + 1
@@ -140,7 +147,13 @@ def stomach_spheres(parameters: StomachParameters, course: Course) -> ObstacleSp
 def make_neighboring_organs(
     colon: ColonPlacement, stomach: StomachParameters, stomach_at: Course
 ) -> NeighboringOrgans:
-    """What a patient's small bowel is laid between."""
+    """What a patient's small bowel is laid between.
+
+    Args:
+        colon: Where the colon lies.
+        stomach: The patient's stomach.
+        stomach_at: Axis of the stomach.
+    """
     end = pylorus_sample(stomach, stomach_at)
     direction = stomach_at.points[end] - stomach_at.points[end - 4]
     return NeighboringOrgans(

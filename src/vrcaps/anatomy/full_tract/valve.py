@@ -68,7 +68,13 @@ def soften(
     faces: Int[np.ndarray, "m 3"],
     rim: Int[np.ndarray, " k"],
 ) -> Float[np.ndarray, "n 3"]:
-    """Vertices moved towards the mean of their neighbors, less the farther from a rim."""
+    """Vertices moved towards the mean of their neighbors, less the farther from a rim.
+
+    Args:
+        vertices: Positions [m].
+        faces: Vertex numbers.
+        rim: Vertices about which the wall is smoothed.
+    """
     edges = directed_edges(faces)
     ring = np.full(len(vertices), _NUM_RINGS)
     ring[rim] = 0

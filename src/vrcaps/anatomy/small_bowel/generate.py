@@ -68,7 +68,13 @@ def generate_small_bowel(
 def lay_small_bowel(
     parameters: SmallBowelParameters, around: NeighboringOrgans, rng: np.random.Generator
 ) -> tuple[SmallBowelWall, Tube]:
-    """A drawn wall and the course it is laid along."""
+    """A drawn wall and the course it is laid along.
+
+    Args:
+        parameters: The patient's dimensions.
+        around: The organs beside it.
+        rng: Draws folds and coils.
+    """
     wall = draw_small_bowel_wall(parameters, rng)
     course = generate_course(parameters, outer_radius(wall, _NUM_SAMPLES), around, rng)
     return wall, with_local_bend(make_tube(course))

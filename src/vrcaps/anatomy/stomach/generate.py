@@ -85,7 +85,13 @@ def stomach_path(wall: StomachWall) -> Float[np.ndarray, "n 3"]:
 def stomach_labels(
     wall: StomachWall, arc_length: Float[np.ndarray, " n"], theta: Float[np.ndarray, " n"]
 ) -> UInt8[np.ndarray, " n"]:
-    """Segment number of each point of the wall, 1 for the first of `SEGMENTS`."""
+    """Segment number of each point of the wall, 1 for the first of `SEGMENTS`.
+
+    Args:
+        wall: The stomach.
+        arc_length: Along the axis [m].
+        theta: Angle around it [rad].
+    """
     p = wall.parameters
     around = wrap(theta - wall.greater(arc_length))
     ends = np.array([p.cardia_distance, 0.66 * p.length, p.length - 22 * MM])

@@ -112,7 +112,13 @@ def stomach_course_rng(seed: int) -> np.random.Generator:
 def draw_stomach_wall(
     parameters: StomachParameters, tube: Tube, rng: np.random.Generator
 ) -> StomachWall:
-    """Draw a patient's rugae and irregularities."""
+    """Draw a patient's rugae and irregularities.
+
+    Args:
+        parameters: The patient's dimensions.
+        tube: The axis with its frames.
+        rng: Draws rugae and irregularities.
+    """
     lobes = np.array([-4, -3, -2, -1, 0, 1, 2, 3, 4])
     return StomachWall(
         parameters,
@@ -153,7 +159,13 @@ def stomach_envelope(parameters: StomachParameters) -> Callable[[np.ndarray], np
 def stomach_radius(
     wall: StomachWall, arc_length: Float[np.ndarray, " n"], theta: Float[np.ndarray, " n"]
 ) -> Float[np.ndarray, " n"]:
-    """Distance of the wall from the axis [m]."""
+    """Distance of the wall from the axis [m].
+
+    Args:
+        wall: The stomach.
+        arc_length: Along the axis [m].
+        theta: Angle around it [rad].
+    """
     s, p = arc_length, wall.parameters
     envelope = wall.envelope(s)
     # Everything that depends on θ fades out at the top and from the pyloric ring on.

@@ -40,7 +40,13 @@ def angle_and_radius(
     arc_length: Float[np.ndarray, " n"],
     centerline: Centerline,
 ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
-    """Angle [rad] around a centerline and distance [m] from it, of points at arc lengths [m]."""
+    """Angle [rad] around a centerline and distance [m] from it, of points at arc lengths [m].
+
+    Args:
+        points: Positions [m].
+        arc_length: Of each on the centerline [m].
+        centerline: In the same frame.
+    """
     at, frames, _ = interpolate(centerline, arc_length)
     offset = points - at
     x, y = (np.einsum("ij,ij->i", offset, frames[:, :, k]) for k in range(2))

@@ -38,6 +38,13 @@ def flip_edges(
 
     Edges between two seam vertices and the faces at the poles stay, and no face turns over in
     the chart.
+
+    Args:
+        vertices: Positions [m].
+        chart: Meridian length [m] and angle [rad] of each vertex.
+        faces: Vertex numbers.
+        pinned: `FREE`, `SEAM` or `POLE` of each vertex.
+        num_rounds: Most rounds of flips.
     """
     faces = faces.copy()
     for _ in range(num_rounds):

@@ -50,7 +50,13 @@ class Tube:
         theta: Float[np.ndarray, " n"],
         radius: Float[np.ndarray, " n"],
     ) -> Float[np.ndarray, "n 3"]:
-        """Positions of tube coordinates [m]."""
+        """Positions of tube coordinates [m].
+
+        Args:
+            arc_length: Along the course [m].
+            theta: Angle around it [rad].
+            radius: Distance from it [m].
+        """
         return self.curve(arc_length) + radius[:, None] * self._outward(arc_length, theta)
 
     def curvature_towards(

@@ -51,6 +51,11 @@ def sum_waves(
     over the arc length: a sin(k s + φ + l θ) is the imaginary part of a exp(i(k s + φ)) exp(i l θ).
     The table is linear between its rows, which changes no wave by more than 0.2 % of its height,
     (2π / `_ROWS`)² / 8.
+
+    Args:
+        waves: As `draw_waves` returns them.
+        arc_length: Along the tube [m].
+        theta: Angle around it [rad].
     """
     span = np.ptp(arc_length) if len(arc_length) else 0.0
     step = 2.0 * np.pi / (_ROWS * waves[:, 1].max())

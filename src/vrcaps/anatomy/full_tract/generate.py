@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-import vrcaps.rng
 from vrcaps.anatomy.colon import generate_colon
 from vrcaps.anatomy.colon.parameters import SEGMENTS as COLON_SEGMENTS
 from vrcaps.anatomy.full_tract.abdomen import GAP, ColonPlacement, place_colon
@@ -20,7 +19,7 @@ from vrcaps.anatomy.full_tract.tube import (
     lay_upper_tract,
 )
 from vrcaps.anatomy.full_tract.valve import soften, stitch, without_vertices
-from vrcaps.anatomy.small_bowel.generate import small_bowel_labels
+from vrcaps.anatomy.small_bowel.generate import small_bowel_labels, small_bowel_rng
 from vrcaps.anatomy.small_bowel.parameters import SEGMENTS as BOWEL_SEGMENTS
 from vrcaps.anatomy.stomach.generate import stomach_labels, stomach_path
 from vrcaps.anatomy.stomach.parameters import SEGMENTS as STOMACH_SEGMENTS
@@ -73,7 +72,7 @@ def generate_full_tract(
     lower = generate_colon(colon, seed=seed)
     line = lower.centerline
     placement = place_colon(colon, Course(line.points, line.arc_length))
-    rng = vrcaps.rng.stream(seed, "full-tract/upper")
+    rng = small_bowel_rng(seed)
     for attempt in range(_NUM_TRIES):
         # A fundus that bulges to one side can reach beyond its mean outline into the colon.
         gap = GAP + attempt * _GAP_STEP

@@ -53,7 +53,7 @@ def generate_small_bowel(
     Raises:
         InputError: If it does not fit between the organs.
     """
-    rng = vrcaps.rng.stream(seed, "small-bowel/coils")
+    rng = small_bowel_rng(seed)
     for _ in range(_NUM_TRIES):
         wall, tube = lay_small_bowel(parameters, around, rng)
         organ = _as_organ(wall, tube, seed)
@@ -63,6 +63,11 @@ def generate_small_bowel(
         f"Found no small bowel {parameters.length:.2f} m long that does not cut itself. "
         "Allowed: a shorter one, smaller diameters, or another seed."
     )
+
+
+def small_bowel_rng(seed: int) -> np.random.Generator:
+    """Source of the wall and coils of a seed's small bowel, alone or in the full tract."""
+    return vrcaps.rng.stream(seed, "small-bowel/coils")
 
 
 def lay_small_bowel(

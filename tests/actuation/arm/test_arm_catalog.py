@@ -34,11 +34,17 @@ LINK = "\n[[links]]\nframe = {}\nstart_mm = [0, 0, 0]\nend_mm = [0, 0, 100]\nrad
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("a_mm = -425", "a_mm = true", "six.toml, joints 2: a_mm = true. Allowed: a number."),
-        ("payload_kg = 5", "payload_kg = 0", "payload_kg = 0. Allowed: a number above 0."),
-        ("title =", "name =", "'title' is missing (a string)."),
-        ("upper_rad = 6.2", "upper_rad = -7", "joint 1: angles -6.2 to -7 rad"),
-        ("torque_nm = 150", "torque_nm = 0", "others above 0."),
+        ("a_mm = -425", "a_mm = true", "six.toml: joints[2].a_mm is True. Allowed: a number."),
+        ("payload_kg = 5", "payload_kg = 0", "six.toml: payload is 0.0. Allowed: above 0"),
+        ("title =", "subtitle =", "Unknown key six.toml: subtitle."),
+        ('title = "An arm of six joints"', "", "Missing key six.toml: title: a text."),
+        ("title =", 'name = "x"\ntitle =', "Unknown key six.toml: name. The arm is named as"),
+        (
+            "upper_rad = 6.2",
+            "upper_rad = -7",
+            "joints[0]: upper is -7. Allowed: above lower, -6.2 rad.",
+        ),
+        ("torque_nm = 150", "torque_nm = 0", "joints[0]: torque is 0.0. Allowed: above 0"),
         ("home_deg = [0, -90,", "home_deg = [-90,", "6 joints, 5 home angles."),
         ("home_deg = [0,", "home_deg = [360,", "home angle of joint 1 is outside its limits."),
         (
@@ -49,9 +55,9 @@ LINK = "\n[[links]]\nframe = {}\nstart_mm = [0, 0, 0]\nend_mm = [0, 0, 100]\nrad
         (
             "home_deg",
             "collision_pairs = [[0]]\nhome_deg",
-            "Allowed: a list of pairs of frame numbers.",
+            "collision_pairs[0] has 1 values. Allowed: 2.",
         ),
-        ("theta_deg = 0", "theta_deg = 0\nmass = 1", "unknown key 'mass'."),
+        ("theta_deg = 0", "theta_deg = 0\nmass = 1", "Unknown key six.toml: joints[0].mass."),
         ("title", "title = ", "is not TOML"),
     ],
 )
@@ -67,7 +73,7 @@ def test_what_is_wrong_is_said(tmp_path, six_joints_text, old, new, message):
 def test_a_link_needs_a_frame(tmp_path, six_joints_text):
     path = tmp_path / "six.toml"
     path.write_text(six_joints_text + LINK.format(-1))
-    with pytest.raises(InputError, match=r"a link or pair names frame -1"):
+    with pytest.raises(InputError, match=r"links\[0\]: frame is -1. Allowed: 0 or more"):
         read_arm(path)
 
 

@@ -1,67 +1,82 @@
-"""An arm as data: joints by Denavit and Hartenberg, limits, capsules around its links."""
+"""Robot arm as data: Denavit-Hartenberg joints, limits, collision capsules around its links."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Annotated, Any
 
 import numpy as np
 
 from vrcaps import _core
-from vrcaps.errors import InputError
+from vrcaps.errors import InputError, require
+from vrcaps.limits import Range, check_fields
+
+
+def _in(unit: str, **options: Any) -> Any:
+    """A field that files hold in a unit."""
+    return field(metadata={"unit": unit}, **options)
 
 
 @dataclass(frozen=True)
 class Joint:
-    """A turning joint: ``T = Rot_x(alpha) Trans_x(a) Rot_z(theta + angle) Trans_z(d)``.
+    """A revolute joint: ``T = Rot_x(alpha) Trans_x(a) Rot_z(theta + angle) Trans_z(d)``.
 
-    This is Craig's convention (Introduction to Robotics, 1989, eq. 3.6), from the frame before it.
+    This is Craig's convention (Introduction to Robotics, 1989, eq. 3.6), from the previous frame.
 
     Attributes:
-        a: Length of the link before it [m].
+        a: Length of the previous link [m].
         d: Offset along its axis [m].
-        alpha: Twist of the link before it [rad].
-        theta: Turn at angle 0 [rad].
-        lower: Least angle [rad].
-        upper: Largest angle [rad].
-        velocity: Largest speed [rad/s].
-        acceleration: Largest acceleration [rad/s²].
-        jerk: Largest jerk [rad/s³].
-        torque: Largest torque [N·m].
+        alpha: Twist of the previous link [rad].
+        theta: Rotation at angle 0 [rad].
+        lower: Lower limit of the angle [rad].
+        upper: Upper limit of the angle [rad].
+        velocity: Limit of the speed [rad/s].
+        acceleration: Limit of the acceleration [rad/s²].
+        jerk: Limit of the jerk [rad/s³].
+        torque: Limit of the torque [N·m].
     """
 
-    a: float
-    d: float
-    alpha: float
-    theta: float
-    lower: float
-    upper: float
-    velocity: float
-    acceleration: float
-    jerk: float
-    torque: float
+    a: float = _in("mm")
+    d: float = _in("mm")
+    alpha: float = _in("deg")
+    theta: float = _in("deg")
+    lower: float = _in("rad")
+    upper: float = _in("rad")
+    velocity: Annotated[float, Range(above=0.0)] = _in("rad_per_s")
+    acceleration: Annotated[float, Range(above=0.0)] = _in("rad_per_s2")
+    jerk: Annotated[float, Range(above=0.0)] = _in("rad_per_s3")
+    torque: Annotated[float, Range(above=0.0)] = _in("nm")
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+        allowed = f"above lower, {self.lower:g} rad"
+        require(self.lower < self.upper, "upper", f"{self.upper:g}", allowed)
 
 
 @dataclass(frozen=True)
 class Link:
-    """A capsule around part of a link.
+    """A collision capsule around part of a link.
 
     Attributes:
         frame: Frame it is fixed to: 0 the base, then the joints, last the flange.
-        start: One end of its middle line, in that frame [m].
+        start: One end of its axis, in that frame [m].
         end: The other end [m].
         radius: Radius [m].
     """
 
-    frame: int
-    start: tuple[float, float, float]
-    end: tuple[float, float, float]
-    radius: float
+    frame: Annotated[int, Range(least=0)]
+    start: tuple[float, float, float] = _in("mm")
+    end: tuple[float, float, float] = _in("mm")
+    radius: Annotated[float, Range(above=0.0)] = _in("mm")
+
+    def __post_init__(self) -> None:
+        check_fields(self)
 
 
 @dataclass(frozen=True)
 class Arm:
-    """An arm of turning joints. Frame `base` is where it is bolted down, `flange` its end.
+    """A robot arm of revolute joints from its frame `base` to its end, `flange`.
 
     Attributes:
         name: Catalog name.
@@ -70,7 +85,7 @@ class Arm:
         flange_offset: Origin of the flange in the last joint's frame [m]; the axes are the same.
         home: Angles of rest [rad].
         payload: Largest mass that it may carry [kg].
-        links: Capsules around its links.
+        links: Collision capsules around its links.
         collision_pairs: Pairs of frames whose links must not touch.
         source: Where the figures come from.
     """
@@ -78,22 +93,16 @@ class Arm:
     name: str
     title: str
     joints: tuple[Joint, ...]
-    flange_offset: tuple[float, float, float]
-    home: tuple[float, ...]
-    payload: float
+    flange_offset: tuple[float, float, float] = _in("mm")
+    home: tuple[float, ...] = _in("deg")
+    payload: Annotated[float, Range(above=0.0)] = _in("kg")
     links: tuple[Link, ...] = ()
     collision_pairs: tuple[tuple[int, int], ...] = ()
     source: str = field(default="", compare=False)
 
     def __post_init__(self) -> None:
+        check_fields(self)
         n = len(self.joints)
-        for number, joint in enumerate(self.joints, start=1):
-            limits = (joint.velocity, joint.acceleration, joint.jerk, joint.torque)
-            if not (joint.lower < joint.upper and min(limits) > 0.0):
-                raise InputError(
-                    f"Arm {self.name}, joint {number}: angles {joint.lower:g} to {joint.upper:g} "
-                    f"rad, other limits {limits}. Allowed: lower below upper, others above 0."
-                )
         if n == 0 or len(self.home) != n:
             raise InputError(f"Arm {self.name}: {n} joints, {len(self.home)} home angles.")
         inside = [j.lower <= q <= j.upper for j, q in zip(self.joints, self.home, strict=True)]
@@ -102,9 +111,8 @@ class Arm:
                 f"Arm {self.name}: home angle of joint {inside.index(False) + 1} is outside its "
                 "limits. Allowed: from lower to upper."
             )
-        frames = [link.frame for link in self.links] + [
-            f for pair in self.collision_pairs for f in pair
-        ]
+        frames = [link.frame for link in self.links]
+        frames += [f for pair in self.collision_pairs for f in pair]
         if frames and not 0 <= min(frames) <= max(frames) <= n + 1:
             raise InputError(
                 f"Arm {self.name}: a link or pair names frame {max(frames)} or {min(frames)}. "

@@ -56,7 +56,7 @@ def test_values_reach_the_scenario_and_the_file():
         ("--set motion.magnet.arm=panda", "Unknown key scenario.motion.magnet. Allowed: start"),
         (
             "--motion dynamics --set motion.magnet.standoff=0",
-            "scenario.motion.magnet: MagnetSteering's standoff is 0.0",
+            "scenario.motion.magnet: standoff is 0.0",
         ),
         ("--motion dynamics --speed 1", "Unknown key scenario.motion.speed. Allowed: start, angle"),
     ],

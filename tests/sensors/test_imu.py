@@ -96,18 +96,18 @@ def test_magnetometer_reads_the_field_in_its_frame():
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: Imu(rate=0.0), r"Imu rate is 0\.0\. Allowed: above 0 Hz"),
-        (lambda: Imu(gyroscope_noise=-1.0), r"Imu gyroscope_noise is -1\.0"),
+        (lambda: Imu(rate=0.0), r"^rate is 0\.0\. Allowed: above 0 Hz"),
+        (lambda: Imu(gyroscope_noise=-1.0), r"^gyroscope_noise is -1\.0"),
         (
             lambda: Imu(gyroscope_walk=-1.0),
-            r"Imu gyroscope_walk is -1\.0\. Allowed: 0 or",
+            r"^gyroscope_walk is -1\.0\. Allowed: 0 or",
         ),
         (
             lambda: Imu(accelerometer_range=0.0),
             r"accelerometer_range is 0\.0\. Allowed: above",
         ),
-        (lambda: Magnetometer(noise=-1.0), r"Magnetometer noise is -1\.0\. Allowed: 0 or more"),
-        (lambda: Magnetometer(range=0.0), r"Magnetometer range is 0\.0\. Allowed: above 0"),
+        (lambda: Magnetometer(noise=-1.0), r"^noise is -1\.0\. Allowed: 0 or more"),
+        (lambda: Magnetometer(range=0.0), r"^range is 0\.0\. Allowed: above 0"),
     ],
 )
 def test_impossible_units(make, message):

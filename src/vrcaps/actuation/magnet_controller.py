@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 
@@ -14,7 +14,8 @@ from vrcaps.actuation.capsule_target import CapsuleTarget
 from vrcaps.actuation.magnet_actuator import ActuatorState, MagnetActuator
 from vrcaps.actuation.magnet_pose_solver import MagnetPoseSolver, WrenchTarget
 from vrcaps.actuation.vectors import clamp_norm, detour, length
-from vrcaps.errors import InputError, require
+from vrcaps.errors import InputError
+from vrcaps.limits import Range, check_fields
 from vrcaps.magnet.field import SourceSet
 from vrcaps.magnet.sources import Cylinder, Dipole, Source
 from vrcaps.transforms import rotate_by_vector
@@ -26,6 +27,8 @@ from vrcaps.world.world import GRAVITY, World
 if TYPE_CHECKING:
     from jaxtyping import Float
 
+_POSITIVE = Range(above=0.0, below=math.inf)
+_NOT_NEGATIVE = Range(least=0.0, below=math.inf)
 _CONTROLLED_WEIGHT = 200.0 * np.eye(3)
 """Weight of a force error in a controlled direction [1/N]."""
 _OTHER_WEIGHT = 40.0 * np.eye(3)
@@ -74,26 +77,22 @@ class ControllerGains:
         timeout: Time after which a capsule that does not follow has stalled [s].
     """
 
-    upper_wall_force: float = 0.3
-    lower_wall_force: float = 0.05
-    speed: float = 1.0 * CM
-    angular_speed: float = 0.5
-    lookahead: float = 5.0 * MM
-    lookahead_angle: float = 20.0 * DEG
-    proportional_gain: float = 2.0
-    integral_gain: float = 3.0
-    damping_ratio: float = 1.0
-    max_force: float = 0.5
-    torque_integral_gain: float = 1.0
-    max_torque: float = 0.02
-    timeout: float = 2.0
+    upper_wall_force: Annotated[float, _NOT_NEGATIVE] = 0.3
+    lower_wall_force: Annotated[float, _NOT_NEGATIVE] = 0.05
+    speed: Annotated[float, _POSITIVE] = 1.0 * CM
+    angular_speed: Annotated[float, _POSITIVE] = 0.5
+    lookahead: Annotated[float, _POSITIVE] = 5.0 * MM
+    lookahead_angle: Annotated[float, _POSITIVE] = 20.0 * DEG
+    proportional_gain: Annotated[float, _NOT_NEGATIVE] = 2.0
+    integral_gain: Annotated[float, _NOT_NEGATIVE] = 3.0
+    damping_ratio: Annotated[float, _NOT_NEGATIVE] = 1.0
+    max_force: Annotated[float, _NOT_NEGATIVE] = 0.5
+    torque_integral_gain: Annotated[float, _NOT_NEGATIVE] = 1.0
+    max_torque: Annotated[float, _NOT_NEGATIVE] = 0.02
+    timeout: Annotated[float, _POSITIVE] = 2.0
 
     def __post_init__(self) -> None:
-        positive = ("speed", "angular_speed", "lookahead", "lookahead_angle", "timeout")
-        for name, value in vars(self).items():
-            allowed = "above 0" if name in positive else "0 or more"
-            is_valid = 0.0 < value < math.inf if name in positive else 0.0 <= value < math.inf
-            require(is_valid, f"ControllerGains' {name}", value, allowed)
+        check_fields(self)
 
 
 @dataclass(frozen=True)

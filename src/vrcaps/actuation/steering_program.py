@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
 
@@ -17,8 +17,9 @@ from vrcaps.actuation.magnet_controller import ControllerGains, MagnetController
 from vrcaps.actuation.magnet_pose_solver import Workspace
 from vrcaps.actuation.robot_actuator import RobotActuator
 from vrcaps.actuation.wall_path import PathFollower, WallPath, centerline_wall_path
-from vrcaps.errors import InputError, UnknownNameError, require
+from vrcaps.errors import InputError, require
 from vrcaps.file_ref import FileRef, file_ref, path_of
+from vrcaps.limits import Range, check_fields
 from vrcaps.magnet.presets import read_magnet
 from vrcaps.units import CM, DEG, MM
 from vrcaps.world.control import Control
@@ -40,7 +41,6 @@ JOYSTICK_COLUMNS = (
     "angular_y",
     "angular_z",
 )
-WALLS = ("upper", "lower")
 GENTLE_GAINS = ControllerGains(
     upper_wall_force=0.15,
     speed=2.0 * CM,
@@ -122,35 +122,26 @@ class MagnetSteering:
     magnet: str = "cylinder-76.2"
     arm: str | None = None
     arm_base: tuple[float, float, float] | None = None
-    standoff: float = 4.0 * CM
+    standoff: Annotated[float, Range(above=0.0, most=1.0, unit="m")] = 4.0 * CM
     wall: Literal["upper", "lower"] = "lower"
-    speed: float = 5.0 * MM
-    end: float = 1.0
+    speed: Annotated[float, Range(above=0.0, most=1.0, unit="m/s")] = 5.0 * MM
+    end: Annotated[float, Range(0.0, 1.0)] = 1.0
     gains: ControllerGains = GENTLE_GAINS
     waypoints: tuple[Waypoint, ...] = ()
     joystick: tuple[JoystickCommand, ...] = ()
     command_file: FileRef | str | None = None
-    joystick_speed: float = 5.0 * CM
-    joystick_angular_speed: float = 0.5
-    period: float = 0.01
+    joystick_speed: Annotated[float, Range(above=0.0, below=math.inf)] = 5.0 * CM
+    joystick_angular_speed: Annotated[float, Range(above=0.0, below=math.inf)] = 0.5
+    period: Annotated[float, Range(above=0.0, most=0.05, unit="s")] = 0.01
 
     def __post_init__(self) -> None:
         if self.command_file is not None:
             object.__setattr__(self, "command_file", file_ref(self.command_file))
-        if self.wall not in WALLS:
-            raise UnknownNameError("wall", self.wall, WALLS)
+        check_fields(self)
         if sum(map(bool, (self.waypoints, self.joystick, self.command_file))) > 1:
             raise InputError(
                 "Of waypoints, joystick and command_file several are given. Give one of them."
             )
-        for name, most in (("standoff", 1.0), ("speed", 1.0), ("period", 0.05)):
-            value = getattr(self, name)
-            is_valid = 0.0 < value <= most
-            require(is_valid, f"MagnetSteering's {name}", value, f"above 0 to {most:g}")
-        require(0.0 <= self.end <= 1.0, "MagnetSteering's end", self.end, "0 to 1")
-        for name in ("joystick_speed", "joystick_angular_speed"):
-            value = getattr(self, name)
-            require(0.0 < value < math.inf, f"MagnetSteering's {name}", value, "above 0")
         check_waypoints(self.waypoints, "waypoints")
         check_joystick(self.joystick, "joystick")
 

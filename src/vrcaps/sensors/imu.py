@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 
-from vrcaps.errors import require
+from vrcaps.limits import Range, check_fields
 from vrcaps.units import DEG
 
 if TYPE_CHECKING:
@@ -54,22 +54,18 @@ class Imu:
     """
 
     position_capsule: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    rate: float = 100.0
-    accelerometer_noise: float = 160e-6 * _STANDARD_GRAVITY
-    gyroscope_noise: float = 0.007 * DEG
-    accelerometer_walk: float = 2e-4
-    gyroscope_walk: float = 2e-5
-    accelerometer_range: float = 16.0 * _STANDARD_GRAVITY
-    gyroscope_range: float = 2000.0 * DEG
+    rate: Annotated[float, Range(above=0.0, below=np.inf, unit="Hz")] = 100.0
+    accelerometer_noise: Annotated[float, Range(least=0.0, below=np.inf)] = (
+        160e-6 * _STANDARD_GRAVITY
+    )
+    gyroscope_noise: Annotated[float, Range(least=0.0, below=np.inf)] = 0.007 * DEG
+    accelerometer_walk: Annotated[float, Range(least=0.0, below=np.inf)] = 2e-4
+    gyroscope_walk: Annotated[float, Range(least=0.0, below=np.inf)] = 2e-5
+    accelerometer_range: Annotated[float, Range(above=0.0)] = 16.0 * _STANDARD_GRAVITY
+    gyroscope_range: Annotated[float, Range(above=0.0)] = 2000.0 * DEG
 
     def __post_init__(self) -> None:
-        require(0.0 < self.rate < np.inf, "Imu rate", self.rate, "above 0 Hz")
-        for sensor in ("accelerometer", "gyroscope"):
-            for name in (f"{sensor}_noise", f"{sensor}_walk"):
-                value = getattr(self, name)
-                require(0.0 <= value < np.inf, f"Imu {name}", value, "0 or more")
-            most = getattr(self, f"{sensor}_range")
-            require(most > 0.0, f"Imu {sensor}_range", most, "above 0")
+        check_fields(self)
 
 
 def read_imu(

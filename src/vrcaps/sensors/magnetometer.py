@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 
-from vrcaps.errors import require
+from vrcaps.limits import Range, check_fields
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -27,13 +27,12 @@ class Magnetometer:
     """
 
     position_capsule: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    noise: float = 0.5e-6
+    noise: Annotated[float, Range(least=0.0, below=np.inf)] = 0.5e-6
     offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    range: float = 2.5e-3
+    range: Annotated[float, Range(above=0.0)] = 2.5e-3
 
     def __post_init__(self) -> None:
-        require(0.0 <= self.noise < np.inf, "Magnetometer noise", self.noise, "0 or more")
-        require(self.range > 0.0, "Magnetometer range", self.range, "above 0")
+        check_fields(self)
 
 
 def read_magnetometer(

@@ -1,14 +1,16 @@
-"""Which sensors are read, and where the Hall array lies."""
+"""Sensors of a recording: IMU and magnetometer in the capsule, Hall array under the patient."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 
-from vrcaps.errors import UnknownNameError, require
+from vrcaps.errors import UnknownNameError
+from vrcaps.limits import Range, check_fields
 from vrcaps.sensors.hall import HallArray, hall_grid
 from vrcaps.sensors.imu import Imu
 from vrcaps.sensors.magnetometer import Magnetometer
@@ -22,20 +24,23 @@ class HallPad:
     """A square of Hall sensors on the table under the patient.
 
     Attributes:
-        width: Its side [m].
-        count: Sensors along a side.
-        gap: From the lowest of the wall at rest down to it [m].
-        range: Largest size of a reading [T]; beyond it there is none.
-        gain_error: Standard deviation of what the calibration leaves of each gain, relative.
-        offset_error: Of each offset [T].
+        width: Side of the square [m].
+        count: Number of sensors along a side.
+        gap: Distance from the lowest point of the wall at rest down to it [m].
+        range: Largest absolute reading [T]; beyond it there is none.
+        gain_error: Standard deviation of each gain's calibration error, relative.
+        offset_error: Standard deviation of each offset's calibration error [T].
     """
 
-    width: float = 0.35
-    count: int = 8
-    gap: float = 50.0 * MM
-    range: float = 50e-3
-    gain_error: float = 0.005
-    offset_error: float = 1e-6
+    width: Annotated[float, Range(above=0.0, below=math.inf)] = 0.35
+    count: Annotated[int, Range(least=2)] = 8
+    gap: Annotated[float, Range(above=-math.inf, below=math.inf)] = 50.0 * MM
+    range: Annotated[float, Range(above=0.0)] = 50e-3
+    gain_error: Annotated[float, Range(least=0.0, below=math.inf)] = 0.005
+    offset_error: Annotated[float, Range(least=0.0, below=math.inf)] = 1e-6
+
+    def __post_init__(self) -> None:
+        check_fields(self)
 
 
 @dataclass(frozen=True)
@@ -57,7 +62,7 @@ class Sensors:
 
 
 def sensors_by_name(names: Sequence[str]) -> Sensors:
-    """Sensors with their default figures.
+    """Sensors with their default parameters.
 
     Raises:
         UnknownNameError: If there is no sensor of a name.
@@ -70,12 +75,7 @@ def sensors_by_name(names: Sequence[str]) -> Sensors:
 
 
 def hall_array(pad: HallPad, model: Model) -> HallArray:
-    """A pad's sensors as they are believed to be, in the world.
-
-    Raises:
-        InputError: If the pad cannot be.
-    """
-    require(math.isfinite(pad.gap), "HallPad gap", pad.gap, "a number")
+    """A pad's sensors in the world, with their nominal gain and offset."""
     low, high = model.vertices_world.min(axis=0), model.vertices_world.max(axis=0)
     middle = 0.5 * (low + high)
     place = np.array([middle[0], middle[1], low[2] - pad.gap])

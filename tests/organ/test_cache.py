@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 import os
+import shutil
+import subprocess
 import sys
 from pathlib import Path
 
 import numpy as np
+import platformdirs
 import pytest
 
 from vrcaps.organ import cache
@@ -109,33 +112,83 @@ def test_an_error_of_the_maker_is_passed_on(folder: Path):
     assert not (folder / "organs").exists()
 
 
-def test_the_folder_follows_the_platform(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
-    monkeypatch.delenv("VRCAPS_CACHE", raising=False)
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "xdg"))
-    assert cache_folder() == tmp_path / "xdg" / "vrcaps"
-    monkeypatch.delenv("XDG_CACHE_HOME")
-    monkeypatch.setattr(Path, "home", lambda: tmp_path)
-    monkeypatch.setenv("LOCALAPPDATA", str(tmp_path / "local"))
-    for platform, expected in {
-        "linux": tmp_path / ".cache" / "vrcaps",
-        "darwin": tmp_path / "Library" / "Caches" / "vrcaps",
-        "win32": tmp_path / "local" / "vrcaps" / "Cache",
-    }.items():
-        monkeypatch.setattr(sys, "platform", platform)
-        assert cache_folder() == expected
+def test_the_folder_is_the_chosen_one_or_the_platforms(monkeypatch, tmp_path: Path):
     monkeypatch.setenv("VRCAPS_CACHE", str(tmp_path / "own"))
     assert cache_folder() == tmp_path / "own"
+    monkeypatch.delenv("VRCAPS_CACHE")
+    assert cache_folder() == platformdirs.user_cache_path("vrcaps", appauthor=False)
+    if sys.platform == "linux":
+        monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "xdg"))
+        assert cache_folder() == tmp_path / "xdg" / "vrcaps"
+        monkeypatch.delenv("XDG_CACHE_HOME")
+        monkeypatch.setenv("HOME", str(tmp_path))
+        assert cache_folder() == tmp_path / ".cache" / "vrcaps"
 
 
-def test_changed_parameters_or_code_are_another_file(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-):
-    assert cache.fingerprint({"a": 1}) == cache.fingerprint({"a": 1})
-    assert cache.fingerprint({"a": 1}) != cache.fingerprint({"a": 2})
-    before = cache.fingerprint({"a": 1})
-    (tmp_path / "new.py").write_text("x = 1\n")
-    monkeypatch.setattr(cache, "__file__", str(tmp_path / "cache.py"))
-    assert cache.fingerprint({"a": 1}) != before
+CODE = '''"""A module."""
+
+SIZE = 3
+"""Of what."""
+
+
+def double(x):
+    """Twice x."""
+    return 2 * x  # exactly
+'''
+
+
+def test_changed_parameters_or_statements_are_another_file(monkeypatch, tmp_path: Path):
+    package = tmp_path / "vrcaps"
+    shutil.copytree(Path(cache.__file__).parents[1], package, ignore=_all_but_python)
+    monkeypatch.setattr(cache, "__file__", str(package / "organ" / "cache.py"))
+
+    def digest(code: str, parameters: dict) -> str:
+        (package / "anatomy" / "new.py").write_text(code)
+        cache._code_digest.cache_clear()
+        return cache.fingerprint(parameters)
+
+    first = digest(CODE, {"a": 1})
+    assert digest(CODE, {"a": 1}) == first
+    assert digest(CODE, {"a": 2}) != first
+    commented = CODE.replace("exactly", "to the last bit").replace("Of what", "Of it")
+    assert digest(commented.replace("Twice x", "x, doubled"), {"a": 1}) == first
+    assert digest(CODE.replace("SIZE = 3", "SIZE = 4"), {"a": 1}) != first
+    assert digest(CODE.replace("2 * x", "3 * x"), {"a": 1}) != first
+
+
+def _all_but_python(folder: str, names: list[str]) -> list[str]:
+    return [n for n in names if Path(folder, n).is_file() and not n.endswith(".py")]
+
+
+def test_the_digest_is_the_same_in_every_process():
+    """Sets of constants are in another order where strings have other hashes."""
+    show = "from vrcaps.organ.cache import fingerprint; print(fingerprint({}))"
+    found = {
+        subprocess.run(
+            [sys.executable, "-c", show],
+            env={**os.environ, "PYTHONHASHSEED": seed},
+            capture_output=True,
+            check=True,
+        ).stdout
+        for seed in ("1", "2")
+    }
+    assert len(found) == 1
+
+
+def test_abandoned_files_are_removed_and_those_being_written_count(folder: Path, monkeypatch):
+    cached_organ("a", make_organ)
+    path = folder / "organs" / "a.npz"
+    size = path.stat().st_size
+    old, young = (path.with_name(f".{n}.npz.tmp") for n in ("old", "young"))
+    for part in (old, young):
+        part.write_bytes(bytes(size))
+    os.utime(old, (1.0, 1.0))
+    os.utime(path, (2.0, 2.0))
+    cached_organ("b", make_organ)
+    assert {p.name for p in (folder / "organs").iterdir()} == {"a.npz", "b.npz", young.name}
+    monkeypatch.setattr(cache, "_MOST_BYTES", 2.5 * size)
+    cached_organ("c", make_organ)
+    assert {p.name for p in (folder / "organs").iterdir()} == {"c.npz", young.name}
 
 
 def test_organs_used_longest_ago_make_room(folder: Path, monkeypatch: pytest.MonkeyPatch):

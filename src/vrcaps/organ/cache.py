@@ -6,17 +6,20 @@ import contextlib
 import hashlib
 import json
 import os
-import sys
+import time
 import warnings
 import zipfile
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
+from types import CodeType
 from typing import Any
 
 import numpy as np
+from platformdirs import user_cache_path
 
 from vrcaps import _core
-from vrcaps.files import atomic_write
+from vrcaps.files import TEMPORARY, atomic_write
 from vrcaps.organ.arrays import organ_from_arrays, organ_to_arrays
 from vrcaps.organ.surface import OrganSurface
 
@@ -26,25 +29,25 @@ _BROKEN = (OSError, EOFError, ValueError, KeyError, TypeError, zipfile.BadZipFil
 _MAKERS = ("mesh", "organ", "mucosa", "anatomy", "lesion")
 """Packages whose code decides what an organ is."""
 
+_MAKER_MODULES = ("color", "geometry", "rng", "transforms", "units")
+"""Modules of the top level that they use."""
+
 _MOST_BYTES = 20 * 10**9
 """Size of the kept organs beyond which those that were not used for longest are removed."""
 
+_ABANDONED = 3600.0
+"""Age of an unfinished file [s] from which the process that wrote it must have been stopped."""
+
 
 def cache_folder() -> Path:
-    """Where vrcaps keeps what it can make again.
+    r"""Folder of what vrcaps can make again: ``VRCAPS_CACHE``, or the platform's cache folder.
 
-    ``VRCAPS_CACHE`` if set; else ``vrcaps`` in ``XDG_CACHE_HOME`` or the platform's own place:
-    ``~/.cache``, ``~/Library/Caches`` on macOS, ``%LOCALAPPDATA%`` on Windows.
+    The latter is ``~/.cache/vrcaps`` (or below ``XDG_CACHE_HOME``) on Linux,
+    ``~/Library/Caches/vrcaps`` on macOS, ``%LOCALAPPDATA%\vrcaps\Cache`` on Windows.
     """
     if chosen := os.environ.get("VRCAPS_CACHE"):
         return Path(chosen).expanduser()
-    if chosen := os.environ.get("XDG_CACHE_HOME"):
-        return Path(chosen) / "vrcaps"
-    if sys.platform == "darwin":
-        return Path.home() / "Library" / "Caches" / "vrcaps"
-    if sys.platform == "win32":
-        return Path(os.environ.get("LOCALAPPDATA", Path.home())) / "vrcaps" / "Cache"
-    return Path.home() / ".cache" / "vrcaps"
+    return user_cache_path("vrcaps", appauthor=False)
 
 
 def cached_organ(name: str, make: Callable[[], OrganSurface]) -> OrganSurface:
@@ -79,13 +82,44 @@ def cached_organ(name: str, make: Callable[[], OrganSurface]) -> OrganSurface:
 
 
 def fingerprint(parameters: dict[str, Any]) -> str:
-    """Changes with the parameters and with the code, compiled or not, that makes organs."""
+    """Changes with the parameters and with the code, compiled or not, that makes organs.
+
+    Comments, docstrings and formatting of that code do not count.
+    """
     digest = hashlib.sha256(json.dumps(parameters, sort_keys=True).encode())
-    package = Path(__file__).parents[1]
-    for path in sorted(path for name in _MAKERS for path in (package / name).rglob("*.py")):
-        digest.update(path.relative_to(package).as_posix().encode() + path.read_bytes())
-    digest.update(Path(_core.__file__).read_bytes())
+    digest.update(_code_digest(Path(__file__).parents[1]))
     return digest.hexdigest()[:16]
+
+
+@cache
+def _code_digest(package: Path) -> bytes:
+    """Checksum of the statements that make organs, and of the compiled core."""
+    files = [path for name in _MAKERS for path in (package / name).rglob("*.py")]
+    files += [package / f"{name}.py" for name in _MAKER_MODULES]
+    digest = hashlib.sha256()
+    for path in sorted(files):
+        digest.update(path.relative_to(package).as_posix().encode())
+        code = compile(path.read_bytes(), path.name, "exec", optimize=2, dont_inherit=True)
+        digest.update(_instructions(code).encode())
+    digest.update(Path(_core.__file__).read_bytes())
+    return digest.digest()
+
+
+def _instructions(code: CodeType) -> str:
+    """Bytecode, names and constants of a module or function, those within it included.
+
+    Of code compiled with `optimize=2`, which has no docstrings. Line numbers are left out.
+    """
+    constants = []
+    for constant in code.co_consts:
+        if isinstance(constant, CodeType):
+            constants.append(_instructions(constant))
+        elif isinstance(constant, frozenset):  # in another order in each process
+            constants.append(str(sorted(map(repr, constant))))
+        else:
+            constants.append(repr(constant))
+    names = (code.co_names, code.co_varnames, code.co_freevars, code.co_cellvars)
+    return f"{code.co_name} {code.co_flags} {names} {code.co_code.hex()} {constants}"
 
 
 def _write_organ(path: Path, organ: OrganSurface) -> None:
@@ -104,13 +138,17 @@ def _mark_used(path: Path) -> None:
 
 
 def _forget_unused(folder: Path) -> None:
-    """Remove the organs used longest ago where all of them take too much room."""
-    found = []
-    for path in folder.glob("*.npz"):
+    """Remove the organs used longest ago where all take too much space, and abandoned files."""
+    found, total = [], 0
+    for path in [*folder.glob("*.npz"), *folder.glob(f".*{TEMPORARY}")]:
         with contextlib.suppress(OSError):  # removed by another process meanwhile
             stat = path.stat()
-            found.append((stat.st_mtime_ns, stat.st_size, path))
-    total = 0
+            if path.suffix == ".npz":
+                found.append((stat.st_mtime_ns, stat.st_size, path))
+            elif time.time() - stat.st_mtime > _ABANDONED:
+                path.unlink()
+            else:  # another process is writing it
+                total += stat.st_size
     for rank, (_, size, path) in enumerate(sorted(found, reverse=True)):
         total += size
         if rank > 0 and total > _MOST_BYTES:

@@ -9,11 +9,15 @@ import numpy as np
 
 from looks_images import disc
 from looks_scenes import Shot, even_exposure
+from vrcaps.camera_pipeline.effect.auto_exposure import AutoExposure
+from vrcaps.camera_pipeline.effect.base import CameraSetup
+from vrcaps.camera_pipeline.effect.bayer_filter import BayerFilter
+from vrcaps.camera_pipeline.effect.jpeg import Jpeg
+from vrcaps.camera_pipeline.effect.white_balance import WhiteBalance
 from vrcaps.camera_pipeline.effects import Effects
-from vrcaps.camera_pipeline.exposure import AutoExposure
-from vrcaps.camera_pipeline.pipeline import CameraChain, Moment, Seen
-from vrcaps.camera_pipeline.sensor import Jpeg, WhiteBalance
+from vrcaps.camera_pipeline.pipeline import CameraPipeline, SceneRadiance
 from vrcaps.color import luminance
+from vrcaps.motion.step import Step
 from vrcaps.render.frame import inside
 
 MEAN_LUMINANCE = {True: 0.20, False: 0.15}
@@ -28,16 +32,23 @@ from many makers' cameras. Over classes the ratios of mean red and blue to green
 JPEG_QUALITY = {"clean_colon": 94, "polyp": 75, "colitis": 75}
 """Of the real files, by how their class begins; capsule frames are PNG files."""
 EFFECTS = {
-    True: Effects(chromatic=(0, 2), vignette=(0, 1), bloom=(0, 1), noise=(1, 2)),
+    True: Effects(
+        chromatic_aberration=(0, 2), vignetting=(0, 1), bloom=(0, 1), sensor_noise=(1, 2)
+    ),
     False: Effects(
-        **{"depth_of_field": (0, 1), "chromatic": (0, 1), "vignette": (0, 2), "bloom": (0, 2)},
-        **{"noise": (0, 1), "jpeg": (0, 1)},
-        mosaic="rggb",
+        **{
+            "depth_of_field": (0, 1),
+            "chromatic_aberration": (0, 1),
+            "vignetting": (0, 2),
+            "bloom": (0, 2),
+        },
+        **{"sensor_noise": (0, 1), "jpeg": (0, 1)},
+        bayer_filter=BayerFilter("rggb"),
     ),
 }
-"""Of colonoscopes and of capsules: grades drawn for each frame, as each is another camera's. Those
-of noise were chosen by gradients of all frames, the others beforehand."""
-_LIT = AutoExposure(time_constant=1.0, light_max=1e9)
+"""Of colonoscopes and of capsules: severities sampled for each frame, as each is another camera's.
+Those of noise were chosen by gradients of all frames, the others beforehand."""
+_LIT = AutoExposure(time_constant=1.0, max_light=1e9)
 """All of the exposure by light, none by gain."""
 
 
@@ -59,30 +70,31 @@ def photographed(name: str, shot: Shot, number: int) -> np.ndarray:
     rng = np.random.default_rng([11, number])
     light = MEAN_LUMINANCE[is_colonoscopy(name)] * np.exp(EXPOSURE_SPREAD * rng.normal())
     gains = np.exp(WHITE_SPREAD * rng.normal(size=3))
-    effects = drawn(name, gains, number)
+    effects = effects_of(name, gains, number)
     radiance = np.nan_to_num(shot.frame.radiance)
-    shade = effects.figures("vignette")
-    reaching = radiance if shade is None else radiance * shade.profile(shot.camera)[..., None]
+    shade = effects.resolve("vignetting")
+    reaching = (
+        radiance if shade is None else radiance * shade.params(CameraSetup(shot.camera))[..., None]
+    )
     exposure = even_exposure(reaching * gains, light) / shot.camera.exposure
-    chain = CameraChain(effects, shot.camera, number=0, fps=1.0, seed=number)
-    moment = Moment(number, shot.state, exposure=exposure)
-    planes = chain.room()
+    pipeline = CameraPipeline(shot.renderer, shot.camera, effects, fps=1.0, seed=number)
+    planes = pipeline.allocate_planes()
     inside(planes, *radiance.shape[:2])[...] = np.moveaxis(radiance, -1, 0)
     known = {name: array for name, array in vars(shot.frame).items() if array is not None}
-    seen = Seen(known, planes, None, moment)
-    sent = chain.apply(seen, shot.renderer)
+    seen = SceneRadiance(Step(number, shot.state), known, planes)
+    sent = pipeline.process(seen, exposure)
     assert sent.rgb is not None
     return sent.rgb
 
 
-def drawn(name: str, gains: np.ndarray, number: int) -> Effects:
+def effects_of(name: str, gains: np.ndarray, number: int) -> Effects:
     """Lens and sensor of one frame; white stays as bright as it is."""
-    effects = EFFECTS[is_colonoscopy(name)].drawn(number)
+    effects = EFFECTS[is_colonoscopy(name)].sample(number)
     red, green, blue = (gains / luminance(gains)).tolist()
     quality = JPEG_QUALITY.get(name.partition("_grade")[0])
     return replace(
         effects,
-        exposure=_LIT,
+        auto_exposure=_LIT,
         white_balance=WhiteBalance((red, green, blue)),
         jpeg=effects.jpeg if quality is None else Jpeg(quality),
     )

@@ -55,7 +55,6 @@ def colonoscope(side_px: int = SIDE_PX) -> Device:
         lens=LensEquidistant(half / (70 * DEG), half - 0.5, half - 0.5, 70 * DEG),
         width=side_px,
         height=side_px,
-        T_capsule_camera=np.eye(4),
         leds=tuple(Led((x * MM, -2 * MM, 0.0)) for x in (-3.5, 3.5)),
         exposure=1.0,
         image_circle_px=half,

@@ -26,7 +26,7 @@ from vrcaps.tools.camera_calibration.board import Board
 from vrcaps.tools.camera_calibration.circle import image_circle
 from vrcaps.tools.camera_calibration.corners import find_views
 from vrcaps.tools.camera_calibration.fit import Calibration, calibrate
-from vrcaps.tools.camera_calibration.parameterization import FAMILIES
+from vrcaps.tools.camera_calibration.parameterization import PARAMETERIZATIONS
 from vrcaps.tools.photos import Photo, read_photos
 from vrcaps.transforms import invert, transform_points
 from vrcaps.units import DEG
@@ -57,7 +57,7 @@ def photographs() -> list[tuple[str, ...]]:
         circle = image_circle([photo.rgb for photo in photos])
         height, width = photos[0].rgb.shape[:2]
         reach = None if circle is None else circle.radius
-        for kind in FAMILIES:
+        for kind in PARAMETERIZATIONS:
             fit = calibrate(views, board, (width, height), kind, circle_px=reach)
             published = stored[STORED.get(kind, "fisheye")]["mean_reprojection_error_px"]
             found = f"{len(views)} of {len(views) + len(missed)}"
@@ -131,7 +131,7 @@ HEAD_PHOTOS = (
 )
 HEAD_RENDERED = (
     *("device", "its lens", "board found in", "mean error [px]", "RMS [px]"),
-    *("focal length found [px]", "off by", "centre off by"),
+    *("focal length found [px]", "off by", "center off by"),
 )
 TEXT = """## Photographs and rendered boards
 

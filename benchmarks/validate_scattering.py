@@ -26,7 +26,7 @@ from validation import options, table, write_section
 from vrcaps import _core
 from vrcaps.anatomy.catalog import generate_organ
 from vrcaps.camera.camera import Camera
-from vrcaps.camera_pipeline.camera_changes import scaled_camera
+from vrcaps.camera.derive import scaled_camera
 from vrcaps.capsule.catalog import read_device
 from vrcaps.motion.fly_through import FlyThrough, fly_through
 from vrcaps.organ.surface import Appearance

@@ -13,12 +13,15 @@ from dataclasses import replace
 import numpy as np
 
 from validation import options, table, write_section
-from vrcaps import _core
+from vrcaps._core import testing
 from vrcaps.camera.camera import Camera
 from vrcaps.camera.derive import focal_length_px
-from vrcaps.camera_pipeline.exposure import AutoExposure
-from vrcaps.camera_pipeline.optics import Bloom, Defocus, LateralColor, Vignetting
-from vrcaps.camera_pipeline.severities import GRADES
+from vrcaps.camera_pipeline.effect.auto_exposure import AutoExposure
+from vrcaps.camera_pipeline.effect.bloom import Bloom
+from vrcaps.camera_pipeline.effect.chromatic_aberration import LateralChromaticAberration
+from vrcaps.camera_pipeline.effect.depth_of_field import DepthOfField
+from vrcaps.camera_pipeline.effect.vignetting import Vignetting
+from vrcaps.camera_pipeline.effects import SEVERITIES
 from vrcaps.capsule.catalog import read_device
 from vrcaps.render.flow import STEP
 from vrcaps.units import MM
@@ -35,27 +38,28 @@ def row(what: str, given: str, expected: float, measured: float, unit: str = "")
     return what, given, f"{expected:.4g}{unit}", f"{measured:.4g}{unit}", error
 
 
-def photon_transfer(size: int) -> list[Row]:
+def photon_transfer(camera: Camera, size: int) -> list[Row]:
     """Gain and read noise from pairs of flat fields (EMVA 1288, release 4.0, 2.4 and 6.6)."""
     rows = []
-    for grade, gain in ((1, 1.0), (2, 1.0), (2, 4.0), (3, 1.0), (4, 1.0)):
-        noise = replace(GRADES["noise"][grade], bits=14, black=BLACK)
+    for severity, gain in ((1, 1.0), (2, 1.0), (2, 4.0), (3, 1.0), (4, 1.0)):
+        noise = replace(SEVERITIES["sensor_noise"][severity], bits=14, black_level=BLACK)
         pattern = noise.fixed_pattern((3 * size, size), 0)
-        readout = noise.readout(gain, (1.0, 1.0, 1.0))
+        readout = noise.params(CameraSetup(camera))
+        readout |= {"light": 1.0, "gain": gain, "response": (1.0, 1.0, 1.0)}
         mean, variance = [], []
         for k, value in enumerate(np.linspace(0.0, 0.7, 15) / gain):
             planes = np.full((3, size, size), value, np.float32)
             pair = [
-                _core.read_sensor(planes, pattern, readout, None, (3, 2 * k + j)).astype(float)
-                * (2**14 - 1 - BLACK)
+                (2**14 - 1 - BLACK)
+                * testing.read_sensor(planes, pattern, readout, None, (3, 2 * k + j)).astype(float)
                 for j in (0, 1)
             ]
             mean.append((pair[0] + pair[1]).mean() / 2.0)
             variance.append((pair[0] - pair[1]).var() / 2.0)
         slope = np.polyfit(mean[1:], np.array(variance[1:]) - variance[0], 1)[0]
         read = np.sqrt(variance[0] - 1.0 / 12.0) / slope
-        given = f"grade {grade}, gain {gain:g}"
-        rows.append(row("step for an electron", given, noise.step(gain), slope))
+        given = f"severity {severity}, gain {gain:g}"
+        rows.append(row("system gain", given, noise.system_gain(gain), slope))
         rows.append(row("read noise", given, noise.read_noise, read, " e⁻"))
     return rows
 
@@ -71,13 +75,13 @@ def spread(plane: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def optics(camera: Camera) -> list[Row]:
     """Each lens stage on a point of light, or on an even field."""
     height, width = camera.height, camera.width
-    point = np.zeros((3, height, width), np.float32)
+    setup, point = CameraSetup(camera), np.zeros((3, height, width), np.float32)
     point[:, 60, 220] = 1.0
     rows = []
     for distance in (5.0 * MM, 8.0 * MM, 60.0 * MM):
-        stage = Defocus(2.0 * MM)
+        stage = DepthOfField(2.0 * MM)
         far = np.full((height, width), distance, np.float32)
-        seen = stage.apply(camera, point, far)[1]
+        seen = testing.depth_of_field(point, far, *stage.params(setup))[1]
         expected = 2.0 * float(stage.radius_px(camera, np.array(distance)))
         # A disk of diameter c has a variance of c²/16 along each axis, a pixel's edge 1/12.
         measured = 4.0 * np.sqrt(spread(seen)[1].mean() - 1.0 / 12.0)
@@ -86,7 +90,8 @@ def optics(camera: Camera) -> list[Row]:
     soft = np.exp(-0.5 * (((np.arange(320) - 60) / 2.0) ** 2))
     across = np.exp(-0.5 * (((np.arange(320) - 220) / 2.0) ** 2))
     spot = np.stack([np.outer(soft, across)] * 3).astype(np.float32)
-    colors = LateralColor(0.01, -0.01).apply(camera, spot)
+    params = LateralChromaticAberration(0.01, -0.01).params(setup)
+    colors = testing.chromatic_aberration(spot, *params)
     center = np.array([camera.lens.cx, camera.lens.cy])
     reach = float(np.linalg.norm(spread(spot[1])[0] - center))
     for name, plane, share in (("red", 0, 0.01), ("blue", 2, -0.01)):
@@ -94,17 +99,17 @@ def optics(camera: Camera) -> list[Row]:
         given = f"{share:+g} at {reach:.1f} px"
         rows.append(row(f"lateral shift, {name}", given, share * reach, moved, " px"))
     even = np.ones((3, height, width), np.float32)
-    shade = _core.shade_planes(even, Vignetting((-0.4, 0.05, 0.0)).profile(camera))[1]
+    shade = testing.vignetting(even, Vignetting((-0.4, 0.05, 0.0)).params(setup))[1]
     rho = np.hypot(*(np.array([300.0, 160.0]) - center)) / 160.0
     expected = 1.0 - 0.4 * rho**2 + 0.05 * rho**4
-    rows.append(row("vignette", f"grade 2, ρ = {rho:.3f}", expected, float(shade[160, 300])))
+    rows.append(row("vignetting", f"severity 2, ρ = {rho:.3f}", expected, float(shade[160, 300])))
     middle = np.zeros((3, height, width), np.float32)
     middle[:, 160, 160] = 1.0
     stage = Bloom(0.2, 0.02)
-    halo = stage.apply(camera, middle)[1].astype(float)
+    halo = testing.bloom(middle, *stage.params(setup))[1].astype(float)
     halo[160, 160] -= 0.8
     sigma = stage.angle * focal_length_px(camera.lens)
-    rows.append(row("bloom, share", "0.2", 0.2, float(halo.sum())))
+    rows.append(row("bloom, fraction", "0.2", 0.2, float(halo.sum())))
     wide = float(np.sqrt(spread(halo)[1].mean()))
     rows.append(row("bloom, width √8.5 σ", "σ 0.02 rad", sigma * np.sqrt(8.5), wide, " px"))
     return rows
@@ -120,14 +125,14 @@ def motion(camera: Camera) -> list[Row]:
     rows = []
     for speed, shutter in ((60.0, 0.1), (60.0, 0.3), (120.0, 0.3)):
         field = np.broadcast_to(np.float32([speed, 0.0]), cells).copy()
-        seen = _core.blur_motion(image, lit, field, (shutter, 0.0, np.inf), 1.0)[0]
+        seen = testing.motion_blur(image, lit, field, (shutter, 0.0, np.inf), 1.0)[0]
         length = np.sqrt(12.0 * spread(seen)[1][0])
         given = f"{speed:g} px a frame, open for {shutter:g} of it"
         rows.append(row("blur length √(12 var)", given, speed * shutter, float(length), " px"))
     line = np.zeros((height, width, 3), np.float32)
     line[:, 160] = 1.0
     field = np.broadcast_to(np.float32([30.0, 0.0]), cells).copy()
-    seen = _core.blur_motion(line, lit, field, (0.0, 0.8, np.inf), 1.0)[1]
+    seen = testing.motion_blur(line, lit, field, (0.0, 0.8, np.inf), 1.0)[1]
     middle = (seen * np.arange(width)).sum(axis=1) / seen.sum(axis=1)
     lean = np.polyfit(np.arange(height), middle, 1)[0] * height
     rows.append(row("lean, rolling shutter", "30 px a frame, 0.8 of it", 24.0, float(lean), " px"))
@@ -138,9 +143,11 @@ def exposure() -> list[Row]:
     """Time after which the exposure of a scene that stays is within 1/e and 1 % of its goal."""
     rows = []
     for constant in (0.3, 1.0, 5.0):
-        automatic, exposures = AutoExposure(constant, light_min=1e-4), [1.0]
+        automatic, exposures = AutoExposure(constant, min_light=1e-4), [1.0]
         while len(exposures) < 2000:
-            exposures.append(automatic.following(exposures[-1], 0.9 * exposures[-1], 1.0 / 30.0))
+            exposures.append(
+                automatic.next_exposure(exposures[-1], 0.9 * exposures[-1], 1.0 / 30.0)
+            )
         left = np.abs(np.log(np.array(exposures) * 0.9 / automatic.target))
         settled = np.interp(-np.log(0.01), -np.log(left[:1000] / left[0]), np.arange(1000)) / 30.0
         given = f"τ {constant:g} s, 30 frames a second"
@@ -152,7 +159,12 @@ def main() -> None:
     """Measure, and write the section."""
     arguments = options(__doc__ or "", 320)
     camera = read_device("mirocam").cameras[0]
-    measured = [*photon_transfer(arguments.size), *optics(camera), *motion(camera), *exposure()]
+    measured = [
+        *photon_transfer(camera, arguments.size),
+        *optics(camera),
+        *motion(camera),
+        *exposure(),
+    ]
     text = (
         "## Lens and sensor\n\n"
         "`python benchmarks/validate_sensor.py`: [stages of lens and sensor](effects.md) against "

@@ -43,7 +43,7 @@ cy_px = 127.5
 max_angle_deg = 86
 
 [[cameras.led_rings]]
-centre_mm = [0, 0, -0.5]
+center_mm = [0, 0, -0.5]
 radius_mm = 3.5
 angles_deg = [45, 135, 225, 315]
 intensity_mw_per_sr = [2, 2, 2]

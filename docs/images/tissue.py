@@ -11,7 +11,7 @@ import numpy as np
 from PIL import Image, ImageDraw
 
 import vrcaps
-from vrcaps.camera_pipeline.camera_changes import scaled_camera
+from vrcaps.camera.derive import scaled_camera
 
 ORGANS = ("colon",)
 WAYS = {

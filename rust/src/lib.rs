@@ -4,6 +4,7 @@
 #![allow(clippy::needless_range_loop)]
 
 mod actuation;
+mod camera_pipeline;
 mod cpu;
 mod lumen;
 mod magnet;
@@ -11,7 +12,6 @@ mod mucosa;
 mod poses;
 mod recording;
 mod render;
-mod sensor;
 mod simd;
 mod tissue;
 mod wall;
@@ -50,7 +50,10 @@ fn _core(m: &Bound<'_, PyModule>) -> PyResult<()> {
     m.add_function(wrap_pyfunction!(recording::png::decode_pngs, m)?)?;
     m.add_function(wrap_pyfunction!(recording::png::quantize, m)?)?;
     m.add_function(wrap_pyfunction!(recording::png::read_png, m)?)?;
-    sensor::register(m)?;
+    camera_pipeline::register(m)?;
+    let testing = PyModule::new(m.py(), "testing")?;
+    camera_pipeline::register_testing(&testing)?;
+    m.add_submodule(&testing)?;
     m.add_function(wrap_pyfunction!(cpu::cpu_features, m)?)?;
     m.add_function(wrap_pyfunction!(cpu::num_threads, m)?)?;
     Ok(())

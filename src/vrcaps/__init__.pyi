@@ -11,6 +11,7 @@ from .camera.lens import LensKannalaBrandt as LensKannalaBrandt
 from .camera.lens import LensPinhole as LensPinhole
 from .camera.lens import LensScaramuzza as LensScaramuzza
 from .camera_pipeline.effects import Effects as Effects
+from .camera_pipeline.pipeline import CameraPipeline as CameraPipeline
 from .capsule.catalog import device_names as device_names
 from .capsule.catalog import read_device as read_device
 from .capsule.device import Device as Device

@@ -1,6 +1,7 @@
 """Types of the compiled core (Rust, `rust/src`)."""
 
 from collections.abc import Sequence
+from types import ModuleType
 from typing import Any, Protocol
 
 import numpy as np
@@ -8,6 +9,9 @@ from numpy.typing import NDArray
 
 __version__: str
 __file__: str
+
+testing: ModuleType
+"""Stages of the camera pipeline by themselves: functions that only tests call."""
 
 class Wall:
     """A triangle surface with its bounding-volume hierarchy; normals point into the lumen."""
@@ -368,19 +372,20 @@ def walk_tissue(
     seed: int,
 ) -> tuple[NDArray[np.float64], NDArray[np.float32]]: ...
 def encode_srgb(radiance: NDArray[np.float32], exposure: float) -> NDArray[np.uint8]: ...
-def blur_motion(
-    image: NDArray[np.float32],
-    lit: NDArray[np.bool_],
-    motion: NDArray[np.float32],
-    shutter: tuple[float, float, float],
-    factor: float,
-) -> NDArray[np.float32]: ...
 
-class CameraStages:
-    def __init__(self, given: dict[str, Any]) -> None: ...
+class CameraPipeline:
+    """Stages of one camera (`vrcaps.camera_pipeline`)."""
+
+    def __init__(
+        self,
+        rays: RayTable,
+        lit: NDArray[np.bool_],
+        cosine: NDArray[np.float32],
+        stages: dict[str, Any],
+    ) -> None: ...
     @property
-    def room(self) -> tuple[int, int, int]: ...
-    def apply(self, radiance: NDArray[np.float32], shot: dict[str, Any]) -> NDArray[np.uint8]: ...
+    def planes_shape(self) -> tuple[int, int, int]: ...
+    def apply(self, radiance: NDArray[np.float32], frame: dict[str, Any]) -> NDArray[np.uint8]: ...
     def meter(
         self, radiance: NDArray[np.float32], factors: tuple[float, float, float]
     ) -> float: ...
@@ -395,36 +400,7 @@ def flow_by_rays(
     ],
     step: int,
 ) -> NDArray[np.float32]: ...
-def defocus(
-    planes: NDArray[np.float32], distance: NDArray[np.float32], reach: float, focus: float
-) -> NDArray[np.float32]: ...
-def scale_planes(
-    planes: NDArray[np.float32], center: tuple[float, float], scales: Vector
-) -> NDArray[np.float32]: ...
-def shade_planes(planes: NDArray[np.float32], map: NDArray[np.float32]) -> NDArray[np.float32]: ...
-def through_dome(
-    planes: NDArray[np.float32],
-    film: tuple[NDArray[np.float32], NDArray[np.float32], float] | None = None,
-    drops: tuple[NDArray[np.uint32], NDArray[np.uint32], NDArray[np.float32]] | None = None,
-) -> NDArray[np.float32]: ...
-def bloom(planes: NDArray[np.float32], share: float, sigma: float) -> NDArray[np.float32]: ...
 def standard_normal(shape: tuple[int, int], key: int, stream: int) -> NDArray[np.float32]: ...
-def read_sensor(
-    planes: NDArray[np.float32],
-    pattern: tuple[NDArray[np.float32], NDArray[np.float32]],
-    readout: dict[str, Any],
-    mosaic: tuple[int, int, int, int] | None,
-    key: tuple[int, int],
-) -> NDArray[np.float32]: ...
-def demosaic(
-    mosaic: NDArray[np.float32], colors: tuple[int, int, int, int]
-) -> NDArray[np.float32]: ...
-def develop(
-    planes: NDArray[np.float32], gains: Vector, lit: NDArray[np.bool_]
-) -> NDArray[np.uint8]: ...
-def jpeg(image: NDArray[np.uint8], quality: int) -> NDArray[np.uint8]: ...
-def jpeg_bytes(image: NDArray[np.uint8], quality: int) -> int: ...
-def jpeg_quality(image: NDArray[np.uint8], quality: int, most_bytes: int) -> int: ...
 def quantize(values: NDArray[np.float32], scale: float, offset: float) -> NDArray[np.uint16]: ...
 def write_pngs(items: list[tuple[str, NDArray[Any]]]) -> None: ...
 def read_png(path: str) -> NDArray[Any]: ...

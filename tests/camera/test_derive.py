@@ -8,20 +8,20 @@ from vrcaps.errors import InputError
 
 def test_barrel_radius_is_the_division_model() -> None:
     """With q = (1 − D) r′ / R: r / R = q / (1 − λ q²), λ = D / (1 − D)², and R stays."""
-    radius, inward = np.linspace(0.0, 300.0, 50), 0.3
-    share = 0.7 * barrel_radius(radius, inward, 100.0) / 100.0
+    radius, strength = np.linspace(0.0, 300.0, 50), 0.3
+    share = 0.7 * barrel_radius(radius, strength, 100.0) / 100.0
     assert share / (1.0 - 0.3 / 0.49 * share**2) == pytest.approx(radius / 100.0, rel=1e-12)
-    assert barrel_radius(np.array(100.0), inward, 100.0) == pytest.approx(100.0)
+    assert barrel_radius(np.array(100.0), strength, 100.0) == pytest.approx(100.0)
 
 
-@pytest.mark.parametrize("inward", [0.0, 0.15, 0.4])
-def test_barrel_lens_fits_a_simple_lens_closely(inward: float) -> None:
+@pytest.mark.parametrize("strength", [0.0, 0.15, 0.4])
+def test_barrel_lens_fits_a_simple_lens_closely(strength: float) -> None:
     lens = LensEquidistant(100.0, 160.0, 150.0, 1.4)
-    bent = barrel_lens(lens, inward, 130.0)
+    bent = barrel_lens(lens, strength, 130.0)
     angle = np.linspace(0.0, 1.39, 60)
     rays = np.stack([np.sin(angle), np.zeros(60), np.cos(angle)], axis=-1)
     radius = bent.project(rays)[:, 0] - 160.0
-    assert np.abs(radius - barrel_radius(100.0 * angle, inward, 130.0)).max() < 0.35
+    assert np.abs(radius - barrel_radius(100.0 * angle, strength, 130.0)).max() < 0.35
     assert (np.diff(radius) > 0.0).all()
     assert (bent.cx, bent.cy) == (160.0, 150.0)
 

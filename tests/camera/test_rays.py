@@ -43,14 +43,14 @@ def test_no_valid_pixel_is_outside_the_nominal_field_or_the_image_circle(camera)
     pixels = pixel_grid(camera.width, camera.height)
     seen = np.isfinite(rays[..., 0])
     if camera.image_circle_px is not None:
-        centre = (camera.lens.cx, camera.lens.cy)
-        radius = np.linalg.norm(pixels - centre, axis=-1)
+        center = (camera.lens.cx, camera.lens.cy)
+        radius = np.linalg.norm(pixels - center, axis=-1)
         assert not seen[radius > camera.image_circle_px].any()
         angle = np.arccos(rays[seen][:, 2])
         assert angle.max() <= 0.5 * camera.nominal_field + 1e-6
 
 
-def test_pixel_zero_is_the_centre_of_the_top_left_pixel():
+def test_pixel_zero_is_the_center_of_the_top_left_pixel():
     grid = pixel_grid(4, 3)
     assert grid.shape == (3, 4, 2)
     np.testing.assert_array_equal(grid[0, 0], [0.0, 0.0])

@@ -1,11 +1,15 @@
+from pathlib import Path
+
 import numpy as np
 import pytest
 
-from vrcaps.camera_pipeline.effects import Effects
-from vrcaps.camera_pipeline.frame_rate import AdaptiveRate
-from vrcaps.camera_pipeline.optics import Defocus
+from vrcaps.camera_pipeline.effect.adaptive_frame_rate import AdaptiveFrameRate
+from vrcaps.camera_pipeline.effect.base import MAX_SEVERITY
+from vrcaps.camera_pipeline.effect.bayer_filter import BayerFilter
+from vrcaps.camera_pipeline.effect.depth_of_field import DepthOfField
+from vrcaps.camera_pipeline.effects import EFFECTS, SEVERITIES, Effects
+from vrcaps.camera_pipeline.effects_tables import with_tables
 from vrcaps.camera_pipeline.parse import parse_effects
-from vrcaps.camera_pipeline.severities import GRADES, HIGHEST
 from vrcaps.capsule.catalog import read_device
 from vrcaps.errors import InputError, UnknownNameError
 from vrcaps.lumen.contents import Contents
@@ -14,13 +18,15 @@ from vrcaps.serialization import from_plain, to_plain
 
 def test_effects_as_a_user_writes_them() -> None:
     assert parse_effects("specular=3, dof=1") == Effects(specular=3, depth_of_field=1)
-    assert parse_effects("motion-blur=2,mosaic=grbg") == Effects(motion_blur=2, mosaic="grbg")
-    assert parse_effects("noise=1..3") == Effects(noise=(1, 3))
+    assert parse_effects("motion-blur=2,bayer=grbg") == Effects(
+        motion_blur=2, bayer_filter=BayerFilter("grbg")
+    )
+    assert parse_effects("noise=1..3") == Effects(sensor_noise=(1, 3))
     assert parse_effects("random,jpeg=0") == Effects(
-        **dict.fromkeys(GRADES, (0, HIGHEST)) | {"jpeg": 0}
+        **dict.fromkeys(SEVERITIES, (0, MAX_SEVERITY)) | {"jpeg": 0}
     )
     assert parse_effects("all=2").bloom == 2
-    assert parse_effects("frame_rate=2..6").frame_rate == AdaptiveRate(2.0, 6.0)
+    assert parse_effects("afr=2..6").adaptive_frame_rate == AdaptiveFrameRate(2.0, 6.0)
 
 
 @pytest.mark.parametrize(
@@ -28,14 +34,14 @@ def test_effects_as_a_user_writes_them() -> None:
     [
         ("doff=1", UnknownNameError, "No effect named 'doff'. Known: .*depth_of_field"),
         ("", UnknownNameError, "No effect named ''"),
-        ("dof=5", InputError, "depth_of_field has the grade 5. Allowed: 0 to 4"),
-        ("dof=3..1", InputError, r"has the grade 3\.\.1\."),
-        ("dof=much", InputError, "has no grade. Allowed: NAME=0"),
-        ("dof", InputError, "has no grade"),
+        ("dof=5", InputError, "depth_of_field has the severity 5. Allowed: 0 to 4"),
+        ("dof=3..1", InputError, r"has the severity 3\.\.1\."),
+        ("dof=much", InputError, "has the severity 'much'. Allowed: depth_of_field=0"),
+        ("dof", InputError, "has the severity ''"),
         ("random=2", UnknownNameError, "No effect named 'random'"),
-        ("frame_rate=6..2", InputError, "slow, fast is"),
-        ("frame_rate=often", InputError, "has no rates. Allowed: frame_rate=SLOW..FAST"),
-        ("mosaic=rgb", InputError, "mosaic is 'rgb'. Allowed: none, rggb"),
+        ("afr=6..2", InputError, "min_fps, max_fps is"),
+        ("afr=often", InputError, "is 'often'. Allowed: adaptive_frame_rate=MIN..MAX"),
+        ("bayer=rgb", InputError, "pattern is 'rgb'. Allowed: rggb"),
     ],
 )
 def test_what_a_user_cannot_write(text: str, error: type[Exception], match: str) -> None:
@@ -43,46 +49,75 @@ def test_what_a_user_cannot_write(text: str, error: type[Exception], match: str)
         parse_effects(text)
 
 
-def test_every_grade_is_in_the_table_and_rises() -> None:
-    assert set(GRADES) < set(Effects.__dataclass_fields__)
-    for name, figures in GRADES.items():
-        assert len(figures) == HIGHEST + 1
-        assert len(set(map(str, figures))) == HIGHEST + 1, name
-    for effects in (Effects(**dict.fromkeys(GRADES, grade)) for grade in range(HIGHEST + 1)):
+def test_every_severity_is_declared_and_differs() -> None:
+    assert set(SEVERITIES) < set(Effects.__dataclass_fields__)
+    for name, figures in SEVERITIES.items():
+        assert len(figures) == MAX_SEVERITY + 1
+        assert len(set(map(str, figures))) == MAX_SEVERITY + 1, name
+    for severity in range(MAX_SEVERITY + 1):
+        effects = Effects(**dict.fromkeys(SEVERITIES, severity))
         plain = to_plain(effects, Effects)
         assert from_plain(Effects, plain, at="effects") == effects
         device = effects.device(read_device("mirocam"))
-        assert device.cameras[0].width == round(320 * (1, 0.75, 0.5, 0.375, 0.25)[effects.noise])
+        assert device.cameras[0].width == round(320 * (1, 0.75, 0.5, 0.375, 0.25)[severity])
 
 
-def test_grades_drawn_are_fair_and_independent() -> None:
-    ranges = Effects(noise=(1, 3), jpeg=(0, 4), bubbles=(0, 4))
-    drawn = [ranges.drawn(seed) for seed in range(600)]
-    assert drawn[5] == ranges.drawn(5)
-    counts = np.bincount([effects.noise for effects in drawn], minlength=5)
+def test_sampled_severities_are_fair_and_independent() -> None:
+    ranges = Effects(sensor_noise=(1, 3), jpeg=(0, 4), dome_bubbles=(0, 4))
+    sampled = [ranges.sample(seed) for seed in range(600)]
+    assert sampled[5] == ranges.sample(5)
+    counts = np.bincount([effects.sensor_noise for effects in sampled], minlength=5)
     assert counts[[0, 4]].sum() == 0
     assert (np.abs(counts[1:4] - 200) < 60).all()
-    alone = Effects(noise=(1, 3))
-    assert all(alone.drawn(seed).noise == drawn[seed].noise for seed in range(50))
-    pair = np.array([(effects.noise, effects.jpeg) for effects in drawn])
+    alone = Effects(sensor_noise=(1, 3))
+    assert all(alone.sample(seed).sensor_noise == sampled[seed].sensor_noise for seed in range(50))
+    pair = np.array([(effects.sensor_noise, effects.jpeg) for effects in sampled])
     assert abs(np.corrcoef(pair.T)[0, 1]) < 0.15
 
 
-def test_exact_figures_take_a_grades_place() -> None:
-    effects = Effects(depth_of_field=Defocus(0.4e-3, 0.02))
-    assert effects.figures("depth_of_field") == Defocus(0.4e-3, 0.02)
+def test_exact_parameters_take_the_place_of_a_severity() -> None:
+    effects = Effects(depth_of_field=DepthOfField(0.4e-3, 0.02))
+    assert effects.resolve("depth_of_field") == DepthOfField(0.4e-3, 0.02)
     assert not effects.is_ideal
-    assert Effects(specular=2, resolution=3, bubbles=1, distortion=1, field_of_view=4).is_ideal
+    assert Effects(specular=2, resolution=3, dome_bubbles=1, distortion=1, field_of_view=4).is_ideal
     plain = to_plain(effects, Effects)
     assert from_plain(Effects, plain, at="effects") == effects
-    with pytest.raises(InputError, match="Draw one first"):
-        Effects(noise=(0, 2)).figures("noise")
+    with pytest.raises(InputError, match="Sample one first"):
+        Effects(sensor_noise=(0, 2)).resolve("sensor_noise")
 
 
 def test_bubbles_sit_on_the_capsule_beside_those_of_the_contents() -> None:
     assert Effects().contents(Contents(2)) == Contents(2)
-    only = Effects(bubbles=3).contents(Contents()).resolved[0]
+    only = Effects(dome_bubbles=3).contents(Contents()).resolved[0]
     assert (only.on_dome, only.per_area) == (4, 0.0)
-    both = Effects(bubbles=4).contents(Contents(1)).resolved[0]
+    both = Effects(dome_bubbles=4).contents(Contents(1)).resolved[0]
     assert both.on_dome == 9
     assert both.per_area > 0.0
+
+
+def test_every_field_is_an_effect_that_describes_itself() -> None:
+    for name, kind in EFFECTS.items():
+        assert kind.name == name
+        assert kind.acts_on in ("scene", "camera", "image", "timing")
+        assert kind.summary().endswith(".")
+        assert len(kind.severities) in (0, MAX_SEVERITY + 1)
+
+
+@pytest.mark.parametrize(
+    ("given", "match"),
+    [
+        ({"bloom": 5}, "bloom has the severity 5. Allowed: 0 to 4"),
+        ({"bloom": (3, 1)}, r"bloom has the severity 3\.\.1"),
+        ({"bloom": 0.5}, "bloom has the severity 0.5"),
+        ({"bloom": BayerFilter("rggb")}, "bloom has the severity"),
+        ({"bayer_filter": 2}, r"bayer_filter is 2. Allowed: BayerFilter\(…\), or None"),
+    ],
+)
+def test_what_cannot_be(given: dict, match: str) -> None:
+    with pytest.raises(InputError, match=match):
+        Effects(**given)
+
+
+def test_tables_of_the_page_follow_from_the_effects() -> None:
+    page = (Path(__file__).parents[2] / "docs" / "effects.md").read_text(encoding="utf-8")
+    assert with_tables(page) == page, "run python docs/images/effects.py"

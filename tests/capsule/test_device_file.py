@@ -40,21 +40,12 @@ cy_px = 23.5
 max_angle_deg = 80
 
 [[cameras.led_rings]]
-centre_mm = [0, 0, -0.5]
+center_mm = [0, 0, -0.5]
 radius_mm = 3
 angles_deg = [0, 90, 180, 270]
 intensity_mw_per_sr = [2, 1.5, 1]
 lobe_exponent = 1
 """
-
-
-def assert_same(a: Device, b: Device) -> None:
-    assert replace(a, cameras=()) == replace(b, cameras=())
-    for one, other in zip(a.cameras, b.cameras, strict=True):
-        np.testing.assert_array_equal(one.T_capsule_camera, other.T_capsule_camera)
-        pose = np.eye(4)
-        # The same array object in both: dataclass equality then compares the rest.
-        assert replace(one, T_capsule_camera=pose) == replace(other, T_capsule_camera=pose)
 
 
 def load_text(tmp_path, text: str) -> Device:
@@ -94,14 +85,18 @@ def test_magnets_are_read_by_moment_or_by_name(tmp_path):
     moment = read_magnet("capsule-6x6").moment
     np.testing.assert_allclose(other.moment_capsule, [0.0, 0.6 * moment, 0.8 * moment])
     write_device(tmp_path / "mine.toml", device)
-    assert_same(read_device(tmp_path / "mine.toml"), device)
+    assert read_device(tmp_path / "mine.toml") == device
     assert load_text(tmp_path, DEVICE).magnets == ()
 
 
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("[0, 0.5, -3]", "[0, 0.5, -30]", "magnet 0 is outside the body. Allowed: position_mm"),
+        (
+            "[0, 0.5, -3]",
+            "[0, 0.5, -30]",
+            "magnet 0 is outside the body. Allowed: a position",
+        ),
         ("[0.1, 0, -1.12]", "[0, 0, 0]", "moment_a_m2 = [0, 0, 0]. Allowed: any moment but zero."),
         ("[0, 3, 4]", "[0, 0, 0]", "direction = [0, 0, 0]. Allowed: any direction but zero."),
         ("capsule-6x6", "huge", 'preset = "huge". Allowed: capsule-11x10, capsule-6x6, cylinder'),
@@ -126,14 +121,14 @@ def test_spectrum_of_the_leds(tmp_path):
     device = load_text(tmp_path, DEVICE + SPECTRUM)
     assert device.led_spectrum == ((400.0, 0.0), (450.5, 1.0), (700.0, 0.25))
     write_device(tmp_path / "again.toml", device)
-    assert_same(replace(read_device(str(tmp_path / "again.toml")), name=device.name), device)
+    assert replace(read_device(str(tmp_path / "again.toml")), name=device.name) == device
 
 
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
         ("[400, 450.5, 700]", "[400, 390, 700]", "Allowed: two or more numbers that rise"),
-        ("[400, 450.5, 700]", "[400]", "Allowed: two or more numbers that rise"),
+        ("[400, 450.5, 700]", "[400]", "Allowed: a list of 1 numbers"),
         ("[0, 1, 0.25]", "[0, 1]", "Allowed: a list of 3 numbers"),
         ("[0, 1, 0.25]", "[0, -1, 0.25]", "Allowed: 0 or above, not all 0"),
         ("[0, 1, 0.25]", "[0, 0, 0]", "Allowed: 0 or above, not all 0"),
@@ -148,7 +143,7 @@ def test_impossible_spectra(tmp_path, old, new, message):
 def test_catalog_devices_are_written_and_read_back_equal(tmp_path, name):
     device = read_device(name)
     write_device(tmp_path / f"{name}.toml", device)
-    assert_same(read_device(tmp_path / f"{name}.toml"), device)
+    assert read_device(tmp_path / f"{name}.toml") == device
     assert [path.name for path in tmp_path.iterdir()] == [f"{name}.toml"]
 
 
@@ -177,7 +172,8 @@ def test_any_floats_are_written_and_read_back_equal(tmp_path, seed):
             base.cameras[0],
             name=lens.kind,
             lens=lens,
-            T_capsule_camera=pose,
+            position=tuple(pose[:3, 3].tolist()),
+            rotation=tuple(map(tuple, pose[:3, :3].tolist())),
             leds=(led, led),
             exposure=float(rng.uniform(1e-3, 1e3)),
             image_circle_px=float(rng.uniform(10, 30)),
@@ -188,7 +184,7 @@ def test_any_floats_are_written_and_read_back_equal(tmp_path, seed):
     facts = {"lot": 'A "1" \\ µ\n', "seed": seed, "on": True, "gain": [1.5, {"r": 0.1}]}
     device = replace(base, mass=float(rng.uniform(1e-3, 1e-2)), cameras=cameras, metadata=facts)
     write_device(tmp_path / "mine.toml", device)
-    assert_same(read_device(tmp_path / "mine.toml"), device)
+    assert read_device(tmp_path / "mine.toml") == device
 
 
 def test_led_direction_may_have_any_length(tmp_path):
@@ -214,12 +210,16 @@ lobe_exponent = 0
         ("length_mm = 26", "length_mm = 1e400", "length_mm = inf. Allowed: a number above 0."),
         ("length_mm = 26", f"length_mm = 1e{'9' * 30}", "is not TOML"),
         ("width_px = 64", "width_px = 99999", "Allowed: a whole number from 1 to 16384."),
-        ("length_mm = 26", "length_mm = 10", "length_mm is below twice radius_mm."),
+        (
+            "length_mm = 26",
+            "length_mm = 10",
+            "length of the capsule, 0.01 m, is below twice",
+        ),
         ("mass_g = 3.2", "mass_g = -3", "mine.toml: mass_g = -3. Allowed: a number above 0."),
         ("mass_g", "weight_g", "mine.toml: 'mass_g' is missing (a number above 0). Given: title"),
-        ("mass_g = 3.2", "mass_g = 3.2\ncolour = 1", "unknown key 'colour'. Allowed: title, "),
+        ("mass_g = 3.2", "mass_g = 3.2\ncolor = 1", "unknown key 'color'. Allowed: title, "),
         ("width_px = 64", "width_px = 64.5", "cameras 0: width_px = 64.5. Allowed: a whole number"),
-        ('"front"', '"a/b"', 'cameras 0: name = "a/b". Allowed: letters, digits'),
+        ('"front"', '"a/b"', "cameras 0: Camera's name is 'a/b'. Allowed: letters, digits"),
         ("[0, 0, 7.1]", "[0, 7.1]", "position_mm = [0, 7.1]. Allowed: a list of 3 numbers."),
         ("[0, 0, 7.1]", "[0, nan, 7.1]", "position_mm = [0, nan, 7.1]. Allowed: a list of 3"),
         ("[0, 0, 7.1]", "[0, 0, 13.1]", "camera 'front' is outside the body."),
@@ -231,13 +231,13 @@ lobe_exponent = 0
         ("fx_px = 30", "fx = 30", "lens: 'fx_px' is missing (a number). Given: kind, fx, "),
         ("fx_px = 30", "fx_px = 0", "cameras 0, lens: Lens kannala-brandt: fx = 0.0. Allowed: abo"),
         ("fx_px = 30", "fx_px = nan", "cameras 0, lens: fx_px = nan. Allowed: a number."),
-        ("cx_px = 31.5", "cx_px = 64", "lens centre cx = 64 px is outside the image. Allowed: -0."),
-        ("cy_px = 23.5", "cy_px = -1", "lens centre cy = -1 px is outside the image."),
+        ("cx_px = 31.5", "cx_px = 64", "lens center cx = 64 px is outside the image. Allowed: -0."),
+        ("cy_px = 23.5", "cy_px = -1", "lens center cy = -1 px is outside the image."),
         ("max_angle_deg = 80", "k5 = 1", "lens: unknown key 'k5'. Allowed: kind, fx_px, fy_px"),
         ("max_angle_deg = 80", "max_angle_deg = 200", "max_angle = 3.49"),
         ("cx_px = 31.5", "cx_px = 31.45", "no pixel of the image is in the lens's field."),
-        ("[2, 1.5, 1]", "[2, -1, 1]", "intensity_mw_per_sr = [2, -1, 1]. Allowed: 0 or above."),
-        ("lobe_exponent = 1", "lobe_exponent = -1", "lobe_exponent = -1. Allowed: 0 or above."),
+        ("[2, 1.5, 1]", "[2, -1, 1]", "intensity is (0.002, -0.001, 0.001). Allowed: 0 or above."),
+        ("lobe_exponent = 1", "lobe_exponent = -1", "lobe_exponent is -1.0. Allowed: 0 or above."),
         ("angles_deg = [0, 90, 180, 270]", "angles_deg = []", "a list of one or more numbers."),
         ("[cameras.lens]", "[cameras.lens.more]", "lens: 'kind' is missing (a string)."),
         ("[[cameras]]", "[cameras]", "Allowed: one or more [[cameras]] tables."),
@@ -274,13 +274,14 @@ def test_angle_that_increases_nowhere(tmp_path):
 
 def test_zero_led_direction(tmp_path):
     led = "\n[[cameras.leds]]\nposition_mm = [1, 2, 3]\ndirection = [0, 0, 0]\n"
-    with pytest.raises(InputError, match=r"direction = .*Allowed: any direction but zero"):
+    led += "intensity_mw_per_sr = [1, 1, 1]\nlobe_exponent = 1\n"
+    with pytest.raises(InputError, match=r"direction is .*Allowed: any direction but zero"):
         load_text(tmp_path, DEVICE + led)
 
 
 def test_cameras_must_have_different_names(tmp_path):
     cameras = DEVICE[DEVICE.index("[[cameras]]") :]
-    with pytest.raises(InputError, match=r"two cameras share a name \(front, front\)"):
+    with pytest.raises(InputError, match=r"Two cameras share a name \(front, front\)"):
         load_text(tmp_path, DEVICE + cameras)
 
 

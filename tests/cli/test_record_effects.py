@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from vrcaps import cli
+from vrcaps.camera_pipeline.effect.bayer_filter import BayerFilter
 from vrcaps.camera_pipeline.effects import Effects
 from vrcaps.cli.record import Record
 
@@ -21,17 +22,19 @@ def resolved(text: str) -> Effects:
 
 def test_effects_reach_the_scenario() -> None:
     assert resolved("specular=3,dof=1") == Effects(specular=3, depth_of_field=1)
-    assert resolved("noise=1..3,mosaic=bggr") == Effects(noise=(1, 3), mosaic="bggr")
+    assert resolved("noise=1..3,bayer=bggr") == Effects(
+        sensor_noise=(1, 3), bayer_filter=BayerFilter("bggr")
+    )
     assert Record().resolved().effects == Effects()
 
 
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("glow=3", "No effect named 'glow'. Known: all, bloom"),
-        ("bloom=7", "Effect bloom has the grade 7. Allowed: 0 to 4"),
-        ("bloom", "Effect 'bloom' has no grade. Allowed: NAME=0 to NAME=4"),
-        ("mosaic=bayer", "The effect mosaic is 'bayer'. Allowed: none, rggb"),
+        ("glow=3", "No effect named 'glow'. Known: adaptive_frame_rate, ae"),
+        ("bloom=7", "Effect bloom has the severity 7. Allowed: 0 to 4"),
+        ("bloom", "Effect bloom has the severity ''. Allowed: bloom=0 to bloom=4"),
+        ("bayer=none", "BayerFilter's pattern is 'none'. Allowed: rggb"),
     ],
 )
 def test_mistakes_end_in_one_line_and_status_2(
@@ -48,10 +51,19 @@ def test_mistakes_end_in_one_line_and_status_2(
 @pytest.mark.parametrize(
     ("table", "words"),
     [
-        ("noise = { full_well = 1000, read_noise = -2 }", "Noise's read_noise is -2.0"),
-        ("depth_of_field = { aperture = 0 }", "Defocus' aperture is 0.0. Allowed: above 0"),
-        ("specular = { coat = 0.5, ior = 0.8 }", "Film's ior is 0.8. Allowed: 1 to below 3"),
-        ("noise = { full_wel = 1000 }", "Unknown key scenario.effects.noise.full_wel"),
+        (
+            "sensor_noise = { full_well = 1000, read_noise = -2 }",
+            "SensorNoise's read_noise is -2.0",
+        ),
+        ("depth_of_field = { aperture = 0 }", "DepthOfField's aperture is 0.0. Allowed: above 0"),
+        (
+            "specular = { clearcoat = 0.5, ior = 0.8 }",
+            "SpecularReflection's ior is 0.8. Allowed: 1 to below 3",
+        ),
+        (
+            "sensor_noise = { full_wel = 1000 }",
+            "Unknown key scenario.effects.sensor_noise.full_wel",
+        ),
         ("bloom = 'much'", "scenario.effects.bloom is 'much'"),
     ],
 )

@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 
 from vrcaps import _core
+from vrcaps.camera_pipeline.capsule_cameras import CapsuleCameras
+from vrcaps.camera_pipeline.effect.auto_exposure import AutoExposure
 from vrcaps.camera_pipeline.effects import Effects
-from vrcaps.camera_pipeline.exposure import AutoExposure
 from vrcaps.errors import InputError
 from vrcaps.lesion import Location, Polyp
 from vrcaps.motion.dynamics import Dynamics
@@ -21,7 +22,6 @@ from vrcaps.recording import recorder
 from vrcaps.recording.check import check_episode
 from vrcaps.recording.checkpoint import Checkpoint, read_checkpoint
 from vrcaps.recording.episode import read_episode
-from vrcaps.recording.images import Images
 from vrcaps.recording.recorder import record
 from vrcaps.scenario import build as scenario_module
 from vrcaps.scenario.build import build, resolve
@@ -54,7 +54,7 @@ def digests(folder: Path) -> dict[str, str]:
 
 def broken_off(scenario: Scenario, out: Path) -> Checkpoint:
     """Records as far as the fourth frame; the checkpoint that is left."""
-    render = Images.render
+    render = CapsuleCameras.capture
 
     def stopped(images, step):
         if step.index == 4:
@@ -63,7 +63,7 @@ def broken_off(scenario: Scenario, out: Path) -> Checkpoint:
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(recorder, "_CHECKPOINT_SECONDS", 0.0)
-        patch.setattr(Images, "render", stopped)
+        patch.setattr(CapsuleCameras, "capture", stopped)
         with pytest.raises(KeyboardInterrupt):
             record(scenario, out)
     found = read_checkpoint(out)
@@ -176,7 +176,7 @@ def test_a_broken_off_simulation_goes_on_from_its_checkpoint(
     out, rendered = tmp_path / "episode", []
     monkeypatch.setattr(recorder, "_CHECKPOINT_SECONDS", 0.0)
     found = broken_off(simulated, out)
-    render = Images.render
+    render = CapsuleCameras.capture
     if missing is not None:
         (out / f"wall/{missing:06d}.npy").unlink()
     times = []
@@ -185,7 +185,7 @@ def test_a_broken_off_simulation_goes_on_from_its_checkpoint(
         rendered.append(step.index)
         return render(images, step)
 
-    monkeypatch.setattr(Images, "render", counted)
+    monkeypatch.setattr(CapsuleCameras, "capture", counted)
     record(simulated, out, simulated=lambda time, whole: times.append((time, whole)))
     assert digests(out) == digests(whole)
     first = found.motion.frame / 5.0 + 0.2
@@ -200,7 +200,7 @@ def test_a_broken_off_simulation_goes_on_from_its_checkpoint(
 
 def test_automatic_exposure_goes_on_from_a_checkpoint(simulated, tmp_path):
     """The loop's state, the motion and the noise are those of a recording in one go."""
-    effects = Effects(exposure=AutoExposure(0.5, target=0.3), motion_blur=2, noise=2)
+    effects = Effects(auto_exposure=AutoExposure(0.5, target=0.3), motion_blur=2, sensor_noise=2)
     given = replace(simulated, effects=effects, channels=("rgb", "depth"), wall=False)
     straight, broken = record(given, tmp_path / "straight"), tmp_path / "broken"
     exposure = read_episode(straight).table.columns["front_exposure"]

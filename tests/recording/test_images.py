@@ -5,10 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from vrcaps.camera_pipeline.effects import Effects
-from vrcaps.camera_pipeline.exposure import AutoExposure
-from vrcaps.camera_pipeline.frame_rate import AdaptiveRate
-from vrcaps.camera_pipeline.severities import GRADES
+from vrcaps.camera_pipeline.effect.adaptive_frame_rate import AdaptiveFrameRate
+from vrcaps.camera_pipeline.effect.auto_exposure import AutoExposure
+from vrcaps.camera_pipeline.effect.bayer_filter import BayerFilter
+from vrcaps.camera_pipeline.effects import SEVERITIES, Effects
 from vrcaps.motion.fly_through import FlyThrough
 from vrcaps.recording.check import check_episode
 from vrcaps.recording.episode import read_episode
@@ -20,11 +20,11 @@ CHANNELS = ("rgb", "depth", "label")
 
 @pytest.fixture
 def degraded(scenario: Scenario) -> Scenario:
-    """All effects at grade 2, the camera far too bright at first."""
+    """All effects at severity 2, the camera far too bright at first."""
     effects = Effects(
-        **dict.fromkeys(GRADES, 2)
-        | {"resolution": 0, "bubbles": 0, "exposure": AutoExposure(0.5, target=0.3)},
-        mosaic="grbg",
+        **dict.fromkeys(SEVERITIES, 2)
+        | {"resolution": 0, "dome_bubbles": 0, "auto_exposure": AutoExposure(0.5, target=0.3)},
+        bayer_filter=BayerFilter("grbg"),
     )
     return replace(scenario, effects=effects, channels=CHANNELS)
 
@@ -33,7 +33,7 @@ def images(path: Path) -> list[bytes]:
     return [file.read_bytes() for file in sorted(path.rglob("*.png"))]
 
 
-def test_recorded_effects_change_colour_and_lens(
+def test_recorded_effects_change_color_and_lens(
     degraded: Scenario, scenario: Scenario, tmp_path: Path
 ) -> None:
     out, plain = tmp_path / "out", tmp_path / "plain"
@@ -54,12 +54,12 @@ def test_exposure_follows_the_frames_and_is_in_the_table(
 ) -> None:
     record(degraded, tmp_path / "out")
     columns = read_episode(tmp_path / "out").table.columns
-    automatic = degraded.effects.figures("exposure")
+    automatic = degraded.effects.resolve("auto_exposure")
     for camera in ("front", "rear"):
         exposure, luminance = columns[f"{camera}_exposure"], columns[f"{camera}_luminance"]
         assert exposure[0] == 1.0
         for k in range(len(exposure) - 1):
-            assert exposure[k + 1] == automatic.following(exposure[k], luminance[k], 1.0 / 4.0)
+            assert exposure[k + 1] == automatic.next_exposure(exposure[k], luminance[k], 1.0 / 4.0)
         assert np.ptp(exposure) > 0.0
 
 
@@ -77,7 +77,7 @@ def test_broken_recording_goes_on_to_the_same_bytes(degraded: Scenario, tmp_path
     assert (broken / "frames.parquet").read_bytes() == (whole / "frames.parquet").read_bytes()
 
 
-def test_colour_does_not_depend_on_the_channels_asked_for(
+def test_color_does_not_depend_on_the_channels_asked_for(
     degraded: Scenario, tmp_path: Path
 ) -> None:
     record(degraded, tmp_path / "few")
@@ -89,32 +89,34 @@ def test_colour_does_not_depend_on_the_channels_asked_for(
     assert rich.image("rear", "radiance", 0).max() > 0.0
 
 
-def test_grades_drawn_are_in_the_episode(scenario: Scenario, tmp_path: Path) -> None:
-    effects = Effects(noise=(1, 4), chromatic=(1, 4))
+def test_sampled_severities_are_in_the_episode(scenario: Scenario, tmp_path: Path) -> None:
+    effects = Effects(sensor_noise=(1, 4), chromatic_aberration=(1, 4))
     asked = replace(scenario, effects=effects, channels=("rgb",), frames=2)
     record(asked, tmp_path / "out")
-    drawn = read_scenario(tmp_path / "out" / "episode.json")
-    assert drawn.effects == effects.drawn(asked.seed)
-    record(drawn, tmp_path / "again")
+    sampled = read_scenario(tmp_path / "out" / "episode.json")
+    assert sampled.effects == effects.sample(asked.seed)
+    record(sampled, tmp_path / "again")
     assert images(tmp_path / "out") == images(tmp_path / "again")
 
 
-def test_adaptive_rate_takes_more_frames_of_a_faster_image(
+def test_adaptive_frame_rate_captures_more_frames_of_a_faster_image(
     scenario: Scenario, tmp_path: Path
 ) -> None:
     speeds = []
     for name, share in (("slow", 0.2), ("fast", 0.85)):
         motion = FlyThrough(start=0.15, end=share, speed_variation=0.0, tilt=0.0, drift=0.0)
-        effects = Effects(frame_rate=AdaptiveRate(1.0, 8.0, still=0.0, quick=0.5))
+        effects = Effects(
+            adaptive_frame_rate=AdaptiveFrameRate(1.0, 8.0, low_motion=0.0, high_motion=0.5)
+        )
         asked = replace(scenario, motion=motion, effects=effects, fps=8.0, frames=16)
         record(replace(asked, channels=("depth",)), tmp_path / name)
         columns = read_episode(tmp_path / name).table.columns
-        taken, speed = columns["taken"], columns["image_speed_half_sides_per_s"]
-        assert taken[0] == 1
+        captured, speed = columns["captured"], columns["image_speed_ndc_per_s"]
+        assert captured[0] == 1
         last = 0
         for k in range(1, 16):
-            assert taken[k] == effects.frame_rate.is_due(speed[k], k - last, 8.0)
-            last = k if taken[k] else last
-        speeds.append((speed.mean(), taken.sum()))
+            assert captured[k] == effects.adaptive_frame_rate.is_due(speed[k], k - last, 8.0)
+            last = k if captured[k] else last
+        speeds.append((speed.mean(), captured.sum()))
     assert speeds[1][0] > speeds[0][0]
     assert speeds[1][1] > speeds[0][1]

@@ -14,10 +14,10 @@ import numpy as np
 import pytest
 
 from vrcaps import _core
+from vrcaps.camera_pipeline.capsule_cameras import CapsuleCameras
 from vrcaps.errors import InputError
 from vrcaps.recording.check import check_episode
 from vrcaps.recording.episode import read_episode
-from vrcaps.recording.images import Images
 from vrcaps.recording.recorder import record
 from vrcaps.scenario.scenario import read_scenario, scenario_to_plain
 
@@ -250,14 +250,14 @@ def test_speed_of_the_writer_is_bounded_by_the_queue(scenario, tmp_path, monkeyp
         write(items)
         written.append(items)
 
-    render = Images.render
+    render = CapsuleCameras.capture
 
     def counted(*args):
         ahead.append(len(ahead) - len(written))
         return render(*args)
 
     monkeypatch.setattr(_core, "write_pngs", slow)
-    monkeypatch.setattr(Images, "render", counted)
+    monkeypatch.setattr(CapsuleCameras, "capture", counted)
     record(replace(scenario, frames=20, channels=("rgb",)), tmp_path / "episode")
     assert max(ahead) <= 6
     assert np.mean(ahead) > 1.0

@@ -179,7 +179,15 @@ def make_camera(
 ) -> Camera:
     """A camera at the capsule's origin."""
     optics, width, height = LENSES[lens] if isinstance(lens, str) else lens
-    return Camera("eye", optics, width, height, np.eye(4), leds, exposure, image_circle_px)
+    return Camera(
+        "eye",
+        optics,
+        width,
+        height,
+        leds=leds,
+        exposure=exposure,
+        image_circle_px=image_circle_px,
+    )
 
 
 def pinhole(size: int, field: float = 1.4) -> tuple[Lens, int, int]:

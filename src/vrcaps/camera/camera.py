@@ -1,18 +1,31 @@
-"""A camera of a capsule: where it sits, how it sees, the LEDs beside it."""
+"""Camera of a capsule: its lens, image, pose in the capsule, and the LEDs beside it."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps.camera.lens import Lens
-from vrcaps.errors import require
+from vrcaps.camera.lens import AnyLens
+from vrcaps.camera.rays import camera_rays, unproject_pixels
+from vrcaps.errors import InputError, require
+from vrcaps.transforms import transform_from
 
 if TYPE_CHECKING:
     from jaxtyping import Float
+
+Vector = tuple[float, float, float]
+
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]*")
+_WIDEST_PX = 16384
+_ORTHONORMAL = 1e-6
+_IDENTITY = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+_GRAY = (0.02, 0.5, 0.4)
+"""Distance [m] and albedo of a matte wall, and its image value under the default exposure."""
 
 
 @dataclass(frozen=True)
@@ -27,15 +40,57 @@ class Led:
 
     Attributes:
         position_camera: Place in the camera frame [m].
-        direction_camera: Unit direction of its axis in the camera frame.
+        direction_camera: Direction of its axis in the camera frame; made a unit vector.
         intensity: Radiant intensity on its axis for red, green, blue [W/sr].
         lobe_exponent: Exponent of its angular lobe, ≥ 0.
     """
 
-    position_camera: tuple[float, float, float]
-    direction_camera: tuple[float, float, float] = (0.0, 0.0, 1.0)
-    intensity: tuple[float, float, float] = (1e-3, 1e-3, 1e-3)
+    position_camera: Vector = field(metadata={"unit": "mm"})
+    direction_camera: Vector = (0.0, 0.0, 1.0)
+    intensity: Vector = field(default=(1e-3, 1e-3, 1e-3), metadata={"unit": "mw_per_sr"})
     lobe_exponent: float = 1.0
+
+    def __post_init__(self) -> None:
+        length = float(np.linalg.norm(self.direction_camera))
+        is_valid = np.isfinite(length) and length > 0.0
+        require(is_valid, "Led's direction", self.direction_camera, "any direction but zero")
+        if abs(length - 1.0) > 1e-12:
+            x, y, z = (np.array(self.direction_camera, float) / length).tolist()
+            object.__setattr__(self, "direction_camera", (x, y, z))
+        require(min(self.intensity) >= 0.0, "Led's intensity", self.intensity, "0 or above")
+        require(self.lobe_exponent >= 0.0, "Led's lobe_exponent", self.lobe_exponent, "0 or above")
+
+
+def led_ring(
+    angles: int | Sequence[float],
+    radius: float,
+    *,
+    center: Vector = (0.0, 0.0, 0.0),
+    intensity: Vector = (2e-3, 2e-3, 2e-3),
+    lobe_exponent: float = 1.0,
+) -> tuple[Led, ...]:
+    """LEDs on a circle around the optical axis that shine along it.
+
+    Args:
+        angles: Angle of each [rad], from camera x (right) to y (down), or how many there are.
+        radius: Of the circle [m].
+        center: Of the circle in the camera frame [m].
+        intensity: Radiant intensity of each on its axis for red, green, blue [W/sr].
+        lobe_exponent: Exponent of their angular lobe.
+
+    Raises:
+        InputError: If there is no such ring.
+    """
+    require(0.0 < radius < np.inf, "radius of the LED ring", radius, "above 0 m")
+    if isinstance(angles, int):
+        require(angles > 0, "number of LEDs of the ring", angles, "1 or more")
+        angles = (2.0 * np.pi / angles * np.arange(angles)).tolist()
+    theta = np.array(angles, float)
+    circle = np.stack([np.cos(theta), np.sin(theta), np.zeros_like(theta)], axis=-1)
+    positions = (np.array(center, float) + radius * circle).tolist()
+    return tuple(
+        Led((x, y, z), intensity=intensity, lobe_exponent=lobe_exponent) for x, y, z in positions
+    )
 
 
 @dataclass(frozen=True)
@@ -45,61 +100,96 @@ class Camera:
     Example:
         >>> lens = vrcaps.LensEquidistant(focal=84.0, cx=127.5, cy=127.5)
         >>> leds = vrcaps.led_ring(4, radius=3.5e-3)
-        >>> T_capsule_camera = vrcaps.translation(0.0, 0.0, 7e-3)
-        >>> camera = vrcaps.Camera("front", lens, 256, 256, T_capsule_camera, leds)
+        >>> camera = vrcaps.Camera("front", lens, 256, 256, position=(0, 0, 7e-3), leds=leds)
 
     Attributes:
-        name: Name of its folder in an episode.
+        name: Name of its folder in an episode: letters, digits, - and _.
         lens: Lens model with its parameters [pixels, radians].
         width: Image width [pixels].
         height: Image height [pixels].
-        T_capsule_camera: Pose of the camera in the capsule frame.
+        position: Entrance pupil in the capsule frame [m].
+        rotation: ``R_capsule_camera`` by rows; its columns are the camera's x (right), y (down)
+            and z (forward) in the capsule frame.
         leds: LEDs lit while this camera exposes.
-        exposure: Factor from radiance [W/(sr·m²)] to linear image value, 1 = white.
-        image_circle_px: Radius about the lens's centre beyond which the sensor is dark, or None.
+        exposure: Factor from radiance [W/(sr·m²)] to linear image value, 1 = white. None takes the
+            one that gives a matte wall of albedo 0.5, 20 mm in front, the value 0.4.
+        image_circle_px: Radius about the lens's center beyond which the sensor is dark, or None.
         nominal_field: Full angle of view that the maker states [rad], or None.
     """
 
     name: str
-    lens: Lens
-    width: int
-    height: int
-    T_capsule_camera: Float[np.ndarray, "4 4"]
-    leds: tuple[Led, ...]
-    exposure: float = 0.09
+    lens: AnyLens
+    width: int = field(metadata={"unit": "px"})
+    height: int = field(metadata={"unit": "px"})
+    position: Vector = field(default=(0.0, 0.0, 0.0), metadata={"unit": "mm"})
+    rotation: tuple[Vector, Vector, Vector] = _IDENTITY
+    leds: tuple[Led, ...] = ()
+    exposure: float = field(default=None, metadata={"unit": "m2_sr_per_w"})  # type: ignore[assignment]
     image_circle_px: float | None = None
-    nominal_field: float | None = None
+    nominal_field: float | None = field(default=None, metadata={"unit": "deg"})
+
+    def __post_init__(self) -> None:
+        what = f"Camera {self.name!r}:"
+        is_folder = bool(_NAME.fullmatch(self.name))
+        require(is_folder, "Camera's name", repr(self.name), "letters, digits, - and _")
+        for name in ("width", "height"):
+            size = getattr(self, name)
+            is_valid = isinstance(size, int) and 1 <= size <= _WIDEST_PX
+            require(is_valid, f"{what} {name}", size, f"a whole number from 1 to {_WIDEST_PX}")
+        pose = np.array(self.rotation, float)
+        is_rigid = pose.shape == (3, 3) and np.abs(pose @ pose.T - np.eye(3)).max() <= _ORTHONORMAL
+        is_rigid = bool(is_rigid and np.linalg.det(pose) > 0.0 and np.isfinite(self.position).all())
+        allowed = "three rows of three numbers, orthonormal and right-handed (R_capsule_camera)"
+        require(is_rigid, f"{what} rotation is not rigid. It", self.rotation, allowed)
+        for name in ("exposure", "image_circle_px", "nominal_field"):
+            value = getattr(self, name)
+            require(value is None or value > 0.0, f"{what} {name}", value, "above 0")
+        if self.exposure is None:
+            object.__setattr__(self, "exposure", default_exposure(self.leds))
+        _check_image(self)
+
+    @cached_property
+    def T_capsule_camera(self) -> Float[np.ndarray, "4 4"]:
+        """Pose of the camera in the capsule frame."""
+        return transform_from(np.array(self.rotation, float), np.array(self.position, float))
+
+    def at(self, T_capsule_camera: Float[np.ndarray, "4 4"]) -> Camera:
+        """The camera at another pose in the capsule frame."""
+        rows = tuple(tuple(row) for row in np.asarray(T_capsule_camera)[:3, :3].tolist())
+        x, y, z = np.asarray(T_capsule_camera)[:3, 3].tolist()
+        return replace(self, position=(x, y, z), rotation=rows)  # type: ignore[arg-type]
 
 
-def led_ring(
-    angles: int | Sequence[float],
-    radius: float,
-    *,
-    center: tuple[float, float, float] = (0.0, 0.0, 0.0),
-    intensity: tuple[float, float, float] = (2e-3, 2e-3, 2e-3),
-    lobe_exponent: float = 1.0,
-) -> tuple[Led, ...]:
-    """LEDs on a circle across the optical axis, all facing forward.
+def default_exposure(leds: Sequence[Led]) -> float:
+    """Exposure at which a matte wall of albedo 0.5, 20 mm in front, has the image value 0.4.
 
-    Args:
-        angles: Angles of the LEDs from camera x (right) to camera y (down) [rad], or their number,
-            evenly spaced from 0.
-        radius: Radius of the circle [m].
-        center: Its center in the camera frame [m].
-        intensity: Radiant intensity on their axis for red, green, blue [W/sr].
-        lobe_exponent: Exponent of their angular lobe.
-
-    Raises:
-        InputError: If the radius is not above 0, or there is no LED.
+    The radiance of the wall on the axis is ``(albedo / π) Σ I cosᵐ⁺¹ α / d²`` over LEDs at distance
+    d and angle α, with lobe exponent m. 1 where no LED reaches it.
     """
-    if isinstance(angles, int):
-        require(angles >= 1, "angles", angles, "1 LED or more")
-        angles = np.linspace(0.0, 2.0 * np.pi, angles, endpoint=False).tolist()
-    require(0.0 < radius < np.inf, "radius", radius, "above 0 m")
-    angle = np.array(angles)
-    circle = np.stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)], axis=-1)
-    positions = (np.array(center) + radius * circle).tolist()
-    return tuple(
-        Led(tuple(position), intensity=intensity, lobe_exponent=lobe_exponent)
-        for position in positions
-    )
+    distance, albedo, value = _GRAY
+    irradiance = 0.0
+    for led in leds:
+        offset = np.array([0.0, 0.0, distance]) - np.array(led.position_camera)
+        length = float(np.linalg.norm(offset))
+        lobe = max(float(offset @ led.direction_camera) / length, 0.0) ** led.lobe_exponent
+        cosine = max(float(offset[2]) / length, 0.0)
+        irradiance += led.intensity[1] * lobe * cosine / length**2
+    return value * np.pi / (albedo * irradiance) if irradiance > 0.0 else 1.0
+
+
+def _check_image(camera: Camera) -> None:
+    lens = camera.lens
+    for axis, center, size in (("cx", lens.cx, camera.width), ("cy", lens.cy, camera.height)):
+        if not -0.5 <= center <= size - 0.5:
+            raise InputError(
+                f"Camera {camera.name!r}: lens center {axis} = {center:g} px is outside the image. "
+                f"Allowed: -0.5 to {size - 0.5:g}."
+            )
+    middle = np.array([round(lens.cx), round(lens.cy)], float)
+    if np.isfinite(unproject_pixels(camera, middle)).all():
+        return
+    if not np.isfinite(camera_rays(camera)).any():
+        raise InputError(
+            f"Camera {camera.name!r}: no pixel of the image is in the lens's field. "
+            "Check its focal length, max_angle and image_circle_px."
+        )

@@ -17,11 +17,12 @@ from vrcaps.errors import InputError
 if TYPE_CHECKING:
     from jaxtyping import Float
 
-_POWERS = {"fx": 1, "fy": 1, "focal": 1, "skew": 1, "a0": 1, "a2": -1, "a3": -2, "a4": -3}
-"""Power of the image's scale that each lens parameter goes with; the others are pure numbers."""
+    from vrcaps.camera.camera import Camera
+
 _NEAR = 1e-4
 _FIT_POINTS = 400
 _LEAST_SLOPE = 0.05
+_FEWEST_PX = 8
 
 
 def scaled_lens(lens: Lens, scale: float, center: tuple[float, float]) -> Any:
@@ -34,11 +35,11 @@ def scaled_lens(lens: Lens, scale: float, center: tuple[float, float]) -> Any:
     """
     cx, cy = center
     values = {
-        f.name: getattr(lens, f.name) * scale ** _POWERS[f.name]
+        f.name: getattr(lens, f.name) * scale ** f.metadata["px_power"]
         for f in fields(lens)  # type: ignore[arg-type]
-        if f.name in _POWERS
+        if "px_power" in f.metadata
     }
-    return replace(lens, **values, cx=cx, cy=cy)  # type: ignore[type-var]
+    return replace(lens, **(values | {"cx": cx, "cy": cy}))  # type: ignore[type-var]
 
 
 @lru_cache(maxsize=256)
@@ -49,17 +50,17 @@ def focal_length_px(lens: Lens) -> float:
     return float(np.linalg.norm(right - left) + np.linalg.norm(down - up)) / (4.0 * _NEAR)
 
 
-def barrel_lens(lens: Lens, inward: float, radius_px: float) -> LensKannalaBrandt:
+def barrel_lens(lens: Lens, strength: float, radius_px: float) -> LensKannalaBrandt:
     """A lens whose image is smaller towards the edge than in the middle.
 
     Image radius r becomes r′ by the division model (Fitzgibbon, CVPR 2001), ``q = (1 − D) r′ / R``,
-    ``r / R = q / (1 − λ q²)``, ``λ = D / (1 − D)²``, with D = `inward` and R = `radius_px`. The
+    ``r / R = q / (1 − λ q²)``, ``λ = D / (1 − D)²``, with D = `strength` and R = `radius_px`. The
     result is the fisheye lens of Kannala and Brandt that fits this best over the angles that the
     image shows; it is a lens as any other, exact in itself.
 
     Args:
         lens: Any lens model but `equirectangular`.
-        inward: Share by which `radius_px` is smaller than the scale in the middle has it.
+        strength: Share by which `radius_px` is smaller than the scale in the middle has it.
         radius_px: The image radius that stays, such as that of the image's edge [px].
 
     Raises:
@@ -71,18 +72,18 @@ def barrel_lens(lens: Lens, inward: float, radius_px: float) -> LensKannalaBrand
             "Give another capsule, or no distortion."
         )
     angle, radius = _profile(lens, 2.0 * radius_px)
-    focal = focal_length_px(lens) / (1.0 - inward)
-    k = _rising_fit(angle, barrel_radius(radius, inward, radius_px) / focal)
+    focal = focal_length_px(lens) / (1.0 - strength)
+    k = _rising_fit(angle, barrel_radius(radius, strength, radius_px) / focal)
     return LensKannalaBrandt(focal, focal, lens.cx, lens.cy, *k, max_angle=float(angle[-1]))
 
 
 def barrel_radius(
-    radius: Float[np.ndarray, "*n"], inward: float, radius_px: float
+    radius: Float[np.ndarray, "*n"], strength: float, radius_px: float
 ) -> Float[np.ndarray, "*n"]:
     """Image radius r′ [px] that the division model of `barrel_lens` makes of a radius r [px]."""
     share = np.asarray(radius) / radius_px
-    root = np.sqrt(1.0 + 4.0 * inward / (1.0 - inward) ** 2 * share**2)
-    return 2.0 * share * radius_px / ((1.0 - inward) * (1.0 + root))
+    root = np.sqrt(1.0 + 4.0 * strength / (1.0 - strength) ** 2 * share**2)
+    return 2.0 * share * radius_px / ((1.0 - strength) * (1.0 + root))
 
 
 def _rising_fit(
@@ -133,3 +134,31 @@ def _profile(
     radius = np.hypot(offset[..., 0], offset[..., 1]).mean(axis=1)
     seen = np.isfinite(radius) & (radius <= radius_px)
     return angle[seen], radius[seen]
+
+
+def scaled_camera(camera: Camera, scale: float) -> Camera:
+    """The camera with another number of pixels to a side; a rest below one pixel is rounded.
+
+    Raises:
+        InputError: If fewer than 8 pixels are left to a side.
+    """
+    width, height = (round(size * scale) for size in (camera.width, camera.height))
+    if min(width, height) < _FEWEST_PX:
+        raise InputError(
+            f"{camera.width} x {camera.height} pixels times {scale:g} are {width} x {height}. "
+            f"Allowed: {_FEWEST_PX} or more to a side."
+        )
+    lens, circle = camera.lens, camera.image_circle_px
+    center = ((lens.cx + 0.5) * scale - 0.5, (lens.cy + 0.5) * scale - 0.5)
+    return replace(
+        camera,
+        lens=scaled_lens(lens, scale, center),
+        width=width,
+        height=height,
+        image_circle_px=None if circle is None else circle * scale,
+    )
+
+
+def half_side_px(camera: Camera) -> float:
+    """Half the shorter side of the image [px]."""
+    return 0.5 * min(camera.width, camera.height)

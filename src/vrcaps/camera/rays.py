@@ -6,17 +6,18 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps.camera.camera import Camera
 from vrcaps.errors import InputError
 
 if TYPE_CHECKING:
     from jaxtyping import Float
 
+    from vrcaps.camera.camera import Camera
+
 
 def pixel_grid(width: int, height: int, supersampling: int = 1) -> Float[np.ndarray, "hs ws 2"]:
-    """Centres (column, row) of the sub-pixels of an image [px].
+    """Centers (column, row) of the sub-pixels of an image [px].
 
-    Pixel (0, 0) is the centre of the top-left pixel; each pixel is cut into `supersampling` by
+    Pixel (0, 0) is the center of the top-left pixel; each pixel is cut into `supersampling` by
     `supersampling` equal squares.
     """
     columns, rows = (
@@ -26,7 +27,7 @@ def pixel_grid(width: int, height: int, supersampling: int = 1) -> Float[np.ndar
 
 
 def camera_rays(camera: Camera, supersampling: int = 1) -> Float[np.ndarray, "hs ws 3"]:
-    """Unit rays in the camera frame through each sub-pixel centre, as float32.
+    """Unit rays in the camera frame through each sub-pixel center, as float32.
 
     NaN outside the lens's field and outside the image circle.
 

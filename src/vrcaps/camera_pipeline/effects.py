@@ -1,157 +1,180 @@
-"""All effects of a camera in one place: by grade, by a range of grades, or in exact figures."""
+"""All effects of a recording: each by severity, by a range of these, or in exact parameters."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
-from typing import TYPE_CHECKING, Any, get_args
+from typing import TYPE_CHECKING, Any, get_args, get_type_hints
 
 import vrcaps.rng
-from vrcaps.camera_pipeline.camera_changes import Distortion, FieldOfView, Film, Resolution
-from vrcaps.camera_pipeline.dome import Droplets, Smears
-from vrcaps.camera_pipeline.exposure import AutoExposure
-from vrcaps.camera_pipeline.frame_rate import AdaptiveRate
-from vrcaps.camera_pipeline.optics import (
-    Bloom,
-    Defocus,
-    LateralColor,
-    MotionBlur,
-    RollingShutter,
-    Vignetting,
+from vrcaps.camera_pipeline.effect.adaptive_frame_rate import AdaptiveFrameRate
+from vrcaps.camera_pipeline.effect.auto_exposure import AutoExposure
+from vrcaps.camera_pipeline.effect.base import (
+    MAX_SEVERITY,
+    CameraEffect,
+    Effect,
+    ImageEffect,
+    SceneEffect,
+    Severity,
 )
-from vrcaps.camera_pipeline.sensor import Jpeg, Mosaic, Noise, WhiteBalance
-from vrcaps.camera_pipeline.severities import GRADES, HIGHEST
+from vrcaps.camera_pipeline.effect.bayer_filter import BayerFilter
+from vrcaps.camera_pipeline.effect.bloom import Bloom
+from vrcaps.camera_pipeline.effect.chromatic_aberration import LateralChromaticAberration
+from vrcaps.camera_pipeline.effect.depth_of_field import DepthOfField
+from vrcaps.camera_pipeline.effect.distortion import Distortion
+from vrcaps.camera_pipeline.effect.dome_bubbles import DomeBubbles
+from vrcaps.camera_pipeline.effect.droplets import Droplets
+from vrcaps.camera_pipeline.effect.field_of_view import FieldOfView
+from vrcaps.camera_pipeline.effect.jpeg import Jpeg
+from vrcaps.camera_pipeline.effect.motion_blur import MotionBlur
+from vrcaps.camera_pipeline.effect.resolution import Resolution
+from vrcaps.camera_pipeline.effect.rolling_shutter import RollingShutter
+from vrcaps.camera_pipeline.effect.sensor_noise import SensorNoise
+from vrcaps.camera_pipeline.effect.smears import Smears
+from vrcaps.camera_pipeline.effect.specular import SpecularReflection
+from vrcaps.camera_pipeline.effect.vignetting import Vignetting
+from vrcaps.camera_pipeline.effect.white_balance import WhiteBalance
 from vrcaps.errors import InputError
-from vrcaps.lumen.bubbles import Bubbles
 
 if TYPE_CHECKING:
+    from typing import TypeVar
+
     from vrcaps.capsule.device import Device
     from vrcaps.lumen.contents import Contents
     from vrcaps.organ.surface import OrganSurface
 
-Grade = int | tuple[int, int]
-"""A grade, or the first and last of those that one is drawn from."""
+    Kind = TypeVar("Kind", bound=Effect)
 
 
 @dataclass(frozen=True)
 class Effects:
-    """What lens and sensor do to the images, in this order.
+    """What lens, sensor and recorder do to the images, in this order.
 
-    Each is a grade from 0 (none) to 4, a range of grades that a recording draws one of, or exact
-    figures. `docs/effects.md` has the figures of every grade.
+    Each field is a severity from 0 (off) to 4, a range of severities that a recording samples one
+    of, or the effect with exact parameters; None is off and leaves the scene as it is. The class
+    of a field says what the effect does. For example::
 
-    Attributes:
-        specular: How the wall mirrors the LEDs; None leaves the organ's own film.
-        bubbles: Bubbles on each round end of the capsule; None leaves those of the contents.
-        field_of_view: A longer lens.
-        distortion: Barrel distortion beyond the lens's own.
-        resolution: Fewer pixels.
-        motion_blur: Motion while the shutter is open.
-        rolling_shutter: Rows exposed one after another.
-        depth_of_field: Blur by the circle of confusion.
-        droplets: Drops on the dome, each a small lens.
-        smears: A film of mucus, bile or blood on the dome.
-        chromatic: Lateral chromatic aberration.
-        vignette: The image darkens towards its edge.
-        bloom: Halo and veil around what is bright.
-        exposure: Automatic exposure that lags; 0 is the device's fixed exposure.
-        noise: Shot noise, read noise, fixed pattern, quantisation.
-        mosaic: Colour filter of the sensor, demosaiced; `none` is a sensor of three colours.
-        white_balance: Response of the colours, and a cast that is left.
-        jpeg: Compression.
-        frame_rate: Says of each frame whether the capsule takes it; None takes all.
+        Effects(depth_of_field=2, sensor_noise=(1, 3), jpeg=Jpeg(quality=80))
+
+    An effect is added by its file in `camera_pipeline/effect` and its field here.
     """
 
-    specular: Grade | Film | None = None
-    bubbles: Grade | None = None
-    field_of_view: Grade | FieldOfView = 0
-    distortion: Grade | Distortion = 0
-    resolution: Grade | Resolution = 0
-    motion_blur: Grade | MotionBlur = 0
-    rolling_shutter: Grade | RollingShutter = 0
-    depth_of_field: Grade | Defocus = 0
-    droplets: Grade | Droplets = 0
-    smears: Grade | Smears = 0
-    chromatic: Grade | LateralColor = 0
-    vignette: Grade | Vignetting = 0
-    bloom: Grade | Bloom = 0
-    exposure: Grade | AutoExposure = 0
-    noise: Grade | Noise = 0
-    mosaic: Mosaic = "none"
-    white_balance: Grade | WhiteBalance = 0
-    jpeg: Grade | Jpeg = 0
-    frame_rate: AdaptiveRate | None = None
+    specular: Severity | SpecularReflection | None = None
+    dome_bubbles: Severity | DomeBubbles | None = None
+    field_of_view: Severity | FieldOfView = 0
+    distortion: Severity | Distortion = 0
+    resolution: Severity | Resolution = 0
+    motion_blur: Severity | MotionBlur = 0
+    rolling_shutter: Severity | RollingShutter = 0
+    depth_of_field: Severity | DepthOfField = 0
+    droplets: Severity | Droplets = 0
+    smears: Severity | Smears = 0
+    chromatic_aberration: Severity | LateralChromaticAberration = 0
+    vignetting: Severity | Vignetting = 0
+    bloom: Severity | Bloom = 0
+    auto_exposure: Severity | AutoExposure = 0
+    sensor_noise: Severity | SensorNoise = 0
+    bayer_filter: BayerFilter | None = None
+    white_balance: Severity | WhiteBalance = 0
+    jpeg: Severity | Jpeg = 0
+    adaptive_frame_rate: AdaptiveFrameRate | None = None
 
     def __post_init__(self) -> None:
-        for name in GRADES:
-            value = getattr(self, name)
-            ends = value if isinstance(value, tuple) else (value,)
-            if not all(isinstance(end, int) for end in ends):
-                continue
-            is_range = isinstance(value, int) or (len(ends) == 2 and ends[0] <= ends[1])
-            if not (is_range and all(0 <= end <= HIGHEST for end in ends)):
-                given = "..".join(map(str, ends))
-                raise InputError(
-                    f"Effect {name} has the grade {given}. Allowed: 0 to {HIGHEST}, or a rising "
-                    "range of these."
-                )
-        if self.mosaic not in get_args(Mosaic):
-            allowed = ", ".join(get_args(Mosaic))
-            raise InputError(f"The effect mosaic is {self.mosaic!r}. Allowed: {allowed}.")
+        for name, kind in EFFECTS.items():
+            _check(kind, getattr(self, name))
 
-    def drawn(self, seed: int) -> Effects:
-        """The effects with a grade drawn from each range, the same for the same seed.
+    def sample(self, seed: int) -> Effects:
+        """The effects with a severity sampled from each range, the same for the same seed.
 
-        A grade does not depend on which other effects are drawn.
+        A severity does not depend on which other effects there are.
         """
-        share = vrcaps.rng.stream(seed, "camera/severities").random(len(GRADES))
         chosen: dict[str, int] = {}
-        for name, at in zip(sorted(GRADES), share, strict=True):
+        for name in SEVERITIES:
             value = getattr(self, name)
             if isinstance(value, tuple):
-                chosen[name] = value[0] + int(at * (value[1] - value[0] + 1))
+                rng = vrcaps.rng.stream(seed, f"camera/severity/{name}")
+                chosen[name] = int(rng.integers(value[0], value[1], endpoint=True))
         return replace(self, **chosen)  # type: ignore[arg-type]
 
-    def figures(self, name: str) -> Any:
-        """Exact figures of one effect; None where the camera is ideal.
+    def resolve(self, name: str) -> Any:
+        """One effect with its parameters; None where it is off.
 
         Raises:
-            InputError: If it is still a range of grades.
+            InputError: If it is still a range of severities.
         """
         value = getattr(self, name)
         if isinstance(value, tuple):
-            raise InputError(f"Effect {name} is a range of grades. Draw one first: drawn(seed).")
-        return GRADES[name][value] if isinstance(value, int) else value
+            raise InputError(
+                f"Effect {name} is a range of severities. Sample one first: sample(seed)."
+            )
+        return EFFECTS[name].at(value) if isinstance(value, int) else value
+
+    def of_kind(self, kind: type[Kind]) -> tuple[Kind, ...]:
+        """Effects of a kind that are on, in their order."""
+        names = [name for name, cls in EFFECTS.items() if issubclass(cls, kind)]
+        found = (self.resolve(name) for name in names)
+        return tuple(effect for effect in found if effect is not None)
 
     @property
     def is_ideal(self) -> bool:
-        """Whether the image is as a perfect camera takes it; its geometry may still differ."""
-        stages = {f.name for f in fields(self)} - _IN_SCENE
-        return all(getattr(self, name) in (0, "none") for name in stages)
+        """Whether no stage changes the image; the scene and the camera may still be changed."""
+        names = [name for name, cls in EFFECTS.items() if issubclass(cls, ImageEffect)]
+        return all(getattr(self, name) in (0, None) for name in names)
 
     def device(self, device: Device) -> Device:
-        """The capsule with cameras of this field of view, distortion and resolution."""
+        """The capsule with its cameras changed by the camera effects."""
         cameras = device.cameras
-        for name in ("field_of_view", "distortion", "resolution"):
-            change = self.figures(name)
-            if change is not None:
-                cameras = tuple(change.on(camera) for camera in cameras)
+        for effect in self.of_kind(CameraEffect):
+            cameras = tuple(effect.on(camera) for camera in cameras)
         return replace(device, cameras=cameras)
 
     def organ(self, organ: OrganSurface) -> OrganSurface:
-        """The organ with this specular reflection."""
-        film = self.figures("specular")
-        return organ if film is None else film.on(organ)
+        """The organ changed by the scene effects."""
+        for effect in self.of_kind(SceneEffect):
+            organ = effect.on_organ(organ)
+        return organ
 
     def contents(self, contents: Contents) -> Contents:
-        """The contents of the lumen with these bubbles on the capsule."""
-        count = self.figures("bubbles")
-        if count is None:
-            return contents
-        bubbles = contents.resolved[0] if contents.bubbles else Bubbles(per_area=0.0)
-        return replace(contents, bubbles=replace(bubbles, on_dome=count))
+        """The contents of the lumen changed by the scene effects."""
+        for effect in self.of_kind(SceneEffect):
+            contents = effect.on_contents(contents)
+        return contents
 
 
-_IN_SCENE = {
-    *("specular", "bubbles", "field_of_view", "distortion", "resolution", "frame_rate"),
+def _check(kind: type[Effect], value: Any) -> None:
+    """Check the value of an effect's field.
+
+    Raises:
+        InputError: If it is no severity, no range of severities, and no effect of its class.
+    """
+    if value is None or isinstance(value, kind):
+        return
+    ends = value if isinstance(value, tuple) else (value,)
+    given = "..".join(map(str, ends))
+    if not kind.severities:
+        raise InputError(f"Effect {kind.name} is {given}. Allowed: {kind.__name__}(…), or None.")
+    is_range = all(isinstance(end, int) for end in ends)
+    is_range = is_range and (not isinstance(value, tuple) or len(ends) == 2)
+    if not (is_range and list(ends) == sorted(ends) and 0 <= ends[0] <= ends[-1] <= MAX_SEVERITY):
+        raise InputError(
+            f"Effect {kind.name} has the severity {given}. Allowed: 0 to {MAX_SEVERITY}, or a "
+            "rising range of these."
+        )
+
+
+def _effect_of(hint: Any) -> type[Effect]:
+    """The class of effect among the types of a field."""
+    members = get_args(hint)
+    return next(m for m in members if isinstance(m, type) and issubclass(m, Effect))
+
+
+EFFECTS: dict[str, type[Effect]] = {
+    f.name: _effect_of(get_type_hints(Effects)[f.name]) for f in fields(Effects)
 }
-"""Effects on what is seen and when; the others are stages of the image."""
+"""Classes of all effects by name, in their order."""
+
+SEVERITIES: dict[str, tuple[Any, ...]] = {
+    name: tuple(map(kind.at, range(MAX_SEVERITY + 1)))
+    for name, kind in EFFECTS.items()
+    if kind.severities
+}
+"""Each effect at every severity; None where it is off."""

@@ -2,79 +2,46 @@
 
 from __future__ import annotations
 
-import re
 from typing import Any
 
-from vrcaps.camera_pipeline.effects import Effects
-from vrcaps.camera_pipeline.frame_rate import AdaptiveRate
-from vrcaps.camera_pipeline.severities import GRADES, HIGHEST
-from vrcaps.errors import InputError, UnknownNameError
+from vrcaps.camera_pipeline.effect.base import MAX_SEVERITY, Effect
+from vrcaps.camera_pipeline.effects import EFFECTS, SEVERITIES, Effects
+from vrcaps.errors import UnknownNameError
 
-SHORT = {
-    "dof": "depth_of_field",
-    "fov": "field_of_view",
-    "ca": "chromatic",
-    "blur": "motion_blur",
-    "wb": "white_balance",
-}
+SHORT_NAMES = {kind.short: name for name, kind in EFFECTS.items() if kind.short}
 """Short names of effects."""
 
-_ALL, _RANDOM, _MOSAIC, _RATE = "all", "random", "mosaic", "frame_rate"
-_GRADE = re.compile(r"(\d+)(?:\.\.(\d+))?")
+_ALL, _RANDOM = "all", "random"
+
+
+class _All(Effect):
+    """Every effect that has severities, as `all=SEVERITY` names it."""
+
+    name = _ALL
 
 
 def parse_effects(text: str) -> Effects:
     """Effects from a text such as `specular=3,dof=1`.
 
-    Items are separated by commas, and a later one overrides an earlier: `NAME=GRADE`,
-    `NAME=FIRST..LAST` to draw a grade, `all=GRADE` for every effect, `random` for `all=0..4`,
-    `mosaic=rggb`, and `frame_rate=SLOW..FAST` in frames a second.
+    Items are separated by commas, and a later one overrides an earlier: `NAME=SEVERITY`,
+    `NAME=FIRST..LAST` to sample a severity, `all=SEVERITY` for every effect, `random` for
+    `all=0..4`; `bayer=rggb`, and `afr=MIN..MAX` in frames a second.
 
     Raises:
         UnknownNameError: If there is no such effect.
-        InputError: If an item or a grade cannot be.
+        InputError: If an item or a severity cannot be.
     """
     chosen: dict[str, Any] = {}
     for item in (part.strip() for part in text.split(",")):
         name, equals, value = item.partition("=")
-        name = name.strip().replace("-", "_")
-        name = SHORT.get(name, name)
+        name, value = name.strip().replace("-", "_"), value.strip()
+        name = SHORT_NAMES.get(name, name)
         if name == _RANDOM and not equals:
-            chosen |= dict.fromkeys(GRADES, (0, HIGHEST))
-            continue
-        if name not in GRADES and name not in (_ALL, _MOSAIC, _RATE):
-            known = (*GRADES, *SHORT, _ALL, _MOSAIC, _RANDOM, _RATE)
-            raise UnknownNameError("effect", name, known)
-        if name == _MOSAIC:
-            chosen[name] = value.strip()
-        elif name == _RATE:
-            chosen[name] = _rate(item, value)
+            chosen |= dict.fromkeys(SEVERITIES, (0, MAX_SEVERITY))
         elif name == _ALL:
-            chosen |= dict.fromkeys(GRADES, _grade(item, value))
+            chosen |= dict.fromkeys(SEVERITIES, _All.parse(value))
+        elif name in EFFECTS:
+            chosen[name] = EFFECTS[name].parse(value)
         else:
-            chosen[name] = _grade(item, value)
+            raise UnknownNameError("effect", name, (*EFFECTS, *SHORT_NAMES, _ALL, _RANDOM))
     return Effects(**chosen)
-
-
-def _grade(item: str, value: str) -> int | tuple[int, int]:
-    found = _GRADE.fullmatch(value.strip())
-    if found is None:
-        raise InputError(
-            f"Effect {item!r} has no grade. Allowed: NAME=0 to NAME={HIGHEST}, or a range such as "
-            f"NAME=0..{HIGHEST}."
-        )
-    first, last = found.groups()
-    return int(first) if last is None else (int(first), int(last))
-
-
-def _rate(item: str, value: str) -> AdaptiveRate:
-    slow, dots, fast = value.partition("..")
-    try:
-        return AdaptiveRate(float(slow), float(fast if dots else slow))
-    except ValueError as error:
-        if isinstance(error, InputError):
-            raise
-        raise InputError(
-            f"Effect {item!r} has no rates. Allowed: frame_rate=SLOW..FAST in frames a second, "
-            "such as 2..6."
-        ) from error

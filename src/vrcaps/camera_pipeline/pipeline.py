@@ -1,259 +1,300 @@
-"""A recording's lens and sensor: the stages in their order, and what they need to know."""
+"""Camera pipeline: from the world to the image that a capsule's camera sends."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from vrcaps import _core
+from vrcaps.camera.derive import half_side_px
 from vrcaps.camera.rays import camera_rays
-from vrcaps.camera_pipeline.dome import Dome
+from vrcaps.camera_pipeline.effect.adaptive_frame_rate import image_speed
+from vrcaps.camera_pipeline.effect.base import CameraSetup, FrameContext, ImageEffect, Stage
 from vrcaps.camera_pipeline.effects import Effects
-from vrcaps.camera_pipeline.sensor import Noise, WhiteBalance, mosaic_colors
 from vrcaps.color import LUMINANCE
 from vrcaps.render.flow import SUBSAMPLE, SurfacePoints
 from vrcaps.render.frame import Frame, inside
 
 if TYPE_CHECKING:
-    from jaxtyping import Bool, Float
+    from jaxtyping import Float
 
     from vrcaps.camera.camera import Camera
+    from vrcaps.camera_pipeline.effect.auto_exposure import AutoExposure
+    from vrcaps.motion.step import Step
     from vrcaps.render.renderer import Renderer
-    from vrcaps.world.model import State
 
-_SHARES: list[float] = LUMINANCE.tolist()
-_NEUTRAL = WhiteBalance(response=(1.0, 1.0, 1.0))
-_QUIET = Noise(1e6, 0.0, bits=16, black=0)
-"""Of a sensor that has a mosaic and nothing else: one step of its numbers is 1/65535."""
+_MOTION_CHANNELS = {"foreground_label", "foreground_depth"}
+"""Channels that the motion of the image is found from."""
 
 
 @dataclass(frozen=True)
-class Moment:
-    """What a stage may know of the instant of a frame.
+class PipelineState:
+    """What a pipeline carries from frame to frame.
 
     Attributes:
-        index: Number of the frame; with the seed it fixes the noise.
-        state: The world.
-        state_next: One frame later; None at the end, where motion goes on as it came.
-        state_previous: One frame earlier; None at the beginning.
-        exposure: Relative to the camera's own, as the automatic exposure has it.
+        exposure: Of the next frame, relative to the camera's own, as automatic exposure sets it.
     """
 
-    index: int
-    state: State
-    state_next: State | None = None
-    state_previous: State | None = None
     exposure: float = 1.0
 
 
 @dataclass(frozen=True)
-class Seen:
-    """What reaches the lens.
+class Exposure:
+    """How a frame was exposed.
 
     Attributes:
-        channels: Those asked for, and those that the stages need; `rgb` if they are none.
-        planes: Radiance by colours [W/(sr·m²)] with a margin, if stages are to change it.
-        points: What `subsample` pixels see, if motion is to be known.
-        moment: When.
+        exposure: Relative to the camera's own.
+        luminance: Metered mean linear luminance; NaN without automatic exposure.
     """
 
+    exposure: float
+    luminance: float
+
+
+@dataclass(frozen=True)
+class SceneRadiance:
+    """Light that reaches the lens at a step.
+
+    Attributes:
+        step: The step.
+        channels: Those asked for, and those that stages need; with `rgb` if there are no stages.
+        planes: Radiance by color [W/(sr·m²)] with a margin; None if there are no stages.
+        points: What subsampled pixels see; None if no motion is needed.
+    """
+
+    step: Step
     channels: dict[str, Any]
-    planes: Float[np.ndarray, "3 h+2m w+2m"] | None
-    points: SurfacePoints | None
-    moment: Moment
+    planes: Float[np.ndarray, "3 h+2m w+2m"] | None = None
+    points: SurfacePoints | None = None
 
 
-class CameraChain:
-    """Lens and sensor of one camera; holds what does not change from frame to frame."""
+class CameraPipeline:
+    """Lens, sensor and image signal processor of one camera: turns steps into frames.
+
+    For example::
+
+        pipeline = CameraPipeline(renderer, camera, Effects(sensor_noise=2), fps=4.0)
+        frame = pipeline.capture(step)
+
+    Steps are captured in the order of time. What is carried from one to the next is `state`, a
+    value that can be kept and set.
+
+    Attributes:
+        state: What the next frame depends on beside its step.
+    """
 
     def __init__(
-        self, effects: Effects, camera: Camera, *, number: int, fps: float, seed: int
+        self,
+        renderer: Renderer,
+        camera: Camera,
+        effects: Effects | None = None,
+        *,
+        fps: float,
+        number: int = 0,
+        seed: int = 0,
+        channels: Sequence[str] = ("rgb",),
     ) -> None:
-        """Begins a recording.
-
-        Args:
-            effects: With no grade left to draw.
-            camera: As `Effects.device` has changed it.
-            number: Which of the capsule's cameras.
-            fps: Frames per second.
-            seed: Of the noise.
-        """
-        self.camera, self._is_ideal = camera, effects.is_ideal
-        self._stages = {name: effects.figures(name) for name in _STAGES}
-        self._interval, self._seed, self._number = 1.0 / fps, seed, number
-        self._colors = mosaic_colors(effects.mosaic)
-        self._rays = camera_rays(camera)
-        self._lit = _lit(self._rays)
-        self._table = _core.RayTable(self._rays)
-        drops, smears = self._stages["droplets"], self._stages["smears"]
-        self._dome = None
-        if drops is not None or smears is not None:
-            lens = self._stages["depth_of_field"]
-            self._dome = Dome(camera, drops, smears, lens=lens, seed=(seed, number))
-        self._shutter = self._times()
-        self._last_points: tuple[Seen, tuple[Any, ...] | None] | None = None
-        self._needs_motion = self._shutter is not None or effects.frame_rate is not None
-        self._core = _core.CameraStages(self._fixed())
-
-    def _fixed(self) -> dict[str, object]:
-        """What the stages need that no frame changes."""
-        camera, stages = self.camera, self._stages
-        defocus, colors, bloom = stages["depth_of_field"], stages["chromatic"], stages["bloom"]
-        vignette, jpeg = stages["vignette"], stages["jpeg"]
-        sites = (camera.height * (1 if self._colors else 3), camera.width)
-        return {
-            "rays": self._table,
-            "lit": self._lit,
-            "cosine": np.ascontiguousarray(self._rays[..., 2]),
-            "shutter": self._shutter,
-            "defocus": defocus and defocus.figures(camera),
-            "film": self._dome and self._dome.film,
-            "scales": colors and colors.figures(camera),
-            "shade": vignette and vignette.profile(camera),
-            "bloom": bloom and bloom.figures(camera),
-            "pattern": (stages["noise"] or _QUIET).fixed_pattern(sites, self._number),
-            "mosaic": self._colors,
-            "jpeg": jpeg and (jpeg.quality, jpeg.most_bytes),
-        }
-
-    def _times(self) -> tuple[float, float, float] | None:
-        """How long rows are open, are read after one another, and are lit, in frames."""
-        blur, rolling = self._stages["motion_blur"], self._stages["rolling_shutter"]
-        if blur is None and rolling is None:
-            return None
-        opened = 0.0 if blur is None else min(blur.exposure_time / self._interval, 1.0)
-        readout = 0.0 if rolling is None else min(rolling.readout_time / self._interval, 1.0)
-        lit = None if blur is None else blur.led_pulse
-        return opened, readout, np.inf if lit is None else lit / self._interval
-
-    def see(self, renderer: Renderer, moment: Moment, asked: Sequence[str]) -> Seen:
-        """Renders what the camera sees; colour is made of it by `apply`.
+        """Makes the stages.
 
         Args:
             renderer: Of the world.
-            moment: When it is taken.
-            asked: Channels of the frame. A neighbour that there is none of is as now.
+            camera: As `Effects.device` has changed it.
+            effects: With each range of severities sampled; None is an ideal camera.
+            fps: Frames per second.
+            number: Which of the capsule's cameras.
+            seed: Of all random numbers.
+            channels: Channels of the frames.
+
+        Raises:
+            InputError: If a severity is a range still.
         """
+        effects = effects or Effects()
+        self.renderer, self.camera, self.channels = renderer, camera, tuple(channels)
+        self.state = PipelineState()
+        self._fps, self._seed, self._number = fps, seed, number
+        self._is_ideal = effects.is_ideal
+        self._has_timing = effects.adaptive_frame_rate is not None
+        self._automatic: AutoExposure | None = effects.resolve("auto_exposure")
+        chosen = effects.of_kind(ImageEffect)
+        setup = CameraSetup(camera, number, fps, seed, chosen)
+        self._stages: dict[str, Stage] = {effect.name: effect.stage(setup) for effect in chosen}
+        self._needs_motion = self._has_timing or any(effect.needs_motion for effect in chosen)
+        self._needs = {name for effect in chosen for name in effect.needs}
+        self._needs |= _MOTION_CHANNELS if self._needs_motion else set()
+        rays = camera_rays(camera)
+        self._lit = np.asarray(np.isfinite(rays).all(axis=-1))
+        self._table = _core.RayTable(rays)
+        self._core = _core.CameraPipeline(
+            self._table,
+            self._lit,
+            np.ascontiguousarray(rays[..., 2]),
+            {name: s.params for name, s in self._stages.items() if s.params is not None},
+        )
+        self._exposed: tuple[Step, Exposure] | None = None
+        self._rendered: SceneRadiance | None = None
+        self._neighbor: tuple[SceneRadiance, tuple[Any, ...] | None] | None = None
+
+    @property
+    def is_active(self) -> bool:
+        """Whether the pipeline changes the image or says which frames are captured."""
+        return self._has_timing or ("rgb" in self.channels and not self._is_ideal)
+
+    def capture(self, step: Step) -> Frame:
+        """The frame of a step: rendered, exposed, and sent by the camera.
+
+        Only color is changed by lens and sensor; depth, labels and flow stay exact.
+        """
+        if not self.is_active:
+            return _without_neighbor(self._ideal(step), step)
+        exposure = self.expose(step).exposure
+        radiance = self.render(step)
+        if "rgb" in self.channels:
+            frame = self.process(radiance, exposure)
+        else:
+            frame = Frame(**radiance.channels)
+        return _without_neighbor(frame, step)
+
+    def expose(self, step: Step) -> Exposure:
+        """How a step is exposed; meters it, and sets the exposure of the next."""
+        if self._exposed is None or self._exposed[0] is not step:
+            exposure, luminance = self.state.exposure, float("nan")
+            if self._automatic is not None and self.is_active:
+                luminance = self.meter(self.render(step), exposure)
+                self.resume(Exposure(exposure, luminance))
+            self._exposed = (step, Exposure(exposure, luminance))
+        return self._exposed[1]
+
+    def resume(self, last: Exposure) -> None:
+        """Sets the state that follows a frame."""
+        if self._automatic is not None:
+            interval = 1.0 / self._fps
+            after = self._automatic.next_exposure(last.exposure, last.luminance, interval)
+            self.state = replace(self.state, exposure=after)
+
+    def render(self, step: Step) -> SceneRadiance:
+        """Light that reaches the lens; rendered once for metering, motion and image.
+
+        A neighbor in time that there is none of is as now.
+        """
+        if self._rendered is None or self._rendered.step is not step:
+            self._rendered = self._render(step)
+        return self._rendered
+
+    def _render(self, step: Step) -> SceneRadiance:
         points = SurfacePoints.allocate(self.camera) if self._needs_motion else None
-        planes = None if self._is_ideal else self.room()
-        now = moment.state
-        states = moment.state_previous or now, now, moment.state_next or now
-        needed = self._needed(asked)
-        channels = renderer.arrays(states, self.camera, needed, points=points, planes=planes)
-        if planes is not None and renderer.settings.is_supersampled:
+        planes = None if self._is_ideal else self.allocate_planes()
+        states = step.previous or step.state, step.state, step.next or step.state
+        needed = set(self.channels) | self._needs
+        if planes is not None:
+            needed -= {"rgb"}
+        channels = self.renderer.arrays(
+            states, self.camera, tuple(sorted(needed)), points=points, planes=planes
+        )
+        if planes is not None and self.renderer.settings.is_supersampled:
             # Rays beside that of a pixel that sees nothing may see something.
             inside(planes, *self._lit.shape)[:, ~self._lit] = 0.0
-        return Seen(channels, planes, points, moment)
+        return SceneRadiance(step, channels, planes, points)
 
-    def room(self) -> Float[np.ndarray, "3 h+2m w+2m"]:
-        """Room for the radiance by colours that `apply` takes, with a margin."""
-        return np.empty(self._core.room, np.float32)
+    def allocate_planes(self) -> Float[np.ndarray, "3 h+2m w+2m"]:
+        """Uninitialized radiance by color with the margin that the stages need."""
+        return np.empty(self._core.planes_shape, np.float32)
 
-    def _needed(self, asked: Sequence[str]) -> tuple[str, ...]:
-        needed = set(asked)
-        if not self._is_ideal:
-            needed = needed - {"rgb"}
-        lens = self._stages["depth_of_field"]
-        if self._needs_motion or lens is not None:
-            needed |= {"foreground_label", "foreground_depth"}
-        if lens is not None:
-            needed |= {"ray_distance"}
-        return tuple(sorted(needed))
-
-    def apply(self, seen: Seen, renderer: Renderer) -> Frame:
-        """The frame with the colour image as this camera sends it; all else stays as it is.
+    def process(self, radiance: SceneRadiance, exposure: float = 1.0) -> Frame:
+        """The frame that the camera sends of the light that reaches it.
 
         Args:
-            seen: What `see` returned.
-            renderer: That rendered it.
+            radiance: Of `render`; its planes' margin is overwritten.
+            exposure: Relative to the camera's own; counts with automatic exposure only.
         """
-        if seen.planes is None:
-            return Frame(**seen.channels)
-        made = {"rgb": self._core.apply(seen.planes, self._shot(seen, renderer))}
-        if "dome_label" in seen.channels and self._dome is not None:
-            made["dome_label"] = self._dome.labels(seen.moment.state.time)
-        return Frame(**seen.channels | made)
+        if radiance.planes is None:
+            return Frame(**radiance.channels)
+        context = FrameContext(radiance.step, exposure, radiance.channels)
+        made = {"rgb": self._core.apply(radiance.planes, self._frame_params(radiance, context))}
+        if "dome_label" in radiance.channels:
+            made["dome_label"] = label = np.zeros(self._lit.shape, np.uint8)
+            for stage in self._stages.values():
+                stage.mark_dome(label, radiance.step.state.time)
+        return Frame(**radiance.channels | made)
 
-    def meter(self, seen: Seen) -> float:
-        """Mean linear luminance of the lit image at its exposure, each pixel cut at white."""
-        assert seen.planes is not None
-        factor = self.camera.exposure * seen.moment.exposure
-        red, green, blue = _SHARES
-        return self._core.meter(seen.planes, (factor * red, factor * green, factor * blue))
-
-    def _shot(self, seen: Seen, renderer: Renderer) -> dict[str, object]:
-        """What the stages need to know of a frame."""
-        channels, moment, distance = seen.channels, seen.moment, None
-        if self._stages["depth_of_field"] is not None:
-            names = ("ray_distance", "foreground_label", "foreground_depth")
-            distance = tuple(channels[name] for name in names)
-        automatic, noise = self._stages["exposure"], self._stages["noise"]
-        light, gain = (1.0, 1.0) if automatic is None else automatic.split(moment.exposure)
-        balance, readout = self._stages["white_balance"] or _NEUTRAL, None
-        final = light * gain
-        if noise is not None or self._colors is not None:
-            readout = (noise or _QUIET).readout(gain, balance.response, light)
-            final = 1.0
+    def _frame_params(self, radiance: SceneRadiance, context: FrameContext) -> dict[str, object]:
+        """What the core's stages need to know of a frame."""
+        stages = {name: stage.frame_params(context) for name, stage in self._stages.items()}
+        has_shutter = {"motion_blur", "rolling_shutter"} & self._stages.keys()
         return {
-            "factor": self.camera.exposure,
-            "points": self._shutter and self._points(seen, renderer),
-            "is_backward": moment.state_next is None,
-            "distance": distance,
-            "drops": self._dome and self._dome.drops(moment.state.time),
-            "readout": readout,
-            "gains": tuple(final * gain for gain in balance.gains),
-            "key": (self._seed, 64 * moment.index + self._number),
+            "exposure": self.camera.exposure,
+            "points": self._neighbor_points(radiance) if has_shutter else None,
+            "is_backward": radiance.step.next is None,
+            "stages": {name: params for name, params in stages.items() if params is not None},
+            "key": (self._seed, 64 * radiance.step.index + self._number),
         }
 
-    def motion(self, seen: Seen, renderer: Renderer) -> Float[np.ndarray, "hc wc 2"] | None:
-        """Motion of the image in a frame's time [px] at `subsample` pixels.
+    def meter(self, radiance: SceneRadiance, exposure: float = 1.0) -> float:
+        """Mean linear luminance of the lit image at an exposure, each pixel clipped at white."""
+        assert radiance.planes is not None
+        factor = self.camera.exposure * exposure
+        red, green, blue = LUMINANCE.tolist()
+        return self._core.meter(radiance.planes, (factor * red, factor * green, factor * blue))
 
-        None where there is no neighbouring frame.
+    def image_speed(self, step: Step) -> float:
+        """Median speed of the image [half sides/s]."""
+        motion = self.image_motion(self.render(step))
+        return image_speed(motion, half_side_px(self.camera), self._fps)
+
+    def image_motion(self, radiance: SceneRadiance) -> Float[np.ndarray, "hc wc 2"] | None:
+        """Motion of the image in a frame's time [px] at subsampled pixels.
+
+        None where there is no neighboring frame.
         """
-        points = self._points(seen, renderer)
+        points = self._neighbor_points(radiance)
         if points is None:
             return None
         flow = _core.flow_by_rays(self._table, points, SUBSAMPLE)
-        return -flow if seen.moment.state_next is None else flow
+        return -flow if radiance.step.next is None else flow
 
-    def _points(self, seen: Seen, renderer: Renderer) -> tuple[Any, ...] | None:
-        """Where what is seen appears in a neighbouring frame, its camera, and what is in front.
+    def _neighbor_points(self, radiance: SceneRadiance) -> tuple[Any, ...] | None:
+        """Where what is seen appears in a neighboring frame, its camera, and what is in front.
 
         Kept for the frame rate and the image alike.
         """
-        if self._last_points is None or self._last_points[0] is not seen:
-            self._last_points = (seen, self._new_points(seen, renderer))
-        return self._last_points[1]
+        if self._neighbor is None or self._neighbor[0] is not radiance:
+            self._neighbor = (radiance, self._find_neighbor_points(radiance))
+        return self._neighbor[1]
 
-    def _new_points(self, seen: Seen, renderer: Renderer) -> tuple[Any, ...] | None:
-        moment = seen.moment
-        neighbour = moment.state_next or moment.state_previous
-        if neighbour is None:
+    def _find_neighbor_points(self, radiance: SceneRadiance) -> tuple[Any, ...] | None:
+        step, channels = radiance.step, radiance.channels
+        neighbor = step.next or step.previous
+        if neighbor is None:
             return None
-        assert seen.points is not None
-        slot = "previous" if moment.state_next is None else "next"
-        fillings = renderer.lumen_contents(moment.state), renderer.lumen_contents(neighbour)
-        moved = seen.points.moved(renderer.model.organ.faces, neighbour, *fillings)
-        apparent = renderer.refracted_paths(
-            self.camera, seen.points, moved, neighbour, slot
-        ).apparent
-        device, label = renderer.model.device, seen.channels["foreground_label"]
+        assert radiance.points is not None
+        apparent, pose = self.renderer.points_in_neighbor(
+            self.camera, radiance.points, step.state, neighbor, is_next=step.next is not None
+        )
+        device = self.renderer.model.device
         capsule = (0.5 * device.length - device.radius, device.radius)
-        depth = seen.channels["foreground_depth"]
+        label, depth = channels["foreground_label"], channels["foreground_depth"]
         front = (label, depth, self.camera.T_capsule_camera, capsule)
-        pose = renderer.pose(neighbour, self.camera)
         return np.ascontiguousarray(apparent, np.float32), pose, front
 
+    def _ideal(self, step: Step) -> Frame:
+        """The frame of a camera without lens and sensor."""
+        return self.renderer.render(
+            step.state,
+            self.camera,
+            channels=self.channels,
+            state_next=step.next or step.state,
+            state_previous=step.previous or step.state,
+        )
 
-_STAGES = (
-    *("motion_blur", "rolling_shutter", "depth_of_field", "droplets", "smears", "chromatic"),
-    *("vignette", "bloom", "exposure", "noise", "white_balance", "jpeg"),
-)
 
-
-def _lit(rays: Float[np.ndarray, "h w 3"]) -> Bool[np.ndarray, "h w"]:
-    """Pixels that see anything."""
-    return np.asarray(np.isfinite(rays).all(axis=-1))
+def _without_neighbor(frame: Frame, step: Step) -> Frame:
+    """The frame with no flow to a frame that the motion does not have, and nothing seen in it."""
+    if step.previous is None and frame.flow_backward is not None:
+        frame = replace(frame, flow_backward=np.full_like(frame.flow_backward, np.nan))
+    if step.next is None and frame.flow_forward is not None:
+        frame = replace(frame, flow_forward=np.full_like(frame.flow_forward, np.nan))
+    if step.next is None and frame.occlusion is not None:
+        frame = replace(frame, occlusion=np.ones_like(frame.occlusion))
+    return frame

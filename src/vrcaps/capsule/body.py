@@ -17,11 +17,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Body:
-    """Mass properties and shape, in the capsule frame (origin at the centre of mass).
+    """Mass properties and shape, in the capsule frame (origin at the center of mass).
 
     Attributes:
         mass: [kg].
-        inertia: About the centre of mass [kg·m²], symmetric, positive definite.
+        inertia: About the center of mass [kg·m²], symmetric, positive definite.
         center: Middle of the cylinder [m]; its axis is along z.
         half_axis: Half the length of the straight part [m].
         radius: Of the cylinder and of both ends [m].
@@ -50,7 +50,7 @@ class Body:
 def homogeneous_body(device: Device) -> Body:
     """The device as if its mass were spread evenly through its volume.
 
-    The inertia of a cylinder with two half balls; their centres of mass lie 3/8 of the radius
+    The inertia of a cylinder with two half balls; their centers of mass lie 3/8 of the radius
     beyond its ends (Goldstein, Classical Mechanics, 3rd ed., 5.3, and the parallel axis theorem).
     """
     radius, half = device.radius, device.length / 2.0 - device.radius

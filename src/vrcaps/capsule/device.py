@@ -1,35 +1,36 @@
-"""A capsule endoscope as data: body, cameras with their lenses, LEDs, magnets."""
+"""Device: a capsule endoscope as data, with its body, cameras, LEDs and magnets."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from vrcaps.camera.camera import Camera
-from vrcaps.errors import UnknownNameError
+from vrcaps.errors import InputError, UnknownNameError, require
 from vrcaps.magnet.internal import InternalMagnet
 
 
 @dataclass(frozen=True, kw_only=True)
 class Device:
-    """A capsule endoscope.
+    """A capsule endoscope: a cylinder with round ends, its cameras and its magnets.
 
-    Its frame `capsule` has its origin at the centre of mass and +z along the front camera's axis.
+    Its frame `capsule` has its origin at the center of mass and +z along the front camera's axis.
 
     Example:
         >>> lens = vrcaps.LensEquidistant(focal=84.0, cx=127.5, cy=127.5)
-        >>> T_capsule_camera = vrcaps.translation(0.0, 0.0, 7e-3)
         >>> leds = vrcaps.led_ring(4, radius=3.5e-3)
-        >>> camera = vrcaps.Camera("front", lens, 256, 256, T_capsule_camera, leds)
+        >>> camera = vrcaps.Camera("front", lens, 256, 256, position=(0, 0, 7e-3), leds=leds)
         >>> device = vrcaps.Device(length=24e-3, radius=5.5e-3, mass=3e-3, cameras=(camera,))
 
     Attributes:
-        name: Catalog name.
-        title: Full name for people.
         length: Overall length [m].
         radius: Radius of the cylindrical body with round ends [m].
         mass: Mass [kg].
+        cameras: Its cameras, one or more, inside the body.
+        name: Catalog name.
+        title: Full name for people.
         frame_rate: Frames per second of each camera.
-        cameras: Its cameras.
         magnets: Magnets in it.
         led_spectrum: Wavelengths [nm], rising, and relative power of its white LEDs; linear between
             them, nothing beyond. None is a blue LED under a yellow phosphor.
@@ -37,17 +38,35 @@ class Device:
         metadata: Further plain facts, kept with the device and used by nothing.
     """
 
+    length: float = field(metadata={"unit": "mm"})
+    radius: float = field(metadata={"unit": "mm"})
+    mass: float = field(metadata={"unit": "g"})
+    cameras: tuple[Camera, ...]
     name: str = "custom"
     title: str = ""
-    length: float
-    radius: float
-    mass: float
-    frame_rate: float = 2.0
-    cameras: tuple[Camera, ...]
+    frame_rate: float = field(default=2.0, metadata={"unit": "hz"})
     magnets: tuple[InternalMagnet, ...] = ()
     led_spectrum: tuple[tuple[float, float], ...] | None = None
     source: str = ""
     metadata: dict = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        for name, unit in (("length", "m"), ("radius", "m"), ("mass", "kg"), ("frame_rate", "1/s")):
+            value = getattr(self, name)
+            require(0.0 < value < np.inf, f"{name} of the capsule", value, f"above 0 {unit}")
+        straight = 0.5 * self.length - self.radius
+        if straight < 0.0:
+            raise InputError(
+                f"length of the capsule, {self.length:g} m, is below twice its radius, "
+                f"{self.radius:g} m. Allowed: a body with round ends."
+            )
+        require(len(self.cameras) > 0, "number of cameras", 0, "1 or more")
+        names = [camera.name for camera in self.cameras]
+        if len(set(names)) < len(names):
+            raise InputError(f"Two cameras share a name ({', '.join(names)}).")
+        _check_places(self, straight)
+        if self.led_spectrum is not None:
+            _check_spectrum(self.led_spectrum)
 
     def camera(self, name: str) -> Camera:
         """A camera by its name.
@@ -59,3 +78,23 @@ class Device:
             if camera.name == name:
                 return camera
         raise UnknownNameError("camera", name, [camera.name for camera in self.cameras])
+
+
+def _check_places(device: Device, straight: float) -> None:
+    places = {f"camera {c.name!r}": c.position for c in device.cameras}
+    places |= {f"magnet {k}": m.position_capsule for k, m in enumerate(device.magnets)}
+    for what, (x, y, z) in places.items():
+        if np.hypot(np.hypot(x, y), max(abs(z) - straight, 0.0)) > device.radius:
+            raise InputError(
+                f"{what} is outside the body. Allowed: a position inside it, from the center of "
+                "mass."
+            )
+
+
+def _check_spectrum(spectrum: tuple[tuple[float, float], ...]) -> None:
+    wavelength, power = np.array(spectrum, float).reshape(-1, 2).T
+    is_rising = len(wavelength) > 1 and bool((np.diff(wavelength) > 0.0).all())
+    allowed = "two or more numbers that rise"
+    require(is_rising, "wavelengths of led_spectrum", wavelength.tolist(), allowed)
+    is_lit = power.min() >= 0.0 and power.max() > 0.0
+    require(bool(is_lit), "power of led_spectrum", power.tolist(), "0 or above, not all 0")

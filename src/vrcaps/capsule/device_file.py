@@ -5,18 +5,16 @@ Each key carries its unit: `_mm`, `_g`, `_hz`, `_deg`, `_px`. See `devices/miroc
 
 from __future__ import annotations
 
-import re
-from collections.abc import Iterable
-from dataclasses import MISSING, fields
+from collections.abc import Callable, Iterable
+from dataclasses import MISSING, Field, fields
 from decimal import Decimal
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
 from vrcaps.camera.camera import Camera, Led, led_ring
 from vrcaps.camera.lens import LENSES, Lens
-from vrcaps.camera.rays import camera_rays
 from vrcaps.capsule.device import Device
 from vrcaps.errors import InputError
 from vrcaps.files import write_bytes
@@ -31,16 +29,9 @@ from vrcaps.toml_table import (
     plain,
     toml_text,
 )
-from vrcaps.transforms import transform_from
 
-_LENS_KEYS = {
-    **{name: (f"{name}_px", ONE) for name in ("fx", "fy", "cx", "cy", "focal", "skew", "a0")},
-    "max_angle": ("max_angle_deg", DEGREE),
-}
-"""Key and unit of the lens fields that have one; the other fields are coefficients."""
-_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]*")
-_ORTHONORMAL = 1e-6
 _WIDEST = 16384
+_Made = TypeVar("_Made")
 
 
 def read_device_file(path: Path) -> Device:
@@ -62,7 +53,9 @@ def read_device_file(path: Path) -> Device:
     has_spectrum = table.has("led_spectrum")
     spectrum = _read_spectrum(table.table("led_spectrum")) if has_spectrum else None
     table.finish()
-    device = Device(
+    return _made(
+        table,
+        Device,
         name=path.stem,
         title=title,
         length=length,
@@ -75,8 +68,6 @@ def read_device_file(path: Path) -> Device:
         source=source,
         metadata=metadata,
     )
-    _check_body(device, table.where)
-    return device
 
 
 def write_device(path: Path, device: Device) -> None:
@@ -126,12 +117,7 @@ def write_lines(path: Path, lines: Iterable[str]) -> None:
 
 def _read_spectrum(table: TomlTable) -> tuple[tuple[float, float], ...]:
     wavelength = table.numbers("wavelength_nm")
-    if len(wavelength) < 2 or not (np.diff(wavelength) > 0.0).all():
-        allowed = "two or more numbers that rise"
-        table.fail("wavelength_nm", table.entries["wavelength_nm"], allowed)
     power = table.numbers("power", len(wavelength))
-    if min(power) < 0.0 or max(power) == 0.0:
-        table.fail("power", table.entries["power"], "0 or above, not all 0")
     table.finish()
     return tuple(zip(wavelength, power, strict=True))
 
@@ -156,41 +142,45 @@ def _read_magnet(table: TomlTable) -> InternalMagnet:
 
 
 def _read_camera(table: TomlTable) -> Camera:
-    name = table.text("name")
-    if not _NAME.fullmatch(name):
-        table.fail("name", name, "letters, digits, - and _ (it names a folder)")
-    size = table.integer("width_px", _WIDEST), table.integer("height_px", _WIDEST)
-    position = np.array(table.numbers("position_mm", 3, MILLI))
-    pose = transform_from(_read_rotation(table), position)
-    lens = _read_lens(table.table("lens"))
-    exposure = table.number("exposure_m2_sr_per_w", above=0)
-    circle = table.number("image_circle_px", above=0) if table.has("image_circle_px") else None
-    nominal = "nominal_field_deg"
-    field = table.number(nominal, DEGREE, above=0) if table.has(nominal) else None
+    values: dict[str, Any] = {
+        "name": table.text("name"),
+        "width": table.integer("width_px", _WIDEST),
+        "height": table.integer("height_px", _WIDEST),
+        "position": table.numbers("position_mm", 3, MILLI),
+        "rotation": _read_rotation(table),
+        "lens": _read_lens(table.table("lens")),
+        "exposure": table.number("exposure_m2_sr_per_w", above=0),
+    }
+    if table.has("image_circle_px"):
+        values["image_circle_px"] = table.number("image_circle_px", above=0)
+    if table.has("nominal_field_deg"):
+        values["nominal_field"] = table.number("nominal_field_deg", DEGREE, above=0)
     leds: list[Led] = []
     if table.has("leds"):
         leds += [_read_led(led) for led in table.tables("leds")]
     if table.has("led_rings"):
         leds += [led for ring in table.tables("led_rings") for led in _read_ring(ring)]
     table.finish()
-    camera = Camera(name, lens, *size, pose, tuple(leds), exposure, circle, field)
-    _check_image(camera, table.where)
-    return camera
+    return _made(table, Camera, leds=tuple(leds), **values)
 
 
-def _read_rotation(table: TomlTable) -> np.ndarray:
+def _made(table: TomlTable, make: Callable[..., _Made], **values: Any) -> _Made:
+    """What a table describes, with the table's place in what is wrong."""
+    try:
+        return make(**values)
+    except InputError as error:
+        raise InputError(f"{table.where}: {error}") from error
+
+
+def _read_rotation(table: TomlTable) -> tuple[tuple[float, ...], ...]:
     """Rotation ``R_capsule_camera``: its columns are the camera's x, y, z in the capsule frame."""
     allowed = "three rows of three numbers, orthonormal and right-handed (R_capsule_camera)"
     rows = table.take("rotation", allowed)
     if not (isinstance(rows, list) and len(rows) == 3):
         table.fail("rotation", rows, allowed)
-    rotation = np.array(
-        [TomlTable({"rotation": row}, table.where).numbers("rotation", 3) for row in rows]
+    return tuple(
+        tuple(TomlTable({"rotation": row}, table.where).numbers("rotation", 3)) for row in rows
     )
-    error = np.abs(rotation @ rotation.T - np.eye(3)).max()
-    if error > _ORTHONORMAL or np.linalg.det(rotation) < 0.0:
-        table.fail("rotation", rows, allowed)
-    return rotation
 
 
 def _read_lens(table: TomlTable) -> Lens:
@@ -199,90 +189,42 @@ def _read_lens(table: TomlTable) -> Lens:
         table.fail("kind", kind, ", ".join(sorted(LENSES)))
     values: dict[str, float] = {}
     for parameter in fields(LENSES[kind]):  # type: ignore[arg-type]
-        key, unit = _LENS_KEYS.get(parameter.name, (parameter.name, ONE))
+        key, unit = _key_and_unit(parameter)
         if parameter.default is MISSING or table.has(key):
             values[parameter.name] = table.number(key, unit)
     table.finish()
-    try:
-        return LENSES[kind](**values)
-    except InputError as error:
-        raise InputError(f"{table.where}: {error}") from error
+    return _made(table, LENSES[kind], **values)
 
 
 def _read_light(table: TomlTable) -> dict[str, Any]:
-    lobe = table.number("lobe_exponent")
-    if lobe < 0.0:
-        table.fail("lobe_exponent", table.entries["lobe_exponent"], "0 or above")
     intensity = table.numbers("intensity_mw_per_sr", 3, MILLI)
-    if min(intensity) < 0.0:
-        table.fail("intensity_mw_per_sr", table.entries["intensity_mw_per_sr"], "0 or above")
-    return {"intensity": intensity, "lobe_exponent": lobe}
+    return {"intensity": intensity, "lobe_exponent": table.number("lobe_exponent")}
 
 
 def _read_led(table: TomlTable) -> Led:
     position = table.numbers("position_mm", 3, MILLI)
-    direction = np.array(table.numbers("direction", 3))
-    length = np.linalg.norm(direction)
-    if length == 0.0:
-        table.fail("direction", table.entries["direction"], "any direction but zero")
-    if abs(length - 1.0) > 1e-12:
-        direction = direction / length
+    direction = table.numbers("direction", 3)
     light = _read_light(table)
     table.finish()
-    return Led(position, tuple(direction.tolist()), **light)  # type: ignore[arg-type]
+    return _made(table, Led, position_camera=position, direction_camera=direction, **light)
 
 
-def _read_ring(table: TomlTable) -> list[Led]:
-    """LEDs on a circle across the optical axis; angles run from camera x (right) to y (down)."""
-    centre = np.array(table.numbers("centre_mm", 3, MILLI))
+def _read_ring(table: TomlTable) -> tuple[Led, ...]:
+    center = table.numbers("center_mm", 3, MILLI)
     radius = table.number("radius_mm", MILLI, above=0)
-    angles = np.array(table.numbers("angles_deg", None, DEGREE))
+    angles = table.numbers("angles_deg", None, DEGREE)
     light = _read_light(table)
     table.finish()
-    return list(led_ring(angles.tolist(), radius, center=tuple(centre.tolist()), **light))
-
-
-def _check_image(camera: Camera, where: str) -> None:
-    lens = camera.lens
-    for axis, centre, size in (("cx", lens.cx, camera.width), ("cy", lens.cy, camera.height)):
-        if not -0.5 <= centre <= size - 0.5:
-            raise InputError(
-                f"{where}: lens centre {axis} = {centre:g} px is outside the image. "
-                f"Allowed: -0.5 to {size - 0.5:g}."
-            )
-    if not np.isfinite(camera_rays(camera)).any():
-        raise InputError(
-            f"{where}: no pixel of the image is in the lens's field. "
-            "Check its focal length, max_angle_deg and image_circle_px."
-        )
-
-
-def _check_body(device: Device, where: str) -> None:
-    straight = 0.5 * device.length - device.radius
-    if straight < 0.0:
-        raise InputError(
-            f"{where}: length_mm is below twice radius_mm. Allowed: a body with round ends."
-        )
-    names = [camera.name for camera in device.cameras]
-    if len(set(names)) < len(names):
-        raise InputError(f"{where}: two cameras share a name ({', '.join(names)}).")
-    places = {f"camera {c.name!r}": c.T_capsule_camera[:3, 3] for c in device.cameras}
-    places |= {f"magnet {k}": m.position_capsule for k, m in enumerate(device.magnets)}
-    for what, (x, y, z) in places.items():
-        if np.hypot(np.hypot(x, y), max(abs(z) - straight, 0.0)) > device.radius:
-            raise InputError(
-                f"{where}: {what} is outside the body. "
-                "Allowed: position_mm inside it, from the centre of mass."
-            )
+    return _made(table, led_ring, angles=angles, center=center, radius=radius, **light)
 
 
 def _camera_lines(camera: Camera) -> list[str]:
-    rows = (f"[{_joined(row)}]" for row in camera.T_capsule_camera[:3, :3])
+    rows = (f"[{_joined(row)}]" for row in camera.rotation)
     lines = [
         f"name = {toml_text(camera.name)}",
         f"width_px = {camera.width}",
         f"height_px = {camera.height}",
-        f"position_mm = [{_joined(camera.T_capsule_camera[:3, 3], MILLI)}]",
+        f"position_mm = [{_joined(camera.position, MILLI)}]",
         f"rotation = [{', '.join(rows)}]",
         f"exposure_m2_sr_per_w = {decimal_text(camera.exposure)}",
     ]
@@ -306,11 +248,18 @@ def _camera_lines(camera: Camera) -> list[str]:
 def _lens_lines(lens: Lens) -> list[str]:
     lines = [f"kind = {toml_text(lens.kind)}"]
     for parameter in fields(lens):  # type: ignore[arg-type]
-        key, unit = _LENS_KEYS.get(parameter.name, (parameter.name, ONE))
+        key, unit = _key_and_unit(parameter)
         value = getattr(lens, parameter.name)
         if value is not None:
             lines.append(f"{key} = {decimal_text(value, unit)}")
     return lines
+
+
+def _key_and_unit(parameter: Field) -> tuple[str, Decimal]:
+    """Key and unit of a lens's parameter, by its metadata."""
+    unit = parameter.metadata.get("unit")
+    key = parameter.name if unit is None else f"{parameter.name}_{unit}"
+    return key, DEGREE if unit == "deg" else ONE
 
 
 def _joined(values: Any, unit: Decimal = ONE) -> str:

@@ -28,8 +28,16 @@ _VERBS = {
     "organ from-ct": ("vrcaps.cli.from_ct", "FromCt", "Make organs from a CT scan or labels."),
     "organ make": ("vrcaps.cli.organ", "Make", "Generate an organ and write it as GLB."),
     "organ texture": ("vrcaps.cli.texture", "Texture", "Make a mucosa from photographs."),
-    "calibrate": ("vrcaps.cli.calibrate", "Calibrate", "Fit a lens to photographs of a board."),
-    "match": ("vrcaps.cli.match", "Match", "Estimate a camera from its frames."),
+    "calibrate geometric": (
+        "vrcaps.cli.calibrate_geometric",
+        "CalibrateGeometric",
+        "Fit a lens to photographs of a chessboard.",
+    ),
+    "calibrate photometric": (
+        "vrcaps.cli.calibrate_photometric",
+        "CalibratePhotometric",
+        "Estimate vignetting, color and noise of a camera from its frames.",
+    ),
     "bench render": ("vrcaps.cli.bench", "Render", "Measure rendering."),
     "bench record": ("vrcaps.cli.bench", "Record", "Measure recording to disk."),
     "bench world": ("vrcaps.cli.bench", "World", "Measure the physics."),
@@ -39,6 +47,7 @@ _VERBS = {
 
 _GROUPS = {
     "organ": "Generate organs, make them from CT, dress them from photographs; measure, draw.",
+    "calibrate": "Make a capsule file of a real capsule from its photographs and frames.",
     "bench": "Measure speed on this machine.",
 }
 

@@ -18,6 +18,7 @@ class List:
     def run(self) -> None:
         """Print the tables."""
         from vrcaps.anatomy.catalog import DISTENSIONS, ORGANS, organ_segments
+        from vrcaps.camera_pipeline.effects import EFFECTS
         from vrcaps.capsule.catalog import device_names, read_device
         from vrcaps.lesion import lesion_library
         from vrcaps.mucosa.mucosa import MUCOSAE
@@ -31,6 +32,7 @@ class List:
         _print("mucosae", [("--mucosa", f"{', '.join(MUCOSAE)}; {photos}")])
         devices = [read_device(name) for name in device_names()]
         _print("capsules", [(device.name, device.title) for device in devices])
+        _print("camera effects", [(name, kind.summary()) for name, kind in EFFECTS.items()])
         console.print("Next:")
         for line in (
             "vrcaps organ make stomach --seed 3                 write one as GLB, with a picture",

@@ -5,13 +5,13 @@ from __future__ import annotations
 import json
 from dataclasses import fields
 from pathlib import Path
-from typing import Any, Union
+from typing import Any
 
 import numpy as np
 
 from vrcaps import _core
 from vrcaps.camera.camera import Camera, Led
-from vrcaps.camera.lens import LENSES
+from vrcaps.camera.lens import AnyLens
 from vrcaps.capsule.device import Device
 from vrcaps.errors import InputError
 from vrcaps.organ.arrays import json_safe
@@ -31,8 +31,6 @@ SHEET_PNG = "sheet.png"
 PREVIEW_MP4 = "preview.mp4"
 
 RECORDING, COMPLETE = "recording", "complete"
-
-_AnyLens = Union[tuple(LENSES.values())]  # type: ignore[valid-type]  # noqa: UP007
 
 
 _LESION_KEYS = ("lesions", "clean_twin_of")
@@ -96,7 +94,7 @@ def camera_to_plain(camera: Camera) -> dict[str, Any]:
     """A camera as JSON holds it: SI units, pixels and radians."""
     return {
         "name": camera.name,
-        "lens": to_plain(camera.lens, _AnyLens),
+        "lens": to_plain(camera.lens, AnyLens),
         "width": camera.width,
         "height": camera.height,
         "T_capsule_camera": camera.T_capsule_camera.tolist(),
@@ -113,14 +111,11 @@ def camera_from_plain(plain: Any, *, at: str) -> Camera:
     Raises:
         InputError: If a key is missing, unknown or of the wrong type.
     """
-    names = [f.name for f in fields(Camera)]
-    if not isinstance(plain, dict) or set(plain) != set(names):
-        raise InputError(f"{at} is no camera. Allowed: a table with exactly {', '.join(names)}.")
     number, maybe = float, float | None
     row = tuple[float, float, float, float]
     types = {
         "name": str,
-        "lens": _AnyLens,
+        "lens": AnyLens,
         "width": int,
         "height": int,
         "T_capsule_camera": tuple[row, row, row, row],
@@ -129,9 +124,15 @@ def camera_from_plain(plain: Any, *, at: str) -> Camera:
         "image_circle_px": maybe,
         "nominal_field": maybe,
     }
+    names = list(types)
+    if not isinstance(plain, dict) or set(plain) != set(names):
+        raise InputError(f"{at} is no camera. Allowed: a table with exactly {', '.join(names)}.")
     values = {n: from_plain(types[n], plain[n], at=f"{at}.{n}") for n in names}
-    values["T_capsule_camera"] = np.array(values["T_capsule_camera"])
-    return Camera(**values)
+    pose = np.array(values.pop("T_capsule_camera"))
+    try:
+        return Camera(**values).at(pose)
+    except InputError as error:
+        raise InputError(f"{at}: {error}") from error
 
 
 def channel_to_plain(channel: str) -> dict[str, Any]:

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from vrcaps.camera_pipeline.capsule_cameras import CAPTURED, CapsuleCameras
 from vrcaps.errors import InputError
 from vrcaps.files import TEMPORARY, write_bytes, write_json
 from vrcaps.recording.channels import ENCODINGS
@@ -25,7 +26,6 @@ from vrcaps.recording.checkpoint import (
 )
 from vrcaps.recording.episode import Episode, read_episode
 from vrcaps.recording.image_files import write_images
-from vrcaps.recording.images import Images
 from vrcaps.recording.layout import (
     COMPLETE,
     EPISODE_JSON,
@@ -42,12 +42,14 @@ from vrcaps.recording.preview import Preview
 from vrcaps.recording.sensing import SensorReadings
 from vrcaps.recording.table import TableRows, write_table
 from vrcaps.recording.walls import file_vertices, stored_wall, wall_path
+from vrcaps.render.renderer import Renderer
 from vrcaps.scenario.build import build, resolve
 from vrcaps.scenario.scenario import Scenario, scenario_to_plain
 from vrcaps.world.moving_wall import MovingWall
 
 if TYPE_CHECKING:
     from vrcaps.motion.motion import Motion
+    from vrcaps.recording.table import FrameTable
     from vrcaps.render.frame import Frame
     from vrcaps.world.model import Model
 
@@ -257,7 +259,7 @@ def _write_steps(
     start = run.checkpoint()
     table = None if start is None else start.table
     wall = MovingWall(run.model)
-    images = Images(run.model, run.scenario, table, wall)
+    cameras = _cameras(run, wall, table)
     rows = TableRows(run.model, table, wall)
     readings = SensorReadings(run.model, run.scenario, table)
     for frame in range(len(rows)):
@@ -265,11 +267,11 @@ def _write_steps(
     resume, is_due = None if start is None else start.motion, _Timer(_CHECKPOINT_SECONDS)
     for step in run.motion.steps(resume, progress=run.simulated, is_due=is_due):
         measured = readings.read(step, run.motion.sources(step))
-        rows.add(step, {**run.motion.columns(step), **images.expose(step), **measured})
+        rows.add(step, {**run.motion.columns(step), **cameras.expose(step), **measured})
         if run.is_there(step.index):
             submit(step.index, partial(_preview_from_files, preview, episode, step.index))
             continue
-        made, wall = images.render(step), None
+        made, wall = cameras.capture(step), None
         if run.scenario.wall:
             wall = stored_wall(run.model, step.state, run.wall_vertices)
         state = run.motion.checkpoint()
@@ -280,6 +282,24 @@ def _write_steps(
         )
     if not (run.out / FRAMES_PARQUET).exists():
         write_table(run.out / FRAMES_PARQUET, rows.table())
+
+
+def _cameras(run: _Recording, wall: MovingWall, before: FrameTable | None) -> CapsuleCameras:
+    """The capsule's cameras, as they are after the rows of earlier frames."""
+    scenario = run.scenario
+    assert scenario.fps is not None
+    cameras = CapsuleCameras(
+        Renderer(run.model, scenario.render, wall),
+        scenario.effects,
+        fps=scenario.fps,
+        seed=scenario.seed,
+        channels=scenario.channels,
+    )
+    if before is not None and len(before):
+        last = {name: float(column[-1]) for name, column in before.columns.items()}
+        captured = np.flatnonzero(before.columns.get(CAPTURED, ()))
+        cameras.resume(last, int(captured[-1]) if captured.size else None)
+    return cameras
 
 
 def _write_frame(

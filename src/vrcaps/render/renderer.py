@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from hashlib import blake2b
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -15,13 +15,14 @@ from vrcaps.camera.camera import Camera
 from vrcaps.camera.rays import camera_rays
 from vrcaps.errors import InputError, UnknownNameError
 from vrcaps.lumen.lumen_contents import LumenContents
-from vrcaps.render.denoise import denoise, load_denoiser
+from vrcaps.render.denoise import load_denoiser
 from vrcaps.render.flow import SurfacePoints, flow, visibility
 from vrcaps.render.frame import CHANNELS, Frame, inside
 from vrcaps.render.led_light import make_imaging
 from vrcaps.render.make_scene import make_scene
 from vrcaps.render.refraction import REFLECTED, RefractedPaths, refract_paths, surface_heights
 from vrcaps.render.settings import RenderSettings
+from vrcaps.render.supersampling import Paths, supersampled_radiance
 from vrcaps.world.model import Model, State
 from vrcaps.world.moving_wall import MovingWall
 
@@ -32,8 +33,6 @@ if TYPE_CHECKING:
 DEFAULT_CHANNELS = ("rgb", "depth", "ray_distance", "normal", "label", "instance", "arc_length")
 """A complete labelled frame."""
 
-_Paths: TypeAlias = tuple[int, int, int] | None
-"""Samples per pixel, max bounces and seed; None without path tracing."""
 
 _ARRAYS: dict[str, tuple[type[np.generic], tuple[int, ...]]] = {
     "rgb": (np.uint8, (3,)),
@@ -175,7 +174,7 @@ class Renderer:
         leds = self._leds(camera)
         paths = _paths(self.settings, state.time, T_world_camera)
 
-        def draw(into: dict[str, NDArray[Any]], supersampling: int, paths: _Paths = paths) -> None:
+        def draw(into: dict[str, NDArray[Any]], supersampling: int, paths: Paths = paths) -> None:
             _core.render(
                 wall,
                 self._scene,
@@ -194,7 +193,7 @@ class Renderer:
             draw(arrays, 1)
             return
         draw({name: array for name, array in arrays.items() if name not in _COLOR}, 1)
-        radiance = _color(draw, camera, self.settings)
+        radiance = supersampled_radiance(draw, camera, self.settings)
         if "radiance" in arrays:
             arrays["radiance"][...] = radiance
         if "radiance_planar" in arrays:
@@ -239,6 +238,30 @@ class Renderer:
             paths = self.refracted_paths(camera, points, moved, state_previous, "previous")
             motion["flow_backward"] = flow(camera, paths.apparent, state_previous)
         return motion
+
+    def points_in_neighbor(
+        self,
+        camera: Camera,
+        points: SurfacePoints,
+        state: State,
+        neighbor: State,
+        *,
+        is_next: bool,
+    ) -> tuple[Float[np.ndarray, "h w 3"], Float[np.ndarray, "4 4"]]:
+        """Where surface points appear in a neighboring frame [m], and `T_world_camera` there.
+
+        Args:
+            camera: That sees them.
+            points: What pixels see now.
+            state: The world now.
+            neighbor: The world one frame later or earlier.
+            is_next: Whether it is later.
+        """
+        contents = self.lumen_contents(state), self.lumen_contents(neighbor)
+        moved = points.moved(self.model.organ.faces, neighbor, *contents)
+        slot = "next" if is_next else "previous"
+        paths = self.refracted_paths(camera, points, moved, neighbor, slot)
+        return paths.apparent, self.pose(neighbor, camera)
 
     def refracted_paths(
         self,
@@ -349,26 +372,6 @@ class Renderer:
         return self._led_rows[id(camera)][1]
 
 
-def _color(
-    draw: Callable[..., None], camera: Camera, settings: RenderSettings
-) -> Float[np.ndarray, "h w 3"]:
-    """Radiance [W/(sr·m²)] as the mean over each pixel's rays, denoised where that is asked for."""
-    factor = settings.supersampling
-
-    def means(*names: str, **kwargs: _Paths) -> list[NDArray[np.float32]]:
-        size = (camera.height, factor, camera.width, factor, 3)
-        fine = {name: np.empty((size[0] * factor, size[2] * factor, 3), "f4") for name in names}
-        draw(fine, factor, **kwargs)
-        return [array.reshape(size).mean(axis=(1, 3)) for array in fine.values()]
-
-    if not settings.denoise:
-        return means("radiance")[0]
-    radiance, albedo, normal = means("radiance", "albedo", "normal")
-    # Light through tissue is noisy from the first reflection on.
-    (first,) = means("radiance", paths=(1, 0 if settings.scattering else 1, 0))
-    return denoise(radiance, first, albedo, normal)
-
-
 def _differ_in_place(one: LumenContents, other: LumenContents) -> bool:
     """Whether two fillings are of the same spheres and pools."""
     return one.spheres.radius is other.spheres.radius and one.pools is other.pools
@@ -388,7 +391,7 @@ def _check_channels(
 
 def _paths(
     settings: RenderSettings, time: float, T_world_camera: Float[np.ndarray, "4 4"]
-) -> _Paths:
+) -> Paths:
     """How light is traced, with a seed of this instant's own.
 
     Frames differ in time or view, so that noise does not stand still before a moving scene.

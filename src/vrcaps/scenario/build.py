@@ -47,7 +47,7 @@ def resolve(scenario: Scenario) -> Scenario:
         motion=with_checksums(scenario.motion),
         fps=device.frame_rate if scenario.fps is None else scenario.fps,
         channels=tuple(channel for channel in CHANNELS if channel in scenario.channels),
-        effects=scenario.effects.drawn(scenario.seed),
+        effects=scenario.effects.sample(scenario.seed),
     )
 
 

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 _BORDER = 24  # brightest channel of the border around an endoscope's field [of 255]
 _DARK = 45  # brightest channel of the dark lumen, where noise hides the wall
 _HIGHLIGHT = 245.0 / 255.0  # of the brightest 5 %: sure highlights (Arnold 2010: T1)
-_SUSPECT = 210.0 / 255.0  # highlights left out of the local colour
+_SUSPECT = 210.0 / 255.0  # highlights left out of the local color
 _GROWTH = 2.2  # of green and blue light in a highlight over its surroundings
 _PALING = 1.35  # of the ratio of the least to the greatest channel
 _WINDOW = 0.1  # of the field: side of the median's window
@@ -48,7 +48,7 @@ def field_of_view(rgb: UInt8[np.ndarray, "h w 3"]) -> FieldOfView:
 
     The border is black and joined to the picture's edge; the field is the largest bright part,
     less a rim of 2 % of its width, where lenses blur. Boxes laid over the picture by the device
-    are found by colours that tissue does not have: more green or blue than red.
+    are found by colors that tissue does not have: more green or blue than red.
     """
     from skimage.measure import label
 
@@ -83,7 +83,7 @@ def highlights(
     First by brightness: luma, or green and blue scaled to luma by the ratio of their 95th
     percentiles (tissue is poor in both, a reflection of the lamp is not). Then by contrast with
     the median around, of what is no suspect: a highlight adds white light, so green and blue
-    light both double and the colour pales. Grown by the glow around them.
+    light both double and the color pales. Grown by the glow around them.
 
     Arnold M., Ghosh A., Ameling S., Lacey G. Automatic segmentation and inpainting of specular
     highlights for endoscopic imaging. EURASIP J. Image Video Process. 2010, 814319.
@@ -118,7 +118,7 @@ def _bright(image, luma, field, limit: float) -> Bool[np.ndarray, "h w"]:
 
 
 def _local_color(image, known, window: int) -> Float[np.ndarray, "h w 3"]:
-    """Median colour of the known pixels around; at a quarter of the resolution where large."""
+    """Median color of the known pixels around; at a quarter of the resolution where large."""
     step = max(1, window // 12)
     filled = fill(image, known)[::step, ::step]
     size = max(3, window // step)

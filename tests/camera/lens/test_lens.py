@@ -75,11 +75,11 @@ def test_project_then_unproject_returns_every_ray_of_the_field(kind, seed):
 
 
 @pytest.mark.parametrize("kind", LENSES)
-def test_optical_axis_is_the_centre_pixel(kind):
+def test_optical_axis_is_the_center_pixel(kind):
     lens = random_lens(kind, np.random.default_rng(3))
-    centre = np.array([lens.cx, lens.cy])
-    np.testing.assert_allclose(lens.project(np.array([0.0, 0.0, 2.0])), centre, atol=1e-12)
-    np.testing.assert_allclose(lens.unproject(centre), [0.0, 0.0, 1.0], atol=1e-12)
+    center = np.array([lens.cx, lens.cy])
+    np.testing.assert_allclose(lens.project(np.array([0.0, 0.0, 2.0])), center, atol=1e-12)
+    np.testing.assert_allclose(lens.unproject(center), [0.0, 0.0, 1.0], atol=1e-12)
 
 
 @pytest.mark.parametrize("kind", LENSES)

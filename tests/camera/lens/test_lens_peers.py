@@ -110,18 +110,18 @@ def _lens(fit: dict) -> LensPinhole | LensScaramuzza:
         return LensScaramuzza(*fit["mapping_a0_a2_a3_a4"], cx, cy, c, d, e)
     k1, k2 = fit["radial"]
     p1, p2 = fit["tangential"]
-    centre = fit["cx"] - 1.0, fit["cy"] - 1.0
-    return LensPinhole(fit["fx"], fit["fy"], *centre, fit["skew"], k1, k2, p1, p2)
+    center = fit["cx"] - 1.0, fit["cy"] - 1.0
+    return LensPinhole(fit["fx"], fit["fy"], *center, fit["skew"], k1, k2, p1, p2)
 
 
 def test_pinhole_model_of_pillcam_folds_over_at_94_pixels():
     """Camera 1's published pinhole model; beyond the fold two angles would share a pixel."""
-    focal, centre = 74.309, 128.0
-    lens = LensPinhole(focal, focal, centre, centre, k1=0.1993626943701672, k2=-0.127914944844721)
+    focal, center = 74.309, 128.0
+    lens = LensPinhole(focal, focal, center, center, k1=0.1993626943701672, k2=-0.127914944844721)
     assert np.degrees(np.arctan(lens.limit)) == pytest.approx(53.3, abs=0.1)
-    columns = centre + np.arange(0.0, 128.0, 0.01)
-    rays = lens.unproject(np.stack([columns, np.full_like(columns, centre)], axis=-1))
+    columns = center + np.arange(0.0, 128.0, 0.01)
+    rays = lens.unproject(np.stack([columns, np.full_like(columns, center)], axis=-1))
     seen = np.isfinite(rays[:, 0])
-    assert columns[seen].max() - centre == pytest.approx(94.0, abs=1.5)
+    assert columns[seen].max() - center == pytest.approx(94.0, abs=1.5)
     assert not seen[np.argmin(seen) :].any()
     assert np.all(np.diff(rays[seen, 0]) > 0.0)

@@ -42,7 +42,7 @@ def test_a_square_without_a_size_is_an_error(square: float) -> None:
 
 
 def test_squares_around_an_inner_corner_alternate_in_the_picture() -> None:
-    """Half-way to its neighbours' middle, each corner sees two black and two white squares."""
+    """Half-way to its neighbors' middle, each corner sees two black and two white squares."""
     camera = read_device("mono").cameras[0]
     board = Board(6, 5, 2e-3)
     pose = held(camera, board, 1, np.random.default_rng(2), tilt=0.3)

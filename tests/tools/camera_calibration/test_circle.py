@@ -8,11 +8,11 @@ import pytest
 from vrcaps.tools.camera_calibration.circle import image_circle
 
 
-def pictures(size: tuple[int, int], centre: tuple[float, float], radius: float) -> list[np.ndarray]:
+def pictures(size: tuple[int, int], center: tuple[float, float], radius: float) -> list[np.ndarray]:
     """Mottled discs with one dark part each, on a sensor with noise."""
     rng = np.random.default_rng(0)
     rows, columns = np.indices(size[::-1])
-    disc = np.hypot(columns - centre[0], rows - centre[1]) <= radius
+    disc = np.hypot(columns - center[0], rows - center[1]) <= radius
     images = []
     for k in range(12):
         light = rng.uniform(90.0, 200.0, (*size[::-1], 3)) * disc[..., None]
@@ -22,15 +22,15 @@ def pictures(size: tuple[int, int], centre: tuple[float, float], radius: float) 
 
 
 @pytest.mark.parametrize(
-    ("size", "centre", "radius"),
+    ("size", "center", "radius"),
     [((240, 240), (119.0, 122.0), 95.0), ((240, 240), (121.5, 118.0), 140.0)],
 )
-def test_circle_inside_the_picture_and_cut_by_it(size, centre, radius) -> None:
-    circle = image_circle(pictures(size, centre, radius))
+def test_circle_inside_the_picture_and_cut_by_it(size, center, radius) -> None:
+    circle = image_circle(pictures(size, center, radius))
     assert circle is not None
-    assert (circle.cx, circle.cy) == pytest.approx(centre, abs=0.5)
+    assert (circle.cx, circle.cy) == pytest.approx(center, abs=0.5)
     assert circle.radius == pytest.approx(radius, abs=1.0)
-    assert circle.radius_about(*centre) == pytest.approx(radius, abs=1.0)
+    assert circle.radius_about(*center) == pytest.approx(radius, abs=1.0)
 
 
 def test_a_full_picture_and_a_square_one_have_no_circle() -> None:

@@ -14,7 +14,7 @@ from vrcaps.capsule.catalog import read_device
 from vrcaps.errors import InputError, MissingExtraError
 from vrcaps.tools.camera_calibration.board import Board, board_image
 from vrcaps.tools.camera_calibration.corners import find_corners, find_views
-from vrcaps.tools.camera_calibration.subpixel import nearest_neighbours, refine_corners
+from vrcaps.tools.camera_calibration.subpixel import nearest_neighbors, refine_corners
 from vrcaps.tools.photos import Photo
 
 BOARD = Board(7, 8, 2e-3)
@@ -28,7 +28,7 @@ CAMERA = replace(
 
 
 def picture(pose: np.ndarray, board: Board = BOARD) -> np.ndarray:
-    """8-bit grey as three channels, ink at 30 and paper at 220."""
+    """8-bit gray as three channels, ink at 30 and paper at 220."""
     gray = np.rint(30.0 + 190.0 * board_image(CAMERA, pose, board, 4)).astype(np.uint8)
     return np.repeat(gray[..., None], 3, axis=2)
 
@@ -93,10 +93,10 @@ def test_corners_stay_where_there_is_no_saddle() -> None:
     np.testing.assert_array_equal(refine_corners(np.full((64, 64), 9.0), start), start)
 
 
-def test_distance_to_the_nearest_neighbour() -> None:
+def test_distance_to_the_nearest_neighbor() -> None:
     grid = np.array([[[0.0, 0.0], [3.0, 0.0], [10.0, 0.0]], [[0.0, 5.0], [4.0, 5.0], [10.0, 4.0]]])
     expected = [[3.0, 3.0, 4.0], [4.0, 4.0, 4.0]]
-    np.testing.assert_allclose(nearest_neighbours(grid), expected, atol=1e-12)
+    np.testing.assert_allclose(nearest_neighbors(grid), expected, atol=1e-12)
 
 
 def test_photographs_without_a_board_are_named_and_too_few_are_an_error(pictures) -> None:

@@ -21,7 +21,7 @@ from vrcaps.tools.camera_calibration.corners import BoardView, find_views
 from vrcaps.tools.camera_calibration.device import calibrated_device
 from vrcaps.tools.camera_calibration.fit import Calibration, _Problem, calibrate, sees_image
 from vrcaps.tools.camera_calibration.initial_guess import plane_pose
-from vrcaps.tools.camera_calibration.parameterization import FAMILIES
+from vrcaps.tools.camera_calibration.parameterization import PARAMETERIZATIONS
 from vrcaps.tools.photos import read_photos
 
 BOARD = Board(7, 8, 2e-3)
@@ -138,7 +138,9 @@ def test_what_fixes_no_lens_is_an_error() -> None:
         calibrate(views, BOARD, SIZE, "pinhole", num_terms=4)
     with pytest.raises(UnknownNameError, match="No lens model to calibrate named 'equidistant'"):
         calibrate(views, BOARD, SIZE, "equidistant")
-    problem = _Problem(FAMILIES["pinhole"], BOARD, SIZE, np.stack([v.pixels for v in views]))
+    problem = _Problem(
+        PARAMETERIZATIONS["pinhole"], BOARD, SIZE, np.stack([v.pixels for v in views])
+    )
     behind = np.tile(np.diag([1.0, -1.0, -1.0, 1.0]), (len(views), 1, 1))
     with pytest.raises(InputError, match=r"No pinhole lens reaches all corners\. Allowed: another"):
         problem.covariance(LENSES["pinhole"], behind, 3)
@@ -172,7 +174,7 @@ def test_photographs_fit_no_worse_than_published(shared_data: Path, tmp_path, ca
     circle = image_circle([photo.rgb for photo in photos])
     assert circle is not None
     height, width = photos[0].rgb.shape[:2]
-    for kind in FAMILIES:
+    for kind in PARAMETERIZATIONS:
         fit = calibrate(views, board, (width, height), kind, circle_px=circle.radius)
         assert fit.errors.mean() <= STORED[camera, kind]
         edge = circle.radius_about(fit.lens.cx, fit.lens.cy)

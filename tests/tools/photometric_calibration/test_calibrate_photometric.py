@@ -16,9 +16,9 @@ from vrcaps.capsule.device_file import read_device_file, write_device
 from vrcaps.errors import InputError
 from vrcaps.scenario.scenario import read_scenario
 from vrcaps.tools.photometric_calibration.calibrate_photometric import (
-    match_camera,
-    matched_device,
-    write_effects,
+    calibrate_photometric,
+    photometric_device,
+    write_scenario,
 )
 from vrcaps.tools.photometric_calibration.frames import make_frames
 from vrcaps.tools.photometric_calibration.jpeg import blockiness, jpeg_quality, quality_tables
@@ -39,7 +39,7 @@ def frames():
 
 @pytest.fixture(scope="module")
 def match(frames):
-    return match_camera(frames, CAMERA, reference=make_frames(photos(PLAIN, 12, seed=2)))
+    return calibrate_photometric(frames, CAMERA, reference=make_frames(photos(PLAIN, 12, seed=2)))
 
 
 def test_circle(match) -> None:
@@ -51,13 +51,13 @@ def test_circle(match) -> None:
 def test_vignetting_against_a_reference(match) -> None:
     """The fall of light within the circle is right to 6 % of the light on the axis."""
     rho = np.linspace(0.0, 0.9, 50)
-    both = ((match.falloff.k1, match.falloff.k2), TRUE.vignetting)
+    both = ((match.vignetting.k1, match.vignetting.k2), TRUE.vignetting)
     found, true = (1.0 + k1 * rho**2 + k2 * rho**4 for k1, k2 in both)
     np.testing.assert_allclose(found, true, atol=0.06)
-    assert match.falloff.is_clear
+    assert match.vignetting.is_clear
     edge = match.profile.radius[-1]
     rim = 1.0 + TRUE.vignetting[0] * edge**2 + TRUE.vignetting[1] * edge**4
-    assert abs(match.falloff.rim - rim) < 3.0 * match.falloff.deviation < 0.3
+    assert abs(match.vignetting.rim - rim) < 3.0 * match.vignetting.deviation < 0.3
 
 
 def test_falloff_does_not_rise_at_the_rim() -> None:
@@ -72,9 +72,9 @@ def test_falloff_does_not_rise_at_the_rim() -> None:
 
 
 def test_without_falloff_there_is_no_vignetting() -> None:
-    plain = match_camera(make_frames(photos(PLAIN, 12, seed=4)), CAMERA)
-    assert not plain.falloff.is_clear
-    assert plain.falloff.rim == pytest.approx(1.0, abs=3.0 * plain.falloff.deviation)
+    plain = calibrate_photometric(make_frames(photos(PLAIN, 12, seed=4)), CAMERA)
+    assert not plain.vignetting.is_clear
+    assert plain.vignetting.rim == pytest.approx(1.0, abs=3.0 * plain.vignetting.deviation)
 
 
 def test_color_and_brightness_against_a_reference(match) -> None:
@@ -91,7 +91,7 @@ def test_noise_is_that_of_the_photon_transfer_line(match) -> None:
 
 def test_noise_below_rounding_is_not_told() -> None:
     quiet = make_frames(photos(Figures(), 6, seed=5))
-    assert match_camera(quiet, CAMERA).noise is None
+    assert calibrate_photometric(quiet, CAMERA).noise is None
 
 
 @pytest.mark.parametrize("quality", [30, 50, 75, 94, 95])
@@ -122,9 +122,9 @@ def test_device_and_effects_hold_what_was_found(match, frames, tmp_path) -> None
     """The circle is scaled to the device's images; a scenario with the effects can be read."""
     pattern = replace(read_device("mirocam"), cameras=(CAMERA,))
     large = replace(CAMERA, width=2 * SIZE, height=2 * SIZE)
-    device = matched_device(replace(pattern, cameras=(large,)), match)
+    device = photometric_device(replace(pattern, cameras=(large,)), match)
     assert device.cameras[0].image_circle_px == pytest.approx(2.0 * match.circle.radius)
-    device = matched_device(pattern, match)
+    device = photometric_device(pattern, match)
     (camera,) = device.cameras
     for led, old in zip(camera.leds, CAMERA.leds, strict=True):
         assert led.intensity == pytest.approx(np.multiply(old.intensity, match.gains))
@@ -132,17 +132,17 @@ def test_device_and_effects_hold_what_was_found(match, frames, tmp_path) -> None
     path = tmp_path / "mine.toml"
     write_device(path, device)
     assert read_device_file(path).cameras[0].lens == CAMERA.lens
-    write_effects(tmp_path / "effects.toml", replace(match, jpeg_quality=80), path)
+    write_scenario(tmp_path / "effects.toml", replace(match, jpeg_quality=80), path)
     scenario = read_scenario(tmp_path / "effects.toml")
     assert scenario.capsule == str(path)
     effects = scenario.effects
-    assert effects.vignette.coefficients == pytest.approx(
-        (match.falloff.k1, match.falloff.k2, 0.0), rel=1e-4
+    assert effects.vignetting.coefficients == pytest.approx(
+        (match.vignetting.k1, match.vignetting.k2, 0.0), rel=1e-4
     )
-    assert effects.noise.full_well == pytest.approx(match.noise.full_well, rel=1e-4)
+    assert effects.sensor_noise.full_well == pytest.approx(match.noise.full_well, rel=1e-4)
     assert effects.jpeg.quality == 80
-    bare = replace(match, falloff=replace(match.falloff, rim=1.0), noise=None)
-    write_effects(tmp_path / "bare.toml", bare, path)
+    bare = replace(match, vignetting=replace(match.vignetting, rim=1.0), noise=None)
+    write_scenario(tmp_path / "bare.toml", bare, path)
     assert set(tomllib.loads((tmp_path / "bare.toml").read_text())) == {"capsule"}
     write_report(tmp_path / "report.png", match, frames)
     assert (tmp_path / "report.png").stat().st_size > 50_000
@@ -159,4 +159,4 @@ def test_frames_that_cannot_be_used_are_an_error() -> None:
         make_frames([black] * 3)
     wide = [replace(photo, rgb=photo.rgb[:150]) for photo in made]
     with pytest.raises(InputError, match=r"camera front 224 × 224\. Allowed: frames of the same"):
-        match_camera(make_frames(wide), CAMERA)
+        calibrate_photometric(make_frames(wide), CAMERA)

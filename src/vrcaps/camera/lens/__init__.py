@@ -11,6 +11,8 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING, Union
+
 from vrcaps.camera.lens.base import Lens as Lens
 from vrcaps.camera.lens.equidistant import LensEquidistant as LensEquidistant
 from vrcaps.camera.lens.equirectangular import LensEquirectangular as LensEquirectangular
@@ -29,3 +31,9 @@ LENSES: dict[str, type[Lens]] = {
     )
 }
 """Lens classes by the `kind` that files call them."""
+
+if TYPE_CHECKING:
+    AnyLens = Lens
+else:
+    AnyLens = Union[tuple(LENSES.values())]  # noqa: UP007
+"""Any of the lens models, as files hold them."""

@@ -1,7 +1,7 @@
 """What every lens model offers, and the arithmetic they share.
 
 A lens model is a frozen dataclass of plain numbers. Pixels are (column, row), and pixel (0, 0) is
-the centre of the top-left pixel. The camera frame is x right, y down, z forward.
+the center of the top-left pixel. The camera frame is x right, y down, z forward.
 """
 
 from __future__ import annotations
@@ -23,8 +23,17 @@ ANGLE_SLACK = 1e-9
 """Rounding allowed at the edge of the field [rad]: a ray on the edge still projects."""
 
 
+LENGTH_PX = {"unit": "px", "px_power": 1}
+"""Metadata of a parameter in pixels that grows with the image's scale, such as a focal length."""
+ANGLE = {"unit": "deg"}
+"""Metadata of an angle [rad], which files hold in degrees."""
+
+
 class Lens(Protocol):
     """A lens model; `LENSES` names them all.
+
+    The metadata of a field say what files and scaled images do with it: `unit` is its unit in a
+    device file and ends its key; `px_power` is the power of the image's scale that it goes with.
 
     Attributes:
         kind: Its name in files.
@@ -134,7 +143,7 @@ def invert_monotone(
     Newton's method from a table, with bisection where a step leaves the bracket.
 
     Args:
-        function: Vectorised and increasing, zero at 0.
+        function: Vectorized and increasing, zero at 0.
         derivative: Of the function.
         values: To be reached; those beyond the range give the nearer end, NaN gives NaN.
         upper: End of the interval.

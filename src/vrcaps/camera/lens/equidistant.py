@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
 from vrcaps.camera.lens.base import (
+    ANGLE,
     ANGLE_SLACK,
+    LENGTH_PX,
     angles_to_axis,
     check_lens,
     masked,
@@ -35,10 +37,10 @@ class LensEquidistant:
         max_angle: Half-field limit [rad]; π where None.
     """
 
-    focal: float
-    cx: float
-    cy: float
-    max_angle: float | None = None
+    focal: float = field(metadata=LENGTH_PX)
+    cx: float = field(metadata=LENGTH_PX)
+    cy: float = field(metadata=LENGTH_PX)
+    max_angle: float | None = field(default=None, metadata=ANGLE)
 
     kind: ClassVar[str] = "equidistant"
 

@@ -3,12 +3,19 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from vrcaps.camera.lens.base import ANGLE_SLACK, angles_to_axis, check_lens, masked
+from vrcaps.camera.lens.base import (
+    ANGLE,
+    ANGLE_SLACK,
+    LENGTH_PX,
+    angles_to_axis,
+    check_lens,
+    masked,
+)
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -32,11 +39,11 @@ class LensEquirectangular:
         max_angle: Limit of the angle to the optical axis [rad].
     """
 
-    fx: float
-    fy: float
-    cx: float
-    cy: float
-    max_angle: float | None = None
+    fx: float = field(metadata=LENGTH_PX)
+    fy: float = field(metadata=LENGTH_PX)
+    cx: float = field(metadata=LENGTH_PX)
+    cy: float = field(metadata=LENGTH_PX)
+    max_angle: float | None = field(default=None, metadata=ANGLE)
 
     kind: ClassVar[str] = "equirectangular"
 

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 from numpy.polynomial.polynomial import polyval
 
 from vrcaps.camera.lens.base import (
+    ANGLE,
     ANGLE_SLACK,
+    LENGTH_PX,
     angles_to_axis,
     check_lens,
     first_positive_root,
@@ -45,15 +47,15 @@ class LensKannalaBrandt:
         max_angle: Half-field limit [rad].
     """
 
-    fx: float
-    fy: float
-    cx: float
-    cy: float
+    fx: float = field(metadata=LENGTH_PX)
+    fy: float = field(metadata=LENGTH_PX)
+    cx: float = field(metadata=LENGTH_PX)
+    cy: float = field(metadata=LENGTH_PX)
     k1: float = 0.0
     k2: float = 0.0
     k3: float = 0.0
     k4: float = 0.0
-    max_angle: float | None = None
+    max_angle: float | None = field(default=None, metadata=ANGLE)
 
     kind: ClassVar[str] = "kannala-brandt"
 
@@ -76,8 +78,8 @@ class LensKannalaBrandt:
         angle = angles_to_axis(points)
         lateral = np.hypot(points[..., 0], points[..., 1])
         scale = self._radius(angle) / np.where(lateral > 0.0, lateral, 1.0)
-        focal, centre = (self.fx, self.fy), (self.cx, self.cy)
-        pixels = points[..., :2] * scale[..., None] * focal + centre
+        focal, center = (self.fx, self.fy), (self.cx, self.cy)
+        pixels = points[..., :2] * scale[..., None] * focal + center
         return masked(pixels, angle <= self.limit + ANGLE_SLACK)
 
     def unproject(self, pixels: Float[np.ndarray, "*batch 2"]) -> Float[np.ndarray, "*batch 3"]:

@@ -3,13 +3,20 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 from numpy.polynomial.polynomial import polyval
 
-from vrcaps.camera.lens.base import check_lens, first_positive_root, invert_monotone, masked
+from vrcaps.camera.lens.base import (
+    ANGLE,
+    LENGTH_PX,
+    check_lens,
+    first_positive_root,
+    invert_monotone,
+    masked,
+)
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
@@ -51,17 +58,17 @@ class LensPinhole:
         max_angle: Half-field limit [rad].
     """
 
-    fx: float
-    fy: float
-    cx: float
-    cy: float
-    skew: float = 0.0
+    fx: float = field(metadata=LENGTH_PX)
+    fy: float = field(metadata=LENGTH_PX)
+    cx: float = field(metadata=LENGTH_PX)
+    cy: float = field(metadata=LENGTH_PX)
+    skew: float = field(default=0.0, metadata=LENGTH_PX)
     k1: float = 0.0
     k2: float = 0.0
     p1: float = 0.0
     p2: float = 0.0
     k3: float = 0.0
-    max_angle: float | None = None
+    max_angle: float | None = field(default=None, metadata=ANGLE)
 
     kind: ClassVar[str] = "pinhole"
 

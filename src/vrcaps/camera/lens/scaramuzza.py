@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 from numpy.polynomial.polynomial import polyval
 
 from vrcaps.camera.lens.base import (
+    ANGLE,
     ANGLE_SLACK,
+    LENGTH_PX,
     angles_to_axis,
     check_lens,
     first_positive_root,
@@ -33,7 +35,7 @@ class LensScaramuzza:
     ``f(r) = a0 + a2 r² + a3 r³ + a4 r⁴`` and ``(u, v) = [[c, d], [e, 1]] (x, y) + (cx, cy)``
     (Scaramuzza, Martinelli, Siegwart, IROS 2006, eq. 3 and 5; MATLAB's `fisheyeIntrinsics`;
     the C3VD data set). The field ends where the angle to the axis, ``atan2(r, f(r))``, stops
-    increasing. MATLAB counts pixels from (1, 1): subtract 1 from its distortion centre.
+    increasing. MATLAB counts pixels from (1, 1): subtract 1 from its distortion center.
 
     Example:
         >>> lens = vrcaps.LensScaramuzza(136.0, -5.7e-3, 5.8e-5, -2.3e-7, cx=162.2, cy=160.5)
@@ -51,16 +53,16 @@ class LensScaramuzza:
         max_angle: Half-field limit [rad].
     """
 
-    a0: float
-    a2: float
-    a3: float
-    a4: float
-    cx: float
-    cy: float
+    a0: float = field(metadata=LENGTH_PX)
+    a2: float = field(metadata={"px_power": -1})
+    a3: float = field(metadata={"px_power": -2})
+    a4: float = field(metadata={"px_power": -3})
+    cx: float = field(metadata=LENGTH_PX)
+    cy: float = field(metadata=LENGTH_PX)
     c: float = 1.0
     d: float = 0.0
     e: float = 0.0
-    max_angle: float | None = None
+    max_angle: float | None = field(default=None, metadata=ANGLE)
 
     kind: ClassVar[str] = "scaramuzza"
 
@@ -99,8 +101,8 @@ class LensScaramuzza:
 
     def unproject(self, pixels: Float[np.ndarray, "*batch 2"]) -> Float[np.ndarray, "*batch 3"]:
         """Unit rays in the camera frame through pixels; NaN outside the field."""
-        centred = np.asarray(pixels, float) - (self.cx, self.cy)
-        plane = centred @ np.linalg.inv(self._stretch).T
+        centered = np.asarray(pixels, float) - (self.cx, self.cy)
+        plane = centered @ np.linalg.inv(self._stretch).T
         radius = np.hypot(plane[..., 0], plane[..., 1])
         return masked(rays_at_angles(self._angle(radius), plane), radius <= self.limit)
 

@@ -117,7 +117,7 @@ def _stages(scenario: Scenario, folder: Path) -> dict[str, Any]:
     files.update((path, path.read_bytes()) for items in stored.values() for path, _ in items)
     stages["of it, files"] = {**_timed(rewrite, frames), "note": "the same bytes written again"}
     return {
-        "camera": f"{device.title} ({camera.width} × {camera.height})",
+        "camera": f"{model.device.title} ({camera.width} × {camera.height})",
         "num_triangles": len(model.organ.faces),
         "stages": stages,
     }

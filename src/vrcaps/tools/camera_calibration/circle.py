@@ -34,8 +34,8 @@ class ImageCircle:
     """The edge of the lit part of a picture.
 
     Attributes:
-        cx: Column of its centre [px].
-        cy: Row of its centre [px].
+        cx: Column of its center [px].
+        cy: Row of its center [px].
         radius: [px].
         edge: Where the edge was seen (column, row) [px].
     """
@@ -46,7 +46,7 @@ class ImageCircle:
     edge: Float[np.ndarray, "n 2"]
 
     def radius_about(self, cx: float, cy: float) -> float:
-        """Median distance of the edge from another centre [px]."""
+        """Median distance of the edge from another center [px]."""
         return float(np.median(np.linalg.norm(self.edge - (cx, cy), axis=1)))
 
 
@@ -57,7 +57,7 @@ def image_circle(images: Sequence[UInt8[np.ndarray, "h w 3"]]) -> ImageCircle | 
     what is dark in some does not count. Along each direction from the middle the last place
     brighter than the dark sensor is found; the edge is where half of what is 4 px inside of it
     is left. Directions that leave the picture bright tell nothing.
-    The circle minimises Huber's function of the distances.
+    The circle minimizes Huber's function of the distances.
     """
     height, width = images[0].shape[:2]
     bright = np.quantile([image.max(axis=2) for image in images], 0.9, axis=0)

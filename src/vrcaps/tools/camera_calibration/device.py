@@ -37,7 +37,7 @@ def calibrated_device(
         pattern: Gives body, magnets, LEDs, places and exposure.
         fit: The lens.
         camera: Name of the camera to change; its first by default.
-        circle_px: Radius about the lens's centre beyond which the sensor is dark.
+        circle_px: Radius about the lens's center beyond which the sensor is dark.
 
     Raises:
         UnknownNameError: If the pattern has no such camera.

@@ -14,11 +14,11 @@ from vrcaps.camera.lens.base import angles_to_axis
 from vrcaps.errors import InputError, require
 from vrcaps.tools.camera_calibration.board import Board
 from vrcaps.tools.camera_calibration.corners import MIN_VIEWS, BoardView
-from vrcaps.tools.camera_calibration.initial_guess import start_lens
+from vrcaps.tools.camera_calibration.initial_guess import initial_lens
 from vrcaps.tools.camera_calibration.parameterization import (
-    Family,
+    LensParameterization,
     Size,
-    find_family,
+    find_parameterization,
     values_of,
     with_values,
 )
@@ -109,14 +109,14 @@ def calibrate(
         UnknownNameError: If there is no such lens model.
         InputError: If views are too few or fix no lens, or the model cannot fit them.
     """
-    family = find_family(kind)
+    family = find_parameterization(kind)
     most = len(family.terms)
     terms = most if num_terms is None else num_terms
     require(0 <= terms <= most, f"The number of terms of {kind}", terms, f"0 to {most}")
     many = f"{MIN_VIEWS} or more"
     require(len(views) >= MIN_VIEWS, "The number of boards seen", len(views), many)
     problem = _Problem(family, board, size, np.stack([view.pixels for view in views]))
-    lens, poses = start_lens(family, size, board.points, problem.pixels)
+    lens, poses = initial_lens(family, size, board.points, problem.pixels)
     for count in sorted({min(1, terms), terms}):
         lens, poses = problem.solve(lens, poses, count)
     lens, poses = _robust(problem, lens, poses, terms)
@@ -134,7 +134,7 @@ def sees_image(lens: Lens, size: Size, circle_px: float | None = None) -> bool:
     Args:
         lens: The lens.
         size: Width and height of the image [px].
-        circle_px: Radius about the lens's centre beyond which the image is dark.
+        circle_px: Radius about the lens's center beyond which the image is dark.
     """
     rim, length = _rim(lens, size)
     inside = np.minimum(1.0, (circle_px or np.inf) / np.maximum(length, 1e-9))
@@ -143,7 +143,7 @@ def sees_image(lens: Lens, size: Size, circle_px: float | None = None) -> bool:
 
 
 def _rim(lens: Lens, size: Size) -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, " n"]]:
-    """Pixels along the image's border, from the lens's centre, and their distances [px]."""
+    """Pixels along the image's border, from the lens's center, and their distances [px]."""
     width, height = size
     columns, rows = np.meshgrid(np.arange(width), np.arange(height))
     border = (columns % (width - 1) == 0) | (rows % (height - 1) == 0)
@@ -152,7 +152,7 @@ def _rim(lens: Lens, size: Size) -> tuple[Float[np.ndarray, "n 2"], Float[np.nda
 
 
 def _farthest(lens: Lens, size: Size, circle_px: float) -> float:
-    """Distance of the farthest lit pixel from the lens's centre [px]."""
+    """Distance of the farthest lit pixel from the lens's center [px]."""
     return min(float(_rim(lens, size)[1].max()), circle_px)
 
 
@@ -174,7 +174,7 @@ class _Problem:
     place, all divided by their scales. After the corners' residuals comes that of the rim.
     """
 
-    family: Family
+    family: LensParameterization
     board: Board
     size: Size
     pixels: Float[np.ndarray, "v n 2"]

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps.tools.camera_calibration.parameterization import Family, Size
+from vrcaps.tools.camera_calibration.parameterization import LensParameterization, Size
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -21,8 +21,8 @@ _NUM_TRIED = 4
 """Photographs that focal lengths are tried on, at most."""
 
 
-def start_lens(
-    family: Family,
+def initial_lens(
+    family: LensParameterization,
     size: Size,
     points: Float[np.ndarray, "n 3"],
     pixels: Float[np.ndarray, "v n 2"],
@@ -38,9 +38,9 @@ def start_lens(
     Returns:
         The lens with its axis in the middle of the image, and ``Ts_camera_board``.
     """
-    centre = (0.5 * (size[0] - 1), 0.5 * (size[1] - 1))
+    center = (0.5 * (size[0] - 1), 0.5 * (size[1] - 1))
     tried = [
-        family.start(float(focal), shape, *centre)
+        family.start(float(focal), shape, *center)
         for focal, shape in product(FOCALS * size[0], family.shapes)
     ]
     some = pixels[:: -(-len(pixels) // _NUM_TRIED)]

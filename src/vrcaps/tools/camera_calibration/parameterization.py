@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -14,21 +14,19 @@ Size = tuple[int, int]
 
 
 @dataclass(frozen=True)
-class Family:
+class LensParameterization:
     """A lens model as a vector of numbers of about 1.
 
     Attributes:
         focal: Fields that are focal lengths or play their part.
         terms: Distortion coefficients, from low order to high.
-        powers: Of half the image's width [px] in the unit of each coefficient.
-        start: Lens of a focal length [px], a shape and a centre (column, row).
+        start: Lens of a focal length [px], a shape and a center (column, row).
         shapes: Shapes that a search tries: the first coefficient, times a power of the focal
             length where it has a unit.
     """
 
     focal: tuple[str, ...]
     terms: tuple[str, ...]
-    powers: tuple[float, ...]
     start: Callable[[float, float, float, float], Lens]
     shapes: tuple[float, ...]
 
@@ -38,30 +36,30 @@ class Family:
 
     def scales(self, names: tuple[str, ...], size: Size) -> np.ndarray:
         """Size of a step in each field that moves pixels by about half the image's width."""
-        half = 0.5 * size[0]
-        power = dict(zip(self.terms, self.powers, strict=True))
-        return np.array([half ** power.get(name, 1.0) for name in names])
+        half, lens = 0.5 * size[0], self.start(1.0, 0.0, 0.0, 0.0)
+        powers = {
+            f.name: f.metadata.get("px_power", 0)
+            for f in fields(lens)  # type: ignore[arg-type]
+        }
+        return np.array([half ** float(powers[name]) for name in names])
 
 
-FAMILIES = {
-    "pinhole": Family(
+PARAMETERIZATIONS = {
+    "pinhole": LensParameterization(
         ("fx", "fy"),
         ("k1", "k2", "k3"),
-        (0.0, 0.0, 0.0),
         lambda focal, shape, cx, cy: LensPinhole(focal, focal, cx, cy, k1=shape),
         (-0.3, -0.1, 0.0, 0.1, 0.3),
     ),
-    "kannala-brandt": Family(
+    "kannala-brandt": LensParameterization(
         ("fx", "fy"),
         ("k1", "k2", "k3", "k4"),
-        (0.0, 0.0, 0.0, 0.0),
         lambda focal, shape, cx, cy: LensKannalaBrandt(focal, focal, cx, cy, shape),
         (-0.1, 0.0, 0.1, 0.3),
     ),
-    "scaramuzza": Family(
+    "scaramuzza": LensParameterization(
         ("a0",),
         ("a2", "a3", "a4"),
-        (-1.0, -2.0, -3.0),
         lambda focal, shape, cx, cy: LensScaramuzza(focal, shape / focal, 0.0, 0.0, cx, cy),
         (-0.5, -1.0 / 3.0, -0.1, 0.0),  # -1/3 is equidistant to second order, 0 a pinhole
     ),
@@ -69,15 +67,15 @@ FAMILIES = {
 """By the `kind` of the lens model."""
 
 
-def find_family(kind: str) -> Family:
+def find_parameterization(kind: str) -> LensParameterization:
     """The family of a lens model.
 
     Raises:
         UnknownNameError: If there is none, or photographs of a board cannot fit it.
     """
-    if kind not in FAMILIES:
-        raise UnknownNameError("lens model to calibrate", kind, FAMILIES)
-    return FAMILIES[kind]
+    if kind not in PARAMETERIZATIONS:
+        raise UnknownNameError("lens model to calibrate", kind, PARAMETERIZATIONS)
+    return PARAMETERIZATIONS[kind]
 
 
 def with_values(lens: Lens, names: tuple[str, ...], values: np.ndarray) -> Lens:

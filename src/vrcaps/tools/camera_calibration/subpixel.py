@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
 _REACH = 0.35
-"""Radius of the window around a corner, of the distance to its nearest neighbour."""
+"""Radius of the window around a corner, of the distance to its nearest neighbor."""
 _LEAST, _MOST = 2.0, 15.0
 """Radius of the window [px]: a small one sees pixels, a large one the lens's curves."""
 _SAMPLES = 13
@@ -20,7 +20,7 @@ _BLUR = 0.7
 """Deviation of the blur before [px]: a square pixel's own is 0.29."""
 _ROUNDS = 6
 _FLAT = 1.0
-"""Least curvature of a saddle, of a grey level over the window's radius, squared."""
+"""Least curvature of a saddle, of a gray level over the window's radius, squared."""
 
 
 def refine_corners(
@@ -35,10 +35,10 @@ def refine_corners(
 
     Args:
         gray: Brightness of the photograph.
-        grid: Corners (column, row) [px] as neighbours on the board.
+        grid: Corners (column, row) [px] as neighbors on the board.
     """
     smooth = ndimage.gaussian_filter(gray.astype(float), _BLUR)
-    radius = np.clip(_REACH * nearest_neighbours(grid), _LEAST, _MOST).reshape(-1)
+    radius = np.clip(_REACH * nearest_neighbors(grid), _LEAST, _MOST).reshape(-1)
     step = np.linspace(-1.0, 1.0, _SAMPLES)
     x, y = (part.ravel() for part in np.meshgrid(step, step))
     weight = np.exp(-2.0 * (x**2 + y**2)) * (np.hypot(x, y) <= 1.0)
@@ -60,8 +60,8 @@ def refine_corners(
     return found.reshape(grid.shape)
 
 
-def nearest_neighbours(grid: Float[np.ndarray, "r c 2"]) -> Float[np.ndarray, "r c"]:
-    """Distance of each corner to the nearest of its neighbours along rows and columns [px]."""
+def nearest_neighbors(grid: Float[np.ndarray, "r c 2"]) -> Float[np.ndarray, "r c"]:
+    """Distance of each corner to the nearest of its neighbors along rows and columns [px]."""
     nearest = np.full(grid.shape[:2], np.inf)
     for axis in (0, 1):
         apart = np.linalg.norm(np.diff(grid, axis=axis), axis=-1)

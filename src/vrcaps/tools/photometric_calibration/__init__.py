@@ -1,1 +1,1 @@
-"""A camera from its frames: circle, vignetting, colour, noise, compression."""
+"""A camera from its frames: circle, vignetting, color, noise, compression."""

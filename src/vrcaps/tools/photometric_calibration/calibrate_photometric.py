@@ -14,13 +14,13 @@ from vrcaps.tools.camera_calibration.circle import ImageCircle, image_circle
 from vrcaps.tools.camera_calibration.device import find_camera, with_camera
 from vrcaps.tools.photometric_calibration.frames import Frames
 from vrcaps.tools.photometric_calibration.jpeg import blockiness
-from vrcaps.tools.photometric_calibration.noise_model import NoiseLine, fit_noise
+from vrcaps.tools.photometric_calibration.noise_model import NoiseModel, fit_noise
 from vrcaps.tools.photometric_calibration.vignetting_profile import (
-    Falloff,
     RadialProfile,
+    VignettingProfile,
     WallColor,
-    find_falloff,
-    mean_share,
+    fit_vignetting,
+    mean_transmission,
     radial_profile,
     wall_color,
 )
@@ -30,13 +30,13 @@ _SAME_SHAPE = 0.02
 
 
 @dataclass(frozen=True)
-class CameraMatch:
+class PhotometricCalibration:
     """What frames say of the camera that took them.
 
     Attributes:
         size: Width and height of the frames [px].
         circle: Image circle in the frames, or None where no dark rim is seen.
-        falloff: How the light falls towards the edge.
+        vignetting: How the light falls towards the edge.
         profile: Radial brightness of the frames.
         reference_profile: That of reference frames, if any.
         color: Of the wall, or None where nothing is well exposed.
@@ -49,50 +49,50 @@ class CameraMatch:
 
     size: tuple[int, int]
     circle: ImageCircle | None
-    falloff: Falloff
+    vignetting: VignettingProfile
     profile: RadialProfile
     reference_profile: RadialProfile | None
     color: WallColor | None
     gains: tuple[float, float, float]
     brightness: float
-    noise: NoiseLine | None
+    noise: NoiseModel | None
     jpeg_quality: int | None
     blockiness: float
 
 
-def match_camera(
+def calibrate_photometric(
     frames: Frames,
     camera: Camera,
     *,
     reference: Frames | None = None,
     jpeg_quality: int | None = None,
-) -> CameraMatch:
+) -> PhotometricCalibration:
     """Figures of the camera that took frames.
 
     Args:
         frames: Real ones.
-        camera: Gives its size and its lens's centre.
+        camera: Gives its size and its lens's center.
         reference: Frames rendered with `camera` without effects, that all is compared with.
         jpeg_quality: Of the files.
 
     Raises:
         InputError: If frames have another shape than the camera's images.
     """
-    centre = _centre(frames, camera)
-    profile = radial_profile(frames, centre)
-    aim_frames = None if reference is None else (reference, _centre(reference, camera))
+    center = _center(frames, camera)
+    profile = radial_profile(frames, center)
+    aim_frames = None if reference is None else (reference, _center(reference, camera))
     shaded = None if aim_frames is None else radial_profile(*aim_frames)
-    falloff = find_falloff(frames, centre, aim_frames)
+    vignetting = fit_vignetting(frames, center, aim_frames)
     color = wall_color(frames)
     aim = None if reference is None else wall_color(reference)
     gains, brightness = (1.0, 1.0, 1.0), 1.0
     if color is not None and aim is not None:
         gains = (color.red / aim.red, 1.0, color.blue / aim.blue)
-        brightness = color.green / aim.green / mean_share(falloff, frames, centre)
-    return CameraMatch(
+        brightness = color.green / aim.green / mean_transmission(vignetting, frames, center)
+    return PhotometricCalibration(
         size=frames.size,
         circle=image_circle(list(frames.rgb)),
-        falloff=falloff,
+        vignetting=vignetting,
         profile=profile,
         reference_profile=shaded,
         color=color,
@@ -104,10 +104,12 @@ def match_camera(
     )
 
 
-def matched_device(pattern: Device, match: CameraMatch, *, camera: str | None = None) -> Device:
-    """A device whose camera has the frames' image circle, colour and brightness.
+def photometric_device(
+    pattern: Device, calibration: PhotometricCalibration, *, camera: str | None = None
+) -> Device:
+    """A device whose camera has the frames' image circle, color and brightness.
 
-    The circle is scaled to the camera's size; colour goes into the LEDs' intensities, brightness
+    The circle is scaled to the camera's size; color goes into the LEDs' intensities, brightness
     into the exposure.
 
     Raises:
@@ -115,45 +117,49 @@ def matched_device(pattern: Device, match: CameraMatch, *, camera: str | None = 
     """
     old = find_camera(pattern, camera)
     circle = old.image_circle_px
-    if match.circle is not None:
-        circle = match.circle.radius * old.width / match.size[0]
-    leds = tuple(_tinted(led, match.gains) for led in old.leds)
-    new = replace(old, image_circle_px=circle, leds=leds, exposure=old.exposure * match.brightness)
+    if calibration.circle is not None:
+        circle = calibration.circle.radius * old.width / calibration.size[0]
+    leds = tuple(_tinted(led, calibration.gains) for led in old.leds)
+    new = replace(
+        old, image_circle_px=circle, leds=leds, exposure=old.exposure * calibration.brightness
+    )
     source = (
-        f"Image circle, colour of the LEDs and exposure of camera {old.name}: matched to frames. "
+        f"Image circle, color of the LEDs and exposure of camera {old.name}: matched to frames. "
         f"All else as in {pattern.name}: {pattern.source.strip()}"
     )
     title = f"{pattern.title}, matched to frames"
     return replace(with_camera(pattern, old, new), title=title, source=source)
 
 
-def write_effects(path: Path, match: CameraMatch, capsule: Path) -> None:
+def write_scenario(path: Path, calibration: PhotometricCalibration, capsule: Path) -> None:
     """Write a scenario with the capsule and what its device cannot hold, as exact effects.
 
     Vignetting, noise and JPEG are left out where the frames show none.
 
     Args:
         path: TOML file to write.
-        match: The figures.
-        capsule: File of the matched device.
+        calibration: The figures.
+        capsule: File of the calibrated device.
 
     Raises:
         InputError: If the file cannot be written.
     """
     lines = [f"capsule = {toml_text(str(capsule))}"]
-    if match.falloff.is_clear:
-        coefficients = [float(f"{k:.5g}") for k in (match.falloff.k1, match.falloff.k2, 0.0)]
-        lines += ["", "[effects.vignette]", f"coefficients = {toml_text(coefficients)}"]
-    if match.noise is not None:
-        lines += ["", "[effects.noise]", f"full_well = {match.noise.full_well:.5g}"]
-        lines += [f"read_noise = {match.noise.read_noise:.5g}"]
-    if match.jpeg_quality is not None:
-        lines += ["", "[effects.jpeg]", f"quality = {match.jpeg_quality}"]
+    if calibration.vignetting.is_clear:
+        coefficients = [
+            float(f"{k:.5g}") for k in (calibration.vignetting.k1, calibration.vignetting.k2, 0.0)
+        ]
+        lines += ["", "[effects.vignetting]", f"coefficients = {toml_text(coefficients)}"]
+    if calibration.noise is not None:
+        lines += ["", "[effects.sensor_noise]", f"full_well = {calibration.noise.full_well:.5g}"]
+        lines += [f"read_noise = {calibration.noise.read_noise:.5g}"]
+    if calibration.jpeg_quality is not None:
+        lines += ["", "[effects.jpeg]", f"quality = {calibration.jpeg_quality}"]
     write_lines(path, lines)
 
 
-def _centre(frames: Frames, camera: Camera) -> tuple[float, float]:
-    """The lens's centre in frames that may be larger or smaller than the camera's images [px].
+def _center(frames: Frames, camera: Camera) -> tuple[float, float]:
+    """The lens's center in frames that may be larger or smaller than the camera's images [px].
 
     Raises:
         InputError: If frames have another shape than the camera's images.

@@ -27,7 +27,7 @@ _NUM_LEVELS, _FEWEST_LEVELS, _FEWEST_BLOCKS = 12, 3, 30
 
 
 @dataclass(frozen=True)
-class NoiseLine:
+class NoiseModel:
     """``variance = brightness / full_well + (read_noise / full_well)²``; linear, 1 = white.
 
     Attributes:
@@ -43,7 +43,7 @@ class NoiseLine:
     variance: Float[np.ndarray, " k"]
 
 
-def fit_noise(frames: Frames) -> NoiseLine | None:
+def fit_noise(frames: Frames) -> NoiseModel | None:
     """Gain and read noise of the green channel; None where coding hides the noise.
 
     A second difference along rows and columns, [1 -2 1] both ways over 6, leaves the variance of
@@ -68,7 +68,7 @@ def fit_noise(frames: Frames) -> NoiseLine | None:
     slope, offset = np.exp(fit.x).tolist()
     if np.median((slope * brightness + offset) / rounding) < 1.0 or slope < 1.0 / MOST_ELECTRONS:
         return None
-    return NoiseLine(1.0 / slope, float(np.sqrt(offset)) / slope, brightness, variance)
+    return NoiseModel(1.0 / slope, float(np.sqrt(offset)) / slope, brightness, variance)
 
 
 def _blocks(frames: Frames) -> tuple[Float[np.ndarray, " m"], ...]:

@@ -1,4 +1,4 @@
-"""How a camera's image darkens towards its edge, its colour and its brightness."""
+"""How a camera's image darkens towards its edge, its color and its brightness."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ ENVELOPE = 0.9
 """Share of a ring's pixels below its brightness: the lumen's dark middle does not count."""
 _NUM_PARTS = 8
 _MOST_RISE = 0.3
-"""Largest k1 of a falloff: with more, light would rise from the middle, as no lens makes it."""
+"""Largest k1 of a vignetting: with more, light would rise from the middle, as no lens makes it."""
 _FEWEST = 200
 """Pixels of all frames that a ring must have."""
 _BRIGHT = (0.5, 0.95)
-"""Quantiles of luminance between which mucosa shows its colour: neither shade nor glint."""
+"""Quantiles of luminance between which mucosa shows its color: neither shade nor glint."""
 
 
 @dataclass(frozen=True)
 class RadialProfile:
-    """Brightness by distance from the image's centre.
+    """Brightness by distance from the image's center.
 
     Attributes:
         radius: Middles of rings, in halves of the image's shorter side.
@@ -41,14 +41,14 @@ class RadialProfile:
     count: Float[np.ndarray, " k"]
 
 
-def radial_profile(frames: Frames, centre: tuple[float, float]) -> RadialProfile:
+def radial_profile(frames: Frames, center: tuple[float, float]) -> RadialProfile:
     """The envelope of luminance over rings, each frame divided by its own mean.
 
     Args:
         frames: Of one camera.
-        centre: Column and row of the optical axis [px].
+        center: Column and row of the optical axis [px].
     """
-    radius = _radius(frames, centre)
+    radius = _radius(frames, center)
     own = np.where(frames.field, frames.luminance, np.nan)
     own = own[frames.field.any(axis=(1, 2))]
     relative = own / np.nanmean(own, axis=(1, 2), keepdims=True)
@@ -64,15 +64,15 @@ def radial_profile(frames: Frames, centre: tuple[float, float]) -> RadialProfile
     return RadialProfile(*np.array(found).reshape(-1, 3).T)
 
 
-def _radius(frames: Frames, centre: tuple[float, float]) -> Float[np.ndarray, "h w"]:
+def _radius(frames: Frames, center: tuple[float, float]) -> Float[np.ndarray, "h w"]:
     """Distance of each pixel from the axis, in halves of the image's shorter side."""
     width, height = frames.size
     rows, columns = np.indices((height, width))
-    return np.hypot(columns - centre[0], rows - centre[1]) / (0.5 * min(width, height))
+    return np.hypot(columns - center[0], rows - center[1]) / (0.5 * min(width, height))
 
 
 @dataclass(frozen=True)
-class Falloff:
+class VignettingProfile:
     """``1 + k1 ρ² + k2 ρ⁴`` of the light, ρ in halves of the image's shorter side.
 
     Attributes:
@@ -93,36 +93,38 @@ class Falloff:
         return self.k1 <= _MOST_RISE and 1.0 - self.rim > 2.0 * self.deviation
 
 
-def mean_share(falloff: Falloff, frames: Frames, centre: tuple[float, float]) -> float:
-    """Share of the light that a falloff leaves over the field; 1 where none is clear."""
-    if not falloff.is_clear:
+def mean_transmission(
+    vignetting: VignettingProfile, frames: Frames, center: tuple[float, float]
+) -> float:
+    """Share of the light that a vignetting leaves over the field; 1 where none is clear."""
+    if not vignetting.is_clear:
         return 1.0
-    square = _radius(frames, centre) ** 2
-    share = np.maximum(1.0 + falloff.k1 * square + falloff.k2 * square**2, 0.0)
+    square = _radius(frames, center) ** 2
+    share = np.maximum(1.0 + vignetting.k1 * square + vignetting.k2 * square**2, 0.0)
     return float(np.average(share, weights=frames.field.mean(axis=0)))
 
 
-def find_falloff(
+def fit_vignetting(
     frames: Frames,
-    centre: tuple[float, float],
+    center: tuple[float, float],
     reference: tuple[Frames, tuple[float, float]] | None = None,
-) -> Falloff:
+) -> VignettingProfile:
     """Vignetting of a camera, with its deviation by a jackknife over eight parts of the frames.
 
     Args:
         frames: Of the camera.
-        centre: Column and row of its optical axis [px].
-        reference: Frames without vignetting, such as rendered ones, and their centre. Without them
+        center: Column and row of its optical axis [px].
+        reference: Frames without vignetting, such as rendered ones, and their center. Without them
             the light is taken for even, and the wall's own shading counts as the lens's.
     """
-    profile = radial_profile(frames, centre)
+    profile = radial_profile(frames, center)
     aim = None if reference is None else radial_profile(*reference)
     k1, k2, rim = _fitted(profile, aim)
-    left_out = [_fitted(part, aim)[2] for part in _parts(frames, centre)]
+    left_out = [_fitted(part, aim)[2] for part in _parts(frames, center)]
     variance = _jackknife(left_out)
     if reference is not None:
         variance += _jackknife([_fitted(profile, part)[2] for part in _parts(*reference)])
-    return Falloff(k1, k2, rim, float(np.sqrt(variance)))
+    return VignettingProfile(k1, k2, rim, float(np.sqrt(variance)))
 
 
 def _fitted(profile: RadialProfile, reference: RadialProfile | None) -> tuple[float, float, float]:
@@ -148,11 +150,11 @@ def _fitted(profile: RadialProfile, reference: RadialProfile | None) -> tuple[fl
     return k1, k2, float(1.0 + k1 * square[-1] + k2 * square[-1] ** 2)
 
 
-def _parts(frames: Frames, centre: tuple[float, float]) -> Iterator[RadialProfile]:
+def _parts(frames: Frames, center: tuple[float, float]) -> Iterator[RadialProfile]:
     """Profiles of the frames with every eighth left out, beginning at each of the first eight."""
     count = len(frames.rgb)
     for k in range(min(_NUM_PARTS, count)):
-        yield radial_profile(frames.part(np.arange(count) % _NUM_PARTS != k), centre)
+        yield radial_profile(frames.part(np.arange(count) % _NUM_PARTS != k), center)
 
 
 def _jackknife(values: list[float]) -> float:
@@ -162,7 +164,7 @@ def _jackknife(values: list[float]) -> float:
 
 @dataclass(frozen=True)
 class WallColor:
-    """Colour and brightness of the wall in frames.
+    """Color and brightness of the wall in frames.
 
     Attributes:
         red: Linear red over green of bright mucosa, the median of frames.
@@ -176,7 +178,7 @@ class WallColor:
 
 
 def wall_color(frames: Frames) -> WallColor | None:
-    """Colour of what is bright but neither saturated nor a highlight; None if nothing is."""
+    """Color of what is bright but neither saturated nor a highlight; None if nothing is."""
     logs = []
     for linear, luminance, exposed in zip(
         frames.linear, frames.luminance, frames.exposed, strict=True

@@ -1,0 +1,188 @@
+//! An image seen through what lies on the capsule's dome: smears that absorb and scatter, and drops
+//! that are lenses.
+
+use super::planes::{Line, planes_array, rows, size};
+use crate::cpu::on_pool;
+use crate::simd::f32x64::Vec3;
+use numpy::{
+    PyArray3, PyReadonlyArray1, PyReadonlyArray2, PyReadonlyArray3, PyUntypedArrayMethods,
+};
+use pyo3::{exceptions::PyValueError, prelude::*};
+use rayon::prelude::*;
+
+/// Smears: for each colour the share of light that it does not absorb [3 h w], and the share of that
+/// which it does not scatter [h w]. What it scatters is spread evenly over the pixels that are lit,
+/// whose number is given.
+pub type GivenSmears<'py> = (PyReadonlyArray3<'py, f32>, PyReadonlyArray2<'py, f32>, f64);
+
+/// Drops: numbers of the pixels that they change [m], of the pixels each sees instead [m k], and
+/// how much each of those counts [m k].
+pub type GivenDrops<'py> =
+    (PyReadonlyArray1<'py, u32>, PyReadonlyArray2<'py, u32>, PyReadonlyArray2<'py, f32>);
+
+/// `GivenSmears` as the core reads it.
+pub struct Smears {
+    left: Vec<f32>,
+    clear: Vec<f32>,
+    lit: f64,
+}
+
+/// `GivenDrops` as the core reads it.
+pub struct Drops<'a> {
+    pixels: &'a [u32],
+    seen: &'a [u32],
+    weights: &'a [f32],
+    count: usize,
+}
+
+impl Smears {
+    /// Smears over an image of a size.
+    ///
+    /// # Errors
+    /// If it is of another.
+    pub fn of(given: &GivenSmears<'_>, (height, width): (usize, usize)) -> PyResult<Self> {
+        let (left, clear, lit) = given;
+        if left.shape() != [3, height, width] || clear.shape() != [height, width] {
+            return Err(PyValueError::new_err("Smears must be of the planes' shape (h, w)."));
+        }
+        Ok(Smears { left: left.as_slice()?.to_vec(), clear: clear.as_slice()?.to_vec(), lit: *lit })
+    }
+
+    /// What the smears scatter into every pixel of each colour, given the `totals` of all rows.
+    pub fn veils(&self, rows: &[Vec3]) -> Vec3 {
+        let sum = |k: usize| rows.iter().map(|row| f64::from(row[k])).sum::<f64>();
+        [0, 1, 2].map(|k| (sum(k) / self.lit.max(1.0)) as f32)
+    }
+
+    /// Covers a row of a plane.
+    pub fn cover(&self, row: &mut [f32], (plane, y): (usize, usize), veil: f32) {
+        let (width, area) = (row.len(), self.clear.len());
+        let left = &self.left[plane * area + y * width..][..width];
+        cover_row(row, (left, &self.clear[y * width..][..width]), veil);
+    }
+}
+
+impl<'a> Drops<'a> {
+    /// Drops before an image of so many pixels.
+    ///
+    /// # Errors
+    /// If they lie elsewhere.
+    pub fn of(given: &'a GivenDrops<'_>, area: usize) -> PyResult<Self> {
+        let (pixels, seen, weights) =
+            (given.0.as_slice()?, given.1.as_slice()?, given.2.as_slice()?);
+        let count = if pixels.is_empty() { 0 } else { seen.len() / pixels.len() };
+        let fits = seen.len() == pixels.len() * count && seen.len() == weights.len();
+        let inside = |&pixel: &u32| (pixel as usize) < area;
+        if !(fits && pixels.iter().all(inside) && seen.iter().all(inside)) {
+            return Err(PyValueError::new_err(
+                "Drops need as many sources for each of the pixels.",
+            ));
+        }
+        Ok(Drops { pixels, seen, weights, count: count.max(1) })
+    }
+
+    /// Lays the drops over planes [3 h w].
+    pub fn refract(&self, planes: &mut [f32]) {
+        let area = planes.len() / 3;
+        // All is seen before any of it changes.
+        let mut seen = vec![0.0; 3 * self.pixels.len()];
+        let source = &*planes;
+        seen.par_chunks_mut(3 * PIXELS).enumerate().for_each(|(k, values)| {
+            let first = k * PIXELS * self.count;
+            let count = values.len() / 3 * self.count;
+            let rays = (&self.seen[first..][..count], &self.weights[first..][..count]);
+            look(source, rays, self.count, values);
+        });
+        for (&pixel, colors) in self.pixels.iter().zip(seen.chunks_exact(3)) {
+            for k in 0..3 {
+                planes[k * area + pixel as usize] = colors[k];
+            }
+        }
+    }
+}
+
+/// Pixels behind drops that one thread takes.
+const PIXELS: usize = 256;
+
+/// Light of each colour in a row.
+pub fn totals(line: &Line<'_>) -> Vec3 {
+    line.each_ref().map(|row| total(row))
+}
+
+/// Planes [3 h w] as they are seen through drops and a smears.
+#[pyfunction]
+#[pyo3(signature = (planes, smears=None, drops=None))]
+pub fn dome<'py>(
+    py: Python<'py>,
+    planes: PyReadonlyArray3<'py, f32>,
+    smears: Option<GivenSmears<'py>>,
+    drops: Option<GivenDrops<'py>>,
+) -> PyResult<Bound<'py, PyArray3<f32>>> {
+    let (height, width) = size(&planes)?;
+    let smears = smears.as_ref().map(|smears| Smears::of(smears, (height, width))).transpose()?;
+    let drops = drops.as_ref().map(|drops| Drops::of(drops, height * width)).transpose()?;
+    let mut out = planes.as_slice()?.to_vec();
+    on_pool(py, || {
+        let lines = rows(&mut out, (height, width));
+        let veils = smears
+            .as_ref()
+            .map(|smears| smears.veils(&lines.iter().map(totals).collect::<Vec<_>>()));
+        if let Some(drops) = &drops {
+            drops.refract(&mut out);
+        }
+        if let Some((smears, veils)) = smears.as_ref().zip(veils) {
+            out.par_chunks_mut(width).enumerate().for_each(|(row, values)| {
+                smears.cover(values, (row / height, row % height), veils[row / height]);
+            });
+        }
+    });
+    Ok(planes_array(py, out, (height, width)))
+}
+
+/// Colours of pixels behind drops, each by so many rays.
+#[multiversion::multiversion(targets(
+    "x86_64+avx512f+avx512bw+avx512cd+avx512dq+avx512vl",
+    "x86_64+avx2",
+    "aarch64+neon"
+))]
+fn look(planes: &[f32], (seen, weights): (&[u32], &[f32]), count: usize, out: &mut [f32]) {
+    let area = planes.len() / 3;
+    let planes = [0, 1, 2].map(|k| &planes[k * area..][..area]);
+    let rays = seen.chunks_exact(count).zip(weights.chunks_exact(count));
+    for (colors, (seen, weights)) in out.chunks_exact_mut(3).zip(rays) {
+        let mut sum = [0.0; 3];
+        for (&place, &weight) in seen.iter().zip(weights) {
+            for k in 0..3 {
+                sum[k] += weight * planes[k][place as usize];
+            }
+        }
+        colors.copy_from_slice(&sum);
+    }
+}
+
+#[multiversion::multiversion(targets(
+    "x86_64+avx512f+avx512bw+avx512cd+avx512dq+avx512vl",
+    "x86_64+avx2",
+    "aarch64+neon"
+))]
+fn cover_row(row: &mut [f32], (left, clear): (&[f32], &[f32]), veil: f32) {
+    for ((value, &left), &clear) in row.iter_mut().zip(left).zip(clear) {
+        *value = left * (clear * (*value - veil) + veil);
+    }
+}
+
+/// Sum of a row; sixteen partial sums keep the loop a vector loop.
+#[multiversion::multiversion(targets(
+    "x86_64+avx512f+avx512bw+avx512cd+avx512dq+avx512vl",
+    "x86_64+avx2",
+    "aarch64+neon"
+))]
+fn total(row: &[f32]) -> f32 {
+    let mut partial = [0.0f32; 16];
+    for part in row.chunks(16) {
+        for (sum, value) in partial.iter_mut().zip(part) {
+            *sum += value;
+        }
+    }
+    partial.iter().sum()
+}

@@ -1,0 +1,397 @@
+//! Motion while the shutter is open, and rows that are read one after another.
+
+use super::motion_field::{Field, Shutter, Window, whole};
+use super::planes::{Line, planes_array, rows, size_of_image};
+use crate::cpu::on_pool;
+use crate::simd::f32x64::{clamp, load, max, min, store};
+use numpy::{PyArray3, PyReadonlyArray2, PyReadonlyArray3, PyUntypedArrayMethods};
+use pyo3::{exceptions::PyValueError, prelude::*};
+use rayon::prelude::*;
+use std::ops::Range;
+
+/// Most places a pixel is averaged over.
+const MOST_SAMPLES: f32 = 64.0;
+/// Shift that is not worth interpolating [px].
+const STILL: f32 = 1e-3;
+
+/// Planes [3 h w] of the image [h w 3], times a factor, as a camera takes it that moves while it
+/// exposes.
+///
+/// A pixel is the mean over the time its row is open of what moves past it. `motion` is the motion of
+/// the image in one frame's time [px] at every `STEP`th pixel of every `STEP`th row [rows columns 2],
+/// the first in the middle of a square of so many. `shutter` has the times of `Shutter`, in its order.
+/// What is not `lit` stays black and is mixed into nothing.
+#[pyfunction]
+pub fn motion_blur<'py>(
+    py: Python<'py>,
+    image: PyReadonlyArray3<'py, f32>,
+    lit: PyReadonlyArray2<'py, bool>,
+    motion: PyReadonlyArray3<'py, f32>,
+    shutter: (f32, f32, f32),
+    factor: f32,
+) -> PyResult<Bound<'py, PyArray3<f32>>> {
+    let (height, width) = size_of_image(&image)?;
+    let [rows_known, columns, 2] = motion.shape()[..] else {
+        return Err(PyValueError::new_err("Motion must be of shape (rows, columns, 2)."));
+    };
+    if lit.shape() != [height, width] || rows_known * columns == 0 {
+        return Err(PyValueError::new_err("Motion and lit must fit the image."));
+    }
+    let (source, lit) = (image.as_slice()?, lit.as_slice()?);
+    let shutter = Shutter::of(shutter);
+    let vectors = motion.as_slice()?;
+    let mut out = vec![0.0; source.len()];
+    on_pool(py, || {
+        let motion = Field::new(vectors, (rows_known, columns)).when_read(shutter, height);
+        let lit = Lit::new((height, width), lit);
+        let mut planes = lit.framed(source);
+        go_on(&mut planes, (height, width));
+        let still = Still::new(&planes, &lit, factor);
+        let lines = rows(&mut out, (height, width)).into_par_iter().enumerate();
+        lines.for_each(|(y, line)| still.blur(y, &motion, shutter, line));
+    });
+    Ok(planes_array(py, out, (height, width)))
+}
+
+/// Pixels worked on together.
+const RUN: usize = 32;
+/// Columns and rows about the image, which goes on there as at its edge.
+const MARGIN: usize = 16;
+/// Most neighbours to a side that the places of a run are taken from together.
+const MOST_TAPS: usize = 4;
+/// Distance of places that surely have no more neighbours than that [px].
+const MOST_SPREAD: f32 = (MOST_TAPS - 2) as f32;
+
+type Run = [f32; RUN];
+
+/// Rows and columns of a plane of an image of a size with its margin.
+pub fn with_margin((height, width): (usize, usize)) -> (usize, usize) {
+    (height + 2 * MARGIN, width.div_ceil(RUN) * RUN + 2 * MARGIN)
+}
+
+/// Where a row of the image is in a plane with a margin.
+pub fn inside(y: usize, (height, width): (usize, usize)) -> Range<usize> {
+    let start = (y + MARGIN) * with_margin((height, width)).1 + MARGIN;
+    start..start + width
+}
+
+/// Fills the margin of planes: the image goes on as at its edge.
+pub fn go_on(planes: &mut [f32], size: (usize, usize)) {
+    let ((height, width), (rows, stride)) = (size, with_margin(size));
+    planes.par_chunks_mut(rows * stride).for_each(|plane| {
+        for row in plane.chunks_exact_mut(stride).skip(MARGIN).take(height) {
+            let (left, right) = (row[MARGIN], row[MARGIN + width - 1]);
+            row[..MARGIN].fill(left);
+            row[MARGIN + width..].fill(right);
+        }
+        let last = (MARGIN + height - 1) * stride;
+        for row in 0..MARGIN {
+            plane.copy_within(MARGIN * stride..(MARGIN + 1) * stride, row * stride);
+            plane.copy_within(last..last + stride, last + (row + 1) * stride);
+        }
+    });
+}
+
+/// Which pixels see anything.
+pub struct Lit {
+    /// 1 where they do, or else 0, with a margin.
+    shares: Vec<f32>,
+    /// Whether all of a square of `RUN` by `RUN` pixels within the image do.
+    squares: Vec<bool>,
+    size: (usize, usize),
+}
+
+impl Lit {
+    /// Of an image of a size.
+    pub fn new(size: (usize, usize), lit: &[bool]) -> Self {
+        let ((height, width), (rows, stride)) = (size, with_margin(size));
+        let columns = width.div_ceil(RUN);
+        let mut squares = vec![true; columns * height.div_ceil(RUN)];
+        let mut shares = vec![0.0; rows * stride];
+        for (y, lit) in lit.chunks_exact(width).enumerate() {
+            for (x, (&lit, share)) in lit.iter().zip(&mut shares[inside(y, size)]).enumerate() {
+                squares[y / RUN * columns + x / RUN] &= lit;
+                *share = f32::from(u8::from(lit));
+            }
+        }
+        go_on(&mut shares, size);
+        Lit { shares, squares, size }
+    }
+
+    /// Planes of an image [h w 3] with room for a margin, black where it is not lit.
+    fn framed(&self, image: &[f32]) -> Vec<f32> {
+        let ((_, width), area) = (self.size, self.shares.len());
+        let mut planes = vec![0.0; 3 * area];
+        for (y, row) in image.chunks_exact(3 * width).enumerate() {
+            for (place, pixel) in inside(y, self.size).zip(row.chunks_exact(3)) {
+                for k in 0..3 {
+                    planes[k * area + place] = pixel[k] * self.shares[place];
+                }
+            }
+        }
+        planes
+    }
+}
+
+/// The image at its instant.
+pub struct Still<'a> {
+    /// Red, green, blue, with a margin; 0 where it is not lit.
+    colors: [&'a [f32]; 3],
+    lit: &'a Lit,
+    factor: f32,
+}
+
+impl<'a> Still<'a> {
+    /// Of planes with a margin that is filled, to be multiplied by a factor.
+    pub fn new(planes: &'a [f32], lit: &'a Lit, factor: f32) -> Self {
+        let area = planes.len() / 3;
+        Still { colors: [0, 1, 2].map(|k| &planes[k * area..][..area]), lit, factor }
+    }
+
+    /// Fills a line of an image with the mean over the time that it is open, given the motion when
+    /// it is read.
+    pub fn blur(&self, y: usize, motion: &Field, shutter: Shutter, line: Line<'_>) {
+        let mut window = shutter.window(y as f32, self.lit.size.0);
+        window.share *= self.factor;
+        blur_row(self, y, motion, window, line);
+    }
+
+    /// Where a pixel of the image or its margin is in a plane.
+    #[inline(always)]
+    fn index(&self, row: isize, column: isize) -> usize {
+        MARGIN.wrapping_add_signed(row) * self.stride() + MARGIN.wrapping_add_signed(column)
+    }
+
+    #[inline(always)]
+    fn stride(&self) -> usize {
+        with_margin(self.lit.size).1
+    }
+
+    /// Red, green, blue, and what is lit.
+    #[inline(always)]
+    fn plane(&self, plane: usize) -> &[f32] {
+        if plane < 3 { self.colors[plane] } else { &self.lit.shares }
+    }
+
+    /// Numbers of a plane from a place on.
+    #[inline(always)]
+    fn run(&self, plane: usize, start: usize) -> Run {
+        load(&self.plane(plane)[start..start + RUN])
+    }
+
+    /// Bilinear between four pixels; the image goes on as at its edge.
+    #[inline(always)]
+    fn at(&self, x: f32, y: f32) -> [f32; 4] {
+        let (height, width) = self.lit.size;
+        let (x0, s) = whole(clamp(x, 0.0, width as f32 - 1.0));
+        let (y0, t) = whole(clamp(y, 0.0, height as f32 - 1.0));
+        let start = self.index(y0 as isize, x0 as isize);
+        let mut light = [0.0; 4];
+        for (k, light) in light.iter_mut().enumerate() {
+            let rows = &self.plane(k)[start..];
+            let (above, below) = (&rows[..2], &rows[self.stride()..][..2]);
+            let top = above[0] + (above[1] - above[0]) * s;
+            let bottom = below[0] + (below[1] - below[0]) * s;
+            *light = top + (bottom - top) * t;
+        }
+        light
+    }
+
+    /// Whether a run that starts at a place lies within the image and its margin when it has moved
+    /// so far.
+    #[inline(always)]
+    fn holds(&self, (x, y): (usize, usize), along: [f32; 2], down: [f32; 2]) -> bool {
+        let (height, margin) = (self.lit.size.0, MARGIN as f32);
+        let (x, y, end) = (x as f32, y as f32, (self.stride() - MARGIN) as f32);
+        x + along[0] >= -margin
+            && x + along[1] + RUN as f32 <= end
+            && y + down[0] >= -margin
+            && y + down[1] <= height as f32 - 1.0 + margin
+    }
+
+    /// Whether all that a run may see is lit, when it moves so far.
+    #[inline(always)]
+    fn is_all_lit(&self, (x, y): (usize, usize), along: [f32; 2], down: [f32; 2]) -> bool {
+        let (height, width) = self.lit.size;
+        let square =
+            |place: f32, count: usize| clamp(place, 0.0, count as f32 - 1.0) as usize / RUN;
+        let (x, y) = (x as f32, y as f32);
+        let (top, bottom) = (square(y + down[0] - 1.0, height), square(y + down[1] + 1.0, height));
+        let left = square(x + along[0] - 1.0, width);
+        let right = square(x + along[1] + RUN as f32, width);
+        let squares = width.div_ceil(RUN);
+        let row = |row: usize| &self.lit.squares[row * squares + left..=row * squares + right];
+        (top..=bottom).all(|y| row(y).iter().all(|&lit| lit))
+    }
+}
+
+#[multiversion::multiversion(targets(
+    "x86_64+avx512f+avx512bw+avx512cd+avx512dq+avx512vl",
+    "x86_64+avx2",
+    "aarch64+neon"
+))]
+fn blur_row(still: &Still, y: usize, motion: &Field, window: Window, out: Line<'_>) {
+    let (shutter, late) = (window.length, window.late);
+    let width = still.lit.size.1;
+    let motion = motion.row(y, width.div_ceil(RUN) * RUN);
+    for x in (0..width).step_by(RUN) {
+        let mut own = [[0.0; RUN]; 4];
+        for plane in 0..4 {
+            own[plane] = still.run(plane, still.index(y as isize, x as isize));
+        }
+        let near = [load(&motion[0][x..]), load(&motion[1][x..])];
+        let ends = [ends(&near[0]), ends(&near[1])];
+        let speed = ends.as_flattened().iter().fold(0.0, |most, v: &f32| max(v.abs(), most));
+        let mut mean = own;
+        if speed * (late.abs() + 0.5 * shutter) >= STILL {
+            let count = clamp((speed * shutter).ceil(), 1.0, MOST_SAMPLES);
+            let moving = (&near, ends);
+            let times = (shutter, late);
+            let (along, down) = (swept(ends[0], times), swept(ends[1], times));
+            let is_near = still.holds((x, y), along, down)
+                && max(spread(ends[0], times), spread(ends[1], times)) < MOST_SPREAD;
+            if is_near && still.is_all_lit((x, y), along, down) {
+                let sum = streak::<3, true>(still, (x, y), moving, (shutter, late), count);
+                let share = 1.0 / count;
+                for k in 0..3 {
+                    for i in 0..RUN {
+                        mean[k][i] = sum[k][i] * share;
+                    }
+                }
+            } else {
+                let sum = streak::<4, false>(still, (x, y), moving, (shutter, late), count);
+                mean = mean_of_lit(&sum, &own);
+            }
+        }
+        for k in 0..3 {
+            store(&mean[k].map(|light| light * window.share), &mut out[k][x..]);
+        }
+    }
+}
+
+/// Mean of what was lit of all that was added up, where a run itself is lit.
+#[inline(always)]
+fn mean_of_lit(sum: &[Run; 4], own: &[Run; 4]) -> [Run; 4] {
+    let mut mean = *own;
+    for i in 0..RUN {
+        let known = if sum[3][i] > 0.0 { own[3][i] } else { 0.0 };
+        let share = known / max(sum[3][i], 1e-30);
+        let rest = own[3][i] - known;
+        for k in 0..3 {
+            mean[k][i] = sum[k][i] * share + own[k][i] * rest;
+        }
+    }
+    mean
+}
+
+/// How far a run looks over the exposure, given its least and most motion.
+#[inline(always)]
+fn swept([low, high]: [f32; 2], (shutter, late): (f32, f32)) -> [f32; 2] {
+    let (first, last) = (late - 0.5 * shutter, late + 0.5 * shutter);
+    let (early, late) = (moved([low, high], first), moved([low, high], last));
+    [min(0.0, min(early[0], late[0])), max(0.0, max(early[1], late[1]))]
+}
+
+/// How far apart the places of a run come over the exposure, given its least and most motion.
+#[inline(always)]
+fn spread([low, high]: [f32; 2], (shutter, late): (f32, f32)) -> f32 {
+    (high - low) * (late.abs() + 0.5 * shutter)
+}
+
+/// Least and most of a run.
+#[inline(always)]
+fn ends(run: &Run) -> [f32; 2] {
+    [least(run), -least(&run.map(|x| -x))]
+}
+
+/// Least of a run, by halves.
+#[inline(always)]
+fn least(run: &Run) -> f32 {
+    let low: [f32; 16] = std::array::from_fn(|i| min(run[i], run[i + 16]));
+    let low: [f32; 8] = std::array::from_fn(|i| min(low[i], low[i + 8]));
+    let low: [f32; 4] = std::array::from_fn(|i| min(low[i], low[i + 4]));
+    min(min(low[0], low[1]), min(low[2], low[3]))
+}
+
+/// Sum over the exposure of what moves past a run of pixels; `ends` are the least and most of its
+/// motion along and down. It `IS_NEAR` if its places are never outside the margin, nor farther apart
+/// than `MOST_SPREAD`.
+#[inline(always)]
+fn streak<const PLANES: usize, const IS_NEAR: bool>(
+    still: &Still,
+    (x, y): (usize, usize),
+    (motion, ends): (&[Run; 2], [[f32; 2]; 2]),
+    (shutter, late): (f32, f32),
+    count: f32,
+) -> [Run; PLANES] {
+    let step = shutter / count;
+    let mut time = late - 0.5 * (shutter - step);
+    let mut sum = [[0.0f32; RUN]; PLANES];
+    for _ in 0..count as u32 {
+        let (along, down) = (moved(ends[0], time), moved(ends[1], time));
+        let first = [along[0].floor(), down[0].floor()];
+        let taps = [along[1].ceil() - first[0], down[1].ceil() - first[1]];
+        let is_near = IS_NEAR
+            || (still.holds((x, y), along, down) && max(taps[0], taps[1]) < MOST_TAPS as f32);
+        if is_near {
+            let start = still.index(y as isize + first[1] as isize, x as isize + first[0] as isize);
+            let mut rest = [[0.0; RUN]; 2];
+            for k in 0..2 {
+                for i in 0..RUN {
+                    rest[k][i] = -motion[k][i] * time - first[k];
+                }
+            }
+            let taps = [taps[0] as usize, taps[1] as usize];
+            add_shifted(still, start, taps, &rest, &mut sum);
+        } else {
+            for i in 0..RUN {
+                let place = [(x + i) as f32 - motion[0][i] * time, y as f32 - motion[1][i] * time];
+                let value = still.at(place[0], place[1]);
+                for k in 0..PLANES {
+                    sum[k][i] += value[k];
+                }
+            }
+        }
+        time += step;
+    }
+    sum
+}
+
+/// Least and most shift of what is seen at a time.
+#[inline(always)]
+fn moved([low, high]: [f32; 2], time: f32) -> [f32; 2] {
+    let (one, other) = (-low * time, -high * time);
+    [min(one, other), max(one, other)]
+}
+
+/// Adds what is seen from a place on, each pixel `rest` farther: bilinear, where neighbours are up
+/// to `taps` away.
+#[inline(always)]
+fn add_shifted<const PLANES: usize>(
+    still: &Still,
+    start: usize,
+    taps: [usize; 2],
+    rest: &[Run; 2],
+    sum: &mut [Run; PLANES],
+) {
+    let mut across = [[0.0f32; RUN]; MOST_TAPS];
+    for (column, across) in across.iter_mut().enumerate().take(taps[0] + 1) {
+        for i in 0..RUN {
+            across[i] = max(1.0 - (rest[0][i] - column as f32).abs(), 0.0);
+        }
+    }
+    for row in 0..=taps[1] {
+        let mut down = [0.0f32; RUN];
+        for i in 0..RUN {
+            down[i] = max(1.0 - (rest[1][i] - row as f32).abs(), 0.0);
+        }
+        for (column, across) in across.iter().enumerate().take(taps[0] + 1) {
+            for plane in 0..PLANES {
+                let values = still.run(plane, start + row * still.stride() + column);
+                for i in 0..RUN {
+                    sum[plane][i] += across[i] * down[i] * values[i];
+                }
+            }
+        }
+    }
+}

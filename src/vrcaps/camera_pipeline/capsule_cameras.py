@@ -1,0 +1,124 @@
+"""The camera pipelines of a capsule: all its cameras, and which frames it captures."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from vrcaps.camera_pipeline.effects import Effects
+from vrcaps.camera_pipeline.pipeline import CameraPipeline, Exposure, PipelineState
+
+if TYPE_CHECKING:
+    from vrcaps.motion.step import Step
+    from vrcaps.render.frame import Frame
+    from vrcaps.render.renderer import Renderer
+
+SPEED = "image_speed_ndc_per_s"
+CAPTURED = "captured"
+"""Readings of the adaptive frame rate: speed of the fastest image, and 1 where it is captured."""
+
+
+@dataclass(frozen=True)
+class CamerasState:
+    """What the cameras carry from frame to frame.
+
+    Attributes:
+        pipelines: State of each camera's pipeline by its name.
+        last_captured: Index of the last frame that the capsule captured; None before the first.
+    """
+
+    pipelines: Mapping[str, PipelineState]
+    last_captured: int | None = None
+
+
+class CapsuleCameras:
+    """All cameras of a capsule: turns steps into frames by camera.
+
+    Attributes:
+        pipelines: Pipeline of each camera by its name.
+    """
+
+    def __init__(
+        self,
+        renderer: Renderer,
+        effects: Effects,
+        *,
+        fps: float,
+        seed: int = 0,
+        channels: Sequence[str] = ("rgb",),
+    ) -> None:
+        """Makes the pipelines of the cameras of the renderer's device.
+
+        Args:
+            renderer: Of the world.
+            effects: With each range of severities sampled.
+            fps: Frames per second.
+            seed: Of all random numbers.
+            channels: Channels of the frames.
+        """
+        self.pipelines = {
+            camera.name: CameraPipeline(
+                renderer, camera, effects, fps=fps, number=k, seed=seed, channels=channels
+            )
+            for k, camera in enumerate(renderer.model.device.cameras)
+        }
+        self._fps, self._rate = fps, effects.adaptive_frame_rate
+        self._has_auto_exposure = effects.resolve("auto_exposure") is not None
+        self._last_captured: int | None = None
+
+    @property
+    def state(self) -> CamerasState:
+        """What the next frame depends on beside its step."""
+        states = {name: pipeline.state for name, pipeline in self.pipelines.items()}
+        return CamerasState(states, self._last_captured)
+
+    @state.setter
+    def state(self, state: CamerasState) -> None:
+        for name, pipeline in self.pipelines.items():
+            pipeline.state = state.pipelines[name]
+        self._last_captured = state.last_captured
+
+    def expose(self, step: Step) -> dict[str, float]:
+        """Readings of a step's exposure and of the adaptive frame rate, by column.
+
+        To be called for each step in turn, also where no frame is captured.
+        """
+        readings: dict[str, float] = {}
+        for name, pipeline in self.pipelines.items():
+            if self._has_auto_exposure and pipeline.is_active:
+                values = vars(pipeline.expose(step)).values()
+                readings |= dict(zip(exposure_columns(name), values, strict=True))
+        return readings | self._timing(step)
+
+    def capture(self, step: Step) -> dict[str, Frame]:
+        """The frame of each camera at a step."""
+        return {name: pipeline.capture(step) for name, pipeline in self.pipelines.items()}
+
+    def resume(self, last: Mapping[str, float], last_captured: int | None) -> None:
+        """Sets the state that follows a frame.
+
+        Args:
+            last: Readings of the frame.
+            last_captured: Index of the last frame that the capsule captured.
+        """
+        for name, pipeline in self.pipelines.items():
+            exposure, luminance = exposure_columns(name)
+            if exposure in last:
+                pipeline.resume(Exposure(last[exposure], last[luminance]))
+        self._last_captured = last_captured
+
+    def _timing(self, step: Step) -> dict[str, float]:
+        if self._rate is None:
+            return {}
+        speed = max(pipeline.image_speed(step) for pipeline in self.pipelines.values())
+        last = self._last_captured
+        is_captured = last is None or self._rate.is_due(speed, step.index - last, self._fps)
+        if is_captured:
+            self._last_captured = step.index
+        return {SPEED: speed, CAPTURED: int(is_captured)}
+
+
+def exposure_columns(camera: str) -> tuple[str, str]:
+    """Columns of a frame's exposure, relative to the device's own, and its metered luminance."""
+    return f"{camera}_exposure", f"{camera}_luminance"

@@ -1,0 +1,85 @@
+"""Automatic exposure."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from vrcaps.camera_pipeline.effect.base import CameraSetup, FrameContext, ImageEffect, Stage
+from vrcaps.errors import require
+
+
+@dataclass(frozen=True)
+class AutoExposure(ImageEffect):
+    """Automatic exposure that lags: LED light, then gain, follow the brightness of earlier frames.
+
+    It is a control loop over frames, an integrator in the logarithm of the exposure E. The camera
+    meters the mean linear luminance m of a frame, each pixel clipped at white, and takes for the
+    next, Δt later, ``ln E += (1 − exp(−Δt/τ)) ln(target / m)`` within the limits: in a static
+    scene, and far from white, the error ``ln(target / m)`` shrinks by exp(−Δt/τ) a frame. The
+    LEDs deliver E until they are at their brightest; the rest is gain, which makes no photons and
+    so adds noise.
+
+    Attributes:
+        time_constant: τ [s].
+        target: Mean linear luminance to reach, 1 = white. Real capsule frames have some 0.15.
+        min_light: Least light, relative to the camera's own fixed exposure.
+        max_light: Most light, relative to the same.
+        max_gain: Largest gain.
+    """
+
+    time_constant: float
+    target: float = 0.15
+    min_light: float = 0.02
+    max_light: float = 2.0
+    max_gain: float = 8.0
+
+    name, short = "auto_exposure", "ae"
+    severities = (
+        None,
+        {"time_constant": 0.3},
+        {"time_constant": 1.0},
+        {"time_constant": 2.0},
+        {"time_constant": 5.0},
+    )
+
+    def __post_init__(self) -> None:
+        time, target, gain = self.time_constant, self.target, self.max_gain
+        require(0.0 < time < math.inf, "AutoExposure's time_constant", time, "above 0 s")
+        require(0.0 < target < 1.0, "AutoExposure's target", target, "above 0 to below 1")
+        limits = (self.min_light, self.max_light)
+        is_valid = 0.0 < self.min_light <= self.max_light < math.inf
+        require(is_valid, "AutoExposure's min_light, max_light", limits, "above 0 and rising")
+        require(1.0 <= gain < math.inf, "AutoExposure's max_gain", gain, "1 or more")
+
+    def next_exposure(self, exposure: float, metered: float, interval: float) -> float:
+        """Exposure of the next frame.
+
+        Args:
+            exposure: Of this frame, relative to the camera's own.
+            metered: Mean luminance of this frame.
+            interval: Until the next frame [s].
+        """
+        rate = -math.expm1(-interval / self.time_constant)
+        error = math.log(self.target / max(metered, 1e-6))
+        highest = self.max_light * self.max_gain
+        return min(max(exposure * math.exp(rate * error), self.min_light), highest)
+
+    def light_and_gain(self, exposure: float) -> tuple[float, float]:
+        """Light and gain whose product is an exposure."""
+        light = min(exposure, self.max_light)
+        return light, exposure / light
+
+    def stage(self, setup: CameraSetup) -> Stage:
+        """The stage, which takes light and gain of each frame."""
+        return _AutoExposureStage(self)
+
+
+class _AutoExposureStage(Stage):
+    def __init__(self, effect: AutoExposure) -> None:
+        super().__init__()
+        self._effect = effect
+
+    def frame_params(self, frame: FrameContext) -> tuple[float, float]:
+        """Light and gain."""
+        return self._effect.light_and_gain(frame.exposure)

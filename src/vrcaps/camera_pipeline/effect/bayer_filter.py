@@ -1,0 +1,40 @@
+"""Bayer color filter array."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+from vrcaps.camera_pipeline.effect.base import CameraSetup, ImageEffect
+from vrcaps.errors import InputError
+
+BayerPattern = Literal["rggb", "bggr", "grbg", "gbrg"]
+"""Colors of 2 by 2 sites, row by row."""
+
+
+@dataclass(frozen=True)
+class BayerFilter(ImageEffect):
+    """Color filter array of the sensor, demosaiced; without it each pixel has all three colors.
+
+    Attributes:
+        pattern: Colors of 2 by 2 sites, row by row.
+    """
+
+    pattern: BayerPattern = "rggb"
+
+    name, short = "bayer_filter", "bayer"
+
+    def __post_init__(self) -> None:
+        if self.pattern not in get_args(BayerPattern):
+            allowed = ", ".join(get_args(BayerPattern))
+            raise InputError(f"BayerFilter's pattern is {self.pattern!r}. Allowed: {allowed}.")
+
+    @classmethod
+    def parse(cls, text: str) -> BayerFilter:
+        """A pattern such as `rggb`."""
+        return cls(text)  # type: ignore[arg-type]
+
+    def params(self, setup: CameraSetup) -> tuple[int, int, int, int]:
+        """Plane of each of the 2 by 2 sites, row by row."""
+        a, b, c, d = ("rgb".index(letter) for letter in self.pattern)
+        return a, b, c, d

@@ -1,0 +1,74 @@
+"""Depth of field."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vrcaps.camera.derive import focal_length_px
+from vrcaps.camera_pipeline.effect.base import CameraSetup, FrameContext, ImageEffect, Stage
+from vrcaps.errors import require
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+    from vrcaps.camera.camera import Camera
+
+
+@dataclass(frozen=True)
+class DepthOfField(ImageEffect):
+    """Defocus blur of a thin lens that is focused at one distance.
+
+    A point at distance d spreads over a disk, the circle of confusion, whose diameter is
+    ``c = A v |1/s − 1/d|`` with the aperture's diameter A, the distance of focus s and that of the
+    sensor v behind the lens (from 1/f = 1/s + 1/v; Potmesil and Chakravarty, SIGGRAPH 1981). In
+    pixels v is the lens's focal length on the axis. The distance is that along the ray: what is in
+    focus is a sphere, as befits a fisheye lens.
+
+    Attributes:
+        aperture: Diameter of the entrance pupil, focal length over f-number [m].
+        focus_distance: Distance that is in focus [m].
+    """
+
+    aperture: float
+    focus_distance: float = 0.012
+
+    name, short = "depth_of_field", "dof"
+    needs = ("ray_distance", "foreground_label", "foreground_depth")
+    severities = (
+        None,
+        {"aperture": 0.0002},
+        {"aperture": 0.0005},
+        {"aperture": 0.001},
+        {"aperture": 0.002},
+    )
+
+    def __post_init__(self) -> None:
+        aperture, focus = self.aperture, self.focus_distance
+        require(0.0 < aperture < 1.0, "DepthOfField's aperture", aperture, "above 0 to 1 m")
+        require(0.0 < focus < np.inf, "DepthOfField's focus_distance", focus, "above 0 m")
+
+    def radius_px(
+        self, camera: Camera, distance: Float[np.ndarray, "*n"]
+    ) -> Float[np.ndarray, "*n"]:
+        """Radius of the circle of confusion of points at distances [m] from a camera [px]."""
+        return self._scale(camera) * np.abs(1.0 / self.focus_distance - 1.0 / np.asarray(distance))
+
+    def params(self, setup: CameraSetup) -> tuple[float, float]:
+        """Radius per change of 1/d [px·m] and distance of focus [m]."""
+        return self._scale(setup.camera), self.focus_distance
+
+    def stage(self, setup: CameraSetup) -> Stage:
+        """The stage, which takes the distance of what each pixel sees."""
+        return _DepthOfFieldStage(self.params(setup))
+
+    def _scale(self, camera: Camera) -> float:
+        return 0.5 * self.aperture * focal_length_px(camera.lens)
+
+
+class _DepthOfFieldStage(Stage):
+    def frame_params(self, frame: FrameContext) -> tuple[np.ndarray, ...]:
+        """Distance of the wall, label and depth of what is in front of it."""
+        return tuple(frame.channels[name] for name in DepthOfField.needs)

@@ -1,0 +1,51 @@
+"""Barrel distortion."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vrcaps.camera.derive import barrel_lens, barrel_radius, half_side_px
+from vrcaps.camera_pipeline.effect.base import CameraEffect
+from vrcaps.errors import require
+
+if TYPE_CHECKING:
+    from vrcaps.camera.camera import Camera
+
+
+@dataclass(frozen=True)
+class Distortion(CameraEffect):
+    """Barrel distortion beyond that of the camera's own lens.
+
+    The middle of the image is magnified, its nearest edge stays.
+
+    Attributes:
+        strength: Fraction by which the image radius at the nearest edge is smaller than the scale
+            in the middle would make it.
+    """
+
+    strength: float
+
+    name = "distortion"
+    severities = (
+        None,
+        {"strength": 0.1},
+        {"strength": 0.2},
+        {"strength": 0.3},
+        {"strength": 0.4},
+    )
+
+    def __post_init__(self) -> None:
+        strength = self.strength
+        require(0.0 <= strength < 0.5, "Distortion's strength", strength, "0 to below 0.5")
+
+    def on(self, camera: Camera) -> Camera:
+        """The camera with such a lens."""
+        edge = half_side_px(camera)
+        lens = barrel_lens(camera.lens, self.strength, edge)
+        circle = camera.image_circle_px
+        if circle is not None:
+            circle = float(barrel_radius(np.array(circle), self.strength, edge))
+        return replace(camera, lens=lens, image_circle_px=circle)

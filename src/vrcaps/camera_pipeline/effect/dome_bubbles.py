@@ -1,0 +1,35 @@
+"""Bubbles on the capsule's dome."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+from vrcaps.camera_pipeline.effect.base import SceneEffect
+from vrcaps.errors import require
+from vrcaps.lumen.bubbles import Bubbles
+
+if TYPE_CHECKING:
+    from vrcaps.lumen.contents import Contents
+
+
+@dataclass(frozen=True)
+class DomeBubbles(SceneEffect):
+    """Bubbles that sit on each round end of the capsule, in place of those of the contents.
+
+    Attributes:
+        count: On each end.
+    """
+
+    count: int
+
+    name = "dome_bubbles"
+    severities = ({"count": 0}, {"count": 1}, {"count": 2}, {"count": 4}, {"count": 9})
+
+    def __post_init__(self) -> None:
+        require(self.count >= 0, "DomeBubbles' count", self.count, "0 or more")
+
+    def on_contents(self, contents: Contents) -> Contents:
+        """The contents with these bubbles on the capsule."""
+        bubbles = contents.resolved[0] if contents.bubbles else Bubbles(per_area=0.0)
+        return replace(contents, bubbles=replace(bubbles, on_dome=self.count))

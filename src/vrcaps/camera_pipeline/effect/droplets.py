@@ -1,0 +1,256 @@
+"""Water droplets on the dome."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vrcaps.camera_pipeline.dome import (
+    DOME_NAMES,
+    disk_points,
+    dome_lens,
+    dome_rng,
+    flatten,
+    lateral_axes,
+    lit_rays,
+    pupil_disk_radius,
+    unflatten,
+    unit,
+)
+from vrcaps.camera_pipeline.effect.base import CameraSetup, FrameContext, ImageEffect, Stage
+from vrcaps.errors import require
+from vrcaps.units import DEG, MM
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Int, UInt8
+
+_SAMPLES = 9
+"""Rays through the pupil for each pixel that a drop changes."""
+_TRIES = 12
+
+
+@dataclass(frozen=True)
+class Droplets(ImageEffect):
+    """Drops of water on the dome: plano-convex lenses millimeters before the pupil.
+
+    A drop is a cap of a sphere of radius ``R = a / sin γ`` with its base radius a and its contact
+    angle γ. A ray at distance r from its axis meets the cap at the angle α with sin α = r/R and
+    leaves it at β with sin β = n sin α, refracted by β − α towards the axis; none leaves where
+    n sin α > 1, and the rim is dark. A pixel sees through as much of the dome as the pupil's cone
+    covers there, ``A |1 − D/s|`` wide (A the aperture, D the dome's distance, s that of focus).
+
+    Attributes:
+        count: In the camera's field.
+        radius: Median base radius [m].
+        spread: Standard deviation of the logarithm of the radius.
+        contact_angle: γ [rad]. On wet plastic some 30 to 70 degrees.
+        ior: n, refractive index.
+        distance: D, of the dome from the entrance pupil [m].
+        speed: At which all slide across the dome [m/s]; one that has left comes in again.
+    """
+
+    count: int
+    radius: float = 0.5 * MM
+    spread: float = 0.4
+    contact_angle: float = 50.0 * DEG
+    ior: float = 1.333
+    distance: float = 5.0 * MM
+    speed: float = 0.0
+
+    name = "droplets"
+    severities = (
+        None,
+        {"count": 3, "radius": 0.4 * MM},
+        {"count": 6, "radius": 0.45 * MM},
+        {"count": 11, "radius": 0.5 * MM},
+        {"count": 18, "radius": 0.6 * MM},
+    )
+
+    def __post_init__(self) -> None:
+        require(1 <= self.count <= 200, "Droplets' count", self.count, "1 to 200")
+        widest = 0.5 * self.distance
+        require(0.0 < self.radius <= widest, "Droplets' radius", self.radius, "above 0 to D/2")
+        require(0.0 <= self.spread <= 1.0, "Droplets' spread", self.spread, "0 to 1")
+        angle = self.contact_angle
+        require(0.0 < angle < 0.5 * np.pi, "Droplets' contact_angle", angle, "above 0 to π/2")
+        require(1.0 < self.ior < 3.0, "Droplets' ior", self.ior, "above 1 to 3")
+        require(0.0 < self.distance < 1.0, "Droplets' distance", self.distance, "above 0 to 1 m")
+        require(0.0 <= self.speed < 0.1, "Droplets' speed", self.speed, "0 to 0.1 m/s")
+
+    def refract(
+        self, offset: Float[np.ndarray, "*n"], base: Float[np.ndarray, "*n"]
+    ) -> tuple[Float[np.ndarray, "*n"], Float[np.ndarray, "*n"]]:
+        """Angle by which rays turn towards the axis [rad], and the transmittance.
+
+        Args:
+            offset: From the axis [m], at most the base radius.
+            base: Base radius of the drop [m].
+        """
+        sine = np.sin(self.contact_angle) * np.minimum(offset / base, 1.0)
+        outside = np.minimum(self.ior * sine, 1.0)
+        cos_in, cos_out = np.sqrt(1.0 - sine**2), np.sqrt(1.0 - outside**2)
+        across = (self.ior * cos_in - cos_out) / (self.ior * cos_in + cos_out)
+        along = (cos_in - self.ior * cos_out) / (cos_in + self.ior * cos_out)
+        return np.arcsin(outside) - np.arcsin(sine), 1.0 - 0.5 * (across**2 + along**2)
+
+    def place(
+        self, field: float, rng: np.random.Generator
+    ) -> tuple[Float[np.ndarray, " d"], Float[np.ndarray, "d 2"], Float[np.ndarray, " 2"]]:
+        """Radii [m], places laid flat [rad], and the unit direction in which drops slide.
+
+        Places are even over the field; of a few tries each takes the one with most room.
+
+        Args:
+            field: Half the camera's angle of view [rad].
+            rng: Source of randomness.
+        """
+        radius = self.radius * np.exp(self.spread * rng.standard_normal(self.count))
+        radius = np.minimum(radius, 0.5 * self.distance)
+        places = np.empty((self.count, 2))
+        for k in range(self.count):
+            # Even on the sphere: the cosine of the angle to the axis is even.
+            angle = np.arccos(1.0 - rng.random(_TRIES) * (1.0 - np.cos(field)))
+            azimuth = rng.uniform(0.0, 2.0 * np.pi, _TRIES)
+            tries = np.column_stack([angle * np.cos(azimuth), angle * np.sin(azimuth)])
+            gaps = np.linalg.norm(tries[:, None] - places[None, :k], axis=-1)
+            gaps -= (radius[:k] + radius[k]) / self.distance
+            places[k] = tries[gaps.min(axis=1, initial=np.inf).argmax()]
+        azimuth = rng.uniform(0.0, 2.0 * np.pi)
+        return radius, places, np.array([np.cos(azimuth), np.sin(azimuth)])
+
+    def stage(self, setup: CameraSetup) -> DropletsStage:
+        """The drops on the dome of one camera."""
+        return DropletsStage(self, setup)
+
+
+@dataclass(frozen=True)
+class DropMap:
+    """What drops do to pixels.
+
+    Attributes:
+        pixels: Numbers of the pixels that drops change.
+        sources: Numbers of the pixels that each sees instead.
+        weights: How much each source counts.
+        coverage: Fraction of each pixel that drops cover.
+    """
+
+    pixels: Int[np.ndarray, " m"]
+    sources: Int[np.ndarray, "m k"]
+    weights: Float[np.ndarray, "m k"]
+    coverage: Float[np.ndarray, " m"]
+
+
+class DropletsStage(Stage):
+    """Drops on the dome of one camera; keeps the map of their last position."""
+
+    def __init__(self, droplets: Droplets, setup: CameraSetup) -> None:
+        """Places the drops."""
+        super().__init__()
+        self._droplets, self._camera, self._lens = droplets, setup.camera, dome_lens(setup)
+        self._rays, self._lit = lit_rays(setup)
+        self._field = float(np.arccos(self._rays[self._lit][:, 2].min(initial=1.0)))
+        self._radius, self._places, self._heading = droplets.place(
+            self._field, dome_rng(setup, "drop")
+        )
+        self._nearest = _nearest_lit(self._lit)
+        self._last: tuple[float, DropMap] | None = None
+
+    def frame_params(self, frame: FrameContext) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Pixels that drops change, the pixels that they see instead, and their weights."""
+        found = self.at_time(frame.step.state.time)
+        return found.pixels, found.sources, found.weights
+
+    def mark_dome(self, label: UInt8[np.ndarray, "h w"], time: float) -> None:
+        """Marks pixels of which drops cover half or more."""
+        found = self.at_time(time)
+        label.reshape(-1)[found.pixels[found.coverage >= 0.5]] = DOME_NAMES.index("drop")
+
+    def at_time(self, time: float) -> DropMap:
+        """The map at a time [s]."""
+        # Drops move by half a pixel at a time.
+        step = 0.5 * self._field / max(self._camera.width, 1)
+        speed = self._droplets.speed * time / self._droplets.distance
+        path = step * np.floor(speed / step)
+        if self._last is None or self._last[0] != path:
+            self._last = (path, self._trace(self._slid(path)))
+        return self._last[1]
+
+    def _slid(self, path: float) -> Float[np.ndarray, "d 2"]:
+        """Places of the drops after a path [rad], laid flat; they come in where others go out."""
+        along, across = self._heading, np.array([-self._heading[1], self._heading[0]])
+        reach = self._field + self._radius / self._droplets.distance
+        aside = self._places @ across
+        half = np.sqrt(np.maximum(reach**2 - aside**2, 1e-12))
+        moved = np.mod(self._places @ along + path + half, 2.0 * half) - half
+        return moved[:, None] * along + aside[:, None] * across
+
+    def _trace(self, places: Float[np.ndarray, "d 2"]) -> DropMap:
+        droplets, lens = self._droplets, self._lens
+        centers, size = unflatten(places), self._radius / droplets.distance
+        blur = pupil_disk_radius(lens, droplets.distance) / droplets.distance
+        lit = np.flatnonzero(self._lit)
+        rays = self._rays.reshape(-1, 3)[lit]
+        touched = (rays @ centers.T > np.cos(np.minimum(size + blur, np.pi))).any(axis=1)
+        pixels, rays = lit[touched], rays[touched]
+        sources = np.empty((len(pixels), _SAMPLES), np.uint32)
+        weights = np.empty((len(pixels), _SAMPLES), np.float32)
+        hits = np.zeros(len(pixels))
+        for k, pupil in enumerate(disk_points(_SAMPLES) * 0.5 * lens.aperture):
+            points, transmittance, is_in = self._sample(rays, pupil, centers)
+            sources[:, k] = np.where(is_in, self._pixels_of(points), pixels)
+            weights[:, k] = transmittance / _SAMPLES
+            hits += is_in
+        kept = hits > 0.0
+        coverage = hits[kept] / _SAMPLES
+        return DropMap(pixels[kept].astype(np.uint32), sources[kept], weights[kept], coverage)
+
+    def _sample(
+        self,
+        rays: Float[np.ndarray, "m 3"],
+        pupil: Float[np.ndarray, " 2"],
+        centers: Float[np.ndarray, "d 3"],
+    ) -> tuple[Float[np.ndarray, "m 3"], Float[np.ndarray, " m"], Bool[np.ndarray, " m"]]:
+        """What rays from a point of the pupil reach at the distance of focus.
+
+        Returns:
+            Points [m], the transmittance, whether a drop was hit.
+        """
+        droplets, focus = self._droplets, self._lens.focus_distance
+        right, down = lateral_axes(rays)
+        start = pupil[0] * right + pupil[1] * down
+        heading = unit(focus * rays - start)
+        on_dome = start + droplets.distance * heading
+        place = unit(on_dome)
+        cosine = place @ centers.T
+        apart = np.arccos(np.clip(cosine, -1.0, 1.0))
+        drop = (apart - self._radius / droplets.distance).argmin(axis=1)
+        base = self._radius[drop]
+        offset = droplets.distance * np.take_along_axis(apart, drop[:, None], 1)[:, 0]
+        is_in = offset < base
+        angle, transmittance = droplets.refract(offset, base)
+        outward = place - centers[drop] * np.take_along_axis(cosine, drop[:, None], 1)
+        bent = unit(heading * np.cos(angle)[:, None] - unit(outward) * np.sin(angle)[:, None])
+        points = on_dome + max(focus - droplets.distance, 0.0) * bent
+        return points, np.where(is_in, transmittance, 1.0), is_in
+
+    def _pixels_of(self, points: Float[np.ndarray, "m 3"]) -> Int[np.ndarray, " m"]:
+        """Numbers of the lit pixels that see points, or of the nearest to them."""
+        height, width = self._lit.shape
+        angle = np.arctan2(np.hypot(points[:, 0], points[:, 1]), points[:, 2])
+        scale = np.minimum(1.0, 0.995 * self._field / angle)
+        inside = unflatten(flatten(unit(points)) * scale[:, None])
+        column, row = np.nan_to_num(self._camera.lens.project(inside)).T
+        column = np.clip(np.rint(column), 0, width - 1).astype(int)
+        row = np.clip(np.rint(row), 0, height - 1).astype(int)
+        return self._nearest[row, column]
+
+
+def _nearest_lit(lit: Bool[np.ndarray, "h w"]) -> Int[np.ndarray, "h w"]:
+    """Number of the nearest pixel that sees anything."""
+    from scipy.ndimage import distance_transform_edt  # slow to load
+
+    found = distance_transform_edt(~lit, return_distances=False, return_indices=True)
+    indices = np.asarray(found)
+    return indices[0] * lit.shape[1] + indices[1]

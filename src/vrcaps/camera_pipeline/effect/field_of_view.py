@@ -1,0 +1,47 @@
+"""A narrower field of view."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+from vrcaps.camera.derive import scaled_lens
+from vrcaps.camera_pipeline.effect.base import CameraEffect
+from vrcaps.errors import require
+
+if TYPE_CHECKING:
+    from vrcaps.camera.camera import Camera
+
+
+@dataclass(frozen=True)
+class FieldOfView(CameraEffect):
+    """A lens of a longer focal length on the same sensor.
+
+    Attributes:
+        magnification: Factor on the focal length; above 1 the camera sees less.
+    """
+
+    magnification: float
+
+    name, short = "field_of_view", "fov"
+    severities = (
+        None,
+        {"magnification": 1.2},
+        {"magnification": 1.45},
+        {"magnification": 1.75},
+        {"magnification": 2.1},
+    )
+
+    def __post_init__(self) -> None:
+        magnification = self.magnification
+        is_valid = 0.1 <= magnification <= 10.0
+        require(is_valid, "FieldOfView's magnification", magnification, "0.1 to 10")
+
+    def on(self, camera: Camera) -> Camera:
+        """The camera with such a lens."""
+        lens, scale, circle = camera.lens, self.magnification, camera.image_circle_px
+        return replace(
+            camera,
+            lens=scaled_lens(lens, scale, (lens.cx, lens.cy)),
+            image_circle_px=None if circle is None else circle * scale,
+        )

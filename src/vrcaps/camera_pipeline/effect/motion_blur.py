@@ -1,0 +1,52 @@
+"""Motion blur."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from vrcaps.camera_pipeline.effect.base import CameraSetup, ImageEffect
+from vrcaps.errors import require
+
+
+@dataclass(frozen=True)
+class MotionBlur(ImageEffect):
+    """Motion of the capsule and the wall while the shutter is open and the LEDs are lit.
+
+    A row takes light while it is open and the LEDs are lit. It takes as large a part of the light
+    as of the pulse that falls into its time; the LEDs give the same total light, however short the
+    pulse. With a rolling shutter, a pulse in which all rows are open freezes the image as a global
+    shutter does, and a row that is not open then is black.
+
+    Attributes:
+        exposure_time: How long each row is open [s]; at most a frame's time counts.
+        led_pulse: How long the LEDs are lit, centered on the instant of the image [s]; None is
+            always.
+    """
+
+    exposure_time: float
+    led_pulse: float | None = None
+
+    name, short = "motion_blur", "blur"
+    needs = ("foreground_label", "foreground_depth")
+    needs_motion = True
+    severities = (
+        None,
+        {"exposure_time": 0.01},
+        {"exposure_time": 0.025},
+        {"exposure_time": 0.05},
+        {"exposure_time": 0.1},
+    )
+
+    def __post_init__(self) -> None:
+        time, pulse = self.exposure_time, self.led_pulse
+        require(0.0 < time < 10.0, "MotionBlur's exposure_time", time, "above 0 to 10 s")
+        is_valid = pulse is None or 0.0 < pulse < 10.0
+        require(is_valid, "MotionBlur's led_pulse", pulse, "above 0 to 10 s")
+
+    def params(self, setup: CameraSetup) -> tuple[float, float]:
+        """Exposure time and pulse [frames]."""
+        interval = 1.0 / setup.fps
+        pulse = np.inf if self.led_pulse is None else self.led_pulse / interval
+        return min(self.exposure_time / interval, 1.0), pulse

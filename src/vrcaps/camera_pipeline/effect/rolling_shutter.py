@@ -1,0 +1,39 @@
+"""Rolling shutter."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from vrcaps.camera_pipeline.effect.base import CameraSetup, ImageEffect
+from vrcaps.errors import require
+
+
+@dataclass(frozen=True)
+class RollingShutter(ImageEffect):
+    """Rows that are exposed one after another, the top one first.
+
+    Attributes:
+        readout_time: From the exposure of the first row to that of the last [s]; at most a
+            frame's time counts.
+    """
+
+    readout_time: float
+
+    name = "rolling_shutter"
+    needs = ("foreground_label", "foreground_depth")
+    needs_motion = True
+    severities = (
+        None,
+        {"readout_time": 0.03},
+        {"readout_time": 0.08},
+        {"readout_time": 0.16},
+        {"readout_time": 0.3},
+    )
+
+    def __post_init__(self) -> None:
+        time = self.readout_time
+        require(0.0 < time < 10.0, "RollingShutter's readout_time", time, "above 0 to 10 s")
+
+    def params(self, setup: CameraSetup) -> float:
+        """Readout time [frames]."""
+        return min(self.readout_time / (1.0 / setup.fps), 1.0)

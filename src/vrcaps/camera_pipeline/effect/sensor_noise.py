@@ -1,0 +1,101 @@
+"""Sensor noise: shot noise, read noise, fixed pattern and quantization."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vrcaps import _core
+from vrcaps.camera_pipeline.effect.base import CameraSetup, ImageEffect
+from vrcaps.camera_pipeline.effect.bayer_filter import BayerFilter
+from vrcaps.errors import require
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+_FIXED = 1 << 62
+"""First stream of the fixed pattern, beyond those of all frames."""
+
+
+@dataclass(frozen=True)
+class SensorNoise(ImageEffect):
+    """Noise from photons to numbers: shot noise, fixed pattern, read noise, gain, quantization.
+
+    This is the photon-transfer model (Janesick 2007; EMVA 1288). The number of electrons of a site
+    is a Poisson variable (below a mean of 12 drawn exactly, above it a normal variable with the
+    Poisson skewness, rounded). Read noise, a normal variable, and the site's offset are added;
+    where read noise hides that electrons are whole, from 3.5 of them on, both are drawn as one
+    variable with the variance and skewness of their sum. Amplified and rounded it is a number from
+    0 to 2^bits − 1. White is the full well at gain 1. So a number's variance is
+    `K · (mean − black) + K² read_noise²`, plus quantization, with K the overall system gain.
+
+    Attributes:
+        full_well: Electrons of white.
+        read_noise: Standard deviation of reading a site [electrons].
+        prnu: Photo response non-uniformity: standard deviation of the sites' responses, relative.
+        dsnu: Dark signal non-uniformity: standard deviation of the sites' offsets [electrons].
+        bits: Of the converter.
+        black_level: Number for no light.
+        sensor_seed: Seed of the sites' responses and offsets.
+    """
+
+    full_well: float
+    read_noise: float
+    prnu: float = 0.0
+    dsnu: float = 0.0
+    bits: int = 10
+    black_level: int = 64
+    sensor_seed: int = 0
+
+    name, short = "sensor_noise", "noise"
+    severities = (
+        None,
+        {"full_well": 12000.0, "read_noise": 4.0, "prnu": 0.005, "dsnu": 1.0},
+        {"full_well": 5000.0, "read_noise": 8.0, "prnu": 0.01, "dsnu": 3.0},
+        {"full_well": 2000.0, "read_noise": 12.0, "prnu": 0.02, "dsnu": 6.0},
+        {"full_well": 700.0, "read_noise": 16.0, "prnu": 0.03, "dsnu": 10.0},
+    )
+
+    def __post_init__(self) -> None:
+        well, black = self.full_well, self.black_level
+        require(1.0 <= well <= 1e6, "SensorNoise's full_well", well, "1 to 1e6 electrons")
+        for name, unit in (("read_noise", " electrons"), ("prnu", ""), ("dsnu", " electrons")):
+            value = getattr(self, name)
+            require(0.0 <= value < 1e5, f"SensorNoise's {name}", value, f"0{unit} or more")
+        require(1 <= self.bits <= 16, "SensorNoise's bits", self.bits, "1 to 16")
+        highest = 2**self.bits - 2
+        require(0 <= black <= highest, "SensorNoise's black_level", black, f"0 to {highest}")
+        seed = self.sensor_seed
+        require(seed >= 0, "SensorNoise's sensor_seed", seed, "0, 1, 2, …")
+
+    def system_gain(self, gain: float = 1.0) -> float:
+        """K: what one electron adds to a number, at a gain."""
+        return gain * (2**self.bits - 1 - self.black_level) / self.full_well
+
+    def fixed_pattern(
+        self, shape: tuple[int, int], camera: int
+    ) -> tuple[Float[np.ndarray, "n w"], Float[np.ndarray, "n w"]]:
+        """Response of each site relative to the mean, and its offset [electrons].
+
+        Args:
+            shape: Of the sites; three times the image's height without a Bayer filter.
+            camera: Which of the capsule's cameras.
+        """
+        first, second = (
+            _core.standard_normal(shape, self.sensor_seed, _FIXED + 2 * camera + k) for k in (0, 1)
+        )
+        response = np.maximum(1.0 + self.prnu * first, 0.0)
+        return response.astype(np.float32), (self.dsnu * second).astype(np.float32)
+
+    def params(self, setup: CameraSetup) -> dict[str, object]:
+        """The converter and the fixed pattern."""
+        camera, planes = setup.camera, 3 if setup.find(BayerFilter) is None else 1
+        return {
+            "full_well": self.full_well,
+            "read_noise": self.read_noise,
+            "white": float(2**self.bits - 1),
+            "black": float(self.black_level),
+            "pattern": self.fixed_pattern((planes * camera.height, camera.width), setup.number),
+        }

@@ -1,0 +1,138 @@
+"""Smears on the dome."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from statistics import NormalDist
+from typing import TYPE_CHECKING, Literal, get_args
+
+import numpy as np
+
+from vrcaps.camera_pipeline.dome import (
+    DOME_NAMES,
+    dome_lens,
+    dome_rng,
+    flatten,
+    lit_rays,
+    pupil_disk_radius,
+)
+from vrcaps.camera_pipeline.effect.base import CameraSetup, ImageEffect, Stage
+from vrcaps.errors import InputError, require
+from vrcaps.units import MM
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, UInt8
+
+Substance = Literal["mucus", "bile", "blood"]
+
+SUBSTANCES: dict[str, tuple[tuple[float, float, float], float]] = {
+    "mucus": ((150.0, 200.0, 400.0), 9e3),
+    "bile": ((600.0, 1.5e3, 9e3), 3e3),
+    "blood": ((150.0, 1.1e4, 1.4e4), 1.2e3),
+}
+"""Absorption for red, green and blue, and transport scattering [1/m]. Blood is oxygenated at some
+0.4 of its haemoglobin (Bosschaart et al., Lasers Med. Sci. 29, 2014); the others go by eye."""
+
+_WAVES = 64
+_MARKED = 0.1
+"""Fraction of the light that a smear absorbs or scatters where `dome_label` shows it."""
+
+
+@dataclass(frozen=True)
+class Smears(ImageEffect):
+    """Streaks of mucus, bile or blood on the dome that tint and scatter the light.
+
+    Where a smear is t thick, ``exp(−(a + s) t)`` of the light goes straight on, with its absorption
+    a and its transport scattering s; ``exp(−a t) (1 − exp(−s t))`` comes from all of the image
+    alike.
+
+    Attributes:
+        thickness: One standard deviation of the smear's relief above the edge of a streak [m].
+        coverage: Fraction of the dome that it covers.
+        substance: What it is.
+        width: Of a streak [m].
+        aspect_ratio: Length of a streak over its width.
+        distance: Of the dome from the entrance pupil [m].
+    """
+
+    thickness: float
+    coverage: float = 0.4
+    substance: Substance = "mucus"
+    width: float = 1.2 * MM
+    aspect_ratio: float = 4.0
+    distance: float = 5.0 * MM
+
+    name = "smears"
+    severities = (
+        None,
+        {"thickness": 0.015 * MM, "coverage": 0.25},
+        {"thickness": 0.03 * MM, "coverage": 0.4},
+        {"thickness": 0.06 * MM, "coverage": 0.55},
+        {"thickness": 0.12 * MM, "coverage": 0.7},
+    )
+
+    def __post_init__(self) -> None:
+        thickness, ratio = self.thickness, self.aspect_ratio
+        require(0.0 < thickness < 0.01, "Smears' thickness", thickness, "above 0 to 0.01 m")
+        require(0.0 < self.coverage < 1.0, "Smears' coverage", self.coverage, "above 0 to below 1")
+        require(0.0 < self.width < 1.0, "Smears' width", self.width, "above 0 to 1 m")
+        require(ratio >= 1.0, "Smears' aspect_ratio", ratio, "1 or more")
+        require(0.0 < self.distance < 1.0, "Smears' distance", self.distance, "above 0 to 1 m")
+        if self.substance not in get_args(Substance):
+            allowed = ", ".join(get_args(Substance))
+            raise InputError(f"Smears' substance is {self.substance!r}. Allowed: {allowed}.")
+
+    def relief(
+        self, points: Float[np.ndarray, "*n 2"], blur: float, rng: np.random.Generator
+    ) -> Float[np.ndarray, "*n"]:
+        """Thickness at points of the dome, laid flat [m].
+
+        Args:
+            points: [m].
+            blur: Radius of the disk that a pixel sees at once [m]; a wave k loses
+                exp(−(k · blur)² / 8) of its height, as in a Gaussian of the disk's variance.
+            rng: Source of randomness.
+        """
+        angle = rng.uniform(0.0, np.pi)
+        size = self.width * np.array([self.aspect_ratio, 1.0])
+        waves = 2.0 * rng.standard_normal((_WAVES, 2)) / size
+        axes = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+        waves, phases = waves @ axes, rng.uniform(0.0, 2.0 * np.pi, _WAVES)
+        amplitude = np.exp(-((waves**2).sum(axis=1)) * blur**2 / 8.0)
+        height = np.zeros(points.shape[:-1])
+        for wave, phase, scale in zip(waves, phases, amplitude, strict=True):
+            height += scale * np.cos(points @ wave + phase)
+        height *= np.sqrt(2.0 / _WAVES)
+        edge = NormalDist().inv_cdf(1.0 - self.coverage)
+        return self.thickness * np.maximum(height - edge, 0.0)
+
+    def stage(self, setup: CameraSetup) -> SmearsStage:
+        """The smears on the dome of one camera."""
+        return SmearsStage(self, setup)
+
+
+class SmearsStage(Stage):
+    """Smears on the dome of one camera.
+
+    Attributes:
+        params: Transmittance of each color [3 h w], fraction that is not scattered [h w], number
+            of pixels that see anything.
+    """
+
+    def __init__(self, smears: Smears, setup: CameraSetup) -> None:
+        """Places the streaks."""
+        rays, lit = lit_rays(setup)
+        blur = pupil_disk_radius(dome_lens(setup), smears.distance)
+        points = smears.distance * flatten(np.nan_to_num(rays))
+        thickness = np.where(lit, smears.relief(points, blur, dome_rng(setup, "smear")), 0.0)
+        absorption, scattering = SUBSTANCES[smears.substance]
+        transmittance = np.exp(-np.array(absorption)[:, None, None] * thickness)
+        transmittance = transmittance.astype(np.float32)
+        unscattered = np.exp(-scattering * thickness).astype(np.float32)
+        super().__init__((transmittance, unscattered, float(np.count_nonzero(lit))))
+        is_marked = transmittance.mean(axis=0) * unscattered < 1.0 - _MARKED
+        self._is_marked: Bool[np.ndarray, "h w"] = is_marked
+
+    def mark_dome(self, label: UInt8[np.ndarray, "h w"], time: float) -> None:
+        """Marks the smears where there is no drop."""
+        label[self._is_marked & (label == 0)] = DOME_NAMES.index("smear")

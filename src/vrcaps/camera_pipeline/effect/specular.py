@@ -1,0 +1,59 @@
+"""Specular reflection of the LEDs by the wet wall."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+from vrcaps.camera_pipeline.effect.base import SceneEffect
+from vrcaps.errors import InputError, require
+
+if TYPE_CHECKING:
+    from vrcaps.organ.surface import OrganSurface
+
+
+@dataclass(frozen=True)
+class SpecularReflection(SceneEffect):
+    """Strength of the wall's specular reflection, in place of the organ's own.
+
+    This is the clear coat of the wall's material (Burley 2012). The thickness of the mucus film
+    with its own geometry is `RenderSettings.mucus_film_um`.
+
+    Attributes:
+        clearcoat: Strength of the clear coat, 0 (dry) to 1 (whole).
+        clearcoat_gloss: Gloss of the clear coat, 0 (satin) to 1 (mirror-like).
+        ior: Refractive index of the wall under it, 1 (no reflection) or more.
+    """
+
+    clearcoat: float
+    clearcoat_gloss: float = 0.93
+    ior: float = 1.4
+
+    name = "specular"
+    severities = (
+        {"clearcoat": 0.0, "ior": 1.0},
+        {"clearcoat": 0.05, "ior": 1.15},
+        {"clearcoat": 0.2, "ior": 1.3},
+        {"clearcoat": 0.5, "ior": 1.45},
+        {"clearcoat": 1.0, "ior": 1.7},
+    )
+
+    def __post_init__(self) -> None:
+        coat, gloss = self.clearcoat, self.clearcoat_gloss
+        require(0.0 <= coat <= 1.0, "SpecularReflection's clearcoat", coat, "0 to 1")
+        require(0.0 <= gloss <= 1.0, "SpecularReflection's clearcoat_gloss", gloss, "0 to 1")
+        require(1.0 <= self.ior < 3.0, "SpecularReflection's ior", self.ior, "1 to below 3")
+
+    def on_organ(self, organ: OrganSurface) -> OrganSurface:
+        """The organ with this clear coat.
+
+        Raises:
+            InputError: If the organ has no appearance.
+        """
+        look = organ.appearance
+        if look is None:
+            raise InputError(f"{organ.name} has no appearance, so no specular reflection.")
+        look = replace(
+            look, clearcoat=self.clearcoat, clearcoat_gloss=self.clearcoat_gloss, ior=self.ior
+        )
+        return replace(organ, appearance=look)

@@ -1,0 +1,43 @@
+"""White balance."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from vrcaps.camera_pipeline.effect.base import CameraSetup, ImageEffect
+from vrcaps.errors import require
+
+Triple = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class WhiteBalance(ImageEffect):
+    """Gains against the sensor's lower response to red and blue, with a color cast that is left.
+
+    Attributes:
+        gains: What is left of each color after balancing; 1, 1, 1 is neutral.
+        response: Of red, green and blue sites to white; the lower, the more a color is amplified,
+            with its noise.
+    """
+
+    gains: Triple = (1.0, 1.0, 1.0)
+    response: Triple = (0.6, 1.0, 0.7)
+
+    name, short = "white_balance", "wb"
+    severities = (
+        None,
+        {"gains": (1.04, 1.0, 0.96)},
+        {"gains": (1.08, 1.0, 0.9)},
+        {"gains": (1.15, 1.0, 0.8)},
+        {"gains": (1.25, 1.0, 0.65)},
+    )
+
+    def __post_init__(self) -> None:
+        for name in ("gains", "response"):
+            values = getattr(self, name)
+            is_valid = all(0.0 < v < 100.0 for v in values)
+            require(is_valid, f"WhiteBalance's {name}", values, "three numbers above 0 to 100")
+
+    def params(self, setup: CameraSetup) -> tuple[Triple, Triple]:
+        """Gains and response."""
+        return self.gains, self.response

@@ -1,0 +1,56 @@
+"""Tables of the effects for people, made from their declarations."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+
+from vrcaps.camera_pipeline.effect.base import MAX_SEVERITY, Effect
+from vrcaps.camera_pipeline.effects import EFFECTS
+
+_MARK, _END = "<!-- {} -->", "<!-- end of {} -->"
+
+
+def severity_table() -> str:
+    """Parameters of each effect at every severity, as Markdown; SI units."""
+    severities = range(MAX_SEVERITY + 1)
+    lines = [
+        f"| effect | class | {' | '.join(map(str, severities))} |",
+        "|---" * (MAX_SEVERITY + 3) + "|",
+    ]
+    for name, kind in EFFECTS.items():
+        if kind.severities:
+            cells = " | ".join(_described(kind.at(severity)) for severity in severities)
+            lines.append(f"| `{name}` | `{kind.__name__}` | {cells} |")
+    return "\n".join(lines)
+
+
+def effect_table() -> str:
+    """Name, short name and summary of each effect in its order, as Markdown."""
+    lines = ["| effect | short | acts on | what it does |", "|---|---|---|---|"]
+    for name, kind in EFFECTS.items():
+        short = f"`{kind.short}`" if kind.short else ""
+        lines.append(f"| `{name}` | {short} | {kind.acts_on} | {kind.summary()} |")
+    return "\n".join(lines)
+
+
+def with_tables(page: str) -> str:
+    """A page with both tables between their marks, such as `<!-- severities -->`."""
+    for mark, table in (("severities", severity_table()), ("effects", effect_table())):
+        start, end = _MARK.format(mark), _END.format(mark)
+        before, after = page.split(start, maxsplit=1)[0], page.split(end)[1]
+        page = f"{before}{start}\n{table}\n{end}{after}"
+    return page
+
+
+def _described(effect: Effect | None) -> str:
+    """Parameters of an effect that differ from the defaults of its class."""
+    if effect is None:
+        return "–"
+    parts = []
+    for field in fields(effect):  # type: ignore[arg-type]
+        value = getattr(effect, field.name)
+        if value != field.default:
+            numbers = [f"{v:g}" for v in (value if isinstance(value, tuple) else (value,))]
+            text = numbers[0] if len(numbers) == 1 else f"({', '.join(numbers)})"
+            parts.append(f"{field.name} {text}")
+    return ", ".join(parts)

@@ -1,0 +1,185 @@
+"""`vrcaps calibrate geometric`: a lens model from photographs of a chessboard."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+from tyro.conf import Positional
+
+from vrcaps.cli.console import console, progress_bar
+from vrcaps.errors import InputError
+from vrcaps.units import DEG, MM, parse_length
+
+if TYPE_CHECKING:
+    from vrcaps.tools.camera_calibration.circle import ImageCircle
+    from vrcaps.tools.camera_calibration.fit import Calibration
+    from vrcaps.tools.photos import Photo
+
+
+@dataclass(frozen=True)
+class CalibrateGeometric:
+    """Fit a lens model to photographs of a chessboard, and write a capsule that record takes.
+
+    Take 8 or more photographs through the capsule's own dome: the board near, tilted to different
+    sides by 20° to 45°, and in every part of the image up to its rim. The board must be flat and
+    seen whole. A board seen mirrored is found too: its corners form the same grid.
+
+    For example:
+      vrcaps calibrate geometric photos/ --board 7x8 --square 2mm --out my-capsule.toml
+      vrcaps calibrate geometric photos/ --board 7x9 --square 2mm --lens scaramuzza
+          --capsule pillcam-colon2 --out my-capsule.toml
+      vrcaps record --organ colon --capsule my-capsule.toml --out runs/mine
+    """
+
+    photos: Positional[tuple[Path, ...]]
+    """Pictures (JPEG, PNG, BMP, TIFF, WebP), videos, or folders of them; all of one size, as the
+    capsule delivers them: not cropped, not resized."""
+
+    board: str
+    """Squares along the board's sides, such as 7x8; not inner corners."""
+
+    square: str
+    """Side of a square with its unit, such as 2mm. Only distances follow from it, not the lens."""
+
+    out: Path
+    """Capsule file to write, ending in .toml; the residuals are drawn beside it as PNG."""
+
+    lens: Literal["kannala-brandt", "pinhole", "scaramuzza"] = "kannala-brandt"
+    """Lens model: kannala-brandt or scaramuzza for wide lenses, pinhole up to about 120°."""
+
+    terms: int | None = None
+    """Distortion coefficients to fit, from the lowest order; all by default."""
+
+    capsule: str = "mirocam"
+    """Capsule that gives body, LEDs and all else: a name of the catalog or a file."""
+
+    camera: str | None = None
+    """Its camera to replace; by default its first."""
+
+    overwrite: bool = False
+    """Replace the file if it exists."""
+
+    video_frames: int = 20
+    """Frames to look at in each video."""
+
+    def run(self) -> None:
+        """Find the board, fit, report and write."""
+        from vrcaps.capsule.catalog import read_device
+        from vrcaps.capsule.device_file import write_device
+        from vrcaps.tools.camera_calibration.board import parse_board
+        from vrcaps.tools.camera_calibration.calibration_report import write_report
+        from vrcaps.tools.camera_calibration.circle import image_circle
+        from vrcaps.tools.camera_calibration.corners import find_views
+        from vrcaps.tools.camera_calibration.device import calibrated_device, find_camera
+        from vrcaps.tools.camera_calibration.fit import calibrate
+        from vrcaps.tools.photos import read_photos
+
+        check_out(self.out, overwrite=self.overwrite)
+        board = parse_board(self.board, parse_length(self.square))
+        pattern = read_device(self.capsule)
+        find_camera(pattern, self.camera)
+        photos = read_photos(self.photos, num_frames=self.video_frames)
+        with progress_bar("looking for the board") as advance:
+            views, missed = find_views(photos, board, advance)
+        circle = image_circle([photo.rgb for photo in photos])
+        height, width = photos[0].rgb.shape[:2]
+        reach = None if circle is None else circle.radius
+        fit = calibrate(
+            views, board, (width, height), self.lens, num_terms=self.terms, circle_px=reach
+        )
+        edge = None if circle is None else circle.radius_about(fit.lens.cx, fit.lens.cy)
+        device = calibrated_device(pattern, fit, camera=self.camera, circle_px=edge)
+        write_device(self.out, device)
+        write_report(self.out.with_suffix(".png"), fit, photos, circle)
+        self._report(fit, photos, missed, circle)
+
+    def _report(
+        self,
+        fit: Calibration,
+        photos: Sequence[Photo],
+        missed: Sequence[str],
+        circle: ImageCircle | None,
+    ) -> None:
+        console.print(f"Board found in {len(fit.views)} of {len(photos)} photographs.")
+        if missed:
+            console.print(f"Not found in: {', '.join(missed)}.")
+        mirrored = [view.name for view in fit.views if view.way == "mirrored"]
+        if mirrored:
+            console.print(f"Found only in the mirror image of: {', '.join(mirrored)}.")
+        console.print(_view_table(fit))
+        console.print(_lens_table(fit))
+        for line in _facts(fit, circle):
+            console.print(line)
+        picture = self.out.with_suffix(".png")
+        console.print(f"Wrote {self.out}. Residuals are drawn in {picture}: look at it.")
+        console.print(f"Use it with: vrcaps record --organ colon --capsule {self.out} --out RUN")
+
+
+def check_out(path: Path, *, overwrite: bool) -> None:
+    """Check that a capsule can be written to a file.
+
+    Raises:
+        InputError: If its name does not end in .toml, or it exists and may not be replaced.
+    """
+    if path.suffix != ".toml":
+        raise InputError(f"--out is {path}. Allowed: a file name that ends in .toml.")
+    if path.exists() and not overwrite:
+        raise InputError(f"{path} exists. Give another --out, or --overwrite.")
+    if not path.absolute().parent.is_dir():
+        raise InputError(f"There is no folder {path.parent} for --out. Make it first.")
+
+
+def _view_table(fit: Calibration):
+    import numpy as np
+    from rich.table import Column, Table
+
+    name = Column("photograph", overflow="fold")
+    table = Table(name, "found", "mean [px]", "max [px]", "tilt [°]", "distance [mm]")
+    for view, error, pose in zip(fit.views, fit.errors, fit.Ts_camera_board, strict=True):
+        tilt = np.arccos(np.clip(abs(pose[2, 2]), 0.0, 1.0)) / DEG
+        middle = pose @ [*fit.board.points.mean(axis=0), 1.0]
+        away = np.linalg.norm(middle[:3]) / MM
+        mean, most = f"{error.mean():.3f}", f"{error.max():.2f}"
+        table.add_row(view.name, view.way, mean, most, f"{tilt:.0f}", f"{away:.1f}")
+    return table
+
+
+def _lens_table(fit: Calibration):
+    from rich.table import Table
+
+    table = Table("parameter", "value", "standard deviation", title=f"{fit.lens.kind} lens")
+    for name, spread in zip(fit.names, fit.deviations, strict=True):
+        table.add_row(name, f"{getattr(fit.lens, name):.6g}", f"{spread:.2g}")
+    return table
+
+
+def _facts(fit: Calibration, circle: ImageCircle | None) -> list[str]:
+    """What the numbers mean, and what to do where they are poor."""
+    import numpy as np
+
+    from vrcaps.tools.camera_calibration.fit import sees_image
+
+    rms = np.sqrt(np.mean(fit.errors**2))
+    lines = [f"Mean error {fit.errors.mean():.3f} px, root mean square {rms:.3f} px."]
+    edge = None if circle is None else circle.radius_about(fit.lens.cx, fit.lens.cy)
+    reach = f"Corners reach {fit.angles.max() / DEG:.0f}° from the axis"
+    if edge is None:
+        lines.append(f"{reach}. No dark rim: the image circle is not seen.")
+    else:
+        on_edge = fit.lens.unproject(np.array([fit.lens.cx + edge, fit.lens.cy]))
+        angle = np.arctan2(np.hypot(*on_edge[:2]), on_edge[2]) / DEG
+        lines.append(f"{reach}; the image circle has {edge:.1f} px, {angle:.0f}° from the axis.")
+    if not sees_image(fit.lens, fit.size, edge):
+        lines.append(
+            "The lens has no ray for part of the image, which stays black. Give fewer --terms, "
+            "another --lens, or photographs with the board at the rim."
+        )
+    focal = fit.deviations[0] / getattr(fit.lens, fit.names[0])
+    if focal > 0.03:
+        lines.append(
+            f"The focal length is known to {focal:.1%} only. Tilt the board more, and come nearer."
+        )
+    return lines

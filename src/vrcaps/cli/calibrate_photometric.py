@@ -1,0 +1,158 @@
+"""`vrcaps calibrate photometric`: vignetting, color and noise of a camera from its frames."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from tyro.conf import Positional
+
+from vrcaps.cli.calibrate_geometric import check_out
+from vrcaps.cli.console import console, progress_bar
+
+if TYPE_CHECKING:
+    from vrcaps.tools.photometric_calibration.calibrate_photometric import PhotometricCalibration
+
+
+@dataclass(frozen=True)
+class CalibratePhotometric:
+    """Estimate what a real camera does to its images, from a folder of its frames.
+
+    Found are the image circle, vignetting, color, brightness, noise and JPEG quality. Circle,
+    color of the LEDs and exposure go into a capsule file; vignetting, noise and JPEG into a
+    scenario beside it. Twenty frames of different places or more give good figures.
+
+    Frames alone do not tell the camera from the scene. Record a run with the same capsule, no
+    effects, in a like organ, and give its frames as --reference: then color, brightness and
+    vignetting are what differs. Without it vignetting counts the wall's own shading, and color
+    and brightness stay as they are.
+
+    For example:
+      vrcaps calibrate photometric frames/ --capsule mirocam --out my-capsule.toml
+      vrcaps record --organ small-bowel --capsule mirocam --frames 60 --out runs/plain
+      vrcaps calibrate photometric frames/ --capsule mirocam --reference runs/plain/front/rgb
+          --out my-capsule.toml
+      vrcaps record my-capsule-effects.toml --out runs/matched
+    """
+
+    frames: Positional[tuple[Path, ...]]
+    """Pictures (JPEG, PNG, BMP, TIFF, WebP), videos, or folders of them; of one camera, one size,
+    not cropped."""
+
+    out: Path
+    """Capsule file to write, ending in .toml. Beside it: NAME-effects.toml, a scenario, and
+    NAME.png, which shows what was found."""
+
+    capsule: str = "mirocam"
+    """Capsule to change: a name of the catalog or a file, such as vrcaps calibrate
+    geometric writes."""
+
+    camera: str | None = None
+    """Its camera that took the frames; by default its first."""
+
+    reference: tuple[Path, ...] = ()
+    """Frames recorded with this capsule in a like organ."""
+
+    overwrite: bool = False
+    """Replace the files if they exist."""
+
+    video_frames: int = 20
+    """Frames to look at in each video."""
+
+    def run(self) -> None:
+        """Estimate, report and write."""
+        from vrcaps.capsule.catalog import read_device
+        from vrcaps.capsule.device_file import write_device
+        from vrcaps.tools.camera_calibration.device import find_camera
+        from vrcaps.tools.camera_calibration.fit import sees_image
+        from vrcaps.tools.photometric_calibration.calibrate_photometric import (
+            calibrate_photometric,
+            photometric_device,
+            write_scenario,
+        )
+        from vrcaps.tools.photometric_calibration.frames import make_frames
+        from vrcaps.tools.photometric_calibration.jpeg import jpeg_quality
+        from vrcaps.tools.photometric_calibration.photometric_report import write_report
+        from vrcaps.tools.photos import read_photos
+
+        effects = self.out.with_name(f"{self.out.stem}-effects.toml")
+        for path in (self.out, effects):
+            check_out(path, overwrite=self.overwrite)
+        pattern = read_device(self.capsule)
+        camera = find_camera(pattern, self.camera)
+        with progress_bar("looking at the frames") as advance:
+            photos = read_photos(self.frames, num_frames=self.video_frames)
+            frames = make_frames(photos, advance)
+        reference = None
+        if self.reference:
+            with progress_bar("looking at the reference") as advance:
+                reference = make_frames(read_photos(self.reference), advance)
+        quality = jpeg_quality(self.frames)
+        calibration = calibrate_photometric(
+            frames, camera, reference=reference, jpeg_quality=quality
+        )
+        device = photometric_device(pattern, calibration, camera=self.camera)
+        write_device(self.out, device)
+        write_scenario(effects, calibration, self.out)
+        write_report(self.out.with_suffix(".png"), calibration, frames)
+        self._report(calibration, len(photos), effects)
+        circle = find_camera(device, self.camera).image_circle_px
+        if not sees_image(camera.lens, (camera.width, camera.height), circle):
+            console.print(
+                f"The lens of {self.capsule} has no ray for the rim of this circle: the image will "
+                "end before. Calibrate the lens, or choose another --capsule."
+            )
+
+    def _report(self, calibration: PhotometricCalibration, num_frames: int, effects: Path) -> None:
+        width, height = calibration.size
+        console.print(f"{num_frames} frames of {width} × {height} px.")
+        console.print(_table(calibration, has_reference=bool(self.reference)))
+        if not self.reference:
+            console.print(
+                "Without --reference the wall's own shading counts as vignetting, and color and "
+                "brightness are not matched."
+            )
+        picture = self.out.with_suffix(".png")
+        console.print(f"Wrote {self.out} and {effects}. What was found is drawn in {picture}.")
+        console.print(f"Use them with: vrcaps record {effects} --out RUN")
+
+
+def _table(calibration: PhotometricCalibration, *, has_reference: bool):
+    from rich.table import Table
+
+    table = Table("figure", "found", show_lines=False)
+    circle = "no dark rim that is a circle"
+    if calibration.circle is not None:
+        found = calibration.circle
+        circle = f"radius {found.radius:.1f} px, center {found.cx:.1f}, {found.cy:.1f}"
+    table.add_row("image circle", circle)
+    fall = calibration.vignetting
+    share = f"1 {fall.k1:+.3f} ρ² {fall.k2:+.3f} ρ⁴, ρ in halves of the shorter side"
+    rim = f"{fall.rim:.2f} ± {fall.deviation:.2f} of the light at the rim"
+    table.add_row(
+        "vignetting", f"{share}; {rim}" if fall.is_clear else f"none that is clear; {rim}"
+    )
+    color = calibration.color
+    words = "nothing is bright and well exposed"
+    if color is not None:
+        words = f"R/G {color.red:.3f}, B/G {color.blue:.3f}, linear, of bright mucosa"
+    table.add_row("color", words)
+    if has_reference:
+        red, _, blue = calibration.gains
+        table.add_row("red and blue against the reference", f"× {red:.3f}, × {blue:.3f}")
+        table.add_row("brightness against the reference", f"× {calibration.brightness:.3f}")
+    noise = "hidden by coding, or too few even places"
+    if calibration.noise is not None:
+        well, read = calibration.noise.full_well, calibration.noise.read_noise
+        noise = f"full well {well:.0f} electrons, read noise {read:.1f} electrons"
+    table.add_row("noise", noise)
+    quality = (
+        "no JPEG files"
+        if calibration.jpeg_quality is None
+        else f"quality {calibration.jpeg_quality}"
+    )
+    table.add_row(
+        "compression", f"{quality}; step over 8-px borders × {calibration.blockiness:.2f}"
+    )
+    return table

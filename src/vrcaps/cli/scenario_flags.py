@@ -68,8 +68,8 @@ def _entry(flag: str, setting: Setting) -> tuple[str, Any, Any]:
 
 _LESION = """Lesion to put into the organ; repeat for more. A kind, then what differs from its
 defaults: polyp-Ip:size=12mm,segment=sigmoid, colitis-2, bleeding-3. vrcaps organ list has all."""
-_EFFECTS = """Lens and sensor by severity 0 to 4, such as noise=2,depth_of_field=1, noise=1..3 (a
-range, drawn by the seed), all=2, random, mosaic=rggb or frame_rate=4..35; see docs/effects.md."""
+_EFFECTS = """Camera effects by severity 0 to 4, such as dof=1,noise=2, noise=1..3 (a range, sampled
+by the seed), all=2, random, bayer=rggb, afr=4..35. vrcaps organ list has all effects."""
 
 OrganFlags = _flags(
     "Organ",

@@ -208,7 +208,7 @@ def test_severities_cover_more_and_more(name: str) -> None:
     coverage = []
     for effect in SEVERITIES[name][1:]:
         marked = []
-        for seed in range(3):
+        for seed in range(8):
             label = np.zeros((camera.height, camera.width), np.uint8)
             effect.stage(CameraSetup(camera, seed=seed)).mark_dome(label, 0.0)
             marked.append(np.mean(label > 0))

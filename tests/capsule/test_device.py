@@ -35,8 +35,8 @@ def test_a_capsule_in_one_expression(tmp_path):
     positions = [led.position_camera for led in CAMERA.leds]
     expected = [[3.5e-3, 0, 0], [0, 3.5e-3, 0], [-3.5e-3, 0, 0], [0, -3.5e-3, 0]]
     np.testing.assert_allclose(positions, expected, atol=1e-18)
-    write_device(tmp_path / "capsule.toml", DEVICE)
-    assert vrcaps.read_device(tmp_path / "capsule.toml") == DEVICE
+    write_device(tmp_path / "custom.toml", DEVICE)
+    assert vrcaps.read_device(tmp_path / "custom.toml") == DEVICE
 
 
 def test_default_exposure_is_that_of_the_catalog():

@@ -105,7 +105,7 @@ class CapsuleCameras:
         for name, pipeline in self.pipelines.items():
             exposure, luminance = exposure_columns(name)
             if exposure in last:
-                pipeline.resume(Exposure(last[exposure], last[luminance]))
+                pipeline.resume(Exposure(float(last[exposure]), float(last[luminance])))
         self._last_captured = last_captured
 
     def _timing(self, step: Step) -> dict[str, float]:

@@ -269,8 +269,9 @@ class CameraPipeline:
         if neighbor is None:
             return None
         assert radiance.points is not None
+        slot = "previous" if step.next is None else "next"
         apparent, pose = self.renderer.points_in_neighbor(
-            self.camera, radiance.points, step.state, neighbor, is_next=step.next is not None
+            self.camera, radiance.points, step.state, neighbor, slot
         )
         device = self.renderer.model.device
         capsule = (0.5 * device.length - device.radius, device.radius)

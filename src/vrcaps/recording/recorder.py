@@ -296,7 +296,7 @@ def _cameras(run: _Recording, wall: MovingWall, before: FrameTable | None) -> Ca
         channels=scenario.channels,
     )
     if before is not None and len(before):
-        last = {name: float(column[-1]) for name, column in before.columns.items()}
+        last = {name: column[-1] for name, column in before.columns.items()}
         captured = np.flatnonzero(before.columns.get(CAPTURED, ()))
         cameras.resume(last, int(captured[-1]) if captured.size else None)
     return cameras

@@ -234,9 +234,8 @@ class Renderer:
                 seen = visibility(camera, paths, moved, forward, state_next, wall, then)
                 motion["occlusion"] = ~seen
         if state_previous is not None and "flow_backward" in channels:
-            moved = points.moved(faces, state_previous, now, self.lumen_contents(state_previous))
-            paths = self.refracted_paths(camera, points, moved, state_previous, "previous")
-            motion["flow_backward"] = flow(camera, paths.apparent, state_previous)
+            back = self.points_in_neighbor(camera, points, state, state_previous, "previous")
+            motion["flow_backward"] = flow(camera, back[0], state_previous)
         return motion
 
     def points_in_neighbor(
@@ -245,8 +244,7 @@ class Renderer:
         points: SurfacePoints,
         state: State,
         neighbor: State,
-        *,
-        is_next: bool,
+        slot: str,
     ) -> tuple[Float[np.ndarray, "h w 3"], Float[np.ndarray, "4 4"]]:
         """Where surface points appear in a neighboring frame [m], and `T_world_camera` there.
 
@@ -255,11 +253,10 @@ class Renderer:
             points: What pixels see now.
             state: The world now.
             neighbor: The world one frame later or earlier.
-            is_next: Whether it is later.
+            slot: `next` or `previous`: which neighbor it is.
         """
         contents = self.lumen_contents(state), self.lumen_contents(neighbor)
         moved = points.moved(self.model.organ.faces, neighbor, *contents)
-        slot = "next" if is_next else "previous"
         paths = self.refracted_paths(camera, points, moved, neighbor, slot)
         return paths.apparent, self.pose(neighbor, camera)
 

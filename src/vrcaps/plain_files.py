@@ -50,6 +50,6 @@ def write_toml(path: Path, plain: dict[str, Any], noun: str) -> None:
     try:
         write_bytes(path, tomli_w.dumps(plain).encode())
     except TypeError as error:
-        raise InputError(f"Cannot write the {noun} file {path}: {error}.") from error
+        raise InputError(f"Cannot write the {noun} file {path} as TOML: {error}.") from error
     except OSError as error:
         raise InputError(f"Cannot write the {noun} file {path}: {error.strerror}.") from error

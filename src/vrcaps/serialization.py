@@ -4,10 +4,11 @@ A field's type is the schema: ``bool``, ``int``, ``float``, ``str``, ``None``, `
 tuples, dataclasses and unions of these. An infinite number is the text ``inf``. Where a union has
 several dataclasses, the key ``kind`` names the class by its own class variable `kind`. A key that a
 table leaves out is as in the default value of that table's field. A dataclass whose files look
-different from its fields registers that form with `register_form`.
+different from its fields registers how to expand it with `register_shorthand`.
 
 A field with ``metadata={"unit": "mm"}`` holds SI units in Python. With ``units=True`` its key is
 ``<name>_mm`` and its value is in that unit, converted exactly; otherwise keys and values are SI.
+``metadata={"key": "direction"}`` gives it another name in such files.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from __future__ import annotations
 import math
 import types
 from collections.abc import Callable, Mapping
-from dataclasses import MISSING, Field, dataclass, fields, is_dataclass
+from dataclasses import MISSING, Field, fields, is_dataclass
 from decimal import Decimal
 from functools import cache
 from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
@@ -32,16 +33,7 @@ _LARGEST = Decimal("1e300")
 _WORDS = {bool: "true or false", int: "a whole number", float: "a number", str: "a text"}
 
 
-@dataclass(frozen=True)
-class _Form:
-    """How a class looks in files: another dataclass, and the way to and from it."""
-
-    table: type
-    to_table: Callable[[Any], Any]
-    from_table: Callable[[Any], Any]
-
-
-_FORMS: dict[type, _Form] = {}
+_SHORTHANDS: dict[type, Callable[[dict[str, Any]], dict[str, Any]]] = {}
 
 
 class _NotAllowedError(ValueError):
@@ -51,18 +43,14 @@ class _NotAllowedError(ValueError):
         super().__init__(f"{verb} {given}. Allowed: {allowed}.")
 
 
-def register_form(
-    cls: type, table: type, to_table: Callable[[Any], Any], from_table: Callable[[Any], Any]
-) -> None:
-    """Let a class be written and read as another dataclass.
+def register_shorthand(cls: type, expand: Callable[[dict[str, Any]], dict[str, Any]]) -> None:
+    """Let files with units state a dataclass in other keys than its fields.
 
     Args:
-        cls: The class.
-        table: The dataclass that files hold.
-        to_table: Makes the table from an object.
-        from_table: Makes the object from a table.
+        cls: The dataclass.
+        expand: Makes a table with the keys of the fields; values may already be objects.
     """
-    _FORMS[cls] = _Form(table, to_table, from_table)
+    _SHORTHANDS[cls] = expand
 
 
 def to_plain(value: Any, declared: Any, *, units: bool = False) -> Any:
@@ -73,9 +61,6 @@ def to_plain(value: Any, declared: Any, *, units: bool = False) -> Any:
         declared: Its type; decides whether a dataclass carries its `kind`.
         units: Write fields in the units of their metadata, as decimals, and leave out None.
     """
-    if type(value) in _FORMS:
-        form = _FORMS[type(value)]
-        return to_plain(form.to_table(value), form.table, units=units)
     if is_dataclass(value):
         hints = type_hints(type(value))
         plain = {
@@ -130,7 +115,6 @@ def _converter(units: bool) -> Converter:
     converter.register_structure_hook_func(lambda t: t is dict, lambda p, _: _metadata(p))
     for predicate, factory in (
         (is_dataclass, _table_hook),
-        (lambda t: t in _FORMS, _form_hook),
         (lambda t: get_origin(t) is tuple, _tuple_hook),
         (lambda t: get_origin(t) in (Union, types.UnionType), _union_hook),
     ):
@@ -202,11 +186,6 @@ class _UnknownKindError(_NotAllowedError):
         super().__init__(given, ", ".join(sorted(known)), verb=".kind is")
 
 
-def _form_hook(converter: Converter, cls: Any, units: bool) -> Callable[[Any, Any], Any]:
-    form = _FORMS[cls]
-    return lambda plain, _: form.from_table(converter.structure(plain, form.table))
-
-
 def _table_hook(converter: Converter, cls: Any, units: bool) -> Callable[[Any, Any], Any]:
     """Reads a table into a dataclass; parts of tables are filled up from their field's default."""
     hints, known = type_hints(cls), {_key(f, units): f for f in fields(cls)}
@@ -219,8 +198,12 @@ def _table_hook(converter: Converter, cls: Any, units: bool) -> Callable[[Any, A
     structure_whole = make_dict_structure_fn(cls, converter, **renamed)  # type: ignore[arg-type]
 
     def structure(plain: Any, _: Any) -> Any:
+        if isinstance(plain, cls):
+            return plain
         if not isinstance(plain, Mapping):
             raise _NotAllowedError(_shown(plain), "a table")
+        if units and cls in _SHORTHANDS:
+            plain = _SHORTHANDS[cls](dict(plain))
         whole = {
             key: _completed(known[key], hints[known[key].name], value, units)
             if key in known
@@ -285,14 +268,20 @@ def _explained_table(error: ClassValidationError, at: str, units: bool) -> Input
         if isinstance(other, ForbiddenExtraKeysError):
             allowed = ", ".join(_key(f, units) for f in known.values())
             place = _place(at, sorted(other.extra_fields)[0])
-            return InputError(f"Unknown key {place}. Allowed: {allowed}.")
+            return InputError(f"{_titled('Unknown key', place)}. Allowed: {allowed}.")
     for other, note in fields_:
         if isinstance(other, KeyError):
             place = _place(at, _key(known[note.name], units))
-            return InputError(f"Missing key {place}: {_allowed(hints[note.name])}.")
+            return InputError(f"{_titled('Missing key', place)}: {_allowed(hints[note.name])}.")
     for other, note in fields_:
         return _explained(other, _place(at, _key(known[note.name], units)), units)
     return _explained(others[0], at, units)
+
+
+def _titled(what: str, place: str) -> str:
+    """What is wrong with a key, behind the name of the file where the place has one."""
+    file, _, key = place.rpartition(": ")
+    return f"{file}: {what[0].lower()}{what[1:]} {key}" if file else f"{what} {key}"
 
 
 def _place(at: str, key: str) -> str:
@@ -300,7 +289,10 @@ def _place(at: str, key: str) -> str:
 
 
 def _key(f: Field, units: bool) -> str:
-    return f"{f.name}_{f.metadata['unit']}" if units and "unit" in f.metadata else f.name
+    if not units:
+        return f.name
+    name = f.metadata.get("key", f.name)
+    return f"{name}_{f.metadata['unit']}" if "unit" in f.metadata else name
 
 
 def _in_unit(plain: Any, f: Field, units: bool) -> Any:

@@ -45,8 +45,8 @@ class Led:
         lobe_exponent: Exponent of its angular lobe, ≥ 0.
     """
 
-    position_camera: Vector = field(metadata={"unit": "mm"})
-    direction_camera: Vector = (0.0, 0.0, 1.0)
+    position_camera: Vector = field(metadata={"unit": "mm", "key": "position"})
+    direction_camera: Vector = field(default=(0.0, 0.0, 1.0), metadata={"key": "direction"})
     intensity: Vector = field(default=(1e-3, 1e-3, 1e-3), metadata={"unit": "mw_per_sr"})
     lobe_exponent: float = 1.0
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -23,8 +23,8 @@ class InternalMagnet:
         moment_capsule: Its moment in the capsule frame [A·m²], not zero.
     """
 
-    position_capsule: tuple[float, float, float]
-    moment_capsule: tuple[float, float, float]
+    position_capsule: tuple[float, float, float] = field(metadata={"unit": "mm", "key": "position"})
+    moment_capsule: tuple[float, float, float] = field(metadata={"unit": "a_m2", "key": "moment"})
 
     def __post_init__(self) -> None:
         numbers = np.array([*self.position_capsule, *self.moment_capsule], float)

@@ -7,9 +7,8 @@ from pathlib import Path
 
 from vrcaps.camera.camera import Camera, Led
 from vrcaps.capsule.device import Device
-from vrcaps.capsule.device_file import write_lines
 from vrcaps.errors import InputError
-from vrcaps.toml_table import toml_text
+from vrcaps.plain_files import write_toml
 from vrcaps.tools.camera_calibration.circle import ImageCircle, image_circle
 from vrcaps.tools.camera_calibration.device import find_camera, with_camera
 from vrcaps.tools.photometric_calibration.frames import Frames
@@ -144,18 +143,19 @@ def write_scenario(path: Path, calibration: PhotometricCalibration, capsule: Pat
     Raises:
         InputError: If the file cannot be written.
     """
-    lines = [f"capsule = {toml_text(str(capsule))}"]
+    effects: dict[str, Any] = {}
     if calibration.vignetting.is_clear:
-        coefficients = [
-            float(f"{k:.5g}") for k in (calibration.vignetting.k1, calibration.vignetting.k2, 0.0)
-        ]
-        lines += ["", "[effects.vignetting]", f"coefficients = {toml_text(coefficients)}"]
+        k1, k2 = calibration.vignetting.k1, calibration.vignetting.k2
+        effects["vignetting"] = {"coefficients": [float(f"{k:.5g}") for k in (k1, k2, 0.0)]}
     if calibration.noise is not None:
-        lines += ["", "[effects.sensor_noise]", f"full_well = {calibration.noise.full_well:.5g}"]
-        lines += [f"read_noise = {calibration.noise.read_noise:.5g}"]
+        noise = calibration.noise
+        effects["sensor_noise"] = {
+            "full_well": float(f"{noise.full_well:.5g}"),
+            "read_noise": float(f"{noise.read_noise:.5g}"),
+        }
     if calibration.jpeg_quality is not None:
-        lines += ["", "[effects.jpeg]", f"quality = {calibration.jpeg_quality}"]
-    write_lines(path, lines)
+        effects["jpeg"] = {"quality": calibration.jpeg_quality}
+    write_toml(path, {"capsule": str(capsule), "effects": effects}, "scenario")
 
 
 def _center(frames: Frames, camera: Camera) -> tuple[float, float]:

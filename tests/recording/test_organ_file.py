@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from vrcaps.capsule.catalog import read_device
 from vrcaps.errors import InputError
 from vrcaps.lesion import parse_lesion
 from vrcaps.motion.fly_through import FlyThrough
@@ -18,7 +19,7 @@ from vrcaps.organ.write_organ import write_organ
 from vrcaps.recording.episode import read_episode
 from vrcaps.recording.recorder import record
 from vrcaps.scenario.build import build, resolve
-from vrcaps.scenario.scenario import OrganFile, Scenario
+from vrcaps.scenario.scenario import OrganFile, Scenario, read_scenario
 
 RECORD = {"instance": 1, "kind": "polyp", "grade": "Is"}
 
@@ -100,3 +101,28 @@ def test_its_textures_stay(plan: Scenario) -> None:
 def test_a_mesh_file_has_no_unit_of_its_own(plan: Scenario, mesh_file: Path) -> None:
     with pytest.raises(InputError, match="unit is missing"):
         resolve(replace(plan, organ=OrganFile(str(mesh_file))))
+
+
+def test_organ_and_capsule_in_memory(
+    plan: Scenario, organ: OrganSurface, device_file: Path, tmp_path: Path
+) -> None:
+    """They are stored in the episode: it is read, goes on, and records the same elsewhere."""
+    device = replace(read_device(device_file), metadata={"serial": 7})
+    scenario = replace(plan, organ=organ, capsule=device)
+    episode = read_episode(record(scenario, tmp_path / "first"))
+    assert isinstance(episode.scenario.organ, OrganFile)
+    assert episode.scenario.capsule == device
+    assert record(scenario, tmp_path / "first") == tmp_path / "first"
+    (tmp_path / "first").rename(tmp_path / "moved")
+    again = read_scenario(tmp_path / "moved" / "episode.json")
+    record(again, tmp_path / "second")
+    name = f"{device.cameras[0].name}/rgb/000001.png"
+    images = [(tmp_path / folder / name).read_bytes() for folder in ("moved", "second")]
+    assert images[0] == images[1]
+    other = replace(scenario, organ=replace(organ, name="other"))
+    with pytest.raises(InputError, match="holds an episode of another organ"):
+        record(other, tmp_path / "moved")
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "notes.txt").write_text("precious")
+    with pytest.raises(InputError, match="holds something else"):
+        record(scenario, tmp_path / "full")

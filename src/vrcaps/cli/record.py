@@ -90,13 +90,11 @@ class Record:
         Raises:
             InputError: If a value is impossible, a path is unknown, or flags contradict.
         """
-        from vrcaps.plain_files import read_plain
-        from vrcaps.scenario.scenario import scenario_from_plain
+        from vrcaps.scenario.scenario import read_plain_scenario, scenario_from_plain
 
         plain: Any = {}
         if self.scenario is not None:
-            plain = read_plain(self.scenario, "scenario")
-            plain = plain.get("scenario") if "format" in plain else plain
+            plain = read_plain_scenario(self.scenario)
         flags = {**vars(self.organ), **vars(self.motion), **vars(self.images)}
         for path, value in (*changes(flags), *map(parse_change, self.set)):
             plain = changed(plain, path, value)

@@ -7,11 +7,8 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from vrcaps import _core
-from vrcaps.camera.camera import Camera, Led
-from vrcaps.camera.lens import AnyLens
+from vrcaps.camera.camera import Camera
 from vrcaps.capsule.device import Device
 from vrcaps.errors import InputError
 from vrcaps.organ.arrays import json_safe
@@ -32,6 +29,9 @@ PREVIEW_MP4 = "preview.mp4"
 
 RECORDING, COMPLETE = "recording", "complete"
 
+
+_Row = tuple[float, float, float, float]
+_Pose = tuple[_Row, _Row, _Row, _Row]
 
 _LESION_KEYS = ("lesions", "clean_twin_of")
 """What the organ's lesions are; of a clean twin, which it is without."""
@@ -91,18 +91,10 @@ def sensors_to_plain(sensors: Sensors, model: Model) -> dict[str, Any]:
 
 
 def camera_to_plain(camera: Camera) -> dict[str, Any]:
-    """A camera as JSON holds it: SI units, pixels and radians."""
-    return {
-        "name": camera.name,
-        "lens": to_plain(camera.lens, AnyLens),
-        "width": camera.width,
-        "height": camera.height,
-        "T_capsule_camera": camera.T_capsule_camera.tolist(),
-        "leds": to_plain(camera.leds, tuple[Led, ...]),
-        "exposure": camera.exposure,
-        "image_circle_px": camera.image_circle_px,
-        "nominal_field": camera.nominal_field,
-    }
+    """A camera as JSON holds it: SI units, pixels and radians; its pose as one matrix."""
+    plain = to_plain(camera, Camera)
+    del plain["position"], plain["rotation"]
+    return {**plain, "T_capsule_camera": camera.T_capsule_camera.tolist()}
 
 
 def camera_from_plain(plain: Any, *, at: str) -> Camera:
@@ -111,28 +103,15 @@ def camera_from_plain(plain: Any, *, at: str) -> Camera:
     Raises:
         InputError: If a key is missing, unknown or of the wrong type.
     """
-    number, maybe = float, float | None
-    row = tuple[float, float, float, float]
-    types = {
-        "name": str,
-        "lens": AnyLens,
-        "width": int,
-        "height": int,
-        "T_capsule_camera": tuple[row, row, row, row],
-        "leds": tuple[Led, ...],
-        "exposure": number,
-        "image_circle_px": maybe,
-        "nominal_field": maybe,
-    }
-    names = list(types)
+    names = [f.name for f in fields(Camera) if f.name not in ("position", "rotation")]
+    names.append("T_capsule_camera")
     if not isinstance(plain, dict) or set(plain) != set(names):
         raise InputError(f"{at} is no camera. Allowed: a table with exactly {', '.join(names)}.")
-    values = {n: from_plain(types[n], plain[n], at=f"{at}.{n}") for n in names}
-    pose = np.array(values.pop("T_capsule_camera"))
-    try:
-        return Camera(**values).at(pose)
-    except InputError as error:
-        raise InputError(f"{at}: {error}") from error
+    values = dict(plain)
+    place = f"{at}.T_capsule_camera"
+    rows = from_plain(_Pose, values.pop("T_capsule_camera"), at=place)[:3]
+    position, rotation = [row[3] for row in rows], [row[:3] for row in rows]
+    return from_plain(Camera, {**values, "position": position, "rotation": rotation}, at=at)
 
 
 def channel_to_plain(channel: str) -> dict[str, Any]:

@@ -40,11 +40,12 @@ from vrcaps.recording.layout import (
 from vrcaps.recording.pictures import contact_sheet
 from vrcaps.recording.preview import Preview
 from vrcaps.recording.sensing import SensorReadings
+from vrcaps.recording.source_organ import with_stored_organ
 from vrcaps.recording.table import TableRows, write_table
 from vrcaps.recording.walls import file_vertices, stored_wall, wall_path
 from vrcaps.render.renderer import Renderer
 from vrcaps.scenario.build import build, resolve
-from vrcaps.scenario.scenario import Scenario, scenario_to_plain
+from vrcaps.scenario.scenario import SOURCE_ORGAN, Scenario, scenario_to_plain
 from vrcaps.world.moving_wall import MovingWall
 
 if TYPE_CHECKING:
@@ -84,7 +85,7 @@ def record(
             cannot be written; what was there before stays as it was.
     """
     out = Path(out)
-    scenario = resolve(scenario)
+    scenario = resolve(with_stored_organ(scenario, out))
     _require_free(out, scenario)
     model, motion = build(scenario)
     head = make_head(scenario, model, motion.notes)
@@ -163,6 +164,7 @@ def _require_free(out: Path, scenario: Scenario) -> None:
     if not out.is_dir():
         raise InputError(f"{out} is a file. Give a new or empty folder.")
     leftovers = set(out.glob(f".{EPISODE_JSON}.*{TEMPORARY}"))  # of a run that was killed
+    leftovers.add(out / SOURCE_ORGAN)
     names = sorted(path.name for path in out.iterdir() if path not in leftovers)
     if not names:
         return

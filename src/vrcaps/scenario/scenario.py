@@ -25,6 +25,9 @@ from vrcaps.serialization import from_plain, to_plain
 from vrcaps.units import parse_length
 from vrcaps.world.model import posture_transform
 
+SOURCE_ORGAN = "source_organ.glb"
+"""File in the folder of an episode that holds an organ recorded from memory."""
+
 DEFAULT_CHANNELS = ("rgb", "depth", "normal", "label", "instance")
 
 
@@ -166,10 +169,27 @@ def read_scenario(path: str | Path) -> Scenario:
     Raises:
         InputError: If the file cannot be read, or a key is unknown or has a wrong value.
     """
-    plain = read_plain(Path(path), "scenario")
-    if isinstance(plain, dict) and "format" in plain:
-        plain = plain.get("scenario")
-    return scenario_from_plain(plain, units=Path(path).suffix == ".toml")
+    return scenario_from_plain(read_plain_scenario(path), units=Path(path).suffix == ".toml")
+
+
+def read_plain_scenario(path: str | Path) -> Any:
+    """What a scenario file holds, or the scenario of the `episode.json` of an episode.
+
+    An organ that was recorded from memory lies in the folder of its episode, wherever that is now.
+
+    Raises:
+        InputError: If the file cannot be read.
+    """
+    path = Path(path)
+    plain = read_plain(path, "scenario")
+    if not (isinstance(plain, dict) and "format" in plain):
+        return plain
+    plain = plain.get("scenario")
+    organ = plain.get("organ") if isinstance(plain, dict) else None
+    file = organ.get("path") if isinstance(organ, dict) else None
+    if isinstance(file, dict) and Path(str(file.get("path"))).name == SOURCE_ORGAN:
+        file["path"] = str(path.with_name(SOURCE_ORGAN))
+    return plain
 
 
 def read_lesions(path: str | Path) -> tuple[AnyLesion, ...]:

@@ -98,7 +98,7 @@ class ColonParameters:
     def __post_init__(self) -> None:
         """Check what the construction relies on."""
         check_fields(self)
-        require(0.9 <= self.length <= 3.0, "colon length", self.length, "0.9 to 3 m")
+        require(0.9 <= self.length <= 3.0, "colon length", f"{self.length:g} m", "0.9 to 3 m")
 
     @property
     def segments(self) -> tuple[ColonSegment, ...]:

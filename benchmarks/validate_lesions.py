@@ -98,14 +98,14 @@ class Measured:
         self.both += int((seen & expected).sum())
         self.either += int((seen | expected).sum())
 
-    def add_twin(self, sick, clean, shaded) -> None:
+    def add_twin(self, lesioned, clean, shaded) -> None:
         """Count the pixels outside the mask that differ from the clean twin."""
-        outside = (sick.instance == 0) & np.isfinite(sick.depth)
+        outside = (lesioned.instance == 0) & np.isfinite(lesioned.depth)
         self.outside += int(outside.sum())
-        self.depth += int((outside & ~(np.abs(sick.depth - clean.depth) < SAME_DEPTH)).sum())
-        albedo = np.abs(sick.albedo - clean.albedo).max(axis=-1)
+        self.depth += int((outside & ~(np.abs(lesioned.depth - clean.depth) < SAME_DEPTH)).sum())
+        albedo = np.abs(lesioned.albedo - clean.albedo).max(axis=-1)
         self.albedo += int((outside & (albedo > SAME_ALBEDO)).sum())
-        for name, (one, two) in {"light": (sick, clean), "shadow": shaded}.items():
+        for name, (one, two) in {"light": (lesioned, clean), "shadow": shaded}.items():
             apart = np.abs(one.rgb.astype(int) - two.rgb).max(axis=-1)
             setattr(self, name, getattr(self, name) + int((outside & (apart > SAME_LEVEL)).sum()))
 
@@ -141,9 +141,9 @@ def measure(organ: OrganSurface, text: str, step: int) -> tuple[str, ...]:
     rays = camera_rays(camera)[rows, columns]
     for pose in poses(models[0]):
         state = State(0.0, pose @ np.linalg.inv(camera.T_capsule_camera))
-        sick, clean = (side.render(state, camera, channels=CHANNELS) for side in plain)
+        lesioned, clean = (side.render(state, camera, channels=CHANNELS) for side in plain)
         dark = tuple(side.render(state, camera, channels=("rgb",)) for side in shaded)
-        measured.add_twin(sick, clean, dark)
+        measured.add_twin(lesioned, clean, dark)
         origins = np.broadcast_to(pose[:3, 3], rays.shape)
         _, face, weights = caster.cast(origins, rays @ pose[:3, :3].T)
         hit = face >= 0
@@ -151,7 +151,7 @@ def measure(organ: OrganSurface, text: str, step: int) -> tuple[str, ...]:
         corners = patient.clean.vertices[patient.clean.faces[face[hit]]]
         points = np.einsum("nk,nkx->nx", weights[hit], corners)
         expected[hit] = footprint.signed_distance(points) > 0.0
-        measured.add_mask(sick.instance[rows, columns] == 1, expected & hit)
+        measured.add_mask(lesioned.instance[rows, columns] == 1, expected & hit)
     return (*measured.row(), str(cuts(patient)))
 
 

@@ -1,9 +1,9 @@
 """Footprints of lesions found again on the original wall, apart from how they were put in.
 
 Rays are cast by Embree on the wall with the lesion. Its clean twin has the same faces, so a hit
-has a place on the clean wall, and the nearest point of the organ as it was before. There a spot's
-way and direction from its centre, a band's arc length, a stream's distance from its path are
-measured anew, and the lesion's outline says whether that lies inside.
+has a point on the clean wall, and the nearest point of the organ as it was before. There a focal
+lesion's log map about its center, a circumferential one's arc length and a flow's distance from its
+path are measured anew, and the lesion's outline says whether that lies inside.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from vrcaps.lesion.base import Form, LesionSite, WallSamples
 from vrcaps.units import MM
 
 _STEINER = 12
-"""Points on each edge that paths over faces may pass: ways are too long by 0.2 % on a cylinder."""
+"""Points on each edge that paths over faces may pass: they are too long by 0.2 % on a cylinder."""
 
 
 @dataclass
@@ -54,7 +54,7 @@ class Witness:
 
 
 class Footprint:
-    """Whether places of the clean wall lie in a lesion's footprint.
+    """Whether points of the clean wall lie in a lesion's footprint.
 
     Args:
         organ: Before any lesion.
@@ -79,9 +79,9 @@ class Footprint:
 
 
 class Polar:
-    """Way and direction from a spot's centre.
+    """Distance and direction from a focal lesion's center.
 
-    The way is the shortest over faces through Steiner points on their edges (Lanthier, Maheshwari
+    The path is the shortest over faces through Steiner points on their edges (Lanthier, Maheshwari
     and Sack 1997); the direction is the vector heat method's on the wall subdivided evenly.
     """
 
@@ -116,7 +116,7 @@ class Polar:
 
 
 def _component(faces, count, vertices, center) -> np.ndarray:
-    """Which faces hang together with the vertex nearest to the centre."""
+    """Which faces hang together with the vertex nearest to the center."""
     ends = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]]])
     graph = coo_array((np.ones(len(ends)), ends.T), shape=(count, count))
     _, part = connected_components(graph, directed=False)
@@ -124,11 +124,11 @@ def _component(faces, count, vertices, center) -> np.ndarray:
 
 
 def steiner_ways(vertices, faces, center) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Points on a wall's edges, those of each face, and the shortest way to each point [m]."""
+    """Points on a wall's edges, those of each face, and the shortest path to each point [m]."""
     pairs = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]], axis=-1)
     ends, edge = np.unique(pairs.reshape(-1, 2), axis=0, return_inverse=True)
-    share = np.arange(1, _STEINER + 1)[:, None] / (_STEINER + 1)
-    between = vertices[ends[:, :1]] + share * (vertices[ends[:, 1:]] - vertices[ends[:, :1]])
+    fraction = np.arange(1, _STEINER + 1)[:, None] / (_STEINER + 1)
+    between = vertices[ends[:, :1]] + fraction * (vertices[ends[:, 1:]] - vertices[ends[:, :1]])
     nodes = np.concatenate([vertices, between.reshape(-1, 3)])
     number = len(vertices) + np.arange(len(ends) * _STEINER).reshape(len(ends), _STEINER)
     around = np.concatenate([faces, number[edge.reshape(-1, 3)].reshape(len(faces), -1)], axis=1)
@@ -184,7 +184,7 @@ class Along:
 
 
 class Stream:
-    """Way along a path, distance from its pieces, and whether a place is in the hollow."""
+    """Distance along a path, distance from it, and whether a point is in the hollow."""
 
     def __init__(self, clean, path, form, site: LesionSite) -> None:
         self.path, self.step = path, 1.0 * MM
@@ -200,13 +200,13 @@ class Stream:
 
     def __call__(self, points: np.ndarray) -> np.ndarray:
         """Way, distance, distance from the hollow [m]."""
-        start, way = self.path[:-1], np.diff(self.path, axis=0)
+        start, leg = self.path[:-1], np.diff(self.path, axis=0)
         apart, along = np.full(len(points), np.inf), np.zeros(len(points))
         for k in range(len(start)):
-            share = np.clip((points - start[k]) @ way[k] / (way[k] @ way[k]), 0.0, 1.0)
-            here = np.linalg.norm(points - start[k] - share[:, None] * way[k], axis=1)
+            fraction = np.clip((points - start[k]) @ leg[k] / (leg[k] @ leg[k]), 0.0, 1.0)
+            here = np.linalg.norm(points - start[k] - fraction[:, None] * leg[k], axis=1)
             closer = here < apart
-            apart[closer], along[closer] = here[closer], (k + share[closer]) * self.step
+            apart[closer], along[closer] = here[closer], (k + fraction[closer]) * self.step
         beyond = np.full(len(points), 1.0)
         if self._hollow is not None:
             beyond = self._hollow.query(points)[0]

@@ -12,6 +12,8 @@ from vrcaps import _core
 from vrcaps._core import testing
 from vrcaps.camera.camera import Camera
 from vrcaps.camera.derive import scaled_camera
+from vrcaps.camera_pipeline.capsule_cameras import CapsuleCameras
+from vrcaps.camera_pipeline.effect.adaptive_frame_rate import AdaptiveFrameRate
 from vrcaps.camera_pipeline.effect.base import CameraSetup, ImageEffect
 from vrcaps.camera_pipeline.effect.bayer_filter import BayerFilter
 from vrcaps.camera_pipeline.effect.depth_of_field import DepthOfField
@@ -480,3 +482,26 @@ def test_a_frame_without_neighbors_has_no_flow(renderer: Renderer) -> None:
         assert np.isnan(alone.flow_forward).all() and np.isnan(alone.flow_backward).all()
         assert np.asarray(alone.occlusion).all()
         assert np.isfinite(pipeline.capture(around()).flow_forward).any()
+
+
+def test_cameras_of_a_capsule_go_on_from_their_state(renderer: Renderer) -> None:
+    """Exposure and the last captured frame are a value; the recorder finds both in its table."""
+    rate = AdaptiveFrameRate(1.0, 4.0, low_motion=0.0, high_motion=0.5)
+    effects = Effects(auto_exposure=2, adaptive_frame_rate=rate)
+
+    def cameras() -> CapsuleCameras:
+        return CapsuleCameras(renderer, effects, fps=4.0)
+
+    steps = [around(k) for k in range(4)]
+    whole, later, resumed = cameras(), cameras(), cameras()
+    readings = [whole.expose(step) for step in steps[:2]]
+    assert readings[0] == readings[0] | {"eye_exposure": 1.0, "captured": 1}
+    later.state = whole.state
+    captured = [k for k, row in enumerate(readings) if row["captured"]]
+    resumed.resume(readings[-1], captured[-1])
+    assert resumed.state == later.state == whole.state
+    expected = [(whole.expose(step), whole.capture(step)["eye"].rgb) for step in steps[2:]]
+    for again in (later, resumed):
+        for step, (row, rgb) in zip(steps[2:], expected, strict=True):
+            assert again.expose(step) == row
+            assert np.array_equal(np.asarray(again.capture(step)["eye"].rgb), rgb)

@@ -45,7 +45,7 @@ def test_frames_become_a_capsule_and_a_scenario(folders, tmp_path, capsys) -> No
     text = "".join(capsys.readouterr().out.split())  # the terminal's width breaks lines
     assert "6framesof160×160px." in text
     assert "quality90" in text
-    assert f"--scenario{tmp_path / 'mine-effects.toml'}--outRUN" in text
+    assert f"vrcapsrecord{tmp_path / 'mine-effects.toml'}--outRUN" in text
     (camera,), (old,) = read_device(out).cameras, read_device("mirocam").cameras
     assert camera.image_circle_px == pytest.approx(2.0 * 76.5, abs=2.0)
     assert camera.leds[0].intensity[0] > old.leds[0].intensity[0]

@@ -121,7 +121,7 @@ def test_capsule_that_fits_nowhere(model):
     camera = model.device.cameras[0]
     mount = camera.T_capsule_camera.copy()
     mount[0, 3] = 0.5
-    device = replace(model.device, cameras=(camera.at(mount),))
+    device = replace(model.device, length=1.2, radius=0.6, cameras=(camera.at(mount),))
     with pytest.raises(InputError, match="the capsule fits nowhere between start"):
         _fly(Model(model.organ, device))
 

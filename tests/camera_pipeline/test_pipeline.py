@@ -451,7 +451,7 @@ def test_patterns_that_do_not_fit() -> None:
     planes, flat = np.ones((3, 4, 4), np.float32), np.ones((4, 4), np.float32)
     with pytest.raises(ValueError, match="one number a site"):
         testing.read_sensor(planes, (flat, flat), readout, None, (0, 0))
-    with pytest.raises(ValueError, match="Colours of a mosaic"):
+    with pytest.raises(ValueError, match="Colors of a mosaic"):
         testing.read_sensor(planes, (flat, flat), readout, (0, 1, 1, 3), (0, 0))
 
 

@@ -10,8 +10,8 @@ use rayon::prelude::*;
 const CELL: usize = 4;
 /// Pixels before the middle of the first cell.
 const HALF: usize = CELL / 2;
-/// Shares of the second of two cells in pixels between their middles.
-const SHARES: [f32; CELL] = [0.125, 0.375, 0.625, 0.875];
+/// Weights of the second of two cells in pixels between their middles.
+const WEIGHTS: [f32; CELL] = [0.125, 0.375, 0.625, 0.875];
 /// Width of the veil, relative to the halo.
 const VEIL: f32 = 4.0;
 /// Standard deviation in cells from which light is gathered from cells of cells.
@@ -158,7 +158,7 @@ fn gather_row(plane: &[f32], (height, width): (usize, usize), cell: usize, line:
     line[0] += first.iter().sum::<f32>();
     for (left, part) in rest.chunks(CELL).enumerate() {
         let (mut whole, mut beyond) = (0.0, 0.0);
-        for (value, fraction) in part.iter().zip(SHARES) {
+        for (value, fraction) in part.iter().zip(WEIGHTS) {
             whole += value;
             beyond += value * fraction;
         }
@@ -243,7 +243,7 @@ fn across(cells: &[f32], (rows, columns): (usize, usize), width: usize) -> Vec<f
         first.fill(line[0]);
         for (left, part) in rest.chunks_mut(CELL).enumerate() {
             let (own, next) = (line[left], line[(left + 1).min(columns - 1)]);
-            for (value, fraction) in part.iter_mut().zip(SHARES) {
+            for (value, fraction) in part.iter_mut().zip(WEIGHTS) {
                 *value = own + (next - own) * fraction;
             }
         }

@@ -20,7 +20,7 @@ fn basis() -> Basis {
 
 /// `M B Mᵀ`, given M and Mᵀ.
 #[inline(always)]
-pub fn both_ways(m: &Basis, transposed: &Basis, block: &Block) -> Block {
+pub fn transform_2d(m: &Basis, transposed: &Basis, block: &Block) -> Block {
     let (mut half, mut out) = ([[0.0; 8]; 8], [0.0; 64]);
     for k in 0..8 {
         for y in 0..8 {
@@ -49,7 +49,7 @@ fn transposed(m: &Basis) -> Basis {
     out
 }
 
-/// The cosine transform and its inverse, as `both_ways` takes them.
+/// The cosine transform and its inverse, as `transform_2d` takes them.
 pub fn bases() -> ([Basis; 2], [Basis; 2]) {
     let basis = basis();
     let back = transposed(&basis);

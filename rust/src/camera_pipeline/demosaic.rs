@@ -1,4 +1,4 @@
-//! Colours of all pixels from a mosaic of one colour each.
+//! Colors of all pixels from a mosaic of one color each.
 
 use super::planes::{Line, planes_array, rows};
 use crate::cpu::on_pool;
@@ -8,7 +8,7 @@ use rayon::prelude::*;
 
 /// Planes [3 h w] of a mosaic [1 h w] whose 2 by 2 sites see `colors`.
 ///
-/// Each missing colour is linear in 5 by 5 sites, with the curvature of the colour that is there
+/// Each missing color is linear in 5 by 5 sites, with the curvature of the color that is there
 /// (Malvar, He, Cutler, ICASSP 2004). At its edge the mosaic is mirrored.
 #[pyfunction]
 pub fn demosaic<'py>(
@@ -20,7 +20,7 @@ pub fn demosaic<'py>(
         return Err(PyValueError::new_err("A mosaic must be of shape (1, h, w)."));
     };
     if height < 3 || width < 3 || colors.iter().any(|&c| c > 2) {
-        return Err(PyValueError::new_err("A mosaic has 3 by 3 sites or more of colours 0, 1, 2."));
+        return Err(PyValueError::new_err("A mosaic has 3 by 3 sites or more of colors 0, 1, 2."));
     }
     let source = mosaic.as_slice()?;
     let mut out = vec![0.0; 3 * height * width];
@@ -47,14 +47,14 @@ pub fn mirrored_about(mosaic: &[f32], (height, width): (usize, usize)) -> Vec<f3
     padded
 }
 
-/// Colours of one row of a mosaic that has been `mirrored_about`.
+/// Colors of one row of a mosaic that has been `mirrored_about`.
 pub fn demosaic_line(padded: &[f32], y: usize, colors: [usize; 4], row: &mut Line<'_>) {
     let stride = row[0].len() + 4;
     let lines = [0, 1, 2, 3, 4].map(|k| &padded[(y + k) * stride..][..stride]);
     demosaic_row(lines, [colors[y % 2 * 2], colors[y % 2 * 2 + 1]], row);
 }
 
-/// An index mirrored about the first and the last, which keeps its colour.
+/// An index mirrored about the first and the last, which keeps its color.
 fn mirrored(index: isize, count: usize) -> usize {
     let last = count as isize - 1;
     let index = index.abs();
@@ -81,7 +81,7 @@ fn demosaic_row(lines: [&[f32]; 5], colors: [usize; 2], out: &mut Line<'_>) {
         across[x] = (level + 4.0 * ends - far_ends + 0.5 * far_sides) * 0.125;
         diagonal[x] = (6.0 * own + 2.0 * corners - 1.5 * (far_sides + far_ends)) * 0.125;
     }
-    // The colour of this row's sites other than green.
+    // The color of this row's sites other than green.
     let here = if colors[0] == 1 { colors[1] } else { colors[0] };
     let own = &c[2..];
     for (color, plane) in out.iter_mut().enumerate() {

@@ -11,7 +11,7 @@ use rayon::prelude::*;
 
 /// Largest radius of the circle of confusion [px]; one beyond it is taken as this.
 const WIDEST: f32 = 15.0;
-/// Pixels that share a set of neighbours to look at; above `WIDEST`, so that what reaches into a
+/// Pixels that share a set of neighbors to look at; above `WIDEST`, so that what reaches into a
 /// block lies in it or in one next to it.
 const BLOCK: usize = 16;
 /// Margin around the image in which there is nothing.
@@ -22,7 +22,7 @@ const ROWS: usize = 4;
 const AT_ONCE: usize = 4;
 /// Blocks from the one worked on to the one that is fetched.
 const AHEAD: usize = 2;
-/// Radius of what is not seen; its share of the light is 0.
+/// Radius of what is not seen; its weight of the light is 0.
 const NOWHERE: f32 = -1e9;
 
 /// Red, green, blue, signed radius and one over its square, with a margin.
@@ -32,13 +32,13 @@ pub struct Padded {
     widest: Vec<Widest>,
     size: (usize, usize),
     stride: usize,
-    /// Neighbours of a block's rows, the nearest first.
+    /// Neighbors of a block's rows, the nearest first.
     taps: Vec<Tap>,
     /// How many of them are within a distance, by its square [px²].
     within: Vec<usize>,
 }
 
-/// A neighbour of a block's rows.
+/// A neighbor of a block's rows.
 struct Tap {
     /// From the block to it in a plane.
     offset: isize,
@@ -48,8 +48,8 @@ struct Tap {
 
 /// The image seen through an aperture.
 ///
-/// The radius of the circle of confusion at distance d [m] is `reach · |1/focus − 1/d|` [px], where
-/// `reach` is half the aperture times the focal length [px·m]. Each pixel spreads over its circle;
+/// The radius of the circle of confusion at distance d [m] is `radius_scale · |1/focus − 1/d|` [px], where
+/// `radius_scale` is half the aperture times the focal length [px·m]. Each pixel spreads over its circle;
 /// what is behind another surface spreads over it no wider than that surface itself. Where distance
 /// is NaN the pixel stays black.
 #[pyfunction]
@@ -57,7 +57,7 @@ pub fn depth_of_field<'py>(
     py: Python<'py>,
     planes: PyReadonlyArray3<'py, f32>,
     distance: PyReadonlyArray2<'py, f32>,
-    reach: f32,
+    radius_scale: f32,
     focus: f32,
 ) -> PyResult<Bound<'py, PyArray3<f32>>> {
     let (height, width) = size(&planes)?;
@@ -73,7 +73,7 @@ pub fn depth_of_field<'py>(
                 row.copy_from_slice(&source[(plane * height + y) * width..][..width]);
             }
         };
-        padded.fill((reach, focus), light, |y, row| {
+        padded.fill((radius_scale, focus), light, |y, row| {
             row.copy_from_slice(&distance[y * width..][..width]);
         });
         padded.spread(rows(&mut out, (height, width)), &mut vec![[0.0; 3]; height]);
@@ -94,22 +94,22 @@ impl Padded {
     }
 
     /// Takes an image whose lines `light` writes, and distances of what is seen [m] that `distances`
-    /// writes, for a lens of such reach and focus.
+    /// writes, for a lens of such `radius_scale` and focus.
     pub fn fill(
         &mut self,
-        (reach, focus): (f32, f32),
+        (radius_scale, focus): (f32, f32),
         light: impl Fn(usize, Line<'_>) + Sync,
         distances: impl Fn(usize, &mut [f32]) + Sync,
     ) {
         let ((height, width), stride) = (self.size, self.stride);
-        let [red, green, blue, radius, share] = self.planes.each_mut().map(|plane| {
+        let [red, green, blue, radius, weight] = self.planes.each_mut().map(|plane| {
             plane[MARGIN * stride..(MARGIN + height) * stride].par_chunks_mut(ROWS * stride)
         });
-        let planes = red.zip(green).zip(blue).zip(radius.zip(share));
+        let planes = red.zip(green).zip(blue).zip(radius.zip(weight));
         let blocks = self.widest.par_chunks_mut(width.div_ceil(BLOCK));
         let groups = planes.zip(blocks).with_max_len(AT_ONCE).enumerate();
         groups.for_each(|(group, (planes, widest))| {
-            let (((red, green), blue), (radius, share)) = planes;
+            let (((red, green), blue), (radius, weight)) = planes;
             widest.fill(Widest::default());
             for row in 0..radius.len() / stride {
                 let (y, start) = (group * ROWS + row, row * stride + MARGIN);
@@ -118,7 +118,7 @@ impl Padded {
                     [&mut *red, &mut *green, &mut *blue].map(|plane| &mut plane[inside.clone()]);
                 light(y, [red, green, blue]);
                 distances(y, &mut radius[inside.clone()]);
-                radii(reach, focus, &mut radius[inside.clone()], &mut share[inside]);
+                radii(radius_scale, focus, &mut radius[inside.clone()], &mut weight[inside]);
                 widen(&radius[start..], widest);
             }
         });
@@ -151,8 +151,8 @@ impl Padded {
     /// Brings what a block from a place (row, column) on sees within a radius near the processor,
     /// which does not foresee by itself what is read of so many rows.
     fn fetch(&self, (y, x): (usize, usize), radius: f32) {
-        let reach = (radius + 0.5) as usize;
-        let rows = MARGIN + y - reach..MARGIN + y + ROWS + reach;
+        let radius_scale = (radius + 0.5) as usize;
+        let rows = MARGIN + y - radius_scale..MARGIN + y + ROWS + radius_scale;
         let mut seen = 0;
         for plane in &self.planes {
             for row in rows.clone() {
@@ -163,7 +163,7 @@ impl Padded {
     }
 }
 
-/// All neighbours of a block's rows, the nearest first, in planes with such rows, and how many are
+/// All neighbors of a block's rows, the nearest first, in planes with such rows, and how many are
 /// within each distance.
 fn taps(stride: usize) -> (Vec<Tap>, Vec<usize>) {
     let (most, last) = (WIDEST as i32, ROWS as i32 - 1);
@@ -223,13 +223,13 @@ fn widen(line: &[f32], widest: &mut [Widest]) {
     "x86_64+avx2",
     "aarch64+neon"
 ))]
-fn radii(reach: f32, focus: f32, radius: &mut [f32], share: &mut [f32]) {
-    for (radius, share) in radius.iter_mut().zip(share) {
+fn radii(radius_scale: f32, focus: f32, radius: &mut [f32], weight: &mut [f32]) {
+    for (radius, weight) in radius.iter_mut().zip(weight) {
         let d = *radius;
-        let wide = clamp(reach * (1.0 / focus - 1.0 / d), -WIDEST, WIDEST);
+        let wide = clamp(radius_scale * (1.0 / focus - 1.0 / d), -WIDEST, WIDEST);
         let across = max(wide.abs(), 0.5);
         *radius = if d.is_nan() { NOWHERE } else { wide };
-        *share = if d.is_nan() { 0.0 } else { 1.0 / (across * across) };
+        *weight = if d.is_nan() { 0.0 } else { 1.0 / (across * across) };
     }
 }
 
@@ -242,8 +242,8 @@ fn around(widest: &[Widest], blocks: usize, place: (usize, usize), rows: usize) 
         let down = gap(row.abs_diff(group), ROWS);
         for c in column.saturating_sub(1)..(column + 2).min(blocks) {
             let (along, near) = (gap(c.abs_diff(column), BLOCK), widest[row * blocks + c].near);
-            let reach = near + 0.5;
-            let is_within = reach * reach > along * along + down * down;
+            let radius_scale = near + 0.5;
+            let is_within = radius_scale * radius_scale > along * along + down * down;
             most = if is_within { max(near, most) } else { most };
         }
     }
@@ -259,7 +259,7 @@ type Run = [f32; BLOCK];
 
 /// Light of a block's rows from a place (row, column) on, given the widest radius about.
 ///
-/// A neighbour is loaded once for all rows, and taken where it is out of reach with no weight: that
+/// A neighbor is loaded once for all rows, and taken where it is out of reach with no weight: that
 /// takes less time than to ask.
 #[multiversion::multiversion(targets(
     "x86_64+avx512f+avx512bw+avx512cd+avx512dq+avx512vl",
@@ -281,17 +281,17 @@ fn spread_block(padded: &Padded, place: (usize, usize), radius: f32) -> [[Run; 3
     }
     let [own, own_share] = own;
     let (mut sums, mut total) = ([[[0.0f32; BLOCK]; 3]; ROWS], [[0.0f32; BLOCK]; ROWS]);
-    let reach = radius + 0.5;
-    for tap in &padded.taps[..padded.within[(reach * reach) as usize]] {
+    let radius_scale = radius + 0.5;
+    for tap in &padded.taps[..padded.within[(radius_scale * radius_scale) as usize]] {
         let from = start.wrapping_add_signed(tap.offset);
-        let (near, share) = (at(3, from), at(4, from));
+        let (near, weight) = (at(3, from), at(4, from));
         let colors = [at(0, from), at(1, from), at(2, from)];
         for r in 0..ROWS {
             for i in 0..BLOCK {
                 // What is farther and wider is hidden beyond the pixel's own circle.
                 let wide = min(near[i], own_wide[r][i]).abs();
-                let share = chosen(near[i] > own_wide[r][i], own_share[r][i], share[i]);
-                let weight = clamp(wide + tap.edges[r], 0.0, 1.0) * share;
+                let weight = chosen(near[i] > own_wide[r][i], own_share[r][i], weight[i]);
+                let weight = clamp(wide + tap.edges[r], 0.0, 1.0) * weight;
                 total[r][i] += weight;
                 for k in 0..3 {
                     sums[r][k][i] += weight * colors[k][i];

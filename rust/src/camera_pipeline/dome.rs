@@ -10,7 +10,7 @@ use numpy::{
 use pyo3::{exceptions::PyValueError, prelude::*};
 use rayon::prelude::*;
 
-/// Smears: for each colour the share of light that it does not absorb [3 h w], and the share of that
+/// Smears: for each color the fraction of light that it does not absorb [3 h w], and the fraction of that
 /// which it does not scatter [h w]. What it scatters is spread evenly over the pixels that are lit,
 /// whose number is given.
 pub type GivenSmears<'py> = (PyReadonlyArray3<'py, f32>, PyReadonlyArray2<'py, f32>, f64);
@@ -48,7 +48,7 @@ impl Smears {
         Ok(Smears { left: left.as_slice()?.to_vec(), clear: clear.as_slice()?.to_vec(), lit: *lit })
     }
 
-    /// What the smears scatter into every pixel of each colour, given the `totals` of all rows.
+    /// What the smears scatter into every pixel of each color, given the `totals` of all rows.
     pub fn veils(&self, rows: &[Vec3]) -> Vec3 {
         let sum = |k: usize| rows.iter().map(|row| f64::from(row[k])).sum::<f64>();
         [0, 1, 2].map(|k| (sum(k) / self.lit.max(1.0)) as f32)
@@ -91,7 +91,7 @@ impl<'a> Drops<'a> {
             let first = k * PIXELS * self.count;
             let count = values.len() / 3 * self.count;
             let rays = (&self.seen[first..][..count], &self.weights[first..][..count]);
-            look(source, rays, self.count, values);
+            gather(source, rays, self.count, values);
         });
         for (&pixel, colors) in self.pixels.iter().zip(seen.chunks_exact(3)) {
             for k in 0..3 {
@@ -104,7 +104,7 @@ impl<'a> Drops<'a> {
 /// Pixels behind drops that one thread takes.
 const PIXELS: usize = 256;
 
-/// Light of each colour in a row.
+/// Light of each color in a row.
 pub fn totals(line: &Line<'_>) -> Vec3 {
     line.each_ref().map(|row| total(row))
 }
@@ -139,13 +139,13 @@ pub fn dome<'py>(
     Ok(planes_array(py, out, (height, width)))
 }
 
-/// Colours of pixels behind drops, each by so many rays.
+/// Colors of pixels behind drops, each by so many rays.
 #[multiversion::multiversion(targets(
     "x86_64+avx512f+avx512bw+avx512cd+avx512dq+avx512vl",
     "x86_64+avx2",
     "aarch64+neon"
 ))]
-fn look(planes: &[f32], (seen, weights): (&[u32], &[f32]), count: usize, out: &mut [f32]) {
+fn gather(planes: &[f32], (seen, weights): (&[u32], &[f32]), count: usize, out: &mut [f32]) {
     let area = planes.len() / 3;
     let planes = [0, 1, 2].map(|k| &planes[k * area..][..area]);
     let rays = seen.chunks_exact(count).zip(weights.chunks_exact(count));

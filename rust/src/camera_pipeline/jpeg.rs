@@ -1,8 +1,8 @@
-//! What JPEG (ITU-T T.81, baseline, colour at half the resolution) leaves of an image, and how many
+//! What JPEG (ITU-T T.81, baseline, color at half the resolution) leaves of an image, and how many
 //! bytes it takes. The file itself is not made: Huffman coding loses nothing, so only its length
 //! counts, to 2 %: bytes 255, which a file follows with a 0, are not counted twice.
 
-use super::dct::{Basis, Block, bases, both_ways};
+use super::dct::{Basis, Block, bases, transform_2d};
 use super::jpeg_tables::{AC_BITS_CHROMINANCE, AC_BITS_LUMINANCE, DC_BITS, STEPS};
 use super::planes::interleave;
 use crate::cpu::on_pool;
@@ -11,7 +11,7 @@ use numpy::{IntoPyArray, PyArray3, PyReadonlyArray3, PyUntypedArrayMethods, ndar
 use pyo3::{exceptions::PyValueError, prelude::*};
 use rayon::prelude::*;
 
-/// Bytes of all that is not the image: markers and tables of a colour file.
+/// Bytes of all that is not the image: markers and tables of a color file.
 const HEADER: usize = 623;
 
 /// The order in which the coefficients of a block are coded.
@@ -30,7 +30,7 @@ pub fn jpeg<'py>(
 ) -> PyResult<Bound<'py, PyArray3<u8>>> {
     let (source, size) = checked(&image, quality)?;
     let mut pixels = vec![0; source.len()];
-    on_pool(py, || read_back(&parted(source), size, &both_steps(quality), &mut pixels));
+    on_pool(py, || decode(&planes_of(source), size, &both_steps(quality), &mut pixels));
     let shape = (size.0, size.1, 3);
     Ok(Array3::from_shape_vec(shape, pixels).expect("every pixel was filled").into_pyarray(py))
 }
@@ -43,7 +43,7 @@ pub fn jpeg_bytes(
     quality: u32,
 ) -> PyResult<usize> {
     let (source, size) = checked(&image, quality)?;
-    Ok(on_pool(py, || Spectrum::new(&parted(source), size).bytes(&both_steps(quality))))
+    Ok(on_pool(py, || Spectrum::new(&planes_of(source), size).bytes(&both_steps(quality))))
 }
 
 /// The highest quality up to `quality` at which the JPEG has no more bytes than given, 1 where there
@@ -56,7 +56,7 @@ pub fn jpeg_quality(
     max_bytes: usize,
 ) -> PyResult<u32> {
     let (source, size) = checked(&image, quality)?;
-    Ok(on_pool(py, || Spectrum::new(&parted(source), size).best_quality(quality, max_bytes)))
+    Ok(on_pool(py, || Spectrum::new(&planes_of(source), size).best_quality(quality, max_bytes)))
 }
 
 /// Pixels, height and width of an image.
@@ -74,7 +74,7 @@ fn checked<'a>(
 }
 
 /// Planes [3 h w] of an image [h w 3].
-fn parted(image: &[u8]) -> Vec<u8> {
+fn planes_of(image: &[u8]) -> Vec<u8> {
     (0..3).flat_map(|k| image.iter().skip(k).step_by(3).copied()).collect()
 }
 
@@ -92,7 +92,7 @@ impl Compression {
     pub fn apply(&self, planes: &[u8], size: (usize, usize), out: &mut [u8]) {
         let fitting = |most| Spectrum::new(planes, size).best_quality(self.quality, most);
         let quality = self.max_bytes.map_or(self.quality, fitting);
-        read_back(planes, size, &both_steps(quality), out);
+        decode(planes, size, &both_steps(quality), out);
     }
 }
 
@@ -115,7 +115,7 @@ fn nearest(x: f32) -> f32 {
 
 /// Coefficients of the three components, in bands of 16 rows of pixels.
 struct Spectrum {
-    /// For each band: blocks of luminance, four to a square of 16 pixels, then of both colours.
+    /// For each band: blocks of luminance, four to a square of 16 pixels, then of both colors.
     bands: Vec<Band>,
 }
 
@@ -128,12 +128,12 @@ impl Spectrum {
     fn new(pixels: &[u8], size: (usize, usize)) -> Self {
         let forth = bases().0;
         let bands = (0..size.0.div_ceil(16)).into_par_iter();
-        Spectrum { bands: bands.map(|b| analysed(pixels, size, b, &forth)).collect() }
+        Spectrum { bands: bands.map(|b| analyzed(pixels, size, b, &forth)).collect() }
     }
 
     /// Size of the file [bytes].
     fn bytes(&self, steps: &[Block; 2]) -> usize {
-        let numbers = |block: &Block, table: usize| quantised(block, &steps[table]);
+        let numbers = |block: &Block, table: usize| quantized(block, &steps[table]);
         let mut bits = 0;
         let mut last = [0i32; 3];
         for band in &self.bands {
@@ -161,12 +161,12 @@ impl Spectrum {
 }
 
 /// The image that the file holds of planes, band by band.
-fn read_back(pixels: &[u8], size: (usize, usize), steps: &[Block; 2], out: &mut [u8]) {
+fn decode(pixels: &[u8], size: (usize, usize), steps: &[Block; 2], out: &mut [u8]) {
     let (height, width) = size;
     let (forth, back) = bases();
     let squares = width.div_ceil(16);
     let band = |number: usize| {
-        let band = analysed(pixels, size, number, &forth);
+        let band = analyzed(pixels, size, number, &forth);
         synthesised(&band, steps, &back, squares)
     };
     let planes: Vec<[Vec<f32>; 3]> = (0..height.div_ceil(16)).into_par_iter().map(band).collect();
@@ -184,7 +184,7 @@ fn read_back(pixels: &[u8], size: (usize, usize), steps: &[Block; 2], out: &mut 
     });
 }
 
-/// Rows of a colour at half the resolution nearest to a row of the image, the second farther.
+/// Rows of a color at half the resolution nearest to a row of the image, the second farther.
 fn lines_about(
     planes: &[[Vec<f32>; 3]],
     plane: usize,
@@ -204,7 +204,7 @@ fn lines_about(
     "x86_64+avx2",
     "aarch64+neon"
 ))]
-fn analysed(
+fn analyzed(
     pixels: &[u8],
     (height, width): (usize, usize),
     band: usize,
@@ -256,7 +256,7 @@ fn transformed(plane: &[f32], stride: usize, (y, x): (usize, usize), basis: &[Ba
     for k in 0..8 {
         values[k * 8..k * 8 + 8].copy_from_slice(&plane[(y + k) * stride + x..][..8]);
     }
-    both_ways(&basis[0], &basis[1], &values)
+    transform_2d(&basis[0], &basis[1], &values)
 }
 
 /// Means of 2 by 2 pixels of 16 rows, rounded up and down by turns.
@@ -274,7 +274,7 @@ fn halved(plane: &[f32], stride: usize) -> Vec<f32> {
 }
 
 #[inline(always)]
-fn quantised(block: &Block, steps: &Block) -> Block {
+fn quantized(block: &Block, steps: &Block) -> Block {
     let mut numbers = [0.0; 64];
     for k in 0..64 {
         numbers[k] = nearest(block[k] / steps[k]);
@@ -305,7 +305,7 @@ fn block_bits(numbers: &Block, table: usize, last: &mut i32) -> usize {
     if run > 0 { bits + usize::from(codes[0][0]) } else { bits }
 }
 
-/// Planes of a band: 16 rows of luminance, 8 of each colour.
+/// Planes of a band: 16 rows of luminance, 8 of each color.
 #[multiversion::multiversion(targets(
     "x86_64+avx512f+avx512bw+avx512cd+avx512dq+avx512vl",
     "x86_64+avx2",
@@ -320,11 +320,11 @@ fn synthesised(
     let (wide, narrow) = (squares * 16, squares * 8);
     let mut planes = [vec![0.0; 16 * wide], vec![0.0; 8 * narrow], vec![0.0; 8 * narrow]];
     let restored = |block: &Block, table: usize| {
-        let mut numbers = quantised(block, &steps[table]);
+        let mut numbers = quantized(block, &steps[table]);
         for k in 0..64 {
             numbers[k] *= steps[table][k];
         }
-        let mut values = both_ways(&back[0], &back[1], &numbers);
+        let mut values = transform_2d(&back[0], &back[1], &numbers);
         for value in &mut values {
             // A decoder has whole numbers of 8 bits.
             *value = nearest(clamp(*value, -128.0, 127.0));
@@ -350,7 +350,7 @@ fn synthesised(
     planes
 }
 
-/// One row of a colour at full resolution: linear, 3 to 1, between neighbours.
+/// One row of a color at full resolution: linear, 3 to 1, between neighbors.
 #[multiversion::multiversion(targets(
     "x86_64+avx512f+avx512bw+avx512cd+avx512dq+avx512vl",
     "x86_64+avx2",

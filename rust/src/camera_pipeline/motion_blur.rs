@@ -1,6 +1,6 @@
 //! Motion while the shutter is open, and rows that are read one after another.
 
-use super::motion_field::{Field, Shutter, Window, whole};
+use super::motion_field::{MotionField, Shutter, Window, whole};
 use super::planes::{Line, planes_array, rows, size_of_image};
 use crate::cpu::on_pool;
 use crate::simd::f32x64::{clamp, load, max, min, store};
@@ -12,7 +12,7 @@ use std::ops::Range;
 /// Most places a pixel is averaged over.
 const MOST_SAMPLES: f32 = 64.0;
 /// Shift that is not worth interpolating [px].
-const STILL: f32 = 1e-3;
+const MIN_SHIFT: f32 = 1e-3;
 
 /// Planes [3 h w] of the image [h w 3], times a factor, as a camera takes it that moves while it
 /// exposes.
@@ -42,13 +42,13 @@ pub fn motion_blur<'py>(
     let vectors = motion.as_slice()?;
     let mut out = vec![0.0; source.len()];
     on_pool(py, || {
-        let motion = Field::new(vectors, (rows_known, columns)).when_read(shutter, height);
-        let lit = Lit::new((height, width), lit);
+        let motion = MotionField::new(vectors, (rows_known, columns)).at_readout(shutter, height);
+        let lit = LitMask::new((height, width), lit);
         let mut planes = lit.framed(source);
-        go_on(&mut planes, (height, width));
-        let still = Still::new(&planes, &lit, factor);
+        extend_edges(&mut planes, (height, width));
+        let sharp = SharpImage::new(&planes, &lit, factor);
         let lines = rows(&mut out, (height, width)).into_par_iter().enumerate();
-        lines.for_each(|(y, line)| still.blur(y, &motion, shutter, line));
+        lines.for_each(|(y, line)| sharp.blur(y, &motion, shutter, line));
     });
     Ok(planes_array(py, out, (height, width)))
 }
@@ -57,9 +57,9 @@ pub fn motion_blur<'py>(
 const RUN: usize = 32;
 /// Columns and rows about the image, which goes on there as at its edge.
 const MARGIN: usize = 16;
-/// Most neighbours to a side that the places of a run are taken from together.
+/// Most neighbors to a side that the places of a run are taken from together.
 const MOST_TAPS: usize = 4;
-/// Distance of places that surely have no more neighbours than that [px].
+/// Distance of places that surely have no more neighbors than that [px].
 const MOST_SPREAD: f32 = (MOST_TAPS - 2) as f32;
 
 type Run = [f32; RUN];
@@ -76,7 +76,7 @@ pub fn inside(y: usize, (height, width): (usize, usize)) -> Range<usize> {
 }
 
 /// Fills the margin of planes: the image goes on as at its edge.
-pub fn go_on(planes: &mut [f32], size: (usize, usize)) {
+pub fn extend_edges(planes: &mut [f32], size: (usize, usize)) {
     let ((height, width), (rows, stride)) = (size, with_margin(size));
     planes.par_chunks_mut(rows * stride).for_each(|plane| {
         for row in plane.chunks_exact_mut(stride).skip(MARGIN).take(height) {
@@ -93,39 +93,39 @@ pub fn go_on(planes: &mut [f32], size: (usize, usize)) {
 }
 
 /// Which pixels see anything.
-pub struct Lit {
+pub struct LitMask {
     /// 1 where they do, or else 0, with a margin.
-    shares: Vec<f32>,
+    mask: Vec<f32>,
     /// Whether all of a square of `RUN` by `RUN` pixels within the image do.
     squares: Vec<bool>,
     size: (usize, usize),
 }
 
-impl Lit {
+impl LitMask {
     /// Of an image of a size.
     pub fn new(size: (usize, usize), lit: &[bool]) -> Self {
         let ((height, width), (rows, stride)) = (size, with_margin(size));
         let columns = width.div_ceil(RUN);
         let mut squares = vec![true; columns * height.div_ceil(RUN)];
-        let mut shares = vec![0.0; rows * stride];
+        let mut mask = vec![0.0; rows * stride];
         for (y, lit) in lit.chunks_exact(width).enumerate() {
-            for (x, (&lit, share)) in lit.iter().zip(&mut shares[inside(y, size)]).enumerate() {
+            for (x, (&lit, weight)) in lit.iter().zip(&mut mask[inside(y, size)]).enumerate() {
                 squares[y / RUN * columns + x / RUN] &= lit;
-                *share = f32::from(u8::from(lit));
+                *weight = f32::from(u8::from(lit));
             }
         }
-        go_on(&mut shares, size);
-        Lit { shares, squares, size }
+        extend_edges(&mut mask, size);
+        LitMask { mask, squares, size }
     }
 
     /// Planes of an image [h w 3] with room for a margin, black where it is not lit.
     fn framed(&self, image: &[f32]) -> Vec<f32> {
-        let ((_, width), area) = (self.size, self.shares.len());
+        let ((_, width), area) = (self.size, self.mask.len());
         let mut planes = vec![0.0; 3 * area];
         for (y, row) in image.chunks_exact(3 * width).enumerate() {
             for (place, pixel) in inside(y, self.size).zip(row.chunks_exact(3)) {
                 for k in 0..3 {
-                    planes[k * area + place] = pixel[k] * self.shares[place];
+                    planes[k * area + place] = pixel[k] * self.mask[place];
                 }
             }
         }
@@ -134,25 +134,25 @@ impl Lit {
 }
 
 /// The image at its instant.
-pub struct Still<'a> {
+pub struct SharpImage<'a> {
     /// Red, green, blue, with a margin; 0 where it is not lit.
     colors: [&'a [f32]; 3],
-    lit: &'a Lit,
+    lit: &'a LitMask,
     factor: f32,
 }
 
-impl<'a> Still<'a> {
+impl<'a> SharpImage<'a> {
     /// Of planes with a margin that is filled, to be multiplied by a factor.
-    pub fn new(planes: &'a [f32], lit: &'a Lit, factor: f32) -> Self {
+    pub fn new(planes: &'a [f32], lit: &'a LitMask, factor: f32) -> Self {
         let area = planes.len() / 3;
-        Still { colors: [0, 1, 2].map(|k| &planes[k * area..][..area]), lit, factor }
+        SharpImage { colors: [0, 1, 2].map(|k| &planes[k * area..][..area]), lit, factor }
     }
 
     /// Fills a line of an image with the mean over the time that it is open, given the motion when
     /// it is read.
-    pub fn blur(&self, y: usize, motion: &Field, shutter: Shutter, line: Line<'_>) {
+    pub fn blur(&self, y: usize, motion: &MotionField, shutter: Shutter, line: Line<'_>) {
         let mut window = shutter.window(y as f32, self.lit.size.0);
-        window.share *= self.factor;
+        window.weight *= self.factor;
         blur_row(self, y, motion, window, line);
     }
 
@@ -170,7 +170,7 @@ impl<'a> Still<'a> {
     /// Red, green, blue, and what is lit.
     #[inline(always)]
     fn plane(&self, plane: usize) -> &[f32] {
-        if plane < 3 { self.colors[plane] } else { &self.lit.shares }
+        if plane < 3 { self.colors[plane] } else { &self.lit.mask }
     }
 
     /// Numbers of a plane from a place on.
@@ -230,41 +230,41 @@ impl<'a> Still<'a> {
     "x86_64+avx2",
     "aarch64+neon"
 ))]
-fn blur_row(still: &Still, y: usize, motion: &Field, window: Window, out: Line<'_>) {
+fn blur_row(sharp: &SharpImage, y: usize, motion: &MotionField, window: Window, out: Line<'_>) {
     let (shutter, late) = (window.length, window.late);
-    let width = still.lit.size.1;
+    let width = sharp.lit.size.1;
     let motion = motion.row(y, width.div_ceil(RUN) * RUN);
     for x in (0..width).step_by(RUN) {
         let mut own = [[0.0; RUN]; 4];
         for plane in 0..4 {
-            own[plane] = still.run(plane, still.index(y as isize, x as isize));
+            own[plane] = sharp.run(plane, sharp.index(y as isize, x as isize));
         }
         let near = [load(&motion[0][x..]), load(&motion[1][x..])];
         let ends = [ends(&near[0]), ends(&near[1])];
         let speed = ends.as_flattened().iter().fold(0.0, |most, v: &f32| max(v.abs(), most));
         let mut mean = own;
-        if speed * (late.abs() + 0.5 * shutter) >= STILL {
+        if speed * (late.abs() + 0.5 * shutter) >= MIN_SHIFT {
             let count = clamp((speed * shutter).ceil(), 1.0, MOST_SAMPLES);
             let moving = (&near, ends);
             let times = (shutter, late);
             let (along, down) = (swept(ends[0], times), swept(ends[1], times));
-            let is_near = still.holds((x, y), along, down)
+            let is_near = sharp.holds((x, y), along, down)
                 && max(spread(ends[0], times), spread(ends[1], times)) < MOST_SPREAD;
-            if is_near && still.is_all_lit((x, y), along, down) {
-                let sum = streak::<3, true>(still, (x, y), moving, (shutter, late), count);
-                let share = 1.0 / count;
+            if is_near && sharp.is_all_lit((x, y), along, down) {
+                let sum = streak::<3, true>(sharp, (x, y), moving, (shutter, late), count);
+                let weight = 1.0 / count;
                 for k in 0..3 {
                     for i in 0..RUN {
-                        mean[k][i] = sum[k][i] * share;
+                        mean[k][i] = sum[k][i] * weight;
                     }
                 }
             } else {
-                let sum = streak::<4, false>(still, (x, y), moving, (shutter, late), count);
+                let sum = streak::<4, false>(sharp, (x, y), moving, (shutter, late), count);
                 mean = mean_of_lit(&sum, &own);
             }
         }
         for k in 0..3 {
-            store(&mean[k].map(|light| light * window.share), &mut out[k][x..]);
+            store(&mean[k].map(|light| light * window.weight), &mut out[k][x..]);
         }
     }
 }
@@ -275,10 +275,10 @@ fn mean_of_lit(sum: &[Run; 4], own: &[Run; 4]) -> [Run; 4] {
     let mut mean = *own;
     for i in 0..RUN {
         let known = if sum[3][i] > 0.0 { own[3][i] } else { 0.0 };
-        let share = known / max(sum[3][i], 1e-30);
+        let weight = known / max(sum[3][i], 1e-30);
         let rest = own[3][i] - known;
         for k in 0..3 {
-            mean[k][i] = sum[k][i] * share + own[k][i] * rest;
+            mean[k][i] = sum[k][i] * weight + own[k][i] * rest;
         }
     }
     mean
@@ -318,7 +318,7 @@ fn least(run: &Run) -> f32 {
 /// than `MOST_SPREAD`.
 #[inline(always)]
 fn streak<const PLANES: usize, const IS_NEAR: bool>(
-    still: &Still,
+    sharp: &SharpImage,
     (x, y): (usize, usize),
     (motion, ends): (&[Run; 2], [[f32; 2]; 2]),
     (shutter, late): (f32, f32),
@@ -332,9 +332,9 @@ fn streak<const PLANES: usize, const IS_NEAR: bool>(
         let first = [along[0].floor(), down[0].floor()];
         let taps = [along[1].ceil() - first[0], down[1].ceil() - first[1]];
         let is_near = IS_NEAR
-            || (still.holds((x, y), along, down) && max(taps[0], taps[1]) < MOST_TAPS as f32);
+            || (sharp.holds((x, y), along, down) && max(taps[0], taps[1]) < MOST_TAPS as f32);
         if is_near {
-            let start = still.index(y as isize + first[1] as isize, x as isize + first[0] as isize);
+            let start = sharp.index(y as isize + first[1] as isize, x as isize + first[0] as isize);
             let mut rest = [[0.0; RUN]; 2];
             for k in 0..2 {
                 for i in 0..RUN {
@@ -342,11 +342,11 @@ fn streak<const PLANES: usize, const IS_NEAR: bool>(
                 }
             }
             let taps = [taps[0] as usize, taps[1] as usize];
-            add_shifted(still, start, taps, &rest, &mut sum);
+            add_shifted(sharp, start, taps, &rest, &mut sum);
         } else {
             for i in 0..RUN {
                 let place = [(x + i) as f32 - motion[0][i] * time, y as f32 - motion[1][i] * time];
-                let value = still.at(place[0], place[1]);
+                let value = sharp.at(place[0], place[1]);
                 for k in 0..PLANES {
                     sum[k][i] += value[k];
                 }
@@ -364,11 +364,11 @@ fn moved([low, high]: [f32; 2], time: f32) -> [f32; 2] {
     [min(one, other), max(one, other)]
 }
 
-/// Adds what is seen from a place on, each pixel `rest` farther: bilinear, where neighbours are up
+/// Adds what is seen from a place on, each pixel `rest` farther: bilinear, where neighbors are up
 /// to `taps` away.
 #[inline(always)]
 fn add_shifted<const PLANES: usize>(
-    still: &Still,
+    sharp: &SharpImage,
     start: usize,
     taps: [usize; 2],
     rest: &[Run; 2],
@@ -387,7 +387,7 @@ fn add_shifted<const PLANES: usize>(
         }
         for (column, across) in across.iter().enumerate().take(taps[0] + 1) {
             for plane in 0..PLANES {
-                let values = still.run(plane, start + row * still.stride() + column);
+                let values = sharp.run(plane, start + row * sharp.stride() + column);
                 for i in 0..RUN {
                     sum[plane][i] += across[i] * down[i] * values[i];
                 }

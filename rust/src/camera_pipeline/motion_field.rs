@@ -14,12 +14,12 @@ const LINES: usize = 8;
 
 /// A field of motion at every `STEP`th pixel of every `STEP`th row, the first in the middle of a
 /// square of so many [px per frame], with no place unknown.
-pub struct Field {
+pub struct MotionField {
     vectors: Vec<[f32; 2]>,
     size: (usize, usize),
 }
 
-impl Field {
+impl MotionField {
     /// Fills unknown places (NaN) next to known ones with their mean, up to three cells away;
     /// elsewhere nothing moves.
     pub fn new(given: &[f32], size: (usize, usize)) -> Self {
@@ -50,12 +50,12 @@ impl Field {
                 vectors[k] = [0.0; 2];
             }
         }
-        Field { vectors, size }
+        MotionField { vectors, size }
     }
 
     /// Of each place the motion of what is there when its row takes light, of `height` rows: with v
     /// of an instant, `from + v(from) late = here`.
-    pub fn when_read(self, shutter: Shutter, height: usize) -> Self {
+    pub fn at_readout(self, shutter: Shutter, height: usize) -> Self {
         if shutter.readout == 0.0 {
             return self;
         }
@@ -64,10 +64,10 @@ impl Field {
         vectors.par_chunks_mut(LINES * columns).enumerate().for_each(|(group, lines)| {
             for (k, line) in lines.chunks_exact_mut(columns).enumerate() {
                 let row = group * LINES + k;
-                read_line(&self, row, shutter.window(place(row), height).late, line);
+                read_out_line(&self, row, shutter.window(place(row), height).late, line);
             }
         });
-        Field { vectors, ..self }
+        MotionField { vectors, ..self }
     }
 
     /// The four vectors about a place, given the first's row and column.
@@ -111,7 +111,7 @@ impl Field {
     "x86_64+avx2",
     "aarch64+neon"
 ))]
-fn read_line(field: &Field, row: usize, late: f32, line: &mut [[f32; 2]]) {
+fn read_out_line(field: &MotionField, row: usize, late: f32, line: &mut [[f32; 2]]) {
     let (rows, columns) = field.size;
     let own = &field.vectors[row * columns..][..columns];
     for (number, (line, own)) in line.chunks_mut(RUN).zip(own.chunks(RUN)).enumerate() {
@@ -120,11 +120,11 @@ fn read_line(field: &Field, row: usize, late: f32, line: &mut [[f32; 2]]) {
             (v[0][i], v[1][i]) = (own[0], own[1]);
         }
         for _ in 0..FIXED_POINT_STEPS {
-            let (mut first, mut share) = ([[0; RUN]; 2], [[0.0f32; RUN]; 2]);
+            let (mut first, mut weight) = ([[0; RUN]; 2], [[0.0f32; RUN]; 2]);
             for i in 0..RUN {
                 let x = place(number * RUN + i) - v[0][i] * late;
-                (first[0][i], share[0][i]) = between(x, columns);
-                (first[1][i], share[1][i]) = between(place(row) - v[1][i] * late, rows);
+                (first[0][i], weight[0][i]) = between(x, columns);
+                (first[1][i], weight[1][i]) = between(place(row) - v[1][i] * late, rows);
             }
             let mut about = [[[0.0f32; RUN]; 4]; 2];
             for i in 0..line.len() {
@@ -136,8 +136,8 @@ fn read_line(field: &Field, row: usize, late: f32, line: &mut [[f32; 2]]) {
             for (v, [a, b, c, d]) in v.iter_mut().zip(&about) {
                 for i in 0..RUN {
                     let (above, below) =
-                        (mix(a[i], b[i], share[0][i]), mix(c[i], d[i], share[0][i]));
-                    let found = mix(above, below, share[1][i]);
+                        (mix(a[i], b[i], weight[0][i]), mix(c[i], d[i], weight[0][i]));
+                    let found = mix(above, below, weight[1][i]);
                     change = max((found - v[i]).abs(), change);
                     v[i] = found;
                 }
@@ -165,7 +165,7 @@ fn between(place: f32, count: usize) -> (usize, f32) {
     whole(clamp(number, 0.0, count as f32 - 1.0))
 }
 
-/// When rows of pixels are open and lit, in shares of a frame's time.
+/// When rows of pixels are open and lit, in fractions of a frame's time.
 #[derive(Clone, Copy)]
 pub struct Shutter {
     /// How long each row is open.
@@ -184,7 +184,7 @@ pub struct Window {
     pub late: f32,
     pub length: f32,
     /// Share that it takes of the light of a row that sees all of the pulse.
-    pub share: f32,
+    pub weight: f32,
 }
 
 impl Shutter {
@@ -199,11 +199,15 @@ impl Shutter {
         let (half, lit) = (0.5 * self.open, 0.5 * self.pulse);
         let (first, last) = (max(middle - half, -lit), min(middle + half, lit));
         if first == middle - half && last == middle + half {
-            return Window { late: middle, length: self.open, share: 1.0 };
+            return Window { late: middle, length: self.open, weight: 1.0 };
         }
         let length = max(last - first, 0.0);
-        let share = length / min(self.open, self.pulse);
-        Window { late: 0.5 * (first + last), length, share: if length > 0.0 { share } else { 0.0 } }
+        let weight = length / min(self.open, self.pulse);
+        Window {
+            late: 0.5 * (first + last),
+            length,
+            weight: if length > 0.0 { weight } else { 0.0 },
+        }
     }
 }
 

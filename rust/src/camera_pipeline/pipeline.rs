@@ -6,8 +6,8 @@ use super::demosaic::{demosaic_line, mirrored_about};
 use super::depth_of_field::{Padded, bring_near};
 use super::dome::{Drops, Smears, totals};
 use super::jpeg::Compression;
-use super::motion_blur::{Lit, Still, go_on, inside, with_margin};
-use super::motion_field::{Field, Shutter};
+use super::motion_blur::{LitMask, SharpImage, extend_edges, inside, with_margin};
+use super::motion_field::{MotionField, Shutter};
 use super::optical_flow::Points;
 use super::planes::{Line, Scaling, amplify, develop_row, interleave, rows, shade_row};
 use super::sensor_noise::{Readout, Sensor, streams};
@@ -34,7 +34,7 @@ pub struct CameraPipeline {
     size: (usize, usize),
     lit: Vec<bool>,
     cosine: Vec<f32>,
-    shutter: Option<(Shutter, Lit)>,
+    shutter: Option<(Shutter, LitMask)>,
     depth_of_field: Option<(f32, f32)>,
     smears: Option<Smears>,
     scaling: Option<Scaling>,
@@ -96,7 +96,7 @@ impl CameraPipeline {
             return Err(size_mismatch());
         }
         let lit = of_image(&lit, size)?.to_vec();
-        let shutter = given.shutter().map(|times| (Shutter::of(times), Lit::new(size, &lit)));
+        let shutter = given.shutter().map(|times| (Shutter::of(times), LitMask::new(size, &lit)));
         let sites = (if bayer.is_some() { height } else { 3 * height }, width);
         Ok(CameraPipeline {
             size,
@@ -177,12 +177,12 @@ impl CameraPipeline {
         for y in (STEP.min(height / 2)..height).step_by(2 * STEP) {
             let colors = [0, 1, 2].map(|k| self.row(light, k, y));
             let shutter = self.shutter.as_ref();
-            let share = shutter.map_or(1.0, |(times, _)| times.window(y as f32, height).share);
+            let weight = shutter.map_or(1.0, |(times, _)| times.window(y as f32, height).weight);
             for x in (STEP / 2..width).step_by(STEP) {
                 let pixel = y * width + x;
                 if self.lit[pixel] {
                     let [r, g, b] = [0, 1, 2].map(|k| factors[k] * colors[k][x]);
-                    let shade = share * self.vignetting.as_ref().map_or(1.0, |map| map[pixel]);
+                    let shade = weight * self.vignetting.as_ref().map_or(1.0, |map| map[pixel]);
                     sum += f64::from(((r + g + b) * shade).min(1.0));
                     count += 1;
                 }
@@ -194,11 +194,11 @@ impl CameraPipeline {
 
 impl Frame<'_> {
     /// Motion of the image of so many rows, as they take light.
-    fn motion(&self, shutter: Shutter, height: usize) -> Field {
-        let Some(points) = &self.points else { return Field::new(&[0.0; 2], (1, 1)) };
+    fn motion(&self, shutter: Shutter, height: usize) -> MotionField {
+        let Some(points) = &self.points else { return MotionField::new(&[0.0; 2], (1, 1)) };
         let mut vectors = points.flow();
         vectors.iter_mut().for_each(|x| *x *= self.sense);
-        Field::new(&vectors, points.size()).when_read(shutter, height)
+        MotionField::new(&vectors, points.size()).at_readout(shutter, height)
     }
 }
 
@@ -223,7 +223,7 @@ impl CameraPipeline {
         if radiance == [colors, rows, columns] { Ok(()) } else { Err(size_mismatch()) }
     }
 
-    /// A row of one colour of radiance.
+    /// A row of one color of radiance.
     fn row<'a>(&self, light: &'a [f32], color: usize, y: usize) -> &'a [f32] {
         &light[color * (light.len() / 3)..][inside(y, self.size)]
     }
@@ -269,15 +269,15 @@ impl CameraPipeline {
         let (size, Buffers { padded, planes, .. }) = (self.size, buffers);
         let moving = self.shutter.as_ref().map(|(shutter, lit)| {
             let find = || frame.motion(*shutter, size.0);
-            let ((), motion) = rayon::join(|| go_on(light, size), find);
+            let ((), motion) = rayon::join(|| extend_edges(light, size), find);
             (motion, *shutter, lit)
         });
         let light = &*light;
         let moving = moving.map(|(motion, shutter, lit)| {
-            (Still::new(light, lit, frame.exposure), motion, shutter)
+            (SharpImage::new(light, lit, frame.exposure), motion, shutter)
         });
         let exposed = |y: usize, line: Line<'_>| match &moving {
-            Some((still, motion, shutter)) => still.blur(y, motion, *shutter, line),
+            Some((sharp, motion, shutter)) => sharp.blur(y, motion, *shutter, line),
             None => {
                 for (k, row) in line.into_iter().enumerate() {
                     amplify(self.row(light, k, y), frame.exposure, row);

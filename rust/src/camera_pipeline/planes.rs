@@ -102,7 +102,7 @@ pub fn vignetting<'py>(
     Ok(planes_array(py, out, (height, width)))
 }
 
-/// The first of four neighbours, and their weights.
+/// The first of four neighbors, and their weights.
 type Taps = (usize, [f32; 4]);
 
 /// Where a scaled axis takes its values from.
@@ -129,16 +129,16 @@ fn cubic_taps(length: usize, center: f32, scale: f32) -> Vec<Taps> {
         .collect()
 }
 
-/// The four neighbours from one before `first`, kept within the length.
+/// The four neighbors from one before `first`, kept within the length.
 #[inline(always)]
-fn neighbours(first: usize, length: usize) -> [usize; 4] {
+fn neighbors(first: usize, length: usize) -> [usize; 4] {
     let last = length - 1;
     [first.saturating_sub(1), first, (first + 1).min(last), (first + 2).min(last)]
 }
 
-/// Taps of a row's columns: runs of columns whose neighbours are neighbours too, and all weights.
+/// Taps of a row's columns: runs of columns whose neighbors are neighbors too, and all weights.
 struct Columns {
-    /// First column, one past the last, and the first neighbour of the first.
+    /// First column, one past the last, and the first neighbor of the first.
     runs: Vec<(usize, usize, usize)>,
     weights: [Vec<f32>; 4],
 }
@@ -195,7 +195,7 @@ pub struct Scaling {
 }
 
 impl Scaling {
-    /// About a centre (column, row) [px].
+    /// About a center (column, row) [px].
     pub fn new((height, width): (usize, usize), center: [f32; 2], scales: [f32; 3]) -> Self {
         let taps = |&scale: &f32| {
             let columns = Columns::new(&cubic_taps(width, center[0], scale));
@@ -219,7 +219,7 @@ impl Scaling {
                 None => out[k].copy_from_slice(&from[y * width..][..width]),
                 Some((taps, columns)) => {
                     let (first, weights) = taps[y];
-                    let lines = neighbours(first, height).map(|y| &from[y * width..][..width]);
+                    let lines = neighbors(first, height).map(|y| &from[y * width..][..width]);
                     scale_row(lines, weights, columns, mixed, out[k]);
                 }
             }
@@ -227,7 +227,7 @@ impl Scaling {
     }
 }
 
-/// Magnifies each plane about a centre (column, row) [px] by its own scale.
+/// Magnifies each plane about a center (column, row) [px] by its own scale.
 ///
 /// What moves in from beyond the image is black. Interpolation is cubic along each axis.
 #[pyfunction]
@@ -280,7 +280,7 @@ pub fn develop<'py>(
         .into_pyarray(py))
 }
 
-/// 8-bit sRGB of one colour of a row; 0 where not `lit`.
+/// 8-bit sRGB of one color of a row; 0 where not `lit`.
 #[multiversion::multiversion(targets(
     "x86_64+avx512f+avx512bw+avx512cd+avx512dq+avx512vl",
     "x86_64+avx2",
@@ -292,7 +292,7 @@ pub fn develop_row(values: &[f32], gain: f32, lit: &[bool], codes: &mut [u8]) {
     }
 }
 
-/// Pixels of three colours.
+/// Pixels of three colors.
 #[multiversion::multiversion(targets(
     "x86_64+avx512f+avx512bw+avx512cd+avx512dq+avx512vl",
     "x86_64+avx2",

@@ -1,4 +1,4 @@
-//! Photons to numbers: shot noise, read noise, fixed pattern, quantisation.
+//! Photons to numbers: shot noise, read noise, fixed pattern, quantization.
 //!
 //! Random numbers are hashes of (key, site), so that they depend on nothing else.
 
@@ -194,7 +194,7 @@ impl Readout {
 /// Of each site the light is `value · light · response · full_well · pattern[0]` electrons on average; their
 /// number is a Poisson variable. To it come the site's offset `pattern[1]` and read noise
 /// [electrons]; amplified, rounded to whole numbers and cut to the converter's range it is the
-/// reading. With a `mosaic`, the colours of 2 by 2 sites, there is one site a pixel and the result
+/// reading. With a `mosaic`, the colors of 2 by 2 sites, there is one site a pixel and the result
 /// is [1 h w], else there are three and it is [3 h w].
 #[pyfunction]
 pub fn read_sensor<'py>(
@@ -211,7 +211,7 @@ pub fn read_sensor<'py>(
         return Err(PyValueError::new_err("The fixed pattern must have one number a site."));
     }
     if mosaic.is_some_and(|colors| colors.iter().any(|&c| c > 2)) {
-        return Err(PyValueError::new_err("Colours of a mosaic are 0, 1, 2."));
+        return Err(PyValueError::new_err("Colors of a mosaic are 0, 1, 2."));
     }
     let source = planes.as_slice()?;
     let sensor = Sensor {
@@ -248,7 +248,7 @@ pub struct Sensor<'a> {
 }
 
 impl Sensor<'_> {
-    /// Reads a row of sites, of which even and odd ones see two colours.
+    /// Reads a row of sites, of which even and odd ones see two colors.
     #[inline]
     pub fn read(&self, light: [&[f32]; 2], colors: [usize; 2], row: usize, out: &mut [f32]) {
         let sites = row * out.len()..(row + 1) * out.len();
@@ -257,7 +257,7 @@ impl Sensor<'_> {
     }
 }
 
-/// Readings of one row, whose even and odd sites see two colours.
+/// Readings of one row, whose even and odd sites see two colors.
 #[multiversion::multiversion(targets(
     "x86_64+avx512f+avx512bw+avx512cd+avx512dq+avx512vl",
     "x86_64+avx2",

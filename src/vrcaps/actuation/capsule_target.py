@@ -12,6 +12,7 @@ import numpy as np
 
 from vrcaps.actuation import vectors
 from vrcaps.errors import InputError, require
+from vrcaps.organ.centerline.curve import polyline_points
 from vrcaps.organ.surface import Centerline
 from vrcaps.transforms import invert, rotate_vectors, transform_points
 from vrcaps.units import MM
@@ -96,7 +97,7 @@ def centerline_target(
     allowed = f"0 to {line.length:g} m"
     require(0.0 <= arc_length <= line.length, "arc_length", arc_length, allowed)
     s = line.arc_length
-    point = np.array([np.interp(arc_length, s, axis) for axis in line.points.T])
+    point = polyline_points(line, arc_length)
     k = min(max(int(np.searchsorted(s, arc_length)) - 1, 0), len(s) - 2)
     fraction = (arc_length - s[k]) / max(s[k + 1] - s[k], 1e-12)
     axes = (1.0 - fraction) * line.frames[k] + fraction * line.frames[k + 1]

@@ -12,6 +12,7 @@ import numpy as np
 
 from vrcaps.actuation.capsule_target import CapsuleTarget, centerline_target, outward_normals
 from vrcaps.errors import InputError, require
+from vrcaps.geometry import unit
 from vrcaps.units import CM, DEG, MM
 
 if TYPE_CHECKING:
@@ -142,7 +143,7 @@ def straight_wall_path(
     looks = (np.asarray(start.direction, float), np.asarray(end.direction, float))
     count = max(2, round(float(np.linalg.norm(last - first)) / _SPACING) + 1)
     fraction = np.linspace(0.0, 1.0, count)[:, None]
-    normals = _units(
+    normals = unit(
         (1.0 - fraction) * np.asarray(start.wall_normal) + fraction * np.asarray(end.wall_normal)
     )
     points = (1.0 - fraction) * first + fraction * last - _CAST_DISTANCE * normals
@@ -192,7 +193,7 @@ def centerline_wall_path(
     points = np.array([target.position for target in targets])
     normals = _smooth(np.array([target.wall_normal for target in targets]))
     directions = _smooth(np.array([target.direction for target in targets]))
-    return project_path_to_wall(model, points, _units(normals), _units(directions))
+    return project_path_to_wall(model, points, unit(normals), unit(directions))
 
 
 def project_path_to_wall(
@@ -212,9 +213,9 @@ def project_path_to_wall(
     distance = np.asarray(model.wall.cast(points, rays)[0], float)
     distance = np.where(np.isfinite(distance), distance, 0.0)[:, None]
     normals = outward_normals(model, points + distance * rays, rays)
-    looks = _units(directions - normals * (directions * normals).sum(axis=1, keepdims=True))
+    looks = unit(directions - normals * (directions * normals).sum(axis=1, keepdims=True))
     positions = points + rays * free_distance(model, points, rays, looks)[:, None]
-    return WallPath(_smooth(positions), _units(_smooth(normals)), _units(_smooth(looks)))
+    return WallPath(_smooth(positions), unit(_smooth(normals)), unit(_smooth(looks)))
 
 
 def free_distance(
@@ -284,10 +285,6 @@ def _smooth(rows: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
     padded = np.concatenate([2 * rows[:1] - rows[:0:-1], rows, 2 * rows[-1:] - rows[-2::-1]])
     smoothed = gaussian_filter1d(padded, _SMOOTHING / _SPACING, axis=0, mode="nearest")
     return smoothed[len(rows) - 1 : 2 * len(rows) - 1]
-
-
-def _units(vectors: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
-    return vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-12)
 
 
 def _unit(vector: Float[np.ndarray, " 3"]) -> Float[np.ndarray, " 3"]:

@@ -10,6 +10,7 @@ import vrcaps.rng
 from vrcaps.camera.rays import camera_rays
 from vrcaps.camera_pipeline.effect.base import CameraSetup
 from vrcaps.camera_pipeline.effect.depth_of_field import DepthOfField
+from vrcaps.geometry import unit
 from vrcaps.units import MM
 
 if TYPE_CHECKING:
@@ -69,9 +70,3 @@ def lateral_axes(rays: Float[np.ndarray, "m 3"]) -> tuple[np.ndarray, np.ndarray
     x, z = rays[:, 0] + 1e-12, rays[:, 2]
     right = unit(np.column_stack([z, np.zeros_like(x), -x]))
     return right, np.cross(rays, right)
-
-
-def unit(vectors: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
-    """Vectors of length 1."""
-    length = np.linalg.norm(vectors, axis=-1, keepdims=True)
-    return vectors / np.maximum(length, 1e-15)

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vrcaps._core import Wall
+from vrcaps.geometry import unit
 from vrcaps.lumen.bubbles import Bubbles
 from vrcaps.lumen.chyme import Chyme
 from vrcaps.lumen.cluster import pack, sizes
@@ -147,7 +148,7 @@ class _Seeds:
         way = np.where(drawn[:, None], _SCATTER * way + 2.0 * towards, way)
         tangent = frames[..., 2]
         way -= np.sum(way * tangent, axis=1, keepdims=True) * tangent
-        way /= np.maximum(np.linalg.norm(way, axis=1, keepdims=True), 1e-12)
+        way = unit(way)
         distance, face = self.wall.cast(points, way)
         distance = np.where(face >= 0, distance, 0.0)
         self.anchor = points + distance[:, None] * way
@@ -175,7 +176,7 @@ class _Seeds:
 
 def _inward(organ: OrganSurface, face: np.ndarray) -> Float[np.ndarray, "n 3"]:
     normal = organ.normals[organ.faces[face]].mean(axis=1)
-    return normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
+    return unit(normal)
 
 
 def _on_wall(

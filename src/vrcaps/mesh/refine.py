@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from vrcaps.geometry import unit
 from vrcaps.mesh.edges import find_edges
 from vrcaps.mesh.mesh import vertex_normals
 from vrcaps.units import MM
@@ -188,7 +189,7 @@ def _curved_middle(
     along_n, along_m = (d * n).sum(axis=1, keepdims=True), (d * m).sum(axis=1, keepdims=True)
     middle = 0.5 * (p + q) + (along_m * m - along_n * n) / 8.0
     normal = n + m
-    return middle, normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-30)
+    return middle, unit(normal)
 
 
 def rim(faces: Int[np.ndarray, "m 3"], num_vertices: int) -> Bool[np.ndarray, " n"]:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vrcaps.errors import InputError
+from vrcaps.organ.centerline.curve import polyline_points
 from vrcaps.transforms import rotation_from_vector, transform_from
 from vrcaps.units import MM
 from vrcaps.world.clearance import capsule_clearance
@@ -42,7 +43,7 @@ def start_pose(
     end = line.length if start <= 0.5 else 0.0
     places = np.linspace(wanted, end, max(2, math.ceil(abs(end - wanted) / _SPACING) + 1))
     nearest = np.abs(line.arc_length[:, None] - places).argmin(axis=0)
-    points = np.stack([np.interp(places, line.arc_length, axis) for axis in line.points.T], -1)
+    points = polyline_points(line, places)
     tilt = rotation_from_vector(np.array([angle, 0.0, 0.0]))
     poses = model.T_world_patient @ transform_from(line.frames[nearest] @ tilt, points)
     clearance = capsule_clearance(model, poses).min(axis=1)

@@ -11,6 +11,7 @@ import numpy as np
 
 from vrcaps._core import Wall
 from vrcaps.files import write_bytes
+from vrcaps.geometry import barycentric
 from vrcaps.motion.dynamics_columns import SPEED_ALONG_GUT
 from vrcaps.motion.motion import Motion
 from vrcaps.motion.step import Step
@@ -172,7 +173,7 @@ def locate_in_gut(
     if step is not None and step.state.vertices_world is not None:
         vertices = step.state.vertices_world
     nearest, faces = (wall or model.wall).closest_point(positions_world)
-    weights = _barycentric(nearest, vertices[organ.faces[faces]])
+    weights = barycentric(nearest, vertices[organ.faces[faces]])
     rough = (weights * organ.arc_length[organ.faces[faces]]).sum(axis=1)
     reach = 2.0 * organ.radius[organ.faces[faces]].max(axis=1)
     line = transform_points(pose, organ.centerline.points)
@@ -185,17 +186,6 @@ def locate_in_gut(
         )
     label = face_label(organ.label, organ.faces[faces])
     return arc_length, np.array(organ.label_names, object)[label]
-
-
-def _barycentric(
-    points: Float[np.ndarray, "n 3"], corners: Float[np.ndarray, "n 3 3"]
-) -> Float[np.ndarray, "n 3"]:
-    """Weights of the corners of triangles that points lie in: areas opposite the corners."""
-    to_corners = corners - points[:, None]
-    areas = np.linalg.norm(
-        np.cross(np.roll(to_corners, -1, axis=1), np.roll(to_corners, 1, axis=1)), axis=-1
-    )
-    return areas / np.maximum(areas.sum(axis=1, keepdims=True), 1e-30)
 
 
 def _project(

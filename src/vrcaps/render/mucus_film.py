@@ -17,6 +17,7 @@ import numpy as np
 
 from vrcaps.color import LINEAR, srgb_from_linear
 from vrcaps.errors import InputError
+from vrcaps.geometry import triangle_areas
 from vrcaps.organ.surface import Appearance, OrganSurface, round_height
 from vrcaps.render.scattering import TISSUE_IOR, internal_reflectance
 
@@ -136,7 +137,6 @@ def _wet_albedo_lut(covered: float) -> UInt8[np.ndarray, " 256"]:
 
 def _texel_size(organ: OrganSurface, look: Appearance) -> float:
     """Side of a texel on the wall [m], on average."""
-    a, b, c = np.moveaxis(organ.vertices[organ.faces], 1, 0)
-    area = np.linalg.norm(np.cross(b - a, c - a), axis=1).sum()
+    area = 2.0 * triangle_areas(organ.vertices[organ.faces]).sum()
     used = np.abs(np.linalg.det(organ.uv[:, 1:] - organ.uv[:, :1])).sum()
     return float(np.sqrt(area / max(used * look.height.size, 1e-12)))

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from vrcaps.organ.centerline.curve import polyline_points
 from vrcaps.organ.surface import Centerline, OrganSurface
 from vrcaps.units import MM
 
@@ -26,9 +27,6 @@ def sample_coordinates(
 ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, " n"]]:
     """From each vertex to the centreline [m], and its place along the samples [spacings]."""
     curve = organ.centerline
-    nearest = np.stack(
-        [np.interp(organ.arc_length, curve.arc_length, curve.points[:, k]) for k in range(3)],
-        axis=1,
-    )
+    nearest = polyline_points(curve, organ.arc_length)
     place = organ.arc_length / arc_length_samples(curve)[1]
     return nearest - organ.vertices, np.ascontiguousarray(place, float)

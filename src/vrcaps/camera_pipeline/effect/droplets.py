@@ -17,10 +17,10 @@ from vrcaps.camera_pipeline.dome import (
     lit_rays,
     pupil_disk_radius,
     unflatten,
-    unit,
 )
 from vrcaps.camera_pipeline.effect.base import CameraSetup, FrameContext, ImageEffect, Stage
 from vrcaps.errors import require
+from vrcaps.geometry import unit
 from vrcaps.units import DEG, MM
 
 if TYPE_CHECKING:

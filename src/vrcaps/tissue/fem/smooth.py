@@ -8,6 +8,8 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import splu
 
+from vrcaps.geometry import triangle_areas
+
 if TYPE_CHECKING:
     from jaxtyping import Float, Int
 
@@ -45,9 +47,7 @@ def cotangent_laplacian(
 ) -> tuple[Float[np.ndarray, " n"], sparse.csr_matrix]:
     """Area of each vertex [m²], and the cotangent stiffness matrix, positive semidefinite."""
     corners, count = vertices[faces], len(vertices)
-    double_area = np.linalg.norm(
-        np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
-    )
+    double_area = 2.0 * triangle_areas(corners)
     tiny = 1e-12 * double_area.mean()
     area = np.bincount(faces.ravel(), np.repeat(double_area / 6.0, 3), count)
     matrix = sparse.csr_matrix((count, count))

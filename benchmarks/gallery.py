@@ -22,6 +22,7 @@ from PIL import Image, ImageDraw
 import vrcaps
 from looks_scenes import SETTINGS, at_lesions, exposed
 from validation import ROOT
+from vrcaps.anatomy.catalog import DISTENSIONS
 from vrcaps.lesion.polyp import PATTERNS
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.world.model import Model, State
@@ -32,7 +33,6 @@ LUMINANCE = 0.15
 """Mean linear luminance of each frame; that of real capsule frames."""
 CAPTION_PX = 16
 COLUMNS = 6
-DISTENSIONS = ("inflated", "normal", "collapsed")
 
 Tile = tuple[np.ndarray, str]
 """An image and its caption."""

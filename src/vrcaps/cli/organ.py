@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from tyro.conf import Positional, UseAppendAction
 
+from vrcaps.anatomy.distension import Distension
 from vrcaps.cli.console import console
 from vrcaps.cli.lesions import chosen_lesions, lesion_lines
 from vrcaps.errors import InputError
@@ -53,7 +54,7 @@ class Inspect:
     seed: int | None = None
     """Patient of a generated organ; 0 by default."""
 
-    distension: Literal["inflated", "normal", "collapsed"] | None = None
+    distension: Distension | None = None
     """How full a generated organ is."""
 
     mucosa: str | None = None
@@ -121,7 +122,7 @@ class Make:
     seed: int = 0
     """A different patient for each."""
 
-    distension: Literal["inflated", "normal", "collapsed"] | None = None
+    distension: Distension | None = None
     """How full it is; by default the colon is inflated, all else normal."""
 
     mucosa: str | None = None

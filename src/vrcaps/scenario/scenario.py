@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
+from vrcaps.anatomy.distension import Distension
 from vrcaps.camera_pipeline.effects import Effects
 from vrcaps.capsule.device import Device
 from vrcaps.errors import InputError, UnknownNameError
@@ -48,7 +49,7 @@ class OrganGenerated:
 
     name: str = "colon"
     seed: Annotated[int, Range(least=0)] = 0
-    distension: Literal["inflated", "normal", "collapsed"] | None = None
+    distension: Distension | None = None
     mucosa: str | FileRef | None = None
 
     kind: ClassVar[str] = "generated"

@@ -47,7 +47,7 @@ struct Reference {
 }
 
 impl CapsuleTarget {
-    /// The part of a vector in the directions in which the place counts.
+    /// The part of a vector in the directions in which the position is controlled.
     fn along_controlled_axes(&self, v: DVec3) -> DVec3 {
         let part = |axis: DVec3| axis * axis.dot(v);
         self.tangent
@@ -56,7 +56,8 @@ impl CapsuleTarget {
 }
 
 impl Reference {
-    /// The place a time `dt` [s] later: not too fast, and never far ahead of the capsule at `at`.
+    /// The position a time `dt` [s] later: within its speed, and within the lookahead of the capsule
+    /// at `at`.
     fn position_after(
         &self,
         at: DVec3,
@@ -66,10 +67,10 @@ impl Reference {
     ) -> DVec3 {
         let off = self.position - at;
         let lag = target.along_controlled_axes(off);
-        // Elsewhere it comes after the capsule, slowly: at once would undo the field's own hold.
+        // In other directions it follows the capsule slowly: at once would undo the field's stiffness.
         let across = (off - lag)
             * if target.on_planned_wall { 1.0 } else { 1.0 - (dt / TIME_CONSTANT).min(1.0) };
-        // From a capsule that slides away it does not follow at once: the field brings that back.
+        // It follows a sliding capsule at its own speed only: the field brings the capsule back.
         let most = s.speed * dt;
         let back = (lag - lag.clamp_length_max(s.lookahead)).clamp_length_max(most);
         let place = at + lag - back + across;
@@ -96,7 +97,7 @@ impl Reference {
         towards(led, ahead, s.angular_speed * dt, about)
     }
 
-    /// The side a time `dt` [s] later: where the wall pushes from, without a touch the target's.
+    /// The wall normal a time `dt` [s] later: that of the contact, or the target's without contact.
     fn wall_normal_after(&self, contact: DVec3, target: &CapsuleTarget, dt: f64) -> DVec3 {
         let felt = contact.length() > CONTACT_FORCE && !target.on_planned_wall;
         let touched = if felt { -contact.normalize() } else { target.wall_normal.into() };

@@ -10,18 +10,19 @@ use glam::DVec3;
 use numpy::{PyArrayDyn, PyReadonlyArray2};
 use pyo3::{exceptions::PyValueError, prelude::*};
 
-/// Sine of an angle below which a direction along the magnet's axis says nothing about its turn.
+/// Sine of the angle to the magnet's axis below which a direction does not define a rotation about it.
 const UPRIGHT: f64 = 0.2;
-/// How far ahead on its way the arm looks [m, rad].
+/// Longest part of the path to a pose that one step of the arm aims at [m].
 const MAX_STEP: f64 = 0.03;
+/// Largest rotation that one step of the arm aims at [rad].
 const MAX_ROTATION: f64 = 0.3;
-/// Ways [m, rad] that are tried where a pose ahead is out of reach.
+/// Shorter steps [m, rad] that are tried where a pose ahead is unreachable.
 const SHORT_STEPS: [(f64, f64); 2] = [(8e-3, 0.08), (2e-3, 0.02)];
-/// How far out of the workspace the joints may lead the magnet on its way [m].
+/// How far out of the workspace the joints may move the magnet between two poses in it [m].
 const SLACK: f64 = 5e-3;
 /// Angles farther than this from those of now [rad] are on another branch.
 const JUMP: f64 = 0.5;
-/// A joint farther than this from where it is to be [rad] was too slow.
+/// A joint farther than this from its target [rad] was limited by speed.
 const LATE: f64 = 1e-3;
 
 /// Largest speed [rad/s], acceleration and jerk of a joint.
@@ -37,7 +38,7 @@ pub struct RobotActuator {
     robot: ArmWithPayload,
     home: Vec<f64>,
     limits: Vec<Limits>,
-    /// Corners of the box for the magnet's centre [m].
+    /// Corners of the box for the magnet's center [m].
     low: DVec3,
     high: DVec3,
     /// Direction in the world along which the flange is to point.
@@ -53,7 +54,7 @@ struct State {
     angles: Vec<f64>,
 }
 
-/// The goal, or where the way there begins if it is far.
+/// The goal, or the first part of the path to it if it is far.
 fn part_way(start: &Pose, goal: &Pose) -> Pose {
     let way = (goal.position - start.position).clamp_length_max(MAX_STEP);
     let turn = rotation_vector(goal.rotation * start.rotation.transpose());
@@ -62,7 +63,7 @@ fn part_way(start: &Pose, goal: &Pose) -> Pose {
     Pose { position: start.position + way, rotation: if is_far { part() } else { goal.rotation } }
 }
 
-/// A pose on the way to a goal: the magnet moved and its axis turned by `most` [m, rad] of it.
+/// A pose towards a goal: the magnet moved and its axis rotated by `most` [m, rad].
 fn short_step(start: &Pose, goal: &Pose, most: (f64, f64)) -> Pose {
     let way = (goal.position - start.position).clamp_length_max(most.0);
     let (from, to) = (start.rotation.z_axis, goal.rotation.z_axis);
@@ -74,8 +75,8 @@ fn short_step(start: &Pose, goal: &Pose, most: (f64, f64)) -> Pose {
 }
 
 impl RobotActuator {
-    /// The pose, turned about the magnet's axis until the flange points where it is to; where that
-    /// is along the axis, it points as it does now.
+    /// The pose rotated about the magnet's axis so that the flange points in its direction; where
+    /// that is along the axis, it points as it does now.
     fn align(&self, goal: &Pose, now: &Pose) -> Pose {
         let (axis, flange) = (goal.rotation.z_axis, self.robot.flange_along());
         let across = |v: DVec3| v - axis * axis.dot(v);
@@ -90,18 +91,18 @@ impl RobotActuator {
         Pose { rotation: rotate(angle * axis, goal.rotation), ..*goal }
     }
 
-    /// How far a place is out of the workspace [m].
+    /// Distance of a position from the workspace [m].
     fn outside(&self, place: DVec3) -> f64 {
         (place - place.clamp(self.low, self.high)).length()
     }
 
-    /// Acceleration of a joint that may turn round within a step of `dt` [s], for its jerk's sake.
+    /// Largest acceleration of a joint that keeps its jerk even if it reverses in a step of `dt` [s].
     fn acceleration(limits: &Limits, dt: f64) -> f64 {
         limits.acceleration.min(0.5 * limits.jerk * dt)
     }
 
-    /// Joint speeds of the next step: all joints keep step, and can stop where they are to; at most
-    /// a share of the way a second.
+    /// Joint speeds of the next step: joints move in proportion and can stop at their targets; at
+    /// most a fraction of the path per second.
     fn velocity(&self, way: &[f64], velocity: &[f64], dt: f64, most_share: f64) -> Vec<f64> {
         let share =
             way.iter().zip(&self.limits).fold(most_share.min(1.0 / dt), |share, (way, l)| {

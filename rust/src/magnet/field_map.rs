@@ -30,7 +30,7 @@ fn vector(v: Lanes) -> DVec3 {
     DVec3::new(v[0], v[1], v[2])
 }
 
-/// Weights of four neighbours at the fraction `t`, and their derivatives.
+/// Weights of four neighbors at the fraction `t`, and their derivatives.
 fn weights(t: f64) -> ([f64; 4], [f64; 4]) {
     let (t2, t3) = (t * t, t * t * t);
     (

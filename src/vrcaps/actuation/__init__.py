@@ -1,1 +1,1 @@
-"""Where to hold a magnet for a wanted wrench, and what holds it there."""
+"""Magnetic actuation: controller, pose solver, actuators, targets and paths."""

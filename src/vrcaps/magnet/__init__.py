@@ -1,1 +1,1 @@
-"""Magnetic fields, the wrench on a capsule with magnets in it, and the arm that carries one."""
+"""Magnetic field sources, their field and gradient, and the wrench on a capsule's magnets."""

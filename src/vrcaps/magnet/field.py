@@ -1,4 +1,4 @@
-"""Field of many sources at many places, and the wrench on a capsule in it.
+"""Flux density and gradient of many sources, and the wrench on a capsule in their field.
 
     field(sources, points) -> (flux_density, flux_gradient)
 
@@ -29,11 +29,11 @@ _PLACES = {
 
 
 class SourceSet:
-    """Sources held by the compiled core, to be moved and asked many times.
+    """Sources held by the compiled core, to be moved and evaluated many times.
 
     Attributes:
-        sources: As they were given; `move` does not change them.
-        core: The core's own, which a physics step can ask.
+        sources: The sources as given; `move` does not change them.
+        core: The core's own, which a step of the world evaluates.
     """
 
     def __init__(self, sources: Sequence[Source]) -> None:

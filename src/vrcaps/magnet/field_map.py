@@ -1,4 +1,4 @@
-"""Reading a field that was sampled on a regular grid."""
+"""Reader of field maps: fields sampled on a regular grid, from NPZ and CSV files."""
 
 from __future__ import annotations
 

@@ -16,10 +16,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class InternalMagnet:
-    """A magnet fixed in a capsule, felt as a dipole at its centre.
+    """A magnet fixed in a capsule, modeled as a dipole at its center.
 
     Attributes:
-        position_capsule: Its centre in the capsule frame [m].
+        position_capsule: Its center in the capsule frame [m].
         moment_capsule: Its moment in the capsule frame [A·m²], not zero.
     """
 

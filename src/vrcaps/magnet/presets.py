@@ -1,4 +1,4 @@
-"""Permanent magnets by name, and what grade has which remanence."""
+"""Magnet presets: permanent magnets by name, and the remanence of NdFeB grades."""
 
 from __future__ import annotations
 
@@ -102,7 +102,7 @@ def read_magnet(name: str, T_world_magnet: Float[np.ndarray, "4 4"] | None = Non
 
 
 def dipole_distance(magnet: Cylinder, *, error: float = 0.05) -> float:
-    """Distance from the centre [m] beyond which a dipole is wrong by `error` or less everywhere.
+    """Distance from the center [m] beyond which a dipole is wrong by `error` or less everywhere.
 
     The error is |B_cylinder − B_dipole|/|B_cylinder|, the worst over all directions; it falls with
     the square of the distance in the end, but need not fall all the way.

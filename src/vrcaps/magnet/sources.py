@@ -137,16 +137,16 @@ class Dipole:
 
 @dataclass(frozen=True)
 class Cylinder:
-    """A permanent magnet: a cylinder, evenly magnetised along its axis +z.
+    """A permanent magnet: a cylinder, uniformly magnetized along its axis +z.
 
     Its permeability counts as μ₀, as that of rare-earth magnets nearly is (1.05). B is given inside
-    too, where H is B/μ₀ minus the magnetisation.
+    too, where H is B/μ₀ minus the magnetization.
 
     Attributes:
         diameter: Diameter [m].
         length: Length along the axis [m].
-        remanence: Remanence B_r [T]; magnetisation times μ₀.
-        T_world_magnet: Pose of its centre.
+        remanence: Remanence B_r [T]; magnetization times μ₀.
+        T_world_magnet: Pose of its center.
     """
 
     diameter: float
@@ -187,7 +187,7 @@ class Coil:
         radius: Radius of the circle [m].
         current: Current [A]; 0 is a coil that is off, below 0 turns the field round.
         turns: Windings, 1 or more.
-        T_world_magnet: Pose of its centre.
+        T_world_magnet: Pose of its center.
     """
 
     radius: float
@@ -221,7 +221,7 @@ class Solenoid:
         turns: Windings of all layers together, 1 or more.
         thickness: Outer minus inner radius of the winding [m], below 2 `radius`.
         layers: Shells that stand for the thickness, 1 to 100.
-        T_world_magnet: Pose of its centre.
+        T_world_magnet: Pose of its center.
     """
 
     radius: float

@@ -1,1 +1,1 @@
-"""Sensors: a Hall array that finds the capsule, and the inertial unit and magnetometer in it."""
+"""Sensors: IMU and magnetometer in the capsule, Hall array, and magnetic localization."""

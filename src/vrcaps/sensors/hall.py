@@ -1,4 +1,4 @@
-"""An array of Hall sensors, each for all three components of the field."""
+"""Array of three-axis Hall sensors: readings and calibration errors."""
 
 from __future__ import annotations
 
@@ -18,18 +18,18 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class HallArray:
-    """Sensors at fixed places in the world, their axes along the world's.
+    """Hall sensors at fixed positions in the world, their axes along the world's.
 
     A reading is ``gain · B + offset + noise``, rounded to the resolution; beyond its
     range it is NaN.
 
     Attributes:
-        positions_world: Places of the sensors [m].
+        positions_world: Positions of the sensors [m].
         noise: Standard deviation of a reading [T].
-        resolution: Step of a reading [T]; 0 rounds nothing.
-        range: Largest size of a reading [T].
-        gain: What the sensors make of 1 T; 1 as they are calibrated.
-        offset: What they read without a field [T].
+        resolution: Step of a reading [T]; 0 does not round.
+        range: Largest absolute reading [T].
+        gain: Reading per flux density; 1 is calibrated.
+        offset: Reading without a field [T].
     """
 
     positions_world: Float[np.ndarray, "n 3"]
@@ -69,10 +69,10 @@ def hall_grid(
 def perturb_calibration(
     array: HallArray, rng: np.random.Generator, *, gain: float = 0.005, offset: float = 1e-6
 ) -> HallArray:
-    """The same array with errors left in by its calibration, drawn once.
+    """The array with calibration errors of gain and offset, drawn once.
 
     Args:
-        array: The array as it is believed to be.
+        array: The array with its nominal gain and offset.
         rng: Draws the errors.
         gain: Standard deviation of each component's gain, relative.
         offset: Standard deviation of each component's offset [T].

@@ -1,4 +1,4 @@
-"""Where a capsule is, from the readings of a Hall array."""
+"""Magnetic localization: pose of a magnet from the readings of a Hall array."""
 
 from __future__ import annotations
 
@@ -16,25 +16,32 @@ from vrcaps.sensors.hall import HallArray
 if TYPE_CHECKING:
     from jaxtyping import Float
 
-_STEPS = 50
-_SETTLED = 1e-9
-_LENGTH, _FLUX = 0.01, 1e-6
-"""Units of a step [m, T], so that slopes are of one size."""
-_LEAST = 8
-_DAMPING = (1e-4, 1e8)
+_MAX_ITERATIONS = 50
+_CONVERGED = 1e-9
+"""Largest component of a step that ends the iteration, in its units."""
+_LENGTH = 0.01
+"""Unit of position in a step [m], so that all columns of the Jacobian are of one size."""
+_FLUX = 1e-6
+"""Unit of the background in a step [T]."""
+_MIN_READINGS = 8
+"""Unknowns are 8: position, direction and background."""
+_DAMPING = 1e-4
+"""Initial damping of the Levenberg-Marquardt method."""
+_MAX_DAMPING = 1e8
 
 
 @dataclass(frozen=True)
 class PoseEstimate:
-    """An estimate of a magnet's pose.
+    """Estimated pose of a magnet and its uncertainty.
 
-    The turn about the magnet's own axis, which changes no reading, is not part of it.
+    The rotation about the magnet's own axis, which changes no reading, is not part of it.
 
     Attributes:
-        T_world_magnet: Its pose; +z along its moment.
-        background: The even field that was found beside it [T].
-        residual: Root mean square of what the readings differ by [T].
-        covariance: Of place [m] and of turns about the world's axes [rad], from that residual.
+        T_world_magnet: Pose; +z along its moment.
+        background: Estimated uniform background field [T].
+        residual: Root mean square residual of the readings [T].
+        covariance: Covariance of position [m] and of rotations about the world's axes [rad], from
+            that residual.
     """
 
     T_world_magnet: Float[np.ndarray, "4 4"]
@@ -52,19 +59,19 @@ def localize(
     start: Float[np.ndarray, "4 4"] | None = None,
     depths: tuple[float, float] = (0.03, 0.30),
 ) -> PoseEstimate:
-    """Pose of a magnet of known strength in an even background, by damped Gauss-Newton.
+    """Pose of a magnet of known moment in a uniform background, by nonlinear least squares.
 
-    Minimises Σ |B(x_i) + b − reading_i|² over place, direction and background b (Levenberg 1944).
-    With the exact gradient G of the field: moving the magnet changes B by −G, turning it by ω about
-    its centre p by ω × B − G (ω × (x − p)). Without a start, a grid of places in front of the array
-    is searched, where the best moment and background are linear.
+    Minimizes Σ |B(x_i) + b − reading_i|² over position, direction and background b (Levenberg
+    1944, Marquardt 1963). With the exact gradient G of the field: moving the magnet changes B by
+    −G, rotating it by ω about its center p by ω × B − G (ω × (x − p)). Without a start, a grid of
+    positions in front of the array is searched, where moment and background are linear unknowns.
 
     Args:
-        array: The array as it is calibrated; its gain and offset are divided out.
-        readings: What it read [T]; NaN is left out.
+        array: The array with its calibrated gain and offset, which are removed.
+        readings: Readings [T]; NaN is left out.
         magnet: The magnet; its pose does not matter.
-        known: Sources whose field is known and taken off, such as the magnet that steers.
-        start: A pose near by, such as the last.
+        known: Sources whose field is known and subtracted, such as the steering magnet.
+        start: A nearby pose, such as the last estimate.
         depths: Least and largest distance of the grid from the array's plane [m], on either side.
 
     Raises:
@@ -74,26 +81,26 @@ def localize(
     readings = (np.asarray(readings, float) - array.offset) / array.gain
     if readings.shape != positions.shape:
         raise InputError(f"Readings of shape {readings.shape}. Allowed: {positions.shape}, 3 each.")
-    if np.isfinite(readings).sum() < _LEAST:
+    if np.isfinite(readings).sum() < _MIN_READINGS:
         raise InputError(
-            f"{np.isfinite(readings).sum()} finite readings. Allowed: {_LEAST} or more; the others "
-            "are beyond the sensors' range."
+            f"{np.isfinite(readings).sum()} finite readings. Allowed: {_MIN_READINGS} or more; the "
+            "others are beyond the sensors' range."
         )
     if known:
         readings = readings - field(known, positions)[0]
     pose = _search(positions, readings, depths) if start is None else np.asarray(start, float)
-    return _descend(positions, readings, replace(magnet, T_world_magnet=pose))
+    return _levenberg_marquardt(positions, readings, replace(magnet, T_world_magnet=pose))
 
 
-def _descend(
+def _levenberg_marquardt(
     positions: np.ndarray, readings: np.ndarray, magnet: Dipole | Cylinder
 ) -> PoseEstimate:
-    """Levenberg's steps from the magnet's pose."""
+    """Levenberg-Marquardt iterations from the magnet's pose."""
     used = np.isfinite(readings).ravel()
     background = np.nanmean(readings - field([magnet], positions)[0], axis=0)
     rest, rows = _model(positions, readings, magnet, background)
-    damping, most = _DAMPING
-    for _ in range(_STEPS):
+    damping = _DAMPING
+    for _ in range(_MAX_ITERATIONS):
         square = rows[used].T @ rows[used]
         slope = rows[used].T @ rest[used]
         step = np.linalg.solve(square + damping * np.diag(np.diag(square) + 1e-30), -slope)
@@ -103,11 +110,11 @@ def _descend(
         if np.sum(new_rest[used] ** 2) <= np.sum(rest[used] ** 2):
             magnet, background, rest, rows = moved, trial, new_rest, new_rows
             damping *= 0.1
-            if np.abs(step[:6]).max() < _SETTLED:
+            if np.abs(step[:6]).max() < _CONVERGED:
                 break
         else:
             damping *= 10.0
-            if damping > most:
+            if damping > _MAX_DAMPING:
                 break
     freedom = max(int(used.sum()) - 8, 1)
     variance = float(np.sum(rest[used] ** 2)) / freedom
@@ -121,7 +128,7 @@ def _descend(
 def _model(
     positions: np.ndarray, readings: np.ndarray, magnet: Dipole | Cylinder, background: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """What differs [3n], and its slopes [3n 9] by place [10 mm], turn [rad], background [µT]."""
+    """Residuals [3n], and Jacobian [3n 9] by position [10 mm], rotation [rad], background [µT]."""
     flux, gradient = field([magnet], positions)
     arms = positions - magnet.T_world_magnet[:3, 3]
     turns = [
@@ -146,11 +153,11 @@ def _moved(magnet: Dipole | Cylinder, step: np.ndarray) -> Dipole | Cylinder:
 
 
 def _search(positions: np.ndarray, readings: np.ndarray, depths: tuple[float, float]) -> np.ndarray:
-    """The best place of a grid on both sides of the array, with its best moment and background."""
+    """Best pose on a grid on both sides of the array, with its best moment and background."""
     used = np.isfinite(readings).ravel()
-    centre = positions.mean(axis=0)
-    axes = np.linalg.svd(positions - centre)[2]
-    flat = (positions - centre) @ axes.T
+    center = positions.mean(axis=0)
+    axes = np.linalg.svd(positions - center)[2]
+    flat = (positions - center) @ axes.T
     reach = np.abs(flat[:, :2]).max(axis=0)
     heights = np.geomspace(*depths, 6)
     grid = np.meshgrid(
@@ -160,7 +167,7 @@ def _search(positions: np.ndarray, readings: np.ndarray, depths: tuple[float, fl
         indexing="ij",
     )
     best, pose = np.inf, np.eye(4)
-    for place in np.stack(grid, axis=-1).reshape(-1, 3) @ axes + centre:
+    for place in np.stack(grid, axis=-1).reshape(-1, 3) @ axes + center:
         arms = positions - place
         length = np.linalg.norm(arms, axis=1)[:, None, None]
         outer = arms[:, :, None] * arms[:, None, :] / length**2

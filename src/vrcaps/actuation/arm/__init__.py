@@ -1,1 +1,1 @@
-"""Arms that carry a magnet: data files, kinematics, collision, motion within limits."""
+"""Robot arms that carry a magnet: data files, kinematics, collisions, limits."""

@@ -1,4 +1,4 @@
-"""Where an arm's flange is, and which angles put it there."""
+"""Forward and inverse kinematics of a robot arm."""
 
 from __future__ import annotations
 

@@ -84,4 +84,4 @@ def test_exported_classes_show_a_call():
     classes = [getattr(vrcaps, name) for name in vrcaps.__all__]
     classes = [c for c in classes if isinstance(c, type) and not issubclass(c, Exception)]
     without = [c.__name__ for c in classes if "Example:" not in (c.__doc__ or "")]
-    assert set(without) <= {"Effects", "Frame"}
+    assert set(without) <= {"Frame"}

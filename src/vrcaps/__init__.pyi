@@ -39,7 +39,6 @@ from .scenario.scenario import OrganGenerated as OrganGenerated
 from .scenario.scenario import Scenario as Scenario
 from .scenario.scenario import read_scenario as read_scenario
 from .tissue.tissue import Tissue as Tissue
-from .transforms import translation as translation
 from .world.control import Control as Control
 from .world.model import Model as Model
 from .world.model import State as State

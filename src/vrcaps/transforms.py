@@ -32,11 +32,6 @@ def transform_from(
     return transform
 
 
-def translation(x: float, y: float, z: float) -> Float[np.ndarray, "4 4"]:
-    """``T_a_b`` of frames with the same axes, from the origin of b in a [m]."""
-    return transform_from(np.eye(3), np.array([x, y, z]))
-
-
 def invert(transform: Float[np.ndarray, "*batch 4 4"]) -> Float[np.ndarray, "*batch 4 4"]:
     """``T_b_a`` of a rigid ``T_a_b``."""
     rotation = np.swapaxes(transform[..., :3, :3], -1, -2)

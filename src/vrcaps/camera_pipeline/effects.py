@@ -51,11 +51,12 @@ class Effects:
 
     Each field is a severity from 0 (off) to 4, a range of severities that a recording samples one
     of, or the effect with exact parameters; None is off and leaves the scene as it is. The class
-    of a field says what the effect does. For example::
+    of a field says what the effect does. An effect is added by its file in
+    `camera_pipeline/effect` and its field here.
 
-        Effects(depth_of_field=2, sensor_noise=(1, 3), jpeg=Jpeg(quality=80))
-
-    An effect is added by its file in `camera_pipeline/effect` and its field here.
+    Example:
+        >>> effects = vrcaps.Effects(depth_of_field=2, sensor_noise=(1, 3), jpeg=1)
+        >>> vrcaps.record(vrcaps.Scenario(effects=effects), "runs/real")
     """
 
     specular: Severity | SpecularReflection | None = None

@@ -74,13 +74,13 @@ class SceneRadiance:
 class CameraPipeline:
     """Lens, sensor and image signal processor of one camera: turns steps into frames.
 
-    For example::
-
-        pipeline = CameraPipeline(renderer, camera, Effects(sensor_noise=2), fps=4.0)
-        frame = pipeline.capture(step)
-
     Steps are captured in the order of time. What is carried from one to the next is `state`, a
     value that can be kept and set.
+
+    Example:
+        >>> effects = vrcaps.Effects(sensor_noise=2)
+        >>> pipeline = vrcaps.CameraPipeline(renderer, camera, effects, fps=4.0)
+        >>> frame = pipeline.capture(step)
 
     Attributes:
         state: What the next frame depends on beside its step.

@@ -14,7 +14,7 @@ import vrcaps
 LAYERS = (
     ("_core",),
     ("units", "errors", "rng", "transforms", "color"),
-    ("toml_table", "catalog_folder", "files", "geometry"),
+    ("catalog_folder", "files", "geometry"),
     ("decimals", "limits", "plain_files", "file_ref"),
     ("serialization",),
     ("mesh",),

@@ -1,4 +1,6 @@
+import math
 from dataclasses import dataclass, field
+from decimal import Decimal
 from typing import ClassVar, Literal
 
 import pytest
@@ -83,3 +85,22 @@ def test_a_part_of_a_table_leaves_the_rest_as_its_field_has_it():
 def test_errors_name_the_place(change, match):
     with pytest.raises(InputError, match=match):
         from_plain(Zoo, {"star": {"kind": "cat"}, **change}, at="zoo")
+
+
+@dataclass(frozen=True)
+class Cage:
+    width: float = field(metadata={"unit": "mm"})
+    door: tuple[float, ...] = field(default=(), metadata={"unit": "deg", "key": "angles"})
+    depth: float | None = field(default=None, metadata={"unit": "mm"})
+
+
+def test_units_stand_in_keys_and_convert_exactly():
+    cage = Cage(0.0054, (math.radians(85.0), 0.0))
+    plain = to_plain(cage, Cage, units=True)
+    assert plain == {"width_mm": Decimal("5.4"), "angles_deg": [Decimal(85), Decimal(0)]}
+    assert from_plain(Cage, plain, at="cage", units=True) == cage
+    assert to_plain(cage, Cage) == {"width": 0.0054, "door": list(cage.door), "depth": None}
+    with pytest.raises(InputError, match=r"^mine\.toml: unknown key width\. Allowed: width_mm"):
+        from_plain(Cage, {"width": 1}, at="mine.toml:", units=True)
+    with pytest.raises(InputError, match=r"^mine\.toml: angles_deg\[1\] is 'a'\. Allowed: a numb"):
+        from_plain(Cage, {"width_mm": 1, "angles_deg": [1, "a"]}, at="mine.toml:", units=True)

@@ -135,15 +135,15 @@ def test_capsule_too_long_for_a_bend(model):
 @pytest.mark.parametrize(
     ("change", "text"),
     [
-        ({"start": -0.1}, r"start \(--start\) is -0\.1\. Allowed: 0 to 1"),
-        ({"end": 0.03}, r"end \(--end\) is 0.03. Allowed: 0 to 1, not start"),
-        ({"speed": 0.0}, r"speed \(--speed\) is 0.0. Allowed: above 0 m/s"),
-        ({"speed_variation": 1.0}, r"\(--speed-variation\) is 1.0"),
-        ({"drift": 1.0}, r"\(--drift\) is 1.0"),
-        ({"tilt": 1.0}, r"\(--tilt\) is 1.0"),
-        ({"roll": float("nan")}, r"\(--roll\) is nan"),
-        ({"smoothness": 0.0}, r"\(--smoothness\) is 0.0"),
-        ({"margin": -1.0}, r"\(--margin\) is -1.0"),
+        ({"start": -0.1}, r"start is -0\.1\. Allowed: 0 to 1"),
+        ({"end": 0.03}, r"end is 0.03. Allowed: 0 to 1, not start"),
+        ({"speed": 0.0}, r"speed is 0.0. Allowed: above 0 m/s"),
+        ({"speed_variation": 1.0}, r"speed_variation is 1.0"),
+        ({"drift": 1.0}, r"drift is 1.0"),
+        ({"tilt": 1.0}, r"tilt is 1.0"),
+        ({"roll": float("nan")}, r"roll is nan"),
+        ({"smoothness": 0.0}, r"smoothness is 0.0"),
+        ({"margin": -1.0}, r"margin is -1.0"),
     ],
 )
 def test_settings_out_of_range(model, change, text):

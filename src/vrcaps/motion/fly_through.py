@@ -8,14 +8,16 @@ where even the centreline brings it there, in an acute bend, the capsule is push
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, Annotated, ClassVar
 
 import numpy as np
 
 import vrcaps.rng
-from vrcaps.errors import InputError
+from vrcaps.errors import InputError, require
+from vrcaps.limits import Range, check_fields
 from vrcaps.motion.centerline_follower import (
     BandLimitedNoise,
     CenterlineFollower,
@@ -63,19 +65,23 @@ class FlyThrough:
             wall makes way for the shell.
     """
 
-    start: float = 0.03
-    end: float = 0.97
-    speed: float | None = None
-    speed_variation: float = 0.3
-    drift: float = 0.3
-    tilt: float = 0.15
-    roll: float = 0.6
-    smoothness: float = 0.06
-    margin: float = 2.0 * MM
+    start: Annotated[float, Range(0.0, 1.0)] = 0.03
+    end: Annotated[float, Range(0.0, 1.0)] = 0.97
+    speed: Annotated[float | None, Range(above=0.0, unit="m/s")] = None
+    speed_variation: Annotated[float, Range(least=0.0, below=1.0)] = 0.3
+    drift: Annotated[float, Range(least=0.0, below=1.0)] = 0.3
+    tilt: Annotated[float, Range(0.0, math.pi / 4, unit="rad")] = 0.15
+    roll: Annotated[float, Range(least=0.0, unit="rad")] = 0.6
+    smoothness: Annotated[float, Range(above=0.0, unit="m")] = 0.06
+    margin: Annotated[float, Range(above=0.0, unit="m")] = 2.0 * MM
     rigid_wall: bool = False
 
     kind: ClassVar[str] = "fly-through"
     column_names: ClassVar[tuple[str, ...]] = ()
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+        require(self.end != self.start, "end", self.end, "0 to 1, not start")
 
     def begin(
         self, model: Model, *, frames: int, fps: float, seed: int, shown: Model | None = None
@@ -108,7 +114,6 @@ def fly_through(
         InputError: If a setting is out of range, the frames at `speed` need more than the
             stretch, or the capsule does not fit through a bend.
     """
-    _require_valid(settings)
     follower, low, high, notes = _fitted(model, settings, _make_follower(model, settings, rng))
     duration = (frames - 1) / fps
     distance = high - low if settings.speed is None else settings.speed * duration
@@ -267,23 +272,3 @@ def _linear(
         return np.stack(columns, axis=-1).reshape(len(s), *values.shape[1:])
 
     return at
-
-
-def _require_valid(settings: FlyThrough) -> None:
-    ranges = {
-        "start": (0.0 <= settings.start <= 1.0, "0 to 1"),
-        "end": (0.0 <= settings.end <= 1.0 and settings.end != settings.start, "0 to 1, not start"),
-        "speed": (settings.speed is None or settings.speed > 0.0, "above 0 m/s, or none"),
-        "speed_variation": (0.0 <= settings.speed_variation < 1.0, "0 to below 1"),
-        "drift": (0.0 <= settings.drift < 1.0, "0 to below 1"),
-        "tilt": (0.0 <= settings.tilt <= np.pi / 4, "0 to 0.785 rad"),
-        "roll": (0.0 <= settings.roll < np.inf, "0 rad or more"),
-        "smoothness": (0.0 < settings.smoothness < np.inf, "above 0 m"),
-        "margin": (0.0 < settings.margin < np.inf, "above 0 m"),
-    }
-    for name, (valid, allowed) in ranges.items():
-        if not valid:
-            flag = "--" + name.replace("_", "-")
-            raise InputError(
-                f"Fly-through {name} ({flag}) is {getattr(settings, name)}. Allowed: {allowed}."
-            )

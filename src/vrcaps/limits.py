@@ -32,13 +32,17 @@ class Range:
         return self.least <= value <= self.most and self.above < value < self.below
 
     def __str__(self) -> str:
-        low = f"above {self.above:.12g}" if self.above > -math.inf else f"{self.least:.12g}"
-        high = f"below {self.below:.12g}" if self.below < math.inf else f"{self.most:.12g}"
+        low = f"above {_text(self.above)}" if self.above > -math.inf else _text(self.least)
+        high = f"below {_text(self.below)}" if self.below < math.inf else _text(self.most)
         unit = f" {self.unit}" if self.unit else ""
         if not math.isfinite(min(self.most, self.below)):
             is_open = self.above > -math.inf or self.least == -math.inf
             return (low if is_open else f"{low}{unit} or more") + (unit if is_open else "")
         return f"{low} to {high}{unit}"
+
+
+def _text(limit: float) -> str:
+    return f"{limit:.12g}" if float(limit).is_integer() else f"{limit:.6g}"
 
 
 def check_fields(instance: Any) -> None:

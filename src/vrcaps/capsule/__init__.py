@@ -1,1 +1,5 @@
-"""The device: body, cameras with their lens models, LEDs; a catalog of named devices."""
+"""Capsule endoscopes as data: body, cameras, LEDs and magnets.
+
+`device.Device` is the data type, `body` its shape. `catalog.read_device` reads a device of the
+catalog in `devices/` or a user's own TOML file, which `device_file` describes.
+"""

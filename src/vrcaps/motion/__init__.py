@@ -1,1 +1,6 @@
-"""How the capsule moves: along the centerline, by a recorded path, or by dynamics."""
+"""Motions of the capsule: fly-through, replay of a recorded path, and dynamics.
+
+Each kind is one file (`fly_through`, `replay`, `dynamics`) and one line in `registry`; `motion`
+has their interface. A motion gives one `step.Step` for each frame, from a `trajectory` known
+beforehand or from a `rollout` of the world.
+"""

@@ -1,1 +1,6 @@
-"""What a camera in the world sees, with exact labels."""
+"""Rendering: images of a world with exact labels, by the compiled core.
+
+`renderer.Renderer` renders a `frame.Frame` under `settings.RenderSettings`. `flow` has optical
+flow, `refraction` what appears at pool surfaces, `scattering` the tissue's optics; `mucus_film`,
+`imaging`, `narrow_band` and `led_light` change the wall's appearance before rendering.
+"""

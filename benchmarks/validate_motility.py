@@ -215,7 +215,7 @@ def contraction_rate(muscle: Muscle, place: float, minutes: float = 30.0) -> flo
     depth = np.array(
         [1.0 - muscle.lumen_scale(t, span)[0] for t in np.arange(0, minutes * 60.0, 0.5)]
     )
-    half = 0.5 * muscle.layout.figures[0, sample]
+    half = 0.5 * muscle.layout.parameters[0, sample]
     return np.sum((depth[1:] > half) & (depth[:-1] <= half)) / minutes
 
 

@@ -1,4 +1,4 @@
-"""Which muscle is where: the segments' figures at each sample along an organ."""
+"""Which muscle is where: the segments' parameters at each sample along an organ."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class Layout:
         names: Names of the segments that the organ has.
         pace: Number of the pace that each sample keeps, rising.
         rate: Slow waves of each pace [1/s].
-        figures: Amplitude, speed [m/s], duration [s], extent [m], activity, retrograde and
+        parameters: Amplitude, speed [m/s], duration [s], extent [m], activity, retrograde and
             standing share, one row each.
         cycles: Whether the migrating motor complex passes.
         zones: Where each of its zones begins and ends [m].
@@ -49,7 +49,7 @@ class Layout:
     names: tuple[str, ...]
     pace: Int[np.ndarray, " k"]
     rate: Float[np.ndarray, " p"]
-    figures: Float[np.ndarray, "7 k"]
+    parameters: Float[np.ndarray, "7 k"]
     cycles: Float[np.ndarray, " k"]
     zones: dict[str, tuple[float, float]]
 
@@ -62,16 +62,16 @@ def lay_out(organ: OrganSurface, motility: Motility) -> Layout:
     """
     samples = arc_length_samples(organ.centerline)
     names, name = _segments(organ, motility, samples)
-    figures, rates = np.empty((7, len(samples))), np.empty(len(samples))
+    parameters, rates = np.empty((7, len(samples))), np.empty(len(samples))
     cycles = np.zeros(len(samples), bool)
     zones: dict[str, tuple[float, float]] = {}
     for number, start, end in _runs(name):
         segment = motility.segments[names[number]]
         share = np.linspace(0.0, 1.0, end - start)
         rates[start:end] = np.interp(share, [0.0, 1.0], segment.rates)
-        figures[0, start:end] = segment.amplitude
-        figures[1, start:end] = np.interp(share, [0.0, 1.0], segment.speeds)
-        figures[2:, start:end] = np.array(
+        parameters[0, start:end] = segment.amplitude
+        parameters[1, start:end] = np.interp(share, [0.0, 1.0], segment.speeds)
+        parameters[2:, start:end] = np.array(
             [
                 segment.duration,
                 segment.extent,
@@ -92,7 +92,7 @@ def lay_out(organ: OrganSurface, motility: Motility) -> Layout:
         names=names,
         pace=pace,
         rate=np.bincount(pace, rates) / np.bincount(pace),
-        figures=_blended(figures, samples[1]),
+        parameters=_blended(parameters, samples[1]),
         cycles=cycles,
         zones={zone: zones[zone] for zone in ZONES if zone in zones},
     )
@@ -156,9 +156,9 @@ def _paces(rates: Float[np.ndarray, " k"], cycles: Float[np.ndarray, " k"]) -> n
     return pace
 
 
-def _blended(figures: Float[np.ndarray, "7 k"], spacing: float) -> Float[np.ndarray, "7 k"]:
+def _blended(parameters: Float[np.ndarray, "7 k"], spacing: float) -> Float[np.ndarray, "7 k"]:
     """Running means over a short length."""
     half = max(1, round(0.5 * _BLEND / spacing))
-    wide = np.pad(figures, ((0, 0), (half + 1, half)), mode="edge")
+    wide = np.pad(parameters, ((0, 0), (half + 1, half)), mode="edge")
     total = np.cumsum(wide, axis=1)
     return (total[:, 2 * half + 1 :] - total[:, : -2 * half - 1]) / (2 * half + 1)

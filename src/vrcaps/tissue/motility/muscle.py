@@ -136,8 +136,8 @@ class Muscle:
         arc_length = line.arc_length[nearest]
         alpha = law.alpha
         if alpha is None:
-            alpha = self.layout.figures[1, self._nearest(arc_length)]
-        force = law.force(alpha * law.way(line, float(arc_length)), velocity)
+            alpha = self.layout.parameters[1, self._nearest(arc_length)]
+        force = law.force(alpha * law.unit_vector(line, float(arc_length)), velocity)
         return self.strength(arc_length, time) * force
 
     def _nearest(self, arc_length: Float[np.ndarray, "*n"] | float) -> np.ndarray:
@@ -183,7 +183,7 @@ class Muscle:
         nearest = self._nearest(arc_length)
         when = wave / rows.rate + rows.start + rows.kind * self._table.delay[nearest]
         activity, strength, stands = self._activity(arc_length, when)
-        back, stand = self.layout.figures[5:, nearest]
+        back, stand = self.layout.parameters[5:, nearest]
         kind = np.where(drawn > 1.0 - stand * stands, KINDS[2], KINDS[0])
         kind = np.where(drawn < back, KINDS[1], kind)
         lot = uniform(self._key, 3, rows.pace, wave, node)
@@ -194,7 +194,7 @@ class Muscle:
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Share of slow waves that contract, how strongly, and whether some of them stand."""
         nearest = self._nearest(arc_length)
-        steady = self.layout.figures[4, nearest]
+        steady = self.layout.parameters[4, nearest]
         if self.clock is None:
             return steady, np.ones_like(steady), np.ones_like(steady)
         phase, passed = self.clock.phase(arc_length, time)

@@ -56,8 +56,8 @@ class Propulsion:
         """Force [N] for a propagation velocity v_p and a capsule's velocity u [m/s]."""
         return self.beta * (propagation - velocity)
 
-    def way(self, centerline: Centerline, arc_length: float) -> Float[np.ndarray, " 3"]:
-        """Unit direction v̂ at a place [m] along a centreline, towards the anal end."""
+    def unit_vector(self, centerline: Centerline, arc_length: float) -> Float[np.ndarray, " 3"]:
+        """Unit direction v̂ at a place [m] along a centerline, towards the anal end."""
         if self.direction == "tangent":
             axes = [np.interp(arc_length, centerline.arc_length, a) for a in _tangents(centerline)]
             return np.array(axes) / np.linalg.norm(axes)
@@ -68,8 +68,8 @@ class Propulsion:
             np.interp([number * length, (number + 1) * length], centerline.arc_length, axis)
             for axis in centerline.points.T
         ]
-        way = np.array([end - start for start, end in ends])
-        return way / np.linalg.norm(way)
+        vector = np.array([end - start for start, end in ends])
+        return vector / np.linalg.norm(vector)
 
 
 def _tangents(centerline: Centerline) -> Float[np.ndarray, "3 n"]:

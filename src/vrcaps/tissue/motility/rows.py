@@ -86,7 +86,7 @@ class Table:
 def make_table(layout: Layout, rng: np.random.Generator) -> Table:
     """The rows of an organ; each pace's clock starts at a random turn."""
     spacing = layout.arc_length[1]
-    amplitude, speed, duration, extent, _, back, stand = layout.figures
+    amplitude, speed, duration, extent, _, back, stand = layout.parameters
     delay, place = (
         np.concatenate([[0.0], np.cumsum(0.5 * spacing * (1.0 / f[1:] + 1.0 / f[:-1]))])
         for f in (speed, extent)

@@ -58,9 +58,9 @@ def _draw_view(axis, fit: Calibration, k: int, photo: Photo) -> None:
     axis.plot(*projected[0].T, color="cyan", lw=0.8)  # the board's x axis
     axis.plot(*view.pixels.T, "o", ms=3.5, mfc="none", color="lime", mew=0.7)
     axis.plot(*projected.reshape(-1, 2).T, "+", ms=3.5, color="red", mew=0.7)
-    way = "" if view.way == "plain" else f" ({view.way})"
+    method = "" if view.method == "plain" else f" ({view.method})"
     name = view.name if len(view.name) <= 26 else f"…{view.name[-25:]}"
-    axis.set_title(f"{name}{way}\nmean {fit.errors[k].mean():.2f} px", fontsize=8)
+    axis.set_title(f"{name}{method}\nmean {fit.errors[k].mean():.2f} px", fontsize=8)
 
 
 def _draw_arrows(axis, fit: Calibration, circle: ImageCircle | None) -> None:

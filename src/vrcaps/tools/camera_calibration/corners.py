@@ -29,12 +29,12 @@ class BoardView:
     Attributes:
         name: Of the photograph.
         pixels: Its inner corners (column, row) [px], in the order of `Board.points`.
-        way: How it was found: ``plain``, or what had to be done to the photograph first.
+        method: How it was found: ``plain``, or what had to be done to the photograph first.
     """
 
     name: str
     pixels: Float[np.ndarray, "n 2"]
-    way: str = "plain"
+    method: str = "plain"
 
 
 def find_views(
@@ -87,15 +87,15 @@ def find_corners(
     """
     cv2 = _opencv()
     gray = cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY)
-    for way, image, detect, restore in _ways(cv2, gray):
+    for method, image, detect, restore in _methods(cv2, gray):
         found, corners = detect(image, board.grid)
         if found:
             pixels = restore(np.asarray(corners, float).reshape(*board.grid[::-1], 2))
-            return refine_corners(gray, _ordered(pixels)).reshape(-1, 2), way
+            return refine_corners(gray, _ordered(pixels)).reshape(-1, 2), method
     return None
 
 
-def _ways(cv2: Any, gray: np.ndarray) -> Iterator[tuple[str, np.ndarray, Callable, Callable]]:
+def _methods(cv2: Any, gray: np.ndarray) -> Iterator[tuple[str, np.ndarray, Callable, Callable]]:
     """Name, image, detector, and how the image's pixels become those of the photograph."""
     flags = cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
     sectors = partial(cv2.findChessboardCornersSB, flags=flags)

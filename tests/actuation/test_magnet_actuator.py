@@ -113,6 +113,7 @@ def test_an_arm_asked_for_the_impossible_stops_and_says_so(arm):
     assert np.abs(state.velocity).max() < 1e-3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("table", "low"), [(None, 0.05), (0.0, -0.1)])
 def test_an_arm_moves_as_its_twin(arm, table, low):
     """From where the core led it, towards random targets: in reach, out of reach, in the table."""

@@ -83,6 +83,7 @@ def test_the_leading_point_is_that_of_its_twin(looks):
             np.testing.assert_allclose(ours, twin, rtol=0.0, atol=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("wall", ["upper", "lower"])
 def test_leads_the_capsule_along_and_holds_it(gut_model, wall):
     controller, world, target = begin(gut_model, wall=wall)
@@ -94,6 +95,7 @@ def test_leads_the_capsule_along_and_holds_it(gut_model, wall):
     assert controller.status.lost == ""
 
 
+@pytest.mark.slow
 def test_holds_against_a_push(gut_model):
     """0.1 N along the tube, rising within 2 s: within 2 mm and 3°."""
     controller, world, target = begin(gut_model, gains=ControllerGains(upper_wall_force=0.5))
@@ -164,6 +166,7 @@ def test_joystick_moves_the_magnet_within_its_room(gut_model):
     )
 
 
+@pytest.mark.slow
 def test_a_turning_magnet_turns_the_capsule(gut_model):
     """About the vertical the capsule follows, as far as the tube lets it."""
     controller, world, target = begin(gut_model)

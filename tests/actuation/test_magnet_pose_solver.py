@@ -106,6 +106,7 @@ def twin_wrench(source, capsule: np.ndarray):
     return wrench_of
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("source", [Dipole(400.0), read_magnet("cylinder-76.2")])
 @pytest.mark.parametrize(
     "workspace", [Workspace(min_distance=0.08), Workspace((-0.1, -0.1, 0.15), (0.1, 0.1, 0.3))]

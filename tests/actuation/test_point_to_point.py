@@ -57,6 +57,7 @@ def test_leads_the_capsule_to_the_target():
     assert world.T_world_capsule[:3, 2] @ AHEAD > np.cos(np.radians(3.0))
 
 
+@pytest.mark.slow
 def test_tries_anew_and_says_that_it_failed():
     """A magnet that cannot leave its place leads the capsule nowhere."""
     free, _ = begin(FreeActuator())

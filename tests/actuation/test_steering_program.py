@@ -43,6 +43,7 @@ def simulate(model: Model, steering: MagnetSteering, frames: int = 7, fps: float
     return Rollout(model, motion, frames=frames, fps=fps, seed=0)
 
 
+@pytest.mark.slow
 def test_an_arm_leads_the_capsule_from_place_to_place(gut_model):
     steering = MagnetSteering(waypoints=PATH, arm="panda", standoff=0.1)
     run = simulate(gut_model, steering)
@@ -66,6 +67,7 @@ def test_says_when_the_arm_could_not_carry_the_magnet(gut_model):
     assert "6.2 kg, but arm panda may carry 3 kg" in note
 
 
+@pytest.mark.slow
 def test_a_joystick_moves_the_magnet(gut_model):
     steering = MagnetSteering(
         joystick=(JoystickCommand(0.2, (1.0, 0.0, 0.0)), JoystickCommand(0.4)), joystick_speed=0.05
@@ -89,6 +91,7 @@ def test_goes_on_from_a_snapshot(gut_model):
     np.testing.assert_array_equal(again, poses[2:])
 
 
+@pytest.mark.slow
 def test_without_commands_it_leads_along_the_wall_and_stops(gut_model):
     """From 0.06 m on, at 1 cm/s to 0.07 m; and back to 0.05 m, without a turn."""
     for until, end in ((0.35, 0.07), (0.25, 0.05)):

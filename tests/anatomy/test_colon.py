@@ -25,6 +25,8 @@ from vrcaps.organ.surface import OrganSurface
 from vrcaps.organ.uv import texture_stretch
 from vrcaps.units import MM
 
+pytestmark = pytest.mark.slow
+
 SMALL = 20_000
 """Triangles of the colons that are made only to be compared."""
 

@@ -34,6 +34,8 @@ from vrcaps.organ.measure import measure_organ
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.units import CM, MM
 
+pytestmark = pytest.mark.slow
+
 SEED = 4
 
 

@@ -23,6 +23,8 @@ from vrcaps.organ.measure import measure_organ, triangle_quality
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.units import CM, MM
 
+pytestmark = pytest.mark.slow
+
 SEED = 8
 
 

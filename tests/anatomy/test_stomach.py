@@ -27,6 +27,7 @@ def stomach(request: pytest.FixtureRequest) -> OrganSurface:
     return generate_stomach(StomachParameters().at(request.param), seed=0)
 
 
+@pytest.mark.slow
 def test_wall_is_closed_clean_and_faces_the_lumen(stomach: OrganSurface):
     facts = measure_organ(stomach)
     assert facts.defects == ()
@@ -69,6 +70,7 @@ def test_gut_coordinates_give_back_the_vertices(stomach: OrganSurface):
     assert stomach.centerline.radius.min() > 4 * MM
 
 
+@pytest.mark.slow
 def test_folds_flatten_as_the_stomach_fills():
     volume, slack = [], []
     for distension in ("inflated", "normal", "collapsed"):
@@ -83,6 +85,7 @@ def test_folds_flatten_as_the_stomach_fills():
     assert slack == sorted(slack)
 
 
+@pytest.mark.slow
 def test_a_seed_is_a_patient():
     parameters = dataclasses.replace(StomachParameters.draw(np.random.default_rng(5)), edge=3 * MM)
     one, again = (generate_stomach(parameters, seed=5) for _ in range(2))
@@ -92,6 +95,7 @@ def test_a_seed_is_a_patient():
     assert not np.array_equal(one.vertices[:100], other.vertices[:100])
 
 
+@pytest.mark.slow
 def test_no_drawn_stomach_cuts_itself():
     for seed in range(6):
         parameters = StomachParameters.draw(np.random.default_rng(seed)).at("normal")
@@ -111,6 +115,7 @@ def test_curvatures_are_those_of_a_j():
     assert all(2.5 < greater / lesser < 4.5 for greater, lesser in lengths)
 
 
+@pytest.mark.slow
 def test_impossible_stomachs_are_refused(monkeypatch: pytest.MonkeyPatch):
     with pytest.raises(InputError, match=r"length is 1\.0\. Allowed: 0\.1 to 0\.35 m"):
         StomachParameters(length=1.0)

@@ -39,6 +39,7 @@ def test_longer_lens_magnifies_about_its_center() -> None:
     assert shift == pytest.approx(((60 - 39.5) / 2.0, (39 - 39.5) / 2.0), abs=1e-4)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", device_names())
 @pytest.mark.parametrize("strength", [0.1, 0.4])
 def test_barrel_follows_the_division_model(name: str, strength: float) -> None:

@@ -47,6 +47,7 @@ def arguments(photos: Path, out: Path, **changes: str) -> list[str]:
     return ["calibrate", "geometric", str(photos), *words, "--out", str(out)]
 
 
+@pytest.mark.slow
 def test_photographs_become_a_capsule_with_a_picture_of_residuals(photos, tmp_path, capsys) -> None:
     out = tmp_path / "mine.toml"
     cli.main(arguments(photos, out, capsule="pillcam-colon2", camera="back"))

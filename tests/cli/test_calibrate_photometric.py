@@ -37,6 +37,7 @@ def folders(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     return real, write_frames(root / "plain", 6, (1.3, 0.9, 0.6))
 
 
+@pytest.mark.slow
 def test_frames_become_a_capsule_and_a_scenario(folders, tmp_path, capsys) -> None:
     real, plain = folders
     out = tmp_path / "mine.toml"

@@ -66,6 +66,7 @@ def test_flags_reach_the_scenario() -> None:
     assert scenario.sensors == Sensors(imu=Imu(), hall=HallPad())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("flags", "says"),
     [

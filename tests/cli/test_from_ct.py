@@ -17,6 +17,8 @@ from vrcaps.mesh.mesh import Mesh
 from vrcaps.organ.read_organ import read_organ
 from vrcaps.tools.ct.volume import Volume
 
+pytestmark = pytest.mark.slow
+
 SPACING = (1.5e-3, 1e-3, 1e-3)
 
 

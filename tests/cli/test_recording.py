@@ -33,6 +33,7 @@ def episode(phantom: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
+@pytest.mark.slow
 def test_recording_says_where_and_what_to_open(
     phantom: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -44,6 +45,7 @@ def test_recording_says_where_and_what_to_open(
     assert (tmp_path / "o" / "sheet.png").is_file()
 
 
+@pytest.mark.slow
 def test_flags_are_in_the_episode(episode: Path) -> None:
     recorded = read_episode(episode)
     assert (len(recorded), recorded.channels) == (3, ("rgb", "depth", "label"))
@@ -62,6 +64,7 @@ def test_check_passes_and_finds_a_fault(episode: Path, capsys: pytest.CaptureFix
     assert "front/depth/000001.png" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_the_episode_s_own_scenario_makes_the_same_files(episode: Path, tmp_path: Path) -> None:
     out = tmp_path / "again"
     cli.main(f"record --scenario {episode / 'episode.json'} --out {out} --threads 1".split())
@@ -85,6 +88,7 @@ def test_indirect_light_is_recorded(phantom: Path, episode: Path, tmp_path: Path
     assert bright.mean() > 1.05 * dim.mean()
 
 
+@pytest.mark.slow
 def test_inspection_prints_the_phantom_s_own_measures(
     phantom: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -97,6 +101,7 @@ def test_inspection_prints_the_phantom_s_own_measures(
     assert picture.stat().st_size > 0
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="signals differ")
 def test_interrupted_recording_ends_in_one_line_and_goes_on(phantom: Path, tmp_path: Path) -> None:
     out = tmp_path / "o"

@@ -34,6 +34,7 @@ def fail(args: list[str], capsys: pytest.CaptureFixture[str]) -> str:
     return failing.fail(["organ", "texture", *args], capsys)
 
 
+@pytest.mark.slow
 def test_photographs_become_a_texture_with_a_report(frames, tmp_path, capsys) -> None:
     out = tmp_path / "mucosa"
     args = [str(frames), "--flat", "--mm-per-pixel", "0.1", "--size", "256"]

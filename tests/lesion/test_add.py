@@ -26,6 +26,8 @@ from vrcaps.transforms import look_along, transform_from
 from vrcaps.units import MM
 from vrcaps.world.model import Model, State
 
+pytestmark = pytest.mark.slow
+
 RADIUS = 18.0 * MM
 MIDDLE = Location(arc_length=80.0 * MM, theta=0.3)
 ONE_OF_EACH = [

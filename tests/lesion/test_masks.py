@@ -27,6 +27,7 @@ SOME = [
 """All kinds: benchmarks/validate_lesions.py."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lesion", SOME, ids=lambda x: f"{x.kind} {x.grade}".strip())
 def test_mask_is_the_footprint(tube, lesion):
     """Ten views: the mask covers what the outline covers, IoU ≥ 0.98 over all."""

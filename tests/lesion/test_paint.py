@@ -70,6 +70,7 @@ def test_plain_color_leaves_blank_texels_out():
     assert plain.min() == pytest.approx(plain.max())
 
 
+@pytest.mark.slow
 def test_painted_texture_differs_only_on_its_chart(tube):
     polyp = Polyp(size=6 * MM, location=Location(arc_length=80 * MM, theta=0.0))
     patient = add_lesions(tube, [polyp], np.random.default_rng(0))

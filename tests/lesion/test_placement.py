@@ -22,6 +22,7 @@ def add(tube, *lesions):
     return add_lesions(bare, lesions, np.random.default_rng(0)).organ
 
 
+@pytest.mark.slow
 def test_stated_place(tube):
     organ = add(tube, Polyp(size=3 * MM, location=Location(arc_length=50 * MM, theta=-2.0)))
     record = organ.metadata["lesions"][0]
@@ -56,6 +57,7 @@ def test_what_does_not_fit(tube, lesion, match):
         add(tube, lesion)
 
 
+@pytest.mark.slow
 def test_overlap(tube):
     location = Location(arc_length=80 * MM, theta=0.0)
     with pytest.raises(InputError, match="overlaps lesion 1, polyp Is of 8 mm"):

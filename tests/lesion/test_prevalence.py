@@ -6,6 +6,7 @@ from vrcaps.lesion.prevalence import COLON_PREVALENCE, Prevalence
 from vrcaps.units import MM
 
 
+@pytest.mark.slow
 def test_means():
     """A Poisson count of mean m has a standard error √(m / n)."""
     rng = np.random.default_rng(0)

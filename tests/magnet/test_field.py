@@ -254,6 +254,7 @@ def test_moved_sources_are_where_they_were_put():
     assert np.array_equal(held.field(points)[1], fresh[1])
 
 
+@pytest.mark.slow
 def test_same_bytes_with_any_number_of_threads():
     code = (
         "import numpy as np; from vrcaps.magnet.field import field;"

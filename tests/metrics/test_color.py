@@ -49,6 +49,7 @@ def test_what_is_not_valid_does_not_count():
     np.testing.assert_allclose(one.gradients, cropped.gradients)
 
 
+@pytest.mark.slow
 def test_wasserstein_is_that_of_scipy():
     from scipy.stats import wasserstein_distance
 
@@ -83,6 +84,7 @@ def test_distance_of_means_is_their_difference_for_single_images():
     assert (found.gradient >= np.abs((dark.gradients - light.gradients) @ steps) - 1e-9).all()
 
 
+@pytest.mark.slow
 def test_bad_input():
     image = noise(7)
     with pytest.raises(InputError, match="mask has shape"):

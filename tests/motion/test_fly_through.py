@@ -20,6 +20,7 @@ def _forward(trajectory):
     return trajectory.Ts_world_capsule[:, :3, 2]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("device", device_names())
 def test_every_device_stays_inside(tube, device):
     """Centre and cameras of every catalog device keep clear of the wall, whatever the seed."""
@@ -55,6 +56,7 @@ def test_without_wandering_it_rides_the_centreline(model):
     assert np.ptp(speed) < 0.2 * speed.mean()
 
 
+@pytest.mark.slow
 def test_camera_looks_along_the_travel(model):
     trajectory = _fly(model, FlyThrough(tilt=0.1, drift=0.2), frames=200)
     velocity = trajectory.linear_velocities_world
@@ -65,6 +67,7 @@ def test_camera_looks_along_the_travel(model):
     assert (heading.sum(axis=1) > 0.0).all()
 
 
+@pytest.mark.slow
 def test_velocities_are_derivatives_of_the_poses(model):
     """Differences of a finer sampling of the same path converge to the velocities given."""
     settings = FlyThrough(speed=0.02)
@@ -78,6 +81,7 @@ def test_velocities_are_derivatives_of_the_poses(model):
     np.testing.assert_allclose(step * 200.0, middle, atol=2e-4)
 
 
+@pytest.mark.slow
 def test_path_does_not_depend_on_the_frame_rate(model):
     slow, fast = _fly(model, frames=21, fps=5.0), _fly(model, frames=41, fps=10.0)
     np.testing.assert_allclose(slow.Ts_world_capsule, fast.Ts_world_capsule[::2], rtol=0, atol=1e-9)
@@ -90,6 +94,7 @@ def test_motion_is_smooth(model):
     assert turn.max() < 10.0 * max(turn.mean(), 1e-3)
 
 
+@pytest.mark.slow
 def test_same_seed_same_path_other_seed_other_path(model):
     first, again, other = _fly(model, seed=3), _fly(model, seed=3), _fly(model, seed=4)
     assert first.Ts_world_capsule.tobytes() == again.Ts_world_capsule.tobytes()
@@ -126,6 +131,7 @@ def test_capsule_that_fits_nowhere(model):
         _fly(Model(model.organ, device))
 
 
+@pytest.mark.slow
 def test_capsule_too_long_for_a_bend(model):
     device = replace(model.device, length=0.4, radius=0.1)
     with pytest.raises(InputError, match=r"a camera leaves the lumen 0\.\d+ of the way along"):

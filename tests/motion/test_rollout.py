@@ -60,6 +60,7 @@ def test_the_first_frame_is_at_rest_on_the_wall(lying: Model) -> None:
     )
 
 
+@pytest.mark.slow
 def test_a_layer_of_elements_carries_the_weight(lying: Model) -> None:
     """The wall that is shown sinks under the capsule, and by as much as the layer does."""
     layer = FemDeformation(edge=10.0 * MM, support=1e5)

@@ -72,6 +72,7 @@ def textured():
     return apply_texture(tube(), texture(), (480, 504), seed=1)
 
 
+@pytest.mark.slow
 def test_color_contrast_and_relief_stay(textured) -> None:
     """The blend keeps mean and spread, so neither patches nor their borders are paler."""
     given = texture()
@@ -112,6 +113,7 @@ def test_the_scale_is_that_of_the_texture(textured) -> None:
     assert np.mean(steps[2:]) == pytest.approx(np.mean(steps[:2]), rel=0.2)
 
 
+@pytest.mark.slow
 def test_a_seed_gives_the_same_bytes(textured) -> None:
     again = apply_texture(tube(), texture(), (480, 504), seed=1)
     other = apply_texture(tube(), texture(), (480, 504), seed=2)
@@ -120,6 +122,7 @@ def test_a_seed_gives_the_same_bytes(textured) -> None:
     assert other.albedo.tobytes() != textured.albedo.tobytes()
 
 
+@pytest.mark.slow
 def test_baking_takes_the_path_of_a_texture(tmp_path) -> None:
     write_texture(tmp_path / "mine", texture())
     organ = tube()

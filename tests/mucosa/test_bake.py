@@ -133,6 +133,7 @@ def baked(tube: OrganSurface) -> Appearance:
     return bake_appearance(tube, seed=4)
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_bytes_on_any_number_of_threads(tube):
     script = (
         f"import sys; sys.path.append(r'{Path(__file__).parents[1]}');"
@@ -195,6 +196,7 @@ def test_all_textures_have_one_size(baked):
     assert baked.roughness.shape == baked.height.shape == (height, width)
 
 
+@pytest.mark.slow
 def test_a_texture_keeps_to_its_limits(tube):
     small = bake_appearance(tube, seed=0, max_texels=40_000)
     height, width = small.roughness.shape
@@ -430,6 +432,7 @@ def test_labels_choose_the_mucosa(names: tuple[str, ...], name: str, mucosa: str
     assert own_mucosa(organ) == mucosa
 
 
+@pytest.mark.slow
 def test_mucus_covers_its_share_of_the_wall():
     """Film and strands that change green light by a tenth: a third of the share it begins on."""
     square = make_square(160.0 * MM)

@@ -53,6 +53,7 @@ def is_clear(line):
     return (line.radius[1:] + line.radius[:-1] > np.diff(line.arc_length)).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("capped", [True, False])
 def test_bent_tube(capped):
     """The axis of a torus segment, to a fraction of a voxel (a tenth of the radius)."""
@@ -66,6 +67,7 @@ def test_bent_tube(capped):
     assert is_clear(line)
 
 
+@pytest.mark.slow
 def test_samples_are_uniform_and_frames_are_rotations():
     line = compute_centerline(tube(arc()))
     assert line.arc_length[0] == 0.0
@@ -97,6 +99,7 @@ def test_frames_do_not_twist():
     np.testing.assert_allclose(angle - angle[0], expected, atol=2e-3)
 
 
+@pytest.mark.slow
 def test_wider_end_comes_first_and_reverse_turns():
     axis = arc(turn=3.0)
     mesh = tube(axis, radius=np.linspace(12, 7, len(axis)) * MM)
@@ -109,6 +112,7 @@ def test_wider_end_comes_first_and_reverse_turns():
     np.testing.assert_array_equal(again.frames, forth.frames)
 
 
+@pytest.mark.slow
 def test_stated_ends():
     axis = arc(turn=3.0)
     line = compute_centerline(tube(axis), start=axis[120], end=axis[20])
@@ -130,6 +134,7 @@ def pouched_tube():
     return tube(axis, radius=radius, num_around=48)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("make", [pouched_tube, lambda: tube(arc())])
 def test_noise_on_the_wall_does_not_move_the_ends(make):
     """Of 0.02 to 0.1 mm it moves the length by less than 0.5 %, in pouches and on flat ends."""
@@ -142,6 +147,7 @@ def test_noise_on_the_wall_does_not_move_the_ends(make):
         assert line.length == pytest.approx(length, rel=5e-3)
 
 
+@pytest.mark.slow
 def test_mesh_scale_does_not_matter():
     mesh = tube(arc())
     line = compute_centerline(mesh)
@@ -149,6 +155,7 @@ def test_mesh_scale_does_not_matter():
     assert large.length == pytest.approx(1000 * line.length, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_narrow_neck_is_passed(caplog):
     """A neck of a tenth of the calibre is closed to the first voxels."""
     axis = np.linspace([0, 0, 0], [0.15, 0.03, 0], 200)
@@ -160,6 +167,7 @@ def test_narrow_neck_is_passed(caplog):
     assert line.length == pytest.approx(np.linalg.norm(axis[-1] - axis[0]), rel=0.06)
 
 
+@pytest.mark.slow
 def test_loops_that_all_but_touch_are_not_cut_short():
     """A helix with 1 mm between turns of 20 mm calibre, thinner than a voxel at 1/10."""
     t = np.linspace(0.0, 13.0, 400)
@@ -190,6 +198,7 @@ def test_real_organs(shared_data, name, unit, length):
     assert (curvature * line.radius[1:])[inner[1:]].max() < 1.5
 
 
+@pytest.mark.slow
 def test_interpolate():
     """On a circle, cubic Hermite is exact to fourth order and frames to second."""
     line = compute_centerline(tube(arc()), voxel=1 * MM)
@@ -256,6 +265,7 @@ def test_wall_distance_against_dense_samples():
     )
 
 
+@pytest.mark.slow
 def test_bad_input():
     mesh = tube(arc())
     with pytest.raises(InputError, match="either start and end points or reverse"):
@@ -276,6 +286,7 @@ def test_bad_input():
         compute_centerline(Mesh(mesh.vertices, doubled))
 
 
+@pytest.mark.slow
 def test_bad_points():
     mesh = tube(arc())
     with pytest.raises(InputError, match="at least 2 different"):

@@ -49,6 +49,7 @@ CURVES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("curve", CURVES.values(), ids=CURVES)
 def test_tube(curve):
     points, vertices, faces, theta, arc_length = tube_about(curve)
@@ -62,6 +63,7 @@ def test_tube(curve):
     assert found_theta.max() <= np.pi
 
 
+@pytest.mark.slow
 def test_nearer_axis_of_a_neighboring_loop_is_not_taken():
     """Pouches of one turn reach closer to the next turn's axis than to their own."""
 

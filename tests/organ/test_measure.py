@@ -42,6 +42,7 @@ def cylinder() -> trimesh.Trimesh:
     return trimesh.creation.cylinder(RADIUS, LENGTH, sections=64).subdivide_to_size(0.01)
 
 
+@pytest.mark.slow
 def test_facts_of_a_cylinder():
     facts = measure_organ(make_organ(cylinder()))
     assert facts.size == pytest.approx((2 * RADIUS, 2 * RADIUS, LENGTH), rel=0.01)
@@ -90,6 +91,7 @@ def test_thin_triangles_are_counted():
     assert any("thin triangles" in defect for defect in measure_organ(organ).defects)
 
 
+@pytest.mark.slow
 def test_places_where_the_wall_cuts_itself_are_counted_and_named():
     organ = make_organ(cylinder())
     outer = np.argmax(organ.vertices[:, 0] - np.abs(organ.vertices[:, 2]))
@@ -104,6 +106,7 @@ def test_places_where_the_wall_cuts_itself_are_counted_and_named():
     assert (x, y, z) == pytest.approx((-RADIUS / MM, 0.0, 0.0), abs=1.5)
 
 
+@pytest.mark.slow
 def test_open_ends_count_as_closed_for_the_volume():
     judge = cylinder()
     wall = judge.submesh([np.nonzero(np.abs(judge.face_normals[:, 2]) < 0.5)[0]], append=True)
@@ -112,6 +115,7 @@ def test_open_ends_count_as_closed_for_the_volume():
     assert facts.defects[0] == "2 open ends or holes"
 
 
+@pytest.mark.slow
 def test_short_centerline_without_inner_samples_counts_whole():
     organ = make_organ(cylinder())
     wide = replace(organ.centerline, radius=np.full(101, LENGTH))

@@ -51,6 +51,7 @@ def tube(tube_path) -> OrganSurface:
     return read_organ(tube_path, unit="mm")
 
 
+@pytest.mark.slow
 def test_tube(tube, tube_path):
     organ = tube
     check_organ(organ)

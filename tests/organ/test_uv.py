@@ -91,6 +91,7 @@ def test_tube_is_taken_and_wraps():
     assert (signed_areas(uv) > 0.0).all()
 
 
+@pytest.mark.slow
 def test_folded_tube_becomes_an_atlas():
     mesh, arc_length, theta, radius = cylinder()
     folded = np.where(np.abs(arc_length - 0.05) < 0.004, 0.1 - arc_length, arc_length)
@@ -98,6 +99,7 @@ def test_folded_tube_becomes_an_atlas():
     assert_good_atlas(mesh.vertices, mesh.faces, uv, spread=1.1)
 
 
+@pytest.mark.slow
 def test_stretched_tube_becomes_an_atlas():
     mesh, arc_length, theta, radius = cylinder()
     uv = texture_coordinates(mesh, arc_length**4 / 1e-3, theta, radius)
@@ -116,6 +118,7 @@ def test_stretch_is_the_singular_values():
     assert (np.sign(found[:, 0]) == np.sign(signed_areas(uv))).all()
 
 
+@pytest.mark.slow
 def test_atlas_is_reproducible():
     mesh, *_ = cylinder()
     first, second = (atlas_coordinates(mesh.vertices, mesh.faces) for _ in range(2))

@@ -112,6 +112,7 @@ def test_charts_lie_apart_in_the_unit_square(fold):
     assert apart.min() > 0.85 * GAP
 
 
+@pytest.mark.slow
 def test_faces_do_not_overlap_in_a_chart():
     """Of points drawn all over the texture none lies in two faces, by barycentric signs."""
     uv = chart_coordinates(tube(7 * MM))

@@ -46,6 +46,7 @@ def _edit_column(episode, name, change):
     write_table(episode / "frames.parquet", FrameTable(columns))
 
 
+@pytest.mark.slow
 def test_a_whole_episode_has_no_problems(recorded):
     calls = []
     assert check_episode(recorded, progress=lambda *call: calls.append(call)) == []

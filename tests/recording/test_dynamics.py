@@ -86,6 +86,7 @@ def whole(tmp_path_factory, base_scenario, organ) -> Path:
         return record(given, tmp_path_factory.mktemp("simulated") / "episode")
 
 
+@pytest.mark.slow
 def test_an_episode_of_physics_is_whole(whole):
     assert check_episode(whole) == []
     names = {path.name for path in whole.iterdir()}
@@ -168,6 +169,7 @@ def test_walls_of_a_fly_through_are_at_rest(scenario, tmp_path):
     np.testing.assert_array_equal(episode.wall(1).vertices, episode.organ.vertices)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("missing", [None, 1])
 def test_a_broken_off_simulation_goes_on_from_its_checkpoint(
     whole, simulated, tmp_path, monkeypatch, missing
@@ -198,6 +200,7 @@ def test_a_broken_off_simulation_goes_on_from_its_checkpoint(
     assert max(times) == pytest.approx((1.2, 1.2))
 
 
+@pytest.mark.slow
 def test_automatic_exposure_goes_on_from_a_checkpoint(simulated, tmp_path):
     """The loop's state, the motion and the noise are those of a recording in one go."""
     effects = Effects(auto_exposure=AutoExposure(0.5, target=0.3), motion_blur=2, sensor_noise=2)
@@ -263,6 +266,7 @@ def test_walls_that_were_not_recorded(recorded):
         read_episode(recorded).wall(0)
 
 
+@pytest.mark.slow
 def test_clean_twin_moves_alike(scenario, tmp_path, monkeypatch):
     """The same motion; and the same wall but where the lesion is."""
     monkeypatch.setenv("VRCAPS_CACHE", str(tmp_path))

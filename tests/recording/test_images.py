@@ -63,6 +63,7 @@ def test_exposure_follows_the_frames_and_is_in_the_table(
         assert np.ptp(exposure) > 0.0
 
 
+@pytest.mark.slow
 def test_broken_recording_goes_on_to_the_same_bytes(degraded: Scenario, tmp_path: Path) -> None:
     whole, broken = tmp_path / "whole", tmp_path / "broken"
     record(degraded, whole)

@@ -48,6 +48,7 @@ def test_the_organ_is_the_one_written(plan: Scenario, organ: OrganSurface, tmp_p
     assert np.array_equal(model.organ.appearance.albedo, organ.appearance.albedo)
 
 
+@pytest.mark.slow
 def test_an_episodes_own_organ_records_the_same_again(plan: Scenario, tmp_path: Path) -> None:
     first = read_episode(record(plan, tmp_path / "first"))
     assert first.label_names == ("background", "upper", "lower")
@@ -78,6 +79,7 @@ def test_what_an_organ_file_cannot_do(plan: Scenario, change: dict, message: str
         build(resolved)
 
 
+@pytest.mark.slow
 def test_without_textures_it_wears_the_mucosa_of_its_label(
     plan: Scenario, organ: OrganSurface, tmp_path: Path
 ) -> None:

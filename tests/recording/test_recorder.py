@@ -43,16 +43,19 @@ def test_layout(recorded, scenario):
     assert head["fps"] == 4.0
 
 
+@pytest.mark.slow
 def test_same_scenario_same_bytes(recorded, scenario, tmp_path):
     again = record(scenario, tmp_path / "again")
     assert _digests(again) == _digests(recorded)
 
 
+@pytest.mark.slow
 def test_episode_json_is_a_scenario(recorded, scenario, tmp_path):
     again = record(read_scenario(recorded / "episode.json"), tmp_path / "again")
     assert _digests(again) == _digests(recorded)
 
 
+@pytest.mark.slow
 def test_progress_counts_whole_frames(scenario, tmp_path):
     calls = []
 
@@ -72,6 +75,7 @@ def test_recording_again_into_a_whole_episode_changes_nothing(recorded, scenario
     assert {path: path.stat().st_mtime_ns for path in recorded.rglob("*.png")} == before
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fail_at", [0, 2, 4])
 def test_full_disk_then_resume(recorded, scenario, tmp_path, monkeypatch, fail_at):
     """One line; every file there is whole; going on gives the bytes of an unbroken run."""
@@ -96,6 +100,7 @@ def test_full_disk_then_resume(recorded, scenario, tmp_path, monkeypatch, fail_a
     assert _digests(out) == whole
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["sheet.png", "preview.mp4", "organ.glb", "frames.parquet"])
 def test_missing_files_are_made_again(recorded, scenario, tmp_path, name):
     out = record(scenario, tmp_path / "episode")
@@ -143,6 +148,7 @@ def test_different_scenario_is_refused(recorded, scenario):
     assert _digests(recorded) == before
 
 
+@pytest.mark.slow
 def test_different_device_or_version_is_refused(scenario, tmp_path):
     out = record(replace(scenario, frames=1, channels=("rgb",)), tmp_path / "episode")
     head = json.loads((out / "episode.json").read_text())
@@ -206,6 +212,7 @@ def _start(scenario, tmp_path, name, *, setup="", threads="2"):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name != "posix", reason="sends SIGINT")
 def test_interrupt_threads_and_file_limit(scenario, organ, tmp_path):
     """Same bytes on 1 and 2 threads, after Ctrl-C, and after a write that the system refused."""

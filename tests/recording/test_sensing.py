@@ -121,6 +121,7 @@ def test_goes_on_with_the_same_readings(model):
     assert [later.read(step) for step in steps[5:]] == rows[5:]
 
 
+@pytest.mark.slow
 def test_an_episode_has_the_readings(tmp_path, monkeypatch, base_scenario, organ):
     from vrcaps.scenario import build as scenario_module
 

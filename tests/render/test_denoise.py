@@ -34,6 +34,7 @@ def digest() -> str:
     return hashlib.sha256(_image(denoise=True)["radiance"].tobytes()).hexdigest()
 
 
+@pytest.mark.slow
 def test_error_falls_to_less_than_half() -> None:
     pytest.importorskip("pyoidn")
     noisy, clean, exact = _image(), _image(denoise=True), _image(spp=128, path_seed=1)
@@ -55,6 +56,7 @@ def test_the_first_reflection_is_left_as_it_is() -> None:
         np.testing.assert_allclose(kept, exact, rtol=1e-6, atol=5e-3 * exact.mean())
 
 
+@pytest.mark.slow
 def test_supersampled_images_are_denoised_too() -> None:
     pytest.importorskip("pyoidn")
     fine = _image(supersampling=2, denoise=True)["radiance"]
@@ -76,6 +78,7 @@ def test_pixels_without_a_surface_stay_black() -> None:
     np.testing.assert_allclose(found[4:-4, 24:-4], 1.0, atol=0.1)
 
 
+@pytest.mark.slow
 def test_same_bytes_for_any_number_of_threads() -> None:
     pytest.importorskip("pyoidn")
     counts, digests = digests_by_threads(Path(__file__), (1, 2))

@@ -64,6 +64,7 @@ def _landing_error_px(model: Model, camera: Camera, now: State, after: State) ->
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("moving", [False, True])
 @pytest.mark.parametrize("lens", LENSES)
 def test_forward_flow_lands_on_the_same_surface_point(lens: str, moving: bool) -> None:

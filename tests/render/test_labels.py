@@ -37,6 +37,7 @@ def sphere_renderer(fine_sphere: OrganSurface) -> Renderer:
     return Renderer(make_model(fine_sphere))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lens", LENSES)
 def test_inside_a_sphere(sphere_renderer: Renderer, lens: str) -> None:
     """|o + t d| = r gives t = −o·d + √((o·d)² − o² + r²); the normal is −(o + t d)/r."""
@@ -126,6 +127,7 @@ def _check_against_embree(model: Model, eyes: list[tuple], ahead: list[tuple]) -
             assert np.mean(np.abs(flat["arc_length"][both, 0] - arc[both]) < 1e-6) > 0.999
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("device", ["mirocam", "pillcam-colon2", "panoramic"])
 def test_folded_tube_against_embree(device: str) -> None:
     organ = tube(120, 300, folds=0.4)

@@ -59,6 +59,7 @@ def _floor(appearance: Appearance, *, size: float = 0.1, cells: int = 1) -> Orga
     return make_organ(vertices, faces, uv=uv, appearance=appearance)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shadows", [False, True])
 @pytest.mark.parametrize("wet", [False, True])
 @pytest.mark.parametrize("lobe", [0.0, 1.0])
@@ -190,6 +191,7 @@ def test_the_wall_reflects_no_more_light_than_it_gets(slant: float) -> None:
         assert 0.75 < reflected < 1.25
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("along", ["u", "v"])
 def test_relief_looks_like_a_wall_of_that_shape(along: str) -> None:
     """A relief texture darkens and brightens as a really displaced wall does."""

@@ -84,6 +84,7 @@ def _sphere_radiance(look: Appearance, cos_view: np.ndarray, depth: int) -> np.n
     return np.interp(cos_view, mu, total)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("depth", [2, 8])
 @pytest.mark.parametrize("name", list(LOOKS))
 def test_hollow_sphere(name: str, depth: int) -> None:
@@ -111,6 +112,7 @@ def test_hollow_sphere(name: str, depth: int) -> None:
     np.testing.assert_allclose(found.mean(), expected.mean(), rtol=1e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("depth", [2, 4])
 def test_radiance_agrees_with_mitsuba(rng: np.random.Generator, depth: int) -> None:
     """Beside ring folds, wet and patterned: no block of pixels differs by more than noise does."""
@@ -182,6 +184,7 @@ def test_seed_time_and_view_choose_the_paths(folded: tuple[Model, Camera, State]
         np.testing.assert_allclose(other.mean(), first.mean(), rtol=0.05)
 
 
+@pytest.mark.slow
 def test_noise_falls_with_samples(folded: tuple[Model, Camera, State]) -> None:
     """At least as 1/√n; even sampling makes it fall faster."""
     model, _, state = folded
@@ -192,6 +195,7 @@ def test_noise_falls_with_samples(folded: tuple[Model, Camera, State]) -> None:
     assert all(later < 0.6 * earlier for earlier, later in pairwise(errors))
 
 
+@pytest.mark.slow
 def test_rays_within_a_pixel_share_its_paths(folded: tuple[Model, Camera, State]) -> None:
     one = _radiance(*folded, spp=64)
     four = _radiance(*folded, spp=16, supersampling=2)

@@ -86,6 +86,7 @@ def sphere_light(passes: Callable[[np.ndarray], np.ndarray], first: float, depth
     return first * sum(each**k for k in range(1, depth))
 
 
+@pytest.mark.slow
 def test_absorbing_liquid_dims_every_bounce() -> None:
     """Immersed: exp(−a · chord) on each way across, exp(−a R) from the lamp, exp(−a d) to the eye.
 
@@ -112,6 +113,7 @@ def test_absorbing_liquid_dims_every_bounce() -> None:
     assert found == pytest.approx(expected, rel=0.015)
 
 
+@pytest.mark.slow
 def test_a_bubble_takes_its_share_of_every_way() -> None:
     """Each crossing passes 1 − 2F/(1 + F) of the light, F Fresnel's share at its angle."""
     organ, radius, ior = sphere(4, appearance=LOOK), 15.0 * MM, 1.9
@@ -139,6 +141,7 @@ def test_a_bubble_takes_its_share_of_every_way() -> None:
     assert found == pytest.approx(expected, rel=0.015)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("radius", [4.0 * MM, 9.0 * MM])
 def test_a_particle_bounces_light_as_a_ball_of_wall_does(radius: float) -> None:
     """Beside the same ball as part of the wall: its lumps turn some of the light away."""

@@ -70,6 +70,7 @@ def _folds(around: int = 24) -> tuple[Model, Camera]:
     return make_model(organ, camera), camera
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("cells", [20, 200])
 def test_a_level_wall_is_a_half_space(cells: int) -> None:
     """Seen and lit head-on from afar: exact transport, in all colours, by coarse and fine faces."""
@@ -106,6 +107,7 @@ def test_a_thin_sheet_shines_through() -> None:
     np.testing.assert_allclose(found, paths.mean(axis=(0, 1)), rtol=0.25)
 
 
+@pytest.mark.slow
 def test_beside_folds_as_by_path_tracing() -> None:
     """Two renderings cancel path tracing's noise; without scattering red is far off."""
     model, camera = _folds(80)
@@ -126,6 +128,7 @@ def test_beside_folds_as_by_path_tracing() -> None:
     np.testing.assert_allclose(ours.mean(axis=(0, 1)), mean, rtol=0.06)
 
 
+@pytest.mark.slow
 def test_nobody_gives_back_more_than_arrives() -> None:
     """A hollow sphere glows at most by 1/(1 − ρ), and the less the narrower it is."""
     camera = make_camera((LensEquidistant(8.0, 12.0, 12.0), 25, 25), leds=_lamp(0.0))

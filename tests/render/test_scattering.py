@@ -181,6 +181,7 @@ def test_nothing_is_lost_in_white_tissue():
     np.testing.assert_allclose(np.where(sides > -1e-3, sides, sides + 2e-3), 0.0, atol=1e-7)
 
 
+@pytest.mark.slow
 def test_profile_far_from_the_beam_is_that_of_diffusion():
     """Where light has forgotten its way: more than six free ways off."""
     count, edges = 120_000, np.array([6e-3, 9e-3, 14e-3])
@@ -295,6 +296,7 @@ def _radiance(model: Model, camera: Camera, state: State, **settings: int | bool
     return radiance.astype(float)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("color", [90, 190, 240])
 def test_wall_of_a_large_sphere(color: int):
     """Seen and lit head-on from its middle: exact transport of the half-space."""
@@ -327,6 +329,7 @@ def test_a_thin_sheet_shines_through(rng: np.random.Generator):
     np.testing.assert_allclose(found.mean(), expected, rtol=0.04)
 
 
+@pytest.mark.slow
 def test_more_reflections_are_brighter_and_labels_stay():
     look = replace(_matt(190), ior=1.4, clearcoat=0.7)
     organ = tube(40, 80, folds=0.35, capped=True, appearance=look)

@@ -26,6 +26,7 @@ def _close(ours: np.ndarray, twins: np.ndarray, atol: float, share: float = 0.99
     assert good.mean() >= share, f"{good.mean():.5f} of the pixels are within {atol}"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lens", LENSES)
 @pytest.mark.parametrize("shadows", [False, True])
 def test_every_channel_agrees(rng: np.random.Generator, lens: str, shadows: bool) -> None:

@@ -127,6 +127,7 @@ def test_a_mesh_a_kilometre_away_answers_as_precisely(rng: np.random.Generator) 
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("amplitude", [0.0, 0.002, 0.05])
 def test_refitting_equals_building_anew(rng: np.random.Generator, amplitude: float) -> None:
     """However far the wall moves; 0.05 m throws the vertices all over the organ."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from shapes import tube
 from vrcaps.mesh.mesh import Mesh
@@ -12,6 +13,7 @@ from vrcaps.scenario.scenario import OrganFile
 from write_ply import write_ply
 
 
+@pytest.mark.slow
 def test_recorded_labels_agree_with_embree(tmp_path: Path) -> None:
     from validate_labels import STEP, measure
 

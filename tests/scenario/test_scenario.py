@@ -133,6 +133,7 @@ def test_unknown_unit_of_a_mesh_file(mesh_file, device_file):
         resolve(Scenario(OrganFile(str(mesh_file), "furlong"), str(device_file)))
 
 
+@pytest.mark.slow
 def test_organ_is_loaded_as_stated(mesh_file, device_file):
     """With half a metre as its unit the tube is half as long; an appearance is always there."""
     scenario = resolve(Scenario(OrganFile(str(mesh_file), "500mm"), str(device_file)))
@@ -141,6 +142,7 @@ def test_organ_is_loaded_as_stated(mesh_file, device_file):
     assert organ.appearance is not None
 
 
+@pytest.mark.slow
 def test_plain_form_is_json(scenario):
     plain = scenario_to_plain(scenario)
     assert scenario_from_plain(json.loads(json.dumps(plain))) == scenario
@@ -167,6 +169,7 @@ def test_lesions_of_a_file(tmp_path):
         read_lesions(tmp_path / "none.toml")
 
 
+@pytest.mark.slow
 def test_clean_twin_has_the_same_motion(scenario, tmp_path, monkeypatch):
     monkeypatch.setenv("VRCAPS_CACHE", str(tmp_path))
     lesions = (Polyp(size=6e-3, location=Location(arc_length=0.12)),)

@@ -37,6 +37,7 @@ def test_without_noise_the_pose_is_found_exactly(magnet):
         assert estimate.residual < 1e-11
 
 
+@pytest.mark.slow
 def test_covariance_is_that_of_the_errors():
     """Normalised errors have the size 1 (chi-square of 3, 30 fixes, 4 σ)."""
     rng = np.random.default_rng(1)

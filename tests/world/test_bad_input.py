@@ -183,6 +183,7 @@ def test_seed(model: Model, seed: int) -> None:
         World(model, Tissue(), start_of(model), seed=seed)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("changed", "match"),
     [
@@ -213,6 +214,7 @@ def test_file_that_is_no_snapshot(tmp_path: Path) -> None:
             read_snapshot(tmp_path / name)
 
 
+@pytest.mark.slow
 def test_never_tunnels_or_explodes(model: Model, rng: np.random.Generator) -> None:
     """Forces up to 5 N in any direction, changing, at the default step."""
     world = World(model, Tissue(), start_of(model))

@@ -135,6 +135,7 @@ def test_does_not_tunnel(force: float) -> None:
     assert world.contact()[0][2] == pytest.approx(force + 3e-3 * 9.81, rel=0.05)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("spring_wall", [None, SpringWall()])
 def test_no_fold_cuts_through_the_axis(spring_wall: SpringWall | None) -> None:
     """Thrown about at up to 20 m/s among folds with crests sharper than any pressed area."""
@@ -157,6 +158,7 @@ def test_no_fold_cuts_through_the_axis(spring_wall: SpringWall | None) -> None:
             assert world.inside()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("foundation", [LINEAR, WinklerFoundation()])
 @pytest.mark.parametrize("speed", [3.0, 20.0])
 def test_blows_make_no_energy(foundation: WinklerFoundation, speed: float) -> None:
@@ -194,6 +196,7 @@ def test_resistance_follows_the_measurements() -> None:
         assert 0.9 < world.contact()[2] / 2.6 < 2.9
 
 
+@pytest.mark.slow
 def test_the_quick_wall_grips_as_measured() -> None:
     """A tube 8.4 mm wide that gives way still squeezes with 1.9 ± 1.0 N per cm."""
     world = world_on(

@@ -287,6 +287,7 @@ def world_in(gut: OrganSurface, contents: Contents, z: float = 0.0, **device: fl
     return World(model, Tissue(deformation=None), State(0.0, pose), substep=5e-4)
 
 
+@pytest.mark.slow
 def test_a_light_capsule_floats_at_its_draught(gut: OrganSurface) -> None:
     """At rest the liquid displaced weighs as much as the capsule: of a lying one, the height of
     the chord is where the submerged share is the ratio of densities."""
@@ -350,6 +351,7 @@ def digest() -> str:
     return world.snapshot().contents.tobytes().hex()[-400:]
 
 
+@pytest.mark.slow
 def test_same_bytes_for_any_number_of_threads() -> None:
     assert run("1") == run("2")
 

@@ -95,6 +95,7 @@ def test_swings_like_a_pendulum_and_keeps_its_energy(wide):
     assert world.coupling.angle == pytest.approx(angle, abs=1e-9)
 
 
+@pytest.mark.slow
 def test_torque_aligns_where_something_damps(wide):
     """A capsule that turns in mucus ends along the field."""
     damped = Tissue(deformation=None, drag=Drag(friction=0.02, viscosity=0.5))

@@ -84,6 +84,7 @@ def test_the_wall_follows_the_commanded_wave(gut: OrganSurface) -> None:
         np.testing.assert_allclose(radius, RADIUS * commanded, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_a_standing_contraction_squeezes_as_measured(gut: OrganSurface) -> None:
     """Phase III presses with 18 to 62 mmHg (Adv. Funct. Mater. 31:2009289, 2021, table 7)."""
     world = world_in(gut, replace(RINGS, standing=1.0), start=0.15)

@@ -61,6 +61,7 @@ def test_term_by_term(spring_wall: SpringWall) -> None:
     assert np.abs(world.wall_displacement[:, :3]).max() > 1e-6
 
 
+@pytest.mark.slow
 def test_static_depth() -> None:
     """At rest each vertex stands back by F_v / k."""
     world = pressed()
@@ -72,6 +73,7 @@ def test_static_depth() -> None:
     np.testing.assert_allclose(at_rest, expected, atol=0.02 * deepest)
 
 
+@pytest.mark.slow
 def test_recovery() -> None:
     """Let go, x(t) = x₀ e^(−μt/2) (cos ωt + μ/(2ω) sin ωt), ω² = k/m − μ²/4."""
     world = pressed()

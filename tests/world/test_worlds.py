@@ -43,6 +43,7 @@ def test_the_same_bytes_as_alone(model: Model) -> None:
         assert as_bytes(a.snapshot()) == as_bytes(b.snapshot())
 
 
+@pytest.mark.slow
 def test_the_same_bytes_on_any_number_of_threads() -> None:
     """Each in a process of its own, for the number of threads is fixed when the core loads."""
     code = (

@@ -96,6 +96,7 @@ def test_arm_that_touches_itself(robot):
         solve_joint_angles(replace(robot, table_height=None), target, near=folded)
 
 
+@pytest.mark.slow
 def test_clearance_is_that_of_dense_points(robot, panda):
     """Capsules' distances against the nearest of many points on their middle lines."""
     rng = np.random.default_rng(0)

@@ -47,6 +47,7 @@ def grid() -> np.ndarray:
     return np.stack(np.meshgrid(np.arange(SIZE), np.arange(SIZE)), axis=-1).astype(float)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(8))
 @pytest.mark.parametrize("kind", LENSES)
 def test_unproject_then_project_returns_every_pixel(kind, seed):

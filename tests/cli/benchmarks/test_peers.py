@@ -9,6 +9,7 @@ from vrcaps.cli.benchmarks.stage import Stage
 from vrcaps.render.renderer import Renderer
 
 
+@pytest.mark.slow
 def test_welded_mesh_is_the_same_wall(stage: Stage) -> None:
     organ, mesh = stage.model.organ, welded_mesh(stage)
     np.testing.assert_array_equal(

@@ -9,6 +9,7 @@ from vrcaps.cli.benchmarks import record
 from vrcaps.errors import InputError
 
 
+@pytest.mark.slow
 def test_a_short_recording_is_measured() -> None:
     report = record.measure(num_frames=4, num_runs=1)
     rate, memory = report.claims

@@ -35,6 +35,7 @@ def studies(stage: Stage) -> dict[str, Study]:
     return found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", STUDIES)
 def test_every_study_measures_something_positive(name: str, studies: dict[str, Study]) -> None:
     study = studies[name]
@@ -92,6 +93,7 @@ def test_unknown_study_is_named() -> None:
 SCRIPTS = sorted((Path(__file__).parents[3] / "benchmarks").glob("speed_*.py"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("script", SCRIPTS, ids=lambda path: path.stem)
 def test_scripts_show_their_help(script: Path) -> None:
     answer = subprocess.run(

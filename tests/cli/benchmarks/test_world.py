@@ -6,6 +6,7 @@ from vrcaps.cli.benchmarks import world
 from vrcaps.cli.benchmarks.stage import Stage
 
 
+@pytest.mark.slow
 def test_a_short_run_measures_every_claim(stage: Stage, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(world, "make_organ", lambda *_, **__: stage.model.organ)
     report = world.measure(stage.num_triangles, 2)

@@ -55,6 +55,7 @@ def test_support_pushes_back_by_area() -> None:
     np.testing.assert_allclose(force.reshape(-1, 3).sum(0), [0, 0.6, 1.2], rtol=1e-9, atol=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("nu", [0.3, 0.45, 0.49])
 def test_tube_under_pressure_is_lames(nu: float) -> None:
     """Within 2 % on a coarse mesh, and the displacement converges with the third power."""

@@ -74,6 +74,7 @@ def energy(world: World) -> float:
     return motion + weight + state.contact.energy + sum(world.layer.energies)
 
 
+@pytest.mark.slow
 def test_a_resting_capsule_is_carried_by_the_layer() -> None:
     """The wall's force is the weight, and the layer stands as its own static solution has it."""
     at_rest = world(LAYER)
@@ -92,6 +93,7 @@ def test_a_resting_capsule_is_carried_by_the_layer() -> None:
     np.testing.assert_allclose(found, static, rtol=0, atol=1e-3 * np.abs(static).max())
 
 
+@pytest.mark.slow
 def test_a_stiff_tube_sinks_into_its_support_as_a_whole() -> None:
     """A rigid wall on springs k by area A goes down by m g/(k A)."""
     stiff = replace(LAYER, youngs_modulus=1e9, support=1e4, step=0.02)
@@ -104,6 +106,7 @@ def test_a_stiff_tube_sinks_into_its_support_as_a_whole() -> None:
     assert sunk == pytest.approx(at_rest.body.mass * GRAVITY / (1e4 * area), rel=0.01)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("deformation", [LAYER, SOLID], ids=["linear", "neo-hookean"])
 def test_depth_at_rest_does_not_depend_on_the_step(deformation: FemDeformation) -> None:
     """Against a step of a tenth, whose error is a tenth."""
@@ -117,6 +120,7 @@ def test_depth_at_rest_does_not_depend_on_the_step(deformation: FemDeformation) 
     assert heights[0] - first == pytest.approx(heights[1] - first, rel=0.05)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("law", ["physical", "continuous"])
 def test_what_acts_on_the_capsule_acts_back_on_the_layer(law: str) -> None:
     """Force and torque about one point, every substep, while the capsule is pulled and turned.
@@ -141,6 +145,7 @@ def test_what_acts_on_the_capsule_acts_back_on_the_layer(law: str) -> None:
     assert size > 0.4
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("deformation", [LAYER, SOLID], ids=["linear", "neo-hookean"])
 @pytest.mark.parametrize("step", [2e-3, 2e-2])
 def test_energy_does_not_grow(deformation: FemDeformation, step: float) -> None:
@@ -174,6 +179,7 @@ def test_the_wall_that_is_seen_is_the_wall_that_is_felt() -> None:
     assert depth == pytest.approx(pressed.state.contact.depth, abs=0.05 * MM)
 
 
+@pytest.mark.slow
 def test_a_narrow_lumen_on_a_layer_grips_within_what_is_measured() -> None:
     """1.9 ± 1.0 N per cm of a capsule in a gut 8.4 mm wide (see `WinklerFoundation`)."""
     narrow = straight_gut({"ileum": 0.08}, radius=4.2 * MM, edge=1.2 * MM)
@@ -194,6 +200,7 @@ def push(world: World, dt: float = 0.008) -> bytes:
     return digest.digest()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("deformation", [LAYER, SOLID], ids=["linear", "neo-hookean"])
 def test_a_restored_world_goes_on_to_the_same_bytes(
     deformation: FemDeformation, tmp_path: Path
@@ -235,6 +242,7 @@ print(push(world(LAYER)).hex(), push(world(LAYER, velocity=THROWN), 0.002).hex()
 """
 
 
+@pytest.mark.slow
 def test_the_same_bytes_on_any_number_of_threads() -> None:
     here = Path(__file__).parent
     code = _RUN.format(here=str(here), above=str(here.parents[1]))
@@ -269,6 +277,7 @@ def test_negative_values_are_refused(name: str) -> None:
         replace(LAYER, **{name: -1.0})
 
 
+@pytest.mark.slow
 def test_errors_leave_the_world_as_it_was() -> None:
     pressed = world(replace(LAYER, youngs_modulus=1e4, support=1e5))
     pressed.step(STILL, 0.02)

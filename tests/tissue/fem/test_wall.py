@@ -106,6 +106,7 @@ def test_solid_is_linear_where_strain_is_small(tube: OrganSurface) -> None:
     np.testing.assert_allclose(second, first, atol=2e-3 * np.abs(first).max())
 
 
+@pytest.mark.slow
 def test_solid_yields_less_to_more_force(tube: OrganSurface) -> None:
     """It stiffens: a hundred times the force gives less than a hundred times the displacement."""
     wall = FemWall(tube, SOLID)
@@ -161,6 +162,7 @@ def test_energy_never_grows_without_load(tube: OrganSurface, deformation: FemDef
             energy = after
 
 
+@pytest.mark.slow
 @BOTH
 def test_restored_walls_go_on_to_the_same_bytes(
     tube: OrganSurface, deformation: FemDeformation
@@ -187,6 +189,7 @@ print(hashlib.sha256(b"".join(a.tobytes() for step in steps for a in step)).hexd
 """
 
 
+@pytest.mark.slow
 def test_the_same_bytes_on_any_number_of_threads() -> None:
     code = _RUN.format(here=str(Path(__file__).parent))
 

@@ -146,6 +146,7 @@ def test_no_contraction_in_the_first_phase() -> None:
     assert {1, 2, 3} <= seen
 
 
+@pytest.mark.slow
 def test_giant_contractions_sweep_the_colon() -> None:
     """As many as commanded; each runs its extent at its speed."""
     giant = GiantContractions(rate=1.0 / 3600.0)

@@ -27,9 +27,15 @@ def _ring(radius: float = 0.05) -> Centerline:
 def test_direction_of_a_segment_is_from_its_start_to_its_end() -> None:
     line = _ring()
     law = Propulsion(segment_length=line.length / 2.0)
-    np.testing.assert_allclose(law.unit_vector(line, 0.0), np.array([-1, 1, 0]) / np.sqrt(2), atol=1e-3)
-    np.testing.assert_allclose(law.unit_vector(line, 0.1), np.array([-1, -1, 0]) / np.sqrt(2), atol=1e-3)
-    np.testing.assert_allclose(law.unit_vector(line, 1.0), np.array([-1, -1, 0]) / np.sqrt(2), atol=1e-3)
+    np.testing.assert_allclose(
+        law.unit_vector(line, 0.0), np.array([-1, 1, 0]) / np.sqrt(2), atol=1e-3
+    )
+    np.testing.assert_allclose(
+        law.unit_vector(line, 0.1), np.array([-1, -1, 0]) / np.sqrt(2), atol=1e-3
+    )
+    np.testing.assert_allclose(
+        law.unit_vector(line, 1.0), np.array([-1, -1, 0]) / np.sqrt(2), atol=1e-3
+    )
     tangent = Propulsion(direction="tangent").unit_vector(line, line.length / 2.0)
     np.testing.assert_allclose(tangent, [-1.0, 0.0, 0.0], atol=1e-3)
 

@@ -50,6 +50,7 @@ def nearest(found: np.ndarray, true: np.ndarray) -> np.ndarray:
     return found - true[index]
 
 
+@pytest.mark.slow
 def test_corners_are_found_to_a_twentieth_of_a_pixel_without_bias(poses, pictures) -> None:
     for pose, rgb in zip(poses, pictures, strict=True):
         found = find_corners(rgb, BOARD)
@@ -59,6 +60,7 @@ def test_corners_are_found_to_a_twentieth_of_a_pixel_without_bias(poses, picture
         assert np.abs(offset.mean(axis=0)).max() < 0.02
 
 
+@pytest.mark.slow
 def test_a_mirrored_picture_has_the_same_corners_mirrored(pictures) -> None:
     """And they run the same way around as columns and rows: x of the grid across y."""
     last = CAMERA.width - 1
@@ -99,6 +101,7 @@ def test_distance_to_the_nearest_neighbor() -> None:
     np.testing.assert_allclose(nearest_neighbors(grid), expected, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_photographs_without_a_board_are_named_and_too_few_are_an_error(pictures) -> None:
     ramp = np.linspace(40.0, 200.0, CAMERA.width).astype(np.uint8)
     empty = Photo("empty", np.broadcast_to(ramp[:, None], pictures[0].shape).copy())

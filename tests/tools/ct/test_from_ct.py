@@ -17,6 +17,8 @@ from vrcaps.tools.ct.labels import check_label, label_number, misplaced
 from vrcaps.tools.ct.lumen import choose_gas
 from vrcaps.tools.ct.volume import Volume
 
+pytestmark = pytest.mark.slow
+
 MM = 1e-3
 
 

@@ -3,12 +3,14 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from vrcaps.anatomy.catalog import generate_organ
 from vrcaps.anatomy.colon.parameters import SEGMENTS
 from vrcaps.tools.ct.segments import colon_borders, colon_labels, runs_upwards
 
 
+@pytest.mark.slow
 def test_a_generated_colon_is_divided_much_as_it_was_made() -> None:
     """Borders within 5 % of the length; flexures, which have landmarks, within 3 %.
 

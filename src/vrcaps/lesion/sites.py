@@ -18,6 +18,7 @@ from vrcaps.lesion.mesh_patch import NUM_FIELDS, ExtractedPatch, extract, within
 from vrcaps.lesion.placement import PlacedLesion, candidates, place_focal
 from vrcaps.mesh.log_map import log_map
 from vrcaps.mesh.refine import Patch, refine
+from vrcaps.mesh.wall import wall_of
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.units import MM
 
@@ -53,8 +54,7 @@ class PlacementContext:
 
     def core(self) -> Wall:
         """The wall for ray and distance queries."""
-        faces = np.ascontiguousarray(self.organ.faces, np.int64)
-        return Wall(np.ascontiguousarray(self.organ.vertices), faces)
+        return wall_of(self.organ.vertices, self.organ.faces)
 
 
 @dataclass(frozen=True)

@@ -8,12 +8,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 import vrcaps.rng
-from vrcaps._core import Wall, around_capsule
+from vrcaps._core import around_capsule
 from vrcaps.lumen.contents import Contents
 from vrcaps.lumen.dome_attachment import dome_sites, place_dome_bubbles
 from vrcaps.lumen.particles import Spheres, joined
 from vrcaps.lumen.placement import place_bubbles, place_chyme
 from vrcaps.lumen.pools import Pools, cut_sections, find_pools
+from vrcaps.mesh.wall import wall_of
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.transforms import transform_points
 
@@ -89,7 +90,7 @@ def populate(
         T_world_patient: How the patient lies; gravity is world −z.
     """
     bubbles, chyme, liquid = contents.resolved
-    wall = Wall(np.ascontiguousarray(organ.vertices, float), organ.faces.astype(np.int64))
+    wall = wall_of(organ.vertices, organ.faces)
     up = T_world_patient[:3, :3].T @ np.array([0.0, 0.0, 1.0])
     seed = contents.seed
     clinging = place_bubbles(organ, wall, bubbles, up, vrcaps.rng.stream(seed, "lumen/bubbles"))

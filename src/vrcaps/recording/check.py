@@ -15,6 +15,7 @@ from vrcaps.camera.rays import camera_rays
 from vrcaps.errors import VrcapsError
 from vrcaps.lumen.lumen_contents import CHYME
 from vrcaps.mesh.mesh import Mesh
+from vrcaps.mesh.wall import wall_of
 from vrcaps.recording.channels import ENCODINGS
 from vrcaps.recording.episode import Episode, read_episode
 from vrcaps.recording.image_files import read_image
@@ -78,7 +79,7 @@ def check_episode(
     organ, organ_problems = _load_organ(episode)
     problems += [*organ_problems, *_check_extras(episode)]
     stored = "wall" in episode.head
-    at_rest = _core.Wall(organ.vertices, organ.faces) if organ is not None and not stored else None
+    at_rest = wall_of(organ.vertices, organ.faces) if organ is not None and not stored else None
     table_whole = not any(problem.where.startswith(FRAMES_PARQUET) for problem in problems)
     cast_frames = _cast_frames(episode) if table_whole else np.zeros(0, int)
     rays = {camera.name: camera_rays(camera) for camera in episode.cameras}
@@ -217,7 +218,7 @@ def _stored_wall(
         return None, [Problem(where, "holds vertices that are not finite")]
     if organ is None or len(organ.vertices) != len(vertices):
         return None, []
-    return _core.Wall(vertices.astype(float), organ.faces), []
+    return wall_of(vertices, organ.faces), []
 
 
 def _check_extras(episode: Episode) -> Iterator[Problem]:

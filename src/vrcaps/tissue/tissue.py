@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 
 from vrcaps.tissue.drag import Drag
@@ -30,3 +31,8 @@ class Tissue:
     drag: Drag = field(default_factory=Drag)
     deformation: SpringWall | FemDeformation | None = field(default_factory=SpringWall)
     motility: Motility | None = None
+
+    @property
+    def longest_substep(self) -> float:
+        """Longest stable substep of the deformation [s]; infinite for a wall without."""
+        return math.inf if self.deformation is None else self.deformation.longest_step

@@ -7,13 +7,17 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps.errors import InputError
+from vrcaps.errors import InputError, require
 from vrcaps.magnet.sources import check_pose
+from vrcaps.transforms import invert, rotate_vectors
 
 if TYPE_CHECKING:
     from jaxtyping import Float
 
 _ZERO = (0.0, 0.0, 0.0)
+_LONGEST_STEP = 1.0  # [s]
+_STRONGEST_FORCE = 100.0  # [N]
+_STRONGEST_TORQUE = 10.0  # [N·m]
 
 
 @dataclass(frozen=True)
@@ -74,3 +78,34 @@ class Control:
             raise InputError(
                 f"Control's strengths are {self.strengths}. Allowed: a finite number a source."
             )
+
+
+def check_step(control: Control, dt: float) -> None:
+    """Check that a step is short enough and its commands are not too strong.
+
+    Raises:
+        InputError: If not.
+    """
+    require(0.0 < dt <= _LONGEST_STEP, "dt", dt, f"above 0 to {_LONGEST_STEP:g} s")
+    commands = np.array([control.force_world, control.torque_world], float)
+    strength = np.linalg.norm(commands, axis=1)
+    for name, value, most in (
+        ("force_world", strength[0], _STRONGEST_FORCE),
+        ("torque_world", strength[1], _STRONGEST_TORQUE),
+    ):
+        require(bool(value <= most), f"Control's {name}", f"{value:g} strong", f"up to {most:g}")
+
+
+def loads_in_patient(
+    control: Control, T_world_patient: Float[np.ndarray, "4 4"], gravity: float
+) -> tuple[Float[np.ndarray, " 6"], tuple[float, ...]]:
+    """Commanded wrench [N, N·m] and gravity [m/s²] in the patient frame.
+
+    Args:
+        control: The commands.
+        T_world_patient: Pose of the patient; gravity is world −z.
+        gravity: Its strength [m/s²].
+    """
+    loads = np.array([control.force_world, control.torque_world, (0.0, 0.0, -gravity)], float)
+    force, torque, down = rotate_vectors(invert(T_world_patient), loads)
+    return np.array([*force, *torque]), tuple(down)

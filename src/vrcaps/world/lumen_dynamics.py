@@ -12,7 +12,8 @@ from vrcaps.capsule.body import Body
 from vrcaps.lumen.lumen_contents import LumenContents
 from vrcaps.lumen.pools import Sections, cut_sections, find_pools, submerged
 from vrcaps.tissue.arc_length_samples import arc_length_samples
-from vrcaps.transforms import invert, matrix_from_quaternion, transform_points
+from vrcaps.transforms import invert, transform_points
+from vrcaps.world.core_pose import center_of_mass_and_rotation
 from vrcaps.world.model import Model
 
 if TYPE_CHECKING:
@@ -107,8 +108,8 @@ class LumenDynamics:
         dome_sites = self._rest.dome_sites + self._body.center
         states = self._particles.states
         first = len(states) - len(dome_sites)
-        rotation = matrix_from_quaternion(np.array(pose[1]))
-        states[first:, :3] = np.array(pose[0]) + dome_sites @ rotation.T
+        center, rotation = center_of_mass_and_rotation(pose)
+        states[first:, :3] = center + dome_sites @ rotation.T
         states[first:, 7:] = dome_sites
         self._particles.states = states
 
@@ -193,8 +194,8 @@ class LumenDynamics:
         self, pose: _core.Pose, ahead: float
     ) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, "2 3"]]:
         """Centre of mass and ends of the axis a time ahead [m], about the wall's centre."""
-        rotation = matrix_from_quaternion(np.array(pose[1]))
-        center = np.array(pose[0]) + ahead * np.array(pose[2])
+        center, rotation = center_of_mass_and_rotation(pose)
+        center = center + ahead * np.array(pose[2])
         middle = center + rotation @ self._body.center
         half = self._body.half_axis * rotation[:, 2]
         return center, np.array([middle - half, middle + half])

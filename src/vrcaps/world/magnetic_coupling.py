@@ -13,12 +13,8 @@ from vrcaps.errors import InputError, require
 from vrcaps.magnet.field import SourceSet
 from vrcaps.magnet.internal import InternalMagnet, magnet_rows
 from vrcaps.magnet.sources import Source, UniformField
-from vrcaps.transforms import (
-    matrix_from_quaternion,
-    quaternion_from_matrix,
-    transform_from,
-)
 from vrcaps.world.control import Control
+from vrcaps.world.core_pose import poses_from_rows, rows_from_poses
 from vrcaps.world.model import Coupling
 
 if TYPE_CHECKING:
@@ -43,7 +39,7 @@ class MagneticCoupling:
             )
         self._core, self._set = core, SourceSet(sources)
         poses = [np.asarray(source.T_world_magnet, float) for source in self._set.sources]
-        self.rows: Float[np.ndarray, "k 8"] = _rows(np.array(poses).reshape(-1, 4, 4))
+        self.rows: Float[np.ndarray, "k 8"] = rows_from_poses(np.array(poses).reshape(-1, 4, 4))
         self._has_place = np.array(
             [not isinstance(s, UniformField) for s in self._set.sources], bool
         )
@@ -69,7 +65,7 @@ class MagneticCoupling:
             count = len(end) if given is None else len(given)
             require(count == len(end), f"Number of the control's {name}", count, f"{len(end)}")
         if control.Ts_world_magnet is not None:
-            end[:, :7] = _rows(np.asarray(control.Ts_world_magnet, float))[:, :7]
+            end[:, :7] = rows_from_poses(np.asarray(control.Ts_world_magnet, float))[:, :7]
         if control.strengths is not None:
             end[:, 7] = control.strengths
         self._send(end, dt, T_world_patient)
@@ -108,16 +104,7 @@ class MagneticCoupling:
             flux_gradient_world=np.array(gradient).reshape(3, 3),
             angle=angle,
             distance=min(away, default=math.inf),
-            Ts_world_magnet=transform_from(
-                matrix_from_quaternion(self.rows[:, 3:7]), self.rows[:, :3]
-            ),
+            Ts_world_magnet=poses_from_rows(self.rows),
             strengths=self.rows[:, 7].copy(),
             is_exact=place == 0,
         )
-
-
-def _rows(Ts_world_magnet: Float[np.ndarray, "k 4 4"]) -> Float[np.ndarray, "k 8"]:
-    """Place, quaternion wxyz and a strength of 1 of each source."""
-    turned = quaternion_from_matrix(Ts_world_magnet[:, :3, :3])
-    ones = np.ones((len(Ts_world_magnet), 1))
-    return np.concatenate([Ts_world_magnet[:, :3, 3], turned, ones], axis=1)

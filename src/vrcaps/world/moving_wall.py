@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vrcaps._core import Wall
+from vrcaps.mesh.wall import wall_of
 
 if TYPE_CHECKING:
     from vrcaps.world.model import Model, State
@@ -30,8 +31,7 @@ class MovingWall:
         if self._wall is None:
             # Built at rest: the hierarchy, and so which of several equally near triangles counts,
             # must not depend on which frame came first.
-            rest = np.ascontiguousarray(self.model.vertices_world)
-            self._wall = Wall(rest, np.ascontiguousarray(self.model.organ.faces, np.int64))
+            self._wall = wall_of(self.model.vertices_world, self.model.organ.faces)
         if self._vertices is not state.vertices_world:
             self._wall.refit(np.ascontiguousarray(state.vertices_world, np.float64))
             self._vertices = state.vertices_world

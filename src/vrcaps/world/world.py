@@ -1,10 +1,11 @@
-"""The moving world: a capsule in a soft wall, stepped by the compiled core."""
+"""World: steps a capsule in a soft wall, by the compiled core."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,16 +14,19 @@ from vrcaps import _core
 from vrcaps.capsule.body import Body, homogeneous_body
 from vrcaps.errors import InputError, require
 from vrcaps.magnet.sources import Source
+from vrcaps.mesh.wall import wall_of
 from vrcaps.tissue.arc_length_samples import arc_length_samples, sample_coordinates
 from vrcaps.tissue.motility.muscle import Muscle
 from vrcaps.tissue.tissue import Tissue
-from vrcaps.transforms import invert, quaternion_from_matrix, rotate_vectors
-from vrcaps.world.control import Control
+from vrcaps.transforms import invert, rotate_vectors
+from vrcaps.world.control import Control, check_step, loads_in_patient
+from vrcaps.world.core_pose import core_pose
 from vrcaps.world.fem_coupling import coupling_state_of, make_fem_wall
 from vrcaps.world.lumen_dynamics import LUMEN_SUBSTEP, SUBSTEPS_PER_SWEEP, LumenDynamics
 from vrcaps.world.magnetic_coupling import MagneticCoupling
 from vrcaps.world.model import Contact, Coupling, Model, State
 from vrcaps.world.snapshot import Snapshot, check_snapshot
+from vrcaps.world.step_means import mean_contact
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -39,10 +43,7 @@ _WAKING = 1.0
 _STALE = 2e-4
 """How far the hierarchy may be off the wall within a step while spheres move beside it [m]."""
 
-_LONGEST_STEP = 1.0
 _LONGEST_SUBSTEP = 1e-3
-_STRONGEST_FORCE = 100.0
-_STRONGEST_TORQUE = 10.0
 
 
 class World:
@@ -86,17 +87,17 @@ class World:
             UnknownNameError: If the tissue has no muscle for a segment of the wall.
         """
         tissue, start = tissue or Tissue(), start or model.place()
-        _check_substep(substep, tissue)
+        longest = min(_LONGEST_SUBSTEP, tissue.longest_substep)
+        require(0.0 < substep <= longest, "substep", substep, f"above 0 to {longest:.3g} s")
         require(seed >= 0, "seed", seed, "0, 1, 2, …")
         self.model, self.tissue, self.substep, self.seed = model, tissue, substep, seed
         self.body = body or homogeneous_body(model.device)
         organ = model.organ
-        vertices = np.ascontiguousarray(organ.vertices, float)
-        self._wall = _core.Wall(vertices, np.ascontiguousarray(organ.faces, np.int64))
+        self._wall = wall_of(organ.vertices, organ.faces)
         self._center = np.array(self._wall.center)
         self._time = self._began = start.time
         self._T_world_patient = model.T_world_patient
-        pose = self._pose(start)
+        pose = core_pose(start, self._T_world_patient, self._center)
         self.layer = make_fem_wall(organ, tissue)
         spring = tissue.deformation if self.layer is None else None
         self._core = _core.World(
@@ -116,7 +117,8 @@ class World:
         self._lumen = None
         if model.lumen_contents is not None:
             self._lumen = LumenDynamics(model, self._wall, self.body, self._core.pose)
-        self._contact: tuple[Any, ...] = self._core.contact()
+        self._contact = self._core_contact()
+        self._state: State | None = None
 
     @property
     def time(self) -> float:
@@ -136,14 +138,16 @@ class World:
     @property
     def contact(self) -> Contact:
         """What the wall did to the capsule in the last step."""
-        force, torque, *rest = self._contact
-        force, torque = rotate_vectors(self._T_world_patient, np.array([force, torque]))
-        return Contact(force, torque, *rest)
+        own = self._contact
+        force, torque = rotate_vectors(
+            self._T_world_patient, np.array([own.force_world, own.torque_world])
+        )
+        return replace(own, force_world=force, torque_world=torque)
 
     @property
     def contact_force_world(self) -> Float[np.ndarray, " 3"]:
         """Mean force of the wall on the capsule in the last step [N], of `contact`."""
-        return self._T_world_patient[:3, :3] @ np.array(self._contact[0])
+        return self._T_world_patient[:3, :3] @ self._contact.force_world
 
     def field_angle(self, T_world_capsule: Float[np.ndarray, "4 4"]) -> float:
         """Between the moment of a capsule at a pose and the sources' field there [rad]."""
@@ -156,7 +160,15 @@ class World:
 
     @property
     def state(self) -> State:
-        """All of the world now, in the world frame, with every vertex of a wall that moves."""
+        """All of the world now, in the world frame, with every vertex of a wall that moves.
+
+        It is made once for each step; its arrays are taken not to change.
+        """
+        if self._state is None:
+            self._state = self._make_state()
+        return self._state
+
+    def _make_state(self) -> State:
         T = self._T_world_patient
         linear, angular = self.velocity_world
         moved = (
@@ -173,6 +185,29 @@ class World:
             coupling=self.coupling,
         )
 
+    def place(self, *, arc_length: float) -> None:
+        """Puts the capsule at rest on the centerline, looking towards the anal end.
+
+        Args:
+            arc_length: From the oral end [m].
+
+        Raises:
+            InputError: If the capsule does not fit there; it stays where it was.
+        """
+        before, length = self._core.pose, self.model.organ.centerline.length
+        pose = self.model.pose_at(arc_length / length)
+        T_world_capsule = self._T_world_patient @ invert(self.model.T_world_patient) @ pose
+        self._core.pose = core_pose(
+            State(self._time, T_world_capsule), self._T_world_patient, self._center
+        )
+        self._core.settle()
+        try:
+            self._check_start()
+        except InputError:
+            self._core.pose = before
+            raise
+        self._state = None
+
     def step(self, control: Control, dt: float) -> None:
         """Moves on by a time `dt` [s], in equal substeps.
 
@@ -180,33 +215,25 @@ class World:
             InputError: If the step is too large, the control out of bounds, or the capsule would
                 be in a source; the state stays as it was.
         """
-        require(0.0 < dt <= _LONGEST_STEP, "dt", dt, f"above 0 to {_LONGEST_STEP:g} s")
-        commands = np.array([control.force_world, control.torque_world], float)
-        strength = np.linalg.norm(commands, axis=1)
-        for name, value, most in (
-            ("force_world", strength[0], _STRONGEST_FORCE),
-            ("torque_world", strength[1], _STRONGEST_TORQUE),
-        ):
-            require(
-                bool(value <= most), f"Control's {name}", f"{value:g} strong", f"up to {most:g}"
-            )
-        T_world_patient = self._T_world_patient
-        if control.T_world_patient is not None:
-            T_world_patient = control.T_world_patient
-        to_patient = invert(T_world_patient)
-        acts = np.array([control.force_world, control.torque_world, (0.0, 0.0, -GRAVITY)], float)
-        force, torque, gravity = rotate_vectors(to_patient, acts)
-        wrench = np.array([*force, *torque])
-        moved = self._magnetic.aim(control, dt, T_world_patient)
-        if self._lumen is not None:
-            self._lumen.turn(T_world_patient)
+        check_step(control, dt)
+        before, after = self._T_world_patient, control.T_world_patient
+        T_world_patient = before if after is None else after
+        # Loads that hold during the step, in the frame of the wall.
+        wrench, gravity = loads_in_patient(control, T_world_patient, GRAVITY)
+        # Where the sources, and the wall by muscle and gas, are at its end.
+        sources = self._magnetic.aim(control, dt, T_world_patient)
+        lumen_scale = self._lumen_scale_at(self._time + dt, control.insufflation)
+        # Liquid finds its level at once.
+        self._level_liquid(T_world_patient)
         try:
-            self._advance(dt, wrench, tuple(gravity), control.insufflation)
+            contacts = self._substeps(dt, wrench, gravity, lumen_scale)
         except InputError:
-            if self._lumen is not None:
-                self._lumen.turn(self._T_world_patient)
+            self._level_liquid(before)
             raise
-        self._T_world_patient, self._magnetic.rows = T_world_patient, moved
+        self._time, self._lumen_scale = self._time + dt, lumen_scale
+        self._contact = mean_contact(contacts)
+        self._T_world_patient, self._magnetic.rows = T_world_patient, sources
+        self._state = None
 
     def snapshot(self) -> Snapshot:
         """All that changes, exactly: a world restored from it goes on to the same bytes."""
@@ -227,7 +254,7 @@ class World:
             layer=layer,
             contact_faces=contact_faces,
             contents=np.zeros(0) if self._lumen is None else self._lumen.to_array(),
-            contact=np.concatenate([np.ravel(part) for part in self._contact]),
+            contact=np.concatenate([np.ravel(part) for part in vars(self._contact).values()]),
             sources=self._magnetic.rows,
         )
 
@@ -253,11 +280,8 @@ class World:
         self._core.pose = (tuple(p[:3]), tuple(p[3:7]), tuple(p[7:10]), tuple(p[10:]))
         self._time, self._began = snapshot.time, snapshot.began
         self._T_world_patient, self._lumen_scale = snapshot.T_world_patient, snapshot.lumen_scale
-        self._contact = (
-            snapshot.contact[:3],
-            snapshot.contact[3:6],
-            *snapshot.contact[6:].tolist(),
-        )
+        force, torque, rest = np.split(snapshot.contact, [3, 6])
+        self._contact, self._state = Contact(force, torque, *rest.tolist()), None
         self._magnetic.restore(snapshot.sources, snapshot.T_world_patient)
 
     def is_inside(self) -> bool:
@@ -265,15 +289,14 @@ class World:
         self._core.settle()
         return self._core.inside()
 
-    def _advance(
+    def _substeps(
         self,
         dt: float,
         wrench: Float[np.ndarray, " 6"],
         gravity: tuple[float, ...],
-        insufflation: float,
-    ) -> None:
-        """Moves on by `dt`: in one go, or where the muscle propels the capsule in short pieces."""
-        lumen_scale = self._lumen_scale_at(self._time + dt, insufflation)
+        lumen_scale: Float[np.ndarray, " k"],
+    ) -> list[Contact]:
+        """Moves on by `dt`: in one piece, or in short ones beside propulsion and contents."""
         pieces = self._num_pieces(dt)
         outer = 1 if self.layer is None else self.layer.num_steps(dt / pieces)
         start, before = self._lumen_scale, self._save() if pieces > 1 else None
@@ -281,22 +304,30 @@ class World:
         if self._lumen is not None:
             self._core.settle()  # nothing to do but after `restore`
         count = outer * max(1, math.ceil(dt / pieces / outer / self.substep * (1.0 - 1e-9)))
-        reactions = []
+        contacts = []
         try:
             for piece in range(pieces):
-                shares = np.array([[piece], [piece + 1]]) / pieces
-                aim = start + (lumen_scale - start) * shares if moves else None
+                fractions = np.array([[piece], [piece + 1]]) / pieces
+                scales = start + (lumen_scale - start) * fractions if moves else None
                 force = self._propulsion(self._time + dt * piece / pieces)
                 total = tuple(wrench + self._buoyancy_wrench(dt / pieces, force))
-                self._core.step(dt / pieces / count, count, total, gravity, aim, outer)
-                reactions.append(self._core.contact())
+                self._core.step(dt / pieces / count, count, total, gravity, scales, outer)
+                contacts.append(self._core_contact())
                 self._step_contents(dt / pieces, piece, pieces)
         except ValueError as error:
             if before is not None:
                 self._undo(before)
             raise InputError(str(error)) from error
-        self._time, self._lumen_scale = self._time + dt, lumen_scale
-        self._contact = _over_all(reactions)
+        return contacts
+
+    def _core_contact(self) -> Contact:
+        """Contact of the core's last step, in the patient frame."""
+        force, torque, *rest = self._core.contact()
+        return Contact(np.array(force), np.array(torque), *rest)
+
+    def _level_liquid(self, T_world_patient: Float[np.ndarray, "4 4"]) -> None:
+        if self._lumen is not None:
+            self._lumen.turn(T_world_patient)
 
     def _lumen_scale_at(self, time: float, insufflation: float) -> Float[np.ndarray, " k"]:
         """Lumen's radius at its samples, as a share of that at rest."""
@@ -354,17 +385,6 @@ class World:
         position, _, velocity, _ = self._core.pose
         return self.muscle.propulsion(np.array(position) + self._center, np.array(velocity), time)
 
-    def _pose(self, state: State) -> _core.Pose:
-        to_patient = invert(self._T_world_patient)
-        pose = to_patient @ state.T_world_capsule
-        velocity = np.array([state.linear_velocity_world, state.angular_velocity_world])
-        for name in ("T_world_capsule", "linear_velocity_world", "angular_velocity_world"):
-            if not np.isfinite(getattr(state, name)).all():
-                raise InputError(f"The start's {name} is not finite. Allowed: finite numbers.")
-        wxyz = quaternion_from_matrix(pose[:3, :3])
-        linear, angular = rotate_vectors(to_patient, velocity)
-        return tuple(pose[:3, 3] - self._center), tuple(wxyz), tuple(linear), tuple(angular)
-
     def _check_start(self) -> None:
         if not self._core.inside():
             raise InputError(
@@ -378,19 +398,3 @@ class World:
                 f"The capsule, {2e3 * radius:.1f} mm thick, does not fit: the lumen is "
                 f"{1e3 * narrow:.1f} mm wide where it starts. Start it elsewhere or inflate."
             )
-
-
-def _over_all(reactions: list[tuple[Any, ...]]) -> tuple[Any, ...]:
-    """The core's contact over equal pieces of a step: means of forces, sum of work, last patch."""
-    if len(reactions) == 1:
-        return reactions[0]
-    force, torque, grip, work, *_ = (np.array(values) for values in zip(*reactions, strict=True))
-    means = (force.mean(axis=0), torque.mean(axis=0), grip.mean(), work.sum())
-    return (*means, *reactions[-1][4:])
-
-
-def _check_substep(substep: float, tissue: Tissue) -> None:
-    longest = _LONGEST_SUBSTEP
-    if tissue.deformation is not None:
-        longest = min(longest, tissue.deformation.longest_step)
-    require(0.0 < substep <= longest, "substep", substep, f"above 0 to {longest:.3g} s")

@@ -11,8 +11,8 @@ from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import KDTree
 
 import vrcaps.rng
-from vrcaps import _core
 from vrcaps.errors import InputError
+from vrcaps.mesh.wall import wall_of
 from vrcaps.tissue.fem.curved import BentTriangles, bulges_towards, edges_of, relaxed
 from vrcaps.tissue.fem.layer import CoarseSurface
 from vrcaps.tissue.fem.smooth import border_edges, low_pass
@@ -193,7 +193,7 @@ def _bent(
     pairs, triangles = edges_of(triangles)
     corners, size = smooth[seeds], len(seeds)
     straight = corners[pairs].mean(axis=1)
-    wall = _core.Wall(np.ascontiguousarray(smooth), np.ascontiguousarray(faces, np.int64))
+    wall = wall_of(smooth, faces)
     middle, _ = wall.closest_point(straight)
     coarse_border = np.sort(border_edges(triangles[:, :3]), axis=1)
     is_open = np.isin(pairs @ [size, 1], coarse_border @ [size, 1])

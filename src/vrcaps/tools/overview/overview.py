@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from vrcaps._core import Wall
+from vrcaps.mesh.wall import wall_of
 from vrcaps.organ.measure import OrganMeasures, arc_length_bins, measure_organ, segment_spans
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.tools.overview.inside import inside_views
@@ -127,7 +128,7 @@ def write_overview(organ: OrganSurface, path: Path, *, facts: OrganMeasures | No
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    wall = Wall(organ.vertices, organ.faces.astype(np.int64))
+    wall = wall_of(organ.vertices, organ.faces)
     picture = _Picture(organ, facts or measure_organ(organ), wall, marked_lesions(organ))
     places = _view_places(picture)
     rows_inside = -(-len(places) // _VIEWS_PER_ROW)

@@ -124,7 +124,7 @@ def test_submerged_part_of_a_capsule(tilt: float) -> None:
 
 
 def test_half_a_sphere() -> None:
-    """Archimedes: half the volume, its centre 3/8 of the radius below the middle."""
+    """Archimedes: half the volume, its center 3/8 of the radius below the middle."""
     radius = 6.0 * MM
     volume, center = submerged((np.zeros(3), np.zeros(3)), radius, 0.0)
     assert volume == pytest.approx(2.0 / 3.0 * np.pi * radius**3, rel=1e-3)

@@ -23,7 +23,7 @@ def _forward(trajectory):
 @pytest.mark.slow
 @pytest.mark.parametrize("device", device_names())
 def test_every_device_stays_inside(tube, device):
-    """Centre and cameras of every catalog device keep clear of the wall, whatever the seed."""
+    """Center and cameras of every catalog device keep clear of the wall, whatever the seed."""
     model = Model(tube, read_device(device))
     wild = FlyThrough(drift=0.95, tilt=0.7, roll=3.0)
     for seed, settings in ((0, FlyThrough()), (1, wild), (2, replace(wild, start=0.9, end=0.1))):
@@ -43,7 +43,7 @@ def test_margin_is_kept_where_there_is_room(model):
     assert camera_clearance(model, trajectory).min() > 0.98 * 0.004
 
 
-def test_without_wandering_it_rides_the_centreline(model):
+def test_without_wandering_it_rides_the_centerline(model):
     """Both ends of the follower_offsets are on the curve; on the straight so is the whole axis."""
     settings = FlyThrough(drift=0.0, tilt=0.0, roll=0.0, speed_variation=0.0)
     trajectory = _fly(model, settings, frames=300)

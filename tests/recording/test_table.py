@@ -43,7 +43,7 @@ def test_same_table_same_bytes(tmp_path, model, trajectory):
     assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
 
 
-def test_locate_finds_the_arc_length_of_points_beside_the_centreline(model):
+def test_locate_finds_the_arc_length_of_points_beside_the_centerline(model):
     """In a straight tube a sideways step leaves the arc length; the segment follows it."""
     line = model.organ.centerline
     chosen = np.flatnonzero((line.arc_length > 0.04) & (line.arc_length < line.length - 0.04))[::7]
@@ -55,8 +55,8 @@ def test_locate_finds_the_arc_length_of_points_beside_the_centreline(model):
     np.testing.assert_array_equal(segment[clear], expected[clear])
 
 
-def test_a_neighbouring_loop_is_not_taken_for_the_own(model):
-    """A point near the wall but nearer another stretch's centreline stays in its own stretch."""
+def test_a_neighboring_loop_is_not_taken_for_the_own(model):
+    """A point near the wall but nearer another stretch's centerline stays in its own stretch."""
     line = model.organ.centerline
     middle = len(line.points) // 2
     point = line.points[[middle]] + 0.9 * line.radius[middle] * line.frames[[middle], :, 1]

@@ -39,7 +39,7 @@ def wide(tube):
 
 
 def make_world(organ, moment, sources, *, wxyz_z=(0, 0, 1), at=0.05, offset=(0, 0, 0), **options):
-    """A capsule with one magnet, its axis along `wxyz_z`, on the centreline of `organ`."""
+    """A capsule with one magnet, its axis along `wxyz_z`, on the centerline of `organ`."""
     device = read_device("mirocam")
     device = replace(device, magnets=(InternalMagnet(offset, moment),))
     model = Model(organ, device, options.pop("T_world_patient", posture_transform("supine")))

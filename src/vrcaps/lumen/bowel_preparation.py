@@ -1,4 +1,4 @@
-"""What is left in a colon that was cleansed more or less well."""
+"""Lumen contents of a colon by its score of bowel preparation."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from vrcaps.lumen.liquid import Liquid
 from vrcaps.units import MM
 
 _STOOL, _FOOD = (0.24, 0.16, 0.035), (0.34, 0.26, 0.11)
-"""Linear colours of stool and of undigested food, chosen by eye beside real frames."""
+"""Linear colors of stool and of undigested food, chosen by eye beside real frames."""
 
 _CLEAR, _TURBID = (14.0, 13.0, 6.0), (70.0, 55.0, 20.0)
 """Scattering of washed and of stained liquid [1/m]."""

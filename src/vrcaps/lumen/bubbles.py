@@ -35,7 +35,7 @@ class Bubbles:
         gleam: Share of light that the rim throws from the surroundings towards the viewer.
         stain: Absorption of the rim for red, green and blue.
         roughness: Roughness α of the film in the mirror image of an LED.
-        color: Linear colour of the surroundings that the film mirrors.
+        color: Linear color of the surroundings that the film mirrors.
     """
 
     per_area: float = 0.8 / CM2

@@ -26,8 +26,8 @@ class Chyme:
         settled: Share of clumps that lie where the lumen is lowest; the others stick anywhere.
         white: Share of clumps that are white; the others are yellow.
         density: Of a particle [kg/m³].
-        yellow_color: Linear base colour of yellow particles.
-        white_color: Linear base colour of white particles.
+        yellow_color: Linear base color of yellow particles.
+        white_color: Linear base color of white particles.
     """
 
     per_area: float = 1.0 / CM2

@@ -47,7 +47,7 @@ def pack(
         radius: Of all spheres, cluster after cluster [m].
         rng: Source of randomness.
         dimensions: 2 for rafts in the plane z = 0, 3 for clumps on it.
-        touch: Distance of neighbours as a share of the sum of their radii.
+        touch: Distance of neighbors as a share of the sum of their radii.
 
     Returns:
         Places relative to each cluster's first sphere [m].

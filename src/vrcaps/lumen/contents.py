@@ -1,4 +1,4 @@
-"""What is in the lumen, by severity or in figures."""
+"""Settings of the lumen contents: each kind by severity or by its parameters."""
 
 from __future__ import annotations
 

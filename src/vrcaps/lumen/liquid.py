@@ -39,7 +39,7 @@ class Liquid:
         for name in ("absorption", "scattering"):
             value = getattr(self, name)
             valid = all(0.0 <= x < math.inf for x in value)
-            require(valid, f"Liquid's {name}", value, "0 or more 1/m for each colour")
+            require(valid, f"Liquid's {name}", value, "0 or more 1/m for each color")
         require(0.0 < self.roughness <= 1.0, "Liquid's roughness", self.roughness, "above 0 to 1")
 
 

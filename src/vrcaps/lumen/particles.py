@@ -27,8 +27,8 @@ class Spheres:
         kind: `BUBBLE`, `YELLOW` or `WHITE` chyme.
         instance: Bubbles count from 1, clumps of chyme from `FIRST_CLUMP`; beyond 65535 numbers
             come again.
-        color: Linear base colour of chyme, of what a bubble's surroundings reflect.
-        arc_length: Gut coordinate of the centre [m].
+        color: Linear base color of chyme, of what a bubble's surroundings reflect.
+        arc_length: Gut coordinate of the center [m].
     """
 
     centers: Float[np.ndarray, "n 3"]

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 _SPACING = 2.0 * MM
 LIFT_BUBBLE = 0.85
-"""Height of a bubble's centre over the wall it clings to, as a share of its radius."""
+"""Height of a bubble's center over the wall it clings to, as a share of its radius."""
 _LIFT_CHYME = 0.4
 _SCATTER = 0.7
 """How far directions stray from up or down; 1 is as long as the way itself."""

@@ -43,7 +43,7 @@ class Pools:
 
 @dataclass(frozen=True)
 class Sections:
-    """The lumen as a pile of cross-sections, star-shaped about the centreline.
+    """The lumen as a pile of cross-sections, star-shaped about the centerline.
 
     Attributes:
         arc_length: Where the k sections are [m].
@@ -82,7 +82,7 @@ def cut_sections(organ: OrganSurface) -> Sections:
 
 
 def _radii(organ: OrganSurface, edges: Float[np.ndarray, " e"]) -> Float[np.ndarray, "k a"]:
-    """Mean distance of the wall from the centreline [m], by section and direction.
+    """Mean distance of the wall from the centerline [m], by section and direction.
 
     Where no vertex lies in a field it is the mean of its section, or between sections.
     """
@@ -105,7 +105,7 @@ def find_pools(
     """Liquid at rest in an organ: in each dip of its floor up to what it holds.
 
     A dip lies between two crests of the lumen's floor and would hold the share `fill` of the
-    lumen there, but no more than up to the lower crest: the rest runs off. Where two neighbours
+    lumen there, but no more than up to the lower crest: the rest runs off. Where two neighbors
     are both full to the crest between them they are one.
 
     Args:
@@ -220,7 +220,7 @@ def submerged(
         level: Height of the surface [m].
 
     Returns:
-        Its volume [m³] and its centre [m]; the middle of the axis where nothing is under.
+        Its volume [m³] and its center [m]; the middle of the axis where nothing is under.
     """
     slices = 200
     start, span = axis[0], axis[1] - axis[0]

@@ -1,7 +1,8 @@
-"""The rail that a fly-through rides on, and the wandering about it.
+"""Two-point centerline follower with band-limited noise, for fly-throughs.
 
-The capsule's two ends lie on the rail like the wheels of a rail car, so that body and cameras
-follow bends. All wandering is a sum of sines in the distance travelled.
+Two points of the capsule, near its ends, lie on a curve: the centerline plus a lateral drift. Body
+and cameras therefore follow bends. Drift, tilt, roll and speed vary with band-limited noise, a sum
+of sines of the distance traveled.
 """
 
 from __future__ import annotations
@@ -52,7 +53,7 @@ def make_noise(smoothness: float, rng: np.random.Generator, *, count: int) -> Ba
 
 @dataclass(frozen=True)
 class CenterlineFollower:
-    """Poses of the capsule by the arc length of its middle on the centreline [m].
+    """Poses of the capsule by the arc length of its middle on the centerline [m].
 
     Attributes:
         centerline: In the world frame.
@@ -60,10 +61,10 @@ class CenterlineFollower:
         front: Distance of the front point ahead of the capsule's origin [m].
         rear: Distance of the rear point behind it [m].
         sign: 1 to travel towards the anal end, −1 towards the oral end.
-        drift: Largest drift as a share of the radius.
+        drift: Largest drift as a fraction of the radius.
         tilt: Largest angle off the direction of travel [rad].
         roll: Largest angle about the capsule's axis [rad].
-        amplitude: Share of the drift and tilt kept, by arc length.
+        amplitude: Fraction of the drift and tilt kept, by arc length.
         correction: Shift [m] and turn [rad] of the capsule in its own frame, by arc length.
     """
 
@@ -119,7 +120,7 @@ class CenterlineFollower:
         offset = np.empty((len(s), 3))
         offset[:, :2] = (amplitude * self.drift * radius)[:, None] * self.noise.at(s)[:, :2]
         offset[:, :2] /= np.sqrt(2.0)
-        # Beyond an end of the centreline the rail goes straight on.
+        # Beyond an end of the centerline the rail goes straight on.
         offset[:, 2] = s - np.clip(s, 0.0, self.centerline.length)
         return point + (frame @ offset[:, :, None])[:, :, 0]
 

@@ -1,4 +1,4 @@
-"""Motion by dynamics: how to ask for it."""
+"""Dynamics: settings of a motion that is simulated, by gravity, wall, muscle and commands."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ WRENCH_FRAMES = ("world", "capsule", "gut")
 class Dynamics:
     """The capsule moves as gravity, the wall, the muscle and commands make it.
 
-    It is set on the centreline and left to itself for `settle`; then time is 0 and the first
+    It is set on the centerline and left to itself for `settle`; then time is 0 and the first
     frame is taken.
 
     Example:
@@ -49,10 +49,10 @@ class Dynamics:
         >>> vrcaps.record(vrcaps.Scenario("small-bowel", motion=motion), "runs/transit")
 
     Attributes:
-        start: Where the capsule is set, as a share of the centreline from the oral end; moved
+        start: Where the capsule is set, as a share of the centerline from the oral end; moved
             on to where the capsule fits.
         angle: Between the capsule's front and the way towards the anal end, about the x axis of
-            the centreline's frame [rad]; π looks back.
+            the centerline's frame [rad]; π looks back.
         deformation: How the wall gives way: `quick` (the paper's update near the contact), `fem`
             (an elastic layer) or `rigid` (not at all, but for the softness of `foundation`).
         quick: Parameters of `quick`.
@@ -70,9 +70,9 @@ class Dynamics:
             after them.
         wrench_file: CSV of such entries instead, see `read_wrenches`.
         wrench_frame: Axes of commanded forces and torques: `world`, the `capsule`'s own, or the
-            `gut`'s at the capsule: z along the centreline towards the anal end.
+            `gut`'s at the capsule: z along the centerline towards the anal end.
         posture_changes: When the patient turns over.
-        insufflation: How full the gut is in time; empty: as modelled.
+        insufflation: How full the gut is in time; empty: as modeled.
         magnet: A magnet outside that steers the capsule; None is without.
         settle: Time that passes before the first frame, without commands [s]. The gut takes on
             its first insufflation, and the muscle wakes within 1 s.

@@ -1,9 +1,9 @@
-"""A fly-through along the centreline: smooth, seeded, and never out of the lumen.
+"""Fly-through along the centerline: smooth, seeded, and never out of the lumen.
 
-The capsule rides on a rail (see `rail`): the centreline plus a drift across the lumen. All
-wandering (drift, heading, roll, speed) goes with the distance travelled, so the path does not
+The capsule follows the centerline plus a lateral drift (see `centerline_follower`). All noise
+(drift, tilt, roll, speed) goes with the distance traveled, so the path does not
 depend on the frame rate. Where a camera would come too near the wall the wandering is eased;
-where even the centreline brings it there, in an acute bend, the capsule is pushed aside.
+where even the centerline brings it there, in an acute bend, the capsule is pushed aside.
 """
 
 from __future__ import annotations
@@ -40,28 +40,28 @@ _PUSH_BLUR = 3.0 * MM
 
 @dataclass(frozen=True)
 class FlyThrough:
-    """Fly along the centreline.
+    """Fly along the centerline.
 
     Example:
         >>> motion = vrcaps.FlyThrough(start=0.2, end=0.6, speed=0.01)
         >>> vrcaps.record(vrcaps.Scenario(motion=motion), "runs/flight")
 
     Attributes:
-        start: Where the first frame is, as a share of the centreline from the oral end.
+        start: Where the first frame is, as a fraction of the centerline from the oral end.
         end: Where the last frame is; less than `start` to travel towards the oral end. With a
             `speed`, where the capsule must not go beyond. Both are moved inwards to where the
             capsule fits.
-        speed: Mean speed along the centreline [m/s]; None covers the whole stretch in the
+        speed: Mean speed along the centerline [m/s]; None covers the whole stretch in the
             frames given.
         speed_variation: Largest deviation of the speed from its mean, as a share, below 1.
-        drift: Largest distance from the centreline, as a share of the local radius, below 1.
+        drift: Largest distance from the centerline, as a fraction of the local radius, below 1.
         tilt: Largest angle between the capsule's axis and its direction of travel [rad].
         roll: Largest angle about the capsule's axis [rad].
         smoothness: Shortest wavelength of all these along the path [m].
         margin: Distance that cameras and body axis keep from the wall where the lumen is wide
-            enough [m]; where it is not, half of what they have on the centreline.
+            enough [m]; where it is not, half of what they have on the centerline.
         rigid_wall: Whether the wall stays as it is where the lumen is narrower than the capsule, so
-            that the shell reaches into it; its centre and its cameras never do. Otherwise the
+            that the shell reaches into it; its center and its cameras never do. Otherwise the
             wall makes way for the shell.
     """
 
@@ -100,7 +100,7 @@ def fly_through(
     rng: np.random.Generator,
     shown: Model | None = None,
 ) -> Trajectory:
-    """Trajectory of the capsule along the centreline, looking where it travels.
+    """Trajectory of the capsule along the centerline, looking where it travels.
 
     Args:
         model: The lumen and the capsule.
@@ -129,8 +129,8 @@ def fly_through(
     first = low if follower.sign > 0.0 else high
 
     def pose_at(times: Float[np.ndarray, " k"]) -> Float[np.ndarray, "k 4 4"]:
-        travelled = _travelled(rate * times, distance, noise, settings.speed_variation)
-        return follower.poses(first + follower.sign * travelled)
+        traveled = _traveled(rate * times, distance, noise, settings.speed_variation)
+        return follower.poses(first + follower.sign * traveled)
 
     times = np.arange(frames) / fps
     step = 1e-3 / fps
@@ -141,10 +141,10 @@ def fly_through(
     return trajectory
 
 
-def _travelled(
+def _traveled(
     nominal: Float[np.ndarray, " n"], distance: float, noise: BandLimitedNoise, variation: float
 ) -> Float[np.ndarray, " n"]:
-    """Distance travelled when steady motion would be at `nominal`; both end at `distance` [m]."""
+    """Distance traveled when steady motion would be at `nominal`; both end at `distance` [m]."""
     if distance <= 0.0:
         return np.zeros_like(nominal)
     ends = np.array([distance])
@@ -155,7 +155,7 @@ def _travelled(
 def _make_follower(
     model: Model, settings: FlyThrough, rng: np.random.Generator
 ) -> CenterlineFollower:
-    """Follower of the model's capsule on its organ's centreline, not wandering yet."""
+    """Follower of the model's capsule on its organ's centerline, not wandering yet."""
     line = model.organ.centerline
     front, rear = follower_offsets(model.device)
     return CenterlineFollower(

@@ -57,7 +57,7 @@ class Replay:
             along −z).
         pose: Whose pose the file holds: `camera` (the device's first) or `capsule`.
         frame: Frame that the file's coordinates, with `T_frame_recording` applied, are in.
-        T_frame_recording: Places the path, after its conversion to metres and a right-handed
+        T_frame_recording: Places the path, after its conversion to meters and a right-handed
             z-up (`unity-csv`) frame: four rows of four numbers.
         start: Time in the file of the first frame, from the file's first pose [s].
         allow_outside: Accept frames whose camera is outside the lumen.

@@ -93,7 +93,7 @@ def trajectory_from_poses(
     *,
     notes: tuple[str, ...] = (),
 ) -> Trajectory:
-    """Trajectory through given poses; velocities are central differences of neighbours.
+    """Trajectory through given poses; velocities are central differences of neighbors.
 
     Args:
         times: Instants [s], strictly increasing, at least two.

@@ -1,4 +1,4 @@
-"""Channels as pictures for people: colour maps, and the contact sheet of an episode."""
+"""Channels as pictures for people: color maps, and the contact sheet of an episode."""
 
 from __future__ import annotations
 
@@ -43,12 +43,12 @@ _MAX_WIDTH = 1800
 def picture(
     channel: str, values: NDArray, limits: tuple[float, float] = (0.0, 1.0)
 ) -> UInt8[np.ndarray, "h w 3"]:
-    """A channel's values as an sRGB picture; pixels without a value are dark grey.
+    """A channel's values as an sRGB picture; pixels without a value are dark gray.
 
     Args:
         channel: Its name.
         values: As `Episode.image` gives them.
-        limits: Values at both ends of the colour map.
+        limits: Values at both ends of the color map.
     """
     if channel == "rgb":
         return values
@@ -72,7 +72,7 @@ def picture(
 
 
 def limits_of(channel: str, images: list[NDArray]) -> tuple[float, float]:
-    """Ends of the colour map that suit some images of a channel."""
+    """Ends of the color map that suit some images of a channel."""
     if channel == "normal":
         return -1.0, 1.0
     if channel in ("rgb", "albedo", "occlusion", *CLASSES):
@@ -87,7 +87,7 @@ def limits_of(channel: str, images: list[NDArray]) -> tuple[float, float]:
 
 
 def contact_sheet(episode: Episode) -> UInt8[np.ndarray, "h w 3"]:
-    """A sheet to look at: a row for each channel of each camera, labelled, over the whole run."""
+    """A sheet to look at: a row for each channel of each camera, labeled, over the whole run."""
     from PIL import Image, ImageDraw, ImageFont
 
     rows = [(camera, channel) for camera in episode.cameras for channel in episode.channels]
@@ -142,7 +142,7 @@ def _legend(
 
 
 def _class_colors() -> UInt8[np.ndarray, "256 3"]:
-    """Distinct colours: hues a golden angle apart; class 0 is the background."""
+    """Distinct colors: hues a golden angle apart; class 0 is the background."""
     colors = _hue_colors(np.arange(256) * 0.618033988749895, 0.85 - 0.25 * (np.arange(256) % 2))
     colors[0] = _BACKGROUND
     return colors
@@ -155,7 +155,7 @@ def _flow_colors(flow: NDArray, largest: float) -> UInt8[np.ndarray, "h w 3"]:
 
 
 def _hue_colors(hue: NDArray, value: NDArray) -> NDArray:
-    """Saturated colours of a hue (1 is a full turn) and a brightness from 0 to 1."""
+    """Saturated colors of a hue (1 is a full turn) and a brightness from 0 to 1."""
     phase = (hue[..., None] + np.array([0.0, 2.0 / 3.0, 1.0 / 3.0])) % 1.0 * 6.0
     channel = np.clip(np.abs(phase - 3.0) - 1.0, 0.0, 1.0)
     return ((0.2 + 0.8 * channel) * value[..., None] * 255.0).astype(np.uint8)

@@ -332,7 +332,7 @@ def _preview_from_files(preview: Preview | None, episode: Episode, frame: int) -
 
 
 def _new_preview(run: _Recording) -> Preview | None:
-    """The preview, if colour images are recorded and it is not there yet."""
+    """The preview, if color images are recorded and it is not there yet."""
     if "rgb" not in run.scenario.channels or (run.out / PREVIEW_MP4).exists():
         return None
     cameras, fps = run.model.device.cameras, run.scenario.fps

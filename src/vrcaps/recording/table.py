@@ -158,8 +158,8 @@ def locate_in_gut(
 ) -> tuple[Float[np.ndarray, " n"], np.ndarray]:
     """Arc length [m] and segment name of points in the lumen.
 
-    The nearest wall says which stretch of the gut a point is in, so that a neighbouring loop is
-    never taken for it; within that stretch the nearest point of the centreline counts.
+    The nearest wall says which stretch of the gut a point is in, so that a neighboring loop is
+    never taken for it; within that stretch the nearest point of the centerline counts.
 
     Args:
         model: The lumen.

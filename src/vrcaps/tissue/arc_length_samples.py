@@ -1,4 +1,4 @@
-"""Stations along the gut at which muscle and gas set the lumen_scale."""
+"""Arc-length samples along the gut, at which muscle and gas scale the lumen."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def arc_length_samples(centerline: Centerline) -> Float[np.ndarray, " k"]:
 def sample_coordinates(
     organ: OrganSurface,
 ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, " n"]]:
-    """From each vertex to the centreline [m], and its place along the samples [spacings]."""
+    """From each vertex to the centerline [m], and its place along the samples [spacings]."""
     curve = organ.centerline
     nearest = polyline_points(curve, organ.arc_length)
     place = organ.arc_length / arc_length_samples(curve)[1]

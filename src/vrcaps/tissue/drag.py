@@ -1,4 +1,4 @@
-"""How the gut resists a capsule that slides along it."""
+"""Drag laws: resistance of the gut against a capsule that slides along it."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _LAWS = ("incetan2021", "continuous", "physical")
 class Drag:
     """Resistance against the capsule's motion, in one of three laws.
 
-    `incetan2021` and `continuous` act against the velocity of the centre of mass while the capsule
+    `incetan2021` and `continuous` act against the velocity of the center of mass while the capsule
     touches the wall (Incetan et al., Med. Image Anal. 70, 2021, Frictional Resistance):
 
         f = C                     up to the threshold (`incetan2021` only)

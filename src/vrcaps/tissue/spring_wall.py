@@ -1,4 +1,4 @@
-"""Quick deformation: a wall that looks and feels soft at little cost."""
+"""Spring wall: per-vertex spring-damper deformation near a contact."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from vrcaps.units import MM
 
 @dataclass(frozen=True)
 class SpringWall:
-    """Vertices near a contact are pushed, sprung back and damped, each by itself.
+    """Spring wall: each vertex near a contact is pushed, sprung back and damped by itself.
 
     Of a force F on the wall, a vertex at distance d feels F / (1 + (d/d₀)²); then
     Δv = (F_v − k x) Δt / m, v ← v (1 − μ Δt), Δx = v Δt (Incetan et al., Med. Image Anal. 70, 2021,

@@ -1,4 +1,4 @@
-"""A wall that yields, grips and drags: all laws of one organ."""
+"""Tissue: all mechanical settings of an organ's wall."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the wall is made of, as a capsule feels it."""
+"""Winkler foundation: pressure of the wall against a capsule that presses in."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from vrcaps.units import MM
 
 @dataclass(frozen=True)
 class WinklerFoundation:
-    """A soft layer on firm ground: pressure against a capsule that presses into it.
+    """Elastic (Winkler) foundation: a soft layer of independent springs on a rigid base.
 
     Pressure [Pa] at indentation u [m] that grows at u̇ [m/s]:
 
         p = K l (exp(u / l) − 1) · (1 + g asinh(u̇ / (r h)))
 
-    K = (1 − ν) E / ((1 + ν)(1 − 2ν) h) is the stiffness of a thin layer bonded to firm ground
+    K = (1 − ν) E / ((1 + ν)(1 − 2ν) h) is the stiffness of a thin layer bonded to a rigid base
     (Johnson, Contact Mechanics, 1985, eq. 4.33 and section 4.3). The exponential is the usual law
     of soft tissue (Fung, Biomechanics, 1993): the slope grows seven-fold over
     `stiffening_strain`, as between the low- and high-strain moduli of pig small intestine,

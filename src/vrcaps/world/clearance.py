@@ -1,4 +1,4 @@
-"""How far a capsule keeps from the wall, and how it is pushed back into the lumen."""
+"""Clearance between capsule and wall, and poses pushed back into the lumen."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def corrected(
 def push_inside(
     model: Model, poses: Float[np.ndarray, "n 4 4"], *, need: float, blur: float
 ) -> Float[np.ndarray, "n 6"]:
-    """Smooth corrections of neighbouring poses that bring origin and cameras into the lumen.
+    """Smooth corrections of neighboring poses that bring origin and cameras into the lumen.
 
     Poses that are too near the wall climb the gradient of their clearance, and all corrections
     are blurred along the path, in turns. It may fail where the lumen is too narrow.
@@ -66,7 +66,7 @@ def push_inside(
     blocked = vital_clearance(model, poses) < need
     if not blocked.any():
         return correction
-    # A push acts on its neighbours through the blur only: look no further than that reaches.
+    # A push acts on its neighbors through the blur only: look no further than that reaches.
     window = np.flatnonzero(binary_dilation(blocked, iterations=int(10.0 * blur)))
     for _ in range(_MAX_PUSHES):
         clearance = vital_clearance(model, corrected(poses[window], correction[window]))

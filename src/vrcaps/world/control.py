@@ -1,4 +1,4 @@
-"""What is commanded while the world steps."""
+"""Control: the commands that hold during one step of a `World`."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ class Control:
         >>> world.step(vrcaps.Control(force_world=(0.0, 0.0, 0.02)), dt=0.01)
 
     Attributes:
-        force_world: Force on the capsule's centre of mass [N].
+        force_world: Force on the capsule's center of mass [N].
         torque_world: Torque on the capsule [N·m].
         T_world_patient: How the patient lies at the end of the step; None leaves it as it is.
             Only the directions of gravity and of sources follow: patients turn slowly.
-        insufflation: Factor on the lumen's radius at the end of the step, 1 = as modelled.
+        insufflation: Factor on the lumen's radius at the end of the step, 1 = as modeled.
         Ts_world_magnet: Poses of the world's sources at the end of the step, which they approach
             evenly: straight on, and by the shortest turn. None leaves them where they are.
         strengths: How many times its own field each source has at the end of the step, such as the

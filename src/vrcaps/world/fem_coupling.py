@@ -1,4 +1,4 @@
-"""The elastic layer of a world: under which organs there is one, and its part of a snapshot."""
+"""Elastic layer of a world: which organs have one, and its part of a snapshot."""
 
 from __future__ import annotations
 

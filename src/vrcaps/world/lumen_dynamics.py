@@ -1,4 +1,4 @@
-"""What states in the lumen of a moving world: it moves, pushes the capsule and bears it up."""
+"""Dynamics of the lumen contents: particles move and push the capsule, liquid carries it."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ Hoerner, Fluid-Dynamic Drag, 1965, 3-12, tumbling included)."""
 
 @dataclass(frozen=True)
 class _StepInputs:
-    """What the core's swarm meets in a step; positions are about the wall's centre."""
+    """What the core's swarm meets in a step; positions are about the wall's center."""
 
     up: tuple[float, float, float]
     gravity: float
@@ -64,7 +64,7 @@ class _ParticleLaws:
 
 
 class LumenDynamics:
-    """Spheres and pools of a `World`, in the frame of its core: the patient's, about a centre."""
+    """Spheres and pools of a `World`, in the frame of its core: the patient's, about a center."""
 
     def __init__(self, model: Model, wall: _core.Wall, body: Body, pose: _core.Pose) -> None:
         assert model.lumen_contents is not None
@@ -193,7 +193,7 @@ class LumenDynamics:
     def _capsule(
         self, pose: _core.Pose, ahead: float
     ) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, "2 3"]]:
-        """Centre of mass and ends of the axis a time ahead [m], about the wall's centre."""
+        """Center of mass and ends of the axis a time ahead [m], about the wall's center."""
         center, rotation = center_of_mass_and_rotation(pose)
         center = center + ahead * np.array(pose[2])
         middle = center + rotation @ self._body.center

@@ -1,4 +1,4 @@
-"""Sources outside the patient, and what they do to the capsule's magnets in a `World`."""
+"""Magnetic coupling: wrench of the sources outside on the capsule's magnets in a `World`."""
 
 from __future__ import annotations
 

@@ -146,7 +146,7 @@ class Contact:
 
     Attributes:
         force_world: Mean force of the wall on the capsule [N].
-        torque_world: Mean torque of the wall about the capsule's centre of mass [N·m].
+        torque_world: Mean torque of the wall about the capsule's center of mass [N·m].
         normal_force_total: Mean sum of the sizes of all normal forces [N].
         friction_work: Energy lost to friction and drag in the step [J].
         energy: Energy stored in the pressed wall [J].
@@ -169,11 +169,11 @@ class Coupling:
 
     Attributes:
         force_world: Mean force on the capsule [N].
-        torque_world: Mean torque about the capsule's centre of mass [N·m].
+        torque_world: Mean torque about the capsule's center of mass [N·m].
         flux_density_world: Flux density at the middle of its magnets [T].
         flux_gradient_world: ∂B_i/∂x_j there [T/m].
         angle: Between the capsule's moment and the flux density [rad]; more than π/2 pushes away.
-        distance: From there to the nearest source's centre [m]; infinite if none has a place.
+        distance: From there to the nearest source's center [m]; infinite if none has a place.
         Ts_world_magnet: Poses of the sources.
         strengths: How many times its own field each source has.
         is_exact: False where a magnet was outside a sampled field, whose value at its edge counted.

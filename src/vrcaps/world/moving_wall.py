@@ -1,4 +1,4 @@
-"""The wall of a model as it is in one state after another."""
+"""Moving wall: one hierarchy, refitted to one state after another."""
 
 from __future__ import annotations
 

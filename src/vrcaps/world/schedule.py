@@ -1,4 +1,4 @@
-"""What is commanded in time: a wrench, how the patient lies, how full the gut is."""
+"""Schedules of commands: wrench, posture and insufflation over time."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ WRENCH_COLUMNS = ("time_s", "fx_n", "fy_n", "fz_n", "tx_nm", "ty_nm", "tz_nm")
 
 @dataclass(frozen=True)
 class Wrench:
-    """Force and torque on the capsule's centre of mass from a time on.
+    """Force and torque on the capsule's center of mass from a time on.
 
     Attributes:
         time: Since the first frame [s].
@@ -57,7 +57,7 @@ class Insufflation:
 
     Attributes:
         time: Since the first frame [s].
-        factor: On the lumen's radius, 1 = as modelled.
+        factor: On the lumen's radius, 1 = as modeled.
     """
 
     time: float = 0.0

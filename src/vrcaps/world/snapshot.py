@@ -1,4 +1,4 @@
-"""All that changes in a world, exactly, in memory and in a file."""
+"""Snapshot of a world: all that changes, exactly, in memory and in a file."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 class Snapshot:
     """What a `World` needs to go on to the same bytes.
 
-    Positions are in the patient frame about the wall's centre.
+    Positions are in the patient frame about the wall's center.
 
     Attributes:
         seed: Of the world, see `World`.

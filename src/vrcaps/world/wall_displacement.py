@@ -1,4 +1,4 @@
-"""A narrow wall makes way for the capsule's shell, without forces: for paths known beforehand.
+"""Kinematic wall displacement: a narrow wall makes way for the capsule's shell, without forces.
 
 Within two radii of the body's axis, space is stretched away from it: a point at a distance d goes
 to d' = R + R ((d - d₀) / (2R - d₀))^p, where d₀ is the wall's least distance from the axis and
@@ -29,7 +29,7 @@ _LEAST = 1e-6
 
 @dataclass(frozen=True)
 class WallDisplacement:
-    """How a wall gives way to a capsule.
+    """A wall that makes way for a capsule.
 
     Attributes:
         model: The lumen and the capsule that moves in it.
@@ -83,5 +83,5 @@ class WallDisplacement:
 def _near(
     points: Float[np.ndarray, "n 3"], center: Float[np.ndarray, " 3"], reach: float
 ) -> np.ndarray:
-    """Which points lie in a box about a centre."""
+    """Which points lie in a box about a center."""
     return np.all(np.abs(points - center) < reach, axis=1)

@@ -389,7 +389,7 @@ class World:
         if not self._core.inside():
             raise InputError(
                 "T_world_capsule puts the capsule's axis outside the lumen. Allowed: inside it; "
-                "start on the centreline."
+                "start on the centerline."
             )
         depth, radius = self._core.penetration_depth(), self.body.radius
         if depth > 0.9 * radius:

@@ -1,4 +1,4 @@
-"""Several worlds, stepped side by side."""
+"""Several worlds, stepped in parallel."""
 
 from __future__ import annotations
 

@@ -226,9 +226,9 @@ def test_a_thrown_capsule_is_held_and_restored_to_the_same_bytes() -> None:
     push(first, 0.001)
     half = first.snapshot()
     expected = push(first, 0.001)
-    travelled = first.state.T_world_capsule[0, 3] - 0.04
-    assert 0.02 < travelled < 0.04
-    assert energy(first) < before + 0.5 * travelled  # at most the work of the force
+    traveled = first.state.T_world_capsule[0, 3] - 0.04
+    assert 0.02 < traveled < 0.04
+    assert energy(first) < before + 0.5 * traveled  # at most the work of the force
     assert first.is_inside()
     other = world(LAYER, substep=1e-3)
     other.restore(half)

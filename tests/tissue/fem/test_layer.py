@@ -28,7 +28,7 @@ def test_layer_of_a_tube_has_its_volume(tube: OrganSurface) -> None:
     assert set(np.round(layer.surface.nodes[coarsened.border, 2], 3)) == {0.0, 0.12}
 
 
-def test_neighbouring_elements_share_whole_faces() -> None:
+def test_neighboring_elements_share_whole_faces() -> None:
     """Every inner face is met twice, by elements whose middles of edges agree."""
     layer = extrude(bumpy(np.random.default_rng(0)), 3e-3, 2)
     faces = layer.tetrahedra[:, [[0, 1, 2, 4, 5, 6], [0, 1, 3, 4, 8, 7]]].reshape(-1, 6)

@@ -80,7 +80,7 @@ class FemDeformation:
                 len(span) == 2 and -math.inf < span[0] < span[1] < math.inf,
                 "fixed",
                 span,
-                "pairs of arc lengths in metres, from and to",
+                "pairs of arc lengths in meters, from and to",
             )
 
     @property

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from jaxtyping import Float, Int
 
 # Three tetrahedra of a prism whose corners are numbered by rising vertex; 3 to 5 are outside.
-# Every side is cut from its smaller vertex inside, so that neighbours agree.
+# Every side is cut from its smaller vertex inside, so that neighbors agree.
 _CUTS = ((0, 1, 2, 5), (0, 1, 5, 4), (0, 4, 5, 3))
 
 

@@ -153,7 +153,7 @@ class MigratingMotorComplex:
         """Phase 1 to 4 at places and times, and how much of it has passed, 0 to 1.
 
         Args:
-            arc_length: Places along the centreline [m].
+            arc_length: Places along the centerline [m].
             time: Of the world [s].
         """
         local = time + self.offset - np.interp(arc_length, self.places, self.delays)

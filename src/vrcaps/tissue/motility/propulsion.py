@@ -32,7 +32,7 @@ class Propulsion:
             contractions run at 2 cm/s: in phase III the human jejunum pulls with 9.3 g (n = 19;
             Ahluwalia et al., Gut 35:625, 1994).
         alpha: Speed α [m/s]; None takes the speed of the contractions at the place.
-        direction: `segment` as above, or `tangent` of the centreline at the capsule.
+        direction: `segment` as above, or `tangent` of the centerline at the capsule.
         segment_length: Length of a piece of gut [m]; the paper cuts a small bowel into 35.
     """
 

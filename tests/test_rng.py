@@ -16,12 +16,15 @@ SOURCES = sorted(Path(vrcaps.__file__).parent.rglob("*.py"))
 
 
 def purposes() -> list[str]:
-    """Second argument of every call of `stream` in the package; fails where it is no literal."""
+    """Purposes of all calls of `stream` in the package; fails where one cannot be read off."""
     found = []
     for path in SOURCES:
         for node in ast.walk(ast.parse(path.read_text())):
             if isinstance(node, ast.Call) and ast.unparse(node.func).endswith("rng.stream"):
                 purpose = node.args[1]
+                if isinstance(purpose, ast.JoinedStr):  # a family: its members follow a slash
+                    purpose = purpose.values[0]
+                    assert ast.unparse(purpose).endswith("/'"), ast.unparse(node)
                 assert isinstance(purpose, ast.Constant), f"{path.name}: {ast.unparse(node)}"
                 found.append(str(purpose.value))
     return found

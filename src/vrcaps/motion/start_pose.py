@@ -8,8 +8,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vrcaps.errors import InputError
-from vrcaps.organ.centerline.curve import polyline_points
-from vrcaps.transforms import rotation_from_vector, transform_from
 from vrcaps.units import MM
 from vrcaps.world.clearance import capsule_clearance
 from vrcaps.world.model import Model
@@ -42,10 +40,7 @@ def start_pose(
     # Towards the far end: a capsule that does not fit at an end fits further in.
     end = line.length if start <= 0.5 else 0.0
     places = np.linspace(wanted, end, max(2, math.ceil(abs(end - wanted) / _SPACING) + 1))
-    nearest = np.abs(line.arc_length[:, None] - places).argmin(axis=0)
-    points = polyline_points(line, places)
-    tilt = rotation_from_vector(np.array([angle, 0.0, 0.0]))
-    poses = model.T_world_patient @ transform_from(line.frames[nearest] @ tilt, points)
+    poses = model.centerline_poses(places, angle=angle)
     clearance = capsule_clearance(model, poses).min(axis=1)
     fitting = np.flatnonzero(clearance > _CLEARANCE * model.device.radius)
     if len(fitting) == 0:

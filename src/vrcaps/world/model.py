@@ -14,7 +14,6 @@ from vrcaps.errors import UnknownNameError, require
 from vrcaps.lumen.contents import Contents
 from vrcaps.lumen.lumen_contents import CHYME, LumenContents, populate
 from vrcaps.mesh.wall import wall_of
-from vrcaps.organ.centerline import interpolate
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.transforms import rotation_from_vector, transform_from, transform_points
 
@@ -77,20 +76,6 @@ class Model:
     def wall(self) -> Wall:
         """The wall at rest, ready for distance and ray queries in the world frame."""
         return wall_of(self.vertices_world, self.organ.faces)
-
-    def pose_at(self, fraction: float) -> Float[np.ndarray, "4 4"]:
-        """Pose of a capsule on the centerline that looks towards the anal end.
-
-        Args:
-            fraction: Of the centerline's length, 0 at the oral end to 1 at the anal end.
-
-        Raises:
-            InputError: If the fraction is not from 0 to 1.
-        """
-        require(0.0 <= fraction <= 1.0, "fraction", fraction, "0 to 1")
-        line = self.organ.centerline
-        point, frame, _ = interpolate(line, np.array([fraction * line.length]))
-        return self.T_world_patient @ transform_from(frame[0], point[0])
 
     @cached_property
     def lumen_contents(self) -> LumenContents | None:

@@ -18,7 +18,7 @@ from vrcaps.mesh.wall import wall_of
 from vrcaps.tissue.arc_length_samples import arc_length_samples, sample_coordinates
 from vrcaps.tissue.motility.muscle import Muscle
 from vrcaps.tissue.tissue import Tissue
-from vrcaps.transforms import invert, rotate_vectors
+from vrcaps.transforms import rotate_vectors
 from vrcaps.world.control import Control, check_step, loads_in_patient
 from vrcaps.world.core_pose import core_pose
 from vrcaps.world.fem_coupling import coupling_state_of, make_fem_wall
@@ -92,7 +92,7 @@ class World:
         require(seed >= 0, "seed", seed, "0, 1, 2, …")
         self.model, self.tissue, self.substep, self.seed = model, tissue, substep, seed
         self.body = body or homogeneous_body(model.device)
-        organ = model.organ
+        organ, self._lumen = model.organ, None
         self._wall = wall_of(organ.vertices, organ.faces)
         self._center = np.array(self._wall.center)
         self._time = self._began = start.time
@@ -114,7 +114,6 @@ class World:
             self.muscle = Muscle(organ, tissue.motility, vrcaps.rng.stream(seed, "tissue/muscle"))
         self._moves = tissue.deformation is not None or self.muscle is not None
         self._check_start()
-        self._lumen = None
         if model.lumen_contents is not None:
             self._lumen = LumenDynamics(model, self._wall, self.body, self._core.pose)
         self._contact = self._core_contact()
@@ -194,11 +193,9 @@ class World:
         Raises:
             InputError: If the capsule does not fit there; it stays where it was.
         """
-        before, length = self._core.pose, self.model.organ.centerline.length
-        pose = self.model.pose_at(arc_length / length)
-        T_world_capsule = self._T_world_patient @ invert(self.model.T_world_patient) @ pose
+        before = self._core.pose
         self._core.pose = core_pose(
-            State(self._time, T_world_capsule), self._T_world_patient, self._center
+            self.model.place(arc_length), self.model.T_world_patient, self._center
         )
         self._core.settle()
         try:

@@ -1,4 +1,4 @@
-"""What an inertial unit and a magnetometer read."""
+"""Readings of an IMU and a magnetometer."""
 
 from __future__ import annotations
 

@@ -81,9 +81,9 @@ def barrel_radius(
     radius: Float[np.ndarray, "*n"], strength: float, radius_px: float
 ) -> Float[np.ndarray, "*n"]:
     """Image radius r′ [px] that the division model of `barrel_lens` makes of a radius r [px]."""
-    share = np.asarray(radius) / radius_px
-    root = np.sqrt(1.0 + 4.0 * strength / (1.0 - strength) ** 2 * share**2)
-    return 2.0 * share * radius_px / ((1.0 - strength) * (1.0 + root))
+    ratio = np.asarray(radius) / radius_px
+    root = np.sqrt(1.0 + 4.0 * strength / (1.0 - strength) ** 2 * ratio**2)
+    return 2.0 * ratio * radius_px / ((1.0 - strength) * (1.0 + root))
 
 
 def _rising_fit(

@@ -106,7 +106,7 @@ class CalibrateGeometric:
         console.print(f"Board found in {len(fit.views)} of {len(photos)} photographs.")
         if missed:
             console.print(f"Not found in: {', '.join(missed)}.")
-        mirrored = [view.name for view in fit.views if view.way == "mirrored"]
+        mirrored = [view.name for view in fit.views if view.method == "mirrored"]
         if mirrored:
             console.print(f"Found only in the mirror image of: {', '.join(mirrored)}.")
         console.print(_view_table(fit))
@@ -143,7 +143,7 @@ def _view_table(fit: Calibration):
         middle = pose @ [*fit.board.points.mean(axis=0), 1.0]
         away = np.linalg.norm(middle[:3]) / MM
         mean, most = f"{error.mean():.3f}", f"{error.max():.2f}"
-        table.add_row(view.name, view.way, mean, most, f"{tilt:.0f}", f"{away:.1f}")
+        table.add_row(view.name, view.method, mean, most, f"{tilt:.0f}", f"{away:.1f}")
     return table
 
 

@@ -1,4 +1,4 @@
-"""What every lens model offers, and the arithmetic they share.
+"""Interface of lens models, and the arithmetic that they have in common.
 
 A lens model is a frozen dataclass of plain numbers. Pixels are (column, row), and pixel (0, 0) is
 the center of the top-left pixel. The camera frame is x right, y down, z forward.

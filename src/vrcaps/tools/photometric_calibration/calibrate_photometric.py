@@ -1,4 +1,4 @@
-"""A camera's figures from a folder of its frames, and a device that has them."""
+"""Photometric calibration of a camera from its frames, and a device that has the result."""
 
 from __future__ import annotations
 
@@ -137,7 +137,7 @@ def write_scenario(path: Path, calibration: PhotometricCalibration, capsule: Pat
 
     Args:
         path: TOML file to write.
-        calibration: The figures.
+        calibration: The result.
         capsule: File of the calibrated device.
 
     Raises:
@@ -155,7 +155,8 @@ def write_scenario(path: Path, calibration: PhotometricCalibration, capsule: Pat
         }
     if calibration.jpeg_quality is not None:
         effects["jpeg"] = {"quality": calibration.jpeg_quality}
-    write_toml(path, {"capsule": str(capsule), "effects": effects}, "scenario")
+    plain = {"capsule": str(capsule)} | ({"effects": effects} if effects else {})
+    write_toml(path, plain, "scenario")
 
 
 def _center(frames: Frames, camera: Camera) -> tuple[float, float]:

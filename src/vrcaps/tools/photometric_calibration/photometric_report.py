@@ -61,8 +61,8 @@ def _draw_vignetting(axis, calibration: PhotometricCalibration) -> None:
         axis.plot(reference.radius, reference.brightness, "s-", ms=3, label="reference")
     radius = np.linspace(0.0, calibration.profile.radius[-1], 100)
     k1, k2 = calibration.vignetting.k1, calibration.vignetting.k2
-    share = 1.0 + k1 * radius**2 + k2 * radius**4
-    axis.plot(radius, share, "k-", label=f"1 {k1:+.3f} ρ² {k2:+.3f} ρ⁴")
+    vignetting = 1.0 + k1 * radius**2 + k2 * radius**4
+    axis.plot(radius, vignetting, "k-", label=f"1 {k1:+.3f} ρ² {k2:+.3f} ρ⁴")
     axis.set(xlabel="distance from the axis, halves of the shorter side", ylim=(0.0, None))
     axis.set_title("brightness by radius, and vignetting")
     axis.legend(fontsize=8)
@@ -73,7 +73,7 @@ def _draw_color(axis, calibration: PhotometricCalibration, frames: Frames) -> No
         values = frames.rgb[..., channel][frames.field]
         counts = np.bincount(values, minlength=256) / max(values.size, 1)
         axis.plot(counts, color=f"tab:{name}", label=name)
-    axis.set(xlabel="code value", ylabel="share of pixels", ylim=(0.0, None))
+    axis.set(xlabel="code value", ylabel="fraction of pixels", ylim=(0.0, None))
     color = calibration.color
     words = "" if color is None else f": R/G {color.red:.2f}, B/G {color.blue:.2f} linear"
     axis.set_title(f"color{words}")

@@ -1,4 +1,4 @@
-"""How a camera's image darkens towards its edge, its color and its brightness."""
+"""Vignetting profile of a camera, and color and brightness of the wall, from frames."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 NUM_RINGS = 24
 ENVELOPE = 0.9
-"""Share of a ring's pixels below its brightness: the lumen's dark middle does not count."""
+"""Fraction of a ring's pixels below its brightness: the lumen's dark middle does not count."""
 _NUM_PARTS = 8
 _MOST_RISE = 0.3
 """Largest k1 of a vignetting: with more, light would rise from the middle, as no lens makes it."""
@@ -78,7 +78,7 @@ class VignettingProfile:
     Attributes:
         k1: Coefficient of ρ².
         k2: Coefficient of ρ⁴.
-        rim: Share of the light at the outermost ring.
+        rim: Fraction of the light at the outermost ring.
         deviation: Standard deviation of `rim`, from leaving out parts of the frames.
     """
 
@@ -96,12 +96,12 @@ class VignettingProfile:
 def mean_transmission(
     vignetting: VignettingProfile, frames: Frames, center: tuple[float, float]
 ) -> float:
-    """Share of the light that a vignetting leaves over the field; 1 where none is clear."""
+    """Fraction of the light that a vignetting leaves over the field; 1 where none is clear."""
     if not vignetting.is_clear:
         return 1.0
     square = _radius(frames, center) ** 2
-    share = np.maximum(1.0 + vignetting.k1 * square + vignetting.k2 * square**2, 0.0)
-    return float(np.average(share, weights=frames.field.mean(axis=0)))
+    transmission = np.maximum(1.0 + vignetting.k1 * square + vignetting.k2 * square**2, 0.0)
+    return float(np.average(transmission, weights=frames.field.mean(axis=0)))
 
 
 def fit_vignetting(
@@ -128,7 +128,7 @@ def fit_vignetting(
 
 
 def _fitted(profile: RadialProfile, reference: RadialProfile | None) -> tuple[float, float, float]:
-    """k1, k2 and the share of light at the outermost ring; the light does not rise there."""
+    """k1, k2 and the fraction of light at the outermost ring; the light does not rise there."""
     radius, brightness = profile.radius, profile.brightness
     if reference is not None:
         brightness = brightness / np.interp(radius, reference.radius, reference.brightness)

@@ -197,7 +197,7 @@ def test_resistance_follows_the_measurements() -> None:
 
 
 @pytest.mark.slow
-def test_the_quick_wall_grips_as_measured() -> None:
+def test_the_spring_wall_presses_as_measured() -> None:
     """A tube 8.4 mm wide that gives way still squeezes with 1.9 ± 1.0 N per cm."""
     world = world_on(
         tube(4.2 * MM, 80.0 * MM, 1.0 * MM),

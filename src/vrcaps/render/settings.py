@@ -1,4 +1,4 @@
-"""Render settings: light transport, sampling, subsurface scattering, mucus film, imaging mode."""
+"""Render settings: global illumination, sampling, subsurface scattering, mucus film, imaging."""
 
 from __future__ import annotations
 

@@ -150,11 +150,17 @@ def _tuple_hook(converter: Converter, declared: Any, units: bool) -> Callable[[A
             try:
                 values.append(converter.structure(value, item))
             except Exception as error:
-                error.add_note(IterableValidationNote("", index, item))  # type: ignore[call-arg]
+                error.add_note(_note(index, item))
                 raise IterableValidationError("", [error], declared) from error
         return tuple(values)
 
     return structure
+
+
+def _note(index: int, item: Any) -> str:
+    """Where in a list an error is, as cattrs notes it."""
+    make: Any = IterableValidationNote  # its constructor is not that of `str`, which checkers see
+    return make("", index, item)
 
 
 def _union_hook(converter: Converter, declared: Any, units: bool) -> Callable[[Any, Any], Any]:

@@ -52,13 +52,13 @@ class Record:
     out: Path | None = None
     """Folder of the episode: new, empty, or an interrupted run of the same recording."""
 
-    organ: OmitArgPrefixes[OrganFlags] = field(default_factory=OrganFlags)
+    organ: OmitArgPrefixes[OrganFlags] = field(default_factory=OrganFlags)  # pyright: ignore
     """The patient: the organ, its lesions and what is in its lumen."""
 
-    motion: OmitArgPrefixes[MotionFlags] = field(default_factory=MotionFlags)
+    motion: OmitArgPrefixes[MotionFlags] = field(default_factory=MotionFlags)  # pyright: ignore
     """The capsule and how it moves."""
 
-    images: OmitArgPrefixes[ImageFlags] = field(default_factory=ImageFlags)
+    images: OmitArgPrefixes[ImageFlags] = field(default_factory=ImageFlags)  # pyright: ignore
     """What is written: images, sensors, and everything random by one seed."""
 
     set: UseAppendAction[tuple[str, ...]] = ()

@@ -19,7 +19,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import MISSING, Field, fields, is_dataclass
 from decimal import Decimal
 from functools import cache
-from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
+from typing import Any, Literal, Union, cast, get_args, get_origin, get_type_hints
 
 from cattrs import ClassValidationError, Converter, IterableValidationError
 from cattrs.errors import ForbiddenExtraKeysError, IterableValidationNote
@@ -159,7 +159,7 @@ def _tuple_hook(converter: Converter, declared: Any, units: bool) -> Callable[[A
 
 def _note(index: int, item: Any) -> str:
     """Where in a list an error is, as cattrs notes it."""
-    make: Any = IterableValidationNote  # its constructor is not that of `str`, which checkers see
+    make = cast(Any, IterableValidationNote)  # checkers see the constructor of `str`
     return make("", index, item)
 
 

@@ -145,7 +145,7 @@ def test_all_settings_are_listed_with_type_unit_and_default(capsys) -> None:
     text = capsys.readouterr().out
     for line in (
         "frames: int (1 to 1000000) = 100",
-        "motion.speed: float or none = none [fly-through]",
+        "motion.speed: float or none (above 0 m/s) = none [fly-through]",
         "motion.magnet.wall: upper, lower = lower [dynamics]",
         "render.light: direct, radiosity, path = radiosity",
         "organ.path: text = required [file]",

@@ -16,7 +16,7 @@ import bpy  # pyright: ignore[reportMissingImports]
 import numpy as np
 
 UNIT = 1e3
-"""Units of the scene per metre: Cycles' margins are made for lengths about 1."""
+"""Units of the scene per meter: Cycles' margins are made for lengths about 1."""
 
 
 def main(scene_file: str, images_file: str) -> None:

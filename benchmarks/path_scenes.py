@@ -113,7 +113,7 @@ def _smooth(organ: OrganSurface) -> OrganSurface:
     from shapes import make_organ
 
     vertices, faces = trimesh.remesh.subdivide_loop(organ.vertices, organ.faces, iterations=2)
-    along_uv = np.array([[15.0, 0.0, 5.0], [0.0, 15.0, -10.0]])  # turns per metre
+    along_uv = np.array([[15.0, 0.0, 5.0], [0.0, 15.0, -10.0]])  # turns per meter
     return make_organ(
         vertices, faces, uv=(vertices @ along_uv.T)[faces], appearance=organ.appearance
     )

@@ -4,7 +4,7 @@ Reference: median 198.5 min, quartiles 157 and 240.5 (71 healthy subjects; O'Gra
 Int. Open 8:E396, 2020); mean 282 ± 132 min (336 patients; Tominaga et al., Ann. Transl. Med. 2020).
 
 The muscle is the simulator's own. The capsule is a reduced model, because hours of full physics
-take hours: it moves along the centreline only, without inertia and gravity; the wall presses with
+take hours: it moves along the centerline only, without inertia and gravity; the wall presses with
 the pressure of `WinklerFoundation` where the lumen is narrower than the capsule; the capsule stays
 where the axial part of that pressure is below Coulomb friction, else moves to where it is.
 
@@ -42,7 +42,7 @@ _FINE = np.linspace(0.0, 1.0, 49)
 
 @dataclass(frozen=True)
 class Slider:
-    """A capsule on the centreline, by places along its own length from the rear [m]."""
+    """A capsule on the centerline, by places along its own length from the rear [m]."""
 
     along: np.ndarray
     radius: np.ndarray
@@ -149,7 +149,7 @@ def main() -> None:
 
 `python benchmarks/small_bowel_transit.py`: {args.size} patients, a bowel of
 {organ.centerline.length:g} m, PillCam SB3. The muscle is the simulator's; the capsule is a reduced
-model (along the centreline, no inertia, no gravity, wall pressure against Coulomb friction).
+model (along the centerline, no inertia, no gravity, wall pressure against Coulomb friction).
 
 {table(("transit time", "simulated", "published"), rows)}"""
     write_section(args.out, "small_bowel_transit.py", text)

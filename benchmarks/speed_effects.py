@@ -1,6 +1,6 @@
 """Claim: frames with every effect at severity 2 and radiosity come at 45 a second or more.
 
-A flight at 2 cm/s through a generated colon, 320 x 320 pixels, colour and four labels: the plain
+A flight at 2 cm/s through a generated colon, 320 x 320 pixels, color and four labels: the plain
 frame, with radiosity, with lens and sensor, and with both; and each effect by itself. No
 sensor of fewer pixels, so that all have the same size. First images only: of each frame the least
 time of several rounds in turns, as whatever else the machine does only adds to it. Then recorded
@@ -72,7 +72,7 @@ def main() -> None:
     text = f"""## Speed of lens and sensor
 
 {FRAMES} frames of a flight at 2 cm/s through a generated colon, 30 a second, 320 × 320 pixels,
-colour, depth, normal, label and instance; effects `{EFFECTS}`. Of each frame the least time of
+color, depth, normal, label and instance; effects `{EFFECTS}`. Of each frame the least time of
 {ROUNDS} rounds in turns, as whatever else the machine does only adds to it; mean over the frames.
 
 {table(HEAD, rows)}

@@ -1,4 +1,4 @@
-"""Claim: a complete labelled frame costs less than what peers need for a part of it.
+"""Claim: a complete labeled frame costs less than what peers need for a part of it.
 
 At most 0.40 of Embree's time for the same rays unshaded (embreex as trimesh and its users call it:
 `EmbreeScene.run(origins, directions, output=1)`, one thread); a fourth of Mitsuba's direct light
@@ -26,21 +26,21 @@ from vrcaps.cli.console import console
 from vrcaps.errors import UnknownNameError
 
 EMBREE = Claim(
-    text="complete labelled frame over Embree's bare primary rays for the same pixels",
+    text="complete labeled frame over Embree's bare primary rays for the same pixels",
     sense="≤",
     limit=0.40,
     unit="",
     reference="embreex's own call, single rays",
 )
 MITSUBA = Claim(
-    text="Mitsuba's direct light + AOV (mi.render) over a complete labelled frame",
+    text="Mitsuba's direct light + AOV (mi.render) over a complete labeled frame",
     sense="≥",
     limit=4.0,
     unit="",
     reference="Mitsuba 3.9 LLVM, its fastest variant, as its users run it: 29.5 ms",
 )
 MUJOCO = Claim(
-    text="MuJoCo's rgb + depth + segmentation over a complete labelled frame",
+    text="MuJoCo's rgb + depth + segmentation over a complete labeled frame",
     sense="≥",
     limit=6.0,
     unit="",

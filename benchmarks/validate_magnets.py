@@ -241,7 +241,7 @@ def main() -> None:
         + table(HEAD, rows)
         + "\n\nThe gradient of a source with an axis is put together so that div B and curl B are "
         "zero; its rows\nagainst differences of the field are the ones that check it. Distances "
-        "below are from the magnet's centre,\nover all directions.\n\n"
+        "below are from the magnet's center,\nover all directions.\n\n"
         + table(head, list(presets()))
     )
     write_section(given.out, Path(__file__).name, text)

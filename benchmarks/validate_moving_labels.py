@@ -2,7 +2,7 @@
 
 Records episodes by dynamics with the wall of each frame (`--wall`), then casts the same rays by
 Embree through what was written: pose, camera, and `wall/*.npy` on the triangles of `organ.glb`.
-Embree's hits are carried by their own triangles to the wall of the neighbouring frame and projected
+Embree's hits are carried by their own triangles to the wall of the neighboring frame and projected
 there. Claimed, as on a wall at rest: depth within one 10 µm step for 99.9 % of the pixels, normals
 within 0.1°; `flow_forward` and `flow_backward` within 0.05 px, hidden or not; `occlusion` as by
 Embree's rays towards the points.
@@ -109,8 +109,8 @@ def compare(episode: Episode, tally: MovingTally) -> None:
             poses = episode.Ts_world_camera(camera.name)[index - 1 : index + 2]
             compare_frame(episode, now, camera, index, poses[1], tally)
             for name, other, pose in (("forward", after, poses[2]), ("backward", before, poses[0])):
-                neighbour = (other, pose)
-                compare_motion(episode, now, camera, index, (name, poses[1], neighbour), tally)
+                neighbor = (other, pose)
+                compare_motion(episode, now, camera, index, (name, poses[1], neighbor), tally)
         before, now = now, after
 
 
@@ -129,7 +129,7 @@ def compare_motion(
         now: The wall of the frame.
         camera: Of the image.
         index: Of the frame.
-        motion: `forward` or `backward`, ``T_world_camera`` now, wall and pose of the neighbour.
+        motion: `forward` or `backward`, ``T_world_camera`` now, wall and pose of the neighbor.
         tally: To add to.
     """
     name, pose, (other, other_pose) = motion

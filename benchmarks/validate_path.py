@@ -67,7 +67,7 @@ def compare(scene: Scene, depth: int) -> tuple[str, ...]:
 
 
 def blocks(images: np.ndarray) -> np.ndarray:
-    """Means over square blocks of pixels, by colour [images n 3]."""
+    """Means over square blocks of pixels, by color [images n 3]."""
     count, height, width, _ = images.shape
     rows, columns = height // BLOCK, width // BLOCK
     cut = images[:, : rows * BLOCK, : columns * BLOCK]
@@ -85,8 +85,8 @@ def scores(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 def noise_scores(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Mean z² of images that are nothing but noise, many times over [trials].
 
-    Normal noise with the covariance that each block's colours have in the images, so that the few
-    images and what the colours share count alike in both.
+    Normal noise with the covariance that each block's colors have in the images, so that the few
+    images and what the colors share count alike in both.
     """
     rng = np.random.default_rng(0)
     spreads = [(x - x.mean(axis=0)).swapaxes(0, 1) / np.sqrt(len(x) - 1) for x in (a, b)]
@@ -109,11 +109,11 @@ def main() -> None:
         "## Path tracing\n\n`python benchmarks/validate_path.py`: linear radiance [W/(sr·m²)] "
         "against Mitsuba 3 (`llvm_ad_rgb`, `path`,\n`principled`), "
         f"{given.size} × {given.size} pixels, {IMAGES} images of {SAMPLES} paths a pixel each; "
-        "the six LEDs of MiroCam as\npoints, random coarse textures of colour and roughness.\n\n"
+        "the six LEDs of MiroCam as\npoints, random coarse textures of color and roughness.\n\n"
         + table(HEAD, rows)
-        + f"\n\nz: difference of the means of a block of {BLOCK} × {BLOCK} pixels in one colour, "
+        + f"\n\nz: difference of the means of a block of {BLOCK} × {BLOCK} pixels in one color, "
         "over its standard error from the\nscatter of the images. *Expected*: mean z² of nothing "
-        "but noise, drawn with the covariance that a block's colours\nhave in the images; p: "
+        "but noise, drawn with the covariance that a block's colors\nhave in the images; p: "
         "chance that noise has so large a mean z². Mitsuba's `max_depth` is one more than our\n"
         "reflections, as it counts the way to the eye. Where a smooth normal faces away from a "
         "path, Mitsuba loses the light,\nwhile here the normal is bent (docs/rendering.md): on "

@@ -96,7 +96,7 @@ def main() -> None:
     given = options(__doc__ or "", size=200)
     one = setups()[0].array
     text = (
-        "## Magnetic localisation\n\n`python benchmarks/validate_sensing.py`: sensors for three "
+        "## Magnetic localization\n\n`python benchmarks/validate_sensing.py`: sensors for three "
         f"components, noise {1e6 * one.noise:g} µT, steps of\n{1e6 * one.resolution:g} µT, errors "
         f"left in by the calibration: gain {100 * GAIN:g} %, offset {1e6 * OFFSET:g} µT; "
         f"the earth's {1e6 * EARTH:g} µT unknown.\n\n"

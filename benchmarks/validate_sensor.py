@@ -65,7 +65,7 @@ def photon_transfer(camera: Camera, size: int) -> list[Row]:
 
 
 def spread(plane: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Centre and variance of an image along its columns and rows."""
+    """Center and variance of an image along its columns and rows."""
     grid = np.stack(np.meshgrid(*(np.arange(n) for n in plane.shape[::-1])), axis=-1)
     weight = (plane / plane.sum())[..., None].astype(float)
     mean = (weight * grid).sum(axis=(0, 1))

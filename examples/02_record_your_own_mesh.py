@@ -1,8 +1,8 @@
-"""Record a labelled run through a mesh of your own, then work with the arrays.
+"""Record a labeled run through a mesh of your own, then work with the arrays.
 
     python examples/02_record_your_own_mesh.py --organ colon.ply --unit mm
 
-Without --organ a small phantom is made first: a bent, folded tube, stored in millimetres as a
+Without --organ a small phantom is made first: a bent, folded tube, stored in millimeters as a
 printer or a segmentation tool would. The same from the shell:
 
     vrcaps record --organ colon.ply --unit mm --frames 30 --out runs/own-mesh

@@ -36,7 +36,7 @@ exposure_m2_sr_per_w = 0.08
 image_circle_px = 126
 
 [cameras.lens]
-kind = "equidistant" # a pixel's distance from the centre grows evenly with the angle
+kind = "equidistant" # a pixel's distance from the center grows evenly with the angle
 focal_px = 84.0 # pixels a radian
 cx_px = 127.5
 cy_px = 127.5

@@ -48,7 +48,7 @@ def main(out: Path, organ: Path | None, unit: str, frames: int, substep: float) 
     episode = vrcaps.read_episode(out)
     run = episode.table.columns
     start = run["arc_length_m"][0]
-    print("time [s]  travelled [cm]  speed [mm/s]  grip [N]  touched [mm]  segment")
+    print("time [s]  traveled [cm]  speed [mm/s]  grip [N]  touched [mm]  segment")
     for k in range(0, len(episode), max(1, len(episode) // 20)):
         print(
             f"{run['time_s'][k]:8.1f}  {(run['arc_length_m'][k] - start) / CM:14.2f}"
@@ -56,8 +56,8 @@ def main(out: Path, organ: Path | None, unit: str, frames: int, substep: float) 
             f"  {run['normal_force_total_n'][k]:8.2f}"
             f"  {run['contact_depth_m'][k] / MM:12.2f}  {run['segment'][k]}"
         )
-    travelled, seconds = run["arc_length_m"][-1] - start, max(run["time_s"][-1], 1e-9)
-    print(f"Mean speed {travelled / seconds / MM:.1f} mm/s.", end=" ")
+    traveled, seconds = run["arc_length_m"][-1] - start, max(run["time_s"][-1], 1e-9)
+    print(f"Mean speed {traveled / seconds / MM:.1f} mm/s.", end=" ")
     print(f"Friction took {1e3 * run['friction_work_j'].sum():.2f} mJ.")
     print(f"Look at {out / 'preview.mp4'} and {out / 'sheet.png'}.")
 

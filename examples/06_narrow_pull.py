@@ -51,7 +51,7 @@ def main(out: Path, distance: float, start: float, substep: float) -> None:
     count = round(distance / SPEED / STEP)
     for step in range(-round(LET_OUT / STEP), count):
         state, speed = world.state, SPEED if step >= 0 else 0.0
-        # The capsule is sought on the centreline near where it was, never on another loop.
+        # The capsule is sought on the centerline near where it was, never on another loop.
         window = slice(max(0, here - 15), here + 16)
         offset = state.T_world_capsule[:3, 3] - points[window]
         nearest = int(np.argmin(np.linalg.norm(offset, axis=1)))
@@ -72,8 +72,8 @@ def main(out: Path, distance: float, start: float, substep: float) -> None:
     header = "distance_m,force_n,normal_force_total_n"
     np.savetxt(out / "pull.csv", table, "%.6f", ",", header=header, comments="")
     print("distance [cm]  force [mN]  grip [mN]")
-    for travelled, force, grip in table[:: max(1, len(table) // 20)]:
-        print(f"{travelled / CM:13.2f}  {1e3 * force:10.1f}  {1e3 * grip:9.1f}")
+    for traveled, force, grip in table[:: max(1, len(table) // 20)]:
+        print(f"{traveled / CM:13.2f}  {1e3 * force:10.1f}  {1e3 * grip:9.1f}")
     print(f"Mean force {1e3 * table[:, 1].mean():.0f} mN, most {1e3 * table[:, 1].max():.0f} mN.")
     draw(out / "pull.png", model, table, views[:6])
     print(f"Look at {out / 'pull.png'}.")
@@ -88,10 +88,10 @@ def draw(
     renderer = vrcaps.Renderer(model)
     figure = Figure(figsize=(12.0, 6.0), layout="constrained")
     grid = figure.add_gridspec(2, max(1, len(views)), height_ratios=(1.0, 1.3))
-    for column, (travelled, state) in enumerate(views):
+    for column, (traveled, state) in enumerate(views):
         panel = figure.add_subplot(grid[0, column])
         panel.imshow(renderer.render(state, model.device.cameras[0], channels=("rgb",)).rgb)
-        panel.set_title(f"{travelled / CM:.1f} cm")
+        panel.set_title(f"{traveled / CM:.1f} cm")
         panel.axis("off")
     plot = figure.add_subplot(grid[1, :])
     plot.plot(table[:, 0] / CM, 1e3 * table[:, 1], label="pull")
@@ -105,8 +105,8 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--out", type=Path, default=Path("runs/pull"))
     parser.add_argument("--cm", type=float, default=6.0, help="how far to pull")
-    parser.add_argument("--start", type=float, default=0.67, help="share of the centreline")
-    parser.add_argument("--smoke", action="store_true", help="pull a millimetre, coarsely")
+    parser.add_argument("--start", type=float, default=0.67, help="share of the centerline")
+    parser.add_argument("--smoke", action="store_true", help="pull a millimeter, coarsely")
     args = parser.parse_args()
     if args.smoke:
         main(args.out, 0.1 * CM, args.start, 1e-3)

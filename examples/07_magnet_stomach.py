@@ -3,7 +3,7 @@
     python examples/07_magnet_stomach.py
 
 The Panda holds a magnet above the patient's belly. It bears the capsule's weight, draws it gently
-against the upper wall and leads it along a way on that wall, which follows the centreline from
+against the upper wall and leads it along a way on that wall, which follows the centerline from
 just inside the cardia; where the capsule does not follow, it waits. The drive is simulated first,
 to see when the pylorus is reached; then just that is recorded. Writes what the capsule saw, and
 the way from the patient's front and side (`way.png`). The same from the shell:

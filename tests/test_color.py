@@ -32,10 +32,10 @@ def test_lab_is_that_of_scikit_image():
 
 
 def test_white_black_and_greys():
-    """Greys have no chroma; L* of linear 0.1842 is 50."""
-    greys = np.repeat(np.arange(256, dtype=np.uint8)[:, None], 3, axis=1)
-    lab = lab_from_srgb(greys)
+    """Grays have no chroma; L* of linear 0.1842 is 50."""
+    grays = np.repeat(np.arange(256, dtype=np.uint8)[:, None], 3, axis=1)
+    lab = lab_from_srgb(grays)
     np.testing.assert_allclose(lab[:, 1:], 0.0, atol=1e-9)
     np.testing.assert_allclose(lab[[0, 255], 0], [0.0, 100.0], atol=1e-9)
-    at_half = np.interp(50.0, lab[:, 0], luminance(linear_from_srgb(greys)))
+    at_half = np.interp(50.0, lab[:, 0], luminance(linear_from_srgb(grays)))
     assert at_half == pytest.approx(0.1842, abs=2e-4)

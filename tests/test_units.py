@@ -26,7 +26,7 @@ def test_spaces_do_not_matter() -> None:
     assert parse_length(" 5 cm ") == parse_length("5cm") == pytest.approx(0.05)
 
 
-@pytest.mark.parametrize("text", ["", "5", "inch", "MM", "mm5", "5 cm cm", "millimetre"])
+@pytest.mark.parametrize("text", ["", "5", "inch", "MM", "mm5", "5 cm cm", "millimeter"])
 def test_unknown_unit_lists_the_allowed_ones(text: str) -> None:
     with pytest.raises(InputError, match=r"Unknown length unit .*Allowed: m, dm, cm, mm, um"):
         parse_length(text)

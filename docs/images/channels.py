@@ -20,7 +20,7 @@ BRIGHTER = 2.2  # than the exposure that the capsule's file states
 GAP_PX = 6
 
 
-def colours(frame: vrcaps.Frame, channel: str) -> np.ndarray:
+def colors(frame: vrcaps.Frame, channel: str) -> np.ndarray:
     """A channel as an sRGB image, black where the lens sees nothing."""
     seen = frame.label > 0
     if channel == "rgb":
@@ -49,7 +49,7 @@ def main(path: Path) -> None:
     frames = [renderer.render(flight.state(index), camera, channels=CHANNELS) for index in SHOWN]
     gap = ((GAP_PX, GAP_PX), (GAP_PX, GAP_PX), (0, 0))
     rows = [
-        np.concatenate([np.pad(colours(frame, channel), gap) for frame in frames], axis=1)
+        np.concatenate([np.pad(colors(frame, channel), gap) for frame in frames], axis=1)
         for channel in CHANNELS
     ]
     picture = Image.fromarray(np.concatenate(rows))

@@ -29,7 +29,7 @@ from vrcaps.units import MM
 from vrcaps.world.model import Model, State
 
 ORGANS = {"small-bowel": (0.31, 0.62), "stomach": (0.55, 0.75), "colon": (0.3, 0.7)}
-"""Where along each organ its pictures are taken, as shares of the centreline."""
+"""Where along each organ its pictures are taken, as shares of the centerline."""
 
 GRADES = ((0, 0, 0), (1, 1, 1), (2, 2, 2), (3, 3, 2), (4, 4, 3))
 """Bubbles, chyme and liquid of each column."""
@@ -55,7 +55,7 @@ START, STOP = "<!-- grades -->", "<!-- end of grades -->"
 
 
 def view(model: Model, share: float) -> State:
-    """A capsule on the centreline, looking a little further along it."""
+    """A capsule on the centerline, looking a little further along it."""
     curve = model.organ.centerline
     at = share * curve.length + np.array([0.0, AHEAD])
     points = transform_points(model.T_world_patient, interpolate(curve, at)[0])

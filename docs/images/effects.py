@@ -36,7 +36,7 @@ DOCS = Path(__file__).resolve().parents[1]
 
 
 def states(organ: OrganSurface, device: Device) -> list[State]:
-    """Neighbouring frames of a flight."""
+    """Neighboring frames of a flight."""
     model = Model(organ, device)
     flight = FlyThrough(start=0.62, end=0.62 + 0.012 * FRAMES / 2, drift=0.45)
     rng = np.random.default_rng(4)

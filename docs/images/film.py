@@ -34,9 +34,9 @@ def main(path: Path) -> None:
             [np.asarray(part.resize((SIDE_PX, SIDE_PX), Image.Resampling.LANCZOS))
              for part in (image, middle)]
         )  # fmt: skip
-        labelled = Image.fromarray(column)
-        ImageDraw.Draw(labelled).text((8, 6), f"{film:g} um", fill="white")
-        columns.append(np.asarray(labelled))
+        labeled = Image.fromarray(column)
+        ImageDraw.Draw(labeled).text((8, 6), f"{film:g} um", fill="white")
+        columns.append(np.asarray(labeled))
     Image.fromarray(np.hstack(columns)).save(path, quality=88)
 
 

@@ -68,7 +68,7 @@ def draw_patient(axes: plt.Axes, model: Model) -> None:
 
 
 def draw_lines(axes: plt.Axes, sources: list, height: tuple, width: tuple, depth: float) -> None:
-    """Field lines in the plane across the patient through the magnet's centre."""
+    """Field lines in the plane across the patient through the magnet's center."""
     x, z = np.linspace(*width, 90) * CM, np.linspace(*height, 80) * CM
     points = np.stack(np.meshgrid(x, [depth], z, indexing="ij"), -1).reshape(-1, 3)
     flux = SourceSet(sources).field(points)[0]
@@ -109,12 +109,12 @@ def capsule(model: Model, T_world_capsule: np.ndarray) -> np.ndarray:
     return transform_points(T_world_capsule, np.vstack([ball + end, ball - end]))
 
 
-def outline(axes: plt.Axes, points: np.ndarray, colour: str) -> None:
+def outline(axes: plt.Axes, points: np.ndarray, color: str) -> None:
     """Fills the hull of points, seen from the feet."""
     from scipy.spatial import ConvexHull
 
     flat = points[:, [0, 2]] / CM
-    axes.fill(*flat[ConvexHull(flat).vertices].T, color=colour, zorder=5)
+    axes.fill(*flat[ConvexHull(flat).vertices].T, color=color, zorder=5)
 
 
 if __name__ == "__main__":

@@ -14,7 +14,7 @@ def test_a_free_way_is_gone_straight():
 
 
 def test_a_blocked_way_goes_along_the_tangent():
-    """From 2 radii away its angle to the line to the centre is 30°."""
+    """From 2 radii away its angle to the line to the center is 30°."""
     start, end = np.array([-2.0, 0.0, 0.0]), np.array([5.0, 0.1, 0.0])
     way = detour(start, end, np.zeros(3), 1.0) - start
     np.testing.assert_allclose(

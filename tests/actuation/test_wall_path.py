@@ -97,7 +97,7 @@ def test_it_turns_the_other_way_round_where_it_must(tube):
     assert (long.directions @ AHEAD).max() < np.cos(0.25)
 
 
-def test_ends_and_neighbours_of_a_laid_way_are_smooth(tube):
+def test_ends_and_neighbors_of_a_laid_way_are_smooth(tube):
     rng = np.random.default_rng(1)
     x = np.linspace(0.05, 0.15, 101)
     points = np.stack([x, 1e-3 * rng.normal(size=101), np.zeros(101)], axis=1)

@@ -19,7 +19,7 @@ from vrcaps.organ.measure import measure_organ, triangle_quality
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.units import CM, MM
 
-LITRE = 1e-3
+LITER = 1e-3
 
 
 @pytest.fixture(scope="module", params=list(DISTENSIONS))
@@ -79,9 +79,9 @@ def test_folds_flatten_as_the_stomach_fills():
         volume.append(facts.volume)
         # Area over that of the ball of the same volume: grows with folds.
         slack.append(facts.area / (36.0 * np.pi * facts.volume**2) ** (1.0 / 3.0))
-    assert 1.0 * LITRE < volume[0] < 1.5 * LITRE
-    assert 0.35 * LITRE < volume[1] < 0.8 * LITRE
-    assert 0.1 * LITRE < volume[2] < 0.35 * LITRE
+    assert 1.0 * LITER < volume[0] < 1.5 * LITER
+    assert 0.35 * LITER < volume[1] < 0.8 * LITER
+    assert 0.1 * LITER < volume[2] < 0.35 * LITER
     assert slack == sorted(slack)
 
 

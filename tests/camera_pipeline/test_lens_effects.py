@@ -42,7 +42,7 @@ def moved(
 
 
 def moments(plane: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Centre and standard deviations of an image (column, row)."""
+    """Center and standard deviations of an image (column, row)."""
     grid = np.stack(np.meshgrid(*(np.arange(n) for n in plane.shape[::-1])), axis=-1)
     weight = (plane / plane.sum())[..., None].astype(float)
     mean = (weight * grid).sum(axis=(0, 1))
@@ -184,7 +184,7 @@ def test_motion_agrees_with_its_twin(rng: np.random.Generator) -> None:
     assert np.abs(moved(image, motion, 0.5, 0.3, lit) - expected).max() < 1e-4
 
 
-def test_unknown_motion_is_that_of_its_neighbours() -> None:
+def test_unknown_motion_is_that_of_its_neighbors() -> None:
     image = np.zeros((40, 40, 3), np.float32)
     image[:, 20] = 1.0
     motion = np.broadcast_to(np.float32([8.0, 0.0]), (10, 10, 2)).copy()

@@ -30,7 +30,7 @@ def readout(
 def numbers(
     noise: SensorNoise, value: float, *, gain: float = 1.0, frame: int = 0, size: int = 256
 ):
-    """Converter numbers of a flat field in three colours."""
+    """Converter numbers of a flat field in three colors."""
     planes = np.full((3, size, size), value, np.float32)
     pattern = noise.fixed_pattern((3 * size, size), 0)
     readings = testing.read_sensor(planes, pattern, readout(noise, gain, MONO), None, (5, frame))
@@ -106,7 +106,7 @@ def test_numbers_are_whole_and_within_the_converter() -> None:
 
 
 @pytest.mark.parametrize("pattern", ["rggb", "bggr", "grbg", "gbrg"])
-def test_demosaic_agrees_with_its_twin_and_keeps_flat_colours(
+def test_demosaic_agrees_with_its_twin_and_keeps_flat_colors(
     pattern, rng: np.random.Generator
 ) -> None:
     colors = BayerFilter(pattern).params(CameraSetup(make_camera(pinhole(8))))
@@ -116,13 +116,13 @@ def test_demosaic_agrees_with_its_twin_and_keeps_flat_colours(
     index = np.array(colors).reshape(2, 2)
     raw = np.tile(flat[index], (10, 16))
     seen = testing.demosaic(np.ascontiguousarray(raw[None]), colors)
-    assert np.abs(seen - flat[:, None, None]).max() < 0.14  # colours of the filter's curvature
-    grey = testing.demosaic(np.full((1, 20, 32), 0.37, np.float32), colors)
-    assert np.abs(grey - 0.37).max() < 1e-6
+    assert np.abs(seen - flat[:, None, None]).max() < 0.14  # colors of the filter's curvature
+    gray = testing.demosaic(np.full((1, 20, 32), 0.37, np.float32), colors)
+    assert np.abs(gray - 0.37).max() < 1e-6
 
 
 def test_balance_makes_up_for_the_response(rng: np.random.Generator) -> None:
-    """A grey field stays grey, and the colours amplified most are the noisiest."""
+    """A gray field stays gray, and the colors amplified most are the noisiest."""
     noise, balance = SensorNoise(2000.0, 5.0), WhiteBalance(response=(0.5, 1.0, 0.25))
     planes = np.full((3, 200, 200), 0.4, np.float32)
     pattern = noise.fixed_pattern((600, 200), 0)

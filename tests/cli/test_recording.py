@@ -1,4 +1,4 @@
-"""Recordings from the command line, end to end, on a small phantom stored in millimetres."""
+"""Recordings from the command line, end to end, on a small phantom stored in millimeters."""
 
 from __future__ import annotations
 

@@ -86,14 +86,14 @@ def test_wrench_is_the_slope_of_the_energy():
 
 def test_uniform_field_turns_and_does_not_pull():
     pose = random_poses(np.random.default_rng(2), 1)[0]
-    off_centre = InternalMagnet((0.004, 0, -0.003), (0.1, 0.2, 0.3))
-    force, torque = wrench([UniformField(0.05)], [off_centre], pose)
+    off_center = InternalMagnet((0.004, 0, -0.003), (0.1, 0.2, 0.3))
+    force, torque = wrench([UniformField(0.05)], [off_center], pose)
     assert not force.any()
     moment = pose[:3, :3] @ [0.1, 0.2, 0.3]
     np.testing.assert_allclose(torque, np.cross(moment, [0, 0, 0.05]), rtol=1e-12)
 
 
-def test_off_centre_magnet_also_turns_the_capsule():
+def test_off_center_magnet_also_turns_the_capsule():
     """N = m × B + arm × F: coaxial, but 5 mm beside the capsule's origin."""
     pose = transform_from(np.eye(3), np.array([-0.005, 0, 0.1]))
     beside = InternalMagnet((0.005, 0, 0), (0, 0, 1.12))

@@ -1,4 +1,4 @@
-"""Colour statistics against closed forms and other implementations."""
+"""Color statistics against closed forms and other implementations."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ def test_bad_input():
     image = noise(7)
     with pytest.raises(InputError, match="mask has shape"):
         image_color(image, np.ones((3, 3), bool))
-    with pytest.raises(InputError, match="four valid neighbours"):
+    with pytest.raises(InputError, match="four valid neighbors"):
         image_color(image, np.eye(24, 20, dtype=bool))
     with pytest.raises(InputError, match="Sets of 0 and 1 images"):
         color_distance([], [image_color(image, all_of(image))])

@@ -73,7 +73,7 @@ def _folds(around: int = 24) -> tuple[Model, Camera]:
 @pytest.mark.slow
 @pytest.mark.parametrize("cells", [20, 200])
 def test_a_level_wall_is_a_half_space(cells: int) -> None:
-    """Seen and lit head-on from afar: exact transport, in all colours, by coarse and fine faces."""
+    """Seen and lit head-on from afar: exact transport, in all colors, by coarse and fine faces."""
     away, colors = 0.3, (90, 190, 240)
     camera = make_camera(pinhole(16, 0.05), leds=_lamp(0.0))
     organ = make_organ(*_sheet(0.0, 0.1, cells, up=True), appearance=_matt(*colors))

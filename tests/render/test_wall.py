@@ -68,7 +68,7 @@ def test_cast_agrees_with_embree_inside_a_folded_tube(rng: np.random.Generator) 
     distance, face = Wall(organ.vertices, organ.faces).cast(origins, rays)
     expected, expected_face, _ = EmbreeCaster(organ.vertices, organ.faces).cast(origins, rays)
     assert np.mean(face == expected_face) > 0.999
-    assert (face >= 0).all()  # watertight: no ray slips between neighbours
+    assert (face >= 0).all()  # watertight: no ray slips between neighbors
     np.testing.assert_allclose(distance, expected, rtol=3e-6)
 
 
@@ -111,7 +111,7 @@ def test_signed_distance_of_a_sphere_is_positive_inside(rng: np.random.Generator
     np.testing.assert_array_equal(np.sign(signed[clear]), np.sign(expected[clear]))
 
 
-def test_a_mesh_a_kilometre_away_answers_as_precisely(rng: np.random.Generator) -> None:
+def test_a_mesh_a_kilometer_away_answers_as_precisely(rng: np.random.Generator) -> None:
     organ, offset = tube(40, 40, capped=True), np.array([1000.0, -700.0, 2500.0])
     near, far = (Wall(organ.vertices + shift, organ.faces) for shift in (0.0, offset))
     points = MIDDLE + rng.uniform(-0.015, 0.015, (500, 3))

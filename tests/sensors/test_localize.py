@@ -1,4 +1,4 @@
-"""Localisation: exact without noise, as good as its covariance says with noise."""
+"""Localization: exact without noise, as good as its covariance says with noise."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def test_without_noise_the_pose_is_found_exactly(magnet):
 
 @pytest.mark.slow
 def test_covariance_is_that_of_the_errors():
-    """Normalised errors have the size 1 (chi-square of 3, 30 fixes, 4 σ)."""
+    """Normalized errors have the size 1 (chi-square of 3, 30 fixes, 4 σ)."""
     rng = np.random.default_rng(1)
     magnet = read_magnet("capsule-11x10")
     chi = []

@@ -129,7 +129,7 @@ def mode_errors() -> np.ndarray:
     whole = np.zeros((3 * len(layer.nodes), 6))
     whole[free] = shape
     moving = np.abs(whole.reshape(-1, 3, 6)).max(axis=0)
-    flat = moving[2] > 3.0 * moving[1]  # bending out of the plate; its neighbours bend within it
+    flat = moving[2] > 3.0 * moving[1]  # bending out of the plate; its neighbors bend within it
     found = np.sqrt(np.sort(square[flat])[:2]) / (2.0 * np.pi)
     unit = np.sqrt(1e6 * thick**2 / (12.0 * 1000.0 * length**4)) / (2.0 * np.pi)
     return np.abs(found / (unit * np.array([1.87510, 4.69409]) ** 2) - 1.0)

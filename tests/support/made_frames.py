@@ -12,10 +12,10 @@ from vrcaps.capsule.catalog import read_device
 from vrcaps.tools.photos import Photo
 
 SIZE = 224
-CENTRE = (113.0, 110.0)
+CENTER = (113.0, 110.0)
 CAMERA = replace(
     read_device("mirocam").cameras[0],
-    lens=LensEquidistant(80.0, *CENTRE),
+    lens=LensEquidistant(80.0, *CENTER),
     width=SIZE,
     height=SIZE,
 )
@@ -38,7 +38,7 @@ def photos(figures: Figures, count: int, seed: int) -> list[Photo]:
     """Evenly lit, mottled walls, a different one in each frame."""
     rng = np.random.default_rng(seed)
     rows, columns = np.indices((SIZE, SIZE))
-    radius = np.hypot(columns - CENTRE[0], rows - CENTRE[1])
+    radius = np.hypot(columns - CENTER[0], rows - CENTER[1])
     square = (radius / (0.5 * SIZE)) ** 2
     k1, k2 = figures.vignetting
     share = (1.0 + k1 * square + k2 * square**2) * (radius <= figures.circle)

@@ -13,9 +13,9 @@ class EmbreeCaster:
         from embreex.rtcore_scene import EmbreeScene
 
         self.vertices, self.faces = np.asarray(vertices, float), np.asarray(faces)
-        self._centre = 0.5 * (self.vertices.min(axis=0) + self.vertices.max(axis=0))
+        self._center = 0.5 * (self.vertices.min(axis=0) + self.vertices.max(axis=0))
         self._scene = EmbreeScene()
-        local = (self.vertices - self._centre).astype(np.float32)
+        local = (self.vertices - self._center).astype(np.float32)
         self._mesh = TriangleMesh(self._scene, local, self.faces.astype(np.int32))
 
     def cast(
@@ -28,7 +28,7 @@ class EmbreeCaster:
         face = np.full(len(directions), -1)
         valid = np.isfinite(directions).all(axis=1)
         face[valid] = self._scene.run(
-            (origins[valid] - self._centre).astype(np.float32),
+            (origins[valid] - self._center).astype(np.float32),
             directions[valid].astype(np.float32),
         )
         a, b, c = np.moveaxis(self.vertices[self.faces[face]], 1, 0)

@@ -14,7 +14,7 @@ from vrcaps.transforms import rotate_vectors
 from vrcaps.world.model import Model, State
 
 _SCALE = 1e3
-"""Mitsuba's units per metre: its shadow rays start (1 + |p|) 9e-5 units off the surface."""
+"""Mitsuba's units per meter: its shadow rays start (1 + |p|) 9e-5 units off the surface."""
 _DIRECT = {"type": "direct", "emitter_samples": 1, "bsdf_samples": 0, "hide_emitters": True}
 _LED_RADIUS = 2e-6 * _SCALE
 """Radius of the disk that stands for a Lambertian LED."""

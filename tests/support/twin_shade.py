@@ -116,7 +116,7 @@ def _vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
 
 
 def _pixel_angles(rays_camera: np.ndarray) -> np.ndarray:
-    """Mean step between horizontal neighbours of each tile of 8 by 8 pixels [rad]."""
+    """Mean step between horizontal neighbors of each tile of 8 by 8 pixels [rad]."""
     height, width = rays_camera.shape[:2]
     steps = np.linalg.norm(np.diff(rays_camera, axis=1), axis=-1)
     result = np.zeros((height, width))
@@ -146,7 +146,7 @@ def _shade(
     points: _Points,
     lit: list[np.ndarray],
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Base colour and radiance of the points."""
+    """Base color and radiance of the points."""
     assert look is not None
     level = np.log2(np.maximum((points.footprint * look.roughness.shape[::-1]).max(1), 1.0))
     texels = _textures(look)
@@ -207,7 +207,7 @@ def _smith(cosine: np.ndarray, alpha: np.ndarray | float) -> np.ndarray:
 
 
 def _fresnel(cosine: np.ndarray, ior: float) -> np.ndarray:
-    """Unpolarised reflectance by Snell's law and Fresnel's equations."""
+    """Unpolarized reflectance by Snell's law and Fresnel's equations."""
     inside = np.sqrt(1.0 - (1.0 - cosine**2) / ior**2)
     across = (cosine - ior * inside) / (cosine + ior * inside)
     along = (inside - ior * cosine) / (inside + ior * cosine)
@@ -215,7 +215,7 @@ def _fresnel(cosine: np.ndarray, ior: float) -> np.ndarray:
 
 
 def _textures(look: Appearance) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """Linear colour, roughness and relief slope [m per unit of u, v] of each mip level."""
+    """Linear color, roughness and relief slope [m per unit of u, v] of each mip level."""
     color = look.albedo / 255.0
     color = np.where(color <= 0.04045, color / 12.92, ((color + 0.055) / 1.055) ** 2.4)
     rows, columns = look.height.shape

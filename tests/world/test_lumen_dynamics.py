@@ -144,7 +144,7 @@ def test_dry_spheres_stay_where_they_cling(gut: OrganSurface) -> None:
 
 
 def test_pushing_keeps_momentum(gut: OrganSurface, rng: np.random.Generator) -> None:
-    """A capsule ploughs into a crowd: it gets the opposite of what the spheres get, exactly."""
+    """A capsule plows into a crowd: it gets the opposite of what the spheres get, exactly."""
     centers = rng.uniform(-1, 1, (60, 3)) * [4 * MM, 3 * MM, 3 * MM] + [6.5 * MM, 0, 0]
     swarm, wall = swarm_of(gut, centers, rng.uniform(0.3, 1.0, 60) * MM, WHITE)
     still = replace(FULL, gravity=0.0)

@@ -14,13 +14,13 @@ from vrcaps.errors import VrcapsError
 EXIT_BAD_INPUT = 2
 EXIT_INTERRUPTED = 130
 
-_DESCRIPTION = """A virtual environment for capsule endoscopy: headless, exactly labelled, fast.
+_DESCRIPTION = """A virtual environment for capsule endoscopy: headless, exactly labeled, fast.
 
 Start with `vrcaps demo`. Every verb shows examples with --help."""
 
 
 _VERBS = {
-    "demo": ("vrcaps.cli.demo", "Demo", "Record a labelled run through a generated colon."),
+    "demo": ("vrcaps.cli.demo", "Demo", "Record a labeled run through a generated colon."),
     "record": ("vrcaps.cli.record", "Record", "Record your own organ, capsule and motion."),
     "check": ("vrcaps.cli.check", "Check", "Verify an episode."),
     "organ list": ("vrcaps.cli.organ_list", "List", "List organs, lesions, mucosae, capsules."),

@@ -41,7 +41,7 @@ class Render(_Measurement):
 
 @dataclass(frozen=True)
 class Record(_Measurement):
-    """Measure how fast labelled frames reach the disk, in how much memory, and what takes time.
+    """Measure how fast labeled frames reach the disk, in how much memory, and what takes time.
 
     For example:
       vrcaps bench record

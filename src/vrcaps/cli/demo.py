@@ -1,4 +1,4 @@
-"""`vrcaps demo`: a first labelled run, with nothing to choose."""
+"""`vrcaps demo`: a first labeled run, with nothing to choose."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from vrcaps.cli.recording import run_recording
 
 @dataclass(frozen=True)
 class Demo:
-    """Record a labelled run through the generated colon and say which picture to open.
+    """Record a labeled run through the generated colon and say which picture to open.
 
     For example:
       vrcaps demo

@@ -38,7 +38,7 @@ def run_recording(scenario: Scenario, out: Path, *, threads: int | None = None) 
             advance(num_done, total)
 
         record(scenario, out, progress=progress, simulated=simulated)
-    _summarise(out, times, time.perf_counter() - started)
+    _summarize(out, times, time.perf_counter() - started)
 
 
 def use_threads(threads: int | None) -> None:
@@ -54,7 +54,7 @@ def use_threads(threads: int | None) -> None:
     os.environ["RAYON_NUM_THREADS"] = os.environ["OIDN_NUM_THREADS"] = str(threads)
 
 
-def _summarise(out: Path, times: list[float], seconds: float) -> None:
+def _summarize(out: Path, times: list[float], seconds: float) -> None:
     """Where the episode is, what is in it, how fast it went, what to open."""
     from vrcaps.recording.episode import read_episode
 

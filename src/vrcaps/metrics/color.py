@@ -1,4 +1,4 @@
-"""How alike two sets of images are in colour: means, spreads and gradients in CIE L*a*b*."""
+"""How alike two sets of images are in color: means, spreads and gradients in CIE L*a*b*."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ _GRADIENT_STEP, _GRADIENT_BINS = 0.25, 240
 
 
 _HIGHLIGHT = 0.45
-"""Least of the linear colours from which a pixel is a highlight."""
+"""Least of the linear colors from which a pixel is a highlight."""
 
 
 @dataclass(frozen=True)
 class ImageColor:
-    """Colour statistics of one image in L*, a*, b*.
+    """Color statistics of one image in L*, a*, b*.
 
     Attributes:
         mean: Over its valid pixels.
@@ -41,12 +41,12 @@ class ImageColor:
 
 
 def image_color(rgb: UInt8[np.ndarray, "h w 3"], valid: Bool[np.ndarray, "h w"]) -> ImageColor:
-    """Colour statistics of the valid pixels of an image.
+    """Color statistics of the valid pixels of an image.
 
-    The gradient is taken by central differences, where a pixel's four neighbours are valid too.
+    The gradient is taken by central differences, where a pixel's four neighbors are valid too.
 
     Raises:
-        InputError: If no pixel has four valid neighbours.
+        InputError: If no pixel has four valid neighbors.
     """
     if valid.shape != rgb.shape[:2]:
         raise InputError(f"The mask has shape {valid.shape}; allowed: {rgb.shape[:2]}.")
@@ -56,7 +56,7 @@ def image_color(rgb: UInt8[np.ndarray, "h w 3"], valid: Bool[np.ndarray, "h w"])
     inner = valid[1:-1, 1:-1] & valid[1:-1, 2:] & valid[1:-1, :-2] & valid[2:, 1:-1]
     inner &= valid[:-2, 1:-1]
     if not inner.any():
-        raise InputError("No pixel has four valid neighbours. Give a larger mask.")
+        raise InputError("No pixel has four valid neighbors. Give a larger mask.")
     magnitude = np.hypot(across, down)[inner]
     bins = np.minimum((magnitude / _GRADIENT_STEP).astype(int), _GRADIENT_BINS - 1)
     counts = np.stack([np.bincount(channel, minlength=_GRADIENT_BINS) for channel in bins.T])

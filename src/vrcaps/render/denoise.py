@@ -21,12 +21,12 @@ def denoise(
     """Filter the sampled part of path-traced light.
 
     The first reflection is exact and is left alone, highlights and all; what is filtered is the
-    light beyond it, guided by the wall's colour and normals, which have no noise.
+    light beyond it, guided by the wall's color and normals, which have no noise.
 
     Args:
         radiance: Light up to any number of reflections [W/(sr·m²)].
         first: The first reflection alone.
-        albedo: Linear base colour; NaN where no surface is seen.
+        albedo: Linear base color; NaN where no surface is seen.
         normal: Unit normals in any one frame; NaN where no surface is seen.
 
     Returns:

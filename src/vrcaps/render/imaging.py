@@ -71,7 +71,7 @@ class Imaging:
             changes nothing.
         absorption: The same of a liquid's absorption [1/m].
         bands_nm: Middle of what the image's red, green and blue are lit by [nm].
-        channels: Which of the white image's colours each of this one's is nearest to, for light
+        channels: Which of the white image's colors each of this one's is nearest to, for light
             that a liquid scatters.
         led_gains: Factors on the LEDs for red, green and blue, against white light.
     """
@@ -83,7 +83,7 @@ class Imaging:
     led_gains: tuple[float, float, float] = (1.0, 1.0, 1.0)
 
     def reflectance(self, albedo: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
-        """Linear colours as this light shows them."""
+        """Linear colors as this light shows them."""
         if self.color is None:
             return albedo
         return np.exp(self.color(np.log(np.maximum(albedo, _BLACK))))
@@ -113,4 +113,4 @@ class Imaging:
 
 
 WHITE_LIGHT = Imaging()
-"""The light that colours are given for."""
+"""The light that colors are given for."""

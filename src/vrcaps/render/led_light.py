@@ -1,8 +1,8 @@
-"""White light of LEDs other than the usual: colours by the LEDs' spectrum.
+"""White light of LEDs other than the usual: colors by the LEDs' spectrum.
 
-A camera is balanced to white under its own LEDs, so only what has a colour looks different under
+A camera is balanced to white under its own LEDs, so only what has a color looks different under
 others: blood, most of all where the LEDs shine at its bands about 415, 540 and 577 nm, and bile
-below 500 nm. Colours are given for `PHOSPHOR`; of each, blood and bile are taken apart, and what
+below 500 nm. Colors are given for `PHOSPHOR`; of each, blood and bile are taken apart, and what
 their densities would be less or more under the new spectrum is added.
 """
 
@@ -36,7 +36,7 @@ Spectrum = tuple[tuple[float, float], ...]
 _STEP = 4.0
 _WAVELENGTH = np.arange(380.0, 701.0, _STEP)  # [nm]
 
-_HAEMOGLOBIN = 1e3 * np.array([
+_HEMOGLOBIN = 1e3 * np.array([
     *(109.6, 125.4, 148.1, 189.7, 231.6, 266.2, 308.7, 422.3, 500.2, 521.9, 480.4, 376.2),
     *(283.1, 214.1, 132.8, 102.6, 81.44, 67.04, 58.86, 49.5, 44.48, 39.81, 34.87, 31.62),
     *(28.85, 26.63, 25.18, 24.17, 23.09, 21.85, 20.93, 20.42, 20.0, 20.15, 21.0, 24.2),
@@ -45,7 +45,7 @@ _HAEMOGLOBIN = 1e3 * np.array([
     *(0.942, 0.774, 0.6588, 0.5612, 0.4788, 0.442, 0.4052, 0.3792, 0.3568, 0.3352, 0.3196),
     *(0.3084, 0.298, 0.29, 0.282, 0.2776, 0.2744, 0.2744, 0.2776, 0.282, 0.29),
 ])  # fmt: skip
-"""Extinction of oxygenated haemoglobin [1/(cm·M)] every 4 nm from 380 nm on (S. Prahl's table from
+"""Extinction of oxygenated hemoglobin [1/(cm·M)] every 4 nm from 380 nm on (S. Prahl's table from
 data of Gratzer and Kollias, 1998)."""
 
 _BILIRUBIN = 1e3 * np.array([
@@ -59,7 +59,7 @@ Photobiol. B 7(1), 1990)."""
 
 _CHANNELS = ((645.0, 50.0), (545.0, 90.0), (465.0, 90.0))
 """Middle and full width at half of red, green and blue [nm], as Gaussians: those of a usual sensor
-after its colour matrix (an assumption), red where blood is a sixth as dense as in green, which is
+after its color matrix (an assumption), red where blood is a sixth as dense as in green, which is
 what `vrcaps.mucosa.mucosa.ABSORPTION` has."""
 
 _LEAST_SHARE = 0.02
@@ -75,14 +75,14 @@ PHOSPHOR: Spectrum = tuple(
     zip(_WAVELENGTH.tolist(), (_bell(450.0, 20.0) + _bell(560.0, 120.0)).tolist(), strict=True)
 )
 """A blue LED at 450 nm under a yellow phosphor of as much power at its peak, about 5200 K by
-McCamy's formula (Color Res. Appl. 17(2), 1992): the light that colours are given for."""
+McCamy's formula (Color Res. Appl. 17(2), 1992): the light that colors are given for."""
 
 
 def make_imaging(device: Device, mode: str) -> Imaging:
     """How a capsule sees in an imaging mode, `white-light` or `narrow-band`.
 
     Raises:
-        InputError: If its LEDs give a colour of the camera hardly any light.
+        InputError: If its LEDs give a color of the camera hardly any light.
     """
     if mode == "narrow-band":
         return narrow_band()
@@ -94,7 +94,7 @@ def led_light(spectrum: Spectrum) -> Imaging:
     """Imaging under LEDs of a spectrum, to which the camera is balanced.
 
     Raises:
-        InputError: If a colour of the camera gets hardly any light.
+        InputError: If a color of the camera gets hardly any light.
     """
     seen, usual = _Seen(spectrum), _Seen(PHOSPHOR)
     blood = (seen.blood - usual.blood).astype(np.float32)
@@ -128,13 +128,13 @@ class _Seen:
 
     def __init__(self, spectrum: Spectrum) -> None:
         weights, usual = _weights(spectrum), _weights(PHOSPHOR)
-        green, blue = float(usual[1] @ _HAEMOGLOBIN), float(usual[2] @ _BILIRUBIN_ALL)
+        green, blue = float(usual[1] @ _HEMOGLOBIN), float(usual[2] @ _BILIRUBIN_ALL)
         scattering = np.array([reduced_scattering(nm) for nm in _WAVELENGTH])
-        factor = _HAEMOGLOBIN / green * reduced_scattering(545.0) / scattering
+        factor = _HEMOGLOBIN / green * reduced_scattering(545.0) / scattering
         density = lut_densities()[:, None]
         self.blood = _mean_density(density_at_wavelength(density, factor), weights)
         self.bile = _mean_density(density * (_BILIRUBIN_ALL / blue), weights)
-        self.thin_blood = weights @ _HAEMOGLOBIN / green
+        self.thin_blood = weights @ _HEMOGLOBIN / green
         self.thin_bile = weights @ _BILIRUBIN_ALL / blue
         self.bands_nm = weights @ _WAVELENGTH
 
@@ -152,7 +152,7 @@ def _weights(spectrum: Spectrum) -> Float[np.ndarray, "3 n"]:
         if not share >= _LEAST_SHARE:
             raise InputError(
                 f"LEDs of this spectrum give the camera's {name} {share:.1%} of the light of its "
-                f"brightest colour. Allowed: {_LEAST_SHARE:.0%} or more, for a balance to white."
+                f"brightest color. Allowed: {_LEAST_SHARE:.0%} or more, for a balance to white."
             )
     return channels / total[:, None]
 

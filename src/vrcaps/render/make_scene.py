@@ -22,7 +22,7 @@ def make_scene(organ: OrganSurface, settings: RenderSettings, imaging: Imaging) 
     Args:
         organ: What to render; one without an appearance is plain.
         settings: Mucus film and scattering.
-        imaging: Colours of the LEDs and the camera.
+        imaging: Colors of the LEDs and the camera.
     """
     if settings.mucus_film_um is not None:
         organ = apply_mucus_film(organ, 1e-6 * settings.mucus_film_um)

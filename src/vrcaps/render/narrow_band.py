@@ -1,6 +1,6 @@
-"""Narrow-band imaging: the wall as lit at 415 and 540 nm, where haemoglobin absorbs most.
+"""Narrow-band imaging: the wall as lit at 415 and 540 nm, where hemoglobin absorbs most.
 
-A texel's colour is taken apart into a bright base, blood and bile, by their optical densities in
+A texel's color is taken apart into a bright base, blood and bile, by their optical densities in
 the camera's red, green and blue bands. Blood's density in green gives its absorption beside the
 tissue's scattering; that, carried over to the two bands, gives what the tissue reflects there. The
 image shows 540 nm as red, and 415 nm as green and blue (Gono, Clin. Endosc. 48(6), 2015), so that
@@ -28,8 +28,8 @@ from vrcaps.render.scattering import density_at_wavelength, reduced_scattering
 if TYPE_CHECKING:
     from jaxtyping import Float
 
-_HAEMOGLOBIN = {"green": 34.7e3, 540: 46.5e3, 415: 394e3}
-"""Extinction of oxygenated haemoglobin [1/(cm·M)], means of S. Prahl's table (Gratzer; Kollias)
+_HEMOGLOBIN = {"green": 34.7e3, 540: 46.5e3, 415: 394e3}
+"""Extinction of oxygenated hemoglobin [1/(cm·M)], means of S. Prahl's table (Gratzer; Kollias)
 over 500 to 590 nm, and over the bands of 30 nm about 540 and 415 nm of narrow-band systems."""
 
 _BILE = {540: 0.08, 415: 0.88}
@@ -47,7 +47,7 @@ def blood_density(density: Float[np.ndarray, "*n"], band: int) -> Float[np.ndarr
         band: 415 or 540 [nm].
     """
     scattering = reduced_scattering(band) / reduced_scattering(545.0)
-    return density_at_wavelength(density, _HAEMOGLOBIN[band] / _HAEMOGLOBIN["green"] / scattering)
+    return density_at_wavelength(density, _HEMOGLOBIN[band] / _HEMOGLOBIN["green"] / scattering)
 
 
 @functools.cache
@@ -78,7 +78,7 @@ def _color(log_light: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
 def _absorption(white: tuple[float, float, float]) -> tuple[float, float, float]:
     base, blood, bile = unmix_absorption(white)
     green, violet = (
-        max(base + blood * _HAEMOGLOBIN[band] / _HAEMOGLOBIN["green"] + bile * _BILE[band], 0.0)
+        max(base + blood * _HEMOGLOBIN[band] / _HEMOGLOBIN["green"] + bile * _BILE[band], 0.0)
         for band in (540, 415)
     )
     return green, violet, violet

@@ -31,7 +31,7 @@ SCATTERING_EXPONENT = -0.845
 """Exponent of wavelength in it."""
 
 _COLORS = 256
-_WHITEST = 0.98  # base colour above which nothing is told apart
+_WHITEST = 0.98  # base color above which nothing is told apart
 _NODES = 48  # of Gauss's rule, on either side of the critical angle
 
 
@@ -41,7 +41,7 @@ def reduced_scattering(wavelength_nm: float) -> float:
 
 
 def fresnel(cosine: Float[np.ndarray, "*n"], ior: float) -> Float[np.ndarray, "*n"]:
-    """Reflectance of a smooth border for unpolarised light (Born and Wolf, section 1.5).
+    """Reflectance of a smooth border for unpolarized light (Born and Wolf, section 1.5).
 
     Args:
         cosine: Of the angle to the normal on the side that the light comes from, 0 to 1.
@@ -256,7 +256,7 @@ def _dipole(
 
 @functools.cache
 def albedo_roots(ior: float = TISSUE_IOR) -> Float[np.ndarray, " n"]:
-    """√(1 − single-scattering albedo) of tissue with base colours 0 to 1, in even steps.
+    """√(1 − single-scattering albedo) of tissue with base colors 0 to 1, in even steps.
 
     Nearly straight for bright tissue, where the albedo itself is not.
     """
@@ -275,7 +275,7 @@ def mean_cosine(ior: float) -> float:
 
 @functools.cache
 def angular_slopes(ior: float = TISSUE_IOR) -> Float[np.ndarray, " n"]:
-    """How a half-space under even light looks by angle, for base colours 0 to 1 in even steps.
+    """How a half-space under even light looks by angle, for base colors 0 to 1 in even steps.
 
     Inside it sends the mean radiance times 1 + slope (m − cosine) to its border, with m the
     `mean_cosine`: brighter the flatter, as flat ways gather light from less deep. A straight line

@@ -80,7 +80,7 @@ def test_linear_step_is_its_twin(tube: OrganSurface) -> None:
 
 
 def test_solid_step_satisfies_its_twin(tube: OrganSurface) -> None:
-    """M (v' − v) = dt (f − c K v' − S u' − ∂Ψ/∂u'), to the tolerance of the minimisation."""
+    """M (v' − v) = dt (f − c K v' − S u' − ∂Ψ/∂u'), to the tolerance of the minimization."""
     wall, dt = FemWall(tube, SOLID), 4e-3
     number = wall.number
     matrices = assemble(wall.layer, SOLID, number, wall.num_free)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from made_frames import CAMERA, CENTRE, SIZE, Figures, photos
+from made_frames import CAMERA, CENTER, SIZE, Figures, photos
 from vrcaps.capsule.catalog import read_device
 from vrcaps.capsule.device_file import read_device_file, write_device
 from vrcaps.errors import InputError
@@ -44,7 +44,7 @@ def match(frames):
 
 def test_circle(match) -> None:
     assert match.circle is not None
-    assert (match.circle.cx, match.circle.cy) == pytest.approx(CENTRE, abs=0.5)
+    assert (match.circle.cx, match.circle.cy) == pytest.approx(CENTER, abs=0.5)
     assert match.circle.radius == pytest.approx(TRUE.circle, abs=1.0)
 
 

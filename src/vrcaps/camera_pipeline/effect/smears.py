@@ -31,7 +31,7 @@ SUBSTANCES: dict[str, tuple[tuple[float, float, float], float]] = {
     "blood": ((150.0, 1.1e4, 1.4e4), 1.2e3),
 }
 """Absorption for red, green and blue, and transport scattering [1/m]. Blood is oxygenated at some
-0.4 of its haemoglobin (Bosschaart et al., Lasers Med. Sci. 29, 2014); the others go by eye."""
+0.4 of its hemoglobin (Bosschaart et al., Lasers Med. Sci. 29, 2014); the others go by eye."""
 
 _WAVES = 64
 _MARKED = 0.1

@@ -9,7 +9,7 @@ from __future__ import annotations
 from vrcaps.cli.benchmarks.report import Claim
 
 RATE = Claim(
-    text="complete labelled frames a second, one camera",
+    text="complete labeled frames a second, one camera",
     sense="≥",
     limit=100.0,
     unit="per second",
@@ -37,7 +37,7 @@ HEADS = Claim(
     reference="twice, and a twentieth for the second camera's set-up",
 )
 TO_DISK = Claim(
-    text="labelled frames a second to disk (rgb, depth, normal, label, instance), one camera",
+    text="labeled frames a second to disk (rgb, depth, normal, label, instance), one camera",
     sense="≥",
     limit=60.0,
     unit="per second",
@@ -65,7 +65,7 @@ WAVE = Claim(
     reference="a sixth of a frame at 60 per second",
 )
 LIVING_FRAMES = Claim(
-    text="rendered and labelled steps of 1/60 s a second, muscle at work, substeps of 200 µs",
+    text="rendered and labeled steps of 1/60 s a second, muscle at work, substeps of 200 µs",
     sense="≥",
     limit=60.0,
     unit="per second",

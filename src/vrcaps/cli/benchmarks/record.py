@@ -1,4 +1,4 @@
-"""`vrcaps bench record`: how fast labelled frames reach the disk."""
+"""`vrcaps bench record`: how fast labeled frames reach the disk."""
 
 from __future__ import annotations
 

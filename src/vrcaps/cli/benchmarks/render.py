@@ -77,7 +77,7 @@ def setting(stage: Stage, extent: Extent) -> str:
     return (
         f"A generated colon of {stage.num_triangles} triangles, textured and wet; "
         f"{camera.width} × {camera.height} pixels, {len(camera.leds)} LEDs; the camera on the "
-        f"centreline in {extent.num_views} views along the whole colon. Subjects take turns in "
+        f"centerline in {extent.num_views} views along the whole colon. Subjects take turns in "
         f"one process: {extent.num_rounds} rounds, in each one frame of every view after one "
         "that is not timed. Ratios are made round by round. Times are on the clock, and in "
         "processor time of all threads together, which other programs disturb less. A complete "

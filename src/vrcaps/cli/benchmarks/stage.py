@@ -30,7 +30,7 @@ class Stage:
 
     Attributes:
         model: Organ and device.
-        states: The capsule on the centreline, its axis along it, evenly spread over the organ.
+        states: The capsule on the centerline, its axis along it, evenly spread over the organ.
     """
 
     model: Model
@@ -61,7 +61,7 @@ def make_organ(num_triangles: int, *, seed: int) -> OrganSurface:
 
 
 def make_stage(organ: OrganSurface, device: Device | str = DEVICE, *, num_views: int) -> Stage:
-    """Views from 5 % to 95 % of the centreline; the first camera's pupil is on it."""
+    """Views from 5 % to 95 % of the centerline; the first camera's pupil is on it."""
     model = Model(organ, read_device(device) if isinstance(device, str) else device)
     line = organ.centerline
     share = np.linspace(0.05, 0.95, num_views)

@@ -168,7 +168,7 @@ def _frames(stage: Stage, num_rounds: int) -> tuple[Claim, Table]:
         note = f"a step of 1/60 s in substeps of {1e6 * substep:.0f} µs, state, complete frame"
         rows.append(times.row(f"{1e6 * substep:.0f} µs", note, 1e3))
         rates.append(Spread.of(1.0 / times.wall))
-    table = Table("A rendered and labelled step", ("ms", "ms of processors"), tuple(rows))
+    table = Table("A rendered and labeled step", ("ms", "ms of processors"), tuple(rows))
     return replace(claims.LIVING_FRAMES, measured=rates[0]), table
 
 

@@ -22,7 +22,7 @@ def low_pass(
 ) -> Float[np.ndarray, "n 3"]:
     """Positions without undulations that are shorter than a wavelength [m].
 
-    Minimises ∫|x − x₀|² + τ² |Δx|² dA with τ = (wavelength/2π)², then does the same to what that
+    Minimizes ∫|x − x₀|² + τ² |Δx|² dA with τ = (wavelength/2π)², then does the same to what that
     took away and gives it back (twicing: Tukey, Exploratory Data Analysis, 1977, 16). Of an
     undulation of length d stays 1 − s² with s = 1/(1 + (d/wavelength)⁴), so that a wide tube
     keeps its radius. Flat pieces stay as they are, up to an open border. Δ by cotangents

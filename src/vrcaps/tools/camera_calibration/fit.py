@@ -93,7 +93,7 @@ def calibrate(
 ) -> Calibration:
     """Fit a lens model and the boards' poses to the corners found.
 
-    Minimises Huber's function of the residuals, their scale 1.4826 times their median, so that a
+    Minimizes Huber's function of the residuals, their scale 1.4826 times their median, so that a
     badly found board does little harm.
 
     Args:

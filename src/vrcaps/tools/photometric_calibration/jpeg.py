@@ -23,7 +23,7 @@ _TABLE = np.sort(
 
 
 def quality_tables() -> Float[np.ndarray, "100 64"]:
-    """Sorted quantisation tables of qualities 1 to 100, as the Independent JPEG Group scales."""
+    """Sorted quantization tables of qualities 1 to 100, as the Independent JPEG Group scales."""
     quality = np.arange(1, 101)
     percent = np.where(quality < 50, 5000 // quality, 200 - 2 * quality)
     return np.clip((percent[:, None] * _TABLE + 50) // 100, 1, 255).astype(float)

@@ -92,13 +92,13 @@ def test_thin_triangles_are_counted():
 
 
 @pytest.mark.slow
-def test_places_where_the_wall_cuts_itself_are_counted_and_named():
+def test_self_intersections_are_counted_and_located():
     organ = make_organ(cylinder())
     outer = np.argmax(organ.vertices[:, 0] - np.abs(organ.vertices[:, 2]))
     vertices = organ.vertices.copy()
     vertices[outer, 0] -= 3 * RADIUS
     defects = measure_organ(replace(organ, vertices=vertices)).defects
-    (cut,) = (defect for defect in defects if "cuts itself" in defect)
+    (cut,) = (defect for defect in defects if "self-intersections" in defect)
     found = re.fullmatch(r"1 self-intersections of the wall \((\d+) pairs .*, at \((.*)\) mm", cut)
     assert found
     assert 4 < int(found[1]) < 100

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
 
 MAX_VOXELS = 30_000_000
-_COARSE_VOXELS = 1_000_000  # of the first look, which measures volume and calibre
+_COARSE_VOXELS = 1_000_000  # of the first look, which measures volume and diameter
 
 
 @dataclass(frozen=True)

@@ -173,7 +173,8 @@ def test_replay_in_the_patient_frame_and_placed(tmp_path, model):
 def test_replay_outside_the_lumen(tmp_path, model):
     path, _ = _tum_along_the_axis(tmp_path, model, of_camera=True, offset=(0.0, 0.0, 0.1))
     with pytest.raises(
-        InputError, match=r"mm outside the lumen of 'tube' at frame 0 .* --path-allow-outside\."
+        InputError,
+        match=r"mm outside the lumen of 'tube' at frame 0 .* motion\.allow_outside=true\.",
     ):
         replay(model, Replay(str(path), "tum", "m"), frames=5, fps=10.0)
     allowed = Replay(str(path), "tum", "m", allow_outside=True)

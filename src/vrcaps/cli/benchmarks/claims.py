@@ -76,5 +76,5 @@ FINITE_ELEMENTS = Claim(
     sense="≥",
     limit=100.0,
     unit="per second",
-    reference="the quick model's rate of frames, with room",
+    reference="the spring wall's rate of frames, with room",
 )

@@ -67,7 +67,7 @@ def test_check_passes_and_finds_a_fault(episode: Path, capsys: pytest.CaptureFix
 @pytest.mark.slow
 def test_the_episode_s_own_scenario_makes_the_same_files(episode: Path, tmp_path: Path) -> None:
     out = tmp_path / "again"
-    cli.main(f"record --scenario {episode / 'episode.json'} --out {out} --threads 1".split())
+    cli.main(f"record {episode / 'episode.json'} --out {out} --threads 1".split())
     names = sorted(p.relative_to(episode) for p in episode.rglob("*") if p.is_file())
     assert names == sorted(p.relative_to(out) for p in out.rglob("*") if p.is_file())
     for name in names:

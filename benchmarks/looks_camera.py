@@ -18,7 +18,7 @@ from vrcaps.camera_pipeline.effects import Effects
 from vrcaps.camera_pipeline.pipeline import CameraPipeline, SceneRadiance
 from vrcaps.color import luminance
 from vrcaps.motion.step import Step
-from vrcaps.render.frame import inside
+from vrcaps.render.planar import crop_margin
 
 MEAN_LUMINANCE = {True: 0.20, False: 0.15}
 """Linear luminance that an automatic exposure aims at, of colonoscopes and of capsules: the mean
@@ -79,7 +79,7 @@ def photographed(name: str, shot: Shot, number: int) -> np.ndarray:
     exposure = even_exposure(reaching * gains, light) / shot.camera.exposure
     pipeline = CameraPipeline(shot.renderer, shot.camera, effects, fps=1.0, seed=number)
     planes = pipeline.allocate_planes()
-    inside(planes, *radiance.shape[:2])[...] = np.moveaxis(radiance, -1, 0)
+    crop_margin(planes, *radiance.shape[:2])[...] = np.moveaxis(radiance, -1, 0)
     known = {name: array for name, array in vars(shot.frame).items() if array is not None}
     seen = SceneRadiance(Step(number, shot.state), known, planes)
     sent = pipeline.process(seen, exposure)

@@ -107,7 +107,9 @@ def picture(device: Device, T_camera_board: np.ndarray) -> np.ndarray:
     faces = np.array([[0, 2, 1], [0, 3, 2]])
     organ = make_organ(vertices, faces, uv=corners[faces], appearance=paper(*span))
     state = State(0.0, invert(camera.T_capsule_camera))
-    renderer = Renderer(Model(organ, device, np.eye(4)), RenderSettings(supersampling=4))
+    renderer = Renderer(
+        Model(organ, device, np.eye(4)), RenderSettings(light="direct", supersampling=4)
+    )
     radiance = renderer.render(state, camera, channels=("radiance",)).radiance
     assert radiance is not None
     return _core.encode_srgb(radiance, 0.8 / float(np.quantile(radiance.max(axis=2), 0.98)))

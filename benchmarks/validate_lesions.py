@@ -132,7 +132,10 @@ def measure(organ: OrganSurface, text: str, step: int) -> tuple[str, ...]:
     device = vrcaps.read_device("mirocam")
     models = [Model(side, device, np.eye(4)) for side in (patient.organ, patient.clean)]
     plain, shaded = (
-        [vrcaps.Renderer(model, vrcaps.RenderSettings(shadows=on)) for model in models]
+        [
+            vrcaps.Renderer(model, vrcaps.RenderSettings(light="direct", shadows=on))
+            for model in models
+        ]
         for on in (False, True)
     )
     camera, measured = device.cameras[0], Measured()

@@ -78,7 +78,7 @@ def compare(scene: Scene, size: int, light: str, wall: str, look: Appearance) ->
     model = Model(organ, device, scene.T_world_patient)
     theirs = direct_light(model, camera, scene.state)
     off, on = (
-        Renderer(model, RenderSettings(shadows=shadows)).render(
+        Renderer(model, RenderSettings(light="direct", shadows=shadows)).render(
             scene.state, camera, channels=("radiance", "depth")
         )
         for shadows in (False, True)

@@ -28,7 +28,7 @@ NUM_VIEWS = 3
 SAMPLES = 24
 DEPTH = 10
 ROUNDS = 9
-RADIOSITY = RenderSettings(light="radiosity")
+DIRECT, RADIOSITY = RenderSettings(light="direct"), RenderSettings(light="radiosity")
 ERRORS = (
     "organ", "wall", "view", "indirect light", "radiosity / path", "direct", "radiosity",
     "radiosity, no shadows", "claimed",
@@ -66,7 +66,7 @@ def errors(names: tuple[str, str], stage: Stage, size: int) -> list[tuple[str, .
         RenderSettings(light="path", spp=SAMPLES, max_bounces=DEPTH, path_seed=seed)
         for seed in (1, 2)
     ]
-    settings = (RenderSettings(shadows=True), replace(RADIOSITY, shadows=True), RADIOSITY, *paths)
+    settings = (replace(DIRECT, shadows=True), replace(RADIOSITY, shadows=True), RADIOSITY, *paths)
     renderers = [Renderer(stage.model, chosen) for chosen in settings]
     images = np.array(
         [
@@ -108,7 +108,7 @@ def figures(images: np.ndarray) -> tuple[str, ...]:
 
 def cost(names: tuple[str, str], stage: Stage) -> tuple[str, ...]:
     """Processor time of labelled frames of 320 × 320 pixels, all threads together."""
-    renderers = [Renderer(stage.model), Renderer(stage.model, RADIOSITY)]
+    renderers = [Renderer(stage.model, s) for s in (DIRECT, RADIOSITY)]
     taken = np.zeros((ROUNDS, NUM_VIEWS, 2))
     for turn, (view, state) in (
         (turn, pair) for turn in range(ROUNDS) for pair in enumerate(stage.states)

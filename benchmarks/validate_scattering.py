@@ -191,7 +191,7 @@ def cost_row(view: View) -> tuple[str, ...]:
     """Processor time of complete labelled frames without shadows, all threads together."""
     camera = view.model.device.cameras[0]
     radiosity = RenderSettings(light="radiosity")
-    ways = (RenderSettings(), radiosity, replace(radiosity, scattering=True))
+    ways = (RenderSettings(light="direct"), radiosity, replace(radiosity, scattering=True))
     renderers = [Renderer(view.model, way) for way in ways]
 
     def taken(way: int, state: State) -> float:

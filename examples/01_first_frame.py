@@ -32,7 +32,7 @@ def main(out: Path, seed: int) -> None:
     flight = vrcaps.fly_through(model, vrcaps.FlyThrough(), frames=100, fps=3.0, rng=rng)
 
     # A renderer turns a state of the world and a camera into a frame of labelled channels.
-    renderer = vrcaps.Renderer(model, vrcaps.RenderSettings())
+    renderer = vrcaps.Renderer(model)
     (camera,) = model.device.cameras
     frame = renderer.render(flight.state(60), camera, channels=CHANNELS)
 

@@ -30,7 +30,7 @@ from .recording.check import check_episode as check_episode
 from .recording.episode import Episode as Episode
 from .recording.episode import read_episode as read_episode
 from .recording.recorder import record as record
-from .render.frame import Frame as Frame
+from .render.channels import Frame as Frame
 from .render.renderer import Renderer as Renderer
 from .render.settings import RenderSettings as RenderSettings
 from .scenario.build import build as build

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from shapes import LENSES, make_camera, make_model, sphere
+from shapes import DIRECT, LENSES, make_camera, make_model, sphere
 from vrcaps.camera.derive import barrel_radius, focal_length_px, scaled_camera
 from vrcaps.camera.rays import camera_rays, pixel_grid, project_points
 from vrcaps.camera_pipeline.effect.distortion import Distortion
@@ -77,7 +77,7 @@ def test_clear_coat_is_what_the_wall_reflects(rng) -> None:
         SpecularReflection(0.5),
         SpecularReflection(1.0),
     ):
-        frame = Renderer(make_model(coat.on_organ(organ), camera)).render(
+        frame = Renderer(make_model(coat.on_organ(organ), camera), DIRECT).render(
             state, camera, channels=("radiance", "albedo", "normal")
         )
         images.append(np.asarray(frame.radiance))

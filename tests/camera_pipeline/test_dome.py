@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from shapes import looking, make_camera, make_model, pinhole, sphere
+from shapes import DIRECT, looking, make_camera, make_model, pinhole, sphere
 from vrcaps._core import testing
 from vrcaps.camera.derive import focal_length_px
 from vrcaps.camera_pipeline.effect.base import CameraSetup, Stage
@@ -19,7 +19,7 @@ from vrcaps.camera_pipeline.pipeline import CameraPipeline
 from vrcaps.capsule.catalog import read_device
 from vrcaps.errors import InputError
 from vrcaps.motion.step import Step
-from vrcaps.render.frame import Frame
+from vrcaps.render.channels import Frame
 from vrcaps.render.renderer import Renderer
 from vrcaps.units import DEG, MM
 
@@ -219,7 +219,7 @@ def test_severities_cover_more_and_more(name: str) -> None:
 def test_what_the_pipeline_says_of_the_dome() -> None:
     """Color changes, geometry does not, and the label is there when it is asked for."""
     organ, camera = sphere(3), make_camera(pinhole(96, 1.2))
-    renderer = Renderer(make_model(organ, camera))
+    renderer = Renderer(make_model(organ, camera), DIRECT)
     step = Step(0, looking((0.0, 0.0, 0.0)))
     asked = ("rgb", "depth", "label", "dome_label")
 

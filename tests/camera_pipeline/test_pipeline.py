@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from shapes import looking, make_camera, make_model, patterned, pinhole, tube
+from shapes import DIRECT, looking, make_camera, make_model, patterned, pinhole, tube
 from vrcaps import _core
 from vrcaps._core import testing
 from vrcaps.camera.camera import Camera
@@ -24,7 +24,8 @@ from vrcaps.camera_pipeline.effects import EFFECTS, SEVERITIES, Effects
 from vrcaps.camera_pipeline.pipeline import CameraPipeline, PipelineState
 from vrcaps.lumen.contents import Contents
 from vrcaps.motion.step import Step
-from vrcaps.render.frame import Frame, inside
+from vrcaps.render.channels import Frame
+from vrcaps.render.planar import crop_margin
 from vrcaps.render.renderer import Renderer
 from vrcaps.transforms import transform_from
 from vrcaps.world.model import State
@@ -37,7 +38,7 @@ NOW = looking((0.002, 0.001, 0.05), (0.1, 0.05, 1.0))
 @pytest.fixture(scope="module")
 def renderer() -> Renderer:
     organ = tube(48, 80, folds=0.3, appearance=patterned(np.random.default_rng(3)))
-    return Renderer(make_model(organ, CAMERA))
+    return Renderer(make_model(organ, CAMERA), DIRECT)
 
 
 def moved(state: State, step: tuple[float, float, float]) -> State:
@@ -126,9 +127,11 @@ def test_bubbles_on_the_capsule_stay_where_they_are(renderer: Renderer) -> None:
     model = replace(
         make_model(organ, camera), contents=Effects(dome_bubbles=4).contents(Contents(seed=2))
     )
-    motion = image_motion(Renderer(model), around(), Effects(motion_blur=2), camera)
+    motion = image_motion(Renderer(model, DIRECT), around(), Effects(motion_blur=2), camera)
     speed = np.linalg.norm(motion, axis=-1)
-    front = Renderer(model).render(NOW, camera, channels=("foreground_label",)).foreground_label
+    front = (
+        Renderer(model, DIRECT).render(NOW, camera, channels=("foreground_label",)).foreground_label
+    )
     front = np.asarray(front)[2::4, 2::4]
     assert (front == 1).sum() > 5
     assert (speed[front == 1] == 0.0).all()
@@ -143,7 +146,7 @@ def test_a_bubble_is_out_of_focus_by_its_own_distance(renderer: Renderer) -> Non
         make_model(renderer.model.organ, camera),
         contents=Effects(dome_bubbles=4).contents(Contents(seed=2)),
     )
-    through = Renderer(model)
+    through = Renderer(model, DIRECT)
     front = np.asarray(through.render(NOW, camera, channels=("foreground_label",)).foreground_label)
     near = [
         np.asarray(captured(through, effects, Step(0, NOW), camera=camera).rgb, float)
@@ -264,7 +267,7 @@ def light(rng: np.random.Generator, given: dict) -> np.ndarray:
 def framed(pipeline: _core.CameraPipeline, radiance: np.ndarray) -> np.ndarray:
     """The same with a margin in which anything may be."""
     planes = np.full(pipeline.planes_shape, np.nan, np.float32)
-    inside(planes, *radiance.shape[1:])[...] = radiance
+    crop_margin(planes, *radiance.shape[1:])[...] = radiance
     return planes
 
 

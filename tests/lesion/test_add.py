@@ -4,6 +4,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from shapes import DIRECT
 from vrcaps.capsule.catalog import read_device
 from vrcaps.errors import InputError
 from vrcaps.lesion import (
@@ -189,7 +190,7 @@ def test_masks_equal_the_geodesic_footprint(tube, monkeypatch):
     (form,) = forms
     camera = read_device("mirocam").cameras[0]
     model = Model(organ, read_device("mirocam"), np.eye(4))
-    renderer = Renderer(model)
+    renderer = Renderer(model, DIRECT)
     pixels = np.stack(np.meshgrid(np.arange(camera.width), np.arange(camera.height)), axis=-1)
     overlaps = []
     for pose in views(form.site.center):
@@ -231,7 +232,8 @@ def test_clean_twin_differs_only_inside_the_masks(tube, lesion):
     device = read_device("mirocam")
     camera = device.cameras[0]
     lesioned, clean = (
-        Renderer(Model(organ, device, np.eye(4))) for organ in (patient.organ, patient.clean)
+        Renderer(Model(organ, device, np.eye(4)), DIRECT)
+        for organ in (patient.organ, patient.clean)
     )
     center = np.array(patient.organ.metadata["lesions"][0]["center_m"])
     for pose in views(center, 3):
@@ -251,7 +253,7 @@ def test_clean_twin_looks_like_the_organ_itself(tube):
     state = State(0.0, next(views(np.array([RADIUS, 0.0, 80 * MM]))))
     one, two = (
         np.asarray(
-            Renderer(Model(organ, device, np.eye(4)))
+            Renderer(Model(organ, device, np.eye(4)), DIRECT)
             .render(state, device.cameras[0], channels=("rgb",))
             .rgb,
             int,

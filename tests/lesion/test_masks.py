@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from shapes import DIRECT
 from vrcaps.capsule.catalog import read_device
 from vrcaps.lesion import Bleeding, Colitis, Location, Polyp, add_lesions
 from vrcaps.render.renderer import Renderer
@@ -37,7 +38,7 @@ def test_mask_is_the_footprint(tube, lesion):
     organ, footprint = patient.organ, Footprint(bare, patient.clean, witness)
     scene = trimesh.Trimesh(organ.vertices, organ.faces, process=False).ray
     device = read_device("mirocam")
-    camera, renderer = device.cameras[0], Renderer(Model(organ, device, np.eye(4)))
+    camera, renderer = device.cameras[0], Renderer(Model(organ, device, np.eye(4)), DIRECT)
     pixels = np.stack(np.meshgrid(np.arange(camera.width), np.arange(camera.height)), axis=-1)
     pixels = pixels[::2, ::2].reshape(-1, 2)
     rays = camera.lens.unproject(pixels.astype(float))

@@ -6,9 +6,8 @@ import pytest
 
 from vrcaps.camera.rays import camera_rays
 from vrcaps.errors import InputError, UnknownNameError
-from vrcaps.recording.channels import ENCODINGS
 from vrcaps.recording.episode import read_episode
-from vrcaps.render.frame import CHANNELS
+from vrcaps.render.channels import CHANNELS
 from vrcaps.render.renderer import Renderer
 from vrcaps.scenario.build import build, resolve
 from vrcaps.transforms import transform_points
@@ -22,14 +21,14 @@ def test_arrays_are_what_was_rendered(recorded, scenario):
     rendered = renderer.render(
         trajectory.state(2),
         model.device.cameras[1],
-        channels=CHANNELS,
+        channels=tuple(CHANNELS),
         state_next=trajectory.state(3),
         state_previous=trajectory.state(1),
     )
     read = episode.frame(2, "rear")
     for channel in CHANNELS:
         given, back = getattr(rendered, channel), getattr(read, channel)
-        step = ENCODINGS[channel].scale
+        step = CHANNELS[channel].encoding.scale
         if step is None:
             np.testing.assert_array_equal(back, given)
             continue
@@ -67,7 +66,7 @@ def test_depth_is_ray_distance_times_the_ray(recorded):
 def test_metadata(recorded, scenario):
     episode = read_episode(recorded)
     assert len(episode) == 5
-    assert episode.channels == CHANNELS
+    assert episode.channels == tuple(CHANNELS)
     assert [camera.name for camera in episode.cameras] == ["front", "rear"]
     assert episode.label_names == ("background", "upper", "lower")
     assert episode.scenario == resolve(scenario)

@@ -6,7 +6,7 @@ import pytest
 from vrcaps.recording.episode import read_episode
 from vrcaps.recording.pictures import contact_sheet, limits_of, picture
 from vrcaps.recording.preview import Preview
-from vrcaps.render.frame import CHANNELS
+from vrcaps.render.channels import CHANNELS
 
 FRONT = (
     "foreground_label",

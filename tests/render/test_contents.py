@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from shapes import RADIUS, looking, make_camera, make_model, patterned, sphere, tube
+from shapes import DIRECT, RADIUS, looking, make_camera, make_model, patterned, sphere, tube
 from threads import digests_by_threads
 from vrcaps.camera.camera import Led
 from vrcaps.camera.rays import camera_rays
@@ -63,7 +63,7 @@ def crossing(rays: np.ndarray, center: np.ndarray, radius: float) -> np.ndarray:
 @pytest.mark.parametrize("lens", ["pinhole", "equidistant", "scaramuzza"])
 def test_a_particle_is_a_surface_in_every_channel(organ: OrganSurface, lens: str) -> None:
     camera = make_camera(lens)
-    renderer = Renderer(make_model(organ, camera))
+    renderer = Renderer(make_model(organ, camera), DIRECT)
     state = looking((0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
     T = state.T_world_capsule @ camera.T_capsule_camera
     center = T[:3, :3].T @ (np.array(BALL) - T[:3, 3])
@@ -97,7 +97,7 @@ def test_a_particle_is_a_surface_in_every_channel(organ: OrganSurface, lens: str
 
 def test_a_bubble_leaves_the_labels_behind_it(organ: OrganSurface) -> None:
     camera = make_camera("pinhole")
-    renderer = Renderer(make_model(organ, camera))
+    renderer = Renderer(make_model(organ, camera), DIRECT)
     state = looking((0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
     radius = 2.5 * MM
     seen = renderer.render(
@@ -123,7 +123,7 @@ def test_a_bubble_leaves_the_labels_behind_it(organ: OrganSurface) -> None:
 def test_the_nearest_of_many_spheres_wins(organ: OrganSurface, rng: np.random.Generator) -> None:
     """A hundred particles of all sizes against the smallest crossing of all."""
     camera = make_camera("equidistant")
-    renderer = Renderer(make_model(organ, camera))
+    renderer = Renderer(make_model(organ, camera), DIRECT)
     state = looking((0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
     way = rng.standard_normal((300, 3))
     centers = way / np.linalg.norm(way, axis=1, keepdims=True) * rng.uniform(5, 19, (300, 1)) * MM
@@ -148,7 +148,7 @@ def test_a_particle_casts_the_shadow_of_a_point_light(organ: OrganSurface) -> No
     camera = make_camera("pinhole")
     led = Led(position_camera=(6.0 * MM, 0.0, 0.0), lobe_exponent=0.0)
     camera = replace(camera, leds=(led,))
-    renderer = Renderer(make_model(organ, camera), RenderSettings(shadows=True))
+    renderer = Renderer(make_model(organ, camera), RenderSettings(light="direct", shadows=True))
     state = looking((0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
     radius = 1.0 * MM
     T = state.T_world_capsule @ camera.T_capsule_camera
@@ -182,7 +182,7 @@ def pool(organ: OrganSurface, level: float) -> Pools:
 def test_liquid_begins_at_its_level(organ: OrganSurface, level: float) -> None:
     """From above a ray enters where it meets the level; an eye under it is in the liquid."""
     camera = make_camera("equidistant")
-    renderer = Renderer(make_model(organ, camera))
+    renderer = Renderer(make_model(organ, camera), DIRECT)
     state = looking((0.0, 0.0, 0.0), (0.6, 0.0, -0.8))
     spheres = balls(np.zeros((0, 3)), np.zeros(0), WHITE)
     full = filled(state, spheres, pool(organ, level))
@@ -211,7 +211,7 @@ def test_clear_liquid_dims_by_its_absorption(organ: OrganSurface) -> None:
     """Immersed in liquid that only absorbs, light loses exp(−a·(way out + way back))."""
     camera = make_camera("pinhole")
     camera = replace(camera, leds=(Led((0.0, 0.0, 0.0), lobe_exponent=0.0),))
-    renderer = Renderer(make_model(organ, camera))
+    renderer = Renderer(make_model(organ, camera), DIRECT)
     state = looking((0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
     absorption = (20.0, 60.0, 150.0)
     liquid = Liquid(absorption=absorption, scattering=(0.0, 0.0, 0.0))
@@ -228,7 +228,7 @@ def test_clear_liquid_dims_by_its_absorption(organ: OrganSurface) -> None:
 
 def test_flow_and_occlusion_of_a_particle_that_moves(organ: OrganSurface) -> None:
     camera = make_camera("pinhole")
-    renderer = Renderer(make_model(organ, camera))
+    renderer = Renderer(make_model(organ, camera), DIRECT)
     state = looking((0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
     T = state.T_world_capsule @ camera.T_capsule_camera
     before, after = np.array([[0.0, 0.0, 8.0 * MM]]), np.array([[1.5 * MM, 0.0, 8.0 * MM]])
@@ -279,7 +279,7 @@ def test_a_bubble_at_the_eye(organ: OrganSurface, ball: tuple[float, ...]) -> No
     state = looking((0.0, 0.0, 0.0))
     T = state.T_world_capsule @ camera.T_capsule_camera
     placed = filled(state, balls(T[:3, :3] @ center + T[:3, 3], radius, BUBBLE))
-    frame = Renderer(make_model(organ, camera)).render(
+    frame = Renderer(make_model(organ, camera), DIRECT).render(
         placed, camera, channels=("radiance", *FRONT)
     )
     along = rays @ center
@@ -298,7 +298,7 @@ def test_a_bubble_at_the_eye(organ: OrganSurface, ball: tuple[float, ...]) -> No
 
 def test_nothing_in_front_without_contents(organ: OrganSurface) -> None:
     camera = make_camera("pinhole")
-    frame = Renderer(make_model(organ, camera)).render(
+    frame = Renderer(make_model(organ, camera), DIRECT).render(
         looking((0.0, 0.0, 0.0)), camera, channels=FRONT
     )
     assert (frame.foreground_label == 0).all() and (frame.foreground_instance == 0).all()
@@ -312,7 +312,9 @@ def digest() -> str:
     rng = np.random.default_rng(3)
     organ = tube(60, 120, folds=0.3, capped=True, appearance=patterned(rng))
     camera = make_camera("scaramuzza")
-    renderer = Renderer(make_model(organ, camera), RenderSettings(supersampling=2, shadows=True))
+    renderer = Renderer(
+        make_model(organ, camera), RenderSettings(light="direct", supersampling=2, shadows=True)
+    )
     centers = np.column_stack([rng.uniform(-12, 12, (400, 2)), rng.uniform(60, 140, 400)]) * MM
     spheres = balls(centers, rng.uniform(0.2, 2.0, 400) * MM, BUBBLE)
     kind = rng.integers(0, 3, 400).astype(np.uint8)
@@ -336,7 +338,7 @@ def test_same_bytes_for_any_number_of_threads() -> None:
 
 def test_refuses_spheres_that_are_none(organ: OrganSurface) -> None:
     camera = make_camera("pinhole")
-    renderer = Renderer(make_model(organ, camera))
+    renderer = Renderer(make_model(organ, camera), DIRECT)
     state = looking((0.0, 0.0, 0.0))
     with pytest.raises(ValueError, match="radii above 0"):
         renderer.render(filled(state, balls(BALL, 0.0, WHITE)), camera)

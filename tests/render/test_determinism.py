@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import twin_shade
-from shapes import looking, make_camera, make_model, patterned, sphere, tube
+from shapes import DIRECT, looking, make_camera, make_model, patterned, sphere, tube
 from threads import digests_by_threads
 from vrcaps.camera.lens import LensEquidistant, LensEquirectangular, LensPinhole
 from vrcaps.render.renderer import Renderer
@@ -27,7 +27,9 @@ def digest() -> str:
     look = patterned(rng, relief=3e-4)
     organ = tube(60, 120, folds=0.4, capped=True, appearance=look)
     camera = make_camera("scaramuzza")
-    renderer = Renderer(make_model(organ, camera), RenderSettings(supersampling=2, shadows=True))
+    renderer = Renderer(
+        make_model(organ, camera), RenderSettings(light="direct", supersampling=2, shadows=True)
+    )
     moved = [organ.vertices * scale for scale in (1.0, 1.01, 1.02)]
     states = [
         looking((0.004, -0.003, 0.05 + 0.002 * k), vertices_world=v) for k, v in enumerate(moved)
@@ -57,8 +59,8 @@ def test_a_frame_does_not_depend_on_what_was_rendered_before() -> None:
     organ = tube(60, 120, folds=0.4, capped=True)
     model, camera = make_model(organ), make_camera("equidistant")
     state = looking((0.004, -0.003, 0.05), vertices_world=organ.vertices * 1.01)
-    fresh = Renderer(model).render(state, camera, channels=("depth", "label", "rgb"))
-    used = Renderer(model)
+    fresh = Renderer(model, DIRECT).render(state, camera, channels=("depth", "label", "rgb"))
+    used = Renderer(model, DIRECT)
     rng = np.random.default_rng(0)
     used.render(looking((0.0, 0.0, 0.1), vertices_world=organ.vertices * 1.1), camera)
     used.render(looking((0.0, 0.0, 0.1), tuple(rng.normal(size=3))), make_camera("pinhole"))
@@ -75,8 +77,8 @@ def test_any_image_size(width: int, height: int) -> None:
     state = looking((0.004, -0.003, 0.05))
     lens = LensPinhole(40.0, 40.0, 30.0, 30.0)
     model = make_model(organ)
-    whole = Renderer(model).render(state, make_camera((lens, 64, 64)))
-    part = Renderer(model).render(state, make_camera((lens, width, height)))
+    whole = Renderer(model, DIRECT).render(state, make_camera((lens, 64, 64)))
+    part = Renderer(model, DIRECT).render(state, make_camera((lens, width, height)))
     assert part.depth.shape == (height, width)
     np.testing.assert_allclose(part.depth, whole.depth[:height, :width], rtol=1e-6)
     assert np.mean(part.label == whole.label[:height, :width]) > 0.99
@@ -98,6 +100,6 @@ def test_a_tile_that_sees_all_around(rng: np.random.Generator, lens: tuple) -> N
     camera = make_camera(lens)
     model, state = make_model(organ, camera), looking((0.004, -0.006, 0.003))
     expected = twin_shade.render(model, camera, state)
-    frame = Renderer(model).render(state, camera)
+    frame = Renderer(model, DIRECT).render(state, camera)
     np.testing.assert_allclose(frame.ray_distance, expected["ray_distance"], rtol=1e-5)
     assert np.mean(frame.label == expected["label"]) > 0.98

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import twin
-from shapes import LENSES, looking, make_camera, make_model, pinhole, tube
+from shapes import DIRECT, LENSES, looking, make_camera, make_model, pinhole, tube
 from vrcaps.camera.camera import Camera
 from vrcaps.camera.rays import pixel_grid, project_points, unproject_pixels
 from vrcaps.errors import InputError
@@ -45,7 +45,7 @@ def _landing_error_px(model: Model, camera: Camera, now: State, after: State) ->
     The ray of the target pixel is cast at the next wall; the point of the wall it meets is taken
     back to where that same point is now, and this is seen in the first image.
     """
-    renderer, faces = Renderer(model), model.organ.faces
+    renderer, faces = Renderer(model, DIRECT), model.organ.faces
     frame = renderer.render(now, camera, channels=CHANNELS, state_next=after)
     target = pixel_grid(camera.width, camera.height) + frame.flow_forward
     pose = after.T_world_capsule @ camera.T_capsule_camera
@@ -84,7 +84,7 @@ def test_backward_flow_is_the_inverse_of_forward_flow(lens: str) -> None:
 
     organ, camera = tube(160, 100, length=0.2, capped=True), make_camera(lens)
     model, (now, after) = make_model(organ, camera), _states(True, organ)
-    renderer = Renderer(model)
+    renderer = Renderer(model, DIRECT)
     forward = renderer.render(now, camera, channels=CHANNELS, state_next=after)
     backward = renderer.render(after, camera, channels=("flow_backward",), state_previous=now)
     target = pixel_grid(camera.width, camera.height) + forward.flow_forward
@@ -109,7 +109,7 @@ def test_nothing_moves_when_nothing_moves() -> None:
     organ, camera = tube(40, 40, folds=0.3, capped=True), make_camera("scaramuzza")
     model, state = make_model(organ, camera), looking((0.003, 0.0, 0.05))
     names = ("flow_forward", "flow_backward", "occlusion", "depth")
-    frame = Renderer(model).render(
+    frame = Renderer(model, DIRECT).render(
         state, camera, channels=names, state_next=state, state_previous=state
     )
     seen = np.isfinite(frame.depth)
@@ -125,8 +125,8 @@ def test_wall_at_rest_may_be_given_or_left_out() -> None:
     model, (now, after) = make_model(organ, camera), _states(False, organ)
     given = [replace(s, vertices_world=model.vertices_world) for s in (now, after)]
     names = ("flow_forward", "depth", "occlusion")
-    one = Renderer(model).render(now, camera, channels=names, state_next=after)
-    two = Renderer(model).render(given[0], camera, channels=names, state_next=given[1])
+    one = Renderer(model, DIRECT).render(now, camera, channels=names, state_next=after)
+    two = Renderer(model, DIRECT).render(given[0], camera, channels=names, state_next=given[1])
     np.testing.assert_array_equal(one.depth, two.depth)
     np.testing.assert_allclose(one.flow_forward, two.flow_forward, atol=1e-3)
     assert np.mean(one.occlusion == two.occlusion) > 0.999
@@ -137,7 +137,9 @@ def test_occlusion_agrees_with_brute_force(moving: bool) -> None:
     organ = tube(24, 31, length=0.15, folds=0.5, capped=True)
     camera = make_camera(pinhole(48))
     model, (now, after) = make_model(organ, camera), _states(moving, organ)
-    frame = Renderer(model).render(now, camera, channels=(*CHANNELS, "label"), state_next=after)
+    frame = Renderer(model, DIRECT).render(
+        now, camera, channels=(*CHANNELS, "label"), state_next=after
+    )
     target = pixel_grid(48, 48) + frame.flow_forward
     in_view = np.all((target >= -0.5) & (target < 47.5), axis=-1).ravel()
     vertices = model.vertices_world if after.vertices_world is None else after.vertices_world
@@ -159,14 +161,14 @@ def test_a_wall_that_follows_the_camera_has_no_flow() -> None:
     model, shift = make_model(organ, camera), np.array([0.003, 0.001, 0.01])
     now = looking((0.003, 0.0, 0.05), vertices_world=organ.vertices)
     after = looking((0.006, 0.001, 0.06), vertices_world=organ.vertices + shift)
-    frame = Renderer(model).render(now, camera, channels=CHANNELS, state_next=after)
+    frame = Renderer(model, DIRECT).render(now, camera, channels=CHANNELS, state_next=after)
     seen = np.isfinite(frame.position[..., 0])
     assert np.abs(frame.flow_forward[seen]).max() < 1e-2
 
 
 def test_motion_needs_the_neighbouring_states() -> None:
     organ, camera = tube(8, 4), make_camera()
-    renderer, state = Renderer(make_model(organ, camera)), looking((0.0, 0.0, 0.05))
+    renderer, state = Renderer(make_model(organ, camera), DIRECT), looking((0.0, 0.0, 0.05))
     for name in ("flow_forward", "occlusion"):
         with pytest.raises(InputError, match=f"'{name}' needs the next state. Give state_next"):
             renderer.render(state, camera, channels=(name,))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from oracle_embree import EmbreeCaster
-from shapes import LENSES, RADIUS, looking, make_camera, make_model, sphere, tube
+from shapes import DIRECT, LENSES, RADIUS, looking, make_camera, make_model, sphere, tube
 from twin import dot, unit
 from vrcaps.camera.rays import camera_rays
 from vrcaps.capsule.catalog import read_device
@@ -34,7 +34,7 @@ def _angles_deg(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 @pytest.fixture(scope="module")
 def sphere_renderer(fine_sphere: OrganSurface) -> Renderer:
-    return Renderer(make_model(fine_sphere))
+    return Renderer(make_model(fine_sphere), DIRECT)
 
 
 @pytest.mark.slow
@@ -79,7 +79,7 @@ def test_inside_an_open_cylinder(lens: str) -> None:
     root = np.sqrt(along**2 - square * (eye[:2] @ eye[:2] - RADIUS**2))
     distance = (root - along) / square
     point = eye + distance[..., None] * rays_world
-    frame = Renderer(make_model(organ)).render(state, camera, channels=CHANNELS)
+    frame = Renderer(make_model(organ), DIRECT).render(state, camera, channels=CHANNELS)
     inside = (point[..., 2] > 1e-6) & (point[..., 2] < 0.1 - 1e-6)
     beyond = (point[..., 2] < -1e-6) | (point[..., 2] > 0.1 + 1e-6) | np.isnan(rays[..., 0])
     assert inside.mean() > 0.3
@@ -97,7 +97,7 @@ def test_inside_an_open_cylinder(lens: str) -> None:
 
 def _check_against_embree(model: Model, eyes: list[tuple], ahead: list[tuple]) -> None:
     """Every label of every camera is that of the triangle which Embree names."""
-    organ, renderer = model.organ, Renderer(model)
+    organ, renderer = model.organ, Renderer(model, DIRECT)
     caster = EmbreeCaster(model.vertices_world, organ.faces)
     labels, instances = (face_label(x, organ.faces) for x in (organ.label, organ.instance))
     for camera in model.device.cameras:

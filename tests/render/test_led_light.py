@@ -124,7 +124,7 @@ def test_a_capsules_own_leds_light_the_image():
     model = make_model(organ, camera)
     own = replace(model, device=replace(model.device, led_spectrum=VIOLET))
     usual, violet = (
-        Renderer(m, RenderSettings()).render(
+        Renderer(m, RenderSettings(light="direct")).render(
             looking((0.0, 0.0, 0.0)), camera, channels=("radiance", "albedo")
         )
         for m in (model, own)

@@ -9,6 +9,7 @@ import pytest
 
 from oracle_mitsuba import direct_light
 from shapes import (
+    DIRECT,
     LENSES,
     looking,
     make_camera,
@@ -26,7 +27,7 @@ from vrcaps.camera.lens import LensEquidistant
 from vrcaps.camera.rays import camera_rays
 from vrcaps.errors import InputError, UnknownNameError
 from vrcaps.organ.surface import Appearance, OrganSurface, clearcoat_alpha
-from vrcaps.render.frame import Frame
+from vrcaps.render.channels import Frame
 from vrcaps.render.renderer import Renderer
 from vrcaps.render.settings import RenderSettings
 from vrcaps.transforms import rotate_vectors
@@ -85,7 +86,9 @@ def test_radiance_agrees_with_mitsuba(
     camera = make_camera(pinhole(48, 1.8), leds=leds)
     model, state = make_model(organ, camera), looking((0.004, -0.003, 0.04 if shadows else 0.003))
     theirs = direct_light(model, camera, state)
-    ours = Renderer(model, RenderSettings(shadows=shadows)).render(state, camera, channels=RADIANCE)
+    ours = Renderer(model, RenderSettings(light="direct", shadows=shadows)).render(
+        state, camera, channels=RADIANCE
+    )
     assert np.sqrt(np.mean((ours.radiance - theirs) ** 2)) < 3e-3 * theirs.mean()
     lit = theirs.max(axis=-1) > 0.01 * theirs.max()
     relative = np.abs(ours.radiance[lit].max(axis=-1) / theirs[lit].max(axis=-1) - 1.0)
@@ -100,7 +103,7 @@ def test_light_falls_with_the_inverse_square(rng: np.random.Generator) -> None:
         make_camera(pinhole(16), leds=(Led((0.0, 0.0, 0.0), lobe_exponent=0.0),)),
     )
     near, far = (
-        Renderer(make_model(sphere(5, radius=radius, appearance=look), camera))
+        Renderer(make_model(sphere(5, radius=radius, appearance=look), camera), DIRECT)
         .render(looking((0.0, 0.0, 0.0)), camera, channels=RADIANCE)
         .radiance
         for radius in (0.01, 0.03)
@@ -117,7 +120,9 @@ def test_lobe_of_an_led(exponent: float) -> None:
     led = Led((0.0, 0.0, 0.0), tuple(axis), (1e-3, 2e-3, 3e-3), exponent)
     camera = make_camera((LensEquidistant(20.0, 31.5, 31.5), 64, 64), leds=(led,))
     model = make_model(sphere(5, appearance=_plain()), camera)
-    image = Renderer(model).render(looking((0.0, 0.0, 0.0)), camera, channels=RADIANCE).radiance
+    image = (
+        Renderer(model, DIRECT).render(looking((0.0, 0.0, 0.0)), camera, channels=RADIANCE).radiance
+    )
     cosine = np.clip(camera_rays(camera) @ axis, 0.0, 1.0)
     expected = np.where(cosine > 0.0, cosine**exponent, exponent == 0.0)[..., None]
     expected = expected * np.array([1.0, 2.0, 3.0]) * 1e-3 / (np.pi * 0.02**2)
@@ -133,7 +138,7 @@ def test_diffuse_base_of_a_plane(roughness: int) -> None:
     led = Led((0.0, 0.0, 0.0), lobe_exponent=0.0)
     camera = make_camera(pinhole(40, 2.6), leds=(led,))
     model = make_model(_floor(_plain(188, roughness), size=10.0), camera)
-    frame = Renderer(model).render(
+    frame = Renderer(model, DIRECT).render(
         looking((0.0, 0.0, 0.01), (0.01, 0.02, -1.0)), camera, channels=("radiance", "ray_distance")
     )
     distance = frame.ray_distance.astype(float)
@@ -151,7 +156,9 @@ def test_highlight_of_the_base_facing_the_light() -> None:
     camera = make_camera(pinhole(1), leds=(led,))
     look = _plain(0, 128, ior=1.4)
     state = looking((0.0, 0.0, 0.01), (0.0, 0.0, -1.0))
-    image = Renderer(make_model(_floor(look), camera)).render(state, camera, channels=RADIANCE)
+    image = Renderer(make_model(_floor(look), camera), DIRECT).render(
+        state, camera, channels=RADIANCE
+    )
     alpha = (128 / 255) ** 2
     expected = (0.4 / 2.4) ** 2 / (4.0 * np.pi * alpha**2) * 1e-3 / 0.01**2
     np.testing.assert_allclose(image.radiance[0, 0], expected, rtol=1e-4)
@@ -163,7 +170,9 @@ def test_highlight_of_the_coat_facing_the_light() -> None:
     camera = make_camera(pinhole(1), leds=(led,))
     look = replace(_plain(0, 128, clearcoat=0.8), clearcoat_gloss=0.6)
     state = looking((0.0, 0.0, 0.01), (0.0, 0.0, -1.0))
-    image = Renderer(make_model(_floor(look), camera)).render(state, camera, channels=RADIANCE)
+    image = Renderer(make_model(_floor(look), camera), DIRECT).render(
+        state, camera, channels=RADIANCE
+    )
     square = clearcoat_alpha(0.6) ** 2
     density = (square - 1.0) / (np.pi * np.log(square)) / square
     expected = 0.8 * 0.25 * 0.04 * density * 1e-3 / 0.01**2
@@ -186,7 +195,7 @@ def test_the_wall_reflects_no_more_light_than_it_gets(slant: float) -> None:
     for roughness in (77, 128, 255):
         look = _plain(255, roughness, ior=1.4, clearcoat=1.0)
         model = make_model(_floor(look, size=1000.0), camera)
-        image = Renderer(model).render(state, camera, channels=RADIANCE).radiance
+        image = Renderer(model, DIRECT).render(state, camera, channels=RADIANCE).radiance
         reflected = image[0, 0, 0] / 1e-3 * far**2 * 2.0 * np.pi / count
         assert 0.75 < reflected < 1.25
 
@@ -218,7 +227,7 @@ def test_relief_looks_like_a_wall_of_that_shape(along: str) -> None:
     camera = make_camera(pinhole(64, 0.9), leds=(led,))
     state = looking((0.0, 0.0, 0.008), (0.02, 0.01, -1.0))
     plain, shaped, drawn = (
-        Renderer(make_model(organ, camera))
+        Renderer(make_model(organ, camera), DIRECT)
         .render(state, camera, channels=RADIANCE)
         .radiance[..., 0]
         for organ in (
@@ -248,7 +257,7 @@ def test_rgb_is_the_encoded_radiance(rng: np.random.Generator) -> None:
     for exposure in (0.01, 0.5):
         camera = make_camera("scaramuzza", exposure=exposure, image_circle_px=35.0)
         model, state = make_model(organ, camera), looking((0.004, -0.006, 0.003))
-        frame = Renderer(model).render(state, camera, channels=("rgb", "radiance", "depth"))
+        frame = Renderer(model, DIRECT).render(state, camera, channels=("rgb", "radiance", "depth"))
         np.testing.assert_array_equal(frame.rgb, _core.encode_srgb(frame.radiance, exposure))
         assert not frame.rgb[np.isnan(frame.depth)].any()
         assert frame.rgb[np.isfinite(frame.depth)].any(axis=-1).mean() > 0.9
@@ -259,12 +268,14 @@ def test_supersampling_is_the_mean_of_a_finer_image(rng: np.random.Generator) ->
     coarse, fine = make_camera(pinhole(40)), make_camera(pinhole(120))
     model, state = make_model(organ), looking((0.004, -0.003, 0.04))
     names = ("radiance", "rgb", "depth", "label", "albedo")
-    frame = Renderer(model, RenderSettings(supersampling=3)).render(state, coarse, channels=names)
-    image = Renderer(model).render(state, fine, channels=RADIANCE).radiance
+    frame = Renderer(model, RenderSettings(light="direct", supersampling=3)).render(
+        state, coarse, channels=names
+    )
+    image = Renderer(model, DIRECT).render(state, fine, channels=RADIANCE).radiance
     mean = image.reshape(40, 3, 40, 3, 3).mean(axis=(1, 3))
     np.testing.assert_allclose(frame.radiance, mean, rtol=1e-4, atol=1e-6)
     np.testing.assert_array_equal(frame.rgb, _core.encode_srgb(frame.radiance, coarse.exposure))
-    single = Renderer(model).render(state, coarse, channels=names)
+    single = Renderer(model, DIRECT).render(state, coarse, channels=names)
     for name in ("depth", "label", "albedo"):
         np.testing.assert_array_equal(getattr(frame, name), getattr(single, name))
 
@@ -274,7 +285,7 @@ def test_light_of_leds_adds_up(rng: np.random.Generator) -> None:
     leds = (Led((0.003, 0.0, 0.0)), Led((0.0, 0.003, 0.0), intensity=(2e-3, 1e-3, 0.0)))
     model, state = make_model(organ), looking((0.004, -0.006, 0.003))
     images = [
-        Renderer(model).render(state, make_camera(leds=some), channels=RADIANCE).radiance
+        Renderer(model, DIRECT).render(state, make_camera(leds=some), channels=RADIANCE).radiance
         for some in (leds, leds[:1], leds[1:], ())
     ]
     np.testing.assert_allclose(images[0], images[1] + images[2], rtol=1e-5)
@@ -286,7 +297,7 @@ def test_shadows_only_darken(rng: np.random.Generator) -> None:
     camera = make_camera(leds=(Led((0.004, 0.0, -0.006)),))
     model, state = make_model(organ, camera), looking((0.004, -0.003, 0.05))
     free, shaded = (
-        Renderer(model, RenderSettings(shadows=on))
+        Renderer(model, RenderSettings(light="direct", shadows=on))
         .render(state, camera, channels=RADIANCE)
         .radiance
         for on in (False, True)
@@ -311,7 +322,7 @@ def test_harsh_input_gives_finite_light(rng: np.random.Generator) -> None:
     leds = tuple(Led(tuple(place), lobe_exponent=2.0) for place in (*on_wall, np.zeros(3)))
     camera = make_camera("equidistant", leds=leds)
     for shadows in (False, True):
-        settings = RenderSettings(shadows=shadows)
+        settings = RenderSettings(light="direct", shadows=shadows)
         frame = Renderer(make_model(harsh, camera), settings).render(
             state, camera, channels=("radiance", "normal", "depth", "albedo")
         )
@@ -326,14 +337,14 @@ def test_harsh_input_gives_finite_light(rng: np.random.Generator) -> None:
 def test_an_organ_without_textures_is_drawn_plain() -> None:
     camera = make_camera()
     model, state = make_model(sphere(3), camera), looking((0.004, -0.006, 0.003))
-    frame = Renderer(model).render(state, camera, channels=("rgb", "albedo"))
+    frame = Renderer(model, DIRECT).render(state, camera, channels=("rgb", "albedo"))
     assert np.ptp(frame.albedo.reshape(-1, 3), axis=0).max() == 0.0
     assert frame.rgb.any()
 
 
 def test_arrays_of_an_earlier_frame_are_used_again() -> None:
     camera = make_camera()
-    renderer = Renderer(make_model(sphere(3), camera))
+    renderer = Renderer(make_model(sphere(3), camera), DIRECT)
     first = renderer.render(looking((0.004, -0.006, 0.003)), camera)
     again = renderer.render(looking((0.0, 0.0, 0.003)), camera, out=first)
     assert again.depth is first.depth
@@ -347,7 +358,9 @@ def test_arrays_of_an_earlier_frame_are_used_again() -> None:
 @pytest.mark.parametrize("lens", LENSES)
 def test_image_circle_is_dark_outside(lens: str) -> None:
     camera = make_camera(lens, image_circle_px=25.0)
-    frame = Renderer(make_model(sphere(3), camera)).render(looking((0.0, 0.001, 0.003)), camera)
+    frame = Renderer(make_model(sphere(3), camera), DIRECT).render(
+        looking((0.0, 0.001, 0.003)), camera
+    )
     columns, rows = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
     inside = np.hypot(columns - camera.lens.cx, rows - camera.lens.cy) <= 25.0
     np.testing.assert_array_equal(np.isfinite(frame.depth), inside)
@@ -356,9 +369,9 @@ def test_image_circle_is_dark_outside(lens: str) -> None:
 
 def test_wrong_settings_and_names() -> None:
     with pytest.raises(InputError, match=r"Supersampling is 0\. Allowed: 1, 2, 3"):
-        RenderSettings(supersampling=0)
+        RenderSettings(light="direct", supersampling=0)
     camera = make_camera()
-    renderer = Renderer(make_model(sphere(1), camera))
+    renderer = Renderer(make_model(sphere(1), camera), DIRECT)
     with pytest.raises(
         UnknownNameError, match=r"No channel named 'dpeth'\. Known: albedo, arc_length"
     ):
@@ -371,7 +384,7 @@ def test_no_face_that_is_seen_and_lit_is_black() -> None:
     organ = tube(10, 24, length=0.1, folds=0.35, capped=True, appearance=look)
     camera = make_camera(pinhole(64, 1.8), leds=(Led((0, 0, 0), (0, 0, 1), (1e-3,) * 3, 0.0),))
     model, state = make_model(organ, camera), looking((0.004, -0.003, 0.02))
-    frame = Renderer(model).render(state, camera, channels=("radiance", "ray_distance"))
+    frame = Renderer(model, DIRECT).render(state, camera, channels=("radiance", "ray_distance"))
     met = np.isfinite(frame.ray_distance)
     light = frame.radiance[met][:, 0] * frame.ray_distance[met] ** 2  # without the fall-off
     assert met.sum() > 1000

@@ -80,7 +80,7 @@ def test_images_follow_thickness(organ: OrganSurface):
     camera = make_camera("equidistant")
     model, state = make_model(organ, camera), looking((0.004, -0.003, 0.05))
     frames = [
-        Renderer(model, RenderSettings(mucus_film_um=film)).render(
+        Renderer(model, RenderSettings(light="direct", mucus_film_um=film)).render(
             state, camera, channels=("radiance", "depth", "label")
         )
         for film in (0.0, 100.0)
@@ -94,7 +94,7 @@ def test_images_follow_thickness(organ: OrganSurface):
 
 def test_wrong_input(organ: OrganSurface):
     with pytest.raises(InputError, match=r"Mucus film is -1\.0\. Allowed: 0 to 1000 \[µm\]\."):
-        RenderSettings(mucus_film_um=-1.0)
+        RenderSettings(light="direct", mucus_film_um=-1.0)
     with pytest.raises(
         InputError, match=r"shape has no look of its own, so no film\. Drop mucus-film-um"
     ):

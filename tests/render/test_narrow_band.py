@@ -107,7 +107,7 @@ def test_a_wall_looks_like_its_colour_by_the_light_of_the_bands():
     camera = make_camera(leds=(Led((0.0, 0.0, 0.0)),))
     model, channels = make_model(organ, camera), ("radiance", "albedo")
     white, narrow = (
-        Renderer(model, RenderSettings(imaging=imaging)).render(
+        Renderer(model, RenderSettings(light="direct", imaging=imaging)).render(
             looking((0.0, 0.0, 0.0)), camera, channels=channels
         )
         for imaging in ("white-light", "narrow-band")

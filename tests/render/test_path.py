@@ -124,7 +124,7 @@ def test_radiance_agrees_with_mitsuba(rng: np.random.Generator, depth: int) -> N
     )
     camera = make_camera(pinhole(24, 1.8), leds=leds)
     model, state = make_model(organ, camera), looking((0.004, -0.003, 0.04))
-    direct = RenderSettings(shadows=True)
+    direct = RenderSettings(light="direct", shadows=True)
     straight = Renderer(model, direct).render(state, camera, channels=("radiance",)).radiance
     theirs = _blocks(path_light(model, camera, state, max_bounces=depth, spp=96))
     ours = _blocks(_radiance(model, camera, state, spp=4096, max_bounces=depth)[None])[0]
@@ -152,7 +152,7 @@ def folded(rng: np.random.Generator) -> tuple[Model, Camera, State]:
 
 def test_one_reflection_is_direct_light_with_shadows(folded: tuple[Model, Camera, State]) -> None:
     model, camera, state = folded
-    settings = RenderSettings(shadows=True)
+    settings = RenderSettings(light="direct", shadows=True)
     direct = Renderer(model, settings).render(state, camera, channels=("radiance",)).radiance
     np.testing.assert_array_equal(_radiance(*folded, spp=4, max_bounces=1), direct)
     assert (_radiance(*folded, spp=4, max_bounces=2) >= direct).all()
@@ -221,8 +221,8 @@ def test_wrong_settings() -> None:
     with pytest.raises(UnknownNameError, match=r"No light named 'sun'\. Known: direct, path"):
         RenderSettings(light="sun")  # type: ignore[arg-type]
     with pytest.raises(InputError, match=r"Samples per pixel is 0\. Allowed: 1 to 2147483648"):
-        RenderSettings(spp=0)
+        RenderSettings(light="direct", spp=0)
     with pytest.raises(InputError, match=r"Max bounces is 101\. Allowed: 1 to 100"):
-        RenderSettings(max_bounces=101)
+        RenderSettings(light="direct", max_bounces=101)
     with pytest.raises(InputError, match=r"Path seed is -1\. Allowed: 0 to 2\^64 − 1"):
-        RenderSettings(path_seed=-1)
+        RenderSettings(light="direct", path_seed=-1)

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from shapes import RADIUS, looking, make_camera, make_model, pinhole, sphere, with_ball
+from shapes import DIRECT, RADIUS, looking, make_camera, make_model, pinhole, sphere, with_ball
 from vrcaps.camera.camera import Camera, Led
 from vrcaps.camera.rays import camera_rays
 from vrcaps.lumen.bubbles import Bubbles
@@ -107,7 +107,9 @@ def test_absorbing_liquid_dims_every_bounce() -> None:
 
     lamp = np.exp(-absorption * RADIUS)
     clear = sphere_light(np.ones_like, 1.0, 6)
-    frame = Renderer(make_model(organ, camera)).render(dry, camera, channels=("ray_distance",))
+    frame = Renderer(make_model(organ, camera), DIRECT).render(
+        dry, camera, channels=("ray_distance",)
+    )
     seen = np.exp(-absorption * np.asarray(frame.ray_distance, float)).mean()
     expected = sphere_light(through, lamp, 6) / clear * seen
     assert found == pytest.approx(expected, rel=0.015)

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from shapes import looking, make_camera, make_model, patterned, pinhole, sphere, tube
+from shapes import DIRECT, looking, make_camera, make_model, patterned, pinhole, sphere, tube
 from threads import digest_at_rest_and_moved, digests_by_threads
 from vrcaps.camera.camera import Camera, Led
 from vrcaps.camera.lens import LensEquidistant
@@ -174,7 +174,7 @@ def test_contents_take_indirect_light(rng: np.random.Generator) -> None:
         assert (radiosity >= direct).all()
         indirect.append(radiosity - direct)
     state = replace(looking(PLACE, (0.0, 0.1, 1.0)), lumen_contents=dry)
-    instance = Renderer(model).render(state, camera, channels=("instance",)).instance
+    instance = Renderer(model, DIRECT).render(state, camera, channels=("instance",)).instance
     assert instance is not None
     assert (instance == 9).any()
     assert (indirect[0][instance == 9] > 0.0).all()

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from shapes import RADIUS, looking, make_camera, make_model, pinhole, sphere
+from shapes import DIRECT, RADIUS, looking, make_camera, make_model, pinhole, sphere
 from twin_shade import principled
 from vrcaps.camera.camera import Camera, Led
 from vrcaps.camera.rays import camera_rays
@@ -17,7 +17,7 @@ from vrcaps.lumen.lumen_contents import LumenContents
 from vrcaps.lumen.particles import BUBBLE, WHITE, Spheres
 from vrcaps.lumen.pools import Pools
 from vrcaps.organ.surface import Appearance, OrganSurface
-from vrcaps.render.frame import Frame
+from vrcaps.render.channels import Frame
 from vrcaps.render.refraction import refract_paths, surface_heights
 from vrcaps.render.renderer import Renderer
 from vrcaps.render.settings import RenderSettings
@@ -98,7 +98,7 @@ class Ways:
 
 
 def seen(organ: OrganSurface, camera: Camera, state: State, *channels: str) -> Frame:
-    return Renderer(make_model(organ, camera)).render(
+    return Renderer(make_model(organ, camera), DIRECT).render(
         state, camera, channels=(*CHANNELS, *channels)
     )
 
@@ -277,7 +277,7 @@ def test_flow_through_a_surface(organ: OrganSurface, eye: tuple[float, float, fl
     now = flooded(looking(eye, forward), organ)
     moved = (eye[0] + 0.6 * MM, eye[1] - 0.4 * MM, eye[2] + 0.3 * MM)
     then = flooded(looking(moved, (forward[0], forward[1] + 0.05, forward[2])), organ)
-    renderer = Renderer(make_model(organ, camera))
+    renderer = Renderer(make_model(organ, camera), DIRECT)
     channels = (*CHANNELS, "flow_forward", "flow_backward", "occlusion")
     frame = renderer.render(now, camera, channels=channels, state_next=then, state_previous=now)
     following = renderer.render(then, camera, channels=CHANNELS)
@@ -341,7 +341,9 @@ def test_radiosity_and_paths_come_through(organ: OrganSurface) -> None:
     model = make_model(organ, camera)
     for settings in (RenderSettings(light="radiosity"), RenderSettings(light="path", spp=2)):
         bright = Renderer(model, settings).render(state, camera, channels=("radiance",)).radiance
-        direct = Renderer(model).render(state, camera, channels=("radiance", "refraction_label"))
+        direct = Renderer(model, DIRECT).render(
+            state, camera, channels=("radiance", "refraction_label")
+        )
         bent = direct.refraction_label == REFRACTED
         assert np.isfinite(bright).all()
         assert bright[bent].mean() > 1.1 * direct.radiance[bent].mean()
@@ -350,7 +352,7 @@ def test_radiosity_and_paths_come_through(organ: OrganSurface) -> None:
 def test_free_ways_need_pairs(organ: OrganSurface) -> None:
     model = make_model(organ, make_camera())
     state = flooded(looking((0.0, 0.0, 0.0)), organ, spheres=balls((0.0, 0.0, 5.0 * MM), 1.0 * MM))
-    renderer = Renderer(model)
+    renderer = Renderer(model, DIRECT)
     contents = renderer._core_contents(state.lumen_contents, model.wall, "now")
     starts = np.zeros((3, 3))
     points = np.array([[0.0, 0.0, 9.0], [0.0, 0.0, 3.0], [0.0, 0.0, -30.0]]) * MM

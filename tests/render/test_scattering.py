@@ -354,6 +354,6 @@ def test_wrong_input():
     with pytest.raises(
         InputError, match=r"goes with light radiosity or path, not direct\. Drop one"
     ):
-        RenderSettings(scattering=True)
+        RenderSettings(light="direct", scattering=True)
     with pytest.raises(ValueError, match="albedo of 0 to 1, extinction above 0 and an index of 1"):
         _walks(_plane(), (1.2,) * 3, (1000.0,) * 3, 1.4, 1)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import twin_shade
-from shapes import LENSES, looking, make_camera, make_model, patterned, sphere, tube
+from shapes import DIRECT, LENSES, looking, make_camera, make_model, patterned, sphere, tube
 from vrcaps.camera.camera import Led
 from vrcaps.render.renderer import Renderer
 from vrcaps.render.settings import RenderSettings
@@ -35,7 +35,7 @@ def test_every_channel_agrees(rng: np.random.Generator, lens: str, shadows: bool
     camera = make_camera(lens, leds=LEDS)
     model, state = make_model(organ, camera), looking((0.004, -0.003, 0.025))
     expected = twin_shade.render(model, camera, state, shadows=shadows)
-    settings = RenderSettings(shadows=shadows)
+    settings = RenderSettings(light="direct", shadows=shadows)
     names = tuple(name for name in expected if name != "face")
     frame = Renderer(model, settings).render(state, camera, channels=names)
     for name in ("depth", "ray_distance", "position", "arc_length"):
@@ -54,7 +54,7 @@ def test_labels_agree_from_outside_and_through_open_ends(rng: np.random.Generato
     camera = make_camera("pinhole", leds=LEDS)
     model, state = make_model(organ, camera), looking((0.08, 0.01, 0.02), (-1.0, 0.05, 0.03))
     expected = twin_shade.render(model, camera, state)
-    frame = Renderer(model).render(state, camera, channels=("depth", "normal", "label"))
+    frame = Renderer(model, DIRECT).render(state, camera, channels=("depth", "normal", "label"))
     assert 0.2 < np.isnan(frame.depth).mean() < 0.9
     _close(frame.depth, expected["depth"], 3e-8)
     _close(frame.normal, expected["normal"], 2e-5)
@@ -69,7 +69,7 @@ def test_moved_wall_agrees(rng: np.random.Generator) -> None:
     state = looking((0.012, 0.001, -0.018), vertices_world=moved)
     expected = twin_shade.render(model, camera, state)
     names = ("depth", "normal", "radiance", "face")
-    frame = Renderer(model).render(state, camera, channels=names[:3])
+    frame = Renderer(model, DIRECT).render(state, camera, channels=names[:3])
     _close(frame.depth, expected["depth"], 2e-8)
     _close(frame.normal, expected["normal"], 2e-5)
     bright = expected["radiance"].max()
@@ -83,7 +83,7 @@ def test_fine_textures_are_averaged_over_a_pixel(rng: np.random.Generator) -> No
     camera = make_camera("pinhole", leds=LEDS)
     model, state = make_model(organ, camera), looking((0.0, 0.002, 0.01), (0.02, 0.01, 1.0))
     expected = twin_shade.render(model, camera, state)["albedo"]
-    albedo = Renderer(model).render(state, camera, channels=("albedo",)).albedo
+    albedo = Renderer(model, DIRECT).render(state, camera, channels=("albedo",)).albedo
     # A level that is taken one step off at its limit is rare and still alike.
     _close(albedo, expected, 2e-3, 0.97)
     assert np.nanmean(np.abs(albedo - expected)) < 1e-3

@@ -32,7 +32,7 @@ SCENARIOS = [
         motion=FlyThrough(speed=0.01, roll=0.0),
         fps=12.0,
         channels=("depth", "rgb"),
-        render=RenderSettings(supersampling=2, shadows=True),
+        render=RenderSettings(light="direct", supersampling=2, shadows=True),
     ),
     Scenario(motion=Replay("path.csv", "unity-csv", "dm", handedness="right", pose="capsule")),
 ]

@@ -18,8 +18,12 @@ from vrcaps.camera.lens import (
 from vrcaps.capsule.device import Device
 from vrcaps.mesh.mesh import vertex_normals
 from vrcaps.organ.surface import Appearance, Centerline, OrganSurface
+from vrcaps.render.settings import RenderSettings
 from vrcaps.transforms import look_along, transform_from
 from vrcaps.world.model import Model, State
+
+DIRECT = RenderSettings(light="direct")
+"""For tests of what a frame shows by direct light, or of geometry alone."""
 
 RADIUS = 0.02
 

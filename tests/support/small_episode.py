@@ -11,7 +11,7 @@ from vrcaps.motion.fly_through import FlyThrough
 from vrcaps.organ.read_organ import read_organ
 from vrcaps.organ.surface import Appearance, OrganSurface
 from vrcaps.recording.recorder import record
-from vrcaps.render.frame import CHANNELS
+from vrcaps.render.channels import CHANNELS
 from vrcaps.scenario import build as scenario_module
 from vrcaps.scenario.scenario import OrganFile, Scenario
 from write_ply import write_ply
@@ -96,7 +96,7 @@ def base_scenario(mesh_file: Path, device_file: Path) -> Scenario:
         motion=FlyThrough(start=0.15, end=0.85),
         frames=5,
         seed=1,
-        channels=CHANNELS,
+        channels=tuple(CHANNELS),
     )
 
 

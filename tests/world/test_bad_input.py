@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from shapes import DIRECT
 from vrcaps import _core
 from vrcaps.capsule.body import Body
 from vrcaps.errors import InputError, UnknownNameError
@@ -235,7 +236,7 @@ def test_a_wall_under_a_world(world: World) -> None:
     """It keeps no vertex normals: they are made when asked for, and it is not drawn by mistake."""
     model = world.model
     assert world.is_inside()
-    camera, renderer = model.device.cameras[0], Renderer(model)
+    camera, renderer = model.device.cameras[0], Renderer(model, DIRECT)
     arrays = {"depth": np.empty((camera.height, camera.width), np.float32)}
     with pytest.raises(ValueError, match="wall has moved under a world: refit it to draw it"):
         renderer._render_into(world._wall, camera, world.state, arrays, None)

@@ -115,7 +115,7 @@ impl<'a> Filled<'a> {
         if self.sees_wall_alone(tile, met, room) {
             Front::of_liquid(None).write(tile, place, out);
             place.write(&mut out.refraction_label, &[STRAIGHT; LANES], &tile.used, STRAIGHT);
-            place.write_sparsely(&mut out.sparse_refraction, 1, |_, _| STRAIGHT);
+            place.write_subsampled(&mut out.sparse_refraction, 1, |_, _| STRAIGHT);
             render_tile((self.wall, self.scene, view), tile, met, place, glow, out);
             return;
         }
@@ -143,7 +143,7 @@ impl<'a> Filled<'a> {
         front.write(tile, place, out);
         let kind = wet.as_ref().map_or([STRAIGHT; LANES], |wet| wet.turn.kind);
         place.write(&mut out.refraction_label, &kind, &found.hit, STRAIGHT);
-        place.write_sparsely(&mut out.sparse_refraction, 1, |i, _| kind[i]);
+        place.write_subsampled(&mut out.sparse_refraction, 1, |i, _| kind[i]);
         write_geometry(view, tile, hits, found, place, out);
     }
 

@@ -4,101 +4,124 @@ use crate::simd::f32x64::*;
 use numpy::{Element, PyArrayDyn, PyArrayMethods, PyReadwriteArrayDyn, PyUntypedArrayMethods};
 use pyo3::{exceptions::PyValueError, prelude::*, types::PyDict};
 
-/// Pixels between those whose surface is written sparsely, the first in the middle of a square.
+/// Stride of the subsampled pixel grid, which starts in the middle of a cell.
 pub const STEP: usize = 4;
 
-/// How many of so many pixels in a row are written sparsely.
-pub fn sparse(size: usize) -> usize {
+/// Pixels of the subsampled grid in a row of so many pixels.
+fn subsampled(size: usize) -> usize {
     (size + STEP / 2 - 1) / STEP
 }
 
-/// Channels of an image, or of a row of its tiles; those not asked for are absent.
-#[derive(Default)]
-pub struct Channels<'a> {
-    pub rgb: Option<&'a mut [u8]>,
-    pub radiance: Option<&'a mut [f32]>,
-    pub planes: Option<Planes<'a>>,
-    pub depth: Option<&'a mut [f32]>,
-    pub ray_distance: Option<&'a mut [f32]>,
-    pub normal: Option<&'a mut [f32]>,
-    pub label: Option<&'a mut [u8]>,
-    pub instance: Option<&'a mut [u16]>,
-    pub albedo: Option<&'a mut [f32]>,
-    pub arc_length: Option<&'a mut [f32]>,
-    pub position: Option<&'a mut [f32]>,
-    pub face: Option<&'a mut [i32]>,
-    pub weights: Option<&'a mut [f32]>,
-    pub sparse_position: Option<&'a mut [f32]>,
-    pub sparse_face: Option<&'a mut [i32]>,
-    pub sparse_weights: Option<&'a mut [f32]>,
-    pub sparse_refraction: Option<&'a mut [u8]>,
-    pub foreground_label: Option<&'a mut [u8]>,
-    pub foreground_instance: Option<&'a mut [u16]>,
-    pub foreground_depth: Option<&'a mut [f32]>,
-    pub refraction_label: Option<&'a mut [u8]>,
+/// Declares the channels: one line each, `name: type x components`. From it follow the arrays
+/// borrowed from Python, `Channels` and how an image is cut into bands of tiles.
+///
+/// `full` channels hold every pixel, `subsampled` ones the pixels of a grid of stride `STEP`.
+macro_rules! channels {
+    (
+        full { $($name:ident: $type:ty, $components:literal;)* }
+        subsampled { $($few:ident: $few_type:ty, $few_components:literal;)* }
+    ) => {
+        /// Channels of an image, or of a row of its tiles; those not asked for are absent.
+        #[derive(Default)]
+        pub struct Channels<'a> {
+            $(pub $name: Option<&'a mut [$type]>,)*
+            $(pub $few: Option<&'a mut [$few_type]>,)*
+            pub planes: Option<Planes<'a>>,
+        }
+
+        /// The same as arrays of Python's.
+        pub struct ChannelArrays<'py> {
+            shape: (usize, usize),
+            $($name: Option<PyReadwriteArrayDyn<'py, $type>>,)*
+            $($few: Option<PyReadwriteArrayDyn<'py, $few_type>>,)*
+            planes: Option<PyReadwriteArrayDyn<'py, f32>>,
+        }
+
+        impl<'py> ChannelArrays<'py> {
+            /// Borrows the arrays of a dictionary for an image of a height and width.
+            ///
+            /// # Errors
+            /// If one has the wrong type or shape.
+            pub fn borrow(out: &Bound<'py, PyDict>, shape: (usize, usize)) -> PyResult<Self> {
+                let few = (subsampled(shape.0), subsampled(shape.1));
+                Ok(ChannelArrays {
+                    shape,
+                    $($name: take(out, stringify!($name), shape, $components)?,)*
+                    $($few: take(out, stringify!($few), few, $few_components)?,)*
+                    planes: find(out, "radiance_planar")?,
+                })
+            }
+
+            /// Their numbers.
+            pub fn channels(&mut self) -> PyResult<Channels<'_>> {
+                Ok(Channels {
+                    $($name: slice(&mut self.$name)?,)*
+                    $($few: slice(&mut self.$few)?,)*
+                    planes: Planes::of(&mut self.planes, self.shape)?,
+                })
+            }
+        }
+
+        impl<'a> Channels<'a> {
+            /// Cuts the image into rows of tiles.
+            pub fn bands(self, width: usize, count: usize) -> Vec<Channels<'a>> {
+                let (all, few) = (width * TILE, subsampled(width) * TILE / STEP);
+                $(let mut $name = cut(self.$name, all * $components);)*
+                $(let mut $few = cut(self.$few, few * $few_components);)*
+                let mut planes = self.planes.map(Planes::bands);
+                (0..count)
+                    .map(|_| Channels {
+                        $($name: $name.next().flatten(),)*
+                        $($few: $few.next().flatten(),)*
+                        planes: planes.as_mut().and_then(Iterator::next),
+                    })
+                    .collect()
+            }
+        }
+    };
 }
 
-/// Radiance by colours, with a margin about the image.
+channels! {
+    full {
+        rgb: u8, 3;
+        radiance: f32, 3;
+        depth: f32, 1;
+        ray_distance: f32, 1;
+        normal: f32, 3;
+        label: u8, 1;
+        instance: u16, 1;
+        albedo: f32, 3;
+        arc_length: f32, 1;
+        position: f32, 3;
+        face: i32, 1;
+        weights: f32, 2;
+        foreground_label: u8, 1;
+        foreground_instance: u16, 1;
+        foreground_depth: f32, 1;
+        refraction_label: u8, 1;
+    }
+    subsampled {
+        sparse_position: f32, 3;
+        sparse_face: i32, 1;
+        sparse_weights: f32, 2;
+        sparse_refraction: u8, 1;
+    }
+}
+
+/// Cuts a channel into pieces of a length; endless, as absent channels have no end.
+fn cut<T>(channel: Option<&mut [T]>, length: usize) -> impl Iterator<Item = Option<&mut [T]>> {
+    let mut rest = channel.map(|c| c.chunks_mut(length));
+    std::iter::from_fn(move || Some(rest.as_mut().and_then(Iterator::next)))
+}
+
+/// Radiance by color, with a margin around the image.
 pub struct Planes<'a> {
     colors: [&'a mut [f32]; 3],
     stride: usize,
     margin: usize,
 }
 
-impl<'a> Channels<'a> {
-    /// Cuts the image into rows of tiles.
-    pub fn bands(self, width: usize, count: usize) -> Vec<Channels<'a>> {
-        fn cut<T>(
-            channel: Option<&mut [T]>,
-            length: usize,
-        ) -> impl Iterator<Item = Option<&mut [T]>> {
-            let mut rest = channel.map(|c| c.chunks_mut(length));
-            std::iter::from_fn(move || Some(rest.as_mut().and_then(Iterator::next)))
-        }
-        let n = width * TILE;
-        let (mut rgb, mut radiance) = (cut(self.rgb, n * 3), cut(self.radiance, n * 3));
-        let mut planes = self.planes.map(Planes::bands);
-        let (mut depth, mut ray_distance) = (cut(self.depth, n), cut(self.ray_distance, n));
-        let (mut normal, mut position) = (cut(self.normal, n * 3), cut(self.position, n * 3));
-        let (mut label, mut instance) = (cut(self.label, n), cut(self.instance, n));
-        let (mut albedo, mut arc_length) = (cut(self.albedo, n * 3), cut(self.arc_length, n));
-        let (mut face, mut weights) = (cut(self.face, n), cut(self.weights, n * 2));
-        let (mut foreground_label, mut foreground_depth) =
-            (cut(self.foreground_label, n), cut(self.foreground_depth, n));
-        let mut foreground_instance = cut(self.foreground_instance, n);
-        let mut refraction_label = cut(self.refraction_label, n);
-        let s = sparse(width) * TILE / STEP;
-        let mut sparse_position = cut(self.sparse_position, s * 3);
-        let (mut sparse_face, mut sparse_weights) =
-            (cut(self.sparse_face, s), cut(self.sparse_weights, s * 2));
-        let mut sparse_refraction = cut(self.sparse_refraction, s);
-        (0..count)
-            .map(|_| Channels {
-                rgb: rgb.next().flatten(),
-                radiance: radiance.next().flatten(),
-                planes: planes.as_mut().and_then(Iterator::next),
-                depth: depth.next().flatten(),
-                ray_distance: ray_distance.next().flatten(),
-                normal: normal.next().flatten(),
-                label: label.next().flatten(),
-                instance: instance.next().flatten(),
-                albedo: albedo.next().flatten(),
-                arc_length: arc_length.next().flatten(),
-                position: position.next().flatten(),
-                face: face.next().flatten(),
-                weights: weights.next().flatten(),
-                sparse_position: sparse_position.next().flatten(),
-                sparse_face: sparse_face.next().flatten(),
-                sparse_weights: sparse_weights.next().flatten(),
-                sparse_refraction: sparse_refraction.next().flatten(),
-                foreground_label: foreground_label.next().flatten(),
-                foreground_instance: foreground_instance.next().flatten(),
-                foreground_depth: foreground_depth.next().flatten(),
-                refraction_label: refraction_label.next().flatten(),
-            })
-            .collect()
-    }
-
+impl Channels<'_> {
     /// Whether an image is to be made.
     pub fn wants_light(&self) -> bool {
         self.rgb.is_some() || self.radiance.is_some() || self.planes.is_some()
@@ -115,7 +138,7 @@ impl<'a> Planes<'a> {
     ///
     /// # Errors
     /// If it is of another shape.
-    pub fn of(
+    fn of(
         array: &'a mut Option<PyReadwriteArrayDyn<'_, f32>>,
         (height, width): (usize, usize),
     ) -> PyResult<Option<Self>> {
@@ -144,7 +167,7 @@ impl<'a> Planes<'a> {
 }
 
 /// A channel of a dictionary of a shape, if it is there.
-pub fn take<'py, T: Element>(
+fn take<'py, T: Element>(
     out: &Bound<'py, PyDict>,
     name: &str,
     (height, width): (usize, usize),
@@ -162,7 +185,7 @@ fn wrong_shape(name: &str) -> PyErr {
 }
 
 /// A channel of a dictionary, if it is there.
-pub fn find<'py, T: Element>(
+fn find<'py, T: Element>(
     out: &Bound<'py, PyDict>,
     name: &str,
 ) -> PyResult<Option<PyReadwriteArrayDyn<'py, T>>> {
@@ -176,7 +199,7 @@ pub fn find<'py, T: Element>(
 }
 
 /// Its numbers.
-pub fn slice<'a, T: Element>(
+fn slice<'a, T: Element>(
     array: &'a mut Option<PyReadwriteArrayDyn<'_, T>>,
 ) -> PyResult<Option<&'a mut [T]>> {
     array.as_mut().map(|a| a.as_slice_mut().map_err(PyErr::from)).transpose()
@@ -210,9 +233,9 @@ impl Place {
         }
     }
 
-    /// Writes the pixels that stand for all others.
+    /// Writes the pixels of the subsampled grid.
     #[inline(always)]
-    pub fn write_sparsely<T: Copy>(
+    pub fn write_subsampled<T: Copy>(
         self,
         channel: &mut Option<&mut [T]>,
         components: usize,
@@ -222,7 +245,7 @@ impl Place {
         let (width, height) = self.size;
         for y in (STEP / 2..height).step_by(STEP) {
             for x in (STEP / 2..(width - self.column).min(TILE)).step_by(STEP) {
-                let place = y / STEP * sparse(width) + (self.column + x) / STEP;
+                let place = y / STEP * subsampled(width) + (self.column + x) / STEP;
                 fill(&mut pixels[place * components..][..components], |k| value(y * TILE + x, k));
             }
         }

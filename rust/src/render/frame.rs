@@ -4,7 +4,7 @@ use crate::cpu::on_pool;
 use crate::lumen::Contents;
 use crate::lumen::tile::{Filled, Room};
 use crate::poses::read_pose;
-use crate::render::channels::{Channels, Place, Planes, find, slice, sparse, take};
+use crate::render::channels::{ChannelArrays, Channels, Place};
 use crate::render::material::{Led, Surface};
 use crate::render::path::light_paths::Lit;
 use crate::render::path::lumen_contents::Afloat;
@@ -166,51 +166,8 @@ pub fn render(
     let mut view = View::new(wall, pose, leds, exposure, shadows)?;
     view.paths = paths.map(|(samples, depth, seed)| Settings { samples, depth, seed });
     let shape = (rays.height, rays.width);
-    let mut rgb = take::<u8>(out, "rgb", shape, 3)?;
-    let mut radiance = take::<f32>(out, "radiance", shape, 3)?;
-    let mut planes = find::<f32>(out, "radiance_planar")?;
-    let mut depth = take::<f32>(out, "depth", shape, 1)?;
-    let mut ray_distance = take::<f32>(out, "ray_distance", shape, 1)?;
-    let mut normal = take::<f32>(out, "normal", shape, 3)?;
-    let mut label = take::<u8>(out, "label", shape, 1)?;
-    let mut instance = take::<u16>(out, "instance", shape, 1)?;
-    let mut albedo = take::<f32>(out, "albedo", shape, 3)?;
-    let mut arc_length = take::<f32>(out, "arc_length", shape, 1)?;
-    let mut position = take::<f32>(out, "position", shape, 3)?;
-    let mut face = take::<i32>(out, "face", shape, 1)?;
-    let mut weights = take::<f32>(out, "weights", shape, 2)?;
-    let few = (sparse(shape.0), sparse(shape.1));
-    let mut sparse_position = take::<f32>(out, "sparse_position", few, 3)?;
-    let mut sparse_face = take::<i32>(out, "sparse_face", few, 1)?;
-    let mut sparse_weights = take::<f32>(out, "sparse_weights", few, 2)?;
-    let mut sparse_refraction = take::<u8>(out, "sparse_refraction", few, 1)?;
-    let mut foreground_label = take::<u8>(out, "foreground_label", shape, 1)?;
-    let mut foreground_instance = take::<u16>(out, "foreground_instance", shape, 1)?;
-    let mut foreground_depth = take::<f32>(out, "foreground_depth", shape, 1)?;
-    let mut refraction_label = take::<u8>(out, "refraction_label", shape, 1)?;
-    let channels = Channels {
-        rgb: slice(&mut rgb)?,
-        radiance: slice(&mut radiance)?,
-        planes: Planes::of(&mut planes, shape)?,
-        depth: slice(&mut depth)?,
-        ray_distance: slice(&mut ray_distance)?,
-        normal: slice(&mut normal)?,
-        label: slice(&mut label)?,
-        instance: slice(&mut instance)?,
-        albedo: slice(&mut albedo)?,
-        arc_length: slice(&mut arc_length)?,
-        position: slice(&mut position)?,
-        face: slice(&mut face)?,
-        weights: slice(&mut weights)?,
-        sparse_position: slice(&mut sparse_position)?,
-        sparse_face: slice(&mut sparse_face)?,
-        sparse_weights: slice(&mut sparse_weights)?,
-        sparse_refraction: slice(&mut sparse_refraction)?,
-        foreground_label: slice(&mut foreground_label)?,
-        foreground_instance: slice(&mut foreground_instance)?,
-        foreground_depth: slice(&mut foreground_depth)?,
-        refraction_label: slice(&mut refraction_label)?,
-    };
+    let mut arrays = ChannelArrays::borrow(out, shape)?;
+    let channels = arrays.channels()?;
     let radiosity = radiosity.zip(rest.as_deref()).filter(|_| channels.wants_light());
     on_pool(py, || {
         view.bounced =
@@ -418,9 +375,9 @@ pub fn write_geometry(
     let face = |i: usize| if hit[i] { found.face[i] } else { -1 };
     let weight = |i: usize, k: usize| if hit[i] { found.weights[k][i] } else { f32::NAN };
     place.write_each(&mut out.position, 3, position);
-    place.write_sparsely(&mut out.sparse_position, 3, position);
-    place.write_sparsely(&mut out.sparse_face, 1, |i, _| face(i));
-    place.write_sparsely(&mut out.sparse_weights, 2, weight);
+    place.write_subsampled(&mut out.sparse_position, 3, position);
+    place.write_subsampled(&mut out.sparse_face, 1, |i, _| face(i));
+    place.write_subsampled(&mut out.sparse_weights, 2, weight);
     place.write(&mut out.ray_distance, &hits.distance, hit, f32::NAN);
     place.write(&mut out.arc_length, &found.arc_length, hit, f32::NAN);
     place.write(&mut out.label, &found.label, hit, 0);

@@ -11,7 +11,7 @@ from vrcaps.camera_pipeline.pipeline import CameraPipeline, Exposure, PipelineSt
 
 if TYPE_CHECKING:
     from vrcaps.motion.step import Step
-    from vrcaps.render.frame import Frame
+    from vrcaps.render.channels import Frame
     from vrcaps.render.renderer import Renderer
 
 SPEED = "image_speed_ndc_per_s"

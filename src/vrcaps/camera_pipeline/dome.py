@@ -11,12 +11,13 @@ from vrcaps.camera.rays import camera_rays
 from vrcaps.camera_pipeline.effect.base import CameraSetup
 from vrcaps.camera_pipeline.effect.depth_of_field import DepthOfField
 from vrcaps.geometry import unit
+from vrcaps.render.channels import CHANNELS
 from vrcaps.units import MM
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
 
-DOME_NAMES = ("nothing", "drop", "smear")
+DOME_NAMES = CHANNELS["dome_label"].class_names
 """Classes of what lies on the dome: numbers of the channel `dome_label`."""
 
 _LENS = DepthOfField(0.5 * MM)

@@ -15,8 +15,9 @@ from vrcaps.camera_pipeline.effect.adaptive_frame_rate import image_speed
 from vrcaps.camera_pipeline.effect.base import CameraSetup, FrameContext, ImageEffect, Stage
 from vrcaps.camera_pipeline.effects import Effects
 from vrcaps.color import LUMINANCE
+from vrcaps.render.channels import Frame
 from vrcaps.render.flow import SUBSAMPLE, SurfacePoints
-from vrcaps.render.frame import Frame, inside
+from vrcaps.render.planar import crop_margin
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -195,7 +196,7 @@ class CameraPipeline:
         )
         if planes is not None and self.renderer.settings.is_supersampled:
             # Rays beside that of a pixel that sees nothing may see something.
-            inside(planes, *self._lit.shape)[:, ~self._lit] = 0.0
+            crop_margin(planes, *self._lit.shape)[:, ~self._lit] = 0.0
         return SceneRadiance(step, channels, planes, points)
 
     def allocate_planes(self) -> Float[np.ndarray, "3 h+2m w+2m"]:

@@ -24,12 +24,6 @@ if TYPE_CHECKING:
 CHYME = "chyme"
 """Name of the class of particles; its number follows those of the organ."""
 
-FOREGROUND_NAMES = ("nothing", "bubble", "liquid")
-"""Classes of what a pixel looks through: numbers of the channel `foreground_label`."""
-
-REFRACTION_NAMES = ("straight", "refracted", "reflected")
-"""How a liquid's surface turns a pixel's ray: numbers of the channel `refraction_label`."""
-
 
 @dataclass(frozen=True)
 class LumenContents:

@@ -16,7 +16,6 @@ from vrcaps.errors import VrcapsError
 from vrcaps.lumen.lumen_contents import CHYME
 from vrcaps.mesh.mesh import Mesh
 from vrcaps.mesh.wall import wall_of
-from vrcaps.recording.channels import ENCODINGS
 from vrcaps.recording.episode import Episode, read_episode
 from vrcaps.recording.image_files import read_image
 from vrcaps.recording.layout import (
@@ -30,13 +29,14 @@ from vrcaps.recording.layout import (
 )
 from vrcaps.recording.table import POSE_COLUMNS, column_names
 from vrcaps.recording.walls import read_wall, wall_path
+from vrcaps.render.channels import CHANNELS
 from vrcaps.transforms import rotate_vectors
 from vrcaps.units import UM
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-_STEP = ENCODINGS["depth"].scale or 0.0
+_STEP = CHANNELS["depth"].encoding.scale or 0.0
 _CAST_FRAMES, _CAST_RAYS = 8, 400  # frames and rays per frame that are cast against the organ
 _CAST_SHARE = 0.99  # of these rays must agree; at silhouettes rounding decides which wall is hit
 
@@ -236,7 +236,7 @@ def _read_images(
     """Stored numbers of each channel that is there, readable and of the right size."""
     images, problems = {}, []
     for channel in episode.channels:
-        path, encoding = episode.image_path(camera.name, channel, frame), ENCODINGS[channel]
+        path, encoding = episode.image_path(camera.name, channel, frame), CHANNELS[channel].encoding
         where = str(path.relative_to(episode.path))
         shape = (camera.height, camera.width)
         shape += (encoding.planes,) if encoding.planes > 1 else ()
@@ -258,7 +258,9 @@ def _check_images(
     episode: Episode, camera: Camera, frame: int, images: dict[str, NDArray], rays: NDArray
 ) -> Iterator[Problem]:
     """Check the channels of one image against each other and the lens."""
-    values = {channel: ENCODINGS[channel].decode(stored) for channel, stored in images.items()}
+    values = {
+        channel: CHANNELS[channel].encoding.decode(stored) for channel, stored in images.items()
+    }
     for channel, found in _faults(episode, values, rays):
         where = episode.image_path(camera.name, channel, frame).relative_to(episode.path)
         yield Problem(str(where), found)
@@ -331,7 +333,7 @@ def _check_cast(
     origins = np.broadcast_to(T_world_camera[:3, 3], directions.shape)
     distance, _ = wall.cast(np.ascontiguousarray(origins), directions)
     along = 1.0 if channel == "ray_distance" else rays[rows, columns, 2]
-    expected = ENCODINGS[channel].encode(np.asarray(distance * along, np.float32))
+    expected = CHANNELS[channel].encoding.encode(np.asarray(distance * along, np.float32))
     stored = images[channel][rows, columns]
     near = np.abs(stored.astype(int) - expected.astype(int)) <= 1
     if CHYME in episode.label_names:

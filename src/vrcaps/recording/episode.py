@@ -14,7 +14,6 @@ from vrcaps.camera.camera import Camera
 from vrcaps.errors import InputError, UnknownNameError
 from vrcaps.mesh.mesh import Mesh
 from vrcaps.mesh.read_mesh import read_mesh
-from vrcaps.recording.channels import ENCODINGS
 from vrcaps.recording.image_files import read_image
 from vrcaps.recording.layout import (
     COMPLETE,
@@ -26,7 +25,7 @@ from vrcaps.recording.layout import (
 )
 from vrcaps.recording.table import FrameTable, read_table
 from vrcaps.recording.walls import read_wall, wall_path
-from vrcaps.render.frame import Frame
+from vrcaps.render.channels import CHANNELS, Frame
 from vrcaps.scenario.scenario import Scenario, scenario_from_plain
 
 if TYPE_CHECKING:
@@ -135,7 +134,7 @@ class Episode:
         if channel not in self.channels:
             raise UnknownNameError("channel", channel, self.channels)
         self._require_frame(frame)
-        return self.path / ENCODINGS[channel].path(camera, channel, frame)
+        return self.path / CHANNELS[channel].encoding.path(camera, channel, frame)
 
     def image(self, camera: str, channel: str, frame: int) -> NDArray:
         """One channel [h w] or [h w c] of one image, SI units; NaN where there is no value.
@@ -146,7 +145,7 @@ class Episode:
         """
         path = self.image_path(camera, channel, frame)
         try:
-            return ENCODINGS[channel].decode(read_image(path))
+            return CHANNELS[channel].encoding.decode(read_image(path))
         except (OSError, ValueError) as error:
             raise InputError(
                 f"Cannot read {path} ({error}). `vrcaps check {self.path}` lists all faults."
@@ -281,8 +280,8 @@ def require_head(head: dict[str, Any], where: str) -> None:
     for key, expected in types.items():
         if not isinstance(head.get(key), expected):
             raise InputError(f"{where}: {key} is {head.get(key)!r}, not {expected.__name__}.")
-    unknown = sorted(set(head["channels"]) - set(ENCODINGS))
+    unknown = sorted(set(head["channels"]) - set(CHANNELS))
     if unknown:
-        raise UnknownNameError("channel", unknown[0], ENCODINGS)
+        raise UnknownNameError("channel", unknown[0], CHANNELS)
     if not isinstance(head["organ"].get("label_names"), list):
         raise InputError(f"{where}: organ.label_names is missing.")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -12,9 +11,8 @@ from vrcaps.camera.camera import Camera
 from vrcaps.capsule.device import Device
 from vrcaps.errors import InputError
 from vrcaps.organ.arrays import json_safe
-from vrcaps.recording.channels import ENCODINGS
 from vrcaps.recording.walls import wall_to_plain
-from vrcaps.render.frame import Frame
+from vrcaps.render.channels import CHANNELS
 from vrcaps.scenario.scenario import Scenario, scenario_to_plain
 from vrcaps.sensors.sensors import Sensors, hall_array
 from vrcaps.serialization import from_plain, to_plain
@@ -116,12 +114,11 @@ def camera_from_plain(plain: Any, *, at: str) -> Camera:
 
 def channel_to_plain(channel: str) -> dict[str, Any]:
     """A channel's encoding as JSON holds it."""
-    encoding = ENCODINGS[channel]
+    encoding = CHANNELS[channel].encoding
     plain = to_plain(encoding, type(encoding))
     suffix = plain.pop("suffix")
-    meaning = next(f.metadata["meaning"] for f in fields(Frame) if f.name == channel)
     return {
-        "meaning": meaning,
+        "meaning": CHANNELS[channel].description,
         **plain,
         "planes": encoding.planes,
         "path": f"{{camera}}/{channel}/{{frame:06d}}{suffix}",

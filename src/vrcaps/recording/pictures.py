@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps.camera_pipeline.dome import DOME_NAMES
-from vrcaps.lumen.lumen_contents import FOREGROUND_NAMES, REFRACTION_NAMES
+from vrcaps.render.channels import CHANNELS
 from vrcaps.units import MM
 
 if TYPE_CHECKING:
@@ -15,23 +14,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from vrcaps.recording.episode import Episode
-
-CLASSES = (
-    "label",
-    "instance",
-    "foreground_label",
-    "foreground_instance",
-    "refraction_label",
-    "dome_label",
-)
-"""Channels of numbers that stand for things."""
-
-NAMES = {
-    "foreground_label": FOREGROUND_NAMES,
-    "refraction_label": REFRACTION_NAMES,
-    "dome_label": DOME_NAMES,
-}
-"""Names of the classes of channels whose classes are the same everywhere."""
 
 _BACKGROUND = np.array([24, 24, 28], np.uint8)
 _TEXT = (230, 230, 230)
@@ -50,40 +32,37 @@ def picture(
         values: As `Episode.image` gives them.
         limits: Values at both ends of the color map.
     """
-    if channel == "rgb":
+    display = CHANNELS[channel].display
+    if display == "image":
         return values
-    if channel in CLASSES:
+    if display in ("classes", "numbers"):
         return _class_colors()[values.astype(int) % 256]
-    if channel == "occlusion":
+    if display == "mask":
         return np.repeat(np.where(values, np.uint8(255), np.uint8(64))[..., None], 3, axis=-1)
     low, high = limits
-    if channel.startswith("flow"):
-        shown, valid = _flow_colors(values, high), np.all(np.isfinite(values), axis=-1)
-    elif values.ndim == 3:
-        share = np.nan_to_num((values - low) / max(high - low, 1e-12))
-        share = share ** (1 / 2.2) if channel in ("radiance", "albedo") else share
-        shown = (np.clip(share, 0.0, 1.0) * 255.0).astype(np.uint8)
-        valid = np.all(np.isfinite(values), axis=-1)
+    valid = np.isfinite(values) if values.ndim == 2 else np.all(np.isfinite(values), axis=-1)
+    if display == "flow":
+        shown = _flow_colors(values, high)
     else:
-        share = np.nan_to_num((values - low) / max(high - low, 1e-12))
-        shown = _color_map("turbo")[(np.clip(share, 0.0, 1.0) * 255.0).astype(np.uint8)]
-        valid = np.isfinite(values)
+        fraction = np.nan_to_num((values - low) / max(high - low, 1e-12))
+        fraction = fraction ** (1 / 2.2) if display == "color" else fraction
+        shown = (np.clip(fraction, 0.0, 1.0) * 255.0).astype(np.uint8)
+        shown = _color_map("turbo")[shown] if display == "scalar" else shown
     return np.where(valid[..., None], shown, _BACKGROUND)
 
 
 def limits_of(channel: str, images: list[NDArray]) -> tuple[float, float]:
     """Ends of the color map that suit some images of a channel."""
-    if channel == "normal":
-        return -1.0, 1.0
-    if channel in ("rgb", "albedo", "occlusion", *CLASSES):
-        return 0.0, 1.0
+    low, high = CHANNELS[channel].limits
+    if low is not None and high is not None:
+        return low, high
     values = np.concatenate([image[np.isfinite(image)].ravel() for image in images])
     if values.size == 0:
         return 0.0, 1.0
-    if channel.startswith("flow"):
+    if CHANNELS[channel].display == "flow":
         return 0.0, float(np.percentile(np.abs(values), 98.0)) or 1.0
-    low, high = np.percentile(values, [1.0, 99.0])
-    return (0.0 if channel == "radiance" else float(low)), float(high)
+    lowest, highest = np.percentile(values, [1.0, 99.0])
+    return (float(lowest) if low is None else low), float(highest)
 
 
 def contact_sheet(episode: Episode) -> UInt8[np.ndarray, "h w 3"]:
@@ -108,8 +87,8 @@ def contact_sheet(episode: Episode) -> UInt8[np.ndarray, "h w 3"]:
         tile = (round(camera.width * _TILE_HEIGHT / camera.height), _TILE_HEIGHT)
         for column, image in enumerate(images):
             shown = Image.fromarray(np.ascontiguousarray(picture(channel, image, limits)))
-            is_class = channel in ("occlusion", *CLASSES)
-            method = Image.Resampling.NEAREST if is_class else Image.Resampling.BOX
+            is_categorical = CHANNELS[channel].is_categorical
+            method = Image.Resampling.NEAREST if is_categorical else Image.Resampling.BOX
             left = _MARGIN + column * (max(widths) + _MARGIN)
             sheet.paste(shown.resize(tile, method), (left, top + _LINE))
     return np.asarray(sheet)
@@ -125,20 +104,19 @@ def _title(episode: Episode, chosen: np.ndarray) -> str:
 def _legend(
     episode: Episode, channel: str, images: list[NDArray], limits: tuple[float, float]
 ) -> str:
-    low, high = limits
-    if channel in ("depth", "ray_distance", "arc_length", "foreground_depth"):
+    declared, (low, high) = CHANNELS[channel], limits
+    if declared.display == "scalar":
         return f", {low / MM:.0f} to {high / MM:.0f} mm (blue to red)"
-    if channel.startswith("flow"):
+    if declared.display == "flow":
         return f", hue is direction, up to {high:.1f} px"
-    if channel == "label":
-        seen = np.unique(np.concatenate([np.unique(image) for image in images]))
+    if declared.class_names:
+        return f": {', '.join(declared.class_names[1:])}"
+    if declared.display not in ("classes", "numbers"):
+        return ""
+    seen = np.unique(np.concatenate([np.unique(image) for image in images]))
+    if declared.display == "classes":
         return f": {', '.join(episode.label_names[i] for i in seen if i > 0)}"
-    if channel in NAMES:
-        return f": {', '.join(NAMES[channel][1:])}"
-    if channel in ("instance", "foreground_instance"):
-        seen = np.unique(np.concatenate([np.unique(image) for image in images]))
-        return f": {', '.join(str(i) for i in seen if i > 0) or 'none'}"
-    return ""
+    return f": {', '.join(str(i) for i in seen if i > 0) or 'none'}"
 
 
 def _class_colors() -> UInt8[np.ndarray, "256 3"]:

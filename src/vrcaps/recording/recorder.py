@@ -17,7 +17,6 @@ import numpy as np
 from vrcaps.camera_pipeline.capsule_cameras import CAPTURED, CapsuleCameras
 from vrcaps.errors import InputError
 from vrcaps.files import TEMPORARY, write_bytes, write_json
-from vrcaps.recording.channels import ENCODINGS
 from vrcaps.recording.checkpoint import (
     Checkpoint,
     read_checkpoint,
@@ -43,6 +42,7 @@ from vrcaps.recording.sensing import SensorReadings
 from vrcaps.recording.source_organ import with_stored_organ
 from vrcaps.recording.table import TableRows, write_table
 from vrcaps.recording.walls import file_vertices, stored_wall, wall_path
+from vrcaps.render.channels import CHANNELS
 from vrcaps.render.renderer import Renderer
 from vrcaps.scenario.build import build, resolve
 from vrcaps.scenario.scenario import SOURCE_ORGAN, Scenario, scenario_to_plain
@@ -51,7 +51,7 @@ from vrcaps.world.moving_wall import MovingWall
 if TYPE_CHECKING:
     from vrcaps.motion.motion import Motion
     from vrcaps.recording.table import FrameTable
-    from vrcaps.render.frame import Frame
+    from vrcaps.render.channels import Frame
     from vrcaps.world.model import Model
 
 _CHECKPOINT_SECONDS = 10.0  # between checkpoints, from which a simulation can go on
@@ -122,7 +122,8 @@ class _Recording:
     def paths(self, frame: int) -> dict[tuple[str, str], Path]:
         """Image files of a frame by camera and channel."""
         return {
-            (camera.name, channel): self.out / ENCODINGS[channel].path(camera.name, channel, frame)
+            (camera.name, channel): self.out
+            / CHANNELS[channel].encoding.path(camera.name, channel, frame)
             for camera in self.model.device.cameras
             for channel in self.scenario.channels
         }
@@ -314,7 +315,7 @@ def _write_frame(
 ) -> None:
     """Write the files of a frame, then the checkpoint that says so."""
     items = [
-        (path, ENCODINGS[channel].encode(getattr(images[camera], channel)))
+        (path, CHANNELS[channel].encoding.encode(getattr(images[camera], channel)))
         for (camera, channel), path in run.paths(frame).items()
     ]
     if wall is not None:

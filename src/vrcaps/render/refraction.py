@@ -8,12 +8,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vrcaps._core import Wall
-from vrcaps.lumen.lumen_contents import REFRACTION_NAMES, LumenContents
+from vrcaps.lumen.lumen_contents import LumenContents
+from vrcaps.render.channels import CHANNELS
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
 
-REFLECTED = REFRACTION_NAMES.index("reflected")
+REFLECTED = CHANNELS["refraction_label"].class_names.index("reflected")
 
 _STEPS = 40
 """Most steps of Newton's method: some five suffice, grazing paths bisect."""

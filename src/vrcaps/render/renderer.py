@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from hashlib import blake2b
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,14 +14,15 @@ from vrcaps.camera.camera import Camera
 from vrcaps.camera.rays import camera_rays
 from vrcaps.errors import InputError, UnknownNameError
 from vrcaps.lumen.lumen_contents import LumenContents
+from vrcaps.render.channels import CHANNELS, Frame
 from vrcaps.render.denoise import load_denoiser
 from vrcaps.render.flow import SurfacePoints, flow, visibility
-from vrcaps.render.frame import CHANNELS, Frame, inside
 from vrcaps.render.led_light import make_imaging
 from vrcaps.render.make_scene import make_scene
+from vrcaps.render.planar import crop_margin
 from vrcaps.render.refraction import REFLECTED, RefractedPaths, refract_paths, surface_heights
+from vrcaps.render.sampling import PathSampling, path_sampling, supersampled_radiance
 from vrcaps.render.settings import RenderSettings
-from vrcaps.render.supersampling import Paths, supersampled_radiance
 from vrcaps.world.model import Model, State
 from vrcaps.world.moving_wall import MovingWall
 
@@ -33,35 +33,15 @@ if TYPE_CHECKING:
 DEFAULT_CHANNELS = ("rgb", "depth", "ray_distance", "normal", "label", "instance", "arc_length")
 """A complete labelled frame."""
 
-
-_ARRAYS: dict[str, tuple[type[np.generic], tuple[int, ...]]] = {
-    "rgb": (np.uint8, (3,)),
-    "radiance": (np.float32, (3,)),
-    "depth": (np.float32, ()),
-    "ray_distance": (np.float32, ()),
-    "normal": (np.float32, (3,)),
-    "label": (np.uint8, ()),
-    "instance": (np.uint16, ()),
-    "albedo": (np.float32, (3,)),
-    "arc_length": (np.float32, ()),
-    "position": (np.float32, (3,)),
+_MATERIAL_POINT: dict[str, tuple[type[np.generic], tuple[int, ...]]] = {
     "face": (np.int32, ()),
     "weights": (np.float32, (2,)),
-    "foreground_label": (np.uint8, ()),
-    "foreground_instance": (np.uint16, ()),
-    "foreground_depth": (np.float32, ()),
-    "refraction_label": (np.uint8, ()),
-    "dome_label": (np.uint8, ()),
 }
-"""Arrays the core fills: dtype and what follows (height, width)."""
+"""Further arrays that the core fills, where on the wall a pixel's point is: dtype and what follows
+(height, width)."""
 
-_NO_CONTENTS = {
-    **{"foreground_label": 0, "foreground_instance": 0, "foreground_depth": np.nan},
-    **{"refraction_label": 0, "sparse_refraction": 0},
-}
-_COLOR = {"rgb", "radiance", "radiance_planar"}
-_NEEDS_NEXT = {"flow_forward", "occlusion"}
-_NEEDS_PREVIOUS = {"flow_backward"}
+_MOTION_INPUTS = ("position", "face", "weights", "refraction_label")
+_RADIANCE_PLANAR = "radiance_planar"
 
 
 class Renderer:
@@ -82,7 +62,7 @@ class Renderer:
 
         Args:
             model: What is rendered.
-            settings: How; None: as by default.
+            settings: How; None is the default, which recordings have, too.
             wall: The model's wall, shared with others who need it in the same states.
         """
         self.model = model
@@ -91,11 +71,9 @@ class Renderer:
             load_denoiser()  # before much is made that would be in vain
         self._imaging = make_imaging(model.device, self.settings.imaging)
         self._scene = make_scene(model.organ, self.settings, self._imaging)
-        self._radiosity = None
-        if self.settings.light == "radiosity":
-            self._radiosity = _core.Radiosity(model.wall, self._scene)
+        self._radiosity: _core.Radiosity | None = None
         self._wall = wall or MovingWall(model)
-        self._neighbours = {"previous": MovingWall(model), "next": MovingWall(model)}
+        self._neighbors = {"previous": MovingWall(model), "next": MovingWall(model)}
         self._poses: deque[tuple[State, Camera, Float[np.ndarray, "4 4"]]] = deque(maxlen=16)
         self._known_contents: deque[tuple[State, LumenContents]] = deque(maxlen=3)
         self._contents: dict[str, tuple[LumenContents, _core.Wall, _core.Contents]] = {}
@@ -147,7 +125,7 @@ class Renderer:
         state_previous, state, state_next = states
         _check_channels(channels, state_next, state_previous)
         arrays = self._allocate(channels, camera, out)
-        arrays |= {} if planes is None else {"radiance_planar": planes}
+        arrays |= {} if planes is None else {_RADIANCE_PLANAR: planes}
         if points is not None:
             arrays |= {f"sparse_{name}": array for name, array in vars(points).items()}
         wall, lumen_contents = self._wall.at(state), self.lumen_contents(state)
@@ -167,14 +145,14 @@ class Renderer:
         contents: _core.Contents | None,
     ) -> None:
         if contents is None:
-            for name, nothing in _NO_CONTENTS.items():
-                if name in arrays:
-                    arrays[name].fill(nothing)
+            _fill_empty(arrays)
         T_world_camera = self.pose(state, camera)
         leds = self._leds(camera)
-        paths = _paths(self.settings, state.time, T_world_camera)
+        paths = path_sampling(self.settings, state.time, T_world_camera)
 
-        def draw(into: dict[str, NDArray[Any]], supersampling: int, paths: Paths = paths) -> None:
+        def draw(
+            into: dict[str, NDArray[Any]], supersampling: int, paths: PathSampling | None = paths
+        ) -> None:
             _core.render(
                 wall,
                 self._scene,
@@ -186,21 +164,30 @@ class Renderer:
                 shadows=self.settings.shadows or paths is not None,
                 contents=contents,
                 paths=paths,
-                radiosity=self._radiosity,
+                radiosity=self._radiosity_for(into),
             )
 
-        if not (self.settings.is_supersampled and _COLOR & arrays.keys()):
+        light = {name for name in arrays if _is_light(name)}
+        if not (self.settings.is_supersampled and light):
             draw(arrays, 1)
             return
-        draw({name: array for name, array in arrays.items() if name not in _COLOR}, 1)
+        draw({name: array for name, array in arrays.items() if name not in light}, 1)
         radiance = supersampled_radiance(draw, camera, self.settings)
         if "radiance" in arrays:
             arrays["radiance"][...] = radiance
-        if "radiance_planar" in arrays:
-            planes = inside(arrays["radiance_planar"], camera.height, camera.width)
+        if _RADIANCE_PLANAR in arrays:
+            planes = crop_margin(arrays[_RADIANCE_PLANAR], camera.height, camera.width)
             planes[...] = np.moveaxis(radiance, -1, 0)
         if "rgb" in arrays:
             arrays["rgb"][...] = _core.encode_srgb(radiance, camera.exposure)
+
+    def _radiosity_for(self, arrays: Iterable[str]) -> _core.Radiosity | None:
+        """The solver of indirect light, made when light is first rendered."""
+        if self.settings.light != "radiosity" or not any(_is_light(name) for name in arrays):
+            return None
+        if self._radiosity is None:
+            self._radiosity = _core.Radiosity(self.model.wall, self._scene)
+        return self._radiosity
 
     def _motion(
         self,
@@ -209,15 +196,15 @@ class Renderer:
         channels: Sequence[str],
         states: tuple[State | None, State, State | None],
     ) -> dict[str, NDArray[Any]]:
-        """Channels that compare this frame with its neighbours, of states before, now, after."""
+        """Channels that compare this frame with its neighbors, of states before, now, after."""
         state_previous, state, state_next = states
         motion: dict[str, NDArray[Any]] = {}
-        if "position" not in arrays or not (_NEEDS_NEXT | _NEEDS_PREVIOUS) & set(channels):
+        needs = _needs(channels)
+        if not needs:
             return motion
-        names = ("position", "face", "weights", "refraction_label")
-        points = SurfacePoints(*(arrays[name] for name in names))
+        points = SurfacePoints(*(arrays[name] for name in _MOTION_INPUTS))
         faces, now = self.model.organ.faces, self.lumen_contents(state)
-        if state_next is not None and _NEEDS_NEXT & set(channels):
+        if state_next is not None and "next" in needs:
             moved = points.moved(faces, state_next, now, self.lumen_contents(state_next))
             paths = self.refracted_paths(camera, points, moved, state_next, "next")
             forward = flow(camera, paths.apparent, state_next)
@@ -225,7 +212,7 @@ class Renderer:
                 motion["flow_forward"] = forward
             if "occlusion" in channels:
                 wall, lumen_contents = (
-                    self._neighbours["next"].at(state_next),
+                    self._neighbors["next"].at(state_next),
                     self.lumen_contents(state_next),
                 )
                 then = None
@@ -233,7 +220,7 @@ class Renderer:
                     then = self._core_contents(lumen_contents, wall, "next")
                 seen = visibility(camera, paths, moved, forward, state_next, wall, then)
                 motion["occlusion"] = ~seen
-        if state_previous is not None and "flow_backward" in channels:
+        if state_previous is not None and "previous" in needs:
             back = self.points_in_neighbor(camera, points, state, state_previous, "previous")
             motion["flow_backward"] = flow(camera, back[0], state_previous)
         return motion
@@ -270,13 +257,13 @@ class Renderer:
     ) -> RefractedPaths:
         """Light paths through liquid to surface points that have `moved` to another state.
 
-        The slot is `next` or `previous`: which neighbour the state is.
+        The slot is `next` or `previous`: which neighbor the state is.
         """
         lumen_contents = self.lumen_contents(state)
         if lumen_contents is None or lumen_contents.pools is None:
             return RefractedPaths(moved, None)
         eye = self.pose(state, camera)[:3, 3]
-        wall, faces = self._neighbours[slot].at(state), self.model.organ.faces
+        wall, faces = self._neighbors[slot].at(state), self.model.organ.faces
         heights = surface_heights(lumen_contents, eye, wall, faces, points.face)
         ior = lumen_contents.contents.resolved[2].ior
         moved = moved.astype(float, copy=False)
@@ -285,22 +272,21 @@ class Renderer:
     def _allocate(
         self, channels: Sequence[str], camera: Camera, out: Frame | None
     ) -> dict[str, NDArray[Any]]:
-        names = [name for name in channels if name in _ARRAYS]
-        if (_NEEDS_NEXT | _NEEDS_PREVIOUS) & set(channels):
-            names += ["position", "face", "weights", "refraction_label"]
+        names = [name for name in channels if CHANNELS[name].stage != "motion"]
+        if _needs(channels):
+            names += _MOTION_INPUTS
         arrays = {}
         for name in names:
-            dtype, rest = _ARRAYS[name]
+            shape, dtype = _layout(name, camera)
             given = getattr(out, name, None)
-            shape = (camera.height, camera.width, *rest)
             fits = given is not None and given.shape == shape and given.dtype == dtype
             arrays[name] = given if fits else np.empty(shape, dtype)
-        if "dome_label" in arrays:
-            arrays["dome_label"].fill(0)  # the lens and sensor know more
+            if name in CHANNELS and CHANNELS[name].stage == "dome":
+                arrays[name].fill(0)  # the camera pipeline knows more
         return arrays
 
     def pose(self, state: State, camera: Camera) -> Float[np.ndarray, "4 4"]:
-        """`T_world_camera` in a state, kept for frames that have it as their neighbour."""
+        """`T_world_camera` in a state, kept for frames that have it as their neighbor."""
         for known, seeing, pose in self._poses:
             if known is state and seeing is camera:
                 return pose
@@ -377,24 +363,41 @@ def _differ_in_place(one: LumenContents, other: LumenContents) -> bool:
 def _check_channels(
     channels: Sequence[str], following: State | None, earlier: State | None
 ) -> None:
+    given = {"next": following, "previous": earlier}
     for name in channels:
         if name not in CHANNELS:
             raise UnknownNameError("channel", name, CHANNELS)
-        if name in _NEEDS_NEXT and following is None:
-            raise InputError(f"Channel {name!r} needs the next state. Give state_next.")
-        if name in _NEEDS_PREVIOUS and earlier is None:
-            raise InputError(f"Channel {name!r} needs the previous state. Give state_previous.")
+        for neighbor in CHANNELS[name].needs:
+            if given[neighbor] is None:
+                raise InputError(
+                    f"Channel {name!r} needs the {neighbor} state. Give state_{neighbor}."
+                )
 
 
-def _paths(
-    settings: RenderSettings, time: float, T_world_camera: Float[np.ndarray, "4 4"]
-) -> Paths:
-    """How light is traced, with a seed of this instant's own.
+def _needs(channels: Sequence[str]) -> set[str]:
+    """Neighboring states that channels compare with."""
+    return {neighbor for name in channels for neighbor in CHANNELS[name].needs}
 
-    Frames differ in time or view, so that noise does not stand still before a moving scene.
-    """
-    if settings.light != "path":
-        return None
-    instant = np.append(T_world_camera.ravel(), time).astype("<f8").tobytes()
-    seed = blake2b(instant, digest_size=8, key=str(settings.path_seed).encode()).digest()
-    return settings.spp, settings.max_bounces, int.from_bytes(seed, "little")
+
+def _layout(name: str, camera: Camera) -> tuple[tuple[int, ...], np.dtype]:
+    """Shape and type of an array that the core fills."""
+    if name in CHANNELS:
+        shape, dtype = CHANNELS[name].shape(camera.height, camera.width), CHANNELS[name].dtype
+    else:
+        dtype, rest = _MATERIAL_POINT[name]
+        shape = (camera.height, camera.width, *rest)
+    return shape, np.dtype(dtype)
+
+
+def _is_light(name: str) -> bool:
+    """Whether an array holds light, which is rendered with indirect light and supersampled."""
+    return name == _RADIANCE_PLANAR or (name in CHANNELS and CHANNELS[name].is_light)
+
+
+def _fill_empty(arrays: dict[str, NDArray[Any]]) -> None:
+    """Channels of lumen contents where there are none."""
+    for name, array in arrays.items():
+        if name in CHANNELS and (value := CHANNELS[name].if_empty) is not None:
+            array.fill(value)
+    if "sparse_refraction" in arrays:
+        arrays["sparse_refraction"].fill(CHANNELS["refraction_label"].if_empty)

@@ -42,7 +42,7 @@ class RenderSettings:
 
     supersampling: int = 1
     shadows: bool = False
-    light: Light = "direct"
+    light: Light = "radiosity"
     spp: int = 16
     max_bounces: int = 4
     path_seed: int = 0
@@ -75,7 +75,3 @@ class RenderSettings:
                 f"Light {self.light!r} has no noise to take away. "
                 "Drop denoise, or ask for light 'path'."
             )
-
-
-RECORDED = RenderSettings(light="radiosity")
-"""How recordings are rendered unless told otherwise."""

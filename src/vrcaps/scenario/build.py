@@ -15,7 +15,7 @@ from vrcaps.file_ref import FileRef, path_of, with_checksums
 from vrcaps.lesion import AnyLesion, add_lesions, lesion_rng
 from vrcaps.organ.organ_file import is_organ_file
 from vrcaps.organ.surface import OrganSurface
-from vrcaps.render.frame import CHANNELS
+from vrcaps.render.channels import CHANNELS
 from vrcaps.render.led_light import make_imaging
 from vrcaps.scenario.scenario import OrganFile, OrganGenerated, Scenario
 from vrcaps.serialization import to_plain

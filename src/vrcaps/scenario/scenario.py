@@ -19,8 +19,8 @@ from vrcaps.motion.registry import AnyMotion
 from vrcaps.mucosa.mucosa import is_texture_path
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.plain_files import read_plain
-from vrcaps.render.frame import CHANNELS
-from vrcaps.render.settings import RECORDED, RenderSettings
+from vrcaps.render.channels import CHANNELS
+from vrcaps.render.settings import RenderSettings
 from vrcaps.sensors.sensors import Sensors
 from vrcaps.serialization import from_plain, to_plain
 from vrcaps.units import parse_length
@@ -137,7 +137,7 @@ class Scenario:
     fps: Annotated[float | None, Range(above=0.0)] = None
     seed: Annotated[int, Range(least=0)] = 0
     channels: tuple[str, ...] = DEFAULT_CHANNELS
-    render: RenderSettings = RECORDED
+    render: RenderSettings = field(default_factory=RenderSettings)
     wall: bool = False
     lesions: tuple[AnyLesion, ...] = ()
     clean_twin: bool = False

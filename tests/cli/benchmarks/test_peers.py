@@ -5,6 +5,7 @@ import pytest
 
 import peers
 from peers import PeerMissingError, embree, find_peers, mitsuba, welded_mesh
+from shapes import DIRECT
 from vrcaps.cli.benchmarks.stage import Stage
 from vrcaps.render.renderer import Renderer
 
@@ -25,7 +26,9 @@ def test_embree_casts_the_rays_that_we_cast(stage: Stage) -> None:
     (subject,) = embree.subjects(stage)
     answer = subject.frame(1)
     assert isinstance(answer, dict)
-    frame = Renderer(stage.model).render(stage.states[1], stage.camera, channels=["ray_distance"])
+    frame = Renderer(stage.model, DIRECT).render(
+        stage.states[1], stage.camera, channels=["ray_distance"]
+    )
     assert frame.ray_distance is not None
     ours = frame.ray_distance[np.isfinite(frame.ray_distance)]
     theirs = answer["tfar"][answer["geomID"] >= 0]

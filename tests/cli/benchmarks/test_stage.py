@@ -3,6 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from shapes import DIRECT
 from vrcaps._core import Wall
 from vrcaps.camera.rays import camera_rays
 from vrcaps.cli.benchmarks.stage import (
@@ -53,7 +54,8 @@ def test_subdividing_changes_triangles_but_no_image(stage: Stage) -> None:
     camera = resized_camera(stage.camera, 48)
     channels = ("ray_distance", "arc_length")
     before, after = (
-        Renderer(s.model).render(s.states[1], camera, channels=channels) for s in (stage, again)
+        Renderer(s.model, DIRECT).render(s.states[1], camera, channels=channels)
+        for s in (stage, again)
     )
     np.testing.assert_allclose(after.ray_distance, before.ray_distance, rtol=1e-5)
     np.testing.assert_allclose(after.arc_length, before.arc_length, atol=1e-5)

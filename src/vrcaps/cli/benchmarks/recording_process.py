@@ -19,7 +19,7 @@ from vrcaps.cli.benchmarks.record import CHANNELS
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from vrcaps.render.frame import Frame
+    from vrcaps.render.channels import Frame
     from vrcaps.scenario.scenario import Scenario
 
 _MAX_STAGE_FRAMES = 60
@@ -73,8 +73,8 @@ def peak_memory_gb() -> float | None:
 def _stages(scenario: Scenario, folder: Path) -> dict[str, Any]:
     """Camera, wall, and the time of each stage of a frame of its own [s]."""
     from vrcaps.files import write_bytes
-    from vrcaps.recording.channels import ENCODINGS
     from vrcaps.recording.image_files import write_images
+    from vrcaps.render.channels import CHANNELS as DECLARED
     from vrcaps.render.renderer import Renderer
     from vrcaps.scenario.build import build, resolve
 
@@ -97,7 +97,7 @@ def _stages(scenario: Scenario, folder: Path) -> dict[str, Any]:
 
     def store(i: int) -> None:
         stored[i] = [
-            (folder / f"{i}-{name}.png", ENCODINGS[name].encode(getattr(rendered[i], name)))
+            (folder / f"{i}-{name}.png", DECLARED[name].encoding.encode(getattr(rendered[i], name)))
             for name in CHANNELS
         ]
 

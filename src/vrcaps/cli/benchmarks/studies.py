@@ -25,7 +25,7 @@ from vrcaps.render.settings import RenderSettings
 if TYPE_CHECKING:
     from vrcaps.camera.camera import Camera
     from vrcaps.cli.benchmarks.extent import Extent
-    from vrcaps.render.frame import Frame
+    from vrcaps.render.channels import Frame
 
 COMPLETE = "complete frame"
 _MS = 1e3
@@ -58,9 +58,9 @@ def drawn(
         stage: What to look at.
         channels: Channels to fill.
         cameras: Cameras to render one after the other; the stage's own by default.
-        settings: How to render.
+        settings: How to render; None is direct light.
     """
-    renderer = Renderer(stage.model, settings)
+    renderer = Renderer(stage.model, settings or RenderSettings(light="direct"))
     chosen = tuple(cameras) or (stage.camera,)
     outs: list[Frame | None] = [None] * len(chosen)
 
@@ -94,7 +94,7 @@ def frame(stage: Stage, extent: Extent, progress: Callable[[], None]) -> Study:
         Subject("ray distance only", drawn(stage, channels=("ray_distance",)), "nothing shaded"),
         Subject(
             f"{COMPLETE}, shadows",
-            drawn(stage, settings=RenderSettings(shadows=True)),
+            drawn(stage, settings=RenderSettings(light="direct", shadows=True)),
             "a shadow ray to each LED",
         ),
         Subject(

@@ -154,8 +154,9 @@ def _wave(stage: Stage, num_rounds: int) -> tuple[Claim, Table]:
 
 def _frames(stage: Stage, num_rounds: int) -> tuple[Claim, Table]:
     from vrcaps.render.renderer import Renderer
+    from vrcaps.render.settings import RenderSettings
 
-    renderer, rows, rates = Renderer(stage.model), [], []
+    renderer, rows, rates = Renderer(stage.model, RenderSettings(light="direct")), [], []
     for substep in (_COARSER, SUBSTEP):
         world = _world(stage, _PLACES[0], Tissue(motility=Motility()), substep)
         frame = renderer.render(world.state, stage.camera)

@@ -41,7 +41,8 @@ def inside_views(
     device = read_device(capsule)
     camera = device.cameras[0]
     renderer = Renderer(
-        Model(organ, device, np.eye(4)), RenderSettings(supersampling=2, shadows=True)
+        Model(organ, device, np.eye(4)),
+        RenderSettings(light="direct", supersampling=2, shadows=True),
     )
     wall = renderer.model.wall
     places = np.array([clear_place(organ, wall, float(at)) for at in arc_length])

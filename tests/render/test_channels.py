@@ -1,10 +1,11 @@
-from dataclasses import fields
-
 import numpy as np
 import pytest
 
-from vrcaps.recording.channels import ENCODINGS
-from vrcaps.render.frame import CHANNELS, Frame
+from shapes import DIRECT, looking, make_camera, make_model, pinhole, sphere
+from vrcaps.render.channels import CHANNELS, Frame
+from vrcaps.render.renderer import Renderer
+
+ENCODINGS = {name: channel.encoding for name, channel in CHANNELS.items()}
 
 METRIC = [name for name in CHANNELS if ENCODINGS[name].scale is not None]
 RANGES = {
@@ -24,10 +25,19 @@ def _shape(channel):
     return (31, 17, components) if components > 1 else (31, 17)
 
 
-def test_every_channel_has_an_encoding_with_the_unit_of_frame():
-    assert tuple(ENCODINGS) == CHANNELS
-    units = {f.name: f.metadata["unit"] for f in fields(Frame)}
-    assert {name: encoding.unit for name, encoding in ENCODINGS.items()} == units
+@pytest.mark.parametrize("channel", CHANNELS.values(), ids=str)
+def test_every_channel_is_declared_consistently(channel):
+    encoding = channel.encoding
+    assert channel.meaning and channel.unit == encoding.unit
+    kind = np.dtype(channel.dtype).kind
+    assert encoding.is_mask == (kind == "b")
+    assert (encoding.scale is None) == (kind in "bu" or encoding.suffix == ".npy")
+    assert channel.shape(31, 17) == _shape(channel.name)
+    assert channel.is_categorical == (kind in "bu" and channel.display != "image")
+    assert bool(channel.needs) == (channel.stage == "motion")
+    if channel.class_names:
+        assert channel.display == "classes" and channel.unit == "class"
+        assert f"1 {channel.class_names[1]}" in channel.description
 
 
 @pytest.mark.parametrize("channel", METRIC)
@@ -89,3 +99,19 @@ def test_occlusion_is_black_and_white():
 def test_paths():
     assert ENCODINGS["depth"].path("front", "depth", 7) == "front/depth/000007.png"
     assert ENCODINGS["position"].path("rear", "position", 123456) == "rear/position/123456.npy"
+
+
+def test_the_core_fills_every_channel_of_its_stage():
+    """No array keeps what it held before: the core knows each channel that is declared."""
+    camera = make_camera(pinhole(16, 1.5))
+    model, state = make_model(sphere(2), camera), looking((0.0, 0.0, 0.0))
+    names = tuple(name for name, channel in CHANNELS.items() if channel.stage == "core")
+    before = {
+        name: np.full(CHANNELS[name].shape(camera.height, camera.width), 77, CHANNELS[name].dtype)
+        for name in names
+    }
+    given = Frame(**{name: array.copy() for name, array in before.items()})
+    frame = Renderer(model, DIRECT).render(state, camera, channels=names, out=given)
+    for name in names:
+        assert getattr(frame, name) is getattr(given, name)
+        assert not np.array_equal(getattr(frame, name), before[name]), name

@@ -1,4 +1,4 @@
-"""How each image channel is stored: one table, from which files are written and read back."""
+"""Storage encodings of image channels: PNG or NPY, fixed-point scale, invalid value."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class Encoding:
         unit: Of the value.
         dtype: Of the stored numbers.
         components: Values per pixel.
-        suffix: `.png`, or `.npy` where 16 bits do not do.
+        suffix: `.png`, or `.npy` where 16 bits are not enough.
         scale: Value of one step.
         offset: Value of a stored 0.
         invalid: Stored number that means no value; NaN for stored floats.
@@ -80,34 +80,22 @@ class Encoding:
         return (stored == 0).any(axis=-1) if stored.ndim == 3 else stored == 0
 
 
-def _distance() -> Encoding:
-    return Encoding("m", "uint16", 1, scale=10 * UM, invalid=0)
+def numbers(unit: str, dtype: str, components: int = 1) -> Encoding:
+    """Stored as it is: whole numbers as PNG, floats as NPY."""
+    suffix = ".npy" if dtype == "float32" else ".png"
+    return Encoding(unit, dtype, components, suffix)
 
 
-def _flow() -> Encoding:
+def fixed_point(unit: str, scale: float, *, offset: float = 0.0, components: int = 1) -> Encoding:
+    """16-bit fixed point, 0 where there is no value."""
+    return Encoding(unit, "uint16", components, scale=scale, offset=offset, invalid=0)
+
+
+def distance() -> Encoding:
+    """Fixed point in steps of 10 µm, up to 655.35 mm."""
+    return fixed_point("m", 10 * UM)
+
+
+def flow() -> Encoding:
     """As in KITTI's flow files: 1/64 px steps around 32768, third plane 1 where valid."""
-    return Encoding("px", "uint16", 2, scale=1.0 / 64.0, offset=-512.0, invalid=0)
-
-
-ENCODINGS: dict[str, Encoding] = {
-    "rgb": Encoding("sRGB", "uint8", 3),
-    "radiance": Encoding("W/(sr·m²)", "float32", 3, ".npy"),
-    "depth": _distance(),
-    "ray_distance": _distance(),
-    "normal": Encoding("1", "uint16", 3, scale=1 / 32767, offset=-32768 / 32767, invalid=0),
-    "label": Encoding("class", "uint8", 1),
-    "instance": Encoding("number", "uint16", 1),
-    "albedo": Encoding("1", "uint16", 3, scale=1 / 65534, offset=-1 / 65534, invalid=0),
-    # Stored 1 is 0 m; 65535 is 13.1 m, more than a whole gut.
-    "arc_length": Encoding("m", "uint16", 1, scale=200 * UM, offset=-200 * UM, invalid=0),
-    "position": Encoding("m", "float32", 3, ".npy", invalid="NaN"),
-    "flow_forward": _flow(),
-    "flow_backward": _flow(),
-    "occlusion": Encoding("1", "uint8", 1, is_mask=True),
-    "foreground_label": Encoding("class", "uint8", 1),
-    "foreground_instance": Encoding("number", "uint16", 1),
-    "foreground_depth": _distance(),
-    "refraction_label": Encoding("class", "uint8", 1),
-    "dome_label": Encoding("class", "uint8", 1),
-}
-"""Encoding of every channel of `Frame`."""
+    return fixed_point("px", 1.0 / 64.0, offset=-512.0, components=2)

@@ -1,0 +1,234 @@
+"""Image channels: one declaration per channel, from which everything else follows.
+
+A field of `Frame` declares a channel: its type, and in `channel(...)` its meaning, what it needs,
+how it is stored and how it is shown. The renderer, recordings, previews, checks and the tables in
+docs/ read these declarations. To add one see docs/extending.md.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+
+from vrcaps.render.encoding import Encoding, distance, fixed_point, flow, numbers
+from vrcaps.units import UM
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, UInt8, UInt16
+
+Stage = Literal["core", "motion", "dome"]
+"""Where a channel is computed: in the compiled core (one pass), by comparing neighboring frames,
+or by the camera pipeline, which knows what lies on the dome."""
+
+Display = Literal["image", "color", "vector", "scalar", "classes", "numbers", "mask", "flow"]
+"""How a channel is shown: as it is, as linear color, as vector components, by a color map, as
+distinct colors of classes or of numbers, as black and white, as hue of a direction."""
+
+
+@dataclass(frozen=True)
+class Channel:
+    """One image channel.
+
+    Attributes:
+        name: Also that of its field of `Frame` and of the core's array.
+        dtype: Of its values in memory.
+        meaning: What a pixel holds.
+        encoding: How it is stored; has its unit and components.
+        display: How it is shown.
+        limits: Values at both ends of the color map; None: a percentile of what is shown.
+        class_names: Of numbers 0, 1, … where they are the same for all organs.
+        stage: Where it is computed.
+        needs: Neighboring states that it compares with.
+        if_empty: Value where the lumen is empty, for channels of lumen contents; None for others.
+    """
+
+    name: str
+    dtype: str
+    meaning: str
+    encoding: Encoding
+    display: Display
+    limits: tuple[float | None, float | None] = (0.0, 1.0)
+    class_names: tuple[str, ...] = ()
+    stage: Stage = "core"
+    needs: frozenset[Literal["next", "previous"]] = frozenset()
+    if_empty: float | None = None
+
+    def __str__(self) -> str:
+        return self.name
+
+    @property
+    def description(self) -> str:
+        """Meaning, and what each number means where that is the same for all organs."""
+        names = ", ".join(f"{number} {name}" for number, name in enumerate(self.class_names))
+        return f"{self.meaning}: {names}" if names else self.meaning
+
+    @property
+    def unit(self) -> str:
+        """Of its values."""
+        return self.encoding.unit
+
+    @property
+    def is_light(self) -> bool:
+        """Whether it holds light: an image or radiance, which supersampling averages."""
+        return self.unit in ("sRGB", "W/(sr·m²)")
+
+    @property
+    def is_categorical(self) -> bool:
+        """Whether its values stand for things, so that neighbors must not be averaged."""
+        return self.display in ("classes", "numbers", "mask")
+
+    def shape(self, height: int, width: int) -> tuple[int, ...]:
+        """Shape of its array."""
+        components = self.encoding.components
+        return (height, width) if components == 1 else (height, width, components)
+
+
+def channel(dtype: str, meaning: str, encoding: Encoding, display: Display, **more: Any) -> Any:
+    """Field of `Frame` that declares a channel; `more` are further attributes of `Channel`."""
+    declared = {"dtype": dtype, "meaning": meaning, "encoding": encoding, "display": display}
+    return field(default=None, metadata=declared | more)
+
+
+_ALL = (None, None)
+
+
+@dataclass(frozen=True)
+class Frame:
+    """What a camera sees: channels of one image; None where a channel was not asked for.
+
+    Where a pixel sees no surface, float channels hold NaN (`rgb` and `radiance` are black,
+    `label` and `instance` are 0).
+    """
+
+    rgb: UInt8[np.ndarray, "h w 3"] | None = channel(
+        "uint8", "color image", numbers("sRGB", "uint8", 3), "image"
+    )
+    radiance: Float[np.ndarray, "h w 3"] | None = channel(
+        "float32",
+        "linear radiance",
+        numbers("W/(sr·m²)", "float32", 3),
+        "color",
+        limits=(0.0, None),
+    )
+    depth: Float[np.ndarray, "h w"] | None = channel(
+        "float32", "z of the surface in the camera frame", distance(), "scalar", limits=_ALL
+    )
+    ray_distance: Float[np.ndarray, "h w"] | None = channel(
+        "float32",
+        "distance along the pixel's ray",
+        distance(),
+        "scalar",
+        limits=_ALL,
+    )
+    normal: Float[np.ndarray, "h w 3"] | None = channel(
+        "float32",
+        "smooth surface normal in the camera frame, facing the camera",
+        fixed_point("1", 1 / 32767, offset=-32768 / 32767, components=3),
+        "vector",
+        limits=(-1.0, 1.0),
+    )
+    label: UInt8[np.ndarray, "h w"] | None = channel(
+        "uint8",
+        "segment or tissue class",
+        numbers("class", "uint8"),
+        "classes",
+    )
+    instance: UInt16[np.ndarray, "h w"] | None = channel(
+        "uint16", "lesion number", numbers("number", "uint16"), "numbers"
+    )
+    albedo: Float[np.ndarray, "h w 3"] | None = channel(
+        "float32",
+        "linear base color",
+        fixed_point("1", 1 / 65534, offset=-1 / 65534, components=3),
+        "color",
+    )
+    # Stored 1 is 0 m; 65535 is 13.1 m, more than a whole gut.
+    arc_length: Float[np.ndarray, "h w"] | None = channel(
+        "float32",
+        "gut coordinate of the surface from the oral end",
+        fixed_point("m", 200 * UM, offset=-200 * UM),
+        "scalar",
+        limits=_ALL,
+    )
+    position: Float[np.ndarray, "h w 3"] | None = channel(
+        "float32",
+        "surface point in the world frame",
+        Encoding("m", "float32", 3, ".npy", invalid="NaN"),
+        "vector",
+        limits=_ALL,
+    )
+    flow_forward: Float[np.ndarray, "h w 2"] | None = channel(
+        "float32",
+        "motion of the surface point's image to the next frame",
+        flow(),
+        "flow",
+        limits=(0.0, None),
+        stage="motion",
+        needs=frozenset({"next"}),
+    )
+    flow_backward: Float[np.ndarray, "h w 2"] | None = channel(
+        "float32",
+        "motion of the surface point's image to the previous frame",
+        flow(),
+        "flow",
+        limits=(0.0, None),
+        stage="motion",
+        needs=frozenset({"previous"}),
+    )
+    occlusion: Bool[np.ndarray, "h w"] | None = channel(
+        "bool",
+        "surface point is not seen in the next frame (hidden or out of view)",
+        Encoding("1", "uint8", 1, is_mask=True),
+        "mask",
+        stage="motion",
+        needs=frozenset({"next"}),
+    )
+    foreground_label: UInt8[np.ndarray, "h w"] | None = channel(
+        "uint8",
+        "nearest thing that the pixel looks through",
+        numbers("class", "uint8"),
+        "classes",
+        class_names=("nothing", "bubble", "liquid"),
+        if_empty=0,
+    )
+    foreground_instance: UInt16[np.ndarray, "h w"] | None = channel(
+        "uint16",
+        "bubble or pool that the pixel looks through",
+        numbers("number", "uint16"),
+        "numbers",
+        if_empty=0,
+    )
+    foreground_depth: Float[np.ndarray, "h w"] | None = channel(
+        "float32",
+        "z in the camera frame where the foreground begins",
+        distance(),
+        "scalar",
+        limits=_ALL,
+        if_empty=np.nan,
+    )
+    refraction_label: UInt8[np.ndarray, "h w"] | None = channel(
+        "uint8",
+        "how a pool's surface deflects the ray",
+        numbers("class", "uint8"),
+        "classes",
+        class_names=("straight", "refracted", "reflected"),
+        if_empty=0,
+    )
+    dome_label: UInt8[np.ndarray, "h w"] | None = channel(
+        "uint8",
+        "what lies on the dome there",
+        numbers("class", "uint8"),
+        "classes",
+        class_names=("nothing", "drop", "smear"),
+        stage="dome",
+    )
+
+
+CHANNELS: Mapping[str, Channel] = MappingProxyType(
+    {each.name: Channel(each.name, **each.metadata) for each in fields(Frame)}
+)
+"""All channels by name, in the order of `Frame`."""

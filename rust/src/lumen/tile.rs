@@ -1,7 +1,7 @@
 //! One tile of an image with something in the lumen.
 //!
-//! Bubbles and liquid are laid over what is behind them, and have channels of their own. Where a ray
-//! meets the surface of a pool it goes on as the surface turns it, once.
+//! Bubbles and liquid are laid over what is behind them, and have channels of their own. Where a
+//! ray meets the surface of a pool it goes on as the surface turns it, once.
 
 use super::Contents;
 use super::foreground::Front;
@@ -11,11 +11,11 @@ use super::path_segment::{Bubbles, Leg, first_leg, unfolded};
 use super::refraction::{MIRRORED, REFRACTED, STRAIGHT};
 use super::spheres::Near;
 use crate::render::channels::{Channels, Place};
-use crate::render::frame::{View, add_glow, primary, render_tile, write_geometry};
+use crate::render::frame::{View, add_indirect, primary, render_tile, write_geometry};
 use crate::render::material::Surface;
-use crate::render::path::First;
-use crate::render::path::lumen_contents::Afloat;
-use crate::render::radiosity::Beneath;
+use crate::render::path::PrimaryHit;
+use crate::render::path::lumen_contents::LumenMedia;
+use crate::render::radiosity::SubsurfaceLight;
 use crate::render::ray_table::TileRays;
 use crate::render::scene::SceneData;
 use crate::render::shading::{Attributes, add_all_light, attributes, attributes_at, surface};
@@ -80,23 +80,23 @@ impl<'a> Filled<'a> {
     }
 
     /// The contents as paths meet them.
-    pub fn afloat(&self) -> Afloat<'_> {
+    pub fn afloat(&self) -> LumenMedia<'_> {
         let is_under = |(pools, _): &&(Pools, Optics)| {
             self.of_eye != DRY && self.view.origin[2] < pools.level(self.of_eye)
         };
         let under = self.contents.pools.as_ref().filter(is_under);
         let of_leds = if under.is_some() { self.of_eye } else { DRY };
-        Afloat { wall: self.wall, contents: self.contents, of_leds }
+        LumenMedia { wall: self.wall, contents: self.contents, of_leds }
     }
 
     /// The surfaces of wall and particles that paths set out from.
     #[inline(always)]
-    pub fn first(&self, tile: &TileRays, pixel: [u32; LANES], room: &mut Room) -> First {
+    pub fn first(&self, tile: &TileRays, pixel: [u32; LANES], room: &mut Room) -> PrimaryHit {
         let (rays, hits) = primary(self.wall, self.view, tile);
         let Seen { hits, owner, found, .. } = self.look(tile, (&rays, &hits), room);
         let surface = self.surface(&found, &hits, &owner, tile.pixel_angle);
         let triangle = of_wall(&hits.triangle, &owner);
-        First { surface, hit: found.hit, triangle, pixel }
+        PrimaryHit { surface, hit: found.hit, triangle, pixel }
     }
 
     /// Renders one tile; `glow` is light beyond direct light.
@@ -105,7 +105,7 @@ impl<'a> Filled<'a> {
         &self,
         tile: &TileRays,
         place: Place,
-        glow: Option<&Lane3>,
+        indirect: Option<&Lane3>,
         room: &mut Room,
         out: &mut Channels<'_>,
     ) {
@@ -116,7 +116,7 @@ impl<'a> Filled<'a> {
             Front::of_liquid(None).write(tile, place, out);
             place.write(&mut out.refraction_label, &[STRAIGHT; LANES], &tile.used, STRAIGHT);
             place.write_subsampled(&mut out.sparse_refraction, 1, |_, _| STRAIGHT);
-            render_tile((self.wall, self.scene, view), tile, met, place, glow, out);
+            render_tile((self.wall, self.scene, view), tile, met, place, indirect, out);
             return;
         }
         let seen = self.look(tile, met, room);
@@ -125,11 +125,12 @@ impl<'a> Filled<'a> {
         if out.wants_color() {
             let surface = self.surface(found, hits, owner, tile.pixel_angle);
             place.write3(&mut out.albedo, &surface.albedo, &found.hit, f32::NAN);
-            let bare = view.bare(self.scene, &surface, &of_wall(&hits.triangle, owner));
-            let beneath = view.beneath(&surface, hits, &of_wall(&hits.triangle, owner));
-            let lit = (bare.as_ref().unwrap_or(&surface), beneath.as_ref());
+            let without_base =
+                view.without_base(self.scene, &surface, &of_wall(&hits.triangle, owner));
+            let subsurface = view.subsurface(&surface, hits, &of_wall(&hits.triangle, owner));
+            let lit = (without_base.as_ref().unwrap_or(&surface), subsurface.as_ref());
             let mut radiance = self.light(lit, found, hits, wet.as_ref(), room);
-            add_glow(glow, &mut radiance);
+            add_indirect(indirect, &mut radiance);
             self.carry(&seen, &bubbles, tile.pixel_angle, room, &mut radiance);
             place.write_light(out, &radiance, &found.hit, view.exposure);
         }
@@ -392,7 +393,7 @@ impl<'a> Filled<'a> {
     #[inline(always)]
     fn light(
         &self,
-        (surface, beneath): (&Surface, Option<&Beneath>),
+        (surface, subsurface): (&Surface, Option<&SubsurfaceLight>),
         found: &Attributes,
         hits: &Hits,
         wet: Option<&Wet>,
@@ -410,21 +411,27 @@ impl<'a> Filled<'a> {
                 chyme.shade(led.position, points, wall.extent, &mut room.blocking, &mut lit);
             }
             let Some((optics, wet)) = liquid else {
-                add_all_light((surface, beneath), &self.scene.material, led, &lit, &mut radiance);
+                add_all_light(
+                    (surface, subsurface),
+                    &self.scene.material,
+                    led,
+                    &lit,
+                    &mut radiance,
+                );
                 continue;
             };
             let mut light = [[0.0; LANES]; 3];
-            add_all_light((surface, beneath), &self.scene.material, led, &lit, &mut light);
+            add_all_light((surface, subsurface), &self.scene.material, led, &lit, &mut light);
             optics.dim(led, &surface.position, wet, &mut light);
-            add_glow(Some(&light), &mut radiance);
+            add_indirect(Some(&light), &mut radiance);
         }
-        if let Some(bounced) = &view.bounced {
+        if let Some(irradiance) = &view.irradiance {
             let mut light = [[0.0; LANES]; 3];
-            bounced.add((surface, &found.normal), hits, beneath, &mut light);
+            irradiance.add((surface, &found.normal), hits, subsurface, &mut light);
             if let Some((optics, wet)) = liquid {
                 optics.dim_even(&surface.position, wet, &mut light);
             }
-            add_glow(Some(&light), &mut radiance);
+            add_indirect(Some(&light), &mut radiance);
         }
         radiance
     }

@@ -149,7 +149,7 @@ pub fn encode_pngs<'py>(
     Ok(files.iter().map(|file| PyBytes::new(py, file)).collect())
 }
 
-/// Reads a PNG file of 8 or 16 bits, grey or RGB, as it is stored.
+/// Reads a PNG file of 8 or 16 bits, gray or RGB, as it is stored.
 #[pyfunction]
 pub fn read_png<'py>(py: Python<'py>, path: String) -> PyResult<Bound<'py, PyAny>> {
     let bytes = fs::read(&path).map_err(|e| os_error(&path, &e))?;
@@ -157,7 +157,7 @@ pub fn read_png<'py>(py: Python<'py>, path: String) -> PyResult<Bound<'py, PyAny
     array.map_err(|e| PyValueError::new_err(format!("{path}: {e}")))
 }
 
-/// Arrays of PNG files of 8 or 16 bits, grey or RGB, each given as uint8; decoded in parallel.
+/// Arrays of PNG files of 8 or 16 bits, gray or RGB, each given as uint8; decoded in parallel.
 #[pyfunction]
 pub fn decode_pngs<'py>(
     py: Python<'py>,

@@ -6,11 +6,11 @@ use crate::lumen::tile::{Filled, Room};
 use crate::poses::read_pose;
 use crate::render::channels::{ChannelArrays, Channels, Place};
 use crate::render::material::{Led, Surface};
-use crate::render::path::light_paths::Lit;
-use crate::render::path::lumen_contents::Afloat;
-use crate::render::path::virtual_lights::Sources;
-use crate::render::path::{First, Settings, wavefront};
-use crate::render::radiosity::{Beneath, Irradiance, Radiosity};
+use crate::render::path::light_paths::LightTransport;
+use crate::render::path::lumen_contents::LumenMedia;
+use crate::render::path::virtual_lights::VirtualLights;
+use crate::render::path::{PrimaryHit, Settings, wavefront};
+use crate::render::radiosity::{Irradiance, Radiosity, SubsurfaceLight};
 use crate::render::ray_table::{RayTable, TileRays};
 use crate::render::scene::{Scene, SceneData};
 use crate::render::shading::{Attributes, attributes, light, surface};
@@ -27,13 +27,13 @@ pub const REACH: f32 = 1e4;
 
 /// Everything about a view but its rays.
 pub struct View<'a> {
-    /// Where the camera is, about the wall's centre [m].
+    /// Where the camera is, about the wall's center [m].
     pub origin: Vec3,
     /// Rows of the rotation from the camera to the world, and back.
     pub to_world: [Vec3; 3],
     to_camera: [Vec3; 3],
     center: [f64; 3],
-    /// LEDs about the wall's centre.
+    /// LEDs about the wall's center.
     pub leds: Vec<Led>,
     /// Factor from radiance to linear image value.
     pub exposure: f32,
@@ -42,9 +42,9 @@ pub struct View<'a> {
     /// How light that is reflected more than once is found; None for direct light alone.
     pub paths: Option<Settings>,
     /// Irradiance by light that has bounced, if it is found as radiosity.
-    pub bounced: Option<Irradiance<'a>>,
+    pub irradiance: Option<Irradiance<'a>>,
     /// Where the LEDs' light comes from, if paths are connected to that.
-    pub sources: Option<Sources>,
+    pub sources: Option<VirtualLights>,
 }
 
 impl View<'_> {
@@ -79,7 +79,7 @@ impl View<'_> {
             })
             .collect();
         let origin = wall.localize(place.to_array());
-        let (center, paths, bounced, sources) = (wall.center, None, None, None);
+        let (center, paths, irradiance, sources) = (wall.center, None, None, None);
         Ok(View {
             origin,
             to_world,
@@ -89,40 +89,40 @@ impl View<'_> {
             exposure,
             shadows,
             paths,
-            bounced,
+            irradiance,
             sources,
         })
     }
 
     /// Where the LEDs' light comes from, if paths are to be connected to that.
-    fn sources(&self, wall: &Wall, scene: &SceneData, rays: &RayTable) -> Option<Sources> {
+    fn sources(&self, wall: &Wall, scene: &SceneData, rays: &RayTable) -> Option<VirtualLights> {
         let settings = self.paths.filter(|_| scene.tissue.is_none())?;
-        let lit = lit(wall, scene, (&self.leds, settings), &rays.tiles);
-        Sources::new(&lit, rays.width * rays.height)
+        let transport = light_transport(wall, scene, (&self.leds, settings), &rays.tiles);
+        VirtualLights::new(&transport, rays.width * rays.height)
     }
 
     /// What LEDs light directly of surfaces behind which light goes on through tissue, if it does;
     /// `triangles` are `MISS` where there is no wall.
     #[inline(always)]
-    pub fn bare(
+    pub fn without_base(
         &self,
         scene: &SceneData,
         surface: &Surface,
         triangles: &[u32; LANES],
     ) -> Option<Surface> {
-        let is_traced = self.paths.is_some() || self.bounced.is_some();
-        (is_traced && scene.tissue.is_some()).then(|| surface.bare(triangles))
+        let is_traced = self.paths.is_some() || self.irradiance.is_some();
+        (is_traced && scene.tissue.is_some()).then(|| surface.without_base(triangles))
     }
 
     /// What the tissue behind surfaces makes of light, where that is not left to paths.
     #[inline(always)]
-    pub fn beneath(
+    pub fn subsurface(
         &self,
         surface: &Surface,
         hits: &Hits,
         triangles: &[u32; LANES],
-    ) -> Option<Beneath> {
-        self.bounced.as_ref()?.beneath(surface, hits, triangles)
+    ) -> Option<SubsurfaceLight> {
+        self.irradiance.as_ref()?.subsurface(surface, hits, triangles)
     }
 }
 
@@ -164,13 +164,13 @@ pub fn render(
     }
     let rest = radiosity.map(|light| light.rest(py));
     let mut view = View::new(wall, pose, leds, exposure, shadows)?;
-    view.paths = paths.map(|(samples, depth, seed)| Settings { samples, depth, seed });
+    view.paths = paths.map(|(spp, max_bounces, seed)| Settings { spp, max_bounces, seed });
     let shape = (rays.height, rays.width);
     let mut arrays = ChannelArrays::borrow(out, shape)?;
     let channels = arrays.channels()?;
     let radiosity = radiosity.zip(rest.as_deref()).filter(|_| channels.wants_light());
     on_pool(py, || {
-        view.bounced =
+        view.irradiance =
             radiosity.map(|(solver, rest)| solver.solve(rest, wall, (&view.leds, shadows)));
         view.sources = view.sources(wall, &scene.data, rays).filter(|_| contents.is_none());
         let columns = rays.columns();
@@ -212,32 +212,34 @@ impl Area {
 
 /// What paths of some tiles travel in.
 #[inline(always)]
-fn lit<'a>(
+fn light_transport<'a>(
     wall: &'a Wall,
     scene: &'a SceneData,
     (leds, settings): (&'a [Led], Settings),
     tiles: &[TileRays],
-) -> Lit<'a> {
+) -> LightTransport<'a> {
     let pixel_angle = tiles.iter().fold(0.0, |angle, tile| max(angle, tile.pixel_angle));
-    Lit { wall, scene, leds, pixel_angle, settings }
+    LightTransport { wall, scene, leds, pixel_angle, settings }
 }
 
 /// Light beyond direct light that the surfaces met by each tile send to the viewer.
 #[inline(always)]
-fn glow(
+fn indirect(
     wall: &Wall,
     scene: &SceneData,
     view: &View<'_>,
     tiles: &[TileRays],
-    afloat: Option<Afloat<'_>>,
-    first: impl FnMut((usize, &TileRays)) -> First,
+    media: Option<LumenMedia<'_>>,
+    first: impl FnMut((usize, &TileRays)) -> PrimaryHit,
 ) -> Option<Vec<Lane3>> {
     let settings = view.paths?;
-    let lit = lit(wall, scene, (&view.leds, settings), tiles);
+    let transport = light_transport(wall, scene, (&view.leds, settings), tiles);
     let sources = view.sources.as_ref();
-    let offered = Sources::offered(settings.samples.min(wavefront::at_once(tiles.len())));
-    let tracer = wavefront::Tracer { lit, afloat, sources, offered };
-    let firsts: Vec<First> = tiles.iter().enumerate().map(first).collect();
+    let candidate_paths = VirtualLights::candidate_paths(
+        settings.spp.min(wavefront::samples_per_wavefront(tiles.len())),
+    );
+    let tracer = wavefront::Tracer { transport, media, sources, candidate_paths };
+    let firsts: Vec<PrimaryHit> = tiles.iter().enumerate().map(first).collect();
     Some(wavefront::indirect(&tracer, &firsts))
 }
 
@@ -259,14 +261,15 @@ fn render_band(
         let found = attributes(wall, scene, view.origin, &rays.directions, &hits);
         let surface = surface(scene, &found, &hits.distance, tile.pixel_angle);
         let pixel = area.pixels(column);
-        First { surface, hit: found.hit, triangle: hits.triangle, pixel }
+        PrimaryHit { surface, hit: found.hit, triangle: hits.triangle, pixel }
     };
-    let glow = if out.wants_light() { glow(wall, scene, view, tiles, None, first) } else { None };
+    let indirect =
+        if out.wants_light() { indirect(wall, scene, view, tiles, None, first) } else { None };
     for (column, tile) in tiles.iter().enumerate() {
-        let glow = glow.as_ref().map(|tiles| &tiles[column]);
+        let indirect = indirect.as_ref().map(|tiles| &tiles[column]);
         let (rays, hits) = primary(wall, view, tile);
         let place = area.place(column);
-        render_tile((wall, scene, view), tile, (&rays, &hits), place, glow, out);
+        render_tile((wall, scene, view), tile, (&rays, &hits), place, indirect, out);
     }
 }
 
@@ -281,10 +284,11 @@ fn render_filled_band(filled: &Filled<'_>, tiles: &[TileRays], area: Area, out: 
     let first =
         |(column, tile): (usize, &TileRays)| filled.first(tile, area.pixels(column), &mut room);
     let afloat = Some(filled.afloat());
-    let glow = if out.wants_light() { glow(wall, scene, view, tiles, afloat, first) } else { None };
+    let indirect =
+        if out.wants_light() { indirect(wall, scene, view, tiles, afloat, first) } else { None };
     for (column, tile) in tiles.iter().enumerate() {
-        let glow = glow.as_ref().map(|tiles| &tiles[column]);
-        filled.render_tile(tile, area.place(column), glow, &mut room, out);
+        let indirect = indirect.as_ref().map(|tiles| &tiles[column]);
+        filled.render_tile(tile, area.place(column), indirect, &mut room, out);
     }
 }
 
@@ -311,20 +315,20 @@ pub fn render_tile(
     tile: &TileRays,
     (rays, hits): (&Pyramid, &Hits),
     place: Place,
-    glow: Option<&Lane3>,
+    indirect: Option<&Lane3>,
     out: &mut Channels<'_>,
 ) {
     let found = attributes(wall, scene, view.origin, &rays.directions, hits);
     if out.wants_color() {
         let surface = surface(scene, &found, &hits.distance, tile.pixel_angle);
-        let bare = view.bare(scene, &surface, &hits.triangle);
-        let beneath = view.beneath(&surface, hits, &hits.triangle);
-        let lit = (bare.as_ref().unwrap_or(&surface), beneath.as_ref());
+        let without_base = view.without_base(scene, &surface, &hits.triangle);
+        let subsurface = view.subsurface(&surface, hits, &hits.triangle);
+        let lit = (without_base.as_ref().unwrap_or(&surface), subsurface.as_ref());
         let mut radiance = light(wall, &scene.material, &view.leds, view.shadows, lit, &found.hit);
-        if let Some(bounced) = &view.bounced {
-            bounced.add((&surface, &found.normal), hits, beneath.as_ref(), &mut radiance);
+        if let Some(irradiance) = &view.irradiance {
+            irradiance.add((&surface, &found.normal), hits, subsurface.as_ref(), &mut radiance);
         }
-        add_glow(glow, &mut radiance);
+        add_indirect(indirect, &mut radiance);
         place.write_light(out, &radiance, &found.hit, view.exposure);
         place.write3(&mut out.albedo, &surface.albedo, &found.hit, f32::NAN);
     }
@@ -333,11 +337,11 @@ pub fn render_tile(
 
 /// Adds light beyond direct light, if there is any.
 #[inline(always)]
-pub fn add_glow(glow: Option<&Lane3>, radiance: &mut Lane3) {
-    let Some(glow) = glow else { return };
+pub fn add_indirect(indirect: Option<&Lane3>, radiance: &mut Lane3) {
+    let Some(indirect) = indirect else { return };
     for k in 0..3 {
         for i in 0..LANES {
-            radiance[k][i] += glow[k][i];
+            radiance[k][i] += indirect[k][i];
         }
     }
 }

@@ -1,5 +1,5 @@
 //! Reflection of an LED's light by the wall: the Disney principled model (Burley 2012) with a
-//! diffuse base, a dielectric GGX lobe and a clear coat.
+//! diffuse base, a dielectric GGX lobe and a clearcoat.
 
 use crate::simd::f32x64::*;
 use crate::wall::packet::MISS;
@@ -10,9 +10,9 @@ use std::f32::consts::PI;
 pub struct Material {
     /// Refractive index of the base relative to the lumen.
     pub ior: f32,
-    /// Strength of the clear coat, 0 to 1.
-    pub coat: f32,
-    /// Roughness α of the clear coat's GTR1 lobe.
+    /// Strength of the clearcoat, 0 to 1.
+    pub clearcoat: f32,
+    /// Roughness α of the clearcoat's GTR1 lobe.
     pub clearcoat_alpha: f32,
 }
 
@@ -38,7 +38,7 @@ pub struct Surface {
     pub normal: Lane3,
     /// Unit directions to the viewer.
     pub view: Lane3,
-    /// Linear base colour.
+    /// Linear base color.
     pub albedo: Lane3,
     /// Perceptual roughness.
     pub roughness: Lane,
@@ -47,14 +47,14 @@ pub struct Surface {
 impl Surface {
     /// The surface without its base where it is a wall, whose light goes through the tissue.
     #[inline(always)]
-    pub fn bare(&self, triangles: &[u32; LANES]) -> Surface {
-        let mut bare = self.clone();
-        for albedo in &mut bare.albedo {
+    pub fn without_base(&self, triangles: &[u32; LANES]) -> Surface {
+        let mut without_base = self.clone();
+        for albedo in &mut without_base.albedo {
             for i in 0..LANES {
                 albedo[i] = if triangles[i] == MISS { albedo[i] } else { 0.0 };
             }
         }
-        bare
+        without_base
     }
 }
 
@@ -83,7 +83,7 @@ pub fn add_light(
 }
 
 /// Adds the radiance [W/(sr·m²)] that an LED's light leaves on tissue without absorption, by what
-/// passes its border: of this refractive index, and of even light this share.
+/// passes its interface: of this refractive index, and of diffuse light this share.
 #[inline(always)]
 pub fn add_leaving(
     surface: &Surface,
@@ -108,10 +108,10 @@ pub fn add_leaving(
 
 /// What the wall makes of one LED's light.
 struct Reflection {
-    /// Reflected radiance per radiant intensity [1/m²], the part coloured by the base; holds the
+    /// Reflected radiance per radiant intensity [1/m²], the part colored by the base; holds the
     /// cosine at the surface and the inverse square of the distance, as does the next.
     diffuse: Lane,
-    /// The part that is not coloured.
+    /// The part that is not colored.
     specular: Lane,
     /// Cosine of the angle at which the light leaves the LED, at least 0.
     lobe: Lane,
@@ -120,13 +120,13 @@ struct Reflection {
 #[inline(always)]
 fn reflect(surface: &Surface, material: &Material, led: &Led) -> Reflection {
     let (mut diffuse, mut specular, mut lobe) = ([0.0; LANES], [0.0; LANES], [0.0; LANES]);
-    let coat = Coat::new(material);
+    let clearcoat = Clearcoat::new(material);
     for i in 0..LANES {
         let offset = sub(led.position, at(&surface.position, i));
         let square = max(dot(offset, offset), 1e-12);
         let light = scale(offset, 1.0 / square.sqrt());
         let angles = Angles::new(at(&surface.normal, i), at(&surface.view, i), light);
-        let (base, rest) = scatter(&angles, surface.roughness[i], material, &coat);
+        let (base, rest) = scatter(&angles, surface.roughness[i], material, &clearcoat);
         let falloff = if angles.light > 0.0 { 1.0 / square } else { 0.0 };
         diffuse[i] = base * falloff;
         specular[i] = rest * falloff;
@@ -168,10 +168,15 @@ pub fn gloss_alpha(roughness: f32) -> f32 {
     max(roughness * roughness, 1e-3)
 }
 
-/// Reflectance times the cosine at the surface [1/sr]: the part that is coloured by the base, and
+/// Reflectance times the cosine at the surface [1/sr]: the part that is colored by the base, and
 /// the part that is not. Only where the light is above the surface.
 #[inline(always)]
-pub fn scatter(angles: &Angles, roughness: f32, material: &Material, coat: &Coat) -> (f32, f32) {
+pub fn scatter(
+    angles: &Angles,
+    roughness: f32,
+    material: &Material,
+    clearcoat: &Clearcoat,
+) -> (f32, f32) {
     let retro = 2.0 * roughness * angles.difference * angles.difference;
     let (fl, fv) = (schlick(angles.light), schlick(angles.view));
     let base = (1.0 - 0.5 * fl) * (1.0 - 0.5 * fv) + retro * (fl + fv + fl * fv * (retro - 1.0));
@@ -181,8 +186,8 @@ pub fn scatter(angles: &Angles, roughness: f32, material: &Material, coat: &Coat
         * smith(angles.view, alpha)
         * smith(angles.light, alpha)
         / (4.0 * angles.view);
-    let film = coat.reflect(angles) * angles.light;
-    (base * angles.light * (1.0 / PI), gloss + film)
+    let clearcoat_lobe = clearcoat.reflect(angles) * angles.light;
+    (base * angles.light * (1.0 / PI), gloss + clearcoat_lobe)
 }
 
 /// Weight (1 − cos θ)⁵ of Schlick's Fresnel term (1994).
@@ -217,21 +222,22 @@ pub fn smith(cosine: f32, alpha: f32) -> f32 {
     2.0 / (1.0 + (1.0 + alpha * alpha * (1.0 - square) / square).sqrt())
 }
 
-/// The wet film: a GTR1 lobe of index 1.5, a quarter as strong as a full layer (Burley 2012, 5.4).
-pub struct Coat {
+/// The clearcoat of a mucus film: a GTR1 lobe of index 1.5, a quarter as strong as a full layer
+/// (Burley 2012, 5.4).
+pub struct Clearcoat {
     strength: f32,
     spread: f32,
     scale: f32,
 }
 
-impl Coat {
-    /// The film of a material.
+impl Clearcoat {
+    /// The clearcoat of a material.
     #[inline(always)]
     pub fn new(material: &Material) -> Self {
         let square = material.clearcoat_alpha * material.clearcoat_alpha;
         let logarithm = log2(square) * std::f32::consts::LN_2;
-        Coat {
-            strength: 0.25 * material.coat,
+        Clearcoat {
+            strength: 0.25 * material.clearcoat,
             spread: square - 1.0,
             scale: (square - 1.0) / (PI * logarithm),
         }
@@ -241,7 +247,7 @@ impl Coat {
     fn reflect(&self, angles: &Angles) -> f32 {
         const ALPHA: f32 = 0.25;
         self.strength
-            * coat_fresnel(angles.difference)
+            * clearcoat_fresnel(angles.difference)
             * self.density(angles.half)
             * smith(angles.view, ALPHA)
             * smith(angles.light, ALPHA)
@@ -254,8 +260,8 @@ impl Coat {
     }
 }
 
-/// Reflectance of the film's surface (Schlick 1994).
+/// Reflectance of the clearcoat's surface (Schlick 1994).
 #[inline(always)]
-pub fn coat_fresnel(cosine: f32) -> f32 {
+pub fn clearcoat_fresnel(cosine: f32) -> f32 {
     0.04 + 0.96 * schlick(cosine)
 }

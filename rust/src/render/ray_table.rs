@@ -5,7 +5,8 @@ use crate::wall::packet::Pyramid;
 use numpy::{PyReadonlyArray3, ndarray::ArrayView3};
 use pyo3::{exceptions::PyValueError, prelude::*};
 
-/// Rays of one tile in the camera frame; lane `i` is the pixel at row `i / TILE`, column `i % TILE`.
+/// Rays of one tile in the camera frame; lane `i` is the pixel at row `i / TILE`, column `i %
+/// TILE`.
 pub struct TileRays {
     /// Directions and the pyramid around them.
     pub pyramid: Pyramid,
@@ -13,7 +14,7 @@ pub struct TileRays {
     pub used: [bool; LANES],
     /// Whether any lane is used.
     pub any: bool,
-    /// Angle between neighbouring pixels [rad]; sets how much of a texture a pixel averages.
+    /// Angle between neighboring pixels [rad]; sets how much of a texture a pixel averages.
     pub pixel_angle: f32,
 }
 
@@ -96,7 +97,7 @@ fn cut(rays: &ArrayView3<'_, f32>, row: usize, column: usize) -> TileRays {
     TileRays { any: used.contains(&true), pyramid, used, pixel_angle }
 }
 
-/// Mean angle between horizontal neighbours that are both used.
+/// Mean angle between horizontal neighbors that are both used.
 fn pixel_angle(directions: &Lane3, used: &[bool; LANES]) -> f32 {
     let (mut sum, mut count) = (0.0, 0.0);
     for i in (0..LANES - 1).filter(|i| i % TILE != TILE - 1) {

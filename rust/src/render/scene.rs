@@ -27,7 +27,7 @@ pub struct SceneData {
     pub arc_length: Vec<f32>,
     /// Textures, or none for a plain wall.
     pub texture: Option<TextureHandle>,
-    /// Linear base colour of a plain wall.
+    /// Linear base color of a plain wall.
     pub albedo: Vec3,
     /// Roughness of a plain wall.
     pub roughness: f32,
@@ -62,10 +62,10 @@ pub struct Scene {
 impl Scene {
     /// Takes uv [m 3 2], label [m] and instance [m] of faces, arc length [n] of vertices in metres,
     /// `texture` or a plain linear `albedo` and `roughness`, and `reflectance` (refractive index,
-    /// coat strength, coat roughness α). `tissue` lets paths go through the wall: reduced scattering
-    /// of red, green and blue [1/m], refractive index, share of even light that enters, and
-    /// √(1 − single-scattering albedo) of base colours 0 to 1 in even steps, and `level` and
-    /// `slopes` as `Tissue` has them.
+    /// clearcoat strength, clearcoat roughness α). `tissue` lets paths go through the wall: reduced
+    /// scattering of red, green and blue [1/m], refractive index, share of diffuse light that
+    /// enters, and √(1 − single-scattering albedo) of base colors 0 to 1 in even steps, and `level`
+    /// and `slopes` as `Tissue` has them.
     #[new]
     #[pyo3(signature = (uv, label, instance, arc_length, *, texture, albedo, roughness, reflectance, tissue=None))]
     #[allow(clippy::too_many_arguments)] // one keyword each, called in one place
@@ -88,7 +88,7 @@ impl Scene {
                 "Texture coordinates must be of shape (m, 3, 2), labels and instances of shape (m,).",
             ));
         }
-        let (ior, coat, clearcoat_alpha) = reflectance;
+        let (ior, clearcoat, clearcoat_alpha) = reflectance;
         let face = |f: usize| FaceData {
             uv: [0, 1, 2].map(|corner| [uv[[f, corner, 0]], uv[[f, corner, 1]]]),
             label: label[f],
@@ -100,15 +100,26 @@ impl Scene {
             texture: texture.map(TextureHandle),
             albedo,
             roughness,
-            material: Material { ior, coat, clearcoat_alpha },
-            tissue: tissue.map(|(scattering, ior, entering, roots, level, slopes)| Tissue {
-                scattering,
-                ior,
-                entering,
-                roots,
-                level,
-                slopes,
-            }),
+            material: Material { ior, clearcoat, clearcoat_alpha },
+            tissue: tissue.map(
+                |(
+                    scattering,
+                    ior,
+                    diffuse_transmittance,
+                    albedo_roots,
+                    mean_cosine,
+                    angular_slopes,
+                )| {
+                    Tissue {
+                        scattering,
+                        ior,
+                        diffuse_transmittance,
+                        albedo_roots,
+                        mean_cosine,
+                        angular_slopes,
+                    }
+                },
+            ),
         };
         Ok(Scene { data })
     }

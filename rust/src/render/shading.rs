@@ -1,7 +1,8 @@
-//! From hits to channels: attributes of the wall where each ray meets it, and the light it reflects.
+//! From hits to channels: attributes of the wall where each ray meets it, and the light it
+//! reflects.
 
 use crate::render::material::{Led, Material, Surface, add_light};
-use crate::render::radiosity::Beneath;
+use crate::render::radiosity::SubsurfaceLight;
 use crate::render::scene::{FaceData, SceneData};
 use crate::simd::f32x64::*;
 use crate::wall::Wall;
@@ -37,7 +38,7 @@ pub struct Attributes {
     pub instance: [u16; LANES],
 }
 
-/// A face of the wall, fetched once for neighbouring rays that meet it.
+/// A face of the wall, fetched once for neighboring rays that meet it.
 struct Face {
     number: usize,
     corners: [usize; 3],
@@ -47,8 +48,8 @@ struct Face {
     /// corners.
     ///
     /// A piece of wall that turns by that angle up to an outline has half of it as its mean cosine;
-    /// one facet for all of it would be black wherever its smooth normal is edge-on. A quarter takes
-    /// the black away and changes the rest of an image least.
+    /// one facet for all of it would be black wherever its smooth normal is edge-on. A quarter
+    /// takes the black away and changes the rest of an image least.
     least_facing: f32,
 }
 
@@ -195,7 +196,7 @@ fn face_viewer(normal: Vec3, view: Vec3, least: f32) -> Vec3 {
     scale(add(normal, scale(view, lacking)), 1.0 / square.sqrt())
 }
 
-/// Gives the hits their material: base colour, roughness and relief.
+/// Gives the hits their material: base color, roughness and relief.
 #[inline(always)]
 pub fn surface(
     scene: &SceneData,
@@ -261,15 +262,15 @@ fn footprint(attributes: &Attributes, distance: &Lane, pixel_angle: f32) -> [Lan
 /// surface makes of it, if it goes there.
 #[inline(always)]
 pub fn add_all_light(
-    (surface, beneath): (&Surface, Option<&Beneath>),
+    (surface, subsurface): (&Surface, Option<&SubsurfaceLight>),
     material: &Material,
     led: &Led,
     lit: &[bool; LANES],
     radiance: &mut Lane3,
 ) {
     add_light(surface, material, led, lit, radiance);
-    if let Some(beneath) = beneath {
-        beneath.add(surface, led, lit, radiance);
+    if let Some(subsurface) = subsurface {
+        subsurface.add(surface, led, lit, radiance);
     }
 }
 
@@ -280,16 +281,16 @@ pub fn light(
     material: &Material,
     leds: &[Led],
     shadows: bool,
-    (surface, beneath): (&Surface, Option<&Beneath>),
+    (surface, subsurface): (&Surface, Option<&SubsurfaceLight>),
     hit: &[bool; LANES],
 ) -> Lane3 {
     let mut radiance = [[0.0; LANES]; 3];
     for led in leds {
         if shadows {
             let lit = visible_tile(wall, led.position, &surface.position, hit);
-            add_all_light((surface, beneath), material, led, &lit, &mut radiance);
+            add_all_light((surface, subsurface), material, led, &lit, &mut radiance);
         } else {
-            add_all_light((surface, beneath), material, led, hit, &mut radiance);
+            add_all_light((surface, subsurface), material, led, hit, &mut radiance);
         }
     }
     radiance

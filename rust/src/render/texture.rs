@@ -1,11 +1,11 @@
-//! Wall textures: base colour, roughness and the slope of the relief, with mip levels.
+//! Wall textures: base color, roughness and the slope of the relief, with mip levels.
 
 use crate::simd::f32x64::*;
 use numpy::{PyReadonlyArray2, PyReadonlyArray3, PyUntypedArrayMethods};
 use pyo3::{exceptions::PyValueError, prelude::*};
 use rayon::prelude::*;
 
-/// One texel, packed: square roots of the linear base colour in 11, 11 and 10 bits; roughness in 8
+/// One texel, packed: square roots of the linear base color in 11, 11 and 10 bits; roughness in 8
 /// bits and the two slopes in 12 bits each.
 ///
 /// Square roots spread the steps as the eye does, and cost one multiplication to undo.
@@ -57,7 +57,7 @@ pub struct Texture {
 
 /// What a tile's rays find in the texture.
 pub struct Texels {
-    /// Linear base colour.
+    /// Linear base color.
     pub albedo: Lane3,
     /// Perceptual roughness.
     pub roughness: Lane,
@@ -302,7 +302,7 @@ impl Texture {
     }
 }
 
-/// Weight of the second neighbour, and both neighbours, of a wrapped coordinate 0 to 1.
+/// Weight of the second neighbor, and both neighbors, of a wrapped coordinate 0 to 1.
 #[inline(always)]
 fn neighbours(coordinate: f32, size: usize) -> (f32, usize, usize) {
     let wrapped = coordinate - coordinate.floor();

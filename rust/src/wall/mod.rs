@@ -1,4 +1,5 @@
-//! A moving triangle mesh and its bounding-volume hierarchy: ray casting, nearest points, visibility.
+//! A moving triangle mesh and its bounding-volume hierarchy: ray casting, nearest points,
+//! visibility.
 
 pub mod bvh;
 pub mod packet;
@@ -21,16 +22,16 @@ type DistanceAndFace<'py> = (Bound<'py, PyArray1<f32>>, Bound<'py, PyArray1<i64>
 
 /// A triangle surface with its bounding-volume hierarchy; normals point into the lumen.
 ///
-/// Positions are kept about the centre of the mesh, so that single precision does not depend on
+/// Positions are kept about the center of the mesh, so that single precision does not depend on
 /// where in the world the mesh lies.
 #[pyclass(module = "vrcaps._core")]
 pub struct Wall {
     /// Middle of the mesh's bounds when it was made; subtracted from every position [m].
     #[pyo3(get)]
     pub center: [f64; 3],
-    /// Largest coordinate about the centre [m].
+    /// Largest coordinate about the center [m].
     pub extent: f32,
-    /// Vertex positions about the centre [m].
+    /// Vertex positions about the center [m].
     pub vertices: Vec<Vec3>,
     /// Vertex numbers of each face.
     pub faces: Vec<[u32; 3]>,
@@ -50,12 +51,12 @@ pub struct Wall {
 }
 
 impl Wall {
-    /// A point of the outside world about this wall's centre.
+    /// A point of the outside world about this wall's center.
     pub fn localize(&self, point: [f64; 3]) -> Vec3 {
         [0, 1, 2].map(|k| (point[k] - self.center[k]) as f32)
     }
 
-    /// A point about this wall's centre in the outside world.
+    /// A point about this wall's center in the outside world.
     pub fn globalize(&self, point: Vec3) -> [f64; 3] {
         [0, 1, 2].map(|k| f64::from(point[k]) + self.center[k])
     }
@@ -71,7 +72,7 @@ impl Wall {
         0.5 * self.faces_around(vertex).iter().map(length).sum::<f32>()
     }
 
-    /// Moves the wall to new vertices about its centre and refits all that follows from them.
+    /// Moves the wall to new vertices about its center and refits all that follows from them.
     fn move_to(&mut self, place: impl Fn(usize) -> Vec3 + Sync) -> Result<(), &'static str> {
         among_threads(|| {
             self.set_vertices(self.vertices.len(), &place, &[])?;
@@ -80,8 +81,8 @@ impl Wall {
         })
     }
 
-    /// Moves the wall but for its vertex normals, which only a renderer asks for: to `place`, except
-    /// `others` that come with places of their own.
+    /// Moves the wall but for its vertex normals, which only a renderer asks for: to `place`,
+    /// except `others` that come with places of their own.
     pub fn follow(
         &mut self,
         place: impl Fn(usize) -> Vec3 + Sync,
@@ -207,7 +208,7 @@ fn middle(vertices: &[f64]) -> [f64; 3] {
     })
 }
 
-/// A vertex about a centre, in single precision.
+/// A vertex about a center, in single precision.
 #[inline(always)]
 fn about(center: [f64; 3], vertex: &[f64; 3]) -> Vec3 {
     [0, 1, 2].map(|k| (vertex[k] - center[k]) as f32)

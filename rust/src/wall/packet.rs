@@ -3,7 +3,7 @@
 //! The rays of a tile share their origin, so they lie in a pyramid. A node of the hierarchy is
 //! tested against the pyramid's four sides, all eight children at once, and costs the same for 64
 //! rays as for one. Triangles are tested against each ray with the edge functions of Plücker
-//! coordinates, which are watertight: rounding cannot open a gap between neighbours.
+//! coordinates, which are watertight: rounding cannot open a gap between neighbors.
 
 use crate::simd::f32x64::*;
 use crate::wall::bvh::{Bvh, Child, Node, Triangle, WIDTH};

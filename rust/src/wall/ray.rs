@@ -1,4 +1,4 @@
-//! One ray through the hierarchy, for rays that have no neighbours.
+//! One ray through the hierarchy, for rays that have no neighbors.
 
 use crate::simd::f32x64::*;
 use crate::wall::bvh::{Bvh, Child, Node, Triangle, WIDTH};
@@ -82,7 +82,7 @@ impl Ray {
     }
 
     /// Distance and edge functions, if the ray meets the triangle nearer than `farthest`
-    /// (Woop, Benthin and Wald 2013: watertight, as neighbours share the numbers of their edge).
+    /// (Woop, Benthin and Wald 2013: watertight, as neighbors share the numbers of their edge).
     #[inline(always)]
     fn meet(&self, triangle: &Triangle, farthest: f32) -> Option<(f32, Vec3)> {
         let [kx, ky, kz] = self.axes;

@@ -1,21 +1,22 @@
-//! Directions in which light goes on: drawn from the lobes of the reflectance.
+//! BSDF sampling: directions drawn from the lobes of the reflectance, values and densities.
 
 use crate::render::material::{
-    Angles, Coat, Material, Surface, coat_fresnel, fresnel, ggx, gloss_alpha, scatter, smith,
+    Angles, Clearcoat, Material, Surface, clearcoat_fresnel, fresnel, ggx, gloss_alpha, scatter,
+    smith,
 };
 use crate::simd::f32x64::*;
 use std::f32::consts::PI;
 
 /// Numbers of 0 ≤ x < 1 that choose a lobe and a direction in it, for each lane.
-pub struct Draw {
+pub struct BsdfRandom {
     /// Chooses the lobe.
     pub lobe: Lane,
     /// Choose the direction.
     pub way: [Lane; 2],
 }
 
-/// Where a path goes on from each lane.
-pub struct Bounce {
+/// A BSDF sample for each lane.
+pub struct BsdfSample {
     /// Unit directions away from the surface.
     pub direction: Lane3,
     /// Reflectance times cosine over the density of the direction; 0 below the horizon.
@@ -23,55 +24,55 @@ pub struct Bounce {
     /// Part of the weight that is gloss.
     pub gloss: Lane,
     /// Density of the direction [1/sr].
-    pub density: Lane,
+    pub pdf: Lane,
 }
 
-/// Shares of the lobes: how often each is drawn from.
-struct Shares {
+/// Probabilities of the lobes.
+struct LobeProbabilities {
     gloss: f32,
-    film: f32,
+    clearcoat_lobe: f32,
 }
 
-impl Shares {
+impl LobeProbabilities {
     /// In proportion to what each lobe reflects, about.
     #[inline(always)]
     fn new(albedo: Vec3, cos_view: f32, material: &Material) -> Self {
         let base = max((albedo[0] + albedo[1] + albedo[2]) * (1.0 / 3.0), 0.05);
         let gloss = fresnel(cos_view, material.ior);
-        let film = material.coat * coat_fresnel(cos_view);
-        let inverse = 1.0 / (base + gloss + film);
-        Shares { gloss: gloss * inverse, film: film * inverse }
+        let clearcoat_lobe = material.clearcoat * clearcoat_fresnel(cos_view);
+        let inverse = 1.0 / (base + gloss + clearcoat_lobe);
+        LobeProbabilities { gloss: gloss * inverse, clearcoat_lobe: clearcoat_lobe * inverse }
     }
 }
 
-/// Share of lane `i` that is drawn from the base.
+/// Probability of lane `i` to draw from the diffuse base.
 #[inline(always)]
-pub fn base_share(surface: &Surface, material: &Material, i: usize) -> f32 {
+pub fn base_probability(surface: &Surface, material: &Material, i: usize) -> f32 {
     let cos_view = max(dot(at(&surface.view, i), at(&surface.normal, i)), 1e-4);
-    let shares = Shares::new(at(&surface.albedo, i), cos_view, material);
-    1.0 - shares.gloss - shares.film
+    let probabilities = LobeProbabilities::new(at(&surface.albedo, i), cos_view, material);
+    1.0 - probabilities.gloss - probabilities.clearcoat_lobe
 }
 
 /// A direction about a unit normal in proportion to its cosine, and that cosine.
 #[inline(always)]
-pub fn leave(normal: Vec3, [u, v]: [f32; 2]) -> (Vec3, f32) {
+pub fn cosine_direction(normal: Vec3, [u, v]: [f32; 2]) -> (Vec3, f32) {
     let ([right, up], (cosine, sine)) = (frame(normal), circle(u));
     let own = on_circle(v.sqrt(), (1.0 - v).sqrt(), cosine, sine);
     let along = add(scale(right, own[0]), scale(up, own[1]));
     (normalize(add(along, scale(normal, own[2]))), own[2])
 }
 
-/// Draws a direction for each lane from the mixture of the lobes.
+/// Samples a direction for each lane from the mixture of the lobes.
 ///
 /// The density is that of the whole mixture, so that no lobe's peak meets a small density of
 /// another: the one-sample balance heuristic (Veach 1997, section 9.2.4).
 #[inline(always)]
-pub fn bounce(surface: &Surface, material: &Material, draw: &Draw) -> Bounce {
-    let coat = Coat::new(material);
+pub fn sample_bsdf(surface: &Surface, material: &Material, random: &BsdfRandom) -> BsdfSample {
+    let clearcoat = Clearcoat::new(material);
     let square = material.clearcoat_alpha * material.clearcoat_alpha;
     let logarithm = log2(square);
     let (direction, weight) = ([[0.0; LANES]; 3], [[0.0; LANES]; 3]);
-    let mut out = Bounce { direction, weight, gloss: [0.0; LANES], density: [0.0; LANES] };
+    let mut out = BsdfSample { direction, weight, gloss: [0.0; LANES], pdf: [0.0; LANES] };
     for i in 0..LANES {
         let (normal, view) = (at(&surface.normal, i), at(&surface.view, i));
         let (albedo, roughness) = (at(&surface.albedo, i), surface.roughness[i]);
@@ -79,27 +80,27 @@ pub fn bounce(surface: &Surface, material: &Material, draw: &Draw) -> Bounce {
         let [right, up] = frame(normal);
         let own_view = [dot(view, right), dot(view, up), dot(view, normal)];
         let cos_view = max(own_view[2], 1e-4);
-        let shares = Shares::new(albedo, cos_view, material);
+        let probabilities = LobeProbabilities::new(albedo, cos_view, material);
 
-        let (u, v) = (draw.way[0][i], draw.way[1][i]);
+        let (u, v) = (random.way[0][i], random.way[1][i]);
         let (cosine, sine) = circle(u);
         let base = on_circle(v.sqrt(), (1.0 - v).sqrt(), cosine, sine);
         let gloss = visible_normal(own_view, alpha, v, cosine, sine);
         let height = (1.0 - exp2((1.0 - v) * logarithm)) / (1.0 - square);
-        let film = on_circle(max(1.0 - height, 0.0).sqrt(), height.sqrt(), cosine, sine);
-        let lobe = draw.lobe[i];
-        let half = select(lobe < shares.gloss, gloss, film);
+        let clearcoat_lobe = on_circle(max(1.0 - height, 0.0).sqrt(), height.sqrt(), cosine, sine);
+        let lobe = random.lobe[i];
+        let half = select(lobe < probabilities.gloss, gloss, clearcoat_lobe);
         let mirrored = sub(scale(half, 2.0 * dot(half, own_view)), own_view);
-        let own = select(lobe < shares.gloss + shares.film, mirrored, base);
+        let own = select(lobe < probabilities.gloss + probabilities.clearcoat_lobe, mirrored, base);
         let along = add(scale(right, own[0]), scale(up, own[1]));
         let direction = normalize(add(along, scale(normal, own[2])));
 
         let angles = Angles::new(normal, view, direction);
-        let (colored, plain) = scatter(&angles, roughness, material, &coat);
-        let density = density(&angles, alpha, &shares, &coat);
+        let (colored, plain) = scatter(&angles, roughness, material, &clearcoat);
+        let pdf = pdf(&angles, alpha, &probabilities, &clearcoat);
         let is_above = angles.light > 0.0;
-        let inverse = if is_above { 1.0 / density } else { 0.0 };
-        out.density[i] = density;
+        let inverse = if is_above { 1.0 / pdf } else { 0.0 };
+        out.pdf[i] = pdf;
         out.gloss[i] = plain * inverse;
         for k in 0..3 {
             out.direction[k][i] = direction[k];
@@ -109,31 +110,31 @@ pub fn bounce(surface: &Surface, material: &Material, draw: &Draw) -> Bounce {
     out
 }
 
-/// What surfaces make of light from a unit direction each; 0 below the horizon.
-pub struct Towards {
+/// BSDF value for light from a unit direction each; 0 below the horizon.
+pub struct BsdfValue {
     /// Reflectance of the base times cosine [1/sr].
     pub base: Lane3,
-    /// The same of gloss and film.
+    /// The same of gloss and clearcoat.
     pub gloss: Lane,
-    /// Density with which `bounce` draws the direction [1/sr].
-    pub density: Lane,
+    /// Density with which `sample_bsdf` draws the direction [1/sr].
+    pub pdf: Lane,
 }
 
-/// Looks at light from unit directions.
+/// Evaluates the BSDF for light from unit directions.
 #[inline(always)]
-pub fn towards(surface: &Surface, material: &Material, ways: &Lane3) -> Towards {
-    let coat = Coat::new(material);
-    let (base, gloss, density) = ([[0.0; LANES]; 3], [0.0; LANES], [0.0; LANES]);
-    let mut out = Towards { base, gloss, density };
+pub fn evaluate_bsdf(surface: &Surface, material: &Material, ways: &Lane3) -> BsdfValue {
+    let clearcoat = Clearcoat::new(material);
+    let (base, gloss, pdf) = ([[0.0; LANES]; 3], [0.0; LANES], [0.0; LANES]);
+    let mut out = BsdfValue { base, gloss, pdf };
     for i in 0..LANES {
         let (normal, view) = (at(&surface.normal, i), at(&surface.view, i));
         let (albedo, roughness) = (at(&surface.albedo, i), surface.roughness[i]);
         let angles = Angles::new(normal, view, at(ways, i));
-        let shares = Shares::new(albedo, angles.view, material);
-        let (colored, plain) = scatter(&angles, roughness, material, &coat);
+        let probabilities = LobeProbabilities::new(albedo, angles.view, material);
+        let (colored, plain) = scatter(&angles, roughness, material, &clearcoat);
         let is_above = angles.light > 0.0;
-        let drawn = self::density(&angles, gloss_alpha(roughness), &shares, &coat);
-        out.density[i] = if is_above { drawn } else { 0.0 };
+        let drawn = self::pdf(&angles, gloss_alpha(roughness), &probabilities, &clearcoat);
+        out.pdf[i] = if is_above { drawn } else { 0.0 };
         out.gloss[i] = if is_above { plain } else { 0.0 };
         for k in 0..3 {
             out.base[k][i] = if is_above { albedo[k] * colored } else { 0.0 };
@@ -144,11 +145,19 @@ pub fn towards(surface: &Surface, material: &Material, ways: &Lane3) -> Towards 
 
 /// Density of a direction above the horizon [1/sr].
 #[inline(always)]
-fn density(angles: &Angles, alpha: f32, shares: &Shares, coat: &Coat) -> f32 {
+fn pdf(
+    angles: &Angles,
+    alpha: f32,
+    probabilities: &LobeProbabilities,
+    clearcoat: &Clearcoat,
+) -> f32 {
     let base = angles.light * (1.0 / PI);
     let gloss = ggx(angles.half, alpha) * smith(angles.view, alpha) / (4.0 * angles.view);
-    let film = coat.density(angles.half) * angles.half / (4.0 * max(angles.difference, 1e-4));
-    (1.0 - shares.gloss - shares.film) * base + shares.gloss * gloss + shares.film * film
+    let clearcoat_lobe =
+        clearcoat.density(angles.half) * angles.half / (4.0 * max(angles.difference, 1e-4));
+    (1.0 - probabilities.gloss - probabilities.clearcoat_lobe) * base
+        + probabilities.gloss * gloss
+        + probabilities.clearcoat_lobe * clearcoat_lobe
 }
 
 /// Two unit vectors that make a right-handed frame with a unit normal (Duff et al. 2017).
@@ -204,8 +213,8 @@ mod tests {
     use crate::render::path::sobol::{hash, point};
 
     const MATERIALS: [Material; 2] = [
-        Material { ior: 1.0, coat: 0.0, clearcoat_alpha: 0.1 },
-        Material { ior: 1.4, coat: 0.7, clearcoat_alpha: 0.1 },
+        Material { ior: 1.0, clearcoat: 0.0, clearcoat_alpha: 0.1 },
+        Material { ior: 1.4, clearcoat: 0.7, clearcoat_alpha: 0.1 },
     ];
 
     fn slanted(cos_view: f32, roughness: f32) -> Surface {
@@ -258,18 +267,19 @@ mod tests {
         for (cos_view, roughness) in [(0.9, 0.3), (0.3, 0.6)] {
             let surface = slanted(cos_view, roughness);
             let (normal, view) = (at(&surface.normal, 0), at(&surface.view, 0));
-            let shares = Shares::new(at(&surface.albedo, 0), cos_view, material);
-            let (alpha, coat) = (gloss_alpha(roughness), Coat::new(material));
+            let probabilities = LobeProbabilities::new(at(&surface.albedo, 0), cos_view, material);
+            let (alpha, clearcoat) = (gloss_alpha(roughness), Clearcoat::new(material));
             // Octants about the normal, told apart by the side of view and of a slant.
             let cell = |d: Vec3| usize::from(dot(d, view) > 0.7) + 2 * usize::from(d[0] > 0.0);
             let (mut expected, mut counted) = ([0.0; 4], [0.0; 4]);
             over_hemisphere(normal, 400, |d, area| {
                 let angles = Angles::new(normal, view, d);
-                expected[cell(d)] += f64::from(density(&angles, alpha, &shares, &coat)) * area;
+                expected[cell(d)] +=
+                    f64::from(pdf(&angles, alpha, &probabilities, &clearcoat)) * area;
             });
             let count = 1 << 9;
             for index in 0..count {
-                let out = bounce(&surface, material, &draws(index));
+                let out = sample_bsdf(&surface, material, &randoms(index));
                 for i in (0..LANES).filter(|&i| out.weight[0][i] > 0.0) {
                     counted[cell(at(&out.direction, i))] += 1.0 / (count as usize * LANES) as f64;
                 }
@@ -280,20 +290,20 @@ mod tests {
         }
     }
 
-    fn draws(index: u32) -> Draw {
-        let mut draw = Draw { lobe: [0.0; LANES], way: [[0.0; LANES]; 2] };
+    fn randoms(index: u32) -> BsdfRandom {
+        let mut random = BsdfRandom { lobe: [0.0; LANES], way: [[0.0; LANES]; 2] };
         for i in 0..LANES {
             let number = index * LANES as u32 + i as u32;
-            [draw.way[0][i], draw.way[1][i]] = point(hash(7), number);
-            draw.lobe[i] = point(hash(8), number)[0];
+            [random.way[0][i], random.way[1][i]] = point(hash(7), number);
+            random.lobe[i] = point(hash(8), number)[0];
         }
-        draw
+        random
     }
 
     fn mean_weight(surface: &Surface, material: &Material) -> [f64; 3] {
         let (count, mut sum) = (1 << 9, [0.0; 3]);
         for index in 0..count {
-            let out = bounce(surface, material, &draws(index));
+            let out = sample_bsdf(surface, material, &randoms(index));
             for k in 0..3 {
                 sum[k] += out.weight[k].iter().map(|&w| f64::from(w)).sum::<f64>();
             }
@@ -303,11 +313,11 @@ mod tests {
 
     fn integral(surface: &Surface, material: &Material) -> [f64; 3] {
         let (normal, view) = (at(&surface.normal, 0), at(&surface.view, 0));
-        let coat = Coat::new(material);
+        let clearcoat = Clearcoat::new(material);
         let mut sum = [0.0; 3];
         over_hemisphere(normal, 500, |direction, area| {
             let angles = Angles::new(normal, view, direction);
-            let (colored, plain) = scatter(&angles, surface.roughness[0], material, &coat);
+            let (colored, plain) = scatter(&angles, surface.roughness[0], material, &clearcoat);
             for k in 0..3 {
                 sum[k] += f64::from(surface.albedo[k][0] * colored + plain) * area;
             }

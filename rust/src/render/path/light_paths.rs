@@ -1,12 +1,12 @@
-//! Light paths: they leave the LEDs with equal power and go on as the wall reflects them.
+//! Light subpaths: emitted by the LEDs with equal power, extended as the wall reflects them.
 
 use crate::render::frame::REACH;
 use crate::render::material::{Led, Surface};
 use crate::render::path::Settings;
-use crate::render::path::bsdf::{self, circle, frame, on_circle, towards};
+use crate::render::path::bsdf::{self, circle, evaluate_bsdf, frame, on_circle};
 use crate::render::path::sobol::{dimension, point};
-use crate::render::path::subsurface::offset;
-use crate::render::path::virtual_lights::Source;
+use crate::render::path::subsurface::ray_offset;
+use crate::render::path::virtual_lights::VirtualLight;
 use crate::render::scene::SceneData;
 use crate::render::shading::{attributes_at, surface};
 use crate::simd::f32x64::*;
@@ -15,8 +15,8 @@ use crate::wall::packet::{Hits, MISS};
 use crate::wall::ray::{self, Hit};
 use std::f32::consts::PI;
 
-/// What of an LED its light paths go by.
-pub struct Lamp {
+/// An LED as an emitter of light paths.
+pub struct LedEmitter {
     led: Led,
     /// Share of the light paths.
     share: f32,
@@ -24,21 +24,21 @@ pub struct Lamp {
     peak: f32,
 }
 
-/// What paths travel in.
-pub struct Lit<'a> {
+/// Scene, lights and settings of light transport.
+pub struct LightTransport<'a> {
     /// The wall.
     pub wall: &'a Wall,
     /// What is drawn on it.
     pub scene: &'a SceneData,
-    /// LEDs about the wall's centre.
+    /// LEDs about the wall's center.
     pub leds: &'a [Led],
-    /// Angle between neighbouring pixels [rad].
+    /// Angle between neighboring pixels [rad].
     pub pixel_angle: f32,
     /// How paths are traced.
     pub settings: Settings,
 }
 
-impl Lit<'_> {
+impl LightTransport<'_> {
     /// Surfaces that rays have met, seen from where `view` points.
     #[inline(always)]
     pub fn surface(&self, position: Lane3, view: Lane3, hits: &Hits) -> Surface {
@@ -47,27 +47,27 @@ impl Lit<'_> {
     }
 }
 
-/// A light path that has come to the wall.
+/// Vertex of a light path on the wall.
 #[derive(Clone, Copy)]
-pub struct Arrival {
+pub struct LightVertex {
     number: u32,
-    /// Sum of its colours' power.
+    /// Sum of its colors' power.
     power: f32,
-    /// What it leaves there.
-    pub source: Source,
+    /// The virtual light that it leaves there.
+    pub source: VirtualLight,
 }
 
 /// LEDs that shine, with shares in proportion to their power.
-pub fn lamps(leds: &[Led]) -> Vec<Lamp> {
-    let lamps = leds.iter().map(|led| {
+pub fn emitters(leds: &[Led]) -> Vec<LedEmitter> {
+    let emitters = leds.iter().map(|led| {
         let peak = if led.exponent == 0.0 { 0.25 / PI } else { 0.5 * (led.exponent + 1.0) / PI };
         let [r, g, b] = led.intensity;
-        Lamp { led: *led, share: (r + g + b) / peak, peak }
+        LedEmitter { led: *led, share: (r + g + b) / peak, peak }
     });
-    let mut lamps: Vec<Lamp> = lamps.filter(|lamp| lamp.share > 0.0).collect();
-    let total: f32 = lamps.iter().map(|lamp| lamp.share).sum();
-    lamps.iter_mut().for_each(|lamp| lamp.share /= total);
-    lamps
+    let mut emitters: Vec<LedEmitter> = emitters.filter(|emitter| emitter.share > 0.0).collect();
+    let total: f32 = emitters.iter().map(|emitter| emitter.share).sum();
+    emitters.iter_mut().for_each(|emitter| emitter.share /= total);
+    emitters
 }
 
 /// A vector given about a unit axis.
@@ -78,48 +78,54 @@ fn turned(axis: Vec3, own: Vec3) -> Vec3 {
     normalize(add(along, scale(axis, own[2])))
 }
 
-/// Sources of the LEDs' own light that a light path leaves at a place, by its unit normal, were
-/// nothing in the way [1/m²].
+/// Density of virtual lights of direct light that a light path leaves at a point with a unit
+/// normal, were it unoccluded [1/m²].
 #[inline(always)]
-pub fn density(lamps: &[Lamp], point: Vec3, facet: Vec3) -> f32 {
+pub fn density(emitters: &[LedEmitter], point: Vec3, face_normal: Vec3) -> f32 {
     let mut sum = 0.0;
-    for Lamp { led, share, peak } in lamps {
+    for LedEmitter { led, share, peak } in emitters {
         let offset = sub(led.position, point);
         let square = max(dot(offset, offset), 1e-12);
         let inverse = 1.0 / square.sqrt();
         let lobe = clamp(-dot(offset, led.direction) * inverse, 0.0, 1.0);
         let lobe = if led.exponent == 0.0 { 1.0 } else { pow(lobe, led.exponent) };
-        sum += share * peak * lobe * max(dot(offset, facet), 0.0) * inverse / square;
+        sum += share * peak * lobe * max(dot(offset, face_normal), 0.0) * inverse / square;
     }
     sum
 }
 
-/// Sends a light path from an LED to the wall.
+/// Emits a light path from an LED to the wall.
 #[inline(always)]
-pub fn leave(lamps: &[Lamp], lit: &Lit<'_>, key: u32, number: u32) -> Option<Arrival> {
+pub fn emit(
+    emitters: &[LedEmitter],
+    transport: &LightTransport<'_>,
+    key: u32,
+    number: u32,
+) -> Option<LightVertex> {
     let [mut u, v] = point(key, number);
-    let mut chosen = &lamps[0];
-    for lamp in lamps {
-        chosen = lamp;
-        if u < lamp.share {
+    let mut chosen = &emitters[0];
+    for emitter in emitters {
+        chosen = emitter;
+        if u < emitter.share {
             break;
         }
-        u -= lamp.share;
+        u -= emitter.share;
     }
-    let Lamp { led, share, peak } = chosen;
+    let LedEmitter { led, share, peak } = chosen;
     let (cosine, sine) = circle(clamp(u / share, 0.0, 0.999_999_9));
     let z =
         if led.exponent == 0.0 { 1.0 - 2.0 * v } else { pow(1.0 - v, 1.0 / (led.exponent + 1.0)) };
     let own = on_circle(max(1.0 - z * z, 0.0).sqrt(), z, cosine, sine);
     let direction = turned(led.direction, own);
-    let hit = ray::cast::<false>(&lit.wall.bvh, led.position, direction, REACH, MISS)?;
+    let hit = ray::cast::<false>(&transport.wall.bvh, led.position, direction, REACH, MISS)?;
     let carried = scale(led.intensity, 1.0 / (share * peak));
-    let mut arrival = Arrival::new(lit.wall, number, (led.position, direction), hit, carried)?;
-    arrival.source.density = density(lamps, arrival.source.point, arrival.source.facet);
-    Some(arrival)
+    let mut vertex =
+        LightVertex::new(transport.wall, number, (led.position, direction), hit, carried)?;
+    vertex.source.density = density(emitters, vertex.source.point, vertex.source.face_normal);
+    Some(vertex)
 }
 
-impl Arrival {
+impl LightVertex {
     /// Of power `carried`; None where the light comes along the wall.
     #[inline(always)]
     fn new(
@@ -131,76 +137,90 @@ impl Arrival {
     ) -> Option<Self> {
         let [a, b, c] = wall.bvh.triangles[hit.triangle as usize].corners;
         let normal = normalize(cross(sub(b, a), sub(c, a)));
-        let facet = if dot(normal, direction) > 0.0 { scale(normal, -1.0) } else { normal };
-        let cosine = -dot(facet, direction);
-        let source = Source {
+        let face_normal = if dot(normal, direction) > 0.0 { scale(normal, -1.0) } else { normal };
+        let cosine = -dot(face_normal, direction);
+        let source = VirtualLight {
             point: add(origin, scale(direction, hit.distance)),
             triangle: hit.triangle,
             edges: hit.edges,
-            facet,
+            face_normal,
             back: scale(direction, -1.0),
             carried: scale(carried, 1.0 / max(cosine, 1e-6)),
             density: 2.0 * cosine,
             sent: [0.0; 3],
-            normal: facet,
+            normal: face_normal,
             alpha: 1.0,
             cosine,
             near: 0.0,
             order: 0,
         };
         let power = carried[0] + carried[1] + carried[2];
-        (cosine > 1e-6).then_some(Arrival { number, power, source })
+        (cosine > 1e-6).then_some(LightVertex { number, power, source })
     }
 }
 
-/// Takes light paths to the next place of the wall.
-pub fn go_on(lit: &Lit<'_>, key: u32, on_way: &[Arrival]) -> Vec<Arrival> {
-    let mut next = Vec::with_capacity(on_way.len());
+/// Extends light paths to the next point of the wall.
+pub fn extend_light_paths(
+    transport: &LightTransport<'_>,
+    key: u32,
+    light_paths: &[LightVertex],
+) -> Vec<LightVertex> {
+    let mut next = Vec::with_capacity(light_paths.len());
     let mut ways = [([0.0; 3], None); LANES];
-    for (i, arrival) in on_way.iter().enumerate() {
-        let source = &arrival.source;
-        let (direction, _) = bsdf::leave(source.facet, point(key, arrival.number));
-        let start = add(source.point, scale(source.facet, offset(lit.wall)));
-        let hit = ray::cast::<false>(&lit.wall.bvh, start, direction, REACH, source.triangle);
+    for (i, vertex) in light_paths.iter().enumerate() {
+        let source = &vertex.source;
+        let (direction, _) = bsdf::cosine_direction(source.face_normal, point(key, vertex.number));
+        let start = add(source.point, scale(source.face_normal, ray_offset(transport.wall)));
+        let hit = ray::cast::<false>(&transport.wall.bvh, start, direction, REACH, source.triangle);
         ways[i] = (direction, hit);
     }
-    let reflected = reflected(lit, on_way, &ways);
-    for (i, Arrival { number, power, source }) in on_way.iter().enumerate() {
+    let reflectance = reflectance(transport, light_paths, &ways);
+    for (i, LightVertex { number, power, source }) in light_paths.iter().enumerate() {
         let (direction, Some(hit)) = ways[i] else { continue };
         // The density of directions is cos/π about the face: the cosine cancels.
-        let share = scale(at(&reflected, i), PI);
+        let share = scale(at(&reflectance, i), PI);
         let carried = [0, 1, 2].map(|k| source.carried[k] * share[k]);
         let chance = min((carried[0] + carried[1] + carried[2]) / power, 1.0);
         if point(dimension(key, 1), *number)[0] >= chance {
             continue;
         }
         let way = (source.point, direction);
-        next.extend(Arrival::new(lit.wall, *number, way, hit, scale(carried, 1.0 / chance)));
+        next.extend(LightVertex::new(
+            transport.wall,
+            *number,
+            way,
+            hit,
+            scale(carried, 1.0 / chance),
+        ));
     }
     next
 }
 
-/// Reflectance times cosine [1/sr] of sources, seen from where paths go.
-fn reflected(lit: &Lit<'_>, on_way: &[Arrival], ways: &[(Vec3, Option<Hit>); LANES]) -> Lane3 {
+/// Reflectance times cosine [1/sr] of virtual lights, seen from where paths go.
+fn reflectance(
+    transport: &LightTransport<'_>,
+    light_paths: &[LightVertex],
+    ways: &[(Vec3, Option<Hit>); LANES],
+) -> Lane3 {
     let seen = |i: usize| {
-        let source = &on_way[i].source;
+        let source = &light_paths[i].source;
         let (direction, hit) = ways[i];
         hit.map(|hit| (source, direction, hit.distance))
     };
     let (mut hits, mut view) = (Hits::within([0.0; LANES]), [[0.0; LANES]; 3]);
     let mut position = [[0.0; LANES]; 3];
-    for i in 0..on_way.len() {
+    for i in 0..light_paths.len() {
         let Some((source, direction, distance)) = seen(i) else { continue };
-        source.put(i, (direction, distance), (&mut hits, &mut position, &mut view));
+        source.write_lane(i, (direction, distance), (&mut hits, &mut position, &mut view));
     }
-    let surface = lit.surface(position, view, &hits);
+    let surface = transport.surface(position, view, &hits);
     let mut back = [[0.0; LANES]; 3];
-    for (i, arrival) in on_way.iter().enumerate() {
+    for (i, vertex) in light_paths.iter().enumerate() {
         for k in 0..3 {
-            back[k][i] = arrival.source.back[k];
+            back[k][i] = vertex.source.back[k];
         }
     }
-    let sent = towards(&surface, &lit.scene.material, &back);
+    let sent = evaluate_bsdf(&surface, &transport.scene.material, &back);
     let all = |base: Lane| std::array::from_fn(|i| base[i] + sent.gloss[i]);
     sent.base.map(all)
 }

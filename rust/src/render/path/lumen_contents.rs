@@ -1,7 +1,6 @@
-//! What floats in the lumen on the ways of paths: particles stop and reflect light, bubbles and
-//! liquid take their share of it.
+//! Lumen contents along paths: particles stop and reflect light, bubbles and liquid attenuate it.
 //!
-//! Ways are straight: a path that goes on from what the camera sees is refracted by nothing.
+//! Path segments are straight: beyond the first surface nothing refracts them.
 
 use crate::lumen::Contents;
 use crate::lumen::liquid::DRY;
@@ -16,7 +15,7 @@ use crate::wall::visibility::FREE_WAY;
 use std::f32::consts::LOG2_E;
 
 /// Contents of the lumen that paths travel in.
-pub struct Afloat<'a> {
+pub struct LumenMedia<'a> {
     /// The wall around them.
     pub wall: &'a Wall,
     /// What they are.
@@ -25,25 +24,24 @@ pub struct Afloat<'a> {
     pub of_leds: u16,
 }
 
-impl Afloat<'_> {
-    /// What a ray meets first, wall or particle, and what is left of the light that comes back along
-    /// it.
+impl LumenMedia<'_> {
+    /// What a ray meets first, wall or particle, and the transmittance back along it.
     #[inline(always)]
-    pub fn meet(&self, start: Vec3, heading: Vec3, from: u32, hit: Hit) -> (Hit, Vec3) {
-        let mut met = hit;
+    pub fn intersect(&self, start: Vec3, heading: Vec3, from: u32, hit: Hit) -> (Hit, Vec3) {
+        let mut hits = hit;
         self.contents.chyme.along(start, heading, hit.distance, |index, [near, _], _| {
-            if near > 0.0 && near < met.distance {
-                met = Hit { distance: near, triangle: MISS, particle: index as u32, ..met };
+            if near > 0.0 && near < hits.distance {
+                hits = Hit { distance: near, triangle: MISS, particle: index as u32, ..hits };
             }
         });
-        let end = add(start, scale(heading, met.distance));
-        let pool = self.pool_along((start, from), (end, hit.triangle));
-        (met, self.left((start, heading, met.distance), pool))
+        let end = add(start, scale(heading, hits.distance));
+        let pool = self.pool_between((start, from), (end, hit.triangle));
+        (hits, self.transmittance((start, heading, hits.distance), pool))
     }
 
-    /// What is left of an LED's light at a point; nothing where a particle is in the way.
+    /// Transmittance from an LED to a point; 0 where a particle is in between.
     #[inline(always)]
-    pub fn led_left(&self, led: Vec3, point: Vec3) -> Vec3 {
+    pub fn led_transmittance(&self, led: Vec3, point: Vec3) -> Vec3 {
         let offset = sub(point, led);
         let (heading, distance) = (normalize(offset), dot(offset, offset).sqrt());
         let reach = distance * FREE_WAY;
@@ -55,14 +53,14 @@ impl Afloat<'_> {
             return [0.0; 3];
         }
         let pool = if self.of_leds == DRY { self.pool_at(point) } else { self.of_leds };
-        self.left((led, heading, distance), pool)
+        self.transmittance((led, heading, distance), pool)
     }
 
-    /// Gives the particles among the surfaces met their place and look.
+    /// Gives the particles among the surfaces met their position and material.
     #[inline(always)]
-    pub fn show(&self, met: &[(u32, Hit)], surface: &mut Surface) {
+    pub fn shade_particles(&self, hits: &[(u32, Hit)], surface: &mut Surface) {
         let mut owner = [MISS; LANES];
-        for (i, (_, hit)) in met.iter().enumerate() {
+        for (i, (_, hit)) in hits.iter().enumerate() {
             owner[i] = hit.particle;
             if hit.particle != MISS {
                 let sphere = &self.contents.chyme.all[hit.particle as usize];
@@ -75,29 +73,30 @@ impl Afloat<'_> {
         paint(&self.contents.chyme, &owner, surface);
     }
 
-    /// Share of light that gets along a way through bubbles and the liquid of a pool.
+    /// Transmittance along a segment through bubbles and the liquid of a pool.
     #[inline(always)]
-    fn left(&self, (start, heading, length): (Vec3, Vec3, f32), pool: u16) -> Vec3 {
-        let mut left = [1.0; 3];
+    fn transmittance(&self, (start, heading, length): (Vec3, Vec3, f32), pool: u16) -> Vec3 {
+        let mut transmittance = [1.0; 3];
         self.contents.bubbles.along(start, heading, length, |_, ways, miss| {
             for way in ways {
                 let passes = self.contents.film.passes(miss);
-                left = scale(left, if way > 0.0 && way < length { passes } else { 1.0 });
+                transmittance =
+                    scale(transmittance, if way > 0.0 && way < length { passes } else { 1.0 });
             }
         });
         let Some((pools, optics)) = self.contents.pools.as_ref().filter(|_| pool != DRY) else {
-            return left;
+            return transmittance;
         };
         let level = pools.level(pool);
         let (below, above) = (level - start[2], level - start[2] - length * heading[2]);
         let sunk = max(below, 0.0) + max(above, 0.0);
         let way = length * sunk / max(below.abs() + above.abs(), 1e-9);
-        [0, 1, 2].map(|k| left[k] * exp2(-LOG2_E * optics.extinction(k) * way))
+        [0, 1, 2].map(|k| transmittance[k] * exp2(-LOG2_E * optics.extinction(k) * way))
     }
 
-    /// Pool that a way from one surface to another leads through: of the end that lies in it.
+    /// Pool that a segment between two surfaces leads through: of the end that lies in it.
     #[inline(always)]
-    fn pool_along(&self, start: (Vec3, u32), end: (Vec3, u32)) -> u16 {
+    fn pool_between(&self, start: (Vec3, u32), end: (Vec3, u32)) -> u16 {
         let Some((pools, _)) = &self.contents.pools else { return DRY };
         for (point, triangle) in [start, end] {
             if triangle == MISS {

@@ -1,13 +1,13 @@
-//! Light that the wall reflects more than once: path tracing (Kajiya 1986).
+//! Wavefront path tracing of indirect light (Kajiya 1986).
 //!
 //! The first reflection is exact, it is the direct image. From each surface that a tile's rays
-//! meet, paths go on along the wall; at each place they meet, light from one LED is added (next
-//! event estimation). An LED is a point: no path can hit it, so nothing is counted twice. Light paths
-//! from the LEDs leave sources on the wall, to which the first surfaces are connected (bidirectional
-//! path tracing: Veach 1997, chapter 10).
+//! meet, paths continue along the wall; at each surface they meet, light from one LED is added
+//! (next event estimation). An LED is a point: no path can hit it, so nothing is counted twice.
+//! Light paths from the LEDs leave virtual lights on the wall, to which the first surfaces are
+//! connected (bidirectional path tracing: Veach 1997, chapter 10).
 //!
-//! Paths go in waves, not one by one: all of a band of tiles take a step together, so that shading
-//! runs over lanes and ways to an LED are traced as packets.
+//! Paths advance in wavefronts, not one by one: all of a band of tiles together, so that shading
+//! runs over lanes and shadow rays to an LED are traced as packets.
 
 pub mod bsdf;
 pub mod light_paths;
@@ -24,19 +24,19 @@ pub mod wavefront;
 use crate::render::material::Surface;
 use crate::simd::f32x64::*;
 
-/// How paths are traced.
+/// Settings of path tracing.
 #[derive(Clone, Copy)]
 pub struct Settings {
-    /// Paths of each ray of the camera.
-    pub samples: u32,
+    /// Samples per pixel: paths of each camera ray.
+    pub spp: u32,
     /// Most reflections of a path; 1 is direct light.
-    pub depth: u32,
+    pub max_bounces: u32,
     /// Chooses the paths.
     pub seed: u64,
 }
 
-/// Surfaces that a tile's rays meet first, whence paths set out.
-pub struct First {
+/// Primary hits of a tile's rays, where paths start.
+pub struct PrimaryHit {
     /// The surfaces.
     pub surface: Surface,
     /// Lanes that met one.

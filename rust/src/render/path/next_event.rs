@@ -1,22 +1,22 @@
-//! Light of one LED on each place that paths have come to.
+//! Next event estimation: light of one LED at each surface that paths have met.
 
 use crate::render::material::Led;
-use crate::render::path::shadow_rays::{Request, Requests};
+use crate::render::path::shadow_rays::{ShadowRay, ShadowRays};
 use crate::render::path::sobol::{dimension, point};
 use crate::render::path::wavefront::{Path, Tracer};
 use crate::simd::f32x64::*;
 
 impl Tracer<'_> {
-    /// Asks for the light of one LED on each of the places that `paths` have come to; `light` adds
-    /// what an LED would leave there.
+    /// Requests a shadow ray to one LED from each surface that `paths` have met; `light` adds the
+    /// radiance that an unshadowed LED leaves there.
     #[inline(always)]
-    pub(super) fn ask(
+    pub(super) fn request_led_light(
         &self,
         reflection: u32,
         position: &Lane3,
         light: impl Fn(&Led, &mut Lane3),
         paths: &[Path],
-        requests: &mut Requests,
+        requests: &mut ShadowRays,
     ) {
         let mut throughput = [[0.0; LANES]; 3];
         let mut number = [0.0; LANES];
@@ -26,11 +26,11 @@ impl Tracer<'_> {
                 throughput[k][i] = path.throughput[k];
             }
         }
-        let light = self.one_led(light, &throughput, number);
+        let light = self.choose_led(light, &throughput, number);
         for (i, path) in paths.iter().enumerate().filter(|&(i, _)| light.weight[i] > 0.0) {
             let factor = light.total[i] / light.weight[i];
             let radiance = at(&light.radiance, i);
-            requests.open.push(Request {
+            requests.pending.push(ShadowRay {
                 point: at(position, i),
                 light: [0, 1, 2].map(|k| path.throughput[k] * radiance[k] * factor),
                 pixel: path.pixel,
@@ -41,19 +41,19 @@ impl Tracer<'_> {
 
     /// Chooses one LED for each lane in proportion to what it would add to the pixel unshadowed.
     #[inline(always)]
-    fn one_led(
+    fn choose_led(
         &self,
         light: impl Fn(&Led, &mut Lane3),
         throughput: &Lane3,
         mut number: Lane,
-    ) -> OneLed {
-        let mut out = OneLed {
+    ) -> ChosenLed {
+        let mut out = ChosenLed {
             led: [0; LANES],
             radiance: [[0.0; LANES]; 3],
             weight: [0.0; LANES],
             total: [0.0; LANES],
         };
-        for (led_number, led) in self.lit.leds.iter().enumerate() {
+        for (led_number, led) in self.transport.leds.iter().enumerate() {
             let mut radiance = [[0.0; LANES]; 3];
             light(led, &mut radiance);
             for i in 0..LANES {
@@ -81,7 +81,7 @@ impl Tracer<'_> {
 }
 
 /// One LED for each lane.
-struct OneLed {
+struct ChosenLed {
     led: [u32; LANES],
     /// Radiance that the surface would leave of its light.
     radiance: Lane3,

@@ -1,17 +1,20 @@
-//! Ways from what the camera sees to sources of light: few of many are chosen, and looked along.
+//! Connections from primary hits to virtual lights by resampled importance sampling (Talbot, Cline
+//! and Egbert 2005).
 //!
-//! Each quarter of a tile's pixels, one of every square of four, is offered the sources of some
-//! hundred light paths. A pixel chooses as many as it has samples, in proportion to about what they
-//! add to it, and makes up for the choice by the sum over all (resampled importance sampling:
-//! Talbot, Cline and Egbert 2005). A path that the reflectance sends out may come to the same place:
-//! the balance heuristic (Veach 1997) shares between the two.
+//! Each quarter of a tile's pixels, one of every square of four, has the virtual lights of some
+//! hundred light paths as candidates. A pixel chooses as many as it has samples, in proportion to
+//! about what they contribute, weights them by the sum over all, and traces a visibility ray to
+//! each. A path sampled from the BSDF may reach the same point: the balance heuristic (Veach 1997)
+//! weights the two.
 
-use crate::render::material::{Coat, Material, Surface, coat_fresnel, fresnel, ggx};
-use crate::render::path::First;
-use crate::render::path::bsdf::towards;
+use crate::render::material::{Clearcoat, Material, Surface, clearcoat_fresnel, fresnel, ggx};
+use crate::render::path::PrimaryHit;
+use crate::render::path::bsdf::evaluate_bsdf;
 use crate::render::path::sobol::{dimension, hash, unit};
-use crate::render::path::subsurface::offset;
-use crate::render::path::virtual_lights::{OWN, Offer, Shares, Source, Sources};
+use crate::render::path::subsurface::ray_offset;
+use crate::render::path::virtual_lights::{
+    Candidates, MisWeights, PATH_WEIGHT, VirtualLight, VirtualLights,
+};
 use crate::render::path::wavefront::Tracer;
 use crate::simd::f32x64::*;
 use crate::wall::packet::Hits;
@@ -20,73 +23,83 @@ use crate::wall::visibility::FREE_WAY;
 use std::f32::consts::PI;
 use std::ops::Range;
 
-/// Pixels that are offered the same sources.
-const SOME: usize = LANES / 4;
+/// Pixels that share candidates.
+const GROUP: usize = LANES / 4;
 
-/// A way from a lane to a source.
+/// A connection from a lane to a virtual light.
 #[derive(Clone, Copy)]
-struct Pair {
+struct Connection {
     lane: u32,
-    /// Number of the source among those offered.
+    /// Number of the virtual light among the candidates.
     source: u32,
     /// One over how often it was expected to be chosen.
     weight: f32,
 }
 
-/// Room for what a tile chooses from; kept from tile to tile.
+/// Scratch memory for what a tile chooses from; kept from tile to tile.
 #[derive(Default)]
-pub struct Room {
-    /// What each source adds to each place, about.
-    worth: Vec<[f32; SOME]>,
-    pairs: Vec<Pair>,
+pub struct Scratch {
+    /// Target density of each virtual light at each receiver.
+    target: Vec<[f32; GROUP]>,
+    connections: Vec<Connection>,
 }
 
-/// Places that are offered the same sources, and the lanes where they are.
-struct Places {
-    lanes: [usize; SOME],
-    position: [[f32; SOME]; 3],
-    normal: [[f32; SOME]; 3],
-    facet: [[f32; SOME]; 3],
-    /// Base colours; 0 where nothing is seen.
-    albedo: [[f32; SOME]; 3],
+/// Receivers that share candidates, and their lanes.
+struct Receivers {
+    lanes: [usize; GROUP],
+    position: [[f32; GROUP]; 3],
+    normal: [[f32; GROUP]; 3],
+    face_normal: [[f32; GROUP]; 3],
+    /// Base colors; 0 where nothing is seen.
+    albedo: [[f32; GROUP]; 3],
 }
 
 impl Tracer<'_> {
-    /// Adds to `sums`, of one tile, its light by way of sources for some samples.
+    /// Adds to `sums`, of one tile, its light by way of virtual lights for some samples.
     #[inline(always)]
-    pub(super) fn connect(
+    pub(super) fn connect_virtual_lights(
         &self,
-        sources: &Sources,
-        (first, facets): (&First, &Lane3),
+        sources: &VirtualLights,
+        (first, face_normals): (&PrimaryHit, &Lane3),
         (keys, samples): (&[u32; LANES], Range<u32>),
-        (room, sums): (&mut Room, &mut [[f64; 3]]),
+        (scratch, sums): (&mut Scratch, &mut [[f64; 3]]),
     ) {
-        let gloss = Gloss::new(&self.lit.scene.material);
+        let gloss = Gloss::new(&self.transport.scene.material);
         for quarter in 0..4 {
-            let places = Places::new(first, facets, quarter);
+            let receivers = Receivers::new(first, face_normals, quarter);
             let key = |lane: usize| hash(dimension(keys[lane], 6) ^ hash(samples.start));
-            let offer = sources.offer(key(places.lanes[0]), self.offered);
-            let numbers = places.lanes.map(|lane| unit(key(lane)));
+            let candidates = sources.candidates(key(receivers.lanes[0]), self.candidate_paths);
+            let numbers = receivers.lanes.map(|lane| unit(key(lane)));
             let numbers = (&numbers, samples.len());
             if gloss.is_any() {
-                places.choose::<true>(&offer, &gloss, numbers, room);
+                receivers.resample::<true>(&candidates, &gloss, numbers, scratch);
             } else {
-                places.choose::<false>(&offer, &gloss, numbers, room);
+                receivers.resample::<false>(&candidates, &gloss, numbers, scratch);
             }
-            for pairs in room.pairs.chunks(LANES) {
-                let light = self.arriving(&offer, &first.surface, pairs);
-                let scale = samples.len() as f32 / offer.paths as f32;
-                self.look(&offer, (first, facets), pairs, (&light, scale, &mut *sums));
+            for connections in scratch.connections.chunks(LANES) {
+                let light = self.unoccluded_light(&candidates, &first.surface, connections);
+                let scale = samples.len() as f32 / candidates.paths as f32;
+                self.trace_connections(
+                    &candidates,
+                    (first, face_normals),
+                    connections,
+                    (&light, scale, &mut *sums),
+                );
             }
         }
     }
 
-    /// Radiance towards the viewer by way of up to `LANES` pairs, were nothing in the way.
+    /// Unoccluded radiance towards the viewer by up to `LANES` connections.
     #[inline(always)]
-    fn arriving(&self, offer: &Offer<'_>, surface: &Surface, pairs: &[Pair]) -> Lane3 {
+    fn unoccluded_light(
+        &self,
+        candidates: &Candidates<'_>,
+        surface: &Surface,
+        connections: &[Connection],
+    ) -> Lane3 {
         let of = |i: usize| {
-            let pair = pairs[i.min(pairs.len() - 1)];
-            (pair, &offer.sources[pair.source as usize])
+            let connection = connections[i.min(connections.len() - 1)];
+            (connection, &candidates.sources[connection.source as usize])
         };
         let place = gathered(surface, &std::array::from_fn(|i| of(i).0.lane as usize));
         let (mut hits, mut view) = (Hits::within([0.0; LANES]), [[0.0; LANES]; 3]);
@@ -95,61 +108,68 @@ impl Tracer<'_> {
             let source = of(i).1;
             let offset = sub(source.point, at(&place.position, i));
             let (way, distance) = (normalize(offset), dot(offset, offset).sqrt());
-            source.put(i, (scale(way, -1.0), distance), (&mut hits, &mut position, &mut view));
+            source.write_lane(
+                i,
+                (scale(way, -1.0), distance),
+                (&mut hits, &mut position, &mut view),
+            );
             for k in 0..3 {
                 ways[k][i] = way[k];
             }
         }
-        let seen = self.lit.surface(position, view, &hits);
+        let seen = self.transport.surface(position, view, &hits);
         let mut back = [[0.0; LANES]; 3];
         for i in 0..LANES {
             for k in 0..3 {
                 back[k][i] = of(i).1.back[k];
             }
         }
-        let sent = towards(&seen, &self.lit.scene.material, &back);
-        let taken = towards(&place, &self.lit.scene.material, &ways);
+        let sent = evaluate_bsdf(&seen, &self.transport.scene.material, &back);
+        let taken = evaluate_bsdf(&place, &self.transport.scene.material, &ways);
         let mut light = [[0.0; LANES]; 3];
         for i in 0..LANES {
-            let (pair, source) = of(i);
+            let (connection, source) = of(i);
             let square = max(hits.distance[i] * hits.distance[i], 1e-14);
-            let spread = -dot(source.facet, at(&ways, i)) / square;
-            let own = taken.density[i] * spread;
-            let Shares { base, gloss } = Shares::new(source.density, own, offer.paths);
+            let spread = -dot(source.face_normal, at(&ways, i)) / square;
+            let own = taken.pdf[i] * spread;
+            let MisWeights { base, gloss } = MisWeights::new(source.density, own, candidates.paths);
             // Where the LED's own light is reflected, gloss at either end counts as gloss.
             let glossy = if source.order == 1 { gloss } else { base };
             for k in 0..3 {
                 let matt = base * sent.base[k][i] + glossy * sent.gloss[i];
                 let shiny = gloss * (sent.base[k][i] + sent.gloss[i]);
                 let value = taken.base[k][i] * matt + taken.gloss[i] * shiny;
-                light[k][i] = value * source.carried[k] * spread * pair.weight;
+                light[k][i] = value * source.carried[k] * spread * connection.weight;
             }
         }
         light
     }
 
-    /// Looks along the ways of pairs and adds what comes along those that are free.
+    /// Traces the visibility rays of connections and adds the light of unoccluded ones.
     #[inline(always)]
-    fn look(
+    fn trace_connections(
         &self,
-        offer: &Offer<'_>,
-        (first, facets): (&First, &Lane3),
-        pairs: &[Pair],
+        candidates: &Candidates<'_>,
+        (first, face_normals): (&PrimaryHit, &Lane3),
+        connections: &[Connection],
         (light, scaled, sums): (&Lane3, f32, &mut [[f64; 3]]),
     ) {
-        let clear = offset(self.lit.wall);
-        for (i, pair) in pairs.iter().enumerate() {
+        let clear = ray_offset(self.transport.wall);
+        for (i, connection) in connections.iter().enumerate() {
             let value = scale(at(light, i), scaled);
             if max(value[0], max(value[1], value[2])) <= 0.0 {
                 continue;
             }
-            let (lane, source) = (pair.lane as usize, &offer.sources[pair.source as usize]);
-            let start = add(source.point, scale(source.facet, clear));
-            let end = add(at(&first.surface.position, lane), scale(at(facets, lane), clear));
+            let (lane, source) =
+                (connection.lane as usize, &candidates.sources[connection.source as usize]);
+            let start = add(source.point, scale(source.face_normal, clear));
+            let end = add(at(&first.surface.position, lane), scale(at(face_normals, lane), clear));
             let way = sub(end, start);
             let reach = dot(way, way).sqrt() * FREE_WAY;
             let way = normalize(way);
-            if ray::cast::<true>(&self.lit.wall.bvh, start, way, reach, source.triangle).is_none() {
+            if ray::cast::<true>(&self.transport.wall.bvh, start, way, reach, source.triangle)
+                .is_none()
+            {
                 for k in 0..3 {
                     sums[lane][k] += f64::from(value[k]);
                 }
@@ -158,10 +178,10 @@ impl Tracer<'_> {
     }
 }
 
-impl Places {
+impl Receivers {
     /// Of a quarter of a tile's lanes.
     #[inline(always)]
-    fn new(first: &First, facets: &Lane3, quarter: usize) -> Self {
+    fn new(first: &PrimaryHit, face_normals: &Lane3, quarter: usize) -> Self {
         let lanes = std::array::from_fn(|p| {
             let (row, column) = (p / (TILE / 2), p % (TILE / 2));
             (2 * row + quarter / 2) * TILE + 2 * column + quarter % 2
@@ -169,27 +189,34 @@ impl Places {
         let some = |v: &Lane3| [0, 1, 2].map(|k| lanes.map(|i: usize| v[k][i]));
         let surface = &first.surface;
         let color = |k: usize| {
-            lanes.map(|i| if first.hit[i] { surface.albedo[k][i] + Source::GLOSS } else { 0.0 })
+            lanes.map(
+                |i| if first.hit[i] { surface.albedo[k][i] + VirtualLight::GLOSS } else { 0.0 },
+            )
         };
-        Places {
+        Receivers {
             lanes,
             position: some(&surface.position),
             normal: some(&surface.normal),
-            facet: some(facets),
+            face_normal: some(face_normals),
             albedo: [color(0), color(1), color(2)],
         }
     }
 
-    /// About what a source adds to each place, but for a factor that is the same for all.
+    /// Target density: about what a virtual light adds to each receiver, up to a common factor.
     #[inline(always)]
-    fn worth<const GLOSSY: bool>(&self, source: &Source, gloss: &Gloss, near: f32) -> [f32; SOME] {
-        let mut out = [0.0; SOME];
-        let shiny = near * (OWN.gloss / OWN.base);
-        for i in 0..SOME {
-            let get = |v: &[[f32; SOME]; 3]| [v[0][i], v[1][i], v[2][i]];
+    fn target<const GLOSSY: bool>(
+        &self,
+        source: &VirtualLight,
+        gloss: &Gloss,
+        near: f32,
+    ) -> [f32; GROUP] {
+        let mut out = [0.0; GROUP];
+        let shiny = near * (PATH_WEIGHT.gloss / PATH_WEIGHT.base);
+        for i in 0..GROUP {
+            let get = |v: &[[f32; GROUP]; 3]| [v[0][i], v[1][i], v[2][i]];
             let (offset, albedo) = (sub(source.point, get(&self.position)), get(&self.albedo));
             let square = max(dot(offset, offset), 1e-14);
-            let leaving = max(-dot(source.facet, offset), 0.0);
+            let leaving = max(-dot(source.face_normal, offset), 0.0);
             let met = max(dot(get(&self.normal), offset), 0.0) * leaving;
             let mut value = dot(albedo, source.sent) * met / (square * square + met * near);
             if GLOSSY {
@@ -197,44 +224,45 @@ impl Places {
                 let sent = dot(albedo, source.carried) * sent;
                 value += sent * met / (square * square + met * shiny);
             }
-            out[i] = if dot(get(&self.facet), offset) > 0.0 { value } else { 0.0 };
+            out[i] = if dot(get(&self.face_normal), offset) > 0.0 { value } else { 0.0 };
         }
         out
     }
 
-    /// Chooses `count` sources for each place in proportion to their worth, evenly in their order.
+    /// Chooses `count` virtual lights for each receiver in proportion to the target density, by
+    /// stratified sampling in their order.
     #[inline(always)]
-    fn choose<const GLOSSY: bool>(
+    fn resample<const GLOSSY: bool>(
         &self,
-        offer: &Offer<'_>,
+        candidates: &Candidates<'_>,
         gloss: &Gloss,
-        (numbers, count): (&[f32; SOME], usize),
-        room: &mut Room,
+        (numbers, count): (&[f32; GROUP], usize),
+        scratch: &mut Scratch,
     ) {
-        let Room { worth, pairs } = room;
-        let mut total = [0.0; SOME];
-        worth.clear();
-        pairs.clear();
-        for source in offer.sources {
-            let each = self.worth::<GLOSSY>(source, gloss, source.near / offer.paths as f32);
-            for i in 0..SOME {
+        let Scratch { target, connections } = scratch;
+        let mut total = [0.0; GROUP];
+        target.clear();
+        connections.clear();
+        for source in candidates.sources {
+            let each = self.target::<GLOSSY>(source, gloss, source.near / candidates.paths as f32);
+            for i in 0..GROUP {
                 total[i] += each[i];
             }
-            worth.push(each);
+            target.push(each);
         }
         let step = total.map(|t| if t > 0.0 { count as f32 / t } else { 0.0 });
-        let (mut sum, mut taken) = (*numbers, [0.0f32; SOME]);
-        for (source, each) in worth.iter().enumerate() {
+        let (mut sum, mut taken) = (*numbers, [0.0f32; GROUP]);
+        for (source, each) in target.iter().enumerate() {
             let mut is_any = false;
             let before = sum;
-            for i in 0..SOME {
+            for i in 0..GROUP {
                 sum[i] += each[i] * step[i];
                 is_any |= sum[i] >= taken[i] + 1.0;
             }
             if !is_any {
                 continue;
             }
-            for i in 0..SOME {
+            for i in 0..GROUP {
                 if sum[i] < taken[i] + 1.0 {
                     continue;
                 }
@@ -242,17 +270,21 @@ impl Places {
                 taken[i] += times;
                 // The expected number of times, as rounded as the sums are.
                 let weight = times / (sum[i] - before[i]);
-                pairs.push(Pair { lane: self.lanes[i] as u32, source: source as u32, weight });
+                connections.push(Connection {
+                    lane: self.lanes[i] as u32,
+                    source: source as u32,
+                    weight,
+                });
             }
         }
     }
 }
 
-/// Gloss of sources, about.
+/// Gloss of virtual lights, about.
 struct Gloss {
-    coat: Coat,
-    /// Strength of the film.
-    film: f32,
+    clearcoat: Clearcoat,
+    /// Strength of the clearcoat.
+    clearcoat_strength: f32,
     /// Reflectance of the base's gloss at right angles.
     straight: f32,
 }
@@ -260,27 +292,32 @@ struct Gloss {
 impl Gloss {
     fn new(material: &Material) -> Self {
         let straight = fresnel(1.0, material.ior);
-        Gloss { coat: Coat::new(material), film: 0.25 * material.coat, straight }
+        Gloss {
+            clearcoat: Clearcoat::new(material),
+            clearcoat_strength: 0.25 * material.clearcoat,
+            straight,
+        }
     }
 
     /// Whether there is any gloss.
     fn is_any(&self) -> bool {
-        self.film > 0.0 || self.straight > 0.0
+        self.clearcoat_strength > 0.0 || self.straight > 0.0
     }
 
-    /// π times what a source's gloss sends along a unit way, over what it carries.
+    /// π times what a virtual light's gloss sends along a unit way, over what it carries.
     #[inline(always)]
-    fn sent(&self, source: &Source, way: Vec3) -> f32 {
+    fn sent(&self, source: &VirtualLight, way: Vec3) -> f32 {
         let half = add(way, source.back);
         let square = max(dot(half, half), 1e-6);
         let inverse = 1.0 / square.sqrt();
         let cosine = dot(source.normal, half) * inverse;
         // Half the length of the sum is the cosine between way and half vector.
-        let fresnel = coat_fresnel(0.5 * square * inverse);
+        let fresnel = clearcoat_fresnel(0.5 * square * inverse);
         let shown = max(dot(source.normal, way), 0.5 * source.alpha);
         let base = max(self.straight, fresnel - 0.04) * ggx(cosine, source.alpha) * 0.25 / shown;
         let base = if self.straight > 0.0 { base } else { 0.0 };
-        PI * (base + self.film * fresnel * self.coat.density(cosine) * source.cosine)
+        PI * (base
+            + self.clearcoat_strength * fresnel * self.clearcoat.density(cosine) * source.cosine)
     }
 }
 

@@ -1,7 +1,7 @@
-//! Light that arrives unless something is in the way: asked for one by one, settled together.
+//! Shadow rays to the LEDs, requested one by one and traced together.
 //!
-//! Ways from one LED share their origin. Sorted by direction, 64 neighbours make a narrow pyramid,
-//! and are traced like a tile of an image.
+//! Shadow rays from one LED share their origin. Sorted by direction, 64 neighbors make a narrow
+//! packet, and are traced like a tile of an image.
 
 use crate::render::path::wavefront::Tracer;
 use crate::simd::f32x64::*;
@@ -11,20 +11,20 @@ use crate::wall::ray;
 use crate::wall::visibility::ways;
 
 /// Cells along each side of the square that directions are sorted by.
-const CELLS: u32 = 16;
-/// Fewer ways, or wider apart, are traced one by one: sine of the pyramid's half angle.
-const FEWEST: usize = 6;
-const WIDEST: f32 = 0.6;
-/// Triangles after which the ways left are traced one by one: where triangles are small, a pyramid
-/// meets more of them than its rays do.
-const MOST: u32 = 300;
+const DIRECTION_CELLS: u32 = 16;
+/// Fewer rays, or wider apart, are traced one by one: sine of the packet's half angle.
+const MIN_PACKET: usize = 6;
+const MAX_PACKET_SINE: f32 = 0.6;
+/// Triangles after which the remaining rays are traced one by one: where triangles are small, a
+/// packet meets more of them than its rays do.
+const MAX_TRIANGLES: u32 = 300;
 
 /// Light from an LED to a point, on its way to a pixel.
 #[derive(Clone, Copy)]
-pub struct Request {
+pub struct ShadowRay {
     /// Point on the wall [m].
     pub point: Vec3,
-    /// What the pixel gets if the way is free.
+    /// What the pixel gets if it is unoccluded.
     pub light: Vec3,
     /// Number of the pixel among the sums.
     pub pixel: u32,
@@ -32,33 +32,33 @@ pub struct Request {
     pub led: u32,
 }
 
-/// Requests of one wave; its memory is kept from wave to wave.
+/// Requests of one wavefront; its memory is kept from wavefront to wavefront.
 #[derive(Default)]
-pub struct Requests {
-    /// What was asked for since the last settling.
-    pub open: Vec<Request>,
+pub struct ShadowRays {
+    /// Requested since they were last resolved.
+    pub pending: Vec<ShadowRay>,
     keys: Vec<u32>,
     starts: Vec<u32>,
     order: Vec<u32>,
 }
 
-impl Requests {
-    /// Adds to `sums` the light that arrives and forgets all requests.
+impl ShadowRays {
+    /// Adds to `sums` the unoccluded light and forgets all requests.
     #[inline(always)]
-    pub fn settle(&mut self, tracer: &Tracer<'_>, leds: &[Vec3], sums: &mut [[f64; 3]]) {
+    pub fn resolve(&mut self, tracer: &Tracer<'_>, leds: &[Vec3], sums: &mut [[f64; 3]]) {
         self.sort(leds);
         let mut rest = &self.order[..];
         while let Some(&first) = rest.first() {
-            let led = self.open[first as usize].led;
+            let led = self.pending[first as usize].led;
             let most = rest.len().min(LANES);
-            let same = |&number: &u32| self.open[number as usize].led == led;
+            let same = |&number: &u32| self.pending[number as usize].led == led;
             let count = rest[..most].iter().take_while(|number| same(number)).count();
             let (chunk, after) = rest.split_at(count);
             let origin = leds[led as usize];
-            let lit = self.lit(tracer.lit.wall, origin, chunk);
+            let lit = self.unoccluded(tracer.transport.wall, origin, chunk);
             for (&number, _) in chunk.iter().zip(lit).filter(|&(_, lit)| lit) {
-                let Request { point, light, pixel, .. } = self.open[number as usize];
-                let left = tracer.afloat.as_ref().map(|a| a.led_left(origin, point));
+                let ShadowRay { point, light, pixel, .. } = self.pending[number as usize];
+                let left = tracer.media.as_ref().map(|a| a.led_transmittance(origin, point));
                 let left = left.unwrap_or([1.0; 3]);
                 for k in 0..3 {
                     sums[pixel as usize][k] += f64::from(light[k] * left[k]);
@@ -66,26 +66,33 @@ impl Requests {
             }
             rest = after;
         }
-        self.open.clear();
+        self.pending.clear();
     }
 
-    /// Which of up to `LANES` requests to one LED have a free way.
+    /// Which of up to `LANES` rays from one LED are unoccluded.
     #[inline(always)]
-    fn lit(&self, wall: &Wall, origin: Vec3, chunk: &[u32]) -> [bool; LANES] {
+    fn unoccluded(&self, wall: &Wall, origin: Vec3, chunk: &[u32]) -> [bool; LANES] {
         let (mut points, mut used) = ([[0.0; LANES]; 3], [false; LANES]);
         for (i, &number) in chunk.iter().enumerate() {
             used[i] = true;
             for k in 0..3 {
-                points[k][i] = self.open[number as usize].point[k];
+                points[k][i] = self.pending[number as usize].point[k];
             }
         }
         let (directions, reach) = ways(origin, &points, &used);
         let pyramid = Pyramid::around(directions, &used);
         let width = pyramid.sides.iter().fold(0.0, |w, &side| max(w, dot(side, pyramid.axis)));
         let mut hits = Hits::within(reach);
-        let is_narrow = pyramid.closed && width < WIDEST && chunk.len() >= FEWEST;
+        let is_narrow = pyramid.closed && width < MAX_PACKET_SINE && chunk.len() >= MIN_PACKET;
         let is_done = is_narrow
-            && trace_at_most::<true>(MOST, &wall.bvh, origin, &pyramid, wall.extent, &mut hits);
+            && trace_at_most::<true>(
+                MAX_TRIANGLES,
+                &wall.bvh,
+                origin,
+                &pyramid,
+                wall.extent,
+                &mut hits,
+            );
         let mut lit = [false; LANES];
         for i in 0..chunk.len() {
             lit[i] = hits.triangle[i] == MISS;
@@ -100,11 +107,11 @@ impl Requests {
     /// Puts the requests in order of LED and direction, by counting.
     #[inline(always)]
     fn sort(&mut self, leds: &[Vec3]) {
-        let cells = (CELLS * CELLS) as usize;
+        let cells = (DIRECTION_CELLS * DIRECTION_CELLS) as usize;
         self.keys.clear();
-        self.keys.extend(self.open.iter().map(|request| {
+        self.keys.extend(self.pending.iter().map(|request| {
             let direction = sub(request.point, leds[request.led as usize]);
-            request.led * CELLS * CELLS + cell(direction)
+            request.led * DIRECTION_CELLS * DIRECTION_CELLS + cell(direction)
         }));
         self.starts.clear();
         self.starts.resize(leds.len() * cells + 1, 0);
@@ -115,7 +122,7 @@ impl Requests {
             self.starts[key] += self.starts[key - 1];
         }
         self.order.clear();
-        self.order.resize(self.open.len(), 0);
+        self.order.resize(self.pending.len(), 0);
         for (number, &key) in self.keys.iter().enumerate() {
             let place = &mut self.starts[key as usize];
             self.order[*place as usize] = number as u32;
@@ -125,14 +132,15 @@ impl Requests {
 }
 
 /// Cell of a direction of any length: the octahedron unfolded to a square (Cigolle et al. 2014),
-/// its cells numbered so that those in a row are neighbours (Morton 1966).
+/// its cells numbered so that those in a row are neighbors (Morton 1966).
 #[inline(always)]
 fn cell([x, y, z]: Vec3) -> u32 {
     let inverse = 1.0 / max(x.abs() + y.abs() + z.abs(), 1e-20);
     let (u, v) = (x * inverse, y * inverse);
     let folded = |a: f32, b: f32| (1.0 - b.abs()).copysign(a);
     let (u, v) = if z < 0.0 { (folded(u, v), folded(v, u)) } else { (u, v) };
-    let whole = |a: f32| (((a + 1.0) * (0.5 * CELLS as f32)) as u32).min(CELLS - 1);
+    let whole =
+        |a: f32| (((a + 1.0) * (0.5 * DIRECTION_CELLS as f32)) as u32).min(DIRECTION_CELLS - 1);
     let spread = |a: u32| {
         let a = (a | a << 2) & 0x33;
         (a | a << 1) & 0x55
@@ -146,7 +154,7 @@ mod tests {
 
     #[test]
     fn cells_are_a_share_of_the_sphere() {
-        let (steps, mut count) = (400, vec![0; (CELLS * CELLS) as usize]);
+        let (steps, mut count) = (400, vec![0; (DIRECTION_CELLS * DIRECTION_CELLS) as usize]);
         for i in 0..steps {
             for j in 0..steps {
                 let z = (2 * i + 1) as f32 / steps as f32 - 1.0;

@@ -1,5 +1,5 @@
-//! Numbers that fill the unit square evenly: the first two dimensions of Sobol's sequence (1967),
-//! scrambled after Owen (1995) by hashing (Burley 2020, *Practical hash-based Owen scrambling*).
+//! Owen-scrambled Sobol points: the first two dimensions of Sobol's sequence (1967), scrambled
+//! after Owen (1995) by hashing (Burley 2020, *Practical hash-based Owen scrambling*).
 //!
 //! A number depends on the seed, the pixel, the dimension and the sample only: not on threads, nor
 //! on the order in which paths are traced.

@@ -1,10 +1,10 @@
-//! Light inside the tissue behind the wall: a random walk from border to border.
+//! Subsurface scattering: random walks of light in the tissue behind the wall.
 //!
-//! Scattering is even in all directions, by the similarity of reduced coefficients. Free ways are
-//! drawn for one colour, in proportion to what each still carries, and weighted for all three by
-//! the density of the mixture (Chiang, Kutz and Burley 2016; Kutz et al. 2017). The border is the
-//! wall's own triangles: light that comes out elsewhere, such as on the far side of a fold, is seen
-//! there. Behind the wall tissue goes on without end.
+//! Scattering is isotropic, by the similarity of reduced coefficients. Free paths are sampled for
+//! one color, in proportion to the throughput of each, and weighted for all three by the density of
+//! the mixture (Chiang, Kutz and Burley 2016; Kutz et al. 2017). The interface is the wall's own
+//! triangles: light that comes out elsewhere, such as on the far side of a fold, is seen there.
+//! Behind the wall tissue goes on without end.
 
 use crate::render::material::fresnel;
 use crate::render::path::bsdf::{circle, on_circle};
@@ -17,14 +17,14 @@ use numpy::{IntoPyArray, PyArray2, ndarray::Array2};
 use pyo3::{exceptions::PyValueError, prelude::*};
 use rayon::prelude::*;
 
-/// Most free ways of a walk; so few last longer that it is no more than a safeguard.
-const MOST: u32 = 8192;
+/// Most free paths of a walk; so few last longer that it is no more than a safeguard.
+const MAX_FREE_PATHS: u32 = 8192;
 /// One over the share below which a walk may end early (Russian roulette); ends are noise.
-const ENDURING: f32 = 2.0;
-/// How far a way starts from the wall, as a share of the largest coordinate: beyond rounding.
+const RR_SURVIVAL: f32 = 2.0;
+/// Ray offset from the wall, as a fraction of the largest coordinate: beyond rounding.
 const OFFSET: f32 = 2e-6;
 /// Least single-scattering albedo, so that no coefficient is without bound.
-const DARKEST: f32 = 0.01;
+const MIN_ALBEDO: f32 = 0.01;
 
 /// Tissue behind a wall: how it scatters, and how much it absorbs by what the wall looks like.
 #[derive(Clone)]
@@ -33,15 +33,15 @@ pub struct Tissue {
     pub scattering: Vec3,
     /// Refractive index over that of the lumen, 1 or more.
     pub ior: f32,
-    /// √(1 − single-scattering albedo) for base colours from 0 to 1 in even steps.
-    pub roots: Vec<f32>,
-    /// Share of even light outside that enters.
-    pub entering: f32,
-    /// Cosine inside at which a half-space under even light has its mean radiance, and for the base
-    /// colours of `roots` how much, as a share, it is brighter per cosine less.
-    pub level: f32,
-    /// See `level`.
-    pub slopes: Vec<f32>,
+    /// √(1 − single-scattering albedo) for base colors from 0 to 1 in even steps.
+    pub albedo_roots: Vec<f32>,
+    /// Transmittance of the interface for diffuse light from outside.
+    pub diffuse_transmittance: f32,
+    /// Cosine inside at which a half-space under diffuse light has its mean radiance, and for the
+    /// base colors of `albedo_roots` how much, as a fraction, it is brighter per cosine less.
+    pub mean_cosine: f32,
+    /// See `mean_cosine`.
+    pub angular_slopes: Vec<f32>,
 }
 
 /// Tissue at one place.
@@ -56,39 +56,39 @@ pub struct Medium {
 }
 
 impl Tissue {
-    /// Tissue that gives back even light in a base colour.
+    /// Tissue that gives back diffuse light in a base color.
     #[inline(always)]
     pub fn medium(&self, color: Vec3) -> Medium {
         let albedo = color.map(|c| {
-            let root = between(&self.roots, c);
+            let root = between(&self.albedo_roots, c);
             max(1.0 - root * root, 0.0)
         });
-        let extinction = [0, 1, 2].map(|k| self.scattering[k] / max(albedo[k], DARKEST));
+        let extinction = [0, 1, 2].map(|k| self.scattering[k] / max(albedo[k], MIN_ALBEDO));
         Medium { albedo, extinction, ior: self.ior }
     }
 
-    /// How much more, as a share, a half-space under even light sends to its border per cosine less
-    /// than `level`.
+    /// How much more, as a share, a half-space under diffuse light sends to its interface per
+    /// cosine less than `mean_cosine`.
     pub fn slope(&self, color: Vec3) -> Vec3 {
-        color.map(|c| between(&self.slopes, c))
+        color.map(|c| between(&self.angular_slopes, c))
     }
 
-    /// How far along its first direction light is when it comes out of a half-space, on average over
-    /// what comes out [m].
+    /// How far along its first direction light is when it comes out of a half-space, on average
+    /// over what comes out [m].
     ///
-    /// In free ways: 0.94 − 0.56 √(1 − albedo), by walks in a half-space of index 1.4 from 20 to 45
-    /// degrees, within 7 % for albedos of 0.6 to 0.985.
+    /// In free paths: 0.94 − 0.56 √(1 − albedo), by walks in a half-space of index 1.4 from 20 to
+    /// 45 degrees, within 7 % for albedos of 0.6 to 0.985.
     pub fn drift(&self, color: Vec3) -> Vec3 {
         [0, 1, 2].map(|k| {
-            let root = between(&self.roots, color[k]);
+            let root = between(&self.albedo_roots, color[k]);
             (0.94 - 0.56 * root) * (1.0 - root * root) / self.scattering[k]
         })
     }
 
-    /// What passes the border at an angle of this cosine outside, over the mean over even light.
+    /// Transmittance of the interface at a cosine outside, over that of diffuse light.
     #[inline(always)]
-    pub fn passes(&self, cosine: f32) -> f32 {
-        (1.0 - fresnel(cosine, self.ior)) / self.entering
+    pub fn transmittance(&self, cosine: f32) -> f32 {
+        (1.0 - fresnel(cosine, self.ior)) / self.diffuse_transmittance
     }
 }
 
@@ -100,9 +100,9 @@ fn between(table: &[f32], x: f32) -> f32 {
     table[first] + (place - first as f32) * (table[first + 1] - table[first])
 }
 
-/// Light on its way into or through tissue.
+/// A ray into or inside tissue.
 #[derive(Clone, Copy)]
-pub struct Way {
+pub struct TissueRay {
     /// Place [m].
     pub origin: Vec3,
     /// Unit direction.
@@ -111,42 +111,46 @@ pub struct Way {
     pub from: u32,
 }
 
-/// Light that has come to the border and passes it.
-pub struct Exit {
+/// Where a random walk leaves the tissue.
+pub struct SubsurfaceExit {
     /// Where.
     pub hit: Hit,
     /// Place [m].
     pub point: Vec3,
     /// The face's unit normal, away from the tissue.
-    pub facet: Vec3,
+    pub face_normal: Vec3,
     /// What is left of red, green and blue.
     pub share: Vec3,
 }
 
-/// What light in tissue meets at its end.
-pub trait Border {
+/// The interface at which tissue ends.
+pub trait Interface {
     /// How far a way starts from it [m].
     fn offset(&self) -> f32;
     /// Where a way comes to it within `reach` [m], and its unit normal there, away from the tissue.
-    fn meet(&self, way: &Way, reach: f32) -> Option<(Hit, Vec3)>;
+    fn intersect(&self, ray: &TissueRay, reach: f32) -> Option<(Hit, Vec3)>;
 }
 
-impl Border for Wall {
+impl Interface for Wall {
     #[inline(always)]
     fn offset(&self) -> f32 {
-        offset(self)
+        ray_offset(self)
     }
 
     #[inline(always)]
-    fn meet(&self, &Way { origin, direction, from }: &Way, reach: f32) -> Option<(Hit, Vec3)> {
+    fn intersect(
+        &self,
+        &TissueRay { origin, direction, from }: &TissueRay,
+        reach: f32,
+    ) -> Option<(Hit, Vec3)> {
         let hit = ray::cast::<false>(&self.bvh, origin, direction, reach, from)?;
-        let facet = outward(self, &hit, direction);
-        Some((hit, facet))
+        let face_normal = outward(self, &hit, direction);
+        Some((hit, face_normal))
     }
 }
 
-/// A level border without end: tissue fills a half-space.
-pub struct Level {
+/// An infinite plane: tissue fills a half-space.
+pub struct PlaneInterface {
     /// A place on it [m].
     pub point: Vec3,
     /// Unit normal, away from the tissue.
@@ -155,16 +159,16 @@ pub struct Level {
     pub offset: f32,
 }
 
-impl Border for Level {
+impl Interface for PlaneInterface {
     #[inline(always)]
     fn offset(&self) -> f32 {
         self.offset
     }
 
     #[inline(always)]
-    fn meet(&self, way: &Way, reach: f32) -> Option<(Hit, Vec3)> {
-        let rise = dot(way.direction, self.normal);
-        let depth = dot(sub(self.point, way.origin), self.normal);
+    fn intersect(&self, ray: &TissueRay, reach: f32) -> Option<(Hit, Vec3)> {
+        let rise = dot(ray.direction, self.normal);
+        let depth = dot(sub(self.point, ray.origin), self.normal);
         let distance = max(depth, 0.0) / max(rise, 1e-20);
         let hit = Hit { distance, triangle: MISS, edges: [0.0; 3], particle: MISS };
         (rise > 0.0 && distance < reach).then_some((hit, self.normal))
@@ -172,19 +176,19 @@ impl Border for Level {
 }
 
 /// Random numbers of one walk: the first spread evenly over the walks of a key.
-pub struct Stream {
+pub struct RandomStream {
     key: u32,
     count: u32,
     first: [f32; 4],
 }
 
-impl Stream {
+impl RandomStream {
     /// The numbers of one of a key's walks.
     #[inline(always)]
-    pub fn new(key: u32, walk: u32) -> Self {
-        let [free, height] = point(key, walk);
-        let [choice, turn] = point(hash(key), walk);
-        Stream { key: key ^ hash(walk), count: 0, first: [choice, free, height, turn] }
+    pub fn new(key: u32, random_walk: u32) -> Self {
+        let [free, height] = point(key, random_walk);
+        let [choice, turn] = point(hash(key), random_walk);
+        RandomStream { key: key ^ hash(random_walk), count: 0, first: [choice, free, height, turn] }
     }
 
     #[inline(always)]
@@ -197,40 +201,40 @@ impl Stream {
     }
 }
 
-/// How far a way starts from the wall [m].
+/// Distance from the wall at which rays start [m].
 #[inline(always)]
-pub fn offset(wall: &Wall) -> f32 {
+pub fn ray_offset(wall: &Wall) -> f32 {
     OFFSET * wall.extent
 }
 
 /// Direction into tissue of light that a viewer sees along `view`, by Snell's law.
 #[inline(always)]
-pub fn refracted(view: Vec3, normal: Vec3, ior: f32) -> Vec3 {
+pub fn refract_into(view: Vec3, normal: Vec3, ior: f32) -> Vec3 {
     let (cosine, inverse) = (dot(view, normal), 1.0 / ior);
     let inside = max(1.0 - (1.0 - cosine * cosine) * inverse * inverse, 0.0).sqrt();
     sub(scale(normal, cosine * inverse - inside), scale(view, inverse))
 }
 
-/// Follows light until it leaves the tissue; None if it is absorbed.
+/// Random walk until light leaves the tissue; None if it is absorbed.
 #[inline(always)]
-pub fn walk(
-    border: &impl Border,
+pub fn random_walk(
+    interface: &impl Interface,
     medium: &Medium,
-    mut way: Way,
-    stream: &mut Stream,
-) -> Option<Exit> {
+    mut ray: TissueRay,
+    stream: &mut RandomStream,
+) -> Option<SubsurfaceExit> {
     let mut share = [1.0f32; 3];
-    for _ in 0..MOST {
+    for _ in 0..MAX_FREE_PATHS {
         let chances = chances(share, medium);
         let choice = stream.next();
         let color =
             usize::from(choice >= chances[0]) + usize::from(choice >= chances[0] + chances[1]);
         let free = -log2(1.0 - stream.next()) * std::f32::consts::LN_2 / medium.extinction[color];
-        let Some((hit, facet)) = border.meet(&way, free) else {
-            way = scattered(way, free, stream);
+        let Some((hit, face_normal)) = interface.intersect(&ray, free) else {
+            ray = scatter(ray, free, stream);
             let density = medium.density(chances, free, true);
             share = [0, 1, 2].map(|k| share[k] * medium.albedo[k] * density[k]);
-            let chance = min(max(share[0], max(share[1], share[2])) * ENDURING, 1.0);
+            let chance = min(max(share[0], max(share[1], share[2])) * RR_SURVIVAL, 1.0);
             if stream.next() >= chance {
                 return None;
             }
@@ -239,20 +243,20 @@ pub fn walk(
         };
         let density = medium.density(chances, hit.distance, false);
         share = [0, 1, 2].map(|k| share[k] * density[k]);
-        let Way { origin, direction, .. } = way;
+        let TissueRay { origin, direction, .. } = ray;
         let point = add(origin, scale(direction, hit.distance));
-        let cosine = dot(direction, facet);
+        let cosine = dot(direction, face_normal);
         if stream.next() >= fresnel_within(cosine, medium.ior) {
-            return Some(Exit { hit, point, facet, share });
+            return Some(SubsurfaceExit { hit, point, face_normal, share });
         }
-        let origin = sub(point, scale(facet, border.offset()));
-        let direction = sub(direction, scale(facet, 2.0 * cosine));
-        way = Way { origin, direction, from: hit.triangle };
+        let origin = sub(point, scale(face_normal, interface.offset()));
+        let direction = sub(direction, scale(face_normal, 2.0 * cosine));
+        ray = TissueRay { origin, direction, from: hit.triangle };
     }
     None
 }
 
-/// Chance of each colour to be the one that a free way is drawn for.
+/// Chance of each color to be the one that a free path is drawn for.
 #[inline(always)]
 fn chances(share: Vec3, medium: &Medium) -> Vec3 {
     let weight = [0, 1, 2].map(|k| share[k] * medium.albedo[k]);
@@ -261,24 +265,24 @@ fn chances(share: Vec3, medium: &Medium) -> Vec3 {
 }
 
 impl Medium {
-    /// Density of a free way that ends (or lasts longer) for each colour, over that of the mixture.
+    /// Density of a free path that ends (or lasts longer) for each color, over that of the mixture.
     #[inline(always)]
-    fn density(&self, chances: Vec3, way: f32, ends: bool) -> Vec3 {
+    fn density(&self, chances: Vec3, ray: f32, ends: bool) -> Vec3 {
         let own = self.extinction.map(|e| {
-            let lasts = exp2(-std::f32::consts::LOG2_E * e * way);
+            let lasts = exp2(-std::f32::consts::LOG2_E * e * ray);
             if ends { e * lasts } else { lasts }
         });
         scale(own, 1.0 / max(dot(chances, own), 1e-30))
     }
 }
 
-/// A new direction, even over the sphere, at the end of a free way.
+/// A new direction, even over the sphere, at the end of a free path.
 #[inline(always)]
-fn scattered(way: Way, free: f32, stream: &mut Stream) -> Way {
+fn scatter(ray: TissueRay, free: f32, stream: &mut RandomStream) -> TissueRay {
     let z = 1.0 - 2.0 * stream.next();
     let (cosine, sine) = circle(stream.next());
-    Way {
-        origin: add(way.origin, scale(way.direction, free)),
+    TissueRay {
+        origin: add(ray.origin, scale(ray.direction, free)),
         direction: on_circle(max(1.0 - z * z, 0.0).sqrt(), z, cosine, sine),
         from: MISS,
     }
@@ -292,15 +296,15 @@ fn outward(wall: &Wall, hit: &Hit, direction: Vec3) -> Vec3 {
     if dot(normal, direction) < 0.0 { scale(normal, -1.0) } else { normal }
 }
 
-/// Share of light inside that a smooth border reflects back in.
+/// Share of light inside that a smooth interface reflects back in.
 #[inline(always)]
 fn fresnel_within(cosine: f32, ior: f32) -> f32 {
     let square = 1.0 - (1.0 - cosine * cosine) * ior * ior;
     if square > 0.0 { fresnel(square.sqrt(), ior) } else { 1.0 }
 }
 
-/// Walks in the tissue behind a wall from `origin` [m] along `direction`: where each comes out [n 3]
-/// (NaN: absorbed) and what is left of red, green and blue [n 3].
+/// Walks in the tissue behind a wall from `origin` [m] along `direction`: where each comes out [n
+/// 3] (NaN: absorbed) and what is left of red, green and blue [n 3].
 ///
 /// `albedo` is of single scattering, `extinction` in 1/m.
 #[pyfunction]
@@ -324,10 +328,16 @@ pub fn walk_tissue<'py>(
         ));
     }
     let medium = Medium { albedo, extinction, ior };
-    let way = Way { origin: wall.localize(origin), direction: normalize(direction), from: MISS };
+    let ray =
+        TissueRay { origin: wall.localize(origin), direction: normalize(direction), from: MISS };
     let key = hash(seed);
     let ends: Vec<([f64; 3], Vec3)> = py.detach(|| {
-        let one = |number: u32| match walk(wall, &medium, way, &mut Stream::new(key, number)) {
+        let one = |number: u32| match random_walk(
+            wall,
+            &medium,
+            ray,
+            &mut RandomStream::new(key, number),
+        ) {
             Some(exit) => (wall.globalize(exit.point), exit.share),
             None => ([f64::NAN; 3], [0.0; 3]),
         };
@@ -338,8 +348,8 @@ pub fn walk_tissue<'py>(
     let points = Array2::from_shape_vec((rows, 3), points.into_flattened());
     let shares = Array2::from_shape_vec((rows, 3), shares.into_flattened());
     Ok((
-        points.expect("three numbers a walk").into_pyarray(py),
-        shares.expect("three numbers a walk").into_pyarray(py),
+        points.expect("three numbers a random_walk").into_pyarray(py),
+        shares.expect("three numbers a random_walk").into_pyarray(py),
     ))
 }
 
@@ -351,7 +361,7 @@ mod tests {
     fn light_that_enters_obeys_snell() {
         let normal = normalize([0.2, -0.4, 0.7]);
         let view = normalize([0.5, 0.1, 0.6]);
-        let inside = refracted(view, normal, 1.4);
+        let inside = refract_into(view, normal, 1.4);
         let sine = |v: Vec3| dot(cross(v, normal), cross(v, normal)).sqrt();
         assert!((dot(inside, inside) - 1.0).abs() < 1e-5 && dot(inside, normal) < 0.0);
         assert!((sine(view) - 1.4 * sine(inside)).abs() < 1e-5);

@@ -1,34 +1,35 @@
-//! Points of the wall that send light of the LEDs on: where light paths from the LEDs meet it
-//! (Veach 1997, chapter 10; Keller 1997, *Instant radiosity*).
-//!
-//! A place that is connected to a source has the light of one path and all its reflections from there.
+//! Virtual point lights (VPLs): vertices of light paths on the wall (Keller 1997, *Instant
+//! radiosity*; Veach 1997, chapter 10).
 
 use crate::render::material::gloss_alpha;
 use crate::render::path::Settings;
-use crate::render::path::light_paths::{Arrival, Lamp, Lit, go_on, lamps, leave};
+use crate::render::path::light_paths::{
+    LedEmitter, LightTransport, LightVertex, emit, emitters, extend_light_paths,
+};
 use crate::render::path::sobol::{dimension, hash};
 use crate::simd::f32x64::*;
 use crate::wall::packet::Hits;
 use rayon::prelude::*;
 use std::f32::consts::PI;
 
-/// Light paths of a block, and most blocks that a place is offered at a time.
+/// Light paths of a block, and most blocks whose virtual lights are candidates at a time.
 const BLOCK: usize = 128;
-const OFFERED: usize = 8;
-/// Light paths that a place is offered for each of its samples.
-const EACH: usize = 64;
+const MAX_CANDIDATE_BLOCKS: usize = 8;
+/// Light paths whose virtual lights are candidates, for each sample.
+const CANDIDATES_PER_SAMPLE: usize = 64;
 /// Most blocks of an image, and how many paths of the camera there are for a light path.
-const MOST: u64 = 512;
-const PATHS: u64 = 4;
-/// What a path's own way counts beside light paths: more where there is gloss, whose sources throw
-/// spots of light that neighbours would share.
-pub const OWN: Shares = Shares { base: 1.0, gloss: 16.0 };
-/// Least cosine at which light is taken to come to a source, where sources are chosen.
+const MAX_BLOCKS: u64 = 512;
+const CAMERA_PATHS_PER_LIGHT_PATH: u64 = 4;
+/// Weight of BSDF samples beside virtual lights: more where there is gloss, whose virtual lights
+/// throw spots of light that neighbors would share.
+pub const PATH_WEIGHT: MisWeights = MisWeights { base: 1.0, gloss: 16.0 };
+/// Least cosine at which light is taken to come to a virtual light, where virtual lights are
+/// chosen.
 const LEAST_COSINE: f32 = 0.05;
 
-/// A point of the wall with light to send on.
+/// A virtual point light on the wall.
 #[derive(Clone, Copy)]
-pub struct Source {
+pub struct VirtualLight {
     /// Place [m].
     pub point: Vec3,
     /// Triangle, in leaf order.
@@ -36,13 +37,13 @@ pub struct Source {
     /// As in `Hit::edges`, met from where its light comes from.
     pub edges: Vec3,
     /// Unit normal of the triangle on that side.
-    pub facet: Vec3,
+    pub face_normal: Vec3,
     /// Unit direction to where its light comes from.
     pub back: Vec3,
     /// What a light path brings, over the density of its reflection [W/sr·…]: times reflectance and
     /// cosine it is radiant intensity [W/sr].
     pub carried: Vec3,
-    /// Sources of a light path at this place, about [1/m²].
+    /// Virtual lights of a light path at this place, about [1/m²].
     pub density: f32,
     /// About π times what its base sends straight out [W/sr].
     pub sent: Vec3,
@@ -57,82 +58,86 @@ pub struct Source {
     pub order: u32,
 }
 
-/// All sources of an image.
-pub struct Sources {
+/// All virtual lights of an image.
+pub struct VirtualLights {
     /// Block by block, in each those that lie together in a row.
-    all: Vec<Source>,
-    /// First source of each block; one number more than blocks.
+    all: Vec<VirtualLight>,
+    /// First virtual light of each block; one number more than blocks.
     starts: Vec<usize>,
-    /// Density of sources of light reflected before, about, were all light to come straight [1/m²].
+    /// Density of virtual lights of light reflected before, about, were all light to come straight
+    /// [1/m²].
     pub scattered: f32,
     /// LEDs that shine.
-    pub lamps: Vec<Lamp>,
+    pub emitters: Vec<LedEmitter>,
 }
 
-/// Sources of some light paths.
-pub struct Offer<'a> {
-    /// The sources.
-    pub sources: &'a [Source],
+/// Virtual lights of some light paths.
+pub struct Candidates<'a> {
+    /// The virtual lights.
+    pub sources: &'a [VirtualLight],
     /// Number of light paths.
     pub paths: usize,
 }
 
-/// Shares of sources in the light of a place.
-pub struct Shares {
+/// Multiple importance sampling (MIS) weights of virtual lights.
+pub struct MisWeights {
     /// In light that base reflects from base.
     pub base: f32,
     /// In light in which gloss has a part.
     pub gloss: f32,
 }
 
-impl Shares {
-    /// Where each of so many light paths leaves so many sources, and the camera's comes with a
-    /// density of `own`; both in 1/m².
+impl MisWeights {
+    /// Where each of so many light paths leaves so many virtual lights, and the camera's comes with
+    /// a density of `own`; both in 1/m².
     #[inline(always)]
     pub fn new(sources: f32, own: f32, paths: usize) -> Self {
         let sources = max(paths as f32 * sources, 1e-20);
         let share = |weight: f32| sources / (sources + weight * own);
-        Shares { base: share(OWN.base), gloss: share(OWN.gloss) }
+        MisWeights { base: share(PATH_WEIGHT.base), gloss: share(PATH_WEIGHT.gloss) }
     }
 }
 
-impl Sources {
+impl VirtualLights {
     /// Of an image of so many pixels; None if no LED shines or light is reflected only once.
-    pub fn new(lit: &Lit<'_>, pixels: usize) -> Option<Self> {
-        let lamps = lamps(lit.leds);
-        if lamps.is_empty() || lit.settings.depth < 2 {
+    pub fn new(transport: &LightTransport<'_>, pixels: usize) -> Option<Self> {
+        let emitters = emitters(transport.leds);
+        if emitters.is_empty() || transport.settings.max_bounces < 2 {
             return None;
         }
-        let paths = pixels as u64 * u64::from(lit.settings.samples);
-        let count = (paths / PATHS / BLOCK as u64).clamp(OFFERED as u64, MOST) as usize;
-        let mut sources = Sources { all: Vec::new(), starts: vec![0], scattered: 0.0, lamps };
+        let paths = pixels as u64 * u64::from(transport.settings.spp);
+        let count = (paths / CAMERA_PATHS_PER_LIGHT_PATH / BLOCK as u64)
+            .clamp(MAX_CANDIDATE_BLOCKS as u64, MAX_BLOCKS) as usize;
+        let mut sources =
+            VirtualLights { all: Vec::new(), starts: vec![0], scattered: 0.0, emitters };
         let numbers = (0..count).into_par_iter();
-        let blocks: Vec<_> = numbers.map(|number| block(&sources.lamps, lit, number)).collect();
+        let blocks: Vec<_> =
+            numbers.map(|number| block(&sources.emitters, transport, number)).collect();
         for block in blocks {
             sources.all.extend(block);
             sources.starts.push(sources.all.len());
         }
-        sources.weigh();
+        sources.estimate_densities();
         Some(sources)
     }
 
-    /// Sources of so many light paths, which a number chooses.
+    /// Virtual lights of so many light paths, which a number chooses.
     #[inline(always)]
-    pub fn offer(&self, number: u32, paths: usize) -> Offer<'_> {
+    pub fn candidates(&self, number: u32, paths: usize) -> Candidates<'_> {
         let count = paths / BLOCK;
         let first = number as usize % ((self.starts.len() - 1) / count) * count;
         let sources = &self.all[self.starts[first]..self.starts[first + count]];
-        Offer { sources, paths }
+        Candidates { sources, paths }
     }
 
-    /// Light paths whose sources a place is offered for so many samples.
-    pub fn offered(samples: u32) -> usize {
-        (samples as usize * EACH / BLOCK).clamp(1, OFFERED) * BLOCK
+    /// Light paths whose virtual lights are candidates for so many samples.
+    pub fn candidate_paths(samples: u32) -> usize {
+        (samples as usize * CANDIDATES_PER_SAMPLE / BLOCK).clamp(1, MAX_CANDIDATE_BLOCKS) * BLOCK
     }
 
-    /// Finds about how many sources a light path leaves of light reflected before, by how many there
-    /// are and by where the LEDs' own light comes.
-    fn weigh(&mut self) {
+    /// Finds about how many virtual lights a light path leaves of light reflected before, by how
+    /// many there are and by where the LEDs' own light comes.
+    fn estimate_densities(&mut self) {
         let (mut firsts, mut seconds, mut logarithms) = (0u32, 0u32, 0.0f64);
         for source in &self.all {
             let is_first = source.order == 1;
@@ -144,63 +149,67 @@ impl Sources {
         self.scattered = exp2((logarithms / firsts) as f32) * (seconds / firsts) as f32;
         for source in &mut self.all {
             source.density *= if source.order == 1 { 1.0 } else { self.scattered };
-            source.near = OWN.base / (PI * max(source.density, 1e-20));
+            source.near = PATH_WEIGHT.base / (PI * max(source.density, 1e-20));
         }
     }
 }
 
-/// Sources of a block of light paths, neighbours on the wall in a row.
+/// Virtual lights of a block of light paths, neighbors on the wall in a row.
 #[multiversion::multiversion(targets(
     "x86_64+avx512f+avx512bw+avx512cd+avx512dq+avx512vl",
     "x86_64+avx2",
     "aarch64+neon"
 ))]
-fn block(lamps: &[Lamp], lit: &Lit<'_>, block: usize) -> Vec<Source> {
-    let Settings { seed, depth, .. } = lit.settings;
+fn block(
+    emitters: &[LedEmitter],
+    transport: &LightTransport<'_>,
+    block: usize,
+) -> Vec<VirtualLight> {
+    let Settings { seed, max_bounces, .. } = transport.settings;
     let key = hash(hash(seed as u32 ^ 0x5bd1_e995) ^ (seed >> 32) as u32);
     let first = (block * BLOCK) as u32;
     let mut out = Vec::new();
     for start in (first..first + BLOCK as u32).step_by(LANES) {
         let numbers = start..start + LANES as u32;
-        let mut on_way: Vec<Arrival> =
-            numbers.filter_map(|number| leave(lamps, lit, key, number)).collect();
-        for order in 1..depth {
-            out.extend(on_way.iter().map(|arrival| Source { order, ..arrival.source }));
-            if order + 1 < depth && !on_way.is_empty() {
-                on_way = go_on(lit, dimension(key, order), &on_way);
+        let mut light_paths: Vec<LightVertex> =
+            numbers.filter_map(|number| emit(emitters, transport, key, number)).collect();
+        for order in 1..max_bounces {
+            out.extend(light_paths.iter().map(|vertex| VirtualLight { order, ..vertex.source }));
+            if order + 1 < max_bounces && !light_paths.is_empty() {
+                light_paths = extend_light_paths(transport, dimension(key, order), &light_paths);
             }
         }
     }
-    sort(&mut out);
-    out.chunks_mut(LANES).for_each(|sources| color(lit, sources));
+    sort_by_place(&mut out);
+    out.chunks_mut(LANES).for_each(|sources| color(transport, sources));
     out
 }
 
-/// Finds about what sources send.
-fn color(lit: &Lit<'_>, sources: &mut [Source]) {
+/// Finds about what virtual lights send.
+fn color(transport: &LightTransport<'_>, sources: &mut [VirtualLight]) {
     let (mut hits, mut view) = (Hits::within([0.0; LANES]), [[0.0; LANES]; 3]);
     let mut position = [[0.0; LANES]; 3];
     for (i, source) in sources.iter().enumerate() {
-        source.put(i, (source.facet, 0.0), (&mut hits, &mut position, &mut view));
+        source.write_lane(i, (source.face_normal, 0.0), (&mut hits, &mut position, &mut view));
     }
-    let surface = lit.surface(position, view, &hits);
+    let surface = transport.surface(position, view, &hits);
     for (i, source) in sources.iter_mut().enumerate() {
         let albedo = at(&surface.albedo, i);
         source.normal = at(&surface.normal, i);
         source.alpha = gloss_alpha(surface.roughness[i]);
         source.cosine = max(dot(source.normal, source.back), LEAST_COSINE);
-        let color = albedo.map(|a| (a + Source::GLOSS) * source.cosine);
+        let color = albedo.map(|a| (a + VirtualLight::GLOSS) * source.cosine);
         source.sent = [0, 1, 2].map(|k| color[k] * source.carried[k]);
     }
 }
 
-impl Source {
-    /// Added to base colours, so that gloss is not left out where sources are chosen.
+impl VirtualLight {
+    /// Added to base colors, so that gloss is not left out where virtual lights are chosen.
     pub const GLOSS: f32 = 0.03;
 
     /// Makes it what lane `i` has met: seen from a point in a unit direction, at a distance [m].
     #[inline(always)]
-    pub fn put(
+    pub fn write_lane(
         &self,
         i: usize,
         (direction, distance): (Vec3, f32),
@@ -216,15 +225,15 @@ impl Source {
     }
 }
 
-/// Puts sources in an order in which neighbours are near each other (Morton 1966).
-fn sort(sources: &mut [Source]) {
+/// Puts virtual lights in an order in which neighbors are near each other (Morton 1966).
+fn sort_by_place(sources: &mut [VirtualLight]) {
     let (mut low, mut high) = ([f32::MAX; 3], [f32::MIN; 3]);
-    for Source { point, .. } in sources.iter() {
+    for VirtualLight { point, .. } in sources.iter() {
         low = [0, 1, 2].map(|k| min(low[k], point[k]));
         high = [0, 1, 2].map(|k| max(high[k], point[k]));
     }
     let size = (0..3).fold(1e-9, |size, k| max(size, high[k] - low[k]));
-    sources.sort_by_cached_key(|Source { point, .. }| {
+    sources.sort_by_cached_key(|VirtualLight { point, .. }| {
         let whole = |k: usize| ((point[k] - low[k]) / size * 1023.0) as u32;
         spread(whole(0)) | spread(whole(1)) << 1 | spread(whole(2)) << 2
     });

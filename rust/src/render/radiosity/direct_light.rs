@@ -1,4 +1,4 @@
-//! Light from the LEDs to the sites: each LED sends rays of equal power.
+//! Direct illumination of gather points: each LED emits rays of equal power.
 
 use super::gather_points::nearest_corner;
 use super::stratified_lobe::Lobe;
@@ -12,7 +12,7 @@ use std::f32::consts::TAU;
 
 /// Rays of all LEDs together, about: fewer miss hot spots where LEDs are near the wall.
 const RAYS: usize = 1296;
-/// Arms of the spiral of an LED's rays (Fibonacci's number, so that those of an arm are neighbours).
+/// Arms of the spiral of an LED's rays (Fibonacci's number, so that those of an arm are neighbors).
 const ARMS: usize = 21;
 /// Fewest rays of an LED are the square of this.
 const LEAST_SIDE: usize = 8;
@@ -21,11 +21,12 @@ const LEAST_SIDE: usize = 8;
 /// throws their light on, away from both; measured against path tracing in three organs.
 const GLOSS: f32 = 0.7;
 
-/// Where a ray ends: a site, and how much is reflected there of its light of each colour [W/m²].
+/// Where a ray ends: a gather point, and how much is reflected there of its light of each color
+/// [W/m²].
 type End = (u32, Vec3);
 
-/// Radiosity of each site by its first reflection of the LEDs' light [W/m²].
-pub fn first_reflection(light: &Radiosity, wall: &Wall, leds: &[Led]) -> Vec<Color> {
+/// Radiosity of each gather point by its first reflection of the LEDs' light [W/m²].
+pub fn direct_illumination(light: &Radiosity, wall: &Wall, leds: &[Led]) -> Vec<Color> {
     let side = ((RAYS as f32 / leds.len().max(1) as f32).sqrt() as usize).max(LEAST_SIDE);
     let lobe = |(k, led): (usize, &Led)| Lobe::shifted(led.direction, led.exponent, side, k);
     let lobes: Vec<Lobe> = leds.iter().enumerate().map(lobe).collect();
@@ -41,13 +42,13 @@ pub fn first_reflection(light: &Radiosity, wall: &Wall, leds: &[Led]) -> Vec<Col
             send(light, wall, led, lobe, (arm..side * side).step_by(ARMS))
         })
         .collect();
-    let mut leaving = vec![[0.0; 4]; light.albedo.len()];
-    for (site, power) in ends.iter().flatten() {
+    let mut radiosity = vec![[0.0; 4]; light.albedo.len()];
+    for (gather_point, power) in ends.iter().flatten() {
         for k in 0..3 {
-            leaving[*site as usize][k] += power[k];
+            radiosity[*gather_point as usize][k] += power[k];
         }
     }
-    leaving
+    radiosity
 }
 
 /// What some of the rays of a lobe leave where they end.
@@ -73,11 +74,11 @@ fn send(
         if let Some(hit) = hit.filter(|hit| hit.edges[2] < 0.0) {
             let vertex = nearest_corner(wall, hit.triangle, hit.edges);
             let cosine = max(-dot(direction, wall.normals[vertex]), 0.0);
-            let site = light.sites.of_vertex[vertex];
+            let gather_point = light.gather_points.of_vertex[vertex];
             let [base, gloss] = light.reflectance.at(cosine);
-            let shares = light.reflected(site as usize, [base, GLOSS * gloss]);
-            let per_area = light.per_area[site as usize];
-            ends.push((site, [0, 1, 2].map(|k| per_area * power[k] * shares[k])));
+            let shares = light.reflected(gather_point as usize, [base, GLOSS * gloss]);
+            let per_area = light.per_area[gather_point as usize];
+            ends.push((gather_point, [0, 1, 2].map(|k| per_area * power[k] * shares[k])));
         }
     }
     ends

@@ -1,7 +1,7 @@
-//! Rows of light transport: what a site sees of the wall.
+//! Form-factor rows: what a gather point sees of the wall.
 
-use super::deformed_transport::Place;
-use super::gather_points::{Sites, nearest_corner};
+use super::deformed_transport::Patch;
+use super::gather_points::{GatherPoints, nearest_corner};
 use super::stratified_lobe::Lobe;
 use crate::simd::f32x64::*;
 use crate::wall::Wall;
@@ -11,63 +11,63 @@ use crate::wall::ray;
 const SIDE: usize = 12;
 /// Share of a row that one ray carries.
 const RAY: f32 = 1.0 / (SIDE * SIDE) as f32;
-/// How far in front of the wall rays start, in spacings of sites.
+/// How far in front of the wall rays start, in spacings of gather points.
 const LIFT: f32 = 0.02;
 
-/// How much of the light that reaches a site comes from another.
+/// Form factor from a gather point to another.
 #[derive(Clone, Copy)]
-pub struct Link {
-    /// The other site.
+pub struct FormFactor {
+    /// The other gather point.
     pub from: u32,
-    /// Share of the cosine-weighted hemisphere that it fills.
-    pub share: f32,
+    /// Fraction of the cosine-weighted hemisphere that it fills.
+    pub form_factor: f32,
     /// `Place::exchange` at rest.
-    pub exchange: f32,
+    pub geometry: f32,
 }
 
-/// The same with the direction, for surfaces whose normal is not that of the site.
+/// The same with the direction, for surfaces whose normal is not that of the gather point.
 #[derive(Clone, Copy)]
-pub struct Beam {
-    /// The other site.
+pub struct FormFactorVector {
+    /// The other gather point.
     pub from: u32,
     /// Sum of the directions to it; its part along a normal is the share for that normal.
     pub way: Vec3,
     /// `Place::exchange` at rest.
-    pub exchange: f32,
+    pub geometry: f32,
 }
 
-/// What a site sees of the others.
-pub struct Row {
+/// Form factors from a gather point to all that it sees.
+pub struct FormFactorRow {
     /// By all rays.
-    pub fine: Box<[Beam]>,
+    pub fine: Box<[FormFactorVector]>,
     /// By every fourth ray: enough for light that is reflected once more before it is seen.
-    pub coarse: Box<[Link]>,
+    pub coarse: Box<[FormFactor]>,
 }
 
-/// A ray of a row: the site that it meets, its number and its direction over its cosine.
-type Ray = (u32, usize, Vec3);
+/// A ray of a row: the gather point that it meets, its number and its direction over its cosine.
+type RowRay = (u32, usize, Vec3);
 
-/// Traces the row of a site at rest: stratified rays, weighted by the cosine.
-pub fn trace_row(wall: &Wall, sites: &Sites, site: usize) -> Row {
-    let mut seen = look(wall, sites, site);
+/// Traces the row of a gather point at rest: stratified rays, weighted by the cosine.
+pub fn trace_row(wall: &Wall, gather_points: &GatherPoints, gather_point: usize) -> FormFactorRow {
+    let mut seen = look(wall, gather_points, gather_point);
     seen.sort_unstable_by_key(|&(from, number, _)| (from, number));
     let runs = || seen.chunk_by(|a, b| a.0 == b.0);
-    let own = Place::of(wall, sites, site);
-    let exchange = |from: u32| {
-        let other = Place::of(wall, sites, from as usize);
-        own.exchange(&other, sites.spacing[from as usize])
+    let own = Patch::of(wall, gather_points, gather_point);
+    let geometry = |from: u32| {
+        let other = Patch::of(wall, gather_points, from as usize);
+        own.geometry(&other, gather_points.spacing[from as usize])
     };
-    let beam = |run: &[Ray]| Beam {
+    let beam = |run: &[RowRay]| FormFactorVector {
         from: run[0].0,
         way: scale(run.iter().fold([0.0; 3], |sum, ray| add(sum, ray.2)), RAY),
-        exchange: exchange(run[0].0),
+        geometry: geometry(run[0].0),
     };
-    let coarse = |run: &[Ray]| {
+    let coarse = |run: &[RowRay]| {
         let count = run.iter().filter(|ray| is_fourth(ray.1)).count();
-        let (from, share) = (run[0].0, 4.0 * RAY * count as f32);
-        (count > 0).then(|| Link { from, share, exchange: exchange(from) })
+        let (from, form_factor) = (run[0].0, 4.0 * RAY * count as f32);
+        (count > 0).then(|| FormFactor { from, form_factor, geometry: geometry(from) })
     };
-    Row { fine: runs().map(beam).collect(), coarse: runs().filter_map(coarse).collect() }
+    FormFactorRow { fine: runs().map(beam).collect(), coarse: runs().filter_map(coarse).collect() }
 }
 
 /// Whether a ray is one of every fourth: corners of blocks of two by two by turns, so that no
@@ -83,11 +83,12 @@ fn is_fourth(number: usize) -> bool {
     "x86_64+avx2",
     "aarch64+neon"
 ))]
-fn look(wall: &Wall, sites: &Sites, site: usize) -> Vec<Ray> {
-    let vertex = sites.vertex[site] as usize;
+fn look(wall: &Wall, gather_points: &GatherPoints, gather_point: usize) -> Vec<RowRay> {
+    let vertex = gather_points.vertex[gather_point] as usize;
     let normal = wall.normals[vertex];
-    let origin = add(wall.vertices[vertex], scale(normal, LIFT * sites.spacing[site]));
-    let lobe = Lobe::turned(normal, 1.0, SIDE, site);
+    let origin =
+        add(wall.vertices[vertex], scale(normal, LIFT * gather_points.spacing[gather_point]));
+    let lobe = Lobe::turned(normal, 1.0, SIDE, gather_point);
     let mut seen = Vec::with_capacity(SIDE * SIDE);
     for (number, direction) in lobe.directions().enumerate() {
         let hit = ray::cast::<false>(&wall.bvh, origin, direction, f32::MAX, u32::MAX);
@@ -95,7 +96,7 @@ fn look(wall: &Wall, sites: &Sites, site: usize) -> Vec<Ray> {
         if let Some(hit) = hit.filter(|hit| hit.edges[2] < 0.0) {
             let vertex = nearest_corner(wall, hit.triangle, hit.edges);
             let way = scale(direction, 1.0 / dot(direction, normal));
-            seen.push((sites.of_vertex[vertex], number, way));
+            seen.push((gather_points.of_vertex[vertex], number, way));
         }
     }
     seen

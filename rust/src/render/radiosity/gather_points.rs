@@ -1,4 +1,4 @@
-//! Sites: the points of the wall where bounced light is reckoned, and how it is spread from them.
+//! Gather points: points of the wall where indirect light is computed, and interpolation from them.
 
 use super::stratified_lobe::Lobe;
 use crate::mucosa::grid::{CellHasher, pack};
@@ -9,45 +9,46 @@ use rayon::prelude::*;
 use std::collections::HashMap;
 use std::hash::BuildHasherDefault;
 
-/// Distance between sites, as a share of the harmonic mean distance of what is seen from there
-/// (Ward et al. 1988); in a tube that mean is about its radius.
+/// Distance between gather points, as a share of the harmonic mean distance of what is seen from
+/// there (Ward et al. 1988); in a tube that mean is about its radius.
 const SPACING: f32 = 0.3;
-/// Least and most of a site's spacing, as shares of the median spacing.
+/// Least and most of a gather point's spacing, as shares of the median spacing.
 const SPACINGS: [f32; 2] = [0.2, 1.5];
 /// Rays from which the distance is found are a square of so many by so many.
 const SIDE: usize = 4;
-/// How far a site is heard, in its spacings.
-const HEARING: f32 = 1.5;
-/// Least cosine between the normals of a vertex and of the site that stands for it.
+/// Interpolation radius of a gather point, in its spacings.
+const INTERPOLATION_RADIUS: f32 = 1.5;
+/// Least cosine between the normals of a vertex and of the gather point that stands for it.
 const SAME_SIDE: f32 = 0.7;
-/// Cosine between normals at which a vertex no longer hears a site.
+/// Cosine between normals beyond which a vertex does not interpolate from a gather point.
 const OTHER_SIDE: f32 = 0.3;
-/// Sites that a vertex hears at most.
-pub const HEARD: usize = 8;
+/// Most gather points that a vertex interpolates from.
+pub const MAX_NEIGHBORS: usize = 8;
 
 /// Points of a wall, chosen among its vertices at rest.
-pub struct Sites {
-    /// Vertex of each site; neighbours in the hierarchy are neighbours here.
+pub struct GatherPoints {
+    /// Vertex of each gather point; neighbors in the hierarchy are neighbors here.
     pub vertex: Vec<u32>,
-    /// Distance between sites around each at rest [m].
+    /// Distance between gather points around each at rest [m].
     pub spacing: Vec<f32>,
-    /// The site that stands for each vertex.
+    /// The gather point that stands for each vertex.
     pub of_vertex: Vec<u32>,
-    /// Sites heard by each vertex and their weights, which sum to 1; unused ones weigh 0.
-    pub heard: Vec<[(u32, f32); HEARD]>,
+    /// Gather points that each vertex interpolates from and their weights, which sum to 1; unused
+    /// ones weigh 0.
+    pub neighbors: Vec<[(u32, f32); MAX_NEIGHBORS]>,
 }
 
-impl Sites {
-    /// Chooses sites on a wall at rest, apart by what is seen from there.
+impl GatherPoints {
+    /// Chooses gather points on a wall at rest, apart by what is seen from there.
     pub fn choose(wall: &Wall) -> Self {
-        Sites::apart(wall, &spacings(wall))
+        GatherPoints::apart(wall, &spacings(wall))
     }
 
-    /// Chooses sites on a wall at rest that are so far apart around each vertex [m], or as far as
-    /// vertices are.
+    /// Chooses gather points on a wall at rest that are so far apart around each vertex [m], or as
+    /// far as vertices are.
     pub fn apart(wall: &Wall, spacings: &[f32]) -> Self {
         let widest = spacings.iter().fold(0.0, |a, &b| max(a, b));
-        let mut grid = Grid::new(HEARING * widest);
+        let mut grid = Grid::new(INTERPOLATION_RADIUS * widest);
         let (mut vertex, mut spacing): (Vec<u32>, Vec<f32>) = (Vec::new(), Vec::new());
         let mut seen = vec![false; wall.vertices.len()];
         for &v in wall.bvh.corners.iter().flatten() {
@@ -57,10 +58,10 @@ impl Sites {
             let (place, normal) = (wall.vertices[v as usize], wall.normals[v as usize]);
             let own = spacings[v as usize];
             let mut is_covered = false;
-            grid.near(place, |site| {
-                let other = vertex[site as usize] as usize;
+            grid.near(place, |gather_point| {
+                let other = vertex[gather_point as usize] as usize;
                 let offset = sub(place, wall.vertices[other]);
-                let reach = min(own, spacing[site as usize]);
+                let reach = min(own, spacing[gather_point as usize]);
                 is_covered |= dot(offset, offset) < reach * reach
                     && dot(normal, wall.normals[other]) > SAME_SIDE;
             });
@@ -70,20 +71,21 @@ impl Sites {
                 spacing.push(own);
             }
         }
-        let near = |v: usize| hear(wall, (&vertex, &spacing), &grid, v, spacings[v]);
-        let heard: Vec<_> = (0..wall.vertices.len())
+        let near =
+            |v: usize| interpolation_weights(wall, (&vertex, &spacing), &grid, v, spacings[v]);
+        let neighbors: Vec<_> = (0..wall.vertices.len())
             .into_par_iter()
-            .map(|v| if seen[v] { near(v) } else { [(0, 0.0); HEARD] })
+            .map(|v| if seen[v] { near(v) } else { [(0, 0.0); MAX_NEIGHBORS] })
             .collect();
-        let mut of_vertex: Vec<u32> = heard.iter().map(|h| h[0].0).collect();
+        let mut of_vertex: Vec<u32> = neighbors.iter().map(|h| h[0].0).collect();
         for (s, &v) in vertex.iter().enumerate() {
             of_vertex[v as usize] = s as u32;
         }
-        Sites { vertex, spacing, of_vertex, heard }
+        GatherPoints { vertex, spacing, of_vertex, neighbors }
     }
 }
 
-/// The vertex nearest to where a ray meets a triangle, given as in `tile::Hits`.
+/// The vertex nearest to where a ray meets a triangle, given as in `packet::Hits`.
 #[inline(always)]
 pub fn nearest_corner(wall: &Wall, triangle: u32, edges: Vec3) -> usize {
     let [a, b, c] = wall.bvh.corners[triangle as usize];
@@ -99,7 +101,7 @@ pub fn nearest_corner(wall: &Wall, triangle: u32, edges: Vec3) -> usize {
     }) as usize
 }
 
-/// Distance that sites should have around each vertex [m].
+/// Distance that gather points should have around each vertex [m].
 fn spacings(wall: &Wall) -> Vec<f32> {
     let count = wall.vertices.len();
     let found: Vec<f32> = (0..count).into_par_iter().map(|v| SPACING * openness(wall, v)).collect();
@@ -128,34 +130,35 @@ fn openness(wall: &Wall, v: usize) -> f32 {
     (SIDE * SIDE) as f32 / sum
 }
 
-/// The sites that vertex `v` hears, the loudest first; `own` is the spacing around it.
-fn hear(
+/// The gather points that vertex `v` interpolates from, the heaviest first; `own` is the spacing
+/// around it.
+fn interpolation_weights(
     wall: &Wall,
     (vertex, spacing): (&[u32], &[f32]),
     grid: &Grid,
     v: usize,
     own: f32,
-) -> [(u32, f32); HEARD] {
+) -> [(u32, f32); MAX_NEIGHBORS] {
     let (place, normal) = (wall.vertices[v], wall.normals[v]);
     let mut found: Vec<(u32, f32)> = Vec::new();
-    grid.near(place, |site| {
-        let other = vertex[site as usize] as usize;
+    grid.near(place, |gather_point| {
+        let other = vertex[gather_point as usize] as usize;
         let offset = sub(place, wall.vertices[other]);
-        let reach = HEARING * min(own, spacing[site as usize]);
+        let reach = INTERPOLATION_RADIUS * min(own, spacing[gather_point as usize]);
         let near = max(1.0 - dot(offset, offset) / (reach * reach), 0.0);
         let facing = max(dot(normal, wall.normals[other]) - OTHER_SIDE, 0.0);
         let weight = near * near * facing * facing;
         if weight > 0.0 {
-            found.push((site, weight));
+            found.push((gather_point, weight));
         }
     });
     found.sort_unstable_by(|a, b| b.1.total_cmp(&a.1).then(a.0.cmp(&b.0)));
-    found.truncate(HEARD);
+    found.truncate(MAX_NEIGHBORS);
     let sum: f32 = found.iter().map(|h| h.1).sum();
     std::array::from_fn(|k| found.get(k).map_or((0, 0.0), |h| (h.0, h.1 / sum)))
 }
 
-/// Sites by the cells of space they lie in.
+/// Gather points by the cells of space they lie in.
 struct Grid {
     edge: f32,
     cells: HashMap<u64, Vec<u32>, BuildHasherDefault<CellHasher>>,
@@ -170,16 +173,20 @@ impl Grid {
         place.map(|x| (x / self.edge).floor() as i32)
     }
 
-    fn put(&mut self, place: Vec3, site: u32) {
-        self.cells.entry(pack(self.cell(place))).or_default().push(site);
+    fn put(&mut self, place: Vec3, gather_point: u32) {
+        self.cells.entry(pack(self.cell(place))).or_default().push(gather_point);
     }
 
-    /// Visits all sites nearer than an edge, and some farther.
+    /// Visits all gather points nearer than an edge, and some farther.
     fn near(&self, place: Vec3, mut visit: impl FnMut(u32)) {
         let [x, y, z] = self.cell(place);
         for k in 0..27 {
             let cell = [x + k % 3 - 1, y + k / 3 % 3 - 1, z + k / 9 - 1];
-            self.cells.get(&pack(cell)).into_iter().flatten().for_each(|&site| visit(site));
+            self.cells
+                .get(&pack(cell))
+                .into_iter()
+                .flatten()
+                .for_each(|&gather_point| visit(gather_point));
         }
     }
 }

@@ -1,17 +1,17 @@
-//! Light at sites and vertices that is reckoned when first needed, in memory kept between frames.
+//! Lazy cache of light at gather points and vertices, in memory kept between frames.
 
 use std::cell::UnsafeCell;
 use std::ops::Deref;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicU32, Ordering};
 
-/// Irradiance of red, green, blue, and all of them together; how the latter grows as the normal tilts
-/// along x, y and z, the tangential part of the light vector [W/m²]. The last is 0.
+/// Irradiance of red, green, blue, and all of them together; how the latter grows as the normal
+/// tilts along x, y and z, the tangential part of the light vector [W/m²]. The last is 0.
 pub type Light = [f32; 8];
 
 /// Light of one place; known if its number is that of the frame.
 ///
-/// Threads that need it at once all reckon it; their results are the same, and one of them keeps
+/// Threads that need it at once all compute it; their results are the same, and one of them keeps
 /// its own.
 struct Slot<T> {
     /// Twice the number of the frame while it is written, and one more from then on.
@@ -21,8 +21,8 @@ struct Slot<T> {
 
 // SAFETY: `light` is written only by the one thread whose exchange of `stage` succeeds in a frame,
 // before it announces that with release order, and read only after the announcement is seen with
-// acquire order. Between frames the slots are borrowed by nobody. A lock for each site and vertex
-// would cost more than all else that is done with them.
+// acquire order. Between frames the slots are borrowed by nobody. A lock for each gather point and
+// vertex would cost more than all else that is done with them.
 unsafe impl<T: Copy + Send + Sync> Sync for Slot<T> {}
 
 impl<T: Copy + Default> Slot<T> {
@@ -57,43 +57,46 @@ impl<T: Copy + Default> Slot<T> {
 /// Room for the light of one frame.
 pub struct Slots<T> {
     frame: u32,
-    sites: Box<[Slot<T>]>,
+    gather_points: Box<[Slot<T>]>,
     vertices: Box<[Slot<T>]>,
 }
 
 /// Rooms that no frame uses now.
-pub struct Rooms<T = Light> {
-    /// Numbers of sites and vertices.
+pub struct CachePool<T = Light> {
+    /// Numbers of gather points and vertices.
     counts: (usize, usize),
     free: Mutex<Vec<Slots<T>>>,
 }
 
-impl<T: Copy + Default> Rooms<T> {
-    /// None yet, for so many sites and vertices.
+impl<T: Copy + Default> CachePool<T> {
+    /// None yet, for so many gather points and vertices.
     pub fn new(counts: (usize, usize)) -> Self {
-        Rooms { counts, free: Mutex::new(Vec::new()) }
+        CachePool { counts, free: Mutex::new(Vec::new()) }
     }
 
     /// Room in which nothing is known.
-    pub fn lend(&self) -> Lights<'_, T> {
+    pub fn lend(&self) -> FrameCache<'_, T> {
         let kept = self.free.lock().ok().and_then(|mut free| free.pop());
         let slots = |count: usize| (0..count).map(|_| Slot::new()).collect();
-        let fresh =
-            || Slots { frame: 0, sites: slots(self.counts.0), vertices: slots(self.counts.1) };
+        let fresh = || Slots {
+            frame: 0,
+            gather_points: slots(self.counts.0),
+            vertices: slots(self.counts.1),
+        };
         let most = u32::MAX / 2 - 1;
         let mut slots = kept.filter(|slots| slots.frame < most).unwrap_or_else(fresh);
         slots.frame += 1;
-        Lights { rooms: self, slots: Some(slots) }
+        FrameCache { pool: self, slots: Some(slots) }
     }
 }
 
 /// The light of one frame; its room goes back when it is dropped.
-pub struct Lights<'a, T = Light> {
-    rooms: &'a Rooms<T>,
+pub struct FrameCache<'a, T = Light> {
+    pool: &'a CachePool<T>,
     slots: Option<Slots<T>>,
 }
 
-impl<T> Deref for Lights<'_, T> {
+impl<T> Deref for FrameCache<'_, T> {
     type Target = Slots<T>;
 
     #[inline(always)]
@@ -102,28 +105,28 @@ impl<T> Deref for Lights<'_, T> {
     }
 }
 
-impl<T> Drop for Lights<'_, T> {
+impl<T> Drop for FrameCache<'_, T> {
     fn drop(&mut self) {
-        if let (Ok(mut free), Some(slots)) = (self.rooms.free.lock(), self.slots.take()) {
+        if let (Ok(mut free), Some(slots)) = (self.pool.free.lock(), self.slots.take()) {
             free.push(slots);
         }
     }
 }
 
 impl<T: Copy + Default> Slots<T> {
-    /// Light at a site, if it has been reckoned.
+    /// Light at a gather point, if it has been computed.
     #[inline(always)]
-    pub fn site(&self, site: usize) -> Option<T> {
-        self.sites[site].known(self.frame)
+    pub fn gather_point(&self, gather_point: usize) -> Option<T> {
+        self.gather_points[gather_point].known(self.frame)
     }
 
-    /// Keeps the light at a site.
+    /// Keeps the light at a gather point.
     #[inline(always)]
-    pub fn keep_site(&self, site: usize, light: &T) {
-        self.sites[site].keep(self.frame, light);
+    pub fn keep_gather_point(&self, gather_point: usize, light: &T) {
+        self.gather_points[gather_point].keep(self.frame, light);
     }
 
-    /// Light at a vertex, if it has been reckoned.
+    /// Light at a vertex, if it has been computed.
     #[inline(always)]
     pub fn vertex(&self, vertex: usize) -> Option<T> {
         self.vertices[vertex].known(self.frame)

@@ -1,15 +1,15 @@
-//! What the wall looks like around each site, on average.
+//! What the wall looks like around each gather point, on average.
 
-use super::gather_points::Sites;
+use super::gather_points::GatherPoints;
 use crate::render::scene::SceneData;
 use crate::simd::f32x64::*;
 use crate::wall::Wall;
 
 /// Means over faces, which count by their size.
-pub struct Look {
-    /// Base colour around each site.
+pub struct PatchAlbedo {
+    /// Base color around each gather point.
     pub albedo: Vec<Vec3>,
-    /// One over the area that each site stands for [1/m²].
+    /// One over the area that each gather point stands for [1/m²].
     pub per_area: Vec<f32>,
     /// Roughness of the wall.
     pub roughness: f32,
@@ -23,10 +23,10 @@ struct Faces {
     area: Lane,
 }
 
-impl Look {
+impl PatchAlbedo {
     /// Averages what is drawn on a wall.
-    pub fn mean(wall: &Wall, scene: &SceneData, sites: &Sites) -> Self {
-        let mut sums = vec![([0.0f32; 3], 0.0f32); sites.vertex.len()];
+    pub fn mean(wall: &Wall, scene: &SceneData, gather_points: &GatherPoints) -> Self {
+        let mut sums = vec![([0.0f32; 3], 0.0f32); gather_points.vertex.len()];
         let (mut roughness, mut total) = (0.0f64, 0.0f64);
         for first in (0..wall.bvh.triangles.len()).step_by(LANES) {
             let faces = Faces::fetch(wall, scene, first);
@@ -35,7 +35,7 @@ impl Look {
                 roughness += f64::from(faces.roughness[i] * area);
                 total += f64::from(area);
                 for v in wall.bvh.corners[first + i] {
-                    let sum = &mut sums[sites.of_vertex[v as usize] as usize];
+                    let sum = &mut sums[gather_points.of_vertex[v as usize] as usize];
                     sum.0 = add(sum.0, scale(at(&faces.albedo, i), area / 3.0));
                     sum.1 += area / 3.0;
                 }
@@ -43,7 +43,7 @@ impl Look {
         }
         let per_area: Vec<f32> = sums.iter().map(|sum| 1.0 / max(sum.1, 1e-30)).collect();
         let albedo = sums.iter().zip(&per_area).map(|(sum, &one)| scale(sum.0, one)).collect();
-        Look { albedo, per_area, roughness: (roughness / total.max(1e-30)) as f32 }
+        PatchAlbedo { albedo, per_area, roughness: (roughness / total.max(1e-30)) as f32 }
     }
 }
 

@@ -4,7 +4,7 @@ use crate::render::material::{Led, Material, Surface, add_light};
 use crate::simd::f32x64::*;
 use std::f32::consts::{FRAC_PI_2, PI, TAU};
 
-/// Directions at which the share is reckoned; between them it is smooth.
+/// Directions at which the share is computed; between them it is smooth.
 const NODES: usize = 5;
 /// Steps of the mean over directions.
 const STEPS: usize = 64;
@@ -13,14 +13,14 @@ const RINGS: usize = 96;
 /// Angle between half vector and normal of the innermost ring [rad].
 const FIRST_RING: f32 = 1e-4;
 
-/// Share of light from one direction that goes anywhere, or of even light from everywhere that goes
-/// to one direction (they are the same by reciprocity), over the cosine of that direction.
+/// Share of light from one direction that goes anywhere, or of diffuse light from everywhere that
+/// goes to one direction (they are the same by reciprocity), over the cosine of that direction.
 pub struct Reflectance {
     /// Of the diffuse base for an albedo of 1.
     base: Quartic,
-    /// Of what is not coloured by the base: specular lobe and coat.
+    /// Of what is not colored by the base: specular lobe and clearcoat.
     gloss: Quartic,
-    /// Of both for even light from everywhere, to everywhere.
+    /// Of both for diffuse light from everywhere, to everywhere.
     pub mean: [f32; 2],
 }
 
@@ -51,7 +51,7 @@ impl Quartic {
         value
     }
 
-    /// Mean over even light: weighted by the cosine.
+    /// Mean over diffuse light: weighted by the cosine.
     fn mean(&self) -> f32 {
         let part = |k: usize| {
             let cosine = (k as f32 + 0.5) / STEPS as f32;
@@ -92,8 +92,8 @@ impl Reflectance {
 /// What leaves towards a cosine under light of radiance 1 from everywhere: of a black base, and of
 /// a white one.
 ///
-/// Half vectors on rings whose angle grows by the same factor find the narrow lobe of the coat. An
-/// element of half vectors is an element of light of 4 (v·h) times its size.
+/// Half vectors on rings whose angle grows by the same factor find the narrow lobe of the
+/// clearcoat. An element of half vectors is an element of light of 4 (v·h) times its size.
 fn share(material: &Material, roughness: f32, cosine: f32) -> [f32; 2] {
     let view = [(1.0 - cosine * cosine).sqrt(), 0.0, cosine];
     let led =
@@ -143,7 +143,7 @@ mod tests {
 
     #[test]
     fn agrees_with_another_program() {
-        let material = Material { ior: 1.4, coat: 1.0, clearcoat_alpha: 0.1 - 0.099 * 0.93 };
+        let material = Material { ior: 1.4, clearcoat: 1.0, clearcoat_alpha: 0.1 - 0.099 * 0.93 };
         let found = Reflectance::integrate(&material, 0.64);
         for [cosine, base, gloss] in EXACT {
             let [ours, shine] = found.at(cosine);

@@ -46,7 +46,7 @@ impl Lobe {
     }
 
     /// Unit direction number `k` of as many as there are cells, on a spiral (Vogel 1979): its
-    /// neighbours are as near in all directions.
+    /// neighbors are as near in all directions.
     #[inline(always)]
     pub fn on_spiral(&self, k: usize) -> Vec3 {
         let inside = (k as f32 + self.shift[0]) / self.count() as f32;
@@ -65,7 +65,8 @@ impl Lobe {
         self.side * self.side
     }
 
-    /// Unit direction on a cone that has a share of the power inside, so many turns around the axis.
+    /// Unit direction on a cone that has a share of the power inside, so many turns around the
+    /// axis.
     #[inline(always)]
     fn towards(&self, inside: f32, turns: f32) -> Vec3 {
         let [right, down, axis] = self.frame;

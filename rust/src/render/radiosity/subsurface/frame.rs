@@ -2,8 +2,8 @@
 
 use super::Transport;
 use crate::render::material::{Led, Surface, add_leaving, fresnel};
-use crate::render::path::subsurface::refracted;
-use crate::render::radiosity::lazy_cache::Lights;
+use crate::render::path::subsurface::refract_into;
+use crate::render::radiosity::lazy_cache::FrameCache;
 use crate::simd::f32x64::*;
 use crate::wall::Wall;
 use crate::wall::packet::{Hits, MISS};
@@ -25,8 +25,8 @@ struct Face {
     /// In leaf order; `MISS` for none.
     triangle: u32,
     /// What leaves its third corner, and how much more leaves the first two.
-    leaving: [Leaving; 3],
-    /// All that leaves by LEDs and bounced light, in the same way [W/m²].
+    radiosity: [Leaving; 3],
+    /// All that leaves by LEDs and indirect light, in the same way [W/m²].
     all: [Vec4; 3],
     /// How that grows along x, y and z [W/m³].
     slope: [Vec4; 3],
@@ -41,18 +41,18 @@ struct Face {
 const AT_HAND: usize = 8;
 
 /// Light through the tissue in one frame.
-pub struct Skin<'a> {
+pub struct SubsurfaceFrame<'a> {
     transport: &'a Transport,
     rest: &'a Wall,
     wall: &'a Wall,
     leds: Vec<Led>,
     shadows: bool,
-    /// What falls on nodes and leaves vertices, reckoned when first needed.
-    known: Lights<'a, Lit>,
+    /// What falls on nodes and leaves vertices, computed when first needed.
+    known: FrameCache<'a, Lit>,
 }
 
 /// What the tissue behind a tile's surfaces makes of light.
-pub struct Beneath {
+pub struct SubsurfaceLight {
     /// Radiance towards the viewer over π and that of a white matt surface, by light on the place.
     share: Lane3,
     /// Radiance towards the viewer of light that fell elsewhere [W/(sr·m²)].
@@ -69,27 +69,27 @@ impl Transport {
         wall: &'a Wall,
         leds: &[Led],
         shadows: bool,
-    ) -> Skin<'a> {
+    ) -> SubsurfaceFrame<'a> {
         let (leds, known) = (leds.to_vec(), self.room.lend());
-        Skin { transport: self, rest, wall, leds, shadows, known }
+        SubsurfaceFrame { transport: self, rest, wall, leds, shadows, known }
     }
 }
 
-impl Skin<'_> {
+impl SubsurfaceFrame<'_> {
     /// What becomes of light at surfaces; `bounced` is irradiance of a vertex but for the LEDs'.
     #[inline(always)]
-    pub fn beneath(
+    pub fn subsurface(
         &self,
         surface: &Surface,
         hits: &Hits,
         is_wall: [bool; LANES],
         bounced: &impl Fn(usize) -> Vec4,
-    ) -> Beneath {
+    ) -> SubsurfaceLight {
         let tissue = &self.transport.tissue;
-        let mut beneath = Beneath {
+        let mut subsurface = SubsurfaceLight {
             share: [[0.0; LANES]; 3],
             through: [[0.0; LANES]; 3],
-            border: (tissue.ior, tissue.entering),
+            border: (tissue.ior, tissue.diffuse_transmittance),
             is_wall,
         };
         let mut at_hand = [Face::none(); AT_HAND];
@@ -99,23 +99,23 @@ impl Skin<'_> {
             if face.triangle != triangle {
                 *face = self.face(triangle, bounced);
             }
-            let [first, second, third] = &face.leaving;
+            let [first, second, third] = &face.radiosity;
             let inverse = 1.0 / hits.edges[2][i];
             let (wa, wb) = (hits.edges[0][i] * inverse, hits.edges[1][i] * inverse);
             let [share, light] =
                 [0, 1].map(|part| third[part] + first[part] * wa + second[part] * wb);
             let (view, normal) = (at(&surface.view, i), at(&surface.normal, i));
-            let inward = refracted(view, normal, tissue.ior);
-            let less = tissue.level - dot(face.normal, inward).abs();
-            let passes = tissue.passes(clamp(dot(normal, view), 0.0, 1.0));
+            let inward = refract_into(view, normal, tissue.ior);
+            let less = tissue.mean_cosine - dot(face.normal, inward).abs();
+            let passes = tissue.transmittance(clamp(dot(normal, view), 0.0, 1.0));
             let seen = (Vec4::ONE + less * face.tilt) * face.drifted([wa, wb], inward) * passes;
             for k in 0..3 {
                 let seen = seen[k] * surface.albedo[k][i];
-                beneath.share[k][i] = seen * share[k];
-                beneath.through[k][i] = seen * light[k] * (1.0 / PI);
+                subsurface.share[k][i] = seen * share[k];
+                subsurface.through[k][i] = seen * light[k] * (1.0 / PI);
             }
         }
-        beneath
+        subsurface
     }
 
     fn face(&self, triangle: u32, bounced: &impl Fn(usize) -> Vec4) -> Face {
@@ -136,7 +136,7 @@ impl Skin<'_> {
             [tissue.drift(mean), tissue.slope(mean)].map(|[r, g, b]| Vec4::new(r, g, b, 0.0));
         Face {
             triangle,
-            leaving: [a, b, c].map(|x| [x[0], x[1]]),
+            radiosity: [a, b, c].map(|x| [x[0], x[1]]),
             all: [a, b, c].map(|x| x[2]),
             slope,
             normal: normalize(normal),
@@ -151,11 +151,11 @@ impl Skin<'_> {
             return light;
         }
         let mut sum = [Vec4::ZERO; 3];
-        let heard = &self.transport.nodes.heard[v];
-        for &(node, weight) in heard.iter().filter(|heard| heard.1 > 0.0) {
-            let leaving = self.leaving(node as usize, bounced);
+        let neighbors = &self.transport.nodes.neighbors[v];
+        for &(node, weight) in neighbors.iter().filter(|neighbors| neighbors.1 > 0.0) {
+            let radiosity = self.radiosity(node as usize, bounced);
             for part in 0..3 {
-                sum[part] += weight * leaving[part];
+                sum[part] += weight * radiosity[part];
             }
         }
         self.known.keep_vertex(v, &sum);
@@ -163,9 +163,9 @@ impl Skin<'_> {
     }
 
     /// What leaves a node.
-    fn leaving(&self, node: usize, bounced: &impl Fn(usize) -> Vec4) -> Lit {
+    fn radiosity(&self, node: usize, bounced: &impl Fn(usize) -> Vec4) -> Lit {
         let place = self.transport.nodes.vertex.len() + node;
-        if let Some(light) = self.known.site(place) {
+        if let Some(light) = self.known.gather_point(place) {
             return light;
         }
         let row = self.transport.row(self.rest, node);
@@ -177,20 +177,20 @@ impl Skin<'_> {
         let [near, better] = [row.near, self.transport.better(self.rest, node)]
             .map(|[r, g, b]| Vec4::new(r, g, b, 0.0));
         let (near, far) = (near * better, light * better);
-        let leaving = [near, far, near * self.falling(node, bounced) + far];
-        self.known.keep_site(place, &leaving);
-        leaving
+        let radiosity = [near, far, near * self.falling(node, bounced) + far];
+        self.known.keep_gather_point(place, &radiosity);
+        radiosity
     }
 
-    /// Irradiance of a node, by what the border lets pass of it [W/m²].
+    /// Irradiance of a node, by what the interface lets pass of it [W/m²].
     fn falling(&self, node: usize, bounced: &impl Fn(usize) -> Vec4) -> Vec4 {
-        if let Some(light) = self.known.site(node) {
+        if let Some(light) = self.known.gather_point(node) {
             return light[0];
         }
         let vertex = self.transport.nodes.vertex[node] as usize;
         let bounced = bounced(vertex).max(Vec4::ZERO);
         let all = self.leds.iter().fold(bounced, |sum, led| sum + self.direct(vertex, led));
-        self.known.keep_site(node, &[all, Vec4::ZERO, Vec4::ZERO]);
+        self.known.keep_gather_point(node, &[all, Vec4::ZERO, Vec4::ZERO]);
         all
     }
 
@@ -211,7 +211,8 @@ impl Skin<'_> {
         let lobe = if led.exponent == 0.0 { 1.0 } else { pow(axis, led.exponent) };
         let tissue = &self.transport.tissue;
         let passes = (1.0 - fresnel(max(cosine, 1e-6), tissue.ior)) * cosine;
-        let [r, g, b] = scale(led.intensity, passes * lobe / (tissue.entering * square));
+        let [r, g, b] =
+            scale(led.intensity, passes * lobe / (tissue.diffuse_transmittance * square));
         Vec4::new(r, g, b, 0.0)
     }
 
@@ -227,7 +228,7 @@ impl Face {
         let zero = Vec4::ZERO;
         Face {
             triangle: MISS,
-            leaving: [[zero; 2]; 3],
+            radiosity: [[zero; 2]; 3],
             all: [zero; 3],
             slope: [zero; 3],
             normal: [0.0; 3],
@@ -249,8 +250,8 @@ impl Face {
     }
 }
 
-impl Beneath {
-    /// Share of light on the place that pixel `i` gets in colour `k` by way of the base, and
+impl SubsurfaceLight {
+    /// Share of light on the place that pixel `i` gets in color `k` by way of the base, and
     /// radiance by light that fell elsewhere; of the base itself where there is no wall.
     #[inline(always)]
     pub fn of(&self, base: f32, k: usize, i: usize) -> (f32, f32) {

@@ -2,39 +2,39 @@
 //!
 //! What comes out at a place of the wall has entered around it. Random walks from there, those of
 //! path tracing, say where: by reciprocity light takes the same ways back. They are traced once, at
-//! rest, from *nodes*, vertices no closer than a free way. In each frame LEDs and bounced light fall
-//! on the nodes that are needed, and each seen vertex takes their shares.
+//! rest, from *nodes*, vertices no closer than a free path. In each frame LEDs and indirect light
+//! fall on the nodes that are needed, and each seen vertex takes their shares.
 
 mod frame;
 mod transport_row;
 
-pub use frame::{Beneath, Skin};
+pub use frame::{SubsurfaceFrame, SubsurfaceLight};
 use transport_row::{Row, trace_row};
 
-use super::gather_points::Sites;
-use super::lazy_cache::Rooms;
-use super::patch_albedo::Look;
+use super::gather_points::GatherPoints;
+use super::lazy_cache::CachePool;
+use super::patch_albedo::PatchAlbedo;
 use crate::render::path::subsurface::Tissue;
 use crate::render::scene::SceneData;
 use crate::simd::f32x64::*;
 use crate::wall::Wall;
 use std::sync::OnceLock;
 
-/// Least distance between nodes, over the longest free way between two scatterings.
+/// Least distance between nodes, over the longest free path between two scatterings.
 const SPACING: f32 = 0.8;
-/// Weight of a neighbour in what comes out at a node, if it faces the same way.
+/// Weight of a neighbor in what comes out at a node, if it faces the same way.
 const NEIGHBOUR: f32 = 0.5;
 
 /// Where light that comes out of the wall has entered it.
 pub struct Transport {
     tissue: Tissue,
-    nodes: Sites,
-    /// Mean base colour of what each node stands for.
+    nodes: GatherPoints,
+    /// Mean base color of what each node stands for.
     color: Vec<Vec3>,
     rows: Vec<OnceLock<Row>>,
     /// How much more of light comes out than by a node's own row, which is noisy.
     better: Vec<OnceLock<Vec3>>,
-    room: Rooms<frame::Lit>,
+    room: CachePool<frame::Lit>,
 }
 
 impl Transport {
@@ -42,20 +42,20 @@ impl Transport {
     pub fn new(wall: &Wall, scene: &SceneData, tissue: &Tissue) -> Self {
         let [r, g, b] = tissue.scattering;
         let spacing = SPACING / min(r, min(g, b));
-        let nodes = Sites::apart(wall, &vec![spacing; wall.vertices.len()]);
-        let color = Look::mean(wall, scene, &nodes).albedo;
+        let nodes = GatherPoints::apart(wall, &vec![spacing; wall.vertices.len()]);
+        let color = PatchAlbedo::mean(wall, scene, &nodes).albedo;
         let rows = nodes.vertex.iter().map(|_| OnceLock::new()).collect();
         let better = nodes.vertex.iter().map(|_| OnceLock::new()).collect();
-        let room = Rooms::new((2 * nodes.vertex.len(), wall.vertices.len()));
+        let room = CachePool::new((2 * nodes.vertex.len(), wall.vertices.len()));
         Transport { tissue: tissue.clone(), nodes, color, rows, better, room }
     }
 
-    /// What passes the border at an angle of this cosine, over the mean of even light.
-    pub fn passes(&self, cosine: f32) -> f32 {
-        self.tissue.passes(cosine)
+    /// What passes the interface at an angle of this cosine, over the mean of diffuse light.
+    pub fn transmittance(&self, cosine: f32) -> f32 {
+        self.tissue.transmittance(cosine)
     }
 
-    /// Light that a vertex gives back under even light, over what a level wall would.
+    /// Light that a vertex gives back under diffuse light, over what a level wall would.
     pub fn kept(&self, rest: &Wall, vertex: usize) -> Vec3 {
         let node = self.nodes.of_vertex[vertex] as usize;
         let (total, better) = (self.row(rest, node).total(), self.better(rest, node));
@@ -69,7 +69,7 @@ impl Transport {
             let own = self.row(rest, node).total();
             let vertex = self.nodes.vertex[node] as usize;
             let (mut sum, mut weight) = (own, 1.0);
-            // Each neighbour is a corner of two of the faces.
+            // Each neighbor is a corner of two of the faces.
             let faces = rest.faces_around(vertex).iter().map(|&f| rest.faces[f as usize]);
             for v in faces.flatten().map(|v| v as usize).filter(|&v| v != vertex) {
                 let facing = dot(rest.normals[v], rest.normals[vertex]);

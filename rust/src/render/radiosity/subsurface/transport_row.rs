@@ -1,10 +1,11 @@
 //! Rows of light transport through tissue: where light that comes out at a node has entered.
 
-use super::Sites;
-use crate::render::path::bsdf::leave;
+use super::GatherPoints;
+use crate::render::path::bsdf::cosine_direction;
 use crate::render::path::sobol::{dimension, hash, point, unit};
 use crate::render::path::subsurface::{
-    Border, Exit, Level, Medium, Stream, Tissue, Way, refracted, walk,
+    Interface, Medium, PlaneInterface, RandomStream, SubsurfaceExit, Tissue, TissueRay,
+    random_walk, refract_into,
 };
 use crate::simd::f32x64::*;
 use crate::wall::Wall;
@@ -12,12 +13,12 @@ use crate::wall::packet::MISS;
 
 /// Walks of a row: where faces are wide, and where they are not and a vertex hears several nodes.
 const WALKS: [u32; 2] = [128, 64];
-/// Light that has entered nearer than so many free ways, or edges of faces if they are longer, has
+/// Light that has entered nearer than so many free paths, or edges of faces if they are longer, has
 /// fallen on the place itself.
 const NEAR: f32 = 0.5;
 /// Walks set out from faces around a node, so far from it at most as a share of their height.
 const STAR: f32 = 0.5;
-/// Base colours below this are taken for those of a border that lets nothing out again.
+/// Base colors below this are taken for those of a interface that lets nothing out again.
 const BLACK: f32 = 1e-3;
 
 /// Dimensions of a row's random numbers.
@@ -35,7 +36,8 @@ pub struct Link {
     pub share: Vec3,
 }
 
-/// Shares of irradiance that come out at a node, over what a level wall gives back of even light.
+/// Shares of irradiance that come out at a node, over what a level wall gives back of diffuse
+/// light.
 pub struct Row {
     /// Of light that has fallen on the node itself.
     pub near: Vec3,
@@ -44,7 +46,7 @@ pub struct Row {
 }
 
 impl Row {
-    /// All of even light.
+    /// All of diffuse light.
     pub fn total(&self) -> Vec3 {
         self.far.iter().fold(self.near, |sum, link| add(sum, link.share))
     }
@@ -54,9 +56,9 @@ impl Row {
 struct Start {
     place: Vec3,
     /// Unit normal of the face.
-    facet: Vec3,
+    face_normal: Vec3,
     direction: Vec3,
-    /// What passes the border on the way in, over the mean.
+    /// What passes the interface on the way in, over the mean.
     passes: f32,
 }
 
@@ -68,9 +70,9 @@ struct Sum {
     more: Vec3,
 }
 
-/// Traces the row of a node at rest, with the mean base colour around it.
+/// Traces the row of a node at rest, with the mean base color around it.
 ///
-/// A level wall gives back the base colour, exactly. Each walk is also made, with the same random
+/// A level wall gives back the base color, exactly. Each walk is also made, with the same random
 /// numbers, behind the level of the face where it starts: the difference between the two is what
 /// the shape of the wall does, with far less noise than the walks themselves (control variates).
 #[multiversion::multiversion(targets(
@@ -78,7 +80,12 @@ struct Sum {
     "x86_64+avx2",
     "aarch64+neon"
 ))]
-pub fn trace_row(wall: &Wall, tissue: &Tissue, nodes: &Sites, (node, color): (usize, Vec3)) -> Row {
+pub fn trace_row(
+    wall: &Wall,
+    tissue: &Tissue,
+    nodes: &GatherPoints,
+    (node, color): (usize, Vec3),
+) -> Row {
     let medium = tissue.medium(color);
     let vertex = nodes.vertex[node] as usize;
     let edge = (wall.area_around(vertex) / 2.6).sqrt();
@@ -89,9 +96,14 @@ pub fn trace_row(wall: &Wall, tissue: &Tissue, nodes: &Sites, (node, color): (us
     for number in 0..walks {
         let start = Start::draw(wall, tissue, vertex, (key, number));
         let exit = start.walk(wall, &medium, (key, number));
-        let level = Level { point: start.place, normal: start.facet, offset: Border::offset(wall) };
+        let level = PlaneInterface {
+            point: start.place,
+            normal: start.face_normal,
+            offset: Interface::offset(wall),
+        };
         let plain = start.walk(&level, &medium, (key, number));
-        let share = |exit: &Option<Exit>| exit.as_ref().map_or([0.0; 3], |exit| exit.share);
+        let share =
+            |exit: &Option<SubsurfaceExit>| exit.as_ref().map_or([0.0; 3], |exit| exit.share);
         let difference = sub(share(&exit), share(&plain));
         sum.more = add(sum.more, scale(difference, start.passes));
         if let Some(exit) = exit {
@@ -103,7 +115,7 @@ pub fn trace_row(wall: &Wall, tissue: &Tissue, nodes: &Sites, (node, color): (us
 }
 
 impl Start {
-    /// A place near a vertex, and a direction into the tissue as even light takes it.
+    /// A place near a vertex, and a direction into the tissue as diffuse light takes it.
     fn draw(wall: &Wall, tissue: &Tissue, vertex: usize, (key, number): (u32, u32)) -> Self {
         let [first, second] = point(dimension(key, FACE), number);
         let [third, fourth] = point(dimension(key, CORNER), number);
@@ -128,28 +140,29 @@ impl Start {
         let [a, b, c, normal] = chosen;
         let (to_b, to_c) = (STAR * (cuts[2] - cuts[1]), STAR * (1.0 - cuts[2]));
         let place = add(a, add(scale(sub(b, a), to_b), scale(sub(c, a), to_c)));
-        let facet = normalize(normal);
-        let (view, cosine) = leave(facet, point(dimension(key, DIRECTION), number));
-        let direction = refracted(view, facet, tissue.ior);
-        Start { place, facet, direction, passes: tissue.passes(cosine) }
+        let face_normal = normalize(normal);
+        let (view, cosine) =
+            cosine_direction(face_normal, point(dimension(key, DIRECTION), number));
+        let direction = refract_into(view, face_normal, tissue.ior);
+        Start { place, face_normal, direction, passes: tissue.transmittance(cosine) }
     }
 
-    /// Walks behind a border until light comes out.
+    /// Walks behind a interface until light comes out.
     #[inline(always)]
     fn walk(
         &self,
-        border: &impl Border,
+        interface: &impl Interface,
         medium: &Medium,
         (key, number): (u32, u32),
-    ) -> Option<Exit> {
-        let origin = sub(self.place, scale(self.facet, border.offset()));
-        let way = Way { origin, direction: self.direction, from: MISS };
-        walk(border, medium, way, &mut Stream::new(key, number))
+    ) -> Option<SubsurfaceExit> {
+        let origin = sub(self.place, scale(self.face_normal, interface.offset()));
+        let way = TissueRay { origin, direction: self.direction, from: MISS };
+        random_walk(interface, medium, way, &mut RandomStream::new(key, number))
     }
 }
 
 /// The node where a walk ends: that of a corner of the face, drawn by the weights of the corners.
-fn met(wall: &Wall, nodes: &Sites, exit: &Exit, (key, number): (u32, u32)) -> u32 {
+fn met(wall: &Wall, nodes: &GatherPoints, exit: &SubsurfaceExit, (key, number): (u32, u32)) -> u32 {
     let [a, b, c] = wall.bvh.corners[exit.hit.triangle as usize];
     let inverse = 1.0 / exit.hit.edges[2];
     let (wa, wb) = (exit.hit.edges[0] * inverse, exit.hit.edges[1] * inverse);
@@ -166,10 +179,10 @@ fn met(wall: &Wall, nodes: &Sites, exit: &Exit, (key, number): (u32, u32)) -> u3
 
 impl Sum {
     /// Adds light that has gone from `start` to an exit at a node.
-    fn take(&mut self, start: &Start, exit: &Exit, reach: Vec3, from: u32) {
+    fn take(&mut self, start: &Start, exit: &SubsurfaceExit, reach: Vec3, from: u32) {
         let offset = sub(exit.point, start.place);
         let square = dot(offset, offset);
-        let is_same_side = dot(exit.facet, start.facet) > 0.0;
+        let is_same_side = dot(exit.face_normal, start.face_normal) > 0.0;
         let share = scale(exit.share, start.passes);
         let near = reach.map(|reach| is_same_side && square < reach * reach);
         let far = [0, 1, 2].map(|k| if near[k] { 0.0 } else { share[k] });

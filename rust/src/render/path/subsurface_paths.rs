@@ -55,14 +55,14 @@ impl Tracer<'_> {
             path.throughput = scale(path.throughput, share);
             let color = at(&surface.albedo, i);
             entries
-                .push(SubsurfaceEntry { path: self.into_tissue(path, at(face_normals, i)), color });
+                .push(SubsurfaceEntry { path: self.turn_inward(path, at(face_normals, i)), color });
         }
         stays
     }
 
     /// A path just behind a face of unit normal `face_normal`, on its way into the tissue.
     #[inline(always)]
-    fn into_tissue(&self, mut path: Path, face_normal: Vec3) -> Path {
+    fn turn_inward(&self, mut path: Path, face_normal: Vec3) -> Path {
         // Relief may lead out through the face itself.
         let out = max(dot(path.direction, face_normal), 0.0);
         path.direction = sub(path.direction, scale(face_normal, 2.0 * out));

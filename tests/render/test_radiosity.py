@@ -74,7 +74,7 @@ def test_indirect_light_agrees_with_path_tracing(rng: np.random.Generator) -> No
     )
     square = np.mean((ours - one) * (ours - two))
     assert np.sqrt(max(square, 0.0)) < 0.06 * one.mean()
-    direct = _radiance(model, camera, state, shadows=True)
+    direct = _radiance(model, camera, state, light="direct", shadows=True)
     assert direct.mean() < 0.9 * ours.mean()
     np.testing.assert_allclose((ours - direct).mean(), (one - direct).mean(), rtol=0.06)
 

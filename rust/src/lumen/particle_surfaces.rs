@@ -4,12 +4,11 @@ use super::refraction::Turn;
 use super::spheres::{Crossings, Near, Spheres};
 use super::tile::{Filled, Room};
 use crate::mucosa::noise::Lattice;
-use crate::render::frame::REACH;
 use crate::render::material::Surface;
 use crate::render::shading::Attributes;
 use crate::simd::f32x64::*;
 use crate::wall::Wall;
-use crate::wall::packet::{Hits, MISS, Pyramid, farthest_of, trace_beyond};
+use crate::wall::packet::{Hits, MAX_DISTANCE, MISS, Pyramid, farthest_of, trace_beyond};
 use crate::wall::ray;
 use crate::wall::visibility::FREE_WAY;
 use rayon::prelude::*;
@@ -82,7 +81,7 @@ impl Filled<'_> {
         let (wall, chyme, [x, y, z]) = (self.wall, &self.contents.chyme, self.view.origin);
         let image = [x, y, 2.0 * level - z];
         let mut owner = [MISS; LANES];
-        let mut hits = Hits::within(used.map(|used| if used { REACH } else { 0.0 }));
+        let mut hits = Hits::within(used.map(|used| if used { MAX_DISTANCE } else { 0.0 }));
         trace_beyond::<false>(&wall.bvh, (image, nearest), mirrored, wall.extent, &mut hits);
         let farthest = farthest_of(&hits.distance);
         chyme.gather(image, mirrored, wall.extent, farthest, &mut room.near);
@@ -102,8 +101,8 @@ impl Filled<'_> {
         let (mut low, mut high) = ([f32::MAX; 3], [f32::MIN; 3]);
         for i in (0..LANES).filter(|&i| used[i]) {
             let (start, way) = (at(&turn.place, i), at(&turn.heading, i));
-            hits.distance[i] = REACH;
-            if let Some(hit) = ray::cast::<false>(&self.wall.bvh, start, way, REACH, MISS) {
+            hits.distance[i] = MAX_DISTANCE;
+            if let Some(hit) = ray::cast::<false>(&self.wall.bvh, start, way, MAX_DISTANCE, MISS) {
                 hits.distance[i] = hit.distance;
                 hits.triangle[i] = hit.triangle;
                 for k in 0..3 {

@@ -16,14 +16,11 @@ use crate::render::scene::{Scene, SceneData};
 use crate::render::shading::{Attributes, attributes, light, surface};
 use crate::simd::f32x64::*;
 use crate::wall::Wall;
-use crate::wall::packet::{Hits, Pyramid, trace};
+use crate::wall::packet::{Hits, MAX_DISTANCE, Pyramid, trace};
 use glam::DVec3;
 use numpy::PyReadonlyArray2;
 use pyo3::{exceptions::PyValueError, prelude::*, types::PyDict};
 use rayon::prelude::*;
-
-/// Farthest distance looked at [m].
-pub const REACH: f32 = 1e4;
 
 /// Everything about a view but its rays.
 pub struct View<'a> {
@@ -297,7 +294,7 @@ fn render_filled_band(filled: &Filled<'_>, tiles: &[TileRays], area: Area, out: 
 pub fn primary(wall: &Wall, view: &View<'_>, tile: &TileRays) -> (Pyramid, Hits) {
     let mut reach = [0.0; LANES];
     for i in 0..LANES {
-        reach[i] = if tile.used[i] { REACH } else { 0.0 };
+        reach[i] = if tile.used[i] { MAX_DISTANCE } else { 0.0 };
     }
     let mut hits = Hits::within(reach);
     let rays = tile.pyramid.rotated(&view.to_world);

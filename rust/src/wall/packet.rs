@@ -9,6 +9,8 @@ use crate::simd::f32x64::*;
 use crate::wall::bvh::{Bvh, Child, Node, Triangle, WIDTH};
 use std::ops::Range;
 
+/// Farthest distance that rays are traced [m].
+pub const MAX_DISTANCE: f32 = 1e4;
 /// Deepest pile of nodes waiting to be visited: 7 per level of a tree of depth 32.
 const STACK: usize = 7 * 32 + 8;
 

@@ -1,6 +1,5 @@
 //! Light subpaths: emitted by the LEDs with equal power, extended as the wall reflects them.
 
-use crate::render::frame::REACH;
 use crate::render::material::{Led, Surface};
 use crate::render::path::Settings;
 use crate::render::path::bsdf::{self, circle, evaluate_bsdf, frame, on_circle};
@@ -11,7 +10,7 @@ use crate::render::scene::SceneData;
 use crate::render::shading::{attributes_at, surface};
 use crate::simd::f32x64::*;
 use crate::wall::Wall;
-use crate::wall::packet::{Hits, MISS};
+use crate::wall::packet::{Hits, MAX_DISTANCE, MISS};
 use crate::wall::ray::{self, Hit};
 use std::f32::consts::PI;
 
@@ -117,7 +116,7 @@ pub fn emit(
         if led.exponent == 0.0 { 1.0 - 2.0 * v } else { pow(1.0 - v, 1.0 / (led.exponent + 1.0)) };
     let own = on_circle(max(1.0 - z * z, 0.0).sqrt(), z, cosine, sine);
     let direction = turned(led.direction, own);
-    let hit = ray::cast::<false>(&transport.wall.bvh, led.position, direction, REACH, MISS)?;
+    let hit = ray::cast::<false>(&transport.wall.bvh, led.position, direction, MAX_DISTANCE, MISS)?;
     let carried = scale(led.intensity, 1.0 / (share * peak));
     let mut vertex =
         LightVertex::new(transport.wall, number, (led.position, direction), hit, carried)?;
@@ -171,7 +170,13 @@ pub fn extend_light_paths(
         let source = &vertex.source;
         let (direction, _) = bsdf::cosine_direction(source.face_normal, point(key, vertex.number));
         let start = add(source.point, scale(source.face_normal, ray_offset(transport.wall)));
-        let hit = ray::cast::<false>(&transport.wall.bvh, start, direction, REACH, source.triangle);
+        let hit = ray::cast::<false>(
+            &transport.wall.bvh,
+            start,
+            direction,
+            MAX_DISTANCE,
+            source.triangle,
+        );
         ways[i] = (direction, hit);
     }
     let reflectance = reflectance(transport, light_paths, &ways);

@@ -1,6 +1,5 @@
 //! Wavefront path tracing: all paths of a band of tiles advance together.
 
-use crate::render::frame::REACH;
 use crate::render::material::{Led, Surface, add_light};
 use crate::render::path::bsdf::{BsdfRandom, BsdfSample, sample_bsdf};
 use crate::render::path::light_paths::{LightTransport, density};
@@ -13,7 +12,7 @@ use crate::render::path::subsurface_paths::SubsurfaceEntry;
 use crate::render::path::virtual_lights::{MisWeights, VirtualLights};
 use crate::render::path::{PrimaryHit, Settings};
 use crate::simd::f32x64::*;
-use crate::wall::packet::{Hits, MISS};
+use crate::wall::packet::{Hits, MAX_DISTANCE, MISS};
 use crate::wall::ray::{self, Hit};
 
 /// Paths of one wavefront, about: enough that shadow rays have neighbors, few enough for a cache.
@@ -192,7 +191,8 @@ impl Tracer<'_> {
         hits.clear();
         for (number, path) in paths.iter_mut().enumerate() {
             let Path { origin, direction, from, .. } = *path;
-            let hit = ray::cast::<false>(&self.transport.wall.bvh, origin, direction, REACH, from);
+            let hit =
+                ray::cast::<false>(&self.transport.wall.bvh, origin, direction, MAX_DISTANCE, from);
             let Some(mut hit) = hit else { continue };
             if let Some(media) = &self.media {
                 let left;

@@ -129,9 +129,7 @@ class Renderer:
         if points is not None:
             arrays |= {f"sparse_{name}": array for name, array in vars(points).items()}
         wall, lumen_contents = self._wall.at(state), self.lumen_contents(state)
-        contents = (
-            None if lumen_contents is None else self._core_contents(lumen_contents, wall, "now")
-        )
+        contents = lumen_contents and self._core_contents(lumen_contents, wall, "now")
         self._render_into(wall, camera, state, arrays, contents)
         motion = self._motion(camera, arrays, channels, states)
         return {name: arrays[name] for name in channels if name in arrays} | motion
@@ -211,14 +209,10 @@ class Renderer:
             if "flow_forward" in channels:
                 motion["flow_forward"] = forward
             if "occlusion" in channels:
-                wall, lumen_contents = (
-                    self._neighbors["next"].at(state_next),
-                    self.lumen_contents(state_next),
-                )
-                then = None
-                if lumen_contents is not None:
-                    then = self._core_contents(lumen_contents, wall, "next")
-                seen = visibility(camera, paths, moved, forward, state_next, wall, then)
+                wall, contents = self._neighbors["next"].at(state_next), None
+                if (then := self.lumen_contents(state_next)) is not None:
+                    contents = self._core_contents(then, wall, "next")
+                seen = visibility(camera, paths, moved, forward, state_next, wall, contents)
                 motion["occlusion"] = ~seen
         if state_previous is not None and "previous" in needs:
             back = self.points_in_neighbor(camera, points, state, state_previous, "previous")

@@ -42,6 +42,7 @@ def test_a_program_has_six_statements_at_most(program: str):
     assert len(statements) <= MAX_STATEMENTS
 
 
+@pytest.mark.slow
 def test_renders_a_frame_of_a_mesh_file(folder: Path):
     gut = straight_gut({"colon": 0.2}, radius=0.02)
     trimesh.Trimesh(1e3 * gut.vertices, gut.faces, process=False).export(folder / "colon.ply")

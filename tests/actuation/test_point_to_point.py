@@ -44,6 +44,7 @@ def run(planner: PointToPointPlanner, world: World, most: float) -> None:
         world.step(planner.control(world, DT), DT)
 
 
+@pytest.mark.slow
 def test_leads_the_capsule_to_the_target():
     controller, world = begin(FreeActuator())
     target = on_wall(controller.model, 0.115)

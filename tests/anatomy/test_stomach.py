@@ -39,6 +39,7 @@ def test_wall_is_closed_clean_and_faces_the_lumen(stomach: OrganSurface):
     assert np.einsum("ij,ij->", a, np.cross(b, c)) < 0.0
 
 
+@pytest.mark.slow
 def test_triangles_are_small_and_well_shaped(stomach: OrganSurface):
     quality = triangle_quality(Mesh(stomach.vertices, stomach.faces))
     assert quality.mean() > 0.88

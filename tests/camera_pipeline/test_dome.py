@@ -202,6 +202,7 @@ def test_refuses_smears_and_drops_that_do_not_fit() -> None:
         testing.dome(planes, None, (pixels, pixels[None], np.ones((1, 1), np.float32)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["droplets", "smears"])
 def test_severities_cover_more_and_more(name: str) -> None:
     camera = read_device("mirocam").cameras[0]

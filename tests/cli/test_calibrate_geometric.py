@@ -71,6 +71,7 @@ def test_photographs_become_a_capsule_with_a_picture_of_residuals(photos, tmp_pa
     assert out.read_bytes() == before
 
 
+@pytest.mark.slow
 def test_mistakes_end_in_one_line(photos, tmp_path, capsys) -> None:
     out, empty = tmp_path / "mine.toml", tmp_path / "empty"
     empty.mkdir()

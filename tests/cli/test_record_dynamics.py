@@ -68,6 +68,7 @@ def test_values_of_the_motion_reach_the_scenario() -> None:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("values", "message"),
     [

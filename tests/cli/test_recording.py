@@ -52,6 +52,7 @@ def test_flags_are_in_the_episode(episode: Path) -> None:
     assert recorded.scenario.seed == 5
 
 
+@pytest.mark.slow
 def test_check_passes_and_finds_a_fault(episode: Path, capsys: pytest.CaptureFixture[str]) -> None:
     cli.main(["check", str(episode)])
     assert "is whole and consistent" in capsys.readouterr().out
@@ -74,6 +75,7 @@ def test_the_episode_s_own_scenario_makes_the_same_files(episode: Path, tmp_path
         assert (out / name).read_bytes() == (episode / name).read_bytes(), name
 
 
+@pytest.mark.slow
 def test_indirect_light_is_recorded(phantom: Path, episode: Path, tmp_path: Path) -> None:
     out = tmp_path / "direct"
     cli.main(f"record --organ {phantom} --out {out} {FLAGS} --light direct".split())

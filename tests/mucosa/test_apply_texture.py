@@ -86,6 +86,7 @@ def test_color_contrast_and_relief_stay(textured) -> None:
     assert textured.roughness.mean() == pytest.approx(165.0, abs=2.0)
 
 
+@pytest.mark.slow
 def test_no_seam_where_the_texture_coordinates_wrap(textured) -> None:
     """The step from the last column to the first is that between inner columns."""
     image = textured.albedo[10:-10].astype(float)

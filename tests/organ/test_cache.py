@@ -137,6 +137,7 @@ def double(x):
 '''
 
 
+@pytest.mark.slow
 def test_changed_parameters_or_statements_are_another_file(monkeypatch, tmp_path: Path):
     package = tmp_path / "vrcaps"
     shutil.copytree(Path(cache.__file__).parents[1], package, ignore=_all_but_python)

@@ -243,6 +243,7 @@ def test_lines_through_edges_and_vertices_hit_once():
     np.testing.assert_array_equal(height, 1.0)
 
 
+@pytest.mark.slow
 def test_wall_distance_against_dense_samples():
     rng = np.random.default_rng(1)
     corners = rng.normal(size=(30, 3, 3))

@@ -67,6 +67,7 @@ def test_tube(tube, tube_path):
     assert facts.volume == pytest.approx(np.pi * RADIUS**2 * (LENGTH + 4 / 3 * RADIUS), rel=0.03)
 
 
+@pytest.mark.slow
 def test_own_texture_coordinates_stay_on_request(tube, tube_path):
     organ = read_organ(tube_path, unit="mm", name="mine", keep_uv=True)
     assert organ.name == "mine"

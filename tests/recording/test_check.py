@@ -53,6 +53,7 @@ def test_a_whole_episode_has_no_problems(recorded):
     assert calls == [(i, 5) for i in range(1, 6)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("says_where", [True, False])
 def test_liquid_bends_rays_and_is_no_problem(scenario, tmp_path, says_where):
     channels = ("depth", "ray_distance", "normal", *(("refraction_label",) if says_where else ()))

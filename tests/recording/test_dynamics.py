@@ -106,6 +106,7 @@ def test_scenario_round_trip():
     assert scenario_from_plain(json.loads(text)) == given
 
 
+@pytest.mark.slow
 def test_table_says_what_acted(whole):
     """Newton's second law while the patient lies still: mean forces and gravity make momentum."""
     episode = read_episode(whole)

@@ -33,6 +33,7 @@ def images(path: Path) -> list[bytes]:
     return [file.read_bytes() for file in sorted(path.rglob("*.png"))]
 
 
+@pytest.mark.slow
 def test_recorded_effects_change_color_and_lens(
     degraded: Scenario, scenario: Scenario, tmp_path: Path
 ) -> None:
@@ -78,6 +79,7 @@ def test_broken_recording_goes_on_to_the_same_bytes(degraded: Scenario, tmp_path
     assert (broken / "frames.parquet").read_bytes() == (whole / "frames.parquet").read_bytes()
 
 
+@pytest.mark.slow
 def test_color_does_not_depend_on_the_channels_asked_for(
     degraded: Scenario, tmp_path: Path
 ) -> None:

@@ -63,6 +63,7 @@ def test_integrating_sphere(albedo: int) -> None:
     assert ratio.std() < 0.02 * ratio.mean()
 
 
+@pytest.mark.slow
 def test_indirect_light_agrees_with_path_tracing(rng: np.random.Generator) -> None:
     """Beside folds, wet and patterned, with relief: two renderings cancel path tracing's noise."""
     model, camera = _folds(rng)
@@ -125,6 +126,7 @@ def digest() -> str:
     return digest_at_rest_and_moved(renderer, camera, PLACE)
 
 
+@pytest.mark.slow
 def test_same_bytes_for_any_number_of_threads() -> None:
     counts, digests = digests_by_threads(Path(__file__), (1, 2))
     assert counts == [1, 2]

@@ -145,6 +145,7 @@ def test_nobody_gives_back_more_than_arrives() -> None:
     assert glow[0][0] < 0.8
 
 
+@pytest.mark.slow
 def test_a_moved_wall_is_lit_as_it_is() -> None:
     """A wall that is carried along with the capsule looks the same."""
     model, camera = _folds()
@@ -176,12 +177,14 @@ def digest() -> str:
     return digest_at_rest_and_moved(renderer, camera, PLACE)
 
 
+@pytest.mark.slow
 def test_same_bytes_for_any_number_of_threads() -> None:
     counts, digests = digests_by_threads(Path(__file__), (1, 2))
     assert counts == [1, 2]
     assert digests == {digest()}
 
 
+@pytest.mark.slow
 def test_a_frame_does_not_depend_on_what_was_rendered_before() -> None:
     model, camera = _folds()
     state, settings = looking(PLACE), RenderSettings(light="radiosity", scattering=True)

@@ -20,6 +20,7 @@ def test_welded_mesh_is_the_same_wall(stage: Stage) -> None:
     assert len(organ.vertices) < len(mesh.vertices) < 1.6 * len(organ.vertices)
 
 
+@pytest.mark.slow
 def test_embree_casts_the_rays_that_we_cast(stage: Stage) -> None:
     """What is timed is the same work: the distances agree."""
     pytest.importorskip("embreex")

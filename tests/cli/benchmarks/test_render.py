@@ -56,6 +56,7 @@ def test_a_frame_is_complete_and_its_arrays_are_used_again(stage: Stage) -> None
     assert np.isfinite(depth).mean() > 0.5
 
 
+@pytest.mark.slow
 def test_rate_is_one_over_the_time_of_a_frame(studies: dict[str, Study]) -> None:
     study = studies["frame"]
     row = next(row for row in study.table.rows if row.name == COMPLETE)

@@ -201,7 +201,7 @@ def pinhole(size: int, field: float = 1.4) -> tuple[Lens, int, int]:
 
 
 def make_model(organ: OrganSurface, *cameras: Camera) -> Model:
-    """A model whose world frame is the organ's own."""
+    """A model whose world frame is the organ's own; without cameras it has one of its own."""
     device = Device(
         name="test",
         title="Test",
@@ -209,7 +209,7 @@ def make_model(organ: OrganSurface, *cameras: Camera) -> Model:
         radius=0.005,
         mass=0.003,
         frame_rate=10.0,
-        cameras=cameras,
+        cameras=cameras or (make_camera("pinhole"),),
     )
     return Model(organ, device, np.eye(4))
 

@@ -1,4 +1,4 @@
-# `make demo` records a labelled run, `make test` runs all tests; each sets up what it needs.
+# `make demo` records a labeled run, `make test` runs all tests; each sets up what it needs.
 # The environment is .venv in this checkout, so the command is .venv/bin/vrcaps.
 
 VENV := .venv
@@ -21,7 +21,7 @@ export PYO3_BUILD_EXTENSION_MODULE := 1
 .DELETE_ON_ERROR:
 
 help:
-	@echo "make demo   record a labelled run through a generated colon into runs/demo"
+	@echo "make demo   record a labeled run through a generated colon into runs/demo"
 	@echo "make test   run all tests"
 	@echo "make test-fast  run the tests that are not marked slow, in under a minute"
 	@echo "make check  lint, format and type checks"

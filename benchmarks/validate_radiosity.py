@@ -2,7 +2,7 @@
 
 Renders linear radiance with `light="radiosity"` beside path tracing, which `validate_path.py`
 compares with Mitsuba 3. Claimed: over the views of an organ, relative RMSE at most 5 % of the whole
-image, and a labelled frame takes at most 1.6 times the processor time of one with direct light.
+image, and a labeled frame takes at most 1.6 times the processor time of one with direct light.
 
     python benchmarks/validate_radiosity.py
 """
@@ -107,7 +107,7 @@ def figures(images: np.ndarray) -> tuple[str, ...]:
 
 
 def cost(names: tuple[str, str], stage: Stage) -> tuple[str, ...]:
-    """Processor time of labelled frames of 320 × 320 pixels, all threads together."""
+    """Processor time of labeled frames of 320 × 320 pixels, all threads together."""
     renderers = [Renderer(stage.model, s) for s in (DIRECT, RADIOSITY)]
     taken = np.zeros((ROUNDS, NUM_VIEWS, 2))
     for turn, (view, state) in (
@@ -146,7 +146,7 @@ def main() -> None:
         "of its means. Shadows are on but where said. *Contracted*: a ring\nof 40 % of the radius "
         "25 mm ahead, while what a site sees is known at rest.\n\n"
         + table(ERRORS, rows)
-        + "\n\nProcessor time of a complete labelled frame, 320 × 320 pixels, no shadows, medians; "
+        + "\n\nProcessor time of a complete labeled frame, 320 × 320 pixels, no shadows, medians; "
         "the wall of *contracted* is refitted\nin each frame of both.\n\n" + table(TIMES, times)
     )
     write_section(given.out, Path(__file__).name, text)

@@ -188,7 +188,7 @@ def radiosity_row(view: View) -> tuple[str, ...]:
 
 
 def cost_row(view: View) -> tuple[str, ...]:
-    """Processor time of complete labelled frames without shadows, all threads together."""
+    """Processor time of complete labeled frames without shadows, all threads together."""
     camera = view.model.device.cameras[0]
     radiosity = RenderSettings(light="radiosity")
     ways = (RenderSettings(light="direct"), radiosity, replace(radiosity, scattering=True))
@@ -246,7 +246,7 @@ def main() -> None:
         f"{round(320 * VIEW)} pixels to a side), in red, green and blue. Noise of the reference "
         "does not count: errors\nagainst its two images are multiplied.\n\n"
         + table(RADIOSITY_HEAD, radiosity)
-        + "\n\nProcessor time of a complete labelled frame, 320 × 320 pixels, no shadows, medians; "
+        + "\n\nProcessor time of a complete labeled frame, 320 × 320 pixels, no shadows, medians; "
         "of the first frame of a\nrenderer, and the mean over the first frames of the next "
         f"{NUM_VIEWS - 1} views of a flight.\n\n" + table(COST_HEAD, costs)
     )

@@ -1,8 +1,8 @@
-"""Your first labelled frame: a colon, a capsule in it, and everything its camera sees.
+"""Your first labeled frame: a colon, a capsule in it, and everything its camera sees.
 
     python examples/01_first_frame.py
 
-Writes `first_frame.png` (colour, depth, normals, gut segments side by side) and
+Writes `first_frame.png` (color, depth, normals, gut segments side by side) and
 `first_frame.npz` (the arrays themselves, SI units, NaN where the lens sees nothing).
 """
 
@@ -31,7 +31,7 @@ def main(out: Path, seed: int) -> None:
     rng = np.random.default_rng(seed)
     flight = vrcaps.fly_through(model, vrcaps.FlyThrough(), frames=100, fps=3.0, rng=rng)
 
-    # A renderer turns a state of the world and a camera into a frame of labelled channels.
+    # A renderer turns a state of the world and a camera into a frame of labeled channels.
     renderer = vrcaps.Renderer(model)
     (camera,) = model.device.cameras
     frame = renderer.render(flight.state(60), camera, channels=CHANNELS)

@@ -31,7 +31,7 @@ def test_lab_is_that_of_scikit_image():
     np.testing.assert_allclose(lab_from_srgb(image), rgb2lab(image), atol=0.02)
 
 
-def test_white_black_and_greys():
+def test_white_black_and_grays():
     """Grays have no chroma; L* of linear 0.1842 is 50."""
     grays = np.repeat(np.arange(256, dtype=np.uint8)[:, None], 3, axis=1)
     lab = lab_from_srgb(grays)

@@ -151,7 +151,7 @@ def _tuple_hook(converter: Converter, declared: Any, units: bool) -> Callable[[A
                 values.append(converter.structure(value, item))
             except Exception as error:
                 error.add_note(_note(index, item))
-                raise IterableValidationError("", [error], declared) from error
+                raise IterableValidationError("", [error], declared) from error  # pyright: ignore[reportCallIssue]
         return tuple(values)
 
     return structure

@@ -165,7 +165,7 @@ def test_a_smear_tints_and_veils(rng: np.random.Generator) -> None:
 
 def test_a_smear_has_its_coverage(rng: np.random.Generator) -> None:
     smears = Smears(0.02 * MM, coverage=0.3)
-    places = rng.uniform(-0.5, 0.5, (20_000, 2))  # a dome half a metre wide has many streaks
+    places = rng.uniform(-0.5, 0.5, (20_000, 2))  # a dome half a meter wide has many streaks
     shares = [np.mean(smears.relief(places, 0.0, rng) > 0.0) for _ in range(4)]
     assert np.mean(shares) == pytest.approx(0.3, abs=0.02)
 

@@ -95,7 +95,7 @@ def test_any_image_size(width: int, height: int) -> None:
     ],
 )
 def test_a_tile_that_sees_all_around(rng: np.random.Generator, lens: tuple) -> None:
-    """Neighbouring rays more than a right angle apart have no pyramid around them."""
+    """Neighboring rays more than a right angle apart have no pyramid around them."""
     organ = sphere(2, appearance=patterned(rng))
     camera = make_camera(lens)
     model, state = make_model(organ, camera), looking((0.004, -0.006, 0.003))

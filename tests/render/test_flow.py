@@ -20,7 +20,7 @@ CHANNELS = ("flow_forward", "occlusion", "position")
 
 
 def _wave(vertices: np.ndarray, phase: float) -> np.ndarray:
-    """The wall squeezed by a travelling ring, and swaying."""
+    """The wall squeezed by a traveling ring, and swaying."""
     squeeze = 1.0 - 0.25 * np.exp(-(((vertices[:, 2] - 0.08 - phase) / 0.02) ** 2))
     moved = vertices * np.stack([squeeze, squeeze, np.ones_like(squeeze)], axis=1)
     return moved + np.array([0.002, -0.001, 0.003]) * np.sin(20.0 * phase)
@@ -166,7 +166,7 @@ def test_a_wall_that_follows_the_camera_has_no_flow() -> None:
     assert np.abs(frame.flow_forward[seen]).max() < 1e-2
 
 
-def test_motion_needs_the_neighbouring_states() -> None:
+def test_motion_needs_the_neighboring_states() -> None:
     organ, camera = tube(8, 4), make_camera()
     renderer, state = Renderer(make_model(organ, camera), DIRECT), looking((0.0, 0.0, 0.05))
     for name in ("flow_forward", "occlusion"):

@@ -1,4 +1,4 @@
-"""LEDs of any spectrum: colours against a sum over wavelengths, and against the usual LEDs."""
+"""LEDs of any spectrum: colors against a sum over wavelengths, and against the usual LEDs."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def spectrum(*lines: tuple[float, float, float]) -> tuple[tuple[float, float], .
 
 
 def mucosa(base: float, blood: float, bile: float) -> np.ndarray:
-    """Linear colour of a tissue of known densities."""
+    """Linear color of a tissue of known densities."""
     return np.exp(-base - np.array([blood, bile]) @ ABSORPTION)
 
 
@@ -36,7 +36,7 @@ VIOLET = spectrum((415.0, 20.0, 3.0), (545.0, 60.0, 1.0), (640.0, 60.0, 1.0))
 
 
 def test_the_usual_leds_change_nothing(rng):
-    """Their colours are those given, whatever holds them."""
+    """Their colors are those given, whatever holds them."""
     light, colors = led_light(PHOSPHOR), rng.uniform(0.01, 1.0, (200, 3))
     np.testing.assert_allclose(light.reflectance(colors), colors, rtol=1e-6)
     np.testing.assert_allclose(light.bands_nm, (610.0, 545.0, 465.0))
@@ -45,7 +45,7 @@ def test_the_usual_leds_change_nothing(rng):
 
 
 def test_power_does_not_matter_but_its_spectrum_does():
-    """The camera is balanced to white: twice the power is the same picture, grey stays grey."""
+    """The camera is balanced to white: twice the power is the same picture, gray stays gray."""
     twice = tuple((nm, 2.0 * power) for nm, power in VIOLET)
     color = mucosa(0.3, 0.9, 0.3)
     np.testing.assert_allclose(
@@ -83,7 +83,7 @@ def test_two_lines_against_diffusion_by_hand():
 
 
 def test_violet_light_shows_vessels():
-    """At 415 nm haemoglobin absorbs most, so blood in blue is darker; red hardly changes."""
+    """At 415 nm hemoglobin absorbs most, so blood in blue is darker; red hardly changes."""
     pale, vessel = mucosa(0.3, 0.6, 0.2), mucosa(0.3, 1.2, 0.2)
     light = led_light(VIOLET)
     usual, violet = vessel / pale, light.reflectance(vessel) / light.reflectance(pale)
@@ -108,7 +108,7 @@ def test_nothing_reflects_more_than_all(rng):
 
 
 def test_liquid_absorbs_what_it_holds():
-    """Blood in a liquid absorbs more of violet light, as many times as haemoglobin does."""
+    """Blood in a liquid absorbs more of violet light, as many times as hemoglobin does."""
     blood = tuple((20.0 * ABSORPTION[0]).tolist())
     violet = led_light(VIOLET).liquid(Liquid(absorption=blood)).absorption
     assert violet[2] > 3.0 * blood[2]
@@ -116,7 +116,7 @@ def test_liquid_absorbs_what_it_holds():
 
 
 def test_a_capsules_own_leds_light_the_image():
-    """An even wall's image is that of its colour under the device's LEDs."""
+    """An even wall's image is that of its color under the device's LEDs."""
     albedo = np.rint(255.0 * np.array([0.75, 0.5, 0.42])).astype(np.uint8)
     look = Appearance(np.tile(albedo, (4, 4, 1)), np.full((4, 4), 255, np.uint8), np.zeros((4, 4)))
     organ = replace(sphere(3), appearance=replace(look, clearcoat=0.0))
@@ -134,6 +134,6 @@ def test_a_capsules_own_leds_light_the_image():
     assert violet.radiance[..., 2].mean() < 0.9 * usual.radiance[..., 2].mean()
 
 
-def test_leds_without_a_colour():
+def test_leds_without_a_color():
     with pytest.raises(InputError, match=r"camera's red 0\.0% of the light"):
         led_light(spectrum((450.0, 20.0, 1.0), (530.0, 30.0, 1.0)))

@@ -36,7 +36,7 @@ RADIANCE = ("radiance",)
 
 
 def _plain(albedo: int = 255, roughness: int = 128, *, ior: float = 1.0, clearcoat: float = 0.0):
-    """One colour everywhere; index 1 and no coat leave only the diffuse base."""
+    """One color everywhere; index 1 and no coat leave only the diffuse base."""
     shape = (1, 1)
     return Appearance(
         np.full((*shape, 3), albedo, np.uint8),
@@ -109,7 +109,7 @@ def test_light_falls_with_the_inverse_square(rng: np.random.Generator) -> None:
         for radius in (0.01, 0.03)
     )
     np.testing.assert_allclose(near, 9.0 * far, rtol=1e-4)
-    # At the centre light, view and normal agree: albedo/π · I/r², for albedo 1.
+    # At the center light, view and normal agree: albedo/π · I/r², for albedo 1.
     np.testing.assert_allclose(near, 1e-3 / (np.pi * 0.01**2), rtol=3e-3)
 
 

@@ -41,7 +41,7 @@ def test_share_of_the_limits():
 
 
 def test_film_throws_light_back():
-    """The series of light thrown back and reflected again gives the wet colour."""
+    """The series of light thrown back and reflected again gives the wet color."""
     wet = np.linspace(0.0, 1.0, 21)
     dry, share = dry_albedo(wet), internal_reflectance(1.335)
     series = sum(dry * (1.0 - share) * (share * dry) ** k for k in range(200))
@@ -63,7 +63,7 @@ def test_liquid_fills_dips(rng: np.random.Generator):
     np.testing.assert_array_equal(level_relief(height, 0.0, 9), height)
 
 
-def test_coat_and_colour_follow_thickness(organ: OrganSurface):
+def test_coat_and_color_follow_thickness(organ: OrganSurface):
     looks = [apply_mucus_film(organ, 1e-6 * t).appearance for t in (0.0, 1.0, 5.0, 20.0)]
     coats = [look.clearcoat for look in looks if look is not None]
     means = [look.albedo.mean() for look in looks if look is not None]

@@ -1,4 +1,4 @@
-"""Narrow-band imaging: diffusion, colours taken apart, and vessels that stand out."""
+"""Narrow-band imaging: diffusion, colors taken apart, and vessels that stand out."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from vrcaps.render.settings import RenderSettings
 
 
 def mucosa(base: float, blood: float, bile: float) -> np.ndarray:
-    """Linear colour of a tissue of known densities."""
+    """Linear color of a tissue of known densities."""
     return np.exp(-base - np.array([blood, bile]) @ ABSORPTION)
 
 
@@ -52,7 +52,7 @@ def _walk(absorption: float, photons: int, rng: np.random.Generator) -> float:
     return back / photons
 
 
-def test_a_colour_is_taken_apart(rng):
+def test_a_color_is_taken_apart(rng):
     """Known base, blood and bile give what their absorption at both bands says."""
     for base, blood, bile in rng.uniform([0.1, 0.0, 0.0], [0.6, 2.5, 0.8], (20, 3)):
         green, violet, blue = narrow_band().reflectance(mucosa(base, blood, bile))
@@ -62,8 +62,8 @@ def test_a_colour_is_taken_apart(rng):
         assert blue == violet
 
 
-def test_a_colour_that_is_no_tissue_stays_a_reflectance(rng):
-    """Grey, green and blue hold no blood; nothing reflects more than its red does."""
+def test_a_color_that_is_no_tissue_stays_a_reflectance(rng):
+    """Gray, green and blue hold no blood; nothing reflects more than its red does."""
     colors = rng.uniform(0.01, 1.0, (500, 3))
     seen = narrow_band().reflectance(colors)
     assert np.isfinite(seen).all() and (seen > 0.0).all()
@@ -99,7 +99,7 @@ def test_textures_are_worked_on_in_pieces(rng):
     )
 
 
-def test_a_wall_looks_like_its_colour_by_the_light_of_the_bands():
+def test_a_wall_looks_like_its_color_by_the_light_of_the_bands():
     """An even wall, dull and dry: its image is that of white light times reflectance and gain."""
     albedo = np.rint(255.0 * np.array([0.75, 0.5, 0.42])).astype(np.uint8)
     look = Appearance(np.tile(albedo, (4, 4, 1)), np.full((4, 4), 255, np.uint8), np.zeros((4, 4)))

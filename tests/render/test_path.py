@@ -29,7 +29,7 @@ LOOKS = {
 
 
 TEXEL_STEPS = 2047
-"""Of the square root of a colour, as a texel holds it."""
+"""Of the square root of a color, as a texel holds it."""
 
 
 def _look(albedo: int, roughness: int, ior: float, clearcoat: float) -> Appearance:
@@ -48,7 +48,7 @@ def _radiance(model: Model, camera: Camera, state: State, **settings: int) -> np
 
 
 def _sphere_radiance(look: Appearance, cos_view: np.ndarray, depth: int) -> np.ndarray:
-    """Radiance of a hollow sphere under unit irradiance from its centre, by angle of view.
+    """Radiance of a hollow sphere under unit irradiance from its center, by angle of view.
 
     Light that leaves at an angle θ arrives at the same angle anywhere else, so that
     L₁(θ) = f(θ, 0) and Lₙ₊₁(θ) = ∫ f(θ, ω) Lₙ(θ_ω) cos θ_ω dω: an integral in one variable.
@@ -136,7 +136,7 @@ def test_radiance_agrees_with_mitsuba(rng: np.random.Generator, depth: int) -> N
 
 
 def _blocks(images: np.ndarray) -> np.ndarray:
-    """Means over blocks of 6 × 6 pixels and over colours [n 16]."""
+    """Means over blocks of 6 × 6 pixels and over colors [n 16]."""
     count, height, width, _ = images.shape
     cut = images.reshape(count, height // 6, 6, width // 6, 6, 3)
     return cut.mean(axis=(2, 4, 5)).reshape(count, -1).astype(float)

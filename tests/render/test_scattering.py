@@ -153,7 +153,7 @@ def test_diffusion_of_the_limits():
 
 @pytest.mark.parametrize("ior", INDICES)
 def test_walks_agree_with_transport(ior: float):
-    """Three colours of other albedo and free way at once, each within four standard errors."""
+    """Three colors of other albedo and free way at once, each within four standard errors."""
     albedo, count = (0.99, 0.9, 0.6), 60_000
     _, share = _walks(_plane(), albedo, (700.0, 1000.0, 1600.0), ior, count)
     passes = 1.0 - fresnel(np.array(1.0), ior)
@@ -164,7 +164,7 @@ def test_walks_agree_with_transport(ior: float):
 
 
 def test_walks_go_straight_through_clear_tissue():
-    """Without scattering what crosses a slab is exp(−µ d) (Beer and Lambert), in every colour."""
+    """Without scattering what crosses a slab is exp(−µ d) (Beer and Lambert), in every color."""
     extinction, thickness, count = (300.0, 700.0, 1500.0), 1e-3, 40_000
     place, share = _walks(_slab(thickness), (0.0,) * 3, extinction, 1.0, count)
     through = np.where(place[:, 2:] < -0.5 * thickness, share, 0.0)

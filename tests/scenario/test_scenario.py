@@ -118,7 +118,7 @@ def test_resolve_checks_checksums(mesh_file, tmp_path):
         ({"fps": 0.0}, InputError, "fps is 0.0. Allowed: above 0"),
         ({"seed": -1}, InputError, "seed is -1. Allowed: 0 or more"),
         ({"channels": ()}, InputError, "channels is .*Allowed: at least one"),
-        ({"channels": ("colour",)}, UnknownNameError, "No channel named 'colour'. Known: albedo"),
+        ({"channels": ("color",)}, UnknownNameError, "No channel named 'color'. Known: albedo"),
         ({"posture": "upside"}, UnknownNameError, "No posture named 'upside'"),
         ({"capsule": "xcam"}, UnknownNameError, "No capsule named 'xcam'"),
     ],
@@ -135,7 +135,7 @@ def test_unknown_unit_of_a_mesh_file(mesh_file, device_file):
 
 @pytest.mark.slow
 def test_organ_is_loaded_as_stated(mesh_file, device_file):
-    """With half a metre as its unit the tube is half as long; an appearance is always there."""
+    """With half a meter as its unit the tube is half as long; an appearance is always there."""
     scenario = resolve(Scenario(OrganFile(str(mesh_file), "500mm"), str(device_file)))
     organ = module._load_organ(scenario)
     assert np.ptp(organ.vertices, axis=0).max() == pytest.approx(0.12, rel=1e-6)

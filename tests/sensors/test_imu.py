@@ -36,7 +36,7 @@ def test_falling_it_reads_nothing():
     assert not read_imu(QUIET, motion, NONE, RNG)[0].any()
 
 
-def test_off_centre_it_feels_the_turning():
+def test_off_center_it_feels_the_turning():
     """The second derivative of its place, by differences: R(t) r with changing spin."""
     from scipy.spatial.transform import Rotation
 

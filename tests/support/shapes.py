@@ -36,7 +36,7 @@ def make_organ(
     arc_length: np.ndarray | None = None,
     appearance: Appearance | None = None,
 ) -> OrganSurface:
-    """An organ of a bare mesh: labels by octant, lesions by height, no real centreline."""
+    """An organ of a bare mesh: labels by octant, lesions by height, no real centerline."""
     count = len(vertices)
     middle = vertices.mean(axis=0)
     octant = (vertices > middle) @ np.array([1, 2, 4]) + 1
@@ -149,7 +149,7 @@ def with_ball(organ: OrganSurface, center: np.ndarray, radius: float) -> OrganSu
 def patterned(
     rng: np.random.Generator, *, size: tuple[int, int] = (12, 16), relief: float = 0.0
 ) -> Appearance:
-    """Random coarse textures: every texel another colour, roughness and height [m]."""
+    """Random coarse textures: every texel another color, roughness and height [m]."""
     return Appearance(
         albedo=rng.integers(20, 236, (*size, 3), dtype=np.uint8),
         roughness=rng.integers(60, 230, size, dtype=np.uint8),

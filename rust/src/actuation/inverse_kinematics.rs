@@ -27,7 +27,7 @@ const PARALLEL: f64 = 1e-9;
 /// Angles q7 to either side in the first search, and in the finest; closer where they are near.
 const SEARCH: (usize, usize) = (32, 512);
 /// A solution this near to where the arm is counts as the nearest [rad, Euclidean].
-const NEIGHBOUR: f64 = 0.25;
+const NEIGHBOR: f64 = 0.25;
 /// Steps along the self-motion towards the nearest solution.
 const REFINE: usize = 40;
 /// A step that shortens the squared distance by less than this part of it is the last.
@@ -131,8 +131,8 @@ impl Inverse {
         let twists = [0.0, -1.0, 1.0, 1.0, -1.0, 1.0, 1.0].map(|t| t * FRAC_PI_2);
         let twisted = j.iter().zip(twists).all(|(j, t)| (j.alpha - t).abs() < 1e-12);
         let zeros = [j[0].a, j[1].a, j[1].d, j[2].a, j[3].d, j[5].a, j[5].d];
-        let centred = zeros.iter().all(|&x| x == 0.0) && j.iter().all(|j| j.theta == 0.0);
-        if !twisted || !centred || (j[2].d == 0.0) || (j[4].d == 0.0) {
+        let centerd = zeros.iter().all(|&x| x == 0.0) && j.iter().all(|j| j.theta == 0.0);
+        if !twisted || !centerd || (j[2].d == 0.0) || (j[4].d == 0.0) {
             return None;
         }
         let (d3, a4, a5, d5) = (j[2].d, j[3].a, j[4].a, j[4].d);
@@ -261,7 +261,7 @@ impl Inverse {
 
     /// The solution nearest to `near` (Euclidean in the joint angles) over all branches and all q7.
     ///
-    /// First with q7 as it is in `near`: a solution within `NEIGHBOUR` of `near` ends the search.
+    /// First with q7 as it is in `near`: a solution within `NEIGHBOR` of `near` ends the search.
     /// Then on a grid of q7, outwards from that of `near`, made finer until one is found. At last by
     /// steps along the arm's self-motion.
     pub fn nearest(&self, target: &Pose, near: &Angles) -> Option<Angles> {
@@ -271,7 +271,7 @@ impl Inverse {
         self.solve(target, start, &mut search);
         if let Some(found) = search.found() {
             search.push(self.refine(target, found, near));
-            if search.bound2 < square(NEIGHBOUR) {
+            if search.bound2 < square(NEIGHBOR) {
                 return search.found();
             }
         }

@@ -167,7 +167,7 @@ fn decode(pixels: &[u8], size: (usize, usize), steps: &[Block; 2], out: &mut [u8
     let squares = width.div_ceil(16);
     let band = |number: usize| {
         let band = analyzed(pixels, size, number, &forth);
-        synthesised(&band, steps, &back, squares)
+        synthesized(&band, steps, &back, squares)
     };
     let planes: Vec<[Vec<f32>; 3]> = (0..height.div_ceil(16)).into_par_iter().map(band).collect();
     out.par_chunks_mut(16 * width * 3).enumerate().for_each(|(band, rows)| {
@@ -311,7 +311,7 @@ fn block_bits(numbers: &Block, table: usize, last: &mut i32) -> usize {
     "x86_64+avx2",
     "aarch64+neon"
 ))]
-fn synthesised(
+fn synthesized(
     band: &Band,
     steps: &[Block; 2],
     back: &[Basis; 2],

@@ -1,5 +1,5 @@
 //! Fields with an axis of symmetry in closed form: a current loop, and a thin shell of current,
-//! which is also a cylinder magnetised along its axis.
+//! which is also a cylinder magnetized along its axis.
 
 use super::axial_field::AxialField;
 use super::dual::{Dual, Number, Pair};

@@ -16,7 +16,7 @@ const DIPOLE_SIZE: f64 = 1e-6;
 pub enum Kind {
     /// A point dipole of a moment [A·m²].
     Dipole(f64),
-    /// A cylinder magnetised along its axis, or a thin solenoid.
+    /// A cylinder magnetized along its axis, or a thin solenoid.
     Shell(Shell),
     /// A current loop.
     Ring(Ring),

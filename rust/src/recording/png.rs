@@ -197,7 +197,7 @@ fn decode(bytes: &[u8]) -> Result<Pixels, String> {
     let shape = match info.color_type {
         ColorType::Grayscale => vec![height, width],
         ColorType::Rgb => vec![height, width, 3],
-        other => return Err(format!("unexpected colour type {other:?}.")),
+        other => return Err(format!("unexpected color type {other:?}.")),
     };
     Ok(Pixels { shape, is_wide: info.bit_depth == BitDepth::Sixteen, bytes })
 }

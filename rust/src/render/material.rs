@@ -198,7 +198,7 @@ fn schlick(cosine: f32) -> f32 {
     square * square * m
 }
 
-/// Reflectance of a smooth dielectric for unpolarised light (Fresnel).
+/// Reflectance of a smooth dielectric for unpolarized light (Fresnel).
 #[inline(always)]
 pub fn fresnel(cosine: f32, ior: f32) -> f32 {
     let inside = max(1.0 - (1.0 - cosine * cosine) / (ior * ior), 0.0).sqrt();

@@ -23,7 +23,7 @@ pub struct FaceData {
 pub struct SceneData {
     /// What is drawn on each face.
     pub faces: Vec<FaceData>,
-    /// Distance along the centreline of each vertex [m].
+    /// Distance along the centerline of each vertex [m].
     pub arc_length: Vec<f32>,
     /// Textures, or none for a plain wall.
     pub texture: Option<TextureHandle>,
@@ -60,7 +60,7 @@ pub struct Scene {
 
 #[pymethods]
 impl Scene {
-    /// Takes uv [m 3 2], label [m] and instance [m] of faces, arc length [n] of vertices in metres,
+    /// Takes uv [m 3 2], label [m] and instance [m] of faces, arc length [n] of vertices in meters,
     /// `texture` or a plain linear `albedo` and `roughness`, and `reflectance` (refractive index,
     /// clearcoat strength, clearcoat roughness α). `tissue` lets paths go through the wall: reduced
     /// scattering of red, green and blue [1/m], refractive index, share of diffuse light that

@@ -30,7 +30,7 @@ pub struct Attributes {
     pub uv: [Lane; 2],
     /// Surface gradients of the texture coordinates [1/m].
     pub gradients: [Lane3; 2],
-    /// Distance along the centreline [m].
+    /// Distance along the centerline [m].
     pub arc_length: Lane,
     /// Segment or tissue class.
     pub label: [u8; LANES],

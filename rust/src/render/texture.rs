@@ -194,7 +194,7 @@ fn linear(value: u8) -> f32 {
 
 #[pymethods]
 impl Texture {
-    /// Packs albedo [h w 3] (sRGB), roughness [h w] and height [h w] in metres, all C-contiguous.
+    /// Packs albedo [h w 3] (sRGB), roughness [h w] and height [h w] in meters, all C-contiguous.
     #[new]
     fn new(
         py: Python<'_>,
@@ -246,8 +246,8 @@ impl Texture {
         let mut weights = [[0.0; LANES]; 2];
         for i in 0..LANES {
             let level = &self.levels[numbers[i] as usize];
-            let (x, x0, x1) = neighbours(uv[0][i], level.width);
-            let (y, y0, y1) = neighbours(1.0 - uv[1][i], level.height);
+            let (x, x0, x1) = neighbors(uv[0][i], level.width);
+            let (y, y0, y1) = neighbors(1.0 - uv[1][i], level.height);
             let (row0, row1) = (y0 * level.width, y1 * level.width);
             for (c, place) in [row0 + x0, row0 + x1, row1 + x0, row1 + x1].into_iter().enumerate() {
                 let Texel(color, rest) = level.texels[place];
@@ -304,7 +304,7 @@ impl Texture {
 
 /// Weight of the second neighbor, and both neighbors, of a wrapped coordinate 0 to 1.
 #[inline(always)]
-fn neighbours(coordinate: f32, size: usize) -> (f32, usize, usize) {
+fn neighbors(coordinate: f32, size: usize) -> (f32, usize, usize) {
     let wrapped = coordinate - coordinate.floor();
     let place = wrapped * size as f32 + 0.5;
     let second = (place as usize).min(size);

@@ -85,7 +85,7 @@ pub fn attenuate(
 }
 
 impl VertexMotion {
-    /// Whether the vertex is back at rest, to a hundredth of a micrometre.
+    /// Whether the vertex is back at rest, to a hundredth of a micrometer.
     pub fn is_still(&self) -> bool {
         self.displacement.abs().max_element() < STILL.0
             && self.velocity.abs().max_element() < STILL.1

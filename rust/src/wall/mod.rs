@@ -224,7 +224,7 @@ fn flat<'a>(vertices: &'a PyReadonlyArray2<'_, f64>) -> PyResult<&'a [f64]> {
 
 #[pymethods]
 impl Wall {
-    /// Builds the wall from vertices [n 3] in metres and faces [m 3].
+    /// Builds the wall from vertices [n 3] in meters and faces [m 3].
     #[new]
     fn new(
         vertices: PyReadonlyArray2<'_, f64>,
@@ -262,7 +262,7 @@ impl Wall {
         Ok(wall)
     }
 
-    /// Moves the wall to new vertex positions [n 3] in metres; the hierarchy is refitted.
+    /// Moves the wall to new vertex positions [n 3] in meters; the hierarchy is refitted.
     fn refit(&mut self, py: Python<'_>, vertices: PyReadonlyArray2<'_, f64>) -> PyResult<()> {
         let vertices = flat(&vertices)?;
         if vertices.len() != self.vertices.len() * 3 {

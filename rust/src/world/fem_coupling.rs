@@ -25,7 +25,7 @@ use crate::tissue::spring_wall::VertexMotion;
 use glam::DVec3;
 
 /// Momentum that makes no node faster than this is given to the layer in its next step [m/s]: over
-/// a step it is less than a nanometre, and spares a solution where the capsule rests.
+/// a step it is less than a nanometer, and spares a solution where the capsule rests.
 const SLIGHT: f64 = 1e-7;
 
 /// All that an exchange and its layer go on from.

@@ -94,7 +94,7 @@ pub struct SoftWall {
     /// Whether only those give way.
     is_spring_wall: bool,
     pub near: NearbyWall,
-    /// How far capsule and wall must have travelled before each near triangle can touch [m].
+    /// How far capsule and wall must have traveled before each near triangle can touch [m].
     clear: Vec<f64>,
     pub facets: Vec<Facet>,
     pub patch: Patch,

@@ -81,7 +81,7 @@ pub fn substep(
     reaction(body, load, &before, change, &resistance, patch, dt)
 }
 
-/// Elastic and viscoelastic loads by the implicit midpoint rule, linearised about the start.
+/// Elastic and viscoelastic loads by the implicit midpoint rule, linearized about the start.
 ///
 /// With `P` the load of a piece, `j` its lever, `k` and `c` its slopes and `s` its speed:
 /// `(M + Σ (dt²/4 k + dt/2 c) j jᵀ) δ = dt (F − Σ j (P + dt/2 k s))`.

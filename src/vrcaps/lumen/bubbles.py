@@ -9,7 +9,7 @@ from vrcaps.errors import require
 from vrcaps.units import MM
 
 CM2 = 1e-4
-"""A square centimetre [m²]."""
+"""A square centimeter [m²]."""
 
 
 @dataclass(frozen=True)

@@ -215,7 +215,7 @@ def submerged(
     Slices across the axis, each a disc cut by a chord.
 
     Args:
-        axis: Centres of the round ends in the world frame [m].
+        axis: Centers of the round ends in the world frame [m].
         radius: Of cylinder and ends [m].
         level: Height of the surface [m].
 

@@ -38,7 +38,7 @@ def write_checkpoint(episode: Path, checkpoint: Checkpoint) -> None:
     folder.mkdir(exist_ok=True)
     arrays, table = _paths(folder, checkpoint.motion.frame)
     with atomic_write(arrays) as temporary, temporary.open("wb") as file:
-        np.savez_compressed(file, **checkpoint.motion.arrays)
+        np.savez_compressed(file, **checkpoint.motion.arrays)  # pyright: ignore[reportArgumentType]
     write_table(table, checkpoint.table)
     write_json(folder / _INDEX, {"frame": checkpoint.motion.frame})
     for path in folder.iterdir():

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 DEFAULT_CHANNELS = ("rgb", "depth", "ray_distance", "normal", "label", "instance", "arc_length")
-"""A complete labelled frame."""
+"""A complete labeled frame."""
 
 _MATERIAL_POINT: dict[str, tuple[type[np.generic], tuple[int, ...]]] = {
     "face": (np.int32, ()),

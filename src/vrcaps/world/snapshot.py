@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -60,7 +60,7 @@ class Snapshot:
 def write_snapshot(path: Path, snapshot: Snapshot) -> None:
     """Write a snapshot as a NumPy archive (.npz)."""
     with path.open("wb") as file:
-        np.savez_compressed(file, **snapshot_arrays(snapshot))
+        np.savez_compressed(file, **snapshot_arrays(snapshot))  # pyright: ignore[reportArgumentType]
 
 
 def read_snapshot(path: Path) -> Snapshot:
@@ -87,9 +87,10 @@ def snapshot_from_arrays(arrays: Mapping[str, np.ndarray]) -> Snapshot:
     Raises:
         KeyError: If an array is missing.
     """
-    own = {f.name: arrays[f.name] for f in fields(Snapshot)}
-    plain = {name: own[name].item() for name in ("seed", "time", "began")}
-    return Snapshot(**own | plain)
+    own: dict[str, Any] = {f.name: arrays[f.name] for f in fields(Snapshot)}
+    for name in ("seed", "time", "began"):
+        own[name] = own[name].item()
+    return Snapshot(**own)
 
 
 def check_snapshot(snapshot: Snapshot, own: Snapshot) -> None:

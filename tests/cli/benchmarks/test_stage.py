@@ -25,7 +25,7 @@ def test_cameras_are_inside_the_wall_and_look_along_it(stage: Stage) -> None:
     np.testing.assert_allclose(poses[1, :3, 2], forward, atol=0.1)
 
 
-def test_moving_wall_moves_by_less_than_a_millimetre_and_differs_by_view(stage: Stage) -> None:
+def test_moving_wall_moves_by_less_than_a_millimeter_and_differs_by_view(stage: Stage) -> None:
     first, second, *_ = (state.vertices_world for state in with_moving_wall(stage).states)
     assert first is not None
     assert second is not None

@@ -103,9 +103,9 @@ impl<'a> DeformedTransport<'a> {
 /// Unit axes that are fixed to the wall at a vertex: one towards a neighbor, the last its normal.
 fn axes(wall: &Wall, vertex: usize) -> [Vec3; 3] {
     let face = wall.faces[wall.faces_around(vertex)[0] as usize];
-    let neighbour = face.into_iter().find(|&v| v as usize != vertex).unwrap_or(face[0]);
+    let neighbor = face.into_iter().find(|&v| v as usize != vertex).unwrap_or(face[0]);
     let normal = wall.normals[vertex];
-    let edge = sub(wall.vertices[neighbour as usize], wall.vertices[vertex]);
+    let edge = sub(wall.vertices[neighbor as usize], wall.vertices[vertex]);
     let along = normalize(sub(edge, scale(normal, dot(edge, normal))));
     [along, cross(normal, along), normal]
 }

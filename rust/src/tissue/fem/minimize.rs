@@ -17,7 +17,7 @@ const FLATTENED: f64 = 0.9;
 /// A step is halved this many times at most.
 const HALVINGS: usize = 30;
 
-/// What is minimised.
+/// What is minimized.
 pub trait Objective {
     /// Its value at `x`, infinite where it is not allowed; writes the slope.
     fn evaluate(&mut self, x: &[DVec3], slope: &mut [DVec3]) -> f64;
@@ -33,7 +33,7 @@ struct Pair {
     curvature: f64,
 }
 
-/// Minimises from `x`, until a full step would move no node by more than `tolerance`.
+/// Minimizes from `x`, until a full step would move no node by more than `tolerance`.
 ///
 /// Returns the number of steps, or None if `most` were not enough.
 pub fn minimize(

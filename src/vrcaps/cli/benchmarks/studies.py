@@ -90,7 +90,7 @@ def row(subject: Subject, times: Times, *more: Spread) -> Row:
 def frame(stage: Stage, extent: Extent, progress: Callable[[], None]) -> Study:
     """A complete frame, parts of it and more than it."""
     subjects = [
-        Subject(COMPLETE, drawn(stage), "colour and all labels"),
+        Subject(COMPLETE, drawn(stage), "color and all labels"),
         Subject("ray distance only", drawn(stage, channels=("ray_distance",)), "nothing shaded"),
         Subject(
             f"{COMPLETE}, shadows",

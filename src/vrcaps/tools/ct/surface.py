@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 _FINEST = 1.5 * MM  # voxels longer than this are divided before the surface is drawn
 _SLAB = 64  # slices that one thread blurs at a time
 _TRUNCATE = 3.0  # standard deviations at which a Gaussian is cut off
-_DEGREE = 16  # of the smoothing filter's polynomial, before it is levelled
+_DEGREE = 16  # of the smoothing filter's polynomial, before it is leveled
 
 
 def extract_wall(lumen: LumenFraction, *, blur: float, pass_band: float, edge: float) -> Mesh:

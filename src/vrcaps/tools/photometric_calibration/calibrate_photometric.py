@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from vrcaps.camera.camera import Camera, Led
 from vrcaps.capsule.device import Device

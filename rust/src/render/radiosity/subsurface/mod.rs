@@ -23,7 +23,7 @@ use std::sync::OnceLock;
 /// Least distance between nodes, over the longest free path between two scatterings.
 const SPACING: f32 = 0.8;
 /// Weight of a neighbor in what comes out at a node, if it faces the same way.
-const NEIGHBOUR: f32 = 0.5;
+const NEIGHBOR: f32 = 0.5;
 
 /// Where light that comes out of the wall has entered it.
 pub struct Transport {
@@ -73,7 +73,7 @@ impl Transport {
             let faces = rest.faces_around(vertex).iter().map(|&f| rest.faces[f as usize]);
             for v in faces.flatten().map(|v| v as usize).filter(|&v| v != vertex) {
                 let facing = dot(rest.normals[v], rest.normals[vertex]);
-                let share = 0.5 * NEIGHBOUR * max(facing, 0.0);
+                let share = 0.5 * NEIGHBOR * max(facing, 0.0);
                 let total = self.row(rest, self.nodes.of_vertex[v] as usize).total();
                 sum = add(sum, scale(total, share));
                 weight += share;

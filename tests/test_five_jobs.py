@@ -51,6 +51,7 @@ def test_renders_a_frame_of_a_mesh_file(folder: Path):
     assert np.nanmin(frame.depth) > 0.0
 
 
+@pytest.mark.slow
 def test_records_an_episode_and_loads_it_as_arrays(folder: Path):
     short = programs()[1].replace("frames=100", "frames=2")
     assert short != programs()[1]
@@ -68,6 +69,7 @@ def test_records_an_episode_and_loads_it_as_arrays(folder: Path):
         names["episode"].dataset("front", ("normal",))
 
 
+@pytest.mark.slow
 def test_steps_a_world_with_a_magnet(folder: Path):
     names = run(programs()[2])
     assert names["world"].time == pytest.approx(0.1)
@@ -75,6 +77,7 @@ def test_steps_a_world_with_a_magnet(folder: Path):
     assert names["frame"].rgb.any()
 
 
+@pytest.mark.slow
 def test_describes_a_capsule(folder: Path):
     names = run(programs()[4])
     assert names["frame"].rgb.shape == (256, 256, 3)

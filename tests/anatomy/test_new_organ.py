@@ -30,6 +30,7 @@ def names(tmp_path, monkeypatch):
     del ORGANS["esophagus"], catalog._GENERATORS["esophagus"]
 
 
+@pytest.mark.slow
 def test_an_organ_of_ones_own_has_a_wall_a_look_and_motility(names):
     organ = names["organ"]
     assert organ.label_names == ("background", "esophagus")

@@ -48,6 +48,7 @@ def test_triangles_are_small_and_well_shaped(stomach: OrganSurface):
     assert edges.mean() < 2 * MM
 
 
+@pytest.mark.slow
 def test_every_segment_is_there_in_order(stomach: OrganSurface):
     assert stomach.label_names == ("background", *SEGMENTS)
     assert set(np.unique(stomach.label)) == set(range(1, 7))

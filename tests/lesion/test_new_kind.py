@@ -29,6 +29,7 @@ def run(tube):
     del LESIONS["xanthoma"]
 
 
+@pytest.mark.slow
 def test_mask_covers_the_plaque(run):
     organ, radius = run["pair"].organ, 3 * MM
     is_in = run["mask"][organ.faces].all(axis=1)

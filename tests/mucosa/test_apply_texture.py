@@ -95,6 +95,7 @@ def test_no_seam_where_the_texture_coordinates_wrap(textured) -> None:
     assert seam == pytest.approx(inner, rel=0.25)
 
 
+@pytest.mark.slow
 def test_no_repetition_although_the_texture_fits_many_times(textured) -> None:
     """A plain tiling has an autocorrelation of 1 at a shift of one tile, 32 mm."""
     from vrcaps.tools.mucosa_from_photos.quality import repetition

@@ -175,12 +175,14 @@ def test_every_mucosa_is_finite_and_plausible(tube, name):
     assert appearance.roughness.std() > 1.0
 
 
+@pytest.mark.slow
 def test_the_size_follows_the_wall_and_the_density(baked):
     height, width = baked.albedo.shape[:2]
     assert width / (2.0 * np.pi * RADIUS / MM) == pytest.approx(8.0, rel=0.05)
     assert 0.9 * height / (LENGTH / MM) == pytest.approx(8.0, rel=0.05)
 
 
+@pytest.mark.slow
 def test_squeezed_faces_get_the_density_too(tube):
     """Where u crowds a tenth of the wall, the whole gets more texels for its sake."""
     u = tube.uv[..., 0]
@@ -205,6 +207,7 @@ def test_a_texture_keeps_to_its_limits(tube):
     assert max(bake_appearance(long, seed=0, max_texels=400_000).height.shape) <= MAX_SIDE
 
 
+@pytest.mark.slow
 def test_color_does_not_depend_on_where_the_texture_begins(tube, baked):
     """The wall's color at a point is the same when u starts elsewhere, across the wrap too."""
     shift = 0.37
@@ -217,6 +220,7 @@ def test_color_does_not_depend_on_where_the_texture_begins(tube, baked):
     assert np.sqrt((difference**2).mean()) < 0.01
 
 
+@pytest.mark.slow
 def test_no_seam_between_charts(tube, baked):
     """Where two charts meet, the same point of the wall has the same color in both."""
     organ = in_charts(tube, 4)
@@ -257,6 +261,7 @@ def test_charts_are_padded(tube):
     assert (appearance.height[~background] != 0.0).mean() > 0.999
 
 
+@pytest.mark.slow
 def test_vessels_darken_green_more_than_red(tube, baked):
     bare = bake_appearance(tube, seed=4, mucosa=replace(MUCOSAE["colon"], vessel_contrast=0.0))
     kept = decode(baked.albedo) / decode(bare.albedo)
@@ -276,6 +281,7 @@ def test_relief_scales_with_its_slope(tube):
     np.testing.assert_allclose(heights[1].height, 2.0 * heights[0].height, atol=1.5 * HEIGHT_STEP)
 
 
+@pytest.mark.slow
 def test_relief_has_the_slope_it_is_given(tube):
     """RMS slope over texels near 0.7 ⊕ 1 ⊕ 1 shares, up to the texels' band limit."""
     mucosa = replace(
@@ -348,6 +354,7 @@ def test_segments_differ_in_villi_bile_and_vessels():
     assert blue[0] / red[0] < blue[1] / red[1] < blue[2] / red[2]
 
 
+@pytest.mark.slow
 def test_flecks_of_mucus_cover_their_share():
     """Flecks are pale, small and apart; there are none without."""
     bare, flecked = (
@@ -366,6 +373,7 @@ def test_flecks_of_mucus_cover_their_share():
     assert (flecked[is_fleck].mean(axis=-1) > bare[is_fleck].mean(axis=-1)).mean() > 0.95
 
 
+@pytest.mark.slow
 def test_the_wall_does_not_repeat():
     """The wall's color is correlated with itself at no distance beyond its largest patches."""
     side, mucosa = 120.0 * MM, replace(MUCOSAE["colon"], vessel_contrast=0.0)

@@ -83,6 +83,7 @@ def test_there_must_be_texture_coordinates_to_keep(tmp_path):
         read_organ(tmp_path / "a.stl", unit="m", keep_uv=True)
 
 
+@pytest.mark.slow
 def test_written_organ_comes_back(tube, tmp_path):
     organ = replace(
         tube,

@@ -76,6 +76,7 @@ def test_no_episode(tmp_path):
     _found(tmp_path, "episode.json", "is no episode")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("change", "what"),
     [

@@ -130,6 +130,7 @@ def test_table_says_what_acted(whole):
     assert (np.diff(columns["arc_length_m"]) > 0.0).all()  # the force pulls it along
 
 
+@pytest.mark.slow
 def test_stored_wall_is_what_was_rendered(whole):
     """Rays through the pixels meet the stored wall where the episode says."""
     episode = read_episode(whole)

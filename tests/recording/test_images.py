@@ -92,6 +92,7 @@ def test_color_does_not_depend_on_the_channels_asked_for(
     assert rich.image("rear", "radiance", 0).max() > 0.0
 
 
+@pytest.mark.slow
 def test_sampled_severities_are_in_the_episode(scenario: Scenario, tmp_path: Path) -> None:
     effects = Effects(sensor_noise=(1, 4), chromatic_aberration=(1, 4))
     asked = replace(scenario, effects=effects, channels=("rgb",), frames=2)

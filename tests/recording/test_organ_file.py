@@ -105,6 +105,7 @@ def test_a_mesh_file_has_no_unit_of_its_own(plan: Scenario, mesh_file: Path) -> 
         resolve(replace(plan, organ=OrganFile(str(mesh_file))))
 
 
+@pytest.mark.slow
 def test_organ_and_capsule_in_memory(
     plan: Scenario, organ: OrganSurface, device_file: Path, tmp_path: Path
 ) -> None:

@@ -80,6 +80,7 @@ def test_indirect_light_agrees_with_path_tracing(rng: np.random.Generator) -> No
     np.testing.assert_allclose((ours - direct).mean(), (one - direct).mean(), rtol=0.06)
 
 
+@pytest.mark.slow
 def test_indirect_light_only_adds_and_scales_with_the_leds(rng: np.random.Generator) -> None:
     model, camera = _folds(rng)
     state = looking(PLACE)
@@ -108,6 +109,7 @@ def test_a_white_wall_stays_finite() -> None:
     assert np.isfinite(found).all()
 
 
+@pytest.mark.slow
 def test_a_moved_wall_is_lit_as_it_is(rng: np.random.Generator) -> None:
     """A wall that is carried along with the capsule looks the same; a widened one does not."""
     model, camera = _folds(rng)
@@ -133,6 +135,7 @@ def test_same_bytes_for_any_number_of_threads() -> None:
     assert digests == {digest()}
 
 
+@pytest.mark.slow
 def test_a_frame_does_not_depend_on_what_was_rendered_before(rng: np.random.Generator) -> None:
     model, camera = _folds(rng)
     state = looking(PLACE)
@@ -144,6 +147,7 @@ def test_a_frame_does_not_depend_on_what_was_rendered_before(rng: np.random.Gene
     np.testing.assert_array_equal(fresh, again)
 
 
+@pytest.mark.slow
 def test_supersampling_has_indirect_light(rng: np.random.Generator) -> None:
     model, camera = _folds(rng)
     once, fine = (
@@ -152,6 +156,7 @@ def test_supersampling_has_indirect_light(rng: np.random.Generator) -> None:
     assert abs(fine.mean() / once.mean() - 1.0) < 0.02
 
 
+@pytest.mark.slow
 def test_contents_take_indirect_light(rng: np.random.Generator) -> None:
     """A pool's bed and a particle glow as the wall does; liquid dims the bed's indirect light."""
     model, camera = _folds(rng)

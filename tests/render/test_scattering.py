@@ -151,6 +151,7 @@ def test_diffusion_of_the_limits():
         np.testing.assert_allclose(found, exact, rtol=0.03)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ior", INDICES)
 def test_walks_agree_with_transport(ior: float):
     """Three colors of other albedo and free way at once, each within four standard errors."""

@@ -37,6 +37,7 @@ def test_embree_casts_the_rays_that_we_cast(stage: Stage) -> None:
     assert np.mean(np.isclose(theirs, ours, rtol=1e-3)) > 0.999
 
 
+@pytest.mark.slow
 def test_a_missing_package_is_left_out_with_how_to_get_it(
     monkeypatch: pytest.MonkeyPatch, stage: Stage
 ) -> None:

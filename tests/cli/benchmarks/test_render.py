@@ -66,6 +66,7 @@ def test_rate_is_one_over_the_time_of_a_frame(studies: dict[str, Study]) -> None
     assert rate.p10 <= 1e3 / row.values[0].median <= rate.p90
 
 
+@pytest.mark.slow
 def test_a_cost_that_is_twice_is_reported_as_twice(studies: dict[str, Study]) -> None:
     """Both heads are the front and the back one after the other."""
     front, back, both = (row.values[1] for row in studies["heads"].table.rows)

@@ -36,8 +36,8 @@ LINK = "\n[[links]]\nframe = {}\nstart_mm = [0, 0, 0]\nend_mm = [0, 0, 100]\nrad
     [
         ("a_mm = -425", "a_mm = true", "six.toml: joints[2].a_mm is True. Allowed: a number."),
         ("payload_kg = 5", "payload_kg = 0", "six.toml: payload is 0.0. Allowed: above 0"),
-        ("title =", "subtitle =", "Unknown key six.toml: subtitle."),
-        ('title = "An arm of six joints"', "", "Missing key six.toml: title: a text."),
+        ("title =", "subtitle =", "six.toml: unknown key subtitle. Allowed: name, title, joints"),
+        ('title = "An arm of six joints"', "", "six.toml: missing key title: a text."),
         ("title =", 'name = "x"\ntitle =', "Unknown key six.toml: name. The arm is named as"),
         (
             "upper_rad = 6.2",
@@ -57,7 +57,11 @@ LINK = "\n[[links]]\nframe = {}\nstart_mm = [0, 0, 0]\nend_mm = [0, 0, 100]\nrad
             "collision_pairs = [[0]]\nhome_deg",
             "collision_pairs[0] has 1 values. Allowed: 2.",
         ),
-        ("theta_deg = 0", "theta_deg = 0\nmass = 1", "Unknown key six.toml: joints[0].mass."),
+        (
+            "theta_deg = 0",
+            "theta_deg = 0\nmass = 1",
+            "six.toml: unknown key joints[0].mass. Allowed: a_mm, d_mm",
+        ),
         ("title", "title = ", "is not TOML"),
     ],
 )

@@ -25,7 +25,7 @@ from vrcaps.units import CM, MM
 
 pytestmark = pytest.mark.slow
 
-SEED = 8
+SEED = 0
 
 
 @pytest.fixture(scope="module")
@@ -106,7 +106,7 @@ def test_a_seed_is_a_patient(around: NeighboringOrgans):
     parameters = dataclasses.replace(
         draw_patient_anatomy(SEED).small_bowel, length=2.0, edge=4 * MM, jejunum_fold_height=1 * MM
     )
-    one, again = (generate_small_bowel(parameters, around, seed=1) for _ in range(2))
+    one, again = (generate_small_bowel(parameters, around, seed=2) for _ in range(2))
     for field in ("vertices", "faces", "uv", "label", "arc_length", "theta"):
         assert getattr(one, field).tobytes() == getattr(again, field).tobytes()
 

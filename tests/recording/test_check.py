@@ -5,14 +5,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from vrcaps.capsule.catalog import read_device
 from vrcaps.lumen.contents import Contents
 from vrcaps.lumen.liquid import Liquid
+from vrcaps.magnet.internal import InternalMagnet
 from vrcaps.mesh.mesh import Mesh
 from vrcaps.mesh.read_mesh import read_mesh
 from vrcaps.recording.check import check_episode
 from vrcaps.recording.image_files import read_image, write_images
 from vrcaps.recording.recorder import record
 from vrcaps.recording.table import FrameTable, read_table, write_table
+from vrcaps.sensors.sensors import HallPad, Sensors
 
 
 @pytest.fixture
@@ -70,6 +73,33 @@ def test_liquid_bends_rays_and_is_no_problem(scenario, tmp_path, says_where):
         lambda stored: stored + np.where(labels[0] == 0, 40, 0).astype(stored.dtype),
     )
     _found(out, "front/ray_distance/000000.png", "agrees with")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("most_tesla", [1e-7, 2e-6])
+def test_hall_sensors_beyond_their_range_are_no_problem(
+    scenario, device_file, tmp_path, most_tesla
+):
+    """Some readings are NaN, and without enough of them the place too, as the format says."""
+    magnet = InternalMagnet((0.0, 0.0, 0.0), (0.0, 0.0, 0.1))
+    sensors = Sensors(hall=HallPad(count=4, range=most_tesla), earth_field=(0.0, 0.0, 0.0))
+    given = replace(
+        scenario,
+        frames=2,
+        channels=("depth",),
+        sensors=sensors,
+        capsule=replace(read_device(device_file), magnets=(magnet,)),
+    )
+    out = record(given, tmp_path / "sensed")
+    columns = read_table(out / "frames.parquet").columns
+    assert any(np.isnan(v).any() for name, v in columns.items() if name.startswith("hall_"))
+    assert np.isnan(columns["localized_x_m"]).any() == (most_tesla < 1e-6)
+    assert check_episode(out) == []
+    _edit_column(out, "hall_0_x_t", lambda v: np.full(len(v), np.inf))
+    _found(out, "frames.parquet hall_0_x_t", "not finite")
+    kept = {k: v for k, v in columns.items() if k != "hall_0_x_t"}
+    write_table(out / "frames.parquet", FrameTable(kept))
+    _found(out, "frames.parquet", "lacks the columns hall_0_x_t")
 
 
 def test_no_episode(tmp_path):

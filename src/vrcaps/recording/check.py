@@ -27,6 +27,7 @@ from vrcaps.recording.layout import (
     SHEET_PNG,
     channel_to_plain,
 )
+from vrcaps.recording.sensing import pad_column_names
 from vrcaps.recording.table import POSE_COLUMNS, column_names
 from vrcaps.recording.walls import read_wall, wall_path
 from vrcaps.render.channels import CHANNELS
@@ -130,7 +131,8 @@ def _check_table(episode: Episode) -> Iterator[Problem]:
         return
     columns = table.columns
     cameras = tuple(camera.name for camera in episode.cameras)
-    expected = {*column_names(cameras), *episode.scenario.motion.column_names}
+    may_lack = set(pad_column_names(episode.scenario.sensors))
+    expected = {*column_names(cameras), *episode.scenario.motion.column_names, *may_lack}
     missing = expected - set(columns)
     if missing:
         yield Problem(FRAMES_PARQUET, f"lacks the columns {', '.join(sorted(missing))}")
@@ -139,7 +141,10 @@ def _check_table(episode: Episode) -> Iterator[Problem]:
         yield Problem(FRAMES_PARQUET, f"has {len(table)} rows for {len(episode)} frames")
         return
     for name, values in columns.items():
-        if values.dtype.kind == "f" and not np.isfinite(values).all():
+        if values.dtype.kind != "f":
+            continue
+        is_allowed = np.isfinite(values) | (np.isnan(values) & (name in may_lack))
+        if not is_allowed.all():
             yield Problem(f"{FRAMES_PARQUET} {name}", "holds values that are not finite")
             return
     yield from _check_motion(episode)

@@ -20,7 +20,7 @@ from vrcaps.sensors.imu import (
 )
 from vrcaps.sensors.localize import localize
 from vrcaps.sensors.magnetometer import read_magnetometer
-from vrcaps.sensors.sensors import HallPad, hall_array
+from vrcaps.sensors.sensors import HallPad, Sensors, hall_array
 from vrcaps.transforms import rotate_vectors, transform_points
 
 if TYPE_CHECKING:
@@ -30,6 +30,20 @@ if TYPE_CHECKING:
     from vrcaps.recording.table import FrameTable
     from vrcaps.scenario.scenario import Scenario
     from vrcaps.world.model import Model
+
+_PLACE = ("localized_{}_m", "localized_axis_{}")
+_CERTAINTY = ("localized_sigma_m", "localized_residual_t")
+
+
+def pad_column_names(sensors: Sensors) -> tuple[str, ...]:
+    """Columns of Hall sensors and of the place that they find; NaN where there is no value."""
+    if sensors.hall is None:
+        return ()
+    return (
+        *(f"hall_{k}_{axis}_t" for k in range(sensors.hall.count**2) for axis in "xyz"),
+        *(name.format(axis) for name in _PLACE for axis in "xyz"),
+        *_CERTAINTY,
+    )
 
 
 class SensorReadings:
@@ -125,9 +139,9 @@ class SensorReadings:
             sigma = math.sqrt(np.trace(estimate.covariance[:3, :3]))
             # As it is made from the table's columns when a recording goes on.
             self._last = magnet_pose(found[:3, 3], found[:3, 2])
-        columns |= _named("localized_{}_m", found[:3, 3])
-        columns |= _named("localized_axis_{}", found[:3, 2])
-        return columns | {"localized_sigma_m": sigma, "localized_residual_t": residual}
+        for name, vector in zip(_PLACE, (found[:3, 3], found[:3, 2]), strict=True):
+            columns |= _named(name, vector)
+        return columns | dict(zip(_CERTAINTY, (sigma, residual), strict=True))
 
     def _go_on(self, before: FrameTable) -> None:
         """The bias and the last place as they were after the rows of earlier frames."""
@@ -139,7 +153,7 @@ class SensorReadings:
         if self._sensors.hall is not None and len(before):
             place, axis = (
                 np.array([float(before.columns[name.format(a)][-1]) for a in "xyz"])
-                for name in ("localized_{}_m", "localized_axis_{}")
+                for name in _PLACE
             )
             self._last = magnet_pose(place, axis) if np.isfinite(place).all() else None
 

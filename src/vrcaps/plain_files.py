@@ -30,7 +30,7 @@ def read_plain(path: Path, noun: str) -> Any:
         return json.loads(text)
     except OSError as error:
         raise InputError(f"Cannot read the {noun} file {path}: {error.strerror}.") from error
-    except (ValueError, ArithmeticError) as error:
+    except (ValueError, ArithmeticError, RecursionError) as error:
         raise InputError(f"The {noun} file {path} is not {kind}: {error}.") from error
 
 

@@ -79,6 +79,8 @@ def test_impossible_devices(change, match):
     ("change", "match"),
     [
         ({"name": "a/b"}, "Camera's name is 'a/b'. Allowed: letters, digits"),
+        ({"name": "capsule"}, "Camera's name is 'capsule'. Allowed: any but capsule, contact"),
+        ({"name": "Wall"}, "Camera's name is 'Wall'. Allowed: any but"),
         ({"width": 0}, "'front': width is 0. Allowed: a whole number from 1 to 16384"),
         ({"height": 2.5}, "'front': height is 2.5"),
         ({"rotation": ((1, 0, 0), (0, 1, 0), (0, 0, -1))}, "orthonormal and right-handed"),

@@ -113,7 +113,7 @@ def test_no_episode(tmp_path):
         (lambda h: h.update(status="recording"), "the recording was broken off"),
         (lambda h: h.update(format="other/1"), "has the format 'other/1'"),
         (lambda h: h["channels"]["depth"].update(scale=1.0), "channels.depth is not the encoding"),
-        (lambda h: h["cameras"].clear(), "there are no cameras"),
+        (lambda h: h["cameras"].clear(), "number of cameras is 0"),
         (lambda h: h["cameras"][0].pop("exposure"), "is no camera"),
         (lambda h: h["cameras"][0]["lens"].update(kind="eye"), "cameras[0].lens.kind is 'eye'"),
         (lambda h: h["cameras"][0]["T_capsule_camera"][0].__setitem__(0, 2.0), "is not rigid"),

@@ -115,7 +115,14 @@ def test_unreadable_image(recorded, tmp_path):
     [
         ({"frames": "5"}, "frames is '5', not int"),
         ({"channels": {"heat": {}}}, "No channel named 'heat'"),
+        ({"frames": -1}, "frames is -1. Allowed: 1 to 1000000"),
+        ({"frames": True}, "frames is True, not int"),
+        ({"channels": {}}, "number of channels is 0"),
+        ({"wall": {"num_vertices": -4}}, "wall.num_vertices is -4"),
+        ({"wall": []}, "wall.num_vertices is None"),
         ({"organ": {}}, "organ.label_names is missing"),
+        ({"organ": {"label_names": [1]}}, "organ.label_names is missing or no list of texts"),
+        ({"cameras": []}, "number of cameras is 0"),
         ({"cameras": [{}]}, r"cameras\[0\] is no camera. Allowed: a table with exactly name"),
     ],
 )
@@ -123,4 +130,30 @@ def test_broken_head(recorded, tmp_path, change, match):
     head = json.loads((recorded / "episode.json").read_text())
     (tmp_path / "episode.json").write_text(json.dumps({**head, **change}))
     with pytest.raises((InputError, UnknownNameError), match=match):
+        read_episode(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("names", "match"),
+    [
+        (
+            ("patient", "rear"),
+            r"cameras\[0\]: Camera's name is 'patient'. Allowed: any but capsule",
+        ),
+        (("../front", "rear"), r"cameras\[0\]: Camera's name is '../front'. Allowed: letters"),
+        (("Rear", "rear"), r"Two cameras share a name \(Rear, rear\)"),
+    ],
+)
+def test_names_of_cameras_are_checked_as_on_writing(recorded, tmp_path, names, match):
+    head = json.loads((recorded / "episode.json").read_text())
+    for camera, name in zip(head["cameras"], names, strict=True):
+        camera["name"] = name
+    (tmp_path / "episode.json").write_text(json.dumps(head))
+    with pytest.raises(InputError, match=match):
+        read_episode(tmp_path)
+
+
+def test_a_head_nested_too_deeply(tmp_path):
+    (tmp_path / "episode.json").write_text("[" * 100_000)
+    with pytest.raises(InputError, match="is no episode: cannot read"):
         read_episode(tmp_path)

@@ -1,10 +1,25 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from vrcaps.capsule.catalog import read_device
+from vrcaps.errors import InputError, UnknownNameError
+from vrcaps.motion.dynamics_columns import DYNAMICS_COLUMNS, MAGNET_COLUMNS
 from vrcaps.motion.fly_through import FlyThrough, fly_through
 from vrcaps.motion.trajectory import camera_clearance
-from vrcaps.recording.table import column_names, locate_in_gut, make_table, read_table, write_table
+from vrcaps.recording.sensing import pad_column_names
+from vrcaps.recording.table import (
+    POSE_COLUMNS,
+    FrameTable,
+    column_names,
+    locate_in_gut,
+    make_table,
+    read_table,
+    require_table,
+    write_table,
+)
+from vrcaps.sensors.sensors import HallPad, Sensors
 from vrcaps.transforms import transform_points
 from vrcaps.world.model import Model
 
@@ -62,3 +77,59 @@ def test_a_neighboring_loop_is_not_taken_for_the_own(model):
     point = line.points[[middle]] + 0.9 * line.radius[middle] * line.frames[[middle], :, 1]
     arc_length, _ = locate_in_gut(model, transform_points(model.T_world_patient, point))
     assert arc_length[0] == pytest.approx(line.arc_length[middle], abs=3e-3)
+
+
+def test_damaged_files_are_one_line(tmp_path, model, trajectory):
+    """Cut anywhere, or with any byte changed: the table, or one line that says which file."""
+    path = tmp_path / "frames.parquet"
+    write_table(path, make_table(model, trajectory))
+    whole = path.read_bytes()
+    places = np.random.default_rng(0).integers(0, len(whole), 40)
+    cut = [whole[:place] for place in places]
+    changed = [whole[:k] + bytes([whole[k] ^ 0xFF]) + whole[k + 1 :] for k in places]
+    for data in (b"", b"PAR1", *cut, *changed):
+        path.write_bytes(data)
+        try:
+            read_table(path)
+        except InputError as error:
+            assert str(error).startswith("frames.parquet cannot be read (")
+            assert "\n" not in str(error)
+        else:
+            assert data in changed
+    path.unlink()
+    with pytest.raises(InputError, match=r"frames\.parquet cannot be read"):
+        read_table(path)
+
+
+def test_missing_columns_and_rows(model, trajectory):
+    table = make_table(model, trajectory)
+    cameras = tuple(camera.name for camera in model.device.cameras)
+    require_table(table, cameras, 30)
+    less = FrameTable({k: v for k, v in table.columns.items() if k != "capsule_qx"})
+    with pytest.raises(UnknownNameError, match=r"No pose named 'magnet'\. Known: back, capsule"):
+        table.poses("magnet")
+    with pytest.raises(UnknownNameError, match="No pose named 'capsule'"):
+        less.poses("capsule")
+    texts = FrameTable({**table.columns, "time_s": table.columns["segment"]})
+    for given, frames, match in (
+        (less, 30, "lacks the columns capsule_qx"),
+        (table, 31, "has 30 rows for 31 frames"),
+        (texts, 30, "column time_s does not hold numbers"),
+    ):
+        with pytest.raises(InputError, match=match):
+            require_table(given, cameras, frames)
+
+
+def test_no_camera_takes_columns_of_the_episode(model):
+    (camera, *_), pad = model.device.cameras, pad_column_names(Sensors(hall=HallPad()))
+    endings = tuple(f"_{end}" for end in (*POSE_COLUMNS, "clearance_m", "exposure", "luminance"))
+    taken = {
+        name.removesuffix(end)
+        for name in (*column_names(()), *DYNAMICS_COLUMNS, *MAGNET_COLUMNS, *pad)
+        for end in endings
+        if name.endswith(end)
+    }
+    assert taken == {"capsule", "patient", "magnet", "localized"}
+    for name in taken:
+        with pytest.raises(InputError, match=f"Camera's name is '{name}'"):
+            replace(camera, name=name)

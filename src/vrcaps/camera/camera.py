@@ -21,6 +21,9 @@ if TYPE_CHECKING:
 Vector = tuple[float, float, float]
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]*")
+_RESERVED = ("capsule", "contact", "hall", "localized", "magnet", "patient", "wall")
+"""First words of an episode's own folders and columns; columns of a camera begin with its name."""
+
 _WIDEST_PX = 16384
 _ORTHONORMAL = 1e-6
 _IDENTITY = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
@@ -103,7 +106,8 @@ class Camera:
         >>> camera = vrcaps.Camera("front", lens, 256, 256, position=(0, 0, 7e-3), leds=leds)
 
     Attributes:
-        name: Name of its folder in an episode: letters, digits, - and _.
+        name: Name of its folder in an episode: letters, digits, - and _; not a name that an
+            episode uses itself, such as capsule or wall.
         lens: Lens model with its parameters [pixels, radians].
         width: Image width [pixels].
         height: Image height [pixels].
@@ -132,6 +136,9 @@ class Camera:
         what = f"Camera {self.name!r}:"
         is_folder = bool(_NAME.fullmatch(self.name))
         require(is_folder, "Camera's name", repr(self.name), "letters, digits, - and _")
+        is_free = self.name.lower() not in _RESERVED
+        others = f"any but {', '.join(_RESERVED)}, which an episode uses itself"
+        require(is_free, "Camera's name", repr(self.name), others)
         for name in ("width", "height"):
             size = getattr(self, name)
             is_valid = isinstance(size, int) and 1 <= size <= _WIDEST_PX
@@ -158,6 +165,17 @@ class Camera:
         rows = tuple(tuple(row) for row in np.asarray(T_capsule_camera)[:3, :3].tolist())
         x, y, z = np.asarray(T_capsule_camera)[:3, 3].tolist()
         return replace(self, position=(x, y, z), rotation=rows)  # type: ignore[arg-type]
+
+
+def check_names(cameras: Sequence[Camera]) -> None:
+    """Check that each camera of a capsule has a folder of its own, also where case is ignored.
+
+    Raises:
+        InputError: If two share a name.
+    """
+    names = [camera.name for camera in cameras]
+    if len({name.lower() for name in names}) < len(names):
+        raise InputError(f"Two cameras share a name ({', '.join(names)}).")
 
 
 def default_exposure(leds: Sequence[Led]) -> float:

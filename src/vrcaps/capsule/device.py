@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from vrcaps.camera.camera import Camera
+from vrcaps.camera.camera import Camera, check_names
 from vrcaps.errors import InputError, UnknownNameError, require
 from vrcaps.magnet.internal import InternalMagnet
 
@@ -61,9 +61,7 @@ class Device:
                 f"{self.radius:g} m. Allowed: a body with round ends."
             )
         require(len(self.cameras) > 0, "number of cameras", 0, "1 or more")
-        names = [camera.name for camera in self.cameras]
-        if len(set(names)) < len(names):
-            raise InputError(f"Two cameras share a name ({', '.join(names)}).")
+        check_names(self.cameras)
         _check_places(self, straight)
         if self.led_spectrum is not None:
             _check_spectrum(self.led_spectrum)

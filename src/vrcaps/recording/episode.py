@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from vrcaps.camera.camera import Camera
-from vrcaps.errors import InputError, UnknownNameError
+from vrcaps.camera.camera import Camera, check_names
+from vrcaps.errors import InputError, UnknownNameError, require
 from vrcaps.mesh.mesh import Mesh
 from vrcaps.mesh.read_mesh import read_mesh
 from vrcaps.recording.image_files import read_image
@@ -23,10 +23,10 @@ from vrcaps.recording.layout import (
     camera_from_plain,
     read_head,
 )
-from vrcaps.recording.table import FrameTable, read_table
+from vrcaps.recording.table import FrameTable, read_table, require_table
 from vrcaps.recording.walls import read_wall, wall_path
 from vrcaps.render.channels import CHANNELS, Frame
-from vrcaps.scenario.scenario import Scenario, scenario_from_plain
+from vrcaps.scenario.scenario import MOST_FRAMES, Scenario, scenario_from_plain
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -90,8 +90,19 @@ class Episode:
 
     @cached_property
     def table(self) -> FrameTable:
-        """All columns of `frames.parquet`."""
-        return read_table(self.path / FRAMES_PARQUET)
+        """All columns of `frames.parquet`.
+
+        Raises:
+            InputError: If the file is missing or damaged, or lacks a column or a row.
+        """
+        try:
+            table = read_table(self.path / FRAMES_PARQUET)
+            require_table(table, tuple(camera.name for camera in self.cameras), len(self))
+        except InputError as error:
+            raise InputError(
+                f"{self.path}: {error} `vrcaps check {self.path}` lists all faults."
+            ) from error
+        return table
 
     @property
     def times(self) -> Float[np.ndarray, " n"]:
@@ -267,6 +278,7 @@ def read_episode(path: str | Path, *, unfinished: bool = False) -> Episode:
     cameras = tuple(
         camera_from_plain(plain, at=f"cameras[{i}]") for i, plain in enumerate(head["cameras"])
     )
+    check_names(cameras)
     return Episode(path, head, cameras, tuple(head["channels"]))
 
 
@@ -274,14 +286,23 @@ def require_head(head: dict[str, Any], where: str) -> None:
     """Check that `episode.json` has what an episode is read by.
 
     Raises:
-        InputError: If a key is missing or of the wrong type, or a channel is unknown.
+        InputError: If a key is missing, of the wrong type or out of range, or a channel is unknown.
     """
     types = {"frames": int, "cameras": list, "channels": dict, "organ": dict, "scenario": dict}
     for key, expected in types.items():
-        if not isinstance(head.get(key), expected):
+        if type(head.get(key)) is not expected:
             raise InputError(f"{where}: {key} is {head.get(key)!r}, not {expected.__name__}.")
+    for key in ("cameras", "channels"):
+        require(len(head[key]) > 0, f"{where}: number of {key}", len(head[key]), "1 or more")
+    if "wall" in head:
+        count = head["wall"].get("num_vertices") if isinstance(head["wall"], dict) else None
+        is_count = type(count) is int and count > 0
+        require(is_count, f"{where}: wall.num_vertices", repr(count), "a whole number above 0")
+    frames = head["frames"]
+    require(0 < frames <= MOST_FRAMES, f"{where}: frames", frames, f"1 to {MOST_FRAMES}")
     unknown = sorted(set(head["channels"]) - set(CHANNELS))
     if unknown:
         raise UnknownNameError("channel", unknown[0], CHANNELS)
-    if not isinstance(head["organ"].get("label_names"), list):
-        raise InputError(f"{where}: organ.label_names is missing.")
+    names = head["organ"].get("label_names")
+    if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+        raise InputError(f"{where}: organ.label_names is missing or no list of texts.")

@@ -135,7 +135,7 @@ def read_head(folder: Path) -> dict[str, Any]:
     path = folder / EPISODE_JSON
     try:
         head = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise InputError(f"{folder} is no episode: cannot read {path} ({error}).") from error
     if not isinstance(head, dict) or head.get("format") != FORMAT:
         given = head.get("format") if isinstance(head, dict) else None

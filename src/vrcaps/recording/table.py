@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from vrcaps._core import Wall
+from vrcaps.errors import InputError, UnknownNameError
 from vrcaps.files import write_bytes
 from vrcaps.geometry import barycentric
 from vrcaps.motion.dynamics_columns import SPEED_ALONG_GUT
@@ -48,7 +49,14 @@ class FrameTable:
         return len(self.columns["frame"])
 
     def poses(self, body: str) -> Float[np.ndarray, "n 4 4"]:
-        """``Ts_world_body`` of `capsule` or a camera."""
+        """``Ts_world_body`` of `capsule` or a camera.
+
+        Raises:
+            UnknownNameError: If the table has no pose of that name.
+        """
+        if not self.columns.keys() >= {f"{body}_{name}" for name in POSE_COLUMNS}:
+            known = [name.removesuffix("_qw") for name in self.columns if name.endswith("_qw")]
+            raise UnknownNameError("pose", body, known)
         x, y, z, *wxyz = (self.columns[f"{body}_{name}"] for name in POSE_COLUMNS)
         rotations = matrix_from_quaternion(np.stack(wxyz, axis=-1))
         return transform_from(rotations, np.stack([x, y, z], axis=-1))
@@ -214,10 +222,38 @@ def read_table(path: Path) -> FrameTable:
     """Read a table.
 
     Raises:
-        OSError: If the file cannot be read.
-        ValueError: If it is no Parquet file (`pyarrow.ArrowInvalid`).
+        InputError: If the file cannot be read or is no Parquet file.
     """
+    import pyarrow as pa
     import pyarrow.parquet as pq
 
-    table = pq.read_table(path)
-    return FrameTable({n: table[n].to_numpy(zero_copy_only=False) for n in table.column_names})
+    try:
+        with pq.ParquetFile(path) as file:
+            table = file.read()
+        columns = {n: table[n].to_numpy(zero_copy_only=False) for n in table.column_names}
+    except (OSError, ValueError, pa.ArrowException) as error:
+        lines = str(error).splitlines() or [type(error).__name__]
+        raise InputError(f"{path.name} cannot be read ({lines[0]}).") from error
+    return FrameTable(columns)
+
+
+def require_table(table: FrameTable, cameras: tuple[str, ...], frames: int) -> None:
+    """Check that a table has the columns that every table has, and a row for each frame.
+
+    Args:
+        table: Of an episode.
+        cameras: Names of the capsule's cameras.
+        frames: Number of frames.
+
+    Raises:
+        InputError: If a column or a row is missing, or numbers are texts.
+    """
+    names = column_names(cameras)
+    missing = sorted(set(names) - set(table.columns))
+    if missing:
+        raise InputError(f"frames.parquet lacks the columns {', '.join(missing)}.")
+    for name in names:
+        if name != "segment" and table.columns[name].dtype.kind not in "bfiu":
+            raise InputError(f"frames.parquet: column {name} does not hold numbers.")
+    if len(table) != frames:
+        raise InputError(f"frames.parquet has {len(table)} rows for {frames} frames.")

@@ -29,6 +29,9 @@ from vrcaps.world.model import posture_transform
 SOURCE_ORGAN = "source_organ.glb"
 """File in the folder of an episode that holds an organ recorded from memory."""
 
+MOST_FRAMES = 10**6
+"""Frames that a recording may have: their names have six digits."""
+
 DEFAULT_CHANNELS = ("rgb", "depth", "normal", "label", "instance")
 
 
@@ -133,7 +136,7 @@ class Scenario:
     capsule: str | Device = "mirocam"
     posture: str = "supine"
     motion: AnyMotion = field(default_factory=FlyThrough)
-    frames: Annotated[int, Range(1, 10**6)] = 100
+    frames: Annotated[int, Range(1, MOST_FRAMES)] = 100
     fps: Annotated[float | None, Range(above=0.0)] = None
     seed: Annotated[int, Range(least=0)] = 0
     channels: tuple[str, ...] = DEFAULT_CHANNELS

@@ -17,7 +17,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 export PYO3_PYTHON := $(CURDIR)/$(BIN)/python
 export PYO3_BUILD_EXTENSION_MODULE := 1
 
-.PHONY: help demo test test-fast check docs bench wheel constraints clean
+.PHONY: help demo test test-fast check docs figures wheel constraints clean
 .DELETE_ON_ERROR:
 
 help:
@@ -26,7 +26,8 @@ help:
 	@echo "make test-fast  run the tests that are not marked slow, in under a minute"
 	@echo "make check  lint, format and type checks"
 	@echo "make docs   build the documentation site into site"
-	@echo "make bench  measure vrcaps and its peers, write the tables"
+	@echo "make figures  measure anew what docs/validation.md, docs/benchmarks.md and README state;"
+	@echo "            goes on where it stopped; ONLY='path radiosity' measures those by part of the name"
 	@echo "make wheel  build a wheel into dist and try it in a clean environment"
 	@echo "make constraints  pin the newest versions of all dependencies in constraints.txt"
 	@echo "make clean  remove the environment and everything built"
@@ -52,11 +53,8 @@ docs: $(VENV)/.stamp-docs
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet
 	@echo "Open site/index.html"
 
-bench: $(VENV)/.stamp-dev
-	$(BIN)/vrcaps bench render --out docs/benchmarks.md
-	$(BIN)/vrcaps bench record --out docs/benchmarks.md
-	$(BIN)/vrcaps bench world --out docs/benchmarks.md
-	$(BIN)/python benchmarks/speed_peers.py --out docs/benchmarks.md
+figures: $(VENV)/.stamp-dev
+	$(BIN)/python benchmarks/figures.py $(if $(ONLY),--only $(ONLY))
 
 wheel: $(VENV)/.stamp-dev
 	rm -f dist/*.whl

@@ -12,7 +12,6 @@ Blender is not needed by the package and is not installed with it. Give an inter
 
 from __future__ import annotations
 
-import argparse
 import os
 import subprocess
 import tempfile
@@ -24,7 +23,7 @@ import numpy as np
 
 from path_scenes import FIELD, Scene, scenes
 from speed_path import measure, noise
-from validation import PAGE, table, write_section
+from validation import parser, table, write_section
 from vrcaps.organ.surface import Appearance
 from vrcaps.render.renderer import Renderer
 from vrcaps.transforms import rotate_vectors, transform_points
@@ -83,11 +82,10 @@ def cycles(
 
 def main() -> None:
     """Measure, write the table."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--blender-python", type=Path, required=True, help="has bpy")
-    parser.add_argument("--size", type=int, default=320, help="default 320")
-    parser.add_argument("--out", type=Path, default=PAGE, help="Markdown page to write into")
-    given = parser.parse_args()
+    made = parser(__doc__ or "")
+    made.add_argument("--blender-python", type=Path, required=True, help="has bpy")
+    made.add_argument("--size", type=int, default=320, help="default 320")
+    given = made.parse_args()
     os.environ["RAYON_NUM_THREADS"] = str(THREADS)
     scene = matt_colon(given.size)
     (ours,) = measure([scene.ours(max_bounces=DEPTH, spp=SAMPLES)], images=IMAGES)

@@ -9,16 +9,14 @@ of up to 5 N in random posture. Organs from CT are left out where they are absen
 
 from __future__ import annotations
 
-import argparse
 import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from pathlib import Path
 
 import numpy as np
 from scipy.integrate import quad
 
-from validation import DATA, PAGE, ROOT, table, write_section
+from validation import DATA, ROOT, parser, table, write_section
 
 sys.path.append(str(ROOT / "tests" / "support"))
 
@@ -51,10 +49,9 @@ HEAD = ("quantity", "measured", "promised")
 
 def main() -> None:
     """Measure, and write the tables."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--steps", type=int, default=1_000_000, help="substeps in all organs")
-    parser.add_argument("--out", type=Path, default=PAGE, help="Markdown page to write into")
-    args = parser.parse_args()
+    made = parser(__doc__ or "")
+    made.add_argument("--steps", type=int, default=1_000_000, help="substeps in all organs")
+    args = made.parse_args()
     rows = [*closed_form_rows(), flight_row(), friction_row(), *pull_rows(), yielding_row()]
     organs = list(organ_makers())
     walks = [walk(name, make(), args.steps // len(organs)) for name, make in organs]
@@ -72,7 +69,6 @@ after each force, at which the capsule's axis was not in the lumen.
 
 {table(WALK_HEAD, [found.row() for found in walks])}
 
-By `python benchmarks/validate_contact.py --steps {args.steps}`.
 """
     write_section(args.out, "validate_contact.py", text)
 

@@ -8,14 +8,12 @@ under pressure beside Lamé, bending of thin plates, first modes.
 
 from __future__ import annotations
 
-import argparse
 import sys
 from collections.abc import Iterator
-from pathlib import Path
 
 import numpy as np
 
-from validation import PAGE, ROOT, table, write_section
+from validation import ROOT, parser, table, write_section
 
 sys.path.append(str(ROOT / "tests" / "support"))
 
@@ -28,16 +26,14 @@ HEAD = ("quantity", "error", "promised")
 
 def main() -> None:
     """Measure, and write the table."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--out", type=Path, default=PAGE, help="Markdown page to write into")
-    args = parser.parse_args()
+    made = parser(__doc__ or "")
+    args = made.parse_args()
     text = f"""## Elastic wall
 
 Ten-node tetrahedra with projected change of volume, against closed forms and against scikit-fem.
 
 {table(HEAD, list(rows()))}
 
-By `python benchmarks/validate_fem.py`.
 """
     write_section(args.out, "validate_fem.py", text)
 

@@ -2,7 +2,7 @@
 
 Simulates 200 cycles of the migrating motor complex in 20 patients beside the published figures they
 were drawn from, counts contractions at places of the wall, compares the wall's radius with the
-commanded wave, and measures how fast a ring carries a capsule and how long a wave's update takes.
+commanded wave, and measures how fast a ring carries a capsule.
 
     python benchmarks/validate_motility.py
 """
@@ -10,8 +10,6 @@ commanded wave, and measures how fast a ring carries a capsule and how long a wa
 from __future__ import annotations
 
 import sys
-import time
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -21,7 +19,6 @@ from validation import ROOT, options, table, write_section
 sys.path.append(str(ROOT / "tests" / "support"))
 
 from tubes import straight_gut
-from vrcaps.anatomy.catalog import generate_organ
 from vrcaps.capsule.catalog import read_device
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.tissue.motility.migrating_complex import MINUTE, MigratingMotorComplex
@@ -66,8 +63,7 @@ Mean ± standard deviation; of speeds and cycle means between patients. Figures 
 
 {table(HEAD, rows)}
 
-Times are process times of all threads: median of 100, 10 and 90 %. The capsule is 10.8 mm thick,
-the lumen 22 mm wide."""
+The capsule is 10.8 mm thick, the lumen 22 mm wide. How long a wave takes: `vrcaps bench world`."""
     write_section(args.out, "validate_motility.py", text)
 
 
@@ -220,7 +216,7 @@ def contraction_rate(muscle: Muscle, place: float, minutes: float = 30.0) -> flo
 
 
 def physics_rows() -> list[tuple[str, ...]]:
-    """The wall beside the commanded wave, a capsule before a ring, and the time of an update."""
+    """The wall beside the commanded wave, and a capsule before a ring."""
     ring = replace(
         segment_motilities()["jejunum"],
         rates=(11.4 * PER_MINUTE,) * 2,
@@ -250,7 +246,6 @@ def physics_rows() -> list[tuple[str, ...]]:
             wanted = gut.radius[0] * (1.0 - min(1.0, state.time) * depth)
             error = max(error, np.abs(radius - wanted).max())
     speed = (places[-1] - places[-201]) / 4.0
-    wave, refit, stations, triangles = update_times()
     return [
         ("radius of the wall against the wave", "jejunum", f"{error:.1e} m", "commanded"),
         (
@@ -259,54 +254,7 @@ def physics_rows() -> list[tuple[str, ...]]:
             f"{speed / CM:.2f} cm/s",
             "ring: 1.50 cm/s",
         ),
-        (
-            "wave at all stations",
-            f"whole tract, {stations:,} stations",
-            wave,
-            "claimed < 1 ms",
-        ),
-        (
-            "wave, wall and hierarchy",
-            f"colon, {triangles:,} triangles",
-            refit,
-            "claimed ≤ 2.5 ms",
-        ),
     ]
-
-
-def update_times() -> tuple[str, str, int, int]:
-    """Process times of the wave in a whole tract and of a moved colon; stations and triangles."""
-    tract = straight_gut(
-        {"antrum": 0.25, "duodenum": 0.25, "jejunum": 1.3, "ileum": 2.2, "colon": 2.0}
-    )
-    muscle = Muscle(tract, Motility(), np.random.default_rng(0))
-    colon = generate_organ("colon", seed=0)
-    start = State(0.0, np.eye(4))
-    start.T_world_capsule[:3, 3] = colon.centerline.points[len(colon.centerline.points) // 2]
-    model = Model(colon, read_device("mirocam"), np.eye(4))
-    world = World(model, Tissue(motility=Motility()), start)
-
-    def wave(k: int) -> None:
-        muscle.lumen_scale(100.0 + 0.37 * k)
-
-    def move(k: int) -> None:
-        if world.muscle is not None:
-            lumen_scale = world.muscle.lumen_scale(100.0 + 0.37 * k)
-            world._core.step(1e-6, 1, (0.0,) * 6, (0.0,) * 3, lumen_scale)
-            world._core.settle()
-
-    return process_time(wave), process_time(move), len(muscle.layout.arc_length), len(colon.faces)
-
-
-def process_time(work: Callable[[int], None]) -> str:
-    """Median process time of a hundred calls, and the tenth and ninetieth percentile."""
-    times = []
-    for k in range(105):
-        begin = time.process_time()
-        work(k)
-        times.append(time.process_time() - begin)
-    low, middle, high = 1e3 * np.percentile(times[5:], [10, 50, 90])
-    return f"{middle:.2f} ms ({low:.2f} to {high:.2f})"
 
 
 if __name__ == "__main__":

@@ -3,7 +3,7 @@
 In a straight and in a bent tube a push along the tube of 0.1 N rises within 2 s, stays, turns round
 within 4 s and stays.
 
-    python benchmarks/validate_steering.py [--size STEPS]
+    python benchmarks/validate_steering.py
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from validation import ROOT, options, table, write_section
+from validation import ROOT, parser, table, write_section
 
 sys.path.append(str(ROOT / "tests" / "support"))
 
@@ -62,14 +62,14 @@ class Tube:
 
 def main() -> None:
     """Measure, write the tables."""
-    given = options(__doc__ or "", size=1000)
+    given = parser(__doc__ or "").parse_args()
     tubes = (
         Tube("straight, 28 mm wide", straight_gut({"jejunum": 0.2}, radius=0.014), 0.1),
         Tube("bent by 45 mm, sloping 22°, 36 mm wide", bent_tube(), 0.16),
     )
     held = [hold_row(tube, arm, 0.5) for tube in tubes for arm in (False, True)]
     held += [hold_row(tube, True, 1.0) for tube in tubes]
-    hand, control = FreeActuator(), control_row(tubes[0], given.size)
+    hand = FreeActuator()
     text = f"""## Steering by a magnet
 
 `python benchmarks/validate_steering.py`: capsule `magnetic`, wet walls with `physical` drag. In
@@ -80,7 +80,7 @@ acceleration and jerk. *Once settled* is the largest error in the last second of
 
 {table(HOLD_HEAD, held)}
 
-{table(SPEED_HEAD, [*speed_rows(), control])}"""
+{table(SPEED_HEAD, speed_rows())}"""
     write_section(given.out, Path(__file__).name, text)
 
 
@@ -128,19 +128,6 @@ def hold_row(tube: Tube, by_arm: bool, press: float) -> tuple[str, ...]:
     )
 
 
-def control_row(tube: Tube, steps: int) -> tuple[str, ...]:
-    """The row of a control step's time."""
-    controller, world, target = begin(tube, True, 0.5)
-    between = lead(world, controller, target, steps * DT)
-    alone = [timed_step(world, controller, target)[1] for _ in range(steps)]
-    apart, within = (f"{1e6 * np.median(times):.0f} µs" for times in (alone, between))
-    return (
-        "arm and controller, a control step in a loop of its own",
-        f"{apart}; {within} between world steps",
-        "≤ 200 µs",
-    )
-
-
 def panda(magnet: Cylinder, place: np.ndarray, workspace: Workspace) -> MagnetActuator:
     """The Panda at a place, the magnet across its flange."""
     base = transform_from(np.eye(3), place)
@@ -149,25 +136,10 @@ def panda(magnet: Cylinder, place: np.ndarray, workspace: Workspace) -> MagnetAc
     )
 
 
-def lead(
-    world: World, controller: MagnetController, target: CapsuleTarget, seconds: float
-) -> list[float]:
-    """Steps a world to a target; CPU seconds of each control step."""
-    spent = []
+def lead(world: World, controller: MagnetController, target: CapsuleTarget, seconds: float) -> None:
+    """Steps a world to a target."""
     for _ in range(round(seconds / DT)):
-        control, taken = timed_step(world, controller, target)
-        spent.append(taken)
-        world.step(control, DT)
-    return spent
-
-
-def timed_step(
-    world: World, controller: MagnetController, target: CapsuleTarget
-) -> tuple[Control, float]:
-    """A control step and its CPU time [s]."""
-    start = time.process_time()
-    control = controller.track(world, target, DT)
-    return control, time.process_time() - start
+        world.step(controller.track(world, target, DT), DT)
 
 
 def error_of(world: World, target: CapsuleTarget, counted: np.ndarray) -> tuple[float, float]:

@@ -1,4 +1,4 @@
-"""What the validation scripts share: options, and tables written into docs/validation.md."""
+"""What the scripts share: options, and tables written into the pages of docs/."""
 
 from __future__ import annotations
 
@@ -6,44 +6,46 @@ import argparse
 import sys
 from pathlib import Path
 
+from vrcaps.cli.benchmarks import page as pages
+from vrcaps.cli.benchmarks.report import PAGE_TITLE as SPEED_TITLE
+
 ROOT = Path(__file__).resolve().parents[1]
-PAGE = ROOT / "docs" / "validation.md"
+PAGE, SPEED_PAGE = ROOT / "docs" / "validation.md", ROOT / "docs" / "benchmarks.md"
 DATA = ROOT.parent / "shared" / "data" / "organs"
 """Optional organs from CT; rows that need them are left out where it is absent."""
 
 _TITLE = """# Validation
 
-Each table below is written by the script named above it; nobody types results.
+Each table below is written by the command named below it; nobody types results.
 """
+
+table = pages.table
 
 sys.path.append(str(ROOT / "tests" / "support"))
 
 
+def parser(description: str) -> argparse.ArgumentParser:
+    """Command-line options with `--out`: the page of speed for scripts of speed."""
+    is_speed = Path(sys.argv[0]).name.startswith("speed_")
+    made = argparse.ArgumentParser(description=description)
+    page = SPEED_PAGE if is_speed else PAGE
+    made.add_argument("--out", type=Path, default=page, help="Markdown page to write into")
+    return made
+
+
 def options(description: str, size: int) -> argparse.Namespace:
     """Command-line options: `--size` (frames or pixels) and `--out` (page to write into)."""
-    parser = argparse.ArgumentParser(description=description)
-    parser.add_argument("--size", type=int, default=size, help=f"default {size}")
-    parser.add_argument("--out", type=Path, default=PAGE, help="Markdown page to write into")
-    return parser.parse_args()
+    made = parser(description)
+    made.add_argument("--size", type=int, default=size, help=f"default {size}")
+    return made.parse_args()
 
 
-def table(head: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:
-    """A Markdown table."""
-    lines = [head, tuple("---" for _ in head), *rows]
-    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
-
-
-def write_section(page: Path, script: str, text: str, *, title: str = _TITLE) -> None:
+def write_section(page: Path, script: str, text: str, *, title: str | None = None) -> None:
     """Put the section of one script into the page, in place of what it wrote before."""
-    mark = f"<!-- written by benchmarks/{script} -->\n"
-    before = page.read_text(encoding="utf-8") if page.exists() else title
-    sections = before.split("<!-- written by ")
-    name = f"benchmarks/{script} -->\n"
-    kept = [part for part in sections[1:] if not part.startswith(name)]
-    kept.append(name + text.strip() + "\n\n")
-    page.parent.mkdir(parents=True, exist_ok=True)
-    page.write_text(
-        sections[0].rstrip() + "\n\n" + "".join("<!-- written by " + part for part in sorted(kept)),
-        encoding="utf-8",
-    )
-    print(mark + text)
+    known = {PAGE.name: _TITLE, SPEED_PAGE.name: SPEED_TITLE}
+    name = f"benchmarks/{script}"
+    words = iter(["python", name, *sys.argv[1:]])
+    command = " ".join(word for word in words if word != "--out" or not next(words, ""))
+    title = known.get(page.name, "") if title is None else title
+    pages.write_section(page, name, text, command=command, title=title)
+    print(text)

@@ -11,7 +11,7 @@ class _Measurement:
     """What all of them are told."""
 
     out: Path | None = None
-    """Markdown file to write, with a folder of JSON beside it; by default only prints."""
+    """Markdown page to write a section of; by default only prints."""
 
     quick: bool = False
     """Only try whether everything runs; the figures mean nothing."""

@@ -18,11 +18,9 @@ from vrcaps.cli.benchmarks.timing import Spread
 from vrcaps.cli.console import console, progress_bar
 from vrcaps.errors import InputError
 
-CHANNELS = ("rgb", "depth", "normal", "label", "instance")
-
 
 def run(*, out: Path | None = None, quick: bool = False) -> Report:
-    """Measure, print, and write Markdown and JSON.
+    """Measure, print, and write Markdown.
 
     Args:
         out: Markdown file to write; None writes nothing.
@@ -44,11 +42,11 @@ def measure(*, num_frames: int, num_runs: int) -> Report:
         for number in range(num_runs):
             advance(number, num_runs)
             runs.append(_recorded(num_frames))
-    first = runs[0]
+    first, size = runs[0], np.mean([run["bytes"] for run in runs])
     setting = (
-        f"{num_frames} frames of {first['camera']} in the generated colon of "
-        f"{first['num_triangles']} triangles, direct light: {', '.join(CHANNELS)}, preview "
-        f"included, {np.mean([r['bytes'] for r in runs]) / num_frames / 1e3:.0f} kB a frame. "
+        f"The recording default, `vrcaps record`: {num_frames} frames of {first['camera']} in the "
+        f"generated colon of {first['num_triangles']} triangles, {first['light']}; "
+        f"{first['channels']}, preview included, {size / num_frames / 1e3:.0f} kB a frame. "
         f"{num_runs} runs, each in a fresh process and a temporary folder; the rate is from the "
         "first whole frame to the last. The stages below are then run one at a time over the "
         "same frames; in the recording they overlap."
@@ -60,7 +58,7 @@ def measure(*, num_frames: int, num_runs: int) -> Report:
         else replace(claims.MEMORY, reason="this system does not tell"),
     )
     return Report(
-        name="record",
+        title="Speed of recording",
         command="vrcaps bench record",
         setting=setting,
         claims=found,

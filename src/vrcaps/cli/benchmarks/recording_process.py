@@ -14,8 +14,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from vrcaps.cli.benchmarks.record import CHANNELS
-
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
@@ -34,11 +32,9 @@ def main(folder: Path, num_frames: int) -> dict[str, Any]:
     """
     started = time.perf_counter()
     from vrcaps.recording.recorder import record
-    from vrcaps.render.settings import RenderSettings
     from vrcaps.scenario.scenario import Scenario
 
-    light = RenderSettings(light="direct")
-    scenario = Scenario(frames=num_frames, channels=CHANNELS, render=light)
+    scenario = Scenario(frames=num_frames)
     done: list[tuple[int, float]] = []
 
     def progress(num_done: int, total: int) -> None:
@@ -79,6 +75,7 @@ def _stages(scenario: Scenario, folder: Path) -> dict[str, Any]:
     from vrcaps.scenario.build import build, resolve
 
     scenario = resolve(scenario)
+    channels, light = scenario.channels, scenario.render
     model, motion = build(scenario)
     states = [step.state for step in motion.steps()]
     camera, renderer = model.device.cameras[0], Renderer(model, scenario.render)
@@ -89,16 +86,16 @@ def _stages(scenario: Scenario, folder: Path) -> dict[str, Any]:
     reused: list[Frame | None] = [None]
 
     def render(i: int) -> None:
-        rendered[i] = renderer.render(states[i], camera, channels=CHANNELS)
+        rendered[i] = renderer.render(states[i], camera, channels=channels)
 
     def render_again(i: int) -> None:
         state = states[i]
-        reused[0] = renderer.render(state, camera, channels=CHANNELS, out=reused[0])
+        reused[0] = renderer.render(state, camera, channels=channels, out=reused[0])
 
     def store(i: int) -> None:
         stored[i] = [
             (folder / f"{i}-{name}.png", DECLARED[name].encoding.encode(getattr(rendered[i], name)))
-            for name in CHANNELS
+            for name in channels
         ]
 
     def write(i: int) -> None:
@@ -119,6 +116,8 @@ def _stages(scenario: Scenario, folder: Path) -> dict[str, Any]:
     return {
         "camera": f"{model.device.title} ({camera.width} × {camera.height})",
         "num_triangles": len(model.organ.faces),
+        "channels": ", ".join(channels),
+        "light": light.light + (", shadows" if light.shadows else ", no shadows"),
         "stages": stages,
     }
 

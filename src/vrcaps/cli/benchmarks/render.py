@@ -26,7 +26,7 @@ def run(
     quick: bool = False,
     only: Sequence[str] = (),
 ) -> Report:
-    """Measure, print, and write Markdown and JSON.
+    """Measure, print, and write Markdown.
 
     Args:
         out: Markdown file to write; None writes nothing.
@@ -57,7 +57,7 @@ def measure(extent: Extent, *, only: Sequence[str]) -> Report:
             found.append(STUDIES[name](stage, extent, _counter(advance, extent.num_rounds + 1)))
     is_whole = tuple(only) == tuple(STUDIES)
     return Report(
-        name="render" if is_whole else f"render-{'-'.join(only)}",
+        title="Speed of rendering" if is_whole else f"Speed of rendering: {', '.join(only)}",
         command="vrcaps bench render" + ("" if is_whole else f" --only {' '.join(only)}"),
         setting=setting(stage, extent),
         claims=tuple(claim for study in found for claim in study.claims),

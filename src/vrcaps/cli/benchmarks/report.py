@@ -1,20 +1,26 @@
-"""What a benchmark found, as a table for people, Markdown and JSON."""
+"""What a benchmark found, as tables for people and Markdown."""
 
 from __future__ import annotations
 
-import json
 import os
 import platform
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
+from vrcaps.cli.benchmarks.page import table, write_section
 from vrcaps.cli.benchmarks.timing import Spread
 from vrcaps.errors import InputError
 
 if TYPE_CHECKING:
     from rich.console import Console
+
+PAGE_TITLE = """# Benchmarks
+
+Each table below is written by the command named below it; nobody types results. Where a figure is a
+median, the 10th and 90th percentile follow in brackets.
+"""
 
 
 @dataclass(frozen=True)
@@ -78,7 +84,7 @@ class Report:
     """All that one run of a benchmark found.
 
     Attributes:
-        name: File name of its JSON.
+        title: Heading of its section.
         command: What was run.
         setting: What was measured on, in a sentence.
         claims: Promises.
@@ -87,7 +93,7 @@ class Report:
         machine: Facts of the machine and versions.
     """
 
-    name: str
+    title: str
     command: str
     setting: str
     claims: tuple[Claim, ...]
@@ -137,7 +143,7 @@ def show_report(report: Report, out: Path | None, console: Console) -> None:
     from rich.table import Table as RichTable
 
     console.print(report.setting)
-    for title, header, rows in _sections(_plain(report)):
+    for title, header, rows in _sections(report):
         table = RichTable(title=title, title_justify="left")
         for name in header[:-1]:
             table.add_column(name)
@@ -148,80 +154,52 @@ def show_report(report: Report, out: Path | None, console: Console) -> None:
         console.print(f"Left out: {name}: {reason}.")
     if out is not None:
         write_report(report, out)
-        console.print(f"Wrote {out} and {out.with_suffix('') / report.name}.json.")
+        console.print(f"Wrote {out}.")
 
 
 def write_report(report: Report, out: Path) -> None:
-    """Write a report's JSON beside a Markdown page and make the page anew from all JSON there.
-
-    Args:
-        report: What was found.
-        out: The page, a `.md` file; the JSON goes into the folder of its name without `.md`.
-    """
-    folder = out.with_suffix("")
-    folder.mkdir(parents=True, exist_ok=True)
-    text = json.dumps(_plain(report), indent=2, ensure_ascii=False)
-    (folder / f"{report.name}.json").write_text(text + "\n", encoding="utf-8")
-    pages = [json.loads(path.read_text("utf-8")) for path in sorted(folder.glob("*.json"))]
-    out.write_text(to_markdown(pages), encoding="utf-8")
+    """Put a report into a Markdown page, in place of what the same command wrote before."""
+    command = report.command
+    write_section(out, command, to_markdown(report), command=command, title=PAGE_TITLE)
 
 
-def to_markdown(reports: list[dict[str, Any]]) -> str:
-    """The page that shows some reports, as their JSON holds them."""
-    lines = [
-        "# Benchmarks",
-        "",
-        "Written by `make bench`, not by hand. Every figure is a median, in brackets the 10th "
-        "and 90th percentile.",
-    ]
-    for report in reports:
-        lines += ["", f"## `{report['command']}`", "", report["setting"], ""]
-        lines += [f"- {name}: {fact}" for name, fact in report["machine"].items()]
-        for title, header, rows in _sections(report):
-            lines += ["", f"### {title}", "", _cells(header), _cells(["---"] * len(header))]
-            lines += [_cells(row) for row in rows]
-        lines += [""] if report["skipped"] else []
-        lines += [f"Left out: {name}: {why}." for name, why in report["skipped"].items()]
-    return "\n".join(lines) + "\n"
+def to_markdown(report: Report) -> str:
+    """The section of a page that shows a report."""
+    lines = [f"## {report.title}", "", report.setting, ""]
+    lines += [f"- {name}: {fact}" for name, fact in report.machine.items()]
+    for title, header, rows in _sections(report):
+        lines += ["", f"### {title}", "", table(header, rows)]
+    lines += [""] if report.skipped else []
+    lines += [f"Left out: {name}: {why}." for name, why in report.skipped.items()]
+    return "\n".join(lines)
 
 
-def _plain(report: Report) -> dict[str, Any]:
-    """A report as JSON holds it, verdicts included."""
-    plain = asdict(report)
-    for claim, made in zip(plain["claims"], report.claims, strict=True):
-        claim["verdict"] = made.verdict
-    return plain
-
-
-def _sections(report: dict[str, Any]) -> list[tuple[str, list[str], list[list[str]]]]:
-    """Title, header and rows of each table of a report as its JSON holds it."""
+def _sections(report: Report) -> list[tuple[str, list[str], list[list[str]]]]:
+    """Title, header and rows of each table of a report."""
     header = ["claim", "promised", "measured", "", "made from"]
     rows = [
         [
-            claim["text"],
-            f"{claim['sense']} {claim['limit']:g} {claim['unit']}".strip(),
-            _shown(claim["measured"]) or claim["reason"],
-            claim["verdict"],
-            claim["reference"],
+            claim.text,
+            f"{claim.sense} {claim.limit:g} {claim.unit}".strip(),
+            _shown(claim.measured) or claim.reason,
+            claim.verdict,
+            claim.reference,
         ]
-        for claim in report["claims"]
+        for claim in report.claims
     ]
-    sections = [("Claims", header, rows)]
-    for table in report["tables"]:
-        header = ["", *table["columns"], "note"]
-        rows = [
-            [row["name"], *(_shown(value) for value in row["values"]), row["note"]]
-            for row in table["rows"]
-        ]
-        sections.append((table["title"], header, rows))
+    sections = [("Claims", header, rows)] if rows else []
+    for measured in report.tables:
+        header = ["", *measured.columns, "note"]
+        rows = [[row.name, *map(_shown, row.values), row.note] for row in measured.rows]
+        sections.append((measured.title, header, rows))
     return sections
 
 
-def _shown(spread: dict[str, float] | None) -> str:
+def _shown(spread: Spread | None) -> str:
     """A median and its percentiles to three digits."""
     if spread is None:
         return ""
-    median, low, high = (_digits(spread[key]) for key in ("median", "p10", "p90"))
+    median, low, high = (_digits(value) for value in (spread.median, spread.p10, spread.p90))
     return median if low == median == high else f"{median} ({low}–{high})"
 
 
@@ -231,7 +209,3 @@ def _digits(value: float) -> str:
         return f"{value:.0f}"
     decimals = 2 if abs(value) < 10.0 else 1
     return f"{value:.{decimals}f}" if abs(value) >= 0.1 else f"{value:.3f}"
-
-
-def _cells(row: list[str]) -> str:
-    return "| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |"

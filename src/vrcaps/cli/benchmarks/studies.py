@@ -58,9 +58,9 @@ def drawn(
         stage: What to look at.
         channels: Channels to fill.
         cameras: Cameras to render one after the other; the stage's own by default.
-        settings: How to render; None is direct light.
+        settings: How to render; None is direct light without shadows.
     """
-    renderer = Renderer(stage.model, settings or RenderSettings(light="direct"))
+    renderer = Renderer(stage.model, settings or RenderSettings(light="direct", shadows=False))
     chosen = tuple(cameras) or (stage.camera,)
     outs: list[Frame | None] = [None] * len(chosen)
 
@@ -90,12 +90,20 @@ def row(subject: Subject, times: Times, *more: Spread) -> Row:
 def frame(stage: Stage, extent: Extent, progress: Callable[[], None]) -> Study:
     """A complete frame, parts of it and more than it."""
     subjects = [
-        Subject(COMPLETE, drawn(stage), "color and all labels"),
+        Subject(COMPLETE, drawn(stage), "color and all labels, direct light without shadows"),
         Subject("ray distance only", drawn(stage, channels=("ray_distance",)), "nothing shaded"),
         Subject(
             f"{COMPLETE}, shadows",
             drawn(stage, settings=RenderSettings(light="direct", shadows=True)),
             "a shadow ray to each LED",
+        ),
+        *(
+            Subject(
+                f"{COMPLETE}, radiosity{', shadows' * shadows}",
+                drawn(stage, settings=RenderSettings(light="radiosity", shadows=shadows)),
+                "indirect light" + ", the default" * (RenderSettings().shadows == shadows),
+            )
+            for shadows in (False, True)
         ),
         Subject(
             f"{COMPLETE}, moving wall",

@@ -1,0 +1,70 @@
+"""Pages of measured tables: each section is put in by the command that measured it."""
+
+from __future__ import annotations
+
+import hashlib
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+import vrcaps
+from vrcaps.files import write_bytes
+
+_MARK = "<!-- written by "
+_STARTED = time.monotonic()
+
+
+def tree() -> str:
+    """Ten digits that name the sources of the package and of its core."""
+    package = Path(vrcaps.__file__).parent
+    digest = hashlib.sha256()
+    for folder in (package, package.parents[1] / "rust" / "src"):
+        files = (p for p in folder.rglob("*") if p.suffix in {".py", ".rs", ".toml"})
+        for path in sorted(files):
+            digest.update(path.relative_to(folder).as_posix().encode() + path.read_bytes())
+    return digest.hexdigest()[:10]
+
+
+def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """A Markdown table."""
+    lines = (head, ["---"] * len(head), *rows)
+    return "\n".join(
+        "| " + " | ".join(cell.replace("|", "\\|") for cell in line) + " |" for line in lines
+    )
+
+
+def read_sections(page: Path) -> dict[str, str]:
+    """Sections of a page by their names; what comes before them by an empty one."""
+    parts = page.read_text(encoding="utf-8").split(_MARK) if page.exists() else [""]
+    named = (part.split(" -->\n", 1) for part in parts[1:])
+    return {"": parts[0], **{name: text.strip() for name, text in named}}
+
+
+def write_section(page: Path, name: str, text: str, *, command: str, title: str) -> None:
+    """Put a section into a page, in place of the one of that name.
+
+    Below the text stands the command, the sources that were measured and the time it took.
+
+    Args:
+        page: Markdown file; made where there is none.
+        name: What measures it: `benchmarks/validate_light.py`, `vrcaps bench render`.
+        text: Markdown of the section.
+        command: What was run, as one types it.
+        title: What a page that is made begins with.
+    """
+    sections = read_sections(page)
+    before = sections.pop("") or title
+    seconds = time.monotonic() - _STARTED
+    foot = f"Written by `{command}` from sources `{tree()}` in {seconds:.0f} s."
+    sections[name] = f"{text.strip()}\n\n{foot}"
+    write_page(page, {"": before, **sections})
+
+
+def write_page(page: Path, sections: dict[str, str]) -> None:
+    """Write a page of sections as `read_sections` gives them, in the order of their names."""
+    parts = [
+        text.strip() if not name else f"{_MARK}{name} -->\n{text.strip()}"
+        for name, text in sorted(sections.items())
+    ]
+    page.parent.mkdir(parents=True, exist_ok=True)
+    write_bytes(page, ("\n\n".join(parts) + "\n").encode())

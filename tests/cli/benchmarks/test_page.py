@@ -1,0 +1,28 @@
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import readme
+from vrcaps.cli.benchmarks.page import read_sections, table, tree, write_section
+
+
+def test_a_section_replaces_its_own_and_states_command_sources_and_time(tmp_path: Path) -> None:
+    page = tmp_path / "docs" / "page.md"
+    for name, text in (("b", "old"), ("a", "first"), ("b", "new")):
+        write_section(page, name, text, command=f"python {name}.py --size 3", title="# Page\n")
+    sections = read_sections(page)
+    assert list(sections) == ["", "a", "b"]
+    assert sections[""].strip() == "# Page"
+    foot = rf"new\n\nWritten by `python b.py --size 3` from sources `{tree()}` in \d+ s\."
+    assert re.fullmatch(foot, sections["b"])
+
+
+def test_figures_of_the_front_page_are_cells_of_the_tables() -> None:
+    text = table(("frame", "ms"), [("plain | wet", "4.1 (3.9–5.0)"), ("other", "12.0")])
+    rows = list(readme.read_rows(f"## A\n\n{text}\n\nmore\n\n{text}"))
+    assert len(rows) == 4
+    assert readme.find(rows, "ms | plain | wet") == "4.1 (3.9–5.0)"
+    assert readme.find(rows, "most ms") == "12.0"
+    assert readme.find(rows, "least ms") == "4.1 (3.9–5.0)"
+    assert readme.find(rows, "ms | gone") == "not measured"

@@ -34,10 +34,10 @@ fn _core(m: &Bound<'_, PyModule>) -> PyResult<()> {
     m.add_function(wrap_pyfunction!(actuation::rotation::rotation_vector_rows, m)?)?;
     m.add_function(wrap_pyfunction!(actuation::reference::advance_reference, m)?)?;
     m.add_class::<world::binding::World>()?;
-    m.add_class::<lumen::Contents>()?;
     m.add_class::<lumen::particles::Particles>()?;
     m.add_function(wrap_pyfunction!(lumen::particles::terminal_speed, m)?)?;
     m.add_function(wrap_pyfunction!(lumen::pushed_aside::around_capsule, m)?)?;
+    m.add_class::<render::lumen::Contents>()?;
     m.add_class::<render::scene::Scene>()?;
     m.add_class::<render::texture::Texture>()?;
     m.add_class::<render::ray_table::RayTable>()?;

@@ -3,7 +3,7 @@
 use super::dome::totals;
 use super::planes::{Line, planes_array, rows, size};
 use crate::cpu::on_pool;
-use crate::lumen::foreground::FRONT_BUBBLE;
+use crate::render::lumen::foreground::FOREGROUND_BUBBLE;
 use crate::simd::f32x64::{Vec3, clamp, load, max, min, store};
 use numpy::{PyArray3, PyReadonlyArray2, PyReadonlyArray3, PyUntypedArrayMethods};
 use pyo3::{exceptions::PyValueError, prelude::*};
@@ -329,7 +329,7 @@ fn chosen(first: bool, one: f32, other: f32) -> f32 {
 pub fn bring_near(row: &mut [f32], front: &[u8], (depth, cosine): (&[f32], &[f32])) {
     for (((distance, &front), depth), cosine) in row.iter_mut().zip(front).zip(depth).zip(cosine) {
         let along = depth / cosine;
-        let is_nearer = (front == FRONT_BUBBLE) & (along > 0.0);
+        let is_nearer = (front == FOREGROUND_BUBBLE) & (along > 0.0);
         *distance = if is_nearer { along } else { *distance };
     }
 }

@@ -1,8 +1,8 @@
 //! Where points appear in an image, by the rays of its pixels alone: for any lens.
 
 use crate::cpu::on_pool;
-use crate::lumen::foreground::FRONT_BUBBLE;
 use crate::poses::read_pose;
+use crate::render::lumen::foreground::FOREGROUND_BUBBLE;
 use crate::render::ray_table::RayTable;
 use crate::simd::f32x64::*;
 use glam::{DMat3, DVec3};
@@ -53,7 +53,7 @@ impl<'a> Front<'a> {
 
     /// Whether a pixel looks through a bubble that sits on the capsule, and so stays there.
     fn is_on_capsule(&self, pixel: usize, ray: Vec3) -> bool {
-        if self.label[pixel] != FRONT_BUBBLE {
+        if self.label[pixel] != FOREGROUND_BUBBLE {
             return false;
         }
         let seen = scale(ray, self.depth[pixel] / ray[2]);

@@ -15,8 +15,8 @@ use super::stages::{
     ColorGains, Distances, FrameParams, FrameStageParams, StageParams, of_image, size_mismatch,
 };
 use crate::cpu::on_pool;
-use crate::lumen::foreground::FRONT_BUBBLE;
 use crate::render::channels::STEP;
+use crate::render::lumen::foreground::FOREGROUND_BUBBLE;
 use crate::render::ray_table::RayTable;
 use crate::simd::f32x64::Vec3;
 use numpy::{
@@ -304,7 +304,7 @@ impl CameraPipeline {
         let pixels = y * row.len()..(y + 1) * row.len();
         row.copy_from_slice(&wall[pixels.clone()]);
         let front = &front[pixels.clone()];
-        if !front.contains(&FRONT_BUBBLE) {
+        if !front.contains(&FOREGROUND_BUBBLE) {
             return;
         }
         bring_near(row, front, (&depth[pixels.clone()], &self.cosine[pixels]));

@@ -1,9 +1,9 @@
 //! Spheres in motion: they rise, sink, drift, cling to the wall and give way to the capsule.
 
-use super::SphereArrays;
 use super::capsule::Capsule;
 use super::drag::Medium;
 use super::particle::{BOUNCE, Kind, ParticleState};
+use super::spheres::{BUBBLE, SphereArrays};
 use super::step_inputs::{Around, StepInputs};
 use crate::mucosa::noise::uniform;
 use crate::wall::Wall;
@@ -88,13 +88,13 @@ impl Particles {
         spacing: f64,
     ) -> PyResult<Self> {
         let kind = spheres.kind.as_array().to_vec();
-        let all = super::read(wall, &spheres)?;
+        let all = spheres.read(wall)?;
         let kinds: Vec<Kind> = all
             .par_iter()
             .map(|s| Kind {
                 height: f64::from(query::nearest(&wall.bvh, s.center).distance),
                 radius: f64::from(s.radius),
-                is_bubble: kind[s.number as usize] == super::BUBBLE,
+                is_bubble: kind[s.number as usize] == BUBBLE,
                 home: vector(s.center.map(f64::from)),
                 home_arc: f64::from(s.arc_length),
             })

@@ -1,10 +1,29 @@
 //! Spheres of many sizes and their own hierarchy: bubbles and particles are traced through it.
 
 use crate::simd::f32x64::*;
+use crate::wall::Wall;
 use crate::wall::bvh::{Child, MAX_PER_LEAF, Node, WIDTH};
 use crate::wall::packet::{Pyramid, farthest_of, leaves};
 use crate::wall::visibility;
+use numpy::{PyReadonlyArray1, PyReadonlyArray2};
+use pyo3::{exceptions::PyValueError, prelude::*};
 use rayon::prelude::*;
+
+/// Kinds of spheres, as Python numbers them.
+pub const BUBBLE: u8 = 0;
+
+/// Fixed properties of spheres and where they are.
+#[derive(FromPyObject)]
+pub struct SphereArrays<'py> {
+    /// Centers [n 3] in the wall's outside world [m].
+    centers: PyReadonlyArray2<'py, f64>,
+    radius: PyReadonlyArray1<'py, f64>,
+    /// `BUBBLE` or a particle.
+    pub kind: PyReadonlyArray1<'py, u8>,
+    instance: PyReadonlyArray1<'py, u16>,
+    color: PyReadonlyArray2<'py, f64>,
+    arc_length: PyReadonlyArray1<'py, f64>,
+}
 
 /// One sphere.
 #[derive(Clone, Copy)]
@@ -21,6 +40,39 @@ pub struct Sphere {
     pub number: u32,
     /// Instance it belongs to.
     pub instance: u16,
+}
+
+impl SphereArrays<'_> {
+    /// The spheres, about the wall's center.
+    ///
+    /// # Errors
+    /// If arrays differ in length, a center is not finite or a radius not above 0.
+    pub fn read(&self, wall: &Wall) -> PyResult<Vec<Sphere>> {
+        let (centers, color) = (self.centers.as_array(), self.color.as_array());
+        let count = centers.nrows();
+        let lengths =
+            [self.radius.len()?, self.kind.len()?, self.instance.len()?, self.arc_length.len()?];
+        if centers.ncols() != 3 || color.dim() != (count, 3) || lengths != [count; 4] {
+            return Err(PyValueError::new_err("Spheres need a row of every property for each."));
+        }
+        let (radius, instance) = (self.radius.as_array(), self.instance.as_array());
+        let arc_length = self.arc_length.as_array();
+        let all: Vec<Sphere> = (0..count)
+            .map(|k| Sphere {
+                center: wall.localize([0, 1, 2].map(|axis| centers[[k, axis]])),
+                radius: radius[k] as f32,
+                color: [0, 1, 2].map(|axis| color[[k, axis]] as f32),
+                arc_length: arc_length[k] as f32,
+                number: k as u32,
+                instance: instance[k],
+            })
+            .collect();
+        let valid = |s: &Sphere| s.center.iter().all(|x| x.is_finite()) && s.radius > 0.0;
+        if !all.iter().all(valid) {
+            return Err(PyValueError::new_err("Spheres need finite centers and radii above 0."));
+        }
+        Ok(all)
+    }
 }
 
 /// Spheres in an eight-wide hierarchy.

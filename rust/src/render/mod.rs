@@ -2,6 +2,8 @@
 
 pub mod channels;
 pub mod frame;
+pub mod lumen;
+mod lumen_tile;
 pub mod material;
 pub mod path;
 pub mod radiosity;
@@ -9,3 +11,5 @@ pub mod ray_table;
 pub mod scene;
 pub mod shading;
 pub mod texture;
+mod tile;
+pub mod view;

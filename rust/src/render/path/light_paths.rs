@@ -5,7 +5,6 @@ use crate::render::path::Settings;
 use crate::render::path::bsdf::{self, circle, evaluate_bsdf, frame, on_circle};
 use crate::render::path::sobol::{dimension, point};
 use crate::render::path::subsurface::ray_offset;
-use crate::render::path::virtual_lights::VirtualLight;
 use crate::render::scene::SceneData;
 use crate::render::shading::{attributes_at, surface};
 use crate::simd::f32x64::*;
@@ -46,6 +45,37 @@ impl LightTransport<'_> {
     }
 }
 
+/// A virtual point light on the wall.
+#[derive(Clone, Copy)]
+pub struct VirtualLight {
+    /// Place [m].
+    pub point: Vec3,
+    /// Triangle, in leaf order.
+    pub triangle: u32,
+    /// As in `Hit::edges`, met from where its light comes from.
+    pub edges: Vec3,
+    /// Unit normal of the triangle on that side.
+    pub face_normal: Vec3,
+    /// Unit direction to where its light comes from.
+    pub back: Vec3,
+    /// What a light path brings, over the density of its reflection [W/sr·…]: times reflectance and
+    /// cosine it is radiant intensity [W/sr].
+    pub carried: Vec3,
+    /// Virtual lights of a light path at this place, about [1/m²].
+    pub density: f32,
+    /// About π times what its base sends straight out [W/sr].
+    pub sent: Vec3,
+    /// Unit normal with relief, roughness α of the gloss, and the cosine at which its light comes.
+    pub normal: Vec3,
+    pub alpha: f32,
+    pub cosine: f32,
+    /// A matt place finds it as often by its own paths where cosines over square distance are the
+    /// number of light paths over this [m²].
+    pub near: f32,
+    /// Reflections of its light with the one that it waits for.
+    pub order: u32,
+}
+
 /// Vertex of a light path on the wall.
 #[derive(Clone, Copy)]
 pub struct LightVertex {
@@ -54,6 +84,28 @@ pub struct LightVertex {
     power: f32,
     /// The virtual light that it leaves there.
     pub source: VirtualLight,
+}
+
+impl VirtualLight {
+    /// Added to base colors, so that gloss is not left out where virtual lights are chosen.
+    pub const GLOSS: f32 = 0.03;
+
+    /// Makes it what lane `i` has met: seen from a point in a unit direction, at a distance [m].
+    #[inline(always)]
+    pub fn write_lane(
+        &self,
+        i: usize,
+        (direction, distance): (Vec3, f32),
+        (hits, position, view): (&mut Hits, &mut Lane3, &mut Lane3),
+    ) {
+        hits.distance[i] = distance;
+        hits.triangle[i] = self.triangle;
+        for k in 0..3 {
+            hits.edges[k][i] = self.edges[k];
+            position[k][i] = self.point[k];
+            view[k][i] = direction[k];
+        }
+    }
 }
 
 /// LEDs that shine, with shares in proportion to their power.

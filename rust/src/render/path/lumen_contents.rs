@@ -2,9 +2,9 @@
 //!
 //! Path segments are straight: beyond the first surface nothing refracts them.
 
-use crate::lumen::Contents;
-use crate::lumen::liquid::DRY;
-use crate::lumen::particle_surfaces::paint;
+use crate::render::lumen::Contents;
+use crate::render::lumen::liquid::DRY;
+use crate::render::lumen::particle_surfaces::paint;
 use crate::render::material::Surface;
 use crate::simd::f32x64::*;
 use crate::wall::Wall;

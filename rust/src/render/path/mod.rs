@@ -18,6 +18,7 @@ mod shadow_rays;
 pub mod sobol;
 pub mod subsurface;
 mod subsurface_paths;
+pub mod tracer;
 pub mod virtual_lights;
 pub mod wavefront;
 

@@ -3,7 +3,7 @@
 use crate::render::material::Led;
 use crate::render::path::shadow_rays::{ShadowRay, ShadowRays};
 use crate::render::path::sobol::{dimension, point};
-use crate::render::path::wavefront::{Path, Tracer};
+use crate::render::path::tracer::{Path, Tracer};
 use crate::simd::f32x64::*;
 
 impl Tracer<'_> {

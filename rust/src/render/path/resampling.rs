@@ -10,12 +10,11 @@
 use crate::render::material::{Clearcoat, Material, Surface, clearcoat_fresnel, fresnel, ggx};
 use crate::render::path::PrimaryHit;
 use crate::render::path::bsdf::evaluate_bsdf;
+use crate::render::path::light_paths::VirtualLight;
 use crate::render::path::sobol::{dimension, hash, unit};
 use crate::render::path::subsurface::ray_offset;
-use crate::render::path::virtual_lights::{
-    Candidates, MisWeights, PATH_WEIGHT, VirtualLight, VirtualLights,
-};
-use crate::render::path::wavefront::Tracer;
+use crate::render::path::tracer::Tracer;
+use crate::render::path::virtual_lights::{Candidates, MisWeights, PATH_WEIGHT, VirtualLights};
 use crate::simd::f32x64::*;
 use crate::wall::packet::Hits;
 use crate::wall::ray;

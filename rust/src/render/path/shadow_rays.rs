@@ -3,7 +3,7 @@
 //! Shadow rays from one LED share their origin. Sorted by direction, 64 neighbors make a narrow
 //! packet, and are traced like a tile of an image.
 
-use crate::render::path::wavefront::Tracer;
+use crate::render::path::tracer::Tracer;
 use crate::simd::f32x64::*;
 use crate::wall::Wall;
 use crate::wall::packet::{Hits, MISS, Pyramid, trace_at_most};

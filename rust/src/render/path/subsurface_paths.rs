@@ -7,7 +7,7 @@ use crate::render::path::sobol::{dimension, point};
 use crate::render::path::subsurface::{
     RandomStream, SubsurfaceExit, Tissue, TissueRay, random_walk, ray_offset, refract_into,
 };
-use crate::render::path::wavefront::{Path, Tracer, Wavefront};
+use crate::render::path::tracer::{Path, Tracer};
 use crate::simd::f32x64::*;
 use crate::wall::packet::{Hits, MISS};
 
@@ -72,9 +72,14 @@ impl Tracer<'_> {
 
     /// Takes paths through the tissue, asks for light where they come out, and sends them on.
     #[inline(always)]
-    pub(super) fn walk_tissue_paths(&self, reflection: u32, wavefront: &mut Wavefront) {
+    pub(super) fn walk_tissue_paths(
+        &self,
+        reflection: u32,
+        entries: &mut Vec<SubsurfaceEntry>,
+        exits: &mut Vec<(Path, SubsurfaceExit)>,
+        (paths, requests): (&mut Vec<Path>, &mut ShadowRays),
+    ) {
         let Some(tissue) = &self.transport.scene.tissue else { return };
-        let Wavefront { paths, entries, exits, requests, .. } = wavefront;
         exits.clear();
         for SubsurfaceEntry { mut path, color } in entries.drain(..) {
             let key = dimension(path.key, WALK_DIMENSION + reflection);
@@ -94,7 +99,7 @@ impl Tracer<'_> {
             exits.push((path, exit));
         }
         for block in exits.chunks(LANES) {
-            self.exit_tissue(reflection, tissue, block, (paths, requests));
+            self.exit_tissue(reflection, tissue, block, (&mut *paths, &mut *requests));
         }
     }
 
@@ -143,15 +148,5 @@ impl Tracer<'_> {
             }
         }
         self.transport.surface(position, view, &hits)
-    }
-
-    /// A surface without the base that tissue stands for, if light goes through tissue.
-    #[inline(always)]
-    pub(super) fn without_base(
-        &self,
-        surface: &Surface,
-        triangles: &[u32; LANES],
-    ) -> Option<Surface> {
-        self.transport.scene.tissue.as_ref().map(|_| surface.without_base(triangles))
     }
 }

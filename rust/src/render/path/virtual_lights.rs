@@ -4,7 +4,7 @@
 use crate::render::material::gloss_alpha;
 use crate::render::path::Settings;
 use crate::render::path::light_paths::{
-    LedEmitter, LightTransport, LightVertex, emit, emitters, extend_light_paths,
+    LedEmitter, LightTransport, LightVertex, VirtualLight, emit, emitters, extend_light_paths,
 };
 use crate::render::path::sobol::{dimension, hash};
 use crate::simd::f32x64::*;
@@ -26,37 +26,6 @@ pub const PATH_WEIGHT: MisWeights = MisWeights { base: 1.0, gloss: 16.0 };
 /// Least cosine at which light is taken to come to a virtual light, where virtual lights are
 /// chosen.
 const LEAST_COSINE: f32 = 0.05;
-
-/// A virtual point light on the wall.
-#[derive(Clone, Copy)]
-pub struct VirtualLight {
-    /// Place [m].
-    pub point: Vec3,
-    /// Triangle, in leaf order.
-    pub triangle: u32,
-    /// As in `Hit::edges`, met from where its light comes from.
-    pub edges: Vec3,
-    /// Unit normal of the triangle on that side.
-    pub face_normal: Vec3,
-    /// Unit direction to where its light comes from.
-    pub back: Vec3,
-    /// What a light path brings, over the density of its reflection [W/sr·…]: times reflectance and
-    /// cosine it is radiant intensity [W/sr].
-    pub carried: Vec3,
-    /// Virtual lights of a light path at this place, about [1/m²].
-    pub density: f32,
-    /// About π times what its base sends straight out [W/sr].
-    pub sent: Vec3,
-    /// Unit normal with relief, roughness α of the gloss, and the cosine at which its light comes.
-    pub normal: Vec3,
-    pub alpha: f32,
-    pub cosine: f32,
-    /// A matt place finds it as often by its own paths where cosines over square distance are the
-    /// number of light paths over this [m²].
-    pub near: f32,
-    /// Reflections of its light with the one that it waits for.
-    pub order: u32,
-}
 
 /// All virtual lights of an image.
 pub struct VirtualLights {
@@ -200,28 +169,6 @@ fn color(transport: &LightTransport<'_>, sources: &mut [VirtualLight]) {
         source.cosine = max(dot(source.normal, source.back), LEAST_COSINE);
         let color = albedo.map(|a| (a + VirtualLight::GLOSS) * source.cosine);
         source.sent = [0, 1, 2].map(|k| color[k] * source.carried[k]);
-    }
-}
-
-impl VirtualLight {
-    /// Added to base colors, so that gloss is not left out where virtual lights are chosen.
-    pub const GLOSS: f32 = 0.03;
-
-    /// Makes it what lane `i` has met: seen from a point in a unit direction, at a distance [m].
-    #[inline(always)]
-    pub fn write_lane(
-        &self,
-        i: usize,
-        (direction, distance): (Vec3, f32),
-        (hits, position, view): (&mut Hits, &mut Lane3, &mut Lane3),
-    ) {
-        hits.distance[i] = distance;
-        hits.triangle[i] = self.triangle;
-        for k in 0..3 {
-            hits.edges[k][i] = self.edges[k];
-            position[k][i] = self.point[k];
-            view[k][i] = direction[k];
-        }
     }
 }
 

@@ -2,14 +2,13 @@
 
 use crate::render::material::{Led, Surface, add_light};
 use crate::render::path::bsdf::{BsdfRandom, BsdfSample, sample_bsdf};
-use crate::render::path::light_paths::{LightTransport, density};
-use crate::render::path::lumen_contents::LumenMedia;
+use crate::render::path::light_paths::density;
 use crate::render::path::resampling::Scratch;
 use crate::render::path::shadow_rays::ShadowRays;
-use crate::render::path::sobol::{dimension, hash, point, unit};
-use crate::render::path::subsurface::{SubsurfaceExit, ray_offset};
+use crate::render::path::sobol::{dimension, hash, point};
+use crate::render::path::subsurface::SubsurfaceExit;
 use crate::render::path::subsurface_paths::SubsurfaceEntry;
-use crate::render::path::virtual_lights::{MisWeights, VirtualLights};
+use crate::render::path::tracer::{Path, Tracer};
 use crate::render::path::{PrimaryHit, Settings};
 use crate::simd::f32x64::*;
 use crate::wall::packet::{Hits, MAX_DISTANCE, MISS};
@@ -17,72 +16,20 @@ use crate::wall::ray::{self, Hit};
 
 /// Paths of one wavefront, about: enough that shadow rays have neighbors, few enough for a cache.
 const WAVEFRONT_PATHS: usize = 65_536;
-/// Reflections that every path takes; after them a path may end early (Russian roulette).
-const RR_MIN_BOUNCES: u32 = 2;
-/// Russian roulette: survival probability over throughput. Most of the noise is light of late
-/// reflections, which are few, so that more of them pay.
-const RR_SURVIVAL: f32 = 3.0;
-
 /// Samples for each continued path where surfaces are connected to virtual lights.
 const SAMPLES_PER_PATH: u32 = 2;
 /// Most samples that choose from the same virtual lights.
 const MAX_CONNECTED_SAMPLES: usize = 16;
 
-/// Tracer of camera paths.
-pub struct Tracer<'a> {
-    /// What the LEDs' paths travel in, too.
-    pub transport: LightTransport<'a>,
-    /// What floats in the lumen, if anything does.
-    pub media: Option<LumenMedia<'a>>,
-    /// Where the LEDs' light comes from, if surfaces are connected to that.
-    pub sources: Option<&'a VirtualLights>,
-    /// Light paths whose virtual lights are candidates at a time.
-    pub candidate_paths: usize,
-}
-
-/// A path on its way from one surface to the next.
-#[derive(Clone, Copy)]
-pub(super) struct Path {
-    pub(super) origin: Vec3,
-    pub(super) direction: Vec3,
-    /// Weight of radiance found along it in the pixel.
-    pub(super) throughput: Vec3,
-    /// Number of its pixel among the sums.
-    pub(super) pixel: u32,
-    /// Key of its pixel's random numbers.
-    pub(super) key: u32,
-    pub(super) sample: u32,
-    /// Triangle it leaves.
-    pub(super) from: u32,
-    /// Density with which it was drawn, where its surface may be connected to a virtual light: of
-    /// its direction [1/sr] on the way there, of its place [1/m²] there; infinite elsewhere.
-    pub(super) density: f32,
-    /// Part of the throughput that is gloss, where the density is finite.
-    pub(super) gloss: f32,
-}
-
-impl Path {
-    /// What is left for the path itself of light that base and gloss of the place it has come to
-    /// reflect, beside virtual lights of which each of so many light paths leaves so many there
-    /// [1/m²].
-    #[inline(always)]
-    fn own(&self, density: f32, paths: usize) -> [Vec3; 2] {
-        let MisWeights { base, gloss } = MisWeights::new(density, self.density, paths);
-        let shiny = (1.0 - gloss) * self.gloss;
-        let matt = self.throughput.map(|t| (1.0 - base) * (t - self.gloss) + shiny);
-        [matt, scale(self.throughput, 1.0 - gloss)]
-    }
-}
-
 /// Paths of one wavefront, and scratch memory for the next.
 #[derive(Default)]
-pub(super) struct Wavefront {
-    pub(super) paths: Vec<Path>,
-    pub(super) next: Vec<Path>,
+struct Wavefront {
+    paths: Vec<Path>,
+    next: Vec<Path>,
     hits: Vec<(u32, Hit)>,
-    pub(super) entries: Vec<SubsurfaceEntry>,
-    pub(super) exits: Vec<(Path, SubsurfaceExit)>,
-    pub(super) requests: ShadowRays,
+    entries: Vec<SubsurfaceEntry>,
+    exits: Vec<(Path, SubsurfaceExit)>,
+    requests: ShadowRays,
     scratch: Scratch,
 }
 
@@ -107,7 +54,8 @@ pub fn indirect(tracer: &Tracer<'_>, firsts: &[PrimaryHit]) -> Vec<Lane3> {
             if reflection > 1 {
                 tracer.advance(reflection, &mut wavefront);
             }
-            tracer.walk_tissue_paths(reflection, &mut wavefront);
+            let Wavefront { paths, entries, exits, requests, .. } = &mut wavefront;
+            tracer.walk_tissue_paths(reflection, entries, exits, (paths, requests));
             wavefront.requests.resolve(tracer, &leds, &mut sums);
             if wavefront.paths.is_empty() {
                 break;
@@ -302,30 +250,6 @@ impl Tracer<'_> {
         }
     }
 
-    /// Ends some of the paths that carry little and makes up for them with the others.
-    #[inline(always)]
-    pub(super) fn survives_roulette(&self, reflection: u32, path: &mut Path) -> bool {
-        if reflection < RR_MIN_BOUNCES {
-            return true;
-        }
-        let [r, g, b] = path.throughput;
-        let chance = min(RR_SURVIVAL * max(r, max(g, b)), 1.0);
-        let number = hash(dimension(path.key, 4 * reflection + 3) ^ hash(path.sample));
-        path.throughput = scale(path.throughput, 1.0 / max(chance, 1e-20));
-        unit(number) < chance
-    }
-
-    /// Adds a path unless it carries nothing or leads into the wall, whose unit normal is
-    /// `face_normal`.
-    #[inline(always)]
-    pub(super) fn extend_path(&self, mut path: Path, face_normal: Vec3, paths: &mut Vec<Path>) {
-        let [r, g, b] = path.throughput;
-        if (max(r, max(g, b)) > 0.0) & (dot(path.direction, face_normal) > 0.0) {
-            path.origin = add(path.origin, scale(face_normal, ray_offset(self.transport.wall)));
-            paths.push(path);
-        }
-    }
-
     #[inline(always)]
     fn sample_directions(
         &self,
@@ -364,20 +288,5 @@ impl Tracer<'_> {
             media.shade_particles(block, &mut surface);
         }
         surface
-    }
-
-    /// Unit normals of the faces on the viewer's side; the surface's own where there is no face.
-    #[inline(always)]
-    fn face_normals(&self, triangles: &[u32; LANES], surface: &Surface) -> Lane3 {
-        let mut face_normals = surface.normal;
-        for i in (0..LANES).filter(|&i| triangles[i] != MISS) {
-            let [a, b, c] = self.transport.wall.bvh.triangles[triangles[i] as usize].corners;
-            let normal = normalize(cross(sub(b, a), sub(c, a)));
-            let side = if dot(normal, at(&surface.view, i)) < 0.0 { -1.0 } else { 1.0 };
-            for k in 0..3 {
-                face_normals[k][i] = side * normal[k];
-            }
-        }
-        face_normals
     }
 }

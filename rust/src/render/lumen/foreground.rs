@@ -6,26 +6,29 @@ use crate::render::ray_table::TileRays;
 use crate::simd::f32x64::*;
 
 /// `Channels::foreground_label` of a bubble; 0 is nothing.
-pub const FRONT_BUBBLE: u8 = 1;
+pub const FOREGROUND_BUBBLE: u8 = 1;
 /// `Channels::foreground_label` of liquid.
-pub const FRONT_LIQUID: u8 = 2;
+pub const FOREGROUND_LIQUID: u8 = 2;
 
 /// The nearest see-through thing in front of each surface.
-pub struct Front {
+pub struct Foreground {
     label: [u8; LANES],
     instance: [u16; LANES],
     distance: Lane,
 }
 
-impl Front {
+impl Foreground {
     /// Liquid, where rays enter it or start in it.
     #[inline(always)]
     pub fn of_liquid(wet: Option<&Wet>) -> Self {
-        let mut front =
-            Front { label: [0; LANES], instance: [0; LANES], distance: [f32::INFINITY; LANES] };
+        let mut front = Foreground {
+            label: [0; LANES],
+            instance: [0; LANES],
+            distance: [f32::INFINITY; LANES],
+        };
         let Some(wet) = wet else { return front };
         for i in (0..LANES).filter(|&i| wet.is_wet[i]) {
-            front.label[i] = FRONT_LIQUID;
+            front.label[i] = FOREGROUND_LIQUID;
             front.instance[i] = wet.pool[i];
             front.distance[i] = wet.start[i];
         }
@@ -39,7 +42,7 @@ impl Front {
             let first = if ways[0][i] > 0.0 { ways[0][i] } else { ways[1][i] };
             let nearer = (first > 0.0) & (first < distance[i]) & (first < self.distance[i]);
             self.distance[i] = if nearer { first } else { self.distance[i] };
-            self.label[i] = if nearer { FRONT_BUBBLE } else { self.label[i] };
+            self.label[i] = if nearer { FOREGROUND_BUBBLE } else { self.label[i] };
             self.instance[i] = if nearer { instance } else { self.instance[i] };
         }
     }

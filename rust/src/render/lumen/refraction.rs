@@ -8,7 +8,7 @@ pub const STRAIGHT: u8 = 0;
 /// `Turn::kind` of a ray that is refracted.
 pub const REFRACTED: u8 = 1;
 /// `Turn::kind` of a ray that is totally reflected.
-pub const MIRRORED: u8 = 2;
+pub const REFLECTED: u8 = 2;
 
 /// Turns of a tile's rays in level surfaces.
 pub struct Turn {
@@ -51,7 +51,7 @@ impl Turn {
         } else {
             [x, y, -z]
         };
-        self.kind[i] = if is_through { REFRACTED } else { MIRRORED };
+        self.kind[i] = if is_through { REFRACTED } else { REFLECTED };
         self.share[i] = if is_through { fresnel(z.abs(), ior) } else { 1.0 };
         self.way[i] = way;
         for k in 0..3 {
@@ -103,7 +103,7 @@ mod tests {
                     let [x, y, z] = at(&turn.heading, 0);
                     let sine = (1.0 - direction[2] * direction[2]).max(0.0).sqrt();
                     if sine / ior > 1.0 {
-                        assert_eq!(turn.kind[0], MIRRORED);
+                        assert_eq!(turn.kind[0], REFLECTED);
                         let [u, v, w] = direction;
                         assert!((x - u).abs().max((y - v).abs()).max((z + w).abs()) < 1e-6);
                         continue;

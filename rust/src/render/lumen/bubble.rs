@@ -5,7 +5,7 @@
 //! two surfaces count apart; nothing is refracted, as a film turns no ray. Each LED shows twice:
 //! in the shell's front as in a convex mirror and in its back as in a concave one.
 
-use super::spheres::{Crossings, Sphere};
+use crate::lumen::spheres::{Crossings, Sphere};
 use crate::render::material::{Led, fresnel};
 use crate::simd::f32x64::*;
 use crate::wall::packet::Pyramid;

@@ -3,13 +3,13 @@
 use super::bubble::{Behind, Eye, Film};
 use super::liquid::{Optics, Wet};
 use super::refraction::Turn;
-use super::spheres::{Near, Spheres};
+use crate::lumen::spheres::{Near, Spheres};
 use crate::render::material::Led;
 use crate::simd::f32x64::*;
 use crate::wall::packet::{Hits, Pyramid};
 
 /// Straight pieces of rays; distances count along the whole way from the eye.
-pub struct Leg<'a> {
+pub struct PathSegment<'a> {
     /// Directions, and the pyramid around them.
     pub rays: &'a Pyramid,
     /// Where each ray would start if its whole way were straight as this piece [m].
@@ -38,7 +38,7 @@ pub struct Bubbles<'a> {
     pub pixel_angle: f32,
 }
 
-impl Leg<'_> {
+impl PathSegment<'_> {
     /// Carries radiance from the end of the piece to its beginning.
     #[inline(always)]
     pub fn carry(
@@ -114,7 +114,7 @@ impl Leg<'_> {
 
 /// Where the straight ways from the eye end [m].
 #[inline(always)]
-pub fn first_leg(wet: Option<&Wet>, hits: &Hits) -> Lane {
+pub fn first_segment(wet: Option<&Wet>, hits: &Hits) -> Lane {
     let Some(wet) = wet else { return hits.distance };
     std::array::from_fn(|i| min(wet.turn.way[i], hits.distance[i]))
 }

@@ -1,50 +1,37 @@
 //! One tile of an image with something in the lumen.
 //!
-//! Bubbles and liquid are laid over what is behind them, and have channels of their own. Where a
-//! ray meets the surface of a pool it goes on as the surface turns it, once.
+//! Bubbles and liquid cover what is behind them, and have channels of their own. Where a ray meets
+//! the surface of a pool it is refracted or reflected, once.
 
-use super::Contents;
-use super::foreground::Front;
-use super::liquid::{DRY, Optics, Pools, Wet};
-use super::particle_surfaces::{Owner, paint};
-use super::path_segment::{Bubbles, Leg, first_leg, unfolded};
-use super::refraction::{MIRRORED, REFRACTED, STRAIGHT};
-use super::spheres::Near;
+use crate::lumen::spheres::Near;
 use crate::render::channels::{Channels, Place};
-use crate::render::frame::{View, add_indirect, primary, render_tile, write_geometry};
+use crate::render::lumen::Contents;
+use crate::render::lumen::foreground::Foreground;
+use crate::render::lumen::intersect::LumenRays;
+use crate::render::lumen::liquid::{DRY, Optics, Pools, Wet};
+use crate::render::lumen::particle_surfaces::{Owner, paint, write_particles};
+use crate::render::lumen::path_segment::{Bubbles, PathSegment, first_segment, unfolded};
+use crate::render::lumen::refraction::{REFLECTED, REFRACTED, STRAIGHT};
 use crate::render::material::Surface;
 use crate::render::path::PrimaryHit;
 use crate::render::path::lumen_contents::LumenMedia;
 use crate::render::radiosity::SubsurfaceLight;
 use crate::render::ray_table::TileRays;
-use crate::render::scene::SceneData;
 use crate::render::shading::{Attributes, add_all_light, attributes, attributes_at, surface};
+use crate::render::tile::{
+    Scratch, TileRenderer, WallTiles, add_indirect, write_color, write_geometry,
+};
 use crate::simd::f32x64::*;
-use crate::wall::Wall;
 use crate::wall::packet::{Hits, MISS, Pyramid, farthest_of};
 use crate::wall::query;
 use crate::wall::visibility::visible_tile;
 
-/// What the tiles of one image share.
-pub struct Filled<'a> {
-    /// The wall.
-    pub wall: &'a Wall,
-    /// What is drawn on it.
-    pub scene: &'a SceneData,
-    /// What is in it.
-    pub contents: &'a Contents,
-    /// The view.
-    pub view: &'a View<'a>,
+/// Renderer of a wall with contents in front of it.
+pub struct LumenTiles<'a> {
+    bare: WallTiles<'a>,
+    contents: &'a Contents,
     /// Pool in whose stretch the eye is.
-    pub of_eye: u16,
-}
-
-/// Room for a tile's spheres; kept from tile to tile.
-#[derive(Default)]
-pub struct Room {
-    /// Spheres near some rays.
-    pub near: Vec<Near>,
-    blocking: Vec<Near>,
+    of_eye: u16,
 }
 
 /// Triangles met, `MISS` where a particle hides them.
@@ -54,7 +41,7 @@ fn of_wall(triangles: &[u32; LANES], owner: &Owner) -> [u32; LANES] {
 }
 
 /// What the rays of a tile see in the end.
-struct Seen {
+struct VisibleSurfaces {
     rays: Pyramid,
     /// Distances along the whole way; the wall, also behind particles.
     hits: Hits,
@@ -64,78 +51,66 @@ struct Seen {
     wet: Option<Wet>,
 }
 
-impl<'a> Filled<'a> {
-    /// A wall with contents as a view sees them.
-    pub fn new(
-        wall: &'a Wall,
-        scene: &'a SceneData,
-        contents: &'a Contents,
-        view: &'a View<'a>,
-    ) -> Self {
-        let of_eye = contents.pools.as_ref().map_or(DRY, |(pools, _)| {
-            let nearest = query::nearest(&wall.bvh, view.origin);
-            pools.of_face(wall.faces[nearest.face as usize])
-        });
-        Filled { wall, scene, contents, view, of_eye }
-    }
-
-    /// The contents as paths meet them.
-    pub fn afloat(&self) -> LumenMedia<'_> {
+impl TileRenderer for LumenTiles<'_> {
+    #[inline(always)]
+    fn media(&self) -> Option<LumenMedia<'_>> {
         let is_under = |(pools, _): &&(Pools, Optics)| {
-            self.of_eye != DRY && self.view.origin[2] < pools.level(self.of_eye)
+            self.of_eye != DRY && self.bare.view.origin[2] < pools.level(self.of_eye)
         };
         let under = self.contents.pools.as_ref().filter(is_under);
         let of_leds = if under.is_some() { self.of_eye } else { DRY };
-        LumenMedia { wall: self.wall, contents: self.contents, of_leds }
+        Some(LumenMedia { wall: self.bare.wall, contents: self.contents, of_leds })
     }
 
-    /// The surfaces of wall and particles that paths set out from.
     #[inline(always)]
-    pub fn first(&self, tile: &TileRays, pixel: [u32; LANES], room: &mut Room) -> PrimaryHit {
-        let (rays, hits) = primary(self.wall, self.view, tile);
-        let Seen { hits, owner, found, .. } = self.look(tile, (&rays, &hits), room);
+    fn primary_hit(
+        &self,
+        tile: &TileRays,
+        pixel: [u32; LANES],
+        scratch: &mut Scratch,
+    ) -> PrimaryHit {
+        let (rays, hits) = self.bare.intersect(tile);
+        let VisibleSurfaces { hits, owner, found, .. } = self.trace(tile, (&rays, &hits), scratch);
         let surface = self.surface(&found, &hits, &owner, tile.pixel_angle);
         let triangle = of_wall(&hits.triangle, &owner);
         PrimaryHit { surface, hit: found.hit, triangle, pixel }
     }
 
-    /// Renders one tile; `glow` is light beyond direct light.
     #[inline(always)]
-    pub fn render_tile(
+    fn render_tile(
         &self,
         tile: &TileRays,
         place: Place,
         indirect: Option<&Lane3>,
-        room: &mut Room,
+        scratch: &mut Scratch,
         out: &mut Channels<'_>,
     ) {
-        let view = self.view;
-        let (rays, hits) = primary(self.wall, view, tile);
+        let (wall, view) = (self.bare, self.bare.view);
+        let (rays, hits) = wall.intersect(tile);
         let met = (&rays, &hits);
-        if self.sees_wall_alone(tile, met, room) {
-            Front::of_liquid(None).write(tile, place, out);
+        if self.sees_wall_alone(tile, met, scratch) {
+            Foreground::of_liquid(None).write(tile, place, out);
             place.write(&mut out.refraction_label, &[STRAIGHT; LANES], &tile.used, STRAIGHT);
             place.write_subsampled(&mut out.sparse_refraction, 1, |_, _| STRAIGHT);
-            render_tile((self.wall, self.scene, view), tile, met, place, indirect, out);
+            wall.render_hits(tile, met, place, indirect, out);
             return;
         }
-        let seen = self.look(tile, met, room);
-        let Seen { rays, hits, owner, found, wet } = &seen;
-        let bubbles = self.bubbles(tile, rays, hits, room);
+        let seen = self.trace(tile, met, scratch);
+        let VisibleSurfaces { rays, hits, owner, found, wet } = &seen;
+        let bubbles = self.bubbles(tile, rays, hits, scratch);
         if out.wants_color() {
             let surface = self.surface(found, hits, owner, tile.pixel_angle);
-            place.write3(&mut out.albedo, &surface.albedo, &found.hit, f32::NAN);
-            let without_base =
-                view.without_base(self.scene, &surface, &of_wall(&hits.triangle, owner));
-            let subsurface = view.subsurface(&surface, hits, &of_wall(&hits.triangle, owner));
+            let triangles = of_wall(&hits.triangle, owner);
+            let (without_base, subsurface) =
+                view.split_subsurface(wall.scene, &surface, hits, &triangles);
             let lit = (without_base.as_ref().unwrap_or(&surface), subsurface.as_ref());
-            let mut radiance = self.light(lit, found, hits, wet.as_ref(), room);
+            let mut radiance = self.light(lit, found, hits, wet.as_ref(), scratch);
             add_indirect(indirect, &mut radiance);
-            self.carry(&seen, &bubbles, tile.pixel_angle, room, &mut radiance);
-            place.write_light(out, &radiance, &found.hit, view.exposure);
+            self.transmit(&seen, &bubbles, tile.pixel_angle, scratch, &mut radiance);
+            write_color((&surface, &radiance), &found.hit, view.exposure, place, out);
         }
-        let mut front = Front::of_liquid(wet.as_ref());
-        let reach = first_leg(wet.as_ref(), hits);
+        let mut front = Foreground::of_liquid(wet.as_ref());
+        let reach = first_segment(wet.as_ref(), hits);
         for near in &bubbles {
             let sphere = &self.contents.bubbles.all[near.index as usize];
             let ways = sphere.crossings(view.origin, &rays.directions);
@@ -147,6 +122,25 @@ impl<'a> Filled<'a> {
         place.write_subsampled(&mut out.sparse_refraction, 1, |i, _| kind[i]);
         write_geometry(view, tile, hits, found, place, out);
     }
+}
+
+impl<'a> LumenTiles<'a> {
+    /// A wall with contents as a view sees them.
+    pub fn new(bare: WallTiles<'a>, contents: &'a Contents) -> Self {
+        let WallTiles { wall, view, .. } = bare;
+        let of_eye = contents.pools.as_ref().map_or(DRY, |(pools, _)| {
+            let nearest = query::nearest(&wall.bvh, view.origin);
+            pools.of_face(wall.faces[nearest.face as usize])
+        });
+        LumenTiles { bare, contents, of_eye }
+    }
+
+    /// Rays from the eye among wall and particles.
+    #[inline(always)]
+    fn rays(&self) -> LumenRays<'_> {
+        let WallTiles { wall, view, .. } = self.bare;
+        LumenRays { wall, chyme: &self.contents.chyme, eye: view.origin }
+    }
 
     /// Whether nothing but the wall is on the ways of a tile's rays, nor between it and the LEDs.
     #[inline(always)]
@@ -154,14 +148,14 @@ impl<'a> Filled<'a> {
         &self,
         tile: &TileRays,
         (rays, hits): (&Pyramid, &Hits),
-        room: &mut Room,
+        scratch: &mut Scratch,
     ) -> bool {
         let Contents { chyme, pools, .. } = self.contents;
         if pools.is_some() || !chyme.all.is_empty() {
             return false;
         }
-        self.gather(tile, rays, hits, room);
-        room.near.is_empty()
+        self.gather(tile, rays, hits, scratch);
+        scratch.near.is_empty()
     }
 
     fn optics(&self) -> Option<&Optics> {
@@ -170,25 +164,35 @@ impl<'a> Filled<'a> {
 
     /// Follows the rays of a tile, through the surface of a pool where they meet one.
     #[inline(always)]
-    fn look(&self, tile: &TileRays, met: (&Pyramid, &Hits), room: &mut Room) -> Seen {
-        let (wall, scene, view) = (self.wall, self.scene, self.view);
+    fn trace(
+        &self,
+        tile: &TileRays,
+        met: (&Pyramid, &Hits),
+        scratch: &mut Scratch,
+    ) -> VisibleSurfaces {
+        let (wall, scene, view) = (self.bare.wall, self.bare.scene, self.bare.view);
         let (rays, mut hits) = (met.0.clone(), met.1.clone());
         let mut owner = [MISS; LANES];
         if tile.any {
-            owner = self.meet_particles(&rays, &mut hits, room);
+            owner = self.rays().intersect_particles(&rays, &mut hits, &mut scratch.near);
         }
         let mut found = attributes(wall, scene, view.origin, &rays.directions, &hits);
         let mut wet = if tile.any { self.wet(&rays, &hits, &found) } else { None };
         if let Some(Wet { turn, .. }) = wet.as_ref().filter(|wet| wet.turns()) {
-            for kind in [REFRACTED, MIRRORED] {
+            for kind in [REFRACTED, REFLECTED] {
                 let lanes = turn.are(kind);
                 if !lanes.contains(&true) {
                     continue;
                 }
                 let (met, theirs) = if kind == REFRACTED {
-                    self.meet(turn, &lanes, room)
+                    self.rays().intersect_refracted(turn, &lanes, &mut scratch.near)
                 } else {
-                    self.meet_mirrored(&rays.mirrored(), turn, &lanes, room)
+                    self.rays().intersect_reflected(
+                        &rays.mirrored(),
+                        turn,
+                        &lanes,
+                        &mut scratch.near,
+                    )
                 };
                 for i in (0..LANES).filter(|&i| lanes[i]) {
                     hits.distance[i] = met.distance[i];
@@ -204,19 +208,19 @@ impl<'a> Filled<'a> {
             }
             found = attributes_at(wall, scene, found.position, found.view, &hits);
         }
-        self.put_particles(&owner, &mut found);
+        write_particles(&self.contents.chyme, self.contents.label, &owner, &mut found);
         if let Some(wet) = &mut wet {
             for i in 0..LANES {
                 wet.is_wet[i] &= found.hit[i];
                 wet.turn.kind[i] = if found.hit[i] { wet.turn.kind[i] } else { STRAIGHT };
             }
         }
-        Seen { rays, hits, owner, found, wet }
+        VisibleSurfaces { rays, hits, owner, found, wet }
     }
 
     #[inline(always)]
     fn surface(&self, found: &Attributes, hits: &Hits, owner: &Owner, pixel_angle: f32) -> Surface {
-        let mut surface = surface(self.scene, found, &hits.distance, pixel_angle);
+        let mut surface = surface(self.bare.scene, found, &hits.distance, pixel_angle);
         paint(&self.contents.chyme, owner, &mut surface);
         surface
     }
@@ -228,77 +232,84 @@ impl<'a> Filled<'a> {
         let mut pool = [DRY; LANES];
         for i in 0..LANES {
             if hits.triangle[i] != MISS {
-                pool[i] = pools.of_face(self.wall.bvh.corners[hits.triangle[i] as usize]);
+                pool[i] = pools.of_face(self.bare.wall.bvh.corners[hits.triangle[i] as usize]);
             }
         }
-        let eye = (self.view.origin, self.of_eye);
+        let eye = (self.bare.view.origin, self.of_eye);
         let wet = pools.crossed(eye, &rays.directions, &found.position, pool, optics.ior);
         wet.is_wet.contains(&true).then_some(wet)
     }
 
     /// Bubbles that the tile may see on the straight ways from the eye, the farthest first.
     #[inline(always)]
-    fn bubbles(&self, tile: &TileRays, rays: &Pyramid, hits: &Hits, room: &mut Room) -> Vec<Near> {
-        self.gather(tile, rays, hits, room);
-        self.in_order(room)
+    fn bubbles(
+        &self,
+        tile: &TileRays,
+        rays: &Pyramid,
+        hits: &Hits,
+        scratch: &mut Scratch,
+    ) -> Vec<Near> {
+        self.gather(tile, rays, hits, scratch);
+        self.in_order(scratch)
     }
 
     /// Bubbles that the tile may see before the wall.
     #[inline(always)]
-    fn gather(&self, tile: &TileRays, rays: &Pyramid, hits: &Hits, room: &mut Room) {
-        room.near.clear();
+    fn gather(&self, tile: &TileRays, rays: &Pyramid, hits: &Hits, scratch: &mut Scratch) {
+        scratch.near.clear();
         if !tile.any {
             return;
         }
-        let (origin, extent) = (self.view.origin, self.wall.extent);
+        let (origin, extent) = (self.bare.view.origin, self.bare.wall.extent);
         let farthest = farthest_of(&hits.distance);
-        self.contents.bubbles.gather(origin, rays, extent, farthest, &mut room.near);
+        self.contents.bubbles.gather(origin, rays, extent, farthest, &mut scratch.near);
     }
 
-    /// The spheres in `room`, the farthest first.
-    fn in_order(&self, room: &mut Room) -> Vec<Near> {
+    /// The spheres in `scratch`, the farthest first.
+    fn in_order(&self, scratch: &mut Scratch) -> Vec<Near> {
         let all = &self.contents.bubbles.all;
         let number = |near: &Near| all[near.index as usize].number;
-        room.near
+        scratch
+            .near
             .sort_unstable_by(|a, b| b.power.total_cmp(&a.power).then(number(a).cmp(&number(b))));
-        room.near.clone()
+        scratch.near.clone()
     }
 
     /// Carries radiance from the surfaces met to the eye.
     #[inline(always)]
-    fn carry(
+    fn transmit(
         &self,
-        seen: &Seen,
+        seen: &VisibleSurfaces,
         bubbles: &[Near],
         pixel_angle: f32,
-        room: &mut Room,
+        scratch: &mut Scratch,
         radiance: &mut Lane3,
     ) {
-        let Seen { rays, hits, wet, .. } = seen;
-        let (leds, film) = (&self.view.leds[..], &self.contents.film);
+        let VisibleSurfaces { rays, hits, wet, .. } = seen;
+        let (leds, film) = (&self.bare.view.leds[..], &self.contents.film);
         let spheres = &self.contents.bubbles;
         let liquid = self.optics().zip(wet.as_ref());
         let mut soaked = [false; LANES];
         if let Some((optics, wet)) = liquid {
             soaked = wet.under;
             if wet.turns() {
-                self.carry_beyond((optics, wet), hits, pixel_angle, room, radiance);
-                let mirrored = self.mirrored((optics, wet), rays, pixel_angle, room);
+                self.transmit_beyond((optics, wet), hits, pixel_angle, scratch, radiance);
+                let mirrored = self.mirrored((optics, wet), rays, pixel_angle, scratch);
                 optics.meet_surface(&rays.directions, leds, wet, &mirrored, radiance);
             }
             for i in 0..LANES {
                 soaked[i] &= wet.is_wet[i];
             }
         }
-        let origin = self.view.origin;
-        let leg = Leg {
+        let origin = self.bare.view.origin;
+        let leg = PathSegment {
             rays,
             starts: &origin.map(|x| [x; LANES]),
             origin,
             used: &[true; LANES],
             soaked,
             from: &[0.0; LANES],
-            to: &first_leg(wet.as_ref(), hits),
+            to: &first_segment(wet.as_ref(), hits),
         };
         let bubbles = Bubbles { spheres, near: bubbles, film, pixel_angle };
         leg.carry(&bubbles, liquid, leds, radiance);
@@ -306,12 +317,12 @@ impl<'a> Filled<'a> {
 
     /// Carries radiance from the surfaces met to the surfaces of pools on the way.
     #[inline(always)]
-    fn carry_beyond(
+    fn transmit_beyond(
         &self,
         (optics, wet): (&Optics, &Wet),
         hits: &Hits,
         pixel_angle: f32,
-        room: &mut Room,
+        scratch: &mut Scratch,
         radiance: &mut Lane3,
     ) {
         let turn = &wet.turn;
@@ -323,10 +334,10 @@ impl<'a> Filled<'a> {
         }
         let lanes = turn.lanes();
         let (starts, origin, around) = unfolded(turn, &turn.heading, &ends, &lanes);
-        self.contents.bubbles.within(around, origin, &mut room.near);
-        let near = self.in_order(room);
+        self.contents.bubbles.within(around, origin, &mut scratch.near);
+        let near = self.in_order(scratch);
         let sunk = |i: usize| wet.is_wet[i] & (wet.under[i] != (turn.kind[i] == REFRACTED));
-        let leg = Leg {
+        let leg = PathSegment {
             rays: &Pyramid { directions: turn.heading, ..Pyramid::open() },
             starts: &starts,
             origin,
@@ -337,7 +348,7 @@ impl<'a> Filled<'a> {
         };
         let (spheres, film) = (&self.contents.bubbles, &self.contents.film);
         let bubbles = Bubbles { spheres, near: &near, film, pixel_angle };
-        leg.carry(&bubbles, Some((optics, wet)), &self.view.leds, radiance);
+        leg.carry(&bubbles, Some((optics, wet)), &self.bare.view.leds, radiance);
     }
 
     /// Radiance that the surfaces of pools mirror where they let rays through.
@@ -347,7 +358,7 @@ impl<'a> Filled<'a> {
         (optics, wet): (&Optics, &Wet),
         rays: &Pyramid,
         pixel_angle: f32,
-        room: &mut Room,
+        scratch: &mut Scratch,
     ) -> Lane3 {
         let turn = &wet.turn;
         let lanes = turn.are(REFRACTED);
@@ -355,7 +366,8 @@ impl<'a> Filled<'a> {
             return [[0.0; LANES]; 3];
         }
         let mirror = rays.mirrored();
-        let (hits, owner) = self.meet_mirrored(&mirror, turn, &lanes, room);
+        let (hits, owner) =
+            self.rays().intersect_reflected(&mirror, turn, &lanes, &mut scratch.near);
         let (mut position, mut view) = (turn.place, mirror.directions);
         for k in 0..3 {
             for i in 0..LANES {
@@ -364,17 +376,17 @@ impl<'a> Filled<'a> {
                 view[k][i] = -mirror.directions[k][i];
             }
         }
-        let mut found = attributes_at(self.wall, self.scene, position, view, &hits);
-        self.put_particles(&owner, &mut found);
+        let mut found = attributes_at(self.bare.wall, self.bare.scene, position, view, &hits);
+        write_particles(&self.contents.chyme, self.contents.label, &owner, &mut found);
         let surface = self.surface(&found, &hits, &owner, pixel_angle);
         let in_liquid = wet.under.contains(&true);
         let mut radiance =
-            self.light((&surface, None), &found, &hits, in_liquid.then_some(wet), room);
+            self.light((&surface, None), &found, &hits, in_liquid.then_some(wet), scratch);
         if !in_liquid {
             return radiance;
         }
         let (starts, origin, _) = unfolded(turn, &mirror.directions, &position, &lanes);
-        let leg = Leg {
+        let leg = PathSegment {
             rays: &mirror,
             starts: &starts,
             origin,
@@ -385,7 +397,7 @@ impl<'a> Filled<'a> {
         };
         let (spheres, film) = (&self.contents.bubbles, &self.contents.film);
         let bubbles = Bubbles { spheres, near: &[], film, pixel_angle };
-        leg.carry(&bubbles, Some((optics, wet)), &self.view.leds, &mut radiance);
+        leg.carry(&bubbles, Some((optics, wet)), &self.bare.view.leds, &mut radiance);
         radiance
     }
 
@@ -397,9 +409,9 @@ impl<'a> Filled<'a> {
         found: &Attributes,
         hits: &Hits,
         wet: Option<&Wet>,
-        room: &mut Room,
+        scratch: &mut Scratch,
     ) -> Lane3 {
-        let (wall, view, hit) = (self.wall, self.view, &found.hit);
+        let (wall, view, hit) = (self.bare.wall, self.bare.view, &found.hit);
         let liquid = self.optics().zip(wet);
         let mut radiance = [[0.0; LANES]; 3];
         for led in &view.leds {
@@ -408,12 +420,12 @@ impl<'a> Filled<'a> {
                 lit = visible_tile(wall, led.position, &surface.position, hit);
                 let chyme = &self.contents.chyme;
                 let points = &surface.position;
-                chyme.shade(led.position, points, wall.extent, &mut room.blocking, &mut lit);
+                chyme.shade(led.position, points, wall.extent, &mut scratch.blocking, &mut lit);
             }
             let Some((optics, wet)) = liquid else {
                 add_all_light(
                     (surface, subsurface),
-                    &self.scene.material,
+                    &self.bare.scene.material,
                     led,
                     &lit,
                     &mut radiance,
@@ -421,7 +433,7 @@ impl<'a> Filled<'a> {
                 continue;
             };
             let mut light = [[0.0; LANES]; 3];
-            add_all_light((surface, subsurface), &self.scene.material, led, &lit, &mut light);
+            add_all_light((surface, subsurface), &self.bare.scene.material, led, &lit, &mut light);
             optics.dim(led, &surface.position, wet, &mut light);
             add_indirect(Some(&light), &mut radiance);
         }

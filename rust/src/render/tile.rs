@@ -1,0 +1,199 @@
+//! One tile of an image: what a view's rays see, written to every channel that was asked for.
+
+use crate::lumen::spheres::Near;
+use crate::render::channels::{Channels, Place};
+use crate::render::material::Surface;
+use crate::render::path::PrimaryHit;
+use crate::render::path::lumen_contents::LumenMedia;
+use crate::render::ray_table::TileRays;
+use crate::render::scene::SceneData;
+use crate::render::shading::{Attributes, attributes, light, surface};
+use crate::render::view::View;
+use crate::simd::f32x64::*;
+use crate::wall::Wall;
+use crate::wall::packet::{Hits, MAX_DISTANCE, Pyramid, trace};
+
+/// Scratch memory for a tile's spheres; kept from tile to tile.
+#[derive(Default)]
+pub struct Scratch {
+    /// Spheres near some rays.
+    pub near: Vec<Near>,
+    /// Particles between an LED and surfaces.
+    pub blocking: Vec<Near>,
+}
+
+/// Renderer of the tiles of a view.
+pub trait TileRenderer {
+    /// What paths travel in besides air.
+    fn media(&self) -> Option<LumenMedia<'_>>;
+
+    /// The surfaces that paths of a tile start from.
+    fn primary_hit(
+        &self,
+        tile: &TileRays,
+        pixel: [u32; LANES],
+        scratch: &mut Scratch,
+    ) -> PrimaryHit;
+
+    /// Renders one tile; `indirect` is light beyond direct light.
+    fn render_tile(
+        &self,
+        tile: &TileRays,
+        place: Place,
+        indirect: Option<&Lane3>,
+        scratch: &mut Scratch,
+        out: &mut Channels<'_>,
+    );
+}
+
+/// Renderer of a wall with nothing in front of it.
+#[derive(Clone, Copy)]
+pub struct WallTiles<'a> {
+    /// The wall.
+    pub wall: &'a Wall,
+    /// What is drawn on it.
+    pub scene: &'a SceneData,
+    /// The view.
+    pub view: &'a View<'a>,
+}
+
+impl TileRenderer for WallTiles<'_> {
+    #[inline(always)]
+    fn media(&self) -> Option<LumenMedia<'_>> {
+        None
+    }
+
+    #[inline(always)]
+    fn primary_hit(&self, tile: &TileRays, pixel: [u32; LANES], _: &mut Scratch) -> PrimaryHit {
+        let (rays, hits) = self.intersect(tile);
+        let found = attributes(self.wall, self.scene, self.view.origin, &rays.directions, &hits);
+        let surface = surface(self.scene, &found, &hits.distance, tile.pixel_angle);
+        PrimaryHit { surface, hit: found.hit, triangle: hits.triangle, pixel }
+    }
+
+    #[inline(always)]
+    fn render_tile(
+        &self,
+        tile: &TileRays,
+        place: Place,
+        indirect: Option<&Lane3>,
+        _: &mut Scratch,
+        out: &mut Channels<'_>,
+    ) {
+        let (rays, hits) = self.intersect(tile);
+        self.render_hits(tile, (&rays, &hits), place, indirect, out);
+    }
+}
+
+impl WallTiles<'_> {
+    /// The rays of a tile in the world, and where they meet the wall.
+    #[inline(always)]
+    pub fn intersect(&self, tile: &TileRays) -> (Pyramid, Hits) {
+        let mut reach = [0.0; LANES];
+        for i in 0..LANES {
+            reach[i] = if tile.used[i] { MAX_DISTANCE } else { 0.0 };
+        }
+        let mut hits = Hits::within(reach);
+        let rays = tile.pyramid.rotated(&self.view.to_world);
+        if tile.any {
+            trace::<false>(&self.wall.bvh, self.view.origin, &rays, self.wall.extent, &mut hits);
+        }
+        (rays, hits)
+    }
+
+    /// Renders one tile whose rays have met nothing but the wall.
+    #[inline(always)]
+    pub fn render_hits(
+        &self,
+        tile: &TileRays,
+        (rays, hits): (&Pyramid, &Hits),
+        place: Place,
+        indirect: Option<&Lane3>,
+        out: &mut Channels<'_>,
+    ) {
+        let WallTiles { wall, scene, view } = *self;
+        let found = attributes(wall, scene, view.origin, &rays.directions, hits);
+        if out.wants_color() {
+            let surface = surface(scene, &found, &hits.distance, tile.pixel_angle);
+            let (without_base, subsurface) =
+                view.split_subsurface(scene, &surface, hits, &hits.triangle);
+            let lit = (without_base.as_ref().unwrap_or(&surface), subsurface.as_ref());
+            let mut radiance =
+                light(wall, &scene.material, &view.leds, view.shadows, lit, &found.hit);
+            if let Some(irradiance) = &view.irradiance {
+                irradiance.add((&surface, &found.normal), hits, subsurface.as_ref(), &mut radiance);
+            }
+            add_indirect(indirect, &mut radiance);
+            write_color((&surface, &radiance), &found.hit, view.exposure, place, out);
+        }
+        write_geometry(view, tile, hits, &found, place, out);
+    }
+}
+
+/// Writes base color and light of the surfaces met.
+#[inline(always)]
+pub fn write_color(
+    (surface, radiance): (&Surface, &Lane3),
+    hit: &[bool; LANES],
+    exposure: f32,
+    place: Place,
+    out: &mut Channels<'_>,
+) {
+    place.write_light(out, radiance, hit, exposure);
+    place.write3(&mut out.albedo, &surface.albedo, hit, f32::NAN);
+}
+
+/// Adds light beyond direct light, if there is any.
+#[inline(always)]
+pub fn add_indirect(indirect: Option<&Lane3>, radiance: &mut Lane3) {
+    let Some(indirect) = indirect else { return };
+    for k in 0..3 {
+        for i in 0..LANES {
+            radiance[k][i] += indirect[k][i];
+        }
+    }
+}
+
+/// Writes the channels of the surfaces met.
+#[inline(always)]
+pub fn write_geometry(
+    view: &View<'_>,
+    tile: &TileRays,
+    hits: &Hits,
+    found: &Attributes,
+    place: Place,
+    out: &mut Channels<'_>,
+) {
+    let hit = &found.hit;
+    if out.depth.is_some() {
+        let mut depth = [0.0; LANES];
+        for i in 0..LANES {
+            depth[i] = hits.distance[i] * tile.pyramid.directions[2][i];
+        }
+        place.write(&mut out.depth, &depth, hit, f32::NAN);
+    }
+    if out.normal.is_some() {
+        let mut normal = [[0.0; LANES]; 3];
+        for k in 0..3 {
+            for i in 0..LANES {
+                normal[k][i] = dot(view.to_camera[k], at(&found.normal, i));
+            }
+        }
+        place.write3(&mut out.normal, &normal, hit, f32::NAN);
+    }
+    let position = |i: usize, k: usize| {
+        if hit[i] { (f64::from(found.position[k][i]) + view.center[k]) as f32 } else { f32::NAN }
+    };
+    let face = |i: usize| if hit[i] { found.face[i] } else { -1 };
+    let weight = |i: usize, k: usize| if hit[i] { found.weights[k][i] } else { f32::NAN };
+    place.write_each(&mut out.position, 3, position);
+    place.write_subsampled(&mut out.sparse_position, 3, position);
+    place.write_subsampled(&mut out.sparse_face, 1, |i, _| face(i));
+    place.write_subsampled(&mut out.sparse_weights, 2, weight);
+    place.write(&mut out.ray_distance, &hits.distance, hit, f32::NAN);
+    place.write(&mut out.arc_length, &found.arc_length, hit, f32::NAN);
+    place.write(&mut out.label, &found.label, hit, 0);
+    place.write(&mut out.instance, &found.instance, hit, 0);
+    place.write_each(&mut out.face, 1, |i, _| face(i));
+    place.write_each(&mut out.weights, 2, weight);
+}

@@ -1,0 +1,107 @@
+//! Everything about a view but its rays: the camera's pose, the LEDs, and how light is found.
+
+use crate::poses::read_pose;
+use crate::render::material::{Led, Surface};
+use crate::render::path::Settings;
+use crate::render::path::virtual_lights::VirtualLights;
+use crate::render::radiosity::{Irradiance, SubsurfaceLight};
+use crate::render::scene::SceneData;
+use crate::simd::f32x64::*;
+use crate::wall::Wall;
+use crate::wall::packet::Hits;
+use glam::DVec3;
+use numpy::PyReadonlyArray2;
+use pyo3::{exceptions::PyValueError, prelude::*};
+
+/// Everything about a view but its rays.
+pub struct View<'a> {
+    /// Where the camera is, about the wall's center [m].
+    pub origin: Vec3,
+    /// Rows of the rotation from the camera to the world, and back.
+    pub to_world: [Vec3; 3],
+    pub to_camera: [Vec3; 3],
+    /// The wall's center in the outside world [m].
+    pub center: [f64; 3],
+    /// LEDs about the wall's center.
+    pub leds: Vec<Led>,
+    /// Factor from radiance to linear image value.
+    pub exposure: f32,
+    /// Whether things cast shadows.
+    pub shadows: bool,
+    /// How light that is reflected more than once is found; None for direct light alone.
+    pub paths: Option<Settings>,
+    /// Irradiance by light that has bounced, if it is found as radiosity.
+    pub irradiance: Option<Irradiance<'a>>,
+    /// Where the LEDs' light comes from, if paths are connected to that.
+    pub sources: Option<VirtualLights>,
+}
+
+impl View<'_> {
+    /// Of a camera pose [4 4] and LEDs [k 10] in the camera's frame.
+    ///
+    /// # Errors
+    /// If they are of another shape or not finite.
+    pub fn new(
+        wall: &Wall,
+        pose: PyReadonlyArray2<'_, f64>,
+        leds: PyReadonlyArray2<'_, f64>,
+        exposure: f32,
+        shadows: bool,
+    ) -> PyResult<Self> {
+        let (given, leds) = (pose, leds.as_array());
+        let pose = given.as_array();
+        if pose.dim() != (4, 4) || !pose.iter().all(|x| x.is_finite()) {
+            return Err(PyValueError::new_err("A camera pose must be a finite 4 x 4 matrix."));
+        }
+        if leds.ncols() != 10 {
+            return Err(PyValueError::new_err("LEDs must be of shape (k, 10)."));
+        }
+        let to_world = [0, 1, 2].map(|r| [0, 1, 2].map(|c| pose[[r, c]] as f32));
+        let to_camera = [0, 1, 2].map(|r| [0, 1, 2].map(|c| pose[[c, r]] as f32));
+        let (rotation, place) = read_pose(&given)?;
+        let leds = leds
+            .outer_iter()
+            .map(|row| {
+                let turned = |k: usize| rotation * DVec3::new(row[k], row[k + 1], row[k + 2]);
+                Led {
+                    position: wall.localize((turned(0) + place).to_array()),
+                    direction: turned(3).as_vec3().to_array(),
+                    intensity: [6, 7, 8].map(|k| row[k] as f32),
+                    exponent: row[9] as f32,
+                }
+            })
+            .collect();
+        let origin = wall.localize(place.to_array());
+        let (center, paths, irradiance, sources) = (wall.center, None, None, None);
+        Ok(View {
+            origin,
+            to_world,
+            to_camera,
+            center,
+            leds,
+            exposure,
+            shadows,
+            paths,
+            irradiance,
+            sources,
+        })
+    }
+
+    /// What of surfaces the LEDs light directly, where light goes on through the tissue behind them,
+    /// and what that tissue makes of light, where that is not left to paths; `triangles` are `MISS`
+    /// where there is no wall.
+    #[inline(always)]
+    pub fn split_subsurface(
+        &self,
+        scene: &SceneData,
+        surface: &Surface,
+        hits: &Hits,
+        triangles: &[u32; LANES],
+    ) -> (Option<Surface>, Option<SubsurfaceLight>) {
+        let is_traced = self.paths.is_some() || self.irradiance.is_some();
+        let without_base =
+            (is_traced && scene.tissue.is_some()).then(|| surface.without_base(triangles));
+        let irradiance = self.irradiance.as_ref();
+        (without_base, irradiance.and_then(|light| light.subsurface(surface, hits, triangles)))
+    }
+}

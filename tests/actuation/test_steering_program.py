@@ -22,7 +22,7 @@ from vrcaps.actuation.steering_program import (
 from vrcaps.capsule.catalog import read_device
 from vrcaps.errors import InputError, UnknownNameError
 from vrcaps.motion.dynamics import Dynamics
-from vrcaps.motion.dynamics_columns import MAGNET_COLUMNS
+from vrcaps.motion.dynamics_columns import ESTIMATE_COLUMNS, MAGNET_COLUMNS
 from vrcaps.motion.rollout import Rollout
 from vrcaps.recording.table import make_table
 from vrcaps.units import DEG
@@ -68,6 +68,20 @@ def test_says_when_the_arm_could_not_carry_the_magnet(gut_model):
 
 
 @pytest.mark.slow
+def test_the_capsule_is_led_by_its_located_pose(gut_model):
+    """The table has the estimate beside the true pose; the capsule still comes where it shall."""
+    run = simulate(gut_model, MagnetSteering(waypoints=PATH, pose="located"))
+    table = make_table(gut_model, run).columns
+    assert set(ESTIMATE_COLUMNS) < set(table)
+    true, found = (
+        np.array([table[f"{name}_{axis}_m"] for axis in "xyz"]) for name in ("capsule", "estimated")
+    )
+    error = np.linalg.norm(found - true, axis=0)
+    assert 0.0 < error.max() < 4e-3
+    assert table["arc_length_m"][-1] == pytest.approx(0.065, abs=4e-3)
+
+
+@pytest.mark.slow
 def test_a_joystick_moves_the_magnet(gut_model):
     steering = MagnetSteering(
         joystick=(JoystickCommand(0.2, (1.0, 0.0, 0.0)), JoystickCommand(0.4)), joystick_speed=0.05
@@ -77,8 +91,9 @@ def test_a_joystick_moves_the_magnet(gut_model):
     np.testing.assert_allclose(moved, [0.01, 0.0, 0.0], atol=1e-3)
 
 
-def test_goes_on_from_a_snapshot(gut_model):
-    steering = MagnetSteering(waypoints=PATH)
+@pytest.mark.parametrize("pose", ["true", "located"])
+def test_goes_on_from_a_snapshot(gut_model, pose):
+    steering = MagnetSteering(waypoints=PATH, pose=pose)
     run = simulate(gut_model, steering, 4, 20.0)
     poses = []
     for step in run.steps(is_due=lambda: True):

@@ -35,6 +35,7 @@ def test_values_reach_the_scenario_and_the_file():
         "--motion",
         "dynamics",
     ]
+    args += ["--pose", "located"]
     args += [word for value in values for word in ("--set", f"motion.magnet.{value}")]
     command = cli._parse(args)
     assert isinstance(command, Record)
@@ -43,6 +44,7 @@ def test_values_reach_the_scenario_and_the_file():
     magnet = scenario.motion.magnet
     assert magnet is not None
     assert (magnet.magnet, magnet.arm, magnet.wall) == ("cylinder-76.2", "panda", "upper")
+    assert magnet.pose == "located"
     gains = replace(GENTLE_GAINS, upper_wall_force=0.2)
     assert (magnet.standoff, magnet.speed, magnet.end) == (0.03, 0.008, 0.8)
     assert magnet.gains == gains

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Protocol
 
 import numpy as np
 
@@ -22,7 +22,7 @@ from vrcaps.transforms import rotate_by_vector
 from vrcaps.units import CM, DEG, MM
 from vrcaps.world.control import Control
 from vrcaps.world.model import Model
-from vrcaps.world.world import GRAVITY, World
+from vrcaps.world.world import GRAVITY
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -120,6 +120,29 @@ class ControllerStatus:
     lost: str = ""
 
 
+class CapsuleView(Protocol):
+    """What a controller knows of the capsule: a `World`'s truth, or a `CapsuleTracker`'s."""
+
+    @property
+    def T_world_capsule(self) -> Float[np.ndarray, "4 4"]:
+        """Pose of the capsule."""
+        ...
+
+    @property
+    def velocity_world(self) -> Float[np.ndarray, "2 3"]:
+        """Velocity of its origin [m/s] and angular velocity [rad/s]."""
+        ...
+
+    @property
+    def contact_force_world(self) -> Float[np.ndarray, " 3"]:
+        """Force of the wall on it [N]."""
+        ...
+
+    def field_angle(self, T_world_capsule: Float[np.ndarray, "4 4"]) -> float:
+        """Between the moment of a capsule at a pose and the sources' field there [rad]."""
+        ...
+
+
 class MagnetController:
     """Steers one capsule with one magnet; holds the controller's state."""
 
@@ -185,21 +208,21 @@ class MagnetController:
         moved = replace(self._magnet, T_world_magnet=self.status.actuator.T_world_magnet)
         return [moved, *self._others]
 
-    def track(self, world: World, target: CapsuleTarget, dt: float) -> Control:
+    def track(self, capsule: CapsuleView, target: CapsuleTarget, dt: float) -> Control:
         """Command for the next `dt` [s] that leads the capsule to a target and holds it there.
 
         The magnet is put where a capsule at the reference feels the force of the control law and of
         the supported weight, and the integrated torque. Away from the reference the field itself
         holds the capsule, faster than any control loop.
         """
-        T = world.T_world_capsule
+        T = capsule.T_world_capsule
         self._reference, T_reference, error, rotation, angle, is_on_wrong_wall = (
             _core.advance_reference(
-                self._reference, T, world.contact_force_world, target, self.gains, dt
+                self._reference, T, capsule.contact_force_world, target, self.gains, dt
             )
         )
         supported = self._weight + self._wall_force(target) * self._reference[2]
-        force = self._control_law(world, target, supported, error, dt)
+        force = self._control_law(capsule, target, supported, error, dt)
         torque = self._integrate_torque(self._max_torque * rotation, dt)
         axes = target.controlled_axes
         weights = _OTHER_WEIGHT + (_CONTROLLED_WEIGHT - _OTHER_WEIGHT) * axes
@@ -215,7 +238,7 @@ class MagnetController:
         self._update_stall_time(length(error) / self.gains.lookahead, dt)
         missing = length(axes @ (force - solution.force))
         lost = self._why_lost(
-            world.field_angle(T),
+            capsule.field_angle(T),
             is_on_wrong_wall=is_on_wrong_wall,
             is_weak=missing > 0.01 + 0.25 * length(force),
         )
@@ -257,9 +280,9 @@ class MagnetController:
         self.status = replace(self.status, actuator=state)
         return self._command(state)
 
-    def update_status(self, world: World) -> None:
+    def update_status(self, capsule: CapsuleView) -> None:
         """Updates `status.lost` of a jogged capsule after a step of the world."""
-        lost = self._why_lost(world.field_angle(world.T_world_capsule))
+        lost = self._why_lost(capsule.field_angle(capsule.T_world_capsule))
         self.status = replace(self.status, lost=lost)
 
     def to_array(self) -> Float[np.ndarray, " q"]:
@@ -330,7 +353,7 @@ class MagnetController:
 
     def _control_law(
         self,
-        world: World,
+        capsule: CapsuleView,
         target: CapsuleTarget,
         supported: Float[np.ndarray, " 3"],
         error: Float[np.ndarray, " 3"],
@@ -338,12 +361,12 @@ class MagnetController:
     ) -> Float[np.ndarray, " 3"]:
         """Required force [N]: supported force and feedback of the position error [m]."""
         gains = self.gains
-        T = world.T_world_capsule
+        T = capsule.T_world_capsule
         stiffness = max(length(supported), 0.05) / math.dist(T[:3, 3], self._requested[:3, 3])
         offset = clamp_norm(error, gains.lookahead)
         pull = stiffness * (offset + 2.0 * float(offset @ T[:3, 2]) * T[:3, 2])
         damping = 2.0 * gains.damping_ratio * math.sqrt(stiffness * self.model.device.mass)
-        velocity = target.controlled_axes @ world.velocity_world[0]
+        velocity = target.controlled_axes @ capsule.velocity_world[0]
         activity = self._activity(length(velocity), dt)
         self._integral[0] = clamp_norm(
             self._integral[0] + gains.integral_gain * dt * (activity * pull), gains.max_force

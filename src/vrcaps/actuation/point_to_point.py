@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vrcaps.actuation.capsule_target import CapsuleTarget, wall_target
-from vrcaps.actuation.magnet_controller import MagnetController
+from vrcaps.actuation.magnet_controller import CapsuleView, MagnetController
 from vrcaps.actuation.wall_path import PathFollower, straight_wall_path
 from vrcaps.errors import require
 from vrcaps.units import MM
@@ -16,8 +16,6 @@ from vrcaps.world.control import Control
 
 if TYPE_CHECKING:
     from jaxtyping import Float
-
-    from vrcaps.world.world import World
 
 _TOLERANCE = 3.0 * MM
 """Distance from the reference, at the target, within which a capsule has arrived."""
@@ -75,15 +73,15 @@ class PointToPointPlanner:
         is_over = self.attempts == 0 and self._time > self._limit
         return not self.is_settled and (is_over or self._off_wall_time > _RECOVERY_TIMEOUT)
 
-    def control(self, world: World, dt: float) -> Control:
+    def control(self, capsule: CapsuleView, dt: float) -> Control:
         """Command for the next `dt` [s]."""
-        T = world.T_world_capsule
+        T = capsule.T_world_capsule
         if self._time > self._limit and self.attempts:
             self._plan(T)
         target = self._follower.target(T, dt)
         # Away from the planned wall the magnet holds the capsule where it is, and so draws it back.
         target = replace(target, on_planned_wall=self._off_wall_time < _SETTLING_TIME)
-        control = self._controller.track(world, target, dt)
+        control = self._controller.track(capsule, target, dt)
         self._time += dt
         status = self._controller.status
         error = float(np.linalg.norm(status.position_error))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -13,7 +13,7 @@ from vrcaps.actuation.arm.arm_catalog import read_arm
 from vrcaps.actuation.arm.arm_with_payload import ArmWithPayload, transverse_mount
 from vrcaps.actuation.capsule_target import CapsuleTarget, centerline_target, project_to_wall
 from vrcaps.actuation.magnet_actuator import FreeActuator, MagnetActuator
-from vrcaps.actuation.magnet_controller import ControllerGains, MagnetController
+from vrcaps.actuation.magnet_controller import CapsuleView, ControllerGains, MagnetController
 from vrcaps.actuation.magnet_pose_solver import Workspace
 from vrcaps.actuation.robot_actuator import RobotActuator
 from vrcaps.actuation.wall_path import PathFollower, WallPath, centerline_wall_path
@@ -21,6 +21,7 @@ from vrcaps.errors import InputError, require
 from vrcaps.file_ref import FileRef, file_ref, path_of
 from vrcaps.limits import Range, check_fields
 from vrcaps.magnet.presets import read_magnet
+from vrcaps.sensors.tracking import CapsuleTracker, TrackingSensors
 from vrcaps.units import CM, DEG, MM
 from vrcaps.world.control import Control
 from vrcaps.world.model import Model
@@ -111,6 +112,9 @@ class MagnetSteering:
         speed: Speed along the wall without waypoints [m/s].
         end: Where that ends, as a fraction of the centerline; before the start it leads back.
         gains: Gains of the controller.
+        pose: Where the controller has pose, velocity and contact of the capsule from: `true`, from
+            the simulation, or `located`, from the readings of `sensors`.
+        sensors: By which it is located.
         waypoints: Positions at times; linear in time between them.
         joystick: Joystick axes instead, each entry until the next.
         command_file: CSV of either instead, see `read_commands`.
@@ -127,6 +131,8 @@ class MagnetSteering:
     speed: Annotated[float, Range(above=0.0, most=1.0, unit="m/s")] = 5.0 * MM
     end: Annotated[float, Range(0.0, 1.0)] = 1.0
     gains: ControllerGains = GENTLE_GAINS
+    pose: Literal["true", "located"] = "true"
+    sensors: TrackingSensors = field(default_factory=TrackingSensors)
     waypoints: tuple[Waypoint, ...] = ()
     joystick: tuple[JoystickCommand, ...] = ()
     command_file: FileRef | str | None = None
@@ -201,6 +207,8 @@ class SteeringProgram:
         settings: MagnetSteering,
         T_world_capsule: Float[np.ndarray, "4 4"],
         arc_length: float,
+        *,
+        seed: int = 0,
     ) -> None:
         """Moves the magnet to the capsule.
 
@@ -209,10 +217,11 @@ class SteeringProgram:
             settings: What to do.
             T_world_capsule: Pose of the capsule.
             arc_length: Position of the capsule along the centerline [m].
+            seed: Of the noise of sensors that locate the capsule, 0 or more.
 
         Raises:
-            InputError: If the device holds no magnet, the magnet cannot be held at its first pose,
-                or a waypoint is not on the centerline.
+            InputError: If the device holds no magnet, or several to be located by, the magnet
+                cannot be held at its first pose, or a waypoint is not on the centerline.
             UnknownNameError: If there is no such magnet or arm.
         """
         self._model = model
@@ -239,6 +248,11 @@ class SteeringProgram:
             self._target(0.0, model.T_world_patient),
             gains=settings.gains,
         )
+        self.tracker: CapsuleTracker | None = None
+        if settings.pose == "located":
+            self.tracker = CapsuleTracker(
+                model, settings.sensors, T_world_capsule, period=settings.period, seed=seed
+            )
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -258,13 +272,14 @@ class SteeringProgram:
             dt: Duration of the command [s].
             T_world_patient: Posture of the patient.
         """
+        capsule = self.observe(world)
         if self.follower is not None:
-            target = self.follower.target(world.T_world_capsule, dt)
+            target = self.follower.target(capsule.T_world_capsule, dt)
             if T_world_patient is not self._model.T_world_patient:
                 target = self._target(time, T_world_patient)
-            return self.controller.track(world, target, dt)
+            return self.controller.track(capsule, target, dt)
         if not self._joystick:
-            return self.controller.track(world, self._target(time, T_world_patient), dt)
+            return self.controller.track(capsule, self._target(time, T_world_patient), dt)
         past = [entry for entry in self._joystick if entry.time <= time]
         command = past[-1] if past else JoystickCommand(0.0)
         control = self.controller.jog(
@@ -274,17 +289,28 @@ class SteeringProgram:
             speed=self.settings.joystick_speed,
             angular_speed=self.settings.joystick_angular_speed,
         )
-        self.controller.update_status(world)
+        self.controller.update_status(capsule)
         return control
+
+    def observe(self, world: World) -> CapsuleView:
+        """What the controller knows of the capsule now; reads the sensors that it is located by."""
+        if self.tracker is None:
+            return world
+        self.tracker.read(world, self.controller.sources)
+        return self.tracker
 
     def to_array(self) -> Float[np.ndarray, " q"]:
         """All state of the program, for `restore`."""
         arc_length = 0.0 if self.follower is None else self.follower.arc_length
-        return np.append(self.controller.to_array(), arc_length)
+        tracked = () if self.tracker is None else self.tracker.to_array()
+        return np.concatenate([tracked, self.controller.to_array(), [arc_length]])
 
     def restore(self, saved: Float[np.ndarray, " q"]) -> None:
         """Sets the state that `to_array` gave."""
-        self.controller.restore(saved[:-1])
+        first = 0 if self.tracker is None else len(self.tracker.to_array())
+        self.controller.restore(saved[first:-1])
+        if self.tracker is not None:
+            self.tracker.restore(saved[:first], self.controller.sources)
         if self.follower is not None:
             self.follower.arc_length = float(saved[-1])
 

@@ -22,6 +22,7 @@ _PATHS = {
     "start": "motion.start",
     "end": "motion.end",
     "speed": "motion.speed",
+    "pose": "motion.magnet.pose",
     "frames": "frames",
     "fps": "fps",
     "seed": "seed",
@@ -97,7 +98,7 @@ OrganFlags = _flags(
 MotionFlags = _flags(
     "Motion",
     "Capsule and motion.",
-    *("capsule", "start", "end", "speed"),
+    *("capsule", "start", "end", "speed", "pose"),
     motion=(
         _MOTIONS | None,
         None,

@@ -9,7 +9,12 @@ from typing import TYPE_CHECKING, ClassVar, Literal
 from vrcaps.actuation.steering_program import MagnetSteering
 from vrcaps.errors import InputError, UnknownNameError, require
 from vrcaps.file_ref import FileRef, file_ref
-from vrcaps.motion.dynamics_columns import DYNAMICS_COLUMNS, MAGNET_COLUMNS, SPEED_ALONG_GUT
+from vrcaps.motion.dynamics_columns import (
+    DYNAMICS_COLUMNS,
+    ESTIMATE_COLUMNS,
+    MAGNET_COLUMNS,
+    SPEED_ALONG_GUT,
+)
 from vrcaps.motion.fly_through import FlyThrough
 from vrcaps.motion.rollout import Rollout
 from vrcaps.tissue.drag import Drag
@@ -106,6 +111,8 @@ class Dynamics:
     def column_names(self) -> tuple[str, ...]:
         """Columns of contact and commands, and of the magnet where there is one."""
         magnet = () if self.magnet is None else MAGNET_COLUMNS
+        if self.magnet is not None and self.magnet.pose == "located":
+            magnet += ESTIMATE_COLUMNS
         return (SPEED_ALONG_GUT, *DYNAMICS_COLUMNS, *magnet)
 
     def begin(

@@ -11,6 +11,7 @@ from vrcaps.transforms import quaternion_from_matrix
 if TYPE_CHECKING:
     from vrcaps.actuation.magnet_controller import ControllerStatus
     from vrcaps.motion.step import Command
+    from vrcaps.sensors.pose_filter import PoseBelief
     from vrcaps.world.model import Contact, Coupling
 
 _POSE = ("x_m", "y_m", "z_m", "qw", "qx", "qy", "qz")
@@ -47,6 +48,14 @@ MAGNET_COLUMNS = (
     "coupling_lost",
 )
 """Further columns where a magnet steers; those of an arm's joints come after them."""
+
+ESTIMATE_COLUMNS = (
+    *(f"estimated_{name}" for name in _POSE),
+    *(f"estimated_velocity_{axis}_m_per_s" for axis in "xyz"),
+    "estimated_position_sigma_m",
+    "estimated_roll_sigma_rad",
+)
+"""Further columns where the controller has a located pose."""
 
 
 def dynamics_row(contact: Contact, command: Command) -> dict[str, float]:
@@ -88,3 +97,16 @@ def magnet_row(coupling: Coupling, status: ControllerStatus) -> dict[str, float 
     )
     row = dict(zip(MAGNET_COLUMNS, values, strict=True))
     return row | {f"joint_{k}_rad": angle for k, angle in enumerate(actuator.joint_angles, start=1)}
+
+
+def estimate_row(belief: PoseBelief) -> dict[str, float]:
+    """Values of `ESTIMATE_COLUMNS`."""
+    pose = belief.T_world_capsule
+    values = (
+        *pose[:3, 3],
+        *quaternion_from_matrix(pose[:3, :3]),
+        *belief.velocity_world,
+        belief.position_sigma,
+        belief.roll_sigma,
+    )
+    return dict(zip(ESTIMATE_COLUMNS, values, strict=True))

@@ -13,7 +13,7 @@ from vrcaps.actuation.steering_program import SteeringProgram
 from vrcaps.errors import InputError
 from vrcaps.file_ref import path_of
 from vrcaps.magnet.presets import read_magnet
-from vrcaps.motion.dynamics_columns import dynamics_row, magnet_row
+from vrcaps.motion.dynamics_columns import dynamics_row, estimate_row, magnet_row
 from vrcaps.motion.motion import MotionState
 from vrcaps.motion.start_pose import start_pose
 from vrcaps.motion.step import Command, Step, with_neighbors
@@ -94,7 +94,7 @@ class Rollout:
         pose, arc_length, self.notes = start_pose(model, settings.start, settings.angle)
         self.program = None
         if settings.magnet is not None:
-            self.program = SteeringProgram(model, settings.magnet, pose, arc_length)
+            self.program = SteeringProgram(model, settings.magnet, pose, arc_length, seed=seed)
             self.notes += self.program.notes
         self.world = World(
             model,
@@ -155,6 +155,8 @@ class Rollout:
         row: dict[str, float | str] = {**dynamics_row(state.contact, command)}
         if command.controller is not None and state.coupling is not None:
             row |= magnet_row(state.coupling, command.controller)
+        if command.estimate is not None:
+            row |= estimate_row(command.estimate)
         return row
 
     def sources(self, step: Step) -> tuple[Source, ...]:
@@ -281,8 +283,13 @@ class Rollout:
         muscle = self.world.muscle
         phase = 0 if muscle is None else int(muscle.phase(np.array(self._arc_length), time))
         inflated = self._insufflation(time)
-        status = None if self.program is None else self.program.controller.status
-        return Command(wrench[0], wrench[1], inflated, self._patient(time), phase, status)
+        status, estimate = None, None
+        if self.program is not None:
+            status = self.program.controller.status
+            self.program.observe(self.world)
+            tracker = self.program.tracker
+            estimate = None if tracker is None else tracker.belief
+        return Command(wrench[0], wrench[1], inflated, self._patient(time), phase, status, estimate)
 
     def _require_phase(self, arc_length: float) -> None:
         muscle = self.world.muscle

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
     from vrcaps.actuation.magnet_controller import ControllerStatus
+    from vrcaps.sensors.pose_filter import PoseBelief
 
 _Item = TypeVar("_Item")
 
@@ -28,6 +29,7 @@ class Command:
         T_world_patient: Pose of the patient at this frame.
         phase: Phase 1 to 4 of the migrating motor complex (MMC) at the capsule; 0 without one.
         controller: Status of the magnet controller; None without a magnet.
+        estimate: Of the capsule's pose, by which the controller steers; None where it has the true.
     """
 
     force_world: Float[np.ndarray, " 3"]
@@ -36,6 +38,7 @@ class Command:
     T_world_patient: Float[np.ndarray, "4 4"]
     phase: int = 0
     controller: ControllerStatus | None = None
+    estimate: PoseBelief | None = None
 
 
 @dataclass(frozen=True)

@@ -129,15 +129,27 @@ def _model(
     positions: np.ndarray, readings: np.ndarray, magnet: Dipole | Cylinder, background: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Residuals [3n], and Jacobian [3n 9] by position [10 mm], rotation [rad], background [µT]."""
+    flux, by_place, by_turn = magnet_readings(positions, magnet)
+    even = np.broadcast_to(_FLUX * np.eye(3), by_place.shape)
+    rows = np.concatenate([_LENGTH * by_place, by_turn, even], axis=-1)
+    return (flux + background - readings).ravel(), rows.reshape(-1, 9)
+
+
+def magnet_readings(
+    positions: Float[np.ndarray, "n 3"], magnet: Dipole | Cylinder
+) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3 3"], Float[np.ndarray, "n 3 3"]]:
+    """Flux density of a magnet at positions [T], and how it changes with the magnet's pose.
+
+    Returns:
+        Flux density, its Jacobian by the magnet's position [T/m], and that by its rotation about
+        the world's axes through its center [T/rad].
+    """
     flux, gradient = field([magnet], positions)
     arms = positions - magnet.T_world_magnet[:3, 3]
     turns = [
         np.cross(e, flux) - (gradient @ np.cross(e, arms)[..., None])[..., 0] for e in np.eye(3)
     ]
-    turn = np.stack(turns, axis=-1)
-    even = np.broadcast_to(_FLUX * np.eye(3), gradient.shape)
-    rows = np.concatenate([-_LENGTH * gradient, turn, even], axis=-1)
-    return (flux + background - readings).ravel(), rows.reshape(-1, 9)
+    return flux, -gradient, np.stack(turns, axis=-1)
 
 
 def _moved(magnet: Dipole | Cylinder, step: np.ndarray) -> Dipole | Cylinder:

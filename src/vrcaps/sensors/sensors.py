@@ -18,6 +18,9 @@ from vrcaps.transforms import transform_from
 from vrcaps.units import MM
 from vrcaps.world.model import Model
 
+EARTH_FIELD = (0.0, 20e-6, -45e-6)
+"""Magnetic field of the earth in the world by default [T]."""
+
 
 @dataclass(frozen=True)
 class HallPad:
@@ -58,7 +61,7 @@ class Sensors:
     imu: Imu | None = None
     magnetometer: Magnetometer | None = None
     hall: HallPad | None = None
-    earth_field: tuple[float, float, float] = (0.0, 20e-6, -45e-6)
+    earth_field: tuple[float, float, float] = EARTH_FIELD
 
 
 def sensors_by_name(names: Sequence[str]) -> Sensors:

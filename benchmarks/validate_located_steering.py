@@ -13,10 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
-from validate_steering import PUSH, RISE, STAY, SUBSTEP, Tube
+from validate_steering import PUSH, RISE, STAY, SUBSTEP, Tube, bent_tube, straight_gut
 from validation import options, table, write_section
-
-from tubes import bent_tube, straight_gut
 from vrcaps.actuation.capsule_target import centerline_target
 from vrcaps.actuation.steering_program import MagnetSteering, Waypoint
 from vrcaps.anatomy.stomach import StomachParameters, generate_stomach
@@ -66,12 +64,13 @@ def main() -> None:
                 located.append(locate_row(name, errors))
     text = f"""## Steering by a located pose
 
-`python benchmarks/validate_located_steering.py`: capsule `magnetic`, magnet `cylinder-76.2` by hand,
-{FPS:g} frames/s, {given.size} seeds of the sensors. *true*: the controller has the simulation's pose,
-velocity and contact force; *located*: those of an error-state Kalman filter of the IMU's and the
-Hall sensors' readings at 100 Hz, all with their noise, resolution, bias and errors of calibration.
-In tubes the capsule is held against {PUSH:g} N along the gut, to and fro; in the stomach it is led
-along its upper wall. Without the first second after settling.
+`python benchmarks/validate_located_steering.py`: capsule `magnetic`, magnet `cylinder-76.2` by
+hand, {FPS:g} frames/s, {given.size} seeds of the sensors. *true*: the controller has the
+simulation's pose, velocity and contact force; *located*: those of an error-state Kalman filter of
+the IMU's and the Hall sensors' readings at 100 Hz, with noise, resolution, bias and errors of
+calibration. In tubes the capsule is held against {PUSH:g} N along the gut, to and fro; in the
+stomach it is led along its upper wall, far from the sensors and near the magnet. Without the first
+second after settling.
 
 {table(STEER_HEAD, steered)}
 

@@ -96,7 +96,7 @@ class CapsuleTracker:
         rng = vrcaps.rng.stream(seed, "tracking/hall-calibration")
         self._true_array = perturb_calibration(self._array, rng, **errors)
         strength = float(np.linalg.norm(settings.earth_field))
-        axis = settings.earth_field if strength > 0.0 else (0.0, 0.0, 1.0)
+        axis = np.array(settings.earth_field if strength > 0.0 else (0.0, 0.0, 1.0))
         self._earth = UniformField(strength, magnet_pose(np.zeros(3), axis))
         sigma = _INITIAL_SIGMA.copy()
         sigma[:3], sigma[6:9] = settings.position_error, settings.angle_error
@@ -123,8 +123,13 @@ class CapsuleTracker:
 
     @property
     def contact_force_world(self) -> Float[np.ndarray, " 3"]:
-        """Force of the wall [N]: mass times specific force, less the magnet's force."""
-        return self._mass * self._force_world - self._magnetic_force
+        """Force of the wall on the side [N]: mass times specific force, less the magnet's force.
+
+        The part along the capsule's axis, friction or another pull, is left out.
+        """
+        force = self._mass * self._force_world - self._magnetic_force
+        axis = self.T_world_capsule[:3, 2]
+        return force - axis * float(axis @ force)
 
     def field_angle(self, T_world_capsule: Float[np.ndarray, "4 4"]) -> float:
         """Between the moment of a capsule at a pose and the magnet's field there [rad]."""

@@ -403,6 +403,36 @@ def test_rejects_a_snapshot_of_other_contents(gut: OrganSurface) -> None:
         world.restore(replace(world.snapshot(), contents=np.zeros(3)))
 
 
+def test_liquid_follows_the_moving_wall(gut: OrganSurface) -> None:
+    """Gas goes: the lumen is narrower, the same liquid stands higher in it, and comes back."""
+
+    def begin() -> World:
+        return world_in(gut, Contents(liquid=3), 0.0)
+
+    world, pools = begin(), []
+    for factor in (1.0, 0.9, 0.8, 0.8, 0.9, 1.0):
+        world.step(Control(insufflation=factor), 0.01)
+        if factor == 0.9:
+            middle = world.snapshot()
+        lumen_contents = world.state.lumen_contents
+        assert lumen_contents is not None and lumen_contents.pools is not None
+        pools.append(lumen_contents.pools)
+    volumes = [pool.volume.sum() for pool in pools]
+    np.testing.assert_allclose(volumes, volumes[0], rtol=1e-3)
+    share = [
+        pool.levels.mean() / (factor * RADIUS)
+        for pool, factor in zip(pools, (1, 0.9, 0.8), strict=False)
+    ]
+    assert share[0] < share[1] - 0.05 < share[2] - 0.1
+    assert pools[3] is pools[2]
+    np.testing.assert_allclose(pools[-1].levels, pools[0].levels, atol=0.05 * RADIUS)
+    other = begin()
+    other.restore(middle)
+    other.step(Control(insufflation=1.0), 0.01)
+    np.testing.assert_array_equal(other.snapshot().contents, world.snapshot().contents)
+    np.testing.assert_array_equal(other.state.lumen_contents.pools.levels, pools[-1].levels)
+
+
 def test_posture_takes_the_liquid_along(gut: OrganSurface) -> None:
     world = world_in(gut, Contents(liquid=2))
     over = np.diag([1.0, -1.0, -1.0, 1.0])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
@@ -14,7 +14,7 @@ from vrcaps.transforms import transform_points
 from vrcaps.units import MM
 
 if TYPE_CHECKING:
-    from jaxtyping import Float, UInt16
+    from jaxtyping import Float, Int, UInt16
 
 _SPACING = 2.0 * MM
 _AROUND = 24
@@ -33,12 +33,14 @@ class Pools:
             first. A vertex is wet where it is below its pool's level.
         stretch: Arc lengths at which each pool begins and ends [m].
         volume: Of each pool [m³].
+        held: Liquid in each section of the lumen [m³], also where it is too shallow for a pool.
     """
 
     levels: Float[np.ndarray, " p"]
     of_vertex: UInt16[np.ndarray, " n"]
     stretch: Float[np.ndarray, "p 2"]
     volume: Float[np.ndarray, " p"]
+    held: Float[np.ndarray, " k"]
 
 
 @dataclass(frozen=True)
@@ -47,15 +49,22 @@ class Sections:
 
     Attributes:
         arc_length: Where the k sections are [m].
+        centers: Centerline at each section in the patient frame [m].
         points: Sample points of each section's area in the patient frame [m].
         volumes: Volume that each sample stands for [m³].
         rim: Outline of each section in the patient frame [m].
     """
 
     arc_length: Float[np.ndarray, " k"]
+    centers: Float[np.ndarray, "k 3"]
     points: Float[np.ndarray, "k q 3"]
     volumes: Float[np.ndarray, "k q"]
     rim: Float[np.ndarray, "k a 3"]
+
+    def of(self, arc_length: Float[np.ndarray, " n"]) -> Int[np.ndarray, " n"]:
+        """Section in which each arc length [m] lies."""
+        step = self.arc_length[1] - self.arc_length[0]
+        return (arc_length / step).astype(int).clip(0, len(self.arc_length) - 1)
 
 
 def cut_sections(organ: OrganSurface) -> Sections:
@@ -78,7 +87,7 @@ def cut_sections(organ: OrganSurface) -> Sections:
     area = radius**2 * np.pi / _AROUND / _RINGS
     volumes = np.repeat(area * np.diff(edges)[:, None], _RINGS, axis=1)
     rim = centers[:, None] + radius[..., None] * way
-    return Sections(middle, points.reshape(len(middle), -1, 3), volumes, rim)
+    return Sections(middle, centers, points.reshape(len(middle), -1, 3), volumes, rim)
 
 
 def _radii(organ: OrganSurface, edges: Float[np.ndarray, " e"]) -> Float[np.ndarray, "k a"]:
@@ -117,27 +126,178 @@ def find_pools(
     Returns:
         None where the lumen holds no liquid.
     """
-    height = transform_points(T_world_patient, sections.points)[..., 2]
-    floor = _floor(organ, sections, T_world_patient)
-    dips = _dips(floor)
+    if liquid.fill == 0.0:
+        return None
+    lumen = _Lumen.at_rest(organ, sections, T_world_patient)
+    filled = [
+        lumen.basin(first, last).holding(liquid.fill, most=min(lumen.crests(first, last)))
+        for first, last in _dips(lumen.floor)
+    ]
     k = 0
-    filled = [_level(floor, height, sections.volumes, dip, liquid.fill) for dip in dips]
-    while k + 1 < len(dips):
-        crest = floor[dips[k][1]]
-        if min(filled[k], filled[k + 1]) >= crest - 1e-12 and liquid.fill > 0.0:
-            dips[k : k + 2] = [(dips[k][0], dips[k + 1][1])]
-            filled[k : k + 2] = [_level(floor, height, sections.volumes, dips[k], liquid.fill)]
+    while k + 1 < len(filled):
+        left, right = filled[k], filled[k + 1]
+        if min(left.level, right.level) >= lumen.floor[left.last] - 1e-12:
+            first, last = left.first, right.last
+            most = min(lumen.crests(first, last))
+            filled[k : k + 2] = [lumen.basin(first, last).holding(liquid.fill, most=most)]
             k = max(k - 1, 0)
         else:
             k += 1
-    kept = [
-        (dip, level)
-        for dip, level in zip(dips, filled, strict=True)
-        if level > floor[dip[0] : dip[1] + 1].min() + _SHALLOWEST
-    ]
-    if not kept:
-        return None
-    return _make(organ, sections, height, kept)
+    pools = lumen.pools(organ, sections, filled)
+    return pools if len(pools.levels) else None
+
+
+def level_pools(
+    organ: OrganSurface,
+    sections: Sections,
+    held: Float[np.ndarray, " k"],
+    T_world_patient: Float[np.ndarray, "4 4"],
+    scale: Float[np.ndarray, " k"],
+) -> Pools:
+    """The same liquid at rest again after the wall has moved or the patient has turned.
+
+    No volume is lost: what a dip cannot hold runs over its lower crest into the next one.
+
+    Args:
+        organ: The wall at rest.
+        sections: Of the same organ.
+        held: Liquid in each section before [m³].
+        T_world_patient: How the patient lies now; gravity is world −z.
+        scale: Lumen's radius in each section, relative to that at rest.
+    """
+    lumen = _Lumen.at_rest(organ, sections, T_world_patient).scaled(scale)
+    filled = []
+    for first, last in _dips(lumen.floor):
+        # A crest belongs to the dip that begins there.
+        end = last + (last == len(held) - 1)
+        filled.append(lumen.basin(first, last).with_volume(float(held[first:end].sum())))
+    k = 0
+    while k < len(filled):
+        crests = lumen.crests(filled[k].first, filled[k].last)
+        if filled[k].level <= min(crests) + 1e-12:
+            k += 1
+            continue
+        side = int(np.argmin(crests))
+        k = _run_over(lumen, filled, k, k - 1 + 2 * side, crests[side])
+    return lumen.pools(organ, sections, filled)
+
+
+def _run_over(lumen: _Lumen, filled: list[_Basin], k: int, other: int, crest: float) -> int:
+    """Lets dip `k` run over a crest into a neighbor, or makes both one; the dip to go on with."""
+    one, two = filled[k], filled[other]
+    if two.level >= crest - 1e-12:
+        first, last = min(one.first, two.first), max(one.last, two.last)
+        lower = min(k, other)
+        filled[lower : lower + 2] = [lumen.basin(first, last).with_volume(one.volume + two.volume)]
+        return max(lower - 1, 0)
+    full = one.filled_to(crest)
+    filled[k], filled[other] = full, two.with_volume(two.volume + one.volume - full.volume)
+    return min(k, other)
+
+
+@dataclass(frozen=True)
+class _Basin:
+    """A dip of the lumen's floor with liquid in it.
+
+    Attributes:
+        first: Section of its one crest.
+        last: Section of the other.
+        steps: Rising heights [m].
+        below: Volume of the dip below each [m³].
+        level: Height of the liquid [m].
+        volume: Of the liquid [m³].
+    """
+
+    first: int
+    last: int
+    steps: Float[np.ndarray, " m"]
+    below: Float[np.ndarray, " m"]
+    level: float
+    volume: float = 0.0
+
+    def with_volume(self, volume: float) -> _Basin:
+        """The same dip with a volume of liquid [m³]; at most up to its top."""
+        level = float(np.interp(volume, self.below, self.steps))
+        return replace(self, level=level, volume=volume)
+
+    def filled_to(self, level: float) -> _Basin:
+        """The same dip filled up to a level [m]."""
+        volume = float(np.interp(level, self.steps, self.below))
+        return replace(self, level=level, volume=volume)
+
+    def holding(self, share: float, *, most: float) -> _Basin:
+        """The same dip with a share of its volume, but no higher than a level [m]."""
+        wanted = float(np.interp(share * self.below[-1], self.below, self.steps))
+        return self.filled_to(min(wanted, most))
+
+
+@dataclass(frozen=True)
+class _Lumen:
+    """Sections of a lumen in the world.
+
+    Attributes:
+        floor: Height of the lowest wall in each section [m].
+        axis: Height of the centerline there [m].
+        height: Of each sample of a section's area [m].
+        volumes: Volume that each sample stands for [m³].
+    """
+
+    floor: Float[np.ndarray, " k"]
+    axis: Float[np.ndarray, " k"]
+    height: Float[np.ndarray, "k q"]
+    volumes: Float[np.ndarray, "k q"]
+
+    @classmethod
+    def at_rest(
+        cls, organ: OrganSurface, sections: Sections, T_world_patient: Float[np.ndarray, "4 4"]
+    ) -> _Lumen:
+        """The lumen of a wall at rest."""
+        height = transform_points(T_world_patient, sections.points)[..., 2]
+        axis = transform_points(T_world_patient, sections.centers)[:, 2]
+        floor = _floor(organ, sections, T_world_patient)
+        return cls(floor, axis, height, sections.volumes)
+
+    def scaled(self, scale: Float[np.ndarray, " k"]) -> _Lumen:
+        """The lumen of a wall whose distance from the centerline is another, section by section."""
+        axis, wide = self.axis[:, None], scale[:, None]
+        floor = self.axis + scale * (self.floor - self.axis)
+        return _Lumen(floor, self.axis, axis + wide * (self.height - axis), wide**2 * self.volumes)
+
+    def basin(self, first: int, last: int) -> _Basin:
+        """The empty dip between the crests in two sections."""
+        inside = slice(first, last + 1)
+        heights, weights = self.height[inside].ravel(), self.volumes[inside].ravel()
+        order = np.argsort(heights, kind="stable")
+        below = np.append(0.0, np.cumsum(weights[order]))
+        steps = np.append(self.floor[inside].min(), heights[order])
+        return _Basin(first, last, np.maximum.accumulate(steps), below, float(steps[0]))
+
+    def crests(self, first: int, last: int) -> tuple[float, float]:
+        """Heights of a dip's crests [m]; the ends of the organ are walls."""
+        left = np.inf if first == 0 else float(self.floor[first])
+        return left, np.inf if last == len(self.floor) - 1 else float(self.floor[last])
+
+    def pools(self, organ: OrganSurface, sections: Sections, filled: list[_Basin]) -> Pools:
+        """The dips that are deep enough as pools, and all liquid by section."""
+        held, number = np.zeros(len(self.floor)), np.zeros(len(self.floor), np.uint16)
+        kept = []
+        for dip in filled:
+            inside = slice(dip.first, dip.last + 1)
+            share = (self.volumes[inside] * (self.height[inside] < dip.level)).sum(axis=1)
+            if not share.any():
+                share[np.argmin(self.floor[inside])] = 1.0
+            held[inside] += dip.volume * share / share.sum()
+            if dip.level > self.floor[inside].min() + _SHALLOWEST:
+                kept.append(dip)
+                number[inside] = len(kept)
+        s = sections.arc_length
+        return Pools(
+            levels=np.array([dip.level for dip in kept]),
+            of_vertex=number[sections.of(organ.arc_length)],
+            stretch=np.array([(s[dip.first], s[dip.last]) for dip in kept]).reshape(-1, 2),
+            volume=np.array([dip.volume for dip in kept]),
+            held=held,
+        )
 
 
 def _floor(
@@ -147,14 +307,8 @@ def _floor(
     rim = transform_points(T_world_patient, sections.rim)[..., 2].min(axis=1)
     lowest = np.full(len(rim), np.inf)
     z = transform_points(T_world_patient, organ.vertices)[:, 2]
-    np.minimum.at(lowest, _section_of(organ, sections), z)
+    np.minimum.at(lowest, sections.of(organ.arc_length), z)
     return np.where(np.isfinite(lowest), lowest, rim)
-
-
-def _section_of(organ: OrganSurface, sections: Sections) -> np.ndarray:
-    """Section in which each vertex lies."""
-    step = sections.arc_length[1] - sections.arc_length[0]
-    return (organ.arc_length / step).astype(int).clip(0, len(sections.arc_length) - 1)
 
 
 def _dips(floor: Float[np.ndarray, " k"]) -> list[tuple[int, int]]:
@@ -163,48 +317,6 @@ def _dips(floor: Float[np.ndarray, " k"]) -> list[tuple[int, int]]:
     is_crest = (floor[inner] >= floor[inner - 1]) & (floor[inner] > floor[inner + 1])
     ends = [0, *inner[is_crest].tolist(), len(floor) - 1]
     return list(pairwise(ends))
-
-
-def _level(
-    floor: Float[np.ndarray, " k"],
-    height: Float[np.ndarray, "k q"],
-    volumes: Float[np.ndarray, "k q"],
-    dip: tuple[int, int],
-    fill: float,
-) -> float:
-    """Height up to which a dip is filled [m]."""
-    first, last = dip
-    inside = slice(first, last + 1)
-    heights, weights = height[inside].ravel(), volumes[inside].ravel()
-    order = np.argsort(heights)
-    below = np.append(0.0, np.cumsum(weights[order]))
-    steps = np.append(floor[inside].min(), heights[order])
-    wanted = float(np.interp(fill * below[-1], below, steps))
-    left = np.inf if first == 0 else floor[first]
-    right = np.inf if last == len(floor) - 1 else floor[last]
-    return min(wanted, float(left), float(right))
-
-
-def _make(
-    organ: OrganSurface,
-    sections: Sections,
-    height: Float[np.ndarray, "k q"],
-    kept: list[tuple[tuple[int, int], float]],
-) -> Pools:
-    section = _section_of(organ, sections)
-    of_vertex = np.zeros(len(organ.arc_length), np.uint16)
-    volume = []
-    for number, ((first, last), level) in enumerate(kept, 1):
-        of_vertex[(section >= first) & (section <= last)] = number
-        inside = slice(first, last + 1)
-        volume.append(sections.volumes[inside][height[inside] < level].sum())
-    stretch = [(sections.arc_length[first], sections.arc_length[last]) for (first, last), _ in kept]
-    return Pools(
-        levels=np.array([level for _, level in kept]),
-        of_vertex=of_vertex,
-        stretch=np.array(stretch),
-        volume=np.array(volume),
-    )
 
 
 def submerged(

@@ -10,7 +10,7 @@ import numpy as np
 from vrcaps import _core
 from vrcaps.capsule.body import Body
 from vrcaps.lumen.lumen_contents import LumenContents
-from vrcaps.lumen.pools import Sections, cut_sections, find_pools, submerged
+from vrcaps.lumen.pools import Pools, Sections, cut_sections, level_pools, submerged
 from vrcaps.tissue.arc_length_samples import arc_length_samples
 from vrcaps.transforms import invert, transform_points
 from vrcaps.world.core_pose import center_of_mass_and_rotation
@@ -25,6 +25,9 @@ LUMEN_SUBSTEP = 2.5e-3
 SUBSTEPS_PER_SWEEP = 8
 """Most pieces of a step after which all spheres have moved; those beside the capsule move in
 each."""
+
+_LEVEL_TOLERANCE = 0.01
+"""Change of the lumen's radius, relative to that at rest, after which liquid is leveled anew."""
 
 _DRAG = 0.5
 """Drag coefficient of a capsule in liquid, by its frontal area (a long body with round ends:
@@ -46,6 +49,23 @@ class _StepInputs:
     wxyz: tuple[float, float, float, float]
     velocity: tuple[float, float, float]
     spin: tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class LiquidLevel:
+    """Liquid as it was leveled last, and from what.
+
+    Attributes:
+        pools: The liquid; None where there is none.
+        held: Liquid in each section before it was leveled [m³]; empty if it has not moved yet.
+        T_world_patient: Posture then.
+        lumen_scale: Lumen's radius at its samples then, relative to that at rest.
+    """
+
+    pools: Pools | None
+    held: Float[np.ndarray, " k"]
+    T_world_patient: Float[np.ndarray, "4 4"]
+    lumen_scale: Float[np.ndarray, " m"]
 
 
 @dataclass(frozen=True)
@@ -73,10 +93,11 @@ class LumenDynamics:
         self._wall = wall
         bubbles, chyme, self._liquid = model.contents.resolved
         self._sections: Sections | None = None
-        self._pools, self._posture = self._rest.pools, model.T_world_patient
+        places = arc_length_samples(model.organ.centerline)
+        self._posture, none = model.T_world_patient, np.zeros(0)
+        self.liquid = LiquidLevel(self._rest.pools, none, self._posture, np.ones(len(places)))
         centers = transform_points(invert(model.T_world_patient), self._rest.spheres.centers)
         curve = model.organ.centerline
-        places = arc_length_samples(curve)
         tangents = np.stack(
             [np.interp(places, curve.arc_length, curve.frames[:, k, 2]) for k in range(3)], axis=1
         )
@@ -101,7 +122,7 @@ class LumenDynamics:
         states = self._particles.states
         centers = transform_points(T_world_patient, states[:, :3] + self._center)
         spheres = replace(self._rest.spheres, centers=centers, arc_length=states[:, 6])
-        return LumenContents(self._rest.contents, spheres, self._pools)
+        return LumenContents(self._rest.contents, spheres, self.liquid.pools)
 
     def _place_dome_bubbles(self, pose: _core.Pose) -> None:
         """Sets the bubbles that sit on the capsule from the beginning on it."""
@@ -113,13 +134,38 @@ class LumenDynamics:
         states[first:, 7:] = dome_sites
         self._particles.states = states
 
-    def turn(self, T_world_patient: Float[np.ndarray, "4 4"]) -> None:
-        """Lets the liquid find its level in another posture; it does so at once."""
-        if self._liquid.fill > 0.0 and not np.array_equal(T_world_patient, self._posture):
-            organ = self._model.organ
-            self._sections = self._sections or cut_sections(organ)
-            self._pools = find_pools(organ, self._sections, self._liquid, T_world_patient)
-        self._posture = T_world_patient
+    def level_liquid(
+        self, T_world_patient: Float[np.ndarray, "4 4"], lumen_scale: Float[np.ndarray, " m"]
+    ) -> None:
+        """Lets the liquid find its level at once in another posture or beside a moved wall.
+
+        Args:
+            T_world_patient: How the patient lies.
+            lumen_scale: Lumen's radius at its samples, relative to that at rest.
+        """
+        now, self._posture = self.liquid, T_world_patient
+        if now.pools is None:
+            return
+        moved = float(np.abs(lumen_scale - now.lumen_scale).max())
+        if moved > _LEVEL_TOLERANCE or not np.array_equal(T_world_patient, now.T_world_patient):
+            self._settle(now.pools.held, T_world_patient, lumen_scale)
+
+    def set_liquid(self, liquid: LiquidLevel, T_world_patient: Float[np.ndarray, "4 4"]) -> None:
+        """Goes back to the liquid before a step that failed, in the posture then."""
+        self.liquid, self._posture = liquid, T_world_patient
+
+    def _settle(
+        self,
+        held: Float[np.ndarray, " k"],
+        T_world_patient: Float[np.ndarray, "4 4"],
+        lumen_scale: Float[np.ndarray, " m"],
+    ) -> None:
+        organ = self._model.organ
+        self._sections = self._sections or cut_sections(organ)
+        places = arc_length_samples(organ.centerline)
+        scale = np.interp(self._sections.arc_length, places, lumen_scale)
+        pools = level_pools(organ, self._sections, held, T_world_patient, scale)
+        self.liquid = LiquidLevel(pools, held, T_world_patient, lumen_scale.copy())
 
     def buoyancy_wrench(
         self, pose: _core.Pose, dt: float, gravity: float
@@ -157,7 +203,7 @@ class LumenDynamics:
                 are not beside the capsule move once a sweep.
         """
         center, axis = self._capsule(pose, 0.0)
-        pools = self._pools
+        pools = self.liquid.pools
         up = self._up()
         offset = self._posture[2, 3] + self._posture[2, :3] @ self._center
         around = _StepInputs(
@@ -177,15 +223,26 @@ class LumenDynamics:
         self._push = np.array([*impulse, *moment])
 
     def to_array(self) -> Float[np.ndarray, " q"]:
-        """All that changes: spheres, their counter, the impulse that waits."""
-        return np.concatenate([self._particles.states.ravel(), [self._particles.count], self._push])
+        """All that changes: spheres, their counter, the impulse that waits, the liquid."""
+        liquid, pools = self.liquid, self._rest.pools
+        held = np.zeros(0 if pools is None else len(pools.held))
+        held[: len(liquid.held)] = liquid.held
+        own = [self._particles.count, *self._push, len(liquid.held) > 0]
+        return np.concatenate([self._particles.states.ravel(), own, held, liquid.lumen_scale])
 
     def restore(self, array: Float[np.ndarray, " q"], T_world_patient: np.ndarray) -> None:
         """Goes back to what `to_array` gave."""
         count = 10 * len(self._rest.spheres)
         self._particles.states = array[:count].reshape(-1, 10)
-        self._particles.count, self._push = int(array[count]), array[count + 1 :].copy()
-        self.turn(T_world_patient)
+        self._particles.count, self._push = int(array[count]), array[count + 1 : count + 7].copy()
+        lumen_scale = array[len(array) - len(self.liquid.lumen_scale) :].copy()
+        held = array[count + 8 : len(array) - len(lumen_scale)].copy()
+        self._posture = T_world_patient
+        if array[count + 7]:
+            self._settle(held, T_world_patient, lumen_scale)
+        else:
+            home = self._model.T_world_patient
+            self.liquid = LiquidLevel(self._rest.pools, np.zeros(0), home, lumen_scale)
 
     def _up(self) -> Float[np.ndarray, " 3"]:
         return self._posture[2, :3]
@@ -202,8 +259,9 @@ class LumenDynamics:
 
     def _level(self, center: Float[np.ndarray, " 3"]) -> float | None:
         """Level of the pool along whose stretch a point is [m], in the world frame."""
-        if self._pools is None:
+        pools = self.liquid.pools
+        if pools is None:
             return None
         _, face = self._wall.closest_point((center + self._center)[None])
-        pool = self._pools.of_vertex[self._model.organ.faces[face[0]]].max()
-        return None if pool == 0 else float(self._pools.levels[pool - 1])
+        pool = pools.of_vertex[self._model.organ.faces[face[0]]].max()
+        return None if pool == 0 else float(pools.levels[pool - 1])

@@ -221,11 +221,14 @@ class World:
         sources = self._magnetic.aim(control, dt, T_world_patient)
         lumen_scale = self._lumen_scale_at(self._time + dt, control.insufflation)
         # Liquid finds its level at once.
-        self._level_liquid(T_world_patient)
+        liquid = None if self._lumen is None else self._lumen.liquid
+        if self._lumen is not None:
+            self._lumen.level_liquid(T_world_patient, lumen_scale)
         try:
             contacts = self._substeps(dt, wrench, gravity, lumen_scale)
         except InputError:
-            self._level_liquid(before)
+            if self._lumen is not None and liquid is not None:
+                self._lumen.set_liquid(liquid, before)
             raise
         self._time, self._lumen_scale = self._time + dt, lumen_scale
         self._contact = mean_contact(contacts)
@@ -321,10 +324,6 @@ class World:
         """Contact of the core's last step, in the patient frame."""
         force, torque, *rest = self._core.contact()
         return Contact(np.array(force), np.array(torque), *rest)
-
-    def _level_liquid(self, T_world_patient: Float[np.ndarray, "4 4"]) -> None:
-        if self._lumen is not None:
-            self._lumen.turn(T_world_patient)
 
     def _lumen_scale_at(self, time: float, insufflation: float) -> Float[np.ndarray, " k"]:
         """Lumen's radius at its samples, as a share of that at rest."""

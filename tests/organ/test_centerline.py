@@ -5,6 +5,7 @@ import logging
 import numpy as np
 import pytest
 
+from shapes import sphere
 from vrcaps.errors import InputError
 from vrcaps.mesh.mesh import Mesh, vertex_normals
 from vrcaps.mesh.read_mesh import read_mesh
@@ -220,6 +221,17 @@ def test_interpolate():
     assert np.arccos(np.clip(cosine, -1, 1)).max() < 0.02
 
 
+@pytest.mark.parametrize("axes", [(1.0, 1.0, 1.0), (1.0, 1.0, 1.2), (1.0, 1.0, 3.0)])
+def test_a_round_bag_has_two_ends_on_opposite_sides(axes):
+    """Its farthest places lie all around the middle; the line goes along the longest axis."""
+    ball = sphere(3, radius=RADIUS)
+    line = compute_centerline(Mesh(ball.vertices * axes, ball.faces), voxel=RADIUS / 8)
+    ends = line.points[[0, -1]] / axes
+    assert np.linalg.norm(ends, axis=1).min() > 0.8 * RADIUS
+    assert ends[0] @ ends[1] < -0.95 * np.prod(np.linalg.norm(ends, axis=1))
+    assert is_clear(line)
+
+
 def test_voxels_measure_volume_whatever_the_winding():
     rng = np.random.default_rng(0)
     mesh = tube(arc())
@@ -279,6 +291,8 @@ def test_bad_input():
         compute_centerline(mesh, start=np.array([1.0, 0, 0]))
     with pytest.raises(InputError, match="Give x, y, z in meters"):
         compute_centerline(mesh, end=np.array([np.nan, 0, 0]))
+    with pytest.raises(InputError, match="which is one place"):
+        compute_centerline(mesh, start=arc()[50], end=arc()[50])
     sheet = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0.0]])
     with pytest.raises(InputError, match="Give one that encloses a lumen"):
         compute_centerline(Mesh(sheet, np.array([[0, 1, 2]])))

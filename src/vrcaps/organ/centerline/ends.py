@@ -33,6 +33,45 @@ def far_end(
         seed: Where to walk from [voxels].
         outside_cost: Of a step outside the lumen, in steps inside; negative forbids it.
     """
+    depth = _depth(grid, seed, outside_cost)
+    return None if depth is None else _middle(grid, depth)
+
+
+def any_end(grid: LumenGrid, outside_cost: float) -> Float[np.ndarray, " 3"] | None:
+    """Middle [voxels] of the pouch farthest from the widest place; see `far_end`.
+
+    In a round lumen the farthest voxels lie all around the widest place. Their middle is then
+    no end: it lies nearer to the widest place than to them. The farthest voxel alone is on one
+    side, so the end is sought from there.
+    """
+    widest = np.array(np.unravel_index(np.argmax(grid.clearance), grid.inside.shape))
+    depth = _depth(grid, widest, outside_cost)
+    if depth is None:
+        return None
+    end = _middle(grid, depth)
+    if not 0.5 * depth[tuple(widest)] < depth[nearest_voxel(end)] < np.inf:
+        return end
+    farthest = np.array(np.unravel_index(np.argmin(depth), depth.shape))
+    return far_end(grid, farthest, outside_cost)
+
+
+def _middle(grid: LumenGrid, depth: Float[np.ndarray, "x y z"]) -> Float[np.ndarray, " 3"]:
+    """Middle [voxels] of the farthest pouch; its most central voxel if that is near a wall."""
+    pouch = _pouch(depth, _pouch_depth(depth))
+    weight = grid.clearance[tuple(pouch.T)] ** _CENTRAL
+    middle = weight @ pouch / weight.sum()
+    deepest = pouch[np.argmax(weight)]
+    is_central = grid.clearance[nearest_voxel(middle)] > 0.5 * grid.clearance[tuple(deepest)]
+    return middle if is_central else deepest.astype(float)
+
+
+def _depth(
+    grid: LumenGrid, seed: Float[np.ndarray, " 3"], outside_cost: float
+) -> Float[np.ndarray, "x y z"] | None:
+    """How much nearer to a seed than the farthest voxel each one is, in steps; see `far_end`.
+
+    Infinite outside the lumen and beside its wall; None if over 1 % is out of reach.
+    """
     from skimage.graph import MCP_Geometric
 
     free = grid.clearance >= grid.voxel
@@ -43,14 +82,8 @@ def far_end(
     if np.count_nonzero(reached) < 0.99 * np.count_nonzero(grid.inside):
         return None
     free &= reached
-    walked = np.where(free if free.any() else reached, walked, -1.0)
-    depth = float(walked.max()) - walked
-    pouch = _pouch(depth, _pouch_depth(depth[walked >= 0.0]))
-    weight = grid.clearance[tuple(pouch.T)] ** _CENTRAL
-    middle = weight @ pouch / weight.sum()
-    deepest = pouch[np.argmax(weight)]
-    is_central = grid.clearance[nearest_voxel(middle)] > 0.5 * grid.clearance[tuple(deepest)]
-    return middle if is_central else deepest.astype(float)
+    counted = free if free.any() else reached
+    return np.where(counted, walked[counted].max() - walked, np.inf)
 
 
 def nearest_voxel(place: Float[np.ndarray, " 3"]) -> tuple[int, int, int]:
@@ -59,9 +92,9 @@ def nearest_voxel(place: Float[np.ndarray, " 3"]) -> tuple[int, int, int]:
     return x, y, z
 
 
-def _pouch_depth(depth: Float[np.ndarray, " n"]) -> float:
+def _pouch_depth(depth: Float[np.ndarray, "x y z"]) -> float:
     """The least depth [voxels] whose volume is at most that of so many cubes of it."""
-    depth = np.sort(depth)
+    depth = np.sort(depth[np.isfinite(depth)])
     slender = np.arange(1, len(depth) + 1) <= _SLENDER * depth**3
     slender &= depth >= _LEAST_DEPTH
     return float(depth[np.argmax(slender)]) if slender.any() else float(depth[-1])

@@ -8,13 +8,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vrcaps.errors import InputError
-from vrcaps.organ.centerline.ends import far_end, nearest_voxel
+from vrcaps.organ.centerline.ends import any_end, far_end, nearest_voxel
 from vrcaps.organ.centerline.lumen import LumenGrid
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Int
 
 _CENTERING = 3.0  # a step costs clearance^-3: short cuts near the wall never pay
+_LEAST_SPAN = 3.0  # between the two ends [voxels]
 _GAP_COST = 1e4  # of a step outside the lumen, in steps beside the wall
 
 _log = logging.getLogger(__name__)
@@ -40,6 +41,9 @@ def find_path(
 
     Returns:
         The path, or None where parts of the lumen are cut off from each other.
+
+    Raises:
+        InputError: If an end lies outside the lumen, or both are one place.
     """
     from skimage.graph import MCP_Geometric
 
@@ -48,12 +52,17 @@ def find_path(
     first = _snap(grid, start, "start") if start is not None else None
     last = _snap(grid, end, "end") if end is not None else None
     if first is None:
-        deepest = np.array(np.unravel_index(np.argmax(grid.clearance), grid.inside.shape))
-        first = far_end(grid, deepest if last is None else last, outside)
+        first = any_end(grid, outside) if last is None else far_end(grid, last, outside)
     if last is None and first is not None:
         last = far_end(grid, first, outside)
     if first is None or last is None:
         return None
+    if np.linalg.norm(last - first) < _LEAST_SPAN:
+        where = grid.points(np.stack([first, last])).round(5).tolist()
+        raise InputError(
+            f"The centerline would go from {where[0]} to {where[1]} m, which is one place. "
+            "Give its start and end, at opposite sides of the lumen."
+        )
     cost = np.where(grid.inside, clear**-_CENTERING, outside * 0.25**-_CENTERING)
     costs = MCP_Geometric(cost)
     total, _ = costs.find_costs([nearest_voxel(first)], [nearest_voxel(last)])

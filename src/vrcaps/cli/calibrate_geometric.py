@@ -74,7 +74,7 @@ class CalibrateGeometric:
         from vrcaps.tools.camera_calibration.circle import image_circle
         from vrcaps.tools.camera_calibration.corners import find_views
         from vrcaps.tools.camera_calibration.device import calibrated_device, find_camera
-        from vrcaps.tools.camera_calibration.fit import calibrate
+        from vrcaps.tools.camera_calibration.fit import calibrate, check_fit
         from vrcaps.tools.photos import read_photos
 
         check_out(self.out, overwrite=self.overwrite)
@@ -90,6 +90,7 @@ class CalibrateGeometric:
         fit = calibrate(
             views, board, (width, height), self.lens, num_terms=self.terms, circle_px=reach
         )
+        check_fit(fit)
         edge = None if circle is None else circle.radius_about(fit.lens.cx, fit.lens.cy)
         device = calibrated_device(pattern, fit, camera=self.camera, circle_px=edge)
         write_device(self.out, device)
@@ -106,6 +107,11 @@ class CalibrateGeometric:
         console.print(f"Board found in {len(fit.views)} of {len(photos)} photographs.")
         if missed:
             console.print(f"Not found in: {', '.join(missed)}.")
+        if len(missed) >= len(fit.views):
+            console.print(
+                "Warning: half of the photographs or more are left out. If they show the board "
+                "whole, --board is wrong: count the squares along both sides, not inner corners."
+            )
         mirrored = [view.name for view in fit.views if view.method == "mirrored"]
         if mirrored:
             console.print(f"Found only in the mirror image of: {', '.join(mirrored)}.")
@@ -162,8 +168,7 @@ def _facts(fit: Calibration, circle: ImageCircle | None) -> list[str]:
 
     from vrcaps.tools.camera_calibration.fit import sees_image
 
-    rms = np.sqrt(np.mean(fit.errors**2))
-    lines = [f"Mean error {fit.errors.mean():.3f} px, root mean square {rms:.3f} px."]
+    lines = [f"Mean error {fit.errors.mean():.3f} px, root mean square {fit.rms_px:.3f} px."]
     edge = None if circle is None else circle.radius_about(fit.lens.cx, fit.lens.cy)
     reach = f"Corners reach {fit.angles.max() / DEG:.0f}° from the axis"
     if edge is None:

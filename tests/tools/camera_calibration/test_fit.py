@@ -19,7 +19,13 @@ from vrcaps.tools.camera_calibration.board import Board
 from vrcaps.tools.camera_calibration.circle import image_circle
 from vrcaps.tools.camera_calibration.corners import BoardView, find_views
 from vrcaps.tools.camera_calibration.device import calibrated_device
-from vrcaps.tools.camera_calibration.fit import Calibration, _Problem, calibrate, sees_image
+from vrcaps.tools.camera_calibration.fit import (
+    Calibration,
+    _Problem,
+    calibrate,
+    check_fit,
+    sees_image,
+)
 from vrcaps.tools.camera_calibration.initial_guess import plane_pose
 from vrcaps.tools.camera_calibration.parameterization import PARAMETERIZATIONS
 from vrcaps.tools.photos import read_photos
@@ -97,6 +103,18 @@ def test_badly_found_corners_do_little_harm() -> None:
     without = calibrate(clean, BOARD, SIZE, "kannala-brandt")
     shift = [getattr(fit.lens, name) - getattr(without.lens, name) for name in fit.names]
     assert np.abs(shift / without.deviations).max() < 2.0
+
+
+def test_a_fit_that_misses_its_corners_is_refused() -> None:
+    """A wrong board fits to 2 px and worse; photographs of 2000 px may be off by more."""
+    fit = calibrate(seen("kannala-brandt", 1, 0.5, 3), BOARD, SIZE, "kannala-brandt")
+    check_fit(fit)
+    wrong = replace(fit, residuals=5.0 * fit.residuals)
+    with pytest.raises(
+        InputError, match=r"misses the corners by 3\.\d+ px .* Allowed: up to 1\.6 px"
+    ):
+        check_fit(wrong)
+    check_fit(replace(wrong, size=(2000, 1500)))
 
 
 def test_a_lens_is_held_to_a_ray_for_every_pixel_of_the_image() -> None:

@@ -95,8 +95,7 @@ def _draw_radial(axis, fit: Calibration) -> None:
     axis.plot(middle, bias, "-", color="tab:red", label="median of the outward part")
     axis.axhline(0.0, color="black", lw=0.5)
     axis.set(xlabel="distance from the optical axis [px]", ylabel="residual [px]")
-    rms = float(np.sqrt(np.mean(fit.errors**2)))
-    axis.set_title(f"mean {fit.errors.mean():.3f} px, root mean square {rms:.3f} px")
+    axis.set_title(f"mean {fit.errors.mean():.3f} px, root mean square {fit.rms_px:.3f} px")
     axis.legend(fontsize=8)
 
 

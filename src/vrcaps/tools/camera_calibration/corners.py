@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 
 MIN_VIEWS = 3
 """Fewest photographs of a board that fix a lens (Zhang, IEEE PAMI 22(11), 2000, section 3.1)."""
+_NUM_CHECKED = 5
+"""Photographs in which a larger board is sought."""
 
 
 @dataclass(frozen=True)
@@ -59,11 +61,11 @@ def find_views(
         if found is None:
             missed.append(photo.name)
         else:
-            if not views:
-                _check_whole(photo, board)
             views.append(BoardView(photo.name, *found))
         if progress is not None:
             progress(k + 1, len(photos))
+    names = {view.name for view in views[:_NUM_CHECKED]}
+    _check_whole([photo for photo in photos if photo.name in names], board)
     if len(views) < MIN_VIEWS:
         raise InputError(
             f"The board of {board.columns}x{board.rows} squares is seen in {len(views)} of "
@@ -127,19 +129,30 @@ def _check_sizes(photos: Sequence[Photo]) -> None:
             )
 
 
-def _check_whole(photo: Photo, board: Board) -> None:
-    """Check that a board found is none within a larger one: inner corners given for squares."""
-    if max(board.columns, board.rows) == MAX_SQUARES:
-        return
+def _check_whole(photos: Sequence[Photo], board: Board) -> None:
+    """Check that boards found are none within a larger one: too few squares given.
+
+    A detector may see one square too many now and then, so half of the photographs must show it.
+    """
     cv2 = _opencv()
-    larger = Board(board.columns + 1, board.rows + 1, board.square)
-    gray = cv2.cvtColor(photo.rgb, cv2.COLOR_RGB2GRAY)
-    if cv2.findChessboardCornersSB(gray, larger.grid)[0]:
-        raise InputError(
-            f"The board in {photo.name} is larger than {board.columns}x{board.rows} squares. "
-            f"Allowed: all its squares, here {larger.columns}x{larger.rows} or more; count "
-            "squares, not inner corners."
-        )
+    for more_columns, more_rows in ((1, 1), (1, 0), (0, 1)):
+        columns, rows = board.columns + more_columns, board.rows + more_rows
+        if max(columns, rows) > MAX_SQUARES:
+            continue
+        larger = Board(columns, rows, board.square)
+        shown = [
+            photo.name
+            for photo in photos
+            if cv2.findChessboardCornersSB(
+                cv2.cvtColor(photo.rgb, cv2.COLOR_RGB2GRAY), larger.grid
+            )[0]
+        ]
+        if shown and 2 * len(shown) >= len(photos):
+            raise InputError(
+                f"The board in {shown[0]} is larger than {board.columns}x{board.rows} squares. "
+                f"Allowed: all its squares, here {columns}x{rows} or more; count squares, not "
+                "inner corners."
+            )
 
 
 def _opencv() -> Any:

@@ -32,6 +32,8 @@ if TYPE_CHECKING:
 HUBER = 1.345
 """Residuals beyond so many deviations count linearly: 95 % as efficient as least squares on normal
 errors (Huber, Robust Statistics, 1981)."""
+MAX_RMS_PX, MAX_RMS = 1.5, 0.005
+"""Largest root mean square error of a fit: in pixels, or as a share of the image's shorter side."""
 _STEP = 1e-6
 _RIM_WEIGHT = 10.0
 _RIM_MARGIN = 1.005
@@ -75,6 +77,11 @@ class Calibration:
     def errors(self) -> Float[np.ndarray, "v n"]:
         """Distance of each corner from its projection [px]."""
         return np.linalg.norm(self.residuals, axis=-1)
+
+    @property
+    def rms_px(self) -> float:
+        """Root mean square distance of the corners from their projections [px]."""
+        return float(np.sqrt(np.mean(self.errors**2)))
 
     @property
     def angles(self) -> Float[np.ndarray, "v n"]:
@@ -126,6 +133,26 @@ def calibrate(
     residuals = problem.residuals(lens, poses)
     names, covariance = problem.covariance(lens, poses, terms)
     return Calibration(lens, names, covariance, tuple(views), board, size, poses, residuals)
+
+
+def check_fit(fit: Calibration) -> None:
+    """Check that a lens fits its corners at all.
+
+    Corners of real photographs fit to 0.3 to 0.9 px; boards stated with wrong squares, where only
+    part of the pattern is found, to 2 px and worse.
+
+    Raises:
+        InputError: If their root mean square error is above `MAX_RMS_PX`, or in large photographs
+            above `MAX_RMS` of the shorter side.
+    """
+    most = max(MAX_RMS_PX, MAX_RMS * min(fit.size))
+    if fit.rms_px > most:
+        worst = fit.views[int(np.argmax(fit.errors.mean(axis=1)))].name
+        raise InputError(
+            f"The lens misses the corners by {fit.rms_px:.2f} px (root mean square), most of all "
+            f"in {worst}. Allowed: up to {most:.3g} px. Check that --board counts the squares "
+            "along both sides, take out bad photographs, or give another --lens."
+        )
 
 
 def sees_image(lens: Lens, size: Size, circle_px: float | None = None) -> bool:

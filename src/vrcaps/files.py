@@ -2,29 +2,43 @@
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import json
 import os
 import uuid
-from collections.abc import Iterable, Iterator
+import zipfile
+import zlib
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 TEMPORARY = ".tmp"
 """End of the names of files that are still being written; they start with a dot."""
+
+_DAMAGED = (
+    *(EOFError, LookupError, TypeError, AttributeError, MemoryError, RuntimeError),
+    *(zipfile.BadZipFile, zlib.error),
+)
+"""What NumPy raises for a damaged archive, beside OSError and ValueError."""
 
 
 @contextmanager
 def atomic_write(path: Path) -> Iterator[Path]:
     """A temporary path beside `path`, which replaces `path` if the block succeeds.
 
-    The temporary name is unique, so that processes that write the same file do not disturb each
-    other: the last one to finish wins.
+    It does so when its bytes are on the disk: after a loss of power there is the old file or the
+    whole new one. The temporary name is unique, so that processes that write the same file do not
+    disturb each other: the last one to finish wins.
     """
     temporary = path.with_name(f".{path.name}.{uuid.uuid4().hex}{TEMPORARY}")
     try:
         yield temporary
+        with temporary.open("rb+") as file:
+            os.fsync(file.fileno())
         os.replace(temporary, path)
     finally:
         temporary.unlink(missing_ok=True)
@@ -39,6 +53,40 @@ def write_bytes(path: Path, data: bytes | Iterable[bytes]) -> None:
     """
     with atomic_write(path) as temporary, temporary.open("wb") as file:
         file.writelines([data] if isinstance(data, bytes) else data)
+
+
+def sync_folder(folder: Path) -> None:
+    """Wait until the names in a folder are on the disk; returns at once on Windows."""
+    if os.name == "nt":
+        return
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    except OSError as error:
+        if error.errno != errno.EINVAL:  # folders of some file systems cannot be synced
+            raise
+    finally:
+        os.close(descriptor)
+
+
+def write_arrays(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
+    """Write arrays as a compressed NumPy archive (.npz)."""
+    with atomic_write(path) as temporary, temporary.open("wb") as file:
+        np.savez_compressed(file, **arrays)  # pyright: ignore[reportArgumentType]
+
+
+def read_arrays(path: Path) -> dict[str, np.ndarray]:
+    """Read the arrays of a NumPy archive.
+
+    Raises:
+        OSError: If the file cannot be read.
+        ValueError: If it is no archive, or is cut short or damaged.
+    """
+    try:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
+            return {name: stored[name] for name in stored.files}
+    except _DAMAGED as error:
+        raise ValueError(f"no whole NumPy archive: {error}") from error
 
 
 def write_json(path: Path, value: Any) -> None:

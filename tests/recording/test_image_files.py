@@ -30,3 +30,10 @@ def test_read_errors_are_os_or_value_errors(tmp_path):
             read_image(tmp_path / name)
     with pytest.raises(OSError, match="missing"):
         read_image(tmp_path / "missing.png")
+
+
+def test_each_write_has_a_temporary_name_of_its_own(tmp_path):
+    """Two writers of one image do not share a file; what is in the way stays."""
+    (tmp_path / ".image.png.tmp").mkdir()
+    write_images([(tmp_path / "image.png", np.zeros((2, 2), np.uint8))])
+    assert sorted(path.name for path in tmp_path.iterdir()) == [".image.png.tmp", "image.png"]

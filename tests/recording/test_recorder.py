@@ -3,6 +3,7 @@ import hashlib
 import json
 import os
 import pickle
+import shutil
 import signal
 import subprocess
 import sys
@@ -111,6 +112,25 @@ def test_missing_files_are_made_again(recorded, scenario, tmp_path, name):
     assert _digests(out) == _digests(recorded)
 
 
+DAMAGED = (
+    *("frames.parquet", "organ.glb", "sheet.png", "preview.mp4"),
+    *("front/rgb/000001.png", "rear/depth/000004.png", "front/position/000003.npy"),
+)
+
+
+@pytest.mark.slow
+def test_damaged_files_are_made_again(recorded, scenario, tmp_path):
+    """As a loss of power leaves them: the name is there, and the first half of the bytes."""
+    out = Path(shutil.copytree(recorded, tmp_path / "episode"))
+    for name in DAMAGED:
+        whole = (out / name).read_bytes()
+        (out / name).write_bytes(whole[: len(whole) // 2])
+    found = {problem.where for problem in check_episode(out)}
+    assert found == set(DAMAGED)
+    record(scenario, out)
+    assert _digests(out) == _digests(recorded)
+
+
 def test_other_write_errors(scenario, tmp_path, monkeypatch):
     def refuse(items):
         raise OSError(errno.EACCES, "Permission denied", items[0][0])
@@ -178,6 +198,7 @@ def test_no_flow_beyond_the_ends_of_the_run(recorded):
 # A shell's background job ignores Ctrl-C, and its children inherit that.
 RUN = """
 import pickle
+import shutil
 import signal
 import sys
 from pathlib import Path

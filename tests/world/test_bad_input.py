@@ -210,7 +210,10 @@ def test_snapshot(world: World, changed: dict[str, object], match: str) -> None:
 def test_file_that_is_no_snapshot(tmp_path: Path) -> None:
     np.savez(tmp_path / "other.npz", seed=1)
     (tmp_path / "text.npz").write_text("no archive")
-    for name in ("other.npz", "text.npz", "absent.npz"):
+    np.save(tmp_path / "array.npy", np.zeros(3))
+    whole = (tmp_path / "other.npz").read_bytes()
+    (tmp_path / "cut.npz").write_bytes(whole[: len(whole) // 2])
+    for name in ("other.npz", "text.npz", "array.npy", "cut.npz", "absent.npz"):
         with pytest.raises(InputError, match=rf"{name} is no snapshot of a world"):
             read_snapshot(tmp_path / name)
 

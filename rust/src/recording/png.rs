@@ -12,7 +12,12 @@ use pyo3::{
     types::PyBytes,
 };
 use rayon::prelude::*;
-use std::{fs, io, path::Path};
+use std::{
+    fs::{self, File},
+    hash::{BuildHasher, Hasher, RandomState},
+    io::{self, Write},
+    path::Path,
+};
 
 /// An image as PNG stores it: 16-bit numbers with the high byte first.
 struct Image {
@@ -62,18 +67,27 @@ impl Image {
         Ok(file)
     }
 
-    /// Writes the file under a temporary name, then renames it: it is whole or not there.
+    /// Writes the file under a temporary name of its own, to the disk, then renames it: it is whole
+    /// or not there.
     fn write(&self, path: &Path) -> io::Result<()> {
         let name = path.file_name().unwrap_or_default().to_string_lossy();
-        let temporary = path.with_file_name(format!(".{name}.tmp"));
-        let file = self.encode().map_err(io::Error::other)?;
-        let written = fs::write(&temporary, file).and_then(|()| fs::rename(&temporary, path));
+        let unique = RandomState::new().build_hasher().finish(); // seeded anew by the system
+        let temporary = path.with_file_name(format!(".{name}.{unique:016x}.tmp"));
+        let bytes = self.encode().map_err(io::Error::other)?;
+        let written = write_through(&temporary, &bytes).and_then(|()| fs::rename(&temporary, path));
         if written.is_err() {
             // The error that counts is the first one; a temporary file may not even exist.
             let _ = fs::remove_file(&temporary);
         }
         written
     }
+}
+
+/// Writes a file whose bytes have reached the disk when this returns.
+fn write_through(path: &Path, bytes: &[u8]) -> io::Result<()> {
+    let mut file = File::create(path)?;
+    file.write_all(bytes)?;
+    file.sync_all()
 }
 
 fn os_error(path: &str, error: &io::Error) -> PyErr {

@@ -191,8 +191,11 @@ class Rollout:
         return MotionState(frame, arrays)
 
     def _restore(self, state: MotionState) -> None:
-        snapshot = snapshot_from_arrays(state.arrays)
-        self._arc_length = float(state.arrays["arc_length"])
+        try:
+            snapshot = snapshot_from_arrays(state.arrays)
+            self._arc_length = float(state.arrays["arc_length"])
+        except (ValueError, LookupError, TypeError) as error:
+            raise InputError(f"The checkpoint of the motion is damaged: {error}.") from error
         self.world.restore(snapshot)
         if self.program is not None:
             self.program.restore(snapshot.controller)

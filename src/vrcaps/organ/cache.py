@@ -8,7 +8,6 @@ import json
 import os
 import time
 import warnings
-import zipfile
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
@@ -19,11 +18,11 @@ import numpy as np
 from platformdirs import user_cache_path
 
 from vrcaps import _core
-from vrcaps.files import TEMPORARY, atomic_write
+from vrcaps.files import TEMPORARY, atomic_write, read_arrays
 from vrcaps.organ.arrays import organ_from_arrays, organ_to_arrays
 from vrcaps.organ.surface import OrganSurface
 
-_BROKEN = (OSError, EOFError, ValueError, KeyError, TypeError, zipfile.BadZipFile)
+_BROKEN = (OSError, ValueError, LookupError, TypeError, AttributeError)
 """What reading a truncated, overwritten or outdated file raises."""
 
 _MAKERS = ("mesh", "organ", "mucosa", "anatomy", "lesion")
@@ -128,7 +127,7 @@ def _write_organ(path: Path, organ: OrganSurface) -> None:
     arrays["plain"] = np.array(json.dumps(plain))
     path.parent.mkdir(parents=True, exist_ok=True)
     with atomic_write(path) as temporary, temporary.open("wb") as file:
-        np.savez(file, allow_pickle=False, **arrays)
+        np.savez(file, **arrays)  # pyright: ignore[reportArgumentType]
 
 
 def _mark_used(path: Path) -> None:
@@ -158,7 +157,6 @@ def _forget_unused(folder: Path) -> None:
 
 def _read_organ(path: Path) -> OrganSurface:
     """Read an organ that `_write_organ` wrote."""
-    with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
-        values = {name: stored[name] for name in stored.files}
+    values = read_arrays(path)
     values |= json.loads(str(values.pop("plain")))
     return organ_from_arrays(values)

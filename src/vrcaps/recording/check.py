@@ -16,20 +16,18 @@ from vrcaps.errors import InputError, VrcapsError
 from vrcaps.lumen.lumen_contents import CHYME
 from vrcaps.mesh.mesh import Mesh
 from vrcaps.mesh.wall import wall_of
+from vrcaps.recording.damage import pictures_of
 from vrcaps.recording.episode import Episode, read_episode
-from vrcaps.recording.image_files import read_image
 from vrcaps.recording.layout import (
     COMPLETE,
     EPISODE_JSON,
     FRAMES_PARQUET,
     ORGAN_GLB,
-    PREVIEW_MP4,
-    SHEET_PNG,
     channel_to_plain,
 )
 from vrcaps.recording.sensing import pad_column_names
 from vrcaps.recording.table import POSE_COLUMNS
-from vrcaps.recording.walls import read_wall, wall_path
+from vrcaps.recording.walls import wall_path
 from vrcaps.render.channels import CHANNELS
 from vrcaps.transforms import rotate_vectors
 from vrcaps.units import UM
@@ -203,14 +201,10 @@ def _stored_wall(
     """The wall of a frame, ready for rays, if it is whole."""
     path, where = episode.wall_path(frame), wall_path(frame)
     try:
-        vertices = read_wall(path)
+        vertices = episode.stored_wall(frame)
     except (OSError, ValueError) as error:
         what = "is missing" if not path.exists() else f"cannot be read ({error})"
         return None, [Problem(where, what)]
-    expected = (episode.head["wall"]["num_vertices"], 3)
-    if vertices.shape != expected or vertices.dtype != np.float32:
-        found = f"holds {vertices.dtype} {vertices.shape}, not float32 {expected}"
-        return None, [Problem(where, found)]
     if not np.isfinite(vertices).all():
         return None, [Problem(where, "holds vertices that are not finite")]
     if organ is None or len(organ.vertices) != len(vertices):
@@ -219,12 +213,14 @@ def _stored_wall(
 
 
 def _check_extras(episode: Episode) -> Iterator[Problem]:
-    for name in (SHEET_PNG, PREVIEW_MP4):
-        path = episode.path / name
-        if name == PREVIEW_MP4 and "rgb" not in episode.channels:
-            continue
+    for path, read in pictures_of(episode).items():
         if not path.is_file() or path.stat().st_size == 0:
-            yield Problem(name, "is missing or empty")
+            yield Problem(path.name, "is missing or empty")
+            continue
+        try:
+            read()
+        except (OSError, ValueError) as error:
+            yield Problem(path.name, f"cannot be read ({error})")
 
 
 def _read_images(
@@ -233,21 +229,12 @@ def _read_images(
     """Stored numbers of each channel that is there, readable and of the right size."""
     images, problems = {}, []
     for channel in episode.channels:
-        path, encoding = episode.image_path(camera.name, channel, frame), CHANNELS[channel].encoding
-        where = str(path.relative_to(episode.path))
-        shape = (camera.height, camera.width)
-        shape += (encoding.planes,) if encoding.planes > 1 else ()
+        path = episode.image_path(camera.name, channel, frame)
         try:
-            stored = read_image(path)
+            images[channel] = episode.stored_image(camera.name, channel, frame)
         except (OSError, ValueError) as error:
             what = "is missing" if not path.exists() else f"cannot be read ({error})"
-            problems.append(Problem(where, what))
-            continue
-        if stored.shape != shape or stored.dtype != encoding.dtype:
-            found = f"{stored.dtype} {stored.shape}, not {encoding.dtype} {shape}"
-            problems.append(Problem(where, f"holds {found}"))
-            continue
-        images[channel] = stored
+            problems.append(Problem(str(path.relative_to(episode.path)), what))
     return images, problems
 
 

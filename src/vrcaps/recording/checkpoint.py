@@ -4,14 +4,11 @@ from __future__ import annotations
 
 import json
 import shutil
-import zipfile
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
 from vrcaps.errors import InputError
-from vrcaps.files import atomic_write, write_json
+from vrcaps.files import read_arrays, sync_folder, write_arrays, write_json
 from vrcaps.motion.motion import MotionState
 from vrcaps.recording.table import FrameTable, read_table, write_table
 
@@ -37,9 +34,9 @@ def write_checkpoint(episode: Path, checkpoint: Checkpoint) -> None:
     folder = episode / _FOLDER
     folder.mkdir(exist_ok=True)
     arrays, table = _paths(folder, checkpoint.motion.frame)
-    with atomic_write(arrays) as temporary, temporary.open("wb") as file:
-        np.savez_compressed(file, **checkpoint.motion.arrays)  # pyright: ignore[reportArgumentType]
+    write_arrays(arrays, checkpoint.motion.arrays)
     write_table(table, checkpoint.table)
+    sync_folder(folder)  # the files are there before the index says so
     write_json(folder / _INDEX, {"frame": checkpoint.motion.frame})
     for path in folder.iterdir():
         if path not in (arrays, table, folder / _INDEX):
@@ -58,10 +55,8 @@ def read_checkpoint(episode: Path) -> Checkpoint | None:
     try:
         frame = int(json.loads((folder / _INDEX).read_text(encoding="utf-8"))["frame"])
         path, table = _paths(folder, frame)
-        with np.load(path) as file:
-            arrays = dict(file)
-        return Checkpoint(MotionState(frame, arrays), read_table(table))
-    except (OSError, ValueError, LookupError, TypeError, zipfile.BadZipFile) as error:
+        return Checkpoint(MotionState(frame, read_arrays(path)), read_table(table))
+    except (OSError, ValueError, LookupError, TypeError) as error:
         raise InputError(
             f"{folder} is damaged ({error}). Delete it to simulate from the beginning; images that "
             "are there are kept."

@@ -29,7 +29,7 @@ from vrcaps.render.channels import CHANNELS, Frame
 from vrcaps.scenario.scenario import MOST_FRAMES, Scenario, scenario_from_plain
 
 if TYPE_CHECKING:
-    from jaxtyping import Float
+    from jaxtyping import Float, Float32
     from numpy.typing import NDArray
 
 
@@ -156,11 +156,26 @@ class Episode:
         """
         path = self.image_path(camera, channel, frame)
         try:
-            return CHANNELS[channel].encoding.decode(read_image(path))
+            return CHANNELS[channel].encoding.decode(self.stored_image(camera, channel, frame))
         except (OSError, ValueError) as error:
             raise InputError(
                 f"Cannot read {path} ({error}). `vrcaps check {self.path}` lists all faults."
             ) from error
+
+    def stored_image(self, camera: str, channel: str, frame: int) -> NDArray:
+        """The numbers of an image as its file holds them.
+
+        Raises:
+            OSError: If the file cannot be read.
+            ValueError: If it is no image, or one of another size or type.
+        """
+        stored = read_image(self.image_path(camera, channel, frame))
+        encoding, own = CHANNELS[channel].encoding, self.camera(camera)
+        shape = (own.height, own.width, *((encoding.planes,) if encoding.planes > 1 else ()))
+        if stored.shape != shape or stored.dtype != encoding.dtype:
+            found = f"{stored.dtype} {stored.shape}"
+            raise ValueError(f"it holds {found}, not {encoding.dtype} {shape}")
+        return stored
 
     def frame(self, index: int, camera: str | None = None) -> Frame:
         """All recorded channels of one image, of the first camera unless another is named."""
@@ -184,7 +199,7 @@ class Episode:
         """
         path = self.wall_path(index)
         try:
-            vertices = read_wall(path)
+            vertices = self.stored_wall(index)
         except (OSError, ValueError) as error:
             raise InputError(
                 f"Cannot read {path} ({error}). `vrcaps check {self.path}` lists all faults."
@@ -195,6 +210,19 @@ class Episode:
                 f"{ORGAN_GLB}. `vrcaps check {self.path}` lists all faults."
             )
         return replace(self.organ, vertices=vertices.astype(float))
+
+    def stored_wall(self, frame: int) -> Float32[np.ndarray, "k 3"]:
+        """The vertices of a frame's wall as its file holds them [m].
+
+        Raises:
+            OSError: If the file cannot be read.
+            ValueError: If it is no such array.
+        """
+        vertices = read_wall(self.wall_path(frame))
+        shape = (self.head["wall"]["num_vertices"], 3)
+        if vertices.shape != shape or vertices.dtype != np.float32:
+            raise ValueError(f"it holds {vertices.dtype} {vertices.shape}, not float32 {shape}")
+        return vertices
 
     def wall_path(self, frame: int) -> Path:
         """Where the wall of a frame is stored.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 from fractions import Fraction
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -55,3 +56,22 @@ class Preview:
         self._container.mux(self._stream.encode(None))
         self._container.close()
         return self._buffer.getvalue()
+
+
+def require_preview(path: Path, frames: int) -> None:
+    """Check that a file is a video of so many frames.
+
+    Raises:
+        OSError: If it cannot be read.
+        ValueError: If it is no such video.
+    """
+    import av
+    from av.error import FFmpegError
+
+    try:
+        with av.open(str(path)) as container:
+            found = container.streams.video[0].frames
+    except (FFmpegError, IndexError) as error:
+        raise ValueError(f"no whole video: {error}") from error
+    if found != frames:
+        raise ValueError(f"a video of {found} frames, not {frames}")

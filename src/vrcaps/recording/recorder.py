@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import os
 import time
 from collections import deque
 from collections.abc import Callable
@@ -16,13 +17,14 @@ import numpy as np
 
 from vrcaps.camera_pipeline.capsule_cameras import CAPTURED, CapsuleCameras
 from vrcaps.errors import InputError
-from vrcaps.files import TEMPORARY, write_bytes, write_json
+from vrcaps.files import TEMPORARY, sync_folder, write_bytes, write_json
 from vrcaps.recording.checkpoint import (
     Checkpoint,
     read_checkpoint,
     remove_checkpoint,
     write_checkpoint,
 )
+from vrcaps.recording.damage import remove_damaged
 from vrcaps.recording.episode import Episode, read_episode
 from vrcaps.recording.image_files import write_images
 from vrcaps.recording.layout import (
@@ -36,6 +38,7 @@ from vrcaps.recording.layout import (
     make_head,
     read_head,
 )
+from vrcaps.recording.lock import LOCK, recording_lock
 from vrcaps.recording.pictures import contact_sheet
 from vrcaps.recording.preview import Preview
 from vrcaps.recording.sensing import SensorReadings
@@ -85,18 +88,22 @@ def record(
             cannot be written; what was there before stays as it was.
     """
     out = Path(out)
-    scenario = resolve(with_stored_organ(scenario, out))
-    _require_free(out, scenario)
-    model, motion = build(scenario)
-    head = make_head(scenario, model, motion.notes)
-    try:
-        _begin(out, head)
-        if not (out / ORGAN_GLB).exists():
-            _write_organ(out, model)
-        _write_frames(out, _Recording(out, scenario, model, motion, progress or _silent, simulated))
-        _finish(out, head)
-    except OSError as error:
-        raise _explained(out, error) from error
+    _require_free(out)
+    with recording_lock(out):
+        scenario = resolve(with_stored_organ(scenario, out))
+        _require_same(out, scenario)
+        model, motion = build(scenario)
+        head = make_head(scenario, model, motion.notes)
+        try:
+            _begin(out, head)
+            remove_damaged(read_episode(out, unfinished=True))
+            run = _Recording(out, scenario, model, motion, progress or _silent, simulated)
+            if not (out / ORGAN_GLB).exists():
+                _write_organ(out, model)
+            _write_frames(out, run)
+            _finish(out, head)
+        except OSError as error:
+            raise _explained(out, error) from error
     return out
 
 
@@ -154,8 +161,8 @@ def _silent(done: int, total: int) -> None:
     """Report nothing."""
 
 
-def _require_free(out: Path, scenario: Scenario) -> None:
-    """Check that a folder is new, empty or an episode of the same scenario.
+def _require_free(out: Path) -> None:
+    """Check that a folder is new, empty or an episode.
 
     Raises:
         InputError: If it is not.
@@ -164,17 +171,25 @@ def _require_free(out: Path, scenario: Scenario) -> None:
         return
     if not out.is_dir():
         raise InputError(f"{out} is a file. Give a new or empty folder.")
-    leftovers = set(out.glob(f".{EPISODE_JSON}.*{TEMPORARY}"))  # of a run that was killed
-    leftovers.add(out / SOURCE_ORGAN)
+    leftovers = {out / SOURCE_ORGAN, out / LOCK}  # of a run that was killed
+    for name in (SOURCE_ORGAN, EPISODE_JSON):
+        leftovers.update(out.glob(f".{name}.*{TEMPORARY}"))
     names = sorted(path.name for path in out.iterdir() if path not in leftovers)
-    if not names:
-        return
-    if EPISODE_JSON not in names:
+    if names and EPISODE_JSON not in names:
         raise InputError(
             f"{out} holds something else ({names[0]!r}, …). Give a new or empty folder."
         )
-    head = read_head(out)
-    if head.get("scenario") != scenario_to_plain(scenario):
+
+
+def _require_same(out: Path, scenario: Scenario) -> None:
+    """Check that an episode in a folder is of a scenario.
+
+    Raises:
+        InputError: If it is not.
+    """
+    if not (out / EPISODE_JSON).exists():
+        return
+    if read_head(out).get("scenario") != scenario_to_plain(scenario):
         raise InputError(
             f"{out} holds an episode of a different scenario. Give a new or empty folder; "
             f"to go on with that episode, record {out / EPISODE_JSON}."
@@ -185,7 +200,6 @@ def _begin(out: Path, head: dict[str, Any]) -> None:
     """Make the folder an episode, or check that it is exactly this one."""
     path = out / EPISODE_JSON
     if not path.exists():
-        out.mkdir(parents=True, exist_ok=True)
         write_json(path, {"status": RECORDING, **head})
     before = read_head(out)
     before.pop("status", None)
@@ -351,6 +365,8 @@ def _finish(out: Path, head: dict[str, Any]) -> None:
     remove_checkpoint(out)
     for leftover in out.rglob(f".*{TEMPORARY}"):  # of a run that was killed
         leftover.unlink()
+    for folder, _, _ in os.walk(out):
+        sync_folder(Path(folder))
     write_json(out / EPISODE_JSON, {"status": COMPLETE, **head})
 
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from vrcaps.errors import InputError, require
+from vrcaps.files import read_arrays, write_arrays
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -58,9 +59,8 @@ class Snapshot:
 
 
 def write_snapshot(path: Path, snapshot: Snapshot) -> None:
-    """Write a snapshot as a NumPy archive (.npz)."""
-    with path.open("wb") as file:
-        np.savez_compressed(file, **snapshot_arrays(snapshot))  # pyright: ignore[reportArgumentType]
+    """Write a snapshot as a NumPy archive (.npz), whole or not at all."""
+    write_arrays(path, snapshot_arrays(snapshot))
 
 
 def read_snapshot(path: Path) -> Snapshot:
@@ -70,9 +70,8 @@ def read_snapshot(path: Path) -> Snapshot:
         InputError: If the file is not a snapshot.
     """
     try:
-        with np.load(path) as file:
-            return snapshot_from_arrays(file)
-    except (OSError, ValueError, KeyError) as error:
+        return snapshot_from_arrays(read_arrays(path))
+    except (OSError, ValueError) as error:
         raise InputError(f"{path} is no snapshot of a world: {error}.") from error
 
 
@@ -85,9 +84,15 @@ def snapshot_from_arrays(arrays: Mapping[str, np.ndarray]) -> Snapshot:
     """The snapshot that `snapshot_arrays` took apart.
 
     Raises:
-        KeyError: If an array is missing.
+        ValueError: If an array is missing, or has another type or more than one number.
     """
+    missing = [f.name for f in fields(Snapshot) if f.name not in arrays]
+    if missing:
+        raise ValueError(f"it lacks {missing[0]}")
     own: dict[str, Any] = {f.name: arrays[f.name] for f in fields(Snapshot)}
+    for name, value in own.items():
+        if value.dtype.kind not in "biuf":
+            raise ValueError(f"{name} does not hold numbers")
     for name in ("seed", "time", "began"):
         own[name] = own[name].item()
     return Snapshot(**own)

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.interpolate import BSpline
+from scipy.spatial import ConvexHull
+from scipy.spatial.distance import pdist
 
 from vrcaps.geometry import smoothstep
 from vrcaps.lesion.base import AppearanceSample, LesionSite, WallSamples, mix
@@ -19,6 +21,8 @@ if TYPE_CHECKING:
 _BORDER_FRACTION = 0.0125
 """Edge of the triangles on the footprint's border, in its radii: the mask, which keeps to whole
 triangles, then covers what the footprint covers to 0.5 %."""
+_SIZING_ROUNDS = 3
+"""Rounds in which a profile is fitted to a size; each leaves a tenth of the error."""
 
 
 class FocalForm:
@@ -108,7 +112,11 @@ class ProfileForm(FocalForm):
         waviness: Of its outline.
         upright: Whether it stands on a plane, or follows the wall's curvature.
         lobes: RMS height and distance of its lobes [m].
-        lean: How far its top stands aside, in heights, patient frame.
+        lean: How far it stands aside at the head's middle, in heights squared over the whole
+            height, patient frame.
+        size: Largest diameter across the axis [m], of a head on a stalk that of the head: the
+            profile is made so much wider or narrower that its irregularities leave it this wide.
+            None takes the profile as it is.
     """
 
     def __init__(
@@ -121,17 +129,40 @@ class ProfileForm(FocalForm):
         upright: bool,
         lobes: tuple[float, float],
         lean: Float[np.ndarray, " 3"] | None = None,
+        size: float | None = None,
     ) -> None:
         super().__init__(site, float(control[0, 0]), rng, waviness=waviness)
-        widest = float(max(control[:, 0].max(), self.radius))
-        self.edge_length = float(np.clip(widest / 11.0, 0.12 * MM, 0.7 * MM))
-        self._r, self._z, length = turned_profile(control)
-        self._radial = length / length[-1]
-        self._length = float(length[-1])
         self._upright = upright
         self._lobe_height = lobes[0]
         self._lobes = low_pass(lobes[1], rng)
         self._lean = np.zeros(3) if lean is None else lean
+        self._set_profile(control)
+        for _ in range(_SIZING_ROUNDS if size is not None else 0):
+            control = control * (size / self._diameter_across(), 1.0)
+            self._set_profile(control)
+
+    def _set_profile(self, control: Float[np.ndarray, "k 2"]) -> None:
+        self.radius = float(control[0, 0])
+        self.border_length = _BORDER_FRACTION * self.radius
+        self.edge_length = float(np.clip(control[:, 0].max() / 11.0, 0.12 * MM, 0.7 * MM))
+        self._r, self._z, length = turned_profile(control)
+        self._radial = length / length[-1]
+        self._length = float(length[-1])
+        self._neck = _neck(self._r)
+
+    def _diameter_across(self) -> float:
+        """Largest diameter across the axis [m], above the neck, on a flat wall."""
+        radial, angle = np.meshgrid(
+            np.linspace(0.0, 1.0 - 1e-6, 80), np.linspace(-np.pi, np.pi, 73)[:-1]
+        )
+        direction = np.stack([np.cos(angle.ravel()), np.sin(angle.ravel())], axis=1)
+        stretch = 1.0 + self._waviness * self._outline(angle.ravel())
+        xy = (radial.ravel() * stretch * self.radius)[:, None] * direction
+        normal = np.broadcast_to(self.site.axes[:, 2], (len(xy), 3))
+        rest = self.site.center + xy @ self.site.axes[:, :2].T
+        points = self.displaced(WallSamples(xy, rest, normal, normal)) - self.site.center
+        head = (points @ self.site.axes[:, :2])[radial.ravel() <= self._radial[self._neck]]
+        return float(pdist(head[ConvexHull(head).vertices]).max())
 
     def displaced(self, wall: WallSamples) -> Float[np.ndarray, "n 3"]:
         """Positions [m] on the turned profile, with lobes."""
@@ -145,9 +176,11 @@ class ProfileForm(FocalForm):
         base = mix(wall.rest, plane, standing)
         axis = mix(wall.normal, np.broadcast_to(self.site.axes[:, 2], wall.normal.shape), standing)
         axis /= np.linalg.norm(axis, axis=1, keepdims=True)
-        highest = float(np.abs(self._z).max())
         points = base + (r - rho)[:, None] * outward + z[:, None] * axis
-        points += (z**2 / max(highest, 1e-9))[:, None] * self._lean
+        # The stalk bends; the head is moved as a whole, or it would be sheared wider.
+        neck = max(float(self._z[self._neck]), 1e-9)
+        aside = self._z[self._r.argmax()] ** 2 / max(float(np.abs(self._z).max()), 1e-9)
+        points += aside * np.clip(z / neck, 0.0, 1.0)[:, None] ** 2 * self._lean
         lobes = self._lobes(points - self.site.center) * self._lobe_height
         lobes *= smoothstep((1.0 - radial) / 0.35)
         points += lobes[:, None] * self._facing(radial, outward, axis)
@@ -166,6 +199,12 @@ class ProfileForm(FocalForm):
         rim = stretch * self.radius
         length = np.where(rho < rim, rho / rim * self._length, self._length + (rho - rim))
         return length[:, None] * direction
+
+
+def _neck(r: Float[np.ndarray, " n"]) -> int:
+    """Sample of a profile, from the top, where a head is on its stalk; the last without a stalk."""
+    below = np.flatnonzero((r < 0.5 * r.max()) & (np.arange(len(r)) > r.argmax()))
+    return int(below[0]) if len(below) else len(r) - 1
 
 
 def turned_profile(

@@ -96,7 +96,7 @@ class Polyp(SizedLesion):
 
     Attributes:
         shape: Paris type.
-        size: Largest diameter [m], 2 to 30 mm.
+        size: Largest diameter across, of Ip that of the head [m], 2 to 30 mm.
         pattern: Kind of surface, see `SURFACES`.
     """
 
@@ -157,6 +157,7 @@ class PolypForm(ProfileForm):
             upright=polyp.shape in ("Ip", "Is"),
             lobes=(surface.lobes * polyp.size * flatness, surface.lobe_spacing * polyp.size),
             lean=lean * float(polyp.shape == "Ip"),
+            size=polyp.size,
         )
         self._pattern = band_pass(surface.wavelength, rng)
         self._mottle = fbm(max(0.3 * polyp.size, 1.5 * MM), rng)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import dataclasses
 import os
 import shutil
@@ -155,6 +156,45 @@ def test_changed_parameters_or_statements_are_another_file(monkeypatch, tmp_path
     assert digest(commented.replace("Twice x", "x, doubled"), {"a": 1}) == first
     assert digest(CODE.replace("SIZE = 3", "SIZE = 4"), {"a": 1}) != first
     assert digest(CODE.replace("2 * x", "3 * x"), {"a": 1}) != first
+
+
+def test_every_module_that_makers_import_counts():
+    """Without those that only types need; a new module must be named in the cache."""
+    package = Path(cache.__file__).parents[1]
+    counted = {path.resolve() for path in cache._files(package)}
+    missing = {
+        found.relative_to(package).as_posix()
+        for path in counted - {package / "scenario" / "build.py"}
+        for found in _imported(path, package)
+        if found not in counted
+    }
+    assert missing == set()
+
+
+def _imported(path: Path, package: Path) -> set[Path]:
+    """Modules of the package that a module imports, other than for type checkers."""
+    tree, found = ast.parse(path.read_bytes()), set()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.If) and getattr(node.test, "id", "") == "TYPE_CHECKING":
+            node.body = []
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("vrcaps."):
+            place = package.joinpath(*str(node.module).split(".")[1:])
+            inside = [place / f"{alias.name}.py" for alias in node.names]
+            found |= {p for p in (place.with_suffix(".py"), *inside) if p.is_file()}
+    return found
+
+
+def test_versions_of_packages_and_the_core_count(monkeypatch):
+    monkeypatch.setattr(cache, "_files", lambda _: [])
+    cache._code_digest.cache_clear()
+    first = cache.fingerprint({})
+    for name, other in (("versions", lambda _: {"numpy": "0"}), ("core_sha256", lambda: "other")):
+        with monkeypatch.context() as patch:
+            patch.setattr(cache, name, other)
+            cache._code_digest.cache_clear()
+            assert cache.fingerprint({}) != first
+    cache._code_digest.cache_clear()
 
 
 def _all_but_python(folder: str, names: list[str]) -> list[str]:

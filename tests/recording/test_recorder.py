@@ -17,6 +17,7 @@ import pytest
 from vrcaps import _core
 from vrcaps.camera_pipeline.capsule_cameras import CapsuleCameras
 from vrcaps.errors import InputError
+from vrcaps.files import file_sha256
 from vrcaps.recording.check import check_episode
 from vrcaps.recording.episode import read_episode
 from vrcaps.recording.recorder import record
@@ -172,10 +173,18 @@ def test_different_scenario_is_refused(recorded, scenario):
 def test_different_device_or_version_is_refused(scenario, tmp_path):
     out = record(replace(scenario, frames=1, channels=("rgb",)), tmp_path / "episode")
     head = json.loads((out / "episode.json").read_text())
-    for key, value in (("vrcaps_version", "0.0.0"), ("cameras", []), ("extra", 1)):
+    other = {**head["made_with"], "numpy": "1.0"}
+    for key, value, match in (
+        ("vrcaps_version", "0.0.0", r"another vrcaps_version, vrcaps 0\.0\.0 \(here "),
+        ("made_with", other, r"another made_with, numpy 1\.0 \(here \d.*\): bytes may differ"),
+        ("made_with", None, r"another made_with, core_sha256 unknown \(here "),
+        ("cameras", [], r"another cameras\. Give a new"),
+        ("extra", 1, r"another a key\."),
+    ):
         (out / "episode.json").write_text(json.dumps({**head, key: value}))
-        with pytest.raises(InputError, match=r"made with another (vrcaps_version|cameras|a key)"):
+        with pytest.raises(InputError, match=match):
             record(replace(scenario, frames=1, channels=("rgb",)), out)
+    assert head["made_with"]["core_sha256"] == file_sha256(Path(_core.__file__))
 
 
 def test_empty_folder_and_single_channel(scenario, tmp_path):

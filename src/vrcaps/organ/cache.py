@@ -17,8 +17,8 @@ from typing import Any
 import numpy as np
 from platformdirs import user_cache_path
 
-from vrcaps import _core
 from vrcaps.files import TEMPORARY, atomic_write, read_arrays
+from vrcaps.made_with import ORGAN_PACKAGES, core_sha256, versions
 from vrcaps.organ.arrays import organ_from_arrays, organ_to_arrays
 from vrcaps.organ.surface import OrganSurface
 
@@ -28,8 +28,11 @@ _BROKEN = (OSError, ValueError, LookupError, TypeError, AttributeError)
 _MAKERS = ("mesh", "organ", "mucosa", "anatomy", "lesion")
 """Packages whose code decides what an organ is."""
 
-_MAKER_MODULES = ("color", "geometry", "rng", "transforms", "units")
-"""Modules of the top level that they use."""
+_MAKER_MODULES = (
+    *("color", "errors", "files", "geometry", "limits", "made_with", "rng", "transforms", "units"),
+    "scenario/build",
+)
+"""Other modules that they use, and the one that calls them."""
 
 _MOST_BYTES = 20 * 10**9
 """Size of the kept organs beyond which those that were not used for longest are removed."""
@@ -81,7 +84,7 @@ def cached_organ(name: str, make: Callable[[], OrganSurface]) -> OrganSurface:
 
 
 def fingerprint(parameters: dict[str, Any]) -> str:
-    """Changes with the parameters and with the code, compiled or not, that makes organs.
+    """Changes with the parameters, and with the code and the packages that make organs.
 
     Comments, docstrings and formatting of that code do not count.
     """
@@ -92,16 +95,20 @@ def fingerprint(parameters: dict[str, Any]) -> str:
 
 @cache
 def _code_digest(package: Path) -> bytes:
-    """Checksum of the statements that make organs, and of the compiled core."""
-    files = [path for name in _MAKERS for path in (package / name).rglob("*.py")]
-    files += [package / f"{name}.py" for name in _MAKER_MODULES]
+    """Checksum of the statements that make organs, of the compiled core and of the packages."""
     digest = hashlib.sha256()
-    for path in sorted(files):
+    for path in _files(package):
         digest.update(path.relative_to(package).as_posix().encode())
         code = compile(path.read_bytes(), path.name, "exec", optimize=2, dont_inherit=True)
         digest.update(_instructions(code).encode())
-    digest.update(Path(_core.__file__).read_bytes())
+    digest.update(json.dumps([core_sha256(), versions(ORGAN_PACKAGES)]).encode())
     return digest.digest()
+
+
+def _files(package: Path) -> list[Path]:
+    """Source files whose statements make organs."""
+    files = [path for name in _MAKERS for path in (package / name).rglob("*.py")]
+    return sorted([*files, *(package / f"{name}.py" for name in _MAKER_MODULES)])
 
 
 def _instructions(code: CodeType) -> str:
@@ -118,7 +125,9 @@ def _instructions(code: CodeType) -> str:
         else:
             constants.append(repr(constant))
     names = (code.co_names, code.co_varnames, code.co_freevars, code.co_cellvars)
-    return f"{code.co_name} {code.co_flags} {names} {code.co_code.hex()} {constants}"
+    counts = (code.co_flags, code.co_argcount, code.co_posonlyargcount, code.co_kwonlyargcount)
+    instructions = code.co_code.hex() + code.co_exceptiontable.hex()
+    return f"{code.co_name} {counts} {names} {instructions} {constants}"
 
 
 def _write_organ(path: Path, organ: OrganSurface) -> None:

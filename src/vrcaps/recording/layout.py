@@ -11,6 +11,7 @@ from vrcaps import _core
 from vrcaps.camera.camera import Camera
 from vrcaps.capsule.device import Device
 from vrcaps.errors import InputError
+from vrcaps.made_with import EPISODE_PACKAGES, core_sha256, versions
 from vrcaps.organ.arrays import json_safe
 from vrcaps.recording.walls import wall_to_plain
 from vrcaps.render.channels import CHANNELS
@@ -42,6 +43,7 @@ def make_head(scenario: Scenario, model: Model, notes: tuple[str, ...]) -> dict[
     return {
         "format": FORMAT,
         "vrcaps_version": _core.__version__,
+        "made_with": _made_with(scenario),
         "seed": scenario.seed,
         "frames": scenario.frames,
         "fps": scenario.fps,
@@ -74,6 +76,14 @@ def make_head(scenario: Scenario, model: Model, notes: tuple[str, ...]) -> dict[
         **sensors_to_plain(scenario.sensors, model),
         "motion_notes": list(notes),
     }
+
+
+def _made_with(scenario: Scenario) -> dict[str, str]:
+    """What the bytes depend on beside the scenario: the core, and the packages that it needs."""
+    unused = {"pyoidn"} if not scenario.render.denoise else set()
+    unused |= {"potpourri3d"} if not scenario.lesions else set()
+    packages = versions(tuple(name for name in EPISODE_PACKAGES if name not in unused))
+    return {"core_sha256": core_sha256(), **packages}
 
 
 def _spectrum_to_plain(device: Device) -> dict[str, Any]:

@@ -207,14 +207,25 @@ def _begin(out: Path, head: dict[str, Any]) -> None:
     if changed or set(before) != set(head):
         what = changed[0] if changed else "a key"
         raise InputError(
-            f"{out} holds an episode of this scenario made with another {what}. "
-            "Give a new or empty folder."
+            f"{out} holds an episode of this scenario made with another {what}"
+            f"{_other_version(before, head)}. Give a new or empty folder."
         )
     for channel in head["channels"]:
         for camera in head["cameras"]:
             (out / camera["name"] / channel).mkdir(parents=True, exist_ok=True)
     if "wall" in head:
         (out / wall_path(0)).parent.mkdir(exist_ok=True)
+
+
+def _other_version(before: dict[str, Any], head: dict[str, Any]) -> str:
+    """Which program made an episode and which one is here, for messages; empty where it is one."""
+    made = before.get("made_with")
+    then = {"vrcaps": before.get("vrcaps_version"), **(made if isinstance(made, dict) else {})}
+    now = {"vrcaps": head["vrcaps_version"], **head["made_with"]}
+    for name in now:
+        if then.get(name) != now[name]:
+            return f", {name} {then.get(name) or 'unknown'} (here {now[name]}): bytes may differ"
+    return ""
 
 
 def _write_organ(out: Path, model: Model) -> None:

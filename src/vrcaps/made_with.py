@@ -1,0 +1,35 @@
+"""What bytes depend on beside the input: the compiled core and the packages that compute."""
+
+from __future__ import annotations
+
+import hashlib
+from functools import cache
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+from vrcaps import _core
+
+ORGAN_PACKAGES = ("numpy", "potpourri3d", "scikit-image", "scipy", "trimesh", "xatlas")
+"""Packages that compute an organ."""
+
+EPISODE_PACKAGES = (*ORGAN_PACKAGES, "av", "matplotlib", "pillow", "pyarrow", "pyoidn")
+"""Packages that compute or write a file of an episode."""
+
+
+@cache
+def core_sha256() -> str:
+    """SHA-256 checksum of the compiled core, in hexadecimal."""
+    return hashlib.sha256(Path(_core.__file__).read_bytes()).hexdigest()
+
+
+def versions(packages: tuple[str, ...]) -> dict[str, str]:
+    """Versions of packages, empty where one is not installed."""
+    return {name: _version(name) for name in packages}
+
+
+@cache
+def _version(name: str) -> str:
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return ""

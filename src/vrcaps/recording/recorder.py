@@ -222,9 +222,9 @@ def _other_version(before: dict[str, Any], head: dict[str, Any]) -> str:
     made = before.get("made_with")
     then = {"vrcaps": before.get("vrcaps_version"), **(made if isinstance(made, dict) else {})}
     now = {"vrcaps": head["vrcaps_version"], **head["made_with"]}
-    for name in now:
-        if then.get(name) != now[name]:
-            return f", {name} {then.get(name) or 'unknown'} (here {now[name]}): bytes may differ"
+    for name, here in now.items():
+        if then.get(name) != here:
+            return f", {name} {then.get(name) or 'unknown'} (here {here}): bytes may differ"
     return ""
 
 

@@ -15,7 +15,7 @@ LAYERS = (
     ("_core",),
     ("units", "errors", "rng", "transforms", "color"),
     ("catalog_folder", "files", "geometry"),
-    ("decimals", "limits", "plain_files", "file_ref"),
+    ("decimals", "limits", "plain_files", "file_ref", "made_with"),
     ("serialization",),
     ("mesh",),
     ("organ",),

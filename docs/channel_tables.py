@@ -58,6 +58,8 @@ def _value(channel: Channel) -> str:
     encoding, meaning = channel.encoding, channel.meaning
     if encoding.is_mask:
         return f"255 where the {meaning}"
+    if encoding.is_packed:
+        return f"{meaning}: R + 256 G + 65536 B − 1"
     if encoding.scale is None:
         return channel.description if not _unit(channel) else f"{meaning} [{channel.unit}]"
     zero = round(-encoding.offset / encoding.scale)

@@ -8,6 +8,7 @@ mod camera_pipeline;
 mod cpu;
 mod lumen;
 mod magnet;
+mod metrics;
 mod mucosa;
 mod poses;
 mod recording;
@@ -45,6 +46,7 @@ fn _core(m: &Bound<'_, PyModule>) -> PyResult<()> {
     m.add_function(wrap_pyfunction!(render::frame::render, m)?)?;
     m.add_function(wrap_pyfunction!(render::path::subsurface::walk_tissue, m)?)?;
     m.add_function(wrap_pyfunction!(render::channels::encode_srgb, m)?)?;
+    m.add_function(wrap_pyfunction!(metrics::coverage::mark_seen, m)?)?;
     m.add_function(wrap_pyfunction!(recording::png::write_pngs, m)?)?;
     m.add_function(wrap_pyfunction!(recording::png::encode_pngs, m)?)?;
     m.add_function(wrap_pyfunction!(recording::png::decode_pngs, m)?)?;

@@ -360,6 +360,16 @@ def render(
     paths: tuple[int, int, int] | None = None,
     radiosity: Radiosity | None = None,
 ) -> None: ...
+def mark_seen(
+    walls: Sequence[Wall],
+    rays: RayTable,
+    pixels_per_steradian: NDArray[np.float32],
+    poses: NDArray[np.float64],
+    seen: NDArray[np.uint8],
+    *,
+    min_density: float,
+    min_cosine: float,
+) -> None: ...
 def walk_tissue(
     wall: Wall,
     origin: tuple[float, float, float],

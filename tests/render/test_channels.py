@@ -31,9 +31,9 @@ def test_every_channel_is_declared_consistently(channel):
     assert channel.meaning and channel.unit == encoding.unit
     kind = np.dtype(channel.dtype).kind
     assert encoding.is_mask == (kind == "b")
-    assert (encoding.scale is None) == (kind in "bu" or encoding.suffix == ".npy")
+    assert (encoding.scale is None) == (kind in "bui" or encoding.suffix == ".npy")
     assert channel.shape(31, 17) == _shape(channel.name)
-    assert channel.is_categorical == (kind in "bu" and channel.display != "image")
+    assert channel.is_categorical == (kind in "bui" and channel.display != "image")
     assert bool(channel.needs) == (channel.stage == "motion")
     if channel.class_names:
         assert channel.display == "classes" and channel.unit == "class"

@@ -23,6 +23,7 @@ _VERBS = {
     "demo": ("vrcaps.cli.demo", "Demo", "Record a labeled run through a generated colon."),
     "record": ("vrcaps.cli.record", "Record", "Record your own organ, capsule and motion."),
     "check": ("vrcaps.cli.check", "Check", "Verify an episode."),
+    "coverage": ("vrcaps.cli.coverage", "Coverage", "Measure how much of the organ was seen."),
     "organ list": ("vrcaps.cli.organ_list", "List", "List organs, lesions, mucosae, capsules."),
     "organ inspect": ("vrcaps.cli.organ", "Inspect", "Measure and draw an organ."),
     "organ from-ct": ("vrcaps.cli.from_ct", "FromCt", "Make organs from a CT scan or labels."),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -64,6 +64,10 @@ class Record:
     set: UseAppendAction[tuple[str, ...]] = ()
     """Change any value of the scenario: PATH=VALUE, such as motion.tilt=0.1; repeat for more."""
 
+    coverage: bool = False
+    """Measure how much of the organ the images show, as vrcaps coverage does; adds the channels
+    that this needs."""
+
     list_settings: bool = False
     """Print all values that --set can change, and stop."""
 
@@ -83,6 +87,10 @@ class Record:
         if self.out is None:
             raise InputError("--out is missing. Give the folder of the episode.")
         run_recording(self.resolved(), self.out, threads=self.threads)
+        if self.coverage:
+            from vrcaps.cli.coverage import Coverage
+
+            Coverage(self.out).run()
 
     def resolved(self) -> Scenario:
         """The scenario of the file with the changes of the flags.
@@ -103,7 +111,7 @@ class Record:
         lesions = self._lesions(scenario)
         if lesions:
             scenario = scenario_from_plain(changed(plain, "lesions", lesions), units=is_toml)
-        return scenario
+        return _with_coverage_channels(scenario) if self.coverage else scenario
 
     def _lesions(self, scenario: Scenario) -> list[Any]:
         """Plain form of the scenario's lesions and those of the flags; empty without new ones."""
@@ -116,6 +124,13 @@ class Record:
         seed, name = (organ.seed, organ.name) if is_generated else (scenario.seed, "")
         new = chosen_lesions(self.organ.lesion, self.organ.lesions, seed, name)
         return to_plain((*scenario.lesions, *new), tuple[AnyLesion, ...]) if new else []
+
+
+def _with_coverage_channels(scenario: Scenario) -> Scenario:
+    from vrcaps.tools.coverage.episode_coverage import COVERAGE_CHANNELS
+
+    missing = (name for name in COVERAGE_CHANNELS if name not in scenario.channels)
+    return replace(scenario, channels=(*scenario.channels, *missing))
 
 
 def setting_lines() -> Iterator[str]:

@@ -37,6 +37,8 @@ def picture(
         return values
     if display in ("classes", "numbers"):
         return _class_colors()[values.astype(int) % 256]
+    if display == "index":
+        return np.where(values[..., None] < 0, _BACKGROUND, _class_colors()[values % 255 + 1])
     if display == "mask":
         return np.repeat(np.where(values, np.uint8(255), np.uint8(64))[..., None], 3, axis=-1)
     low, high = limits

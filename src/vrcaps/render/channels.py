@@ -14,19 +14,22 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from vrcaps.render.encoding import Encoding, distance, fixed_point, flow, numbers
+from vrcaps.render.encoding import Encoding, distance, fixed_point, flow, index, numbers
 from vrcaps.units import UM
 
 if TYPE_CHECKING:
-    from jaxtyping import Bool, Float, UInt8, UInt16
+    from jaxtyping import Bool, Float, Int, UInt8, UInt16
 
 Stage = Literal["core", "motion", "dome"]
 """Where a channel is computed: in the compiled core (one pass), by comparing neighboring frames,
 or by the camera pipeline, which knows what lies on the dome."""
 
-Display = Literal["image", "color", "vector", "scalar", "classes", "numbers", "mask", "flow"]
+Display = Literal[
+    "image", "color", "vector", "scalar", "classes", "numbers", "index", "mask", "flow"
+]
 """How a channel is shown: as it is, as linear color, as vector components, by a color map, as
-distinct colors of classes or of numbers, as black and white, as hue of a direction."""
+distinct colors of classes, of numbers or of places in a list, as black and white, as hue of a
+direction."""
 
 
 @dataclass(frozen=True)
@@ -79,7 +82,7 @@ class Channel:
     @property
     def is_categorical(self) -> bool:
         """Whether its values stand for things, so that neighbors must not be averaged."""
-        return self.display in ("classes", "numbers", "mask")
+        return self.display in ("classes", "numbers", "index", "mask")
 
     def shape(self, height: int, width: int) -> tuple[int, ...]:
         """Shape of its array."""
@@ -101,7 +104,7 @@ class Frame:
     """What a camera sees: channels of one image; None where a channel was not asked for.
 
     Where a pixel sees no surface, float channels hold NaN (`rgb` and `radiance` are black,
-    `label` and `instance` are 0).
+    `label` and `instance` are 0, `face` is −1).
     """
 
     rgb: UInt8[np.ndarray, "h w 3"] | None = channel(
@@ -160,6 +163,9 @@ class Frame:
         Encoding("m", "float32", 3, ".npy", invalid="NaN"),
         "vector",
         limits=_ALL,
+    )
+    face: Int[np.ndarray, "h w"] | None = channel(
+        "int32", "triangle of the wall, by its place in `organ.glb` from 0", index(), "index"
     )
     flow_forward: Float[np.ndarray, "h w 2"] | None = channel(
         "float32",

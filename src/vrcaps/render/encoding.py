@@ -27,6 +27,8 @@ class Encoding:
         offset: Value of a stored 0.
         invalid: Stored number that means no value; NaN for stored floats.
         is_mask: Whether the value is true (stored 255) or false (0).
+        is_packed: Whether a whole number + 1 is stored as three bytes, the lowest first, so that
+            0 means −1: no number.
     """
 
     unit: str
@@ -37,11 +39,12 @@ class Encoding:
     offset: float = 0.0
     invalid: int | str | None = None
     is_mask: bool = False
+    is_packed: bool = False
 
     @property
     def planes(self) -> int:
         """Numbers stored per pixel: a flow has a third, 1 where it is valid and 0 where not."""
-        return 3 if self.components == 2 else self.components
+        return 3 if self.components == 2 or self.is_packed else self.components
 
     def path(self, camera: str, channel: str, frame: int) -> str:
         """Path of an image in its episode."""
@@ -54,6 +57,8 @@ class Encoding:
         """
         if self.is_mask:
             return np.where(values, np.uint8(255), np.uint8(0))
+        if self.is_packed:
+            return np.stack([(values + 1) >> shift for shift in (0, 8, 16)], -1).astype(np.uint8)
         if self.scale is None:
             return np.ascontiguousarray(values, self.dtype)
         steps = _core.quantize(np.ascontiguousarray(values), self.scale, self.offset)
@@ -66,6 +71,9 @@ class Encoding:
         """Values of stored numbers: float32 with NaN where invalid, or as they are stored."""
         if self.is_mask:
             return stored > 127
+        if self.is_packed:
+            low, middle, high = np.moveaxis(stored.astype(np.int32), -1, 0)
+            return low + (middle << 8) + (high << 16) - 1
         if self.scale is None:
             return stored
         steps = stored[..., :2] if self.components == 2 else stored
@@ -77,6 +85,8 @@ class Encoding:
         """Pixels [h w] whose stored numbers mean no value."""
         if self.components == 2:
             return stored[..., -1] == 0
+        if self.is_packed:
+            return (stored == 0).all(axis=-1)
         return (stored == 0).any(axis=-1) if stored.ndim == 3 else stored == 0
 
 
@@ -99,3 +109,8 @@ def distance() -> Encoding:
 def flow() -> Encoding:
     """As in KITTI's flow files: 1/64 px steps around 32768, third plane 1 where valid."""
     return fixed_point("px", 1.0 / 64.0, offset=-512.0, components=2)
+
+
+def index() -> Encoding:
+    """Whole numbers from 0 to 2²⁴ − 2, −1 where there is none, as the bytes of a color image."""
+    return Encoding("number", "uint8", 1, invalid=0, is_packed=True)

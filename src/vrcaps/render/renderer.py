@@ -34,7 +34,6 @@ DEFAULT_CHANNELS = ("rgb", "depth", "ray_distance", "normal", "label", "instance
 """A complete labeled frame."""
 
 _MATERIAL_POINT: dict[str, tuple[type[np.generic], tuple[int, ...]]] = {
-    "face": (np.int32, ()),
     "weights": (np.float32, (2,)),
 }
 """Further arrays that the core fills, where on the wall a pixel's point is: dtype and what follows

@@ -1,0 +1,3 @@
+//! Measures of what cameras see.
+
+pub mod coverage;

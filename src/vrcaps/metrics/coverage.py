@@ -1,0 +1,252 @@
+"""Coverage: the fraction of an organ's wall that cameras have seen, at four levels.
+
+A level says when a part of the wall counts as seen. Parts are material: a triangle counts with its
+area at rest, so that a moving wall does not change what was seen.
+
+- ``frustum``: a vertex is in the image and near enough; walls hide nothing, and all vertices count
+  alike (VR-Caps, Incetan et al., Medical Image Analysis 2021). Kept to compare with its figures.
+- ``visible``: a triangle is the first thing that some pixel sees.
+- ``resolved``: visible in a pixel that sees it close and steeply enough to show detail.
+- ``readable``: resolved in a pixel that is well exposed, sharp, and looks through no liquid.
+
+Each of the last three levels contains the next.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import numpy as np
+
+from vrcaps.camera.rays import camera_rays, project_points, unproject_pixels
+from vrcaps.errors import InputError
+from vrcaps.limits import Range, check_fields
+from vrcaps.transforms import invert, transform_points
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Int, UInt8
+
+    from vrcaps.camera.camera import Camera
+
+CoverageLevel = Literal["frustum", "visible", "resolved", "readable"]
+COVERAGE_LEVELS: tuple[CoverageLevel, ...] = ("frustum", "visible", "resolved", "readable")
+
+_GRAY_WEIGHTS = np.array([0.299, 0.587, 0.114])
+"""Gray level of encoded red, green and blue (ITU-R BT.601-7)."""
+
+
+@dataclass(frozen=True)
+class CoverageCriteria:
+    """When a part of the wall counts as seen.
+
+    Attributes:
+        max_depth: Farthest depth of a vertex at the level `frustum` [m]. VR-Caps sets 0.4 to 0.55
+            of its units, which its scenes hold for decimeters.
+        min_pixel_density: Fewest pixels on an area of the wall at `resolved` [1/m²]. Four a
+            square millimeter show two points 1 mm apart (sampling theorem).
+        max_incidence: Largest angle between the wall's normal and the ray at `resolved` [rad].
+        min_gray: Darkest gray level of a well exposed pixel, as a fraction of white.
+        max_gray: Brightest one.
+        max_blur_px: Widest blur of a sharp pixel [px].
+    """
+
+    max_depth: Annotated[float, Range(above=0.0, below=math.inf, unit="m")] = 0.05
+    min_pixel_density: Annotated[float, Range(least=0.0, unit="pixels/m²")] = 4e6
+    max_incidence: Annotated[float, Range(above=0.0, most=math.pi / 2, unit="rad")] = math.radians(
+        70.0
+    )
+    min_gray: Annotated[float, Range(0.0, 1.0)] = 0.08
+    max_gray: Annotated[float, Range(0.0, 1.0)] = 0.95
+    max_blur_px: Annotated[float, Range(above=0.0, unit="px")] = 3.0
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+        if not self.min_gray < self.max_gray:
+            raise InputError(
+                f"CoverageCriteria's min_gray is {self.min_gray}. Allowed: below max_gray, "
+                f"{self.max_gray}."
+            )
+
+
+def pixel_solid_angles(camera: Camera) -> Float[np.ndarray, "h w"]:
+    """Solid angle of each pixel [sr]; NaN where the lens sees nothing.
+
+    It is ``|∂d/∂u × ∂d/∂v|`` of the unit ray d, by differences over a pixel; at the edge of the
+    field, over the half that the lens sees.
+    """
+    columns, rows = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
+    pixels = np.stack([columns, rows], -1).astype(float)
+    along = [_ray_derivative(camera, pixels, step) for step in ((0.5, 0.0), (0.0, 0.5))]
+    return np.linalg.norm(np.cross(*along), axis=-1)
+
+
+def _ray_derivative(camera: Camera, pixels: np.ndarray, step: tuple[float, float]) -> np.ndarray:
+    before, here, after = (
+        unproject_pixels(camera, pixels + k * np.array(step)) for k in (-1, 0, 1)
+    )
+    both = after - before
+    one_side = 2.0 * np.where(np.isfinite(after), after - here, here - before)
+    return np.where(np.isfinite(both), both, one_side)
+
+
+def vertices_in_frustum(
+    camera: Camera,
+    T_world_camera: Float[np.ndarray, "4 4"],
+    vertices_world: Float[np.ndarray, "n 3"],
+    max_depth: float,
+) -> Bool[np.ndarray, " n"]:
+    """Whether each vertex is in a camera's image and in front of it, up to a depth [m].
+
+    Nothing hides a vertex. This is how VR-Caps counts.
+
+    Args:
+        camera: Its lens and image bound the frustum.
+        T_world_camera: Its pose.
+        vertices_world: Vertices of the wall [m].
+        max_depth: Farthest z in the camera frame [m].
+    """
+    points = transform_points(invert(T_world_camera), vertices_world)
+    inside = (points[:, 2] > 0.0) & (points[:, 2] <= max_depth)
+    pixels = project_points(camera, points[inside])
+    column, row = pixels.T
+    in_image = (column >= -0.5) & (column < camera.width - 0.5)
+    in_image &= (row >= -0.5) & (row < camera.height - 0.5)
+    inside[inside] = in_image  # comparisons with NaN are false
+    return inside
+
+
+def resolved_pixels(
+    camera: Camera,
+    ray_distance: Float[np.ndarray, "h w"],
+    normal_camera: Float[np.ndarray, "h w 3"],
+    criteria: CoverageCriteria,
+) -> Bool[np.ndarray, "h w"]:
+    """Whether each pixel sees the wall close and steeply enough to show detail.
+
+    A pixel of the solid angle Ω sees an area ``d² Ω / cos θ`` at the distance d and incidence θ.
+
+    Args:
+        camera: It sees them.
+        ray_distance: Distance along each pixel's ray [m].
+        normal_camera: Unit normal of the wall in the camera frame, facing the camera.
+        criteria: Least density and largest incidence.
+    """
+    cosine = -np.einsum("hwc,hwc->hw", normal_camera, camera_rays(camera))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        density = cosine / (ray_distance**2 * pixel_solid_angles(camera))
+        return (density >= criteria.min_pixel_density) & (
+            cosine >= math.cos(criteria.max_incidence)
+        )
+
+
+def readable_pixels(
+    rgb: UInt8[np.ndarray, "h w 3"],
+    criteria: CoverageCriteria,
+    *,
+    foreground_label: UInt8[np.ndarray, "h w"] | None = None,
+    blur_px: Float[np.ndarray, "h w"] | None = None,
+) -> Bool[np.ndarray, "h w"]:
+    """Whether each pixel is well exposed, sharp, and looks through no bubble or liquid.
+
+    Args:
+        rgb: sRGB image.
+        criteria: Gray levels and blur allowed.
+        foreground_label: As the channel of `Frame`; None: nothing is in the way.
+        blur_px: Width of the blur at each pixel [px]; None: all is sharp.
+    """
+    gray = rgb @ (_GRAY_WEIGHTS / 255.0)
+    readable = (gray >= criteria.min_gray) & (gray <= criteria.max_gray)
+    if foreground_label is not None:
+        readable &= foreground_label == 0
+    if blur_px is not None:
+        readable &= ~(blur_px > criteria.max_blur_px)
+    return readable
+
+
+def seen_faces(
+    face: Int[np.ndarray, "h w"],
+    num_faces: int,
+    counts: Bool[np.ndarray, "h w"] | None = None,
+) -> Bool[np.ndarray, " num_faces"]:
+    """Whether each triangle is the first thing that a pixel sees.
+
+    Args:
+        face: Triangle that each pixel sees; −1 for none.
+        num_faces: Of the wall.
+        counts: Pixels that count; None: all.
+
+    Raises:
+        InputError: If the image holds a triangle that the wall does not have.
+    """
+    shown = face if counts is None else face[counts]
+    if shown.size and int(shown.max()) >= num_faces:
+        raise InputError(
+            f"The image shows triangle {shown.max()} of a wall of {num_faces}. Give the wall that "
+            "was rendered."
+        )
+    seen = np.zeros(num_faces, bool)
+    seen[shown[shown >= 0]] = True
+    return seen
+
+
+class CoverageMap:
+    """Which triangles of a wall have been seen, and since when, at each level.
+
+    The level `frustum` counts vertices, all alike; the others count triangles by area.
+
+    Example:
+        >>> coverage = CoverageMap(face_areas(mesh), num_vertices=len(mesh.vertices))
+        >>> coverage.add({"visible": seen_faces(frame.face, len(mesh.faces))}, index=0)
+        >>> coverage.fraction("visible")
+
+    Attributes:
+        weights: For each level, what each vertex or triangle counts; they add up to 1.
+        first_seen: For each level, index of the first view that shows a vertex or triangle; −1:
+            none does.
+    """
+
+    def __init__(self, area: Float[np.ndarray, " m"], num_vertices: int) -> None:
+        """Begins with nothing seen.
+
+        Args:
+            area: Of each triangle at rest [m²].
+            num_vertices: Of the wall.
+        """
+        by_area = np.asarray(area, float) / np.sum(area)
+        alike = np.full(num_vertices, 1.0 / num_vertices)
+        self.weights = {
+            level: alike if level == "frustum" else by_area for level in COVERAGE_LEVELS
+        }
+        self.first_seen = {
+            level: np.full(len(weights), -1, np.int32) for level, weights in self.weights.items()
+        }
+
+    def add(self, seen: Mapping[CoverageLevel, Bool[np.ndarray, " k"]], index: int) -> None:
+        """Add what a view shows.
+
+        Args:
+            seen: Vertices at `frustum`, triangles at the other levels.
+            index: Number of the view, from 0, in the order of time.
+        """
+        for level, shown in seen.items():
+            first = self.first_seen[level]
+            first[shown & (first < 0)] = index
+
+    def seen(self, level: CoverageLevel) -> Bool[np.ndarray, " k"]:
+        """Vertices or triangles seen so far."""
+        return self.first_seen[level] >= 0
+
+    def fraction(self, level: CoverageLevel, part: Bool[np.ndarray, " k"] | None = None) -> float:
+        """Fraction seen so far, of a part or the whole; 0 of nothing."""
+        weights = self.weights[level] if part is None else self.weights[level] * part
+        whole = float(weights.sum())
+        return float(weights[self.seen(level)].sum()) / whole if whole > 0.0 else 0.0
+
+    def over_views(self, level: CoverageLevel, num_views: int) -> Float[np.ndarray, " num_views"]:
+        """Fraction seen after each view."""
+        seen = self.seen(level)
+        first, weights = self.first_seen[level][seen], self.weights[level][seen]
+        return np.cumsum(np.bincount(first, weights, minlength=num_views))

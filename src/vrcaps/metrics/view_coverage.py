@@ -1,0 +1,89 @@
+"""What many views of a camera see of a wall, without images: the batched form of `coverage`."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vrcaps import _core
+from vrcaps.camera.derive import scaled_camera
+from vrcaps.camera.rays import camera_rays
+from vrcaps.metrics.coverage import CoverageCriteria, CoverageLevel, pixel_solid_angles
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float
+
+    from vrcaps.camera.camera import Camera
+
+_FLAGS: dict[CoverageLevel, int] = {"visible": 1, "resolved": 2}
+
+
+class ViewCoverage:
+    """A camera that marks the triangles it sees from poses, at `visible` and `resolved`.
+
+    It casts fewer rays than the camera has pixels; the density of pixels on the wall is still the
+    camera's own. Incidence is that on the flat triangle.
+
+    Example:
+        >>> views = ViewCoverage(camera, width=128)
+        >>> seen = views.seen([model.wall], Ts_world_camera, len(organ.faces))["visible"]
+    """
+
+    def __init__(
+        self, camera: Camera, criteria: CoverageCriteria | None = None, width: int | None = None
+    ) -> None:
+        """Prepares the rays.
+
+        Args:
+            camera: The camera.
+            criteria: When the wall is resolved.
+            width: Columns of rays; rows follow from the image's sides. None: one ray per pixel.
+        """
+        self.criteria = criteria or CoverageCriteria()
+        sampled = camera if width is None else scaled_camera(camera, width / camera.width)
+        solid_angles = pixel_solid_angles(sampled) * (sampled.width * sampled.height)
+        solid_angles /= camera.width * camera.height
+        density = np.nan_to_num(1.0 / solid_angles, posinf=0.0)
+        self._rays = _core.RayTable(camera_rays(sampled))
+        self._density = np.ascontiguousarray(density, np.float32)
+
+    def mark(
+        self,
+        walls: Sequence[_core.Wall],
+        Ts_world_camera: Float[np.ndarray, "n 4 4"],
+        flags: np.ndarray,
+    ) -> None:
+        """Set bit 0 of the triangles that are visible and bit 1 of those resolved.
+
+        Args:
+            walls: One for all poses, or one for each.
+            Ts_world_camera: Poses of the camera in the frame of the walls.
+            flags: Of each triangle, uint8 [n m]; [1 m] takes what any pose sees. Bits that are
+                set stay set.
+
+        Raises:
+            ValueError: If the numbers do not fit each other or a pose is not finite.
+        """
+        _core.mark_seen(
+            walls,
+            self._rays,
+            self._density,
+            np.ascontiguousarray(Ts_world_camera, float),
+            flags,
+            min_density=self.criteria.min_pixel_density,
+            min_cosine=math.cos(self.criteria.max_incidence),
+        )
+
+    def seen(
+        self,
+        walls: Sequence[_core.Wall],
+        Ts_world_camera: Float[np.ndarray, "n 4 4"],
+        num_faces: int,
+    ) -> dict[CoverageLevel, Bool[np.ndarray, " m"]]:
+        """Triangles that any of the poses sees, by level; arguments as of `mark`."""
+        flags = np.zeros((1, num_faces), np.uint8)
+        self.mark(walls, Ts_world_camera, flags)
+        return {level: (flags[0] & bit) != 0 for level, bit in _FLAGS.items()}

@@ -1,0 +1,148 @@
+"""Coverage of an episode, from its images."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vrcaps.errors import InputError
+from vrcaps.geometry import triangle_areas
+from vrcaps.metrics.coverage import (
+    CoverageCriteria,
+    CoverageLevel,
+    CoverageMap,
+    readable_pixels,
+    resolved_pixels,
+    seen_faces,
+    vertices_in_frustum,
+)
+from vrcaps.organ.read_organ import read_organ
+from vrcaps.organ.surface import OrganSurface
+from vrcaps.recording.layout import ORGAN_GLB
+from vrcaps.transforms import transform_points
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float
+
+    from vrcaps.camera.camera import Camera
+    from vrcaps.recording.episode import Episode
+    from vrcaps.render.channels import Frame
+
+COVERAGE_CHANNELS = ("rgb", "ray_distance", "normal", "face")
+"""Channels from which coverage is measured; `foreground_label` and `flow_forward` count, too,
+where they were recorded."""
+
+
+@dataclass(frozen=True)
+class EpisodeCoverage:
+    """What an episode shows of its organ.
+
+    Attributes:
+        organ: The organ at rest.
+        times: Time of each frame [s].
+        coverage: What was seen, and in which frame first.
+        criteria: When it counted.
+    """
+
+    organ: OrganSurface
+    times: Float[np.ndarray, " n"]
+    coverage: CoverageMap
+    criteria: CoverageCriteria
+
+    def over_time(self, level: CoverageLevel) -> Float[np.ndarray, " n"]:
+        """Fraction seen until each frame."""
+        return self.coverage.over_views(level, len(self.times))
+
+    def by_segment(self, level: CoverageLevel) -> dict[str, float]:
+        """Fraction seen of each segment."""
+        label = self.organ.label
+        if level != "frustum":
+            label = np.sort(label[self.organ.faces], axis=1)[:, 1]  # of most corners
+        return {
+            name: self.coverage.fraction(level, label == number)
+            for number, name in enumerate(self.organ.label_names)
+            if (label == number).any()
+        }
+
+
+def episode_coverage(
+    episode: Episode,
+    criteria: CoverageCriteria | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> EpisodeCoverage:
+    """Coverage of an episode over its frames, of all its cameras together.
+
+    A wall that moved counts where it was in each frame, but at `frustum` where the episode does
+    not hold its walls: there it is at rest.
+
+    Args:
+        episode: With the channels of `COVERAGE_CHANNELS`.
+        criteria: When the wall counts as seen.
+        progress: Called with the number of frames done and of all.
+
+    Raises:
+        InputError: If a channel was not recorded, or images show another wall.
+    """
+    missing = [name for name in COVERAGE_CHANNELS if name not in episode.channels]
+    if missing:
+        raise InputError(
+            f"{episode.path} holds no {', '.join(missing)}. Record it with --coverage, which adds "
+            f"the channels {', '.join(COVERAGE_CHANNELS)}."
+        )
+    criteria = criteria or CoverageCriteria()
+    organ = read_organ(episode.path / ORGAN_GLB)
+    area = triangle_areas(organ.vertices[organ.faces])
+    coverage = CoverageMap(area, len(organ.vertices))
+    T_world_patient = np.array(episode.head["T_world_patient"])
+    at_rest = transform_points(T_world_patient, organ.vertices)
+    for camera in episode.cameras:
+        poses = episode.Ts_world_camera(camera.name)
+        for index in range(len(episode)):
+            frame = episode.frame(index, camera.name)
+            seen = _seen(episode, camera, frame, criteria, len(organ.faces))
+            near = vertices_in_frustum(camera, poses[index], at_rest, criteria.max_depth)
+            coverage.add({**seen, "frustum": near}, index)
+            if progress is not None:
+                progress(index + 1, len(episode))
+    return EpisodeCoverage(organ, episode.times, coverage, criteria)
+
+
+def _seen(
+    episode: Episode, camera: Camera, frame: Frame, criteria: CoverageCriteria, num_faces: int
+) -> dict[CoverageLevel, Bool[np.ndarray, " m"]]:
+    """Triangles that an image shows, by level."""
+    assert frame.face is not None and frame.ray_distance is not None
+    assert frame.normal is not None and frame.rgb is not None
+    resolved = resolved_pixels(camera, frame.ray_distance, frame.normal, criteria)
+    readable = resolved & readable_pixels(
+        frame.rgb,
+        criteria,
+        foreground_label=frame.foreground_label,
+        blur_px=blur_px(episode, camera, frame),
+    )
+    return {
+        "visible": seen_faces(frame.face, num_faces),
+        "resolved": seen_faces(frame.face, num_faces, resolved),
+        "readable": seen_faces(frame.face, num_faces, readable),
+    }
+
+
+def blur_px(episode: Episode, camera: Camera, frame: Frame) -> Float[np.ndarray, "h w"] | None:
+    """Width of the blur by defocus and motion at each pixel [px]; None where neither is simulated.
+
+    The disk of defocus and the way of the image during the exposure add as squares. Motion counts
+    where `flow_forward` was recorded.
+    """
+    effects = episode.scenario.effects
+    focus, motion = effects.resolve("depth_of_field"), effects.resolve("motion_blur")
+    squares = []
+    if focus is not None and frame.ray_distance is not None:
+        squares.append((2.0 * focus.radius_px(camera, frame.ray_distance)) ** 2)
+    if motion is not None and frame.flow_forward is not None:
+        lit = min(motion.exposure_time, motion.led_pulse or np.inf)
+        shutter = min(lit * episode.head["fps"], 1.0)
+        squares.append(np.sum((shutter * np.nan_to_num(frame.flow_forward)) ** 2, axis=-1))
+    return np.sqrt(sum(squares)) if squares else None

@@ -1,0 +1,76 @@
+"""Coverage on disk: a table over time, and the organ with its coverage at each vertex."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vrcaps.files import atomic_write, write_bytes
+from vrcaps.metrics.coverage import COVERAGE_LEVELS
+from vrcaps.tools.coverage.episode_coverage import EpisodeCoverage
+
+if TYPE_CHECKING:
+    from jaxtyping import Int
+
+SEEN_COLOR, UNSEEN_COLOR = (64, 176, 80), (200, 48, 48)
+"""sRGB of what was seen and what was not, as VR-Caps draws them."""
+
+NUM_NESTED = len(COVERAGE_LEVELS) - 1
+
+
+def write_coverage_table(path: Path, found: EpisodeCoverage) -> None:
+    """Write fraction seen until each frame, a column for each level (Parquet).
+
+    Args:
+        path: File to write or replace.
+        found: Coverage of an episode.
+    """
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    columns: dict[str, np.ndarray] = {
+        "frame": np.arange(len(found.times)),
+        "time_s": np.asarray(found.times),
+    }
+    columns |= {level: found.over_time(level) for level in COVERAGE_LEVELS}
+    with atomic_write(path) as temporary:
+        pq.write_table(pa.table(columns), temporary)
+
+
+def write_coverage_mesh(path: Path, found: EpisodeCoverage) -> None:
+    """Write the organ with vertex colors and the vertex attributes `_COVERAGE` and `_FIRST_SEEN_S`.
+
+    `_COVERAGE` is 0 where a vertex was not seen, 1 visible, 2 resolved, 3 readable: the best of its
+    triangles. `_FIRST_SEEN_S` is when it was first visible [s]; −1: never.
+
+    Args:
+        path: GLB file to write or replace.
+        found: Coverage of an episode.
+    """
+    import trimesh
+
+    organ, first = found.organ, found.coverage.first_seen["visible"]
+    level = vertex_level(found)
+    seen = first >= 0
+    time = np.full(len(organ.vertices), np.inf)
+    times = np.repeat(np.asarray(found.times)[first[seen]], 3)
+    np.minimum.at(time, organ.faces[seen].ravel(), times)
+    colors = np.where(level[:, None] > 0, SEEN_COLOR, UNSEEN_COLOR).astype(np.uint8)
+    mesh = trimesh.Trimesh(organ.vertices, organ.faces, vertex_colors=colors, process=False)
+    mesh.vertex_attributes["_COVERAGE"] = level.astype(np.float32)
+    mesh.vertex_attributes["_FIRST_SEEN_S"] = np.where(np.isfinite(time), time, -1.0).astype(
+        np.float32
+    )
+    data = mesh.export(file_type="glb")
+    assert isinstance(data, bytes)
+    write_bytes(path, data)
+
+
+def vertex_level(found: EpisodeCoverage) -> Int[np.ndarray, " n"]:
+    """Best level of each vertex's triangles: 0 unseen, 1 visible, 2 resolved, 3 readable."""
+    level = np.zeros(len(found.organ.vertices), np.int32)
+    for number, name in enumerate(COVERAGE_LEVELS[1:], start=1):
+        level[found.organ.faces[found.coverage.seen(name)].ravel()] = number
+    return level

@@ -12,8 +12,10 @@ from scipy.ndimage import map_coordinates
 from vrcaps.anatomy.colon import ColonParameters, generate_colon
 from vrcaps.anatomy.colon import course as course_module
 from vrcaps.anatomy.colon import generate as generate_module
-from vrcaps.anatomy.colon.course import count_flexures, generate_course
+from vrcaps.anatomy.colon.course import colon_rng, count_flexures, generate_course
 from vrcaps.anatomy.colon.parameters import SEGMENTS
+from vrcaps.anatomy.colon.shape import draw_colon_wall, wall_radius
+from vrcaps.anatomy.full_tract.patient import colon_at
 from vrcaps.anatomy.tube_mesh.tube import Course, make_tube
 from vrcaps.errors import InputError
 from vrcaps.mesh.mesh import Mesh
@@ -334,3 +336,25 @@ def test_a_colon_that_does_not_fit_is_refused(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(generate_module, "_NUM_TRIES", 1)
     with pytest.raises(InputError, match="that does not cut itself"):
         generate_colon(dataclasses.replace(ColonParameters(), triangles=SMALL), seed=0)
+
+
+def test_a_collapsed_colon_closes_to_pleats_between_pockets_of_gas():
+    """Over half of its length the pleats' crests are within 1.5 mm of the middle, and the wall is
+    thrown into folds: its girth is still half of that under gas."""
+    least, girths = [], []
+    for distension in ("inflated", "collapsed"):
+        parameters, rng = colon_at(ColonParameters(), distension), colon_rng(0)
+        wall = draw_colon_wall(parameters, make_tube(generate_course(parameters, rng)), rng)
+        s, theta = np.meshgrid(
+            np.linspace(0.05, parameters.length - 0.05, 300),
+            np.linspace(-np.pi, np.pi, 120, endpoint=False),
+            indexing="ij",
+        )
+        radius = wall_radius(wall, s.ravel(), theta.ravel()).reshape(s.shape)
+        around = radius * np.exp(1j * theta)
+        least.append(radius.min(axis=1))
+        girths.append(np.abs(np.diff(around, axis=1)).sum(axis=1))
+    assert least[0].min() > 5.0 * MM
+    assert 0.4 < np.mean(least[1] < 1.5 * MM) < 0.8
+    assert least[1].max() > 8.0 * MM
+    assert np.median(girths[1] / girths[0]) > 0.5

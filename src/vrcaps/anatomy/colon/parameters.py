@@ -73,6 +73,8 @@ class ColonParameters:
         valve_height: Height of the three valves of Houston in the rectum [m].
         ileocaecal_height: Height of the ileocaecal valve's lips over the wall [m].
         roughness: Standard deviation of the smooth irregularity of the wall [m].
+        closing: How far the slack wall closes between pockets of gas: 0 not at all, 1 to a star of
+            pleats that nearly touch.
         triangles: Approximate number of triangles.
     """
 
@@ -93,6 +95,7 @@ class ColonParameters:
     valve_height: float = 13 * MM
     ileocaecal_height: float = 11 * MM
     roughness: float = 0.35 * MM
+    closing: Annotated[float, Range(0.0, 1.0)] = 0.0
     triangles: Annotated[int, Range(20_000, 5_000_000)] = 110_000
 
     def __post_init__(self) -> None:

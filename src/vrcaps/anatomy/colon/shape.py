@@ -2,7 +2,8 @@
 
 The lumen's cross-section is a star-shaped curve r(s, θ). Three taeniae run along it; in each
 of the three strips between them sacculations bulge outward, parted by semilunar folds whose
-crests are chords across the strip, so that three folds leave a triangular opening.
+crests are chords across the strip, so that three folds leave a triangular opening. Without gas
+the slack wall closes to a star of pleats, with pockets of gas left between.
 """
 
 from __future__ import annotations
@@ -27,6 +28,12 @@ if TYPE_CHECKING:
 
 _STRIP = 2.0 * np.pi / 3.0
 _ANAL_RADIUS = 9 * MM
+_PLEATS = 6
+"""Pleats of the closed wall around the lumen: one at each taenia and one in each strip."""
+_GAP = 0.9 * MM
+"""Distance of the pleats' crests from the centerline where the lumen is closed."""
+_SHRUNK = 0.8
+"""Radius of a closed stretch between its pleats, relative to that of a pocket of gas."""
 _VALVES_FROM_ANUS = (12 * CM, 9 * CM, 6.5 * CM)
 """The valves of Houston, upper, middle, lower (Gray's Anatomy: at 11 to 13, 8 to 9, 5 to 7 cm)."""
 
@@ -44,6 +51,8 @@ class ColonWall:
         ileocaecal: Arc length [m] and angle [rad] of the ileocaecal valve.
         diameter_waves: Slow relative variation of the diameter: (amplitude, 1/m, lobes, phase).
         relief_waves: Fine irregularity of the wall: (amplitude [m], 1/m, lobes, phase).
+        closing_waves: Where a lumen without gas is closed (above −0.5) and where some is left.
+        pleat_waves: Shift of its pleats around the lumen [rad].
     """
 
     parameters: ColonParameters
@@ -54,6 +63,8 @@ class ColonWall:
     ileocaecal: tuple[float, float]
     diameter_waves: Float[np.ndarray, "n 4"]
     relief_waves: Float[np.ndarray, "n 4"]
+    closing_waves: Float[np.ndarray, "n 4"]
+    pleat_waves: Float[np.ndarray, "n 4"]
 
 
 def draw_colon_wall(parameters: ColonParameters, tube: Tube, rng: np.random.Generator) -> ColonWall:
@@ -71,15 +82,22 @@ def draw_colon_wall(parameters: ColonParameters, tube: Tube, rng: np.random.Gene
     ileocaecal = (caecum, tube.angle_of(caecum, np.array([1.0, 0.4, 0.0])))
     diameter = draw_waves(rng, 14, (9 * CM, 40 * CM), 0.05, np.array([0, 0, 1, 2, 2, 3]))
     relief = draw_waves(rng, 60, (12 * MM, 60 * MM), parameters.roughness, np.arange(-9, 10))
+    valves = _draw_valves(parameters, tube, taenia_angle, rng)
+    closing = pleats = np.zeros((0, 4))
+    if parameters.closing:
+        closing = draw_waves(rng, 12, (8 * CM, 24 * CM), 1.0, np.array([0]))
+        pleats = draw_waves(rng, 16, (3 * CM, 12 * CM), 0.12, np.array([0, 1, 2, 3]))
     return ColonWall(
         parameters,
         tube,
         (strips[0], strips[1], strips[2]),
-        _draw_valves(parameters, tube, taenia_angle, rng),
+        valves,
         taenia_angle,
         ileocaecal,
         diameter,
         relief,
+        closing,
+        pleats,
     )
 
 
@@ -126,6 +144,8 @@ def wall_radius(
     relief = relief + fade * _ileocaecal_relief(wall, s, theta, radius)
     relief = relief + fade * sum_waves(wall.relief_waves, s, theta)
     radius = np.maximum(radius - relief, 0.3 * envelope)
+    if parameters.closing:
+        radius = _closed(wall, s, from_taenia, radius, fade)
     return within_bend(radius, curvature)
 
 
@@ -141,6 +161,18 @@ def wall_crests(wall: ColonWall, angles: Float[np.ndarray, " k"]) -> Crests:
         fraction = 1.3 * (1.0 - np.abs(offset) / folds.extent[:, None])
         weights.append(np.clip(fraction, 0.0, 1.0) ** 0.5)
     return Crests(np.concatenate(lines), np.concatenate(weights))
+
+
+def _closed(
+    wall: ColonWall, s: np.ndarray, from_taenia: np.ndarray, radius: np.ndarray, fade: np.ndarray
+) -> np.ndarray:
+    """Radius of a slack wall: closed to pleats that meet in the middle, but for pockets of gas."""
+    share = smoothstep(sum_waves(wall.closing_waves, s, np.zeros_like(s)) / 0.8 + 1.1)
+    around = from_taenia + sum_waves(wall.pleat_waves, s, from_taenia)
+    # 0 on the crests; their flanks are steep, so that crests are broad and the clefts narrow.
+    cleft = (0.5 - 0.5 * np.cos(_PLEATS * around)) ** 1.3
+    closed = _GAP + np.maximum(_SHRUNK * radius - _GAP, 0.0) * cleft
+    return radius + wall.parameters.closing * share * fade * (np.minimum(closed, radius) - radius)
 
 
 def _sacculation(wall: ColonWall, s: np.ndarray, from_taenia: np.ndarray) -> np.ndarray:

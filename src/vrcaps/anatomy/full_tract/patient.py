@@ -21,6 +21,9 @@ from vrcaps.units import CM
 COLON_DISTENSIONS = {"inflated": 1.0, "normal": 0.85, "collapsed": 0.65}
 """Diameters of the colon relative to that under gas, for which the published figures hold."""
 
+_PLEATED_TRIANGLES = 2
+"""Triangles of a closed colon per triangle of an open one: its pleats are narrower than folds."""
+
 
 @dataclass(frozen=True)
 class PatientAnatomy:
@@ -60,7 +63,10 @@ def draw_patient_anatomy(seed: int, distension: str | None = None) -> PatientAna
 
 
 def colon_at(parameters: ColonParameters, distension: str) -> ColonParameters:
-    """The same colon at another distension: narrower, its folds as high as the lumen allows."""
+    """The same colon at another distension: narrower, its folds as high as the lumen allows.
+
+    A collapsed one is closed between pockets of gas.
+    """
     factor = at_distension(COLON_DISTENSIONS, distension)
     if factor == 1.0:
         return parameters
@@ -70,6 +76,9 @@ def colon_at(parameters: ColonParameters, distension: str) -> ColonParameters:
         diameter = max(factor * segment.diameter, 2 * CM)
         height = segment.fold_height * min(1.0, factor / 0.85)
         segments[name] = replace(segment, diameter=diameter, fold_height=height)
+    if distension == "collapsed":
+        triangles = _PLEATED_TRIANGLES * parameters.triangles
+        return replace(parameters, **segments, closing=1.0, triangles=triangles)
     return replace(parameters, **segments)
 
 

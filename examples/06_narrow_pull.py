@@ -50,21 +50,21 @@ def main(out: Path, distance: float, start: float, substep: float) -> None:
     rows, views, here, hand = [], [], first, line.arc_length[first]
     count = round(distance / SPEED / STEP)
     for step in range(-round(LET_OUT / STEP), count):
-        state, speed = world.state, SPEED if step >= 0 else 0.0
+        speed = SPEED if step >= 0 else 0.0
         # The capsule is sought on the centerline near where it was, never on another loop.
         window = slice(max(0, here - 15), here + 16)
-        offset = state.T_world_capsule[:3, 3] - points[window]
+        offset = world.T_world_capsule[:3, 3] - points[window]
         nearest = int(np.argmin(np.linalg.norm(offset, axis=1)))
         here, along = window.start + nearest, tangents[window.start + nearest]
         place = line.arc_length[here] + offset[nearest] @ along
         hand += speed * STEP
-        pull = STIFFNESS * (hand - place) + DAMPING * (speed - state.linear_velocity_world @ along)
+        pull = STIFFNESS * (hand - place) + DAMPING * (speed - world.velocity_world[0] @ along)
         width = 1.0 + (DEFLATED - 1.0) * min(1.0, 1.0 + step * STEP / LET_OUT)
+        if step >= 0 and step % max(1, count // 6) == 0:
+            views.append((place - rows[0][0] if rows else 0.0, world.state))
         world.step(Control(force_world=pull * along, insufflation=width), STEP)
         if step >= 0:
-            rows.append((place, pull, world.state.contact.normal_force_total))
-        if step >= 0 and step % max(1, count // 6) == 0:
-            views.append((place - rows[0][0], state))
+            rows.append((place, pull, world.contact.normal_force_total))
 
     table = np.array(rows)
     table[:, 0] -= table[0, 0]

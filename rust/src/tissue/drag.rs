@@ -43,6 +43,15 @@ impl Drag {
         }
     }
 
+    /// How it grows with speed [N·s/m]; the printed law's jump aside.
+    pub fn slope(&self, speed: f64) -> f64 {
+        match self {
+            Drag::Printed(law) if speed <= law.threshold => 0.0,
+            Drag::Printed(law) | Drag::Continuous(law) => law.a * law.b / (law.b * speed + law.c),
+            Drag::Physical { .. } => 0.0,
+        }
+    }
+
     /// Whether the law is one of the two logarithmic ones.
     pub fn is_logarithmic(&self) -> bool {
         !matches!(self, Drag::Physical { .. })

@@ -8,7 +8,7 @@
 use super::body::{Axis, Body, Motion};
 use super::contact::Facet;
 use super::contact_patch::FacetLoad;
-use super::solve::{Symmetric6, Twist};
+use super::solve::{Symmetric6, Twist, dot};
 use glam::DVec3;
 
 /// Radius of the barrier, as a share of the capsule's.
@@ -42,10 +42,6 @@ struct Block {
     impulse: f64,
 }
 
-fn product(a: &[f64; 6], b: &[f64; 6]) -> f64 {
-    a.iter().zip(b).map(|(x, y)| x * y).sum()
-}
-
 /// Keeps the triangles out of the barrier: adds to the `change` of twist of a substep of `dt` that
 /// `matrix` resists, and what it gave to the facet loads.
 pub fn keep_out(
@@ -70,7 +66,7 @@ pub fn keep_out(
     };
     for block in &mut blocks {
         block.answer = matrix.solve(block.lever);
-        block.excess += product(&block.lever, &after.to_array()) - block.normal.dot(block.velocity);
+        block.excess += dot(&block.lever, &after.to_array()) - block.normal.dot(block.velocity);
     }
     let more = settle(&mut blocks);
     facet_loads.extend(
@@ -124,8 +120,8 @@ fn settle(blocks: &mut [Block]) -> Twist {
     let mut change = [0.0; 6];
     for _ in 0..SWEEPS {
         for block in blocks.iter_mut() {
-            let own = product(&block.lever, &block.answer);
-            let left = block.excess + product(&block.lever, &change) - GIVE * own * block.impulse;
+            let own = dot(&block.lever, &block.answer);
+            let left = block.excess + dot(&block.lever, &change) - GIVE * own * block.impulse;
             let impulse = (block.impulse + left / ((1.0 + GIVE) * own)).max(0.0);
             let more = impulse - block.impulse;
             change.iter_mut().zip(&block.answer).for_each(|(x, answer)| *x -= more * answer);

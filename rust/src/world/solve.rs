@@ -35,7 +35,19 @@ impl std::ops::AddAssign for Twist {
 #[derive(Clone, Copy, Default)]
 pub struct Symmetric6(pub [[f64; 6]; 6]);
 
+/// Sum of the products of components.
+pub fn dot(a: &[f64; 6], b: &[f64; 6]) -> f64 {
+    a.iter().zip(b).map(|(x, y)| x * y).sum()
+}
+
 impl Symmetric6 {
+    /// The product `A x`.
+    pub fn times(&self, x: &[f64; 6]) -> [f64; 6] {
+        std::array::from_fn(|row| {
+            (0..6).map(|column| self.0[row.max(column)][row.min(column)] * x[column]).sum()
+        })
+    }
+
     /// Solves `A x = b` for a positive definite `A` by its Cholesky factor.
     pub fn solve(&self, b: [f64; 6]) -> [f64; 6] {
         let mut l = self.0;
@@ -82,9 +94,7 @@ mod tests {
             }
         }
         let x = [1.0, -2.0, 3.0, 0.5, -0.25, 4.0];
-        let full = |i: usize, j: usize| a.0[i.max(j)][i.min(j)];
-        let b = [0, 1, 2, 3, 4, 5].map(|i| (0..6).map(|j| full(i, j) * x[j]).sum::<f64>());
-        let solved = a.solve(b);
+        let solved = a.solve(a.times(&x));
         for i in 0..6 {
             assert!((solved[i] - x[i]).abs() < 1e-9);
         }

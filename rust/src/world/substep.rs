@@ -4,17 +4,15 @@ use super::barrier::keep_out;
 use super::body::{Body, Motion};
 use super::contact::{Facet, Indenter};
 use super::contact_patch::{FacetLoad, Patch, Samples};
+use super::friction::Resistance;
+use super::sliding::Grip;
 use super::solve::{Symmetric6, Twist};
 use crate::simd::f64x8::{LANES, Lane, sum};
 use crate::tissue::drag::Drag;
 use crate::tissue::spring_wall::ContactForce;
 use crate::tissue::winkler_foundation::WinklerFoundation;
-use glam::{DMat3, DVec3};
+use glam::DVec3;
 
-/// Sliding slower than this counts as creep under friction that does not suffice to slide [m/s].
-pub const CREEP: f64 = 1e-5;
-/// Solutions for friction that depends on the velocity it leads to.
-const FRICTION_ROUNDS: usize = 4;
 /// Parts of the capsule's length that push the wall as one, each by eighths of its girth.
 const PUSH_PARTS: usize = 5;
 const EIGHTHS: usize = 8;
@@ -50,10 +48,19 @@ pub struct Laws {
     pub viscosity: f64,
 }
 
+impl Laws {
+    /// Whether the wall resists sliding.
+    fn resist(&self) -> bool {
+        self.drag.friction() != 0.0 || self.viscosity != 0.0 || self.drag.is_logarithmic()
+    }
+}
+
 /// Linear system of one substep: `matrix · change = impulse`.
-struct System {
-    matrix: Symmetric6,
-    impulse: [f64; 6],
+pub struct System {
+    /// Inertia, and the wall's slopes.
+    pub matrix: Symmetric6,
+    /// Of all but friction and drag.
+    pub impulse: [f64; 6],
 }
 
 /// Fills `patch` with what the wall is pressed by.
@@ -73,7 +80,12 @@ pub fn substep(
     dt: f64,
 ) -> Reaction {
     let system = elastic_system(body, load, motion, patch, dt);
-    let (change, resistance) = solve_friction(&system, body, laws, motion, patch, dt);
+    let (change, resistance) = if laws.resist() && !patch.facet_loads.is_empty() {
+        let grip = Grip::new(&patch.facet_loads, laws.drag.friction(), motion.position);
+        Resistance { laws, body, motion, grip, dt }.solve(&system)
+    } else {
+        (Twist::from_array(system.matrix.solve(system.impulse)), Twist::default())
+    };
     let (moving, facet_loads) = ((body, &*motion), &mut patch.facet_loads);
     let change = keep_out(moving, barred, &system.matrix, change, facet_loads, dt);
     let before = *motion;
@@ -135,133 +147,6 @@ fn add_samples(sums: &mut Sums, samples: &[Samples], dt: f64) {
             }
         }
     }
-}
-
-/// Adds friction, implicit in the velocity it leads to: the backward rule neither slides back nor
-/// chatters, and at speed it has the full friction. Returns the change and the resistance at the
-/// center of mass.
-fn solve_friction(
-    system: &System,
-    body: &Body,
-    laws: &Laws,
-    m: &Motion,
-    patch: &Patch,
-    dt: f64,
-) -> (Twist, Twist) {
-    let mut change = Twist::from_array(system.matrix.solve(system.impulse));
-    let friction = laws.drag.friction();
-    let touches = !patch.facet_loads.is_empty();
-    if !touches || (friction == 0.0 && laws.viscosity == 0.0 && !laws.drag.is_logarithmic()) {
-        return (change, Twist::default());
-    }
-    let mut resistance = Twist::default();
-    for _ in 0..FRICTION_ROUNDS {
-        let guess = Twist {
-            linear: m.velocity + change.linear,
-            angular: m.angular_velocity + change.angular,
-        };
-        let mut terms = Resistance::new(m);
-        terms.add_drag(laws, body, &guess);
-        for on_facet in &patch.facet_loads {
-            terms.add_facet_load(on_facet, friction, &guess);
-        }
-        let next = Twist::from_array(terms.solve(system, m, dt));
-        let moved = (next.linear - change.linear).length()
-            + body.radius * (next.angular - change.angular).length();
-        change = next;
-        resistance = terms.force(m, change);
-        if moved < 1e-3 * CREEP {
-            break;
-        }
-    }
-    (change, resistance)
-}
-
-/// Resistances that are linear in velocity for one guess: `−D (v − wall)`.
-struct Resistance {
-    position: DVec3,
-    /// D, both rows and columns linear, then angular.
-    linear: DMat3,
-    mixed: DMat3,
-    angular: DMat3,
-    /// D times the wall's velocity.
-    wall: Twist,
-}
-
-impl Resistance {
-    fn new(m: &Motion) -> Self {
-        let zero = DMat3::ZERO;
-        Resistance {
-            position: m.position,
-            linear: zero,
-            mixed: zero,
-            angular: zero,
-            wall: Twist::default(),
-        }
-    }
-
-    /// Drag on the capsule as a whole.
-    fn add_drag(&mut self, laws: &Laws, body: &Body, guess: &Twist) {
-        let speed = guess.linear.length();
-        let by_speed = laws.drag.resistance(speed) / speed.max(CREEP) + laws.viscosity;
-        self.linear += DMat3::from_diagonal(DVec3::splat(by_speed));
-        let turning = laws.viscosity * body.radius * body.radius;
-        self.angular += DMat3::from_diagonal(DVec3::splat(turning));
-    }
-
-    /// Coulomb friction of one triangle.
-    fn add_facet_load(&mut self, on_facet: &FacetLoad, friction: f64, guess: &Twist) {
-        let arm = on_facet.center - self.position;
-        let slip = guess.linear + guess.angular.cross(arm) - on_facet.velocity;
-        let slip = slip - on_facet.normal * slip.dot(on_facet.normal);
-        let most = friction * on_facet.load;
-        let by_speed = most / slip.length().max(CREEP + on_facet.mobility * most);
-        let n = on_facet.normal;
-        let across = DMat3::from_cols(n * n.x, n * n.y, n * n.z);
-        let block = (DMat3::IDENTITY - across) * by_speed;
-        let lever = skew(arm);
-        self.linear += block;
-        self.mixed += lever * block;
-        self.angular -= lever * block * lever;
-        let dragged = block * on_facet.velocity;
-        self.wall.linear += dragged;
-        self.wall.angular += arm.cross(dragged);
-    }
-
-    /// `(A + dt D) δ = b − dt D v + dt D wall`.
-    fn solve(&self, system: &System, m: &Motion, dt: f64) -> [f64; 6] {
-        let mut matrix = system.matrix;
-        for row in 0..3 {
-            for column in 0..3 {
-                if column <= row {
-                    matrix.0[row][column] += dt * self.linear.col(column)[row];
-                    matrix.0[3 + row][3 + column] += dt * self.angular.col(column)[row];
-                }
-                matrix.0[3 + row][column] += dt * self.mixed.col(column)[row];
-            }
-        }
-        let held = self.force(m, Twist::default()).to_array();
-        let mut impulse = system.impulse;
-        impulse.iter_mut().zip(held).for_each(|(i, f)| *i += dt * f);
-        matrix.solve(impulse)
-    }
-
-    /// Force and torque after a change of twist.
-    fn force(&self, m: &Motion, change: Twist) -> Twist {
-        let (v, w) = (m.velocity + change.linear, m.angular_velocity + change.angular);
-        Twist {
-            linear: self.wall.linear - self.linear * v - self.mixed.transpose() * w,
-            angular: self.wall.angular - self.mixed * v - self.angular * w,
-        }
-    }
-}
-
-fn skew(a: DVec3) -> DMat3 {
-    DMat3::from_cols(
-        DVec3::new(0.0, a.z, -a.y),
-        DVec3::new(-a.z, 0.0, a.x),
-        DVec3::new(a.y, -a.x, 0.0),
-    )
 }
 
 /// The wall's part in the change of momentum, and the work of friction over the way gone.

@@ -5,7 +5,7 @@ use super::contact_patch::{FacetLoad, Samples};
 use super::coupling_state::ContactFace;
 use super::soft_wall::SoftWall;
 use super::solve::{Symmetric6, Twist};
-use super::substep::{CREEP, Reaction};
+use super::substep::Reaction;
 use crate::simd::f64x8::LANES;
 use glam::{DMat3, DVec3};
 
@@ -31,6 +31,7 @@ pub fn forces(soft: &mut SoftWall, stride: &Stride, touched: &mut Vec<ContactFac
         angular: after.angular_velocity - before.angular_velocity,
     };
     let change = change.to_array();
+    let twist = Twist { linear: after.velocity, angular: after.angular_velocity };
     let mut normals = vec![(0.0, DVec3::ZERO); soft.near.corners.len()];
     for (places, s) in soft.patch.lanes() {
         for i in 0..LANES {
@@ -44,7 +45,8 @@ pub fn forces(soft: &mut SoftWall, stride: &Stride, touched: &mut Vec<ContactFac
     touched.clear();
     for on_facet in &soft.patch.facet_loads {
         let (normal, force) = normals[on_facet.place as usize];
-        let (normal, tangent) = (f64::max(normal, 0.0), friction_on_wall(on_facet, stride));
+        let tangent = on_facet.friction_on_wall(stride.friction, before.position, &twist);
+        let normal = f64::max(normal, 0.0);
         let face = soft.near.faces[on_facet.place as usize];
         touched.push(ContactFace { face, normal, tangent });
         for (v, share) in shares(soft, on_facet) {
@@ -74,18 +76,6 @@ pub fn shares(soft: &SoftWall, on_facet: &FacetLoad) -> impl Iterator<Item = (us
         (q - on_facet.center).cross(r - on_facet.center).dot(normal) / normal.length_squared()
     };
     corners.into_iter().zip([part(b, c), part(c, a), part(a, b)])
-}
-
-/// Coulomb friction of one triangle on the wall, as the capsule's equations have it [N].
-fn friction_on_wall(on_facet: &FacetLoad, stride: &Stride) -> DVec3 {
-    if stride.friction == 0.0 {
-        return DVec3::ZERO;
-    }
-    let (m, arm) = (stride.after, on_facet.center - stride.before.position);
-    let slip = m.velocity + m.angular_velocity.cross(arm) - on_facet.velocity;
-    let slip = slip - on_facet.normal * slip.dot(on_facet.normal);
-    let most = stride.friction * on_facet.load;
-    slip * (most / slip.length().max(CREEP + on_facet.mobility * most))
 }
 
 /// Spreads over the touched corners what the triangles' forces lack of the wall's wrench on the

@@ -172,7 +172,7 @@ def _union_hook(converter: Converter, declared: Any, units: bool) -> Callable[[A
             if len(classes) > 1:
                 plain = dict(plain)
                 kind = plain.pop("kind", None)
-                if kind not in classes:
+                if not isinstance(kind, str) or kind not in classes:
                     raise _UnknownKindError(kind, classes)
                 cls = classes[kind]
             return converter.structure(plain, cls)

@@ -1,5 +1,7 @@
 """Mesh files are read as they are stored; what cannot be read is one clear line."""
 
+import base64
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -192,6 +194,62 @@ def test_cut_files_never_read_as_whole(tmp_path, extension, share):
     path.write_bytes(whole.read_bytes()[: int(share * whole.stat().st_size)])
     with pytest.raises(VrcapsError, match=r"^(Cannot read|.* is empty|.* has)"):
         read_mesh(path, unit="mm")
+
+
+def _write_gltf(path, change):
+    """A sphere as .gltf with its buffer in the document, its JSON changed."""
+    files = trimesh.exchange.gltf.export_gltf(
+        trimesh.Scene(trimesh.creation.icosphere(subdivisions=1)), merge_buffers=True
+    )
+    document = json.loads(files["model.gltf"])
+    (buffer,) = document["buffers"]
+    data = base64.b64encode(files[buffer["uri"]]).decode()
+    buffer["uri"] = f"data:application/octet-stream;base64,{data}"
+    change(document)
+    path.write_text(json.dumps(document))
+
+
+def test_a_gltf_with_its_data_inside_is_read(tmp_path):
+    _write_gltf(tmp_path / "a.gltf", lambda _: None)
+    assert len(read_mesh(tmp_path / "a.gltf", unit="m").faces) == 80
+
+
+@pytest.mark.parametrize(
+    ("change", "match"),
+    [
+        (
+            lambda d: d["buffers"][0].update(uri="../secret.bin"),
+            r"names '\.\./secret\.bin', which lies outside its folder",
+        ),
+        (lambda d: d["buffers"][0].update(uri="/etc/hosts"), "outside its folder"),
+        (lambda d: d["buffers"][0].update(uri="%2e%2e/secret.bin"), "outside its folder"),
+        (lambda d: d["buffers"][0].update(uri="file:///etc/hosts"), "outside its folder"),
+        (lambda d: d.update(images=[{"uri": "../a.png"}]), "outside its folder"),
+        (
+            lambda d: d["accessors"][0].update(count=10**15),
+            r"accessors\[0\]\.count is 1000000000000000, allowed are whole numbers from 0 to",
+        ),
+        (lambda d: d["accessors"][0].update(count=-3), r"accessors\[0\]\.count is -3"),
+        (lambda d: d["buffers"][0].update(byteLength=10**12), r"buffers\[0\]\.byteLength is"),
+        (lambda d: d["bufferViews"][0].update(byteLength=None), r"byteLength is None"),
+        (lambda d: d.update(nodes=[7]), "nodes is no list of objects"),
+    ],
+)
+def test_a_gltf_that_reaches_out_is_refused(tmp_path, change, match):
+    folder = tmp_path / "mine"
+    folder.mkdir()
+    (tmp_path / "secret.bin").write_bytes(bytes(10_000))
+    _write_gltf(folder / "a.gltf", change)
+    with pytest.raises(InputError, match=match):
+        read_mesh(folder / "a.gltf", unit="m")
+
+
+def test_text_of_a_glb_that_is_not_utf8_is_one_line(tmp_path):
+    trimesh.creation.icosphere(subdivisions=1).export(tmp_path / "a.glb")
+    data = (tmp_path / "a.glb").read_bytes()
+    (tmp_path / "a.glb").write_bytes(data.replace(b'"generator"', b'"gener\xff\xfeor"'))
+    with pytest.raises(InputError, match=r"Cannot read .* as GLB: 'utf-8' codec can't decode"):
+        read_mesh(tmp_path / "a.glb", unit="m")
 
 
 def test_empty_mesh(tmp_path):

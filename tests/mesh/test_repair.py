@@ -454,6 +454,24 @@ def test_what_stays_crowded_is_an_error_that_says_where(monkeypatch):
         repair(fin)
 
 
+def test_too_many_crowded_edges_are_refused_soon(monkeypatch):
+    """Random triangles between few vertices, and a book of thousands of pages."""
+    rng = np.random.default_rng(0)
+    monkeypatch.setattr(manifold, "_MOST_WORK", 3_000)
+    soup = Mesh(rng.normal(size=(40, 3)), rng.integers(0, 40, (900, 3)))
+    pages = np.arange(2, 900)
+    book = np.column_stack([np.zeros_like(pages), np.ones_like(pages), pages])
+    for mesh in (soup, Mesh(rng.normal(size=(900, 3)), book)):
+        with pytest.raises(InputError, match="edges join more than two triangles, too many"):
+            repair(mesh)
+
+
+def test_a_wall_without_measurable_area_is_refused():
+    sphere = trimesh.creation.icosphere(subdivisions=2)
+    with pytest.raises(InputError, match="area"):
+        repair(Mesh(1e-170 * np.asarray(sphere.vertices), np.asarray(sphere.faces)))
+
+
 def test_unknown_treatment_of_open_ends():
     with pytest.raises(InputError, match=re.escape("open_ends is 'shut'. Allowed: 'cap', 'keep'.")):
         repair(sphere(), open_ends="shut")

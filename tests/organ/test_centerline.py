@@ -12,7 +12,8 @@ from vrcaps.mesh.read_mesh import read_mesh
 from vrcaps.mesh.repair import repair
 from vrcaps.organ.centerline import centerline_from_points, compute_centerline, interpolate
 from vrcaps.organ.centerline.distance import triangle_distance, wall_distance
-from vrcaps.organ.centerline.lumen import grid_crossings, mean_radius, voxelize
+from vrcaps.organ.centerline.lumen import LumenGrid, grid_crossings, mean_radius, voxelize
+from vrcaps.organ.centerline.smooth import smooth_path
 from vrcaps.units import MM
 
 RADIUS = 10 * MM
@@ -317,3 +318,17 @@ def test_bad_points():
     )
     with pytest.raises(InputError, match="in 2 pieces"):
         compute_centerline(two)
+
+
+def test_vertices_in_disorder_are_refused_before_memory_is_taken():
+    """Triangles that each reach across the whole grid."""
+    rng = np.random.default_rng(0)
+    vertices, faces = rng.random((3000, 3)) * 200.0, rng.integers(0, 3000, (9000, 3))
+    with pytest.raises(InputError, match="vertices are in disorder"):
+        grid_crossings(vertices, faces, np.array([200, 200, 200]))
+
+
+def test_a_path_that_shrinks_to_a_point_is_one_line():
+    grid = LumenGrid(np.ones((9, 9, 9), bool), np.ones((9, 9, 9), np.float32), np.zeros(3), 1.0)
+    with pytest.raises(InputError, match=r"The centerline shrinks to 0 mm"):
+        smooth_path(grid, np.full((5, 3), 4.0))

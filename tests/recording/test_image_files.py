@@ -1,3 +1,6 @@
+import struct
+import zlib
+
 import numpy as np
 import pytest
 
@@ -37,3 +40,26 @@ def test_each_write_has_a_temporary_name_of_its_own(tmp_path):
     (tmp_path / ".image.png.tmp").mkdir()
     write_images([(tmp_path / "image.png", np.zeros((2, 2), np.uint8))])
     assert sorted(path.name for path in tmp_path.iterdir()) == [".image.png.tmp", "image.png"]
+
+
+def test_a_png_that_says_more_than_its_bytes_can_hold_is_refused(tmp_path):
+    """Before memory is taken: 200 bytes that say 65,000 by 65,000 pixels."""
+
+    def chunk(kind: bytes, data: bytes) -> bytes:
+        return (
+            struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+        )
+
+    head = struct.pack(">IIBBBBB", 65_000, 65_000, 16, 2, 0, 0, 0)
+    data = zlib.compress(bytes(1000))
+    path = tmp_path / "bomb.png"
+    path.write_bytes(
+        b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", head) + chunk(b"IDAT", data) + chunk(b"IEND", b"")
+    )
+    with pytest.raises(ValueError, match=r"bytes cannot hold 65000 by 65000 pixels"):
+        read_image(path)
+
+
+def test_an_even_image_is_read_however_well_it_packs(tmp_path):
+    write_images([(tmp_path / "even.png", np.zeros((2000, 3000), np.uint8))])
+    assert not read_image(tmp_path / "even.png").any()

@@ -67,6 +67,8 @@ def test_a_part_of_a_table_leaves_the_rest_as_its_field_has_it():
     [
         ({"sise": 1}, r"Unknown key zoo\.sise\. Allowed: star, size, is_open"),
         ({"star": {"kind": "cow"}}, r"zoo\.star\.kind is 'cow'\. Allowed: cat, dog\."),
+        ({"star": {"kind": ["cat"]}}, r"zoo\.star\.kind is \['cat'\]\. Allowed: cat, dog\."),
+        ({"star": {"kind": {"a": 1}}}, r"zoo\.star\.kind is \{'a': 1\}\. Allowed: cat, dog\."),
         ({"star": {}}, r"zoo\.star\.kind is missing\. Allowed: cat, dog\."),
         ({"star": {"kind": "dog"}}, r"Missing key zoo\.star\.name: a text"),
         ({"star": 3}, r"zoo\.star is 3\. Allowed: a table or a table"),

@@ -206,7 +206,7 @@ impl Pixels {
 }
 
 fn decode(bytes: &[u8]) -> Result<Pixels, String> {
-    let (info, bytes) = unpack(bytes).map_err(|e| e.to_string())?;
+    let (info, bytes) = unpack(bytes)?;
     let (height, width) = (info.height as usize, info.width as usize);
     let shape = match info.color_type {
         ColorType::Grayscale => vec![height, width],
@@ -216,10 +216,19 @@ fn decode(bytes: &[u8]) -> Result<Pixels, String> {
     Ok(Pixels { shape, is_wide: info.bit_depth == BitDepth::Sixteen, bytes })
 }
 
-fn unpack(bytes: &[u8]) -> Result<(png::OutputInfo, Vec<u8>), png::DecodingError> {
-    let mut reader = png::Decoder::new(io::Cursor::new(bytes)).read_info()?;
-    let mut pixels = vec![0; reader.output_buffer_size().unwrap_or_default()];
-    let info = reader.next_frame(&mut pixels)?;
+/// Most bytes that one byte of deflate can stand for (zlib's technical notes: 1032).
+const MOST_EXPANSION: usize = 1040;
+
+fn unpack(bytes: &[u8]) -> Result<(png::OutputInfo, Vec<u8>), String> {
+    let decoder = png::Decoder::new(io::Cursor::new(bytes));
+    let mut reader = decoder.read_info().map_err(|e| e.to_string())?;
+    let size = reader.output_buffer_size().unwrap_or(usize::MAX);
+    if size > bytes.len().saturating_mul(MOST_EXPANSION) {
+        let (width, height) = reader.info().size();
+        return Err(format!("{} bytes cannot hold {width} by {height} pixels", bytes.len()));
+    }
+    let mut pixels = vec![0; size];
+    let info = reader.next_frame(&mut pixels).map_err(|e| e.to_string())?;
     pixels.truncate(info.buffer_size());
     Ok((info, pixels))
 }

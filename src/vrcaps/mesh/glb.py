@@ -95,7 +95,7 @@ def read_document(path: Path) -> dict[str, Any]:
         size, kind = _CHUNK.unpack(file.read(_CHUNK.size))
         if (magic, version, kind) != (b"glTF", 2, b"JSON"):
             raise ValueError("no GLB of version 2")
-        document = json.loads(file.read(size))
+        document = json.loads(file.read(size).decode())
     if not isinstance(document, dict):
         raise ValueError("its document is no object")
     return document

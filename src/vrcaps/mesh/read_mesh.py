@@ -10,6 +10,7 @@ import numpy as np
 
 from vrcaps.errors import InputError, UnknownNameError
 from vrcaps.mesh.glb import read_document
+from vrcaps.mesh.gltf_limits import require_safe_gltf
 from vrcaps.mesh.mesh import Mesh
 from vrcaps.mesh.ply import read_ply
 from vrcaps.mesh.polygons import triangulate_fans
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
 _PARSE_ERRORS = (
     *(ValueError, LookupError, TypeError, AttributeError, OverflowError, AssertionError),
     *(NotImplementedError, NameError, EOFError, OSError, struct.error),
+    *(RecursionError, MemoryError, ImportError),
 )
 
 
@@ -138,6 +140,7 @@ def _read_gltf(path: Path) -> Mesh:
     """GLB or glTF: every mesh of the scene under its node transform, as one mesh."""
     import trimesh
 
+    require_safe_gltf(path)
     scene = trimesh.load_scene(path, process=False)
     parts = []
     for node in sorted(scene.graph.nodes_geometry):

@@ -18,7 +18,15 @@ if TYPE_CHECKING:
 
     from vrcaps.organ.surface import OrganSurface
 
-_DAMAGED = (ValueError, LookupError, TypeError, OSError, struct.error)
+_DAMAGED = (
+    ValueError,
+    LookupError,
+    TypeError,
+    AttributeError,
+    OSError,
+    RecursionError,
+    struct.error,
+)
 """What parsing a file that was cut short or changed raises."""
 
 

@@ -10,6 +10,7 @@ import SimpleITK as sitk
 
 from phantom import write_dicom
 from vrcaps.errors import InputError, MissingExtraError
+from vrcaps.tools.ct import volume
 from vrcaps.tools.ct.read_volume import read_volume
 from vrcaps.tools.ct.volume import Volume
 
@@ -138,3 +139,27 @@ def test_without_simpleitk_the_extra_is_named(tmp_path, monkeypatch) -> None:
     monkeypatch.setitem(sys.modules, "SimpleITK", None)
     with pytest.raises(MissingExtraError, match=r"pip install 'vrcaps\[ct\]'"):
         read_volume(tmp_path / "scan.nii")
+
+
+@pytest.mark.parametrize(
+    ("size", "match"),
+    [
+        ((30_000, 30_000, 3), r"says that it holds 2\.7e\+09 voxels\. Allowed: up to 1\.07e\+09"),
+        ((1000, 1000, 100), r"is cut short: it says 1e\+08 voxels and has \d+ bytes"),
+    ],
+)
+def test_a_nifti_that_says_too_much_is_refused_before_it_is_read(tmp_path, size, match) -> None:
+    path = tmp_path / "scan.nii"
+    sitk.WriteImage(sitk.GetImageFromArray(np.zeros((4, 5, 6), np.int16)), str(path))
+    data = bytearray(path.read_bytes())
+    data[42:48] = np.array(size, "<i2").tobytes()
+    path.write_bytes(data)
+    with pytest.raises(InputError, match=match):
+        read_volume(path)
+
+
+def test_a_series_of_too_many_voxels_is_refused(tmp_path, monkeypatch) -> None:
+    write_dicom(tmp_path, small())
+    monkeypatch.setattr(volume, "_MOST_VOXELS", 1000)
+    with pytest.raises(InputError, match=r"says that it holds 1\.15e\+03 voxels"):
+        read_volume(tmp_path)

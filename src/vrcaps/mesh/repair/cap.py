@@ -162,11 +162,12 @@ def _zip_rings(
     if len(inner) == 1:
         return np.stack([outer, np.roll(outer, -1), np.full(len(outer), inner[0])], axis=1)
     along_inner = np.arange(len(inner)) / len(inner)
+    after_outer, after_inner = np.append(along_outer, 1.0)[1:], np.append(along_inner, 1.0)[1:]
     faces = []
     i = j = 0
     while i < len(outer) or j < len(inner):
-        next_outer = np.append(along_outer, 1.0)[i + 1] if i < len(outer) else np.inf
-        next_inner = np.append(along_inner, 1.0)[j + 1] if j < len(inner) else np.inf
+        next_outer = after_outer[i] if i < len(outer) else np.inf
+        next_inner = after_inner[j] if j < len(inner) else np.inf
         a, b = outer[i % len(outer)], inner[j % len(inner)]
         if next_outer <= next_inner:
             faces.append((a, outer[(i + 1) % len(outer)], b))

@@ -30,6 +30,7 @@ _FIN_AREA = 0.01  # of the whole; an open patch smaller than this is a fin, not 
 _PART_AREA = 1e-3  # of the whole; below this a stray component is not worth its own mention
 _NUDGE = 1e-3  # of the way to a vertex's neighbors; parts sheets that were cut
 _MAX_PASSES = 10
+_MOST_WORK = 300_000  # of pairing the faces of nonmanifold edges, in steps of some 20 µs
 
 
 def split_nonmanifold(mesh: Mesh) -> tuple[Mesh, Int[np.ndarray, " n"], list[Repair]]:
@@ -231,29 +232,72 @@ def _pair_faces(
 
     Where sheets touch along a run of edges, the pairs at its ends are known by the fans of
     faces around them (`fan` of each corner); from there the choice spreads along the run.
+
+    Raises:
+        InputError: If there are so many that this would take minutes.
     """
-    fan, pairs, waiting, is_stuck = fan.copy(), [], nonmanifold, False
+    fans, pairs, is_stuck, work = _Fans(fan), [], False, 0
+    # Edges with the corners at their ends, and the fans of these when they gave no choice.
+    waiting = [(halves, _end_corners(mesh, halves), b"") for halves in nonmanifold]
     while waiting:
         later = []
-        for halves in waiting:
-            best, num_shared = _best_pairs(mesh, halves, is_fin, fan)
+        for halves, corners, before in waiting:
+            around = fans.of(corners).tobytes()
+            is_same = around == before and not is_stuck
+            work += 1 if is_same else 10 + (len(halves) // 3) ** 2
+            if work > _MOST_WORK:
+                raise InputError(
+                    f"{len(nonmanifold)} edges join more than two triangles, too many to part. "
+                    "Remove doubled and stray triangles, or make a new mesh of the surface."
+                )
+            if is_same:
+                later.append((halves, corners, before))
+                continue
+            best, num_shared = _best_pairs(mesh, halves, is_fin, fans)
             if num_shared == 0 and not is_stuck:
-                later.append(halves)
+                later.append((halves, corners, around))
                 continue
             is_stuck = False  # one choice without a fan to go by is enough to go on from
             pairs.append(best)
             for one, other in _end_corners(mesh, best).transpose(0, 2, 1).reshape(-1, 2):
-                fan[fan == fan[other]] = fan[one]
+                fans.join(one, other)
         is_stuck = len(later) == len(waiting)
         waiting = later
     return np.concatenate(pairs)
+
+
+class _Fans:
+    """The fan of faces that each corner belongs to, as fans are joined."""
+
+    def __init__(self, fan: Int[np.ndarray, " h"]) -> None:
+        self._fan = fan
+        self._joined: dict[int, int] = {}
+
+    def of(self, corners: Int[np.ndarray, "*n"]) -> Int[np.ndarray, "*n"]:
+        """Number of each corner's fan."""
+        found = [self._root(fan) for fan in self._fan[corners].ravel().tolist()]
+        return np.array(found).reshape(corners.shape)
+
+    def join(self, one: int, other: int) -> None:
+        """Make one fan of those of two corners."""
+        root, merged = self._root(int(self._fan[one])), self._root(int(self._fan[other]))
+        if root != merged:
+            self._joined[merged] = root
+
+    def _root(self, fan: int) -> int:
+        path = []
+        while fan in self._joined:
+            path.append(fan)
+            fan = self._joined[fan]
+        self._joined.update(dict.fromkeys(path, fan))
+        return fan
 
 
 def _best_pairs(
     mesh: Mesh,
     halves: Int[np.ndarray, " k"],
     is_fin: Bool[np.ndarray, " m"],
-    fan: Int[np.ndarray, " h"],
+    fans: _Fans,
 ) -> tuple[Int[np.ndarray, "j 2"], int]:
     """Pairs of half-edges of one nonmanifold edge, and how many ends of pairs share a fan.
 
@@ -264,11 +308,11 @@ def _best_pairs(
     """
     wall = halves[~is_fin[halves // 3]]
     halves, angles = _sort_around_edge(mesh, wall if len(wall) >= 2 else halves)
-    fans = fan[_end_corners(mesh, halves)]
+    around = fans.of(_end_corners(mesh, halves))
     ring = np.arange(len(halves))
     rings = [np.delete(ring, i) for i in ring] if len(ring) % 2 else [ring]
     matchings = [np.roll(ring, shift).reshape(-1, 2) for ring in rings for shift in (0, 1)]
-    shared = [int((fans[a] == fans[b]).sum()) for a, b in (pairs.T for pairs in matchings)]
+    shared = [int((around[a] == around[b]).sum()) for a, b in (pairs.T for pairs in matchings)]
     bends = [np.abs(np.pi - np.abs(np.diff(angles[pairs]))).sum() for pairs in matchings]
     best = min(range(len(matchings)), key=lambda k: (-shared[k], bends[k]))
     return halves[matchings[best]], shared[best]

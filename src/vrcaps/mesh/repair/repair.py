@@ -91,6 +91,8 @@ def _check_lumen(mesh: Mesh, loops: list[Loop]) -> float:
         InputError: If that is next to nothing, or the surface is more border than wall.
     """
     area = float(face_areas(mesh).sum())
+    if not 0.0 < area < np.inf:
+        raise InputError(f"The wall has an area of {area:g} m². Check the mesh's unit.")
     open_area = sum(loop.fan_area for loop in loops)
     if open_area > _MOSTLY_OPEN * area:
         widest = max(loops, key=lambda loop: loop.perimeter)
@@ -101,7 +103,7 @@ def _check_lumen(mesh: Mesh, loops: list[Loop]) -> float:
         )
     volume = enclosed_volume(mesh, loops)
     size = float(np.linalg.norm(np.ptp(mesh.vertices, axis=0)))
-    if abs(volume) < _FLAT * area * size:
+    if not abs(volume) > _FLAT * area * size:
         raise InputError(
             f"The mesh encloses no lumen: volume {abs(volume) * 1e6:.3g} ml within "
             f"{area * 1e4:.3g} cm² of wall. Give a tube or bag, and check its unit."

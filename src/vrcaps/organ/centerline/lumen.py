@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
 
 MAX_VOXELS = 30_000_000
+_MOST_CROSSINGS = 50_000_000  # of boxes about triangles with grid lines: 10 GB
 _COARSE_VOXELS = 1_000_000  # of the first look, which measures volume and diameter
 
 
@@ -146,11 +147,19 @@ def grid_crossings(
         vertices: In voxels, grid lines at whole x and y.
         faces: Vertex numbers of each triangle.
         shape: Of the grid.
+
+    Raises:
+        InputError: If the triangles are so many and so large that memory would run out.
     """
     corners = vertices[faces]
     first = np.ceil(corners[..., :2].min(axis=1)).astype(int)
     span = np.floor(corners[..., :2].max(axis=1)).astype(int) - first + 1
     count = np.maximum(span, 0).prod(axis=1)
+    if count.sum() > _MOST_CROSSINGS:
+        raise InputError(
+            f"The triangles lie over {count.sum():.1g} grid lines, more than those of a wall do. "
+            "Their vertices are in disorder: export the mesh again."
+        )
     face = np.repeat(np.arange(len(faces)), count)
     rank = np.arange(len(face)) - np.repeat(np.cumsum(count) - count, count)
     columns = first[face] + np.stack([rank // span[face, 1], rank % span[face, 1]], axis=1)

@@ -7,8 +7,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.linalg import solveh_banded
 
+from vrcaps.errors import InputError
 from vrcaps.organ.centerline.distance import wall_distance
 from vrcaps.organ.centerline.lumen import LumenGrid
+from vrcaps.units import MM
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Int
@@ -33,11 +35,20 @@ def smooth_path(
         grid: The lumen.
         path: Voxel centers along it [m].
         free: Whether the first and the last end may be moved.
+
+    Raises:
+        InputError: If nothing is left of it.
     """
     path = resample(path, grid.voxel)
     path = _trim(grid, path) if free[0] else path
     path = _trim(grid, path[::-1])[::-1] if free[1] else path
     for _ in range(_CENTERING_ROUNDS):
+        length = np.linalg.norm(np.diff(path, axis=0), axis=1).sum()
+        if not length > grid.voxel:
+            raise InputError(
+                f"The centerline shrinks to {length / MM:.2g} mm: the lumen is hardly longer than "
+                "it is wide. Give its start and end, at opposite sides of the lumen."
+            )
         path = resample(_smooth(grid, _center(grid, path)), grid.voxel)
     return path
 
@@ -93,7 +104,7 @@ def to_wall(
 def _center(grid: LumenGrid, path: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
     """Each point moved across the curve towards larger clearance, at most a voxel."""
     tangent = np.gradient(path, axis=0)
-    tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
+    tangent /= np.maximum(np.linalg.norm(tangent, axis=1, keepdims=True), 1e-300)
     half = np.maximum(0.2 * grid.clearance_at(path), grid.voxel)[:, None]
     slope = np.stack(
         [

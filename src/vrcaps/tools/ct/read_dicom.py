@@ -10,7 +10,7 @@ import numpy as np
 
 from vrcaps.errors import InputError
 from vrcaps.tools.ct.itk import import_sitk, itk_reason
-from vrcaps.tools.ct.volume import Volume
+from vrcaps.tools.ct.volume import Volume, require_voxels
 from vrcaps.units import MM
 
 if TYPE_CHECKING:
@@ -86,6 +86,7 @@ def read_dicom(
             "Hounsfield units. Give a CT scan, or a label map as NIfTI."
         )
     slices, step = ordered(chosen, folder)
+    require_voxels(len(slices) * chosen.rows * chosen.columns, folder)
     values = np.empty((len(slices), chosen.rows, chosen.columns), np.int16)
     for number, one in enumerate(slices):
         values[number] = _read_pixels(one.path)

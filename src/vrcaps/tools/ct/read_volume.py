@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -9,7 +10,7 @@ import numpy as np
 from vrcaps.errors import InputError
 from vrcaps.tools.ct.itk import grid_transform, import_sitk, itk_reason
 from vrcaps.tools.ct.read_dicom import read_dicom
-from vrcaps.tools.ct.volume import Volume, upright
+from vrcaps.tools.ct.volume import Volume, require_voxels, upright
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -45,6 +46,20 @@ def read_volume(
     return upright(_read_file(path))
 
 
+def _require_bytes(path: Path, voxels: int) -> None:
+    """Check that a file can hold its voxels, at the most that gzip packs into a byte (1032).
+
+    Raises:
+        InputError: If it is too short.
+    """
+    size = path.stat().st_size
+    if voxels > 1040 * size:
+        raise InputError(
+            f"{path} is cut short: it says {voxels:.3g} voxels and has {size} bytes. "
+            "Copy the file again."
+        )
+
+
 def _read_file(path: Path) -> Volume:
     sitk = import_sitk()
     reader = sitk.ImageFileReader()
@@ -57,6 +72,9 @@ def _read_file(path: Path) -> Volume:
                 f"{path} holds {' × '.join(map(str, size))} voxels of "
                 f"{reader.GetNumberOfComponents()} values. Give one three-dimensional scan."
             )
+        require_voxels(math.prod(size), path)
+        if path.suffix.lower() != ".mhd":
+            _require_bytes(path, math.prod(size))
         reader.SetOutputPixelType(sitk.sitkInt16)
         image = reader.Execute()
     except RuntimeError as error:

@@ -16,6 +16,22 @@ if TYPE_CHECKING:
 _SAME_GRID = 0.02  # of a voxel, by which the nodes of two aligned grids may differ
 
 
+_MOST_VOXELS = 1 << 30
+
+
+def require_voxels(count: int, source: object) -> None:
+    """Check that a scan is of a size that can be read, before memory is taken for it.
+
+    Raises:
+        InputError: If it has more than 2³⁰ voxels (2 GiB), such as 512 × 512 × 4096.
+    """
+    if count > _MOST_VOXELS:
+        raise InputError(
+            f"{source} says that it holds {count:.3g} voxels. Allowed: up to {_MOST_VOXELS:.3g}. "
+            "Crop or coarsen the scan."
+        )
+
+
 class PatientGrid:
     """What any array of voxels in the patient frame has.
 

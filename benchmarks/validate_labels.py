@@ -17,8 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from validation import DATA, options, table, write_section
-from vrcaps.camera.camera import Camera
-from vrcaps.camera.rays import camera_rays, pixel_grid, project_points, unproject_pixels
+from vrcaps.camera.camera import Camera, camera_rays, pixel_grid, project_points, unproject_pixels
 from vrcaps.motion.fly_through import FlyThrough
 from vrcaps.organ.surface import face_label
 from vrcaps.recording.episode import Episode, read_episode

@@ -24,7 +24,7 @@ import numpy as np
 
 import vrcaps
 from validation import ROOT, options, table, write_section
-from vrcaps.camera.rays import camera_rays
+from vrcaps.camera.camera import camera_rays
 from vrcaps.lesion import LesionPair, add_lesions, parse_lesion
 from vrcaps.mesh.self_intersection import self_intersections
 from vrcaps.organ.centerline import interpolate

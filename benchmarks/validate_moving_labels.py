@@ -21,8 +21,7 @@ import numpy as np
 
 from validate_labels import CHANNELS, HEAD, Tally, Written, _percent, compare_frame
 from validation import options, table, write_section
-from vrcaps.camera.camera import Camera
-from vrcaps.camera.rays import camera_rays, pixel_grid, project_points
+from vrcaps.camera.camera import Camera, camera_rays, pixel_grid, project_points
 from vrcaps.mesh.mesh import vertex_normals
 from vrcaps.motion.dynamics import Dynamics
 from vrcaps.recording.episode import Episode, read_episode

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from peers import load_package
-from vrcaps.camera.rays import camera_rays
+from vrcaps.camera.camera import camera_rays
 from vrcaps.cli.benchmarks.stage import Stage
 from vrcaps.cli.benchmarks.timing import Subject
 from vrcaps.transforms import rotate_vectors

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from peers import PeerMissingError, led_positions, load_package, welded_mesh
-from vrcaps.camera.rays import camera_rays
+from vrcaps.camera.camera import camera_rays
 from vrcaps.cli.benchmarks.stage import Stage
 from vrcaps.cli.benchmarks.timing import Subject
 

@@ -13,8 +13,7 @@ from PIL import Image, ImageDraw
 import vrcaps
 from vrcaps import _core
 from vrcaps._core import Wall
-from vrcaps.camera.camera import Camera
-from vrcaps.camera.rays import camera_rays
+from vrcaps.camera.camera import Camera, camera_rays
 from vrcaps.color import luminance
 from vrcaps.lesion import LesionPair, add_lesions, parse_lesion
 from vrcaps.organ.centerline import interpolate

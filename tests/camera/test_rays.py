@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from vrcaps.camera.rays import camera_rays, pixel_grid, project_points, unproject_pixels
+from vrcaps.camera.camera import camera_rays, pixel_grid, project_points, unproject_pixels
 from vrcaps.capsule.catalog import device_names, read_device
 from vrcaps.errors import InputError
 

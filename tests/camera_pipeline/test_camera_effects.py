@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 
 from shapes import DIRECT, LENSES, make_camera, make_model, sphere
+from vrcaps.camera.camera import camera_rays, pixel_grid, project_points
 from vrcaps.camera.derive import barrel_radius, focal_length_px, scaled_camera
-from vrcaps.camera.rays import camera_rays, pixel_grid, project_points
 from vrcaps.camera_pipeline.effect.distortion import Distortion
 from vrcaps.camera_pipeline.effect.dome_bubbles import DomeBubbles
 from vrcaps.camera_pipeline.effect.field_of_view import FieldOfView

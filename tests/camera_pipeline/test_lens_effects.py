@@ -4,8 +4,8 @@ import pytest
 from shapes import make_camera, pinhole
 from twin_stages import defocus_twin, motion_twin
 from vrcaps._core import testing
+from vrcaps.camera.camera import camera_rays
 from vrcaps.camera.derive import focal_length_px
-from vrcaps.camera.rays import camera_rays
 from vrcaps.camera_pipeline.effect.base import CameraSetup
 from vrcaps.camera_pipeline.effect.bloom import Bloom
 from vrcaps.camera_pipeline.effect.chromatic_aberration import LateralChromaticAberration

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from vrcaps.camera.rays import camera_rays, project_points
+from vrcaps.camera.camera import camera_rays, project_points
 from vrcaps.capsule.catalog import device_names, read_device
 from vrcaps.errors import InputError, UnknownNameError
 from vrcaps.transforms import invert, rotate_vectors, transform_points

@@ -4,7 +4,7 @@ import shutil
 import numpy as np
 import pytest
 
-from vrcaps.camera.rays import camera_rays
+from vrcaps.camera.camera import camera_rays
 from vrcaps.errors import InputError, UnknownNameError
 from vrcaps.recording.episode import read_episode
 from vrcaps.render.channels import CHANNELS

@@ -10,8 +10,7 @@ import pytest
 
 from shapes import DIRECT, RADIUS, looking, make_camera, make_model, patterned, sphere, tube
 from threads import digests_by_threads
-from vrcaps.camera.camera import Led
-from vrcaps.camera.rays import camera_rays
+from vrcaps.camera.camera import Led, camera_rays
 from vrcaps.lumen.contents import Contents
 from vrcaps.lumen.liquid import Liquid
 from vrcaps.lumen.lumen_contents import LumenContents

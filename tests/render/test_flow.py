@@ -9,8 +9,7 @@ import pytest
 
 import twin
 from shapes import DIRECT, LENSES, looking, make_camera, make_model, pinhole, tube
-from vrcaps.camera.camera import Camera
-from vrcaps.camera.rays import pixel_grid, project_points, unproject_pixels
+from vrcaps.camera.camera import Camera, pixel_grid, project_points, unproject_pixels
 from vrcaps.errors import InputError
 from vrcaps.render.renderer import Renderer
 from vrcaps.transforms import invert, rotate_vectors, transform_points

@@ -22,9 +22,8 @@ from shapes import (
 )
 from twin import unit
 from vrcaps import _core
-from vrcaps.camera.camera import Led
+from vrcaps.camera.camera import Led, camera_rays
 from vrcaps.camera.lens import LensEquidistant
-from vrcaps.camera.rays import camera_rays
 from vrcaps.errors import InputError, UnknownNameError
 from vrcaps.organ.surface import Appearance, OrganSurface, clearcoat_alpha
 from vrcaps.render.channels import Frame

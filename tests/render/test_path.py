@@ -11,9 +11,8 @@ import pytest
 import twin_shade
 from oracle_mitsuba import path_light
 from shapes import looking, make_camera, make_model, patterned, pinhole, sphere, tube
-from vrcaps.camera.camera import Camera, Led
+from vrcaps.camera.camera import Camera, Led, camera_rays
 from vrcaps.camera.lens import LensEquidistant
-from vrcaps.camera.rays import camera_rays
 from vrcaps.errors import InputError, UnknownNameError
 from vrcaps.organ.surface import Appearance
 from vrcaps.render.renderer import Renderer

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from shapes import DIRECT, RADIUS, looking, make_camera, make_model, pinhole, sphere, with_ball
-from vrcaps.camera.camera import Camera, Led
-from vrcaps.camera.rays import camera_rays
+from vrcaps.camera.camera import Camera, Led, camera_rays
 from vrcaps.lumen.bubbles import Bubbles
 from vrcaps.lumen.contents import Contents
 from vrcaps.lumen.liquid import Liquid

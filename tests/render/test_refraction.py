@@ -9,8 +9,7 @@ import pytest
 
 from shapes import DIRECT, RADIUS, looking, make_camera, make_model, pinhole, sphere
 from twin_shade import principled
-from vrcaps.camera.camera import Camera, Led
-from vrcaps.camera.rays import camera_rays
+from vrcaps.camera.camera import Camera, Led, camera_rays
 from vrcaps.lumen.contents import Contents
 from vrcaps.lumen.liquid import Liquid
 from vrcaps.lumen.lumen_contents import LumenContents

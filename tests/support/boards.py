@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from vrcaps.camera.camera import Camera
-from vrcaps.camera.rays import unproject_pixels
+from vrcaps.camera.camera import Camera, unproject_pixels
 from vrcaps.tools.camera_calibration.board import Board
 from vrcaps.transforms import transform_from, transform_points
 

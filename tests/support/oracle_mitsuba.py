@@ -7,8 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from vrcaps.camera.camera import Camera, Led
-from vrcaps.camera.rays import camera_rays
+from vrcaps.camera.camera import Camera, Led, camera_rays
 from vrcaps.organ.surface import Appearance
 from vrcaps.transforms import rotate_vectors
 from vrcaps.world.model import Model, State

@@ -8,8 +8,7 @@ import numpy as np
 
 import twin
 from twin import dot, unit
-from vrcaps.camera.camera import Camera, Led
-from vrcaps.camera.rays import camera_rays
+from vrcaps.camera.camera import Camera, Led, camera_rays
 from vrcaps.organ.surface import Appearance, clearcoat_alpha, face_label
 from vrcaps.transforms import invert, rotate_vectors, transform_points
 from vrcaps.world.model import Model, State

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 import vrcaps.rng
-from vrcaps.camera.rays import camera_rays
+from vrcaps.camera.camera import camera_rays
 from vrcaps.camera_pipeline.effect.base import CameraSetup
 from vrcaps.camera_pipeline.effect.depth_of_field import DepthOfField
 from vrcaps.geometry import unit

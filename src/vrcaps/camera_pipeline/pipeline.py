@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from vrcaps import _core
+from vrcaps.camera.camera import camera_rays
 from vrcaps.camera.derive import half_side_px
-from vrcaps.camera.rays import camera_rays
 from vrcaps.camera_pipeline.effect.adaptive_frame_rate import image_speed
 from vrcaps.camera_pipeline.effect.base import CameraSetup, FrameContext, ImageEffect, Stage
 from vrcaps.camera_pipeline.effects import Effects

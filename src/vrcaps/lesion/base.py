@@ -18,7 +18,7 @@ from vrcaps.lesion.settings import LENGTH, settings_of
 if TYPE_CHECKING:
     from jaxtyping import Float
 
-    from vrcaps.lesion.bleeding import BloodFlow
+    from vrcaps.lesion.blood import BloodFlow
     from vrcaps.organ.surface import OrganSurface
 
 

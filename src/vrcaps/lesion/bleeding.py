@@ -17,7 +17,7 @@ from vrcaps.lesion.base import (
     WallSamples,
     mix,
 )
-from vrcaps.lesion.blood import under_blood
+from vrcaps.lesion.blood import BloodFlow, under_blood
 from vrcaps.lesion.focal import FocalForm
 from vrcaps.mesh.noise import fbm, low_pass
 from vrcaps.units import MM
@@ -33,27 +33,6 @@ _OPEN = 8.0 * MM
 
 _SHORE = 2.0 * MM
 """Distance along the wall beyond the hollow's vertices in which the pool's edge lies [m]."""
-
-
-@dataclass(frozen=True)
-class BloodFlow:
-    """Dimensions of a severity.
-
-    Attributes:
-        source: Radius of the bleeding source [m].
-        run: Longest path of blood from it [m].
-        width: Half-width of the flow [m].
-        film: Thickness of the flow [m].
-        pool: Depth of the pool at the end [m].
-        clots: Height of clots over source and pool [m].
-    """
-
-    source: float
-    run: float = 0.0
-    width: float = 0.0
-    film: float = 0.0
-    pool: float = 0.0
-    clots: float = 0.0
 
 
 BLEEDING_SEVERITIES = {

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps.lesion.base import mix
 from vrcaps.units import MM
 
 if TYPE_CHECKING:
@@ -27,6 +27,27 @@ at 150 g/l absorbs green and blue about ten times as much as red (Prahl 1999, ta
 extinction); the scale is fitted by eye to thin films in endoscopic images."""
 
 
+@dataclass(frozen=True)
+class BloodFlow:
+    """Dimensions of a severity.
+
+    Attributes:
+        source: Radius of the bleeding source [m].
+        run: Longest path of blood from it [m].
+        width: Half-width of the flow [m].
+        film: Thickness of the flow [m].
+        pool: Depth of the pool at the end [m].
+        clots: Height of clots over source and pool [m].
+    """
+
+    source: float
+    run: float = 0.0
+    width: float = 0.0
+    film: float = 0.0
+    pool: float = 0.0
+    clots: float = 0.0
+
+
 def under_blood(
     color: Float[np.ndarray, "n 3"],
     thickness: Float[np.ndarray, " n"],
@@ -39,5 +60,5 @@ def under_blood(
         thickness: Of the film [m].
         age: 0 fresh to 1 clotted.
     """
-    body = mix(np.broadcast_to(FRESH, color.shape), OLD, np.broadcast_to(age, len(color)))
+    body = FRESH + (OLD - FRESH) * np.broadcast_to(age, len(color))[:, None]
     return body + (color - body) * np.exp(-thickness[:, None] * _EXTINCTION)

@@ -25,7 +25,7 @@ from vrcaps.units import MM
 if TYPE_CHECKING:
     from jaxtyping import Float, Int
 
-    from vrcaps.lesion.bleeding import BloodFlow
+    from vrcaps.lesion.blood import BloodFlow
 
 _WAVY = 1.3  # largest outline of a focal lesion, in mean radii
 _STEP = 1.0 * MM  # along a flow of blood

@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vrcaps import _core
-from vrcaps.camera.camera import Camera
-from vrcaps.camera.rays import camera_rays
+from vrcaps.camera.camera import Camera, camera_rays
 from vrcaps.errors import InputError, VrcapsError
 from vrcaps.lumen.lumen_contents import CHYME
 from vrcaps.mesh.mesh import Mesh

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vrcaps._core import Contents, Wall
-from vrcaps.camera.camera import Camera
-from vrcaps.camera.rays import pixel_grid, project_points
+from vrcaps.camera.camera import Camera, pixel_grid, project_points
 from vrcaps.lumen.lumen_contents import LumenContents
 from vrcaps.render.refraction import RefractedPaths
 from vrcaps.transforms import invert, transform_points

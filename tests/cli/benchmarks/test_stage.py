@@ -5,7 +5,7 @@ import pytest
 
 from shapes import DIRECT
 from vrcaps._core import Wall
-from vrcaps.camera.rays import camera_rays
+from vrcaps.camera.camera import camera_rays
 from vrcaps.cli.benchmarks.stage import (
     Stage,
     make_stage,

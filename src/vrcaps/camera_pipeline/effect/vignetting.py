@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from vrcaps.camera.camera import camera_rays, pixel_grid
 from vrcaps.camera.derive import half_side_px
-from vrcaps.camera.rays import camera_rays, pixel_grid
 from vrcaps.camera_pipeline.effect.base import CameraSetup, ImageEffect
 from vrcaps.errors import require
 

@@ -92,7 +92,7 @@ def board_image(
         board: With white paper around it that has no end.
         supersampling: Rays along each side of a pixel.
     """
-    from vrcaps.camera.rays import camera_rays
+    from vrcaps.camera.camera import camera_rays
 
     rays = camera_rays(camera, supersampling).astype(float)
     rotation, origin = T_camera_board[:3, :3], T_camera_board[:3, 3]

@@ -38,7 +38,7 @@ pub fn num_threads() -> usize {
 /// Most threads that are kept awake between parts of work; more would be in the way of others.
 const AWAKE: usize = 8;
 /// How long a thread that finds nothing to do stays awake for the next part of the work.
-const PATIENCE: Duration = Duration::from_micros(200);
+const SPIN_TIME: Duration = Duration::from_micros(200);
 
 /// Does work on the threads of the core, without Python; the parts that it is cut into start
 /// without a change of thread.
@@ -65,7 +65,7 @@ fn stay_awake(is_done: &AtomicBool) {
     while !is_done.load(Ordering::Acquire) {
         if rayon::yield_now() == Some(rayon::Yield::Executed) {
             last = Instant::now();
-        } else if last.elapsed() > PATIENCE {
+        } else if last.elapsed() > SPIN_TIME {
             return;
         } else {
             std::hint::spin_loop();

@@ -278,12 +278,12 @@ impl Inverse {
         let mut count = SEARCH.0;
         loop {
             for k in 1..=count {
-                let way = (high - low) * square(k as f64 / count as f64);
-                if square(way) >= search.bound2 {
+                let offset = (high - low) * square(k as f64 / count as f64);
+                if square(offset) >= search.bound2 {
                     break;
                 }
-                self.solve(target, start + way, &mut search);
-                self.solve(target, start - way, &mut search);
+                self.solve(target, start + offset, &mut search);
+                self.solve(target, start - offset, &mut search);
             }
             if search.found().is_some() || count >= SEARCH.1 {
                 break;

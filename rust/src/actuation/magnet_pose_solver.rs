@@ -97,10 +97,10 @@ impl Problem<'_> {
         let wrench = self.wrench(source, pose);
         let force = self.weight * (wrench.force - DVec3::from(self.target.force));
         let torque = self.target.torque_weight * (wrench.torque - DVec3::from(self.target.torque));
-        let way = self.target.motion_weight / self.scale * (pose.0 - self.start.0);
+        let displacement = self.target.motion_weight / self.scale * (pose.0 - self.start.0);
         let bend = self.target.motion_weight * (pose.1.z_axis - self.start.1.z_axis);
         let mut residuals = [0.0; RESIDUALS];
-        for (k, part) in [force, torque, way, bend].iter().enumerate() {
+        for (k, part) in [force, torque, displacement, bend].iter().enumerate() {
             part.write_to_slice(&mut residuals[3 * k..]);
         }
         Trial { wrench, residuals, cost: residuals.iter().map(|r| r * r).sum() }
@@ -152,11 +152,11 @@ impl Problem<'_> {
                 let tried = self.evaluate(source, next);
                 found = tried.cost < best.cost;
                 if found {
-                    let way = (next.0 - pose.0).length() / self.scale;
+                    let displacement = (next.0 - pose.0).length() / self.scale;
                     let bend = (next.1.z_axis - pose.1.z_axis).length();
                     (pose, best) = (next, tried);
                     damping = (0.1 * damping).max(MIN_DAMPING);
-                    if way + bend < CONVERGED {
+                    if displacement + bend < CONVERGED {
                         return (pose, best);
                     }
                 } else {

@@ -74,9 +74,9 @@ impl Reference {
         let most = s.speed * dt;
         let back = (lag - lag.clamp_length_max(s.lookahead)).clamp_length_max(most);
         let place = at + lag - back + across;
-        let way = DVec3::from(target.position) - place;
+        let offset = DVec3::from(target.position) - place;
         place
-            + if target.on_planned_wall { way } else { target.along_controlled_axes(way) }
+            + if target.on_planned_wall { offset } else { target.along_controlled_axes(offset) }
                 .clamp_length_max(most)
     }
 
@@ -100,8 +100,8 @@ impl Reference {
     /// The wall normal a time `dt` [s] later: that of the contact, or the target's without contact.
     fn wall_normal_after(&self, contact: DVec3, target: &CapsuleTarget, dt: f64) -> DVec3 {
         let felt = contact.length() > CONTACT_FORCE && !target.on_planned_wall;
-        let touched = if felt { -contact.normalize() } else { target.wall_normal.into() };
-        let side = self.wall_normal.lerp(touched, (dt / TIME_CONSTANT).min(1.0));
+        let contact_normal = if felt { -contact.normalize() } else { target.wall_normal.into() };
+        let side = self.wall_normal.lerp(contact_normal, (dt / TIME_CONSTANT).min(1.0));
         side / side.length().max(1e-9)
     }
 }

@@ -55,23 +55,23 @@ struct State {
 }
 
 /// The goal, or the first part of the path to it if it is far.
-fn part_way(start: &Pose, goal: &Pose) -> Pose {
-    let way = (goal.position - start.position).clamp_length_max(MAX_STEP);
+fn step_towards(start: &Pose, goal: &Pose) -> Pose {
+    let step = (goal.position - start.position).clamp_length_max(MAX_STEP);
     let turn = rotation_vector(goal.rotation * start.rotation.transpose());
     let is_far = turn.length() > MAX_ROTATION;
     let part = || rotate(turn.clamp_length_max(MAX_ROTATION), start.rotation);
-    Pose { position: start.position + way, rotation: if is_far { part() } else { goal.rotation } }
+    Pose { position: start.position + step, rotation: if is_far { part() } else { goal.rotation } }
 }
 
 /// A pose towards a goal: the magnet moved and its axis rotated by `most` [m, rad].
 fn short_step(start: &Pose, goal: &Pose, most: (f64, f64)) -> Pose {
-    let way = (goal.position - start.position).clamp_length_max(most.0);
+    let step = (goal.position - start.position).clamp_length_max(most.0);
     let (from, to) = (start.rotation.z_axis, goal.rotation.z_axis);
     let axis = from.cross(to);
     let sine = axis.length();
     let angle = sine.atan2(from.dot(to)).min(most.1);
     let rotation = rotate(axis * (angle / sine.max(1e-12)), start.rotation);
-    Pose { position: start.position + way, rotation }
+    Pose { position: start.position + step, rotation }
 }
 
 impl RobotActuator {
@@ -103,27 +103,27 @@ impl RobotActuator {
 
     /// Joint speeds of the next step: joints move in proportion and can stop at their targets; at
     /// most a fraction of the path per second.
-    fn velocity(&self, way: &[f64], velocity: &[f64], dt: f64, most_share: f64) -> Vec<f64> {
-        let share =
-            way.iter().zip(&self.limits).fold(most_share.min(1.0 / dt), |share, (way, l)| {
+    fn velocity(&self, error: &[f64], velocity: &[f64], dt: f64, max_rate: f64) -> Vec<f64> {
+        let rate =
+            error.iter().zip(&self.limits).fold(max_rate.min(1.0 / dt), |rate, (error, l)| {
                 let a = Self::acceleration(l, dt);
                 // A stop at the end of the way: v dt + v²/2a = way.
-                let stopping = (a * a * dt * dt + 2.0 * a * way.abs()).sqrt() - a * dt;
-                share.min(l.speed.min(stopping) / way.abs().max(1e-12))
+                let stopping = (a * a * dt * dt + 2.0 * a * error.abs()).sqrt() - a * dt;
+                rate.min(l.speed.min(stopping) / error.abs().max(1e-12))
             });
-        let joints = way.iter().zip(velocity).zip(&self.limits);
-        let next = joints.map(|((way, velocity), l)| {
+        let joints = error.iter().zip(velocity).zip(&self.limits);
+        let next = joints.map(|((error, velocity), l)| {
             let most = dt * Self::acceleration(l, dt);
-            velocity + (share * way - velocity).max(-most).min(most)
+            velocity + (rate * error - velocity).max(-most).min(most)
         });
         next.collect()
     }
 
     /// Largest part of the way a second that keeps the magnet's own speeds [1/s].
-    fn share(&self, now: &Pose, goal: &Pose) -> f64 {
-        let way = now.position.distance(goal.position);
+    fn rate(&self, now: &Pose, goal: &Pose) -> f64 {
+        let distance = now.position.distance(goal.position);
         let turn = rotation_vector(goal.rotation * now.rotation.transpose()).length();
-        (self.speeds.0 / way.max(1e-9)).min(self.speeds.1 / turn.max(1e-9))
+        (self.speeds.0 / distance.max(1e-9)).min(self.speeds.1 / turn.max(1e-9))
     }
 
     /// What is in the way of angles; `out` is how far the magnet is out of the workspace now [m].
@@ -150,14 +150,14 @@ impl RobotActuator {
         let place = goal.position.clamp(self.low, self.high);
         let mut limit = if place == goal.position { "" } else { "workspace" };
         let rolled = self.align(&Pose { position: place, ..*goal }, &state.magnet);
-        let goal = part_way(&state.magnet, &rolled);
+        let goal = step_towards(&state.magnet, &rolled);
         let found = self.robot.solve(&goal, &state.angles, &self.home);
         let far = |(a, b): (&f64, &f64)| (a - b).abs() > JUMP;
         let near = found.filter(|found| !found.iter().zip(&state.angles).any(far));
         limit = if near.is_some() { limit } else { "unreachable" };
         let wanted = near.unwrap_or_else(|| state.angles.clone());
-        let way: Vec<f64> = wanted.iter().zip(&state.angles).map(|(w, q)| w - q).collect();
-        let velocity = self.velocity(&way, &state.velocity, dt, self.share(&state.magnet, &goal));
+        let error: Vec<f64> = wanted.iter().zip(&state.angles).map(|(w, q)| w - q).collect();
+        let velocity = self.velocity(&error, &state.velocity, dt, self.rate(&state.magnet, &goal));
         let (mut frames, out) = (Vec::new(), self.outside(state.magnet.position));
         let next = self.at(state, velocity, dt, &mut frames);
         let blocked = self.blocked(&frames, out).or_else(|| {
@@ -167,7 +167,7 @@ impl RobotActuator {
             self.blocked(&frames, out)
         });
         if let Some(blocked) = blocked {
-            let brake = self.velocity(&vec![0.0; way.len()], &state.velocity, dt, f64::INFINITY);
+            let brake = self.velocity(&vec![0.0; error.len()], &state.velocity, dt, f64::INFINITY);
             return (self.at(state, brake, dt, &mut frames), blocked);
         }
         let is_late = wanted.iter().zip(&next.angles).any(|(w, q)| (w - q).abs() > LATE);

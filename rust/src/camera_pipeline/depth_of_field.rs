@@ -279,7 +279,7 @@ fn spread_block(padded: &Padded, place: (usize, usize), radius: f32) -> [[Run; 3
             own_wide[r][i] = own[0][r][i].abs();
         }
     }
-    let [own, own_share] = own;
+    let [own, own_fraction] = own;
     let (mut sums, mut total) = ([[[0.0f32; BLOCK]; 3]; ROWS], [[0.0f32; BLOCK]; ROWS]);
     let radius_scale = radius + 0.5;
     for tap in &padded.taps[..padded.within[(radius_scale * radius_scale) as usize]] {
@@ -290,7 +290,7 @@ fn spread_block(padded: &Padded, place: (usize, usize), radius: f32) -> [[Run; 3
             for i in 0..BLOCK {
                 // What is farther and wider is hidden beyond the pixel's own circle.
                 let wide = min(near[i], own_wide[r][i]).abs();
-                let weight = chosen(near[i] > own_wide[r][i], own_share[r][i], weight[i]);
+                let weight = chosen(near[i] > own_wide[r][i], own_fraction[r][i], weight[i]);
                 let weight = clamp(wide + tap.edges[r], 0.0, 1.0) * weight;
                 total[r][i] += weight;
                 for k in 0..3 {

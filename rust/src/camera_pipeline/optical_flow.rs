@@ -335,8 +335,9 @@ impl Cell {
         let own = rays.direction(x, y)?;
         let beside =
             |x1: usize, y1: usize| (x1 < rays.width && y1 < rays.height).then_some((x1, y1));
-        let pick = |ways: [Option<(usize, usize)>; 2]| {
-            ways.into_iter()
+        let pick = |found: [Option<(usize, usize)>; 2]| {
+            found
+                .into_iter()
                 .flatten()
                 .find_map(|(x1, y1)| Some(((x1, y1), rays.direction(x1, y1)?)))
         };

@@ -260,8 +260,9 @@ impl Step<'_> {
             state.position += dt * state.velocity;
             self.touch_wall(kind, state, is_wet(before));
         }
-        let way = if state.sits() { state.position - before } else { dt * state.velocity };
-        state.arc_length = (state.arc_length + way.dot(tangent)).clamp(0.0, self.course.length());
+        let displacement = if state.sits() { state.position - before } else { dt * state.velocity };
+        state.arc_length =
+            (state.arc_length + displacement.dot(tangent)).clamp(0.0, self.course.length());
     }
 
     /// Velocity at which a free sphere moves in the end [m/s], `depth` [m] below the level.

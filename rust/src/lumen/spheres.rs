@@ -248,13 +248,13 @@ impl Spheres {
         near: &mut Vec<Near>,
         lit: &mut [bool; LANES],
     ) {
-        let (directions, reach) = visibility::ways(origin, points, lit);
+        let (directions, reach) = visibility::shadow_segments(origin, points, lit);
         let rays = Pyramid::around(directions, lit);
         self.gather(origin, &rays, extent, farthest_of(&reach), near);
         for found in near.iter() {
-            let ways = self.all[found.index as usize].crossings(origin, &rays.directions);
+            let crossings = self.all[found.index as usize].crossings(origin, &rays.directions);
             for i in 0..LANES {
-                lit[i] &= !((ways.near[i] > 0.0) & (ways.near[i] < reach[i]));
+                lit[i] &= !((crossings.near[i] > 0.0) & (crossings.near[i] < reach[i]));
             }
         }
     }

@@ -101,7 +101,7 @@ impl Ring {
     }
 
     /// Whether a place is on the wire.
-    pub fn is_touched(&self, rho: f64, z: f64) -> bool {
+    pub fn is_singular(&self, rho: f64, z: f64) -> bool {
         is_near(rho - self.radius, z, TOUCH * self.radius)
     }
 }
@@ -143,7 +143,7 @@ impl Shell {
     }
 
     /// Whether a place is on a rim, where the field has no limit.
-    pub fn is_touched(&self, rho: f64, z: f64) -> bool {
+    pub fn is_singular(&self, rho: f64, z: f64) -> bool {
         is_near(rho - self.radius, z.abs() - self.half_length, TOUCH * self.radius)
     }
 }

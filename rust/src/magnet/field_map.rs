@@ -87,10 +87,10 @@ impl FieldMap {
                     (place[axis], place[u], place[v]) = (n, i, j);
                     map.index(place)
                 };
-                for (to, way) in [(0usize, 1isize), (last, -1)] {
+                for (to, sign) in [(0usize, 1isize), (last, -1)] {
                     let mut value = [0.0; 4];
                     for (n, weight) in [(1, 4.0), (2, -6.0), (3, 4.0), (4, -1.0)] {
-                        let from = at(self, (to as isize + way * n) as usize);
+                        let from = at(self, (to as isize + sign * n) as usize);
                         add(&mut value, weight, &self.values[from]);
                     }
                     let place = at(self, to);

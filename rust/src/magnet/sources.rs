@@ -111,16 +111,17 @@ impl Source {
         let p = self.rotation.transpose() * (point - self.position);
         let rho2 = p.x * p.x + p.y * p.y;
         let rho = rho2.sqrt();
-        let singular = |touched: bool| if touched { Place::Singular } else { Place::Regular };
+        let singular =
+            |is_singular: bool| if is_singular { Place::Singular } else { Place::Regular };
         let (flux, gradient, place) = match &self.kind {
             Kind::Dipole(moment) => dipole(*moment, p),
             Kind::Shell(shell) => {
                 let (flux, gradient) = shell.field(rho, p.z).at(p, rho2);
-                (flux, gradient, singular(shell.is_touched(rho, p.z)))
+                (flux, gradient, singular(shell.is_singular(rho, p.z)))
             }
             Kind::Ring(ring) => {
                 let (flux, gradient) = ring.field(rho, p.z).at(p, rho2);
-                (flux, gradient, singular(ring.is_touched(rho, p.z)))
+                (flux, gradient, singular(ring.is_singular(rho, p.z)))
             }
             Kind::Uniform(flux) => (*flux * DVec3::Z, DMat3::ZERO, Place::Regular),
             Kind::Map(map, factor) => {

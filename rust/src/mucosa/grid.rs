@@ -96,7 +96,7 @@ impl SegmentGrid {
     /// Sorts segments into cells, for texels `texel` millimeters wide.
     pub fn new(segments: &[Segment], texel: f32) -> Self {
         let footprint = texel.min(MAX_FOOTPRINT);
-        let touched = |(number, s): (usize, &Segment)| {
+        let cells_of = |(number, s): (usize, &Segment)| {
             let margin = half_width(s.radii[0].max(s.radii[1]), footprint);
             let bound = |pick: fn(f32, f32) -> f32, margin: f32| {
                 cell_of([0, 1, 2].map(|k| pick(s.ends[0][k], s.ends[1][k]) + margin))
@@ -113,7 +113,7 @@ impl SegmentGrid {
             keys
         };
         let mut pairs: Vec<(u64, u32)> =
-            segments.par_iter().enumerate().flat_map_iter(touched).collect();
+            segments.par_iter().enumerate().flat_map_iter(cells_of).collect();
         pairs.par_sort_unstable();
         let mut cells: HashMap<u64, Range<u32>, _> = HashMap::default();
         for (at, &(key, _)) in pairs.iter().enumerate() {

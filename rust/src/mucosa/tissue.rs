@@ -253,12 +253,12 @@ impl Brush<'_> {
     #[inline(always)]
     fn fleck(&mut self, p: Vec3, grain: f32) -> f32 {
         let (offset, number) = self.flecks.own(p);
-        let share = self.tissue.mucosa.flecks;
-        if number >= share {
+        let fraction = self.tissue.mucosa.flecks;
+        if number >= fraction {
             return 0.0;
         }
         // Among the flecks that are there, few are large.
-        let size = number / share;
+        let size = number / fraction;
         let radius = FLECK_RADII[0] + (FLECK_RADII[1] - FLECK_RADII[0]) * size * size * size;
         let distance = dot(offset, offset).sqrt() * (1.0 + 0.25 * grain);
         0.8 * (1.0 - smoothstep(0.7 * radius, radius, distance))
@@ -271,10 +271,10 @@ impl Brush<'_> {
         if above <= -STRAND_REACH {
             return 0.0;
         }
-        let way = self.strand.gradient(p).abs() / UNIT_SLOPE;
+        let distance = self.strand.gradient(p).abs() / UNIT_SLOPE;
         let width = smoothstep(-STRAND_REACH, 0.5, above + 0.3 * grain);
-        let [half, edge] = STRAND_WIDTHS.map(|share| share * width);
-        let strand = width * (1.0 - smoothstep(half, edge.max(1e-4), way));
+        let [half, edge] = STRAND_WIDTHS.map(|fraction| fraction * width);
+        let strand = width * (1.0 - smoothstep(half, edge.max(1e-4), distance));
         let film = smoothstep(0.0, 1.1, above);
         let clotted = (1.0 + 0.5 * grain).max(0.1);
         clotted * (FILM_DEPTH * film + STRAND_DEPTH * strand)
@@ -302,8 +302,8 @@ impl Brush<'_> {
     fn relief(&mut self, p: Vec3) -> f32 {
         let tissue = self.tissue;
         let mut height = 0.0;
-        for (bump, (size, share)) in self.bumps.iter_mut().zip(BUMPS) {
-            height += bump.gradient(p) * share * size * tissue.resolved(size);
+        for (bump, (size, fraction)) in self.bumps.iter_mut().zip(BUMPS) {
+            height += bump.gradient(p) * fraction * size * tissue.resolved(size);
         }
         height * tissue.mucosa.relief_slope / UNIT_SLOPE
     }

@@ -154,7 +154,7 @@ fn scatter(
 struct Forest {
     parent: Vec<u32>,
     root: Vec<u32>,
-    way: Vec<f32>,
+    path_length: Vec<f32>,
     order: Vec<u32>,
 }
 
@@ -169,7 +169,7 @@ fn join(sites: &[Site], roots: &[u32], reach: f32, seed: u32) -> Forest {
     let mut forest = Forest {
         parent: vec![NONE; sites.len()],
         root: vec![NONE; sites.len()],
-        way: vec![0.0; sites.len()],
+        path_length: vec![0.0; sites.len()],
         order: Vec::with_capacity(sites.len()),
     };
     // Keys are non-negative floats, whose bits sort as they do.
@@ -186,7 +186,7 @@ fn join(sites: &[Site], roots: &[u32], reach: f32, seed: u32) -> Forest {
         let here = sites[at];
         if parent != NONE {
             let d = sub(here.point, sites[parent as usize].point);
-            forest.way[at] = forest.way[parent as usize] + dot(d, d).sqrt();
+            forest.path_length[at] = forest.path_length[parent as usize] + dot(d, d).sqrt();
         }
         buckets.around(here.point, |other| {
             let near = sites[other as usize];
@@ -197,8 +197,8 @@ fn join(sites: &[Site], roots: &[u32], reach: f32, seed: u32) -> Forest {
                 && dot(near.normal, here.normal) > 0.3
             {
                 let jitter = 0.5 + uniform(seed, site.min(other), site.max(other));
-                let cost =
-                    length * jitter * ease[other as usize] + BALANCE * (forest.way[at] + length);
+                let cost = length * jitter * ease[other as usize]
+                    + BALANCE * (forest.path_length[at] + length);
                 heap.push(Reverse((cost.to_bits(), other, site)));
             }
             true
@@ -258,7 +258,7 @@ pub fn grow(
     let (flow, main) = flows(&forest);
     straighten(&mut sites, &forest, &main);
     // A trunk thins towards the depth it comes from.
-    let risen = |site: u32| smoothstep(0.0, 5.0, forest.way[site as usize]);
+    let risen = |site: u32| smoothstep(0.0, 5.0, forest.path_length[site as usize]);
     let radius =
         |site: u32| tip_radius * cube_root(flow[site as usize]) * (0.5 + 0.5 * risen(site));
     let mut segments = Vec::with_capacity(sites.len());
@@ -289,14 +289,15 @@ fn bridge(
     growth: Growth,
     segments: &mut Vec<Segment>,
 ) {
-    const SHARE: f32 = 0.4;
+    const TIP_FRACTION: f32 = 0.4;
     let reach = 1.6 * growth.spacing;
     let mut buckets = Buckets::new(reach, sites.len());
     sites.iter().for_each(|site| buckets.push(site.point));
     for &tip in &forest.order {
         let here = sites[tip as usize];
         let parent = forest.parent[tip as usize];
-        if flow[tip as usize] > 1.0 || parent == NONE || uniform(growth.seed, tip, 3) > SHARE {
+        if flow[tip as usize] > 1.0 || parent == NONE || uniform(growth.seed, tip, 3) > TIP_FRACTION
+        {
             continue;
         }
         let mut best = (reach, NONE);

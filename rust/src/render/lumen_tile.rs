@@ -113,8 +113,8 @@ impl TileRenderer for LumenTiles<'_> {
         let reach = first_segment(wet.as_ref(), hits);
         for near in &bubbles {
             let sphere = &self.contents.bubbles.all[near.index as usize];
-            let ways = sphere.crossings(view.origin, &rays.directions);
-            front.add_bubble(sphere.instance, [&ways.near, &ways.far], &reach);
+            let crossings = sphere.crossings(view.origin, &rays.directions);
+            front.add_bubble(sphere.instance, [&crossings.near, &crossings.far], &reach);
         }
         front.write(tile, place, out);
         let kind = wet.as_ref().map_or([STRAIGHT; LANES], |wet| wet.turn.kind);
@@ -200,8 +200,8 @@ impl<'a> LumenTiles<'a> {
                     owner[i] = theirs[i];
                     for k in 0..3 {
                         hits.edges[k][i] = met.edges[k][i];
-                        let way = (met.distance[i] - turn.way[i]) * turn.heading[k][i];
-                        found.position[k][i] = turn.place[k][i] + way;
+                        let offset = (met.distance[i] - turn.distance[i]) * turn.heading[k][i];
+                        found.position[k][i] = turn.place[k][i] + offset;
                         found.view[k][i] = -turn.heading[k][i];
                     }
                 }
@@ -329,7 +329,7 @@ impl<'a> LumenTiles<'a> {
         let mut ends = turn.place;
         for k in 0..3 {
             for i in 0..LANES {
-                ends[k][i] += (hits.distance[i] - turn.way[i]) * turn.heading[k][i];
+                ends[k][i] += (hits.distance[i] - turn.distance[i]) * turn.heading[k][i];
             }
         }
         let lanes = turn.lanes();
@@ -343,7 +343,7 @@ impl<'a> LumenTiles<'a> {
             origin,
             used: &lanes,
             soaked: std::array::from_fn(sunk),
-            from: &turn.way,
+            from: &turn.distance,
             to: &hits.distance,
         };
         let (spheres, film) = (&self.contents.bubbles, &self.contents.film);
@@ -371,8 +371,8 @@ impl<'a> LumenTiles<'a> {
         let (mut position, mut view) = (turn.place, mirror.directions);
         for k in 0..3 {
             for i in 0..LANES {
-                let way = if lanes[i] { hits.distance[i] - turn.way[i] } else { 0.0 };
-                position[k][i] += way * mirror.directions[k][i];
+                let distance = if lanes[i] { hits.distance[i] - turn.distance[i] } else { 0.0 };
+                position[k][i] += distance * mirror.directions[k][i];
                 view[k][i] = -mirror.directions[k][i];
             }
         }
@@ -392,7 +392,7 @@ impl<'a> LumenTiles<'a> {
             origin,
             used: &lanes,
             soaked: std::array::from_fn(|i| wet.is_wet[i] & wet.under[i] & found.hit[i]),
-            from: &turn.way,
+            from: &turn.distance,
             to: &hits.distance,
         };
         let (spheres, film) = (&self.contents.bubbles, &self.contents.film);

@@ -247,12 +247,12 @@ pub fn surface(
 #[inline(always)]
 fn footprint(attributes: &Attributes, distance: &Lane, pixel_angle: f32) -> [Lane; 2] {
     let mut result = [[0.0; LANES]; 2];
-    for (k, share) in result.iter_mut().enumerate() {
+    for (k, lanes) in result.iter_mut().enumerate() {
         for i in 0..LANES {
             let cosine = max(dot(at(&attributes.normal, i), at(&attributes.view, i)), 0.05);
             let gradient = at(&attributes.gradients[k], i);
             let size = distance[i] * pixel_angle / cosine.sqrt();
-            share[i] = size * dot(gradient, gradient).sqrt();
+            lanes[i] = size * dot(gradient, gradient).sqrt();
         }
     }
     result

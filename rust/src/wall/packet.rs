@@ -312,20 +312,20 @@ fn push_children(
         [left.corners(node), right.corners(node), top_side.corners(node), bottom.corners(node)];
     let near_corners = near.corners(node);
     let mut nearest = [0.0f32; WIDTH];
-    let mut touched = [0u8; WIDTH];
+    let mut met = [0u8; WIDTH];
     // One long loop: the compiler turns it into vectors as wide as a node.
     for k in 0..WIDTH {
         let across = min(left.reach(corners[0], k), right.reach(corners[1], k));
         let along = min(top_side.reach(corners[2], k), bottom.reach(corners[3], k));
         nearest[k] = near.reach(near_corners, k);
-        touched[k] = u8::from((min(across, along) >= 0.0) & (nearest[k] <= farthest));
+        met[k] = u8::from((min(across, along) >= 0.0) & (nearest[k] <= farthest));
     }
     // One bit set in each byte whose child is touched.
-    let mut touched = u64::from_le_bytes(touched);
+    let mut met = u64::from_le_bytes(met);
     let first = top;
-    while touched != 0 {
-        let k = touched.trailing_zeros() as usize / 8;
-        touched &= touched - 1;
+    while met != 0 {
+        let k = met.trailing_zeros() as usize / 8;
+        met &= met - 1;
         let mut place = top;
         while place > first && stack[place - 1].1 < nearest[k] {
             stack[place] = stack[place - 1];

@@ -37,7 +37,7 @@ struct Ray {
 }
 
 /// Boxes of a node's children that a ray meets.
-struct Touched {
+struct BoxesMet {
     nearest: [f32; WIDTH],
     /// One bit for each child.
     mask: u32,
@@ -60,16 +60,16 @@ impl Ray {
 
     /// The children whose boxes the ray meets nearer than `farthest`.
     #[inline(always)]
-    fn touched(&self, node: &Node, farthest: f32) -> Touched {
-        let mut out = Touched { nearest: [0.0; WIDTH], mask: 0 };
+    fn boxes_met(&self, node: &Node, farthest: f32) -> BoxesMet {
+        let mut out = BoxesMet { nearest: [0.0; WIDTH], mask: 0 };
         let (origin, inverse) = (self.origin.map(Vec4::splat), self.inverse.map(Vec4::splat));
         for half in [0, 4] {
             let at = |rows: [usize; 3]| {
-                let way = |k: usize| {
+                let distance = |k: usize| {
                     let bound = Vec4::from_slice(&node.bounds[rows[k]][half..half + 4]);
                     (bound - origin[k]) * inverse[k]
                 };
-                [way(0), way(1), way(2)]
+                [distance(0), distance(1), distance(2)]
             };
             let ([ex, ey, ez], [lx, ly, lz]) = (at(self.enter), at(self.leave));
             let nearest = ex.max(ey).max(ez).max(Vec4::ZERO);
@@ -142,9 +142,9 @@ pub fn cast_in<const ANY: bool>(
         match Child::of(code) {
             Child::Node(number) => {
                 let node = &bvh.nodes[number];
-                let touched = ray.touched(node, farthest);
-                if touched.mask != 0 {
-                    (code, top) = choose(node, &touched, stack, top);
+                let boxes_met = ray.boxes_met(node, farthest);
+                if boxes_met.mask != 0 {
+                    (code, top) = choose(node, &boxes_met, stack, top);
                     continue;
                 }
             }
@@ -179,15 +179,15 @@ pub fn cast_in<const ANY: bool>(
 #[inline(always)]
 fn choose(
     node: &Node,
-    touched: &Touched,
+    boxes_met: &BoxesMet,
     stack: &mut [(u32, f32); STACK],
     mut top: usize,
 ) -> (u32, usize) {
-    let mut mask = touched.mask;
+    let mut mask = boxes_met.mask;
     let mut next = || {
         let k = mask.trailing_zeros() as usize % WIDTH;
         mask &= mask - 1;
-        ((node.children[k], touched.nearest[k]), mask)
+        ((node.children[k], boxes_met.nearest[k]), mask)
     };
     let (mut best, mut rest) = next();
     let first = top;

@@ -6,12 +6,12 @@ use crate::wall::packet::{Hits, MISS, Pyramid, trace};
 use rayon::prelude::*;
 
 /// Share of the way that must be free: the point itself lies on the wall.
-pub const FREE_WAY: f32 = 1.0 - 1e-4;
+pub const SHADOW_REACH: f32 = 1.0 - 1e-4;
 
 /// Unit directions from `origin` to each of a tile's points, and how far along them the way must
 /// be free [m]: 0 in lanes not `used`.
 #[inline(always)]
-pub fn ways(origin: Vec3, points: &Lane3, used: &[bool; LANES]) -> (Lane3, Lane) {
+pub fn shadow_segments(origin: Vec3, points: &Lane3, used: &[bool; LANES]) -> (Lane3, Lane) {
     let (mut directions, mut reach) = ([[0.0; LANES]; 3], [0.0; LANES]);
     for i in 0..LANES {
         let offset = sub(at(points, i), origin);
@@ -20,7 +20,7 @@ pub fn ways(origin: Vec3, points: &Lane3, used: &[bool; LANES]) -> (Lane3, Lane)
         for k in 0..3 {
             directions[k][i] = offset[k] * inverse;
         }
-        reach[i] = if used[i] { distance * FREE_WAY } else { 0.0 };
+        reach[i] = if used[i] { distance * SHADOW_REACH } else { 0.0 };
     }
     (directions, reach)
 }
@@ -33,7 +33,7 @@ pub fn visible_tile(
     points: &Lane3,
     used: &[bool; LANES],
 ) -> [bool; LANES] {
-    let (directions, reach) = ways(origin, points, used);
+    let (directions, reach) = shadow_segments(origin, points, used);
     let pyramid = Pyramid::around(directions, used);
     let mut hits = Hits::within(reach);
     trace::<true>(&wall.bvh, origin, &pyramid, wall.extent, &mut hits);

@@ -128,10 +128,10 @@ def _table(calibration: PhotometricCalibration, *, has_reference: bool):
         circle = f"radius {found.radius:.1f} px, center {found.cx:.1f}, {found.cy:.1f}"
     table.add_row("image circle", circle)
     fall = calibration.vignetting
-    share = f"1 {fall.k1:+.3f} ρ² {fall.k2:+.3f} ρ⁴, ρ in halves of the shorter side"
+    profile = f"1 {fall.k1:+.3f} ρ² {fall.k2:+.3f} ρ⁴, ρ in halves of the shorter side"
     rim = f"{fall.rim:.2f} ± {fall.deviation:.2f} of the light at the rim"
     table.add_row(
-        "vignetting", f"{share}; {rim}" if fall.is_clear else f"none that is clear; {rim}"
+        "vignetting", f"{profile}; {rim}" if fall.is_clear else f"none that is clear; {rim}"
     )
     color = calibration.color
     words = "nothing is bright and well exposed"

@@ -58,12 +58,12 @@ def pack(
         start = first[number > member]
         shape = (len(start), _TRIES)
         beside = start[:, None] + rng.integers(0, member, shape)
-        way = rng.standard_normal((*shape, 3))
-        way[..., 2] = np.abs(way[..., 2]) if dimensions == 3 else 0.0
-        way /= np.linalg.norm(way, axis=-1, keepdims=True)
+        direction = rng.standard_normal((*shape, 3))
+        direction[..., 2] = np.abs(direction[..., 2]) if dimensions == 3 else 0.0
+        direction /= np.linalg.norm(direction, axis=-1, keepdims=True)
         own = radius[start + member]
         reach = touch * (radius[beside] + own[:, None])
-        tried = place[beside] + reach[..., None] * way
+        tried = place[beside] + reach[..., None] * direction
         others = start[:, None] + np.arange(member)
         apart = np.linalg.norm(tried[:, :, None] - place[others][:, None], axis=-1)
         gap = apart - touch * (radius[others][:, None] + own[:, None, None])

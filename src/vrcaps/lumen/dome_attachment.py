@@ -69,8 +69,8 @@ def dome_sites(
     for k, own in enumerate(radius):
         cosine = rng.uniform(np.cos(_WIDEST), 1.0, _TRIES)
         sine, turn = np.sqrt(1.0 - cosine**2), rng.uniform(0.0, 2.0 * np.pi, _TRIES)
-        way = np.stack([sine * np.cos(turn), sine * np.sin(turn), cosine], axis=1)
-        tried = (capsule_radius + own) * way + np.array([0.0, 0.0, half])
+        normal = np.stack([sine * np.cos(turn), sine * np.sin(turn), cosine], axis=1)
+        tried = (capsule_radius + own) * normal + np.array([0.0, 0.0, half])
         tried *= np.array([1.0, 1.0, -1.0 if k % 2 else 1.0])
         apart = np.linalg.norm(tried[:, None] - places[:k], axis=-1) - radius[:k] - own
         places[k] = tried[np.argmax(apart.min(axis=1, initial=np.inf))]

@@ -137,28 +137,28 @@ class _Seeds:
         self.arc_length = np.interp(at, area, edges)
         self.owner = np.repeat(np.arange(len(self.number)), self.number)
 
-    def settle(self, towards: Float[np.ndarray, " 3"], share: float) -> None:
+    def settle(self, towards: Float[np.ndarray, " 3"], fraction: float) -> None:
         """Anchors the clusters: a share of them where `towards` points, the others all around."""
         from vrcaps.organ.centerline.curve import interpolate
 
-        points, frames, self.room = interpolate(self.organ.centerline, self.arc_length)
+        points, frames, self.lumen_radius = interpolate(self.organ.centerline, self.arc_length)
         count = len(points)
-        way = self.rng.standard_normal((count, 3))
-        drawn = self.rng.random(count) < share
-        way = np.where(drawn[:, None], _SCATTER * way + 2.0 * towards, way)
+        direction = self.rng.standard_normal((count, 3))
+        drawn = self.rng.random(count) < fraction
+        direction = np.where(drawn[:, None], _SCATTER * direction + 2.0 * towards, direction)
         tangent = frames[..., 2]
-        way -= np.sum(way * tangent, axis=1, keepdims=True) * tangent
-        way = unit(way)
-        distance, face = self.wall.cast(points, way)
+        direction -= np.sum(direction * tangent, axis=1, keepdims=True) * tangent
+        direction = unit(direction)
+        distance, face = self.wall.cast(points, direction)
         distance = np.where(face >= 0, distance, 0.0)
-        self.anchor = points + distance[:, None] * way
+        self.anchor = points + distance[:, None] * direction
         self.inward = _inward(self.organ, np.maximum(face, 0))
-        self.inward = np.where((face >= 0)[:, None], self.inward, -way)
+        self.inward = np.where((face >= 0)[:, None], self.inward, -direction)
 
     def radii(self, kind: Bubbles | Chyme) -> Float[np.ndarray, " n"]:
         """Radii [m] by the cut log-normal law; none is wider than half the way to the wall."""
-        room = np.maximum(0.5 * self.room[self.owner], kind.smallest)
-        return np.minimum(cut_log_normal(kind, self.total, self.rng), room)
+        lumen_radius = np.maximum(0.5 * self.lumen_radius[self.owner], kind.smallest)
+        return np.minimum(cut_log_normal(kind, self.total, self.rng), lumen_radius)
 
     def spread(
         self, radius: Float[np.ndarray, " n"], *, dimensions: int, touch: float
@@ -169,7 +169,7 @@ class _Seeds:
         first = np.cross(self.inward, least)
         first /= np.linalg.norm(first, axis=1, keepdims=True)
         axes = np.stack([first, np.cross(self.inward, first), self.inward], axis=-1)[self.owner]
-        lift = np.minimum(radius, 0.5 * self.room[self.owner])
+        lift = np.minimum(radius, 0.5 * self.lumen_radius[self.owner])
         place = self.anchor[self.owner] + lift[:, None] * self.inward[self.owner]
         return place + np.einsum("nij,nj->ni", axes, flat)
 

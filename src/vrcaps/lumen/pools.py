@@ -77,16 +77,18 @@ def cut_sections(organ: OrganSurface) -> Sections:
     radius = _radii(organ, edges)
     centers, frames, _ = interpolate(organ.centerline, middle)
     angle = 2.0 * np.pi * (np.arange(_AROUND) + 0.5) / _AROUND - np.pi
-    way = (
+    direction = (
         np.cos(angle)[:, None] * frames[:, None, :, 0]
         + np.sin(angle)[:, None] * (frames[:, None, :, 1])
     )
     # Rings of equal area, sampled at the middle of each.
-    share = np.sqrt((np.arange(_RINGS) + 0.5) / _RINGS)
-    points = centers[:, None, None] + (radius[..., None] * share)[..., None] * way[:, :, None]
+    fraction = np.sqrt((np.arange(_RINGS) + 0.5) / _RINGS)
+    points = (
+        centers[:, None, None] + (radius[..., None] * fraction)[..., None] * direction[:, :, None]
+    )
     area = radius**2 * np.pi / _AROUND / _RINGS
     volumes = np.repeat(area * np.diff(edges)[:, None], _RINGS, axis=1)
-    rim = centers[:, None] + radius[..., None] * way
+    rim = centers[:, None] + radius[..., None] * direction
     return Sections(middle, centers, points.reshape(len(middle), -1, 3), volumes, rim)
 
 

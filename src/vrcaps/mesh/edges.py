@@ -84,14 +84,14 @@ def split_face(
         side: Corner that the split edge leaves.
         at: The vertex, and how far along the edge it lies, 0 to 1.
     """
-    vertex, share = at
+    vertex, fraction = at
     turn = [side, (side + 1) % 3, (side + 2) % 3]
     a, b, c = mesh.faces[face, turn]
     faces = np.array([[a, vertex, c], [vertex, b, c]])
     if mesh.uv is None:
         return faces, None
     uv_a, uv_b, uv_c = mesh.uv[face, turn]
-    uv = uv_a + share * (uv_b - uv_a)
+    uv = uv_a + fraction * (uv_b - uv_a)
     return faces, np.array([[uv_a, uv, uv_c], [uv, uv_b, uv_c]])
 
 

@@ -122,13 +122,17 @@ def _split(
     number = np.full(len(ends), -1)
     number[marked] = len(patch.clean) + np.arange(marked.sum())
     patch = _with_midpoints(patch, ends[marked])
-    touched = marked[of_face].any(axis=1)
+    affected = marked[of_face].any(axis=1)
     first = np.argmax(of_face == longest[:, None], axis=1)
     order = (first[:, None] + np.arange(3)) % 3
     rows = np.arange(len(order))[:, None]
     f, e, uv = patch.faces[rows, order], of_face[rows, order], patch.uv[rows, order]
-    faces, uvs, charts = [patch.faces[~touched]], [patch.uv[~touched]], [patch.chart_id[~touched]]
-    f, e, uv, chart = f[touched], e[touched], uv[touched], patch.chart_id[touched]
+    faces, uvs, charts = (
+        [patch.faces[~affected]],
+        [patch.uv[~affected]],
+        [patch.chart_id[~affected]],
+    )
+    f, e, uv, chart = f[affected], e[affected], uv[affected], patch.chart_id[affected]
     middle, middle_uv = number[e[:, 0]], 0.5 * (uv[:, 0] + uv[:, 1])
     # The halves are (c, a, m) and (b, c, m); the edges c–a and b–c may be split too.
     for a, b, edge in ((2, 0, 2), (1, 2, 1)):

@@ -127,5 +127,5 @@ def wasserstein(a: Float[np.ndarray, " n"], b: Float[np.ndarray, " m"]) -> float
     """Wasserstein-1 distance between two samples: ∫ |F_a − F_b| over the values."""
     values = np.sort(np.concatenate([a, b]))
     at = values[:-1]
-    shares = [np.searchsorted(np.sort(side), at, side="right") / len(side) for side in (a, b)]
-    return float(np.abs(shares[0] - shares[1]) @ np.diff(values))
+    fractions = [np.searchsorted(np.sort(side), at, side="right") / len(side) for side in (a, b)]
+    return float(np.abs(fractions[0] - fractions[1]) @ np.diff(values))

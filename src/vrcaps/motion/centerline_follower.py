@@ -111,11 +111,11 @@ class CenterlineFollower:
         self, s: np.ndarray, amplitude: np.ndarray, stretch: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         return (
-            self._rail(s - self.sign * stretch * self.rear, amplitude),
-            self._rail(s + self.sign * stretch * self.front, amplitude),
+            self._point(s - self.sign * stretch * self.rear, amplitude),
+            self._point(s + self.sign * stretch * self.front, amplitude),
         )
 
-    def _rail(self, s: np.ndarray, amplitude: np.ndarray) -> np.ndarray:
+    def _point(self, s: np.ndarray, amplitude: np.ndarray) -> np.ndarray:
         point, frame, radius = interpolate(self.centerline, s)
         offset = np.empty((len(s), 3))
         offset[:, :2] = (amplitude * self.drift * radius)[:, None] * self.noise.at(s)[:, :2]

@@ -190,11 +190,11 @@ def _fitted(
     clearance = vital_clearance(model, follower.poses(knots))
     blocked = np.flatnonzero(~(clearance > 0.0))
     if len(blocked):
-        share = knots[blocked[0]] / model.organ.centerline.length
+        fraction = knots[blocked[0]] / model.organ.centerline.length
         raise InputError(
-            f"{model.device.name} in {model.organ.name}: a camera leaves the lumen {share:.3f} of "
-            f"the way along (by {-clearance[blocked[0]] / MM:.1f} mm). Choose start and end on "
-            "one side of it."
+            f"{model.device.name} in {model.organ.name}: a camera leaves the lumen "
+            f"{fraction:.3f} of the way along (by {-clearance[blocked[0]] / MM:.1f} mm). "
+            "Choose start and end on one side of it."
         )
     return follower, float(knots[0]), float(knots[-1]), notes
 

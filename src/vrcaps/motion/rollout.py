@@ -212,7 +212,7 @@ class Rollout:
             times = [begin + (end - begin) * (index + k) / count for k in (0, 1)]
             wrenches[index] = self._wrench(times[0]) if begin >= 0.0 else 0.0
             control = replace(
-                self._steered(times),
+                self._magnet_control(times),
                 force_world=wrenches[index, 0],
                 torque_world=wrenches[index, 1],
                 T_world_patient=self._patient(times[1]),
@@ -233,7 +233,7 @@ class Rollout:
         command = self._command(end, wrenches.mean(axis=0))
         return self._shown(state, end, command), command
 
-    def _steered(self, times: list[float]) -> Control:
+    def _magnet_control(self, times: list[float]) -> Control:
         """Command of the magnet between two times."""
         if self.program is None:
             return Control()
@@ -268,9 +268,9 @@ class Rollout:
         """Factor on the lumen's radius; before the first frame on the way to its first value."""
         if time >= 0.0 or not self.settings.settle:
             return insufflation_at(self.settings.insufflation, max(time, 0.0))
-        share = 1.0 + time / self.settings.settle
+        fraction = 1.0 + time / self.settings.settle
         first = insufflation_at(self.settings.insufflation, 0.0)
-        return 1.0 + (first - 1.0) * share**2 * (3.0 - 2.0 * share)
+        return 1.0 + (first - 1.0) * fraction**2 * (3.0 - 2.0 * fraction)
 
     def _follow(self) -> None:
         """Brings the capsule's place along the gut up to date, near where it was."""

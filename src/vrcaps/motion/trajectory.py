@@ -139,11 +139,11 @@ def resample(trajectory: Trajectory, times: Float[np.ndarray, " k"]) -> Trajecto
             "higher frame rate (fps) or an earlier start (motion.start)."
         )
     left = np.clip(np.searchsorted(own, times, side="right") - 1, 0, len(own) - 2)
-    share = ((times - own[left]) / (own[left + 1] - own[left]))[:, None]
+    weight = ((times - own[left]) / (own[left + 1] - own[left]))[:, None]
     poses = trajectory.Ts_world_capsule
-    positions = (1.0 - share) * poses[left, :3, 3] + share * poses[left + 1, :3, 3]
+    positions = (1.0 - weight) * poses[left, :3, 3] + weight * poses[left + 1, :3, 3]
     turn = rotation_vector(poses[left, :3, :3], poses[left + 1, :3, :3])
-    rotations = rotation_from_vector(share * turn) @ poses[left, :3, :3]
+    rotations = rotation_from_vector(weight * turn) @ poses[left, :3, :3]
     Ts_world_capsule = transform_from(rotations, positions)
     if len(times) > 1:
         return trajectory_from_poses(times, Ts_world_capsule, notes=trajectory.notes)

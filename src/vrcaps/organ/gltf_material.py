@@ -140,5 +140,5 @@ def _weighted_median(values: Float[np.ndarray, " n"], weights: Float[np.ndarray,
     if len(values) == 0:
         return 1.0
     order = np.argsort(values, kind="stable")
-    share = np.cumsum(weights[order])
-    return float(values[order[np.searchsorted(share, 0.5 * share[-1])]])
+    cumulative = np.cumsum(weights[order])
+    return float(values[order[np.searchsorted(cumulative, 0.5 * cumulative[-1])]])

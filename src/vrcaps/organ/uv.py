@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 _STRETCH = 2.0  # the tube's texels may be so much longer or shorter than the median, at p1, p99
 _RESOLUTION = 2048  # texels on a side for which the atlas is packed
 _PADDING = 4  # texels between charts at that resolution
-_CHART_SHARE = 0.02  # of the wall that one chart may take; large ones are slow to flatten
+_CHART_FRACTION = 0.02  # of the wall that one chart may take; large ones are slow to flatten
 _CHART_COST = 1.0  # bound on the distortion of a growing chart (xatlas' measure; its default 2)
 
 
@@ -111,7 +111,7 @@ def atlas_coordinates(
     atlas.add_mesh(scaled.astype(np.float32), faces.astype(np.uint32))
     charts = xatlas.ChartOptions()
     charts.max_cost = _CHART_COST
-    charts.max_chart_area = _CHART_SHARE
+    charts.max_chart_area = _CHART_FRACTION
     atlas.generate(charts, _pack_options())
     _, index, uv = atlas[0]
     uv = np.asarray(uv, float) * (atlas.width, atlas.height)

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
 _STEP = CHANNELS["depth"].encoding.scale or 0.0
 _CAST_FRAMES, _CAST_RAYS = 8, 400  # frames and rays per frame that are cast against the organ
-_CAST_SHARE = 0.99  # of these rays must agree; at silhouettes rounding decides which wall is hit
+_MIN_AGREEMENT = 0.99  # of these rays must agree; at silhouettes rounding decides which wall is hit
 
 
 @dataclass(frozen=True)
@@ -321,7 +321,7 @@ def _check_cast(
     near = np.abs(stored.astype(int) - expected.astype(int)) <= 1
     if CHYME in episode.label_names:
         near |= stored < expected  # a particle may hide the wall
-    if near.mean() < _CAST_SHARE:
+    if near.mean() < _MIN_AGREEMENT:
         where = episode.image_path(camera.name, channel, frame).relative_to(episode.path)
         against = wall_path(frame) if "wall" in episode.head else ORGAN_GLB
         yield Problem(

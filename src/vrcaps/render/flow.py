@@ -67,10 +67,10 @@ class SurfacePoints:
         points = self._moved_wall(faces, state)
         if now is None or then is None or not now.spheres.has_chyme:
             return points
-        points, afloat = points.astype(float), self.face < -1
-        sphere = -2 - self.face[afloat]
+        points, on_sphere = points.astype(float), self.face < -1
+        sphere = -2 - self.face[on_sphere]
         shift = then.spheres.centers[sphere] - now.spheres.centers[sphere]
-        points[afloat] = self.position[afloat] + shift
+        points[on_sphere] = self.position[on_sphere] + shift
         return points
 
     def _moved_wall(

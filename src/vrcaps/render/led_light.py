@@ -62,8 +62,8 @@ _CHANNELS = ((645.0, 50.0), (545.0, 90.0), (465.0, 90.0))
 after its color matrix (an assumption), red where blood is a sixth as dense as in green, which is
 what `vrcaps.mucosa.mucosa.ABSORPTION` has."""
 
-_LEAST_SHARE = 0.02
-"""Light that a channel must get of what the brightest does, for a balance to white."""
+_MIN_FRACTION = 0.02
+"""Light that a channel must get of what the brightest does, to balance white."""
 
 
 def _bell(middle: float, width: float) -> Float[np.ndarray, " n"]:
@@ -148,11 +148,11 @@ def _weights(spectrum: Spectrum) -> Float[np.ndarray, "3 n"]:
     light = np.interp(_WAVELENGTH, wavelength, power, left=0.0, right=0.0)
     channels = np.array([light * _bell(*channel) for channel in _CHANNELS])
     total = channels.sum(axis=1)
-    for name, share in zip(("red", "green", "blue"), total / total.max(), strict=True):
-        if not share >= _LEAST_SHARE:
+    for name, fraction in zip(("red", "green", "blue"), total / total.max(), strict=True):
+        if not fraction >= _MIN_FRACTION:
             raise InputError(
-                f"LEDs of this spectrum give the camera's {name} {share:.1%} of the light of its "
-                f"brightest color. Allowed: {_LEAST_SHARE:.0%} or more, for a balance to white."
+                f"LEDs of this spectrum give the camera's {name} {fraction:.1%} of the light of "
+                f"its brightest color. Allowed: {_MIN_FRACTION:.0%} or more, to balance white."
             )
     return channels / total[:, None]
 

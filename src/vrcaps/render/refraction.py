@@ -65,11 +65,11 @@ def surface_heights(
         return levels
     on_wall = face >= 0
     levels[on_wall] = heights[pools.of_vertex[faces[face[on_wall]]].max(axis=-1)]
-    afloat = face < -1
-    arc_length = lumen_contents.spheres.arc_length[-2 - face[afloat]]
+    on_sphere = face < -1
+    arc_length = lumen_contents.spheres.arc_length[-2 - face[on_sphere]]
     for (begin, end), height in zip(pools.stretch, pools.levels, strict=True):
         inside = (arc_length >= begin) & (arc_length <= end)
-        levels[afloat] = np.where(inside, height, levels[afloat])
+        levels[on_sphere] = np.where(inside, height, levels[on_sphere])
     levels[levels > eye[2]] = np.nan
     return levels
 

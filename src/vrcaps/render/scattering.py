@@ -223,11 +223,11 @@ def diffusion_profile(medium: Medium, radius: Float[np.ndarray, "*n"]) -> Float[
     back = fresnel(cosine, 1.0 / medium.ior)
     once, twice = (float(np.sum(weight * back * cosine**power)) for power in (1, 2))
     border = (1.0 + 3.0 * twice) / (1.0 - 2.0 * once)
-    depths, shares = np.polynomial.laguerre.laggauss(24)
+    depths, weights = np.polynomial.laguerre.laggauss(24)
     beam = np.zeros_like(radius)
-    for depth, share in zip(depths, shares, strict=True):
+    for depth, node_weight in zip(depths, weights, strict=True):
         fluence, flux = _dipole(medium, radius, depth=depth, border=border)
-        beam += share * ((0.25 - 0.5 * once) * fluence + (0.5 - 1.5 * twice) * flux)
+        beam += node_weight * ((0.25 - 0.5 * once) * fluence + (0.5 - 1.5 * twice) * flux)
     return medium.scattering / (medium.absorption + medium.scattering) * beam
 
 
@@ -247,10 +247,10 @@ def _dipole(
     near, far = depth / total, (depth + 4.0 / 3.0 * border) / total
     fluence, flux = np.zeros_like(radius), np.zeros_like(radius)
     for place, sign in ((near, 1.0), (far, -1.0)):
-        way = np.hypot(place, radius)
-        lasts = np.exp(-effective * way) / way
+        distance = np.hypot(place, radius)
+        lasts = np.exp(-effective * distance) / distance
         fluence = fluence + sign * 3.0 * total * lasts / (4.0 * np.pi)
-        flux = flux + place * (effective + 1.0 / way) * lasts / way / (4.0 * np.pi)
+        flux = flux + place * (effective + 1.0 / distance) * lasts / distance / (4.0 * np.pi)
     return fluence, flux
 
 

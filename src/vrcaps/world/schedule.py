@@ -95,10 +95,10 @@ def patient_at(
     """
     rotation = first[:3, :3]
     for change in changes:
-        share = np.clip((time - change.time) / change.duration, 0.0, 1.0)
+        fraction = np.clip((time - change.time) / change.duration, 0.0, 1.0)
         after = posture_transform(change.posture)[:3, :3]
-        if share < 1.0:
-            vector = share**2 * (3.0 - 2.0 * share) * rotation_vector(rotation, after)
+        if fraction < 1.0:
+            vector = fraction**2 * (3.0 - 2.0 * fraction) * rotation_vector(rotation, after)
             after = rotation_from_vector(vector) @ rotation
         rotation = after
     return transform_from(rotation, first[:3, 3])

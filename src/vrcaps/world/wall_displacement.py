@@ -55,8 +55,8 @@ class WallDisplacement:
         distance = np.linalg.norm(local, axis=1)
         moved = (distance < reach) & (distance > _LEAST)
         near, distance = near[moved], distance[moved]
-        share = np.clip((distance - least) / (reach - least), 0.0, 1.0)
-        further = radius + radius * share ** ((reach - least) / radius) - distance
+        fraction = np.clip((distance - least) / (reach - least), 0.0, 1.0)
+        further = radius + radius * fraction ** ((reach - least) / radius) - distance
         vertices = rest.copy()
         outward = local[moved] @ T_world_capsule[:3, :3].T / distance[:, None]
         vertices[near] += further[:, None] * outward

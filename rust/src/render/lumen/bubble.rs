@@ -52,7 +52,7 @@ impl Film {
     pub fn cover(
         &self,
         sphere: &Sphere,
-        ways: &Crossings,
+        crossings: &Crossings,
         eye: &Eye<'_>,
         leds: &[Led],
         behind: &mut Behind<'_>,
@@ -62,12 +62,12 @@ impl Film {
         let distance = dot(offset, offset).sqrt();
         // Half a pixel, as a share of the radius.
         let blur = 0.5 * eye.pixel_angle * distance / sphere.radius;
-        let shell = self.shell(ways, blur);
+        let shell = self.shell(crossings, blur);
         let dimmed = dimmed(distance, behind.distance);
         for front in [false, true] {
-            let ways = if front { &ways.near } else { &ways.far };
+            let distances = if front { &crossings.near } else { &crossings.far };
             for i in 0..LANES {
-                let seen = (ways[i] > 0.0) & (ways[i] < behind.distance[i]);
+                let seen = (distances[i] > 0.0) & (distances[i] < behind.distance[i]);
                 for k in 0..3 {
                     let through = if seen { shell.through[k][i] } else { 1.0 };
                     let mirrored = if seen { shell.mirrored[i] * dimmed[i] } else { 0.0 };
@@ -76,7 +76,7 @@ impl Film {
                 }
             }
             for led in leds {
-                self.add_image(sphere, ways, eye, led, (blur, front), behind);
+                self.add_image(sphere, distances, eye, led, (blur, front), behind);
             }
         }
     }
@@ -90,20 +90,20 @@ impl Film {
 
     /// Transmission and reflection of one crossing of the shell.
     #[inline(always)]
-    fn shell(&self, ways: &Crossings, blur: f32) -> Shell {
+    fn shell(&self, crossings: &Crossings, blur: f32) -> Shell {
         let mut shell = Shell { through: [[0.0; LANES]; 3], mirrored: [0.0; LANES] };
         let width = max(0.5 * self.border, blur);
-        let share = 0.5 * self.border / width;
+        let peak = 0.5 * self.border / width;
         for i in 0..LANES {
-            let miss = min(ways.miss[i], 1.0);
+            let miss = min(crossings.miss[i], 1.0);
             // A pixel at the outline sees a range of angles; none is nearer than its own width.
             let cosine = (max(1.0 - miss, min(blur, 1.0))).sqrt();
             let surface = fresnel(cosine, self.ior);
             let film = 2.0 * surface / (1.0 + surface);
             let from_border = (miss.sqrt() - 1.0 + 0.6 * self.border) / width;
-            let border = share * exp2(-LOG2_E * from_border * from_border);
+            let border = peak * exp2(-LOG2_E * from_border * from_border);
             let inner = (miss.sqrt() - 1.0 + 1.8 * self.border) / (1.4 * width);
-            let depth = share * exp2(-LOG2_E * inner * inner);
+            let depth = peak * exp2(-LOG2_E * inner * inner);
             shell.mirrored[i] = film + (1.0 - film) * self.gleam * border;
             for k in 0..3 {
                 let stain = exp2(-LOG2_E * self.stain[k] * depth);
@@ -119,7 +119,7 @@ impl Film {
     fn add_image(
         &self,
         sphere: &Sphere,
-        ways: &Lane,
+        distances: &Lane,
         eye: &Eye<'_>,
         led: &Led,
         (blur, front): (f32, bool),
@@ -142,9 +142,9 @@ impl Film {
             return;
         }
         for i in 0..LANES {
-            let seen = (ways[i] > 0.0) & (ways[i] < behind.distance[i]);
-            let way = scale(at(&eye.rays.directions, i), ways[i]);
-            let point = add(at(eye.starts, i), way);
+            let seen = (distances[i] > 0.0) & (distances[i] < behind.distance[i]);
+            let offset = scale(at(&eye.rays.directions, i), distances[i]);
+            let point = add(at(eye.starts, i), offset);
             let apart = sub(scale(sub(point, sphere.center), inverse), mirror);
             let image = if seen { peak * exp2(-steepness * dot(apart, apart)) } else { 0.0 };
             for k in 0..3 {

@@ -37,9 +37,9 @@ impl Foreground {
 
     /// A bubble counts where the ray crosses its shell for the first time.
     #[inline(always)]
-    pub fn add_bubble(&mut self, instance: u16, ways: [&Lane; 2], distance: &Lane) {
+    pub fn add_bubble(&mut self, instance: u16, crossings: [&Lane; 2], distance: &Lane) {
         for i in 0..LANES {
-            let first = if ways[0][i] > 0.0 { ways[0][i] } else { ways[1][i] };
+            let first = if crossings[0][i] > 0.0 { crossings[0][i] } else { crossings[1][i] };
             let nearer = (first > 0.0) & (first < distance[i]) & (first < self.distance[i]);
             self.distance[i] = if nearer { first } else { self.distance[i] };
             self.label[i] = if nearer { FOREGROUND_BUBBLE } else { self.label[i] };

@@ -33,8 +33,8 @@ impl LumenRays<'_> {
         chyme.gather(origin, rays, self.wall.extent, farthest, near);
         for &Near { index, .. } in near.iter() {
             let sphere = &chyme.all[index as usize];
-            let ways = sphere.crossings(origin, &rays.directions);
-            shorten(&ways, index, &[0.0; LANES], hits, &mut owner);
+            let crossings = sphere.crossings(origin, &rays.directions);
+            shorten(&crossings, index, &[0.0; LANES], hits, &mut owner);
         }
         owner
     }
@@ -56,7 +56,7 @@ impl LumenRays<'_> {
             let level = turn.place[2][first];
             let group = std::array::from_fn(|i| rest[i] & (turn.place[2][i] == level));
             let (met, theirs) =
-                self.intersect_reflected_at(level, mirrored, (&turn.way, &group), near);
+                self.intersect_reflected_at(level, mirrored, (&turn.distance, &group), near);
             for i in (0..LANES).filter(|&i| group[i]) {
                 rest[i] = false;
                 hits.distance[i] = met.distance[i];
@@ -88,8 +88,8 @@ impl LumenRays<'_> {
         chyme.gather(image, mirrored, wall.extent, farthest, near);
         for &Near { index, .. } in near.iter() {
             let sphere = &chyme.all[index as usize];
-            let ways = sphere.crossings(image, &mirrored.directions);
-            shorten(&ways, index, nearest, &mut hits, &mut owner);
+            let crossings = sphere.crossings(image, &mirrored.directions);
+            shorten(&crossings, index, nearest, &mut hits, &mut owner);
         }
         (hits, owner)
     }
@@ -106,16 +106,18 @@ impl LumenRays<'_> {
         let (mut hits, mut owner) = (Hits::within([0.0; LANES]), [MISS; LANES]);
         let (mut low, mut high) = ([f32::MAX; 3], [f32::MIN; 3]);
         for i in (0..LANES).filter(|&i| used[i]) {
-            let (start, way) = (at(&turn.place, i), at(&turn.heading, i));
+            let (start, direction) = (at(&turn.place, i), at(&turn.heading, i));
             hits.distance[i] = MAX_DISTANCE;
-            if let Some(hit) = ray::cast::<false>(&self.wall.bvh, start, way, MAX_DISTANCE, MISS) {
+            if let Some(hit) =
+                ray::cast::<false>(&self.wall.bvh, start, direction, MAX_DISTANCE, MISS)
+            {
                 hits.distance[i] = hit.distance;
                 hits.triangle[i] = hit.triangle;
                 for k in 0..3 {
                     hits.edges[k][i] = hit.edges[k];
                 }
             }
-            let end = add(start, scale(way, hits.distance[i]));
+            let end = add(start, scale(direction, hits.distance[i]));
             for k in 0..3 {
                 low[k] = min(low[k], min(start[k], end[k]));
                 high[k] = max(high[k], max(start[k], end[k]));
@@ -125,11 +127,11 @@ impl LumenRays<'_> {
         chyme.within((low, high), low, near);
         for &Near { index, .. } in near.iter() {
             let sphere = &chyme.all[index as usize];
-            let ways = sphere.crossings_from(|i| at(&turn.place, i), &turn.heading);
-            shorten(&ways, index, &[0.0; LANES], &mut hits, &mut owner);
+            let crossings = sphere.crossings_from(|i| at(&turn.place, i), &turn.heading);
+            shorten(&crossings, index, &[0.0; LANES], &mut hits, &mut owner);
         }
         for i in (0..LANES).filter(|&i| used[i]) {
-            hits.distance[i] += turn.way[i];
+            hits.distance[i] += turn.distance[i];
         }
         (hits, owner)
     }
@@ -137,10 +139,10 @@ impl LumenRays<'_> {
 
 /// Ends at a sphere the rays that meet it first, beyond `nearest` [m].
 #[inline(always)]
-fn shorten(ways: &Crossings, index: u32, nearest: &Lane, hits: &mut Hits, owner: &mut Owner) {
+fn shorten(crossings: &Crossings, index: u32, nearest: &Lane, hits: &mut Hits, owner: &mut Owner) {
     for i in 0..LANES {
-        let nearer = (ways.near[i] > nearest[i]) & (ways.near[i] < hits.distance[i]);
-        hits.distance[i] = if nearer { ways.near[i] } else { hits.distance[i] };
+        let nearer = (crossings.near[i] > nearest[i]) & (crossings.near[i] < hits.distance[i]);
+        hits.distance[i] = if nearer { crossings.near[i] } else { hits.distance[i] };
         owner[i] = if nearer { index } else { owner[i] };
     }
 }

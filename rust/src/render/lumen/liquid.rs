@@ -95,7 +95,7 @@ impl Pools {
                 let beyond = if is_under { 1.0 / ior } else { ior };
                 wet.turn.set(i, origin, at(directions, i), level, beyond);
             }
-            wet.start[i] = if is_under { 0.0 } else { wet.turn.way[i] };
+            wet.start[i] = if is_under { 0.0 } else { wet.turn.distance[i] };
         }
         wet
     }
@@ -106,9 +106,9 @@ impl Optics {
     #[inline(always)]
     pub fn dim(&self, led: &Led, position: &Lane3, wet: &Wet, light: &mut Lane3) {
         for i in 0..LANES {
-            let way = wet.way(led.position, at(position, i), i);
+            let length = wet.length_in_liquid(led.position, at(position, i), i);
             for k in 0..3 {
-                light[k][i] *= exp2(-LOG2_E * self.extinction(k) * way);
+                light[k][i] *= exp2(-LOG2_E * self.extinction(k) * length);
             }
         }
     }
@@ -135,8 +135,9 @@ impl Optics {
     /// LEDs as bright as they are at a point in the liquid of lane `i`.
     pub fn dimmed(&self, leds: &[Led], point: Vec3, wet: &Wet, i: usize) -> Vec<Led> {
         let dim = |led: &Led| {
-            let way = -LOG2_E * wet.way(led.position, point, i);
-            let intensity = [0, 1, 2].map(|k| led.intensity[k] * exp2(way * self.extinction(k)));
+            let exponent = -LOG2_E * wet.length_in_liquid(led.position, point, i);
+            let intensity =
+                [0, 1, 2].map(|k| led.intensity[k] * exp2(exponent * self.extinction(k)));
             Led { intensity, ..*led }
         };
         leds.iter().map(dim).collect()
@@ -152,18 +153,18 @@ impl Optics {
         wet: &Wet,
         radiance: &mut Lane3,
     ) {
-        let glow = self.glow((starts, directions, length), leds, wet);
+        let in_scattering = self.in_scattering((starts, directions, length), leds, wet);
         for k in 0..3 {
             let steepness = -LOG2_E * self.extinction(k);
             for i in 0..LANES {
-                radiance[k][i] = radiance[k][i] * exp2(steepness * length[i]) + glow[k][i];
+                radiance[k][i] = radiance[k][i] * exp2(steepness * length[i]) + in_scattering[k][i];
             }
         }
     }
 
     /// Light scattered once, by the midpoint rule over the way through the liquid.
     #[inline(always)]
-    fn glow(
+    fn in_scattering(
         &self,
         (starts, directions, length): (&Lane3, &Lane3, &Lane),
         leds: &[Led],
@@ -179,13 +180,13 @@ impl Optics {
             for led in leds {
                 let (mut power, mut total, mut lobe) = ([0.0; LANES], [0.0; LANES], [0.0; LANES]);
                 for i in 0..LANES {
-                    let way = 0.5 * (from + to) * length[i];
-                    let point = add(at(starts, i), scale(at(directions, i), way));
+                    let distance = 0.5 * (from + to) * length[i];
+                    let point = add(at(starts, i), scale(at(directions, i), distance));
                     let offset = sub(led.position, point);
                     let square = max(dot(offset, offset), NEAREST * NEAREST);
                     power[i] = (to - from) * length[i] / (4.0 * PI * square);
                     lobe[i] = clamp(-dot(normalize(offset), led.direction), 0.0, 1.0);
-                    total[i] = way + wet.way(led.position, point, i);
+                    total[i] = distance + wet.length_in_liquid(led.position, point, i);
                 }
                 shape(&mut lobe, led.exponent);
                 for k in 0..3 {
@@ -219,9 +220,10 @@ impl Optics {
         let (lanes, refracted) = (wet.turn.lanes(), wet.turn.are(REFRACTED));
         for k in 0..3 {
             for i in 0..LANES {
-                let share = if refracted[i] { wet.turn.share[i] } else { 0.0 };
+                let reflectance = if refracted[i] { wet.turn.reflectance[i] } else { 0.0 };
                 let image = if lanes[i] { images[k][i] } else { 0.0 };
-                radiance[k][i] = (1.0 - share) * radiance[k][i] + share * mirrored[k][i] + image;
+                radiance[k][i] =
+                    (1.0 - reflectance) * radiance[k][i] + reflectance * mirrored[k][i] + image;
             }
         }
     }
@@ -230,7 +232,7 @@ impl Optics {
     #[inline(always)]
     fn add_image(&self, directions: &Lane3, led: &Led, wet: &Wet, sum: &mut Lane3) {
         let square_roughness = self.roughness * self.roughness;
-        let (mut image, mut way, mut lobe) = ([0.0; LANES], [0.0; LANES], [0.0; LANES]);
+        let (mut image, mut length, mut lobe) = ([0.0; LANES], [0.0; LANES], [0.0; LANES]);
         for i in 0..LANES {
             let direction = at(directions, i);
             let offset = sub(led.position, at(&wet.turn.place, i));
@@ -241,16 +243,17 @@ impl Optics {
             let normal = half[2] * -1f32.copysign(direction[2]);
             let tilt = 2.0 * max(1.0 - normal, 0.0) / square_roughness;
             let density = exp2(-LOG2_E * tilt) / (PI * square_roughness);
-            let peak = wet.turn.share[i] * density / (4.0 * max(direction[2].abs(), 0.05) * square);
+            let peak =
+                wet.turn.reflectance[i] * density / (4.0 * max(direction[2].abs(), 0.05) * square);
             image[i] = if normal > 0.0 { peak } else { 0.0 };
             lobe[i] = clamp(-dot(light, led.direction), 0.0, 1.0);
-            way[i] = if wet.under[i] { square.sqrt() } else { 0.0 };
+            length[i] = if wet.under[i] { square.sqrt() } else { 0.0 };
         }
         shape(&mut lobe, led.exponent);
         for k in 0..3 {
             let steepness = -LOG2_E * self.extinction(k);
             for i in 0..LANES {
-                sum[k][i] += led.intensity[k] * image[i] * lobe[i] * exp2(steepness * way[i]);
+                sum[k][i] += led.intensity[k] * image[i] * lobe[i] * exp2(steepness * length[i]);
             }
         }
     }
@@ -262,8 +265,8 @@ fn shape(lobe: &mut Lane, exponent: f32) {
     if exponent == 1.0 {
         return;
     }
-    for share in lobe {
-        *share = if exponent == 0.0 { 1.0 } else { pow(*share, exponent) };
+    for cosine in lobe {
+        *cosine = if exponent == 0.0 { 1.0 } else { pow(*cosine, exponent) };
     }
 }
 
@@ -278,12 +281,12 @@ impl Wet {
     ///
     /// LEDs are where the eye is: in its pool, or in none.
     #[inline(always)]
-    fn way(&self, led: Vec3, point: Vec3, i: usize) -> f32 {
+    fn length_in_liquid(&self, led: Vec3, point: Vec3, i: usize) -> f32 {
         let offset = sub(led, point);
         let (below, led_below) = (self.level[i] - point[2], self.level[i] - led[2]);
         let sunk = max(below, 0.0) + max(led_below, 0.0);
-        let share = sunk / max(below.abs() + led_below.abs(), 1e-9);
-        let way = dot(offset, offset).sqrt() * share;
-        if self.is_wet[i] { way } else { 0.0 }
+        let fraction = sunk / max(below.abs() + led_below.abs(), 1e-9);
+        let length = dot(offset, offset).sqrt() * fraction;
+        if self.is_wet[i] { length } else { 0.0 }
     }
 }

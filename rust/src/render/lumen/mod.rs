@@ -126,16 +126,16 @@ impl Contents {
     ) -> PyResult<Bound<'py, PyArray1<bool>>> {
         let (starts, points) = (starts.as_array(), points.as_array());
         if starts.dim() != points.dim() || starts.ncols() != 3 {
-            return Err(PyValueError::new_err("Ways need as many starts as points."));
+            return Err(PyValueError::new_err("Segments need as many starts as points."));
         }
         let place = |row: ArrayView1<'_, f64>| wall.localize([row[0], row[1], row[2]]);
-        let ways: Vec<[Vec3; 2]> = starts
+        let segments: Vec<[Vec3; 2]> = starts
             .outer_iter()
             .zip(points.outer_iter())
             .map(|(a, b)| [place(a), place(b)])
             .collect();
         Ok(py
-            .detach(|| particle_surfaces::segments_unoccluded(&self.chyme, wall, &ways))
+            .detach(|| particle_surfaces::segments_unoccluded(&self.chyme, wall, &segments))
             .into_pyarray(py))
     }
 }

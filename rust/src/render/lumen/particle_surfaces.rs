@@ -8,7 +8,7 @@ use crate::simd::f32x64::*;
 use crate::wall::Wall;
 use crate::wall::packet::MISS;
 use crate::wall::ray;
-use crate::wall::visibility::FREE_WAY;
+use crate::wall::visibility::SHADOW_REACH;
 use rayon::prelude::*;
 
 /// `Attributes::face` of particle 0; the next have smaller numbers.
@@ -64,13 +64,13 @@ pub fn paint(chyme: &Spheres, owner: &Owner, surface: &mut Surface) {
 }
 
 /// Whether wall and particles leave straight ways free; the last trifle of each does not count.
-pub fn segments_unoccluded(chyme: &Spheres, wall: &Wall, ways: &[[Vec3; 2]]) -> Vec<bool> {
-    let mut free = vec![false; ways.len()];
-    free.par_chunks_mut(LANES).zip(ways.par_chunks(LANES)).for_each(|(out, chunk)| {
+pub fn segments_unoccluded(chyme: &Spheres, wall: &Wall, segments: &[[Vec3; 2]]) -> Vec<bool> {
+    let mut free = vec![false; segments.len()];
+    free.par_chunks_mut(LANES).zip(segments.par_chunks(LANES)).for_each(|(out, chunk)| {
         let mut near = Vec::new();
         for (free, &[start, point]) in out.iter_mut().zip(chunk) {
             let offset = sub(point, start);
-            let (heading, reach) = (normalize(offset), dot(offset, offset).sqrt() * FREE_WAY);
+            let (heading, reach) = (normalize(offset), dot(offset, offset).sqrt() * SHADOW_REACH);
             let (mut low, mut high) = (start, start);
             for k in 0..3 {
                 low[k] = min(start[k], point[k]);
@@ -79,8 +79,8 @@ pub fn segments_unoccluded(chyme: &Spheres, wall: &Wall, ways: &[[Vec3; 2]]) -> 
             chyme.within((low, high), start, &mut near);
             let directions = heading.map(|x| [x; LANES]);
             let is_hidden = |near: &Near| {
-                let way = chyme.all[near.index as usize].crossings(start, &directions).near[0];
-                way > 0.0 && way < reach
+                let distance = chyme.all[near.index as usize].crossings(start, &directions).near[0];
+                distance > 0.0 && distance < reach
             };
             *free = reach.is_finite()
                 && ray::cast::<true>(&wall.bvh, start, heading, reach, MISS).is_none()

@@ -58,29 +58,33 @@ impl PathSegment<'_> {
         };
         for near in bubbles.near {
             let sphere = &bubbles.spheres.all[near.index as usize];
-            let mut ways = sphere.crossings_from(|i| at(self.starts, i), &self.rays.directions);
+            let mut crossings =
+                sphere.crossings_from(|i| at(self.starts, i), &self.rays.directions);
             let mut covered = [false; LANES];
             for i in 0..LANES {
-                let inside = |way: f32| (way > self.from[i]) & (way < self.to[i]) & self.used[i];
-                ways.near[i] = if inside(ways.near[i]) { ways.near[i] } else { -1.0 };
-                ways.far[i] = if inside(ways.far[i]) { ways.far[i] } else { -1.0 };
-                covered[i] = max(ways.near[i], ways.far[i]) > 0.0;
+                let inside = |distance: f32| {
+                    (distance > self.from[i]) & (distance < self.to[i]) & self.used[i]
+                };
+                crossings.near[i] =
+                    if inside(crossings.near[i]) { crossings.near[i] } else { -1.0 };
+                crossings.far[i] = if inside(crossings.far[i]) { crossings.far[i] } else { -1.0 };
+                covered[i] = max(crossings.near[i], crossings.far[i]) > 0.0;
             }
             if !covered.contains(&true) {
                 continue;
             }
             let mut dimmed = None;
             if let Some((optics, wet)) = liquid {
-                self.soak(optics, wet, leds, (&covered, &ways.far, &mut reached), radiance);
+                self.soak(optics, wet, leds, (&covered, &crossings.far, &mut reached), radiance);
                 let i = covered.iter().position(|&c| c).unwrap_or(0);
                 dimmed = Some(optics.dimmed(leds, sphere.center, wet, i));
-                for i in (0..LANES).filter(|&i| covered[i] & (ways.near[i] > 0.0)) {
-                    reached[i] = min(reached[i], ways.near[i]);
+                for i in (0..LANES).filter(|&i| covered[i] & (crossings.near[i] > 0.0)) {
+                    reached[i] = min(reached[i], crossings.near[i]);
                 }
             }
             let mut behind = Behind { radiance, distance: self.to };
             let leds = dimmed.as_deref().unwrap_or(leds);
-            bubbles.film.cover(sphere, &ways, &eye, leds, &mut behind);
+            bubbles.film.cover(sphere, &crossings, &eye, leds, &mut behind);
         }
         if let Some((optics, wet)) = liquid {
             self.soak(optics, wet, leds, (self.used, self.from, &mut reached), radiance);
@@ -104,8 +108,8 @@ impl PathSegment<'_> {
             length[i] = if is_due { reached[i] - goal } else { 0.0 };
             reached[i] = if is_due { goal } else { reached[i] };
             for k in 0..3 {
-                let way = if is_due { goal } else { 0.0 };
-                starts[k][i] += way * self.rays.directions[k][i];
+                let distance = if is_due { goal } else { 0.0 };
+                starts[k][i] += distance * self.rays.directions[k][i];
             }
         }
         optics.carry((&starts, &self.rays.directions, &length), leds, wet, radiance);
@@ -116,7 +120,7 @@ impl PathSegment<'_> {
 #[inline(always)]
 pub fn first_segment(wet: Option<&Wet>, hits: &Hits) -> Lane {
     let Some(wet) = wet else { return hits.distance };
-    std::array::from_fn(|i| min(wet.turn.way[i], hits.distance[i]))
+    std::array::from_fn(|i| min(wet.turn.distance[i], hits.distance[i]))
 }
 
 /// Where rays that go on along `heading` after a turn would start if all of their way were
@@ -132,7 +136,7 @@ pub fn unfolded(
     let mut starts = turn.place;
     for i in (0..LANES).filter(|&i| lanes[i]) {
         for k in 0..3 {
-            starts[k][i] -= turn.way[i] * heading[k][i];
+            starts[k][i] -= turn.distance[i] * heading[k][i];
             sum[k] += starts[k][i];
             low[k] = min(low[k], min(turn.place[k][i], ends[k][i]));
             high[k] = max(high[k], max(turn.place[k][i], ends[k][i]));

@@ -15,13 +15,13 @@ pub struct Turn {
     /// How each lane goes on.
     pub kind: [u8; LANES],
     /// Way to the surface [m]; infinite where none is met.
-    pub way: Lane,
+    pub distance: Lane,
     /// Where it is met [m].
     pub place: Lane3,
     /// Unit direction in which the ray goes on.
     pub heading: Lane3,
     /// Share of light that the surface mirrors.
-    pub share: Lane,
+    pub reflectance: Lane,
 }
 
 impl Turn {
@@ -30,17 +30,17 @@ impl Turn {
         let zero = [0.0; LANES];
         Turn {
             kind: [STRAIGHT; LANES],
-            way: [f32::INFINITY; LANES],
+            distance: [f32::INFINITY; LANES],
             place: [zero; 3],
             heading: [zero; 3],
-            share: zero,
+            reflectance: zero,
         }
     }
 
     /// Turns lane `i` at a height; `ior` is the index beyond the surface relative to that before.
     #[inline(always)]
     pub fn set(&mut self, i: usize, origin: Vec3, direction: Vec3, level: f32, ior: f32) {
-        let way = (level - origin[2]) / direction[2];
+        let distance = (level - origin[2]) / direction[2];
         let [x, y, z] = direction;
         let inverse = 1.0 / ior;
         // The square of the cosine beyond, by Snell's law; below 0 nothing gets through.
@@ -52,10 +52,10 @@ impl Turn {
             [x, y, -z]
         };
         self.kind[i] = if is_through { REFRACTED } else { REFLECTED };
-        self.share[i] = if is_through { fresnel(z.abs(), ior) } else { 1.0 };
-        self.way[i] = way;
+        self.reflectance[i] = if is_through { fresnel(z.abs(), ior) } else { 1.0 };
+        self.distance[i] = distance;
         for k in 0..3 {
-            self.place[k][i] = origin[k] + way * direction[k];
+            self.place[k][i] = origin[k] + distance * direction[k];
             self.heading[k][i] = heading[k];
         }
         // Exactly level, whatever the rounding of the way.

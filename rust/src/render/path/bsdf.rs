@@ -12,7 +12,7 @@ pub struct BsdfRandom {
     /// Chooses the lobe.
     pub lobe: Lane,
     /// Choose the direction.
-    pub way: [Lane; 2],
+    pub direction: [Lane; 2],
 }
 
 /// A BSDF sample for each lane.
@@ -82,7 +82,7 @@ pub fn sample_bsdf(surface: &Surface, material: &Material, random: &BsdfRandom) 
         let cos_view = max(own_view[2], 1e-4);
         let probabilities = LobeProbabilities::new(albedo, cos_view, material);
 
-        let (u, v) = (random.way[0][i], random.way[1][i]);
+        let (u, v) = (random.direction[0][i], random.direction[1][i]);
         let (cosine, sine) = circle(u);
         let base = on_circle(v.sqrt(), (1.0 - v).sqrt(), cosine, sine);
         let gloss = visible_normal(own_view, alpha, v, cosine, sine);
@@ -122,14 +122,14 @@ pub struct BsdfValue {
 
 /// Evaluates the BSDF for light from unit directions.
 #[inline(always)]
-pub fn evaluate_bsdf(surface: &Surface, material: &Material, ways: &Lane3) -> BsdfValue {
+pub fn evaluate_bsdf(surface: &Surface, material: &Material, directions: &Lane3) -> BsdfValue {
     let clearcoat = Clearcoat::new(material);
     let (base, gloss, pdf) = ([[0.0; LANES]; 3], [0.0; LANES], [0.0; LANES]);
     let mut out = BsdfValue { base, gloss, pdf };
     for i in 0..LANES {
         let (normal, view) = (at(&surface.normal, i), at(&surface.view, i));
         let (albedo, roughness) = (at(&surface.albedo, i), surface.roughness[i]);
-        let angles = Angles::new(normal, view, at(ways, i));
+        let angles = Angles::new(normal, view, at(directions, i));
         let probabilities = LobeProbabilities::new(albedo, angles.view, material);
         let (colored, plain) = scatter(&angles, roughness, material, &clearcoat);
         let is_above = angles.light > 0.0;
@@ -291,10 +291,10 @@ mod tests {
     }
 
     fn randoms(index: u32) -> BsdfRandom {
-        let mut random = BsdfRandom { lobe: [0.0; LANES], way: [[0.0; LANES]; 2] };
+        let mut random = BsdfRandom { lobe: [0.0; LANES], direction: [[0.0; LANES]; 2] };
         for i in 0..LANES {
             let number = index * LANES as u32 + i as u32;
-            [random.way[0][i], random.way[1][i]] = point(hash(7), number);
+            [random.direction[0][i], random.direction[1][i]] = point(hash(7), number);
             random.lobe[i] = point(hash(8), number)[0];
         }
         random

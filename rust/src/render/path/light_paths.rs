@@ -17,7 +17,7 @@ use std::f32::consts::PI;
 pub struct LedEmitter {
     led: Led,
     /// Share of the light paths.
-    share: f32,
+    probability: f32,
     /// Density of directions on its axis [1/sr].
     peak: f32,
 }
@@ -113,11 +113,12 @@ pub fn emitters(leds: &[Led]) -> Vec<LedEmitter> {
     let emitters = leds.iter().map(|led| {
         let peak = if led.exponent == 0.0 { 0.25 / PI } else { 0.5 * (led.exponent + 1.0) / PI };
         let [r, g, b] = led.intensity;
-        LedEmitter { led: *led, share: (r + g + b) / peak, peak }
+        LedEmitter { led: *led, probability: (r + g + b) / peak, peak }
     });
-    let mut emitters: Vec<LedEmitter> = emitters.filter(|emitter| emitter.share > 0.0).collect();
-    let total: f32 = emitters.iter().map(|emitter| emitter.share).sum();
-    emitters.iter_mut().for_each(|emitter| emitter.share /= total);
+    let mut emitters: Vec<LedEmitter> =
+        emitters.filter(|emitter| emitter.probability > 0.0).collect();
+    let total: f32 = emitters.iter().map(|emitter| emitter.probability).sum();
+    emitters.iter_mut().for_each(|emitter| emitter.probability /= total);
     emitters
 }
 
@@ -134,13 +135,13 @@ fn turned(axis: Vec3, own: Vec3) -> Vec3 {
 #[inline(always)]
 pub fn density(emitters: &[LedEmitter], point: Vec3, face_normal: Vec3) -> f32 {
     let mut sum = 0.0;
-    for LedEmitter { led, share, peak } in emitters {
+    for LedEmitter { led, probability, peak } in emitters {
         let offset = sub(led.position, point);
         let square = max(dot(offset, offset), 1e-12);
         let inverse = 1.0 / square.sqrt();
         let lobe = clamp(-dot(offset, led.direction) * inverse, 0.0, 1.0);
         let lobe = if led.exponent == 0.0 { 1.0 } else { pow(lobe, led.exponent) };
-        sum += share * peak * lobe * max(dot(offset, face_normal), 0.0) * inverse / square;
+        sum += probability * peak * lobe * max(dot(offset, face_normal), 0.0) * inverse / square;
     }
     sum
 }
@@ -157,19 +158,19 @@ pub fn emit(
     let mut chosen = &emitters[0];
     for emitter in emitters {
         chosen = emitter;
-        if u < emitter.share {
+        if u < emitter.probability {
             break;
         }
-        u -= emitter.share;
+        u -= emitter.probability;
     }
-    let LedEmitter { led, share, peak } = chosen;
-    let (cosine, sine) = circle(clamp(u / share, 0.0, 0.999_999_9));
+    let LedEmitter { led, probability, peak } = chosen;
+    let (cosine, sine) = circle(clamp(u / probability, 0.0, 0.999_999_9));
     let z =
         if led.exponent == 0.0 { 1.0 - 2.0 * v } else { pow(1.0 - v, 1.0 / (led.exponent + 1.0)) };
     let own = on_circle(max(1.0 - z * z, 0.0).sqrt(), z, cosine, sine);
     let direction = turned(led.direction, own);
     let hit = ray::cast::<false>(&transport.wall.bvh, led.position, direction, MAX_DISTANCE, MISS)?;
-    let carried = scale(led.intensity, 1.0 / (share * peak));
+    let carried = scale(led.intensity, 1.0 / (probability * peak));
     let mut vertex =
         LightVertex::new(transport.wall, number, (led.position, direction), hit, carried)?;
     vertex.source.density = density(emitters, vertex.source.point, vertex.source.face_normal);
@@ -217,7 +218,7 @@ pub fn extend_light_paths(
     light_paths: &[LightVertex],
 ) -> Vec<LightVertex> {
     let mut next = Vec::with_capacity(light_paths.len());
-    let mut ways = [([0.0; 3], None); LANES];
+    let mut rays = [([0.0; 3], None); LANES];
     for (i, vertex) in light_paths.iter().enumerate() {
         let source = &vertex.source;
         let (direction, _) = bsdf::cosine_direction(source.face_normal, point(key, vertex.number));
@@ -229,23 +230,23 @@ pub fn extend_light_paths(
             MAX_DISTANCE,
             source.triangle,
         );
-        ways[i] = (direction, hit);
+        rays[i] = (direction, hit);
     }
-    let reflectance = reflectance(transport, light_paths, &ways);
+    let reflectance = reflectance(transport, light_paths, &rays);
     for (i, LightVertex { number, power, source }) in light_paths.iter().enumerate() {
-        let (direction, Some(hit)) = ways[i] else { continue };
+        let (direction, Some(hit)) = rays[i] else { continue };
         // The density of directions is cos/π about the face: the cosine cancels.
-        let share = scale(at(&reflectance, i), PI);
-        let carried = [0, 1, 2].map(|k| source.carried[k] * share[k]);
+        let factor = scale(at(&reflectance, i), PI);
+        let carried = [0, 1, 2].map(|k| source.carried[k] * factor[k]);
         let chance = min((carried[0] + carried[1] + carried[2]) / power, 1.0);
         if point(dimension(key, 1), *number)[0] >= chance {
             continue;
         }
-        let way = (source.point, direction);
+        let ray = (source.point, direction);
         next.extend(LightVertex::new(
             transport.wall,
             *number,
-            way,
+            ray,
             hit,
             scale(carried, 1.0 / chance),
         ));
@@ -257,11 +258,11 @@ pub fn extend_light_paths(
 fn reflectance(
     transport: &LightTransport<'_>,
     light_paths: &[LightVertex],
-    ways: &[(Vec3, Option<Hit>); LANES],
+    rays: &[(Vec3, Option<Hit>); LANES],
 ) -> Lane3 {
     let seen = |i: usize| {
         let source = &light_paths[i].source;
-        let (direction, hit) = ways[i];
+        let (direction, hit) = rays[i];
         hit.map(|hit| (source, direction, hit.distance))
     };
     let (mut hits, mut view) = (Hits::within([0.0; LANES]), [[0.0; LANES]; 3]);

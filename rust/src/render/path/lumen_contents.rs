@@ -11,7 +11,7 @@ use crate::wall::Wall;
 use crate::wall::packet::MISS;
 use crate::wall::query;
 use crate::wall::ray::Hit;
-use crate::wall::visibility::FREE_WAY;
+use crate::wall::visibility::SHADOW_REACH;
 use std::f32::consts::LOG2_E;
 
 /// Contents of the lumen that paths travel in.
@@ -44,7 +44,7 @@ impl LumenMedia<'_> {
     pub fn led_transmittance(&self, led: Vec3, point: Vec3) -> Vec3 {
         let offset = sub(point, led);
         let (heading, distance) = (normalize(offset), dot(offset, offset).sqrt());
-        let reach = distance * FREE_WAY;
+        let reach = distance * SHADOW_REACH;
         let mut is_free = true;
         self.contents.chyme.along(led, heading, reach, |_, [near, _], _| {
             is_free &= !(near > 0.0 && near < reach);
@@ -77,11 +77,13 @@ impl LumenMedia<'_> {
     #[inline(always)]
     fn transmittance(&self, (start, heading, length): (Vec3, Vec3, f32), pool: u16) -> Vec3 {
         let mut transmittance = [1.0; 3];
-        self.contents.bubbles.along(start, heading, length, |_, ways, miss| {
-            for way in ways {
+        self.contents.bubbles.along(start, heading, length, |_, crossings, miss| {
+            for distance in crossings {
                 let passes = self.contents.film.passes(miss);
-                transmittance =
-                    scale(transmittance, if way > 0.0 && way < length { passes } else { 1.0 });
+                transmittance = scale(
+                    transmittance,
+                    if distance > 0.0 && distance < length { passes } else { 1.0 },
+                );
             }
         });
         let Some((pools, optics)) = self.contents.pools.as_ref().filter(|_| pool != DRY) else {
@@ -90,8 +92,8 @@ impl LumenMedia<'_> {
         let level = pools.level(pool);
         let (below, above) = (level - start[2], level - start[2] - length * heading[2]);
         let sunk = max(below, 0.0) + max(above, 0.0);
-        let way = length * sunk / max(below.abs() + above.abs(), 1e-9);
-        [0, 1, 2].map(|k| transmittance[k] * exp2(-LOG2_E * optics.extinction(k) * way))
+        let soaked = length * sunk / max(below.abs() + above.abs(), 1e-9);
+        [0, 1, 2].map(|k| transmittance[k] * exp2(-LOG2_E * optics.extinction(k) * soaked))
     }
 
     /// Pool that a segment between two surfaces leads through: of the end that lies in it.

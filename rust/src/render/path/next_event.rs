@@ -60,13 +60,13 @@ impl Tracer<'_> {
                 let [r, g, b] = at(throughput, i);
                 let weight = r * radiance[0][i] + g * radiance[1][i] + b * radiance[2][i];
                 let total = out.total[i] + weight;
-                let share = if total > 0.0 { weight / total } else { 0.0 };
+                let probability = if total > 0.0 { weight / total } else { 0.0 };
                 // One number decides all: within each outcome it is even again.
-                let chosen = number[i] < share;
+                let chosen = number[i] < probability;
                 number[i] = if chosen {
-                    number[i] / share
+                    number[i] / probability
                 } else {
-                    (number[i] - share) / max(1.0 - share, 1e-7)
+                    (number[i] - probability) / max(1.0 - probability, 1e-7)
                 };
                 out.total[i] = total;
                 out.led[i] = if chosen { led_number as u32 } else { out.led[i] };

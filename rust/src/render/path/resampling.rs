@@ -18,7 +18,7 @@ use crate::render::path::virtual_lights::{Candidates, MisWeights, PATH_WEIGHT, V
 use crate::simd::f32x64::*;
 use crate::wall::packet::Hits;
 use crate::wall::ray;
-use crate::wall::visibility::FREE_WAY;
+use crate::wall::visibility::SHADOW_REACH;
 use std::f32::consts::PI;
 use std::ops::Range;
 
@@ -102,18 +102,18 @@ impl Tracer<'_> {
         };
         let place = gathered(surface, &std::array::from_fn(|i| of(i).0.lane as usize));
         let (mut hits, mut view) = (Hits::within([0.0; LANES]), [[0.0; LANES]; 3]);
-        let (mut position, mut ways) = ([[0.0; LANES]; 3], [[0.0; LANES]; 3]);
+        let (mut position, mut directions) = ([[0.0; LANES]; 3], [[0.0; LANES]; 3]);
         for i in 0..LANES {
             let source = of(i).1;
             let offset = sub(source.point, at(&place.position, i));
-            let (way, distance) = (normalize(offset), dot(offset, offset).sqrt());
+            let (direction, distance) = (normalize(offset), dot(offset, offset).sqrt());
             source.write_lane(
                 i,
-                (scale(way, -1.0), distance),
+                (scale(direction, -1.0), distance),
                 (&mut hits, &mut position, &mut view),
             );
             for k in 0..3 {
-                ways[k][i] = way[k];
+                directions[k][i] = direction[k];
             }
         }
         let seen = self.transport.surface(position, view, &hits);
@@ -124,12 +124,12 @@ impl Tracer<'_> {
             }
         }
         let sent = evaluate_bsdf(&seen, &self.transport.scene.material, &back);
-        let taken = evaluate_bsdf(&place, &self.transport.scene.material, &ways);
+        let taken = evaluate_bsdf(&place, &self.transport.scene.material, &directions);
         let mut light = [[0.0; LANES]; 3];
         for i in 0..LANES {
             let (connection, source) = of(i);
             let square = max(hits.distance[i] * hits.distance[i], 1e-14);
-            let spread = -dot(source.face_normal, at(&ways, i)) / square;
+            let spread = -dot(source.face_normal, at(&directions, i)) / square;
             let own = taken.pdf[i] * spread;
             let MisWeights { base, gloss } = MisWeights::new(source.density, own, candidates.paths);
             // Where the LED's own light is reflected, gloss at either end counts as gloss.
@@ -163,10 +163,10 @@ impl Tracer<'_> {
                 (connection.lane as usize, &candidates.sources[connection.source as usize]);
             let start = add(source.point, scale(source.face_normal, clear));
             let end = add(at(&first.surface.position, lane), scale(at(face_normals, lane), clear));
-            let way = sub(end, start);
-            let reach = dot(way, way).sqrt() * FREE_WAY;
-            let way = normalize(way);
-            if ray::cast::<true>(&self.transport.wall.bvh, start, way, reach, source.triangle)
+            let offset = sub(end, start);
+            let reach = dot(offset, offset).sqrt() * SHADOW_REACH;
+            let direction = normalize(offset);
+            if ray::cast::<true>(&self.transport.wall.bvh, start, direction, reach, source.triangle)
                 .is_none()
             {
                 for k in 0..3 {
@@ -305,14 +305,14 @@ impl Gloss {
 
     /// π times what a virtual light's gloss sends along a unit way, over what it carries.
     #[inline(always)]
-    fn sent(&self, source: &VirtualLight, way: Vec3) -> f32 {
-        let half = add(way, source.back);
+    fn sent(&self, source: &VirtualLight, direction: Vec3) -> f32 {
+        let half = add(direction, source.back);
         let square = max(dot(half, half), 1e-6);
         let inverse = 1.0 / square.sqrt();
         let cosine = dot(source.normal, half) * inverse;
         // Half the length of the sum is the cosine between way and half vector.
         let fresnel = clearcoat_fresnel(0.5 * square * inverse);
-        let shown = max(dot(source.normal, way), 0.5 * source.alpha);
+        let shown = max(dot(source.normal, direction), 0.5 * source.alpha);
         let base = max(self.straight, fresnel - 0.04) * ggx(cosine, source.alpha) * 0.25 / shown;
         let base = if self.straight > 0.0 { base } else { 0.0 };
         PI * (base

@@ -8,7 +8,7 @@ use crate::simd::f32x64::*;
 use crate::wall::Wall;
 use crate::wall::packet::{Hits, MISS, Pyramid, trace_at_most};
 use crate::wall::ray;
-use crate::wall::visibility::ways;
+use crate::wall::visibility::shadow_segments;
 
 /// Cells along each side of the square that directions are sorted by.
 const DIRECTION_CELLS: u32 = 16;
@@ -79,7 +79,7 @@ impl ShadowRays {
                 points[k][i] = self.pending[number as usize].point[k];
             }
         }
-        let (directions, reach) = ways(origin, &points, &used);
+        let (directions, reach) = shadow_segments(origin, &points, &used);
         let pyramid = Pyramid::around(directions, &used);
         let width = pyramid.sides.iter().fold(0.0, |w, &side| max(w, dot(side, pyramid.axis)));
         let mut hits = Hits::within(reach);
@@ -97,8 +97,8 @@ impl ShadowRays {
         for i in 0..chunk.len() {
             lit[i] = hits.triangle[i] == MISS;
             if lit[i] & !is_done {
-                let way = at(&pyramid.directions, i);
-                lit[i] = ray::cast::<true>(&wall.bvh, origin, way, reach[i], MISS).is_none();
+                let direction = at(&pyramid.directions, i);
+                lit[i] = ray::cast::<true>(&wall.bvh, origin, direction, reach[i], MISS).is_none();
             }
         }
         lit

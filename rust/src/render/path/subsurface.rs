@@ -120,7 +120,7 @@ pub struct SubsurfaceExit {
     /// The face's unit normal, away from the tissue.
     pub face_normal: Vec3,
     /// What is left of red, green and blue.
-    pub share: Vec3,
+    pub throughput: Vec3,
 }
 
 /// The interface at which tissue ends.
@@ -223,9 +223,9 @@ pub fn random_walk(
     mut ray: TissueRay,
     stream: &mut RandomStream,
 ) -> Option<SubsurfaceExit> {
-    let mut share = [1.0f32; 3];
+    let mut throughput = [1.0f32; 3];
     for _ in 0..MAX_FREE_PATHS {
-        let chances = chances(share, medium);
+        let chances = chances(throughput, medium);
         let choice = stream.next();
         let color =
             usize::from(choice >= chances[0]) + usize::from(choice >= chances[0] + chances[1]);
@@ -233,21 +233,22 @@ pub fn random_walk(
         let Some((hit, face_normal)) = interface.intersect(&ray, free) else {
             ray = scatter(ray, free, stream);
             let density = medium.density(chances, free, true);
-            share = [0, 1, 2].map(|k| share[k] * medium.albedo[k] * density[k]);
-            let chance = min(max(share[0], max(share[1], share[2])) * RR_SURVIVAL, 1.0);
+            throughput = [0, 1, 2].map(|k| throughput[k] * medium.albedo[k] * density[k]);
+            let chance =
+                min(max(throughput[0], max(throughput[1], throughput[2])) * RR_SURVIVAL, 1.0);
             if stream.next() >= chance {
                 return None;
             }
-            share = scale(share, 1.0 / chance);
+            throughput = scale(throughput, 1.0 / chance);
             continue;
         };
         let density = medium.density(chances, hit.distance, false);
-        share = [0, 1, 2].map(|k| share[k] * density[k]);
+        throughput = [0, 1, 2].map(|k| throughput[k] * density[k]);
         let TissueRay { origin, direction, .. } = ray;
         let point = add(origin, scale(direction, hit.distance));
         let cosine = dot(direction, face_normal);
         if stream.next() >= fresnel_within(cosine, medium.ior) {
-            return Some(SubsurfaceExit { hit, point, face_normal, share });
+            return Some(SubsurfaceExit { hit, point, face_normal, throughput });
         }
         let origin = sub(point, scale(face_normal, interface.offset()));
         let direction = sub(direction, scale(face_normal, 2.0 * cosine));
@@ -258,8 +259,8 @@ pub fn random_walk(
 
 /// Chance of each color to be the one that a free path is drawn for.
 #[inline(always)]
-fn chances(share: Vec3, medium: &Medium) -> Vec3 {
-    let weight = [0, 1, 2].map(|k| share[k] * medium.albedo[k]);
+fn chances(throughput: Vec3, medium: &Medium) -> Vec3 {
+    let weight = [0, 1, 2].map(|k| throughput[k] * medium.albedo[k]);
     let sum = weight[0] + weight[1] + weight[2];
     if sum > 0.0 { scale(weight, 1.0 / sum) } else { [1.0 / 3.0; 3] }
 }
@@ -338,18 +339,18 @@ pub fn walk_tissue<'py>(
             ray,
             &mut RandomStream::new(key, number),
         ) {
-            Some(exit) => (wall.globalize(exit.point), exit.share),
+            Some(exit) => (wall.globalize(exit.point), exit.throughput),
             None => ([f64::NAN; 3], [0.0; 3]),
         };
         (0..count).into_par_iter().with_min_len(64).map(one).collect()
     });
-    let (points, shares): (Vec<_>, Vec<_>) = ends.into_iter().unzip();
+    let (points, throughputs): (Vec<_>, Vec<_>) = ends.into_iter().unzip();
     let rows = points.len();
     let points = Array2::from_shape_vec((rows, 3), points.into_flattened());
-    let shares = Array2::from_shape_vec((rows, 3), shares.into_flattened());
+    let throughputs = Array2::from_shape_vec((rows, 3), throughputs.into_flattened());
     Ok((
         points.expect("three numbers a random_walk").into_pyarray(py),
-        shares.expect("three numbers a random_walk").into_pyarray(py),
+        throughputs.expect("three numbers a random_walk").into_pyarray(py),
     ))
 }
 

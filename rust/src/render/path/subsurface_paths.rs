@@ -51,8 +51,8 @@ impl Tracer<'_> {
             let (view, normal) = (at(&surface.view, i), at(&surface.normal, i));
             let mut path = own[i];
             path.direction = refract_into(view, normal, tissue.ior);
-            let share = tissue.transmittance(clamp(dot(view, normal), 0.0, 1.0)) / chance;
-            path.throughput = scale(path.throughput, share);
+            let weight = tissue.transmittance(clamp(dot(view, normal), 0.0, 1.0)) / chance;
+            path.throughput = scale(path.throughput, weight);
             let color = at(&surface.albedo, i);
             entries
                 .push(SubsurfaceEntry { path: self.turn_inward(path, at(face_normals, i)), color });
@@ -95,7 +95,7 @@ impl Tracer<'_> {
             };
             path.origin = exit.point;
             path.from = exit.hit.triangle;
-            path.throughput = [0, 1, 2].map(|k| path.throughput[k] * exit.share[k]);
+            path.throughput = [0, 1, 2].map(|k| path.throughput[k] * exit.throughput[k]);
             exits.push((path, exit));
         }
         for block in exits.chunks(LANES) {
@@ -123,8 +123,8 @@ impl Tracer<'_> {
         }
         for (i, (path, exit)) in block.iter().enumerate() {
             let mut path = *path;
-            let way = point(dimension(path.key, 4 * reflection), path.sample);
-            let (direction, cosine) = cosine_direction(at(&surface.normal, i), way);
+            let numbers = point(dimension(path.key, 4 * reflection), path.sample);
+            let (direction, cosine) = cosine_direction(at(&surface.normal, i), numbers);
             path.direction = direction;
             path.throughput = scale(path.throughput, tissue.transmittance(cosine));
             if self.survives_roulette(reflection, &mut path) {

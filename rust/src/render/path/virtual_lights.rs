@@ -62,8 +62,8 @@ impl MisWeights {
     #[inline(always)]
     pub fn new(sources: f32, own: f32, paths: usize) -> Self {
         let sources = max(paths as f32 * sources, 1e-20);
-        let share = |weight: f32| sources / (sources + weight * own);
-        MisWeights { base: share(PATH_WEIGHT.base), gloss: share(PATH_WEIGHT.gloss) }
+        let weight = |weight: f32| sources / (sources + weight * own);
+        MisWeights { base: weight(PATH_WEIGHT.base), gloss: weight(PATH_WEIGHT.gloss) }
     }
 }
 

@@ -258,13 +258,13 @@ impl Tracer<'_> {
         samples: &[u32; LANES],
         reflection: u32,
     ) -> BsdfSample {
-        let mut draw = BsdfRandom { lobe: [0.0; LANES], way: [[0.0; LANES]; 2] };
+        let mut draw = BsdfRandom { lobe: [0.0; LANES], direction: [[0.0; LANES]; 2] };
         for i in 0..LANES {
-            let way = point(dimension(keys[i], 4 * reflection), samples[i]);
+            let direction = point(dimension(keys[i], 4 * reflection), samples[i]);
             let lobe = point(dimension(keys[i], 4 * reflection + 1), samples[i]);
             draw.lobe[i] = lobe[0];
-            draw.way[0][i] = way[0];
-            draw.way[1][i] = way[1];
+            draw.direction[0][i] = direction[0];
+            draw.direction[1][i] = direction[1];
         }
         sample_bsdf(surface, &self.transport.scene.material, &draw)
     }

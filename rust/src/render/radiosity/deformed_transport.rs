@@ -79,12 +79,12 @@ impl<'a> DeformedTransport<'a> {
         let own = self.now[gather_point].0;
         let (mut before, mut after) = (0.0, 0.0);
         let mut factors = Vec::with_capacity(links.size_hint().0);
-        for (from, share, geometry) in links {
+        for (from, weight, geometry) in links {
             let (place, area_ratio) = &self.now[from as usize];
             let now = own.geometry(place, self.light.gather_points.spacing[from as usize]);
             let factor = clamp(area_ratio * now / geometry, 1.0 / MOST, MOST);
-            before += share;
-            after += share * factor;
+            before += weight;
+            after += weight * factor;
             factors.push(factor);
         }
         let whole = before / max(after, 1e-30);

@@ -68,17 +68,17 @@ fn send(
     let power = scale(led.intensity, solid_angle / lobe.count() as f32);
     let (mut ends, mut pile) = (Vec::with_capacity(rays.len()), ray::Pile::default());
     for direction in rays.map(|k| lobe.on_spiral(k)) {
-        let way = (led.position, direction);
-        let hit = ray::cast_in::<false>(&mut pile, &wall.bvh, way, f32::MAX, u32::MAX);
+        let ray = (led.position, direction);
+        let hit = ray::cast_in::<false>(&mut pile, &wall.bvh, ray, f32::MAX, u32::MAX);
         // The back of a wall is dark.
         if let Some(hit) = hit.filter(|hit| hit.edges[2] < 0.0) {
             let vertex = nearest_corner(wall, hit.triangle, hit.edges);
             let cosine = max(-dot(direction, wall.normals[vertex]), 0.0);
             let gather_point = light.gather_points.of_vertex[vertex];
             let [base, gloss] = light.reflectance.at(cosine);
-            let shares = light.reflected(gather_point as usize, [base, GLOSS * gloss]);
+            let reflectance = light.reflected(gather_point as usize, [base, GLOSS * gloss]);
             let per_area = light.per_area[gather_point as usize];
-            ends.push((gather_point, [0, 1, 2].map(|k| per_area * power[k] * shares[k])));
+            ends.push((gather_point, [0, 1, 2].map(|k| per_area * power[k] * reflectance[k])));
         }
     }
     ends

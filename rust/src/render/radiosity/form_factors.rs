@@ -31,7 +31,7 @@ pub struct FormFactorVector {
     /// The other gather point.
     pub from: u32,
     /// Sum of the directions to it; its part along a normal is the share for that normal.
-    pub way: Vec3,
+    pub direction: Vec3,
     /// `Place::exchange` at rest.
     pub geometry: f32,
 }
@@ -59,7 +59,7 @@ pub fn trace_row(wall: &Wall, gather_points: &GatherPoints, gather_point: usize)
     };
     let beam = |run: &[RowRay]| FormFactorVector {
         from: run[0].0,
-        way: scale(run.iter().fold([0.0; 3], |sum, ray| add(sum, ray.2)), RAY),
+        direction: scale(run.iter().fold([0.0; 3], |sum, ray| add(sum, ray.2)), RAY),
         geometry: geometry(run[0].0),
     };
     let coarse = |run: &[RowRay]| {
@@ -95,8 +95,8 @@ fn look(wall: &Wall, gather_points: &GatherPoints, gather_point: usize) -> Vec<R
         // The back of a wall is dark.
         if let Some(hit) = hit.filter(|hit| hit.edges[2] < 0.0) {
             let vertex = nearest_corner(wall, hit.triangle, hit.edges);
-            let way = scale(direction, 1.0 / dot(direction, normal));
-            seen.push((gather_points.of_vertex[vertex], number, way));
+            let weighted = scale(direction, 1.0 / dot(direction, normal));
+            seen.push((gather_points.of_vertex[vertex], number, weighted));
         }
     }
     seen

@@ -107,7 +107,7 @@ fn spacings(wall: &Wall) -> Vec<f32> {
     let found: Vec<f32> = (0..count).into_par_iter().map(|v| SPACING * openness(wall, v)).collect();
     let mut sorted = found.clone();
     sorted.sort_unstable_by(f32::total_cmp);
-    let [least, most] = SPACINGS.map(|share| share * sorted[count / 2]);
+    let [least, most] = SPACINGS.map(|factor| factor * sorted[count / 2]);
     found.into_iter().map(|x| clamp(x, least, most)).collect()
 }
 

@@ -48,7 +48,7 @@ pub struct Radiosity {
     per_area: Vec<f32>,
     reflectance: Reflectance,
     rows: Vec<OnceLock<FormFactorRow>>,
-    room: CachePool,
+    cache: CachePool,
     /// Light through the tissue behind the wall, if it goes there.
     tissue: Option<Transport>,
 }
@@ -72,7 +72,7 @@ impl Radiosity {
             }
             let rows = gather_points.vertex.iter().map(|_| OnceLock::new()).collect();
             let PatchAlbedo { albedo, per_area, .. } = look;
-            let room = CachePool::new((gather_points.vertex.len(), wall.vertices.len()));
+            let cache = CachePool::new((gather_points.vertex.len(), wall.vertices.len()));
             Radiosity {
                 rest: own,
                 gather_points,
@@ -80,7 +80,7 @@ impl Radiosity {
                 per_area,
                 reflectance,
                 rows,
-                room,
+                cache,
                 tissue,
             }
         })

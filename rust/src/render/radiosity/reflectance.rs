@@ -68,16 +68,16 @@ impl Reflectance {
         let nodes: [f32; NODES] = std::array::from_fn(|k| {
             0.5 - 0.5 * ((2 * k + 1) as f32 * PI / (2 * NODES) as f32).cos()
         });
-        let shares = nodes.map(|x| share(material, roughness, 1.0 - x));
-        let base = Quartic::through(nodes, shares.map(|[gloss, all]| max(all - gloss, 0.0)));
-        let gloss = Quartic::through(nodes, shares.map(|[gloss, _]| gloss));
+        let albedos = nodes.map(|x| albedo(material, roughness, 1.0 - x));
+        let base = Quartic::through(nodes, albedos.map(|[gloss, all]| max(all - gloss, 0.0)));
+        let gloss = Quartic::through(nodes, albedos.map(|[gloss, _]| gloss));
         let mean = [base.mean(), gloss.mean()];
         Reflectance { base, gloss, mean }
     }
 
     /// Replaces the share of the base, for an albedo of 1, by a function of the cosine.
-    pub fn set_base(&mut self, share: impl Fn(f32) -> f32) {
-        self.base = Quartic::through(self.base.nodes, self.base.nodes.map(|x| share(1.0 - x)));
+    pub fn set_base(&mut self, albedo: impl Fn(f32) -> f32) {
+        self.base = Quartic::through(self.base.nodes, self.base.nodes.map(|x| albedo(1.0 - x)));
         self.mean[0] = self.base.mean();
     }
 
@@ -94,7 +94,7 @@ impl Reflectance {
 ///
 /// Half vectors on rings whose angle grows by the same factor find the narrow lobe of the
 /// clearcoat. An element of half vectors is an element of light of 4 (v·h) times its size.
-fn share(material: &Material, roughness: f32, cosine: f32) -> [f32; 2] {
+fn albedo(material: &Material, roughness: f32, cosine: f32) -> [f32; 2] {
     let view = [(1.0 - cosine * cosine).sqrt(), 0.0, cosine];
     let led =
         Led { position: [0.0; 3], direction: [0.0, 0.0, 1.0], intensity: [1.0; 3], exponent: 0.0 };

@@ -77,7 +77,7 @@ impl Radiosity {
             wall,
             deformed,
             radiosity,
-            known: self.room.lend(),
+            known: self.cache.lend(),
             subsurface_frame,
         }
     }
@@ -241,8 +241,8 @@ impl Irradiance<'_> {
         let [red, green, blue, all, x, y, z] = &lights;
         for i in 0..LANES {
             let more = x[i] * tilt[0][i] + y[i] * tilt[1][i] + z[i] * tilt[2][i];
-            let share = diffuse[i] + more / max(all[i], 1e-30);
-            diffuse[i] = clamp(share, 0.0, MAX_RELIEF_GAIN) * (1.0 / PI);
+            let gain = diffuse[i] + more / max(all[i], 1e-30);
+            diffuse[i] = clamp(gain, 0.0, MAX_RELIEF_GAIN) * (1.0 / PI);
         }
         for (k, irradiance) in [red, green, blue].into_iter().enumerate() {
             for i in 0..LANES {
@@ -283,7 +283,8 @@ impl Irradiance<'_> {
             None => self.gather(vectors_in.iter().map(|beam| (beam, 1.0))),
             Some(deformed) => {
                 let normal = self.rest.normals[vertex];
-                let links = vectors_in.iter().map(|b| (b.from, dot(b.way, normal), b.geometry));
+                let links =
+                    vectors_in.iter().map(|b| (b.from, dot(b.direction, normal), b.geometry));
                 self.gather(vectors_in.iter().zip(deformed.factors(s, links)))
             }
         };
@@ -312,9 +313,9 @@ impl Irradiance<'_> {
         for (beam, factor) in row {
             let from = &self.radiosity[beam.from as usize];
             for k in 0..3 {
-                let way = factor * beam.way[k];
+                let weight = factor * beam.direction[k];
                 for color in 0..4 {
-                    sum[k][color] += from[color] * way;
+                    sum[k][color] += from[color] * weight;
                 }
             }
         }

@@ -192,8 +192,8 @@ class DropletsStage(Stage):
         blur = pupil_disk_radius(lens, droplets.distance) / droplets.distance
         lit = np.flatnonzero(self._lit)
         rays = self._rays.reshape(-1, 3)[lit]
-        touched = (rays @ centers.T > np.cos(np.minimum(size + blur, np.pi))).any(axis=1)
-        pixels, rays = lit[touched], rays[touched]
+        covered = (rays @ centers.T > np.cos(np.minimum(size + blur, np.pi))).any(axis=1)
+        pixels, rays = lit[covered], rays[covered]
         sources = np.empty((len(pixels), _SAMPLES), np.uint32)
         weights = np.empty((len(pixels), _SAMPLES), np.float32)
         hits = np.zeros(len(pixels))

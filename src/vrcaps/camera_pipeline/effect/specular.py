@@ -39,9 +39,9 @@ class SpecularReflection(SceneEffect):
     )
 
     def __post_init__(self) -> None:
-        coat, gloss = self.clearcoat, self.clearcoat_gloss
-        require(0.0 <= coat <= 1.0, "SpecularReflection's clearcoat", coat, "0 to 1")
-        require(0.0 <= gloss <= 1.0, "SpecularReflection's clearcoat_gloss", gloss, "0 to 1")
+        for name in ("clearcoat", "clearcoat_gloss"):
+            value = getattr(self, name)
+            require(0.0 <= value <= 1.0, f"SpecularReflection's {name}", value, "0 to 1")
         require(1.0 <= self.ior < 3.0, "SpecularReflection's ior", self.ior, "1 to below 3")
 
     def on_organ(self, organ: OrganSurface) -> OrganSurface:

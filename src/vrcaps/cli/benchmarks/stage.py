@@ -64,8 +64,8 @@ def make_stage(organ: OrganSurface, device: Device | str = DEVICE, *, num_views:
     """Views from 5 % to 95 % of the centerline; the first camera's pupil is on it."""
     model = Model(organ, read_device(device) if isinstance(device, str) else device)
     line = organ.centerline
-    share = np.linspace(0.05, 0.95, num_views)
-    samples = np.searchsorted(line.arc_length, share * line.length)
+    fraction = np.linspace(0.05, 0.95, num_views)
+    samples = np.searchsorted(line.arc_length, fraction * line.length)
     T_camera_capsule = invert(model.device.cameras[0].T_capsule_camera)
     states = tuple(
         State(

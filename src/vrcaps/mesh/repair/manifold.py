@@ -161,10 +161,10 @@ def keep_largest_component(
     part_areas = np.bincount(face_part, areas, num_parts)
     largest = int(np.argmax(part_areas))
     strays = np.argsort(-part_areas)[1:]
-    shares = part_areas[strays] / part_areas.sum()
+    fractions = part_areas[strays] / part_areas.sum()
     sums = [np.bincount(vertex_part, mesh.vertices[:, axis], num_parts) for axis in range(3)]
     centers = np.stack(sums, axis=1) / np.bincount(vertex_part, minlength=num_parts)[:, None]
-    named = [f"{100 * share:.2g} %" for share in shares if share >= _PART_AREA][:5]
+    named = [f"{100 * fraction:.2g} %" for fraction in fractions if fraction >= _PART_AREA][:5]
     sizes = f"areas {', '.join(named)}" if named else f"all below {100 * _PART_AREA:g} %"
     action = f"removed ({sizes} of the whole)"
     kept = keep_faces(mesh, face_part == largest)

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 _VOXELS_PER_RADIUS = 10.0
 _REFINEMENTS = 3
-_END_SHARE = 1 / 3  # of the length, over which the width of an end is measured
+_END_FRACTION = 1 / 3  # of the length, over which the width of an end is measured
 
 _log = logging.getLogger(__name__)
 
@@ -112,8 +112,8 @@ def _trace(
 
 def _widens(centerline: Centerline) -> bool:
     """Whether the lumen is wider near the last point than near the first."""
-    share = max(1, round(_END_SHARE * len(centerline.radius)))
-    return bool(centerline.radius[-share:].mean() > centerline.radius[:share].mean())
+    count = max(1, round(_END_FRACTION * len(centerline.radius)))
+    return bool(centerline.radius[-count:].mean() > centerline.radius[:count].mean())
 
 
 def reversed_centerline(centerline: Centerline) -> Centerline:

@@ -95,8 +95,8 @@ def to_wall(
     near = grid.clearance_at(path[-1] + away[:, None] * direction) < margin
     about = away[np.argmax(near)]
     fine = np.arange(max(about - 2.0 * voxel, 0.0), about + 2.0 * voxel, 0.1 * voxel)
-    room = wall_distance(path[-1] + fine[:, None] * direction, vertices, faces)
-    stop = fine[np.argmax(room < margin)] if (room < margin).any() else about
+    distances = wall_distance(path[-1] + fine[:, None] * direction, vertices, faces)
+    stop = fine[np.argmax(distances < margin)] if (distances < margin).any() else about
     line = np.append(away[away < stop - 0.5 * voxel], stop)[:, None]
     return np.concatenate([path, path[-1] + line * direction])
 

@@ -118,10 +118,12 @@ def surface_mass(
     nodes: Float[np.ndarray, "n 3"], triangles: Int[np.ndarray, "m 6"]
 ) -> Float[np.ndarray, "m 6 6"]:
     """∫ NₐNᵦ dA over curved triangles [m²]."""
-    places, shares = quadrature(2, 3)
+    places, point_weights = quadrature(2, 3)
     values, slopes = shapes(places)
     tangents = np.einsum("eai,qaj->eqji", nodes[triangles], slopes)
-    area = np.linalg.norm(np.cross(tangents[..., 0, :], tangents[..., 1, :]), axis=-1) * shares
+    area = (
+        np.linalg.norm(np.cross(tangents[..., 0, :], tangents[..., 1, :]), axis=-1) * point_weights
+    )
     return np.einsum("eq,qa,qb->eab", area, values, values)
 
 

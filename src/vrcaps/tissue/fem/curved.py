@@ -20,7 +20,7 @@ _ROUNDS = 60
 _ROUNDS_BY_RING = 15
 # An element is bad whose volume somewhere shrinks to this share of its mean.
 _THIN = 0.1
-_SHARE = 0.25
+_RELAXATION = 0.25
 
 
 @dataclass(frozen=True)
@@ -83,8 +83,8 @@ def relaxed(bent: BentTriangles, thickness: float) -> BentTriangles:
         np.add.at(total, last, bent.corners[first])
         corners, bulges = bent.corners.copy(), bent.bulges.copy()
         move = np.unique(bent.triangles[bad, :3])
-        corners[move] += _SHARE * (total[move] / degree[move, None] - corners[move])
-        bulges[np.unique(bent.triangles[bad, 3:])] *= 1.0 - _SHARE
+        corners[move] += _RELAXATION * (total[move] / degree[move, None] - corners[move])
+        bulges[np.unique(bent.triangles[bad, 3:])] *= 1.0 - _RELAXATION
         bent = replace(bent, corners=corners, bulges=bulges)
     return bent
 

@@ -33,9 +33,9 @@ def quadrature(
     for places in product(range(num), repeat=dim):
         left, point, weight = 1.0, [], 1.0
         for k, place in enumerate(places):
-            share = 0.5 * (1.0 + rules[k][0][place])
-            point.append(left * share)
-            left *= 1.0 - share
+            fraction = 0.5 * (1.0 + rules[k][0][place])
+            point.append(left * fraction)
+            left *= 1.0 - fraction
             weight *= rules[k][1][place] / 2.0 ** (dim - k)
         points.append(point)
         weights.append(weight)
@@ -80,14 +80,14 @@ def integration_points(
     nodes: Float[np.ndarray, "n 3"], tetrahedra: Int[np.ndarray, "m 10"], num: int
 ) -> Points:
     """Points of curved (isoparametric) tetrahedra, `num` a side."""
-    places, shares = quadrature(3, num)
+    places, point_weights = quadrature(3, num)
     values, slopes = shapes(places)
     jacobian = np.einsum("eai,qaj->eqij", nodes[tetrahedra], slopes)
     determinant = np.linalg.det(jacobian)
     flat = determinant == 0.0
     jacobian[flat] = np.eye(3)
     gradients = np.einsum("qaj,eqji->eqai", slopes, np.linalg.inv(jacobian))
-    return Points(values, gradients, determinant * shares)
+    return Points(values, gradients, determinant * point_weights)
 
 
 def corner_volumes(

@@ -47,12 +47,13 @@ def embed(vertices: Float[np.ndarray, "n 3"], coarsened: Coarsened, layer: Layer
     values, slopes = shapes(place[:, :2])
     low, high = layer.nodes[inner[triangle]], layer.nodes[outer[triangle]]
     jacobian, there = _map(values, slopes, low, high, place[:, 2])
-    way = np.linalg.solve(jacobian, (vertices - there)[..., None])[..., 0]
+    offset = np.linalg.solve(jacobian, (vertices - there)[..., None])[..., 0]
     height = place[:, 2:]
-    along = np.einsum("naj,nj->na", slopes, way[:, :2])
+    along = np.einsum("naj,nj->na", slopes, offset[:, :2])
     moved = values + along
     weights = np.concatenate(
-        [moved * (1.0 - height) - values * way[:, 2:], moved * height + values * way[:, 2:]], axis=1
+        [moved * (1.0 - height) - values * offset[:, 2:], moved * height + values * offset[:, 2:]],
+        axis=1,
     )
     steep = np.flatnonzero(np.abs(weights).max(axis=1) > _LARGEST_WEIGHT)
     flat = np.concatenate([values * (1.0 - height), values * height], axis=1)[steep]
@@ -73,8 +74,8 @@ def _least_change(
     rows = np.concatenate([np.ones((len(nodes), 12, 1)), around / size], axis=2)
     wanted = np.concatenate([np.ones((len(nodes), 1, 1)), (points[:, None] - center) / size], 2)
     missing = wanted[:, 0] - np.einsum("ka,kai->ki", weights, rows)
-    share = np.linalg.solve(rows.swapaxes(1, 2) @ rows, missing[..., None])
-    return weights + (rows @ share)[..., 0]
+    correction = np.linalg.solve(rows.swapaxes(1, 2) @ rows, missing[..., None])
+    return weights + (rows @ correction)[..., 0]
 
 
 def _covered(place: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
@@ -136,6 +137,6 @@ def _invert(
     for _ in range(_ROUNDS):
         values, slopes = shapes(place[:, :2])
         jacobian, there = _map(values, slopes, low, high, place[:, 2])
-        way = np.linalg.solve(jacobian, (points - there)[..., None])[..., 0]
-        place = np.clip(place + way, -2.0, 3.0)
+        offset = np.linalg.solve(jacobian, (points - there)[..., None])[..., 0]
+        place = np.clip(place + offset, -2.0, 3.0)
     return place

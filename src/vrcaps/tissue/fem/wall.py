@@ -49,12 +49,12 @@ class FemWall:
         self.deformation = deformation
         coarsened = coarsen(organ.vertices, organ.faces, deformation.edge, deformation.thickness)
         self.layer = extrude(coarsened.surface, deformation.thickness, deformation.layers)
-        over = _held(organ, deformation, coarsened)
-        _check_held(over, deformation)
-        held = np.tile(over, self.layer.num_levels)
-        self.num_free = int((~held).sum())
-        number = np.empty(len(held), np.int64)
-        number[np.argsort(held, kind="stable")] = np.arange(len(held))
+        over = _fixed_nodes(organ, deformation, coarsened)
+        _check_fixed(over, deformation)
+        is_fixed = np.tile(over, self.layer.num_levels)
+        self.num_free = int((~is_fixed).sum())
+        number = np.empty(len(is_fixed), np.int64)
+        number[np.argsort(is_fixed, kind="stable")] = np.arange(len(is_fixed))
         self.number = number
         embedding = embed(organ.vertices, coarsened, self.layer)
         self.embedding = Embedding(
@@ -156,23 +156,23 @@ class FemWall:
         self._core.nodes = np.ascontiguousarray(snapshot, float)
 
 
-def _held(
+def _fixed_nodes(
     organ: OrganSurface, deformation: FemDeformation, coarsened: Coarsened
 ) -> Bool[np.ndarray, " nodes"]:
     """Nodes of the coarse surface that are held."""
     arc_length = organ.arc_length[coarsened.nearest]
-    held = np.zeros(len(arc_length), bool)
+    is_fixed = np.zeros(len(arc_length), bool)
     if deformation.fix_ends:
-        held[coarsened.border] = True
+        is_fixed[coarsened.border] = True
     for start, end in deformation.fixed:
-        held |= (arc_length >= start) & (arc_length <= end)
-    return held
+        is_fixed |= (arc_length >= start) & (arc_length <= end)
+    return is_fixed
 
 
-def _check_held(held: Bool[np.ndarray, " nodes"], deformation: FemDeformation) -> None:
-    if held.all():
+def _check_fixed(is_fixed: Bool[np.ndarray, " nodes"], deformation: FemDeformation) -> None:
+    if is_fixed.all():
         raise InputError("fixed holds the whole wall. Give shorter stretches.")
-    if deformation.support == 0.0 and held.sum() < 2:
+    if deformation.support == 0.0 and is_fixed.sum() < 2:
         raise InputError(
             "Nothing holds the wall: support is 0 and no node is fixed. Give a support above 0, "
             "stretches in fixed, or an organ with open ends and fix_ends."

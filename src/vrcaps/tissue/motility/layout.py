@@ -67,10 +67,10 @@ def lay_out(organ: OrganSurface, motility: Motility) -> Layout:
     zones: dict[str, tuple[float, float]] = {}
     for number, start, end in _runs(name):
         segment = motility.segments[names[number]]
-        share = np.linspace(0.0, 1.0, end - start)
-        rates[start:end] = np.interp(share, [0.0, 1.0], segment.rates)
+        fraction = np.linspace(0.0, 1.0, end - start)
+        rates[start:end] = np.interp(fraction, [0.0, 1.0], segment.rates)
         parameters[0, start:end] = segment.amplitude
-        parameters[1, start:end] = np.interp(share, [0.0, 1.0], segment.speeds)
+        parameters[1, start:end] = np.interp(fraction, [0.0, 1.0], segment.speeds)
         parameters[2:, start:end] = np.array(
             [
                 segment.duration,
@@ -108,7 +108,9 @@ def _segments(
     for value, start, end in _runs(label):
         name = _known_name(organ, value, motility)
         parts = ((name, 1.0),) if name in motility.segments else organ_divisions()[name]
-        ends = np.rint(start + (end - start) * np.cumsum([share for _, share in parts])).astype(int)
+        ends = np.rint(
+            start + (end - start) * np.cumsum([fraction for _, fraction in parts])
+        ).astype(int)
         for (part, _), first, last in zip(parts, [start, *ends[:-1]], ends, strict=True):
             if part not in known:
                 known.append(part)

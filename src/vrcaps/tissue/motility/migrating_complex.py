@@ -90,8 +90,13 @@ class ComplexStatistics:
             value = getattr(self, name)
             require(0.0 <= value < math.inf, name, value, "0 or more")
         for name in ("gastric_first_phase", "second_phase", "reaching", "origins"):
-            shares = getattr(self, name)
-            require(all(0.0 <= share <= 1.0 for share in shares), name, shares, "shares, 0 to 1")
+            fractions = getattr(self, name)
+            require(
+                all(0.0 <= fraction <= 1.0 for fraction in fractions),
+                name,
+                fractions,
+                "shares, 0 to 1",
+            )
         whole = math.fsum(self.origins)
         require(abs(whole - 1.0) < 1e-9, "origins", self.origins, "four shares whose sum is 1")
         self._check_speeds()
@@ -219,8 +224,8 @@ def draw_complex(
     base, growth = s.third_phase[0], 0.5 * (s.third_phase[1] - s.third_phase[0])
     third = base + rng.uniform(0.0, growth, n)
     fourth = rng.uniform(*s.fourth_phase, n)
-    share = rng.uniform(*s.second_phase)
-    second = _truncated_normal(rng, (share, s.second_phase_deviation), (0.0, 1.0), n)
+    fraction = rng.uniform(*s.second_phase)
+    second = _truncated_normal(rng, (fraction, s.second_phase_deviation), (0.0, 1.0), n)
     gastric = _truncated_normal(rng, s.gastric_first_phase, (0.0, 1.0), n)
     bowel = [ends for zone, ends in zones.items() if zone != "stomach"]
     begin = bowel[0][0] if bowel else places[-1]

@@ -89,9 +89,9 @@ class Muscle:
         at = np.flatnonzero(np.abs(offset) < 0.5 * rows.duty)
         deepest = np.zeros(last - first)
         if len(at):
-            at, share = self._shares(rows, wave, at)
+            at, factor = self._strengths(rows, wave, at)
             pulse = np.cos(np.pi * offset[at] / rows.duty[at]) ** 2
-            depth = rows.amplitude[at] * pulse * share
+            depth = rows.amplitude[at] * pulse * factor
             np.maximum.at(deepest, rows.sample[at] - first, depth)
         if self.motility.giant is not None:
             self._add_giant(self.motility.giant, deepest, time, first)
@@ -145,7 +145,7 @@ class Muscle:
         number = np.rint(np.asarray(arc_length) / samples[1]).astype(int)
         return np.clip(number, 0, len(samples) - 1)
 
-    def _shares(
+    def _strengths(
         self, rows: Rows, wave: Float[np.ndarray, " r"], at: Int[np.ndarray, " q"]
     ) -> tuple[Int[np.ndarray, " p"], Float[np.ndarray, " p"]]:
         """Of rows `at` those that may contract, and how far, 0 to 1, blended between nodes."""
@@ -217,15 +217,15 @@ class Muscle:
         lots, moments, origins = (uniform(self._key, 4 + k, hours) for k in range(3))
         since = time - (hours + moments) * _HOUR
         lasts = giant.duration + giant.extent / giant.speed
-        under_way = (lots < giant.rate * _HOUR) & (since >= 0.0) & (since < lasts)
+        active = (lots < giant.rate * _HOUR) & (since >= 0.0) & (since < lasts)
         here = slice(first, first + len(deepest))
-        for k in np.flatnonzero(under_way):
-            way = layout.arc_length[here] - begin - origins[k] * giant.origin * (end - begin)
-            middle = (since[k] - way / giant.speed) / giant.duration - 0.5
+        for k in np.flatnonzero(active):
+            traveled = layout.arc_length[here] - begin - origins[k] * giant.origin * (end - begin)
+            middle = (since[k] - traveled / giant.speed) / giant.duration - 0.5
             pulse = np.cos(np.pi * np.clip(middle, -0.5, 0.5)) ** 2
-            whole = np.minimum(way, giant.extent - way) / (_GIANT_RAMP * giant.extent)
-            share = np.clip(whole, 0.0, 1.0) * ~layout.cycles[here]
-            np.maximum(deepest, giant.amplitude * pulse * share, out=deepest)
+            whole = np.minimum(traveled, giant.extent - traveled) / (_GIANT_RAMP * giant.extent)
+            factor = np.clip(whole, 0.0, 1.0) * ~layout.cycles[here]
+            np.maximum(deepest, giant.amplitude * pulse * factor, out=deepest)
 
 
 def _runs(

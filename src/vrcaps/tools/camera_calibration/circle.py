@@ -17,13 +17,13 @@ _NUM_DIRECTIONS = 360
 _DARK_QUANTILE, _DARK_MOST = 0.01, 0.3
 """The sensor behind the circle is as dark as this quantile, and no brighter than this share of the
 median code value, some 7 % of the light."""
-_DARK_SHARE = 0.08
+_DARK_FRACTION = 0.08
 """Of the way from there to the median: what is brighter is lit."""
 _NOISE = 10.0
 """Brightest channel that a dark sensor may show [of 255]: noise and coding."""
 _STEP, _RIM = 0.25, 4.0
 """Between samples along a direction, and from the dark to what counts as lit beside it [px]."""
-_MIN_SHARE = 0.1
+_MIN_FRACTION = 0.1
 """Of the directions that must show the edge for a circle to be fitted."""
 _MAX_SCATTER = 0.03
 """Median distance of the edge from the circle, of its radius: above it is no circle."""
@@ -73,13 +73,13 @@ def image_circle(images: Sequence[UInt8[np.ndarray, "h w 3"]]) -> ImageCircle | 
     median, dark = float(np.nanmedian(profile)), float(np.quantile(bright, _DARK_QUANTILE))
     if dark > _DARK_MOST * median:
         return None
-    limit = max(_NOISE, dark + _DARK_SHARE * (median - dark))
+    limit = max(_NOISE, dark + _DARK_FRACTION * (median - dark))
     lit = profile > limit  # NaN beyond the picture is not
     inside = np.maximum(_last(lit) - round(_RIM / _STEP), 0)
     rim = profile[inside, np.arange(_NUM_DIRECTIONS)]
     last = _last(profile > np.maximum(limit, 0.5 * rim))
     seen = lit.any(axis=0) & (steps[last] < reach - 2.0)
-    if seen.mean() < _MIN_SHARE:
+    if seen.mean() < _MIN_FRACTION:
         return None
     return _fitted((middle + steps[last][:, None] * direction)[seen], middle)
 

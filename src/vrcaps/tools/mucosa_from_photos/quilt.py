@@ -167,8 +167,8 @@ class _Search:
         weight = np.full(len(family), 0.25, np.float32)
         weight[source - first] = 1.0
         window = np.s_[max(0, row - reach) : row + reach, max(0, column - reach) : column + reach]
-        for member, share in zip(family, weight, strict=True):
-            self.used[member][window] += share
+        for member, part in zip(family, weight, strict=True):
+            self.used[member][window] += part
 
 
 def _box_mean(mask: np.ndarray, side: int) -> Float[np.ndarray, "n n"]:

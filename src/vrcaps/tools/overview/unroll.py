@@ -108,12 +108,12 @@ def _in_lumen(
         return points
     angle = np.linspace(0.0, 2.0 * np.pi, 16, endpoint=False)
     across = np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    rings = np.concatenate([share * across for share in (0.3, 0.6, 0.9)])
+    rings = np.concatenate([fraction * across for fraction in (0.3, 0.6, 0.9)])
     aside = np.einsum("nxk,rk->nrx", frames[inside, :, :2], rings) * radii[inside, None, None]
     tried = points[inside, None] + aside
-    room = wall.signed_distance(tried.reshape(-1, 3)).reshape(tried.shape[:2])
+    clearance = wall.signed_distance(tried.reshape(-1, 3)).reshape(tried.shape[:2])
     moved = points.copy()
-    moved[inside] = tried[np.arange(len(inside)), room.argmax(axis=1)]
+    moved[inside] = tried[np.arange(len(inside)), clearance.argmax(axis=1)]
     return moved
 
 

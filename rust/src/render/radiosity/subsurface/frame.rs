@@ -8,7 +8,7 @@ use crate::simd::f32x64::*;
 use crate::wall::Wall;
 use crate::wall::packet::{Hits, MISS};
 use crate::wall::ray;
-use crate::wall::visibility::FREE_WAY;
+use crate::wall::visibility::SHADOW_REACH;
 use glam::Vec4;
 use std::f32::consts::PI;
 
@@ -54,7 +54,7 @@ pub struct SubsurfaceFrame<'a> {
 /// What the tissue behind a tile's surfaces makes of light.
 pub struct SubsurfaceLight {
     /// Radiance towards the viewer over π and that of a white matt surface, by light on the place.
-    share: Lane3,
+    weight: Lane3,
     /// Radiance towards the viewer of light that fell elsewhere [W/(sr·m²)].
     through: Lane3,
     border: (f32, f32),
@@ -70,24 +70,24 @@ impl Transport {
         leds: &[Led],
         shadows: bool,
     ) -> SubsurfaceFrame<'a> {
-        let (leds, known) = (leds.to_vec(), self.room.lend());
+        let (leds, known) = (leds.to_vec(), self.cache.lend());
         SubsurfaceFrame { transport: self, rest, wall, leds, shadows, known }
     }
 }
 
 impl SubsurfaceFrame<'_> {
-    /// What becomes of light at surfaces; `bounced` is irradiance of a vertex but for the LEDs'.
+    /// What becomes of light at surfaces; `indirect` is irradiance of a vertex but for the LEDs'.
     #[inline(always)]
     pub fn subsurface(
         &self,
         surface: &Surface,
         hits: &Hits,
         is_wall: [bool; LANES],
-        bounced: &impl Fn(usize) -> Vec4,
+        indirect: &impl Fn(usize) -> Vec4,
     ) -> SubsurfaceLight {
         let tissue = &self.transport.tissue;
         let mut subsurface = SubsurfaceLight {
-            share: [[0.0; LANES]; 3],
+            weight: [[0.0; LANES]; 3],
             through: [[0.0; LANES]; 3],
             border: (tissue.ior, tissue.diffuse_transmittance),
             is_wall,
@@ -97,12 +97,12 @@ impl SubsurfaceFrame<'_> {
             let triangle = hits.triangle[i];
             let face = &mut at_hand[triangle as usize % AT_HAND];
             if face.triangle != triangle {
-                *face = self.face(triangle, bounced);
+                *face = self.face(triangle, indirect);
             }
             let [first, second, third] = &face.radiosity;
             let inverse = 1.0 / hits.edges[2][i];
             let (wa, wb) = (hits.edges[0][i] * inverse, hits.edges[1][i] * inverse);
-            let [share, light] =
+            let [weight, light] =
                 [0, 1].map(|part| third[part] + first[part] * wa + second[part] * wb);
             let (view, normal) = (at(&surface.view, i), at(&surface.normal, i));
             let inward = refract_into(view, normal, tissue.ior);
@@ -111,16 +111,16 @@ impl SubsurfaceFrame<'_> {
             let seen = (Vec4::ONE + less * face.tilt) * face.drifted([wa, wb], inward) * passes;
             for k in 0..3 {
                 let seen = seen[k] * surface.albedo[k][i];
-                subsurface.share[k][i] = seen * share[k];
+                subsurface.weight[k][i] = seen * weight[k];
                 subsurface.through[k][i] = seen * light[k] * (1.0 / PI);
             }
         }
         subsurface
     }
 
-    fn face(&self, triangle: u32, bounced: &impl Fn(usize) -> Vec4) -> Face {
+    fn face(&self, triangle: u32, indirect: &impl Fn(usize) -> Vec4) -> Face {
         let corners = self.wall.bvh.corners[triangle as usize];
-        let [a, b, c] = corners.map(|v| self.vertex(v as usize, bounced));
+        let [a, b, c] = corners.map(|v| self.vertex(v as usize, indirect));
         let more = |light: [Vec4; 3]| [0, 1, 2].map(|part| light[part] - c[part]);
         let (a, b) = (more(a), more(b));
         let [at_a, at_b, at_c] = self.wall.bvh.triangles[triangle as usize].corners;
@@ -146,14 +146,14 @@ impl SubsurfaceFrame<'_> {
     }
 
     /// What leaves a vertex.
-    fn vertex(&self, v: usize, bounced: &impl Fn(usize) -> Vec4) -> Lit {
+    fn vertex(&self, v: usize, indirect: &impl Fn(usize) -> Vec4) -> Lit {
         if let Some(light) = self.known.vertex(v) {
             return light;
         }
         let mut sum = [Vec4::ZERO; 3];
         let neighbors = &self.transport.nodes.neighbors[v];
         for &(node, weight) in neighbors.iter().filter(|neighbors| neighbors.1 > 0.0) {
-            let radiosity = self.radiosity(node as usize, bounced);
+            let radiosity = self.radiosity(node as usize, indirect);
             for part in 0..3 {
                 sum[part] += weight * radiosity[part];
             }
@@ -163,7 +163,7 @@ impl SubsurfaceFrame<'_> {
     }
 
     /// What leaves a node.
-    fn radiosity(&self, node: usize, bounced: &impl Fn(usize) -> Vec4) -> Lit {
+    fn radiosity(&self, node: usize, indirect: &impl Fn(usize) -> Vec4) -> Lit {
         let place = self.transport.nodes.vertex.len() + node;
         if let Some(light) = self.known.gather_point(place) {
             return light;
@@ -171,25 +171,25 @@ impl SubsurfaceFrame<'_> {
         let row = self.transport.row(self.rest, node);
         let mut light = Vec4::ZERO;
         for link in &row.far {
-            let [r, g, b] = link.share;
-            light += Vec4::new(r, g, b, 0.0) * self.falling(link.from as usize, bounced);
+            let [r, g, b] = link.weight;
+            light += Vec4::new(r, g, b, 0.0) * self.falling(link.from as usize, indirect);
         }
         let [near, better] = [row.near, self.transport.better(self.rest, node)]
             .map(|[r, g, b]| Vec4::new(r, g, b, 0.0));
         let (near, far) = (near * better, light * better);
-        let radiosity = [near, far, near * self.falling(node, bounced) + far];
+        let radiosity = [near, far, near * self.falling(node, indirect) + far];
         self.known.keep_gather_point(place, &radiosity);
         radiosity
     }
 
     /// Irradiance of a node, by what the interface lets pass of it [W/m²].
-    fn falling(&self, node: usize, bounced: &impl Fn(usize) -> Vec4) -> Vec4 {
+    fn falling(&self, node: usize, indirect: &impl Fn(usize) -> Vec4) -> Vec4 {
         if let Some(light) = self.known.gather_point(node) {
             return light[0];
         }
         let vertex = self.transport.nodes.vertex[node] as usize;
-        let bounced = bounced(vertex).max(Vec4::ZERO);
-        let all = self.leds.iter().fold(bounced, |sum, led| sum + self.direct(vertex, led));
+        let others = indirect(vertex).max(Vec4::ZERO);
+        let all = self.leds.iter().fold(others, |sum, led| sum + self.direct(vertex, led));
         self.known.keep_gather_point(node, &[all, Vec4::ZERO, Vec4::ZERO]);
         all
     }
@@ -218,7 +218,7 @@ impl SubsurfaceFrame<'_> {
 
     /// Whether the way from an LED to a place `distance` [m] against `light` is free.
     fn is_lit(&self, origin: Vec3, light: Vec3, distance: f32) -> bool {
-        let reach = distance * FREE_WAY;
+        let reach = distance * SHADOW_REACH;
         ray::cast::<true>(&self.wall.bvh, origin, scale(light, -1.0), reach, MISS).is_none()
     }
 }
@@ -245,8 +245,8 @@ impl Face {
         let here = third + first * wa + second * wb;
         let [x, y, z] = self.slope;
         let rise = x * direction[0] + y * direction[1] + z * direction[2];
-        let share = rise * self.drift / here.max(Vec4::splat(f32::MIN_POSITIVE));
-        Vec4::ONE + share.clamp(Vec4::NEG_ONE, Vec4::ONE)
+        let slope = rise * self.drift / here.max(Vec4::splat(f32::MIN_POSITIVE));
+        Vec4::ONE + slope.clamp(Vec4::NEG_ONE, Vec4::ONE)
     }
 }
 
@@ -255,7 +255,7 @@ impl SubsurfaceLight {
     /// radiance by light that fell elsewhere; of the base itself where there is no wall.
     #[inline(always)]
     pub fn of(&self, base: f32, k: usize, i: usize) -> (f32, f32) {
-        if self.is_wall[i] { (self.share[k][i], self.through[k][i]) } else { (base, 0.0) }
+        if self.is_wall[i] { (self.weight[k][i], self.through[k][i]) } else { (base, 0.0) }
     }
 
     /// Adds the radiance that an LED's light on the place itself leaves towards the viewer.
@@ -265,7 +265,7 @@ impl SubsurfaceLight {
         add_leaving(surface, self.border, led, &mut light);
         for k in 0..3 {
             for i in 0..LANES {
-                radiance[k][i] += if lit[i] { light[k][i] * self.share[k][i] } else { 0.0 };
+                radiance[k][i] += if lit[i] { light[k][i] * self.weight[k][i] } else { 0.0 };
             }
         }
     }

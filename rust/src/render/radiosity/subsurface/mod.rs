@@ -34,7 +34,7 @@ pub struct Transport {
     rows: Vec<OnceLock<Row>>,
     /// How much more of light comes out than by a node's own row, which is noisy.
     better: Vec<OnceLock<Vec3>>,
-    room: CachePool<frame::Lit>,
+    cache: CachePool<frame::Lit>,
 }
 
 impl Transport {
@@ -46,8 +46,8 @@ impl Transport {
         let color = PatchAlbedo::mean(wall, scene, &nodes).albedo;
         let rows = nodes.vertex.iter().map(|_| OnceLock::new()).collect();
         let better = nodes.vertex.iter().map(|_| OnceLock::new()).collect();
-        let room = CachePool::new((2 * nodes.vertex.len(), wall.vertices.len()));
-        Transport { tissue: tissue.clone(), nodes, color, rows, better, room }
+        let cache = CachePool::new((2 * nodes.vertex.len(), wall.vertices.len()));
+        Transport { tissue: tissue.clone(), nodes, color, rows, better, cache }
     }
 
     /// What passes the interface at an angle of this cosine, over the mean of diffuse light.
@@ -73,10 +73,10 @@ impl Transport {
             let faces = rest.faces_around(vertex).iter().map(|&f| rest.faces[f as usize]);
             for v in faces.flatten().map(|v| v as usize).filter(|&v| v != vertex) {
                 let facing = dot(rest.normals[v], rest.normals[vertex]);
-                let share = 0.5 * NEIGHBOR * max(facing, 0.0);
+                let part = 0.5 * NEIGHBOR * max(facing, 0.0);
                 let total = self.row(rest, self.nodes.of_vertex[v] as usize).total();
-                sum = add(sum, scale(total, share));
-                weight += share;
+                sum = add(sum, scale(total, part));
+                weight += part;
             }
             [0, 1, 2].map(|k| sum[k] / (weight * max(own[k], 1e-6)))
         })

@@ -33,7 +33,7 @@ pub struct Link {
     /// The other node.
     pub from: u32,
     /// Share of red, green and blue, as in `Row`.
-    pub share: Vec3,
+    pub weight: Vec3,
 }
 
 /// Shares of irradiance that come out at a node, over what a level wall gives back of diffuse
@@ -48,7 +48,7 @@ pub struct Row {
 impl Row {
     /// All of diffuse light.
     pub fn total(&self) -> Vec3 {
-        self.far.iter().fold(self.near, |sum, link| add(sum, link.share))
+        self.far.iter().fold(self.near, |sum, link| add(sum, link.weight))
     }
 }
 
@@ -102,9 +102,9 @@ pub fn trace_row(
             offset: Interface::offset(wall),
         };
         let plain = start.walk(&level, &medium, (key, number));
-        let share =
-            |exit: &Option<SubsurfaceExit>| exit.as_ref().map_or([0.0; 3], |exit| exit.share);
-        let difference = sub(share(&exit), share(&plain));
+        let weight =
+            |exit: &Option<SubsurfaceExit>| exit.as_ref().map_or([0.0; 3], |exit| exit.throughput);
+        let difference = sub(weight(&exit), weight(&plain));
         sum.more = add(sum.more, scale(difference, start.passes));
         if let Some(exit) = exit {
             let from = met(wall, nodes, &exit, (key, number));
@@ -156,8 +156,8 @@ impl Start {
         (key, number): (u32, u32),
     ) -> Option<SubsurfaceExit> {
         let origin = sub(self.place, scale(self.face_normal, interface.offset()));
-        let way = TissueRay { origin, direction: self.direction, from: MISS };
-        random_walk(interface, medium, way, &mut RandomStream::new(key, number))
+        let ray = TissueRay { origin, direction: self.direction, from: MISS };
+        random_walk(interface, medium, ray, &mut RandomStream::new(key, number))
     }
 }
 
@@ -183,12 +183,12 @@ impl Sum {
         let offset = sub(exit.point, start.place);
         let square = dot(offset, offset);
         let is_same_side = dot(exit.face_normal, start.face_normal) > 0.0;
-        let share = scale(exit.share, start.passes);
+        let weight = scale(exit.throughput, start.passes);
         let near = reach.map(|reach| is_same_side && square < reach * reach);
-        let far = [0, 1, 2].map(|k| if near[k] { 0.0 } else { share[k] });
-        self.near = add(self.near, sub(share, far));
+        let far = [0, 1, 2].map(|k| if near[k] { 0.0 } else { weight[k] });
+        self.near = add(self.near, sub(weight, far));
         if far != [0.0; 3] {
-            self.far.push(Link { from, share: far });
+            self.far.push(Link { from, weight: far });
         }
     }
 
@@ -200,21 +200,21 @@ impl Sum {
             .chunk_by(|a, b| a.from == b.from)
             .map(|run| Link {
                 from: run[0].from,
-                share: run.iter().fold([0.0; 3], |sum, link| add(sum, link.share)),
+                weight: run.iter().fold([0.0; 3], |sum, link| add(sum, link.weight)),
             })
             .collect();
-        let found = far.iter().fold(self.near, |sum, link| add(sum, link.share));
+        let found = far.iter().fold(self.near, |sum, link| add(sum, link.weight));
         let factor = [0, 1, 2].map(|k| {
             let total = 1.0 + self.more[k] / (walks * max(color[k], BLACK));
             clamp(total, 0.0, 1.0 / max(color[k], BLACK)) / max(found[k], 1e-20)
         });
         let is_known = [0, 1, 2].map(|k| color[k] > BLACK && found[k] > 0.0);
         let scaled =
-            |share: Vec3| [0, 1, 2].map(|k| if is_known[k] { share[k] * factor[k] } else { 0.0 });
+            |weight: Vec3| [0, 1, 2].map(|k| if is_known[k] { weight[k] * factor[k] } else { 0.0 });
         let near = scaled(self.near);
         Row {
             near: [0, 1, 2].map(|k| if is_known[k] { near[k] } else { 1.0 }),
-            far: far.iter().map(|link| Link { share: scaled(link.share), ..*link }).collect(),
+            far: far.iter().map(|link| Link { weight: scaled(link.weight), ..*link }).collect(),
         }
     }
 }

@@ -23,8 +23,7 @@ import numpy as np
 import vrcaps
 from validation import parser, table, write_section
 from vrcaps.camera_pipeline.capsule_cameras import CapsuleCameras
-from vrcaps.camera_pipeline.effects import SEVERITIES
-from vrcaps.camera_pipeline.parse import parse_effects
+from vrcaps.camera_pipeline.effects import SEVERITIES, parse_effects
 from vrcaps.cli.benchmarks.timing import Spread, Subject, Times, interleave, ratio
 from vrcaps.recording.recorder import record
 from vrcaps.render.renderer import Renderer

@@ -28,7 +28,7 @@ from scipy.spatial.transform import Rotation
 from test_kinematics import errors, path_of
 
 from scenes import random_directions, random_poses, relative
-from vrcaps.actuation.arm.arm_catalog import read_arm
+from vrcaps.actuation.arm.arm import read_arm
 from vrcaps.actuation.arm.kinematics import forward, nearest
 from vrcaps.magnet.field import field, wrench
 from vrcaps.magnet.internal import InternalMagnet

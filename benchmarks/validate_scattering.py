@@ -22,6 +22,7 @@ from typing import Any
 
 import numpy as np
 
+from scattering_theory import Medium, diffusion_profile, dipole_profile, half_space_reflectance
 from validation import options, table, write_section
 from vrcaps import _core
 from vrcaps.anatomy.catalog import generate_organ
@@ -31,15 +32,7 @@ from vrcaps.capsule.catalog import read_device
 from vrcaps.motion.fly_through import FlyThrough, fly_through
 from vrcaps.organ.surface import Appearance
 from vrcaps.render.renderer import Renderer
-from vrcaps.render.scattering import (
-    Medium,
-    diffuse_reflectance,
-    diffusion_profile,
-    dipole_profile,
-    fresnel,
-    half_space_reflectance,
-    internal_reflectance,
-)
+from vrcaps.render.scattering import diffuse_reflectance, fresnel, internal_reflectance
 from vrcaps.render.settings import RenderSettings
 from vrcaps.world.model import Model, State
 

@@ -20,7 +20,7 @@ from validation import ROOT, parser, table, write_section
 sys.path.append(str(ROOT / "tests" / "support"))
 
 from tubes import bent_tube, straight_gut
-from vrcaps.actuation.arm.arm_catalog import read_arm
+from vrcaps.actuation.arm.arm import read_arm
 from vrcaps.actuation.arm.arm_with_payload import ArmWithPayload, transverse_mount
 from vrcaps.actuation.capsule_target import CapsuleTarget, centerline_target
 from vrcaps.actuation.magnet_actuator import FreeActuator, MagnetActuator

@@ -1,5 +1,5 @@
 from ._core import __version__ as __version__
-from .actuation.arm.arm_catalog import read_arm as read_arm
+from .actuation.arm.arm import read_arm as read_arm
 from .actuation.steering_program import MagnetSteering as MagnetSteering
 from .anatomy.catalog import generate_organ as generate_organ
 from .camera.camera import Camera as Camera

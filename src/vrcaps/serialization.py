@@ -21,7 +21,7 @@ from decimal import Decimal
 from functools import cache
 from typing import Any, Literal, Union, cast, get_args, get_origin, get_type_hints
 
-from cattrs import ClassValidationError, Converter, IterableValidationError
+from cattrs import BaseValidationError, ClassValidationError, Converter, IterableValidationError
 from cattrs.errors import ForbiddenExtraKeysError, IterableValidationNote
 from cattrs.gen import make_dict_structure_fn, override
 
@@ -41,6 +41,10 @@ class _NotAllowedError(ValueError):
 
     def __init__(self, given: Any, allowed: str, verb: str = "is") -> None:
         super().__init__(f"{verb} {given}. Allowed: {allowed}.")
+
+
+_STRUCTURE_ERRORS = (BaseValidationError, VrcapsError, ValueError, TypeError, KeyError)
+"""What a value may raise that is not of its declared type."""
 
 
 def register_shorthand(cls: type, expand: Callable[[dict[str, Any]], dict[str, Any]]) -> None:
@@ -149,7 +153,7 @@ def _tuple_hook(converter: Converter, declared: Any, units: bool) -> Callable[[A
         ):
             try:
                 values.append(converter.structure(value, item))
-            except Exception as error:
+            except _STRUCTURE_ERRORS as error:
                 error.add_note(_note(index, item))
                 raise IterableValidationError("", [error], declared) from error  # pyright: ignore[reportCallIssue]
         return tuple(values)

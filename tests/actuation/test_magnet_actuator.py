@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import robot_actuator_twin
-from vrcaps.actuation.arm.arm_catalog import read_arm
+from vrcaps.actuation.arm.arm import read_arm
 from vrcaps.actuation.arm.arm_with_payload import (
     ArmWithPayload,
     limit_utilization,

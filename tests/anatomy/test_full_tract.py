@@ -23,7 +23,6 @@ from vrcaps.anatomy.full_tract.patient import (
 )
 from vrcaps.anatomy.full_tract.valve import soften, stitch, without_vertices
 from vrcaps.anatomy.small_bowel.generate import lay_small_bowel, small_bowel_rng
-from vrcaps.anatomy.tube_mesh.truncated_normal import truncated_normal
 from vrcaps.anatomy.tube_mesh.tube_packing import ObstacleSpheres, smooth_course
 from vrcaps.anatomy.tube_mesh.waves import draw_waves, sum_waves, within_bend, wrap
 from vrcaps.errors import InputError
@@ -32,6 +31,7 @@ from vrcaps.mesh.self_intersection import self_intersections
 from vrcaps.organ.centerline import interpolate
 from vrcaps.organ.measure import measure_organ
 from vrcaps.organ.surface import OrganSurface
+from vrcaps.rng import truncated_normal
 from vrcaps.units import CM, MM
 
 pytestmark = pytest.mark.slow

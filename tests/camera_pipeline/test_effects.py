@@ -7,9 +7,8 @@ from vrcaps.camera_pipeline.effect.adaptive_frame_rate import AdaptiveFrameRate
 from vrcaps.camera_pipeline.effect.base import MAX_SEVERITY
 from vrcaps.camera_pipeline.effect.bayer_filter import BayerFilter
 from vrcaps.camera_pipeline.effect.depth_of_field import DepthOfField
-from vrcaps.camera_pipeline.effects import EFFECTS, SEVERITIES, Effects
+from vrcaps.camera_pipeline.effects import EFFECTS, SEVERITIES, Effects, parse_effects
 from vrcaps.camera_pipeline.effects_tables import with_tables
-from vrcaps.camera_pipeline.parse import parse_effects
 from vrcaps.capsule.catalog import read_device
 from vrcaps.errors import InputError, UnknownNameError
 from vrcaps.lumen.contents import Contents

@@ -6,12 +6,11 @@ import numpy as np
 import pytest
 import trimesh
 
-from vrcaps.camera.camera import Camera
+from vrcaps.camera.camera import Camera, camera_rays
 from vrcaps.camera.lens import LensEquidistant
-from vrcaps.camera.rays import camera_rays
 from vrcaps.errors import InputError
 from vrcaps.geometry import triangle_areas
-from vrcaps.mesh.wall import wall_of
+from vrcaps.mesh.mesh import wall_of
 from vrcaps.metrics.coverage import (
     CoverageCriteria,
     CoverageMap,

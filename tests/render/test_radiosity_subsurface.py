@@ -7,19 +7,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from scattering_theory import half_space_reflectance
 from shapes import looking, make_camera, make_model, make_organ, pinhole, sphere, tube
 from threads import digest_at_rest_and_moved, digests_by_threads
 from vrcaps.camera.camera import Camera, Led
 from vrcaps.camera.lens import LensEquidistant
 from vrcaps.organ.surface import Appearance
 from vrcaps.render.renderer import Renderer
-from vrcaps.render.scattering import (
-    TISSUE_IOR,
-    albedo_roots,
-    diffuse_transmittance,
-    fresnel,
-    half_space_reflectance,
-)
+from vrcaps.render.scattering import TISSUE_IOR, albedo_roots, diffuse_transmittance, fresnel
 from vrcaps.render.settings import RenderSettings
 from vrcaps.world.model import Model, State
 

@@ -9,6 +9,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from scattering_theory import Medium, diffusion_profile, dipole_profile, half_space_reflectance
 from shapes import looking, make_camera, make_model, make_organ, pinhole, sphere, tube
 from vrcaps import _core
 from vrcaps.camera.camera import Camera, Led
@@ -17,16 +18,12 @@ from vrcaps.organ.surface import Appearance
 from vrcaps.render.renderer import Renderer
 from vrcaps.render.scattering import (
     TISSUE_IOR,
-    Medium,
     albedo_roots,
     angular_slopes,
     diffuse_reflectance,
     diffuse_transmittance,
-    diffusion_profile,
-    dipole_profile,
     fresnel,
     half_space_albedo,
-    half_space_reflectance,
     internal_reflectance,
     mean_cosine,
     reduced_scattering,

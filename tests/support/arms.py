@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from vrcaps.actuation.arm.arm import Arm
-from vrcaps.actuation.arm.arm_catalog import read_arm
+from vrcaps.actuation.arm.arm import Arm, read_arm
 
 SIX_JOINTS = """
 title = "An arm of six joints"

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
 
-from vrcaps.actuation.arm.arm_catalog import read_arm
+from vrcaps.actuation.arm.arm import read_arm
 from vrcaps.actuation.arm.arm_with_payload import ArmWithPayload, transverse_mount
 from vrcaps.actuation.capsule_target import CapsuleTarget, centerline_target, project_to_wall
 from vrcaps.actuation.magnet_actuator import FreeActuator, MagnetActuator

@@ -164,8 +164,7 @@ def _patient_changes(flags: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
 
 
 def _effect_changes(text: str) -> Iterator[tuple[str, Any]]:
-    from vrcaps.camera_pipeline.effects import Effects
-    from vrcaps.camera_pipeline.parse import parse_effects
+    from vrcaps.camera_pipeline.effects import Effects, parse_effects
     from vrcaps.serialization import to_plain
 
     default = to_plain(Effects(), Effects)

@@ -17,8 +17,8 @@ from vrcaps.lesion.base import Lesion, LesionSite, WallSamples
 from vrcaps.lesion.mesh_patch import NUM_FIELDS, ExtractedPatch, extract, within
 from vrcaps.lesion.placement import PlacedLesion, candidates, place_focal
 from vrcaps.mesh.log_map import log_map
+from vrcaps.mesh.mesh import wall_of
 from vrcaps.mesh.refine import Patch, refine
-from vrcaps.mesh.wall import wall_of
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.units import MM
 

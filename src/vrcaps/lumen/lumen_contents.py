@@ -14,7 +14,7 @@ from vrcaps.lumen.dome_attachment import dome_sites, place_dome_bubbles
 from vrcaps.lumen.particles import Spheres, joined
 from vrcaps.lumen.placement import place_bubbles, place_chyme
 from vrcaps.lumen.pools import Pools, cut_sections, find_pools
-from vrcaps.mesh.wall import wall_of
+from vrcaps.mesh.mesh import wall_of
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.transforms import transform_points
 

@@ -1,1 +1,5 @@
-"""Magnetic field sources, their field and gradient, and the wrench on a capsule's magnets."""
+"""Magnetic field sources, their field and gradient, and the wrench on a capsule's magnets.
+
+`sources` holds the kinds of magnet, `presets` named ones, `field_map` sampled fields; `field` sums
+flux density and gradient over sources, `internal` is the magnet inside a capsule and its wrench.
+"""

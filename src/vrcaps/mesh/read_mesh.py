@@ -12,8 +12,7 @@ from vrcaps.errors import InputError, UnknownNameError
 from vrcaps.mesh.glb import read_document
 from vrcaps.mesh.gltf_limits import require_safe_gltf
 from vrcaps.mesh.mesh import Mesh
-from vrcaps.mesh.ply import read_ply
-from vrcaps.mesh.polygons import triangulate_fans
+from vrcaps.mesh.ply import read_ply, triangulate_fans
 from vrcaps.units import parse_length
 
 if TYPE_CHECKING:

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
 
-from vrcaps.camera.rays import camera_rays, project_points, unproject_pixels
+from vrcaps.camera.camera import camera_rays, project_points, unproject_pixels
 from vrcaps.errors import InputError
 from vrcaps.limits import Range, check_fields
 from vrcaps.transforms import invert, transform_points

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vrcaps import _core
+from vrcaps.camera.camera import camera_rays
 from vrcaps.camera.derive import scaled_camera
-from vrcaps.camera.rays import camera_rays
 from vrcaps.metrics.coverage import CoverageCriteria, CoverageLevel, pixel_solid_angles
 
 if TYPE_CHECKING:

@@ -10,10 +10,10 @@ import numpy as np
 
 from vrcaps.errors import InputError
 from vrcaps.files import file_sha256
-from vrcaps.mesh.mesh import Mesh
+from vrcaps.mesh.mesh import Mesh, vertex_normals
 from vrcaps.mesh.read_mesh import read_label_names, read_mesh
-from vrcaps.organ.from_mesh import organ_from_mesh
 from vrcaps.organ.organ_file import is_organ_file, read_organ_file
+from vrcaps.organ.surface import Centerline, OrganSurface
 from vrcaps.units import LENGTH_UNITS, parse_length
 
 if TYPE_CHECKING:
@@ -111,3 +111,37 @@ def _labels(mesh: Mesh, path: Path) -> tuple[np.ndarray, tuple[str, ...]]:
     for number in range(len(names), int(mesh.label.max()) + 1):
         names += ("background" if number == 0 else f"label {number}",)
     return mesh.label, names
+
+
+def organ_from_mesh(
+    mesh: Mesh, centerline: Centerline, *, name: str, label_names: tuple[str, ...]
+) -> OrganSurface:
+    """Organ of a wall mesh: normals, gut coordinates and texture coordinates are computed.
+
+    Args:
+        mesh: The wall, faces counter-clockwise seen from the lumen, with a label for each
+            vertex; its own texture coordinates stay where it has any.
+        centerline: In the same frame.
+        name: Name of the organ.
+        label_names: Of the labels; 0 is `background`.
+    """
+    from vrcaps.organ.gut_coordinates import gut_coordinates
+    from vrcaps.organ.uv import texture_coordinates
+
+    assert mesh.label is not None
+    arc_length, theta, radius = gut_coordinates(mesh.vertices, mesh.faces, centerline)
+    uv = mesh.uv if mesh.uv is not None else texture_coordinates(mesh, arc_length, theta, radius)
+    return OrganSurface(
+        name=name,
+        vertices=mesh.vertices,
+        faces=mesh.faces,
+        normals=vertex_normals(mesh.vertices, mesh.faces),
+        uv=uv,
+        label=mesh.label,
+        label_names=label_names,
+        instance=np.zeros(len(mesh.vertices), np.uint16),
+        arc_length=arc_length,
+        theta=theta,
+        radius=radius,
+        centerline=centerline,
+    )

@@ -105,6 +105,10 @@ class Frame:
 
     Where a pixel sees no surface, float channels hold NaN (`rgb` and `radiance` are black,
     `label` and `instance` are 0, `face` is −1).
+
+    Example:
+        >>> frame = renderer.render(state, "front", channels=("rgb", "depth", "label"))
+        >>> is_polyp = frame.label == model.organ.label_names.index("polyp")
     """
 
     rgb: UInt8[np.ndarray, "h w 3"] | None = channel(

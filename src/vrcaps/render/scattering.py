@@ -1,4 +1,4 @@
-"""Subsurface scattering: optical properties of gut tissue and reference solutions.
+"""Subsurface scattering: optical properties of gut tissue.
 
 States in closed form what `light="path"` samples by random walks and what `light="radiosity"`
 precomputes from such walks: a half-space of isotropic scattering behind a smooth dielectric border.
@@ -9,7 +9,6 @@ that and from the measured scattering of colon.
 from __future__ import annotations
 
 import functools
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -57,7 +56,7 @@ def fresnel(cosine: Float[np.ndarray, "*n"], ior: float) -> Float[np.ndarray, "*
 
 def internal_reflectance(ior: float) -> float:
     """Share of even light inside that a border reflects back in: 0 for 1, 0.53 for 1.4."""
-    cosine, weight = _directions(ior)
+    cosine, weight = directions(ior)
     return float(np.sum(2.0 * weight * cosine * fresnel(cosine, 1.0 / ior)))
 
 
@@ -66,7 +65,7 @@ def diffuse_transmittance(ior: float) -> float:
     return (1.0 - internal_reflectance(ior)) * ior**2
 
 
-def _directions(ior: float) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+def directions(ior: float) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
     """Cosines inside and their weights: Gauss's rule on either side of the critical angle.
 
     Towards it reflectance has a slope without bound; a square makes that smooth.
@@ -81,7 +80,7 @@ def _directions(ior: float) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, 
     return np.concatenate([below[0], above[0]]), np.concatenate([below[1], above[1]])
 
 
-def _h_function(
+def h_function(
     albedo: Float[np.ndarray, " k"],
     cosine: Float[np.ndarray, " n"],
     weight: Float[np.ndarray, " n"],
@@ -108,39 +107,18 @@ def half_space_albedo(albedo: Float[np.ndarray, " k"], ior: float) -> Float[np.n
         albedo: Single-scattering albedo µs/(µa + µs), 0 to below 1.
         ior: Refractive index of the tissue over that of the lumen.
     """
-    cosine, weight = _directions(ior)
-    inside = _radiance_inside(albedo, ior)
+    cosine, weight = directions(ior)
+    inside = radiance_inside(albedo, ior)
     back = 1.0 - fresnel(cosine, 1.0 / ior)
     leaving = 2.0 * np.sum(weight * cosine * back * inside, axis=1)
     return leaving / diffuse_transmittance(ior)
 
 
-def half_space_reflectance(albedo: Float[np.ndarray, " k"], ior: float) -> Float[np.ndarray, " k"]:
-    """Share of a beam along the normal that tissue gives back diffusely: exact transport.
-
-    By reciprocity it is the radiance seen along the normal under even light.
-    """
-    cosine, weight = _directions(ior)
-    down = _light_down(albedo, ior)
-    h = _h_function(albedo, cosine, weight)
-    across = weight * cosine / (1.0 + cosine)
-    top = 1.0 / (np.sqrt(1.0 - albedo) + 0.5 * albedo * (h @ across))
-    radiance = 0.5 * albedo * top * np.sum(across * h * down, axis=1)
-    return radiance * (1.0 - fresnel(np.array(1.0), ior)) / ior**2
-
-
-def _light_down(albedo: Float[np.ndarray, " k"], ior: float) -> Float[np.ndarray, "k n"]:
-    """Radiance just inside that goes down, under radiance 1 from everywhere outside."""
-    cosine, _ = _directions(ior)
-    r = fresnel(cosine, 1.0 / ior)
-    return ior**2 * (1.0 - r) + r * _radiance_inside(albedo, ior)
-
-
-def _radiance_inside(albedo: Float[np.ndarray, " k"], ior: float) -> Float[np.ndarray, "k n"]:
+def radiance_inside(albedo: Float[np.ndarray, " k"], ior: float) -> Float[np.ndarray, "k n"]:
     """Radiance just inside that goes up, under radiance 1 from everywhere outside."""
-    cosine, weight = _directions(ior)
+    cosine, weight = directions(ior)
     r = fresnel(cosine, 1.0 / ior)
-    h = _h_function(albedo, cosine, weight)
+    h = h_function(albedo, cosine, weight)
     kernel = 0.5 * weight * cosine / (cosine[:, None] + cosine)
     back = albedo[:, None, None] * h[:, :, None] * kernel * h[:, None, :]
     entered = ior**2 * (1.0 - r)
@@ -182,78 +160,6 @@ def density_at_wavelength(
     return -np.log(diffuse_reflectance(there, internal=internal))
 
 
-@dataclass(frozen=True)
-class Medium:
-    """Tissue as diffusion knows it.
-
-    Attributes:
-        absorption: µa [1/m].
-        scattering: Reduced scattering coefficient µs′ [1/m].
-        ior: Refractive index over that outside.
-    """
-
-    absorption: float
-    scattering: float
-    ior: float = TISSUE_IOR
-
-
-def dipole_profile(medium: Medium, radius: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
-    """Diffuse reflectance [1/m²] of a half-space at a distance from a thin beam along the normal.
-
-    The flux from a source one mean free path deep and its image above the extrapolated border
-    (Farrell et al., Med. Phys. 19(4), 1992, eq. 14).
-
-    Args:
-        medium: The tissue.
-        radius: Distance from the beam inside it [m].
-    """
-    albedo = medium.scattering / (medium.absorption + medium.scattering)
-    internal = internal_reflectance(medium.ior)
-    _, flux = _dipole(medium, radius, depth=1.0, border=(1.0 + internal) / (1.0 - internal))
-    return albedo * flux
-
-
-def diffusion_profile(medium: Medium, radius: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
-    """The same, with sources all along the beam and what passes the border of fluence and flux.
-
-    R = ∫ (1 − r(µ)) (φ + 3 J µ)/(4π) µ dω (Kienle and Patterson, J. Opt. Soc. Am. A 14(1), 1997,
-    eq. 8), the border extrapolated by the flux that it reflects (Aronson, ibid. 12(11), 1995).
-    """
-    cosine, weight = _directions(medium.ior)
-    back = fresnel(cosine, 1.0 / medium.ior)
-    once, twice = (float(np.sum(weight * back * cosine**power)) for power in (1, 2))
-    border = (1.0 + 3.0 * twice) / (1.0 - 2.0 * once)
-    depths, weights = np.polynomial.laguerre.laggauss(24)
-    beam = np.zeros_like(radius)
-    for depth, node_weight in zip(depths, weights, strict=True):
-        fluence, flux = _dipole(medium, radius, depth=depth, border=border)
-        beam += node_weight * ((0.25 - 0.5 * once) * fluence + (0.5 - 1.5 * twice) * flux)
-    return medium.scattering / (medium.absorption + medium.scattering) * beam
-
-
-def _dipole(
-    medium: Medium, radius: Float[np.ndarray, "*n"], *, depth: float, border: float
-) -> tuple[Float[np.ndarray, "*n"], Float[np.ndarray, "*n"]]:
-    """Fluence and flux out of the surface [1/m²] of a source at a depth in mean free paths.
-
-    Args:
-        medium: The tissue.
-        radius: Distance along the surface [m].
-        depth: Of the source in mean free paths.
-        border: Height of the border at which fluence is nothing, in units of 2/3 free paths.
-    """
-    total = medium.absorption + medium.scattering
-    effective = np.sqrt(3.0 * medium.absorption * total)
-    near, far = depth / total, (depth + 4.0 / 3.0 * border) / total
-    fluence, flux = np.zeros_like(radius), np.zeros_like(radius)
-    for place, sign in ((near, 1.0), (far, -1.0)):
-        distance = np.hypot(place, radius)
-        lasts = np.exp(-effective * distance) / distance
-        fluence = fluence + sign * 3.0 * total * lasts / (4.0 * np.pi)
-        flux = flux + place * (effective + 1.0 / distance) * lasts / distance / (4.0 * np.pi)
-    return fluence, flux
-
-
 @functools.cache
 def albedo_roots(ior: float = TISSUE_IOR) -> Float[np.ndarray, " n"]:
     """√(1 − single-scattering albedo) of tissue with base colors 0 to 1, in even steps.
@@ -268,7 +174,7 @@ def albedo_roots(ior: float = TISSUE_IOR) -> Float[np.ndarray, " n"]:
 
 def mean_cosine(ior: float) -> float:
     """Mean cosine inside of even light outside that has entered, weighted by its flux."""
-    cosine, weight = _directions(ior)
+    cosine, weight = directions(ior)
     flux = weight * cosine * (1.0 - fresnel(cosine, 1.0 / ior))
     return float(np.sum(flux * cosine) / np.sum(flux))
 
@@ -281,11 +187,11 @@ def angular_slopes(ior: float = TISSUE_IOR) -> Float[np.ndarray, " n"]:
     `mean_cosine`: brighter the flatter, as flat ways gather light from less deep. A straight line
     by least squares over what passes the border.
     """
-    cosine, weight = _directions(ior)
+    cosine, weight = directions(ior)
     flux = weight * cosine * (1.0 - fresnel(cosine, 1.0 / ior))
     color, few = np.linspace(0.0, 1.0, _COLORS), np.linspace(0.01, 1.0, 34)
     root = np.interp(few, color, albedo_roots(ior))
-    inside = _radiance_inside(1.0 - root**2, ior)
+    inside = radiance_inside(1.0 - root**2, ior)
     less = mean_cosine(ior) - cosine
     slope = inside @ (flux * less) / np.sum(flux * less**2) / (inside @ flux / np.sum(flux))
     return np.interp(color, few, slope)

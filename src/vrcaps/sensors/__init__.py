@@ -1,1 +1,5 @@
-"""Sensors: IMU and magnetometer in the capsule, Hall array, and magnetic localization."""
+"""Sensors: IMU and magnetometer in the capsule, Hall array, and magnetic localization.
+
+`sensors.Sensors` says which there are; `imu`, `magnetometer` and `hall` simulate their readings;
+`localize` estimates the pose of the capsule from a Hall array's.
+"""

@@ -13,7 +13,7 @@ from vrcaps.capsule.device import Device
 from vrcaps.errors import UnknownNameError, require
 from vrcaps.lumen.contents import Contents
 from vrcaps.lumen.lumen_contents import CHYME, LumenContents, populate
-from vrcaps.mesh.wall import wall_of
+from vrcaps.mesh.mesh import wall_of
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.transforms import rotation_from_vector, transform_from, transform_points
 

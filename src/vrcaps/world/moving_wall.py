@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vrcaps._core import Wall
-from vrcaps.mesh.wall import wall_of
+from vrcaps.mesh.mesh import wall_of
 
 if TYPE_CHECKING:
     from vrcaps.world.model import Model, State

@@ -14,7 +14,7 @@ from vrcaps import _core
 from vrcaps.capsule.body import Body, homogeneous_body
 from vrcaps.errors import InputError, require
 from vrcaps.magnet.sources import Source
-from vrcaps.mesh.wall import wall_of
+from vrcaps.mesh.mesh import wall_of
 from vrcaps.tissue.arc_length_samples import arc_length_samples, sample_coordinates
 from vrcaps.tissue.motility.muscle import Muscle
 from vrcaps.tissue.tissue import Tissue

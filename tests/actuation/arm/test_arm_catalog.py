@@ -7,8 +7,7 @@ import re
 import numpy as np
 import pytest
 
-from vrcaps.actuation.arm.arm import Arm
-from vrcaps.actuation.arm.arm_catalog import arm_names, read_arm
+from vrcaps.actuation.arm.arm import Arm, arm_names, read_arm
 from vrcaps.actuation.arm.kinematics import forward
 from vrcaps.errors import InputError, UnknownNameError
 

@@ -9,9 +9,8 @@ import pytest
 
 from tubes import straight_gut
 from vrcaps.errors import UnknownNameError
-from vrcaps.tissue.motility.draws import uniform
 from vrcaps.tissue.motility.motility import GiantContractions, Motility
-from vrcaps.tissue.motility.muscle import Muscle
+from vrcaps.tissue.motility.muscle import Muscle, uniform
 from vrcaps.tissue.motility.segment import PER_MINUTE, SegmentMotility, segment_motilities
 from vrcaps.units import CM
 

@@ -3,8 +3,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from vrcaps.tools.mucosa_from_photos.patches import remove_shading
 from vrcaps.tools.mucosa_from_photos.region import box_region, find_region
-from vrcaps.tools.mucosa_from_photos.remove_shading import remove_shading
 
 
 def test_the_even_part_is_found() -> None:

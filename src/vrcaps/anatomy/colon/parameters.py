@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Annotated
 
-from vrcaps.anatomy.tube_mesh.truncated_normal import truncated_normal
 from vrcaps.errors import require
 from vrcaps.limits import Range, check_fields
 from vrcaps.organ.segments import COLON
+from vrcaps.rng import truncated_normal
 from vrcaps.units import CM, MM
 
 if TYPE_CHECKING:

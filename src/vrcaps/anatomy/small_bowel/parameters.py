@@ -6,9 +6,9 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Annotated
 
 from vrcaps.anatomy.distension import at_distension
-from vrcaps.anatomy.tube_mesh.truncated_normal import truncated_normal
 from vrcaps.limits import Range, check_fields
 from vrcaps.organ.segments import SMALL_BOWEL
+from vrcaps.rng import truncated_normal
 from vrcaps.units import CM, MM
 
 if TYPE_CHECKING:

@@ -6,10 +6,10 @@ from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Annotated
 
 from vrcaps.anatomy.distension import at_distension
-from vrcaps.anatomy.tube_mesh.truncated_normal import truncated_normal
 from vrcaps.errors import require
 from vrcaps.limits import Range, check_fields
 from vrcaps.organ.segments import STOMACH
+from vrcaps.rng import truncated_normal
 from vrcaps.units import MM
 
 if TYPE_CHECKING:

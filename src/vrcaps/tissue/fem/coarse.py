@@ -12,7 +12,7 @@ from scipy.spatial import KDTree
 
 import vrcaps.rng
 from vrcaps.errors import InputError
-from vrcaps.mesh.wall import wall_of
+from vrcaps.mesh.mesh import wall_of
 from vrcaps.tissue.fem.curved import BentTriangles, bulges_towards, edges_of, relaxed
 from vrcaps.tissue.fem.layer import CoarseSurface
 from vrcaps.tissue.fem.smooth import border_edges, low_pass

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from vrcaps.mesh.wall import wall_of
+from vrcaps.mesh.mesh import wall_of
 from vrcaps.metrics.coverage import COVERAGE_LEVELS
 from vrcaps.tools.coverage.episode_coverage import EpisodeCoverage
 from vrcaps.tools.coverage.write_coverage import vertex_level

@@ -15,8 +15,8 @@ from vrcaps.tools.ct.collapse_bridging import (
     connected_by_gaps,
     find_gaps,
 )
-from vrcaps.tools.ct.components import renumbered
 from vrcaps.tools.ct.fraction import LumenFraction, gas_fraction, mask_fraction, number_parts
+from vrcaps.tools.ct.labels import renumbered
 from vrcaps.tools.ct.lumen import GAS_THRESHOLD, SPECKS, GasPiece, find_gas
 from vrcaps.tools.ct.volume import Volume
 from vrcaps.units import CM, MM
@@ -232,7 +232,7 @@ def _organ(
     """Organ around the largest part of a lumen once its gaps are opened."""
     from vrcaps.mesh.repair import repair
     from vrcaps.organ.centerline import compute_centerline, reversed_centerline
-    from vrcaps.organ.from_mesh import organ_from_mesh
+    from vrcaps.organ.read_organ import organ_from_mesh
     from vrcaps.tools.ct.segments import colon_labels, runs_upwards
     from vrcaps.tools.ct.surface import extract_wall
 

@@ -12,7 +12,6 @@ from vrcaps.color import log_linear_from_srgb
 from vrcaps.errors import InputError
 from vrcaps.tools.field_of_view import FieldOfView, field_of_view, fill
 from vrcaps.tools.mucosa_from_photos.region import MIN_SIDE, Region, box_region, find_region
-from vrcaps.tools.mucosa_from_photos.remove_shading import remove_shading
 from vrcaps.tools.mucosa_from_photos.vessels import Vessels, find_vessels
 
 if TYPE_CHECKING:
@@ -252,3 +251,34 @@ def _blemishes(part: Float[np.ndarray, "s s 3"]) -> Bool[np.ndarray, "s s"]:
     spread = 1.4826 * np.median(off, axis=(0, 1))
     marks = (off > _BLEMISH * np.maximum(spread, 1e-6)).any(axis=2)
     return ndimage.binary_dilation(marks, iterations=2)
+
+
+SHADING_GRAIN = 1 / 16
+"""Standard deviation of the low-pass that counts as shading, as a fraction of the field's width."""
+
+
+def remove_shading(
+    log_light: Float[np.ndarray, "h w 3"], known: Bool[np.ndarray, "h w"], width: int
+) -> Float[np.ndarray, "h w 3"]:
+    """The picture under even light: log R = log I − low-pass(log I), homomorphic filtering.
+
+    Light and reflectance multiply, so in logarithms they add (Oppenheim et al. 1968; a one-scale
+    retinex, Jobson et al. 1997). The low-pass is a Gaussian over known pixels alone (normalized
+    convolution), for each channel, since light that has bounced about in the gut is redder.
+    The mean of the known pixels becomes 0.
+
+    Args:
+        log_light: Logarithm of linear light.
+        known: Which pixels show the wall.
+        width: Of the field [px].
+    """
+    sigma = SHADING_GRAIN * width
+    weight = ndimage.gaussian_filter(known.astype(np.float32), sigma, mode="reflect")
+    weight = np.maximum(weight, 1e-6)
+    flat = np.empty_like(log_light)
+    for channel in range(3):
+        part = np.where(known, log_light[..., channel], 0.0)
+        flat[..., channel] = log_light[..., channel] - (
+            ndimage.gaussian_filter(part, sigma, mode="reflect") / weight
+        )
+    return flat - flat[known].mean(axis=0)

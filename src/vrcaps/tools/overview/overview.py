@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from vrcaps._core import Wall
-from vrcaps.mesh.wall import wall_of
+from vrcaps.mesh.mesh import wall_of
 from vrcaps.organ.measure import OrganMeasures, arc_length_bins, measure_organ, segment_spans
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.tools.overview.inside import inside_views

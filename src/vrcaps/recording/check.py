@@ -14,6 +14,7 @@ from vrcaps.camera.camera import Camera, camera_rays
 from vrcaps.errors import InputError, VrcapsError
 from vrcaps.lumen.lumen_contents import CHYME
 from vrcaps.mesh.mesh import Mesh, wall_of
+from vrcaps.recording.damage import pictures_of
 from vrcaps.recording.episode import Episode, read_episode
 from vrcaps.recording.layout import (
     COMPLETE,

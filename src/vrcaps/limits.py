@@ -45,21 +45,27 @@ def _text(limit: float) -> str:
     return f"{limit:.12g}" if float(limit).is_integer() else f"{limit:.6g}"
 
 
-def check_fields(instance: Any) -> None:
+def check_fields(instance: Any, of: str = "") -> None:
     """Check that each field with a `Range` or a `Literal` type holds an allowed value.
 
-    Call it in `__post_init__`. A field that is None is not checked.
+    Call it in `__post_init__`. A field that is None is not checked; an infinite number fits no
+    open range.
+
+    Args:
+        instance: The dataclass.
+        of: Whose fields they are, for messages.
 
     Raises:
         InputError: If a number is out of range; names the field and what is allowed.
         UnknownNameError: If a text is none of the literals.
     """
+    owner = "" if not of else f"{of}' " if of.endswith("s") else f"{of}'s "
     for name, range_, known in _limits(type(instance)):
         value = getattr(instance, name)
         if value is None:
             continue
         if range_ is not None:
-            require(value in range_, name, value, str(range_))
+            require(value in range_, owner + name, value, str(range_))
         elif isinstance(value, str) and value not in known:
             raise UnknownNameError(name.replace("_", " "), value, known)
 

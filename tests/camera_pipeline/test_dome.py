@@ -17,7 +17,7 @@ from vrcaps.camera_pipeline.effect.smears import SUBSTANCES, Smears
 from vrcaps.camera_pipeline.effects import SEVERITIES, Effects
 from vrcaps.camera_pipeline.pipeline import CameraPipeline
 from vrcaps.capsule.catalog import read_device
-from vrcaps.errors import InputError
+from vrcaps.errors import InputError, UnknownNameError
 from vrcaps.motion.step import Step
 from vrcaps.render.channels import Frame
 from vrcaps.render.renderer import Renderer
@@ -266,9 +266,13 @@ def test_refuses_drops_that_cannot_be(figures: dict[str, float], message: str) -
         ({"width": 0.0}, "width is 0"),
         ({"aspect_ratio": 0.5}, "aspect_ratio is 0.5"),
         ({"distance": 0.0}, "distance is 0"),
-        ({"substance": "oil"}, "'oil'. Allowed: mucus, bile, blood"),
     ],
 )
 def test_refuses_smears_that_cannot_be(figures: dict[str, object], message: str) -> None:
     with pytest.raises(InputError, match=message):
         replace(Smears(1e-5), **figures)
+
+
+def test_refuses_smears_of_no_known_substance() -> None:
+    with pytest.raises(UnknownNameError, match=r"No substance named 'oil'\. Known: bile, blood"):
+        Smears(1e-5, substance="oil")

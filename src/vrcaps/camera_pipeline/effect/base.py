@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar, Self, TypeVar
 
 from vrcaps.errors import InputError
+from vrcaps.limits import check_fields
 
 if TYPE_CHECKING:
     import numpy as np
@@ -43,6 +44,9 @@ class Effect:
     short: ClassVar[str] = ""
     acts_on: ClassVar[str]
     severities: ClassVar[tuple[Mapping[str, Any] | None, ...]] = ()
+
+    def __post_init__(self) -> None:
+        check_fields(self, of=type(self).__name__)
 
     @classmethod
     def at(cls, severity: int) -> Self | None:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 from vrcaps.camera.derive import focal_length_px
 from vrcaps.camera_pipeline.effect.base import CameraSetup, ImageEffect
-from vrcaps.errors import require
+from vrcaps.limits import Range
 
 
 @dataclass(frozen=True)
@@ -20,8 +21,8 @@ class Bloom(ImageEffect):
         angle: σ, the halo's standard deviation [rad].
     """
 
-    fraction: float
-    angle: float = 0.05
+    fraction: Annotated[float, Range(above=0.0, below=1.0)]
+    angle: Annotated[float, Range(above=0.0, below=1.0, unit="rad")] = 0.05
 
     name = "bloom"
     severities = (
@@ -31,11 +32,6 @@ class Bloom(ImageEffect):
         {"fraction": 0.16},
         {"fraction": 0.3},
     )
-
-    def __post_init__(self) -> None:
-        fraction = self.fraction
-        require(0.0 < fraction < 1.0, "Bloom's fraction", fraction, "above 0 to below 1")
-        require(0.0 < self.angle < 1.0, "Bloom's angle", self.angle, "above 0 to 1 rad")
 
     def params(self, setup: CameraSetup) -> tuple[float, float]:
         """Fraction and standard deviation [px]."""

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 from vrcaps.camera_pipeline.effect.base import CameraSetup, ImageEffect
-from vrcaps.errors import require
+from vrcaps.limits import Range
 
 
 @dataclass(frozen=True)
@@ -17,8 +18,8 @@ class LateralChromaticAberration(ImageEffect):
         blue: Magnification of blue less 1.
     """
 
-    red: float
-    blue: float
+    red: Annotated[float, Range(above=-0.5, below=0.5)]
+    blue: Annotated[float, Range(above=-0.5, below=0.5)]
 
     name, short = "chromatic_aberration", "ca"
     severities = (
@@ -28,12 +29,6 @@ class LateralChromaticAberration(ImageEffect):
         {"red": 0.01, "blue": -0.01},
         {"red": 0.02, "blue": -0.02},
     )
-
-    def __post_init__(self) -> None:
-        for name in ("red", "blue"):
-            value = getattr(self, name)
-            is_valid = -0.5 < value < 0.5
-            require(is_valid, f"LateralChromaticAberration's {name}", value, "-0.5 to 0.5")
 
     def params(self, setup: CameraSetup) -> tuple[tuple[float, float], tuple[float, float, float]]:
         """Center [px] and scale of each color."""

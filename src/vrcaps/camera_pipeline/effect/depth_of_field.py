@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 
 from vrcaps.camera.derive import focal_length_px
 from vrcaps.camera_pipeline.effect.base import CameraSetup, FrameContext, ImageEffect, Stage
-from vrcaps.errors import require
+from vrcaps.limits import Range
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -32,8 +32,8 @@ class DepthOfField(ImageEffect):
         focus_distance: Distance that is in focus [m].
     """
 
-    aperture: float
-    focus_distance: float = 0.012
+    aperture: Annotated[float, Range(above=0.0, below=1.0, unit="m")]
+    focus_distance: Annotated[float, Range(above=0.0, unit="m")] = 0.012
 
     name, short = "depth_of_field", "dof"
     needs = ("ray_distance", "foreground_label", "foreground_depth")
@@ -44,11 +44,6 @@ class DepthOfField(ImageEffect):
         {"aperture": 0.001},
         {"aperture": 0.002},
     )
-
-    def __post_init__(self) -> None:
-        aperture, focus = self.aperture, self.focus_distance
-        require(0.0 < aperture < 1.0, "DepthOfField's aperture", aperture, "above 0 to 1 m")
-        require(0.0 < focus < np.inf, "DepthOfField's focus_distance", focus, "above 0 m")
 
     def radius_px(
         self, camera: Camera, distance: Float[np.ndarray, "*n"]

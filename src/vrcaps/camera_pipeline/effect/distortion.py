@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 
 from vrcaps.camera.derive import barrel_lens, barrel_radius, half_side_px
 from vrcaps.camera_pipeline.effect.base import CameraEffect
-from vrcaps.errors import require
+from vrcaps.limits import Range
 
 if TYPE_CHECKING:
     from vrcaps.camera.camera import Camera
@@ -26,7 +26,7 @@ class Distortion(CameraEffect):
             in the middle would make it.
     """
 
-    strength: float
+    strength: Annotated[float, Range(least=0.0, below=0.5)]
 
     name = "distortion"
     severities = (
@@ -36,10 +36,6 @@ class Distortion(CameraEffect):
         {"strength": 0.3},
         {"strength": 0.4},
     )
-
-    def __post_init__(self) -> None:
-        strength = self.strength
-        require(0.0 <= strength < 0.5, "Distortion's strength", strength, "0 to below 0.5")
 
     def on(self, camera: Camera) -> Camera:
         """The camera with such a lens."""

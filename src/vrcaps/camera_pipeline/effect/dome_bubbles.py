@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 from vrcaps.camera_pipeline.effect.base import SceneEffect
-from vrcaps.errors import require
+from vrcaps.limits import Range
 from vrcaps.lumen.bubbles import Bubbles
 
 if TYPE_CHECKING:
@@ -21,13 +21,10 @@ class DomeBubbles(SceneEffect):
         count: On each end.
     """
 
-    count: int
+    count: Annotated[int, Range(least=0)]
 
     name = "dome_bubbles"
     severities = ({"count": 0}, {"count": 1}, {"count": 2}, {"count": 4}, {"count": 9})
-
-    def __post_init__(self) -> None:
-        require(self.count >= 0, "DomeBubbles' count", self.count, "0 or more")
 
     def on_contents(self, contents: Contents) -> Contents:
         """The contents with these bubbles on the capsule."""

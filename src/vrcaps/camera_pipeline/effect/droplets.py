@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 
@@ -21,6 +21,7 @@ from vrcaps.camera_pipeline.dome import (
 from vrcaps.camera_pipeline.effect.base import CameraSetup, FrameContext, ImageEffect, Stage
 from vrcaps.errors import require
 from vrcaps.geometry import unit
+from vrcaps.limits import Range
 from vrcaps.units import DEG, MM
 
 if TYPE_CHECKING:
@@ -51,13 +52,13 @@ class Droplets(ImageEffect):
         speed: At which all slide across the dome [m/s]; one that has left comes in again.
     """
 
-    count: int
+    count: Annotated[int, Range(least=1, most=200)]
     radius: float = 0.5 * MM
-    spread: float = 0.4
-    contact_angle: float = 50.0 * DEG
-    ior: float = 1.333
-    distance: float = 5.0 * MM
-    speed: float = 0.0
+    spread: Annotated[float, Range(least=0.0, most=1.0)] = 0.4
+    contact_angle: Annotated[float, Range(above=0.0, below=0.5 * np.pi, unit="rad")] = 50.0 * DEG
+    ior: Annotated[float, Range(above=1.0, below=3.0)] = 1.333
+    distance: Annotated[float, Range(above=0.0, below=1.0, unit="m")] = 5.0 * MM
+    speed: Annotated[float, Range(least=0.0, below=0.1, unit="m/s")] = 0.0
 
     name = "droplets"
     severities = (
@@ -69,15 +70,9 @@ class Droplets(ImageEffect):
     )
 
     def __post_init__(self) -> None:
-        require(1 <= self.count <= 200, "Droplets' count", self.count, "1 to 200")
-        widest = 0.5 * self.distance
-        require(0.0 < self.radius <= widest, "Droplets' radius", self.radius, "above 0 to D/2")
-        require(0.0 <= self.spread <= 1.0, "Droplets' spread", self.spread, "0 to 1")
-        angle = self.contact_angle
-        require(0.0 < angle < 0.5 * np.pi, "Droplets' contact_angle", angle, "above 0 to π/2")
-        require(1.0 < self.ior < 3.0, "Droplets' ior", self.ior, "above 1 to 3")
-        require(0.0 < self.distance < 1.0, "Droplets' distance", self.distance, "above 0 to 1 m")
-        require(0.0 <= self.speed < 0.1, "Droplets' speed", self.speed, "0 to 0.1 m/s")
+        super().__post_init__()
+        is_valid = 0.0 < self.radius <= 0.5 * self.distance
+        require(is_valid, "Droplets' radius", self.radius, "above 0 to D/2")
 
     def refract(
         self, offset: Float[np.ndarray, "*n"], base: Float[np.ndarray, "*n"]

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 from vrcaps.camera.derive import scaled_lens
 from vrcaps.camera_pipeline.effect.base import CameraEffect
-from vrcaps.errors import require
+from vrcaps.limits import Range
 
 if TYPE_CHECKING:
     from vrcaps.camera.camera import Camera
@@ -21,7 +21,7 @@ class FieldOfView(CameraEffect):
         magnification: Factor on the focal length; above 1 the camera sees less.
     """
 
-    magnification: float
+    magnification: Annotated[float, Range(least=0.1, most=10.0)]
 
     name, short = "field_of_view", "fov"
     severities = (
@@ -31,11 +31,6 @@ class FieldOfView(CameraEffect):
         {"magnification": 1.75},
         {"magnification": 2.1},
     )
-
-    def __post_init__(self) -> None:
-        magnification = self.magnification
-        is_valid = 0.1 <= magnification <= 10.0
-        require(is_valid, "FieldOfView's magnification", magnification, "0.1 to 10")
 
     def on(self, camera: Camera) -> Camera:
         """The camera with such a lens."""

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 from vrcaps.camera_pipeline.effect.base import CameraSetup, ImageEffect
-from vrcaps.errors import require
+from vrcaps.limits import Range
 
 
 @dataclass(frozen=True)
@@ -20,16 +21,11 @@ class Jpeg(ImageEffect):
             None is no limit.
     """
 
-    quality: int
-    max_bytes: int | None = None
+    quality: Annotated[int, Range(least=1, most=100)]
+    max_bytes: Annotated[int | None, Range(least=1, unit="bytes")] = None
 
     name = "jpeg"
     severities = (None, {"quality": 90}, {"quality": 75}, {"quality": 50}, {"quality": 25})
-
-    def __post_init__(self) -> None:
-        require(1 <= self.quality <= 100, "Jpeg's quality", self.quality, "1 to 100")
-        limit = self.max_bytes
-        require(limit is None or limit > 0, "Jpeg's max_bytes", limit, "above 0 bytes, or none")
 
     def params(self, setup: CameraSetup) -> tuple[int, int | None]:
         """Quality, and limit of the file [bytes]."""

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
 from vrcaps.camera_pipeline.effect.base import CameraSetup, ImageEffect
-from vrcaps.errors import require
+from vrcaps.limits import Range
 
 
 @dataclass(frozen=True)
@@ -25,8 +26,8 @@ class MotionBlur(ImageEffect):
             always.
     """
 
-    exposure_time: float
-    led_pulse: float | None = None
+    exposure_time: Annotated[float, Range(above=0.0, below=10.0, unit="s")]
+    led_pulse: Annotated[float | None, Range(above=0.0, below=10.0, unit="s")] = None
 
     name, short = "motion_blur", "blur"
     needs = ("foreground_label", "foreground_depth")
@@ -38,12 +39,6 @@ class MotionBlur(ImageEffect):
         {"exposure_time": 0.05},
         {"exposure_time": 0.1},
     )
-
-    def __post_init__(self) -> None:
-        time, pulse = self.exposure_time, self.led_pulse
-        require(0.0 < time < 10.0, "MotionBlur's exposure_time", time, "above 0 to 10 s")
-        is_valid = pulse is None or 0.0 < pulse < 10.0
-        require(is_valid, "MotionBlur's led_pulse", pulse, "above 0 to 10 s")
 
     def params(self, setup: CameraSetup) -> tuple[float, float]:
         """Exposure time and pulse [frames]."""

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 from vrcaps.camera.derive import scaled_camera
 from vrcaps.camera_pipeline.effect.base import CameraEffect
-from vrcaps.errors import require
+from vrcaps.limits import Range
 
 if TYPE_CHECKING:
     from vrcaps.camera.camera import Camera
@@ -21,13 +21,10 @@ class Resolution(CameraEffect):
         scale: Pixels to a side, relative to the camera's own.
     """
 
-    scale: float
+    scale: Annotated[float, Range(above=0.0, most=4.0)]
 
     name = "resolution"
     severities = (None, {"scale": 0.75}, {"scale": 0.5}, {"scale": 0.375}, {"scale": 0.25})
-
-    def __post_init__(self) -> None:
-        require(0.0 < self.scale <= 4.0, "Resolution's scale", self.scale, "above 0 to 4")
 
     def on(self, camera: Camera) -> Camera:
         """The camera with such a sensor.

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 from vrcaps.camera_pipeline.effect.base import CameraSetup, ImageEffect
-from vrcaps.errors import require
+from vrcaps.limits import Range
 
 
 @dataclass(frozen=True)
@@ -17,7 +18,7 @@ class RollingShutter(ImageEffect):
             frame's time counts.
     """
 
-    readout_time: float
+    readout_time: Annotated[float, Range(above=0.0, below=10.0, unit="s")]
 
     name = "rolling_shutter"
     needs = ("foreground_label", "foreground_depth")
@@ -29,10 +30,6 @@ class RollingShutter(ImageEffect):
         {"readout_time": 0.16},
         {"readout_time": 0.3},
     )
-
-    def __post_init__(self) -> None:
-        time = self.readout_time
-        require(0.0 < time < 10.0, "RollingShutter's readout_time", time, "above 0 to 10 s")
 
     def params(self, setup: CameraSetup) -> float:
         """Readout time [frames]."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from statistics import NormalDist
-from typing import TYPE_CHECKING, Literal, get_args
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
 
@@ -17,7 +17,7 @@ from vrcaps.camera_pipeline.dome import (
     pupil_disk_radius,
 )
 from vrcaps.camera_pipeline.effect.base import CameraSetup, ImageEffect, Stage
-from vrcaps.errors import InputError, require
+from vrcaps.limits import Range
 from vrcaps.units import MM
 
 if TYPE_CHECKING:
@@ -55,12 +55,12 @@ class Smears(ImageEffect):
         distance: Of the dome from the entrance pupil [m].
     """
 
-    thickness: float
-    coverage: float = 0.4
+    thickness: Annotated[float, Range(above=0.0, below=0.01, unit="m")]
+    coverage: Annotated[float, Range(above=0.0, below=1.0)] = 0.4
     substance: Substance = "mucus"
-    width: float = 1.2 * MM
-    aspect_ratio: float = 4.0
-    distance: float = 5.0 * MM
+    width: Annotated[float, Range(above=0.0, below=1.0, unit="m")] = 1.2 * MM
+    aspect_ratio: Annotated[float, Range(least=1.0)] = 4.0
+    distance: Annotated[float, Range(above=0.0, below=1.0, unit="m")] = 5.0 * MM
 
     name = "smears"
     severities = (
@@ -70,17 +70,6 @@ class Smears(ImageEffect):
         {"thickness": 0.06 * MM, "coverage": 0.55},
         {"thickness": 0.12 * MM, "coverage": 0.7},
     )
-
-    def __post_init__(self) -> None:
-        thickness, ratio = self.thickness, self.aspect_ratio
-        require(0.0 < thickness < 0.01, "Smears' thickness", thickness, "above 0 to 0.01 m")
-        require(0.0 < self.coverage < 1.0, "Smears' coverage", self.coverage, "above 0 to below 1")
-        require(0.0 < self.width < 1.0, "Smears' width", self.width, "above 0 to 1 m")
-        require(ratio >= 1.0, "Smears' aspect_ratio", ratio, "1 or more")
-        require(0.0 < self.distance < 1.0, "Smears' distance", self.distance, "above 0 to 1 m")
-        if self.substance not in get_args(Substance):
-            allowed = ", ".join(get_args(Substance))
-            raise InputError(f"Smears' substance is {self.substance!r}. Allowed: {allowed}.")
 
     def relief(
         self, points: Float[np.ndarray, "*n 2"], blur: float, rng: np.random.Generator

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 from vrcaps.camera_pipeline.effect.base import SceneEffect
-from vrcaps.errors import InputError, require
+from vrcaps.errors import InputError
+from vrcaps.limits import Range
 
 if TYPE_CHECKING:
     from vrcaps.organ.surface import OrganSurface
@@ -25,9 +26,9 @@ class SpecularReflection(SceneEffect):
         ior: Refractive index of the wall under it, 1 (no reflection) or more.
     """
 
-    clearcoat: float
-    clearcoat_gloss: float = 0.93
-    ior: float = 1.4
+    clearcoat: Annotated[float, Range(least=0.0, most=1.0)]
+    clearcoat_gloss: Annotated[float, Range(least=0.0, most=1.0)] = 0.93
+    ior: Annotated[float, Range(least=1.0, below=3.0)] = 1.4
 
     name = "specular"
     severities = (
@@ -37,12 +38,6 @@ class SpecularReflection(SceneEffect):
         {"clearcoat": 0.5, "ior": 1.45},
         {"clearcoat": 1.0, "ior": 1.7},
     )
-
-    def __post_init__(self) -> None:
-        for name in ("clearcoat", "clearcoat_gloss"):
-            value = getattr(self, name)
-            require(0.0 <= value <= 1.0, f"SpecularReflection's {name}", value, "0 to 1")
-        require(1.0 <= self.ior < 3.0, "SpecularReflection's ior", self.ior, "1 to below 3")
 
     def on_organ(self, organ: OrganSurface) -> OrganSurface:
         """The organ with this clear coat.

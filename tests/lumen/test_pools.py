@@ -99,16 +99,16 @@ def test_a_narrower_lumen_has_the_same_liquid_higher() -> None:
     organ = straight_gut({"bowel": 0.2}, radius=RADIUS, edge=1.0 * MM)
     sections = cut_sections(organ)
     rest = find_pools(organ, sections, Liquid(fill=0.3), np.eye(4))
-    assert rest is not None and rest.held.sum() == pytest.approx(rest.volume.sum())
+    assert rest is not None and rest.section_volume.sum() == pytest.approx(rest.volume.sum())
     chords = np.linspace(-1.0, 1.0, 20_001)
     share = (np.pi - np.arccos(chords) + chords * np.sqrt(1.0 - chords**2)) / np.pi
     for scale in (0.8, 1.25):
-        wide = np.full(len(rest.held), scale)
-        moved = level_pools(organ, sections, rest.held, np.eye(4), wide)
+        wide = np.full(len(rest.section_volume), scale)
+        moved = level_pools(organ, sections, rest.section_volume, np.eye(4), wide)
         expected = scale * RADIUS * np.interp(0.3 / scale**2, share, chords)
         np.testing.assert_allclose(moved.levels, expected, atol=0.1 * RADIUS)
-        assert moved.held.sum() == pytest.approx(rest.held.sum(), rel=1e-12)
-        back = level_pools(organ, sections, moved.held, np.eye(4), np.ones(len(wide)))
+        assert moved.section_volume.sum() == pytest.approx(rest.section_volume.sum(), rel=1e-12)
+        back = level_pools(organ, sections, moved.section_volume, np.eye(4), np.ones(len(wide)))
         np.testing.assert_allclose(back.levels.mean(), rest.levels.mean(), atol=0.02 * RADIUS)
 
 
@@ -118,9 +118,9 @@ def test_a_contraction_drives_liquid_over_the_crest() -> None:
     rest = find_pools(organ, sections, Liquid(fill=0.05), np.eye(4))
     assert rest is not None and len(rest.levels) == 2
     left = sections.arc_length < 0.5 * organ.centerline.length
-    moved = level_pools(organ, sections, rest.held, np.eye(4), np.where(left, 0.3, 1.0))
-    assert moved.held.sum() == pytest.approx(rest.held.sum(), rel=1e-12)
-    assert moved.held[left].sum() < 0.6 * rest.held[left].sum()
+    moved = level_pools(organ, sections, rest.section_volume, np.eye(4), np.where(left, 0.3, 1.0))
+    assert moved.section_volume.sum() == pytest.approx(rest.section_volume.sum(), rel=1e-12)
+    assert moved.section_volume[left].sum() < 0.6 * rest.section_volume[left].sum()
     assert moved.levels[-1] > rest.levels[-1]
 
 

@@ -33,14 +33,14 @@ class Pools:
             first. A vertex is wet where it is below its pool's level.
         stretch: Arc lengths at which each pool begins and ends [m].
         volume: Of each pool [m³].
-        held: Liquid in each section of the lumen [m³], also where it is too shallow for a pool.
+        section_volume: Liquid in each section of the lumen [m³], also where too shallow for a pool.
     """
 
     levels: Float[np.ndarray, " p"]
     of_vertex: UInt16[np.ndarray, " n"]
     stretch: Float[np.ndarray, "p 2"]
     volume: Float[np.ndarray, " p"]
-    held: Float[np.ndarray, " k"]
+    section_volume: Float[np.ndarray, " k"]
 
 
 @dataclass(frozen=True)
@@ -152,7 +152,7 @@ def find_pools(
 def level_pools(
     organ: OrganSurface,
     sections: Sections,
-    held: Float[np.ndarray, " k"],
+    section_volume: Float[np.ndarray, " k"],
     T_world_patient: Float[np.ndarray, "4 4"],
     scale: Float[np.ndarray, " k"],
 ) -> Pools:
@@ -163,7 +163,7 @@ def level_pools(
     Args:
         organ: The wall at rest.
         sections: Of the same organ.
-        held: Liquid in each section before [m³].
+        section_volume: Liquid in each section before [m³].
         T_world_patient: How the patient lies now; gravity is world −z.
         scale: Lumen's radius in each section, relative to that at rest.
     """
@@ -171,8 +171,8 @@ def level_pools(
     filled = []
     for first, last in _dips(lumen.floor):
         # A crest belongs to the dip that begins there.
-        end = last + (last == len(held) - 1)
-        filled.append(lumen.basin(first, last).with_volume(float(held[first:end].sum())))
+        end = last + (last == len(section_volume) - 1)
+        filled.append(lumen.basin(first, last).with_volume(float(section_volume[first:end].sum())))
     k = 0
     while k < len(filled):
         crests = lumen.crests(filled[k].first, filled[k].last)
@@ -281,14 +281,14 @@ class _Lumen:
 
     def pools(self, organ: OrganSurface, sections: Sections, filled: list[_Basin]) -> Pools:
         """The dips that are deep enough as pools, and all liquid by section."""
-        held, number = np.zeros(len(self.floor)), np.zeros(len(self.floor), np.uint16)
+        section_volume, number = np.zeros(len(self.floor)), np.zeros(len(self.floor), np.uint16)
         kept = []
         for dip in filled:
             inside = slice(dip.first, dip.last + 1)
             share = (self.volumes[inside] * (self.height[inside] < dip.level)).sum(axis=1)
             if not share.any():
                 share[np.argmin(self.floor[inside])] = 1.0
-            held[inside] += dip.volume * share / share.sum()
+            section_volume[inside] += dip.volume * share / share.sum()
             if dip.level > self.floor[inside].min() + _SHALLOWEST:
                 kept.append(dip)
                 number[inside] = len(kept)
@@ -298,7 +298,7 @@ class _Lumen:
             of_vertex=number[sections.of(organ.arc_length)],
             stretch=np.array([(s[dip.first], s[dip.last]) for dip in kept]).reshape(-1, 2),
             volume=np.array([dip.volume for dip in kept]),
-            held=held,
+            section_volume=section_volume,
         )
 
 

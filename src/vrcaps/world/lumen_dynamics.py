@@ -57,13 +57,13 @@ class LiquidLevel:
 
     Attributes:
         pools: The liquid; None where there is none.
-        held: Liquid in each section before it was leveled [m³]; empty if it has not moved yet.
+        section_volume: Liquid in each section before it was leveled [m³]; empty if not moved yet.
         T_world_patient: Posture then.
         lumen_scale: Lumen's radius at its samples then, relative to that at rest.
     """
 
     pools: Pools | None
-    held: Float[np.ndarray, " k"]
+    section_volume: Float[np.ndarray, " k"]
     T_world_patient: Float[np.ndarray, "4 4"]
     lumen_scale: Float[np.ndarray, " m"]
 
@@ -148,7 +148,7 @@ class LumenDynamics:
             return
         moved = float(np.abs(lumen_scale - now.lumen_scale).max())
         if moved > _LEVEL_TOLERANCE or not np.array_equal(T_world_patient, now.T_world_patient):
-            self._settle(now.pools.held, T_world_patient, lumen_scale)
+            self._settle(now.pools.section_volume, T_world_patient, lumen_scale)
 
     def set_liquid(self, liquid: LiquidLevel, T_world_patient: Float[np.ndarray, "4 4"]) -> None:
         """Goes back to the liquid before a step that failed, in the posture then."""
@@ -156,7 +156,7 @@ class LumenDynamics:
 
     def _settle(
         self,
-        held: Float[np.ndarray, " k"],
+        section_volume: Float[np.ndarray, " k"],
         T_world_patient: Float[np.ndarray, "4 4"],
         lumen_scale: Float[np.ndarray, " m"],
     ) -> None:
@@ -164,8 +164,8 @@ class LumenDynamics:
         self._sections = self._sections or cut_sections(organ)
         places = arc_length_samples(organ.centerline)
         scale = np.interp(self._sections.arc_length, places, lumen_scale)
-        pools = level_pools(organ, self._sections, held, T_world_patient, scale)
-        self.liquid = LiquidLevel(pools, held, T_world_patient, lumen_scale.copy())
+        pools = level_pools(organ, self._sections, section_volume, T_world_patient, scale)
+        self.liquid = LiquidLevel(pools, section_volume, T_world_patient, lumen_scale.copy())
 
     def buoyancy_wrench(
         self, pose: _core.Pose, dt: float, gravity: float
@@ -225,10 +225,12 @@ class LumenDynamics:
     def to_array(self) -> Float[np.ndarray, " q"]:
         """All that changes: spheres, their counter, the impulse that waits, the liquid."""
         liquid, pools = self.liquid, self._rest.pools
-        held = np.zeros(0 if pools is None else len(pools.held))
-        held[: len(liquid.held)] = liquid.held
-        own = [self._particles.count, *self._push, len(liquid.held) > 0]
-        return np.concatenate([self._particles.states.ravel(), own, held, liquid.lumen_scale])
+        section_volume = np.zeros(0 if pools is None else len(pools.section_volume))
+        section_volume[: len(liquid.section_volume)] = liquid.section_volume
+        own = [self._particles.count, *self._push, len(liquid.section_volume) > 0]
+        return np.concatenate(
+            [self._particles.states.ravel(), own, section_volume, liquid.lumen_scale]
+        )
 
     def restore(self, array: Float[np.ndarray, " q"], T_world_patient: np.ndarray) -> None:
         """Goes back to what `to_array` gave."""
@@ -236,10 +238,10 @@ class LumenDynamics:
         self._particles.states = array[:count].reshape(-1, 10)
         self._particles.count, self._push = int(array[count]), array[count + 1 : count + 7].copy()
         lumen_scale = array[len(array) - len(self.liquid.lumen_scale) :].copy()
-        held = array[count + 8 : len(array) - len(lumen_scale)].copy()
+        section_volume = array[count + 8 : len(array) - len(lumen_scale)].copy()
         self._posture = T_world_patient
         if array[count + 7]:
-            self._settle(held, T_world_patient, lumen_scale)
+            self._settle(section_volume, T_world_patient, lumen_scale)
         else:
             home = self._model.T_world_patient
             self.liquid = LiquidLevel(self._rest.pools, np.zeros(0), home, lumen_scale)

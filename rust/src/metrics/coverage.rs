@@ -72,8 +72,7 @@ fn look_through_tile(
         let normal = normalize(cross(sub(b, a), sub(c, a)));
         let cosine = dot(normal, at(&rays.directions, i)).abs();
         let pixel = (row * TILE + i / TILE) * pixels.rays.width + column * TILE + i % TILE;
-        let density =
-            pixels.per_steradian[pixel] * cosine / (hits.distance[i] * hits.distance[i]);
+        let density = pixels.per_steradian[pixel] * cosine / (hits.distance[i] * hits.distance[i]);
         let resolved = density >= pixels.min_density && cosine >= pixels.min_cosine;
         seen[triangle.face as usize] |= if resolved { VISIBLE | RESOLVED } else { VISIBLE };
     }

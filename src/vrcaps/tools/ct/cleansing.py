@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vrcaps.errors import UnknownNameError
-from vrcaps.tools.ct.labels import connected_parts, grown, renumbered, shrunk
+from vrcaps.tools.ct.components import connected_parts, grown, renumbered, shrunk
 from vrcaps.units import MM
 
 if TYPE_CHECKING:

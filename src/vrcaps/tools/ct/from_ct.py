@@ -15,8 +15,8 @@ from vrcaps.tools.ct.collapse_bridging import (
     connected_by_gaps,
     find_gaps,
 )
+from vrcaps.tools.ct.components import renumbered
 from vrcaps.tools.ct.fraction import LumenFraction, gas_fraction, mask_fraction, number_parts
-from vrcaps.tools.ct.labels import renumbered
 from vrcaps.tools.ct.lumen import GAS_THRESHOLD, SPECKS, GasPiece, find_gas
 from vrcaps.tools.ct.volume import Volume
 from vrcaps.units import CM, MM

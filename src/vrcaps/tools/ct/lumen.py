@@ -9,7 +9,7 @@ import numpy as np
 from scipy import ndimage
 
 from vrcaps.errors import InputError
-from vrcaps.tools.ct.labels import connected_parts, part_sizes, renumbered
+from vrcaps.tools.ct.components import connected_parts, part_sizes, renumbered
 from vrcaps.units import CM, MM
 
 if TYPE_CHECKING:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 
+from tubes import straight_tube
 from vrcaps.camera.camera import Camera, camera_rays
 from vrcaps.camera.lens import LensEquidistant
 from vrcaps.errors import InputError
@@ -35,18 +36,9 @@ def camera(size: int = 256) -> Camera:
 
 
 def tube(radius: float = 0.02, length: float = 0.3, step: float = 4e-4) -> tuple:
-    """An open cylinder along z from 0, normals inwards, fine along its axis."""
-    around, rows = 96, round(length / step)
-    angle = np.linspace(0.0, 2.0 * np.pi, around, endpoint=False)
-    ring = np.stack([radius * np.cos(angle), radius * np.sin(angle), 0.0 * angle], -1)
-    up = np.array([0.0, 0.0, 1.0])
-    vertices = np.concatenate([ring + z * up for z in np.linspace(0.0, length, rows + 1)])
-    a = (np.arange(rows)[:, None] * around + np.arange(around)).ravel()
-    b = (np.arange(rows)[:, None] * around + (np.arange(around) + 1) % around).ravel()
-    faces = np.concatenate(
-        [np.stack([a, b + around, b], -1), np.stack([a, a + around, b + around], -1)]
-    )
-    return vertices, faces
+    """Vertices and faces of an open cylinder along z from 0, fine along its axis."""
+    organ = straight_tube(length, radius, 96, round(length / step) + 1)
+    return organ.vertices, organ.faces
 
 
 def test_solid_angles_add_up_to_that_of_the_field() -> None:

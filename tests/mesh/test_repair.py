@@ -466,6 +466,16 @@ def test_too_many_crowded_edges_are_refused_soon(monkeypatch):
             repair(mesh)
 
 
+def test_a_crowd_of_vertices_is_refused_before_memory_is_taken():
+    """All pairs of 10,000 vertices within a nanometer would be 50 million."""
+    ball, count = sphere(), 10_000
+    crowd = 1e-9 * np.random.default_rng(0).random((count, 3))
+    first = len(ball.vertices) + np.arange(count - 2)
+    faces = np.concatenate([ball.faces, np.stack([first, first + 1, first + 2], axis=1)])
+    with pytest.raises(InputError, match=r"\d+ different vertices lie within .* of each other"):
+        repair(Mesh(np.concatenate([ball.vertices, crowd]), faces))
+
+
 def test_a_wall_without_measurable_area_is_refused():
     sphere = trimesh.creation.icosphere(subdivisions=2)
     with pytest.raises(InputError, match="area"):

@@ -10,6 +10,7 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
+from vrcaps.errors import InputError
 from vrcaps.mesh.edges import (
     drop_unused_vertices,
     find_edges,
@@ -28,10 +29,15 @@ _MERGE_TOLERANCE = 1e-6  # of the bounding box's diagonal; a few float32 steps
 _THIN = 1e-5  # height over longest edge, below which a triangle has no usable normal
 _NEEDLE = 0.01  # shortest over longest edge, below which a thin triangle is a needle
 _MAX_PASSES = 10
+_MOST_PAIRS = 50_000_000  # of near vertices: 1 GB
 
 
 def merge_vertices(mesh: Mesh) -> tuple[Mesh, list[Repair]]:
-    """Merge vertices closer than 1e-6 of the mesh's diagonal and drop unused ones."""
+    """Merge vertices closer than 1e-6 of the mesh's diagonal and drop unused ones.
+
+    Raises:
+        InputError: If too many are that close.
+    """
     repairs = []
     num_vertices = len(mesh.vertices)
     mesh = drop_unused_vertices(mesh)
@@ -40,6 +46,7 @@ def merge_vertices(mesh: Mesh) -> tuple[Mesh, list[Repair]]:
         repairs.append(Repair("unused vertex", unused, "removed"))
     tolerance = _MERGE_TOLERANCE * np.linalg.norm(np.ptp(mesh.vertices, axis=0))
     unique, number = np.unique(mesh.vertices, axis=0, return_inverse=True)
+    _require_apart(unique, tolerance)
     pairs = KDTree(unique).query_pairs(tolerance, output_type="ndarray")
     group = _group(pairs, len(unique))[number.reshape(-1)]
     merged = _merge_groups(mesh, group)
@@ -47,6 +54,24 @@ def merge_vertices(mesh: Mesh) -> tuple[Mesh, list[Repair]]:
     if num_merged:
         repairs.append(Repair("duplicate vertex", num_merged, "merged"))
     return merged, repairs
+
+
+def _require_apart(points: Float[np.ndarray, "n 3"], tolerance: float) -> None:
+    """Check that merging takes no more memory than a mesh does.
+
+    Raises:
+        InputError: If thousands of different vertices crowd within a millionth of the mesh.
+    """
+    if not tolerance > 0.0:
+        return
+    steps = np.minimum((points - points.min(axis=0)) / tolerance, 1 << 20)  # 10⁶ at most
+    cells = steps.astype(np.int64)
+    counts = np.unique(cells @ [1 << 42, 1 << 21, 1], return_counts=True)[1]
+    if (counts.astype(float) ** 2).sum() > len(points) + _MOST_PAIRS:
+        raise InputError(
+            f"{counts.max()} different vertices lie within {tolerance:.2g} m of each other, a "
+            "millionth of the mesh. Remove stray vertices, or check its unit."
+        )
 
 
 def remove_degenerate_faces(mesh: Mesh) -> tuple[Mesh, list[Repair]]:

@@ -162,6 +162,7 @@ def test_substep_too_long_for_the_deformation(model: Model) -> None:
         (SpringWall, "mass", -1.0),
         (SpringWall, "stiffness", -150.0),
         (SpringWall, "damping", NAN),
+        (SpringWall, "foundation_gain", 0.0),
     ],
 )
 def test_tissue(law: Callable[..., object], field: str, value: float) -> None:

@@ -10,6 +10,7 @@ from vrcaps.capsule.body import homogeneous_body
 from vrcaps.capsule.catalog import read_device
 from vrcaps.tissue.drag import Drag
 from vrcaps.tissue.spring_wall import SpringWall
+from vrcaps.tissue.tissue import Tissue
 from vrcaps.tissue.winkler_foundation import WinklerFoundation
 from vrcaps.units import MM
 from walls import HALF_AXIS, LINEAR, RADIUS, capsule, creased, floor, tube, world_on
@@ -197,18 +198,26 @@ def test_resistance_follows_the_measurements() -> None:
 
 
 @pytest.mark.slow
-def test_the_spring_wall_presses_as_measured() -> None:
-    """A tube 8.4 mm wide that gives way still squeezes with 1.9 ± 1.0 N per cm."""
+@pytest.mark.parametrize("speed", [20.0 * MM, 60.0 * MM])
+def test_the_default_tissue_presses_and_drags_as_measured(speed: float) -> None:
+    """A tube 8.4 mm wide that gives way squeezes with 1.9 ± 1.0 N per cm and drags by the curve."""
+    tissue, law, substep = Tissue(), Drag(law="continuous"), 2e-4
+    assert isinstance(tissue.deformation, SpringWall)
     world = world_on(
-        tube(4.2 * MM, 80.0 * MM, 1.0 * MM),
-        position=(0, 0, 40 * MM),
+        tube(4.2 * MM, 70.0 * MM, 1.2 * MM),
+        position=(0, 0, 25 * MM),
         wxyz=(1, 0, 0, 0),
         body=capsule(mass=1e6),
-        foundation=WinklerFoundation(),
-        drag=Drag(),
-        spring_wall=SpringWall(),
+        foundation=tissue.foundation_in_series,
+        drag=tissue.drag,
+        spring_wall=tissue.deformation,
     )
-    world.step(2e-4, 2_000, FREE, (0.0,) * 3)
+    world.step(substep, 500, FREE, (0.0,) * 3)
+    place, wxyz, _, still = world.pose
+    world.pose = (place, wxyz, (0.0, 0.0, speed), still)
+    world.step(substep, round(4.0 * MM / speed / substep), FREE, (0.0,) * 3)
+    world.step(substep, round(1.2 * MM / speed / substep), FREE, (0.0,) * 3)
+    assert -world.contact()[0][2] == pytest.approx(law.resistance(np.array(speed)), rel=0.1)
     assert 0.9 < world.contact()[2] / 2.6 < 2.9
     assert np.abs(world.wall_displacement[:, :3]).max() > 0.4 * MM
 

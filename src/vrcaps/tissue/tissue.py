@@ -20,7 +20,7 @@ class Tissue:
         >>> world = vrcaps.World(model, vrcaps.Tissue(deformation=None))  # a rigid wall
 
     Attributes:
-        foundation: Pressure against a capsule that presses in.
+        foundation: Pressure against a capsule that presses in, as on a rigid base.
         drag: Resistance against a capsule that slides along.
         deformation: How the wall gives way, vertex by vertex or as an elastic layer; None holds it
             where it is.
@@ -31,6 +31,13 @@ class Tissue:
     drag: Drag = field(default_factory=Drag)
     deformation: SpringWall | FemDeformation | None = field(default_factory=SpringWall)
     motility: Motility | None = None
+
+    @property
+    def foundation_in_series(self) -> WinklerFoundation:
+        """The foundation under which contact takes place: stiffer where springs carry it."""
+        deformation = self.deformation
+        is_spring_wall = isinstance(deformation, SpringWall)
+        return deformation.in_series(self.foundation) if is_spring_wall else self.foundation
 
     @property
     def longest_substep(self) -> float:

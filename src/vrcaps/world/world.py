@@ -101,7 +101,7 @@ class World:
         self.layer = make_fem_wall(organ, tissue)
         spring = tissue.deformation if self.layer is None else None
         self._core = _core.World(
-            self._wall, self.body, tissue.foundation, tissue.drag, spring, pose
+            self._wall, self.body, tissue.foundation_in_series, tissue.drag, spring, pose
         )
         if self.layer is not None:
             self.layer.carry(self._core)

@@ -116,7 +116,7 @@ def _bowel(
     Duration and extent: assumed.
     """
     return SegmentMotility(
-        amplitude=0.70,
+        amplitude=0.60,
         rates=(rates[0] * PER_MINUTE, rates[1] * PER_MINUTE),
         speeds=(speeds[0] * CM, speeds[1] * CM),
         duration=2.5,

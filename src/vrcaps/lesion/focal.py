@@ -137,9 +137,10 @@ class ProfileForm(FocalForm):
         self._lobes = low_pass(lobes[1], rng)
         self._lean = np.zeros(3) if lean is None else lean
         self._set_profile(control)
-        for _ in range(_SIZING_ROUNDS if size is not None else 0):
-            control = control * (size / self._diameter_across(), 1.0)
-            self._set_profile(control)
+        if size is not None:
+            for _ in range(_SIZING_ROUNDS):
+                control = control * (size / self._diameter_across(), 1.0)
+                self._set_profile(control)
 
     def _set_profile(self, control: Float[np.ndarray, "k 2"]) -> None:
         self.radius = float(control[0, 0])

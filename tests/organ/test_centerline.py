@@ -4,14 +4,17 @@ import logging
 
 import numpy as np
 import pytest
+from scipy.spatial import KDTree
+from skimage.measure import marching_cubes
 
 from shapes import sphere
 from vrcaps.errors import InputError
 from vrcaps.mesh.mesh import Mesh, vertex_normals
 from vrcaps.mesh.read_mesh import read_mesh
 from vrcaps.mesh.repair import repair
-from vrcaps.organ.centerline import centerline_from_points, compute_centerline, interpolate
+from vrcaps.organ.centerline import centerline_from_points, compute, compute_centerline, interpolate
 from vrcaps.organ.centerline.distance import triangle_distance, wall_distance
+from vrcaps.organ.centerline.handles import num_handles
 from vrcaps.organ.centerline.lumen import LumenGrid, grid_crossings, mean_radius, voxelize
 from vrcaps.organ.centerline.smooth import smooth_path
 from vrcaps.units import MM
@@ -198,6 +201,44 @@ def test_real_organs(shared_data, name, unit, length):
     assert line.radius[inner].min() > 0.3 * np.median(line.radius)
     curvature = np.linalg.norm(np.diff(line.frames[:, :, 2], axis=0), axis=1) / line.arc_length[1]
     assert (curvature * line.radius[1:])[inner[1:]].max() < 1.5
+
+
+def loops_that_touch():
+    """Three runs of tube side by side [m], open to each other in two places; and their course."""
+    radius, apart, length = 8.03, 18.2, 70.0
+    course = []
+    for run in range(3):
+        x = np.linspace(0.0, length, 60)[:: -1 if run % 2 else 1]
+        course += [[(value, run * apart, 0.0) for value in x]]
+        angle = np.linspace(-np.pi / 2, np.pi / 2, 25)[1:-1]
+        side = (length, 1.0) if run % 2 == 0 else (0.0, -1.0)
+        bend = [side[0] + side[1] * 14.0 * np.cos(angle), apart * (run + 0.5 + np.sin(angle) / 2)]
+        course += [np.stack([*bend, 0 * angle], -1)] if run < 2 else []
+    course = np.concatenate(course)
+    low, high, step = course.min(axis=0) - 12.0, course.max(axis=0) + 12.0, 2.0
+    grid = np.stack(np.meshgrid(*map(np.arange, low, high, [step] * 3), indexing="ij"), -1)
+    field = radius - KDTree(course).query(grid)[0]
+    for run in range(2):
+        window = np.array([length / 2, apart * (run + 0.5), 0.0])
+        field = np.maximum(field, 4.01 - np.linalg.norm(grid - window, axis=-1))
+    vertices, faces, _, _ = marching_cubes(field, 0.0)
+    return Mesh((vertices * step + low) * MM, faces), course * MM
+
+
+@pytest.mark.slow
+def test_loops_that_are_open_to_each_other_are_not_cut_short(caplog, monkeypatch):
+    """The short cut through both windows is half as long as the course; it is warned of."""
+    mesh, course = loops_that_touch()
+    assert num_handles(mesh.faces) == 2
+    length = np.linalg.norm(np.diff(course, axis=0), axis=1).sum()
+    line = compute_centerline(mesh, voxel=1.2 * MM)
+    assert line.length == pytest.approx(length, rel=0.04)
+    assert KDTree(course).query(line.points)[0].max() < 8 * MM
+    assert "the wall has 2 handles" in caplog.text
+    assert "LEAVES OUT" not in caplog.text
+    monkeypatch.setattr(compute, "without_short_cuts", lambda grid: (grid, 0))
+    assert compute_centerline(mesh, voxel=1.2 * MM).length < 0.7 * length
+    assert "THE CENTERLINE LEAVES OUT" in caplog.text
 
 
 @pytest.mark.slow

@@ -68,6 +68,7 @@ def flip_edges(
         want[want] = np.sum(one * other, axis=1) > 0.7
         want[want] = ~_is_in(np.sort(apex[want], axis=1), edges, len(vertices))
         chosen = _independent_flips(np.flatnonzero(want), excess, beside, len(faces))
+        chosen = _distinct_flips(chosen, apex)
         if not len(chosen):
             break
         _flip(vertices, chart, faces, (edges[chosen], beside[chosen], apex[chosen]))
@@ -82,6 +83,12 @@ def _independent_flips(
     rank = np.full(num_faces, len(order))
     np.minimum.at(rank, beside[order].ravel(), np.repeat(np.arange(len(order)), 2))
     return order[(rank[beside[order]] == np.arange(len(order))[:, None]).all(axis=1)]
+
+
+def _distinct_flips(chosen: Int[np.ndarray, " k"], apex: np.ndarray) -> Int[np.ndarray, " l"]:
+    """Flips of which no two make the same edge: it would have four faces."""
+    _, first = np.unique(np.sort(apex[chosen], axis=1), axis=0, return_index=True)
+    return chosen[np.sort(first)]
 
 
 def _flip(

@@ -6,12 +6,15 @@ import logging
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.spatial import KDTree
 
 from vrcaps.errors import InputError
 from vrcaps.mesh.mesh import Mesh
 from vrcaps.organ.centerline.curve import centerline_from_points, transport_frames
+from vrcaps.organ.centerline.handles import num_handles, without_short_cuts
 from vrcaps.organ.centerline.lumen import (
     MAX_VOXELS,
+    LumenGrid,
     close_ends,
     mean_radius,
     num_pieces,
@@ -27,6 +30,9 @@ if TYPE_CHECKING:
 _VOXELS_PER_RADIUS = 10.0
 _REFINEMENTS = 3
 _END_FRACTION = 1 / 3  # of the length, over which the width of an end is measured
+_REACH = 3.0  # radii from the curve up to which the lumen counts as its own
+_MOST_LEFT_OUT = 0.1  # of the lumen, beyond that reach
+_NUM_PROBES = 20_000  # places in the lumen where that is looked for
 
 _log = logging.getLogger(__name__)
 
@@ -41,7 +47,9 @@ def compute_centerline(
 ) -> Centerline:
     """The smooth curve down the middle of a lumen, from end to end.
 
-    A minimum-cost path through the lumen's distance field, made central and smooth. Its two
+    A minimum-cost path through the lumen's distance field, made central and smooth. Where the
+    wall has handles (loops that touch are open to each other) it keeps to the lumen's course, see
+    `without_short_cuts`; a curve that leaves out over a tenth of the lumen is warned of. Its two
     ends are those farthest apart inside the lumen. A mesh does not say which is the oral
     one: it is taken to be that of the wider third, which holds for a colon (caecum to
     rectum) and for a stomach (fundus to pylorus). State `start`, `end` or `reverse` where it
@@ -88,11 +96,14 @@ def _trace(
     smallest = 1.1 * float(np.prod(np.ptp(vertices, axis=0)) / MAX_VOXELS) ** (1 / 3)
     voxels = [voxel / 1.5**level for level in range(_REFINEMENTS + 1)]
     voxels = voxels[:1] + [size for size in voxels[1:] if size > smallest]
+    closed = close_ends(vertices, faces)
+    handles = num_handles(closed[1])
     for level, size in enumerate(voxels):
         grid = voxelize(vertices, faces, size)
+        grid, num_cut = without_short_cuts(grid) if handles else (grid, 0)
         is_last = level == len(voxels) - 1
         path = find_path(grid, start, end, cross_gaps=is_last)
-        if path is None and (pieces := num_pieces(close_ends(vertices, faces)[1])) > 1:
+        if path is None and (pieces := num_pieces(closed[1])) > 1:
             raise InputError(f"The wall is in {pieces} pieces. Give that of one lumen, repaired.")
         if path is None:
             _log.info("lumen is in parts at voxels of %.2g m", size)
@@ -100,14 +111,43 @@ def _trace(
         try:
             curve = smooth_path(grid, path, (start is None, end is None))
             if start is None:
-                curve = to_wall(grid, curve[::-1], *close_ends(vertices, faces))[::-1]
+                curve = to_wall(grid, curve[::-1], *closed)[::-1]
             if end is None:
-                curve = to_wall(grid, curve, *close_ends(vertices, faces))
-            return centerline_from_points(curve, vertices, faces)
+                curve = to_wall(grid, curve, *closed)
+            centerline = centerline_from_points(curve, vertices, faces)
+            _warn(grid, centerline, handles, num_cut)
+            return centerline
         except InputError:
             if is_last:
                 raise
     raise InputError("The lumen is in parts that no path connects. Repair the mesh first.")
+
+
+def _warn(grid: LumenGrid, centerline: Centerline, handles: int, num_cut: int) -> None:
+    """Say where loops that touch were parted, and where the curve leaves out part of the lumen."""
+    if num_cut:
+        _log.warning(
+            "the wall has %d handles: loops that touch are open to each other; the centerline goes "
+            "around the lumen, not through these places",
+            handles,
+        )
+    left_out = _left_out(grid, centerline)
+    if left_out > _MOST_LEFT_OUT:
+        _log.warning(
+            "THE CENTERLINE LEAVES OUT %.0f %% OF THE LUMEN: it jumps from loop to loop or goes "
+            "into one branch only. Its length and segments are wrong. Part touching loops in the "
+            "mask or mesh (%d handles), or give points along the lumen",
+            100.0 * left_out,
+            handles,
+        )
+
+
+def _left_out(grid: LumenGrid, centerline: Centerline) -> float:
+    """Share of the lumen that is farther from the curve than 3 of its radii there."""
+    ids = np.argwhere(grid.inside)
+    points = grid.points(ids[:: max(1, len(ids) // _NUM_PROBES)])
+    away, nearest = KDTree(centerline.points).query(points)
+    return float((away > _REACH * np.maximum(centerline.radius[nearest], grid.voxel)).mean())
 
 
 def _widens(centerline: Centerline) -> bool:

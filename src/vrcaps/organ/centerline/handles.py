@@ -1,0 +1,93 @@
+"""Handles of a lumen: places where loops that touch are open to each other, and ways past them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy import ndimage
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import minimum_spanning_tree, shortest_path
+
+from vrcaps.organ.centerline.lumen import LumenGrid, num_pieces
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Int
+
+_APART = 5  # least distance between the middles of two chambers [voxels]
+_DETOUR = 2.5  # way along the lumen, in diameters of its chambers, that makes a contact a short cut
+_OFFSETS = [
+    (i, j, k) for i in (0, 1) for j in (-1, 0, 1) for k in (-1, 0, 1) if (i, j, k) > (0, 0, 0)
+]
+"""Half of a voxel's 26 neighbors; the other half are theirs."""
+
+
+def num_handles(faces: Int[np.ndarray, "m 3"]) -> int:
+    """Handles of a closed surface, by Euler's formula V − E + F = 2 pieces − 2 handles."""
+    edges = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    euler = len(np.unique(faces)) - len(np.unique(edges, axis=0)) + len(faces)
+    return max(0, (2 * num_pieces(faces) - euler) // 2)
+
+
+def without_short_cuts(grid: LumenGrid) -> tuple[LumenGrid, int]:
+    """The lumen with its short cuts from loop to loop closed, and how many there were.
+
+    The lumen is parted into chambers around its widest places (a watershed of the distance from
+    the wall). Their contacts make a graph; its maximum spanning tree by the width of contacts is
+    the course of the lumen, since of the contacts on a cycle it leaves out the narrowest
+    (Cormen et al., Introduction to Algorithms, ch. 23). A contact it leaves out is closed if the
+    way around along the tree is long; a short one only goes around a fold.
+    """
+    from skimage.segmentation import watershed
+
+    highest = ndimage.maximum_filter(grid.clearance, 2 * _APART + 1)
+    peaks = np.empty(grid.inside.shape, np.int32)
+    ndimage.label(grid.inside & (grid.clearance == highest), np.ones((3, 3, 3)), output=peaks)
+    num = int(peaks.max())
+    if num < 3:
+        return grid, 0
+    chamber = watershed(-grid.clearance, peaks, mask=grid.inside)
+    voxels, key, width = _contacts(chamber, grid.clearance, num)
+    pairs, first = np.unique(key, return_inverse=True)
+    widest = np.zeros(len(pairs))
+    np.maximum.at(widest, first, width)
+    a, b = np.divmod(pairs, num + 1)
+    middle = np.array(ndimage.center_of_mass(peaks > 0, peaks, np.arange(num + 1)[1:]))
+    middle = np.vstack([np.full(3, np.nan), middle])
+    shape = (num + 1, num + 1)
+    tree = minimum_spanning_tree(coo_array((1.0 / widest, (a, b)), shape=shape).tocsr()).tocoo()
+    step = np.linalg.norm(middle[tree.row] - middle[tree.col], axis=1) * grid.voxel
+    way = shortest_path(coo_array((step, (tree.row, tree.col)), shape=shape), directed=False)
+    size = np.concatenate([[0.0], ndimage.maximum(grid.clearance, peaks, np.arange(1, num + 1))])
+    is_cut = way[a, b] > 2.0 * _DETOUR * (size[a] + size[b])
+    if not is_cut.any():
+        return grid, 0
+    closed = voxels[is_cut[first]]
+    inside, clearance = grid.inside.copy(), grid.clearance.copy()
+    inside.ravel()[closed], clearance.ravel()[closed] = False, 0.0
+    return replace(grid, inside=inside, clearance=clearance), int(is_cut.sum())
+
+
+def _contacts(
+    chamber: Int[np.ndarray, "x y z"], clearance: Float[np.ndarray, "x y z"], num: int
+) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+    """Voxels beside another chamber, of the lower number; the pair's key; and clearance there.
+
+    The key of chambers a < b is a (num + 1) + b. The clearance is the lesser of both voxels'.
+    """
+    label, clear = chamber.ravel(), clearance.ravel()
+    ids = np.flatnonzero(label)
+    _, ny, nz = chamber.shape
+    found = []
+    for i, j, k in _OFFSETS:
+        beside = ids + (i * ny + j) * nz + k  # the grid's margin is outside
+        other = label[beside]
+        at = np.flatnonzero((other > 0) & (other != label[ids]))
+        one, two = ids[at], beside[at]
+        is_first = label[one] < label[two]
+        low, high = np.where(is_first, one, two), np.where(is_first, two, one)
+        key = label[low].astype(np.int64) * (num + 1) + label[high]
+        found.append((low, key, np.minimum(clear[low], clear[high]).astype(float)))
+    voxels, key, width = (np.concatenate(parts) for parts in zip(*found, strict=True))
+    return voxels, key, width

@@ -70,7 +70,7 @@ class Scene:
 
 
 def scenes(size: int) -> Iterator[Scene]:
-    """A tube with ring folds, a generated colon, its bare facets, and that colon made smooth."""
+    """A tube with ring folds, a generated colon, with bare facets, made smooth; other organs."""
     from shapes import looking, patterned, pinhole, tube
 
     use_working_llvm()
@@ -92,6 +92,11 @@ def scenes(size: int) -> Iterator[Scene]:
     yield Scene("generated colon", model, camera, state)
     yield Scene("the same, flat faces", Model(_flat(colon), device), camera, state)
     yield Scene("the same, smooth", Model(_smooth(colon), device), camera, state)
+    for name in ("stomach", "small-bowel"):
+        organ = generate_organ(name, seed=11)
+        state = fly_through(Model(organ, device), FlyThrough(), frames=3, fps=1.0, rng=rng).state(1)
+        organ = _flat(replace(organ, appearance=look))
+        yield Scene(f"{name}, held out, flat faces", Model(organ, device), camera, state)
 
 
 def _flat(organ: OrganSurface) -> OrganSurface:

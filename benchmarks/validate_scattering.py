@@ -183,8 +183,8 @@ def radiosity_row(view: View) -> tuple[str, ...]:
 def cost_row(view: View) -> tuple[str, ...]:
     """Processor time of complete labeled frames without shadows, all threads together."""
     camera = view.model.device.cameras[0]
-    radiosity = RenderSettings(light="radiosity")
-    ways = (RenderSettings(light="direct"), radiosity, replace(radiosity, scattering=True))
+    radiosity = RenderSettings(light="radiosity", shadows=False)
+    ways = (replace(radiosity, light="direct"), radiosity, replace(radiosity, scattering=True))
     renderers = [Renderer(view.model, way) for way in ways]
 
     def taken(way: int, state: State) -> float:

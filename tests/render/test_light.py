@@ -267,7 +267,7 @@ def test_supersampling_is_the_mean_of_a_finer_image(rng: np.random.Generator) ->
     coarse, fine = make_camera(pinhole(40)), make_camera(pinhole(120))
     model, state = make_model(organ), looking((0.004, -0.003, 0.04))
     names = ("radiance", "rgb", "depth", "label", "albedo")
-    frame = Renderer(model, RenderSettings(light="direct", supersampling=3)).render(
+    frame = Renderer(model, RenderSettings(light="direct", shadows=False, supersampling=3)).render(
         state, coarse, channels=names
     )
     image = Renderer(model, DIRECT).render(state, fine, channels=RADIANCE).radiance

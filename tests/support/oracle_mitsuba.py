@@ -155,12 +155,21 @@ def _bsdf(look: Appearance | None) -> dict[str, Any]:
     linear = np.where(color <= 0.04045, color / 12.92, ((color + 0.055) / 1.055) ** 2.4)
     return {
         "type": "principled",
-        "base_color": _bitmap(linear),
+        "base_color": _bitmap(stored_color(linear)),
         "roughness": _bitmap(look.roughness[..., None] / 255.0),
         "eta": look.ior,
         "clearcoat": look.clearcoat,
         "clearcoat_gloss": look.clearcoat_gloss,
     }
+
+
+def stored_color(linear: np.ndarray) -> np.ndarray:
+    """Linear color as a texel of the renderer holds it: square roots in 11, 11 and 10 bits.
+
+    Both look at the same wall then, and their difference is that of light transport alone.
+    """
+    steps = np.array([2047.0, 2047.0, 1023.0])
+    return (np.round(np.sqrt(linear) * steps) / steps) ** 2
 
 
 def _bitmap(values: np.ndarray) -> dict[str, Any]:

@@ -22,7 +22,7 @@ from vrcaps.render.settings import RenderSettings
 from vrcaps.transforms import look_along, transform_from
 from vrcaps.world.model import Model, State
 
-DIRECT = RenderSettings(light="direct")
+DIRECT = RenderSettings(light="direct", shadows=False)
 """For tests of what a frame shows by direct light, or of geometry alone."""
 
 RADIUS = 0.02

@@ -21,7 +21,8 @@ class RenderSettings:
     Attributes:
         supersampling: Color of a pixel is the mean over this many by this many rays. All other
             channels hold the value at the pixel's center.
-        shadows: Whether folds cast shadows from each LED; path tracing always has them.
+        shadows: Whether folds cast shadows from each LED, which half of a frame's time goes into;
+            path tracing always has them.
         light: Light transport: `direct` (LEDs only), `radiosity` (indirect light between gather
             points of the wall, for real time) or `path` (path tracing).
         spp: Samples per pixel: paths that path tracing follows for each ray. Noise falls with
@@ -41,7 +42,7 @@ class RenderSettings:
     """
 
     supersampling: int = 1
-    shadows: bool = False
+    shadows: bool = True
     light: Light = "radiosity"
     spp: int = 16
     max_bounces: int = 4

@@ -19,7 +19,7 @@ import numpy as np
 
 from validation import options, table, write_section
 from vrcaps.actuation.steering_program import MagnetSteering
-from vrcaps.anatomy.catalog import generate_organ
+from vrcaps.anatomy.stomach import StomachParameters, generate_stomach
 from vrcaps.capsule.catalog import read_device
 from vrcaps.magnet.field import SourceSet
 from vrcaps.magnet.internal import InternalMagnet
@@ -27,7 +27,7 @@ from vrcaps.magnet.sources import Coil, Cylinder, Dipole, FieldMap, Solenoid, So
 from vrcaps.motion.dynamics import Dynamics
 from vrcaps.motion.rollout import Rollout
 from vrcaps.world.control import Control
-from vrcaps.world.model import Model
+from vrcaps.world.model import Model, posture_transform
 
 BATCHES = 31
 LIMIT = 2.0
@@ -78,10 +78,11 @@ def measure(sources: list[Source], count: int) -> np.ndarray:
 
 def control_rows() -> list[tuple[str, ...]]:
     """Rows of the control step of a recording, by hand and by arm, where `record` makes it."""
-    organ = generate_organ("colon", seed=0)
-    model, rows = Model(organ, read_device("magnetic")), []
+    organ = generate_stomach(StomachParameters().at("inflated"), seed=0)
+    model, rows = Model(organ, read_device("magnetic"), posture_transform("supine")), []
     for arm in (None, "panda"):
-        motion = Dynamics(start=0.5, magnet=MagnetSteering(arm=arm))
+        steering = MagnetSteering(arm=arm, standoff=0.03, wall="upper", end=0.85)
+        motion = Dynamics(start=0.05, magnet=steering)
         run = Rollout(model, motion, frames=FRAMES, fps=RATE, seed=0)
         assert run.program is not None
         taken: list[float] = []
@@ -125,9 +126,9 @@ sources, 100 mm across, on a capsule with one magnet:
 {table(HEAD, rows)}
 
 A control step as `vrcaps record --motion dynamics --set motion.magnet={{}}` makes it: the capsule
-`magnetic` is led along the lower wall of a generated colon, {RATE:g} frames a second, substeps of
-50 µs. Timed is the whole call of the program between two steps of the world: target on the wall,
-controller, magnet or arm. Processor time of all threads.
+`magnetic` is led along the upper wall of the inflated stomach of examples/07_magnet_stomach.py,
+{RATE:g} frames a second, substeps of 50 µs. Timed is the whole call of the program between two
+steps of the world: target on the wall, controller, magnet or arm. Processor time of all threads.
 
 {table(CONTROL_HEAD, control_rows())}"""
     write_section(given.out, Path(__file__).name, text)

@@ -132,7 +132,8 @@ def main() -> None:
     text = (
         "## Light\n\n`python benchmarks/validate_light.py`: linear radiance against Mitsuba 3 "
         f"(`scalar_rgb`, `direct`,\n`principled`), {given.size} × {given.size} pixels, the six "
-        "LEDs of MiroCam,\nrandom coarse textures of color, rounded as our texels are, and of roughness.\n\n"
+        "LEDs of MiroCam,\nrandom coarse textures of color, rounded as our texels are, and of "
+        "roughness.\n\n"
         + table(HEAD, rows)
         + "\n\nRelative RMSE: root of the mean squared difference over the mean radiance. Median, "
         "99 % and mean ratio: of\neach pixel brighter than 1 % of the brightest. *Shadows off* "

@@ -35,8 +35,9 @@ AWAY = np.array([1.0, 0.0, 0.0])
 """Horizontally away from the arm's base: capsules that look there need the last joint's end."""
 JOINT_ENDS = 20.0 * DEG
 HEAD = (
-    "wall", "placed", "not, and why", "error of those placed", "95 %, largest", "heading",
-    "distance at the end, all targets: mean", "median", "95 %, largest", "heading, all", "time, median",
+    "wall", "placed", "not, and why", "error of those placed [mm]", "95 %, largest",
+    "heading [°]", "distance at the end, all targets [mm]", "median", "95 %, largest of all",
+    "heading, all [°]", "time, median",
 )  # fmt: skip
 
 
@@ -77,11 +78,12 @@ places in body and antrum, each {NEAREST / CM:g} to {FARTHEST / CM:g} cm from th
 asked for is the last one plus a Gaussian vector (standard deviation 0.5 along each axis), made
 parallel to the wall; the first is Gaussian alone. It is drawn anew, Gaussian alone, where it is
 within {JOINT_ENDS / DEG:.0f}° of away from the arm's base, where its last joint ends. A
-`PointToPointPlanner` leads the capsule along the wall; the error is the distance of its center from where it would touch the wall at rest. *Placed*: it has been within 3 mm for a
-second, so that the error of those placed cannot be larger; *at the end*: of all targets, at that
-moment or when the planner gives up, after two attempts of up to 10 s more than the way takes.
-*Heading*: angle to the direction asked for. Published, for another set-up: 1.8 ± 2.1 mm. What is
-not placed is said to be so by the state; then the next begins anew there.
+`PointToPointPlanner` leads the capsule along the wall; the error is the distance of its center
+from where it would touch the wall at rest. *Placed*: it has been within 3 mm for a second, so that
+the error of those placed cannot be larger; *at the end*: of all targets, at that moment or when the
+planner gives up, after two attempts of up to 10 s more than the way takes. *Heading*: angle to the
+direction asked for. Published, for another set-up: 1.8 ± 2.1 mm. What is not placed is said to be
+so by the state; then the next begins anew there.
 
 {table(HEAD, rows)}
 
@@ -117,13 +119,13 @@ def place(walls: Walls, count: int) -> tuple[str, ...]:
         walls.name,
         f"{len(errors)} of {count}",
         reasons or "none",
-        f"{spread(place_mm)} mm",
-        f"{highest(place_mm)} mm",
-        f"{spread(turn)}°",
-        f"{spread(end_mm)} mm",
-        f"{np.median(end_mm):.1f} mm",
-        f"{highest(end_mm)} mm",
-        f"{spread(end_turn)}°",
+        spread(place_mm),
+        highest(place_mm),
+        spread(turn),
+        spread(end_mm),
+        f"{np.median(end_mm):.1f}",
+        highest(end_mm),
+        spread(end_turn),
         f"{np.median(times):.1f} s",
     )
 

@@ -3,6 +3,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+import figures
 import readme
 from vrcaps.cli.benchmarks.page import read_sections, table, tree, write_section
 
@@ -26,3 +27,19 @@ def test_figures_of_the_front_page_are_cells_of_the_tables() -> None:
     assert readme.find(rows, "most ms") == "12.0"
     assert readme.find(rows, "least ms") == "4.1 (3.9–5.0)"
     assert readme.find(rows, "ms | gone") == "not measured"
+
+
+_OTHER_PAGES = {"cohort", "speed_bake", "validate_calibration", "validate_looks"}
+
+
+def test_every_script_that_writes_a_table_is_among_the_figures() -> None:
+    folder = Path(figures.__file__).parent
+    scripts = {p.stem for p in folder.glob("*.py") if "write_section(" in p.read_text("utf-8")}
+    listed = {Path(figure.name).stem for figure in figures.FIGURES}
+    kept = {Path(name).stem for name in figures.KEPT}
+    assert scripts - {"validation"} - _OTHER_PAGES <= listed | kept
+
+
+def test_every_figure_of_the_front_page_is_of_a_section_that_is_measured() -> None:
+    listed = {figure.name for figure in figures.FIGURES}
+    assert {section for _, section, _ in readme.FIGURES} <= listed

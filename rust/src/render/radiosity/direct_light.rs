@@ -11,7 +11,7 @@ use rayon::prelude::*;
 use std::f32::consts::TAU;
 
 /// Rays of all LEDs together, about: fewer miss hot spots where LEDs are near the wall.
-const RAYS: usize = 1296;
+const RAYS: usize = 2592;
 /// Arms of the spiral of an LED's rays (Fibonacci's number, so that those of an arm are neighbors).
 const ARMS: usize = 21;
 /// Fewest rays of an LED are the square of this.

@@ -83,7 +83,7 @@ FIGURES = (
         "≥ {least depth within 10 µm} of pixels",
     ),
     (
-        "path tracing against Mitsuba's, smooth colon: ratio of means; blocks' mean z² over noise's",
+        "path tracing against Mitsuba's, smooth colon: ratio of means; blocks' z² over noise's",
         f"{_SCRIPT}validate_path.py",
         "{ratio | the same, smooth}; {z² / expected | the same, smooth}",
     ),

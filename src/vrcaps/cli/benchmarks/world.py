@@ -91,8 +91,8 @@ def measure(num_triangles: int, num_rounds: int) -> Report:
         title="Speed of the physics",
         command="vrcaps bench world",
         setting=(
-            f"A generated colon of {stage.num_triangles} triangles, default tissue with quick "
-            f"deformation, default substep of {1e6 * SUBSTEP:.0f} µs; {stage.model.device.name} "
+            f"A generated colon of {stage.num_triangles} triangles, default tissue with the "
+            f"spring wall, default substep of {1e6 * SUBSTEP:.0f} µs; {stage.model.device.name} "
             f"let fall at three places and left for {_REST:g} s. {num_rounds} repetitions. Times "
             "are on the clock, and in processor time of all threads together."
         ),

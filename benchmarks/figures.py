@@ -82,7 +82,7 @@ FIGURES = (
     *_scripts("validate_contact validate_coverage validate_ct validate_fem validate_labels"),
     *_scripts("validate_lesion_sizes"),
     *_scripts("validate_lesions validate_light validate_moving_labels validate_path"),
-    *_scripts("validate_placing validate_sensor"),
+    *_scripts("validate_placing validate_sensor validate_located_steering"),
 )
 KEPT = ("benchmarks/speed_cycles.py",)
 """Sections that stay where what they need is absent; they state the sources they were made from."""

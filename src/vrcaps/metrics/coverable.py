@@ -104,4 +104,4 @@ def _fits(model: Model, poses: Float[np.ndarray, "n 4 4"]) -> Bool[np.ndarray, "
     steps = np.array([-1.0, -0.5, 0.0, 0.5, 1.0]) * half
     axis = poses[:, None, :3, 3] + steps[:, None] * poses[:, None, :3, 2]
     clearance = np.asarray(model.wall.signed_distance(axis.reshape(-1, 3)), float)
-    return (clearance.reshape(axis.shape[:2]) > device.radius - _INDENTATION).all(axis=1)
+    return np.all(clearance.reshape(axis.shape[:2]) > device.radius - _INDENTATION, axis=1)

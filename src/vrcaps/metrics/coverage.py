@@ -79,8 +79,9 @@ def pixel_solid_angles(camera: Camera) -> Float[np.ndarray, "h w"]:
     """
     columns, rows = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
     pixels = np.stack([columns, rows], -1).astype(float)
-    along = [_ray_derivative(camera, pixels, step) for step in ((0.5, 0.0), (0.0, 0.5))]
-    return np.linalg.norm(np.cross(*along), axis=-1)
+    right = _ray_derivative(camera, pixels, (0.5, 0.0))
+    down = _ray_derivative(camera, pixels, (0.0, 0.5))
+    return np.linalg.norm(np.cross(right, down), axis=-1)
 
 
 def _ray_derivative(camera: Camera, pixels: np.ndarray, step: tuple[float, float]) -> np.ndarray:

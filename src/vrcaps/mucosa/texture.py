@@ -112,9 +112,9 @@ def read_texture(path: str | Path) -> MucosaTexture:
         head = json.loads(head_path.read_text(encoding="utf-8"))
         if head["format"] != FORMAT:
             raise InputError(f"{head_path} has format {head['format']!r}. Allowed: {FORMAT!r}.")
-        expected, texel = head["sha256"], float(head["mm_per_texel"]) * MM
+        expected, texel = dict(head["sha256"]), float(head["mm_per_texel"]) * MM
         gloss, step = float(head["clearcoat_gloss"]), float(head["height_step_m"])
-    except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
+    except (OSError, UnicodeDecodeError, json.JSONDecodeError, RecursionError) as error:
         raise InputError(f"Cannot read the texture {head_path}: {error}.") from error
     except (KeyError, TypeError, ValueError) as error:
         if isinstance(error, InputError):
@@ -129,7 +129,11 @@ def read_texture(path: str | Path) -> MucosaTexture:
                 f"{file} is missing or not the picture that {HEAD} was written with. "
                 "Make the texture again."
             )
-    images = {name: _core.read_png(str(head_path.with_name(f"{name}.png"))) for name in _PICTURES}
+    paths = {name: str(head_path.with_name(f"{name}.png")) for name in _PICTURES}
+    try:
+        images = {name: _core.read_png(path) for name, path in paths.items()}
+    except (OSError, ValueError) as error:
+        raise InputError(f"Cannot read the texture {head_path}: {error}.") from error
     return MucosaTexture(**images, texel=texel, clearcoat_gloss=gloss, metadata=head)
 
 

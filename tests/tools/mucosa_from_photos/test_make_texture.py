@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import hashlib
 import json
 from pathlib import Path
 
@@ -190,6 +191,11 @@ def test_textures_that_cannot_be_read_or_written(work, tmp_path: Path) -> None:
     (folder / HEAD).write_text(json.dumps({"format": head["format"]}))
     with pytest.raises(InputError, match="lacks"):
         read_texture(folder)
-    (folder / HEAD).write_text("{")
-    with pytest.raises(InputError, match="Cannot read the texture"):
-        read_texture(folder)
+    picture = next(folder.glob("*.png"))
+    picture.write_bytes(b"no picture")
+    digest = hashlib.sha256(b"no picture").hexdigest()
+    head["sha256"][picture.name] = digest
+    for text in ("{", json.dumps(head), "[" * 100_000):
+        (folder / HEAD).write_text(text)
+        with pytest.raises(InputError, match="Cannot read the texture"):
+            read_texture(folder)

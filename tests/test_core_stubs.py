@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import inspect
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -19,23 +20,28 @@ CLASSES = {
 }
 
 
-def stated(node: ast.FunctionDef) -> list[tuple[str, bool]]:
-    """Names of the arguments, and whether each may be left out."""
-    args = [*node.args.posonlyargs, *node.args.args]
-    missing = len(args) - len(node.args.defaults)
-    both = [(a.arg, place >= missing) for place, a in enumerate(args)]
+_IMPLIED = ("self", "cls")
+Argument = tuple[str, str | None, bool]
+"""Name, default as text (None: it must be given), and whether it is given by name only."""
+
+
+def stated(node: ast.FunctionDef) -> list[Argument]:
+    """Arguments by the stubs."""
+    args, defaults = [*node.args.posonlyargs, *node.args.args], node.args.defaults
+    both = list(zip(args, [None] * (len(args) - len(defaults)) + defaults, strict=True))
+    told = [(a.arg, default and ast.unparse(default), False) for a, default in both]
     only = zip(node.args.kwonlyargs, node.args.kw_defaults, strict=True)
-    both += [(a.arg, default is not None) for a, default in only]
-    return [(name, has_default) for name, has_default in both if name not in ("self", "cls")]
+    told += [(a.arg, default and ast.unparse(default), True) for a, default in only]
+    return [argument for argument in told if argument[0] not in _IMPLIED]
 
 
-def compiled(thing: object) -> list[tuple[str, bool]] | None:
-    """The same of a compiled function; None if it tells nothing."""
-    try:
-        parameters = inspect.signature(thing).parameters.values()  # pyright: ignore[reportArgumentType]
-    except (TypeError, ValueError):
-        return None
-    return [(p.name, p.default is not p.empty) for p in parameters if p.name not in ("self", "cls")]
+def compiled(thing: Callable[..., object]) -> list[Argument]:
+    """The same of a compiled function."""
+    given = [p for p in inspect.signature(thing).parameters.values() if p.name not in _IMPLIED]
+    return [
+        (p.name, None if p.default is p.empty else repr(p.default), p.kind is p.KEYWORD_ONLY)
+        for p in given
+    ]
 
 
 def members(node: ast.ClassDef) -> dict[str, ast.FunctionDef | None]:
@@ -69,9 +75,17 @@ def test_signatures_agree() -> None:
         cls = getattr(_core, owner)
         init = [c for c in node.body if isinstance(c, ast.FunctionDef) and c.name == "__init__"]
         pairs += [(owner, child, cls) for child in init]
+        assert len(init) == ("__new__" in vars(cls)), owner
         methods = {k: v for k, v in members(node).items() if v is not None}
         pairs += [(f"{owner}.{k}", v, getattr(cls, k)) for k, v in methods.items()]
     told = {name: (stated(node), compiled(thing)) for name, node, thing in pairs}
-    assert sum(signature is not None for _, signature in told.values()) > 0.9 * len(told)
-    wrong = {n: pair for n, pair in told.items() if pair[1] is not None and pair[0] != pair[1]}
+    wrong = {name: pair for name, pair in told.items() if pair[0] != pair[1]}
     assert not wrong
+
+
+@pytest.mark.parametrize("name", CLASSES)
+def test_a_class_has_the_stated_special_methods(name: str) -> None:
+    always = {"__new__", "__init__", "__doc__", "__module__"}
+    there = {m for m in vars(getattr(_core, name)) if m.startswith("__")} - always
+    children = (c.name for c in CLASSES[name].body if isinstance(c, ast.FunctionDef))
+    assert there == {c for c in children if c.startswith("__")} - always

@@ -13,6 +13,21 @@ pub fn rows(array: &PyReadonlyArray2<'_, f64>, columns: usize) -> PyResult<Vec<f
     Ok(view.iter().copied().collect())
 }
 
+/// The three rows of three numbers of an array [3 3].
+pub fn three_rows(array: &PyReadonlyArray2<'_, f64>) -> PyResult<DMat3> {
+    square(array, 3).map(|flat| DMat3::from_cols_slice(&flat))
+}
+
+/// All numbers of an array of as many rows as columns.
+pub fn square(array: &PyReadonlyArray2<'_, f64>, size: usize) -> PyResult<Vec<f64>> {
+    if array.as_array().dim() != (size, size) {
+        return Err(PyValueError::new_err(format!(
+            "An array of shape ({size}, {size}) is needed."
+        )));
+    }
+    rows(array, size)
+}
+
 /// The vector of the first three numbers.
 pub fn vector(v: &[f64]) -> DVec3 {
     DVec3::new(v[0], v[1], v[2])
@@ -26,7 +41,7 @@ pub fn pose_of(m: &[f64]) -> (DMat3, DVec3) {
 
 /// Rotation and position of a pose [4 4].
 pub fn read_pose(array: &PyReadonlyArray2<'_, f64>) -> PyResult<(DMat3, DVec3)> {
-    Ok(pose_of(&rows(array, 4)?))
+    Ok(pose_of(&square(array, 4)?))
 }
 
 /// Four rows of a pose.

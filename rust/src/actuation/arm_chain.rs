@@ -4,7 +4,7 @@ use super::damped_least_squares::descend;
 use super::inverse_kinematics::{All, Angles, BRANCHES, Inverse, JOINTS};
 use super::kinematic_chain::{Chain, Joint, Pose};
 use super::link_capsules::{LinkCapsule, Obstacles};
-use crate::poses::{pose_of, rows};
+use crate::poses::{pose_of, rows, square};
 use glam::DVec3;
 use numpy::{IntoPyArray, PyArrayDyn, PyReadonlyArray2, PyReadonlyArray3, ndarray::ArrayD};
 use pyo3::{exceptions::PyValueError, prelude::*};
@@ -94,7 +94,7 @@ impl ArmChain {
         let joint = |j: &[f64]| Joint::new(j[0], j[1], j[2], j[3], (j[4], j[5]));
         let chain = Chain {
             joints: joints.chunks_exact(6).map(joint).collect(),
-            flange: pose(&rows(&flange, 4)?),
+            flange: pose(&square(&flange, 4)?),
         };
         let links = rows(&links, 8)?;
         let vector = |l: &[f64]| DVec3::new(l[0], l[1], l[2]);
@@ -104,6 +104,9 @@ impl ArmChain {
             radius: l[7],
         };
         let capsules: Vec<_> = links.chunks_exact(8).map(link).collect();
+        if chain.joints.is_empty() {
+            return Err(PyValueError::new_err("An arm has one joint or more."));
+        }
         let most = chain.joints.len() + 1;
         if capsules.iter().any(|c| c.frame > most)
             || pairs.iter().any(|&(i, j)| i.max(j) >= capsules.len())

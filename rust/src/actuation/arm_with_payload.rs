@@ -3,7 +3,7 @@
 use super::arm_chain::{ArmChain, array, pose};
 use super::kinematic_chain::Pose;
 use super::link_capsules::Obstacles;
-use crate::poses::rows;
+use crate::poses::{rows, square};
 use glam::DVec3;
 use numpy::{PyArrayDyn, PyReadonlyArray2};
 use pyo3::prelude::*;
@@ -71,7 +71,7 @@ impl ArmWithPayload {
         size: (f64, f64),
         table: Option<f64>,
     ) -> PyResult<Self> {
-        let (base, mount) = (pose(&rows(&base, 4)?), pose(&rows(&mount, 4)?));
+        let (base, mount) = (pose(&square(&base, 4)?), pose(&square(&mount, 4)?));
         let up = base.inverse();
         let plane = table
             .map(|height| (up.rotation * (height * DVec3::Z) + up.position, up.rotation.z_axis));
@@ -98,6 +98,6 @@ impl ArmWithPayload {
 
     /// Height [m] of the lowest point of the magnet at a pose [4 4].
     fn lowest(&self, magnet: PyReadonlyArray2<'_, f64>) -> PyResult<f64> {
-        Ok(self.height(&pose(&rows(&magnet, 4)?)))
+        Ok(self.height(&pose(&square(&magnet, 4)?)))
     }
 }

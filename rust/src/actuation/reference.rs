@@ -1,7 +1,7 @@
 //! The reference that a capsule follows: `vrcaps.actuation.magnet_controller`.
 
 use super::rotation::{rotate, towards};
-use crate::poses::{pose_rows, read_pose, rows};
+use crate::poses::{pose_rows, read_pose, three_rows};
 use glam::{DMat3, DVec3};
 use numpy::{PyArray1, PyArray2, PyReadonlyArray2, ndarray::arr2};
 use pyo3::prelude::*;
@@ -130,7 +130,7 @@ pub fn advance_reference<'py>(
     gains: ReferenceLimits,
     dt: f64,
 ) -> PyResult<Advanced<'py>> {
-    let now = DMat3::from_cols_slice(&rows(&reference, 3)?);
+    let now = three_rows(&reference)?;
     let now = Reference { position: now.x_axis, direction: now.y_axis, wall_normal: now.z_axis };
     let ((rotation, at), contact) = (read_pose(&capsule)?, DVec3::from(contact));
     let axis = rotation.z_axis;

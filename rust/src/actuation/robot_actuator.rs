@@ -5,7 +5,7 @@ use super::arm_chain::{array, pose};
 use super::arm_with_payload::ArmWithPayload;
 use super::kinematic_chain::Pose;
 use super::rotation::{rotate, rotation_vector};
-use crate::poses::rows;
+use crate::poses::{rows, square};
 use glam::DVec3;
 use numpy::{PyArrayDyn, PyReadonlyArray2};
 use pyo3::{exceptions::PyValueError, prelude::*};
@@ -227,7 +227,7 @@ impl RobotActuator {
         py: Python<'py>,
         goal: PyReadonlyArray2<'py, f64>,
     ) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
-        let goal = pose(&rows(&goal, 4)?);
+        let goal = pose(&square(&goal, 4)?);
         array(py, &[4, 4], self.align(&goal, &goal).rows().to_vec())
     }
 
@@ -244,8 +244,8 @@ impl RobotActuator {
         if angles.len() != self.limits.len() || velocity.len() != self.limits.len() {
             return Err(PyValueError::new_err("One angle and one speed a joint are needed."));
         }
-        let state = State { magnet: pose(&rows(&magnet, 4)?), velocity, angles };
-        let (next, limit) = self.go(&state, &pose(&rows(&goal, 4)?), dt);
+        let state = State { magnet: pose(&square(&magnet, 4)?), velocity, angles };
+        let (next, limit) = self.go(&state, &pose(&square(&goal, 4)?), dt);
         let n = next.angles.len();
         Ok((
             array(py, &[4, 4], next.magnet.rows().to_vec())?,

@@ -1,6 +1,6 @@
 //! Rotation vectors of one body at a time.
 
-use crate::poses::rows;
+use crate::poses::three_rows;
 use glam::{DMat3, DVec3};
 use numpy::{PyArray1, PyArray2, PyReadonlyArray2, ndarray::arr2};
 use pyo3::prelude::*;
@@ -50,8 +50,7 @@ pub fn towards(start: DVec3, end: DVec3, most: f64, about: DVec3) -> DVec3 {
 }
 
 fn rotation(rows_of: &PyReadonlyArray2<'_, f64>) -> PyResult<DMat3> {
-    let flat = rows(rows_of, 3)?;
-    Ok(DMat3::from_cols_slice(&flat).transpose())
+    three_rows(rows_of).map(|rows| rows.transpose())
 }
 
 /// See `rotate`: a rotation vector [rad] and a rotation [3 3].

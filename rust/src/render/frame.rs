@@ -45,19 +45,16 @@ pub fn render(
     paths: Option<(u32, u32, u64)>,
     radiosity: Option<&Radiosity>,
 ) -> PyResult<()> {
-    if scene.data.faces.len() != wall.faces.len()
-        || scene.data.arc_length.len() != wall.vertices.len()
-    {
-        return Err(PyValueError::new_err(
-            "Scene and wall have different numbers of faces or vertices.",
-        ));
-    }
+    scene.data.check_size(wall)?;
     if !wall.has_normals {
         return Err(PyValueError::new_err(
             "The wall has moved under a world: refit it to draw it.",
         ));
     }
-    let rest = radiosity.map(|light| light.rest(py));
+    let rest = radiosity.map(|light| light.rest(py)).transpose()?;
+    if let Some(rest) = &rest {
+        scene.data.check_size(rest)?;
+    }
     let mut view = View::new(wall, pose, leds, exposure, shadows)?;
     view.paths = paths.map(|(spp, max_bounces, seed)| Settings { spp, max_bounces, seed });
     let shape = (rays.height, rays.width);

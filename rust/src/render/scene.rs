@@ -4,6 +4,7 @@ use crate::render::material::Material;
 use crate::render::path::subsurface::Tissue;
 use crate::render::texture::Texture;
 use crate::simd::f32x64::Vec3;
+use crate::wall::Wall;
 use numpy::{PyReadonlyArray1, PyReadonlyArray3};
 use pyo3::{exceptions::PyValueError, prelude::*};
 use std::ops::Deref;
@@ -35,6 +36,17 @@ pub struct SceneData {
     pub material: Material,
     /// Tissue behind the wall, if paths go through it.
     pub tissue: Option<Tissue>,
+}
+
+impl SceneData {
+    /// Refuses a wall that this was not made for.
+    pub fn check_size(&self, wall: &Wall) -> PyResult<()> {
+        if self.faces.len() == wall.faces.len() && self.arc_length.len() == wall.vertices.len() {
+            return Ok(());
+        }
+        let what = "Scene and wall have different numbers of faces or vertices.";
+        Err(PyValueError::new_err(what))
+    }
 }
 
 /// Tissue as Python gives it.

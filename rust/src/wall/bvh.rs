@@ -15,6 +15,10 @@ use std::time::Duration;
 pub const WIDTH: usize = 8;
 /// Marks a child that is a leaf; the other bits are `first triangle · 4 + count`.
 const LEAF: u32 = 1 << 31;
+/// Most levels of a tree: a traversal keeps the other seven children of each on its stack.
+pub const DEEPEST: usize = 32;
+/// Room for that.
+pub const STACK: usize = (WIDTH - 1) * DEEPEST + WIDTH;
 /// Most primitives of a leaf.
 pub const MAX_PER_LEAF: usize = 3;
 /// Larger than any coordinate [m]: bounds of an empty child exclude everything.
@@ -110,6 +114,19 @@ impl Bvh {
         bvh.corners = bvh.triangles.iter().map(|t| faces[t.face as usize]).collect();
         bvh.refit(vertices);
         bvh
+    }
+
+    /// Levels of the tree.
+    pub fn depth(&self) -> usize {
+        let mut levels = vec![1; self.nodes.len()];
+        for (n, node) in self.nodes.iter().enumerate() {
+            for &code in &node.children {
+                if let Child::Node(child) = Child::of(code) {
+                    levels[child] = levels[n] + 1;
+                }
+            }
+        }
+        levels.into_iter().max().unwrap_or(0)
     }
 
     /// Moves triangles and boxes to new vertex positions; the tree stays.

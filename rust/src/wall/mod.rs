@@ -8,7 +8,7 @@ pub mod ray;
 pub mod visibility;
 
 use crate::simd::f32x64::{Vec3, add, cross, normalize, sub};
-use crate::wall::bvh::{Bvh, vertex};
+use crate::wall::bvh::{Bvh, DEEPEST, vertex};
 use glam::Vec3A;
 use numpy::{IntoPyArray, PyArray1, PyArray2, PyReadonlyArray2, ndarray::Array2};
 use pyo3::{exceptions::PyValueError, prelude::*};
@@ -258,6 +258,13 @@ impl Wall {
         wall.set_vertices(num_vertices, &|v| about(center, &rows[v]), &[])
             .map_err(PyValueError::new_err)?;
         wall.bvh = Bvh::build(&wall.vertices, &wall.faces);
+        if wall.bvh.depth() > DEEPEST {
+            return Err(PyValueError::new_err(format!(
+                "Triangles of a wall lie within each other's bounds {} levels deep. Allowed: \
+                 {DEEPEST}. Leave out those that are far smaller than the rest.",
+                wall.bvh.depth()
+            )));
+        }
         wall.refit_all();
         Ok(wall)
     }
@@ -314,15 +321,15 @@ impl Wall {
         &self,
         py: Python<'py>,
         points: PyReadonlyArray2<'_, f64>,
-    ) -> (Bound<'py, PyArray2<f64>>, Bound<'py, PyArray1<i64>>) {
-        let points = self.local_points(&points);
+    ) -> PyResult<(Bound<'py, PyArray2<f64>>, Bound<'py, PyArray1<i64>>)> {
+        let points = self.local_points(&points)?;
         let nearest = py.detach(|| map(&points, |p| query::nearest(&self.bvh, p)));
         let mut places = Array2::zeros((nearest.len(), 3));
         for (mut row, found) in places.outer_iter_mut().zip(&nearest) {
             row.iter_mut().zip(self.globalize(found.point)).for_each(|(x, value)| *x = value);
         }
         let faces: Vec<i64> = nearest.iter().map(|found| i64::from(found.face)).collect();
-        (places.into_pyarray(py), faces.into_pyarray(py))
+        Ok((places.into_pyarray(py), faces.into_pyarray(py)))
     }
 
     /// Distance of each point [n 3] to the wall [m], positive inside the lumen.
@@ -330,14 +337,14 @@ impl Wall {
         &self,
         py: Python<'py>,
         points: PyReadonlyArray2<'_, f64>,
-    ) -> Bound<'py, PyArray1<f32>> {
-        let points = self.local_points(&points);
+    ) -> PyResult<Bound<'py, PyArray1<f32>>> {
+        let points = self.local_points(&points)?;
         let signed = |p: Vec3| {
             let distance = query::nearest(&self.bvh, p).distance;
             if query::is_inside(&self.bvh, p) { distance } else { -distance }
         };
         let distance = py.detach(|| map(&points, signed));
-        distance.into_pyarray(py)
+        Ok(distance.into_pyarray(py))
     }
 
     /// Whether the straight way from `origin` to each point [n 3] of the wall is free.
@@ -346,10 +353,10 @@ impl Wall {
         py: Python<'py>,
         origin: [f64; 3],
         points: PyReadonlyArray2<'_, f64>,
-    ) -> Bound<'py, PyArray1<bool>> {
-        let points = self.local_points(&points);
+    ) -> PyResult<Bound<'py, PyArray1<bool>>> {
+        let points = self.local_points(&points)?;
         let origin = self.localize(origin);
-        py.detach(|| visibility::visible(self, origin, &points)).into_pyarray(py)
+        Ok(py.detach(|| visibility::visible(self, origin, &points)).into_pyarray(py))
     }
 
     /// Unit vertex normals [n 3], the area-weighted mean over the faces around each vertex.
@@ -365,8 +372,12 @@ impl Wall {
 }
 
 impl Wall {
-    fn local_points(&self, points: &PyReadonlyArray2<'_, f64>) -> Vec<Vec3> {
-        points.as_array().outer_iter().map(|r| self.localize([r[0], r[1], r[2]])).collect()
+    fn local_points(&self, points: &PyReadonlyArray2<'_, f64>) -> PyResult<Vec<Vec3>> {
+        let rows = points.as_array();
+        if rows.ncols() != 3 {
+            return Err(PyValueError::new_err("Points must be of shape (n, 3)."));
+        }
+        Ok(rows.outer_iter().map(|r| self.localize([r[0], r[1], r[2]])).collect())
     }
 }
 

@@ -6,13 +6,11 @@
 //! coordinates, which are watertight: rounding cannot open a gap between neighbors.
 
 use crate::simd::f32x64::*;
-use crate::wall::bvh::{Bvh, Child, Node, Triangle, WIDTH};
+use crate::wall::bvh::{Bvh, Child, Node, STACK, Triangle, WIDTH};
 use std::ops::Range;
 
 /// Farthest distance that rays are traced [m].
 pub const MAX_DISTANCE: f32 = 1e4;
-/// Deepest pile of nodes waiting to be visited: 7 per level of a tree of depth 32.
-const STACK: usize = 7 * 32 + 8;
 
 /// Unit directions of a tile's rays and the pyramid around them.
 #[derive(Clone)]

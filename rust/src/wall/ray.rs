@@ -1,12 +1,10 @@
 //! One ray through the hierarchy, for rays that have no neighbors.
 
 use crate::simd::f32x64::*;
-use crate::wall::bvh::{Bvh, Child, Node, Triangle, WIDTH};
+use crate::wall::bvh::{Bvh, Child, Node, STACK, Triangle, WIDTH};
 use crate::wall::packet::MISS;
 use glam::Vec4;
 
-/// Deepest pile of nodes waiting to be visited: 7 per level of a tree of depth 32.
-const STACK: usize = 7 * 32 + 8;
 /// Widens a box by the rounding of its distances.
 const WIDER: f32 = 1.0 + 4.0 * f32::EPSILON;
 

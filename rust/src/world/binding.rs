@@ -18,7 +18,8 @@ use crate::tissue::spring_wall::{SpringWall, VertexMotion};
 use crate::wall::Wall;
 use glam::{DMat3, DQuat, DVec3};
 use numpy::{IntoPyArray, PyArray2, PyReadonlyArray1, PyReadonlyArray2, ndarray, ndarray::Array2};
-use pyo3::{exceptions::PyValueError, prelude::*};
+use pyo3::exceptions::{PyRuntimeError, PyValueError};
+use pyo3::prelude::*;
 use rayon::prelude::*;
 
 /// Position [m], quaternion wxyz, velocity [m/s] and angular velocity [rad/s] of the capsule.
@@ -57,11 +58,11 @@ impl World {
         pose: Pose,
     ) -> PyResult<Self> {
         let (soft, center) = {
-            let wall = wall.borrow(py);
+            let wall = wall.try_borrow(py).map_err(busy)?;
             (SoftWall::new(&wall, spring_wall.is_some()), DVec3::from(wall.center))
         };
         let spring_wall = spring_wall.map(SpringWall::from);
-        let body: Body = body.into();
+        let body = Body::try_from(body)?;
         let laws = laws(foundation, drag, body.radius);
         let stepper = Stepper {
             body,
@@ -103,20 +104,24 @@ impl World {
             self.stepper.aim(lumen_scale.as_slice()?, dt * count as f64)?;
         }
         let wall = self.wall.clone_ref(py);
-        let mut wall = wall.borrow_mut(py);
+        let mut wall = wall.try_borrow_mut(py).map_err(busy)?;
         let wall: &mut Wall = &mut wall;
         let layer = self.layer.as_ref().map(|layer| layer.clone_ref(py));
-        let mut layer = layer.as_ref().map(|layer| layer.borrow_mut(py));
+        let mut layer =
+            layer.as_ref().map(|layer| layer.try_borrow_mut(py)).transpose().map_err(busy)?;
         let layer: Option<&mut FemLayer> = layer.as_deref_mut();
         py.detach(|| self.stepper.run(wall, layer, &load, dt, (count, outer)))
             .map_err(PyValueError::new_err)
     }
 
     /// Puts a layer of finite elements under the wall, solved to `tolerance` [m].
-    fn set_layer(&mut self, py: Python<'_>, layer: Py<FemLayer>, tolerance: f64) {
-        let coupling = FemCoupling::new(&layer.borrow(py), tolerance);
+    fn set_layer(&mut self, py: Python<'_>, layer: Py<FemLayer>, tolerance: f64) -> PyResult<()> {
+        let now = layer.try_borrow(py).map_err(busy)?;
+        let coupling = FemCoupling::new(&now, tolerance);
+        drop(now);
         self.stepper.coupling = Some(coupling);
         self.layer = Some(layer);
+        Ok(())
     }
 
     /// Lets sources act on magnets [k 6] (place, moment) in the capsule; `aim_sources` comes next.
@@ -173,6 +178,12 @@ impl World {
         rows: Option<(PyReadonlyArray2<'_, f64>, PyReadonlyArray2<'_, f64>)>,
     ) -> PyResult<()> {
         if let (Some(coupling), Some((nodes, touched))) = (self.stepper.coupling.as_mut(), rows) {
+            let count = coupling.state.force.len();
+            if nodes.as_array().dim() != (count, 9) || touched.as_array().ncols() != 5 {
+                return Err(PyValueError::new_err(format!(
+                    "A state of the coupling has {count} rows of 9 numbers, and rows of 5."
+                )));
+            }
             coupling.state = CouplingState::from_rows(nodes.as_slice()?, touched.as_slice()?);
         }
         Ok(())
@@ -224,7 +235,7 @@ impl World {
             return Ok(());
         }
         let wall = self.wall.clone_ref(py);
-        let mut wall = wall.borrow_mut(py);
+        let mut wall = wall.try_borrow_mut(py).map_err(busy)?;
         let wall: &mut Wall = &mut wall;
         py.detach(|| self.stepper.soft.settle(wall)).map_err(PyValueError::new_err)
     }
@@ -374,7 +385,7 @@ impl World {
     /// Largest depth [m] to which the capsule presses in where it is now.
     fn penetration_depth(&mut self, py: Python<'_>) -> PyResult<f64> {
         let wall = self.wall.clone_ref(py);
-        let mut wall = wall.borrow_mut(py);
+        let mut wall = wall.try_borrow_mut(py).map_err(busy)?;
         let reach = self.stepper.spring_wall.map_or(0.0, |q| q.reach);
         let found =
             self.stepper.soft.search(&mut wall, &self.stepper.body, &self.stepper.motion, reach);
@@ -404,9 +415,17 @@ impl World {
     }
 
     /// Whether the capsule's axis is in the lumen, by the hierarchy as last settled.
-    fn inside(&self, py: Python<'_>) -> bool {
-        self.stepper.is_inside(&self.wall.borrow(py))
+    fn inside(&self, py: Python<'_>) -> PyResult<bool> {
+        let wall = self.wall.try_borrow(py).map_err(busy)?;
+        Ok(self.stepper.is_inside(&wall))
     }
+}
+
+/// A wall that another thread steps or moves at this moment.
+fn busy<E>(_: E) -> PyErr {
+    PyRuntimeError::new_err(
+        "The wall is in use by another thread. Each world needs a wall and a layer of its own.",
+    )
 }
 
 fn table(py: Python<'_>, flat: Vec<f64>, columns: usize) -> Bound<'_, PyArray2<f64>> {

@@ -2,12 +2,13 @@
 
 use super::body::Body;
 use super::substep::Laws;
+use crate::poses::three_rows;
 use crate::tissue::drag::{Drag, LogLaw};
 use crate::tissue::spring_wall::SpringWall;
 use crate::tissue::winkler_foundation::WinklerFoundation;
 use glam::{DMat3, DQuat, DVec3};
 use numpy::{PyReadonlyArray1, PyReadonlyArray2};
-use pyo3::prelude::*;
+use pyo3::{exceptions::PyValueError, prelude::*};
 
 /// The body of a capsule: `vrcaps.capsule.body.Body`.
 #[derive(FromPyObject)]
@@ -91,19 +92,23 @@ impl From<SpringWallParameters> for SpringWall {
     }
 }
 
-impl From<BodyParameters<'_>> for Body {
-    fn from(p: BodyParameters) -> Self {
-        let (inertia, center) = (p.inertia.as_array(), p.center.as_array());
-        let column = |k: usize| DVec3::new(inertia[[0, k]], inertia[[1, k]], inertia[[2, k]]);
-        let (moments, axes) = principal_axes(DMat3::from_cols(column(0), column(1), column(2)));
-        Body {
+impl TryFrom<BodyParameters<'_>> for Body {
+    type Error = PyErr;
+
+    fn try_from(p: BodyParameters) -> PyResult<Self> {
+        let (inertia, center) = (three_rows(&p.inertia)?.transpose(), p.center.as_array());
+        if center.len() != 3 {
+            return Err(PyValueError::new_err("The center of a body has three numbers."));
+        }
+        let (moments, axes) = principal_axes(inertia);
+        Ok(Body {
             mass: p.mass,
             moments,
             principal: DQuat::from_mat3(&axes),
             center: DVec3::new(center[0], center[1], center[2]),
             half_axis: p.half_axis,
             radius: p.radius,
-        }
+        })
     }
 }
 

@@ -57,11 +57,12 @@ pub struct Radiosity {
 impl Radiosity {
     /// Takes a wall at rest, which must not be moved afterwards, and what is drawn on it.
     #[new]
-    fn new(py: Python<'_>, rest: Py<Wall>, scene: &Scene) -> Self {
-        let wall = rest.borrow(py);
+    fn new(py: Python<'_>, rest: Py<Wall>, scene: &Scene) -> PyResult<Self> {
+        let wall = rest.try_borrow(py)?;
+        scene.data.check_size(&wall)?;
         let (wall, scene): (&Wall, &SceneData) = (&wall, &scene.data);
         let own = rest.clone_ref(py);
-        py.detach(move || {
+        Ok(py.detach(move || {
             let gather_points = GatherPoints::choose(wall);
             let look = PatchAlbedo::mean(wall, scene, &gather_points);
             let mut reflectance = Reflectance::integrate(&scene.material, look.roughness);
@@ -83,14 +84,14 @@ impl Radiosity {
                 cache,
                 tissue,
             }
-        })
+        }))
     }
 }
 
 impl Radiosity {
     /// The wall at rest.
-    pub fn rest<'py>(&'py self, py: Python<'py>) -> PyRef<'py, Wall> {
-        self.rest.borrow(py)
+    pub fn rest<'py>(&'py self, py: Python<'py>) -> PyResult<PyRef<'py, Wall>> {
+        Ok(self.rest.try_borrow(py)?)
     }
 
     fn row(&self, rest: &Wall, gather_point: usize) -> &FormFactorRow {

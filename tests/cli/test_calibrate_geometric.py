@@ -92,16 +92,3 @@ def test_mistakes_end_in_one_line(photos, tmp_path, capsys) -> None:
     assert "is seen in 1 of 1 photographs. Allowed: 3 or more" in error(photos / "0.png")
     assert "terms of pinhole is 9. Allowed: 0 to 3" in error(terms="9")
     assert not out.exists()
-
-
-@pytest.mark.slow
-def test_half_the_photographs_without_the_board_are_warned_of(photos, tmp_path, capsys) -> None:
-    chosen = [photos / f"{k}.png" for k in range(3)]
-    for k in range(3):
-        chosen.append(tmp_path / f"none{k}.png")
-        Image.fromarray(np.full((160, 160), 90, np.uint8)).save(chosen[-1])
-    words = arguments(photos, tmp_path / "mine.toml", terms="1")
-    cli.main([*words[:2], *map(str, chosen), *words[3:]])
-    text = " ".join(capsys.readouterr().out.split())
-    assert "Warning: half of the photographs or more are left out." in text
-    assert "--board is wrong: count the squares" in text

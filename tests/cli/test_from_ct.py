@@ -74,6 +74,9 @@ def test_gas_becomes_a_file_that_records(files, tmp_path, capsys) -> None:
     organ = read_organ(out, unit="m")
     assert organ.centerline.length == pytest.approx(0.08, rel=0.12)
     assert organ.label_names == ("background", "wall")
+    record = ["record", "--organ", str(out), "--frames", "2", "--light", "direct"]
+    cli.main([*record, "--out", str(tmp_path / "run")])
+    cli.main(["check", str(tmp_path / "run")])
 
 
 def test_all_pieces_are_numbered(files, tmp_path, capsys) -> None:

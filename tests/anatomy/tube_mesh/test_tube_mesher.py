@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from vrcaps.anatomy.tube_mesh import tube_mesher as rows_module
+from vrcaps.anatomy.tube_mesh.edge_flips import _distinct_flips
 from vrcaps.anatomy.tube_mesh.swept_surface import Crests, SweptSurface, make_meridian
 from vrcaps.anatomy.tube_mesh.tube import Course, make_tube
 from vrcaps.anatomy.tube_mesh.tube_mesher import count_triangles, mesh_swept_surface
@@ -83,3 +84,9 @@ def test_rows_in_order_stay_and_others_come_into_order():
     assert np.abs(rows - base[:, None]).max() <= np.abs(shift).max()
     gentle = 0.08 * np.sin(2.0 * np.pi * (base[:, None] + np.arange(7) / 7))
     assert np.allclose(rows_module._in_order(base, gentle), base[:, None] + gentle, atol=1e-12)
+
+
+def test_no_two_flips_of_a_round_make_the_same_edge():
+    """Two edges between the same two apexes, as exactly symmetric walls have: one is flipped."""
+    apex = np.array([[4, 9], [2, 3], [9, 4], [9, 5]])
+    assert _distinct_flips(np.array([3, 2, 1, 0]), apex).tolist() == [3, 2, 1]

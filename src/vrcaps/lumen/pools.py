@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
@@ -40,7 +40,7 @@ class Pools:
     of_vertex: UInt16[np.ndarray, " n"]
     stretch: Float[np.ndarray, "p 2"]
     volume: Float[np.ndarray, " p"]
-    section_volume: Float[np.ndarray, " k"]
+    section_volume: Float[np.ndarray, " k"] = field(default_factory=lambda: np.zeros(0))
 
 
 @dataclass(frozen=True)

@@ -28,10 +28,10 @@ class WinklerFoundation:
     Deeper than half the capsule's radius a guard stiffens the wall e-fold over each further
     thirtieth of the radius, so that no capsule goes through.
 
-    The defaults are fitted: a capsule 11 mm thick in a tube 8.4 mm wide is gripped with 2.2 N per
-    cm (measured on a live pig: 1.9 ± 1.0 N per cm; Terry, Schoen, Rentschler, J. Robotic Surg.
-    7:53-57, 2013), and with the friction of `Drag` it is dragged at 1 to 60 mm/s as in the
-    measurements that `Drag` quotes, within 4 %.
+    The defaults are fitted on a rigid base: a capsule 11 mm thick and 26 mm long in a tube 8.4 mm
+    wide is gripped with 2.2 N per cm (measured on a live pig: 1.9 ± 1.0 N per cm; Terry, Schoen,
+    Rentschler, J. Robotic Surg. 7:53-57, 2013), and with the friction of `Drag` it is dragged at 1
+    to 60 mm/s as in the measurements that `Drag` quotes, within 4 %.
 
     Attributes:
         thickness: Thickness h of the wall [m].

@@ -102,7 +102,9 @@ def _trace(
         grid = voxelize(vertices, faces, size)
         grid, num_cut = without_short_cuts(grid) if handles else (grid, 0)
         is_last = level == len(voxels) - 1
-        path = find_path(grid, start, end, cross_gaps=is_last)
+        path = find_path(grid, start, end)
+        if path is None and is_last:  # a walk through all voxels, those of the tissue too
+            path = find_path(grid, start, end, cross_gaps=True)
         if path is None and (pieces := num_pieces(closed[1])) > 1:
             raise InputError(f"The wall is in {pieces} pieces. Give that of one lumen, repaired.")
         if path is None:

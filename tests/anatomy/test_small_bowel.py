@@ -58,6 +58,18 @@ def test_triangles_are_small_and_well_shaped(bowel: OrganSurface):
     assert edges.mean() < 1.8 * MM
 
 
+def even_stretch(bowel: OrganSurface, name: str) -> np.ndarray:
+    """Distance of the wall from the centerline where a segment has one diameter.
+
+    The ileum narrows over its first half, in some patients by a fifth, and is another at its end.
+    """
+    chosen = bowel.label == bowel.label_names.index(name)
+    if name == "ileum":
+        first, last = bowel.arc_length[chosen].min(), bowel.arc_length[chosen].max()
+        chosen &= (bowel.arc_length > 0.5 * (first + last)) & (bowel.arc_length < last - 25 * CM)
+    return bowel.radius[chosen]
+
+
 def test_it_is_as_long_and_as_wide_as_asked(bowel: OrganSurface, around: NeighboringOrgans):
     parameters = draw_patient_anatomy(SEED).small_bowel
     assert bowel.centerline.length == pytest.approx(parameters.length, rel=0.02)
@@ -67,9 +79,10 @@ def test_it_is_as_long_and_as_wide_as_asked(bowel: OrganSurface, around: Neighbo
         ("jejunum", parameters.jejunum_diameter),
         ("ileum", parameters.distal_ileum_diameter),
     ):
-        radius = bowel.radius[bowel.label == bowel.label_names.index(name)]
         # The wall between folds and contractions is the wider part of all wall.
-        assert 2.0 * np.percentile(radius, 80) == pytest.approx(diameter, rel=0.15)
+        assert 2.0 * np.percentile(even_stretch(bowel, name), 80) == pytest.approx(
+            diameter, rel=0.08
+        )
 
 
 def test_segments_follow_each_other(bowel: OrganSurface):
@@ -90,7 +103,7 @@ def test_the_duodenum_is_a_c_open_to_the_left(bowel: OrganSurface):
 
 def test_folds_thin_out_distally(bowel: OrganSurface):
     def relief(name: str) -> float:
-        radius = bowel.radius[bowel.label == bowel.label_names.index(name)]
+        radius = even_stretch(bowel, name)
         return float(np.percentile(radius, 90) - np.percentile(radius, 10))
 
     assert relief("jejunum") > 1.25 * relief("ileum")

@@ -54,7 +54,8 @@ class Figure:
     def command(self) -> list[str]:
         """What is run."""
         if self.name.startswith("vrcaps "):
-            return [sys.executable, "-m", *self.name.split(), *self.options]
+            run = "from vrcaps.cli import main; main()"
+            return [sys.executable, "-c", run, *self.name.split()[1:], *self.options]
         return [sys.executable, str(ROOT / self.name), *self.options]
 
     @property

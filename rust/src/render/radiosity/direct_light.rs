@@ -19,7 +19,7 @@ const LEAST_SIDE: usize = 8;
 
 /// Share of the gloss of the first reflection that counts. LEDs are beside the camera, and gloss
 /// throws their light on, away from both; measured against path tracing in three organs.
-const GLOSS: f32 = 0.7;
+const GLOSS: f32 = 0.5;
 
 /// Where a ray ends: a gather point, and how much is reflected there of its light of each color
 /// [W/m²].

@@ -11,7 +11,7 @@ use std::hash::BuildHasherDefault;
 
 /// Distance between gather points, as a share of the harmonic mean distance of what is seen from
 /// there (Ward et al. 1988); in a tube that mean is about its radius.
-const SPACING: f32 = 0.2;
+const SPACING: f32 = 0.3;
 /// Least and most of a gather point's spacing, as shares of the median spacing.
 const SPACINGS: [f32; 2] = [0.2, 1.5];
 /// Rays from which the distance is found are a square of so many by so many.

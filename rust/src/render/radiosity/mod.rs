@@ -1,6 +1,6 @@
 //! Radiosity: indirect light between gather points of the wall, in real time (Goral et al. 1984).
 //!
-//! Gather points lie about a tenth of the lumen's width apart. Their form factors are traced
+//! Gather points lie about a seventh of the lumen's width apart. Their form factors are traced
 //! once, at rest. In each frame the LEDs light the gather points near the camera, the radiosity is
 //! solved, and each vertex interpolates the gather points around it. A pixel has its irradiance
 //! from the corners of its face. Gloss reflects indirect light as if it were diffuse.

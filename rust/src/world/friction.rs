@@ -8,9 +8,9 @@
 //! what sticks or slides steadily is solved in one round, however light the capsule.
 
 use super::body::{Body, Motion};
+use super::laws::Laws;
 use super::sliding::{CREEP, Grip};
-use super::solve::{Symmetric6, Twist, dot};
-use super::substep::{Laws, System};
+use super::solve::{Symmetric6, System, Twist, dot};
 use glam::{DMat3, DVec3};
 
 /// Most rounds of Newton's method; two or three are usual.

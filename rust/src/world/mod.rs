@@ -13,6 +13,7 @@ mod contact_patch;
 mod coupling_state;
 mod fem_coupling;
 mod friction;
+mod laws;
 mod magnetic_coupling;
 mod parameters;
 mod sliding;

@@ -1,7 +1,7 @@
 //! What a world is made of, as Python gives it.
 
 use super::body::Body;
-use super::substep::Laws;
+use super::laws::Laws;
 use crate::poses::three_rows;
 use crate::tissue::drag::{Drag, LogLaw};
 use crate::tissue::spring_wall::SpringWall;

@@ -40,6 +40,14 @@ pub fn dot(a: &[f64; 6], b: &[f64; 6]) -> f64 {
     a.iter().zip(b).map(|(x, y)| x * y).sum()
 }
 
+/// Linear system of one substep: `matrix · change = impulse`.
+pub struct System {
+    /// Inertia, and the wall's slopes.
+    pub matrix: Symmetric6,
+    /// Of all but friction and drag.
+    pub impulse: [f64; 6],
+}
+
 impl Symmetric6 {
     /// The product `A x`.
     pub fn times(&self, x: &[f64; 6]) -> [f64; 6] {

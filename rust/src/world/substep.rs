@@ -5,12 +5,11 @@ use super::body::{Body, Motion};
 use super::contact::{Facet, Indenter};
 use super::contact_patch::{FacetLoad, Patch, Samples};
 use super::friction::Resistance;
+use super::laws::Laws;
 use super::sliding::Grip;
-use super::solve::{Symmetric6, Twist};
+use super::solve::{System, Twist};
 use crate::simd::f64x8::{LANES, Lane, sum};
-use crate::tissue::drag::Drag;
 use crate::tissue::spring_wall::ContactForce;
-use crate::tissue::winkler_foundation::WinklerFoundation;
 use glam::DVec3;
 
 /// Parts of the capsule's length that push the wall as one, each by eighths of its girth.
@@ -35,32 +34,6 @@ pub struct Reaction {
     pub normal_force_total: f64,
     /// Energy lost to friction and drag [J].
     pub friction_work: f64,
-}
-
-/// Laws that hold between capsule and wall.
-#[derive(Clone, Copy)]
-pub struct Laws {
-    /// Stiffness of the wall.
-    pub foundation: WinklerFoundation,
-    /// Law of resistance.
-    pub drag: Drag,
-    /// Viscous coefficient γ of the mucus [N·s/m].
-    pub viscosity: f64,
-}
-
-impl Laws {
-    /// Whether the wall resists sliding.
-    fn resist(&self) -> bool {
-        self.drag.friction() != 0.0 || self.viscosity != 0.0 || self.drag.is_logarithmic()
-    }
-}
-
-/// Linear system of one substep: `matrix · change = impulse`.
-pub struct System {
-    /// Inertia, and the wall's slopes.
-    pub matrix: Symmetric6,
-    /// Of all but friction and drag.
-    pub impulse: [f64; 6],
 }
 
 /// Fills `patch` with what the wall is pressed by.

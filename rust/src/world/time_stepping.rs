@@ -2,9 +2,10 @@
 
 use super::body::{Body, Motion};
 use super::fem_coupling::FemCoupling;
+use super::laws::Laws;
 use super::magnetic_coupling::MagneticCoupling;
 use super::soft_wall::{MARGIN, Outcome, SoftWall};
-use super::substep::{Laws, Load, Reaction, contact_forces, press, substep};
+use super::substep::{Load, Reaction, contact_forces, press, substep};
 use super::wall_load::Stride;
 use crate::tissue::fem::layer::FemLayer;
 use crate::tissue::spring_wall::SpringWall;

@@ -1,0 +1,22 @@
+//! Laws between the capsule and the wall: stiffness and resistance.
+
+use crate::tissue::drag::Drag;
+use crate::tissue::winkler_foundation::WinklerFoundation;
+
+/// Laws that hold between capsule and wall.
+#[derive(Clone, Copy)]
+pub struct Laws {
+    /// Stiffness of the wall.
+    pub foundation: WinklerFoundation,
+    /// Law of resistance.
+    pub drag: Drag,
+    /// Viscous coefficient γ of the mucus [N·s/m].
+    pub viscosity: f64,
+}
+
+impl Laws {
+    /// Whether the wall resists sliding.
+    pub fn resist(&self) -> bool {
+        self.drag.friction() != 0.0 || self.viscosity != 0.0 || self.drag.is_logarithmic()
+    }
+}

@@ -199,7 +199,7 @@ class Episode:
         """
         path = self.wall_path(index)
         try:
-            vertices = self.stored_wall(index)
+            vertices = read_wall(path)
         except (OSError, ValueError) as error:
             raise InputError(
                 f"Cannot read {path} ({error}). `vrcaps check {self.path}` lists all faults."

@@ -60,6 +60,8 @@ class Around:
     spin: tuple[float, ...] = (0.0, 0.0, 0.0)
 
 
+THIN = {"liquid_density": 1.0, "viscosity": 1e-9}
+"""A liquid that hardly resists."""
 FULL = Around(stretch=np.array([[-1.0, 9.0]]), levels=np.array([LEVEL]))
 DRY = Around(stretch=np.zeros((0, 2)), levels=np.zeros(0))
 
@@ -164,6 +166,33 @@ def test_pushing_keeps_momentum(gut: OrganSurface, rng: np.random.Generator) -> 
     feet = np.clip(swarm.states[:, 0], -5.0 * MM, 2.0 * MM)
     away = swarm.states[:, :3] - np.stack([feet, 0 * feet, 0 * feet], 1)
     assert (np.linalg.norm(away, axis=1) > 5.0 * MM).all()
+
+
+def test_particles_push_one_another_and_keep_momentum(gut: OrganSurface) -> None:
+    """A row of four in weightless liquid: the first runs into the second, which pushes the rest."""
+    radius, still = 0.5 * MM, replace(FULL, gravity=0.0)
+    gap = 2.2 * radius
+    swarm, wall = swarm_of(gut, [(k * gap, 0.0, 0.0) for k in range(4)], radius, WHITE, **THIN)
+    states = swarm.states
+    states[0, 3] = 0.1
+    swarm.states = states
+    mass = np.array(swarm.masses())
+    before = mass @ swarm.states[:, 3:6]
+    for _ in range(80):
+        swarm.step(wall, still, 5e-4)
+    after = swarm.states
+    np.testing.assert_allclose(mass @ after[:, 3:6], before, rtol=1e-3, atol=1e-9 * before[0])
+    assert (np.diff(after[:, 0]) > 1.99 * radius).all()
+    assert after[3, 0] > 3.0 * gap + 0.2 * MM
+
+
+def test_a_clump_at_rest_stays_as_it_was_put(gut: OrganSurface, rng: np.random.Generator) -> None:
+    """Its particles overlap; only what comes nearer than that is pushed."""
+    swarm, wall = swarm_of(gut, 0.4 * MM * rng.normal(size=(20, 3)), 0.5 * MM, WHITE, **THIN)
+    before = swarm.states
+    for _ in range(10):
+        swarm.step(wall, replace(FULL, gravity=0.0), 1e-3)
+    np.testing.assert_array_equal(swarm.states[:, :3], before[:, :3])
 
 
 def test_only_what_is_near_moves(gut: OrganSurface) -> None:

@@ -3,6 +3,7 @@
 mod capsule;
 mod drag;
 mod particle;
+mod particle_contact;
 pub mod particles;
 pub mod pushed_aside;
 pub mod spheres;

@@ -3,6 +3,7 @@
 use super::capsule::Capsule;
 use super::drag::Medium;
 use super::particle::{BOUNCE, Kind, ParticleState};
+use super::particle_contact::push_apart;
 use super::spheres::{BUBBLE, SphereArrays};
 use super::step_inputs::{Around, StepInputs};
 use crate::mucosa::noise::uniform;
@@ -189,6 +190,11 @@ impl Particles {
                 step.advance(number as u32, kind, state, time);
             }
         });
+        let beside = &self.beside;
+        let moved = |k: usize, s: &ParticleState| {
+            (beside[k] || sweep > 0.0) && within(s.position, laws.reach)
+        };
+        push_apart(kinds, states, |kind| mass(laws, kind), moved);
         // In the order of their numbers: each push changes what the next one meets.
         for (number, (state, kind)) in (0..).zip(states.iter_mut().zip(kinds)) {
             let lands = || draw(laws.seed ^ LANDING, number, self.count, laws.landing_rate * dt);

@@ -17,6 +17,9 @@ use rayon::prelude::*;
 /// Vertices whose normals are made unit length side by side.
 const EIGHT: usize = 8;
 
+/// Nearest place and its face for each point, as Python sees them.
+type PlaceAndFace<'py> = (Bound<'py, PyArray2<f64>>, Bound<'py, PyArray1<i64>>);
+
 /// Distance and face of each ray, as Python sees them.
 type DistanceAndFace<'py> = (Bound<'py, PyArray1<f32>>, Bound<'py, PyArray1<i64>>);
 
@@ -321,7 +324,7 @@ impl Wall {
         &self,
         py: Python<'py>,
         points: PyReadonlyArray2<'_, f64>,
-    ) -> PyResult<(Bound<'py, PyArray2<f64>>, Bound<'py, PyArray1<i64>>)> {
+    ) -> PyResult<PlaceAndFace<'py>> {
         let points = self.local_points(&points)?;
         let nearest = py.detach(|| map(&points, |p| query::nearest(&self.bvh, p)));
         let mut places = Array2::zeros((nearest.len(), 3));

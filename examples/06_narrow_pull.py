@@ -2,8 +2,8 @@
 
     python examples/06_narrow_pull.py
 
-A collapsed colon from which the gas is let out grips the capsule all round. An elastic rod along
-the gut moves it on at 1 cm/s, as in a measurement with a force gauge. This drives a `World` step
+A colon from which most of the gas is let out grips the capsule all round. An elastic rod along the
+gut moves it on at 1 cm/s, as in a measurement with a force gauge. This drives a `World` step
 by step, as a controller of your own would. Prints force against distance, and writes it as a
 table (`pull.csv`) and a picture (`pull.png`) with views from the capsule on the way.
 """
@@ -29,12 +29,12 @@ matplotlib.use("Agg")
 SPEED = 10.0 * MM  # of the hand that pulls [m/s]
 STIFFNESS, DAMPING = 50.0, 1.0  # of the rod [N/m], [N·s/m]
 STEP = 2e-3  # between two commands [s]; shorter than mass / damping, 3.3 ms
-DEFLATED, LET_OUT = 0.5, 1.0  # share of the lumen's width that is left; how long that takes [s]
+DEFLATED, LET_OUT = 0.36, 1.0  # share of the lumen's width that is left; how long that takes [s]
 
 
 def main(out: Path, distance: float, start: float, substep: float) -> None:
     """Pull, print, draw."""
-    organ = vrcaps.generate_organ("colon", seed=0, distension="collapsed")
+    organ = vrcaps.generate_organ("colon", seed=0, distension="normal")
     model = vrcaps.Model(organ, vrcaps.read_device("mirocam"))
     line = organ.centerline
     points = transform_points(model.T_world_patient, line.points)

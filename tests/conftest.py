@@ -5,8 +5,10 @@ from pathlib import Path
 
 import pytest
 
-_SUPPORT = str(Path(__file__).parent / "support")
-os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, (_SUPPORT, os.environ.get("PYTHONPATH"))))
+_SUPPORT = Path(__file__).parent / "support", Path(__file__).parents[1] / "benchmarks"
+os.environ["PYTHONPATH"] = os.pathsep.join(
+    filter(None, (*map(str, _SUPPORT), os.environ.get("PYTHONPATH")))
+)
 """Processes that tests start find the support modules, too."""
 
 if "PYTEST_XDIST_WORKER" in os.environ:  # workers run beside each other, so each takes one thread

@@ -23,3 +23,10 @@ def shared_data() -> Path:
     if not path.is_dir():
         pytest.skip(f"optional test data not found at {path}")
     return path
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Tests with real data are slow."""
+    for item in items:
+        if "shared_data" in getattr(item, "fixturenames", ()):
+            item.add_marker(pytest.mark.slow)

@@ -30,12 +30,14 @@ def purposes() -> list[str]:
     return found
 
 
+@pytest.mark.slow
 def test_each_purpose_is_drawn_for_in_one_place() -> None:
     counts = Counter(purposes())
     assert len(counts) > 20
     assert {name: count for name, count in counts.items() if count > 1} == {}
 
 
+@pytest.mark.slow
 def test_no_two_purposes_share_a_stream() -> None:
     """64 random bits each: by chance two are alike once in 10¹⁶ times."""
     first = [int(stream(3, name).integers(2**63)) for name in purposes()]

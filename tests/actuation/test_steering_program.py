@@ -91,6 +91,7 @@ def test_a_joystick_moves_the_magnet(gut_model):
     np.testing.assert_allclose(moved, [0.01, 0.0, 0.0], atol=1e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("pose", ["true", "located"])
 def test_goes_on_from_a_snapshot(gut_model, pose):
     steering = MagnetSteering(waypoints=PATH, pose=pose)

@@ -29,6 +29,7 @@ def test_an_end_in_the_ball_is_moved_out():
     np.testing.assert_array_equal(detour(near, far, np.zeros(3), 2.0), far)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("through", [False, True])
 def test_small_steps_end_where_they_should_and_stay_out_of_the_ball(through):
     """From any place outside to any other, also one right behind it."""

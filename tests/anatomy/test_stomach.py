@@ -61,6 +61,7 @@ def test_every_segment_is_there_in_order(stomach: OrganSurface):
     assert x[stomach.label == 1].mean() - x[stomach.label == 6].mean() > 5 * CM
 
 
+@pytest.mark.slow
 def test_gut_coordinates_give_back_the_vertices(stomach: OrganSurface):
     from vrcaps.organ.centerline import interpolate
 

@@ -30,6 +30,7 @@ def test_stated_place(tube):
     assert record["theta_rad"] == pytest.approx(-2.0, abs=0.06)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("segment", ["upper", "lower"])
 def test_stated_segment(tube, segment):
     lesion = Polyp(size=4 * MM, location=Location(segment=segment))

@@ -201,6 +201,7 @@ def _all_but_python(folder: str, names: list[str]) -> list[str]:
     return [n for n in names if Path(folder, n).is_file() and not n.endswith(".py")]
 
 
+@pytest.mark.slow
 def test_the_digest_is_the_same_in_every_process():
     """Sets of constants are in another order where strings have other hashes."""
     show = "from vrcaps.organ.cache import fingerprint; print(fingerprint({}))"

@@ -263,6 +263,7 @@ def test_interpolate():
     assert np.arccos(np.clip(cosine, -1, 1)).max() < 0.02
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("axes", [(1.0, 1.0, 1.0), (1.0, 1.0, 1.2), (1.0, 1.0, 3.0)])
 def test_a_round_bag_has_two_ends_on_opposite_sides(axes):
     """Its farthest places lie all around the middle; the line goes along the longest axis."""

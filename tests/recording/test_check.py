@@ -127,6 +127,7 @@ def test_broken_head(episode, change, what):
     _found(episode, "episode.json", what)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "what"),
     [
@@ -154,6 +155,7 @@ def test_corrupted_files(episode, name, how):
     _found(episode, name, "cannot be read")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "change", "what"),
     [

@@ -146,6 +146,7 @@ def test_stored_wall_is_what_was_rendered(whole):
     assert episode.wall(0).vertices.shape == rest.shape
 
 
+@pytest.mark.slow
 def test_labels_are_exact_on_the_moving_wall(whole):
     """Against Embree and triangles that carry its hits, as in docs/validation.md."""
     from validate_moving_labels import (  # pyright: ignore[reportMissingImports]
@@ -217,6 +218,7 @@ def test_automatic_exposure_goes_on_from_a_checkpoint(simulated, tmp_path):
     assert digests(broken) == digests(straight)
 
 
+@pytest.mark.slow
 def test_a_whole_episode_is_not_simulated_again(whole, simulated):
     before = digests(whole)
     record(simulated, whole, simulated=lambda *_: pytest.fail("simulated again"))
@@ -225,6 +227,7 @@ def test_a_whole_episode_is_not_simulated_again(whole, simulated):
     assert digests(whole) == before
 
 
+@pytest.mark.slow
 def test_damaged_checkpoint(simulated, tmp_path):
     out = record(replace(simulated, frames=1), tmp_path / "e")
     (out / "frames.parquet").unlink()

@@ -50,6 +50,7 @@ def test_recorded_effects_change_color_and_lens(
     assert np.array_equal(episode.Ts_world_capsule, ideal.Ts_world_capsule)
 
 
+@pytest.mark.slow
 def test_exposure_follows_the_frames_and_is_in_the_table(
     degraded: Scenario, tmp_path: Path
 ) -> None:
@@ -103,6 +104,7 @@ def test_sampled_severities_are_in_the_episode(scenario: Scenario, tmp_path: Pat
     assert images(tmp_path / "out") == images(tmp_path / "again")
 
 
+@pytest.mark.slow
 def test_adaptive_frame_rate_captures_more_frames_of_a_faster_image(
     scenario: Scenario, tmp_path: Path
 ) -> None:

@@ -132,6 +132,7 @@ def test_damaged_files_are_made_again(recorded, scenario, tmp_path):
     assert _digests(out) == _digests(recorded)
 
 
+@pytest.mark.slow
 def test_other_write_errors(scenario, tmp_path, monkeypatch):
     def refuse(items):
         raise OSError(errno.EACCES, "Permission denied", items[0][0])
@@ -278,6 +279,7 @@ def test_interrupt_threads_and_file_limit(scenario, organ, tmp_path):
         assert _digests(out) == whole
 
 
+@pytest.mark.slow
 def test_speed_of_the_writer_is_bounded_by_the_queue(scenario, tmp_path, monkeypatch):
     """Rendering never runs more than a few frames ahead of a slow disk."""
     write, written, ahead = _core.write_pngs, [], []

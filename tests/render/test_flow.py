@@ -131,6 +131,7 @@ def test_wall_at_rest_may_be_given_or_left_out() -> None:
     assert np.mean(one.occlusion == two.occlusion) > 0.999
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("moving", [False, True])
 def test_occlusion_agrees_with_brute_force(moving: bool) -> None:
     organ = tube(24, 31, length=0.15, folds=0.5, capped=True)

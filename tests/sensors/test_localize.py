@@ -23,6 +23,7 @@ def random_pose(rng: np.random.Generator) -> np.ndarray:
     return magnet_pose(rng.uniform((-0.1, -0.1, 0.06), (0.1, 0.1, 0.18)), rng.normal(size=3))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("magnet", [Dipole(0.5), WIDE, read_magnet("capsule-11x10")])
 def test_without_noise_the_pose_is_found_exactly(magnet):
     rng = np.random.default_rng(0)

@@ -59,6 +59,7 @@ def tracked(model: Model, count: int = 100, seed: int = 0) -> tuple[CapsuleTrack
     return tracker, np.array(errors)
 
 
+@pytest.mark.slow
 def test_finds_position_velocity_and_roll(model):
     """It begins up to a centimeter and 10° off; roll is seen by weight, which Hall sensors miss."""
     for seed in range(3):

@@ -17,6 +17,7 @@ def frame(side: int = 256, seed: int = 0) -> np.ndarray:
     return np.clip(image, 0, 255).astype(np.uint8)
 
 
+@pytest.mark.slow
 def test_the_field_is_the_round_part_less_its_rim() -> None:
     view = field_of_view(frame())
     assert view.width == pytest.approx(0.9 * 256, abs=3)
@@ -26,6 +27,7 @@ def test_the_field_is_the_round_part_less_its_rim() -> None:
     assert not view.dark.any()
 
 
+@pytest.mark.slow
 def test_highlights_are_found_and_mucosa_is_not() -> None:
     """Twenty round highlights of 2 px; all found, and little else."""
     rgb = frame()
@@ -41,6 +43,7 @@ def test_highlights_are_found_and_mucosa_is_not() -> None:
     assert (found & ~near).mean() < 1e-3
 
 
+@pytest.mark.slow
 def test_a_box_of_the_device_is_no_mucosa() -> None:
     rgb = frame()
     rgb[150:190, 100:140] = (20, 150, 120)
@@ -48,6 +51,7 @@ def test_a_box_of_the_device_is_no_mucosa() -> None:
     assert not view.field[150:190, 100:140].any()
 
 
+@pytest.mark.slow
 def test_darkness_is_found() -> None:
     rgb = frame()
     rgb[100:150, 100:150] = (30, 15, 10)

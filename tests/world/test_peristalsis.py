@@ -60,6 +60,7 @@ def travel(world: World, seconds: float, dt: float = 0.02) -> float:
     return world.state.T_world_capsule[0, 3] - begin
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("start", "back"), [(0.08, 0.0), (0.22, 1.0)])
 def test_a_ring_carries_the_capsule_at_its_speed(
     gut: OrganSurface, start: float, back: float

@@ -48,6 +48,7 @@ def test_a_missing_package_is_left_out_with_how_to_get_it(
     assert "pip install 'vrcaps[dev]'" in skipped["embree"]
 
 
+@pytest.mark.slow
 def test_an_llvm_that_cannot_work_is_a_reason_and_not_a_crash(
     monkeypatch: pytest.MonkeyPatch, stage: Stage
 ) -> None:

@@ -62,6 +62,7 @@ def test_standing_contractions_do_not_run() -> None:
     assert min(lumen_scale.min() for lumen_scale in narrow) == pytest.approx(0.4, abs=0.01)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "changes",
     [
@@ -80,6 +81,7 @@ def test_share_of_slow_waves_that_contract(changes: dict[str, float]) -> None:
     assert count == pytest.approx(12.0 * changes["activity"], rel=0.1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["antrum", "duodenum", "jejunum", "ileum"])
 @pytest.mark.parametrize("end", [0, 1])
 def test_rate_of_segments_when_all_slow_waves_contract(name: str, end: int) -> None:

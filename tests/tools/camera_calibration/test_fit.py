@@ -60,6 +60,7 @@ def scores(fit: Calibration, kind: str) -> np.ndarray:
     return np.array(off) / fit.deviations
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_exact_corners_give_the_lens_and_the_poses_back(kind: str) -> None:
     rng = np.random.default_rng(5)
@@ -73,6 +74,7 @@ def test_exact_corners_give_the_lens_and_the_poses_back(kind: str) -> None:
     assert fit.errors.max() < 1e-5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_noisy_corners_give_parameters_within_their_stated_deviations(kind: str) -> None:
     """``eᵀ C⁻¹ e`` of errors e with covariance C, summed over draws, is chi-squared."""
@@ -90,6 +92,7 @@ def test_noisy_corners_give_parameters_within_their_stated_deviations(kind: str)
     assert rms == pytest.approx(0.15 * np.sqrt(share), rel=0.06)
 
 
+@pytest.mark.slow
 def test_badly_found_corners_do_little_harm() -> None:
     clean = seen("kannala-brandt", 1, 0.1)
     views = list(clean)
@@ -117,6 +120,7 @@ def test_a_fit_that_misses_its_corners_is_refused() -> None:
     check_fit(replace(wrong, size=(2000, 1500)))
 
 
+@pytest.mark.slow
 def test_a_lens_is_held_to_a_ray_for_every_pixel_of_the_image() -> None:
     """Corners near the axis leave the polynomial free to turn back inside the image."""
     camera = replace(PATTERN, lens=LENSES["kannala-brandt"], image_circle_px=75.0)
@@ -148,6 +152,7 @@ def test_fewer_terms_fit_fewer_fields() -> None:
     assert fit.lens.k2 == fit.lens.k4 == 0.0
 
 
+@pytest.mark.slow
 def test_what_fixes_no_lens_is_an_error() -> None:
     views = seen("pinhole", 0, 0.1)
     with pytest.raises(InputError, match=r"boards seen is 2\. Allowed: 3 or more"):

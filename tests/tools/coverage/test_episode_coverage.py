@@ -37,6 +37,7 @@ def test_flag_adds_channels() -> None:
     assert set(COVERAGE_CHANNELS) <= set(chosen) and len(chosen) == len(set(chosen))
 
 
+@pytest.mark.slow
 def test_recording_with_coverage(scenario: Scenario, tmp_path: Path) -> None:
     out = tmp_path / "run"
     record(replace(scenario, channels=COVERAGE_CHANNELS), out)
@@ -58,6 +59,7 @@ def test_recording_with_coverage(scenario: Scenario, tmp_path: Path) -> None:
     assert table["visible"][-1] == pytest.approx(found.coverage.fraction("visible"))
 
 
+@pytest.mark.slow
 def test_episode_without_triangles_says_what_to_record(recorded: Path) -> None:
     episode = read_episode(recorded)
     plain = [channel for channel in episode.channels if channel != "face"]

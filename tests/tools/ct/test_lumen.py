@@ -94,6 +94,7 @@ def test_a_threshold_that_is_none() -> None:
         find_lumens(boxes(BOWEL), threshold=40)
 
 
+@pytest.mark.slow
 def test_the_phantom_has_the_volume_of_its_organ(tube, dry_scan) -> None:
     """The oracle itself: Σ coverage × voxel = the divergence theorem's volume."""
     mesh, _ = tube

@@ -43,6 +43,7 @@ def work():
     return make_texture([photo(0), photo(1)], SCALE, options, seed=5)
 
 
+@pytest.mark.slow
 def test_the_texture_has_its_size_scale_and_luminance(work) -> None:
     texture = work.texture
     assert texture.albedo.shape == (256, 256, 3)
@@ -71,6 +72,7 @@ def test_the_relief_has_the_slope_stated(work) -> None:
     assert np.sqrt(np.mean(slope**2)) == pytest.approx(RELIEF_SLOPE, rel=0.02)
 
 
+@pytest.mark.slow
 def test_a_seed_gives_the_same_files(work, tmp_path: Path) -> None:
     options = TextureOptions(size=256)
     again = make_texture([photo(0), photo(1)], SCALE, options, seed=5)
@@ -80,6 +82,7 @@ def test_a_seed_gives_the_same_files(work, tmp_path: Path) -> None:
         assert file.read_bytes() == (tmp_path / "b" / file.name).read_bytes()
 
 
+@pytest.mark.slow
 def test_a_texture_reads_back_as_written(work, tmp_path: Path) -> None:
     write_texture(tmp_path / "t", work.texture)
     write_report(tmp_path / "t" / "report.png", work)
@@ -93,6 +96,7 @@ def test_a_texture_reads_back_as_written(work, tmp_path: Path) -> None:
     write_texture(tmp_path / "t", work.texture)  # a texture may be replaced
 
 
+@pytest.mark.slow
 def test_a_field_width_is_a_scale(work) -> None:
     made = make_texture([photo(0)], PhotoScale(field_width_mm=20), TextureOptions(size=256), seed=0)
     width = made.sources[0].view.width
@@ -170,6 +174,7 @@ def test_what_cannot_be_read(tmp_path: Path) -> None:
         read_photos([tmp_path], num_frames=0)
 
 
+@pytest.mark.slow
 def test_textures_that_cannot_be_read_or_written(work, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="is no texture of a mucosa"):
         read_texture(tmp_path)

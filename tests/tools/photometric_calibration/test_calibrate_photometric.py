@@ -42,6 +42,7 @@ def match(frames):
     return calibrate_photometric(frames, CAMERA, reference=make_frames(photos(PLAIN, 12, seed=2)))
 
 
+@pytest.mark.slow
 def test_circle(match) -> None:
     assert match.circle is not None
     assert (match.circle.cx, match.circle.cy) == pytest.approx(CENTER, abs=0.5)
@@ -71,6 +72,7 @@ def test_falloff_does_not_rise_at_the_rim() -> None:
     assert rim == pytest.approx(1.0 + k1 * edge**2 + k2 * edge**4)
 
 
+@pytest.mark.slow
 def test_without_falloff_there_is_no_vignetting() -> None:
     plain = calibrate_photometric(make_frames(photos(PLAIN, 12, seed=4)), CAMERA)
     assert not plain.vignetting.is_clear
@@ -118,6 +120,7 @@ def test_blocks_show_as_steps_over_their_borders(frames) -> None:
     assert blockiness(np.stack(stored), field[:3]) > 1.5
 
 
+@pytest.mark.slow
 def test_device_and_effects_hold_what_was_found(match, frames, tmp_path) -> None:
     """The circle is scaled to the device's images; a scenario with the effects can be read."""
     pattern = replace(read_device("mirocam"), cameras=(CAMERA,))
@@ -148,6 +151,7 @@ def test_device_and_effects_hold_what_was_found(match, frames, tmp_path) -> None
     assert (tmp_path / "report.png").stat().st_size > 50_000
 
 
+@pytest.mark.slow
 def test_frames_that_cannot_be_used_are_an_error() -> None:
     made = photos(PLAIN, 3, seed=0)
     with pytest.raises(InputError, match=r"Frames given: 2\. Allowed: 3 or more"):

@@ -44,7 +44,7 @@ def merge_vertices(mesh: Mesh) -> tuple[Mesh, list[Repair]]:
     if len(mesh.vertices) < num_vertices:
         unused = num_vertices - len(mesh.vertices)
         repairs.append(Repair("unused vertex", unused, "removed"))
-    tolerance = _MERGE_TOLERANCE * np.linalg.norm(np.ptp(mesh.vertices, axis=0))
+    tolerance = _MERGE_TOLERANCE * float(np.linalg.norm(np.ptp(mesh.vertices, axis=0)))
     unique, number = np.unique(mesh.vertices, axis=0, return_inverse=True)
     _require_apart(unique, tolerance)
     pairs = KDTree(unique).query_pairs(tolerance, output_type="ndarray")

@@ -116,8 +116,8 @@ def write() -> None:
         cells = list(read_rows(sections.get(section, "")))
         figure = re.sub(r"\{([^{}]+)\}", lambda match, cells=cells: find(cells, match[1]), template)
         command = section if section.startswith(_BENCH) else f"python {section}"
-        missing = _NOT_MEASURED in figure
-        rows.append((what, _NOT_MEASURED if missing else figure, f"`{command}`"))
+        if _NOT_MEASURED not in figure:
+            rows.append((what, figure, f"`{command}`"))
     text = _TEXT.format(figures=table(("", "measured", "command"), rows))
     page = README.read_text(encoding="utf-8")
     before, rest = page.split(_BEGIN, 1)

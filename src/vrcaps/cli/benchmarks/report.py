@@ -160,7 +160,8 @@ def show_report(report: Report, out: Path | None, console: Console) -> None:
 def write_report(report: Report, out: Path) -> None:
     """Put a report into a Markdown page, in place of what the same command wrote before."""
     command = report.command
-    write_section(out, command, to_markdown(report), command=command, title=PAGE_TITLE)
+    name = command.removeprefix("python ")
+    write_section(out, name, to_markdown(report), command=command, title=PAGE_TITLE)
 
 
 def to_markdown(report: Report) -> str:

@@ -21,7 +21,7 @@ import vrcaps
 from oracle_embree import EmbreeCaster
 from tubes import straight_tube
 from validation import DATA, options, table, write_section
-from vrcaps.camera.camera import Camera, project_points
+from vrcaps.camera.camera import Camera, in_image, project_points
 from vrcaps.camera.lens import LensEquidistant
 from vrcaps.geometry import triangle_areas
 from vrcaps.mesh.mesh import wall_of
@@ -71,9 +71,7 @@ def brute_force(model: vrcaps.Model, camera: Camera, poses: np.ndarray) -> np.nd
         left = np.flatnonzero(~seen)
         at = points[left].reshape(-1, 3)
         pixels = project_points(camera, transform_points(invert(pose), at))
-        rim = np.array([camera.width, camera.height]) - 0.5
-        inside = ((pixels >= -0.5) & (pixels < rim)).all(axis=1)  # comparisons with NaN are false
-        number = np.flatnonzero(inside)
+        number = np.flatnonzero(in_image(camera, pixels))
         way = at[number] - pose[:3, 3]
         length = np.linalg.norm(way, axis=1)
         found, face, _ = caster.cast(np.tile(pose[:3, 3], (len(number), 1)), way / length[:, None])

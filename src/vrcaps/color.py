@@ -27,6 +27,10 @@ _DARKEST = 0.5 / 255.0 / 12.92  # half a step of the code, so that a logarithm e
 _STEPS = 16384  # of linear light, in the table that encodes a logarithm's exponential
 
 
+LUMA_WEIGHTS = np.array([0.299, 0.587, 0.114])
+"""Of encoded red, green and blue in the gray level (ITU-R BT.601-7)."""
+
+
 def linear_from_srgb(rgb: UInt8[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch 3"]:
     """Linear values, 0 to 1, of 8-bit sRGB."""
     return LINEAR[rgb]

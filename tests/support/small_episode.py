@@ -16,6 +16,9 @@ from vrcaps.scenario import build as scenario_module
 from vrcaps.scenario.scenario import OrganFile, Scenario
 from write_ply import write_ply
 
+__all__ = ["base_scenario", "device_file", "mesh_file", "organ", "recorded", "scenario"]
+"""The fixtures, for the conftest of a folder that uses them."""
+
 DEVICE = """
 title = "Two small cameras"
 length_mm = 24

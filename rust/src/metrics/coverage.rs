@@ -4,9 +4,10 @@
 use crate::cpu::on_pool;
 use crate::poses::pose_of;
 use crate::render::ray_table::{RayTable, TileRays};
+use crate::render::tile::intersect;
 use crate::simd::f32x64::*;
 use crate::wall::Wall;
-use crate::wall::packet::{Hits, MAX_DISTANCE, MISS, trace};
+use crate::wall::packet::MISS;
 use numpy::{PyReadonlyArray2, PyReadonlyArray3, PyReadwriteArray2};
 use pyo3::{exceptions::PyValueError, prelude::*};
 use rayon::prelude::*;
@@ -45,7 +46,7 @@ impl Eye {
 /// Marks what a view of a wall sees in `seen`, a byte of flags for each triangle.
 fn look(wall: &Wall, pixels: &Pixels<'_>, eye: &Eye, seen: &mut [u8]) {
     let columns = pixels.rays.columns();
-    for (number, tile) in pixels.rays.tiles.iter().enumerate().filter(|(_, tile)| tile.any) {
+    for (number, tile) in pixels.rays.tiles.iter().enumerate() {
         look_through_tile(wall, pixels, eye, (tile, number / columns, number % columns), seen);
     }
 }
@@ -62,10 +63,7 @@ fn look_through_tile(
     (tile, row, column): (&TileRays, usize, usize),
     seen: &mut [u8],
 ) {
-    let reach = std::array::from_fn(|i| if tile.used[i] { MAX_DISTANCE } else { 0.0 });
-    let mut hits = Hits::within(reach);
-    let rays = tile.pyramid.rotated(&eye.to_world);
-    trace::<false>(&wall.bvh, eye.origin, &rays, wall.extent, &mut hits);
+    let (rays, hits) = intersect(wall, eye.origin, &eye.to_world, tile);
     for i in (0..LANES).filter(|&i| hits.triangle[i] != MISS) {
         let triangle = &wall.bvh.triangles[hits.triangle[i] as usize];
         let [a, b, c] = triangle.corners;

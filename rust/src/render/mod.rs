@@ -11,5 +11,5 @@ pub mod ray_table;
 pub mod scene;
 pub mod shading;
 pub mod texture;
-mod tile;
+pub mod tile;
 pub mod view;

@@ -85,20 +85,32 @@ impl TileRenderer for WallTiles<'_> {
     }
 }
 
+/// The rays of a tile from a camera's place and the rows of its rotation, and where they meet a
+/// wall.
+#[inline(always)]
+pub fn intersect(
+    wall: &Wall,
+    origin: Vec3,
+    to_world: &[Vec3; 3],
+    tile: &TileRays,
+) -> (Pyramid, Hits) {
+    let mut reach = [0.0; LANES];
+    for i in 0..LANES {
+        reach[i] = if tile.used[i] { MAX_DISTANCE } else { 0.0 };
+    }
+    let mut hits = Hits::within(reach);
+    let rays = tile.pyramid.rotated(to_world);
+    if tile.any {
+        trace::<false>(&wall.bvh, origin, &rays, wall.extent, &mut hits);
+    }
+    (rays, hits)
+}
+
 impl WallTiles<'_> {
     /// The rays of a tile in the world, and where they meet the wall.
     #[inline(always)]
     pub fn intersect(&self, tile: &TileRays) -> (Pyramid, Hits) {
-        let mut reach = [0.0; LANES];
-        for i in 0..LANES {
-            reach[i] = if tile.used[i] { MAX_DISTANCE } else { 0.0 };
-        }
-        let mut hits = Hits::within(reach);
-        let rays = tile.pyramid.rotated(&self.view.to_world);
-        if tile.any {
-            trace::<false>(&self.wall.bvh, self.view.origin, &rays, self.wall.extent, &mut hits);
-        }
-        (rays, hits)
+        intersect(self.wall, self.view.origin, &self.view.to_world, tile)
     }
 
     /// Renders one tile whose rays have met nothing but the wall.

@@ -15,7 +15,7 @@ from vrcaps.errors import InputError, require
 from vrcaps.transforms import transform_from
 
 if TYPE_CHECKING:
-    from jaxtyping import Float
+    from jaxtyping import Bool, Float
 
 Vector = tuple[float, float, float]
 
@@ -259,6 +259,12 @@ def project_points(
     """
     pixels = camera.lens.project(points_camera)
     return np.where(_lit(camera, pixels)[..., None], pixels, np.nan)
+
+
+def in_image(camera: Camera, pixels: Float[np.ndarray, "*batch 2"]) -> Bool[np.ndarray, "*batch"]:
+    """Whether pixels [px] lie in the rectangle of the image; NaN does not."""
+    size = np.array([camera.width, camera.height])
+    return np.all((pixels >= -0.5) & (pixels < size - 0.5), axis=-1)
 
 
 def _lit(camera: Camera, pixels: np.ndarray) -> np.ndarray:

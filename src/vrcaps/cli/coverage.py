@@ -11,6 +11,7 @@ from tyro.conf import Positional
 
 from vrcaps.cli.console import console, progress_bar
 from vrcaps.errors import InputError
+from vrcaps.metrics.coverage import COVERAGE_LEVELS, CoverageCriteria
 from vrcaps.units import MM
 
 if TYPE_CHECKING:
@@ -43,18 +44,17 @@ class Coverage:
     out: Path | None = None
     """Folder to write into; by default `coverage` in the episode's folder."""
 
-    max_depth: float = 50.0
+    max_depth: float = CoverageCriteria.max_depth / MM
     """Farthest depth of a vertex at `frustum` [mm]."""
 
-    min_pixels: float = 4.0
+    min_pixels: float = CoverageCriteria.min_pixel_density * MM**2
     """Fewest pixels on a square millimeter of the wall at `resolved`."""
 
-    max_incidence: float = 70.0
+    max_incidence: float = math.degrees(CoverageCriteria.max_incidence)
     """Largest angle between the wall's normal and the ray at `resolved` [deg]."""
 
     def run(self) -> None:
         """Measure, write and report."""
-        from vrcaps.metrics.coverage import CoverageCriteria
         from vrcaps.recording.episode import read_episode
         from vrcaps.tools.coverage.coverage_figure import write_coverage_figure
         from vrcaps.tools.coverage.episode_coverage import episode_coverage
@@ -81,8 +81,6 @@ class Coverage:
 
 def _report(found: EpisodeCoverage) -> None:
     from rich.table import Table
-
-    from vrcaps.metrics.coverage import COVERAGE_LEVELS
 
     table = Table(title="Coverage [%]")
     table.add_column("segment")

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vrcaps.metrics.coverage import CoverageCriteria, CoverageLevel
-from vrcaps.metrics.view_coverage import ViewCoverage
+from vrcaps.metrics.view_coverage import ViewCoverage, seen_by_level
 from vrcaps.transforms import transform_from, transform_points
 
 if TYPE_CHECKING:
@@ -52,7 +52,7 @@ def coverable(
     for camera in model.device.cameras:
         views = ViewCoverage(camera, criteria, width=min(width, camera.width))
         views.mark([wall], poses @ camera.T_capsule_camera, flags)
-    return {"visible": (flags[0] & 1) != 0, "resolved": (flags[0] & 2) != 0}
+    return seen_by_level(flags[0])
 
 
 def capsule_poses(

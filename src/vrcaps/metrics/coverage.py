@@ -17,11 +17,19 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
 
-from vrcaps.camera.camera import camera_rays, project_points, unproject_pixels
+from vrcaps.camera.camera import (
+    camera_rays,
+    in_image,
+    pixel_grid,
+    project_points,
+    unproject_pixels,
+)
+from vrcaps.color import LUMA_WEIGHTS
 from vrcaps.errors import InputError
 from vrcaps.limits import Range, check_fields
 from vrcaps.transforms import invert, transform_points
@@ -33,9 +41,6 @@ if TYPE_CHECKING:
 
 CoverageLevel = Literal["frustum", "visible", "resolved", "readable"]
 COVERAGE_LEVELS: tuple[CoverageLevel, ...] = ("frustum", "visible", "resolved", "readable")
-
-_GRAY_WEIGHTS = np.array([0.299, 0.587, 0.114])
-"""Gray level of encoded red, green and blue (ITU-R BT.601-7)."""
 
 
 @dataclass(frozen=True)
@@ -77,8 +82,7 @@ def pixel_solid_angles(camera: Camera) -> Float[np.ndarray, "h w"]:
     It is ``|∂d/∂u × ∂d/∂v|`` of the unit ray d, by differences over a pixel; at the edge of the
     field, over the half that the lens sees.
     """
-    columns, rows = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
-    pixels = np.stack([columns, rows], -1).astype(float)
+    pixels = pixel_grid(camera.width, camera.height)
     right = _ray_derivative(camera, pixels, (0.5, 0.0))
     down = _ray_derivative(camera, pixels, (0.0, 0.5))
     return np.linalg.norm(np.cross(right, down), axis=-1)
@@ -111,11 +115,7 @@ def vertices_in_frustum(
     """
     points = transform_points(invert(T_world_camera), vertices_world)
     inside = (points[:, 2] > 0.0) & (points[:, 2] <= max_depth)
-    pixels = project_points(camera, points[inside])
-    column, row = pixels.T
-    in_image = (column >= -0.5) & (column < camera.width - 0.5)
-    in_image &= (row >= -0.5) & (row < camera.height - 0.5)
-    inside[inside] = in_image  # comparisons with NaN are false
+    inside[inside] = in_image(camera, project_points(camera, points[inside]))
     return inside
 
 
@@ -135,12 +135,19 @@ def resolved_pixels(
         normal_camera: Unit normal of the wall in the camera frame, facing the camera.
         criteria: Least density and largest incidence.
     """
-    cosine = -np.einsum("hwc,hwc->hw", normal_camera, camera_rays(camera))
+    rays, solid_angles = _pixels(camera)
+    cosine = -np.einsum("hwc,hwc->hw", normal_camera, rays)
     with np.errstate(invalid="ignore", divide="ignore"):
-        density = cosine / (ray_distance**2 * pixel_solid_angles(camera))
+        density = cosine / (ray_distance**2 * solid_angles)
         return (density >= criteria.min_pixel_density) & (
             cosine >= math.cos(criteria.max_incidence)
         )
+
+
+@lru_cache(maxsize=4)
+def _pixels(camera: Camera) -> tuple[Float[np.ndarray, "h w 3"], Float[np.ndarray, "h w"]]:
+    """Rays and solid angles of a camera's pixels, the same in each of its images."""
+    return camera_rays(camera), pixel_solid_angles(camera)
 
 
 def readable_pixels(
@@ -158,7 +165,7 @@ def readable_pixels(
         foreground_label: As the channel of `Frame`; None: nothing is in the way.
         blur_px: Width of the blur at each pixel [px]; None: all is sharp.
     """
-    gray = rgb @ (_GRAY_WEIGHTS / 255.0)
+    gray = rgb @ (LUMA_WEIGHTS / 255.0)
     readable = (gray >= criteria.min_gray) & (gray <= criteria.max_gray)
     if foreground_label is not None:
         readable &= foreground_label == 0

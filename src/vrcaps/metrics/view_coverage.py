@@ -14,7 +14,7 @@ from vrcaps.camera.derive import scaled_camera
 from vrcaps.metrics.coverage import CoverageCriteria, CoverageLevel, pixel_solid_angles
 
 if TYPE_CHECKING:
-    from jaxtyping import Bool, Float
+    from jaxtyping import Bool, Float, UInt8
 
     from vrcaps.camera.camera import Camera
 
@@ -86,4 +86,9 @@ class ViewCoverage:
         """Triangles that any of the poses sees, by level; arguments as of `mark`."""
         flags = np.zeros((1, num_faces), np.uint8)
         self.mark(walls, Ts_world_camera, flags)
-        return {level: (flags[0] & bit) != 0 for level, bit in _FLAGS.items()}
+        return seen_by_level(flags[0])
+
+
+def seen_by_level(flags: UInt8[np.ndarray, " m"]) -> dict[CoverageLevel, Bool[np.ndarray, " m"]]:
+    """Triangles seen, by level, of flags that `ViewCoverage.mark` set."""
+    return {level: (flags & bit) != 0 for level, bit in _FLAGS.items()}

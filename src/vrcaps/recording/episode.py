@@ -177,10 +177,19 @@ class Episode:
             raise ValueError(f"it holds {found}, not {encoding.dtype} {shape}")
         return stored
 
-    def frame(self, index: int, camera: str | None = None) -> Frame:
-        """All recorded channels of one image, of the first camera unless another is named."""
+    def frame(
+        self, index: int, camera: str | None = None, channels: Sequence[str] | None = None
+    ) -> Frame:
+        """One image, of the first camera unless another is named.
+
+        Args:
+            index: Of the frame.
+            camera: Name of the camera.
+            channels: To read; None reads all that were recorded.
+        """
         name = self.cameras[0].name if camera is None else camera
-        return Frame(**{channel: self.image(name, channel, index) for channel in self.channels})
+        chosen = self.channels if channels is None else channels
+        return Frame(**{channel: self.image(name, channel, index) for channel in chosen})
 
     def frames(self, camera: str | None = None) -> Iterator[Frame]:
         """All images of a camera in time, of the first unless another is named."""

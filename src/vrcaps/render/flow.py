@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vrcaps._core import Contents, Wall
-from vrcaps.camera.camera import Camera, pixel_grid, project_points
+from vrcaps.camera.camera import Camera, in_image, pixel_grid, project_points
 from vrcaps.lumen.lumen_contents import LumenContents
 from vrcaps.render.refraction import RefractedPaths
 from vrcaps.transforms import invert, transform_points
@@ -132,8 +132,7 @@ def visibility(
         contents: Of the lumen then.
     """
     target = motion + pixel_grid(camera.width, camera.height)
-    size = np.array([camera.width, camera.height])
-    seen = np.all((target >= -0.5) & (target < size - 0.5), axis=-1)
+    seen = in_image(camera, target)
     eye = tuple((state.T_world_capsule @ camera.T_capsule_camera)[:3, 3])
     points_world = points_world.astype(float, copy=False)
     ends, is_refracted = points_world, np.zeros(seen.shape, bool)

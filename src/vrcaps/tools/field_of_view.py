@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy import ndimage
 
+from vrcaps.color import LUMA_WEIGHTS
+
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, UInt8
 
@@ -96,7 +98,7 @@ def highlights(
     if not field.any():
         return np.zeros_like(field)
     image = rgb.astype(np.float32) / 255.0
-    luma = image @ np.array([0.299, 0.587, 0.114], np.float32)
+    luma = image @ LUMA_WEIGHTS.astype(np.float32)
     sure, suspect = (_bright(image, luma, field, limit) for limit in (_HIGHLIGHT, _SUSPECT))
     local = _local_color(image, field & ~suspect, max(5, round(_WINDOW * width)))
     light, around = (np.maximum(part, 0.02) ** 2.2 for part in (image, local))

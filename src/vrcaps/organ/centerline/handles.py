@@ -10,6 +10,7 @@ from scipy import ndimage
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import minimum_spanning_tree, shortest_path
 
+from vrcaps.mesh.edges import find_edges
 from vrcaps.organ.centerline.lumen import LumenGrid, num_pieces
 
 if TYPE_CHECKING:
@@ -25,8 +26,7 @@ _OFFSETS = [
 
 def num_handles(faces: Int[np.ndarray, "m 3"]) -> int:
     """Handles of a closed surface, by Euler's formula V − E + F = 2 pieces − 2 handles."""
-    edges = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
-    euler = len(np.unique(faces)) - len(np.unique(edges, axis=0)) + len(faces)
+    euler = len(np.unique(faces)) - len(find_edges(faces).counts) + len(faces)
     return max(0, (2 * num_pieces(faces) - euler) // 2)
 
 

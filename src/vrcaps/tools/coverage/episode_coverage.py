@@ -20,7 +20,7 @@ from vrcaps.metrics.coverage import (
     vertices_in_frustum,
 )
 from vrcaps.organ.read_organ import read_organ
-from vrcaps.organ.surface import OrganSurface
+from vrcaps.organ.surface import OrganSurface, face_label
 from vrcaps.recording.layout import ORGAN_GLB
 from vrcaps.transforms import transform_points
 
@@ -32,8 +32,10 @@ if TYPE_CHECKING:
     from vrcaps.render.channels import Frame
 
 COVERAGE_CHANNELS = ("rgb", "ray_distance", "normal", "face")
-"""Channels from which coverage is measured; `foreground_label` and `flow_forward` count, too,
-where they were recorded."""
+"""Channels from which coverage is measured."""
+
+_FURTHER_CHANNELS = ("foreground_label", "flow_forward")
+"""Channels that count, too, where they were recorded."""
 
 
 @dataclass(frozen=True)
@@ -60,7 +62,7 @@ class EpisodeCoverage:
         """Fraction seen of each segment."""
         label = self.organ.label
         if level != "frustum":
-            label = np.sort(label[self.organ.faces], axis=1)[:, 1]  # of most corners
+            label = face_label(label, self.organ.faces)
         return {
             name: self.coverage.fraction(level, label == number)
             for number, name in enumerate(self.organ.label_names)
@@ -98,10 +100,12 @@ def episode_coverage(
     coverage = CoverageMap(area, len(organ.vertices))
     T_world_patient = np.array(episode.head["T_world_patient"])
     at_rest = transform_points(T_world_patient, organ.vertices)
+    further = (name for name in _FURTHER_CHANNELS if name in episode.channels)
+    channels = (*COVERAGE_CHANNELS, *further)
     for camera in episode.cameras:
         poses = episode.Ts_world_camera(camera.name)
         for index in range(len(episode)):
-            frame = episode.frame(index, camera.name)
+            frame = episode.frame(index, camera.name, channels)
             seen = _seen(episode, camera, frame, criteria, len(organ.faces))
             near = vertices_in_frustum(camera, poses[index], at_rest, criteria.max_depth)
             coverage.add({**seen, "frustum": near}, index)

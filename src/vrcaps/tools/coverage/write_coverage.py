@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vrcaps.files import atomic_write, write_bytes
+from vrcaps.files import write_bytes
 from vrcaps.metrics.coverage import COVERAGE_LEVELS
+from vrcaps.recording.table import FrameTable, write_table
 from vrcaps.tools.coverage.episode_coverage import EpisodeCoverage
 
 if TYPE_CHECKING:
@@ -16,8 +17,6 @@ if TYPE_CHECKING:
 
 SEEN_COLOR, UNSEEN_COLOR = (64, 176, 80), (200, 48, 48)
 """sRGB of what was seen and what was not, as VR-Caps draws them."""
-
-NUM_NESTED = len(COVERAGE_LEVELS) - 1
 
 
 def write_coverage_table(path: Path, found: EpisodeCoverage) -> None:
@@ -27,16 +26,12 @@ def write_coverage_table(path: Path, found: EpisodeCoverage) -> None:
         path: File to write or replace.
         found: Coverage of an episode.
     """
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
     columns: dict[str, np.ndarray] = {
         "frame": np.arange(len(found.times)),
         "time_s": np.asarray(found.times),
     }
     columns |= {level: found.over_time(level) for level in COVERAGE_LEVELS}
-    with atomic_write(path) as temporary:
-        pq.write_table(pa.table(columns), temporary)
+    write_table(path, FrameTable(columns))
 
 
 def write_coverage_mesh(path: Path, found: EpisodeCoverage) -> None:

@@ -47,6 +47,9 @@ fn _core(m: &Bound<'_, PyModule>) -> PyResult<()> {
     m.add_function(wrap_pyfunction!(render::path::subsurface::walk_tissue, m)?)?;
     m.add_function(wrap_pyfunction!(render::channels::encode_srgb, m)?)?;
     m.add_function(wrap_pyfunction!(metrics::coverage::mark_seen, m)?)?;
+    m.add_class::<metrics::point_coverage::WallPoints>()?;
+    m.add_class::<metrics::point_coverage::DirectionTable>()?;
+    m.add_function(wrap_pyfunction!(metrics::point_coverage::mark_points, m)?)?;
     m.add_function(wrap_pyfunction!(recording::png::write_pngs, m)?)?;
     m.add_function(wrap_pyfunction!(recording::png::encode_pngs, m)?)?;
     m.add_function(wrap_pyfunction!(recording::png::decode_pngs, m)?)?;

@@ -370,6 +370,31 @@ def mark_seen(
     min_density: float,
     min_cosine: float,
 ) -> None: ...
+
+class WallPoints:
+    def __init__(
+        self,
+        face: NDArray[np.uint32],
+        weights: NDArray[np.float32],
+        fractions: NDArray[np.float64],
+        cell: NDArray[np.uint32],
+    ) -> None: ...
+
+class DirectionTable:
+    def __init__(self, density: NDArray[np.float32]) -> None: ...
+
+def mark_points(
+    walls: Sequence[Wall],
+    points: Sequence[WallPoints],
+    table: DirectionTable,
+    poses: NDArray[np.float64],
+    flags: list[NDArray[np.uint8]],
+    cells: NDArray[np.float64],
+    *,
+    max_depth: float,
+    min_density: float,
+    min_cosine: float,
+) -> NDArray[np.float64]: ...
 def walk_tissue(
     wall: Wall,
     origin: tuple[float, float, float],

@@ -1,3 +1,4 @@
 //! Measures of what cameras see.
 
 pub mod coverage;
+pub mod point_coverage;

@@ -49,8 +49,8 @@ _LONGEST_SUBSTEP = 1e-3
 class World:
     """A capsule in a soft organ; holds the wall's hierarchy and all that moves.
 
-    The core works in the patient frame, where the wall is at home; states are in the world frame.
-    The same start and the same steps give the same bytes, on any number of threads.
+    The core works in the patient frame; states are in the world frame. The same start and the same
+    steps give the same bytes, on any number of threads.
 
     Example:
         >>> world = vrcaps.World(vrcaps.Model(organ, device))
@@ -159,10 +159,7 @@ class World:
 
     @property
     def state(self) -> State:
-        """All of the world now, in the world frame, with every vertex of a wall that moves.
-
-        It is made once for each step; its arrays are taken not to change.
-        """
+        """All of the world now, with every vertex of a wall that moves; made once for each step."""
         if self._state is None:
             self._state = self._make_state()
         return self._state
@@ -183,6 +180,12 @@ class World:
             lumen_contents=None if self._lumen is None else self._lumen.lumen_contents(T),
             coupling=self.coupling,
         )
+
+    @property
+    def wall(self) -> _core.Wall:
+        """The wall now, in the patient frame; the next step moves it."""
+        self._core.settle()
+        return self._wall
 
     def place(self, *, arc_length: float) -> None:
         """Puts the capsule at rest on the centerline, looking towards the anal end.

@@ -1,0 +1,1 @@
+"""Actuation: how an action moves the capsule, one file each."""

@@ -1,0 +1,75 @@
+"""Wrench: a force and a torque on the capsule, as if by an ideal actuator."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+
+import numpy as np
+
+from vrcaps.limits import Range, check_fields
+from vrcaps.world.control import Control
+from vrcaps.world.world import GRAVITY
+
+if TYPE_CHECKING:
+    from vrcaps.env.simulation import Simulation
+    from vrcaps.magnet.sources import Source
+    from vrcaps.world.model import State
+
+_DIRECTIONS = np.concatenate([np.zeros((1, 3)), np.eye(3), -np.eye(3)])
+
+
+@dataclass(frozen=True)
+class Wrench:
+    """A force on the capsule's center of mass and a torque, both in the world frame.
+
+    `continuous` actions are six numbers from −1 to 1: force and torque over their largest values.
+    `discrete` ones are VR-Caps' set: 0 for nothing, 1 to 3 for a force along x, y, z, 4 to 6 for
+    one against them, at full strength.
+
+    Attributes:
+        mode: Kind of the action space.
+        force: Largest force in each direction [N].
+        torque: Largest torque about each axis [N·m].
+        is_weightless: Whether gravity is balanced, as by a magnet that holds the capsule up.
+    """
+
+    mode: Literal["continuous", "discrete"] = "continuous"
+    force: Annotated[float, Range(least=0.0, most=2.0, unit="N")] = 0.02
+    torque: Annotated[float, Range(least=0.0, most=0.05, unit="N·m")] = 1e-4
+    is_weightless: bool = False
+
+    kind: ClassVar[str] = "wrench"
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+
+    def space(self) -> Any:
+        """Six numbers from −1 to 1, or one of seven choices."""
+        from gymnasium import spaces
+
+        if self.mode == "discrete":
+            return spaces.Discrete(len(_DIRECTIONS))
+        return spaces.Box(-1.0, 1.0, (6,), np.float32)
+
+    def allocate(self, simulation: Simulation) -> None:
+        """Needs no memory."""
+
+    def begin(self, simulation: Simulation, index: int, start: State) -> tuple[Source, ...]:
+        """No magnets."""
+        return ()
+
+    def controls(
+        self, simulation: Simulation, actions: np.ndarray, numbers: np.ndarray
+    ) -> Sequence[Control]:
+        """The wrench, held for the control period."""
+        if self.mode == "discrete":
+            forces = self.force * _DIRECTIONS[actions[numbers]]
+            torques = np.zeros_like(forces)
+        else:
+            scaled = np.asarray(actions, float)[numbers]
+            forces, torques = self.force * scaled[:, :3], self.torque * scaled[:, 3:]
+        if self.is_weightless:
+            forces = forces + np.array([0.0, 0.0, simulation.device.mass * GRAVITY])
+        return [Control(force, torque) for force, torque in zip(forces, torques, strict=True)]

@@ -1,0 +1,84 @@
+"""Environment of one capsule."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium
+import numpy as np
+
+from vrcaps.env.episode import Episode
+from vrcaps.env.settings import EnvSettings
+from vrcaps.errors import require
+
+
+class CapsuleEnv(gymnasium.Env):
+    """A capsule in an organ as a Gymnasium environment.
+
+    Example:
+        >>> env = gymnasium.make("vrcaps.env:Coverage-v0", organs=("stomach",))
+        >>> observation, info = env.reset(seed=0)
+        >>> observation, reward, terminated, truncated, info = env.step(env.action_space.sample())
+    """
+
+    metadata = {"render_modes": ["rgb_array"], "render_fps": 6}  # noqa: RUF012 (Gymnasium's name)
+
+    def __init__(
+        self, settings: EnvSettings | None = None, *, render_mode: str | None = None
+    ) -> None:
+        """Makes room; `reset` makes the world.
+
+        Raises:
+            InputError: If the render mode is unknown.
+        """
+        require(render_mode in (None, "rgb_array"), "render_mode", render_mode, "rgb_array or None")
+        self.settings, self.render_mode = settings or EnvSettings(), render_mode
+        self.episode = Episode(self.settings, 1)
+        self.action_space = self.episode.action_space
+        self.observation_space = self.episode.observation_space
+
+    def reset(
+        self, *, seed: int | None = None, options: dict | None = None
+    ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+        """Begin an episode.
+
+        Raises:
+            InputError: If the organ cannot be made, or the capsule fits nowhere in it.
+        """
+        super().reset(seed=seed)
+        self.episode.begin(0, self.np_random)
+        return self._first(self.episode.observe()), self._plain(self.episode.measures())
+
+    def step(self, action: Any) -> tuple[dict[str, np.ndarray], float, bool, bool, dict[str, Any]]:
+        """Move on by a control period.
+
+        Raises:
+            InputError: If there was no reset, or the action is not in the space.
+        """
+        require(
+            bool(self.episode.simulation.worlds),
+            "The world",
+            "none",
+            "a reset before the first step",
+        )
+        actions = self.episode.check_actions(np.asarray(action)[None])
+        step = self.episode.step(actions, np.ones(1, bool))
+        return (
+            self._first(self.episode.observe()),
+            float(step.reward[0]),
+            bool(step.terminated[0]),
+            bool(step.truncated[0]),
+            self._plain(step.measures),
+        )
+
+    def render(self) -> np.ndarray | None:
+        """What the capsule's first camera sees [h w 3]; None without a render mode."""
+        return None if self.render_mode is None else self.episode.images()[0]
+
+    @staticmethod
+    def _first(batch: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+        return {name: array[0].copy() for name, array in batch.items()}
+
+    @staticmethod
+    def _plain(batch: dict[str, np.ndarray]) -> dict[str, Any]:
+        return {name: array[0] for name, array in batch.items()}

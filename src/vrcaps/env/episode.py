@@ -1,0 +1,134 @@
+"""Episodes of many worlds: observations, rewards and ends, without anything of Gymnasium's API."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from vrcaps.env.rewards import total_reward
+from vrcaps.env.simulation import Simulation
+from vrcaps.errors import InputError
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float
+
+    from vrcaps.env.settings import EnvSettings
+
+_PROGRESS = 1e-3
+"""Gain of progress below which a world makes none."""
+
+
+@dataclass(frozen=True)
+class EpisodeStep:
+    """What one step did, with a row for each world; 0 where a world did not step.
+
+    Attributes:
+        reward: What was earned.
+        terminated: Whether the task is done.
+        truncated: Whether the episode ends for another reason: time, no progress, or a fault.
+        measures: What the task and the rewards are made of.
+    """
+
+    reward: Float[np.ndarray, " n"]
+    terminated: Bool[np.ndarray, " n"]
+    truncated: Bool[np.ndarray, " n"]
+    measures: dict[str, np.ndarray]
+
+
+class Episode:
+    """Runs a task in many worlds."""
+
+    def __init__(self, settings: EnvSettings, num_worlds: int) -> None:
+        """Makes room; `begin` makes the worlds."""
+        from gymnasium import spaces
+
+        self.settings = settings
+        self.simulation = Simulation(settings, num_worlds)
+        self.rewards = settings.rewards or settings.task.rewards
+        memory = self.simulation.memory
+        self._best = memory.allocate("progress/best")
+        self._gain = memory.allocate("progress/gain")
+        self._since = memory.allocate("progress/since")
+        self.action_space = settings.actuation.space()
+        self.observation_space = spaces.Dict(
+            {o.name: o.space(self.simulation) for o in settings.observations}
+        )
+
+    def begin(self, index: int, rng: np.random.Generator) -> None:
+        """Begin an episode in one world, see `Simulation.reset`."""
+        self.simulation.reset(index, rng)
+        self._best[index] = self.settings.task.progress(self.simulation)[index]
+        self._gain[index] = self._since[index] = 0.0
+
+    def check_actions(self, actions: Any) -> np.ndarray:
+        """Actions as an array with a row for each world.
+
+        Raises:
+            InputError: If an action is not in the space.
+        """
+        space, count = self.action_space, self.simulation.num_worlds
+        actions = np.asarray(actions)
+        valid = actions.shape == (count, *space.shape)
+        if valid and hasattr(space, "low"):
+            actions = actions.astype(np.float64)
+            valid = bool(np.all((actions >= space.low) & (actions <= space.high)))
+        elif valid:
+            valid = np.issubdtype(actions.dtype, np.integer) and bool(
+                np.all((actions >= space.start) & (actions < space.start + space.n))
+            )
+        if not valid:
+            shown = " ".join(str(actions).split())
+            raise InputError(f"The action is {shown[:200]}. Allowed: {count} of {space}.")
+        return actions
+
+    def step(self, actions: np.ndarray, active: Bool[np.ndarray, " n"]) -> EpisodeStep:
+        """Move the active worlds on by a control period."""
+        simulation, task = self.simulation, self.settings.task
+        simulation.step(actions, active)
+        self._follow_progress(active)
+        speed = np.linalg.norm(simulation.velocity_world[:, 0], axis=1)
+        is_too_fast = speed > self.settings.max_speed
+        failed = simulation.is_outside | np.array([bool(text) for text in simulation.failure])
+        failed |= is_too_fast
+        reward, terms = total_reward(self.rewards, simulation)
+        terminated = active & task.is_done(simulation) & ~failed
+        over_time = simulation.time > self.settings.episode_time - 1e-9
+        is_stuck = self._since >= self.settings.stuck_time
+        truncated = active & ~terminated & (over_time | is_stuck | failed)
+        measures = self.measures() | {f"reward_{name}": term for name, term in terms.items()}
+        measures |= {"is_stuck": active & is_stuck, "is_too_fast": active & is_too_fast}
+        # What a throw or a fault of the simulation shows earns nothing.
+        paid = active & ~failed
+        return EpisodeStep(np.where(paid, reward, 0.0), terminated, truncated, measures)
+
+    def _follow_progress(self, active: Bool[np.ndarray, " n"]) -> None:
+        progress = self.settings.task.progress(self.simulation)
+        self._gain[:] = np.where(active, np.maximum(progress - self._best, 0.0), 0.0)
+        gains = active & (progress > self._best + _PROGRESS)
+        period = self.settings.control_period
+        self._since[:] = np.where(gains, 0.0, self._since + np.where(active, period, 0.0))
+        self._best[:] = np.where(gains, progress, self._best)
+
+    def observe(self) -> dict[str, np.ndarray]:
+        """Observations of all worlds, in arrays of their own."""
+        observations = self.settings.observations
+        return {o.name: o.observe(self.simulation) for o in observations}
+
+    def measures(self) -> dict[str, np.ndarray]:
+        """What an episode is judged by, of all worlds."""
+        s = self.simulation
+        return {
+            **self.settings.task.measures(s),
+            "time": s.time.copy(),
+            "arc_length": s.arc_length.copy(),
+            "normal_force_total": s.normal_force_total.copy(),
+            "is_success": self.settings.task.is_done(s),
+            "is_outside": s.is_outside.copy(),
+            "failure": np.array(s.failure, object),
+        }
+
+    def images(self) -> list[np.ndarray]:
+        """What the first camera of each capsule sees."""
+        raise NotImplementedError

@@ -1,0 +1,1 @@
+"""Observations: what an agent sees, one file each."""

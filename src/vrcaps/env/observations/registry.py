@@ -1,0 +1,7 @@
+"""All observations: the type of a settings' field."""
+
+from typing import TypeAlias
+
+from vrcaps.env.observations.state import StateObservation
+
+AnyObservation: TypeAlias = StateObservation

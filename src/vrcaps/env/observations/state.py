@@ -1,0 +1,74 @@
+"""State: pose, velocity and contact of the capsule, the magnet's pose, and the time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+
+from vrcaps.units import CM, MM
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+    from vrcaps.env.simulation import Simulation
+
+_LIMIT = 10.0
+_POSITION = 10.0 * CM
+_VELOCITY = 20.0 * MM
+_FORCE = 0.1
+
+
+@dataclass(frozen=True)
+class StateObservation:
+    """What a tracker and a force sensor would tell, in the world frame, as 19 numbers.
+
+    - position of the capsule from the middle of the organ [0.1 m] (3)
+    - its rotation: the x and z axes of the capsule (6)
+    - its velocity [20 mm/s] (3) and angular velocity [1 rad/s] (3)
+    - mean contact force [0.1 N] (3)
+    - fraction of the episode that is over (1)
+
+    With a magnet outside, its position from the capsule [0.1 m] and the direction of its moment
+    follow (6). Numbers are cut off at ±10.
+    """
+
+    kind: ClassVar[str] = "state"
+    name: ClassVar[str] = "state"
+    needs_textures: ClassVar[bool] = False
+
+    def space(self, simulation: Simulation) -> Any:
+        """Numbers from −10 to 10."""
+        from gymnasium import spaces
+
+        count = 19 + (6 if "magnet/T" in simulation.memory else 0)
+        return spaces.Box(-_LIMIT, _LIMIT, (count,), np.float32)
+
+    def allocate(self, simulation: Simulation) -> None:
+        """Room for the middle of each organ."""
+        simulation.memory.allocate("state/center", (3,))
+
+    def begin(self, simulation: Simulation, index: int, rng: np.random.Generator) -> None:
+        """Finds the middle of the organ."""
+        vertices = simulation.patient(index).model.vertices_world
+        center = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
+        simulation.memory["state/center"][index] = center
+
+    def observe(self, simulation: Simulation) -> Float[np.ndarray, "n k"]:
+        """The numbers of all worlds."""
+        s, memory = simulation, simulation.memory
+        T = s.T_world_capsule
+        parts = [
+            (T[:, :3, 3] - memory["state/center"]) / _POSITION,
+            T[:, :3, 0],
+            T[:, :3, 2],
+            s.velocity_world[:, 0] / _VELOCITY,
+            s.velocity_world[:, 1],
+            s.contact_force_world / _FORCE,
+            s.time[:, None] / s.settings.episode_time,
+        ]
+        if "magnet/T" in memory:
+            T_magnet = memory["magnet/T"]
+            parts += [(T_magnet[:, :3, 3] - T[:, :3, 3]) / _POSITION, T_magnet[:, :3, 2]]
+        return np.concatenate(parts, axis=1).clip(-_LIMIT, _LIMIT).astype(np.float32)

@@ -1,0 +1,81 @@
+"""Patient of an environment: an organ, the capsule in it, and the points that coverage counts."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vrcaps.metrics.point_coverage import WallPoints, wall_points
+from vrcaps.scenario.build import make_organ, resolve
+from vrcaps.scenario.scenario import Scenario
+from vrcaps.world.model import Model, posture_transform
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+    from vrcaps.capsule.device import Device
+    from vrcaps.env.settings import EnvSettings
+
+
+@dataclass(frozen=True)
+class Patient:
+    """An organ with all that does not change from episode to episode.
+
+    Attributes:
+        model: Organ, capsule and posture.
+        points: Points of the wall that stand for its area.
+        num_cells: Cells of the map of the wall.
+    """
+
+    model: Model
+    points: WallPoints
+    num_cells: int
+
+    @cached_property
+    def cell_area(self) -> Float[np.ndarray, " c"]:
+        """Fraction of the wall's area in each cell of the map."""
+        weights = self.points.fractions[:, 1]
+        return np.bincount(self.points.cell, weights, minlength=self.num_cells)
+
+
+class Patients:
+    """The patients of an environment; each is made when it is first needed."""
+
+    def __init__(self, settings: EnvSettings, device: Device, *, with_textures: bool) -> None:
+        """Makes nothing yet.
+
+        Args:
+            settings: Names the organs.
+            device: The capsule.
+            with_textures: Whether the wall will be rendered.
+        """
+        self._settings, self._device, self._with_textures = settings, device, with_textures
+        self._made: dict[int, Patient] = {}
+
+    def __len__(self) -> int:
+        return len(self._settings.organs)
+
+    def __getitem__(self, number: int) -> Patient:
+        if number not in self._made:
+            self._made[number] = self._make(number)
+        return self._made[number]
+
+    def _make(self, number: int) -> Patient:
+        settings = self._settings
+        scenario = Scenario(
+            organ=settings.organs[number],
+            capsule=self._device,
+            posture=settings.posture,
+            lesions=settings.lesions,
+        )
+        organ = make_organ(resolve(scenario))
+        if not self._with_textures:
+            organ = replace(organ, appearance=None)
+        model = Model(organ, self._device, posture_transform(settings.posture))
+        rows, columns = settings.grid
+        return Patient(
+            model, wall_points(organ, settings.num_points, settings.grid), rows * columns
+        )

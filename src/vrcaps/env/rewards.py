@@ -1,0 +1,101 @@
+"""Rewards: named terms with weights, each a function of what the last step did."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated
+
+import numpy as np
+
+from vrcaps.errors import UnknownNameError
+from vrcaps.limits import Range, check_fields
+from vrcaps.metrics.coverage import CoverageLevel
+from vrcaps.metrics.point_coverage import POINT_LEVELS
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+    from vrcaps.env.simulation import Simulation
+
+
+@dataclass(frozen=True)
+class Reward:
+    """One term of the reward.
+
+    Attributes:
+        term: Its name, one of `TERMS`.
+        weight: What it is multiplied by.
+        level: Level of coverage that it counts, where it counts coverage.
+    """
+
+    term: str
+    weight: Annotated[float, Range()] = 1.0
+    level: CoverageLevel = "visible"
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+        if self.term not in TERMS:
+            raise UnknownNameError("reward", self.term, TERMS)
+        if self.level not in POINT_LEVELS:
+            raise UnknownNameError("level of coverage for a reward", self.level, POINT_LEVELS)
+
+    def value(self, simulation: Simulation) -> Float[np.ndarray, " n"]:
+        """What each world earns in the last step."""
+        return self.weight * TERMS[self.term](simulation, self)
+
+
+def total_reward(
+    rewards: tuple[Reward, ...], simulation: Simulation
+) -> tuple[Float[np.ndarray, " n"], dict[str, Float[np.ndarray, " n"]]]:
+    """Sum of all terms, and each by its name."""
+    terms = {reward.term: reward.value(simulation) for reward in rewards}
+    return np.sum(list(terms.values()), axis=0), terms
+
+
+def _area_gain(simulation: Simulation, reward: Reward) -> Float[np.ndarray, " n"]:
+    """Fraction of the whole seen for the first time."""
+    return simulation.gain[:, POINT_LEVELS.index(reward.level)]
+
+
+def _paper_gain(simulation: Simulation, reward: Reward) -> Float[np.ndarray, " n"]:
+    """α (C_t − C_{t−1}) with α = 0.1 and C in percent (Incetan et al. 2021, eq. of the reward)."""
+    return 0.1 * 100.0 * _area_gain(simulation, reward)
+
+
+def _paper_thresholded(simulation: Simulation, reward: Reward) -> Float[np.ndarray, " n"]:
+    """As VR-Caps' code pays: 0.1 of a gain above 0.03 percent points, else −0.01."""
+    percent = 100.0 * _area_gain(simulation, reward)
+    return np.where(percent > 0.03, 0.1 * percent, -0.01)
+
+
+def _time(simulation: Simulation, reward: Reward) -> Float[np.ndarray, " n"]:
+    """Minus the time of a step [s]."""
+    return np.full(simulation.num_worlds, -simulation.settings.control_period)
+
+
+def _force(simulation: Simulation, reward: Reward) -> Float[np.ndarray, " n"]:
+    """Minus the sum of normal forces beyond a capsule's weight, 0.1 N [N]."""
+    return -np.maximum(simulation.normal_force_total - 0.1, 0.0)
+
+
+def _progress(simulation: Simulation, reward: Reward) -> Float[np.ndarray, " n"]:
+    """What the task has come nearer to its end beyond its best so far, as a fraction of it."""
+    return simulation.memory["progress/gain"]
+
+
+def _success(simulation: Simulation, reward: Reward) -> Float[np.ndarray, " n"]:
+    """One where the task is done."""
+    return simulation.settings.task.is_done(simulation).astype(float)
+
+
+TERMS: dict[str, Callable[[Simulation, Reward], Float[np.ndarray, " n"]]] = {
+    "area-gain": _area_gain,
+    "paper": _paper_gain,
+    "paper-thresholded": _paper_thresholded,
+    "time": _time,
+    "force": _force,
+    "progress": _progress,
+    "success": _success,
+}
+"""Terms by name."""

@@ -1,0 +1,135 @@
+"""Settings of an environment: all that an experimenter varies, as one typed tree."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, fields
+from typing import Annotated, Any, Literal, get_args
+
+from vrcaps.capsule.device import Device
+from vrcaps.env.actuation.registry import AnyActuation
+from vrcaps.env.actuation.wrench import Wrench
+from vrcaps.env.observations.registry import AnyObservation
+from vrcaps.env.observations.state import StateObservation
+from vrcaps.env.rewards import Reward
+from vrcaps.env.start import Start
+from vrcaps.env.tasks.coverage import CoverageTask
+from vrcaps.env.tasks.registry import AnyTask
+from vrcaps.errors import InputError, UnknownNameError
+from vrcaps.lesion import AnyLesion
+from vrcaps.limits import Range, check_fields
+from vrcaps.metrics.coverage import CoverageCriteria
+from vrcaps.organ.surface import OrganSurface
+from vrcaps.scenario.scenario import OrganFile, OrganGenerated, organ_named
+from vrcaps.tissue.tissue import Tissue
+from vrcaps.world.model import posture_transform
+
+Organ = OrganGenerated | OrganFile | OrganSurface | str
+
+
+@dataclass(frozen=True)
+class EnvSettings:
+    """What an environment holds, what an agent may do and see in it, and what it is paid for.
+
+    Example:
+        >>> settings = EnvSettings(organs=("stomach",), actuation=Wrench(torque=0.0))
+        >>> env = vrcaps.env.CapsuleEnv(settings)
+
+    Attributes:
+        task: What is to be done.
+        actuation: How an action moves the capsule.
+        observations: What the agent sees; each is a key of a dictionary.
+        rewards: What it is paid for; empty: as the task proposes.
+        organs: Patients, one of which is drawn at each reset.
+        capsule: Name in the catalog, path of a device file, or a device in memory.
+        posture: How the patient lies.
+        lesions: Lesions to put into each organ.
+        dynamics: `quasi-static` leaves out inertia and is fast; `physics` is the full simulation.
+        substep: Longest substep of `physics` [s].
+        tissue: How the wall behaves.
+        start: Where an episode begins.
+        control_period: Time between actions [s].
+        episode_time: Time after which an episode is truncated [s].
+        stuck_time: Time without progress after which it is truncated, too [s].
+        max_speed: Speed beyond which it is truncated, without reward [m/s]; VR-Caps' limit.
+        criteria: When a part of the wall counts as seen.
+        num_points: Points of the wall that stand for its area.
+        grid: Cells of the map of the wall, along the gut and around it.
+    """
+
+    task: AnyTask = field(default_factory=CoverageTask)
+    actuation: AnyActuation = field(default_factory=Wrench)
+    observations: tuple[AnyObservation, ...] = (StateObservation(),)
+    rewards: tuple[Reward, ...] = ()
+    organs: tuple[Organ, ...] = (OrganGenerated("stomach"),)
+    capsule: str | Device = "magnetic"
+    posture: str = "supine"
+    lesions: tuple[AnyLesion, ...] = ()
+    dynamics: Literal["quasi-static", "physics"] = "quasi-static"
+    substep: Annotated[float, Range(above=0.0, most=1e-3, unit="s")] = 2e-4
+    tissue: Tissue = field(default_factory=Tissue)
+    start: Start = field(default_factory=Start)
+    control_period: Annotated[float, Range(above=0.0, most=1.0, unit="s")] = 5.0 / 30.0
+    episode_time: Annotated[float, Range(above=0.0, unit="s")] = 60.0
+    stuck_time: Annotated[float, Range(above=0.0, unit="s")] = 20.0
+    max_speed: Annotated[float, Range(above=0.0, unit="m/s")] = 0.35
+    criteria: CoverageCriteria = field(default_factory=CoverageCriteria)
+    num_points: Annotated[int, Range(least=64)] = 4096
+    grid: tuple[int, int] = (32, 16)
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+        posture_transform(self.posture)
+        if not self.organs:
+            raise InputError("organs is empty. Allowed: at least one.")
+        named = tuple(organ_named(o) if isinstance(o, str) else o for o in self.organs)
+        object.__setattr__(self, "organs", named)
+        names = [observation.name for observation in self.observations]
+        if not names or len(set(names)) < len(names):
+            raise InputError(
+                f"observations are {', '.join(names) or 'empty'}. Allowed: at least one, each once."
+            )
+        if min(self.grid) < 1:
+            raise InputError(f"grid is {self.grid}. Allowed: 1 or more cells each way.")
+
+
+def env_settings(**keywords: Any) -> EnvSettings:
+    """Settings from keywords, in which parts may be given by their names.
+
+    Example:
+        >>> env_settings(task="coverage", actuation="magnet", observations=("state", "map"))
+
+    Raises:
+        InputError: If a keyword is no field, or a value is not allowed.
+        UnknownNameError: If no part has a name.
+    """
+    known = [f.name for f in fields(EnvSettings)]
+    for name in keywords:
+        if name not in known:
+            raise UnknownNameError("setting", name, known)
+    for name, union in (("task", AnyTask), ("actuation", AnyActuation)):
+        if name in keywords:
+            keywords[name] = _part(name, union, keywords[name])
+    if "observations" in keywords:
+        given = keywords["observations"]
+        given = (given,) if isinstance(given, str) else given
+        keywords["observations"] = tuple(_part("observation", AnyObservation, o) for o in given)
+    if "rewards" in keywords:
+        keywords["rewards"] = tuple(
+            Reward(r) if isinstance(r, str) else r for r in keywords["rewards"]
+        )
+    if isinstance(keywords.get("organs"), str):
+        keywords["organs"] = (keywords["organs"],)
+    values: dict[str, Any] = {
+        name: tuple(value) if isinstance(value, list) else value for name, value in keywords.items()
+    }
+    return EnvSettings(**values)
+
+
+def _part(noun: str, union: Any, given: Any) -> Any:
+    """A part by its name, or as it is."""
+    if not isinstance(given, str):
+        return given
+    kinds = {cls.kind: cls for cls in get_args(union) or (union,)}
+    if given not in kinds:
+        raise UnknownNameError(noun, given, kinds)
+    return kinds[given]()

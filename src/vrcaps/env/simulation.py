@@ -1,0 +1,173 @@
+"""Worlds of an environment side by side: how they begin, move on, and what their cameras see."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vrcaps.capsule.catalog import read_device
+from vrcaps.capsule.device import Device
+from vrcaps.env.memory import Memory
+from vrcaps.env.patient import Patient, Patients
+from vrcaps.errors import InputError
+from vrcaps.metrics.coverage import CoverageLevel
+from vrcaps.metrics.point_coverage import POINT_LEVELS, mark_points
+from vrcaps.transforms import invert
+from vrcaps.units import CM
+from vrcaps.world.control import Control
+from vrcaps.world.world import World
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float
+
+    from vrcaps.env.settings import EnvSettings
+
+_NEARBY = 3.0 * CM
+"""How far along the gut the capsule's place is sought from where it was a step before."""
+
+
+class Simulation:
+    """Worlds side by side. All arrays have a row for each world and are those of the last step.
+
+    Attributes:
+        settings: What the worlds are made of.
+        memory: What changes from step to step; part of a snapshot.
+        worlds: The worlds; each is new at a reset.
+        time: Since the episode began [s].
+        arc_length: Place of the capsule along the centerline [m].
+        fraction: Fraction of the whole seen so far at each of `POINT_LEVELS`.
+        gain: What of it was seen for the first time in the last step.
+        cells: Fraction of the whole that was visible so far in each cell of the map.
+        T_world_capsule: Poses of the capsules.
+        velocity_world: Their velocities [m/s] and angular velocities [rad/s].
+        contact_force_world: Mean force of the wall on each in the last step [N].
+        normal_force_total: Mean sum of the sizes of the normal forces [N].
+        is_outside: Whether a capsule has left the lumen, which is a fault of the simulation.
+        failure: Why a world could not be stepped; empty where it could.
+    """
+
+    def __init__(self, settings: EnvSettings, num_worlds: int) -> None:
+        """Makes room; `reset` makes the worlds."""
+        self.settings, self.num_worlds = settings, num_worlds
+        capsule = settings.capsule
+        self.device = capsule if isinstance(capsule, Device) else read_device(capsule)
+        with_textures = any(observation.needs_textures for observation in settings.observations)
+        self.patients = Patients(settings, self.device, with_textures=with_textures)
+        self.worlds: list[World] = []
+        self.memory = memory = Memory(num_worlds)
+        rows, columns = settings.grid
+        self.time = memory.allocate("time")
+        self.arc_length = memory.allocate("arc_length")
+        self.fraction = memory.allocate("fraction", (len(POINT_LEVELS),))
+        self.gain = memory.allocate("gain", (len(POINT_LEVELS),))
+        self.cells = memory.allocate("cells", (rows * columns,))
+        self._patient = memory.allocate("patient", dtype=np.int64, fill=-1)
+        self.flags: list[np.ndarray] = [np.zeros(0, np.uint8)] * num_worlds
+        self.T_world_capsule = np.tile(np.eye(4), (num_worlds, 1, 1))
+        self.velocity_world = np.zeros((num_worlds, 2, 3))
+        self.contact_force_world = np.zeros((num_worlds, 3))
+        self.normal_force_total = np.zeros(num_worlds)
+        self.is_outside = np.zeros(num_worlds, bool)
+        self.failure = [""] * num_worlds
+        settings.actuation.allocate(self)
+        settings.task.allocate(self)
+        for observation in settings.observations:
+            observation.allocate(self)
+
+    def patient(self, index: int) -> Patient:
+        """The patient of a world."""
+        return self.patients[int(self._patient[index])]
+
+    def seen(self, level: CoverageLevel) -> Float[np.ndarray, " n"]:
+        """Fraction of the whole seen so far at one level."""
+        return self.fraction[:, POINT_LEVELS.index(level)]
+
+    def reset(self, index: int, rng: np.random.Generator) -> None:
+        """Begin an episode in one world.
+
+        Raises:
+            InputError: If the organ cannot be made, or the capsule fits nowhere in it.
+        """
+        settings = self.settings
+        self._patient[index] = rng.integers(len(self.patients))
+        model = self.patient(index).model
+        start, self.arc_length[index] = settings.start.draw(model, rng)
+        sources = settings.actuation.begin(self, index, start)
+        world = World(
+            model,
+            settings.tissue,
+            start,
+            substep=settings.substep,
+            seed=int(rng.integers(2**31)),
+            sources=sources,
+        )
+        if not self.worlds:
+            self.worlds = [world] * self.num_worlds
+        self.worlds[index] = world
+        if settings.start.settle:
+            world.step(Control(), settings.start.settle)
+        self.flags[index] = np.zeros(len(self.patient(index).points), np.uint8)
+        for array in (self.time, self.fraction, self.gain, self.cells):
+            array[index] = 0.0
+        self.failure[index] = ""
+        self._read(np.array([index]))
+        settings.task.begin(self, index, rng)
+        for observation in settings.observations:
+            observation.begin(self, index, rng)
+
+    def step(self, actions: np.ndarray, active: Bool[np.ndarray, " n"]) -> None:
+        """Move the active worlds on by one control period.
+
+        A world that cannot be stepped stays as it was and says why in `failure`.
+        """
+        settings, numbers = self.settings, np.flatnonzero(active)
+        controls = settings.actuation.controls(self, actions, numbers)
+        for index, control in zip(numbers, controls, strict=True):
+            try:
+                self.worlds[index].step(control, settings.control_period)
+            except InputError as error:
+                self.failure[index] = str(error)
+        self.time[numbers] += settings.control_period
+        self._read(numbers)
+        settings.task.update(self, numbers)
+
+    def _read(self, numbers: np.ndarray) -> None:
+        """Bring all arrays up to date with some of the worlds."""
+        for index in numbers:
+            world = self.worlds[index]
+            self.T_world_capsule[index] = world.T_world_capsule
+            self.velocity_world[index] = world.velocity_world
+            contact = world.contact
+            self.contact_force_world[index] = contact.force_world
+            self.normal_force_total[index] = contact.normal_force_total
+            self.is_outside[index] = not world.is_inside()
+            self.arc_length[index] = self._nearest_arc_length(index)
+        self._look(numbers)
+
+    def _look(self, numbers: np.ndarray) -> None:
+        """Mark what the cameras see."""
+        self.gain[numbers] = 0.0
+        cells = self.cells[numbers]
+        to_wall = np.stack([invert(self.patient(k).model.T_world_patient) for k in numbers])
+        for camera in self.device.cameras:
+            self.gain[numbers] += mark_points(
+                [self.worlds[k].wall for k in numbers],
+                [self.patient(k).points for k in numbers],
+                camera,
+                to_wall @ self.T_world_capsule[numbers] @ camera.T_capsule_camera,
+                [self.flags[k] for k in numbers],
+                cells,
+                self.settings.criteria,
+            )
+        self.cells[numbers] = cells
+        self.fraction[numbers] += self.gain[numbers]
+
+    def _nearest_arc_length(self, index: int) -> float:
+        """Place of the capsule along the centerline, near where it was [m]."""
+        model, now = self.patient(index).model, self.arc_length[index]
+        line = model.organ.centerline
+        T_patient_capsule = invert(model.T_world_patient) @ self.T_world_capsule[index]
+        low, high = np.searchsorted(line.arc_length, [now - _NEARBY, now + _NEARBY])
+        offset = line.points[low:high] - T_patient_capsule[:3, 3]
+        return float(line.arc_length[low + np.argmin((offset**2).sum(axis=1))])

@@ -1,0 +1,47 @@
+"""Start of an episode: where the capsule is, drawn anew at each reset."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Annotated
+
+import numpy as np
+
+from vrcaps.errors import InputError
+from vrcaps.limits import Range, check_fields
+from vrcaps.motion.start_pose import start_pose
+from vrcaps.world.model import Model, State
+
+
+@dataclass(frozen=True)
+class Start:
+    """Where an episode begins; each number is drawn evenly between its two limits.
+
+    Attributes:
+        fraction: Place along the centerline, as a fraction of it; moved to where the capsule fits.
+        angle: Between the capsule's front and the direction to the anal end [rad].
+        settle: Time that the capsule takes to come to rest before the first observation [s].
+    """
+
+    fraction: tuple[float, float] = (0.1, 0.9)
+    angle: tuple[float, float] = (0.0, 0.0)
+    settle: Annotated[float, Range(least=0.0, most=10.0, unit="s")] = 0.5
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+        low, high = self.fraction
+        if not 0.0 <= low <= high <= 1.0:
+            raise InputError(f"Start's fraction is {self.fraction}. Allowed: 0 to 1, rising.")
+        if not all(map(math.isfinite, self.angle)) or self.angle[0] > self.angle[1]:
+            raise InputError(f"Start's angle is {self.angle}. Allowed: finite [rad], rising.")
+
+    def draw(self, model: Model, rng: np.random.Generator) -> tuple[State, float]:
+        """A state at rest, and its arc length [m].
+
+        Raises:
+            InputError: If the capsule fits nowhere in the organ.
+        """
+        place, angle = (float(rng.uniform(*limits)) for limits in (self.fraction, self.angle))
+        T_world_capsule, arc_length, _ = start_pose(model, place, angle)
+        return State(0.0, T_world_capsule), arc_length

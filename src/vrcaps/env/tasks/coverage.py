@@ -1,0 +1,64 @@
+"""Coverage: see as much of the organ's wall as possible, as fast as possible."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated, ClassVar
+
+from vrcaps.env.rewards import Reward
+from vrcaps.errors import UnknownNameError
+from vrcaps.limits import Range, check_fields
+from vrcaps.metrics.coverage import CoverageLevel
+from vrcaps.metrics.point_coverage import POINT_LEVELS
+
+if TYPE_CHECKING:
+    import numpy as np
+    from jaxtyping import Bool, Float
+
+    from vrcaps.env.simulation import Simulation
+
+
+@dataclass(frozen=True)
+class CoverageTask:
+    """See the whole wall.
+
+    Attributes:
+        level: Level of coverage that counts.
+        target: Fraction of the wall at which the task is done.
+    """
+
+    level: CoverageLevel = "visible"
+    target: Annotated[float, Range(above=0.0, most=1.0)] = 0.98
+
+    kind: ClassVar[str] = "coverage"
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+        if self.level not in POINT_LEVELS:
+            raise UnknownNameError("level of coverage for a task", self.level, POINT_LEVELS)
+
+    @property
+    def rewards(self) -> tuple[Reward, ...]:
+        """Gain of area, in percent of the whole, less a little for time."""
+        return (Reward("area-gain", 100.0, self.level), Reward("time", 0.1))
+
+    def allocate(self, simulation: Simulation) -> None:
+        """Needs no memory but the simulation's own."""
+
+    def begin(self, simulation: Simulation, index: int, rng: np.random.Generator) -> None:
+        """Begins with what the start shows."""
+
+    def update(self, simulation: Simulation, numbers: np.ndarray) -> None:
+        """The simulation counts coverage itself."""
+
+    def progress(self, simulation: Simulation) -> Float[np.ndarray, " n"]:
+        """Fraction of the wall that was seen."""
+        return simulation.seen(self.level)
+
+    def is_done(self, simulation: Simulation) -> Bool[np.ndarray, " n"]:
+        """Whether the target is reached."""
+        return simulation.seen(self.level) >= self.target
+
+    def measures(self, simulation: Simulation) -> dict[str, np.ndarray]:
+        """Fraction seen at each level."""
+        return {f"coverage_{level}": simulation.seen(level).copy() for level in POINT_LEVELS}

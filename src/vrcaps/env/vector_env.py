@@ -1,0 +1,166 @@
+"""Native vector environment: many worlds stepped in one call of the core."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import gymnasium
+import numpy as np
+from gymnasium.utils import seeding
+from gymnasium.vector import AutoresetMode
+from gymnasium.vector.utils import batch_space
+
+from vrcaps.env.episode import Episode, EpisodeStep
+from vrcaps.env.settings import EnvSettings
+from vrcaps.errors import InputError, require
+
+
+class CapsuleVectorEnv(gymnasium.vector.VectorEnv):
+    """Many capsules, each in a world of its own, as one Gymnasium vector environment.
+
+    World k, seeded with s + k, gives the same bytes as `CapsuleEnv` seeded so.
+
+    Example:
+        >>> envs = gymnasium.make_vec("vrcaps.env:Coverage-v0", num_envs=16, organs=("stomach",))
+        >>> observations, infos = envs.reset(seed=0)
+        >>> observations, rewards, terminated, truncated, infos = envs.step(actions)
+    """
+
+    def __init__(
+        self,
+        settings: EnvSettings | None = None,
+        num_envs: int = 1,
+        *,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+        render_mode: str | None = None,
+    ) -> None:
+        """Makes room; `reset` makes the worlds.
+
+        Args:
+            settings: What the worlds are made of.
+            num_envs: How many there are.
+            autoreset_mode: What happens after an episode's end: `NextStep`, `SameStep` or
+                `Disabled`, see `gymnasium.vector.AutoresetMode`.
+            render_mode: `rgb_array` lets `render` give an image of each world; None none.
+
+        Raises:
+            InputError: If there is no world, or a mode is unknown.
+        """
+        require(num_envs >= 1, "num_envs", num_envs, "1 or more")
+        self.settings = settings or EnvSettings()
+        self.num_envs = num_envs
+        self.autoreset_mode = _autoreset_mode(autoreset_mode)
+        self.metadata = {"render_modes": ["rgb_array"], "autoreset_mode": self.autoreset_mode}
+        require(render_mode in (None, "rgb_array"), "render_mode", render_mode, "rgb_array or None")
+        self.render_mode = render_mode
+        self.episode = Episode(self.settings, num_envs)
+        self.single_observation_space = self.episode.observation_space
+        self.single_action_space = self.episode.action_space
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        self._generators = [seeding.np_random(None)[0] for _ in range(num_envs)]
+        self._is_over = np.ones(num_envs, bool)
+        self._was_reset = False
+
+    def reset(
+        self, *, seed: int | Sequence[int | None] | None = None, options: dict | None = None
+    ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+        """Begin an episode in every world, or in those of `options={"reset_mask": …}`.
+
+        Args:
+            seed: One for each world, or one to which each world's number is added.
+            options: `reset_mask` has a truth value for each world.
+
+        Raises:
+            InputError: If the mask does not fit, or an organ cannot be made.
+        """
+        mask = np.ones(self.num_envs, bool)
+        if options and "reset_mask" in options:
+            mask = np.asarray(options["reset_mask"], bool)
+            require(mask.shape == (self.num_envs,), "reset_mask", mask, "one value a world")
+        seeds = [seed + k for k in range(self.num_envs)] if isinstance(seed, int) else seed
+        for index, value in enumerate(seeds or ()):
+            if value is not None and mask[index]:
+                self._generators[index] = seeding.np_random(value)[0]
+        if seeds is not None and seeds[0] is not None:
+            self._np_random, self._np_random_seed = seeding.np_random(int(seeds[0]))
+        require(self._was_reset or bool(mask.all()), "reset_mask", mask, "all at the first reset")
+        self._begin(np.flatnonzero(mask))
+        self._was_reset = True
+        return self.episode.observe(), self._masked(self.episode.measures(), mask)
+
+    def step(
+        self, actions: np.ndarray
+    ) -> tuple[dict[str, np.ndarray], np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
+        """Move every world on by a control period; see `gymnasium.vector.VectorEnv.step`.
+
+        Raises:
+            InputError: If there was no reset, or an action is out of the space.
+        """
+        require(self._was_reset, "The environment's state", "none", "a reset before the first step")
+        actions = self.episode.check_actions(actions)
+        resets = np.flatnonzero(self._is_over)
+        if len(resets) and self.autoreset_mode is AutoresetMode.DISABLED:
+            raise InputError(
+                f"Worlds {', '.join(map(str, resets))} are over. Reset them with "
+                "options={'reset_mask': …}."
+            )
+        active = ~self._is_over
+        step = self.episode.step(actions, active)
+        infos = self._masked(step.measures, active)
+        if len(resets):
+            self._begin(resets)
+        self._is_over = active & (step.terminated | step.truncated)
+        if self.autoreset_mode is AutoresetMode.SAME_STEP and self._is_over.any():
+            return self._reset_in_step(step, infos)
+        return self.episode.observe(), step.reward, step.terminated, step.truncated, infos
+
+    def _reset_in_step(self, step: EpisodeStep, infos: dict[str, Any]) -> tuple:
+        """Result of a step whose worlds that are over begin anew at once."""
+        over, last = self._is_over.copy(), self.episode.observe()
+        final = np.full(self.num_envs, None, object)
+        for index in np.flatnonzero(over):
+            final[index] = {name: array[index].copy() for name, array in last.items()}
+        infos |= {"final_obs": final, "_final_obs": over.copy()}
+        infos |= {
+            "final_info": self._masked(step.measures, over),
+            "_final_info": over.copy(),
+        }
+        self._begin(np.flatnonzero(over))
+        return self.episode.observe(), step.reward, step.terminated, step.truncated, infos
+
+    def _begin(self, numbers: np.ndarray) -> None:
+        for index in numbers:
+            self.episode.begin(int(index), self._generators[index])
+        self._is_over[numbers] = False
+
+    @staticmethod
+    def _masked(measures: dict[str, np.ndarray], mask: np.ndarray) -> dict[str, Any]:
+        """Measures with the masks that say of which worlds they are."""
+        marks = {f"_{name}": mask.copy() for name in measures}
+        return {**measures, **marks}
+
+    def render(self) -> tuple[np.ndarray, ...] | None:
+        """An image of what the first camera of each capsule sees; None without a render mode."""
+        return None if self.render_mode is None else tuple(self.episode.images())
+
+    def close_extras(self, **kwargs: Any) -> None:
+        """Lets go of the worlds."""
+        self.episode = Episode(self.settings, self.num_envs)
+        self._was_reset = False
+
+
+def _autoreset_mode(mode: AutoresetMode | str) -> AutoresetMode:
+    known = {m.value.lower(): m for m in AutoresetMode}
+    name = (mode.value if isinstance(mode, AutoresetMode) else str(mode)).lower().replace("_", "")
+    require(name in known, "autoreset_mode", mode, ", ".join(m.value for m in AutoresetMode))
+    return known[name]
+
+
+def with_time_limit(settings: EnvSettings, max_episode_steps: int | None) -> EnvSettings:
+    """Settings whose episodes last a number of steps; None leaves them as they are."""
+    if max_episode_steps is None:
+        return settings
+    return replace(settings, episode_time=max_episode_steps * settings.control_period)

@@ -1,0 +1,201 @@
+"""Coverage of many worlds at once, by points on the wall that stand for its area.
+
+A point counts as visible where it is in the image and nothing lies between it and the camera. So
+one ray a point decides, whatever the size of the image, and points that were seen need none.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vrcaps import _core, rng
+from vrcaps.camera.camera import in_image, project_points
+from vrcaps.errors import require
+from vrcaps.geometry import triangle_areas
+from vrcaps.metrics.coverage import CoverageCriteria, CoverageLevel, pixel_solid_angles
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Int, UInt8
+
+    from vrcaps.camera.camera import Camera
+    from vrcaps.organ.surface import OrganSurface
+
+POINT_LEVELS: tuple[CoverageLevel, ...] = ("frustum", "visible", "resolved")
+"""Levels that points are marked at; a point's flag has one bit for each, in this order."""
+
+_TABLE_SIZE = 512
+"""Rows of a table of directions: a cell is a third of a degree wide, a pixel of most capsules."""
+
+
+@dataclass(frozen=True)
+class WallPoints:
+    """Points on an organ's wall, drawn evenly over its area or over its vertices.
+
+    Attributes:
+        face: Triangle of each point.
+        weights: Barycentric weights of the triangle's first two corners.
+        fractions: What each counts of the whole, at `frustum` and at the other levels.
+        cell: Cell of the organ's map that each lies in.
+        core: The same for the core.
+    """
+
+    face: Int[np.ndarray, " k"]
+    weights: Float[np.ndarray, "k 2"]
+    fractions: Float[np.ndarray, "k 2"]
+    cell: Int[np.ndarray, " k"]
+    core: _core.WallPoints
+
+    def __len__(self) -> int:
+        return len(self.face)
+
+
+def wall_points(
+    organ: OrganSurface, count: int | None = 4096, grid: tuple[int, int] = (32, 16), seed: int = 0
+) -> WallPoints:
+    """Points of a wall with the cells of its map in gut coordinates.
+
+    The level `frustum` counts vertices, the others area. So a quarter of `count` are vertices, and
+    the rest are drawn one in each of as many parts of equal area.
+
+    Args:
+        organ: The wall.
+        count: Number of points; None takes every vertex and the center of every triangle.
+        grid: Cells of the map along the centerline and around it.
+        seed: Of the places of the points.
+
+    Raises:
+        InputError: If there are fewer than 64 points.
+    """
+    area = triangle_areas(organ.vertices[organ.faces])
+    if count is None:
+        vertices, faces = np.arange(len(organ.vertices)), np.arange(len(organ.faces))
+        weights = np.full((len(faces), 2), 1.0 / 3.0)
+        by_area = area / area.sum()
+    else:
+        require(count >= 64, "Number of points", count, "64 or more")
+        draw = rng.stream(seed, "metrics/wall_points")
+        num_vertices = min(count // 4, len(organ.vertices))
+        vertices = np.sort(draw.choice(len(organ.vertices), num_vertices, replace=False))
+        faces, weights = _even_points(draw, organ, area, count - num_vertices)
+        by_area = np.full(len(faces), 1.0 / len(faces))
+    corner_face, corner_weights = _corners(organ, vertices)
+    face = np.concatenate([corner_face, faces])
+    fractions = np.zeros((len(face), 2))
+    fractions[: len(vertices), 0] = 1.0 / len(vertices)
+    fractions[len(vertices) :, 1] = by_area
+    weights = np.concatenate([corner_weights, weights])
+    cell = _cells(organ, face, weights, grid)
+    core = _core.WallPoints(
+        face.astype(np.uint32), weights.astype(np.float32), fractions, cell.astype(np.uint32)
+    )
+    return WallPoints(face, weights, fractions, cell, core)
+
+
+def _even_points(
+    draw: np.random.Generator, organ: OrganSurface, area: np.ndarray, count: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Faces and weights of points, one in each of `count` equal parts of the area in gut order."""
+    order = np.lexsort((organ.theta[organ.faces[:, 0]], organ.arc_length[organ.faces[:, 0]]))
+    passed = np.cumsum(area[order])
+    at = (np.arange(count) + draw.random(count)) / count * passed[-1]
+    faces = order[np.searchsorted(passed, at).clip(0, len(order) - 1)]
+    root, share = np.sqrt(draw.random(count)), draw.random(count)
+    return faces, np.stack([1.0 - root, root * (1.0 - share)], axis=-1)
+
+
+def _corners(organ: OrganSurface, vertices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """A face of each vertex, and the weights that put a point on that corner."""
+    flat = organ.faces.ravel()
+    first = np.zeros(len(organ.vertices), np.int64)
+    first[flat[::-1]] = np.arange(len(flat))[::-1]
+    face, corner = np.divmod(first[vertices], 3)
+    return face, np.eye(3)[corner][:, :2]
+
+
+def _cells(
+    organ: OrganSurface, face: np.ndarray, weights: np.ndarray, grid: tuple[int, int]
+) -> np.ndarray:
+    """Number of the cell of each point, row by row along the centerline."""
+    weights = np.concatenate([weights, 1.0 - weights.sum(axis=1, keepdims=True)], axis=1)
+    corners = organ.faces[face]
+    arc_length = (organ.arc_length[corners] * weights).sum(axis=1) / organ.centerline.length
+    theta = organ.theta[corners]
+    turns = theta[:, :1] + (theta - theta[:, :1] + np.pi) % (2.0 * np.pi) - np.pi
+    angle = ((turns * weights).sum(axis=1) / (2.0 * np.pi) + 0.5) % 1.0
+    rows, columns = grid
+    row = (arc_length * rows).astype(int).clip(0, rows - 1)
+    return row * columns + (angle * columns).astype(int).clip(0, columns - 1)
+
+
+def octahedral_directions(size: int) -> Float[np.ndarray, "size size 3"]:
+    """Unit directions at the middles of the cells of an unfolded octahedron.
+
+    The cell in row i and column j has v = (2 i + 1) / size − 1 and u alike; |u| + |v| ≤ 1 is the
+    half with z ≥ 0 (Cigolle et al., J. Computer Graphics Techniques 3(2), 2014).
+    """
+    w = (2.0 * np.arange(size) + 1.0) / size - 1.0
+    v, u = np.meshgrid(w, w, indexing="ij")
+    z = 1.0 - np.abs(u) - np.abs(v)
+    x = np.where(z < 0.0, np.copysign(1.0 - np.abs(v), u), u)
+    y = np.where(z < 0.0, np.copysign(1.0 - np.abs(u), v), v)
+    directions = np.stack([x, y, z], axis=-1)
+    return directions / np.linalg.norm(directions, axis=-1, keepdims=True)
+
+
+@lru_cache(maxsize=16)
+def direction_table(camera: Camera) -> _core.DirectionTable:
+    """Pixels per steradian of a camera by direction; 0 where it has no image."""
+    directions = octahedral_directions(_TABLE_SIZE)
+    with np.errstate(all="ignore"):
+        pixels = project_points(camera, directions)
+    inside = in_image(camera, pixels)
+    column, row = (
+        np.rint(np.where(inside, pixels[..., k], 0.0)).astype(int).clip(0, most - 1)
+        for k, most in enumerate((camera.width, camera.height))
+    )
+    density = np.nan_to_num(1.0 / pixel_solid_angles(camera), posinf=0.0)[row, column]
+    # A pixel at the edge of the lens has no solid angle of its own, but it is in the image.
+    least = density[density > 0.0].min(initial=1.0)
+    return _core.DirectionTable(np.where(inside, np.maximum(density, least), 0.0).astype("f4"))
+
+
+def mark_points(
+    walls: Sequence[_core.Wall],
+    points: Sequence[WallPoints],
+    camera: Camera,
+    Ts_wall_camera: Float[np.ndarray, "n 4 4"],
+    flags: Sequence[UInt8[np.ndarray, " k"]],
+    cells: Float[np.ndarray, "n c"],
+    criteria: CoverageCriteria,
+) -> Float[np.ndarray, "n 3"]:
+    """Mark the points that a camera sees beside each of many walls.
+
+    Args:
+        walls: Of each view.
+        points: Of each wall.
+        camera: The camera of all views.
+        Ts_wall_camera: Its poses in the frames of the walls.
+        flags: For each point, a bit for each of `POINT_LEVELS`; marked in place.
+        cells: Fraction of the whole that is visible in each cell; added to in place.
+        criteria: When a point is near enough and resolved.
+
+    Returns:
+        Fraction of the whole that is seen for the first time at each of `POINT_LEVELS`.
+    """
+    return _core.mark_points(
+        walls,
+        [p.core for p in points],
+        direction_table(camera),
+        np.ascontiguousarray(Ts_wall_camera, float),
+        list(flags),
+        cells,
+        max_depth=criteria.max_depth,
+        min_density=criteria.min_pixel_density,
+        min_cosine=math.cos(criteria.max_incidence),
+    )

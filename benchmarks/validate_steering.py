@@ -33,9 +33,9 @@ from vrcaps.magnet.sources import Coil, Cylinder, Dipole, magnet_pose
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.tissue.tissue import Tissue
 from vrcaps.transforms import transform_from
-from vrcaps.world.control import Control
+from vrcaps.world.control import GRAVITY, Control
 from vrcaps.world.model import Model, State
-from vrcaps.world.world import GRAVITY, World
+from vrcaps.world.world import World
 
 DT, SUBSTEP = 0.01, 2e-4
 PUSH, RISE, STAY = 0.1, 2.0, 2.0

@@ -35,6 +35,9 @@ fn _core(m: &Bound<'_, PyModule>) -> PyResult<()> {
     m.add_function(wrap_pyfunction!(actuation::rotation::rotation_vector_rows, m)?)?;
     m.add_function(wrap_pyfunction!(actuation::reference::advance_reference, m)?)?;
     m.add_class::<world::binding::World>()?;
+    m.add_function(wrap_pyfunction!(world::batch::step_worlds, m)?)?;
+    m.add_function(wrap_pyfunction!(world::batch::world_states, m)?)?;
+    m.add_function(wrap_pyfunction!(world::batch::worlds_inside, m)?)?;
     m.add_class::<lumen::particles::Particles>()?;
     m.add_function(wrap_pyfunction!(lumen::particles::terminal_speed, m)?)?;
     m.add_function(wrap_pyfunction!(lumen::pushed_aside::around_capsule, m)?)?;

@@ -22,8 +22,9 @@ from vrcaps.magnet.presets import read_magnet
 from vrcaps.magnet.sources import UniformField, magnet_pose
 from vrcaps.tissue.tissue import Tissue
 from vrcaps.transforms import invert, transform_from
+from vrcaps.world.control import GRAVITY
 from vrcaps.world.model import Model, State, posture_transform
-from vrcaps.world.world import GRAVITY, World
+from vrcaps.world.world import World
 
 DT = 0.01
 

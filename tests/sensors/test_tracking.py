@@ -18,8 +18,8 @@ from vrcaps.sensors.pose_filter import PoseBelief, correct, located_magnet, pred
 from vrcaps.sensors.sensors import hall_array
 from vrcaps.sensors.tracking import CapsuleTracker, TrackingSensors
 from vrcaps.transforms import rotate_by_vector, rotation_vector, transform_from
+from vrcaps.world.control import GRAVITY
 from vrcaps.world.model import Model, posture_transform
-from vrcaps.world.world import GRAVITY
 
 PERIOD = 0.01
 MAGNET = read_magnet("cylinder-76.2", magnet_pose((0.1, 0.0, 0.25), (1.0, 0.0, 0.2)))

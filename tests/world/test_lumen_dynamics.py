@@ -23,9 +23,9 @@ from vrcaps.lumen.particles import BUBBLE, WHITE, Spheres
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.tissue.tissue import Tissue
 from vrcaps.units import MM
-from vrcaps.world.control import Control
+from vrcaps.world.control import GRAVITY, Control
 from vrcaps.world.model import Model, State
-from vrcaps.world.world import GRAVITY, World
+from vrcaps.world.world import World
 
 RADIUS = 25.0 * MM
 LEVEL = 12.0 * MM

@@ -24,9 +24,9 @@ from vrcaps.magnet.sources import (
 from vrcaps.tissue.drag import Drag
 from vrcaps.tissue.tissue import Tissue
 from vrcaps.transforms import matrix_from_quaternion, rotate_vectors, transform_from
-from vrcaps.world.control import Control
+from vrcaps.world.control import GRAVITY, Control
 from vrcaps.world.model import Model, State, posture_transform
-from vrcaps.world.world import GRAVITY, World
+from vrcaps.world.world import World
 
 FREE = Tissue(deformation=None, drag=Drag(friction=0.0))
 HOVER = np.eye(3)

@@ -9,13 +9,18 @@ import sys
 import numpy as np
 import pytest
 
+from vrcaps.capsule.catalog import read_device
 from vrcaps.errors import InputError
+from vrcaps.magnet.sources import Cylinder
+from vrcaps.tissue.motility.motility import Motility
+from vrcaps.tissue.motility.propulsion import Propulsion
 from vrcaps.tissue.tissue import Tissue
+from vrcaps.transforms import rotation_from_vector, transform_from
 from vrcaps.world.control import Control
 from vrcaps.world.model import Model, State
 from vrcaps.world.snapshot import Snapshot
 from vrcaps.world.world import World
-from vrcaps.world.worlds import step_worlds
+from vrcaps.world.worlds import are_inside, batch_state, step_worlds
 
 CONTROLS = [Control(force_world=(0.2 * k, 0.0, -0.3)) for k in range(4)]
 
@@ -65,6 +70,66 @@ def test_the_same_bytes_on_any_number_of_threads() -> None:
         for threads in ("1", "2")
     }
     assert len(found) == 1
+
+
+def test_worlds_of_all_kinds_step_together(model: Model) -> None:
+    """One on a rigid wall, one with muscle, one whose steps are in pieces, one steered."""
+    propelled = Motility(fallback_segment="ileum", propulsion=Propulsion(beta=0.5))
+    tissues = (
+        Tissue(deformation=None),
+        Tissue(motility=Motility(fallback_segment="ileum")),
+        Tissue(motility=propelled),
+        Tissue(),
+    )
+    steered = Model(model.organ, read_device("magnetic"))
+
+    def made() -> list[World]:
+        pose = steered.place(0.1).T_world_capsule
+        above = transform_from(np.eye(3), pose[:3, 3] + (0.0, 0.0, 0.12))
+        worlds = [World(model, tissue, model.place(0.1), substep=2e-4) for tissue in tissues[:3]]
+        magnet = Cylinder(0.05, 0.05, 1.3, above)
+        return [*worlds, World(steered, tissues[3], steered.place(0.1), sources=[magnet])]
+
+    together, alone = made(), made()
+    turned = transform_from(rotation_from_vector(np.array([0.1, 0.2, 0.3])), np.zeros(3))
+    magnet = alone[3].coupling
+    assert magnet is not None
+    controls = [
+        Control(insufflation=0.99),
+        Control(force_world=(0.01, 0.0, 0.0)),
+        Control(torque_world=(0.0, 1e-4, 0.0)),
+        Control(T_world_patient=turned @ model.T_world_patient, strengths=np.array([0.9])),
+        Control(Ts_world_magnet=magnet.Ts_world_magnet @ turned),
+    ]
+    for three in (controls[:4], [*controls[1:3], controls[0], controls[4]]):
+        step_worlds(together, three, 0.01)
+        for world, control in zip(alone, three, strict=True):
+            world.step(control, 0.01)
+    for a, b in zip(together, alone, strict=True):
+        assert as_bytes(a.snapshot()) == as_bytes(b.snapshot())
+    read = batch_state(together)
+    for k, world in enumerate(alone):
+        assert np.array_equal(read.Ts_world_capsule[k], world.T_world_capsule)
+        velocity = [read.linear_velocity_world[k], read.angular_velocity_world[k]]
+        assert np.array_equal(velocity, world.velocity_world)
+        for name, value in vars(world.contact).items():
+            key = f"contact_{name}" if name in ("force_world", "torque_world") else name
+            assert np.array_equal(getattr(read, key)[k], value)
+    assert are_inside(together).tolist() == [world.is_inside() for world in alone]
+
+
+def test_a_hierarchy_refitted_in_part_is_that_refitted_whole(model: Model) -> None:
+    """A capsule presses into the wall and lets go; queries beside a wall made anew."""
+    world, rng = worlds_in(model)[0], np.random.default_rng(0)
+    points = world._center + rng.uniform(-0.1, 0.1, (300, 3))
+    for force in (0.5, 0.0):
+        for _ in range(2):
+            world.step(Control(force_world=(0.0, 0.0, -force)), 0.02)
+        assert world.is_inside()
+        moved = world._core.vertices(np.eye(4))
+        whole = model.wall_in_patient.copy()
+        whole.refit(moved)
+        assert np.array_equal(world._wall.signed_distance(points), whole.signed_distance(points))
 
 
 def test_a_bad_world_does_not_hold_up_the_others(model: Model) -> None:

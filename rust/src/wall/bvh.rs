@@ -73,6 +73,7 @@ pub struct Triangle {
 }
 
 /// Eight-wide hierarchy over a triangle mesh.
+#[derive(Clone)]
 pub struct Bvh {
     /// Nodes, parents before children; node 0 is the root.
     pub nodes: Vec<Node>,
@@ -82,9 +83,14 @@ pub struct Bvh {
     pub corners: Vec<[u32; 3]>,
     /// Large branches, which share nothing and are refitted side by side, in node order.
     branches: Vec<Branch>,
+    /// The node above each node; the root's is itself.
+    above: Vec<u32>,
+    /// The node whose leaf holds each face.
+    holder: Vec<u32>,
 }
 
 /// A node with all below it: nodes in a row, and the triangles of their leaves in a row.
+#[derive(Clone)]
 struct Branch {
     nodes: Range<usize>,
     triangles: Range<usize>,
@@ -93,7 +99,14 @@ struct Branch {
 impl Bvh {
     /// A hierarchy over nothing.
     pub fn empty() -> Self {
-        Bvh { nodes: Vec::new(), triangles: Vec::new(), corners: Vec::new(), branches: Vec::new() }
+        Bvh {
+            nodes: Vec::new(),
+            triangles: Vec::new(),
+            corners: Vec::new(),
+            branches: Vec::new(),
+            above: Vec::new(),
+            holder: Vec::new(),
+        }
     }
 
     /// Builds the hierarchy (PLOC with reinsertion, then collapsed to eight children a node).
@@ -113,7 +126,44 @@ impl Bvh {
         let mut bvh = Collapse::run(&binary);
         bvh.corners = bvh.triangles.iter().map(|t| faces[t.face as usize]).collect();
         bvh.refit(vertices);
+        bvh.find_holders();
         bvh
+    }
+
+    /// Notes where each node hangs and where each face is.
+    fn find_holders(&mut self) {
+        self.above = vec![0; self.nodes.len()];
+        self.holder = vec![0; self.triangles.len()];
+        for (n, node) in self.nodes.iter().enumerate() {
+            for &code in &node.children {
+                match Child::of(code) {
+                    Child::Node(child) => self.above[child] = n as u32,
+                    Child::Leaf(range) => {
+                        let held = &self.triangles[range];
+                        held.iter().for_each(|t| self.holder[t.face as usize] = n as u32);
+                    }
+                }
+            }
+        }
+    }
+
+    /// As `refit`, where only these faces have moved.
+    pub fn refit_some(&mut self, vertices: &[Vec3], faces: impl Iterator<Item = u32>) {
+        let mut due = vec![0u64; self.nodes.len().div_ceil(64)];
+        faces.for_each(|face| mark(&mut due, self.holder[face as usize]));
+        let mut whole = Part::whole(&mut self.nodes, &mut self.triangles, &self.corners, vertices);
+        // Children come after their parents.
+        for word in (0..due.len()).rev() {
+            while due[word] != 0 {
+                let bit = 63 - due[word].leading_zeros();
+                due[word] &= !(1 << bit);
+                let n = 64 * word + bit as usize;
+                whole.refit_node(n);
+                if n > 0 {
+                    mark(&mut due, self.above[n]);
+                }
+            }
+        }
     }
 
     /// Levels of the tree.
@@ -223,6 +273,11 @@ impl<'a> Part<'a> {
         }
         [low.x, low.y, low.z, high.x, high.y, high.z]
     }
+}
+
+/// Marks a number in a row of bits.
+fn mark(bits: &mut [u64], number: u32) {
+    bits[number as usize / 64] |= 1 << (number % 64);
 }
 
 /// A vertex among coordinates in a row, and whatever comes after it: one load.

@@ -28,6 +28,7 @@ type DistanceAndFace<'py> = (Bound<'py, PyArray1<f32>>, Bound<'py, PyArray1<i64>
 /// Positions are kept about the center of the mesh, so that single precision does not depend on
 /// where in the world the mesh lies.
 #[pyclass(module = "vrcaps._core")]
+#[derive(Clone)]
 pub struct Wall {
     /// Middle of the mesh's bounds when it was made; subtracted from every position [m].
     #[pyo3(get)]
@@ -97,6 +98,25 @@ impl Wall {
             self.has_normals = false;
             Ok(())
         })
+    }
+
+    /// As `follow`, where only these vertices may have moved.
+    pub fn follow_some(&mut self, moved: &[(u32, Vec3)]) -> Result<(), &'static str> {
+        let size = |p: Vec3| p[0].abs().max(p[1].abs()).max(p[2].abs());
+        if !moved.iter().flat_map(|(_, p)| p).all(|x| x.is_finite()) {
+            return Err(BAD_VERTICES);
+        }
+        for &(v, place) in moved {
+            self.vertices[v as usize] = place;
+            self.extent = self.extent.max(size(place));
+        }
+        let Wall { vertices, bvh, start, around, .. } = self;
+        let faces = moved.iter().flat_map(|&(v, _)| {
+            around[start[v as usize] as usize..start[v as usize + 1] as usize].iter().copied()
+        });
+        bvh.refit_some(vertices, faces);
+        self.has_normals = false;
+        Ok(())
     }
 
     /// Unit normal of a vertex, also where vertex normals are not kept.
@@ -270,6 +290,11 @@ impl Wall {
         }
         wall.refit_all();
         Ok(wall)
+    }
+
+    /// A wall of its own, as this one is now.
+    fn copy(&self) -> Self {
+        self.clone()
     }
 
     /// Moves the wall to new vertex positions [n 3] in meters; the hierarchy is refitted.

@@ -28,18 +28,18 @@ type Pose = ([f64; 3], [f64; 4], [f64; 3], [f64; 3]);
 /// Two tables of numbers.
 type Tables<'py> = (Bound<'py, PyArray2<f64>>, Bound<'py, PyArray2<f64>>);
 
-/// Motion, the vertices that give way, the driven wall [m].
-type Saved = (Motion, Vec<(u32, VertexMotion)>, Vec<DVec3>);
+/// Motion, the vertices that give way, the driven wall [m], the last step's contact.
+type Saved = (Motion, Vec<(u32, VertexMotion)>, Vec<DVec3>, StepTotals);
 
 /// A capsule in a soft wall. Positions are about the wall's center, see `Wall.center`.
 #[pyclass(module = "vrcaps._core")]
 pub struct World {
-    wall: Py<Wall>,
+    pub wall: Py<Wall>,
     /// The layer of finite elements under the wall.
-    layer: Option<Py<FemLayer>>,
+    pub layer: Option<Py<FemLayer>>,
     /// The wall's center; subtracted from every position [m].
-    center: DVec3,
-    stepper: Stepper,
+    pub center: DVec3,
+    pub stepper: Stepper,
     /// What `undo` goes back to.
     saved: Option<Saved>,
 }
@@ -210,19 +210,18 @@ impl World {
 
     /// Keeps all that changes but a layer and its exchange, for `undo`.
     fn save(&mut self) {
-        let mut active_wall =
-            self.saved.take().map_or_else(Vec::new, |(_, _, active_wall)| active_wall);
-        active_wall.clone_from(&self.stepper.soft.active_wall);
-        self.saved =
-            Some((self.stepper.motion, self.stepper.soft.awake_displacements(), active_wall));
+        let Stepper { motion, soft, last, .. } = &self.stepper;
+        let mut active_wall = self.saved.take().map_or_else(Vec::new, |saved| saved.2);
+        active_wall.clone_from(&soft.active_wall);
+        self.saved = Some((*motion, soft.awake_displacements(), active_wall, *last));
     }
 
     /// Goes back to what was last saved.
     fn undo(&mut self) {
-        if let Some((motion, wall_displacement, active_wall)) = self.saved.take() {
-            self.stepper.motion = motion;
+        if let Some((motion, wall_displacement, active_wall, last)) = self.saved.take() {
+            (self.stepper.motion, self.stepper.last) = (motion, last);
             self.stepper.soft.restore_displacements(wall_displacement);
-            self.stepper.soft.active_wall = active_wall;
+            self.stepper.soft.set_active_wall(active_wall);
             self.stepper.soft.stay();
         }
     }
@@ -259,10 +258,7 @@ impl World {
         py: Python<'py>,
         wall: PyReadonlyArray2<'py, f64>,
     ) -> PyResult<Bound<'py, PyArray2<f64>>> {
-        let (rotation, position) = read_pose(&wall)?;
-        let turn = rotation * DMat3::from_quat(self.stepper.motion.rotation);
-        let place = rotation * (self.stepper.motion.position + self.center) + position;
-        Ok(table(py, pose_rows(&turn, place).to_vec(), 4))
+        Ok(table(py, self.pose_at(read_pose(&wall)?).to_vec(), 4))
     }
 
     #[setter]
@@ -332,8 +328,7 @@ impl World {
             return Err(PyValueError::new_err("The active wall has a row for each vertex."));
         }
         let place = |r: ndarray::ArrayView1<f64>| DVec3::new(r[0], r[1], r[2]);
-        self.stepper.soft.active_wall = rows.outer_iter().map(place).collect();
-        (self.stepper.soft.travel, self.stepper.soft.wall_travel) = (f64::INFINITY, f64::INFINITY);
+        self.stepper.soft.set_active_wall(rows.outer_iter().map(place).collect());
         Ok(())
     }
 
@@ -361,18 +356,24 @@ impl World {
 
     /// Mean force [N] and torque [N·m] of the wall on the capsule over the last step, mean sum of
     /// normal forces [N], energy lost to friction [J]; then stored energy [J], touched area [m²]
-    /// and largest depth [m] of the last substep.
+    /// and largest depth [m] of its last instant.
     fn contact(&self) -> ([f64; 3], [f64; 3], f64, f64, f64, f64, f64) {
-        let (last, patch) = (&self.stepper.last, &self.stepper.soft.patch);
-        (
-            last.force.to_array(),
-            last.torque.to_array(),
-            last.normal_force_total,
-            last.friction_work,
-            patch.energy,
-            patch.area,
-            patch.depth,
-        )
+        let StepTotals { force, torque, normal_force_total, friction_work, patch } =
+            self.stepper.last;
+        let [energy, area, depth] = patch;
+        let wrench = (force.to_array(), torque.to_array());
+        (wrench.0, wrench.1, normal_force_total, friction_work, energy, area, depth)
+    }
+
+    /// Sets what `contact` gives, its numbers in a row.
+    fn set_contact(&mut self, row: [f64; 11]) {
+        self.stepper.last = StepTotals {
+            force: DVec3::from_slice(&row),
+            torque: DVec3::from_slice(&row[3..]),
+            normal_force_total: row[6],
+            friction_work: row[7],
+            patch: [row[8], row[9], row[10]],
+        };
     }
 
     /// Where [m] and how [N] the capsule pushes a spring wall, [n 6].
@@ -401,7 +402,8 @@ impl World {
             &self.stepper.motion,
             &mut soft.patch,
         );
-        Ok(self.stepper.soft.patch.depth)
+        self.stepper.last.patch = soft.patch.extent();
+        Ok(soft.patch.depth)
     }
 
     /// Kinetic energy of the capsule [J].
@@ -421,14 +423,23 @@ impl World {
     }
 }
 
+impl World {
+    /// Rows of the capsule's pose in the world, where the wall is at a pose.
+    pub fn pose_at(&self, (rotation, position): (DMat3, DVec3)) -> [f64; 16] {
+        let turn = rotation * DMat3::from_quat(self.stepper.motion.rotation);
+        let place = rotation * (self.stepper.motion.position + self.center) + position;
+        pose_rows(&turn, place)
+    }
+}
+
 /// A wall that another thread steps or moves at this moment.
-fn busy<E>(_: E) -> PyErr {
+pub fn busy<E>(_: E) -> PyErr {
     PyRuntimeError::new_err(
         "The wall is in use by another thread. Each world needs a wall and a layer of its own.",
     )
 }
 
-fn table(py: Python<'_>, flat: Vec<f64>, columns: usize) -> Bound<'_, PyArray2<f64>> {
+pub fn table(py: Python<'_>, flat: Vec<f64>, columns: usize) -> Bound<'_, PyArray2<f64>> {
     let rows = flat.len() / columns;
     Array2::from_shape_vec((rows, columns), flat).expect("whole rows").into_pyarray(py)
 }

@@ -127,6 +127,11 @@ impl Patch {
         (self.energy, self.area, self.depth) = (0.0, 0.0, 0.0);
     }
 
+    /// Stored energy [J], touched area [m²] and largest depth [m].
+    pub fn extent(&self) -> [f64; 3] {
+        [self.energy, self.area, self.depth]
+    }
+
     /// A lane for one more piece, of the triangle at a place among what is near.
     pub fn piece(&mut self, place: u32) -> (&mut Pieces, usize) {
         let lane = self.num_pieces % LANES;

@@ -4,6 +4,7 @@
 //! center. One thread steps one world, so that results do not depend on the number of threads.
 
 mod barrier;
+pub mod batch;
 pub mod binding;
 pub mod body;
 mod broad_phase;

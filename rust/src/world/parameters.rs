@@ -2,7 +2,9 @@
 
 use super::body::Body;
 use super::laws::Laws;
-use crate::poses::three_rows;
+use super::solve::Twist;
+use super::substep::Load;
+use crate::poses::{three_rows, vector};
 use crate::tissue::drag::{Drag, LogLaw};
 use crate::tissue::spring_wall::SpringWall;
 use crate::tissue::winkler_foundation::WinklerFoundation;
@@ -78,6 +80,12 @@ pub fn laws(foundation: FoundationParameters, drag: DragParameters, radius: f64)
         },
         viscosity: drag.viscosity,
     }
+}
+
+/// Force, torque and gravity in a row of nine numbers.
+pub fn load(row: &[f64]) -> Load {
+    let wrench = Twist { linear: vector(row), angular: vector(&row[3..]) };
+    Load { wrench, gravity: vector(&row[6..]) }
 }
 
 impl From<SpringWallParameters> for SpringWall {

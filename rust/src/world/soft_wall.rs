@@ -93,6 +93,10 @@ pub struct SoftWall {
     pub awake: Vec<u32>,
     /// Whether only those give way.
     is_spring_wall: bool,
+    /// Vertices that gave way when the hierarchy was last brought to where the wall is.
+    stirred: Vec<u32>,
+    /// Whether others may have moved since.
+    was_driven: bool,
     pub near: NearbyWall,
     /// How far capsule and wall must have traveled before each near triangle can touch [m].
     clear: Vec<f64>,
@@ -120,6 +124,8 @@ impl SoftWall {
             wall_displacement: vec![VertexMotion::default(); wall.vertices.len()],
             awake: Vec::new(),
             is_spring_wall,
+            stirred: Vec::new(),
+            was_driven: false,
             near: NearbyWall::default(),
             clear: Vec::new(),
             facets: Vec::new(),
@@ -152,14 +158,22 @@ impl SoftWall {
         (place + self.since * velocity, velocity)
     }
 
-    /// Writes all vertices into the wall and refits its hierarchy.
+    /// Writes vertices that have moved into the wall and refits its hierarchy.
     pub fn settle(&mut self, wall: &mut Wall) -> Outcome {
         if self.wall_travel > 0.0 {
             let seen = |place: DVec3| place.to_array().map(|x| x as f32);
             if self.is_spring_wall {
-                let awake = self.awake.iter().map(|&v| (v, seen(self.vertex(v).0)));
-                let awake: Vec<_> = awake.collect();
-                wall.follow(|v| seen(self.driven_vertex(v).0), &awake)?;
+                let is_driven = self.was_driven || self.way.is_some();
+                let stirred = if is_driven { &[] } else { &self.stirred[..] };
+                let moved = self.awake.iter().chain(stirred);
+                let moved: Vec<_> = moved.map(|&v| (v, seen(self.vertex(v).0))).collect();
+                if is_driven {
+                    wall.follow(|v| seen(self.driven_vertex(v).0), &moved)?;
+                } else {
+                    wall.follow_some(&moved)?;
+                }
+                self.stirred.clone_from(&self.awake);
+                self.was_driven = self.way.is_some();
             } else {
                 wall.follow(|v| seen(self.vertex(v as u32).0), &[])?;
             }
@@ -180,8 +194,16 @@ impl SoftWall {
         if let Some((drive, way)) = self.drive.as_ref().zip(self.way.as_ref()) {
             let places = self.active_wall.par_iter_mut().with_min_len(4096).enumerate();
             places.for_each(|(v, place)| *place = drive.place(v, &way.lumen_scale));
+            self.was_driven = true;
         }
         self.stay();
+    }
+
+    /// Puts the wall elsewhere.
+    pub fn set_active_wall(&mut self, active_wall: Vec<DVec3>) {
+        self.was_driven |= active_wall != self.active_wall;
+        self.active_wall = active_wall;
+        (self.travel, self.wall_travel) = (f64::INFINITY, f64::INFINITY);
     }
 
     /// Gives up a step: the driven wall stays where it was.

@@ -26,7 +26,7 @@ const MOST_PARTS: f64 = 512.0;
 type Elastic<'a> = Option<(&'a mut FemLayer, &'a mut FemCoupling)>;
 
 /// Sums over the substeps of a step.
-#[derive(Default)]
+#[derive(Clone, Copy, Default)]
 pub struct StepTotals {
     /// Impulse of the wall on the capsule, or its mean force.
     pub force: DVec3,
@@ -36,6 +36,8 @@ pub struct StepTotals {
     pub normal_force_total: f64,
     /// Energy lost to friction [J].
     pub friction_work: f64,
+    /// Stored energy [J], touched area [m²] and largest depth [m] of the last instant.
+    pub patch: [f64; 3],
 }
 
 /// Bound on the speed of every point of the capsule between two motions [m/s].
@@ -80,7 +82,7 @@ impl StepTotals {
             force: self.force / duration,
             torque: self.torque / duration,
             normal_force_total: self.normal_force_total / duration,
-            friction_work: self.friction_work,
+            ..self
         }
     }
 }
@@ -116,15 +118,16 @@ impl Stepper {
         dt: f64,
         strides: (usize, usize),
     ) -> Outcome {
-        let backup = (self.motion, self.soft.awake_displacements());
+        let backup = (self.motion, self.soft.awake_displacements(), self.last);
         let elastic = layer.as_deref().zip(self.coupling.as_ref()).map(|(l, x)| x.backup(l));
         let result = self.substeps(wall, layer.as_deref_mut(), load, dt, strides);
         let result = result.and_then(|()| self.check(wall));
         if result.is_ok() {
             self.soft.land();
+            self.last.patch = self.soft.patch.extent();
             return Ok(());
         }
-        self.motion = backup.0;
+        (self.motion, self.last) = (backup.0, backup.2);
         self.soft.restore_displacements(backup.1);
         if let (Some(layer), Some(coupling), Some(elastic)) =
             (layer, self.coupling.as_mut(), elastic)

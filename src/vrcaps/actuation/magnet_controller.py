@@ -20,9 +20,8 @@ from vrcaps.magnet.field import SourceSet
 from vrcaps.magnet.sources import Cylinder, Dipole, Source
 from vrcaps.transforms import rotate_by_vector
 from vrcaps.units import CM, DEG, MM
-from vrcaps.world.control import Control
+from vrcaps.world.control import GRAVITY, Control
 from vrcaps.world.model import Model
-from vrcaps.world.world import GRAVITY
 
 if TYPE_CHECKING:
     from jaxtyping import Float

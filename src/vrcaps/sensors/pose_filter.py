@@ -12,7 +12,7 @@ from vrcaps.magnet.sources import Dipole, magnet_pose
 from vrcaps.sensors.imu import Imu
 from vrcaps.sensors.localize import magnet_readings
 from vrcaps.transforms import rotate_by_vector, rotation_vector, transform_from
-from vrcaps.world.world import GRAVITY
+from vrcaps.world.control import GRAVITY
 
 if TYPE_CHECKING:
     from jaxtyping import Float

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -80,32 +81,37 @@ class Control:
             )
 
 
-def check_step(control: Control, dt: float) -> None:
-    """Check that a step is short enough and its commands are not too strong.
+GRAVITY = 9.80665
+"""Standard acceleration of gravity [m/s²] (CGPM 1901)."""
+
+
+def check_steps(controls: Sequence[Control], dt: float) -> dict[int, str]:
+    """What is wrong with controls that are too strong, by their number.
 
     Raises:
-        InputError: If not.
+        InputError: If the step is too long.
     """
     require(0.0 < dt <= _LONGEST_STEP, "dt", dt, f"above 0 to {_LONGEST_STEP:g} s")
-    commands = np.array([control.force_world, control.torque_world], float)
-    strength = np.linalg.norm(commands, axis=1)
-    for name, value, most in (
-        ("force_world", strength[0], _STRONGEST_FORCE),
-        ("torque_world", strength[1], _STRONGEST_TORQUE),
-    ):
-        require(bool(value <= most), f"Control's {name}", f"{value:g} strong", f"up to {most:g}")
+    failures: dict[int, str] = {}
+    for name, most in (("force_world", _STRONGEST_FORCE), ("torque_world", _STRONGEST_TORQUE)):
+        commands = np.array([getattr(control, name) for control in controls], float)
+        strength = np.linalg.norm(commands.reshape(-1, 3), axis=1)
+        for k in np.flatnonzero(~(strength <= most)).tolist():
+            given = f"Control's {name} is {strength[k]:g} strong. Allowed: up to {most:g}."
+            failures.setdefault(k, given)
+    return failures
 
 
 def loads_in_patient(
-    control: Control, T_world_patient: Float[np.ndarray, "4 4"], gravity: float
-) -> tuple[Float[np.ndarray, " 6"], tuple[float, ...]]:
-    """Commanded wrench [N, N·m] and gravity [m/s²] in the patient frame.
+    controls: Sequence[Control], Ts_world_patient: Float[np.ndarray, "n 4 4"]
+) -> Float[np.ndarray, "n 9"]:
+    """Commanded forces [N] and torques [N·m], and gravity [m/s²], in the patient's frame.
 
     Args:
-        control: The commands.
-        T_world_patient: Pose of the patient; gravity is world −z.
-        gravity: Its strength [m/s²].
+        controls: The commands.
+        Ts_world_patient: Pose of each patient; gravity is world −z.
     """
-    loads = np.array([control.force_world, control.torque_world, (0.0, 0.0, -gravity)], float)
-    force, torque, down = rotate_vectors(invert(T_world_patient), loads)
-    return np.array([*force, *torque]), tuple(down)
+    down = (0.0, 0.0, -GRAVITY)
+    loads = [(control.force_world, control.torque_world, down) for control in controls]
+    to_patient = invert(Ts_world_patient)
+    return rotate_vectors(to_patient, np.array(loads, float).reshape(-1, 3, 3)).reshape(-1, 9)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vrcaps import _core
-from vrcaps.errors import InputError, require
+from vrcaps.errors import InputError
 from vrcaps.magnet.field import SourceSet
 from vrcaps.magnet.internal import InternalMagnet, magnet_rows
 from vrcaps.magnet.sources import Source, UniformField
@@ -46,41 +46,23 @@ class MagneticCoupling:
         if sources:
             core.set_magnets(self._set.core, magnet_rows(magnets))
 
-    def aim(
-        self, control: Control, dt: float, T_world_patient: Float[np.ndarray, "4 4"]
-    ) -> Float[np.ndarray, "k 8"]:
-        """Sets the sources on their way to where a control has them after `dt` [s].
-
-        Returns:
-            Where they will be, for `rows` once the step is done.
-
-        Raises:
-            InputError: If the control has another number of poses or strengths than sources.
-        """
-        end = self.rows.copy()
-        for name, given in (
-            ("Ts_world_magnet", control.Ts_world_magnet),
-            ("strengths", control.strengths),
-        ):
-            count = len(end) if given is None else len(given)
-            require(count == len(end), f"Number of the control's {name}", count, f"{len(end)}")
-        if control.Ts_world_magnet is not None:
-            end[:, :7] = rows_from_poses(np.asarray(control.Ts_world_magnet, float))[:, :7]
-        if control.strengths is not None:
-            end[:, 7] = control.strengths
-        self._send(end, dt, T_world_patient)
-        return end
-
     def restore(
         self, rows: Float[np.ndarray, "k 8"], T_world_patient: Float[np.ndarray, "4 4"]
     ) -> None:
         """Puts the sources where they were."""
         self.rows = rows
-        self._send(rows, 1.0, T_world_patient)
+        self.aim(rows, 1.0, T_world_patient)
 
-    def _send(
+    def aim(
         self, end: Float[np.ndarray, "k 8"], dt: float, T_world_patient: Float[np.ndarray, "4 4"]
     ) -> None:
+        """Sets the sources on their way to where they are after `dt` [s].
+
+        Args:
+            end: Where that is.
+            dt: Length of the step [s].
+            T_world_patient: How the patient lies.
+        """
         if len(end):
             parts = (self._set.spread(self.rows), self._set.spread(end))
             self._core.aim_sources(*parts, dt, np.asarray(T_world_patient, float))
@@ -108,3 +90,30 @@ class MagneticCoupling:
             strengths=self.rows[:, 7].copy(),
             is_exact=place == 0,
         )
+
+
+def rows_after(
+    couplings: Sequence[MagneticCoupling], controls: Sequence[Control]
+) -> tuple[list[Float[np.ndarray, "k 8"]], dict[int, str]]:
+    """Where controls have the sources of worlds, and what is wrong with some, by their number."""
+    ends, failures, poses = [], {}, []
+    for k, (coupling, control) in enumerate(zip(couplings, controls, strict=True)):
+        end = coupling.rows
+        for name in ("Ts_world_magnet", "strengths"):
+            given = getattr(control, name)
+            if given is not None and len(given) != len(end):
+                message = f"Number of the control's {name} is {len(given)}. Allowed: {len(end)}."
+                failures.setdefault(k, message)
+        is_moved = control.Ts_world_magnet is not None and k not in failures
+        ends.append(end if control.strengths is None and not is_moved else end.copy())
+        if is_moved:
+            poses.append((k, np.asarray(control.Ts_world_magnet, float)))
+        if control.strengths is not None and k not in failures:
+            ends[k][:, 7] = control.strengths
+    if poses:
+        rows = rows_from_poses(np.concatenate([given for _, given in poses]))
+        first = 0
+        for k, given in poses:
+            ends[k][:, :7] = rows[first : first + len(given), :7]
+            first += len(given)
+    return ends, failures

@@ -15,6 +15,7 @@ from vrcaps.lumen.contents import Contents
 from vrcaps.lumen.lumen_contents import CHYME, LumenContents, populate
 from vrcaps.mesh.mesh import wall_of
 from vrcaps.organ.surface import OrganSurface
+from vrcaps.tissue.arc_length_samples import sample_coordinates
 from vrcaps.transforms import rotation_from_vector, transform_from, transform_points
 
 if TYPE_CHECKING:
@@ -76,6 +77,16 @@ class Model:
     def wall(self) -> Wall:
         """The wall at rest, ready for distance and ray queries in the world frame."""
         return wall_of(self.vertices_world, self.organ.faces)
+
+    @cached_property
+    def wall_in_patient(self) -> Wall:
+        """The wall at rest in the patient frame: each `World` steps a copy of it."""
+        return wall_of(self.organ.vertices, self.organ.faces)
+
+    @cached_property
+    def lumen_drive(self) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, " n"]]:
+        """How muscle and gas move each vertex, see `sample_coordinates`."""
+        return sample_coordinates(self.organ)
 
     @cached_property
     def lumen_contents(self) -> LumenContents | None:

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -14,34 +12,27 @@ from vrcaps import _core
 from vrcaps.capsule.body import Body, homogeneous_body
 from vrcaps.errors import InputError, require
 from vrcaps.magnet.sources import Source
-from vrcaps.mesh.mesh import wall_of
-from vrcaps.tissue.arc_length_samples import arc_length_samples, sample_coordinates
+from vrcaps.tissue.arc_length_samples import arc_length_samples
 from vrcaps.tissue.motility.muscle import Muscle
 from vrcaps.tissue.tissue import Tissue
 from vrcaps.transforms import rotate_vectors
-from vrcaps.world.control import Control, check_step, loads_in_patient
+from vrcaps.world.control import Control
 from vrcaps.world.core_pose import core_pose
 from vrcaps.world.fem_coupling import coupling_state_of, make_fem_wall
-from vrcaps.world.lumen_dynamics import LUMEN_SUBSTEP, SUBSTEPS_PER_SWEEP, LumenDynamics
+from vrcaps.world.lumen_dynamics import LumenDynamics
 from vrcaps.world.magnetic_coupling import MagneticCoupling
 from vrcaps.world.model import Contact, Coupling, Model, State
 from vrcaps.world.snapshot import Snapshot, check_snapshot
-from vrcaps.world.step_means import mean_contact
+from vrcaps.world.stepping import step_together
 
 if TYPE_CHECKING:
     from jaxtyping import Float
-
-GRAVITY = 9.80665
-"""Standard acceleration of gravity [m/s²] (CGPM 1901)."""
 
 SUBSTEP = 5e-5
 """Longest substep by default [s]."""
 
 _WAKING = 1.0
 """Time over which contractions grow when a world begins, whose wall is at rest [s]."""
-
-_STALE = 2e-4
-"""How far the hierarchy may be off the wall within a step while spheres move beside it [m]."""
 
 _LONGEST_SUBSTEP = 1e-3
 
@@ -93,7 +84,7 @@ class World:
         self.model, self.tissue, self.substep, self.seed = model, tissue, substep, seed
         self.body = body or homogeneous_body(model.device)
         organ, self._lumen = model.organ, None
-        self._wall = wall_of(organ.vertices, organ.faces)
+        self._wall = model.wall_in_patient.copy()
         self._center = np.array(self._wall.center)
         self._time = self._began = start.time
         self._T_world_patient = model.T_world_patient
@@ -105,7 +96,7 @@ class World:
         )
         if self.layer is not None:
             self.layer.carry(self._core)
-        self._core.set_lumen_drive(*sample_coordinates(organ))
+        self._core.set_lumen_drive(*model.lumen_drive)
         self._magnetic = MagneticCoupling(self._core, model.device.magnets, sources)
         self._num_samples = len(arc_length_samples(organ.centerline))
         self._lumen_scale: Float[np.ndarray, " k"] = np.ones(self._num_samples)
@@ -116,7 +107,6 @@ class World:
         self._check_start()
         if model.lumen_contents is not None:
             self._lumen = LumenDynamics(model, self._wall, self.body, self._core.pose)
-        self._contact = self._core_contact()
         self._state: State | None = None
 
     @property
@@ -137,16 +127,14 @@ class World:
     @property
     def contact(self) -> Contact:
         """What the wall did to the capsule in the last step."""
-        own = self._contact
-        force, torque = rotate_vectors(
-            self._T_world_patient, np.array([own.force_world, own.torque_world])
-        )
-        return replace(own, force_world=force, torque_world=torque)
+        force, torque, *rest = self._core.contact()
+        force, torque = rotate_vectors(self._T_world_patient, np.array([force, torque]))
+        return Contact(force, torque, *rest)
 
     @property
     def contact_force_world(self) -> Float[np.ndarray, " 3"]:
         """Mean force of the wall on the capsule in the last step [N], of `contact`."""
-        return self._T_world_patient[:3, :3] @ self._contact.force_world
+        return self._T_world_patient[:3, :3] @ np.array(self._core.contact()[0])
 
     def field_angle(self, T_world_capsule: Float[np.ndarray, "4 4"]) -> float:
         """Between the moment of a capsule at a pose and the sources' field there [rad]."""
@@ -209,34 +197,15 @@ class World:
         self._state = None
 
     def step(self, control: Control, dt: float) -> None:
-        """Moves on by a time `dt` [s], in equal substeps.
+        """Moves on by a time `dt` [s].
 
         Raises:
             InputError: If the step is too large, the control out of bounds, or the capsule would
                 be in a source; the state stays as it was.
         """
-        check_step(control, dt)
-        before, after = self._T_world_patient, control.T_world_patient
-        T_world_patient = before if after is None else after
-        # Loads that hold during the step, in the frame of the wall.
-        wrench, gravity = loads_in_patient(control, T_world_patient, GRAVITY)
-        # Where the sources, and the wall by muscle and gas, are at its end.
-        sources = self._magnetic.aim(control, dt, T_world_patient)
-        lumen_scale = self._lumen_scale_at(self._time + dt, control.insufflation)
-        # Liquid finds its level at once.
-        liquid = None if self._lumen is None else self._lumen.liquid
-        if self._lumen is not None:
-            self._lumen.level_liquid(T_world_patient, lumen_scale)
-        try:
-            contacts = self._substeps(dt, wrench, gravity, lumen_scale)
-        except InputError:
-            if self._lumen is not None and liquid is not None:
-                self._lumen.set_liquid(liquid, before)
-            raise
-        self._time, self._lumen_scale = self._time + dt, lumen_scale
-        self._contact = mean_contact(contacts)
-        self._T_world_patient, self._magnetic.rows = T_world_patient, sources
-        self._state = None
+        failures = step_together([self], [control], dt)
+        if failures:
+            raise InputError(failures[0])
 
     def snapshot(self) -> Snapshot:
         """All that changes, exactly: a world restored from it goes on to the same bytes."""
@@ -257,7 +226,7 @@ class World:
             layer=layer,
             contact_faces=contact_faces,
             contents=np.zeros(0) if self._lumen is None else self._lumen.to_array(),
-            contact=np.concatenate([np.ravel(part) for part in vars(self._contact).values()]),
+            contact=np.concatenate([np.ravel(part) for part in self._core.contact()]),
             sources=self._magnetic.rows,
         )
 
@@ -283,8 +252,8 @@ class World:
         self._core.pose = (tuple(p[:3]), tuple(p[3:7]), tuple(p[7:10]), tuple(p[10:]))
         self._time, self._began = snapshot.time, snapshot.began
         self._T_world_patient, self._lumen_scale = snapshot.T_world_patient, snapshot.lumen_scale
-        force, torque, rest = np.split(snapshot.contact, [3, 6])
-        self._contact, self._state = Contact(force, torque, *rest.tolist()), None
+        self._core.set_contact(tuple(snapshot.contact))
+        self._state = None
         self._magnetic.restore(snapshot.sources, snapshot.T_world_patient)
 
     def is_inside(self) -> bool:
@@ -292,97 +261,13 @@ class World:
         self._core.settle()
         return self._core.inside()
 
-    def _substeps(
-        self,
-        dt: float,
-        wrench: Float[np.ndarray, " 6"],
-        gravity: tuple[float, ...],
-        lumen_scale: Float[np.ndarray, " k"],
-    ) -> list[Contact]:
-        """Moves on by `dt`: in one piece, or in short ones beside propulsion and contents."""
-        pieces = self._num_pieces(dt)
-        outer = 1 if self.layer is None else self.layer.num_steps(dt / pieces)
-        start, before = self._lumen_scale, self._save() if pieces > 1 else None
-        moves = not np.array_equal(start, lumen_scale)
-        if self._lumen is not None:
-            self._core.settle()  # nothing to do but after `restore`
-        count = outer * max(1, math.ceil(dt / pieces / outer / self.substep * (1.0 - 1e-9)))
-        contacts = []
-        try:
-            for piece in range(pieces):
-                fractions = np.array([[piece], [piece + 1]]) / pieces
-                scales = start + (lumen_scale - start) * fractions if moves else None
-                force = self._propulsion(self._time + dt * piece / pieces)
-                total = tuple(wrench + self._buoyancy_wrench(dt / pieces, force))
-                self._core.step(dt / pieces / count, count, total, gravity, scales, outer)
-                contacts.append(self._core_contact())
-                self._step_contents(dt / pieces, piece, pieces)
-        except ValueError as error:
-            if before is not None:
-                self._undo(before)
-            raise InputError(str(error)) from error
-        return contacts
-
-    def _core_contact(self) -> Contact:
-        """Contact of the core's last step, in the patient frame."""
-        force, torque, *rest = self._core.contact()
-        return Contact(np.array(force), np.array(torque), *rest)
-
     def _lumen_scale_at(self, time: float, insufflation: float) -> Float[np.ndarray, " k"]:
         """Lumen's radius at its samples, as a share of that at rest."""
         if self.muscle is None:
-            return np.full(self._num_samples, insufflation)
+            stays = (self._lumen_scale == insufflation).all()
+            return self._lumen_scale if stays else np.full(self._num_samples, insufflation)
         awake = min(1.0, (time - self._began) / _WAKING)
         return insufflation * (1.0 - awake * (1.0 - self.muscle.lumen_scale(time)))
-
-    def _num_pieces(self, dt: float) -> int:
-        """Pieces of a step, so short that the force F = β (v_p − u) does not overshoot."""
-        propulsion = None if self.muscle is None else self.muscle.motility.propulsion
-        least = 1 if self._lumen is None else math.ceil(dt / LUMEN_SUBSTEP * (1.0 - 1e-9))
-        if propulsion is None:
-            return least
-        return max(least, math.ceil(propulsion.beta * dt / self.body.mass))
-
-    def _buoyancy_wrench(
-        self, dt: float, force: Float[np.ndarray, " 3"]
-    ) -> Float[np.ndarray, " 6"]:
-        """Wrench of the muscle's force and of what floats in the lumen, in the patient frame."""
-        if self._lumen is None:
-            return np.array([*force, 0.0, 0.0, 0.0])
-        push, torque = self._lumen.buoyancy_wrench(self._core.pose, dt, GRAVITY)
-        return np.array([*(force + push), *torque])
-
-    def _step_contents(self, dt: float, piece: int, pieces: int) -> None:
-        """Moves what floats on by a piece of a step; at its end the hierarchy is exact."""
-        if self._lumen is not None:
-            is_last = piece + 1 == pieces
-            self._core.settle(0.0 if is_last else _STALE)
-            since = piece % SUBSTEPS_PER_SWEEP + 1
-            sweep = since * dt if is_last or since == SUBSTEPS_PER_SWEEP else 0.0
-            self._lumen.step(self._core.pose, dt, GRAVITY, sweep)
-
-    def _save(self) -> Snapshot | Float[np.ndarray, " q"]:
-        """What `_undo` needs: the core keeps its own part, but for an elastic layer's."""
-        if self.layer is not None:
-            return self.snapshot()
-        self._core.save()
-        return np.zeros(0) if self._lumen is None else self._lumen.to_array()
-
-    def _undo(self, before: Snapshot | Float[np.ndarray, " q"]) -> None:
-        """Goes back to the beginning of a step that failed."""
-        if isinstance(before, Snapshot):
-            self.restore(before)
-            return
-        self._core.undo()
-        if self._lumen is not None:
-            self._lumen.restore(before, self._T_world_patient)
-
-    def _propulsion(self, time: float) -> Float[np.ndarray, " 3"]:
-        """Propulsive force of the muscle on the capsule at a time [N], in the patient frame."""
-        if self.muscle is None or self.muscle.motility.propulsion is None:
-            return np.zeros(3)
-        position, _, velocity, _ = self._core.pose
-        return self.muscle.propulsion(np.array(position) + self._center, np.array(velocity), time)
 
     def _check_start(self) -> None:
         if not self._core.inside():

@@ -1,14 +1,22 @@
-"""Several worlds, stepped in parallel."""
+"""Several worlds, stepped and read in one call."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
 
 from vrcaps import _core
 from vrcaps.errors import InputError, require
+from vrcaps.transforms import rotate_vectors
 from vrcaps.world.control import Control
+from vrcaps.world.stepping import step_together
 from vrcaps.world.world import World
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float
 
 
 def step_worlds(worlds: Sequence[World], controls: Sequence[Control], dt: float) -> None:
@@ -23,16 +31,65 @@ def step_worlds(worlds: Sequence[World], controls: Sequence[Control], dt: float)
     require(len(controls) == len(worlds), "Number of controls", len(controls), f"{len(worlds)}")
     if len({id(world) for world in worlds}) < len(worlds):
         raise InputError("A world is given twice. Allowed: each world once.")
+    failures = step_together(worlds, controls, dt)
+    if failures:
+        told = " ".join(f"World {k}: {failure}" for k, failure in sorted(failures.items()))
+        raise InputError(f"{told} {len(worlds) - len(failures)} other worlds have stepped.")
 
-    def step(world: World, control: Control) -> str | None:
-        try:
-            world.step(control, dt)
-        except InputError as error:
-            return str(error)
-        return None
 
-    with ThreadPoolExecutor(max_workers=_core.num_threads()) as threads:
-        failures = list(threads.map(step, worlds, controls))
-    told = [f"World {k}: {failure}" for k, failure in enumerate(failures) if failure]
-    if told:
-        raise InputError(f"{' '.join(told)} {len(worlds) - len(told)} other worlds have stepped.")
+@dataclass(frozen=True)
+class BatchState:
+    """What moves in several worlds, a row for each, in the world frame.
+
+    The contact is that of the last step, see `Contact`.
+
+    Attributes:
+        time: Of each world [s].
+        Ts_world_capsule: Poses of the capsules.
+        linear_velocity_world: Velocities of their origins [m/s].
+        angular_velocity_world: Angular velocities [rad/s].
+        contact_force_world: Mean force of the wall on each capsule [N].
+        contact_torque_world: Mean torque of the wall about each center of mass [N·m].
+        normal_force_total: Mean sum of the sizes of all normal forces [N].
+        friction_work: Energy lost to friction and drag in the step [J].
+        energy: Energy stored in the pressed wall [J].
+        area: Touched area [m²].
+        depth: Largest indentation [m].
+    """
+
+    time: Float[np.ndarray, " n"]
+    Ts_world_capsule: Float[np.ndarray, "n 4 4"]
+    linear_velocity_world: Float[np.ndarray, "n 3"]
+    angular_velocity_world: Float[np.ndarray, "n 3"]
+    contact_force_world: Float[np.ndarray, "n 3"]
+    contact_torque_world: Float[np.ndarray, "n 3"]
+    normal_force_total: Float[np.ndarray, " n"]
+    friction_work: Float[np.ndarray, " n"]
+    energy: Float[np.ndarray, " n"]
+    area: Float[np.ndarray, " n"]
+    depth: Float[np.ndarray, " n"]
+
+
+def batch_state(worlds: Sequence[World]) -> BatchState:
+    """Poses, velocities and contact of several worlds now: what each says alone."""
+    Ts_world_patient = np.array([world._T_world_patient for world in worlds], float)
+    Ts_world_patient = Ts_world_patient.reshape(-1, 4, 4)
+    poses, motions, wrenches, rest = _core.world_states(
+        [world._core for world in worlds], Ts_world_patient.reshape(-1, 16)
+    )
+    velocity = rotate_vectors(Ts_world_patient, motions.reshape(-1, 2, 3))
+    wrench = rotate_vectors(Ts_world_patient, wrenches.reshape(-1, 2, 3))
+    return BatchState(
+        np.array([world.time for world in worlds]),
+        poses.reshape(-1, 4, 4),
+        velocity[:, 0],
+        velocity[:, 1],
+        wrench[:, 0],
+        wrench[:, 1],
+        *np.ascontiguousarray(rest.T),
+    )
+
+
+def are_inside(worlds: Sequence[World]) -> Bool[np.ndarray, " n"]:
+    """Whether the axis of each capsule is in its lumen, see `World.is_inside`."""
+    return np.array(_core.worlds_inside([world._core for world in worlds]), bool)

@@ -24,10 +24,10 @@ from vrcaps.tissue.fem.deformation import FemDeformation
 from vrcaps.tissue.tissue import Tissue
 from vrcaps.transforms import transform_points
 from vrcaps.units import MM
-from vrcaps.world.control import Control
+from vrcaps.world.control import GRAVITY, Control
 from vrcaps.world.model import Model, State
 from vrcaps.world.snapshot import read_snapshot, write_snapshot
-from vrcaps.world.world import GRAVITY, World
+from vrcaps.world.world import World
 
 RADIUS = 18.0 * MM
 GUT = straight_gut({"ileum": 0.08}, radius=RADIUS, edge=3.0 * MM)

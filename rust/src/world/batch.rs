@@ -1,0 +1,136 @@
+//! Several worlds in one call: stepped side by side, and read as arrays.
+
+use super::binding::{World, busy, table};
+use super::parameters::load;
+use super::substep::Load;
+use super::time_stepping::Stepper;
+use crate::poses::{pose_of, rows};
+use crate::tissue::fem::layer::FemLayer;
+use crate::wall::Wall;
+use numpy::{PyArray2, PyReadonlyArray2};
+use pyo3::{exceptions::PyValueError, prelude::*};
+use rayon::prelude::*;
+
+/// Numbers of a load: force, torque, gravity.
+const LOAD_ROW: usize = 9;
+
+/// A world on its way: what one thread steps.
+struct Task<'a> {
+    stepper: &'a mut Stepper,
+    wall: &'a mut Wall,
+    layer: Option<&'a mut FemLayer>,
+    load: Load,
+    /// Substeps, and how many steps a layer makes meanwhile.
+    strides: (usize, usize),
+}
+
+/// Poses, motions, wrenches of the wall and the rest of the contact, a row for each world.
+type States<'py> = (
+    Bound<'py, PyArray2<f64>>,
+    Bound<'py, PyArray2<f64>>,
+    Bound<'py, PyArray2<f64>>,
+    Bound<'py, PyArray2<f64>>,
+);
+
+/// Moves each world on by `dt`, as `World.step` does, on all threads.
+///
+/// `loads` [n 9] are force [N], torque [N·m] and gravity [m/s²], `strides` the number of substeps
+/// and of a layer's steps, `lumen_scales` [2 k] as for `World.step`. Returns for each world None, or
+/// why it could not step: it is then as it was.
+#[pyfunction]
+pub fn step_worlds(
+    py: Python<'_>,
+    worlds: Vec<Bound<'_, World>>,
+    dt: f64,
+    loads: PyReadonlyArray2<'_, f64>,
+    strides: Vec<(usize, usize)>,
+    lumen_scales: Vec<Option<PyReadonlyArray2<'_, f64>>>,
+) -> PyResult<Vec<Option<&'static str>>> {
+    let loads = rows(&loads, LOAD_ROW)?;
+    let counts = [loads.len() / LOAD_ROW, strides.len(), lumen_scales.len()];
+    if counts != [worlds.len(); 3] || strides.iter().any(|&(n, m)| m == 0 || n % m != 0) {
+        let what = "A load, strides and a lumen_scale for each world, substeps by whole steps.";
+        return Err(PyValueError::new_err(what));
+    }
+    let mut held = borrowed(&worlds)?;
+    let walls: Vec<Py<Wall>> = held.iter().map(|world| world.wall.clone_ref(py)).collect();
+    let mut walls = held_by(py, &walls)?;
+    let layers = held.iter().map(|world| world.layer.as_ref().map(|layer| layer.clone_ref(py)));
+    let layers: Vec<Option<Py<FemLayer>>> = layers.collect();
+    let layers = layers.iter().map(|layer| {
+        layer.as_ref().map(|layer| layer.try_borrow_mut(py)).transpose().map_err(busy)
+    });
+    let mut layers = layers.collect::<PyResult<Vec<_>>>()?;
+    for ((world, scales), &(count, _)) in held.iter_mut().zip(&lumen_scales).zip(&strides) {
+        if let Some(scales) = scales {
+            let count = count as f64;
+            world.stepper.aim(scales.as_slice()?, dt / count * count)?;
+        }
+    }
+    let parts = held.iter_mut().zip(&mut walls).zip(&mut layers).zip(&strides);
+    let mut tasks: Vec<Task> = parts
+        .zip(loads.chunks_exact(LOAD_ROW))
+        .map(|((((world, wall), layer), &strides), row)| Task {
+            stepper: &mut world.stepper,
+            wall,
+            layer: layer.as_deref_mut(),
+            load: load(row),
+            strides,
+        })
+        .collect();
+    let step = |task: &mut Task| {
+        let Task { stepper, wall, layer, load, strides } = task;
+        stepper.run(wall, layer.as_deref_mut(), load, dt / strides.0 as f64, *strides).err()
+    };
+    Ok(py.detach(|| tasks.par_iter_mut().with_max_len(1).map(step).collect()))
+}
+
+/// Of each world, where the patient lies as in a row of `poses` [n 16]: the capsule's pose in the
+/// world [n 16]; its velocity and angular velocity [n 6], and force and torque of the wall [n 6], in
+/// the patient's frame; and the other numbers of `World.contact` [n 5].
+#[pyfunction]
+pub fn world_states<'py>(
+    py: Python<'py>,
+    worlds: Vec<PyRef<'py, World>>,
+    poses: PyReadonlyArray2<'py, f64>,
+) -> PyResult<States<'py>> {
+    let poses = rows(&poses, 16)?;
+    if poses.len() != 16 * worlds.len() {
+        return Err(PyValueError::new_err("A pose for each world."));
+    }
+    let (mut places, mut motions, mut wrenches, mut rest) = (vec![], vec![], vec![], vec![]);
+    for (world, pose) in worlds.iter().zip(poses.chunks_exact(16)) {
+        let (motion, last) = (&world.stepper.motion, &world.stepper.last);
+        places.extend(world.pose_at(pose_of(pose)));
+        motions.extend([motion.velocity, motion.angular_velocity].map(|v| v.to_array()).concat());
+        wrenches.extend([last.force, last.torque].map(|v| v.to_array()).concat());
+        rest.extend([last.normal_force_total, last.friction_work]);
+        rest.extend(last.patch);
+    }
+    Ok((table(py, places, 16), table(py, motions, 6), table(py, wrenches, 6), table(py, rest, 5)))
+}
+
+/// Whether the axis of each capsule is in its lumen; hierarchies are brought to where walls are.
+#[pyfunction]
+pub fn worlds_inside(py: Python<'_>, worlds: Vec<Bound<'_, World>>) -> PyResult<Vec<bool>> {
+    let mut held = borrowed(&worlds)?;
+    let walls: Vec<Py<Wall>> = held.iter().map(|world| world.wall.clone_ref(py)).collect();
+    let mut walls = held_by(py, &walls)?;
+    let pairs = held.iter_mut().zip(&mut walls);
+    let mut pairs: Vec<(&mut Stepper, &mut Wall)> =
+        pairs.map(|(world, wall)| (&mut world.stepper, &mut **wall)).collect();
+    let look = |(stepper, wall): &mut (&mut Stepper, &mut Wall)| {
+        stepper.soft.settle(wall).map(|()| stepper.is_inside(wall))
+    };
+    let found = py.detach(|| pairs.par_iter_mut().with_max_len(1).map(look).collect());
+    let found: Result<Vec<bool>, &'static str> = found;
+    found.map_err(PyValueError::new_err)
+}
+
+fn borrowed<'py>(worlds: &[Bound<'py, World>]) -> PyResult<Vec<PyRefMut<'py, World>>> {
+    worlds.iter().map(|world| world.try_borrow_mut().map_err(busy)).collect()
+}
+
+fn held_by<'a>(py: Python<'a>, walls: &'a [Py<Wall>]) -> PyResult<Vec<PyRefMut<'a, Wall>>> {
+    walls.iter().map(|wall| wall.try_borrow_mut(py).map_err(busy)).collect()
+}

@@ -127,6 +127,10 @@ def _instances() -> dict[str, object]:
         "CameraPipeline": _core.CameraPipeline(rays, lit, cosine, {}),
         "Particles": _core.Particles(wall, spheres, laws, tangents, 0.1),
         "FemLayer": layer._core,
+        "WallPoints": _core.WallPoints(
+            np.zeros(2, np.uint32), np.zeros((2, 2), "f4"), np.ones((2, 2)), np.zeros(2, np.uint32)
+        ),
+        "DirectionTable": _core.DirectionTable(np.ones((4, 4), np.float32)),
     }
 
 

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from tubes import straight_tube
-from vrcaps.camera.camera import Camera, camera_rays
-from vrcaps.camera.lens import LensEquidistant
+from seen_walls import HALF_FIELD, POSE, camera, tube
+from vrcaps.camera.camera import camera_rays
 from vrcaps.errors import InputError
 from vrcaps.geometry import triangle_areas
 from vrcaps.mesh.mesh import wall_of
@@ -22,23 +21,6 @@ from vrcaps.metrics.coverage import (
     vertices_in_frustum,
 )
 from vrcaps.metrics.view_coverage import ViewCoverage
-
-HALF_FIELD = math.radians(60.0)
-POSE = np.eye(4)
-
-
-def camera(size: int = 256) -> Camera:
-    """A fisheye camera whose field is a circle of 120° that fits into the image."""
-    center = (size - 1) / 2.0
-    focal = 0.48 * size / HALF_FIELD
-    lens = LensEquidistant(focal=focal, cx=center, cy=center, max_angle=HALF_FIELD)
-    return Camera("front", lens, size, size, exposure=1.0)
-
-
-def tube(radius: float = 0.02, length: float = 0.3, step: float = 4e-4) -> tuple:
-    """Vertices and faces of an open cylinder along z from 0, fine along its axis."""
-    organ = straight_tube(length, radius, 96, round(length / step) + 1)
-    return organ.vertices, organ.faces
 
 
 def test_solid_angles_add_up_to_that_of_the_field() -> None:

@@ -10,13 +10,14 @@ from vrcaps.capsule.catalog import read_device
 from vrcaps.capsule.device import Device
 from vrcaps.env.memory import Memory
 from vrcaps.env.patient import Patient, Patients
-from vrcaps.errors import InputError
 from vrcaps.metrics.coverage import CoverageLevel
 from vrcaps.metrics.point_coverage import POINT_LEVELS, mark_points
 from vrcaps.transforms import invert
 from vrcaps.units import CM
 from vrcaps.world.control import Control
+from vrcaps.world.stepping import step_together
 from vrcaps.world.world import World
+from vrcaps.world.worlds import are_inside, batch_state
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
@@ -123,25 +124,25 @@ class Simulation:
         """
         settings, numbers = self.settings, np.flatnonzero(active)
         controls = settings.actuation.controls(self, actions, numbers)
-        for index, control in zip(numbers, controls, strict=True):
-            try:
-                self.worlds[index].step(control, settings.control_period)
-            except InputError as error:
-                self.failure[index] = str(error)
+        worlds = [self.worlds[index] for index in numbers]
+        failures = step_together(worlds, controls, settings.control_period)
+        for place, failure in failures.items():
+            self.failure[numbers[place]] = failure
         self.time[numbers] += settings.control_period
         self._read(numbers)
         settings.task.update(self, numbers)
 
     def _read(self, numbers: np.ndarray) -> None:
         """Bring all arrays up to date with some of the worlds."""
+        worlds = [self.worlds[index] for index in numbers]
+        state = batch_state(worlds)
+        self.T_world_capsule[numbers] = state.Ts_world_capsule
+        self.velocity_world[numbers, 0] = state.linear_velocity_world
+        self.velocity_world[numbers, 1] = state.angular_velocity_world
+        self.contact_force_world[numbers] = state.contact_force_world
+        self.normal_force_total[numbers] = state.normal_force_total
+        self.is_outside[numbers] = ~are_inside(worlds)
         for index in numbers:
-            world = self.worlds[index]
-            self.T_world_capsule[index] = world.T_world_capsule
-            self.velocity_world[index] = world.velocity_world
-            contact = world.contact
-            self.contact_force_world[index] = contact.force_world
-            self.normal_force_total[index] = contact.normal_force_total
-            self.is_outside[index] = not world.is_inside()
             self.arc_length[index] = self._nearest_arc_length(index)
         self._look(numbers)
 

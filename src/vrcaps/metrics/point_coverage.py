@@ -19,6 +19,7 @@ from vrcaps.camera.camera import in_image, project_points
 from vrcaps.errors import require
 from vrcaps.geometry import triangle_areas
 from vrcaps.metrics.coverage import CoverageCriteria, CoverageLevel, pixel_solid_angles
+from vrcaps.units import MM
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Int, UInt8
@@ -31,6 +32,10 @@ POINT_LEVELS: tuple[CoverageLevel, ...] = ("frustum", "visible", "resolved")
 
 _TABLE_SIZE = 512
 """Rows of a table of directions: a cell is a third of a degree wide, a pixel of most capsules."""
+
+
+_RING = 5.0 * MM
+"""Length of the rings of wall in whose order points are drawn."""
 
 
 @dataclass(frozen=True)
@@ -81,7 +86,9 @@ def wall_points(
         require(count >= 64, "Number of points", count, "64 or more")
         draw = rng.stream(seed, "metrics/wall_points")
         num_vertices = min(count // 4, len(organ.vertices))
-        vertices = np.sort(draw.choice(len(organ.vertices), num_vertices, replace=False))
+        order = _gut_order(organ.arc_length, organ.theta)
+        part = (np.arange(num_vertices) + draw.random(num_vertices)) / num_vertices
+        vertices = order[(part * len(order)).astype(int)]
         faces, weights = _even_points(draw, organ, area, count - num_vertices)
         by_area = np.full(len(faces), 1.0 / len(faces))
     corner_face, corner_weights = _corners(organ, vertices)
@@ -101,12 +108,19 @@ def _even_points(
     draw: np.random.Generator, organ: OrganSurface, area: np.ndarray, count: int
 ) -> tuple[np.ndarray, np.ndarray]:
     """Faces and weights of points, one in each of `count` equal parts of the area in gut order."""
-    order = np.lexsort((organ.theta[organ.faces[:, 0]], organ.arc_length[organ.faces[:, 0]]))
+    first = organ.faces[:, 0]
+    order = _gut_order(organ.arc_length[first], organ.theta[first])
     passed = np.cumsum(area[order])
     at = (np.arange(count) + draw.random(count)) / count * passed[-1]
     faces = order[np.searchsorted(passed, at).clip(0, len(order) - 1)]
     root, share = np.sqrt(draw.random(count)), draw.random(count)
     return faces, np.stack([1.0 - root, root * (1.0 - share)], axis=-1)
+
+
+def _gut_order(arc_length: np.ndarray, theta: np.ndarray) -> np.ndarray:
+    """Order in which what follows each other lies near each other: ring by ring."""
+    ring = np.floor(arc_length / _RING)
+    return np.lexsort((np.where(ring % 2 == 0, theta, -theta), ring))
 
 
 def _corners(organ: OrganSurface, vertices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 import numpy as np
 
 from vrcaps.limits import Range, check_fields
-from vrcaps.world.control import Control
-from vrcaps.world.world import GRAVITY
+from vrcaps.world.control import GRAVITY, Control
 
 if TYPE_CHECKING:
     from vrcaps.env.simulation import Simulation

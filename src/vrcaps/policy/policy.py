@@ -1,0 +1,144 @@
+"""Policy: what chooses the actions in an environment."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
+
+from vrcaps.errors import InputError, UnknownNameError
+from vrcaps.policy.registry import BASELINES
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from vrcaps.env.settings import EnvSettings
+    from vrcaps.env.vector_env import CapsuleVectorEnv
+
+_TRAINED = (".zip", ".npz")
+
+
+@dataclass(frozen=True)
+class Requirements:
+    """What an environment must have for a policy to work in it; what is empty asks for nothing.
+
+    Attributes:
+        settings: Keywords of `env_settings` that it was made for, such as `observations`; an
+            evaluation takes them where the user does not say otherwise.
+        observations: Names of observations that it reads.
+        actuations: Kinds of actuation that it can act by, one of them.
+    """
+
+    settings: dict[str, Any] = field(default_factory=dict)
+    observations: tuple[str, ...] = ()
+    actuations: tuple[str, ...] = ()
+
+    def check(self, settings: EnvSettings, name: str) -> None:
+        """Check that an environment has it all.
+
+        Args:
+            settings: Of the environment.
+            name: Of the policy.
+
+        Raises:
+            InputError: If something is missing.
+        """
+        given = [observation.name for observation in settings.observations]
+        missing = [n for n in self.observations if n not in given]
+        if missing:
+            raise InputError(
+                f"{name} reads the observations {', '.join(self.observations)}; the environment "
+                f"gives {', '.join(given)}. Add {', '.join(missing)}."
+            )
+        kind = settings.actuation.kind
+        if self.actuations and kind not in self.actuations:
+            raise InputError(
+                f"{name} acts by {' or '.join(self.actuations)}; the environment's actuation is "
+                f"{kind}. Choose another actuation or policy."
+            )
+
+
+@runtime_checkable
+class Policy(Protocol):
+    """What chooses an action for each world of a vector environment.
+
+    It may look at observations only, or at `env.episode.simulation`, which no capsule of flesh and
+    blood could. What is random in it comes from the seeds of its episodes alone, so that an
+    episode is the same whichever others run beside it.
+    """
+
+    @property
+    def requires(self) -> Requirements:
+        """What the environment must have."""
+        ...
+
+    def reset(self, numbers: np.ndarray, seeds: Sequence[int]) -> None:
+        """Forget what was of some worlds, in which an episode begins.
+
+        Args:
+            numbers: Of the worlds.
+            seeds: Of their episodes, one for each.
+        """
+        ...
+
+    def act(self, observations: dict[str, np.ndarray], env: CapsuleVectorEnv) -> np.ndarray:
+        """Actions for all worlds, a row each.
+
+        Args:
+            observations: By name, with a row for each world.
+            env: The environment; read-only.
+        """
+        ...
+
+
+def read_policy(name: str | Path) -> Policy:
+    """A policy by the name of a baseline, its import path, or the file of a trained one.
+
+    Example:
+        >>> read_policy("centerline")
+        >>> read_policy("my_package.my_module:MyPolicy")
+        >>> read_policy("runs/coverage/policy.zip")
+
+    Raises:
+        UnknownNameError: If there is no baseline and no file of that name.
+        InputError: If the class cannot be imported, or the file holds no policy.
+    """
+    text = str(name)
+    if text in BASELINES:
+        return _imported(BASELINES[text])
+    path = Path(name)
+    if path.is_dir() or (path.is_file() and path.suffix in _TRAINED):
+        return _trained(path)
+    if ":" in text:
+        return _imported(text)
+    known = [*BASELINES, "an import path package.module:Class", "a trained policy's file"]
+    raise UnknownNameError("policy", text, known)
+
+
+def _imported(path: str) -> Policy:
+    """A policy of a class by its import path, made without arguments."""
+    module_name, _, class_name = path.partition(":")
+    try:
+        module = importlib.import_module(module_name)
+    except ImportError as error:
+        raise InputError(
+            f"No policy at {path}: {error}. Give package.module:Class, importable from here."
+        ) from error
+    cls = getattr(module, class_name, None)
+    if cls is None:
+        raise InputError(f"No policy at {path}: the module has no {class_name!r}.")
+    policy = cls()
+    if not isinstance(policy, Policy):
+        raise InputError(
+            f"{path} is no policy. Allowed: a class with `requires`, `reset` and `act`, see "
+            "vrcaps.policy.policy.Policy."
+        )
+    return policy
+
+
+def _trained(path: Path) -> Policy:
+    from vrcaps.policy.trained import read_trained_policy
+
+    return read_trained_policy(path)

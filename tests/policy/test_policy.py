@@ -1,0 +1,70 @@
+"""Policies by their names: baselines, import paths, files; and what they ask of an environment."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from gymnasium import spaces
+
+from vrcaps.errors import InputError, UnknownNameError
+from vrcaps.policy.policy import Policy, Requirements, read_policy
+from vrcaps.policy.random import RandomPolicy
+from vrcaps.policy.registry import BASELINES
+
+
+@pytest.mark.parametrize("name", BASELINES)
+def test_every_baseline_is_a_policy(name: str) -> None:
+    assert isinstance(read_policy(name), Policy)
+
+
+def test_a_policy_of_ones_own_by_its_import_path() -> None:
+    assert isinstance(read_policy("vrcaps.policy.random:RandomPolicy"), RandomPolicy)
+
+
+@pytest.mark.parametrize(
+    ("name", "error", "said"),
+    [
+        ("centreline-typo", UnknownNameError, "No policy named 'centreline-typo'. Known: .*random"),
+        ("no.such.module:Mine", InputError, "No policy at no.such.module:Mine"),
+        ("vrcaps.policy.random:Mine", InputError, "the module has no 'Mine'"),
+        ("pathlib:Path", InputError, "pathlib:Path is no policy"),
+    ],
+)
+def test_what_is_no_policy_is_one_line(name: str, error: type[Exception], said: str) -> None:
+    with pytest.raises(error, match=said) as caught:
+        read_policy(name)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_file_that_holds_no_policy_is_one_line(tmp_path: Path) -> None:
+    (tmp_path / "policy.zip").write_bytes(b"nothing")
+    with pytest.raises(InputError, match=r"policy\.zip"):
+        read_policy(tmp_path / "policy.zip")
+
+
+def test_a_policy_says_what_the_environment_lacks() -> None:
+    settings = SimpleNamespace(
+        observations=(SimpleNamespace(name="state"),), actuation=SimpleNamespace(kind="wrench")
+    )
+    Requirements().check(settings, "mine")  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="Add map"):
+        Requirements(observations=("state", "map")).check(settings, "mine")  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="mine acts by magnet or arm"):
+        Requirements(actuations=("magnet", "arm")).check(settings, "mine")  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("space", [spaces.Box(-1.0, 1.0, (6,), np.float32), spaces.Discrete(7)])
+def test_random_is_the_same_whichever_worlds_run_beside(space: spaces.Space) -> None:
+    def actions(seeds: list[int]) -> np.ndarray:
+        policy = RandomPolicy()
+        env = SimpleNamespace(num_envs=len(seeds), single_action_space=space)
+        policy.reset(np.arange(len(seeds)), seeds)
+        return np.stack([policy.act({}, env) for _ in range(8)])  # type: ignore[arg-type]
+
+    both, alone = actions([3, 5]), actions([5])
+    assert np.array_equal(both[:, 1], alone[:, 0])
+    assert not np.array_equal(both[:, 0], both[:, 1])
+    assert all(space.contains(a) for a in both[:, 0])

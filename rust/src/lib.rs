@@ -50,6 +50,7 @@ fn _core(m: &Bound<'_, PyModule>) -> PyResult<()> {
     m.add_function(wrap_pyfunction!(render::path::subsurface::walk_tissue, m)?)?;
     m.add_function(wrap_pyfunction!(render::channels::encode_srgb, m)?)?;
     m.add_function(wrap_pyfunction!(metrics::coverage::mark_seen, m)?)?;
+    m.add_function(wrap_pyfunction!(wall::distances::wall_distances, m)?)?;
     m.add_class::<metrics::point_coverage::WallPoints>()?;
     m.add_class::<metrics::point_coverage::DirectionTable>()?;
     m.add_function(wrap_pyfunction!(metrics::point_coverage::mark_points, m)?)?;

@@ -385,6 +385,13 @@ def mark_seen(
     min_cosine: float,
 ) -> None: ...
 
+def wall_distances(
+    walls: Sequence[Wall],
+    origins: NDArray[np.float64],
+    directions: NDArray[np.float64],
+    reach: float,
+) -> NDArray[np.float32]: ...
+
 class WallPoints:
     def __init__(
         self,

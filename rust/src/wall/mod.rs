@@ -2,6 +2,7 @@
 //! visibility.
 
 pub mod bvh;
+pub mod distances;
 pub mod packet;
 pub mod query;
 pub mod ray;

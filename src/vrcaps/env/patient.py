@@ -40,6 +40,16 @@ class Patient:
         weights = self.points.fractions[:, 1]
         return np.bincount(self.points.cell, weights, minlength=self.num_cells)
 
+    @cached_property
+    def cell_center(self) -> Float[np.ndarray, "c 3"]:
+        """Middle of each cell's part of the wall in the world frame [m]; 0 where it has none."""
+        face, weights = self.points.face, self.points.weights
+        weights = np.column_stack([weights, 1.0 - weights.sum(axis=1)])
+        corners = self.model.vertices_world[self.model.organ.faces[face]]
+        places = np.einsum("kc,kcx->kx", weights, corners) * self.points.fractions[:, 1:]
+        sums = [np.bincount(self.points.cell, x, minlength=self.num_cells) for x in places.T]
+        return np.stack(sums, axis=-1) / np.maximum(self.cell_area, 1e-12)[:, None]
+
 
 class Patients:
     """The patients of an environment; each is made when it is first needed."""

@@ -8,6 +8,7 @@ import numpy as np
 
 from vrcaps.capsule.catalog import read_device
 from vrcaps.capsule.device import Device
+from vrcaps.env.course import Course
 from vrcaps.env.memory import Memory
 from vrcaps.env.patient import Patient, Patients
 from vrcaps.metrics.coverage import CoverageLevel
@@ -40,6 +41,9 @@ class Simulation:
         fraction: Fraction of the whole seen so far at each of `POINT_LEVELS`.
         gain: What of it was seen for the first time in the last step.
         cells: Fraction of the whole that was visible so far in each cell of the map.
+        cell_area: Fraction of the whole that lies in each cell.
+        cell_center: Middle of each cell's part of the wall at rest [m]; 0 where it has none.
+        course: Centerlines.
         T_world_capsule: Poses of the capsules.
         velocity_world: Their velocities [m/s] and angular velocities [rad/s].
         contact_force_world: Mean force of the wall on each in the last step [N].
@@ -63,6 +67,9 @@ class Simulation:
         self.fraction = memory.allocate("fraction", (len(POINT_LEVELS),))
         self.gain = memory.allocate("gain", (len(POINT_LEVELS),))
         self.cells = memory.allocate("cells", (rows * columns,))
+        self.cell_area = memory.allocate("cell_area", (rows * columns,))
+        self.cell_center = memory.allocate("cell_center", (rows * columns, 3))
+        self.course = Course(memory)
         self._patient = memory.allocate("patient", dtype=np.int64, fill=-1)
         self.flags: list[np.ndarray] = [np.zeros(0, np.uint8)] * num_worlds
         self.T_world_capsule = np.tile(np.eye(4), (num_worlds, 1, 1))
@@ -84,6 +91,11 @@ class Simulation:
         """Fraction of the whole seen so far at one level."""
         return self.fraction[:, POINT_LEVELS.index(level)]
 
+    @property
+    def unseen_cells(self) -> Float[np.ndarray, "n c"]:
+        """Fraction of the whole in each cell of the map that was not visible yet."""
+        return np.maximum(self.cell_area - self.cells, 0.0)
+
     def reset(self, index: int, rng: np.random.Generator) -> None:
         """Begin an episode in one world.
 
@@ -92,7 +104,10 @@ class Simulation:
         """
         settings = self.settings
         self._patient[index] = rng.integers(len(self.patients))
-        model = self.patient(index).model
+        patient = self.patient(index)
+        model = patient.model
+        self.course.begin(index, model)
+        self.cell_area[index], self.cell_center[index] = patient.cell_area, patient.cell_center
         start, self.arc_length[index] = settings.start.draw(model, rng)
         sources = settings.actuation.begin(self, index, start)
         world = World(
@@ -108,7 +123,7 @@ class Simulation:
         self.worlds[index] = world
         if settings.start.settle:
             world.step(Control(), settings.start.settle)
-        self.flags[index] = np.zeros(len(self.patient(index).points), np.uint8)
+        self.flags[index] = np.zeros(len(patient.points), np.uint8)
         for array in (self.time, self.fraction, self.gain, self.cells):
             array[index] = 0.0
         self.failure[index] = ""

@@ -2,6 +2,8 @@
 
 from typing import TypeAlias
 
+from vrcaps.env.observations.coverage_map import MapObservation
+from vrcaps.env.observations.landmarks import LandmarksObservation
 from vrcaps.env.observations.state import StateObservation
 
-AnyObservation: TypeAlias = StateObservation
+AnyObservation: TypeAlias = StateObservation | LandmarksObservation | MapObservation

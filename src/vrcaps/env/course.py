@@ -1,0 +1,70 @@
+"""Course of the gut in each world, sampled so that all guts have arrays of one shape."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vrcaps.organ.centerline.curve import interpolate
+from vrcaps.transforms import rotate_vectors, transform_points
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+    from vrcaps.env.memory import Memory
+    from vrcaps.world.model import Model
+
+_SAMPLES = 256
+
+
+@dataclass(frozen=True)
+class CoursePlace:
+    """A place on the centerline in each world, in the world frame.
+
+    Attributes:
+        point: Where it is [m].
+        axes: Transverse axes and tangent there, as rows.
+        radius: Distance from there to the nearest wall at rest [m].
+    """
+
+    point: Float[np.ndarray, "n 3"]
+    axes: Float[np.ndarray, "n 3 3"]
+    radius: Float[np.ndarray, " n"]
+
+
+class Course:
+    """Centerlines of the organs of all worlds.
+
+    Attributes:
+        length: Of each centerline [m].
+    """
+
+    def __init__(self, memory: Memory) -> None:
+        """Makes room in the memory."""
+        self._samples = memory.allocate("course/samples", (_SAMPLES, 13))
+        self.length = memory.allocate("course/length")
+
+    def begin(self, index: int, model: Model) -> None:
+        """Takes over the organ of one world."""
+        line = model.organ.centerline
+        points, frames, radius = interpolate(line, np.linspace(0.0, line.length, _SAMPLES))
+        axes = rotate_vectors(model.T_world_patient, np.swapaxes(frames, 1, 2))
+        self._samples[index, :, :3] = transform_points(model.T_world_patient, points)
+        self._samples[index, :, 3:12] = axes.reshape(-1, 9)
+        self._samples[index, :, 12] = radius
+        self.length[index] = line.length
+
+    def at(self, arc_length: Float[np.ndarray, " n"]) -> CoursePlace:
+        """Places at arc lengths [m], one in each world; those beyond an end are at the end.
+
+        Points and radii are linear between samples, axes those of the nearest sample.
+        """
+        place = (arc_length / self.length).clip(0.0, 1.0) * (_SAMPLES - 1)
+        below = np.minimum(place.astype(int), _SAMPLES - 2)
+        worlds, share = np.arange(len(below)), (place - below)[:, None]
+        start, end = self._samples[worlds, below], self._samples[worlds, below + 1]
+        here = start + share * (end - start)
+        axes = np.where(share < 0.5, start, end)[:, 3:12]
+        return CoursePlace(here[:, :3], axes.reshape(-1, 3, 3), here[:, 12])

@@ -1,0 +1,122 @@
+"""Map: what was seen so far in gut coordinates, and where the capsule is on it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
+
+import numpy as np
+
+from vrcaps.limits import Range, check_fields
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+    from vrcaps.env.simulation import Simulation
+
+
+@dataclass(frozen=True)
+class MapObservation:
+    """The wall unrolled: a row for each cell along the gut, a column for each around it.
+
+    Two channels [2 rows columns]: the fraction of each cell's area that was visible so far, 1 where
+    a cell has no wall; and 1 in the cell that the capsule is in, 0 elsewhere.
+
+    `egocentric` gives crops about the capsule instead [2 scales, size, size]: for each scale the
+    fraction seen of the wall in each pixel, then the fraction of the pixel that lies within the gut;
+    both are 0 beyond its ends, and around it the map repeats. A pixel is a cell of the map at the
+    first scale, and `factor` times as long and as wide at each further one (Jonnarth, Zhao,
+    Felsberg, arXiv 2306.16978, multi-scale egocentric maps).
+
+    Attributes:
+        egocentric: Whether the map is centered at the capsule.
+        scales: How many crops.
+        size: Pixels to a side of each.
+        factor: How much coarser each is than the one before.
+    """
+
+    egocentric: bool = False
+    scales: Annotated[int, Range(least=1, most=8)] = 4
+    size: Annotated[int, Range(least=2, most=256)] = 16
+    factor: Annotated[float, Range(least=1.0, most=4.0)] = 2.0
+
+    kind: ClassVar[str] = "map"
+    name: ClassVar[str] = "map"
+    needs_textures: ClassVar[bool] = False
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+
+    def space(self, simulation: Simulation) -> Any:
+        """Fractions."""
+        from gymnasium import spaces
+
+        shape = (2, *simulation.settings.grid)
+        if self.egocentric:
+            shape = (2 * self.scales, self.size, self.size)
+        return spaces.Box(0.0, 1.0, shape, np.float32)
+
+    def allocate(self, simulation: Simulation) -> None:
+        """Needs no memory but the simulation's own."""
+
+    def begin(self, simulation: Simulation, index: int, rng: np.random.Generator) -> None:
+        """Begins with what the start shows."""
+
+    def observe(self, simulation: Simulation) -> Float[np.ndarray, "n c h w"]:
+        """The maps of all worlds."""
+        made = self._crops(simulation) if self.egocentric else _whole(simulation)
+        return made.clip(0.0, 1.0).astype(np.float32)
+
+    def _crops(self, s: Simulation) -> Float[np.ndarray, "n c h w"]:
+        """Maps about the capsules; a pixel's value is the mean over what it covers."""
+        rows, columns = s.settings.grid
+        half = 0.5 * self.size * self.factor ** np.arange(self.scales)[:, None]
+        edges = half * np.linspace(-1.0, 1.0, self.size + 1)
+        row, column = (at[:, None, None] + edges for at in _place(s))
+        along, around = _overlap(row, rows), _repeated_overlap(column, columns)
+        around = np.swapaxes(around, -1, -2)
+        seen, area = s.cells.reshape(-1, 1, rows, columns), s.cell_area.reshape(-1, 1, rows, columns)
+        inside = along.sum(axis=-1) / np.diff(row, axis=-1)
+        wall = along @ area @ around
+        share = np.divide(along @ seen @ around, wall, out=np.zeros_like(wall), where=wall > 0.0)
+        crops = np.stack([share, np.broadcast_to(inside[..., None], share.shape)], axis=2)
+        return crops.reshape(s.num_worlds, 2 * self.scales, self.size, self.size)
+
+
+def _whole(s: Simulation) -> Float[np.ndarray, "n 2 h w"]:
+    rows, columns = s.settings.grid
+    made = np.zeros((s.num_worlds, 2, rows * columns))
+    made[:, 0] = seen_share(s)
+    row, column = (place.astype(int) for place in _place(s))
+    cell = np.minimum(row, rows - 1) * columns + column % columns
+    made[np.arange(s.num_worlds), 1, cell] = 1.0
+    return made.reshape(-1, 2, rows, columns)
+
+
+def seen_share(s: Simulation) -> Float[np.ndarray, "n c"]:
+    """Fraction of each cell's area that was visible so far; 1 where a cell has no wall."""
+    ones = np.ones_like(s.cells)
+    return np.divide(s.cells, s.cell_area, out=ones, where=s.cell_area > 0.0).clip(0.0, 1.0)
+
+
+def _place(s: Simulation) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+    """Row and column of each capsule on the map, as fractional numbers of cells."""
+    rows, columns = s.settings.grid
+    here = s.course.at(s.arc_length)
+    offset = s.T_world_capsule[:, :3, 3] - here.point
+    x, y, _ = np.einsum("nij,nj->in", here.axes, offset)
+    turn = np.arctan2(y, x) / (2.0 * np.pi) + 0.5
+    return (s.arc_length / s.course.length).clip(0.0, 1.0) * rows, turn * columns
+
+
+def _overlap(edges: Float[np.ndarray, "*n k"], count: int) -> Float[np.ndarray, "*n k-1 c"]:
+    """How much of each of `count` cells of length 1 lies between neighboring edges."""
+    return np.diff((edges[..., None] - np.arange(count)).clip(0.0, 1.0), axis=-2)
+
+
+def _repeated_overlap(
+    edges: Float[np.ndarray, "*n k"], count: int
+) -> Float[np.ndarray, "*n k-1 c"]:
+    """The same where cells repeat without end."""
+    rounds, rest = np.divmod(edges[..., None], count)
+    return np.diff(rounds + (rest - np.arange(count)).clip(0.0, 1.0), axis=-2)

@@ -1,0 +1,192 @@
+"""Landmarks: where the gut leads, where its wall is, and where most of it is still unseen."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+
+import numpy as np
+
+from vrcaps import _core
+from vrcaps.limits import Range, check_fields
+from vrcaps.transforms import invert
+from vrcaps.units import CM, MM
+from vrcaps.world.model import posture_transform
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+    from vrcaps.env.simulation import Simulation
+
+_DISTANCE = 20.0 * MM
+_FAR = 10.0 * CM
+_AREA = 0.01
+_SPEED, _SPIN, _FORCE = 20.0 * MM, 1.0, 0.1
+_AHEAD = 4.0 * CM
+_REACH = 0.5
+_HIDDEN = 5.0 * MM
+"""By how much the wall must be nearer than a region's middle, to hide it."""
+_NEAREST = 1.0 * CM
+_PARTS = (16, 8)
+"""Most regions along the gut and around it."""
+
+_CORNERS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) / np.sqrt(3.0)
+RAYS = np.concatenate([np.eye(3), -np.eye(3), _CORNERS])
+"""Directions in which the distance to the wall is told: ±x, ±y, ±z, and a cube's corners."""
+
+
+@dataclass(frozen=True)
+class LandmarksObservation:
+    """What a guide would tell: the same numbers, with the same meaning, in every organ.
+
+    A distance d comes as d / (d + 20 mm), other magnitudes alike, so that all numbers are between
+    −1 and 1. Directions are unit vectors in the chosen frame. In this order:
+
+    - fraction of the gut's course that lies behind, and of the episode that is over (2)
+    - fraction of the wall seen at `frustum`, `visible`, `resolved` (3)
+    - vector to the centerline (20 mm), its tangent there, and the direction to its point 40 mm on
+      towards the anal end (9); its distance to the wall there (1)
+    - direction of gravity; in the world frame that of the capsule's axis +z (3)
+    - velocity (20 mm/s), angular velocity (1 rad/s) and contact force (0.1 N) (9)
+    - distances to the wall along `RAYS` (14)
+    - of each of the most attractive unseen regions: direction (3), distance, way along the gut,
+      positive towards the anal end (10 cm), unseen fraction of the whole wall (0.01), and whether
+      no wall is in between (7 a region); all 0 where nothing is left to see
+    - with a magnet outside: vector to it (10 cm) and direction of its moment (6)
+
+    A region is a sixteenth of the gut's length by an eighth of its circumference. What is unseen of
+    it over its distance makes it attractive; the way along the gut counts where it is longer.
+
+    Attributes:
+        regions: How many unseen regions.
+        frame: Axes of all vectors: the capsule's, or the world's for actions in these.
+    """
+
+    regions: Annotated[int, Range(least=0, most=64)] = 6
+    frame: Literal["capsule", "world"] = "capsule"
+
+    kind: ClassVar[str] = "landmarks"
+    name: ClassVar[str] = "landmarks"
+    needs_textures: ClassVar[bool] = False
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+
+    def space(self, simulation: Simulation) -> Any:
+        """Numbers from −1 to 1."""
+        from gymnasium import spaces
+
+        count = 41 + 7 * self.regions + (6 if "magnet/T" in simulation.memory else 0)
+        return spaces.Box(-1.0, 1.0, (count,), np.float32)
+
+    def allocate(self, simulation: Simulation) -> None:
+        """Needs no memory but the simulation's own."""
+
+    def begin(self, simulation: Simulation, index: int, rng: np.random.Generator) -> None:
+        """Begins with what the start shows."""
+
+    def observe(self, simulation: Simulation) -> Float[np.ndarray, "n k"]:
+        """The numbers of all worlds."""
+        s = simulation
+        is_fixed = self.frame == "world"
+        axes = np.eye(3)[None].repeat(s.num_worlds, 0) if is_fixed else s.T_world_capsule[:, :3, :3]
+        to_regions, facts = self._regions(s)
+        ways = np.concatenate([RAYS @ np.swapaxes(axes, 1, 2), _directions(to_regions)], axis=1)
+        distances = self._distances(s, ways)
+        is_free = distances[:, len(RAYS) :] > np.linalg.norm(to_regions, axis=-1) - _HIDDEN
+        facts = np.concatenate([facts, (is_free & (facts[..., 2] > 0.0))[..., None]], axis=-1)
+        attitude = s.T_world_capsule[:, None, :3, 2] if is_fixed else [[[0.0, 0.0, -1.0]]]
+        vectors = [*self._guides(s), np.broadcast_to(attitude, (s.num_worlds, 1, 3))]
+        vectors += [_soft_vectors(s.velocity_world, np.array([[_SPEED], [_SPIN]]))]
+        vectors += [_soft_vectors(s.contact_force_world[:, None], _FORCE), _directions(to_regions)]
+        if "magnet/T" in s.memory:
+            T_magnet = s.memory["magnet/T"]
+            offset = T_magnet[:, None, :3, 3] - s.T_world_capsule[:, None, :3, 3]
+            vectors += [_soft_vectors(offset, _FAR), T_magnet[:, None, :3, 2]]
+        told = np.concatenate(vectors, axis=1) @ axes
+        return self._ordered(s, told, distances[:, : len(RAYS)], facts)
+
+    def _ordered(
+        self, s: Simulation, told: np.ndarray, distances: np.ndarray, facts: np.ndarray
+    ) -> Float[np.ndarray, "n k"]:
+        """All numbers in the order of the docstring."""
+        n, last = s.num_worlds, 7 + self.regions
+        regions = np.concatenate([told[:, 7:last], facts], axis=2)
+        parts = [
+            (s.arc_length / s.course.length)[:, None],
+            s.time[:, None] / s.settings.episode_time,
+            s.fraction,
+            told[:, :3].reshape(n, -1),
+            _soft(s.course.at(s.arc_length).radius[:, None], _DISTANCE),
+            told[:, 3:7].reshape(n, -1),
+            _soft(distances, _DISTANCE),
+            regions.reshape(n, -1),
+            told[:, last:].reshape(n, -1),
+        ]
+        return np.concatenate(parts, axis=1).clip(-1.0, 1.0).astype(np.float32)
+
+    def _guides(self, s: Simulation) -> list[Float[np.ndarray, "n 1 3"]]:
+        """Ways to the centerline, along it, and on, in the world frame."""
+        place = s.T_world_capsule[:, :3, 3]
+        here, ahead = s.course.at(s.arc_length), s.course.at(s.arc_length + _AHEAD)
+        vectors = [
+            _soft_vectors(here.point - place, _DISTANCE),
+            here.axes[:, 2],
+            _directions(ahead.point - place),
+        ]
+        return [vector[:, None] for vector in vectors]
+
+    def _regions(
+        self, s: Simulation
+    ) -> tuple[Float[np.ndarray, "n m 3"], Float[np.ndarray, "n m 3"]]:
+        """Vectors to unseen regions [m] in the world frame; distance, way and area of each."""
+        rows, columns = s.settings.grid
+        unseen = s.unseen_cells.reshape(-1, rows, columns, 1)
+        sums = np.concatenate(
+            [unseen * s.cell_center.reshape(-1, rows, columns, 3), unseen], axis=-1
+        )
+        firsts = [np.unique(np.arange(p) * c // p) for p, c in zip(_PARTS, s.settings.grid)]
+        for axis, first in enumerate(firsts):
+            sums = np.add.reduceat(sums, first, axis=axis + 1)
+        middle = 0.5 * (firsts[0] + np.append(firsts[0][1:], rows)) / rows
+        sums = sums.reshape(s.num_worlds, -1, 4)
+        area = sums[..., 3]
+        center = sums[..., :3] / np.maximum(area, 1e-12)[..., None]
+        offset = np.where(area[..., None] > 0.0, center - s.T_world_capsule[:, None, :3, 3], 0.0)
+        way = middle.repeat(len(firsts[1])) * s.course.length[:, None] - s.arc_length[:, None]
+        distance = np.linalg.norm(offset, axis=-1)
+        score = area / np.maximum(np.maximum(distance, np.abs(way)), _NEAREST)
+        best = np.argsort(-score, axis=1, kind="stable")[:, : self.regions]
+        facts = np.stack([_soft(distance, _DISTANCE), _soft(way, _FAR), _soft(area, _AREA)], -1)
+        facts *= (area > 0.0)[..., None]
+        lack = ((0, 0), (0, self.regions - best.shape[1]), (0, 0))
+        chosen = (np.take_along_axis(x, best[..., None], axis=1) for x in (offset, facts))
+        offset, facts = (np.pad(x, lack) for x in chosen)
+        return offset, facts
+
+    @staticmethod
+    def _distances(
+        s: Simulation, ways: Float[np.ndarray, "n k 3"]
+    ) -> Float[np.ndarray, "n k"]:
+        """Distances to the wall [m] along directions in the world frame."""
+        T_patient_world = invert(posture_transform(s.settings.posture))
+        origins = s.T_world_capsule[:, :3, 3] @ T_patient_world[:3, :3].T + T_patient_world[:3, 3]
+        is_none = np.einsum("nki,nki->nk", ways, ways) == 0.0
+        ways = np.where(is_none[..., None], [0.0, 0.0, 1.0], ways) @ T_patient_world[:3, :3].T
+        walls = [world.wall for world in s.worlds]
+        return _core.wall_distances(walls, origins, ways, _REACH).astype(float)
+
+
+def _soft(value: np.ndarray, scale: float) -> np.ndarray:
+    """x / (|x| + scale)."""
+    return value / (np.abs(value) + scale)
+
+
+def _soft_vectors(vectors: Float[np.ndarray, "*n 3"], scale: Any) -> Float[np.ndarray, "*n 3"]:
+    """v / (|v| + scale)."""
+    return vectors / (np.linalg.norm(vectors, axis=-1, keepdims=True) + scale)
+
+
+def _directions(vectors: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
+    """Unit vectors; 0 where there is no direction."""
+    return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-9)

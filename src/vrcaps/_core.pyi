@@ -384,7 +384,6 @@ def mark_seen(
     min_density: float,
     min_cosine: float,
 ) -> None: ...
-
 def wall_distances(
     walls: Sequence[Wall],
     origins: NDArray[np.float64],

@@ -11,12 +11,12 @@ from vrcaps.organ.centerline.curve import interpolate
 from vrcaps.transforms import rotate_vectors, transform_points
 
 if TYPE_CHECKING:
-    from jaxtyping import Float
+    from jaxtyping import Float, Int
 
     from vrcaps.env.memory import Memory
     from vrcaps.world.model import Model
 
-_SAMPLES = 256
+_SAMPLES = 512
 
 
 @dataclass(frozen=True)
@@ -68,3 +68,30 @@ class Course:
         here = start + share * (end - start)
         axes = np.where(share < 0.5, start, end)[:, 3:12]
         return CoursePlace(here[:, :3], axes.reshape(-1, 3, 3), here[:, 12])
+
+    def nearest(
+        self,
+        numbers: Int[np.ndarray, " m"],
+        places: Float[np.ndarray, "m 3"],
+        arc_length: Float[np.ndarray, " m"],
+        reach: float,
+    ) -> Float[np.ndarray, " m"]:
+        """Arc lengths of the points of centerlines that are nearest to places in the world [m].
+
+        Args:
+            numbers: Worlds.
+            places: One in each [m].
+            arc_length: Near which they are sought [m]: a neighboring loop of gut may be nearer.
+            reach: How far along the gut [m].
+        """
+        points, length = self._samples[numbers, :, :3], self.length[numbers]
+        step, worlds = length / (_SAMPLES - 1), np.arange(len(numbers))
+        offsets = places[:, None] - points
+        squares = np.einsum("nki,nki->nk", offsets, offsets)
+        away = np.abs(step[:, None] * np.arange(_SAMPLES) - arc_length[:, None])
+        best = np.where(away <= np.maximum(reach, step)[:, None], squares, np.inf).argmin(axis=1)
+        chord = points[worlds, np.minimum(best + 1, _SAMPLES - 1)]
+        chord = chord - points[worlds, np.maximum(best - 1, 0)]
+        along = np.einsum("ni,ni->n", offsets[worlds, best], chord)
+        along /= np.maximum(np.linalg.norm(chord, axis=1), 1e-12)
+        return (best * step + along.clip(-step, step)).clip(0.0, length)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from vrcaps.env.rewards import total_reward
+from vrcaps.env.rewards import frontier_length, total_reward
 from vrcaps.env.simulation import Simulation
 from vrcaps.errors import InputError
 
@@ -51,6 +51,8 @@ class Episode:
         self._best = memory.allocate("progress/best")
         self._gain = memory.allocate("progress/gain")
         self._since = memory.allocate("progress/since")
+        self._frontier = memory.allocate("frontier/length")
+        self._growth = memory.allocate("frontier/growth")
         self.action_space = settings.actuation.space()
         self.observation_space = spaces.Dict(
             {o.name: o.space(self.simulation) for o in settings.observations}
@@ -61,6 +63,8 @@ class Episode:
         self.simulation.reset(index, rng)
         self._best[index] = self.settings.task.progress(self.simulation)[index]
         self._gain[index] = self._since[index] = 0.0
+        self._follow_frontier(np.arange(self.simulation.num_worlds) == index)
+        self._growth[index] = 0.0
 
     def check_actions(self, actions: Any) -> np.ndarray:
         """Actions as an array with a row for each world.
@@ -88,6 +92,7 @@ class Episode:
         simulation, task = self.simulation, self.settings.task
         simulation.step(actions, active)
         self._follow_progress(active)
+        self._follow_frontier(active)
         speed = np.linalg.norm(simulation.velocity_world[:, 0], axis=1)
         is_too_fast = speed > self.settings.max_speed
         failed = simulation.is_outside | np.array([bool(text) for text in simulation.failure])
@@ -110,6 +115,16 @@ class Episode:
         period = self.settings.control_period
         self._since[:] = np.where(gains, 0.0, self._since + np.where(active, period, 0.0))
         self._best[:] = np.where(gains, progress, self._best)
+
+    def _follow_frontier(self, active: Bool[np.ndarray, " n"]) -> None:
+        """Measure the frontier on the map, where it is paid for."""
+        self._growth[:] = 0.0
+        if any(reward.term == "total-variation" for reward in self.rewards):
+            s = self.simulation
+            has_wall = s.cell_area[active] > 0.0
+            length = frontier_length(s.cell_share[active], has_wall, s.settings.grid)
+            self._growth[active] = length - self._frontier[active]
+            self._frontier[active] = length
 
     def observe(self) -> dict[str, np.ndarray]:
         """Observations of all worlds, in arrays of their own."""

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vrcaps.metrics.point_coverage import WallPoints, wall_points
+from vrcaps.organ.surface import OrganSurface
 from vrcaps.scenario.build import make_organ, resolve
 from vrcaps.scenario.scenario import Scenario
 from vrcaps.world.model import Model, posture_transform
@@ -75,17 +76,24 @@ class Patients:
 
     def _make(self, number: int) -> Patient:
         settings = self._settings
-        scenario = Scenario(
-            organ=settings.organs[number],
-            capsule=self._device,
-            posture=settings.posture,
-            lesions=settings.lesions,
-        )
-        organ = make_organ(resolve(scenario))
-        if not self._with_textures:
-            organ = replace(organ, appearance=None)
+        organ = self._organ(number)
         model = Model(organ, self._device, posture_transform(settings.posture))
         rows, columns = settings.grid
         return Patient(
             model, wall_points(organ, settings.num_points, settings.grid), rows * columns
         )
+
+    def _organ(self, number: int) -> OrganSurface:
+        settings = self._settings
+        given = settings.organs[number]
+        is_bare = isinstance(given, OrganSurface) and not settings.lesions
+        if is_bare and not self._with_textures:
+            return replace(given, appearance=None)
+        scenario = Scenario(
+            organ=given,
+            capsule=self._device,
+            posture=settings.posture,
+            lesions=settings.lesions,
+        )
+        organ = make_organ(resolve(scenario))
+        return organ if self._with_textures else replace(organ, appearance=None)

@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 
-from vrcaps.errors import UnknownNameError
+from vrcaps.errors import InputError, UnknownNameError
 from vrcaps.limits import Range, check_fields
 from vrcaps.metrics.coverage import CoverageLevel
 from vrcaps.metrics.point_coverage import POINT_LEVELS
 
 if TYPE_CHECKING:
-    from jaxtyping import Float
+    from jaxtyping import Bool, Float
 
     from vrcaps.env.simulation import Simulation
 
@@ -39,6 +39,11 @@ class Reward:
             raise UnknownNameError("reward", self.term, TERMS)
         if self.level not in POINT_LEVELS:
             raise UnknownNameError("level of coverage for a reward", self.level, POINT_LEVELS)
+        if self.term == "total-variation" and self.level != "visible":
+            raise InputError(
+                f"The reward total-variation has the level {self.level!r}. Allowed: 'visible', "
+                "which the map is of."
+            )
 
     def value(self, simulation: Simulation) -> Float[np.ndarray, " n"]:
         """What each world earns in the last step."""
@@ -84,6 +89,15 @@ def _progress(simulation: Simulation, reward: Reward) -> Float[np.ndarray, " n"]
     return simulation.memory["progress/gain"]
 
 
+def _total_variation(simulation: Simulation, reward: Reward) -> Float[np.ndarray, " n"]:
+    """Minus what the last step added to the frontier's length, in circumferences of the gut.
+
+    It pays for closing holes and for frontiers that are straight (Jonnarth, Zhao, Felsberg, arXiv
+    2306.16978, incremental total variation reward).
+    """
+    return -simulation.memory["frontier/growth"]
+
+
 def _success(simulation: Simulation, reward: Reward) -> Float[np.ndarray, " n"]:
     """One where the task is done."""
     return simulation.settings.task.is_done(simulation).astype(float)
@@ -96,6 +110,27 @@ TERMS: dict[str, Callable[[Simulation, Reward], Float[np.ndarray, " n"]]] = {
     "time": _time,
     "force": _force,
     "progress": _progress,
+    "total-variation": _total_variation,
     "success": _success,
 }
 """Terms by name."""
+
+
+def frontier_length(
+    share: Float[np.ndarray, "n c"], has_wall: Bool[np.ndarray, "n c"], grid: tuple[int, int]
+) -> Float[np.ndarray, " n"]:
+    """Length of the frontier between seen and unseen in circumferences of the gut.
+
+    It is the discrete isotropic total variation of the map, Σ sqrt(Δ_along² + Δ_around²), over the
+    number of its columns; cells without wall do not count.
+
+    Args:
+        share: Fraction seen of each cell of maps.
+        has_wall: Whether there is wall in each.
+        grid: Rows along the gut and columns around it, which repeat.
+    """
+    maps, wall = share.reshape(-1, *grid), has_wall.reshape(-1, *grid)
+    around = (np.roll(maps, -1, axis=2) - maps) * (np.roll(wall, -1, axis=2) & wall)
+    along = np.zeros_like(maps)
+    along[:, :-1] = np.diff(maps, axis=1) * (wall[:, 1:] & wall[:, :-1])
+    return np.sqrt(along**2 + around**2).sum(axis=(1, 2)) / grid[1]

@@ -92,6 +92,13 @@ class Simulation:
         return self.fraction[:, POINT_LEVELS.index(level)]
 
     @property
+    def cell_share(self) -> Float[np.ndarray, "n c"]:
+        """Fraction of each cell's area that was visible so far; 1 where a cell has no wall."""
+        ones = np.ones_like(self.cells)
+        share = np.divide(self.cells, self.cell_area, out=ones, where=self.cell_area > 0.0)
+        return share.clip(0.0, 1.0)
+
+    @property
     def unseen_cells(self) -> Float[np.ndarray, "n c"]:
         """Fraction of the whole in each cell of the map that was not visible yet."""
         return np.maximum(self.cell_area - self.cells, 0.0)
@@ -157,8 +164,8 @@ class Simulation:
         self.contact_force_world[numbers] = state.contact_force_world
         self.normal_force_total[numbers] = state.normal_force_total
         self.is_outside[numbers] = ~are_inside(worlds)
-        for index in numbers:
-            self.arc_length[index] = self._nearest_arc_length(index)
+        places, before = self.T_world_capsule[numbers, :3, 3], self.arc_length[numbers]
+        self.arc_length[numbers] = self.course.nearest(numbers, places, before, _NEARBY)
         self._look(numbers)
 
     def _look(self, numbers: np.ndarray) -> None:
@@ -178,12 +185,3 @@ class Simulation:
             )
         self.cells[numbers] = cells
         self.fraction[numbers] += self.gain[numbers]
-
-    def _nearest_arc_length(self, index: int) -> float:
-        """Place of the capsule along the centerline, near where it was [m]."""
-        model, now = self.patient(index).model, self.arc_length[index]
-        line = model.organ.centerline
-        T_patient_capsule = invert(model.T_world_patient) @ self.T_world_capsule[index]
-        low, high = np.searchsorted(line.arc_length, [now - _NEARBY, now + _NEARBY])
-        offset = line.points[low:high] - T_patient_capsule[:3, 3]
-        return float(line.arc_length[low + np.argmin((offset**2).sum(axis=1))])

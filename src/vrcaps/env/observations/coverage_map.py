@@ -23,8 +23,8 @@ class MapObservation:
     a cell has no wall; and 1 in the cell that the capsule is in, 0 elsewhere.
 
     `egocentric` gives crops about the capsule instead [2 scales, size, size]: for each scale the
-    fraction seen of the wall in each pixel, then the fraction of the pixel that lies within the gut;
-    both are 0 beyond its ends, and around it the map repeats. A pixel is a cell of the map at the
+    fraction seen of the wall in each pixel, then the fraction of the pixel that is within the gut.
+    Both are 0 beyond its ends, and around it the map repeats. A pixel is a cell of the map at the
     first scale, and `factor` times as long and as wide at each further one (Jonnarth, Zhao,
     Felsberg, arXiv 2306.16978, multi-scale egocentric maps).
 
@@ -75,7 +75,10 @@ class MapObservation:
         row, column = (at[:, None, None] + edges for at in _place(s))
         along, around = _overlap(row, rows), _repeated_overlap(column, columns)
         around = np.swapaxes(around, -1, -2)
-        seen, area = s.cells.reshape(-1, 1, rows, columns), s.cell_area.reshape(-1, 1, rows, columns)
+        seen, area = (
+            s.cells.reshape(-1, 1, rows, columns),
+            s.cell_area.reshape(-1, 1, rows, columns),
+        )
         inside = along.sum(axis=-1) / np.diff(row, axis=-1)
         wall = along @ area @ around
         share = np.divide(along @ seen @ around, wall, out=np.zeros_like(wall), where=wall > 0.0)
@@ -86,17 +89,11 @@ class MapObservation:
 def _whole(s: Simulation) -> Float[np.ndarray, "n 2 h w"]:
     rows, columns = s.settings.grid
     made = np.zeros((s.num_worlds, 2, rows * columns))
-    made[:, 0] = seen_share(s)
+    made[:, 0] = s.cell_share
     row, column = (place.astype(int) for place in _place(s))
     cell = np.minimum(row, rows - 1) * columns + column % columns
     made[np.arange(s.num_worlds), 1, cell] = 1.0
     return made.reshape(-1, 2, rows, columns)
-
-
-def seen_share(s: Simulation) -> Float[np.ndarray, "n c"]:
-    """Fraction of each cell's area that was visible so far; 1 where a cell has no wall."""
-    ones = np.ones_like(s.cells)
-    return np.divide(s.cells, s.cell_area, out=ones, where=s.cell_area > 0.0).clip(0.0, 1.0)
 
 
 def _place(s: Simulation) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:

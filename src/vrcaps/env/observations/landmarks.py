@@ -145,7 +145,10 @@ class LandmarksObservation:
         sums = np.concatenate(
             [unseen * s.cell_center.reshape(-1, rows, columns, 3), unseen], axis=-1
         )
-        firsts = [np.unique(np.arange(p) * c // p) for p, c in zip(_PARTS, s.settings.grid)]
+        firsts = [
+            np.unique(np.arange(parts) * cells // parts)
+            for parts, cells in zip(_PARTS, s.settings.grid, strict=True)
+        ]
         for axis, first in enumerate(firsts):
             sums = np.add.reduceat(sums, first, axis=axis + 1)
         middle = 0.5 * (firsts[0] + np.append(firsts[0][1:], rows)) / rows
@@ -165,9 +168,7 @@ class LandmarksObservation:
         return offset, facts
 
     @staticmethod
-    def _distances(
-        s: Simulation, ways: Float[np.ndarray, "n k 3"]
-    ) -> Float[np.ndarray, "n k"]:
+    def _distances(s: Simulation, ways: Float[np.ndarray, "n k 3"]) -> Float[np.ndarray, "n k"]:
         """Distances to the wall [m] along directions in the world frame."""
         T_patient_world = invert(posture_transform(s.settings.posture))
         origins = s.T_world_capsule[:, :3, 3] @ T_patient_world[:3, :3].T + T_patient_world[:3, 3]
@@ -178,12 +179,12 @@ class LandmarksObservation:
 
 
 def _soft(value: np.ndarray, scale: float) -> np.ndarray:
-    """x / (|x| + scale)."""
+    """Value x as x / (|x| + scale)."""
     return value / (np.abs(value) + scale)
 
 
 def _soft_vectors(vectors: Float[np.ndarray, "*n 3"], scale: Any) -> Float[np.ndarray, "*n 3"]:
-    """v / (|v| + scale)."""
+    """Each v as v / (|v| + scale)."""
     return vectors / (np.linalg.norm(vectors, axis=-1, keepdims=True) + scale)
 
 

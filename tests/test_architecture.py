@@ -36,6 +36,7 @@ LAYERS = (
     ("metrics",),
     ("scenario",),
     ("recording",),
+    ("dataset",),
     ("env",),
     ("policy",),
     ("tools",),

@@ -23,7 +23,17 @@ def test_one_version_everywhere() -> None:
 
 def test_everything_heavy_is_behind_an_extra() -> None:
     extras = set(metadata("vrcaps").get_all("Provides-Extra") or [])
-    assert {"calibrate", "ct", "denoise", "dev", "docs", "env", "learn", "lesions"} <= extras
+    assert {
+        "calibrate",
+        "ct",
+        "denoise",
+        "dev",
+        "docs",
+        "env",
+        "learn",
+        "lesions",
+        "scale",
+    } <= extras
 
 
 def without_compilers(path: str) -> str:

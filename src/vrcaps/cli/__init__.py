@@ -24,6 +24,8 @@ _VERBS = {
     "record": ("vrcaps.cli.record", "Record", "Record your own organ, capsule and motion."),
     "check": ("vrcaps.cli.check", "Check", "Verify an episode."),
     "coverage": ("vrcaps.cli.coverage", "Coverage", "Measure how much of the organ was seen."),
+    "dataset make": ("vrcaps.cli.dataset", "Make", "Make a data set from a plan."),
+    "dataset check": ("vrcaps.cli.dataset", "Check", "Verify a data set."),
     "organ list": ("vrcaps.cli.organ_list", "List", "List organs, lesions, mucosae, capsules."),
     "organ inspect": ("vrcaps.cli.organ", "Inspect", "Measure and draw an organ."),
     "organ from-ct": ("vrcaps.cli.from_ct", "FromCt", "Make organs from a CT scan or labels."),
@@ -47,6 +49,7 @@ _VERBS = {
 """Module, dataclass and summary of each verb."""
 
 _GROUPS = {
+    "dataset": "Make and verify data sets of many recordings, split by patient.",
     "organ": "Generate organs, make them from CT, dress them from photographs; measure, draw.",
     "calibrate": "Make a capsule file of a real capsule from its photographs and frames.",
     "bench": "Measure speed on this machine.",

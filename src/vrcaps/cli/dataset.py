@@ -1,0 +1,156 @@
+"""`vrcaps dataset`: make a data set from a plan, check it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from tyro.conf import Positional
+
+from vrcaps.cli.console import console, progress_bar
+from vrcaps.errors import InputError
+
+if TYPE_CHECKING:
+    from vrcaps.dataset.units import Units
+
+_MB, _HOUR = 1e6, 3600.0
+
+
+@dataclass(frozen=True)
+class Make:
+    """Make a data set from a plan: many recordings, split by patient.
+
+    A plan is a scenario file with a table [dataset]; anywhere else a distribution may stand in the
+    place of a value: { choice = [...] }, { uniform = [low, high] }, { log-uniform = [low, high] },
+    { normal = [mean, deviation] }, { integer = [low, high] }; { each = [...] } makes a recording
+    with every one. lesions = { prevalence = 1.0 } draws lesions as in a screening population.
+
+    What is interrupted goes on where it stopped when the same command is repeated; the data set
+    then has the same bytes. A recording that fails is noted and does not stop the rest.
+
+    For example:
+      vrcaps dataset make cohort.toml --out runs/cohort --dry-run
+      vrcaps dataset make cohort.toml --out runs/cohort --workers 2
+      vrcaps dataset make cohort.toml --out s3://bucket/cohort --units 0:100
+    """
+
+    plan: Positional[Path]
+    """The plan (TOML or JSON)."""
+
+    out: str
+    """Folder or URL of the data set: new, or an unfinished one of the same plan."""
+
+    units: str | None = None
+    """Only these units, such as 0:100 for the first hundred: a slice for each machine."""
+
+    workers: int | None = None
+    """Processes; by default one for each processor. 0 records in this one."""
+
+    dry_run: bool = False
+    """Say what will be made, how long it takes here and how much room it needs, and stop."""
+
+    def run(self) -> None:
+        """Make and report.
+
+        Raises:
+            InputError: If the plan or the target is not possible, or recordings failed.
+        """
+        from vrcaps.dataset.make import make_dataset
+        from vrcaps.dataset.plan import read_plan
+        from vrcaps.dataset.units import Units
+
+        if self.workers is not None and self.workers < 0:
+            raise InputError(f"--workers is {self.workers}. Allowed: 0 or more.")
+        plan = read_plan(self.plan)
+        units = Units(plan)
+        numbers = _slice(self.units, len(units))
+        if self.dry_run:
+            _estimate(units, self.out)
+            return
+        with progress_bar("recording") as progress:
+            made = make_dataset(
+                plan,
+                self.out,
+                numbers=numbers,
+                workers=self.workers,
+                progress=progress,
+                source=str(self.plan),
+            )
+        console.print(f"Made {made.made} recordings into {self.out}; {made.present} were there.")
+        for name, message in made.failed.items():
+            console.print(f"{name} failed: {message}")
+        if made.failed:
+            raise InputError(
+                f"{len(made.failed)} recordings failed; {self.out}/failed says why and how to "
+                "repeat each. The others are whole."
+            )
+
+
+@dataclass(frozen=True)
+class Check:
+    """Verify a data set: every file's checksum, splits without shared patients, no doubles.
+
+    For example:
+      vrcaps dataset check runs/cohort
+    """
+
+    dataset: Positional[Path]
+    """Folder of the data set."""
+
+    def run(self) -> None:
+        """Check and report.
+
+        Raises:
+            InputError: If something is wrong.
+        """
+        from vrcaps.dataset.check_dataset import check_dataset
+        from vrcaps.dataset.read_dataset import read_dataset
+
+        dataset = read_dataset(self.dataset)
+        with progress_bar("checking") as progress:
+            faults = check_dataset(self.dataset, progress)
+        for fault in faults:
+            console.print(fault)
+        if faults:
+            raise InputError(f"{self.dataset} has {len(faults)} faults.")
+        splits = ", ".join(f"{len(dataset.patients(s))} {s}" for s in ("train", "val", "test"))
+        console.print(
+            f"{len(dataset)} recordings of {len(dataset.patients())} patients ({splits}) are whole."
+        )
+
+
+def _slice(text: str | None, count: int) -> range | None:
+    """Numbers of a slice such as ``0:100``; None for all."""
+    if text is None:
+        return None
+    first, colon, last = text.partition(":")
+    try:
+        numbers = range(int(first or 0), min(int(last or count), count))
+    except ValueError:
+        numbers = range(0)
+    if not colon or not numbers or numbers[0] < 0:
+        raise InputError(f"--units is {text!r}. Allowed: FIRST:END from 0:1 to 0:{count}.")
+    return numbers
+
+
+def _estimate(units: Units, out: str) -> None:
+    from vrcaps.dataset.estimate import estimate
+    from vrcaps.dataset.store import open_store
+
+    with console.status("recording a few frames to measure"):
+        found = estimate(units)
+    free = open_store(out).free_bytes()
+    splits = ", ".join(f"{units.splits.count(s)} {s}" for s in ("train", "val", "test"))
+    console.print(
+        f"{len(units.splits)} patients ({splits}), {found.units} recordings, {found.frames} frames."
+    )
+    console.print(
+        f"About {found.seconds / _HOUR:.1f} hours on this machine and "
+        f"{found.num_bytes / _MB:,.0f} MB."
+    )
+    if free is not None and free < found.num_bytes:
+        raise InputError(
+            f"{out} has room for {free / _MB:,.0f} MB. Give a place with more, fewer frames, "
+            "channels or patients."
+        )

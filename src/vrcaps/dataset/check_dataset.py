@@ -1,0 +1,55 @@
+"""Check of a data set: every file against its checksum, every patient in one split, no doubles."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Callable
+from pathlib import Path
+
+from vrcaps.dataset.ledger import EPISODES, entries, failures
+from vrcaps.dataset.store import LocalStore
+from vrcaps.files import file_sha256
+
+
+def check_dataset(
+    path: str | Path, progress: Callable[[int, int], None] | None = None
+) -> list[str]:
+    """Faults of a data set, one line each.
+
+    Args:
+        path: Its folder.
+        progress: Called with the number of units checked and of all.
+
+    Raises:
+        InputError: If its ledger is damaged.
+    """
+    folder, store = Path(path), LocalStore(Path(path))
+    found, faults = entries(store), []
+    splits: dict[int, set[str]] = defaultdict(set)
+    seen: dict[frozenset[str], tuple[str, int]] = {}
+    for done, (name, entry) in enumerate(found.items(), 1):
+        splits[entry["patient"]].add(entry["split"])
+        faults += _faults_of_files(folder / EPISODES / name, entry["files"])
+        images = frozenset(sha for file, sha in entry["files"].items() if file.endswith(".png"))
+        other, patient = seen.setdefault(images, (name, entry["patient"]))
+        if patient != entry["patient"]:
+            faults.append(f"{name} holds the same images as {other}, of another patient")
+        if progress is not None:
+            progress(done, len(found))
+    for patient, names in sorted(splits.items()):
+        if len(names) > 1:
+            faults.append(f"patient {patient} is in {' and '.join(sorted(names))}")
+    faults += [f"{name} could not be made: {f['error']}" for name, f in failures(store).items()]
+    return faults
+
+
+def _faults_of_files(folder: Path, files: dict[str, str]) -> list[str]:
+    faults = []
+    for name, checksum in files.items():
+        path = folder / name
+        if not path.is_file():
+            faults.append(f"{path} is missing")
+        elif file_sha256(path) != checksum:
+            faults.append(f"{path} has changed since it was made")
+    present = {p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file()}
+    return faults + [f"{folder / name} belongs to no unit" for name in sorted(present - {*files})]

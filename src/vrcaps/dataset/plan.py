@@ -1,0 +1,126 @@
+"""Plan of a data set: a scenario in which distributions may stand for values.
+
+A plan is a scenario file with one more table, ``[dataset]``. Anywhere else a distribution may stand
+in the place of a value. What lies under ``organ`` and ``lesions`` is drawn once for each patient,
+everything else for each recording.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Any
+
+from vrcaps.dataset.distribution import slots
+from vrcaps.decimals import as_floats
+from vrcaps.errors import InputError
+from vrcaps.limits import Range, check_fields
+from vrcaps.plain_files import read_plain
+from vrcaps.serialization import from_plain, to_plain
+
+PATIENT_SLOTS = ("organ", "lesions")
+"""Keys of a scenario that belong to the patient."""
+
+SPLITS = ("train", "val", "test")
+
+
+@dataclass(frozen=True)
+class Split:
+    """Fractions of the patients; they add up to 1.
+
+    Attributes:
+        train: To learn from.
+        val: To choose by.
+        test: To judge by.
+    """
+
+    train: Annotated[float, Range(0.0, 1.0)] = 0.7
+    val: Annotated[float, Range(0.0, 1.0)] = 0.15
+    test: Annotated[float, Range(0.0, 1.0)] = 0.15
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+        total = self.train + self.val + self.test
+        if abs(total - 1.0) > 1e-6:
+            raise InputError(f"split adds up to {total:g}. Allowed: 1.")
+
+
+@dataclass(frozen=True)
+class DatasetSettings:
+    """The table ``[dataset]`` of a plan.
+
+    Attributes:
+        name: Name of the data set, for its data card.
+        seed: Of everything that is drawn.
+        patients: Number of patients.
+        repeats: Recordings of each patient with each combination of `each`.
+        split: Fractions of the patients.
+        stratify: Paths of a scenario whose values are spread evenly over the splits.
+    """
+
+    name: str
+    seed: Annotated[int, Range(least=0)] = 0
+    patients: Annotated[int, Range(least=1, most=10**6)] = 1
+    repeats: Annotated[int, Range(least=1, most=10**6)] = 1
+    split: Split = field(default_factory=Split)
+    stratify: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+        if not self.name.strip():
+            raise InputError("name is empty. Allowed: a name for the data set.")
+        for path in self.stratify:
+            if path.split(".")[0] not in PATIENT_SLOTS:
+                raise InputError(
+                    f"stratify names {path}, which differs between recordings of a patient. "
+                    f"Allowed: paths under {' or '.join(PATIENT_SLOTS)}."
+                )
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A plan as read.
+
+    Attributes:
+        settings: What it says of the data set as a whole.
+        scenario: Its scenario as plain values, with distributions.
+        has_units: Whether devices in it have keys in the units of device files.
+    """
+
+    settings: DatasetSettings
+    scenario: Mapping[str, Any]
+    has_units: bool = False
+
+
+def read_plan(path: str | Path) -> Plan:
+    """Read a plan from a TOML or JSON file.
+
+    Raises:
+        InputError: If the file cannot be read, the table of the data set is missing or wrong, or a
+            distribution is impossible.
+    """
+    path = Path(path)
+    plain = read_plain(path, "plan")
+    if not isinstance(plain, dict) or not isinstance(plain.get("dataset"), dict):
+        raise InputError(
+            f"{path} has no table [dataset]. A plan has one, with name and patients; to record a "
+            "scenario without it: vrcaps record."
+        )
+    settings = from_plain(DatasetSettings, plain["dataset"], at=f"{path}: dataset")
+    scenario = {key: value for key, value in plain.items() if key != "dataset"}
+    try:
+        list(slots(scenario))
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
+    return Plan(settings, scenario, has_units=path.suffix == ".toml")
+
+
+def plan_to_plain(plan: Plan) -> dict[str, Any]:
+    """A plan as JSON holds it."""
+    scenario = as_floats(dict(plan.scenario))
+    return {
+        "dataset": to_plain(plan.settings, DatasetSettings),
+        "scenario": scenario,
+        "units": plan.has_units,
+    }

@@ -1,0 +1,203 @@
+"""Units of a data set: one recording each, the same however many workers there are."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+from vrcaps import rng
+from vrcaps.anatomy.catalog import ORGANS, organ_segments
+from vrcaps.dataset.distribution import PROBABILITY, Each, Prevalence, slots
+from vrcaps.dataset.plan import PATIENT_SLOTS, SPLITS, Plan
+from vrcaps.errors import InputError, UnknownNameError, VrcapsError
+from vrcaps.scenario.scenario import OrganGenerated, Scenario, scenario_from_plain
+
+_SEEDS = 2**31
+_TWIN = "clean_twin"
+"""A twin shares all draws with the recording that shows the lesions."""
+
+
+@dataclass(frozen=True)
+class Unit:
+    """One recording of a data set.
+
+    Attributes:
+        number: Its place in the plan, from 0.
+        patient: Number of the patient, from 0.
+        split: `train`, `val` or `test`: that of the patient.
+        name: Name of its folder.
+        scenario: What to record.
+    """
+
+    number: int
+    patient: int
+    split: str
+    name: str
+    scenario: Scenario
+
+
+class Units:
+    """All units of a plan, made one by one when they are asked for."""
+
+    def __init__(self, plan: Plan) -> None:
+        """Looks at the plan's distributions; draws nothing."""
+        self.plan = plan
+        self._slots = list(slots(plan.scenario))
+        self._each = [(path, slot) for path, slot in self._slots if isinstance(slot, Each)]
+        patient_each = [path for path, _ in self._each if _is_patients(path)]
+        if patient_each:
+            raise InputError(
+                f"{patient_each[0]} is `each`, but belongs to the patient. Allowed: a distribution "
+                "such as choice; one patient has one organ."
+            )
+        sizes = [len(slot.each) for _, slot in self._each]
+        self.per_patient = math.prod(sizes) * plan.settings.repeats
+
+    def __len__(self) -> int:
+        return self.plan.settings.patients * self.per_patient
+
+    def __getitem__(self, number: int) -> Unit:
+        """One unit.
+
+        Raises:
+            IndexError: If there is no such unit.
+            InputError: If what was drawn is no scenario; names the unit.
+        """
+        if not 0 <= number < len(self):
+            raise IndexError(f"No unit {number}. Allowed: 0 to {len(self) - 1}.")
+        patient, index = divmod(number, self.per_patient)
+        repeat, combination = divmod(index, self.per_patient // self.plan.settings.repeats)
+        values = self._combinations[combination]
+        drawn = self._draw(patient, False) | values
+        # Twins have the draws of the recording that shows the lesions.
+        others = [value for path, value in values.items() if path != _TWIN]
+        key = self._kinds.index(others) + len(self._kinds) * repeat
+        drawn |= self._draw(patient, True, key)
+        plain = _filled(self.plan.scenario, drawn)
+        plain.setdefault("seed", self._number("seed", patient, key))
+        organ = plain.setdefault("organ", {})
+        if isinstance(organ, dict) and organ.get("kind", OrganGenerated.kind) == "generated":
+            plain["organ"] = {"seed": self._number("organ.seed", patient), **organ}
+        try:
+            scenario = scenario_from_plain(plain, units=self.plan.has_units)
+            given = scenario.organ
+            if isinstance(given, OrganGenerated) and given.name not in ORGANS:
+                raise UnknownNameError("organ", given.name, ORGANS)
+        except VrcapsError as error:
+            raise InputError(f"Unit {number} of the plan: {error}") from error
+        return Unit(number, patient, self.splits[patient], self.name(number), scenario)
+
+    def name(self, number: int) -> str:
+        """Name of a unit: its patient and its number."""
+        return f"p{number // self.per_patient:05d}-{number:06d}"
+
+    @cached_property
+    def splits(self) -> tuple[str, ...]:
+        """Split of each patient; patients alike in what is stratified are spread evenly."""
+        settings, groups = self.plan.settings, {}
+        for patient in range(settings.patients):
+            drawn = self._draw(patient, False)
+            values = tuple(
+                str(drawn.get(path, _at(self.plan.scenario, path))) for path in settings.stratify
+            )
+            groups.setdefault(values, []).append(patient)
+        order: list[int] = []
+        for values in sorted(groups):
+            shuffle = rng.stream(settings.seed, f"dataset/split/{values}")
+            order += shuffle.permutation(groups[values]).tolist()
+        fractions = [getattr(settings.split, name) for name in SPLITS]
+        return _spread(order, fractions)
+
+    @cached_property
+    def _combinations(self) -> list[dict[str, Any]]:
+        paths = [path for path, _ in self._each]
+        values = itertools.product(*(slot.each for _, slot in self._each))
+        return [dict(zip(paths, chosen, strict=True)) for chosen in values]
+
+    @cached_property
+    def _kinds(self) -> list[list[Any]]:
+        """Values of all combinations without what tells twins apart, each once."""
+        found: list[list[Any]] = []
+        for values in self._combinations:
+            others = [value for path, value in values.items() if path != _TWIN]
+            if others not in found:
+                found.append(others)
+        return found
+
+    def _draw(self, patient: int, of_recording: bool, *key: int) -> dict[str, Any]:
+        """Values of the slots of a patient, or of a recording of his."""
+        seed = self.plan.settings.seed
+        drawn = {
+            path: slot.draw(rng.stream(seed, f"dataset/{path}", patient, *key))
+            for path, slot in self._slots
+            if not isinstance(slot, Each) and _is_patients(path) != of_recording
+        }
+        if isinstance(dict(self._slots).get("lesions"), Prevalence) and not of_recording:
+            drawn["lesions"] = drawn["lesions"] if self._has_colon(drawn) else []
+        return drawn
+
+    def _has_colon(self, drawn: Mapping[str, Any]) -> bool:
+        organ = _filled(self.plan.scenario.get("organ", {}), drawn, "organ")
+        name = organ if isinstance(organ, str) else organ.get("name", OrganGenerated.name)
+        return name not in ORGANS or "sigmoid" in organ_segments(name)
+
+    def _number(self, purpose: str, *key: int) -> int:
+        stream = rng.stream(self.plan.settings.seed, f"dataset/{purpose}", *key)
+        return int(stream.integers(_SEEDS))
+
+
+def _is_patients(path: str) -> bool:
+    return path.split(".", maxsplit=1)[0] in PATIENT_SLOTS
+
+
+def _spread(order: Sequence[int], fractions: Sequence[float]) -> tuple[str, ...]:
+    """Splits for patients in an order, so that each stretch of it has the fractions, too.
+
+    Each patient goes to the split that lacks most of what it should have by then.
+    """
+    counts, split = [0.0] * len(fractions), [""] * len(order)
+    for place, patient in enumerate(order):
+        lacks = [f * (place + 1) - n for f, n in zip(fractions, counts, strict=True)]
+        chosen = max(range(len(lacks)), key=lambda k: (lacks[k], fractions[k]))
+        counts[chosen] += 1.0
+        split[patient] = SPLITS[chosen]
+    return tuple(split)
+
+
+def _at(plain: Any, path: str) -> Any:
+    """What a plain tree holds at a path; None if nothing."""
+    for name in path.split("."):
+        if isinstance(plain, Mapping):
+            plain = plain.get(name)
+        elif isinstance(plain, list) and name.isdigit() and int(name) < len(plain):
+            plain = plain[int(name)]
+        else:
+            return None
+    return plain
+
+
+def _filled(plain: Any, drawn: Mapping[str, Any], path: str = "") -> Any:
+    """A copy of a plain tree with values in the places of distributions."""
+    if path in drawn:
+        return drawn[path]
+    if isinstance(plain, Mapping):
+        return {
+            key: _filled(value, drawn, f"{path}.{key}" if path else str(key))
+            for key, value in plain.items()
+        }
+    if isinstance(plain, list):
+        items = [(f"{path}.{index}", value) for index, value in enumerate(plain)]
+        kept = [item for item in items if drawn.get(f"{item[0]}.{PROBABILITY}", True)]
+        filled = [_filled(value, drawn, where) for where, value in kept]
+        return [_without_probability(value) for value in filled]
+    return plain
+
+
+def _without_probability(plain: Any) -> Any:
+    if not isinstance(plain, Mapping):
+        return plain
+    return {key: value for key, value in plain.items() if key != PROBABILITY}

@@ -1,0 +1,138 @@
+"""Making a data set: exactly once, the same bytes whoever makes it and whatever dies."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+import vrcaps
+from vrcaps.cli import main
+from vrcaps.dataset.check_dataset import check_dataset
+from vrcaps.dataset.ledger import enter_failure, entries, failures
+from vrcaps.dataset.make import make_dataset
+from vrcaps.dataset.plan import read_plan
+from vrcaps.dataset.store import LocalStore, open_store
+from vrcaps.errors import InputError
+
+
+def files(folder: Path) -> dict[str, bytes]:
+    paths = (p for p in folder.rglob("*") if p.is_file() and ".staging" not in p.parts)
+    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in paths}
+
+
+@pytest.mark.slow
+def test_slices_make_the_same_bytes_as_one_run(made: Path, plan_file: Path, tmp_path: Path) -> None:
+    plan, out = read_plan(plan_file), tmp_path / "slices"
+    for numbers in (range(5, 8), range(3), range(2, 6)):
+        make_dataset(plan, out, numbers=numbers, workers=0)
+    assert files(out) == files(made)
+    again = make_dataset(plan, out, workers=0)
+    assert (again.made, again.present) == (0, 8)
+
+
+def test_it_is_read_by_split_and_patient(made: Path) -> None:
+    dataset = vrcaps.read_dataset(made)
+    assert len(dataset) == 8
+    assert len(dataset.patients("train")) == 2
+    shared = set(dataset.patients("train")) & set(dataset.patients("test"))
+    assert not shared
+    episode = dataset.members("test")[0].read()
+    assert episode[0]["depth"].shape == (36, 40)
+    assert check_dataset(made) == []
+
+
+def test_what_has_changed_or_gone_is_found(made: Path) -> None:
+    name = next(iter(entries(LocalStore(made))))
+    folder = made / "episodes" / name
+    (folder / "front" / "rgb" / "000001.png").unlink()
+    (folder / "frames.parquet").write_bytes(b"other")
+    (folder / "notes.txt").write_text("mine")
+    faults = "\n".join(check_dataset(made))
+    assert "000001.png is missing" in faults
+    assert "frames.parquet has changed" in faults
+    assert "notes.txt belongs to no unit" in faults
+
+
+def test_a_unit_without_an_entry_does_not_count_and_is_made_again(made: Path, plan_file) -> None:
+    name = next(iter(entries(LocalStore(made))))
+    before = files(made)
+    (made / "ledger" / f"{name}.json").unlink()
+    assert len(vrcaps.read_dataset(made)) == 7
+    assert make_dataset(read_plan(plan_file), made, workers=0).made == 1
+    assert files(made) == before
+
+
+@pytest.mark.slow
+def test_a_killed_run_goes_on_to_the_same_bytes(made, plan_file, tmp_path) -> None:
+    """Head and workers die at once, three times, then only a worker."""
+    out = tmp_path / "killed"
+    words = ["dataset", "make", str(plan_file), "--out", str(out), "--workers", "2"]
+    script = tmp_path / "run.py"
+    script.write_text(
+        f"from vrcaps.cli import main\nif __name__ == '__main__':\n    main({words!r})\n"
+    )
+    for seconds in (1.5, 2.5):
+        process = subprocess.Popen([sys.executable, script], start_new_session=True)
+        time.sleep(seconds)
+        os.killpg(process.pid, signal.SIGKILL)
+        process.wait()
+    subprocess.run([sys.executable, script], check=True, timeout=120)
+    assert files(out) == files(made)
+
+
+@pytest.mark.slow
+def test_a_failed_unit_is_noted_and_does_not_stop_the_rest(plan_file: Path, tmp_path: Path) -> None:
+    text = plan_file.read_text().replace("each = [0.005, 0.01]", "each = [0.005, 900.0]")
+    out, fast = tmp_path / "some", tmp_path / "fast.toml"
+    fast.write_text(text)
+    with pytest.raises(SystemExit):
+        main(["dataset", "make", str(fast), "--out", str(out), "--workers", "0"])
+    found = failures(LocalStore(out))
+    assert len(found) == 4
+    assert len(vrcaps.read_dataset(out)) == 4
+    failure = next(iter(found.values()))
+    assert f"--units {failure['number']}:{failure['number'] + 1}" in failure["reproduce"]
+
+
+def test_bad_targets_are_one_clear_line(
+    made: Path, plan_file: Path, tmp_path: Path, capsys
+) -> None:
+    other = tmp_path / "other.toml"
+    other.write_text(plan_file.read_text().replace("seed = 3", "seed = 4"))
+    with pytest.raises(InputError, match="another plan"):
+        make_dataset(read_plan(other), made, workers=0)
+    with pytest.raises(InputError, match="A unit is 99"):
+        make_dataset(read_plan(plan_file), made, numbers=[99], workers=0)
+    with pytest.raises(InputError, match="no data set"):
+        vrcaps.read_dataset(tmp_path)
+    for flags in (["--units", "3"], ["--units", "9:12"], ["--workers", "-1"]):
+        with pytest.raises(SystemExit):
+            main(["dataset", "make", str(plan_file), "--out", str(made), *flags])
+    assert capsys.readouterr().err.count("vrcaps: --") == 3
+
+
+@pytest.mark.slow
+def test_a_remote_store_holds_what_a_local_one_does(made, plan_file) -> None:
+    pytest.importorskip("fsspec")
+    url = "memory://cohort"
+    make_dataset(read_plan(plan_file), url, numbers=range(2), workers=0)
+    store, local = open_store(url), LocalStore(made)
+    assert len(entries(store)) == 2
+    for name, entry in entries(store).items():
+        for file in entry["files"]:
+            where = f"episodes/{name}/{file}"
+            assert store.read(where) == local.read(where)
+    enter_failure(store, "p0", 0, "told", "again")
+    assert failures(store)["p0"]["error"] == "told"
+
+
+@pytest.mark.slow
+def test_a_dry_run_says_what_will_be_made(plan_file: Path, tmp_path: Path, capsys) -> None:
+    main(["dataset", "make", str(plan_file), "--out", str(tmp_path / "none"), "--dry-run"])
+    said = capsys.readouterr().out
+    assert "4 patients (2 train, 1 val, 1 test), 8 recordings, 24 frames" in said
+    assert not (tmp_path / "none").exists()

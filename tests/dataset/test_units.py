@@ -1,0 +1,110 @@
+"""Units of a plan: the same in any order, patients in one split, twins alike."""
+
+from collections import Counter
+from pathlib import Path
+
+import pytest
+
+from vrcaps.dataset.plan import DatasetSettings, Plan, Split, read_plan
+from vrcaps.dataset.units import Units
+from vrcaps.errors import InputError
+
+
+def plan(scenario: dict, **settings) -> Plan:
+    return Plan(DatasetSettings(name="test", **settings), scenario)
+
+
+COLONS = {
+    "organ": {"name": {"choice": ["colon", "stomach"]}},
+    "capsule": {"each": ["mirocam", "magnetic"]},
+    "lesions": {"prevalence": 2.0},
+    "clean_twin": {"each": [False, True]},
+    "motion": {"speed": {"uniform": [0.005, 0.02]}},
+}
+
+
+def test_units_are_the_same_in_any_order() -> None:
+    forward = Units(plan(COLONS, patients=3, repeats=2))
+    assert len(forward) == 3 * 2 * 2 * 2
+    backward = Units(plan(COLONS, patients=3, repeats=2))
+    numbers = range(len(forward))
+    assert [forward[k] for k in numbers] == [backward[k] for k in reversed(numbers)][::-1]
+    names = [forward[k].name for k in numbers]
+    assert len(set(names)) == len(names)
+
+
+def test_more_patients_change_none_of_those_before() -> None:
+    few, many = Units(plan(COLONS, patients=2)), Units(plan(COLONS, patients=5))
+    assert [few[k].scenario for k in range(8)] == [many[k].scenario for k in range(8)]
+
+
+def test_a_patient_has_one_organ_and_recordings_differ() -> None:
+    units = Units(plan(COLONS, patients=2))
+    first = [units[k].scenario for k in range(4)]
+    assert len({s.organ for s in first}) == 1
+    assert len({s.lesions for s in first}) == 1
+    assert first[0].motion.speed != first[2].motion.speed
+    assert units[4].scenario.organ.seed != first[0].organ.seed
+
+
+def test_a_clean_twin_moves_as_the_one_with_lesions() -> None:
+    units = Units(plan(COLONS, patients=1))
+    shown, twin = units[0].scenario, units[1].scenario
+    assert (shown.clean_twin, twin.clean_twin) == (False, True)
+    assert shown.motion == twin.motion
+    assert shown.seed == twin.seed
+
+
+def test_lesions_of_the_colon_are_in_colons_only() -> None:
+    units = Units(plan(COLONS, patients=12))
+    for patient in range(12):
+        scenario = units[4 * patient].scenario
+        assert scenario.organ.name == "colon" or not scenario.lesions
+
+
+def test_splits_are_by_patient_and_stratified() -> None:
+    settings = {"patients": 200, "stratify": ("organ.name",)}
+    units = Units(plan(COLONS, split=Split(0.5, 0.25, 0.25), **settings))
+    assert Counter(units.splits) == {"train": 100, "val": 50, "test": 50}
+    by_organ = {
+        name: [s for k, s in enumerate(units.splits) if units[4 * k].scenario.organ.name == name]
+        for name in ("colon", "stomach")
+    }
+    for splits in by_organ.values():
+        assert splits.count("train") / len(splits) == pytest.approx(0.5, abs=0.03)
+
+
+def test_items_with_a_probability_are_there_as_often() -> None:
+    lesion = {"probability": 0.3, "kind": "polyp", "size": {"uniform": [0.004, 0.01]}}
+    units = Units(plan({"lesions": [lesion]}, patients=100))
+    present = [bool(units[k].scenario.lesions) for k in range(100)]
+    assert 15 <= sum(present) <= 45
+
+
+@pytest.mark.parametrize(
+    ("scenario", "settings", "message"),
+    [
+        ({"organ": {"name": {"each": ["colon"]}}}, {}, "belongs to the patient"),
+        ({"organ": {"name": "colom"}}, {}, "organ"),
+        ({"motion": {"sped": 1.0}}, {}, "Unknown key"),
+        ({}, {"split": Split(1.0, 0.0, 0.0), "stratify": ("capsule",)}, "differs between"),
+    ],
+)
+def test_bad_plans_are_one_clear_line(scenario: dict, settings: dict, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        Units(plan(scenario, **settings))[0].scenario.organ.seed  # noqa: B018
+
+
+def test_bad_plan_files_are_one_clear_line(tmp_path: Path) -> None:
+    path = tmp_path / "plan.toml"
+    path.write_text("frames = 3\n")
+    with pytest.raises(InputError, match=r"no table \[dataset\]"):
+        read_plan(path)
+    path.write_text('[dataset]\nname = "x"\npatients = 0\n')
+    with pytest.raises(InputError, match="patients"):
+        read_plan(path)
+    path.write_text('[dataset]\nname = "x"\n[motion]\nspeed = { uniform = [2, 1] }\n')
+    with pytest.raises(InputError, match=r"motion\.speed"):
+        read_plan(path)
+    with pytest.raises(InputError, match="adds up to"):
+        Split(0.5, 0.1, 0.1)

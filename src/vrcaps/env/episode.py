@@ -58,9 +58,9 @@ class Episode:
             {o.name: o.space(self.simulation) for o in settings.observations}
         )
 
-    def begin(self, index: int, rng: np.random.Generator) -> None:
+    def begin(self, index: int, rng: np.random.Generator, patient: int | None = None) -> None:
         """Begin an episode in one world, see `Simulation.reset`."""
-        self.simulation.reset(index, rng)
+        self.simulation.reset(index, rng, patient)
         self._best[index] = self.settings.task.progress(self.simulation)[index]
         self._gain[index] = self._since[index] = 0.0
         self._follow_frontier(np.arange(self.simulation.num_worlds) == index)

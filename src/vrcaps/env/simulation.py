@@ -103,14 +103,20 @@ class Simulation:
         """Fraction of the whole in each cell of the map that was not visible yet."""
         return np.maximum(self.cell_area - self.cells, 0.0)
 
-    def reset(self, index: int, rng: np.random.Generator) -> None:
+    def reset(self, index: int, rng: np.random.Generator, number: int | None = None) -> None:
         """Begin an episode in one world.
+
+        Args:
+            index: The world.
+            rng: Draws all that is random.
+            number: Of the patient; None draws one.
 
         Raises:
             InputError: If the organ cannot be made, or the capsule fits nowhere in it.
         """
         settings = self.settings
-        self._patient[index] = rng.integers(len(self.patients))
+        drawn = rng.integers(len(self.patients))
+        self._patient[index] = drawn if number is None else number
         patient = self.patient(index)
         model = patient.model
         self.course.begin(index, model)

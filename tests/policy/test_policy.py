@@ -40,9 +40,9 @@ def test_what_is_no_policy_is_one_line(name: str, error: type[Exception], said: 
 
 
 def test_a_file_that_holds_no_policy_is_one_line(tmp_path: Path) -> None:
-    (tmp_path / "policy.zip").write_bytes(b"nothing")
-    with pytest.raises(InputError, match=r"policy\.zip"):
-        read_policy(tmp_path / "policy.zip")
+    (tmp_path / "policy.npz").write_bytes(b"nothing")
+    with pytest.raises(InputError, match=r"policy\.npz"):
+        read_policy(tmp_path / "policy.npz")
 
 
 def test_a_policy_says_what_the_environment_lacks() -> None:

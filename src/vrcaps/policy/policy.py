@@ -17,7 +17,8 @@ if TYPE_CHECKING:
     from vrcaps.env.settings import EnvSettings
     from vrcaps.env.vector_env import CapsuleVectorEnv
 
-_TRAINED = (".zip", ".npz")
+_SHIPPED = Path(__file__).parent / "trained"
+"""Folder of the trained policies that come with the package."""
 
 
 @dataclass(frozen=True)
@@ -99,7 +100,7 @@ def read_policy(name: str | Path) -> Policy:
     Example:
         >>> read_policy("centerline")
         >>> read_policy("my_package.my_module:MyPolicy")
-        >>> read_policy("runs/coverage/policy.zip")
+        >>> read_policy("runs/coverage/best.npz")
 
     Raises:
         UnknownNameError: If there is no baseline and no file of that name.
@@ -108,12 +109,15 @@ def read_policy(name: str | Path) -> Policy:
     text = str(name)
     if text in BASELINES:
         return _imported(BASELINES[text])
-    path = Path(name)
-    if path.is_dir() or (path.is_file() and path.suffix in _TRAINED):
-        return _trained(path)
+    shipped = {path.stem: path for path in _SHIPPED.glob("*.npz")}
+    path = shipped.get(text, Path(name))
+    if path.is_file():
+        from vrcaps.policy.mlp_policy import read_mlp_policy
+
+        return read_mlp_policy(path)
     if ":" in text:
         return _imported(text)
-    known = [*BASELINES, "an import path package.module:Class", "a trained policy's file"]
+    known = [*BASELINES, *shipped, "an import path package.module:Class", "a trained policy's file"]
     raise UnknownNameError("policy", text, known)
 
 
@@ -136,9 +140,3 @@ def _imported(path: str) -> Policy:
             "vrcaps.policy.policy.Policy."
         )
     return policy
-
-
-def _trained(path: Path) -> Policy:
-    from vrcaps.policy.trained import read_trained_policy
-
-    return read_trained_policy(path)

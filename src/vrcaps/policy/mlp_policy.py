@@ -1,0 +1,173 @@
+"""Multilayer perceptron: a learned policy run with NumPy alone, and its file."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, get_type_hints
+
+import numpy as np
+
+from vrcaps import __version__
+from vrcaps.env.settings import EnvSettings
+from vrcaps.errors import InputError
+from vrcaps.files import read_arrays, write_arrays
+from vrcaps.policy.policy import Requirements
+from vrcaps.serialization import from_plain, to_plain
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+    from vrcaps.env.vector_env import CapsuleVectorEnv
+
+_FORMAT = 1
+_KEPT = (
+    *("task", "actuation", "observations", "capsule", "control_period", "episode_time"),
+    *("criteria", "grid", "num_points"),
+)
+"""Fields of the environment's settings that a policy was made for; not its patients."""
+
+
+@dataclass(frozen=True)
+class Normalizer:
+    """Mean and variance of observations, which a policy sees as (x − mean) / √(variance + 1e-8).
+
+    Attributes:
+        mean: Of each number.
+        variance: Of each number.
+        limit: Numbers are cut off at ± this.
+    """
+
+    mean: Float[np.ndarray, " k"]
+    variance: Float[np.ndarray, " k"]
+    limit: float = 10.0
+
+    def __call__(self, rows: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "n k"]:
+        """Normalized rows, as Stable-Baselines3's `VecNormalize` computes them."""
+        scaled = (rows - self.mean) / np.sqrt(self.variance + 1e-8)
+        return np.clip(scaled, -self.limit, self.limit).astype(np.float32)
+
+
+class MlpPolicy:
+    """Layers with tanh between them, from normalized observations to the mean of the actions.
+
+    In a discrete action space it chooses the action with the largest output.
+    """
+
+    def __init__(
+        self,
+        layers: Sequence[tuple[Float[np.ndarray, "o i"], Float[np.ndarray, " o"]]],
+        normalizer: Normalizer,
+        settings: dict[str, Any],
+    ) -> None:
+        """Holds what was learned.
+
+        Args:
+            layers: Weights and bias of each layer.
+            normalizer: Of the observations, key after key as in the settings.
+            settings: Keywords of `env_settings` that it was made for.
+        """
+        self.layers = [(np.float32(w), np.float32(b)) for w, b in layers]
+        self.normalizer, self.settings = normalizer, settings
+        self._names = tuple(o.name for o in settings["observations"])
+
+    @property
+    def requires(self) -> Requirements:
+        """The observations and the actuation that it was trained with."""
+        return Requirements(self.settings, self._names, (self.settings["actuation"].kind,))
+
+    def reset(self, numbers: np.ndarray, seeds: Sequence[int]) -> None:
+        """Remembers nothing."""
+
+    def act(self, observations: dict[str, np.ndarray], env: CapsuleVectorEnv) -> np.ndarray:
+        """Actions for all worlds.
+
+        Raises:
+            InputError: If the observations or actions are not those that it was trained with.
+        """
+        space = env.single_action_space
+        output = self.output(observations)
+        count = getattr(space, "n", None)
+        size = output.shape[1]
+        if (count or int(np.prod(space.shape or ()))) != size:
+            raise InputError(
+                f"The policy gives {size} numbers for an action; the environment takes {space}. "
+                "Use the actuation that it was trained with."
+            )
+        if count is not None:
+            return output.argmax(axis=1)
+        return np.clip(output.reshape(-1, *(space.shape or ())), space.low, space.high)  # type: ignore[attr-defined]
+
+    def output(self, observations: dict[str, np.ndarray]) -> Float[np.ndarray, "n o"]:
+        """Numbers of the last layer.
+
+        Rows are multiplied one by one, so that an action does not depend on the worlds beside.
+        """
+        rows = [np.reshape(observations[n], (len(observations[n]), -1)) for n in self._names]
+        given, known = sum(row.shape[1] for row in rows), len(self.normalizer.mean)
+        if given != known:
+            raise InputError(
+                f"The observations {', '.join(self._names)} have {given} numbers; the policy was "
+                f"trained with {known}. Use the settings that it was trained with."
+            )
+        values = self.normalizer(np.concatenate(rows, axis=1))[:, None, :]
+        for number, (weight, bias) in enumerate(self.layers):
+            values = (np.tanh(values) if number else values) @ weight.T + bias
+        return values[:, 0]
+
+
+def kept_settings(settings: EnvSettings) -> dict[str, Any]:
+    """Fields of an environment's settings that a policy's file keeps."""
+    return {name: getattr(settings, name) for name in _KEPT}
+
+
+def write_mlp_policy(path: Path, policy: MlpPolicy, notes: dict[str, Any]) -> None:
+    """Write a policy whole or not at all; the same policy gives the same bytes.
+
+    Args:
+        path: An .npz file.
+        policy: What was learned.
+        notes: What else is to be known of it, plain values.
+    """
+    hints = get_type_hints(EnvSettings)
+    plain = {name: to_plain(value, hints[name]) for name, value in policy.settings.items()}
+    header = {"format": _FORMAT, "vrcaps": __version__, "settings": plain, "notes": notes}
+    arrays = {"header": np.array(json.dumps(header, sort_keys=True))}
+    for number, (weight, bias) in enumerate(policy.layers):
+        arrays |= {f"layer_{number}/weight": weight, f"layer_{number}/bias": bias}
+    normalizer = {k: np.asarray(v) for k, v in asdict(policy.normalizer).items()}
+    write_arrays(path, arrays | {f"normalizer/{k}": v for k, v in normalizer.items()})
+
+
+def read_mlp_policy(path: Path) -> MlpPolicy:
+    """Read a policy that `write_mlp_policy` wrote.
+
+    Raises:
+        InputError: If the file holds none, or one of another version of vrcaps.
+    """
+    try:
+        arrays = read_arrays(path)
+        header = json.loads(str(arrays["header"]))
+        written = header["vrcaps"]
+        count = sum(name.endswith("/weight") for name in arrays)
+        layers = [(arrays[f"layer_{k}/weight"], arrays[f"layer_{k}/bias"]) for k in range(count)]
+        values = {f.name: arrays[f"normalizer/{f.name}"] for f in fields(Normalizer)}
+    except (OSError, ValueError, LookupError) as error:
+        raise InputError(f"{path} holds no policy. Give a file that vrcaps train wrote.") from error
+    try:
+        if header["format"] != _FORMAT:
+            raise InputError(f"its format is {header['format']}, not {_FORMAT}")
+        hints = get_type_hints(EnvSettings)
+        settings = {
+            name: from_plain(hints[name], plain, at=name)
+            for name, plain in header["settings"].items()
+        }
+    except (InputError, LookupError) as error:
+        raise InputError(
+            f"{path} is a policy of vrcaps {written}, which version {__version__} cannot run: "
+            f"{error}"
+        ) from error
+    normalizer = Normalizer(values["mean"], values["variance"], float(values["limit"]))
+    return MlpPolicy(layers, normalizer, settings)

@@ -1,0 +1,233 @@
+"""Training of a policy in a folder: settings, checkpoints, progress, and the policies learned."""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import io
+import json
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
+
+import numpy as np
+
+from vrcaps import __version__
+from vrcaps.env.settings import EnvSettings
+from vrcaps.errors import InputError
+from vrcaps.files import read_arrays, write_arrays, write_bytes, write_json
+from vrcaps.limits import Range, check_fields
+from vrcaps.made_with import core_sha256, versions
+from vrcaps.organ.surface import OrganSurface
+from vrcaps.policy.mlp_policy import write_mlp_policy
+from vrcaps.policy.ppo import Ppo, PpoSettings, exact_torch
+from vrcaps.policy.score import Score
+from vrcaps.scenario.scenario import OrganFile, OrganGenerated
+from vrcaps.serialization import to_plain
+
+if TYPE_CHECKING:
+    from vrcaps.policy.mlp_policy import MlpPolicy
+
+SETTINGS, CHECKPOINT, PROGRESS = "settings.json", "checkpoint.npz", "progress.csv"
+POLICY, BEST = "policy.npz", "best.npz"
+_PACKAGES = ("gymnasium", "numpy", "scipy", "stable-baselines3", "torch")
+"""Packages that a training's bytes depend on."""
+
+
+@dataclass(frozen=True)
+class TrainingSettings:
+    """All that a training's result follows from.
+
+    Attributes:
+        env: What is trained in.
+        learner: How it is learned.
+        seed: Of all that is random.
+    """
+
+    env: EnvSettings = field(default_factory=EnvSettings)
+    learner: PpoSettings = field(default_factory=PpoSettings)
+    seed: Annotated[int, Range(least=0)] = 0
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+
+
+@dataclass(frozen=True)
+class Progress:
+    """Where a training is.
+
+    Attributes:
+        num_rounds: Rounds that are done.
+        total: Rounds in all.
+        rows: What each round was like.
+        best: Largest score of an evaluation; None before the first.
+    """
+
+    num_rounds: int
+    total: int
+    rows: tuple[dict[str, float], ...] = ()
+    best: float | None = None
+
+
+def train(
+    settings: TrainingSettings,
+    out: Path,
+    *,
+    threads: int = 1,
+    is_forced: bool = False,
+    tensorboard: Path | None = None,
+    report: Callable[[Progress], None] = lambda progress: None,
+) -> Progress:
+    """Train a policy, or go on with a training that was cut off, to the same bytes.
+
+    `out` then holds `policy.npz`, the last policy, and `best.npz`, that of the best evaluation;
+    `settings.json`, `progress.csv` with a row for each round, and `checkpoint.npz` to go on from.
+
+    Args:
+        settings: What is trained, and how.
+        out: Folder: new, empty, or of the same training.
+        threads: PyTorch's; one is fastest for a small network.
+        is_forced: Go on even if vrcaps or a package has changed since the training began.
+        tensorboard: Folder for TensorBoard's files; None writes none.
+        report: Called after each round.
+
+    Raises:
+        InputError: If the folder holds something else, or a training of other settings or versions.
+        MissingExtraError: If a package of the learner is not installed.
+    """
+    _begin(settings, out, is_forced=is_forced)
+    with exact_torch(threads):
+        learner = Ppo(settings.env, settings.learner, settings.seed)
+        if tensorboard is not None:
+            learner.log_to(tensorboard)
+        score = Score(settings.env, settings.learner.evaluation_episodes, settings.seed)
+        progress = _read_checkpoint(out, learner)
+        report(progress)
+        while progress.num_rounds < progress.total:
+            progress = _round(settings, out, learner, score, progress)
+            _write_checkpoint(out, learner, progress)
+            report(progress)
+        learner.close()
+    return progress
+
+
+def _round(
+    settings: TrainingSettings, out: Path, learner: Ppo, score: Score, progress: Progress
+) -> Progress:
+    """One more round, and the evaluation that is due after it."""
+    number, began = progress.num_rounds, time.perf_counter()
+    row = {"round": number + 1.0, "actions": (number + 1.0) * learner.actions_per_round}
+    row |= learner.run_round(number)
+    policy, best, every = learner.policy(), progress.best, settings.learner.evaluate_every
+    is_last = number + 1 == progress.total
+    if every and ((number + 1) % every == 0 or is_last):
+        found = score(policy)
+        row |= {f"evaluation_{name}": value for name, value in found.items()}
+        if best is None or found["reward"] > best:
+            best = found["reward"]
+            _write_policy(out / BEST, policy, settings, number + 1)
+    if is_last:
+        _write_policy(out / POLICY, policy, settings, number + 1)
+        if not every:
+            _write_policy(out / BEST, policy, settings, number + 1)
+    row["seconds"] = time.perf_counter() - began
+    return Progress(number + 1, progress.total, (*progress.rows, row), best)
+
+
+def _write_policy(path: Path, policy: MlpPolicy, settings: TrainingSettings, done: int) -> None:
+    write_mlp_policy(path, policy, {"rounds": done, "seed": settings.seed})
+
+
+def _begin(settings: TrainingSettings, out: Path, *, is_forced: bool) -> None:
+    """Make the folder, or check that it is of the same training."""
+    path, plain = out / SETTINGS, plain_settings(settings)
+    made_with = {"vrcaps": __version__, "core": core_sha256(), **versions(_PACKAGES)}
+    stated = {"made_with": made_with, "settings": plain}
+    if not path.is_file():
+        if out.exists() and (not out.is_dir() or any(out.iterdir())):
+            raise InputError(f"{out} holds no training. Give a new or empty folder.")
+        out.mkdir(parents=True, exist_ok=True)
+        write_json(path, stated)
+        return
+    try:
+        found = json.loads(path.read_text())
+        before, versions_before = found["settings"], found["made_with"]
+    except (ValueError, LookupError, TypeError) as error:
+        raise InputError(f"{path} is damaged. Give a new folder.") from error
+    changed = _differences(before, plain)
+    if changed:
+        raise InputError(
+            f"{out} holds a training with other settings: {', '.join(changed[:5])}. Give a new "
+            "folder, or the settings that it was begun with."
+        )
+    newer = _differences(versions_before, made_with)
+    if newer and not is_forced:
+        raise InputError(
+            f"{out} was begun with other versions: {', '.join(newer)}. Its result would not be the "
+            "same. Give a new folder, or --force to go on."
+        )
+
+
+def plain_settings(settings: TrainingSettings) -> dict[str, Any]:
+    """Settings as plain values; of an organ in memory its name and checksum."""
+    env, hints = settings.env, get_type_hints(EnvSettings)
+    plain = {
+        f.name: to_plain(getattr(env, f.name), hints[f.name])
+        for f in fields(env)
+        if f.name != "organs"
+    }
+    plain["organs"] = [
+        {"name": organ.name, "sha256": hashlib.sha256(organ.vertices.tobytes()).hexdigest()}
+        if isinstance(organ, OrganSurface)
+        else to_plain(organ, OrganGenerated | OrganFile)
+        for organ in env.organs
+    ]
+    learner = to_plain(settings.learner, PpoSettings)
+    return {"env": plain, "learner": learner, "seed": settings.seed}
+
+
+def _differences(before: Any, now: Any, at: str = "") -> list[str]:
+    """Places at which two plain trees differ, with both values."""
+    if isinstance(before, dict) and isinstance(now, dict):
+        keys = sorted({*before, *now})
+        return [
+            line
+            for key in keys
+            for line in _differences(before.get(key), now.get(key), f"{at}.{key}".strip("."))
+        ]
+    return [] if before == now else [f"{at} was {_short(before)}, now {_short(now)}"]
+
+
+def _short(value: Any) -> str:
+    text = str(value)
+    return text if len(text) <= 24 else f"{text[:12]}…"
+
+
+def _read_checkpoint(out: Path, learner: Ppo) -> Progress:
+    """Where the training is; the learner goes on from there."""
+    path = out / CHECKPOINT
+    if not path.is_file():
+        return Progress(0, learner.num_rounds)
+    try:
+        arrays = read_arrays(path)
+        stated = json.loads(str(arrays.pop("progress")))
+        learner.load(arrays)
+        return Progress(
+            stated["num_rounds"], learner.num_rounds, tuple(stated["rows"]), stated["best"]
+        )
+    except (OSError, ValueError, LookupError, RuntimeError) as error:
+        reason = str(error).splitlines()[0]
+        raise InputError(f"{path} is damaged ({reason}). Give a new folder.") from error
+
+
+def _write_checkpoint(out: Path, learner: Ppo, progress: Progress) -> None:
+    stated = {"num_rounds": progress.num_rounds, "rows": progress.rows, "best": progress.best}
+    write_arrays(out / CHECKPOINT, {**learner.state(), "progress": np.array(json.dumps(stated))})
+    names = list(dict.fromkeys(name for row in progress.rows for name in row))
+    table = io.StringIO()
+    writer = csv.DictWriter(table, names, lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(progress.rows)
+    write_bytes(out / PROGRESS, table.getvalue().encode())

@@ -56,7 +56,7 @@ class Sb3VecEnv(VecEnv):
             settings, num_envs, autoreset_mode=AutoresetMode.SAME_STEP, render_mode=render_mode
         )
         self.is_flat = is_flat
-        space = envs.single_observation_space
+        space: Any = envs.single_observation_space
         self._actions = np.zeros(0)
         super().__init__(
             envs.num_envs,
@@ -84,7 +84,7 @@ class Sb3VecEnv(VecEnv):
         rows = [_row(infos, k) for k in range(self.num_envs)]
         for index in np.flatnonzero(over):
             last = {name: array[None] for name, array in infos["final_obs"][index].items()}
-            rows[index] = _row(infos["final_info"], index)
+            rows[index] = _row(infos["final_info"], int(index))
             rows[index]["terminal_observation"] = (
                 flat_observations(last, 1)[0] if self.is_flat else infos["final_obs"][index]
             )
@@ -135,10 +135,10 @@ def flat_observations(observations: dict[str, np.ndarray], count: int) -> np.nda
 
 def flat_space(space: spaces.Dict) -> spaces.Box:
     """Space of one row of `flat_observations`."""
+    boxes: list[Any] = list(space.values())
     low, high = (
-        np.concatenate([np.broadcast_to(getattr(box, name), box.shape).ravel() for box in boxes])
-        for boxes in [list(space.values())]
-        for name in ("low", "high")
+        np.concatenate([np.broadcast_to(limit, box.shape).ravel() for limit, box in pairs])
+        for pairs in ([(b.low, b) for b in boxes], [(b.high, b) for b in boxes])
     )
     return spaces.Box(low.astype(np.float32), high.astype(np.float32), dtype=np.float32)
 

@@ -69,7 +69,7 @@ class MlpPolicy:
             normalizer: Of the observations, key after key as in the settings.
             settings: Keywords of `env_settings` that it was made for.
         """
-        self.layers = [(np.float32(w), np.float32(b)) for w, b in layers]
+        self.layers = [(np.asarray(w, np.float32), np.asarray(b, np.float32)) for w, b in layers]
         self.normalizer, self.settings = normalizer, settings
         self._names = tuple(o.name for o in settings["observations"])
 

@@ -145,8 +145,8 @@ class Ppo:
 
     def policy(self) -> MlpPolicy:
         """What was learned so far."""
-        net = self.model.policy
-        chain = [*net.mlp_extractor.policy_net, net.action_net]  # type: ignore[union-attr]
+        net: Any = self.model.policy
+        chain = [*net.mlp_extractor.policy_net, net.action_net]
         layers = [
             (m.weight.detach().numpy().copy(), m.bias.detach().numpy().copy())
             for m in chain

@@ -1,4 +1,4 @@
-"""Random: actions drawn evenly from the action space, each held for some time."""
+"""Random: each second another way to go and to look; or, where that is not possible, actions."""
 
 from __future__ import annotations
 
@@ -8,24 +8,34 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vrcaps import rng
+from vrcaps.geometry import unit
 from vrcaps.policy.policy import Requirements
+from vrcaps.policy.servo import SERVO_ACTUATIONS, Goal, servo_actions
+from vrcaps.units import CM
 
 if TYPE_CHECKING:
     from vrcaps.env.vector_env import CapsuleVectorEnv
 
 _HELD = 6
-"""Actions for which one is held: at the default control period, a second."""
+"""Actions for which a choice is held: at the default control period, a second."""
+
+_FAR = 10.0 * CM
+"""Distance of the place that it goes towards."""
 
 
 class RandomPolicy:
-    """Draws an action a second for each world, whatever it sees."""
+    """A random walk at a steady speed, whatever it sees.
+
+    Random forces would be no baseline: with inertia they throw the capsule about. An actuation that
+    the servo cannot drive gets actions drawn evenly from its space.
+    """
 
     requires = Requirements()
 
     def __init__(self) -> None:
         self._draws: dict[int, np.random.Generator] = {}
         self._age: dict[int, int] = {}
-        self._actions: dict[int, np.ndarray] = {}
+        self._held: dict[int, np.ndarray] = {}
 
     def reset(self, numbers: np.ndarray, seeds: Sequence[int]) -> None:
         """Begin each world's own stream of numbers."""
@@ -34,16 +44,25 @@ class RandomPolicy:
             self._age[number] = 0
 
     def act(self, observations: dict[str, np.ndarray], env: CapsuleVectorEnv) -> np.ndarray:
-        """The actions held now."""
+        """What is chosen now."""
+        is_walk = env.settings.actuation.kind in SERVO_ACTUATIONS
         space = env.single_action_space
-        for number, draw in self._draws.items():
+        for number in range(env.num_envs):
             if self._age[number] % _HELD == 0:
-                self._actions[number] = _draw(space, draw)
+                draw = self._draws[number]
+                self._held[number] = (
+                    unit(draw.normal(size=(2, 3))) if is_walk else _action(space, draw)
+                )
             self._age[number] += 1
-        return np.stack([self._actions[k] for k in range(env.num_envs)]).astype(space.dtype)
+        held = np.stack([self._held[k] for k in range(env.num_envs)])
+        if not is_walk:
+            return held.astype(space.dtype)
+        simulation = env.episode.simulation
+        position = simulation.T_world_capsule[:, :3, 3] + _FAR * held[:, 0]
+        return servo_actions(simulation, Goal(position, held[:, 1]))
 
 
-def _draw(space: object, draw: np.random.Generator) -> np.ndarray:
+def _action(space: object, draw: np.random.Generator) -> np.ndarray:
     """One action of a box or of a discrete space."""
     low, high = getattr(space, "low", None), getattr(space, "high", None)
     if low is not None and high is not None:

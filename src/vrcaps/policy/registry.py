@@ -2,5 +2,8 @@
 
 BASELINES = {
     "random": "vrcaps.policy.random:RandomPolicy",
+    "centerline": "vrcaps.policy.centerline:CenterlinePolicy",
+    "look-around": "vrcaps.policy.look_around:LookAroundPolicy",
+    "next-best-view": "vrcaps.policy.next_best_view:NextBestViewPolicy",
 }
 """Import path of each by its name."""

@@ -1,0 +1,104 @@
+"""Centerline: fly along the centerline, looking ahead, to one end and then to the other."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vrcaps.policy.policy import Requirements
+from vrcaps.policy.route import Route, Routes
+from vrcaps.policy.servo import SERVO_ACTUATIONS, Goal, servo_actions
+from vrcaps.units import MM
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+    from vrcaps.env.simulation import Simulation
+    from vrcaps.env.vector_env import CapsuleVectorEnv
+
+_NEAR = 5.0 * MM
+"""Distance from an end at which it is reached."""
+
+_PATIENCE = 4.0
+"""Time without getting on after which the capsule turns back [s]."""
+
+
+@dataclass
+class Walk:
+    """How far one capsule is on its way.
+
+    Attributes:
+        sign: 1 towards the anal end, −1 towards the oral end, 0 before the first action.
+        farthest: Arc length reached since it turned [m].
+        since: Time when it got there [s].
+    """
+
+    sign: int = 0
+    farthest: float = 0.0
+    since: float = 0.0
+
+    def follow(self, route: Route, arc_length: float, time: float) -> None:
+        """Take in where the capsule is; turn at the ends and where it gets no farther.
+
+        Args:
+            route: Its route.
+            arc_length: Where it is [m].
+            time: Now [s].
+        """
+        low, high = route.ends
+        if self.sign == 0:  # the nearer end first
+            self.sign = 1 if high - arc_length < arc_length - low else -1
+            self.farthest, self.since = arc_length, time
+        if self.sign * (arc_length - self.farthest) > 1.0 * MM:
+            self.farthest, self.since = arc_length, time
+        left = high - arc_length if self.sign > 0 else arc_length - low
+        if left < _NEAR or time - self.since > _PATIENCE:
+            self.sign, self.farthest, self.since = -self.sign, arc_length, time
+
+
+class CenterlinePolicy:
+    """Follows the centerline to the nearer end, and from there to and fro."""
+
+    requires = Requirements(actuations=SERVO_ACTUATIONS)
+    speed = 30.0 * MM
+    ahead = 15.0 * MM
+    """How far ahead on the centerline the goal is [m]."""
+
+    def __init__(self) -> None:
+        self._routes = Routes()
+        self._walks: dict[int, Walk] = {}
+
+    def reset(self, numbers: np.ndarray, seeds: Sequence[int]) -> None:
+        """Begin new walks."""
+        for number in np.asarray(numbers).tolist():
+            self._walks[number] = Walk()
+
+    def act(self, observations: dict[str, np.ndarray], env: CapsuleVectorEnv) -> np.ndarray:
+        """Towards the next place on the centerline."""
+        simulation = env.episode.simulation
+        goals = [self._goal(simulation, k) for k in range(env.num_envs)]
+        position, heading = (np.stack(part) for part in zip(*goals, strict=True))
+        return servo_actions(simulation, Goal(position, heading, self.speed))
+
+    def _goal(self, simulation: Simulation, index: int) -> tuple[np.ndarray, np.ndarray]:
+        """Position and heading of one capsule's goal."""
+        route, walk = self._routes.of(simulation, index), self._walks[index]
+        now, time = float(simulation.arc_length[index]), float(simulation.time[index])
+        walk.follow(route, now, time)
+        pose = route.poses(np.array([now + walk.sign * self.ahead]))[0]
+        return pose[:3, 3], self.heading(pose[:3, :3], walk.sign, time)
+
+    def heading(
+        self, R_world_line: Float[np.ndarray, "3 3"], sign: int, time: float
+    ) -> Float[np.ndarray, " 3"]:
+        """Where to look: ahead.
+
+        Args:
+            R_world_line: The centerline's frame; its z axis points to the anal end.
+            sign: Of the way along it.
+            time: Since the episode began [s].
+        """
+        return sign * R_world_line[:, 2]

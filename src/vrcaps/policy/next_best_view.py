@@ -1,0 +1,187 @@
+"""Next best view: go where most of the wall that was not seen yet is seen in the least time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vrcaps import rng
+from vrcaps.geometry import unit
+from vrcaps.metrics.point_coverage import POINT_LEVELS, mark_points
+from vrcaps.policy.policy import Requirements
+from vrcaps.policy.route import Route, Routes
+from vrcaps.policy.servo import SERVO_ACTUATIONS, Goal, heading_error, servo_actions, turning_time
+from vrcaps.transforms import look_along, transform_from
+from vrcaps.units import CM, MM
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+    from vrcaps.env.simulation import Simulation
+    from vrcaps.env.vector_env import CapsuleVectorEnv
+
+_NUM_NEAR, _NUM_HEADINGS = 24, 4
+_REACH = 6.0 * CM
+"""Farthest straight way that is proposed."""
+
+_ALONG = np.array([1.0, 2.0, 4.0, 7.0, 11.0, 16.0]) * CM
+"""Ways along the centerline that are proposed, either way."""
+
+_SHARE = 0.4
+"""Part of the points not seen yet by which proposals are judged."""
+
+_ALL_SEEN = (1 << len(POINT_LEVELS)) - 1
+_SPEED, _TURN = 40.0 * MM, 2.0
+_PAUSE = 0.5
+"""Time that every view costs beside the way [s]: else the nearest look would always win."""
+
+_AT, _ALIGNED = 4.0 * MM, 0.2
+"""Distance [m] and angle [rad] from a view at which it counts as reached."""
+
+_STILL = (2.0 * MM, 0.1)
+"""Speed [m/s] and rate of turning [rad/s] below which a capsule on its way is held up."""
+
+
+@dataclass
+class _Plan:
+    """What one capsule is about.
+
+    Attributes:
+        position: Of the view [m].
+        heading: Of the front there.
+        arc_length: Where the way along the centerline ends [m]; NaN where it is straight.
+        began: When it was made [s].
+        until: When it is given up [s].
+    """
+
+    position: np.ndarray
+    heading: np.ndarray
+    arc_length: float
+    began: float
+    until: float
+
+
+class NextBestViewPolicy:
+    """Greedy planner that knows the organ's shape: best gain of unseen area over travel time."""
+
+    requires = Requirements(actuations=SERVO_ACTUATIONS)
+
+    def __init__(self) -> None:
+        self._routes = Routes()
+        self._draws: dict[int, np.random.Generator] = {}
+        self._plans: dict[int, _Plan | None] = {}
+
+    def reset(self, numbers: np.ndarray, seeds: Sequence[int]) -> None:
+        """Forget the plans."""
+        for number, seed in zip(np.asarray(numbers).tolist(), seeds, strict=True):
+            self._draws[number] = rng.stream(int(seed), "policy/next-best-view")
+            self._plans[number] = None
+
+    def act(self, observations: dict[str, np.ndarray], env: CapsuleVectorEnv) -> np.ndarray:
+        """Towards the view that is planned, or a new one where that is reached."""
+        simulation = env.episode.simulation
+        places = []
+        for index in range(env.num_envs):
+            plan = self._plans[index]
+            if plan is None or _is_over(simulation, index, plan):
+                plan = self._plans[index] = self._best(simulation, index)
+            places.append((self._next(simulation, index, plan), plan.heading))
+        position, heading = (np.stack(part) for part in zip(*places, strict=True))
+        return servo_actions(simulation, Goal(position, heading, _SPEED, _TURN))
+
+    def _next(self, simulation: Simulation, index: int, plan: _Plan) -> np.ndarray:
+        """Where to go now: straight to the view, or along the centerline until that is near."""
+        if np.isnan(plan.arc_length):
+            return plan.position
+        left = plan.arc_length - simulation.arc_length[index]
+        step = simulation.arc_length[index] + np.clip(left, -2.0 * CM, 2.0 * CM)
+        return self._routes.of(simulation, index).poses(np.array([step]))[0, :3, 3]
+
+    def _best(self, simulation: Simulation, index: int) -> _Plan:
+        """The proposal with the most gain over time."""
+        draw, route = self._draws[index], self._routes.of(simulation, index)
+        T, now = simulation.T_world_capsule[index], float(simulation.arc_length[index])
+        points, arc_length, way = _proposals(draw, route, T[:3, 3], now)
+        points, arc_length, way = (
+            np.repeat(part, _NUM_HEADINGS, axis=0) for part in (points, arc_length, way)
+        )
+        headings = unit(draw.normal(size=points.shape))
+        has_room = route.has_room(points, headings)
+        turning = turning_time(T[:3, 2], headings, _TURN)
+        # The capsule turns on the way.
+        time = np.maximum(way / _SPEED, turning) + _PAUSE
+        gain = _gains(simulation, index, draw, points, headings)
+        best = int(np.argmax(np.where(has_room, gain / time, -1.0)))
+        began = float(simulation.time[index])
+        until = began + 1.5 * float(time[best]) + _PAUSE
+        return _Plan(points[best], headings[best], float(arc_length[best]), began, until)
+
+
+def _is_over(simulation: Simulation, index: int, plan: _Plan) -> bool:
+    """Whether a view is reached, takes too long, or the capsule is held up on the way."""
+    T, now = simulation.T_world_capsule[index], simulation.time[index]
+    speeds = np.linalg.norm(simulation.velocity_world[index], axis=1)
+    is_held = now > plan.began + _PAUSE and bool((speeds < _STILL).all())
+    off = heading_error(T[None, :3, :3], plan.heading[None])[0]
+    is_there = np.linalg.norm(T[:3, 3] - plan.position) < _AT and np.linalg.norm(off) < _ALIGNED
+    return bool(is_there or is_held or now > plan.until)
+
+
+def _proposals(
+    draw: np.random.Generator, route: Route, start: Float[np.ndarray, " 3"], arc_length: float
+) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+    """Positions that the capsule can go to, where on the centerline (NaN: straight), the way [m].
+
+    Args:
+        draw: Chooses them.
+        route: Through the organ.
+        start: Where the capsule is.
+        arc_length: Its place along the centerline [m].
+    """
+    reach = _REACH * draw.random((_NUM_NEAR, 1))
+    near = start + reach * unit(draw.normal(size=(_NUM_NEAR, 3)))
+    near = np.concatenate([start[None], near[route.is_clear(start, near)]])
+    along = np.clip(arc_length + np.concatenate([-_ALONG, _ALONG]), *route.ends)
+    points = np.concatenate([near, route.poses(along)[:, :3, 3]])
+    ways = [np.linalg.norm(near - start, axis=1), np.abs(along - arc_length)]
+    return points, np.concatenate([np.full(len(near), np.nan), along]), np.concatenate(ways)
+
+
+def _gains(
+    simulation: Simulation,
+    index: int,
+    draw: np.random.Generator,
+    points: Float[np.ndarray, "n 3"],
+    headings: Float[np.ndarray, "n 3"],
+) -> Float[np.ndarray, " n"]:
+    """Fraction of the wall that views would show for the first time, of some of its points.
+
+    Args:
+        simulation: The worlds.
+        index: Which of them.
+        draw: Chooses the points of the wall.
+        points: Positions of the capsule.
+        headings: Of its front.
+    """
+    patient, settings = simulation.patient(index), simulation.settings
+    up = np.eye(3)[np.abs(headings).argmin(axis=1)]
+    Ts_world_capsule = transform_from(look_along(headings, up), points)
+    left_out = draw.random(len(patient.points)) > _SHARE
+    flags = np.where(left_out, _ALL_SEEN, simulation.flags[index]).astype(np.uint8)
+    copies, cells = [flags.copy() for _ in points], np.zeros((len(points), patient.num_cells))
+    gain = np.zeros((len(points), len(POINT_LEVELS)))
+    for camera in simulation.device.cameras:
+        gain += mark_points(
+            [patient.model.wall] * len(points),
+            [patient.points] * len(points),
+            camera,
+            Ts_world_capsule @ camera.T_capsule_camera,
+            copies,
+            cells,
+            settings.criteria,
+        )
+    level = getattr(settings.task, "level", "visible")
+    return gain[:, POINT_LEVELS.index(level)]

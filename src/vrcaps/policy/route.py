@@ -1,0 +1,84 @@
+"""Route: the centerline of a patient as far as the capsule can go, in the world frame."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vrcaps.units import MM
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float
+
+    from vrcaps.env.patient import Patient
+    from vrcaps.env.simulation import Simulation
+    from vrcaps.world.model import Model
+
+_SPACING = 2.0 * MM
+_PROBES = 8
+"""Points of a straight way at which its clearance is tested."""
+
+
+@dataclass(frozen=True)
+class Route:
+    """Where the capsule can go along an organ.
+
+    Attributes:
+        model: The organ and the capsule.
+        ends: Arc lengths of the first and the last place at which the capsule fits [m].
+    """
+
+    model: Model
+    ends: tuple[float, float]
+
+    def poses(self, arc_length: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n 4 4"]:
+        """Poses that look towards the anal end, at arc lengths [m] between the ends."""
+        return self.model.centerline_poses(np.clip(arc_length, *self.ends))
+
+    def fits(self, points: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
+        """Whether a ball as thick as the capsule fits at points in the world frame."""
+        return np.asarray(self.model.wall.signed_distance(points)) > self.model.device.radius
+
+    def has_room(
+        self, points: Float[np.ndarray, "n 3"], headings: Float[np.ndarray, "n 3"]
+    ) -> Bool[np.ndarray, " n"]:
+        """Whether the whole capsule fits at points with its front in some directions."""
+        device = self.model.device
+        half = (0.5 * device.length - device.radius) * headings
+        ends = np.concatenate([points + half, points - half])
+        return self.fits(ends).reshape(2, -1).all(axis=0)
+
+    def is_clear(
+        self, start: Float[np.ndarray, " 3"], points: Float[np.ndarray, "n 3"]
+    ) -> Bool[np.ndarray, " n"]:
+        """Whether that ball passes from a point straight to each of others."""
+        part = np.linspace(1.0, 0.0, _PROBES, endpoint=False)[:, None, None]
+        way = start + part * (points - start)
+        return self.fits(way.reshape(-1, 3)).reshape(_PROBES, -1).all(axis=0)
+
+
+def make_route(model: Model) -> Route:
+    """The route through an organ."""
+    length = model.organ.centerline.length
+    arc_length = np.linspace(0.0, length, max(2, round(length / _SPACING)))
+    points = model.centerline_poses(arc_length)[:, :3, 3]
+    fitting = np.flatnonzero(np.asarray(model.wall.signed_distance(points)) > model.device.radius)
+    if len(fitting) == 0:
+        return Route(model, (0.0, length))
+    return Route(model, (float(arc_length[fitting[0]]), float(arc_length[fitting[-1]])))
+
+
+class Routes:
+    """Routes of an environment's patients, each made when it is first needed."""
+
+    def __init__(self) -> None:
+        self._made: dict[int, tuple[Patient, Route]] = {}
+
+    def of(self, simulation: Simulation, index: int) -> Route:
+        """The route of the patient of one world."""
+        patient = simulation.patient(index)
+        if id(patient) not in self._made:
+            self._made[id(patient)] = (patient, make_route(patient.model))
+        return self._made[id(patient)][1]

@@ -60,7 +60,8 @@ def test_a_policy_says_what_the_environment_lacks() -> None:
 def test_random_is_the_same_whichever_worlds_run_beside(space: spaces.Space) -> None:
     def actions(seeds: list[int]) -> np.ndarray:
         policy = RandomPolicy()
-        env = SimpleNamespace(num_envs=len(seeds), single_action_space=space)
+        settings = SimpleNamespace(actuation=SimpleNamespace(kind="rope"))
+        env = SimpleNamespace(num_envs=len(seeds), single_action_space=space, settings=settings)
         policy.reset(np.arange(len(seeds)), seeds)
         return np.stack([policy.act({}, env) for _ in range(8)])  # type: ignore[arg-type]
 

@@ -1,0 +1,78 @@
+"""Baselines in a straight tube: each acts within the space and does what it is named for."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from small_envs import small_settings
+from vrcaps.env.actuation.wrench import Wrench
+from vrcaps.env.vector_env import CapsuleVectorEnv
+from vrcaps.policy.centerline import Walk
+from vrcaps.policy.policy import read_policy
+from vrcaps.policy.registry import BASELINES
+from vrcaps.policy.route import make_route
+
+
+def tube_env(num_worlds: int = 2) -> CapsuleVectorEnv:
+    settings = small_settings(actuation=Wrench(is_weightless=True), dynamics="physics")
+    env = CapsuleVectorEnv(settings, num_worlds, autoreset_mode="Disabled")
+    env.reset(seed=0)
+    return env
+
+
+@pytest.mark.parametrize("name", BASELINES)
+def test_a_baseline_sees_more_of_a_tube_as_it_goes(name: str) -> None:
+    env, policy = tube_env(), read_policy(name)
+    policy.reset(np.arange(2), [0, 1])
+    before = env.episode.simulation.seen("visible").copy()
+    for _ in range(6):
+        actions = policy.act({}, env)
+        assert env.action_space.contains(actions)
+        env.step(actions)
+    simulation = env.episode.simulation
+    assert (simulation.seen("visible") > before).all()
+    assert not simulation.is_outside.any()
+
+
+def test_next_best_view_looks_both_ways_at_once() -> None:
+    """A tube without folds is seen whole from its middle: only turning takes time."""
+    env, policy = tube_env(1), read_policy("next-best-view")
+    policy.reset(np.arange(1), [0])
+    for _ in range(18):
+        step = env.step(policy.act({}, env))
+        if step[2].any():
+            break
+    assert env.episode.simulation.seen("visible")[0] > 0.95
+
+
+def test_a_walk_turns_at_the_ends_and_where_it_is_held_up() -> None:
+    route = make_route(tube_env(1).episode.simulation.patient(0).model)
+    low, high = route.ends
+    assert 0.0 < low < 0.03
+    assert 0.15 < high < 0.18
+    walk = Walk()
+    walk.follow(route, 0.12, 0.0)
+    assert walk.sign == 1  # the nearer end first
+    walk.follow(route, high - 1e-3, 1.0)
+    assert walk.sign == -1
+    walk.follow(route, 0.1, 2.0)
+    walk.follow(route, 0.1, 5.0)
+    assert walk.sign == -1
+    walk.follow(route, 0.1, 6.5)
+    assert walk.sign == 1
+
+
+def test_a_route_knows_where_the_capsule_fits() -> None:
+    """The tube is 4 cm wide, the capsule 29 mm long and 12 mm thick."""
+    route = make_route(tube_env(1).episode.simulation.patient(0).model)
+    middle = route.poses(np.array([0.09]))[0]
+    across, along = middle[:3, 0], middle[:3, 2]
+    point = middle[:3, 3] + 0.008 * across
+    assert route.fits(np.stack([point, point + 0.008 * across])).tolist() == [True, False]
+    assert route.has_room(np.stack([point] * 2), np.stack([along, across])).tolist() == [
+        True,
+        False,
+    ]
+    ends = np.stack([point + 0.03 * along, point + 0.03 * across])
+    assert route.is_clear(point, ends).tolist() == [True, False]

@@ -1,0 +1,93 @@
+"""The servo brings a free body to its goal, with inertia and without, within the limits."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from small_envs import small_settings
+from vrcaps.capsule.body import homogeneous_body
+from vrcaps.capsule.catalog import read_device
+from vrcaps.env.actuation.wrench import Wrench
+from vrcaps.env.settings import EnvSettings
+from vrcaps.errors import InputError
+from vrcaps.policy.servo import Goal, heading_error, servo_actions
+from vrcaps.transforms import rotation_from_vector
+
+DEVICE = read_device("magnetic")
+MOMENTUM_TIME = 1.0 / 30.0
+
+
+def free_body(settings: EnvSettings) -> Any:
+    """Two capsules at rest in empty space."""
+    return SimpleNamespace(
+        settings=settings,
+        device=DEVICE,
+        T_world_capsule=np.tile(np.eye(4), (2, 1, 1)),
+        velocity_world=np.zeros((2, 2, 3)),
+    )
+
+
+def drift(body: Any, force: np.ndarray, torque: np.ndarray) -> None:
+    """Newton's law over a control period, or drag that takes all momentum."""
+    dt, mass = body.settings.control_period, homogeneous_body(DEVICE)
+    R = body.T_world_capsule[:, :3, :3]
+    inertia = R @ mass.inertia @ np.swapaxes(R, 1, 2)
+    before = body.velocity_world.copy()
+    change = np.stack([force / mass.mass, np.linalg.solve(inertia, torque[..., None])[..., 0]], 1)
+    if body.settings.dynamics == "physics":
+        body.velocity_world = before + dt * change
+        way = 0.5 * dt * (before + body.velocity_world)
+    else:
+        body.velocity_world = MOMENTUM_TIME * change
+        way = dt * body.velocity_world
+    body.T_world_capsule[:, :3, 3] += way[:, 0]
+    body.T_world_capsule[:, :3, :3] = rotation_from_vector(way[:, 1]) @ R
+
+
+@pytest.mark.parametrize("dynamics", ["physics", "quasi-static"])
+def test_it_reaches_a_goal_and_its_heading(dynamics: Any) -> None:
+    actuation = Wrench(is_weightless=True)
+    body = free_body(small_settings(dynamics=dynamics, actuation=actuation))
+    goal = Goal(
+        np.array([[0.05, 0.0, 0.0], [0.0, -0.03, 0.02]]), np.array([[1.0, 0, 0], [0, 0, -1.0]])
+    )
+    fastest = 0.0
+    for _ in range(36):
+        action = servo_actions(body, goal)
+        assert np.abs(action).max() <= 1.0
+        drift(body, actuation.force * action[:, :3], actuation.torque * action[:, 3:])
+        fastest = max(fastest, np.linalg.norm(body.velocity_world[:, 0], axis=1).max())
+    assert np.abs(body.T_world_capsule[:, :3, 3] - goal.position).max() < 1e-4
+    assert np.abs(body.T_world_capsule[:, :3, 2] - goal.heading).max() < 0.01
+    assert fastest < 1.01 * goal.speed
+
+
+def test_gravity_is_balanced_where_the_force_is_enough() -> None:
+    """F_z = m g at a goal that is reached."""
+    body = free_body(small_settings(actuation=Wrench(force=0.2)))
+    action = servo_actions(body, Goal(np.zeros((2, 3)), np.array([[0, 0, 1.0]] * 2)))
+    assert 0.2 * action[:, 2] == pytest.approx([9.80665 * DEVICE.mass] * 2, rel=1e-6)
+
+
+def test_discrete_choices_go_along_the_largest_part() -> None:
+    actuation = Wrench("discrete", force=0.005, is_weightless=True)
+    body = free_body(small_settings(dynamics="physics", actuation=actuation))
+    far = Goal(np.array([[0.1, 0.0, 0.05], [0.0, 0.0, -0.1]]), np.array([[0, 0, 1.0]] * 2), 0.2)
+    assert servo_actions(body, far).tolist() == [1, 6]
+    near = Goal(np.full((2, 3), 1e-4), far.heading)
+    assert servo_actions(body, near).tolist() == [0, 0]
+
+
+def test_a_goal_right_behind_has_a_way_round() -> None:
+    turn = heading_error(np.eye(3)[None], np.array([[0.0, 0.0, -1.0]]))
+    assert np.linalg.norm(turn) == pytest.approx(np.pi)
+
+
+def test_an_actuation_that_it_cannot_drive_is_one_line() -> None:
+    body = free_body(SimpleNamespace(actuation=SimpleNamespace(kind="rope")))  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="cannot drive 'rope'"):
+        servo_actions(body, Goal(np.zeros((2, 3)), np.zeros((2, 3))))

@@ -36,7 +36,7 @@ LAYERS = (
     ("metrics",),
     ("scenario",),
     ("recording",),
-    ("dataset",),
+    ("data",),
     ("env",),
     ("policy",),
     ("tools",),

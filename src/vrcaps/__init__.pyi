@@ -15,7 +15,7 @@ from .camera_pipeline.pipeline import CameraPipeline as CameraPipeline
 from .capsule.catalog import device_names as device_names
 from .capsule.catalog import read_device as read_device
 from .capsule.device import Device as Device
-from .dataset.read_dataset import read_dataset as read_dataset
+from .data.open_dataset import open_dataset as open_dataset
 from .errors import VrcapsError as VrcapsError
 from .lumen.contents import Contents as Contents
 from .magnet.presets import read_magnet as read_magnet

@@ -46,7 +46,7 @@ def test_total_variation_pays_minus_the_frontiers_growth():
     s = env.episode.simulation
 
     def length():
-        return frontier_length(s.cell_share, s.cell_area > 0.0, s.settings.grid)[0]
+        return frontier_length(s.cell_fraction, s.cell_area > 0.0, s.settings.grid)[0]
 
     s.cells[0, 30] = 0.0  # what the next look sees makes no hole smaller than this
     before = env.episode.simulation.memory["frontier/length"][0]

@@ -12,7 +12,7 @@ from vrcaps.cli.console import console, progress_bar
 from vrcaps.errors import InputError
 
 if TYPE_CHECKING:
-    from vrcaps.dataset.units import Units
+    from vrcaps.data.units import Units
 
 _MB, _HOUR = 1e6, 3600.0
 
@@ -56,9 +56,9 @@ class Make:
         Raises:
             InputError: If the plan or the target is not possible, or recordings failed.
         """
-        from vrcaps.dataset.make import make_dataset
-        from vrcaps.dataset.plan import read_plan
-        from vrcaps.dataset.units import Units
+        from vrcaps.data.make import make_dataset
+        from vrcaps.data.plan import read_plan
+        from vrcaps.data.units import Units
 
         if self.workers is not None and self.workers < 0:
             raise InputError(f"--workers is {self.workers}. Allowed: 0 or more.")
@@ -104,10 +104,10 @@ class Check:
         Raises:
             InputError: If something is wrong.
         """
-        from vrcaps.dataset.check_dataset import check_dataset
-        from vrcaps.dataset.read_dataset import read_dataset
+        from vrcaps.data.check_dataset import check_dataset
+        from vrcaps.data.open_dataset import open_dataset
 
-        dataset = read_dataset(self.dataset)
+        dataset = open_dataset(self.dataset)
         with progress_bar("checking") as progress:
             faults = check_dataset(self.dataset, progress)
         for fault in faults:
@@ -135,8 +135,8 @@ def _slice(text: str | None, count: int) -> range | None:
 
 
 def _estimate(units: Units, out: str) -> None:
-    from vrcaps.dataset.estimate import estimate
-    from vrcaps.dataset.store import open_store
+    from vrcaps.data.estimate import estimate
+    from vrcaps.data.store import open_store
 
     with console.status("recording a few frames to measure"):
         found = estimate(units)

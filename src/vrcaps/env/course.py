@@ -63,10 +63,10 @@ class Course:
         """
         place = (arc_length / self.length).clip(0.0, 1.0) * (_SAMPLES - 1)
         below = np.minimum(place.astype(int), _SAMPLES - 2)
-        worlds, share = np.arange(len(below)), (place - below)[:, None]
+        worlds, fraction = np.arange(len(below)), (place - below)[:, None]
         start, end = self._samples[worlds, below], self._samples[worlds, below + 1]
-        here = start + share * (end - start)
-        axes = np.where(share < 0.5, start, end)[:, 3:12]
+        here = start + fraction * (end - start)
+        axes = np.where(fraction < 0.5, start, end)[:, 3:12]
         return CoursePlace(here[:, :3], axes.reshape(-1, 3, 3), here[:, 12])
 
     def nearest(

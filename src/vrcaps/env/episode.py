@@ -122,7 +122,7 @@ class Episode:
         if any(reward.term == "total-variation" for reward in self.rewards):
             s = self.simulation
             has_wall = s.cell_area[active] > 0.0
-            length = frontier_length(s.cell_share[active], has_wall, s.settings.grid)
+            length = frontier_length(s.cell_fraction[active], has_wall, s.settings.grid)
             self._growth[active] = length - self._frontier[active]
             self._frontier[active] = length
 

@@ -117,7 +117,7 @@ TERMS: dict[str, Callable[[Simulation, Reward], Float[np.ndarray, " n"]]] = {
 
 
 def frontier_length(
-    share: Float[np.ndarray, "n c"], has_wall: Bool[np.ndarray, "n c"], grid: tuple[int, int]
+    fraction: Float[np.ndarray, "n c"], has_wall: Bool[np.ndarray, "n c"], grid: tuple[int, int]
 ) -> Float[np.ndarray, " n"]:
     """Length of the frontier between seen and unseen in circumferences of the gut.
 
@@ -125,11 +125,11 @@ def frontier_length(
     number of its columns; cells without wall do not count.
 
     Args:
-        share: Fraction seen of each cell of maps.
+        fraction: Fraction seen of each cell of maps.
         has_wall: Whether there is wall in each.
         grid: Rows along the gut and columns around it, which repeat.
     """
-    maps, wall = share.reshape(-1, *grid), has_wall.reshape(-1, *grid)
+    maps, wall = fraction.reshape(-1, *grid), has_wall.reshape(-1, *grid)
     around = (np.roll(maps, -1, axis=2) - maps) * (np.roll(wall, -1, axis=2) & wall)
     along = np.zeros_like(maps)
     along[:, :-1] = np.diff(maps, axis=1) * (wall[:, 1:] & wall[:, :-1])

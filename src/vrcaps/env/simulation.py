@@ -92,11 +92,11 @@ class Simulation:
         return self.fraction[:, POINT_LEVELS.index(level)]
 
     @property
-    def cell_share(self) -> Float[np.ndarray, "n c"]:
+    def cell_fraction(self) -> Float[np.ndarray, "n c"]:
         """Fraction of each cell's area that was visible so far; 1 where a cell has no wall."""
         ones = np.ones_like(self.cells)
-        share = np.divide(self.cells, self.cell_area, out=ones, where=self.cell_area > 0.0)
-        return share.clip(0.0, 1.0)
+        fraction = np.divide(self.cells, self.cell_area, out=ones, where=self.cell_area > 0.0)
+        return fraction.clip(0.0, 1.0)
 
     @property
     def unseen_cells(self) -> Float[np.ndarray, "n c"]:

@@ -81,15 +81,15 @@ class MapObservation:
         )
         inside = along.sum(axis=-1) / np.diff(row, axis=-1)
         wall = along @ area @ around
-        share = np.divide(along @ seen @ around, wall, out=np.zeros_like(wall), where=wall > 0.0)
-        crops = np.stack([share, np.broadcast_to(inside[..., None], share.shape)], axis=2)
+        fraction = np.divide(along @ seen @ around, wall, out=np.zeros_like(wall), where=wall > 0.0)
+        crops = np.stack([fraction, np.broadcast_to(inside[..., None], fraction.shape)], axis=2)
         return crops.reshape(s.num_worlds, 2 * self.scales, self.size, self.size)
 
 
 def _whole(s: Simulation) -> Float[np.ndarray, "n 2 h w"]:
     rows, columns = s.settings.grid
     made = np.zeros((s.num_worlds, 2, rows * columns))
-    made[:, 0] = s.cell_share
+    made[:, 0] = s.cell_fraction
     row, column = (place.astype(int) for place in _place(s))
     cell = np.minimum(row, rows - 1) * columns + column % columns
     made[np.arange(s.num_worlds), 1, cell] = 1.0

@@ -7,7 +7,7 @@ import time
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from vrcaps.dataset.units import Units
+from vrcaps.data.units import Units
 
 _FRAMES = 6
 

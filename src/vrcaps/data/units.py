@@ -11,8 +11,8 @@ from typing import Any
 
 from vrcaps import rng
 from vrcaps.anatomy.catalog import ORGANS, organ_segments
-from vrcaps.dataset.distribution import PROBABILITY, Each, Prevalence, slots
-from vrcaps.dataset.plan import PATIENT_SLOTS, SPLITS, Plan
+from vrcaps.data.distribution import PROBABILITY, Each, Prevalence, slots
+from vrcaps.data.plan import PATIENT_SLOTS, SPLITS, Plan
 from vrcaps.errors import InputError, UnknownNameError, VrcapsError
 from vrcaps.scenario.scenario import OrganGenerated, Scenario, scenario_from_plain
 

@@ -9,8 +9,8 @@ import json
 from pathlib import Path
 from typing import Any
 
-from vrcaps.dataset.store import Store
-from vrcaps.dataset.units import Unit
+from vrcaps.data.store import Store
+from vrcaps.data.units import Unit
 from vrcaps.errors import InputError
 from vrcaps.files import file_sha256
 

@@ -13,7 +13,7 @@ from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from typing import Any
 
-from vrcaps.dataset.ledger import (
+from vrcaps.data.ledger import (
     EPISODES,
     enter,
     enter_failure,
@@ -21,9 +21,9 @@ from vrcaps.dataset.ledger import (
     require_same_plan,
     whole_units,
 )
-from vrcaps.dataset.plan import Plan, plan_to_plain
-from vrcaps.dataset.store import Store, open_store
-from vrcaps.dataset.units import Unit, Units
+from vrcaps.data.plan import Plan, plan_to_plain
+from vrcaps.data.store import Store, open_store
+from vrcaps.data.units import Unit, Units
 from vrcaps.errors import VrcapsError, require
 
 _ATTEMPTS = 3

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from vrcaps.dataset.distribution import distribution_of, slots
+from vrcaps.data.distribution import distribution_of, slots
 from vrcaps.errors import InputError
 
 

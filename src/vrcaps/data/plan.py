@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any
 
-from vrcaps.dataset.distribution import slots
+from vrcaps.data.distribution import slots
 from vrcaps.decimals import as_floats
 from vrcaps.errors import InputError
 from vrcaps.limits import Range, check_fields

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from vrcaps.dataset.plan import DatasetSettings, Plan, Split, read_plan
-from vrcaps.dataset.units import Units
+from vrcaps.data.plan import DatasetSettings, Plan, Split, read_plan
+from vrcaps.data.units import Units
 from vrcaps.errors import InputError
 
 

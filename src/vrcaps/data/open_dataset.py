@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from vrcaps.dataset.ledger import EPISODES, PLAN, entries
-from vrcaps.dataset.plan import SPLITS
-from vrcaps.dataset.store import LocalStore
+from vrcaps.data.ledger import EPISODES, PLAN, entries
+from vrcaps.data.plan import SPLITS
+from vrcaps.data.store import LocalStore
 from vrcaps.errors import InputError, UnknownNameError
 from vrcaps.recording.episode import Episode, read_episode
 
@@ -41,7 +41,7 @@ class Dataset:
     """Recordings that are whole, by split and patient.
 
     Example:
-        >>> dataset = vrcaps.read_dataset("runs/cohort")
+        >>> dataset = vrcaps.open_dataset("runs/cohort")
         >>> for member in dataset.members("train"):
         ...     episode = member.read()
 
@@ -76,7 +76,7 @@ class Dataset:
         return tuple(sorted({member.patient for member in self.members(split)}))
 
 
-def read_dataset(path: str | Path) -> Dataset:
+def open_dataset(path: str | Path) -> Dataset:
     """Open a data set; only its plan and its ledger are read at once.
 
     Units that are not whole are left out.

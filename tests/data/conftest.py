@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 
 from small_episode import *  # noqa: F403
-from vrcaps.dataset.make import make_dataset
-from vrcaps.dataset.plan import read_plan
+from vrcaps.data.make import make_dataset
+from vrcaps.data.plan import read_plan
 from vrcaps.organ.surface import OrganSurface
 from vrcaps.organ.write_organ import write_organ
 

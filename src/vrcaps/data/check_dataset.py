@@ -6,8 +6,8 @@ from collections import defaultdict
 from collections.abc import Callable
 from pathlib import Path
 
-from vrcaps.dataset.ledger import EPISODES, entries, failures
-from vrcaps.dataset.store import LocalStore
+from vrcaps.data.ledger import EPISODES, entries, failures
+from vrcaps.data.store import LocalStore
 from vrcaps.files import file_sha256
 
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from vrcaps.env.rewards import frontier_length, total_reward
 from vrcaps.env.simulation import Simulation
+from vrcaps.env.views import View
 from vrcaps.errors import InputError
 
 if TYPE_CHECKING:
@@ -40,12 +41,14 @@ class EpisodeStep:
 class Episode:
     """Runs a task in many worlds."""
 
-    def __init__(self, settings: EnvSettings, num_worlds: int) -> None:
-        """Makes room; `begin` makes the worlds."""
+    def __init__(
+        self, settings: EnvSettings, num_worlds: int, *, with_textures: bool = False
+    ) -> None:
+        """Makes room; `begin` makes the worlds. See `Simulation`."""
         from gymnasium import spaces
 
         self.settings = settings
-        self.simulation = Simulation(settings, num_worlds)
+        self.simulation = Simulation(settings, num_worlds, with_textures=with_textures)
         self.rewards = settings.rewards or settings.task.rewards
         memory = self.simulation.memory
         self._best = memory.allocate("progress/best")
@@ -145,5 +148,5 @@ class Episode:
         }
 
     def images(self) -> list[np.ndarray]:
-        """What the first camera of each capsule sees."""
-        raise NotImplementedError
+        """What the first camera of each capsule sees, in its own size."""
+        return [image.copy() for image in self.simulation.views.images(View(), "rgb")]

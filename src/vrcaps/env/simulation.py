@@ -11,6 +11,7 @@ from vrcaps.capsule.device import Device
 from vrcaps.env.course import Course
 from vrcaps.env.memory import Memory
 from vrcaps.env.patient import Patient, Patients
+from vrcaps.env.views import Views
 from vrcaps.metrics.coverage import CoverageLevel
 from vrcaps.metrics.point_coverage import POINT_LEVELS, mark_points
 from vrcaps.transforms import invert
@@ -44,6 +45,7 @@ class Simulation:
         cell_area: Fraction of the whole that lies in each cell.
         cell_center: Middle of each cell's part of the wall at rest [m]; 0 where it has none.
         course: Centerlines.
+        views: Images.
         T_world_capsule: Poses of the capsules.
         velocity_world: Their velocities [m/s] and angular velocities [rad/s].
         contact_force_world: Mean force of the wall on each in the last step [N].
@@ -52,12 +54,23 @@ class Simulation:
         failure: Why a world could not be stepped; empty where it could.
     """
 
-    def __init__(self, settings: EnvSettings, num_worlds: int) -> None:
-        """Makes room; `reset` makes the worlds."""
+    def __init__(
+        self, settings: EnvSettings, num_worlds: int, *, with_textures: bool = False
+    ) -> None:
+        """Makes room; `reset` makes the worlds.
+
+        Args:
+            settings: What the worlds are made of.
+            num_worlds: How many there are.
+            with_textures: Whether walls have textures, also where no observation needs them.
+
+        Raises:
+            UnknownNameError: If an observation names no camera of the capsule.
+        """
         self.settings, self.num_worlds = settings, num_worlds
         capsule = settings.capsule
         self.device = capsule if isinstance(capsule, Device) else read_device(capsule)
-        with_textures = any(observation.needs_textures for observation in settings.observations)
+        with_textures |= any(observation.needs_textures for observation in settings.observations)
         self.patients = Patients(settings, self.device, with_textures=with_textures)
         self.worlds: list[World] = []
         self.memory = memory = Memory(num_worlds)
@@ -78,6 +91,7 @@ class Simulation:
         self.normal_force_total = np.zeros(num_worlds)
         self.is_outside = np.zeros(num_worlds, bool)
         self.failure = [""] * num_worlds
+        self.views = Views(self)
         settings.actuation.allocate(self)
         settings.task.allocate(self)
         for observation in settings.observations:
@@ -85,7 +99,11 @@ class Simulation:
 
     def patient(self, index: int) -> Patient:
         """The patient of a world."""
-        return self.patients[int(self._patient[index])]
+        return self.patients[self.patient_number(index)]
+
+    def patient_number(self, index: int) -> int:
+        """Which of the settings' organs a world has."""
+        return int(self._patient[index])
 
     def seen(self, level: CoverageLevel) -> Float[np.ndarray, " n"]:
         """Fraction of the whole seen so far at one level."""
@@ -172,6 +190,7 @@ class Simulation:
         self.is_outside[numbers] = ~are_inside(worlds)
         places, before = self.T_world_capsule[numbers, :3, 3], self.arc_length[numbers]
         self.arc_length[numbers] = self.course.nearest(numbers, places, before, _NEARBY)
+        self.views.expire(numbers)
         self._look(numbers)
 
     def _look(self, numbers: np.ndarray) -> None:

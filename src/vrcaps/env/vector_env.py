@@ -55,7 +55,7 @@ class CapsuleVectorEnv(gymnasium.vector.VectorEnv):
         self.metadata = {"render_modes": ["rgb_array"], "autoreset_mode": self.autoreset_mode}
         require(render_mode in (None, "rgb_array"), "render_mode", render_mode, "rgb_array or None")
         self.render_mode = render_mode
-        self.episode = Episode(self.settings, num_envs)
+        self.episode = Episode(self.settings, num_envs, with_textures=render_mode is not None)
         self.single_observation_space = self.episode.observation_space
         self.single_action_space = self.episode.action_space
         self.observation_space = batch_space(self.single_observation_space, num_envs)

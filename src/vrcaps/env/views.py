@@ -1,0 +1,146 @@
+"""Views: what the cameras of many worlds see, rendered once for all who ask for the same."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from vrcaps.camera.camera import Camera
+from vrcaps.camera.derive import scaled_lens
+from vrcaps.render.channels import CHANNELS
+from vrcaps.render.renderer import Renderer
+from vrcaps.render.settings import RenderSettings
+from vrcaps.transforms import invert
+from vrcaps.world.model import State
+
+if TYPE_CHECKING:
+    from vrcaps import _core
+    from vrcaps.env.simulation import Simulation
+
+
+@dataclass(frozen=True)
+class View:
+    """One camera of the capsule and how it is rendered.
+
+    Attributes:
+        camera: Its name; None is the capsule's first.
+        size: Height and width of the image [px]; None is the camera's own.
+        render: How images are computed.
+    """
+
+    camera: str | None = None
+    size: tuple[int, int] | None = None
+    render: RenderSettings = field(default_factory=RenderSettings)
+
+
+class _WorldWall:
+    """Wall of the world that is rendered, in the patient frame, in place of a `MovingWall`."""
+
+    def __init__(self) -> None:
+        self.wall: _core.Wall | None = None
+
+    def at(self, state: State) -> Any:
+        """The wall in a state, which is that of the world now."""
+        return self.wall
+
+
+class Views:
+    """Images of all worlds as they are now.
+
+    Channels of one view are rendered together, and each world once after each of its steps.
+    """
+
+    def __init__(self, simulation: Simulation) -> None:
+        """Renders nothing yet."""
+        self._simulation = simulation
+        self._renderers: dict[tuple[int, RenderSettings], tuple[Renderer, _WorldWall]] = {}
+        self._wanted: dict[View, tuple[str, ...]] = {}
+        self._images: dict[tuple[View, str], np.ndarray] = {}
+        self._is_stale: dict[View, np.ndarray] = {}
+
+    def want(self, view: View, channel: str) -> None:
+        """Makes room for a channel of a view."""
+        if channel in self._wanted.get(view, ()):
+            return
+        count, camera = self._simulation.num_worlds, self.camera(view)
+        kind = CHANNELS[channel]
+        shape = (count, *kind.shape(camera.height, camera.width))
+        self._images[view, channel] = np.zeros(shape, kind.dtype)
+        self._wanted[view] = (*self._wanted.get(view, ()), channel)
+        self._is_stale[view] = np.ones(count, bool)
+
+    def expire(self, numbers: np.ndarray) -> None:
+        """The images of some worlds are no longer as these are."""
+        for is_stale in self._is_stale.values():
+            is_stale[numbers] = True
+
+    def images(self, view: View, channel: str) -> np.ndarray:
+        """A channel of all worlds [n h w …], which the next step overwrites."""
+        self.want(view, channel)
+        for index in np.flatnonzero(self._is_stale[view]):
+            self._render(int(index), view)
+        self._is_stale[view][:] = False
+        return self._images[view, channel]
+
+    def camera(self, view: View) -> Camera:
+        """The camera of a view in its size.
+
+        Raises:
+            UnknownNameError: If the capsule has no such camera.
+            InputError: If a side is shorter than 8 pixels.
+        """
+        device = self._simulation.device
+        camera = device.cameras[0] if view.camera is None else device.camera(view.camera)
+        return camera if view.size is None else resized_camera(camera, *view.size)
+
+    def _render(self, index: int, view: View) -> None:
+        """Renders one world in the patient frame, in which its wall is kept."""
+        s = self._simulation
+        channels = self._wanted[view]
+        renderer, wall = self._renderer(index, view.render)
+        wall.wall = s.worlds[index].wall
+        wall.wall.vertex_normals()  # a step leaves them out, the renderer needs them
+        T_patient_world = invert(s.patient(index).model.T_world_patient)
+        state = State(float(s.time[index]), T_patient_world @ s.T_world_capsule[index])
+        frame = renderer.render(state, self.camera(view), channels=channels)
+        for channel in channels:
+            self._images[view, channel][index] = getattr(frame, channel)
+
+    def _renderer(self, index: int, render: RenderSettings) -> tuple[Renderer, _WorldWall]:
+        """The renderer of a world's patient."""
+        s = self._simulation
+        key = (s.patient_number(index), render)
+        if key not in self._renderers:
+            wall = _WorldWall()
+            model = replace(s.patient(index).model, T_world_patient=np.eye(4))
+            self._renderers[key] = (Renderer(model, render, wall), wall)  # type: ignore[arg-type]
+        return self._renderers[key]
+
+
+@lru_cache(maxsize=64)
+def resized_camera(camera: Camera, height: int, width: int) -> Camera:
+    """The camera with an image of another size: scaled until it fills that, then cut on all sides.
+
+    Args:
+        camera: The camera.
+        height: Of the image [px].
+        width: Of the image [px].
+
+    Raises:
+        InputError: If the camera cannot be so small.
+    """
+    scale = max(height / camera.height, width / camera.width)
+    lens, circle = camera.lens, camera.image_circle_px
+    # The middle of the image stays its middle.
+    cx = (lens.cx - 0.5 * (camera.width - 1)) * scale + 0.5 * (width - 1)
+    cy = (lens.cy - 0.5 * (camera.height - 1)) * scale + 0.5 * (height - 1)
+    return replace(
+        camera,
+        lens=scaled_lens(lens, scale, (cx, cy)),
+        width=width,
+        height=height,
+        image_circle_px=None if circle is None else circle * scale,
+    )

@@ -1,0 +1,102 @@
+"""Images of the capsule's cameras as observations."""
+
+import numpy as np
+import pytest
+
+from small_envs import GUT, SHORT_GUT, simulation_of, small_settings, textured
+from vrcaps.env.env import CapsuleEnv
+from vrcaps.env.observations.image import LIMITS, ImageObservation
+from vrcaps.env.start import Start
+from vrcaps.env.views import resized_camera
+from vrcaps.errors import InputError, UnknownNameError
+from vrcaps.render.renderer import Renderer
+from vrcaps.render.settings import RenderSettings
+from vrcaps.world.model import State
+
+_GUTS = (textured(GUT), textured(SHORT_GUT))
+_DIRECT = RenderSettings(light="direct")
+
+
+def _images(**more):
+    size = (24, 32)
+    observations = tuple(ImageObservation(channel, size=size) for channel in LIMITS)
+    keywords = {"observations": observations, "organs": _GUTS, "start": Start(settle=0.0)}
+    return keywords | more
+
+
+def test_image_is_what_the_renderer_shows_of_the_world():
+    simulation = simulation_of(1, **_images())
+    camera = resized_camera(simulation.device.cameras[0], 24, 32)
+    assert (camera.height, camera.width) == (24, 32)
+    renderer = Renderer(simulation.patient(0).model, _DIRECT)
+    frame = renderer.render(
+        State(0.0, simulation.T_world_capsule[0]), camera, channels=("rgb", "depth", "label")
+    )
+    told = {o.name: o.observe(simulation)[0] for o in simulation.settings.observations}
+    depth = np.nan_to_num(frame.depth)
+    np.testing.assert_allclose(told["depth"][..., 0], depth, atol=1e-5)
+    assert (told["label"][..., 0] == frame.label).mean() > 0.99
+    assert np.abs(told["rgb"].astype(int) - frame.rgb).mean() < 1.0
+    assert told["rgb"].std() > 5.0
+
+
+def test_images_fit_their_spaces():
+    simulation = simulation_of(2, **_images())
+    for observation in simulation.settings.observations:
+        space, told = observation.space(simulation), observation.observe(simulation)
+        assert told.dtype == space.dtype and space.contains(told[1]), observation.name
+        assert not np.shares_memory(told, observation.observe(simulation))
+
+
+def test_worlds_that_begin_anew_are_seen_at_once_and_the_others_are_not_rendered():
+    simulation = simulation_of(2, **_images())
+    observation = simulation.settings.observations[0]
+    first = observation.observe(simulation)
+    rendered, views = [], simulation.views
+    render, views._render = views._render, lambda *of: (rendered.append(of[0]), render(*of))
+    np.testing.assert_array_equal(observation.observe(simulation), first)
+    assert rendered == []
+    simulation.reset(1, np.random.default_rng(7))
+    second = observation.observe(simulation)
+    assert rendered == [1]
+    np.testing.assert_array_equal(second[0], first[0])
+    assert (second[1] != first[1]).any()
+    alone = simulation_of(1, **_images())
+    alone.reset(0, np.random.default_rng(7))
+    np.testing.assert_array_equal(observation.observe(alone)[0], second[1])
+
+
+def test_capsule_in_a_wall_that_has_moved_is_seen_there():
+    env = CapsuleEnv(small_settings(**_images()))
+    before, _ = env.reset(seed=3)
+    env.step(np.array([0.0, 0.0, -1.0, 0.0, 0.0, 0.0]))
+    after, *_ = env.step(np.array([0.0, 0.0, -1.0, 0.0, 0.0, 0.0]))
+    assert (after["rgb"] != before["rgb"]).mean() > 0.1
+
+
+def test_image_to_show_is_of_the_first_camera_in_its_own_size():
+    small = {"observations": ("state",), "organs": _GUTS}
+    env = CapsuleEnv(small_settings(**small), render_mode="rgb_array")
+    env.reset(seed=0)
+    image, camera = env.render(), env.episode.simulation.device.cameras[0]
+    assert image.shape == (camera.height, camera.width, 3) and image.dtype == np.uint8
+    assert image.std() > 5.0
+
+
+def test_resized_camera_keeps_the_middle_and_the_field_of_the_longer_side():
+    camera = simulation_of().device.cameras[0]
+    small = resized_camera(camera, 20, 40)
+    axis = np.array([0.0, 0.0, 1.0])
+    middle = camera.lens.project(axis) - (0.5 * (camera.width - 1), 0.5 * (camera.height - 1))
+    np.testing.assert_allclose(
+        small.lens.project(axis), (19.5, 9.5) + middle * 40 / camera.width, atol=1e-9
+    )
+
+
+def test_bad_images_say_what_is_allowed():
+    with pytest.raises(UnknownNameError, match="No channel to observe named 'heat'"):
+        ImageObservation("heat")
+    with pytest.raises(InputError, match=r"size is \(4, 64\)\. Allowed: height and width"):
+        ImageObservation(size=(4, 64))
+    with pytest.raises(UnknownNameError, match="No camera named 'side'"):
+        CapsuleEnv(small_settings(observations=(ImageObservation(camera="side"),)))

@@ -44,11 +44,13 @@ _VERBS = {
     "bench render": ("vrcaps.cli.bench", "Render", "Measure rendering."),
     "bench record": ("vrcaps.cli.bench", "Record", "Measure recording to disk."),
     "bench world": ("vrcaps.cli.bench", "World", "Measure the physics."),
+    "train coverage": ("vrcaps.cli.train", "Coverage", "Learn to see the whole wall, by PPO."),
     "doctor": ("vrcaps.cli.doctor", "Doctor", "Say what is installed and what can be used."),
 }
 """Module, dataclass and summary of each verb."""
 
 _GROUPS = {
+    "train": "Learn: policies that steer a capsule.",
     "dataset": "Make and verify data sets of many recordings, split by patient.",
     "organ": "Generate organs, make them from CT, dress them from photographs; measure, draw.",
     "calibrate": "Make a capsule file of a real capsule from its photographs and frames.",

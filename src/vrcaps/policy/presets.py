@@ -1,0 +1,121 @@
+"""Presets of trainings by task: the paper's hyper-parameters, ours, and one of seconds."""
+
+from __future__ import annotations
+
+from dataclasses import fields, is_dataclass, replace
+from typing import Any, get_args, get_type_hints
+
+from vrcaps.env.actuation.wrench import Wrench
+from vrcaps.env.observations.landmarks import LandmarksObservation
+from vrcaps.env.observations.state import StateObservation
+from vrcaps.env.rewards import Reward
+from vrcaps.env.settings import EnvSettings
+from vrcaps.env.start import Start
+from vrcaps.env.tasks.coverage import CoverageTask
+from vrcaps.errors import UnknownNameError
+from vrcaps.policy.ppo import PpoSettings
+from vrcaps.policy.training import TrainingSettings
+from vrcaps.scenario.scenario import OrganGenerated
+from vrcaps.serialization import from_plain
+
+
+def paper() -> TrainingSettings:
+    """The paper's training of coverage (Incetan et al. 2021).
+
+    It states the reward, the discrete actions, 7,500 steps of 1/30 s an episode, three stomachs,
+    3 layers of 256, minibatches of 64, the learning rate and 500,000 steps. Epochs, γ, λ, the
+    clipping and the entropy's weight are those of ML-Agents, which it used.
+    """
+    env = EnvSettings(
+        task=CoverageTask(level="frustum"),
+        actuation=Wrench("discrete", is_weightless=True),
+        observations=(StateObservation(),),
+        rewards=(Reward("paper", level="frustum"),),
+        organs=_stomachs(3),
+        episode_time=250.0,
+        stuck_time=250.0,
+    )
+    learner = PpoSettings(
+        num_envs=3,
+        num_actions=500_000,
+        updates=1,
+        hidden=(256, 256, 256),
+        batch=64,
+        epochs=3,
+        entropy=5e-3,
+        evaluate_every=10,
+    )
+    return TrainingSettings(env, learner)
+
+
+def default() -> TrainingSettings:
+    """Ours: what is in sight counts, and a guide tells the same of every organ."""
+    env = EnvSettings(
+        actuation=Wrench(is_weightless=True),
+        observations=(LandmarksObservation(frame="world"),),
+        organs=_stomachs(8),
+        start=Start(settle=0.0),
+        episode_time=50.0,
+    )
+    return TrainingSettings(env, PpoSettings())
+
+
+def ci() -> TrainingSettings:
+    """Ours in seconds, to see that all is well; it learns nothing."""
+    ours = default()
+    env = replace(ours.env, organs=_stomachs(1), episode_time=1.0, num_points=256)
+    learner = replace(
+        ours.learner, num_envs=2, num_actions=36, updates=1, hidden=(16,), evaluation_episodes=2
+    )
+    return TrainingSettings(env, learner)
+
+
+PRESETS = {"default": default, "paper": paper, "ci": ci}
+"""Presets of the task `coverage` by name."""
+
+
+def changed_settings(settings: Any, path: str, value: Any) -> Any:
+    """Settings with one value changed.
+
+    Example:
+        >>> changed_settings(default(), "env.actuation", "magnet")
+        >>> changed_settings(default(), "learner.epochs", 4)
+
+    Args:
+        settings: A dataclass.
+        path: Names of fields, from `settings` down.
+        value: A plain value; a part or a list of parts may be given by their kinds.
+
+    Raises:
+        UnknownNameError: If there is no such field.
+        InputError: If the value is not allowed.
+    """
+    name, _, rest = path.partition(".")
+    known = [f.name for f in fields(settings)] if is_dataclass(settings) else []
+    if name not in known:
+        raise UnknownNameError("setting", name, known)
+    if rest:
+        new = changed_settings(getattr(settings, name), rest, value)
+    else:
+        new = _from_plain(get_type_hints(type(settings))[name], value, name)
+    return replace(settings, **{name: new})
+
+
+def _from_plain(declared: Any, value: Any, at: str) -> Any:
+    """A value of a type; parts may be given by their kinds."""
+    kinds = {cls.kind: cls for cls in _members(declared) if hasattr(cls, "kind")}
+    if isinstance(value, str) and kinds and str not in _members(declared):
+        if value not in kinds:
+            raise UnknownNameError(at, value, kinds)
+        return kinds[value]()
+    if isinstance(value, list) and get_args(declared):
+        return tuple(_from_plain(get_args(declared)[0], item, at) for item in value)
+    return from_plain(declared, value, at=at)
+
+
+def _members(declared: Any) -> tuple[Any, ...]:
+    return get_args(declared) or (declared,)
+
+
+def _stomachs(count: int) -> tuple[OrganGenerated, ...]:
+    return tuple(OrganGenerated("stomach", seed=seed) for seed in range(count))

@@ -21,6 +21,7 @@ from vrcaps.errors import InputError, require
 from vrcaps.file_ref import FileRef, file_ref, path_of
 from vrcaps.limits import Range, check_fields
 from vrcaps.magnet.presets import read_magnet
+from vrcaps.magnet.sources import Cylinder
 from vrcaps.sensors.tracking import CapsuleTracker, TrackingSensors
 from vrcaps.units import CM, DEG, MM
 from vrcaps.world.control import Control
@@ -52,7 +53,8 @@ GENTLE_GAINS = ControllerGains(
 )
 """Gains that lead a capsule over folds without sliding."""
 _BASE_BESIDE = 55.0 * CM
-_BASE_BELOW = 15.0 * CM
+BASE_BELOW = 15.0 * CM
+"""How far the base of an arm is below the organ's highest point [m]."""
 
 
 @dataclass(frozen=True)
@@ -346,19 +348,29 @@ class SteeringProgram:
         return project_to_wall(self._model, T_world_patient, target)
 
 
-def _make_actuator(model: Model, settings: MagnetSteering) -> MagnetActuator:
-    magnet = read_magnet(settings.magnet)
-    low, high = model.vertices_world.min(axis=0), model.vertices_world.max(axis=0)
-    lowest = float(high[2]) + settings.standoff + 0.5 * magnet.diameter
-    workspace = Workspace(
+def workspace_above(model: Model, magnet: Cylinder, standoff: float) -> Workspace:
+    """Where a magnet may be: at least a gap [m] above the organ's highest point."""
+    lowest = float(model.vertices_world[:, 2].max()) + standoff + 0.5 * magnet.diameter
+    return Workspace(
         low=(-math.inf, -math.inf, lowest), min_distance=0.5 * magnet.diameter + 3.0 * CM
     )
+
+
+def base_beside(model: Model) -> Float[np.ndarray, " 3"]:
+    """Position of an arm's base in the world from which it reaches above the patient [m]."""
+    low, high = model.vertices_world.min(axis=0), model.vertices_world.max(axis=0)
+    center = 0.5 * (low + high)
+    return np.array([center[0] - _BASE_BESIDE, center[1], high[2] - BASE_BELOW])
+
+
+def _make_actuator(model: Model, settings: MagnetSteering) -> MagnetActuator:
+    magnet = read_magnet(settings.magnet)
+    workspace = workspace_above(model, magnet, settings.standoff)
     if settings.arm is None:
         return FreeActuator(workspace)
     T_world_base = np.eye(4)
-    center = 0.5 * (low + high)
-    beside = (center[0] - _BASE_BESIDE, center[1], high[2] - _BASE_BELOW)
-    T_world_base[:3, 3] = beside if settings.arm_base is None else settings.arm_base
+    given = settings.arm_base
+    T_world_base[:3, 3] = base_beside(model) if given is None else given
     arm = read_arm(settings.arm)
     robot = ArmWithPayload(arm, magnet, T_world_base, transverse_mount(magnet))
     return RobotActuator(robot, workspace)

@@ -53,6 +53,7 @@ class Episode:
         memory = self.simulation.memory
         self._best = memory.allocate("progress/best")
         self._gain = memory.allocate("progress/gain")
+        self._mark = memory.allocate("progress/mark")
         self._since = memory.allocate("progress/since")
         self._frontier = memory.allocate("frontier/length")
         self._growth = memory.allocate("frontier/growth")
@@ -64,7 +65,8 @@ class Episode:
     def begin(self, index: int, rng: np.random.Generator, patient: int | None = None) -> None:
         """Begin an episode in one world, see `Simulation.reset`."""
         self.simulation.reset(index, rng, patient)
-        self._best[index] = self.settings.task.progress(self.simulation)[index]
+        progress = self.settings.task.progress(self.simulation)[index]
+        self._best[index] = self._mark[index] = progress
         self._gain[index] = self._since[index] = 0.0
         self._follow_frontier(np.arange(self.simulation.num_worlds) == index)
         self._growth[index] = 0.0
@@ -114,10 +116,11 @@ class Episode:
     def _follow_progress(self, active: Bool[np.ndarray, " n"]) -> None:
         progress = self.settings.task.progress(self.simulation)
         self._gain[:] = np.where(active, np.maximum(progress - self._best, 0.0), 0.0)
-        gains = active & (progress > self._best + _PROGRESS)
+        self._best[active] += self._gain[active]
+        gains = active & (progress > self._mark + _PROGRESS)
         period = self.settings.control_period
         self._since[:] = np.where(gains, 0.0, self._since + np.where(active, period, 0.0))
-        self._best[:] = np.where(gains, progress, self._best)
+        self._mark[:] = np.where(gains, progress, self._mark)
 
     def _follow_frontier(self, active: Bool[np.ndarray, " n"]) -> None:
         """Measure the frontier on the map, where it is paid for."""
@@ -139,6 +142,7 @@ class Episode:
         s = self.simulation
         return {
             **self.settings.task.measures(s),
+            **self.settings.actuation.measures(s),
             "time": s.time.copy(),
             "arc_length": s.arc_length.copy(),
             "normal_force_total": s.normal_force_total.copy(),

@@ -46,3 +46,7 @@ class Actuation(Protocol):
             numbers: Worlds that move.
         """
         ...
+
+    def measures(self, simulation: Simulation) -> dict[str, np.ndarray]:
+        """What it says of each world, for `info`."""
+        ...

@@ -2,6 +2,8 @@
 
 from typing import TypeAlias
 
+from vrcaps.env.actuation.arm import ArmActuation
+from vrcaps.env.actuation.magnet import MagnetActuation
 from vrcaps.env.actuation.wrench import Wrench
 
-AnyActuation: TypeAlias = Wrench
+AnyActuation: TypeAlias = Wrench | MagnetActuation | ArmActuation

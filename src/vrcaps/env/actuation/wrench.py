@@ -72,3 +72,7 @@ class Wrench:
         if self.is_weightless:
             forces = forces + np.array([0.0, 0.0, simulation.device.mass * GRAVITY])
         return [Control(force, torque) for force, torque in zip(forces, torques, strict=True)]
+
+    def measures(self, simulation: Simulation) -> dict[str, np.ndarray]:
+        """Nothing."""
+        return {}

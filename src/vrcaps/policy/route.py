@@ -48,7 +48,7 @@ class Route:
         device = self.model.device
         half = (0.5 * device.length - device.radius) * headings
         ends = np.concatenate([points + half, points - half])
-        return self.fits(ends).reshape(2, -1).all(axis=0)
+        return np.all(self.fits(ends).reshape(2, -1), axis=0)
 
     def is_clear(
         self, start: Float[np.ndarray, " 3"], points: Float[np.ndarray, "n 3"]
@@ -56,7 +56,7 @@ class Route:
         """Whether that ball passes from a point straight to each of others."""
         part = np.linspace(1.0, 0.0, _PROBES, endpoint=False)[:, None, None]
         way = start + part * (points - start)
-        return self.fits(way.reshape(-1, 3)).reshape(_PROBES, -1).all(axis=0)
+        return np.all(self.fits(way.reshape(-1, 3)).reshape(_PROBES, -1), axis=0)
 
 
 def make_route(model: Model) -> Route:

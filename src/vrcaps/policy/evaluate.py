@@ -1,0 +1,156 @@
+"""Judging: any policy over many seeds and episodes, with what went wrong told."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Annotated, Any
+
+import numpy as np
+
+from vrcaps.env.vector_env import CapsuleVectorEnv
+from vrcaps.limits import Range, check_fields
+from vrcaps.policy.evaluation import EpisodeCurves, Evaluation, episode_figures
+from vrcaps.transforms import quaternion_from_matrix
+
+if TYPE_CHECKING:
+    from vrcaps.env.episode import EpisodeStep
+    from vrcaps.env.settings import EnvSettings
+    from vrcaps.env.simulation import Simulation
+    from vrcaps.policy.policy import Policy
+
+_SEEDS_APART = 1000
+"""Episode e of seed s begins with the seed 1000 s + e."""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """How much is run.
+
+    Attributes:
+        seeds: Seeds 0, 1, …; seed s is in organ s modulo the number of organs.
+        episodes: Episodes of each seed, each from another start.
+        worlds: Episodes side by side.
+    """
+
+    seeds: Annotated[int, Range(least=1)] = 80
+    episodes: Annotated[int, Range(least=1, most=_SEEDS_APART)] = 5
+    worlds: Annotated[int, Range(least=1)] = 20
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+
+    def trials(self, organ: int, num_organs: int) -> list[tuple[int, int]]:
+        """Seed and episode of all in one organ."""
+        seeds = range(organ, self.seeds, num_organs)
+        return [(seed, episode) for seed in seeds for episode in range(self.episodes)]
+
+
+def evaluate(
+    policy: Policy,
+    settings: EnvSettings,
+    plan: Plan,
+    evaluation: Evaluation,
+    progress: Callable[[int, int], None] | None = None,
+) -> None:
+    """Run all episodes that the folder does not hold yet.
+
+    Args:
+        policy: What is judged.
+        settings: Of the environment, with all organs.
+        plan: How many episodes.
+        evaluation: Folder that they go into.
+        progress: Called with the number of episodes done and of all.
+    """
+    total, num_organs = plan.seeds * plan.episodes, len(settings.organs)
+    if progress is not None:
+        progress(len(evaluation.done), total)
+    for number, organ in enumerate(settings.organs):
+        trials = [t for t in plan.trials(number, num_organs) if t not in evaluation.done]
+        if not trials:
+            continue
+        envs = CapsuleVectorEnv(
+            replace(settings, organs=(organ,)),
+            min(plan.worlds, len(trials)),
+            autoreset_mode="Disabled",
+        )
+        for first in range(0, len(trials), envs.num_envs):
+            some = trials[first : first + envs.num_envs]
+            rows, curves = _run(policy, envs, some)
+            for row in rows:
+                row["organ"] = organ_name(organ)
+            evaluation.add(rows, curves)
+            if progress is not None:
+                progress(len(evaluation.done), total)
+
+
+def organ_name(organ: Any) -> str:
+    """Name of an organ of an environment's settings: its generator and seed, or its file."""
+    if hasattr(organ, "seed"):
+        return f"{organ.name}:{organ.seed}"
+    return str(getattr(organ, "path", None) or organ.name)
+
+
+def _run(
+    policy: Policy, envs: CapsuleVectorEnv, trials: Sequence[tuple[int, int]]
+) -> tuple[list[dict[str, Any]], list[EpisodeCurves]]:
+    """Episodes side by side; worlds without one stand still."""
+    count, simulation = len(trials), envs.episode.simulation
+    seeds = [_SEEDS_APART * seed + episode for seed, episode in trials]
+    seeds += seeds[-1:] * (envs.num_envs - count)
+    observations, _ = envs.reset(seed=seeds)
+    policy.reset(np.arange(envs.num_envs), seeds)
+    active = np.arange(envs.num_envs) < count
+    samples, sampled, ends = [_sample(simulation)], [active.copy()], [""] * envs.num_envs
+    while active.any():
+        actions = envs.episode.check_actions(policy.act(observations, envs))
+        step = envs.episode.step(actions, active)
+        samples.append(_sample(simulation))
+        sampled.append(active.copy())
+        for index in np.flatnonzero(active & (step.terminated | step.truncated)):
+            ends[index] = _end(step, index)
+            active[index] = False
+        observations = envs.episode.observe()
+    whole, were_active = np.stack(samples), np.stack(sampled)
+    rows, curves = [], []
+    for index, (seed, episode) in enumerate(trials):
+        curve = _curves(whole[were_active[:, index], index])
+        row = {"seed": seed, "episode": episode, "organ": "", "end": ends[index]}
+        row |= {"wall_escapes": int(ends[index] == "outside the wall")}
+        row |= episode_figures(curve, envs.settings.episode_time)
+        rows.append(row)
+        curves.append(curve)
+    return rows, curves
+
+
+def _sample(simulation: Simulation) -> np.ndarray:
+    """All that curves hold, a row for each world."""
+    T = simulation.T_world_capsule
+    return np.column_stack(
+        [
+            simulation.time,
+            simulation.fraction,
+            simulation.arc_length,
+            simulation.normal_force_total,
+            T[:, :3, 3],
+            quaternion_from_matrix(T[:, :3, :3]),
+        ]
+    )
+
+
+def _curves(rows: np.ndarray) -> EpisodeCurves:
+    """Curves of one world from its samples."""
+    return EpisodeCurves(rows[:, 0], rows[:, 1:4], rows[:, 4], rows[:, 5], rows[:, 6:])
+
+
+def _end(step: EpisodeStep, index: int) -> str:
+    """Why an episode is over."""
+    measures = step.measures
+    if measures["is_outside"][index]:
+        return "outside the wall"
+    if measures["failure"][index]:
+        return f"failed: {measures['failure'][index]}"
+    if step.terminated[index]:
+        return "done"
+    names = {"is_too_fast": "too fast", "is_stuck": "stuck"}
+    return next((said for name, said in names.items() if measures[name][index]), "time")

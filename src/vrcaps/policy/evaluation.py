@@ -1,0 +1,219 @@
+"""Evaluation on disk: a row for each episode, and what each did over time."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from vrcaps.errors import InputError
+from vrcaps.files import write_bytes
+from vrcaps.metrics.coverage import CoverageLevel
+from vrcaps.metrics.point_coverage import POINT_LEVELS
+from vrcaps.recording.table import FrameTable, read_table, write_table
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+EPISODES, CURVES, SETTINGS = "episodes.csv", "curves.parquet", "settings.json"
+PAPER_TIME = 47.62
+"""Time at which VR-Caps states its coverage [s] (Incetan et al., Med. Image Anal. 70, 2021)."""
+
+TARGETS = (90.0, 95.0, 96.04)
+"""Coverages whose times are told [%]; the last is VR-Caps'."""
+
+FORCE_PERCENTILES = (50, 90, 99, 100)
+
+POSE = ("x_m", "y_m", "z_m", "qw", "qx", "qy", "qz")
+
+
+@dataclass(frozen=True)
+class EpisodeCurves:
+    """What one episode did over time, from its start on: a row for each action.
+
+    Attributes:
+        time: Since the episode began [s].
+        fraction: Fraction of the wall seen so far at each of `POINT_LEVELS`.
+        arc_length: Place along the centerline [m].
+        normal_force: Mean sum of the normal forces during the action [N].
+        pose: Of the capsule in the world: position [m] and quaternion wxyz.
+    """
+
+    time: Float[np.ndarray, " t"]
+    fraction: Float[np.ndarray, "t 3"]
+    arc_length: Float[np.ndarray, " t"]
+    normal_force: Float[np.ndarray, " t"]
+    pose: Float[np.ndarray, "t 7"]
+
+    def columns(self) -> dict[str, np.ndarray]:
+        """As columns of a table."""
+        return {
+            "time_s": self.time,
+            **{level: self.fraction[:, k] for k, level in enumerate(POINT_LEVELS)},
+            "arc_length_m": self.arc_length,
+            "normal_force_n": self.normal_force,
+            **{name: self.pose[:, k] for k, name in enumerate(POSE)},
+        }
+
+
+def episode_figures(curves: EpisodeCurves, whole_time: float) -> dict[str, float]:
+    """What an episode is judged by; after its end, its coverage stays as it was.
+
+    Args:
+        curves: Of the episode.
+        whole_time: Time over which the area under the curve is taken [s].
+
+    Returns:
+        Coverages and areas under the curve in percent; times in seconds, NaN where a coverage was
+        not reached; percentiles of the normal force in newtons.
+    """
+    figures: dict[str, float] = {}
+    for k, level in enumerate(POINT_LEVELS):
+        percent = 100.0 * curves.fraction[:, k]
+        figures[f"{level}_at_{PAPER_TIME}_s"] = coverage_at(curves.time, percent, PAPER_TIME)
+        figures[f"{level}_at_end"] = float(percent[-1])
+        figures[f"{level}_area_under_curve"] = _mean_until(curves.time, percent, whole_time)
+        for target in TARGETS:
+            reached = np.flatnonzero(percent >= target - 1e-9)
+            time = float(curves.time[reached[0]]) if len(reached) else np.nan
+            figures[f"{level}_time_to_{target:g}_s"] = time
+    forces = np.percentile(curves.normal_force[1:], FORCE_PERCENTILES)
+    names = ("p50", "p90", "p99", "max")
+    figures |= {f"force_{n}_n": float(f) for n, f in zip(names, forces, strict=True)}
+    return figures
+
+
+def coverage_at(
+    time: Float[np.ndarray, " t"], percent: Float[np.ndarray, " t"], when: float
+) -> float:
+    """Coverage that was reached at a time [s]; the last after the end."""
+    return float(percent[max(int(np.searchsorted(time, when, side="right")) - 1, 0)])
+
+
+def _mean_until(
+    time: Float[np.ndarray, " t"], percent: Float[np.ndarray, " t"], whole_time: float
+) -> float:
+    """Mean over a time [s] of what stays as it is until the next row."""
+    edges = np.append(np.minimum(time, whole_time), whole_time)
+    return float(np.diff(edges) @ percent / whole_time)
+
+
+class Evaluation:
+    """Folder of an evaluation; what is in it is whole, whenever the run stopped."""
+
+    def __init__(self, folder: Path, settings: dict[str, Any]) -> None:
+        """Opens or makes the folder.
+
+        Args:
+            folder: Where.
+            settings: What is evaluated; plain values.
+
+        Raises:
+            InputError: If the folder holds an evaluation of something else.
+        """
+        self.folder, self.settings = folder, settings
+        self.rows: list[dict[str, Any]] = []
+        self.curves: dict[str, np.ndarray] = {}
+        folder.mkdir(parents=True, exist_ok=True)
+        stated = folder / SETTINGS
+        if stated.is_file():
+            _require_same(stated, settings)
+        else:
+            text = json.dumps(settings, indent=1, sort_keys=True)
+            write_bytes(stated, text.encode())
+        if (folder / EPISODES).is_file() and (folder / CURVES).is_file():
+            self.rows = read_rows(folder / EPISODES)
+            self.curves = read_table(folder / CURVES).columns
+
+    @property
+    def done(self) -> set[tuple[int, int]]:
+        """Seed and episode of each row."""
+        return {(row["seed"], row["episode"]) for row in self.rows}
+
+    def add(self, rows: list[dict[str, Any]], curves: list[EpisodeCurves]) -> None:
+        """Add episodes and write both files; the curves first, so that each row has its own."""
+        parts = [self.curves] if self.curves else []
+        for row, curve in zip(rows, curves, strict=True):
+            keys = {k: np.full(len(curve.time), row[k], np.int64) for k in ("seed", "episode")}
+            parts.append(keys | curve.columns())
+        self.curves = {k: np.concatenate([part[k] for part in parts]) for k in parts[0]}
+        write_table(self.folder / CURVES, FrameTable(self.curves))
+        self.rows = sorted([*self.rows, *rows], key=lambda row: (row["seed"], row["episode"]))
+        text = io.StringIO()
+        writer = csv.DictWriter(text, list(self.rows[0]), lineterminator="\n")
+        writer.writeheader()
+        writer.writerows({k: _text(v) for k, v in row.items()} for row in self.rows)
+        write_bytes(self.folder / EPISODES, text.getvalue().encode())
+
+    def column(self, name: str) -> np.ndarray:
+        """One figure of all episodes."""
+        return np.array([row[name] for row in self.rows])
+
+    def episode_curves(self, row: dict[str, Any]) -> dict[str, np.ndarray]:
+        """What one episode did over time; a killed run's second writing of it does not count."""
+        own = (self.curves["seed"] == row["seed"]) & (self.curves["episode"] == row["episode"])
+        numbers = np.flatnonzero(own)
+        starts = np.flatnonzero(self.curves["time_s"][numbers] == 0.0)
+        numbers = numbers[starts[-1] :]
+        return {name: values[numbers] for name, values in self.curves.items()}
+
+    def over_time(
+        self, level: CoverageLevel, time: Float[np.ndarray, " t"]
+    ) -> Float[np.ndarray, "n t"]:
+        """Coverage of all episodes at times [s], in percent."""
+        found = []
+        for row in self.rows:
+            curve = self.episode_curves(row)
+            last = np.searchsorted(curve["time_s"], time, side="right") - 1
+            found.append(100.0 * curve[level][np.maximum(last, 0)])
+        return np.array(found)
+
+    def median_row(self, name: str) -> dict[str, Any]:
+        """The episode in the middle when they are sorted by a figure."""
+        order = np.argsort(self.column(name), kind="stable")
+        return self.rows[int(order[len(order) // 2])]
+
+
+def read_rows(path: Path) -> list[dict[str, Any]]:
+    """Rows of an `episodes.csv`, numbers as numbers.
+
+    Raises:
+        InputError: If the file cannot be read.
+    """
+    try:
+        with path.open(newline="") as file:
+            return [{k: _value(v) for k, v in row.items()} for row in csv.DictReader(file)]
+    except (OSError, ValueError, csv.Error) as error:
+        raise InputError(f"{path} cannot be read ({error}). Delete it to begin anew.") from error
+
+
+def _text(value: Any) -> str:
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
+
+
+def _value(text: str) -> Any:
+    for kind in (int, float):
+        try:
+            return kind(text)
+        except ValueError:
+            continue
+    return text
+
+
+def _require_same(path: Path, settings: dict[str, Any]) -> None:
+    try:
+        before = json.loads(path.read_text())
+    except ValueError as error:
+        raise InputError(f"{path} cannot be read. Give a new folder.") from error
+    plain = json.loads(json.dumps(settings))
+    changed = [k for k in {**before, **plain} if before.get(k) != plain.get(k)]
+    if changed:
+        raise InputError(
+            f"{path.parent} holds an evaluation with another {', '.join(sorted(changed))}. Give a "
+            "new folder, or the settings that it was begun with."
+        )

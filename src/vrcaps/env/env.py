@@ -9,6 +9,7 @@ import numpy as np
 
 from vrcaps.env.episode import Episode
 from vrcaps.env.settings import EnvSettings
+from vrcaps.env.snapshot import EnvSnapshot, restore_snapshot, take_snapshot
 from vrcaps.errors import require
 
 
@@ -55,12 +56,7 @@ class CapsuleEnv(gymnasium.Env):
         Raises:
             InputError: If there was no reset, or the action is not in the space.
         """
-        require(
-            bool(self.episode.simulation.worlds),
-            "The world",
-            "none",
-            "a reset before the first step",
-        )
+        self._check_reset()
         actions = self.episode.check_actions(np.asarray(action)[None])
         step = self.episode.step(actions, np.ones(1, bool))
         return (
@@ -74,6 +70,31 @@ class CapsuleEnv(gymnasium.Env):
     def render(self) -> np.ndarray | None:
         """What the capsule's first camera sees [h w 3]; None without a render mode."""
         return None if self.render_mode is None else self.episode.images()[0]
+
+    def snapshot(self) -> EnvSnapshot:
+        """Its whole state, for `restore` here or in another environment of the same settings.
+
+        Raises:
+            InputError: If there was no reset.
+        """
+        self._check_reset()
+        return take_snapshot(self.episode, [0], [self.np_random], np.zeros(1, bool))
+
+    def restore(self, snapshot: EnvSnapshot) -> dict[str, np.ndarray]:
+        """Goes back to a snapshot, from which the same actions lead to the same bytes.
+
+        Returns:
+            The observation there.
+
+        Raises:
+            InputError: If it is of other settings.
+        """
+        restore_snapshot(self.episode, snapshot, [0], [self.np_random])
+        return self._first(self.episode.observe())
+
+    def _check_reset(self) -> None:
+        worlds = self.episode.simulation.worlds
+        require(bool(worlds), "The world", "none", "a reset before the first step")
 
     @staticmethod
     def _first(batch: dict[str, np.ndarray]) -> dict[str, np.ndarray]:

@@ -45,11 +45,19 @@ class Memory:
         return {name: array[index].copy() for name, array in self._arrays.items()}
 
     def set_row(self, index: int, row: dict[str, np.ndarray]) -> None:
-        """Puts back what `row` gave."""
-        if set(row) != set(self._arrays):
+        """Puts back what `row` gave.
+
+        Raises:
+            InputError: If it is of another memory.
+        """
+        arrays = self._arrays
+        fits = set(row) == set(arrays) and all(
+            np.shape(row[name]) == array.shape[1:] for name, array in arrays.items()
+        )
+        if not fits:
             raise InputError(
                 "The snapshot is of another environment. Give one of an environment with the same "
                 "settings."
             )
         for name, value in row.items():
-            self._arrays[name][index] = value
+            arrays[name][index] = value

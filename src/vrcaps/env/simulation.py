@@ -17,6 +17,7 @@ from vrcaps.metrics.point_coverage import POINT_LEVELS, mark_points
 from vrcaps.transforms import invert
 from vrcaps.units import CM
 from vrcaps.world.control import Control
+from vrcaps.world.model import State
 from vrcaps.world.stepping import step_together
 from vrcaps.world.world import World
 from vrcaps.world.worlds import are_inside, batch_state
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
     from jaxtyping import Bool, Float
 
     from vrcaps.env.settings import EnvSettings
+    from vrcaps.env.snapshot import WorldSnapshot
 
 _NEARBY = 3.0 * CM
 """How far along the gut the capsule's place is sought from where it was a step before."""
@@ -85,11 +87,13 @@ class Simulation:
         self.course = Course(memory)
         self._patient = memory.allocate("patient", dtype=np.int64, fill=-1)
         self.flags: list[np.ndarray] = [np.zeros(0, np.uint8)] * num_worlds
-        self.T_world_capsule = np.tile(np.eye(4), (num_worlds, 1, 1))
-        self.velocity_world = np.zeros((num_worlds, 2, 3))
-        self.contact_force_world = np.zeros((num_worlds, 3))
-        self.normal_force_total = np.zeros(num_worlds)
-        self.is_outside = np.zeros(num_worlds, bool)
+        self.T_world_capsule = memory.allocate("T_world_capsule", (4, 4))
+        self.T_world_capsule[:] = np.eye(4)
+        self.velocity_world = memory.allocate("velocity_world", (2, 3))
+        self.contact_force_world = memory.allocate("contact_force_world", (3,))
+        self.normal_force_total = memory.allocate("normal_force_total")
+        self.is_outside = memory.allocate("is_outside", dtype=bool)
+        self._start = memory.allocate("start", (4, 4))
         self.failure = [""] * num_worlds
         self.views = Views(self)
         settings.actuation.allocate(self)
@@ -140,18 +144,8 @@ class Simulation:
         self.course.begin(index, model)
         self.cell_area[index], self.cell_center[index] = patient.cell_area, patient.cell_center
         start, self.arc_length[index] = settings.start.draw(model, rng)
-        sources = settings.actuation.begin(self, index, start)
-        world = World(
-            model,
-            settings.tissue,
-            start,
-            substep=settings.substep,
-            seed=int(rng.integers(2**31)),
-            sources=sources,
-        )
-        if not self.worlds:
-            self.worlds = [world] * self.num_worlds
-        self.worlds[index] = world
+        self._start[index] = start.T_world_capsule
+        world = self._make_world(index, int(rng.integers(2**31)))
         if settings.start.settle:
             world.step(Control(), settings.start.settle)
         self.flags[index] = np.zeros(len(patient.points), np.uint8)
@@ -162,6 +156,36 @@ class Simulation:
         settings.task.begin(self, index, rng)
         for observation in settings.observations:
             observation.begin(self, index, rng)
+
+    def _make_world(self, index: int, seed: int) -> World:
+        """Puts a new world at its start, with what acts on its capsule."""
+        settings, start = self.settings, State(0.0, self._start[index].copy())
+        sources = settings.actuation.begin(self, index, start)
+        world = World(
+            self.patient(index).model,
+            settings.tissue,
+            start,
+            substep=settings.substep,
+            seed=seed,
+            sources=sources,
+        )
+        if not self.worlds:
+            self.worlds = [world] * self.num_worlds
+        self.worlds[index] = world
+        return world
+
+    def restore(self, index: int, saved: WorldSnapshot) -> None:
+        """Goes back to a snapshot of one world.
+
+        Raises:
+            InputError: If it is of another environment, or damaged.
+        """
+        self.memory.set_row(index, saved.memory)
+        self._make_world(index, saved.world.seed).restore(saved.world)
+        self.flags[index], self.failure[index] = saved.flags.copy(), saved.failure
+        self.views.expire(np.array([index]))
+        # Once more: to put the world into its place has changed some of it.
+        self.memory.set_row(index, saved.memory)
 
     def step(self, actions: np.ndarray, active: Bool[np.ndarray, " n"]) -> None:
         """Move the active worlds on by one control period.

@@ -14,6 +14,7 @@ from gymnasium.vector.utils import batch_space
 
 from vrcaps.env.episode import Episode, EpisodeStep
 from vrcaps.env.settings import EnvSettings
+from vrcaps.env.snapshot import EnvSnapshot, restore_snapshot, take_snapshot
 from vrcaps.errors import InputError, require
 
 
@@ -141,6 +142,41 @@ class CapsuleVectorEnv(gymnasium.vector.VectorEnv):
         """Measures with the masks that say of which worlds they are."""
         marks = {f"_{name}": mask.copy() for name in measures}
         return {**measures, **marks}
+
+    def snapshot(self, index: int | None = None) -> EnvSnapshot:
+        """Whole state of one world or of all, see `CapsuleEnv.snapshot`.
+
+        Raises:
+            InputError: If there was no reset, or there is no such world.
+        """
+        require(self._was_reset, "The environment's state", "none", "a reset before a snapshot")
+        return take_snapshot(self.episode, self._chosen(index), self._generators, self._is_over)
+
+    def restore(self, snapshot: EnvSnapshot, index: int | None = None) -> dict[str, np.ndarray]:
+        """Puts one world or all back to a snapshot, which may be of another environment.
+
+        Returns:
+            The observations of all worlds then.
+
+        Raises:
+            InputError: If it is of other settings, or of another number of worlds; or if one world
+                is to be put back before there are any.
+        """
+        given = "one" if index is not None else "all"
+        is_allowed = self._was_reset or index is None
+        require(is_allowed, "Worlds to put back", given, "all before the first reset")
+        numbers = self._chosen(index)
+        restore_snapshot(self.episode, snapshot, numbers, self._generators)
+        self._is_over[numbers] = [world.is_over for world in snapshot.worlds]
+        self._was_reset = True
+        return self.episode.observe()
+
+    def _chosen(self, index: int | None) -> list[int]:
+        """Numbers of one world or of all."""
+        if index is None:
+            return list(range(self.num_envs))
+        require(0 <= index < self.num_envs, "index", index, f"0 to {self.num_envs - 1}")
+        return [index]
 
     def render(self) -> tuple[np.ndarray, ...] | None:
         """An image of what the first camera of each capsule sees; None without a render mode."""

@@ -10,6 +10,7 @@ import numpy as np
 
 from vrcaps.camera.camera import Camera
 from vrcaps.camera.derive import scaled_lens
+from vrcaps.env.memory import Memory
 from vrcaps.render.channels import CHANNELS
 from vrcaps.render.renderer import Renderer
 from vrcaps.render.settings import RenderSettings
@@ -62,24 +63,31 @@ class Views:
         self._is_stale: dict[View, np.ndarray] = {}
 
     def want(self, view: View, channel: str) -> None:
-        """Makes room for a channel of a view."""
-        if channel in self._wanted.get(view, ()):
-            return
-        count, camera = self._simulation.num_worlds, self.camera(view)
-        kind = CHANNELS[channel]
-        shape = (count, *kind.shape(camera.height, camera.width))
-        self._images[view, channel] = np.zeros(shape, kind.dtype)
+        """Makes room for a channel of a view in the simulation's memory.
+
+        Raises:
+            UnknownNameError: If the capsule has no such camera.
+        """
+        if channel not in self._wanted.get(view, ()):
+            self._add(view, channel, self._simulation.memory)
+
+    def _add(self, view: View, channel: str, memory: Memory) -> None:
+        """Makes room in a memory."""
+        camera, kind = self.camera(view), CHANNELS[channel]
+        shape, name = kind.shape(camera.height, camera.width), f"views/{len(self._images)}"
+        self._images[view, channel] = memory.allocate(f"{name}/{channel}", shape, kind.dtype)
+        self._is_stale[view] = memory.allocate(f"{name}/is_stale", (), bool, 1)
         self._wanted[view] = (*self._wanted.get(view, ()), channel)
-        self._is_stale[view] = np.ones(count, bool)
 
     def expire(self, numbers: np.ndarray) -> None:
-        """The images of some worlds are no longer as these are."""
+        """Says that some worlds are no longer as their images."""
         for is_stale in self._is_stale.values():
             is_stale[numbers] = True
 
     def images(self, view: View, channel: str) -> np.ndarray:
         """A channel of all worlds [n h w …], which the next step overwrites."""
-        self.want(view, channel)
+        if channel not in self._wanted.get(view, ()):
+            self._add(view, channel, Memory(self._simulation.num_worlds))
         for index in np.flatnonzero(self._is_stale[view]):
             self._render(int(index), view)
         self._is_stale[view][:] = False

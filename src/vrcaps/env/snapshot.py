@@ -1,0 +1,195 @@
+"""Snapshot of an environment: its whole state, in memory and in a file."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, is_dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+import vrcaps
+from vrcaps.errors import InputError, require
+from vrcaps.files import read_arrays, write_arrays
+from vrcaps.world.snapshot import Snapshot, snapshot_arrays, snapshot_from_arrays
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, UInt8
+
+    from vrcaps.env.episode import Episode
+
+_TEXTS = ("failure", "generator")
+
+
+@dataclass(frozen=True)
+class WorldSnapshot:
+    """All that changes in one world of an environment.
+
+    Attributes:
+        world: Capsule and wall.
+        memory: What task, actuation and observations carry from step to step.
+        flags: Levels at which each point of the wall was seen.
+        failure: Why it could not be stepped; empty where it could.
+        generator: State of its random generator, as JSON.
+        is_over: Whether its episode is over.
+    """
+
+    world: Snapshot
+    memory: dict[str, np.ndarray]
+    flags: UInt8[np.ndarray, " k"]
+    failure: str
+    generator: str
+    is_over: bool
+
+
+@dataclass(frozen=True)
+class EnvSnapshot:
+    """Whole state of an environment, of one world or of many.
+
+    An environment of the same settings that takes it over goes on to the same bytes.
+
+    Example:
+        >>> snapshot = env.snapshot()
+        >>> write_env_snapshot(Path("begun.npz"), snapshot)
+        >>> observation = env.restore(read_env_snapshot(Path("begun.npz")))
+
+    Attributes:
+        settings: Fingerprint of the environment's settings.
+        version: Of the package.
+        worlds: Its worlds.
+    """
+
+    settings: str
+    version: str
+    worlds: tuple[WorldSnapshot, ...]
+
+
+def take_snapshot(
+    episode: Episode,
+    numbers: Sequence[int],
+    generators: Sequence[np.random.Generator],
+    is_over: Bool[np.ndarray, " n"],
+) -> EnvSnapshot:
+    """Snapshot of some worlds of an environment after its first reset.
+
+    Args:
+        episode: The worlds.
+        numbers: Which of them.
+        generators: Of all worlds.
+        is_over: Whether the episode of each of all worlds is over.
+    """
+    s = episode.simulation
+    worlds = tuple(
+        WorldSnapshot(
+            s.worlds[k].snapshot(),
+            s.memory.row(k),
+            s.flags[k].copy(),
+            s.failure[k],
+            json.dumps(generators[k].bit_generator.state),
+            bool(is_over[k]),
+        )
+        for k in numbers
+    )
+    return EnvSnapshot(fingerprint(episode.settings), vrcaps.__version__, worlds)
+
+
+def restore_snapshot(
+    episode: Episode,
+    snapshot: EnvSnapshot,
+    numbers: Sequence[int],
+    generators: Sequence[np.random.Generator],
+) -> None:
+    """Puts worlds back to a snapshot.
+
+    Args:
+        episode: All worlds.
+        snapshot: Of as many worlds as there are numbers.
+        numbers: Worlds to put back.
+        generators: Of all worlds; set, too.
+
+    Raises:
+        InputError: If the snapshot is of other settings, another version or another number of
+            worlds, or damaged.
+    """
+    if snapshot.settings != fingerprint(episode.settings):
+        raise InputError(
+            "The snapshot is of an environment with other settings. Give one of an environment "
+            "with the same settings."
+        )
+    version = vrcaps.__version__
+    require(snapshot.version == version, "The snapshot's version", snapshot.version, version)
+    given = len(snapshot.worlds)
+    require(given == len(numbers), "The snapshot's number of worlds", given, f"{len(numbers)}")
+    for k, saved in zip(numbers, snapshot.worlds, strict=True):
+        generators[k].bit_generator.state = json.loads(saved.generator)
+        episode.simulation.restore(k, saved)
+
+
+def write_env_snapshot(path: Path, snapshot: EnvSnapshot) -> None:
+    """Write a snapshot as a NumPy archive (.npz), whole or not at all."""
+    arrays = {"settings": np.array(snapshot.settings), "version": np.array(snapshot.version)}
+    for k, saved in enumerate(snapshot.worlds):
+        parts = {f"world/{name}": array for name, array in snapshot_arrays(saved.world).items()}
+        parts |= {f"memory/{name}": array for name, array in saved.memory.items()}
+        parts |= {name: np.array(getattr(saved, name)) for name in (*_TEXTS, "flags", "is_over")}
+        arrays |= {f"{k}/{name}": array for name, array in parts.items()}
+    write_arrays(path, arrays)
+
+
+def read_env_snapshot(path: Path) -> EnvSnapshot:
+    """Read what `write_env_snapshot` wrote.
+
+    Raises:
+        InputError: If the file is no snapshot of an environment.
+    """
+    try:
+        arrays = read_arrays(path)
+        worlds = {name.partition("/")[0] for name in arrays if "/" in name}
+        return EnvSnapshot(
+            str(arrays["settings"]),
+            str(arrays["version"]),
+            tuple(_world_of(arrays, f"{k}/") for k in range(len(worlds))),
+        )
+    except (OSError, ValueError, KeyError) as error:
+        raise InputError(f"{path} is no snapshot of an environment: {error}.") from error
+
+
+def _world_of(arrays: dict[str, np.ndarray], start: str) -> WorldSnapshot:
+    def part(of: str) -> dict[str, np.ndarray]:
+        first = start + of
+        return {name.removeprefix(first): a for name, a in arrays.items() if name.startswith(first)}
+
+    return WorldSnapshot(
+        snapshot_from_arrays(part("world/")),
+        part("memory/"),
+        arrays[start + "flags"],
+        *(str(arrays[start + name]) for name in _TEXTS),
+        is_over=bool(arrays[start + "is_over"]),
+    )
+
+
+def fingerprint(settings: Any) -> str:
+    """Fingerprint of settings, in which organs may be in memory: equal settings have the same."""
+    digest = hashlib.sha256()
+
+    def add(value: Any) -> None:
+        if isinstance(value, np.ndarray):
+            digest.update(f"{value.dtype}{value.shape}".encode())
+            digest.update(np.ascontiguousarray(value).tobytes())
+        elif is_dataclass(value):
+            digest.update(type(value).__name__.encode())
+            for field in fields(value):
+                digest.update(field.name.encode())
+                add(getattr(value, field.name))
+        elif isinstance(value, tuple | list):
+            digest.update(f"{len(value)}".encode())
+            for item in value:
+                add(item)
+        else:
+            digest.update(repr(value).encode())
+
+    add(settings)
+    return digest.hexdigest()

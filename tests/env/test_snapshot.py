@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from small_envs import GUT, SHORT_GUT, small_settings, textured
+from vrcaps.env.actuation.wrench import Wrench
 from vrcaps.env.env import CapsuleEnv
 from vrcaps.env.observations.image import ImageObservation
 from vrcaps.env.rewards import Reward
@@ -15,15 +16,19 @@ from vrcaps.env.start import Start
 from vrcaps.env.vector_env import CapsuleVectorEnv
 from vrcaps.errors import InputError
 
+_GENTLE = Wrench(force=2e-3, torque=0.0)
+"""With more, the capsule tumbles, which takes the physics long."""
+
 
 def _settings(**more) -> EnvSettings:
     rewards = (Reward("area-gain"), Reward("total-variation"), Reward("progress"))
     observations = ("state", "landmarks", "map", ImageObservation(size=(16, 16)))
     own = {"observations": observations, "rewards": rewards, "start": Start(settle=0.0)}
+    own["actuation"] = _GENTLE
     return small_settings(organs=(textured(GUT), textured(SHORT_GUT)), **(own | more))
 
 
-def _went_on(env, steps=3, seed=4):
+def _went_on(env, steps=2, seed=4):
     """All that an environment gives in some steps, as bytes."""
     draw, given = np.random.default_rng(seed), []
     for _ in range(steps):
@@ -35,12 +40,12 @@ def _went_on(env, steps=3, seed=4):
     return given
 
 
-@pytest.mark.parametrize("actuation", ["wrench", "magnet"])
+@pytest.mark.parametrize("actuation", [_GENTLE, "magnet"], ids=["wrench", "magnet"])
 def test_environment_goes_on_to_the_same_bytes_from_a_snapshot(tmp_path, actuation):
     settings = _settings(actuation=actuation)
     env = CapsuleEnv(settings)
     env.reset(seed=1)
-    _went_on(env, 2)
+    _went_on(env, 1)
     snapshot = env.snapshot()
     write_env_snapshot(tmp_path / "begun.npz", snapshot)
     seen = env.episode.observe()
@@ -87,7 +92,7 @@ def test_bad_snapshots_say_so(tmp_path):
         env.snapshot()
     env.reset(seed=0)
     snapshot = env.snapshot()
-    with pytest.raises(InputError, match="with other settings. Give one of"):
+    with pytest.raises(InputError, match="with other settings"):
         CapsuleEnv(replace(settings, episode_time=9.0)).restore(snapshot)
     with pytest.raises(InputError, match=r"version is 0\.0\. Allowed: "):
         env.restore(replace(snapshot, version="0.0"))

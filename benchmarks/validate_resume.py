@@ -1,0 +1,84 @@
+"""Claim: a training killed by SIGKILL at any time and started anew ends in the same policy.
+
+Reference: the same training undisturbed.
+
+    python benchmarks/validate_resume.py [--size KILLS]
+"""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+import tempfile
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from validation import ROOT, options, table, write_section
+from vrcaps.files import file_sha256
+from vrcaps.policy.ppo import PpoSettings
+from vrcaps.policy.training import BEST, CHECKPOINT, POLICY, TrainingSettings, train
+
+SEED = 7
+LEARNER = PpoSettings(
+    num_envs=8, num_actions=19_200, updates=2, hidden=(64, 64), batch=256, evaluate_every=5
+)
+FILES = (BEST, POLICY)
+SETTLE = 10.0
+"""Longest time to a kill [s]; it is drawn evenly, from the start of the process."""
+
+
+def main() -> None:
+    """Train twice, once disturbed, and write the table."""
+    given = options(__doc__ or "", size=5)
+    with tempfile.TemporaryDirectory() as name:
+        whole, cut = Path(name) / "whole", Path(name) / "cut"
+        run(whole, None)
+        draw = np.random.default_rng(SEED)
+        waits = draw.uniform(0.3 * SETTLE, SETTLE, given.size)
+        rounds = [run(cut, float(wait)) for wait in waits]
+        run(cut, None)
+        rows = [[f"`{f}`", file_sha256(whole / f)[:16], file_sha256(cut / f)[:16]] for f in FILES]
+        same = all(file_sha256(whole / f) == file_sha256(cut / f) for f in FILES)
+    text = f"""## Training that is killed
+
+`python benchmarks/validate_resume.py`: PPO in a short tube, {LEARNER.num_actions:,} actions in 8
+worlds. Killed by SIGKILL {given.size} times, after {", ".join(f"{w:.1f}" for w in waits)} s of its
+process, when {", ".join(map(str, rounds))} rounds were done, each time started anew; then to the
+end. The same bytes: {"yes" if same else "NO"}.
+
+{table(["file", "SHA-256 undisturbed", "killed and resumed"], rows)}
+"""
+    write_section(given.out, Path(__file__).name, text)
+
+
+def run(out: Path, wait: float | None) -> int:
+    """Train in a process, which is killed after some time [s]; the rounds that are done then."""
+    process = subprocess.Popen([sys.executable, __file__, "--train", str(out)], cwd=ROOT)
+    try:
+        process.wait(wait)
+    except subprocess.TimeoutExpired:
+        process.send_signal(signal.SIGKILL)
+        process.wait()
+    if wait is None and process.returncode:
+        raise SystemExit(process.returncode)
+    if not (out / CHECKPOINT).is_file():
+        return 0
+    return len((out / "progress.csv").read_text().splitlines()) - 1
+
+
+def train_here(out: Path) -> None:
+    """The training itself, in this process."""
+    from small_envs import SHORT_GUT, small_settings
+
+    env = small_settings(organs=(SHORT_GUT,), control_period=0.01, episode_time=1.0, num_points=256)
+    train(TrainingSettings(env, replace(LEARNER, evaluation_episodes=2)), out)
+
+
+if __name__ == "__main__":
+    if "--train" in sys.argv:
+        train_here(Path(sys.argv[-1]))
+    else:
+        main()

@@ -9,6 +9,7 @@ import numpy as np
 from vrcaps.capsule.catalog import read_device
 from vrcaps.capsule.device import Device
 from vrcaps.env.course import Course
+from vrcaps.env.located_capsules import LocatedCapsules
 from vrcaps.env.memory import Memory
 from vrcaps.env.patient import Patient, Patients
 from vrcaps.env.views import Views
@@ -48,6 +49,7 @@ class Simulation:
         cell_center: Middle of each cell's part of the wall at rest [m]; 0 where it has none.
         course: Centerlines.
         views: Images.
+        located: The capsules as sensors locate them; None where no observation asks for that.
         T_world_capsule: Poses of the capsules.
         velocity_world: Their velocities [m/s] and angular velocities [rad/s].
         contact_force_world: Mean force of the wall on each in the last step [N].
@@ -96,6 +98,7 @@ class Simulation:
         self._start = memory.allocate("start", (4, 4))
         self.failure = [""] * num_worlds
         self.views = Views(self)
+        self.located: LocatedCapsules | None = None
         settings.actuation.allocate(self)
         settings.task.allocate(self)
         for observation in settings.observations:

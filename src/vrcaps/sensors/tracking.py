@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, ClassVar
 
 import numpy as np
 
@@ -24,6 +24,7 @@ from vrcaps.world.model import Model
 if TYPE_CHECKING:
     from jaxtyping import Float
 
+    from vrcaps.capsule.device import Device
     from vrcaps.world.world import World
 
 _CALIBRATION_TIME = 1.0
@@ -55,12 +56,31 @@ class TrackingSensors:
         check_fields(self)
 
 
+def check_locatable(device: Device) -> None:
+    """Check that a capsule can be located.
+
+    Raises:
+        InputError: If it holds not just one magnet.
+    """
+    if len(device.magnets) != 1:
+        raise InputError(
+            f"pose is located, by one magnet in the capsule; {device.name} has "
+            f"{len(device.magnets)}. Give a capsule with one in [[magnets]], such as magnetic."
+        )
+
+
 class CapsuleTracker:
     """What the sensors say of the capsule in a world: pose, velocity and force of the wall.
 
     Has what a controller asks of a `World`, but from readings alone: the filter's pose and
     velocity; the wall's force is what the specific force leaves beside that of the magnet.
+
+    Attributes:
+        size: Of its state as an array.
+        belief: Of the filter.
     """
+
+    size: ClassVar[int] = 16 + 4 * 3 + 18 * 18 + 16 + 6 + 6 + 3 * 3 + 2
 
     def __init__(
         self,
@@ -83,13 +103,8 @@ class CapsuleTracker:
         Raises:
             InputError: If the device holds not just one magnet.
         """
-        magnets = model.device.magnets
-        if len(magnets) != 1:
-            raise InputError(
-                f"pose is located, by one magnet in the capsule; {model.device.name} has "
-                f"{len(magnets)}. Give a capsule with one in [[magnets]], such as magnetic."
-            )
-        (self._magnet,), self._mass = magnets, model.device.mass
+        check_locatable(model.device)
+        (self._magnet,), self._mass = model.device.magnets, model.device.mass
         self._settings, self._seed, self._period = settings, seed, period
         self._array = hall_array(settings.hall, model)
         errors = {"gain": settings.hall.gain_error, "offset": settings.hall.offset_error}

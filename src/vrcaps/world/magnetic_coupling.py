@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -45,6 +46,13 @@ class MagneticCoupling:
         )
         if sources:
             core.set_magnets(self._set.core, magnet_rows(magnets))
+
+    @property
+    def sources(self) -> tuple[Source, ...]:
+        """The sources where they are now."""
+        poses = poses_from_rows(self.rows)
+        pairs = zip(self._set.sources, poses, strict=True)
+        return tuple(replace(source, T_world_magnet=pose) for source, pose in pairs)
 
     def restore(
         self, rows: Float[np.ndarray, "k 8"], T_world_patient: Float[np.ndarray, "4 4"]

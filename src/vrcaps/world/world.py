@@ -141,6 +141,11 @@ class World:
         return self._magnetic.angle(T_world_capsule)
 
     @property
+    def sources(self) -> tuple[Source, ...]:
+        """Magnets outside where they are now, at their own strength."""
+        return self._magnetic.sources
+
+    @property
     def coupling(self) -> Coupling | None:
         """What the sources did to the capsule in the last step; None without sources."""
         return self._magnetic.coupling(self.T_world_capsule)

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import numpy as np
 
+from vrcaps.env.located_capsules import LocatedCapsules
+from vrcaps.limits import check_fields
+from vrcaps.sensors.tracking import TrackingSensors
 from vrcaps.units import CM, MM
 
 if TYPE_CHECKING:
@@ -32,11 +35,22 @@ class StateObservation:
 
     With a magnet outside, its position from the capsule [0.1 m] and the direction of its moment
     follow (6). Numbers are cut off at ±10.
+
+    Attributes:
+        pose: Whether pose, velocities and contact force are the true ones, or what `sensors` tell.
+        sensors: In the capsule and under the patient; they count for a located pose. They are read
+            once a control period.
     """
+
+    pose: Literal["true", "located"] = "true"
+    sensors: TrackingSensors = field(default_factory=TrackingSensors)
 
     kind: ClassVar[str] = "state"
     name: ClassVar[str] = "state"
     needs_textures: ClassVar[bool] = False
+
+    def __post_init__(self) -> None:
+        check_fields(self)
 
     def space(self, simulation: Simulation) -> Any:
         """Numbers from −10 to 10."""
@@ -46,26 +60,38 @@ class StateObservation:
         return spaces.Box(-_LIMIT, _LIMIT, (count,), np.float32)
 
     def allocate(self, simulation: Simulation) -> None:
-        """Room for the middle of each organ."""
+        """Room for the middle of each organ, and for what sensors tell.
+
+        Raises:
+            InputError: If the pose is located, but the capsule has no magnet to be located by.
+        """
         simulation.memory.allocate("state/center", (3,))
+        if self.pose == "located":
+            simulation.located = LocatedCapsules(simulation, self.sensors)
 
     def begin(self, simulation: Simulation, index: int, rng: np.random.Generator) -> None:
         """Finds the middle of the organ."""
         vertices = simulation.patient(index).model.vertices_world
         center = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
         simulation.memory["state/center"][index] = center
+        if simulation.located is not None:
+            simulation.located.begin(index, rng)
 
     def observe(self, simulation: Simulation) -> Float[np.ndarray, "n k"]:
         """The numbers of all worlds."""
         s, memory = simulation, simulation.memory
-        T = s.T_world_capsule
+        T, velocity, force = s.T_world_capsule, s.velocity_world, s.contact_force_world
+        if s.located is not None:
+            s.located.read()
+            T, velocity = s.located.Ts_world_capsule, s.located.velocity_world
+            force = s.located.contact_force_world
         parts = [
             (T[:, :3, 3] - memory["state/center"]) / _POSITION,
             T[:, :3, 0],
             T[:, :3, 2],
-            s.velocity_world[:, 0] / _VELOCITY,
-            s.velocity_world[:, 1],
-            s.contact_force_world / _FORCE,
+            velocity[:, 0] / _VELOCITY,
+            velocity[:, 1],
+            force / _FORCE,
             s.time[:, None] / s.settings.episode_time,
         ]
         if "magnet/T" in memory:

@@ -1,5 +1,7 @@
 """Magnet and arm as actuation: where the magnet begins, how actions move it, and what stops it."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -7,11 +9,13 @@ from small_envs import small_settings
 from vrcaps.actuation.arm.arm_with_payload import clearances, magnet_pose_at
 from vrcaps.env.actuation.arm import ArmActuation
 from vrcaps.env.actuation.magnet import MagnetActuation
+from vrcaps.env.actuation.wrench import Wrench
 from vrcaps.env.episode import Episode
 from vrcaps.env.simulation import Simulation
 from vrcaps.errors import InputError, UnknownNameError
 from vrcaps.magnet.field import wrench
 from vrcaps.magnet.presets import read_magnet
+from vrcaps.transforms import rotation_from_vector
 from vrcaps.world.control import GRAVITY
 
 PERIOD = 1.0 / 6.0
@@ -118,3 +122,16 @@ def test_bad_settings_are_one_clear_line() -> None:
     with pytest.raises(InputError, match="The capsule holds no magnet"):
         episode = Episode(small_settings(actuation="magnet", capsule="pillcam-sb3"), 1)
         episode.begin(0, np.random.default_rng(0))
+
+
+def test_a_wrench_in_the_capsules_frame_turns_with_it() -> None:
+    action = np.array([[0.5, -0.25, 1.0, 0.1, 0.2, -0.3]])
+    R = rotation_from_vector(np.array([0.3, -0.4, 1.2]))
+    pose = np.eye(4)[None].copy()
+    pose[0, :3, :3] = R
+    worlds = SimpleNamespace(T_world_capsule=pose)
+    numbers = np.array([0])
+    (fixed,) = Wrench().controls(worlds, action, numbers)  # type: ignore[arg-type]
+    (turned,) = Wrench(frame="capsule").controls(worlds, action, numbers)  # type: ignore[arg-type]
+    assert np.allclose(turned.force_world, R @ fixed.force_world)
+    assert np.allclose(turned.torque_world, R @ fixed.torque_world)

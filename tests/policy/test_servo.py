@@ -49,8 +49,9 @@ def drift(body: Any, force: np.ndarray, torque: np.ndarray) -> None:
 
 
 @pytest.mark.parametrize("dynamics", ["physics", "quasi-static"])
-def test_it_reaches_a_goal_and_its_heading(dynamics: Any) -> None:
-    actuation = Wrench(is_weightless=True)
+@pytest.mark.parametrize("frame", ["world", "capsule"])
+def test_it_reaches_a_goal_and_its_heading(dynamics: Any, frame: Any) -> None:
+    actuation = Wrench(is_weightless=True, frame=frame)
     body = free_body(small_settings(dynamics=dynamics, actuation=actuation))
     goal = Goal(
         np.array([[0.05, 0.0, 0.0], [0.0, -0.03, 0.02]]), np.array([[1.0, 0, 0], [0, 0, -1.0]])
@@ -59,7 +60,11 @@ def test_it_reaches_a_goal_and_its_heading(dynamics: Any) -> None:
     for _ in range(36):
         action = servo_actions(body, goal)
         assert np.abs(action).max() <= 1.0
-        drift(body, actuation.force * action[:, :3], actuation.torque * action[:, 3:])
+        force, torque = actuation.force * action[:, :3], actuation.torque * action[:, 3:]
+        if frame == "capsule":
+            R = body.T_world_capsule[:, :3, :3]
+            force, torque = (np.einsum("nij,nj->ni", R, v) for v in (force, torque))
+        drift(body, force, torque)
         fastest = max(fastest, np.linalg.norm(body.velocity_world[:, 0], axis=1).max())
     assert np.abs(body.T_world_capsule[:, :3, 3] - goal.position).max() < 1e-4
     assert np.abs(body.T_world_capsule[:, :3, 2] - goal.heading).max() < 0.01

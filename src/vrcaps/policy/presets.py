@@ -49,10 +49,14 @@ def paper() -> TrainingSettings:
 
 
 def default() -> TrainingSettings:
-    """Ours: what is in sight counts, and a guide tells the same of every organ."""
+    """Ours: what is in sight counts, and a guide tells the same of every organ.
+
+    All is told and done in the capsule's frame, so that what is learned in one pose holds in all.
+    Freely, the capsule goes at up to 55 mm/s and turns at up to about 2 rad/s.
+    """
     env = EnvSettings(
-        actuation=Wrench(is_weightless=True),
-        observations=(LandmarksObservation(frame="world"),),
+        actuation=Wrench(force=5e-3, torque=1e-5, is_weightless=True, frame="capsule"),
+        observations=(LandmarksObservation(),),
         organs=_stomachs(8),
         start=Start(settle=0.0),
         episode_time=50.0,

@@ -107,11 +107,13 @@ def _wrench(
     force = body.mass * (velocity - lasting * linear) / time
     if not actuation.is_weightless:
         force[:, 2] += body.mass * GRAVITY
-    if actuation.mode == "discrete":
-        return _choices(force, actuation.force)
     R = simulation.T_world_capsule[:, :3, :3]
     inertia = R @ body.inertia @ np.swapaxes(R, 1, 2)
     torque = np.einsum("nij,nj->ni", inertia, spin - lasting * angular) / time
+    if actuation.frame == "capsule":
+        force, torque = (np.einsum("nji,nj->ni", R, v) for v in (force, torque))
+    if actuation.mode == "discrete":
+        return _choices(force, actuation.force)
     shares = [_share(force, actuation.force), _share(torque, actuation.torque)]
     return np.concatenate(shares, axis=1).astype(np.float32)
 

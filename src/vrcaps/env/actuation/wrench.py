@@ -21,7 +21,7 @@ _DIRECTIONS = np.concatenate([np.zeros((1, 3)), np.eye(3), -np.eye(3)])
 
 @dataclass(frozen=True)
 class Wrench:
-    """A force on the capsule's center of mass and a torque, both in the world frame.
+    """A force on the capsule's center of mass and a torque.
 
     `continuous` actions are six numbers from −1 to 1: force and torque over their largest values.
     `discrete` ones are VR-Caps' set: 0 for nothing, 1 to 3 for a force along x, y, z, 4 to 6 for
@@ -32,12 +32,14 @@ class Wrench:
         force: Largest force in each direction [N].
         torque: Largest torque about each axis [N·m].
         is_weightless: Whether gravity is balanced, as by a magnet that holds the capsule up.
+        frame: Axes of the actions: the world's, or the capsule's as they are at their beginning.
     """
 
     mode: Literal["continuous", "discrete"] = "continuous"
     force: Annotated[float, Range(least=0.0, most=2.0, unit="N")] = 0.02
     torque: Annotated[float, Range(least=0.0, most=0.05, unit="N·m")] = 1e-4
     is_weightless: bool = False
+    frame: Literal["world", "capsule"] = "world"
 
     kind: ClassVar[str] = "wrench"
 
@@ -69,6 +71,9 @@ class Wrench:
         else:
             scaled = np.asarray(actions, float)[numbers]
             forces, torques = self.force * scaled[:, :3], self.torque * scaled[:, 3:]
+        if self.frame == "capsule":
+            R = simulation.T_world_capsule[numbers, :3, :3]
+            forces, torques = (np.einsum("nij,nj->ni", R, v) for v in (forces, torques))
         if self.is_weightless:
             forces = forces + np.array([0.0, 0.0, simulation.device.mass * GRAVITY])
         return [Control(force, torque) for force, torque in zip(forces, torques, strict=True)]

@@ -86,8 +86,8 @@ class Patients:
     def _organ(self, number: int) -> OrganSurface:
         settings = self._settings
         given = settings.organs[number]
-        is_bare = isinstance(given, OrganSurface) and not settings.lesions
-        if is_bare and not self._with_textures:
+        needs_look = self._with_textures or bool(settings.lesions)
+        if isinstance(given, OrganSurface) and not needs_look:
             return replace(given, appearance=None)
         scenario = Scenario(
             organ=given,

@@ -10,6 +10,7 @@ from vrcaps.env.actuation.registry import AnyActuation
 from vrcaps.env.actuation.wrench import Wrench
 from vrcaps.env.observations.registry import AnyObservation
 from vrcaps.env.observations.state import StateObservation
+from vrcaps.env.randomization import Randomization
 from vrcaps.env.rewards import Reward
 from vrcaps.env.start import Start
 from vrcaps.env.tasks.coverage import CoverageTask
@@ -46,6 +47,7 @@ class EnvSettings:
         dynamics: `quasi-static` leaves out inertia and is fast; `physics` is the full simulation.
         substep: Longest substep of `physics` [s].
         tissue: How the wall behaves.
+        randomization: What of tissue, capsule and camera varies from episode to episode.
         start: Where an episode begins.
         control_period: Time between actions [s].
         episode_time: Time after which an episode is truncated [s].
@@ -67,6 +69,7 @@ class EnvSettings:
     dynamics: Literal["quasi-static", "physics"] = "quasi-static"
     substep: Annotated[float, Range(above=0.0, most=1e-3, unit="s")] = 2e-4
     tissue: Tissue = field(default_factory=Tissue)
+    randomization: Randomization = field(default_factory=Randomization)
     start: Start = field(default_factory=Start)
     control_period: Annotated[float, Range(above=0.0, most=1.0, unit="s")] = 5.0 / 30.0
     episode_time: Annotated[float, Range(above=0.0, unit="s")] = 60.0

@@ -12,6 +12,7 @@ from vrcaps.env.course import Course
 from vrcaps.env.located_capsules import LocatedCapsules
 from vrcaps.env.memory import Memory
 from vrcaps.env.patient import Patient, Patients
+from vrcaps.env.randomization import FACTORS, varied_device, varied_tissue
 from vrcaps.env.views import Views
 from vrcaps.metrics.coverage import CoverageLevel
 from vrcaps.metrics.point_coverage import POINT_LEVELS, mark_points
@@ -38,6 +39,8 @@ class Simulation:
 
     Attributes:
         settings: What the worlds are made of.
+        device: The capsule, as its file has it.
+        devices: The capsule of each world, as it was drawn.
         memory: What changes from step to step; part of a snapshot.
         worlds: The worlds; each is new at a reset.
         time: Since the episode began [s].
@@ -49,6 +52,7 @@ class Simulation:
         cell_center: Middle of each cell's part of the wall at rest [m]; 0 where it has none.
         course: Centerlines.
         views: Images.
+        effects_seed: Of what lens and sensor do to the images of each.
         located: The capsules as sensors locate them; None where no observation asks for that.
         T_world_capsule: Poses of the capsules.
         velocity_world: Their velocities [m/s] and angular velocities [rad/s].
@@ -96,6 +100,9 @@ class Simulation:
         self.normal_force_total = memory.allocate("normal_force_total")
         self.is_outside = memory.allocate("is_outside", dtype=bool)
         self._start = memory.allocate("start", (4, 4))
+        self._factors = memory.allocate("randomization/factors", (len(FACTORS),), fill=1.0)
+        self.effects_seed = memory.allocate("randomization/seed", dtype=np.int64)
+        self.devices = [self.device] * num_worlds
         self.failure = [""] * num_worlds
         self.views = Views(self)
         self.located: LocatedCapsules | None = None
@@ -148,6 +155,7 @@ class Simulation:
         self.cell_area[index], self.cell_center[index] = patient.cell_area, patient.cell_center
         start, self.arc_length[index] = settings.start.draw(model, rng)
         self._start[index] = start.T_world_capsule
+        self._factors[index], self.effects_seed[index] = settings.randomization.draw(rng)
         world = self._make_world(index, int(rng.integers(2**31)))
         if settings.start.settle:
             world.step(Control(), settings.start.settle)
@@ -155,6 +163,7 @@ class Simulation:
         for array in (self.time, self.fraction, self.gain, self.cells):
             array[index] = 0.0
         self.failure[index] = ""
+        self.views.begin(index)
         self._read(np.array([index]))
         settings.task.begin(self, index, rng)
         for observation in settings.observations:
@@ -164,9 +173,11 @@ class Simulation:
         """Puts a new world at its start, with what acts on its capsule."""
         settings, start = self.settings, State(0.0, self._start[index].copy())
         sources = settings.actuation.begin(self, index, start)
+        model, factors = self.patient(index).model, self._factors[index]
+        self.devices[index] = device = varied_device(self.device, factors)
         world = World(
-            self.patient(index).model,
-            settings.tissue,
+            model if device is self.device else model.with_device(device),
+            varied_tissue(settings.tissue, factors),
             start,
             substep=settings.substep,
             seed=seed,
@@ -223,9 +234,16 @@ class Simulation:
     def _look(self, numbers: np.ndarray) -> None:
         """Mark what the cameras see."""
         self.gain[numbers] = 0.0
+        lenses = np.array([id(self.devices[k].cameras) for k in numbers])
+        for lens in set(lenses.tolist()):
+            self._look_alike(numbers[lenses == lens])
+        self.fraction[numbers] += self.gain[numbers]
+
+    def _look_alike(self, numbers: np.ndarray) -> None:
+        """Mark what the cameras of worlds see whose cameras are the same."""
         cells = self.cells[numbers]
         to_wall = np.stack([invert(self.patient(k).model.T_world_patient) for k in numbers])
-        for camera in self.device.cameras:
+        for camera in self.devices[numbers[0]].cameras:
             self.gain[numbers] += mark_points(
                 [self.worlds[k].wall for k in numbers],
                 [self.patient(k).points for k in numbers],
@@ -236,4 +254,3 @@ class Simulation:
                 self.settings.criteria,
             )
         self.cells[numbers] = cells
-        self.fraction[numbers] += self.gain[numbers]

@@ -10,8 +10,12 @@ import numpy as np
 
 from vrcaps.camera.camera import Camera
 from vrcaps.camera.derive import scaled_lens
+from vrcaps.camera_pipeline.effect.base import CameraEffect
+from vrcaps.camera_pipeline.effects import Effects
+from vrcaps.camera_pipeline.pipeline import CameraPipeline, PipelineState
 from vrcaps.env.memory import Memory
-from vrcaps.render.channels import CHANNELS
+from vrcaps.motion.step import Step
+from vrcaps.render.channels import CHANNELS, Frame
 from vrcaps.render.renderer import Renderer
 from vrcaps.render.settings import RenderSettings
 from vrcaps.transforms import invert
@@ -61,6 +65,8 @@ class Views:
         self._wanted: dict[View, tuple[str, ...]] = {}
         self._images: dict[tuple[View, str], np.ndarray] = {}
         self._is_stale: dict[View, np.ndarray] = {}
+        self._exposure: dict[View, np.ndarray] = {}
+        self._pipelines: dict[tuple[int, View], tuple[object, CameraPipeline]] = {}
 
     def want(self, view: View, channel: str) -> None:
         """Makes room for a channel of a view in the simulation's memory.
@@ -77,7 +83,13 @@ class Views:
         shape, name = kind.shape(camera.height, camera.width), f"views/{len(self._images)}"
         self._images[view, channel] = memory.allocate(f"{name}/{channel}", shape, kind.dtype)
         self._is_stale[view] = memory.allocate(f"{name}/is_stale", (), bool, 1)
+        self._exposure[view] = memory.allocate(f"{name}/exposure", fill=1.0)
         self._wanted[view] = (*self._wanted.get(view, ()), channel)
+
+    def begin(self, index: int) -> None:
+        """Begins an episode in one world, whose cameras are exposed as their files say."""
+        for exposure in self._exposure.values():
+            exposure[index] = 1.0
 
     def expire(self, numbers: np.ndarray) -> None:
         """Says that some worlds are no longer as their images."""
@@ -93,29 +105,61 @@ class Views:
         self._is_stale[view][:] = False
         return self._images[view, channel]
 
-    def camera(self, view: View) -> Camera:
-        """The camera of a view in its size.
+    def camera(self, view: View, index: int | None = None) -> Camera:
+        """The camera of a view in its size, as the file of the capsule or one world has it.
 
         Raises:
             UnknownNameError: If the capsule has no such camera.
-            InputError: If a side is shorter than 8 pixels.
         """
-        device = self._simulation.device
+        s = self._simulation
+        device = s.device if index is None else s.devices[index]
         camera = device.cameras[0] if view.camera is None else device.camera(view.camera)
+        if index is not None and view.size is not None:
+            for effect in self._effects(index).of_kind(CameraEffect):
+                camera = effect.on(camera)
         return camera if view.size is None else resized_camera(camera, *view.size)
+
+    def _effects(self, index: int) -> Effects:
+        """What lens and sensor of a world do to the images that agents see."""
+        s = self._simulation
+        return s.settings.randomization.effects.sample(int(s.effects_seed[index]))
 
     def _render(self, index: int, view: View) -> None:
         """Renders one world in the patient frame, in which its wall is kept."""
         s = self._simulation
-        channels = self._wanted[view]
         renderer, wall = self._renderer(index, view.render)
         wall.wall = s.worlds[index].wall
         wall.wall.vertex_normals()  # a step leaves them out, the renderer needs them
         T_patient_world = invert(s.patient(index).model.T_world_patient)
         state = State(float(s.time[index]), T_patient_world @ s.T_world_capsule[index])
-        frame = renderer.render(state, self.camera(view), channels=channels)
+        channels = self._wanted[view]
+        if s.settings.randomization.has_effects and view.size is not None:
+            frame = self._captured(index, view, state, renderer)
+        else:
+            frame = renderer.render(state, self.camera(view, index), channels=channels)
         for channel in channels:
             self._images[view, channel][index] = getattr(frame, channel)
+
+    def _captured(self, index: int, view: View, state: State, renderer: Renderer) -> Frame:
+        """The frame as lens and sensor of a world give it."""
+        s = self._simulation
+        seed, fps = int(s.effects_seed[index]), 1.0 / s.settings.control_period
+        key = (seed, renderer, s.devices[index].cameras, self._wanted[view])
+        known, pipeline = self._pipelines.get((index, view), (None, None))
+        if pipeline is None or known != key:
+            pipeline = CameraPipeline(
+                renderer,
+                self.camera(view, index),
+                self._effects(index),
+                fps=fps,
+                seed=seed,
+                channels=self._wanted[view],
+            )
+            self._pipelines[index, view] = (key, pipeline)
+        pipeline.state = PipelineState(float(self._exposure[view][index]))
+        frame = pipeline.capture(Step(round(s.time[index] * fps), state))
+        self._exposure[view][index] = pipeline.state.exposure
+        return frame
 
     def _renderer(self, index: int, render: RenderSettings) -> tuple[Renderer, _WorldWall]:
         """The renderer of a world's patient."""

@@ -162,7 +162,7 @@ def octahedral_directions(size: int) -> Float[np.ndarray, "size size 3"]:
     return directions / np.linalg.norm(directions, axis=-1, keepdims=True)
 
 
-@lru_cache(maxsize=16)
+@lru_cache(maxsize=32)
 def direction_table(camera: Camera) -> _core.DirectionTable:
     """Pixels per steradian of a camera by direction; 0 where it has no image."""
     directions = octahedral_directions(_TABLE_SIZE)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -67,6 +67,13 @@ class Model:
         default_factory=lambda: posture_transform("supine")
     )
     contents: Contents = field(default_factory=Contents)
+
+    def with_device(self, device: Device) -> Model:
+        """The same with another capsule; what was made of the organ alone is made only once."""
+        model = replace(self, device=device)
+        made = ("vertices_world", "wall", "wall_in_patient", "lumen_drive")
+        vars(model).update({name: getattr(self, name) for name in made})
+        return model
 
     @cached_property
     def vertices_world(self) -> Float[np.ndarray, "n 3"]:

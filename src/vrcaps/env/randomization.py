@@ -1,0 +1,149 @@
+"""Randomization: what of tissue, capsule and camera varies from episode to episode."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vrcaps.camera.derive import scaled_lens
+from vrcaps.camera_pipeline.effects import Effects
+from vrcaps.errors import InputError
+from vrcaps.tissue.fem.deformation import FemDeformation
+from vrcaps.tissue.spring_wall import SpringWall
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+    from vrcaps.camera.camera import Camera
+    from vrcaps.capsule.device import Device
+    from vrcaps.tissue.tissue import Tissue
+
+Factor = float | tuple[float, float]
+"""A number, or the limits between which it is drawn evenly at each reset."""
+
+FACTORS = ("stiffness", "friction", "drag", "mass", "magnet", "focal")
+"""What is multiplied, in the order of `Randomization.draw`."""
+
+_MOST = 100.0
+_LENSES = 9
+_UNFIT = (
+    "specular",
+    "dome_bubbles",
+    "resolution",
+    "motion_blur",
+    "rolling_shutter",
+    "adaptive_frame_rate",
+)
+"""Effects that change the wall or the size or time of an image, or need the frames beside it."""
+
+
+@dataclass(frozen=True)
+class Randomization:
+    """Factors on physical parameters, and what lens and sensor do to images.
+
+    Each factor is a number, or a range from which every episode draws one.
+
+    Example:
+        >>> varied = Randomization(friction=(0.5, 2.0), mass=(0.9, 1.1), magnet=0.8)
+
+    Attributes:
+        stiffness: Of the wall: its foundation's modulus, and its springs' or layer's stiffness.
+        friction: Coefficient of friction of the wall.
+        drag: Viscosity of the mucus, and resistance of the laws `incetan2021` and `continuous`.
+        mass: Of the capsule. Who balances its weight knows only the mass in its file.
+        magnet: Moment of the magnets in the capsule.
+        focal: Focal length of its cameras; of a range one of nine equal steps is drawn.
+        effects: On image observations; a range of severities is drawn from, too. Those that need
+            other frames or change the wall are not among them.
+    """
+
+    stiffness: Factor = 1.0
+    friction: Factor = 1.0
+    drag: Factor = 1.0
+    mass: Factor = 1.0
+    magnet: Factor = 1.0
+    focal: Factor = 1.0
+    effects: Effects = field(default_factory=Effects)
+
+    def __post_init__(self) -> None:
+        for name in FACTORS:
+            value = getattr(self, name)
+            ends = np.array(value, float).ravel()
+            is_range = len(ends) in (1, 2) and bool(np.all((ends > 0.0) & (ends <= _MOST)))
+            if not is_range or ends[0] > ends[-1]:
+                raise InputError(
+                    f"Randomization's {name} is {value}. Allowed: a factor above 0 to {_MOST:g}, "
+                    "or a rising range of these."
+                )
+        for name in _UNFIT:
+            if getattr(self.effects, name) not in (0, None):
+                raise InputError(
+                    f"Randomization's effects hold {name}, which needs a recording. Allowed in an "
+                    f"environment: all but {', '.join(_UNFIT)}."
+                )
+
+    @property
+    def has_effects(self) -> bool:
+        """Whether images are other than the ideal camera's."""
+        return self.effects != Effects()
+
+    def draw(self, rng: np.random.Generator) -> tuple[Float[np.ndarray, " 6"], int]:
+        """Factors in the order of `FACTORS`, and a seed for effects; draws only what varies."""
+        factors = []
+        for name in FACTORS:
+            value = getattr(self, name)
+            if isinstance(value, tuple | list):
+                low, high = value
+                share = rng.random()
+                if name == "focal":
+                    share = math.floor(share * _LENSES) / (_LENSES - 1)
+                value = low + share * (high - low)
+            factors.append(float(value))
+        return np.array(factors), int(rng.integers(2**31)) if self.has_effects else 0
+
+
+def varied_tissue(tissue: Tissue, factors: Float[np.ndarray, " 6"]) -> Tissue:
+    """The tissue with drawn factors on its stiffness, friction and drag."""
+    stiffness, friction, drag = factors[:3].tolist()
+    if stiffness == friction == drag == 1.0:
+        return tissue
+    foundation, law, wall = tissue.foundation, tissue.drag, tissue.deformation
+    modulus = stiffness * foundation.youngs_modulus
+    if isinstance(wall, SpringWall):
+        wall = replace(wall, stiffness=stiffness * wall.stiffness)
+    elif isinstance(wall, FemDeformation):
+        wall = replace(wall, youngs_modulus=stiffness * wall.youngs_modulus)
+    law = replace(
+        law,
+        friction=friction * law.friction,
+        viscosity=drag * law.viscosity,
+        a=drag * law.a,
+        constant=drag * law.constant,
+    )
+    foundation = replace(foundation, youngs_modulus=modulus)
+    return replace(tissue, foundation=foundation, drag=law, deformation=wall)
+
+
+def varied_device(device: Device, factors: Float[np.ndarray, " 6"]) -> Device:
+    """The capsule with drawn factors on its mass, magnets and lenses."""
+    mass, magnet, focal = factors[3:].tolist()
+    if mass == magnet == focal == 1.0:
+        return device
+    magnets = tuple(
+        replace(m, moment_capsule=tuple(magnet * x for x in m.moment_capsule))
+        for m in device.magnets
+    )
+    cameras = device.cameras if focal == 1.0 else _magnified(device.cameras, focal)
+    return replace(device, mass=mass * device.mass, magnets=magnets, cameras=cameras)
+
+
+@lru_cache(maxsize=64)
+def _magnified(cameras: tuple[Camera, ...], focal: float) -> tuple[Camera, ...]:
+    """Cameras with other focal lengths; the same object for the same cameras."""
+    return tuple(
+        replace(c, lens=scaled_lens(c.lens, focal, (c.lens.cx, c.lens.cy))) for c in cameras
+    )

@@ -1,7 +1,8 @@
 //! Vessel segments by the cells of space they touch, and the blood seen at a point.
 
-use super::noise::{Vec3, exp, floor};
-use super::vessels::{Segment, dot, sub};
+use super::noise::{exp, floor};
+use super::vessels::Segment;
+use crate::simd::f32x64::{LANES, Lane, Lane3, Vec3, at, clamp, dot, max, scale, sub};
 use rayon::prelude::*;
 use std::collections::HashMap;
 use std::hash::{BuildHasherDefault, Hasher};
@@ -17,16 +18,20 @@ const MAX_FOOTPRINT: f32 = 0.3;
 /// broad band (Bosschaart et al., Lasers Med Sci 29:453, 2014).
 const BLOOD_ABSORPTION: f32 = 25.0;
 
-/// Share of green light that blood takes away, from arteries and from veins.
-#[derive(Clone, Copy, Default)]
+/// Share of green light that blood takes away, from arteries and from veins, at the points of a
+/// lane.
 pub struct Blood {
     /// Loss to arteries, 0 to 1.
-    pub artery: f32,
+    pub artery: Lane,
     /// Loss to veins, 0 to 1.
-    pub vein: f32,
+    pub vein: Lane,
 }
 
-/// Hashes a packed cell by one multiplication.
+/// Neighboring points that are measured against one segment at once.
+const GROUP: usize = 8;
+type Group = [f32; GROUP];
+
+/// Hashes a packed cell by one multiplication, whose upper half holds something of all its bits.
 #[derive(Default)]
 pub struct CellHasher(u64);
 
@@ -38,7 +43,7 @@ impl Hasher for CellHasher {
         unreachable!("cells are u64")
     }
     fn write_u64(&mut self, key: u64) {
-        self.0 = key.wrapping_mul(0x9e37_79b9_7f4a_7c15);
+        self.0 = key.wrapping_mul(0x9e37_79b9_7f4a_7c15).rotate_left(32);
     }
 }
 
@@ -61,19 +66,6 @@ pub struct SegmentGrid {
     footprint: f32,
 }
 
-/// The cell looked up last: neighboring texels mostly share it.
-pub struct Cursor {
-    key: u64,
-    members: Range<u32>,
-}
-
-impl Cursor {
-    /// A cursor that has looked up nothing.
-    pub fn new() -> Self {
-        Self { key: u64::MAX, members: 0..0 }
-    }
-}
-
 /// A cell's three numbers, each modulo 2²¹, as one.
 #[inline(always)]
 pub fn pack(cell: [i32; 3]) -> u64 {
@@ -82,7 +74,7 @@ pub fn pack(cell: [i32; 3]) -> u64 {
 
 #[inline(always)]
 fn cell_of(p: Vec3) -> [i32; 3] {
-    p.map(|x| floor(x * (1.0 / CELL)))
+    [floor(p[0] * (1.0 / CELL)), floor(p[1] * (1.0 / CELL)), floor(p[2] * (1.0 / CELL))]
 }
 
 /// Half-width over which a vessel of radius `radius` is seen: wider vessels lie deeper in the
@@ -125,25 +117,63 @@ impl SegmentGrid {
         Self { pieces, cells, members, footprint }
     }
 
-    /// Blood seen at a point of the wall; the normal there keeps out vessels of the far side of
-    /// a fold.
+    /// Blood seen at points of the wall; the normals there keep out vessels of the far side of a
+    /// fold. Neighbors in the lane mostly share a cell.
     #[inline(always)]
-    pub fn blood(&self, cursor: &mut Cursor, point: Vec3, normal: Vec3) -> Blood {
-        let key = pack(cell_of(point));
-        if key != cursor.key {
-            cursor.key = key;
-            cursor.members = self.cells.get(&key).cloned().unwrap_or(0..0);
+    pub fn blood(&self, points: &Lane3, normals: &Lane3) -> Blood {
+        let mut blood = Blood { artery: [0.0; LANES], vein: [0.0; LANES] };
+        let mut keys = [0; LANES];
+        for (i, key) in keys.iter_mut().enumerate() {
+            *key = pack(cell_of(at(points, i)));
         }
-        let mut blood = Blood::default();
-        let range = cursor.members.start as usize..cursor.members.end as usize;
-        for &number in &self.members[range] {
-            let piece = &self.pieces[number as usize];
-            let loss = piece.loss(point, normal, self.footprint);
-            let slot = if piece.is_vein { &mut blood.vein } else { &mut blood.artery };
-            *slot = slot.max(loss);
+        let mut start = 0;
+        while start < LANES {
+            let same = keys[start..].iter().take_while(|&&key| key == keys[start]).count();
+            let end = start + same.min(GROUP);
+            if let Some(members) = self.cells.get(&keys[start]) {
+                let members = &self.members[members.start as usize..members.end as usize];
+                self.blood_of(members, points, normals, start..end, &mut blood);
+            }
+            start = end;
         }
         blood
     }
+
+    /// Blood of some segments seen at the points of some lanes.
+    #[inline(always)]
+    fn blood_of(
+        &self,
+        members: &[u32],
+        points: &Lane3,
+        normals: &Lane3,
+        lanes: Range<usize>,
+        blood: &mut Blood,
+    ) {
+        let first = lanes.start.min(LANES - GROUP);
+        let (point, normal) = (group(points, first), group(normals, first));
+        let mut losses = [[0.0; GROUP]; 2];
+        for &number in members {
+            let piece = &self.pieces[number as usize];
+            piece.add_loss(
+                &point,
+                &normal,
+                self.footprint,
+                &mut losses[usize::from(piece.is_vein)],
+            );
+        }
+        for i in lanes {
+            (blood.artery[i], blood.vein[i]) = (losses[0][i - first], losses[1][i - first]);
+        }
+    }
+}
+
+#[inline(always)]
+fn group(lanes: &Lane3, first: usize) -> [Group; 3] {
+    let mut group = [[0.0; GROUP]; 3];
+    for k in 0..3 {
+        group[k].copy_from_slice(&lanes[k][first..first + GROUP]);
+    }
+    group
 }
 
 impl Piece {
@@ -160,22 +190,38 @@ impl Piece {
         }
     }
 
-    /// Loss of green light by Beer and Lambert over the chord of blood below the point, spread
-    /// over the width in which it is seen; distances are taken along the wall.
+    /// Raises losses to that of green light by Beer and Lambert over the chord of blood below each
+    /// point, spread over the width in which it is seen; distances are taken along the wall.
     #[inline(always)]
-    fn loss(&self, point: Vec3, normal: Vec3, footprint: f32) -> f32 {
-        let offset = sub(point, self.start);
-        let t = (dot(offset, self.along) * self.per_length_squared).clamp(0.0, 1.0);
-        let d = [0, 1, 2].map(|k| offset[k] - t * self.along[k]);
-        let height = dot(d, normal);
-        let distance_squared = dot(d, d) - height * height;
-        let radius = self.radii[0] + t * (self.radii[1] - self.radii[0]);
-        let width = half_width(radius, footprint);
-        let fall = 1.0 - distance_squared / (width * width);
-        if fall <= 0.0 || dot(normal, self.normal) <= 0.0 {
-            return 0.0;
+    fn add_loss(
+        &self,
+        points: &[Group; 3],
+        normals: &[Group; 3],
+        footprint: f32,
+        loss: &mut Group,
+    ) {
+        let (mut falls, mut chords) = ([0.0; GROUP], [0.0; GROUP]);
+        for i in 0..GROUP {
+            let normal = at(normals, i);
+            let offset = sub(at(points, i), self.start);
+            let t = clamp(dot(offset, self.along) * self.per_length_squared, 0.0, 1.0);
+            let d = sub(offset, scale(self.along, t));
+            let height = dot(d, normal);
+            let distance_squared = dot(d, d) - height * height;
+            let radius = self.radii[0] + t * (self.radii[1] - self.radii[0]);
+            let width = half_width(radius, footprint);
+            let fall = 1.0 - distance_squared / (width * width);
+            falls[i] = if dot(normal, self.normal) > 0.0 { fall } else { 0.0 };
+            chords[i] =
+                std::f32::consts::PI * radius * radius / width * (15.0 / 16.0) * fall * fall;
         }
-        let chord = std::f32::consts::PI * radius * radius / width * (15.0 / 16.0) * fall * fall;
-        self.visibility * (1.0 - exp(-BLOOD_ABSORPTION * chord))
+        // Most segments of a cell are seen from few of its points.
+        if falls.iter().fold(0.0, |a, &b| max(a, b)) <= 0.0 {
+            return;
+        }
+        for i in 0..GROUP {
+            let seen = self.visibility * (1.0 - exp(-BLOOD_ABSORPTION * chords[i]));
+            loss[i] = max(loss[i], if falls[i] > 0.0 { seen } else { 0.0 });
+        }
     }
 }

@@ -6,14 +6,15 @@ mod raster;
 mod tissue;
 mod vessels;
 
+use crate::simd::f32x64::{LANES, Vec3, at, dot, max};
 use grid::SegmentGrid;
 use multiversion::multiversion;
-use noise::{Lattice, Vec3};
+use noise::Lattice;
 use numpy::{PyArray1, PyReadonlyArray2};
 use pyo3::prelude::*;
 use raster::{NO_FACE, Size, doubled_area, face_map};
 use rayon::prelude::*;
-use tissue::{Mucosa, Place, Tissue, turned};
+use tissue::{Mucosa, Places, Samples, Tissue, turned};
 use vessels::{Growth, grow};
 
 /// Texels around each chart that continue it, so that filtering sees no background.
@@ -40,59 +41,97 @@ struct Textures {
     height: Vec<f32>,
 }
 
-/// A face's vertex fields as affine functions of texel coordinates.
+/// A face's vertex fields along one row of texels.
 struct FaceFields {
     face: u32,
-    origin: [f64; 2],
-    middle: [f64; 2],
-    /// Barycentric coordinates of the second and third corner per texel along x and y.
-    slopes: [[f64; 2]; 2],
-    fields: [[f32; FIELDS]; 3],
+    origin: f64,
+    middle: f64,
+    /// Barycentric coordinates of the second and third corner: per texel along x, and at the
+    /// origin's x.
+    lines: [[f64; 2]; 2],
+    fields: [f32; FIELDS],
+    /// From the first corner to the second and third.
+    edges: [[f32; FIELDS]; 2],
+}
+
+/// How far a texel lies from a face's corner, where the texture wraps to be nearest its middle.
+#[inline(always)]
+fn offset(value: f64, period: f64, middle: f64, origin: f64) -> f64 {
+    let turns = (middle - value) / period;
+    let whole = if turns.abs() < 0.5 { 0.0 } else { turns.round() };
+    value + period * whole - origin
 }
 
 impl FaceFields {
-    fn new(wall: &Wall, size: Size, face: u32) -> Self {
+    fn new(wall: &Wall, size: Size, face: u32, y: usize) -> Self {
         let at = face as usize;
-        let fields = wall.faces[at].map(|v| wall.vertices[v as usize]);
+        let [f, g, h] = wall.faces[at].map(|v| &wall.vertices[v as usize]);
         let corners = size.corners(&wall.uv[6 * at..6 * at + 6]);
         let [a, b, c] = corners;
         let area = doubled_area(&corners);
+        let middle = |k: usize| (a[k] + b[k] + c[k]) / 3.0;
+        let y = offset(y as f64, size.height as f64, middle(1), a[1]);
         Self {
             face,
-            origin: a,
-            middle: [0, 1].map(|k| (a[k] + b[k] + c[k]) / 3.0),
-            slopes: [
-                [(c[1] - a[1]) / area, (a[0] - c[0]) / area],
-                [(a[1] - b[1]) / area, (b[0] - a[0]) / area],
+            origin: a[0],
+            middle: middle(0),
+            lines: [
+                [(c[1] - a[1]) / area, y * ((a[0] - c[0]) / area)],
+                [(a[1] - b[1]) / area, y * ((b[0] - a[0]) / area)],
             ],
-            fields,
+            fields: *f,
+            edges: [std::array::from_fn(|k| g[k] - f[k]), std::array::from_fn(|k| h[k] - f[k])],
         }
     }
 
-    /// The place at a texel; beyond the face's edges it goes on in the face's plane.
+    /// The fields at a texel; beyond the face's edges they go on in the face's plane.
     #[inline(always)]
-    fn place(&self, size: Size, x: usize, y: usize) -> Place {
-        let offset = |value: usize, axis: usize, period: usize| {
-            let (value, period) = (value as f64, period as f64);
-            let turns = (self.middle[axis] - value) / period;
-            let whole = if turns.abs() < 0.5 { 0.0 } else { turns.round() };
-            value + period * whole - self.origin[axis]
+    fn at(&self, size: Size, x: usize) -> [f32; FIELDS] {
+        let x = offset(x as f64, size.width as f64, self.middle, self.origin);
+        let share = |line: &[f64; 2]| (x * line[0] + line[1]).clamp(-1.0, 2.0) as f32;
+        let (s, t) = (share(&self.lines[0]), share(&self.lines[1]));
+        let mut fields = self.fields;
+        for (k, field) in fields.iter_mut().enumerate() {
+            *field = *field + s * self.edges[0][k] + t * self.edges[1][k];
+        }
+        fields
+    }
+}
+
+/// Texels of a row that are evaluated at once: columns and vertex fields of those that faces cover.
+struct Lot {
+    columns: [usize; LANES],
+    rows: [[f32; FIELDS]; LANES],
+    count: usize,
+}
+
+impl Lot {
+    #[inline(always)]
+    fn places(&self) -> Places {
+        let column = |k: usize| {
+            let mut lane = [0.0; LANES];
+            for (value, fields) in lane.iter_mut().zip(&self.rows) {
+                *value = fields[k];
+            }
+            lane
         };
-        let (x, y) = (offset(x, 0, size.width), offset(y, 1, size.height));
-        let [s, t] = self.slopes.map(|slope| (x * slope[0] + y * slope[1]).clamp(-1.0, 2.0) as f32);
-        let [f, g, h] = &self.fields;
-        let at = |k: usize| f[k] + s * (g[k] - f[k]) + t * (h[k] - f[k]);
-        let normal: Vec3 = [at(3), at(4), at(5)];
-        let length = vessels::dot(normal, normal).sqrt().max(1e-9);
-        Place {
-            point: [at(0), at(1), at(2)],
-            normal: normal.map(|n| n / length),
-            curvature: at(6),
-            shade: at(7),
-            region: at(8),
-            pits: at(9),
-            bile: at(10),
-            vessels: at(11),
+        let mut normal = [column(3), column(4), column(5)];
+        for i in 0..LANES {
+            let n = at(&normal, i);
+            let length = max(dot(n, n).sqrt(), 1e-9);
+            for k in 0..3 {
+                normal[k][i] = n[k] / length;
+            }
+        }
+        Places {
+            point: [column(0), column(1), column(2)],
+            normal,
+            curvature: column(6),
+            shade: column(7),
+            region: column(8),
+            pits: column(9),
+            bile: column(10),
+            vessels: column(11),
         }
     }
 }
@@ -121,7 +160,7 @@ impl Encoder {
 fn with_slow_variation(given: &[f32], seed: u32) -> Vec<[f32; FIELDS]> {
     let noise =
         |stream: u32, size: f32| Lattice::new(seed.wrapping_mul(31).wrapping_add(stream), size);
-    let (mut segments, mut regions) = (noise(3, 110.0), noise(4, 55.0));
+    let (segments, regions) = (noise(3, 110.0), noise(4, 55.0));
     let fields = |v: &[f32]| {
         let segment = segments.gradient([v[7], 40.7, 78.1]);
         let region = regions.gradient(turned([v[0], v[1], v[2]]));
@@ -161,26 +200,60 @@ struct Row<'a> {
 }
 
 /// Compiled for several instruction sets; none of them changes a bit of the result.
-#[multiversion(targets("x86_64+avx2", "aarch64+neon"))]
-fn paint_row(wall: &Wall, map: &[u32], size: Size, tissue: &Tissue, encoder: &Encoder, row: Row) {
+#[multiversion(targets(
+    "x86_64+avx512f+avx512bw+avx512cd+avx512dq+avx512vl",
+    "x86_64+avx2",
+    "aarch64+neon"
+))]
+fn paint_row(
+    wall: &Wall,
+    map: &[u32],
+    size: Size,
+    tissue: &Tissue,
+    encoder: &Encoder,
+    mut row: Row,
+) {
     let plain = tissue.plain();
-    let mut brush = tissue.brush();
+    let mut lot = Lot { columns: [0; LANES], rows: [[0.0; FIELDS]; LANES], count: 0 };
     let mut fields: Option<FaceFields> = None;
     for (x, &face) in map.iter().enumerate() {
-        let sample = if face == NO_FACE {
-            plain
-        } else {
-            let fields = match &mut fields {
-                Some(fields) if fields.face == face => fields,
-                stale => stale.insert(FaceFields::new(wall, size, face)),
-            };
-            brush.at(&fields.place(size, x, row.y))
-        };
-        for c in 0..3 {
-            row.albedo[3 * x + c] = encoder.encode(sample.albedo[c]);
+        if face == NO_FACE {
+            row.put(encoder, x, &plain, 0);
+            continue;
         }
-        row.roughness[x] = (sample.roughness * 255.0 + 0.5) as u8;
-        row.height[x] = sample.height * 1e-3;
+        let fields = match &mut fields {
+            Some(fields) if fields.face == face => fields,
+            stale => stale.insert(FaceFields::new(wall, size, face, row.y)),
+        };
+        (lot.columns[lot.count], lot.rows[lot.count]) = (x, fields.at(size, x));
+        lot.count += 1;
+        if lot.count == LANES {
+            row.paint(tissue, encoder, &mut lot);
+        }
+    }
+    if lot.count > 0 {
+        row.paint(tissue, encoder, &mut lot);
+    }
+}
+
+impl Row<'_> {
+    /// Paints the texels of a lot and empties it.
+    #[inline(always)]
+    fn paint(&mut self, tissue: &Tissue, encoder: &Encoder, lot: &mut Lot) {
+        let samples = tissue.at(&lot.places());
+        for i in 0..lot.count {
+            self.put(encoder, lot.columns[i], &samples, i);
+        }
+        lot.count = 0;
+    }
+
+    #[inline(always)]
+    fn put(&mut self, encoder: &Encoder, x: usize, samples: &Samples, i: usize) {
+        for c in 0..3 {
+            self.albedo[3 * x + c] = encoder.encode(samples.albedo[c][i]);
+        }
+        self.roughness[x] = (samples.roughness[i] * 255.0 + 0.5) as u8;
+        self.height[x] = samples.height[i] * 1e-3;
     }
 }
 

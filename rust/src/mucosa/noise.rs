@@ -3,8 +3,9 @@
 //! Only additions, multiplications, divisions and square roots are used (IEEE 754 fixes
 //! their bits); Rust never contracts them into fused operations.
 
-/// A point or vector in 3-D.
-pub type Vec3 = [f32; 3];
+use crate::simd::f32x64::{LANES, Lane, Lane3, at, clamp, dot, max, min, scale, sub};
+
+pub use crate::simd::f32x64::Vec3;
 
 /// Mixes the bits of a counter (the lowbias32 finaliser of C. Wellons, 2018).
 #[inline(always)]
@@ -35,18 +36,20 @@ fn corner(seed: u32, x: i32, y: i32, z: i32) -> u32 {
 #[inline(always)]
 fn triple(h: u32) -> Vec3 {
     const SCALE: f32 = 2.0 / 1023.0;
-    [
-        (h & 1023) as f32 * SCALE - 1.0,
-        ((h >> 10) & 1023) as f32 * SCALE - 1.0,
-        ((h >> 20) & 1023) as f32 * SCALE - 1.0,
-    ]
+    // Signed numbers are turned into floats by one instruction.
+    let part = |shift: u32| ((h >> shift) & 1023) as i32 as f32 * SCALE - 1.0;
+    [part(0), part(10), part(20)]
 }
 
-/// Largest whole number not above `x`, without the library call `f32::floor` costs on x86-64.
+/// Largest whole number not above `x`, for |x| < 2²², without the library call `f32::floor` costs
+/// on x86-64; some number for any other.
 #[inline(always)]
 pub fn floor(x: f32) -> i32 {
-    let near = x as i32;
-    near - i32::from((near as f32) > x)
+    // Adding 1.5 · 2²³ rounds to a whole number and leaves it in the low bits.
+    const ROUND: f32 = 12_582_912.0;
+    let shifted = x + ROUND;
+    let near = shifted.to_bits().wrapping_sub(ROUND.to_bits()) as i32;
+    near - i32::from(shifted - ROUND > x)
 }
 
 #[inline(always)]
@@ -56,12 +59,11 @@ fn split(x: f32) -> (i32, f32, f32) {
     (floor, t, t * t * t * (t * (t * 6.0 - 15.0) + 10.0))
 }
 
-/// Noise over a lattice that remembers the cell it was last in, as neighboring texels share it.
+/// Noise over a lattice of hashed points, without branches, so that it can be taken in lanes.
+#[derive(Clone, Copy)]
 pub struct Lattice {
     seed: u32,
     frequency: f32,
-    cell: [i32; 3],
-    corners: [[f32; 8]; 3],
 }
 
 /// Scale that gives gradient noise a standard deviation of 0.76 (raw, it has 0.1909: the
@@ -71,148 +73,153 @@ const SCALE: f32 = 3.98;
 impl Lattice {
     /// A lattice with points `size` apart.
     pub fn new(seed: u32, size: f32) -> Self {
-        let mut lattice =
-            Self { seed, frequency: 1.0 / size, cell: [0; 3], corners: [[0.0; 8]; 3] };
-        lattice.enter([0; 3]);
-        lattice
+        Self { seed, frequency: 1.0 / size }
     }
 
+    /// Vectors at the corners of the cell of `p` (x fastest), offsets of `p` into the cell, and
+    /// their quintic fades.
     #[inline(always)]
-    fn enter(&mut self, cell: [i32; 3]) {
-        self.cell = cell;
-        for index in 0..8 {
-            let (i, j, k) = (index & 1, (index >> 1) & 1, index >> 2);
-            let h = corner(self.seed, cell[0] + i, cell[1] + j, cell[2] + k);
-            let value = triple(h);
-            for axis in 0..3 {
-                self.corners[axis][index as usize] = value[axis];
-            }
+    fn locate(&self, p: Vec3) -> ([Vec3; 8], Vec3, Vec3) {
+        let (x, y, z) = (
+            split(p[0] * self.frequency),
+            split(p[1] * self.frequency),
+            split(p[2] * self.frequency),
+        );
+        let mut corners = [[0.0; 3]; 8];
+        for (index, vector) in corners.iter_mut().enumerate() {
+            let [i, j, k] = steps(index);
+            *vector = triple(corner(self.seed, x.0 + i, y.0 + j, z.0 + k));
         }
-    }
-
-    /// Offsets into the cell of `p`, and their quintic fades.
-    #[inline(always)]
-    fn locate(&mut self, p: Vec3) -> (Vec3, Vec3) {
-        let [x, y, z] = p.map(|x| split(x * self.frequency));
-        let cell = [x.0, y.0, z.0];
-        if cell != self.cell {
-            self.enter(cell);
-        }
-        ([x.1, y.1, z.1], [x.2, y.2, z.2])
+        (corners, [x.1, y.1, z.1], [x.2, y.2, z.2])
     }
 
     /// Gradient noise (Perlin 2002) of zero mean and standard deviation 0.76.
     #[inline(always)]
-    pub fn gradient(&mut self, p: Vec3) -> f32 {
-        let (t, fade) = self.locate(p);
-        let [gx, gy, gz] = &self.corners;
-        let values: [f32; 8] = std::array::from_fn(|index| {
-            gx[index] * (t[0] - (index & 1) as f32)
-                + gy[index] * (t[1] - ((index >> 1) & 1) as f32)
-                + gz[index] * (t[2] - (index >> 2) as f32)
-        });
+    pub fn gradient(&self, p: Vec3) -> f32 {
+        let (corners, t, fade) = self.locate(p);
+        let mut values = [0.0; 8];
+        for (index, g) in corners.iter().enumerate() {
+            let [i, j, k] = steps(index);
+            values[index] =
+                g[0] * (t[0] - i as f32) + g[1] * (t[1] - j as f32) + g[2] * (t[2] - k as f32);
+        }
         blend(&values, fade) * SCALE
+    }
+
+    /// Gradient noise at the points of a lane.
+    #[inline(always)]
+    pub fn gradients(&self, p: &Lane3) -> Lane {
+        let mut values = [0.0; LANES];
+        for i in 0..LANES {
+            values[i] = self.gradient(at(p, i));
+        }
+        values
     }
 
     /// Smooth random vector, each component in [−1, 1].
     #[inline(always)]
-    pub fn displacement(&mut self, p: Vec3) -> Vec3 {
-        let (_, fade) = self.locate(p);
-        [0, 1, 2].map(|axis| blend(&self.corners[axis], fade))
+    pub fn displacement(&self, p: Vec3) -> Vec3 {
+        let (corners, _, fade) = self.locate(p);
+        let mut vector = [0.0; 3];
+        for (axis, component) in vector.iter_mut().enumerate() {
+            let mut values = [0.0; 8];
+            for (value, corner) in values.iter_mut().zip(&corners) {
+                *value = corner[axis];
+            }
+            *component = blend(&values, fade);
+        }
+        vector
     }
 }
 
-/// Cellular noise (Worley, SIGGRAPH 1996): one point in each cell of a lattice; it remembers the
-/// points around the cell it was last in.
+/// Steps along x, y and z to a corner of a cell.
+#[inline(always)]
+fn steps(index: usize) -> [i32; 3] {
+    [index as i32 & 1, (index as i32 >> 1) & 1, index as i32 >> 2]
+}
+
+/// Cellular noise (Worley, SIGGRAPH 1996): one point in each cell of a lattice.
+#[derive(Clone, Copy)]
 pub struct Cells {
     seed: u32,
     frequency: f32,
-    cell: [i32; 3],
-    points: [[f32; Cells::POINTS]; 3],
 }
 
 impl Cells {
-    const LANES: usize = 8;
-    /// Points of 3 × 3 × 3 cells, filled up with some that are far away.
-    const POINTS: usize = 4 * Cells::LANES;
-
     /// A lattice of cells `size` wide.
     pub fn new(seed: u32, size: f32) -> Self {
-        let points = [[9.0; Cells::POINTS]; 3];
-        let mut cells = Self { seed, frequency: 1.0 / size, cell: [0; 3], points };
-        cells.enter([0; 3]);
-        cells
+        Self { seed, frequency: 1.0 / size }
     }
 
+    /// The point of the cell `step` further than `cell`, from the corner of `cell` [cells].
     #[inline(always)]
-    fn enter(&mut self, cell: [i32; 3]) {
+    fn point(&self, cell: [i32; 3], step: [i32; 3]) -> Vec3 {
         /// How far points stray from the middles of their cells, in cells.
         const STRAY: f32 = 0.4;
-        self.cell = cell;
-        for index in 0..27 {
-            let step = [index % 3 - 1, index / 3 % 3 - 1, index / 9 - 1];
-            let at = [0, 1, 2].map(|k| cell[k] + step[k]);
-            let stray = triple(corner(self.seed, at[0], at[1], at[2]));
-            for axis in 0..3 {
-                self.points[axis][index as usize] = step[axis] as f32 + 0.5 + STRAY * stray[axis];
-            }
-        }
+        let stray =
+            triple(corner(self.seed, cell[0] + step[0], cell[1] + step[1], cell[2] + step[2]));
+        let along = |k: usize| step[k] as f32 + 0.5 + STRAY * stray[k];
+        [along(0), along(1), along(2)]
+    }
+
+    /// The cell of `p`, and the offset of `p` into it [cells].
+    #[inline(always)]
+    fn locate(&self, p: Vec3) -> ([i32; 3], Vec3) {
+        let p = scale(p, self.frequency);
+        let cell = [floor(p[0]), floor(p[1]), floor(p[2])];
+        (cell, sub(p, [cell[0] as f32, cell[1] as f32, cell[2] as f32]))
     }
 
     /// By how much the second nearest point is farther than the nearest, in cells: 0 on the
     /// borders between points, up to about 1 at the points.
     #[inline(always)]
-    pub fn border(&mut self, p: Vec3) -> f32 {
-        let p = p.map(|x| x * self.frequency);
-        let cell = p.map(floor);
-        if cell != self.cell {
-            self.enter(cell);
-        }
-        let t = [0, 1, 2].map(|k| p[k] - cell[k] as f32);
-        let (mut first, mut second) = ([99.0f32; Cells::LANES], [99.0f32; Cells::LANES]);
-        for start in (0..Cells::POINTS).step_by(Cells::LANES) {
-            for lane in 0..Cells::LANES {
-                let d: Vec3 = [0, 1, 2].map(|k| self.points[k][start + lane] - t[k]);
-                let square = d[0] * d[0] + d[1] * d[1] + d[2] * d[2];
-                second[lane] = second[lane].min(first[lane].max(square));
-                first[lane] = first[lane].min(square);
+    pub fn borders(&self, p: &Lane3) -> Lane {
+        let (mut cells, mut offsets) = ([[0; LANES]; 3], [[0.0; LANES]; 3]);
+        for i in 0..LANES {
+            let (cell, offset) = self.locate(at(p, i));
+            for k in 0..3 {
+                (cells[k][i], offsets[k][i]) = (cell[k], offset[k]);
             }
         }
-        let mut nearest = [99.0f32; 2];
-        for lane in 0..Cells::LANES {
-            nearest[1] = nearest[1].min(second[lane]).min(nearest[0].max(first[lane]));
-            nearest[0] = nearest[0].min(first[lane]);
+        let (mut first, mut second) = ([99.0; LANES], [99.0; LANES]);
+        for index in 0..27 {
+            let step = [index % 3 - 1, index / 3 % 3 - 1, index / 9 - 1];
+            for i in 0..LANES {
+                let cell = [cells[0][i], cells[1][i], cells[2][i]];
+                let d = sub(self.point(cell, step), at(&offsets, i));
+                let square = dot(d, d);
+                second[i] = min(second[i], max(first[i], square));
+                first[i] = min(first[i], square);
+            }
         }
-        nearest[1].sqrt() - nearest[0].sqrt()
+        for i in 0..LANES {
+            first[i] = second[i].sqrt() - first[i].sqrt();
+        }
+        first
     }
 
     /// Offset [cells] from the point in the cell of `p`, and a number in [0, 1) of its own.
     #[inline(always)]
-    pub fn own(&mut self, p: Vec3) -> (Vec3, f32) {
-        let p = p.map(|x| x * self.frequency);
-        let cell = p.map(floor);
-        if cell != self.cell {
-            self.enter(cell);
-        }
-        let offset = [0, 1, 2].map(|k| p[k] - cell[k] as f32 - self.points[k][13]);
+    pub fn own(&self, p: Vec3) -> (Vec3, f32) {
+        let (cell, offset) = self.locate(p);
         let number = corner(self.seed ^ 0x666c_6563, cell[0], cell[1], cell[2]) >> 8;
-        (offset, number as f32 * (1.0 / 16_777_216.0))
+        (sub(offset, self.point(cell, [0; 3])), number as i32 as f32 * (1.0 / 16_777_216.0))
     }
 }
 
 /// Trilinear blend of a cell's corners (x fastest).
 #[inline(always)]
 fn blend(values: &[f32; 8], fade: Vec3) -> f32 {
-    let layers: [f32; 4] =
-        std::array::from_fn(|i| values[i] + (values[i + 4] - values[i]) * fade[2]);
-    let line: [f32; 2] = std::array::from_fn(|i| layers[i] + (layers[i + 2] - layers[i]) * fade[1]);
-    line[0] + (line[1] - line[0]) * fade[0]
+    let mix = |a: f32, b: f32, fade: f32| a + (b - a) * fade;
+    let layer = |i: usize| mix(values[i], values[i + 4], fade[2]);
+    let line = |i: usize| mix(layer(i), layer(i + 2), fade[1]);
+    mix(line(0), line(1), fade[0])
 }
 
 /// eˣ for x in [−80, 80], to 3e-7 relative: 2ⁿ times a polynomial on [−½, ½].
 #[inline(always)]
 pub fn exp(x: f32) -> f32 {
-    let y = x.clamp(-80.0, 80.0) * std::f32::consts::LOG2_E;
+    let y = clamp(x, -80.0, 80.0) * std::f32::consts::LOG2_E;
     let n = floor(y + 0.5);
     let t = (y - n as f32) * std::f32::consts::LN_2;
     let series = 1.0
@@ -236,7 +243,7 @@ pub fn cube_root(x: f32) -> f32 {
 /// Smooth step from 0 at `low` to 1 at `high`.
 #[inline(always)]
 pub fn smoothstep(low: f32, high: f32, x: f32) -> f32 {
-    let t = ((x - low) / (high - low)).clamp(0.0, 1.0);
+    let t = clamp((x - low) / (high - low), 0.0, 1.0);
     t * t * (3.0 - 2.0 * t)
 }
 
@@ -258,7 +265,7 @@ mod tests {
 
     #[test]
     fn borders_between_cells_agree_with_a_wide_search() {
-        let mut cells = Cells::new(5, 1.0);
+        let cells = Cells::new(5, 1.0);
         for i in 0..2000 {
             let p = [0, 1, 2].map(|axis| uniform(11, i, axis) * 40.0 - 20.0);
             let cell = p.map(floor);
@@ -271,14 +278,15 @@ mod tests {
                 distances.push((d[0] * d[0] + d[1] * d[1] + d[2] * d[2]).sqrt());
             }
             distances.sort_by(f32::total_cmp);
-            assert!((cells.border(p) - (distances[1] - distances[0])).abs() < 1e-4);
+            let border = cells.borders(&p.map(|x| [x; LANES]))[i as usize % LANES];
+            assert!((border - (distances[1] - distances[0])).abs() < 1e-4);
         }
     }
 
     #[test]
     fn gradient_noise_has_the_mean_and_deviation_it_states() {
         let (mut sum, mut squares, n) = (0.0f64, 0.0f64, 200_000u32);
-        let mut lattice = Lattice::new(3, 1.0);
+        let lattice = Lattice::new(3, 1.0);
         for i in 0..n {
             let p = [0, 1, 2].map(|axis| uniform(7, i, axis) * 500.0);
             let value = f64::from(lattice.gradient(p));

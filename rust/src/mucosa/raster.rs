@@ -56,56 +56,73 @@ fn cover(map: &[AtomicU32], size: Size, t: &Corners, face: u32) {
         (low.ceil() as i64, high.floor() as i64)
     };
     let ((x0, x1), (y0, y1)) = (bound(0), bound(1));
+    let turn = area.signum();
     for y in y0..=y1 {
-        let row = y.rem_euclid(size.height as i64) as usize * size.width;
+        let row = wrapped(y, size.height) * size.width;
+        // Each edge's side of a texel is `rise - (x - start) * run`.
+        let edges = [0, 1, 2].map(|c| {
+            let (a, b) = (t[c], t[(c + 1) % 3]);
+            ((b[0] - a[0]) * (y as f64 - a[1]), a[0], b[1] - a[1])
+        });
         for x in x0..=x1 {
-            let p = [x as f64, y as f64];
-            let inside = (0..3).all(|c| {
-                let (a, b) = (t[c], t[(c + 1) % 3]);
-                let side = (b[0] - a[0]) * (p[1] - a[1]) - (p[0] - a[0]) * (b[1] - a[1]);
-                side * area.signum() >= -1e-9
-            });
-            if inside {
-                let column = x.rem_euclid(size.width as i64) as usize;
-                map[row + column].fetch_min(face, Ordering::Relaxed);
+            let is_inside = edges
+                .iter()
+                .all(|&(rise, start, run)| (rise - (x as f64 - start) * run) * turn >= -1e-9);
+            if is_inside {
+                let texel = &map[row + wrapped(x, size.width)];
+                texel.fetch_min(face, Ordering::Relaxed);
             }
         }
     }
 }
 
-/// Offset along a row to the nearest covered texel, `FAR` where there is none near.
+/// A texel's number where the texture goes on beyond its border; division is slow and seldom needed.
+#[inline(always)]
+fn wrapped(value: i64, period: usize) -> usize {
+    let inside = usize::try_from(value).is_ok_and(|value| value < period);
+    if inside { value as usize } else { value.rem_euclid(period as i64) as usize }
+}
+
+/// Stands for the offset to a covered texel along a row where none is near: beyond any padding.
 const FAR: i8 = i8::MAX;
 
 /// Exact Euclidean dilation by rows, then columns (Saito and Toriwaki 1994), with wrap-around.
 fn pad(covered: &[u32], size: Size, padding: usize) -> Vec<u32> {
-    let Size { width, height } = size;
+    let width = size.width;
     let mut along_row = vec![FAR; covered.len()];
     along_row
         .par_chunks_exact_mut(width)
         .zip(covered.par_chunks_exact(width))
         .for_each(|(offsets, row)| row_offsets(offsets, row, padding));
+    let mut map = covered.to_vec();
+    map.par_chunks_exact_mut(width).enumerate().for_each(|(y, texels)| {
+        pad_row(texels, covered, &along_row, size, (y, padding));
+    });
+    map
+}
+
+/// Gives the uncovered texels of row `y` the nearest covered texel of the rows around it.
+fn pad_row(
+    texels: &mut [u32],
+    covered: &[u32],
+    along_row: &[i8],
+    size: Size,
+    (y, padding): (usize, usize),
+) {
     let reach = padding as i64;
-    (0..covered.len())
-        .into_par_iter()
-        .with_min_len(width)
-        .map(|index| {
-            if covered[index] != NO_FACE {
-                return covered[index];
+    let rows: Vec<(i64, usize)> = (-reach..=reach)
+        .map(|dy| (dy * dy, wrapped(y as i64 + dy, size.height) * size.width))
+        .collect();
+    for (x, texel) in texels.iter_mut().enumerate().filter(|(_, texel)| **texel == NO_FACE) {
+        let mut best = reach * reach + 1;
+        for &(square, row) in &rows {
+            let dx = i64::from(along_row[row + x]);
+            if dx * dx + square < best {
+                best = dx * dx + square;
+                *texel = covered[row + wrapped(x as i64 + dx, size.width)];
             }
-            let (y, x) = ((index / width) as i64, (index % width) as i64);
-            let mut best = (reach * reach + 1, NO_FACE);
-            for dy in -reach..=reach {
-                let row = (y + dy).rem_euclid(height as i64) as usize * width;
-                let dx = along_row[row + x as usize];
-                let distance = i64::from(dx) * i64::from(dx) + dy * dy;
-                if dx != FAR && distance < best.0 {
-                    let column = (x + i64::from(dx)).rem_euclid(width as i64) as usize;
-                    best = (distance, covered[row + column]);
-                }
-            }
-            best.1
-        })
-        .collect()
+        }
+    }
 }
 
 fn row_offsets(offsets: &mut [i8], row: &[u32], padding: usize) {
@@ -115,8 +132,8 @@ fn row_offsets(offsets: &mut [i8], row: &[u32], padding: usize) {
     }
     let mut sweep = |step: i64| {
         let mut gap = padding + 1;
-        for turn in 0..width + padding {
-            let x = if step > 0 { turn % width } else { width - 1 - turn % width };
+        for turn in (0..width).chain((0..padding).map(|turn| turn % width)) {
+            let x = if step > 0 { turn } else { width - 1 - turn };
             gap = if row[x] == NO_FACE { gap + 1 } else { 0 };
             if gap <= padding && (gap as i64) < i64::from(offsets[x]).abs() {
                 offsets[x] = (-step * gap as i64) as i8;

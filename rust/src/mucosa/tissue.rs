@@ -1,8 +1,8 @@
 //! The mucosa as a solid function: color, roughness and relief at a point of the wall.
 
-use super::grid::{Blood, Cursor, SegmentGrid};
+use super::grid::{Blood, SegmentGrid};
 use super::noise::{Cells, Lattice, Vec3, exp, smoothstep, uniform};
-use super::vessels::dot;
+use crate::simd::f32x64::{LANES, Lane, Lane3, add, at, clamp, dot, max, min, scale};
 use pyo3::prelude::*;
 
 /// Character of a mucosa: `vrcaps.mucosa.mucosa.Mucosa`, whose fields say what they mean.
@@ -26,31 +26,46 @@ pub struct Mucosa {
     pub roughness: f32,
 }
 
-/// A place on the wall. Lengths in millimeters.
-#[derive(Clone, Copy)]
-pub struct Place {
-    pub point: Vec3,
-    pub normal: Vec3,
+/// Places on the wall, one for each lane. Lengths in millimeters.
+pub struct Places {
+    pub point: Lane3,
+    pub normal: Lane3,
     /// Mean curvature [1/mm], positive where the wall bulges into the lumen.
-    pub curvature: f32,
+    pub curvature: Lane,
     /// Slow variation of the redness.
-    pub shade: f32,
+    pub shade: Lane,
     /// Slow variation of the bile.
-    pub region: f32,
+    pub region: Lane,
     /// Factors of the segment on the pits, the bile and the vessels.
-    pub pits: f32,
-    pub bile: f32,
-    pub vessels: f32,
+    pub pits: Lane,
+    pub bile: Lane,
+    pub vessels: Lane,
 }
 
-/// What the wall is like at a place.
-#[derive(Clone, Copy)]
-pub struct Sample {
+/// What the wall is like at places.
+pub struct Samples {
     /// Linear base color.
-    pub albedo: [f32; 3],
-    pub roughness: f32,
+    pub albedo: Lane3,
+    pub roughness: Lane,
     /// Towards the lumen [mm].
-    pub height: f32,
+    pub height: Lane,
+}
+
+/// Structure of the mucosa at places.
+struct Structure {
+    patch: Lane,
+    mottle: Lane,
+    grain: Lane,
+    /// Network of the finest vessels, about zero mean.
+    mesh: Lane,
+    /// Height of the plateaus between pits: 1 on villi or areae, 0 in the gaps between them.
+    plateau: Lane,
+    /// Level of the field that lays the film of mucus.
+    level: Lane,
+    /// Cover by mucus, 0 to 1.
+    cover: Lane,
+    /// Bumps [mm].
+    relief: Lane,
 }
 
 /// Absorption of blood in red, green and blue relative to green, arterial and venous: hemoglobin
@@ -98,92 +113,14 @@ const STRAND_DEPTH: f32 = 1.3;
 /// A mucosa grown over one patient's wall.
 pub struct Tissue {
     mucosa: Mucosa,
-    seed: u32,
-    vessels: SegmentGrid,
+    grid: SegmentGrid,
     texel: f32,
     redness: f32,
     contrast: f32,
     /// Reflectance of mucus.
-    mucus: [f32; 3],
+    tint: [f32; 3],
     /// Level of its field from which the film of mucus begins.
     border: f32,
-}
-
-impl Tissue {
-    /// A patient: the seed sets how red the wall is and how clearly its vessels show.
-    pub fn new(mucosa: Mucosa, seed: u32, vessels: SegmentGrid, texel: f32) -> Self {
-        let patient = |number: u32| 2.0 * uniform(seed, 0x7061_7469, number) - 1.0;
-        Self {
-            mucosa,
-            seed,
-            vessels,
-            texel,
-            redness: mucosa.redness_variation * patient(0),
-            contrast: mucosa.vessel_contrast * (1.0 + 0.2 * patient(1)),
-            mucus: [0, 1, 2].map(|c| (mucosa.base_color[c] * mucosa.mucus_tint[c]).min(0.95)),
-            border: FILM_DEVIATION * quantile(mucosa.mucus),
-        }
-    }
-
-    /// A brush for one run of neighboring texels.
-    pub fn brush(&self) -> Brush<'_> {
-        let noise = |stream: u32, size: f32| {
-            Lattice::new(self.seed.wrapping_mul(31).wrapping_add(stream), size)
-        };
-        Brush {
-            tissue: self,
-            cursor: Cursor::new(),
-            patch: noise(0, 16.0),
-            mottle: noise(1, 4.5),
-            grain: noise(2, 1.3),
-            film: noise(5, 21.0),
-            strand: noise(21, STRAND_SPACING),
-            mesh: noise(6, MESH),
-            flecks: Cells::new(self.seed ^ 0x6d75_6375, FLECK_SPACING),
-            warps: [noise(7, 3.1), noise(8, 1.1)],
-            bumps: BUMPS.map(|(size, _)| noise(9 + size as u32, size)),
-            pits: Cells::new(self.seed ^ 0x7069_7473, self.mucosa.pit_spacing * 1e3),
-        }
-    }
-
-    /// 1 for features wide enough for the texels to hold, 0 for those that would alias.
-    #[inline(always)]
-    fn resolved(&self, size: f32) -> f32 {
-        smoothstep(2.0, 4.0, size / self.texel)
-    }
-
-    /// Depth of the gaps between pits [mm] for the slope they shall have.
-    fn pit_height(&self) -> f32 {
-        let pits = self.mucosa.pit_spacing * 1e3;
-        self.mucosa.pit_slope * pits / PLATEAU_SLOPE * self.resolved(pits)
-    }
-
-    /// The mucosa without any detail.
-    pub fn plain(&self) -> Sample {
-        let albedo = self.color(self.redness, 1.2 * self.mucosa.bile, Blood::default());
-        Sample { albedo, roughness: self.mucosa.roughness, height: 0.0 }
-    }
-
-    #[inline(always)]
-    fn color(&self, redness: f32, bile: f32, blood: Blood) -> [f32; 3] {
-        [0, 1, 2].map(|c| {
-            let density = redness * ARTERIAL[c] + bile * BILE[c];
-            let vessels = (1.0 - blood.artery * ARTERIAL[c]) * (1.0 - blood.vein * VENOUS[c]);
-            (self.mucosa.base_color[c] * exp(-density) * vessels).clamp(0.01, 0.95)
-        })
-    }
-
-    #[inline(always)]
-    fn roughness(&self, film: f32, mottle: f32, grain: f32) -> f32 {
-        let dry = self.mucosa.roughness + 0.05 * mottle + 0.03 * grain;
-        (dry * (1.0 - 0.35 * film)).clamp(0.1, 1.0)
-    }
-}
-
-/// Evaluates a tissue along neighboring texels: it keeps what they share.
-pub struct Brush<'a> {
-    tissue: &'a Tissue,
-    cursor: Cursor,
     patch: Lattice,
     mottle: Lattice,
     grain: Lattice,
@@ -196,116 +133,234 @@ pub struct Brush<'a> {
     flecks: Cells,
 }
 
-impl Brush<'_> {
-    /// Evaluates the mucosa at a place.
-    #[inline(always)]
-    pub fn at(&mut self, place: &Place) -> Sample {
-        let tissue = self.tissue;
-        let p = turned(place.point);
-        let crest = smoothstep(0.02, 0.2, place.curvature);
-        let valley = smoothstep(0.02, 0.25, -place.curvature);
-        let patch = self.patch.gradient(p);
-        let mottle = self.mottle.gradient(p);
-        let grain = self.grain.gradient(p);
-        let warp = self.warp(place);
-        let fine = turned(warp);
-        let clarity = 0.3 + 0.7 * smoothstep(-1.3, 0.7, patch);
-        let seen = tissue.contrast * (1.0 - 0.85 * crest) * clarity * place.vessels;
-        let blood = tissue.vessels.blood(&mut self.cursor, warp, place.normal);
-        let blood = Blood { artery: seen * blood.artery, vein: seen * blood.vein };
-        let plateau = self.plateau(fine);
-        let gap = (PLATEAU - plateau) * place.pits;
-
-        let shade = place.shade - patch
-            + 0.6 * mottle
-            + 0.3 * grain
-            + tissue.mucosa.network * self.capillary_mesh(fine);
-        let clumped = 0.35 + 0.65 * smoothstep(-1.4, 1.0, mottle + 0.6 * grain);
-        let redness = tissue.redness + tissue.mucosa.redness_variation * shade - 0.18 * crest
-            + tissue.mucosa.pit_shade * gap * clumped;
-        let level = self.film.gradient(p) + 0.5 * mottle;
-        let film = smoothstep(0.6, 2.2, level);
-        let stained = smoothstep(-1.3, 1.7, 0.8 * place.region + 1.3 * level);
-        let pool = 0.15 + 1.8 * stained + 2.5 * film + 1.2 * valley;
-        let stain = 1.0 + 4.0 * tissue.mucosa.pit_shade * gap * clumped;
-        let bile = tissue.mucosa.bile * place.bile * pool * (1.0 - 0.6 * crest) * stain;
-        let mucus = self.mucus(fine, level, grain);
-        let cover = 1.0 - exp(-mucus) * (1.0 - self.fleck(fine, grain));
-        let mut albedo = tissue.color(redness, bile, blood);
-        for c in 0..3 {
-            albedo[c] += cover * (tissue.mucus[c] - albedo[c]);
-        }
-        let height = self.relief(p) + tissue.pit_height() * plateau * place.pits;
-        Sample {
-            albedo,
-            roughness: tissue.roughness(film.max(cover), mottle, grain),
-            height: height + 0.015 * (blood.artery + blood.vein) + 0.05 * cover,
+impl Tissue {
+    /// A patient: the seed sets how red the wall is and how clearly its vessels show.
+    pub fn new(mucosa: Mucosa, seed: u32, grid: SegmentGrid, texel: f32) -> Self {
+        let patient = |number: u32| 2.0 * uniform(seed, 0x7061_7469, number) - 1.0;
+        let noise =
+            |stream: u32, size: f32| Lattice::new(seed.wrapping_mul(31).wrapping_add(stream), size);
+        Self {
+            mucosa,
+            grid,
+            texel,
+            redness: mucosa.redness_variation * patient(0),
+            contrast: mucosa.vessel_contrast * (1.0 + 0.2 * patient(1)),
+            tint: [0, 1, 2].map(|c| (mucosa.base_color[c] * mucosa.mucus_tint[c]).min(0.95)),
+            border: FILM_DEVIATION * quantile(mucosa.mucus),
+            patch: noise(0, 16.0),
+            mottle: noise(1, 4.5),
+            grain: noise(2, 1.3),
+            film: noise(5, 21.0),
+            strand: noise(21, STRAND_SPACING),
+            mesh: noise(6, MESH),
+            warps: [noise(7, 3.1), noise(8, 1.1)],
+            bumps: BUMPS.map(|(size, _)| noise(9 + size as u32, size)),
+            pits: Cells::new(seed ^ 0x7069_7473, mucosa.pit_spacing * 1e3),
+            flecks: Cells::new(seed ^ 0x6d75_6375, FLECK_SPACING),
         }
     }
 
-    /// Height of the plateaus between pits: 1 on villi or areae, 0 in the gaps between them.
+    /// 1 for features wide enough for the texels to hold, 0 for those that would alias.
     #[inline(always)]
-    fn plateau(&mut self, p: Vec3) -> f32 {
-        smoothstep(0.0, GAP, self.pits.border(p))
+    fn resolved(&self, size: f32) -> f32 {
+        smoothstep(2.0, 4.0, size / self.texel)
+    }
+
+    /// Depth of the gaps between pits [mm] for the slope they shall have.
+    #[inline(always)]
+    fn pit_height(&self) -> f32 {
+        let pits = self.mucosa.pit_spacing * 1e3;
+        self.mucosa.pit_slope * pits / PLATEAU_SLOPE * self.resolved(pits)
+    }
+
+    /// The mucosa without any detail.
+    pub fn plain(&self) -> Samples {
+        let albedo = self.color(self.redness, 1.2 * self.mucosa.bile, 0.0, 0.0);
+        Samples {
+            albedo: albedo.map(|value| [value; LANES]),
+            roughness: [self.mucosa.roughness; LANES],
+            height: [0.0; LANES],
+        }
+    }
+
+    /// Evaluates the mucosa at places.
+    #[inline(always)]
+    pub fn at(&self, places: &Places) -> Samples {
+        let warped = self.warped(places);
+        let blood = self.grid.blood(&warped, &places.normal);
+        let structure = self.structure(&turned_lane(&places.point), &turned_lane(&warped));
+        let mut samples = self.plain();
+        for i in 0..LANES {
+            let (albedo, roughness, height) = self.sample(places, &structure, &blood, i);
+            for c in 0..3 {
+                samples.albedo[c][i] = albedo[c];
+            }
+            (samples.roughness[i], samples.height[i]) = (roughness, height);
+        }
+        samples
+    }
+
+    /// What meets the eye at the place of one lane: color, roughness and height.
+    #[inline(always)]
+    fn sample(
+        &self,
+        places: &Places,
+        structure: &Structure,
+        blood: &Blood,
+        i: usize,
+    ) -> ([f32; 3], f32, f32) {
+        let mucosa = &self.mucosa;
+        let (mottle, grain) = (structure.mottle[i], structure.grain[i]);
+        let (patch, level, cover) = (structure.patch[i], structure.level[i], structure.cover[i]);
+        let crest = smoothstep(0.02, 0.2, places.curvature[i]);
+        let valley = smoothstep(0.02, 0.25, -places.curvature[i]);
+        let clarity = 0.3 + 0.7 * smoothstep(-1.3, 0.7, patch);
+        let seen = self.contrast * (1.0 - 0.85 * crest) * clarity * places.vessels[i];
+        let (artery, vein) = (seen * blood.artery[i], seen * blood.vein[i]);
+        let gap = (PLATEAU - structure.plateau[i]) * places.pits[i];
+
+        let shade = places.shade[i] - patch
+            + 0.6 * mottle
+            + 0.3 * grain
+            + mucosa.network * structure.mesh[i];
+        let clumped = 0.35 + 0.65 * smoothstep(-1.4, 1.0, mottle + 0.6 * grain);
+        let redness = self.redness + mucosa.redness_variation * shade - 0.18 * crest
+            + mucosa.pit_shade * gap * clumped;
+        let film = smoothstep(0.6, 2.2, level);
+        let stained = smoothstep(-1.3, 1.7, 0.8 * places.region[i] + 1.3 * level);
+        let pool = 0.15 + 1.8 * stained + 2.5 * film + 1.2 * valley;
+        let stain = 1.0 + 4.0 * mucosa.pit_shade * gap * clumped;
+        let bile = mucosa.bile * places.bile[i] * pool * (1.0 - 0.6 * crest) * stain;
+        let mut albedo = self.color(redness, bile, artery, vein);
+        for c in 0..3 {
+            albedo[c] += cover * (self.tint[c] - albedo[c]);
+        }
+        let height =
+            structure.relief[i] + self.pit_height() * structure.plateau[i] * places.pits[i];
+        let roughness = self.roughness(max(film, cover), mottle, grain);
+        (albedo, roughness, height + 0.015 * (artery + vein) + 0.05 * cover)
+    }
+
+    /// Noise at places in the lattices' frame, and at those places moved so that vessels wind.
+    #[inline(always)]
+    fn structure(&self, p: &Lane3, fine: &Lane3) -> Structure {
+        let (mottle, grain) = (self.mottle.gradients(p), self.grain.gradients(p));
+        let film = self.film.gradients(p);
+        let (mut level, mut plateau) = (film, self.pits.borders(fine));
+        for i in 0..LANES {
+            level[i] += 0.5 * mottle[i];
+            plateau[i] = smoothstep(0.0, GAP, plateau[i]);
+        }
+        let mut cover = self.mucus(fine, &level, &grain);
+        for i in 0..LANES {
+            cover[i] = 1.0 - exp(-cover[i]) * (1.0 - self.fleck(at(fine, i), grain[i]));
+        }
+        Structure {
+            patch: self.patch.gradients(p),
+            mesh: self.capillary_mesh(fine),
+            relief: self.relief(p),
+            plateau,
+            cover,
+            mottle,
+            grain,
+            level,
+        }
+    }
+
+    #[inline(always)]
+    fn color(&self, redness: f32, bile: f32, artery: f32, vein: f32) -> [f32; 3] {
+        let mut color = self.mucosa.base_color;
+        for (c, value) in color.iter_mut().enumerate() {
+            let density = redness * ARTERIAL[c] + bile * BILE[c];
+            let vessels = (1.0 - artery * ARTERIAL[c]) * (1.0 - vein * VENOUS[c]);
+            *value = clamp(*value * exp(-density) * vessels, 0.01, 0.95);
+        }
+        color
+    }
+
+    #[inline(always)]
+    fn roughness(&self, film: f32, mottle: f32, grain: f32) -> f32 {
+        let dry = self.mucosa.roughness + 0.05 * mottle + 0.03 * grain;
+        clamp(dry * (1.0 - 0.35 * film), 0.1, 1.0)
     }
 
     /// Cover by a fleck of mucus, 0 to 1.
     #[inline(always)]
-    fn fleck(&mut self, p: Vec3, grain: f32) -> f32 {
+    fn fleck(&self, p: Vec3, grain: f32) -> f32 {
         let (offset, number) = self.flecks.own(p);
-        let fraction = self.tissue.mucosa.flecks;
-        if number >= fraction {
-            return 0.0;
-        }
+        let fraction = self.mucosa.flecks;
         // Among the flecks that are there, few are large.
         let size = number / fraction;
         let radius = FLECK_RADII[0] + (FLECK_RADII[1] - FLECK_RADII[0]) * size * size * size;
         let distance = dot(offset, offset).sqrt() * (1.0 + 0.25 * grain);
-        0.8 * (1.0 - smoothstep(0.7 * radius, radius, distance))
+        let cover = 0.8 * (1.0 - smoothstep(0.7 * radius, radius, distance));
+        if number < fraction { cover } else { 0.0 }
     }
 
     /// Scattering depth of mucus: a film where `level` is high, and strands that run on beyond it.
     #[inline(always)]
-    fn mucus(&mut self, p: Vec3, level: f32, grain: f32) -> f32 {
-        let above = level - self.tissue.border;
-        if above <= -STRAND_REACH {
-            return 0.0;
+    fn mucus(&self, p: &Lane3, level: &Lane, grain: &Lane) -> Lane {
+        let highest = level.iter().fold(f32::NEG_INFINITY, |a, &b| max(a, b));
+        if highest - self.border <= -STRAND_REACH {
+            return [0.0; LANES];
         }
-        let distance = self.strand.gradient(p).abs() / UNIT_SLOPE;
-        let width = smoothstep(-STRAND_REACH, 0.5, above + 0.3 * grain);
-        let [half, edge] = STRAND_WIDTHS.map(|fraction| fraction * width);
-        let strand = width * (1.0 - smoothstep(half, edge.max(1e-4), distance));
-        let film = smoothstep(0.0, 1.1, above);
-        let clotted = (1.0 + 0.5 * grain).max(0.1);
-        clotted * (FILM_DEPTH * film + STRAND_DEPTH * strand)
+        let mut depth = self.strand.gradients(p);
+        for i in 0..LANES {
+            let above = level[i] - self.border;
+            let distance = depth[i].abs() / UNIT_SLOPE;
+            let width = smoothstep(-STRAND_REACH, 0.5, above + 0.3 * grain[i]);
+            let [half, edge] = [STRAND_WIDTHS[0] * width, STRAND_WIDTHS[1] * width];
+            let strand = width * (1.0 - smoothstep(half, max(edge, 1e-4), distance));
+            let film = smoothstep(0.0, 1.1, above);
+            let clotted = max(1.0 + 0.5 * grain[i], 0.1);
+            let mucus = clotted * (FILM_DEPTH * film + STRAND_DEPTH * strand);
+            depth[i] = if above > -STRAND_REACH { mucus } else { 0.0 };
+        }
+        depth
     }
 
-    /// The place moved along the wall, so that vessels wind.
+    /// The places moved along the wall, so that vessels wind.
     #[inline(always)]
-    fn warp(&mut self, place: &Place) -> Vec3 {
-        let slow = self.warps[0].displacement(place.point);
-        let quick = self.warps[1].displacement(place.point);
-        let shift = [0, 1, 2].map(|k| 0.75 * slow[k] + 0.2 * quick[k]);
-        let lift = dot(shift, place.normal);
-        [0, 1, 2].map(|k| place.point[k] + shift[k] - lift * place.normal[k])
+    fn warped(&self, places: &Places) -> Lane3 {
+        let mut warped = [[0.0; LANES]; 3];
+        for i in 0..LANES {
+            let (point, normal) = (at(&places.point, i), at(&places.normal, i));
+            let (slow, quick) =
+                (self.warps[0].displacement(point), self.warps[1].displacement(point));
+            let shift = add(scale(slow, 0.75), scale(quick, 0.2));
+            let lift = dot(shift, normal);
+            for k in 0..3 {
+                warped[k][i] = point[k] + shift[k] - lift * normal[k];
+            }
+        }
+        warped
     }
 
-    /// Network of the finest vessels, about zero mean: ridges of noise, where texels hold them.
+    /// Network of the finest vessels: ridges of noise, where texels hold them.
     #[inline(always)]
-    fn capillary_mesh(&mut self, p: Vec3) -> f32 {
-        let ridge = 1.0 - (0.9 * self.mesh.gradient(p)).abs().min(1.0);
-        ridge * ridge * self.tissue.resolved(0.6 * MESH) - 0.3
+    fn capillary_mesh(&self, p: &Lane3) -> Lane {
+        let (mut mesh, resolved) = (self.mesh.gradients(p), self.resolved(0.6 * MESH));
+        for value in &mut mesh {
+            let ridge = 1.0 - min((0.9 * *value).abs(), 1.0);
+            *value = ridge * ridge * resolved - 0.3;
+        }
+        mesh
     }
 
     /// Relief [mm] from bumps of three sizes, each by its slope.
     #[inline(always)]
-    fn relief(&mut self, p: Vec3) -> f32 {
-        let tissue = self.tissue;
-        let mut height = 0.0;
-        for (bump, (size, fraction)) in self.bumps.iter_mut().zip(BUMPS) {
-            height += bump.gradient(p) * fraction * size * tissue.resolved(size);
+    fn relief(&self, p: &Lane3) -> Lane {
+        let mut height = [0.0; LANES];
+        for (bump, (size, fraction)) in self.bumps.iter().zip(BUMPS) {
+            let (noise, resolved) = (bump.gradients(p), self.resolved(size));
+            for i in 0..LANES {
+                height[i] += noise[i] * fraction * size * resolved;
+            }
         }
-        height * tissue.mucosa.relief_slope / UNIT_SLOPE
+        for value in &mut height {
+            *value = *value * self.mucosa.relief_slope / UNIT_SLOPE;
+        }
+        height
     }
 }
 
@@ -323,4 +378,16 @@ pub fn turned(p: Vec3) -> Vec3 {
         -0.8 * p[0] + 0.6 * p[1],
         0.48 * p[0] + 0.64 * p[1] + 0.6 * p[2],
     ]
+}
+
+#[inline(always)]
+fn turned_lane(p: &Lane3) -> Lane3 {
+    let mut result = [[0.0; LANES]; 3];
+    for i in 0..LANES {
+        let vector = turned(at(p, i));
+        for k in 0..3 {
+            result[k][i] = vector[k];
+        }
+    }
+    result
 }

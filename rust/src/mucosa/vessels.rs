@@ -1,6 +1,7 @@
 //! Vessel trees grown on the wall: where blood runs, how wide and how deep.
 
 use super::noise::{Lattice, Vec3, cube_root, exp, floor, mix, smoothstep, uniform};
+use crate::simd::f32x64::{cross, dot, sub};
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
 
@@ -43,18 +44,6 @@ const NONE: u32 = u32::MAX;
 /// How much a long way to the trunk counts against a short new branch: the balancing factor of
 /// Cuntz, Forstner, Borst and Häusser, PLoS Comput Biol 6(8):e1000877, 2010.
 const BALANCE: f32 = 0.10;
-
-pub(super) fn sub(a: Vec3, b: Vec3) -> Vec3 {
-    [a[0] - b[0], a[1] - b[1], a[2] - b[2]]
-}
-
-pub(super) fn dot(a: Vec3, b: Vec3) -> f32 {
-    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-}
-
-pub(super) fn cross(a: Vec3, b: Vec3) -> Vec3 {
-    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
-}
 
 /// Buckets of point numbers by hashed cell; different cells may share a bucket.
 struct Buckets {
@@ -163,7 +152,7 @@ fn join(sites: &[Site], roots: &[u32], reach: f32, seed: u32) -> Forest {
     let mut buckets = Buckets::new(reach, sites.len());
     sites.iter().for_each(|site| buckets.push(site.point));
     // Vessels run where the tissue lets them: a smooth random resistance makes trunks wind.
-    let mut resistance = Lattice::new(seed ^ 0x6561_7365, 7.0);
+    let resistance = Lattice::new(seed ^ 0x6561_7365, 7.0);
     let ease: Vec<f32> =
         sites.iter().map(|site| exp(0.7 * resistance.gradient(site.point))).collect();
     let mut forest = Forest {

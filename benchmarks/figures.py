@@ -81,7 +81,7 @@ FIGURES = (
     *_scripts("validate_textures", is_timed=True),
     Figure("benchmarks/small_bowel_transit.py", ("--size", "40")),
     *_scripts("validate_contact validate_coverage validate_ct validate_fem validate_labels"),
-    *_scripts("validate_lesion_sizes"),
+    *_scripts("validate_lesion_sizes validate_resume"),
     *_scripts("validate_lesions validate_light validate_moving_labels validate_path"),
     *_scripts("validate_placing validate_sensor validate_located_steering"),
 )

@@ -9,7 +9,8 @@ from vrcaps.errors import InputError, MissingExtraError, UnknownNameError, Vrcap
 
 def test_unknown_name_lists_the_known_ones_sorted() -> None:
     error = UnknownNameError("organ", "colom", ["stomach", "colon"])
-    assert str(error) == "No organ named 'colom'. Known: colon, stomach."
+    assert str(error) == "No organ named 'colom'. Known: colon, stomach. Did you mean 'colon'?"
+    assert str(UnknownNameError("organ", "x", ["colon"])) == "No organ named 'x'. Known: colon."
 
 
 def test_missing_extra_says_how_to_install() -> None:

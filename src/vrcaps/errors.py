@@ -13,11 +13,22 @@ class InputError(VrcapsError, ValueError):
     """A value, file or combination that vrcaps cannot work with."""
 
 
+def nearest(name: str, known: Iterable[str]) -> str:
+    """A question after the name that was probably meant, with a space before it; empty if none."""
+    import difflib
+
+    found = difflib.get_close_matches(name, list(known), 1)
+    return f" Did you mean {found[0]!r}?" if found and found[0] != name else ""
+
+
 class UnknownNameError(VrcapsError, LookupError):
     """A name that is in no registry."""
 
     def __init__(self, noun: str, name: str, known: Iterable[str]) -> None:
-        super().__init__(f"No {noun} named {name!r}. Known: {', '.join(sorted(known))}.")
+        known = sorted(known)
+        super().__init__(
+            f"No {noun} named {name!r}. Known: {', '.join(known)}.{nearest(str(name), known)}"
+        )
 
 
 class MissingExtraError(VrcapsError, ImportError):

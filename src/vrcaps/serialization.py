@@ -26,7 +26,7 @@ from cattrs.errors import ForbiddenExtraKeysError, IterableValidationNote
 from cattrs.gen import make_dict_structure_fn, override
 
 from vrcaps.decimals import UNITS, as_floats, from_si, to_si
-from vrcaps.errors import InputError, VrcapsError
+from vrcaps.errors import InputError, VrcapsError, nearest
 
 _INFINITE = "inf"
 _LARGEST = Decimal("1e300")
@@ -277,8 +277,10 @@ def _explained_table(error: ClassValidationError, at: str, units: bool) -> Input
     for other in others:
         if isinstance(other, ForbiddenExtraKeysError):
             allowed = ", ".join(_key(f, units) for f in known.values())
-            place = _place(at, sorted(other.extra_fields)[0])
-            return InputError(f"{_titled('Unknown key', place)}. Allowed: {allowed}.")
+            given = sorted(other.extra_fields)[0]
+            meant = nearest(given, [_key(f, units) for f in known.values()])
+            place = _titled("Unknown key", _place(at, given))
+            return InputError(f"{place}. Allowed: {allowed}.{meant}")
     for other, note in fields_:
         if isinstance(other, KeyError):
             place = _place(at, _key(known[note.name], units))

@@ -16,6 +16,11 @@ from vrcaps.organ.surface import Appearance, OrganSurface
 
 GUT = straight_gut({"upper": 0.10, "lower": 0.08}, radius=0.02, edge=4e-3)
 """A tube about x in the patient frame, 18 cm long and 4 cm wide."""
+_LOWEST = GUT.vertices[:, 1] > 0.012  # posterior is below a patient who lies supine
+LESION_GUT = replace(
+    GUT, instance=((np.abs(GUT.arc_length - 0.12) < 6e-3) & _LOWEST).astype(np.uint16)
+)
+"""The same with a lesion on its lower wall."""
 SHORT_GUT = straight_gut({"upper": 0.06, "lower": 0.06}, radius=0.018, edge=4e-3)
 
 

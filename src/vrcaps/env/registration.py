@@ -6,7 +6,7 @@ from typing import Any
 
 from vrcaps.env.settings import EnvSettings, env_settings
 
-TASKS = {"Coverage-v0": "coverage"}
+TASKS = {"Coverage-v0": "coverage", "Navigate-v0": "navigate", "Inspect-v0": "inspect"}
 """Tasks by the name of their environment."""
 
 

@@ -98,6 +98,8 @@ class EnvSettings:
 def env_settings(**keywords: Any) -> EnvSettings:
     """Settings from keywords, in which parts may be given by their names.
 
+    What is not given is as suits the task.
+
     Example:
         >>> env_settings(task="coverage", actuation="magnet", observations=("state", "map"))
 
@@ -109,9 +111,11 @@ def env_settings(**keywords: Any) -> EnvSettings:
     for name in keywords:
         if name not in known:
             raise UnknownNameError("setting", name, known)
-    for name, union in (("task", AnyTask), ("actuation", AnyActuation)):
-        if name in keywords:
-            keywords[name] = _part(name, union, keywords[name])
+    if "task" in keywords:
+        keywords["task"] = _part("task", AnyTask, keywords["task"])
+        keywords = keywords["task"].defaults | keywords
+    if "actuation" in keywords:
+        keywords["actuation"] = _part("actuation", AnyActuation, keywords["actuation"])
     if "observations" in keywords:
         given = keywords["observations"]
         given = (given,) if isinstance(given, str) else given

@@ -30,6 +30,9 @@ if TYPE_CHECKING:
 POINT_LEVELS: tuple[CoverageLevel, ...] = ("frustum", "visible", "resolved")
 """Levels that points are marked at; a point's flag has one bit for each, in this order."""
 
+_POINTS_ON_LESION = 48
+"""Points on each lesion, of which few of all would lie on a small one."""
+
 _TABLE_SIZE = 512
 """Rows of a table of directions: a cell is a third of a degree wide, a pixel of most capsules."""
 
@@ -47,6 +50,8 @@ class WallPoints:
         weights: Barycentric weights of the triangle's first two corners.
         fractions: What each counts of the whole, at `frustum` and at the other levels.
         cell: Cell of the organ's map that each lies in.
+        lesions: Numbers of the wall's lesions, in rising order. The last points lie on them, as
+            many on each, lesion by lesion; they count nothing of the whole.
         core: The same for the core.
     """
 
@@ -54,10 +59,16 @@ class WallPoints:
     weights: Float[np.ndarray, "k 2"]
     fractions: Float[np.ndarray, "k 2"]
     cell: Int[np.ndarray, " k"]
+    lesions: Int[np.ndarray, " m"]
     core: _core.WallPoints
 
     def __len__(self) -> int:
         return len(self.face)
+
+    @property
+    def first_of_lesions(self) -> int:
+        """Number of the first point that lies on a lesion."""
+        return len(self.face) - _POINTS_ON_LESION * len(self.lesions)
 
 
 def wall_points(
@@ -78,13 +89,13 @@ def wall_points(
         InputError: If there are fewer than 64 points.
     """
     area = triangle_areas(organ.vertices[organ.faces])
+    draw = rng.stream(seed, "metrics/wall_points")
     if count is None:
         vertices, faces = np.arange(len(organ.vertices)), np.arange(len(organ.faces))
         weights = np.full((len(faces), 2), 1.0 / 3.0)
         by_area = area / area.sum()
     else:
         require(count >= 64, "Number of points", count, "64 or more")
-        draw = rng.stream(seed, "metrics/wall_points")
         num_vertices = min(count // 4, len(organ.vertices))
         order = _gut_order(organ.arc_length, organ.theta)
         part = (np.arange(num_vertices) + draw.random(num_vertices)) / num_vertices
@@ -92,16 +103,28 @@ def wall_points(
         faces, weights = _even_points(draw, organ, area, count - num_vertices)
         by_area = np.full(len(faces), 1.0 / len(faces))
     corner_face, corner_weights = _corners(organ, vertices)
-    face = np.concatenate([corner_face, faces])
+    lesions = np.unique(organ.instance[organ.instance > 0])
+    on_lesions = [_lesion_points(draw, organ, area, number) for number in lesions]
+    face = np.concatenate([corner_face, faces, *(face for face, _ in on_lesions)])
     fractions = np.zeros((len(face), 2))
     fractions[: len(vertices), 0] = 1.0 / len(vertices)
-    fractions[len(vertices) :, 1] = by_area
-    weights = np.concatenate([corner_weights, weights])
+    fractions[len(vertices) : len(vertices) + len(faces), 1] = by_area
+    weights = np.concatenate([corner_weights, weights, *(weights for _, weights in on_lesions)])
     cell = _cells(organ, face, weights, grid)
     core = _core.WallPoints(
         face.astype(np.uint32), weights.astype(np.float32), fractions, cell.astype(np.uint32)
     )
-    return WallPoints(face, weights, fractions, cell, core)
+    return WallPoints(face, weights, fractions, cell, lesions, core)
+
+
+def _lesion_points(
+    draw: np.random.Generator, organ: OrganSurface, area: np.ndarray, number: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Faces and weights of points that are spread evenly over a lesion."""
+    corners = (organ.instance[organ.faces] == number).sum(axis=1)
+    # A lesion of a few vertices may have no face of its own.
+    mine = corners >= min(2, corners.max())
+    return _even_points(draw, organ, area * mine, _POINTS_ON_LESION)
 
 
 def _even_points(

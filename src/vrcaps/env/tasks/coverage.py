@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, ClassVar
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 from vrcaps.env.rewards import Reward
 from vrcaps.errors import UnknownNameError
@@ -41,6 +41,11 @@ class CoverageTask:
     def rewards(self) -> tuple[Reward, ...]:
         """Gain of area, in percent of the whole, less a little for time."""
         return (Reward("area-gain", 100.0, self.level), Reward("time", 0.1))
+
+    @property
+    def defaults(self) -> dict[str, Any]:
+        """Those of `EnvSettings`."""
+        return {}
 
     def allocate(self, simulation: Simulation) -> None:
         """Needs no memory but the simulation's own."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, ClassVar, Protocol
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol
 
 if TYPE_CHECKING:
     import numpy as np
@@ -23,6 +23,11 @@ class Task(Protocol):
     @property
     def rewards(self) -> tuple[Reward, ...]:
         """Rewards that suit it."""
+        ...
+
+    @property
+    def defaults(self) -> dict[str, Any]:
+        """Settings that suit it, by name: those of `env_settings` that are not given."""
         ...
 
     def allocate(self, simulation: Simulation) -> None:

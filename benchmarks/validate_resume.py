@@ -23,7 +23,7 @@ from vrcaps.policy.training import BEST, CHECKPOINT, POLICY, TrainingSettings, t
 
 SEED = 7
 LEARNER = PpoSettings(
-    num_envs=8, num_actions=19_200, updates=2, hidden=(64, 64), batch=256, evaluate_every=5
+    num_envs=8, num_actions=9_600, updates=2, hidden=(64, 64), batch=256, evaluate_every=5
 )
 FILES = (BEST, POLICY)
 SETTLE = 10.0

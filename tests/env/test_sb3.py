@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 
 from small_envs import small_settings
+from vrcaps.env.actuation.wrench import Wrench
+from vrcaps.env.env import CapsuleEnv
 from vrcaps.env.vector_env import CapsuleVectorEnv
 from vrcaps.errors import InputError
 
@@ -86,3 +88,10 @@ def test_ppo_takes_it() -> None:
     model = PPO("MultiInputPolicy", Sb3VecEnv(short_settings(), 2), n_steps=4, batch_size=8)
     model.learn(16)
     assert model.num_timesteps == 16
+
+
+@pytest.mark.parametrize("mode", ["continuous", "discrete"])
+def test_stable_baselines_accepts_the_single_environment(mode: Any) -> None:
+    from stable_baselines3.common.env_checker import check_env
+
+    check_env(CapsuleEnv(short_settings(actuation=Wrench(mode))))

@@ -65,6 +65,7 @@ def test_factors_act_on_tissue_and_capsule():
     assert varied.drag.viscosity == 6.0
 
 
+@pytest.mark.slow
 def test_longer_lens_sees_less_but_finer_and_the_same_beside_others():
     wide, long = (simulation_of(randomization=Randomization(focal=f)) for f in (0.8, 1.3))
     frustum, visible, resolved = wide.fraction[0] / long.fraction[0]

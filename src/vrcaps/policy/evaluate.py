@@ -108,7 +108,7 @@ def _run(
         samples.append(_sample(simulation))
         sampled.append(active.copy())
         for index in np.flatnonzero(active & (step.terminated | step.truncated)):
-            ends[index] = _end(step, index)
+            ends[index] = _end(step, int(index))
             active[index] = False
         observations = envs.episode.observe()
     whole, were_active = np.stack(samples), np.stack(sampled)

@@ -171,8 +171,14 @@ def _begin(settings: TrainingSettings, out: Path, *, is_forced: bool) -> None:
 
 
 def plain_settings(settings: TrainingSettings) -> dict[str, Any]:
-    """Settings as plain values; of an organ in memory its name and checksum."""
-    env, hints = settings.env, get_type_hints(EnvSettings)
+    """Settings as plain values, see `plain_environment`."""
+    learner = to_plain(settings.learner, PpoSettings)
+    return {"env": plain_environment(settings.env), "learner": learner, "seed": settings.seed}
+
+
+def plain_environment(env: EnvSettings) -> dict[str, Any]:
+    """Settings of an environment as plain values; of an organ in memory its name and checksum."""
+    hints = get_type_hints(EnvSettings)
     plain = {
         f.name: to_plain(getattr(env, f.name), hints[f.name])
         for f in fields(env)
@@ -184,8 +190,7 @@ def plain_settings(settings: TrainingSettings) -> dict[str, Any]:
         else to_plain(organ, OrganGenerated | OrganFile)
         for organ in env.organs
     ]
-    learner = to_plain(settings.learner, PpoSettings)
-    return {"env": plain, "learner": learner, "seed": settings.seed}
+    return plain
 
 
 def _differences(before: Any, now: Any, at: str = "") -> list[str]:

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from jaxtyping import UInt8
 
     from vrcaps._core import Wall
+    from vrcaps.camera.camera import Camera
 
 _BRIGHT = 0.6  # linear value that the 90th percentile of an image is brought to
 _ASIDE = 30.0 * MM  # how far a view may lie from where it is asked for
@@ -51,12 +52,17 @@ def inside_views(
     images = []
     for point, frame in zip(points, frames, strict=True):
         state = State(0.0, transform_from(frame, point) @ T_camera_capsule)
-        radiance = renderer.render(state, camera, channels=("radiance",)).radiance
-        assert radiance is not None
-        lit = np.append(radiance[..., 0][radiance[..., 0] > 0.0], 1e-9)
-        gain = _BRIGHT / (np.percentile(lit, 90) * camera.exposure)
-        images.append(_core.encode_srgb(radiance, camera.exposure * float(np.clip(gain, *_GAIN))))
+        images.append(exposed_image(renderer, state, camera))
     return images
+
+
+def exposed_image(renderer: Renderer, state: State, camera: Camera) -> UInt8[np.ndarray, "h w 3"]:
+    """What a camera sees, with its exposure regulated as capsules do."""
+    radiance = renderer.render(state, camera, channels=("radiance",)).radiance
+    assert radiance is not None
+    lit = np.append(radiance[..., 0][radiance[..., 0] > 0.0], 1e-9)
+    gain = _BRIGHT / (np.percentile(lit, 90) * camera.exposure)
+    return _core.encode_srgb(radiance, camera.exposure * float(np.clip(gain, *_GAIN)))
 
 
 def clear_place(organ: OrganSurface, wall: Wall, arc_length: float) -> float:

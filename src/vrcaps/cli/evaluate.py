@@ -1,0 +1,193 @@
+"""`vrcaps evaluate`: judge policies."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from tyro.conf import Positional
+
+from vrcaps.cli.console import console, progress_bar
+from vrcaps.errors import InputError, UnknownNameError
+
+if TYPE_CHECKING:
+    from vrcaps.env.settings import EnvSettings
+    from vrcaps.policy.policy import Policy
+    from vrcaps.tools.evaluation.subject import Subject
+
+
+@dataclass(frozen=True)
+class Evaluate:
+    """Judge policies over many seeds and episodes, side by side on all cores, under full physics.
+
+    A policy is a baseline (random, centerline, look-around, next-best-view), a trained policy's
+    file, or an import path package.module:Class. The folder then holds, for each policy and
+    capsule, episodes.csv (a row for each episode), curves.parquet (coverage, force and pose over
+    time) and median.mp4 (a video of the median run); and over all of them index.html with
+    summary.png and summary.csv. Interrupted, the same command goes on.
+
+    Coverage is counted at the levels that need no images: frustum, visible, resolved. For
+    `readable`, record an episode with --coverage.
+
+    For example:
+      vrcaps evaluate centerline --organs stomach:0-1 --seeds 4 --episodes 1 --out runs/judged
+      vrcaps evaluate runs/coverage/best.npz next-best-view --out runs/judged
+      vrcaps evaluate next-best-view --capsules mono stereo dual panoramic --out runs/designs
+      vrcaps evaluate mine.policies:Mine --organs stomach.glb colon:0-4 --out runs/mine
+    """
+
+    policies: Positional[tuple[str, ...]]
+    """Policies: names of baselines, files of trained ones, import paths."""
+
+    out: Path
+    """Folder: new, empty, or of the same evaluation, which goes on."""
+
+    task: str = "coverage"
+    """What is to be done."""
+
+    organs: tuple[str, ...] = ("stomach:100-119",)
+    """Organs: a name with its seeds, such as stomach:0-19, or a mesh with its unit, such as
+    mine.ply:mm."""
+
+    capsules: tuple[str, ...] = ()
+    """Capsules to compare, names of the catalog or files; by default the policy's own, or magnetic.
+    """
+
+    actuation: str = ""
+    """How the capsule is moved; by default as the policy was trained, or by a wrench that balances
+    gravity."""
+
+    seeds: int = 80
+    """Seeds 0, 1, …; they go through the organs in turn."""
+
+    episodes: int = 5
+    """Episodes of each seed, each from another start."""
+
+    time: float = 60.0
+    """Time of an episode [s]."""
+
+    dynamics: Literal["physics", "quasi-static"] = "physics"
+    """Full simulation, or without inertia and fast."""
+
+    worlds: int = 20
+    """Episodes side by side."""
+
+    video: bool = True
+    """Whether videos of median runs are made."""
+
+    def run(self) -> None:
+        """Judge, draw and report."""
+        from vrcaps.tools.evaluation.page import write_page
+        from vrcaps.tools.evaluation.run_video import write_run_video
+
+        if not self.policies:
+            raise InputError("No policy is given. Allowed: one or more, such as centerline.")
+        subjects = self._judge()
+        for subject in subjects:
+            video = subject.evaluation.folder / "median.mp4"
+            if self.video and not video.is_file():
+                with progress_bar(f"video of {subject.name}") as progress:
+                    write_run_video(video, subject, progress)
+        with console.status("drawing"):
+            written = write_page(self.out, subjects)
+        _report(subjects)
+        console.print(f"Written: {', '.join(map(str, written))}")
+
+    def _judge(self) -> list[Subject]:
+        """All episodes of all policies with all capsules; mistakes are told before any runs."""
+        from vrcaps.policy.evaluate import Plan, evaluate
+        from vrcaps.policy.evaluation import Evaluation
+        from vrcaps.policy.policy import read_policy
+        from vrcaps.tools.evaluation.subject import Subject
+
+        plan = Plan(self.seeds, self.episodes, self.worlds)
+        to_judge: list[tuple[Policy, EnvSettings, str]] = []
+        for name in self.policies:
+            for capsule in self.capsules or ("",):
+                policy = read_policy(name)
+                settings = self._settings(policy, capsule)
+                policy.requires.check(settings, name)
+                label = " ".join(filter(None, [_short(name), capsule and _short(capsule)]))
+                to_judge.append((policy, settings, label))
+        subjects = []
+        for policy, settings, label in to_judge:
+            folder = self.out / label.replace(" ", "-")
+            evaluation = Evaluation(folder, self._stated(label, settings))
+            with progress_bar(label) as progress:
+                evaluate(policy, settings, plan, evaluation, progress)
+            subjects.append(Subject(label, evaluation, settings))
+        return subjects
+
+    def _settings(self, policy: Policy, capsule: str) -> EnvSettings:
+        """Settings of the environment that one policy is judged in: to the end of the time."""
+        from vrcaps.cli.train import parse_organs
+        from vrcaps.env.actuation.wrench import Wrench
+        from vrcaps.env.settings import env_settings
+
+        keywords: dict[str, Any] = {"actuation": Wrench(is_weightless=True)}
+        keywords |= policy.requires.settings
+        if getattr(keywords.get("task"), "kind", "") != self.task:
+            keywords["task"] = self.task
+        if self.actuation:
+            keywords["actuation"] = self.actuation
+        if capsule:
+            keywords["capsule"] = capsule
+        keywords["organs"] = tuple(o for text in self.organs for o in parse_organs(text))
+        keywords |= {"episode_time": self.time, "stuck_time": 2.0 * self.time}
+        settings = env_settings(**keywords, dynamics=self.dynamics)
+        _check_names(settings)
+        if hasattr(settings.task, "target"):
+            settings = replace(settings, task=replace(settings.task, target=1.0))
+        return settings
+
+    def _stated(self, label: str, settings: EnvSettings) -> dict[str, Any]:
+        """What is judged, for the folder; seeds and episodes may be added to later."""
+        from vrcaps import __version__
+        from vrcaps.policy.training import plain_environment
+
+        return {
+            "policy": label,
+            "version": __version__,
+            "environment": plain_environment(settings),
+        }
+
+
+def _check_names(settings: EnvSettings) -> None:
+    """Check organs and capsule before anything is made or written.
+
+    Raises:
+        InputError: If an organ's file or unit is missing.
+        UnknownNameError: If there is no organ or no capsule of a name.
+    """
+    from vrcaps.anatomy.catalog import ORGANS
+    from vrcaps.scenario.build import resolve
+    from vrcaps.scenario.scenario import OrganGenerated, Scenario
+
+    for organ in settings.organs:
+        if isinstance(organ, OrganGenerated) and organ.name not in ORGANS:
+            raise UnknownNameError("organ", organ.name, ORGANS)
+        resolve(Scenario(organ=organ, capsule=settings.capsule))  # type: ignore[arg-type]
+
+
+def _short(name: str) -> str:
+    """A policy's or capsule's name as part of a folder's name."""
+    if ":" in name:
+        return name.replace(":", "-")
+    path = Path(name)
+    return f"{path.parent.name}-{path.stem}" if path.parent.name else path.stem
+
+
+def _report(subjects: list[Subject]) -> None:
+    from rich.table import Table
+
+    from vrcaps.tools.evaluation.subject import summary
+
+    columns = [summary(subject) for subject in subjects]
+    table = Table(title="Medians over all episodes")
+    table.add_column("")
+    for subject in subjects:
+        table.add_column(subject.name, justify="right")
+    for name in columns[0]:
+        table.add_row(name, *(column[name] for column in columns))
+    console.print(table)

@@ -1,0 +1,134 @@
+"""Page of an evaluation: one file that opens in any browser, with a picture and a table beside."""
+
+from __future__ import annotations
+
+import base64
+import csv
+import html
+import io
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from vrcaps.files import write_bytes
+from vrcaps.policy.evaluation import PAPER_TIME
+from vrcaps.tools.evaluation.subject import Subject, ends, summary
+from vrcaps.tools.evaluation.summary_figure import summary_picture
+
+PAGE, PICTURE, TABLE, VIDEO = "index.html", "summary.png", "summary.csv", "median.mp4"
+
+_STYLE = """
+body { font: 15px/1.45 system-ui, sans-serif; margin: 2em auto; max-width: 1280px; padding: 0 1em; }
+h1 { font-size: 1.5em; } h2 { font-size: 1.15em; margin-top: 2em; }
+img, video { max-width: 100%; }
+.wide { overflow-x: auto; }
+table { border-collapse: collapse; font-size: 13px; }
+th, td { padding: .3em .7em; text-align: right; border-bottom: 1px solid #ddd; }
+th { vertical-align: bottom; } th:first-child, td:first-child { text-align: left; }
+p.note { color: #555; font-size: 13px; }
+"""
+
+_NOTE = f"""Coverage: points on the wall that stand for its area; <i>frustum</i> counts vertices
+in the field of view through walls (the definition of VR-Caps), <i>visible</i> what nothing hides,
+<i>resolved</i> what is also seen close and steeply enough. After the end of an episode its coverage
+stays. Lines: mean over episodes with its 95 % confidence band; pale: 10th to 90th percentile.
+Star: VR-Caps, 96.04 % at {PAPER_TIME} s of one stomach. Times: median over episodes, where one
+that never got there counts as the longest, and how many got there. Forces: median over episodes of
+percentiles over the actions of an episode."""
+
+
+def write_page(folder: Path, subjects: Sequence[Subject]) -> list[Path]:
+    """Write the page, the picture and the table.
+
+    Args:
+        folder: Where.
+        subjects: What was judged; with the video of a median run in each folder, if it was made.
+
+    Returns:
+        The files.
+    """
+    write_bytes(folder / PICTURE, summary_picture(subjects))
+    columns = {subject.name: summary(subject) for subject in subjects}
+    names = next(iter(columns.values()))
+    rows = [
+        {"figure": name, **{subject: column[name] for subject, column in columns.items()}}
+        for name in names
+    ]
+    text = io.StringIO()
+    writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    write_bytes(folder / TABLE, text.getvalue().encode())
+    write_bytes(folder / PAGE, _page(folder, subjects, rows).encode())
+    return [folder / name for name in (PAGE, PICTURE, TABLE)]
+
+
+def _page(folder: Path, subjects: Sequence[Subject], rows: list[dict[str, str]]) -> str:
+    dynamics = ", ".join(sorted({subject.settings.dynamics for subject in subjects}))
+    organs = sorted({str(o) for s in subjects for o in s.evaluation.column("organ")})
+    whole = ", ".join(sorted({f"{s.settings.episode_time:g}" for s in subjects}))
+    said = (
+        f"{len(organs)} organs ({', '.join(organs[:4])}{', …' if len(organs) > 4 else ''}); "
+        f"episodes of {whole} s; dynamics: {dynamics}."
+    )
+    parts = [
+        f"<!doctype html><meta charset='utf-8'><title>Evaluation</title><style>{_STYLE}</style>",
+        f"<h1>Evaluation of {html.escape(', '.join(s.name for s in subjects))}</h1>",
+        f"<p>{html.escape(said)}</p>",
+        f"<img alt='coverage' src='{_data(folder / PICTURE, 'image/png')}'>",
+        f"<p class='note'>{_NOTE}</p>",
+        _table(rows),
+        "<h2>Organs</h2><p class='note'>Median visible coverage "
+        f"at {PAPER_TIME} s [%].</p>{_table(_by_organ(subjects))}",
+        f"<h2>Ends of episodes</h2>{_table(_ends(subjects))}",
+    ]
+    for subject in subjects:
+        video = subject.evaluation.folder / VIDEO
+        if video.is_file():
+            row = subject.evaluation.median_row("visible_area_under_curve")
+            parts.append(
+                f"<h2>{html.escape(subject.name)}: the median run</h2>"
+                f"<p>{row['organ']}, seed {row['seed']}, episode {row['episode']}; twice as fast "
+                "as it was. Left: the camera. Right: the organ, green where it was seen.</p>"
+                f"<video controls loop muted src='{_data(video, 'video/mp4')}'></video>"
+            )
+    return "\n".join(parts)
+
+
+def _by_organ(subjects: Sequence[Subject]) -> list[dict[str, str]]:
+    """A row for each organ, a column for each subject."""
+    names = sorted({str(o) for s in subjects for o in s.evaluation.column("organ")})
+    rows = []
+    for name in names:
+        row = {"organ": name}
+        for subject in subjects:
+            own = subject.evaluation.column("organ") == name
+            percent = subject.evaluation.column(f"visible_at_{PAPER_TIME}_s")[own]
+            row[subject.name] = f"{np.median(percent):.1f}" if len(percent) else ""
+        rows.append(row)
+    return rows
+
+
+def _ends(subjects: Sequence[Subject]) -> list[dict[str, str]]:
+    """A row for each subject: how many episodes ended for each reason."""
+    counts = [ends(subject) for subject in subjects]
+    reasons = sorted({reason for count in counts for reason in count})
+    return [
+        {"policy": subject.name, **{r: str(count.get(r, 0)) for r in reasons}}
+        for subject, count in zip(subjects, counts, strict=True)
+    ]
+
+
+def _table(rows: list[dict[str, str]]) -> str:
+    head = "".join(f"<th>{html.escape(name)}</th>" for name in rows[0])
+    body = "".join(
+        f"<tr>{''.join(f'<td>{html.escape(value)}</td>' for value in row.values())}</tr>"
+        for row in rows
+    )
+    return f"<div class='wide'><table><tr>{head}</tr>{body}</table></div>"
+
+
+def _data(path: Path, kind: str) -> str:
+    """A file as an address that holds it."""
+    return f"data:{kind};base64,{base64.b64encode(path.read_bytes()).decode()}"

@@ -1,0 +1,78 @@
+"""`vrcaps evaluate`: settings of what is judged, a run from the command line, and bad input."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from small_envs import SHORT_GUT, small_settings
+from vrcaps.cli import main
+from vrcaps.cli.evaluate import Evaluate
+from vrcaps.env.actuation.wrench import Wrench
+from vrcaps.errors import InputError, VrcapsError
+from vrcaps.policy.policy import read_policy
+from vrcaps.tools.evaluation.page import PAGE, PICTURE, TABLE
+
+
+def test_an_episode_goes_on_to_the_end_of_its_time() -> None:
+    command = Evaluate(("centerline",), Path("unused"), organs=("stomach:3-4",), time=50.0)
+    settings = command._settings(read_policy("centerline"), "dual")
+    assert settings.task.target == 1.0
+    assert settings.stuck_time > settings.episode_time == 50.0
+    assert settings.dynamics == "physics"
+    assert settings.actuation == Wrench(is_weightless=True)
+    assert settings.capsule == "dual"
+    assert [organ.seed for organ in settings.organs] == [3, 4]  # type: ignore[union-attr]
+
+
+@pytest.mark.parametrize(
+    ("flags", "said"),
+    [
+        ("", "No policy is given"),
+        ("centreline", "No policy named 'centreline'"),
+        ("centerline --organs colom:0", "No organ named 'colom'"),
+        ("centerline --organs no.glb", "no.glb"),
+        ("centerline --task fly", "No task named 'fly'"),
+        ("centerline --actuation arm", "the environment's actuation is arm"),
+        ("centerline --capsules mirocan", "No capsule named 'mirocan'"),
+        ("centerline --seeds 0", "seeds is 0"),
+    ],
+)
+def test_bad_input_is_one_line_and_writes_nothing(
+    flags: str, said: str, tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
+    with pytest.raises(SystemExit):
+        main(["evaluate", *flags.split(), "--out", str(tmp_path / "out")])
+    error = capsys.readouterr().err.strip()
+    assert said in error
+    assert "\n" not in error
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.slow
+def test_two_policies_side_by_side(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    wrench = Wrench(is_weightless=True)
+    small = small_settings(
+        organs=(SHORT_GUT,), actuation=wrench, dynamics="physics", episode_time=0.4
+    )
+    monkeypatch.setattr(Evaluate, "_settings", lambda *_: replace(small))
+    policies = ("centerline", "vrcaps.policy.random:RandomPolicy")
+    command = Evaluate(policies, tmp_path, seeds=2, episodes=1, video=False)
+    command.run()
+    page = (tmp_path / PAGE).read_text()
+    assert "centerline" in page
+    assert "data:image/png;base64," in page
+    assert (tmp_path / PICTURE).read_bytes().startswith(b"\x89PNG")
+    table = (tmp_path / TABLE).read_text().splitlines()
+    assert table[0] == "figure,centerline,vrcaps.policy.random-RandomPolicy"
+    assert table[-1] == "wall escapes,0,0"
+    folders = {p.name for p in tmp_path.iterdir() if p.is_dir()}
+    assert folders == {"centerline", "vrcaps.policy.random-RandomPolicy"}
+
+
+def test_errors_are_the_packages_own() -> None:
+    with pytest.raises(InputError) as caught:
+        Evaluate((), Path("unused")).run()
+    assert isinstance(caught.value, VrcapsError)

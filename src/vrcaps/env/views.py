@@ -114,10 +114,14 @@ class Views:
         s = self._simulation
         device = s.device if index is None else s.devices[index]
         camera = device.cameras[0] if view.camera is None else device.camera(view.camera)
-        if index is not None and view.size is not None:
+        if index is not None and self._is_captured(view):
             for effect in self._effects(index).of_kind(CameraEffect):
                 camera = effect.on(camera)
         return camera if view.size is None else resized_camera(camera, *view.size)
+
+    def _is_captured(self, view: View) -> bool:
+        """Whether lens and sensor act on a view: on those of agents, not on those to be shown."""
+        return self._simulation.settings.randomization.has_effects and view.size is not None
 
     def _effects(self, index: int) -> Effects:
         """What lens and sensor of a world do to the images that agents see."""
@@ -133,7 +137,7 @@ class Views:
         T_patient_world = invert(s.patient(index).model.T_world_patient)
         state = State(float(s.time[index]), T_patient_world @ s.T_world_capsule[index])
         channels = self._wanted[view]
-        if s.settings.randomization.has_effects and view.size is not None:
+        if self._is_captured(view):
             frame = self._captured(index, view, state, renderer)
         else:
             frame = renderer.render(state, self.camera(view, index), channels=channels)

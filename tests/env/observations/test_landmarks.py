@@ -4,9 +4,11 @@ import numpy as np
 import pytest
 
 from small_envs import GUT, SHORT_GUT, simulation_of
+from vrcaps import _core
 from vrcaps.env.observations.landmarks import RAYS, LandmarksObservation
 from vrcaps.env.start import Start
 from vrcaps.errors import InputError
+from vrcaps.mesh.mesh import wall_of
 from vrcaps.transforms import transform_from
 
 _SCALE = 0.02
@@ -113,3 +115,18 @@ def test_magnet_is_told_from_the_capsule():
 def test_bad_options_say_what_is_allowed():
     with pytest.raises(InputError, match=r"regions is -1\. Allowed: 0 to 64"):
         LandmarksObservation(regions=-1)
+
+
+def test_distances_in_many_walls_are_those_of_single_rays():
+    walls = [wall_of(organ.vertices, organ.faces) for organ in (GUT, SHORT_GUT)]
+    ways = np.random.default_rng(0).normal(size=(2, 40, 3))
+    places = np.array([[0.05, 1e-3, 2e-3], [0.03, -4e-3, 0.0]])
+    found = _core.wall_distances(walls, places, ways, 0.04)
+    for wall, place, way, row in zip(walls, places, ways, found, strict=True):
+        units = way / np.linalg.norm(way, axis=1, keepdims=True)
+        alone, _ = wall.cast(np.tile(place, (40, 1)), units)
+        np.testing.assert_allclose(row, np.minimum(alone, 0.04), rtol=1e-5)
+    with pytest.raises(ValueError, match=r"need a place \[3\] and directions"):
+        _core.wall_distances(walls, places, ways[:1], 0.04)
+    with pytest.raises(ValueError, match="must be finite, and not zero"):
+        _core.wall_distances(walls, places, 0.0 * ways, 0.04)

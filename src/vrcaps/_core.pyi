@@ -52,6 +52,7 @@ class World:
         drag: Any,
         spring_wall: Any | None,
         pose: Pose,
+        is_quasi_static: bool = False,
     ) -> None: ...
     def set_lumen_drive(self, inward: NDArray[np.float64], sample: NDArray[np.float64]) -> None: ...
     def step(

@@ -79,10 +79,12 @@ def world_on(
     foundation: WinklerFoundation = LINEAR,
     drag: Drag | None = None,
     spring_wall: SpringWall | None = None,
+    is_quasi_static: bool = False,
 ) -> _core.World:
     """A capsule on a wall; `position` is in the wall's own frame."""
     place = tuple(np.subtract(position, wall.center))
     drag = drag or Drag(friction=0.0)
+    pose = (place, wxyz, velocity, spin)
     return _core.World(
-        wall, body or capsule(), foundation, drag, spring_wall, (place, wxyz, velocity, spin)
+        wall, body or capsule(), foundation, drag, spring_wall, pose, is_quasi_static
     )

@@ -41,6 +41,11 @@ pub struct VertexMotion {
 const STILL: (f64, f64) = (1e-8, 1e-7);
 
 impl SpringWall {
+    /// How far a newton moves a vertex in a time `h` [s] without inertia, backward in time [m/N].
+    pub fn give(&self, h: f64) -> f64 {
+        h / (self.mass * self.damping + h * self.spring)
+    }
+
     /// One step of a vertex: push, spring back, damp, move.
     #[inline(always)]
     pub fn advance(&self, vertex: &mut VertexMotion, force: DVec3, dt: f64) {

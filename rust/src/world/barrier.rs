@@ -13,7 +13,7 @@ use glam::DVec3;
 
 /// Radius of the barrier, as a share of the capsule's.
 const SHARE: f64 = 0.2;
-/// Time in which what has come through is brought out again [s].
+/// Time in which what has come through is brought out again, or a longer substep [s].
 const RECOVERY: f64 = 5e-3;
 /// Give of an impulse, as a share of the capsule's own: keeps impulses small where walls on both
 /// sides leave too little room.
@@ -55,8 +55,9 @@ pub fn keep_out(
     let radius = SHARE * body.radius;
     let close = facets.iter().filter(|facet| facet.distance - facet.reach < radius);
     let axis = body.axis(motion);
+    let recovery = RECOVERY.max(dt);
     let mut blocks: Vec<Block> =
-        close.filter_map(|facet| block(facet, &axis, motion.position, radius)).collect();
+        close.filter_map(|facet| block(facet, &axis, motion.position, radius, recovery)).collect();
     if blocks.is_empty() {
         return change;
     }
@@ -90,7 +91,7 @@ impl Block {
 }
 
 /// A triangle as it meets the barrier, if it does.
-fn block(facet: &Facet, axis: &Axis, position: DVec3, radius: f64) -> Option<Block> {
+fn block(facet: &Facet, axis: &Axis, position: DVec3, radius: f64, recovery: f64) -> Option<Block> {
     let (on_axis, center) = closest(axis, facet.corners);
     let distance = (center - on_axis).length();
     if distance >= radius {
@@ -110,7 +111,7 @@ fn block(facet: &Facet, axis: &Axis, position: DVec3, radius: f64) -> Option<Blo
         velocity: facet.velocity,
         lever: Twist { linear: normal, angular: moment }.to_array(),
         answer: [0.0; 6],
-        excess: (radius - distance) / RECOVERY,
+        excess: (radius - distance) / recovery,
         impulse: 0.0,
     })
 }

@@ -1,7 +1,7 @@
 //! Several worlds in one call: stepped side by side, and read as arrays.
 
 use super::binding::{World, busy, table};
-use super::parameters::load;
+use super::parameters::{LOAD_ROW, load};
 use super::substep::Load;
 use super::time_stepping::Stepper;
 use crate::poses::{pose_of, rows};
@@ -10,9 +10,6 @@ use crate::wall::Wall;
 use numpy::{PyArray2, PyReadonlyArray2};
 use pyo3::{exceptions::PyValueError, prelude::*};
 use rayon::prelude::*;
-
-/// Numbers of a load: force, torque, gravity.
-const LOAD_ROW: usize = 9;
 
 /// A world on its way: what one thread steps.
 struct Task<'a> {
@@ -34,9 +31,9 @@ type States<'py> = (
 
 /// Moves each world on by `dt`, as `World.step` does, on all threads.
 ///
-/// `loads` [n 9] are force [N], torque [N·m] and gravity [m/s²], `strides` the number of substeps
-/// and of a layer's steps, `lumen_scales` [2 k] as for `World.step`. Returns for each world None, or
-/// why it could not step: it is then as it was.
+/// `loads` [n 10] are force [N], torque [N·m], gravity [m/s²] and damping [N·s/m], `strides` the
+/// number of substeps and of a layer's steps, `lumen_scales` [2 k] as for `World.step`. Returns for
+/// each world None, or why it could not step: it is then as it was.
 #[pyfunction]
 pub fn step_worlds(
     py: Python<'_>,
@@ -110,7 +107,7 @@ pub fn world_states<'py>(
     Ok((table(py, places, 16), table(py, motions, 6), table(py, wrenches, 6), table(py, rest, 5)))
 }
 
-/// Whether the axis of each capsule is in its lumen; hierarchies are brought to where walls are.
+/// Whether the axis of each capsule is in its lumen.
 #[pyfunction]
 pub fn worlds_inside(py: Python<'_>, worlds: Vec<Bound<'_, World>>) -> PyResult<Vec<bool>> {
     let mut held = borrowed(&worlds)?;
@@ -119,9 +116,7 @@ pub fn worlds_inside(py: Python<'_>, worlds: Vec<Bound<'_, World>>) -> PyResult<
     let pairs = held.iter_mut().zip(&mut walls);
     let mut pairs: Vec<(&mut Stepper, &mut Wall)> =
         pairs.map(|(world, wall)| (&mut world.stepper, &mut **wall)).collect();
-    let look = |(stepper, wall): &mut (&mut Stepper, &mut Wall)| {
-        stepper.soft.settle(wall).map(|()| stepper.is_inside(wall))
-    };
+    let look = |(stepper, wall): &mut (&mut Stepper, &mut Wall)| stepper.is_inside_now(wall);
     let found = py.detach(|| pairs.par_iter_mut().with_max_len(1).map(look).collect());
     let found: Result<Vec<bool>, &'static str> = found;
     found.map_err(PyValueError::new_err)

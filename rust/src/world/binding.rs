@@ -10,7 +10,7 @@ use super::parameters::{
 use super::soft_wall::{Drive, SoftWall};
 use super::solve::Twist;
 use super::substep::{Load, press};
-use super::time_stepping::{StepTotals, Stepper};
+use super::time_stepping::{Dynamics, StepTotals, Stepper};
 use crate::magnet::field_sources::{FieldSources, internal_magnets};
 use crate::poses::{pose_rows, read_pose, rows};
 use crate::tissue::fem::layer::FemLayer;
@@ -46,8 +46,12 @@ pub struct World {
 
 #[pymethods]
 impl World {
-    /// A capsule in a wall at rest, at a pose.
+    /// A capsule in a wall at rest, at a pose; its motion has inertia unless `is_quasi_static`.
     #[new]
+    #[pyo3(signature = (
+        wall, body, foundation, drag, spring_wall, pose, is_quasi_static=false
+    ))]
+    #[allow(clippy::too_many_arguments)]
     fn new(
         py: Python<'_>,
         wall: Py<Wall>,
@@ -56,6 +60,7 @@ impl World {
         drag: DragParameters,
         spring_wall: Option<SpringWallParameters>,
         pose: Pose,
+        is_quasi_static: bool,
     ) -> PyResult<Self> {
         let (soft, center) = {
             let wall = wall.try_borrow(py).map_err(busy)?;
@@ -64,7 +69,9 @@ impl World {
         let spring_wall = spring_wall.map(SpringWall::from);
         let body = Body::try_from(body)?;
         let laws = laws(foundation, drag, body.radius);
+        let dynamics = if is_quasi_static { Dynamics::QuasiStatic } else { Dynamics::Physics };
         let stepper = Stepper {
+            dynamics,
             body,
             laws,
             spring_wall,
@@ -99,7 +106,8 @@ impl World {
         if outer == 0 || !count.is_multiple_of(outer) {
             return Err(PyValueError::new_err("The count must be a multiple of outer."));
         }
-        let load = Load { wrench: Twist::from_array(wrench), gravity: DVec3::from(gravity) };
+        let (wrench, gravity) = (Twist::from_array(wrench), DVec3::from(gravity));
+        let load = Load { wrench, gravity, damping: 0.0 };
         if let Some(lumen_scale) = lumen_scale {
             self.stepper.aim(lumen_scale.as_slice()?, dt * count as f64)?;
         }
@@ -116,6 +124,11 @@ impl World {
 
     /// Puts a layer of finite elements under the wall, solved to `tolerance` [m].
     fn set_layer(&mut self, py: Python<'_>, layer: Py<FemLayer>, tolerance: f64) -> PyResult<()> {
+        if self.stepper.dynamics == Dynamics::QuasiStatic {
+            return Err(PyValueError::new_err(
+                "A layer has inertia: it takes no quasi-static world.",
+            ));
+        }
         let now = layer.try_borrow(py).map_err(busy)?;
         let coupling = FemCoupling::new(&now, tolerance);
         drop(now);
@@ -416,10 +429,11 @@ impl World {
         self.stepper.laws.drag.resistance(speed)
     }
 
-    /// Whether the capsule's axis is in the lumen, by the hierarchy as last settled.
-    fn inside(&self, py: Python<'_>) -> PyResult<bool> {
-        let wall = self.wall.try_borrow(py).map_err(busy)?;
-        Ok(self.stepper.is_inside(&wall))
+    /// Whether the capsule's axis is in the lumen.
+    fn inside(&mut self, py: Python<'_>) -> PyResult<bool> {
+        let wall = self.wall.clone_ref(py);
+        let mut wall = wall.try_borrow_mut(py).map_err(busy)?;
+        self.stepper.is_inside_now(&mut wall).map_err(PyValueError::new_err)
     }
 }
 

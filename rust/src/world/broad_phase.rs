@@ -16,39 +16,78 @@ pub struct NearbyWall {
     pub vertices: Vec<u32>,
     /// All vertices within the wider reach, by rising number.
     pub around: Vec<u32>,
+    looked_at: LookedAt,
+}
+
+/// Distances of vertices from the axis in one search, so that each is found once.
+#[derive(Default)]
+struct LookedAt {
+    number: u32,
+    /// In which search, and how far [m].
+    distances: Vec<(u32, f64)>,
 }
 
 impl NearbyWall {
     /// Faces within `reach` of the axis, vertices within the `wider` reach [m].
     pub fn find(&mut self, wall: &Wall, axis: &Axis, reach: f64, wider: f64) {
-        let mut faces = Vec::new();
-        let mut around = Vec::new();
+        self.faces.clear();
+        self.around.clear();
+        let mut looked_at = std::mem::take(&mut self.looked_at);
+        looked_at.begin(wall.vertices.len());
         for face in faces_in_box(&wall.bvh, axis, reach.max(wider)) {
             let corners = wall.faces[face as usize];
-            let distance = |v: u32| {
-                let p = point(wall, v);
-                (p - axis.nearest(p)).length()
-            };
-            let [a, b, c] = corners.map(|v| point(wall, v));
-            let longest = (b - a).length().max((c - b).length()).max((a - c).length());
-            let nearest = corners.map(distance).into_iter().fold(f64::INFINITY, f64::min);
-            // No point of a triangle is farther from its nearest corner than its longest edge.
-            if nearest - longest <= reach {
-                faces.push(face);
+            let mut nearest = f64::INFINITY;
+            for v in corners {
+                let (distance, is_new) = looked_at.distance(wall, v, axis);
+                nearest = nearest.min(distance);
+                if is_new && distance <= wider {
+                    self.around.push(v);
+                }
             }
-            around.extend(corners.into_iter().filter(|&v| distance(v) <= wider));
+            // No point of a triangle is farther from its nearest corner than its longest edge.
+            if nearest <= reach || nearest - longest_edge(wall, corners) <= reach {
+                self.faces.push(face);
+            }
         }
-        faces.sort_unstable();
-        around.sort_unstable();
-        around.dedup();
-        self.around = around;
-        self.vertices = faces.iter().flat_map(|&f| wall.faces[f as usize]).collect();
+        self.looked_at = looked_at;
+        self.faces.sort_unstable();
+        self.around.sort_unstable();
+        let corners = self.faces.iter().flat_map(|&f| wall.faces[f as usize]);
+        self.vertices.clear();
+        self.vertices.extend(corners);
         self.vertices.sort_unstable();
         self.vertices.dedup();
         let place = |v: u32| self.vertices.binary_search(&v).expect("a corner of the face") as u32;
-        self.corners = faces.iter().map(|&f| wall.faces[f as usize].map(place)).collect();
-        self.faces = faces;
+        self.corners.clear();
+        self.corners.extend(self.faces.iter().map(|&f| wall.faces[f as usize].map(place)));
     }
+}
+
+impl LookedAt {
+    fn begin(&mut self, num_vertices: usize) {
+        self.number = self.number.wrapping_add(1);
+        if self.distances.len() != num_vertices || self.number == 0 {
+            self.distances = vec![(0, 0.0); num_vertices];
+            self.number = 1;
+        }
+    }
+
+    /// Distance of a vertex from the axis [m], and whether it is asked for the first time.
+    #[inline(always)]
+    fn distance(&mut self, wall: &Wall, v: u32, axis: &Axis) -> (f64, bool) {
+        let known = &mut self.distances[v as usize];
+        let is_new = known.0 != self.number;
+        if is_new {
+            let p = point(wall, v);
+            *known = (self.number, (p - axis.nearest(p)).length());
+        }
+        (known.1, is_new)
+    }
+}
+
+fn longest_edge(wall: &Wall, corners: [u32; 3]) -> f64 {
+    let [a, b, c] = corners.map(|v| point(wall, v));
+    (b - a).length().max((c - b).length()).max((a - c).length())
 }
 
 /// A vertex of the wall in double precision, about the wall's center.
@@ -68,13 +107,14 @@ fn faces_in_box(bvh: &Bvh, axis: &Axis, reach: f64) -> Vec<u32> {
             Child::Leaf(range) => found.extend(bvh.triangles[range].iter().map(|t| t.face)),
             Child::Node(number) => {
                 let node = &bvh.nodes[number];
-                let meets = |k: &usize| {
-                    (0..3).all(|axis| {
-                        node.bounds[axis][*k] <= high[axis]
-                            && node.bounds[axis + 3][*k] >= low[axis]
-                    })
-                };
-                stack.extend((0..WIDTH).filter(meets).map(|k| node.children[k]));
+                let mut meets = [true; WIDTH];
+                for axis in 0..3 {
+                    for k in 0..WIDTH {
+                        meets[k] &= node.bounds[axis][k] <= high[axis]
+                            && node.bounds[axis + 3][k] >= low[axis];
+                    }
+                }
+                stack.extend((0..WIDTH).filter(|&k| meets[k]).map(|k| node.children[k]));
             }
         }
     }

@@ -154,6 +154,14 @@ impl Patch {
         self.pieces.iter().map(|pieces| &pieces.place).zip(&mut self.samples)
     }
 
+    /// As `lanes`, and beside them the touched triangles.
+    pub fn lanes_and_loads(
+        &mut self,
+    ) -> (impl Iterator<Item = (&[u32; LANES], &Samples)>, &mut [FacetLoad]) {
+        let lanes = self.pieces.iter().map(|pieces| &pieces.place).zip(&self.samples);
+        (lanes, &mut self.facet_loads)
+    }
+
     /// Presses into all pieces.
     pub fn press(&mut self, pressing: &Pressing) {
         press_all(pressing, &self.pieces, &mut self.samples);

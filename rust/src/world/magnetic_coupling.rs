@@ -1,8 +1,9 @@
 //! What sources outside do to the capsule's magnets, substep by substep.
 
 use super::body::{Body, Motion};
+use super::parameters::principal_axes;
 use super::soft_wall::Outcome;
-use super::solve::Twist;
+use super::solve::{Symmetric6, Twist};
 use crate::magnet::sources::{InternalMagnet, Place, Source, Wrench, field, wrench};
 use glam::{DMat3, DQuat, DVec3};
 
@@ -10,6 +11,9 @@ use glam::{DMat3, DQuat, DVec3};
 const LONGEST_SWING: f64 = 0.5;
 /// Numbers for where a source is: place, quaternion wxyz, strength.
 pub const SOURCE_ROW: usize = 8;
+
+/// How far away the force is looked at for its slope [m].
+const PROBE: f64 = 1e-4;
 
 /// What Python is told, see `MagneticCoupling::report`.
 pub type Report = ([f64; 3], [f64; 3], [f64; 3], [f64; 9], u8, [f64; 3], f64);
@@ -42,6 +46,9 @@ pub struct MagneticCoupling {
     place: Place,
     /// Largest torque that the field has for the magnets [N·m].
     hold: f64,
+    /// Wrench and stiffness of the last `hold_back`.
+    pulled: Twist,
+    stiffness: Symmetric6,
 }
 
 impl Way {
@@ -133,13 +140,25 @@ impl MagneticCoupling {
     pub fn pull(&mut self, body: &Body, motion: &Motion, dt: f64) -> Result<Twist, &'static str> {
         let share = (self.clock + 0.5 * dt) / self.duration;
         self.clock += dt;
+        let pulled = self.wrench_at(share, body, &halfway(motion, dt))?;
+        self.impulse.linear += dt * pulled.force;
+        self.impulse.angular += dt * pulled.torque;
+        Ok(self.in_wall(&pulled))
+    }
+
+    /// Wrench at a pose, of the sources after a share of the step.
+    fn wrench_at(
+        &mut self,
+        share: f64,
+        body: &Body,
+        motion: &Motion,
+    ) -> Result<Wrench, &'static str> {
         for (way, source) in self.ways.iter().zip(&mut self.sources) {
             if !way.is_still() {
                 way.put(source, share);
             }
         }
-        let middle = halfway(motion, dt);
-        let pulled = self.wrench(&middle);
+        let pulled = self.wrench(motion);
         (self.place, self.hold) = (self.place.max(pulled.place), pulled.hold);
         if pulled.place == Place::Singular {
             return Err(
@@ -147,11 +166,57 @@ impl MagneticCoupling {
                         magnet. Allowed: Ts_world_magnet farther away.",
             );
         }
-        self.require_apart(body, &middle)?;
-        self.impulse.linear += dt * pulled.force;
-        self.impulse.angular += dt * pulled.torque;
+        self.require_apart(body, motion)?;
+        Ok(pulled)
+    }
+
+    fn in_wall(&self, pulled: &Wrench) -> Twist {
         let back = self.rotation.conjugate();
-        Ok(Twist { linear: back * pulled.force, angular: back * pulled.torque })
+        Twist { linear: back * pulled.force, angular: back * pulled.torque }
+    }
+
+    /// Wrench at the pose now of the sources after a part of `h` [s], and the stiffness with which
+    /// they hold the capsule there, in the wall's frame.
+    ///
+    /// The force's is the positive part of −∂F/∂x; the torque's is hold · (I − m̂ m̂ᵀ), which is exact
+    /// for an aligned moment m and more than enough elsewhere.
+    pub fn hold_back(
+        &mut self,
+        body: &Body,
+        motion: &Motion,
+        h: f64,
+    ) -> Result<(Twist, Symmetric6), &'static str> {
+        let share = ((self.clock + h) / self.duration).min(1.0);
+        let pulled = self.wrench_at(share, body, motion)?;
+        let slope = |axis: DVec3| {
+            let position = motion.position + PROBE * axis;
+            let there = self.wrench(&Motion { position, ..*motion });
+            self.rotation.conjugate() * (pulled.force - there.force) / PROBE
+        };
+        let slopes = DMat3::from_cols(slope(DVec3::X), slope(DVec3::Y), slope(DVec3::Z));
+        let (slopes, axes) = principal_axes(0.5 * (slopes + slopes.transpose()));
+        let held = axes * DMat3::from_diagonal(slopes.max(DVec3::ZERO)) * axes.transpose();
+        let moment: DVec3 = self.inside.iter().map(|m| m.moment).sum();
+        let along = motion.rotation * moment.normalize_or_zero();
+        let mut stiffness = Symmetric6::default();
+        for row in 0..3 {
+            for column in 0..=row {
+                stiffness.0[row][column] = held.col(column)[row];
+                stiffness.0[3 + row][3 + column] = -pulled.hold * along[row] * along[column];
+            }
+            stiffness.0[3 + row][3 + row] += pulled.hold;
+        }
+        (self.pulled, self.stiffness) = (self.in_wall(&pulled), stiffness);
+        Ok((self.pulled, stiffness))
+    }
+
+    /// Takes a part of `h` [s], of which so much was taken, at a twist in the wall's frame.
+    pub fn pass(&mut self, taken: f64, h: f64, twist: &Twist) {
+        let lost = Twist::from_array(self.stiffness.times(&twist.to_array()));
+        let (force, torque) = (self.pulled.linear, self.pulled.angular);
+        self.clock += taken;
+        self.impulse.linear += taken * (self.rotation * (force - h * lost.linear));
+        self.impulse.angular += taken * (self.rotation * (torque - h * lost.angular));
     }
 
     fn require_apart(&self, body: &Body, motion: &Motion) -> Outcome {

@@ -17,6 +17,8 @@ mod friction;
 mod laws;
 mod magnetic_coupling;
 mod parameters;
+mod quasi_static;
+mod series;
 mod sliding;
 mod soft_wall;
 pub mod solve;

@@ -82,10 +82,13 @@ pub fn laws(foundation: FoundationParameters, drag: DragParameters, radius: f64)
     }
 }
 
-/// Force, torque and gravity in a row of nine numbers.
+/// Numbers of a load.
+pub const LOAD_ROW: usize = 10;
+
+/// Force, torque, gravity and damping in a row.
 pub fn load(row: &[f64]) -> Load {
     let wrench = Twist { linear: vector(row), angular: vector(&row[3..]) };
-    Load { wrench, gravity: vector(&row[6..]) }
+    Load { wrench, gravity: vector(&row[6..]), damping: row[9] }
 }
 
 impl From<SpringWallParameters> for SpringWall {
@@ -121,7 +124,7 @@ impl TryFrom<BodyParameters<'_>> for Body {
 }
 
 /// Eigenvalues and right-handed eigenvectors of a symmetric matrix, by Jacobi's rotations.
-fn principal_axes(mut a: DMat3) -> (DVec3, DMat3) {
+pub fn principal_axes(mut a: DMat3) -> (DVec3, DMat3) {
     let mut axes = DMat3::IDENTITY;
     for _ in 0..32 {
         for (p, q) in [(0, 1), (0, 2), (1, 2)] {

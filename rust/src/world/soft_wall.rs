@@ -4,6 +4,7 @@ use super::body::{Axis, Body, Motion};
 use super::broad_phase::{NearbyWall, point};
 use super::contact::Facet;
 use super::contact_patch::Patch;
+use super::series::Series;
 use crate::simd::f64x8::{LANES, Lane3, at, min, put};
 use crate::tissue::spring_wall::{ContactForce, SpringWall, VertexMotion, attenuate};
 use crate::wall::Wall;
@@ -99,13 +100,15 @@ pub struct SoftWall {
     was_driven: bool,
     pub near: NearbyWall,
     /// How far capsule and wall must have traveled before each near triangle can touch [m].
-    clear: Vec<f64>,
+    pub clear: Vec<f64>,
     pub facets: Vec<Facet>,
     pub patch: Patch,
     pub contact_forces: Vec<ContactForce>,
     /// Places of awake vertices [m] and the forces on them [N]; kept to be overwritten.
-    places: Vec<Lane3>,
-    forces: Vec<Lane3>,
+    pub places: Vec<Lane3>,
+    pub forces: Vec<Lane3>,
+    /// Of quasi-static motion.
+    pub series: Series,
     /// Time since the step began [s].
     pub since: f64,
     /// How far capsule and wall may have come towards each other since the last search [m].
@@ -133,6 +136,7 @@ impl SoftWall {
             contact_forces: Vec::new(),
             places: Vec::new(),
             forces: Vec::new(),
+            series: Series::default(),
             since: 0.0,
             travel: f64::INFINITY,
             wall_travel: 0.0,
@@ -245,8 +249,8 @@ impl SoftWall {
         }
     }
 
-    /// One substep of the spring wall.
-    pub fn give_way(&mut self, spring_wall: &SpringWall, dt: f64) {
+    /// Finds the forces of `contact_forces` on the vertices that may give way.
+    pub fn push(&mut self, spring_wall: &SpringWall) {
         let mut places = std::mem::take(&mut self.places);
         places.clear();
         for eight in self.awake.chunks(LANES) {
@@ -258,6 +262,11 @@ impl SoftWall {
         }
         attenuate(spring_wall, &places, &self.contact_forces, &mut self.forces);
         self.places = places;
+    }
+
+    /// One substep of the spring wall.
+    pub fn give_way(&mut self, spring_wall: &SpringWall, dt: f64) {
+        self.push(spring_wall);
         let mut fastest = 0.0f64;
         for (k, &v) in self.awake.iter().enumerate() {
             let force = at(&self.forces[k / LANES], k % LANES);

@@ -49,6 +49,18 @@ pub struct System {
 }
 
 impl Symmetric6 {
+    /// Each number times another.
+    pub fn scaled(&self, factor: f64) -> Self {
+        Symmetric6(self.0.map(|row| row.map(|x| factor * x)))
+    }
+
+    /// Adds another.
+    pub fn add(&mut self, other: &Self) {
+        for (row, more) in self.0.iter_mut().zip(&other.0) {
+            row.iter_mut().zip(more).for_each(|(x, y)| *x += y);
+        }
+    }
+
     /// The product `A x`.
     pub fn times(&self, x: &[f64; 6]) -> [f64; 6] {
         std::array::from_fn(|row| {

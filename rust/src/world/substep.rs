@@ -23,6 +23,8 @@ pub struct Load {
     pub wrench: Twist,
     /// Gravity [m/s²].
     pub gravity: DVec3,
+    /// Drag on the center of mass over its velocity [N·s/m]; only quasi-static motion has it.
+    pub damping: f64,
 }
 
 /// What the wall did to the capsule in one substep.

@@ -7,6 +7,7 @@ use super::magnetic_coupling::MagneticCoupling;
 use super::soft_wall::{MARGIN, Outcome, SoftWall};
 use super::substep::{Load, Reaction, contact_forces, press, substep};
 use super::wall_load::Stride;
+use crate::simd::f32x64::Vec3;
 use crate::tissue::fem::layer::FemLayer;
 use crate::tissue::spring_wall::SpringWall;
 use crate::wall::Wall;
@@ -23,7 +24,7 @@ const TOO_LARGE: &str = "The step is too large: the capsule's motion runs away."
 /// Most parts of a substep.
 const MOST_PARTS: f64 = 512.0;
 /// A layer of finite elements under the wall, and the coupling with it.
-type Elastic<'a> = Option<(&'a mut FemLayer, &'a mut FemCoupling)>;
+pub type Elastic<'a> = Option<(&'a mut FemLayer, &'a mut FemCoupling)>;
 
 /// Sums over the substeps of a step.
 #[derive(Clone, Copy, Default)]
@@ -41,14 +42,14 @@ pub struct StepTotals {
 }
 
 /// Bound on the speed of every point of the capsule between two motions [m/s].
-fn fastest_point(body: &Body, before: &Motion, after: &Motion) -> f64 {
+pub fn fastest_point(body: &Body, before: &Motion, after: &Motion) -> f64 {
     let arm = body.center.length() + body.half_axis + body.radius;
     let speed = |m: &Motion| m.velocity.length() + m.angular_velocity.length() * arm;
     speed(before).max(speed(after))
 }
 
 /// Finds what is near the capsule, if it may have moved too far since it was last looked for.
-fn look_around(
+pub fn look_around(
     soft: &mut SoftWall,
     wall: &mut Wall,
     elastic: &mut Elastic,
@@ -77,7 +78,7 @@ impl StepTotals {
     }
 
     /// Impulses over a time `duration` as mean forces.
-    fn mean(self, duration: f64) -> Self {
+    pub fn mean(self, duration: f64) -> Self {
         StepTotals {
             force: self.force / duration,
             torque: self.torque / duration,
@@ -87,8 +88,19 @@ impl StepTotals {
     }
 }
 
+/// How the capsule's motion comes from what acts on it.
+#[derive(Clone, Copy, PartialEq)]
+pub enum Dynamics {
+    /// Newton's and Euler's equations, in substeps.
+    Physics,
+    /// Balance without inertia, see `quasi_static`.
+    QuasiStatic,
+}
+
 /// A capsule, its wall and what acts on them: all that one step changes, but for the layer itself.
 pub struct Stepper {
+    /// How it moves.
+    pub dynamics: Dynamics,
     /// The capsule's mass and shape.
     pub body: Body,
     /// Pressure and drag of the wall.
@@ -120,7 +132,10 @@ impl Stepper {
     ) -> Outcome {
         let backup = (self.motion, self.soft.awake_displacements(), self.last);
         let elastic = layer.as_deref().zip(self.coupling.as_ref()).map(|(l, x)| x.backup(l));
-        let result = self.substeps(wall, layer.as_deref_mut(), load, dt, strides);
+        let result = match self.dynamics {
+            Dynamics::Physics => self.substeps(wall, layer.as_deref_mut(), load, dt, strides),
+            Dynamics::QuasiStatic => self.relax(wall, load, dt * strides.0 as f64),
+        };
         let result = result.and_then(|()| self.check(wall));
         if result.is_ok() {
             self.soft.land();
@@ -253,12 +268,25 @@ impl Stepper {
         Ok(())
     }
 
-    /// Whether the axis of the capsule is in the lumen.
+    /// Whether the axis of the capsule is in the lumen, by the hierarchy as last settled.
     pub fn is_inside(&self, wall: &Wall) -> bool {
+        self.looks().iter().all(|&p| query::is_inside(&wall.bvh, p))
+    }
+
+    /// Likewise now: the hierarchy is settled where it may be off by more than the axis is from it.
+    pub fn is_inside_now(&mut self, wall: &mut Wall) -> Result<bool, &'static str> {
+        let off = self.soft.wall_travel;
+        let is_clear =
+            |&p: &Vec3| off == 0.0 || f64::from(query::nearest(&wall.bvh, p).distance) > off;
+        if !self.looks().iter().all(is_clear) {
+            self.soft.settle(wall)?;
+        }
+        Ok(self.is_inside(wall))
+    }
+
+    /// Points of the axis that must be in the lumen.
+    fn looks(&self) -> [Vec3; 3] {
         let axis = self.body.axis(&self.motion);
-        [0.0, 0.5, 1.0].iter().all(|&share| {
-            let p = axis.start + share * axis.span;
-            query::is_inside(&wall.bvh, p.to_array().map(|x| x as f32))
-        })
+        [0.0, 0.5, 1.0].map(|share| (axis.start + share * axis.span).to_array().map(|x| x as f32))
     }
 }

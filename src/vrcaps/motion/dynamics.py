@@ -24,6 +24,7 @@ from vrcaps.tissue.motility.propulsion import Propulsion
 from vrcaps.tissue.spring_wall import SpringWall
 from vrcaps.tissue.tissue import Tissue
 from vrcaps.tissue.winkler_foundation import WinklerFoundation
+from vrcaps.world.dynamics import DYNAMICS, DynamicsKind
 from vrcaps.world.schedule import (
     Insufflation,
     PostureChange,
@@ -83,6 +84,8 @@ class Dynamics:
             its first insufflation, and the muscle wakes within 1 s.
         step: Longest time between updates of muscle and commands [s].
         substep: Longest substep of the dynamics [s]. Gentle forces bear four times the default.
+        dynamics: `physics`, with inertia; or `quasi-static`, in balance without, many times as
+            fast, see `vrcaps.world.dynamics`.
     """
 
     start: float = FlyThrough.start
@@ -104,6 +107,7 @@ class Dynamics:
     settle: float = 1.0
     step: float = 0.05
     substep: float = SUBSTEP
+    dynamics: DynamicsKind = "physics"
 
     kind: ClassVar[str] = "dynamics"
 
@@ -157,6 +161,7 @@ class Dynamics:
             ("deformation", self.deformation, DEFORMATIONS),
             ("motility", self.motility, MOTILITIES),
             ("wrench frame", self.wrench_frame, WRENCH_FRAMES),
+            ("dynamics", self.dynamics, DYNAMICS),
         ):
             if name not in known:
                 raise UnknownNameError(noun, name, known)

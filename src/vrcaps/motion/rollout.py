@@ -101,6 +101,7 @@ class Rollout:
             settings.make_tissue(front=min(arc_length + _PASSED, self._line.length)),
             State(-settings.settle, pose),
             substep=settings.substep,
+            dynamics=settings.dynamics,
             seed=seed,
             sources=() if self.program is None else self.program.controller.sources,
         )

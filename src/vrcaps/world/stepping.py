@@ -34,7 +34,8 @@ class _Trip:
     Attributes:
         world: Which.
         dt: How long it takes [s].
-        load: Commanded force [N] and torque [N·m], and gravity [m/s²], in the patient's frame.
+        load: Commanded force [N] and torque [N·m], gravity [m/s²], in the patient's frame, and
+            damping [N·s/m].
         T_world_patient: How the patient lies then.
         sources: Where the sources are at its end.
         lumen_scale: Lumen's radius at its samples at its end.
@@ -42,7 +43,7 @@ class _Trip:
 
     world: World
     dt: float
-    load: Float[np.ndarray, " 9"]
+    load: Float[np.ndarray, " 10"]
     T_world_patient: Float[np.ndarray, "4 4"]
     sources: Float[np.ndarray, "k 8"]
     lumen_scale: Float[np.ndarray, " m"]
@@ -73,7 +74,10 @@ def step_together(
         if k not in failures:
             world._magnetic.aim(ends[k], dt, postures[k])
             scale = world._lumen_scale_at(world.time + dt, control.insufflation)
-            trips[k] = _Trip(world, dt, loads[k], postures[k], ends[k], scale)
+            load = np.append(loads[k], 0.0)
+            if world.dynamics == "quasi-static":
+                _add_propulsion(world, load)
+            trips[k] = _Trip(world, dt, load, postures[k], ends[k], scale)
     plain = {
         k: trip for k, trip in trips.items() if trip.world._lumen is None and _num_pieces(trip) == 1
     }
@@ -120,6 +124,8 @@ def _num_pieces(trip: _Trip) -> int:
     """Pieces of a step, so short that the force F = β (v_p − u) does not overshoot."""
     world = trip.world
     propulsion = None if world.muscle is None else world.muscle.motility.propulsion
+    if world.dynamics == "quasi-static":
+        return 1
     least = 1 if world._lumen is None else math.ceil(trip.dt / LUMEN_SUBSTEP * (1.0 - 1e-9))
     if propulsion is None:
         return least
@@ -129,6 +135,8 @@ def _num_pieces(trip: _Trip) -> int:
 def _strides(trip: _Trip, pieces: int) -> tuple[int, int]:
     """Substeps of a piece, and steps of an elastic layer."""
     world, length = trip.world, trip.dt / pieces
+    if world.dynamics == "quasi-static":
+        return 1, 1
     outer = 1 if world.layer is None else world.layer.num_steps(length)
     count = outer * max(1, math.ceil(length / outer / world.substep * (1.0 - 1e-9)))
     return count, outer
@@ -151,7 +159,7 @@ def _in_pieces(trip: _Trip) -> str | None:
         lumen.level_liquid(trip.T_world_patient, trip.lumen_scale)
         world._core.settle()  # nothing to do but after `restore`
     before, (count, outer) = _save(world), _strides(trip, pieces)
-    gravity = tuple(trip.load[6:])
+    gravity = tuple(trip.load[6:9])
     try:
         for piece in range(pieces):
             scales, length = _lumen_scales(trip, piece, pieces), trip.dt / pieces
@@ -169,6 +177,18 @@ def _in_pieces(trip: _Trip) -> str | None:
     means = vars(mean_contact(contacts)).values()
     world._core.set_contact(tuple(np.concatenate([np.ravel(part) for part in means])))
     return None
+
+
+def _add_propulsion(world: World, load: Float[np.ndarray, " 10"]) -> None:
+    """Adds the muscle's force β (v_p − u) to a load: that on a capsule at rest, and damping."""
+    if world.muscle is not None and world.muscle.motility.propulsion is not None:
+        position = np.array(world._core.pose[0]) + world._center
+        at_rest, moving = (
+            world.muscle.propulsion(position, velocity, world.time)
+            for velocity in (np.zeros(3), np.array([1.0, 0.0, 0.0]))
+        )
+        load[:3] += at_rest
+        load[9] += at_rest[0] - moving[0]
 
 
 def _propulsion(world: World, time: float) -> Float[np.ndarray, " 3"]:

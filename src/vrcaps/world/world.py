@@ -18,6 +18,7 @@ from vrcaps.tissue.tissue import Tissue
 from vrcaps.transforms import rotate_vectors
 from vrcaps.world.control import Control
 from vrcaps.world.core_pose import core_pose
+from vrcaps.world.dynamics import DynamicsKind, check_dynamics
 from vrcaps.world.fem_coupling import coupling_state_of, make_fem_wall
 from vrcaps.world.lumen_dynamics import LumenDynamics
 from vrcaps.world.magnetic_coupling import MagneticCoupling
@@ -59,6 +60,7 @@ class World:
         substep: float = SUBSTEP,
         seed: int = 0,
         sources: Sequence[Source] = (),
+        dynamics: DynamicsKind = "physics",
     ) -> None:
         """Puts the capsule into the organ.
 
@@ -70,18 +72,24 @@ class World:
             substep: Longest substep [s].
             seed: Of the patient's muscle, 0 or more.
             sources: Magnets outside, which act on those of the device.
+            dynamics: `physics`, with inertia, in substeps; or `quasi-static`, at the velocity at
+                which all that acts on the capsule is in balance, see `vrcaps.world.dynamics`.
 
         Raises:
             InputError: If the capsule is outside the lumen or does not fit, the substep is too
                 long, the seed negative, an elastic layer folds or nothing holds it, or sources
-                find no magnet in the device.
-            UnknownNameError: If the tissue has no muscle for a segment of the wall.
+                find no magnet in the device, or quasi-static motion finds an elastic layer or
+                lumen contents.
+            UnknownNameError: If the tissue has no muscle for a segment of the wall, or there are
+                no such dynamics.
         """
         tissue, start = tissue or Tissue(), start or model.place()
+        check_dynamics(dynamics, model, tissue)
         longest = min(_LONGEST_SUBSTEP, tissue.longest_substep)
         require(0.0 < substep <= longest, "substep", substep, f"above 0 to {longest:.3g} s")
         require(seed >= 0, "seed", seed, "0, 1, 2, …")
         self.model, self.tissue, self.substep, self.seed = model, tissue, substep, seed
+        self.dynamics: DynamicsKind = dynamics
         self.body = body or homogeneous_body(model.device)
         organ, self._lumen = model.organ, None
         self._wall = model.wall_in_patient.copy()
@@ -90,13 +98,7 @@ class World:
         self._T_world_patient = model.T_world_patient
         pose = core_pose(start, self._T_world_patient, self._center)
         self.layer = make_fem_wall(organ, tissue)
-        spring = tissue.deformation if self.layer is None else None
-        self._core = _core.World(
-            self._wall, self.body, tissue.foundation_in_series, tissue.drag, spring, pose
-        )
-        if self.layer is not None:
-            self.layer.carry(self._core)
-        self._core.set_lumen_drive(*model.lumen_drive)
+        self._core = self._make_core(pose)
         self._magnetic = MagneticCoupling(self._core, model.device.magnets, sources)
         self._num_samples = len(arc_length_samples(organ.centerline))
         self._lumen_scale: Float[np.ndarray, " k"] = np.ones(self._num_samples)
@@ -108,6 +110,17 @@ class World:
         if model.lumen_contents is not None:
             self._lumen = LumenDynamics(model, self._wall, self.body, self._core.pose)
         self._state: State | None = None
+
+    def _make_core(self, pose: _core.Pose) -> _core.World:
+        """The core's world: body, wall and laws."""
+        tissue, is_quasi_static = self.tissue, self.dynamics == "quasi-static"
+        spring = tissue.deformation if self.layer is None else None
+        laws = (tissue.foundation_in_series, tissue.drag, spring)
+        core = _core.World(self._wall, self.body, *laws, pose, is_quasi_static)
+        if self.layer is not None:
+            self.layer.carry(core)
+        core.set_lumen_drive(*self.model.lumen_drive)
+        return core
 
     @property
     def time(self) -> float:
@@ -263,7 +276,6 @@ class World:
 
     def is_inside(self) -> bool:
         """Whether the capsule's axis is in the lumen."""
-        self._core.settle()
         return self._core.inside()
 
     def _lumen_scale_at(self, time: float, insufflation: float) -> Float[np.ndarray, " k"]:

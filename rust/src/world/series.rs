@@ -1,0 +1,227 @@
+//! Pieces of the foundation and the springs under them in series, over one part of quasi-static
+//! motion.
+//!
+//! In a part of length h the springs give way to a force F by `C (F − k x)`, `C = h / (m μ + h k)`:
+//! their own update without inertia, backward in time. Where the push on the triangle's vertices is
+//! ρ times its load P, and its pieces grow by K with depth and c with speed, P changes with the
+//! capsule's twist by 1 / (1 + (K + c/h) C ρ) of what it would on a rigid base. So capsule and wall
+//! are solved for together, and neither pushes the other back and forth.
+
+use super::contact_patch::Samples;
+use super::soft_wall::{MARGIN, SoftWall};
+use crate::simd::f64x8::{LANES, Lane, at, max, put, sum};
+use crate::tissue::spring_wall::{SpringWall, VertexMotion, attenuate};
+use glam::DVec3;
+
+/// How the loads of eight pieces of the wall answer a change of the capsule's twist.
+#[derive(Clone, Copy, Default)]
+struct Answer {
+    /// At the twist of the last part [N].
+    base: Lane,
+    /// Growth with the speed of indentation [N·s/m].
+    slope: Lane,
+}
+
+/// One touched triangle in series with the springs under it.
+#[derive(Clone, Copy, Default)]
+struct Softness {
+    /// Slopes of its pieces by depth [N/m] and speed [N·s/m].
+    stiffness: f64,
+    damping: f64,
+    /// Share of the load's answer that is left.
+    share: f64,
+    /// Speed at which the springs would come back without a load, and that they had [m/s].
+    lead: f64,
+}
+
+/// What is kept to be overwritten.
+#[derive(Default)]
+pub struct Series {
+    answers: Vec<Answer>,
+    soft: Vec<Softness>,
+    /// Number among the touched triangles of each near one.
+    numbers: Vec<u32>,
+}
+
+/// Force and torque of the wall against the capsule's normals, and their growth with its twist.
+pub struct WallForce {
+    pub force: [f64; 6],
+    pub slope: [[f64; 6]; 6],
+}
+
+impl Answer {
+    /// Load of a piece after a change of twist, never below 0 [N].
+    #[inline(always)]
+    fn load(&self, s: &Samples, i: usize, change: &[f64; 6]) -> f64 {
+        let mut speed = 0.0;
+        for row in 0..6 {
+            speed += s.lever[row][i] * change[row];
+        }
+        max(self.base[i] + self.slope[i] * speed, 0.0)
+    }
+}
+
+impl SoftWall {
+    /// Finds how the touched pieces answer in a part of `h` [s].
+    pub fn find_answers(&mut self, spring_wall: Option<&SpringWall>, h: f64) {
+        self.number_facets();
+        self.soften(spring_wall, h);
+        let Series { answers, soft, numbers } = &mut self.series;
+        answers.clear();
+        for (places, s) in self.patch.lanes() {
+            let mut answer = Answer::default();
+            for i in 0..LANES {
+                if s.load[i] > 0.0 {
+                    let of = &soft[numbers[places[i] as usize] as usize];
+                    let slope = h * s.stiffness[i] + s.damping[i];
+                    let load = s.load[i] + h * s.stiffness[i] * s.speed[i] + slope * of.lead;
+                    answer.base[i] = of.share * load;
+                    answer.slope[i] = of.share * slope;
+                }
+            }
+            answers.push(answer);
+        }
+    }
+
+    /// Numbers the touched triangles and sums the slopes of their pieces.
+    fn number_facets(&mut self) {
+        let Series { soft, numbers, .. } = &mut self.series;
+        numbers.clear();
+        numbers.resize(self.near.corners.len(), 0);
+        for (number, on_facet) in self.patch.facet_loads.iter().enumerate() {
+            numbers[on_facet.place as usize] = number as u32;
+        }
+        soft.clear();
+        soft.resize(self.patch.facet_loads.len(), Softness { share: 1.0, ..Softness::default() });
+        for (places, s) in self.patch.lanes() {
+            for i in 0..LANES {
+                if s.load[i] > 0.0 {
+                    let of = &mut soft[numbers[places[i] as usize] as usize];
+                    of.stiffness += s.stiffness[i];
+                    of.damping += s.damping[i];
+                }
+            }
+        }
+    }
+
+    /// Finds how far the springs under each touched triangle soften it; `contact_forces` are those
+    /// of the loads now.
+    fn soften(&mut self, spring_wall: Option<&SpringWall>, h: f64) {
+        let Some(spring_wall) = spring_wall else { return };
+        let facet_loads = &self.patch.facet_loads;
+        self.places.clear();
+        for eight in facet_loads.chunks(LANES) {
+            let mut place = [[0.0; LANES]; 3];
+            for (i, on_facet) in eight.iter().enumerate() {
+                put(&mut place, i, on_facet.center);
+            }
+            self.places.push(place);
+        }
+        attenuate(spring_wall, &self.places, &self.contact_forces, &mut self.forces);
+        let give = spring_wall.give(h);
+        for (number, on_facet) in facet_loads.iter().enumerate() {
+            let felt = at(&self.forces[number / LANES], number % LANES);
+            let ratio = (felt.dot(on_facet.normal) / on_facet.load).max(1.0);
+            let corners = self.near.corners[on_facet.place as usize];
+            let (mut displacement, mut velocity) = (DVec3::ZERO, DVec3::ZERO);
+            for corner in corners {
+                let vertex = self.near.vertices[corner as usize] as usize;
+                displacement += self.wall_displacement[vertex].displacement / 3.0;
+                velocity += self.wall_displacement[vertex].velocity / 3.0;
+            }
+            let of = &mut self.series.soft[number];
+            of.share = 1.0 / (1.0 + (of.stiffness + of.damping / h) * give * ratio);
+            let back = give * spring_wall.spring / h * displacement;
+            of.lead = on_facet.normal.dot(velocity + back);
+        }
+    }
+
+    /// What the wall does after a change of twist, linear about it: pieces that let go do nothing.
+    pub fn force_after(&self, change: &[f64; 6]) -> WallForce {
+        let mut sums = Sums::default();
+        add_answers(&mut sums, &self.patch.samples, &self.series.answers, change);
+        let mut answer = WallForce { force: [0.0; 6], slope: [[0.0; 6]; 6] };
+        for row in 0..6 {
+            answer.force[row] = sum(&sums.force[row]);
+            for column in 0..=row {
+                answer.slope[row][column] = sum(&sums.slope[row][column]);
+            }
+        }
+        answer
+    }
+
+    /// Gives the first `count` touched triangles their loads after a change of twist.
+    pub fn load_facets(&mut self, count: usize, change: &[f64; 6]) {
+        let Series { answers, numbers, .. } = &self.series;
+        let (lanes, loads) = self.patch.lanes_and_loads();
+        loads[..count].iter_mut().for_each(|on_facet| on_facet.load = 0.0);
+        for ((places, s), answer) in lanes.zip(answers) {
+            for i in 0..LANES {
+                if s.load[i] > 0.0 {
+                    let number = numbers[places[i] as usize] as usize;
+                    loads[number].load += answer.load(s, i, change);
+                }
+            }
+        }
+    }
+
+    /// Lets the springs give way by a share of a part of `h` [s] to `contact_forces`.
+    pub fn relax(&mut self, spring_wall: &SpringWall, h: f64, share: f64) {
+        self.push(spring_wall);
+        let mut farthest = 0.0f64;
+        for (k, &v) in self.awake.iter().enumerate() {
+            let force = at(&self.forces[k / LANES], k % LANES);
+            let vertex = &mut self.wall_displacement[v as usize];
+            if force == DVec3::ZERO && vertex.is_still() {
+                *vertex = VertexMotion::default();
+                continue;
+            }
+            let moved = spring_wall.give(h) * (force - spring_wall.spring * vertex.displacement);
+            vertex.displacement += share * moved;
+            vertex.velocity = moved / h;
+            farthest = farthest.max(moved.length_squared());
+        }
+        let moved = share * farthest.sqrt();
+        self.travel += moved;
+        self.wall_travel += moved;
+    }
+
+    /// How far the capsule may go before it can touch anything [m]; 0 where it may touch now.
+    pub fn free_way(&self) -> f64 {
+        let least = self.clear.iter().fold(f64::INFINITY, |least, &clear| least.min(clear));
+        (least - self.travel).clamp(0.0, MARGIN)
+    }
+}
+
+/// Sums over samples, lane by lane.
+#[derive(Default)]
+struct Sums {
+    force: [Lane; 6],
+    slope: [[Lane; 6]; 6],
+}
+
+#[multiversion::multiversion(targets(
+    "x86_64+avx512f+avx512bw+avx512cd+avx512dq+avx512vl",
+    "x86_64+avx2",
+    "aarch64+neon"
+))]
+fn add_answers(sums: &mut Sums, samples: &[Samples], answers: &[Answer], change: &[f64; 6]) {
+    for (s, answer) in samples.iter().zip(answers) {
+        let (mut slope, mut force) = ([0.0; LANES], [0.0; LANES]);
+        for i in 0..LANES {
+            let holds = answer.load(s, i, change) > 0.0;
+            slope[i] = if holds { answer.slope[i] } else { 0.0 };
+            force[i] = if holds { answer.base[i] } else { 0.0 };
+        }
+        for row in 0..6 {
+            for column in 0..=row {
+                for i in 0..LANES {
+                    sums.slope[row][column][i] += slope[i] * s.lever[row][i] * s.lever[column][i];
+                }
+            }
+            for i in 0..LANES {
+                sums.force[row][i] += force[i] * s.lever[row][i];
+            }
+        }
+    }
+}

@@ -7,6 +7,7 @@ from small_envs import GUT, SHORT_GUT, simulation_of
 from vrcaps import _core
 from vrcaps.env.observations.landmarks import RAYS, LandmarksObservation
 from vrcaps.env.start import Start
+from vrcaps.env.tasks.navigate import NavigateTask
 from vrcaps.errors import InputError
 from vrcaps.mesh.mesh import wall_of
 from vrcaps.transforms import transform_from
@@ -110,6 +111,13 @@ def test_magnet_is_told_from_the_capsule():
     told = _told(simulation, frame="world")[0]
     np.testing.assert_allclose(told[-6:], [0.0, 0.0, 0.5, 0.0, 0.0, 1.0], atol=1e-6)
     assert LandmarksObservation().space(simulation).shape == told.shape
+
+
+def test_way_to_the_goal_is_told_where_there_is_one():
+    simulation = simulation_of(task=NavigateTask(goal=0.25))
+    told = _told(simulation)[0]
+    assert LandmarksObservation().space(simulation).contains(told) and len(told) == 83 + 6 + 1
+    assert told[-1] == pytest.approx(-0.045 / 0.145, abs=1e-3)
 
 
 def test_bad_options_say_what_is_allowed():

@@ -53,6 +53,7 @@ class LandmarksObservation:
       positive towards the anal end (10 cm), unseen fraction of the whole wall (0.01), and whether
       no wall is in between (7 a region); all 0 where nothing is left to see
     - with a magnet outside: vector to it (10 cm) and direction of its moment (6)
+    - with the task Navigate: way along the gut to the goal, positive towards the anal end (10 cm)
 
     A region is a sixteenth of the gut's length by an eighth of its circumference. What is unseen of
     it over its distance makes it attractive; the way along the gut counts where it is longer.
@@ -76,7 +77,8 @@ class LandmarksObservation:
         """Numbers from −1 to 1."""
         from gymnasium import spaces
 
-        count = 41 + 7 * self.regions + (6 if "magnet/T" in simulation.memory else 0)
+        memory = simulation.memory
+        count = 41 + 7 * self.regions + 6 * ("magnet/T" in memory) + ("navigate/goal" in memory)
         return spaces.Box(-1.0, 1.0, (count,), np.float32)
 
     def allocate(self, simulation: Simulation) -> None:
@@ -123,6 +125,8 @@ class LandmarksObservation:
             regions.reshape(n, -1),
             told[:, last:].reshape(n, -1),
         ]
+        if "navigate/goal" in s.memory:
+            parts.append(_soft(s.memory["navigate/goal"] - s.arc_length, _FAR)[:, None])
         return np.concatenate(parts, axis=1).clip(-1.0, 1.0).astype(np.float32)
 
     def _guides(self, s: Simulation) -> list[Float[np.ndarray, "n 1 3"]]:

@@ -152,6 +152,19 @@ def test_holes_are_filled_even_where_ends_stay_open():
     assert len(find_borders(repaired)) == 2
 
 
+def test_the_mesh_is_copied_once_however_many_its_holes(monkeypatch):
+    copies, module = [], importlib.import_module("vrcaps.mesh.repair.cap")
+    monkeypatch.setattr(module, "replace", lambda *a, **k: copies.append(1) or replace(*a, **k))
+    mesh = sphere(subdivisions=4)
+    used, keep = np.zeros(len(mesh.vertices), bool), np.ones(len(mesh.faces), bool)
+    for number, face in enumerate(mesh.faces):
+        if not used[face].any():
+            keep[number], used[face] = False, True
+    _, report = repair(replace(mesh, faces=mesh.faces[keep]))
+    assert report.count("hole") > 500
+    assert len(copies) == 1
+
+
 def find_borders(mesh: Mesh) -> list:
     judge = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
     edges = judge.edges_sorted[trimesh.grouping.group_rows(judge.edges_sorted, require_count=1)]
@@ -435,7 +448,7 @@ def test_surface_with_one_side_is_an_error_that_says_where():
 
 def test_what_stays_open_is_an_error_that_says_where(monkeypatch):
     module = importlib.import_module("vrcaps.mesh.repair.repair")
-    monkeypatch.setattr(module, "close_loop", lambda mesh, loop: mesh)
+    monkeypatch.setattr(module, "close_loops", lambda mesh, loops: mesh)
     with pytest.raises(InputError, match=r"72 edges are still open .* first at \(.*\) mm"):
         repair(tube())
 

@@ -4,11 +4,13 @@ import logging
 
 import numpy as np
 import pytest
+import trimesh
 from scipy.spatial import KDTree
 from skimage.measure import marching_cubes
 
 from shapes import sphere
 from vrcaps.errors import InputError
+from vrcaps.geometry import triangle_areas
 from vrcaps.mesh.mesh import Mesh, vertex_normals
 from vrcaps.mesh.read_mesh import read_mesh
 from vrcaps.mesh.repair import repair
@@ -374,3 +376,24 @@ def test_a_path_that_shrinks_to_a_point_is_one_line():
     grid = LumenGrid(np.ones((9, 9, 9), bool), np.ones((9, 9, 9), np.float32), np.zeros(3), 1.0)
     with pytest.raises(InputError, match=r"The centerline shrinks to 0 mm"):
         smooth_path(grid, np.full((5, 3), 4.0))
+
+
+def test_a_rough_wall_is_not_cut_too_finely(monkeypatch):
+    """Walks through a lumen are bounded by the number of its voxels, whatever the wall's area."""
+    smooth = trimesh.creation.icosphere(3, 20 * MM)
+    rough = np.random.default_rng(0).uniform(0.2, 1.0, (len(smooth.vertices), 1))
+    wall = Mesh(np.array(smooth.vertices) * rough, np.array(smooth.faces))
+    taken, radius = [], 2 * MM
+
+    def trace(mesh, voxels, start, end):
+        taken.extend(voxels)
+        raise InputError("far enough")
+
+    monkeypatch.setattr(compute, "_trace", trace)
+    monkeypatch.setattr(compute, "mean_radius", lambda vertices, faces: radius)
+    monkeypatch.setattr(compute, "_MOST_INSIDE", 100_000)
+    with pytest.raises(InputError, match="far enough"):
+        compute_centerline(wall)
+    volume = 0.5 * radius * triangle_areas(wall.vertices[wall.faces]).sum()
+    assert taken[0] == taken[1] > 2.0 * 0.1 * radius
+    assert volume / taken[0] ** 3 == pytest.approx(100_000)

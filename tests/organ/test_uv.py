@@ -10,6 +10,7 @@ from vrcaps.mesh.repair import repair
 from vrcaps.organ.centerline import compute_centerline
 from vrcaps.organ.gut_coordinates import gut_coordinates
 from vrcaps.organ.uv import (
+    _unfolded,
     atlas_coordinates,
     texture_coordinates,
     texture_stretch,
@@ -131,6 +132,35 @@ def test_real_organs(shared_data, name):
     line = compute_centerline(mesh)
     uv = texture_coordinates(mesh, *gut_coordinates(mesh.vertices, mesh.faces, line))
     assert_good_atlas(mesh.vertices, mesh.faces, uv, spread=1.6)
+
+
+def test_faces_in_disorder_are_refused_at_once():
+    """Charts of so rough a wall take minutes: every other edge turns by more than 60°."""
+    mesh = cylinder(140, 140)[0]
+    noise = np.random.default_rng(0).normal(0.0, 0.5 * MM, mesh.vertices.shape)
+    match = r"of the wall's \d+ edges turn by more than 60°.* Allowed: up to \d+ such .* Smooth"
+    with pytest.raises(InputError, match=match):
+        atlas_coordinates(mesh.vertices + noise, mesh.faces)
+
+
+def test_thousands_of_double_patches_are_moved_in_one_go(monkeypatch):
+    """Squares of two faces, each over another of the same size: one of each pair is moved."""
+    num = 1000
+    corner = 12.0 * np.stack(np.divmod(np.arange(num), 32), axis=1)
+    square = corner[:, None] + 9.0 * np.array([[0, 0], [1, 0], [0, 1], [1, 1]])
+    uv = np.concatenate([square, square + 0.5]).reshape(-1, 2)
+    index = (4 * np.arange(2 * num)[:, None, None] + [[0, 1, 2], [1, 3, 2]]).reshape(-1, 3)
+    joined, concatenate = [], np.concatenate
+
+    def count(parts, **options):
+        joined.append(sum(map(np.size, parts)))
+        return concatenate(parts, **options)
+
+    monkeypatch.setattr(np, "concatenate", count)
+    apart, corners = _unfolded(uv, index)
+    assert sum(joined) < 50 * uv.size  # not the whole once for each patch
+    moved = (apart[corners] != uv[index]).any(axis=(1, 2)).reshape(2, num, 2)
+    assert (moved.all(axis=2).sum(axis=0) == 1).all()
 
 
 def test_face_without_area():

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vrcaps.errors import InputError
-from vrcaps.geometry import triangle_areas
+from vrcaps.geometry import triangle_areas, triangle_normals
+from vrcaps.mesh.edges import find_edges
 from vrcaps.mesh.mesh import Mesh
 from vrcaps.organ.centerline.lumen import grid_crossings
 
@@ -18,6 +19,8 @@ _STRETCH = 2.0  # the tube's texels may be so much longer or shorter than the me
 _RESOLUTION = 2048  # texels on a side for which the atlas is packed
 _PADDING = 4  # texels between charts at that resolution
 _CHART_FRACTION = 0.02  # of the wall that one chart may take; large ones are slow to flatten
+_SHARP = 0.5  # cosine of the angle between faces, below which no chart spans their edge
+_MOST_WORK = 6e8  # sharp edges times faces, to which the time for charts grows: about 1.5 minutes
 _CHART_COST = 1.0  # bound on the distortion of a growing chart (xatlas' measure; its default 2)
 
 
@@ -102,9 +105,13 @@ def atlas_coordinates(
 
     What lies double within a chart becomes a chart of its own, charts that come out mirrored
     are turned over, then all are packed once more.
+
+    Raises:
+        InputError: If the faces are in such disorder that charts would take minutes.
     """
     import xatlas
 
+    _require_smooth(vertices, faces)
     scale = float(np.sqrt(triangle_areas(vertices[faces]).sum()))
     scaled = (vertices - vertices.min(axis=0)) / scale
     atlas = xatlas.Atlas()
@@ -123,6 +130,26 @@ def atlas_coordinates(
     _, index, uv = packed[0]
     size = np.array([packed.width, packed.height], float)
     return (np.asarray(uv, float) * size / size.max())[index]
+
+
+def _require_smooth(vertices: Float[np.ndarray, "n 3"], faces: Int[np.ndarray, "m 3"]) -> None:
+    """Refuse a wall of so many sharp edges that nearly every face would be a chart of its own.
+
+    Raises:
+        InputError: If the work would exceed `_MOST_WORK`.
+    """
+    edges = find_edges(faces)
+    normals = triangle_normals(vertices[faces])
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), np.finfo(float).tiny)
+    one, other = (edges.with_count(2) // 3).T
+    num_smooth = np.count_nonzero((normals[one] * normals[other]).sum(axis=1) > _SHARP)
+    num_sharp = len(edges.counts) - num_smooth
+    if num_sharp * len(faces) > _MOST_WORK:
+        raise InputError(
+            f"{num_sharp} of the wall's {len(edges.counts)} edges turn by more than 60° or are "
+            f"open: with {len(faces)} faces, texture charts would take minutes. Allowed: up to "
+            f"{_MOST_WORK / len(faces):.0f} such edges. Smooth the wall, or give it fewer faces."
+        )
 
 
 def _pack_options():
@@ -145,13 +172,18 @@ def _unfolded(
 
     Of two patches over one another the one of fewer faces is moved, with u beyond the atlas.
     """
+    moved = _smaller_of_doubles(uv, index)
+    if not moved:
+        return uv, index
     beyond = 2.0 * (np.ptp(uv[:, 0]) + 1.0)
-    for patch_id, patch in enumerate(_smaller_of_doubles(uv, index), start=1):
-        corners, local = np.unique(index[patch], return_inverse=True)
-        index = index.copy()
-        index[patch] = len(uv) + local.reshape(-1, 3)
-        uv = np.concatenate([uv, uv[corners] + (patch_id * beyond, 0.0)])
-    return uv, index
+    faces = np.concatenate(moved)
+    patch_id = np.repeat(np.arange(1, len(moved) + 1), [len(patch) for patch in moved])
+    # One vertex for each of a patch's own.
+    keys, local = np.unique(patch_id[:, None] * len(uv) + index[faces], return_inverse=True)
+    index = index.copy()
+    index[faces] = len(uv) + local.reshape(-1, 3)
+    shift = np.stack([keys // len(uv) * beyond, np.zeros(len(keys))], axis=1)
+    return np.concatenate([uv, uv[keys % len(uv)] + shift]), index
 
 
 def _smaller_of_doubles(
@@ -171,14 +203,24 @@ def _smaller_of_doubles(
     links = (np.repeat(np.arange(len(faces)), 3), index[faces].ravel())
     touch = coo_array((np.ones(3 * len(faces)), links), shape=(len(faces), len(uv))).tocsr()
     count, patch = connected_components(touch @ touch.T >= 2.0)
+    # The texels of each patch, and how often each is covered by patches that stay.
     patch_of = patch[np.searchsorted(faces, face)]
+    texel = np.unique(texel, return_inverse=True)[1]
+    covered = np.bincount(texel)
+    num_double = np.count_nonzero(covered > 1)
+    parts = np.split(
+        texel[np.argsort(patch_of, kind="stable")], np.cumsum(np.bincount(patch_of))[:-1]
+    )
+    members = np.split(faces[np.argsort(patch, kind="stable")], np.cumsum(np.bincount(patch))[:-1])
     moved = []
     for patch_id in np.argsort(np.bincount(patch, minlength=count), kind="stable"):
-        if np.bincount(texel).max(initial=0) <= 1:
+        if num_double == 0:
             break
-        moved.append(faces[patch == patch_id])
-        stays = patch_of != patch_id
-        texel, patch_of = texel[stays], patch_of[stays]
+        moved.append(members[patch_id])
+        own, times = np.unique(parts[patch_id], return_counts=True)
+        before = np.count_nonzero(covered[own] > 1)
+        covered[own] -= times
+        num_double -= before - np.count_nonzero(covered[own] > 1)
     return moved
 
 

@@ -3,6 +3,7 @@
 import locale
 import shutil
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ import SimpleITK as sitk
 
 from phantom import write_dicom
 from vrcaps.errors import InputError, MissingExtraError
-from vrcaps.tools.ct import volume
+from vrcaps.tools.ct import read_dicom, volume
 from vrcaps.tools.ct.read_volume import read_volume
 from vrcaps.tools.ct.volume import Volume
 
@@ -156,6 +157,23 @@ def test_a_nifti_that_says_too_much_is_refused_before_it_is_read(tmp_path, size,
     path.write_bytes(data)
     with pytest.raises(InputError, match=match):
         read_volume(path)
+
+
+def test_a_slice_of_too_many_pixels_is_refused_unread(tmp_path, monkeypatch) -> None:
+    write_dicom(tmp_path, small())
+    monkeypatch.setattr(read_dicom, "_MOST_PIXELS", 15)
+    monkeypatch.setattr(read_dicom, "_read_pixels", lambda path: pytest.fail("read"))
+    with pytest.raises(InputError, match=r"have 12 × 16 pixels. Allowed: sides up to 15"):
+        read_volume(tmp_path)
+
+
+def test_files_of_several_images_are_refused_unread(tmp_path, monkeypatch) -> None:
+    write_dicom(tmp_path, small())
+    found = [replace(one, frames=500) for one in read_dicom.list_series(tmp_path)]
+    monkeypatch.setattr(read_dicom, "list_series", lambda folder: found)
+    monkeypatch.setattr(read_dicom, "_read_pixels", lambda path: pytest.fail("read"))
+    with pytest.raises(InputError, match=r"hold 500 images each\. Allowed: 1"):
+        read_volume(tmp_path)
 
 
 def test_a_series_of_too_many_voxels_is_refused(tmp_path, monkeypatch) -> None:

@@ -94,41 +94,54 @@ def mean_diameter(mesh: Mesh, loops: list[Loop]) -> float:
     return 4.0 * abs(enclosed_volume(mesh, loops)) / float(face_areas(mesh).sum())
 
 
-def close_loop(mesh: Mesh, loop: Loop) -> Mesh:
-    """Close a border by a membrane of triangles about as large as those along the border.
+def close_loops(mesh: Mesh, loops: list[Loop]) -> Mesh:
+    """Close borders by membranes of triangles about as large as those along each border.
 
-    Rings of vertices shrink towards the middle, neighbors are zipped together, and the
-    inner vertices settle where each is the mean of its neighbors (a discrete membrane), so
-    that the cap follows a border that is not flat. Texture coordinates are interpolated the
-    same way from those along the border; the cap has the border's most frequent label.
+    Texture coordinates are interpolated from those along the border; a cap has the border's most
+    frequent label. The mesh is copied once, however many the borders.
     """
-    rings, start = [loop.vertices], len(mesh.vertices)
-    for size in _ring_sizes(len(loop.vertices)):
+    if not loops:
+        return mesh
+    caps = [_make_cap(mesh, loop) for loop in loops]
+    num_new = [len(inner) for _, inner in caps]
+    starts = len(mesh.vertices) + np.cumsum([0, *num_new[:-1]])
+    faces = [mesh.faces]
+    for loop, start, (cap, inner) in zip(loops, starts, caps, strict=True):
+        faces.append(np.append(loop.vertices, start + np.arange(len(inner)))[cap])
+    values = np.concatenate([inner for _, inner in caps])
+    label, uv = mesh.label, mesh.uv
+    if label is not None:
+        own = [np.bincount(label[loop.vertices]).argmax() for loop in loops]
+        label = np.concatenate([label, np.repeat(own, num_new).astype(label.dtype)])
+    if uv is not None:
+        cap_uv = [
+            np.concatenate([_border_uv(mesh, loop), inner[:, 3:]])[cap]
+            for loop, (cap, inner) in zip(loops, caps, strict=True)
+        ]
+        uv = np.concatenate([uv, *cap_uv])
+    vertices = np.concatenate([mesh.vertices, values[:, :3]])
+    return replace(mesh, vertices=vertices, faces=np.concatenate(faces), uv=uv, label=label)
+
+
+def _make_cap(mesh: Mesh, loop: Loop) -> tuple[Int[np.ndarray, "t 3"], Float[np.ndarray, "k c"]]:
+    """Triangles over a border, and its inner vertices with their texture coordinates, if any.
+
+    The border's vertices are numbered from 0, the inner ones go on. Rings of vertices shrink
+    towards the middle, neighbors are zipped together, and the inner vertices settle where each is
+    the mean of its neighbors (a discrete membrane), so that the cap follows a border that is not
+    flat.
+    """
+    count = len(loop.vertices)
+    rings, start = [np.arange(count)], count
+    for size in _ring_sizes(count):
         rings.append(np.arange(start, start + size))
         start += size
     positions = _loop_positions(mesh, loop)
-    faces = np.concatenate(
-        [_zip_rings(outer, inner, positions) for outer, inner in pairwise(rings)]
-        or [loop.vertices[None, :]]
-    )
-    num_new = start - len(mesh.vertices)
+    zipped = [_zip_rings(outer, inner, positions) for outer, inner in pairwise(rings)]
+    faces = np.concatenate(zipped or [rings[0][None, :]])
     border = mesh.vertices[loop.vertices]
-    border_uv = None if mesh.uv is None else _border_uv(mesh, loop)
-    known = border if border_uv is None else np.hstack([border, border_uv])
-    inner = _membrane(faces, loop.vertices, known, (len(mesh.vertices), num_new))
-    label = mesh.label
-    if label is not None:
-        cap_label = np.bincount(label[loop.vertices]).argmax()
-        label = np.concatenate([label, np.full(num_new, cap_label, label.dtype)])
-    uv = mesh.uv
-    if uv is not None and border_uv is not None:
-        uv_of = np.zeros((start, 2))
-        uv_of[loop.vertices], uv_of[len(mesh.vertices) :] = border_uv, inner[:, 3:]
-        uv = np.concatenate([uv, uv_of[faces]])
-    vertices = np.concatenate([mesh.vertices, inner[:, :3]])
-    return replace(
-        mesh, vertices=vertices, faces=np.concatenate([mesh.faces, faces]), uv=uv, label=label
-    )
+    known = border if mesh.uv is None else np.hstack([border, _border_uv(mesh, loop)])
+    return faces, _membrane(faces, known, start - count)
 
 
 def _ring_sizes(count: int) -> list[int]:
@@ -179,33 +192,26 @@ def _zip_rings(
 
 
 def _membrane(
-    faces: Int[np.ndarray, "t 3"],
-    border: Int[np.ndarray, " n"],
-    known: Float[np.ndarray, "n c"],
-    new: tuple[int, int],
+    faces: Int[np.ndarray, "t 3"], known: Float[np.ndarray, "n c"], count: int
 ) -> Float[np.ndarray, "k c"]:
     """Values at new vertices so that each is the mean of its neighbors', given the border's.
 
     Args:
-        faces: The cap.
-        border: Vertex numbers along the border.
-        known: Values there.
-        new: First number and count of the new vertices.
+        faces: The cap: vertices of the border, then the new ones.
+        known: Values at the border.
+        count: Of new vertices.
     """
-    first, count = new
     if count == 0:
         return np.zeros((0, known.shape[1]))
-    index = np.full(first + count, -1)
-    index[border] = np.arange(len(border))
-    index[first:] = len(border) + np.arange(count)
-    ends = np.unique(np.sort(index[find_edges(faces).ends], axis=1), axis=0)
+    border = len(known)
+    ends = np.unique(np.sort(find_edges(faces).ends, axis=1), axis=0)
     rows, columns = np.concatenate([ends, ends[:, ::-1]]).T
-    size = len(border) + count
+    size = border + count
     adjacency = csr_matrix(coo_matrix((np.ones(len(rows)), (rows, columns)), (size, size)))
-    inner = adjacency[len(border) :]
+    inner = adjacency[border:]
     degree = np.asarray(inner.sum(axis=1)).reshape(-1)
-    system = csr_matrix((degree, (range(count), range(count)))) - inner[:, len(border) :]
-    return splu(system.tocsc()).solve(inner[:, : len(border)] @ known)
+    system = csr_matrix((degree, (range(count), range(count)))) - inner[:, border:]
+    return splu(system.tocsc()).solve(inner[:, :border] @ known)
 
 
 def _border_uv(mesh: Mesh, loop: Loop) -> Float[np.ndarray, "n 2"]:

@@ -12,7 +12,7 @@ from vrcaps.mesh.edges import (
     find_edges,
     flip_faces,
 )
-from vrcaps.mesh.repair.cap import Loop, close_loop, enclosed_volume, find_loops, mean_diameter
+from vrcaps.mesh.repair.cap import Loop, close_loops, enclosed_volume, find_loops, mean_diameter
 from vrcaps.mesh.repair.manifold import (
     keep_largest_component,
     orient_consistently,
@@ -123,8 +123,7 @@ def _close_loops(
         ("hole", "filled", holes),
         ("open end", "capped", [] if keep_ends else ends),
     ):
-        for loop in found:
-            mesh = close_loop(mesh, loop)
+        mesh = close_loops(mesh, found)
         if found:
             widths = ", ".join(f"{loop.diameter / MM:.1f}" for loop in found[:4])
             more = ", …" if len(found) > 4 else ""

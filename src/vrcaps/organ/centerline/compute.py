@@ -9,6 +9,7 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from vrcaps.errors import InputError
+from vrcaps.geometry import triangle_areas
 from vrcaps.mesh.mesh import Mesh
 from vrcaps.organ.centerline.curve import centerline_from_points, transport_frames
 from vrcaps.organ.centerline.handles import num_handles, without_short_cuts
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
 _VOXELS_PER_RADIUS = 10.0
+_MOST_INSIDE = 8_000_000  # voxels of a lumen that are walked through, in seconds
 _REFINEMENTS = 3
 _END_FRACTION = 1 / 3  # of the length, over which the width of an end is measured
 _REACH = 3.0  # radii from the curve up to which the lumen counts as its own
@@ -57,8 +59,9 @@ def compute_centerline(
 
     Args:
         mesh: The wall of one lumen [m]; its ends may be open.
-        voxel: Edge of the voxels [m]; by default 1/10 of the lumen's mean radius. It is
-            refined where a narrow place would be closed.
+        voxel: Edge of the voxels [m]; by default 1/10 of the lumen's mean radius, or more where
+            a lumen of rough wall would hold over 8 million of them. It is refined, within that
+            bound, where a narrow place would be closed.
         start: Oral end [m], a point inside the lumen.
         end: Anal end [m], a point inside the lumen.
         reverse: Whether the narrower end is the oral one; only without `start` and `end`.
@@ -73,9 +76,12 @@ def compute_centerline(
     if voxel is not None and not (np.isfinite(voxel) and voxel > 0.0):
         raise InputError(f"The voxel is {voxel} m. Give a positive length in meters.")
     radius = mean_radius(vertices, faces)
+    # A rough wall has a large area, so a small mean radius: its lumen would be cut too finely.
+    volume = 0.5 * radius * float(triangle_areas(vertices[faces]).sum())
+    least = (volume / _MOST_INSIDE) ** (1 / 3)
     if voxel is None:
-        voxel = radius / _VOXELS_PER_RADIUS
-    centerline = _trace(mesh, voxel, start, end)
+        voxel = max(radius / _VOXELS_PER_RADIUS, least)
+    centerline = _trace(mesh, (voxel, least), start, end)
     if start is None and end is None and _widens(centerline) != reverse:
         return reversed_centerline(centerline)
     return centerline
@@ -83,25 +89,32 @@ def compute_centerline(
 
 def _trace(
     mesh: Mesh,
-    voxel: float,
+    voxels: tuple[float, float],
     start: Float[np.ndarray, " 3"] | None,
     end: Float[np.ndarray, " 3"] | None,
 ) -> Centerline:
     """The curve on ever finer voxels; on the finest it may also cross closed places.
 
+    Args:
+        mesh: The wall.
+        voxels: Edge of the first voxels, and the least of those made finer [m].
+        start: Oral end [m], or None.
+        end: Anal end [m], or None.
+
     Raises:
         InputError: If no curve keeps clear of the wall.
     """
     vertices, faces = np.asarray(mesh.vertices, float), mesh.faces
-    smallest = 1.1 * float(np.prod(np.ptp(vertices, axis=0)) / MAX_VOXELS) ** (1 / 3)
-    voxels = [voxel / 1.5**level for level in range(_REFINEMENTS + 1)]
-    voxels = voxels[:1] + [size for size in voxels[1:] if size > smallest]
+    voxel, least = voxels
+    least = max(least, 1.1 * float(np.prod(np.ptp(vertices, axis=0)) / MAX_VOXELS) ** (1 / 3))
+    finer = [voxel / 1.5**level for level in range(1, _REFINEMENTS + 1)]
+    sizes = [voxel, *(size for size in finer if size > least)]
     closed = close_ends(vertices, faces)
     handles = num_handles(closed[1])
-    for level, size in enumerate(voxels):
+    for level, size in enumerate(sizes):
         grid = voxelize(vertices, faces, size)
         grid, num_cut = without_short_cuts(grid) if handles else (grid, 0)
-        is_last = level == len(voxels) - 1
+        is_last = level == len(sizes) - 1
         path = find_path(grid, start, end)
         if path is None and is_last:  # a walk through all voxels, those of the tissue too
             path = find_path(grid, start, end, cross_gaps=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
 _UNEVEN = 0.05  # of the slice spacing, by which a slice may be out of place
+_MOST_PIXELS = 4096  # on a side of a slice; scanners make up to 2048
 _SAME_DIRECTION = 3  # digits of direction cosines that slices of one series share
 
 _UID, _DESCRIPTION, _MODALITY = "0020|000e", "0008|103e", "0008|0060"
@@ -48,6 +50,7 @@ class Series:
         modality: CT, MR, …
         columns: Pixels along a row.
         rows: Pixels along a column.
+        frames: Images in each file.
         axes: Steps from pixel to pixel along a column and along a row [m], as columns.
         slices: In the order they were found.
     """
@@ -57,6 +60,7 @@ class Series:
     modality: str
     columns: int
     rows: int
+    frames: int
     axes: Float[np.ndarray, "3 2"]
     slices: tuple[Slice, ...]
 
@@ -85,6 +89,7 @@ def read_dicom(
             f"Series {chosen.text} in {folder} is {chosen.modality}, not CT: its values are no "
             "Hounsfield units. Give a CT scan, or a label map as NIfTI."
         )
+    _require_slices(chosen, folder)
     slices, step = ordered(chosen, folder)
     require_voxels(len(slices) * chosen.rows * chosen.columns, folder)
     values = np.empty((len(slices), chosen.rows, chosen.columns), np.int16)
@@ -180,6 +185,24 @@ def ordered(series: Series, folder: Path) -> tuple[list[Slice], Float[np.ndarray
     return slices, mean
 
 
+def _require_slices(series: Series, folder: Path) -> None:
+    """Refuse files that are no single slice, or a larger one than scanners make, unread.
+
+    Raises:
+        InputError: If they hold several images, or a side is too long.
+    """
+    if series.frames != 1:
+        raise InputError(
+            f"Files of series {series.text} in {folder} hold {series.frames} images each. "
+            "Allowed: 1. Export the series as one file for each slice."
+        )
+    if max(series.columns, series.rows) > _MOST_PIXELS:
+        raise InputError(
+            f"Slices of series {series.text} in {folder} say that they have {series.columns} × "
+            f"{series.rows} pixels. Allowed: sides up to {_MOST_PIXELS}. Export the series again."
+        )
+
+
 def _read_header(path: Path) -> tuple[tuple, Slice, Series] | None:
     """Group, slice and description of a DICOM file; None for any other file."""
     sitk = import_sitk()
@@ -199,10 +222,18 @@ def _read_header(path: Path) -> tuple[tuple, Slice, Series] | None:
     position = np.array([float(part) for part in text[_POSITION].split("\\")]) * MM
     cosines = np.array([float(part) for part in text[_ORIENTATION].split("\\")]).reshape(2, 3)
     spacing = np.array(reader.GetSpacing()[:2])  # from column to column, from row to row
-    columns, rows = reader.GetSize()[:2]
+    columns, rows, *depth = reader.GetSize()
+    frames = math.prod(depth)
     axes = (cosines * spacing[:, None])[::-1].T * MM
-    shape = (columns, rows, *np.round(cosines.ravel(), _SAME_DIRECTION), *np.round(spacing, 4))
-    about = Series(text[_UID], text[_DESCRIPTION], text[_MODALITY], columns, rows, axes, ())
+    shape = (
+        columns,
+        rows,
+        frames,
+        *np.round(cosines.ravel(), _SAME_DIRECTION),
+        *np.round(spacing, 4),
+    )
+    kind = (text[_UID], text[_DESCRIPTION], text[_MODALITY])
+    about = Series(*kind, columns, rows, frames, axes, ())
     return (text[_UID], *shape), Slice(path, position), about
 
 

@@ -71,14 +71,15 @@ def _scripts(names: str, *, is_timed: bool = False) -> list[Figure]:
 FIGURES = (
     *(Figure(f"vrcaps bench {name}", is_timed=True) for name in ("render", "record", "world")),
     *_scripts(
-        "speed_peers speed_effects speed_magnets speed_path speed_fem speed_ct", is_timed=True
+        "speed_peers speed_effects speed_magnets speed_path speed_fem speed_ct speed_worlds",
+        is_timed=True,
     ),
     *([Figure("benchmarks/speed_cycles.py", ("--blender-python", BLENDER), True)] * bool(BLENDER)),
     *_scripts("validate_radiosity validate_scattering validate_denoise", is_timed=True),
     *_scripts(
         "validate_magnets validate_motility validate_sensing validate_steering", is_timed=True
     ),
-    *_scripts("validate_textures", is_timed=True),
+    *_scripts("validate_textures validate_quasi_static", is_timed=True),
     Figure("benchmarks/small_bowel_transit.py", ("--size", "40")),
     *_scripts("validate_contact validate_coverage validate_ct validate_fem validate_labels"),
     *_scripts("validate_lesion_sizes validate_resume"),

@@ -29,6 +29,8 @@ const LONGEST_WAY: f64 = 5e-4;
 const LONGEST_PART: f64 = 1.0 / 60.0;
 /// Most parts a second: a capsule that would need more is slower.
 const MOST_PARTS: f64 = 1500.0;
+/// No step is longer [s].
+const LONGEST_STEP: f64 = 1000.0;
 /// Most rounds in which pieces of the wall let go and hold again.
 const ROUNDS: usize = 4;
 /// Share of the longest way by which a round may still change the way.
@@ -67,10 +69,13 @@ impl Part {
 impl Stepper {
     /// Moves on by a `duration` [s] in parts.
     pub fn relax(&mut self, wall: &mut Wall, load: &Load, duration: f64) -> Outcome {
+        if !(duration > 0.0 && duration < LONGEST_STEP) {
+            return Err("Quasi-static motion takes steps of above 0 to 1000 s.");
+        }
         let (mut totals, mut left) = (StepTotals::default(), duration);
         let most = (MOST_PARTS * duration).ceil() as usize;
-        for number in 1.. {
-            left -= self.part(wall, load, left, number >= most, &mut totals)?;
+        for number in 1..=most {
+            left -= self.part(wall, load, left, number == most, &mut totals)?;
             if left <= 1e-9 * duration {
                 break;
             }

@@ -7,7 +7,7 @@
 //! capsule's twist by 1 / (1 + (K + c/h) C ρ) of what it would on a rigid base. So capsule and wall
 //! are solved for together, and neither pushes the other back and forth.
 
-use super::contact_patch::Samples;
+use super::contact_patch::{FacetLoad, Samples};
 use super::soft_wall::{MARGIN, SoftWall};
 use crate::simd::f64x8::{LANES, Lane, at, max, put, sum};
 use crate::tissue::spring_wall::{SpringWall, VertexMotion, attenuate};
@@ -30,7 +30,7 @@ struct Softness {
     damping: f64,
     /// Share of the load's answer that is left.
     share: f64,
-    /// Speed at which the springs would come back without a load, and that they had [m/s].
+    /// How much slower the springs would give way to the loads now than they did [m/s].
     lead: f64,
 }
 
@@ -74,8 +74,8 @@ impl SoftWall {
                 if s.load[i] > 0.0 {
                     let of = &soft[numbers[places[i] as usize] as usize];
                     let slope = h * s.stiffness[i] + s.damping[i];
-                    let load = s.load[i] + h * s.stiffness[i] * s.speed[i] + slope * of.lead;
-                    answer.base[i] = of.share * load;
+                    let more = h * s.stiffness[i] * s.speed[i] + slope * of.lead;
+                    answer.base[i] = s.load[i] + of.share * more;
                     answer.slope[i] = of.share * slope;
                 }
             }
@@ -108,32 +108,40 @@ impl SoftWall {
     /// of the loads now.
     fn soften(&mut self, spring_wall: Option<&SpringWall>, h: f64) {
         let Some(spring_wall) = spring_wall else { return };
-        let facet_loads = &self.patch.facet_loads;
-        self.places.clear();
-        for eight in facet_loads.chunks(LANES) {
-            let mut place = [[0.0; LANES]; 3];
-            for (i, on_facet) in eight.iter().enumerate() {
-                put(&mut place, i, on_facet.center);
+        let mut places = std::mem::take(&mut self.places);
+        places.clear();
+        for eight in self.patch.facet_loads.chunks(LANES) {
+            for corner in 0..3 {
+                let mut place = [[0.0; LANES]; 3];
+                for (i, on_facet) in eight.iter().enumerate() {
+                    put(&mut place, i, self.vertex(self.corner(on_facet, corner)).0);
+                }
+                places.push(place);
             }
-            self.places.push(place);
         }
-        attenuate(spring_wall, &self.places, &self.contact_forces, &mut self.forces);
+        attenuate(spring_wall, &places, &self.contact_forces, &mut self.forces);
+        self.places = places;
         let give = spring_wall.give(h);
-        for (number, on_facet) in facet_loads.iter().enumerate() {
-            let felt = at(&self.forces[number / LANES], number % LANES);
-            let ratio = (felt.dot(on_facet.normal) / on_facet.load).max(1.0);
-            let corners = self.near.corners[on_facet.place as usize];
-            let (mut displacement, mut velocity) = (DVec3::ZERO, DVec3::ZERO);
-            for corner in corners {
-                let vertex = self.near.vertices[corner as usize] as usize;
-                displacement += self.wall_displacement[vertex].displacement / 3.0;
-                velocity += self.wall_displacement[vertex].velocity / 3.0;
+        for number in 0..self.patch.facet_loads.len() {
+            let on_facet = &self.patch.facet_loads[number];
+            let (mut felt, mut lead) = (DVec3::ZERO, DVec3::ZERO);
+            for corner in 0..3 {
+                let force = at(&self.forces[number / LANES * 3 + corner], number % LANES);
+                let vertex = &self.wall_displacement[self.corner(on_facet, corner) as usize];
+                let moved = give * (force - spring_wall.spring * vertex.displacement);
+                felt += force / 3.0;
+                lead += (vertex.velocity - moved / h) / 3.0;
             }
+            let ratio = (felt.dot(on_facet.normal) / on_facet.load).max(1.0);
             let of = &mut self.series.soft[number];
             of.share = 1.0 / (1.0 + (of.stiffness + of.damping / h) * give * ratio);
-            let back = give * spring_wall.spring / h * displacement;
-            of.lead = on_facet.normal.dot(velocity + back);
+            of.lead = on_facet.normal.dot(lead);
         }
+    }
+
+    /// The vertex at a corner of a touched triangle.
+    fn corner(&self, on_facet: &FacetLoad, corner: usize) -> u32 {
+        self.near.vertices[self.near.corners[on_facet.place as usize][corner] as usize]
     }
 
     /// What the wall does after a change of twist, linear about it: pieces that let go do nothing.

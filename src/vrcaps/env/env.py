@@ -68,8 +68,15 @@ class CapsuleEnv(gymnasium.Env):
         )
 
     def render(self) -> np.ndarray | None:
-        """What the capsule's first camera sees [h w 3]; None without a render mode."""
-        return None if self.render_mode is None else self.episode.images()[0]
+        """What the capsule's first camera sees [h w 3]; None without a render mode.
+
+        Raises:
+            InputError: If there was no reset.
+        """
+        if self.render_mode is None:
+            return None
+        self._check_reset()
+        return self.episode.images()[0]
 
     def snapshot(self) -> EnvSnapshot:
         """Its whole state, for `restore` here or in another environment of the same settings.

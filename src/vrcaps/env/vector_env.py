@@ -179,8 +179,15 @@ class CapsuleVectorEnv(gymnasium.vector.VectorEnv):
         return [index]
 
     def render(self) -> tuple[np.ndarray, ...] | None:
-        """An image of what the first camera of each capsule sees; None without a render mode."""
-        return None if self.render_mode is None else tuple(self.episode.images())
+        """An image of what the first camera of each capsule sees; None without a render mode.
+
+        Raises:
+            InputError: If there was no reset.
+        """
+        if self.render_mode is None:
+            return None
+        require(self._was_reset, "The environment's state", "none", "a reset before an image")
+        return tuple(self.episode.images())
 
     def close_extras(self, **kwargs: Any) -> None:
         """Lets go of the worlds."""

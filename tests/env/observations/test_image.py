@@ -7,6 +7,7 @@ from small_envs import GUT, SHORT_GUT, simulation_of, small_settings, textured
 from vrcaps.env.env import CapsuleEnv
 from vrcaps.env.observations.image import LIMITS, ImageObservation
 from vrcaps.env.start import Start
+from vrcaps.env.vector_env import CapsuleVectorEnv
 from vrcaps.env.views import resized_camera
 from vrcaps.errors import InputError, UnknownNameError
 from vrcaps.render.renderer import Renderer
@@ -74,13 +75,30 @@ def test_capsule_in_a_wall_that_has_moved_is_seen_there():
     assert (after["rgb"] != before["rgb"]).mean() > 0.1
 
 
+def test_looking_changes_nothing():
+    still, color = np.full(6, 0.1), ImageObservation(size=(16, 16))
+    states = []
+    for observations in (("state",), ("state", color)):
+        env = CapsuleEnv(small_settings(**_images(observations=observations)))
+        env.reset(seed=3)
+        states.append([env.step(still)[0]["state"].tobytes() for _ in range(3)])
+    assert states[0] == states[1]
+
+
 def test_image_to_show_is_of_the_first_camera_in_its_own_size():
     small = {"observations": ("state",), "organs": _GUTS}
     env = CapsuleEnv(small_settings(**small), render_mode="rgb_array")
+    with pytest.raises(InputError, match="a reset before the first step"):
+        env.render()
     env.reset(seed=0)
     image, camera = env.render(), env.episode.simulation.device.cameras[0]
     assert image.shape == (camera.height, camera.width, 3) and image.dtype == np.uint8
     assert image.std() > 5.0
+    envs = CapsuleVectorEnv(env.settings, 1, render_mode="rgb_array")
+    with pytest.raises(InputError, match="a reset before an image"):
+        envs.render()
+    envs.reset(seed=0)
+    np.testing.assert_array_equal(envs.render()[0], image)
 
 
 def test_resized_camera_keeps_the_middle_and_the_field_of_the_longer_side():

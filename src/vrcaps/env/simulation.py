@@ -179,6 +179,7 @@ class Simulation:
             model if device is self.device else model.with_device(device),
             varied_tissue(settings.tissue, factors),
             start,
+            dynamics=settings.dynamics,
             substep=settings.substep,
             seed=seed,
             sources=sources,

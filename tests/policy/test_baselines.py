@@ -7,6 +7,7 @@ import pytest
 
 from small_envs import small_settings
 from vrcaps.env.actuation.wrench import Wrench
+from vrcaps.env.start import Start
 from vrcaps.env.vector_env import CapsuleVectorEnv
 from vrcaps.policy.centerline import Walk
 from vrcaps.policy.policy import read_policy
@@ -32,6 +33,29 @@ def test_a_baseline_sees_more_of_a_tube_as_it_goes(name: str) -> None:
         env.step(actions)
     simulation = env.episode.simulation
     assert (simulation.seen("visible") > before).all()
+    assert not simulation.is_outside.any()
+
+
+@pytest.mark.slow
+def test_a_magnet_leads_the_capsule_along_the_centerline() -> None:
+    """It goes to the nearer end on the wall below, pressed by a small part of its weight."""
+    settings = small_settings(
+        actuation="magnet", dynamics="physics", start=Start(fraction=(0.6, 0.6), settle=0.0)
+    )
+    env, policy = (
+        CapsuleVectorEnv(settings, 1, autoreset_mode="Disabled"),
+        read_policy("centerline"),
+    )
+    env.reset(seed=0)
+    policy.reset(np.arange(1), [0])
+    start = env.episode.simulation.arc_length[0]
+    for _ in range(15):
+        actions = policy.act({}, env)
+        assert env.action_space.contains(actions)
+        env.step(actions)
+    simulation = env.episode.simulation
+    assert simulation.arc_length[0] > start + 0.02
+    assert 0.0 < simulation.normal_force_total[0] < 0.2
     assert not simulation.is_outside.any()
 
 

@@ -78,6 +78,18 @@ def test_gravity_is_balanced_where_the_force_is_enough() -> None:
     assert 0.2 * action[:, 2] == pytest.approx([9.80665 * DEVICE.mass] * 2, rel=1e-6)
 
 
+def test_actions_in_the_capsules_frame_are_the_same_wrench() -> None:
+    body = free_body(small_settings(actuation=Wrench(is_weightless=True)))
+    body.T_world_capsule[:, :3, :3] = rotation_from_vector(np.array([0.3, -1.0, 0.5]))
+    goal = Goal(np.full((2, 3), 0.02), np.array([[0, 1.0, 0]] * 2))
+    world = servo_actions(body, goal).reshape(2, 2, 3)
+    actuation = Wrench(is_weightless=True, frame="capsule")
+    body.settings = small_settings(actuation=actuation)
+    own = servo_actions(body, goal).reshape(2, 2, 3)
+    R = body.T_world_capsule[:, :3, :3]
+    assert np.einsum("nij,nkj->nki", R, own) == pytest.approx(world, abs=1e-6)
+
+
 def test_discrete_choices_go_along_the_largest_part() -> None:
     actuation = Wrench("discrete", force=0.005, is_weightless=True)
     body = free_body(small_settings(dynamics="physics", actuation=actuation))

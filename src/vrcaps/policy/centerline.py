@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from vrcaps.env.simulation import Simulation
     from vrcaps.env.vector_env import CapsuleVectorEnv
 
-_NEAR = 5.0 * MM
+_NEAR = 8.0 * MM
 """Distance from an end at which it is reached."""
 
 _PATIENCE = 4.0

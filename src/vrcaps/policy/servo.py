@@ -8,9 +8,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from vrcaps.actuation.magnet_pose_solver import MagnetPoseSolver, Workspace, WrenchTarget
 from vrcaps.capsule.body import homogeneous_body
+from vrcaps.env.actuation.magnet import MagnetActuation
 from vrcaps.env.actuation.wrench import Wrench
 from vrcaps.errors import InputError
+from vrcaps.magnet.field import SourceSet
+from vrcaps.magnet.presets import read_magnet
+from vrcaps.transforms import rotation_from_vector, vector_from_rotation
 from vrcaps.units import MM
 from vrcaps.world.control import GRAVITY
 
@@ -19,11 +24,23 @@ if TYPE_CHECKING:
 
     from vrcaps.env.simulation import Simulation
 
-SERVO_ACTUATIONS = ("wrench",)
+SERVO_ACTUATIONS = ("wrench", "magnet")
 """Kinds of actuation that it can drive."""
 
 _RATE = 2.0
 """Share of what is left of the way that is made in a second."""
+
+_REST = 0.05
+"""Force with which a capsule under a magnet still rests on the wall below it [N]."""
+
+_MAGNET_FORCE = 0.02
+"""Largest force across with which a magnet pulls [N]."""
+
+_WALL_RESISTANCE, _CREEP = 3e-3, 5.0 * MM
+"""Resistance of the wall to a capsule that rests on it [N], at least at this speed [m/s]."""
+
+_LEAD = 0.4
+"""Time by which the field's direction is ahead of the capsule's [s]."""
 
 _MOMENTUM_TIME = 1.0 / 30.0
 """Time in which quasi-static motion loses its momentum [s], see `vrcaps.world.dynamics`."""
@@ -53,8 +70,11 @@ def servo_actions(simulation: Simulation, goal: Goal) -> np.ndarray:
         InputError: If it cannot drive the environment's actuation.
     """
     actuation = simulation.settings.actuation
+    twist = wanted_twist(simulation, goal)
     if isinstance(actuation, Wrench):
-        return _wrench(simulation, actuation, *wanted_twist(simulation, goal))
+        return _wrench(simulation, actuation, *twist)
+    if isinstance(actuation, MagnetActuation):
+        return _magnet(simulation, actuation, *twist)
     raise InputError(
         f"The servo cannot drive {actuation.kind!r}. Allowed: {', '.join(SERVO_ACTUATIONS)}."
     )
@@ -89,13 +109,10 @@ def _limited(vectors: Float[np.ndarray, "n 3"], most: float) -> Float[np.ndarray
     return vectors * np.minimum(1.0, most / np.maximum(length, 1e-12))
 
 
-def _wrench(
-    simulation: Simulation,
-    actuation: Wrench,
-    velocity: Float[np.ndarray, "n 3"],
-    spin: Float[np.ndarray, "n 3"],
-) -> np.ndarray:
-    """Wrench that gives the twist at the end of a control period.
+def _loads(
+    simulation: Simulation, velocity: Float[np.ndarray, "n 3"], spin: Float[np.ndarray, "n 3"]
+) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]]:
+    """Forces [N] and torques [N·m] that give a twist at the end of a control period.
 
     With inertia, F = m (v − v₀) / Δt; quasi-static, F = m v / τ. Torques alike.
     """
@@ -104,17 +121,68 @@ def _wrench(
     lasting, time = 1.0, settings.control_period
     if settings.dynamics == "quasi-static":
         lasting, time = 0.0, _MOMENTUM_TIME
-    force = body.mass * (velocity - lasting * linear) / time
-    if not actuation.is_weightless:
-        force[:, 2] += body.mass * GRAVITY
     R = simulation.T_world_capsule[:, :3, :3]
     inertia = R @ body.inertia @ np.swapaxes(R, 1, 2)
     torque = np.einsum("nij,nj->ni", inertia, spin - lasting * angular) / time
+    return body.mass * (velocity - lasting * linear) / time, torque
+
+
+def _wrench(
+    simulation: Simulation,
+    actuation: Wrench,
+    velocity: Float[np.ndarray, "n 3"],
+    spin: Float[np.ndarray, "n 3"],
+) -> np.ndarray:
+    """Wrench that gives the twist, gravity balanced, as far as the limits allow."""
+    force, torque = _loads(simulation, velocity, spin)
+    if not actuation.is_weightless:
+        force[:, 2] += simulation.device.mass * GRAVITY
     if actuation.frame == "capsule":
-        force, torque = (np.einsum("nji,nj->ni", R, v) for v in (force, torque))
+        R = simulation.T_world_capsule[:, :3, :3]
+        force, torque = (np.einsum("nji,nj->ni", R, load) for load in (force, torque))
     if actuation.mode == "discrete":
         return _choices(force, actuation.force)
     shares = [_share(force, actuation.force), _share(torque, actuation.torque)]
+    return np.concatenate(shares, axis=1).astype(np.float32)
+
+
+def _magnet(
+    simulation: Simulation,
+    actuation: MagnetActuation,
+    velocity: Float[np.ndarray, "n 3"],
+    spin: Float[np.ndarray, "n 3"],
+) -> np.ndarray:
+    """Twist of the magnet towards where it would pull and turn the capsule as wanted.
+
+    It carries the weight but for a small rest, so that the capsule stays on the wall below it:
+    a capsule that hangs free under a magnet has no stable place.
+    """
+    force, _ = _loads(simulation, velocity, spin)
+    force += (
+        _WALL_RESISTANCE
+        * velocity
+        / _CREEP
+        / np.maximum(1.0, np.linalg.norm(velocity, axis=1, keepdims=True) / _CREEP)
+    )
+    force[:, 2] = 0.0
+    force = _limited(force, _MAGNET_FORCE)
+    force[:, 2] = max(simulation.device.mass * GRAVITY - _REST, 0.0)
+    sources = SourceSet([read_magnet(actuation.magnet)])
+    dt, memory = simulation.settings.control_period, simulation.memory
+    actions = np.zeros((simulation.num_worlds, 6))
+    for index, T_world_capsule in enumerate(simulation.T_world_capsule):
+        (x0, y0, z0), (x1, y1, z1) = memory["magnet/box"][index].tolist()
+        solver = MagnetPoseSolver(
+            sources, simulation.device.magnets, Workspace((x0, y0, z0), (x1, y1, z1))
+        )
+        ahead = T_world_capsule.copy()
+        ahead[:3, :3] = rotation_from_vector(_LEAD * spin[index]) @ ahead[:3, :3]
+        now = memory["magnet/T"][index]
+        wanted = solver.solve(WrenchTarget(force[index].tolist()), ahead, now).T_world_magnet
+        turn = vector_from_rotation(wanted[:3, :3] @ now[:3, :3].T)
+        actions[index, :3] = (wanted[:3, 3] - now[:3, 3]) / (actuation.speed * dt)
+        actions[index, 3:] = turn / (actuation.angular_speed * dt)
+    shares = [_share(actions[:, :3], 1.0), _share(actions[:, 3:], 1.0)]
     return np.concatenate(shares, axis=1).astype(np.float32)
 
 

@@ -94,7 +94,7 @@ def test_a_route_knows_where_the_capsule_fits() -> None:
     across, along = middle[:3, 0], middle[:3, 2]
     point = middle[:3, 3] + 0.008 * across
     assert route.fits(np.stack([point, point + 0.008 * across])).tolist() == [True, False]
-    assert route.has_room(np.stack([point] * 2), np.stack([along, across])).tolist() == [
+    assert route.is_free(np.stack([point] * 2), np.stack([along, across])).tolist() == [
         True,
         False,
     ]

@@ -17,7 +17,7 @@ from vrcaps.policy.evaluation import (
     EPISODES,
     EpisodeCurves,
     Evaluation,
-    episode_figures,
+    episode_measures,
     read_rows,
 )
 from vrcaps.policy.policy import read_policy
@@ -75,7 +75,7 @@ def test_figures_of_a_curve_by_hand() -> None:
     curves = EpisodeCurves(
         np.array([0.0, 10.0, 20.0]), fraction, np.zeros(3), np.array([9.0, 0.1, 0.3]), np.eye(3, 7)
     )
-    figures = episode_figures(curves, 40.0)
+    figures = episode_measures(curves, 40.0)
     assert figures["visible_at_47.62_s"] == figures["visible_at_end"] == pytest.approx(92.0)
     assert figures["visible_time_to_90_s"] == 20.0
     assert np.isnan(figures["visible_time_to_95_s"])
@@ -90,7 +90,7 @@ def test_coverage_over_time_holds_after_the_end(tmp_path: Path) -> None:
         curves = EpisodeCurves(
             np.array([0.0, 1.0]), fraction, np.zeros(2), np.zeros(2), np.eye(2, 7)
         )
-        row = {"seed": seed, "episode": 0, **episode_figures(curves, 4.0)}
+        row = {"seed": seed, "episode": 0, **episode_measures(curves, 4.0)}
         evaluation.add([row], [curves])
     found = evaluation.over_time("visible", np.array([0.5, 1.0, 3.0]))
     assert found == pytest.approx(np.array([[20.0, 40.0, 40.0], [20.0, 80.0, 80.0]]))

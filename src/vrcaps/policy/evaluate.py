@@ -10,7 +10,7 @@ import numpy as np
 
 from vrcaps.env.vector_env import CapsuleVectorEnv
 from vrcaps.limits import Range, check_fields
-from vrcaps.policy.evaluation import EpisodeCurves, Evaluation, episode_figures
+from vrcaps.policy.evaluation import EpisodeCurves, Evaluation, episode_measures
 from vrcaps.transforms import quaternion_from_matrix
 
 if TYPE_CHECKING:
@@ -117,7 +117,7 @@ def _run(
         curve = _curves(whole[were_active[:, index], index])
         row = {"seed": seed, "episode": episode, "organ": "", "end": ends[index]}
         row |= {"wall_escapes": int(ends[index] == "outside the wall")}
-        row |= episode_figures(curve, envs.settings.episode_time)
+        row |= episode_measures(curve, envs.settings.episode_time)
         rows.append(row)
         curves.append(curve)
     return rows, curves

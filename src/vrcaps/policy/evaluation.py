@@ -61,7 +61,7 @@ class EpisodeCurves:
         }
 
 
-def episode_figures(curves: EpisodeCurves, whole_time: float) -> dict[str, float]:
+def episode_measures(curves: EpisodeCurves, whole_time: float) -> dict[str, float]:
     """What an episode is judged by; after its end, its coverage stays as it was.
 
     Args:

@@ -109,12 +109,12 @@ class NextBestViewPolicy:
             np.repeat(part, _NUM_HEADINGS, axis=0) for part in (points, arc_length, way)
         )
         headings = unit(draw.normal(size=points.shape))
-        has_room = route.has_room(points, headings)
+        is_free = route.is_free(points, headings)
         turning = turning_time(T[:3, 2], headings, _TURN)
         # The capsule turns on the way.
         time = np.maximum(way / _SPEED, turning) + _PAUSE
         gain = _gains(simulation, index, draw, points, headings)
-        best = int(np.argmax(np.where(has_room, gain / time, -1.0)))
+        best = int(np.argmax(np.where(is_free, gain / time, -1.0)))
         began = float(simulation.time[index])
         until = began + 1.5 * float(time[best]) + _PAUSE
         return _Plan(points[best], headings[best], float(arc_length[best]), began, until)

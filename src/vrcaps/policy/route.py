@@ -41,7 +41,7 @@ class Route:
         """Whether a ball as thick as the capsule fits at points in the world frame."""
         return np.asarray(self.model.wall.signed_distance(points)) > self.model.device.radius
 
-    def has_room(
+    def is_free(
         self, points: Float[np.ndarray, "n 3"], headings: Float[np.ndarray, "n 3"]
     ) -> Bool[np.ndarray, " n"]:
         """Whether the whole capsule fits at points with its front in some directions."""

@@ -1,6 +1,7 @@
 //! Contents of the lumen: spheres, and how particles and bubbles move.
 
 mod capsule;
+pub mod clump;
 mod drag;
 mod particle;
 mod particle_contact;

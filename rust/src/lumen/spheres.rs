@@ -3,11 +3,9 @@
 use crate::simd::f32x64::*;
 use crate::wall::Wall;
 use crate::wall::bvh::{Child, MAX_PER_LEAF, Node, WIDTH};
-use crate::wall::packet::{Pyramid, farthest_of, leaves};
-use crate::wall::visibility;
+use crate::wall::packet::{Pyramid, leaves};
 use numpy::{PyReadonlyArray1, PyReadonlyArray2};
 use pyo3::{exceptions::PyValueError, prelude::*};
-use rayon::prelude::*;
 
 /// Kinds of spheres, as Python numbers them.
 pub const BUBBLE: u8 = 0;
@@ -40,6 +38,10 @@ pub struct Sphere {
     pub number: u32,
     /// Instance it belongs to.
     pub instance: u16,
+    /// Beyond it the sphere has no effect [m]: more than its radius in a clump.
+    pub reach: f32,
+    /// Of the bumps of a particle.
+    pub phases: Vec3,
 }
 
 impl SphereArrays<'_> {
@@ -65,6 +67,8 @@ impl SphereArrays<'_> {
                 arc_length: arc_length[k] as f32,
                 number: k as u32,
                 instance: instance[k],
+                reach: radius[k] as f32,
+                phases: [0.0; 3],
             })
             .collect();
         let valid = |s: &Sphere| s.center.iter().all(|x| x.is_finite()) && s.radius > 0.0;
@@ -136,22 +140,22 @@ impl Spheres {
             for index in range {
                 let sphere = &self.all[index];
                 let offset = sub(sphere.center, origin);
-                let reach = -1.0001 * sphere.radius;
+                let reach = -1.0001 * sphere.reach;
                 if rays.closed && rays.sides.iter().any(|side| dot(*side, offset) < reach) {
                     continue;
                 }
                 let square = dot(offset, offset);
-                if square.sqrt() - 1.0001 * sphere.radius > farthest {
+                if square.sqrt() - 1.0001 * sphere.reach > farthest {
                     continue;
                 }
-                let power = square - sphere.radius * sphere.radius;
+                let power = square - sphere.reach * sphere.reach;
                 found.push(Near { power, index: index as u32 });
             }
         });
     }
 
-    /// Visits the spheres that a ray with a unit `heading` crosses nearer than `reach`: their places,
-    /// both crossings, and its squared distance from the center as a share of the radius' square.
+    /// Visits the spheres within whose reach a ray with a unit `heading` comes nearer than `reach`:
+    /// their places, both crossings, and its squared distance from the center as a share of that of their reach.
     #[inline(always)]
     pub fn along(
         &self,
@@ -169,7 +173,7 @@ impl Spheres {
                 Child::Node(number) => &self.nodes[number],
                 Child::Leaf(range) => {
                     for index in range {
-                        let Sphere { center, radius, .. } = self.all[index];
+                        let Sphere { center, reach: radius, .. } = self.all[index];
                         let offset = sub(center, start);
                         let middle = dot(offset, heading);
                         let foot = sub(offset, scale(heading, middle));
@@ -213,48 +217,10 @@ impl Spheres {
                     Child::Leaf(range) => found.extend(range.map(|index| {
                         let sphere = &self.all[index];
                         let offset = sub(sphere.center, origin);
-                        let power = dot(offset, offset) - sphere.radius * sphere.radius;
+                        let power = dot(offset, offset) - sphere.reach * sphere.reach;
                         Near { power, index: index as u32 }
                     })),
                 }
-            }
-        }
-    }
-
-    /// Whether the way from `origin` to each point is free; points with NaN are not.
-    pub fn free(&self, origin: Vec3, points: &[Vec3], extent: f32) -> Vec<bool> {
-        let mut result = vec![false; points.len()];
-        result.par_chunks_mut(LANES).zip(points.par_chunks(LANES)).for_each(|(out, chunk)| {
-            let (mut lanes, mut free) = ([[0.0; LANES]; 3], [false; LANES]);
-            for (i, point) in chunk.iter().enumerate() {
-                free[i] = point.iter().all(|x| x.is_finite());
-                for k in 0..3 {
-                    lanes[k][i] = if free[i] { point[k] } else { origin[k] };
-                }
-            }
-            self.shade(origin, &lanes, extent, &mut Vec::new(), &mut free);
-            out.copy_from_slice(&free[..chunk.len()]);
-        });
-        result
-    }
-
-    /// Takes from `lit` the points whose way from `origin` a sphere blocks.
-    #[inline(always)]
-    pub fn shade(
-        &self,
-        origin: Vec3,
-        points: &Lane3,
-        extent: f32,
-        near: &mut Vec<Near>,
-        lit: &mut [bool; LANES],
-    ) {
-        let (directions, reach) = visibility::shadow_segments(origin, points, lit);
-        let rays = Pyramid::around(directions, lit);
-        self.gather(origin, &rays, extent, farthest_of(&reach), near);
-        for found in near.iter() {
-            let crossings = self.all[found.index as usize].crossings(origin, &rays.directions);
-            for i in 0..LANES {
-                lit[i] &= !((crossings.near[i] > 0.0) & (crossings.near[i] < reach[i]));
             }
         }
     }
@@ -272,6 +238,12 @@ pub struct Crossings {
 }
 
 impl Sphere {
+    /// Whether it shares its surface with no other.
+    #[inline(always)]
+    pub fn is_alone(&self) -> bool {
+        self.reach == self.radius
+    }
+
     /// Crossings of unit rays from one origin.
     #[inline(always)]
     pub fn crossings(&self, origin: Vec3, directions: &Lane3) -> Crossings {
@@ -343,8 +315,8 @@ fn bounds(spheres: &[Sphere]) -> [f32; 6] {
     let mut out = [f32::MAX, f32::MAX, f32::MAX, f32::MIN, f32::MIN, f32::MIN];
     for sphere in spheres {
         for axis in 0..3 {
-            out[axis] = min(out[axis], sphere.center[axis] - sphere.radius);
-            out[axis + 3] = max(out[axis + 3], sphere.center[axis] + sphere.radius);
+            out[axis] = min(out[axis], sphere.center[axis] - sphere.reach);
+            out[axis + 3] = max(out[axis + 3], sphere.center[axis] + sphere.reach);
         }
     }
     out

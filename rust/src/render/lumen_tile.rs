@@ -9,7 +9,7 @@ use crate::render::lumen::Contents;
 use crate::render::lumen::foreground::Foreground;
 use crate::render::lumen::intersect::LumenRays;
 use crate::render::lumen::liquid::{DRY, Optics, Pools, Wet};
-use crate::render::lumen::particle_surfaces::{Owner, paint, write_particles};
+use crate::render::lumen::particle_surfaces::{Particles, paint, write_particles};
 use crate::render::lumen::path_segment::{Bubbles, PathSegment, first_segment, unfolded};
 use crate::render::lumen::refraction::{REFLECTED, REFRACTED, STRAIGHT};
 use crate::render::material::Surface;
@@ -36,8 +36,8 @@ pub struct LumenTiles<'a> {
 
 /// Triangles met, `MISS` where a particle hides them.
 #[inline(always)]
-fn of_wall(triangles: &[u32; LANES], owner: &Owner) -> [u32; LANES] {
-    std::array::from_fn(|i| if owner[i] == MISS { triangles[i] } else { MISS })
+fn of_wall(triangles: &[u32; LANES], particles: &Particles) -> [u32; LANES] {
+    std::array::from_fn(|i| if particles.owner[i] == MISS { triangles[i] } else { MISS })
 }
 
 /// What the rays of a tile see in the end.
@@ -45,7 +45,7 @@ struct VisibleSurfaces {
     rays: Pyramid,
     /// Distances along the whole way; the wall, also behind particles.
     hits: Hits,
-    owner: Owner,
+    particles: Particles,
     found: Attributes,
     /// Liquid on the way, if there is any.
     wet: Option<Wet>,
@@ -70,9 +70,10 @@ impl TileRenderer for LumenTiles<'_> {
         scratch: &mut Scratch,
     ) -> PrimaryHit {
         let (rays, hits) = self.bare.intersect(tile);
-        let VisibleSurfaces { hits, owner, found, .. } = self.trace(tile, (&rays, &hits), scratch);
-        let surface = self.surface(&found, &hits, &owner, tile.pixel_angle);
-        let triangle = of_wall(&hits.triangle, &owner);
+        let VisibleSurfaces { hits, particles, found, .. } =
+            self.trace(tile, (&rays, &hits), scratch);
+        let surface = self.surface(&found, &hits, &particles, tile.pixel_angle);
+        let triangle = of_wall(&hits.triangle, &particles);
         PrimaryHit { surface, hit: found.hit, triangle, pixel }
     }
 
@@ -96,11 +97,11 @@ impl TileRenderer for LumenTiles<'_> {
             return;
         }
         let seen = self.trace(tile, met, scratch);
-        let VisibleSurfaces { rays, hits, owner, found, wet } = &seen;
+        let VisibleSurfaces { rays, hits, particles, found, wet } = &seen;
         let bubbles = self.bubbles(tile, rays, hits, scratch);
         if out.wants_color() {
-            let surface = self.surface(found, hits, owner, tile.pixel_angle);
-            let triangles = of_wall(&hits.triangle, owner);
+            let surface = self.surface(found, hits, particles, tile.pixel_angle);
+            let triangles = of_wall(&hits.triangle, particles);
             let (without_base, subsurface) =
                 view.split_subsurface(wall.scene, &surface, hits, &triangles);
             let lit = (without_base.as_ref().unwrap_or(&surface), subsurface.as_ref());
@@ -172,9 +173,9 @@ impl<'a> LumenTiles<'a> {
     ) -> VisibleSurfaces {
         let (wall, scene, view) = (self.bare.wall, self.bare.scene, self.bare.view);
         let (rays, mut hits) = (met.0.clone(), met.1.clone());
-        let mut owner = [MISS; LANES];
+        let mut particles = Particles::nothing();
         if tile.any {
-            owner = self.rays().intersect_particles(&rays, &mut hits, &mut scratch.near);
+            particles = self.rays().intersect_particles(&rays, &mut hits, &mut scratch.near);
         }
         let mut found = attributes(wall, scene, view.origin, &rays.directions, &hits);
         let mut wet = if tile.any { self.wet(&rays, &hits, &found) } else { None };
@@ -197,7 +198,7 @@ impl<'a> LumenTiles<'a> {
                 for i in (0..LANES).filter(|&i| lanes[i]) {
                     hits.distance[i] = met.distance[i];
                     hits.triangle[i] = met.triangle[i];
-                    owner[i] = theirs[i];
+                    particles.take(i, (&theirs, i));
                     for k in 0..3 {
                         hits.edges[k][i] = met.edges[k][i];
                         let offset = (met.distance[i] - turn.distance[i]) * turn.heading[k][i];
@@ -208,20 +209,26 @@ impl<'a> LumenTiles<'a> {
             }
             found = attributes_at(wall, scene, found.position, found.view, &hits);
         }
-        write_particles(&self.contents.chyme, self.contents.label, &owner, &mut found);
+        write_particles(&self.contents.chyme, self.contents.label, &particles, &mut found);
         if let Some(wet) = &mut wet {
             for i in 0..LANES {
                 wet.is_wet[i] &= found.hit[i];
                 wet.turn.kind[i] = if found.hit[i] { wet.turn.kind[i] } else { STRAIGHT };
             }
         }
-        VisibleSurfaces { rays, hits, owner, found, wet }
+        VisibleSurfaces { rays, hits, particles, found, wet }
     }
 
     #[inline(always)]
-    fn surface(&self, found: &Attributes, hits: &Hits, owner: &Owner, pixel_angle: f32) -> Surface {
+    fn surface(
+        &self,
+        found: &Attributes,
+        hits: &Hits,
+        particles: &Particles,
+        pixel_angle: f32,
+    ) -> Surface {
         let mut surface = surface(self.bare.scene, found, &hits.distance, pixel_angle);
-        paint(&self.contents.chyme, owner, &mut surface);
+        paint(&self.contents.chyme, particles, &mut surface);
         surface
     }
 
@@ -366,7 +373,7 @@ impl<'a> LumenTiles<'a> {
             return [[0.0; LANES]; 3];
         }
         let mirror = rays.mirrored();
-        let (hits, owner) =
+        let (hits, particles) =
             self.rays().intersect_reflected(&mirror, turn, &lanes, &mut scratch.near);
         let (mut position, mut view) = (turn.place, mirror.directions);
         for k in 0..3 {
@@ -377,8 +384,8 @@ impl<'a> LumenTiles<'a> {
             }
         }
         let mut found = attributes_at(self.bare.wall, self.bare.scene, position, view, &hits);
-        write_particles(&self.contents.chyme, self.contents.label, &owner, &mut found);
-        let surface = self.surface(&found, &hits, &owner, pixel_angle);
+        write_particles(&self.contents.chyme, self.contents.label, &particles, &mut found);
+        let surface = self.surface(&found, &hits, &particles, pixel_angle);
         let in_liquid = wet.under.contains(&true);
         let mut radiance =
             self.light((&surface, None), &found, &hits, in_liquid.then_some(wet), scratch);

@@ -9,7 +9,7 @@ from vrcaps.lumen.contents import Contents
 from vrcaps.lumen.liquid import Liquid
 from vrcaps.units import MM
 
-_STOOL, _FOOD = (0.24, 0.16, 0.035), (0.34, 0.26, 0.11)
+_STOOL, _FOOD = (0.18, 0.10, 0.028), (0.30, 0.21, 0.08)
 """Linear colors of stool and of undigested food, chosen by eye beside real frames."""
 
 _CLEAR, _TURBID = (14.0, 13.0, 6.0), (70.0, 55.0, 20.0)
@@ -43,10 +43,10 @@ def _left(
 
 
 PREPARATIONS: tuple[Contents, ...] = (
-    _left(2.0, 40.0, 80.0, (0.75, 0.35), 0.25),
-    _left(1.5, 24.0, 60.0, (0.35, 0.35), 0.10),
-    _left(0.8, 2.0, 14.0, (0.20, 0.7), 0.025),
-    _left(0.3, 0.15, 4.0, (0.15, 0.7), 0.015),
+    _left(2.0, 40.0, 80.0, (0.8, 0.40), 0.25),
+    _left(1.5, 12.6, 50.0, (0.45, 0.45), 0.10),
+    _left(0.8, 1.3, 12.0, (0.25, 0.7), 0.025),
+    _left(0.3, 0.085, 4.0, (0.20, 0.7), 0.015),
 )
 """By score of a segment on the Boston bowel preparation scale (Lai et al., Gastrointest. Endosc.
 69(3), 2009): 0 unprepared, solid stool hides the mucosa; 1 parts are hidden by stain, stool and

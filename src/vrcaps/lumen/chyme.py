@@ -39,8 +39,8 @@ class Chyme:
     settled: float = 0.5
     white: float = 0.35
     density: float = 1050.0
-    yellow_color: tuple[float, float, float] = (0.3, 0.22, 0.05)
-    white_color: tuple[float, float, float] = (0.42, 0.36, 0.24)
+    yellow_color: tuple[float, float, float] = (0.27, 0.205, 0.055)
+    white_color: tuple[float, float, float] = (0.44, 0.37, 0.22)
 
     def __post_init__(self) -> None:
         for name in ("per_area", "spread"):

@@ -10,6 +10,8 @@ if TYPE_CHECKING:
     from jaxtyping import Float, Int
 
 _TRIES = 12
+_FLATTENING = 0.35
+"""Height of a clump on the wall relative to that of a half-sphere."""
 
 
 def sizes(total: int, mean: float, rng: np.random.Generator) -> Int[np.ndarray, " k"]:
@@ -59,7 +61,7 @@ def pack(
         shape = (len(start), _TRIES)
         beside = start[:, None] + rng.integers(0, member, shape)
         direction = rng.standard_normal((*shape, 3))
-        direction[..., 2] = np.abs(direction[..., 2]) if dimensions == 3 else 0.0
+        direction[..., 2] = _FLATTENING * np.abs(direction[..., 2]) if dimensions == 3 else 0.0
         direction /= np.linalg.norm(direction, axis=-1, keepdims=True)
         own = radius[start + member]
         reach = touch * (radius[beside] + own[:, None])

@@ -29,6 +29,8 @@ _SPACING = 2.0 * MM
 LIFT_BUBBLE = 0.85
 """Height of a bubble's center over the wall it clings to, as a share of its radius."""
 _LIFT_CHYME = 0.4
+_BOUND = 0.45
+"""Distance of neighbors in a clump of chyme as a share of the sum of their radii: one mass."""
 _SCATTER = 0.7
 """How far directions stray from up or down; 1 is as long as the way itself."""
 
@@ -100,7 +102,7 @@ def place_chyme(
         return no_spheres()
     clumps.settle(-up, chyme.settled)
     radius = clumps.radii(chyme)
-    place = clumps.spread(radius, dimensions=3, touch=0.75)
+    place = clumps.spread(radius, dimensions=3, touch=_BOUND)
     distance = wall.signed_distance(place)
     lifted = _on_wall(organ, wall, place, _LIFT_CHYME * radius)
     centers = np.where((distance < _LIFT_CHYME * radius)[:, None], lifted, place)

@@ -1,8 +1,9 @@
 //! Intersections of a tile's rays with wall and particles, straight and beyond a liquid's surface.
 
-use super::particle_surfaces::Owner;
+use super::particle_surfaces::Particles;
 use super::refraction::Turn;
-use crate::lumen::spheres::{Crossings, Near, Spheres};
+use crate::lumen::clump::Beams;
+use crate::lumen::spheres::{Near, Spheres};
 use crate::simd::f32x64::*;
 use crate::wall::Wall;
 use crate::wall::packet::{Hits, MAX_DISTANCE, MISS, Pyramid, farthest_of, trace_beyond};
@@ -26,17 +27,15 @@ impl LumenRays<'_> {
         rays: &Pyramid,
         hits: &mut Hits,
         near: &mut Vec<Near>,
-    ) -> Owner {
-        let mut owner = [MISS; LANES];
+    ) -> Particles {
+        let mut met = Particles::nothing();
         let (chyme, origin) = (self.chyme, self.eye);
         let farthest = farthest_of(&hits.distance);
         chyme.gather(origin, rays, self.wall.extent, farthest, near);
-        for &Near { index, .. } in near.iter() {
-            let sphere = &chyme.all[index as usize];
-            let crossings = sphere.crossings(origin, &rays.directions);
-            shorten(&crossings, index, &[0.0; LANES], hits, &mut owner);
-        }
-        owner
+        let starts = &origin.map(|x| [x; LANES]);
+        let beams = Beams { starts, headings: &rays.directions, from: &[0.0; LANES] };
+        chyme.meet::<false>(near, &beams, &mut hits.distance, &mut met);
+        met
     }
 
     /// What rays from the eye meet, in the lanes `used`, after a level surface has mirrored them.
@@ -48,8 +47,8 @@ impl LumenRays<'_> {
         turn: &Turn,
         used: &[bool; LANES],
         near: &mut Vec<Near>,
-    ) -> (Hits, Owner) {
-        let (mut hits, mut owner) = (Hits::within([0.0; LANES]), [MISS; LANES]);
+    ) -> (Hits, Particles) {
+        let (mut hits, mut particles) = (Hits::within([0.0; LANES]), Particles::nothing());
         let mut rest = *used;
         // A tile sees one surface, hardly ever two.
         while let Some(first) = rest.iter().position(|&waits| waits) {
@@ -61,13 +60,13 @@ impl LumenRays<'_> {
                 rest[i] = false;
                 hits.distance[i] = met.distance[i];
                 hits.triangle[i] = met.triangle[i];
-                owner[i] = theirs[i];
+                particles.take(i, (&theirs, i));
                 for k in 0..3 {
                     hits.edges[k][i] = met.edges[k][i];
                 }
             }
         }
-        (hits, owner)
+        (hits, particles)
     }
 
     /// The same for one level: mirrored rays come straight from where the eye's image in it is.
@@ -78,20 +77,18 @@ impl LumenRays<'_> {
         mirrored: &Pyramid,
         (nearest, used): (&Lane, &[bool; LANES]),
         near: &mut Vec<Near>,
-    ) -> (Hits, Owner) {
+    ) -> (Hits, Particles) {
         let (wall, chyme, [x, y, z]) = (self.wall, self.chyme, self.eye);
         let image = [x, y, 2.0 * level - z];
-        let mut owner = [MISS; LANES];
+        let mut particles = Particles::nothing();
         let mut hits = Hits::within(used.map(|used| if used { MAX_DISTANCE } else { 0.0 }));
         trace_beyond::<false>(&wall.bvh, (image, nearest), mirrored, wall.extent, &mut hits);
         let farthest = farthest_of(&hits.distance);
         chyme.gather(image, mirrored, wall.extent, farthest, near);
-        for &Near { index, .. } in near.iter() {
-            let sphere = &chyme.all[index as usize];
-            let crossings = sphere.crossings(image, &mirrored.directions);
-            shorten(&crossings, index, nearest, &mut hits, &mut owner);
-        }
-        (hits, owner)
+        let starts = &image.map(|x| [x; LANES]);
+        let beams = Beams { starts, headings: &mirrored.directions, from: nearest };
+        chyme.meet::<false>(near, &beams, &mut hits.distance, &mut particles);
+        (hits, particles)
     }
 
     /// What rays that turn at a surface meet beyond it, in the lanes `used`. Distances count along the
@@ -102,8 +99,8 @@ impl LumenRays<'_> {
         turn: &Turn,
         used: &[bool; LANES],
         near: &mut Vec<Near>,
-    ) -> (Hits, Owner) {
-        let (mut hits, mut owner) = (Hits::within([0.0; LANES]), [MISS; LANES]);
+    ) -> (Hits, Particles) {
+        let (mut hits, mut particles) = (Hits::within([0.0; LANES]), Particles::nothing());
         let (mut low, mut high) = ([f32::MAX; 3], [f32::MIN; 3]);
         for i in (0..LANES).filter(|&i| used[i]) {
             let (start, direction) = (at(&turn.place, i), at(&turn.heading, i));
@@ -125,24 +122,11 @@ impl LumenRays<'_> {
         }
         let chyme = self.chyme;
         chyme.within((low, high), low, near);
-        for &Near { index, .. } in near.iter() {
-            let sphere = &chyme.all[index as usize];
-            let crossings = sphere.crossings_from(|i| at(&turn.place, i), &turn.heading);
-            shorten(&crossings, index, &[0.0; LANES], &mut hits, &mut owner);
-        }
+        let beams = Beams { starts: &turn.place, headings: &turn.heading, from: &[0.0; LANES] };
+        chyme.meet::<false>(near, &beams, &mut hits.distance, &mut particles);
         for i in (0..LANES).filter(|&i| used[i]) {
             hits.distance[i] += turn.distance[i];
         }
-        (hits, owner)
-    }
-}
-
-/// Ends at a sphere the rays that meet it first, beyond `nearest` [m].
-#[inline(always)]
-fn shorten(crossings: &Crossings, index: u32, nearest: &Lane, hits: &mut Hits, owner: &mut Owner) {
-    for i in 0..LANES {
-        let nearer = (crossings.near[i] > nearest[i]) & (crossings.near[i] < hits.distance[i]);
-        hits.distance[i] = if nearer { crossings.near[i] } else { hits.distance[i] };
-        owner[i] = if nearer { index } else { owner[i] };
+        (hits, particles)
     }
 }

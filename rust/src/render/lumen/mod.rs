@@ -83,7 +83,7 @@ impl Contents {
             stain: film.stain,
             roughness: film.roughness,
         };
-        let (bubbles, chyme) = (Spheres::build(bubbles), Spheres::build(chyme));
+        let (bubbles, chyme) = (Spheres::build(bubbles), Spheres::bound(chyme));
         Ok(Contents { bubbles, chyme, film, pools, label })
     }
 

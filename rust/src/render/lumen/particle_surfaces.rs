@@ -1,6 +1,7 @@
 //! Particles in a tile: surfaces that take the place of the wall in every channel.
 
-use crate::lumen::spheres::{Near, Spheres};
+use crate::lumen::clump::Met;
+use crate::lumen::spheres::Spheres;
 use crate::mucosa::noise::Lattice;
 use crate::render::material::Surface;
 use crate::render::shading::Attributes;
@@ -15,20 +16,43 @@ use rayon::prelude::*;
 const FIRST_PARTICLE: i32 = -2;
 /// Roughness of particles.
 const CHYME_ROUGHNESS: f32 = 0.6;
-/// Size of the lumps of a particle, as a share of its radius.
-const LUMPS: f32 = 0.45;
 
-/// Place in `Contents::chyme` of the particle that each lane sees; `MISS` where there is none.
-pub type Owner = [u32; LANES];
+/// Random lumps of one size, which tilt a surface and shade it.
+#[derive(Clone, Copy)]
+struct Octave {
+    /// Size [m].
+    size: f32,
+    /// How much the normal changes.
+    tilt: f32,
+    /// By what share the color changes.
+    contrast: f32,
+}
+
+/// Crumbs and grain of a clump.
+const GRAIN: [Octave; 3] = [
+    Octave { size: 0.9e-3, tilt: 0.2, contrast: 0.25 },
+    Octave { size: 0.4e-3, tilt: 0.35, contrast: 0.3 },
+    Octave { size: 0.18e-3, tilt: 0.3, contrast: 0.25 },
+];
+
+/// Lumps of a particle by itself.
+fn lumps(radius: f32) -> [Octave; 2] {
+    [
+        Octave { size: 0.45 * radius, tilt: 0.4, contrast: 0.25 },
+        Octave { size: 0.225 * radius, tilt: 0.25, contrast: 0.2 },
+    ]
+}
+
+/// The particles of `Contents::chyme` that a tile sees.
+pub type Particles = Met<LANES>;
 
 /// Puts particles of a class in the wall's place.
 #[inline(always)]
-pub fn write_particles(chyme: &Spheres, label: u8, owner: &Owner, found: &mut Attributes) {
-    for i in (0..LANES).filter(|&i| owner[i] != MISS) {
-        let sphere = &chyme.all[owner[i] as usize];
-        let inverse = 1.0 / sphere.radius;
+pub fn write_particles(chyme: &Spheres, label: u8, met: &Particles, found: &mut Attributes) {
+    for i in (0..LANES).filter(|&i| met.owner[i] != MISS) {
+        let sphere = &chyme.all[met.owner[i] as usize];
         for k in 0..3 {
-            found.normal[k][i] = (found.position[k][i] - sphere.center[k]) * inverse;
+            found.normal[k][i] = met.normal[k][i];
         }
         found.hit[i] = true;
         found.face[i] = FIRST_PARTICLE - sphere.number as i32;
@@ -42,22 +66,25 @@ pub fn write_particles(chyme: &Spheres, label: u8, owner: &Owner, found: &mut At
 
 /// Gives particles their color and their lumps.
 #[inline(always)]
-pub fn paint(chyme: &Spheres, owner: &Owner, surface: &mut Surface) {
-    for i in (0..LANES).filter(|&i| owner[i] != MISS) {
-        let sphere = &chyme.all[owner[i] as usize];
-        let size = LUMPS * sphere.radius;
+pub fn paint(chyme: &Spheres, met: &Particles, surface: &mut Surface) {
+    for i in (0..LANES).filter(|&i| met.owner[i] != MISS) {
+        let sphere = &chyme.all[met.owner[i] as usize];
+        let lumps = lumps(sphere.radius);
+        let grain: &[Octave] = if sphere.is_alone() { &lumps } else { &GRAIN };
+        let seeds = [sphere.number, !sphere.number, sphere.number ^ 0x5555_5555];
         let own = sub(at(&surface.position, i), sphere.center);
-        let lump = Lattice::new(sphere.number, size).displacement(own);
-        let grain = Lattice::new(!sphere.number, 0.5 * size).displacement(own);
-        let smooth = at(&surface.normal, i);
-        let rough = [0, 1, 2].map(|k| smooth[k] + 0.4 * lump[k] + 0.25 * grain[k]);
+        let (mut rough, mut shade) = (at(&surface.normal, i), 1.0);
+        for (k, &Octave { size, tilt, contrast }) in grain.iter().enumerate() {
+            let noise = Lattice::new(seeds[k], size).displacement(own);
+            rough = add(rough, scale(noise, tilt));
+            shade += contrast * noise[k];
+        }
         // Lumps that turn away from the viewer are not seen.
         let away = min(dot(rough, at(&surface.view, i)) - 0.05, 0.0);
         let normal = normalize(sub(rough, scale(at(&surface.view, i), away)));
-        let shade = 1.0 + 0.25 * lump[0] + 0.2 * grain[1];
         for k in 0..3 {
             surface.normal[k][i] = normal[k];
-            surface.albedo[k][i] = clamp(sphere.color[k] * shade, 0.0, 0.95);
+            surface.albedo[k][i] = clamp(met.color[k][i] * shade, 0.0, 0.95);
         }
         surface.roughness[i] = CHYME_ROUGHNESS;
     }
@@ -77,14 +104,10 @@ pub fn segments_unoccluded(chyme: &Spheres, wall: &Wall, segments: &[[Vec3; 2]])
                 high[k] = max(start[k], point[k]);
             }
             chyme.within((low, high), start, &mut near);
-            let directions = heading.map(|x| [x; LANES]);
-            let is_hidden = |near: &Near| {
-                let distance = chyme.all[near.index as usize].crossings(start, &directions).near[0];
-                distance > 0.0 && distance < reach
-            };
+            let (left, _) = chyme.meet_ray::<true>(&mut near, (start, heading), reach);
             *free = reach.is_finite()
                 && ray::cast::<true>(&wall.bvh, start, heading, reach, MISS).is_none()
-                && !near.iter().any(is_hidden);
+                && left == reach;
         }
     });
     free

@@ -2,9 +2,11 @@
 //!
 //! Path segments are straight: beyond the first surface nothing refracts them.
 
+use crate::lumen::clump::Met;
+use crate::lumen::spheres::Near;
 use crate::render::lumen::Contents;
 use crate::render::lumen::liquid::DRY;
-use crate::render::lumen::particle_surfaces::paint;
+use crate::render::lumen::particle_surfaces::{Particles, paint};
 use crate::render::material::Surface;
 use crate::simd::f32x64::*;
 use crate::wall::Wall;
@@ -28,12 +30,11 @@ impl LumenMedia<'_> {
     /// What a ray meets first, wall or particle, and the transmittance back along it.
     #[inline(always)]
     pub fn intersect(&self, start: Vec3, heading: Vec3, from: u32, hit: Hit) -> (Hit, Vec3) {
+        let (distance, met) = self.meet_particles::<false>((start, heading), hit.distance);
         let mut hits = hit;
-        self.contents.chyme.along(start, heading, hit.distance, |index, [near, _], _| {
-            if near > 0.0 && near < hits.distance {
-                hits = Hit { distance: near, triangle: MISS, particle: index as u32, ..hits };
-            }
-        });
+        if met.owner[0] != MISS {
+            hits = Hit { distance, triangle: MISS, particle: met.owner[0], ..hits };
+        }
         let end = add(start, scale(heading, hits.distance));
         let pool = self.pool_between((start, from), (end, hit.triangle));
         (hits, self.transmittance((start, heading, hits.distance), pool))
@@ -45,32 +46,35 @@ impl LumenMedia<'_> {
         let offset = sub(point, led);
         let (heading, distance) = (normalize(offset), dot(offset, offset).sqrt());
         let reach = distance * SHADOW_REACH;
-        let mut is_free = true;
-        self.contents.chyme.along(led, heading, reach, |_, [near, _], _| {
-            is_free &= !(near > 0.0 && near < reach);
-        });
-        if !is_free {
+        if self.meet_particles::<true>((led, heading), reach).0 < reach {
             return [0.0; 3];
         }
         let pool = if self.of_leds == DRY { self.pool_at(point) } else { self.of_leds };
         self.transmittance((led, heading, distance), pool)
     }
 
+    /// Where a ray ends at the particle that it meets first, or else `until` [m]; what it meets.
+    #[inline(always)]
+    fn meet_particles<const ANY: bool>(&self, ray: (Vec3, Vec3), until: f32) -> (f32, Met<1>) {
+        let (chyme, mut near) = (&self.contents.chyme, Vec::new());
+        chyme.along(ray.0, ray.1, until, |index, _, _| {
+            near.push(Near { power: 0.0, index: index as u32 });
+        });
+        chyme.meet_ray::<ANY>(&mut near, ray, until)
+    }
+
     /// Gives the particles among the surfaces met their position and material.
     #[inline(always)]
     pub fn shade_particles(&self, hits: &[(u32, Hit)], surface: &mut Surface) {
-        let mut owner = [MISS; LANES];
-        for (i, (_, hit)) in hits.iter().enumerate() {
-            owner[i] = hit.particle;
-            if hit.particle != MISS {
-                let sphere = &self.contents.chyme.all[hit.particle as usize];
-                let normal = normalize(sub(at(&surface.position, i), sphere.center));
-                for k in 0..3 {
-                    surface.normal[k][i] = normal[k];
-                }
+        let mut particles = Particles::nothing();
+        for (i, (_, hit)) in hits.iter().enumerate().filter(|(_, (_, hit))| hit.particle != MISS) {
+            let met = self.contents.chyme.look_at(hit.particle, at(&surface.position, i));
+            particles.take(i, (&met, 0));
+            for k in 0..3 {
+                surface.normal[k][i] = met.normal[k][0];
             }
         }
-        paint(&self.contents.chyme, &owner, surface);
+        paint(&self.contents.chyme, &particles, surface);
     }
 
     /// Transmittance along a segment through bubbles and the liquid of a pool.

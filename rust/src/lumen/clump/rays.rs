@@ -1,0 +1,73 @@
+//! Rays among particles and what they meet.
+
+use crate::lumen::spheres::Sphere;
+use crate::simd::f32x64::*;
+use crate::wall::packet::MISS;
+
+/// Rays, each from where it starts.
+pub struct Beams<'a, const N: usize> {
+    /// Where they start [m].
+    pub starts: &'a [[f32; N]; 3],
+    /// Unit directions.
+    pub headings: &'a [[f32; N]; 3],
+    /// Least distance of what is met [m].
+    pub from: &'a [f32; N],
+}
+
+/// What rays meet on particles.
+#[derive(Clone)]
+pub struct Met<const N: usize> {
+    /// Place in `Spheres::all` of the particle that has the largest share in the surface there;
+    /// `MISS` where none is met.
+    pub owner: [u32; N],
+    /// Unit normals, outwards.
+    pub normal: [[f32; N]; 3],
+    /// Linear base color: the mean of the particles that share in the surface.
+    pub color: [[f32; N]; 3],
+}
+
+impl<const N: usize> Met<N> {
+    /// Nothing met.
+    #[inline(always)]
+    pub fn nothing() -> Self {
+        Met { owner: [MISS; N], normal: [[0.0; N]; 3], color: [[0.0; N]; 3] }
+    }
+
+    /// Puts a point of a ball in a lane.
+    #[inline(always)]
+    pub fn put_ball(&mut self, lane: usize, sphere: &Sphere, index: u32, point: Vec3) {
+        self.owner[lane] = index;
+        for k in 0..3 {
+            self.normal[k][lane] = (point[k] - sphere.center[k]) / sphere.radius;
+            self.color[k][lane] = sphere.color[k];
+        }
+    }
+
+    /// Puts what a lane of others has met in a lane.
+    #[inline(always)]
+    pub fn take<const M: usize>(&mut self, lane: usize, (other, theirs): (&Met<M>, usize)) {
+        self.owner[lane] = other.owner[theirs];
+        for k in 0..3 {
+            self.normal[k][lane] = other.normal[k][theirs];
+            self.color[k][lane] = other.color[k][theirs];
+        }
+    }
+}
+
+/// Where rays come within reach of a particle and leave it [m]; −1 for those that do not.
+#[inline(always)]
+pub fn reached<const N: usize>(sphere: &Sphere, beams: &Beams<'_, N>) -> [[f32; N]; 2] {
+    let (square, mut ways) = (sphere.reach * sphere.reach, [[-1.0; N]; 2]);
+    for i in 0..N {
+        let heading = at(beams.headings, i);
+        let offset = sub(sphere.center, at(beams.starts, i));
+        let along = dot(offset, heading);
+        // The foot of the perpendicular: exact also for a small sphere far away.
+        let foot = sub(offset, scale(heading, along));
+        let apart = dot(foot, foot);
+        let half = max(square - apart, 0.0).sqrt();
+        ways[0][i] = if apart < square { along - half } else { -1.0 };
+        ways[1][i] = if apart < square { along + half } else { -1.0 };
+    }
+    ways
+}

@@ -32,7 +32,8 @@ p.note { color: #555; font-size: 13px; }
 _NOTE = f"""Coverage: points on the wall that stand for its area; <i>frustum</i> counts vertices
 in the field of view through walls (the definition of VR-Caps), <i>visible</i> what nothing hides,
 <i>resolved</i> what is also seen close and steeply enough. After the end of an episode its coverage
-stays. Lines: mean over episodes with its 95 % confidence band; pale: 10th to 90th percentile.
+stays. Lines: mean over episodes with its 95 % confidence band, as if all episodes were independent,
+though those in one organ are alike; pale: 10th to 90th percentile.
 Star: VR-Caps, 96.04 % at {PAPER_TIME} s of one stomach. Times: median over episodes, where one
 that never got there counts as the longest, and how many got there. Forces: median over episodes of
 percentiles over the actions of an episode."""

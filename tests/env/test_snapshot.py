@@ -40,9 +40,13 @@ def _went_on(env, steps=2, seed=4):
     return given
 
 
-@pytest.mark.parametrize("actuation", [_GENTLE, "magnet"], ids=["wrench", "magnet"])
-def test_environment_goes_on_to_the_same_bytes_from_a_snapshot(tmp_path, actuation):
-    settings = _settings(actuation=actuation)
+@pytest.mark.parametrize(
+    ("actuation", "dynamics"),
+    [(_GENTLE, "physics"), (_GENTLE, "quasi-static"), ("magnet", "quasi-static")],
+    ids=["wrench-physics", "wrench", "magnet"],
+)
+def test_environment_goes_on_to_the_same_bytes_from_a_snapshot(tmp_path, actuation, dynamics):
+    settings = _settings(actuation=actuation, dynamics=dynamics)
     env = CapsuleEnv(settings)
     env.reset(seed=1)
     _went_on(env, 1)

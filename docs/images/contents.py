@@ -51,7 +51,7 @@ SIDE_PX = 200
 LUMINANCE = 0.15  # mean linear luminance of each frame; that of real capsule frames
 GIRTH = 2.0 * np.pi * 1.2  # of a small bowel 24 mm wide [cm]
 DOCS = Path(__file__).resolve().parents[1]
-START, STOP = "<!-- grades -->", "<!-- end of grades -->"
+START, STOP = "<!-- severities -->", "<!-- end of severities -->"
 
 
 def view(model: Model, share: float) -> State:
@@ -99,7 +99,7 @@ def draw_sheet(name: str) -> None:
 def table() -> str:
     """The grades as a Markdown table."""
     lines = [
-        "| grade | bubbles per cm² | per cm of a 24 mm wide gut | in a raft | radius [mm] "
+        "| severity | bubbles per cm² | per cm of a 24 mm wide gut | in a raft | radius [mm] "
         "| on each end of the capsule | particles per cm² | per cm | in a clump | radius [mm] "
         "| liquid, share of the lumen |",
         "|---|---|---|---|---|---|---|---|---|---|---|",

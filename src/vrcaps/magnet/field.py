@@ -41,6 +41,7 @@ class SourceSet:
         self.core = _core.FieldSources()
         counts = [source.add_to(self.core) for source in self.sources]
         self._first = np.concatenate([[0], np.cumsum(counts)]).astype(int)
+        self._counts = np.diff(self._first)
 
     def move(self, index: int, T_world_magnet: Float[np.ndarray, "4 4"]) -> None:
         """Put one source at another pose.
@@ -56,7 +57,9 @@ class SourceSet:
 
     def spread(self, rows: Float[np.ndarray, "k c"]) -> Float[np.ndarray, "p c"]:
         """A row for each part that a source takes in the core, from a row for each source."""
-        return np.repeat(rows, np.diff(self._first), axis=0)
+        if len(self.sources) == self._first[-1]:  # one each, as for magnets
+            return rows
+        return np.repeat(rows, self._counts, axis=0)
 
     def field(
         self, points: Float[np.ndarray, "n 3"]

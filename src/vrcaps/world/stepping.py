@@ -69,15 +69,15 @@ def step_together(
         for world, control in zip(worlds, controls, strict=True)
     ]
     loads = loads_in_patient(controls, np.array(postures, float).reshape(-1, 4, 4))
+    loads = np.hstack([loads, np.zeros((len(loads), 1))])
     trips: dict[int, _Trip] = {}
     for k, (world, control) in enumerate(zip(worlds, controls, strict=True)):
         if k not in failures:
             world._magnetic.aim(ends[k], dt, postures[k])
             scale = world._lumen_scale_at(world.time + dt, control.insufflation)
-            load = np.append(loads[k], 0.0)
             if world.dynamics == "quasi-static":
-                _add_propulsion(world, load)
-            trips[k] = _Trip(world, dt, load, postures[k], ends[k], scale)
+                _add_propulsion(world, loads[k])
+            trips[k] = _Trip(world, dt, loads[k], postures[k], ends[k], scale)
     plain = {
         k: trip for k, trip in trips.items() if trip.world._lumen is None and _num_pieces(trip) == 1
     }

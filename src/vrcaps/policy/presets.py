@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import fields, is_dataclass, replace
-from typing import Any, get_args, get_type_hints
+from typing import Any, cast, get_args, get_type_hints
 
 from vrcaps.env.actuation.wrench import Wrench
 from vrcaps.env.observations.landmarks import LandmarksObservation
@@ -102,7 +102,7 @@ def changed_settings(settings: Any, path: str, value: Any) -> Any:
         new = changed_settings(getattr(settings, name), rest, value)
     else:
         new = _from_plain(get_type_hints(type(settings))[name], value, name)
-    return replace(settings, **{name: new})
+    return replace(cast(Any, settings), **{name: new})
 
 
 def _from_plain(declared: Any, value: Any, at: str) -> Any:

@@ -22,7 +22,9 @@ STRONGEST = Wrench(force=2.0, torque=0.05)
 
 def episode_of(num_worlds: int, **keywords: Any) -> Episode:
     given = {"organs": (SHORT_GUT,), "start": Start(fraction=(0.5, 0.5), settle=0.2)}
-    episode = Episode(small_settings(**given | {"num_points": 512} | keywords), num_worlds)
+    episode = Episode(
+        small_settings(**given | {"num_points": 512, "dynamics": "physics"} | keywords), num_worlds
+    )
     for index in range(num_worlds):
         episode.begin(index, np.random.default_rng(index))
     return episode

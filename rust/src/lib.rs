@@ -47,6 +47,7 @@ fn _core(m: &Bound<'_, PyModule>) -> PyResult<()> {
     m.add_class::<render::ray_table::RayTable>()?;
     m.add_class::<render::radiosity::Radiosity>()?;
     m.add_function(wrap_pyfunction!(render::frame::render, m)?)?;
+    m.add_function(wrap_pyfunction!(render::batch::render_batch, m)?)?;
     m.add_function(wrap_pyfunction!(render::path::subsurface::walk_tissue, m)?)?;
     m.add_function(wrap_pyfunction!(render::channels::encode_srgb, m)?)?;
     m.add_function(wrap_pyfunction!(metrics::coverage::mark_seen, m)?)?;

@@ -375,6 +375,17 @@ def render(
     paths: tuple[int, int, int] | None = None,
     radiosity: Radiosity | None = None,
 ) -> None: ...
+def render_batch(
+    walls: Sequence[Wall],
+    scenes: Sequence[Scene],
+    rays: RayTable,
+    poses: NDArray[np.float64],
+    leds: NDArray[np.float64],
+    out: dict[str, NDArray[Any]],
+    *,
+    exposure: float,
+    shadows: bool,
+) -> None: ...
 def mark_seen(
     walls: Sequence[Wall],
     rays: RayTable,

@@ -65,7 +65,17 @@ macro_rules! channels {
         impl<'a> Channels<'a> {
             /// Cuts the image into rows of tiles.
             pub fn bands(self, width: usize, count: usize) -> Vec<Channels<'a>> {
-                let (all, few) = (width * TILE, subsampled(width) * TILE / STEP);
+                self.pieces(width * TILE, subsampled(width) * TILE / STEP, count)
+            }
+
+            /// Cuts images below each other, each of so many pixels, into single ones; not for
+            /// subsampled channels and planes.
+            pub fn images(self, pixels: usize, count: usize) -> Vec<Channels<'a>> {
+                self.pieces(pixels, 1, count)
+            }
+
+            /// Pieces of so many pixels, and of so many of the subsampled ones.
+            fn pieces(self, all: usize, few: usize, count: usize) -> Vec<Channels<'a>> {
                 $(let mut $name = cut(self.$name, all * $components);)*
                 $(let mut $few = cut(self.$few, few * $few_components);)*
                 let mut planes = self.planes.map(Planes::bands);
@@ -106,6 +116,20 @@ channels! {
         sparse_weights: f32, 2;
         sparse_refraction: u8, 1;
     }
+}
+
+/// Refuses arrays that hold something else than every pixel of an image.
+///
+/// # Errors
+/// If there is one.
+pub fn refuse_partial(out: &Bound<'_, PyDict>) -> PyResult<()> {
+    for name in out.keys() {
+        let name: String = name.extract()?;
+        if name.starts_with("sparse_") || name == "radiance_planar" {
+            return Err(PyValueError::new_err(format!("Channel {name} is not for many images.")));
+        }
+    }
+    Ok(())
 }
 
 /// Cuts a channel into pieces of a length; endless, as absent channels have no end.

@@ -55,7 +55,7 @@ pub fn render(
     if let Some(rest) = &rest {
         scene.data.check_size(rest)?;
     }
-    let mut view = View::new(wall, pose, leds, exposure, shadows)?;
+    let mut view = View::new(wall, pose.as_array(), leds.as_array(), exposure, shadows)?;
     view.paths = paths.map(|(spp, max_bounces, seed)| Settings { spp, max_bounces, seed });
     let shape = (rays.height, rays.width);
     let mut arrays = ChannelArrays::borrow(out, shape)?;
@@ -66,21 +66,31 @@ pub fn render(
             radiosity.map(|(solver, rest)| solver.solve(rest, wall, (&view.leds, shadows)));
         view.sources =
             virtual_lights(wall, &scene.data, &view, rays).filter(|_| contents.is_none());
-        let columns = rays.columns();
         let bare = WallTiles { wall, scene: &scene.data, view: &view };
         let filled = contents.map(|contents| LumenTiles::new(bare, contents));
-        let bands = channels.bands(rays.width, rays.tiles.len() / columns);
-        bands.into_par_iter().with_max_len(1).enumerate().for_each(|(row, mut band)| {
-            let tiles = &rays.tiles[row * columns..(row + 1) * columns];
-            let height = (rays.height - row * TILE).min(TILE);
-            let area = Area { row: row * TILE, size: (rays.width, height) };
-            match &filled {
-                Some(filled) => render_band(filled, bare, tiles, area, &mut band),
-                None => render_band(&bare, bare, tiles, area, &mut band),
-            }
-        });
+        match &filled {
+            Some(filled) => render_bands(filled, bare, rays, channels),
+            None => render_bands(&bare, bare, rays, channels),
+        }
     });
     Ok(())
+}
+
+/// Renders all rows of tiles of an image.
+pub fn render_bands<T: TileRenderer + Sync>(
+    renderer: &T,
+    bare: WallTiles<'_>,
+    rays: &RayTable,
+    channels: Channels<'_>,
+) {
+    let columns = rays.columns();
+    let bands = channels.bands(rays.width, rays.tiles.len() / columns);
+    bands.into_par_iter().with_max_len(1).enumerate().for_each(|(row, mut band)| {
+        let tiles = &rays.tiles[row * columns..(row + 1) * columns];
+        let height = (rays.height - row * TILE).min(TILE);
+        let area = Area { row: row * TILE, size: (rays.width, height) };
+        render_band(renderer, bare, tiles, area, &mut band);
+    });
 }
 
 /// Where a band of tiles lies in the image.

@@ -1,5 +1,6 @@
 //! Images of a wall and what is in the lumen: ray tracing, shading, indirect light, image channels.
 
+pub mod batch;
 pub mod channels;
 pub mod frame;
 pub mod lumen;

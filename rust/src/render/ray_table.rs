@@ -5,6 +5,10 @@ use crate::wall::packet::Pyramid;
 use numpy::{PyReadonlyArray3, ndarray::ArrayView3};
 use pyo3::{exceptions::PyValueError, prelude::*};
 
+/// Angle between pixels above which rays are traced in bundles [rad]: that of images of up to some
+/// 150 pixels across a capsule's field, of whose packets each meets many triangles.
+const WIDE_ANGLE: f32 = 0.016;
+
 /// Rays of one tile in the camera frame; lane `i` is the pixel at row `i / TILE`, column `i %
 /// TILE`.
 pub struct TileRays {
@@ -16,6 +20,8 @@ pub struct TileRays {
     pub any: bool,
     /// Angle between neighboring pixels [rad]; sets how much of a texture a pixel averages.
     pub pixel_angle: f32,
+    /// Whether the rays lie too far apart to be traced as one packet.
+    pub is_wide: bool,
 }
 
 /// Unit ray directions of every pixel of a camera [h w 3]; NaN where the lens sees nothing.
@@ -94,7 +100,8 @@ fn cut(rays: &ArrayView3<'_, f32>, row: usize, column: usize) -> TileRays {
         }
     }
     let pixel_angle = pixel_angle(&pyramid.directions, &used);
-    TileRays { any: used.contains(&true), pyramid, used, pixel_angle }
+    let is_wide = !pyramid.closed || pixel_angle > WIDE_ANGLE;
+    TileRays { any: used.contains(&true), pyramid, used, pixel_angle, is_wide }
 }
 
 /// Mean angle between horizontal neighbors that are both used.

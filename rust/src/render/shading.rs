@@ -6,6 +6,7 @@ use crate::render::radiosity::SubsurfaceLight;
 use crate::render::scene::{FaceData, SceneData};
 use crate::simd::f32x64::*;
 use crate::wall::Wall;
+use crate::wall::bundle::{RAYS, lit_by};
 use crate::wall::bvh::Triangle;
 use crate::wall::packet::{Hits, MISS};
 use crate::wall::visibility::visible_tile;
@@ -274,23 +275,42 @@ pub fn add_all_light(
     }
 }
 
+/// How shadows are found.
+#[derive(Clone, Copy)]
+pub enum Shadows {
+    /// Not at all.
+    None,
+    /// Rays from each LED to all points of a tile, which lie close together.
+    ByLed,
+    /// Rays from each point to all LEDs.
+    ByPoint,
+}
+
 /// Radiance towards the viewer [W/(sr·m²)]; zero where nothing was met.
 #[inline(always)]
 pub fn light(
     wall: &Wall,
     material: &Material,
     leds: &[Led],
-    shadows: bool,
+    shadows: Shadows,
     (surface, subsurface): (&Surface, Option<&SubsurfaceLight>),
     hit: &[bool; LANES],
 ) -> Lane3 {
     let mut radiance = [[0.0; LANES]; 3];
-    for led in leds {
-        if shadows {
-            let lit = visible_tile(wall, led.position, &surface.position, hit);
+    for some in leds.chunks(RAYS) {
+        let by_point = match shadows {
+            Shadows::ByPoint => {
+                Some(lit_by(wall, some.iter().map(|led| led.position), &surface.position, hit))
+            }
+            Shadows::None | Shadows::ByLed => None,
+        };
+        for (k, led) in some.iter().enumerate() {
+            let lit = match (shadows, &by_point) {
+                (Shadows::ByLed, _) => visible_tile(wall, led.position, &surface.position, hit),
+                (_, Some(sources)) => std::array::from_fn(|i| sources[i] >> k & 1 == 1),
+                (_, None) => *hit,
+            };
             add_all_light((surface, subsurface), material, led, &lit, &mut radiance);
-        } else {
-            add_all_light((surface, subsurface), material, led, hit, &mut radiance);
         }
     }
     radiance

@@ -7,10 +7,11 @@ use crate::render::path::PrimaryHit;
 use crate::render::path::lumen_contents::LumenMedia;
 use crate::render::ray_table::TileRays;
 use crate::render::scene::SceneData;
-use crate::render::shading::{Attributes, attributes, light, surface};
+use crate::render::shading::{Attributes, Shadows, attributes, light, surface};
 use crate::render::view::View;
 use crate::simd::f32x64::*;
 use crate::wall::Wall;
+use crate::wall::bundle::trace_in_bundles;
 use crate::wall::packet::{Hits, MAX_DISTANCE, Pyramid, trace};
 
 /// Scratch memory for a tile's spheres; kept from tile to tile.
@@ -100,7 +101,9 @@ pub fn intersect(
     }
     let mut hits = Hits::within(reach);
     let rays = tile.pyramid.rotated(to_world);
-    if tile.any {
+    if tile.is_wide {
+        trace_in_bundles(wall, origin, &rays, &tile.used, &mut hits);
+    } else if tile.any {
         trace::<false>(&wall.bvh, origin, &rays, wall.extent, &mut hits);
     }
     (rays, hits)
@@ -130,8 +133,12 @@ impl WallTiles<'_> {
             let (without_base, subsurface) =
                 view.split_subsurface(scene, &surface, hits, &hits.triangle);
             let lit = (without_base.as_ref().unwrap_or(&surface), subsurface.as_ref());
-            let mut radiance =
-                light(wall, &scene.material, &view.leds, view.shadows, lit, &found.hit);
+            let shadows = match (view.shadows, tile.is_wide) {
+                (false, _) => Shadows::None,
+                (true, false) => Shadows::ByLed,
+                (true, true) => Shadows::ByPoint,
+            };
+            let mut radiance = light(wall, &scene.material, &view.leds, shadows, lit, &found.hit);
             if let Some(irradiance) = &view.irradiance {
                 irradiance.add((&surface, &found.normal), hits, subsurface.as_ref(), &mut radiance);
             }

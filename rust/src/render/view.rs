@@ -1,6 +1,6 @@
 //! Everything about a view but its rays: the camera's pose, the LEDs, and how light is found.
 
-use crate::poses::read_pose;
+use crate::poses::pose_of;
 use crate::render::material::{Led, Surface};
 use crate::render::path::Settings;
 use crate::render::path::virtual_lights::VirtualLights;
@@ -10,7 +10,7 @@ use crate::simd::f32x64::*;
 use crate::wall::Wall;
 use crate::wall::packet::Hits;
 use glam::DVec3;
-use numpy::PyReadonlyArray2;
+use numpy::ndarray::ArrayView2;
 use pyo3::{exceptions::PyValueError, prelude::*};
 
 /// Everything about a view but its rays.
@@ -43,13 +43,11 @@ impl View<'_> {
     /// If they are of another shape or not finite.
     pub fn new(
         wall: &Wall,
-        pose: PyReadonlyArray2<'_, f64>,
-        leds: PyReadonlyArray2<'_, f64>,
+        pose: ArrayView2<'_, f64>,
+        leds: ArrayView2<'_, f64>,
         exposure: f32,
         shadows: bool,
     ) -> PyResult<Self> {
-        let (given, leds) = (pose, leds.as_array());
-        let pose = given.as_array();
         if pose.dim() != (4, 4) || !pose.iter().all(|x| x.is_finite()) {
             return Err(PyValueError::new_err("A camera pose must be a finite 4 x 4 matrix."));
         }
@@ -58,7 +56,7 @@ impl View<'_> {
         }
         let to_world = [0, 1, 2].map(|r| [0, 1, 2].map(|c| pose[[r, c]] as f32));
         let to_camera = [0, 1, 2].map(|r| [0, 1, 2].map(|c| pose[[c, r]] as f32));
-        let (rotation, place) = read_pose(&given)?;
+        let (rotation, place) = pose_of(&pose.iter().copied().collect::<Vec<f64>>());
         let leds = leds
             .outer_iter()
             .map(|row| {

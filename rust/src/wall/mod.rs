@@ -1,6 +1,7 @@
 //! A moving triangle mesh and its bounding-volume hierarchy: ray casting, nearest points,
 //! visibility.
 
+pub mod bundle;
 pub mod bvh;
 pub mod distances;
 pub mod packet;
@@ -157,6 +158,15 @@ impl Wall {
         std::mem::swap(&mut self.vertices, &mut self.spare);
         self.extent = extent;
         Ok(())
+    }
+
+    /// Makes the vertex normals those of the vertices as they are now.
+    pub fn renew_normals(&mut self) {
+        if !self.has_normals {
+            find_area_normals(&self.vertices, &self.faces, &mut self.area_normals);
+            self.update_normals();
+            self.has_normals = true;
+        }
     }
 
     /// Refits hierarchy and vertex normals.
@@ -390,9 +400,7 @@ impl Wall {
 
     /// Unit vertex normals [n 3], the area-weighted mean over the faces around each vertex.
     fn vertex_normals<'py>(&mut self, py: Python<'py>) -> Bound<'py, PyArray2<f32>> {
-        if !self.has_normals {
-            self.refit_all();
-        }
+        self.renew_normals();
         let flat: Vec<f32> = self.normals.iter().flatten().copied().collect();
         Array2::from_shape_vec((self.normals.len(), 3), flat)
             .expect("three numbers a vertex")

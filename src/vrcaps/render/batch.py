@@ -1,0 +1,128 @@
+"""Images of many walls or from many poses, rendered in one call of the compiled core."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from vrcaps import _core
+from vrcaps.errors import InputError, UnknownNameError
+from vrcaps.render.channels import CHANNELS
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+    from numpy.typing import NDArray
+
+    from vrcaps.camera.camera import Camera
+    from vrcaps.render.renderer import Renderer
+
+BATCH_CHANNELS = tuple(
+    name for name, kind in CHANNELS.items() if kind.stage == "core" and kind.if_empty is None
+)
+"""Channels of one image by itself: not of motion, of lumen contents or of the dome."""
+
+
+def renders_batches(renderer: Renderer) -> bool:
+    """Whether a renderer's images can be made in batches: direct light of an empty lumen."""
+    settings = renderer.settings
+    is_direct = settings.light == "direct" and not settings.is_supersampled
+    return is_direct and renderer.model.lumen_contents is None
+
+
+def render_batch(
+    renderers: Sequence[Renderer],
+    Ts_wall_camera: Float[np.ndarray, "n 4 4"],
+    camera: Camera,
+    channels: Sequence[str] = ("rgb", "depth"),
+    *,
+    walls: Sequence[_core.Wall] | None = None,
+    out: Mapping[str, NDArray[Any]] | None = None,
+) -> dict[str, NDArray[Any]]:
+    """Images from several poses, each with the bytes of `Renderer.render` by itself.
+
+    All threads work on them, without Python in between. Small images cost no more per pixel than
+    large ones. Renderers hold the textures: give worlds of one organ the same one.
+
+    Example:
+        >>> renderer = Renderer(model, RenderSettings(light="direct"))
+        >>> Ts_world_camera = Ts_world_capsule @ camera.T_capsule_camera
+        >>> images = render_batch([renderer], Ts_world_camera, camera)["rgb"]
+
+    Args:
+        renderers: One for all images or one for each, all with the same settings but for organs;
+            see `renders_batches`.
+        Ts_wall_camera: Poses of the camera in the frame of the walls.
+        camera: In the size of the images.
+        channels: Some of `BATCH_CHANNELS`.
+        walls: One for all images or one for each, as those of `World`, which are in the patient
+            frame and may have moved; None: that of each renderer's model, at rest in the world
+            frame.
+        out: C-contiguous arrays of earlier images [n h w …] to overwrite, by channel.
+
+    Returns:
+        Arrays [n h w …] by channel.
+
+    Raises:
+        UnknownNameError: If there is no such channel.
+        InputError: If a renderer's light is not direct, it has contents or other settings, numbers
+            or shapes do not fit each other, or a pose is not finite.
+    """
+    for name in channels:
+        if name not in BATCH_CHANNELS:
+            raise UnknownNameError("channel of a batch", name, BATCH_CHANNELS)
+    _check_renderers(renderers)
+    poses = np.ascontiguousarray(Ts_wall_camera, np.float64)
+    if poses.ndim != 3:
+        raise InputError(f"Poses have the shape {poses.shape}. Allowed: (n, 4, 4).")
+    arrays = {name: _array(name, len(poses), camera, out or {}) for name in channels}
+    if len(poses) == 0:
+        return arrays
+    if walls is None:
+        walls = [renderer.model.wall for renderer in renderers]
+    first = renderers[0]
+    try:
+        _core.render_batch(
+            walls,
+            [renderer._scene for renderer in renderers],
+            first._table(camera, 1),
+            poses,
+            first._leds(camera),
+            arrays,
+            exposure=camera.exposure,
+            shadows=first.settings.shadows,
+        )
+    except ValueError as error:
+        raise InputError(str(error)) from error
+    return arrays
+
+
+def _check_renderers(renderers: Sequence[Renderer]) -> None:
+    if not renderers:
+        raise InputError("A batch has no renderer. Allowed: one for all images or one for each.")
+    distinct = {id(renderer): renderer for renderer in renderers}.values()
+    for renderer in distinct:
+        if not renders_batches(renderer):
+            raise InputError(
+                f"A batch of images is of direct light in an empty lumen, was given light "
+                f"{renderer.settings.light!r}. Set light to 'direct', supersampling to 1 and leave "
+                "the contents out, or render one by one."
+            )
+        if renderer.settings != renderers[0].settings:
+            raise InputError("Renderers of a batch have different settings. Give all the same.")
+
+
+def _array(name: str, count: int, camera: Camera, out: Mapping[str, NDArray[Any]]) -> NDArray[Any]:
+    """Room for a channel."""
+    kind = CHANNELS[name]
+    shape = (count, *kind.shape(camera.height, camera.width))
+    given = out.get(name)
+    if given is None:
+        return np.empty(shape, kind.dtype)
+    if given.shape != shape or given.dtype != kind.dtype or not given.flags.c_contiguous:
+        raise InputError(
+            f"Array of {name} is {given.dtype} {given.shape}. Allowed: {np.dtype(kind.dtype)} "
+            f"{shape}, C-contiguous."
+        )
+    return given

@@ -42,8 +42,7 @@ def render_batch(
 ) -> dict[str, NDArray[Any]]:
     """Images from several poses, each with the bytes of `Renderer.render` by itself.
 
-    All threads work on them, without Python in between. Small images cost no more per pixel than
-    large ones. Renderers hold the textures: give worlds of one organ the same one.
+    All threads work on them. Renderers hold the textures: give worlds of one organ the same one.
 
     Example:
         >>> renderer = Renderer(model, RenderSettings(light="direct"))
@@ -69,22 +68,13 @@ def render_batch(
         InputError: If a renderer's light is not direct, it has contents or other settings, numbers
             or shapes do not fit each other, or a pose is not finite.
     """
-    for name in channels:
-        if name not in BATCH_CHANNELS:
-            raise UnknownNameError("channel of a batch", name, BATCH_CHANNELS)
-    _check_renderers(renderers)
     poses = np.ascontiguousarray(Ts_wall_camera, np.float64)
-    if poses.ndim != 3:
-        raise InputError(f"Poses have the shape {poses.shape}. Allowed: (n, 4, 4).")
+    _check(renderers, channels, poses)
     arrays = {name: _array(name, len(poses), camera, out or {}) for name in channels}
-    if len(poses) == 0:
-        return arrays
-    if walls is None:
-        walls = [renderer.model.wall for renderer in renderers]
     first = renderers[0]
     try:
         _core.render_batch(
-            walls,
+            [renderer.model.wall for renderer in renderers] if walls is None else walls,
             [renderer._scene for renderer in renderers],
             first._table(camera, 1),
             poses,
@@ -98,7 +88,12 @@ def render_batch(
     return arrays
 
 
-def _check_renderers(renderers: Sequence[Renderer]) -> None:
+def _check(renderers: Sequence[Renderer], channels: Sequence[str], poses: np.ndarray) -> None:
+    for name in channels:
+        if name not in BATCH_CHANNELS:
+            raise UnknownNameError("channel of a batch", name, BATCH_CHANNELS)
+    if poses.ndim != 3:
+        raise InputError(f"Poses have the shape {poses.shape}. Allowed: (n, 4, 4).")
     if not renderers:
         raise InputError("A batch has no renderer. Allowed: one for all images or one for each.")
     distinct = {id(renderer): renderer for renderer in renderers}.values()

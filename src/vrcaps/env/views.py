@@ -15,6 +15,7 @@ from vrcaps.camera_pipeline.effects import Effects
 from vrcaps.camera_pipeline.pipeline import CameraPipeline, PipelineState
 from vrcaps.env.memory import Memory
 from vrcaps.motion.step import Step
+from vrcaps.render.batch import BATCH_CHANNELS, render_batch, renders_batches
 from vrcaps.render.channels import CHANNELS, Frame
 from vrcaps.render.renderer import Renderer
 from vrcaps.render.settings import RenderSettings
@@ -100,8 +101,7 @@ class Views:
         """A channel of all worlds [n h w …], which the next step overwrites."""
         if channel not in self._wanted.get(view, ()):
             self._add(view, channel, Memory(self._simulation.num_worlds))
-        for index in np.flatnonzero(self._is_stale[view]):
-            self._render(int(index), view)
+        self._render(np.flatnonzero(self._is_stale[view]).tolist(), view)
         self._is_stale[view][:] = False
         return self._images[view, channel]
 
@@ -128,14 +128,39 @@ class Views:
         s = self._simulation
         return s.settings.randomization.effects.sample(int(s.effects_seed[index]))
 
-    def _render(self, index: int, view: View) -> None:
+    def _render(self, numbers: list[int], view: View) -> None:
+        """Renders worlds: those that one camera sees by direct light in one call."""
+        together: dict[Camera, list[int]] = {}
+        for index in numbers:
+            renderer, _ = self._renderer(index, view.render)
+            is_bare = renders_batches(renderer) and not self._is_captured(view)
+            if is_bare and set(self._wanted[view]) <= set(BATCH_CHANNELS):
+                together.setdefault(self.camera(view, index), []).append(index)
+            else:
+                self._render_alone(index, view)
+        for camera, some in together.items():
+            images = render_batch(
+                [self._renderer(index, view.render)[0] for index in some],
+                np.array([self._T_patient_capsule(k) @ camera.T_capsule_camera for k in some]),
+                camera,
+                self._wanted[view],
+                walls=[self._simulation.worlds[index].wall for index in some],
+            )
+            for channel, image in images.items():
+                self._images[view, channel][some] = image
+
+    def _T_patient_capsule(self, index: int) -> np.ndarray:
+        """Pose of a capsule in the frame in which its wall is kept."""
+        s = self._simulation
+        return invert(s.patient(index).model.T_world_patient) @ s.T_world_capsule[index]
+
+    def _render_alone(self, index: int, view: View) -> None:
         """Renders one world in the patient frame, in which its wall is kept."""
         s = self._simulation
         renderer, wall = self._renderer(index, view.render)
         wall.wall = s.worlds[index].wall
         wall.wall.vertex_normals()  # a step leaves them out, the renderer needs them
-        T_patient_world = invert(s.patient(index).model.T_world_patient)
-        state = State(float(s.time[index]), T_patient_world @ s.T_world_capsule[index])
+        state = State(float(s.time[index]), self._T_patient_capsule(index))
         channels = self._wanted[view]
         if self._is_captured(view):
             frame = self._captured(index, view, state, renderer)

@@ -54,7 +54,7 @@ def test_worlds_that_begin_anew_are_seen_at_once_and_the_others_are_not_rendered
     observation = simulation.settings.observations[0]
     first = observation.observe(simulation)
     rendered, views = [], simulation.views
-    render, views._render = views._render, lambda *of: (rendered.append(of[0]), render(*of))
+    render, views._render = views._render, lambda *of: (rendered.extend(of[0]), render(*of))
     np.testing.assert_array_equal(observation.observe(simulation), first)
     assert rendered == []
     simulation.reset(1, np.random.default_rng(7))

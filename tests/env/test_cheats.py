@@ -148,7 +148,7 @@ def test_a_lesion_behind_a_fold_is_not_looked_at() -> None:
     told = []
     for organ in (blocked(LESION_GUT, 0.105), LESION_GUT):
         start = Start(fraction=(0.44, 0.44), settle=0.0)
-        task = InspectTask(level="frustum", share=0.01)
+        task = InspectTask(level="frustum", fraction=0.01)
         for level in ("frustum", "visible"):
             given = {"task": replace(task, level=level), "lesions": (), "organs": (organ,)}
             simulation = simulation_of(actuation="wrench", start=start, **given)

@@ -79,7 +79,7 @@ def test_a_lesion_counts_after_a_look_without_a_break() -> None:
 
 
 def test_a_small_part_of_a_lesion_is_no_look() -> None:
-    task = InspectTask(share=0.5)
+    task = InspectTask(fraction=0.5)
     simulation = simulation_of(task=task, actuation="wrench", organs=(LESION_GUT,), lesions=())
     flags = simulation.flags[0][simulation.patient(0).points.first_of_lesions :]
     flags[: len(flags) // 2 - 1] = 7

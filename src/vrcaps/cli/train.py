@@ -130,6 +130,10 @@ def parse_organs(text: str) -> list[Organ]:
     if seeds is None:
         raise InputError(f"--organ is {text!r}. Allowed: NAME:SEED, NAME:FIRST-LAST or FILE:UNIT.")
     first, last = int(seeds[1]), int(seeds[2] or seeds[1])
+    if first > last:
+        raise InputError(
+            f"--organ is {text!r}. Allowed: rising seeds, such as {name}:{last}-{first}."
+        )
     return [OrganGenerated(name, seed=seed) for seed in range(first, last + 1)]
 
 

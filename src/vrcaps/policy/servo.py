@@ -18,6 +18,7 @@ from vrcaps.magnet.presets import read_magnet
 from vrcaps.transforms import rotation_from_vector, vector_from_rotation
 from vrcaps.units import MM
 from vrcaps.world.control import GRAVITY
+from vrcaps.world.dynamics import MOMENTUM_TIME
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -41,9 +42,6 @@ _WALL_RESISTANCE, _CREEP = 3e-3, 5.0 * MM
 
 _LEAD = 0.4
 """Time by which the field's direction is ahead of the capsule's [s]."""
-
-_MOMENTUM_TIME = 1.0 / 30.0
-"""Time in which quasi-static motion loses its momentum [s], see `vrcaps.world.dynamics`."""
 
 
 @dataclass(frozen=True)
@@ -120,7 +118,7 @@ def _loads(
     linear, angular = simulation.velocity_world[:, 0], simulation.velocity_world[:, 1]
     lasting, time = 1.0, settings.control_period
     if settings.dynamics == "quasi-static":
-        lasting, time = 0.0, _MOMENTUM_TIME
+        lasting, time = 0.0, MOMENTUM_TIME
     R = simulation.T_world_capsule[:, :3, :3]
     inertia = R @ body.inertia @ np.swapaxes(R, 1, 2)
     torque = np.einsum("nij,nj->ni", inertia, spin - lasting * angular) / time

@@ -29,6 +29,9 @@ if TYPE_CHECKING:
     from vrcaps.tissue.tissue import Tissue
     from vrcaps.world.model import Model
 
+MOMENTUM_TIME = 0.1
+"""Time τ in which quasi-static motion loses its momentum [s]; the core's own."""
+
 DynamicsKind = Literal["physics", "quasi-static"]
 """Names of dynamics."""
 

@@ -29,14 +29,14 @@ class InspectTask:
     Attributes:
         level: Level of coverage at which a lesion's surface must be seen.
         dwell: How long each must be looked at without a break [s].
-        share: Part of a lesion's area that one view must show; a camera sees less than half of a
+        fraction: Part of a lesion's area that one view must show; a camera sees less than half of a
             polyp at a time.
         most: Largest number of lesions in an organ.
     """
 
     level: CoverageLevel = "resolved"
     dwell: Annotated[float, Range(above=0.0, most=60.0, unit="s")] = 1.0
-    share: Annotated[float, Range(above=0.0, most=1.0)] = 0.2
+    fraction: Annotated[float, Range(above=0.0, most=1.0)] = 0.2
     most: Annotated[int, Range(least=1, most=1000)] = 32
 
     kind: ClassVar[str] = "inspect"
@@ -98,8 +98,8 @@ class InspectTask:
         for row, index in enumerate(numbers):
             points = simulation.patient(index).points
             flags = simulation.flags[index][points.first_of_lesions :]
-            shares = ((flags & bit) != 0).reshape(len(points.lesions), -1).mean(axis=1)
-            shown[row, : len(shares)] = shares >= self.share
+            fractions = ((flags & bit) != 0).reshape(len(points.lesions), -1).mean(axis=1)
+            shown[row, : len(fractions)] = fractions >= self.fraction
             # The next step tells anew what is in view; lesions' points count no area.
             flags[:] = 0
         period = simulation.settings.control_period

@@ -107,7 +107,7 @@ class Units:
             groups.setdefault(values, []).append(patient)
         order: list[int] = []
         for values in sorted(groups):
-            shuffle = rng.stream(settings.seed, f"dataset/split/{values}")
+            shuffle = rng.stream(settings.seed, f"data/split/{values}")
             order += shuffle.permutation(groups[values]).tolist()
         fractions = [getattr(settings.split, name) for name in SPLITS]
         return _spread(order, fractions)
@@ -132,7 +132,7 @@ class Units:
         """Values of the slots of a patient, or of a recording of his."""
         seed = self.plan.settings.seed
         drawn = {
-            path: slot.draw(rng.stream(seed, f"dataset/{path}", patient, *key))
+            path: slot.draw(rng.stream(seed, f"data/slot/{path}", patient, *key))
             for path, slot in self._slots
             if not isinstance(slot, Each) and _is_patients(path) != of_recording
         }
@@ -146,7 +146,7 @@ class Units:
         return name not in ORGANS or "sigmoid" in organ_segments(name)
 
     def _number(self, purpose: str, *key: int) -> int:
-        stream = rng.stream(self.plan.settings.seed, f"dataset/{purpose}", *key)
+        stream = rng.stream(self.plan.settings.seed, f"data/number/{purpose}", *key)
         return int(stream.integers(_SEEDS))
 
 

@@ -52,7 +52,8 @@ class EnvSettings:
         control_period: Time between actions [s].
         episode_time: Time after which an episode is truncated [s].
         stuck_time: Time without progress after which it is truncated, too [s].
-        max_speed: Speed beyond which it is truncated, without reward [m/s]; VR-Caps' limit.
+        max_speed: Speed beyond which it is truncated, without reward [m/s]: that of a throw, more
+            than a capsule reaches that falls across a stomach. VR-Caps' code has 0.35.
         criteria: When a part of the wall counts as seen.
         num_points: Points of the wall that stand for its area.
         grid: Cells of the map of the wall, along the gut and around it.
@@ -74,7 +75,7 @@ class EnvSettings:
     control_period: Annotated[float, Range(above=0.0, most=1.0, unit="s")] = 5.0 / 30.0
     episode_time: Annotated[float, Range(above=0.0, unit="s")] = 60.0
     stuck_time: Annotated[float, Range(above=0.0, unit="s")] = 20.0
-    max_speed: Annotated[float, Range(above=0.0, unit="m/s")] = 0.35
+    max_speed: Annotated[float, Range(above=0.0, unit="m/s")] = 1.5
     criteria: CoverageCriteria = field(default_factory=CoverageCriteria)
     num_points: Annotated[int, Range(least=64)] = 4096
     grid: tuple[int, int] = (32, 16)

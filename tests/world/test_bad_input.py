@@ -237,14 +237,16 @@ def test_never_tunnels_or_explodes(model: Model, rng: np.random.Generator) -> No
 
 
 def test_a_wall_under_a_world(world: World) -> None:
-    """It keeps no vertex normals: they are made when asked for, and when it is drawn."""
+    """It keeps no vertex normals: they are made when asked for, and it is not drawn by mistake."""
     model = world.model
     wall = world.wall
     camera, renderer = model.device.cameras[0], Renderer(model, DIRECT)
     arrays = {"depth": np.empty((camera.height, camera.width), np.float32)}
-    renderer._render_into(wall, camera, world.state, arrays, None)
+    with pytest.raises(ValueError, match="wall has moved under a world: refit it to draw it"):
+        renderer._render_into(wall, camera, world.state, arrays, None)
     vertices = world._core.vertices(np.eye(4))
     fresh = _core.Wall(vertices, model.organ.faces.astype(np.int64))
     normals = wall.vertex_normals()
     np.testing.assert_allclose(normals, fresh.vertex_normals(), atol=1e-5)
     assert np.abs(normals - model.wall.vertex_normals()).max() > 1e-3
+    renderer._render_into(wall, camera, world.state, arrays, None)

@@ -9,6 +9,7 @@ import numpy as np
 from vrcaps.capsule.catalog import read_device
 from vrcaps.capsule.device import Device
 from vrcaps.env.course import Course
+from vrcaps.env.forked import require_threads
 from vrcaps.env.located_capsules import LocatedCapsules
 from vrcaps.env.memory import Memory
 from vrcaps.env.patient import Patient, Patients
@@ -144,8 +145,10 @@ class Simulation:
             number: Of the patient; None draws one.
 
         Raises:
-            InputError: If the organ cannot be made, or the capsule fits nowhere in it.
+            InputError: If the organ cannot be made, the capsule fits nowhere in it, or this process
+                was forked from one in which a world had begun.
         """
+        require_threads()
         settings = self.settings
         drawn = rng.integers(len(self.patients))
         self._patient[index] = drawn if number is None else number

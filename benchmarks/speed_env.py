@@ -34,7 +34,7 @@ SECONDS = 3.0
 CORE = ("step_worlds", "world_states", "worlds_inside", "mark_points", "wall_distances")
 HEAD = (
     *("dynamics", "actuation", "worlds", "steps a second", "a second of a processor"),
-    *("dynamics and physics", "visibility", "rest"),
+    *("of it dynamics", "visibility", "rest"),
 )
 
 

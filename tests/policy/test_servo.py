@@ -18,7 +18,8 @@ from vrcaps.policy.servo import Goal, heading_error, servo_actions
 from vrcaps.transforms import rotation_from_vector
 
 DEVICE = read_device("magnetic")
-MOMENTUM_TIME = 1.0 / 30.0
+MOMENTUM_TIME = 0.1
+"""In which a free capsule loses its momentum in quasi-static motion [s]."""
 
 
 def free_body(settings: EnvSettings) -> Any:
